@@ -1,0 +1,101 @@
+//! The report of a photo: what was done, at what cost, what was left out, and what error that made (DESIGN, section 8).
+
+use serde::{Deserialize, Serialize};
+
+/// The uploaded photo.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Input {
+    /// Width in pixels, upright.
+    pub width: u32,
+    /// Height in pixels, upright.
+    pub height: u32,
+    /// File size.
+    pub bytes: usize,
+}
+
+/// One stage of the way.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Stage {
+    /// As in [`crate::progress::Progress::stage`].
+    pub name: String,
+    /// Wall time in milliseconds.
+    pub ms: f64,
+    /// Processor time of the whole process in milliseconds.
+    pub cpu_ms: f64,
+}
+
+/// What this scene did not need.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct LeftOut {
+    /// Planes fewer than the upper bound of planes a tile.
+    pub planes: usize,
+    /// Tiles that no refinement ran on.
+    pub tiles_not_refined: usize,
+    /// Texels of full layers that are not stored.
+    pub texels: usize,
+    /// Bytes that these would take as raw RGBA8.
+    pub bytes: usize,
+}
+
+/// Sections of the container in bytes.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Bytes {
+    /// Everything.
+    pub total: usize,
+    /// Index and planes.
+    pub index: usize,
+    /// Photo.
+    pub photo: usize,
+    /// Classes and alpha.
+    pub alpha: usize,
+    /// Hidden colours.
+    pub hidden: usize,
+}
+
+/// Errors that the approximations made.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct ErrorFigures {
+    /// Mean absolute error of the planes' disparity against the map they were fitted to.
+    pub depth_mae: f64,
+    /// Mean squared error of the same.
+    pub depth_mse: f64,
+    /// Lower quartile of its absolute error.
+    pub depth_q25: f64,
+    /// PSNR in dB of the view from the reference camera against the photo; 99 where they are equal.
+    pub identity_psnr: f64,
+    /// Largest difference that pruning made at the corners of the view box, in levels of 255.
+    pub prune_max_abs: f64,
+    /// PSNR in dB of the carried photo against the uploaded one; 99 where they are equal.
+    pub codec_psnr: f64,
+}
+
+/// The report of a photo.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Report {
+    /// The uploaded photo.
+    pub input: Input,
+    /// Size of the scene in pixels.
+    pub width: u32,
+    /// Size of the scene in pixels.
+    pub height: u32,
+    /// Depth model, or `given`.
+    pub depth_model: String,
+    /// All stages in order.
+    pub stages: Vec<Stage>,
+    /// Wall time of the whole way.
+    pub total_ms: f64,
+    /// Peak resident memory of the process so far.
+    pub peak_rss_bytes: u64,
+    /// Count of tiles.
+    pub tiles: usize,
+    /// Count of planes.
+    pub planes: usize,
+    /// Mean planes a tile.
+    pub planes_per_tile: f64,
+    /// What this scene did not need.
+    pub left_out: LeftOut,
+    /// Sections in bytes.
+    pub bytes: Bytes,
+    /// Errors made.
+    pub error: ErrorFigures,
+}

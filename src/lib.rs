@@ -1,0 +1,32 @@
+//! tmpi turns a photo into a tiled multiplane image (TMPI), packs it into a compact container and draws it for any camera.
+//!
+//! The modules lie along the way of a photo, and arrows run one way only:
+//! `photo ← depth ← generate ← atlas ← {render, server, client}`. [`tmpi`] is the vocabulary that all of them share and
+//! knows none of them. [`way`] runs the whole way; the command line and the server are its only callers.
+#![warn(clippy::pedantic)]
+// Pixel arithmetic casts between integer and float widths in every line; the ranges are bounded by `photo::Limits`.
+#![allow(
+    clippy::cast_possible_truncation,
+    clippy::cast_precision_loss,
+    clippy::cast_sign_loss,
+    clippy::cast_possible_wrap,
+    clippy::cast_lossless
+)]
+// Image geometry is written with the field's one-letter names (u, v, a, b, c, x, y, w, h).
+#![allow(clippy::many_single_char_names, clippy::similar_names)]
+// `generate::GenerateError` reads better at a call site than `generate::Error` where several modules meet.
+#![allow(clippy::module_name_repetitions)]
+
+pub mod atlas;
+pub mod cli;
+pub mod depth;
+pub mod generate;
+pub mod onnx;
+pub mod photo;
+pub mod progress;
+pub mod quality;
+pub mod render;
+pub mod server;
+pub mod synth;
+pub mod tmpi;
+pub mod way;

@@ -1,0 +1,40 @@
+//! What can be wrong with a photo.
+
+/// Why a photo was not taken.
+#[derive(Debug, thiserror::Error)]
+pub enum PhotoError {
+    /// The first bytes are of no format that is read.
+    #[error("not a JPEG, PNG or WebP picture")]
+    Unsupported,
+    /// The file is larger than allowed.
+    #[error("file of {bytes} bytes is over the limit of {limit} bytes")]
+    TooManyBytes {
+        /// Bytes of the file.
+        bytes: usize,
+        /// Bytes allowed.
+        limit: usize,
+    },
+    /// More pixels than allowed.
+    #[error("{width}×{height} is over the limit of {limit} pixels")]
+    TooManyPixels {
+        /// Width in pixels.
+        width: u32,
+        /// Height in pixels.
+        height: u32,
+        /// Pixels allowed.
+        limit: u64,
+    },
+    /// A side longer than allowed.
+    #[error("{width}×{height} is over the limit of {limit} pixels a side")]
+    SideTooLong {
+        /// Width in pixels.
+        width: u32,
+        /// Height in pixels.
+        height: u32,
+        /// Pixels a side allowed.
+        limit: u32,
+    },
+    /// The file is damaged, or of a kind within its format that is not read.
+    #[error("the picture cannot be decoded: {0}")]
+    Broken(String),
+}
