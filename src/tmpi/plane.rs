@@ -17,8 +17,8 @@ pub struct Plane {
 }
 
 impl Plane {
-    /// Step of the grid that planes lie on in a container: an error of δ of at most 1.5 steps anywhere on the tile.
-    pub const STEP: f64 = 1.0 / (1 << 18) as f64;
+    /// Step of the grid that planes lie on in a container, 2⁻¹⁴: an error of δ of at most 1.5 half steps anywhere on the tile.
+    pub const STEP: f64 = 1.0 / 16_384.0;
 
     /// Fronto-parallel plane of disparity `a`.
     #[must_use]
@@ -41,7 +41,7 @@ impl Plane {
         [bx * k.fx, by * k.fy, self.a + bx * (k.cx - centre.0) + by * (k.cy - centre.1)]
     }
 
-    /// The nearest plane on the container's grid of [`Plane::STEP`]; values beyond ±8191 are clamped, NaN becomes 0.
+    /// The nearest plane on the container's grid of [`Plane::STEP`]; values beyond ±2 are clamped, NaN becomes 0.
     #[must_use]
     pub fn quantised(&self) -> Self {
         let q = |v: f64| f64::from(Self::to_grid(v)) * Self::STEP;
@@ -50,9 +50,9 @@ impl Plane {
 
     /// Grid index of one coefficient.
     #[must_use]
-    pub fn to_grid(v: f64) -> i32 {
+    pub fn to_grid(v: f64) -> i16 {
         // `as` saturates, and maps NaN to 0
-        (v / Self::STEP).round() as i32
+        (v / Self::STEP).round() as i16
     }
 
     /// True where all coefficients are finite.
