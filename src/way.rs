@@ -11,7 +11,7 @@ use crate::generate::{GenerateError, Report};
 use crate::onnx::Network;
 use crate::photo::{Limits, PhotoError};
 use crate::progress::Sink;
-use crate::tmpi::ViewBox;
+use crate::tmpi::{DisparityMap, ViewBox};
 
 /// How planes are placed in a tile.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
@@ -140,6 +140,8 @@ pub struct Made {
     pub container: Vec<u8>,
     /// What was done, left out, and at what error and cost.
     pub report: Report,
+    /// Disparity as used: the map that planes were fitted to, at the scene's size.
+    pub disparity: DisparityMap,
 }
 
 /// Why a photo could not be made.

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 /// The uploaded photo.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Input {
     /// Width in pixels, upright.
     pub width: u32,
@@ -14,7 +14,7 @@ pub struct Input {
 }
 
 /// One stage of the way.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Stage {
     /// As in [`crate::progress::Progress::stage`].
     pub name: String,
@@ -25,7 +25,7 @@ pub struct Stage {
 }
 
 /// What this scene did not need.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct LeftOut {
     /// Planes fewer than the upper bound of planes a tile.
     pub planes: usize,
@@ -38,7 +38,7 @@ pub struct LeftOut {
 }
 
 /// Sections of the container in bytes.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Bytes {
     /// Everything.
     pub total: usize,
@@ -53,7 +53,7 @@ pub struct Bytes {
 }
 
 /// Errors that the approximations made.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct ErrorFigures {
     /// Mean absolute error of the planes' disparity against the map they were fitted to.
     pub depth_mae: f64,
@@ -70,7 +70,7 @@ pub struct ErrorFigures {
 }
 
 /// The report of a photo.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Report {
     /// The uploaded photo.
     pub input: Input,

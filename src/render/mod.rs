@@ -1,5 +1,9 @@
 //! Drawing a scene for a camera (paper, algorithm 1) on three hosts that are held against each other.
 
+mod encode;
+
+pub use encode::{DEFAULT_QUALITY, EncodeError, PictureFormat, encode};
+
 use std::sync::Arc;
 
 use crate::tmpi::{Camera, Scene};
