@@ -1,5 +1,6 @@
 //! From photo and disparity to a tiled multiplane image (paper, section 3.2).
 
+pub mod planes;
 mod report;
 
 pub use report::{Bytes, ErrorFigures, Input, LeftOut, Report, Stage};

@@ -1,0 +1,75 @@
+//! Weighted k-means on a histogram (paper, section 3.2).
+
+/// Bins between the least and the greatest value; sums within a bin are exact, so a boundary is off by one bin at most.
+const BINS: usize = 256;
+const ROUNDS: usize = 50;
+
+/// Histogram of weighted values: per bin the weight and the weighted sum of offsets from the least value.
+pub struct Histogram {
+    /// Least value.
+    pub lo: f64,
+    /// Weight of each bin.
+    pub weight: Vec<f64>,
+    /// Weighted sum of `value − lo` of each bin.
+    pub moment: Vec<f64>,
+}
+
+impl Histogram {
+    /// Bins the values; none where no value has weight.
+    pub fn new(values: &[f32], weights: &[f32], bins: usize) -> Option<Self> {
+        let (mut lo, mut hi) = (f32::INFINITY, f32::NEG_INFINITY);
+        for (&d, &w) in values.iter().zip(weights) {
+            if w > 0.0 {
+                lo = lo.min(d);
+                hi = hi.max(d);
+            }
+        }
+        if lo > hi {
+            return None;
+        }
+        let (lo, range) = (f64::from(lo), f64::from(hi) - f64::from(lo));
+        let scale = if range > 0.0 { bins as f64 / range } else { 0.0 };
+        let (mut weight, mut moment) = (vec![0.0; bins], vec![0.0; bins]);
+        for (&d, &w) in values.iter().zip(weights) {
+            if w > 0.0 {
+                let off = f64::from(d) - lo;
+                let at = ((off * scale) as usize).min(bins - 1);
+                weight[at] += f64::from(w);
+                moment[at] += f64::from(w) * off;
+            }
+        }
+        Some(Self { lo, weight, moment })
+    }
+
+    /// Mean of the values in a bin range, none where it has no weight.
+    pub fn mean(&self, range: std::ops::Range<usize>) -> Option<f64> {
+        let (w, m) = range.fold((0.0, 0.0), |(w, m), i| (w + self.weight[i], m + self.moment[i]));
+        (w > 0.0).then(|| self.lo + m / w)
+    }
+}
+
+/// Cluster centres, at most `n`, ascending; starts are evenly spaced.
+pub fn centres(values: &[f32], weights: &[f32], n: usize) -> Vec<f64> {
+    let Some(h) = Histogram::new(values, weights, BINS) else { return vec![0.0] };
+    let means: Vec<Option<f64>> = (0..BINS).map(|i| h.mean(i..i + 1)).collect();
+    let (Some(first), Some(last)) = (means.iter().flatten().next(), means.iter().flatten().next_back()) else { return vec![0.0] };
+    let mut c: Vec<f64> = (0..n).map(|i| first + (last - first) * (i as f64 + 0.5) / n as f64).collect();
+    for _ in 0..ROUNDS {
+        let (mut w, mut m) = (vec![0.0; c.len()], vec![0.0; c.len()]);
+        let mut at = 0;
+        for (i, mean) in means.iter().enumerate() {
+            let Some(mean) = mean else { continue };
+            while at + 1 < c.len() && mean - c[at] > c[at + 1] - mean {
+                at += 1;
+            }
+            w[at] += h.weight[i];
+            m[at] += h.moment[i];
+        }
+        let next: Vec<f64> = w.iter().zip(&m).filter(|(w, _)| **w > 0.0).map(|(w, m)| h.lo + m / w).collect();
+        if next == c {
+            break;
+        }
+        c = next;
+    }
+    c
+}

@@ -1,0 +1,148 @@
+//! Per-tile planes: weighted clustering of disparity into the fewest planes that meet an error target (paper, section 3.2).
+
+mod linear;
+mod lloyd;
+mod optimal;
+mod sample;
+mod slanted;
+
+use rayon::prelude::*;
+
+use crate::tmpi::{DisparityMap, Grid, Plane};
+pub use sample::Samples;
+
+/// Most planes a tile can have; labels are bytes and renderers sort few layers a tile.
+pub const MAX_PLANES: u32 = 64;
+
+/// Most planes that the automatic count gives a tile.
+pub const MAX_AUTO_PLANES: u32 = 6;
+
+/// How planes are placed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Placement {
+    /// Placement rule.
+    pub method: Method,
+    /// Upper bound of planes a tile, 1 to [`MAX_PLANES`].
+    pub most: u32,
+    /// Where given, the fewest planes (up to `most`) whose 99th percentile of |δ error| is at most this; else always `most`.
+    pub target: Option<f64>,
+}
+
+/// Placement rule of the planes of a tile.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Method {
+    /// Evenly between the extremes of the tile.
+    Linear,
+    /// Weighted k-means.
+    Lloyd,
+    /// Exact one-dimensional k-means.
+    Optimal,
+    /// Weighted k-planes.
+    Slanted,
+}
+
+/// The planes of one tile.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TilePlanes {
+    /// Planes on the container's grid, from far to near at the tile's centre; at least one.
+    pub planes: Vec<Plane>,
+    /// Which plane each pixel of the tile's rectangle lies on, row-major.
+    pub labels: Vec<u8>,
+}
+
+/// Places the planes of all tiles of `grid`, in the order of the tiles.
+///
+/// `confidence` is a weight per pixel in (0, 1] where there is one. Values of either map that are not finite weigh nothing.
+#[must_use]
+pub fn place(delta: &DisparityMap, confidence: Option<&[f32]>, grid: &Grid, placement: &Placement) -> Vec<TilePlanes> {
+    (0..grid.tiles())
+        .into_par_iter()
+        .map_init(Samples::default, |samples, tile| {
+            samples.gather(delta, confidence, grid, tile);
+            place_tile(samples, placement)
+        })
+        .collect()
+}
+
+/// Places the planes of one tile.
+#[must_use]
+pub fn place_tile(samples: &Samples, placement: &Placement) -> TilePlanes {
+    let most = placement.most.clamp(1, MAX_PLANES) as usize;
+    if placement.method == Method::Slanted {
+        return finish(samples, slanted::fit(samples, most, placement.target));
+    }
+    let run = |n: usize| -> Vec<Plane> {
+        let centres = match placement.method {
+            Method::Linear => linear::centres(samples, n),
+            Method::Optimal => optimal::centres(samples, n),
+            Method::Lloyd | Method::Slanted => lloyd::centres(samples.deltas(), samples.weights(), n),
+        };
+        centres.into_iter().map(Plane::fronto_parallel).collect()
+    };
+    let Some(target) = placement.target else { return finish(samples, run(most)) };
+    let mut best = run(1);
+    for n in 1..=most {
+        if n > 1 {
+            best = run(n);
+        }
+        if samples.error_p99(&best) <= target {
+            break;
+        }
+    }
+    finish(samples, best)
+}
+
+/// Puts planes on the container's grid, drops those that no pixel lies on, orders the rest and labels the pixels.
+fn finish(samples: &Samples, planes: Vec<Plane>) -> TilePlanes {
+    let mut planes: Vec<Plane> = planes.into_iter().map(|p| p.quantised()).collect();
+    planes.sort_by(|p, q| p.a.total_cmp(&q.a).then(p.b.total_cmp(&q.b)).then(p.c.total_cmp(&q.c)));
+    planes.dedup();
+    let mut labels = vec![0u8; samples.len()];
+    samples.assign(&planes, &mut labels);
+    let mut used = vec![false; planes.len()];
+    for &l in &labels {
+        used[l as usize] = true;
+    }
+    let map: Vec<u8> = used
+        .iter()
+        .scan(0u8, |next, &u| {
+            let at = *next;
+            *next += u8::from(u);
+            Some(at)
+        })
+        .collect();
+    for l in &mut labels {
+        *l = map[*l as usize];
+    }
+    let mut keep = used.iter();
+    planes.retain(|_| *keep.next().unwrap_or(&false));
+    TilePlanes { planes, labels }
+}
+
+/// Error of all tiles' planes against the map they were fitted to: mean absolute, mean squared, lower quartile of absolute.
+///
+/// Overlapping tiles count every pixel that they hold.
+#[must_use]
+pub fn discretisation_error(delta: &DisparityMap, grid: &Grid, tiles: &[TilePlanes]) -> (f64, f64, f64) {
+    let mut errors: Vec<f32> = tiles
+        .par_iter()
+        .enumerate()
+        .flat_map_iter(|(i, t)| {
+            let mut s = Samples::default();
+            s.gather(delta, None, grid, i as u32);
+            s.errors(&t.planes, &t.labels)
+        })
+        .collect();
+    if errors.is_empty() {
+        return (0.0, 0.0, 0.0);
+    }
+    let n = errors.len() as f64;
+    let mae = errors.iter().map(|&e| f64::from(e)).sum::<f64>() / n;
+    let mse = errors.iter().map(|&e| f64::from(e).powi(2)).sum::<f64>() / n;
+    let q = errors.len() / 4;
+    let (_, q25, _) = errors.select_nth_unstable_by(q, f32::total_cmp);
+    (mae, mse, f64::from(*q25))
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,159 @@
+//! Disparity samples of one tile.
+
+use crate::tmpi::{DisparityMap, Grid, Plane};
+
+/// The pixels of one tile as columns: place in half tiles from its centre, disparity, weight. Reused from tile to tile.
+#[derive(Clone, Debug, Default)]
+pub struct Samples {
+    u: Vec<f32>,
+    v: Vec<f32>,
+    delta: Vec<f32>,
+    weight: Vec<f32>,
+    /// Width of the tile in pixels.
+    pub width: usize,
+}
+
+impl Samples {
+    /// Takes the pixels of tile `tile`. A disparity that is not finite becomes 0 with weight 0; a weight that is not finite
+    /// or not positive becomes 0; where all weights are 0, all become 1.
+    pub fn gather(&mut self, delta: &DisparityMap, confidence: Option<&[f32]>, grid: &Grid, tile: u32) {
+        let (r, centre, half) = (grid.rect(tile), grid.centre(tile), grid.half());
+        self.clear(r.w as usize);
+        for y in r.y..r.y + r.h {
+            let v = ((f64::from(y) + 0.5 - centre.1) / half) as f32;
+            for x in r.x..r.x + r.w {
+                let at = y as usize * delta.width as usize + x as usize;
+                let u = ((f64::from(x) + 0.5 - centre.0) / half) as f32;
+                self.push(u, v, delta.delta[at], confidence.map_or(1.0, |c| c[at]));
+            }
+        }
+        self.settle_weights();
+    }
+
+    /// Empties the columns for a tile `width` pixels wide.
+    pub fn clear(&mut self, width: usize) {
+        self.width = width;
+        for c in [&mut self.u, &mut self.v, &mut self.delta, &mut self.weight] {
+            c.clear();
+        }
+    }
+
+    /// Adds one pixel.
+    pub fn push(&mut self, u: f32, v: f32, delta: f32, weight: f32) {
+        let known = delta.is_finite();
+        self.u.push(u);
+        self.v.push(v);
+        self.delta.push(if known { delta } else { 0.0 });
+        // `max` would let NaN through as 0 too, but +Inf must not swallow the others
+        self.weight.push(if known && weight.is_finite() && weight > 0.0 { weight.min(1e6) } else { 0.0 });
+    }
+
+    #[cfg(test)]
+    pub(super) fn settle_weights_for_test(&mut self) {
+        self.settle_weights();
+    }
+
+    fn settle_weights(&mut self) {
+        if self.weight.iter().all(|&w| w == 0.0) {
+            self.weight.fill(1.0);
+        }
+    }
+
+    /// Every second pixel of every second row, for searches; itself where the tile is small.
+    #[must_use]
+    pub fn thinned(&self) -> Self {
+        let mut s = Self::default();
+        if self.len() <= 1024 || self.width == 0 {
+            s.clone_from(self);
+            return s;
+        }
+        s.clear(self.width.div_ceil(2));
+        for (i, row) in (0..self.len()).step_by(self.width * 2).enumerate() {
+            // alternate the phase, so that neither stripes of one pixel in rows nor in columns are missed as a whole
+            for at in (row + i % 2..(row + self.width).min(self.len())).step_by(2) {
+                s.push(self.u[at], self.v[at], self.delta[at], self.weight[at]);
+            }
+        }
+        s.settle_weights();
+        s
+    }
+
+    /// Count of pixels.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.delta.len()
+    }
+
+    /// True where there is no pixel.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.delta.is_empty()
+    }
+
+    /// Disparities.
+    #[must_use]
+    pub fn deltas(&self) -> &[f32] {
+        &self.delta
+    }
+
+    /// Weights.
+    #[must_use]
+    pub fn weights(&self) -> &[f32] {
+        &self.weight
+    }
+
+    /// Horizontal places, in half tiles from the tile's centre.
+    #[must_use]
+    pub fn us(&self) -> &[f32] {
+        &self.u
+    }
+
+    /// Vertical places.
+    #[must_use]
+    pub fn vs(&self) -> &[f32] {
+        &self.v
+    }
+
+    /// Labels every pixel with its nearest plane (the first of equals); gives the weighted sum of squared errors.
+    pub fn assign(&self, planes: &[Plane], labels: &mut [u8]) -> f64 {
+        let planes: Vec<[f32; 3]> = planes.iter().map(|p| [p.a as f32, p.b as f32, p.c as f32]).collect();
+        let mut sum = 0.0f64;
+        for i in 0..self.len() {
+            let (u, v, d) = (self.u[i], self.v[i], self.delta[i]);
+            let (mut best, mut at) = (f32::INFINITY, 0u8);
+            for (j, p) in planes.iter().enumerate() {
+                let e = (p[0] + p[1] * u + p[2] * v - d).abs();
+                if e < best {
+                    best = e;
+                    at = j as u8;
+                }
+            }
+            labels[i] = at;
+            sum += f64::from(self.weight[i] * best * best);
+        }
+        sum
+    }
+
+    /// Absolute errors of labelled pixels.
+    #[must_use]
+    pub fn errors(&self, planes: &[Plane], labels: &[u8]) -> Vec<f32> {
+        (0..self.len())
+            .map(|i| {
+                (planes[labels[i] as usize].disparity(f64::from(self.u[i]), f64::from(self.v[i])) - f64::from(self.delta[i])).abs() as f32
+            })
+            .collect()
+    }
+
+    /// 99th percentile of the absolute error to the nearest plane.
+    #[must_use]
+    pub fn error_p99(&self, planes: &[Plane]) -> f64 {
+        let mut labels = vec![0; self.len()];
+        self.assign(planes, &mut labels);
+        let mut e = self.errors(planes, &labels);
+        if e.is_empty() {
+            return 0.0;
+        }
+        let at = (e.len() * 99 / 100).min(e.len() - 1);
+        f64::from(*e.select_nth_unstable_by(at, f32::total_cmp).1)
+    }
+}
