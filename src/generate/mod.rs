@@ -1,5 +1,7 @@
 //! From photo and disparity to a tiled multiplane image (paper, section 3.2).
 
+pub mod fill;
+pub mod layers;
 pub mod planes;
 mod report;
 

@@ -10,6 +10,7 @@ use rayon::prelude::*;
 
 use crate::tmpi::{DisparityMap, Grid, Plane};
 pub use sample::Samples;
+pub(crate) use slanted::fit_points;
 
 /// Most planes a tile can have; labels are bytes and renderers sort few layers a tile.
 pub const MAX_PLANES: u32 = 64;

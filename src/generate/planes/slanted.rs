@@ -89,7 +89,7 @@ impl Moments {
 }
 
 /// Plane of the points that `choose` takes, as `(u, v, δ, weight)`; none where they have no weight.
-pub fn fit_points(points: impl Iterator<Item = (f64, f64, f64, f64)>) -> Option<Plane> {
+pub(crate) fn fit_points(points: impl Iterator<Item = (f64, f64, f64, f64)>) -> Option<Plane> {
     let mut m = Moments::default();
     for (u, v, d, w) in points {
         m.add(u, v, d, w);
