@@ -1,8 +1,42 @@
 //! The container: a scene as bytes (DESIGN, section 5; schema in `proto/tmpi.proto`).
 
-use crate::generate::Bytes;
-use crate::photo::Format;
-use crate::tmpi::Scene;
+mod columns;
+mod decode;
+mod encode;
+mod hidden;
+mod picture;
+mod wire;
+
+pub use decode::{SectionInfo, decode, sections};
+pub use encode::encode;
+pub use picture::{Carried, encode_jpeg};
+
+/// First bytes of a container.
+pub const MAGIC: [u8; 4] = *b"TMPI";
+/// Major version written, and the newest that is read.
+pub const MAJOR: u16 = 1;
+/// Minor version written.
+pub const MINOR: u16 = 0;
+/// Media type of a container.
+pub const MEDIA_TYPE: &str = "application/vnd.tmpi";
+
+/// Bounds that a reader holds a container to, whatever it says of itself.
+mod bounds {
+    /// Pixels of the photo.
+    pub const PIXELS: u64 = crate::photo::Limits::PIXELS;
+    /// Pixels a side.
+    pub const SIDE: u32 = crate::photo::Limits::SIDE;
+    /// Texels for every pixel of the photo: the most planes a tile, times the overlap of tiles.
+    pub const TEXELS_PER_PIXEL: u64 = 96;
+    /// Texels in all, whatever the photo's size.
+    pub const TEXELS: u64 = 800_000_000;
+    /// Layers.
+    pub const LAYERS: u32 = 4_000_000;
+    /// Bytes of the index.
+    pub const INDEX: usize = 1 << 20;
+    /// Sections.
+    pub const SECTIONS: usize = 64;
+}
 
 /// Why a container could not be written or read.
 #[derive(Debug, thiserror::Error)]
@@ -23,31 +57,11 @@ pub enum AtlasError {
     Encode(String),
 }
 
-/// The photo as it is carried in a container.
-pub struct Carried {
-    /// Picture file.
-    pub bytes: Vec<u8>,
-    /// Its format.
-    pub format: Format,
+impl AtlasError {
+    fn broken(what: impl Into<String>) -> Self {
+        Self::Broken(what.into())
+    }
 }
 
-/// Media type of a container.
-pub const MEDIA_TYPE: &str = "application/vnd.tmpi";
-
-/// Writes a container; `carried` is the photo's file, `quality` (1 to 100) that of the hidden colours.
-///
-/// # Errors
-/// [`AtlasError::Encode`].
-pub fn encode(scene: &Scene, carried: &Carried, quality: u8) -> Result<(Vec<u8>, Bytes), AtlasError> {
-    let _ = (scene, carried, quality);
-    Err(AtlasError::Encode("not written yet".into()))
-}
-
-/// Reads a container; trusts nothing in it. The scene returned passes [`Scene::validate`].
-///
-/// # Errors
-/// [`AtlasError::Broken`] or [`AtlasError::Newer`].
-pub fn decode(bytes: &[u8]) -> Result<Scene, AtlasError> {
-    let _ = bytes;
-    Err(AtlasError::Broken("not read yet".into()))
-}
+#[cfg(test)]
+mod tests;

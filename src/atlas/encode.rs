@@ -1,0 +1,121 @@
+//! Writing a container.
+
+use prost::Message;
+
+use super::wire::{Codec, Index, Kind, Section};
+use super::{AtlasError, Carried, MAGIC, MAJOR, MINOR, columns, encode_jpeg, hidden};
+use crate::generate::Bytes;
+use crate::tmpi::{Class, Scene};
+
+/// Level of zstd; sections are small, so the highest of the ordinary levels costs little.
+const LEVEL: i32 = 19;
+/// Above this many bytes a section takes a quicker level: level 19 does about 3 MB/s.
+const LARGE: usize = 2 << 20;
+const LARGE_LEVEL: i32 = 9;
+
+/// Writes a container; `carried` is the photo's file, `quality` (1 to 100) that of the hidden colours.
+///
+/// # Errors
+/// [`AtlasError::Encode`] where a picture codec fails or a plane does not fit.
+pub fn encode(scene: &Scene, carried: &Carried, quality: u8) -> Result<(Vec<u8>, Bytes), AtlasError> {
+    let (classes, soft) = codes(scene);
+    let mut file = File::default();
+    file.add(Kind::Photo, carried.codec(), carried.bytes.clone(), 0);
+    file.add_packed(Kind::Planes, &columns::write(&scene.grid, &scene.layers))?;
+    file.add_packed(Kind::Classes, &classes)?;
+    file.add_packed(Kind::Alpha, &soft)?;
+    let blocks = hidden::walk(&scene.layers, &scene.texels.class, |_, _, _| {});
+    let per_row = hidden::columns_for(blocks);
+    if blocks > 0 {
+        let (w, h, rgb) = hidden::paint(&scene.layers, &scene.texels.class, &scene.texels.hidden, blocks, per_row);
+        file.add(Kind::Hidden, Codec::Jpeg, encode_jpeg(w, h, &rgb, quality)?, 0);
+    }
+    let (g, k, v) = (&scene.grid, &scene.intrinsics, &scene.view_box);
+    let index = Index {
+        width: g.width,
+        height: g.height,
+        tile_size: g.size,
+        tile_stride: g.stride,
+        fx: k.fx,
+        fy: k.fy,
+        cx: k.cx,
+        cy: k.cy,
+        view_x: v.x,
+        view_y: v.y,
+        view_z: v.z,
+        layers: scene.layers.len() as u32,
+        texels: scene.texels.class.len() as u64,
+        hidden_blocks: blocks as u32,
+        hidden_columns: per_row as u32,
+        sections: file.sections.clone(),
+    };
+    Ok(file.finish(&index))
+}
+
+/// Classes with softness as one byte a texel, and the alphas of the soft ones.
+fn codes(scene: &Scene) -> (Vec<u8>, Vec<u8>) {
+    let mut soft = Vec::new();
+    let classes = scene
+        .texels
+        .class
+        .iter()
+        .zip(&scene.texels.alpha)
+        .map(|(&class, &alpha)| {
+            if class == Class::Empty as u8 || alpha == 255 {
+                return class;
+            }
+            soft.push(alpha);
+            class + 2
+        })
+        .collect();
+    (classes, soft)
+}
+
+#[derive(Default)]
+struct File {
+    sections: Vec<Section>,
+    body: Vec<u8>,
+}
+
+impl File {
+    fn add(&mut self, kind: Kind, codec: Codec, data: Vec<u8>, raw_length: u64) {
+        self.sections.push(Section {
+            kind: kind.into(),
+            codec: codec.into(),
+            offset: self.body.len() as u64,
+            length: data.len() as u64,
+            raw_length,
+        });
+        self.body.extend(data);
+    }
+
+    fn add_packed(&mut self, kind: Kind, raw: &[u8]) -> Result<(), AtlasError> {
+        if raw.is_empty() {
+            return Ok(());
+        }
+        let level = if raw.len() > LARGE { LARGE_LEVEL } else { LEVEL };
+        let packed = zstd::bulk::compress(raw, level).map_err(|e| AtlasError::Encode(e.to_string()))?;
+        self.add(kind, Codec::Zstd, packed, raw.len() as u64);
+        Ok(())
+    }
+
+    fn finish(self, index: &Index) -> (Vec<u8>, Bytes) {
+        let index = index.encode_to_vec();
+        let of = |kinds: &[Kind]| -> usize { self.sections.iter().filter(|s| kinds.contains(&s.kind())).map(|s| s.length as usize).sum() };
+        let mut out = Vec::with_capacity(12 + index.len() + self.body.len());
+        out.extend(MAGIC);
+        out.extend(MAJOR.to_le_bytes());
+        out.extend(MINOR.to_le_bytes());
+        out.extend((index.len() as u32).to_le_bytes());
+        out.extend(&index);
+        out.extend(&self.body);
+        let bytes = Bytes {
+            total: out.len(),
+            index: 12 + index.len() + of(&[Kind::Planes]),
+            photo: of(&[Kind::Photo]),
+            alpha: of(&[Kind::Classes, Kind::Alpha]),
+            hidden: of(&[Kind::Hidden]),
+        };
+        (out, bytes)
+    }
+}

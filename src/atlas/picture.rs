@@ -1,0 +1,86 @@
+//! Picture codecs of the container.
+
+use image::codecs::jpeg::JpegEncoder;
+use image::{ExtendedColorType, ImageEncoder};
+
+use super::{AtlasError, bounds, wire::Codec};
+use crate::photo::Format;
+use crate::tmpi::Photo;
+
+/// The photo as it is carried in a container.
+#[derive(Clone, Debug)]
+pub struct Carried {
+    /// Picture file.
+    pub bytes: Vec<u8>,
+    /// Its format.
+    pub format: Format,
+}
+
+/// Encodes 8-bit RGB as JPEG of `quality` 1 to 100.
+///
+/// # Errors
+/// [`AtlasError::Encode`] where a side is over 65 535 pixels.
+pub fn encode_jpeg(width: u32, height: u32, rgb: &[u8], quality: u8) -> Result<Vec<u8>, AtlasError> {
+    let mut out = Vec::new();
+    JpegEncoder::new_with_quality(&mut out, quality.clamp(1, 100))
+        .write_image(rgb, width, height, ExtendedColorType::Rgb8)
+        .map_err(|e| AtlasError::Encode(e.to_string()))?;
+    Ok(out)
+}
+
+impl Carried {
+    /// Encodes a photo anew as JPEG of `quality` 1 to 100.
+    ///
+    /// # Errors
+    /// [`AtlasError::Encode`].
+    pub fn from_photo(photo: &Photo, quality: u8) -> Result<Self, AtlasError> {
+        let bytes = encode_jpeg(photo.width, photo.height, photo.rgb.as_flattened(), quality)?;
+        Ok(Self { bytes, format: Format::Jpeg })
+    }
+
+    pub(super) fn codec(&self) -> Codec {
+        match self.format {
+            Format::Jpeg => Codec::Jpeg,
+            Format::Png => Codec::Png,
+            Format::WebP => Codec::Webp,
+        }
+    }
+
+    /// Decodes the photo as a reader of the container sees it.
+    ///
+    /// # Errors
+    /// [`AtlasError::Broken`].
+    pub fn decode(&self) -> Result<Photo, AtlasError> {
+        decode(self.codec(), &self.bytes)
+    }
+}
+
+/// Decodes a picture section within the container's bounds.
+pub fn decode(codec: Codec, bytes: &[u8]) -> Result<Photo, AtlasError> {
+    let format = match codec {
+        Codec::Jpeg => image::ImageFormat::Jpeg,
+        Codec::Png => image::ImageFormat::Png,
+        Codec::Webp => image::ImageFormat::WebP,
+        Codec::Raw | Codec::Zstd => return Err(AtlasError::broken("picture: not a picture codec")),
+    };
+    let broken = |e: image::ImageError| AtlasError::broken(format!("picture: {e}"));
+    let mut reader = image::ImageReader::with_format(std::io::Cursor::new(bytes), format);
+    let mut limits = image::Limits::default();
+    limits.max_image_width = Some(u32::from(u16::MAX));
+    limits.max_image_height = Some(u32::from(u16::MAX));
+    limits.max_alloc = Some(bounds::PIXELS * 8);
+    reader.limits(limits);
+    let rgb = reader.decode().map_err(broken)?.into_rgb8();
+    let (width, height) = rgb.dimensions();
+    Ok(Photo { width, height, rgb: rgb.as_chunks_vec() })
+}
+
+trait Chunks {
+    fn as_chunks_vec(self) -> Vec<[u8; 3]>;
+}
+
+impl Chunks for image::RgbImage {
+    fn as_chunks_vec(self) -> Vec<[u8; 3]> {
+        bytemuck::allocation::try_cast_vec(self.into_raw()).unwrap_or_else(|(_, raw)| raw.as_chunks().0.to_vec())
+    }
+}
