@@ -34,6 +34,14 @@ pub enum PhotoError {
         /// Pixels a side allowed.
         limit: u32,
     },
+    /// Decoding would take more memory than allowed.
+    #[error("decoding takes about {bytes} bytes, over the limit of {limit} bytes")]
+    TooMuchMemory {
+        /// Bytes that the decoder would take.
+        bytes: u64,
+        /// Bytes allowed.
+        limit: u64,
+    },
     /// The file is damaged, or of a kind within its format that is not read.
     #[error("the picture cannot be decoded: {0}")]
     Broken(String),

@@ -1,0 +1,175 @@
+//! Walks the segments of a JPEG file: size, metadata, and the file again without metadata.
+
+use super::PhotoError;
+
+/// What the segments of a JPEG file say, and the file without what nobody needs to decode it.
+#[derive(Debug)]
+pub(super) struct Jpeg {
+    pub width: u32,
+    pub height: u32,
+    /// Count of colour components: 1 grey, 3 `YCbCr` or RGB, 4 CMYK or YCCK.
+    pub components: u8,
+    /// Bytes of DCT coefficients, where the decoder has to keep all of them (progressive, or a scan per component); else 0.
+    pub coefficient_bytes: u64,
+    /// The picture alone: no `APPn` but JFIF (without its thumbnail) and Adobe, no comments, nothing after the end marker.
+    pub stripped: Vec<u8>,
+    /// TIFF structure of the first EXIF segment.
+    pub exif: Option<Vec<u8>>,
+    /// ICC profile, put together from its segments.
+    pub icc: Option<Vec<u8>>,
+}
+
+fn broken(what: &str) -> PhotoError {
+    PhotoError::Broken(what.to_owned())
+}
+
+/// Reads all segments up to the end marker, which must be there: a file without it was cut short.
+pub(super) fn scan(bytes: &[u8]) -> Result<Jpeg, PhotoError> {
+    let mut out = Vec::with_capacity(bytes.len());
+    out.extend_from_slice(&[0xFF, 0xD8]);
+    let mut jpeg = Jpeg { width: 0, height: 0, components: 0, coefficient_bytes: 0, stripped: Vec::new(), exif: None, icc: None };
+    let mut icc: Vec<(u8, &[u8])> = Vec::new();
+    let (mut at, mut frame, mut scans) = (2, None::<Frame>, 0);
+    loop {
+        let (marker, next) = next_marker(bytes, at)?;
+        at = next;
+        match marker {
+            0xD9 => break,
+            // Markers that stand alone: TEM, RSTn, a second SOI
+            0x01 | 0xD0..=0xD8 => continue,
+            _ => {}
+        }
+        let body = segment(bytes, at)?;
+        at += body.len() + 2;
+        match marker {
+            0xE0 if body.starts_with(b"JFIF\0") && body.len() >= 14 => {
+                // The same header with a thumbnail of 0×0
+                let mut head = body[..14].to_vec();
+                head[12..14].fill(0);
+                push(&mut out, marker, &head);
+            }
+            0xEE if body.starts_with(b"Adobe") => push(&mut out, marker, body),
+            0xE1 if body.starts_with(b"Exif\0\0") && jpeg.exif.is_none() => jpeg.exif = Some(body[6..].to_vec()),
+            0xE2 if body.starts_with(b"ICC_PROFILE\0") && body.len() > 14 => icc.push((body[12], &body[14..])),
+            0xE0..=0xEF | 0xFE => {}
+            0xC0..=0xC3 | 0xC5..=0xC7 | 0xC9..=0xCB | 0xCD..=0xCF => {
+                if frame.is_some() {
+                    return Err(broken("more than one frame header"));
+                }
+                frame = Some(Frame::read(marker, body)?);
+                push(&mut out, marker, body);
+            }
+            0xDA => {
+                let Some(frame) = &mut frame else { return Err(broken("a scan before the frame header")) };
+                frame.one_by_one |= body.first().is_some_and(|&n| n < frame.components);
+                push(&mut out, marker, body);
+                let end = entropy_end(bytes, at);
+                out.extend_from_slice(&bytes[at..end]);
+                (at, scans) = (end, scans + 1);
+            }
+            _ => push(&mut out, marker, body),
+        }
+    }
+    out.extend_from_slice(&[0xFF, 0xD9]);
+    let Some(frame) = frame else { return Err(broken("no frame header")) };
+    if scans == 0 {
+        return Err(broken("no picture data"));
+    }
+    icc.sort_by_key(|&(n, _)| n);
+    jpeg.icc = (!icc.is_empty()).then(|| icc.iter().flat_map(|&(_, part)| part).copied().collect());
+    (jpeg.width, jpeg.height, jpeg.components) = (frame.width, frame.height, frame.components);
+    jpeg.coefficient_bytes = if frame.progressive || frame.one_by_one { frame.coefficient_bytes } else { 0 };
+    jpeg.stripped = out;
+    Ok(jpeg)
+}
+
+/// The marker at or after `at`, and the place behind it. Bytes between segments are skipped, as libjpeg does.
+fn next_marker(bytes: &[u8], mut at: usize) -> Result<(u8, usize), PhotoError> {
+    let cut = || broken("the file is cut short");
+    loop {
+        at += bytes.get(at..).and_then(|rest| rest.iter().position(|&b| b == 0xFF)).ok_or_else(cut)?;
+        while *bytes.get(at).ok_or_else(cut)? == 0xFF {
+            at += 1;
+        }
+        let marker = bytes[at];
+        at += 1;
+        if marker != 0 {
+            return Ok((marker, at));
+        }
+    }
+}
+
+/// Contents of the segment whose length field is at `at`.
+fn segment(bytes: &[u8], at: usize) -> Result<&[u8], PhotoError> {
+    let length = bytes.get(at..at + 2).map(|b| usize::from(u16::from_be_bytes([b[0], b[1]])));
+    match length {
+        Some(n) if n >= 2 => bytes.get(at + 2..at + n).ok_or_else(|| broken("the file is cut short")),
+        Some(_) => Err(broken("a segment of impossible length")),
+        None => Err(broken("the file is cut short")),
+    }
+}
+
+/// Place of the marker that ends the entropy-coded data from `at` on, or the end of the file.
+fn entropy_end(bytes: &[u8], mut at: usize) -> usize {
+    while at + 1 < bytes.len() {
+        // Stuffed zeros, restart markers and fill bytes belong to the data
+        if bytes[at] == 0xFF && !matches!(bytes[at + 1], 0 | 0xD0..=0xD7 | 0xFF) {
+            return at;
+        }
+        at += 1;
+    }
+    bytes.len()
+}
+
+fn push(out: &mut Vec<u8>, marker: u8, body: &[u8]) {
+    // A body read from a segment is at most 65 533 bytes long
+    let length = (body.len() + 2) as u16;
+    out.extend_from_slice(&[0xFF, marker]);
+    out.extend_from_slice(&length.to_be_bytes());
+    out.extend_from_slice(body);
+}
+
+/// Start of frame.
+struct Frame {
+    width: u32,
+    height: u32,
+    components: u8,
+    progressive: bool,
+    /// A scan holds fewer components than the frame.
+    one_by_one: bool,
+    coefficient_bytes: u64,
+}
+
+impl Frame {
+    fn read(marker: u8, body: &[u8]) -> Result<Self, PhotoError> {
+        if !matches!(marker, 0xC0..=0xC2) {
+            return Err(broken("lossless, hierarchical and arithmetic-coded JPEG are not read"));
+        }
+        let Some((head, parts)) = body.split_at_checked(6) else { return Err(broken("a short frame header")) };
+        if head[0] != 8 {
+            return Err(PhotoError::Broken(format!("JPEG of {} bits a sample is not read", head[0])));
+        }
+        let (height, width) = (u16::from_be_bytes([head[1], head[2]]), u16::from_be_bytes([head[3], head[4]]));
+        let components = head[5];
+        if !matches!(components, 1 | 3 | 4) || parts.len() < 3 * usize::from(components) {
+            return Err(PhotoError::Broken(format!("JPEG of {components} components is not read")));
+        }
+        let sampling: Vec<(u64, u64)> =
+            parts.chunks_exact(3).take(components.into()).map(|p| (u64::from(p[1] >> 4), u64::from(p[1] & 15))).collect();
+        if sampling.iter().any(|&(h, v)| !(1..=4).contains(&h) || !(1..=4).contains(&v)) {
+            return Err(broken("an impossible sampling factor"));
+        }
+        let (h_max, v_max) = sampling.iter().fold((1, 1), |m, s| (m.0.max(s.0), m.1.max(s.1)));
+        let mcus = u64::from(width).div_ceil(8 * h_max) * u64::from(height).div_ceil(8 * v_max);
+        // 64 coefficients of 2 bytes a block
+        let coefficient_bytes = sampling.iter().map(|(h, v)| mcus * h * v * 128).sum();
+        Ok(Self {
+            width: width.into(),
+            height: height.into(),
+            components,
+            progressive: marker == 0xC2,
+            one_by_one: false,
+            coefficient_bytes,
+        })
+    }
+}

@@ -1,0 +1,141 @@
+//! Separable resampling in bands, so that memory grows with the result's width and never with the source's height.
+
+use rayon::prelude::*;
+
+use crate::tmpi::Photo;
+
+/// Kernel of a resampling; when reducing it is stretched by the ratio, so that nothing aliases.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Filter {
+    /// Windowed sinc, three lobes: sharp; overshoots at edges.
+    Lanczos3,
+    /// Linear: never leaves the range of its input.
+    Triangle,
+}
+
+impl Filter {
+    fn support(self) -> f64 {
+        match self {
+            Self::Lanczos3 => 3.0,
+            Self::Triangle => 1.0,
+        }
+    }
+
+    fn at(self, x: f64) -> f64 {
+        let x = x.abs();
+        match self {
+            Self::Triangle => (1.0 - x).max(0.0),
+            Self::Lanczos3 if x < 1e-9 => 1.0,
+            Self::Lanczos3 if x >= 3.0 => 0.0,
+            Self::Lanczos3 => {
+                let a = std::f64::consts::PI * x;
+                3.0 * a.sin() * (a / 3.0).sin() / (a * a)
+            }
+        }
+    }
+}
+
+/// For each place of the result, the first source place and the weights from there on; weights sum to 1.
+struct Taps(Vec<(usize, Vec<f32>)>);
+
+impl Taps {
+    fn new(from: usize, to: usize, filter: Filter) -> Self {
+        let ratio = from as f64 / to as f64;
+        let stretch = ratio.max(1.0);
+        let reach = filter.support() * stretch;
+        Self(
+            (0..to)
+                .map(|i| {
+                    let centre = (i as f64 + 0.5) * ratio;
+                    let first = (centre - reach).floor().max(0.0) as usize;
+                    let end = ((centre + reach).ceil() as usize).clamp(first + 1, from);
+                    let first = first.min(end - 1);
+                    let mut weights: Vec<f64> = (first..end).map(|s| filter.at((s as f64 + 0.5 - centre) / stretch)).collect();
+                    let sum: f64 = weights.iter().sum();
+                    if sum.abs() < 1e-12 {
+                        let middle = weights.len() / 2;
+                        weights[middle] = 1.0;
+                    } else {
+                        for w in &mut weights {
+                            *w /= sum;
+                        }
+                    }
+                    (first, weights.into_iter().map(|w| w as f32).collect())
+                })
+                .collect(),
+        )
+    }
+}
+
+/// Resamples a row-major picture of `from` pixels to `to` pixels; `load` and `store` convert a pixel to and from channels.
+///
+/// Both sizes are at least 1×1 and `source` has `from.0 · from.1` pixels.
+pub fn resample<const C: usize, S: Copy + Sync, D: Copy + Default + Send>(
+    source: &[S],
+    from: (u32, u32),
+    to: (u32, u32),
+    filter: Filter,
+    load: impl Fn(S) -> [f32; C] + Sync,
+    store: impl Fn([f32; C]) -> D + Sync,
+) -> Vec<D> {
+    const BAND: usize = 32;
+    let (from_w, from_h, to_w, to_h) = (from.0 as usize, from.1 as usize, to.0 as usize, to.1 as usize);
+    let (across, down) = (Taps::new(from_w, to_w, filter), Taps::new(from_h, to_h, filter));
+    let mut out = vec![D::default(); to_w * to_h];
+    out.par_chunks_mut(BAND * to_w).enumerate().for_each(|(band, out)| {
+        let taps = &down.0[band * BAND..band * BAND + out.len() / to_w];
+        let (first, end) = (taps.iter().map(|t| t.0).min().unwrap_or(0), taps.iter().map(|t| t.0 + t.1.len()).max().unwrap_or(0));
+        let mut sums = vec![[0f32; C]; out.len()];
+        let (mut line, mut row) = (vec![[0f32; C]; from_w], vec![[0f32; C]; to_w]);
+        for y in first..end {
+            for (l, &s) in line.iter_mut().zip(&source[y * from_w..]) {
+                *l = load(s);
+            }
+            for (r, (at, weights)) in row.iter_mut().zip(&across.0) {
+                let mut sum = [0f32; C];
+                for (w, p) in weights.iter().zip(&line[*at..]) {
+                    for c in 0..C {
+                        sum[c] += w * p[c];
+                    }
+                }
+                *r = sum;
+            }
+            for (sums, (at, weights)) in sums.chunks_exact_mut(to_w).zip(taps) {
+                let Some(w) = y.checked_sub(*at).and_then(|i| weights.get(i)) else { continue };
+                for (s, r) in sums.iter_mut().zip(&row) {
+                    for c in 0..C {
+                        s[c] += w * r[c];
+                    }
+                }
+            }
+        }
+        for (o, s) in out.iter_mut().zip(sums) {
+            *o = store(s);
+        }
+    });
+    out
+}
+
+/// A photo at another size, at least 1×1.
+#[must_use]
+pub fn resize(photo: &Photo, width: u32, height: u32) -> Photo {
+    let rgb = resample(
+        &photo.rgb,
+        (photo.width, photo.height),
+        (width, height),
+        Filter::Lanczos3,
+        |p| p.map(f32::from),
+        // `as` saturates
+        |p| p.map(|v| v.round() as u8),
+    );
+    Photo { width, height, rgb }
+}
+
+/// Size with the longer side at most `max_size`, keeping the aspect; at least 1×1.
+#[must_use]
+pub fn reduced_size((width, height): (u32, u32), max_size: Option<u32>) -> (u32, u32) {
+    let Some(max) = max_size.map(|m| m.max(1)).filter(|&m| m < width.max(height)) else { return (width, height) };
+    let ratio = f64::from(max) / f64::from(width.max(height));
+    let side = |s: u32| ((f64::from(s) * ratio).round() as u32).clamp(1, max);
+    (side(width), side(height))
+}

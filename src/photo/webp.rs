@@ -1,0 +1,159 @@
+//! Walks the chunks of a WebP file: size, metadata, and the file again without metadata.
+
+use super::PhotoError;
+
+/// What the chunks of a WebP file say, and the file without what nobody needs to decode it.
+#[derive(Debug)]
+pub(super) struct WebP {
+    pub width: u32,
+    pub height: u32,
+    pub animated: bool,
+    pub alpha: bool,
+    pub lossless: bool,
+    /// RIFF file with the picture's chunks alone.
+    pub stripped: Vec<u8>,
+    pub exif: Option<Vec<u8>>,
+    pub icc: Option<Vec<u8>>,
+}
+
+impl WebP {
+    /// Memory that decoding takes for a pixel, result included.
+    pub(super) fn bytes_per_pixel(&self) -> u64 {
+        match (self.animated, self.lossless, self.alpha) {
+            // Canvas, frame and result in RGBA
+            (true, ..) => 12,
+            (false, true, _) => 8,
+            // Y′CbCr, an alpha plane, RGBA
+            (false, false, true) => 7,
+            (false, false, false) => 5,
+        }
+    }
+}
+
+const ANIMATED: u8 = 0x02;
+const ALPHA: u8 = 0x10;
+
+fn broken(what: &str) -> PhotoError {
+    PhotoError::Broken(what.to_owned())
+}
+
+fn u24(b: &[u8]) -> u32 {
+    u32::from_le_bytes([b[0], b[1], b[2], 0])
+}
+
+/// Name, contents, and the bytes behind.
+type Chunk<'a> = ([u8; 4], &'a [u8], &'a [u8]);
+
+/// Splits off the first chunk.
+fn chunk(bytes: &[u8]) -> Result<Chunk<'_>, PhotoError> {
+    let cut = || broken("the file is cut short");
+    let (head, rest) = bytes.split_at_checked(8).ok_or_else(cut)?;
+    let length = u32::from_le_bytes([head[4], head[5], head[6], head[7]]) as usize;
+    let (body, rest) = rest.split_at_checked(length).ok_or_else(cut)?;
+    // Chunks start at even places; the last one's padding is often forgotten
+    Ok(([head[0], head[1], head[2], head[3]], body, rest.get(length % 2..).unwrap_or_default()))
+}
+
+/// Size in the header of a `VP8 ` or `VP8L` bitstream.
+fn bitstream_size(name: [u8; 4], body: &[u8]) -> Result<(u32, u32), PhotoError> {
+    match (&name, body) {
+        (b"VP8 ", [_, _, _, 0x9D, 0x01, 0x2A, w0, w1, h0, h1, ..]) => {
+            Ok((u32::from(u16::from_le_bytes([*w0, *w1]) & 0x3FFF), u32::from(u16::from_le_bytes([*h0, *h1]) & 0x3FFF)))
+        }
+        (b"VP8L", [0x2F, a, b, c, d, ..]) => {
+            let bits = u32::from_le_bytes([*a, *b, *c, *d]);
+            Ok(((bits & 0x3FFF) + 1, ((bits >> 14) & 0x3FFF) + 1))
+        }
+        _ => Err(broken("a damaged picture header")),
+    }
+}
+
+/// Reads all chunks up to the length that the RIFF header tells; `bytes` starts with `RIFF....WEBP`.
+pub(super) fn scan(bytes: &[u8]) -> Result<WebP, PhotoError> {
+    let riff = u32::from_le_bytes([bytes[4], bytes[5], bytes[6], bytes[7]]) as usize;
+    // An odd length without padding is common
+    let file = bytes.get(..riff.saturating_add(8)).or_else(|| (riff + 7 == bytes.len()).then_some(bytes));
+    let Some(mut rest) = file.and_then(|f| f.get(12..)) else { return Err(broken("the file is cut short")) };
+    let mut webp =
+        WebP { width: 0, height: 0, animated: false, alpha: false, lossless: false, stripped: Vec::new(), exif: None, icc: None };
+    let mut body = Vec::with_capacity(rest.len());
+    let (mut extended, mut pictures) = (false, 0);
+    while rest.len() >= 8 {
+        let (name, content, tail) = chunk(rest)?;
+        rest = tail;
+        match &name {
+            b"VP8X" if !extended && pictures == 0 => {
+                let [flags, _, _, _, size @ ..] = content else { return Err(broken("a short VP8X chunk")) };
+                if size.len() < 6 {
+                    return Err(broken("a short VP8X chunk"));
+                }
+                (webp.width, webp.height) = (u24(&size[..3]) + 1, u24(&size[3..6]) + 1);
+                webp.animated = flags & ANIMATED != 0;
+                webp.alpha = flags & ALPHA != 0;
+                extended = true;
+                let mut head = content[..10].to_vec();
+                head[0] = flags & (ANIMATED | ALPHA);
+                push(&mut body, name, &head);
+            }
+            b"VP8 " | b"VP8L" if pictures == 0 && !webp.animated => {
+                let size = bitstream_size(name, content)?;
+                if extended && size != (webp.width, webp.height) {
+                    return Err(broken("the picture has another size than its canvas"));
+                }
+                (webp.width, webp.height) = size;
+                webp.lossless = &name == b"VP8L";
+                pictures += 1;
+                push(&mut body, name, content);
+            }
+            b"ANMF" if webp.animated => {
+                check_frame(content, (webp.width, webp.height))?;
+                pictures += 1;
+                push(&mut body, name, content);
+            }
+            b"ALPH" if pictures == 0 && extended => push(&mut body, name, content),
+            b"ANIM" if webp.animated => push(&mut body, name, content),
+            b"EXIF" if webp.exif.is_none() => {
+                // Some writers keep the JPEG segment's prefix
+                webp.exif = Some(content.strip_prefix(b"Exif\0\0").unwrap_or(content).to_vec());
+            }
+            b"ICCP" if webp.icc.is_none() => webp.icc = Some(content.to_vec()),
+            _ => {}
+        }
+    }
+    if pictures == 0 {
+        return Err(broken("no picture data"));
+    }
+    let mut out = Vec::with_capacity(body.len() + 12);
+    out.extend_from_slice(b"RIFF");
+    out.extend_from_slice(&((body.len() + 4) as u32).to_le_bytes());
+    out.extend_from_slice(b"WEBP");
+    out.extend_from_slice(&body);
+    webp.stripped = out;
+    Ok(webp)
+}
+
+/// A frame's bitstream must have the frame's size and lie on the canvas, or its decoder would take memory that nobody checked.
+fn check_frame(frame: &[u8], canvas: (u32, u32)) -> Result<(), PhotoError> {
+    let Some((head, mut rest)) = frame.split_at_checked(16) else { return Err(broken("a short frame")) };
+    let size = (u24(&head[6..9]) + 1, u24(&head[9..12]) + 1);
+    if size.0 > canvas.0 || size.1 > canvas.1 {
+        return Err(broken("a frame larger than its canvas"));
+    }
+    while rest.len() >= 8 {
+        let (name, content, tail) = chunk(rest)?;
+        rest = tail;
+        if matches!(&name, b"VP8 " | b"VP8L") && bitstream_size(name, content)? != size {
+            return Err(broken("a frame of another size than its header says"));
+        }
+    }
+    Ok(())
+}
+
+fn push(out: &mut Vec<u8>, name: [u8; 4], body: &[u8]) {
+    out.extend_from_slice(&name);
+    out.extend_from_slice(&(body.len() as u32).to_le_bytes());
+    out.extend_from_slice(body);
+    if body.len() % 2 == 1 {
+        out.push(0);
+    }
+}
