@@ -1,5 +1,14 @@
 //! ONNX Runtime: the library is looked up at run time, sessions belong to named worker threads with bounded queues.
 
+mod library;
+mod session;
+
+#[cfg(test)]
+mod tests;
+
+pub use library::available;
+pub use session::{Config, Optimisation, Port, Provider, Session};
+
 /// A dense `f32` tensor, row-major.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Tensor {

@@ -1,0 +1,115 @@
+//! Where the ONNX Runtime library is looked for.
+
+use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
+
+use ort::environment::Environment;
+use ort::logging::LogLevel;
+
+use super::OnnxError;
+
+/// Environment variable that names the library file; where it is set, nothing else is tried.
+const VARIABLE: &str = "ORT_DYLIB_PATH";
+/// Folder that `cargo xtask serve` fetches the library into.
+const LOCAL: &str = ".tmpi/onnxruntime";
+
+#[cfg(target_os = "windows")]
+const FILE: &str = "onnxruntime.dll";
+#[cfg(target_os = "macos")]
+const FILE: &str = "libonnxruntime.dylib";
+#[cfg(not(any(target_os = "windows", target_os = "macos")))]
+const FILE: &str = "libonnxruntime.so";
+
+/// Checks that ONNX Runtime can be loaded; the first call loads it for the whole process.
+///
+/// # Errors
+/// [`OnnxError::Library`] tells where it was looked for and what to do.
+pub fn available() -> Result<(), OnnxError> {
+    environment().map(|_| ())
+}
+
+/// The process's ONNX Runtime environment. Loaded once: a process has one library, found or not.
+pub(super) fn environment() -> Result<&'static Environment, OnnxError> {
+    static ENVIRONMENT: OnceLock<Result<Environment, OnnxError>> = OnceLock::new();
+    ENVIRONMENT.get_or_init(load).as_ref().map_err(Clone::clone)
+}
+
+fn load() -> Result<Environment, OnnxError> {
+    let named = std::env::var_os(VARIABLE).filter(|v| !v.is_empty()).map(PathBuf::from);
+    let exe = std::env::current_exe().ok();
+    let places = places(named.as_deref(), std::env::current_dir().ok().as_deref(), exe.as_deref());
+    let mut tried = Vec::new();
+    for place in &places {
+        // A path that is not there needs no loader to say so; a bare name is the system's to resolve
+        if place.is_absolute() && !place.exists() {
+            tried.push(format!("{} (not there)", place.display()));
+            continue;
+        }
+        match ort::init_from(place) {
+            Ok(builder) => {
+                let built = builder.with_name("tmpi").with_telemetry(false).build();
+                // Every error comes back as a result; the library need not print it as well
+                return built
+                    .inspect(|environment| environment.set_log_level(LogLevel::Fatal))
+                    .map_err(|e| OnnxError::Library(format!("{}: {e}", place.display())));
+            }
+            Err(e) => tried.push(format!("{} ({e})", place.display())),
+        }
+    }
+    let advice = if named.is_some() {
+        format!("{VARIABLE} must name a library file of version 1.22 or newer; unset it to search the usual places")
+    } else {
+        format!("`cargo xtask serve` fetches it into {LOCAL}; or set {VARIABLE} to a library file of version 1.22 or newer")
+    };
+    Err(OnnxError::Library(format!("looked for {}. {advice}", tried.join(", "))))
+}
+
+/// Places to try in order: the named file alone, or the local folder, beside the executable, the system's own search.
+fn places(named: Option<&Path>, current: Option<&Path>, exe: Option<&Path>) -> Vec<PathBuf> {
+    if let Some(named) = named {
+        // Absolute, or the loader would search its own path for a name without a slash
+        return vec![current.map_or_else(|| named.to_owned(), |c| c.join(named))];
+    }
+    let mut places: Vec<PathBuf> = Vec::new();
+    let mut push = |p: PathBuf| {
+        if !places.contains(&p) {
+            places.push(p);
+        }
+    };
+    if let Some(current) = current {
+        push(current.join(LOCAL).join(FILE));
+    }
+    if let Some(folder) = exe.and_then(Path::parent) {
+        // Up from target/release/deps to the workspace
+        folder.ancestors().take(4).for_each(|f| push(f.join(LOCAL).join(FILE)));
+        push(folder.join(FILE));
+        if let Some(up) = folder.parent() {
+            push(up.join("lib").join(FILE));
+        }
+    }
+    push(PathBuf::from(FILE));
+    places
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_named_file_is_the_only_place() {
+        let cwd = std::env::current_dir().unwrap();
+        assert_eq!(places(Some(Path::new("lib/x.so")), Some(&cwd), None), [cwd.join("lib/x.so")]);
+        let absolute = cwd.join("y.so");
+        assert_eq!(places(Some(&absolute), Some(&cwd), None), [absolute]);
+    }
+
+    #[test]
+    fn the_local_folder_comes_first_and_the_system_last() {
+        let root = std::env::current_dir().unwrap();
+        let got = places(None, Some(&root), Some(&root.join("target/release/tmpi")));
+        assert_eq!(got.first().unwrap(), &root.join(LOCAL).join(FILE));
+        assert!(got.contains(&root.join("target/release").join(FILE)));
+        assert_eq!(got.last().unwrap(), Path::new(FILE));
+        assert_eq!(got.iter().filter(|p| **p == root.join(LOCAL).join(FILE)).count(), 1);
+    }
+}
