@@ -1,12 +1,32 @@
 //! Drawing a scene for a camera (paper, algorithm 1) on three hosts that are held against each other.
 
+mod cpu;
 mod encode;
+mod footprint;
+mod prepared;
+mod reference;
+#[cfg(test)]
+mod testing;
 
+pub use cpu::Cpu;
 pub use encode::{DEFAULT_QUALITY, EncodeError, PictureFormat, encode};
+pub use reference::Reference;
 
 use std::sync::Arc;
 
-use crate::tmpi::{Camera, Scene};
+use crate::tmpi::{Camera, Scene, SceneError};
+
+/// What is nearer to the camera than this is not drawn, in units of the photo's nearest distance: depth 1 of the depth buffer.
+pub const NEAR: f64 = 1e-3;
+
+/// Sampled alpha from which `cpu` and `gpu` take a texel as opaque.
+pub const OPAQUE: f32 = 0.99;
+
+/// Largest width or height of a view in pixels.
+pub const MAX_SIDE: u32 = 16_384;
+
+/// Largest count of pixels of a view.
+pub const MAX_PIXELS: u64 = 1 << 26;
 
 /// Which host draws.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize, clap::ValueEnum)]
@@ -29,6 +49,9 @@ pub enum RenderError {
     /// The camera is not usable; the text names the field.
     #[error("camera: {0}")]
     Camera(&'static str),
+    /// The scene is not usable.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
     /// There is no graphics adapter, or it was lost and could not be rebuilt.
     #[error("graphics adapter: {0}")]
     Adapter(String),
@@ -48,6 +71,14 @@ pub struct View {
     pub rgba: Vec<[u8; 4]>,
 }
 
+impl View {
+    /// A view of `camera`'s size that nothing covers.
+    fn transparent(camera: &Camera) -> Self {
+        let pixels = camera.width as usize * camera.height as usize;
+        Self { width: camera.width, height: camera.height, rgba: vec![[0; 4]; pixels] }
+    }
+}
+
 /// A host that draws scenes.
 pub trait Renderer: Send + Sync {
     /// `gpu`, `cpu` or `reference`.
@@ -58,4 +89,31 @@ pub trait Renderer: Send + Sync {
     /// # Errors
     /// [`RenderError`].
     fn render(&self, scene: &Arc<Scene>, camera: &Camera) -> Result<View, RenderError>;
+}
+
+/// Checks what every host relies on: a finite pose, valid intrinsics, a size within [`MAX_SIDE`] and [`MAX_PIXELS`].
+fn check(camera: &Camera) -> Result<(), RenderError> {
+    let (w, h) = (camera.width, camera.height);
+    if !camera.pose.is_finite() {
+        return Err(RenderError::Camera("pose must be finite"));
+    }
+    if !camera.intrinsics.is_valid() {
+        return Err(RenderError::Camera("intrinsics must be finite, focal lengths above 0"));
+    }
+    if w == 0 || h == 0 || w > MAX_SIDE || h > MAX_SIDE || u64::from(w) * u64::from(h) > MAX_PIXELS {
+        return Err(RenderError::Camera("width and height must be 1 to 16384, and at most 67108864 pixels together"));
+    }
+    Ok(())
+}
+
+/// The host for `backend`.
+///
+/// # Errors
+/// [`RenderError::Adapter`] where `gpu` is asked for and there is no graphics adapter.
+pub fn select(backend: Backend) -> Result<Arc<dyn Renderer>, RenderError> {
+    match backend {
+        Backend::Reference => Ok(Arc::new(Reference)),
+        Backend::Cpu | Backend::Auto => Ok(Arc::new(Cpu::default())),
+        Backend::Gpu => Err(RenderError::Adapter("none found".into())),
+    }
 }

@@ -91,7 +91,7 @@ pub struct Scene {
 }
 
 /// A scene whose parts do not fit together.
-#[derive(Debug, thiserror::Error, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, thiserror::Error, PartialEq, Eq)]
 pub enum SceneError {
     /// Sizes, counts or ranges contradict each other; the text names which.
     #[error("scene is inconsistent: {0}")]

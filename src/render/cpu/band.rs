@@ -1,0 +1,169 @@
+//! A band of rows: depth, opaque colour, and the list of soft samples over it.
+
+use super::span::{Draw, Span};
+use crate::render::OPAQUE;
+
+/// A sample between transparent and opaque.
+#[derive(Clone, Copy, Debug)]
+struct Soft {
+    pixel: u32,
+    delta: f32,
+    /// Premultiplied, 0 to 255.
+    rgba: [f32; 4],
+}
+
+/// Buffers of a band, kept from one band to the next of a thread.
+#[derive(Debug, Default)]
+pub(super) struct Band {
+    /// Target disparity of the opaque texel; below 0 where there is none.
+    depth: Vec<f32>,
+    /// Nearest mean disparity first.
+    soft: Vec<Soft>,
+    /// Premultiplied colour in front of the opaque texel, and what it lets through.
+    sum: Vec<[f32; 4]>,
+}
+
+/// Less than this share of what lies behind cannot be seen in 8 bits, and further products would leave the normal range of `f32`.
+const DARK: f32 = 1e-6;
+
+impl Band {
+    /// Draws rows from `first_row` on into `out`, which starts transparent; `draws` come nearest first.
+    pub fn draw(&mut self, draws: &[Draw], texels: &[[u8; 4]], first_row: u32, width: usize, out: &mut [[u8; 4]]) {
+        let rows = (out.len() / width) as u32;
+        self.depth.clear();
+        self.depth.resize(out.len(), -1.0);
+        self.soft.clear();
+        for draw in draws {
+            let (from, to) = (draw.footprint.y0.max(first_row), draw.footprint.y1.min(first_row + rows));
+            let layer = &texels[draw.first_texel..draw.first_texel + draw.w * draw.h];
+            for y in from..to {
+                if let Some(span) = draw.span(y) {
+                    let row = (y - first_row) as usize * width;
+                    self.walk(draw, &span, layer, row + span.start, out);
+                }
+            }
+        }
+        self.blend(out);
+    }
+
+    fn walk(&mut self, draw: &Draw, span: &Span, texels: &[[u8; 4]], first: usize, out: &mut [[u8; 4]]) {
+        let (w, h) = (draw.w, draw.h);
+        let (last_x, last_y) = ((w - 1) as f32, (h - 1) as f32);
+        let pixels = first..first + (span.end - span.start);
+        for (i, (depth, out)) in self.depth[pixels.clone()].iter_mut().zip(&mut out[pixels]).enumerate() {
+            let step = i as f32;
+            let along = |f: [f32; 2]| f[0] + step * f[1];
+            let delta = along(span.delta).max(0.0);
+            if delta <= *depth {
+                continue;
+            }
+            let z = 1.0 / along(span.lambda);
+            // `max` first: where it is NaN, 0
+            let x = (along(span.x) * z - 0.5).max(0.0).min(last_x);
+            let y = (along(span.y) * z - 0.5).max(0.0).min(last_y);
+            let (column, row) = (x as usize, y as usize);
+            let at = row * w + column;
+            let right = usize::from(column + 1 < w);
+            let below = if row + 1 < h { w } else { 0 };
+            let four = [texels[at], texels[at + right], texels[at + below], texels[at + below + right]];
+            let (fx, fy) = (fraction(x, column), fraction(y, row));
+            let alphas = four.map(|t| t[3]);
+            if alphas == [255; 4] {
+                *depth = delta;
+                *out = mix(four, fx, fy);
+            } else if alphas != [0; 4] {
+                let rgba = mix_premultiplied(four, fx, fy);
+                if rgba[3] >= OPAQUE * 255.0 {
+                    *depth = delta;
+                    *out = rgba.map(|v| (v * (255.0 / rgba[3]) + 0.5) as u8);
+                } else if rgba[3] > 0.0 {
+                    self.soft.push(Soft { pixel: (first + i) as u32, delta, rgba });
+                }
+            }
+        }
+    }
+
+    fn blend(&mut self, out: &mut [[u8; 4]]) {
+        if self.soft.is_empty() {
+            return;
+        }
+        self.sum.clear();
+        self.sum.resize(out.len(), [0.0, 0.0, 0.0, 1.0]);
+        for s in &self.soft {
+            let pixel = s.pixel as usize;
+            let sum = &mut self.sum[pixel];
+            if s.delta < self.depth[pixel] || sum[3] < DARK {
+                continue;
+            }
+            for c in 0..3 {
+                sum[c] += sum[3] * s.rgba[c];
+            }
+            sum[3] *= 1.0 - s.rgba[3] / 255.0;
+        }
+        for (out, sum) in out.iter_mut().zip(&self.sum) {
+            if sum[3] < 1.0 {
+                let rgb: [u8; 3] = std::array::from_fn(|c| (sum[c] + sum[3] * f32::from(out[c]) + 0.5) as u8);
+                let alpha = 255.0 - sum[3] * (255.0 - f32::from(out[3]));
+                *out = [rgb[0], rgb[1], rgb[2], (alpha + 0.5) as u8];
+            }
+        }
+    }
+}
+
+/// Fraction of a coordinate in 256ths.
+fn fraction(v: f32, whole: usize) -> u32 {
+    ((v - whole as f32) * 256.0 + 0.5) as u32
+}
+
+/// Bilinear weights in 256ths; they add up to 256.
+fn weights(fx: u32, fy: u32) -> [u32; 4] {
+    let both = (fx * fy + 128) >> 8;
+    [256 + both - fx - fy, fx - both, fy - both, both]
+}
+
+/// Interpolates four opaque texels, all channels in one word of 16 bits each.
+fn mix(four: [[u8; 4]; 4], fx: u32, fy: u32) -> [u8; 4] {
+    const EVEN: u32 = 0x00ff_00ff;
+    let mut sum = 0x0080_0080_0080_0080_u64;
+    for (t, weight) in four.iter().zip(weights(fx, fy)) {
+        let t = u32::from_le_bytes(*t);
+        let spread = u64::from(t & EVEN) | (u64::from((t >> 8) & EVEN) << 32);
+        sum += spread * u64::from(weight);
+    }
+    let (even, odd) = ((sum as u32 >> 8) & EVEN, ((sum >> 32) as u32 >> 8) & EVEN);
+    (even | (odd << 8)).to_le_bytes()
+}
+
+/// Interpolates four texels premultiplied, 0 to 255.
+fn mix_premultiplied(four: [[u8; 4]; 4], fx: u32, fy: u32) -> [f32; 4] {
+    let mut sum = [0.0; 4];
+    for (t, weight) in four.iter().zip(weights(fx, fy)) {
+        let alpha = f32::from(t[3]) * (1.0 / 255.0);
+        let weight = weight as f32 * (1.0 / 256.0);
+        for c in 0..3 {
+            sum[c] += weight * alpha * f32::from(t[c]);
+        }
+        sum[3] += weight * f32::from(t[3]);
+    }
+    sum
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn interpolation_is_exact_at_texels_and_within_a_level_between() {
+        let four = [[0, 10, 255, 255], [255, 20, 0, 255], [7, 200, 128, 255], [255, 255, 255, 255]];
+        assert_eq!(mix(four, 0, 0), four[0]);
+        assert_eq!(mix(four, 256, 0), four[1]);
+        assert_eq!(mix(four, 0, 256), four[2]);
+        assert_eq!(mix(four, 256, 256), four[3]);
+        for (fx, fy) in [(1, 1), (128, 128), (37, 201), (255, 3)] {
+            let (got, want) = (mix(four, fx, fy), mix_premultiplied(four, fx, fy));
+            for c in 0..4 {
+                assert!((f32::from(got[c]) - want[c]).abs() <= 0.51, "{fx} {fy}: {got:?} {want:?}");
+            }
+        }
+    }
+}

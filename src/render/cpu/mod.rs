@@ -1,0 +1,72 @@
+//! The host without a graphics adapter: row bands in parallel, nearest layer first, nothing sampled behind an opaque texel.
+
+mod band;
+mod span;
+
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+
+use rayon::prelude::*;
+
+use self::band::Band;
+use self::span::Draw;
+use super::prepared::{Prepared, SceneCache};
+use super::{RenderError, Renderer, View, check};
+use crate::tmpi::{Camera, Scene, SceneError};
+
+/// Rows of a band: its depth, colour and soft sums stay in the second-level cache at 1280 columns.
+const BAND_ROWS: usize = 16;
+
+type Slot = Arc<OnceLock<Result<Arc<Prepared>, SceneError>>>;
+
+/// Draws on the processor in `f32`.
+///
+/// Two passes in one traversal, nearest mean disparity first: a sample of alpha ≥ [`super::OPAQUE`] goes to the depth buffer, a softer one to a list
+/// that is composited front to back when the band's depth is final. Expanded texels are cached per scene.
+#[derive(Debug)]
+pub struct Cpu {
+    scenes: Mutex<SceneCache<Slot>>,
+}
+
+impl Cpu {
+    /// Bytes of expanded texels that are kept (4 a texel).
+    pub const CACHE_BYTES: usize = 256 << 20;
+
+    /// A host that keeps at most `cache_bytes` of expanded texels, and always those of the last scene.
+    #[must_use]
+    pub fn new(cache_bytes: usize) -> Self {
+        Self { scenes: Mutex::new(SceneCache::new(cache_bytes)) }
+    }
+
+    fn prepared(&self, scene: &Arc<Scene>) -> Result<Arc<Prepared>, SceneError> {
+        let slot = {
+            let mut scenes = self.scenes.lock().unwrap_or_else(PoisonError::into_inner);
+            Arc::clone(scenes.get_or_insert(scene, Prepared::bytes(scene), || Ok::<_, SceneError>(Slot::default()))?)
+        };
+        // outside the lock: other scenes go on, and several views of a new scene expand it once
+        slot.get_or_init(|| Prepared::new(scene).map(Arc::new)).clone()
+    }
+}
+
+impl Default for Cpu {
+    fn default() -> Self {
+        Self::new(Self::CACHE_BYTES)
+    }
+}
+
+impl Renderer for Cpu {
+    fn name(&self) -> &'static str {
+        "cpu"
+    }
+
+    fn render(&self, scene: &Arc<Scene>, camera: &Camera) -> Result<View, RenderError> {
+        check(camera)?;
+        let prepared = self.prepared(scene)?;
+        let draws: Vec<Draw> = prepared.order.iter().filter_map(|&i| Draw::new(scene, i, camera)).collect();
+        let mut view = View::transparent(camera);
+        let width = camera.width as usize;
+        view.rgba.par_chunks_mut(width * BAND_ROWS).enumerate().for_each_init(Band::default, |band, (i, out)| {
+            band.draw(&draws, &prepared.texels, (i * BAND_ROWS) as u32, width, out);
+        });
+        Ok(view)
+    }
+}

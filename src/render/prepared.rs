@@ -1,0 +1,148 @@
+//! What does not depend on the camera, kept per scene: texels in drawing form, drawing order, and the caches that hold them.
+
+use std::sync::{Arc, Weak};
+
+use crate::tmpi::{Layer, Scene, SceneError};
+
+use super::OPAQUE;
+
+/// What the texels of a layer allow to be left out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Content {
+    /// Some sample can reach the alpha that counts as opaque.
+    pub opaque: bool,
+    /// Some sample can lie between transparent and opaque.
+    pub soft: bool,
+}
+
+impl Content {
+    /// Of straight-alpha texels: an interpolated alpha lies between the texels'.
+    pub fn of(texels: &[[u8; 4]]) -> Self {
+        let (mut least, mut most) = (u8::MAX, 0);
+        for t in texels {
+            least = least.min(t[3]);
+            most = most.max(t[3]);
+        }
+        let is_opaque = |a: u8| f32::from(a) / 255.0 >= OPAQUE;
+        Self { opaque: is_opaque(most), soft: most > 0 && !is_opaque(least) }
+    }
+}
+
+/// δ at the centre of the layer's rectangle, which is its mean over the rectangle.
+pub(super) fn mean_delta(scene: &Scene, layer: &Layer) -> f64 {
+    let (half, centre, r) = (scene.grid.half(), scene.grid.centre(layer.tile), &layer.rect);
+    let middle = |from: u32, length: u32| f64::from(from) + f64::from(length) / 2.0;
+    layer.plane.disparity((middle(r.x, r.w) - centre.0) / half, (middle(r.y, r.h) - centre.1) / half)
+}
+
+/// Layers back to front by (mean δ, index): the same for every camera, so nothing flickers.
+pub(super) fn back_to_front(scene: &Scene) -> Vec<usize> {
+    let mean: Vec<f64> = scene.layers.iter().map(|l| mean_delta(scene, l)).collect();
+    let mut order: Vec<usize> = (0..mean.len()).collect();
+    order.sort_by(|&a, &b| mean[a].total_cmp(&mean[b]).then(a.cmp(&b)));
+    order
+}
+
+/// A scene as the `cpu` host draws it.
+#[derive(Debug)]
+pub(super) struct Prepared {
+    /// Straight-alpha texels of all layers, at [`Layer::first_texel`].
+    pub texels: Vec<[u8; 4]>,
+    /// Layers with anything to draw, nearest first.
+    pub order: Vec<usize>,
+}
+
+impl Prepared {
+    /// Checks and expands `scene`.
+    pub fn new(scene: &Scene) -> Result<Self, SceneError> {
+        scene.validate()?;
+        let mut texels = Vec::with_capacity(scene.texels.class.len());
+        let mut order = back_to_front(scene);
+        let mut drawn = vec![false; scene.layers.len()];
+        for (index, layer) in scene.layers.iter().enumerate() {
+            scene.expand_layer(index, &mut texels);
+            let content = Content::of(&texels[layer.first_texel..]);
+            drawn[index] = content.opaque || content.soft;
+        }
+        order.retain(|&i| drawn[i]);
+        order.reverse();
+        Ok(Self { texels, order })
+    }
+
+    /// Bytes that [`Prepared::new`] takes for `scene`.
+    pub fn bytes(scene: &Scene) -> usize {
+        scene.texels.class.len() * size_of::<[u8; 4]>() + scene.layers.len() * size_of::<usize>()
+    }
+}
+
+/// Values by scene, within a budget of bytes; the least recently used go first, those of dropped scenes at once.
+#[derive(Debug)]
+pub(super) struct SceneCache<T> {
+    budget: usize,
+    /// Least recently used first. A `Weak` keeps its address taken, so equal pointers are the same scene.
+    entries: Vec<(Weak<Scene>, usize, T)>,
+}
+
+impl<T> SceneCache<T> {
+    /// An empty cache of `budget` bytes.
+    pub fn new(budget: usize) -> Self {
+        Self { budget, entries: Vec::new() }
+    }
+
+    /// The value of `scene`; on a miss, room for `bytes` is made and `create` is asked. The newest stays even where it alone exceeds the budget.
+    pub fn get_or_insert<E>(&mut self, scene: &Arc<Scene>, bytes: usize, create: impl FnOnce() -> Result<T, E>) -> Result<&mut T, E> {
+        self.entries.retain(|(weak, ..)| weak.strong_count() > 0);
+        let found = self.entries.iter().position(|(weak, ..)| std::ptr::eq(weak.as_ptr(), Arc::as_ptr(scene)));
+        let entry = if let Some(at) = found {
+            self.entries.remove(at)
+        } else {
+            while !self.entries.is_empty() && self.bytes().saturating_add(bytes) > self.budget {
+                self.entries.remove(0);
+            }
+            (Arc::downgrade(scene), bytes, create()?)
+        };
+        self.entries.push(entry);
+        let last = self.entries.len() - 1;
+        Ok(&mut self.entries[last].2)
+    }
+
+    fn bytes(&self) -> usize {
+        self.entries.iter().map(|(_, bytes, _)| bytes).sum()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::testing;
+    use super::*;
+
+    #[test]
+    fn the_cache_keeps_within_its_budget_and_forgets_dropped_scenes() {
+        let scenes: Vec<_> = (0..3).map(|_| Arc::new(testing::flat(8, 8, 0.5))).collect();
+        let mut cache = SceneCache::new(20);
+        let mut made = 0;
+        let mut get = |cache: &mut SceneCache<u32>, scene: &Arc<Scene>| {
+            let value = cache.get_or_insert(scene, 10, || {
+                made += 1;
+                Ok::<_, ()>(made)
+            });
+            value.copied().unwrap()
+        };
+        assert_eq!(get(&mut cache, &scenes[0]), 1);
+        assert_eq!(get(&mut cache, &scenes[1]), 2);
+        assert_eq!(get(&mut cache, &scenes[0]), 1, "kept");
+        assert_eq!(get(&mut cache, &scenes[2]), 3);
+        assert_eq!(cache.bytes(), 20);
+        assert_eq!(get(&mut cache, &scenes[1]), 4, "the least recently used one was dropped");
+        drop(scenes);
+        let other = Arc::new(testing::flat(8, 8, 0.5));
+        get(&mut cache, &other);
+        assert_eq!(cache.entries.len(), 1);
+    }
+
+    #[test]
+    fn the_order_is_by_mean_disparity_then_index() {
+        let scene = testing::stack(16, 16, &[[9, 9, 9, 255]; 4], &[0.5, 0.2, 0.5, 0.0]);
+        assert_eq!(back_to_front(&scene), [3, 1, 0, 2]);
+    }
+}
