@@ -1,4 +1,4 @@
-//! A band of rows: depth, opaque colour, and the list of soft samples over it.
+//! A band of rows: depth, opaque colour, and per pixel the soft samples before it.
 
 use super::span::{Draw, Span};
 use crate::render::OPAQUE;
@@ -6,21 +6,25 @@ use crate::render::OPAQUE;
 /// A sample between transparent and opaque.
 #[derive(Clone, Copy, Debug)]
 struct Soft {
-    pixel: u32,
     delta: f32,
+    /// The next farther one of the same pixel, or [`NONE`].
+    next: u32,
     /// Premultiplied, 0 to 255.
     rgba: [f32; 4],
 }
+
+/// End of a pixel's list.
+const NONE: u32 = u32::MAX;
 
 /// Buffers of a band, kept from one band to the next of a thread.
 #[derive(Debug, Default)]
 pub(super) struct Band {
     /// Target disparity of the opaque texel; below 0 where there is none.
     depth: Vec<f32>,
-    /// Nearest mean disparity first.
+    /// Per pixel its nearest soft sample, or [`NONE`].
+    head: Vec<u32>,
+    /// Samples of all pixels; each pixel's are linked from near to far.
     soft: Vec<Soft>,
-    /// Premultiplied colour in front of the opaque texel, and what it lets through.
-    sum: Vec<[f32; 4]>,
 }
 
 /// Less than this share of what lies behind cannot be seen in 8 bits, and further products would leave the normal range of `f32`.
@@ -32,6 +36,8 @@ impl Band {
         let rows = (out.len() / width) as u32;
         self.depth.clear();
         self.depth.resize(out.len(), -1.0);
+        self.head.clear();
+        self.head.resize(out.len(), NONE);
         self.soft.clear();
         for draw in draws {
             let (from, to) = (draw.footprint.y0.max(first_row), draw.footprint.y1.min(first_row + rows));
@@ -77,36 +83,52 @@ impl Band {
                     *depth = delta;
                     *out = rgba.map(|v| (v * (255.0 / rgba[3]) + 0.5) as u8);
                 } else if rgba[3] > 0.0 {
-                    self.soft.push(Soft { pixel: (first + i) as u32, delta, rgba });
+                    link(&mut self.soft, &mut self.head[first + i], delta, rgba);
                 }
             }
         }
     }
 
-    fn blend(&mut self, out: &mut [[u8; 4]]) {
+    fn blend(&self, out: &mut [[u8; 4]]) {
         if self.soft.is_empty() {
             return;
         }
-        self.sum.clear();
-        self.sum.resize(out.len(), [0.0, 0.0, 0.0, 1.0]);
-        for s in &self.soft {
-            let pixel = s.pixel as usize;
-            let sum = &mut self.sum[pixel];
-            if s.delta < self.depth[pixel] || sum[3] < DARK {
-                continue;
+        for ((out, &head), &depth) in out.iter_mut().zip(&self.head).zip(&self.depth) {
+            let (mut at, mut sum, mut through) = (head, [0.0; 3], 1.0);
+            while let Some(s) = self.soft.get(at as usize) {
+                // the opaque texel was not there yet when this sample was taken
+                if s.delta < depth || through < DARK {
+                    break;
+                }
+                for (sum, v) in sum.iter_mut().zip(s.rgba) {
+                    *sum += through * v;
+                }
+                through *= 1.0 - s.rgba[3] / 255.0;
+                at = s.next;
             }
-            for c in 0..3 {
-                sum[c] += sum[3] * s.rgba[c];
+            if head != NONE {
+                let [r, g, b]: [u8; 3] = std::array::from_fn(|c| (sum[c] + through * f32::from(out[c]) + 0.5) as u8);
+                let alpha = 255.0 - through * (255.0 - f32::from(out[3]));
+                *out = [r, g, b, (alpha + 0.5) as u8];
             }
-            sum[3] *= 1.0 - s.rgba[3] / 255.0;
         }
-        for (out, sum) in out.iter_mut().zip(&self.sum) {
-            if sum[3] < 1.0 {
-                let rgb: [u8; 3] = std::array::from_fn(|c| (sum[c] + sum[3] * f32::from(out[c]) + 0.5) as u8);
-                let alpha = 255.0 - sum[3] * (255.0 - f32::from(out[3]));
-                *out = [rgb[0], rgb[1], rgb[2], (alpha + 0.5) as u8];
-            }
+    }
+}
+
+/// Adds a sample to a pixel's list, after those at least as near: layers come in the order of the tie-break.
+fn link(soft: &mut Vec<Soft>, head: &mut u32, delta: f32, rgba: [f32; 4]) {
+    let new = soft.len() as u32;
+    let (mut before, mut at) = (NONE, *head);
+    while let Some(s) = soft.get(at as usize) {
+        if s.delta < delta {
+            break;
         }
+        (before, at) = (at, s.next);
+    }
+    soft.push(Soft { delta, next: at, rgba });
+    match soft.get_mut(before as usize) {
+        Some(s) => s.next = new,
+        None => *head = new,
     }
 }
 

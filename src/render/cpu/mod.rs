@@ -13,15 +13,18 @@ use super::prepared::{Prepared, SceneCache};
 use super::{RenderError, Renderer, View, check};
 use crate::tmpi::{Camera, Scene, SceneError};
 
-/// Rows of a band: its depth, colour and soft sums stay in the second-level cache at 1280 columns.
+/// Pixels of a band, at most unless a row has more: 16 rows of 1280 stay in the second-level cache.
+const BAND_PIXELS: usize = 16 * 1280;
+
+/// Most rows of a band, so that small views still give every core work.
 const BAND_ROWS: usize = 16;
 
 type Slot = Arc<OnceLock<Result<Arc<Prepared>, SceneError>>>;
 
 /// Draws on the processor in `f32`.
 ///
-/// Two passes in one traversal, nearest mean disparity first: a sample of alpha ≥ [`super::OPAQUE`] goes to the depth buffer, a softer one to a list
-/// that is composited front to back when the band's depth is final. Expanded texels are cached per scene.
+/// Layers come nearest first. A sample of alpha ≥ [`super::OPAQUE`] goes to the depth buffer, a softer one to its pixel's list, sorted by
+/// disparity and composited when the band's depth is final. Expanded texels are cached per scene.
 #[derive(Debug)]
 pub struct Cpu {
     scenes: Mutex<SceneCache<Slot>>,
@@ -64,8 +67,9 @@ impl Renderer for Cpu {
         let draws: Vec<Draw> = prepared.order.iter().filter_map(|&i| Draw::new(scene, i, camera)).collect();
         let mut view = View::transparent(camera);
         let width = camera.width as usize;
-        view.rgba.par_chunks_mut(width * BAND_ROWS).enumerate().for_each_init(Band::default, |band, (i, out)| {
-            band.draw(&draws, &prepared.texels, (i * BAND_ROWS) as u32, width, out);
+        let rows = (BAND_PIXELS / width).clamp(1, BAND_ROWS);
+        view.rgba.par_chunks_mut(width * rows).enumerate().for_each_init(Band::default, |band, (i, out)| {
+            band.draw(&draws, &prepared.texels, (i * rows) as u32, width, out);
         });
         Ok(view)
     }

@@ -1,0 +1,203 @@
+//! The `cpu` and `gpu` hosts held against the `f64` reference, and the reference against what is known.
+#![allow(clippy::unwrap_used, clippy::cast_precision_loss, clippy::cast_lossless, clippy::cast_possible_truncation, reason = "test")]
+
+mod scenes;
+
+use std::sync::Arc;
+
+use scenes::{all, camera, cameras, flat, stack};
+use tmpi::render::{Backend, Cpu, MAX_SIDE, Reference, RenderError, Renderer, View, select};
+use tmpi::tmpi::{Camera, Intrinsics, Pose, Scene};
+
+/// Share of pixels with a channel more than 8 levels off.
+fn share_off(a: &View, b: &View) -> f64 {
+    assert_eq!((a.width, a.height, a.rgba.len()), (b.width, b.height, b.rgba.len()));
+    let off = a.rgba.iter().zip(&b.rgba).filter(|(p, q)| p.iter().zip(q.iter()).any(|(x, y)| x.abs_diff(*y) > 8)).count();
+    off as f64 / a.rgba.len() as f64
+}
+
+fn psnr(a: &View, photo: &[[u8; 3]]) -> f64 {
+    let squares = a.rgba.iter().zip(photo).flat_map(|(p, q)| (0..3).map(|c| f64::from(p[c].abs_diff(q[c])).powi(2)));
+    let mse = squares.sum::<f64>() / (photo.len() * 3) as f64;
+    if mse == 0.0 { 99.0 } else { 10.0 * (255.0_f64.powi(2) / mse).log10() }
+}
+
+fn compare(host: &dyn Renderer) {
+    let (mut worst, mut failed) = ((0.0, String::new()), Vec::new());
+    for (scene_name, scene) in all() {
+        scene.validate().unwrap();
+        let scene = Arc::new(scene);
+        for (camera_name, camera) in cameras(&scene) {
+            let want = Reference.render(&scene, &camera).unwrap();
+            let got = host.render(&scene, &camera).unwrap();
+            let share = share_off(&got, &want);
+            // a few pixels on borders between planes are all that a very small picture has
+            let bound = if want.rgba.len() < 100 { 0.0 } else { 0.015 };
+            let name = format!("{scene_name} / {camera_name}: {:.3} %", share * 100.0);
+            if share > bound {
+                failed.push(name.clone());
+            }
+            if share > worst.0 {
+                worst = (share, name);
+            }
+        }
+    }
+    println!("{}: worst {}", host.name(), worst.1);
+    assert!(failed.is_empty(), "{} differs from reference:\n{}", host.name(), failed.join("\n"));
+}
+
+#[test]
+fn cpu_agrees_with_reference() {
+    compare(&Cpu::default());
+}
+
+fn identity(scene: &Scene) -> Camera {
+    camera(scene, Pose::default(), scene.photo.width, scene.photo.height)
+}
+
+fn rgb(view: &View) -> Vec<[u8; 3]> {
+    view.rgba.iter().map(|p| [p[0], p[1], p[2]]).collect()
+}
+
+/// Scenes whose visible texels are the photo's.
+fn faithful() -> impl Iterator<Item = (&'static str, Arc<Scene>)> {
+    all()
+        .into_iter()
+        .filter(|(name, _)| ["flat", "ground", "disc", "disc before infinity", "remnants"].contains(name))
+        .map(|(n, s)| (n, Arc::new(s)))
+}
+
+#[test]
+fn the_identity_view_is_the_photo() {
+    for (name, scene) in faithful() {
+        for host in [&Reference as &dyn Renderer, &Cpu::default()] {
+            let view = host.render(&scene, &identity(&scene)).unwrap();
+            assert!(rgb(&view) == scene.photo.rgb, "{name} on {}: {:.1} dB", host.name(), psnr(&view, &scene.photo.rgb));
+            assert!(view.rgba.iter().all(|p| p[3] == 255), "{name} on {}: covered everywhere", host.name());
+        }
+    }
+}
+
+/// Mean column of the pixels that are red.
+fn column_of_red(view: &View) -> f64 {
+    let red: Vec<f64> =
+        (0..).zip(&view.rgba).filter(|(_, p)| p[0] > 200 && p[1] < 60).map(|(i, _): (u32, _)| f64::from(i % view.width)).collect();
+    assert!(!red.is_empty());
+    red.iter().sum::<f64>() / red.len() as f64
+}
+
+fn spot(delta: f64) -> Arc<Scene> {
+    let mut scene = flat(160, 100, delta);
+    for (i, p) in (0..).zip(&mut scene.photo.rgb) {
+        let (x, y) = (i % 160_u32, i / 160_u32);
+        *p = if (70..90).contains(&x) && (40..60).contains(&y) { [250, 20, 20] } else { [20, 90, 200] };
+    }
+    Arc::new(scene)
+}
+
+fn signs(host: &dyn Renderer) {
+    let shift = |delta: f64, pose: Pose| {
+        let scene = spot(delta);
+        column_of_red(&host.render(&scene, &camera(&scene, pose, 160, 100)).unwrap()) - 79.5
+    };
+    let f = 160.0 * Intrinsics::DEFAULT_FOCAL_PER_WIDTH;
+    let (near, far) = (shift(1.0, Pose::at(0.1, 0.0, 0.0)), shift(0.3, Pose::at(0.1, 0.0, 0.0)));
+    assert!((near + 0.1 * f).abs() < 0.6, "{}: nearest moves left by tx·f = {:.1}, got {near}", host.name(), 0.1 * f);
+    assert!((far + 0.03 * f).abs() < 0.6, "{}: farther moves less, got {far}", host.name());
+    assert!(shift(0.0, Pose::at(0.1, 0.1, 0.1)).abs() < 0.1, "{}: infinity stays", host.name());
+    assert!(shift(0.5, Pose { yaw: 5.0, ..Pose::default() }) < -5.0, "{}: looking right moves the scene left", host.name());
+}
+
+#[test]
+fn signs_are_those_of_the_design() {
+    signs(&Reference);
+    signs(&Cpu::default());
+}
+
+/// Largest difference of any channel from `f64` compositing of one-colour layers, farthest first.
+fn error_of_stack(host: &dyn Renderer, colours: &[[u8; 4]]) -> f64 {
+    let delta: Vec<f64> = (0..colours.len()).map(|i| (i + 1) as f64 / colours.len() as f64).collect();
+    let scene = Arc::new(stack(16, 16, colours, &delta));
+    let view = host.render(&scene, &identity(&scene)).unwrap();
+    let mut want = [0.0; 4];
+    for c in colours {
+        let a = f64::from(c[3]) / 255.0;
+        for (w, v) in want.iter_mut().zip([f64::from(c[0]), f64::from(c[1]), f64::from(c[2]), 255.0]) {
+            *w = a * v + (1.0 - a) * *w;
+        }
+    }
+    let off = |p: &[u8; 4]| (0..4).map(|c| (f64::from(p[c]) - want[c]).abs()).fold(0.0, f64::max);
+    view.rgba.iter().map(off).fold(0.0, f64::max)
+}
+
+/// (name, layers, bound in levels for `f64` and `f32`, bound for 8-bit blending)
+fn stacks() -> Vec<(&'static str, Vec<[u8; 4]>, f64, f64)> {
+    vec![
+        ("64 layers of alpha 1/255", vec![[200, 128, 255, 1]; 64], 0.51, 64.0),
+        ("64 layers of alpha 128/255", (0..64).map(|i| [i * 4, 255 - i * 4, 90, 128]).collect(), 0.51, 2.0),
+        ("64 layers of alpha 254/255", (0..64).map(|i| [i * 4, 255 - i * 4, 90, 254]).collect(), 1.51, 2.0),
+        ("64 layers of alpha 252/255 (transmittance underflow)", (0..64).map(|i| [255 - i, i, 90, 252]).collect(), 0.51, 2.0),
+        ("one opaque under 8 thin", [vec![[10, 200, 30, 255]], vec![[255, 255, 255, 3]; 8]].concat(), 0.51, 8.0),
+    ]
+}
+
+#[test]
+fn compositing_is_stable() {
+    for (name, colours, bound, _) in stacks() {
+        for host in [&Reference as &dyn Renderer, &Cpu::default()] {
+            let error = error_of_stack(host, &colours);
+            println!("{name} on {}: {error:.2} of {bound} levels", host.name());
+            assert!(error <= bound, "{name} on {}: {error} > {bound} levels", host.name());
+        }
+    }
+}
+
+#[test]
+fn a_camera_out_of_range_is_refused_with_the_fields_name() {
+    let scene = Arc::new(flat(8, 8, 0.5));
+    let good = identity(&scene);
+    let bad = [
+        (Camera { pose: Pose { yaw: f64::NAN, ..Pose::default() }, ..good }, "pose"),
+        (Camera { intrinsics: Intrinsics { fx: 0.0, ..good.intrinsics }, ..good }, "intrinsics"),
+        (Camera { intrinsics: Intrinsics { cy: f64::INFINITY, ..good.intrinsics }, ..good }, "intrinsics"),
+        (Camera { width: 0, ..good }, "width"),
+        (Camera { height: MAX_SIDE + 1, ..good }, "height"),
+        (Camera { width: 8192, height: 8193, ..good }, "pixels"),
+    ];
+    for (camera, field) in bad {
+        for host in [&Reference as &dyn Renderer, &Cpu::default()] {
+            let error = host.render(&scene, &camera).unwrap_err();
+            assert!(matches!(error, RenderError::Camera(text) if text.contains(field)), "{field}: {error}");
+        }
+    }
+}
+
+#[test]
+fn a_scene_that_does_not_fit_together_is_refused() {
+    let mut scene = flat(8, 8, 0.5);
+    scene.texels.alpha.pop();
+    let scene = Arc::new(scene);
+    for host in [&Reference as &dyn Renderer, &Cpu::default()] {
+        assert!(matches!(host.render(&scene, &identity(&scene)), Err(RenderError::Scene(_))));
+    }
+}
+
+#[test]
+fn extreme_numbers_give_no_panic() {
+    let scene = Arc::new(flat(32, 20, 0.5));
+    for focal in [1e-300, 1e-9, 1e9, 1e300] {
+        for t in [1e-300, 1e9, 1e300] {
+            let camera = Camera { pose: Pose::at(t, -t, t), intrinsics: Intrinsics::centred(32, 20, focal), width: 32, height: 20 };
+            for host in [&Reference as &dyn Renderer, &Cpu::default()] {
+                assert_eq!(host.render(&scene, &camera).unwrap().rgba.len(), 640);
+            }
+        }
+    }
+}
+
+#[test]
+fn auto_always_finds_a_host() {
+    let scene = Arc::new(flat(8, 8, 0.5));
+    let host = select(Backend::Auto).unwrap();
+    assert_eq!(rgb(&host.render(&scene, &identity(&scene)).unwrap()), scene.photo.rgb);
+}
