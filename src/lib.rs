@@ -19,6 +19,7 @@
 
 pub mod atlas;
 pub mod cli;
+pub mod clock;
 pub mod depth;
 pub mod generate;
 pub mod onnx;

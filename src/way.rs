@@ -2,6 +2,8 @@
 //!
 //! The command line, the job worker and the tests all call [`make`].
 
+mod run;
+
 use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
@@ -9,9 +11,9 @@ use serde::{Deserialize, Serialize};
 use crate::depth::{DepthError, DepthKind, Estimator};
 use crate::generate::{GenerateError, Report};
 use crate::onnx::Network;
-use crate::photo::{Limits, PhotoError};
-use crate::progress::Sink;
+use crate::photo::PhotoError;
 use crate::tmpi::{DisparityMap, ViewBox};
+pub use run::{STAGES, make};
 
 /// How planes are placed in a tile.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
@@ -159,23 +161,10 @@ pub enum MakeError {
     /// The container could not be written.
     #[error(transparent)]
     Atlas(#[from] crate::atlas::AtlasError),
+    /// The identity view could not be drawn.
+    #[error(transparent)]
+    Render(#[from] crate::render::RenderError),
     /// The caller no longer wants the result.
     #[error("cancelled")]
     Cancelled,
-}
-
-/// Runs the whole way of a photo. `depth` is the user's own depth map as a PNG file, if there is one.
-///
-/// # Errors
-/// [`MakeError`]: the photo, the depth map, an option, or a network is at fault.
-pub fn make(
-    models: &Models,
-    limits: &Limits,
-    photo: &[u8],
-    depth: Option<&[u8]>,
-    options: &Options,
-    sink: &dyn Sink,
-) -> Result<Made, MakeError> {
-    let _ = (models, limits, photo, depth, options, sink);
-    Err(MakeError::Cancelled)
 }

@@ -1,5 +1,7 @@
 //! Disparity of a photo: by a monocular depth network, or a map that the user gives.
 
+pub mod guided;
+
 use crate::tmpi::{DisparityMap, Photo};
 
 /// How the values of a user's own depth map are meant.

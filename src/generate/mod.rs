@@ -1,9 +1,14 @@
 //! From photo and disparity to a tiled multiplane image (paper, section 3.2).
 
+pub mod classic;
+pub mod compose;
+pub mod confidence;
 pub mod fill;
 pub mod layers;
 pub mod planes;
+pub mod refine;
 mod report;
+pub mod snap;
 
 pub use report::{Bytes, ErrorFigures, Input, LeftOut, Report, Stage};
 

@@ -1,0 +1,88 @@
+//! Wall time, processor time and peak memory of this process.
+
+use std::time::Instant;
+
+/// Times one span: wall and processor milliseconds.
+#[derive(Clone, Copy, Debug)]
+pub struct Clock {
+    wall: Instant,
+    cpu: f64,
+}
+
+impl Clock {
+    /// Starts now.
+    #[must_use]
+    pub fn start() -> Self {
+        Self { wall: Instant::now(), cpu: cpu_ms() }
+    }
+
+    /// Wall milliseconds since the start.
+    #[must_use]
+    pub fn ms(&self) -> f64 {
+        self.wall.elapsed().as_secs_f64() * 1e3
+    }
+
+    /// Processor milliseconds of all threads of the process since the start; 0 where the system does not tell.
+    #[must_use]
+    pub fn cpu_ms(&self) -> f64 {
+        cpu_ms() - self.cpu
+    }
+}
+
+#[cfg(unix)]
+#[allow(unsafe_code, reason = "two calls of libc that only write the struct they are handed")]
+mod system {
+    pub fn cpu_ms() -> f64 {
+        let mut t = libc::timespec { tv_sec: 0, tv_nsec: 0 };
+        // SAFETY: `t` outlives the call, which writes nothing else.
+        if unsafe { libc::clock_gettime(libc::CLOCK_PROCESS_CPUTIME_ID, &raw mut t) } != 0 {
+            return 0.0;
+        }
+        t.tv_sec as f64 * 1e3 + t.tv_nsec as f64 / 1e6
+    }
+
+    pub fn peak_rss_bytes() -> u64 {
+        let mut usage = std::mem::MaybeUninit::<libc::rusage>::zeroed();
+        // SAFETY: `usage` outlives the call and all-zero is a valid `rusage`.
+        let usage = unsafe {
+            if libc::getrusage(libc::RUSAGE_SELF, usage.as_mut_ptr()) != 0 {
+                return 0;
+            }
+            usage.assume_init()
+        };
+        // kilobytes everywhere but on macOS
+        usage.ru_maxrss as u64 * if cfg!(target_os = "macos") { 1 } else { 1024 }
+    }
+}
+
+#[cfg(not(unix))]
+mod system {
+    pub fn cpu_ms() -> f64 {
+        0.0
+    }
+
+    pub fn peak_rss_bytes() -> u64 {
+        0
+    }
+}
+
+use system::cpu_ms;
+pub use system::peak_rss_bytes;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn work_takes_wall_and_processor_time() {
+        let c = Clock::start();
+        let mut x = 0u64;
+        while c.ms() < 5.0 {
+            x = x.wrapping_add(1);
+        }
+        assert!(x > 0 && c.ms() >= 5.0);
+        if cfg!(unix) {
+            assert!(c.cpu_ms() > 0.0 && peak_rss_bytes() > 1 << 20);
+        }
+    }
+}

@@ -1,0 +1,123 @@
+//! Ψ: soft alpha and hidden colour of layers, batched over tiles; only where a layer has hidden or soft texels (paper, section 3.2).
+
+use super::GenerateError;
+use super::layers::{PeeledLayer, PeeledTile, Place};
+use super::planes::TilePlanes;
+use crate::onnx::{Network, Tensor};
+use crate::tmpi::{Class, Grid, Photo};
+
+/// Channels of Ψ's input.
+const CHANNELS: usize = 9;
+/// Layers a call: one call for many is much faster than one each, and memory stays bounded.
+const BATCH: usize = 32;
+/// Largest tile that Ψ runs on; a regular MPI (one tile) is left as it is.
+const MAX_TILE: u32 = 128;
+/// Scale of the disparity channel.
+const DISPARITY_SCALE: f32 = 8.0;
+
+/// Refines all layers that have something to refine; gives the count of tiles that had nothing or were left out.
+///
+/// # Errors
+/// [`GenerateError::Onnx`], [`GenerateError::Shape`].
+pub fn run(psi: &dyn Network, photo: &Photo, grid: &Grid, planes: &[TilePlanes], tiles: &mut [PeeledTile]) -> Result<usize, GenerateError> {
+    if grid.size > MAX_TILE {
+        return Ok(tiles.len());
+    }
+    let side = (grid.size as usize).div_ceil(16) * 16;
+    let mut todo: Vec<(usize, usize)> = Vec::new();
+    let mut skipped = 0;
+    for (t, tile) in tiles.iter().enumerate() {
+        let before = todo.len();
+        todo.extend(tile.layers.iter().enumerate().filter(|(_, l)| needs(l)).map(|(j, _)| (t, j)));
+        skipped += usize::from(todo.len() == before);
+    }
+    for batch in todo.chunks(BATCH) {
+        let mut data = vec![0f32; batch.len() * CHANNELS * side * side];
+        for (&(t, j), to) in batch.iter().zip(data.chunks_mut(CHANNELS * side * side)) {
+            input(photo, grid, t as u32, &planes[t], &tiles[t].layers[j], side, to);
+        }
+        let out = psi.run(vec![Tensor { shape: vec![batch.len(), CHANNELS, side, side], data }])?;
+        let area = side * side;
+        let [alpha, background] = out.as_slice() else { return Err(shape(&out)) };
+        if alpha.data.len() != batch.len() * area || background.data.len() != batch.len() * 3 * area {
+            return Err(shape(&out));
+        }
+        for (i, &(t, j)) in batch.iter().enumerate() {
+            let origin = grid.rect(t as u32);
+            take(
+                &mut tiles[t].layers[j],
+                (origin.x, origin.y),
+                side,
+                &alpha.data[i * area..(i + 1) * area],
+                &background.data[i * 3 * area..(i + 1) * 3 * area],
+            );
+        }
+    }
+    Ok(skipped)
+}
+
+fn shape(out: &[Tensor]) -> GenerateError {
+    let got = out.iter().map(|t| format!("{:?}", t.shape)).collect::<Vec<_>>().join(" ");
+    GenerateError::Shape { network: "psi", got, want: "alpha [N,1,h,w] and background [N,3,h,w]".into() }
+}
+
+/// True where a layer has hidden or soft texels.
+fn needs(l: &PeeledLayer) -> bool {
+    !l.hidden.is_empty() || l.alpha.iter().any(|&a| a != 0 && a != 255)
+}
+
+/// Fills the nine channels of one layer (see the model card); a clipped tile repeats its last row and column.
+fn input(photo: &Photo, grid: &Grid, tile: u32, planes: &TilePlanes, l: &PeeledLayer, side: usize, to: &mut [f32]) {
+    let r = grid.rect(tile);
+    let place = Place { centre: grid.centre(tile), half: grid.half() };
+    let area = side * side;
+    let mut hidden = l.hidden.iter();
+    let mut colours = vec![None; r.area()];
+    for (i, &c) in l.class.iter().enumerate() {
+        if c == Class::Hidden as u8 {
+            let (x, y) = (l.rect.x - r.x + i as u32 % l.rect.w, l.rect.y - r.y + i as u32 / l.rect.w);
+            colours[(y * r.w + x) as usize] = hidden.next();
+        }
+    }
+    for y in 0..side {
+        for x in 0..side {
+            let (px, py) = ((x as u32).min(r.w - 1), (y as u32).min(r.h - 1));
+            let at = (py * r.w + px) as usize;
+            let rgb = photo.at(r.x + px, r.y + py);
+            let visible_plane = planes.planes[planes.labels[at] as usize];
+            let own = visible_plane == l.plane;
+            let colour = colours[at].copied().unwrap_or(rgb);
+            let behind = place.disparity(&visible_plane, r.x + px, r.y + py) - place.disparity(&l.plane, r.x + px, r.y + py);
+            let o = y * side + x;
+            for i in 0..3 {
+                to[i * area + o] = f32::from(colour[i]) / 255.0;
+                to[(3 + i) * area + o] = f32::from(rgb[i]) / 255.0;
+            }
+            to[6 * area + o] = f32::from(u8::from(own));
+            to[7 * area + o] = (behind * DISPARITY_SCALE).clamp(-1.0, 1.0);
+            to[8 * area + o] = f32::from(u8::from(!own && behind > 0.0));
+        }
+    }
+}
+
+/// Takes the network's colours at hidden texels and its alpha at soft ones; visible texels stay, so the identity view does.
+fn take(l: &mut PeeledLayer, origin: (u32, u32), side: usize, alpha: &[f32], background: &[f32]) {
+    let area = side * side;
+    let mut next = 0;
+    for i in 0..l.class.len() {
+        let (x, y) = (l.rect.x - origin.0 + i as u32 % l.rect.w, l.rect.y - origin.1 + i as u32 / l.rect.w);
+        let o = y as usize * side + x as usize;
+        if l.class[i] == Class::Hidden as u8 {
+            for c in 0..3 {
+                let v = background[c * area + o];
+                if v.is_finite() {
+                    l.hidden[next][c] = (v * 255.0).round().clamp(0.0, 255.0) as u8;
+                }
+            }
+            next += 1;
+        } else if l.class[i] == Class::Photo as u8 && l.alpha[i] < 255 && alpha[o].is_finite() {
+            // a soft texel stays soft and there: the passes of the renderers are told apart by it
+            l.alpha[i] = (alpha[o] * 255.0).round().clamp(1.0, 254.0) as u8;
+        }
+    }
+}

@@ -1,0 +1,234 @@
+//! The way itself.
+
+use std::sync::Arc;
+
+use super::{Denoise, Made, MakeError, Models, Options, PlaneCount, PlaneMethod, Switch, TileSize};
+use crate::atlas::{self, Carried};
+use crate::clock::{self, Clock};
+use crate::generate::layers::{Peel, PeeledTile, peel};
+use crate::generate::planes::{MAX_AUTO_PLANES, MAX_PLANES, Method, Placement, TilePlanes, discretisation_error, place};
+use crate::generate::{self, ErrorFigures, GenerateError, Input, LeftOut, Report, Stage, snap};
+use crate::photo::{self, Decoded, Format, Limits};
+use crate::progress::{Progress, Sink};
+use crate::render::{self, Backend};
+use crate::tmpi::{Camera, DisparityMap, Grid, Intrinsics, Photo, Pose, Scene, ViewBox};
+use crate::{depth, quality};
+
+/// Stages of every photo, in order.
+pub const STAGES: [&str; 9] = ["photo", "depth", "denoise", "snap", "planes", "layers", "refine", "encode", "verify"];
+
+/// Runs the whole way of a photo. `depth` is the user's own depth map as a PNG file, if there is one.
+///
+/// # Errors
+/// [`MakeError`]: the photo, the depth map, an option, or a network is at fault.
+pub fn make(
+    models: &Models,
+    limits: &Limits,
+    photo: &[u8],
+    depth: Option<&[u8]>,
+    options: &Options,
+    sink: &dyn Sink,
+) -> Result<Made, MakeError> {
+    options.validate()?;
+    let mut trip = Trip { sink, clock: Clock::start(), stage: None, report: Report::default() };
+    trip.enter("photo")?;
+    let input = photo;
+    let Decoded { photo, original, format, mut intrinsics, carried, .. } = photo::decode(input, limits, options.max_size)?;
+    let (w, h) = (photo.width, photo.height);
+    if let Some(fov) = options.fov_x {
+        intrinsics = Intrinsics::from_fov_x(w, h, fov);
+    }
+    trip.report.input = Input { width: original.0, height: original.1, bytes: input.len() };
+    (trip.report.width, trip.report.height) = (w, h);
+
+    trip.enter("depth")?;
+    let mut delta = match depth {
+        Some(png) => depth::from_png(png, options.depth_kind, w, h)?,
+        None => models.depth.estimate(&photo)?,
+    };
+    let given = depth.is_some();
+    trip.report.depth_model = if given { "given".into() } else { models.depth.name().into() };
+    sanitise(&mut delta);
+
+    trip.enter("denoise")?;
+    let mut confidence = None;
+    match (options.denoise, &models.theta) {
+        (Denoise::Auto, Some(theta)) if !given => {
+            let (clean, c) = generate::confidence::run(theta.as_ref(), &photo, &delta)?;
+            delta = clean;
+            confidence = Some(c);
+        }
+        (Denoise::Classic, _) => delta = generate::classic::denoise(&photo, &delta),
+        _ => {}
+    }
+
+    trip.enter("snap")?;
+    if options.snap == Switch::Auto {
+        delta = if given { snap::median(&photo, &delta) } else { snap::snap(&photo, &delta) };
+    }
+
+    trip.enter("planes")?;
+    let grid = match options.tile {
+        TileSize::Pixels(size) => Grid::new(w, h, size),
+        TileSize::Full => Grid::full(w, h),
+    };
+    let parallax = parallax(&options.view_box, &intrinsics, (w, h));
+    let placement = options.placement(parallax);
+    let planes = place(&delta, confidence.as_deref(), &grid, &placement);
+    drop(confidence);
+    let (mae, mse, q25) = discretisation_error(&delta, &grid, &planes);
+
+    trip.enter("layers")?;
+    let mut tiles = peel(&Peel { photo: &photo, delta: &delta, grid, parallax }, &planes);
+
+    trip.enter("refine")?;
+    let mut not_refined = tiles.len();
+    if options.refine == Switch::Auto
+        && let Some(psi) = &models.psi
+    {
+        not_refined = generate::refine::run(psi.as_ref(), &photo, &grid, &planes, &mut tiles)?;
+    }
+
+    trip.enter("encode")?;
+    trip.count(&grid, &planes, &tiles, &placement, not_refined);
+    let scene = generate::compose::compose(photo, grid, intrinsics, options.view_box, tiles);
+    let carried = carry(carried, format, &scene.photo, options.quality)?;
+    let (container, bytes) = atlas::encode(&scene, &carried, options.quality)?;
+    trip.report.bytes = bytes;
+
+    trip.enter("verify")?;
+    trip.report.error = ErrorFigures { depth_mae: mae, depth_mse: mse, depth_q25: q25, ..ErrorFigures::default() };
+    let scene = Arc::new(scene);
+    verify(&scene, &carried, &mut trip.report.error)?;
+    Ok(Made { container, report: trip.finish(), disparity: delta })
+}
+
+/// A photo on its way.
+struct Trip<'a> {
+    sink: &'a dyn Sink,
+    clock: Clock,
+    stage: Option<(&'static str, Clock)>,
+    report: Report,
+}
+
+impl Trip<'_> {
+    fn enter(&mut self, stage: &'static str) -> Result<(), MakeError> {
+        self.leave();
+        if self.sink.cancelled() {
+            return Err(MakeError::Cancelled);
+        }
+        self.stage = Some((stage, Clock::start()));
+        let step = STAGES.iter().position(|s| *s == stage).map_or(0, |p| p as u32 + 1);
+        self.sink.progress(&Progress { stage, step, steps: STAGES.len() as u32, elapsed_ms: self.clock.ms() });
+        Ok(())
+    }
+
+    fn leave(&mut self) {
+        if let Some((name, c)) = self.stage.take() {
+            self.report.stages.push(Stage { name: name.into(), ms: c.ms(), cpu_ms: c.cpu_ms() });
+        }
+    }
+
+    fn finish(mut self) -> Report {
+        self.leave();
+        self.report.total_ms = self.clock.ms();
+        self.report.peak_rss_bytes = clock::peak_rss_bytes();
+        self.report
+    }
+
+    /// Counts what there is and what was left out, against the most planes that a tile may have, each as large as its tile.
+    fn count(&mut self, grid: &Grid, planes: &[TilePlanes], tiles: &[PeeledTile], placement: &Placement, not_refined: usize) {
+        let r = &mut self.report;
+        r.tiles = tiles.len();
+        r.planes = tiles.iter().map(|t| t.layers.len()).sum();
+        r.planes_per_tile = r.planes as f64 / r.tiles.max(1) as f64;
+        let placed: usize = planes.iter().map(|p| p.planes.len()).sum();
+        let full: usize = (0..grid.tiles()).map(|t| grid.rect(t).area()).sum::<usize>() * placement.most as usize;
+        let kept: usize = tiles.iter().flat_map(|t| &t.layers).map(|l| l.class.iter().filter(|c| **c != 0).count()).sum();
+        r.left_out = LeftOut {
+            planes: (r.tiles * placement.most as usize).saturating_sub(placed),
+            tiles_not_refined: not_refined,
+            texels: full.saturating_sub(kept),
+            bytes: full.saturating_sub(kept) * 4,
+        };
+    }
+}
+
+/// Puts anything that is no disparity at infinity: no input may give NaN further on.
+fn sanitise(delta: &mut DisparityMap) {
+    for d in &mut delta.delta {
+        *d = if d.is_finite() { d.clamp(0.0, 1.0) } else { 0.0 };
+    }
+}
+
+/// Parallax in pixels, right and down, that a unit of disparity has between the photo and the farthest camera of the view box.
+fn parallax(v: &ViewBox, k: &Intrinsics, (w, h): (u32, u32)) -> (f64, f64) {
+    // forward motion moves a pixel by its distance from the centre, the corner the most
+    (k.fx * v.x + f64::from(w) / 2.0 * v.z, k.fy * v.y + f64::from(h) / 2.0 * v.z)
+}
+
+impl Options {
+    /// How planes are to be placed for a view box of that parallax.
+    fn placement(&self, parallax: (f64, f64)) -> Placement {
+        let method = match self.plane_method {
+            PlaneMethod::Linear => Method::Linear,
+            PlaneMethod::Lloyd => Method::Lloyd,
+            PlaneMethod::Optimal => Method::Optimal,
+            PlaneMethod::Slanted => Method::Slanted,
+        };
+        match self.planes {
+            PlaneCount::Fixed(n) => Placement { method, most: n, target: None },
+            PlaneCount::Auto => {
+                Placement { method, most: MAX_AUTO_PLANES, target: Some(self.max_error / parallax.0.max(parallax.1).max(1.0)) }
+            }
+        }
+    }
+
+    /// Checks every number against its range.
+    ///
+    /// # Errors
+    /// [`GenerateError::Option`] names the option and its range.
+    pub fn validate(&self) -> Result<(), GenerateError> {
+        let check = |ok: bool, field, range, value: &dyn std::fmt::Display| {
+            if ok { Ok(()) } else { Err(GenerateError::Option { field, range, value: value.to_string() }) }
+        };
+        if let Some(f) = self.fov_x {
+            check(f > 0.0 && f < 180.0, "fov-x", "between 0 and 180 degrees", &f)?;
+        }
+        if let PlaneCount::Fixed(n) = self.planes {
+            check((1..=MAX_PLANES).contains(&n), "planes", "auto or 1 to 64", &n)?;
+        }
+        if let TileSize::Pixels(h) = self.tile {
+            check((8..=1024).contains(&h), "tile", "full or 8 to 1024 pixels", &h)?;
+        }
+        if let Some(m) = self.max_size {
+            check((1..=Limits::SIDE).contains(&m), "max-size", "1 to 16384 pixels", &m)?;
+        }
+        check((1..=100).contains(&self.quality), "quality", "1 to 100", &self.quality)?;
+        check(self.max_error >= 0.0 && self.max_error <= 1e3, "max-error", "0 to 1000 pixels", &self.max_error)?;
+        for e in [self.view_box.x, self.view_box.y, self.view_box.z] {
+            check((0.0..=10.0).contains(&e), "view-box", "three numbers of 0 to 10", &e)?;
+        }
+        Ok(())
+    }
+}
+
+/// The photo's file for the container: the uploaded one where it is no larger than a new one at the asked quality.
+fn carry(uploaded: Option<Vec<u8>>, format: Format, photo: &Photo, quality: u8) -> Result<Carried, MakeError> {
+    let anew = Carried::from_photo(photo, quality)?;
+    Ok(match uploaded {
+        Some(bytes) if bytes.len() <= anew.bytes.len() => Carried { bytes, format },
+        _ => anew,
+    })
+}
+
+/// Measures the identity view and the carried photo.
+fn verify(scene: &Arc<Scene>, carried: &Carried, error: &mut ErrorFigures) -> Result<(), MakeError> {
+    let photo = &scene.photo;
+    let camera = Camera { pose: Pose::default(), intrinsics: scene.intrinsics, width: photo.width, height: photo.height };
+    let view = render::select(Backend::Cpu)?.render(scene, &camera)?;
+    let rgb: Vec<[u8; 3]> = view.rgba.iter().map(|p| [p[0], p[1], p[2]]).collect();
+    error.identity_psnr = quality::psnr(rgb.as_flattened(), photo.rgb.as_flattened());
+    error.codec_psnr = quality::psnr(carried.decode()?.rgb.as_flattened(), photo.rgb.as_flattened());
+    Ok(())
+}
