@@ -1,1 +1,93 @@
-fn main() {}
+//! Tasks around the program: `cargo xtask serve`, `cargo xtask test`, `cargo xtask fetch`.
+
+mod browser;
+mod command;
+mod runtime;
+
+use std::process::ExitCode;
+use std::time::Instant;
+
+use command::{Fault, cargo, run};
+
+const HELP: &str = "\
+usage: cargo xtask <task>
+
+  serve [ARGS]  fetch ONNX Runtime where it is missing, build, and run `tmpi serve ARGS`
+  test          formatting, lints, all tests, browser tests; installs what these need where it may
+  fetch         fetch ONNX Runtime into .tmpi/onnxruntime where it is missing";
+
+/// Address that `tmpi serve` binds by itself.
+const ADDRESS: &str = "127.0.0.1:8080";
+
+fn main() -> ExitCode {
+    let mut args = std::env::args().skip(1);
+    let task = args.next();
+    let rest: Vec<String> = args.collect();
+    let done = match task.as_deref() {
+        Some("serve") => serve(&rest),
+        Some("test") if rest.is_empty() => test(),
+        Some("fetch") if rest.is_empty() => runtime::fetch().map_err(|e| e.in_step("ONNX Runtime")),
+        Some("help" | "--help" | "-h") => {
+            println!("{HELP}");
+            Ok(())
+        }
+        _ => {
+            eprintln!("{HELP}");
+            return ExitCode::from(2);
+        }
+    };
+    match done {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(fault) => {
+            eprintln!("\nxtask: {fault}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn serve(args: &[String]) -> Result<(), Fault> {
+    runtime::fetch().map_err(|e| e.in_step("ONNX Runtime"))?;
+    run(cargo(&["build", "--release", "--package", "tmpi"])).map_err(|e| e.in_step("build"))?;
+    let address = args.windows(2).find(|w| w[0] == "--addr").map(|w| w[1].as_str());
+    let address = address.or_else(|| args.iter().find_map(|a| a.strip_prefix("--addr="))).unwrap_or(ADDRESS);
+    // With port 0 only the server knows where it is; it says so itself
+    if !address.ends_with(":0") {
+        println!("tmpi: http://{address}/  (Ctrl-C stops it)");
+    }
+    let mut server = std::process::Command::new(command::program());
+    server.arg("serve").args(args);
+    command::become_it(server).map_err(|e| e.in_step("serve"))
+}
+
+/// A named step of the tests.
+type Step = (&'static str, fn() -> Result<(), Fault>);
+
+/// Runs every step in order, stops at the first that fails, and tells how long each took.
+fn test() -> Result<(), Fault> {
+    let steps: [Step; 6] = [
+        ("format", || run(cargo(&["fmt", "--all", "--check"]))),
+        ("lint", || run(cargo(&["clippy", "--workspace", "--release", "--all-targets", "--", "-D", "warnings"]))),
+        ("ONNX Runtime", runtime::fetch),
+        ("tools", browser::tools),
+        ("tests", || run(cargo(&["test", "--workspace", "--release"]))),
+        ("browser", browser::test),
+    ];
+    let mut times = Vec::new();
+    let mut failed = None;
+    for (name, step) in steps {
+        println!("── {name}");
+        let start = Instant::now();
+        let result = step();
+        times.push((name, start.elapsed().as_secs_f64()));
+        if let Err(fault) = result {
+            failed = Some(fault.in_step(name));
+            break;
+        }
+    }
+    println!();
+    for (i, (name, seconds)) in times.iter().enumerate() {
+        let word = if failed.is_some() && i + 1 == times.len() { "FAILED" } else { "ok" };
+        println!("{name:<14} {word:<7} {seconds:7.1} s");
+    }
+    failed.map_or(Ok(()), Err)
+}

@@ -1,0 +1,96 @@
+//! Running other programs.
+
+use std::fmt;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+/// What went wrong, and in which step.
+pub struct Fault {
+    step: Option<&'static str>,
+    text: String,
+}
+
+impl Fault {
+    pub fn new(text: impl Into<String>) -> Self {
+        Self { step: None, text: text.into() }
+    }
+
+    /// Names the step, where none has been named.
+    pub fn in_step(mut self, step: &'static str) -> Self {
+        self.step.get_or_insert(step);
+        self
+    }
+}
+
+impl fmt::Display for Fault {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.step {
+            Some(step) => write!(f, "step \"{step}\" failed: {}", self.text),
+            None => f.write_str(&self.text),
+        }
+    }
+}
+
+/// Root of the workspace.
+pub fn root() -> PathBuf {
+    let here = Path::new(env!("CARGO_MANIFEST_DIR"));
+    here.parent().unwrap_or(here).to_owned()
+}
+
+/// The built program.
+pub fn program() -> PathBuf {
+    let target = std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| root().join("target"), |t| root().join(t));
+    target.join("release").join(format!("tmpi{}", std::env::consts::EXE_SUFFIX))
+}
+
+/// The cargo that runs this task.
+pub fn cargo(args: &[&str]) -> Command {
+    let mut command = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
+    command.args(args).current_dir(root());
+    // Data for measuring is looked up from the root
+    if std::env::var_os("TMPI_DATA").is_none() {
+        command.env("TMPI_DATA", root().join("../shared/data"));
+    }
+    command
+}
+
+fn shown(command: &Command) -> String {
+    let words = std::iter::once(command.get_program()).chain(command.get_args());
+    words.map(|w| w.to_string_lossy().into_owned()).collect::<Vec<_>>().join(" ")
+}
+
+/// Runs a program with this one's output.
+pub fn run(mut command: Command) -> Result<(), Fault> {
+    let status = command.status().map_err(|e| Fault::new(format!("`{}` does not start: {e}", shown(&command))))?;
+    if status.success() { Ok(()) } else { Err(Fault::new(format!("`{}`: {status}", shown(&command)))) }
+}
+
+/// Runs a program, and shows its output only where it fails.
+pub fn run_quietly(mut command: Command) -> Result<(), Fault> {
+    let output = command.output().map_err(|e| Fault::new(format!("`{}` does not start: {e}", shown(&command))))?;
+    if output.status.success() {
+        return Ok(());
+    }
+    let text = [output.stdout, output.stderr].map(|b| String::from_utf8_lossy(&b).trim().to_owned()).join("\n");
+    Err(Fault::new(format!("`{}`: {}\n{}", shown(&command), output.status, text.trim())))
+}
+
+/// Standard output of a program that succeeds.
+pub fn output(program: &str, args: &[&str]) -> Option<String> {
+    let output = Command::new(program).args(args).output().ok()?;
+    output.status.success().then(|| String::from_utf8_lossy(&output.stdout).trim().to_owned())
+}
+
+/// Runs a program in place of this one, so that signals reach it alone.
+#[cfg(unix)]
+pub fn become_it(mut command: Command) -> Result<(), Fault> {
+    use std::os::unix::process::CommandExt;
+    let error = command.exec();
+    Err(Fault::new(format!("`{}` does not start: {error}", shown(&command))))
+}
+
+/// Runs a program in place of this one.
+#[cfg(not(unix))]
+pub fn become_it(command: Command) -> Result<(), Fault> {
+    run(command)
+}
