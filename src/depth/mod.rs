@@ -1,6 +1,9 @@
 //! Disparity of a photo: by a monocular depth network, or a map that the user gives.
 
 pub mod guided;
+mod map;
+
+pub use map::from_png;
 
 use crate::tmpi::{DisparityMap, Photo};
 
@@ -36,14 +39,4 @@ pub trait Estimator: Send + Sync {
     /// # Errors
     /// [`DepthError::Onnx`] where the network cannot run.
     fn estimate(&self, photo: &Photo) -> Result<DisparityMap, DepthError>;
-}
-
-/// Reads a user's depth map (8- or 16-bit grey PNG) at the photo's size `width × height`; a map of another size is resampled
-/// without mixing across edges. Unknown metric values (0) take the farther known neighbour in the row.
-///
-/// # Errors
-/// [`DepthError::Map`] says what is wrong with the file.
-pub fn from_png(bytes: &[u8], kind: DepthKind, width: u32, height: u32) -> Result<DisparityMap, DepthError> {
-    let _ = (bytes, kind, width, height);
-    Err(DepthError::Map("not read yet".into()))
 }
