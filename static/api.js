@@ -1,0 +1,80 @@
+// The server's HTTP interface, as far as the pages need it.
+
+/** What a failed response says for a person: the problem's detail (RFC 9457), or the status. */
+export async function problemOf(response) {
+  return problemText(response.status, response.statusText, await response.text().catch(() => ''));
+}
+
+function problemText(status, statusText, body) {
+  try {
+    const problem = JSON.parse(body);
+    const text = problem.detail || problem.title;
+    if (typeof text === 'string' && text) return text;
+  } catch {
+    // not JSON: the status has to do
+  }
+  return status ? `The server answered ${status} ${statusText}`.trim() : 'The server cannot be reached.';
+}
+
+async function request(url, options) {
+  let response;
+  try {
+    response = await fetch(url, options);
+  } catch {
+    throw new Error('The server cannot be reached.');
+  }
+  if (!response.ok) throw new Error(await problemOf(response));
+  return response;
+}
+
+export const photoUrl = (id, part = '') => `/v1/photos/${encodeURIComponent(id)}${part}`;
+
+/** All photos, newest first. */
+export async function listPhotos() {
+  const body = await (await request('/v1/photos')).json();
+  return body.photos;
+}
+
+/** State of one photo. */
+export async function getPhoto(id) {
+  return (await request(photoUrl(id))).json();
+}
+
+export async function deletePhoto(id) {
+  await request(photoUrl(id), { method: 'DELETE' });
+}
+
+/** The error of a refused upload; `retryAfter` in seconds where the server is only busy. */
+function refusal(xhr) {
+  const error = new Error(problemText(xhr.status, xhr.statusText, xhr.responseText));
+  const seconds = Number(xhr.getResponseHeader('retry-after'));
+  if ((xhr.status === 429 || xhr.status === 503) && seconds > 0) error.retryAfter = Math.ceil(seconds);
+  return error;
+}
+
+/**
+ * Uploads a file. `onProgress(fraction)` runs while bytes go out.
+ * @returns {{done: Promise<object>, abort: () => void}} `done` gives the photo's JSON
+ */
+export function uploadPhoto(file, onProgress) {
+  const xhr = new XMLHttpRequest();
+  const done = new Promise((resolve, reject) => {
+    xhr.upload.onprogress = (event) => event.lengthComputable && onProgress(event.loaded / event.total);
+    xhr.onload = () => {
+      if (xhr.status < 200 || xhr.status > 299) return reject(refusal(xhr));
+      try {
+        resolve(JSON.parse(xhr.responseText));
+      } catch {
+        reject(new Error('The server gave an answer that is no JSON.'));
+      }
+    };
+    xhr.onerror = () => reject(new Error('The server cannot be reached.'));
+    xhr.onabort = () => reject(new DOMException('Cancelled.', 'AbortError'));
+  });
+  const form = new FormData();
+  form.append('photo', file, file.name || 'photo');
+  xhr.open('POST', '/v1/photos');
+  xhr.setRequestHeader('Accept', 'application/json');
+  xhr.send(form);
+  return { done, abort: () => xhr.abort() };
+}

@@ -1,0 +1,184 @@
+// Cameras and poses: the arithmetic of src/tmpi/camera.rs, plus what framing a photo on a page needs.
+// x right, y down, z forward; lengths in units of the nearest distance; angles in degrees.
+
+export const HOME = Object.freeze({ tx: 0, ty: 0, tz: 0, yaw: 0, pitch: 0, roll: 0 });
+export const POSE_KEYS = Object.freeze(Object.keys(HOME));
+
+const RADIANS = Math.PI / 180;
+
+function multiply(a, b) {
+  const out = [];
+  for (let i = 0; i < 3; i++) {
+    for (let j = 0; j < 3; j++) out.push(a[i * 3] * b[j] + a[i * 3 + 1] * b[3 + j] + a[i * 3 + 2] * b[6 + j]);
+  }
+  return out;
+}
+
+/** `{r, t}` with `X_t = R X + t`; `r` row-major. */
+export function extrinsics(pose) {
+  const [sy, cy] = [Math.sin(pose.yaw * RADIANS), Math.cos(pose.yaw * RADIANS)];
+  const [sp, cp] = [Math.sin(pose.pitch * RADIANS), Math.cos(pose.pitch * RADIANS)];
+  const [sr, cr] = [Math.sin(pose.roll * RADIANS), Math.cos(pose.roll * RADIANS)];
+  const ry = [cy, 0, sy, 0, 1, 0, -sy, 0, cy];
+  const rx = [1, 0, 0, 0, cp, -sp, 0, sp, cp];
+  const rz = [cr, -sr, 0, sr, cr, 0, 0, 0, 1];
+  const c = multiply(multiply(ry, rx), rz);
+  const r = [c[0], c[3], c[6], c[1], c[4], c[7], c[2], c[5], c[8]];
+  const t = [0, 1, 2].map((i) => -(r[i * 3] * pose.tx + r[i * 3 + 1] * pose.ty + r[i * 3 + 2] * pose.tz));
+  return { r, t };
+}
+
+/** The same camera at another picture size: the horizontal field of view stays. */
+export function resized(k, from, to) {
+  const s = to.width / from.width;
+  return {
+    fx: k.fx * s,
+    fy: k.fy * s,
+    cx: to.width / 2 + (k.cx - from.width / 2) * s,
+    cy: to.height / 2 + (k.cy - from.height / 2) * s,
+  };
+}
+
+/** Intrinsics zoomed by `zoom` about the centre of a picture of `size`. */
+export function zoomed(k, size, zoom) {
+  const about = (c, centre) => centre + (c - centre) * zoom;
+  return { fx: k.fx * zoom, fy: k.fy * zoom, cx: about(k.cx, size.width / 2), cy: about(k.cy, size.height / 2) };
+}
+
+/** Horizontal field of view in degrees. */
+export function fovX(k, width) {
+  return (2 * Math.atan(width / 2 / k.fx)) / RADIANS;
+}
+
+/** `m` with `δ = mᵀ(x, y, 1)` in normalised image coordinates, of layer `i`. */
+export function normalOf(scene, i) {
+  const { layers, intrinsics: k } = scene;
+  const half = scene.tileSize / 2;
+  const bx = layers.b[i] / half;
+  const by = layers.c[i] / half;
+  const cx = layers.tileX[i] + half;
+  const cy = layers.tileY[i] + half;
+  return [bx * k.fx, by * k.fy, layers.a[i] + bx * (k.cx - cx) + by * (k.cy - cy)];
+}
+
+/**
+ * A camera at an offset that keeps looking at the middle of the scene: it turns against its own shift so that what lies at
+ * disparity `pivot` stays in place.
+ */
+export function lookingAt(pivot, tx, ty, tz) {
+  const depth = 1 - tz * pivot;
+  const yaw = -Math.atan2(tx * pivot, depth) / RADIANS;
+  const pitch = Math.atan2(ty * pivot, Math.hypot(depth, tx * pivot)) / RADIANS;
+  return { tx, ty, tz, yaw, pitch, roll: 0 };
+}
+
+/** Where a reference pixel of disparity `delta` falls: `[x, y]` in units of half the picture from its centre; null behind the camera. */
+function project(scene, e, x, y, delta) {
+  const { width, height, intrinsics: k } = scene;
+  const p = [(x - k.cx) / k.fx, (y - k.cy) / k.fy, 1];
+  const q = [0, 1, 2].map((i) => e.r[i * 3] * p[0] + e.r[i * 3 + 1] * p[1] + e.r[i * 3 + 2] * p[2] + e.t[i] * delta);
+  if (!(q[2] > 0)) return null;
+  return [((k.fx * q[0]) / q[2] + k.cx) / (width / 2) - 1, ((k.fy * q[1]) / q[2] + k.cy) / (height / 2) - 1];
+}
+
+/** Pivot where only the head of a scene is known. */
+const UNKNOWN_PIVOT = 0.35;
+/** Largest zoom that framing asks for: beyond it a little border may show at the extremes. */
+const MAX_ZOOM = 1.3;
+
+/**
+ * The least zoom at which no pose of the view box uncovers the photo's border, and the disparity that views turn about.
+ * @returns {{zoom: number, pivot: number}}
+ */
+export function framing(scene) {
+  const pivot = pivotOf(scene);
+  const { width, height, viewBox } = scene;
+  const border = borderSamples(scene);
+  let least = 1;
+  for (const sx of [-1, 0, 1]) {
+    for (const sy of [-1, 0, 1]) {
+      for (const sz of [-1, 1]) {
+        const e = extrinsics(lookingAt(pivot, sx * viewBox.x, sy * viewBox.y, sz * viewBox.z));
+        for (const { x, y, delta } of border) {
+          const q = project(scene, e, x, y, delta);
+          if (!q) continue;
+          if (x === 0) least = Math.min(least, -q[0]);
+          if (x === width) least = Math.min(least, q[0]);
+          if (y === 0) least = Math.min(least, -q[1]);
+          if (y === height) least = Math.min(least, q[1]);
+        }
+      }
+    }
+  }
+  return { zoom: Math.min(MAX_ZOOM, 1 / Math.max(least, 1 / MAX_ZOOM)), pivot };
+}
+
+/** Disparity at the middle of the picture's area. */
+function pivotOf(scene) {
+  const { layers, classes } = scene;
+  if (!layers) return UNKNOWN_PIVOT;
+  const BINS = 256;
+  const area = new Float64Array(BINS);
+  let total = 0;
+  for (let i = 0; i < layers.count; i++) {
+    let photo = 0;
+    const first = layers.firstTexel[i];
+    for (let k = first; k < first + layers.w[i] * layers.h[i]; k++) if (classes[k] === 1) photo++;
+    const delta = deltaAt(scene, i, layers.x[i] + layers.w[i] / 2, layers.y[i] + layers.h[i] / 2);
+    area[Math.min(BINS - 1, Math.max(0, Math.floor(delta * BINS)))] += photo;
+    total += photo;
+  }
+  if (total === 0) return UNKNOWN_PIVOT;
+  let sum = 0;
+  for (let bin = 0; bin < BINS; bin++) {
+    sum += area[bin];
+    if (sum >= total / 2) return (bin + 0.5) / BINS;
+  }
+  return 1;
+}
+
+/** δ of layer `i` at a reference pixel. */
+export function deltaAt({ layers, tileSize }, i, x, y) {
+  const half = tileSize / 2;
+  return layers.a[i] + (layers.b[i] * (x - layers.tileX[i] - half)) / half + (layers.c[i] * (y - layers.tileY[i] - half)) / half;
+}
+
+/** Points on the photo's border with the least and the largest disparity that layers have there. */
+function borderSamples(scene) {
+  const { layers, width, height } = scene;
+  const out = [];
+  if (!layers) {
+    for (const delta of [0, 1]) for (const x of [0, width]) for (const y of [0, height]) out.push({ x, y, delta });
+    return out;
+  }
+  for (let i = 0; i < layers.count; i++) {
+    const [x0, y0, x1, y1] = [layers.x[i], layers.y[i], layers.x[i] + layers.w[i], layers.y[i] + layers.h[i]];
+    const corners = [];
+    if (x0 === 0) corners.push([0, y0], [0, y1]);
+    if (x1 === width) corners.push([width, y0], [width, y1]);
+    if (y0 === 0) corners.push([x0, 0], [x1, 0]);
+    if (y1 === height) corners.push([x0, height], [x1, height]);
+    for (const [x, y] of corners) out.push({ x, y, delta: deltaAt(scene, i, x, y) });
+  }
+  return out;
+}
+
+/** A pose from `tx,ty,tz[,yaw,pitch,roll]`, or null where the text is none. */
+export function parsePose(text) {
+  const parts = text.split(',');
+  if (parts.length !== 3 && parts.length !== 6) return null;
+  const pose = { ...HOME };
+  for (let i = 0; i < parts.length; i++) {
+    const value = parts[i].trim() === '' ? NaN : Number(parts[i]);
+    if (!Number.isFinite(value)) return null;
+    pose[POSE_KEYS[i]] = value;
+  }
+  return pose;
+}
+
+/** The text form of a pose, four decimals. */
+export function formatPose(pose) {
+  const short = (v) => String(Math.round(v * 1e4) / 1e4 || 0);
+  const keys = pose.yaw || pose.pitch || pose.roll ? POSE_KEYS : POSE_KEYS.slice(0, 3);
+  return keys.map((key) => short(pose[key])).join(',');
+}

@@ -1,0 +1,370 @@
+// Container → scene (schema and layout in proto/tmpi.proto). Pure: no page, no network; pictures are decoded by the caller.
+import { broken, ContainerError, readMessage } from './protobuf.js';
+import { decompress } from './vendor/fzstd.js';
+
+export { ContainerError };
+
+/** Major version that this reader knows. */
+export const MAJOR = 1;
+/** Longest side and most pixels of a photo, as the server's limits. */
+export const MAX_SIDE = 16_384;
+export const MAX_PIXELS = 50_000_000;
+/** Most texels of all layers together: what fits in memory several times over. */
+export const MAX_TEXELS = 400_000_000;
+/** Step of the plane coefficients. */
+const PLANE_STEP = 1 / 16_384;
+const HEADER_BYTES = 12;
+/** A zstd block has at least 4 bytes and holds at most 128 KiB. */
+const ZSTD_LEAST_BLOCK = 4;
+const ZSTD_MOST_CONTENT = 131_072;
+const PLANE_COLUMNS = 8;
+
+export const Kind = { PHOTO: 1, PLANES: 2, CLASSES: 3, ALPHA: 4, HIDDEN: 5 };
+const KIND_NAMES = { 1: 'photo', 2: 'planes', 3: 'classes', 4: 'alpha', 5: 'hidden' };
+const Codec = { RAW: 0, ZSTD: 1 };
+/** Media types of the picture codecs. */
+const PICTURES = { 2: 'image/jpeg', 3: 'image/png', 4: 'image/webp' };
+
+/** What a texel is, as in the server's `Class`. */
+export const Class = { EMPTY: 0, PHOTO: 1, HIDDEN: 2 };
+
+const SECTION = {
+  1: ['kind', 'u32'],
+  2: ['codec', 'u32'],
+  3: ['offset', 'u64'],
+  4: ['length', 'u64'],
+  5: ['rawLength', 'u64'],
+};
+const INDEX = {
+  1: ['width', 'u32'],
+  2: ['height', 'u32'],
+  3: ['tileSize', 'u32'],
+  4: ['tileStride', 'u32'],
+  5: ['fx', 'double'],
+  6: ['fy', 'double'],
+  7: ['cx', 'double'],
+  8: ['cy', 'double'],
+  9: ['viewX', 'double'],
+  10: ['viewY', 'double'],
+  11: ['viewZ', 'double'],
+  12: ['layers', 'u32'],
+  13: ['texels', 'u64'],
+  14: ['hiddenBlocks', 'u32'],
+  15: ['hiddenColumns', 'u32'],
+  16: ['sections', SECTION],
+};
+
+/**
+ * Reads header and index.
+ * @param {Uint8Array} bytes the first bytes of a container
+ * @returns {{index: object, start: number} | null} null where more bytes are needed; `start` is where the sections begin
+ */
+export function readIndex(bytes) {
+  const magic = [0x54, 0x4d, 0x50, 0x49];
+  for (let i = 0; i < Math.min(4, bytes.length); i++) if (bytes[i] !== magic[i]) broken('it does not start with "TMPI"');
+  if (bytes.length < HEADER_BYTES) return null;
+  const view = new DataView(bytes.buffer, bytes.byteOffset);
+  const major = view.getUint16(4, true);
+  if (major > MAJOR) {
+    throw new ContainerError(`the container is of version ${major}; this program reads up to version ${MAJOR}`);
+  }
+  if (major === 0) broken('version 0');
+  const start = HEADER_BYTES + view.getUint32(8, true);
+  if (start > HEADER_BYTES + (1 << 20)) broken('index longer than 1 MiB');
+  if (bytes.length < start) return null;
+  const index = readMessage(bytes.subarray(HEADER_BYTES, start), INDEX);
+  checkIndex(index);
+  return { index, start };
+}
+
+function checkIndex(index) {
+  const { width, height, tileSize, tileStride } = index;
+  if (!width || !height || width > MAX_SIDE || height > MAX_SIDE || width * height > MAX_PIXELS) {
+    broken(`photo of ${width} × ${height} pixels`);
+  }
+  if (!tileSize || !tileStride || tileStride > tileSize) broken(`tiles of ${tileSize} pixels every ${tileStride}`);
+  for (const name of ['fx', 'fy', 'cx', 'cy', 'viewX', 'viewY', 'viewZ']) {
+    if (!Number.isFinite(index[name])) broken(`${name} is not a number`);
+  }
+  if (index.fx <= 0 || index.fy <= 0) broken('focal length');
+  if (index.viewX < 0 || index.viewY < 0 || index.viewZ < 0) broken('view box');
+  if (index.texels > MAX_TEXELS) broken(`${index.texels} texels`);
+  if (index.layers > index.texels) broken('more layers than texels');
+}
+
+/** The section of a kind, or undefined; two of one kind are an error. */
+function sectionOf(index, kind) {
+  const found = index.sections.filter((s) => s.kind === kind);
+  if (found.length > 1) broken(`two ${KIND_NAMES[kind]} sections`);
+  return found[0];
+}
+
+/** Count of bytes from the start of the container to the end of the section of `kind`. */
+export function endOfSection(head, kind) {
+  const section = sectionOf(head.index, kind);
+  return section ? head.start + section.offset + section.length : head.start;
+}
+
+/** Count of bytes of the whole container. */
+export function endOfAll(head) {
+  return head.index.sections.reduce((end, s) => Math.max(end, head.start + s.offset + s.length), head.start);
+}
+
+function payload(bytes, head, section) {
+  const from = head.start + section.offset;
+  const to = from + section.length;
+  if (!(to <= bytes.length)) broken(`the ${KIND_NAMES[section.kind]} section ends after the last byte`);
+  return bytes.subarray(from, to);
+}
+
+/** The picture file of a section: `{bytes, type}`. */
+export function picture(bytes, head, kind) {
+  const section = sectionOf(head.index, kind);
+  if (!section) broken(`no ${KIND_NAMES[kind]} section`);
+  const type = PICTURES[section.codec];
+  if (!type) broken(`the ${KIND_NAMES[kind]} section has codec ${section.codec}`);
+  return { bytes: payload(bytes, head, section), type };
+}
+
+/** The bytes of a section, decompressed; must come to `length`. */
+function unpacked(bytes, head, kind, length) {
+  const name = KIND_NAMES[kind];
+  const section = sectionOf(head.index, kind);
+  if (!section) {
+    if (length === 0) return new Uint8Array(0);
+    broken(`no ${name} section`);
+  }
+  if (section.rawLength !== length) broken(`the ${name} section has ${section.rawLength} bytes, not ${length}`);
+  const packed = payload(bytes, head, section);
+  if (section.codec === Codec.RAW) {
+    if (packed.length !== length) broken(`the ${name} section has ${packed.length} bytes, not ${length}`);
+    return packed;
+  }
+  if (section.codec !== Codec.ZSTD) broken(`the ${name} section has codec ${section.codec}`);
+  return unzstd(packed, length, name);
+}
+
+function unzstd(packed, length, name) {
+  const declared = frameContentSize(packed, name);
+  if (declared !== null && declared !== length) broken(`the ${name} section unpacks to ${declared} bytes, not ${length}`);
+  if (length === 0) return new Uint8Array(0);
+  if (length > (packed.length / ZSTD_LEAST_BLOCK) * ZSTD_MOST_CONTENT) broken(`the ${name} section cannot unpack to ${length} bytes`);
+  // a buffer given bounds the output whatever the stream says
+  const out = new Uint8Array(length);
+  try {
+    decompress(packed, out);
+  } catch (error) {
+    broken(`the ${name} section: ${error.message}`);
+  }
+  return out;
+}
+
+/** Length that a zstd frame declares for its content, or null where it declares none. */
+function frameContentSize(bytes, name) {
+  if (bytes.length < 6 || bytes[0] !== 0x28 || bytes[1] !== 0xb5 || bytes[2] !== 0x2f || bytes[3] !== 0xfd) {
+    broken(`the ${name} section is no zstd frame`);
+  }
+  const flags = bytes[4];
+  const single = (flags >> 5) & 1;
+  const size = flags >> 6 ? 1 << (flags >> 6) : single;
+  if (size === 0) return null;
+  const at = 5 + (single ? 0 : 1) + [0, 1, 2, 4][flags & 3];
+  if (at + size > bytes.length) broken(`the ${name} section is cut off`);
+  let value = 0;
+  for (let i = size - 1; i >= 0; i--) value = value * 256 + bytes[at + i];
+  return size === 2 ? value + 256 : value;
+}
+
+/** What the index alone says of a scene. */
+export function sceneHead(index) {
+  return {
+    width: index.width,
+    height: index.height,
+    tileSize: index.tileSize,
+    tileStride: index.tileStride,
+    intrinsics: { fx: index.fx, fy: index.fy, cx: index.cx, cy: index.cy },
+    viewBox: { x: index.viewX, y: index.viewY, z: index.viewZ },
+  };
+}
+
+/**
+ * Decodes a whole container.
+ * @param {Uint8Array} bytes
+ * @param {(picture: {bytes: Uint8Array, type: string}) => Promise<{width: number, height: number, data: Uint8ClampedArray}>} decodePicture
+ *   straight RGBA of a picture file
+ * @param {object} [photo] the photo where the caller has decoded it already
+ * @returns {Promise<Scene>}
+ */
+export async function decode(bytes, decodePicture, photo) {
+  const head = readIndex(bytes);
+  if (!head) broken('cut off');
+  const { index } = head;
+  const scene = sceneHead(index);
+  scene.layers = readLayers(unpacked(bytes, head, Kind.PLANES, index.layers * PLANE_COLUMNS * 2), index);
+  const classes = unpacked(bytes, head, Kind.CLASSES, index.texels);
+  const alphaSection = sectionOf(index, Kind.ALPHA);
+  const soft = unpacked(bytes, head, Kind.ALPHA, alphaSection ? alphaBytes(alphaSection, index) : 0);
+  Object.assign(scene, readTexels(classes, soft));
+  const hiddenPicture = index.hiddenBlocks ? await decodePicture(picture(bytes, head, Kind.HIDDEN)) : null;
+  scene.hidden = readHidden(scene, index, hiddenPicture);
+  scene.photo = photo ?? (await decodePicture(picture(bytes, head, Kind.PHOTO)));
+  if (scene.photo.width !== index.width || scene.photo.height !== index.height) {
+    broken(`the photo is ${scene.photo.width} × ${scene.photo.height} pixels, not ${index.width} × ${index.height}`);
+  }
+  return scene;
+}
+
+function alphaBytes(section, index) {
+  if (section.rawLength > index.texels) broken('more alpha values than texels');
+  return section.rawLength;
+}
+
+/** Count of tiles over `length` pixels. */
+export function tileCount(length, size, stride) {
+  return length <= size ? 1 : Math.ceil((length - size) / stride) + 1;
+}
+
+function readLayers(bytes, index) {
+  const n = index.layers;
+  const { width, height, tileSize, tileStride } = index;
+  const u16 = (column, i) => bytes[column * 2 * n + i] | (bytes[column * 2 * n + n + i] << 8);
+  const i16 = (column, i) => (u16(column, i) << 16) >> 16;
+  const columns = tileCount(width, tileSize, tileStride);
+  const tiles = columns * tileCount(height, tileSize, tileStride);
+  const layers = {
+    count: n,
+    /** Upper left pixel of the layer's tile. */
+    tileX: new Uint32Array(n),
+    tileY: new Uint32Array(n),
+    /** δ = a + b u + c v. */
+    a: new Float64Array(n),
+    b: new Float64Array(n),
+    c: new Float64Array(n),
+    /** Rectangle in photo pixels. */
+    x: new Uint32Array(n),
+    y: new Uint32Array(n),
+    w: new Uint32Array(n),
+    h: new Uint32Array(n),
+    firstTexel: new Uint32Array(n),
+    firstHidden: new Uint32Array(n),
+  };
+  let tile = 0;
+  let texel = 0;
+  for (let i = 0; i < n; i++) {
+    tile += u16(0, i);
+    if (tile >= tiles) broken(`layer ${i} lies in tile ${tile} of ${tiles}`);
+    const tx = (tile % columns) * tileStride;
+    const ty = Math.floor(tile / columns) * tileStride;
+    const [x, y, w, h] = [u16(4, i), u16(5, i), u16(6, i), u16(7, i)];
+    if (!w || !h || x + w > Math.min(tileSize, width - tx) || y + h > Math.min(tileSize, height - ty)) {
+      broken(`the rectangle of layer ${i} leaves its tile`);
+    }
+    layers.tileX[i] = tx;
+    layers.tileY[i] = ty;
+    layers.a[i] = i16(1, i) * PLANE_STEP;
+    layers.b[i] = i16(2, i) * PLANE_STEP;
+    layers.c[i] = i16(3, i) * PLANE_STEP;
+    layers.x[i] = tx + x;
+    layers.y[i] = ty + y;
+    layers.w[i] = w;
+    layers.h[i] = h;
+    layers.firstTexel[i] = texel;
+    texel += w * h;
+    if (texel > index.texels) broken(`the layers have more than ${index.texels} texels`);
+  }
+  if (texel !== index.texels) broken(`the layers have ${texel} texels, not ${index.texels}`);
+  return layers;
+}
+
+function readTexels(coded, soft) {
+  const classes = new Uint8Array(coded.length);
+  const alpha = new Uint8Array(coded.length);
+  let next = 0;
+  for (let i = 0; i < coded.length; i++) {
+    const code = coded[i];
+    if (code === 0) continue;
+    if (code > 4) broken(`texel ${i} has class ${code}`);
+    classes[i] = code > 2 ? code - 2 : code;
+    if (code < 3) {
+      alpha[i] = 255;
+      continue;
+    }
+    const value = soft[next++];
+    if (!(value >= 1 && value <= 254)) broken(`soft texel ${next - 1} has no alpha between 1 and 254`);
+    alpha[i] = value;
+  }
+  if (next !== soft.length) broken(`${soft.length} alpha values for ${next} soft texels`);
+  return { classes, alpha };
+}
+
+/** RGB of the hidden texels, in the order in which they come; fills `layers.firstHidden`. */
+function readHidden(scene, index, image) {
+  const { layers, classes } = scene;
+  let count = 0;
+  for (let i = 0; i < classes.length; i++) if (classes[i] === Class.HIDDEN) count++;
+  const out = new Uint8Array(count * 3);
+  if (image) {
+    const rows = index.hiddenColumns ? Math.ceil(index.hiddenBlocks / index.hiddenColumns) : 0;
+    if (!rows || image.width < Math.min(index.hiddenColumns, index.hiddenBlocks) * 8 || image.height < rows * 8) {
+      broken(`${index.hiddenBlocks} blocks do not fit a hidden picture of ${image.width} × ${image.height} pixels`);
+    }
+  }
+  let block = 0;
+  let at = 0;
+  for (let i = 0; i < layers.count; i++) {
+    layers.firstHidden[i] = at / 3;
+    const blocks = hiddenCells(scene, i, block);
+    block = blocks.next;
+    if (block > index.hiddenBlocks) broken(`more hidden cells than ${index.hiddenBlocks}`);
+    if (blocks.place) at = copyHidden(scene, i, blocks, index.hiddenColumns, image, out, at);
+  }
+  if (block !== index.hiddenBlocks) broken(`${block} hidden cells, not ${index.hiddenBlocks}`);
+  return out;
+}
+
+/** Numbers the 8×8 cells of layer `i` that hold a hidden texel, from block `first`. */
+function hiddenCells({ layers, classes }, i, first) {
+  const { x, y, w, h, firstTexel } = layers;
+  const columns = ((x[i] + w[i] - 1) >> 3) - (x[i] >> 3) + 1;
+  const rows = ((y[i] + h[i] - 1) >> 3) - (y[i] >> 3) + 1;
+  let place = null;
+  let at = firstTexel[i];
+  for (let v = y[i]; v < y[i] + h[i]; v++) {
+    const row = ((v >> 3) - (y[i] >> 3)) * columns - (x[i] >> 3);
+    for (let u = x[i]; u < x[i] + w[i]; u++) {
+      if (classes[at++] !== Class.HIDDEN) continue;
+      place ??= new Int32Array(columns * rows).fill(-1);
+      place[row + (u >> 3)] = 0;
+    }
+  }
+  let next = first;
+  if (place) for (let k = 0; k < place.length; k++) if (place[k] === 0) place[k] = next++;
+  return { place, columns, next };
+}
+
+function copyHidden({ layers, classes }, i, { place, columns }, blockColumns, image, out, at) {
+  const { x, y, w, h, firstTexel } = layers;
+  let texel = firstTexel[i];
+  for (let v = y[i]; v < y[i] + h[i]; v++) {
+    const row = ((v >> 3) - (y[i] >> 3)) * columns - (x[i] >> 3);
+    for (let u = x[i]; u < x[i] + w[i]; u++) {
+      if (classes[texel++] !== Class.HIDDEN) continue;
+      const block = place[row + (u >> 3)];
+      const px = (block % blockColumns) * 8 + (u & 7);
+      const py = Math.floor(block / blockColumns) * 8 + (v & 7);
+      const from = (py * image.width + px) * 4;
+      out[at++] = image.data[from];
+      out[at++] = image.data[from + 1];
+      out[at++] = image.data[from + 2];
+    }
+  }
+  return at;
+}
+
+/** Buffers of a scene that can be handed to another thread without a copy. */
+export function transferables(scene) {
+  const { layers } = scene;
+  const arrays = [scene.classes, scene.alpha, scene.hidden, scene.photo.data];
+  for (const value of Object.values(layers)) if (ArrayBuffer.isView(value)) arrays.push(value);
+  return [...new Set(arrays.map((a) => a.buffer))];
+}

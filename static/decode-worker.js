@@ -1,0 +1,102 @@
+// Fetches and decodes a container off the page's thread.
+// In: {url, photoOnly}: with photoOnly it stops once the photo is there. Out: {type: 'progress', received, total}, {type: 'head', …}, {type: 'photo', blob}, {type: 'scene', scene}, {type: 'error', message}.
+import { decode, endOfAll, endOfSection, Kind, picture, readIndex, sceneHead, transferables } from './container.js';
+import { problemOf } from './api.js';
+
+/** Most bytes of a container. */
+const MAX_BYTES = 512 * 1024 * 1024;
+const POST_EVERY_MS = 100;
+
+async function decodePicture({ bytes, type }) {
+  const bitmap = await createImageBitmap(new Blob([bytes], { type }), {
+    premultiplyAlpha: 'none',
+    colorSpaceConversion: 'none',
+    imageOrientation: 'none',
+  });
+  const { width, height } = bitmap;
+  const context = new OffscreenCanvas(width, height).getContext('2d', { willReadFrequently: true });
+  context.drawImage(bitmap, 0, 0);
+  bitmap.close();
+  const { data } = context.getImageData(0, 0, width, height);
+  return { width, height, data };
+}
+
+/** A byte buffer that grows as the download goes on. */
+class Download {
+  constructor(expected) {
+    this.buffer = new Uint8Array(expected || 1 << 20);
+    this.length = 0;
+  }
+
+  push(chunk) {
+    const need = this.length + chunk.length;
+    if (need > MAX_BYTES) throw new Error(`the file is larger than ${MAX_BYTES / 1024 / 1024} MiB`);
+    if (need > this.buffer.length) {
+      const grown = new Uint8Array(Math.max(need, this.buffer.length * 2));
+      grown.set(this.bytes);
+      this.buffer = grown;
+    }
+    this.buffer.set(chunk, this.length);
+    this.length = need;
+  }
+
+  get bytes() {
+    return this.buffer.subarray(0, this.length);
+  }
+}
+
+async function load({ url, photoOnly }) {
+  const response = await fetch(url);
+  if (!response.ok) throw new Error(await problemOf(response));
+  // with a content coding the header counts packed bytes
+  const total = response.headers.get('content-encoding') ? 0 : Number(response.headers.get('content-length')) || 0;
+  const download = new Download(Math.min(total, MAX_BYTES));
+  const reader = response.body.getReader();
+  let head = null;
+  let photo = null;
+  let posted = 0;
+  for (;;) {
+    const { done, value } = await reader.read();
+    if (done) break;
+    download.push(value);
+    if (!head) {
+      head = readIndex(download.bytes);
+      if (head) postMessage({ type: 'head', head: { ...sceneHead(head.index), total: endOfAll(head) } });
+    }
+    if (head && !photo && download.length >= endOfSection(head, Kind.PHOTO)) {
+      photo = showPhoto(download.bytes, head, photoOnly);
+      if (photoOnly) return reader.cancel();
+    }
+    const now = performance.now();
+    if (now - posted > POST_EVERY_MS) {
+      posted = now;
+      postMessage({ type: 'progress', received: download.length, total });
+    }
+  }
+  postMessage({ type: 'progress', received: download.length, total: download.length });
+  const started = performance.now();
+  const scene = await decode(download.bytes, decodePicture, photo ? await photo : undefined);
+  scene.decodeMs = performance.now() - started;
+  postMessage({ type: 'scene', scene }, transferables(scene));
+}
+
+/** Posts the photo's file for the page to show at once, and starts to decode it. */
+function showPhoto(bytes, head, photoOnly) {
+  const file = picture(bytes, head, Kind.PHOTO);
+  // the download's buffer may be replaced while the picture is decoded
+  const blob = new Blob([file.bytes], { type: file.type });
+  postMessage({ type: 'photo', blob });
+  if (photoOnly) return null;
+  const decoded = decodePicture({ bytes: blob, type: file.type });
+  // reported when it is awaited
+  decoded.catch(() => {});
+  return decoded;
+}
+
+self.onmessage = async ({ data }) => {
+  try {
+    await load(data);
+  } catch (error) {
+    postMessage({ type: 'error', message: error.message });
+  }
+};

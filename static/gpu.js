@@ -1,0 +1,249 @@
+// Draws a decoded scene with WebGPU by tmpi.wgsl, the shader that the server's gpu host uses too; its header is the contract.
+import { deltaAt, extrinsics } from './camera.js';
+import { pack, expandBand } from './pages.js';
+
+const UNIFORM_BYTES = 112;
+const INSTANCE_BYTES = 48;
+const VERTICES = 18;
+/** Disparity 1/NEAR is the nearest that is drawn. */
+const NEAR = 1e-3;
+const DEPTH_FORMAT = 'depth32float';
+/** Time that building may hold the page before it lets others run. */
+const SLICE_MS = 12;
+
+let shaderText = null;
+
+function loadShader() {
+  shaderText ??= fetch(new URL('./tmpi.wgsl', import.meta.url)).then((response) => {
+    if (!response.ok) throw new Error('the shader cannot be loaded');
+    return response.text();
+  });
+  shaderText.catch(() => (shaderText = null));
+  return shaderText;
+}
+
+/** The graphics adapter, or null where the browser has none. */
+export async function findAdapter() {
+  try {
+    return (await navigator.gpu?.requestAdapter({ powerPreference: 'high-performance' })) ?? null;
+  } catch {
+    return null;
+  }
+}
+
+/** A scene on a graphics device. Build with `GpuRenderer.create`. */
+export class GpuRenderer {
+  /**
+   * @param {GPUAdapter} adapter
+   * @param {Scene} scene
+   * @param {(info: GPUDeviceLostInfo) => void} onLost called once where the device goes away by itself
+   * @throws where the scene does not fit the device
+   */
+  static async create(adapter, scene, onLost) {
+    const side = adapter.limits.maxTextureDimension2D;
+    const device = await adapter.requestDevice({ requiredLimits: { maxTextureDimension2D: side } });
+    const renderer = new GpuRenderer(device, scene, onLost);
+    try {
+      await renderer.#build();
+    } catch (error) {
+      renderer.dispose();
+      throw error;
+    }
+    return renderer;
+  }
+
+  constructor(device, scene, onLost) {
+    this.device = device;
+    this.scene = scene;
+    this.format = navigator.gpu.getPreferredCanvasFormat();
+    this.disposed = false;
+    this.depth = null;
+    device.lost.then((info) => {
+      if (!this.disposed) onLost(info);
+    });
+  }
+
+  async #build() {
+    const { device } = this;
+    device.pushErrorScope('validation');
+    device.pushErrorScope('out-of-memory');
+    const module = device.createShaderModule({ code: await loadShader() });
+    const bindings = device.createBindGroupLayout({
+      entries: [
+        { binding: 0, visibility: GPUShaderStage.VERTEX, buffer: { type: 'uniform' } },
+        { binding: 1, visibility: GPUShaderStage.FRAGMENT, texture: { sampleType: 'float', viewDimension: '2d-array' } },
+        { binding: 2, visibility: GPUShaderStage.FRAGMENT, sampler: { type: 'filtering' } },
+      ],
+    });
+    const layout = device.createPipelineLayout({ bindGroupLayouts: [bindings] });
+    const over = { srcFactor: 'one', dstFactor: 'one-minus-src-alpha', operation: 'add' };
+    const pipeline = (entryPoint, depthWriteEnabled, blend) =>
+      device.createRenderPipelineAsync({
+        layout,
+        vertex: { module, entryPoint: 'vs', buffers: [instanceLayout()] },
+        fragment: { module, entryPoint, targets: [{ format: this.format, blend }] },
+        primitive: { topology: 'triangle-list', cullMode: 'none' },
+        depthStencil: { format: DEPTH_FORMAT, depthWriteEnabled, depthCompare: 'greater-equal' },
+      });
+    [this.opaque, this.soft] = await Promise.all([
+      pipeline('fs_opaque', true, undefined),
+      pipeline('fs_soft', false, { color: over, alpha: over }),
+    ]);
+    this.uniforms = device.createBuffer({ size: UNIFORM_BYTES, usage: GPUBufferUsage.UNIFORM | GPUBufferUsage.COPY_DST });
+    const places = pack(this.scene, device.limits.maxTextureDimension2D, device.limits.maxTextureArrayLayers);
+    await this.#upload(places);
+    this.#instances(places);
+    this.bindings = device.createBindGroup({
+      layout: bindings,
+      entries: [
+        { binding: 0, resource: { buffer: this.uniforms } },
+        { binding: 1, resource: this.atlas.createView({ dimension: '2d-array' }) },
+        { binding: 2, resource: device.createSampler({ magFilter: 'linear', minFilter: 'linear' }) },
+      ],
+    });
+    const memory = await device.popErrorScope();
+    const validation = await device.popErrorScope();
+    if (memory ?? validation) throw new Error((memory ?? validation).message);
+  }
+
+  async #upload({ width, height, pages, bands }) {
+    const { device, scene } = this;
+    this.atlas = device.createTexture({
+      size: [width, height, pages],
+      format: 'rgba8unorm',
+      usage: GPUTextureUsage.TEXTURE_BINDING | GPUTextureUsage.COPY_DST,
+    });
+    let slice = performance.now();
+    for (const band of bands) {
+      const data = expandBand(scene, band, width);
+      const bytesPerRow = width * 4;
+      device.queue.writeTexture({ texture: this.atlas, origin: [0, band.y, band.page] }, data, { bytesPerRow }, [width, band.h, 1]);
+      if (performance.now() - slice > SLICE_MS) {
+        await new Promise((resume) => setTimeout(resume));
+        slice = performance.now();
+      }
+    }
+    this.atlasBytes = width * height * pages * 4;
+  }
+
+  /** Pass 1 takes all layers in order; pass 2 those with a soft edge, back to front by disparity at the rectangle's centre. */
+  #instances({ page, atlasX, atlasY }) {
+    const { layers, alpha, tileSize } = this.scene;
+    const softs = [];
+    const mean = new Float64Array(layers.count);
+    for (let i = 0; i < layers.count; i++) {
+      mean[i] = deltaAt(this.scene, i, layers.x[i] + layers.w[i] / 2, layers.y[i] + layers.h[i] / 2);
+      const first = layers.firstTexel[i];
+      if (alpha.subarray(first, first + layers.w[i] * layers.h[i]).some((value) => value < 255)) softs.push(i);
+    }
+    softs.sort((i, j) => mean[i] - mean[j] || i - j);
+    const data = new Float32Array(((layers.count + softs.length) * INSTANCE_BYTES) / 4);
+    const half = tileSize / 2;
+    const put = (slot, i) => {
+      const centre = [layers.tileX[i] + half, layers.tileY[i] + half];
+      const plane = [layers.a[i], layers.b[i], layers.c[i], page[i]];
+      data.set([...plane, ...centre, layers.x[i], layers.y[i], layers.w[i], layers.h[i], atlasX[i], atlasY[i]], slot * 12);
+    };
+    for (let i = 0; i < layers.count; i++) put(i, i);
+    softs.forEach((i, k) => put(layers.count + k, i));
+    this.counts = { opaque: layers.count, soft: softs.length };
+    const size = Math.max(data.byteLength, INSTANCE_BYTES);
+    this.instances = this.device.createBuffer({ size, usage: GPUBufferUsage.VERTEX | GPUBufferUsage.COPY_DST });
+    this.device.queue.writeBuffer(this.instances, 0, data);
+  }
+
+  /** Makes `canvas` show what `draw` draws. */
+  attach(canvas) {
+    const context = canvas.getContext('webgpu');
+    if (!context) throw new Error('the canvas has no WebGPU context');
+    context.configure({ device: this.device, format: this.format, alphaMode: 'opaque' });
+    this.context = context;
+  }
+
+  /** Draws to the attached canvas for target intrinsics `k`, at the canvas's own size. */
+  draw(pose, k) {
+    const texture = this.context.getCurrentTexture();
+    this.#pass(texture, pose, k);
+  }
+
+  #pass(texture, pose, k, after) {
+    const { device } = this;
+    const { width, height } = texture;
+    if (this.depth?.width !== width || this.depth?.height !== height) {
+      this.depth?.destroy();
+      this.depth = device.createTexture({ size: [width, height], format: DEPTH_FORMAT, usage: GPUTextureUsage.RENDER_ATTACHMENT });
+    }
+    device.queue.writeBuffer(this.uniforms, 0, viewUniform(this.scene, pose, k, width, height));
+    const encoder = device.createCommandEncoder();
+    const pass = encoder.beginRenderPass({
+      colorAttachments: [{ view: texture.createView(), clearValue: [0, 0, 0, 0], loadOp: 'clear', storeOp: 'store' }],
+      depthStencilAttachment: { view: this.depth.createView(), depthClearValue: 0, depthLoadOp: 'clear', depthStoreOp: 'discard' },
+    });
+    pass.setBindGroup(0, this.bindings);
+    if (this.counts.opaque) {
+      pass.setPipeline(this.opaque);
+      pass.setVertexBuffer(0, this.instances);
+      pass.draw(VERTICES, this.counts.opaque);
+    }
+    if (this.counts.soft) {
+      pass.setPipeline(this.soft);
+      pass.setVertexBuffer(0, this.instances, this.counts.opaque * INSTANCE_BYTES);
+      pass.draw(VERTICES, this.counts.soft);
+    }
+    pass.end();
+    after?.(encoder);
+    device.queue.submit([encoder.finish()]);
+  }
+
+  /** Draws apart from the canvas and reads the picture back: premultiplied RGBA, row by row. */
+  async readPixels(pose, k, width, height) {
+    const { device } = this;
+    const texture = device.createTexture({
+      size: [width, height],
+      format: this.format,
+      usage: GPUTextureUsage.RENDER_ATTACHMENT | GPUTextureUsage.COPY_SRC,
+    });
+    // rows of a copy start at multiples of 256 bytes
+    const bytesPerRow = Math.ceil((width * 4) / 256) * 256;
+    const buffer = device.createBuffer({ size: bytesPerRow * height, usage: GPUBufferUsage.COPY_DST | GPUBufferUsage.MAP_READ });
+    try {
+      this.#pass(texture, pose, k, (encoder) => encoder.copyTextureToBuffer({ texture }, { buffer, bytesPerRow }, [width, height]));
+      await buffer.mapAsync(GPUMapMode.READ);
+      return tightRows(new Uint8Array(buffer.getMappedRange()), width, height, bytesPerRow, this.format.startsWith('bgra'));
+    } finally {
+      texture.destroy();
+      buffer.destroy();
+    }
+  }
+
+  /** Resolves once everything submitted so far is drawn. */
+  idle() {
+    return this.device.queue.onSubmittedWorkDone();
+  }
+
+  dispose() {
+    this.disposed = true;
+    this.context?.unconfigure();
+    this.device.destroy();
+  }
+}
+
+function instanceLayout() {
+  const attribute = (shaderLocation) => ({ shaderLocation, offset: shaderLocation * 16, format: 'float32x4' });
+  return { arrayStride: INSTANCE_BYTES, stepMode: 'instance', attributes: [0, 1, 2].map(attribute) };
+}
+
+function viewUniform({ intrinsics, tileSize }, pose, k, width, height) {
+  const { r, t } = extrinsics(pose);
+  const column = (j) => [r[j], r[3 + j], r[6 + j], 0];
+  const camera = (c) => [c.fx, c.fy, c.cx, c.cy];
+  const rest = [...t, NEAR, ...camera(intrinsics), ...camera(k), width, height, tileSize / 2, 0];
+  return new Float32Array([...column(0), ...column(1), ...column(2), ...rest]);
+}
+
+function tightRows(padded, width, height, bytesPerRow, swap) {
+  const out = new Uint8ClampedArray(width * height * 4);
+  for (let y = 0; y < height; y++) out.set(padded.subarray(y * bytesPerRow, y * bytesPerRow + width * 4), y * width * 4);
+  if (swap) for (let i = 0; i < out.length; i += 4) [out[i], out[i + 2]] = [out[i + 2], out[i]];
+  return out;
+}

@@ -1,0 +1,143 @@
+// The page of one photo.
+import { getPhoto, photoUrl } from './api.js';
+import { formatPose, parsePose } from './camera.js';
+import { formatBytes, photoName } from './text.js';
+import { Viewer } from './viewer.js';
+
+const TOAST_MS = 2500;
+const HASH_KEY = 'pose';
+
+const $ = (id) => document.getElementById(id);
+const id = decodeURIComponent(location.pathname.split('/').filter(Boolean).pop() ?? '');
+const state = { bytes: 0, ms: null, toast: 0 };
+
+/** Where the address asks the camera to start: offsets in units of the view box. */
+function offsetOfHash() {
+  const pose = parsePose(new URLSearchParams(location.hash.slice(1)).get(HASH_KEY) ?? '');
+  return pose && { x: pose.tx, y: pose.ty, z: pose.tz };
+}
+
+function shareAddress() {
+  const { x, y, z } = viewer.motion.now;
+  const url = new URL(location.href);
+  const pose = formatPose({ tx: x, ty: y, tz: z });
+  url.hash = pose === '0,0,0' ? '' : `${HASH_KEY}=${pose}`;
+  return url.href;
+}
+
+function toast(text) {
+  $('toast').textContent = text;
+  $('toast').classList.add('on');
+  clearTimeout(state.toast);
+  state.toast = setTimeout(() => $('toast').classList.remove('on'), TOAST_MS);
+}
+
+function readout() {
+  const parts = [];
+  if (state.bytes) parts.push(formatBytes(state.bytes));
+  if (state.ms !== null) parts.push(`${state.ms < 9.95 ? state.ms.toFixed(1) : Math.round(state.ms)} ms`);
+  $('readout').textContent = parts.join(' · ');
+}
+
+function fail(message) {
+  $('loading').hidden = true;
+  $('failure-text').textContent = message;
+  $('failure').hidden = false;
+}
+
+async function share() {
+  const url = shareAddress();
+  if (navigator.share && matchMedia('(pointer: coarse)').matches) {
+    try {
+      await navigator.share({ title: document.title, url });
+      return;
+    } catch (error) {
+      if (error.name === 'AbortError') return;
+    }
+  }
+  try {
+    await navigator.clipboard.writeText(url);
+    toast('Link to this view copied');
+  } catch {
+    // no clipboard on a page without TLS
+    $('link').value = url;
+    $('link-dialog').showModal();
+    $('link').select();
+  }
+}
+
+async function toggleFullscreen() {
+  try {
+    if (document.fullscreenElement) await document.exitFullscreen();
+    else await $('frame').requestFullscreen();
+  } catch {
+    toast('This browser does not allow full screen');
+  }
+}
+
+function showIdle(on) {
+  $('idle').setAttribute('aria-pressed', String(on));
+}
+
+const stage = $('stage');
+const viewer = new Viewer(stage, { atlas: photoUrl(id, '/atlas'), view: photoUrl(id, '/view'), offset: offsetOfHash() });
+showIdle(viewer.idle);
+
+viewer.addEventListener('progress', ({ detail }) => {
+  state.bytes = detail.total || detail.received;
+  if (detail.total) {
+    $('bar').max = detail.total;
+    $('bar').value = detail.received;
+  }
+  $('loading-text').textContent = detail.total ? `${formatBytes(detail.received)} of ${formatBytes(detail.total)}` : formatBytes(detail.received);
+  readout();
+});
+viewer.addEventListener('ready', ({ detail }) => {
+  $('loading').hidden = true;
+  stage.dataset.mode = detail.mode;
+});
+viewer.addEventListener('mode', ({ detail }) => {
+  stage.dataset.mode = detail.mode;
+  $('served-note').hidden = detail.mode !== 'served';
+  if (detail.mode !== 'served') return;
+  state.ms = null;
+  $('served-note').textContent = `The server draws this view. ${detail.reason}`;
+  readout();
+});
+viewer.addEventListener('frame', ({ detail }) => {
+  state.ms = detail.ms;
+  readout();
+});
+viewer.addEventListener('idle', ({ detail }) => showIdle(detail.on));
+viewer.addEventListener('error', ({ detail }) => {
+  if (viewer.mode === 'served') toast(detail.message);
+  else fail(detail.message);
+});
+
+$('reset').addEventListener('click', () => viewer.reset());
+$('idle').addEventListener('click', () => viewer.setIdle(!viewer.idle));
+$('share').addEventListener('click', share);
+$('retry').addEventListener('click', () => location.reload());
+$('download').href = photoUrl(id, '/atlas');
+$('fullscreen').hidden = !document.fullscreenEnabled;
+$('fullscreen').addEventListener('click', toggleFullscreen);
+document.addEventListener('fullscreenchange', () => $('fullscreen').setAttribute('aria-pressed', String(Boolean(document.fullscreenElement))));
+addEventListener('hashchange', () => {
+  const offset = offsetOfHash();
+  if (offset) viewer.moveTo(offset);
+});
+
+getPhoto(id)
+  .then((photo) => {
+    const name = photoName(photo);
+    $('title').textContent = name;
+    document.title = `${name} – tmpi`;
+    $('download').download = `${name.replace(/[^\p{L}\p{N}._-]+/gu, '-')}.tmpi`;
+  })
+  .catch(() => {
+    // the viewer says what is wrong with the photo
+    $('download').download = `${id}.tmpi`;
+  });
+
+// for tests, and for people at the console
+window.viewer = viewer;

@@ -1,0 +1,335 @@
+// The viewer: shows a photo at once, then the scene in three dimensions, and moves the camera.
+//
+//   const viewer = new Viewer(element, { atlas: '/v1/photos/ID/atlas', view: '/v1/photos/ID/view' });
+//   viewer.addEventListener('ready', …)
+//
+// Events (detail): `progress` {received, total} · `photo` · `ready` {mode} · `mode` {mode, reason} · `idle` {on} · `pose` ·
+// `frame` {ms} · `error` {message}. `mode` is `gpu` where the browser draws and `served` where the server does.
+import { fovX, framing, HOME, lookingAt, POSE_KEYS, resized, zoomed } from './camera.js';
+import { findAdapter, GpuRenderer } from './gpu.js';
+import { listen, Motion } from './motion.js';
+import { quantised, ServedViews } from './served.js';
+
+/** Device pixels per CSS pixel that are drawn at most. */
+const MAX_PIXEL_RATIO = 2;
+/** Largest area of the canvas, pixels. */
+const MAX_PIXELS = 6_000_000;
+/** Weight of the newest frame in the frame time shown. */
+const FRAME_WEIGHT = 0.15;
+/** Time in which the view zooms in from the whole photo to where no border shows. */
+const ZOOM_IN_S = 1.2;
+
+export class Viewer extends EventTarget {
+  #worker = null;
+  #frameRequest = 0;
+  #lastFrame = 0;
+  #losses = 0;
+  #measuring = false;
+  #zoomed = 0;
+  #exact = null;
+  #disposed = false;
+  #stopListening;
+  #resizes;
+  #reduced = matchMedia('(prefers-reduced-motion: reduce)');
+
+  /**
+   * @param {HTMLElement} root focusable element that takes the input and holds the pictures
+   * @param {{atlas: string, view: string, offset?: {x: number, y: number, z: number}}} options addresses of the container and of
+   *   the views that the server draws; where the camera starts, in units of the view box
+   */
+  constructor(root, options) {
+    super();
+    this.root = root;
+    this.options = options;
+    this.mode = 'loading';
+    this.scene = null;
+    this.head = null;
+    this.renderer = null;
+    this.served = null;
+    this.frameMs = null;
+    this.motion = new Motion();
+    this.motion.setIdle(!this.#reduced.matches);
+    if (options.offset) this.motion.jump(options.offset);
+    this.poster = this.#add('img', 'tmpi-poster');
+    this.poster.alt = '';
+    this.#stopListening = listen(root, this.motion, {
+      wake: () => {
+        this.#exact = null;
+        this.#wake();
+        this.#emit('pose');
+      },
+      toggleIdle: () => this.setIdle(!this.idle),
+    });
+    this.#resizes = new ResizeObserver(() => this.#layout());
+    this.#resizes.observe(root);
+    this.#reduced.addEventListener('change', this.#onReduced);
+    document.addEventListener('visibilitychange', this.#onVisible);
+    this.#start();
+  }
+
+  /** True while the camera moves by itself when left alone. */
+  get idle() {
+    return this.motion.idle;
+  }
+
+  setIdle(on) {
+    this.motion.setIdle(on);
+    this.#wake();
+    this.#emit('idle', { on });
+  }
+
+  /** Eases back to where the photo was taken. */
+  reset() {
+    this.#exact = null;
+    this.motion.home();
+    this.#wake();
+    this.#emit('pose');
+  }
+
+  /** Puts the camera at an offset in units of the view box. */
+  moveTo(offset) {
+    this.#exact = null;
+    this.motion.jump(offset);
+    this.#wake();
+    this.#emit('pose');
+  }
+
+  /** Puts the camera at a pose exactly, and stops moving by itself; not limited to the view box. */
+  setPose(pose) {
+    const exact = { ...HOME };
+    for (const key of POSE_KEYS) if (Number.isFinite(pose[key])) exact[key] = pose[key];
+    this.setIdle(false);
+    this.#exact = exact;
+    this.render();
+    this.#emit('pose');
+  }
+
+  /** The pose shown now. */
+  get pose() {
+    return this.#exact ?? this.#poseAt(this.motion.now);
+  }
+
+  #poseAt(offset) {
+    if (!this.head) return { ...HOME };
+    const { viewBox } = this.head;
+    return lookingAt(this.framing.pivot, offset.x * viewBox.x, offset.y * viewBox.y, offset.z * viewBox.z);
+  }
+
+  /** Draws now. */
+  render() {
+    if (!this.head || this.#disposed) return;
+    if (this.mode === 'gpu') {
+      const { canvas } = this;
+      this.renderer.draw(this.pose, this.#intrinsics(canvas, this.#zoom()));
+      this.#measure();
+    } else if (this.mode === 'served') {
+      const k = zoomed(this.head.intrinsics, this.head, this.framing.zoom);
+      const pose = this.#exact ?? this.#poseAt(quantised(this.motion.now));
+      this.served.show(pose, fovX(k, this.head.width), this.poster.clientWidth * this.#pixelRatio());
+    }
+  }
+
+  /** From 1 to that of the framing, smoothly. */
+  #zoom() {
+    const s = this.#zoomed;
+    return 1 + (this.framing.zoom - 1) * s * s * (3 - 2 * s);
+  }
+
+  #intrinsics(size, zoom) {
+    return zoomed(resized(this.head.intrinsics, this.head, size), size, zoom);
+  }
+
+  /**
+   * The view at the present pose as the server would draw it: the photo's own field of view, no zoom.
+   * @returns {Promise<Uint8ClampedArray>} premultiplied RGBA
+   */
+  async readPixels(width = this.head.width, height = this.head.height) {
+    if (this.mode !== 'gpu') throw new Error('pixels can be read only where the browser draws');
+    return this.renderer.readPixels(this.pose, this.#intrinsics({ width, height }, 1), width, height);
+  }
+
+  dispose() {
+    this.#disposed = true;
+    cancelAnimationFrame(this.#frameRequest);
+    this.#worker?.terminate();
+    this.#stopListening();
+    this.#resizes.disconnect();
+    this.#reduced.removeEventListener('change', this.#onReduced);
+    document.removeEventListener('visibilitychange', this.#onVisible);
+    this.renderer?.dispose();
+    this.served?.dispose();
+    this.poster.remove();
+    this.canvas?.remove();
+    if (this.posterUrl) URL.revokeObjectURL(this.posterUrl);
+  }
+
+  async #start() {
+    const adapter = await findAdapter();
+    if (this.#disposed) return;
+    this.#worker = new Worker(new URL('./decode-worker.js', import.meta.url), { type: 'module' });
+    this.#worker.onerror = (event) => this.#fail(event.message || 'The decoder could not be started.');
+    this.#worker.onmessage = ({ data }) => this.#onWorker(data, adapter);
+    this.#worker.postMessage({ url: this.options.atlas, photoOnly: !adapter });
+  }
+
+  #onWorker(data, adapter) {
+    if (data.type === 'progress') this.#emit('progress', { received: data.received, total: data.total || this.head?.total || 0 });
+    else if (data.type === 'head') {
+      this.head = data.head;
+      this.framing = framing(data.head);
+      this.#layout();
+    } else if (data.type === 'photo') {
+      this.posterUrl = URL.createObjectURL(data.blob);
+      this.poster.src = this.posterUrl;
+      this.#emit('photo');
+      if (!adapter) this.#serve('This browser has no WebGPU.');
+    } else if (data.type === 'scene') {
+      this.scene = data.scene;
+      this.framing = framing(data.scene);
+      this.#worker.terminate();
+      this.#draw(adapter);
+    } else this.#fail(data.message);
+  }
+
+  /** The container cannot be had or read: views from the server are the last resort, where at least its head came. */
+  #fail(message) {
+    if (this.mode !== 'loading') return;
+    if (this.head) this.#serve(message);
+    else {
+      this.mode = 'failed';
+      this.#emit('error', { message });
+    }
+  }
+
+  async #draw(adapter) {
+    try {
+      const renderer = await GpuRenderer.create(adapter, this.scene, (info) => this.#onLost(info));
+      if (this.#disposed) return renderer.dispose();
+      // a canvas keeps its device, so a rebuilt one gets a new canvas
+      const canvas = this.#add('canvas', 'tmpi-canvas');
+      canvas.setAttribute('aria-hidden', 'true');
+      this.canvas?.remove();
+      this.canvas = canvas;
+      this.renderer = renderer;
+      this.mode = 'gpu';
+      this.#layout();
+      renderer.attach(canvas);
+      this.render();
+      this.#wake();
+      this.#emit('ready', { mode: 'gpu' });
+    } catch (error) {
+      this.#serve(error.message);
+    }
+  }
+
+  /** Rebuilds once; a device that goes again is not trusted further. */
+  async #onLost(info) {
+    if (this.#disposed) return;
+    this.#losses++;
+    this.renderer = null;
+    this.mode = 'loading';
+    this.#emit('mode', { mode: 'loading', reason: info.message || 'The graphics device was lost.' });
+    const adapter = this.#losses > 1 ? null : await findAdapter();
+    if (this.#disposed) return;
+    if (adapter) await this.#draw(adapter);
+    else this.#serve(info.message || 'The graphics device was lost.');
+  }
+
+  #serve(reason) {
+    if (this.#disposed) return;
+    this.canvas?.remove();
+    this.canvas = null;
+    // a swing would ask the server without end
+    this.setIdle(false);
+    this.served = new ServedViews(this.poster, this.options.view, this.head, (error) => this.#emit('error', { message: error.message }));
+    this.mode = 'served';
+    this.#emit('mode', { mode: 'served', reason });
+    this.#layout();
+    this.render();
+    this.#emit('ready', { mode: 'served' });
+  }
+
+  #add(tag, className) {
+    const element = document.createElement(tag);
+    element.className = className;
+    element.draggable = false;
+    this.root.append(element);
+    return element;
+  }
+
+  #pixelRatio() {
+    return Math.min(devicePixelRatio || 1, MAX_PIXEL_RATIO);
+  }
+
+  /** Fits the pictures into the root, whole, in the photo's own shape. */
+  #layout() {
+    if (!this.head || this.#disposed) return;
+    const { clientWidth, clientHeight } = this.root;
+    if (!clientWidth || !clientHeight) return;
+    const aspect = this.head.width / this.head.height;
+    const width = Math.min(clientWidth, clientHeight * aspect);
+    const height = width / aspect;
+    for (const element of [this.poster, this.canvas]) {
+      if (!element) continue;
+      element.style.width = `${width}px`;
+      element.style.height = `${height}px`;
+    }
+    if (this.canvas) {
+      const side = this.renderer.device.limits.maxTextureDimension2D;
+      const ratio = Math.min(this.#pixelRatio(), Math.sqrt(MAX_PIXELS / (width * height)), side / Math.max(width, height));
+      const size = [Math.max(1, Math.round(width * ratio)), Math.max(1, Math.round(height * ratio))];
+      // setting a size clears the canvas even where it stays the same
+      if (this.canvas.width !== size[0] || this.canvas.height !== size[1]) [this.canvas.width, this.canvas.height] = size;
+      if (!this.renderer.context) return;
+    }
+    this.render();
+  }
+
+  #wake() {
+    if (this.#frameRequest || this.#disposed || this.mode === 'failed') return;
+    this.#lastFrame = 0;
+    this.#frameRequest = requestAnimationFrame((now) => this.#frame(now));
+  }
+
+  #frame(now) {
+    this.#frameRequest = 0;
+    const dt = this.#lastFrame ? (now - this.#lastFrame) / 1000 : 1 / 60;
+    if (this.mode === 'loading') return;
+    const moving = !this.#exact && this.motion.step(dt);
+    this.#zoomed = this.#reduced.matches ? 1 : Math.min(1, this.#zoomed + dt / ZOOM_IN_S);
+    this.render();
+    if (moving || this.#zoomed < 1) {
+      this.#lastFrame = now;
+      this.#frameRequest = requestAnimationFrame((next) => this.#frame(next));
+    }
+  }
+
+  /** Time from submission to completion, one frame at a time. */
+  async #measure() {
+    if (this.#measuring) return;
+    this.#measuring = true;
+    const started = performance.now();
+    try {
+      await this.renderer.idle();
+      const ms = performance.now() - started;
+      this.frameMs = this.frameMs === null ? ms : this.frameMs + (ms - this.frameMs) * FRAME_WEIGHT;
+      this.#emit('frame', { ms: this.frameMs });
+    } catch {
+      // the device is gone, which is dealt with where it is noticed
+    } finally {
+      this.#measuring = false;
+    }
+  }
+
+  #onReduced = () => {
+    if (this.#reduced.matches) this.setIdle(false);
+  };
+
+  #onVisible = () => {
+    if (!document.hidden) this.#wake();
+  };
+
+  #emit(type, detail = {}) {
+    this.dispatchEvent(new CustomEvent(type, { detail }));
+  }
+}
