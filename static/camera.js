@@ -83,6 +83,8 @@ function project(scene, e, x, y, delta) {
 
 /** Pivot where only the head of a scene is known. */
 const UNKNOWN_PIVOT = 0.35;
+/** Distance of the points looked at along the border, pixels. */
+const BORDER_STEP = 4;
 /** Largest zoom that framing asks for: beyond it a little border may show at the extremes. */
 const MAX_ZOOM = 1.3;
 
@@ -143,22 +145,27 @@ export function deltaAt({ layers, tileSize }, i, x, y) {
   return layers.a[i] + (layers.b[i] * (x - layers.tileX[i] - half)) / half + (layers.c[i] * (y - layers.tileY[i] - half)) / half;
 }
 
-/** Points on the photo's border with the least and the largest disparity that layers have there. */
+/** Points on the photo's border with the disparity that the photo has there. */
 function borderSamples(scene) {
-  const { layers, width, height } = scene;
+  const { layers, classes, width, height } = scene;
   const out = [];
   if (!layers) {
     for (const delta of [0, 1]) for (const x of [0, width]) for (const y of [0, height]) out.push({ x, y, delta });
     return out;
   }
   for (let i = 0; i < layers.count; i++) {
-    const [x0, y0, x1, y1] = [layers.x[i], layers.y[i], layers.x[i] + layers.w[i], layers.y[i] + layers.h[i]];
-    const corners = [];
-    if (x0 === 0) corners.push([0, y0], [0, y1]);
-    if (x1 === width) corners.push([width, y0], [width, y1]);
-    if (y0 === 0) corners.push([x0, 0], [x1, 0]);
-    if (y1 === height) corners.push([x0, height], [x1, height]);
-    for (const [x, y] of corners) out.push({ x, y, delta: deltaAt(scene, i, x, y) });
+    const [x0, y0, w, h] = [layers.x[i], layers.y[i], layers.w[i], layers.h[i]];
+    const add = (u, v, x, y) => {
+      if (classes[layers.firstTexel[i] + v * w + u] === 1) out.push({ x, y, delta: deltaAt(scene, i, x, y) });
+    };
+    for (let v = 0; v < h; v += BORDER_STEP) {
+      if (x0 === 0) add(0, v, 0, y0 + v);
+      if (x0 + w === width) add(w - 1, v, width, y0 + v);
+    }
+    for (let u = 0; u < w; u += BORDER_STEP) {
+      if (y0 === 0) add(u, 0, x0 + u, 0);
+      if (y0 + h === height) add(u, h - 1, x0 + u, height);
+    }
   }
   return out;
 }

@@ -6,11 +6,15 @@ export { ContainerError };
 
 /** Major version that this reader knows. */
 export const MAJOR = 1;
-/** Longest side and most pixels of a photo, as the server's limits. */
-export const MAX_SIDE = 16_384;
-export const MAX_PIXELS = 50_000_000;
-/** Most texels of all layers together: what fits in memory several times over. */
-export const MAX_TEXELS = 400_000_000;
+/** Longest side and most pixels of a photo; all bounds are those of the server's reader. */
+const MAX_SIDE = 16_384;
+const MAX_PIXELS = 50_000_000;
+/** Most texels of all layers together, and for every pixel of the photo. */
+const MAX_TEXELS = 800_000_000;
+const MAX_TEXELS_PER_PIXEL = 96;
+const MAX_LAYERS = 4_000_000;
+const MAX_INDEX_BYTES = 1 << 20;
+const MAX_SECTIONS = 64;
 /** Step of the plane coefficients. */
 const PLANE_STEP = 1 / 16_384;
 const HEADER_BYTES = 12;
@@ -69,8 +73,9 @@ export function readIndex(bytes) {
     throw new ContainerError(`the container is of version ${major}; this program reads up to version ${MAJOR}`);
   }
   if (major === 0) broken('version 0');
-  const start = HEADER_BYTES + view.getUint32(8, true);
-  if (start > HEADER_BYTES + (1 << 20)) broken('index longer than 1 MiB');
+  const length = view.getUint32(8, true);
+  if (length > MAX_INDEX_BYTES) broken(`index of ${length} bytes`);
+  const start = HEADER_BYTES + length;
   if (bytes.length < start) return null;
   const index = readMessage(bytes.subarray(HEADER_BYTES, start), INDEX);
   checkIndex(index);
@@ -82,21 +87,20 @@ function checkIndex(index) {
   if (!width || !height || width > MAX_SIDE || height > MAX_SIDE || width * height > MAX_PIXELS) {
     broken(`photo of ${width} × ${height} pixels`);
   }
-  if (!tileSize || !tileStride || tileStride > tileSize) broken(`tiles of ${tileSize} pixels every ${tileStride}`);
+  if (!tileSize || tileSize > MAX_SIDE || !tileStride || tileStride > tileSize) broken(`tiles of ${tileSize} pixels every ${tileStride}`);
   for (const name of ['fx', 'fy', 'cx', 'cy', 'viewX', 'viewY', 'viewZ']) {
     if (!Number.isFinite(index[name])) broken(`${name} is not a number`);
   }
   if (index.fx <= 0 || index.fy <= 0) broken('focal length');
   if (index.viewX < 0 || index.viewY < 0 || index.viewZ < 0) broken('view box');
-  if (index.texels > MAX_TEXELS) broken(`${index.texels} texels`);
-  if (index.layers > index.texels) broken('more layers than texels');
+  if (index.texels > Math.min(MAX_TEXELS, width * height * MAX_TEXELS_PER_PIXEL)) broken(`${index.texels} texels`);
+  if (index.layers > MAX_LAYERS || index.layers > index.texels) broken(`${index.layers} layers`);
+  if (index.sections.length > MAX_SECTIONS) broken(`${index.sections.length} sections`);
 }
 
-/** The section of a kind, or undefined; two of one kind are an error. */
+/** The first section of a kind, or undefined. */
 function sectionOf(index, kind) {
-  const found = index.sections.filter((s) => s.kind === kind);
-  if (found.length > 1) broken(`two ${KIND_NAMES[kind]} sections`);
-  return found[0];
+  return index.sections.find((s) => s.kind === kind);
 }
 
 /** Count of bytes from the start of the container to the end of the section of `kind`. */
@@ -146,8 +150,7 @@ function unpacked(bytes, head, kind, length) {
 
 function unzstd(packed, length, name) {
   const declared = frameContentSize(packed, name);
-  if (declared !== null && declared !== length) broken(`the ${name} section unpacks to ${declared} bytes, not ${length}`);
-  if (length === 0) return new Uint8Array(0);
+  if (declared !== length) broken(`the ${name} section unpacks to ${declared} bytes, not ${length}`);
   if (length > (packed.length / ZSTD_LEAST_BLOCK) * ZSTD_MOST_CONTENT) broken(`the ${name} section cannot unpack to ${length} bytes`);
   // a buffer given bounds the output whatever the stream says
   const out = new Uint8Array(length);
@@ -159,7 +162,7 @@ function unzstd(packed, length, name) {
   return out;
 }
 
-/** Length that a zstd frame declares for its content, or null where it declares none. */
+/** Length that a zstd frame declares for its content. */
 function frameContentSize(bytes, name) {
   if (bytes.length < 6 || bytes[0] !== 0x28 || bytes[1] !== 0xb5 || bytes[2] !== 0x2f || bytes[3] !== 0xfd) {
     broken(`the ${name} section is no zstd frame`);
@@ -167,7 +170,7 @@ function frameContentSize(bytes, name) {
   const flags = bytes[4];
   const single = (flags >> 5) & 1;
   const size = flags >> 6 ? 1 << (flags >> 6) : single;
-  if (size === 0) return null;
+  if (size === 0) broken(`the ${name} section does not declare its length`);
   const at = 5 + (single ? 0 : 1) + [0, 1, 2, 4][flags & 3];
   if (at + size > bytes.length) broken(`the ${name} section is cut off`);
   let value = 0;
@@ -204,14 +207,24 @@ export async function decode(bytes, decodePicture, photo) {
   const classes = unpacked(bytes, head, Kind.CLASSES, index.texels);
   const alphaSection = sectionOf(index, Kind.ALPHA);
   const soft = unpacked(bytes, head, Kind.ALPHA, alphaSection ? alphaBytes(alphaSection, index) : 0);
-  Object.assign(scene, readTexels(classes, soft));
-  const hiddenPicture = index.hiddenBlocks ? await decodePicture(picture(bytes, head, Kind.HIDDEN)) : null;
-  scene.hidden = readHidden(scene, index, hiddenPicture);
-  scene.photo = photo ?? (await decodePicture(picture(bytes, head, Kind.PHOTO)));
+  const { hiddenCount: hidden, ...texels } = readTexels(classes, soft);
+  Object.assign(scene, texels);
+  const hiddenPicture = hidden ? await decodedPicture(bytes, head, Kind.HIDDEN, decodePicture) : null;
+  scene.hidden = readHidden(scene, index, hidden, hiddenPicture);
+  scene.photo = photo ?? (await decodedPicture(bytes, head, Kind.PHOTO, decodePicture));
   if (scene.photo.width !== index.width || scene.photo.height !== index.height) {
     broken(`the photo is ${scene.photo.width} × ${scene.photo.height} pixels, not ${index.width} × ${index.height}`);
   }
   return scene;
+}
+
+async function decodedPicture(bytes, head, kind, decodePicture) {
+  const file = picture(bytes, head, kind);
+  try {
+    return await decodePicture(file);
+  } catch (error) {
+    return broken(`the ${KIND_NAMES[kind]} picture: ${error.message}`);
+  }
 }
 
 function alphaBytes(section, index) {
@@ -280,11 +293,13 @@ function readTexels(coded, soft) {
   const classes = new Uint8Array(coded.length);
   const alpha = new Uint8Array(coded.length);
   let next = 0;
+  let hiddenCount = 0;
   for (let i = 0; i < coded.length; i++) {
     const code = coded[i];
     if (code === 0) continue;
     if (code > 4) broken(`texel ${i} has class ${code}`);
     classes[i] = code > 2 ? code - 2 : code;
+    if (classes[i] === Class.HIDDEN) hiddenCount++;
     if (code < 3) {
       alpha[i] = 255;
       continue;
@@ -294,31 +309,29 @@ function readTexels(coded, soft) {
     alpha[i] = value;
   }
   if (next !== soft.length) broken(`${soft.length} alpha values for ${next} soft texels`);
-  return { classes, alpha };
+  return { classes, alpha, hiddenCount };
 }
 
-/** RGB of the hidden texels, in the order in which they come; fills `layers.firstHidden`. */
-function readHidden(scene, index, image) {
-  const { layers, classes } = scene;
-  let count = 0;
-  for (let i = 0; i < classes.length; i++) if (classes[i] === Class.HIDDEN) count++;
+/** RGB of the `count` hidden texels, in the order in which they come; fills `layers.firstHidden`. */
+function readHidden(scene, index, count, image) {
+  const { layers } = scene;
   const out = new Uint8Array(count * 3);
-  if (image) {
-    const rows = index.hiddenColumns ? Math.ceil(index.hiddenBlocks / index.hiddenColumns) : 0;
-    if (!rows || image.width < Math.min(index.hiddenColumns, index.hiddenBlocks) * 8 || image.height < rows * 8) {
-      broken(`${index.hiddenBlocks} blocks do not fit a hidden picture of ${image.width} × ${image.height} pixels`);
-    }
+  if (!count) return out;
+  const { hiddenBlocks, hiddenColumns } = index;
+  const rows = hiddenColumns ? Math.ceil(hiddenBlocks / hiddenColumns) : 0;
+  if (!rows || image.width < hiddenColumns * 8 || image.height < rows * 8) {
+    broken(`${hiddenBlocks} blocks do not fit a hidden picture of ${image.width} × ${image.height} pixels`);
   }
   let block = 0;
   let at = 0;
   for (let i = 0; i < layers.count; i++) {
     layers.firstHidden[i] = at / 3;
-    const blocks = hiddenCells(scene, i, block);
-    block = blocks.next;
-    if (block > index.hiddenBlocks) broken(`more hidden cells than ${index.hiddenBlocks}`);
-    if (blocks.place) at = copyHidden(scene, i, blocks, index.hiddenColumns, image, out, at);
+    const cells = hiddenCells(scene, i, block);
+    block = cells.next;
+    if (block > hiddenBlocks) broken(`more hidden cells than ${hiddenBlocks}`);
+    if (cells.place) at = copyHidden(scene, i, cells, hiddenColumns, image, out, at);
   }
-  if (block !== index.hiddenBlocks) broken(`${block} hidden cells, not ${index.hiddenBlocks}`);
+  if (block !== hiddenBlocks) broken(`${block} hidden cells, not ${hiddenBlocks}`);
   return out;
 }
 

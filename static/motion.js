@@ -11,12 +11,19 @@ const REST = 1e-4;
 const SWING = { period: 8, x: 0.75, y: 0.3, delay: 1.6, swell: 2.5 };
 /** Beyond the limits a drag goes on with less and less effect; this is how sharp the knee is. */
 const KNEE = 3;
+const MAX_RAW = 2.5;
 const KEY_STEP = 0.2;
 const WHEEL_STEP = 1 / 600;
 
 /** Smooth clamp of any number to (-1, 1); close to the identity around 0. */
 export function softLimit(v) {
   return v / (1 + Math.abs(v) ** KNEE) ** (1 / KNEE);
+}
+
+/** The number that `softLimit` takes to `v`; short of the limits, where there is none. */
+function hardened(v) {
+  const inside = Math.max(-0.98, Math.min(0.98, v || 0));
+  return inside / (1 - Math.abs(inside) ** KNEE) ** (1 / KNEE);
 }
 
 export class Motion {
@@ -33,7 +40,7 @@ export class Motion {
   /** Moves the target by an offset. */
   nudge(dx, dy, dz) {
     // not far beyond the knee, or the way back would feel dead
-    const bounded = (v) => Math.max(-1.5, Math.min(1.5, v));
+    const bounded = (v) => Math.max(-MAX_RAW, Math.min(MAX_RAW, v));
     this.raw = { x: bounded(this.raw.x + dx), y: bounded(this.raw.y + dy), z: bounded(this.raw.z + dz) };
     this.touched();
   }
@@ -51,10 +58,10 @@ export class Motion {
     this.touched();
   }
 
-  /** Puts the camera there at once. */
-  jump(offset) {
-    this.raw = { ...offset };
-    this.now = { ...offset };
+  /** Puts the camera there at once, within the view box. */
+  jump({ x, y, z }) {
+    this.raw = { x: hardened(x), y: hardened(y), z: hardened(z) };
+    this.now = { x: softLimit(this.raw.x), y: softLimit(this.raw.y), z: softLimit(this.raw.z) };
     this.speed = { x: 0, y: 0, z: 0 };
     this.touched();
   }

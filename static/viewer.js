@@ -72,6 +72,11 @@ export class Viewer extends EventTarget {
     return this.motion.idle;
   }
 
+  /** True while another frame is to come. */
+  get moving() {
+    return this.#frameRequest !== 0;
+  }
+
   setIdle(on) {
     this.motion.setIdle(on);
     this.#wake();

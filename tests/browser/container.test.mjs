@@ -1,0 +1,119 @@
+// The container's decoder, without a browser.
+import assert from 'node:assert/strict';
+import { describe, test } from 'node:test';
+import { Class, ContainerError, decode, endOfSection, Kind, readIndex } from '../../static/container.js';
+import { framing, lookingAt } from '../../static/camera.js';
+import { boxScene, container } from './fixture.mjs';
+import { BOX, readPng, wall } from './pictures.mjs';
+
+const decodePicture = async ({ bytes, type }) => {
+  assert.equal(type, 'image/png');
+  return readPng(bytes);
+};
+const scene = boxScene();
+const bytes = new Uint8Array(container(scene));
+
+/** A container with one thing changed. */
+const altered = (change) => new Uint8Array(container(scene, { change }));
+const refuses = (data, pattern) =>
+  assert.rejects(decode(data, decodePicture), (error) => {
+    assert.ok(error instanceof ContainerError, `${error.stack}`);
+    assert.match(error.message, pattern);
+    return true;
+  });
+
+describe('decoder', () => {
+  test('gives back every layer and texel', async () => {
+    const got = await decode(bytes, decodePicture);
+    assert.equal(got.layers.count, scene.layers.length);
+    let texel = 0;
+    let hidden = 0;
+    scene.layers.forEach((layer, i) => {
+      assert.deepEqual([got.layers.x[i], got.layers.y[i], got.layers.w[i], got.layers.h[i]], [layer.x, layer.y, layer.w, layer.h]);
+      assert.ok(Math.abs(got.layers.a[i] - layer.delta) <= 0.5 / 16384);
+      assert.equal(got.layers.firstTexel[i], texel);
+      assert.equal(got.layers.firstHidden[i], hidden);
+      layer.texels.forEach((want, k) => {
+        const kind = want.code > 2 ? want.code - 2 : want.code;
+        assert.equal(got.classes[texel], kind);
+        assert.equal(got.alpha[texel], want.code === 0 ? 0 : (want.alpha ?? 255));
+        if (kind === Class.HIDDEN) {
+          const colour = wall(layer.x + (k % layer.w), layer.y + Math.floor(k / layer.w)).map(Math.round);
+          assert.deepEqual([...got.hidden.subarray(hidden * 3, hidden * 3 + 3)], colour);
+          hidden++;
+        }
+        texel++;
+      });
+    });
+    assert.ok(hidden > 1000, 'the scene has hidden texels');
+    assert.equal(got.hidden.length, hidden * 3);
+  });
+
+  test('needs only the first bytes for index and photo', () => {
+    for (let n = 0; n < 12; n++) assert.equal(readIndex(bytes.subarray(0, n)), null);
+    const head = readIndex(bytes.subarray(0, 12 + new DataView(bytes.buffer).getUint32(8, true)));
+    assert.equal(head.index.width, scene.width);
+    assert.ok(endOfSection(head, Kind.PHOTO) < bytes.length);
+  });
+
+  test('refuses a newer major version and says which', async () => {
+    await refuses(new Uint8Array(container(scene, { major: 2 })), /version 2; this program reads up to version 1/);
+  });
+
+  test('names what is wrong', async () => {
+    await refuses(Uint8Array.from([1, 2, 3, 4, 5]), /does not start with "TMPI"/);
+    await refuses(altered((index) => (index[0] = 0)), /photo of 0 × 120/);
+    await refuses(altered((index) => (index[0] = 20_000)), /photo of 20000/);
+    await refuses(altered((index) => (index[4] = NaN)), /fx is not a number/);
+    await refuses(altered((index) => (index[3] = 65)), /tiles of 64 pixels every 65/);
+    await refuses(altered((index) => (index[11] += 1)), /planes section has/);
+    await refuses(altered((index) => (index[12] = 1e15)), /1000000000000000 texels/);
+    await refuses(altered((index) => (index[13] -= 1)), /hidden cells/);
+    await refuses(altered((index) => (index[14] = 9)), /do not fit a hidden picture/);
+    await refuses(altered((_, sections) => sections.splice(0, 1)), /no photo section/);
+    await refuses(altered((_, sections) => (sections[2].bytes[9 + 3 + 5] = 9)), /texel 5 has class 9/);
+    await refuses(altered((_, sections) => (sections[3].bytes[0] = 255)), /no alpha between 1 and 254/);
+    await refuses(altered((_, sections) => (sections[2].bytes[5] ^= 1)), /classes section unpacks to/);
+    await refuses(altered((_, sections) => (sections[1].codec = 'png')), /planes section has codec 3/);
+  });
+
+  test('no cut and no flipped byte brings it down', async () => {
+    for (let n = 0; n < bytes.length; n += 97) {
+      await assert.rejects(decode(bytes.slice(0, n), decodePicture), ContainerError);
+    }
+    // a generator with a fixed seed, so that a failure can be run again
+    let seed = 1;
+    const random = (n) => (seed = (seed * 48271) % 2147483647) % n;
+    const start = readIndex(bytes).start;
+    const outcomes = { fine: 0, refused: 0 };
+    for (let i = 0; i < 400; i++) {
+      const damaged = bytes.slice();
+      damaged[random(start)] ^= 1 << random(8);
+      try {
+        await decode(damaged, decodePicture);
+        outcomes.fine++;
+      } catch (error) {
+        assert.ok(error instanceof ContainerError, `${error.stack}`);
+        outcomes.refused++;
+      }
+    }
+    assert.ok(outcomes.refused > 100, JSON.stringify(outcomes));
+  });
+});
+
+describe('framing', () => {
+  test('turns about the middle and zooms no more than the border needs', async () => {
+    const got = await decode(bytes, decodePicture);
+    const { zoom, pivot } = framing(got);
+    assert.ok(Math.abs(pivot - BOX.far) < 0.01, `most of the picture is wall: ${pivot}`);
+    // the wall stays in place but for the move forward and back, a tenth of 3 %
+    assert.ok(zoom > 1 && zoom < 1.02, `${zoom}`);
+  });
+
+  test('what lies at the pivot stays in place', () => {
+    const pose = lookingAt(0.5, 0.02, 0, 0);
+    assert.ok(pose.yaw < 0, 'a camera on the right looks to the left');
+    assert.ok(Math.abs(pose.yaw + (Math.atan(0.01) * 180) / Math.PI) < 1e-9);
+    assert.ok(lookingAt(0.5, 0, 0.02, 0).pitch > 0, 'a camera below looks up');
+  });
+});

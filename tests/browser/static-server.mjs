@@ -1,0 +1,58 @@
+// Serves static/ as the real server does, and one photo with a container given, so that the viewer is tested by itself.
+import { readFile } from 'node:fs/promises';
+import { createServer } from 'node:http';
+import { extname, normalize } from 'node:path';
+import { boxPhoto } from './pictures.mjs';
+
+const STATIC = new URL('../../static/', import.meta.url);
+const TYPES = { '.js': 'text/javascript', '.css': 'text/css', '.html': 'text/html; charset=utf-8', '.svg': 'image/svg+xml', '.wgsl': 'text/wgsl' };
+const POLICY = "default-src 'self'; img-src 'self' blob: data:; object-src 'none'; base-uri 'none'; frame-ancestors 'self'";
+
+/**
+ * @param {{atlas: Buffer, delayMs?: number}} photo
+ * @returns {Promise<{url: string, views: string[], mostAtOnce: () => number, close: () => Promise<void>}>}
+ */
+export async function serve({ atlas, delayMs = 0 }) {
+  const views = [];
+  let atOnce = 0;
+  let most = 0;
+  const server = createServer(async (request, response) => {
+    const url = new URL(request.url, 'http://localhost');
+    const send = (status, type, body) => {
+      response.writeHead(status, { 'content-type': type, 'content-length': Buffer.byteLength(body), 'content-security-policy': POLICY });
+      response.end(body);
+    };
+    if (url.pathname === '/v1/photos/box') return send(200, 'application/json', JSON.stringify({ id: 'box', state: 'done' }));
+    if (url.pathname === '/v1/photos/box/atlas') return sendSlowly(response, atlas, delayMs);
+    if (url.pathname === '/v1/photos/box/view') {
+      views.push(url.search);
+      most = Math.max(most, ++atOnce);
+      await new Promise((resume) => setTimeout(resume, 30));
+      atOnce--;
+      return send(200, 'image/png', boxPhoto(Number(url.searchParams.get('w')), Number(url.searchParams.get('h'))));
+    }
+    const name = url.pathname.startsWith('/view/') ? 'view.html' : url.pathname.replace(/^\/static\//, '');
+    try {
+      send(200, TYPES[extname(name)] ?? 'application/octet-stream', await readFile(new URL(normalize(name).replace(/^[/.]+/, ''), STATIC)));
+    } catch {
+      const problem = { type: 'about:blank', title: 'Not Found', status: 404, detail: `there is no ${url.pathname}` };
+      send(404, 'application/problem+json', JSON.stringify(problem));
+    }
+  });
+  await new Promise((resume) => server.listen(0, '127.0.0.1', resume));
+  return {
+    url: `http://127.0.0.1:${server.address().port}`,
+    views,
+    mostAtOnce: () => most,
+    close: () => new Promise((resume) => (server.closeAllConnections(), server.close(resume))),
+  };
+}
+
+/** The container in two parts, the pause between them after the photo. */
+async function sendSlowly(response, atlas, delayMs) {
+  response.writeHead(200, { 'content-type': 'application/vnd.tmpi', 'content-length': atlas.length });
+  const cut = Math.floor(atlas.length * 0.9);
+  response.write(atlas.subarray(0, cut));
+  if (delayMs) await new Promise((resume) => setTimeout(resume, delayMs));
+  response.end(atlas.subarray(cut));
+}

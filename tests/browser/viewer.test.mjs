@@ -1,0 +1,214 @@
+// The viewer by itself: a container written by hand, a server that does nothing but serve files.
+import assert from 'node:assert/strict';
+import { after, before, describe, test } from 'node:test';
+import { launch, openPage, pixelsAt, shareDifferent, waitForMode } from './browser.mjs';
+import { boxScene, container } from './fixture.mjs';
+import { boxPhoto, BOX, inBox, readPng, wall } from './pictures.mjs';
+import { serve } from './static-server.mjs';
+
+const WIDTH = 200;
+const HEIGHT = 120;
+const HOME = {};
+
+/** The box before the wall for a camera at `tx`, drawn by hand; the soft rim is left out. */
+function expected(tx) {
+  const focal = 0.58 * WIDTH;
+  const out = new Uint8ClampedArray(WIDTH * HEIGHT * 4);
+  const photo = readPng(boxPhoto(WIDTH, HEIGHT)).data;
+  for (let y = 0; y < HEIGHT; y++) {
+    for (let x = 0; x < WIDTH; x++) {
+      const near = Math.round(x + focal * tx * BOX.near);
+      const far = x + focal * tx * BOX.far;
+      const colour = inBox(near, y, WIDTH, HEIGHT) ? photo.subarray((y * WIDTH + near) * 4, (y * WIDTH + near) * 4 + 3) : wall(far, y);
+      out.set([...colour, 255], (y * WIDTH + x) * 4);
+    }
+  }
+  return out;
+}
+
+describe('viewer', () => {
+  let server;
+  let browser;
+  let plain;
+  before(async () => {
+    server = await serve({ atlas: container(boxScene(WIDTH, HEIGHT)), delayMs: 400 });
+    browser = await launch();
+  });
+  after(async () => {
+    await browser?.close();
+    await plain?.close();
+    await server?.close();
+  });
+
+  const open = async (options, hash = '') => {
+    const opened = await openPage(browser, options);
+    await opened.page.goto(`${server.url}/view/box${hash}`);
+    return opened;
+  };
+
+  test('shows the photo first, then the scene', async () => {
+    const { page, context, errors } = await open();
+    await page.waitForFunction(() => document.querySelector('.tmpi-poster')?.src.startsWith('blob:'));
+    assert.equal(await page.evaluate(() => window.viewer.mode), 'loading');
+    await waitForMode(page, 'gpu');
+    assert.ok(await page.locator('#loading').isHidden());
+    assert.deepEqual(errors, []);
+    await context.close();
+  });
+
+  test('the view from the photo’s own place is the photo', async () => {
+    const { page, context } = await open();
+    await waitForMode(page, 'gpu');
+    const got = await pixelsAt(page, HOME, WIDTH, HEIGHT);
+    const photo = readPng(boxPhoto(WIDTH, HEIGHT)).data;
+    const share = shareDifferent(got, photo, WIDTH, HEIGHT, { levels: 2 });
+    assert.ok(share < 0.001, `${share} of the pixels differ`);
+    await context.close();
+  });
+
+  test('from the side the box moves before the wall, and the wall behind it appears', async () => {
+    const { page, context } = await open();
+    await waitForMode(page, 'gpu');
+    // 5 pixels of parallax for the box, 0.55 for the wall
+    const tx = 5 / (0.58 * WIDTH) / BOX.near;
+    for (const side of [tx, -tx]) {
+      const got = await pixelsAt(page, { tx: side }, WIDTH, HEIGHT);
+      // the left and right border and the soft rim are not in the drawing by hand
+      const share = shareDifferent(got, expected(side), WIDTH, HEIGHT, { levels: 12, x0: 0.02, x1: 0.98 });
+      assert.ok(share < 0.03, `${share} of the pixels differ at ${side}`);
+      const still = shareDifferent(await pixelsAt(page, HOME, WIDTH, HEIGHT), expected(side), WIDTH, HEIGHT, { levels: 12 });
+      assert.ok(still > 0.1, `the drawings would not tell a view that stands still: ${still}`);
+    }
+    await context.close();
+  });
+
+  test('keys, drag, wheel and buttons move the camera, within the view box', async () => {
+    const { page, context, errors } = await open({ reducedMotion: 'reduce' });
+    await waitForMode(page, 'gpu');
+    const pose = () => page.evaluate(() => window.viewer.pose);
+    const settled = async () => {
+      await page.waitForFunction(() => !window.viewer.moving);
+      return pose();
+    };
+    await page.locator('#stage').focus();
+    for (let i = 0; i < 3; i++) await page.keyboard.press('ArrowRight');
+    const right = await settled();
+    assert.ok(right.tx > 0.01 && right.tx < 0.03, JSON.stringify(right));
+    for (let i = 0; i < 30; i++) await page.keyboard.press('ArrowRight');
+    const limit = await settled();
+    assert.ok(limit.tx > 0.027 && limit.tx <= 0.03, JSON.stringify(limit));
+    await page.keyboard.press('0');
+    assert.equal((await settled()).tx, 0);
+    await page.keyboard.press('+');
+    assert.ok((await settled()).tz > 0.003);
+    await page.keyboard.press('Home');
+    assert.equal((await settled()).tz, 0);
+    const box = await page.locator('#stage').boundingBox();
+    await page.mouse.move(box.x + box.width / 2, box.y + box.height / 2);
+    await page.mouse.down();
+    await page.mouse.move(box.x + box.width / 2 + 150, box.y + box.height / 2, { steps: 5 });
+    await page.mouse.up();
+    const dragged = await settled();
+    assert.ok(dragged.tx < -0.005, `near things follow the pointer: ${JSON.stringify(dragged)}`);
+    await page.locator('#reset').click();
+    assert.ok(Math.abs((await settled()).tx) < 1e-4);
+    await page.mouse.move(box.x + box.width / 2, box.y + box.height / 2);
+    await page.mouse.wheel(0, -200);
+    assert.ok((await settled()).tz > 0.003);
+    assert.deepEqual(errors, []);
+    await context.close();
+  });
+
+  test('moves by itself, but not for those who asked for less motion', async () => {
+    const moved = async (options) => {
+      const { page, context } = await open(options);
+      await waitForMode(page, 'gpu');
+      const pressed = await page.locator('#idle').getAttribute('aria-pressed');
+      await page.waitForTimeout(2500);
+      const pose = await page.evaluate(() => window.viewer.pose);
+      await page.locator('#stage').focus();
+      await page.keyboard.press(' ');
+      const toggled = await page.locator('#idle').getAttribute('aria-pressed');
+      await context.close();
+      return { pressed, toggled, far: Math.abs(pose.tx) + Math.abs(pose.ty) };
+    };
+    const usual = await moved({});
+    assert.ok(usual.far > 1e-4, `${usual.far}`);
+    assert.deepEqual([usual.pressed, usual.toggled], ['true', 'false']);
+    const calm = await moved({ reducedMotion: 'reduce' });
+    assert.equal(calm.far, 0);
+    assert.deepEqual([calm.pressed, calm.toggled], ['false', 'true']);
+  });
+
+  test('draws nothing while nothing moves', async () => {
+    const { page, context } = await open({ reducedMotion: 'reduce' });
+    await waitForMode(page, 'gpu');
+    const frames = await page.evaluate(async () => {
+      await new Promise((resume) => setTimeout(resume, 500));
+      let count = 0;
+      const draw = window.viewer.renderer.draw.bind(window.viewer.renderer);
+      window.viewer.renderer.draw = (...args) => {
+        count++;
+        draw(...args);
+      };
+      await new Promise((resume) => setTimeout(resume, 700));
+      return count;
+    });
+    assert.equal(frames, 0);
+    await context.close();
+  });
+
+  test('a lost device is rebuilt once; after the second loss the server draws', async () => {
+    const { page, context } = await open({ reducedMotion: 'reduce' });
+    await waitForMode(page, 'gpu');
+    const before = await pixelsAt(page, { tx: 0.02 }, WIDTH, HEIGHT);
+    await page.evaluate(() => window.viewer.renderer.device.destroy());
+    await waitForMode(page, 'loading');
+    await waitForMode(page, 'gpu');
+    const rebuilt = await pixelsAt(page, { tx: 0.02 }, WIDTH, HEIGHT);
+    assert.equal(shareDifferent(before, rebuilt, WIDTH, HEIGHT, { levels: 0 }), 0);
+    await page.evaluate(() => window.viewer.renderer.device.destroy());
+    await waitForMode(page, 'served');
+    await page.waitForFunction(() => document.querySelector('.tmpi-poster').naturalWidth > 0);
+    assert.equal(await page.locator('canvas').count(), 0);
+    await context.close();
+  });
+
+  test('without WebGPU the server’s views are shown, one request at a time, the latest pose last', async () => {
+    plain = await launch({ webgpu: false });
+    const { page, context, errors } = await openPage(plain);
+    await page.goto(`${server.url}/view/box`);
+    await waitForMode(page, 'served');
+    assert.ok(await page.locator('#served-note').isVisible());
+    await page.locator('#stage').focus();
+    const seen = server.views.length;
+    for (let i = 0; i < 12; i++) await page.keyboard.press('ArrowLeft');
+    await page.waitForFunction(() => !window.viewer.moving && window.viewer.served.shown === window.viewer.served.wanted);
+    assert.ok(server.views.length > seen);
+    assert.equal(server.mostAtOnce(), 1);
+    const last = new URLSearchParams(server.views.at(-1));
+    assert.equal(last.get('tx'), '-0.03000');
+    assert.ok(Number(last.get('fov')) > 60 && Number(last.get('fov')) < 82, last.get('fov'));
+    assert.deepEqual(errors, []);
+    await context.close();
+  });
+
+  test('a shared address brings the same pose', async () => {
+    const { page, context } = await open({ reducedMotion: 'reduce' }, '#pose=0.5,-0.25,0.1');
+    await waitForMode(page, 'gpu');
+    await page.locator('#share').click();
+    const address = await page.evaluate(async () => document.getElementById('link').value || navigator.clipboard.readText().catch(() => ''));
+    const pose = await page.evaluate(() => window.viewer.pose);
+    assert.ok(Math.abs(pose.tx - 0.015) < 1e-6 && Math.abs(pose.ty + 0.0075) < 1e-6 && Math.abs(pose.tz - 0.003) < 1e-6, JSON.stringify(pose));
+    if (address) assert.match(address, /#pose=0\.5,-0\.25,0\.1$|#pose=0\.5%2C-0\.25%2C0\.1$/);
+    await context.close();
+  });
+
+  test('a photo that is not there: the reason is shown', async () => {
+    const { page, context } = await openPage(browser);
+    await page.goto(`${server.url}/view/none`);
+    await page.locator('#failure').waitFor();
+    assert.match(await page.locator('#failure-text').textContent(), /there is no \/v1\/photos\/none\/atlas/);
+    await context.close();
+  });
+});
