@@ -1,0 +1,209 @@
+//! `tmpi synth`: rendered scenes with exact ground truth, written as picture files.
+
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use anyhow::Context;
+use image::codecs::png::{CompressionType, FilterType, PngEncoder};
+use image::{ExtendedColorType, ImageEncoder};
+use rayon::prelude::*;
+use serde_json::json;
+
+use crate::synth::{Picture, Scene};
+use crate::tmpi::{Camera, Pose};
+
+/// Render scenes with exact disparity, exact second views and the exact hidden surface
+#[derive(Clone, Debug, clap::Args)]
+pub struct SynthArgs {
+    /// Folder to write to; each scene gets a folder named by its seed
+    #[arg(short, long, value_name = "DIR")]
+    pub output: PathBuf,
+    /// How many scenes
+    #[arg(long, default_value_t = 1, value_name = "N")]
+    pub count: u32,
+    /// Seed of the first scene; the others follow one by one
+    #[arg(long, default_value_t = 0, value_name = "S")]
+    pub seed: u64,
+    /// Picture size; without it, sizes and shapes vary from scene to scene, about 256 × 384 pixels in area
+    #[arg(long, value_parser = parse_size, value_name = "WxH")]
+    pub size: Option<(u32, u32)>,
+    /// Second views of each scene
+    #[arg(long, default_value_t = 0, value_name = "N")]
+    pub views: u32,
+    /// Largest shift of a second view in each direction, in units of the nearest distance
+    #[arg(long, default_value_t = 0.08, value_name = "UNITS")]
+    pub baseline: f64,
+    /// Also write the surface behind the first one
+    #[arg(long)]
+    pub hidden: bool,
+    /// Colour samples in a pixel at edges, squared
+    #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=16), value_name = "N")]
+    pub supersampling: u32,
+    /// Leave out scenes whose folder is complete
+    #[arg(long)]
+    pub resume: bool,
+}
+
+/// Most pixels in a scene's picture.
+const MAX_PIXELS: u64 = 50_000_000;
+
+fn parse_size(s: &str) -> Result<(u32, u32), String> {
+    let (w, h) = s.split_once(['x', 'X']).ok_or("a size is written WIDTHxHEIGHT")?;
+    let side = |v: &str| v.parse::<u32>().ok().filter(|&v| v > 0).ok_or("both sides of a size are whole numbers of at least 1");
+    let size = (side(w)?, side(h)?);
+    if u64::from(size.0) * u64::from(size.1) > MAX_PIXELS {
+        return Err(format!("a picture has at most {MAX_PIXELS} pixels"));
+    }
+    Ok(size)
+}
+
+/// Sizes that vary with the seed: multiples of 32, area about 256 × 384, aspect 9:16 to 16:9 and sometimes 1:3 to 3:1.
+fn varied_size(seed: u64) -> (u32, u32) {
+    const SIZES: [(u32, u32); 12] = [
+        (384, 256),
+        (352, 288),
+        (256, 384),
+        (416, 224),
+        (320, 320),
+        (384, 256),
+        (288, 352),
+        (352, 256),
+        (416, 256),
+        (224, 416),
+        (544, 192),
+        (192, 512),
+    ];
+    SIZES[(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 33) as usize % SIZES.len()]
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// A folder or a file cannot be written; the text names it.
+pub fn run(args: &SynthArgs) -> anyhow::Result<()> {
+    let start = Instant::now();
+    let families = (0..u64::from(args.count))
+        .into_par_iter()
+        .map(|i| {
+            let seed = args.seed.wrapping_add(i);
+            let folder = args.output.join(format!("{seed:08}"));
+            if args.resume && folder.join("scene.json").exists() {
+                return Ok(());
+            }
+            write_scene(args, seed, &folder).with_context(|| format!("writing {}", folder.display()))
+        })
+        .collect::<anyhow::Result<Vec<()>>>()?;
+    let s = start.elapsed().as_secs_f64();
+    eprintln!("{} scenes in {s:.1} s, {:.2} a second", families.len(), families.len() as f64 / s.max(1e-9));
+    Ok(())
+}
+
+fn write_scene(args: &SynthArgs, seed: u64, folder: &Path) -> anyhow::Result<()> {
+    std::fs::create_dir_all(folder)?;
+    let (width, height) = args.size.unwrap_or_else(|| varied_size(seed));
+    let scene = Scene::framed(seed, width, height);
+    let camera = scene.camera();
+    let picture = scene.render(&camera, args.supersampling);
+    write_picture(folder, "", &picture)?;
+    if args.hidden {
+        write_picture(folder, "hidden_", &scene.hidden(&camera, 1))?;
+    }
+    let mut views = Vec::new();
+    for i in 0..args.views {
+        let pose = second_pose(seed, i, args.baseline);
+        let view = scene.render(&Camera { pose, ..camera }, args.supersampling);
+        write_picture(folder, &format!("view{i}_"), &view)?;
+        views.push(json!({ "photo": format!("view{i}_photo.png"), "disparity": format!("view{i}_disparity.png"), "pose": pose }));
+    }
+    let about = json!({
+        "seed": seed,
+        "family": scene.family(),
+        "width": width,
+        "height": height,
+        "intrinsics": camera.intrinsics,
+        "fov_x": camera.intrinsics.fov_x(width),
+        "views": views,
+    });
+    // last, so that its presence says that the folder is complete
+    std::fs::write(folder.join("scene.json"), serde_json::to_vec_pretty(&about)?)?;
+    Ok(())
+}
+
+/// Positions fill the box of ± `baseline` evenly (a Halton sequence, shifted by the seed); the camera does not turn.
+fn second_pose(seed: u64, index: u32, baseline: f64) -> Pose {
+    let halton = |base: u64| {
+        let (mut n, mut f, mut r) = (u64::from(index) + 1 + seed % 1009 * 7, 1.0, 0.0);
+        while n > 0 {
+            f /= base as f64;
+            r += f * (n % base) as f64;
+            n /= base;
+        }
+        (2.0 * r - 1.0) * baseline
+    };
+    Pose::at(halton(2), halton(3), halton(5))
+}
+
+fn write_picture(folder: &Path, prefix: &str, p: &Picture) -> anyhow::Result<()> {
+    let (w, h) = (p.photo.width, p.photo.height);
+    let encoder = |name: &str| -> anyhow::Result<_> {
+        let file = std::io::BufWriter::new(std::fs::File::create(folder.join(format!("{prefix}{name}.png")))?);
+        Ok(PngEncoder::new_with_quality(file, CompressionType::Fast, FilterType::Adaptive))
+    };
+    encoder("photo")?.write_image(p.photo.rgb.as_flattened(), w, h, ExtendedColorType::Rgb8)?;
+    // a second camera may stand nearer than the unit; its disparity map is clipped there
+    let grey: Vec<u16> = p.disparity.delta.iter().map(|d| (d * 65_535.0).round().clamp(0.0, 65_535.0) as u16).collect();
+    encoder("disparity")?.write_image(bytemuck::cast_slice(&grey), w, h, ExtendedColorType::L16)?;
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sizes_are_read_and_bounded() {
+        assert_eq!(parse_size("1280x720"), Ok((1280, 720)));
+        for bad in ["", "12", "0x4", "4x0", "-1x4", "99999x99999", "ax4"] {
+            assert!(parse_size(bad).is_err(), "{bad}");
+        }
+        assert!((0..200).map(varied_size).all(|(w, h)| w % 32 == 0 && h % 32 == 0));
+    }
+
+    #[test]
+    fn poses_stay_in_the_box() {
+        for seed in 0..50 {
+            for i in 0..4 {
+                let p = second_pose(seed, i, 0.08);
+                assert!([p.tx, p.ty, p.tz].iter().all(|v| v.abs() <= 0.08));
+            }
+        }
+        assert_ne!(second_pose(1, 0, 0.08), second_pose(1, 1, 0.08));
+    }
+
+    #[test]
+    fn a_scene_on_disk_reads_back() -> anyhow::Result<()> {
+        let folder = tempfile::tempdir()?;
+        let args = SynthArgs {
+            output: folder.path().into(),
+            count: 2,
+            seed: 5,
+            size: Some((64, 48)),
+            views: 1,
+            baseline: 0.05,
+            hidden: true,
+            supersampling: 1,
+            resume: false,
+        };
+        run(&args)?;
+        let scene = Scene::framed(6, 64, 48);
+        let picture = scene.render(&scene.camera(), 1);
+        let photo = image::open(folder.path().join("00000006/photo.png"))?.to_rgb8();
+        assert_eq!(photo.as_raw().as_slice(), picture.photo.rgb.as_flattened());
+        let map = image::open(folder.path().join("00000006/disparity.png"))?.to_luma16();
+        assert!(map.iter().zip(&picture.disparity.delta).all(|(&v, d)| (f32::from(v) / 65_535.0 - d).abs() < 1e-5));
+        let about: serde_json::Value = serde_json::from_slice(&std::fs::read(folder.path().join("00000006/scene.json"))?)?;
+        assert_eq!(about["views"].as_array().map(Vec::len), Some(1));
+        assert!(folder.path().join("00000006/hidden_photo.png").exists());
+        Ok(())
+    }
+}

@@ -1,0 +1,47 @@
+//! Which kinds of scene there are, and how often each comes.
+
+use super::math::{Frame, Rng, V3};
+use super::things::Build;
+use super::world::World;
+use super::{indoor, outdoor};
+use crate::tmpi::Pose;
+
+type Make = fn(&mut Build);
+
+/// Name, share and maker. About a third of all scenes has no vertical trend or a reversed one: shelves, figures and floating
+/// things always, rooms and streets seen upwards.
+const FAMILIES: [(&str, f64, Make); 9] = [
+    ("room", 0.23, indoor::room),
+    ("street", 0.10, outdoor::street),
+    ("field", 0.16, outdoor::field),
+    ("thin", 0.08, outdoor::thin),
+    ("shelf", 0.10, indoor::shelf),
+    ("table", 0.11, indoor::table),
+    ("figures", 0.12, indoor::figures),
+    ("floating", 0.04, indoor::floating),
+    ("terrain", 0.06, outdoor::terrain),
+];
+
+/// A scene of a family drawn by its share; the field of view is 30 to 100 degrees.
+pub(super) fn compose(rng: &Rng) -> (&'static str, World) {
+    let mut u = rng.unit() * FAMILIES.iter().map(|f| f.1).sum::<f64>();
+    let mut chosen = FAMILIES[0];
+    for f in FAMILIES {
+        chosen = f;
+        u -= f.1;
+        if u < 0.0 {
+            break;
+        }
+    }
+    let mut w = World::new(rng);
+    w.fov = rng.range(30.0, 85.0) + if rng.chance(0.15) { 15.0 } else { 0.0 };
+    chosen.2(&mut Build { w: &mut w, rng });
+    w.finish();
+    (chosen.0, w)
+}
+
+/// Places the reference camera; angles in degrees as in [`Pose`].
+pub(super) fn look(b: &mut Build, at: V3, yaw: f64, pitch: f64, roll: f64) {
+    let orientation = Pose { yaw, pitch, roll, ..Pose::default() }.orientation();
+    b.w.eye = Frame::turned(at, &orientation);
+}
