@@ -31,7 +31,8 @@
 // encoding: the target is rgba8unorm or bgra8unorm without -srgb, cleared to (0, 0, 0, 0).
 //   pass 1  vs + fs_opaque, no blending, depth write on;  instances in layer order (a tie in depth goes to the later layer).
 //   pass 2  vs + fs_soft, blend (one, one-minus-src-alpha, add) for colour and alpha, depth write OFF;  instances back to front by
-//           (mean δ over the rectangle, layer order): mean δ = δ at the rectangle's centre. The order does not depend on the pose.
+//           (mean δ over the rectangle, layer order): mean δ = δ at the rectangle's centre. The order does not depend on the pose,
+//           but where R column 2 has z < 0 (the camera looks backward) it is by (−mean δ, layer order).
 // Both passes may be one render pass with two pipelines. Layers without a soft edge may be left out of pass 2.
 
 struct View {

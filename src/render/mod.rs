@@ -3,6 +3,7 @@
 mod cpu;
 mod encode;
 mod footprint;
+mod gpu;
 mod prepared;
 mod reference;
 #[cfg(test)]
@@ -10,6 +11,7 @@ mod testing;
 
 pub use cpu::Cpu;
 pub use encode::{DEFAULT_QUALITY, EncodeError, PictureFormat, encode};
+pub use gpu::Gpu;
 pub use reference::Reference;
 
 use std::sync::Arc;
@@ -106,14 +108,40 @@ fn check(camera: &Camera) -> Result<(), RenderError> {
     Ok(())
 }
 
-/// The host for `backend`.
+/// The host for `backend`. An adapter in software counts only where `gpu` is asked for by name.
 ///
 /// # Errors
-/// [`RenderError::Adapter`] where `gpu` is asked for and there is no graphics adapter.
+/// [`RenderError::Adapter`] where `gpu` is asked for and there is no adapter.
 pub fn select(backend: Backend) -> Result<Arc<dyn Renderer>, RenderError> {
     match backend {
         Backend::Reference => Ok(Arc::new(Reference)),
-        Backend::Cpu | Backend::Auto => Ok(Arc::new(Cpu::default())),
-        Backend::Gpu => Err(RenderError::Adapter("none found".into())),
+        Backend::Cpu => Ok(Arc::new(Cpu::default())),
+        Backend::Gpu => Ok(Arc::new(Gpu::new(true)?)),
+        Backend::Auto => match Gpu::new(false) {
+            Ok(gpu) => Ok(Arc::new(GpuOrCpu { gpu, cpu: Cpu::default() })),
+            Err(reason) => {
+                tracing::info!(%reason, "drawing on the processor");
+                Ok(Arc::new(Cpu::default()))
+            }
+        },
+    }
+}
+
+/// `gpu`, and `cpu` for a view that it cannot draw: too large, or the device was lost.
+struct GpuOrCpu {
+    gpu: Gpu,
+    cpu: Cpu,
+}
+
+impl Renderer for GpuOrCpu {
+    fn name(&self) -> &'static str {
+        self.gpu.name()
+    }
+
+    fn render(&self, scene: &Arc<Scene>, camera: &Camera) -> Result<View, RenderError> {
+        match self.gpu.render(scene, camera) {
+            Err(RenderError::Adapter(_) | RenderError::TooLarge(_)) => self.cpu.render(scene, camera),
+            result => result,
+        }
     }
 }

@@ -16,12 +16,12 @@ pub(super) struct Content {
 }
 
 impl Content {
-    /// Of straight-alpha texels: an interpolated alpha lies between the texels'.
-    pub fn of(texels: &[[u8; 4]]) -> Self {
+    /// Of the texels' alphas: an interpolated alpha lies between them.
+    pub fn of(alphas: &[u8]) -> Self {
         let (mut least, mut most) = (u8::MAX, 0);
-        for t in texels {
-            least = least.min(t[3]);
-            most = most.max(t[3]);
+        for &a in alphas {
+            least = least.min(a);
+            most = most.max(a);
         }
         let is_opaque = |a: u8| f32::from(a) / 255.0 >= OPAQUE;
         Self { opaque: is_opaque(most), soft: most > 0 && !is_opaque(least) }
@@ -35,9 +35,12 @@ pub(super) fn mean_delta(scene: &Scene, layer: &Layer) -> f64 {
     layer.plane.disparity((middle(r.x, r.w) - centre.0) / half, (middle(r.y, r.h) - centre.1) / half)
 }
 
-/// Layers back to front by (mean δ, index): the same for every camera, so nothing flickers.
-pub(super) fn back_to_front(scene: &Scene) -> Vec<usize> {
-    let mean: Vec<f64> = scene.layers.iter().map(|l| mean_delta(scene, l)).collect();
+/// Layers back to front by (mean δ, index): the same for every camera that looks forward, so nothing flickers.
+///
+/// `backward` is for cameras that look against the reference camera's view: rays meet the planes in the opposite order, ties stay.
+pub(super) fn back_to_front(scene: &Scene, backward: bool) -> Vec<usize> {
+    let sign = if backward { -1.0 } else { 1.0 };
+    let mean: Vec<f64> = scene.layers.iter().map(|l| sign * mean_delta(scene, l)).collect();
     let mut order: Vec<usize> = (0..mean.len()).collect();
     order.sort_by(|&a, &b| mean[a].total_cmp(&mean[b]).then(a.cmp(&b)));
     order
@@ -57,11 +60,11 @@ impl Prepared {
     pub fn new(scene: &Scene) -> Result<Self, SceneError> {
         scene.validate()?;
         let mut texels = Vec::with_capacity(scene.texels.class.len());
-        let mut order = back_to_front(scene);
+        let mut order = back_to_front(scene, false);
         let mut drawn = vec![false; scene.layers.len()];
         for (index, layer) in scene.layers.iter().enumerate() {
             scene.expand_layer(index, &mut texels);
-            let content = Content::of(&texels[layer.first_texel..]);
+            let content = Content::of(&scene.texels.alpha[layer.first_texel..texels.len()]);
             drawn[index] = content.opaque || content.soft;
         }
         order.retain(|&i| drawn[i]);
@@ -89,21 +92,22 @@ impl<T> SceneCache<T> {
         Self { budget, entries: Vec::new() }
     }
 
-    /// The value of `scene`; on a miss, room for `bytes` is made and `create` is asked. The newest stays even where it alone exceeds the budget.
-    pub fn get_or_insert<E>(&mut self, scene: &Arc<Scene>, bytes: usize, create: impl FnOnce() -> Result<T, E>) -> Result<&mut T, E> {
+    /// The value of `scene`, which becomes the most recently used.
+    pub fn get(&mut self, scene: &Arc<Scene>) -> Option<&mut T> {
         self.entries.retain(|(weak, ..)| weak.strong_count() > 0);
-        let found = self.entries.iter().position(|(weak, ..)| std::ptr::eq(weak.as_ptr(), Arc::as_ptr(scene)));
-        let entry = if let Some(at) = found {
-            self.entries.remove(at)
-        } else {
-            while !self.entries.is_empty() && self.bytes().saturating_add(bytes) > self.budget {
-                self.entries.remove(0);
-            }
-            (Arc::downgrade(scene), bytes, create()?)
-        };
-        self.entries.push(entry);
+        let at = self.entries.iter().position(|(weak, ..)| std::ptr::eq(weak.as_ptr(), Arc::as_ptr(scene)))?;
+        self.entries[at..].rotate_left(1);
+        self.entries.last_mut().map(|(.., value)| value)
+    }
+
+    /// Makes room for `bytes`, then creates the value of `scene`. The newest stays even where it alone exceeds the budget.
+    pub fn insert(&mut self, scene: &Arc<Scene>, bytes: usize, create: impl FnOnce() -> T) -> &mut T {
+        while !self.entries.is_empty() && self.bytes().saturating_add(bytes) > self.budget {
+            self.entries.remove(0);
+        }
+        self.entries.push((Arc::downgrade(scene), bytes, create()));
         let last = self.entries.len() - 1;
-        Ok(&mut self.entries[last].2)
+        &mut self.entries[last].2
     }
 
     fn bytes(&self) -> usize {
@@ -122,11 +126,10 @@ mod tests {
         let mut cache = SceneCache::new(20);
         let mut made = 0;
         let mut get = |cache: &mut SceneCache<u32>, scene: &Arc<Scene>| {
-            let value = cache.get_or_insert(scene, 10, || {
+            cache.get(scene).copied().unwrap_or_else(|| {
                 made += 1;
-                Ok::<_, ()>(made)
-            });
-            value.copied().unwrap()
+                *cache.insert(scene, 10, || made)
+            })
         };
         assert_eq!(get(&mut cache, &scenes[0]), 1);
         assert_eq!(get(&mut cache, &scenes[1]), 2);
@@ -143,6 +146,7 @@ mod tests {
     #[test]
     fn the_order_is_by_mean_disparity_then_index() {
         let scene = testing::stack(16, 16, &[[9, 9, 9, 255]; 4], &[0.5, 0.2, 0.5, 0.0]);
-        assert_eq!(back_to_front(&scene), [3, 1, 0, 2]);
+        assert_eq!(back_to_front(&scene, false), [3, 1, 0, 2]);
+        assert_eq!(back_to_front(&scene, true), [0, 2, 1, 3]);
     }
 }

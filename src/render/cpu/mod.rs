@@ -43,7 +43,8 @@ impl Cpu {
     fn prepared(&self, scene: &Arc<Scene>) -> Result<Arc<Prepared>, SceneError> {
         let slot = {
             let mut scenes = self.scenes.lock().unwrap_or_else(PoisonError::into_inner);
-            Arc::clone(scenes.get_or_insert(scene, Prepared::bytes(scene), || Ok::<_, SceneError>(Slot::default()))?)
+            let slot = scenes.get(scene).map(|slot| Arc::clone(slot));
+            slot.unwrap_or_else(|| Arc::clone(scenes.insert(scene, Prepared::bytes(scene), Slot::default)))
         };
         // outside the lock: other scenes go on, and several views of a new scene expand it once
         slot.get_or_init(|| Prepared::new(scene).map(Arc::new)).clone()

@@ -1,0 +1,142 @@
+//! A scene in graphics memory: atlas pages and instances.
+
+use bytemuck::{Pod, Zeroable};
+use wgpu::util::DeviceExt;
+
+use super::device::Device;
+use super::pack::{Packing, pack};
+use crate::render::RenderError;
+use crate::render::prepared::{Content, back_to_front};
+use crate::tmpi::Scene;
+
+/// Instance as at the head of `tmpi.wgsl`.
+#[derive(Clone, Copy, Debug, Pod, Zeroable)]
+#[repr(C)]
+struct Instance {
+    plane: [f32; 3],
+    page: f32,
+    centre: [f32; 2],
+    rect: [f32; 4],
+    atlas: [f32; 2],
+}
+
+/// Instances in drawing order.
+#[derive(Debug)]
+pub(super) struct Instances {
+    pub buffer: wgpu::Buffer,
+    pub count: u32,
+}
+
+/// A scene in graphics memory.
+#[derive(Debug)]
+pub(super) struct Loaded {
+    pub bind_group: wgpu::BindGroup,
+    /// Layers with opaque texels, in layer order.
+    pub opaque: Instances,
+    /// Layers with soft texels, back to front as seen by a camera that looks forward.
+    pub soft: Instances,
+    /// The same as seen by a camera that looks backward.
+    pub soft_backward: Instances,
+}
+
+/// Layers to draw and where their texels go.
+#[derive(Debug)]
+pub(super) struct Plan {
+    /// Indices of the layers in layer order, with what they hold.
+    layers: Vec<(usize, Content)>,
+    packing: Packing,
+}
+
+impl Plan {
+    /// Decides what of `scene` is loaded, within the adapter's limits.
+    pub fn new(scene: &Scene, limits: &wgpu::Limits) -> Result<Self, RenderError> {
+        scene.validate()?;
+        let mut layers = Vec::new();
+        for (index, layer) in scene.layers.iter().enumerate() {
+            let content = Content::of(&scene.texels.alpha[layer.first_texel..layer.first_texel + layer.rect.area()]);
+            if content.opaque || content.soft {
+                layers.push((index, content));
+            }
+        }
+        let sizes: Vec<(u32, u32)> = layers.iter().map(|&(i, _)| (scene.layers[i].rect.w, scene.layers[i].rect.h)).collect();
+        let packing = pack(&sizes, limits.max_texture_dimension_2d, limits.max_texture_array_layers)?;
+        Ok(Self { layers, packing })
+    }
+
+    /// Bytes of graphics memory that it takes.
+    pub fn bytes(&self) -> usize {
+        let p = &self.packing;
+        p.width as usize * p.height as usize * p.pages as usize * 4 + self.layers.len() * 3 * size_of::<Instance>()
+    }
+
+    /// Uploads the scene.
+    pub fn load(&self, scene: &Scene, device: &Device) -> Loaded {
+        let texture = self.upload(scene, device);
+        let mut at = vec![None; scene.layers.len()];
+        for (n, &(index, content)) in self.layers.iter().enumerate() {
+            at[index] = Some((n, content));
+        }
+        let of = |indices: &mut dyn Iterator<Item = usize>, wanted: fn(&Content) -> bool| {
+            let all: Vec<Instance> =
+                indices.filter_map(|i| at[i].filter(|(_, c)| wanted(c)).map(|(n, _)| self.instance(scene, i, n))).collect();
+            Instances::new(device, &all)
+        };
+        Loaded {
+            bind_group: device.bind_group(&texture),
+            opaque: of(&mut (0..scene.layers.len()), |c| c.opaque),
+            soft: of(&mut back_to_front(scene, false).into_iter(), |c| c.soft),
+            soft_backward: of(&mut back_to_front(scene, true).into_iter(), |c| c.soft),
+        }
+    }
+
+    fn instance(&self, scene: &Scene, index: usize, n: usize) -> Instance {
+        let layer = &scene.layers[index];
+        let (p, r, place) = (&layer.plane, &layer.rect, self.packing.places[n]);
+        let centre = scene.grid.centre(layer.tile);
+        Instance {
+            plane: [p.a as f32, p.b as f32, p.c as f32],
+            page: place.page as f32,
+            centre: [centre.0 as f32, centre.1 as f32],
+            rect: [r.x as f32, r.y as f32, r.w as f32, r.h as f32],
+            atlas: [place.x as f32, place.y as f32],
+        }
+    }
+
+    fn upload(&self, scene: &Scene, device: &Device) -> wgpu::Texture {
+        let p = &self.packing;
+        let texture = device.atlas(p.width, p.height, p.pages);
+        let mut page = vec![[0_u8; 4]; p.width as usize * p.height as usize];
+        let mut texels = Vec::new();
+        for number in 0..p.pages {
+            for (&(index, _), place) in self.layers.iter().zip(&p.places).filter(|(_, place)| place.page == number) {
+                texels.clear();
+                scene.expand_layer(index, &mut texels);
+                let width = scene.layers[index].rect.w as usize;
+                for (y, row) in texels.chunks(width).enumerate() {
+                    let start = (place.y as usize + y) * p.width as usize + place.x as usize;
+                    for (to, from) in page[start..start + width].iter_mut().zip(row) {
+                        *to = premultiplied(*from);
+                    }
+                }
+            }
+            device.write_page(&texture, number, page.as_flattened());
+        }
+        texture
+    }
+}
+
+impl Instances {
+    fn new(device: &Device, all: &[Instance]) -> Self {
+        // a buffer of no bytes cannot be bound
+        let spare = [Instance::zeroed()];
+        let contents = bytemuck::cast_slice(if all.is_empty() { &spare } else { all });
+        let descriptor = wgpu::util::BufferInitDescriptor { label: Some("instances"), contents, usage: wgpu::BufferUsages::VERTEX };
+        Self { buffer: device.handle.create_buffer_init(&descriptor), count: all.len() as u32 }
+    }
+}
+
+fn premultiplied(t: [u8; 4]) -> [u8; 4] {
+    let a = u32::from(t[3]);
+    let c = |v: u8| ((u32::from(v) * a + 127) / 255) as u8;
+    [c(t[0]), c(t[1]), c(t[2]), t[3]]
+}
