@@ -29,10 +29,9 @@ async function request(url, options) {
 
 export const photoUrl = (id, part = '') => `/v1/photos/${encodeURIComponent(id)}${part}`;
 
-/** All photos, newest first. */
-export async function listPhotos() {
-  const body = await (await request('/v1/photos')).json();
-  return body.photos;
+/** One page of the list, newest first: `{photos, next}`; `next` is the address of the next page. */
+export async function listPhotos(address = '/v1/photos') {
+  return (await request(address)).json();
 }
 
 /** State of one photo. */

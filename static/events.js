@@ -2,10 +2,21 @@
 import { getPhoto, photoUrl } from './api.js';
 
 const ASK_EVERY_MS = 1500;
+const UNKNOWN = 'It could not be made.';
+
+/** Why a photo could not be made, from its state. */
+export function reasonOf(photo) {
+  return photo.problem?.detail || photo.problem?.title || UNKNOWN;
+}
+
+/** True where a photo is still on its way. */
+export function isUnderWay(photo) {
+  return photo.state === 'queued' || photo.state === 'working';
+}
 
 /**
  * @param {string} id
- * @param {{stage: (message: {stage: string, step: number, steps: number}) => void, done: () => void, failed: (message: string) => void}} on
+ * @param {object} on `queued(position)`, `stage({stage, step, steps})`, and at the end one of `done()`, `failed(reason)`, `deleted()`
  * @returns {() => void} stops following
  */
 export function followPhoto(id, on) {
@@ -19,30 +30,29 @@ export function followPhoto(id, on) {
     source.close();
   }
 
-  function settle(photo) {
-    if (ended || (photo.state !== 'done' && photo.state !== 'failed')) return false;
+  function settle(call) {
+    if (ended) return;
     end();
-    if (photo.state === 'done') on.done();
-    else on.failed(photo.error ?? 'It could not be made.');
-    return true;
+    call();
   }
 
   async function ask() {
     try {
-      if (settle(await getPhoto(id))) return;
+      const photo = await getPhoto(id);
+      if (photo.state === 'done') settle(on.done);
+      else if (photo.state === 'failed') settle(() => on.failed(reasonOf(photo)));
+      else if (!ended && photo.progress) on.stage(photo.progress);
     } catch (error) {
-      if (!ended) {
-        end();
-        on.failed(error.message);
-      }
-      return;
+      settle(() => on.failed(error.message));
     }
     if (!ended) timer = setTimeout(ask, ASK_EVERY_MS);
   }
 
-  source.addEventListener('progress', (event) => on.stage(JSON.parse(event.data)));
-  source.addEventListener('done', () => settle({ state: 'done' }));
-  source.addEventListener('failed', (event) => settle({ state: 'failed', error: JSON.parse(event.data).detail }));
+  source.addEventListener('queued', (event) => on.queued(JSON.parse(event.data).position));
+  source.addEventListener('stage', (event) => on.stage(JSON.parse(event.data)));
+  source.addEventListener('done', () => settle(on.done));
+  source.addEventListener('failed', (event) => settle(() => on.failed(reasonOf({ problem: JSON.parse(event.data) }))));
+  source.addEventListener('deleted', () => settle(on.deleted));
   source.onerror = () => {
     // the browser tries again by itself unless the server refused
     if (source.readyState === EventSource.CLOSED && !ended) ask();

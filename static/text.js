@@ -14,7 +14,6 @@ export function formatBytes(bytes) {
 }
 
 const STAGES = {
-  queued: 'Waiting for its turn',
   photo: 'Reading the photo',
   depth: 'Estimating depth',
   denoise: 'Cleaning the depth',
@@ -29,6 +28,11 @@ const STAGES = {
 /** A stage of the way in a person's words. */
 export function stageText(stage) {
   return STAGES[stage] ?? stage;
+}
+
+/** A place in the queue in a person's words. */
+export function queueText(position) {
+  return position > 0 ? `Waiting for its turn, ${position} before it` : 'Waiting for its turn';
 }
 
 const NAME_KEY = 'tmpi:name:';
@@ -61,7 +65,8 @@ export function photoName(photo) {
   if (name) return name.replace(/\.[a-z0-9]{2,5}$/i, '');
   const date = new Date(photo.created);
   if (Number.isNaN(date.getTime())) return 'Photo';
-  return `Photo of ${date.toLocaleString(undefined, { dateStyle: 'medium', timeStyle: 'short' })}`;
+  const year = date.getFullYear() === new Date().getFullYear() ? undefined : 'numeric';
+  return date.toLocaleString(undefined, { year, month: 'short', day: 'numeric', hour: 'numeric', minute: '2-digit' });
 }
 
 /** An element with a class and text or children. */

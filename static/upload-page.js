@@ -1,7 +1,7 @@
 // The page of all photos: takes new ones, shows how far they are, and lists those that are there.
 import { deletePhoto, listPhotos, photoUrl, uploadPhoto } from './api.js';
-import { followPhoto } from './events.js';
-import { element, forgetName, formatBytes, icon, photoName, rememberName, stageText } from './text.js';
+import { followPhoto, isUnderWay, reasonOf } from './events.js';
+import { element, forgetName, formatBytes, icon, photoName, queueText, rememberName, stageText } from './text.js';
 
 /** Uploads under way at the same time. */
 const PARALLEL = 2;
@@ -10,6 +10,8 @@ const UPLOAD_SHARE = 0.25;
 
 const $ = (id) => document.getElementById(id);
 const waiting = [];
+/** Photos that have a row. */
+const followed = new Set();
 let running = 0;
 
 function say(text) {
@@ -21,9 +23,7 @@ function say(text) {
 class Row {
   constructor(name, preview) {
     this.name = name;
-    this.image = element('img');
-    this.image.alt = '';
-    if (preview) this.image.src = this.preview = URL.createObjectURL(preview);
+    this.preview = preview && URL.createObjectURL(preview);
     this.state = element('p', 'upload-state');
     this.bar = element('progress');
     this.bar.max = 1;
@@ -35,7 +35,7 @@ class Row {
     this.close.addEventListener('click', () => this.onClose?.());
     this.actions = element('div', 'upload-actions', this.close);
     const body = element('div', 'upload-body', element('p', 'upload-name', name), this.bar, this.state);
-    this.root = element('li', 'upload', this.image, body, this.actions);
+    this.root = element('li', 'upload', previewOf(this.preview), body, this.actions);
     $('upload-list').prepend(this.root);
     $('uploads').hidden = false;
   }
@@ -71,6 +71,17 @@ class Row {
   }
 }
 
+/** A small picture, or an empty frame where there is none to show. */
+function previewOf(address) {
+  const empty = element('span', 'upload-picture');
+  if (!address) return empty;
+  const image = element('img', 'upload-picture');
+  image.alt = '';
+  image.addEventListener('error', () => image.replaceWith(empty));
+  image.src = address;
+  return image;
+}
+
 // ---- uploads
 
 function take(files) {
@@ -84,15 +95,15 @@ function take(files) {
     };
     waiting.push(job);
   }
-  next();
+  sendNext();
 }
 
-function next() {
+function sendNext() {
   while (running < PARALLEL && waiting.length) {
     running++;
     send(waiting.shift()).finally(() => {
       running--;
-      next();
+      sendNext();
     });
   }
 }
@@ -101,6 +112,7 @@ async function send({ file, row }) {
   try {
     const photo = await post(file, row);
     rememberName(photo.id, row.name);
+    followed.add(photo.id);
     // making it goes on without holding up the next upload
     follow(photo, row);
   } catch (error) {
@@ -136,12 +148,14 @@ function pause(ms, row) {
 
 function follow(photo, row) {
   const stop = followPhoto(photo.id, {
+    queued: (position) => row.show(queueText(position), UPLOAD_SHARE),
     stage: ({ stage, step, steps }) => row.show(stageText(stage), UPLOAD_SHARE + (1 - UPLOAD_SHARE) * (steps ? (step - 1) / steps : 0)),
     done: () => {
       row.done(photo.id);
       refresh();
     },
     failed: (message) => row.fail(message),
+    deleted: () => row.remove(),
   });
   row.onClose = async () => {
     stop();
@@ -171,13 +185,13 @@ function card(photo) {
   const link = element('a', '', image);
   link.href = `/view/${encodeURIComponent(photo.id)}`;
   link.setAttribute('aria-label', `Open ${name}`);
-  const facts = [photo.width && `${photo.width} × ${photo.height}`, photo.bytes && formatBytes(photo.bytes)].filter(Boolean).join(' · ');
-  return frame(photo, name, link, element('p', 'card-facts', facts));
+  const size = element('span', 'card-size', `${photo.width} × ${photo.height} · `);
+  return frame(photo, name, link, element('p', 'card-facts', size, formatBytes(photo.atlas_bytes)));
 }
 
 function failedCard(photo) {
   const thumb = element('span', 'thumb', 'Not made');
-  return frame(photo, photoName(photo), thumb, element('p', 'card-facts bad', photo.error ?? 'It could not be made.'));
+  return frame(photo, photoName(photo), thumb, element('p', 'card-facts bad', reasonOf(photo)));
 }
 
 function frame(photo, name, top, facts) {
@@ -204,33 +218,49 @@ function frame(photo, name, top, facts) {
   return root;
 }
 
-const followed = new Set();
+let next = null;
 
-async function refresh() {
-  let photos;
+async function list(address) {
   try {
-    photos = await listPhotos();
+    return await listPhotos(address);
   } catch (error) {
     $('gallery-note').hidden = false;
     $('gallery-note').textContent = error.message;
-    return;
+    return null;
   }
-  const done = photos.filter((photo) => photo.state === 'done');
-  const failed = photos.filter((photo) => photo.state === 'failed');
-  $('gallery').replaceChildren(...done.map(card), ...failed.map(failedCard));
-  $('gallery-note').hidden = done.length + failed.length > 0;
+}
+
+function show(page, more) {
+  const cards = page.photos.filter((photo) => !isUnderWay(photo)).map((photo) => (photo.state === 'done' ? card(photo) : failedCard(photo)));
+  if (more) $('gallery').append(...cards);
+  else $('gallery').replaceChildren(...cards);
+  $('gallery-note').hidden = $('gallery').children.length > 0;
   $('gallery-note').textContent = 'No photo yet. The first one takes a few seconds.';
-  return photos;
+  next = page.next ?? null;
+  $('more').hidden = !next;
+}
+
+async function refresh() {
+  const page = await list();
+  if (page) show(page, false);
+  return page;
 }
 
 /** Photos that were on their way when the page was opened. */
 function resume(photos) {
   for (const photo of photos) {
-    if (photo.state === 'done' || photo.state === 'failed' || followed.has(photo.id)) continue;
+    if (!isUnderWay(photo) || followed.has(photo.id)) continue;
     followed.add(photo.id);
     follow(photo, new Row(photoName(photo), null));
   }
 }
+
+$('more').addEventListener('click', async () => {
+  $('more').disabled = true;
+  const page = await list(next);
+  if (page) show(page, true);
+  $('more').disabled = false;
+});
 
 // ---- picker, drop, paste
 
@@ -266,4 +296,4 @@ addEventListener('paste', (event) => {
   take(files);
 });
 
-refresh().then((photos) => photos && resume(photos));
+refresh().then((page) => page && resume(page.photos));

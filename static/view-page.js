@@ -1,7 +1,8 @@
 // The page of one photo.
 import { getPhoto, photoUrl } from './api.js';
 import { formatPose, parsePose } from './camera.js';
-import { formatBytes, photoName } from './text.js';
+import { followPhoto, isUnderWay } from './events.js';
+import { formatBytes, photoName, queueText, stageText } from './text.js';
 import { Viewer } from './viewer.js';
 
 const TOAST_MS = 2500;
@@ -9,7 +10,9 @@ const HASH_KEY = 'pose';
 
 const $ = (id) => document.getElementById(id);
 const id = decodeURIComponent(location.pathname.split('/').filter(Boolean).pop() ?? '');
+const stage = $('stage');
 const state = { bytes: 0, ms: null, toast: 0 };
+let viewer;
 
 /** Where the address asks the camera to start: offsets in units of the view box. */
 function offsetOfHash() {
@@ -39,10 +42,72 @@ function readout() {
   $('readout').textContent = parts.join(' · ');
 }
 
+function showLoading(text, share) {
+  $('loading').hidden = false;
+  $('loading-text').textContent = text;
+  if (share === undefined) $('bar').removeAttribute('value');
+  else $('bar').value = share;
+}
+
 function fail(message) {
   $('loading').hidden = true;
   $('failure-text').textContent = message;
   $('failure').hidden = false;
+}
+
+function showIdle(on) {
+  $('idle').setAttribute('aria-pressed', String(on));
+}
+
+/** Starts the viewer; where the photo is not made yet, waits for it first. */
+function start() {
+  viewer?.dispose();
+  viewer = new Viewer(stage, { atlas: photoUrl(id, '/atlas'), view: photoUrl(id, '/view'), offset: offsetOfHash() });
+  // for tests, and for people at the console
+  window.viewer = viewer;
+  showIdle(viewer.idle);
+  viewer.addEventListener('progress', ({ detail: { received, total } }) => {
+    state.bytes = total || received;
+    showLoading(total ? `${formatBytes(received)} of ${formatBytes(total)}` : formatBytes(received), total ? received / total : undefined);
+    readout();
+  });
+  viewer.addEventListener('photo', () => {
+    $('backdrop').src = viewer.posterUrl;
+    $('backdrop').hidden = false;
+  });
+  viewer.addEventListener('ready', ({ detail }) => {
+    $('loading').hidden = true;
+    stage.dataset.mode = detail.mode;
+  });
+  viewer.addEventListener('mode', ({ detail }) => {
+    stage.dataset.mode = detail.mode;
+    $('served-note').hidden = detail.mode !== 'served';
+    if (detail.mode !== 'served') return;
+    state.ms = null;
+    $('served-note').textContent = `The server draws this view. ${detail.reason}`;
+    readout();
+  });
+  viewer.addEventListener('frame', ({ detail }) => {
+    state.ms = detail.ms;
+    readout();
+  });
+  viewer.addEventListener('idle', ({ detail }) => showIdle(detail.on));
+  viewer.addEventListener('error', ({ detail }) => {
+    if (viewer.mode === 'served') toast(detail.message);
+    else waitOrFail(detail.message);
+  });
+}
+
+async function waitOrFail(message) {
+  const photo = await getPhoto(id).catch(() => null);
+  if (!photo || !isUnderWay(photo)) return fail(message);
+  followPhoto(id, {
+    queued: (position) => showLoading(queueText(position)),
+    stage: (at) => showLoading(stageText(at.stage), (at.step - 1) / at.steps),
+    done: start,
+    failed: fail,
+    deleted: () => fail('The photo was deleted.'),
+  });
 }
 
 async function share() {
@@ -75,50 +140,12 @@ async function toggleFullscreen() {
   }
 }
 
-function showIdle(on) {
-  $('idle').setAttribute('aria-pressed', String(on));
-}
-
-const stage = $('stage');
-const viewer = new Viewer(stage, { atlas: photoUrl(id, '/atlas'), view: photoUrl(id, '/view'), offset: offsetOfHash() });
-showIdle(viewer.idle);
-
-viewer.addEventListener('progress', ({ detail }) => {
-  state.bytes = detail.total || detail.received;
-  if (detail.total) {
-    $('bar').max = detail.total;
-    $('bar').value = detail.received;
-  }
-  $('loading-text').textContent = detail.total ? `${formatBytes(detail.received)} of ${formatBytes(detail.total)}` : formatBytes(detail.received);
-  readout();
-});
-viewer.addEventListener('ready', ({ detail }) => {
-  $('loading').hidden = true;
-  stage.dataset.mode = detail.mode;
-});
-viewer.addEventListener('mode', ({ detail }) => {
-  stage.dataset.mode = detail.mode;
-  $('served-note').hidden = detail.mode !== 'served';
-  if (detail.mode !== 'served') return;
-  state.ms = null;
-  $('served-note').textContent = `The server draws this view. ${detail.reason}`;
-  readout();
-});
-viewer.addEventListener('frame', ({ detail }) => {
-  state.ms = detail.ms;
-  readout();
-});
-viewer.addEventListener('idle', ({ detail }) => showIdle(detail.on));
-viewer.addEventListener('error', ({ detail }) => {
-  if (viewer.mode === 'served') toast(detail.message);
-  else fail(detail.message);
-});
-
 $('reset').addEventListener('click', () => viewer.reset());
 $('idle').addEventListener('click', () => viewer.setIdle(!viewer.idle));
 $('share').addEventListener('click', share);
 $('retry').addEventListener('click', () => location.reload());
 $('download').href = photoUrl(id, '/atlas');
+$('download').download = `${id}.tmpi`;
 $('fullscreen').hidden = !document.fullscreenEnabled;
 $('fullscreen').addEventListener('click', toggleFullscreen);
 document.addEventListener('fullscreenchange', () => $('fullscreen').setAttribute('aria-pressed', String(Boolean(document.fullscreenElement))));
@@ -127,6 +154,7 @@ addEventListener('hashchange', () => {
   if (offset) viewer.moveTo(offset);
 });
 
+start();
 getPhoto(id)
   .then((photo) => {
     const name = photoName(photo);
@@ -134,10 +162,5 @@ getPhoto(id)
     document.title = `${name} – tmpi`;
     $('download').download = `${name.replace(/[^\p{L}\p{N}._-]+/gu, '-')}.tmpi`;
   })
-  .catch(() => {
-    // the viewer says what is wrong with the photo
-    $('download').download = `${id}.tmpi`;
-  });
-
-// for tests, and for people at the console
-window.viewer = viewer;
+  // the viewer says what is wrong with the photo
+  .catch(() => {});
