@@ -30,6 +30,26 @@ pub fn snap(photo: &Photo, delta: &DisparityMap) -> DisparityMap {
     each(&filtered, RADIUS, RAMP, |w| join(photo, w))
 }
 
+/// Share of the pixels near depth edges that lie on a ramp between the two sides. True depth has 0.19 to 0.47 on seven
+/// Middlebury maps, 0.57 to 0.79 once blurred by 5×5; maps of a large depth network have 0.56 to 0.98.
+#[must_use]
+pub fn ramp_share(delta: &DisparityMap) -> f64 {
+    let (w, h) = (delta.width as usize, delta.height as usize);
+    let (lo, hi) = (extreme(&delta.delta, w, h, RADIUS, f32::min), extreme(&delta.delta, w, h, RADIUS, f32::max));
+    let (mut ramp, mut edge) = (0usize, 0usize);
+    for ((&d, lo), hi) in delta.delta.iter().zip(lo).zip(hi) {
+        if hi - lo > RAMP {
+            edge += 1;
+            let t = (d - lo) / (hi - lo);
+            ramp += usize::from(t > 0.1 && t < 0.9);
+        }
+    }
+    if edge == 0 { 0.0 } else { ramp as f64 / edge as f64 }
+}
+
+/// [`ramp_share`] above which a map counts as blurred.
+pub const BLURRED: f64 = 0.52;
+
 /// Colour-weighted median over 5×5 pixels where δ has an edge; worth doing on true depth too.
 #[must_use]
 pub fn median(photo: &Photo, delta: &DisparityMap) -> DisparityMap {
@@ -242,6 +262,11 @@ mod tests {
         assert_eq!(snap(&photo, &sharp), sharp);
         let slope = DisparityMap { delta: (0..48 * 24).map(|i| (i % 48) as f32 * 0.002).collect(), ..sharp };
         assert_eq!(snap(&photo, &slope), slope);
+    }
+
+    #[test]
+    fn ramps_are_told_from_steps() {
+        assert!(ramp_share(&step(12.0).1) > BLURRED && ramp_share(&step(1e-3).1) < BLURRED);
     }
 
     #[test]

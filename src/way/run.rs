@@ -64,7 +64,9 @@ pub fn make(
 
     trip.enter("snap")?;
     if options.snap == Switch::Auto {
-        delta = if given { snap::median(&photo, &delta) } else { snap::snap(&photo, &delta) };
+        // snapping true depth costs quality, and a map that is given may be either
+        let blurred = !given || snap::ramp_share(&delta) > snap::BLURRED;
+        delta = if blurred { snap::snap(&photo, &delta) } else { snap::median(&photo, &delta) };
     }
 
     trip.enter("planes")?;
