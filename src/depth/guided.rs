@@ -39,7 +39,7 @@ fn luminance(p: [u8; 3]) -> f32 {
 }
 
 /// Mean over a `(2r + 1)²` window clipped to the map; sums in `f64`, so that sliding does not drift.
-fn box_mean(src: &[f32], w: usize, h: usize, r: usize) -> Vec<f32> {
+pub(super) fn box_mean(src: &[f32], w: usize, h: usize, r: usize) -> Vec<f32> {
     let mut rows = vec![0f32; src.len()];
     rows.par_chunks_mut(w).zip(src.par_chunks(w)).for_each(|(out, line)| {
         let mut sum: f64 = line[..r.min(w)].iter().map(|v| f64::from(*v)).sum();

@@ -1,9 +1,15 @@
 //! Disparity of a photo: by a monocular depth network, or a map that the user gives.
 
+mod adapter;
 pub mod guided;
 mod map;
+mod monocular;
+mod upsample;
 
+pub use adapter::{ADAPTERS, Adapter, Kind, Layout, SizeRule, adapter};
 pub use map::from_png;
+pub use monocular::Monocular;
+pub use upsample::upsample;
 
 use crate::tmpi::{DisparityMap, Photo};
 
@@ -19,7 +25,7 @@ pub enum DepthKind {
 }
 
 /// Why there is no disparity map.
-#[derive(Debug, thiserror::Error)]
+#[derive(Clone, Debug, thiserror::Error)]
 pub enum DepthError {
     /// The depth map is not a grey PNG.
     #[error("the depth map must be a grey PNG of 8 or 16 bits: {0}")]
@@ -39,4 +45,13 @@ pub trait Estimator: Send + Sync {
     /// # Errors
     /// [`DepthError::Onnx`] where the network cannot run.
     fn estimate(&self, photo: &Photo) -> Result<DisparityMap, DepthError>;
+
+    /// Disparity as the network gave it: its own size and scale, larger is nearer; an estimator without a network gives
+    /// what [`Estimator::estimate`] does.
+    ///
+    /// # Errors
+    /// [`DepthError::Onnx`] where the network cannot run.
+    fn raw(&self, photo: &Photo) -> Result<DisparityMap, DepthError> {
+        self.estimate(photo)
+    }
 }

@@ -28,12 +28,12 @@ impl Limits {
 
 impl Limits {
     /// Checks the size of a file.
-    pub(super) fn check_bytes(&self, bytes: usize) -> Result<(), PhotoError> {
+    pub(crate) fn check_bytes(&self, bytes: usize) -> Result<(), PhotoError> {
         if bytes > self.bytes { Err(PhotoError::TooManyBytes { bytes, limit: self.bytes }) } else { Ok(()) }
     }
 
     /// Checks the size of a picture.
-    pub(super) fn check_size(&self, width: u32, height: u32) -> Result<(), PhotoError> {
+    pub(crate) fn check_size(&self, width: u32, height: u32) -> Result<(), PhotoError> {
         if width == 0 || height == 0 {
             return Err(PhotoError::Broken(format!("a picture of {width}×{height} pixels")));
         }
@@ -47,7 +47,7 @@ impl Limits {
     }
 
     /// Checks the memory that a decoder would take.
-    pub(super) fn check_memory(&self, bytes: u64) -> Result<(), PhotoError> {
+    pub(crate) fn check_memory(&self, bytes: u64) -> Result<(), PhotoError> {
         if bytes > self.decoder_memory { Err(PhotoError::TooMuchMemory { bytes, limit: self.decoder_memory }) } else { Ok(()) }
     }
 }

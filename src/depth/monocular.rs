@@ -1,0 +1,291 @@
+//! A depth network with everything before and after it.
+
+use std::sync::Arc;
+
+use super::{Adapter, DepthError, Estimator, Kind, Layout, SizeRule, upsample};
+use crate::onnx::{Config, Network, OnnxError, Session, Tensor};
+use crate::photo::{Filter, resample};
+use crate::tmpi::{DisparityMap, Photo};
+
+/// Shares of pixels below and above which the normalised map saturates.
+const PERCENTILES: (f64, f64) = (0.01, 0.99);
+/// Normalised disparity of a map without any relief, which tells nothing: half way, so that it moves and stays in range.
+const FLAT: f32 = 0.5;
+
+/// Monocular depth by one network of [`super::ADAPTERS`].
+pub struct Monocular {
+    adapter: Adapter,
+    network: Arc<dyn Network>,
+    flip: bool,
+}
+
+impl Monocular {
+    /// Depth by `network`, which wants and gives what `adapter` says. With `flip` it runs a second time on the mirrored
+    /// photo and takes the mean: twice the time.
+    #[must_use]
+    pub fn new(adapter: &Adapter, network: Arc<dyn Network>, flip: bool) -> Self {
+        Self { adapter: *adapter, network, flip }
+    }
+
+    /// Loads the network from the bytes of an ONNX file; fixed extents in the file override the adapter's size rule.
+    ///
+    /// # Errors
+    /// [`OnnxError`]: no library, or the file does not fit the adapter.
+    pub fn load(adapter: &Adapter, model: &[u8], config: &Config, flip: bool) -> Result<Self, OnnxError> {
+        let session = Session::load(adapter.name, model, config)?;
+        let bad = |reason: String| OnnxError::Model { name: adapter.name.to_owned(), reason };
+        let [input] = session.inputs() else {
+            return Err(bad(format!("it has {} inputs; a depth network has one", session.inputs().len())));
+        };
+        let &[_, a, b, c] = input.shape.as_slice() else { return Err(bad(format!("its input has extents {:?}", input.shape))) };
+        let (channels, rows, columns) = if adapter.layout == Layout::Nchw { (a, b, c) } else { (c, a, b) };
+        if channels != 3 && channels >= 0 {
+            return Err(bad(format!("its input has extents {:?}, not three channels", input.shape)));
+        }
+        let mut adapter = *adapter;
+        if let (Ok(w @ 1..), Ok(h @ 1..)) = (u32::try_from(columns), u32::try_from(rows)) {
+            adapter.size = SizeRule::Fixed(w, h);
+        }
+        Ok(Self::new(&adapter, Arc::new(session), flip))
+    }
+
+    /// One run of the network: disparity at the network's size, every value finite.
+    fn run(&self, photo: &Photo, mirrored: bool) -> Result<DisparityMap, DepthError> {
+        let (w, h) = self.adapter.network_size(photo.width, photo.height);
+        let planar = self.input(photo, (w, h), mirrored);
+        let (w, h) = (w as usize, h as usize);
+        let shape = if self.adapter.layout == Layout::Nchw { vec![1, 3, h, w] } else { vec![1, h, w, 3] };
+        let out = self.network.run(vec![Tensor { shape, data: planar }])?;
+        let fail = |reason: String| OnnxError::Run { name: self.adapter.name.to_owned(), reason };
+        let Some(out) = out.into_iter().next() else { return Err(fail("it gave nothing".into()).into()) };
+        if out.data.len() != w * h {
+            return Err(fail(format!("it gave {:?} for a picture of {w}×{h}", out.shape)).into());
+        }
+        let mut delta: Vec<f32> = out.data.into_iter().map(|v| self.to_disparity(v)).collect();
+        // What is not finite is taken as far away
+        let far = delta.iter().copied().filter(|v| v.is_finite()).fold(f32::INFINITY, f32::min);
+        if far == f32::INFINITY {
+            return Err(fail("it gave no finite value".into()).into());
+        }
+        for v in &mut delta {
+            if !v.is_finite() {
+                *v = far;
+            }
+        }
+        if mirrored {
+            delta.chunks_exact_mut(w).for_each(<[f32]>::reverse);
+        }
+        Ok(DisparityMap { width: w as u32, height: h as u32, delta })
+    }
+
+    /// The photo at the network's size, normalised, in the network's layout.
+    fn input(&self, photo: &Photo, size: (u32, u32), mirrored: bool) -> Vec<f32> {
+        let Adapter { mean, deviation, layout, .. } = self.adapter;
+        let normal = |p: [f32; 3]| std::array::from_fn(|c| (p[c].clamp(0.0, 1.0) - mean[c]) / deviation[c]);
+        let load = |p: [u8; 3]| p.map(|v| f32::from(v) / 255.0);
+        let mut small: Vec<[f32; 3]> = resample(&photo.rgb, (photo.width, photo.height), size, Filter::Lanczos3, load, normal);
+        if mirrored {
+            small.chunks_exact_mut(size.0 as usize).for_each(<[[f32; 3]]>::reverse);
+        }
+        match layout {
+            Layout::Nhwc => small.into_flattened(),
+            Layout::Nchw => (0..3).flat_map(|c| small.iter().map(move |p| p[c])).collect(),
+        }
+    }
+
+    fn to_disparity(&self, v: f32) -> f32 {
+        match self.adapter.output {
+            Kind::Disparity => v,
+            // A distance that is not positive is unknown
+            Kind::Metric if v > 0.0 => 1.0 / v,
+            Kind::Metric => f32::NAN,
+            Kind::LogDepth => (-v).exp(),
+        }
+    }
+}
+
+impl Estimator for Monocular {
+    fn name(&self) -> &str {
+        self.adapter.name
+    }
+
+    fn estimate(&self, photo: &Photo) -> Result<DisparityMap, DepthError> {
+        let mut map = self.raw(photo)?;
+        normalise(&mut map.delta);
+        Ok(upsample(photo, &map))
+    }
+
+    fn raw(&self, photo: &Photo) -> Result<DisparityMap, DepthError> {
+        let mut map = self.run(photo, false)?;
+        if self.flip {
+            let mut other = self.run(photo, true)?;
+            align(&mut other.delta, &map.delta);
+            for (a, b) in map.delta.iter_mut().zip(&other.delta) {
+                *a = f32::midpoint(*a, *b);
+            }
+        }
+        Ok(map)
+    }
+}
+
+/// Scales and shifts `values` to `target` by least squares: two runs of a network agree only up to both.
+fn align(values: &mut [f32], target: &[f32]) {
+    let n = values.len() as f64;
+    let mean = |v: &[f32]| v.iter().map(|&v| f64::from(v)).sum::<f64>() / n;
+    let (mv, mt) = (mean(values), mean(target));
+    let (mut covariance, mut variance) = (0.0, 0.0);
+    for (&v, &t) in values.iter().zip(target) {
+        covariance += (f64::from(v) - mv) * (f64::from(t) - mt);
+        variance += (f64::from(v) - mv).powi(2);
+    }
+    let scale = if variance > 0.0 { covariance / variance } else { 0.0 };
+    for v in values {
+        *v = (mt + scale * (f64::from(*v) - mv)) as f32;
+    }
+}
+
+/// Maps the range between [`PERCENTILES`] to 0..=1 and clamps the rest; a map without relief becomes [`FLAT`]. Finite values only.
+pub(super) fn normalise(values: &mut [f32]) {
+    let mut sorted = values.to_vec();
+    let mut at = |share: f64| {
+        let k = ((sorted.len() - 1) as f64 * share).round() as usize;
+        f64::from(*sorted.select_nth_unstable_by(k, f32::total_cmp).1)
+    };
+    let (mut lo, mut hi) = (at(PERCENTILES.0), at(PERCENTILES.1));
+    // A few pixels may be all the relief there is
+    if !relief(lo, hi) {
+        (lo, hi) = (at(0.0), at(1.0));
+    }
+    if !relief(lo, hi) {
+        values.fill(FLAT);
+        return;
+    }
+    for v in values {
+        *v = (((f64::from(*v) - lo) / (hi - lo)).clamp(0.0, 1.0)) as f32;
+    }
+}
+
+/// True where the range is more than rounding.
+fn relief(lo: f64, hi: f64) -> bool {
+    hi - lo > 1e-6 * lo.abs().max(hi.abs()).max(1e-30)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Gives, for a picture, a plane of disparity that the test chose; remembers nothing.
+    struct Stub(fn(usize, usize) -> f32);
+
+    impl Network for Stub {
+        fn run(&self, inputs: Vec<Tensor>) -> Result<Vec<Tensor>, OnnxError> {
+            let [_, _, h, w] = inputs[0].shape[..] else { panic!("{:?}", inputs[0].shape) };
+            let data = (0..w * h).map(|i| (self.0)(i % w, i / w)).collect();
+            Ok(vec![Tensor { shape: vec![1, 1, h, w], data }])
+        }
+    }
+
+    fn photo(width: u32, height: u32) -> Photo {
+        let rgb = (0..width * height).map(|i| [(i % 251) as u8, (i / width % 253) as u8, (i % 17) as u8]).collect();
+        Photo { width, height, rgb }
+    }
+
+    fn with(f: fn(usize, usize) -> f32) -> Monocular {
+        Monocular::new(&super::super::ADAPTERS[0], Arc::new(Stub(f)), false)
+    }
+
+    #[test]
+    fn every_shape_of_photo_gives_finite_values_in_range() {
+        for (w, h) in [(1, 1), (1, 16_384), (16_384, 1), (63, 63), (65, 65), (640, 350), (2, 3)] {
+            let got = with(|x, y| (x + 2 * y) as f32).estimate(&photo(w, h)).unwrap();
+            assert_eq!((got.width, got.height, got.delta.len()), (w, h, (w * h) as usize));
+            assert!(got.delta.iter().all(|v| (0.0..=1.0).contains(v)), "{w}×{h}");
+        }
+    }
+
+    #[test]
+    fn larger_is_nearer_whatever_the_network_gives() {
+        for (kind, f) in [
+            (Kind::Disparity, (|x, _| x as f32) as fn(usize, usize) -> f32),
+            (Kind::Metric, |x, _| 100.0 / (x + 1) as f32),
+            (Kind::LogDepth, |x, _| -(x as f32) / 100.0),
+        ] {
+            let adapter = Adapter { output: kind, ..super::super::ADAPTERS[0] };
+            let got = Monocular::new(&adapter, Arc::new(Stub(f)), false).estimate(&photo(60, 40)).unwrap();
+            assert!(got.delta[20 * 60] < 0.15 && got.delta[20 * 60 + 59] > 0.85, "{kind:?}");
+        }
+    }
+
+    #[test]
+    fn stiff_outputs() {
+        let p = photo(64, 48);
+        let flat = with(|_, _| 7.0).estimate(&p).unwrap();
+        assert!(flat.delta.iter().all(|v| (v - 0.5).abs() < 1e-6), "no relief");
+        let holes = with(|x, y| {
+            if x == y {
+                f32::NAN
+            } else if x == y + 1 {
+                f32::NEG_INFINITY
+            } else {
+                x as f32
+            }
+        })
+        .estimate(&p)
+        .unwrap();
+        assert!(holes.delta.iter().all(|v| v.is_finite()));
+        let outlier = with(|x, y| if (x, y) == (9, 9) { 1e30 } else { x as f32 }).estimate(&p).unwrap();
+        assert!(outlier.delta[63] > 0.85, "one outlier does not flatten the rest");
+        let lone = with(|x, y| if (x, y) == (0, 0) { 1.0 } else { 0.0 })
+            .raw(&p)
+            .map(|mut m| {
+                normalise(&mut m.delta);
+                m
+            })
+            .unwrap();
+        assert!((lone.delta[0] - 1.0).abs() < 1e-6, "the only relief there is is kept");
+        assert!(matches!(with(|_, _| f32::NAN).estimate(&p), Err(DepthError::Onnx(OnnxError::Run { .. }))));
+        let metric = Adapter { output: Kind::Metric, ..super::super::ADAPTERS[0] };
+        let got = Monocular::new(&metric, Arc::new(Stub(|x, _| x as f32 - 5.0)), false).estimate(&p).unwrap();
+        assert!(got.delta.iter().all(|v| (0.0..=1.0).contains(v)), "distances of 0 and below");
+    }
+
+    #[test]
+    fn flipping_takes_the_mean_of_both_runs() {
+        // A network that is blind to the picture sees the same ramp in the mirrored photo: the mean has no slope to the side
+        let adapter = super::super::ADAPTERS[0];
+        let got = Monocular::new(&adapter, Arc::new(Stub(|x, y| (x + 10 * y) as f32)), true).raw(&photo(90, 60)).unwrap();
+        let (w, h) = (got.width as usize, got.height as usize);
+        let row = &got.delta[h / 2 * w..(h / 2 + 1) * w];
+        assert!((row[0] - row[w - 1]).abs() < 30.0, "{} {}", row[0], row[w - 1]);
+        assert!(got.delta[0] < got.delta[(h - 1) * w]);
+    }
+
+    #[test]
+    fn a_network_of_another_size_is_an_error() {
+        struct Small;
+        impl Network for Small {
+            fn run(&self, _: Vec<Tensor>) -> Result<Vec<Tensor>, OnnxError> {
+                Ok(vec![Tensor { shape: vec![1, 1, 2, 2], data: vec![0.0; 4] }])
+            }
+        }
+        let got = Monocular::new(&super::super::ADAPTERS[0], Arc::new(Small), false).estimate(&photo(8, 8));
+        assert!(got.unwrap_err().to_string().contains("[1, 1, 2, 2]"));
+    }
+
+    #[test]
+    fn a_real_file_is_loaded_and_run() {
+        if let Err(e) = crate::onnx::available() {
+            eprintln!("skipped: {e}");
+            return;
+        }
+        let mean = include_bytes!("../../tests/onnx/mean.onnx");
+        let plain = Adapter { mean: [0.0; 3], deviation: [1.0; 3], ..super::super::ADAPTERS[0] };
+        let got = Monocular::load(&plain, mean, &Config::default(), false).unwrap();
+        let grey = Photo { width: 48, height: 32, rgb: (0..48 * 32).map(|i| [(i % 48 * 5) as u8; 3]).collect() };
+        let raw = got.raw(&grey).unwrap();
+        assert_eq!((raw.width, raw.height), (384, 256));
+        assert!((raw.delta[128 * 384 + 192] - 0.46).abs() < 0.03, "{}", raw.delta[128 * 384 + 192]);
+        let two = include_bytes!("../../tests/onnx/sum_difference.onnx");
+        assert!(matches!(Monocular::load(&plain, two, &Config::default(), false), Err(OnnxError::Model { .. })));
+    }
+}
