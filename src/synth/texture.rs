@@ -128,7 +128,7 @@ impl Texture {
         if self.dirt == 0.0 {
             return base;
         }
-        base * (1.0 - self.dirt * fbm(q * 0.37, 3, w * 0.37, self.seed ^ 77))
+        base * (1.0 - self.dirt * fbm(q * 0.37, 3, w * 0.37, self.seed.wrapping_add(77)))
     }
 
     fn pattern_at(&self, u: f64, v: f64, q: V3, w: f64) -> V3 {

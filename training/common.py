@@ -1,0 +1,157 @@
+"""What the three trainings share: rendered scenes, augmentation, running means of weights, logs, checkpoints."""
+
+import csv
+import json
+import os
+import random
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+import torch.nn.functional as F
+
+HERE = Path(__file__).resolve().parent
+RUNS = HERE / "runs"
+MODELS = HERE.parent / "models"
+DATA = Path(os.environ.get("TMPI_DATA", HERE.parent.parent / "shared" / "data"))
+
+
+def device():
+    return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+
+
+def seed_all(seed):
+    random.seed(seed)
+    np.random.seed(seed)
+    torch.manual_seed(seed)
+
+
+def scenes(*folders):
+    """Folders of complete scenes of `tmpi synth`, sorted, so that a seed means the same order everywhere."""
+    found = [p.parent for f in folders for p in sorted(Path(f).glob("*/scene.json"))]
+    if not found:
+        raise SystemExit(f"no scenes in {folders}; see README.md for the `tmpi synth` command")
+    return found
+
+
+def read_rgb(path):
+    return cv2.cvtColor(cv2.imread(str(path), cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB)
+
+
+def read_disparity(path):
+    return cv2.imread(str(path), cv2.IMREAD_UNCHANGED).astype(np.float32) / 65535
+
+
+def read_scene(folder):
+    return json.loads((Path(folder) / "scene.json").read_text())
+
+
+def photometric(rgb, disparity, rng):
+    """Colours, light, focus, noise and compression of a photograph, on a rendered uint8 picture."""
+    x = rgb.astype(np.float32)
+    if rng.random() < 0.5:
+        lab = cv2.cvtColor(x / 255, cv2.COLOR_RGB2LAB)
+        mean, std = lab.mean((0, 1)), lab.std((0, 1)) + 1e-3
+        want = [rng.gauss(48, 12), rng.gauss(1, 5), rng.gauss(4, 9)]
+        gain = [rng.uniform(14, 28) / std[0], rng.uniform(4, 14) / std[1], rng.uniform(5, 18) / std[2]]
+        gain = np.clip(gain, 0.4, [2.0, 2.5, 2.5])
+        lab = (lab - mean) * gain + (0.35 * mean + 0.65 * np.array(want))
+        x = np.clip(cv2.cvtColor(lab.astype(np.float32), cv2.COLOR_LAB2RGB), 0, 1) * 255
+    if rng.random() < 0.12 and min(x.shape[:2]) >= 64:
+        # focus on a depth: blur grows with the distance in disparity from it
+        focus = np.quantile(disparity, rng.choice([0.5, 0.8, 0.95]))
+        most = rng.uniform(1.5, 6.0)
+        amount = np.clip(np.abs(disparity - focus) / max(1e-3, disparity.max() - disparity.min()) * 2 - 0.1, 0, 1)
+        soft = cv2.GaussianBlur(x, (0, 0), most)
+        mid = cv2.GaussianBlur(x, (0, 0), most / 2)
+        a = cv2.GaussianBlur(amount.astype(np.float32), (0, 0), 1.0)[..., None]
+        x = np.where(a < 0.5, x * (1 - 2 * a) + mid * 2 * a, mid * (2 - 2 * a) + soft * (2 * a - 1))
+    gain = np.array([rng.gauss(1, 0.08) for _ in range(3)]) * rng.uniform(0.7, 1.35)
+    x = 255 * np.clip(np.clip(x / 255 * gain, 0, 1), 1e-4, 1) ** rng.uniform(0.7, 1.4)
+    grey = x.mean(-1, keepdims=True)
+    x = grey + (x - grey) * (0 if rng.random() < 0.05 else rng.uniform(0.5, 1.5))
+    if rng.random() < 0.35:
+        # uneven light
+        small = np.array([[rng.uniform(0.7, 1.3) for _ in range(3)] for _ in range(3)], np.float32)
+        x = x * cv2.resize(small, x.shape[1::-1], interpolation=cv2.INTER_CUBIC)[..., None]
+    if rng.random() < 0.4:
+        x = cv2.GaussianBlur(x, (0, 0), rng.uniform(0.3, 1.4))
+    if rng.random() < 0.6:
+        x = x + np.random.default_rng(rng.getrandbits(32)).normal(0, rng.uniform(1, 10), x.shape)
+    x = np.clip(x, 0, 255).astype(np.uint8)
+    if rng.random() < 0.4:
+        ok, b = cv2.imencode(".jpg", x, [cv2.IMWRITE_JPEG_QUALITY, rng.randint(35, 95)])
+        x = cv2.imdecode(b, cv2.IMREAD_COLOR) if ok else x
+    return x
+
+
+def framed(rgb, disparity, size, rng):
+    """A random crop of the wanted shape, flipped half of the time, at `size` = (height, width)."""
+    h, w = disparity.shape
+    zoom = rng.uniform(0.6, 1.0) if rng.random() < 0.6 else 1.0
+    ch, cw = (h, h * size[1] / size[0]) if w * size[0] > h * size[1] else (w * size[0] / size[1], w)
+    ch, cw = max(16, int(ch * zoom)), max(16, int(cw * zoom))
+    y, x = rng.randint(0, h - ch), rng.randint(0, w - cw)
+    rgb, disparity = rgb[y : y + ch, x : x + cw], disparity[y : y + ch, x : x + cw]
+    shrink = cw > size[1]
+    rgb = cv2.resize(rgb, size[::-1], interpolation=cv2.INTER_AREA if shrink else cv2.INTER_CUBIC)
+    disparity = cv2.resize(disparity, size[::-1], interpolation=cv2.INTER_AREA if shrink else cv2.INTER_NEAREST)
+    if rng.random() < 0.5:
+        rgb, disparity = rgb[:, ::-1], disparity[:, ::-1]
+    return np.ascontiguousarray(rgb), np.ascontiguousarray(disparity)
+
+
+def chw(rgb):
+    return torch.from_numpy(rgb).permute(2, 0, 1).float().div(255)
+
+
+class Ema:
+    """Running mean of all weights and buffers of a module."""
+
+    def __init__(self, module, decay):
+        self.decay, self.shadow = decay, {k: v.detach().clone() for k, v in module.state_dict().items()}
+
+    @torch.no_grad()
+    def update(self, module, step):
+        d = min(self.decay, (1 + step) / (10 + step))
+        for k, v in module.state_dict().items():
+            if v.dtype.is_floating_point:
+                self.shadow[k].lerp_(v, 1 - d)
+            else:
+                self.shadow[k].copy_(v)
+
+
+class Log:
+    """Rows of a CSV file, and the same on the terminal."""
+
+    def __init__(self, path, columns):
+        self.columns, new = columns, not Path(path).exists()
+        self.file = open(path, "a", newline="")
+        self.writer = csv.writer(self.file)
+        if new:
+            self.writer.writerow(columns)
+        self.start = time.time()
+
+    def row(self, **values):
+        self.writer.writerow([values.get(c, "") for c in self.columns])
+        self.file.flush()
+        text = " ".join(f"{k} {v:.4f}" if isinstance(v, float) else f"{k} {v}" for k, v in values.items())
+        print(f"[{time.time() - self.start:6.0f} s] {text}", flush=True)
+
+
+def save(path, **state):
+    tmp = Path(str(path) + ".part")
+    torch.save(state, tmp)
+    tmp.replace(path)
+
+
+def ssim(a, b):
+    """Mean structural similarity map of [N,3,H,W] pictures in 0..1, 7×7 box windows."""
+    def box(x):
+        return F.avg_pool2d(x, 7, 1)
+
+    ma, mb = box(a), box(b)
+    va, vb, vab = box(a * a) - ma * ma, box(b * b) - mb * mb, box(a * b) - ma * mb
+    return ((2 * ma * mb + 1e-4) * (2 * vab + 9e-4)) / ((ma * ma + mb * mb + 1e-4) * (va + vb + 9e-4))

@@ -1,0 +1,248 @@
+"""Trains the monocular depth network: a frozen ImageNet MobileNetV2 and a small decoder, on rendered scenes alone."""
+
+import argparse
+import json
+import random
+import time
+
+import cv2
+import numpy as np
+import torch
+import torch.nn.functional as F
+from torch import nn
+
+import common
+from common import DATA, RUNS
+
+# (height, width) of batches; small ones first, then those of about the area used at inference
+LARGE = [(192, 288), (288, 192), (224, 224), (160, 320), (192, 256), (224, 288), (192, 352), (256, 192)]
+SMALL = [(128, 192), (192, 128), (160, 160), (128, 224), (160, 192), (128, 160), (96, 192), (160, 224)]
+ENCODER = DATA / "pretrained" / "mobilenet_v2_1.0_imagenet.npz"
+
+
+class MobileNetV2(nn.Module):
+    """Feature maps of strides 2, 4, 8, 16, 32 (16, 24, 32, 96, 320 channels). Input: ImageNet-normalised RGB."""
+
+    CHANNELS = (16, 24, 32, 96, 320)
+
+    def __init__(self, path=ENCODER):
+        super().__init__()
+        data = np.load(path)
+        self.ops = json.loads(data["meta"].tobytes().decode())[:-1]  # the last one is the 1280-channel head
+        for op in self.ops:
+            if op["op"] == "add":
+                continue
+            w, k = data[f"{op['k']}.w"], op["k"]
+            w = w.transpose(3, 0, 1, 2) if op["op"] == "dw" else w.transpose(0, 3, 1, 2)
+            self.register_buffer(f"w{k}", torch.from_numpy(w.copy()))
+            self.register_buffer(f"b{k}", torch.from_numpy(data[f"{op['k']}.b"].copy()))
+        # the network was trained on RGB/127.5 − 1
+        std, mean = torch.tensor([0.229, 0.224, 0.225]), torch.tensor([0.485, 0.456, 0.406])
+        self.register_buffer("scale", (2 * std)[None, :, None, None])
+        self.register_buffer("shift", (2 * mean - 1)[None, :, None, None])
+        self.taps = self._taps()
+
+    def _taps(self):
+        """The last linear output before each halving, and the last of all."""
+        linear = [op for op in self.ops if op["op"] == "add" or op["act"] == "linear"]
+        last = {}
+        for op in linear:
+            last[op["oshape"][1]] = op["o"]
+        return [last[s] for s in sorted(last, reverse=True)]
+
+    def forward(self, x):
+        value = {self.ops[0]["i"]: x * self.scale + self.shift}
+        for op in self.ops:
+            i = value[op["i"]]
+            if op["op"] == "add":
+                value[op["o"]] = i + value[op["i2"]]
+                continue
+            w, b = getattr(self, f"w{op['k']}"), getattr(self, f"b{op['k']}")
+            groups = w.shape[0] if op["op"] == "dw" else 1
+            pad = 0
+            if w.shape[-1] == 3:
+                if op["stride"] == 2:
+                    i = F.pad(i, (0, 1, 0, 1))  # TensorFlow's SAME for even sizes
+                else:
+                    pad = 1
+            o = F.conv2d(i, w, b, op["stride"], pad, 1, groups)
+            value[op["o"]] = o.clamp(0, 6) if op["act"] == "relu6" else o
+        return [value[t] for t in self.taps]
+
+
+def block(i, o):
+    return nn.Sequential(nn.Conv2d(i, o, 3, padding=1, bias=False), nn.BatchNorm2d(o), nn.ReLU())
+
+
+class Decoder(nn.Module):
+    """Top-down pyramid with one 3×3 convolution a level and the mean of the coarsest level as context."""
+
+    def __init__(self, channels=MobileNetV2.CHANNELS, width=(12, 24, 40, 64, 96)):
+        super().__init__()
+        self.top = nn.Sequential(nn.Conv2d(channels[4] + 1, width[4], 1), nn.ReLU())
+        self.context = nn.Sequential(nn.Conv2d(width[4], width[4], 1), nn.ReLU(), nn.Conv2d(width[4], width[4], 1))
+        self.mix = block(width[4], width[4])
+        self.side = nn.ModuleList(nn.Conv2d(channels[i], width[i], 1) for i in range(4))
+        self.join = nn.ModuleList(block(width[i] + width[i + 1], width[i]) for i in range(4))
+        self.drop = nn.Dropout2d(0.1)
+        self.head = nn.Conv2d(width[0], 1, 3, padding=1)
+
+    def forward(self, features):
+        f5 = features[4]
+        one = torch.ones_like(f5[:, :1])
+        row = torch.cumsum(one, 2) / one.sum(2, keepdim=True)
+        x = self.top(torch.cat([self.drop(f5), row * 2 - 1], 1))
+        x = self.mix(x + self.context(x.mean((2, 3), keepdim=True)))
+        for i in (3, 2, 1, 0):
+            x = F.interpolate(x, scale_factor=2, mode="bilinear", align_corners=False)
+            x = self.join[i](torch.cat([x, self.side[i](self.drop(features[i]) if i else features[i])], 1))
+        return F.interpolate(self.head(x), scale_factor=2, mode="bilinear", align_corners=False)
+
+
+class DepthNet(nn.Module):
+    def __init__(self):
+        super().__init__()
+        self.encoder, self.decoder, self.session = MobileNetV2(), Decoder(), None
+
+    def forward(self, image):
+        return self.decoder(self.features(image))
+
+    def features(self, image):
+        if self.session is not None and image.device.type == "cpu":
+            return [torch.from_numpy(f) for f in self.session.run(None, {"image": image.numpy()})]
+        with torch.no_grad():
+            return self.encoder(image)
+
+    def use_runtime(self, path, threads):
+        """Runs the frozen encoder in ONNX Runtime, which is twice as fast as PyTorch on a CPU."""
+        import onnxruntime as ort
+
+        from graph import Graph, encoder
+
+        g = Graph("encoder", half=False)
+        for i, f in enumerate(encoder(g, g.input("image", ["n", 3, "h", "w"]), self.encoder)):
+            g.output(f, f"f{i}", ["n", MobileNetV2.CHANNELS[i], None, None])
+        g.save(path, {})
+        options = ort.SessionOptions()
+        options.intra_op_num_threads = threads
+        self.session = ort.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+
+
+MEAN = torch.tensor([0.485, 0.456, 0.406])[:, None, None]
+STD = torch.tensor([0.229, 0.224, 0.225])[:, None, None]
+
+
+def normalised(x):
+    """Median 0 and mean absolute value 1 per picture."""
+    flat = x.flatten(1)
+    middle = flat.median(1, keepdim=True).values
+    spread = (flat - middle).abs().mean(1, keepdim=True).clamp_min(1e-4)
+    return ((flat - middle) / spread).view_as(x)
+
+
+def loss_of(prediction, target):
+    p, t = normalised(prediction), normalised(target).clamp(-6, 6)
+    e = p - t
+    loss = e.abs().mean()
+    for s in range(4):
+        d = e if s == 0 else F.avg_pool2d(e, 2**s)
+        loss = loss + 0.125 * ((d[..., 1:] - d[..., :-1]).abs().mean() + (d[..., 1:, :] - d[..., :-1, :]).abs().mean()) * 2
+    return loss
+
+
+CACHE = {}
+
+
+def read(folder):
+    """Photo and disparity, kept in memory once read."""
+    if folder not in CACHE:
+        CACHE[folder] = common.read_rgb(folder / "photo.png"), common.read_disparity(folder / "disparity.png").astype(np.float16)
+    rgb, d = CACHE[folder]
+    return rgb, d.astype(np.float32)
+
+
+def batch_of(folders, size, n, rng):
+    xs, ys = [], []
+    for _ in range(n):
+        rgb, d = common.framed(*read(rng.choice(folders)), size, rng)
+        xs.append((common.chw(common.photometric(rgb, d, rng)) - MEAN) / STD)
+        ys.append(torch.from_numpy(d)[None])
+    return torch.stack(xs), torch.stack(ys)
+
+
+def main():
+    a = argparse.ArgumentParser(description=__doc__)
+    a.add_argument("--scenes", nargs="+", default=[str(RUNS / "data" / "train")])
+    a.add_argument("--out", default=str(RUNS / "depth"))
+    a.add_argument("--steps", type=int, default=1600)
+    a.add_argument("--minutes", type=float, default=1e9, help="end by then, with the schedule drawn out over that time")
+    a.add_argument("--batch", type=int, default=16)
+    a.add_argument("--lr", type=float, default=2e-3)
+    a.add_argument("--every", type=int, default=100, help="steps between evaluations on real pictures")
+    a.add_argument("--threads", type=int, default=1)
+    a.add_argument("--small", type=float, default=0.6, help="share of the steps at small sizes")
+    a.add_argument("--seed", type=int, default=1)
+    a = a.parse_args()
+    from eval_depth import evaluate, load_sets  # here, because it needs DepthNet
+
+    torch.set_num_threads(a.threads)
+    cv2.setNumThreads(1)
+    common.seed_all(a.seed)
+    out = common.Path(a.out)
+    out.mkdir(parents=True, exist_ok=True)
+    dev = common.device()
+    net = DepthNet().to(dev)
+    if dev.type == "cpu":
+        net.use_runtime(out / "encoder.onnx", a.threads)
+    params = list(net.decoder.parameters())
+    optimiser = torch.optim.AdamW(params, a.lr, weight_decay=1e-2)
+    ema = common.Ema(net.decoder, 0.995)
+    step, best, spent = 0, 9.0, 0.0
+    if (out / "last.pt").exists():
+        s = torch.load(out / "last.pt", weights_only=False)
+        net.decoder.load_state_dict(s["decoder"])
+        optimiser.load_state_dict(s["optimiser"])
+        ema.shadow, step, best, spent = s["ema"], s["step"], s["best"], s["spent"]
+    sets = load_sets(quick=True)
+    log = common.Log(out / "log.csv", ["step", "loss", "scenes", *sets, "score"])
+    folders, losses = common.scenes(*a.scenes), []
+    start = time.time() - spent
+    while step < a.steps:
+        done = max(step / a.steps, (time.time() - start) / 60 / a.minutes)
+        if done >= 1:
+            break
+        for group in optimiser.param_groups:
+            group["lr"] = a.lr * (min(1, (step + 1) / 50) * (0.5 + 0.5 * np.cos(np.pi * done)) + 0.01)
+        rng = random.Random(a.seed * 1_000_003 + step)
+        if step % 200 == 0:
+            folders = common.scenes(*a.scenes)  # scenes may still be coming
+        small = done < a.small
+        size = rng.choice(SMALL if small or rng.random() < 0.25 else LARGE)
+        x, y = batch_of(folders, size, a.batch if small else max(4, a.batch // 2), rng)
+        net.train()
+        p = net(x.to(dev))
+        loss = loss_of(p, y.to(dev))
+        optimiser.zero_grad()
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(params, 1.0)
+        optimiser.step()
+        step += 1
+        ema.update(net.decoder, step)
+        losses.append(loss.item())
+        if step % 20 == 0:
+            print(f"step {step} loss {np.mean(losses[-20:]):.4f}", flush=True)
+        if step % a.every == 0 or step == a.steps:
+            live = {k: v.clone() for k, v in net.decoder.state_dict().items()}
+            net.decoder.load_state_dict(ema.shadow)
+            scores = evaluate(net.eval(), sets)
+            score = float(np.mean([v["net"] for v in scores.values()]))
+            if score < best:
+                best = score
+                common.save(out / "best.pt", decoder=ema.shadow, step=step, scores=scores)
+            net.decoder.load_state_dict(live)
+            log.row(step=step, loss=float(np.mean(losses[-a.every :])), scenes=len(folders), **{k: v["net"] for k, v in scores.items()}, score=score)
+            common.save(out / "last.pt", decoder=live, ema=ema.shadow, optimiser=optimiser.state_dict(), step=step, best=best, spent=time.time() - start)
+
+
+if __name__ == "__main__":
+    main()

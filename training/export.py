@@ -1,0 +1,124 @@
+"""Writes models/depth.onnx, theta.onnx or psi.onnx from a checkpoint, and holds ONNX Runtime against PyTorch."""
+
+import argparse
+
+import numpy as np
+import torch
+
+import common
+from common import MODELS, RUNS
+from graph import Graph, check, decoder, encoder, halved
+
+LICENCE = "MIT OR Apache-2.0"
+
+
+def depth(path, checkpoint):
+    from depth import DepthNet
+
+    net = DepthNet().eval()
+    net.decoder.load_state_dict(checkpoint["decoder"])
+    fold_into_half(net)
+    g = Graph("tmpi depth")
+    x = g.input("image", ["n", 3, "h", "w"])
+    g.output(decoder(g, encoder(g, x, net.encoder), net.decoder), "disparity", ["n", 1, "h", "w"])
+    g.save(path, {"licence": LICENCE + "; encoder: MobileNetV2, Apache-2.0", "step": str(checkpoint["step"])})
+    inputs = [{"image": torch.randn(n, 3, h, w)} for n, h, w in ((1, 192, 288), (2, 96, 288), (1, 288, 96))]
+    return [check(path, net, i) for i in inputs]
+
+
+def fold_into_half(net):
+    """Folds BatchNorm into its convolution and rounds weights as they stand in the file."""
+    from torch.nn.utils.fusion import fuse_conv_bn_eval
+
+    for join in [net.decoder.mix, *net.decoder.join]:
+        join[0], join[1] = fuse_conv_bn_eval(join[0], join[1]), torch.nn.Identity()
+    halved(net)
+
+
+def theta(path, checkpoint):
+    from theta import Theta
+
+    net = Theta().eval()
+    net.load_state_dict(checkpoint["model"])
+    g = Graph("tmpi theta", half=False)
+    x = g.input("input", ["n", 4, "h", "w"])
+
+    def pool(v):
+        return g.op("MaxPool", v, kernel_shape=[3, 3], pads=[1] * 4)
+
+    def erode(v):
+        return g.op("Neg", pool(g.op("Neg", v)))
+
+    rgb_d = g.op("Slice", x, *(g.constant([v], np.int64) for v in (3, 4, 1)))
+    four = g.constant(np.float32(4))
+    opened = g.op("Mul", g.op("Sub", pool(erode(rgb_d)), rgb_d), four)
+    closed = g.op("Mul", g.op("Sub", erode(pool(rgb_d)), rgb_d), four)
+    f0 = g.layer(g.op("Concat", x, opened, closed, axis=1), net.e0, relu=True)
+    f1 = g.layer(f0, net.e1, relu=True)
+    f2 = g.layer(g.layer(f1, net.e2, relu=True), net.m2, relu=True)
+    f3 = g.layer(g.layer(f2, net.e3, relu=True), net.e4, relu=True)
+    g2 = g.layer(g.op("Add", g.double(g.layer(f3, net.u2)), f2), net.d2, relu=True)
+    g1 = g.layer(g.op("Add", g.double(g.layer(g2, net.u1)), f1), net.d1, relu=True)
+    g0 = g.layer(g.op("Add", g.double(g.layer(g1, net.u0)), f0), net.d0, relu=True)
+    y = g.layer(g0, net.heads)
+    first = g.op("Slice", y, *(g.constant([v], np.int64) for v in (0, 1, 1)))
+    second = g.op("Slice", y, *(g.constant([v], np.int64) for v in (1, 2, 1)))
+    d = g.op("Add", rgb_d, g.op("Mul", first, g.constant(np.float32(0.1))))
+    g.output(g.op("Clip", d, g.constant(np.float32(0)), g.constant(np.float32(1))), "disparity", ["n", 1, "h", "w"])
+    g.output(g.op("Sigmoid", second), "confidence", ["n", 1, "h", "w"])
+    g.save(path, {"licence": LICENCE, "step": str(checkpoint["step"])})
+    inputs = [{"input": torch.rand(n, 4, h, w)} for n, h, w in ((1, 64, 96), (2, 352, 640), (1, 16, 16))]
+    return [check(path, net, i) for i in inputs]
+
+
+def psi(path, checkpoint):
+    from psi import Psi
+
+    net = Psi().eval()
+    net.load_state_dict(checkpoint["model"])
+    g = Graph("tmpi psi", half=False)
+    x = g.input("layers", ["n", 9, "h", "w"])
+
+    def part(v, a, b):
+        return g.op("Slice", v, *(g.constant([i], np.int64) for i in (a, b, 1)))
+
+    def clip(v):
+        return g.op("Clip", v, g.constant(np.float32(0)), g.constant(np.float32(1)))
+
+    centred = g.op("Add", g.op("Mul", x, g.constant(net.scale)), g.constant(net.shift))
+    f1 = g.layer(centred, net.e1, relu=True)
+    f2 = g.layer(g.layer(f1, net.e2, relu=True), net.m2, relu=True)
+    f3 = g.layer(g.layer(f2, net.e3, relu=True), net.m3, relu=True)
+    g2 = g.layer(g.op("Add", g.double(g.layer(f3, net.u2)), f2), net.d2, relu=True)
+    g1 = g.layer(g.op("Add", g.double(g.layer(g2, net.u1)), f1), net.d1, relu=True)
+    y = g.double(g.layer(g1, net.head))
+    own, hidden = part(x, 6, 7), part(x, 8, 9)
+    near = g.op("MaxPool", own, kernel_shape=[3, 3], pads=[1] * 4)
+    box = g.op("AveragePool", own, kernel_shape=[3, 3], pads=[1] * 4, count_include_pad=1)
+    soft = g.op("Mul", clip(g.op("Add", box, part(y, 0, 1))), near)
+    g.output(clip(g.op("Max", own, soft)), "alpha", ["n", 1, "h", "w"])
+    colour = g.op("Add", part(x, 0, 3), g.op("Mul", part(y, 1, 4), hidden))
+    g.output(clip(colour), "background", ["n", 3, "h", "w"])
+    g.save(path, {"licence": LICENCE, "step": str(checkpoint["step"])})
+    inputs = [{"layers": torch.rand(n, 9, h, w)} for n, h, w in ((3, 64, 64), (1, 16, 48), (2, 128, 64))]
+    return [check(path, net, i) for i in inputs]
+
+
+def main():
+    a = argparse.ArgumentParser(description=__doc__)
+    a.add_argument("model", choices=["depth", "theta", "psi"])
+    a.add_argument("--checkpoint")
+    a.add_argument("--out")
+    a = a.parse_args()
+    torch.manual_seed(0)
+    torch.set_num_threads(1)
+    name = {"depth": "depth/best.pt", "theta": "theta/last.pt", "psi": "psi/last.pt"}[a.model]
+    path = common.Path(a.out or MODELS / f"{a.model}.onnx")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    checkpoint = torch.load(a.checkpoint or RUNS / name, weights_only=False, map_location="cpu")
+    worst = {"depth": depth, "theta": theta, "psi": psi}[a.model](path, checkpoint)
+    print(f"{path}: {path.stat().st_size} bytes, step {checkpoint['step']}, ONNX Runtime − PyTorch at most {max(worst):.1e}")
+
+
+if __name__ == "__main__":
+    main()

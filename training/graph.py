@@ -1,0 +1,132 @@
+"""Writes ONNX graphs node by node: every dimension dynamic, BatchNorm folded, large weights stored as float16."""
+
+import numpy as np
+import onnx
+import torch
+from onnx import TensorProto, helper, numpy_helper
+
+
+class Graph:
+    def __init__(self, name, half=True):
+        self.name, self.half, self.nodes, self.constants, self.count = name, half, [], [], 0
+        self.inputs, self.outputs = [], []
+
+    def fresh(self, hint):
+        self.count += 1
+        return f"{hint}{self.count}"
+
+    def input(self, name, shape):
+        self.inputs.append(helper.make_tensor_value_info(name, TensorProto.FLOAT, shape))
+        return name
+
+    def output(self, value, name, shape):
+        self.nodes.append(helper.make_node("Identity", [value], [name]))
+        self.outputs.append(helper.make_tensor_value_info(name, TensorProto.FLOAT, shape))
+
+    def constant(self, array, dtype=np.float32):
+        array = np.asarray(array.detach().cpu().numpy() if torch.is_tensor(array) else array).astype(dtype)
+        name = self.fresh("c")
+        # a float16 weight is cast back when the session loads, so it costs nothing while running
+        if self.half and dtype == np.float32 and array.size >= 512:
+            self.constants.append(numpy_helper.from_array(array.astype(np.float16), name))
+            return self.op("Cast", name, to=TensorProto.FLOAT)
+        self.constants.append(numpy_helper.from_array(array, name))
+        return name
+
+    def op(self, kind, *inputs, **attributes):
+        out = self.fresh(kind.lower())
+        self.nodes.append(helper.make_node(kind, list(inputs), [out], **attributes))
+        return out
+
+    def conv(self, x, weight, bias, stride=1, pads=None, group=1):
+        k = weight.shape[-1]
+        pads = pads if pads is not None else [k // 2] * 4
+        return self.op("Conv", x, self.constant(weight), self.constant(bias), strides=[stride] * 2, pads=pads, group=group, kernel_shape=[k, k])
+
+    def layer(self, x, conv, norm=None, relu=False):
+        """A torch Conv2d with its BatchNorm folded in."""
+        w, b = conv.weight, conv.bias if conv.bias is not None else torch.zeros(conv.out_channels)
+        if isinstance(norm, torch.nn.BatchNorm2d):
+            s = norm.weight / torch.sqrt(norm.running_var + norm.eps)
+            w, b = w * s[:, None, None, None], (b - norm.running_mean) * s + norm.bias
+        p = conv.padding[0]
+        y = self.conv(x, w, b, conv.stride[0], [p] * 4, conv.groups)
+        return self.op("Relu", y) if relu else y
+
+    def double(self, x):
+        scales = self.constant([1, 1, 2, 2])
+        return self.op("Resize", x, "", scales, mode="linear", coordinate_transformation_mode="half_pixel")
+
+    def save(self, path, about):
+        graph = helper.make_graph(self.nodes, self.name, self.inputs, self.outputs, self.constants)
+        model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], producer_name="tmpi training")
+        model.ir_version = 8
+        for k, v in about.items():
+            entry = model.metadata_props.add()
+            entry.key, entry.value = k, v
+        onnx.checker.check_model(model)
+        onnx.save(model, str(path))
+
+
+def run(path, inputs):
+    import onnxruntime as ort
+
+    options = ort.SessionOptions()
+    options.intra_op_num_threads = 1
+    return ort.InferenceSession(str(path), options, providers=["CPUExecutionProvider"]).run(None, {k: v.numpy() for k, v in inputs.items()})
+
+
+def check(path, module, inputs, bound=1e-4):
+    """Largest difference between ONNX Runtime and PyTorch, relative to the output's range; fails above `bound`."""
+    with torch.no_grad():
+        want = module(*inputs.values())
+    want = want if isinstance(want, (tuple, list)) else [want]
+    worst = 0.0
+    for w, h in zip(want, run(path, inputs), strict=True):
+        w = w.numpy()
+        worst = max(worst, float(np.abs(w - h).max() / max(1.0, np.abs(w).max())))
+    if not worst < bound:
+        raise SystemExit(f"{path}: ONNX Runtime differs from PyTorch by {worst:.2e}")
+    return worst
+
+
+def halved(module):
+    """Rounds large weights to float16, as they will stand in the file, so that the check compares like with like."""
+    with torch.no_grad():
+        for t in module.state_dict().values():
+            if t.dtype == torch.float32 and t.numel() >= 512:
+                t.copy_(t.half().float())
+    return module
+
+
+def encoder(g, x, e):
+    """The frozen MobileNetV2 of depth.py; returns its five feature maps."""
+    x = g.op("Add", g.op("Mul", x, g.constant(e.scale)), g.constant(e.shift))
+    zero, six = g.constant(np.float32(0)), g.constant(np.float32(6))
+    value = {e.ops[0]["i"]: x}
+    for op in e.ops:
+        if op["op"] == "add":
+            value[op["o"]] = g.op("Add", value[op["i"]], value[op["i2"]])
+            continue
+        w, b = getattr(e, f"w{op['k']}"), getattr(e, f"b{op['k']}")
+        pads = [0] * 4 if w.shape[-1] == 1 else [0, 0, 1, 1] if op["stride"] == 2 else [1] * 4
+        y = g.conv(value[op["i"]], w, b, op["stride"], pads, w.shape[0] if op["op"] == "dw" else 1)
+        value[op["o"]] = g.op("Clip", y, zero, six) if op["act"] == "relu6" else y
+    return [value[t] for t in e.taps]
+
+
+def decoder(g, features, d):
+    f5 = features[4]
+    mean = g.op("ReduceMean", f5, axes=[1], keepdims=1)
+    one = g.op("Add", g.op("Mul", mean, g.constant(np.float32(0))), g.constant(np.float32(1)))
+    rows = g.op("CumSum", one, g.constant(np.int64(2), np.int64))
+    total = g.op("ReduceSum", one, g.constant([2], np.int64), keepdims=1)
+    row = g.op("Sub", g.op("Mul", g.op("Div", rows, total), g.constant(np.float32(2))), g.constant(np.float32(1)))
+    x = g.layer(g.op("Concat", f5, row, axis=1), d.top[0], relu=True)
+    c = g.op("ReduceMean", x, axes=[2, 3], keepdims=1)
+    c = g.layer(g.layer(c, d.context[0], relu=True), d.context[2])
+    x = g.layer(g.op("Add", x, c), d.mix[0], d.mix[1], relu=True)
+    for i in (3, 2, 1, 0):
+        side = g.layer(features[i], d.side[i])
+        x = g.layer(g.op("Concat", g.double(x), side, axis=1), d.join[i][0], d.join[i][1], relu=True)
+    return g.double(g.layer(x, d.head))

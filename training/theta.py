@@ -1,0 +1,191 @@
+"""Trains Θ: denoised disparity and confidence, through differentiable weighted k-means in tiles of 64 pixels."""
+
+import argparse
+import random
+import time
+
+import cv2
+import numpy as np
+import torch
+import torch.nn.functional as F
+from torch import nn
+
+import common
+from common import RUNS
+
+TILE, PLANES = 64, 4
+
+
+def conv(i, o, stride=1):
+    return nn.Conv2d(i, o, 3, stride, 1)
+
+
+class Theta(nn.Module):
+    """Two-headed U-Net on RGB, disparity and two rank-filtered copies of the disparity; 0.75 GMAC at 384 × 640."""
+
+    def __init__(self):
+        super().__init__()
+        self.e0, self.e1, self.e2, self.e3, self.e4 = conv(6, 8), conv(8, 16, 2), conv(16, 24, 2), conv(24, 32, 2), conv(32, 32)
+        self.m2 = conv(24, 24)
+        self.u2, self.d2 = nn.Conv2d(32, 24, 1), conv(24, 24)
+        self.u1, self.d1 = nn.Conv2d(24, 16, 1), conv(16, 16)
+        self.u0, self.d0 = nn.Conv2d(16, 8, 1), conv(8, 8)
+        self.heads = nn.Conv2d(8, 2, 3, 1, 1)
+        with torch.no_grad():
+            self.heads.weight.mul_(0.1)
+            self.heads.bias.copy_(torch.tensor([0.0, 2.0]))
+
+    def forward(self, x):
+        d = x[:, 3:4]
+        # opening and closing by 3 × 3: single outliers are gone in one or the other
+        opened, closed = dilate(erode(d)), erode(dilate(d))
+        f0 = F.relu(self.e0(torch.cat([x, (opened - d) * 4, (closed - d) * 4], 1)))
+        f1 = F.relu(self.e1(f0))
+        f2 = F.relu(self.m2(F.relu(self.e2(f1))))
+        f3 = F.relu(self.e4(F.relu(self.e3(f2))))
+        g2 = F.relu(self.d2(F.relu(double(self.u2(f3)) + f2)))
+        g1 = F.relu(self.d1(F.relu(double(self.u1(g2)) + f1)))
+        g0 = F.relu(self.d0(F.relu(double(self.u0(g1)) + f0)))
+        y = self.heads(g0)
+        return (d + 0.1 * y[:, :1]).clamp(0, 1), torch.sigmoid(y[:, 1:])
+
+
+def dilate(x):
+    return F.max_pool2d(x, 3, 1, 1)
+
+
+def erode(x):
+    return -F.max_pool2d(-x, 3, 1, 1)
+
+
+def double(x):
+    return F.interpolate(x, scale_factor=2, mode="bilinear", align_corners=False)
+
+
+def tiles(x, size=TILE):
+    """[N,1,H,W] → [tiles, size²]; H and W are multiples of `size`."""
+    n, _, h, w = x.shape
+    return x.view(n, h // size, size, w // size, size).permute(0, 1, 3, 2, 4).reshape(-1, size * size)
+
+
+def discrete(disparity, confidence, planes=PLANES, rounds=8):
+    """Folded discrete map per tile by weighted k-means; the last centres carry the gradient."""
+    d, w = tiles(disparity), tiles(confidence)
+    low, high = d.min(1, keepdim=True).values, d.max(1, keepdim=True).values
+    centre = (low + (high - low) * (torch.arange(planes) + 0.5) / planes).detach()
+
+    def assign(centre):
+        return (d.detach()[:, None] - centre[..., None]).abs().argmin(1)
+
+    def update(label, d, w, old):
+        total = torch.zeros_like(old).scatter_add(1, label, w)
+        mean = torch.zeros_like(old).scatter_add(1, label, w * d) / total.clamp_min(1e-6)
+        return torch.where(total > 1e-6, mean, old)
+
+    with torch.no_grad():
+        for _ in range(rounds):
+            centre = update(assign(centre), d, w, centre)
+        label = assign(centre)
+    return update(label, d, w, centre).gather(1, label)
+
+
+def damaged(d, rng):
+    """A disparity map as networks, sensors and codecs spoil it; one in six is left alone."""
+    noise = np.random.default_rng(rng.getrandbits(32))
+    x, h, w = d.copy(), *d.shape
+    if rng.random() < 1 / 6:
+        return x
+    kind = rng.random()
+    if kind < 0.4:
+        if rng.random() < 0.5:
+            x = cv2.GaussianBlur(x, (0, 0), rng.uniform(0.6, 2.5))
+        else:
+            s = rng.choice([2, 2, 3, 4])
+            x = cv2.resize(cv2.resize(x, (w // s, h // s), interpolation=cv2.INTER_AREA), (w, h), interpolation=rng.choice([cv2.INTER_LINEAR, cv2.INTER_CUBIC]))
+    if kind > 0.3:
+        x = x + noise.normal(0, 10 ** rng.uniform(-2.7, -1.45), x.shape)
+    if rng.random() < 0.2:
+        hit = noise.random(x.shape) < rng.choice([0.002, 0.01, 0.03])
+        x = np.where(hit, noise.random(x.shape), x)
+    if rng.random() < 0.12:
+        wave = 10 ** rng.uniform(-2.5, -1.6) * np.sin(np.arange(max(h, w)) * rng.uniform(0.3, 2.5))
+        x = x + (wave[:h, None] if rng.random() < 0.5 else wave[None, :w])
+    if rng.random() < 0.15:
+        levels = rng.choice([32, 64, 128, 255])
+        x = np.round(x * levels) / levels
+    return np.clip(x, 0, 1).astype(np.float32)
+
+
+def batch_of(folders, size, n, rng):
+    xs, ys = [], []
+    for _ in range(n):
+        f = rng.choice(folders)
+        rgb, d = common.read_rgb(f / "photo.png"), common.read_disparity(f / "disparity.png")
+        rgb, d = common.framed(rgb, d, size, rng)
+        span = rng.uniform(0.5, 1.0)  # maps that do not fill 0..1
+        d = d * span + rng.uniform(0, 1 - span)
+        ys.append(torch.from_numpy(d)[None])
+        spoilt = torch.from_numpy(damaged(d, rng))[None]
+        xs.append(torch.cat([common.chw(common.photometric(rgb, d, rng)), spoilt]))
+    return torch.stack(xs), torch.stack(ys)
+
+
+def loss_of(net, x, y):
+    d, c = net(x)
+    folded = (discrete(d, c) - tiles(y)).abs().mean()
+    direct = (d - y).abs().mean()
+    # confidence says how far the denoised value can be trusted
+    trust = (c - torch.exp(-(d - y).abs().detach() / 0.02)).abs().mean()
+    return folded + direct + 0.02 * trust, folded
+
+
+def main():
+    a = argparse.ArgumentParser(description=__doc__)
+    a.add_argument("--scenes", nargs="+", default=[str(RUNS / "data" / "train")])
+    a.add_argument("--out", default=str(RUNS / "theta"))
+    a.add_argument("--steps", type=int, default=2500)
+    a.add_argument("--minutes", type=float, default=1e9, help="end by then, with the schedule drawn out over that time")
+    a.add_argument("--batch", type=int, default=4)
+    a.add_argument("--threads", type=int, default=1)
+    a.add_argument("--seed", type=int, default=2)
+    a = a.parse_args()
+    torch.set_num_threads(a.threads)
+    cv2.setNumThreads(1)
+    common.seed_all(a.seed)
+    out = common.Path(a.out)
+    out.mkdir(parents=True, exist_ok=True)
+    net = Theta()
+    optimiser = torch.optim.AdamW(net.parameters(), 3e-3, weight_decay=1e-4)
+    ema = common.Ema(net, 0.99)
+    step, spent = 0, 0.0
+    if (out / "last.pt").exists():
+        s = torch.load(out / "last.pt", weights_only=False)
+        net.load_state_dict(s["live"])
+        optimiser.load_state_dict(s["optimiser"])
+        ema.shadow, step, spent = s["model"], s["step"], s["spent"]
+    log = common.Log(out / "log.csv", ["step", "loss", "folded"])
+    folders, start, seen = common.scenes(*a.scenes), time.time() - spent, []
+    while step < a.steps:
+        done = max(step / a.steps, (time.time() - start) / 60 / a.minutes)
+        if done >= 1:
+            break
+        for group in optimiser.param_groups:
+            group["lr"] = 3e-3 * (min(1, (step + 1) / 50) * (0.5 + 0.5 * np.cos(np.pi * done)) + 0.01)
+        rng = random.Random(a.seed * 1_000_003 + step)
+        x, y = batch_of(folders, rng.choice([(128, 192), (192, 128), (192, 192), (192, 256)]), a.batch, rng)
+        loss, folded = loss_of(net, x, y)
+        optimiser.zero_grad()
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(net.parameters(), 1.0)
+        optimiser.step()
+        step += 1
+        ema.update(net, step)
+        seen.append((loss.item(), folded.item()))
+        if step % 50 == 0:
+            log.row(step=step, loss=float(np.mean([s[0] for s in seen[-50:]])), folded=float(np.mean([s[1] for s in seen[-50:]])))
+            common.save(out / "last.pt", live=net.state_dict(), model=ema.shadow, optimiser=optimiser.state_dict(), step=step, spent=time.time() - start)
+    common.save(out / "last.pt", live=net.state_dict(), model=ema.shadow, optimiser=optimiser.state_dict(), step=step, spent=time.time() - start)
+
+
+if __name__ == "__main__":
+    main()
