@@ -22,6 +22,7 @@ pub mod cli;
 pub mod clock;
 pub mod depth;
 pub mod generate;
+pub mod models;
 pub mod onnx;
 pub mod photo;
 pub mod progress;

@@ -24,7 +24,8 @@ pub enum Optimisation {
 }
 
 /// What computes a network.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+#[value(rename_all = "lower")]
 pub enum Provider {
     /// The processor.
     Cpu,

@@ -1,0 +1,123 @@
+//! `tmpi depth`.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Context;
+use image::codecs::png::{CompressionType, FilterType, PngEncoder};
+use image::{ExtendedColorType, ImageEncoder};
+use serde_json::json;
+
+use super::flags::{MakeFlags, ModelFlags};
+use super::progress::Bar;
+use super::{Usage, files, result};
+use crate::models;
+use crate::photo::{self, Limits};
+use crate::tmpi::DisparityMap;
+use crate::way;
+
+/// Write the disparity of a photo
+#[derive(Clone, Debug, clap::Args)]
+pub(super) struct DepthArgs {
+    /// JPEG, PNG or WebP file
+    #[arg(value_name = "PHOTO")]
+    photo: PathBuf,
+    /// 16-bit grey PNG (value / 65535, 1 is nearest) or PFM (32-bit floats)
+    #[arg(short, long, value_name = "OUT.{png,pfm}")]
+    output: PathBuf,
+    /// As the network gave it, at its own size; in a PNG stretched to the whole range
+    #[arg(long)]
+    raw: bool,
+    /// JSON on standard output
+    #[arg(long)]
+    json: bool,
+    /// No progress
+    #[arg(short, long)]
+    quiet: bool,
+    #[command(flatten)]
+    flags: MakeFlags,
+    #[command(flatten)]
+    models: ModelFlags,
+}
+
+pub(super) fn run(args: &DepthArgs) -> anyhow::Result<()> {
+    let encode = match files::extension(&args.output).as_str() {
+        "png" => png,
+        "pfm" => pfm,
+        _ => return Err(Usage(format!("--output {} must end in .png or .pfm", args.output.display())).into()),
+    };
+    let bytes = files::read(&args.photo)?;
+    let models = models::load(&args.models.settings())?;
+    let limits = Limits::default();
+    let name = args.photo.display().to_string();
+    let map = if args.raw {
+        let photo = photo::decode(&bytes, &limits, args.flags.max_size).with_context(|| name.clone())?.photo;
+        models.depth.raw(&photo).with_context(|| name.clone())?
+    } else {
+        let bar = Bar::new(&name, args.quiet);
+        way::make(&models, &limits, &bytes, None, &args.flags.options(), &bar).with_context(|| name.clone())?.disparity
+    };
+    files::write(&args.output, &encode(&map, args.raw)?)?;
+    let (low, high) = range(&map);
+    if args.json {
+        let about = json!({
+            "photo": args.photo, "output": args.output, "width": map.width, "height": map.height,
+            "model": models.depth.name(), "raw": args.raw, "least": low, "greatest": high,
+        });
+        return result(&about.to_string());
+    }
+    result(&format!("{}: {}×{}, disparity {low:.4} to {high:.4}", Path::new(&args.output).display(), map.width, map.height))
+}
+
+fn range(map: &DisparityMap) -> (f32, f32) {
+    map.delta.iter().fold((f32::INFINITY, f32::NEG_INFINITY), |m, &v| (m.0.min(v), m.1.max(v)))
+}
+
+/// 16-bit grey; `stretch` maps the least value to 0 and the greatest to 65 535.
+fn png(map: &DisparityMap, stretch: bool) -> anyhow::Result<Vec<u8>> {
+    let (low, high) = if stretch { range(map) } else { (0.0, 1.0) };
+    let span = if high > low { high - low } else { 1.0 };
+    let samples: Vec<u8> = map.delta.iter().flat_map(|v| (((v - low) / span * 65_535.0).round() as u16).to_ne_bytes()).collect();
+    let mut out = Vec::new();
+    PngEncoder::new_with_quality(&mut out, CompressionType::Fast, FilterType::Adaptive).write_image(
+        &samples,
+        map.width,
+        map.height,
+        ExtendedColorType::L16,
+    )?;
+    Ok(out)
+}
+
+/// Portable float map: rows from the lowest up, little-endian.
+#[expect(clippy::unnecessary_wraps, reason = "the same shape as png, which can fail")]
+fn pfm(map: &DisparityMap, _: bool) -> anyhow::Result<Vec<u8>> {
+    let mut out = format!("Pf\n{} {}\n-1.0\n", map.width, map.height).into_bytes();
+    for row in map.delta.chunks_exact(map.width as usize).rev() {
+        out.extend(row.iter().flat_map(|v| v.to_le_bytes()));
+    }
+    Ok(out)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::depth::{DepthKind, from_png};
+
+    #[test]
+    fn a_png_reads_back_as_written() {
+        let map = DisparityMap { width: 3, height: 2, delta: vec![0.0, 0.25, 1.0, 0.5, 0.125, 0.75] };
+        let back = from_png(&png(&map, false).unwrap(), DepthKind::Disparity, 3, 2).unwrap();
+        assert!(back.delta.iter().zip(&map.delta).all(|(a, b)| (a - b).abs() < 1e-5));
+        let wide = DisparityMap { width: 2, height: 1, delta: vec![-40.0, 60.0] };
+        let back = from_png(&png(&wide, true).unwrap(), DepthKind::Disparity, 2, 1).unwrap();
+        assert!(back.delta[0] < 1e-5 && back.delta[1] > 0.9999);
+        let flat = DisparityMap { width: 1, height: 1, delta: vec![7.0] };
+        assert!(png(&flat, true).is_ok());
+    }
+
+    #[test]
+    fn a_pfm_has_its_last_row_first() {
+        let map = DisparityMap { width: 1, height: 2, delta: vec![1.0, 2.0] };
+        let bytes = pfm(&map, true).unwrap();
+        assert_eq!(bytes, [b"Pf\n1 2\n-1.0\n".as_slice(), &2f32.to_le_bytes(), &1f32.to_le_bytes()].concat());
+    }
+}

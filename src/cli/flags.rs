@@ -1,0 +1,217 @@
+//! Flags that several commands share. Ranges are those of [`Options::validate`]; an error names flag and range.
+
+use std::path::PathBuf;
+
+use crate::depth::{ADAPTERS, Adapter, DepthKind, adapter};
+use crate::models::Settings;
+use crate::onnx::{Config, Provider};
+use crate::tmpi::ViewBox;
+use crate::way::{Denoise, Options, PlaneCount, PlaneMethod, Switch, TileSize};
+
+/// How a photo is made.
+#[derive(Clone, Debug, clap::Args)]
+pub(super) struct MakeFlags {
+    /// How the values of the depth map are meant
+    #[arg(long, value_enum, default_value_t, value_name = "KIND")]
+    pub depth_kind: DepthKind,
+    /// Horizontal field of view of the photo in degrees; without it EXIF, else 81.5
+    #[arg(long, value_parser = fov_x, value_name = "DEG")]
+    pub fov_x: Option<f64>,
+    /// Planes a tile: the fewest that meet --max-error, or a fixed number
+    #[arg(long, value_parser = planes, default_value = "auto", value_name = "auto|N")]
+    pub planes: PlaneCount,
+    /// How planes are placed
+    #[arg(long, value_enum, default_value_t, value_name = "METHOD")]
+    pub plane_method: PlaneMethod,
+    /// Tile size in pixels, or one tile for the whole photo
+    #[arg(long, value_parser = tile, default_value = "64", value_name = "H|full")]
+    pub tile: TileSize,
+    /// Snapping of blurred depth edges to colour edges
+    #[arg(long, value_enum, default_value_t, value_name = "SWITCH")]
+    pub snap: Switch,
+    /// Refinement of layers by a network
+    #[arg(long, value_enum, default_value_t, value_name = "SWITCH")]
+    pub refine: Switch,
+    /// Cleaning of the depth map
+    #[arg(long, value_enum, default_value_t, value_name = "METHOD")]
+    pub denoise: Denoise,
+    /// Longest side in pixels; larger photos are reduced
+    #[arg(long, value_parser = max_size, value_name = "PX")]
+    pub max_size: Option<u32>,
+    /// Picture quality, 1 to 100
+    #[arg(long, value_parser = quality, default_value = "90", value_name = "1-100")]
+    pub quality: u8,
+    /// Parallax error that planes may leave over the view box, in pixels
+    #[arg(long, value_parser = max_error, default_value = "0.5", value_name = "PX")]
+    pub max_error: f64,
+    /// Half extents of the box of camera positions, in units of the nearest distance
+    #[arg(long, value_parser = view_box, default_value = "0.03,0.03,0.03", value_name = "X,Y,Z")]
+    pub view_box: ViewBox,
+}
+
+impl MakeFlags {
+    /// The options that the flags stand for.
+    pub(super) fn options(&self) -> Options {
+        Options {
+            depth_kind: self.depth_kind,
+            fov_x: self.fov_x,
+            planes: self.planes,
+            plane_method: self.plane_method,
+            tile: self.tile,
+            snap: self.snap,
+            refine: self.refine,
+            denoise: self.denoise,
+            max_size: self.max_size,
+            quality: self.quality,
+            max_error: self.max_error,
+            view_box: self.view_box,
+        }
+    }
+}
+
+/// Which networks are used, and how.
+#[derive(Clone, Debug, clap::Args)]
+pub(super) struct ModelFlags {
+    /// Depth network: its name, and its ONNX file unless it is the embedded one
+    #[arg(long, value_parser = depth_model, default_value = "tmpi", value_name = "NAME[=FILE]", env = "TMPI_DEPTH_MODEL")]
+    pub depth_model: DepthModel,
+    /// Run depth on the mirrored photo too and take the mean: twice the time
+    #[arg(long)]
+    pub flip: bool,
+    /// Threads of a network; 0: all cores
+    #[arg(long, value_parser = clap::value_parser!(u16).range(0..=1024), default_value_t = 0, value_name = "N")]
+    pub threads: u16,
+    /// What computes networks, best first, separated by commas; without cpu a missing one is an error
+    #[arg(long, value_enum, value_delimiter = ',', default_value = "cpu", value_name = "PROVIDER")]
+    pub provider: Vec<Provider>,
+}
+
+impl ModelFlags {
+    /// The settings that the flags stand for.
+    pub(super) fn settings(&self) -> Settings {
+        let onnx = Config { threads: self.threads.into(), providers: self.provider.clone(), ..Config::default() };
+        Settings { depth: self.depth_model.adapter, depth_file: self.depth_model.file.clone(), flip: self.flip, onnx }
+    }
+}
+
+/// A depth network as chosen on the command line.
+#[derive(Clone, Debug)]
+pub(super) struct DepthModel {
+    adapter: &'static Adapter,
+    file: Option<PathBuf>,
+}
+
+fn depth_model(text: &str) -> Result<DepthModel, String> {
+    let (name, file) = text.split_once('=').map_or((text, None), |(n, f)| (n, Some(PathBuf::from(f))));
+    let known = || ADAPTERS.iter().map(|a| a.name).collect::<Vec<_>>().join(", ");
+    let adapter = adapter(name).ok_or_else(|| format!("the name must be one of {}", known()))?;
+    if file.is_none() && adapter.name != ADAPTERS[0].name {
+        return Err(format!("{name} is not embedded: write {name}=FILE with its ONNX file"));
+    }
+    Ok(DepthModel { adapter, file })
+}
+
+/// `set` on default options, refused where the value is out of range.
+fn checked<T: Copy>(value: T, set: impl FnOnce(&mut Options, T)) -> Result<T, String> {
+    let mut options = Options::default();
+    set(&mut options, value);
+    options.validate().map_err(|e| e.to_string())?;
+    Ok(value)
+}
+
+fn number(text: &str) -> Result<f64, String> {
+    text.trim().parse().map_err(|_| format!("{text:?} is not a number"))
+}
+
+fn whole(text: &str) -> Result<u32, String> {
+    text.trim().parse().map_err(|_| format!("{text:?} is not a whole number"))
+}
+
+/// Finite numbers separated by commas.
+pub(super) fn numbers(text: &str) -> Result<Vec<f64>, String> {
+    let all = text.split(',').map(number).collect::<Result<Vec<_>, _>>()?;
+    if all.iter().all(|v| v.is_finite()) { Ok(all) } else { Err("every number must be finite".into()) }
+}
+
+pub(super) fn fov_x(text: &str) -> Result<f64, String> {
+    checked(number(text)?, |o, v| o.fov_x = Some(v))
+}
+
+fn planes(text: &str) -> Result<PlaneCount, String> {
+    let count = if text == "auto" { PlaneCount::Auto } else { PlaneCount::Fixed(whole(text)?) };
+    checked(count, |o, v| o.planes = v)
+}
+
+fn tile(text: &str) -> Result<TileSize, String> {
+    let size = if text == "full" { TileSize::Full } else { TileSize::Pixels(whole(text)?) };
+    checked(size, |o, v| o.tile = v)
+}
+
+fn max_size(text: &str) -> Result<u32, String> {
+    checked(whole(text)?, |o, v| o.max_size = Some(v))
+}
+
+pub(super) fn quality(text: &str) -> Result<u8, String> {
+    let quality = u8::try_from(whole(text)?).unwrap_or(u8::MAX);
+    checked(quality, |o, v| o.quality = v)
+}
+
+fn max_error(text: &str) -> Result<f64, String> {
+    checked(number(text)?, |o, v| o.max_error = v)
+}
+
+fn view_box(text: &str) -> Result<ViewBox, String> {
+    let &[x, y, z] = numbers(text)?.as_slice() else { return Err("three numbers are wanted".into()) };
+    checked(ViewBox { x, y, z }, |o, v| o.view_box = v)
+}
+
+/// A picture size, `WxH`.
+pub(super) fn size(text: &str) -> Result<(u32, u32), String> {
+    use crate::render::{MAX_PIXELS, MAX_SIDE};
+    let (w, h) = text.split_once(['x', 'X', '×']).ok_or("a size is written WIDTHxHEIGHT")?;
+    let (w, h) = (whole(w)?, whole(h)?);
+    if !(1..=MAX_SIDE).contains(&w) || !(1..=MAX_SIDE).contains(&h) || u64::from(w) * u64::from(h) > MAX_PIXELS {
+        return Err(format!("each side must be 1 to {MAX_SIDE} pixels, both together at most {MAX_PIXELS}"));
+    }
+    Ok((w, h))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn defaults_are_those_of_the_library() {
+        #[derive(clap::Parser)]
+        struct Just {
+            #[command(flatten)]
+            flags: MakeFlags,
+        }
+        let got = <Just as clap::Parser>::parse_from(["x"]).flags.options();
+        assert_eq!(got, Options::default());
+    }
+
+    #[test]
+    fn ranges_hold_at_their_ends_and_nan_is_refused() {
+        assert!(planes("1").is_ok() && planes("64").is_ok() && planes("0").is_err() && planes("65").is_err());
+        assert!(tile("8").is_ok() && tile("1024").is_ok() && tile("7").is_err() && tile("1025").is_err() && tile("full").is_ok());
+        assert!(
+            quality("1").is_ok() && quality("100").is_ok() && quality("0").is_err() && quality("101").is_err() && quality("300").is_err()
+        );
+        assert!(max_size("1").is_ok() && max_size("16384").is_ok() && max_size("0").is_err() && max_size("16385").is_err());
+        assert!(fov_x("0.1").is_ok() && fov_x("179").is_ok() && fov_x("0").is_err() && fov_x("180").is_err());
+        for nan in ["nan", "NaN", "inf", "-inf", "1e999"] {
+            assert!(fov_x(nan).is_err() && max_error(nan).is_err() && view_box(&format!("{nan},0,0")).is_err(), "{nan}");
+        }
+        assert!(size("16384x1").is_ok() && size("16385x1").is_err() && size("0x1").is_err() && size("8193x8193").is_err());
+        assert!(view_box("0,0,0").is_ok() && view_box("0,0").is_err() && view_box("0,0,-0.1").is_err());
+    }
+
+    #[test]
+    fn depth_models_by_name() {
+        assert!(depth_model("tmpi").is_ok());
+        assert!(depth_model("depth-anything-v2").unwrap_err().contains("=FILE"));
+        assert_eq!(depth_model("dpt-large=a=b.onnx").unwrap().file.unwrap(), PathBuf::from("a=b.onnx"));
+        assert!(depth_model("nosuch").unwrap_err().contains("midas-v2.1"));
+    }
+}

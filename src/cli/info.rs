@@ -1,0 +1,72 @@
+//! `tmpi info`.
+
+use std::path::PathBuf;
+
+use anyhow::Context;
+use serde_json::json;
+
+use super::{files, result};
+use crate::atlas;
+use crate::tmpi::Class;
+
+/// Tell what is in a container
+#[derive(Clone, Debug, clap::Args)]
+pub(super) struct InfoArgs {
+    /// The container
+    #[arg(value_name = "IN.tmpi")]
+    input: PathBuf,
+    /// As JSON
+    #[arg(long)]
+    json: bool,
+}
+
+pub(super) fn run(args: &InfoArgs) -> anyhow::Result<()> {
+    let bytes = files::read(&args.input)?;
+    let context = || args.input.display().to_string();
+    let sections = atlas::sections(&bytes).with_context(context)?;
+    let scene = atlas::decode(&bytes).with_context(context)?;
+    // A container that was decoded has its whole header
+    let version = bytes.get(4..8).map_or([0, 0], |v| [u16::from_le_bytes([v[0], v[1]]), u16::from_le_bytes([v[2], v[3]])]);
+    let (g, k, b) = (&scene.grid, &scene.intrinsics, &scene.view_box);
+    let tiles = g.tiles();
+    let planes = scene.layers.len();
+    let per_tile = planes as f64 / f64::from(tiles);
+    let mut filled = vec![0usize; 3];
+    for &class in &scene.texels.class {
+        filled[usize::from(class.min(Class::Hidden as u8))] += 1;
+    }
+    if args.json {
+        let sections: Vec<_> = sections
+            .iter()
+            .map(|s| json!({ "kind": s.kind, "codec": s.codec, "offset": s.offset, "bytes": s.length, "raw_bytes": s.raw_length }))
+            .collect();
+        let about = json!({
+            "file": args.input,
+            "bytes": bytes.len(),
+            "version": version,
+            "width": g.width,
+            "height": g.height,
+            "tile": { "size": g.size, "stride": g.stride },
+            "tiles": tiles,
+            "planes": planes,
+            "planes_per_tile": per_tile,
+            "texels": { "photo": filled[1], "hidden": filled[2], "empty": filled[0] },
+            "fov_x": k.fov_x(g.width),
+            "intrinsics": k,
+            "view_box": b,
+            "sections": sections,
+        });
+        return result(&about.to_string());
+    }
+    result(&format!("{}: {} bytes, version {}.{}", args.input.display(), bytes.len(), version[0], version[1]))?;
+    result(&format!("photo     {}×{}, {:.1}° wide", g.width, g.height, k.fov_x(g.width)))?;
+    result(&format!("view box  ±{} right, ±{} down, ±{} forward", b.x, b.y, b.z))?;
+    result(&format!("tiles     {tiles} of {} px every {} px", g.size, g.stride))?;
+    result(&format!("planes    {planes}, {per_tile:.2} a tile"))?;
+    result(&format!("texels    {} of the photo, {} hidden", filled[1], filled[2]))?;
+    result("section   codec       offset      bytes  unpacked")?;
+    for s in &sections {
+        result(&format!("{:<9} {:<8} {:>9} {:>10} {:>9}", s.kind, s.codec, s.offset, s.length, s.raw_length))?;
+    }
+    Ok(())
+}

@@ -1,0 +1,188 @@
+//! `tmpi render`.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Instant;
+
+use anyhow::Context;
+use serde_json::json;
+
+use super::flags::{fov_x, numbers, quality, size};
+use super::{Usage, files, result};
+use crate::atlas;
+use crate::render::{self, Backend, MAX_SIDE, PictureFormat, Renderer, View};
+use crate::tmpi::{Camera, Intrinsics, Pose, Scene, ViewBox, mat3_vec};
+
+/// Draw a container from another place
+#[derive(Clone, Debug, clap::Args)]
+pub(super) struct RenderArgs {
+    /// The container
+    #[arg(value_name = "IN.tmpi")]
+    input: PathBuf,
+    /// Picture to write: PNG and WebP with alpha, JPEG over black
+    #[arg(short, long, value_name = "OUT.{png,jpg,webp}")]
+    output: PathBuf,
+    /// Where the camera is (right, down, forward, in units of the nearest distance) and looks (degrees)
+    #[arg(long, value_parser = pose, allow_hyphen_values = true, default_value = "0,0,0", value_name = "TX,TY,TZ[,YAW,PITCH,ROLL]")]
+    pose: Pose,
+    /// Picture size; without it the photo's
+    #[arg(long, value_parser = size, value_name = "WxH")]
+    size: Option<(u32, u32)>,
+    /// Horizontal field of view in degrees; without it the photo's
+    #[arg(long, value_parser = fov_x, value_name = "DEG")]
+    fov_x: Option<f64>,
+    /// What draws
+    #[arg(long, value_enum, default_value_t, value_name = "HOST")]
+    backend: Backend,
+    /// Two views side by side, this far apart, in units of the nearest distance
+    #[arg(long, value_parser = ipd, allow_hyphen_values = true, value_name = "IPD")]
+    stereo: Option<f64>,
+    /// Move the camera through the view box and write numbered frames
+    #[arg(long, value_enum, value_name = "PATH")]
+    path: Option<Path3>,
+    /// How many frames
+    #[arg(long, requires = "path", value_parser = clap::value_parser!(u32).range(1..=10_000), default_value_t = 60, value_name = "N")]
+    frames: u32,
+    /// Quality of a JPEG, 1 to 100
+    #[arg(long, value_parser = quality, default_value = "90", value_name = "1-100")]
+    quality: u8,
+    /// A line of JSON on standard output for each picture
+    #[arg(long)]
+    json: bool,
+}
+
+/// Closed way of the camera around its pose.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Path3 {
+    /// An ellipse to the sides, up and down
+    Orbit,
+    /// From side to side
+    Swing,
+    /// Forward and back
+    Dolly,
+}
+
+impl Path3 {
+    /// Camera position at `turn` (0 to 1) of the way, within the view box.
+    fn at(self, turn: f64, v: &ViewBox) -> [f64; 3] {
+        let (sin, cos) = (turn * std::f64::consts::TAU).sin_cos();
+        match self {
+            Self::Orbit => [v.x * cos, v.y * sin, 0.0],
+            Self::Swing => [v.x * sin, 0.0, 0.0],
+            Self::Dolly => [0.0, 0.0, v.z * sin],
+        }
+    }
+}
+
+fn pose(text: &str) -> Result<Pose, String> {
+    let all = numbers(text)?;
+    if !(3..=6).contains(&all.len()) {
+        return Err("three to six numbers are wanted".into());
+    }
+    let at = |i: usize| all.get(i).copied().unwrap_or(0.0);
+    Ok(Pose { tx: at(0), ty: at(1), tz: at(2), yaw: at(3), pitch: at(4), roll: at(5) })
+}
+
+fn ipd(text: &str) -> Result<f64, String> {
+    match numbers(text)?.as_slice() {
+        &[v] if v > 0.0 && v <= 10.0 => Ok(v),
+        _ => Err("it must be above 0 and at most 10".into()),
+    }
+}
+
+pub(super) fn run(args: &RenderArgs) -> anyhow::Result<()> {
+    let ending = files::extension(&args.output);
+    let format = PictureFormat::from_extension(&ending)
+        .ok_or_else(|| Usage(format!("--output {} must end in .png, .jpg, .jpeg or .webp", args.output.display())))?;
+    let bytes = files::read(&args.input)?;
+    let scene = Arc::new(atlas::decode(&bytes).with_context(|| args.input.display().to_string())?);
+    let (width, height) = args.size.unwrap_or((scene.grid.width, scene.grid.height));
+    if args.stereo.is_some() && width > MAX_SIDE / 2 {
+        return Err(Usage(format!("--stereo pictures are at most {} pixels wide each, not {width}", MAX_SIDE / 2)).into());
+    }
+    let intrinsics = match args.fov_x {
+        Some(fov) => Intrinsics::from_fov_x(width, height, fov),
+        None => scene.intrinsics.resized((scene.grid.width, scene.grid.height), (width, height)),
+    };
+    let camera = Camera { pose: args.pose, intrinsics, width, height };
+    let renderer = render::select(args.backend)?;
+    let frames = args.path.map_or(1, |_| args.frames);
+    for frame in 0..frames {
+        let start = Instant::now();
+        let mut camera = camera;
+        let mut output = args.output.clone();
+        if let Some(path) = args.path {
+            camera.pose = moved(&args.pose, path.at(f64::from(frame) / f64::from(frames), &scene.view_box));
+            output = numbered(&args.output, frame + 1, frames);
+        }
+        let view = draw(renderer.as_ref(), &scene, &camera, args.stereo)?;
+        let ms = start.elapsed().as_secs_f64() * 1e3;
+        files::write(&output, &render::encode(&view, format, args.quality)?)?;
+        if args.json {
+            let (w, h) = (view.width, view.height);
+            let about = json!({ "output": output, "width": w, "height": h, "backend": renderer.name(), "pose": camera.pose, "ms": ms });
+            result(&about.to_string())?;
+        } else {
+            result(&format!("{}: {}×{}, {} in {ms:.1} ms", output.display(), view.width, view.height, renderer.name()))?;
+        }
+    }
+    Ok(())
+}
+
+/// The pose shifted by `by`, which is right, down and forward as the camera sees it.
+fn moved(pose: &Pose, by: [f64; 3]) -> Pose {
+    let d = mat3_vec(&pose.orientation(), by);
+    Pose { tx: pose.tx + d[0], ty: pose.ty + d[1], tz: pose.tz + d[2], ..*pose }
+}
+
+fn draw(renderer: &dyn Renderer, scene: &Arc<Scene>, camera: &Camera, stereo: Option<f64>) -> anyhow::Result<View> {
+    let Some(ipd) = stereo else { return Ok(renderer.render(scene, camera)?) };
+    let eye = |shift: f64| renderer.render(scene, &Camera { pose: moved(&camera.pose, [shift, 0.0, 0.0]), ..*camera });
+    let (left, right) = (eye(-ipd / 2.0)?, eye(ipd / 2.0)?);
+    let w = left.width as usize;
+    let rgba = left.rgba.chunks_exact(w).zip(right.rgba.chunks_exact(w)).flat_map(|(l, r)| [l, r].concat()).collect();
+    Ok(View { width: left.width * 2, height: left.height, rgba })
+}
+
+/// `name-0001.png`, with as many digits as all frames need, at least four.
+fn numbered(path: &Path, frame: u32, frames: u32) -> PathBuf {
+    let digits = frames.to_string().len().max(4);
+    let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    path.with_file_name(format!("{stem}-{frame:0digits$}.{}", path.extension().unwrap_or_default().to_string_lossy()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn poses_have_three_to_six_finite_numbers() {
+        assert_eq!(pose("-0.1,0,0.2").unwrap(), Pose::at(-0.1, 0.0, 0.2));
+        assert!((pose("0,0,0,10,-5,3").unwrap().pitch + 5.0).abs() < 1e-12);
+        for bad in ["", "1,2", "1,2,3,4,5,6,7", "nan,0,0", "0,inf,0", "a,b,c"] {
+            assert!(pose(bad).is_err(), "{bad}");
+        }
+        assert!(ipd("0.06").is_ok() && ipd("0").is_err() && ipd("-1").is_err() && ipd("nan").is_err());
+    }
+
+    #[test]
+    fn ways_stay_in_the_view_box_and_close() {
+        let v = ViewBox { x: 0.1, y: 0.05, z: 0.2 };
+        for path in [Path3::Orbit, Path3::Swing, Path3::Dolly] {
+            for i in 0..=24 {
+                let [x, y, z] = path.at(f64::from(i) / 24.0, &v);
+                assert!(x.abs() <= v.x + 1e-9 && y.abs() <= v.y + 1e-9 && z.abs() <= v.z + 1e-9);
+            }
+            let (a, b) = (path.at(0.0, &v), path.at(1.0, &v));
+            assert!((0..3).all(|k| (a[k] - b[k]).abs() < 1e-9));
+        }
+        let turned = moved(&Pose { yaw: 90.0, ..Pose::default() }, [1.0, 0.0, 0.0]);
+        assert!(turned.tx.abs() < 1e-9 && (turned.tz + 1.0).abs() < 1e-9, "right of a camera that looks right is back");
+    }
+
+    #[test]
+    fn frames_are_numbered_in_order() {
+        assert_eq!(numbered(Path::new("a/b.c.png"), 7, 60), Path::new("a/b.c-0007.png"));
+        assert_eq!(numbered(Path::new("v.jpg"), 10_000, 10_000), Path::new("v-10000.jpg"));
+    }
+}
