@@ -7,6 +7,7 @@ import { Viewer } from './viewer.js';
 
 const TOAST_MS = 2500;
 const HASH_KEY = 'pose';
+const BACKDROP = [12, 9];
 
 const $ = (id) => document.getElementById(id);
 const id = decodeURIComponent(location.pathname.split('/').filter(Boolean).pop() ?? '');
@@ -59,6 +60,18 @@ function showIdle(on) {
   $('idle').setAttribute('aria-pressed', String(on));
 }
 
+/** Fills what the photo leaves free with its colours: a few pixels drawn large, which costs no frame any time. */
+async function showBackdrop(image) {
+  await image.decode().catch(() => {});
+  if (!image.naturalWidth) return;
+  const canvas = $('backdrop');
+  [canvas.width, canvas.height] = BACKDROP;
+  const context = canvas.getContext('2d');
+  context.imageSmoothingQuality = 'high';
+  context.drawImage(image, 0, 0, canvas.width, canvas.height);
+  canvas.hidden = false;
+}
+
 /** Starts the viewer; where the photo is not made yet, waits for it first. */
 function start() {
   viewer?.dispose();
@@ -71,10 +84,7 @@ function start() {
     showLoading(total ? `${formatBytes(received)} of ${formatBytes(total)}` : formatBytes(received), total ? received / total : undefined);
     readout();
   });
-  viewer.addEventListener('photo', () => {
-    $('backdrop').src = viewer.posterUrl;
-    $('backdrop').hidden = false;
-  });
+  viewer.addEventListener('photo', () => showBackdrop(viewer.poster));
   viewer.addEventListener('ready', ({ detail }) => {
     $('loading').hidden = true;
     stage.dataset.mode = detail.mode;

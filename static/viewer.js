@@ -16,6 +16,10 @@ const MAX_PIXEL_RATIO = 2;
 const MAX_PIXELS = 6_000_000;
 /** Weight of the newest frame in the frame time shown. */
 const FRAME_WEIGHT = 0.15;
+/** A frame slower than this, while moving, is drawn with fewer pixels the next time; at rest the picture is always whole. */
+const SLOW_FRAME_MS = 40;
+const COARSER = 0.8;
+const COARSEST = 0.4;
 /** Time in which the view zooms in from the whole photo to where no border shows. */
 const ZOOM_IN_S = 1.2;
 
@@ -26,6 +30,7 @@ export class Viewer extends EventTarget {
   #losses = 0;
   #measuring = false;
   #zoomed = 0;
+  #detail = 1;
   #exact = null;
   #disposed = false;
   #stopListening;
@@ -271,6 +276,7 @@ export class Viewer extends EventTarget {
     if (!this.head || this.#disposed) return;
     const { clientWidth, clientHeight } = this.root;
     if (!clientWidth || !clientHeight) return;
+    const detail = this.moving ? this.#detail : 1;
     const aspect = this.head.width / this.head.height;
     const width = Math.min(clientWidth, clientHeight * aspect);
     const height = width / aspect;
@@ -279,9 +285,9 @@ export class Viewer extends EventTarget {
       element.style.width = `${width}px`;
       element.style.height = `${height}px`;
     }
-    if (this.canvas) {
+    if (this.canvas && this.renderer) {
       const side = this.renderer.device.limits.maxTextureDimension2D;
-      const ratio = Math.min(this.#pixelRatio(), Math.sqrt(MAX_PIXELS / (width * height)), side / Math.max(width, height));
+      const ratio = detail * Math.min(this.#pixelRatio(), Math.sqrt(MAX_PIXELS / (width * height)), side / Math.max(width, height));
       const size = [Math.max(1, Math.round(width * ratio)), Math.max(1, Math.round(height * ratio))];
       // setting a size clears the canvas even where it stays the same
       if (this.canvas.width !== size[0] || this.canvas.height !== size[1]) [this.canvas.width, this.canvas.height] = size;
@@ -302,11 +308,11 @@ export class Viewer extends EventTarget {
     if (this.mode === 'loading') return;
     const moving = !this.#exact && this.motion.step(dt);
     this.#zoomed = this.#reduced.matches ? 1 : Math.min(1, this.#zoomed + dt / ZOOM_IN_S);
-    this.render();
     if (moving || this.#zoomed < 1) {
       this.#lastFrame = now;
       this.#frameRequest = requestAnimationFrame((next) => this.#frame(next));
     }
+    this.#layout();
   }
 
   /** Time from submission to completion, one frame at a time. */
@@ -319,6 +325,7 @@ export class Viewer extends EventTarget {
       const ms = performance.now() - started;
       this.frameMs = this.frameMs === null ? ms : this.frameMs + (ms - this.frameMs) * FRAME_WEIGHT;
       this.#emit('frame', { ms: this.frameMs });
+      if (this.moving && ms > SLOW_FRAME_MS) this.#detail = Math.max(COARSEST, this.#detail * COARSER);
     } catch {
       // the device is gone, which is dealt with where it is noticed
     } finally {

@@ -170,7 +170,7 @@ describe('viewer', () => {
     await page.evaluate(() => window.viewer.renderer.device.destroy());
     await waitForMode(page, 'served');
     await page.waitForFunction(() => document.querySelector('.tmpi-poster').naturalWidth > 0);
-    assert.equal(await page.locator('canvas').count(), 0);
+    assert.equal(await page.locator('.tmpi-canvas').count(), 0);
     await context.close();
   });
 

@@ -1,0 +1,175 @@
+// From the picker to the moving picture, on the built program.
+import assert from 'node:assert/strict';
+import { existsSync, readFileSync } from 'node:fs';
+import { after, before, describe, test } from 'node:test';
+import { fileURLToPath } from 'node:url';
+import { launch, openPage, PATIENCE_MS, pixelsAt, pixelsOf, shareDifferent, waitForMode } from './browser.mjs';
+import { BOX, boxDepth, boxPhoto } from './pictures.mjs';
+import { makePhoto, startServer } from './tmpi.mjs';
+
+const WIDTH = 320;
+const HEIGHT = 200;
+/** Share of the pixels that may differ by more than 8 levels between the two hosts. */
+const MAX_SHARE = 0.015;
+const POSES = [
+  { tx: 0.025, ty: -0.01, tz: 0.01 },
+  { tx: -0.02, ty: 0.015, tz: -0.02, yaw: 1.5, pitch: -1, roll: 2 },
+];
+const realPhoto = fileURLToPath(new URL('photos/dav2/demo01.jpg', dataUrl()));
+
+function dataUrl() {
+  const root = process.env.TMPI_DATA;
+  return root ? new URL(`file://${root.endsWith('/') ? root : `${root}/`}`) : new URL('../../../shared/data/', import.meta.url);
+}
+
+const query = (pose, width, height) => new URLSearchParams({ ...pose, w: width, h: height, format: 'png' });
+
+/** Canvas against the server's view at both poses; gives the shares that differ. */
+async function compare(page, id, width, height) {
+  const shares = [];
+  for (const pose of POSES) {
+    const drawn = await pixelsAt(page, pose, width, height);
+    const served = await pixelsOf(page, `/v1/photos/${id}/view?${query(pose, width, height)}`);
+    shares.push(shareDifferent(drawn, served, width, height));
+  }
+  return shares;
+}
+
+describe('the whole way', () => {
+  let server;
+  let browser;
+  let made;
+  before(async () => {
+    server = await startServer();
+    browser = await launch();
+    made = await makePhoto(server.url, boxPhoto(WIDTH, HEIGHT), boxDepth(WIDTH, HEIGHT));
+  });
+  after(async () => {
+    await browser?.close();
+    await server?.close();
+  });
+
+  test('picker, stages, gallery, moving picture, deletion', async () => {
+    const { page, context, errors } = await openPage(browser);
+    await page.addInitScript(() => {
+      window.stagesShown = [];
+      new MutationObserver(() => {
+        const text = document.querySelector('.upload-state')?.textContent;
+        if (text && window.stagesShown.at(-1) !== text) window.stagesShown.push(text);
+      }).observe(document, { childList: true, subtree: true, characterData: true });
+    });
+    await page.goto(server.url);
+    await page.setInputFiles('#picker', { name: 'garden.png', mimeType: 'image/png', buffer: boxPhoto(400, 260) });
+    const open = page.getByRole('link', { name: 'Open garden.png' });
+    await open.waitFor();
+    const stages = await page.evaluate(() => window.stagesShown);
+    for (const word of [/depth/i, /layers/i, /Packing/]) assert.ok(stages.some((s) => word.test(s)), `${word}: ${stages}`);
+    const inGallery = page.locator('#gallery .card').filter({ hasText: 'garden' });
+    await inGallery.waitFor();
+    await page.waitForFunction(() => document.querySelector('#gallery img.thumb')?.naturalWidth > 0);
+    await open.click();
+    await waitForMode(page, 'gpu');
+    assert.equal(await page.locator('#title').textContent(), 'garden');
+    const first = await page.evaluate(() => window.viewer.pose.tx);
+    await page.waitForFunction((tx) => Math.abs(window.viewer.pose.tx - tx) > 1e-3, first);
+    assert.match(await page.locator('#readout').textContent(), /\d kB · [\d.]+ ms/);
+    const [download] = await Promise.all([page.waitForEvent('download'), page.locator('#download').click()]);
+    assert.equal(download.suggestedFilename(), 'garden.tmpi');
+    assert.equal(readFileSync(await download.path()).toString('latin1', 0, 4), 'TMPI');
+    await page.goto(server.url);
+    page.once('dialog', (dialog) => dialog.accept());
+    await page.getByRole('button', { name: 'Delete garden' }).click();
+    await inGallery.waitFor({ state: 'detached' });
+    assert.deepEqual(errors, []);
+    await context.close();
+  });
+
+  test('the browser draws what the server draws', async (t) => {
+    const { page, context } = await openPage(browser);
+    await page.goto(`${server.url}/view/${made.id}`);
+    await waitForMode(page, 'gpu');
+    const shares = await compare(page, made.id, WIDTH, HEIGHT);
+    t.diagnostic(`share off by more than 8 levels: ${shares.map((s) => s.toFixed(5)).join(', ')}`);
+    for (const share of shares) assert.ok(share < MAX_SHARE, `${share}`);
+    await context.close();
+  });
+
+  test('between two poses the near box moves and the far wall stands', async () => {
+    const { page, context } = await openPage(browser);
+    await page.goto(`${server.url}/view/${made.id}`);
+    await waitForMode(page, 'gpu');
+    const [left, right] = [await pixelsAt(page, { tx: -0.02 }, WIDTH, HEIGHT), await pixelsAt(page, { tx: 0.02 }, WIDTH, HEIGHT)];
+    const near = { x0: BOX.x0 + 0.03, x1: BOX.x1 - 0.03, y0: BOX.y0 + 0.03, y1: BOX.y1 - 0.03 };
+    const far = { x0: 0.03, x1: 0.25, y0: 0.05, y1: 0.95 };
+    // the pattern of the box moves by 6.7 pixels, that of the wall by 0.7, which changes it by up to 8 levels a pixel
+    const moved = shareDifferent(left, right, WIDTH, HEIGHT, { ...near, levels: 10 });
+    const stood = shareDifferent(left, right, WIDTH, HEIGHT, { ...far, levels: 10 });
+    assert.ok(moved > 0.5, `near: ${moved}`);
+    assert.ok(stood < 0.05, `far: ${stood}`);
+    await context.close();
+  });
+
+  test('a photo from a camera', { skip: existsSync(realPhoto) ? false : 'no data for measuring: set TMPI_DATA' }, async (t) => {
+    const { page, context, errors } = await openPage(browser);
+    const state = await makePhoto(server.url, readFileSync(realPhoto));
+    await page.goto(`${server.url}/view/${state.id}`);
+    await waitForMode(page, 'gpu');
+    const [width, height] = [480, Math.round((480 * state.height) / state.width)];
+    const shares = await compare(page, state.id, width, height);
+    t.diagnostic(`share off by more than 8 levels: ${shares.map((s) => s.toFixed(5)).join(', ')}`);
+    for (const share of shares) assert.ok(share < MAX_SHARE, `${share}`);
+    assert.deepEqual(errors, []);
+    await context.close();
+  });
+
+  test('without WebGPU the server’s pictures come', async () => {
+    const { page, context, errors } = await openPage(browser);
+    await page.addInitScript(() => Object.defineProperty(navigator, 'gpu', { value: undefined }));
+    await page.goto(`${server.url}/view/${made.id}`);
+    await waitForMode(page, 'served');
+    const shown = () => page.evaluate(() => window.viewer.served.shown);
+    await page.waitForFunction(() => window.viewer.served.shown);
+    const before = await shown();
+    await page.locator('#stage').focus();
+    for (let i = 0; i < 4; i++) await page.keyboard.press('ArrowRight');
+    await page.waitForFunction((old) => window.viewer.served.shown !== old && !window.viewer.served.busy, before);
+    assert.match(await shown(), /tx=0\.0[12]/);
+    assert.ok(await page.evaluate(() => document.querySelector('.tmpi-poster').naturalWidth > 0));
+    assert.deepEqual(errors, []);
+    await context.close();
+  });
+
+  test('what is no picture is refused with the reason', async () => {
+    const { page, context } = await openPage(browser);
+    await page.goto(server.url);
+    await page.setInputFiles('#picker', { name: 'notes.png', mimeType: 'image/png', buffer: Buffer.from('this is no picture at all') });
+    const row = page.locator('.upload.failed');
+    await row.waitFor();
+    const reason = await row.locator('.upload-state').textContent();
+    assert.match(reason, /JPEG|PNG|WebP|format|picture/i);
+    await row.getByRole('button', { name: 'Dismiss notes.png' }).click();
+    await row.waitFor({ state: 'detached' });
+    await context.close();
+  });
+
+  test('nothing is wider than a phone', async () => {
+    for (const width of [360, 390]) {
+      const { page, context } = await openPage(browser, { viewport: { width, height: 844 }, deviceScaleFactor: 2, hasTouch: true });
+      for (const path of ['/', `/view/${made.id}`]) {
+        await page.goto(server.url + path);
+        if (path === '/') await page.locator('#gallery .card').first().waitFor({ timeout: PATIENCE_MS });
+        else await waitForMode(page, 'gpu');
+        const [wide, inner] = await page.evaluate(() => [document.documentElement.scrollWidth, innerWidth]);
+        assert.ok(wide <= inner, `${path} is ${wide} pixels wide on ${inner}`);
+        const cut = await page.evaluate(() =>
+          [...document.querySelectorAll('button, a, label')]
+            .map((e) => [e.textContent.trim(), e.getBoundingClientRect()])
+            .filter(([, r]) => r.width > 0 && (r.left < 0 || r.right > innerWidth + 0.5))
+            .map(([text]) => text),
+        );
+        assert.deepEqual(cut, []);
+      }
+      await context.close();
+    }
+  });
+});
