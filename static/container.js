@@ -154,11 +154,14 @@ function unzstd(packed, length, name) {
   if (length > (packed.length / ZSTD_LEAST_BLOCK) * ZSTD_MOST_CONTENT) broken(`the ${name} section cannot unpack to ${length} bytes`);
   // a buffer given bounds the output whatever the stream says
   const out = new Uint8Array(length);
+  // fzstd compares the buffer with 1, for which every byte of it would be spelt out as text
+  out.valueOf = () => 0;
   try {
     decompress(packed, out);
   } catch (error) {
     broken(`the ${name} section: ${error.message}`);
   }
+  delete out.valueOf;
   return out;
 }
 

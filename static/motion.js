@@ -111,10 +111,11 @@ export class Motion {
 }
 
 /**
- * Listens on `element` and drives `motion`. `wake` is called after every input; `toggleIdle` on the space bar.
+ * Listens on `element` and drives `motion`. `wake` is called after every input; `toggleIdle` on the space bar. `embedded`: the
+ * wheel scrolls the page unless the element has the focus.
  * @returns {() => void} stops listening
  */
-export function listen(element, motion, { wake, toggleIdle }) {
+export function listen(element, motion, { wake, toggleIdle, embedded }) {
   const stop = new AbortController();
   const on = (type, handler, options) => element.addEventListener(type, handler, { signal: stop.signal, ...options });
   const pointers = new Map();
@@ -170,6 +171,7 @@ export function listen(element, motion, { wake, toggleIdle }) {
   on(
     'wheel',
     (event) => {
+      if (embedded && !element.matches(':focus')) return;
       event.preventDefault();
       const lines = event.deltaMode === WheelEvent.DOM_DELTA_LINE ? 16 : 1;
       motion.nudge(0, 0, -event.deltaY * lines * WHEEL_STEP);

@@ -23,6 +23,7 @@ const STAGES = {
   refine: 'Refining layers',
   prune: 'Leaving out what is never seen',
   encode: 'Packing',
+  verify: 'Checking the result',
 };
 
 /** A stage of the way in a person's words. */

@@ -4,7 +4,8 @@
 //   viewer.addEventListener('ready', …)
 //
 // Events (detail): `progress` {received, total} · `photo` · `ready` {mode} · `mode` {mode, reason} · `idle` {on} · `pose` ·
-// `frame` {ms} · `error` {message}. `mode` is `gpu` where the browser draws and `served` where the server does.
+// `frame` {ms} · `error` {message}. `mode` is `gpu` where the browser draws, `served` where the server does, and `still` where
+// neither can and the photo is all there is.
 import { fovX, framing, HOME, lookingAt, POSE_KEYS, resized, zoomed } from './camera.js';
 import { findAdapter, GpuRenderer } from './gpu.js';
 import { listen, Motion } from './motion.js';
@@ -39,8 +40,9 @@ export class Viewer extends EventTarget {
 
   /**
    * @param {HTMLElement} root focusable element that takes the input and holds the pictures
-   * @param {{atlas: string, view: string, offset?: {x: number, y: number, z: number}}} options addresses of the container and of
-   *   the views that the server draws; where the camera starts, in units of the view box
+   * @param {{atlas: string, view?: string, offset?: {x: number, y: number, z: number}, embedded?: boolean}} options addresses of
+   *   the container and of the views that the server draws; where the camera starts, in units of the view box; whether the viewer
+   *   is a part of a page that scrolls
    */
   constructor(root, options) {
     super();
@@ -64,6 +66,7 @@ export class Viewer extends EventTarget {
         this.#emit('pose');
       },
       toggleIdle: () => this.setIdle(!this.idle),
+      embedded: options.embedded,
     });
     this.#resizes = new ResizeObserver(() => this.#layout());
     this.#resizes.observe(root);
@@ -176,7 +179,7 @@ export class Viewer extends EventTarget {
   async #start() {
     const adapter = await findAdapter();
     if (this.#disposed) return;
-    this.#worker = new Worker(new URL('./decode-worker.js', import.meta.url), { type: 'module' });
+    this.#worker = new Worker(workerAddress(), { type: 'module' });
     this.#worker.onerror = (event) => this.#fail(event.message || 'The decoder could not be started.');
     this.#worker.onmessage = ({ data }) => this.#onWorker(data, adapter);
     this.#worker.postMessage({ url: this.options.atlas, photoOnly: !adapter });
@@ -251,6 +254,12 @@ export class Viewer extends EventTarget {
     this.canvas = null;
     // a swing would ask the server without end
     this.setIdle(false);
+    if (!this.options.view) {
+      this.mode = 'still';
+      this.#emit('mode', { mode: 'still', reason });
+      this.#emit('ready', { mode: 'still' });
+      return;
+    }
     this.served = new ServedViews(this.poster, this.options.view, this.head, (error) => this.#emit('error', { message: error.message }));
     this.mode = 'served';
     this.#emit('mode', { mode: 'served', reason });
@@ -297,7 +306,7 @@ export class Viewer extends EventTarget {
   }
 
   #wake() {
-    if (this.#frameRequest || this.#disposed || this.mode === 'failed') return;
+    if (this.#frameRequest || this.#disposed || this.mode === 'failed' || this.mode === 'still') return;
     this.#lastFrame = 0;
     this.#frameRequest = requestAnimationFrame((now) => this.#frame(now));
   }
@@ -344,4 +353,11 @@ export class Viewer extends EventTarget {
   #emit(type, detail = {}) {
     this.dispatchEvent(new CustomEvent(type, { detail }));
   }
+}
+
+/** A worker's script must be of the page's own origin; what it imports need not. */
+function workerAddress() {
+  const url = new URL('./decode-worker.js', import.meta.url);
+  if (url.origin === location.origin) return url;
+  return URL.createObjectURL(new Blob([`import ${JSON.stringify(url.href)};`], { type: 'text/javascript' }));
 }

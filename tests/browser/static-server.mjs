@@ -19,11 +19,14 @@ export async function serve({ atlas, delayMs = 0 }) {
   const server = createServer(async (request, response) => {
     const url = new URL(request.url, 'http://localhost');
     const send = (status, type, body) => {
-      response.writeHead(status, { 'content-type': type, 'content-length': Buffer.byteLength(body), 'content-security-policy': POLICY });
+      const headers = { 'content-type': type, 'content-length': Buffer.byteLength(body), 'access-control-allow-origin': '*' };
+      if (!url.pathname.startsWith('/embed')) headers['content-security-policy'] = POLICY;
+      response.writeHead(status, headers);
       response.end(body);
     };
     if (url.pathname === '/v1/photos/box') return send(200, 'application/json', JSON.stringify({ id: 'box', state: 'done' }));
     if (url.pathname === '/v1/photos/box/atlas') return sendSlowly(response, atlas, delayMs);
+    if (url.pathname === '/embed') return send(200, TYPES['.html'], embed(url.searchParams.get('host')));
     if (url.pathname === '/v1/photos/box/view') {
       views.push(url.search);
       most = Math.max(most, ++atOnce);
@@ -50,9 +53,16 @@ export async function serve({ atlas, delayMs = 0 }) {
 
 /** The container in two parts, the pause between them after the photo. */
 async function sendSlowly(response, atlas, delayMs) {
-  response.writeHead(200, { 'content-type': 'application/vnd.tmpi', 'content-length': atlas.length });
+  const headers = { 'content-type': 'application/vnd.tmpi', 'content-length': atlas.length, 'access-control-allow-origin': '*' };
+  response.writeHead(200, headers);
   const cut = Math.floor(atlas.length * 0.9);
   response.write(atlas.subarray(0, cut));
   if (delayMs) await new Promise((resume) => setTimeout(resume, delayMs));
   response.end(atlas.subarray(cut));
+}
+
+/** A page of somebody else with the element on it. */
+function embed(host) {
+  return `<!doctype html><title>embed</title><script type="module" src="${host}/tmpi-viewer.js"></script>
+    <p>text</p><tmpi-viewer src="${host}/v1/photos/box/atlas" alt="A box before a wall" still></tmpi-viewer>`;
 }

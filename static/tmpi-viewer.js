@@ -1,0 +1,104 @@
+// <tmpi-viewer src="https://host/v1/photos/ID/atlas" alt="…" poster="…"></tmpi-viewer>: a 3D photo on any page.
+//
+//   src     address of a container; where it ends in /atlas, the server's views beside it serve browsers without WebGPU
+//   view    address of these views, where it is another
+//   alt     what the photo shows
+//   poster  picture until the photo is there
+//   still   (no value) does not move by itself
+//
+// Fires `ready` {mode} and `error` {message}. It is as wide as its place and keeps the shape given by CSS (16 / 10 if none).
+const STYLE = `
+  :host { display: block; position: relative; overflow: hidden; aspect-ratio: 16 / 10; }
+  :host([hidden]) { display: none; }
+  .stage { position: absolute; inset: 0; cursor: grab; touch-action: pan-y; user-select: none; }
+  .stage:active { cursor: grabbing; }
+  .stage:focus-visible { outline: 3px solid Highlight; outline-offset: -3px; }
+  img, canvas { position: absolute; inset: 0; margin: auto; pointer-events: none; }
+  img:not([src]) { visibility: hidden; }
+  .poster { width: 100%; height: 100%; object-fit: contain; }
+`;
+
+class TmpiViewer extends HTMLElement {
+  static observedAttributes = ['src', 'view', 'alt', 'poster', 'still'];
+  #viewer = null;
+  #seen = null;
+  #stage;
+  #poster;
+
+  constructor() {
+    super();
+    const sheet = new CSSStyleSheet();
+    sheet.replaceSync(STYLE);
+    const shadow = this.attachShadow({ mode: 'open' });
+    shadow.adoptedStyleSheets = [sheet];
+    this.#poster = document.createElement('img');
+    this.#poster.className = 'poster';
+    this.#poster.alt = '';
+    this.#stage = document.createElement('div');
+    this.#stage.className = 'stage';
+    this.#stage.tabIndex = 0;
+    this.#stage.setAttribute('role', 'application');
+    this.#stage.setAttribute('aria-roledescription', '3D photo');
+    shadow.append(this.#poster, this.#stage);
+  }
+
+  /** The viewer, once the element has come into sight; else null. */
+  get viewer() {
+    return this.#viewer;
+  }
+
+  connectedCallback() {
+    this.#describe();
+    // nothing is fetched for what nobody scrolls to
+    this.#seen = new IntersectionObserver((entries) => entries.some((e) => e.isIntersecting) && this.#start(), { rootMargin: '200px' });
+    this.#seen.observe(this);
+  }
+
+  disconnectedCallback() {
+    this.#seen?.disconnect();
+    this.#stop();
+  }
+
+  attributeChangedCallback(name) {
+    if (!this.isConnected) return;
+    this.#describe();
+    if (name === 'still') this.#viewer?.setIdle(!this.hasAttribute('still'));
+    if ((name === 'src' || name === 'view') && this.#viewer) {
+      this.#stop();
+      this.#start();
+    }
+  }
+
+  #describe() {
+    this.#stage.setAttribute('aria-label', this.getAttribute('alt') ?? '3D photo');
+    const poster = this.getAttribute('poster');
+    if (poster) this.#poster.src = poster;
+    else this.#poster.removeAttribute('src');
+  }
+
+  async #start() {
+    this.#seen.disconnect();
+    const src = this.getAttribute('src');
+    if (!src || this.#viewer) return;
+    const { Viewer } = await import(new URL('./static/viewer.js', import.meta.url).href);
+    if (this.#viewer || !this.isConnected || this.getAttribute('src') !== src) return;
+    const atlas = new URL(src, document.baseURI).href;
+    const given = this.getAttribute('view');
+    const beside = atlas.endsWith('/atlas') ? atlas.replace(/atlas$/, 'view') : undefined;
+    const viewer = new Viewer(this.#stage, { atlas, view: given ? new URL(given, document.baseURI).href : beside, embedded: true });
+    this.#viewer = viewer;
+    if (this.hasAttribute('still')) viewer.setIdle(false);
+    viewer.addEventListener('photo', () => (this.#poster.hidden = true));
+    for (const type of ['ready', 'error']) {
+      viewer.addEventListener(type, ({ detail }) => this.dispatchEvent(new CustomEvent(type, { detail })));
+    }
+  }
+
+  #stop() {
+    this.#viewer?.dispose();
+    this.#viewer = null;
+    this.#poster.hidden = false;
+  }
+}
+
+if (!customElements.get('tmpi-viewer')) customElements.define('tmpi-viewer', TmpiViewer);
