@@ -83,7 +83,7 @@ fn rgb(view: &View) -> Vec<[u8; 3]> {
 fn faithful() -> impl Iterator<Item = (&'static str, Arc<Scene>)> {
     all()
         .into_iter()
-        .filter(|(name, _)| ["flat", "ground", "disc", "disc before infinity", "remnants"].contains(name))
+        .filter(|(name, _)| ["flat", "ground", "disc", "disc before infinity", "typical", "remnants"].contains(name))
         .map(|(n, s)| (n, Arc::new(s)))
 }
 

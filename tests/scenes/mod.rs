@@ -111,6 +111,40 @@ pub fn disc(width: u32, height: u32, size: u32, far: f64) -> Scene {
     b.0
 }
 
+/// What a photo gives: tiles of 64, a slanted ground, upright figures with soft rims before it, hidden texels behind them; 3 to 4 layers a tile.
+pub fn typical(width: u32, height: u32) -> Scene {
+    let mut b = Builder::new(Grid::new(width, height, 64));
+    let (w, h) = (f64::from(width), f64::from(height));
+    // signed distance to the nearest of a row of ellipses
+    let figure = |x: u32, y: u32, every: f64, size: f64| {
+        let (x, y) = (f64::from(x) + 0.5, f64::from(y) + 0.5);
+        let dx = (x + every / 2.0).rem_euclid(every) - every / 2.0;
+        (dx.hypot((y - h / 2.0) * 0.4) - size) * 0.8
+    };
+    let rows = [(0.25, h * 0.5, h * 0.1), (0.5, h * 0.8, h * 0.15), (0.8, h * 1.3, h * 0.2)];
+    for tile in 0..b.0.grid.tiles() {
+        let ground = b.plane(tile, |x, y| 0.02 + 0.2 * y / h + 0.02 * x / w);
+        b.layer(tile, ground, (1.0, 1.0), |x, y| {
+            let hidden = rows.iter().any(|&(_, every, size)| figure(x, y, every, size) < 0.0);
+            if hidden { Texel::Hidden([70, 110, 60], 255) } else { Texel::Photo(255) }
+        });
+        for (i, &(delta, every, size)) in rows.iter().enumerate() {
+            let rect = b.0.grid.rect(tile);
+            let seen = (rect.y..rect.y + rect.h).any(|y| (rect.x..rect.x + rect.w).any(|x| figure(x, y, every, size) < 2.0));
+            if seen {
+                let plane = b.plane(tile, |x, _| delta + 0.1 * (x / w - 0.5));
+                b.layer(tile, plane, (1.0, 1.0), |x, y| {
+                    let d = figure(x, y, every, size);
+                    let alpha = if d < 0.0 { 255 } else { (255.0 * (1.0 - d / 2.0)).max(0.0) as u8 };
+                    let behind = rows[i + 1..].iter().any(|&(_, every, size)| figure(x, y, every, size) < 0.0);
+                    if behind { Texel::Hidden([150, 90, 60], alpha) } else { Texel::Photo(alpha) }
+                });
+            }
+        }
+    }
+    b.0
+}
+
 /// Every scene of the comparison, with its name.
 pub fn all() -> Vec<(&'static str, Scene)> {
     let (w, h) = (200, 120);
@@ -119,6 +153,7 @@ pub fn all() -> Vec<(&'static str, Scene)> {
         ("ground", ground(w, h, 64)),
         ("disc", disc(w, h, 64, 0.2)),
         ("disc before infinity", disc(w, h, 32, 0.0)),
+        ("typical", typical(w, h)),
     ];
 
     let colours: Vec<[u8; 4]> = (0..12_u8).map(|i| [i * 20, 255 - i * 20, 128, 40 + i * 15]).collect();
