@@ -53,37 +53,32 @@ impl Band {
     }
 
     fn walk(&mut self, draw: &Draw, span: &Span, texels: &[[u8; 4]], first: usize, out: &mut [[u8; 4]]) {
-        let (w, h) = (draw.w, draw.h);
-        let (last_x, last_y) = ((w - 1) as f32, (h - 1) as f32);
         let pixels = first..first + (span.end - span.start);
-        for (i, (depth, out)) in self.depth[pixels.clone()].iter_mut().zip(&mut out[pixels]).enumerate() {
-            let step = i as f32;
-            let along = |f: [f32; 2]| f[0] + step * f[1];
-            let delta = along(span.delta).max(0.0);
-            if delta <= *depth {
-                continue;
-            }
-            let z = 1.0 / along(span.lambda);
-            // `max` first: where it is NaN, 0
-            let x = (along(span.x) * z - 0.5).max(0.0).min(last_x);
-            let y = (along(span.y) * z - 0.5).max(0.0).min(last_y);
-            let (column, row) = (x as usize, y as usize);
-            let at = row * w + column;
-            let right = usize::from(column + 1 < w);
-            let below = if row + 1 < h { w } else { 0 };
-            let four = [texels[at], texels[at + right], texels[at + below], texels[at + below + right]];
-            let (fx, fy) = (fraction(x, column), fraction(y, row));
-            let alphas = four.map(|t| t[3]);
-            if alphas == [255; 4] {
-                *depth = delta;
-                *out = mix(four, fx, fy);
-            } else if alphas != [0; 4] {
-                let rgba = mix_premultiplied(four, fx, fy);
-                if rgba[3] >= OPAQUE * 255.0 {
-                    *depth = delta;
-                    *out = rgba.map(|v| (v * (255.0 / rgba[3]) + 0.5) as u8);
-                } else if rgba[3] > 0.0 {
-                    link(&mut self.soft, &mut self.head[first + i], delta, rgba);
+        let (depth, head, out) = (&mut self.depth[pixels.clone()], &mut self.head[pixels.clone()], &mut out[pixels]);
+        for (chunk, ((depth, head), out)) in depth.chunks_mut(LANES).zip(head.chunks_mut(LANES)).zip(out.chunks_mut(LANES)).enumerate() {
+            let Some(lanes) = Lanes::new(span, (chunk * LANES) as f32, draw, depth) else { continue };
+            for (i, ((depth, head), out)) in depth.iter_mut().zip(head).zip(out).enumerate() {
+                if lanes.delta[i] <= *depth {
+                    continue;
+                }
+                let (column, row) = ((lanes.x[i] >> 8) as usize, (lanes.y[i] >> 8) as usize);
+                let at = row * draw.w + column;
+                let right = usize::from(column + 1 < draw.w);
+                let below = if row + 1 < draw.h { draw.w } else { 0 };
+                let four = [texels[at], texels[at + right], texels[at + below], texels[at + below + right]];
+                let (fx, fy) = (lanes.x[i] & 255, lanes.y[i] & 255);
+                let alphas = four.map(|t| t[3]);
+                if alphas == [255; 4] {
+                    *depth = lanes.delta[i];
+                    *out = mix(four, fx, fy);
+                } else if alphas != [0; 4] {
+                    let rgba = mix_premultiplied(four, fx, fy);
+                    if rgba[3] >= OPAQUE * 255.0 {
+                        *depth = lanes.delta[i];
+                        *out = rgba.map(|v| (v * (255.0 / rgba[3]) + 0.5) as u8);
+                    } else if rgba[3] > 0.0 {
+                        link(&mut self.soft, head, lanes.delta[i], rgba);
+                    }
                 }
             }
         }
@@ -132,9 +127,40 @@ fn link(soft: &mut Vec<Soft>, head: &mut u32, delta: f32, rgba: [f32; 4]) {
     }
 }
 
-/// Fraction of a coordinate in 256ths.
-fn fraction(v: f32, whole: usize) -> u32 {
-    ((v - whole as f32) * 256.0 + 0.5) as u32
+/// Pixels computed side by side.
+const LANES: usize = 8;
+
+/// Target disparity and texel coordinates of neighbouring pixels.
+struct Lanes {
+    delta: [f32; LANES],
+    /// Columns from the first texel's centre in 256ths.
+    x: [u32; LANES],
+    /// Rows from the first texel's centre in 256ths.
+    y: [u32; LANES],
+}
+
+impl Lanes {
+    /// Pixels from `first` of the span on, none where all lie behind `depth`; plain loops over arrays, which the compiler turns into
+    /// vector instructions.
+    fn new(span: &Span, first: f32, draw: &Draw, depth: &[f32]) -> Option<Self> {
+        let step: [f32; LANES] = std::array::from_fn(|i| first + i as f32);
+        let along = |f: [f32; 2]| step.map(|s| f[0] + s * f[1]);
+        let delta = along(span.delta).map(|d| d.max(0.0));
+        if depth.iter().zip(&delta).all(|(depth, delta)| delta <= depth) {
+            return None;
+        }
+        let z = along(span.lambda).map(|v| 1.0 / v);
+        let place = |f: [f32; 2], length: usize| {
+            let (v, last) = (along(f), (length - 1) as f32);
+            std::array::from_fn(|i| in_256ths((v[i] * z[i] - 0.5).max(0.0).min(last)))
+        };
+        Some(Self { delta, x: place(span.x, draw.w), y: place(span.y, draw.h) })
+    }
+}
+
+/// `v` in 0 to 16 384, rounded to 256ths: added to 2²³, it is the mantissa.
+fn in_256ths(v: f32) -> u32 {
+    (v * 256.0 + 8_388_608.0).to_bits() & 0x007f_ffff
 }
 
 /// Bilinear weights in 256ths; they add up to 256.
@@ -173,6 +199,13 @@ fn mix_premultiplied(four: [[u8; 4]; 4], fx: u32, fy: u32) -> [f32; 4] {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn coordinates_in_256ths() {
+        for (v, want) in [(0.0, 0), (1.0, 256), (0.5, 128), (16_384.0, 4_194_304), (62.999_99, 16_128), (100.251, 25_664)] {
+            assert_eq!(in_256ths(v), want, "{v}");
+        }
+    }
 
     #[test]
     fn interpolation_is_exact_at_texels_and_within_a_level_between() {
