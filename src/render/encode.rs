@@ -107,7 +107,7 @@ fn unpremultiply(p: [u8; 4]) -> [u8; 4] {
     if a == 255 {
         return p;
     }
-    let c = |v: u8| if a == 0 { 0 } else { ((u32::from(v) * 255 + a / 2) / a).min(255) as u8 };
+    let c = |v: u8| (u32::from(v) * 255 + a / 2).checked_div(a).unwrap_or(0).min(255) as u8;
     [c(p[0]), c(p[1]), c(p[2]), p[3]]
 }
 
