@@ -1,5 +1,6 @@
 //! Per-tile planes: weighted clustering of disparity into the fewest planes that meet an error target (paper, section 3.2).
 
+mod kernel;
 mod linear;
 mod lloyd;
 mod optimal;
@@ -98,8 +99,9 @@ fn finish(samples: &Samples, planes: Vec<Plane>) -> TilePlanes {
     let mut planes: Vec<Plane> = planes.into_iter().map(|p| p.quantised()).collect();
     planes.sort_by(|p, q| p.a.total_cmp(&q.a).then(p.b.total_cmp(&q.b)).then(p.c.total_cmp(&q.c)));
     planes.dedup();
-    let mut labels = vec![0u8; samples.len()];
-    samples.assign(&planes, &mut labels);
+    let (mut nearest, mut error) = (Vec::new(), Vec::new());
+    samples.assign(&planes, &mut nearest, &mut error);
+    let mut labels: Vec<u8> = nearest.iter().map(|&l| l as u8).collect();
     let mut used = vec![false; planes.len()];
     for &l in &labels {
         used[l as usize] = true;

@@ -1,5 +1,6 @@
 //! Disparity samples of one tile.
 
+use super::kernel::{self, Columns};
 use crate::tmpi::{DisparityMap, Grid, Plane};
 
 /// The pixels of one tile as columns: place in half tiles from its centre, disparity, weight. Reused from tile to tile.
@@ -114,24 +115,20 @@ impl Samples {
         &self.v
     }
 
-    /// Labels every pixel with its nearest plane (the first of equals); gives the weighted sum of squared errors.
-    pub fn assign(&self, planes: &[Plane], labels: &mut [u8]) -> f64 {
+    /// The columns as the kernels take them.
+    #[must_use]
+    pub(super) fn columns(&self) -> Columns<'_> {
+        Columns { u: &self.u, v: &self.v, d: &self.delta, w: &self.weight }
+    }
+
+    /// Labels every pixel with its nearest plane (the first of equals) and leaves absolute errors in `error`; gives the
+    /// weighted sum of squared errors.
+    pub fn assign(&self, planes: &[Plane], labels: &mut Vec<u32>, error: &mut Vec<f32>) -> f64 {
         let planes: Vec<[f32; 3]> = planes.iter().map(|p| [p.a as f32, p.b as f32, p.c as f32]).collect();
-        let mut sum = 0.0f64;
-        for i in 0..self.len() {
-            let (u, v, d) = (self.u[i], self.v[i], self.delta[i]);
-            let (mut best, mut at) = (f32::INFINITY, 0u8);
-            for (j, p) in planes.iter().enumerate() {
-                let e = (p[0] + p[1] * u + p[2] * v - d).abs();
-                if e < best {
-                    best = e;
-                    at = j as u8;
-                }
-            }
-            labels[i] = at;
-            sum += f64::from(self.weight[i] * best * best);
-        }
-        sum
+        labels.resize(self.len(), 0);
+        error.resize(self.len(), 0.0);
+        kernel::nearest(&planes, self.columns(), error, labels);
+        error.iter().zip(&self.weight).map(|(e, w)| w * e * e).sum::<f32>().into()
     }
 
     /// Absolute errors of labelled pixels.
@@ -147,13 +144,17 @@ impl Samples {
     /// 99th percentile of the absolute error to the nearest plane.
     #[must_use]
     pub fn error_p99(&self, planes: &[Plane]) -> f64 {
-        let mut labels = vec![0; self.len()];
-        self.assign(planes, &mut labels);
-        let mut e = self.errors(planes, &labels);
-        if e.is_empty() {
-            return 0.0;
-        }
-        let at = (e.len() * 99 / 100).min(e.len() - 1);
-        f64::from(*e.select_nth_unstable_by(at, f32::total_cmp).1)
+        let (mut labels, mut error) = (Vec::new(), Vec::new());
+        self.assign(planes, &mut labels, &mut error);
+        percentile_99(&mut error)
     }
+}
+
+/// 99th percentile; 0 where there is no value.
+pub(super) fn percentile_99(values: &mut [f32]) -> f64 {
+    if values.is_empty() {
+        return 0.0;
+    }
+    let at = (values.len() * 99 / 100).min(values.len() - 1);
+    f64::from(*values.select_nth_unstable_by(at, f32::total_cmp).1)
 }

@@ -1,7 +1,8 @@
 //! Weighted k-planes: clusters of pixels on planes whose disparity is affine in the image.
 
-use super::Samples;
+use super::kernel::{self, Sums};
 use super::lloyd;
+use super::{Samples, sample::percentile_99};
 use crate::tmpi::Plane;
 
 const ROUNDS: usize = 20;
@@ -27,12 +28,12 @@ pub fn fit(s: &Samples, most: usize, target: Option<f64>) -> Vec<Plane> {
     for k in 2..=most {
         last = search.run(&last, k);
         let mut full = last.clone();
-        let mut labels = vec![0u8; s.len()];
         for _ in 0..2 {
-            s.assign(&full, &mut labels);
-            refit(s, &labels, &mut full);
+            s.assign(&full, &mut search.full.labels, &mut search.full.error);
+            refit(s, &search.full.labels, &mut full);
         }
-        let e = s.error_p99(&full);
+        s.assign(&full, &mut search.full.labels, &mut search.full.error);
+        let e = percentile_99(&mut search.full.error);
         if e < best_error || target.is_none() {
             best_error = e;
             best = full;
@@ -44,7 +45,7 @@ pub fn fit(s: &Samples, most: usize, target: Option<f64>) -> Vec<Plane> {
     best
 }
 
-/// Moments of a cluster about nothing in particular: coordinates are of order 1.
+/// Moments of a cluster; coordinates are of order 1, so nothing need be shifted before it is summed.
 #[derive(Clone, Copy, Default)]
 struct Moments {
     w: f64,
@@ -56,6 +57,13 @@ struct Moments {
     vv: f64,
     ud: f64,
     vd: f64,
+}
+
+impl From<Sums> for Moments {
+    fn from(s: Sums) -> Self {
+        let [w, u, v, d, uu, uv, vv, ud, vd] = s.map(f64::from);
+        Self { w, u, v, d, uu, uv, vv, ud, vd }
+    }
 }
 
 impl Moments {
@@ -103,30 +111,34 @@ fn fit_all(s: &Samples) -> Plane {
 }
 
 /// Refits each plane to its pixels; a plane without pixels stays.
-fn refit(s: &Samples, labels: &[u8], planes: &mut [Plane]) {
-    let mut m = vec![Moments::default(); planes.len()];
-    let (u, v, d, w) = (s.us(), s.vs(), s.deltas(), s.weights());
-    for (i, &l) in labels.iter().enumerate() {
-        m[l as usize].add(u[i].into(), v[i].into(), d[i].into(), w[i].into());
-    }
-    for (p, m) in planes.iter_mut().zip(&m) {
-        if let Some(q) = m.plane() {
+fn refit(s: &Samples, labels: &[u32], planes: &mut [Plane]) {
+    for (j, p) in planes.iter_mut().enumerate() {
+        if let Some(q) = Moments::from(kernel::sums(s.columns(), labels, j as u32)).plane() {
             *p = q;
         }
     }
 }
 
+#[derive(Default)]
+struct Scratch {
+    labels: Vec<u32>,
+    error: Vec<f32>,
+}
+
 struct Search<'a> {
     s: &'a Samples,
     residual: Vec<f32>,
-    labels: Vec<u8>,
+    labels: Vec<u32>,
+    error: Vec<f32>,
+    /// Labels and errors of the whole tile.
+    full: Scratch,
     random: u64,
 }
 
 impl<'a> Search<'a> {
     fn new(s: &'a Samples, one: &Plane) -> Self {
         let residual = (0..s.len()).map(|i| s.deltas()[i] - one.disparity(s.us()[i].into(), s.vs()[i].into()) as f32).collect();
-        Self { s, residual, labels: vec![0; s.len()], random: 0x9e37_79b9_7f4a_7c15 }
+        Self { s, residual, labels: vec![0; s.len()], error: Vec::new(), full: Scratch::default(), random: 0x9e37_79b9_7f4a_7c15 }
     }
 
     /// Best of several starts of `k` planes; `last` is the result for `k − 1`.
@@ -144,7 +156,7 @@ impl<'a> Search<'a> {
             let mut cost = f64::INFINITY;
             for _ in 0..ROUNDS {
                 refit(s, &self.labels, &mut planes);
-                let c = s.assign(&planes, &mut self.labels);
+                let c = s.assign(&planes, &mut self.labels, &mut self.error);
                 if c > cost * 0.999 {
                     cost = cost.min(c);
                     break;
@@ -161,16 +173,16 @@ impl<'a> Search<'a> {
     /// Labels of the last result with the costliest cluster split by the sign of its error.
     fn split_worst(&mut self, last: &[Plane]) {
         let s = self.s;
-        s.assign(last, &mut self.labels);
-        let error = |i: usize, l: u8| f64::from(s.deltas()[i]) - last[l as usize].disparity(s.us()[i].into(), s.vs()[i].into());
+        s.assign(last, &mut self.labels, &mut self.error);
+        let error = |i: usize, l: u32| f64::from(s.deltas()[i]) - last[l as usize].disparity(s.us()[i].into(), s.vs()[i].into());
         let mut cost = vec![0.0; last.len()];
         for (i, &l) in self.labels.iter().enumerate() {
             cost[l as usize] += f64::from(s.weights()[i]) * error(i, l).powi(2);
         }
-        let worst = (0..last.len()).max_by(|&a, &b| cost[a].total_cmp(&cost[b])).unwrap_or(0) as u8;
+        let worst = (0..last.len()).max_by(|&a, &b| cost[a].total_cmp(&cost[b])).unwrap_or(0) as u32;
         for i in 0..self.labels.len() {
             if self.labels[i] == worst && error(i, worst) > 0.0 {
-                self.labels[i] = last.len() as u8;
+                self.labels[i] = last.len() as u32;
             }
         }
     }
@@ -181,7 +193,7 @@ impl<'a> Search<'a> {
         for i in 0..self.labels.len() {
             let (u, v) = (self.s.us()[i], self.s.vs()[i]);
             let d = |p: &(f32, f32)| (p.0 - u).powi(2) + (p.1 - v).powi(2);
-            self.labels[i] = (0..k).min_by(|&a, &b| d(&places[a]).total_cmp(&d(&places[b]))).unwrap_or(0) as u8;
+            self.labels[i] = (0..k).min_by(|&a, &b| d(&places[a]).total_cmp(&d(&places[b]))).unwrap_or(0) as u32;
         }
     }
 
@@ -192,9 +204,10 @@ impl<'a> Search<'a> {
     }
 }
 
-fn label_nearest(values: &[f32], centres: &[f64], labels: &mut [u8]) {
+fn label_nearest(values: &[f32], centres: &[f64], labels: &mut [u32]) {
     for (l, &d) in labels.iter_mut().zip(values) {
         let at = centres.partition_point(|&c| c < f64::from(d));
-        *l = if at == 0 || (at < centres.len() && centres[at] - f64::from(d) < f64::from(d) - centres[at - 1]) { at } else { at - 1 } as u8;
+        *l =
+            if at == 0 || (at < centres.len() && centres[at] - f64::from(d) < f64::from(d) - centres[at - 1]) { at } else { at - 1 } as u32;
     }
 }

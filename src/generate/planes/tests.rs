@@ -21,7 +21,7 @@ fn place_n(s: &Samples, method: Method, n: u32) -> TilePlanes {
 }
 
 fn cost(s: &Samples, p: &[Plane]) -> f64 {
-    s.assign(p, &mut vec![0; s.len()])
+    s.assign(p, &mut Vec::new(), &mut Vec::new())
 }
 
 #[test]
