@@ -7,6 +7,7 @@ mod info;
 mod make;
 mod progress;
 mod render;
+mod serve;
 pub mod synth;
 
 use std::io::Write;
@@ -30,6 +31,7 @@ enum Command {
     Render(render::RenderArgs),
     Info(info::InfoArgs),
     Depth(depth::DepthArgs),
+    Serve(serve::ServeArgs),
     Synth(synth::SynthArgs),
     /// Write a completion script for a shell
     Completions {
@@ -54,7 +56,7 @@ pub fn main() -> ExitCode {
             return ExitCode::from(if error.use_stderr() { 2 } else { 0 });
         }
     };
-    log_to_stderr("warn");
+    log_to_stderr(if matches!(cli.command, Command::Serve(_)) { "info" } else { "warn" });
     match run(cli.command) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) if error.is::<Usage>() => {
@@ -78,6 +80,7 @@ fn run(command: Command) -> anyhow::Result<()> {
         Command::Render(args) => render::run(&args),
         Command::Info(args) => info::run(&args),
         Command::Depth(args) => depth::run(&args),
+        Command::Serve(args) => serve::run(args),
         Command::Synth(args) => synth::run(&args),
         Command::Completions { shell } => {
             let mut script = Vec::new();

@@ -4,11 +4,13 @@ mod adapter;
 pub mod guided;
 mod map;
 mod monocular;
+mod png;
 mod upsample;
 
 pub use adapter::{ADAPTERS, Adapter, Kind, Layout, SizeRule, adapter};
 pub use map::from_png;
 pub use monocular::Monocular;
+pub use png::to_png;
 pub use upsample::upsample;
 
 use crate::tmpi::{DisparityMap, Photo};
@@ -30,6 +32,9 @@ pub enum DepthError {
     /// The depth map is not a grey PNG.
     #[error("the depth map must be a grey PNG of 8 or 16 bits: {0}")]
     Map(String),
+    /// The map cannot be written as a file.
+    #[error("the depth map cannot be written: {0}")]
+    Write(String),
     /// The network failed.
     #[error(transparent)]
     Onnx(#[from] crate::onnx::OnnxError),

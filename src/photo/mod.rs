@@ -4,6 +4,7 @@
 //! Of an animation the first picture is taken, as a browser shows it with animations off. An embedded RGB ICC profile is
 //! converted to sRGB; grey and CMYK profiles, and PNG's `gAMA` and `cHRM`, are passed over.
 
+mod check;
 mod colour;
 mod error;
 mod exif;
@@ -22,6 +23,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use image::codecs::{jpeg::JpegDecoder, png::PngDecoder, webp::WebPDecoder};
 use image::{ColorType, ImageDecoder};
 
+pub use check::check;
 pub use error::PhotoError;
 pub use limits::Limits;
 pub use resample::{Filter, reduced_size, resample, resize};
@@ -183,10 +185,7 @@ fn scaled_jpeg(file: &[u8], want: (u32, u32)) -> Option<Photo> {
 }
 
 fn read_png(bytes: &[u8], limits: &Limits) -> Result<Raw, PhotoError> {
-    // The header chunk comes first and has a fixed length
-    let Some(head) = bytes.get(8..24).filter(|h| &h[4..8] == b"IHDR") else { return Err(broken("no PNG header")) };
-    let side = |at: usize| u32::from_be_bytes([head[at], head[at + 1], head[at + 2], head[at + 3]]);
-    let size = (side(8), side(12));
+    let size = check::png_size(bytes)?;
     limits.check_size(size.0, size.1)?;
     let mut bounds = image::Limits::no_limits();
     bounds.max_alloc = Some(limits.decoder_memory);

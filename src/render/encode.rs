@@ -4,6 +4,7 @@ use image::codecs::{jpeg::JpegEncoder, png, webp::WebPEncoder};
 use image::{ExtendedColorType, ImageEncoder};
 
 use super::View;
+use crate::tmpi::Photo;
 
 /// Picture formats that views are written in.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize, clap::ValueEnum)]
@@ -100,6 +101,13 @@ pub fn encode(view: &View, format: PictureFormat, quality: u8) -> Result<Vec<u8>
 /// Straight-alpha texels; fully transparent ones are 0.
 fn straight(view: &View) -> Vec<[u8; 4]> {
     view.rgba.iter().map(|&p| unpremultiply(p)).collect()
+}
+
+impl From<&Photo> for View {
+    /// The photo itself, opaque.
+    fn from(photo: &Photo) -> Self {
+        Self { width: photo.width, height: photo.height, rgba: photo.rgb.iter().map(|&[r, g, b]| [r, g, b, 255]).collect() }
+    }
 }
 
 fn unpremultiply(p: [u8; 4]) -> [u8; 4] {

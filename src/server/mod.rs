@@ -1,1 +1,179 @@
-//! server.
+//! The HTTP server (DESIGN, section 8): uploads in, containers, views and progress out.
+//!
+//! It knows no pixels: it calls [`crate::way::make`], [`crate::atlas::decode`] and a [`crate::render::Renderer`].
+//! Requests run on tokio; photos are made on named threads ([`Limits::workers`]); views are drawn on a bounded pool.
+//! What was answered 202 is on disk, survives a crash, and is taken up again at the next start.
+
+mod accept;
+mod app;
+mod body;
+mod cache;
+mod conditional;
+mod entry;
+mod id;
+mod jobs;
+mod limits;
+mod maker;
+mod middleware;
+mod options;
+mod pages;
+mod pool;
+mod problem;
+mod routes;
+mod store;
+mod telemetry;
+mod time;
+mod upload;
+mod worker;
+
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Instant;
+
+use tokio::net::TcpListener;
+use tokio_util::sync::CancellationToken;
+
+pub use id::PhotoId;
+pub use limits::Limits;
+pub use maker::{Maker, Product, WayMaker};
+pub use problem::Problem;
+pub use routes::openapi;
+
+use app::{App, Shared};
+use cache::Cache;
+use jobs::Jobs;
+use pool::Pool;
+use store::Store;
+use telemetry::Telemetry;
+
+use crate::render::Renderer;
+
+/// Where the server listens and keeps its photos.
+#[derive(Clone, Debug)]
+pub struct Config {
+    /// Address and port; port 0 takes a free one.
+    pub addr: SocketAddr,
+    /// Data directory; made where it is missing.
+    pub data: PathBuf,
+    /// Directory that replaces the embedded pages.
+    pub pages: Option<PathBuf>,
+    /// Limits.
+    pub limits: Limits,
+}
+
+/// Why the server does not run.
+#[derive(Debug, thiserror::Error)]
+pub enum ServerError {
+    /// The address cannot be listened on.
+    #[error("cannot listen on {addr}: {source}")]
+    Listen {
+        /// The address.
+        addr: SocketAddr,
+        /// What the system says.
+        source: std::io::Error,
+    },
+    /// The data directory cannot be used.
+    #[error("data directory {dir}: {source}")]
+    Data {
+        /// The directory.
+        dir: PathBuf,
+        /// What the system says.
+        source: std::io::Error,
+    },
+    /// No worker can be started.
+    #[error("starting a worker: {0}")]
+    Worker(std::io::Error),
+    /// The `OpenAPI` document cannot be written.
+    #[error("OpenAPI document: {0}")]
+    OpenApi(#[from] serde_json::Error),
+}
+
+/// A server that listens, has taken up what was unfinished, and waits for [`Server::run`].
+pub struct Server {
+    listener: TcpListener,
+    addr: SocketAddr,
+    app: App,
+}
+
+impl Server {
+    /// Listens, opens the data directory, and starts the workers.
+    ///
+    /// # Errors
+    /// [`ServerError`].
+    pub async fn bind(config: Config, maker: Arc<dyn Maker>, renderer: Arc<dyn Renderer>) -> Result<Self, ServerError> {
+        let Config { addr, data, pages, limits } = config;
+        let openapi = openapi()?;
+        let listener = TcpListener::bind(addr).await.map_err(|source| ServerError::Listen { addr, source })?;
+        let addr = listener.local_addr().map_err(|source| ServerError::Listen { addr, source })?;
+        // done once before any request is served
+        let (store, found) = Store::open(&data).map_err(|source| ServerError::Data { dir: data, source })?;
+        let limits = Arc::new(limits);
+        let telemetry = Arc::new(Telemetry::default());
+        let jobs = Jobs::start(store, found, maker, Arc::clone(&limits), Arc::clone(&telemetry)).map_err(ServerError::Worker)?;
+        let app = Arc::new(Shared {
+            jobs,
+            scenes: Cache::new(limits.scene_cache),
+            files: Cache::new(limits.file_cache),
+            pool: Pool::new(limits.views, limits.views_waiting),
+            limits,
+            telemetry,
+            renderer,
+            pages,
+            openapi,
+            stop: CancellationToken::new(),
+        });
+        Ok(Self { listener, addr, app })
+    }
+
+    /// Address that the server listens on.
+    #[must_use]
+    pub const fn addr(&self) -> SocketAddr {
+        self.addr
+    }
+
+    /// Serves until `stop` is ready; then takes no more connections and gives requests and jobs under way
+    /// [`Limits::drain`] to end. Jobs that do not end by then are taken up at the next start.
+    pub async fn run(self, stop: impl Future<Output = ()> + Send + 'static) {
+        let Self { listener, addr: _, app } = self;
+        let token = app.stop.clone();
+        let jobs = Arc::clone(&app.jobs);
+        let signal = tokio::spawn({
+            let (token, limits) = (token.clone(), Arc::clone(&app.limits));
+            async move {
+                stop.await;
+                tracing::info!("stopping");
+                let deadline = Instant::now() + limits.drain;
+                jobs.stop();
+                token.cancel();
+                tokio::task::spawn_blocking(move || jobs.drain(deadline)).await
+            }
+        });
+        accept::serve(listener, routes::router(Arc::clone(&app)), &app.limits, &app.telemetry, &token).await;
+        if let Err(error) = signal.await {
+            tracing::error!(%error, "draining jobs");
+        }
+        tracing::info!("stopped");
+    }
+}
+
+/// Ready on SIGTERM or SIGINT (elsewhere Ctrl-C).
+pub async fn stop_signal() {
+    #[cfg(unix)]
+    {
+        use tokio::signal::unix::{SignalKind, signal};
+        let (Ok(mut term), Ok(mut int)) = (signal(SignalKind::terminate()), signal(SignalKind::interrupt())) else {
+            tracing::error!("signals cannot be caught");
+            return std::future::pending().await;
+        };
+        tokio::select! {
+            _ = term.recv() => {}
+            _ = int.recv() => {}
+        }
+    }
+    #[cfg(not(unix))]
+    if let Err(error) = tokio::signal::ctrl_c().await {
+        tracing::error!(%error, "signals cannot be caught");
+        std::future::pending().await
+    }
+}

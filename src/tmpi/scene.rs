@@ -145,6 +145,17 @@ impl Scene {
         Ok(())
     }
 
+    /// Memory that the scene takes, in bytes.
+    #[must_use]
+    pub fn memory(&self) -> usize {
+        size_of::<Self>()
+            + size_of_val(self.photo.rgb.as_slice())
+            + size_of_val(self.layers.as_slice())
+            + self.texels.class.len()
+            + self.texels.alpha.len()
+            + size_of_val(self.texels.hidden.as_slice())
+    }
+
     /// Straight-alpha RGBA texels of layer `index`, row-major in its rectangle, appended to `out`; empty texels are 0.
     pub fn expand_layer(&self, index: usize, out: &mut Vec<[u8; 4]>) {
         let l = &self.layers[index];

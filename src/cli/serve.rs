@@ -1,0 +1,130 @@
+//! `tmpi serve`.
+
+use std::io::Write as _;
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Duration;
+
+use anyhow::Context as _;
+
+use super::flags::ModelFlags;
+use crate::models;
+use crate::render::{self, Backend};
+use crate::server::{Config, Limits, Server, WayMaker, stop_signal};
+
+/// Take photos over HTTP and serve what is made of them
+#[derive(Clone, Debug, clap::Args)]
+pub(super) struct ServeArgs {
+    /// Address and port to listen on; port 0 takes a free one
+    #[arg(long, default_value = "127.0.0.1:8080", value_name = "ADDR")]
+    addr: SocketAddr,
+    /// Directory that keeps photos and what is made of them
+    #[arg(long, default_value = "tmpi-data", value_name = "DIR")]
+    data: PathBuf,
+    /// Read the pages from this directory instead of from the program
+    #[arg(long = "static", value_name = "DIR")]
+    pages: Option<PathBuf>,
+    /// What draws views
+    #[arg(long, value_enum, default_value_t)]
+    backend: Backend,
+    /// Photos that are made at a time
+    #[arg(long, default_value_t = Limits::WORKERS as u16, value_parser = clap::value_parser!(u16).range(1..), value_name = "N")]
+    workers: u16,
+    /// Photos that may wait; one more is answered 429
+    #[arg(long, default_value_t = Limits::QUEUE, value_name = "N")]
+    queue: usize,
+    /// Largest body of a request, in MiB
+    #[arg(long, default_value_t = (Limits::BODY >> 20) as u32, value_parser = clap::value_parser!(u32).range(1..=4096), value_name = "MIB")]
+    max_body: u32,
+    /// Largest photo, in megapixels
+    #[arg(long, default_value_t = (crate::photo::Limits::PIXELS / 1_000_000) as u32, value_parser = clap::value_parser!(u32).range(1..), value_name = "MP")]
+    max_pixels: u32,
+    /// Views that are drawn at a time
+    #[arg(long, default_value_t = Limits::VIEWS as u16, value_parser = clap::value_parser!(u16).range(1..), value_name = "N")]
+    views: u16,
+    /// Memory for decoded scenes, in MiB
+    #[arg(long, default_value_t = (Limits::SCENE_CACHE >> 20) as u32, value_name = "MIB")]
+    scene_cache: u32,
+    /// Connections at a time
+    #[arg(long, default_value_t = Limits::CONNECTIONS as u32, value_parser = clap::value_parser!(u32).range(1..), value_name = "N")]
+    connections: u32,
+    /// Seconds that a request may take
+    #[arg(long, default_value_t = Limits::REQUEST.as_secs() as u32, value_parser = clap::value_parser!(u32).range(1..), value_name = "S")]
+    request_timeout: u32,
+    /// Seconds that requests and jobs under way have left after SIGTERM
+    #[arg(long, default_value_t = Limits::DRAIN.as_secs() as u32, value_name = "S")]
+    drain: u32,
+    #[command(flatten)]
+    models: ModelFlags,
+}
+
+impl ServeArgs {
+    /// The limits that the arguments give.
+    fn limits(&self) -> Limits {
+        let body = (self.max_body as usize) << 20;
+        let photo = crate::photo::Limits { bytes: body, pixels: u64::from(self.max_pixels) * 1_000_000, ..Default::default() };
+        Limits {
+            photo,
+            body,
+            queue: self.queue,
+            workers: usize::from(self.workers),
+            views: usize::from(self.views),
+            scene_cache: (self.scene_cache as usize) << 20,
+            connections: self.connections as usize,
+            request: Duration::from_secs(u64::from(self.request_timeout)),
+            drain: Duration::from_secs(u64::from(self.drain)),
+            ..Limits::default()
+        }
+    }
+}
+
+/// Serves until SIGTERM or SIGINT; prints the server's URL on stdout once it listens.
+pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
+    if let Err(error) = crate::onnx::available() {
+        tracing::warn!(%error, "photos without a depth map of their own cannot be made");
+    }
+    let limits = args.limits();
+    let renderer = render::select(args.backend).context("renderer")?;
+    let maker = Arc::new(WayMaker::new(models::load(&args.models.settings())?, &limits));
+    let config = Config { addr: args.addr, data: args.data, pages: args.pages, limits };
+    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().thread_name("tmpi-http").build()?;
+    runtime.block_on(async {
+        let server = Server::bind(config, maker, renderer).await?;
+        let mut stdout = std::io::stdout();
+        // whoever waits for this line may have gone
+        let _ = writeln!(stdout, "http://{}", server.addr()).and_then(|()| stdout.flush());
+        server.run(stop_signal()).await;
+        anyhow::Ok(())
+    })?;
+    // a job that outlived the drain time is taken up at the next start
+    runtime.shutdown_background();
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+
+    use super::*;
+
+    #[derive(Parser)]
+    struct Cli {
+        #[command(flatten)]
+        serve: ServeArgs,
+    }
+
+    #[test]
+    fn without_arguments_the_limits_are_the_documented_ones() {
+        let args = Cli::try_parse_from(["serve"]).unwrap().serve;
+        let photo = args.limits().photo;
+        assert_eq!((photo.bytes, photo.pixels), (crate::photo::Limits::BYTES, crate::photo::Limits::PIXELS));
+        assert_eq!(args.limits(), Limits::default());
+    }
+
+    #[test]
+    fn zero_workers_are_refused() {
+        assert!(Cli::try_parse_from(["serve", "--workers", "0"]).is_err());
+        assert!(Cli::try_parse_from(["serve", "--addr", "nowhere"]).is_err());
+    }
+}

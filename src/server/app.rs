@@ -1,0 +1,113 @@
+//! What all handlers share.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Duration;
+
+use bytes::Bytes;
+use tokio_util::sync::CancellationToken;
+
+use super::cache::Cache;
+use super::entry::{Entry, Status};
+use super::id::PhotoId;
+use super::jobs::Jobs;
+use super::limits::Limits;
+use super::pool::Pool;
+use super::problem::Problem;
+use super::store::{Done, Part};
+use super::telemetry::Telemetry;
+use crate::render::Renderer;
+use crate::tmpi::Scene;
+
+/// A made photo: its id and when it was made, so that nothing of a deleted one is taken for the next of the same id.
+pub type Version = (PhotoId, u64);
+
+/// Shared state; cheap to clone.
+pub type App = Arc<Shared>;
+
+/// State of the server.
+pub struct Shared {
+    /// Photos and their jobs.
+    pub jobs: Arc<Jobs>,
+    /// Limits.
+    pub limits: Arc<Limits>,
+    /// Counters.
+    pub telemetry: Arc<Telemetry>,
+    /// Decoded scenes.
+    pub scenes: Cache<Version, Arc<Scene>>,
+    /// Containers, pictures and reports.
+    pub files: Cache<(Version, Part), Bytes>,
+    /// Where views are drawn.
+    pub pool: Pool,
+    /// What draws them.
+    pub renderer: Arc<dyn Renderer>,
+    /// Directory that replaces the embedded pages, for work on them.
+    pub pages: Option<PathBuf>,
+    /// The `OpenAPI` document.
+    pub openapi: Bytes,
+    /// Set when the server stops.
+    pub stop: CancellationToken,
+}
+
+impl Shared {
+    /// The photo of a path.
+    ///
+    /// # Errors
+    /// 404.
+    pub fn photo(&self, id: &str) -> Result<Arc<Entry>, Problem> {
+        let known = id.parse().ok().and_then(|id| self.jobs.get(id));
+        known.ok_or_else(|| Problem::not_found(format!("there is no photo {id:?}")))
+    }
+
+    /// What was made of a photo.
+    ///
+    /// # Errors
+    /// 409 with a `Retry-After` where it is not finished, the photo's own problem where it could not be made, 404 where it
+    /// is deleted.
+    pub fn done(entry: &Entry) -> Result<(Version, Done), Problem> {
+        match entry.status() {
+            Status::Done(done) => Ok(((entry.id, done.at_ms), done)),
+            Status::Failed(failed) => Err(failed.problem),
+            Status::Deleted => Err(Problem::not_found("the photo was deleted")),
+            Status::Queued | Status::Working => {
+                Err(Problem::new(axum::http::StatusCode::CONFLICT, "not-ready", "the photo is not finished yet").retry_after(1))
+            }
+        }
+    }
+
+    /// A file of a made photo.
+    ///
+    /// # Errors
+    /// 404 where it was deleted meanwhile, 500.
+    pub async fn file(self: &Arc<Self>, version: Version, part: Part) -> Result<Bytes, Problem> {
+        let read = async {
+            let jobs = Arc::clone(&self.jobs);
+            let read = tokio::task::spawn_blocking(move || jobs.store.read(version.0, part));
+            let bytes = read.await.map_err(|e| Problem::internal("reading a file", &e))?.map_err(|e| match e.kind() {
+                std::io::ErrorKind::NotFound => Problem::not_found("the photo was deleted"),
+                _ => Problem::store(&e),
+            })?;
+            let size = bytes.len();
+            Ok((Bytes::from(bytes), size))
+        };
+        self.files.get((version, part), read).await
+    }
+
+    /// The decoded scene of a made photo, and how long decoding took if it was not at hand.
+    ///
+    /// # Errors
+    /// As [`Shared::file`]; 503 where too much is under way.
+    pub async fn scene(self: &Arc<Self>, version: Version) -> Result<(Arc<Scene>, Option<Duration>), Problem> {
+        let mut took = None;
+        let decode = async {
+            let container = self.file(version, Part::Atlas).await?;
+            let start = std::time::Instant::now();
+            let scene = self.pool.run(move || crate::atlas::decode(&container)).await?.map_err(|e| Problem::from(&e))?;
+            took = Some(start.elapsed());
+            let size = scene.memory();
+            Ok::<_, Problem>((Arc::new(scene), size))
+        };
+        let scene = self.scenes.get(version, decode).await?;
+        Ok((scene, took))
+    }
+}

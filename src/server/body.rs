@@ -1,0 +1,217 @@
+//! Bodies of requests, bounded in size and in the pauses between their pieces.
+
+use std::error::Error;
+use std::pin::Pin;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::task::{Context, Poll};
+use std::time::Duration;
+
+use axum::body::{Body, HttpBody};
+use axum::http::StatusCode;
+use bytes::Bytes;
+use http_body_util::BodyExt;
+use hyper::body::{Frame, SizeHint};
+use tokio::time::{Instant, Sleep};
+
+use super::problem::Problem;
+
+/// Time for which the rest of a refused body is read, so that the client gets to see the answer.
+const LINGER: Duration = Duration::from_secs(2);
+
+/// Why a body was cut off.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum CutOff {
+    /// It is larger than this many bytes.
+    #[error("the request's body is over the limit of {0} bytes")]
+    TooLarge(usize),
+    /// Nothing came for that long.
+    #[error("nothing of the request's body came for {0:?}")]
+    TooSlow(Duration),
+}
+
+impl CutOff {
+    /// The one in the chain of causes of `error`.
+    #[must_use]
+    pub fn find(error: &(dyn Error + 'static)) -> Option<Self> {
+        let mut next = Some(error);
+        while let Some(error) = next {
+            if let Some(cut_off) = error.downcast_ref::<Self>() {
+                return Some(*cut_off);
+            }
+            next = error.source();
+        }
+        None
+    }
+}
+
+/// The answer to a body that could not be read.
+#[must_use]
+pub fn problem(error: &(dyn Error + 'static)) -> Problem {
+    match CutOff::find(error) {
+        Some(CutOff::TooLarge(limit)) => Problem::too_large(limit),
+        Some(slow @ CutOff::TooSlow(_)) => Problem::new(StatusCode::REQUEST_TIMEOUT, "body-too-slow", slow.to_string()),
+        None => Problem::bad_request(format!("the request's body cannot be read: {error}")),
+    }
+}
+
+/// What is left of a body after its handler is done with it.
+#[derive(Clone, Default)]
+pub struct Rest {
+    inner: Arc<Mutex<Option<Body>>>,
+    polled: Arc<AtomicBool>,
+    ended: Arc<AtomicBool>,
+}
+
+impl Rest {
+    /// True once the whole body has come.
+    #[must_use]
+    pub fn ended(&self) -> bool {
+        self.ended.load(Ordering::Acquire)
+    }
+
+    /// Reads on and drops what comes, up to `limit` bytes and for a short while: a client that writes into a closed
+    /// connection never sees the answer. `awaited`: the client sends nothing before it is asked to.
+    pub async fn drain(self, limit: usize, awaited: bool) {
+        let body = self.inner.lock().unwrap_or_else(PoisonError::into_inner).take();
+        let Some(mut body) = body.filter(|_| !awaited || self.polled.load(Ordering::Acquire)) else { return };
+        let read = async {
+            let mut left = limit;
+            while let Some(Ok(frame)) = body.frame().await {
+                left = left.saturating_sub(frame.data_ref().map_or(0, Bytes::len));
+                if left == 0 {
+                    return;
+                }
+            }
+        };
+        let _ = tokio::time::timeout(LINGER, read).await;
+    }
+}
+
+/// A bounded body.
+pub struct Guarded {
+    inner: Option<Body>,
+    rest: Rest,
+    limit: usize,
+    left: usize,
+    pause: Duration,
+    timer: Pin<Box<Sleep>>,
+}
+
+impl Guarded {
+    /// Bounds `inner` to `limit` bytes and pauses of `pause`.
+    #[must_use]
+    pub fn new(inner: Body, limit: usize, pause: Duration) -> (Self, Rest) {
+        let rest = Rest::default();
+        rest.ended.store(inner.is_end_stream(), Ordering::Release);
+        let timer = Box::pin(tokio::time::sleep(pause));
+        (Self { inner: Some(inner), rest: rest.clone(), limit, left: limit, pause, timer }, rest)
+    }
+}
+
+impl HttpBody for Guarded {
+    type Data = Bytes;
+    type Error = Box<dyn Error + Send + Sync>;
+
+    fn poll_frame(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Option<Result<Frame<Bytes>, Self::Error>>> {
+        let this = &mut *self;
+        let Some(inner) = this.inner.as_mut() else { return Poll::Ready(None) };
+        // a body that says its size is refused before its first byte
+        if inner.size_hint().lower() > this.left as u64 {
+            return Poll::Ready(Some(Err(CutOff::TooLarge(this.limit).into())));
+        }
+        if !this.rest.polled.swap(true, Ordering::AcqRel) {
+            this.timer.as_mut().reset(Instant::now() + this.pause);
+        }
+        let frame = match Pin::new(inner).poll_frame(cx) {
+            Poll::Ready(frame) => frame,
+            Poll::Pending if this.timer.as_mut().poll(cx).is_ready() => {
+                return Poll::Ready(Some(Err(CutOff::TooSlow(this.pause).into())));
+            }
+            Poll::Pending => return Poll::Pending,
+        };
+        this.timer.as_mut().reset(Instant::now() + this.pause);
+        Poll::Ready(match frame {
+            None => {
+                this.rest.ended.store(true, Ordering::Release);
+                this.inner = None;
+                None
+            }
+            Some(Err(error)) => Some(Err(error.into())),
+            Some(Ok(frame)) => {
+                let bytes = frame.data_ref().map_or(0, Bytes::len);
+                if bytes > this.left {
+                    return Poll::Ready(Some(Err(CutOff::TooLarge(this.limit).into())));
+                }
+                this.left -= bytes;
+                Some(Ok(frame))
+            }
+        })
+    }
+
+    fn is_end_stream(&self) -> bool {
+        self.inner.as_ref().is_none_or(HttpBody::is_end_stream)
+    }
+
+    fn size_hint(&self) -> SizeHint {
+        self.inner.as_ref().map_or_else(SizeHint::default, HttpBody::size_hint)
+    }
+}
+
+impl Drop for Guarded {
+    fn drop(&mut self) {
+        let rest = self.inner.take().filter(|b| !b.is_end_stream());
+        if rest.is_none() {
+            self.rest.ended.store(true, Ordering::Release);
+        }
+        *self.rest.inner.lock().unwrap_or_else(PoisonError::into_inner) = rest;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    async fn read(body: Body, limit: usize, pause: Duration) -> Result<Bytes, Problem> {
+        let (guarded, _) = Guarded::new(body, limit, pause);
+        match Body::new(guarded).collect().await {
+            Ok(all) => Ok(all.to_bytes()),
+            Err(e) => Err(problem(&e)),
+        }
+    }
+
+    fn pieces(sizes: &'static [usize]) -> Body {
+        Body::from_stream(futures_util::stream::iter(sizes.iter().map(|&n| Ok::<_, std::io::Error>(Bytes::from(vec![0; n])))))
+    }
+
+    #[tokio::test]
+    async fn at_the_limit_and_one_over() {
+        let second = Duration::from_secs(1);
+        assert_eq!(read(Body::from(vec![0; 100]), 100, second).await.unwrap().len(), 100);
+        assert_eq!(read(Body::from(vec![0; 101]), 100, second).await.unwrap_err().status, 413);
+        assert_eq!(read(pieces(&[40, 60]), 100, second).await.unwrap().len(), 100);
+        assert_eq!(read(pieces(&[40, 60, 1]), 100, second).await.unwrap_err().status, 413);
+        assert_eq!(read(Body::empty(), 0, second).await.unwrap().len(), 0);
+    }
+
+    #[tokio::test]
+    async fn pauses_end_it_but_slowness_does_not() {
+        let drip = |pause| {
+            Body::from_stream(futures_util::stream::unfold(0, move |n| async move {
+                tokio::time::sleep(Duration::from_millis(pause)).await;
+                (n < 50).then(|| (Ok::<_, std::io::Error>(Bytes::from_static(b"x")), n + 1))
+            }))
+        };
+        let pause = Duration::from_millis(300);
+        assert_eq!(read(drip(10), 100, pause).await.unwrap().len(), 50);
+        assert_eq!(read(drip(2000), 100, pause).await.unwrap_err().status, 408);
+    }
+
+    #[tokio::test]
+    async fn the_rest_can_be_drained() {
+        let (guarded, rest) = Guarded::new(pieces(&[40, 60, 50]), 30, Duration::from_secs(1));
+        assert!(Body::new(guarded).collect().await.is_err());
+        assert!(!rest.ended());
+        rest.drain(1000, false).await;
+    }
+}

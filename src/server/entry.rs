@@ -1,0 +1,147 @@
+//! One photo that the server knows, and how it fares.
+
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use tokio::sync::watch;
+
+use super::id::PhotoId;
+use super::store::{Accepted, Done, End, Failed, Found};
+use crate::progress::Progress;
+
+/// How a photo fares.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Status {
+    /// Waits for a worker.
+    Queued,
+    /// A worker has it.
+    Working,
+    /// Finished.
+    Done(Done),
+    /// Could not be made.
+    Failed(Failed),
+    /// Deleted; nothing follows.
+    Deleted,
+}
+
+impl Status {
+    /// True where nothing follows.
+    #[must_use]
+    pub const fn is_final(&self) -> bool {
+        matches!(self, Self::Done(_) | Self::Failed(_) | Self::Deleted)
+    }
+}
+
+/// What listeners of a photo see.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Live {
+    /// How it fares now.
+    pub status: Status,
+    /// Stages entered in this run of the job.
+    pub stages: Vec<Progress>,
+}
+
+/// One photo.
+#[derive(Debug)]
+pub struct Entry {
+    /// Its id.
+    pub id: PhotoId,
+    /// What was accepted.
+    pub accepted: Accepted,
+    live: watch::Sender<Live>,
+    attempts: AtomicU32,
+    deleted: AtomicBool,
+    gate: Mutex<()>,
+}
+
+impl Entry {
+    /// A fresh upload.
+    #[must_use]
+    pub fn new(id: PhotoId, accepted: Accepted) -> Self {
+        Self::found(Found { id, accepted, state: super::store::State::default() })
+    }
+
+    /// A photo found on disk.
+    #[must_use]
+    pub fn found(found: Found) -> Self {
+        let status = match found.state.end {
+            None => Status::Queued,
+            Some(End::Done(done)) => Status::Done(done),
+            Some(End::Failed(failed)) => Status::Failed(failed),
+        };
+        Self {
+            id: found.id,
+            accepted: found.accepted,
+            live: watch::Sender::new(Live { status, stages: Vec::new() }),
+            attempts: AtomicU32::new(found.state.attempts),
+            deleted: AtomicBool::new(false),
+            gate: Mutex::new(()),
+        }
+    }
+
+    /// Place in the list, which shows the newest first.
+    #[must_use]
+    pub fn key(&self) -> (u64, PhotoId) {
+        (self.accepted.at_ms, self.id)
+    }
+
+    /// How it fares now.
+    #[must_use]
+    pub fn status(&self) -> Status {
+        self.live.borrow().status.clone()
+    }
+
+    /// How it fares now, with the stages entered.
+    #[must_use]
+    pub fn live(&self) -> Live {
+        self.live.borrow().clone()
+    }
+
+    /// Follows it.
+    #[must_use]
+    pub fn watch(&self) -> watch::Receiver<Live> {
+        self.live.subscribe()
+    }
+
+    /// Tells listeners how it fares; a new run forgets the stages of the one before.
+    pub fn set(&self, status: Status) {
+        self.live.send_modify(|live| {
+            if !status.is_final() {
+                live.stages.clear();
+            }
+            live.status = status;
+        });
+    }
+
+    /// Tells listeners of a stage.
+    pub fn enter(&self, stage: Progress) {
+        self.live.send_modify(|live| live.stages.push(stage));
+    }
+
+    /// Starts of the job so far.
+    #[must_use]
+    pub fn attempts(&self) -> u32 {
+        self.attempts.load(Ordering::Acquire)
+    }
+
+    /// Sets the count of starts.
+    pub fn set_attempts(&self, n: u32) {
+        self.attempts.store(n, Ordering::Release);
+    }
+
+    /// True once it is deleted; its folder must no longer be touched.
+    #[must_use]
+    pub fn is_deleted(&self) -> bool {
+        self.deleted.load(Ordering::Acquire)
+    }
+
+    /// Marks it as deleted; with the gate held.
+    pub fn mark_deleted(&self) {
+        self.deleted.store(true, Ordering::Release);
+    }
+
+    /// Held by whoever writes into its folder or removes it.
+    pub fn gate(&self) -> MutexGuard<'_, ()> {
+        self.gate.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}

@@ -1,0 +1,306 @@
+//! The photos that the server knows, the queue of those to be made, and the threads that make them.
+//!
+//! A photo is in the index exactly while its folder is on disk. Whoever changes the index holds `membership`, so that an
+//! upload, its twin and a deletion come one after the other; readers only take the short lock on `inner`.
+
+use std::collections::{BTreeMap, HashMap, VecDeque};
+use std::ops::Bound;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use axum::http::StatusCode;
+
+use super::entry::{Entry, Status};
+use super::id::PhotoId;
+use super::limits::Limits;
+use super::maker::Maker;
+use super::problem::Problem;
+use super::store::{Accepted, Found, Incoming, State, Store};
+use super::telemetry::Telemetry;
+use super::worker;
+
+/// Guess of a job's duration before one was measured, in seconds.
+const FIRST_GUESS: f64 = 5.0;
+/// Longest `Retry-After` in seconds.
+const MAX_RETRY_AFTER: u64 = 120;
+
+/// Index, queue and workers.
+pub struct Jobs {
+    pub(super) store: Store,
+    pub(super) maker: Arc<dyn Maker>,
+    pub(super) limits: Arc<Limits>,
+    pub(super) telemetry: Arc<Telemetry>,
+    membership: Mutex<()>,
+    inner: Mutex<Inner>,
+    wake: Condvar,
+    idle: Condvar,
+    abort: AtomicBool,
+}
+
+#[derive(Default)]
+struct Inner {
+    by_id: HashMap<PhotoId, Arc<Entry>>,
+    by_age: BTreeMap<(u64, PhotoId), Arc<Entry>>,
+    queue: VecDeque<Arc<Entry>>,
+    running: Vec<Arc<Entry>>,
+    stopping: bool,
+    mean_seconds: Option<f64>,
+}
+
+/// Counts for health and metrics.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Counts {
+    /// Photos that wait.
+    pub queued: usize,
+    /// Photos that are being made.
+    pub working: usize,
+    /// Finished photos.
+    pub done: usize,
+    /// Photos that could not be made.
+    pub failed: usize,
+}
+
+/// A page of the list.
+pub struct Page {
+    /// Newest first.
+    pub photos: Vec<Arc<Entry>>,
+    /// True where older ones follow.
+    pub more: bool,
+}
+
+/// What an upload led to.
+pub struct Submitted {
+    /// The photo.
+    pub entry: Arc<Entry>,
+    /// False where the photo was known already.
+    pub new: bool,
+}
+
+impl Jobs {
+    /// Takes up what was found on disk and starts the workers.
+    ///
+    /// # Errors
+    /// No thread can be started.
+    pub fn start(
+        store: Store,
+        found: Vec<Found>,
+        maker: Arc<dyn Maker>,
+        limits: Arc<Limits>,
+        telemetry: Arc<Telemetry>,
+    ) -> std::io::Result<Arc<Self>> {
+        let mut inner = Inner::default();
+        for photo in found {
+            let entry = Arc::new(Entry::found(photo));
+            // what was accepted is taken up again, however long the queue is
+            if entry.status() == Status::Queued {
+                inner.queue.push_back(Arc::clone(&entry));
+            }
+            inner.insert(&entry);
+        }
+        tracing::info!(photos = inner.by_id.len(), unfinished = inner.queue.len(), "data directory");
+        let workers = limits.workers;
+        let jobs = Arc::new(Self {
+            store,
+            maker,
+            limits,
+            telemetry,
+            membership: Mutex::new(()),
+            inner: Mutex::new(inner),
+            wake: Condvar::new(),
+            idle: Condvar::new(),
+            abort: AtomicBool::new(false),
+        });
+        for n in 0..workers {
+            let jobs = Arc::clone(&jobs);
+            std::thread::Builder::new().name(format!("tmpi-way-{n}")).spawn(move || worker::work(&jobs))?;
+        }
+        Ok(jobs)
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Inner> {
+        self.inner.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn membership(&self) -> MutexGuard<'_, ()> {
+        self.membership.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Takes an upload; blocks until it is on disk. A photo that is known already is not stored again; if it had failed,
+    /// it gets another try.
+    ///
+    /// # Errors
+    /// 429 where the queue is full, 503 while the server stops, 500 and 507 where the disk fails.
+    pub fn submit(&self, incoming: Incoming, id: PhotoId, accepted: Accepted) -> Result<Submitted, Problem> {
+        let _membership = self.membership();
+        let known = self.get(id);
+        if let Some(entry) = &known
+            && !matches!(entry.status(), Status::Failed(_))
+        {
+            return Ok(Submitted { entry: Arc::clone(entry), new: false });
+        }
+        self.room()?;
+        let (entry, new) = if let Some(entry) = known {
+            let gate = entry.gate();
+            self.store.write_state(id, &State::default()).map_err(|e| Problem::store(&e))?;
+            entry.set_attempts(0);
+            entry.set(Status::Queued);
+            drop(gate);
+            (entry, false)
+        } else {
+            self.store.accept(incoming, id, &accepted).map_err(|e| Problem::store(&e))?;
+            (Arc::new(Entry::new(id, accepted)), true)
+        };
+        let mut inner = self.lock();
+        inner.insert(&entry);
+        inner.queue.push_back(Arc::clone(&entry));
+        drop(inner);
+        self.wake.notify_one();
+        Ok(Submitted { entry, new })
+    }
+
+    /// Room in the queue; with `membership` held it stays until the caller has used it.
+    fn room(&self) -> Result<(), Problem> {
+        let inner = self.lock();
+        if inner.stopping {
+            return Err(Problem::new(StatusCode::SERVICE_UNAVAILABLE, "stopping", "the server is stopping").retry_after(10));
+        }
+        if inner.queue.len() < self.limits.queue {
+            return Ok(());
+        }
+        let seconds = inner.mean_seconds.unwrap_or(FIRST_GUESS).ceil() as u64;
+        Err(Problem::new(StatusCode::TOO_MANY_REQUESTS, "queue-full", format!("{} photos are waiting already", inner.queue.len()))
+            .retry_after(seconds.clamp(1, MAX_RETRY_AFTER)))
+    }
+
+    /// A photo.
+    #[must_use]
+    pub fn get(&self, id: PhotoId) -> Option<Arc<Entry>> {
+        self.lock().by_id.get(&id).cloned()
+    }
+
+    /// At most `limit` photos, newest first, older than `after` where that is given.
+    #[must_use]
+    pub fn list(&self, after: Option<(u64, PhotoId)>, limit: usize) -> Page {
+        let inner = self.lock();
+        let end = after.map_or(Bound::Unbounded, Bound::Excluded);
+        let mut older = inner.by_age.range((Bound::Unbounded, end)).rev().map(|(_, entry)| Arc::clone(entry));
+        let photos: Vec<_> = older.by_ref().take(limit).collect();
+        Page { photos, more: older.next().is_some() }
+    }
+
+    /// Photos that wait before this one; none where it does not wait.
+    #[must_use]
+    pub fn position(&self, id: PhotoId) -> Option<usize> {
+        self.lock().queue.iter().position(|e| e.id == id)
+    }
+
+    /// Deletes a photo, whatever it is at; blocks until it is gone from disk. False where there is no such photo.
+    ///
+    /// # Errors
+    /// [`Problem`] 500 where the disk fails; the photo is still there then.
+    pub fn delete(&self, id: PhotoId) -> Result<bool, Problem> {
+        let _membership = self.membership();
+        let Some(entry) = self.get(id) else { return Ok(false) };
+        let gate = entry.gate();
+        self.store.remove(id).map_err(|e| Problem::store(&e))?;
+        entry.mark_deleted();
+        drop(gate);
+        let mut inner = self.lock();
+        inner.by_id.remove(&id);
+        inner.by_age.remove(&entry.key());
+        inner.queue.retain(|e| e.id != id);
+        drop(inner);
+        entry.set(Status::Deleted);
+        Ok(true)
+    }
+
+    /// Counts of photos.
+    #[must_use]
+    pub fn counts(&self) -> Counts {
+        let inner = self.lock();
+        let mut counts = Counts { queued: inner.queue.len(), working: inner.running.len(), ..Counts::default() };
+        for entry in inner.by_id.values() {
+            match entry.status() {
+                Status::Done(_) => counts.done += 1,
+                Status::Failed(_) => counts.failed += 1,
+                _ => {}
+            }
+        }
+        counts
+    }
+
+    /// The next photo to be made; blocks; none once the server stops.
+    pub(super) fn take(&self) -> Option<Arc<Entry>> {
+        let mut inner = self.lock();
+        loop {
+            if inner.stopping {
+                return None;
+            }
+            if let Some(entry) = inner.queue.pop_front() {
+                inner.running.push(Arc::clone(&entry));
+                return Some(entry);
+            }
+            inner = self.wake.wait(inner).unwrap_or_else(PoisonError::into_inner);
+        }
+    }
+
+    /// The counterpart of [`Jobs::take`].
+    pub(super) fn release(&self, entry: &Arc<Entry>, took: Duration) {
+        let mut inner = self.lock();
+        inner.running.retain(|e| !Arc::ptr_eq(e, entry));
+        let mean = inner.mean_seconds.map_or(took.as_secs_f64(), |m| 0.8 * m + 0.2 * took.as_secs_f64());
+        inner.mean_seconds = Some(mean);
+        drop(inner);
+        self.idle.notify_all();
+    }
+
+    /// True once running jobs are to give up.
+    pub(super) fn aborted(&self) -> bool {
+        self.abort.load(Ordering::Acquire)
+    }
+
+    /// No further job starts, and no further upload is taken.
+    pub fn stop(&self) {
+        self.lock().stopping = true;
+        self.wake.notify_all();
+    }
+
+    /// True while jobs are taken.
+    #[must_use]
+    pub fn is_accepting(&self) -> bool {
+        !self.lock().stopping
+    }
+
+    /// Waits for the jobs under way, until `deadline`; those that are not finished by then are left for the next start.
+    pub fn drain(&self, deadline: Instant) {
+        self.stop();
+        let wait = |until: Instant| {
+            let left = until.saturating_duration_since(Instant::now());
+            let inner = self.idle.wait_timeout_while(self.lock(), left, |inner| !inner.running.is_empty());
+            inner.unwrap_or_else(PoisonError::into_inner).0.running.clone()
+        };
+        if wait(deadline).is_empty() {
+            return;
+        }
+        self.abort.store(true, Ordering::Release);
+        // a way stops before its next stage: those that reach it put their count of starts right themselves
+        for entry in wait(Instant::now() + Duration::from_millis(500)) {
+            let _gate = entry.gate();
+            let attempts = entry.attempts().saturating_sub(1);
+            let state = State { attempts, end: None };
+            if !entry.status().is_final()
+                && let Err(error) = self.store.write_state(entry.id, &state)
+            {
+                tracing::warn!(id = %entry.id, %error, "state of an unfinished photo");
+            }
+        }
+    }
+}
+
+impl Inner {
+    fn insert(&mut self, entry: &Arc<Entry>) {
+        self.by_id.insert(entry.id, Arc::clone(entry));
+        self.by_age.insert(entry.key(), Arc::clone(entry));
+    }
+}

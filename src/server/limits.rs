@@ -1,0 +1,117 @@
+//! Every limit of the server, as a named constant and as a value that can be set (DESIGN, section 8).
+
+use std::time::Duration;
+
+use crate::photo;
+
+/// Bounds that the server holds its clients to.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Limits {
+    /// Bounds on the photo itself.
+    pub photo: photo::Limits,
+    /// Body of a request in bytes.
+    pub body: usize,
+    /// Time for a request's header to arrive; also how long an idle connection is kept.
+    pub header_read: Duration,
+    /// Time from a request's header to its response's header.
+    pub request: Duration,
+    /// Longest pause between two pieces of a request's body.
+    pub body_read: Duration,
+    /// Longest time that a client may take no byte of a response.
+    pub write: Duration,
+    /// Time that requests and the jobs under way have left after the signal to stop.
+    pub drain: Duration,
+    /// Jobs that wait; one more is answered 429.
+    pub queue: usize,
+    /// Threads that make photos.
+    pub workers: usize,
+    /// Starts of one job; a photo that took the process down that often is given up.
+    pub attempts: u32,
+    /// Connections at a time; more wait in the kernel's queue.
+    pub connections: usize,
+    /// Views drawn at a time.
+    pub views: usize,
+    /// Views that wait for their turn; one more is answered 503.
+    pub views_waiting: usize,
+    /// Pixels of a view.
+    pub view_pixels: u64,
+    /// Longest side of a view in pixels.
+    pub view_side: u32,
+    /// Memory for decoded scenes in bytes.
+    pub scene_cache: usize,
+    /// Memory for containers and other small files in bytes.
+    pub file_cache: usize,
+    /// Photos on one page of the list.
+    pub page: usize,
+    /// Pause between two keep-alive comments of an event stream.
+    pub keep_alive: Duration,
+}
+
+impl Limits {
+    /// 32 MiB.
+    pub const BODY: usize = 32 << 20;
+    /// 10 s.
+    pub const HEADER_READ: Duration = Duration::from_secs(10);
+    /// 30 s.
+    pub const REQUEST: Duration = Duration::from_secs(30);
+    /// 30 s.
+    pub const BODY_READ: Duration = Duration::from_secs(30);
+    /// 10 s.
+    pub const WRITE: Duration = Duration::from_secs(10);
+    /// 20 s.
+    pub const DRAIN: Duration = Duration::from_secs(20);
+    /// 64 jobs.
+    pub const QUEUE: usize = 64;
+    /// One worker: a job keeps all cores busy by itself.
+    pub const WORKERS: usize = 1;
+    /// Three starts.
+    pub const ATTEMPTS: u32 = 3;
+    /// 1 024 connections.
+    pub const CONNECTIONS: usize = 1024;
+    /// Two views.
+    pub const VIEWS: usize = 2;
+    /// 64 views.
+    pub const VIEWS_WAITING: usize = 64;
+    /// 16 megapixels.
+    pub const VIEW_PIXELS: u64 = 16 << 20;
+    /// 16 384 pixels.
+    pub const VIEW_SIDE: u32 = 16_384;
+    /// 256 MiB.
+    pub const SCENE_CACHE: usize = 256 << 20;
+    /// 64 MiB.
+    pub const FILE_CACHE: usize = 64 << 20;
+    /// 200 photos.
+    pub const PAGE: usize = 200;
+    /// 15 s.
+    pub const KEEP_ALIVE: Duration = Duration::from_secs(15);
+    /// Bytes of a request's header.
+    pub const HEADER_BYTES: usize = 32 << 10;
+    /// Longer side of a thumbnail in pixels.
+    pub const THUMBNAIL: u32 = 320;
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self {
+            photo: photo::Limits::default(),
+            body: Self::BODY,
+            header_read: Self::HEADER_READ,
+            request: Self::REQUEST,
+            body_read: Self::BODY_READ,
+            write: Self::WRITE,
+            drain: Self::DRAIN,
+            queue: Self::QUEUE,
+            workers: Self::WORKERS,
+            attempts: Self::ATTEMPTS,
+            connections: Self::CONNECTIONS,
+            views: Self::VIEWS,
+            views_waiting: Self::VIEWS_WAITING,
+            view_pixels: Self::VIEW_PIXELS,
+            view_side: Self::VIEW_SIDE,
+            scene_cache: Self::SCENE_CACHE,
+            file_cache: Self::FILE_CACHE,
+            page: Self::PAGE,
+            keep_alive: Self::KEEP_ALIVE,
+        }
+    }
+}

@@ -1,0 +1,71 @@
+//! What the server asks of the way of a photo, as a seam for tests.
+
+use crate::atlas::AtlasError;
+use crate::generate::Report;
+use crate::photo;
+use crate::progress::Sink;
+use crate::render::{DEFAULT_QUALITY, PictureFormat, View, encode};
+use crate::way::{self, MakeError, Models, Options};
+
+use super::limits::Limits;
+
+/// Everything that is kept of a made photo.
+#[derive(Clone, Debug)]
+pub struct Product {
+    /// The container.
+    pub container: Vec<u8>,
+    /// The report.
+    pub report: Report,
+    /// Disparity as used, 16-bit grey PNG.
+    pub disparity: Vec<u8>,
+    /// Small JPEG.
+    pub thumbnail: Vec<u8>,
+}
+
+/// Makes photos.
+pub trait Maker: Send + Sync + 'static {
+    /// Refuses early, before any work, what [`Maker::make`] would refuse for its format, its size or its options.
+    ///
+    /// # Errors
+    /// [`MakeError`].
+    fn check(&self, photo: &[u8], options: &Options) -> Result<(), MakeError>;
+
+    /// Makes a photo; blocks.
+    ///
+    /// # Errors
+    /// [`MakeError`].
+    fn make(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options, sink: &dyn Sink) -> Result<Product, MakeError>;
+}
+
+/// The real way of a photo.
+pub struct WayMaker {
+    models: Models,
+    limits: photo::Limits,
+}
+
+impl WayMaker {
+    /// A maker with the networks and the limits of photos.
+    #[must_use]
+    pub fn new(models: Models, limits: &Limits) -> Self {
+        Self { models, limits: limits.photo }
+    }
+}
+
+impl Maker for WayMaker {
+    fn check(&self, photo: &[u8], options: &Options) -> Result<(), MakeError> {
+        options.validate()?;
+        photo::check(photo, &self.limits)?;
+        Ok(())
+    }
+
+    fn make(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options, sink: &dyn Sink) -> Result<Product, MakeError> {
+        let made = way::make(&self.models, &self.limits, photo, depth, options, sink)?;
+        let small = photo::decode(photo, &self.limits, Some(Limits::THUMBNAIL))?.photo;
+        Ok(Product {
+            thumbnail: encode(&View::from(&small), PictureFormat::Jpeg, DEFAULT_QUALITY).map_err(|e| AtlasError::Encode(e.to_string()))?,
+            disparity: crate::depth::to_png(&made.disparity)?,
+            container: made.container,
+            report: made.report,
+        })
+    }
+}

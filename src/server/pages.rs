@@ -1,0 +1,132 @@
+//! The pages and scripts of the viewer: embedded in the program, or read from a directory while somebody works on them.
+
+use std::path::{Component, Path, PathBuf};
+use std::sync::OnceLock;
+
+use axum::extract::{self, State};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, header};
+use axum::response::Response;
+use bytes::Bytes;
+use sha2::{Digest, Sha256};
+
+use super::app::App;
+use super::conditional::{Entity, REVALIDATE, respond};
+use super::id::hex;
+use super::problem::Problem;
+
+/// All files below `static/`.
+static FILES: &[(&str, &[u8])] = include!(concat!(env!("OUT_DIR"), "/pages.rs"));
+
+/// Scripts and pictures of this server alone; the viewer's decoder needs blobs.
+const POLICY: &str = "default-src 'self'; img-src 'self' blob: data:; connect-src 'self' blob: data:; style-src 'self' 'unsafe-inline'; \
+                      worker-src 'self' blob:; object-src 'none'; base-uri 'none'; form-action 'self'";
+const RESOURCE_POLICY: HeaderName = HeaderName::from_static("cross-origin-resource-policy");
+
+/// Who may show a page in a frame.
+#[derive(Clone, Copy)]
+enum Frames {
+    /// Nobody: it has buttons that change things.
+    Nobody,
+    /// Any site.
+    Anybody,
+}
+
+/// `GET /`.
+pub async fn index(State(app): State<App>, headers: HeaderMap) -> Result<Response, Problem> {
+    page(&app, &headers, "index.html", Frames::Nobody).await
+}
+
+/// `GET /view/{id}`; the page itself says where there is no such photo.
+pub async fn view(State(app): State<App>, headers: HeaderMap) -> Result<Response, Problem> {
+    page(&app, &headers, "view.html", Frames::Anybody).await
+}
+
+/// `GET /static/{name}`.
+pub async fn file(State(app): State<App>, extract::Path(name): extract::Path<String>, headers: HeaderMap) -> Result<Response, Problem> {
+    page(&app, &headers, &name, Frames::Anybody).await
+}
+
+/// `GET /tmpi-viewer.js`.
+pub async fn script(State(app): State<App>, headers: HeaderMap) -> Result<Response, Problem> {
+    page(&app, &headers, "tmpi-viewer.js", Frames::Anybody).await
+}
+
+async fn page(app: &App, headers: &HeaderMap, name: &str, frames: Frames) -> Result<Response, Problem> {
+    let (bytes, etag) = if let Some(dir) = &app.pages {
+        let path = within(dir, name).ok_or_else(|| missing(name))?;
+        let bytes = tokio::fs::read(path).await.map_err(|_| missing(name))?;
+        let etag = tag(&bytes);
+        (Bytes::from(bytes), etag)
+    } else {
+        let at = FILES.binary_search_by_key(&name, |f| f.0).map_err(|_| missing(name))?;
+        (Bytes::from_static(FILES[at].1), tags()[at].clone())
+    };
+    let content_type = content_type(name);
+    let mut response = respond(headers, Entity { bytes, etag: &etag, content_type, cache_control: REVALIDATE });
+    let ancestors = match frames {
+        Frames::Nobody => "'self'",
+        Frames::Anybody => "*",
+    };
+    if let Ok(policy) = HeaderValue::from_str(&format!("{POLICY}; frame-ancestors {ancestors}")) {
+        response.headers_mut().insert(header::CONTENT_SECURITY_POLICY, policy);
+    }
+    response.headers_mut().insert(RESOURCE_POLICY, HeaderValue::from_static("cross-origin"));
+    Ok(response)
+}
+
+fn missing(name: &str) -> Problem {
+    Problem::not_found(format!("there is no file {name:?}"))
+}
+
+/// `name` below `dir`, never outside it.
+fn within(dir: &Path, name: &str) -> Option<PathBuf> {
+    let name = Path::new(name);
+    name.components().all(|c| matches!(c, Component::Normal(_))).then(|| dir.join(name))
+}
+
+fn tag(bytes: &[u8]) -> String {
+    format!("\"{}\"", hex(&Sha256::digest(bytes)[..16]))
+}
+
+fn tags() -> &'static [String] {
+    static TAGS: OnceLock<Vec<String>> = OnceLock::new();
+    TAGS.get_or_init(|| FILES.iter().map(|(_, bytes)| tag(bytes)).collect())
+}
+
+fn content_type(name: &str) -> &'static str {
+    match Path::new(name).extension().and_then(|e| e.to_str()).unwrap_or_default() {
+        "html" => "text/html; charset=utf-8",
+        "js" | "mjs" => "text/javascript; charset=utf-8",
+        "css" => "text/css; charset=utf-8",
+        "json" | "map" => "application/json",
+        "svg" => "image/svg+xml",
+        "png" => "image/png",
+        "jpg" | "jpeg" => "image/jpeg",
+        "webp" => "image/webp",
+        "ico" => "image/x-icon",
+        "woff2" => "font/woff2",
+        "tmpi" => crate::atlas::MEDIA_TYPE,
+        "wgsl" | "txt" | "md" => "text/plain; charset=utf-8",
+        _ => "application/octet-stream",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_table_is_sorted_and_holds_the_shader() {
+        assert!(FILES.is_sorted_by(|a, b| a.0 < b.0));
+        assert!(FILES.binary_search_by_key(&"tmpi.wgsl", |f| f.0).is_ok());
+    }
+
+    #[test]
+    fn no_name_leads_out() {
+        let dir = Path::new("/pages");
+        assert_eq!(within(dir, "a/b.js"), Some("/pages/a/b.js".into()));
+        for bad in ["../x", "a/../../x", "/etc/passwd", "./x/../../y"] {
+            assert_eq!(within(dir, bad), None, "{bad}");
+        }
+    }
+}

@@ -1,0 +1,217 @@
+//! Errors as clients see them: problem details of RFC 9457, and the one mapping from the library's errors to a status.
+
+use axum::Json;
+use axum::http::{HeaderValue, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use serde::{Deserialize, Serialize};
+
+use crate::atlas::AtlasError;
+use crate::depth::DepthError;
+use crate::generate::GenerateError;
+use crate::photo::PhotoError;
+use crate::render::{EncodeError, RenderError};
+use crate::way::MakeError;
+
+/// Media type of a problem.
+pub const MEDIA_TYPE: &str = "application/problem+json";
+
+/// Problem details (RFC 9457).
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct Problem {
+    /// Kind of the problem, a URI that stays the same: `urn:tmpi:problem:…`.
+    #[serde(rename = "type")]
+    #[schema(value_type = String)]
+    pub kind: Box<str>,
+    /// What this kind of problem is, in a few words.
+    #[schema(value_type = String)]
+    pub title: Box<str>,
+    /// HTTP status.
+    pub status: u16,
+    /// What is wrong with this very request.
+    #[schema(value_type = String)]
+    pub detail: Box<str>,
+    /// Field, parameter or option that is at fault.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub field: Option<String>,
+    /// Id of the request, as in the response header `x-request-id` and in the server's log.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub request_id: Option<String>,
+    /// Seconds after which another try may succeed; as in the header `Retry-After`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub retry_after: Option<u64>,
+}
+
+impl Problem {
+    /// A problem of `kind` (the last part of its URI) with `status`; its title is that of the status.
+    pub fn new(status: StatusCode, kind: &str, detail: impl Into<String>) -> Self {
+        Self {
+            kind: format!("urn:tmpi:problem:{kind}").into(),
+            title: status.canonical_reason().unwrap_or("Error").into(),
+            status: status.as_u16(),
+            detail: detail.into().into(),
+            field: None,
+            request_id: None,
+            retry_after: None,
+        }
+    }
+
+    /// Names the field at fault.
+    #[must_use]
+    pub fn field(mut self, name: impl Into<String>) -> Self {
+        self.field = Some(name.into());
+        self
+    }
+
+    /// Says when another try may succeed.
+    #[must_use]
+    pub fn retry_after(mut self, seconds: u64) -> Self {
+        self.retry_after = Some(seconds);
+        self
+    }
+
+    /// A parameter, option or form field is wrong.
+    pub fn parameter(name: impl Into<String>, detail: impl std::fmt::Display) -> Self {
+        let name = name.into();
+        Self::new(StatusCode::BAD_REQUEST, "parameter", format!("{name}: {detail}")).field(name)
+    }
+
+    /// The request itself is malformed.
+    pub fn bad_request(detail: impl Into<String>) -> Self {
+        Self::new(StatusCode::BAD_REQUEST, "bad-request", detail)
+    }
+
+    /// There is no such thing.
+    pub fn not_found(detail: impl Into<String>) -> Self {
+        Self::new(StatusCode::NOT_FOUND, "not-found", detail)
+    }
+
+    /// The body is larger than `limit` bytes.
+    #[must_use]
+    pub fn too_large(limit: usize) -> Self {
+        Self::new(StatusCode::PAYLOAD_TOO_LARGE, "body-too-large", format!("the request's body is over the limit of {limit} bytes"))
+    }
+
+    /// Something broke here; the detail is kept out of the answer and goes to the log.
+    pub fn internal(what: &str, error: &dyn std::fmt::Display) -> Self {
+        tracing::error!(%error, "{what}");
+        Self::new(StatusCode::INTERNAL_SERVER_ERROR, "internal", format!("{what}: the server's log says more"))
+    }
+
+    /// The data directory failed.
+    pub fn store(error: &std::io::Error) -> Self {
+        if matches!(error.kind(), std::io::ErrorKind::StorageFull | std::io::ErrorKind::QuotaExceeded) {
+            tracing::error!(%error, "data directory");
+            return Self::new(StatusCode::INSUFFICIENT_STORAGE, "storage-full", "the data directory has no room left");
+        }
+        Self::internal("data directory", error)
+    }
+
+    /// The HTTP status.
+    #[must_use]
+    pub fn status(&self) -> StatusCode {
+        StatusCode::from_u16(self.status).unwrap_or(StatusCode::INTERNAL_SERVER_ERROR)
+    }
+}
+
+impl IntoResponse for Problem {
+    fn into_response(self) -> Response {
+        let retry = self.retry_after;
+        let mut response = (self.status(), Json(&self)).into_response();
+        let headers = response.headers_mut();
+        headers.insert(header::CONTENT_TYPE, HeaderValue::from_static(MEDIA_TYPE));
+        headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
+        if let Some(seconds) = retry {
+            headers.insert(header::RETRY_AFTER, seconds.into());
+        }
+        // the request log and the middleware that fills in `request_id` read it from here
+        response.extensions_mut().insert(self);
+        response
+    }
+}
+
+impl From<&PhotoError> for Problem {
+    fn from(error: &PhotoError) -> Self {
+        let (status, kind) = match error {
+            PhotoError::Unsupported => (StatusCode::UNSUPPORTED_MEDIA_TYPE, "unsupported-photo"),
+            PhotoError::TooManyBytes { .. }
+            | PhotoError::TooManyPixels { .. }
+            | PhotoError::SideTooLong { .. }
+            | PhotoError::TooMuchMemory { .. } => (StatusCode::PAYLOAD_TOO_LARGE, "photo-too-large"),
+            PhotoError::Broken(_) => (StatusCode::UNPROCESSABLE_ENTITY, "broken-photo"),
+        };
+        Self::new(status, kind, error.to_string()).field("photo")
+    }
+}
+
+impl From<&MakeError> for Problem {
+    fn from(error: &MakeError) -> Self {
+        match error {
+            MakeError::Photo(e) => e.into(),
+            MakeError::Depth(DepthError::Map(_)) => {
+                Self::new(StatusCode::UNPROCESSABLE_ENTITY, "broken-depth-map", error.to_string()).field("depth")
+            }
+            MakeError::Generate(e @ GenerateError::Option { field, .. }) => {
+                Self::new(StatusCode::BAD_REQUEST, "parameter", e.to_string()).field(*field)
+            }
+            MakeError::Cancelled => Self::new(StatusCode::SERVICE_UNAVAILABLE, "cancelled", "the job was cancelled"),
+            MakeError::Depth(_) | MakeError::Generate(_) | MakeError::Atlas(_) | MakeError::Render(_) => {
+                Self::internal("making the photo", error)
+            }
+        }
+    }
+}
+
+impl From<&AtlasError> for Problem {
+    fn from(error: &AtlasError) -> Self {
+        Self::internal("reading the container", error)
+    }
+}
+
+impl From<&RenderError> for Problem {
+    fn from(error: &RenderError) -> Self {
+        match error {
+            RenderError::Camera(_) => Self::new(StatusCode::BAD_REQUEST, "parameter", error.to_string()),
+            RenderError::Adapter(_) | RenderError::Scene(_) => Self::internal("drawing the view", error),
+            RenderError::TooLarge(_) => Self::new(StatusCode::UNPROCESSABLE_ENTITY, "view-too-large", error.to_string()),
+        }
+    }
+}
+
+impl From<&EncodeError> for Problem {
+    fn from(error: &EncodeError) -> Self {
+        Self::parameter("format", error)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_error_of_a_photo_has_its_status() {
+        let status = |e: PhotoError| Problem::from(&MakeError::from(e)).status;
+        assert_eq!(status(PhotoError::Unsupported), 415);
+        assert_eq!(status(PhotoError::TooManyBytes { bytes: 2, limit: 1 }), 413);
+        assert_eq!(status(PhotoError::TooManyPixels { width: 2, height: 1, limit: 1 }), 413);
+        assert_eq!(status(PhotoError::SideTooLong { width: 2, height: 1, limit: 1 }), 413);
+        assert_eq!(status(PhotoError::Broken("x".into())), 422);
+    }
+
+    #[test]
+    fn what_broke_inside_is_not_told() {
+        let p = Problem::from(&MakeError::Atlas(AtlasError::Encode("secret path".into())));
+        assert_eq!(p.status, 500);
+        assert!(!p.detail.contains("secret"));
+    }
+
+    #[test]
+    fn an_option_is_named() {
+        let p = Problem::from(&MakeError::Generate(GenerateError::Option { field: "quality", range: "1 to 100", value: "0".into() }));
+        assert_eq!((p.status, p.field.as_deref()), (400, Some("quality")));
+    }
+
+    #[test]
+    fn a_full_disk_is_507() {
+        assert_eq!(Problem::store(&std::io::Error::from(std::io::ErrorKind::StorageFull)).status, 507);
+    }
+}

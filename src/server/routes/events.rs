@@ -1,0 +1,118 @@
+//! Progress of a photo as server-sent events.
+
+use std::convert::Infallible;
+use std::sync::Arc;
+
+use axum::extract::{Path, State};
+use axum::http::header;
+use axum::response::sse::{Event, KeepAlive, Sse};
+use axum::response::{IntoResponse, Response};
+use futures_util::stream;
+use serde::Serialize;
+use tokio::sync::watch;
+
+use super::state::{PhotoState, Progress};
+use crate::server::app::App;
+use crate::server::conditional::insert;
+use crate::server::entry::{Entry, Live, Status};
+use crate::server::problem::Problem;
+
+/// Where a photo stands in the queue.
+#[derive(Serialize)]
+struct Position {
+    position: usize,
+}
+
+/// What one listener has been told.
+struct Listener {
+    app: App,
+    entry: Arc<Entry>,
+    watch: watch::Receiver<Live>,
+    /// Stages told so far.
+    stages: usize,
+    /// True once `queued` was told and nothing since.
+    queued: bool,
+    ended: bool,
+}
+
+impl Listener {
+    /// The next events; none at the end.
+    async fn next(&mut self) -> Option<Vec<Event>> {
+        while !self.ended {
+            let events = self.fresh();
+            if !events.is_empty() {
+                return Some(events);
+            }
+            let stop = self.app.stop.clone();
+            tokio::select! {
+                changed = self.watch.changed() => self.ended |= changed.is_err(),
+                // the client comes back by itself
+                () = stop.cancelled() => self.ended = true,
+            }
+        }
+        None
+    }
+
+    fn fresh(&mut self) -> Vec<Event> {
+        let live = self.watch.borrow_and_update().clone();
+        // fewer than before: another run of the job
+        self.stages = self.stages.min(live.stages.len());
+        let mut events: Vec<Event> = live.stages[self.stages..].iter().map(|s| event("stage", &Progress::from(s))).collect();
+        self.stages = live.stages.len();
+        match &live.status {
+            Status::Queued => {
+                if !std::mem::replace(&mut self.queued, true) {
+                    events.push(event("queued", &Position { position: self.app.jobs.position(self.entry.id).unwrap_or(0) }));
+                }
+                return events;
+            }
+            Status::Working => {}
+            Status::Done(_) => {
+                events.extend(PhotoState::from_live(&self.app.jobs, &self.entry, live).map(|s| event("done", &s)));
+                self.ended = true;
+            }
+            Status::Failed(failed) => {
+                events.push(event("failed", &failed.problem));
+                self.ended = true;
+            }
+            Status::Deleted => {
+                events.push(event("deleted", &serde_json::json!({})));
+                self.ended = true;
+            }
+        }
+        self.queued = false;
+        events
+    }
+}
+
+fn event<T: Serialize>(name: &'static str, data: &T) -> Event {
+    // maps with text keys and finite numbers always are JSON
+    Event::default().event(name).data(serde_json::to_string(data).unwrap_or_default())
+}
+
+/// Progress of a photo as server-sent events.
+///
+/// Events: `queued` (`{"position": N}`), `stage` (a `Progress`), and at the end one of `done` (a `PhotoState`), `failed` (a
+/// `Problem`) or `deleted`; then the stream ends. A client that connects late is told the last event first.
+#[utoipa::path(
+    get, path = "/v1/photos/{id}/events", tag = "photos", params(("id" = String, Path, description = "Id of the photo")),
+    responses(
+        (status = 200, description = "Events until the photo is done, has failed or is deleted", body = Progress, content_type = "text/event-stream"),
+        (status = 404, description = "There is no such photo", body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub async fn events(State(app): State<App>, Path(id): Path<String>) -> Result<Response, Problem> {
+    let entry = app.photo(&id)?;
+    let watch = entry.watch();
+    // the last state alone, then everything
+    let seen = entry.live();
+    let stages = if seen.status.is_final() { seen.stages.len() } else { seen.stages.len().saturating_sub(1) };
+    let keep_alive = KeepAlive::new().interval(app.limits.keep_alive);
+    let listener = Listener { app, entry, watch, stages, queued: false, ended: false };
+    let batches = stream::unfold(listener, async |mut listener| listener.next().await.map(|events| (events, listener)));
+    let events = futures_util::StreamExt::flat_map(batches, |events| stream::iter(events.into_iter().map(Ok::<_, Infallible>)));
+    let mut response = Sse::new(events).keep_alive(keep_alive).into_response();
+    // proxies that gather an answer before they pass it on would hold the events back
+    insert(&mut response, header::HeaderName::from_static("x-accel-buffering"), "no");
+    Ok(response)
+}

@@ -1,0 +1,88 @@
+//! All routes, and the `OpenAPI` document that is generated from their handlers.
+
+mod events;
+mod photos;
+mod results;
+mod state;
+mod system;
+mod view;
+
+use axum::Router;
+use axum::extract::DefaultBodyLimit;
+use axum::http::{HeaderName, Method, StatusCode, header};
+use axum::middleware::from_fn_with_state;
+use axum::routing::get;
+use bytes::Bytes;
+use tower_http::cors::{AllowOrigin, CorsLayer};
+use utoipa::OpenApi;
+use utoipa_axum::router::OpenApiRouter;
+use utoipa_axum::routes;
+
+use super::app::App;
+use super::middleware;
+use super::pages;
+use super::problem::Problem;
+
+#[derive(OpenApi)]
+#[openapi(
+    info(
+        title = "tmpi",
+        description = "Turns an uploaded photo into a tiled multiplane image and serves it. Every error is a problem document (RFC 9457)."
+    ),
+    tags(
+        (name = "photos", description = "Photos and what is made of them"),
+        (name = "system", description = "Health, metrics and this document")
+    ),
+    components(schemas(Problem))
+)]
+struct Document;
+
+fn api() -> OpenApiRouter<App> {
+    OpenApiRouter::with_openapi(Document::openapi())
+        .routes(routes!(photos::upload, photos::list))
+        .routes(routes!(photos::state, photos::delete))
+        .routes(routes!(events::events))
+        .routes(routes!(results::atlas))
+        .routes(routes!(results::depth))
+        .routes(routes!(results::report))
+        .routes(routes!(results::thumbnail))
+        .routes(routes!(view::view))
+        .routes(routes!(system::healthz))
+        .routes(routes!(system::readyz))
+        .routes(routes!(system::metrics))
+        .routes(routes!(system::openapi))
+}
+
+/// The `OpenAPI` document as JSON.
+///
+/// # Errors
+/// It cannot be written as JSON.
+pub fn openapi() -> serde_json::Result<Bytes> {
+    api().into_openapi().to_pretty_json().map(Bytes::from)
+}
+
+/// The whole service.
+pub fn router(app: App) -> Router {
+    let (router, _) = api().split_for_parts();
+    let exposed = ["etag", "content-range", "accept-ranges", "content-length", "server-timing", "location", "x-request-id", "retry-after"];
+    // other sites may embed what is made here; they may not upload or delete
+    let cors = CorsLayer::new()
+        .allow_origin(AllowOrigin::any())
+        .allow_methods([Method::GET, Method::HEAD])
+        .allow_headers([header::RANGE, header::IF_NONE_MATCH, header::IF_RANGE, header::ACCEPT, HeaderName::from_static("last-event-id")])
+        .expose_headers(exposed.map(HeaderName::from_static))
+        .max_age(std::time::Duration::from_hours(24));
+    router
+        .route("/", get(pages::index))
+        .route("/view/{id}", get(pages::view))
+        .route("/static/{*name}", get(pages::file))
+        .route("/tmpi-viewer.js", get(pages::script))
+        .fallback(async || Problem::not_found("there is nothing at this address"))
+        .method_not_allowed_fallback(async |method: Method| {
+            Problem::new(StatusCode::METHOD_NOT_ALLOWED, "method", format!("{method} is not possible at this address"))
+        })
+        .layer(DefaultBodyLimit::disable())
+        .layer(from_fn_with_state(app.clone(), middleware::around))
+        .layer(cors)
+        .with_state(app)
+}

@@ -1,0 +1,246 @@
+//! Upload, state, list and deletion of photos.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use axum::Json;
+use axum::extract::{Path, Query, Request, State};
+use axum::http::{HeaderMap, HeaderName, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+
+use super::state::{PhotoList, PhotoState};
+use crate::server::app::App;
+use crate::server::conditional::insert;
+use crate::server::entry::{Entry, Status};
+use crate::server::id::PhotoId;
+use crate::server::problem::Problem;
+use crate::server::upload;
+
+/// Part of the time limit of a request that is left to answer it.
+const ANSWER: Duration = Duration::from_millis(500);
+/// Photos on a page of the list, if the client does not say.
+const DEFAULT_PAGE: usize = 50;
+
+/// Form of an upload.
+#[derive(utoipa::ToSchema)]
+#[allow(dead_code, reason = "describes the form in the OpenAPI document")]
+pub struct UploadForm {
+    /// JPEG, PNG or WebP; recognised by its content.
+    #[schema(value_type = String, format = Binary)]
+    photo: Vec<u8>,
+    /// Depth map, grey PNG of 8 or 16 bits; replaces the estimated depth.
+    #[schema(value_type = Option<String>, format = Binary)]
+    depth: Option<Vec<u8>>,
+    /// How the depth map is meant: `disparity` or `metric`.
+    depth_kind: Option<String>,
+    /// Horizontal field of view in degrees.
+    fov_x: Option<f64>,
+    /// Planes a tile: `auto` or a number.
+    planes: Option<String>,
+    /// `linear`, `lloyd`, `optimal` or `slanted`.
+    plane_method: Option<String>,
+    /// Tile size in pixels, or `full`.
+    tile: Option<String>,
+    /// `auto` or `off`.
+    snap: Option<String>,
+    /// `auto` or `off`.
+    refine: Option<String>,
+    /// `auto`, `classic` or `off`.
+    denoise: Option<String>,
+    /// Longest side in pixels; larger photos are reduced.
+    max_size: Option<u32>,
+    /// Picture quality, 1 to 100.
+    quality: Option<u8>,
+    /// Parallax error that planes may leave, in pixels.
+    max_error: Option<f64>,
+    /// Half extents of the view box, `X,Y,Z`.
+    view_box: Option<String>,
+}
+
+/// Upload a photo.
+///
+/// Multipart form, or the raw bytes of a picture with the options of the form as query parameters (names with `-` or `_`).
+/// Once this answers, the photo is on disk and is made even if the server is restarted. Photo, depth map and options give
+/// the id: the same upload again is the same photo and costs nothing; if it had failed, it is tried again.
+#[utoipa::path(
+    post, path = "/v1/photos", tag = "photos",
+    params(
+        ("Prefer" = Option<String>, Header, description = "`wait=SECONDS`: answer once the photo is done, or after that time"),
+        ("planes" = Option<String>, Query, description = "As in the form; so are all other options"),
+    ),
+    request_body(description = "The photo", content(
+        (UploadForm = "multipart/form-data"),
+        (String = "image/jpeg"),
+        (String = "image/png"),
+        (String = "image/webp"),
+        (String = "application/octet-stream"),
+    )),
+    responses(
+        (status = 201, description = "Done in the time that `Prefer: wait` gave", body = PhotoState,
+            headers(("Location" = String, description = "Address of the photo"), ("Preference-Applied" = String, description = "`wait=SECONDS`"))),
+        (status = 202, description = "Accepted: it is on disk and waits, or is being made, or was done before", body = PhotoState,
+            headers(("Location" = String, description = "Address of the photo"))),
+        (status = 400, description = "A field or an option is wrong; `field` names it", body = Problem, content_type = "application/problem+json"),
+        (status = 408, description = "The body came too slowly", body = Problem, content_type = "application/problem+json"),
+        (status = 413, description = "Body or photo is too large", body = Problem, content_type = "application/problem+json"),
+        (status = 415, description = "Not a JPEG, PNG or WebP picture", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "The picture is damaged", body = Problem, content_type = "application/problem+json"),
+        (status = 429, description = "Too many photos wait; `Retry-After` says when to come back", body = Problem, content_type = "application/problem+json"),
+        (status = 503, description = "The server is stopping", body = Problem, content_type = "application/problem+json"),
+        (status = 507, description = "The disk is full", body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub async fn upload(State(app): State<App>, request: Request) -> Result<Response, Problem> {
+    let start = tokio::time::Instant::now();
+    let wait = prefer_wait(request.headers());
+    let query = query(request.uri().query())?;
+    let entry = upload::take(&app, query, request).await?.entry;
+    let mut ready = false;
+    if let Some(seconds) = wait {
+        let until = (start + app.limits.request.saturating_sub(ANSWER)).min(start + Duration::from_secs(seconds));
+        ready = wait_for(&app, &entry, until).await;
+    }
+    if let (true, Status::Failed(failed)) = (ready, entry.status()) {
+        let mut response = failed.problem.into_response();
+        insert(&mut response, header::LOCATION, &format!("/v1/photos/{}", entry.id));
+        return Ok(response);
+    }
+    let state = PhotoState::of(&app.jobs, &entry).ok_or_else(|| Problem::not_found("the photo was deleted meanwhile"))?;
+    let status = if ready { StatusCode::CREATED } else { StatusCode::ACCEPTED };
+    let location = state.links.this.clone();
+    let mut response = (status, Json(state)).into_response();
+    insert(&mut response, header::LOCATION, &location);
+    if let Some(seconds) = wait {
+        insert(&mut response, HeaderName::from_static("preference-applied"), &format!("wait={seconds}"));
+    }
+    Ok(response)
+}
+
+/// Waits until nothing follows, `until`, or the server stops; true where nothing follows.
+async fn wait_for(app: &App, entry: &Arc<Entry>, until: tokio::time::Instant) -> bool {
+    let mut watch = entry.watch();
+    tokio::select! {
+        seen = watch.wait_for(|live| live.status.is_final()) => seen.is_ok(),
+        () = tokio::time::sleep_until(until) => false,
+        () = app.stop.cancelled() => false,
+    }
+}
+
+/// Seconds of `Prefer: wait=SECONDS` (RFC 7240).
+fn prefer_wait(headers: &HeaderMap) -> Option<u64> {
+    let mut all = headers.get_all("prefer").iter().filter_map(|v| v.to_str().ok()).flat_map(|v| v.split(','));
+    all.find_map(|preference| {
+        let (name, value) = preference.split(';').next()?.split_once('=')?;
+        let value = value.trim().trim_matches('"');
+        name.trim().eq_ignore_ascii_case("wait").then(|| value.parse().ok()).flatten()
+    })
+}
+
+/// The parameters of a query in their order.
+fn query(text: Option<&str>) -> Result<Vec<(String, String)>, Problem> {
+    let uri = format!("/?{}", text.unwrap_or_default()).parse().map_err(|_| Problem::bad_request("the query cannot be read"))?;
+    Query::try_from_uri(&uri).map(|Query(pairs)| pairs).map_err(|e| Problem::bad_request(e.body_text()))
+}
+
+/// Parameters of the list.
+#[derive(Debug, Default, serde::Deserialize, utoipa::IntoParams)]
+#[into_params(parameter_in = Query)]
+#[allow(dead_code, reason = "describes the parameters in the OpenAPI document; they are read one by one so that errors name them")]
+pub struct ListQuery {
+    /// Photos on this page, at most 200; 50 if it is not given.
+    #[param(minimum = 1, maximum = 200)]
+    limit: Option<usize>,
+    /// Id of the last photo of the page before.
+    after: Option<String>,
+}
+
+/// List photos, newest first.
+#[utoipa::path(
+    get, path = "/v1/photos", tag = "photos", params(ListQuery),
+    responses(
+        (status = 200, description = "A page of the list", body = PhotoList),
+        (status = 400, description = "A parameter is wrong", body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub async fn list(State(app): State<App>, request: Request) -> Result<Json<PhotoList>, Problem> {
+    let (mut limit, mut after) = (DEFAULT_PAGE.min(app.limits.page), None);
+    for (name, value) in query(request.uri().query())? {
+        match name.as_str() {
+            "limit" => {
+                let most = app.limits.page;
+                let n = value.parse().ok().filter(|n| (1..=most).contains(n));
+                limit = n.ok_or_else(|| Problem::parameter("limit", format!("must be from 1 to {most}, not {value:?}")))?;
+            }
+            "after" => {
+                let known = cursor(&app, &value);
+                after = Some(known.ok_or_else(|| Problem::parameter("after", format!("there is no photo {value:?}")))?);
+            }
+            _ => return Err(Problem::parameter(name, "there is no such parameter; there are limit, after")),
+        }
+    }
+    let page = app.jobs.list(after, limit);
+    // the next page is found by age as well, so that it is found even if the last photo of this one is deleted
+    let last = page.photos.last().filter(|_| page.more).map(|e| e.key());
+    let next = last.map(|(at_ms, id)| format!("/v1/photos?limit={limit}&after={at_ms}-{id}"));
+    let photos = page.photos.iter().filter_map(|entry| PhotoState::of(&app.jobs, entry)).collect();
+    Ok(Json(PhotoList { photos, next }))
+}
+
+fn cursor(app: &App, text: &str) -> Option<(u64, PhotoId)> {
+    if let Some((at_ms, id)) = text.split_once('-') {
+        return Some((at_ms.parse().ok()?, id.parse().ok()?));
+    }
+    app.jobs.get(text.parse().ok()?).map(|entry| entry.key())
+}
+
+/// State and sizes of a photo.
+#[utoipa::path(
+    get, path = "/v1/photos/{id}", tag = "photos", params(("id" = String, Path, description = "Id of the photo")),
+    responses(
+        (status = 200, description = "State and sizes", body = PhotoState),
+        (status = 404, description = "There is no such photo", body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub async fn state(State(app): State<App>, Path(id): Path<String>) -> Result<Json<PhotoState>, Problem> {
+    let entry = app.photo(&id)?;
+    PhotoState::of(&app.jobs, &entry).map(Json).ok_or_else(|| Problem::not_found("the photo was deleted"))
+}
+
+/// Delete a photo and everything that was made of it.
+///
+/// A job under way is stopped.
+#[utoipa::path(
+    delete, path = "/v1/photos/{id}", tag = "photos", params(("id" = String, Path, description = "Id of the photo")),
+    responses(
+        (status = 204, description = "Gone"),
+        (status = 404, description = "There is no such photo", body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub async fn delete(State(app): State<App>, Path(id): Path<String>) -> Result<StatusCode, Problem> {
+    let photo = app.photo(&id)?.id;
+    let shared = Arc::clone(&app);
+    let deleted = tokio::task::spawn_blocking(move || shared.jobs.delete(photo));
+    let deleted = deleted.await.map_err(|e| Problem::internal("deleting a photo", &e))??;
+    app.scenes.retain(|(of, _)| *of != photo);
+    app.files.retain(|((of, _), _)| *of != photo);
+    if deleted { Ok(StatusCode::NO_CONTENT) } else { Err(Problem::not_found("the photo was deleted already")) }
+}
+
+#[cfg(test)]
+mod tests {
+    use axum::http::HeaderValue;
+
+    use super::*;
+
+    #[test]
+    fn preferences_as_in_the_standard() {
+        let with =
+            |text: &str| prefer_wait(&[(HeaderName::from_static("prefer"), HeaderValue::from_str(text).unwrap())].into_iter().collect());
+        assert_eq!(with("wait=10"), Some(10));
+        assert_eq!(with("respond-async, wait=\"10\"; foo=bar"), Some(10));
+        assert_eq!(with("WAIT = 3"), Some(3));
+        for none in ["wait", "wait=-1", "wait=soon", "await=3", ""] {
+            assert_eq!(with(none), None, "{none}");
+        }
+    }
+}

@@ -1,0 +1,93 @@
+//! What was made of a photo: container, depth, report, thumbnail.
+
+use axum::extract::{Path, State};
+use axum::http::HeaderMap;
+use axum::response::Response;
+
+use crate::atlas::MEDIA_TYPE;
+use crate::server::app::{App, Shared};
+use crate::server::conditional::{Entity, IMMUTABLE, respond};
+use crate::server::id::hex;
+use crate::server::problem::Problem;
+use crate::server::store::Part;
+use sha2::{Digest, Sha256};
+
+/// The container of a photo.
+///
+/// Sections can be fetched one by one with `Range`; the entity tag is strong and the bytes never change.
+#[utoipa::path(
+    get, path = "/v1/photos/{id}/atlas", tag = "photos",
+    params(
+        ("id" = String, Path, description = "Id of the photo"),
+        ("Range" = Option<String>, Header, description = "One range of bytes"),
+        ("If-Range" = Option<String>, Header, description = "Entity tag that the range is meant for"),
+        ("If-None-Match" = Option<String>, Header, description = "Entity tags that the client has"),
+    ),
+    responses(
+        (status = 200, description = "The container", body = String, content_type = "application/vnd.tmpi",
+            headers(("ETag" = String, description = "Strong entity tag"))),
+        (status = 206, description = "The range", body = String, content_type = "application/vnd.tmpi",
+            headers(("Content-Range" = String, description = "Which bytes of how many"))),
+        (status = 304, description = "The client has it"),
+        (status = 404, description = "There is no such photo", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "Not finished yet", body = Problem, content_type = "application/problem+json"),
+        (status = 416, description = "There are no such bytes", body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub async fn atlas(State(app): State<App>, Path(id): Path<String>, headers: HeaderMap) -> Result<Response, Problem> {
+    let entry = app.photo(&id)?;
+    let (version, done) = Shared::done(&entry)?;
+    let bytes = app.file(version, Part::Atlas).await?;
+    let etag = format!("\"{}\"", done.atlas_hash);
+    Ok(respond(&headers, Entity { bytes, etag: &etag, content_type: MEDIA_TYPE, cache_control: IMMUTABLE }))
+}
+
+/// The disparity that the photo was made with.
+#[utoipa::path(
+    get, path = "/v1/photos/{id}/depth", tag = "photos", params(("id" = String, Path, description = "Id of the photo")),
+    responses(
+        (status = 200, description = "Grey PNG of 16 bits, δ = v / 65535, larger is nearer", body = String, content_type = "image/png"),
+        (status = 304, description = "The client has it"),
+        (status = 404, description = "There is no such photo", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "Not finished yet", body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub async fn depth(State(app): State<App>, Path(id): Path<String>, headers: HeaderMap) -> Result<Response, Problem> {
+    small(&app, &id, &headers, Part::Disparity, "image/png").await
+}
+
+/// What was done, what was left out, and at what error and cost.
+#[utoipa::path(
+    get, path = "/v1/photos/{id}/report", tag = "photos", params(("id" = String, Path, description = "Id of the photo")),
+    responses(
+        (status = 200, description = "The report", body = crate::generate::Report),
+        (status = 304, description = "The client has it"),
+        (status = 404, description = "There is no such photo", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "Not finished yet", body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub async fn report(State(app): State<App>, Path(id): Path<String>, headers: HeaderMap) -> Result<Response, Problem> {
+    small(&app, &id, &headers, Part::Report, "application/json").await
+}
+
+/// A small picture of the photo.
+#[utoipa::path(
+    get, path = "/v1/photos/{id}/thumbnail", tag = "photos", params(("id" = String, Path, description = "Id of the photo")),
+    responses(
+        (status = 200, description = "JPEG of at most 320 pixels a side", body = String, content_type = "image/jpeg"),
+        (status = 304, description = "The client has it"),
+        (status = 404, description = "There is no such photo", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "Not finished yet", body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub async fn thumbnail(State(app): State<App>, Path(id): Path<String>, headers: HeaderMap) -> Result<Response, Problem> {
+    small(&app, &id, &headers, Part::Thumbnail, "image/jpeg").await
+}
+
+async fn small(app: &App, id: &str, headers: &HeaderMap, part: Part, content_type: &str) -> Result<Response, Problem> {
+    let entry = app.photo(id)?;
+    let (version, _) = Shared::done(&entry)?;
+    let bytes = app.file(version, part).await?;
+    let etag = format!("\"{}\"", hex(&Sha256::digest(&bytes)[..16]));
+    Ok(respond(headers, Entity { bytes, etag: &etag, content_type, cache_control: IMMUTABLE }))
+}

@@ -1,0 +1,179 @@
+//! A photo's state as clients read it.
+
+use std::collections::BTreeMap;
+
+use serde::Serialize;
+
+use crate::server::entry::{Entry, Live, Status};
+use crate::server::jobs::Jobs;
+use crate::server::problem::Problem;
+use crate::server::time::rfc3339;
+
+/// How a photo fares.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, utoipa::ToSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum StateName {
+    /// Waits for a worker.
+    Queued,
+    /// Is being made.
+    Working,
+    /// Finished: atlas, views, depth, report and thumbnail are there.
+    Done,
+    /// Could not be made; `problem` says why. Another upload of the same photo tries again.
+    Failed,
+}
+
+/// Stage that a photo is at.
+#[derive(Clone, Debug, PartialEq, Serialize, utoipa::ToSchema)]
+pub struct Progress {
+    /// Name of the stage: `photo`, `depth`, `planes`, and so on.
+    pub stage: String,
+    /// Number of the stage, from 1.
+    pub step: u32,
+    /// Count of the stages that this photo goes through.
+    pub steps: u32,
+    /// Milliseconds since the job's start.
+    pub elapsed_ms: f64,
+}
+
+impl From<&crate::progress::Progress> for Progress {
+    fn from(p: &crate::progress::Progress) -> Self {
+        Self { stage: p.stage.to_owned(), step: p.step, steps: p.steps, elapsed_ms: p.elapsed_ms }
+    }
+}
+
+/// Addresses of everything that belongs to a photo; those of results answer once it is done.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, utoipa::ToSchema)]
+pub struct Links {
+    /// This state.
+    #[serde(rename = "self")]
+    pub this: String,
+    /// Progress as server-sent events.
+    pub events: String,
+    /// The container.
+    pub atlas: String,
+    /// Rendered views.
+    pub view: String,
+    /// Disparity as used.
+    pub depth: String,
+    /// What was done, left out, and at what error and cost.
+    pub report: String,
+    /// Small picture.
+    pub thumbnail: String,
+    /// Page with the viewer.
+    pub page: String,
+}
+
+/// State and sizes of a photo.
+#[derive(Clone, Debug, PartialEq, Serialize, utoipa::ToSchema)]
+pub struct PhotoState {
+    /// Id: 32 hex digits, a hash of photo, depth map and options.
+    #[schema(example = "0123456789abcdef0123456789abcdef")]
+    pub id: String,
+    /// How it fares.
+    pub state: StateName,
+    /// When it was accepted (RFC 3339, UTC).
+    #[schema(format = DateTime)]
+    pub created: String,
+    /// When it was done or failed.
+    #[schema(format = DateTime)]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub finished: Option<String>,
+    /// Photos that are made before this one; only while it waits.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub position: Option<usize>,
+    /// Stage that it is at; only while it is being made.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub progress: Option<Progress>,
+    /// Why it could not be made; only if it failed.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub problem: Option<Problem>,
+    /// Size of the uploaded photo in bytes.
+    pub photo_bytes: u64,
+    /// Size of the uploaded depth map in bytes.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub depth_bytes: Option<u64>,
+    /// Size of the container in bytes; once done.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub atlas_bytes: Option<u64>,
+    /// Width of the scene in pixels; once done.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub width: Option<u32>,
+    /// Height of the scene in pixels; once done.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub height: Option<u32>,
+    /// Options that it is made with, all of them.
+    pub options: BTreeMap<String, String>,
+    /// Addresses.
+    pub links: Links,
+}
+
+/// A page of the list of photos.
+#[derive(Clone, Debug, PartialEq, Serialize, utoipa::ToSchema)]
+pub struct PhotoList {
+    /// Newest first.
+    pub photos: Vec<PhotoState>,
+    /// Address of the next page; missing on the last one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub next: Option<String>,
+}
+
+impl PhotoState {
+    /// The state of `entry` now; none where it was deleted.
+    #[must_use]
+    pub fn of(jobs: &Jobs, entry: &Entry) -> Option<Self> {
+        Self::from_live(jobs, entry, entry.live())
+    }
+
+    /// The state of `entry` as in `live`.
+    #[must_use]
+    pub fn from_live(jobs: &Jobs, entry: &Entry, live: Live) -> Option<Self> {
+        let accepted = &entry.accepted;
+        let at = |part: &str| format!("/v1/photos/{}{part}", entry.id);
+        let mut state = Self {
+            id: entry.id.to_string(),
+            state: StateName::Queued,
+            created: rfc3339(accepted.at_ms),
+            finished: None,
+            position: None,
+            progress: None,
+            problem: None,
+            photo_bytes: accepted.photo_bytes,
+            depth_bytes: accepted.depth_bytes,
+            atlas_bytes: None,
+            width: None,
+            height: None,
+            options: accepted.options.clone(),
+            links: Links {
+                this: at(""),
+                events: at("/events"),
+                atlas: at("/atlas"),
+                view: at("/view"),
+                depth: at("/depth"),
+                report: at("/report"),
+                thumbnail: at("/thumbnail"),
+                page: format!("/view/{}", entry.id),
+            },
+        };
+        match live.status {
+            Status::Queued => state.position = jobs.position(entry.id),
+            Status::Working => {
+                state.state = StateName::Working;
+                state.progress = live.stages.last().map(Progress::from);
+            }
+            Status::Done(done) => {
+                state.state = StateName::Done;
+                state.finished = Some(rfc3339(done.at_ms));
+                state.atlas_bytes = Some(done.atlas_bytes);
+                (state.width, state.height) = (Some(done.width), Some(done.height));
+            }
+            Status::Failed(failed) => {
+                state.state = StateName::Failed;
+                state.finished = Some(rfc3339(failed.at_ms));
+                state.problem = Some(failed.problem);
+            }
+            Status::Deleted => return None,
+        }
+        Some(state)
+    }
+}

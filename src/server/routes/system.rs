@@ -1,0 +1,86 @@
+//! Health, metrics, and the `OpenAPI` document.
+
+use std::sync::Arc;
+
+use axum::Json;
+use axum::extract::State;
+use axum::http::{HeaderMap, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use serde::Serialize;
+use sha2::{Digest, Sha256};
+
+use crate::server::app::App;
+use crate::server::conditional::{Entity, REVALIDATE, respond};
+use crate::server::id::hex;
+use crate::server::problem::Problem;
+
+/// Health of the server.
+#[derive(Serialize, utoipa::ToSchema)]
+pub struct Health {
+    /// `ok`.
+    status: &'static str,
+    /// Version of the program.
+    version: &'static str,
+}
+
+const HEALTHY: Health = Health { status: "ok", version: env!("CARGO_PKG_VERSION") };
+
+/// The process is alive.
+#[utoipa::path(get, path = "/healthz", tag = "system", responses((status = 200, description = "Alive", body = Health)))]
+pub async fn healthz() -> Json<Health> {
+    Json(HEALTHY)
+}
+
+/// The server takes uploads: it is not stopping, the queue has room, the data directory can be written.
+#[utoipa::path(
+    get, path = "/readyz", tag = "system",
+    responses(
+        (status = 200, description = "Ready", body = Health),
+        (status = 503, description = "Not ready; `detail` says why", body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub async fn readyz(State(app): State<App>) -> Result<Json<Health>, Problem> {
+    let shared = Arc::clone(&app);
+    let writable = tokio::task::spawn_blocking(move || shared.jobs.store.writable()).await.unwrap_or(false);
+    let why = if app.stop.is_cancelled() || !app.jobs.is_accepting() {
+        "the server is stopping"
+    } else if app.jobs.counts().queued >= app.limits.queue {
+        "the queue is full"
+    } else if !writable {
+        "the data directory cannot be written"
+    } else {
+        return Ok(Json(HEALTHY));
+    };
+    Err(Problem::new(StatusCode::SERVICE_UNAVAILABLE, "not-ready", why).retry_after(1))
+}
+
+/// Counters and durations for Prometheus.
+#[utoipa::path(
+    get, path = "/metrics", tag = "system",
+    responses((status = 200, description = "Prometheus text format 0.0.4", body = String, content_type = "text/plain"))
+)]
+pub async fn metrics(State(app): State<App>) -> Response {
+    let counts = app.jobs.counts();
+    let text = app.telemetry.text(&[
+        ("tmpi_queue_depth", "Photos that wait.", counts.queued as f64),
+        ("tmpi_queue_limit", "Photos that may wait.", app.limits.queue as f64),
+        ("tmpi_jobs_running", "Photos that are being made.", counts.working as f64),
+        ("tmpi_photos_done", "Finished photos.", counts.done as f64),
+        ("tmpi_photos_failed", "Photos that could not be made.", counts.failed as f64),
+        ("tmpi_scene_cache_bytes", "Memory of decoded scenes.", app.scenes.bytes() as f64),
+        ("tmpi_file_cache_bytes", "Memory of cached files.", app.files.bytes() as f64),
+        ("tmpi_views_waiting", "Views that wait to be drawn.", app.pool.waiting() as f64),
+        ("tmpi_peak_rss_bytes", "Peak resident memory of the process.", crate::clock::peak_rss_bytes() as f64),
+    ]);
+    ([(header::CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")], text).into_response()
+}
+
+/// This document.
+#[utoipa::path(
+    get, path = "/openapi.json", tag = "system",
+    responses((status = 200, description = "OpenAPI document", body = Object))
+)]
+pub async fn openapi(State(app): State<App>, headers: HeaderMap) -> Response {
+    let etag = format!("\"{}\"", hex(&Sha256::digest(&app.openapi)[..16]));
+    respond(&headers, Entity { bytes: app.openapi.clone(), etag: &etag, content_type: "application/json", cache_control: REVALIDATE })
+}

@@ -1,0 +1,109 @@
+//! Progress as server-sent events.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use serde_json::Value;
+use tmpi::server::Limits;
+
+use crate::client::{Connection, get, request};
+use crate::fixture::{Gate, Running, jpeg, way};
+
+/// An open event stream.
+struct Events {
+    connection: Connection,
+    buffer: String,
+}
+
+impl Events {
+    fn open(server: &Running, id: &str) -> Self {
+        let mut connection = Connection::open(server.addr);
+        connection.send("GET", &format!("/v1/photos/{id}/events"), &[], &[]);
+        let head = connection.head().unwrap();
+        assert_eq!((head.status, head.header("content-type")), (200, Some("text/event-stream")));
+        Self { connection, buffer: String::new() }
+    }
+
+    /// The next block: an event with its data, or a comment with none.
+    fn next(&mut self) -> Option<(String, Value)> {
+        while !self.buffer.contains("\n\n") {
+            self.buffer += &String::from_utf8(self.connection.chunk()?).unwrap();
+        }
+        let (block, rest) = self.buffer.split_once("\n\n").unwrap();
+        let line = |name: &str| block.lines().find_map(|l| l.strip_prefix(name)).map(|l| l.trim().to_owned());
+        let event = (line("event:").unwrap_or_default(), line("data:").map_or(Value::Null, |d| serde_json::from_str(&d).unwrap()));
+        self.buffer = rest.to_owned();
+        Some(event)
+    }
+}
+
+#[test]
+fn queued_stages_done_and_the_end() {
+    let dir = tempfile::tempdir().unwrap();
+    let gate = Gate::new(0);
+    let server = Running::start(dir.path(), Limits::default(), gate.clone());
+    let _busy = server.upload(&jpeg(1));
+    gate.wait_started(1);
+    let id = server.upload(&jpeg(2));
+    let mut events = Events::open(&server, &id);
+    assert_eq!(events.next().unwrap(), ("queued".into(), serde_json::json!({"position": 0})));
+    gate.open(2);
+    let mut seen = Vec::new();
+    while let Some((name, data)) = events.next() {
+        seen.push((name, data));
+    }
+    let (last, stages) = seen.split_last().unwrap();
+    assert_eq!((last.0.as_str(), last.1["state"].as_str(), last.1["id"].as_str()), ("done", Some("done"), Some(id.as_str())));
+    assert!(stages.len() >= 8, "every stage is told: {stages:?}");
+    assert!(stages.iter().all(|(name, _)| name == "stage"));
+    // the gate tells a stage of its own before the way does
+    let steps: Vec<u64> = stages[1..].iter().map(|(_, s)| s["step"].as_u64().unwrap()).collect();
+    assert!(steps.is_sorted() && stages.iter().all(|(_, s)| s["step"].as_u64() <= s["steps"].as_u64()), "{steps:?}");
+
+    let mut late = Events::open(&server, &id);
+    assert_eq!(late.next().unwrap().0, "done");
+    assert_eq!(late.next(), None, "the stream ends");
+}
+
+#[test]
+fn late_listeners_hear_the_last_stage_first() {
+    let dir = tempfile::tempdir().unwrap();
+    let gate = Gate::new(0);
+    let server = Running::start(dir.path(), Limits::default(), gate.clone());
+    let id = server.upload(&jpeg(1));
+    gate.wait_started(1);
+    server.wait(&id, "working");
+    let mut events = Events::open(&server, &id);
+    let (name, stage) = events.next().unwrap();
+    assert_eq!((name.as_str(), stage["stage"].as_str()), ("stage", Some("photo")));
+    assert_eq!(server.state(&id)["progress"]["stage"], "photo");
+    assert_eq!(request(server.addr, "DELETE", &format!("/v1/photos/{id}"), &[], &[]).status, 204);
+    assert_eq!(events.next().unwrap().0, "deleted");
+    assert_eq!(events.next(), None);
+}
+
+#[test]
+fn failures_and_unknown_photos() {
+    let dir = tempfile::tempdir().unwrap();
+    let server = Running::start(dir.path(), Limits::default(), Arc::new(way()));
+    let failed = crate::client::post_form(server.addr, &[], &[("photo", &jpeg(1)), ("depth", b"no map")]).json();
+    let mut events = Events::open(&server, failed["id"].as_str().unwrap());
+    let last = std::iter::from_fn(|| events.next()).last().unwrap();
+    assert_eq!((last.0.as_str(), last.1["status"].as_u64()), ("failed", Some(422)));
+    get(server.addr, "/v1/photos/00000000000000000000000000000000/events").problem(404);
+}
+
+#[test]
+fn silence_is_filled_and_a_stop_ends_the_stream() {
+    let dir = tempfile::tempdir().unwrap();
+    let limits = Limits { keep_alive: Duration::from_millis(30), drain: Duration::from_millis(500), ..Limits::default() };
+    let mut server = Running::start(dir.path(), limits, Gate::new(0));
+    let _busy = server.upload(&jpeg(1));
+    let id = server.upload(&jpeg(2));
+    let mut events = Events::open(&server, &id);
+    assert_eq!(events.next().unwrap().0, "queued");
+    assert_eq!(events.next().unwrap(), (String::new(), Value::Null), "a comment");
+    server.signal();
+    assert!(std::iter::from_fn(|| events.next()).all(|(name, _)| name.is_empty()));
+    server.stop();
+}

@@ -1,0 +1,207 @@
+//! A server on a free port, small photos, and makers that stop where a test wants them to.
+
+use std::net::SocketAddr;
+use std::path::Path;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Condvar, Mutex};
+use std::time::{Duration, Instant};
+
+use serde_json::Value;
+use tmpi::depth::{DepthError, Estimator};
+use tmpi::progress::{Progress, Sink};
+use tmpi::render::{self, Backend, PictureFormat, View, encode};
+use tmpi::server::{Config, Limits, Maker, Product, Server, WayMaker};
+use tmpi::tmpi::{DisparityMap, Photo};
+use tmpi::way::{MakeError, Models, Options};
+
+use crate::client;
+
+/// Nearer towards the bottom, as most photos are.
+struct Ramp;
+
+impl Estimator for Ramp {
+    fn name(&self) -> &'static str {
+        "ramp"
+    }
+
+    fn estimate(&self, photo: &Photo) -> Result<DisparityMap, DepthError> {
+        let (width, height) = (photo.width, photo.height);
+        let delta = (0..height).flat_map(|y| (0..width).map(move |_| (y + 1) as f32 / height as f32)).collect();
+        Ok(DisparityMap { width, height, delta })
+    }
+}
+
+/// The real way, with a ramp for a depth network.
+pub fn way() -> WayMaker {
+    way_with(&Limits::default())
+}
+
+/// The same under other limits.
+pub fn way_with(limits: &Limits) -> WayMaker {
+    WayMaker::new(Models { depth: Arc::new(Ramp), theta: None, psi: None }, limits)
+}
+
+/// The real way behind a gate.
+pub struct Gate {
+    inner: WayMaker,
+    open: Mutex<usize>,
+    changed: Condvar,
+    pub started: AtomicUsize,
+    pub finished: AtomicUsize,
+}
+
+impl Gate {
+    /// Lets `n` photos through.
+    pub fn new(n: usize) -> Arc<Self> {
+        Arc::new(Self {
+            inner: way(),
+            open: Mutex::new(n),
+            changed: Condvar::new(),
+            started: AtomicUsize::new(0),
+            finished: AtomicUsize::new(0),
+        })
+    }
+
+    /// Lets `n` more through.
+    pub fn open(&self, n: usize) {
+        *self.open.lock().unwrap() += n;
+        self.changed.notify_all();
+    }
+
+    pub fn wait_started(&self, n: usize) {
+        wait_until("a job starts", || self.started.load(Ordering::SeqCst) >= n);
+    }
+}
+
+impl Maker for Gate {
+    fn check(&self, photo: &[u8], options: &Options) -> Result<(), MakeError> {
+        self.inner.check(photo, options)
+    }
+
+    fn make(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options, sink: &dyn Sink) -> Result<Product, MakeError> {
+        self.started.fetch_add(1, Ordering::SeqCst);
+        sink.progress(&Progress { stage: "photo", step: 1, steps: 9, elapsed_ms: 0.0 });
+        let mut open = self.open.lock().unwrap();
+        while *open == 0 {
+            if sink.cancelled() {
+                return Err(MakeError::Cancelled);
+            }
+            open = self.changed.wait_timeout(open, Duration::from_millis(5)).unwrap().0;
+        }
+        *open -= 1;
+        drop(open);
+        let product = self.inner.make(photo, depth, options, sink)?;
+        self.finished.fetch_add(1, Ordering::SeqCst);
+        Ok(product)
+    }
+}
+
+/// A maker made of a closure.
+pub struct Does<F>(pub F);
+
+impl<F> Maker for Does<F>
+where
+    F: Fn(&[u8], &dyn Sink) -> Result<Product, MakeError> + Send + Sync + 'static,
+{
+    fn check(&self, _: &[u8], _: &Options) -> Result<(), MakeError> {
+        Ok(())
+    }
+
+    fn make(&self, photo: &[u8], _: Option<&[u8]>, _: &Options, sink: &dyn Sink) -> Result<Product, MakeError> {
+        (self.0)(photo, sink)
+    }
+}
+
+/// A running server.
+pub struct Running {
+    pub addr: SocketAddr,
+    stop: Option<tokio::sync::oneshot::Sender<()>>,
+    thread: Option<std::thread::JoinHandle<()>>,
+}
+
+impl Running {
+    pub fn start(data: &Path, limits: Limits, maker: Arc<dyn Maker>) -> Self {
+        let (stop, stopped) = tokio::sync::oneshot::channel();
+        let (tell, told) = std::sync::mpsc::channel();
+        let config = Config { addr: ([127, 0, 0, 1], 0).into(), data: data.to_owned(), pages: None, limits };
+        let thread = std::thread::spawn(move || {
+            let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build().unwrap();
+            runtime.block_on(async {
+                let server = Server::bind(config, maker, render::select(Backend::Cpu).unwrap()).await.unwrap();
+                tell.send(server.addr()).unwrap();
+                server.run(async { drop(stopped.await) }).await;
+            });
+        });
+        Self { addr: told.recv().expect("the server starts"), stop: Some(stop), thread: Some(thread) }
+    }
+
+    /// Asks it to stop.
+    pub fn signal(&mut self) {
+        self.stop.take();
+    }
+
+    /// Stops it and waits for its end.
+    pub fn stop(mut self) {
+        self.signal();
+        self.thread.take().unwrap().join().expect("the server ends without a panic");
+    }
+
+    /// Uploads a picture and gives its id.
+    pub fn upload(&self, photo: &[u8]) -> String {
+        let response = client::request(self.addr, "POST", "/v1/photos", &[], photo);
+        assert_eq!(response.status, 202, "{}", String::from_utf8_lossy(&response.body));
+        response.json()["id"].as_str().unwrap().to_owned()
+    }
+
+    pub fn state(&self, id: &str) -> Value {
+        client::get(self.addr, &format!("/v1/photos/{id}")).json()
+    }
+
+    /// Waits until a photo is in `state`.
+    pub fn wait(&self, id: &str, state: &str) -> Value {
+        let mut last = Value::Null;
+        wait_until(&format!("{id} is {state}"), || {
+            last = self.state(id);
+            last["state"] == state
+        });
+        last
+    }
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        self.signal();
+    }
+}
+
+/// Fails after a minute.
+#[track_caller]
+pub fn wait_until(what: &str, mut true_now: impl FnMut() -> bool) {
+    let end = Instant::now() + Duration::from_secs(60);
+    while !true_now() {
+        assert!(Instant::now() < end, "a minute is over before {what}");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+}
+
+/// A small picture; another one for each seed.
+pub fn picture(seed: u8, format: PictureFormat) -> Vec<u8> {
+    let (width, height) = (80, 60);
+    let at = |x: u32, y: u32| {
+        let edge = if (x / 20 + y / 15).is_multiple_of(2) { 40 } else { 200 };
+        [edge, (x * 3) as u8, (y * 4) as u8 ^ seed, 255]
+    };
+    let rgba = (0..height).flat_map(|y| (0..width).map(move |x| at(x, y))).collect();
+    encode(&View { width, height, rgba }, format, 90).unwrap()
+}
+
+pub fn jpeg(seed: u8) -> Vec<u8> {
+    picture(seed, PictureFormat::Jpeg)
+}
+
+/// A depth map of two steps.
+pub fn depth_map() -> Vec<u8> {
+    let (width, height) = (80, 60);
+    let delta = (0..height).flat_map(|_| (0..width).map(|x| if x < 40 { 0.25 } else { 0.75 })).collect();
+    tmpi::depth::to_png(&DisparityMap { width, height, delta }).unwrap()
+}

@@ -1,0 +1,208 @@
+//! Every limit, at it and one over.
+
+use std::io::{Read, Write};
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant};
+
+use tmpi::photo;
+use tmpi::server::Limits;
+
+use crate::client::{Connection, get, post_form, request};
+use crate::fixture::{Gate, Running, jpeg, wait_until, way};
+
+fn start(limits: Limits, maker: Arc<dyn tmpi::server::Maker>) -> (tempfile::TempDir, Running) {
+    let dir = tempfile::tempdir().unwrap();
+    let server = Running::start(dir.path(), limits, maker);
+    (dir, server)
+}
+
+#[test]
+fn the_body_at_its_limit_and_one_byte_over() {
+    let photo = jpeg(1);
+    let (_dir, server) = start(Limits { body: photo.len(), ..Limits::default() }, Arc::new(way()));
+    assert_eq!(request(server.addr, "POST", "/v1/photos", &[], &photo).status, 202);
+    let mut over = photo.clone();
+    over.push(0);
+    assert!(request(server.addr, "POST", "/v1/photos", &[], &over).problem(413)["detail"].as_str().unwrap().contains("limit"));
+    post_form(server.addr, &[], &[("photo", &photo)]).problem(413);
+    // without a length the server has to count
+    let mut connection = Connection::open(server.addr);
+    let raw = connection.raw();
+    raw.write_all(b"POST /v1/photos HTTP/1.1\r\nhost: x\r\ntransfer-encoding: chunked\r\n\r\n").unwrap();
+    raw.write_all(format!("{:x}\r\n", over.len()).as_bytes()).unwrap();
+    raw.write_all(&over).unwrap();
+    raw.write_all(b"\r\n0\r\n\r\n").unwrap();
+    connection.receive("POST").unwrap().problem(413);
+}
+
+#[test]
+fn the_default_body_limit_is_told_before_the_body_is_read_to_its_end() {
+    let (_dir, server) = start(Limits::default(), Arc::new(way()));
+    let over = vec![0; Limits::BODY + 1];
+    request(server.addr, "POST", "/v1/photos", &[], &over).problem(413);
+    // at the limit it is read, and is no picture
+    request(server.addr, "POST", "/v1/photos", &[], &over[1..]).problem(415);
+}
+
+#[test]
+fn the_photo_at_its_limits_and_one_over() {
+    let (pixels, side) = (80 * 60, 80);
+    let with = |photo: photo::Limits| {
+        let models = || tmpi::server::Limits { photo, ..Limits::default() };
+        let maker = crate::fixture::way_with(&models());
+        start(models(), Arc::new(maker))
+    };
+    let (_a, at) = with(photo::Limits { pixels, side, ..photo::Limits::default() });
+    let id = at.upload(&jpeg(1));
+    at.wait(&id, "done");
+    for limits in [photo::Limits { pixels: pixels - 1, ..Default::default() }, photo::Limits { side: side - 1, ..Default::default() }] {
+        let (_b, over) = with(limits);
+        assert_eq!(request(over.addr, "POST", "/v1/photos", &[], &jpeg(1)).problem(413)["field"], "photo");
+    }
+}
+
+#[test]
+fn a_full_queue_is_429_and_known_photos_still_get_in() {
+    let gate = Gate::new(0);
+    let (dir, server) = start(Limits { queue: 2, ..Limits::default() }, gate.clone());
+    let running = server.upload(&jpeg(1));
+    gate.wait_started(1);
+    let waiting = [server.upload(&jpeg(2)), server.upload(&jpeg(3))];
+    get(server.addr, "/readyz").problem(503);
+    let refused = request(server.addr, "POST", "/v1/photos", &[], &jpeg(4));
+    let seconds: u64 = refused.header("retry-after").unwrap().parse().unwrap();
+    assert_eq!(refused.problem(429)["retry_after"], seconds);
+    assert!((1..=120).contains(&seconds));
+    assert_eq!(std::fs::read_dir(dir.path().join("incoming")).unwrap().count(), 0);
+    assert_eq!(server.upload(&jpeg(2)), waiting[0], "it is waiting already");
+    gate.open(9);
+    for id in waiting.iter().chain([&running]) {
+        server.wait(id, "done");
+    }
+    let id = server.upload(&jpeg(4));
+    server.wait(&id, "done");
+    assert_eq!(get(server.addr, "/readyz").status, 200);
+}
+
+#[test]
+fn a_header_that_does_not_come_closes_the_connection() {
+    let (_dir, server) = start(Limits { header_read: Duration::from_millis(300), ..Limits::default() }, Arc::new(way()));
+    let mut slow = Connection::open(server.addr);
+    let start = Instant::now();
+    slow.raw().write_all(b"GET /healthz HTTP/1.1\r\nhost:").unwrap();
+    let mut rest = Vec::new();
+    let _ = slow.raw().read_to_end(&mut rest);
+    let took = start.elapsed();
+    assert!(took >= Duration::from_millis(290) && took < Duration::from_secs(10), "{took:?}");
+    assert!(!rest.starts_with(b"HTTP/1.1 200"));
+    // a header in pieces within the time is fine
+    let mut fine = Connection::open(server.addr);
+    fine.raw().write_all(b"GET /healthz HTTP/1.1\r\n").unwrap();
+    std::thread::sleep(Duration::from_millis(100));
+    fine.raw().write_all(b"host: x\r\n\r\n").unwrap();
+    assert_eq!(fine.receive("GET").unwrap().status, 200);
+}
+
+#[test]
+fn a_header_that_is_too_large_is_refused() {
+    let (_dir, server) = start(Limits::default(), Arc::new(way()));
+    let send = |bytes: usize| request(server.addr, "GET", "/healthz", &[("x-long", &"a".repeat(bytes))], &[]).status;
+    assert_eq!(send(Limits::HEADER_BYTES - 1000), 200);
+    assert_eq!(send(Limits::HEADER_BYTES + 1), 431);
+}
+
+#[test]
+fn a_body_that_stops_is_408_and_leaves_nothing() {
+    let (dir, server) = start(Limits { body_read: Duration::from_millis(200), ..Limits::default() }, Arc::new(way()));
+    for content_type in ["image/jpeg", "multipart/form-data; boundary=x"] {
+        let mut stuck = Connection::open(server.addr);
+        let head = format!("POST /v1/photos HTTP/1.1\r\nhost: x\r\ncontent-type: {content_type}\r\ncontent-length: 1000\r\n\r\n--x\r\n");
+        stuck.raw().write_all(head.as_bytes()).unwrap();
+        stuck.receive("POST").unwrap().problem(408);
+    }
+    wait_until("nothing is left", || std::fs::read_dir(dir.path().join("incoming")).unwrap().count() == 0);
+}
+
+#[test]
+fn a_request_that_takes_too_long_is_ended() {
+    let limits = Limits { request: Duration::from_millis(600), ..Limits::default() };
+    let gate = Gate::new(0);
+    let (dir, server) = start(limits, gate.clone());
+    // a body that trickles never pauses for long, but does not end in time either
+    let mut drip = Connection::open(server.addr);
+    drip.raw().write_all(b"POST /v1/photos HTTP/1.1\r\nhost: x\r\ncontent-length: 1000\r\n\r\n").unwrap();
+    let start = Instant::now();
+    while start.elapsed() < Duration::from_millis(800) {
+        let _ = drip.raw().write_all(b"x");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    drip.receive("POST").unwrap().problem(408);
+    wait_until("nothing is left", || std::fs::read_dir(dir.path().join("incoming")).unwrap().count() == 0);
+    // waiting for a result ends in time to say so
+    let waited = request(server.addr, "POST", "/v1/photos", &[("prefer", "wait=60")], &jpeg(1));
+    assert_eq!(waited.status, 202);
+    gate.open(1);
+}
+
+#[test]
+fn connections_over_the_limit_wait_their_turn() {
+    let (_dir, server) = start(Limits { connections: 2, ..Limits::default() }, Arc::new(way()));
+    let (mut a, mut b) = (Connection::open(server.addr), Connection::open(server.addr));
+    assert_eq!((a.request("GET", "/healthz", &[], &[]).status, b.request("GET", "/healthz", &[], &[]).status), (200, 200));
+    let mut third = Connection::open(server.addr);
+    third.send("GET", "/healthz", &[], &[]);
+    third.raw().set_read_timeout(Some(Duration::from_millis(200))).unwrap();
+    assert!(third.head().is_err(), "not served while two are open");
+    drop(a);
+    third.raw().set_read_timeout(Some(Duration::from_secs(20))).unwrap();
+    assert_eq!(third.receive("GET").unwrap().status, 200);
+}
+
+#[test]
+fn a_refused_upload_of_which_the_client_sends_all_still_gets_its_answer() {
+    let (_dir, server) = start(Limits { body: 1 << 20, ..Limits::default() }, Arc::new(way()));
+    for _ in 0..5 {
+        let refused = request(server.addr, "POST", "/v1/photos", &[], &vec![7; (1 << 20) + 500_000]);
+        refused.problem(413);
+    }
+}
+
+#[test]
+fn a_job_under_way_ends_within_the_drain_time() {
+    let gate = Gate::new(0);
+    let dir = tempfile::tempdir().unwrap();
+    let mut server = Running::start(dir.path(), Limits::default(), gate.clone());
+    let id = server.upload(&jpeg(1));
+    let queued = server.upload(&jpeg(2));
+    gate.wait_started(1);
+    server.signal();
+    std::thread::sleep(Duration::from_millis(100));
+    assert!(std::net::TcpStream::connect(server.addr).is_err(), "no new connections");
+    gate.open(1);
+    server.stop();
+    assert_eq!((gate.finished.load(Ordering::SeqCst), gate.started.load(Ordering::SeqCst)), (1, 1), "the queued one waits");
+    let server = Running::start(dir.path(), Limits::default(), Gate::new(0));
+    assert_eq!(server.state(&id)["state"], "done");
+    assert_ne!(server.state(&queued)["state"], "done");
+}
+
+#[test]
+fn a_photo_that_takes_the_process_down_is_given_up() {
+    let dir = tempfile::tempdir().unwrap();
+    let limits = || Limits { attempts: 2, drain: Duration::from_millis(100), ..Limits::default() };
+    let gate = Gate::new(0);
+    let server = Running::start(dir.path(), limits(), gate.clone());
+    let id = server.upload(&jpeg(1));
+    gate.wait_started(1);
+    server.stop();
+    let state = dir.path().join("photos").join(&id).join("state.json");
+    // an orderly stop does not count
+    assert!(std::fs::read_to_string(&state).unwrap().contains("\"attempts\": 0"));
+    std::fs::write(&state, "{\"attempts\": 2}").unwrap();
+    let server = Running::start(dir.path(), limits(), Gate::new(9));
+    assert_eq!(server.wait(&id, "failed")["problem"]["type"], "urn:tmpi:problem:gave-up");
+    // the user may insist
+    server.upload(&jpeg(1));
+    server.wait(&id, "done");
+}

@@ -1,0 +1,10 @@
+//! The HTTP interface, end to end: real sockets, real disk, and where time allows the real way of a photo.
+
+mod client;
+mod fixture;
+
+mod events;
+mod limits;
+mod openapi;
+mod results;
+mod uploads;

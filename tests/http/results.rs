@@ -1,0 +1,212 @@
+//! What is made of a photo, as clients fetch it; pages, and what every answer carries.
+
+use std::sync::Arc;
+
+use tmpi::render::PictureFormat;
+use tmpi::server::Limits;
+
+use crate::client::{get, request};
+use crate::fixture::{Gate, Running, jpeg, picture, way};
+
+/// A server with one finished photo.
+fn with_photo() -> (tempfile::TempDir, Running, String) {
+    let dir = tempfile::tempdir().unwrap();
+    let server = Running::start(dir.path(), Limits::default(), Arc::new(way()));
+    let id = server.upload(&picture(1, PictureFormat::Png));
+    server.wait(&id, "done");
+    (dir, server, format!("/v1/photos/{id}"))
+}
+
+#[test]
+fn the_atlas_whole_in_parts_and_not_at_all() {
+    let (_dir, server, photo) = with_photo();
+    let path = format!("{photo}/atlas");
+    let fetch = |method: &str, headers: &[(&str, &str)]| request(server.addr, method, &path, headers, &[]);
+    let whole = fetch("GET", &[]);
+    assert_eq!(whole.status, 200);
+    assert_eq!(whole.header("content-type"), Some("application/vnd.tmpi"));
+    assert_eq!(whole.header("cache-control"), Some("public, max-age=31536000, immutable"));
+    assert_eq!(whole.header("accept-ranges"), Some("bytes"));
+    assert!(whole.body.starts_with(b"TMPI"));
+    assert!(tmpi::atlas::decode(&whole.body).is_ok());
+    let etag = whole.header("etag").unwrap().to_owned();
+    assert!(etag.starts_with('"') && etag.ends_with('"'), "strong: {etag}");
+    let length = whole.body.len();
+
+    let head = fetch("HEAD", &[]);
+    assert_eq!((head.status, head.header("content-length"), head.body.len()), (200, Some(length.to_string().as_str()), 0));
+    assert_eq!(head.header("etag"), Some(etag.as_str()));
+
+    for tag in [etag.as_str(), "*", &format!("W/{etag}"), &format!("\"other\", {etag}")] {
+        let same = fetch("GET", &[("if-none-match", tag)]);
+        assert_eq!((same.status, same.body.len(), same.header("etag")), (304, 0, Some(etag.as_str())), "{tag}");
+    }
+    assert_eq!(fetch("GET", &[("if-none-match", "\"other\"")]).status, 200);
+
+    let part = fetch("GET", &[("range", "bytes=4-11")]);
+    assert_eq!((part.status, part.body.as_slice()), (206, &whole.body[4..12]));
+    assert_eq!(part.header("content-range"), Some(format!("bytes 4-11/{length}").as_str()));
+    assert_eq!(fetch("GET", &[("range", "bytes=-5")]).body, whole.body[length - 5..]);
+    assert_eq!(fetch("GET", &[("range", "bytes=12-")]).body, whole.body[12..]);
+    let last = length - 1;
+    assert_eq!(fetch("GET", &[("range", &format!("bytes={last}-"))]).status, 206);
+    let beyond = fetch("GET", &[("range", &format!("bytes={length}-"))]);
+    beyond.problem(416);
+    assert_eq!(beyond.header("content-range"), Some(format!("bytes */{length}").as_str()));
+    assert_eq!(fetch("GET", &[("range", "bytes=0-1,3-4")]).status, 200);
+
+    assert_eq!(fetch("GET", &[("range", "bytes=0-1"), ("if-range", &etag)]).status, 206);
+    assert_eq!(fetch("GET", &[("range", "bytes=0-1"), ("if-range", "\"other\"")]).status, 200);
+}
+
+#[test]
+fn views_in_every_format_with_their_timing() {
+    let (_dir, server, photo) = with_photo();
+    let view = |query: &str, headers: &[(&str, &str)]| request(server.addr, "GET", &format!("{photo}/view?{query}"), headers, &[]);
+    let identity = view("", &[]);
+    assert_eq!((identity.status, identity.header("content-type")), (200, Some("image/png")));
+    let picture = image::load_from_memory(&identity.body).unwrap().to_rgb8();
+    let photo_pixels = image::load_from_memory(&crate::fixture::picture(1, PictureFormat::Png)).unwrap().to_rgb8();
+    assert_eq!(picture.dimensions(), (80, 60));
+    // the photo itself is carried as a lossy picture
+    let psnr = tmpi::quality::psnr(picture.as_raw(), photo_pixels.as_raw());
+    assert!(psnr > 30.0, "the view from the reference camera is the photo: {psnr} dB");
+    let timing = identity.all("server-timing");
+    for phase in ["decode;dur=", "render;dur=", "encode;dur=", "total;dur="] {
+        assert!(timing.contains(phase), "{phase} is missing in {timing}");
+    }
+    assert_eq!(view("", &[("if-none-match", identity.header("etag").unwrap())]).status, 304);
+
+    let moved = view("tx=0.03&ty=-0.02&tz=0.01&yaw=1&pitch=-1&roll=2&fov=60", &[]);
+    assert_eq!(moved.status, 200);
+    assert_ne!(moved.body, identity.body);
+    assert_ne!(moved.header("etag"), identity.header("etag"));
+
+    for (query, accept, media_type) in [
+        ("format=jpeg", "*/*", "image/jpeg"),
+        ("format=jpg", "*/*", "image/jpeg"),
+        ("format=webp", "image/png", "image/webp"),
+        ("w=40", "image/jpeg", "image/jpeg"),
+        ("w=40", "image/webp,image/*;q=0.5", "image/webp"),
+    ] {
+        let answer = view(query, &[("accept", accept)]);
+        assert_eq!((answer.status, answer.header("content-type")), (200, Some(media_type)), "{query} {accept}");
+        assert_eq!(answer.header("vary").map(|v| v.to_lowercase().contains("accept")), Some(true));
+        assert!(image::load_from_memory(&answer.body).is_ok());
+    }
+    view("", &[("accept", "text/html")]).problem(406);
+    let size = |query: &str| {
+        let p = image::load_from_memory(&view(query, &[]).body).unwrap();
+        (p.width(), p.height())
+    };
+    assert_eq!((size("w=40"), size("h=30"), size("w=10&h=50")), ((40, 30), (40, 30), (10, 50)));
+    for (query, field) in [("tx=NaN", "tx"), ("yaw=inf", "yaw"), ("w=0", "w"), ("w=16384&h=16384", "w"), ("fov=180", "fov"), ("x=1", "x")] {
+        assert_eq!(view(query, &[]).problem(400)["field"], field, "{query}");
+    }
+    // extreme but finite cameras draw something or say why not, and never take the server down
+    for query in ["tz=1e300", "tx=-1e308", "yaw=180", "tz=0.999", "fov=0.1", "fov=179", "roll=1e17", "w=1&h=1", "w=16384&h=1"] {
+        let status = view(query, &[]).status;
+        assert!(matches!(status, 200 | 400 | 422), "{query}: {status}");
+    }
+    assert_eq!(get(server.addr, "/healthz").status, 200);
+}
+
+#[test]
+fn depth_report_and_thumbnail() {
+    let (_dir, server, photo) = with_photo();
+    let depth = get(server.addr, &format!("{photo}/depth"));
+    assert_eq!((depth.status, depth.header("content-type")), (200, Some("image/png")));
+    let image::DynamicImage::ImageLuma16(map) = image::load_from_memory(&depth.body).unwrap() else { panic!("16-bit grey") };
+    assert_eq!(map.dimensions(), (80, 60));
+    assert!(map.get_pixel(40, 55).0[0] > map.get_pixel(40, 5).0[0], "the ramp is nearer at the bottom");
+    let report = get(server.addr, &format!("{photo}/report"));
+    assert_eq!(report.header("content-type"), Some("application/json"));
+    let report = report.json();
+    for field in ["stages", "total_ms", "peak_rss_bytes", "tiles", "planes", "planes_per_tile", "left_out", "bytes", "error"] {
+        assert!(!report[field].is_null(), "{field}");
+    }
+    assert_eq!(report["input"]["width"], 80);
+    let thumbnail = get(server.addr, &format!("{photo}/thumbnail"));
+    assert_eq!((thumbnail.status, thumbnail.header("content-type")), (200, Some("image/jpeg")));
+    let small = image::load_from_memory(&thumbnail.body).unwrap();
+    assert!(small.width().max(small.height()) <= 320);
+    for answer in [&depth, &thumbnail] {
+        assert!(answer.header("etag").is_some() && answer.header("cache-control").unwrap().contains("immutable"));
+    }
+}
+
+#[test]
+fn what_is_not_there_yet_or_not_at_all() {
+    let dir = tempfile::tempdir().unwrap();
+    let server = Running::start(dir.path(), Limits::default(), Gate::new(0));
+    let id = server.upload(&jpeg(1));
+    for part in ["atlas", "view", "depth", "report", "thumbnail"] {
+        let early = get(server.addr, &format!("/v1/photos/{id}/{part}"));
+        early.problem(409);
+        assert!(early.header("retry-after").is_some());
+        get(server.addr, &format!("/v1/photos/00000000000000000000000000000000/{part}")).problem(404);
+        get(server.addr, &format!("/v1/photos/nonsense/{part}")).problem(404);
+    }
+    get(server.addr, "/v1/photos/..%2F..%2Fetc").problem(404);
+    get(server.addr, "/nothing").problem(404);
+    get(server.addr, "/static/../Cargo.toml").problem(404);
+    get(server.addr, "/static/%2e%2e/Cargo.toml").problem(404);
+    let wrong = request(server.addr, "PUT", "/v1/photos", &[], &[]);
+    wrong.problem(405);
+    let allow = wrong.header("allow").unwrap_or_default().to_uppercase();
+    assert!(allow.contains("POST") && allow.contains("GET"), "{allow:?}");
+}
+
+#[test]
+fn pages_and_the_headers_of_every_answer() {
+    let dir = tempfile::tempdir().unwrap();
+    let server = Running::start(dir.path(), Limits::default(), Arc::new(way()));
+    for path in ["/", "/view/0123456789abcdef0123456789abcdef"] {
+        let page = get(server.addr, path);
+        assert_eq!((page.status, page.header("content-type")), (200, Some("text/html; charset=utf-8")));
+        let policy = page.header("content-security-policy").unwrap();
+        assert!(policy.contains("default-src 'self'") && !policy.contains("unsafe-eval"), "{policy}");
+        let etag = page.header("etag").unwrap();
+        assert_eq!(request(server.addr, "GET", path, &[("if-none-match", etag)], &[]).status, 304);
+    }
+    let shader = get(server.addr, "/static/tmpi.wgsl");
+    assert_eq!((shader.status, shader.header("content-type")), (200, Some("text/plain; charset=utf-8")));
+    let script = get(server.addr, "/tmpi-viewer.js");
+    assert_eq!((script.status, script.header("content-type")), (200, Some("text/javascript; charset=utf-8")));
+
+    for path in ["/", "/healthz", "/v1/photos", "/nothing"] {
+        let answer = request(server.addr, "GET", path, &[("origin", "https://example.org"), ("x-request-id", "mine-1")], &[]);
+        assert_eq!(answer.header("x-content-type-options"), Some("nosniff"), "{path}");
+        assert_eq!(answer.header("x-request-id"), Some("mine-1"));
+        assert_eq!(answer.header("access-control-allow-origin"), Some("*"));
+        assert!(answer.header("referrer-policy").is_some() && answer.header("content-security-policy").is_some());
+        assert!(answer.all("server-timing").contains("total;dur="));
+    }
+    let preflight = |method| {
+        let headers = [("origin", "https://example.org"), ("access-control-request-method", method)];
+        request(server.addr, "OPTIONS", "/v1/photos", &headers, &[]).header("access-control-allow-methods").unwrap_or_default().to_owned()
+    };
+    assert!(preflight("GET").contains("GET") && !preflight("DELETE").contains("DELETE") && !preflight("POST").contains("POST"));
+}
+
+#[test]
+fn health_and_metrics() {
+    let (_dir, server, photo) = with_photo();
+    for path in ["/healthz", "/readyz"] {
+        let health = get(server.addr, path);
+        assert_eq!((health.status, health.json()["status"].as_str()), (200, Some("ok")));
+    }
+    assert_eq!(get(server.addr, &format!("{photo}/view?w=8")).status, 200);
+    let metrics = get(server.addr, "/metrics");
+    assert!(metrics.header("content-type").unwrap().starts_with("text/plain"));
+    let text = String::from_utf8(metrics.body).unwrap();
+    let value = |name: &str| {
+        text.lines().find_map(|l| l.strip_prefix(name)?.trim().parse::<f64>().ok()).unwrap_or_else(|| panic!("{name} in\n{text}"))
+    };
+    assert_eq!(value("tmpi_jobs_total{outcome=\"done\"}"), 1.0);
+    assert_eq!(value("tmpi_photos_done "), 1.0);
+    assert_eq!(value("tmpi_queue_depth "), 0.0);
+    assert_eq!(value("tmpi_view_seconds_count{phase=\"render\"}"), 1.0);
+    assert!(value("tmpi_scene_cache_bytes ") > 0.0 && value("tmpi_uploaded_bytes_total ") > 0.0);
+    assert!(text.contains("route=\"/v1/photos/{id}/view\""), "routes are counted by their pattern");
+}

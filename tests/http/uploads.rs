@@ -1,0 +1,238 @@
+//! Uploads, states, list, deletion.
+
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+
+use tmpi::render::PictureFormat;
+use tmpi::server::Limits;
+use tmpi::way::MakeError;
+
+use crate::client::{get, post_form, request};
+use crate::fixture::{Does, Gate, Running, depth_map, jpeg, picture, wait_until, way};
+
+fn start(maker: Arc<dyn tmpi::server::Maker>) -> (tempfile::TempDir, Running) {
+    let dir = tempfile::tempdir().unwrap();
+    let server = Running::start(dir.path(), Limits::default(), maker);
+    (dir, server)
+}
+
+#[test]
+fn raw_and_multipart_in_every_format() {
+    let (_dir, server) = start(Arc::new(way()));
+    for format in PictureFormat::ALL {
+        let photo = picture(1, format);
+        let raw = request(server.addr, "POST", "/v1/photos", &[("content-type", format.media_type())], &photo);
+        assert_eq!(raw.status, 202);
+        let state = raw.json();
+        let id = state["id"].as_str().unwrap();
+        assert_eq!(raw.header("location"), Some(format!("/v1/photos/{id}").as_str()));
+        assert_eq!(state["photo_bytes"], photo.len());
+        assert_eq!(state["options"]["quality"], "90");
+        let form = post_form(server.addr, &[], &[("photo", &photo)]);
+        assert_eq!((form.status, form.json()["id"].as_str()), (202, Some(id)), "the same photo either way");
+        let done = server.wait(id, "done");
+        assert_eq!((done["width"].as_u64(), done["height"].as_u64()), (Some(80), Some(60)));
+        assert!(done["atlas_bytes"].as_u64().unwrap() > 0 && done["finished"].is_string());
+    }
+    // a client that sets no useful type, as curl --data-binary does
+    let plain = request(server.addr, "POST", "/v1/photos", &[("content-type", "application/x-www-form-urlencoded")], &jpeg(9));
+    assert_eq!(plain.status, 202);
+}
+
+#[test]
+fn waiting_for_the_result() {
+    let gate = Gate::new(1);
+    let (_dir, server) = start(gate.clone());
+    let done = request(server.addr, "POST", "/v1/photos", &[("prefer", "respond-async, wait=20")], &jpeg(1));
+    assert_eq!((done.status, done.json()["state"].as_str()), (201, Some("done")));
+    assert_eq!(done.header("preference-applied"), Some("wait=20"));
+    assert!(done.header("location").is_some());
+    let late = request(server.addr, "POST", "/v1/photos", &[("prefer", "wait=0")], &jpeg(2));
+    assert_eq!(late.status, 202);
+    assert_ne!(late.json()["state"], "done");
+    gate.open(1);
+}
+
+#[test]
+fn options_and_depth_are_part_of_the_photo() {
+    let (_dir, server) = start(Arc::new(way()));
+    let photo = jpeg(3);
+    let plain = server.upload(&photo);
+    let query = request(server.addr, "POST", "/v1/photos?quality=70&plane_method=lloyd", &[], &photo).json();
+    assert_eq!((query["options"]["quality"].as_str(), query["options"]["plane-method"].as_str()), (Some("70"), Some("lloyd")));
+    let field = post_form(server.addr, &[], &[("quality", b"70"), ("photo", &photo), ("plane-method", b"lloyd")]).json();
+    assert_eq!(query["id"], field["id"]);
+    let with_depth = post_form(server.addr, &[], &[("photo", &photo), ("depth", &depth_map())]).json();
+    let ids = [plain.as_str(), query["id"].as_str().unwrap(), with_depth["id"].as_str().unwrap()];
+    assert!(ids[0] != ids[1] && ids[1] != ids[2] && ids[0] != ids[2]);
+    for id in ids {
+        server.wait(id, "done");
+    }
+    let report = |id| get(server.addr, &format!("/v1/photos/{id}/report")).json();
+    assert_eq!((report(ids[0])["depth_model"].as_str(), report(ids[2])["depth_model"].as_str()), (Some("ramp"), Some("given")));
+}
+
+#[test]
+fn wrong_uploads_are_refused_at_once_and_leave_nothing() {
+    let (dir, server) = start(Arc::new(way()));
+    let photo = jpeg(1);
+    let post = |path: &str, body: &[u8]| request(server.addr, "POST", path, &[], body);
+    assert_eq!(post("/v1/photos", b"").problem(400)["field"], "photo");
+    post("/v1/photos", b"GIF89a....").problem(415);
+    post("/v1/photos", &photo[..photo.len() / 2]).problem(422);
+    assert_eq!(post("/v1/photos?quality=0", &photo).problem(400)["field"], "quality");
+    assert_eq!(post("/v1/photos?quality=best", &photo).problem(400)["field"], "quality");
+    assert_eq!(post("/v1/photos?max-error=NaN", &photo).problem(400)["field"], "max-error");
+    assert_eq!(post("/v1/photos?colour=red", &photo).problem(400)["field"], "colour");
+    assert_eq!(post_form(server.addr, &[], &[("quality", b"80")]).problem(400)["field"], "photo");
+    assert_eq!(post_form(server.addr, &[], &[("photo", &photo), ("photo", &photo)]).problem(400)["field"], "photo");
+    assert_eq!(post_form(server.addr, &[], &[("photo", &photo), ("depth", b"")]).problem(400)["field"], "depth");
+    assert_eq!(post_form(server.addr, &[], &[("photo", &photo), ("picture", b"x")]).problem(400)["field"], "picture");
+    let bare = request(server.addr, "POST", "/v1/photos", &[("content-type", "multipart/form-data")], &photo);
+    bare.problem(400);
+    let cut = request(server.addr, "POST", "/v1/photos", &[("content-type", "multipart/form-data; boundary=x")], b"--x\r\nnothing");
+    cut.problem(400);
+    request(server.addr, "POST", "/v1/photos", &[("sec-fetch-site", "cross-site")], &photo).problem(403);
+    assert_eq!(get(server.addr, "/v1/photos").json()["photos"].as_array().unwrap().len(), 0);
+    for folder in ["incoming", "photos"] {
+        assert_eq!(std::fs::read_dir(dir.path().join(folder)).unwrap().count(), 0, "{folder}");
+    }
+}
+
+#[test]
+fn a_photo_that_fails_says_why_and_is_tried_again_when_uploaded_again() {
+    let (_dir, server) = start(Arc::new(way()));
+    let wrong = post_form(server.addr, &[("prefer", "wait=20")], &[("photo", &jpeg(1)), ("depth", b"not a map")]);
+    assert_eq!(wrong.problem(422)["field"], "depth");
+    let id = wrong.header("location").unwrap().rsplit('/').next().unwrap().to_owned();
+    let state = server.state(&id);
+    assert_eq!((state["state"].as_str(), state["problem"]["status"].as_u64()), (Some("failed"), Some(422)));
+    get(server.addr, &format!("/v1/photos/{id}/atlas")).problem(422);
+
+    let gate = Gate::new(9);
+    let flaky = {
+        let gate = gate.clone();
+        Does(move |photo: &[u8], sink: &dyn tmpi::progress::Sink| {
+            if gate.finished.fetch_add(1, Ordering::SeqCst) == 0 {
+                return Err(MakeError::Photo(tmpi::photo::PhotoError::Broken("the first time".into())));
+            }
+            tmpi::server::Maker::make(&way(), photo, None, &tmpi::way::Options::default(), sink)
+        })
+    };
+    let (_dir, server) = start(Arc::new(flaky));
+    let id = server.upload(&jpeg(1));
+    server.wait(&id, "failed");
+    assert_eq!(server.upload(&jpeg(1)), id);
+    server.wait(&id, "done");
+}
+
+#[test]
+fn a_panic_in_a_job_fails_that_photo_alone() {
+    let (_dir, server) = start(Arc::new(Does(|photo: &[u8], sink: &dyn tmpi::progress::Sink| {
+        assert_ne!(photo, jpeg(66), "on purpose");
+        tmpi::server::Maker::make(&way(), photo, None, &tmpi::way::Options::default(), sink)
+    })));
+    let (bad, good) = (server.upload(&jpeg(66)), server.upload(&jpeg(1)));
+    assert_eq!(server.wait(&bad, "failed")["problem"]["status"], 500);
+    server.wait(&good, "done");
+}
+
+#[test]
+fn one_photo_uploaded_many_times_at_once_is_made_once() {
+    let gate = Gate::new(0);
+    let (_dir, server) = start(gate.clone());
+    let photo = jpeg(5);
+    let ids: Vec<String> = std::thread::scope(|scope| {
+        let all: Vec<_> = (0..8).map(|_| scope.spawn(|| server.upload(&photo))).collect();
+        all.into_iter().map(|t| t.join().unwrap()).collect()
+    });
+    assert!(ids.iter().all(|id| *id == ids[0]));
+    gate.open(8);
+    server.wait(&ids[0], "done");
+    server.upload(&photo);
+    assert_eq!(gate.started.load(Ordering::SeqCst), 1);
+    assert_eq!(get(server.addr, "/v1/photos").json()["photos"].as_array().unwrap().len(), 1);
+}
+
+#[test]
+fn the_list_has_pages_newest_first() {
+    let (_dir, server) = start(Gate::new(0));
+    let mut ids: Vec<String> = (0..5).map(|seed| server.upload(&jpeg(seed))).collect();
+    ids.reverse();
+    let page = |path: &str| {
+        let page = get(server.addr, path).json();
+        let ids: Vec<String> = page["photos"].as_array().unwrap().iter().map(|p| p["id"].as_str().unwrap().to_owned()).collect();
+        (ids, page["next"].as_str().map(str::to_owned))
+    };
+    // uploads of one millisecond are ordered by id
+    let (mut all, next) = page("/v1/photos");
+    assert_eq!(next, None);
+    let listed = all.clone();
+    all.sort();
+    ids.sort();
+    assert_eq!(all, ids);
+    let (first, next) = page("/v1/photos?limit=2");
+    assert_eq!(first, listed[..2]);
+    let (second, next) = page(&next.unwrap());
+    assert_eq!(second, listed[2..4]);
+    let (third, next) = page(&next.unwrap());
+    assert_eq!((third.as_slice(), next), (&listed[4..], None));
+    assert_eq!(page(&format!("/v1/photos?after={}", listed[2])).0, listed[3..]);
+    for (query, field) in [("limit=0", "limit"), ("limit=201", "limit"), ("limit=x", "limit"), ("after=zz", "after"), ("page=2", "page")] {
+        assert_eq!(get(server.addr, &format!("/v1/photos?{query}")).problem(400)["field"], field);
+    }
+    assert_eq!(get(server.addr, "/v1/photos?limit=200").status, 200);
+}
+
+#[test]
+fn deletion_while_queued_while_running_and_when_done() {
+    let gate = Gate::new(1);
+    let (dir, server) = start(gate.clone());
+    let delete = |id: &str| request(server.addr, "DELETE", &format!("/v1/photos/{id}"), &[], &[]);
+    let done = server.upload(&jpeg(1));
+    server.wait(&done, "done");
+    let running = server.upload(&jpeg(2));
+    gate.wait_started(2);
+    let queued = server.upload(&jpeg(3));
+    assert_eq!(server.state(&queued)["position"], 0);
+    for id in [&queued, &running, &done] {
+        assert_eq!(delete(id).status, 204);
+        delete(id).problem(404);
+        get(server.addr, &format!("/v1/photos/{id}")).problem(404);
+        get(server.addr, &format!("/v1/photos/{id}/atlas")).problem(404);
+    }
+    // the worker is free again, and the deleted one can come back
+    gate.open(2);
+    assert_eq!(server.upload(&jpeg(2)), running);
+    server.wait(&running, "done");
+    wait_until("only one is left", || std::fs::read_dir(dir.path().join("photos")).unwrap().count() == 1);
+    assert_eq!(std::fs::read_dir(dir.path().join("incoming")).unwrap().count(), 0);
+}
+
+#[test]
+fn what_was_made_and_what_was_not_survives_a_restart() {
+    let dir = tempfile::tempdir().unwrap();
+    let gate = Gate::new(1);
+    let limits = || Limits { drain: std::time::Duration::from_millis(200), ..Limits::default() };
+    let server = Running::start(dir.path(), limits(), gate.clone());
+    let done = server.upload(&jpeg(1));
+    let before = server.wait(&done, "done");
+    let failed = post_form(server.addr, &[], &[("photo", &jpeg(1)), ("depth", b"no")]).json()["id"].as_str().unwrap().to_owned();
+    gate.open(1);
+    server.wait(&failed, "failed");
+    let atlas = get(server.addr, &format!("/v1/photos/{done}/atlas"));
+    let unfinished: Vec<String> = (2..6).map(|seed| server.upload(&jpeg(seed))).collect();
+    gate.wait_started(3);
+    server.stop();
+
+    let gate = Gate::new(99);
+    let server = Running::start(dir.path(), limits(), gate.clone());
+    for id in &unfinished {
+        server.wait(id, "done");
+    }
+    assert_eq!(gate.started.load(Ordering::SeqCst), unfinished.len(), "none is made twice");
+    assert_eq!(server.state(&done), before);
+    let again = get(server.addr, &format!("/v1/photos/{done}/atlas"));
+    assert_eq!((atlas.header("etag"), &atlas.body), (again.header("etag"), &again.body));
+    assert_eq!(server.state(&failed)["problem"]["status"], 422);
+}
