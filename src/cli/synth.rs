@@ -9,8 +9,8 @@ use image::{ExtendedColorType, ImageEncoder};
 use rayon::prelude::*;
 use serde_json::json;
 
-use crate::synth::{Picture, Scene};
-use crate::tmpi::{Camera, Pose};
+use crate::synth::{Picture, Pictures, Scene};
+use crate::tmpi::{Camera, Photo, Pose};
 
 /// Render scenes with exact disparity, exact second views and the exact hidden surface
 #[derive(Clone, Debug, clap::Args)]
@@ -39,6 +39,9 @@ pub struct SynthArgs {
     /// Colour samples in a pixel at edges, squared
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=16), value_name = "N")]
     pub supersampling: u32,
+    /// Cut about half of all textures from the photos (PNG, JPEG, WebP) in this folder, in the order of their names
+    #[arg(long, value_name = "DIR")]
+    pub pictures: Option<PathBuf>,
     /// Leave out scenes whose folder is complete
     #[arg(long)]
     pub resume: bool,
@@ -82,6 +85,7 @@ fn varied_size(seed: u64) -> (u32, u32) {
 /// A folder or a file cannot be written; the text names it.
 pub fn run(args: &SynthArgs) -> anyhow::Result<()> {
     let start = Instant::now();
+    let pictures = args.pictures.as_deref().map(read_pictures).transpose()?.unwrap_or_default();
     let families = (0..u64::from(args.count))
         .into_par_iter()
         .map(|i| {
@@ -90,7 +94,7 @@ pub fn run(args: &SynthArgs) -> anyhow::Result<()> {
             if args.resume && folder.join("scene.json").exists() {
                 return Ok(());
             }
-            write_scene(args, seed, &folder).with_context(|| format!("writing {}", folder.display()))
+            write_scene(args, &pictures, seed, &folder).with_context(|| format!("writing {}", folder.display()))
         })
         .collect::<anyhow::Result<Vec<()>>>()?;
     let s = start.elapsed().as_secs_f64();
@@ -98,10 +102,26 @@ pub fn run(args: &SynthArgs) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn write_scene(args: &SynthArgs, seed: u64, folder: &Path) -> anyhow::Result<()> {
+/// All photos of a folder, sorted by name; other files are passed over.
+fn read_pictures(folder: &Path) -> anyhow::Result<Pictures> {
+    let listing = std::fs::read_dir(folder).with_context(|| format!("reading {}", folder.display()))?;
+    let mut files = listing.map(|e| Ok(e?.path())).collect::<anyhow::Result<Vec<_>>>()?;
+    files.sort();
+    let mut photos = Vec::new();
+    for f in files {
+        if let Ok(p) = image::open(&f) {
+            let p = p.to_rgb8();
+            photos.push(Photo { width: p.width(), height: p.height(), rgb: p.pixels().map(|p| p.0).collect() });
+        }
+    }
+    anyhow::ensure!(!photos.is_empty(), "{} holds no photo", folder.display());
+    Ok(Pictures::new(&photos))
+}
+
+fn write_scene(args: &SynthArgs, pictures: &Pictures, seed: u64, folder: &Path) -> anyhow::Result<()> {
     std::fs::create_dir_all(folder)?;
     let (width, height) = args.size.unwrap_or_else(|| varied_size(seed));
-    let scene = Scene::framed(seed, width, height);
+    let scene = Scene::textured(seed, width, height, pictures);
     let camera = scene.camera();
     let picture = scene.render(&camera, args.supersampling);
     write_picture(folder, "", &picture)?;
@@ -192,6 +212,7 @@ mod tests {
             baseline: 0.05,
             hidden: true,
             supersampling: 1,
+            pictures: None,
             resume: false,
         };
         run(&args)?;

@@ -190,6 +190,18 @@ pub(super) fn shelf(b: &mut Build) {
     let roll = if b.rng.chance(0.15) { b.rng.range(-90.0, 90.0) } else { b.rng.range(-6.0, 6.0) };
     look(b, v3(b.rng.range(-0.3, 0.3), 0.0, 0.0), yaw * 0.6, pitch * 0.6, roll);
     let rows = b.rng.int(1, 4);
+    if b.rng.chance(0.55) {
+        // a board or a floor that the things stand on
+        let (g, y) = (b.w.group(), b.rng.range(0.25, 0.55) * d);
+        let board = Texture::any(b.rng, 0.15 * d);
+        b.w.add(g, Frame::at(v3(0.0, y, 0.0)), Shape::Plane, board);
+        for _ in 0..b.rng.int(4, 16) {
+            let z = d * b.rng.range(0.4, 0.95);
+            let at = v3(b.rng.range(-0.7, 0.7) * z, y, z);
+            let s = d * b.rng.range(0.7, 2.2);
+            if b.rng.chance(0.7) { b.vessel(at, s) } else { b.cutout(at, 0.25 * s, -AHEAD, Outline::subject(b.rng), 0.8) }
+        }
+    }
     if b.rng.chance(0.5) {
         let height = d * b.rng.range(0.8, 1.6);
         b.shelf(v3(0.0, height * b.rng.range(0.3, 0.7), d), 0.0, d * b.rng.range(0.5, 1.2), height, rows);
@@ -259,7 +271,7 @@ pub(super) fn table(b: &mut Build) {
     b.w.add(g, f, Shape::Cuboid(v3(x, 0.03, z)), top);
     let (g, floor) = (b.w.group(), Texture::any(b.rng, 0.3));
     b.w.add(g, Frame::at(v3(0.0, 0.78, 0.0)), Shape::Plane, floor);
-    let pitch = b.rng.range(-90.0, -28.0);
+    let pitch = if b.rng.chance(0.45) { b.rng.range(-35.0, -12.0) } else { b.rng.range(-90.0, -30.0) };
     let back = h * (90.0 + pitch).to_radians().tan().min(1.6);
     look(b, v3(0.0, -h, -back), b.rng.range(-12.0, 12.0), pitch, b.rng.range(-15.0, 15.0));
     for _ in 0..b.rng.int(5, 20) {

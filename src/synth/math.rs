@@ -3,6 +3,7 @@
 use std::cell::Cell;
 use std::ops::{Add, Mul, Neg, Sub};
 
+use super::picture::{Patch, Pictures};
 use crate::tmpi::Mat3;
 
 /// A vector, a point or a linear RGB colour.
@@ -137,19 +138,34 @@ impl Frame {
 }
 
 /// `SplitMix64`: small, and the same on every machine. A cell inside, so that draws may nest in the arguments of a call.
+/// Carries the pictures that textures may be cut from, because every draw of a texture needs both.
 #[derive(Debug)]
-pub(super) struct Rng(Cell<u64>);
+pub(super) struct Rng {
+    state: Cell<u64>,
+    pictures: Pictures,
+}
 
 impl Rng {
+    #[cfg(test)]
     pub fn new(seed: u64) -> Self {
-        let r = Self(Cell::new(seed ^ 0x5851_f42d_4c95_7f2d));
+        Self::with(seed, &Pictures::default())
+    }
+
+    pub fn with(seed: u64, pictures: &Pictures) -> Self {
+        let r = Self { state: Cell::new(seed ^ 0x5851_f42d_4c95_7f2d), pictures: pictures.clone() };
         r.next();
         r
     }
 
+    /// A piece of a picture, where there are pictures.
+    pub fn patch(&self) -> Option<Patch> {
+        let of = &self.pictures.0;
+        (!of.is_empty()).then(|| Patch::cut(&of[(self.next() % of.len() as u64) as usize], self))
+    }
+
     pub fn next(&self) -> u64 {
-        self.0.set(self.0.get().wrapping_add(0x9e37_79b9_7f4a_7c15));
-        mix(self.0.get())
+        self.state.set(self.state.get().wrapping_add(0x9e37_79b9_7f4a_7c15));
+        mix(self.state.get())
     }
 
     /// In [0, 1).

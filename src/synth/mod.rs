@@ -9,6 +9,7 @@ mod indoor;
 mod math;
 mod outdoor;
 mod outline;
+mod picture;
 mod shape;
 mod texture;
 mod things;
@@ -19,6 +20,8 @@ use rayon::prelude::*;
 use crate::tmpi::{Camera, DisparityMap, Intrinsics, Photo, Pose};
 use math::{Rng, V3, v3};
 use world::{Hit, World};
+
+pub use picture::Pictures;
 
 /// Nothing nearer than this many metres is seen; families keep things farther away.
 const NEAR: f64 = 1e-4;
@@ -72,10 +75,16 @@ impl Scene {
     /// least 1) has disparity 1.
     #[must_use]
     pub fn framed(seed: u64, width: u32, height: u32) -> Self {
+        Self::textured(seed, width, height, &Pictures::default())
+    }
+
+    /// Like [`Self::framed`], with about half of all textures cut from pictures.
+    #[must_use]
+    pub fn textured(seed: u64, width: u32, height: u32, pictures: &Pictures) -> Self {
         let size = (width.max(1), height.max(1));
         let mut last = None;
         for attempt in 0..24u64 {
-            let rng = Rng::new(seed.wrapping_mul(64).wrapping_add(attempt));
+            let rng = Rng::with(seed.wrapping_mul(64).wrapping_add(attempt), pictures);
             let (family, world) = families::compose(&rng);
             let mut scene = Self { seed, family, world, unit: 1.0, size };
             let good = scene.expose(&rng);
@@ -86,7 +95,8 @@ impl Scene {
             last = Some(scene);
         }
         // never seen in practice: every attempt was an empty or a flat picture
-        let mut scene = last.unwrap_or_else(|| Self { seed, family: "empty", world: World::new(&Rng::new(seed)), unit: 1.0, size });
+        let mut scene =
+            last.unwrap_or_else(|| Self { seed, family: "empty", world: World::new(&Rng::with(seed, pictures)), unit: 1.0, size });
         scene.unit = scene.nearest();
         scene
     }

@@ -1,6 +1,7 @@
 //! Procedural textures: colours of a surface from its local place and normal.
 
 use super::math::{Rng, V3, fbm, hash3, smoothstep, v3};
+use super::picture::Patch;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Pattern {
@@ -28,6 +29,8 @@ impl Pattern {
     pub const QUIET: [Self; 6] = [Self::Plain, Self::Plain, Self::Noise, Self::Noise, Self::Speckle, Self::Gradient];
 }
 
+const LUMA: V3 = v3(0.2126, 0.7152, 0.0722);
+
 /// A surface's look. Lengths are those of the object's own frame.
 #[derive(Clone, Debug)]
 pub(super) struct Texture {
@@ -45,6 +48,8 @@ pub(super) struct Texture {
     pub glow: f64,
     /// Highlight strength.
     pub gloss: f64,
+    /// A piece of a photograph instead of the pattern, and the share of its own hue.
+    patch: Option<(Patch, f64)>,
 }
 
 /// A colour of the kind that photographs are full of, in linear RGB.
@@ -87,6 +92,7 @@ impl Texture {
             dirt: if rng.chance(0.7) { rng.range(0.0, 0.5) } else { 0.0 },
             glow: 0.0,
             gloss: if rng.chance(0.25) { rng.range(0.1, 0.6) } else { 0.0 },
+            patch: if rng.chance(0.5) { rng.patch().map(|p| (p, if rng.chance(0.5) { 1.0 } else { rng.range(0.0, 0.5) })) } else { None },
         }
     }
 
@@ -101,6 +107,7 @@ impl Texture {
     }
 
     pub fn glowing(mut self, glow: f64) -> Self {
+        self.patch = None;
         self.glow = glow;
         self
     }
@@ -124,6 +131,14 @@ impl Texture {
         let (u, v) = ((u * c - v * s) / self.scale + self.shift.0, (u * s + v * c) / self.scale + self.shift.1);
         let q = p * (1.0 / self.scale);
         let w = width / self.scale;
+        if let Some((patch, hue)) = &self.patch {
+            // a patch spans several periods, so that its detail is as large as the pattern's
+            let c = patch.at(u / 4.0, v / 4.0, w / 4.0);
+            let m = patch.mean();
+            let bright = c.dot(LUMA) / m.dot(LUMA).max(0.02);
+            let own = self.colours[0] * bright.min(3.0);
+            return own.lerp(c, *hue);
+        }
         let base = self.pattern_at(u, v, q, w);
         if self.dirt == 0.0 {
             return base;
