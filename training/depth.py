@@ -105,7 +105,8 @@ class DepthNet(nn.Module):
         self.encoder, self.decoder, self.session = MobileNetV2(), Decoder(), None
 
     def forward(self, image):
-        return self.decoder(self.features(image))
+        # channels last is a third faster on a CPU
+        return self.decoder([f.contiguous(memory_format=torch.channels_last) for f in self.features(image)])
 
     def features(self, image):
         if self.session is not None and image.device.type == "cpu":
@@ -207,6 +208,7 @@ def main():
     net = DepthNet().to(dev)
     if dev.type == "cpu":
         net.use_runtime(out / "encoder.onnx", a.threads)
+    net.decoder.to(memory_format=torch.channels_last)
     params = list(net.decoder.parameters())
     optimiser = torch.optim.AdamW(params, a.lr, weight_decay=1e-2)
     ema = common.Ema(net.decoder, 0.995)
