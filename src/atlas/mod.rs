@@ -4,7 +4,9 @@ mod columns;
 mod decode;
 mod encode;
 mod hidden;
+mod labels;
 mod picture;
+mod range;
 mod wire;
 
 pub use decode::{SectionInfo, decode, sections};
