@@ -6,5 +6,6 @@ mod fixture;
 mod events;
 mod limits;
 mod openapi;
+mod process;
 mod results;
 mod uploads;

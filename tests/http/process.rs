@@ -1,0 +1,165 @@
+//! `tmpi serve` as a process: how it starts, how it stops, and what a crash leaves.
+
+use std::collections::BTreeSet;
+use std::io::{BufRead, BufReader, Write};
+use std::net::SocketAddr;
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use tmpi::render::{PictureFormat, View, encode};
+
+use crate::client::{Connection, form, get, request};
+use crate::fixture::{depth_map, wait_until};
+
+struct Process {
+    child: Child,
+    addr: SocketAddr,
+    log: tempfile::NamedTempFile,
+}
+
+impl Process {
+    fn start(data: &Path) -> Self {
+        // a file: a pipe that nobody empties would stop the server
+        let log = tempfile::NamedTempFile::new().unwrap();
+        let mut child = Command::new(env!("CARGO_BIN_EXE_tmpi"))
+            .args(["serve", "--addr", "127.0.0.1:0", "--drain", "5", "--data"])
+            .arg(data)
+            .stdout(Stdio::piped())
+            .stderr(log.reopen().unwrap())
+            .spawn()
+            .unwrap();
+        let mut line = String::new();
+        BufReader::new(child.stdout.as_mut().unwrap()).read_line(&mut line).unwrap();
+        let addr = line.trim().strip_prefix("http://").and_then(|a| a.parse().ok());
+        Self { addr: addr.unwrap_or_else(|| panic!("the first line of standard output is the address: {line:?}")), child, log }
+    }
+
+    /// No chance to put anything right.
+    fn crash(&mut self) {
+        self.child.kill().unwrap();
+        self.child.wait().unwrap();
+    }
+
+    #[cfg(unix)]
+    fn terminate(mut self) -> (std::process::ExitStatus, String) {
+        // SAFETY: the process is our child and was not waited for
+        assert_eq!(unsafe { libc::kill(self.child.id() as libc::pid_t, libc::SIGTERM) }, 0);
+        let status = self.child.wait().unwrap();
+        (status, std::fs::read_to_string(self.log.path()).unwrap())
+    }
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// A picture large enough that making it takes a while.
+fn large(seed: u32) -> Vec<u8> {
+    let (width, height) = (480, 360);
+    let at = |x: u32, y: u32| [(x * 7 + seed) as u8, (y * 5) as u8, ((x / 32) * (y / 32) * 9 + seed) as u8, 255];
+    let rgba = (0..height).flat_map(|y| (0..width).map(move |x| at(x, y))).collect();
+    encode(&View { width, height, rgba }, PictureFormat::Jpeg, 90).unwrap()
+}
+
+/// Uploads a photo with its own depth map, so that no network is needed; none where the server is gone.
+fn upload(addr: SocketAddr, photo: &[u8]) -> Option<String> {
+    let (content_type, body) = form(&[("photo", photo), ("depth", &depth_map())]);
+    std::net::TcpStream::connect(addr).ok()?;
+    let mut connection = std::panic::catch_unwind(|| Connection::open(addr)).ok()?;
+    let head = format!("POST /v1/photos HTTP/1.1\r\nhost: x\r\ncontent-type: {content_type}\r\ncontent-length: {}\r\n\r\n", body.len());
+    connection.raw().write_all(head.as_bytes()).ok()?;
+    connection.raw().write_all(&body).ok()?;
+    let answer = connection.receive("POST").ok()?;
+    assert_eq!(answer.status, 202, "{}", String::from_utf8_lossy(&answer.body));
+    Some(answer.json()["id"].as_str().unwrap().to_owned())
+}
+
+fn ids(addr: SocketAddr) -> Vec<String> {
+    let list = get(addr, "/v1/photos?limit=200").json();
+    list["photos"].as_array().unwrap().iter().map(|p| p["id"].as_str().unwrap().to_owned()).collect()
+}
+
+#[test]
+fn a_crash_in_the_middle_of_ten_uploads_loses_and_doubles_none() {
+    let photos: Vec<Vec<u8>> = (0..10).map(large).collect();
+    for crash_after in [1, 4, 8] {
+        let dir = tempfile::tempdir().unwrap();
+        let server = Mutex::new(Process::start(dir.path()));
+        let addr = server.lock().unwrap().addr;
+        let answered = Mutex::new(BTreeSet::new());
+        let (next, answers) = (AtomicUsize::new(0), AtomicUsize::new(0));
+        // one upload that never gets to its end
+        let mut half = Connection::open(addr);
+        half.raw().write_all(b"POST /v1/photos HTTP/1.1\r\nhost: x\r\ncontent-length: 100000\r\n\r\nhalf of it").unwrap();
+        std::thread::scope(|scope| {
+            for _ in 0..3 {
+                scope.spawn(|| {
+                    while let Some(photo) = photos.get(next.fetch_add(1, Ordering::SeqCst)) {
+                        let Some(id) = upload(addr, photo) else { return };
+                        answered.lock().unwrap().insert(id);
+                        if answers.fetch_add(1, Ordering::SeqCst) + 1 == crash_after {
+                            server.lock().unwrap().crash();
+                        }
+                    }
+                });
+            }
+        });
+        let answered = answered.into_inner().unwrap();
+        assert!(answered.len() >= crash_after && answered.len() < 10, "{} answered", answered.len());
+
+        let server = Process::start(dir.path());
+        assert_eq!(std::fs::read_dir(dir.path().join("incoming")).unwrap().count(), 0, "leftovers are removed");
+        let found = ids(server.addr);
+        assert_eq!(found.iter().collect::<BTreeSet<_>>().len(), found.len(), "none is there twice");
+        let lost: Vec<_> = answered.iter().filter(|id| !found.contains(id)).collect();
+        assert!(lost.is_empty(), "lost: {lost:?}");
+        let state = |id: &str| get(server.addr, &format!("/v1/photos/{id}")).json()["state"].as_str().unwrap().to_owned();
+        for id in &found {
+            wait_until("a photo that was taken up again is done", || state(id) == "done");
+        }
+        // who uploads all again gets the same ten
+        let all: BTreeSet<String> = photos.iter().map(|p| upload(server.addr, p).unwrap()).collect();
+        assert!(all.len() == 10 && answered.is_subset(&all));
+        for id in &all {
+            wait_until("all are done", || state(id) == "done");
+            let atlas = get(server.addr, &format!("/v1/photos/{id}/atlas")).body;
+            assert!(tmpi::atlas::decode(&atlas).is_ok());
+        }
+        assert_eq!(ids(server.addr).len(), 10);
+        assert_eq!(std::fs::read_dir(dir.path().join("photos")).unwrap().count(), 10);
+    }
+}
+
+#[cfg(unix)]
+#[test]
+fn sigterm_ends_it_with_0_and_what_was_accepted_is_finished_or_kept() {
+    let dir = tempfile::tempdir().unwrap();
+    let server = Process::start(dir.path());
+    let id = upload(server.addr, &large(1)).unwrap();
+    let second =
+        Command::new(env!("CARGO_BIN_EXE_tmpi")).args(["serve", "--addr", "127.0.0.1:0", "--data"]).arg(dir.path()).output().unwrap();
+    assert_eq!(second.status.code(), Some(1), "one process a data directory");
+    assert!(String::from_utf8_lossy(&second.stderr).contains("another process"));
+    assert_eq!(request(server.addr, "GET", "/healthz", &[], &[]).status, 200);
+    let (status, log) = server.terminate();
+    assert_eq!(status.code(), Some(0), "{log}");
+    assert!(log.contains("stopping") && log.contains("stopped"), "{log}");
+    let server = Process::start(dir.path());
+    wait_until("it is done", || get(server.addr, &format!("/v1/photos/{id}")).json()["state"] == "done");
+}
+
+#[test]
+fn a_port_in_use_is_an_error_that_names_it() {
+    let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let addr = taken.local_addr().unwrap().to_string();
+    let dir = tempfile::tempdir().unwrap();
+    let output = Command::new(env!("CARGO_BIN_EXE_tmpi")).args(["serve", "--addr", &addr, "--data"]).arg(dir.path()).output().unwrap();
+    assert_eq!(output.status.code(), Some(1));
+    assert!(String::from_utf8_lossy(&output.stderr).contains(&addr));
+    assert!(output.stdout.is_empty());
+}
