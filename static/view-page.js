@@ -6,6 +6,7 @@ import { formatBytes, photoName, queueText, stageText } from './text.js';
 import { Viewer } from './viewer.js';
 
 const TOAST_MS = 2500;
+const NOTE_MS = 7000;
 const HASH_KEY = 'pose';
 const BACKDROP = [12, 9];
 
@@ -39,6 +40,7 @@ function toast(text) {
 function readout() {
   const parts = [];
   if (state.bytes) parts.push(formatBytes(state.bytes));
+  if (viewer.mode === 'served') parts.push('drawn by the server');
   if (state.ms !== null) parts.push(`${state.ms < 9.95 ? state.ms.toFixed(1) : Math.round(state.ms)} ms`);
   $('readout').textContent = parts.join(' · ');
 }
@@ -52,6 +54,7 @@ function showLoading(text, share) {
 
 function fail(message) {
   $('loading').hidden = true;
+  $('tools').hidden = true;
   $('failure-text').textContent = message;
   $('failure').hidden = false;
 }
@@ -91,10 +94,11 @@ function start() {
   });
   viewer.addEventListener('mode', ({ detail }) => {
     stage.dataset.mode = detail.mode;
-    $('served-note').hidden = detail.mode !== 'served';
     if (detail.mode !== 'served') return;
     state.ms = null;
     $('served-note').textContent = `The server draws this view. ${detail.reason}`;
+    $('served-note').classList.add('on');
+    setTimeout(() => $('served-note').classList.remove('on'), NOTE_MS);
     readout();
   });
   viewer.addEventListener('frame', ({ detail }) => {

@@ -178,7 +178,8 @@ describe('viewer', () => {
     const { page, context, errors } = await openPage(plain);
     await page.goto(`${server.url}/view/box`);
     await waitForMode(page, 'served');
-    assert.ok(await page.locator('#served-note').isVisible());
+    assert.match(await page.locator('#served-note').textContent(), /The server draws this view/);
+    assert.match(await page.locator('#readout').textContent(), /drawn by the server/);
     await page.locator('#stage').focus();
     const seen = server.views.length;
     for (let i = 0; i < 12; i++) await page.keyboard.press('ArrowLeft');
