@@ -117,18 +117,15 @@ export function framing(scene) {
 
 /** Disparity at the middle of the picture's area. */
 function pivotOf(scene) {
-  const { layers, classes } = scene;
+  const { layers } = scene;
   if (!layers) return UNKNOWN_PIVOT;
   const BINS = 256;
   const area = new Float64Array(BINS);
   let total = 0;
   for (let i = 0; i < layers.count; i++) {
-    let photo = 0;
-    const first = layers.firstTexel[i];
-    for (let k = first; k < first + layers.w[i] * layers.h[i]; k++) if (classes[k] === 1) photo++;
     const delta = deltaAt(scene, i, layers.x[i] + layers.w[i] / 2, layers.y[i] + layers.h[i] / 2);
-    area[Math.min(BINS - 1, Math.max(0, Math.floor(delta * BINS)))] += photo;
-    total += photo;
+    area[Math.min(BINS - 1, Math.max(0, Math.floor(delta * BINS)))] += layers.visible[i];
+    total += layers.visible[i];
   }
   if (total === 0) return UNKNOWN_PIVOT;
   let sum = 0;

@@ -212,6 +212,7 @@ export async function decode(bytes, decodePicture, photo) {
   const soft = unpacked(bytes, head, Kind.ALPHA, alphaSection ? alphaBytes(alphaSection, index) : 0);
   const { hiddenCount: hidden, ...texels } = readTexels(classes, soft);
   Object.assign(scene, texels);
+  describeLayers(scene);
   const hiddenPicture = hidden ? await decodedPicture(bytes, head, Kind.HIDDEN, decodePicture) : null;
   scene.hidden = readHidden(scene, index, hidden, hiddenPicture);
   scene.photo = photo ?? (await decodedPicture(bytes, head, Kind.PHOTO, decodePicture));
@@ -263,6 +264,10 @@ function readLayers(bytes, index) {
     h: new Uint32Array(n),
     firstTexel: new Uint32Array(n),
     firstHidden: new Uint32Array(n),
+    /** Count of texels from the photo. */
+    visible: new Uint32Array(n),
+    /** 1 where any texel is not opaque, so that the layer has a soft edge. */
+    soft: new Uint8Array(n),
   };
   let tile = 0;
   let texel = 0;
@@ -313,6 +318,22 @@ function readTexels(coded, soft) {
   }
   if (next !== soft.length) broken(`${soft.length} alpha values for ${next} soft texels`);
   return { classes, alpha, hiddenCount };
+}
+
+/** Fills `layers.visible` and `layers.soft`. */
+function describeLayers({ layers, classes, alpha }) {
+  for (let i = 0; i < layers.count; i++) {
+    const first = layers.firstTexel[i];
+    const end = first + layers.w[i] * layers.h[i];
+    let visible = 0;
+    let soft = 0;
+    for (let k = first; k < end; k++) {
+      if (classes[k] === Class.PHOTO) visible++;
+      if (alpha[k] < 255) soft = 1;
+    }
+    layers.visible[i] = visible;
+    layers.soft[i] = soft;
+  }
 }
 
 /** RGB of the `count` hidden texels, in the order in which they come; fills `layers.firstHidden`. */

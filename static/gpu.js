@@ -128,13 +128,12 @@ export class GpuRenderer {
 
   /** Pass 1 takes all layers in order; pass 2 those with a soft edge, back to front by disparity at the rectangle's centre. */
   #instances({ page, atlasX, atlasY }) {
-    const { layers, alpha, tileSize } = this.scene;
+    const { layers, tileSize } = this.scene;
     const softs = [];
     const mean = new Float64Array(layers.count);
     for (let i = 0; i < layers.count; i++) {
       mean[i] = deltaAt(this.scene, i, layers.x[i] + layers.w[i] / 2, layers.y[i] + layers.h[i] / 2);
-      const first = layers.firstTexel[i];
-      if (alpha.subarray(first, first + layers.w[i] * layers.h[i]).some((value) => value < 255)) softs.push(i);
+      if (layers.soft[i]) softs.push(i);
     }
     softs.sort((i, j) => mean[i] - mean[j] || i - j);
     const data = new Float32Array(((layers.count + softs.length) * INSTANCE_BYTES) / 4);
