@@ -88,6 +88,11 @@ describe('the whole way', () => {
     const { page, context } = await openPage(browser);
     await page.goto(`${server.url}/view/${made.id}`);
     await waitForMode(page, 'gpu');
+    const home = await pixelsAt(page, {}, WIDTH, HEIGHT);
+    for (const pose of POSES) {
+      const moved = shareDifferent(home, await pixelsAt(page, pose, WIDTH, HEIGHT), WIDTH, HEIGHT);
+      assert.ok(moved > 10 * MAX_SHARE, `the comparison would not tell a camera that stands still: ${moved}`);
+    }
     const shares = await compare(page, made.id, WIDTH, HEIGHT);
     t.diagnostic(`share off by more than 8 levels: ${shares.map((s) => s.toFixed(5)).join(', ')}`);
     for (const share of shares) assert.ok(share < MAX_SHARE, `${share}`);

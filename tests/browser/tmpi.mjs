@@ -2,17 +2,21 @@
 import { spawn } from 'node:child_process';
 import { existsSync, mkdtempSync, rmSync } from 'node:fs';
 import { tmpdir } from 'node:os';
-import { join } from 'node:path';
+import { join, resolve } from 'node:path';
 import { fileURLToPath } from 'node:url';
 
-const binary = process.env.TMPI_BIN || fileURLToPath(new URL('../../target/release/tmpi', import.meta.url));
+const root = fileURLToPath(new URL('../../', import.meta.url));
+const binary = resolve(process.env.TMPI_BIN || join(root, 'target/release/tmpi'));
 const START_MS = 30_000;
 
 /** Starts `tmpi serve` on a free port: `{url, close}`. */
 export async function startServer() {
   if (!existsSync(binary)) throw new Error(`no program at ${binary}: build it with cargo build --release, or set TMPI_BIN`);
   const data = mkdtempSync(join(tmpdir(), 'tmpi-browser-'));
-  const child = spawn(binary, ['serve', '--addr', '127.0.0.1:0', '--data', data], { stdio: ['ignore', 'pipe', 'pipe'] });
+  const args = ['serve', '--addr', '127.0.0.1:0', '--data', data];
+  // for work on the pages without building anew
+  if (process.env.TMPI_STATIC) args.push('--static', resolve(process.env.TMPI_STATIC));
+  const child = spawn(binary, args, { cwd: root, stdio: ['ignore', 'pipe', 'pipe'] });
   let log = '';
   child.stderr.on('data', (text) => (log += text));
   const url = await new Promise((resolve, reject) => {
