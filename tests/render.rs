@@ -6,20 +6,12 @@ mod scenes;
 use std::sync::Arc;
 
 use scenes::{all, camera, cameras, flat, stack};
+use tmpi::quality::{psnr, share_off};
 use tmpi::render::{Backend, Cpu, Gpu, MAX_SIDE, Reference, RenderError, Renderer, View, select};
 use tmpi::tmpi::{Camera, Intrinsics, Pose, Scene};
 
-/// Share of pixels with a channel more than 8 levels off.
-fn share_off(a: &View, b: &View) -> f64 {
-    assert_eq!((a.width, a.height, a.rgba.len()), (b.width, b.height, b.rgba.len()));
-    let off = a.rgba.iter().zip(&b.rgba).filter(|(p, q)| p.iter().zip(q.iter()).any(|(x, y)| x.abs_diff(*y) > 8)).count();
-    off as f64 / a.rgba.len() as f64
-}
-
-fn psnr(a: &View, photo: &[[u8; 3]]) -> f64 {
-    let squares = a.rgba.iter().zip(photo).flat_map(|(p, q)| (0..3).map(|c| f64::from(p[c].abs_diff(q[c])).powi(2)));
-    let mse = squares.sum::<f64>() / (photo.len() * 3) as f64;
-    if mse == 0.0 { 99.0 } else { 10.0 * (255.0_f64.powi(2) / mse).log10() }
+fn db(view: &View, photo: &[[u8; 3]]) -> f64 {
+    psnr(rgb(view).as_flattened(), photo.as_flattened())
 }
 
 /// The `gpu` host on whatever adapter there is; none, said aloud, where there is none at all.
@@ -40,7 +32,7 @@ fn compare(host: &dyn Renderer, excused: &[(&str, &str)]) {
                 assert_eq!(got.rgba.len(), want.rgba.len());
                 continue;
             }
-            let share = share_off(&got, &want);
+            let share = share_off(&got.rgba, &want.rgba, 8);
             // a few pixels on borders between planes are all that a very small picture has
             let bound = if want.rgba.len() < 100 { 0.0 } else { 0.015 };
             let name = format!("{scene_name} / {camera_name}: {:.3} %", share * 100.0);
@@ -92,7 +84,7 @@ fn the_identity_view_is_the_photo() {
     for (name, scene) in faithful() {
         for host in [&Reference as &dyn Renderer, &Cpu::default()] {
             let view = host.render(&scene, &identity(&scene)).unwrap();
-            assert!(rgb(&view) == scene.photo.rgb, "{name} on {}: {:.1} dB", host.name(), psnr(&view, &scene.photo.rgb));
+            assert!(rgb(&view) == scene.photo.rgb, "{name} on {}: {:.1} dB", host.name(), db(&view, &scene.photo.rgb));
             assert!(view.rgba.iter().all(|p| p[3] == 255), "{name} on {}: covered everywhere", host.name());
         }
     }
@@ -103,9 +95,9 @@ fn the_identity_view_on_the_gpu_is_within_50_db() {
     let Some(gpu) = gpu() else { return };
     for (name, scene) in faithful() {
         let view = gpu.render(&scene, &identity(&scene)).unwrap();
-        let db = psnr(&view, &scene.photo.rgb);
-        println!("{name}: {db:.1} dB");
-        assert!(db >= 50.0, "{name}: {db:.1} dB");
+        let got = db(&view, &scene.photo.rgb);
+        println!("{name}: {got:.1} dB");
+        assert!(got >= 50.0, "{name}: {got:.1} dB");
         assert!(view.rgba.iter().all(|p| p[3] == 255), "{name}: covered everywhere");
     }
 }
@@ -230,6 +222,34 @@ fn extreme_numbers_give_no_panic() {
                 assert_eq!(host.render(&scene, &camera).unwrap().rgba.len(), 640);
             }
         }
+    }
+}
+
+/// Many callers at once, of two scenes: each gets its own view.
+fn shared(host: &dyn Renderer) {
+    let scenes = [0.2, 0.9].map(|delta| Arc::new(flat(48, 32, delta)));
+    let pose = Pose::at(0.05, 0.0, 0.0);
+    let want = scenes.clone().map(|scene| host.render(&scene, &camera(&scene, pose, 96, 64)).unwrap());
+    assert_ne!(want[0], want[1]);
+    std::thread::scope(|threads| {
+        for caller in 0..12 {
+            let (scenes, want) = (&scenes, &want);
+            threads.spawn(move || {
+                for turn in 0..5 {
+                    let which = (caller + turn) % 2;
+                    let camera = camera(&scenes[which], pose, 96, 64);
+                    assert!(host.render(&scenes[which], &camera).unwrap() == want[which], "{}", host.name());
+                }
+            });
+        }
+    });
+}
+
+#[test]
+fn a_host_serves_many_callers_at_once() {
+    shared(&Cpu::default());
+    if let Some(gpu) = gpu() {
+        shared(&gpu);
     }
 }
 
