@@ -31,7 +31,7 @@ pub(super) fn run(args: &InfoArgs) -> anyhow::Result<()> {
     let tiles = g.tiles();
     let planes = scene.layers.len();
     let per_tile = planes as f64 / f64::from(tiles);
-    let mut filled = vec![0usize; 3];
+    let mut filled = [0usize; 3];
     for &class in &scene.texels.class {
         filled[usize::from(class.min(Class::Hidden as u8))] += 1;
     }

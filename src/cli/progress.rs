@@ -8,7 +8,7 @@ use crate::progress::{Progress, Sink};
 /// Progress of one photo.
 pub(super) struct Bar {
     name: String,
-    bar: Option<ProgressBar>,
+    line: Option<ProgressBar>,
     quiet: bool,
 }
 
@@ -23,14 +23,14 @@ impl Bar {
             bar.set_prefix(name.to_owned());
             bar
         });
-        Self { name: name.to_owned(), bar, quiet }
+        Self { name: name.to_owned(), line: bar, quiet }
     }
 }
 
 impl Sink for Bar {
     fn progress(&self, message: &Progress) {
         let Progress { stage, step, steps, elapsed_ms } = message;
-        if let Some(bar) = &self.bar {
+        if let Some(bar) = &self.line {
             bar.set_length((*steps).into());
             bar.set_position(step.saturating_sub(1).into());
             bar.set_message(*stage);
@@ -42,7 +42,7 @@ impl Sink for Bar {
 
 impl Drop for Bar {
     fn drop(&mut self) {
-        if let Some(bar) = &self.bar {
+        if let Some(bar) = &self.line {
             bar.finish_and_clear();
         }
     }

@@ -50,18 +50,20 @@ pub struct Adapter {
     pub layout: Layout,
     /// Meaning of the output.
     pub output: Kind,
+    /// Strength of smoothing up to the photo's edges, for a network that leaves haloes; 0 for one with sharp edges.
+    pub smoothing: f64,
 }
 
 const IMAGENET: ([f32; 3], [f32; 3]) = ([0.485, 0.456, 0.406], [0.229, 0.224, 0.225]);
 const HALF: ([f32; 3], [f32; 3]) = ([0.5; 3], [0.5; 3]);
 
 const fn entry(name: &'static str, size: SizeRule, multiple: u32, norm: ([f32; 3], [f32; 3]), output: Kind) -> Adapter {
-    Adapter { name, size, multiple, mean: norm.0, deviation: norm.1, layout: Layout::Nchw, output }
+    Adapter { name, size, multiple, mean: norm.0, deviation: norm.1, layout: Layout::Nchw, output, smoothing: 0.0 }
 }
 
 /// All known networks; the first is the embedded one.
 pub const ADAPTERS: [Adapter; 8] = [
-    entry("tmpi", SizeRule::Area(256 * 384), 32, IMAGENET, Kind::Disparity),
+    Adapter { smoothing: 3000.0, ..entry("tmpi", SizeRule::Area(256 * 384), 32, IMAGENET, Kind::Disparity) },
     entry("midas-v2.1-small", SizeRule::Long(256), 32, IMAGENET, Kind::Disparity),
     entry("midas-v2.1", SizeRule::Long(384), 32, IMAGENET, Kind::Disparity),
     entry("dpt-hybrid", SizeRule::Short(384), 32, HALF, Kind::Disparity),

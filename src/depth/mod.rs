@@ -5,6 +5,7 @@ pub mod guided;
 mod map;
 mod monocular;
 mod png;
+mod smooth;
 mod upsample;
 
 pub use adapter::{ADAPTERS, Adapter, Kind, Layout, SizeRule, adapter};

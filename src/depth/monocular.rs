@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use super::smooth::smooth;
 use super::{Adapter, DepthError, Estimator, Kind, Layout, SizeRule, upsample};
 use crate::onnx::{Config, Network, OnnxError, Session, Tensor};
 use crate::photo::{Filter, resample};
@@ -112,6 +113,13 @@ impl Estimator for Monocular {
     fn estimate(&self, photo: &Photo) -> Result<DisparityMap, DepthError> {
         let mut map = self.raw(photo)?;
         normalise(&mut map.delta);
+        if self.adapter.smoothing > 0.0 {
+            let load = |p: [u8; 3]| p.map(|v| f32::from(v) / 255.0);
+            let guide = resample(&photo.rgb, (photo.width, photo.height), (map.width, map.height), Filter::Triangle, load, |p| p);
+            map.delta = smooth(&guide, &map.delta, map.width as usize, self.adapter.smoothing);
+            // Smoothing draws values together
+            normalise(&mut map.delta);
+        }
         Ok(upsample(photo, &map))
     }
 

@@ -16,9 +16,6 @@ usage: cargo xtask <task>
   test          formatting, lints, all tests, browser tests; installs what these need where it may
   fetch         fetch ONNX Runtime into .tmpi/onnxruntime where it is missing";
 
-/// Address that `tmpi serve` binds by itself.
-const ADDRESS: &str = "127.0.0.1:8080";
-
 fn main() -> ExitCode {
     let mut args = std::env::args().skip(1);
     let task = args.next();
@@ -48,12 +45,7 @@ fn main() -> ExitCode {
 fn serve(args: &[String]) -> Result<(), Fault> {
     runtime::fetch().map_err(|e| e.in_step("ONNX Runtime"))?;
     run(cargo(&["build", "--release", "--package", "tmpi"])).map_err(|e| e.in_step("build"))?;
-    let address = args.windows(2).find(|w| w[0] == "--addr").map(|w| w[1].as_str());
-    let address = address.or_else(|| args.iter().find_map(|a| a.strip_prefix("--addr="))).unwrap_or(ADDRESS);
-    // With port 0 only the server knows where it is; it says so itself
-    if !address.ends_with(":0") {
-        println!("tmpi: http://{address}/  (Ctrl-C stops it)");
-    }
+    // The server prints its URL itself, once it listens
     let mut server = std::process::Command::new(command::program());
     server.arg("serve").args(args);
     command::become_it(server).map_err(|e| e.in_step("serve"))
