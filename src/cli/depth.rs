@@ -3,13 +3,12 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
-use image::codecs::png::{CompressionType, FilterType, PngEncoder};
-use image::{ExtendedColorType, ImageEncoder};
 use serde_json::json;
 
 use super::flags::{MakeFlags, ModelFlags};
 use super::progress::Bar;
 use super::{Usage, files, result};
+use crate::depth::to_png;
 use crate::models;
 use crate::photo::{self, Limits};
 use crate::tmpi::DisparityMap;
@@ -74,17 +73,12 @@ fn range(map: &DisparityMap) -> (f32, f32) {
 
 /// 16-bit grey; `stretch` maps the least value to 0 and the greatest to 65 535.
 fn png(map: &DisparityMap, stretch: bool) -> anyhow::Result<Vec<u8>> {
-    let (low, high) = if stretch { range(map) } else { (0.0, 1.0) };
+    if !stretch {
+        return Ok(to_png(map)?);
+    }
+    let (low, high) = range(map);
     let span = if high > low { high - low } else { 1.0 };
-    let samples: Vec<u8> = map.delta.iter().flat_map(|v| (((v - low) / span * 65_535.0).round() as u16).to_ne_bytes()).collect();
-    let mut out = Vec::new();
-    PngEncoder::new_with_quality(&mut out, CompressionType::Fast, FilterType::Adaptive).write_image(
-        &samples,
-        map.width,
-        map.height,
-        ExtendedColorType::L16,
-    )?;
-    Ok(out)
+    Ok(to_png(&DisparityMap { delta: map.delta.iter().map(|v| (v - low) / span).collect(), ..*map })?)
 }
 
 /// Portable float map: rows from the lowest up, little-endian.

@@ -1,0 +1,309 @@
+//! The contract of the command line, on the built program: exit codes, what goes to which stream, shapes of JSON, files.
+
+use std::io::Cursor;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use image::{DynamicImage, ImageBuffer, ImageFormat, Luma, Rgb};
+use serde_json::Value;
+
+/// A folder with a photo of a box before a wall, and its depth map.
+struct Folder(tempfile::TempDir);
+
+impl Folder {
+    fn new() -> Self {
+        let folder = Self(tempfile::tempdir().unwrap());
+        let inside = |x: u32, y: u32| (50..90).contains(&x) && (30..70).contains(&y);
+        let texture = |x: u32, y: u32| ((x * 7 + y * 13) % 32) as u8;
+        let photo = ImageBuffer::from_fn(150, 100, |x, y| {
+            let t = texture(x, y);
+            if inside(x, y) { Rgb([200 + t, 120 + t, 60]) } else { Rgb([40, 90 + t, 160 + t]) }
+        });
+        let depth = ImageBuffer::from_fn(150, 100, |x, y| Luma([if inside(x, y) { 60_000u16 } else { 12_000 }]));
+        folder.write("box.png", &encoded(photo.clone(), ImageFormat::Png));
+        folder.write("box.jpg", &encoded(photo, ImageFormat::Jpeg));
+        folder.write("depth.png", &encoded(depth, ImageFormat::Png));
+        folder
+    }
+
+    fn write(&self, name: &str, bytes: &[u8]) {
+        std::fs::write(self.path(name), bytes).unwrap();
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.0.path().join(name)
+    }
+
+    fn run(&self, args: &[&str]) -> Run {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_tmpi"));
+        // The library is looked up from the folder that the tests run in
+        let library = Path::new(env!("CARGO_MANIFEST_DIR")).join(".tmpi/onnxruntime/libonnxruntime.so");
+        if std::env::var_os("ORT_DYLIB_PATH").is_none() && library.is_file() {
+            command.env("ORT_DYLIB_PATH", library);
+        }
+        Run::from(command.current_dir(self.0.path()).env_remove("RUST_LOG").args(args).output().unwrap())
+    }
+
+    /// A container of the photo and its depth map.
+    fn container(&self) -> &Self {
+        self.run(&["make", "box.png", "--depth", "depth.png", "-o", "box.tmpi", "-q"]).succeeds();
+        self
+    }
+
+    fn names(&self) -> Vec<String> {
+        let mut all: Vec<_> = std::fs::read_dir(self.0.path()).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
+        all.sort();
+        all
+    }
+}
+
+fn encoded(image: impl Into<DynamicImage>, format: ImageFormat) -> Vec<u8> {
+    let mut out = Cursor::new(Vec::new());
+    image.into().write_to(&mut out, format).unwrap();
+    out.into_inner()
+}
+
+struct Run {
+    code: i32,
+    out: String,
+    err: String,
+}
+
+impl From<Output> for Run {
+    fn from(o: Output) -> Self {
+        let text = |b| String::from_utf8(b).unwrap();
+        Self { code: o.status.code().unwrap(), out: text(o.stdout), err: text(o.stderr) }
+    }
+}
+
+impl Run {
+    fn succeeds(self) -> Self {
+        assert_eq!(self.code, 0, "{}{}", self.out, self.err);
+        self
+    }
+
+    /// A failure with nothing on standard output, and a text that holds every word.
+    fn fails(self, code: i32, words: &[&str]) {
+        assert_eq!((self.code, self.out.as_str()), (code, ""), "{}", self.err);
+        for word in words {
+            assert!(self.err.contains(word), "{word:?} is not in: {}", self.err);
+        }
+        assert!(!self.err.contains("panicked"), "{}", self.err);
+    }
+
+    fn json(&self) -> Value {
+        serde_json::from_str(&self.out).unwrap()
+    }
+}
+
+/// Asserts that every path (`a.b`) is there.
+fn has(value: &Value, paths: &[&str]) {
+    for path in paths {
+        assert!(!value.pointer(&format!("/{}", path.replace('.', "/"))).unwrap_or(&Value::Null).is_null(), "{path} is missing: {value}");
+    }
+}
+
+#[test]
+fn help_and_version_are_results() {
+    let folder = Folder::new();
+    for args in [vec!["--help"], vec!["make", "--help"], vec!["--version"]] {
+        let run = folder.run(&args).succeeds();
+        assert!(!run.out.is_empty() && run.err.is_empty());
+    }
+    assert!(folder.run(&["completions", "bash"]).succeeds().out.contains("_tmpi"));
+}
+
+#[test]
+fn usage_errors_name_flag_and_range() {
+    let f = Folder::new();
+    let make = |extra: &[&str]| f.run(&[&["make", "box.png", "-o", "x.tmpi"], extra].concat());
+    make(&["--planes", "65"]).fails(2, &["--planes", "1 to 64"]);
+    make(&["--planes", "0"]).fails(2, &["--planes"]);
+    make(&["--tile", "7"]).fails(2, &["--tile", "8 to 1024"]);
+    make(&["--fov-x", "nan"]).fails(2, &["--fov-x", "180"]);
+    make(&["--fov-x", "180"]).fails(2, &["--fov-x"]);
+    make(&["--quality", "0"]).fails(2, &["--quality", "1 to 100"]);
+    make(&["--quality", "1000"]).fails(2, &["--quality"]);
+    make(&["--max-size", "16385"]).fails(2, &["--max-size", "16384"]);
+    make(&["--max-error", "nan"]).fails(2, &["--max-error"]);
+    make(&["--view-box", "1,1"]).fails(2, &["--view-box"]);
+    make(&["--view-box", "inf,0,0"]).fails(2, &["--view-box"]);
+    make(&["--plane-method", "guess"]).fails(2, &["--plane-method", "slanted"]);
+    make(&["--depth-model", "nosuch"]).fails(2, &["--depth-model", "tmpi"]);
+    make(&["box.jpg", "--depth", "depth.png"]).fails(2, &["--depth"]);
+    f.run(&["make", "box.png"]).fails(2, &["--output"]);
+    f.run(&["make", "box.png", "-o", "box.png"]).fails(2, &["overwritten"]);
+    f.run(&["make", "box.png", "box.jpg", "-o", "out"]).fails(2, &["out/box.tmpi"]);
+    f.run(&["depth", "box.png", "-o", "x.tif"]).fails(2, &[".png or .pfm"]);
+    let render = |extra: &[&str]| f.run(&[&["render", "box.tmpi", "-o", "x.png"], extra].concat());
+    render(&["--pose", "0,0"]).fails(2, &["--pose"]);
+    render(&["--pose", "nan,0,0"]).fails(2, &["--pose", "finite"]);
+    render(&["--size", "16385x1"]).fails(2, &["--size", "16384"]);
+    render(&["--size", "0x5"]).fails(2, &["--size"]);
+    render(&["--stereo", "0"]).fails(2, &["--stereo"]);
+    render(&["--frames", "5"]).fails(2, &["--path"]);
+    f.run(&["render", "box.tmpi", "-o", "x.gif"]).fails(2, &[".webp"]);
+    f.run(&["nonsense"]).fails(2, &["nonsense"]);
+}
+
+#[test]
+fn failures_leave_nothing_behind() {
+    let f = Folder::new();
+    f.write("broken.jpg", &std::fs::read(f.path("box.jpg")).unwrap()[..900]);
+    f.write("text.txt", b"no photo");
+    let before = f.names();
+    f.run(&["make", "nosuch.jpg", "-o", "x.tmpi"]).fails(1, &["nosuch.jpg"]);
+    f.run(&["make", "broken.jpg", "--depth", "depth.png", "-q", "-o", "x.tmpi"]).fails(1, &["broken.jpg", "cut short"]);
+    f.run(&["make", "text.txt", "--depth", "depth.png", "-q", "-o", "x.tmpi"]).fails(1, &["not a JPEG"]);
+    f.run(&["make", "box.png", "--depth", "text.txt", "-q", "-o", "x.tmpi"]).fails(1, &["depth map", "PNG"]);
+    f.run(&["info", "box.png"]).fails(1, &["box.png", "not a readable TMPI container"]);
+    f.run(&["render", "nosuch.tmpi", "-o", "x.png"]).fails(1, &["nosuch.tmpi"]);
+    assert_eq!(f.names(), before);
+    f.container();
+    let whole = std::fs::read(f.path("box.tmpi")).unwrap();
+    f.write("cut.tmpi", &whole[..whole.len() / 2]);
+    f.run(&["info", "cut.tmpi", "--json"]).fails(1, &["cut.tmpi"]);
+}
+
+#[test]
+fn make_writes_a_container_and_a_report() {
+    let f = Folder::new();
+    let args = ["make", "box.png", "--depth", "depth.png", "-o", "new/box.tmpi", "--json", "--report", "report.json"];
+    let run = f.run(&args).succeeds();
+    assert!(run.err.contains("planes"), "progress is on standard error: {}", run.err);
+    assert_eq!(run.out.lines().count(), 1);
+    let line = run.json();
+    has(&line, &["photo", "output", "bytes", "report.tiles"]);
+    assert_eq!(line["bytes"].as_u64().unwrap(), std::fs::metadata(f.path("new/box.tmpi")).unwrap().len());
+    let report: Value = serde_json::from_slice(&std::fs::read(f.path("report.json")).unwrap()).unwrap();
+    has(&report, &["input.width", "input.height", "input.bytes", "total_ms", "peak_rss_bytes", "tiles", "planes", "planes_per_tile"]);
+    has(&report, &["left_out.planes", "left_out.tiles_not_refined", "left_out.texels", "left_out.bytes"]);
+    has(&report, &["bytes.total", "bytes.index", "bytes.photo", "bytes.alpha", "bytes.hidden"]);
+    has(
+        &report,
+        &["error.depth_mae", "error.depth_mse", "error.depth_q25", "error.identity_psnr", "error.prune_max_abs", "error.codec_psnr"],
+    );
+    for stage in report["stages"].as_array().unwrap() {
+        has(stage, &["name", "ms", "cpu_ms"]);
+    }
+    assert_eq!((report["input"]["width"].as_u64(), report["input"]["height"].as_u64()), (Some(150), Some(100)));
+    let quiet = f.run(&["make", "box.jpg", "--depth", "depth.png", "-o", "b.tmpi", "--quiet"]).succeeds();
+    assert_eq!(quiet.err, "");
+    assert!(quiet.out.starts_with("b.tmpi: 150×100"));
+    assert!(!f.names().iter().any(|n| n.ends_with(".part")));
+}
+
+#[test]
+fn options_of_make_take_effect() {
+    let f = Folder::new();
+    let make = |name: &str, extra: &[&str]| {
+        f.run(&[&["make", "box.png", "--depth", "depth.png", "-q", "-o", name], extra].concat()).succeeds();
+        f.run(&["info", name, "--json"]).succeeds().json()
+    };
+    assert_eq!(make("a.tmpi", &["--tile", "full"])["tiles"], 1);
+    assert_eq!(make("b.tmpi", &["--max-size", "75"])["height"], 50);
+    assert!((make("c.tmpi", &["--fov-x", "60"])["fov_x"].as_f64().unwrap() - 60.0).abs() < 1e-6);
+    assert!((make("d.tmpi", &["--view-box", "0.1,0,0.05"])["view_box"]["x"].as_f64().unwrap() - 0.1).abs() < 1e-9);
+    let one = make("e.tmpi", &["--planes", "1", "--plane-method", "lloyd"]);
+    assert!(one["planes_per_tile"].as_f64().unwrap() < 2.01, "one plane, and a backstop at most");
+}
+
+#[test]
+fn several_photos_go_to_a_folder_and_one_failure_spares_the_rest() {
+    let f = Folder::new();
+    f.write("other.png", &std::fs::read(f.path("box.png")).unwrap());
+    f.write("bad.jpg", b"\xFF\xD8\xFF\xE0");
+    let run = f.run(&["make", "bad.jpg", "-o", "out/", "-q"]);
+    run.fails(1, &["bad.jpg"]);
+    if !f.has_depth() {
+        return;
+    }
+    let run = f.run(&["make", "other.png", "bad.jpg", "box.jpg", "-o", "out", "--json", "-q", "--report", "all.json"]);
+    assert_eq!(run.code, 1);
+    assert_eq!(run.out.lines().count(), 2);
+    assert!(run.err.contains("bad.jpg") && run.err.contains("1 of 3"));
+    assert!(f.path("out/other.tmpi").is_file() && f.path("out/box.tmpi").is_file());
+    let all: Value = serde_json::from_slice(&std::fs::read(f.path("all.json")).unwrap()).unwrap();
+    assert_eq!(all.as_array().unwrap().len(), 2);
+    has(&all[0], &["photo", "output", "report.tiles"]);
+}
+
+impl Folder {
+    /// True where the embedded depth network can run; else says why not.
+    fn has_depth(&self) -> bool {
+        let run = self.run(&["depth", "box.png", "-q", "--raw", "-o", "probe.pfm"]);
+        if run.code != 0 {
+            eprintln!("skipped: {}", run.err);
+        }
+        run.code == 0
+    }
+}
+
+#[test]
+fn depth_is_written_as_used_and_raw() {
+    let f = Folder::new();
+    if !f.has_depth() {
+        return;
+    }
+    let run = f.run(&["depth", "box.jpg", "-o", "d.png", "--json"]).succeeds();
+    has(&run.json(), &["width", "height", "model", "least", "greatest"]);
+    let DynamicImage::ImageLuma16(map) = image::open(f.path("d.png")).unwrap() else { panic!("not 16-bit grey") };
+    assert_eq!(map.dimensions(), (150, 100));
+    assert!(map.pixels().map(|p| p.0[0]).max().unwrap() > map.pixels().map(|p| p.0[0]).min().unwrap());
+    let pfm = std::fs::read(f.path("probe.pfm")).unwrap();
+    assert!(pfm.starts_with(b"Pf\n"));
+    let flipped = f.run(&["depth", "box.jpg", "-q", "--flip", "--raw", "-o", "flip.pfm"]).succeeds();
+    assert!(flipped.out.contains("disparity"));
+    // A map that was written can be given back
+    f.run(&["make", "box.jpg", "--depth", "d.png", "-q", "-o", "again.tmpi"]).succeeds();
+}
+
+#[test]
+fn info_tells_what_is_in_a_container() {
+    let f = Folder::new();
+    let info = f.container().run(&["info", "box.tmpi", "--json"]).succeeds().json();
+    has(&info, &["bytes", "version", "width", "height", "tile.size", "tiles", "planes", "planes_per_tile", "fov_x", "intrinsics.fx"]);
+    has(&info, &["texels.photo", "texels.hidden", "view_box.x"]);
+    let sections = info["sections"].as_array().unwrap();
+    assert!(sections.iter().any(|s| s["kind"] == "photo"));
+    let last = sections.iter().map(|s| s["offset"].as_u64().unwrap() + s["bytes"].as_u64().unwrap()).max();
+    assert_eq!(last, info["bytes"].as_u64());
+    let text = f.run(&["info", "box.tmpi"]).succeeds().out;
+    assert!(text.contains("150×100") && text.contains("section"));
+}
+
+#[test]
+fn render_draws_in_every_format() {
+    let f = Folder::new();
+    f.container();
+    let render = |out: &str, extra: &[&str]| {
+        let run = f.run(&[&["render", "box.tmpi", "-o", out, "--backend", "cpu", "--json"], extra].concat()).succeeds();
+        assert_eq!(run.err, "");
+        (run.out.lines().map(|l| serde_json::from_str(l).unwrap()).collect::<Vec<Value>>(), f.path(out))
+    };
+    let (lines, path) = render("same.png", &[]);
+    has(&lines[0], &["output", "width", "height", "backend", "pose.tx", "ms"]);
+    let (same, photo) = (image::open(path).unwrap().to_rgba8(), image::open(f.path("box.png")).unwrap().to_rgba8());
+    let off = same.pixels().zip(photo.pixels()).filter(|(a, b)| a.0.iter().zip(b.0).any(|(x, y)| x.abs_diff(y) > 24)).count();
+    assert!(off < 150, "{off} of 15000 pixels differ from the photo");
+    // Far to the side the frame is not covered: transparent in PNG and WebP, black in JPEG
+    for (name, alpha) in [("side.png", true), ("side.webp", true), ("side.jpg", false)] {
+        let (_, path) = render(name, &["--pose=1.5,0,0", "--size", "90x60"]);
+        let image = image::open(path).unwrap();
+        assert_eq!((image.width(), image.height(), image.color().has_alpha()), (90, 60, alpha));
+        let corner = image.to_rgba8().get_pixel(89, 30).0;
+        assert!(if alpha { corner[3] < 255 } else { corner[0] < 16 }, "{name}: {corner:?}");
+    }
+    let (_, path) = render("pair.png", &["--stereo", "0.1"]);
+    let pair = image::open(path).unwrap().to_rgb8();
+    assert_eq!(pair.dimensions(), (300, 100));
+    let left_edge = |x0: u32| (x0..x0 + 150).find(|&x| pair.get_pixel(x, 50).0[0] > 150).unwrap() - x0;
+    assert!(left_edge(0) > left_edge(150), "the left eye sees the box farther to the right");
+    let (lines, _) = render("frames/f.jpg", &["--path", "swing", "--frames", "3"]);
+    assert_eq!(lines.len(), 3);
+    for n in 1..=3 {
+        assert!(f.path(&format!("frames/f-000{n}.jpg")).is_file());
+    }
+    let wide = render("wide.png", &["--fov-x", "120"]).1;
+    assert!(image::open(wide).unwrap().to_rgba8().get_pixel(0, 0).0[3] < 255, "a wider view sees beyond the photo");
+}
