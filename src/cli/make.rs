@@ -40,10 +40,10 @@ pub(super) struct MakeArgs {
 }
 
 pub(super) fn run(args: &MakeArgs) -> anyhow::Result<()> {
-    let outputs = outputs(&args.photos, &args.output)?;
     if args.depth.is_some() && args.photos.len() > 1 {
         return Err(Usage("--depth takes the map of one photo; several photos were given".into()).into());
     }
+    let outputs = outputs(&args.photos, &args.output)?;
     let depth = args.depth.as_deref().map(files::read).transpose()?;
     let (options, models) = (args.flags.options(), models::load(&args.models.settings())?);
     let mut reports = Vec::new();

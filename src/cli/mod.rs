@@ -56,7 +56,7 @@ pub fn main() -> ExitCode {
             return ExitCode::from(if error.use_stderr() { 2 } else { 0 });
         }
     };
-    log_to_stderr(if matches!(cli.command, Command::Serve(_)) { "info" } else { "warn" });
+    log_to_stderr(if matches!(cli.command, Command::Serve(_)) { "info" } else { "error" });
     match run(cli.command) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) if error.is::<Usage>() => {
