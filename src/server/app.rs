@@ -5,11 +5,12 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use bytes::Bytes;
+use sha2::{Digest, Sha256};
 use tokio_util::sync::CancellationToken;
 
 use super::cache::Cache;
 use super::entry::{Entry, Status};
-use super::id::PhotoId;
+use super::id::{PhotoId, hex};
 use super::jobs::Jobs;
 use super::limits::Limits;
 use super::pool::Pool;
@@ -25,6 +26,15 @@ pub type Version = (PhotoId, u64);
 /// Shared state; cheap to clone.
 pub type App = Arc<Shared>;
 
+/// A file of a made photo.
+#[derive(Clone)]
+pub struct Stored {
+    /// Its bytes.
+    pub bytes: Bytes,
+    /// Strong entity tag with its quotes.
+    pub etag: Arc<str>,
+}
+
 /// State of the server.
 pub struct Shared {
     /// Photos and their jobs.
@@ -36,7 +46,7 @@ pub struct Shared {
     /// Decoded scenes.
     pub scenes: Cache<Version, Arc<Scene>>,
     /// Containers, pictures and reports.
-    pub files: Cache<(Version, Part), Bytes>,
+    pub files: Cache<(Version, Part), Stored>,
     /// Where views are drawn.
     pub pool: Pool,
     /// What draws them.
@@ -79,7 +89,7 @@ impl Shared {
     ///
     /// # Errors
     /// 404 where it was deleted meanwhile, 500.
-    pub async fn file(self: &Arc<Self>, version: Version, part: Part) -> Result<Bytes, Problem> {
+    pub async fn file(self: &Arc<Self>, version: Version, part: Part) -> Result<Stored, Problem> {
         let read = async {
             let jobs = Arc::clone(&self.jobs);
             let read = tokio::task::spawn_blocking(move || jobs.store.read(version.0, part));
@@ -88,7 +98,8 @@ impl Shared {
                 _ => Problem::store(&e),
             })?;
             let size = bytes.len();
-            Ok((Bytes::from(bytes), size))
+            let etag = format!("\"{}\"", hex(&Sha256::digest(&bytes)[..16])).into();
+            Ok((Stored { bytes: bytes.into(), etag }, size))
         };
         self.files.get((version, part), read).await
     }
@@ -100,7 +111,7 @@ impl Shared {
     pub async fn scene(self: &Arc<Self>, version: Version) -> Result<(Arc<Scene>, Option<Duration>), Problem> {
         let mut took = None;
         let decode = async {
-            let container = self.file(version, Part::Atlas).await?;
+            let container = self.file(version, Part::Atlas).await?.bytes;
             let start = std::time::Instant::now();
             let scene = self.pool.run(move || crate::atlas::decode(&container)).await?.map_err(|e| Problem::from(&e))?;
             took = Some(start.elapsed());

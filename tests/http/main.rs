@@ -5,6 +5,7 @@ mod fixture;
 
 mod events;
 mod limits;
+mod measure;
 mod openapi;
 mod process;
 mod results;

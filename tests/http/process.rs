@@ -13,14 +13,14 @@ use tmpi::render::{PictureFormat, View, encode};
 use crate::client::{Connection, form, get, request};
 use crate::fixture::{depth_map, wait_until};
 
-struct Process {
+pub struct Process {
     child: Child,
-    addr: SocketAddr,
+    pub addr: SocketAddr,
     log: tempfile::NamedTempFile,
 }
 
 impl Process {
-    fn start(data: &Path) -> Self {
+    pub fn start(data: &Path) -> Self {
         // a file: a pipe that nobody empties would stop the server
         let log = tempfile::NamedTempFile::new().unwrap();
         let mut child = Command::new(env!("CARGO_BIN_EXE_tmpi"))
@@ -34,6 +34,13 @@ impl Process {
         BufReader::new(child.stdout.as_mut().unwrap()).read_line(&mut line).unwrap();
         let addr = line.trim().strip_prefix("http://").and_then(|a| a.parse().ok());
         Self { addr: addr.unwrap_or_else(|| panic!("the first line of standard output is the address: {line:?}")), child, log }
+    }
+
+    /// Resident memory; 0 where the system does not tell.
+    pub fn resident_mib(&self) -> f64 {
+        let status = std::fs::read_to_string(format!("/proc/{}/status", self.child.id())).unwrap_or_default();
+        let line = status.lines().find_map(|l| l.strip_prefix("VmRSS:"));
+        line.and_then(|l| l.split_whitespace().next()?.parse::<f64>().ok()).unwrap_or_default() / 1024.0
     }
 
     /// No chance to put anything right.
@@ -59,7 +66,7 @@ impl Drop for Process {
 }
 
 /// A picture large enough that making it takes a while.
-fn large(seed: u32) -> Vec<u8> {
+pub fn large(seed: u32) -> Vec<u8> {
     let (width, height) = (480, 360);
     let at = |x: u32, y: u32| [(x * 7 + seed) as u8, (y * 5) as u8, ((x / 32) * (y / 32) * 9 + seed) as u8, 255];
     let rgba = (0..height).flat_map(|y| (0..width).map(move |x| at(x, y))).collect();
@@ -67,7 +74,7 @@ fn large(seed: u32) -> Vec<u8> {
 }
 
 /// Uploads a photo with its own depth map, so that no network is needed; none where the server is gone.
-fn upload(addr: SocketAddr, photo: &[u8]) -> Option<String> {
+pub fn upload(addr: SocketAddr, photo: &[u8]) -> Option<String> {
     let (content_type, body) = form(&[("photo", photo), ("depth", &depth_map())]);
     std::net::TcpStream::connect(addr).ok()?;
     let mut connection = std::panic::catch_unwind(|| Connection::open(addr)).ok()?;

@@ -7,10 +7,8 @@ use axum::response::Response;
 use crate::atlas::MEDIA_TYPE;
 use crate::server::app::{App, Shared};
 use crate::server::conditional::{Entity, IMMUTABLE, respond};
-use crate::server::id::hex;
 use crate::server::problem::Problem;
 use crate::server::store::Part;
-use sha2::{Digest, Sha256};
 
 /// The container of a photo.
 ///
@@ -35,11 +33,7 @@ use sha2::{Digest, Sha256};
     )
 )]
 pub async fn atlas(State(app): State<App>, Path(id): Path<String>, headers: HeaderMap) -> Result<Response, Problem> {
-    let entry = app.photo(&id)?;
-    let (version, done) = Shared::done(&entry)?;
-    let bytes = app.file(version, Part::Atlas).await?;
-    let etag = format!("\"{}\"", done.atlas_hash);
-    Ok(respond(&headers, Entity { bytes, etag: &etag, content_type: MEDIA_TYPE, cache_control: IMMUTABLE }))
+    stored(&app, &id, &headers, Part::Atlas, MEDIA_TYPE).await
 }
 
 /// The disparity that the photo was made with.
@@ -53,7 +47,7 @@ pub async fn atlas(State(app): State<App>, Path(id): Path<String>, headers: Head
     )
 )]
 pub async fn depth(State(app): State<App>, Path(id): Path<String>, headers: HeaderMap) -> Result<Response, Problem> {
-    small(&app, &id, &headers, Part::Disparity, "image/png").await
+    stored(&app, &id, &headers, Part::Disparity, "image/png").await
 }
 
 /// What was done, what was left out, and at what error and cost.
@@ -67,7 +61,7 @@ pub async fn depth(State(app): State<App>, Path(id): Path<String>, headers: Head
     )
 )]
 pub async fn report(State(app): State<App>, Path(id): Path<String>, headers: HeaderMap) -> Result<Response, Problem> {
-    small(&app, &id, &headers, Part::Report, "application/json").await
+    stored(&app, &id, &headers, Part::Report, "application/json").await
 }
 
 /// A small picture of the photo.
@@ -81,13 +75,12 @@ pub async fn report(State(app): State<App>, Path(id): Path<String>, headers: Hea
     )
 )]
 pub async fn thumbnail(State(app): State<App>, Path(id): Path<String>, headers: HeaderMap) -> Result<Response, Problem> {
-    small(&app, &id, &headers, Part::Thumbnail, "image/jpeg").await
+    stored(&app, &id, &headers, Part::Thumbnail, "image/jpeg").await
 }
 
-async fn small(app: &App, id: &str, headers: &HeaderMap, part: Part, content_type: &str) -> Result<Response, Problem> {
+async fn stored(app: &App, id: &str, headers: &HeaderMap, part: Part, content_type: &str) -> Result<Response, Problem> {
     let entry = app.photo(id)?;
     let (version, _) = Shared::done(&entry)?;
-    let bytes = app.file(version, part).await?;
-    let etag = format!("\"{}\"", hex(&Sha256::digest(&bytes)[..16]));
-    Ok(respond(headers, Entity { bytes, etag: &etag, content_type, cache_control: IMMUTABLE }))
+    let file = app.file(version, part).await?;
+    Ok(respond(headers, Entity { bytes: file.bytes, etag: &file.etag, content_type, cache_control: IMMUTABLE }))
 }
