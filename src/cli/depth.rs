@@ -12,7 +12,7 @@ use crate::depth::to_png;
 use crate::models;
 use crate::photo::{self, Limits};
 use crate::tmpi::DisparityMap;
-use crate::way;
+use crate::way::{self, Options, PlaneCount, PlaneMethod, Switch};
 
 /// Write the disparity of a photo
 #[derive(Clone, Debug, clap::Args)]
@@ -53,7 +53,15 @@ pub(super) fn run(args: &DepthArgs) -> anyhow::Result<()> {
         models.depth.raw(&photo).with_context(|| name.clone())?
     } else {
         let bar = Bar::new(&name, args.quiet);
-        way::make(&models, &limits, &bytes, None, &args.flags.options(), &bar).with_context(|| name.clone())?.disparity
+        // Planes come after disparity and have no part in it: as few and as plain as can be
+        let options = Options {
+            planes: PlaneCount::Fixed(1),
+            plane_method: PlaneMethod::Linear,
+            refine: Switch::Off,
+            quality: 1,
+            ..args.flags.options()
+        };
+        way::make(&models, &limits, &bytes, None, &options, &bar).with_context(|| name.clone())?.disparity
     };
     files::write(&args.output, &encode(&map, args.raw)?)?;
     let (low, high) = range(&map);
