@@ -44,6 +44,17 @@ def read_disparity(path):
     return cv2.imread(str(path), cv2.IMREAD_UNCHANGED).astype(np.float32) / 65535
 
 
+CACHE = {}
+
+
+def read_pair(folder):
+    """Photo and disparity of a scene, kept in memory once read."""
+    if folder not in CACHE:
+        CACHE[folder] = read_rgb(folder / "photo.png"), read_disparity(folder / "disparity.png").astype(np.float16)
+    rgb, d = CACHE[folder]
+    return rgb, d.astype(np.float32)
+
+
 def read_scene(folder):
     return json.loads((Path(folder) / "scene.json").read_text())
 

@@ -12,7 +12,7 @@ from common import DATA
 from depth import MEAN, STD, DepthNet
 
 # pixels of the network's input that it was trained for
-AREA = 192 * 288
+AREA = 160 * 224
 
 
 def size_for(h, w, area=AREA):

@@ -248,9 +248,9 @@ def main():
     a.add_argument("--held", nargs="+", default=[str(RUNS / "data" / "held")], help="scenes that are only measured on")
     a.add_argument("--out", default=str(RUNS / "psi"))
     a.add_argument("--steps", type=int, default=2500)
-    a.add_argument("--minutes", type=float, default=1e9, help="end by then, with the schedule drawn out over that time")
+    a.add_argument("--minutes", type=float, default=1e9, help="processor minutes to end by, with the schedule drawn out over them")
     a.add_argument("--batch", type=int, default=12)
-    a.add_argument("--per-scene", type=int, default=12)
+    a.add_argument("--per-scene", type=int, default=8)
     a.add_argument("--threads", type=int, default=1)
     a.add_argument("--seed", type=int, default=3)
     a.add_argument("--measure", metavar="MODEL", help="measure psi.onnx against nothing on the held-out scenes, and end")
@@ -258,7 +258,7 @@ def main():
     torch.set_num_threads(a.threads)
     cv2.setNumThreads(1)
     common.seed_all(a.seed)
-    held = make_samples(common.scenes(*a.held), 6, 99)
+    held = make_samples(common.scenes(*a.held), 4, 99)
     bar = measure(Nothing(), held)
     print("without Ψ", {k: round(v, 5) for k, v in bar.items()}, f"{len(held)} tiles", flush=True)
     if a.measure:
@@ -278,13 +278,13 @@ def main():
         net.load_state_dict(s["live"])
         optimiser.load_state_dict(s["optimiser"])
         ema.shadow, step, spent = s["model"], s["step"], s["spent"]
-    start = time.time() - spent
+    start = time.process_time() - spent
     samples = make_samples(common.scenes(*a.scenes), a.per_scene, a.seed)
     print(len(samples), "tiles", flush=True)
     log = common.Log(out / "log.csv", ["step", "loss", "l1", "ssim", "hidden", "mse"])
     seen, smoothed = [], Psi()
     while step < a.steps:
-        done = max(step / a.steps, (time.time() - start) / 60 / a.minutes)
+        done = max(step / a.steps, (time.process_time() - start) / 60 / a.minutes)
         for group in optimiser.param_groups:
             group["lr"] = 2e-3 * (min(1, (step + 1) / 50) * (0.5 + 0.5 * np.cos(np.pi * min(1, done))) + 0.01)
         if done < 1:
@@ -297,10 +297,10 @@ def main():
             step += 1
             ema.update(net, step)
             seen.append(loss.item())
-        if step % 100 == 0 or done >= 1:
+        if step % 200 == 0 or done >= 1:
             smoothed.load_state_dict(ema.shadow)
-            log.row(step=step, loss=float(np.mean(seen[-100:])), **measure(smoothed, held))
-            common.save(out / "last.pt", live=net.state_dict(), model=ema.shadow, optimiser=optimiser.state_dict(), step=step, spent=time.time() - start)
+            log.row(step=step, loss=float(np.mean(seen[-200:])), **measure(smoothed, held))
+            common.save(out / "last.pt", live=net.state_dict(), model=ema.shadow, optimiser=optimiser.state_dict(), step=step, spent=time.process_time() - start)
         if done >= 1:
             break
 

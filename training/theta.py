@@ -120,8 +120,7 @@ def batch_of(folders, size, n, rng):
     xs, ys = [], []
     for _ in range(n):
         f = rng.choice(folders)
-        rgb, d = common.read_rgb(f / "photo.png"), common.read_disparity(f / "disparity.png")
-        rgb, d = common.framed(rgb, d, size, rng)
+        rgb, d = common.framed(*common.read_pair(f), size, rng)
         span = rng.uniform(0.5, 1.0)  # maps that do not fill 0..1
         d = d * span + rng.uniform(0, 1 - span)
         ys.append(torch.from_numpy(d)[None])
@@ -144,8 +143,8 @@ def main():
     a.add_argument("--scenes", nargs="+", default=[str(RUNS / "data" / "train")])
     a.add_argument("--out", default=str(RUNS / "theta"))
     a.add_argument("--steps", type=int, default=2500)
-    a.add_argument("--minutes", type=float, default=1e9, help="end by then, with the schedule drawn out over that time")
-    a.add_argument("--batch", type=int, default=4)
+    a.add_argument("--minutes", type=float, default=1e9, help="processor minutes to end by, with the schedule drawn out over them")
+    a.add_argument("--batch", type=int, default=3)
     a.add_argument("--threads", type=int, default=1)
     a.add_argument("--seed", type=int, default=2)
     a = a.parse_args()
@@ -164,15 +163,15 @@ def main():
         optimiser.load_state_dict(s["optimiser"])
         ema.shadow, step, spent = s["model"], s["step"], s["spent"]
     log = common.Log(out / "log.csv", ["step", "loss", "folded"])
-    folders, start, seen = common.scenes(*a.scenes), time.time() - spent, []
+    folders, start, seen = common.scenes(*a.scenes), time.process_time() - spent, []
     while step < a.steps:
-        done = max(step / a.steps, (time.time() - start) / 60 / a.minutes)
+        done = max(step / a.steps, (time.process_time() - start) / 60 / a.minutes)
         if done >= 1:
             break
         for group in optimiser.param_groups:
             group["lr"] = 3e-3 * (min(1, (step + 1) / 50) * (0.5 + 0.5 * np.cos(np.pi * done)) + 0.01)
         rng = random.Random(a.seed * 1_000_003 + step)
-        x, y = batch_of(folders, rng.choice([(128, 192), (192, 128), (192, 192), (192, 256)]), a.batch, rng)
+        x, y = batch_of(folders, rng.choice([(128, 192), (192, 128), (128, 128), (192, 192)]), a.batch, rng)
         loss, folded = loss_of(net, x, y)
         optimiser.zero_grad()
         loss.backward()
@@ -183,8 +182,8 @@ def main():
         seen.append((loss.item(), folded.item()))
         if step % 50 == 0:
             log.row(step=step, loss=float(np.mean([s[0] for s in seen[-50:]])), folded=float(np.mean([s[1] for s in seen[-50:]])))
-            common.save(out / "last.pt", live=net.state_dict(), model=ema.shadow, optimiser=optimiser.state_dict(), step=step, spent=time.time() - start)
-    common.save(out / "last.pt", live=net.state_dict(), model=ema.shadow, optimiser=optimiser.state_dict(), step=step, spent=time.time() - start)
+            common.save(out / "last.pt", live=net.state_dict(), model=ema.shadow, optimiser=optimiser.state_dict(), step=step, spent=time.process_time() - start)
+    common.save(out / "last.pt", live=net.state_dict(), model=ema.shadow, optimiser=optimiser.state_dict(), step=step, spent=time.process_time() - start)
 
 
 if __name__ == "__main__":
