@@ -49,8 +49,10 @@ pub(super) fn back_to_front(scene: &Scene, backward: bool) -> Vec<usize> {
 /// A scene as the `cpu` host draws it.
 #[derive(Debug)]
 pub(super) struct Prepared {
-    /// Straight-alpha texels of all layers, at [`Layer::first_texel`].
+    /// Straight-alpha texels of all layers; each has its last column and last row twice, so that two by two neighbours always exist.
     pub texels: Vec<[u8; 4]>,
+    /// Place of each layer's first texel; its rows are one texel longer than its rectangle.
+    pub first: Vec<usize>,
     /// Layers with anything to draw, nearest first.
     pub order: Vec<usize>,
 }
@@ -59,23 +61,40 @@ impl Prepared {
     /// Checks and expands `scene`.
     pub fn new(scene: &Scene) -> Result<Self, SceneError> {
         scene.validate()?;
-        let mut texels = Vec::with_capacity(scene.texels.class.len());
-        let mut order = back_to_front(scene, false);
+        let mut texels = Vec::with_capacity(scene.layers.iter().map(padded).sum());
+        let mut first = Vec::with_capacity(scene.layers.len());
         let mut drawn = vec![false; scene.layers.len()];
+        let mut own = Vec::new();
         for (index, layer) in scene.layers.iter().enumerate() {
-            scene.expand_layer(index, &mut texels);
-            let content = Content::of(&scene.texels.alpha[layer.first_texel..texels.len()]);
+            let content = Content::of(&scene.texels.alpha[layer.first_texel..layer.first_texel + layer.rect.area()]);
             drawn[index] = content.opaque || content.soft;
+            first.push(texels.len());
+            if drawn[index] {
+                own.clear();
+                scene.expand_layer(index, &mut own);
+                let rows = own.chunks(layer.rect.w as usize);
+                for row in rows.clone().chain(rows.last()) {
+                    texels.extend_from_slice(row);
+                    texels.extend(row.last());
+                }
+            }
         }
+        let mut order = back_to_front(scene, false);
         order.retain(|&i| drawn[i]);
         order.reverse();
-        Ok(Self { texels, order })
+        Ok(Self { texels, first, order })
     }
 
-    /// Bytes that [`Prepared::new`] takes for `scene`.
+    /// Bytes that [`Prepared::new`] takes for `scene`, at most.
     pub fn bytes(scene: &Scene) -> usize {
-        scene.texels.class.len() * size_of::<[u8; 4]>() + scene.layers.len() * size_of::<usize>()
+        let texels: usize = scene.layers.iter().map(padded).sum();
+        texels * size_of::<[u8; 4]>() + scene.layers.len() * 2 * size_of::<usize>()
     }
+}
+
+/// Texels of a layer with the column and the row that come twice.
+fn padded(layer: &Layer) -> usize {
+    (layer.rect.w as usize + 1) * (layer.rect.h as usize + 1)
 }
 
 /// Values by scene, within a budget of bytes; the least recently used go first, those of dropped scenes at once.

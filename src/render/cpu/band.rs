@@ -41,7 +41,7 @@ impl Band {
         self.soft.clear();
         for draw in draws {
             let (from, to) = (draw.footprint.y0.max(first_row), draw.footprint.y1.min(first_row + rows));
-            let layer = &texels[draw.first_texel..draw.first_texel + draw.w * draw.h];
+            let layer = &texels[draw.first_texel..draw.first_texel + (draw.w + 1) * (draw.h + 1)];
             for y in from..to {
                 if let Some(span) = draw.span(y) {
                     let row = (y - first_row) as usize * width;
@@ -53,7 +53,7 @@ impl Band {
     }
 
     fn walk(&mut self, draw: &Draw, span: &Span, texels: &[[u8; 4]], first: usize, out: &mut [[u8; 4]]) {
-        let pixels = first..first + (span.end - span.start);
+        let (pixels, stride) = (first..first + (span.end - span.start), draw.w + 1);
         let (depth, head, out) = (&mut self.depth[pixels.clone()], &mut self.head[pixels.clone()], &mut out[pixels]);
         for (chunk, ((depth, head), out)) in depth.chunks_mut(LANES).zip(head.chunks_mut(LANES)).zip(out.chunks_mut(LANES)).enumerate() {
             let Some(lanes) = Lanes::new(span, (chunk * LANES) as f32, draw, depth) else { continue };
@@ -62,10 +62,8 @@ impl Band {
                     continue;
                 }
                 let (column, row) = ((lanes.x[i] >> 8) as usize, (lanes.y[i] >> 8) as usize);
-                let at = row * draw.w + column;
-                let right = usize::from(column + 1 < draw.w);
-                let below = if row + 1 < draw.h { draw.w } else { 0 };
-                let four = [texels[at], texels[at + right], texels[at + below], texels[at + below + right]];
+                let [upper, lower] = [row, row + 1].map(|row| &texels[row * stride + column..][..2]);
+                let four = [upper[0], upper[1], lower[0], lower[1]];
                 let (fx, fy) = (lanes.x[i] & 255, lanes.y[i] & 255);
                 let alphas = four.map(|t| t[3]);
                 if alphas == [255; 4] {

@@ -36,11 +36,12 @@ pub(super) struct Span {
 }
 
 impl Draw {
-    pub fn new(scene: &Scene, index: usize, camera: &Camera) -> Option<Self> {
+    /// Layer `index`, whose prepared texels start at `first_texel`.
+    pub fn new(scene: &Scene, index: usize, first_texel: usize, camera: &Camera) -> Option<Self> {
         let footprint = Footprint::new(scene, index, camera)?;
         let layer = &scene.layers[index];
         let edges = footprint.conditions().map(|form| Edge { form, reciprocal: 1.0 / form[0] });
-        Some(Self { footprint, edges, first_texel: layer.first_texel, w: layer.rect.w as usize, h: layer.rect.h as usize })
+        Some(Self { footprint, edges, first_texel, w: layer.rect.w as usize, h: layer.rect.h as usize })
     }
 
     /// The span of row `y`, none where it is empty.
