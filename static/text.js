@@ -13,6 +13,11 @@ export function formatBytes(bytes) {
   return `${value < 9.95 ? value.toFixed(1) : Math.round(value)} ${units[unit]}`;
 }
 
+/** A message as a sentence of its own. */
+export function sentence(message) {
+  return message.charAt(0).toUpperCase() + message.slice(1);
+}
+
 const STAGES = {
   photo: 'Reading the photo',
   depth: 'Estimating depth',

@@ -1,7 +1,7 @@
 // The page of all photos: takes new ones, shows how far they are, and lists those that are there.
 import { deletePhoto, listPhotos, photoUrl, uploadPhoto } from './api.js';
 import { followPhoto, isUnderWay, reasonOf } from './events.js';
-import { element, forgetName, formatBytes, icon, photoName, queueText, rememberName, stageText } from './text.js';
+import { element, forgetName, formatBytes, icon, photoName, queueText, rememberName, sentence, stageText } from './text.js';
 
 /** Uploads under way at the same time. */
 const PARALLEL = 2;
@@ -48,7 +48,7 @@ class Row {
   fail(message) {
     this.root.classList.add('failed');
     this.bar.hidden = true;
-    this.state.textContent = message;
+    this.state.textContent = sentence(message);
     this.close.setAttribute('aria-label', `Dismiss ${this.name}`);
     this.onClose = () => this.remove();
     say(`${this.name}: ${message}`);
@@ -191,7 +191,7 @@ function card(photo) {
 
 function failedCard(photo) {
   const thumb = element('span', 'thumb', 'Not made');
-  return frame(photo, photoName(photo), thumb, element('p', 'card-facts bad', reasonOf(photo)));
+  return frame(photo, photoName(photo), thumb, element('p', 'card-facts bad', sentence(reasonOf(photo))));
 }
 
 function frame(photo, name, top, facts) {
@@ -210,7 +210,7 @@ function frame(photo, name, top, facts) {
       $('gallery').querySelector('a, button')?.focus();
     } catch (error) {
       bin.disabled = false;
-      facts.textContent = error.message;
+      facts.textContent = sentence(error.message);
       facts.classList.add('bad');
       say(error.message);
     }
@@ -225,7 +225,7 @@ async function list(address) {
     return await listPhotos(address);
   } catch (error) {
     $('gallery-note').hidden = false;
-    $('gallery-note').textContent = error.message;
+    $('gallery-note').textContent = sentence(error.message);
     return null;
   }
 }

@@ -2,7 +2,7 @@
 import { getPhoto, photoUrl } from './api.js';
 import { formatPose, parsePose } from './camera.js';
 import { followPhoto, isUnderWay } from './events.js';
-import { formatBytes, photoName, queueText, stageText } from './text.js';
+import { formatBytes, photoName, queueText, sentence, stageText } from './text.js';
 import { Viewer } from './viewer.js';
 
 const TOAST_MS = 2500;
@@ -55,7 +55,7 @@ function showLoading(text, share) {
 function fail(message) {
   $('loading').hidden = true;
   $('tools').hidden = true;
-  $('failure-text').textContent = message;
+  $('failure-text').textContent = sentence(message);
   $('failure').hidden = false;
 }
 

@@ -20,7 +20,7 @@ const FRAME_WEIGHT = 0.15;
 /** A frame slower than this, while moving, is drawn with fewer pixels the next time; at rest the picture is always whole. */
 const SLOW_FRAME_MS = 40;
 const COARSER = 0.8;
-const COARSEST = 0.4;
+const COARSEST = 0.5;
 /** Time in which the view zooms in from the whole photo to where no border shows. */
 const ZOOM_IN_S = 1.2;
 
@@ -335,6 +335,7 @@ export class Viewer extends EventTarget {
       this.frameMs = this.frameMs === null ? ms : this.frameMs + (ms - this.frameMs) * FRAME_WEIGHT;
       this.#emit('frame', { ms: this.frameMs });
       if (this.moving && ms > SLOW_FRAME_MS) this.#detail = Math.max(COARSEST, this.#detail * COARSER);
+      else if (ms < SLOW_FRAME_MS / 2) this.#detail = Math.min(1, this.#detail / COARSER);
     } catch {
       // the device is gone, which is dealt with where it is noticed
     } finally {
