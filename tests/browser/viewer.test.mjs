@@ -227,7 +227,7 @@ describe('viewer', () => {
     const { page, context } = await openPage(browser);
     await page.goto(`${server.url}/view/none`);
     await page.locator('#failure').waitFor();
-    assert.match(await page.locator('#failure-text').textContent(), /there is no \/v1\/photos\/none\/atlas/);
+    assert.match(await page.locator('#failure-text').textContent(), /There is no \/v1\/photos\/none\/atlas/);
     await context.close();
   });
 });
