@@ -45,7 +45,7 @@ pub async fn around(State(app): State<App>, request: Request, next: Next) -> Res
     let status = response.status().as_u16();
     app.telemetry.request(known_method(&method), &route, status, took);
     span.in_scope(|| {
-        let ms = took.as_secs_f64() * 1e3;
+        let ms = (took.as_secs_f64() * 1e5).round() / 1e2;
         if response.status().is_server_error() { tracing::warn!(status, ms) } else { tracing::info!(status, ms) }
     });
     response
