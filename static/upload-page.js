@@ -10,8 +10,8 @@ const UPLOAD_SHARE = 0.25;
 
 const $ = (id) => document.getElementById(id);
 const waiting = [];
-/** Photos that have a row. */
-const followed = new Set();
+/** Rows by the ids of their photos. */
+const rows = new Map();
 let running = 0;
 
 function say(text) {
@@ -112,7 +112,6 @@ async function send({ file, row }) {
   try {
     const photo = await post(file, row);
     rememberName(photo.id, row.name);
-    followed.add(photo.id);
     // making it goes on without holding up the next upload
     follow(photo, row);
   } catch (error) {
@@ -147,6 +146,7 @@ function pause(ms, row) {
 }
 
 function follow(photo, row) {
+  rows.set(photo.id, row);
   const stop = followPhoto(photo.id, {
     queued: (position) => row.show(queueText(position), UPLOAD_SHARE),
     stage: ({ stage, step, steps }) => row.show(stageText(stage), UPLOAD_SHARE + (1 - UPLOAD_SHARE) * (steps ? (step - 1) / steps : 0)),
@@ -161,7 +161,6 @@ function follow(photo, row) {
     stop();
     try {
       await remove(photo.id);
-      row.remove();
     } catch (error) {
       row.fail(error.message);
     }
@@ -173,6 +172,8 @@ function follow(photo, row) {
 async function remove(id) {
   await deletePhoto(id);
   forgetName(id);
+  rows.get(id)?.remove();
+  rows.delete(id);
 }
 
 function card(photo) {
@@ -249,8 +250,7 @@ async function refresh() {
 /** Photos that were on their way when the page was opened. */
 function resume(photos) {
   for (const photo of photos) {
-    if (!isUnderWay(photo) || followed.has(photo.id)) continue;
-    followed.add(photo.id);
+    if (!isUnderWay(photo) || rows.has(photo.id)) continue;
     follow(photo, new Row(photoName(photo), null));
   }
 }

@@ -34,7 +34,7 @@ export function zstdStored(bytes) {
 const KINDS = { photo: 1, planes: 2, classes: 3, alpha: 4, hidden: 5 };
 const CODECS = { raw: 0, zstd: 1, png: 3 };
 
-/** Header, index and sections; `change` may alter the index's fields before they are written. */
+/** Header, index and sections. */
 export function assemble(index, sections, { major = 1 } = {}) {
   let offset = 0;
   const written = sections.map(({ kind, codec, bytes, rawLength = 0 }) => {
@@ -73,7 +73,7 @@ export function boxScene(width = 200, height = 120, size = 64) {
   return { width, height, size, stride, layers };
 }
 
-/** The scene as a container. */
+/** The scene as a container; `change(index, sections)` may alter either before they are written. */
 export function container(scene, options) {
   const { width, height, size, stride, layers } = scene;
   const n = layers.length;
