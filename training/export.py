@@ -7,23 +7,23 @@ import torch
 
 import common
 from common import MODELS, RUNS
-from graph import Graph, check, decoder, encoder, halved
+from graph import Graph, check, decoder, encoder, halved, ramped
 
 LICENCE = "MIT OR Apache-2.0"
 
 
-def depth(path, checkpoint):
-    from depth import DepthNet
+def depth(path, checkpoint, ramp):
+    from depth import DepthNet, Shipped
 
     net = DepthNet().eval()
     net.decoder.load_state_dict(checkpoint["decoder"])
     fold_into_half(net)
     g = Graph("tmpi depth")
     x = g.input("image", ["n", 3, "h", "w"])
-    g.output(decoder(g, encoder(g, x, net.encoder), net.decoder), "disparity", ["n", 1, "h", "w"])
-    g.save(path, {"licence": LICENCE + "; encoder: MobileNetV2, Apache-2.0", "step": str(checkpoint["step"])})
+    g.output(ramped(g, decoder(g, encoder(g, x, net.encoder), net.decoder), ramp), "disparity", ["n", 1, "h", "w"])
+    g.save(path, {"licence": LICENCE + "; encoder: MobileNetV2, Apache-2.0", "step": str(checkpoint["step"]), "ramp": str(ramp)})
     inputs = [{"image": torch.randn(n, 3, h, w)} for n, h, w in ((1, 192, 288), (2, 96, 288), (1, 288, 96))]
-    return [check(path, net, i) for i in inputs]
+    return [check(path, Shipped(net, ramp), i) for i in inputs]
 
 
 def fold_into_half(net):
@@ -109,6 +109,7 @@ def main():
     a.add_argument("model", choices=["depth", "theta", "psi"])
     a.add_argument("--checkpoint")
     a.add_argument("--out")
+    a.add_argument("--ramp", type=float, default=0.5, help="share of the vertical ramp in the depth network's map")
     a = a.parse_args()
     torch.manual_seed(0)
     torch.set_num_threads(1)
@@ -116,7 +117,7 @@ def main():
     path = common.Path(a.out or MODELS / f"{a.model}.onnx")
     path.parent.mkdir(parents=True, exist_ok=True)
     checkpoint = torch.load(a.checkpoint or RUNS / name, weights_only=False, map_location="cpu")
-    worst = {"depth": depth, "theta": theta, "psi": psi}[a.model](path, checkpoint)
+    worst = depth(path, checkpoint, a.ramp) if a.model == "depth" else {"theta": theta, "psi": psi}[a.model](path, checkpoint)
     print(f"{path}: {path.stat().st_size} bytes, step {checkpoint['step']}, ONNX Runtime − PyTorch at most {max(worst):.1e}")
 
 

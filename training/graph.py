@@ -115,10 +115,26 @@ def encoder(g, x, e):
     return [value[t] for t in e.taps]
 
 
+def ones_of(g, x):
+    """Ones of the shape [N,1,H,W] of a map."""
+    mean = g.op("ReduceMean", x, axes=[1], keepdims=1)
+    return g.op("Add", g.op("Mul", mean, g.constant(np.float32(0))), g.constant(np.float32(1)))
+
+
+def unit(g, x):
+    x = g.op("Sub", x, g.op("ReduceMean", x, axes=[2, 3], keepdims=1))
+    var = g.op("Add", g.op("ReduceMean", g.op("Mul", x, x), axes=[2, 3], keepdims=1), g.constant(np.float32(1e-12)))
+    return g.op("Div", x, g.op("Sqrt", var))
+
+
+def ramped(g, p, ramp):
+    row = g.op("CumSum", ones_of(g, p), g.constant(np.int64(2), np.int64))
+    return g.op("Add", unit(g, p), g.op("Mul", unit(g, row), g.constant(np.float32(ramp))))
+
+
 def decoder(g, features, d):
     f5 = features[4]
-    mean = g.op("ReduceMean", f5, axes=[1], keepdims=1)
-    one = g.op("Add", g.op("Mul", mean, g.constant(np.float32(0))), g.constant(np.float32(1)))
+    one = ones_of(g, f5)
     rows = g.op("CumSum", one, g.constant(np.int64(2), np.int64))
     total = g.op("ReduceSum", one, g.constant([2], np.int64), keepdims=1)
     row = g.op("Sub", g.op("Mul", g.op("Div", rows, total), g.constant(np.float32(2))), g.constant(np.float32(1)))

@@ -63,7 +63,7 @@ const fn entry(name: &'static str, size: SizeRule, multiple: u32, norm: ([f32; 3
 
 /// All known networks; the first is the embedded one.
 pub const ADAPTERS: [Adapter; 8] = [
-    Adapter { smoothing: 3000.0, ..entry("tmpi", SizeRule::Area(256 * 384), 32, IMAGENET, Kind::Disparity) },
+    Adapter { smoothing: 3000.0, ..entry("tmpi", SizeRule::Area(160 * 224), 32, IMAGENET, Kind::Disparity) },
     entry("midas-v2.1-small", SizeRule::Long(256), 32, IMAGENET, Kind::Disparity),
     entry("midas-v2.1", SizeRule::Long(384), 32, IMAGENET, Kind::Disparity),
     entry("dpt-hybrid", SizeRule::Short(384), 32, HALF, Kind::Disparity),
@@ -112,9 +112,9 @@ mod tests {
     #[test]
     fn the_embedded_network_runs_at_about_its_training_area() {
         let a = adapter("tmpi").unwrap();
-        assert_eq!(a.network_size(6000, 4000), (384, 256));
-        assert_eq!(a.network_size(300, 450), (256, 384));
-        assert_eq!(a.network_size(100, 100), (320, 320));
+        assert_eq!(a.network_size(6000, 4000), (224, 160));
+        assert_eq!(a.network_size(300, 450), (160, 224));
+        assert_eq!(a.network_size(100, 100), (192, 192));
         assert_eq!(a.network_size(1, 20_000), a.network_size(1000, 3000));
     }
 

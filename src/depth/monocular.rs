@@ -228,7 +228,8 @@ mod tests {
     fn stiff_outputs() {
         let p = photo(64, 48);
         let flat = with(|_, _| 7.0).estimate(&p).unwrap();
-        assert!(flat.delta.iter().all(|v| (v - 0.5).abs() < 1e-6), "no relief");
+        let worst = flat.delta.iter().map(|v| (v - 0.5).abs()).fold(0.0, f32::max);
+        assert!(worst < 1e-5, "no relief: {worst}");
         let holes = with(|x, y| {
             if x == y {
                 f32::NAN
@@ -291,8 +292,8 @@ mod tests {
         let got = Monocular::load(&plain, mean, &Config::default(), false).unwrap();
         let grey = Photo { width: 48, height: 32, rgb: (0..48 * 32).map(|i| [(i % 48 * 5) as u8; 3]).collect() };
         let raw = got.raw(&grey).unwrap();
-        assert_eq!((raw.width, raw.height), (384, 256));
-        assert!((raw.delta[128 * 384 + 192] - 0.46).abs() < 0.03, "{}", raw.delta[128 * 384 + 192]);
+        assert_eq!((raw.width, raw.height), (224, 160));
+        assert!((raw.delta[80 * 224 + 112] - 0.46).abs() < 0.03, "{}", raw.delta[80 * 224 + 112]);
         let two = include_bytes!("../../tests/onnx/sum_difference.onnx");
         assert!(matches!(Monocular::load(&plain, two, &Config::default(), false), Err(OnnxError::Model { .. })));
     }
