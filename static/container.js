@@ -1,4 +1,5 @@
 // Container → scene (schema and layout in proto/tmpi.proto). Pure: no page, no network; pictures are decoded by the caller.
+import { tileCounts, tileRect } from './grid.js';
 import { broken, ContainerError, readMessage } from './protobuf.js';
 import { decompress } from './vendor/fzstd.js';
 
@@ -236,18 +237,11 @@ function alphaBytes(section, index) {
   return section.rawLength;
 }
 
-/** Count of tiles over `length` pixels. */
-export function tileCount(length, size, stride) {
-  return length <= size ? 1 : Math.ceil((length - size) / stride) + 1;
-}
-
 function readLayers(bytes, index) {
   const n = index.layers;
-  const { width, height, tileSize, tileStride } = index;
   const u16 = (column, i) => bytes[column * 2 * n + i] | (bytes[column * 2 * n + n + i] << 8);
   const i16 = (column, i) => (u16(column, i) << 16) >> 16;
-  const columns = tileCount(width, tileSize, tileStride);
-  const tiles = columns * tileCount(height, tileSize, tileStride);
+  const { columns, tiles } = tileCounts(index);
   const layers = {
     count: n,
     /** Upper left pixel of the layer's tile. */
@@ -274,19 +268,18 @@ function readLayers(bytes, index) {
   for (let i = 0; i < n; i++) {
     tile += u16(0, i);
     if (tile >= tiles) broken(`layer ${i} lies in tile ${tile} of ${tiles}`);
-    const tx = (tile % columns) * tileStride;
-    const ty = Math.floor(tile / columns) * tileStride;
+    const own = tileRect(index, columns, tile);
     const [x, y, w, h] = [u16(4, i), u16(5, i), u16(6, i), u16(7, i)];
-    if (!w || !h || x + w > Math.min(tileSize, width - tx) || y + h > Math.min(tileSize, height - ty)) {
+    if (!w || !h || x + w > own.w || y + h > own.h) {
       broken(`the rectangle of layer ${i} leaves its tile`);
     }
-    layers.tileX[i] = tx;
-    layers.tileY[i] = ty;
+    layers.tileX[i] = own.x;
+    layers.tileY[i] = own.y;
     layers.a[i] = i16(1, i) * PLANE_STEP;
     layers.b[i] = i16(2, i) * PLANE_STEP;
     layers.c[i] = i16(3, i) * PLANE_STEP;
-    layers.x[i] = tx + x;
-    layers.y[i] = ty + y;
+    layers.x[i] = own.x + x;
+    layers.y[i] = own.y + y;
     layers.w[i] = w;
     layers.h[i] = h;
     layers.firstTexel[i] = texel;
