@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::process::Command;
 
-use crate::command::{Fault, output, program, root, run, run_quietly};
+use crate::command::{Fault, data, output, program, root, run, run_quietly};
 
 const FOLDER: &str = "tests/browser";
 const NODE: u32 = 20;
@@ -107,7 +107,7 @@ fn packages() -> Result<(), Fault> {
 /// Runs the browser tests against the release build.
 pub fn test() -> Result<(), Fault> {
     let mut command = npm();
-    command.args(["test", "--silent"]).env("TMPI_BIN", program());
+    command.args(["test", "--silent"]).env("TMPI_BIN", program()).env("TMPI_DATA", data());
     if let Some(chromium) = chromium() {
         command.env("CHROMIUM", chromium);
     }

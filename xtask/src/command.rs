@@ -43,14 +43,17 @@ pub fn program() -> PathBuf {
     target.join("release").join(format!("tmpi{}", std::env::consts::EXE_SUFFIX))
 }
 
+/// Data for measuring, for programs that run in any folder.
+pub fn data() -> PathBuf {
+    let named = std::env::var_os("TMPI_DATA").filter(|v| !v.is_empty());
+    root().join(named.unwrap_or_else(|| "../shared/data".into()))
+}
+
 /// The cargo that runs this task.
 pub fn cargo(args: &[&str]) -> Command {
     let mut command = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
     command.args(args).current_dir(root());
-    // Data for measuring is looked up from the root
-    if std::env::var_os("TMPI_DATA").is_none() {
-        command.env("TMPI_DATA", root().join("../shared/data"));
-    }
+    command.env("TMPI_DATA", data());
     command
 }
 
