@@ -12,6 +12,8 @@ use crate::tmpi::{DisparityMap, Photo};
 const PERCENTILES: (f64, f64) = (0.01, 0.99);
 /// Normalised disparity of a map without any relief, which tells nothing: half way, so that it moves and stays in range.
 const FLAT: f32 = 0.5;
+/// Range of a smoothed map below which it is not stretched again.
+const NOISE: f64 = 0.25;
 
 /// Monocular depth by one network of [`super::ADAPTERS`].
 pub struct Monocular {
@@ -112,13 +114,12 @@ impl Estimator for Monocular {
 
     fn estimate(&self, photo: &Photo) -> Result<DisparityMap, DepthError> {
         let mut map = self.raw(photo)?;
-        normalise(&mut map.delta);
-        if self.adapter.smoothing > 0.0 {
+        if normalise(&mut map.delta, 0.0) && self.adapter.smoothing > 0.0 {
             let load = |p: [u8; 3]| p.map(|v| f32::from(v) / 255.0);
             let guide = resample(&photo.rgb, (photo.width, photo.height), (map.width, map.height), Filter::Triangle, load, |p| p);
             map.delta = smooth(&guide, &map.delta, map.width as usize, self.adapter.smoothing);
-            // Smoothing draws values together
-            normalise(&mut map.delta);
+            // Smoothing draws values together; where little is left, it was noise and stays little
+            normalise(&mut map.delta, NOISE);
         }
         Ok(upsample(photo, &map))
     }
@@ -152,8 +153,9 @@ fn align(values: &mut [f32], target: &[f32]) {
     }
 }
 
-/// Maps the range between [`PERCENTILES`] to 0..=1 and clamps the rest; a map without relief becomes [`FLAT`]. Finite values only.
-pub(super) fn normalise(values: &mut [f32]) {
+/// Maps the range between [`PERCENTILES`] to 0..=1 and clamps the rest, where it is larger than `least`; a map without relief
+/// becomes [`FLAT`]. True where there is relief. Finite values only.
+fn normalise(values: &mut [f32], least: f64) -> bool {
     let mut sorted = values.to_vec();
     let mut at = |share: f64| {
         let k = ((sorted.len() - 1) as f64 * share).round() as usize;
@@ -166,11 +168,15 @@ pub(super) fn normalise(values: &mut [f32]) {
     }
     if !relief(lo, hi) {
         values.fill(FLAT);
-        return;
+        return false;
+    }
+    if hi - lo <= least {
+        return true;
     }
     for v in values {
         *v = (((f64::from(*v) - lo) / (hi - lo)).clamp(0.0, 1.0)) as f32;
     }
+    true
 }
 
 /// True where the range is more than rounding.
@@ -247,7 +253,7 @@ mod tests {
         let lone = with(|x, y| if (x, y) == (0, 0) { 1.0 } else { 0.0 })
             .raw(&p)
             .map(|mut m| {
-                normalise(&mut m.delta);
+                normalise(&mut m.delta, 0.0);
                 m
             })
             .unwrap();

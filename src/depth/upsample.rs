@@ -82,8 +82,8 @@ fn fit(guide: &[[f32; 3]], delta: &[f32], (w, h): (usize, usize), radius: usize,
     // Products of values about their middle lose fewer digits than products of the values
     let centred = |i: usize, c: usize| guide[i][c] - 0.5;
     let colour: [Vec<f32>; 3] = std::array::from_fn(|c| mean(&|i| centred(i, c)));
-    let mean_d = mean(&|i| delta[i]);
-    let with_d: [Vec<f32>; 3] = std::array::from_fn(|c| mean(&|i| centred(i, c) * delta[i]));
+    let mean_d = mean(&|i| delta[i] - 0.5);
+    let with_d: [Vec<f32>; 3] = std::array::from_fn(|c| mean(&|i| centred(i, c) * (delta[i] - 0.5)));
     let pairs = [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)];
     let with_c: [Vec<f32>; 6] = std::array::from_fn(|k| mean(&|i| centred(i, pairs[k].0) * centred(i, pairs[k].1)));
     let models: Vec<[f32; 4]> = (0..delta.len())
@@ -94,7 +94,7 @@ fn fit(guide: &[[f32; 3]], delta: &[f32], (w, h): (usize, usize), radius: usize,
             let cov: [f64; 3] = std::array::from_fn(|c| f64::from(with_d[c][i]) - m[c] * d);
             let var: [f64; 6] = std::array::from_fn(|k| f64::from(with_c[k][i]) - m[pairs[k].0] * m[pairs[k].1]);
             let a = solve(var, epsilon, cov);
-            let offset = d - (0..3).map(|c| a[c] * (m[c] + 0.5)).sum::<f64>();
+            let offset = d + 0.5 - (0..3).map(|c| a[c] * (m[c] + 0.5)).sum::<f64>();
             [a[0] as f32, a[1] as f32, a[2] as f32, offset as f32]
         })
         .collect();
