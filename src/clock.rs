@@ -41,6 +41,8 @@ mod system {
         t.tv_sec as f64 * 1e3 + t.tv_nsec as f64 / 1e6
     }
 
+    /// Peak resident memory of this process in bytes; 0 where the system does not tell.
+    #[must_use]
     pub fn peak_rss_bytes() -> u64 {
         let mut usage = std::mem::MaybeUninit::<libc::rusage>::zeroed();
         // SAFETY: `usage` outlives the call and all-zero is a valid `rusage`.

@@ -14,6 +14,10 @@
 )]
 // Image geometry is written with the field's one-letter names (u, v, a, b, c, x, y, w, h).
 #![allow(clippy::many_single_char_names, clippy::similar_names)]
+// Counts of a class run once a scene; a crate for them is not worth its build.
+#![allow(clippy::naive_bytecount)]
+// Numerical loops index several arrays at once; zips of five hide what they do.
+#![allow(clippy::needless_range_loop)]
 // `generate::GenerateError` reads better at a call site than `generate::Error` where several modules meet.
 #![allow(clippy::module_name_repetitions)]
 

@@ -1,5 +1,7 @@
 // Container → scene (schema and layout in proto/tmpi.proto). Pure: no page, no network; pictures are decoded by the caller.
 import { tileCounts, tileRect } from './grid.js';
+import { decodeLabels } from './labels.js';
+import { peel } from './peel.js';
 import { broken, ContainerError, readMessage } from './protobuf.js';
 import { decompress } from './vendor/fzstd.js';
 
@@ -10,10 +12,7 @@ export const MAJOR = 1;
 /** Longest side and most pixels of a photo; all bounds are those of the server's reader. */
 const MAX_SIDE = 16_384;
 const MAX_PIXELS = 50_000_000;
-/** Most texels of all layers together, and for every pixel of the photo. */
-const MAX_TEXELS = 800_000_000;
-const MAX_TEXELS_PER_PIXEL = 96;
-const MAX_LAYERS = 4_000_000;
+const MAX_PLANES = 4_000_000;
 const MAX_INDEX_BYTES = 1 << 20;
 const MAX_SECTIONS = 64;
 /** Step of the plane coefficients. */
@@ -22,11 +21,13 @@ const HEADER_BYTES = 12;
 /** A zstd block has at least 4 bytes and holds at most 128 KiB. */
 const ZSTD_LEAST_BLOCK = 4;
 const ZSTD_MOST_CONTENT = 131_072;
-const PLANE_COLUMNS = 8;
+/** Bytes of a plane, and the flag in a tile's count where a backstop follows. */
+const PLANE_BYTES = 6;
+const BACKSTOP = 0x80;
 
-export const Kind = { PHOTO: 1, PLANES: 2, CLASSES: 3, ALPHA: 4, HIDDEN: 5 };
-const KIND_NAMES = { 1: 'photo', 2: 'planes', 3: 'classes', 4: 'alpha', 5: 'hidden' };
-const Codec = { RAW: 0, ZSTD: 1 };
+export const Kind = { PHOTO: 1, PLANES: 2, LABELS: 3, ALPHA: 4, HIDDEN: 5 };
+const KIND_NAMES = { 1: 'photo', 2: 'planes', 3: 'labels', 4: 'alpha', 5: 'hidden' };
+const Codec = { RAW: 0, ZSTD: 1, RANGE: 5 };
 /** Media types of the picture codecs. */
 const PICTURES = { 2: 'image/jpeg', 3: 'image/png', 4: 'image/webp' };
 
@@ -52,8 +53,7 @@ const INDEX = {
   9: ['viewX', 'double'],
   10: ['viewY', 'double'],
   11: ['viewZ', 'double'],
-  12: ['layers', 'u32'],
-  13: ['texels', 'u64'],
+  12: ['planes', 'u32'],
   14: ['hiddenBlocks', 'u32'],
   15: ['hiddenColumns', 'u32'],
   16: ['sections', SECTION],
@@ -94,8 +94,7 @@ function checkIndex(index) {
   }
   if (index.fx <= 0 || index.fy <= 0) broken('focal length');
   if (index.viewX < 0 || index.viewY < 0 || index.viewZ < 0) broken('view box');
-  if (index.texels > Math.min(MAX_TEXELS, width * height * MAX_TEXELS_PER_PIXEL)) broken(`${index.texels} texels`);
-  if (index.layers > MAX_LAYERS || index.layers > index.texels) broken(`${index.layers} layers`);
+  if (index.planes > MAX_PLANES) broken(`${index.planes} planes`);
   if (index.sections.length > MAX_SECTIONS) broken(`${index.sections.length} sections`);
 }
 
@@ -207,12 +206,10 @@ export async function decode(bytes, decodePicture, photo) {
   if (!head) broken('cut off');
   const { index } = head;
   const scene = sceneHead(index);
-  scene.layers = readLayers(unpacked(bytes, head, Kind.PLANES, index.layers * PLANE_COLUMNS * 2), index);
-  const classes = unpacked(bytes, head, Kind.CLASSES, index.texels);
-  const alphaSection = sectionOf(index, Kind.ALPHA);
-  const soft = unpacked(bytes, head, Kind.ALPHA, alphaSection ? alphaBytes(alphaSection, index) : 0);
-  const { hiddenCount: hidden, ...texels } = readTexels(classes, soft);
-  Object.assign(scene, texels);
+  const shapes = peel(scene, readTiles(bytes, head));
+  Object.assign(scene, readLayers(scene, shapes));
+  refineAlpha(bytes, head, scene.alpha);
+  const hidden = scene.classes.reduce((n, kind) => n + (kind === Class.HIDDEN), 0);
   describeLayers(scene);
   const hiddenPicture = hidden ? await decodedPicture(bytes, head, Kind.HIDDEN, decodePicture) : null;
   scene.hidden = readHidden(scene, index, hidden, hiddenPicture);
@@ -232,16 +229,58 @@ async function decodedPicture(bytes, head, kind, decodePicture) {
   }
 }
 
-function alphaBytes(section, index) {
-  if (section.rawLength > index.texels) broken('more alpha values than texels');
-  return section.rawLength;
+/** Planes and labels of all tiles. */
+function readTiles(bytes, head) {
+  const { index } = head;
+  const { planes: n } = index;
+  const { columns, tiles: count } = tileCounts(index);
+  if (n < count) broken(`${n} planes for ${count} tiles`);
+  const data = unpacked(bytes, head, Kind.PLANES, count + n * PLANE_BYTES);
+  const counts = data.subarray(0, count).map((c) => c & ~BACKSTOP);
+  const total = data.subarray(0, count).reduce((sum, c) => sum + (c & ~BACKSTOP) + (c >> 7), 0);
+  if (total !== n) broken(`${total} planes in the tiles, not ${n}`);
+  const coefficient = (column, i) => {
+    const at = count + column * 2 * n + i;
+    return (((data[at] | (data[at + n] << 8)) << 16) >> 16) * PLANE_STEP;
+  };
+  const section = sectionOf(index, Kind.LABELS);
+  if (section?.codec !== Codec.RANGE) broken('no labels section');
+  const labels = decodeLabels(index, counts, payload(bytes, head, section));
+  let next = 0;
+  let first = 0;
+  const plane = () => {
+    const i = next++;
+    return { a: coefficient(0, i), b: coefficient(1, i), c: coefficient(2, i) };
+  };
+  return Array.from(counts, (planes, t) => {
+    const rect = tileRect(index, columns, t);
+    const own = labels.subarray(first, (first += rect.w * rect.h));
+    return {
+      rect,
+      planes: Array.from({ length: planes }, plane),
+      labels: own,
+      backstop: data[t] & BACKSTOP ? plane() : null,
+    };
+  });
 }
 
-function readLayers(bytes, index) {
-  const n = index.layers;
-  const u16 = (column, i) => bytes[column * 2 * n + i] | (bytes[column * 2 * n + n + i] << 8);
-  const i16 = (column, i) => (u16(column, i) << 16) >> 16;
-  const { columns, tiles } = tileCounts(index);
+/** Adds a network's refinement to the soft alphas, where there is one. */
+function refineAlpha(bytes, head, alpha) {
+  if (!sectionOf(head.index, Kind.ALPHA)) return;
+  const soft = alpha.reduce((n, a) => n + (a > 0 && a < 255), 0);
+  const change = unpacked(bytes, head, Kind.ALPHA, soft);
+  let next = 0;
+  for (let i = 0; i < alpha.length; i++) {
+    if (alpha[i] === 0 || alpha[i] === 255) continue;
+    alpha[i] += change[next++];
+    if (alpha[i] === 0 || alpha[i] === 255) broken('a soft texel has no alpha between 1 and 254');
+  }
+}
+
+/** Columns over all layers, and classes and alpha of all their texels. */
+function readLayers(scene, shapes) {
+  const n = shapes.length;
+  const { columns } = tileCounts(scene);
   const layers = {
     count: n,
     /** Upper left pixel of the layer's tile. */
@@ -263,54 +302,22 @@ function readLayers(bytes, index) {
     /** 1 where any texel is not opaque, so that the layer has a soft edge. */
     soft: new Uint8Array(n),
   };
-  let tile = 0;
+  const texels = shapes.reduce((sum, { w, h }) => sum + w * h, 0);
+  const classes = new Uint8Array(texels);
+  const alpha = new Uint8Array(texels);
   let texel = 0;
-  for (let i = 0; i < n; i++) {
-    tile += u16(0, i);
-    if (tile >= tiles) broken(`layer ${i} lies in tile ${tile} of ${tiles}`);
-    const own = tileRect(index, columns, tile);
-    const [x, y, w, h] = [u16(4, i), u16(5, i), u16(6, i), u16(7, i)];
-    if (!w || !h || x + w > own.w || y + h > own.h) {
-      broken(`the rectangle of layer ${i} leaves its tile`);
-    }
+  shapes.forEach((shape, i) => {
+    const own = tileRect(scene, columns, shape.tile);
     layers.tileX[i] = own.x;
     layers.tileY[i] = own.y;
-    layers.a[i] = i16(1, i) * PLANE_STEP;
-    layers.b[i] = i16(2, i) * PLANE_STEP;
-    layers.c[i] = i16(3, i) * PLANE_STEP;
-    layers.x[i] = own.x + x;
-    layers.y[i] = own.y + y;
-    layers.w[i] = w;
-    layers.h[i] = h;
+    for (const key of ['a', 'b', 'c']) layers[key][i] = shape.plane[key];
+    for (const key of ['x', 'y', 'w', 'h']) layers[key][i] = shape[key];
     layers.firstTexel[i] = texel;
-    texel += w * h;
-    if (texel > index.texels) broken(`the layers have more than ${index.texels} texels`);
-  }
-  if (texel !== index.texels) broken(`the layers have ${texel} texels, not ${index.texels}`);
-  return layers;
-}
-
-function readTexels(coded, soft) {
-  const classes = new Uint8Array(coded.length);
-  const alpha = new Uint8Array(coded.length);
-  let next = 0;
-  let hiddenCount = 0;
-  for (let i = 0; i < coded.length; i++) {
-    const code = coded[i];
-    if (code === 0) continue;
-    if (code > 4) broken(`texel ${i} has class ${code}`);
-    classes[i] = code > 2 ? code - 2 : code;
-    if (classes[i] === Class.HIDDEN) hiddenCount++;
-    if (code < 3) {
-      alpha[i] = 255;
-      continue;
-    }
-    const value = soft[next++];
-    if (!(value >= 1 && value <= 254)) broken(`soft texel ${next - 1} has no alpha between 1 and 254`);
-    alpha[i] = value;
-  }
-  if (next !== soft.length) broken(`${soft.length} alpha values for ${next} soft texels`);
-  return { classes, alpha, hiddenCount };
+    classes.set(shape.classes, texel);
+    alpha.set(shape.alpha, texel);
+    texel += shape.w * shape.h;
+  });
+  return { layers, classes, alpha };
 }
 
 /** Fills `layers.visible` and `layers.soft`. */

@@ -4,15 +4,15 @@ use prost::Message;
 use serde::Serialize;
 
 use super::wire::{Codec, Index, Kind, Section};
-use super::{AtlasError, MAGIC, MAJOR, bounds, columns, hidden, picture};
-use crate::tmpi::{Class, Grid, Intrinsics, Layer, Scene, Texels, ViewBox};
+use super::{AtlasError, MAGIC, MAJOR, bounds, columns, hidden, labels, picture};
+use crate::tmpi::{Blueprint, Class, Grid, Intrinsics, Layer, Scene, Texels, ViewBox};
 
 /// One section as the index names it.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct SectionInfo {
-    /// `photo planes classes alpha hidden`, or `unknown`.
+    /// `photo planes labels alpha hidden`, or `unknown`.
     pub kind: &'static str,
-    /// `raw zstd jpeg png webp`.
+    /// `raw zstd jpeg png webp range`.
     pub codec: &'static str,
     /// First byte in the file.
     pub offset: u64,
@@ -32,7 +32,7 @@ pub fn sections(bytes: &[u8]) -> Result<Vec<SectionInfo>, AtlasError> {
     let name = |s: &Section| match s.kind() {
         Kind::Photo => "photo",
         Kind::Planes => "planes",
-        Kind::Classes => "classes",
+        Kind::Labels => "labels",
         Kind::Alpha => "alpha",
         Kind::Hidden => "hidden",
         Kind::Unspecified => "unknown",
@@ -43,6 +43,7 @@ pub fn sections(bytes: &[u8]) -> Result<Vec<SectionInfo>, AtlasError> {
         Codec::Jpeg => "jpeg",
         Codec::Png => "png",
         Codec::Webp => "webp",
+        Codec::Range => "range",
     };
     index
         .sections
@@ -66,19 +67,17 @@ pub fn decode(bytes: &[u8]) -> Result<Scene, AtlasError> {
     if (photo.width, photo.height) != (grid.width, grid.height) {
         return Err(AtlasError::broken("photo: its size is not the index's"));
     }
-    let pixels = u64::from(grid.width) * u64::from(grid.height);
-    if index.texels > (pixels * bounds::TEXELS_PER_PIXEL).min(bounds::TEXELS) {
-        return Err(AtlasError::broken("more texels than a photo of this size can have"));
+    let blueprint = blueprint(&index, body, grid, intrinsics, view_box)?;
+    let (mut layers, mut texels) = (Vec::new(), Texels::default());
+    for (tile, shapes) in blueprint.peel().into_iter().enumerate() {
+        for s in shapes.layers {
+            layers.push(Layer { tile: tile as u32, plane: s.plane, rect: s.rect, first_texel: texels.class.len(), first_hidden: 0 });
+            texels.class.extend(s.class);
+            texels.alpha.extend(s.alpha);
+        }
     }
-    if index.layers > bounds::LAYERS || u64::from(index.layers) > index.texels {
-        return Err(AtlasError::broken("too many layers"));
-    }
-    let count = index.layers as usize;
-    let planes = unpack(&index, body, Kind::Planes, columns::bytes(count))?;
-    let mut layers = columns::read(&grid, count, &planes)?;
-    let codes = unpack(&index, body, Kind::Classes, index.texels as usize)?;
-    let mut texels = texels(&index, body, codes)?;
-    let hidden_count = place(&mut layers, &texels.class)?;
+    refine_alpha(&index, body, &mut texels.alpha)?;
+    let hidden_count = count_hidden(&mut layers, &texels.class);
     texels.hidden = hidden_colours(&index, body, &layers, &texels.class, hidden_count)?;
     let scene = Scene { grid, intrinsics, view_box, photo, layers, texels };
     scene.validate().map_err(|e| AtlasError::broken(e.to_string()))?;
@@ -166,41 +165,53 @@ fn unpack(index: &Index, body: &[u8], kind: Kind, want: usize) -> Result<Vec<u8>
     Ok(raw)
 }
 
-/// Splits codes into class and alpha.
-fn texels(index: &Index, body: &[u8], mut class: Vec<u8>) -> Result<Texels, AtlasError> {
-    let soft_count = class.iter().filter(|&&c| c > Class::Hidden as u8).count();
-    let soft = unpack(index, body, Kind::Alpha, soft_count)?;
-    let mut soft = soft.into_iter();
-    let mut alpha = Vec::with_capacity(class.len());
-    for c in &mut class {
-        alpha.push(match *c {
-            0 => 0,
-            1 | 2 => 255,
-            3 | 4 => {
-                *c -= 2;
-                match soft.next() {
-                    Some(a @ 1..=254) => a,
-                    _ => return Err(AtlasError::broken("alpha: a soft texel must have 1 to 254")),
-                }
-            }
-            _ => return Err(AtlasError::broken("classes: unknown code")),
-        });
+/// Planes and labels of all tiles.
+fn blueprint(index: &Index, body: &[u8], grid: Grid, intrinsics: Intrinsics, view_box: ViewBox) -> Result<Blueprint, AtlasError> {
+    let count = index.planes as usize;
+    if count > bounds::PLANES || count < grid.tiles() as usize {
+        return Err(AtlasError::broken("count of planes out of bounds"));
     }
-    Ok(Texels { class, alpha, hidden: Vec::new() })
+    let planes = unpack(index, body, Kind::Planes, columns::bytes(grid.tiles() as usize, count))?;
+    let mut tiles = columns::read(&grid, count, &planes)?;
+    let section = find(index, Kind::Labels)
+        .filter(|s| s.codec() == Codec::Range)
+        .ok_or_else(|| AtlasError::broken("there is no section of labels"))?;
+    let counts: Vec<u8> = tiles.iter().map(|t| t.planes.len() as u8).collect();
+    let mut labels = labels::decode(&grid, &counts, range(section, body)?)?.into_iter();
+    for (i, t) in tiles.iter_mut().enumerate() {
+        t.labels = labels.by_ref().take(grid.rect(i as u32).area()).collect();
+    }
+    let blueprint = Blueprint { grid, intrinsics, view_box, tiles };
+    if blueprint.work() > bounds::WORK {
+        return Err(AtlasError::broken("more planes than a photo of this size can have"));
+    }
+    Ok(blueprint)
 }
 
-/// Sets the texel offsets of all layers; gives the count of hidden texels.
-fn place(layers: &mut [Layer], class: &[u8]) -> Result<usize, AtlasError> {
-    let (mut texel, mut hidden) = (0usize, 0usize);
-    for l in layers {
-        l.first_texel = texel;
-        l.first_hidden = hidden;
-        let end = texel + l.rect.area();
-        let own = class.get(texel..end).ok_or_else(|| AtlasError::broken("planes: more texels than there are classes"))?;
-        hidden += own.iter().filter(|&&c| c == Class::Hidden as u8).count();
-        texel = end;
+/// Adds the refinement to the soft alphas, where there is one.
+fn refine_alpha(index: &Index, body: &[u8], alpha: &mut [u8]) -> Result<(), AtlasError> {
+    if find(index, Kind::Alpha).is_none() {
+        return Ok(());
     }
-    if texel == class.len() { Ok(hidden) } else { Err(AtlasError::broken("classes: more than the layers hold")) }
+    let soft = |a: u8| (1..255).contains(&a);
+    let change = unpack(index, body, Kind::Alpha, alpha.iter().filter(|a| soft(**a)).count())?;
+    for (a, c) in alpha.iter_mut().filter(|a| soft(**a)).zip(change) {
+        *a = a.wrapping_add(c);
+        if !soft(*a) {
+            return Err(AtlasError::broken("alpha: a soft texel must have 1 to 254"));
+        }
+    }
+    Ok(())
+}
+
+/// Sets where each layer's hidden texels begin; gives their count.
+fn count_hidden(layers: &mut [Layer], class: &[u8]) -> usize {
+    let mut hidden = 0;
+    for l in layers {
+        l.first_hidden = hidden;
+        hidden += class[l.first_texel..l.first_texel + l.rect.area()].iter().filter(|&&c| c == Class::Hidden as u8).count();
+    }
+    hidden
 }
 
 fn hidden_colours(index: &Index, body: &[u8], layers: &[Layer], class: &[u8], count: usize) -> Result<Vec<[u8; 3]>, AtlasError> {

@@ -3,9 +3,9 @@
 use prost::Message;
 
 use super::wire::{Codec, Index, Kind, Section};
-use super::{AtlasError, Carried, MAGIC, MAJOR, MINOR, columns, encode_jpeg, hidden};
+use super::{AtlasError, Carried, MAGIC, MAJOR, MINOR, columns, encode_jpeg, hidden, labels};
 use crate::generate::Bytes;
-use crate::tmpi::{Class, Scene};
+use crate::tmpi::{Blueprint, Scene};
 
 /// Level of zstd; sections are small, so the highest of the ordinary levels costs little.
 const LEVEL: i32 = 19;
@@ -13,17 +13,19 @@ const LEVEL: i32 = 19;
 const LARGE: usize = 2 << 20;
 const LARGE_LEVEL: i32 = 9;
 
-/// Writes a container; `carried` is the photo's file, `quality` (1 to 100) that of the hidden colours.
+/// Writes a container of a scene that follows from `blueprint`, but for its hidden colours and, where a network refined them,
+/// its soft alphas. `carried` is the photo's file, `quality` (1 to 100) that of the hidden colours.
 ///
 /// # Errors
 /// [`AtlasError::Encode`] where a picture codec fails or a plane does not fit.
-pub fn encode(scene: &Scene, carried: &Carried, quality: u8) -> Result<(Vec<u8>, Bytes), AtlasError> {
-    let (classes, soft) = codes(scene);
+pub fn encode(blueprint: &Blueprint, scene: &Scene, carried: &Carried, quality: u8) -> Result<(Vec<u8>, Bytes), AtlasError> {
     let mut file = File::default();
     file.add(Kind::Photo, carried.codec(), carried.bytes.clone(), 0);
-    file.add_packed(Kind::Planes, &columns::write(&scene.grid, &scene.layers))?;
-    file.add_packed(Kind::Classes, &classes)?;
-    file.add_packed(Kind::Alpha, &soft)?;
+    file.add_packed(Kind::Planes, &columns::write(&blueprint.tiles))?;
+    let counts: Vec<u8> = blueprint.tiles.iter().map(|t| t.planes.len() as u8).collect();
+    let all: Vec<u8> = blueprint.tiles.iter().flat_map(|t| &t.labels).copied().collect();
+    file.add(Kind::Labels, Codec::Range, labels::encode(&blueprint.grid, &counts, &all), 0);
+    file.add_packed(Kind::Alpha, &refined_alpha(blueprint, scene))?;
     let blocks = hidden::walk(&scene.layers, &scene.texels.class, |_, _, _| {});
     let per_row = hidden::columns_for(blocks);
     if blocks > 0 {
@@ -43,8 +45,7 @@ pub fn encode(scene: &Scene, carried: &Carried, quality: u8) -> Result<(Vec<u8>,
         view_x: v.x,
         view_y: v.y,
         view_z: v.z,
-        layers: scene.layers.len() as u32,
-        texels: scene.texels.class.len() as u64,
+        planes: blueprint.tiles.iter().map(|t| t.planes.len() + usize::from(t.backstop.is_some())).sum::<usize>() as u32,
         hidden_blocks: blocks as u32,
         hidden_columns: per_row as u32,
         sections: file.sections.clone(),
@@ -52,23 +53,12 @@ pub fn encode(scene: &Scene, carried: &Carried, quality: u8) -> Result<(Vec<u8>,
     Ok(file.finish(&index))
 }
 
-/// Classes with softness as one byte a texel, and the alphas of the soft ones.
-fn codes(scene: &Scene) -> (Vec<u8>, Vec<u8>) {
-    let mut soft = Vec::new();
-    let classes = scene
-        .texels
-        .class
-        .iter()
-        .zip(&scene.texels.alpha)
-        .map(|(&class, &alpha)| {
-            if class == Class::Empty as u8 || alpha == 255 {
-                return class;
-            }
-            soft.push(alpha);
-            class + 2
-        })
-        .collect();
-    (classes, soft)
+/// Difference (mod 256) of every soft texel's alpha to the one that follows from the blueprint; empty where there is none.
+fn refined_alpha(blueprint: &Blueprint, scene: &Scene) -> Vec<u8> {
+    let derived = blueprint.peel().into_iter().flat_map(|s| s.layers).flat_map(|l| l.alpha);
+    let soft =
+        scene.texels.alpha.iter().zip(derived).filter(|(_, d)| (1..255).contains(d)).map(|(a, d)| a.wrapping_sub(d)).collect::<Vec<_>>();
+    if soft.iter().all(|d| *d == 0) { Vec::new() } else { soft }
 }
 
 #[derive(Default)]
@@ -113,7 +103,7 @@ impl File {
             total: out.len(),
             index: 12 + index.len() + of(&[Kind::Planes]),
             photo: of(&[Kind::Photo]),
-            alpha: of(&[Kind::Classes, Kind::Alpha]),
+            alpha: of(&[Kind::Labels, Kind::Alpha]),
             hidden: of(&[Kind::Hidden]),
         };
         (out, bytes)

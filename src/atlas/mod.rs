@@ -28,12 +28,10 @@ mod bounds {
     pub const PIXELS: u64 = crate::photo::Limits::PIXELS;
     /// Pixels a side.
     pub const SIDE: u32 = crate::photo::Limits::SIDE;
-    /// Texels for every pixel of the photo: the most planes a tile, times the overlap of tiles.
-    pub const TEXELS_PER_PIXEL: u64 = 96;
-    /// Texels in all, whatever the photo's size.
-    pub const TEXELS: u64 = 800_000_000;
-    /// Layers.
-    pub const LAYERS: u32 = 4_000_000;
+    /// Planes in all.
+    pub const PLANES: usize = 4_000_000;
+    /// Pixels that deriving the texels may look at: a 50-megapixel photo of four planes a tile looks at about 5e9.
+    pub const WORK: u64 = 8_000_000_000;
     /// Bytes of the index.
     pub const INDEX: usize = 1 << 20;
     /// Sections.

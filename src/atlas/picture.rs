@@ -61,7 +61,7 @@ pub fn decode(codec: Codec, bytes: &[u8]) -> Result<Photo, AtlasError> {
         Codec::Jpeg => image::ImageFormat::Jpeg,
         Codec::Png => image::ImageFormat::Png,
         Codec::Webp => image::ImageFormat::WebP,
-        Codec::Raw | Codec::Zstd => return Err(AtlasError::broken("picture: not a picture codec")),
+        Codec::Raw | Codec::Zstd | Codec::Range => return Err(AtlasError::broken("picture: not a picture codec")),
     };
     let broken = |e: image::ImageError| AtlasError::broken(format!("picture: {e}"));
     let mut reader = image::ImageReader::with_format(std::io::Cursor::new(bytes), format);
@@ -72,15 +72,15 @@ pub fn decode(codec: Codec, bytes: &[u8]) -> Result<Photo, AtlasError> {
     reader.limits(limits);
     let rgb = reader.decode().map_err(broken)?.into_rgb8();
     let (width, height) = rgb.dimensions();
-    Ok(Photo { width, height, rgb: rgb.as_chunks_vec() })
+    Ok(Photo { width, height, rgb: rgb.into_pixels() })
 }
 
 trait Chunks {
-    fn as_chunks_vec(self) -> Vec<[u8; 3]>;
+    fn into_pixels(self) -> Vec<[u8; 3]>;
 }
 
 impl Chunks for image::RgbImage {
-    fn as_chunks_vec(self) -> Vec<[u8; 3]> {
+    fn into_pixels(self) -> Vec<[u8; 3]> {
         bytemuck::allocation::try_cast_vec(self.into_raw()).unwrap_or_else(|(_, raw)| raw.as_chunks().0.to_vec())
     }
 }

@@ -1,46 +1,49 @@
 use proptest::prelude::*;
 
 use super::*;
-use crate::tmpi::{Class, Grid, Intrinsics, Layer, Photo, Plane, Rect, Scene, Texels, ViewBox};
+use crate::generate::layers::{Coloured, compose};
+use crate::tmpi::{Blueprint, Grid, Intrinsics, Photo, Plane, Scene, Tile, ViewBox};
 
-/// A scene of every kind of texel, with hidden colours that JPEG keeps well.
-fn scene(width: u32, height: u32) -> Scene {
+/// Near discs before a slanted wall, with backstops and refined alphas here and there; hidden colours that JPEG keeps well.
+fn scene(width: u32, height: u32) -> (Blueprint, Scene) {
     let grid = Grid::new(width, height, 64);
     let photo = Photo {
         width,
         height,
         rgb: (0..width * height).map(|i| [(i % width * 255 / width) as u8, (i / width * 255 / height) as u8, 90]).collect(),
     };
-    let (mut layers, mut texels) = (Vec::new(), Texels::default());
-    for tile in 0..grid.tiles() {
-        let r = grid.rect(tile);
-        for (j, plane) in [Plane { a: 0.25, b: 0.125, c: -0.0625 }, Plane::fronto_parallel(0.75)].into_iter().enumerate() {
-            let rect = Rect { x: r.x + r.w / 4 * j as u32, y: r.y, w: r.w - r.w / 4 * j as u32, h: r.h };
-            layers.push(Layer { tile, plane, rect, first_texel: texels.class.len(), first_hidden: texels.hidden.len() });
-            for i in 0..rect.area() {
-                let (c, a) = match (i + tile as usize) % 7 {
-                    0 => (Class::Empty, 0),
-                    1 => (Class::Hidden, 255),
-                    2 => (Class::Hidden, 17),
-                    3 => (Class::Photo, 200),
-                    _ => (Class::Photo, 255),
-                };
-                texels.class.push(c as u8);
-                texels.alpha.push(a);
-                if c == Class::Hidden {
-                    texels.hidden.push([120, 130, 140]);
-                }
+    let disc = |x: u32, y: u32| (x % 41).abs_diff(20).pow(2) + (y % 37).abs_diff(18).pow(2) < 150;
+    let tiles = (0..grid.tiles())
+        .map(|t| {
+            let r = grid.rect(t);
+            let labels: Vec<u8> = (0..r.h).flat_map(|y| (0..r.w).map(move |x| u8::from(disc(r.x + x, r.y + y)))).collect();
+            Tile {
+                planes: vec![Plane { a: 0.25, b: 0.125, c: -0.0625 }, Plane::fronto_parallel(0.75)],
+                labels,
+                backstop: (t % 2 == 1).then(|| Plane::fronto_parallel(0.05).quantised()),
             }
-        }
+        })
+        .collect();
+    let blueprint = Blueprint { grid, intrinsics: Intrinsics::centred(width, height, 300.0), view_box: ViewBox::default(), tiles };
+    let coloured = blueprint
+        .peel()
+        .into_iter()
+        .map(|s| {
+            let hidden = |class: &[u8]| vec![[120, 130, 140]; class.iter().filter(|c| **c == 2).count()];
+            s.layers.into_iter().map(|shape| Coloured { hidden: hidden(&shape.class), shape }).collect()
+        })
+        .collect();
+    let mut scene = compose(photo, &blueprint, coloured);
+    for a in scene.texels.alpha.iter_mut().filter(|a| (1..255).contains(*a)).step_by(3) {
+        *a = 17;
     }
-    let scene = Scene { grid, intrinsics: Intrinsics::centred(width, height, 300.0), view_box: ViewBox::default(), photo, layers, texels };
     assert_eq!(scene.validate(), Ok(()));
-    scene
+    (blueprint, scene)
 }
 
-fn container(s: &Scene) -> Vec<u8> {
+fn container((blueprint, s): &(Blueprint, Scene)) -> Vec<u8> {
     let photo = Carried::from_photo(&s.photo, 90).unwrap();
-    let (bytes, parts) = encode(s, &photo, 90).unwrap();
+    let (bytes, parts) = encode(blueprint, s, &photo, 90).unwrap();
     assert_eq!(parts.total, bytes.len());
     assert_eq!(parts.index + parts.photo + parts.alpha + parts.hidden, bytes.len());
     bytes
@@ -49,12 +52,42 @@ fn container(s: &Scene) -> Vec<u8> {
 #[test]
 fn all_but_the_pictures_comes_back_exactly() {
     for (w, h) in [(150, 100), (64, 64), (1, 1), (65, 63), (1, 200)] {
-        let s = scene(w, h);
-        let d = decode(&container(&s)).unwrap();
+        let made = scene(w, h);
+        let (s, d) = (&made.1, decode(&container(&made)).unwrap());
         assert_eq!((&d.grid, &d.intrinsics, &d.view_box, &d.layers), (&s.grid, &s.intrinsics, &s.view_box, &s.layers));
         assert_eq!((&d.texels.class, &d.texels.alpha), (&s.texels.class, &s.texels.alpha));
+        assert_eq!(d.texels.hidden.len(), s.texels.hidden.len());
         assert!(d.texels.hidden.iter().zip(&s.texels.hidden).all(|(a, b)| a.iter().zip(b).all(|(a, b)| a.abs_diff(*b) <= 3)));
     }
+    assert!(scene(150, 100).1.texels.hidden.len() > 1000);
+}
+
+/// Container and what must come out of it are shared with the browser's decoder; `TMPI_BLESS=1` writes them anew.
+#[test]
+fn the_golden_container_stays_readable() {
+    use sha2::Digest;
+    let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden");
+    if std::env::var_os("TMPI_BLESS").is_some() {
+        std::fs::create_dir_all(&folder).unwrap();
+        std::fs::write(folder.join("v1.tmpi"), container(&scene(150, 100))).unwrap();
+    }
+    let s = decode(&std::fs::read(folder.join("v1.tmpi")).unwrap()).unwrap();
+    let hash = |data: &[u8]| sha2::Sha256::digest(data).iter().fold(String::new(), |s, b| s + &format!("{b:02x}"));
+    let row =
+        |l: &crate::tmpi::Layer| [l.plane.a, l.plane.b, l.plane.c, l.rect.x.into(), l.rect.y.into(), l.rect.w.into(), l.rect.h.into()];
+    let got = serde_json::json!({
+        "width": s.grid.width,
+        "height": s.grid.height,
+        "layers": s.layers.iter().map(row).collect::<Vec<_>>(),
+        "classes": hash(&s.texels.class),
+        "alpha": hash(&s.texels.alpha),
+        "hidden": s.texels.hidden.len(),
+    });
+    if std::env::var_os("TMPI_BLESS").is_some() {
+        std::fs::write(folder.join("v1.json"), format!("{got}\n")).unwrap();
+    }
+    let want: serde_json::Value = serde_json::from_slice(&std::fs::read(folder.join("v1.json")).unwrap()).unwrap();
+    assert_eq!(got, want);
 }
 
 #[test]

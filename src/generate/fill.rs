@@ -1,7 +1,6 @@
 //! Colour of hidden texels: push-pull pyramid over the neighbourhood, sources at or behind the layer only (RECIPE, step 5).
 
-use super::layers::Place;
-use crate::tmpi::{Class, DisparityMap, Grid, Photo, Plane, Rect};
+use crate::tmpi::{Class, DisparityMap, Grid, Photo, Place, Rect, Shape};
 
 /// Context around a layer in pixels.
 const CONTEXT: u32 = 32;
@@ -43,7 +42,9 @@ impl<'a> Filler<'a> {
 
     /// Colours of the hidden texels of a layer, in the order of `class`.
     #[must_use]
-    pub fn fill(&self, grid: &Grid, rect: Rect, class: &[u8], place: Place, plane: &Plane) -> Vec<[u8; 3]> {
+    pub fn fill(&self, grid: &Grid, shape: &Shape, place: Place) -> Vec<[u8; 3]> {
+        let Shape { plane, rect, class, .. } = shape;
+        let rect = *rect;
         let (x0, y0) = (rect.x.saturating_sub(CONTEXT), rect.y.saturating_sub(CONTEXT));
         let (w, h) = ((rect.x + rect.w + CONTEXT).min(grid.width) - x0, (rect.y + rect.h + CONTEXT).min(grid.height) - y0);
         let mut level = Level::new(w as usize, h as usize);
@@ -155,7 +156,7 @@ impl Level {
     /// Colour of a finer level's texel `(x, y)` from this level, bilinear between texel centres.
     fn bilinear(&self, x: usize, y: usize) -> [f32; 4] {
         let split = |i: usize, n: usize| {
-            let (near, other) = (i / 2, if i % 2 == 0 { (i / 2).saturating_sub(1) } else { (i / 2 + 1).min(n - 1) });
+            let (near, other) = (i / 2, if i.is_multiple_of(2) { (i / 2).saturating_sub(1) } else { (i / 2 + 1).min(n - 1) });
             (near.min(n - 1), other)
         };
         let ((x0, x1), (y0, y1)) = (split(x, self.width), split(y, self.height));
@@ -168,6 +169,7 @@ impl Level {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::tmpi::Plane;
 
     #[test]
     fn hidden_colour_comes_from_behind_only() {
@@ -178,7 +180,8 @@ mod tests {
         let grid = Grid::new(w, h, 64);
         let place = Place { centre: grid.centre(0), half: 32.0 };
         let class: Vec<u8> = (0..w * h).map(|i| if i % w < 32 { Class::Photo } else { Class::Hidden } as u8).collect();
-        let colours = Filler::new(&photo, &delta).fill(&grid, grid.rect(0), &class, place, &Plane::fronto_parallel(0.2));
+        let shape = Shape { plane: Plane::fronto_parallel(0.2), label: Some(0), rect: grid.rect(0), alpha: vec![255; class.len()], class };
+        let colours = Filler::new(&photo, &delta).fill(&grid, &shape, place);
         assert_eq!(colours.len(), 32 * 64);
         assert!(colours.iter().all(|c| *c == [0, 200, 0]));
     }
@@ -189,8 +192,14 @@ mod tests {
         let delta = DisparityMap { width: 8, height: 8, delta: vec![0.9; 64] };
         let grid = Grid::new(8, 8, 64);
         let place = Place { centre: grid.centre(0), half: 32.0 };
-        let colours =
-            Filler::new(&photo, &delta).fill(&grid, grid.rect(0), &[Class::Hidden as u8; 64], place, &Plane::fronto_parallel(0.1));
+        let shape = Shape {
+            plane: Plane::fronto_parallel(0.1),
+            label: None,
+            rect: grid.rect(0),
+            alpha: vec![255; 64],
+            class: vec![Class::Hidden as u8; 64],
+        };
+        let colours = Filler::new(&photo, &delta).fill(&grid, &shape, place);
         assert_eq!(colours, vec![[90, 80, 70]; 64]);
     }
 }

@@ -1,7 +1,6 @@
 //! From photo and disparity to a tiled multiplane image (paper, section 3.2).
 
 pub mod classic;
-pub mod compose;
 pub mod confidence;
 pub mod fill;
 pub mod layers;

@@ -1,10 +1,9 @@
 //! Ψ: soft alpha and hidden colour of layers, batched over tiles; only where a layer has hidden or soft texels (paper, section 3.2).
 
 use super::GenerateError;
-use super::layers::{PeeledLayer, PeeledTile, Place};
-use super::planes::TilePlanes;
+use super::layers::Coloured;
 use crate::onnx::{Network, Tensor};
-use crate::tmpi::{Class, Grid, Photo};
+use crate::tmpi::{Blueprint, Class, Grid, Photo, Place, Tile};
 
 /// Channels of Ψ's input.
 const CHANNELS: usize = 9;
@@ -19,7 +18,8 @@ const DISPARITY_SCALE: f32 = 8.0;
 ///
 /// # Errors
 /// [`GenerateError::Onnx`], [`GenerateError::Shape`].
-pub fn run(psi: &dyn Network, photo: &Photo, grid: &Grid, planes: &[TilePlanes], tiles: &mut [PeeledTile]) -> Result<usize, GenerateError> {
+pub fn run(psi: &dyn Network, photo: &Photo, blueprint: &Blueprint, tiles: &mut [Vec<Coloured>]) -> Result<usize, GenerateError> {
+    let grid = &blueprint.grid;
     if grid.size > MAX_TILE {
         return Ok(tiles.len());
     }
@@ -28,13 +28,13 @@ pub fn run(psi: &dyn Network, photo: &Photo, grid: &Grid, planes: &[TilePlanes],
     let mut skipped = 0;
     for (t, tile) in tiles.iter().enumerate() {
         let before = todo.len();
-        todo.extend(tile.layers.iter().enumerate().filter(|(_, l)| needs(l)).map(|(j, _)| (t, j)));
+        todo.extend(tile.iter().enumerate().filter(|(_, l)| needs(l)).map(|(j, _)| (t, j)));
         skipped += usize::from(todo.len() == before);
     }
     for batch in todo.chunks(BATCH) {
         let mut data = vec![0f32; batch.len() * CHANNELS * side * side];
         for (&(t, j), to) in batch.iter().zip(data.chunks_mut(CHANNELS * side * side)) {
-            input(photo, grid, t as u32, &planes[t], &tiles[t].layers[j], side, to);
+            input(photo, grid, t as u32, &blueprint.tiles[t], &tiles[t][j], side, to);
         }
         let out = psi.run(vec![Tensor { shape: vec![batch.len(), CHANNELS, side, side], data }])?;
         let area = side * side;
@@ -45,7 +45,7 @@ pub fn run(psi: &dyn Network, photo: &Photo, grid: &Grid, planes: &[TilePlanes],
         for (i, &(t, j)) in batch.iter().enumerate() {
             let origin = grid.rect(t as u32);
             take(
-                &mut tiles[t].layers[j],
+                &mut tiles[t][j],
                 (origin.x, origin.y),
                 side,
                 &alpha.data[i * area..(i + 1) * area],
@@ -62,20 +62,21 @@ fn shape(out: &[Tensor]) -> GenerateError {
 }
 
 /// True where a layer has hidden or soft texels.
-fn needs(l: &PeeledLayer) -> bool {
-    !l.hidden.is_empty() || l.alpha.iter().any(|&a| a != 0 && a != 255)
+fn needs(l: &Coloured) -> bool {
+    !l.hidden.is_empty() || l.shape.alpha.iter().any(|&a| a != 0 && a != 255)
 }
 
 /// Fills the nine channels of one layer (see the model card); a clipped tile repeats its last row and column.
-fn input(photo: &Photo, grid: &Grid, tile: u32, planes: &TilePlanes, l: &PeeledLayer, side: usize, to: &mut [f32]) {
+fn input(photo: &Photo, grid: &Grid, tile: u32, planes: &Tile, l: &Coloured, side: usize, to: &mut [f32]) {
     let r = grid.rect(tile);
-    let place = Place { centre: grid.centre(tile), half: grid.half() };
+    let place = Place::of(grid, tile);
+    let shape = &l.shape;
     let area = side * side;
     let mut hidden = l.hidden.iter();
     let mut colours = vec![None; r.area()];
-    for (i, &c) in l.class.iter().enumerate() {
+    for (i, &c) in shape.class.iter().enumerate() {
         if c == Class::Hidden as u8 {
-            let (x, y) = (l.rect.x - r.x + i as u32 % l.rect.w, l.rect.y - r.y + i as u32 / l.rect.w);
+            let (x, y) = (shape.rect.x - r.x + i as u32 % shape.rect.w, shape.rect.y - r.y + i as u32 / shape.rect.w);
             colours[(y * r.w + x) as usize] = hidden.next();
         }
     }
@@ -85,9 +86,9 @@ fn input(photo: &Photo, grid: &Grid, tile: u32, planes: &TilePlanes, l: &PeeledL
             let at = (py * r.w + px) as usize;
             let rgb = photo.at(r.x + px, r.y + py);
             let visible_plane = planes.planes[planes.labels[at] as usize];
-            let own = visible_plane == l.plane;
+            let own = Some(planes.labels[at]) == shape.label;
             let colour = colours[at].copied().unwrap_or(rgb);
-            let behind = place.disparity(&visible_plane, r.x + px, r.y + py) - place.disparity(&l.plane, r.x + px, r.y + py);
+            let behind = place.disparity(&visible_plane, r.x + px, r.y + py) - place.disparity(&shape.plane, r.x + px, r.y + py);
             let o = y * side + x;
             for i in 0..3 {
                 to[i * area + o] = f32::from(colour[i]) / 255.0;
@@ -101,7 +102,7 @@ fn input(photo: &Photo, grid: &Grid, tile: u32, planes: &TilePlanes, l: &PeeledL
 }
 
 /// Takes the network's colours at hidden texels and its alpha at soft ones; visible texels stay, so the identity view does.
-fn take(l: &mut PeeledLayer, origin: (u32, u32), side: usize, alpha: &[f32], background: &[f32]) {
+fn take(Coloured { shape: l, hidden }: &mut Coloured, origin: (u32, u32), side: usize, alpha: &[f32], background: &[f32]) {
     let area = side * side;
     let mut next = 0;
     for i in 0..l.class.len() {
@@ -111,7 +112,7 @@ fn take(l: &mut PeeledLayer, origin: (u32, u32), side: usize, alpha: &[f32], bac
             for c in 0..3 {
                 let v = background[c * area + o];
                 if v.is_finite() {
-                    l.hidden[next][c] = (v * 255.0).round().clamp(0.0, 255.0) as u8;
+                    hidden[next][c] = (v * 255.0).round().clamp(0.0, 255.0) as u8;
                 }
             }
             next += 1;

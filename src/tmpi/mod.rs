@@ -5,10 +5,12 @@
 
 mod camera;
 mod grid;
+mod peel;
 mod plane;
 mod scene;
 
 pub use camera::{Camera, Intrinsics, Mat3, Pose, ViewBox, homography, mat3_mul, mat3_vec};
 pub use grid::{Grid, Rect};
+pub use peel::{Blueprint, Place, Shape, Shapes, Tile, grown};
 pub use plane::Plane;
 pub use scene::{Class, DisparityMap, Layer, Photo, Scene, SceneError, Texels};

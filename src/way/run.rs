@@ -5,13 +5,13 @@ use std::sync::Arc;
 use super::{Denoise, Made, MakeError, Models, Options, PlaneCount, PlaneMethod, Switch, TileSize};
 use crate::atlas::{self, Carried};
 use crate::clock::{self, Clock};
-use crate::generate::layers::{Peel, PeeledTile, peel};
-use crate::generate::planes::{MAX_AUTO_PLANES, MAX_PLANES, Method, Placement, TilePlanes, discretisation_error, place};
+use crate::generate::layers;
+use crate::generate::planes::{MAX_AUTO_PLANES, MAX_PLANES, Method, Placement, discretisation_error, place};
 use crate::generate::{self, ErrorFigures, GenerateError, Input, LeftOut, Report, Stage, snap};
 use crate::photo::{self, Decoded, Format, Limits};
 use crate::progress::{Progress, Sink};
 use crate::render::{self, Backend};
-use crate::tmpi::{Camera, DisparityMap, Grid, Intrinsics, Photo, Pose, Scene, ViewBox};
+use crate::tmpi::{Blueprint, Camera, DisparityMap, Grid, Intrinsics, Photo, Pose, Rect, Scene, Shapes};
 use crate::{depth, quality};
 
 /// Stages of every photo, in order.
@@ -74,28 +74,31 @@ pub fn make(
         TileSize::Pixels(size) => Grid::new(w, h, size),
         TileSize::Full => Grid::full(w, h),
     };
-    let parallax = parallax(&options.view_box, &intrinsics, (w, h));
-    let placement = options.placement(parallax);
-    let planes = place(&delta, confidence.as_deref(), &grid, &placement);
+    let whole = Rect { x: 0, y: 0, w, h };
+    let placement = options.placement(options.view_box.parallax(&intrinsics, whole));
+    let tiles = place(&delta, confidence.as_deref(), &grid, &placement);
     drop(confidence);
-    let (mae, mse, q25) = discretisation_error(&delta, &grid, &planes);
+    let (mae, mse, q25) = discretisation_error(&delta, &grid, &tiles);
 
     trip.enter("layers")?;
-    let mut tiles = peel(&Peel { photo: &photo, delta: &delta, grid, parallax }, &planes);
+    let mut blueprint = Blueprint { grid, intrinsics, view_box: options.view_box, tiles };
+    layers::add_backstops(&mut blueprint, &delta);
+    let shapes = blueprint.peel();
+    trip.count(&blueprint, &shapes, &placement);
+    let mut coloured = layers::colour(&photo, &delta, &grid, shapes);
 
     trip.enter("refine")?;
-    let mut not_refined = tiles.len();
+    trip.report.left_out.tiles_not_refined = coloured.len();
     if options.refine == Switch::Auto
         && let Some(psi) = &models.psi
     {
-        not_refined = generate::refine::run(psi.as_ref(), &photo, &grid, &planes, &mut tiles)?;
+        trip.report.left_out.tiles_not_refined = generate::refine::run(psi.as_ref(), &photo, &blueprint, &mut coloured)?;
     }
 
     trip.enter("encode")?;
-    trip.count(&grid, &planes, &tiles, &placement, not_refined);
-    let scene = generate::compose::compose(photo, grid, intrinsics, options.view_box, tiles);
+    let scene = layers::compose(photo, &blueprint, coloured);
     let carried = carry(carried, format, &scene.photo, options.quality)?;
-    let (container, bytes) = atlas::encode(&scene, &carried, options.quality)?;
+    let (container, bytes) = atlas::encode(&blueprint, &scene, &carried, options.quality)?;
     trip.report.bytes = bytes;
 
     trip.enter("verify")?;
@@ -139,17 +142,17 @@ impl Trip<'_> {
     }
 
     /// Counts what there is and what was left out, against the most planes that a tile may have, each as large as its tile.
-    fn count(&mut self, grid: &Grid, planes: &[TilePlanes], tiles: &[PeeledTile], placement: &Placement, not_refined: usize) {
+    fn count(&mut self, blueprint: &Blueprint, shapes: &[Shapes], placement: &Placement) {
         let r = &mut self.report;
-        r.tiles = tiles.len();
-        r.planes = tiles.iter().map(|t| t.layers.len()).sum();
+        r.tiles = shapes.len();
+        r.planes = shapes.iter().map(|s| s.layers.len()).sum();
         r.planes_per_tile = r.planes as f64 / r.tiles.max(1) as f64;
-        let placed: usize = planes.iter().map(|p| p.planes.len()).sum();
-        let full: usize = (0..grid.tiles()).map(|t| grid.rect(t).area()).sum::<usize>() * placement.most as usize;
-        let kept: usize = tiles.iter().flat_map(|t| &t.layers).map(|l| l.class.iter().filter(|c| **c != 0).count()).sum();
+        let placed: usize = blueprint.tiles.iter().map(|t| t.planes.len()).sum();
+        let full: usize = (0..blueprint.grid.tiles()).map(|t| blueprint.grid.rect(t).area()).sum::<usize>() * placement.most as usize;
+        let kept: usize = shapes.iter().flat_map(|s| &s.layers).map(|l| l.class.iter().filter(|c| **c != 0).count()).sum();
         r.left_out = LeftOut {
             planes: (r.tiles * placement.most as usize).saturating_sub(placed),
-            tiles_not_refined: not_refined,
+            tiles_not_refined: 0,
             texels: full.saturating_sub(kept),
             bytes: full.saturating_sub(kept) * 4,
         };
@@ -161,12 +164,6 @@ fn sanitise(delta: &mut DisparityMap) {
     for d in &mut delta.delta {
         *d = if d.is_finite() { d.clamp(0.0, 1.0) } else { 0.0 };
     }
-}
-
-/// Parallax in pixels, right and down, that a unit of disparity has between the photo and the farthest camera of the view box.
-fn parallax(v: &ViewBox, k: &Intrinsics, (w, h): (u32, u32)) -> (f64, f64) {
-    // forward motion moves a pixel by its distance from the centre, the corner the most
-    (k.fx * v.x + f64::from(w) / 2.0 * v.z, k.fy * v.y + f64::from(h) / 2.0 * v.z)
 }
 
 impl Options {

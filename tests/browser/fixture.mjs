@@ -1,4 +1,6 @@
-// A container written by hand from proto/tmpi.proto, so that the decoder is not held against its own kind.
+// A container written by hand from proto/tmpi.proto; that the server's come out the same is held against tests/golden.
+import { learn, share, walkLabels } from '../../static/labels.js';
+import { peel } from '../../static/peel.js';
 import { boxPhoto, BOX, inBox, png, wall } from './pictures.mjs';
 
 const varint = (value) => {
@@ -31,8 +33,8 @@ export function zstdStored(bytes) {
   return Buffer.concat(parts);
 }
 
-const KINDS = { photo: 1, planes: 2, classes: 3, alpha: 4, hidden: 5 };
-const CODECS = { raw: 0, zstd: 1, png: 3 };
+const KINDS = { photo: 1, planes: 2, labels: 3, alpha: 4, hidden: 5 };
+const CODECS = { raw: 0, zstd: 1, png: 3, range: 5 };
 
 /** Header, index and sections. */
 export function assemble(index, sections, { major = 1 } = {}) {
@@ -53,59 +55,103 @@ export function assemble(index, sections, { major = 1 } = {}) {
   return Buffer.concat([head, body, ...sections.map((s) => s.bytes)]);
 }
 
-/** The box before the wall: per tile the wall, hidden where the box is, and the box with a soft rim. */
+/** Writes bits for the walk over labels. */
+class RangeEncoder {
+  constructor() {
+    this.low = 0;
+    this.range = 0xffff_ffff;
+    this.digits = [];
+  }
+
+  bit(models, i, one) {
+    const split = (this.range >>> 12) * share(models, i);
+    if (one) {
+      this.range = split;
+    } else {
+      this.low += split;
+      this.range -= split;
+    }
+    learn(models, i, one);
+    while (this.range < 0x100_0000) {
+      this.range = (this.range << 8) >>> 0;
+      this.shift();
+    }
+    return one;
+  }
+
+  /** Moves the top byte out; a carry runs through those already there. */
+  shift() {
+    if (this.low >= 2 ** 32) {
+      let at = this.digits.length - 1;
+      while (this.digits[at] === 255) this.digits[at--] = 0;
+      this.digits[at]++;
+      this.low -= 2 ** 32;
+    }
+    this.digits.push(Math.floor(this.low / 2 ** 24));
+    this.low = (this.low % 2 ** 24) * 256;
+  }
+
+  finish() {
+    for (let i = 0; i < 4; i++) this.shift();
+    return Buffer.from(this.digits);
+  }
+}
+
+/** The box before the wall: per tile the wall, and the box where it reaches into the tile. */
 export function boxScene(width = 200, height = 120, size = 64) {
   const stride = size - size / 8;
-  const columns = width <= size ? 1 : Math.ceil((width - size) / stride) + 1;
-  const rows = height <= size ? 1 : Math.ceil((height - size) / stride) + 1;
-  const layers = [];
-  for (let tile = 0; tile < columns * rows; tile++) {
-    const [x, y] = [(tile % columns) * stride, Math.floor(tile / columns) * stride];
-    const [w, h] = [Math.min(size, width - x), Math.min(size, height - y)];
-    const cover = [];
-    for (let v = 0; v < h; v++) for (let u = 0; u < w; u++) cover.push(inBox(x + u, y + v, width, height));
-    layers.push({ tile, delta: BOX.far, x, y, w, h, texels: cover.map((c) => ({ code: c ? 2 : 1 })) });
-    if (!cover.includes(true)) continue;
-    const rim = (u, v) => [[-1, 0], [1, 0], [0, -1], [0, 1]].some(([du, dv]) => cover[(v + dv) * w + u + du] && u + du >= 0 && u + du < w);
-    const texels = cover.map((c, i) => (c ? { code: 1 } : rim(i % w, Math.floor(i / w)) ? { code: 3, alpha: 85 } : { code: 0 }));
-    layers.push({ tile, delta: BOX.near, x, y, w, h, texels });
+  const count = (length) => (length <= size ? 1 : Math.ceil((length - size) / stride) + 1);
+  const plane = (delta) => ({ a: Math.round(delta * 16384) / 16384, b: 0, c: 0 });
+  const tiles = [];
+  for (let tile = 0; tile < count(width) * count(height); tile++) {
+    const [x, y] = [(tile % count(width)) * stride, Math.floor(tile / count(width)) * stride];
+    const rect = { x, y, w: Math.min(size, width - x), h: Math.min(size, height - y) };
+    const labels = Uint8Array.from({ length: rect.w * rect.h }, (_, i) =>
+      inBox(x + (i % rect.w), y + Math.floor(i / rect.w), width, height) ? 1 : 0,
+    );
+    const planes = labels.includes(1) ? [plane(BOX.far), plane(BOX.near)] : [plane(BOX.far)];
+    tiles.push({ rect, planes, labels, backstop: null });
   }
-  return { width, height, size, stride, layers };
+  const focal = 0.58 * width;
+  const head = {
+    width,
+    height,
+    tileSize: size,
+    tileStride: stride,
+    intrinsics: { fx: focal, fy: focal, cx: width / 2, cy: height / 2 },
+    viewBox: { x: 0.03, y: 0.03, z: 0.03 },
+  };
+  return { ...head, tiles, layers: peel(head, tiles) };
 }
 
 /** The scene as a container; `change(index, sections)` may alter either before they are written. */
 export function container(scene, options) {
-  const { width, height, size, stride, layers } = scene;
-  const n = layers.length;
-  const planes = Buffer.alloc(n * 16);
-  const put = (column, i, value) => {
-    planes[column * 2 * n + i] = value & 255;
-    planes[column * 2 * n + n + i] = (value >> 8) & 255;
-  };
-  const columns = width <= size ? 1 : Math.ceil((width - size) / stride) + 1;
-  let last = 0;
-  layers.forEach((l, i) => {
-    const values = [l.tile - last, Math.round(l.delta * 16384), 0, 0];
-    values.push(l.x - (l.tile % columns) * stride, l.y - Math.floor(l.tile / columns) * stride, l.w, l.h);
-    last = l.tile;
-    values.forEach((value, column) => put(column, i, value));
-  });
-  const texels = layers.flatMap((l) => l.texels);
-  const classes = Buffer.from(texels.map((t) => t.code));
-  const alpha = Buffer.from(texels.filter((t) => t.code > 2).map((t) => t.alpha));
+  const { width, height, tileSize, tileStride, tiles, layers, intrinsics: k, viewBox: v } = scene;
+  const all = tiles.flatMap((t) => t.planes);
+  const planes = Buffer.alloc(tiles.length + all.length * 6);
+  tiles.forEach((t, i) => (planes[i] = t.planes.length));
+  ['a', 'b', 'c'].forEach((key, column) =>
+    all.forEach((plane, i) => {
+      const at = tiles.length + column * 2 * all.length + i;
+      const value = Math.round(plane[key] * 16384);
+      planes[at] = value & 255;
+      planes[at + all.length] = (value >> 8) & 255;
+    }),
+  );
+  const coder = new RangeEncoder();
+  const counts = tiles.map((t) => t.planes.length);
+  walkLabels(scene, Uint8Array.from(counts), coder, Buffer.concat(tiles.map((t) => t.labels)));
   const blocks = hiddenBlocks(layers);
   const perRow = 7;
   const hidden = png(perRow * 8, Math.max(1, Math.ceil(blocks.length / perRow)) * 8, 3, (x, y) => {
     const block = blocks[Math.floor(y / 8) * perRow + Math.floor(x / 8)];
     return block ? wall(block[0] + (x % 8), block[1] + (y % 8)) : [0, 0, 0];
   });
-  const focal = 0.58 * width;
-  const index = [width, height, size, stride, focal, focal, width / 2, height / 2, 0.03, 0.03, 0.03, n, texels.length, blocks.length, perRow];
+  const index = [width, height, tileSize, tileStride, k.fx, k.fy, k.cx, k.cy, v.x, v.y, v.z, all.length, 0, blocks.length, perRow];
   const sections = [
     { kind: 'photo', codec: 'png', bytes: boxPhoto(width, height) },
     { kind: 'planes', codec: 'zstd', bytes: zstdStored(planes), rawLength: planes.length },
-    { kind: 'classes', codec: 'zstd', bytes: zstdStored(classes), rawLength: classes.length },
-    { kind: 'alpha', codec: 'raw', bytes: alpha, rawLength: alpha.length },
+    { kind: 'labels', codec: 'range', bytes: coder.finish() },
     { kind: 'hidden', codec: 'png', bytes: hidden },
   ];
   options?.change?.(index, sections);
@@ -118,9 +164,9 @@ function hiddenBlocks(layers) {
   for (const l of layers) {
     for (let cy = l.y - (l.y % 8); cy < l.y + l.h; cy += 8) {
       for (let cx = l.x - (l.x % 8); cx < l.x + l.w; cx += 8) {
-        const any = l.texels.some((t, i) => {
+        const any = l.classes.some((kind, i) => {
           const [x, y] = [l.x + (i % l.w), l.y + Math.floor(i / l.w)];
-          return (t.code === 2 || t.code === 4) && x >= cx && x < cx + 8 && y >= cy && y < cy + 8;
+          return kind === 2 && x >= cx && x < cx + 8 && y >= cy && y < cy + 8;
         });
         if (any) out.push([cx, cy]);
       }

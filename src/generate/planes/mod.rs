@@ -9,7 +9,7 @@ mod slanted;
 
 use rayon::prelude::*;
 
-use crate::tmpi::{DisparityMap, Grid, Plane};
+use crate::tmpi::{DisparityMap, Grid, Plane, Tile};
 pub use sample::Samples;
 pub(crate) use slanted::fit_points;
 
@@ -43,20 +43,11 @@ pub enum Method {
     Slanted,
 }
 
-/// The planes of one tile.
-#[derive(Clone, Debug, PartialEq)]
-pub struct TilePlanes {
-    /// Planes on the container's grid, from far to near at the tile's centre; at least one.
-    pub planes: Vec<Plane>,
-    /// Which plane each pixel of the tile's rectangle lies on, row-major.
-    pub labels: Vec<u8>,
-}
-
 /// Places the planes of all tiles of `grid`, in the order of the tiles.
 ///
 /// `confidence` is a weight per pixel in (0, 1] where there is one. Values of either map that are not finite weigh nothing.
 #[must_use]
-pub fn place(delta: &DisparityMap, confidence: Option<&[f32]>, grid: &Grid, placement: &Placement) -> Vec<TilePlanes> {
+pub fn place(delta: &DisparityMap, confidence: Option<&[f32]>, grid: &Grid, placement: &Placement) -> Vec<Tile> {
     (0..grid.tiles())
         .into_par_iter()
         .map_init(Samples::default, |samples, tile| {
@@ -68,7 +59,7 @@ pub fn place(delta: &DisparityMap, confidence: Option<&[f32]>, grid: &Grid, plac
 
 /// Places the planes of one tile.
 #[must_use]
-pub fn place_tile(samples: &Samples, placement: &Placement) -> TilePlanes {
+pub fn place_tile(samples: &Samples, placement: &Placement) -> Tile {
     let most = placement.most.clamp(1, MAX_PLANES) as usize;
     if placement.method == Method::Slanted {
         return finish(samples, slanted::fit(samples, most, placement.target));
@@ -95,7 +86,7 @@ pub fn place_tile(samples: &Samples, placement: &Placement) -> TilePlanes {
 }
 
 /// Puts planes on the container's grid, drops those that no pixel lies on, orders the rest and labels the pixels.
-fn finish(samples: &Samples, planes: Vec<Plane>) -> TilePlanes {
+fn finish(samples: &Samples, planes: Vec<Plane>) -> Tile {
     let mut planes: Vec<Plane> = planes.into_iter().map(|p| p.quantised()).collect();
     planes.sort_by(|p, q| p.a.total_cmp(&q.a).then(p.b.total_cmp(&q.b)).then(p.c.total_cmp(&q.c)));
     planes.dedup();
@@ -119,14 +110,14 @@ fn finish(samples: &Samples, planes: Vec<Plane>) -> TilePlanes {
     }
     let mut keep = used.iter();
     planes.retain(|_| *keep.next().unwrap_or(&false));
-    TilePlanes { planes, labels }
+    Tile { planes, labels, backstop: None }
 }
 
 /// Error of all tiles' planes against the map they were fitted to: mean absolute, mean squared, lower quartile of absolute.
 ///
 /// Overlapping tiles count every pixel that they hold.
 #[must_use]
-pub fn discretisation_error(delta: &DisparityMap, grid: &Grid, tiles: &[TilePlanes]) -> (f64, f64, f64) {
+pub fn discretisation_error(delta: &DisparityMap, grid: &Grid, tiles: &[Tile]) -> (f64, f64, f64) {
     let mut errors: Vec<f32> = tiles
         .par_iter()
         .enumerate()

@@ -16,7 +16,7 @@ fn samples(width: usize, deltas: &[f32], weights: Option<&[f32]>) -> Samples {
 
 const METHODS: [Method; 4] = [Method::Linear, Method::Lloyd, Method::Optimal, Method::Slanted];
 
-fn place_n(s: &Samples, method: Method, n: u32) -> TilePlanes {
+fn place_n(s: &Samples, method: Method, n: u32) -> Tile {
     place_tile(s, &Placement { method, most: n, target: None })
 }
 
@@ -74,10 +74,13 @@ fn confidence_keeps_an_outlier_out() {
     }
 }
 
+/// Name, width, disparities, weights.
+type Case = (&'static str, usize, Vec<f32>, Option<Vec<f32>>);
+
 #[test]
 fn stiff_tiles_give_finite_planes() {
     let n = 4096;
-    let mut cases: Vec<(&str, usize, Vec<f32>, Option<Vec<f32>>)> = vec![
+    let mut cases: Vec<Case> = vec![
         ("1e-7 apart", 64, (0..n).map(|i| if i % 2 == 0 { 0.5 } else { 0.5 + 1e-7 }).collect(), None),
         ("1e-8 and 1", 64, (0..n).map(|i| if i % 2 == 0 { 1e-8 } else { 1.0 }).collect(), None),
         ("one outlier", 64, (0..n).map(|i| if i == 99 { 1.0 } else { 0.1 }).collect(), None),
