@@ -34,6 +34,7 @@ def maps(limit):
     for f in sorted((DATA / "mpi_peers").glob("*/input.png")):
         d = cv2.imread(str(f.with_name("expected_disp16.png")), -1).astype(np.float32)
         found.append(("real", common.read_rgb(f), (d - d.min()) / (d.max() - d.min())))
+    found = found[:: max(1, len(found) // limit)][:limit]
     held = common.RUNS / "data" / "held"
     for f in sorted(held.glob("*/scene.json"))[:limit]:
         found.append(("rendered", *common.read_pair(f.parent)))
@@ -53,7 +54,7 @@ def errors(d, c, clean):
 def main():
     a = argparse.ArgumentParser(description=__doc__)
     a.add_argument("model", nargs="?", default=str(common.MODELS / "theta.onnx"))
-    a.add_argument("--limit", type=int, default=30, help="held-out scenes")
+    a.add_argument("--limit", type=int, default=8, help="pictures of a kind")
     a = a.parse_args()
     torch.set_num_threads(1)
     damages = {

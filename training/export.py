@@ -43,29 +43,38 @@ def theta(path, checkpoint):
     g = Graph("tmpi theta", half=False)
     x = g.input("input", ["n", 4, "h", "w"])
 
-    def pool(v):
+    def dilate(v):
         return g.op("MaxPool", v, kernel_shape=[3, 3], pads=[1] * 4)
 
     def erode(v):
-        return g.op("Neg", pool(g.op("Neg", v)))
+        return g.op("Neg", dilate(g.op("Neg", v)))
 
-    rgb_d = g.op("Slice", x, *(g.constant([v], np.int64) for v in (3, 4, 1)))
-    four = g.constant(np.float32(4))
-    opened = g.op("Mul", g.op("Sub", pool(erode(rgb_d)), rgb_d), four)
-    closed = g.op("Mul", g.op("Sub", erode(pool(rgb_d)), rgb_d), four)
-    f0 = g.layer(g.op("Concat", x, opened, closed, axis=1), net.e0, relu=True)
-    f1 = g.layer(f0, net.e1, relu=True)
-    f2 = g.layer(g.layer(f1, net.e2, relu=True), net.m2, relu=True)
-    f3 = g.layer(g.layer(f2, net.e3, relu=True), net.e4, relu=True)
-    g2 = g.layer(g.op("Relu", g.op("Add", g.double(g.layer(f3, net.u2)), f2)), net.d2, relu=True)
-    g1 = g.layer(g.op("Relu", g.op("Add", g.double(g.layer(g2, net.u1)), f1)), net.d1, relu=True)
-    g0 = g.layer(g.op("Relu", g.op("Add", g.double(g.layer(g1, net.u0)), f0)), net.d0, relu=True)
+    def mean(v, k):
+        return g.op("AveragePool", v, kernel_shape=[k, k], pads=[k // 2] * 4, count_include_pad=0)
+
+    def part(v, a, b):
+        return g.op("Slice", v, *(g.constant([i], np.int64) for i in (a, b, 1)))
+
+    def layer(v, c):
+        return g.op("LeakyRelu", g.layer(v, c), alpha=0.1)
+
+    d = part(x, 3, 4)
+    clean = g.op("Add", erode(dilate(dilate(erode(d)))), dilate(erode(erode(dilate(d)))))
+    clean = g.op("Mul", clean, g.constant(np.float32(0.5)))
+    others = g.op("Concat", clean, mean(clean, 5), mean(d, 5), mean(d, 9), axis=1)
+    difference = g.op("Mul", g.op("Sub", others, d), g.constant(np.float32(8)))
+    f0 = layer(g.op("Concat", x, difference, axis=1), net.e0)
+    f1 = layer(f0, net.e1)
+    f2 = layer(layer(f1, net.e2), net.m2)
+    f3 = layer(layer(f2, net.e3), net.e4)
+    g2 = layer(g.op("Add", g.double(g.layer(f3, net.u2)), f2), net.d2)
+    g1 = layer(g.op("Add", g.double(g.layer(g2, net.u1)), f1), net.d1)
+    g0 = layer(g.op("Add", g.double(g.layer(g1, net.u0)), f0), net.d0)
     y = g.layer(g0, net.heads)
-    first = g.op("Slice", y, *(g.constant([v], np.int64) for v in (0, 1, 1)))
-    second = g.op("Slice", y, *(g.constant([v], np.int64) for v in (1, 2, 1)))
-    d = g.op("Add", rgb_d, g.op("Mul", first, g.constant(np.float32(0.1))))
-    g.output(g.op("Clip", d, g.constant(np.float32(0)), g.constant(np.float32(1))), "disparity", ["n", 1, "h", "w"])
-    g.output(g.op("Sigmoid", second), "confidence", ["n", 1, "h", "w"])
+    weights = g.op("Softmax", part(y, 0, 5), axis=1)
+    mixed = g.op("ReduceSum", g.op("Mul", weights, g.op("Concat", d, others, axis=1)), g.constant([1], np.int64), keepdims=1)
+    g.output(g.op("Clip", mixed, g.constant(np.float32(0)), g.constant(np.float32(1))), "disparity", ["n", 1, "h", "w"])
+    g.output(g.op("Sigmoid", part(y, 5, 6)), "confidence", ["n", 1, "h", "w"])
     g.save(path, {"licence": LICENCE, "step": str(checkpoint["step"])})
     inputs = [{"input": torch.rand(n, 4, h, w)} for n, h, w in ((1, 64, 96), (2, 352, 640), (1, 16, 16))]
     return [check(path, net, i) for i in inputs]

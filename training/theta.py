@@ -21,33 +21,49 @@ def conv(i, o, stride=1):
 
 
 class Theta(nn.Module):
-    """Two-headed U-Net on RGB, disparity and two rank-filtered copies of the disparity; 0.75 GMAC at 384 × 640."""
+    """Two-headed U-Net that mixes five versions of the disparity map, pixel by pixel; 0.8 GMAC at 384 × 640.
+
+    A mixture stays within the range of its surroundings whatever the network says, and learns in minutes."""
 
     def __init__(self):
         super().__init__()
-        self.e0, self.e1, self.e2, self.e3, self.e4 = conv(6, 8), conv(8, 16, 2), conv(16, 24, 2), conv(24, 32, 2), conv(32, 32)
+        self.e0, self.e1, self.e2, self.e3, self.e4 = conv(8, 8), conv(8, 16, 2), conv(16, 24, 2), conv(24, 32, 2), conv(32, 32)
         self.m2 = conv(24, 24)
         self.u2, self.d2 = nn.Conv2d(32, 24, 1), conv(24, 24)
         self.u1, self.d1 = nn.Conv2d(24, 16, 1), conv(16, 16)
         self.u0, self.d0 = nn.Conv2d(16, 8, 1), conv(8, 8)
-        self.heads = nn.Conv2d(8, 2, 3, 1, 1)
+        self.heads = nn.Conv2d(8, 6, 1)
         with torch.no_grad():
-            self.heads.weight.mul_(0.1)
-            self.heads.bias.copy_(torch.tensor([0.0, 2.0]))
+            self.heads.bias.copy_(torch.tensor([1.0, 0, 0, 0, 0, 2.0]))
 
     def forward(self, x):
         d = x[:, 3:4]
-        # opening and closing by 3 × 3: single outliers are gone in one or the other
-        opened, closed = dilate(erode(d)), erode(dilate(d))
-        f0 = F.relu(self.e0(torch.cat([x, (opened - d) * 4, (closed - d) * 4], 1)))
-        f1 = F.relu(self.e1(f0))
-        f2 = F.relu(self.m2(F.relu(self.e2(f1))))
-        f3 = F.relu(self.e4(F.relu(self.e3(f2))))
-        g2 = F.relu(self.d2(F.relu(double(self.u2(f3)) + f2)))
-        g1 = F.relu(self.d1(F.relu(double(self.u1(g2)) + f1)))
-        g0 = F.relu(self.d0(F.relu(double(self.u0(g1)) + f0)))
+        v = versions(d)
+        f0 = act(self.e0(torch.cat([x, (v[:, 1:] - d) * 8], 1)))
+        f1 = act(self.e1(f0))
+        f2 = act(self.m2(act(self.e2(f1))))
+        f3 = act(self.e4(act(self.e3(f2))))
+        g2 = act(self.d2(double(self.u2(f3)) + f2))
+        g1 = act(self.d1(double(self.u1(g2)) + f1))
+        g0 = act(self.d0(double(self.u0(g1)) + f0))
         y = self.heads(g0)
-        return (d + 0.1 * y[:, :1]).clamp(0, 1), torch.sigmoid(y[:, 1:])
+        mixed = (torch.softmax(y[:, :5], 1) * v).sum(1, keepdim=True)
+        return mixed.clamp(0, 1), torch.sigmoid(y[:, 5:])
+
+
+def act(x):
+    return F.leaky_relu(x, 0.1)
+
+
+def versions(d):
+    """The map itself; without 3 × 3 outliers; that one's 5 × 5 mean; 5 × 5 and 9 × 9 means."""
+    opened, closed = dilate(erode(d)), erode(dilate(d))
+    clean = 0.5 * (erode(dilate(opened)) + dilate(erode(closed)))
+    return torch.cat([d, clean, mean(clean, 5), mean(d, 5), mean(d, 9)], 1)
+
+
+def mean(x, k):
+    return F.avg_pool2d(x, k, 1, k // 2, count_include_pad=False)
 
 
 def dilate(x):
@@ -154,7 +170,7 @@ def main():
     out = common.Path(a.out)
     out.mkdir(parents=True, exist_ok=True)
     net = Theta()
-    optimiser = torch.optim.AdamW(net.parameters(), 3e-3, weight_decay=1e-4)
+    optimiser = torch.optim.AdamW(net.parameters(), 5e-3, weight_decay=1e-4)
     ema = common.Ema(net, 0.99)
     step, spent = 0, 0.0
     if (out / "last.pt").exists():
@@ -169,7 +185,7 @@ def main():
         if done >= 1:
             break
         for group in optimiser.param_groups:
-            group["lr"] = 3e-3 * (min(1, (step + 1) / 50) * (0.5 + 0.5 * np.cos(np.pi * done)) + 0.01)
+            group["lr"] = 5e-3 * (min(1, (step + 1) / 50) * (0.5 + 0.5 * np.cos(np.pi * done)) + 0.01)
         rng = random.Random(a.seed * 1_000_003 + step)
         x, y = batch_of(folders, rng.choice([(128, 192), (192, 128), (128, 128), (192, 192)]), a.batch, rng)
         loss, folded = loss_of(net, x, y)
