@@ -80,11 +80,15 @@ def theta(path, checkpoint):
     return [check(path, net, i) for i in inputs]
 
 
-def psi(path, checkpoint):
+def psi(path, checkpoint, colour):
     from psi import Psi
 
     net = Psi().eval()
     net.load_state_dict(checkpoint["model"])
+    if not colour:
+        with torch.no_grad():
+            net.head.weight[1:] = 0
+            net.head.bias[1:] = 0
     g = Graph("tmpi psi", half=False)
     x = g.input("layers", ["n", 9, "h", "w"])
 
@@ -119,6 +123,7 @@ def main():
     a.add_argument("--checkpoint")
     a.add_argument("--out")
     a.add_argument("--ramp", type=float, default=0.5, help="share of the vertical ramp in the depth network's map")
+    a.add_argument("--alpha-only", action="store_true", help="leave the first fill as it is")
     a = a.parse_args()
     torch.manual_seed(0)
     torch.set_num_threads(1)
@@ -126,7 +131,7 @@ def main():
     path = common.Path(a.out or MODELS / f"{a.model}.onnx")
     path.parent.mkdir(parents=True, exist_ok=True)
     checkpoint = torch.load(a.checkpoint or RUNS / name, weights_only=False, map_location="cpu")
-    worst = depth(path, checkpoint, a.ramp) if a.model == "depth" else {"theta": theta, "psi": psi}[a.model](path, checkpoint)
+    worst = depth(path, checkpoint, a.ramp) if a.model == "depth" else theta(path, checkpoint) if a.model == "theta" else psi(path, checkpoint, not a.alpha_only)
     print(f"{path}: {path.stat().st_size} bytes, step {checkpoint['step']}, ONNX Runtime − PyTorch at most {max(worst):.1e}")
 
 

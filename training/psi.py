@@ -228,6 +228,18 @@ def losses(net, batch):
     return l1 + 0.3 * structure + 0.5 * hidden, {"l1": l1, "ssim": structure, "hidden": hidden, "mse": mse}
 
 
+def recoloured(sample, rng):
+    """The same tile in other colours: channels permuted and scaled, so that no scene's colours are learnt by heart."""
+    order = torch.tensor(rng.sample(range(3), 3))
+    gain = torch.tensor([rng.uniform(0.6, 1.15) for _ in range(3)]).view(3, 1, 1)
+    layers, truth = sample["layers"].float(), sample["truth"].float()
+    def turn(c):
+        return (c[..., order, :, :] * gain).clamp(0, 1)
+    layers = torch.cat([turn(layers[:, :3]), turn(layers[:, 3:6]), layers[:, 6:]], 1)
+    truth = torch.cat([turn(truth[:, :3]), truth[:, 3:]], 1)
+    return {**sample, "layers": layers, "truth": truth, "view": turn(sample["view"].float())}
+
+
 class Nothing(nn.Module):
     """The layers as they come: the bar to beat."""
 
@@ -258,7 +270,7 @@ def main():
     torch.set_num_threads(a.threads)
     cv2.setNumThreads(1)
     common.seed_all(a.seed)
-    held = make_samples(common.scenes(*a.held), 4, 99)
+    held = make_samples(common.scenes(*a.held), 9, 99)
     bar = measure(Nothing(), held)
     print("without Ψ", {k: round(v, 5) for k, v in bar.items()}, f"{len(held)} tiles", flush=True)
     if a.measure:
@@ -270,7 +282,7 @@ def main():
     out = common.Path(a.out)
     out.mkdir(parents=True, exist_ok=True)
     net = Psi()
-    optimiser = torch.optim.AdamW(net.parameters(), 2e-3, weight_decay=1e-4)
+    optimiser = torch.optim.AdamW(net.parameters(), 2e-3, weight_decay=3e-3)
     ema = common.Ema(net, 0.99)
     step, spent = 0, 0.0
     if (out / "last.pt").exists():
@@ -289,7 +301,7 @@ def main():
             group["lr"] = 2e-3 * (min(1, (step + 1) / 50) * (0.5 + 0.5 * np.cos(np.pi * min(1, done))) + 0.01)
         if done < 1:
             rng = random.Random(a.seed * 1_000_003 + step)
-            loss, _ = losses(net, rng.sample(samples, a.batch))
+            loss, _ = losses(net, [recoloured(s, rng) for s in rng.sample(samples, a.batch)])
             optimiser.zero_grad()
             loss.backward()
             torch.nn.utils.clip_grad_norm_(net.parameters(), 1.0)
@@ -297,7 +309,7 @@ def main():
             step += 1
             ema.update(net, step)
             seen.append(loss.item())
-        if step % 200 == 0 or done >= 1:
+        if step % 400 == 0 or done >= 1:
             smoothed.load_state_dict(ema.shadow)
             log.row(step=step, loss=float(np.mean(seen[-200:])), **measure(smoothed, held))
             common.save(out / "last.pt", live=net.state_dict(), model=ema.shadow, optimiser=optimiser.state_dict(), step=step, spent=time.process_time() - start)
