@@ -76,8 +76,8 @@ impl Patch {
         let level = ((width * self.side).max(1.0).log2() as usize).min(self.picture.levels.len() - 1);
         let (w, h, texels) = &self.picture.levels[level];
         let shrink = 1.0 / (1u64 << level) as f64;
-        let place = |t: f64, from: f64, n: usize| ((from + fold(t) * self.side) * shrink - 0.5).clamp(0.0, n as f64 - 1.001);
-        let (x, y) = (place(u, self.x, *w).max(0.0), place(v, self.y, *h).max(0.0));
+        let place = |t: f64, from: f64, n: usize| ((from + fold(t) * self.side) * shrink - 0.5).min(n as f64 - 1.001).max(0.0);
+        let (x, y) = (place(u, self.x, *w), place(v, self.y, *h));
         let (i, j) = (x as usize, y as usize);
         let (i1, j1) = ((i + 1).min(w - 1), (j + 1).min(h - 1));
         let (s, t) = ((x - i as f64) as f32, (y - j as f64) as f32);

@@ -184,3 +184,19 @@ fn noise_is_even_and_bounded() {
         assert!((0.0..=1.0).contains(&math::fbm(p, 5, 0.01, 9)));
     }
 }
+
+#[test]
+fn pictures_are_textures() {
+    let ramp = |w: u32, h: u32| Photo { width: w, height: h, rgb: (0..w * h).map(|i| [(i % w * 255 / w) as u8, 40, 200]).collect() };
+    let pictures = Pictures::new(&[ramp(97, 61), ramp(1, 1), Photo { width: 0, height: 0, rgb: Vec::new() }]);
+    let draw = |seed, p: &Pictures| {
+        let s = Scene::textured(seed, 48, 32, p);
+        s.render(&s.camera(), 1)
+    };
+    for seed in 0..12 {
+        let picture = draw(seed, &pictures);
+        assert_eq!(picture, draw(seed, &pictures), "seed {seed}");
+        assert!(picture.disparity.delta.iter().all(|d| d.is_finite()));
+    }
+    assert!((0..12).any(|seed| draw(seed, &pictures).photo != draw(seed, &Pictures::default()).photo));
+}
