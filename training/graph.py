@@ -84,6 +84,8 @@ def check(path, module, inputs, bound=1e-4):
     worst = 0.0
     for w, h in zip(want, run(path, inputs), strict=True):
         w = w.numpy()
+        if w.shape != h.shape or not np.isfinite(h).all() or not np.isfinite(w).all():
+            raise SystemExit(f"{path}: shape or values are off: {w.shape}, {h.shape}")
         worst = max(worst, float(np.abs(w - h).max() / max(1.0, np.abs(w).max())))
     if not worst < bound:
         raise SystemExit(f"{path}: ONNX Runtime differs from PyTorch by {worst:.2e}")
