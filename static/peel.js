@@ -5,6 +5,7 @@ import { broken } from './protobuf.js';
 const MAX_REACH = 96;
 const MARGIN = 1.5;
 const OPEN = 0.004;
+const SEAM = 1;
 /** Bound on the pixels that peeling may look at. */
 const MAX_WORK = 8e9;
 const [EMPTY, PHOTO, HIDDEN] = [0, 1, 2];
@@ -85,10 +86,12 @@ function surfaceOf(scene, tiles) {
 function peelTile(scene, tile, surface) {
   const { rect } = tile;
   const { maps, visible } = visibleOf(scene, tile);
+  const { px, py } = parallaxOf(scene, rect);
+  const parallax = Math.max(px, py);
   const layers = [];
   const add = (label, plane, delta) => {
     const hidden = hiddenMask(scene, tile, label, plane, delta, visible, surface);
-    const layer = shape(rect, tile, label, plane, delta, hidden, visible);
+    const layer = shape(rect, tile, label, plane, parallax, delta, hidden, visible);
     if (layer) layers.push(layer);
   };
   tile.planes.forEach((plane, label) => add(label, plane, maps[label]));
@@ -174,7 +177,7 @@ function dilated(mask, w, h, rx, ry) {
 }
 
 /** Visible, hidden and soft texels of a layer, cut to its bounds; null where nothing is left. */
-function shape(rect, { labels }, label, plane, delta, hidden, visible) {
+function shape(rect, { labels }, label, plane, parallax, delta, hidden, visible) {
   const { w, h } = rect;
   const classes = new Uint8Array(labels.length);
   const alpha = new Uint8Array(labels.length);
@@ -187,7 +190,7 @@ function shape(rect, { labels }, label, plane, delta, hidden, visible) {
     any = true;
   }
   if (!any) return null;
-  if (label >= 0) soften(classes, alpha, w, h, delta, visible);
+  if (label >= 0) soften(classes, alpha, w, h, parallax, delta, visible);
   const b = bounds(classes, w, h);
   const cut = (from) => {
     const out = new Uint8Array(b.w * b.h);
@@ -197,13 +200,14 @@ function shape(rect, { labels }, label, plane, delta, hidden, visible) {
   return { plane, x: rect.x + b.x, y: rect.y + b.y, w: b.w, h: b.h, classes: cut(classes), alpha: cut(alpha) };
 }
 
-/** One ring of soft texels outside, where the layer lies in front. */
-function soften(classes, alpha, w, h, delta, visible) {
+/** One ring of soft texels outside, where the layer lies in front; opaque where it is hardly so. */
+function soften(classes, alpha, w, h, parallax, delta, visible) {
   const opaque = alpha.map((a) => (a === 255 ? 1 : 0));
   for (let y = 0; y < h; y++) {
     for (let x = 0; x < w; x++) {
       const at = y * w + x;
-      if (opaque[at] || !(delta[at] > visible[at])) continue;
+      const front = (delta[at] - visible[at]) * parallax;
+      if (opaque[at] || !(front > 0)) continue;
       let set = 0;
       let all = 0;
       for (let v = Math.max(y - 1, 0); v < Math.min(y + 2, h); v++) {
@@ -214,7 +218,7 @@ function soften(classes, alpha, w, h, delta, visible) {
       }
       if (!set) continue;
       classes[at] = PHOTO;
-      alpha[at] = Math.floor((255 * set + (all >> 1)) / all);
+      alpha[at] = front <= SEAM ? 255 : Math.floor((255 * set + (all >> 1)) / all);
     }
   }
 }

@@ -14,6 +14,9 @@ const MARGIN: f64 = 1.5;
 /// A surface counts as open for a layer that lies at most this far in front of it, in δ.
 const OPEN: f64 = 0.004;
 
+/// A layer whose rim lies in front of its neighbour by at most this many pixels of parallax is one surface with it.
+const SEAM: f64 = 1.0;
+
 /// The planes of one tile and which of them each pixel lies on.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Tile {
@@ -141,11 +144,13 @@ impl Blueprint {
         for (i, &l) in tile.labels.iter().enumerate() {
             s.visible.push(place.disparity(&tile.planes[l as usize], r.x + i as u32 % r.w, r.y + i as u32 / r.w));
         }
+        let parallax = self.view_box.parallax(&self.intrinsics, r);
+        let parallax = parallax.0.max(parallax.1);
         let mut out = Shapes::default();
         let labelled = tile.planes.iter().enumerate().map(|(j, q)| (Some(j as u8), *q));
         for (label, plane) in labelled.chain(tile.backstop.map(|q| (None, q))) {
             out.never_seen += self.mark_hidden(r, place, tile, label, &plane, surface, s);
-            out.layers.extend(shape(r, place, tile, label, plane, &s.hidden, &s.visible));
+            out.layers.extend(shape(r, place, tile, label, plane, parallax, &s.hidden, &s.visible));
         }
         // a backstop is the farthest at most places, but the order is by the tile's centre for all alike
         out.layers.sort_by(|a, b| a.plane.a.total_cmp(&b.plane.a));
@@ -245,7 +250,17 @@ fn dilate(s: &mut Scratch, width: usize, rx: usize, ry: usize) {
 }
 
 /// Joins visible, hidden and soft texels into a layer cut to its bounds; none where nothing is left.
-fn shape(r: Rect, place: Place, tile: &Tile, label: Option<u8>, plane: Plane, hidden: &[bool], visible: &[f32]) -> Option<Shape> {
+#[allow(clippy::too_many_arguments, reason = "the parts of one tile")]
+fn shape(
+    r: Rect,
+    place: Place,
+    tile: &Tile,
+    label: Option<u8>,
+    plane: Plane,
+    parallax: f64,
+    hidden: &[bool],
+    visible: &[f32],
+) -> Option<Shape> {
     let (w, h) = (r.w as usize, r.h as usize);
     let mut class: Vec<u8> = (0..w * h)
         .map(|i| {
@@ -263,7 +278,11 @@ fn shape(r: Rect, place: Place, tile: &Tile, label: Option<u8>, plane: Plane, hi
     }
     let mut alpha: Vec<u8> = class.iter().map(|&c| if c == Class::Empty as u8 { 0 } else { 255 }).collect();
     if label.is_some() {
-        soften(&mut class, &mut alpha, w, h, |i| place.disparity(&plane, r.x + (i % w) as u32, r.y + (i / w) as u32) > visible[i]);
+        let pixels_in_front = |i: usize| {
+            let own = place.disparity(&plane, r.x + (i % w) as u32, r.y + (i / w) as u32);
+            (f64::from(own) - f64::from(visible[i])) * parallax
+        };
+        soften(&mut class, &mut alpha, w, h, pixels_in_front);
     }
     let b = bounds(&class, w, h);
     let cut = |v: &[u8]| -> Vec<u8> {
@@ -273,8 +292,9 @@ fn shape(r: Rect, place: Place, tile: &Tile, label: Option<u8>, plane: Plane, hi
 }
 
 /// One ring of soft texels outside: alpha is the 3×3 box of the opaque mask, colour the photo's, so that the identity view
-/// stays exact. Only where the layer lies in front: elsewhere the photo's colour belongs to something else.
-fn soften(class: &mut [u8], alpha: &mut [u8], w: usize, h: usize, in_front: impl Fn(usize) -> bool) {
+/// stays exact. Only where the layer lies in front: elsewhere the photo's colour belongs to something else. Where it lies
+/// hardly in front the surface goes on, bent by a crease: there the ring is opaque, or a hairline would open along the crease.
+fn soften(class: &mut [u8], alpha: &mut [u8], w: usize, h: usize, pixels_in_front: impl Fn(usize) -> f64) {
     let opaque: Vec<bool> = alpha.iter().map(|&a| a == 255).collect();
     for y in 0..h {
         for x in 0..w {
@@ -289,9 +309,10 @@ fn soften(class: &mut [u8], alpha: &mut [u8], w: usize, h: usize, in_front: impl
                     set += u32::from(opaque[ny * w + nx]);
                 }
             }
-            if set > 0 && in_front(at) {
+            let front = if set > 0 { pixels_in_front(at) } else { 0.0 };
+            if front > 0.0 {
                 class[at] = Class::Photo as u8;
-                alpha[at] = ((255 * set + all / 2) / all) as u8;
+                alpha[at] = if front <= SEAM { 255 } else { ((255 * set + all / 2) / all) as u8 };
             }
         }
     }
