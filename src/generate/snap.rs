@@ -37,8 +37,7 @@ pub fn snap(photo: &Photo, delta: &DisparityMap) -> DisparityMap {
 /// edges at all.
 #[must_use]
 pub fn ramp_share(delta: &DisparityMap) -> f64 {
-    let (w, h) = (delta.width as usize, delta.height as usize);
-    let (lo, hi) = (extreme(&delta.delta, w, h, RADIUS, f32::min), extreme(&delta.delta, w, h, RADIUS, f32::max));
+    let (lo, hi) = extremes(delta, RADIUS);
     let (mut ramp, mut edge) = (0usize, 0usize);
     for ((&d, lo), hi) in delta.delta.iter().zip(lo).zip(hi) {
         if hi - lo > STRONG {
@@ -109,8 +108,8 @@ impl Window<'_> {
 
 /// Runs `f` where the range of δ within `radius` exceeds `range`; none keeps the pixel.
 fn each(delta: &DisparityMap, radius: usize, range: f32, f: impl Fn(&Window) -> Option<f32> + Sync) -> DisparityMap {
-    let (w, h) = (delta.width as usize, delta.height as usize);
-    let (lo, hi) = (extreme(&delta.delta, w, h, radius, f32::min), extreme(&delta.delta, w, h, radius, f32::max));
+    let w = delta.width as usize;
+    let (lo, hi) = extremes(delta, radius);
     let mut out = delta.delta.clone();
     out.par_chunks_mut(w).enumerate().for_each(|(y, row)| {
         for (x, o) in row.iter_mut().enumerate() {
@@ -125,22 +124,36 @@ fn each(delta: &DisparityMap, radius: usize, range: f32, f: impl Fn(&Window) -> 
     DisparityMap { width: delta.width, height: delta.height, delta: out }
 }
 
-/// Least or greatest value of a `(2r+1)²` window, by rows and then by columns.
-fn extreme(d: &[f32], w: usize, h: usize, r: usize, pick: fn(f32, f32) -> f32) -> Vec<f32> {
+/// Least and greatest value of a `(2r+1)²` window.
+fn extremes(delta: &DisparityMap, radius: usize) -> (Vec<f32>, Vec<f32>) {
+    let (w, h) = (delta.width as usize, delta.height as usize);
+    // not `f32::min`, whose care for NaN costs the vector instruction; the map is finite
+    rayon::join(
+        || extreme(&delta.delta, w, h, radius, |a, b| if b < a { b } else { a }),
+        || extreme(&delta.delta, w, h, radius, |a, b| if b > a { b } else { a }),
+    )
+}
+
+/// One of the extremes, by rows and then by columns.
+fn extreme(d: &[f32], w: usize, h: usize, r: usize, pick: impl Fn(f32, f32) -> f32 + Sync) -> Vec<f32> {
+    let merge = |to: &mut [f32], from: &[f32]| {
+        for (o, v) in to.iter_mut().zip(from) {
+            *o = pick(*o, *v);
+        }
+    };
     let mut rows = vec![0.0; d.len()];
-    rows.par_chunks_mut(w).enumerate().for_each(|(y, out)| {
-        let line = &d[y * w..(y + 1) * w];
-        for (x, o) in out.iter_mut().enumerate() {
-            *o = line[x.saturating_sub(r)..(x + r + 1).min(w)].iter().copied().fold(line[x], pick);
+    rows.par_chunks_mut(w).zip(d.par_chunks(w)).for_each(|(out, line)| {
+        out.copy_from_slice(line);
+        for off in 1..=r.min(w - 1) {
+            merge(&mut out[..w - off], &line[off..]);
+            merge(&mut out[off..], &line[..w - off]);
         }
     });
     let mut out = vec![0.0; d.len()];
     out.par_chunks_mut(w).enumerate().for_each(|(y, out)| {
         out.copy_from_slice(&rows[y * w..(y + 1) * w]);
         for yy in y.saturating_sub(r)..(y + r + 1).min(h) {
-            for (o, v) in out.iter_mut().zip(&rows[yy * w..(yy + 1) * w]) {
-                *o = pick(*o, *v);
-            }
+            merge(out, &rows[yy * w..(yy + 1) * w]);
         }
     });
     out

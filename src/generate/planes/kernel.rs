@@ -71,30 +71,52 @@ fn nearest_body(planes: &[[f32; 3]], s: Columns, error: &mut [f32], label: &mut 
 #[allow(clippy::inline_always, reason = "the loop must be compiled anew with the caller's target features")]
 fn sums_body(s: Columns, label: &[u32], j: u32) -> Sums {
     let mut acc = [[0f32; LANES]; 9];
-    let add = |acc: &mut [[f32; LANES]; 9], lane: usize, u: f32, v: f32, d: f32, w: f32, l: u32| {
-        let w = if l == j { w } else { 0.0 };
-        let (wu, wv) = (w * u, w * v);
-        acc[0][lane] += w;
-        acc[1][lane] += wu;
-        acc[2][lane] += wv;
-        acc[3][lane] += w * d;
-        acc[4][lane] += wu * u;
-        acc[5][lane] += wu * v;
-        acc[6][lane] += wv * v;
-        acc[7][lane] += wu * d;
-        acc[8][lane] += wv * d;
-    };
-    let whole = label.len() / LANES * LANES;
-    let (u, v, d, w) = (s.u.as_chunks::<LANES>().0, s.v.as_chunks::<LANES>().0, s.d.as_chunks::<LANES>().0, s.w.as_chunks::<LANES>().0);
-    for ((((u, v), d), w), l) in u.iter().zip(v).zip(d).zip(w).zip(label.as_chunks::<LANES>().0) {
-        for i in 0..LANES {
-            add(&mut acc, i, u[i], v[i], d[i], w[i], l[i]);
+    let (u, u_rest) = s.u.as_chunks::<LANES>();
+    let (v, v_rest) = s.v.as_chunks::<LANES>();
+    let (d, d_rest) = s.d.as_chunks::<LANES>();
+    let (w, w_rest) = s.w.as_chunks::<LANES>();
+    let (l, l_rest) = label.as_chunks::<LANES>();
+    for ((((u, v), d), w), l) in u.iter().zip(v).zip(d).zip(w).zip(l) {
+        // labels come in patches, so most runs of eight have none of this one
+        if l.contains(&j) {
+            add(&mut acc, *u, *v, *d, lanes(|i| if l[i] == j { w[i] } else { 0.0 }));
         }
     }
-    for i in whole..label.len() {
-        add(&mut acc, 0, s.u[i], s.v[i], s.d[i], s.w[i], label[i]);
-    }
+    let rest = |c: &[f32]| lanes(|i| c.get(i).copied().unwrap_or(0.0));
+    let weight = lanes(|i| if l_rest.get(i) == Some(&j) { w_rest[i] } else { 0.0 });
+    add(&mut acc, rest(u_rest), rest(v_rest), rest(d_rest), weight);
     acc.map(|a| a.iter().sum())
+}
+
+/// Adds eight samples; one loop a sum, which is what the compiler turns into one instruction each.
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "the loop must be compiled anew with the caller's target features")]
+fn add(acc: &mut [[f32; LANES]; 9], u: [f32; LANES], v: [f32; LANES], d: [f32; LANES], w: [f32; LANES]) {
+    let (wu, wv) = (lanes(|i| w[i] * u[i]), lanes(|i| w[i] * v[i]));
+    let terms = [
+        w,
+        wu,
+        wv,
+        lanes(|i| w[i] * d[i]),
+        lanes(|i| wu[i] * u[i]),
+        lanes(|i| wu[i] * v[i]),
+        lanes(|i| wv[i] * v[i]),
+        lanes(|i| wu[i] * d[i]),
+        lanes(|i| wv[i] * d[i]),
+    ];
+    for (a, t) in acc.iter_mut().zip(terms) {
+        *a = lanes(|i| a[i] + t[i]);
+    }
+}
+
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "the loop must be compiled anew with the caller's target features")]
+fn lanes(f: impl Fn(usize) -> f32) -> [f32; LANES] {
+    let mut out = [0.0; LANES];
+    for (i, o) in out.iter_mut().enumerate() {
+        *o = f(i);
+    }
+    out
 }
 
 #[cfg(test)]
