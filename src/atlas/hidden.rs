@@ -57,40 +57,83 @@ pub fn columns_for(blocks: usize) -> usize {
     (blocks as f64).sqrt().ceil() as usize
 }
 
-/// Paints the blocks; what no hidden texel claims takes the mean of its block, which costs a codec least.
+/// Paints the blocks. What no hidden texel claims continues the texels that do, smoothly: that costs a codec least.
 pub fn paint(layers: &[Layer], class: &[u8], hidden: &[[u8; 3]], blocks: usize, columns: usize) -> (u32, u32, Vec<u8>) {
     let (w, h) = (columns * BLOCK as usize, blocks.div_ceil(columns.max(1)) * BLOCK as usize);
     let mut rgb = vec![128u8; w * h * 3];
-    let texel_at = |block: usize, place: usize| {
-        let (x, y) = (block % columns * 8 + place % 8, block / columns * 8 + place / 8);
-        (y * w + x) * 3
-    };
-    let mut current: (usize, u64, [u32; 4]) = (usize::MAX, 0, [0; 4]);
-    let close = |rgb: &mut Vec<u8>, (block, mask, sum): (usize, u64, [u32; 4])| {
-        if block == usize::MAX || sum[3] == 0 {
+    let mut current = (usize::MAX, Patch::default());
+    let close = |rgb: &mut Vec<u8>, block: usize, patch: &mut Patch| {
+        if block == usize::MAX {
             return;
         }
-        let mean = [0, 1, 2].map(|i| ((sum[i] + sum[3] / 2) / sum[3]) as u8);
-        for place in (0..64).filter(|p| mask >> p & 1 == 0) {
-            let at = texel_at(block, place);
-            rgb[at..at + 3].copy_from_slice(&mean);
+        patch.complete();
+        for (place, c) in patch.texels.iter().enumerate() {
+            let (x, y) = (block % columns * 8 + place % 8, block / columns * 8 + place / 8);
+            rgb[(y * w + x) * 3..][..3].copy_from_slice(&c.map(|v| v.round() as u8));
         }
     };
     walk(layers, class, |block, place, index| {
         if block != current.0 {
-            close(&mut rgb, current);
-            current = (block, 0, [0; 4]);
+            close(&mut rgb, current.0, &mut current.1);
+            current = (block, Patch::default());
         }
-        let c = hidden[index];
-        let at = texel_at(block, place);
-        rgb[at..at + 3].copy_from_slice(&c);
-        current.1 |= 1 << place;
-        for (s, v) in current.2.iter_mut().zip([c[0], c[1], c[2], 1]) {
-            *s += u32::from(v);
-        }
+        current.1.texels[place] = hidden[index].map(f32::from);
+        current.1.known |= 1 << place;
     });
-    close(&mut rgb, current);
+    close(&mut rgb, current.0, &mut current.1);
     (w as u32, h as u32, rgb)
+}
+
+/// One block while it is painted.
+struct Patch {
+    texels: [[f32; 3]; 64],
+    /// A bit for every texel that has a colour.
+    known: u64,
+}
+
+impl Default for Patch {
+    fn default() -> Self {
+        Self { texels: [[0.0; 3]; 64], known: 0 }
+    }
+}
+
+impl Patch {
+    /// Sweeps of the relaxation that smooths what was continued.
+    const SWEEPS: usize = 6;
+
+    /// Continues the known texels over the others, ring by ring, then relaxes those towards the mean of their neighbours.
+    fn complete(&mut self) {
+        let fixed = self.known;
+        while self.known != 0 && self.known != u64::MAX {
+            let before = self.known;
+            for place in (0..64).filter(|p| before >> p & 1 == 0) {
+                if let Some(mean) = self.mean_around(place, before) {
+                    self.texels[place] = mean;
+                    self.known |= 1 << place;
+                }
+            }
+        }
+        for _ in 0..Self::SWEEPS {
+            for place in (0..64).filter(|p| fixed >> p & 1 == 0) {
+                if let Some(mean) = self.mean_around(place, self.known) {
+                    self.texels[place] = mean;
+                }
+            }
+        }
+    }
+
+    fn mean_around(&self, place: usize, known: u64) -> Option<[f32; 3]> {
+        let (x, y) = (place % 8, place / 8);
+        let around = [(x > 0, place.wrapping_sub(1)), (x < 7, place + 1), (y > 0, place.wrapping_sub(8)), (y < 7, place + 8)];
+        let (mut sum, mut n) = ([0f32; 3], 0f32);
+        for (_, p) in around.into_iter().filter(|(inside, p)| *inside && known >> p & 1 == 1) {
+            for (s, v) in sum.iter_mut().zip(self.texels[p]) {
+                *s += v;
+            }
+            n += 1.0;
+        }
+        (n > 0.0).then(|| sum.map(|s| s / n))
+    }
 }
 
 /// Takes the hidden colours back out of a picture `width` pixels wide that holds all blocks (checked by the caller).

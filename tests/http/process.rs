@@ -94,12 +94,13 @@ fn ids(addr: SocketAddr) -> Vec<String> {
 #[test]
 fn a_crash_in_the_middle_of_ten_uploads_loses_and_doubles_none() {
     let photos: Vec<Vec<u8>> = (0..10).map(large).collect();
-    for crash_after in [1, 4, 8] {
+    // three at a time, so that at most two more are answered than it takes to crash
+    for crash_after in [1, 4, 7] {
         let dir = tempfile::tempdir().unwrap();
         let server = Mutex::new(Process::start(dir.path()));
         let addr = server.lock().unwrap().addr;
         let answered = Mutex::new(BTreeSet::new());
-        let (next, answers) = (AtomicUsize::new(0), AtomicUsize::new(0));
+        let next = AtomicUsize::new(0);
         // one upload that never gets to its end
         let mut half = Connection::open(addr);
         half.raw().write_all(b"POST /v1/photos HTTP/1.1\r\nhost: x\r\ncontent-length: 100000\r\n\r\nhalf of it").unwrap();
@@ -108,8 +109,10 @@ fn a_crash_in_the_middle_of_ten_uploads_loses_and_doubles_none() {
                 scope.spawn(|| {
                     while let Some(photo) = photos.get(next.fetch_add(1, Ordering::SeqCst)) {
                         let Some(id) = upload(addr, photo) else { return };
-                        answered.lock().unwrap().insert(id);
-                        if answers.fetch_add(1, Ordering::SeqCst) + 1 == crash_after {
+                        // held over the crash: nobody starts another upload before it
+                        let mut answered = answered.lock().unwrap();
+                        answered.insert(id);
+                        if answered.len() == crash_after {
                             server.lock().unwrap().crash();
                         }
                     }
