@@ -55,9 +55,11 @@ pub enum TileSize {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum Switch {
-    /// Where it helps.
+    /// Where it helps by measure.
     #[default]
     Auto,
+    /// Always.
+    On,
     /// Never.
     Off,
 }

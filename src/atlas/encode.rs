@@ -14,18 +14,21 @@ const LARGE: usize = 2 << 20;
 const LARGE_LEVEL: i32 = 9;
 
 /// Writes a container of a scene that follows from `blueprint`, but for its hidden colours and, where a network refined them,
-/// its soft alphas. `carried` is the photo's file, `quality` (1 to 100) that of the hidden colours.
+/// its soft alphas. `carried` is the photo's file, `quality` (1 to 100) that of the hidden colours,
+/// `refined` says whether alphas were refined.
 ///
 /// # Errors
 /// [`AtlasError::Encode`] where a picture codec fails or a plane does not fit.
-pub fn encode(blueprint: &Blueprint, scene: &Scene, carried: &Carried, quality: u8) -> Result<(Vec<u8>, Bytes), AtlasError> {
+pub fn encode(blueprint: &Blueprint, scene: &Scene, carried: &Carried, quality: u8, refined: bool) -> Result<(Vec<u8>, Bytes), AtlasError> {
     let mut file = File::default();
     file.add(Kind::Photo, carried.codec(), carried.bytes.clone(), 0);
     file.add_packed(Kind::Planes, &columns::write(&blueprint.tiles))?;
     let counts: Vec<u8> = blueprint.tiles.iter().map(|t| t.planes.len() as u8).collect();
     let all: Vec<u8> = blueprint.tiles.iter().flat_map(|t| &t.labels).copied().collect();
     file.add(Kind::Labels, Codec::Range, labels::encode(&blueprint.grid, &counts, &all), 0);
-    file.add_packed(Kind::Alpha, &refined_alpha(blueprint, scene))?;
+    if refined {
+        file.add_packed(Kind::Alpha, &refined_alpha(blueprint, scene))?;
+    }
     let blocks = hidden::walk(&scene.layers, &scene.texels.class, |_, _, _| {});
     let per_row = hidden::columns_for(blocks);
     if blocks > 0 {

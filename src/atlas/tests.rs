@@ -43,7 +43,7 @@ fn scene(width: u32, height: u32) -> (Blueprint, Scene) {
 
 fn container((blueprint, s): &(Blueprint, Scene)) -> Vec<u8> {
     let photo = Carried::from_photo(&s.photo, 90).unwrap();
-    let (bytes, parts) = encode(blueprint, s, &photo, 90).unwrap();
+    let (bytes, parts) = encode(blueprint, s, &photo, 90, true).unwrap();
     assert_eq!(parts.total, bytes.len());
     assert_eq!(parts.index + parts.photo + parts.alpha + parts.hidden, bytes.len());
     bytes
