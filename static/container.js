@@ -1,4 +1,5 @@
 // Container → scene (schema and layout in proto/tmpi.proto). Pure: no page, no network; pictures are decoded by the caller.
+import { fillHidden } from './fill.js';
 import { tileCounts, tileRect } from './grid.js';
 import { decodeLabels } from './labels.js';
 import { peel } from './peel.js';
@@ -206,16 +207,22 @@ export async function decode(bytes, decodePicture, photo) {
   if (!head) broken('cut off');
   const { index } = head;
   const scene = sceneHead(index);
-  const shapes = peel(scene, readTiles(bytes, head));
+  const tiles = readTiles(bytes, head);
+  const shapes = peel(scene, tiles);
   Object.assign(scene, readLayers(scene, shapes));
   refineAlpha(bytes, head, scene.alpha);
   const hidden = scene.classes.reduce((n, kind) => n + (kind === Class.HIDDEN), 0);
   describeLayers(scene);
-  const hiddenPicture = hidden ? await decodedPicture(bytes, head, Kind.HIDDEN, decodePicture) : null;
-  scene.hidden = readHidden(scene, index, hidden, hiddenPicture);
   scene.photo = photo ?? (await decodedPicture(bytes, head, Kind.PHOTO, decodePicture));
   if (scene.photo.width !== index.width || scene.photo.height !== index.height) {
     broken(`the photo is ${scene.photo.width} × ${scene.photo.height} pixels, not ${index.width} × ${index.height}`);
+  }
+  if (sectionOf(index, Kind.HIDDEN)) {
+    const image = hidden ? await decodedPicture(bytes, head, Kind.HIDDEN, decodePicture) : null;
+    scene.hidden = readHidden(scene, index, hidden, image);
+  } else {
+    countHidden(scene);
+    scene.hidden = fillHidden(scene, tiles, shapes, hidden);
   }
   return scene;
 }
@@ -333,6 +340,16 @@ function describeLayers({ layers, classes, alpha }) {
     }
     layers.visible[i] = visible;
     layers.soft[i] = soft;
+  }
+}
+
+/** Fills `layers.firstHidden`. */
+function countHidden({ layers, classes }) {
+  let count = 0;
+  for (let i = 0; i < layers.count; i++) {
+    layers.firstHidden[i] = count;
+    const end = layers.firstTexel[i] + layers.w[i] * layers.h[i];
+    for (let k = layers.firstTexel[i]; k < end; k++) if (classes[k] === Class.HIDDEN) count++;
   }
 }
 

@@ -28,7 +28,8 @@ export function peel(scene, tiles) {
   return layers;
 }
 
-function grown(rect, dx, dy, { width, height }) {
+/** The rectangle grown by `dx`, `dy` pixels and clipped to the photo. */
+export function grown(rect, dx, dy, { width, height }) {
   const x = Math.max(rect.x - dx, 0);
   const y = Math.max(rect.y - dy, 0);
   return { x, y, w: Math.min(rect.x + rect.w + dx, width) - x, h: Math.min(rect.y + rect.h + dy, height) - y };
@@ -56,22 +57,22 @@ function centre(scene, rect) {
   return { cx: rect.x + scene.tileSize / 2, cy: rect.y + scene.tileSize / 2 };
 }
 
-/** δ of a plane over a rectangle. */
-function map(scene, rect, plane, over) {
+/** δ of the plane of a tile with rectangle `rect` over the rectangle `over`. */
+export function planeMap(scene, rect, plane, over) {
   const out = new Float32Array(over.w * over.h);
   for (let y = 0; y < over.h; y++) row(scene, rect, plane, over.x, over.y + y, over.w, out, y * over.w);
   return out;
 }
 
 function visibleOf(scene, { rect, planes, labels }) {
-  const maps = planes.map((plane) => map(scene, rect, plane, rect));
+  const maps = planes.map((plane) => planeMap(scene, rect, plane, rect));
   const out = new Float32Array(labels.length);
   for (let i = 0; i < out.length; i++) out[i] = maps[labels[i]][i];
   return { maps, visible: out };
 }
 
 /** δ of the visible surface per pixel; where tiles overlap, of the one that comes last. */
-function surfaceOf(scene, tiles) {
+export function surfaceOf(scene, tiles) {
   const surface = new Float32Array(scene.width * scene.height);
   for (const tile of tiles) {
     const { rect } = tile;
@@ -95,7 +96,7 @@ function peelTile(scene, tile, surface) {
     if (layer) layers.push(layer);
   };
   tile.planes.forEach((plane, label) => add(label, plane, maps[label]));
-  if (tile.backstop) add(-1, tile.backstop, map(scene, rect, tile.backstop, rect));
+  if (tile.backstop) add(-1, tile.backstop, planeMap(scene, rect, tile.backstop, rect));
   return layers;
 }
 
@@ -123,7 +124,7 @@ function hiddenMask(scene, { rect, labels }, label, plane, delta, visible, surfa
   const { px, py } = parallaxOf(scene, rect);
   const reach = (parallax, by) => Math.ceil(Math.min(by * parallax + MARGIN, MAX_REACH));
   const win = grown(rect, reach(px, step), reach(py, step), scene);
-  const over = map(scene, rect, plane, win);
+  const over = planeMap(scene, rect, plane, win);
   const open = new Uint8Array(win.w * win.h);
   let nearest = 0;
   let least = Infinity;

@@ -268,6 +268,26 @@ fn info_tells_what_is_in_a_container() {
     assert_eq!(last, info["bytes"].as_u64());
     let text = f.run(&["info", "box.tmpi"]).succeeds().out;
     assert!(text.contains("150×100") && text.contains("section"));
+    assert!(info["texels"]["hidden"].as_u64() > Some(0));
+    assert!(sections.iter().all(|s| s["kind"] != "hidden"), "hidden colours follow from the rest");
+    let share =
+        |kind: &str| text.lines().find(|l| l.starts_with(kind)).and_then(|l| l.split('%').next()?.rsplit(' ').next()?.parse::<f64>().ok());
+    let total: f64 = ["header", "photo     jpeg", "planes    zstd", "labels"].iter().map(|k| share(k).unwrap()).sum();
+    assert!((total - 100.0).abs() < 0.3, "{total} %:\n{text}");
+}
+
+/// The driver is closed before the process ends: it crashed now and then on the way out when it was not.
+#[test]
+fn drawing_with_an_adapter_ends_well_every_time() {
+    let f = Folder::new();
+    f.container();
+    for _ in 0..12 {
+        let run = f.run(&["render", "box.tmpi", "-o", "v.png", "--backend", "gpu"]);
+        if run.code == 1 && run.err.contains("no adapter") {
+            return eprintln!("skipped: {}", run.err);
+        }
+        run.succeeds();
+    }
 }
 
 #[test]

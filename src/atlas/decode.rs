@@ -5,7 +5,7 @@ use serde::Serialize;
 
 use super::wire::{Codec, Index, Kind, Section};
 use super::{AtlasError, MAGIC, MAJOR, bounds, columns, hidden, labels, picture};
-use crate::tmpi::{Blueprint, Class, Grid, Intrinsics, Layer, Scene, Texels, ViewBox};
+use crate::tmpi::{Blueprint, Class, Filler, Grid, Intrinsics, Layer, Scene, Texels, ViewBox};
 
 /// One section as the index names it.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
@@ -69,7 +69,13 @@ pub fn decode(bytes: &[u8]) -> Result<Scene, AtlasError> {
     }
     let blueprint = blueprint(&index, body, grid, intrinsics, view_box)?;
     let (mut layers, mut texels) = (Vec::new(), Texels::default());
-    for (tile, shapes) in blueprint.peel().into_iter().enumerate() {
+    let shapes = blueprint.peel();
+    let carried = find(&index, Kind::Hidden).is_some();
+    if !carried {
+        let colours = Filler::new(&photo, &blueprint).fill_all(&shapes);
+        texels.hidden = colours.into_iter().flatten().flatten().collect();
+    }
+    for (tile, shapes) in shapes.into_iter().enumerate() {
         for s in shapes.layers {
             layers.push(Layer { tile: tile as u32, plane: s.plane, rect: s.rect, first_texel: texels.class.len(), first_hidden: 0 });
             texels.class.extend(s.class);
@@ -78,7 +84,9 @@ pub fn decode(bytes: &[u8]) -> Result<Scene, AtlasError> {
     }
     refine_alpha(&index, body, &mut texels.alpha)?;
     let hidden_count = count_hidden(&mut layers, &texels.class);
-    texels.hidden = hidden_colours(&index, body, &layers, &texels.class, hidden_count)?;
+    if carried {
+        texels.hidden = hidden_colours(&index, body, &layers, &texels.class, hidden_count)?;
+    }
     let scene = Scene { grid, intrinsics, view_box, photo, layers, texels };
     scene.validate().map_err(|e| AtlasError::broken(e.to_string()))?;
     Ok(scene)

@@ -13,27 +13,37 @@ const LEVEL: i32 = 19;
 const LARGE: usize = 2 << 20;
 const LARGE_LEVEL: i32 = 9;
 
-/// Writes a container of a scene that follows from `blueprint`, but for its hidden colours and, where a network refined them,
-/// its soft alphas. `carried` is the photo's file, `quality` (1 to 100) that of the hidden colours,
-/// `refined` says whether alphas were refined.
+/// What a container carries beyond photo, planes and labels, from which all else follows.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Carries {
+    /// Soft alphas, because a network refined them.
+    pub alpha: bool,
+    /// Hidden colours at this quality (1 to 100), because they are others than [`crate::tmpi::Filler`] gives.
+    pub hidden: Option<u8>,
+}
+
+/// Writes a container of a scene that follows from `blueprint`, but for what `carries` names. `carried` is the photo's file.
 ///
 /// # Errors
 /// [`AtlasError::Encode`] where a picture codec fails or a plane does not fit.
-pub fn encode(blueprint: &Blueprint, scene: &Scene, carried: &Carried, quality: u8, refined: bool) -> Result<(Vec<u8>, Bytes), AtlasError> {
+pub fn encode(blueprint: &Blueprint, scene: &Scene, carried: &Carried, carries: Carries) -> Result<(Vec<u8>, Bytes), AtlasError> {
     let mut file = File::default();
     file.add(Kind::Photo, carried.codec(), carried.bytes.clone(), 0);
     file.add_packed(Kind::Planes, &columns::write(&blueprint.tiles))?;
     let counts: Vec<u8> = blueprint.tiles.iter().map(|t| t.planes.len() as u8).collect();
     let all: Vec<u8> = blueprint.tiles.iter().flat_map(|t| &t.labels).copied().collect();
     file.add(Kind::Labels, Codec::Range, labels::encode(&blueprint.grid, &counts, &all), 0);
-    if refined {
+    if carries.alpha {
         file.add_packed(Kind::Alpha, &refined_alpha(blueprint, scene))?;
     }
-    let blocks = hidden::walk(&scene.layers, &scene.texels.class, |_, _, _| {});
-    let per_row = hidden::columns_for(blocks);
-    if blocks > 0 {
-        let (w, h, rgb) = hidden::paint(&scene.layers, &scene.texels.class, &scene.texels.hidden, blocks, per_row);
-        file.add(Kind::Hidden, Codec::Jpeg, encode_jpeg(w, h, &rgb, quality)?, 0);
+    let (mut blocks, mut per_row) = (0, 0);
+    if let Some(quality) = carries.hidden {
+        blocks = hidden::walk(&scene.layers, &scene.texels.class, |_, _, _| {});
+        per_row = hidden::columns_for(blocks);
+        if blocks > 0 {
+            let (w, h, rgb) = hidden::paint(&scene.layers, &scene.texels.class, &scene.texels.hidden, blocks, per_row);
+            file.add(Kind::Hidden, Codec::Jpeg, encode_jpeg(w, h, &rgb, quality)?, 0);
+        }
     }
     let (g, k, v) = (&scene.grid, &scene.intrinsics, &scene.view_box);
     let index = Index {

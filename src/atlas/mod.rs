@@ -10,7 +10,7 @@ mod range;
 mod wire;
 
 pub use decode::{SectionInfo, decode, sections};
-pub use encode::encode;
+pub use encode::{Carries, encode};
 pub use picture::{Carried, encode_jpeg};
 
 /// First bytes of a container.
@@ -18,7 +18,7 @@ pub const MAGIC: [u8; 4] = *b"TMPI";
 /// Major version written, and the newest that is read.
 pub const MAJOR: u16 = 1;
 /// Minor version written.
-pub const MINOR: u16 = 0;
+pub const MINOR: u16 = 1;
 /// Media type of a container.
 pub const MEDIA_TYPE: &str = "application/vnd.tmpi";
 

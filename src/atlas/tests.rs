@@ -2,7 +2,7 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::generate::layers::{Coloured, compose};
-use crate::tmpi::{Blueprint, Grid, Intrinsics, Photo, Plane, Scene, Tile, ViewBox};
+use crate::tmpi::{Blueprint, Filler, Grid, Intrinsics, Photo, Plane, Scene, Tile, ViewBox};
 
 /// Near discs before a slanted wall, with backstops and refined alphas here and there; hidden colours that JPEG keeps well.
 fn scene(width: u32, height: u32) -> (Blueprint, Scene) {
@@ -43,10 +43,36 @@ fn scene(width: u32, height: u32) -> (Blueprint, Scene) {
 
 fn container((blueprint, s): &(Blueprint, Scene)) -> Vec<u8> {
     let photo = Carried::from_photo(&s.photo, 90).unwrap();
-    let (bytes, parts) = encode(blueprint, s, &photo, 90, true).unwrap();
+    let (bytes, parts) = encode(blueprint, s, &photo, Carries { alpha: true, hidden: Some(90) }).unwrap();
     assert_eq!(parts.total, bytes.len());
     assert_eq!(parts.index + parts.photo + parts.alpha + parts.hidden, bytes.len());
     bytes
+}
+
+/// The same with nothing but photo (without loss), planes and labels.
+fn bare((blueprint, s): &(Blueprint, Scene)) -> Vec<u8> {
+    let mut png = Vec::new();
+    image::ImageEncoder::write_image(
+        image::codecs::png::PngEncoder::new(&mut png),
+        s.photo.rgb.as_flattened(),
+        s.photo.width,
+        s.photo.height,
+        image::ExtendedColorType::Rgb8,
+    )
+    .unwrap();
+    let photo = Carried { bytes: png, format: crate::photo::Format::Png };
+    encode(blueprint, s, &photo, Carries::default()).unwrap().0
+}
+
+#[test]
+fn hidden_colours_that_are_not_carried_come_back_exactly() {
+    for (w, h) in [(150, 100), (1, 1), (65, 63)] {
+        let (blueprint, scene) = scene(w, h);
+        let filled: Vec<_> = Filler::new(&scene.photo, &blueprint).fill_all(&blueprint.peel()).into_iter().flatten().flatten().collect();
+        let bytes = bare(&(blueprint, scene));
+        assert!(sections(&bytes).unwrap().iter().all(|s| s.kind != "hidden"));
+        assert_eq!(decode(&bytes).unwrap().texels.hidden, filled);
+    }
 }
 
 #[test]
@@ -62,20 +88,21 @@ fn all_but_the_pictures_comes_back_exactly() {
     assert!(scene(150, 100).1.texels.hidden.len() > 1000);
 }
 
-/// Container and what must come out of it are shared with the browser's decoder; `TMPI_BLESS=1` writes them anew.
-#[test]
-fn the_golden_container_stays_readable() {
+/// Containers and what must come out of them are shared with the browser's decoder; `TMPI_BLESS=1` writes them anew.
+fn golden(name: &str, write: impl Fn() -> Vec<u8>, exact: bool) {
     use sha2::Digest;
     let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden");
-    if std::env::var_os("TMPI_BLESS").is_some() {
+    let (container, json) = (folder.join(format!("{name}.tmpi")), folder.join(format!("{name}.json")));
+    let bless = std::env::var_os("TMPI_BLESS").is_some();
+    if bless {
         std::fs::create_dir_all(&folder).unwrap();
-        std::fs::write(folder.join("v1.tmpi"), container(&scene(150, 100))).unwrap();
+        std::fs::write(&container, write()).unwrap();
     }
-    let s = decode(&std::fs::read(folder.join("v1.tmpi")).unwrap()).unwrap();
+    let s = decode(&std::fs::read(&container).unwrap()).unwrap();
     let hash = |data: &[u8]| sha2::Sha256::digest(data).iter().fold(String::new(), |s, b| s + &format!("{b:02x}"));
     let row =
         |l: &crate::tmpi::Layer| [l.plane.a, l.plane.b, l.plane.c, l.rect.x.into(), l.rect.y.into(), l.rect.w.into(), l.rect.h.into()];
-    let got = serde_json::json!({
+    let mut got = serde_json::json!({
         "width": s.grid.width,
         "height": s.grid.height,
         "layers": s.layers.iter().map(row).collect::<Vec<_>>(),
@@ -83,11 +110,20 @@ fn the_golden_container_stays_readable() {
         "alpha": hash(&s.texels.alpha),
         "hidden": s.texels.hidden.len(),
     });
-    if std::env::var_os("TMPI_BLESS").is_some() {
-        std::fs::write(folder.join("v1.json"), format!("{got}\n")).unwrap();
+    if exact {
+        got["colours"] = hash(s.texels.hidden.as_flattened()).into();
     }
-    let want: serde_json::Value = serde_json::from_slice(&std::fs::read(folder.join("v1.json")).unwrap()).unwrap();
+    if bless {
+        std::fs::write(&json, format!("{got}\n")).unwrap();
+    }
+    let want: serde_json::Value = serde_json::from_slice(&std::fs::read(json).unwrap()).unwrap();
     assert_eq!(got, want);
+}
+
+#[test]
+fn golden_containers_stay_readable() {
+    golden("v1", || container(&scene(150, 100)), false);
+    golden("v1_1", || bare(&scene(150, 100)), true);
 }
 
 #[test]
@@ -111,9 +147,9 @@ proptest! {
     #[test]
     fn damage_never_panics(at in prop::collection::vec((0usize..4000, any::<u8>()), 1..6)) {
         use std::sync::OnceLock;
-        static CLEAN: OnceLock<Vec<u8>> = OnceLock::new();
-        let clean = CLEAN.get_or_init(|| container(&scene(70, 40)));
-        let mut b = clean.clone();
+        static CLEAN: OnceLock<[Vec<u8>; 2]> = OnceLock::new();
+        let clean = CLEAN.get_or_init(|| [container(&scene(70, 40)), bare(&scene(70, 40))]);
+        let mut b = clean[at.len() % 2].clone();
         for (i, v) in at { let n = b.len(); b[i % n] = v; }
         if let Ok(s) = decode(&b) { prop_assert_eq!(s.validate(), Ok(())); }
     }

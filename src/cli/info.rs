@@ -9,6 +9,9 @@ use super::{files, result};
 use crate::atlas;
 use crate::tmpi::Class;
 
+/// Characters of a bar that stands for all bytes.
+const BAR: f64 = 40.0;
+
 /// Tell what is in a container
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct InfoArgs {
@@ -64,9 +67,13 @@ pub(super) fn run(args: &InfoArgs) -> anyhow::Result<()> {
     result(&format!("tiles     {tiles} of {} px every {} px", g.size, g.stride))?;
     result(&format!("planes    {planes}, {per_tile:.2} a tile"))?;
     result(&format!("texels    {} of the photo, {} hidden", filled[1], filled[2]))?;
-    result("section   codec       offset      bytes  unpacked")?;
-    for s in &sections {
-        result(&format!("{:<9} {:<8} {:>9} {:>10} {:>9}", s.kind, s.codec, s.offset, s.length, s.raw_length))?;
-    }
-    Ok(())
+    result("section   codec       offset      bytes  unpacked   share")?;
+    let header = bytes.len() as u64 - sections.iter().map(|s| s.length).sum::<u64>();
+    let row = |kind: &str, codec: &str, offset: u64, length: u64, raw: u64| {
+        let share = length as f64 / bytes.len() as f64;
+        let bar = "█".repeat((share * BAR).round() as usize);
+        result(&format!("{kind:<9} {codec:<8} {offset:>9} {length:>10} {raw:>9} {:>6.1}% {bar}", 100.0 * share))
+    };
+    row("header", "raw", 0, header, 0)?;
+    sections.iter().try_for_each(|s| row(s.kind, s.codec, s.offset, s.length, s.raw_length))
 }

@@ -2,9 +2,8 @@
 
 use rayon::prelude::*;
 
-use super::fill::Filler;
 use super::planes::fit_points;
-use crate::tmpi::{Blueprint, Class, DisparityMap, Grid, Layer, Photo, Place, Plane, Rect, Scene, Shape, Shapes, Texels, grown};
+use crate::tmpi::{Blueprint, DisparityMap, Filler, Grid, Layer, Photo, Place, Plane, Rect, Scene, Shape, Shapes, Texels, grown};
 
 /// Pixels around a tile that a backstop plane is fitted to (RECIPE, step 4).
 const BACKSTOP_REACH: u32 = 32;
@@ -62,17 +61,10 @@ fn backstop(delta: &DisparityMap, grid: &Grid, r: Rect, place: Place, farthest: 
 
 /// Colours the hidden texels of all layers; sources are the photo's pixels at or behind each layer.
 #[must_use]
-pub fn colour(photo: &Photo, delta: &DisparityMap, grid: &Grid, shapes: Vec<Shapes>) -> Vec<Vec<Coloured>> {
-    let filler = Filler::new(photo, delta);
-    shapes
-        .into_par_iter()
-        .enumerate()
-        .map(|(i, s)| {
-            let place = Place::of(grid, i as u32);
-            let fill = |s: &Shape| if s.class.contains(&(Class::Hidden as u8)) { filler.fill(grid, s, place) } else { Vec::new() };
-            s.layers.into_iter().map(|shape| Coloured { hidden: fill(&shape), shape }).collect()
-        })
-        .collect()
+pub fn colour(photo: &Photo, blueprint: &Blueprint, shapes: Vec<Shapes>) -> Vec<Vec<Coloured>> {
+    let colours = Filler::new(photo, blueprint).fill_all(&shapes);
+    let tile = |(s, c): (Shapes, Vec<_>)| s.layers.into_iter().zip(c).map(|(shape, hidden)| Coloured { shape, hidden }).collect();
+    shapes.into_iter().zip(colours).map(tile).collect()
 }
 
 /// Joins coloured layers into a scene.

@@ -2,7 +2,6 @@
 
 pub mod classic;
 pub mod confidence;
-pub mod fill;
 pub mod layers;
 pub mod planes;
 pub mod refine;

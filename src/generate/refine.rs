@@ -14,18 +14,27 @@ const MAX_TILE: u32 = 128;
 /// Scale of the disparity channel.
 const DISPARITY_SCALE: f32 = 8.0;
 
-/// Refines all layers that have something to refine; gives the count of tiles that had nothing or were left out.
+/// What refinement did.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Refined {
+    /// Tiles that had nothing to refine or were left out.
+    pub skipped: usize,
+    /// Whether any hidden colour is another now.
+    pub colours: bool,
+}
+
+/// Refines all layers that have something to refine.
 ///
 /// # Errors
 /// [`GenerateError::Onnx`], [`GenerateError::Shape`].
-pub fn run(psi: &dyn Network, photo: &Photo, blueprint: &Blueprint, tiles: &mut [Vec<Coloured>]) -> Result<usize, GenerateError> {
+pub fn run(psi: &dyn Network, photo: &Photo, blueprint: &Blueprint, tiles: &mut [Vec<Coloured>]) -> Result<Refined, GenerateError> {
     let grid = &blueprint.grid;
     if grid.size > MAX_TILE {
-        return Ok(tiles.len());
+        return Ok(Refined { skipped: tiles.len(), colours: false });
     }
     let side = (grid.size as usize).div_ceil(16) * 16;
     let mut todo: Vec<(usize, usize)> = Vec::new();
-    let mut skipped = 0;
+    let (mut skipped, mut colours) = (0, false);
     for (t, tile) in tiles.iter().enumerate() {
         let before = todo.len();
         todo.extend(tile.iter().enumerate().filter(|(_, l)| needs(l)).map(|(j, _)| (t, j)));
@@ -44,7 +53,7 @@ pub fn run(psi: &dyn Network, photo: &Photo, blueprint: &Blueprint, tiles: &mut 
         }
         for (i, &(t, j)) in batch.iter().enumerate() {
             let origin = grid.rect(t as u32);
-            take(
+            colours |= take(
                 &mut tiles[t][j],
                 (origin.x, origin.y),
                 side,
@@ -53,7 +62,7 @@ pub fn run(psi: &dyn Network, photo: &Photo, blueprint: &Blueprint, tiles: &mut 
             );
         }
     }
-    Ok(skipped)
+    Ok(Refined { skipped, colours })
 }
 
 fn shape(out: &[Tensor]) -> GenerateError {
@@ -102,9 +111,10 @@ fn input(photo: &Photo, grid: &Grid, tile: u32, planes: &Tile, l: &Coloured, sid
 }
 
 /// Takes the network's colours at hidden texels and its alpha at soft ones; visible texels stay, so the identity view does.
-fn take(Coloured { shape: l, hidden }: &mut Coloured, origin: (u32, u32), side: usize, alpha: &[f32], background: &[f32]) {
+/// True where a colour changed.
+fn take(Coloured { shape: l, hidden }: &mut Coloured, origin: (u32, u32), side: usize, alpha: &[f32], background: &[f32]) -> bool {
     let area = side * side;
-    let mut next = 0;
+    let (mut next, mut changed) = (0, false);
     for i in 0..l.class.len() {
         let (x, y) = (l.rect.x - origin.0 + i as u32 % l.rect.w, l.rect.y - origin.1 + i as u32 / l.rect.w);
         let o = y as usize * side + x as usize;
@@ -112,7 +122,9 @@ fn take(Coloured { shape: l, hidden }: &mut Coloured, origin: (u32, u32), side: 
             for c in 0..3 {
                 let v = background[c * area + o];
                 if v.is_finite() {
-                    hidden[next][c] = (v * 255.0).round().clamp(0.0, 255.0) as u8;
+                    let v = (v * 255.0).round().clamp(0.0, 255.0) as u8;
+                    changed |= v != hidden[next][c];
+                    hidden[next][c] = v;
                 }
             }
             next += 1;
@@ -121,4 +133,5 @@ fn take(Coloured { shape: l, hidden }: &mut Coloured, origin: (u32, u32), side: 
             l.alpha[i] = (alpha[o] * 255.0).round().clamp(1.0, 254.0) as u8;
         }
     }
+    changed
 }

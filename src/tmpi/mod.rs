@@ -4,12 +4,14 @@
 //! `δ = 1/z`: infinity is 0, the nearest surface of a photo is 1, so lengths are in units of the nearest distance.
 
 mod camera;
+mod fill;
 mod grid;
 mod peel;
 mod plane;
 mod scene;
 
 pub use camera::{Camera, Intrinsics, Mat3, Pose, ViewBox, homography, mat3_mul, mat3_vec};
+pub use fill::{Filler, Pyramid};
 pub use grid::{Grid, Rect};
 pub use peel::{Blueprint, Place, Shape, Shapes, Tile, grown};
 pub use plane::Plane;

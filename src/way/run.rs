@@ -89,19 +89,22 @@ pub fn make(
     layers::add_backstops(&mut blueprint, &delta);
     let shapes = blueprint.peel();
     trip.count(&blueprint, &shapes, &placement);
-    let mut coloured = layers::colour(&photo, &delta, &grid, shapes);
+    let mut coloured = layers::colour(&photo, &blueprint, shapes);
 
     trip.enter("refine")?;
     trip.report.left_out.tiles_not_refined = coloured.len();
-    let refined = options.refine == Switch::On || (options.refine == Switch::Auto && REFINEMENT_HELPS);
-    if refined && let Some(psi) = &models.psi {
-        trip.report.left_out.tiles_not_refined = generate::refine::run(psi.as_ref(), &photo, &blueprint, &mut coloured)?;
+    let wanted = options.refine == Switch::On || (options.refine == Switch::Auto && REFINEMENT_HELPS);
+    let mut carries = atlas::Carries::default();
+    if wanted && let Some(psi) = &models.psi {
+        let refined = generate::refine::run(psi.as_ref(), &photo, &blueprint, &mut coloured)?;
+        trip.report.left_out.tiles_not_refined = refined.skipped;
+        carries = atlas::Carries { alpha: true, hidden: refined.colours.then_some(options.quality) };
     }
 
     trip.enter("encode")?;
     let scene = layers::compose(photo, &blueprint, coloured);
     let carried = carry(carried, format, &scene.photo, options.quality)?;
-    let (container, bytes) = atlas::encode(&blueprint, &scene, &carried, options.quality, refined)?;
+    let (container, bytes) = atlas::encode(&blueprint, &scene, &carried, carries)?;
     trip.report.bytes = bytes;
 
     trip.enter("verify")?;

@@ -63,6 +63,25 @@ describe('decoder', () => {
     assert.deepEqual([hash(got.classes), hash(got.alpha), got.hidden.length / 3], [want.classes, want.alpha, want.hidden]);
   });
 
+  test('fills hidden texels that are not carried as the server does, bit for bit', async () => {
+    const golden = (name) => readFileSync(new URL(`../golden/${name}`, import.meta.url));
+    const want = JSON.parse(golden('v1_1.json'));
+    const { width, height } = want;
+    // the photo of that container, which is a file without loss
+    const data = new Uint8Array(width * height * 4);
+    for (let i = 0; i < width * height; i++) {
+      data.set([Math.floor(((i % width) * 255) / width), Math.floor((Math.floor(i / width) * 255) / height), 90, 255], i * 4);
+    }
+    const none = async () => assert.fail('there is no other picture');
+    const got = await decode(new Uint8Array(golden('v1_1.tmpi')), none, { width, height, data });
+    const hash = (bytes) => createHash('sha256').update(bytes).digest('hex');
+    assert.deepEqual([hash(got.classes), hash(got.alpha)], [want.classes, want.alpha]);
+    assert.deepEqual([got.hidden.length / 3, hash(got.hidden)], [want.hidden, want.colours]);
+    const { layers, classes } = got;
+    const before = (i) => classes.subarray(0, layers.firstTexel[i]).reduce((n, kind) => n + (kind === Class.HIDDEN), 0);
+    for (let i = 0; i < layers.count; i += 5) assert.equal(layers.firstHidden[i], before(i));
+  });
+
   test('needs only the first bytes for index and photo', () => {
     for (let n = 0; n < 12; n++) assert.equal(readIndex(bytes.subarray(0, n)), null);
     const head = readIndex(bytes.subarray(0, 12 + new DataView(bytes.buffer).getUint32(8, true)));

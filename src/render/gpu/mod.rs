@@ -21,7 +21,9 @@ use crate::tmpi::{Camera, Scene};
 /// the next call opens a new one. Atlases of the scenes last drawn stay in graphics memory.
 #[derive(Debug)]
 pub struct Gpu {
-    jobs: mpsc::SyncSender<Job>,
+    /// Gone only while it is dropped.
+    jobs: Option<mpsc::SyncSender<Job>>,
+    thread: Option<std::thread::JoinHandle<()>>,
 }
 
 type Reply<T> = mpsc::SyncSender<Result<T, RenderError>>;
@@ -47,11 +49,11 @@ impl Gpu {
     pub fn new(software: bool) -> Result<Self, RenderError> {
         let (jobs, queue) = mpsc::sync_channel(Self::QUEUE);
         let worker = Worker { software, state: None };
-        std::thread::Builder::new()
+        let thread = std::thread::Builder::new()
             .name("tmpi-gpu".into())
             .spawn(move || worker.run(&queue))
             .map_err(|e| RenderError::Adapter(format!("starting its thread: {e}")))?;
-        let gpu = Self { jobs };
+        let gpu = Self { jobs: Some(jobs), thread: Some(thread) };
         gpu.ask(Job::Open)?;
         Ok(gpu)
     }
@@ -59,8 +61,17 @@ impl Gpu {
     fn ask<T>(&self, job: impl FnOnce(Reply<T>) -> Job) -> Result<T, RenderError> {
         let ended = |_| RenderError::Adapter("its thread has ended".into());
         let (reply, answer) = mpsc::sync_channel(1);
-        self.jobs.send(job(reply)).map_err(|_| ended(mpsc::RecvError))?;
+        self.jobs.as_ref().and_then(|jobs| jobs.send(job(reply)).ok()).ok_or_else(|| ended(mpsc::RecvError))?;
         answer.recv().map_err(ended)?
+    }
+}
+
+impl Drop for Gpu {
+    /// Waits until the device is closed: a driver that is unloaded while the process ends brings the process down.
+    fn drop(&mut self) {
+        self.jobs = None;
+        // a panic of its thread was reported to whoever asked
+        self.thread.take().map(std::thread::JoinHandle::join);
     }
 }
 

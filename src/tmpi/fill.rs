@@ -1,0 +1,287 @@
+//! Colour of hidden texels: push-pull pyramid over the neighbourhood, sources at or behind the layer only (RECIPE, step 5).
+//!
+//! It follows from the photo and the [`Blueprint`] alone, so a container need not carry it. Writer and readers (the browser's is
+//! `static/fill.js`) run the same steps in `f64`, rounded to `f32` at the same places: from the same photo come the same colours.
+
+use rayon::prelude::*;
+
+use super::{Blueprint, Class, Grid, Photo, Place, Plane, Rect, Shapes};
+
+/// Context around the hidden texels of a layer in pixels.
+const CONTEXT: u32 = 32;
+/// How far in front of the layer a source may lie, in δ.
+const IN_FRONT: f64 = 0.015;
+/// A pixel that touches a surface nearer by this much is mixed with it, and no source.
+const TOUCH: f64 = 0.03;
+/// Distance behind the layer, in δ, at which a source's weight has fallen to a half.
+const BEHIND: f64 = 0.06;
+
+/// Sources of hidden colour, found once a photo.
+pub struct Filler<'a> {
+    photo: &'a Photo,
+    grid: Grid,
+    /// δ of the visible surface per pixel.
+    surface: Vec<f32>,
+    /// True where a pixel touches something nearer.
+    rim: Vec<bool>,
+}
+
+/// Pyramid that is used again for the next layer.
+#[derive(Default)]
+pub struct Pyramid {
+    levels: Vec<Level>,
+    /// Levels of the layer at hand; more may be kept from before.
+    used: usize,
+}
+
+impl<'a> Filler<'a> {
+    /// Finds the visible surface, and the pixels on it that touch something nearer.
+    #[must_use]
+    pub fn new(photo: &'a Photo, blueprint: &Blueprint) -> Self {
+        let (w, h) = (photo.width as usize, photo.height as usize);
+        let surface = blueprint.surface();
+        let d = &surface;
+        let mut rim = vec![false; d.len()];
+        rim.par_chunks_mut(w).enumerate().for_each(|(y, row)| {
+            let (y0, y1) = (y.saturating_sub(1), (y + 1).min(h - 1));
+            let column = |x: usize| (y0..=y1).fold(f32::NEG_INFINITY, |m, yy| m.max(d[yy * w + x]));
+            let (mut before, mut here) = (f32::NEG_INFINITY, column(0));
+            for (x, r) in row.iter_mut().enumerate() {
+                let after = if x + 1 < w { column(x + 1) } else { f32::NEG_INFINITY };
+                *r = f64::from(before.max(here).max(after)) - f64::from(d[y * w + x]) > TOUCH;
+                (before, here) = (here, after);
+            }
+        });
+        Self { photo, grid: blueprint.grid, surface, rim }
+    }
+
+    /// Colours of the hidden texels of a layer with [`Class`]es `class` over `rect`, in their order.
+    #[must_use]
+    pub fn fill(&self, tile: u32, plane: &Plane, rect: Rect, class: &[u8], pyramid: &mut Pyramid) -> Vec<[u8; 3]> {
+        let Some(hidden) = hidden_bounds(rect, class) else { return Vec::new() };
+        let place = Place::of(&self.grid, tile);
+        let win = super::grown(hidden, CONTEXT, CONTEXT, &self.grid);
+        self.sources(place, plane, win, pyramid.base(win.w as usize, win.h as usize));
+        if !pyramid.pull() {
+            // nothing lies behind anywhere near: the layer's own surroundings are all there is
+            let mean = self.mean(rect);
+            return class.iter().filter(|&&c| c == Class::Hidden as u8).map(|_| mean).collect();
+        }
+        pyramid.push();
+        class
+            .iter()
+            .enumerate()
+            .filter(|(_, c)| **c == Class::Hidden as u8)
+            .map(|(i, _)| {
+                let (x, y) = (rect.x - win.x + i as u32 % rect.w, rect.y - win.y + i as u32 / rect.w);
+                let t = pyramid.levels[0].full(pyramid.levels[..pyramid.used].get(1), x as usize, y as usize);
+                [t[0], t[1], t[2]].map(|v| f64::from(v).round().clamp(0.0, 255.0) as u8)
+            })
+            .collect()
+    }
+
+    /// Colours of the hidden texels of all layers: tile by tile, layer by layer.
+    #[must_use]
+    pub fn fill_all(&self, shapes: &[Shapes]) -> Vec<Vec<Vec<[u8; 3]>>> {
+        let tile = |pyramid: &mut Pyramid, (i, s): (usize, &Shapes)| {
+            s.layers.iter().map(|l| self.fill(i as u32, &l.plane, l.rect, &l.class, pyramid)).collect()
+        };
+        shapes.par_iter().enumerate().map_init(Pyramid::default, tile).collect()
+    }
+
+    /// Writes colour times weight, and weight, of every source in `win`.
+    fn sources(&self, place: Place, plane: &Plane, win: Rect, level: &mut Level) {
+        for y in 0..win.h {
+            let row = (win.y + y) as usize * self.grid.width as usize;
+            for x in 0..win.w {
+                let at = row + (win.x + x) as usize;
+                let behind = f64::from(place.disparity(plane, win.x + x, win.y + y)) - f64::from(self.surface[at]);
+                if behind < -IN_FRONT || self.rim[at] {
+                    continue;
+                }
+                let far = behind.max(0.0) / BEHIND;
+                let weight = 1.0 / (1.0 + far * far);
+                let c = self.photo.rgb[at].map(|v| (f64::from(v) * weight) as f32);
+                level.texels[(y * win.w + x) as usize] = [c[0], c[1], c[2], weight as f32];
+            }
+        }
+    }
+
+    fn mean(&self, r: Rect) -> [u8; 3] {
+        let mut sum = [0u64; 3];
+        for y in r.y..r.y + r.h {
+            for x in r.x..r.x + r.w {
+                let p = self.photo.at(x, y);
+                for (s, v) in sum.iter_mut().zip(p) {
+                    *s += u64::from(v);
+                }
+            }
+        }
+        sum.map(|s| (s / r.area().max(1) as u64) as u8)
+    }
+}
+
+/// Bounds of the hidden texels in photo pixels, none where there is none.
+fn hidden_bounds(rect: Rect, class: &[u8]) -> Option<Rect> {
+    let (mut x0, mut y0, mut x1, mut y1) = (u32::MAX, u32::MAX, 0, 0);
+    for (i, _) in class.iter().enumerate().filter(|(_, c)| **c == Class::Hidden as u8) {
+        let (x, y) = (i as u32 % rect.w, i as u32 / rect.w);
+        (x0, y0, x1, y1) = (x0.min(x), y0.min(y), x1.max(x + 1), y1.max(y + 1));
+    }
+    (x1 > 0).then(|| Rect { x: rect.x + x0, y: rect.y + y0, w: x1 - x0, h: y1 - y0 })
+}
+
+impl Pyramid {
+    /// The finest level, emptied, and coarser ones down to 1×1 of matching size.
+    fn base(&mut self, width: usize, height: usize) -> &mut Level {
+        let (mut w, mut h, mut n) = (width, height, 0);
+        loop {
+            if self.levels.len() == n {
+                self.levels.push(Level::default());
+            }
+            self.levels[n].reset(w, h);
+            n += 1;
+            if w == 1 && h == 1 {
+                break;
+            }
+            (w, h) = (w.div_ceil(2), h.div_ceil(2));
+        }
+        self.used = n;
+        &mut self.levels[0]
+    }
+
+    /// Sums the sources upwards; false where there is none.
+    fn pull(&mut self) -> bool {
+        for n in 1..self.used {
+            let (fine, coarse) = self.levels.split_at_mut(n);
+            coarse[0].pull(&fine[n - 1]);
+        }
+        self.levels[self.used - 1].texels[0][3] > 0.0
+    }
+
+    /// Full colours downwards, but for the finest level: there only hidden texels are asked for.
+    fn push(&mut self) {
+        for n in (1..self.used).rev() {
+            let (fine, coarse) = self.levels[..self.used].split_at_mut(n + 1);
+            let (level, up) = (&mut fine[n], coarse.first());
+            for y in 0..level.height {
+                for x in 0..level.width {
+                    let full = level.full(up, x, y);
+                    level.texels[y * level.width + x] = full;
+                }
+            }
+        }
+    }
+}
+
+/// One level of the pyramid: colour times weight, and weight in 0..=1.
+#[derive(Default)]
+struct Level {
+    width: usize,
+    height: usize,
+    texels: Vec<[f32; 4]>,
+}
+
+impl Level {
+    fn reset(&mut self, width: usize, height: usize) {
+        (self.width, self.height) = (width, height);
+        self.texels.clear();
+        self.texels.resize(width * height, [0.0; 4]);
+    }
+
+    /// From the level of twice the size: sums of 2×2 texels, weight saturated at 1, so that one source suffices where there is
+    /// no other.
+    fn pull(&mut self, fine: &Self) {
+        for y in 0..fine.height {
+            let row = &mut self.texels[y / 2 * self.width..][..self.width];
+            for (x, t) in fine.texels[y * fine.width..][..fine.width].iter().enumerate() {
+                for (a, b) in row[x / 2].iter_mut().zip(t) {
+                    *a += b;
+                }
+            }
+        }
+        for t in self.texels.iter_mut().filter(|t| t[3] > 1.0) {
+            let s = 1.0 / f64::from(t[3]);
+            *t = t.map(|v| (f64::from(v) * s) as f32);
+        }
+    }
+
+    /// Full colour of a texel: its own where the weight is 1, the coarser level's where it is 0.
+    fn full(&self, coarse: Option<&Self>, x: usize, y: usize) -> [f32; 4] {
+        let t = self.texels[y * self.width + x];
+        let weight = f64::from(t[3]);
+        match coarse {
+            Some(c) if weight < 1.0 => {
+                let up = c.bilinear(x, y);
+                let mix = |i: usize| (f64::from(t[i]) + (1.0 - weight) * up[i]) as f32;
+                [mix(0), mix(1), mix(2), 1.0]
+            }
+            _ if weight > 0.0 => t.map(|v| (f64::from(v) / weight) as f32),
+            _ => t,
+        }
+    }
+
+    /// Colour of a finer level's texel `(x, y)` from this level, bilinear between texel centres.
+    fn bilinear(&self, x: usize, y: usize) -> [f64; 3] {
+        let split = |i: usize, n: usize| {
+            let (near, other) = (i / 2, if i.is_multiple_of(2) { (i / 2).saturating_sub(1) } else { (i / 2 + 1).min(n - 1) });
+            (near.min(n - 1), other)
+        };
+        let ((x0, x1), (y0, y1)) = (split(x, self.width), split(y, self.height));
+        let at = |x: usize, y: usize| &self.texels[y * self.width + x];
+        let (a, b, c, d) = (at(x0, y0), at(x1, y0), at(x0, y1), at(x1, y1));
+        std::array::from_fn(|i| 0.5625 * f64::from(a[i]) + 0.1875 * (f64::from(b[i]) + f64::from(c[i])) + 0.0625 * f64::from(d[i]))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::tmpi::{Intrinsics, Tile, ViewBox};
+
+    fn blueprint(grid: Grid, planes: Vec<Plane>, labels: Vec<u8>) -> Blueprint {
+        let tiles = vec![Tile { planes, labels, backstop: None }];
+        Blueprint { grid, intrinsics: Intrinsics::centred(grid.width, grid.height, 50.0), view_box: ViewBox::default(), tiles }
+    }
+
+    #[test]
+    fn hidden_colour_comes_from_behind_only() {
+        // left half green at δ .2, right half red at δ .8; a layer at .2 under the red half must be green
+        let (w, h) = (64u32, 64u32);
+        let photo = Photo { width: w, height: h, rgb: (0..w * h).map(|i| if i % w < 32 { [0, 200, 0] } else { [200, 0, 0] }).collect() };
+        let grid = Grid::new(w, h, 64);
+        let planes = vec![Plane::fronto_parallel(0.2), Plane::fronto_parallel(0.8)];
+        let b = blueprint(grid, planes.clone(), (0..w * h).map(|i| u8::from(i % w >= 32)).collect());
+        let class: Vec<u8> = (0..w * h).map(|i| if i % w < 32 { Class::Photo } else { Class::Hidden } as u8).collect();
+        let colours = Filler::new(&photo, &b).fill(0, &planes[0], grid.rect(0), &class, &mut Pyramid::default());
+        assert_eq!(colours.len(), 32 * 64);
+        assert!(colours.iter().all(|c| *c == [0, 200, 0]));
+    }
+
+    #[test]
+    fn without_any_source_the_fill_is_still_a_colour_of_the_photo() {
+        let photo = Photo { width: 8, height: 8, rgb: vec![[90, 80, 70]; 64] };
+        let grid = Grid::new(8, 8, 64);
+        let b = blueprint(grid, vec![Plane::fronto_parallel(0.9)], vec![0; 64]);
+        let class = vec![Class::Hidden as u8; 64];
+        let colours = Filler::new(&photo, &b).fill(0, &Plane::fronto_parallel(0.1), grid.rect(0), &class, &mut Pyramid::default());
+        assert_eq!(colours, vec![[90, 80, 70]; 64]);
+    }
+
+    #[test]
+    fn a_pyramid_that_was_used_before_gives_the_same() {
+        let (w, h) = (64u32, 40u32);
+        let photo =
+            Photo { width: w, height: h, rgb: (0..w * h).map(|i| [(i % 251) as u8, (i * 7 % 256) as u8, (i / 13 % 256) as u8]).collect() };
+        let grid = Grid::new(w, h, 64);
+        let planes = vec![Plane::fronto_parallel(0.2), Plane::fronto_parallel(0.8)];
+        let b = blueprint(grid, planes.clone(), (0..w * h).map(|i| u8::from(i % w >= 40)).collect());
+        let class: Vec<u8> = (0..w * h).map(|i| if i % w < 40 { Class::Photo } else { Class::Hidden } as u8).collect();
+        let filler = Filler::new(&photo, &b);
+        let mut used = Pyramid::default();
+        let first = filler.fill(0, &planes[0], grid.rect(0), &class, &mut used);
+        let small = filler.fill(0, &planes[0], Rect { x: 41, y: 3, w: 2, h: 1 }, &[Class::Hidden as u8; 2], &mut used);
+        assert_eq!(small.len(), 2);
+        assert_eq!(filler.fill(0, &planes[0], grid.rect(0), &class, &mut used), first);
+    }
+}
