@@ -1,13 +1,11 @@
 //! Milliseconds a view of the `cpu` and `gpu` hosts; the scene is loaded before the clock starts.
 #![allow(clippy::unwrap_used, reason = "bench")]
 
-#[path = "../tests/scenes/mod.rs"]
-mod scenes;
-
 use std::sync::Arc;
 use std::time::Duration;
 
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
+use tmpi::check::scenes;
 use tmpi::render::{Cpu, Gpu, Renderer};
 use tmpi::tmpi::Pose;
 

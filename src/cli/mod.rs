@@ -1,5 +1,6 @@
 //! The command line: results on standard output, progress and logs on standard error, exit code 0, 1 (failed) or 2 (usage).
 
+mod check;
 mod depth;
 mod files;
 mod flags;
@@ -33,6 +34,7 @@ enum Command {
     Depth(depth::DepthArgs),
     Serve(serve::ServeArgs),
     Synth(synth::SynthArgs),
+    Check(check::CheckArgs),
     /// Write a completion script for a shell
     Completions {
         /// The shell
@@ -82,6 +84,7 @@ fn run(command: Command) -> anyhow::Result<()> {
         Command::Depth(args) => depth::run(&args),
         Command::Serve(args) => serve::run(args),
         Command::Synth(args) => synth::run(&args),
+        Command::Check(args) => check::run(&args),
         Command::Completions { shell } => {
             let mut script = Vec::new();
             clap_complete::generate(shell, &mut Cli::command(), "tmpi", &mut script);

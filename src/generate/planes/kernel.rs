@@ -3,6 +3,9 @@
 /// Lanes of the accumulators.
 const LANES: usize = 8;
 
+/// Samples that are looked at together.
+const BLOCK: usize = 512;
+
 /// Sums of a cluster: w, wu, wv, wδ, wuu, wuv, wvv, wuδ, wvδ.
 pub type Sums = [f32; 9];
 
@@ -42,8 +45,10 @@ macro_rules! dispatch {
 
 dispatch!(
     /// Labels every sample with its nearest plane `(a, b, c)`, the first of equals, and leaves its absolute error in `error`;
-    /// `error` and `label` are as long as the columns.
-    nearest, nearest_body, nearest_avx2, (planes: &[[f32; 3]], s: Columns, error: &mut [f32], label: &mut [u32])
+    /// `error` and `label` are as long as the columns. Samples whose label changed are added to `moved` with their old label.
+    /// Gives the weighted sum of squared errors.
+    nearest, nearest_body, nearest_avx2,
+    (planes: &[[f32; 3]], s: Columns, error: &mut [f32], label: &mut [u32], moved: &mut Vec<(u32, u32)>) -> f64
 );
 
 dispatch!(
@@ -53,18 +58,40 @@ dispatch!(
 
 #[inline(always)]
 #[allow(clippy::inline_always, reason = "the loop must be compiled anew with the caller's target features")]
-fn nearest_body(planes: &[[f32; 3]], s: Columns, error: &mut [f32], label: &mut [u32]) {
-    error.fill(f32::INFINITY);
-    label.fill(0);
-    for (j, p) in planes.iter().enumerate() {
-        let [a, b, c] = *p;
-        for ((((u, v), d), e), l) in s.u.iter().zip(s.v).zip(s.d).zip(error.iter_mut()).zip(label.iter_mut()) {
-            let new = (a + b * u + c * v - d).abs();
-            let better = new < *e;
-            *e = if better { new } else { *e };
-            *l = if better { j as u32 } else { *l };
+fn nearest_body(planes: &[[f32; 3]], s: Columns, error: &mut [f32], label: &mut [u32], moved: &mut Vec<(u32, u32)>) -> f64 {
+    let mut total = 0f64;
+    // blocks stay in the first-level cache from plane to plane; a loop a plane is what vectorises
+    let mut who = [0u32; BLOCK];
+    for (block, (best, label)) in error.chunks_mut(BLOCK).zip(label.chunks_mut(BLOCK)).enumerate() {
+        let range = block * BLOCK..block * BLOCK + best.len();
+        let (u, v, d, w) = (&s.u[range.clone()], &s.v[range.clone()], &s.d[range.clone()], &s.w[range.clone()]);
+        let who = &mut who[..best.len()];
+        best.fill(f32::INFINITY);
+        who.fill(0);
+        for (j, &[a, b, c]) in planes.iter().enumerate() {
+            for ((((u, v), d), e), l) in u.iter().zip(v).zip(d).zip(best.iter_mut()).zip(who.iter_mut()) {
+                let new = (a + b * u + c * v - d).abs();
+                let better = new < *e;
+                *e = if better { new } else { *e };
+                *l = if better { j as u32 } else { *l };
+            }
         }
+        let mut cost = [0f32; LANES];
+        let ((e, e_rest), (w, w_rest)) = (best.as_chunks::<LANES>(), w.as_chunks::<LANES>());
+        for (e, w) in e.iter().zip(w) {
+            cost = lanes(|i| cost[i] + w[i] * e[i] * e[i]);
+        }
+        let rest: f32 = e_rest.iter().zip(w_rest).map(|(e, w)| w * e * e).sum();
+        total += f64::from(cost.iter().sum::<f32>() + rest);
+        for (run, (old, new)) in label.chunks(LANES).zip(who.chunks(LANES)).enumerate() {
+            if old != new {
+                let first = range.start + run * LANES;
+                moved.extend((first..).zip(old).zip(new).filter(|((_, old), new)| old != new).map(|((i, old), _)| (i as u32, *old)));
+            }
+        }
+        label.copy_from_slice(who);
     }
+    total
 }
 
 #[inline(always)]
@@ -136,8 +163,12 @@ mod tests {
             let column = |f: fn(&(f32, f32, f32, f32)) -> f32| s.iter().map(f).collect::<Vec<_>>();
             let (u, v, d, w) = (column(|s| s.0), column(|s| s.1), column(|s| s.2), column(|s| s.3));
             let c = Columns { u: &u, v: &v, d: &d, w: &w };
-            let (mut error, mut label) = (vec![0.0; s.len()], vec![0; s.len()]);
-            nearest(&planes, c, &mut error, &mut label);
+            let (mut error, mut label, mut moved) = (vec![0.0; s.len()], vec![0; s.len()], Vec::new());
+            let cost = nearest(&planes, c, &mut error, &mut label, &mut moved);
+            let want: f64 = (0..s.len()).map(|i| f64::from(w[i]) * f64::from(error[i]).powi(2)).sum();
+            prop_assert!((cost - want).abs() <= 1e-5 * want + 1e-9);
+            let changed: Vec<(u32, u32)> = (0..).zip(&label).filter(|(_, l)| **l != 0).map(|(i, _)| (i, 0)).collect();
+            prop_assert_eq!(&moved, &changed);
             for i in 0..s.len() {
                 let e = |p: &[f32; 3]| (f64::from(p[0]) + f64::from(p[1]) * f64::from(u[i]) + f64::from(p[2]) * f64::from(v[i]) - f64::from(d[i])).abs();
                 let least = planes.iter().map(e).fold(f64::INFINITY, f64::min);

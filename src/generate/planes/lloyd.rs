@@ -1,7 +1,7 @@
 //! Weighted k-means on a histogram (paper, section 3.2).
 
 /// Bins between the least and the greatest value; sums within a bin are exact, so a boundary is off by one bin at most.
-const BINS: usize = 256;
+pub const BINS: usize = 256;
 const ROUNDS: usize = 50;
 
 /// Histogram of weighted values: per bin the weight and the weighted sum of offsets from the least value.
@@ -17,13 +17,7 @@ pub struct Histogram {
 impl Histogram {
     /// Bins the values; none where no value has weight.
     pub fn new(values: &[f32], weights: &[f32], bins: usize) -> Option<Self> {
-        let (mut lo, mut hi) = (f32::INFINITY, f32::NEG_INFINITY);
-        for (&d, &w) in values.iter().zip(weights) {
-            if w > 0.0 {
-                lo = lo.min(d);
-                hi = hi.max(d);
-            }
-        }
+        let (lo, hi) = extremes(values, weights);
         if lo > hi {
             return None;
         }
@@ -31,12 +25,11 @@ impl Histogram {
         let scale = if range > 0.0 { bins as f64 / range } else { 0.0 };
         let (mut weight, mut moment) = (vec![0.0; bins], vec![0.0; bins]);
         for (&d, &w) in values.iter().zip(weights) {
-            if w > 0.0 {
-                let off = f64::from(d) - lo;
-                let at = ((off * scale) as usize).min(bins - 1);
-                weight[at] += f64::from(w);
-                moment[at] += f64::from(w) * off;
-            }
+            // without weight it adds nothing, in whatever bin: `as` saturates
+            let off = f64::from(d) - lo;
+            let at = ((off * scale) as usize).min(bins - 1);
+            weight[at] += f64::from(w);
+            moment[at] += f64::from(w) * off;
         }
         Some(Self { lo, weight, moment })
     }
@@ -48,10 +41,24 @@ impl Histogram {
     }
 }
 
-/// Cluster centres, at most `n`, ascending; starts are evenly spaced.
-pub fn centres(values: &[f32], weights: &[f32], n: usize) -> Vec<f64> {
-    let Some(h) = Histogram::new(values, weights, BINS) else { return vec![0.0] };
-    let means: Vec<Option<f64>> = (0..BINS).map(|i| h.mean(i..i + 1)).collect();
+/// Least and greatest value that has weight; (∞, −∞) where none has.
+fn extremes(values: &[f32], weights: &[f32]) -> (f32, f32) {
+    const LANES: usize = 8;
+    let (mut lo, mut hi) = ([f32::INFINITY; LANES], [f32::NEG_INFINITY; LANES]);
+    for (d, w) in values.chunks(LANES).zip(weights.chunks(LANES)) {
+        for (((lo, hi), &d), &w) in lo.iter_mut().zip(&mut hi).zip(d).zip(w) {
+            let (low, high) = if w > 0.0 { (d, d) } else { (f32::INFINITY, f32::NEG_INFINITY) };
+            *lo = if low < *lo { low } else { *lo };
+            *hi = if high > *hi { high } else { *hi };
+        }
+    }
+    (lo.into_iter().fold(f32::INFINITY, f32::min), hi.into_iter().fold(f32::NEG_INFINITY, f32::max))
+}
+
+/// Cluster centres, at most `n`, ascending; starts are evenly spaced. Without a histogram one at 0.
+pub fn centres(histogram: Option<&Histogram>, n: usize) -> Vec<f64> {
+    let Some(h) = histogram else { return vec![0.0] };
+    let means: Vec<Option<f64>> = (0..h.weight.len()).map(|i| h.mean(i..i + 1)).collect();
     let (Some(first), Some(last)) = (means.iter().flatten().next(), means.iter().flatten().next_back()) else { return vec![0.0] };
     let mut c: Vec<f64> = (0..n).map(|i| first + (last - first) * (i as f64 + 0.5) / n as f64).collect();
     for _ in 0..ROUNDS {

@@ -10,6 +10,8 @@ mod slanted;
 use rayon::prelude::*;
 
 use crate::tmpi::{DisparityMap, Grid, Plane, Tile};
+use lloyd::Histogram;
+use optimal::Table;
 pub use sample::Samples;
 pub(crate) use slanted::fit_points;
 
@@ -64,11 +66,13 @@ pub fn place_tile(samples: &Samples, placement: &Placement) -> Tile {
     if placement.method == Method::Slanted {
         return finish(samples, slanted::fit(samples, most, placement.target));
     }
-    let run = |n: usize| -> Vec<Plane> {
+    let histogram = Histogram::new(samples.deltas(), samples.weights(), lloyd::BINS);
+    let mut table = None;
+    let mut run = |n: usize| -> Vec<Plane> {
         let centres = match placement.method {
             Method::Linear => linear::centres(samples, n),
-            Method::Optimal => optimal::centres(samples, n),
-            Method::Lloyd | Method::Slanted => lloyd::centres(samples.deltas(), samples.weights(), n),
+            Method::Optimal => table.get_or_insert_with(|| Table::new(samples, most)).centres(n),
+            Method::Lloyd | Method::Slanted => lloyd::centres(histogram.as_ref(), n),
         };
         centres.into_iter().map(Plane::fronto_parallel).collect()
     };
@@ -118,21 +122,26 @@ fn finish(samples: &Samples, planes: Vec<Plane>) -> Tile {
 /// Overlapping tiles count every pixel that they hold.
 #[must_use]
 pub fn discretisation_error(delta: &DisparityMap, grid: &Grid, tiles: &[Tile]) -> (f64, f64, f64) {
-    let mut errors: Vec<f32> = tiles
+    let each: Vec<(Vec<f32>, f64, f64)> = tiles
         .par_iter()
         .enumerate()
-        .flat_map_iter(|(i, t)| {
-            let mut s = Samples::default();
+        .map_init(Samples::default, |s, (i, t)| {
             s.gather(delta, None, grid, i as u32);
-            s.errors(&t.planes, &t.labels)
+            let errors = s.errors(&t.planes, &t.labels);
+            // a row at a time: `f32` keeps a few dozen terms, and adds them side by side
+            let sum = |f: fn(f32) -> f32| errors.chunks(64).map(|row| f64::from(row.iter().map(|&e| f(e)).sum::<f32>())).sum();
+            let (absolute, squared) = (sum(|e| e), sum(|e| e * e));
+            (errors, absolute, squared)
         })
         .collect();
-    if errors.is_empty() {
+    let n: usize = each.iter().map(|e| e.0.len()).sum();
+    if n == 0 {
         return (0.0, 0.0, 0.0);
     }
-    let n = errors.len() as f64;
-    let mae = errors.iter().map(|&e| f64::from(e)).sum::<f64>() / n;
-    let mse = errors.iter().map(|&e| f64::from(e).powi(2)).sum::<f64>() / n;
+    let mae = each.iter().map(|e| e.1).sum::<f64>() / n as f64;
+    let mse = each.iter().map(|e| e.2).sum::<f64>() / n as f64;
+    let mut errors = Vec::with_capacity(n);
+    each.into_iter().for_each(|e| errors.extend(e.0));
     let q = errors.len() / 4;
     let (_, q25, _) = errors.select_nth_unstable_by(q, f32::total_cmp);
     (mae, mse, f64::from(*q25))

@@ -3,15 +3,43 @@
 use super::Samples;
 use super::lloyd::Histogram;
 
-/// Bins: values within range/4096 of each other count as one.
-const BINS: usize = 4096;
+/// Bins: values within 1/1024 of the range count as one. Means stay exact, and at a boundary both centres are equally far, so the
+/// cost is off by the square of a bin only.
+const BINS: usize = 1024;
 
-/// The optimal cluster centres, at most `n`, ascending.
-pub fn centres(s: &Samples, n: usize) -> Vec<f64> {
-    let Some(h) = Histogram::new(s.deltas(), s.weights(), BINS) else { return vec![0.0] };
-    let points: Vec<(f64, f64)> = h.weight.iter().zip(&h.moment).filter(|(w, _)| **w > 0.0).map(|(w, m)| (*w, m / w)).collect();
-    let n = n.min(points.len());
-    split(&points, n).iter().map(|&(a, b)| h.lo + mean(&points[a..b])).collect()
+/// Optimal clusters of a tile for every count up to a bound.
+pub struct Table {
+    lo: f64,
+    points: Vec<(f64, f64)>,
+    /// Per count but the first: where the last run of the points up to an end starts.
+    from: Vec<Vec<u32>>,
+}
+
+impl Table {
+    /// Splits the tile's values into 1 to `most` runs.
+    pub fn new(s: &Samples, most: usize) -> Self {
+        let Some(h) = Histogram::new(s.deltas(), s.weights(), BINS) else { return Self { lo: 0.0, points: Vec::new(), from: Vec::new() } };
+        let points: Vec<(f64, f64)> = h.weight.iter().zip(&h.moment).filter(|(w, _)| **w > 0.0).map(|(w, m)| (*w, m / w)).collect();
+        let from = split(&points, most.min(points.len()));
+        Self { lo: h.lo, points, from }
+    }
+
+    /// The optimal cluster centres, at most `n` (and at most what the table was made for), ascending.
+    pub fn centres(&self, n: usize) -> Vec<f64> {
+        if self.points.is_empty() {
+            return vec![0.0];
+        }
+        let mut end = self.points.len();
+        let mut centres = Vec::with_capacity(n);
+        for arg in self.from[..self.from.len().min(n.saturating_sub(1))].iter().rev() {
+            let start = arg[end] as usize;
+            centres.push(self.lo + mean(&self.points[start..end]));
+            end = start;
+        }
+        centres.push(self.lo + mean(&self.points[..end]));
+        centres.reverse();
+        centres
+    }
 }
 
 fn mean(points: &[(f64, f64)]) -> f64 {
@@ -20,72 +48,61 @@ fn mean(points: &[(f64, f64)]) -> f64 {
 }
 
 /// Prefix sums about the overall mean, so that squares do not cancel.
-struct Sums {
-    w: Vec<f64>,
-    m: Vec<f64>,
-    q: Vec<f64>,
-}
+struct Sums(Vec<[f64; 3]>);
 
 impl Sums {
     fn new(points: &[(f64, f64)]) -> Self {
         let centre = mean(points);
-        let mut s = Self { w: vec![0.0], m: vec![0.0], q: vec![0.0] };
+        let mut all = Vec::with_capacity(points.len() + 1);
         let (mut w, mut m, mut q) = (0.0, 0.0, 0.0);
+        all.push([0.0; 3]);
         for &(pw, px) in points {
             let x = px - centre;
             w += pw;
             m += pw * x;
             q += pw * x * x;
-            s.w.push(w);
-            s.m.push(m);
-            s.q.push(q);
+            all.push([w, m, q]);
         }
-        s
+        Self(all)
     }
 
     /// Sum of squared distances of points `a..b` to their mean.
     fn cost(&self, a: usize, b: usize) -> f64 {
-        let (w, m, q) = (self.w[b] - self.w[a], self.m[b] - self.m[a], self.q[b] - self.q[a]);
+        let (from, to) = (&self.0[a], &self.0[b]);
+        let (w, m, q) = (to[0] - from[0], to[1] - from[1], to[2] - from[2]);
         if w > 0.0 { (q - m * m / w).max(0.0) } else { 0.0 }
     }
 }
 
-/// Splits ascending points into `n` runs of least total cost.
-fn split(points: &[(f64, f64)], n: usize) -> Vec<(usize, usize)> {
+/// Splits ascending points into up to `n` runs of least total cost: [`Table::from`].
+fn split(points: &[(f64, f64)], n: usize) -> Vec<Vec<u32>> {
     let (sums, len) = (Sums::new(points), points.len());
     let mut cost: Vec<f64> = (0..=len).map(|b| sums.cost(0, b)).collect();
-    let mut from: Vec<Vec<usize>> = Vec::with_capacity(n);
+    let mut from = Vec::with_capacity(n);
+    let mut todo = Vec::new();
     for k in 1..n {
         let mut next = vec![f64::INFINITY; len + 1];
         let mut arg = vec![0; len + 1];
         // the best split point grows with the end, so each half of the ends searches its own part only
-        let mut todo = vec![(k + 1, len, k, len)];
+        todo.push((k + 1, len, k, len));
         while let Some((lo, hi, from_lo, from_hi)) = todo.pop() {
             if lo > hi {
                 continue;
             }
             let mid = usize::midpoint(lo, hi);
+            let mut best = (f64::INFINITY, from_lo);
             for a in from_lo..=from_hi.min(mid - 1) {
                 let c = cost[a] + sums.cost(a, mid);
-                if c < next[mid] {
-                    next[mid] = c;
-                    arg[mid] = a;
+                if c < best.0 {
+                    best = (c, a);
                 }
             }
-            todo.push((mid + 1, hi, arg[mid], from_hi));
-            todo.push((lo, mid - 1, from_lo, arg[mid]));
+            (next[mid], arg[mid]) = (best.0, best.1 as u32);
+            todo.push((mid + 1, hi, best.1, from_hi));
+            todo.push((lo, mid - 1, from_lo, best.1));
         }
         cost = next;
         from.push(arg);
     }
-    let mut runs = Vec::with_capacity(n);
-    let mut end = len;
-    for arg in from.iter().rev() {
-        let a = arg[end];
-        runs.push((a, end));
-        end = a;
-    }
-    runs.push((0, end));
-    runs.reverse();
-    runs
+    from
 }

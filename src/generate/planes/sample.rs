@@ -1,5 +1,6 @@
 //! Disparity samples of one tile.
 
+use super::MAX_PLANES;
 use super::kernel::{self, Columns};
 use crate::tmpi::{DisparityMap, Grid, Plane};
 
@@ -22,10 +23,19 @@ impl Samples {
         self.clear(r.w as usize);
         for y in r.y..r.y + r.h {
             let v = ((f64::from(y) + 0.5 - centre.1) / half) as f32;
-            for x in r.x..r.x + r.w {
-                let at = y as usize * delta.width as usize + x as usize;
-                let u = ((f64::from(x) + 0.5 - centre.0) / half) as f32;
-                self.push(u, v, delta.delta[at], confidence.map_or(1.0, |c| c[at]));
+            let row = y as usize * delta.width as usize + r.x as usize;
+            let row = row..row + r.w as usize;
+            self.u.extend((r.x..r.x + r.w).map(|x| ((f64::from(x) + 0.5 - centre.0) / half) as f32));
+            self.v.resize(self.v.len() + row.len(), v);
+            self.delta.extend_from_slice(&delta.delta[row.clone()]);
+            match confidence {
+                Some(c) => self.weight.extend(c[row].iter().map(|&w| usable(w))),
+                None => self.weight.resize(self.v.len(), 1.0),
+            }
+        }
+        for (d, w) in self.delta.iter_mut().zip(&mut self.weight) {
+            if !d.is_finite() {
+                (*d, *w) = (0.0, 0.0);
             }
         }
         self.settle_weights();
@@ -45,8 +55,7 @@ impl Samples {
         self.u.push(u);
         self.v.push(v);
         self.delta.push(if known { delta } else { 0.0 });
-        // `max` would let NaN through as 0 too, but +Inf must not swallow the others
-        self.weight.push(if known && weight.is_finite() && weight > 0.0 { weight.min(1e6) } else { 0.0 });
+        self.weight.push(if known { usable(weight) } else { 0.0 });
     }
 
     #[cfg(test)]
@@ -124,19 +133,30 @@ impl Samples {
     /// Labels every pixel with its nearest plane (the first of equals) and leaves absolute errors in `error`; gives the
     /// weighted sum of squared errors.
     pub fn assign(&self, planes: &[Plane], labels: &mut Vec<u32>, error: &mut Vec<f32>) -> f64 {
-        let planes: Vec<[f32; 3]> = planes.iter().map(|p| [p.a as f32, p.b as f32, p.c as f32]).collect();
+        self.assign_moved(planes, labels, error, &mut Vec::new())
+    }
+
+    /// The same; pixels whose label changed are left in `moved` with their old label.
+    pub(super) fn assign_moved(&self, planes: &[Plane], labels: &mut Vec<u32>, error: &mut Vec<f32>, moved: &mut Vec<(u32, u32)>) -> f64 {
+        let mut some = [[0f32; 3]; MAX_PLANES as usize];
+        for (to, p) in some.iter_mut().zip(planes) {
+            *to = [p.a as f32, p.b as f32, p.c as f32];
+        }
         labels.resize(self.len(), 0);
         error.resize(self.len(), 0.0);
-        kernel::nearest(&planes, self.columns(), error, labels);
-        error.iter().zip(&self.weight).map(|(e, w)| w * e * e).sum::<f32>().into()
+        moved.clear();
+        kernel::nearest(&some[..planes.len().min(some.len())], self.columns(), error, labels, moved)
     }
 
     /// Absolute errors of labelled pixels.
     #[must_use]
     pub fn errors(&self, planes: &[Plane], labels: &[u8]) -> Vec<f32> {
-        (0..self.len())
-            .map(|i| {
-                (planes[labels[i] as usize].disparity(f64::from(self.u[i]), f64::from(self.v[i])) - f64::from(self.delta[i])).abs() as f32
+        let planes: Vec<[f32; 3]> = planes.iter().map(|p| [p.a as f32, p.b as f32, p.c as f32]).collect();
+        let pixels = labels.iter().zip(&self.u).zip(&self.v).zip(&self.delta);
+        pixels
+            .map(|(((&l, u), v), d)| {
+                let [a, b, c] = planes[l as usize];
+                (a + b * u + c * v - d).abs()
             })
             .collect()
     }
@@ -148,6 +168,11 @@ impl Samples {
         self.assign(planes, &mut labels, &mut error);
         percentile_99(&mut error)
     }
+}
+
+/// A weight that can be added up: 0 where it is not finite or not positive, and no +Inf that swallows the others.
+fn usable(weight: f32) -> f32 {
+    if weight.is_finite() && weight > 0.0 { weight.min(1e6) } else { 0.0 }
 }
 
 /// 99th percentile; 0 where there is no value.

@@ -1,11 +1,13 @@
 //! Weighted k-planes: clusters of pixels on planes whose disparity is affine in the image.
 
 use super::kernel::{self, Sums};
-use super::lloyd;
+use super::lloyd::{self, Histogram};
 use super::{Samples, sample::percentile_99};
 use crate::tmpi::Plane;
 
 const ROUNDS: usize = 20;
+/// A start is given up when even so many rounds as good as its last would leave it behind the best one.
+const PATIENCE: f64 = 6.0;
 /// Ridge on the slopes, as a share of a cluster's weight and as pixels, so that thin clusters stay fronto-parallel.
 const RIDGE: (f64, f64) = (1e-4, 0.02);
 /// Steepest slope in δ per half tile (0.008 δ a pixel on 64-pixel tiles).
@@ -106,8 +108,7 @@ pub(crate) fn fit_points(points: impl Iterator<Item = (f64, f64, f64, f64)>) -> 
 }
 
 fn fit_all(s: &Samples) -> Plane {
-    let (u, v, d, w) = (s.us(), s.vs(), s.deltas(), s.weights());
-    fit_points((0..s.len()).map(|i| (u[i].into(), v[i].into(), d[i].into(), w[i].into()))).unwrap_or_default()
+    Moments::from(kernel::sums(s.columns(), &vec![0; s.len()], 0)).plane().unwrap_or_default()
 }
 
 /// Refits each plane to its pixels; a plane without pixels stays.
@@ -127,9 +128,15 @@ struct Scratch {
 
 struct Search<'a> {
     s: &'a Samples,
+    one: Plane,
     residual: Vec<f32>,
+    /// Of δ and of the residuals of one plane.
+    histograms: [Option<Histogram>; 2],
     labels: Vec<u32>,
     error: Vec<f32>,
+    moved: Vec<(u32, u32)>,
+    /// Per cluster its moments and the count of its pixels that have weight.
+    clusters: Vec<(Moments, u32)>,
     /// Labels and errors of the whole tile.
     full: Scratch,
     random: u64,
@@ -137,8 +144,21 @@ struct Search<'a> {
 
 impl<'a> Search<'a> {
     fn new(s: &'a Samples, one: &Plane) -> Self {
-        let residual = (0..s.len()).map(|i| s.deltas()[i] - one.disparity(s.us()[i].into(), s.vs()[i].into()) as f32).collect();
-        Self { s, residual, labels: vec![0; s.len()], error: Vec::new(), full: Scratch::default(), random: 0x9e37_79b9_7f4a_7c15 }
+        let [a, b, c] = [one.a as f32, one.b as f32, one.c as f32];
+        let residual: Vec<f32> = s.deltas().iter().zip(s.us()).zip(s.vs()).map(|((d, u), v)| d - (a + b * u + c * v)).collect();
+        let histograms = [s.deltas(), &residual].map(|values| Histogram::new(values, s.weights(), lloyd::BINS));
+        Self {
+            s,
+            one: *one,
+            residual,
+            histograms,
+            labels: vec![0; s.len()],
+            error: Vec::new(),
+            moved: Vec::new(),
+            clusters: Vec::new(),
+            full: Scratch::default(),
+            random: 0x9e37_79b9_7f4a_7c15,
+        }
     }
 
     /// Best of several starts of `k` planes; `last` is the result for `k − 1`.
@@ -147,21 +167,27 @@ impl<'a> Search<'a> {
         let mut best = (f64::INFINITY, last.to_vec());
         for start in 0..5 {
             match start {
-                0 => label_nearest(s.deltas(), &lloyd::centres(s.deltas(), s.weights(), k), &mut self.labels),
-                1 => label_nearest(&self.residual, &lloyd::centres(&self.residual, s.weights(), k), &mut self.labels),
+                0 => label_nearest(s.deltas(), &lloyd::centres(self.histograms[0].as_ref(), k), &mut self.labels),
+                1 => label_nearest(&self.residual, &lloyd::centres(self.histograms[1].as_ref(), k), &mut self.labels),
                 2 => self.split_worst(last),
                 _ => self.voronoi(k),
             }
-            let mut planes = vec![fit_all(s); k];
+            let mut planes = vec![self.one; k];
+            self.sum_up(k);
             let mut cost = f64::INFINITY;
             for _ in 0..ROUNDS {
-                refit(s, &self.labels, &mut planes);
-                let c = s.assign(&planes, &mut self.labels, &mut self.error);
-                if c > cost * 0.999 {
-                    cost = cost.min(c);
+                for (p, (moments, pixels)) in planes.iter_mut().zip(&self.clusters) {
+                    // a plane without pixels stays
+                    *p = (*pixels > 0).then(|| moments.plane()).flatten().unwrap_or(*p);
+                }
+                let c = s.assign_moved(&planes, &mut self.labels, &mut self.error, &mut self.moved);
+                let gain = cost - c;
+                cost = cost.min(c);
+                // rounds gain less and less: one that lies behind by this many of its last gains will not catch up
+                if gain <= cost * 0.001 || cost - PATIENCE * gain > best.0 {
                     break;
                 }
-                cost = c;
+                self.follow();
             }
             if cost < best.0 {
                 best = (cost, planes);
@@ -170,19 +196,52 @@ impl<'a> Search<'a> {
         best.1
     }
 
+    /// Moments of `k` clusters from the labels.
+    fn sum_up(&mut self, k: usize) {
+        let s = self.s;
+        self.clusters.clear();
+        self.clusters.extend((0..k as u32).map(|j| (Moments::from(kernel::sums(s.columns(), &self.labels, j)), 0)));
+        for (&l, &w) in self.labels.iter().zip(s.weights()) {
+            self.clusters[l as usize].1 += u32::from(w > 0.0);
+        }
+    }
+
+    /// Moves what changed its label from one cluster's moments to the other's: after the first rounds that is little.
+    fn follow(&mut self) {
+        let s = self.s;
+        for &(i, old) in &self.moved {
+            let i = i as usize;
+            let (u, v, d, w) = (f64::from(s.us()[i]), f64::from(s.vs()[i]), f64::from(s.deltas()[i]), f64::from(s.weights()[i]));
+            if w <= 0.0 {
+                continue;
+            }
+            let (from, count) = &mut self.clusters[old as usize];
+            from.add(u, v, d, -w);
+            *count -= 1;
+            if *count == 0 {
+                // without what rounding left
+                *from = Moments::default();
+            }
+            let (to, count) = &mut self.clusters[self.labels[i] as usize];
+            to.add(u, v, d, w);
+            *count += 1;
+        }
+    }
+
     /// Labels of the last result with the costliest cluster split by the sign of its error.
     fn split_worst(&mut self, last: &[Plane]) {
         let s = self.s;
         s.assign(last, &mut self.labels, &mut self.error);
-        let error = |i: usize, l: u32| f64::from(s.deltas()[i]) - last[l as usize].disparity(s.us()[i].into(), s.vs()[i].into());
-        let mut cost = vec![0.0; last.len()];
-        for (i, &l) in self.labels.iter().enumerate() {
-            cost[l as usize] += f64::from(s.weights()[i]) * error(i, l).powi(2);
+        let mut cost = vec![0f32; last.len()];
+        for ((&l, e), w) in self.labels.iter().zip(&self.error).zip(s.weights()) {
+            cost[l as usize] += w * e * e;
         }
-        let worst = (0..last.len()).max_by(|&a, &b| cost[a].total_cmp(&cost[b])).unwrap_or(0) as u32;
-        for i in 0..self.labels.len() {
-            if self.labels[i] == worst && error(i, worst) > 0.0 {
-                self.labels[i] = last.len() as u32;
+        let worst = (0..last.len()).max_by(|&a, &b| cost[a].total_cmp(&cost[b])).unwrap_or(0);
+        let [a, b, c] = [last[worst].a as f32, last[worst].b as f32, last[worst].c as f32];
+        let pixels = s.deltas().iter().zip(s.us()).zip(s.vs());
+        for (l, ((d, u), v)) in self.labels.iter_mut().zip(pixels) {
+            if *l == worst as u32 && *d > a + b * u + c * v {
+                *l = last.len() as u32;
             }
         }
     }
@@ -190,10 +249,16 @@ impl<'a> Search<'a> {
     /// Labels by the nearest of `k` random places.
     fn voronoi(&mut self, k: usize) {
         let places: Vec<(f32, f32)> = (0..k).map(|_| (self.uniform(), self.uniform())).collect();
-        for i in 0..self.labels.len() {
-            let (u, v) = (self.s.us()[i], self.s.vs()[i]);
-            let d = |p: &(f32, f32)| (p.0 - u).powi(2) + (p.1 - v).powi(2);
-            self.labels[i] = (0..k).min_by(|&a, &b| d(&places[a]).total_cmp(&d(&places[b]))).unwrap_or(0) as u32;
+        self.error.clear();
+        self.error.resize(self.labels.len(), f32::INFINITY);
+        for (j, (x, y)) in (0..).zip(places) {
+            let pixels = self.s.us().iter().zip(self.s.vs());
+            for ((l, e), (u, v)) in self.labels.iter_mut().zip(&mut self.error).zip(pixels) {
+                let new = (x - u) * (x - u) + (y - v) * (y - v);
+                let better = new < *e;
+                *e = if better { new } else { *e };
+                *l = if better { j } else { *l };
+            }
         }
     }
 
@@ -204,10 +269,13 @@ impl<'a> Search<'a> {
     }
 }
 
+/// Labels by the nearest of ascending centres: by how many of the places half way between two lie below.
 fn label_nearest(values: &[f32], centres: &[f64], labels: &mut [u32]) {
-    for (l, &d) in labels.iter_mut().zip(values) {
-        let at = centres.partition_point(|&c| c < f64::from(d));
-        *l =
-            if at == 0 || (at < centres.len() && centres[at] - f64::from(d) < f64::from(d) - centres[at - 1]) { at } else { at - 1 } as u32;
+    labels.fill(0);
+    for pair in centres.windows(2) {
+        let between = f64::midpoint(pair[0], pair[1]) as f32;
+        for (l, &d) in labels.iter_mut().zip(values) {
+            *l += u32::from(d > between);
+        }
     }
 }

@@ -119,7 +119,7 @@ proptest! {
     #[test]
     fn optimal_is_optimal(mut d in prop::collection::vec(0f32..1.0, 3..12), n in 2usize..4) {
         let s = samples(d.len(), &d, None);
-        let got = cost(&s, &optimal::centres(&s, n).into_iter().map(Plane::fronto_parallel).collect::<Vec<_>>());
+        let got = cost(&s, &optimal::Table::new(&s, n).centres(n).into_iter().map(Plane::fronto_parallel).collect::<Vec<_>>());
         d.sort_by(f32::total_cmp);
         let d: Vec<f64> = d.into_iter().map(f64::from).collect();
         let sse = |p: &[f64]| { let m = p.iter().sum::<f64>() / p.len() as f64; p.iter().map(|x| (x - m).powi(2)).sum::<f64>() };

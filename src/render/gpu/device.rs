@@ -6,6 +6,8 @@ use crate::render::RenderError;
 
 /// Colour of views and atlas: the photo's own encoding, no conversion on the way.
 pub(super) const COLOUR: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8Unorm;
+/// Views and texels of stacks of soft layers: 8 bits would round after every layer.
+pub(super) const WIDE: wgpu::TextureFormat = wgpu::TextureFormat::Rgba16Float;
 /// Reversed depth needs floating point to keep its precision at infinity.
 pub(super) const DEPTH: wgpu::TextureFormat = wgpu::TextureFormat::Depth32Float;
 /// Size of the uniform at the head of `tmpi.wgsl`.
@@ -18,8 +20,12 @@ pub(super) struct Device {
     pub queue: wgpu::Queue,
     pub limits: wgpu::Limits,
     pub uniform: wgpu::Buffer,
-    pub opaque: wgpu::RenderPipeline,
-    pub soft: wgpu::RenderPipeline,
+    /// Pass 1 and pass 2 for a target of [`COLOUR`].
+    pub plain: [wgpu::RenderPipeline; 2],
+    /// The same for [`WIDE`].
+    pub wide: [wgpu::RenderPipeline; 2],
+    /// Rounds a picture of [`WIDE`] to one of [`COLOUR`].
+    pub round: wgpu::RenderPipeline,
     layout: wgpu::BindGroupLayout,
     sampler: wgpu::Sampler,
     failure: Failure,
@@ -90,8 +96,13 @@ impl Device {
             min_filter: wgpu::FilterMode::Linear,
             ..wgpu::SamplerDescriptor::default()
         });
-        let [opaque, soft] = pipelines(&device, &layout);
-        let opened = Self { handle: device, queue, limits, uniform, opaque, soft, layout, sampler, failure };
+        let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
+            label: Some("tmpi.wgsl"),
+            source: wgpu::ShaderSource::Wgsl(include_str!("../../../static/tmpi.wgsl").into()),
+        });
+        let [plain, wide] = [COLOUR, WIDE].map(|format| pipelines(&device, &module, &layout, format));
+        let round = rounding(&device);
+        let opened = Self { handle: device, queue, limits, uniform, plain, wide, round, layout, sampler, failure };
         opened.check()?;
         Ok(opened)
     }
@@ -101,15 +112,15 @@ impl Device {
         self.failure.take().map_or(Ok(()), |text| Err(RenderError::Adapter(text)))
     }
 
-    /// An empty atlas.
-    pub fn atlas(&self, width: u32, height: u32, pages: u32) -> wgpu::Texture {
+    /// An empty atlas of [`COLOUR`] or [`WIDE`].
+    pub fn atlas(&self, width: u32, height: u32, pages: u32, format: wgpu::TextureFormat) -> wgpu::Texture {
         self.handle.create_texture(&wgpu::TextureDescriptor {
             label: Some("atlas"),
             size: wgpu::Extent3d { width, height, depth_or_array_layers: pages },
             mip_level_count: 1,
             sample_count: 1,
             dimension: wgpu::TextureDimension::D2,
-            format: COLOUR,
+            format,
             usage: wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST,
             view_formats: &[],
         })
@@ -124,7 +135,8 @@ impl Device {
             aspect: wgpu::TextureAspect::All,
         };
         let (width, height) = (atlas.width(), atlas.height());
-        let layout = wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(width * 4), rows_per_image: Some(height) };
+        let texel = if atlas.format() == WIDE { 8 } else { 4 };
+        let layout = wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(width * texel), rows_per_image: Some(height) };
         self.queue.write_texture(to, texels, layout, wgpu::Extent3d { width, height, depth_or_array_layers: 1 });
     }
 
@@ -166,12 +178,13 @@ fn layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
     })
 }
 
-/// The pipelines of pass 1 and pass 2.
-fn pipelines(device: &wgpu::Device, layout: &wgpu::BindGroupLayout) -> [wgpu::RenderPipeline; 2] {
-    let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
-        label: Some("tmpi.wgsl"),
-        source: wgpu::ShaderSource::Wgsl(include_str!("../../../static/tmpi.wgsl").into()),
-    });
+/// The pipelines of pass 1 and pass 2 for a target of that format.
+fn pipelines(
+    device: &wgpu::Device,
+    module: &wgpu::ShaderModule,
+    layout: &wgpu::BindGroupLayout,
+    format: wgpu::TextureFormat,
+) -> [wgpu::RenderPipeline; 2] {
     let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
         label: Some("tmpi"),
         bind_group_layouts: &[Some(layout)],
@@ -184,7 +197,7 @@ fn pipelines(device: &wgpu::Device, layout: &wgpu::BindGroupLayout) -> [wgpu::Re
             label: Some(entry_point),
             layout: Some(&layout),
             vertex: wgpu::VertexState {
-                module: &module,
+                module,
                 entry_point: Some("vs"),
                 compilation_options: wgpu::PipelineCompilationOptions::default(),
                 buffers: &[Some(instances.clone())],
@@ -199,14 +212,43 @@ fn pipelines(device: &wgpu::Device, layout: &wgpu::BindGroupLayout) -> [wgpu::Re
             }),
             multisample: wgpu::MultisampleState::default(),
             fragment: Some(wgpu::FragmentState {
-                module: &module,
+                module,
                 entry_point: Some(entry_point),
                 compilation_options: wgpu::PipelineCompilationOptions::default(),
-                targets: &[Some(wgpu::ColorTargetState { format: COLOUR, blend, write_mask: wgpu::ColorWrites::ALL })],
+                targets: &[Some(wgpu::ColorTargetState { format, blend, write_mask: wgpu::ColorWrites::ALL })],
             }),
             multiview_mask: None,
             cache: None,
         })
     };
     [pipeline("fs_opaque", None, true), pipeline("fs_soft", Some(wgpu::BlendState::PREMULTIPLIED_ALPHA_BLENDING), false)]
+}
+
+/// The pipeline that rounds a wide picture, texel by texel.
+fn rounding(device: &wgpu::Device) -> wgpu::RenderPipeline {
+    let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
+        label: Some("round.wgsl"),
+        source: wgpu::ShaderSource::Wgsl(include_str!("round.wgsl").into()),
+    });
+    device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
+        label: Some("round"),
+        layout: None,
+        vertex: wgpu::VertexState {
+            module: &module,
+            entry_point: Some("vs"),
+            compilation_options: wgpu::PipelineCompilationOptions::default(),
+            buffers: &[],
+        },
+        primitive: wgpu::PrimitiveState::default(),
+        depth_stencil: None,
+        multisample: wgpu::MultisampleState::default(),
+        fragment: Some(wgpu::FragmentState {
+            module: &module,
+            entry_point: Some("fs"),
+            compilation_options: wgpu::PipelineCompilationOptions::default(),
+            targets: &[Some(wgpu::ColorTargetState { format: COLOUR, blend: None, write_mask: wgpu::ColorWrites::ALL })],
+        }),
+        multiview_mask: None,
+        cache: None,
+    })
 }

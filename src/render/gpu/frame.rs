@@ -3,7 +3,7 @@
 use std::sync::mpsc;
 use std::time::Duration;
 
-use super::device::{COLOUR, DEPTH, Device, UNIFORM_BYTES};
+use super::device::{COLOUR, DEPTH, Device, UNIFORM_BYTES, WIDE};
 use super::scene::Loaded;
 use crate::render::{NEAR, RenderError, View};
 use crate::tmpi::{Camera, Scene};
@@ -20,14 +20,53 @@ pub(super) struct Target {
     width: u32,
     height: u32,
     colour: wgpu::Texture,
+    /// Where stacks of soft layers are drawn before they are rounded.
+    wide: Option<Wide>,
     depth: wgpu::Texture,
     buffer: wgpu::Buffer,
     bytes_per_row: u32,
 }
 
+/// A picture of 16-bit floats.
+#[derive(Debug)]
+struct Wide {
+    texture: wgpu::Texture,
+    bind_group: wgpu::BindGroup,
+}
+
+impl Wide {
+    fn new(device: &Device, texture: wgpu::Texture) -> Self {
+        let view = texture.create_view(&wgpu::TextureViewDescriptor::default());
+        let bind_group = device.handle.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some("wide"),
+            layout: &device.round.get_bind_group_layout(0),
+            entries: &[wgpu::BindGroupEntry { binding: 0, resource: wgpu::BindingResource::TextureView(&view) }],
+        });
+        Self { texture, bind_group }
+    }
+
+    /// Rounds it to `colour`.
+    fn round(&self, encoder: &mut wgpu::CommandEncoder, device: &Device, colour: &wgpu::Texture) {
+        let view = colour.create_view(&wgpu::TextureViewDescriptor::default());
+        let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+            label: Some("round"),
+            color_attachments: &[Some(wgpu::RenderPassColorAttachment {
+                view: &view,
+                depth_slice: None,
+                resolve_target: None,
+                ops: wgpu::Operations { load: wgpu::LoadOp::Clear(wgpu::Color::TRANSPARENT), store: wgpu::StoreOp::Store },
+            })],
+            ..wgpu::RenderPassDescriptor::default()
+        });
+        pass.set_pipeline(&device.round);
+        pass.set_bind_group(0, &self.bind_group, &[]);
+        pass.draw(0..3, 0..1);
+    }
+}
+
 impl Target {
-    /// A target of the camera's size; an error where the adapter cannot hold one.
-    pub fn new(device: &Device, camera: &Camera) -> Result<Self, RenderError> {
+    /// A target of the camera's size, for stacks of soft layers where `wide` says so; an error where the adapter cannot hold one.
+    pub fn new(device: &Device, camera: &Camera, wide: bool) -> Result<Self, RenderError> {
         let (width, height) = (camera.width, camera.height);
         // copies need rows at multiples of 256 bytes
         let bytes_per_row = (width * 4).next_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT);
@@ -59,15 +98,16 @@ impl Target {
             width,
             height,
             colour: texture("colour", COLOUR, attachment | wgpu::TextureUsages::COPY_SRC),
+            wide: wide.then(|| Wide::new(device, texture("wide colour", WIDE, attachment | wgpu::TextureUsages::TEXTURE_BINDING))),
             depth: texture("depth", DEPTH, attachment),
             buffer,
             bytes_per_row,
         })
     }
 
-    /// True where it has the camera's size.
-    pub fn fits(&self, camera: &Camera) -> bool {
-        (self.width, self.height) == (camera.width, camera.height)
+    /// True where it has the camera's size and, where that is wanted, is wide.
+    pub fn fits(&self, camera: &Camera, wide: bool) -> bool {
+        (self.width, self.height, self.wide.is_some()) == (camera.width, camera.height, wide)
     }
 
     /// Draws a loaded scene and reads the view back.
@@ -88,7 +128,9 @@ impl Target {
     }
 
     fn passes(&self, encoder: &mut wgpu::CommandEncoder, device: &Device, loaded: &Loaded, camera: &Camera) {
-        let colour = self.colour.create_view(&wgpu::TextureViewDescriptor::default());
+        let drawn = self.wide.as_ref().map_or(&self.colour, |w| &w.texture);
+        let pipelines = if self.wide.is_some() { &device.wide } else { &device.plain };
+        let colour = drawn.create_view(&wgpu::TextureViewDescriptor::default());
         let depth = self.depth.create_view(&wgpu::TextureViewDescriptor::default());
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
             label: Some("tmpi"),
@@ -108,12 +150,16 @@ impl Target {
         pass.set_bind_group(0, &loaded.bind_group, &[]);
         // along a ray that points against the reference camera's view, the layers come in the opposite order
         let soft = if camera.pose.extrinsics().0[2][2] < 0.0 { &loaded.soft_backward } else { &loaded.soft };
-        for (pipeline, instances) in [(&device.opaque, &loaded.opaque), (&device.soft, soft)] {
+        for (pipeline, instances) in pipelines.iter().zip([&loaded.opaque, soft]) {
             if instances.count > 0 {
                 pass.set_pipeline(pipeline);
                 pass.set_vertex_buffer(0, instances.buffer.slice(..));
                 pass.draw(0..VERTICES, 0..instances.count);
             }
+        }
+        drop(pass);
+        if let Some(wide) = &self.wide {
+            wide.round(encoder, device, &self.colour);
         }
     }
 

@@ -140,11 +140,6 @@ impl State {
 
     fn render(&mut self, scene: &Arc<Scene>, camera: &Camera) -> Result<View, RenderError> {
         let Self { scenes, target, device } = self;
-        if target.as_ref().is_none_or(|t| !t.fits(camera)) {
-            // the old one first, so that both never take memory at once
-            *target = None;
-            *target = Some(Target::new(device, camera)?);
-        }
         let loaded = if let Some(loaded) = scenes.get(scene) {
             loaded
         } else {
@@ -155,6 +150,11 @@ impl State {
             }
             scenes.insert(scene, bytes, || plan.load(scene, device))
         };
+        if target.as_ref().is_none_or(|t| !t.fits(camera, loaded.wide)) {
+            // the old one first, so that both never take memory at once
+            *target = None;
+            *target = Some(Target::new(device, camera, loaded.wide)?);
+        }
         match target {
             Some(target) => target.draw(device, scene, loaded, camera),
             None => Err(RenderError::Adapter("no target".into())),

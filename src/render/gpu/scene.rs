@@ -1,12 +1,13 @@
 //! A scene in graphics memory: atlas pages and instances.
 
 use bytemuck::{Pod, Zeroable};
+use half::f16;
 use wgpu::util::DeviceExt;
 
-use super::device::Device;
+use super::device::{COLOUR, Device, WIDE};
 use super::pack::{Packing, pack};
-use crate::render::RenderError;
 use crate::render::prepared::{Content, back_to_front};
+use crate::render::{OPAQUE, RenderError};
 use crate::tmpi::Scene;
 
 /// Instance as at the head of `tmpi.wgsl`.
@@ -37,6 +38,36 @@ pub(super) struct Loaded {
     pub soft: Instances,
     /// The same as seen by a camera that looks backward.
     pub soft_backward: Instances,
+    /// Soft texels lie in stacks that 8 bits a layer would spoil.
+    pub wide: bool,
+}
+
+/// So many soft texels over each other are blended in 8 bits: each may round by half a level.
+const STACK: u8 = 4;
+
+/// The most soft texels that lie over one pixel of the photo in one tile; more than [`STACK`] are not counted.
+fn stacked(scene: &Scene) -> u8 {
+    let (mut most, mut over, mut tile) = (0, Vec::new(), None);
+    for layer in &scene.layers {
+        let r = scene.grid.rect(layer.tile);
+        if tile != Some(layer.tile) {
+            tile = Some(layer.tile);
+            over.clear();
+            over.resize(r.area(), 0_u8);
+        }
+        let alphas = &scene.texels.alpha[layer.first_texel..][..layer.rect.area()];
+        for (y, row) in alphas.chunks(layer.rect.w as usize).enumerate() {
+            let at = (layer.rect.y - r.y) as usize * r.w as usize + y * r.w as usize + (layer.rect.x - r.x) as usize;
+            for (n, &a) in over[at..].iter_mut().zip(row) {
+                *n += u8::from(a > 0 && f32::from(a) / 255.0 < OPAQUE && *n <= STACK);
+                most = most.max(*n);
+            }
+        }
+        if most > STACK {
+            break;
+        }
+    }
+    most
 }
 
 /// Layers to draw and where their texels go.
@@ -45,6 +76,8 @@ pub(super) struct Plan {
     /// Indices of the layers in layer order, with what they hold.
     layers: Vec<(usize, Content)>,
     packing: Packing,
+    /// Texels of 16-bit floats: thin layers in stacks need more than 8 bits once they are premultiplied.
+    wide: bool,
 }
 
 impl Plan {
@@ -60,13 +93,14 @@ impl Plan {
         }
         let sizes: Vec<(u32, u32)> = layers.iter().map(|&(i, _)| (scene.layers[i].rect.w, scene.layers[i].rect.h)).collect();
         let packing = pack(&sizes, limits.max_texture_dimension_2d, limits.max_texture_array_layers)?;
-        Ok(Self { layers, packing })
+        Ok(Self { layers, packing, wide: stacked(scene) > STACK })
     }
 
     /// Bytes of graphics memory that it takes.
     pub fn bytes(&self) -> usize {
         let p = &self.packing;
-        p.width as usize * p.height as usize * p.pages as usize * 4 + self.layers.len() * 3 * size_of::<Instance>()
+        let texel = if self.wide { 8 } else { 4 };
+        p.width as usize * p.height as usize * p.pages as usize * texel + self.layers.len() * 3 * size_of::<Instance>()
     }
 
     /// Uploads the scene.
@@ -85,6 +119,7 @@ impl Plan {
             bind_group: device.bind_group(&texture),
             opaque: of(&mut (0..scene.layers.len()), |c| c.opaque),
             soft: of(&mut back_to_front(scene, false).into_iter(), |c| c.soft),
+            wide: self.wide,
             soft_backward: of(&mut back_to_front(scene, true).into_iter(), |c| c.soft),
         }
     }
@@ -103,9 +138,22 @@ impl Plan {
     }
 
     fn upload(&self, scene: &Scene, device: &Device) -> wgpu::Texture {
+        if self.wide {
+            self.pages(scene, device, WIDE, |[r, g, b, a]| {
+                let alpha = f32::from(a) / 255.0;
+                let premultiplied = |v: u8| f16::from_f32(f32::from(v) / 255.0 * alpha).to_bits();
+                [premultiplied(r), premultiplied(g), premultiplied(b), f16::from_f32(alpha).to_bits()]
+            })
+        } else {
+            self.pages(scene, device, COLOUR, premultiplied)
+        }
+    }
+
+    /// Pages of a format whose texels `texel` gives.
+    fn pages<T: Pod>(&self, scene: &Scene, device: &Device, format: wgpu::TextureFormat, texel: impl Fn([u8; 4]) -> T) -> wgpu::Texture {
         let p = &self.packing;
-        let texture = device.atlas(p.width, p.height, p.pages);
-        let mut page = vec![[0_u8; 4]; p.width as usize * p.height as usize];
+        let texture = device.atlas(p.width, p.height, p.pages, format);
+        let mut page = vec![T::zeroed(); p.width as usize * p.height as usize];
         let mut texels = Vec::new();
         for number in 0..p.pages {
             for (&(index, _), place) in self.layers.iter().zip(&p.places).filter(|(_, place)| place.page == number) {
@@ -115,11 +163,11 @@ impl Plan {
                 for (y, row) in texels.chunks(width).enumerate() {
                     let start = (place.y as usize + y) * p.width as usize + place.x as usize;
                     for (to, from) in page[start..start + width].iter_mut().zip(row) {
-                        *to = premultiplied(*from);
+                        *to = texel(*from);
                     }
                 }
             }
-            device.write_page(&texture, number, page.as_flattened());
+            device.write_page(&texture, number, bytemuck::cast_slice(&page));
         }
         texture
     }

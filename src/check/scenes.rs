@@ -1,13 +1,14 @@
 //! Scenes and cameras made to hold the renderers against each other.
-#![allow(dead_code, reason = "each test binary and bench takes what it needs")]
-#![allow(clippy::cast_possible_truncation, clippy::cast_sign_loss, clippy::cast_lossless, reason = "pixel arithmetic, as in the library")]
 
-use tmpi::tmpi::{Camera, Class, Grid, Intrinsics, Layer, Photo, Plane, Pose, Scene, Texels, ViewBox};
+use crate::tmpi::{Camera, Class, Grid, Intrinsics, Layer, Photo, Plane, Pose, Scene, Texels, ViewBox};
 
 /// A texel: its class, alpha and, where hidden, colour.
 pub enum Texel {
+    /// Nothing there.
     Empty,
+    /// The photo's pixel at that alpha.
     Photo(u8),
+    /// A colour of its own and its alpha.
     Hidden([u8; 3], u8),
 }
 
@@ -16,6 +17,7 @@ pub struct Builder(pub Scene);
 
 impl Builder {
     /// A scene without layers over a smooth, colourful photo with a sharp checkerboard in one quarter.
+    #[must_use]
     pub fn new(grid: Grid) -> Self {
         let (w, h) = (grid.width, grid.height);
         let pixel = |i: u32| {
@@ -59,6 +61,7 @@ impl Builder {
     }
 
     /// The plane of tile `tile` on which `δ = at(x, y)` (affine in photo pixels).
+    #[must_use]
     pub fn plane(&self, tile: u32, at: impl Fn(f64, f64) -> f64) -> Plane {
         let ((x, y), half) = (self.0.grid.centre(tile), self.0.grid.half());
         let a = at(x, y);
@@ -67,6 +70,7 @@ impl Builder {
 }
 
 /// One fronto-parallel layer over the whole photo.
+#[must_use]
 pub fn flat(width: u32, height: u32, delta: f64) -> Scene {
     let mut b = Builder::new(Grid::full(width, height));
     b.layer(0, Plane::fronto_parallel(delta), (1.0, 1.0), |_, _| Texel::Photo(255));
@@ -74,6 +78,7 @@ pub fn flat(width: u32, height: u32, delta: f64) -> Scene {
 }
 
 /// Layers of one colour each over the whole photo.
+#[must_use]
 pub fn stack(width: u32, height: u32, colours: &[[u8; 4]], delta: &[f64]) -> Scene {
     let mut b = Builder::new(Grid::full(width, height));
     for (c, &d) in colours.iter().zip(delta) {
@@ -83,6 +88,7 @@ pub fn stack(width: u32, height: u32, colours: &[[u8; 4]], delta: &[f64]) -> Sce
 }
 
 /// A slanted ground over overlapping tiles: one plane in space, written in every tile's own coordinates.
+#[must_use]
 pub fn ground(width: u32, height: u32, size: u32) -> Scene {
     let mut b = Builder::new(Grid::new(width, height, size));
     for tile in 0..b.0.grid.tiles() {
@@ -93,6 +99,7 @@ pub fn ground(width: u32, height: u32, size: u32) -> Scene {
 }
 
 /// A disc with a soft rim at δ = .8 before a background of disparity `far` (hidden texels behind the disc), tiles of `size`.
+#[must_use]
 pub fn disc(width: u32, height: u32, size: u32, far: f64) -> Scene {
     let mut b = Builder::new(Grid::new(width, height, size));
     let radius = f64::from(height) * 0.3;
@@ -112,6 +119,7 @@ pub fn disc(width: u32, height: u32, size: u32, far: f64) -> Scene {
 }
 
 /// What a photo gives: tiles of 64, a slanted ground, upright figures with soft rims before it, hidden texels behind them; 3 to 4 layers a tile.
+#[must_use]
 pub fn typical(width: u32, height: u32) -> Scene {
     let mut b = Builder::new(Grid::new(width, height, 64));
     let (w, h) = (f64::from(width), f64::from(height));
@@ -146,6 +154,7 @@ pub fn typical(width: u32, height: u32) -> Scene {
 }
 
 /// Every scene of the comparison, with its name.
+#[must_use]
 pub fn all() -> Vec<(&'static str, Scene)> {
     let (w, h) = (200, 120);
     let mut out = vec![
@@ -197,12 +206,14 @@ pub fn all() -> Vec<(&'static str, Scene)> {
 }
 
 /// Camera of the scene's field of view at `pose`, for a view of `width × height`.
+#[must_use]
 pub fn camera(scene: &Scene, pose: Pose, width: u32, height: u32) -> Camera {
     let from = (scene.photo.width, scene.photo.height);
     Camera { pose, intrinsics: scene.intrinsics.resized(from, (width, height)), width, height }
 }
 
 /// Every camera of the comparison, with its name.
+#[must_use]
 pub fn cameras(scene: &Scene) -> Vec<(&'static str, Camera)> {
     let (w, h) = (scene.photo.width, scene.photo.height);
     let own = |pose: Pose| camera(scene, pose, w, h);
@@ -219,6 +230,8 @@ pub fn cameras(scene: &Scene) -> Vec<(&'static str, Camera)> {
         ("turned", own(Pose { tx: 0.1, ty: 0.05, tz: -0.2, yaw: 20.0, pitch: -10.0, roll: 15.0 })),
         ("close", own(Pose::at(0.02, 0.01, 0.5))),
         ("as close as can be", own(Pose::at(0.0, 0.0, 0.999))),
+        ("in a plane", own(Pose::at(0.05, -0.02, 2.0))),
+        ("half a turn", own(Pose { tx: 0.2, yaw: -179.999, pitch: 30.0, ..Pose::default() })),
         ("behind a plane", own(Pose { tz: 3.0, tx: 0.3, yaw: 5.0, ..Pose::default() })),
         ("edge-on", own(Pose { tx: -2.0, tz: 2.0, yaw: 90.0, ..Pose::default() })),
         ("nearly edge-on", own(Pose { tx: -2.0, tz: 1.9, yaw: 88.0, ..Pose::default() })),

@@ -1,0 +1,109 @@
+//! Views by casting rays, in `f64`: a second way to the same pictures that shares no formula with the renderers.
+//!
+//! The renderers send planes through homographies and their inverses. Here a ray from the camera meets `mᵀX = 1`: with the ray
+//! written as `d + λ C` (direction of depth 1, position, and λ the target disparity) the condition is linear in λ.
+
+use rayon::prelude::*;
+
+use crate::render::NEAR;
+use crate::tmpi::{Camera, Pose, Scene};
+
+/// A layer, unpacked.
+struct Sheet {
+    /// `δ = n·(x, y, 1)` in reference pixels.
+    n: [f64; 3],
+    /// Rectangle: left, upper, width, height in pixels.
+    rect: [f64; 4],
+    width: usize,
+    height: usize,
+    texels: Vec<[u8; 4]>,
+}
+
+/// The view, premultiplied, 0 to 255 a channel.
+#[must_use]
+pub fn cast(scene: &Scene, camera: &Camera) -> Vec<[f64; 4]> {
+    let sheets: Vec<Sheet> = (0..scene.layers.len()).map(|i| sheet(scene, i)).collect();
+    let (k, out) = (&scene.intrinsics, &camera.intrinsics);
+    let pixel = |p: [f64; 3]| [k.fx * p[0] + k.cx * p[2], k.fy * p[1] + k.cy * p[2], p[2]];
+    let place = pixel([camera.pose.tx, camera.pose.ty, camera.pose.tz]);
+    let width = camera.width as usize;
+    (0..width * camera.height as usize)
+        .into_par_iter()
+        .map_init(Vec::new, |hits, i| {
+            let (x, y) = ((i % width) as f64 + 0.5, (i / width) as f64 + 0.5);
+            let ray = pixel(turned(&camera.pose, [(x - out.cx) / out.fx, (y - out.cy) / out.fy, 1.0]));
+            hits.clear();
+            for (index, s) in sheets.iter().enumerate() {
+                hits.extend(s.meet(ray, place).map(|(delta, rgba)| (delta, index, rgba)));
+            }
+            hits.sort_by(|a: &(f64, usize, [f64; 4]), b| b.0.total_cmp(&a.0).then(b.1.cmp(&a.1)));
+            let (mut sum, mut through) = ([0.0; 4], 1.0);
+            for (_, _, rgba) in hits.iter() {
+                for (s, v) in sum.iter_mut().zip(rgba) {
+                    *s += through * v;
+                }
+                through *= 1.0 - rgba[3] / 255.0;
+            }
+            sum
+        })
+        .collect()
+}
+
+/// A direction of the camera in the reference frame: rolled clockwise, pitched up, turned right, one after the other.
+fn turned(pose: &Pose, [x, y, z]: [f64; 3]) -> [f64; 3] {
+    let (sin, cos) = pose.roll.to_radians().sin_cos();
+    let (x, y) = (x * cos - y * sin, x * sin + y * cos);
+    let (sin, cos) = pose.pitch.to_radians().sin_cos();
+    let (y, z) = (y * cos - z * sin, y * sin + z * cos);
+    let (sin, cos) = pose.yaw.to_radians().sin_cos();
+    [x * cos + z * sin, y, z * cos - x * sin]
+}
+
+fn dot(a: &[f64; 3], b: &[f64; 3]) -> f64 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+fn sheet(scene: &Scene, index: usize) -> Sheet {
+    let l = &scene.layers[index];
+    let (half, centre) = (scene.grid.half(), scene.grid.centre(l.tile));
+    let (b, c) = (l.plane.b / half, l.plane.c / half);
+    let mut texels = Vec::new();
+    scene.expand_layer(index, &mut texels);
+    Sheet {
+        n: [b, c, l.plane.a - b * centre.0 - c * centre.1],
+        rect: [l.rect.x, l.rect.y, l.rect.w, l.rect.h].map(f64::from),
+        width: l.rect.w as usize,
+        height: l.rect.h as usize,
+        texels,
+    }
+}
+
+impl Sheet {
+    /// Target disparity and premultiplied colour where the ray meets the layer, if it does.
+    fn meet(&self, ray: [f64; 3], place: [f64; 3]) -> Option<(f64, [f64; 4])> {
+        let lambda = dot(&self.n, &ray) / (1.0 - dot(&self.n, &place));
+        let q: [f64; 3] = std::array::from_fn(|i| ray[i] + lambda * place[i]);
+        let (x, y) = (q[0] / q[2] - self.rect[0], q[1] / q[2] - self.rect[1]);
+        let inside = x >= 0.0 && y >= 0.0 && x <= self.rect[2] && y <= self.rect[3];
+        if !(lambda.is_finite() && q[2] > 0.0 && lambda * NEAR <= 1.0 && inside) {
+            return None;
+        }
+        let rgba = self.sample(x, y);
+        (rgba[3] > 0.0).then_some((lambda.max(0.0), rgba))
+    }
+
+    /// Bilinear between texel centres, the border's colour beyond them.
+    fn sample(&self, x: f64, y: f64) -> [f64; 4] {
+        let split = |v: f64, n: usize| {
+            let v = (v - 0.5).clamp(0.0, (n - 1) as f64);
+            (v.floor() as usize, (v.floor() as usize + 1).min(n - 1), v.fract())
+        };
+        let ((x0, x1, fx), (y0, y1, fy)) = (split(x, self.width), split(y, self.height));
+        let at = |x: usize, y: usize, c: usize| {
+            let t = self.texels[y * self.width + x];
+            f64::from(t[c]) * if c < 3 { f64::from(t[3]) / 255.0 } else { 1.0 }
+        };
+        let mix = |a: f64, b: f64, t: f64| a * (1.0 - t) + b * t;
+        std::array::from_fn(|c| mix(mix(at(x0, y0, c), at(x1, y0, c), fx), mix(at(x0, y1, c), at(x1, y1, c), fx), fy))
+    }
+}

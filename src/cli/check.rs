@@ -1,0 +1,52 @@
+//! `tmpi check`.
+
+use std::fmt::Write;
+
+use super::result;
+use crate::check::{self, Checked, Verdict};
+
+/// Check every numerical kernel on stiff and extreme cases against f64
+#[derive(Clone, Debug, clap::Args)]
+pub(super) struct CheckArgs {
+    /// All cases as JSON on standard output
+    #[arg(long)]
+    json: bool,
+}
+
+pub(super) fn run(args: &CheckArgs) -> anyhow::Result<()> {
+    // a panic is a failed case, not a message
+    std::panic::set_hook(Box::new(|info| tracing::error!(%info, "a case panicked")));
+    let checked = check::run();
+    drop(std::panic::take_hook());
+    result(&if args.json { serde_json::to_string_pretty(&checked)? } else { table(&checked) })?;
+    let failed = checked.failed();
+    anyhow::ensure!(failed == 0, "{failed} of {} cases failed", checked.cases.len());
+    Ok(())
+}
+
+fn table(checked: &Checked) -> String {
+    let widest = |f: &dyn Fn(&check::Case) -> usize| checked.cases.iter().map(f).max().unwrap_or(0);
+    let name = widest(&|c| c.name.chars().count());
+    let (family, subject) = (widest(&|c| c.family.len()), widest(&|c| c.subject.len()));
+    let mut out = format!("{:family$}  {:name$}  {:subject$}  {:>9}  {:>9}  verdict  unit\n", "family", "case", "of", "bound", "error");
+    for c in &checked.cases {
+        let number = |v: f64| if v == 0.0 || (1e-3..1e4).contains(&v) { format!("{v:.3}") } else { format!("{v:.1e}") };
+        let error = c.error.map_or("none".into(), number);
+        let verdict = if c.verdict == Verdict::Ok { "ok" } else { "FAIL" };
+        // a String takes everything
+        let _ = writeln!(
+            out,
+            "{:family$}  {:name$}  {:subject$}  {:>9}  {error:>9}  {verdict:7}  {}",
+            c.family,
+            c.name,
+            c.subject,
+            number(c.bound),
+            c.unit
+        );
+    }
+    for s in &checked.skipped {
+        let _ = writeln!(out, "skipped: {s}");
+    }
+    let _ = write!(out, "{} cases, {} failed", checked.cases.len(), checked.failed());
+    out
+}

@@ -1,0 +1,90 @@
+//! Structural similarity of two pictures.
+
+/// Half the window: 11×11 pixels.
+const RADIUS: usize = 5;
+const SIGMA: f64 = 1.5;
+/// Stabilisers for values in 0 to 1: 0.01² and 0.03².
+const C1: f64 = 1e-4;
+const C2: f64 = 9e-4;
+
+/// SSIM per pixel (11×11 Gaussian window of σ 1.5), mean of the three channels; borders are mirrored. Both pictures hold
+/// `width` pixels a row; an empty one gives an empty map.
+///
+/// Source: Wang et al., Image Quality Assessment: From Error Visibility to Structural Similarity, 2004.
+#[must_use]
+pub fn ssim_map(a: &[[u8; 3]], b: &[[u8; 3]], width: usize) -> Vec<f32> {
+    let pixels = a.len().min(b.len());
+    if width == 0 || pixels == 0 {
+        return Vec::new();
+    }
+    let height = pixels / width;
+    let mut sum = vec![0f32; width * height];
+    for channel in 0..3 {
+        let plane = |p: &[[u8; 3]]| -> Vec<f64> { p[..width * height].iter().map(|p| f64::from(p[channel]) / 255.0).collect() };
+        let (x, y) = (plane(a), plane(b));
+        let product = |p: &[f64], q: &[f64]| -> Vec<f64> { p.iter().zip(q).map(|(p, q)| p * q).collect() };
+        let blurred = |p: &[f64]| blur(p, width, height);
+        let (mx, my) = (blurred(&x), blurred(&y));
+        let (xx, yy, xy) = (blurred(&product(&x, &x)), blurred(&product(&y, &y)), blurred(&product(&x, &y)));
+        for (i, s) in sum.iter_mut().enumerate() {
+            let (m, n) = (mx[i], my[i]);
+            let (vx, vy, cov) = (xx[i] - m * m, yy[i] - n * n, xy[i] - m * n);
+            let value = ((2.0 * m * n + C1) * (2.0 * cov + C2)) / ((m * m + n * n + C1) * (vx + vy + C2));
+            *s += (value / 3.0) as f32;
+        }
+    }
+    sum
+}
+
+/// Separable Gaussian; rows and columns are mirrored about their last pixel's centre.
+fn blur(p: &[f64], width: usize, height: usize) -> Vec<f64> {
+    let mut kernel = [0f64; 2 * RADIUS + 1];
+    for (i, k) in kernel.iter_mut().enumerate() {
+        *k = (-(i as f64 - RADIUS as f64).powi(2) / (2.0 * SIGMA * SIGMA)).exp();
+    }
+    let all: f64 = kernel.iter().sum();
+    let mirrored = |i: isize, n: usize| -> usize {
+        let (last, period) = (n as isize - 1, (2 * n as isize - 2).max(1));
+        let m = i.rem_euclid(period);
+        (if m > last { period - m } else { m }) as usize
+    };
+    let taps = |i: usize, n: usize| kernel.iter().enumerate().map(move |(j, k)| (mirrored((i + j) as isize - RADIUS as isize, n), k / all));
+    let mut rows = vec![0f64; p.len()];
+    for y in 0..height {
+        for x in 0..width {
+            rows[y * width + x] = taps(x, width).map(|(i, k)| k * p[y * width + i]).sum();
+        }
+    }
+    let mut out = vec![0f64; p.len()];
+    for y in 0..height {
+        for (i, k) in taps(y, height) {
+            for x in 0..width {
+                out[y * width + x] += k * rows[i * width + x];
+            }
+        }
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn equal_pictures_have_1_and_noise_lowers_it() {
+        let a: Vec<[u8; 3]> = (0..40 * 30).map(|i: u32| [(i % 40 * 6) as u8, (i / 40 * 8) as u8, 90]).collect();
+        assert!(ssim_map(&a, &a, 40).iter().all(|s| (s - 1.0).abs() < 1e-6));
+        let noisy: Vec<[u8; 3]> = a.iter().enumerate().map(|(i, p)| p.map(|v| v.wrapping_add((i * 37 % 23) as u8))).collect();
+        let mean = ssim_map(&a, &noisy, 40).iter().sum::<f32>() / 1200.0;
+        assert!((0.0..0.95).contains(&mean), "{mean}");
+        assert!(ssim_map(&[], &[], 0).is_empty());
+    }
+
+    /// Two flat pictures: variance is 0, and the value follows by hand.
+    #[test]
+    fn flat_pictures_by_hand() {
+        let (a, b) = (vec![[51u8; 3]; 300], vec![[102u8; 3]; 300]);
+        let want = (2.0 * 0.2 * 0.4 + C1) / (0.04 + 0.16 + C1);
+        assert!(ssim_map(&a, &b, 20).iter().all(|s| (f64::from(*s) - want).abs() < 1e-6));
+    }
+}
