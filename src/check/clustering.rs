@@ -70,7 +70,9 @@ impl Tiles {
             })
             .collect();
         if all.iter().all(|p| p[3] == 0.0) {
-            all.iter_mut().for_each(|p| p[3] = 1.0);
+            for p in &mut all {
+                p[3] = 1.0;
+            }
         }
         all
     }
@@ -95,10 +97,10 @@ fn distinct(pixels: &[Pixel]) -> Vec<(f64, f64)> {
     let mut all: Vec<(f64, f64)> = pixels.iter().filter(|p| p[3] > 0.0).map(|p| (p[2], p[3])).collect();
     all.sort_by(|a, b| a.0.total_cmp(&b.0));
     all.dedup_by(|b, a| {
-        a.0 == b.0 && {
-            a.1 += b.1;
-            true
-        }
+        // the very same value, bit for bit
+        let same = a.0.total_cmp(&b.0).is_eq();
+        a.1 += if same { b.1 } else { 0.0 };
+        same
     });
     all
 }

@@ -85,7 +85,7 @@ fn cmyk() -> Vec<u8> {
 }
 
 /// Adds a chunk of a PNG or WebP file with its length and, for PNG, checksum.
-fn png_chunk(out: &mut Vec<u8>, name: &[u8; 4], body: &[u8]) {
+fn png_chunk(out: &mut Vec<u8>, name: [u8; 4], body: &[u8]) {
     out.extend((body.len() as u32).to_be_bytes());
     let start = out.len();
     out.extend(name);
@@ -102,8 +102,8 @@ fn palette() -> Vec<u8> {
     let mut out = grey[..8].to_vec();
     let mut header = grey[16..29].to_vec();
     header[9] = 3;
-    png_chunk(&mut out, b"IHDR", &header);
-    png_chunk(&mut out, b"PLTE", &(0..=255_u8).flat_map(|i| [i, 255 - i, 90]).collect::<Vec<_>>());
+    png_chunk(&mut out, *b"IHDR", &header);
+    png_chunk(&mut out, *b"PLTE", &(0..=255_u8).flat_map(|i| [i, 255 - i, 90]).collect::<Vec<_>>());
     out.extend(&grey[33..]);
     out
 }
@@ -125,9 +125,9 @@ fn animated() -> Vec<u8> {
 fn promise(w: u32, h: u32) -> Vec<u8> {
     let mut out = b"\x89PNG\r\n\x1a\n".to_vec();
     let header = [w.to_be_bytes(), h.to_be_bytes()].concat();
-    png_chunk(&mut out, b"IHDR", &[&header[..], &[8, 2, 0, 0, 0]].concat());
-    png_chunk(&mut out, b"IDAT", &[0x78, 0x9c, 0x63, 0, 0]);
-    png_chunk(&mut out, b"IEND", &[]);
+    png_chunk(&mut out, *b"IHDR", &[&header[..], &[8, 2, 0, 0, 0]].concat());
+    png_chunk(&mut out, *b"IDAT", &[0x78, 0x9c, 0x63, 0, 0]);
+    png_chunk(&mut out, *b"IEND", &[]);
     out
 }
 
@@ -208,13 +208,16 @@ pub(super) fn identity(scene: Option<&Arc<Scene>>, host: &dyn Renderer) -> f64 {
     view.rgba.iter().zip(&scene.photo.rgb).map(off).max().unwrap_or(u8::MAX).into()
 }
 
+/// Whether an error is the one that was wanted.
+type Wanted<'a> = &'a dyn Fn(&PhotoError) -> bool;
+
 /// Files that are no photo or too much of one.
 fn refusals(checked: &mut Checked) {
     let whole = rgb_png(33, 17);
     let photo = jpeg(33, 17, pixels(33, 17).as_flattened(), ExtendedColorType::Rgb8);
     let too_large = |e: &PhotoError| matches!(e, PhotoError::SideTooLong { .. } | PhotoError::TooManyPixels { .. });
     let any = |_: &PhotoError| true;
-    let files: [(&str, Vec<u8>, &dyn Fn(&PhotoError) -> bool); 8] = [
+    let files: [(&str, Vec<u8>, Wanted); 8] = [
         ("1×20 000", promise(1, 20_000), &too_large),
         ("20 000×1", promise(20_000, 1), &too_large),
         ("decompression bomb, 16 000×16 000", promise(16_000, 16_000), &too_large),

@@ -141,7 +141,9 @@ pub fn discretisation_error(delta: &DisparityMap, grid: &Grid, tiles: &[Tile]) -
     let mae = each.iter().map(|e| e.1).sum::<f64>() / n as f64;
     let mse = each.iter().map(|e| e.2).sum::<f64>() / n as f64;
     let mut errors = Vec::with_capacity(n);
-    each.into_iter().for_each(|e| errors.extend(e.0));
+    for (more, _, _) in each {
+        errors.extend(more);
+    }
     let q = errors.len() / 4;
     let (_, q25, _) = errors.select_nth_unstable_by(q, f32::total_cmp);
     (mae, mse, f64::from(*q25))
