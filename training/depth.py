@@ -116,14 +116,18 @@ class DepthNet(nn.Module):
 
     def use_runtime(self, path, threads):
         """Runs the frozen encoder in ONNX Runtime, which is twice as fast as PyTorch on a CPU."""
-        import onnxruntime as ort
-
         from graph import Graph, encoder
 
         g = Graph("encoder", half=False)
         for i, f in enumerate(encoder(g, g.input("image", ["n", 3, "h", "w"]), self.encoder)):
             g.output(f, f"f{i}", ["n", MobileNetV2.CHANNELS[i], None, None])
         g.save(path, {})
+        self.runtime(path, threads)
+
+    def runtime(self, path, threads):
+        """The same, from the file that is there."""
+        import onnxruntime as ort
+
         options = ort.SessionOptions()
         options.intra_op_num_threads = threads
         self.session = ort.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
@@ -173,7 +177,10 @@ def loss_of(prediction, target):
 
 
 # how often a family is drawn: photographs have more ground in them than `tmpi synth` has by itself
-SHARE = {"room": 0.25, "street": 0.11, "field": 0.28, "thin": 0.03, "shelf": 0.09, "table": 0.13, "figures": 0.05, "floating": 0.01, "terrain": 0.05}
+SHARE = {
+    "room": 0.14, "corridor": 0.03, "lounge": 0.09, "kitchen": 0.08, "street": 0.09, "field": 0.17, "water": 0.05, "terrain": 0.03, "crowd": 0.04,
+    "thin": 0.02, "foliage": 0.02, "shelf": 0.06, "heap": 0.06, "table": 0.08, "closeup": 0.05, "drape": 0.03, "figures": 0.04, "floating": 0.01,
+}  # fmt: skip
 
 
 def families(folders):
@@ -194,6 +201,57 @@ def batch_of(kinds, size, n, rng):
     return torch.stack(xs), torch.stack(ys)
 
 
+def batch_at(kinds, step, done, a):
+    """The batch of a step: a function of the seed and of how far the run is."""
+    rng = random.Random(a.seed * 1_000_003 + step)
+    small = done < a.small
+    size = rng.choice(SMALL if small or rng.random() < 0.25 else LARGE)
+    return batch_of(kinds, size, a.batch if small else max(4, a.batch * 5 // 8), rng)
+
+
+def produce(queue, a, first, encoder):
+    """Feature maps and truth of every fresh batch from `first` on, made beside the training."""
+    torch.set_num_threads(1)
+    cv2.setNumThreads(1)
+    net, kinds, start = DepthNet(), None, time.time() - a.spent
+    net.runtime(encoder, 1)
+    for step in range(first, a.steps):
+        done = max(step / a.steps, (time.time() - start) / 60 / a.minutes)
+        if kinds is None or step % 100 == 0:
+            kinds = families(common.scenes(*a.scenes))  # scenes may still be coming
+        x, y = batch_at(kinds, step, done, a)
+        queue.put(([f.numpy().astype(np.float16) for f in net.features(x)], y.numpy(), sum(map(len, kinds.values()))))
+
+
+def restyled(features, bank):
+    """Half of the samples get channel statistics on the way to those of another picture, the same one at every level.
+
+    What the colours and textures of rendered scenes do to the frozen encoder then matters less (MixStyle, Zhou et al. 2021)."""
+    n = features[0].shape[0]
+    other, share = torch.randperm(n), torch.distributions.Beta(0.3, 0.3).sample((n, 1, 1, 1))
+    share = torch.where(torch.rand(n, 1, 1, 1) < 0.5, torch.ones(()), torch.maximum(share, 1 - share) if bank is None else share)
+    pick = None if bank is None else torch.randint(len(bank[0]), (n,))
+    out = []
+    for i, f in enumerate(features):
+        mean, std = f.mean((2, 3), keepdim=True), f.std((2, 3), keepdim=True) + 1e-4
+        to_mean, to_std = (mean[other], std[other]) if bank is None else (bank[i][pick, 0][..., None, None], bank[i][pick, 1][..., None, None])
+        out.append((f - mean) / std * (share * std + (1 - share) * to_std) + share * mean + (1 - share) * to_mean)
+    return out
+
+
+def statistics(net, folder, crops=12, seed=7):
+    """Channel means and deviations of the encoder on crops of photographs: per level [N, 2, C]."""
+    rng, found = random.Random(seed), []
+    for f in sorted(common.Path(folder).iterdir()):
+        rgb = common.read_rgb(f)
+        for _ in range(crops):
+            size = rng.choice(SMALL)
+            crop, flat = common.framed(rgb, np.zeros(rgb.shape[:2], np.float32), size, rng)
+            x = ((common.chw(common.photometric(crop, flat, rng)) - MEAN) / STD)[None]
+            found.append([torch.stack([v.mean((2, 3))[0], v.std((2, 3))[0] + 1e-4]) for v in net.features(x)])
+    return [torch.stack([f[i] for f in found]) for i in range(5)]
+
+
 def main():
     a = argparse.ArgumentParser(description=__doc__)
     a.add_argument("--scenes", nargs="+", default=[str(RUNS / "data" / "train")])
@@ -205,6 +263,10 @@ def main():
     a.add_argument("--every", type=int, default=100, help="steps between evaluations on real pictures")
     a.add_argument("--threads", type=int, default=1)
     a.add_argument("--small", type=float, default=0.5, help="share of the steps at small sizes")
+    a.add_argument("--replay", type=int, default=1, help="how often an earlier batch is taken again after each fresh one")
+    a.add_argument("--style", choices=["off", "batch", "photos"], default="off", help="whose channel statistics are mixed in")
+    a.add_argument("--pictures", default=str(RUNS / "pictures"), help="photographs for --style photos")
+    a.add_argument("--init", help="checkpoint whose decoder to begin with")
     a.add_argument("--seed", type=int, default=1)
     a = a.parse_args()
     from eval_depth import evaluate, load_sets  # here, because it needs DepthNet
@@ -221,42 +283,56 @@ def main():
     net.decoder.to(memory_format=torch.channels_last)
     params = list(net.decoder.parameters())
     optimiser = torch.optim.AdamW(params, a.lr, weight_decay=1e-2)
+    if a.init:
+        net.decoder.load_state_dict(torch.load(a.init, weights_only=False, map_location=dev)["decoder"])
     ema = common.Ema(net.decoder, 0.995)
-    step, best, spent = 0, 9.0, 0.0
+    step, best, a.spent = 0, 9.0, 0.0
     if (out / "last.pt").exists():
         s = torch.load(out / "last.pt", weights_only=False)
         net.decoder.load_state_dict(s["decoder"])
         optimiser.load_state_dict(s["optimiser"])
-        ema.shadow, step, best, spent = s["ema"], s["step"], s["best"], s["spent"]
-    sets = load_sets(quick=True)
+        ema.shadow, step, best, a.spent = s["ema"], s["step"], s["best"], s["spent"]
+    sets = load_sets("choose")
     log = common.Log(out / "log.csv", ["step", "loss", "scenes", *sets, "score"])
-    kinds, losses = None, []
-    start = time.time() - spent
+    bank = statistics(net, a.pictures) if a.style == "photos" else None
+    kinds, losses, kept = None, [], []
+    queue = None
+    if dev.type == "cpu":
+        spawn = torch.multiprocessing.get_context("spawn")
+        queue = spawn.Queue(6)
+        spawn.Process(target=produce, args=(queue, a, step, out / "encoder.onnx"), daemon=True).start()
+    start = time.time() - a.spent
     while step < a.steps:
         done = max(step / a.steps, (time.time() - start) / 60 / a.minutes)
         if done >= 1:
             break
         for group in optimiser.param_groups:
             group["lr"] = a.lr * (min(1, (step + 1) / 50) * (0.5 + 0.5 * np.cos(np.pi * done)) + 0.01)
-        rng = random.Random(a.seed * 1_000_003 + step)
-        if kinds is None or step % 200 == 0:
-            folders = common.scenes(*a.scenes)  # scenes may still be coming
-            kinds = families(folders)
-        small = done < a.small
-        size = rng.choice(SMALL if small or rng.random() < 0.25 else LARGE)
-        x, y = batch_of(kinds, size, a.batch if small else max(4, a.batch * 5 // 8), rng)
+        if queue is not None:
+            kept.append(queue.get())
+        else:
+            if kinds is None or step % 100 == 0:
+                kinds = families(common.scenes(*a.scenes))
+            x, y = batch_at(kinds, step, done, a)
+            kept.append(([f.cpu().numpy() for f in net.features(x.to(dev))], y.numpy(), sum(map(len, kinds.values()))))
+        del kept[:-200]
+        again = random.Random(a.seed * 7_000_003 + step)
         net.train()
-        p = net(x.to(dev))
-        loss = loss_of(p, y.to(dev))
-        optimiser.zero_grad()
-        loss.backward()
-        torch.nn.utils.clip_grad_norm_(params, 1.0)
-        optimiser.step()
+        for k in range(1 + a.replay):
+            f, y, scenes = kept[-1] if k == 0 else again.choice(kept)
+            f = [torch.from_numpy(v).to(dev).float() for v in f]
+            if a.style != "off":
+                f = restyled(f, bank)
+            loss = loss_of(net.decoder([v.contiguous(memory_format=torch.channels_last) for v in f]), torch.from_numpy(y).to(dev))
+            optimiser.zero_grad()
+            loss.backward()
+            torch.nn.utils.clip_grad_norm_(params, 1.0)
+            optimiser.step()
+            ema.update(net.decoder, step)
+            losses.append(loss.item())
         step += 1
-        ema.update(net.decoder, step)
-        losses.append(loss.item())
         if step % 20 == 0:
-            print(f"step {step} loss {np.mean(losses[-20:]):.4f}", flush=True)
+            print(f"step {step} loss {np.mean(losses[-20 * (1 + a.replay) :]):.4f}", flush=True)
         if step % a.every == 0 or step == a.steps:
             live = {k: v.clone() for k, v in net.decoder.state_dict().items()}
             net.decoder.load_state_dict(ema.shadow)
@@ -266,7 +342,7 @@ def main():
                 best = score
                 common.save(out / "best.pt", decoder=ema.shadow, step=step, scores=scores)
             net.decoder.load_state_dict(live)
-            log.row(step=step, loss=float(np.mean(losses[-a.every :])), scenes=len(folders), **{k: v["net"] for k, v in scores.items()}, score=score)
+            log.row(step=step, loss=float(np.mean(losses[-a.every * (1 + a.replay) :])), scenes=scenes, **{k: v["net"] for k, v in scores.items()}, score=score)
             common.save(out / "last.pt", decoder=live, ema=ema.shadow, optimiser=optimiser.state_dict(), step=step, best=best, spent=time.time() - start)
 
 

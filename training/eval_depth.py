@@ -21,9 +21,15 @@ def size_for(h, w, area=AREA):
     return max(2, round((area / r) ** 0.5 / 32)) * 32, max(2, round((area * r) ** 0.5 / 32)) * 32
 
 
-def load_sets(quick=False):
-    """Name → list of (rgb, disparity, valid). Empty where the data is not there."""
+def load_sets(part="all"):
+    """Name → list of (rgb, disparity, valid). Empty where the data is not there.
+
+    `part`: "choose" is what checkpoints are chosen by, "report" is the rest, "all" is both."""
     sets = {}
+
+    def wanted(chosen):
+        return part == "all" or chosen == (part == "choose")
+
     def add(name, rgb, d, valid):
         if rgb.shape[1] > 640:
             s = 640 / rgb.shape[1]
@@ -35,20 +41,28 @@ def load_sets(quick=False):
             valid = cv2.resize(valid.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
         sets.setdefault(name, []).append((rgb, d.astype(np.float64), valid))
 
-    for f in sorted((DATA / "depth_pred" / "adampi").glob("*.jpg")):
-        d = cv2.imread(str(f.with_name(f.stem + "_disp16.png")), -1).astype(np.float32)
-        add("adampi", common.read_rgb(f), d, np.ones(d.shape, bool))
+    for i, f in enumerate(sorted((DATA / "depth_pred" / "adampi").glob("*.jpg"))):
+        if wanted(i % 2 == 0):
+            d = cv2.imread(str(f.with_name(f.stem + "_disp16.png")), -1).astype(np.float32)
+            add("adampi", common.read_rgb(f), d, np.ones(d.shape, bool))
     for f in sorted((DATA / "stereo_gt").iterdir() if (DATA / "stereo_gt").exists() else []):
-        if not (f / "disp_left.png").exists():
+        if not (f / "disp_left.png").exists() or not wanted(f.name in ("art", "cones")):
             continue
         left = next(p for p in sorted(f.iterdir()) if p.stem in ("left", "im0", "view1", "im2"))
         d = cv2.imread(str(f / "disp_left.png"), -1).astype(np.float32)
         add("middlebury", common.read_rgb(left), d, d > 0)
-    depth_sets = [("replica", *p) for p in replica()] + [("kitchen", *p) for p in kitchen(14 if quick else 28)]
-    for name, photo, depth in depth_sets:
-        z = cv2.imread(str(depth), -1).astype(np.float32)
-        valid = (z > 0) & (z < 65535)
-        add(name, common.read_rgb(photo), 1 / np.maximum(z, 1), valid)
+    found = [("replica", *p, i % 3 == 0) for i, p in enumerate(replica())] + [("kitchen", *p, i % 7 == 0) for i, p in enumerate(kitchen(28))]
+    single = DATA / "rgbd_single"
+    found += [("nyu", p, single / "nyu_demo" / "depth" / (p.stem.replace("rgb", "sync_depth") + ".png"), False) for p in sorted((single / "nyu_demo" / "rgb").glob("*"))]
+    found += [("redwood", p, single / "redwood" / "depth" / (p.stem + ".png"), False) for p in sorted((single / "redwood" / "color").glob("*"))]
+    found += [("corridor", single / "sun_corridor" / "SUN_color.jpg", single / "sun_corridor" / "SUN_depth.png", False)]
+    for name, photo, depth, chosen in found:
+        if not wanted(chosen) or not depth.exists():
+            continue
+        raw = cv2.imread(str(depth), -1)
+        raw = (raw >> 3) | (raw << 13) if name == "corridor" else raw
+        valid = (raw > 0) & (raw < 65535)
+        add(name, common.read_rgb(photo), 1 / np.maximum(raw.astype(np.float32), 1), valid)
     return sets
 
 
@@ -73,12 +87,19 @@ def kitchen(n):
     return out
 
 
-def aligned(p, t, valid):
-    """RMSE of the best affine map of p to t, over the deviation of t."""
+def scores(p, t, valid):
+    """After the best affine map of p to t: RMSE over the deviation of t, and the share within a factor 1.25; rank correlation."""
     p, t = p[valid], t[valid]
     a = np.stack([p, np.ones_like(p)], 1)
     fit = a @ np.linalg.lstsq(a, t, rcond=None)[0]
-    return float(np.sqrt(np.mean((fit - t) ** 2)) / max(t.std(), 1e-12))
+    far = np.maximum(fit, 1e-9 * t.max())
+    rank = lambda v: np.argsort(np.argsort(v, kind="stable")).astype(np.float64)
+    thin = slice(None, None, max(1, len(p) // 50_000))
+    return [
+        float(np.sqrt(np.mean((fit - t) ** 2)) / max(t.std(), 1e-12)),
+        float(np.corrcoef(rank(p[thin]), rank(t[thin]))[0, 1]),
+        float(np.mean(np.maximum(far / t, t / far) < 1.25)),
+    ]
 
 
 @torch.no_grad()
@@ -99,14 +120,18 @@ def predict(net, rgb, areas=(AREA,), flip=False):
 
 
 def evaluate(net, sets, **how):
+    """Per set: means over its pictures of RMSE/deviation, Spearman and δ < 1.25, of the network and of the best vertical ramp."""
     result = {}
     for name, pictures in sets.items():
-        net_error, ramp_error = [], []
+        own, ramp = [], []
         for rgb, d, valid in pictures:
-            net_error.append(aligned(predict(net, rgb, **how), d, valid))
+            valid = valid & (d > 0)
+            own.append(scores(predict(net, rgb, **how), d, valid))
             rows = np.repeat(np.arange(d.shape[0], dtype=np.float64)[:, None], d.shape[1], 1)
-            ramp_error.append(aligned(rows, d, valid))
-        result[name] = {"net": float(np.mean(net_error)), "ramp": float(np.mean(ramp_error)), "pictures": len(pictures)}
+            s = scores(rows, d, valid)
+            ramp.append([s[0], abs(s[1]), s[2]])  # the fit may turn the ramp round
+        own, ramp = np.mean(own, 0), np.mean(ramp, 0)
+        result[name] = {"net": float(own[0]), "ramp": float(ramp[0]), "all": own.tolist(), "all_ramp": ramp.tolist(), "pictures": len(pictures)}
     return result
 
 
@@ -129,10 +154,11 @@ def main():
     a.add_argument("model", help="depth.onnx, or a checkpoint .pt")
     a.add_argument("--flip", action="store_true")
     a.add_argument("--areas", type=int, nargs="+", default=[AREA])
+    a.add_argument("--part", choices=["all", "choose", "report"], default="all", help="pictures that checkpoints are chosen by, the others, or both")
     a.add_argument("--json", action="store_true")
     a = a.parse_args()
     torch.set_num_threads(1)
-    sets = load_sets()
+    sets = load_sets(a.part)
     if not sets:
         print("TMPI_DATA is not there: nothing to measure")
         return
@@ -145,9 +171,9 @@ def main():
     if a.json:
         print(json.dumps(result))
         return
-    print("set          pictures  net    ramp")
+    print("set          pictures  RMSE/std net  ramp   Spearman net  ramp   <1.25 net  ramp")
     for k, v in result.items():
-        print(f"{k:12} {v['pictures']:8}  {v['net']:.3f}  {v['ramp']:.3f}")
+        print(f"{k:12} {v['pictures']:8}  " + "   ".join(f"{n:10.3f} {r:6.3f}" for n, r in zip(v["all"], v["all_ramp"])))
 
 
 if __name__ == "__main__":

@@ -3,23 +3,32 @@
 use super::math::{Frame, Rng, V3};
 use super::things::Build;
 use super::world::World;
-use super::{indoor, outdoor};
+use super::{close, indoor, outdoor, places};
 use crate::tmpi::Pose;
 
 type Make = fn(&mut Build);
 
-/// Name, share and maker. A quarter of all scenes has no vertical trend or a reversed one: most shelves, figures and
-/// floating things, rooms and streets seen upwards.
-const FAMILIES: [(&str, f64, Make); 9] = [
-    ("room", 0.24, indoor::room),
-    ("street", 0.11, outdoor::street),
-    ("field", 0.21, outdoor::field),
-    ("thin", 0.06, outdoor::thin),
-    ("shelf", 0.10, indoor::shelf),
-    ("table", 0.13, indoor::table),
-    ("figures", 0.08, indoor::figures),
+/// Name, share and maker. A quarter of all scenes has no vertical trend or a reversed one: most shelves, heaps, drapes, figures
+/// and floating things, rooms and streets seen upwards.
+const FAMILIES: [(&str, f64, Make); 18] = [
+    ("room", 0.14, indoor::room),
+    ("corridor", 0.03, places::corridor),
+    ("lounge", 0.07, places::lounge),
+    ("kitchen", 0.05, places::kitchen),
+    ("street", 0.09, outdoor::street),
+    ("field", 0.15, outdoor::field),
+    ("water", 0.05, places::water),
+    ("terrain", 0.04, outdoor::terrain),
+    ("crowd", 0.04, places::crowd),
+    ("thin", 0.04, outdoor::thin),
+    ("foliage", 0.03, close::foliage),
+    ("shelf", 0.06, indoor::shelf),
+    ("heap", 0.05, close::heap),
+    ("table", 0.07, indoor::table),
+    ("closeup", 0.05, close::closeup),
+    ("drape", 0.03, close::drape),
+    ("figures", 0.05, indoor::figures),
     ("floating", 0.02, indoor::floating),
-    ("terrain", 0.05, outdoor::terrain),
 ];
 
 /// A scene of a family drawn by its share; the field of view is 30 to 100 degrees.

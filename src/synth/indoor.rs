@@ -244,7 +244,7 @@ pub(super) fn ring_or_stick(b: &mut Build, at: V3, s: f64) {
     }
 }
 
-fn indoor_light(b: &mut Build, at: V3) {
+pub(super) fn indoor_light(b: &mut Build, at: V3) {
     let warm = v3(1.0, b.rng.range(0.8, 1.0), b.rng.range(0.6, 1.05));
     b.w.lights.push(Light::Lamp(at, warm * at.dot(at).max(0.1) * b.rng.range(0.5, 1.5)));
     b.w.ambient = warm * b.rng.range(0.25, 0.8);
@@ -379,7 +379,7 @@ pub(super) fn figures(b: &mut Build) {
 }
 
 /// A lump of a few ellipsoids: an animal, a toy, a fruit.
-fn body(b: &mut Build, at: V3, s: f64) {
+pub(super) fn body(b: &mut Build, at: V3, s: f64) {
     let (g, scale) = (b.w.group(), s * b.rng.log_range(0.1, 0.8));
     let t = Texture::any(b.rng, scale);
     for _ in 0..b.rng.int(2, 6) {

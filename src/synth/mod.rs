@@ -4,12 +4,14 @@
 //! rounding, not to a mesh; training, benchmarks and the stability suite take their ground truth from here.
 
 mod bvh;
+mod close;
 mod families;
 mod indoor;
 mod math;
 mod outdoor;
 mod outline;
 mod picture;
+mod places;
 mod shape;
 mod texture;
 mod things;
@@ -107,7 +109,8 @@ impl Scene {
         self.seed
     }
 
-    /// The kind of scene: `room`, `street`, `field`, `thin`, `shelf`, `table`, `figures`, `floating` or `terrain`.
+    /// The kind of scene: `room`, `corridor`, `lounge`, `kitchen`, `street`, `field`, `water`, `terrain`, `crowd`, `thin`, `foliage`, `shelf`, `heap`,
+    /// `table`, `closeup`, `drape`, `figures` or `floating`.
     #[must_use]
     pub fn family(&self) -> &'static str {
         self.family
