@@ -2,6 +2,9 @@
 //!
 //! The command line and the server both take their [`Models`] from [`load`].
 
+pub mod download;
+pub mod registry;
+
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
 

@@ -68,9 +68,11 @@ pub enum Switch {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum Denoise {
-    /// The network Θ on estimated depth, nothing on a map that the user gives.
+    /// Planes fitted around each pixel where noise is measured; a map without noise or outliers stays as it is.
     #[default]
     Auto,
+    /// The network Θ, whatever the map is like.
+    Theta,
     /// 5-pixel median and guided filter.
     Classic,
     /// Not at all.

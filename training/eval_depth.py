@@ -2,6 +2,8 @@
 
 import argparse
 import json
+import subprocess
+import tempfile
 
 import cv2
 import numpy as np
@@ -119,6 +121,21 @@ def predict(net, rgb, areas=(AREA,), flip=False):
     return total / len(areas)
 
 
+class Program:
+    """The whole way of `tmpi depth`: network, smoothing along the photo's edges, upsampling, snapping."""
+
+    def __init__(self, path, flags):
+        self.command = [path, "depth", *flags]
+
+    def predict(self, rgb):
+        with tempfile.TemporaryDirectory() as folder:
+            photo, out = f"{folder}/photo.png", f"{folder}/depth.png"
+            cv2.imwrite(photo, cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR))
+            subprocess.run([*self.command, "--quiet", "-o", out, photo], check=True, stdout=subprocess.DEVNULL)
+            d = cv2.imread(out, -1).astype(np.float64) / 65535
+        return cv2.resize(d, rgb.shape[1::-1], interpolation=cv2.INTER_LINEAR)
+
+
 def evaluate(net, sets, **how):
     """Per set: means over its pictures of RMSE/deviation, Spearman and δ < 1.25, of the network and of the best vertical ramp."""
     result = {}
@@ -126,7 +143,8 @@ def evaluate(net, sets, **how):
         own, ramp = [], []
         for rgb, d, valid in pictures:
             valid = valid & (d > 0)
-            own.append(scores(predict(net, rgb, **how), d, valid))
+            p = net.predict(rgb) if isinstance(net, Program) else predict(net, rgb, **how)
+            own.append(scores(p, d, valid))
             rows = np.repeat(np.arange(d.shape[0], dtype=np.float64)[:, None], d.shape[1], 1)
             s = scores(rows, d, valid)
             ramp.append([s[0], abs(s[1]), s[2]])  # the fit may turn the ramp round
@@ -151,12 +169,12 @@ class Onnx:
 
 def main():
     a = argparse.ArgumentParser(description=__doc__)
-    a.add_argument("model", help="depth.onnx, or a checkpoint .pt")
+    a.add_argument("model", help="depth.onnx, a checkpoint .pt, or the program tmpi: the whole way of `tmpi depth`")
     a.add_argument("--flip", action="store_true")
     a.add_argument("--areas", type=int, nargs="+", default=[AREA])
     a.add_argument("--part", choices=["all", "choose", "report"], default="all", help="pictures that checkpoints are chosen by, the others, or both")
     a.add_argument("--json", action="store_true")
-    a = a.parse_args()
+    a, flags = a.parse_known_args()  # what is left over goes to the program
     torch.set_num_threads(1)
     sets = load_sets(a.part)
     if not sets:
@@ -165,6 +183,8 @@ def main():
     if a.model.endswith(".pt"):
         net = DepthNet().eval()
         net.decoder.load_state_dict(torch.load(a.model, weights_only=False)["decoder"])
+    elif not a.model.endswith(".onnx"):
+        net = Program(a.model, flags)
     else:
         net = Onnx(a.model)
     result = evaluate(net, sets, flip=a.flip, areas=a.areas)

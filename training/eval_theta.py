@@ -25,18 +25,59 @@ def classic(rgb, d, radius=4, eps=1e-3):
     return guided(cv2.medianBlur(d.astype(np.float32), 5), grey, radius, eps).clip(0, 1)
 
 
-def maps(limit):
+def noise_level(d):
+    """Deviation of noise from the median of a map's mixed second differences, and the share of pixels beyond all their neighbours."""
+    k = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
+    sigma = np.median(np.abs(cv2.filter2D(d, -1, k))[1:-1, 1:-1]) / 0.6745 / 6
+    around = np.ones((3, 3), np.uint8)
+    around[1, 1] = 0
+    return sigma, ((d > cv2.dilate(d, around) + 0.05) | (d < cv2.erode(d, around) - 0.05)).mean()
+
+
+def fitted(d, guide, radius, spread, tolerance, stride):
+    """Value at each pixel of the plane fitted around it; neighbours count by distance and by likeness of the guide."""
+    h, w = d.shape
+    dp, gp = (np.pad(v, radius, mode="edge") for v in (d, guide))
+    sums = np.zeros((9, h, w))
+    for dy in range(-radius, radius + 1, stride):
+        for dx in range(-radius, radius + 1, stride):
+            if dx * dx + dy * dy > radius * radius:
+                continue
+            at = np.s_[radius + dy : radius + dy + h, radius + dx : radius + dx + w]
+            like = np.maximum(0, 1 - ((gp[at] - guide) / tolerance) ** 2 / 8) ** 4
+            like *= np.exp(-(dx * dx + dy * dy) / (2 * spread * spread))
+            for i, v in enumerate((1, dx, dy, dx * dx, dx * dy, dy * dy, dp[at], dx * dp[at], dy * dp[at])):
+                sums[i] += like * v
+    s, x, y, xx, xy, yy, t, tx, ty = sums
+    left = np.stack([s, x, y, x, xx + 2, xy, y, xy, yy + 2], -1).reshape(h, w, 3, 3)
+    return np.linalg.solve(left, np.stack([t, tx, ty], -1)[..., None])[..., 0, 0].clip(0, 1).astype(np.float32)
+
+
+def planar(d):
+    """What `--denoise planar` does: nothing without noise; else planes fitted three times, each by the likeness of the one before."""
+    sigma, outliers = noise_level(d)
+    if sigma < 1.5e-3 and outliers < 1e-3:
+        return d
+    g = cv2.medianBlur(d, 5)
+    if sigma < 1.5e-3:
+        return np.where(np.abs(d - g) > 0.05, g, d)
+    g = cv2.GaussianBlur(g, (0, 0), 1.0)
+    for radius, spread, tolerance, stride in ((6, 3, 1.7, 1), (10, 5, 0.9, 1), (14, 7, 0.6, 2)):
+        g = fitted(d, g, radius, spread, tolerance * max(sigma, 0.01), stride)
+    return g
+
+
+def maps(step):
     """(name, rgb, clean map in 0..1): real maps where the data is there, and held-out scenes."""
     found = []
-    for f in sorted((DATA / "depth_pred" / "adampi").glob("*.jpg")):
+    for f in sorted((DATA / "depth_pred" / "adampi").glob("*.jpg"))[::step]:
         d = cv2.imread(str(f.with_name(f.stem + "_disp16.png")), -1).astype(np.float32)
-        found.append(("real", common.read_rgb(f), (d - d.min()) / (d.max() - d.min())))
-    for f in sorted((DATA / "mpi_peers").glob("*/input.png")):
+        found.append(("adampi", common.read_rgb(f), (d - d.min()) / (d.max() - d.min())))
+    for f in sorted((DATA / "mpi_peers").glob("*/input.png"))[::step]:
         d = cv2.imread(str(f.with_name("expected_disp16.png")), -1).astype(np.float32)
-        found.append(("real", common.read_rgb(f), (d - d.min()) / (d.max() - d.min())))
-    found = found[:: max(1, len(found) // limit)][:limit]
+        found.append(("published", common.read_rgb(f), (d - d.min()) / (d.max() - d.min())))
     held = common.RUNS / "data" / "held"
-    for f in sorted(held.glob("*/scene.json"))[:limit]:
+    for f in sorted(held.glob("*/scene.json"))[:: 2 * step]:
         found.append(("rendered", *common.read_pair(f.parent)))
     return found
 
@@ -54,7 +95,7 @@ def errors(d, c, clean):
 def main():
     a = argparse.ArgumentParser(description=__doc__)
     a.add_argument("model", nargs="?", default=str(common.MODELS / "theta.onnx"))
-    a.add_argument("--limit", type=int, default=8, help="pictures of a kind")
+    a.add_argument("--step", type=int, default=1, help="take every such picture")
     a = a.parse_args()
     torch.set_num_threads(1)
     damages = {
@@ -65,7 +106,7 @@ def main():
         "outliers 1 %": lambda d, r: np.where(r.random(d.shape) < 0.01, r.random(d.shape), d),
     }
     table = {}
-    for i, (name, rgb, clean) in enumerate(maps(a.limit)):
+    for i, (name, rgb, clean) in enumerate(maps(a.step)):
         h, w = (s // 64 * 64 for s in clean.shape)
         rgb, clean = np.ascontiguousarray(rgb[:h, :w]), np.ascontiguousarray(clean[:h, :w])
         for damage, f in damages.items():
@@ -73,7 +114,7 @@ def main():
             x = torch.cat([common.chw(rgb), torch.from_numpy(d)[None]])[None]
             td, tc = (v[0, 0] for v in run(a.model, {"input": x}))
             one = np.ones_like(d)
-            for method, (m, c) in {"as it is": (d, one), "classic": (classic(rgb, d), one), "theta": (td, tc), "theta, no confidence": (td, one)}.items():
+            for method, (m, c) in {"as it is": (d, one), "classic": (classic(rgb, d), one), "planar": (planar(d), one), "theta": (td, tc), "theta, no confidence": (td, one)}.items():
                 table.setdefault((name, damage, method), []).append(errors(m, c, clean))
     print("discrete map, ×1e-3                             MAE    MSE    Q25   | map itself MAE")
     for key, rows in table.items():

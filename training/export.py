@@ -61,7 +61,10 @@ def theta(path, checkpoint):
     d = part(x, 3, 4)
     clean = g.op("Add", erode(dilate(dilate(erode(d)))), dilate(erode(erode(dilate(d)))))
     clean = g.op("Mul", clean, g.constant(np.float32(0.5)))
-    others = g.op("Concat", clean, mean(clean, 5), mean(d, 5), mean(d, 9), axis=1)
+    quarter = g.op("AveragePool", d, kernel_shape=[4, 4], strides=[4, 4])
+    eighth = g.op("AveragePool", quarter, kernel_shape=[2, 2], strides=[2, 2])
+    wide = [g.stretched(mean(v, 5), k) for v, k in ((quarter, 4), (eighth, 8))]
+    others = g.op("Concat", clean, mean(clean, 5), mean(d, 5), mean(d, 9), *wide, axis=1)
     difference = g.op("Mul", g.op("Sub", others, d), g.constant(np.float32(8)))
     f0 = layer(g.op("Concat", x, difference, axis=1), net.e0)
     f1 = layer(f0, net.e1)
@@ -71,10 +74,11 @@ def theta(path, checkpoint):
     g1 = layer(g.op("Add", g.double(g.layer(g2, net.u1)), f1), net.d1)
     g0 = layer(g.op("Add", g.double(g.layer(g1, net.u0)), f0), net.d0)
     y = g.layer(g0, net.heads)
-    weights = g.op("Softmax", part(y, 0, 5), axis=1)
+    weights = g.op("Softmax", part(y, 0, 7), axis=1)
     mixed = g.op("ReduceSum", g.op("Mul", weights, g.op("Concat", d, others, axis=1)), g.constant([1], np.int64), keepdims=1)
+    mixed = g.op("Add", mixed, g.op("Mul", g.op("Tanh", part(y, 7, 8)), g.constant(np.float32(net.STEP))))
     g.output(g.op("Clip", mixed, g.constant(np.float32(0)), g.constant(np.float32(1))), "disparity", ["n", 1, "h", "w"])
-    g.output(g.op("Sigmoid", part(y, 5, 6)), "confidence", ["n", 1, "h", "w"])
+    g.output(g.op("Sigmoid", part(y, 8, 9)), "confidence", ["n", 1, "h", "w"])
     g.save(path, {"licence": LICENCE, "step": str(checkpoint["step"])})
     inputs = [{"input": torch.rand(n, 4, h, w)} for n, h, w in ((1, 64, 96), (2, 352, 640), (1, 16, 16))]
     return [check(path, net, i) for i in inputs]

@@ -54,7 +54,10 @@ class Graph:
         return self.op("Relu", y) if relu else y
 
     def double(self, x):
-        scales = self.constant([1, 1, 2, 2])
+        return self.stretched(x, 2)
+
+    def stretched(self, x, by):
+        scales = self.constant([1, 1, by, by])
         return self.op("Resize", x, "", scales, mode="linear", coordinate_transformation_mode="half_pixel")
 
     def save(self, path, about):

@@ -1,9 +1,11 @@
 //! Flags that several commands share. Ranges are those of [`Options::validate`]; an error names flag and range.
 
+use std::collections::BTreeSet;
 use std::path::PathBuf;
 
 use crate::depth::{ADAPTERS, Adapter, DepthKind, adapter};
 use crate::models::Settings;
+use crate::models::registry::{PUBLISHED, Published, published};
 use crate::onnx::{Config, Provider};
 use crate::tmpi::ViewBox;
 use crate::way::{Denoise, Options, PlaneCount, PlaneMethod, Switch, TileSize};
@@ -72,7 +74,7 @@ impl MakeFlags {
 /// Which networks are used, and how.
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct ModelFlags {
-    /// Depth network: its name, and its ONNX file unless it is the embedded one
+    /// Depth network: its name, and its ONNX file unless it is embedded or was fetched by `tmpi models get`
     #[arg(long, value_parser = depth_model, default_value = "tmpi", value_name = "NAME[=FILE]", env = "TMPI_DEPTH_MODEL")]
     pub depth_model: DepthModel,
     /// Run depth on the mirrored photo too and take the mean: twice the time
@@ -103,10 +105,16 @@ pub(super) struct DepthModel {
 
 fn depth_model(text: &str) -> Result<DepthModel, String> {
     let (name, file) = text.split_once('=').map_or((text, None), |(n, f)| (n, Some(PathBuf::from(f))));
-    let known = || ADAPTERS.iter().map(|a| a.name).collect::<Vec<_>>().join(", ");
-    let adapter = adapter(name).ok_or_else(|| format!("the name must be one of {}", known()))?;
+    let fetched = published(name);
+    let known = || ADAPTERS.iter().map(|a| a.name).chain(PUBLISHED.iter().map(|p| p.name)).collect::<BTreeSet<_>>();
+    let adapter = adapter(name).or_else(|| fetched?.adapter()).ok_or_else(|| {
+        let names = known().into_iter().collect::<Vec<_>>().join(", ");
+        format!("the name must be one of {names}")
+    })?;
+    let file = file.or_else(|| fetched.map(Published::file).filter(|f| f.is_file()));
     if file.is_none() && adapter.name != ADAPTERS[0].name {
-        return Err(format!("{name} is not embedded: write {name}=FILE with its ONNX file"));
+        let how = fetched.map_or_else(String::new, |p| format!(", or run tmpi models get {}", p.name));
+        return Err(format!("{name} is not embedded: write {name}=FILE with its ONNX file{how}"));
     }
     Ok(DepthModel { adapter, file })
 }

@@ -6,6 +6,7 @@ mod files;
 mod flags;
 mod info;
 mod make;
+mod models;
 mod progress;
 mod render;
 mod serve;
@@ -35,6 +36,7 @@ enum Command {
     Serve(serve::ServeArgs),
     Synth(synth::SynthArgs),
     Check(check::CheckArgs),
+    Models(models::ModelsArgs),
     /// Write a completion script for a shell
     Completions {
         /// The shell
@@ -85,6 +87,7 @@ fn run(command: Command) -> anyhow::Result<()> {
         Command::Serve(args) => serve::run(args),
         Command::Synth(args) => synth::run(&args),
         Command::Check(args) => check::run(&args),
+        Command::Models(args) => models::run(&args),
         Command::Completions { shell } => {
             let mut script = Vec::new();
             clap_complete::generate(shell, &mut Cli::command(), "tmpi", &mut script);

@@ -17,7 +17,8 @@ pub fn denoise(photo: &Photo, delta: &DisparityMap) -> DisparityMap {
     guided::filter(photo, &median(delta), RADIUS, EPSILON)
 }
 
-fn median(delta: &DisparityMap) -> DisparityMap {
+/// Median over 5 × 5 pixels.
+pub(super) fn median(delta: &DisparityMap) -> DisparityMap {
     let (w, h) = (delta.width as usize, delta.height as usize);
     let mut out = vec![0.0; delta.delta.len()];
     out.par_chunks_mut(w).enumerate().for_each(|(y, row)| {

@@ -3,6 +3,7 @@
 pub mod classic;
 pub mod confidence;
 pub mod layers;
+pub mod planar;
 pub mod planes;
 pub mod refine;
 mod report;

@@ -47,7 +47,7 @@ pub(super) fn heap(b: &mut Build) {
             ring_or_stick(b, at, d * b.rng.range(0.1, 0.3));
         }
     }
-    look(b, v3(b.rng.range(-0.2, 0.2) * d, 0.0, 0.0), b.rng.range(-15.0, 15.0), b.rng.range(-14.0, 6.0), b.rng.range(-5.0, 5.0));
+    look(b, v3(b.rng.range(-0.2, 0.2) * d, 0.0, 0.0), b.rng.range(-15.0, 15.0), b.rng.range(-14.0, 14.0), b.rng.range(-5.0, 5.0));
     indoor_light(b, v3(b.rng.range(-1.5, 1.5), -1.5, -0.5) * d);
 }
 

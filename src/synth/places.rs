@@ -68,13 +68,8 @@ pub(super) fn corridor(b: &mut Build) {
         let p = v3(b.rng.range(-0.7, 0.7) * hx, 0.0, z0 + b.rng.log_range(1.5, hz));
         if b.rng.chance(0.6) { b.person(p, b.rng.range(1.4, 1.9), b.rng.range(-3.1, 3.1)) } else { b.chair(p, b.rng.range(-3.1, 3.1)) }
     }
-    look(
-        b,
-        v3(b.rng.range(-0.5, 0.5) * hx, -b.rng.range(0.8, 2.0), z0),
-        b.rng.range(-35.0, 35.0),
-        b.rng.range(-25.0, 12.0),
-        b.rng.range(-6.0, 6.0),
-    );
+    let pitch = if b.rng.chance(0.25) { b.rng.range(10.0, 35.0) } else { b.rng.range(-25.0, 12.0) };
+    look(b, v3(b.rng.range(-0.5, 0.5) * hx, -b.rng.range(0.8, 2.0), z0), b.rng.range(-35.0, 35.0), pitch, b.rng.range(-6.0, 6.0));
     for k in 0..3 {
         let at = v3(0.0, -h + 0.3, z0 + hz * (0.2 + 0.5 * f64::from(k)));
         b.w.lights.push(Light::Lamp(at, v3(1.0, 0.95, 0.85) * b.rng.range(0.5, 2.5)));
@@ -146,7 +141,8 @@ pub(super) fn lounge(b: &mut Build) {
             _ => b.vessel(p, b.rng.range(2.5, 4.5)),
         }
     }
-    look(b, eye, yaw, b.rng.range(-45.0, 12.0), b.rng.range(-12.0, 12.0));
+    let pitch = if b.rng.chance(0.35) { b.rng.range(5.0, 45.0) } else { b.rng.range(-45.0, 8.0) };
+    look(b, eye, yaw, pitch, b.rng.range(-12.0, 12.0));
     indoor_light(b, v3(b.rng.range(-0.5, 0.5) * hx, -h + 0.3, b.rng.range(-0.5, 0.5) * hz));
 }
 

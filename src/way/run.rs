@@ -57,13 +57,19 @@ pub fn make(
     trip.enter("denoise")?;
     let mut confidence = None;
     match (options.denoise, &models.theta) {
-        (Denoise::Auto, Some(theta)) if !given => {
+        (Denoise::Theta, Some(theta)) => {
             let (clean, c) = generate::confidence::run(theta.as_ref(), &photo, &delta)?;
             delta = clean;
             confidence = Some(c);
         }
+        (Denoise::Theta, None) => {
+            let range = "other than theta where ONNX Runtime or the network is missing";
+            return Err(GenerateError::Option { field: "denoise", range, value: "theta".into() }.into());
+        }
+        // It looks for damage first
+        (Denoise::Auto, _) => delta = generate::planar::denoise(&delta),
         (Denoise::Classic, _) => delta = generate::classic::denoise(&photo, &delta),
-        _ => {}
+        (Denoise::Off, _) => {}
     }
 
     trip.enter("snap")?;

@@ -1,0 +1,106 @@
+//! `tmpi models`.
+
+use std::io::IsTerminal;
+use std::path::PathBuf;
+
+use indicatif::{ProgressBar, ProgressStyle};
+use serde_json::json;
+
+use super::{Usage, result};
+use crate::models::download::{Digest, Wanted, fetch};
+use crate::models::registry::{PUBLISHED, folder, published};
+
+/// List and fetch depth networks that others have published
+#[derive(Clone, Debug, clap::Args)]
+pub(super) struct ModelsArgs {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Clone, Debug, clap::Subcommand)]
+enum Command {
+    /// Names, sizes, licences and addresses, and which are here
+    List {
+        /// JSON on standard output
+        #[arg(long)]
+        json: bool,
+    },
+    /// Fetch a network; a download that broke off goes on where it was
+    Get {
+        /// Its name; any name for an address of your own
+        #[arg(value_name = "NAME")]
+        name: String,
+        /// Address of an ONNX file that is not in the list
+        #[arg(long, requires = "sha256", value_name = "URL")]
+        url: Option<String>,
+        /// Digest that the file must have, 64 hexadecimal digits
+        #[arg(long, requires = "url", value_name = "HEX")]
+        sha256: Option<Digest>,
+        /// File to write instead of NAME.onnx in the folder of networks
+        #[arg(short, long, value_name = "FILE")]
+        output: Option<PathBuf>,
+        /// No progress
+        #[arg(short, long)]
+        quiet: bool,
+    },
+}
+
+pub(super) fn run(args: &ModelsArgs) -> anyhow::Result<()> {
+    match &args.command {
+        Command::List { json } => list(*json),
+        Command::Get { name, url, sha256, output, quiet } => get(name, url.as_deref().zip(*sha256), output.clone(), *quiet),
+    }
+}
+
+fn list(json: bool) -> anyhow::Result<()> {
+    for p in &PUBLISHED {
+        let here = p.file().is_file();
+        if json {
+            let line = json!({
+                "name": p.name, "adapter": p.adapter, "url": p.url, "bytes": p.bytes, "sha256": p.sha256, "licence": p.licence,
+                "file": here.then(|| p.file()),
+            });
+            result(&line.to_string())?;
+        } else {
+            let state = if here { p.file().display().to_string() } else { format!("not here: tmpi models get {}", p.name) };
+            result(&format!("{}\n  {:.1} MB, {}\n  {}\n  sha256 {}\n  {state}", p.name, p.bytes as f64 / 1e6, p.licence, p.url, p.sha256))?;
+        }
+    }
+    Ok(())
+}
+
+fn get(name: &str, own: Option<(&str, Digest)>, output: Option<PathBuf>, quiet: bool) -> anyhow::Result<()> {
+    let known = published(name);
+    let (url, sha256, bytes) = match (own, known) {
+        (Some((url, sha256)), _) => (url, sha256, None),
+        (None, Some(p)) => (p.url, p.sha256.parse().map_err(Usage)?, Some(p.bytes)),
+        (None, None) => {
+            let names = PUBLISHED.iter().map(|p| p.name).collect::<Vec<_>>().join(", ");
+            return Err(Usage(format!("{name} is not in the list ({names}); another file needs --url and --sha256")).into());
+        }
+    };
+    if own.is_some() && (name.is_empty() || name.contains(['/', '\\']) || name.starts_with('.')) && output.is_none() {
+        return Err(Usage(format!("{name:?} cannot be part of a file name")).into());
+    }
+    let file = output.unwrap_or_else(|| folder().join(format!("{name}.onnx")));
+    if !quiet {
+        eprintln!("{url}\n{}", known.filter(|_| own.is_none()).map_or_else(String::new, |p| format!("licence: {}", p.licence)));
+    }
+    let bar = (!quiet && std::io::stderr().is_terminal()).then(|| ProgressBar::new(0));
+    if let (Some(bar), Ok(style)) = (&bar, ProgressStyle::with_template("[{bar:30}] {bytes}/{total_bytes} {bytes_per_sec} {eta}")) {
+        bar.set_style(style);
+    }
+    let fetched = fetch(&Wanted { url, bytes, sha256 }, &file, |have, all| {
+        if let Some(bar) = &bar {
+            bar.set_length(all.unwrap_or(have));
+            bar.set_position(have);
+        }
+    });
+    if let Some(bar) = &bar {
+        bar.finish_and_clear();
+    }
+    if !fetched? && !quiet {
+        eprintln!("it was here already");
+    }
+    result(&file.display().to_string())
+}

@@ -1,0 +1,376 @@
+//! Downloads of model files: resumed where they broke off, kept only where the digest is right, never half there.
+
+use std::fs::{File, OpenOptions};
+use std::io::{self, Read, Write};
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+use std::time::Duration;
+
+use sha2::{Digest as _, Sha256};
+
+/// Largest file that is fetched where the size is not known.
+const MOST: u64 = 4 << 30;
+/// How long a server may take to answer.
+const PATIENCE: Duration = Duration::from_secs(30);
+
+/// A SHA-256 digest; written and read as 64 hexadecimal digits.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Digest([u8; 32]);
+
+impl FromStr for Digest {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let wrong = || format!("{text:?} is not a SHA-256 digest of 64 hexadecimal digits");
+        if text.len() != 64 || !text.is_ascii() {
+            return Err(wrong());
+        }
+        let mut bytes = [0; 32];
+        for (i, b) in bytes.iter_mut().enumerate() {
+            *b = u8::from_str_radix(&text[2 * i..2 * i + 2], 16).map_err(|_| wrong())?;
+        }
+        Ok(Self(bytes))
+    }
+}
+
+impl std::fmt::Display for Digest {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        self.0.iter().try_for_each(|b| write!(f, "{b:02x}"))
+    }
+}
+
+/// What to fetch.
+#[derive(Clone, Copy, Debug)]
+pub struct Wanted<'a> {
+    /// HTTP or HTTPS address.
+    pub url: &'a str,
+    /// Size in bytes, where it is known.
+    pub bytes: Option<u64>,
+    /// Digest that the file must have.
+    pub sha256: Digest,
+}
+
+/// Why a file could not be fetched.
+#[derive(Debug, thiserror::Error)]
+pub enum DownloadError {
+    /// No answer, or a connection that broke; what came is kept, the next call goes on from there.
+    #[error("{url}: {reason}")]
+    Http {
+        /// Address.
+        url: String,
+        /// What went wrong.
+        reason: String,
+    },
+    /// The server said no.
+    #[error("{url}: the server answers {status}")]
+    Status {
+        /// Address.
+        url: String,
+        /// HTTP status.
+        status: u16,
+    },
+    /// The connection ended before the file did; what came is kept, the next call goes on from there.
+    #[error("the download broke off after {have} of {want} bytes; run it again to go on from there")]
+    Truncated {
+        /// Bytes that are here.
+        have: u64,
+        /// Bytes of the file.
+        want: u64,
+    },
+    /// The server sends another size than was announced; nothing is kept.
+    #[error("the server sends {got} bytes, the file has {want}")]
+    Size {
+        /// Bytes of the file.
+        want: u64,
+        /// Bytes of the answer.
+        got: u64,
+    },
+    /// The file is not the one that was wanted; nothing is kept.
+    #[error("the file has the SHA-256 digest {got}, {want} was wanted: it is damaged or another file, and was deleted")]
+    Corrupt {
+        /// Digest that was wanted.
+        want: Digest,
+        /// Digest of what came.
+        got: Digest,
+    },
+    /// A file here cannot be read or written.
+    #[error("{file}: {source}")]
+    File {
+        /// The file.
+        file: PathBuf,
+        /// What the system says.
+        source: io::Error,
+    },
+}
+
+/// Fetches `wanted` to the file `to`, by way of a file beside it that ends in `.part`. True where bytes were fetched, false
+/// where the file was there already. `progress` is told the bytes that are here and, where it is known, those of the file.
+///
+/// # Errors
+/// [`DownloadError`]; the file `to` is then as it was.
+pub fn fetch(wanted: &Wanted<'_>, to: &Path, mut progress: impl FnMut(u64, Option<u64>)) -> Result<bool, DownloadError> {
+    let on = |file: &Path| {
+        let file = file.to_owned();
+        move |source| DownloadError::File { file, source }
+    };
+    if to.is_file() && digest(to).map_err(on(to))? == wanted.sha256 {
+        return Ok(false);
+    }
+    if let Some(folder) = to.parent().filter(|f| !f.as_os_str().is_empty()) {
+        std::fs::create_dir_all(folder).map_err(on(folder))?;
+    }
+    let mut name = to.file_name().unwrap_or_default().to_owned();
+    name.push(".part");
+    let part = to.with_file_name(name);
+    let mut have = part.metadata().map_or(0, |m| m.len());
+    if wanted.bytes.is_some_and(|want| have > want) {
+        have = 0;
+    }
+    if have == 0 || Some(have) != wanted.bytes {
+        transfer(wanted, &part, have, &mut progress)?;
+    }
+    let got = digest(&part).map_err(on(&part))?;
+    if got != wanted.sha256 {
+        std::fs::remove_file(&part).map_err(on(&part))?;
+        return Err(DownloadError::Corrupt { want: wanted.sha256, got });
+    }
+    std::fs::rename(&part, to).map_err(on(to))?;
+    Ok(true)
+}
+
+/// Appends to `part`, which has `have` bytes, what is still missing.
+fn transfer(wanted: &Wanted<'_>, part: &Path, have: u64, progress: &mut impl FnMut(u64, Option<u64>)) -> Result<(), DownloadError> {
+    let broken = |reason: String| DownloadError::Http { url: wanted.url.to_owned(), reason };
+    let on = |source| DownloadError::File { file: part.to_owned(), source };
+    let agent: ureq::Agent = ureq::Agent::config_builder()
+        .timeout_connect(Some(PATIENCE))
+        .timeout_recv_response(Some(PATIENCE))
+        .http_status_as_error(false)
+        .user_agent(concat!("tmpi/", env!("CARGO_PKG_VERSION")))
+        .build()
+        .into();
+    let mut request = agent.get(wanted.url);
+    if have > 0 {
+        request = request.header("Range", format!("bytes={have}-"));
+    }
+    let response = request.call().map_err(|e| broken(e.to_string()))?;
+    let status = response.status().as_u16();
+    // Only an answer that begins where this file ends is a continuation
+    let from = response.headers().get("content-range").and_then(|v| v.to_str().ok());
+    let goes_on = status == 206 && from.is_some_and(|v| v.starts_with(&format!("bytes {have}-")));
+    if status == 416 || (status == 206 && !goes_on) {
+        // What is here does not fit the file there: the next call begins anew
+        std::fs::remove_file(part).map_err(on)?;
+    }
+    if !(status == 200 || goes_on) {
+        return Err(DownloadError::Status { url: wanted.url.to_owned(), status });
+    }
+    let have = if goes_on { have } else { 0 };
+    let length = response.headers().get("content-length").and_then(|v| v.to_str().ok()?.parse::<u64>().ok());
+    let total = length.map(|l| l.saturating_add(have));
+    let most = wanted.bytes.or(total).unwrap_or(MOST);
+    if let (Some(got), Some(want)) = (total, wanted.bytes)
+        && got != want
+    {
+        return Err(DownloadError::Size { want, got });
+    }
+    let mut file = OpenOptions::new().create(true).append(goes_on).write(true).truncate(!goes_on).open(part).map_err(on)?;
+    let mut body = response.into_body().into_with_config().limit(u64::MAX).reader();
+    let (mut at, mut buffer) = (have, vec![0; 1 << 16]);
+    let cut = loop {
+        progress(at, wanted.bytes.or(total));
+        match body.read(&mut buffer) {
+            Ok(0) => break None,
+            Ok(n) => {
+                at += n as u64;
+                if at > most {
+                    drop(file);
+                    std::fs::remove_file(part).map_err(on)?;
+                    return Err(DownloadError::Size { want: most, got: at });
+                }
+                file.write_all(&buffer[..n]).map_err(on)?;
+            }
+            Err(e) if e.kind() == io::ErrorKind::Interrupted => {}
+            Err(e) => break Some(e),
+        }
+    };
+    file.sync_all().map_err(on)?;
+    match (cut, wanted.bytes.or(total)) {
+        (_, Some(want)) if at < want => Err(DownloadError::Truncated { have: at, want }),
+        (Some(e), None) => Err(broken(e.to_string())),
+        _ => Ok(()),
+    }
+}
+
+/// Digest of a file's contents.
+fn digest(file: &Path) -> io::Result<Digest> {
+    let (mut file, mut hash, mut buffer) = (File::open(file)?, Sha256::new(), vec![0; 1 << 16]);
+    loop {
+        match file.read(&mut buffer)? {
+            0 => return Ok(Digest(hash.finalize().into())),
+            n => hash.update(&buffer[..n]),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::io::{BufRead, BufReader};
+    use std::net::TcpListener;
+    use std::sync::{Arc, Mutex};
+
+    /// How the server misbehaves.
+    #[derive(Clone, Copy, PartialEq)]
+    enum Mood {
+        Well,
+        /// Announces everything, sends half of it.
+        Cuts,
+        /// Sends another byte in the middle.
+        Spoils,
+        /// Takes no notice of ranges.
+        Whole,
+        /// Sends what is not the file.
+        Longer,
+        Refuses,
+    }
+
+    struct Server {
+        url: String,
+        mood: Arc<Mutex<Mood>>,
+        asked: Arc<Mutex<Vec<Option<u64>>>>,
+    }
+
+    fn serve(content: Vec<u8>) -> Server {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let url = format!("http://{}/model.onnx", listener.local_addr().unwrap());
+        let (mood, asked) = (Arc::new(Mutex::new(Mood::Well)), Arc::new(Mutex::new(Vec::new())));
+        let (m, a) = (Arc::clone(&mood), Arc::clone(&asked));
+        std::thread::spawn(move || {
+            for stream in listener.incoming() {
+                let mut stream = stream.unwrap();
+                let mut from = None;
+                for line in BufReader::new(&stream).lines().map_while(Result::ok).take_while(|l| !l.is_empty()) {
+                    if let Some(range) = line.to_ascii_lowercase().strip_prefix("range: bytes=") {
+                        from = range.trim_end_matches('-').parse::<u64>().ok();
+                    }
+                }
+                a.lock().unwrap().push(from);
+                let mood = *m.lock().unwrap();
+                let at = from.filter(|_| mood != Mood::Whole).unwrap_or(0) as usize;
+                let mut body = content[at.min(content.len())..].to_vec();
+                if mood == Mood::Spoils {
+                    let middle = body.len() / 2;
+                    body[middle] ^= 1;
+                }
+                if mood == Mood::Longer {
+                    body.push(7);
+                }
+                let head = match mood {
+                    Mood::Refuses => "404 Not Found".to_owned(),
+                    _ if at > 0 => format!("206 Partial Content\r\nContent-Range: bytes {at}-{}/{}", content.len() - 1, content.len()),
+                    _ => "200 OK".to_owned(),
+                };
+                let sent = if mood == Mood::Cuts { body.len() / 2 } else { body.len() };
+                let head = format!("HTTP/1.1 {head}\r\nContent-Length: {}\r\nConnection: close\r\n\r\n", body.len());
+                let _ = stream.write_all(head.as_bytes()).and_then(|()| stream.write_all(&body[..sent]));
+            }
+        });
+        Server { url, mood, asked }
+    }
+
+    struct Case {
+        server: Server,
+        content: Vec<u8>,
+        folder: tempfile::TempDir,
+        sha256: Digest,
+    }
+
+    fn case() -> Case {
+        let content: Vec<u8> = (0..300_000u32).map(|i| (i.wrapping_mul(2_654_435_761) >> 13) as u8).collect();
+        let sha256 = Digest(Sha256::digest(&content).into());
+        Case { server: serve(content.clone()), content, folder: tempfile::tempdir().unwrap(), sha256 }
+    }
+
+    impl Case {
+        fn fetch(&self, mood: Mood, bytes: Option<u64>) -> Result<bool, DownloadError> {
+            *self.server.mood.lock().unwrap() = mood;
+            let wanted = Wanted { url: &self.server.url, bytes, sha256: self.sha256 };
+            fetch(&wanted, &self.file(), |_, _| {})
+        }
+
+        fn file(&self) -> PathBuf {
+            self.folder.path().join("sub/model.onnx")
+        }
+
+        fn part(&self) -> PathBuf {
+            self.folder.path().join("sub/model.onnx.part")
+        }
+    }
+
+    #[test]
+    fn a_file_comes_whole_and_only_once() {
+        let c = case();
+        let mut last = (0, None);
+        let wanted = Wanted { url: &c.server.url, bytes: None, sha256: c.sha256 };
+        assert!(fetch(&wanted, &c.file(), |have, all| last = (have, all)).unwrap());
+        assert_eq!(last, (300_000, Some(300_000)));
+        assert_eq!(std::fs::read(c.file()).unwrap(), c.content);
+        assert!(!c.part().exists());
+        assert!(!c.fetch(Mood::Refuses, None).unwrap(), "it is there, nobody is asked");
+        assert_eq!(c.server.asked.lock().unwrap().len(), 1);
+    }
+
+    #[test]
+    fn a_cut_download_is_refused_and_resumed() {
+        let c = case();
+        let cut = c.fetch(Mood::Cuts, Some(300_000)).unwrap_err();
+        assert!(matches!(cut, DownloadError::Truncated { have: 150_000, want: 300_000 }), "{cut}");
+        assert!(!c.file().exists() && c.part().exists());
+        assert!(c.fetch(Mood::Well, Some(300_000)).unwrap());
+        assert_eq!(std::fs::read(c.file()).unwrap(), c.content);
+        assert_eq!(*c.server.asked.lock().unwrap(), [None, Some(150_000)]);
+    }
+
+    #[test]
+    fn a_server_without_ranges_begins_anew() {
+        let c = case();
+        c.fetch(Mood::Cuts, Some(300_000)).unwrap_err();
+        assert!(c.fetch(Mood::Whole, Some(300_000)).unwrap());
+        assert_eq!(std::fs::read(c.file()).unwrap(), c.content);
+    }
+
+    #[test]
+    fn a_spoilt_download_is_refused_and_leaves_nothing() {
+        let c = case();
+        std::fs::create_dir_all(c.folder.path().join("sub")).unwrap();
+        std::fs::write(c.file(), b"older").unwrap();
+        assert!(matches!(c.fetch(Mood::Spoils, Some(300_000)), Err(DownloadError::Corrupt { .. })));
+        assert_eq!(std::fs::read(c.file()).unwrap(), b"older", "what was there stays");
+        assert!(!c.part().exists());
+        // A part that was spoilt before is found out at the end, too
+        std::fs::write(c.part(), vec![0; 1000]).unwrap();
+        assert!(matches!(c.fetch(Mood::Well, Some(300_000)), Err(DownloadError::Corrupt { .. })));
+        assert!(c.fetch(Mood::Well, Some(300_000)).unwrap());
+    }
+
+    #[test]
+    fn another_size_and_a_refusal_are_errors() {
+        let c = case();
+        assert!(matches!(c.fetch(Mood::Longer, Some(300_000)), Err(DownloadError::Size { want: 300_000, got: 300_001 })));
+        assert!(matches!(c.fetch(Mood::Longer, None), Err(DownloadError::Corrupt { .. })));
+        assert!(matches!(c.fetch(Mood::Refuses, None), Err(DownloadError::Status { status: 404, .. })));
+        let nobody = Wanted { url: "http://127.0.0.1:1/x", bytes: None, sha256: c.sha256 };
+        assert!(matches!(fetch(&nobody, &c.file(), |_, _| {}), Err(DownloadError::Http { .. })));
+        assert!(!c.file().exists());
+    }
+
+    #[test]
+    fn digests_are_read_as_they_are_written() {
+        let text = "2d8c6cb8f415229daf1eb041024208e2608c9f98e17c81cc7c6ecb449c56fd58";
+        assert_eq!(text.parse::<Digest>().unwrap().to_string(), text);
+        for bad in ["", "2d8c", &text.replace('2', "g"), &format!("{text}00"), &"ä".repeat(32)] {
+            assert!(bad.parse::<Digest>().is_err(), "{bad}");
+        }
+    }
+}
