@@ -4,6 +4,7 @@ mod kernel;
 mod linear;
 mod lloyd;
 mod optimal;
+mod regular;
 mod sample;
 mod slanted;
 
@@ -64,7 +65,7 @@ pub fn place(delta: &DisparityMap, confidence: Option<&[f32]>, grid: &Grid, plac
 pub fn place_tile(samples: &Samples, placement: &Placement) -> Tile {
     let most = placement.most.clamp(1, MAX_PLANES) as usize;
     if placement.method == Method::Slanted {
-        return finish(samples, slanted::fit(samples, most, placement.target));
+        return finish(samples, slanted::fit(samples, most, placement.target), placement.target);
     }
     let histogram = Histogram::new(samples.deltas(), samples.weights(), lloyd::BINS);
     let mut table = None;
@@ -76,7 +77,7 @@ pub fn place_tile(samples: &Samples, placement: &Placement) -> Tile {
         };
         centres.into_iter().map(Plane::fronto_parallel).collect()
     };
-    let Some(target) = placement.target else { return finish(samples, run(most)) };
+    let Some(target) = placement.target else { return finish(samples, run(most), None) };
     let mut best = run(1);
     for n in 1..=most {
         if n > 1 {
@@ -86,17 +87,20 @@ pub fn place_tile(samples: &Samples, placement: &Placement) -> Tile {
             break;
         }
     }
-    finish(samples, best)
+    finish(samples, best, placement.target)
 }
 
 /// Puts planes on the container's grid, drops those that no pixel lies on, orders the rest and labels the pixels.
-fn finish(samples: &Samples, planes: Vec<Plane>) -> Tile {
+fn finish(samples: &Samples, planes: Vec<Plane>, target: Option<f64>) -> Tile {
     let mut planes: Vec<Plane> = planes.into_iter().map(|p| p.quantised()).collect();
     planes.sort_by(|p, q| p.a.total_cmp(&q.a).then(p.b.total_cmp(&q.b)).then(p.c.total_cmp(&q.c)));
     planes.dedup();
     let (mut nearest, mut error) = (Vec::new(), Vec::new());
     samples.assign(&planes, &mut nearest, &mut error);
     let mut labels: Vec<u8> = nearest.iter().map(|&l| l as u8).collect();
+    if let Some(target) = target {
+        regular::calm(samples, &planes, &mut labels, target);
+    }
     let mut used = vec![false; planes.len()];
     for &l in &labels {
         used[l as usize] = true;
