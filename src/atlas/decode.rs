@@ -5,7 +5,7 @@ use serde::Serialize;
 
 use super::wire::{Codec, Index, Kind, Section};
 use super::{AtlasError, MAGIC, MAJOR, bounds, columns, hidden, labels, picture};
-use crate::tmpi::{Blueprint, Class, Filler, Grid, Intrinsics, Layer, Scene, Texels, ViewBox};
+use crate::tmpi::{Blueprint, Class, Filler, Grid, Intrinsics, Layer, Photo, Scene, Texels, ViewBox};
 
 /// One section as the index names it.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
@@ -55,19 +55,30 @@ pub fn sections(bytes: &[u8]) -> Result<Vec<SectionInfo>, AtlasError> {
         .collect()
 }
 
+/// Photo and blueprint of a container.
+pub fn read(bytes: &[u8]) -> Result<(Photo, Blueprint), AtlasError> {
+    let (index, body) = split(bytes)?;
+    parts(&index, body)
+}
+
+fn parts(index: &Index, body: &[u8]) -> Result<(Photo, Blueprint), AtlasError> {
+    let (grid, intrinsics, view_box) = geometry(index)?;
+    let section = find(index, Kind::Photo).ok_or_else(|| AtlasError::broken("there is no photo section"))?;
+    let photo = picture::decode(section.codec(), range(section, body)?)?;
+    if (photo.width, photo.height) != (grid.width, grid.height) {
+        return Err(AtlasError::broken("photo: its size is not the index's"));
+    }
+    Ok((photo, blueprint(index, body, grid, intrinsics, view_box)?))
+}
+
 /// Reads a container; trusts nothing in it. The scene returned passes [`Scene::validate`].
 ///
 /// # Errors
 /// [`AtlasError::Broken`] or [`AtlasError::Newer`].
 pub fn decode(bytes: &[u8]) -> Result<Scene, AtlasError> {
     let (index, body) = split(bytes)?;
-    let (grid, intrinsics, view_box) = geometry(&index)?;
-    let photo_section = find(&index, Kind::Photo).ok_or_else(|| AtlasError::broken("there is no photo section"))?;
-    let photo = picture::decode(photo_section.codec(), range(photo_section, body)?)?;
-    if (photo.width, photo.height) != (grid.width, grid.height) {
-        return Err(AtlasError::broken("photo: its size is not the index's"));
-    }
-    let blueprint = blueprint(&index, body, grid, intrinsics, view_box)?;
+    let (photo, blueprint) = parts(&index, body)?;
+    let Blueprint { grid, intrinsics, view_box, .. } = blueprint;
     let (mut layers, mut texels) = (Vec::new(), Texels::default());
     let shapes = blueprint.peel();
     let carried = find(&index, Kind::Hidden).is_some();

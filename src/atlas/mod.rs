@@ -5,12 +5,14 @@ mod decode;
 mod encode;
 mod hidden;
 mod labels;
+mod level;
 mod picture;
 mod range;
 mod wire;
 
 pub use decode::{SectionInfo, decode, sections};
 pub use encode::{Carries, encode};
+pub use level::{LEVELS, level};
 pub use picture::{Carried, encode_jpeg};
 
 /// First bytes of a container.

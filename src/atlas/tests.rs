@@ -127,6 +127,35 @@ fn golden_containers_stay_readable() {
 }
 
 #[test]
+fn smaller_levels_show_the_same_scene() {
+    use crate::render::{Backend, select};
+    use crate::tmpi::{Camera, Pose};
+    let cpu = select(Backend::Cpu).unwrap();
+    for (w, h) in [(151, 100), (64, 63), (1, 1), (2, 200)] {
+        let whole = bare(&scene(w, h));
+        assert_eq!(level(&whole, 0).unwrap(), whole);
+        for n in 1..=LEVELS {
+            let small = decode(&level(&whole, n).unwrap()).unwrap();
+            let side = |s: u32| (0..n).fold(s, |s, _| s.div_ceil(2));
+            assert_eq!((small.grid.width, small.grid.height, small.grid.size), (side(w), side(h), 64 >> n));
+            assert_eq!(small.grid.tiles(), Grid::new(w, h, 64).tiles());
+        }
+        assert_eq!(level(&whole, 200).unwrap(), level(&whole, LEVELS).unwrap());
+    }
+    // the smaller one, drawn at its own size from the side, is what the larger one is there
+    let whole = bare(&scene(302, 200));
+    let (large, small) = (decode(&whole).unwrap(), decode(&level(&whole, 1).unwrap()).unwrap());
+    let pose = Pose { tx: 0.03, ty: -0.02, ..Pose::default() };
+    let [large, small] = [large, small].map(|s| {
+        let camera = Camera { pose, intrinsics: s.intrinsics.resized((s.grid.width, s.grid.height), (151, 100)), width: 151, height: 100 };
+        cpu.render(&std::sync::Arc::new(s), &camera).unwrap()
+    });
+    let off = |(a, b): (&[u8; 4], &[u8; 4])| a.iter().zip(b).any(|(a, b)| a.abs_diff(*b) > 24);
+    let share = large.rgba.iter().zip(&small.rgba).filter(|p| off(*p)).count() as f64 / 15100.0;
+    assert!(share < 0.03, "{share}");
+}
+
+#[test]
 fn a_newer_major_version_is_refused_by_number() {
     let mut b = container(&scene(70, 70));
     b[4] = 2;

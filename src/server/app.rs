@@ -35,6 +35,14 @@ pub struct Stored {
     pub etag: Arc<str>,
 }
 
+impl Stored {
+    /// With its size in bytes.
+    fn sized(bytes: Vec<u8>) -> (Self, usize) {
+        let (size, etag) = (bytes.len(), format!("\"{}\"", hex(&Sha256::digest(&bytes)[..16])).into());
+        (Self { bytes: bytes.into(), etag }, size)
+    }
+}
+
 /// State of the server.
 pub struct Shared {
     /// Photos and their jobs.
@@ -47,6 +55,8 @@ pub struct Shared {
     pub scenes: Cache<Version, Arc<Scene>>,
     /// Containers, pictures and reports.
     pub files: Cache<(Version, Part), Stored>,
+    /// Smaller levels of containers.
+    pub levels: Cache<(Version, u8), Stored>,
     /// Where views are drawn.
     pub pool: Pool,
     /// What draws them.
@@ -97,11 +107,25 @@ impl Shared {
                 std::io::ErrorKind::NotFound => Problem::not_found("the photo was deleted"),
                 _ => Problem::store(&e),
             })?;
-            let size = bytes.len();
-            let etag = format!("\"{}\"", hex(&Sha256::digest(&bytes)[..16])).into();
-            Ok((Stored { bytes: bytes.into(), etag }, size))
+            Ok(Stored::sized(bytes))
         };
         self.files.get((version, part), read).await
+    }
+
+    /// The container of a made photo at `1 / 2^level` of its size, 0 to [`crate::atlas::LEVELS`].
+    ///
+    /// # Errors
+    /// As [`Shared::file`]; 503 where too much is under way.
+    pub async fn level(self: &Arc<Self>, version: Version, level: u8) -> Result<Stored, Problem> {
+        if level == 0 {
+            return self.file(version, Part::Atlas).await;
+        }
+        let make = async {
+            let container = self.file(version, Part::Atlas).await?.bytes;
+            let bytes = self.pool.run(move || crate::atlas::level(&container, level)).await?.map_err(|e| Problem::from(&e))?;
+            Ok::<_, Problem>(Stored::sized(bytes))
+        };
+        self.levels.get((version, level), make).await
     }
 
     /// The decoded scene of a made photo, and how long decoding took if it was not at hand.

@@ -115,6 +115,7 @@ impl Server {
             jobs,
             scenes: Cache::new(limits.scene_cache),
             files: Cache::new(limits.file_cache),
+            levels: Cache::new(limits.file_cache / 4),
             pool: Pool::new(limits.views, limits.views_waiting),
             limits,
             telemetry,

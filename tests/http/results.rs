@@ -60,6 +60,23 @@ fn the_atlas_whole_in_parts_and_not_at_all() {
 }
 
 #[test]
+fn smaller_levels_of_the_atlas() {
+    let (_dir, server, photo) = with_photo();
+    let fetch = |query: &str| get(server.addr, &format!("{photo}/atlas{query}"));
+    let whole = fetch("");
+    assert_eq!(fetch("?level=0").body, whole.body);
+    for (level, width) in [(1, 40), (2, 20), (3, 10)] {
+        let small = fetch(&format!("?level={level}"));
+        assert_eq!((small.status, small.header("content-type")), (200, Some("application/vnd.tmpi")));
+        assert_ne!(small.header("etag"), whole.header("etag"));
+        assert_eq!(tmpi::atlas::decode(&small.body).unwrap().grid.width, width);
+    }
+    for wrong in ["4", "-1", "x", ""] {
+        assert_eq!(fetch(&format!("?level={wrong}")).problem(400)["field"], "level");
+    }
+}
+
+#[test]
 fn views_in_every_format_with_their_timing() {
     let (_dir, server, photo) = with_photo();
     let view = |query: &str, headers: &[(&str, &str)]| request(server.addr, "GET", &format!("{photo}/view?{query}"), headers, &[]);

@@ -1,10 +1,10 @@
 //! What was made of a photo: container, depth, report, thumbnail.
 
 use axum::extract::{Path, State};
-use axum::http::HeaderMap;
+use axum::http::{HeaderMap, Uri};
 use axum::response::Response;
 
-use crate::atlas::MEDIA_TYPE;
+use crate::atlas::{LEVELS, MEDIA_TYPE};
 use crate::server::app::{App, Shared};
 use crate::server::conditional::{Entity, IMMUTABLE, respond};
 use crate::server::problem::Problem;
@@ -12,11 +12,13 @@ use crate::server::store::Part;
 
 /// The container of a photo.
 ///
-/// Sections can be fetched one by one with `Range`; the entity tag is strong and the bytes never change.
+/// Sections can be fetched one by one with `Range`; the entity tag is strong and the bytes never change. A smaller level has the
+/// same planes over a photo of half, a quarter or an eighth of the size.
 #[utoipa::path(
     get, path = "/v1/photos/{id}/atlas", tag = "photos",
     params(
         ("id" = String, Path, description = "Id of the photo"),
+        ("level" = Option<u8>, Query, description = "0 (default) the photo's own size, 1 half of it, 2 a quarter, 3 an eighth"),
         ("Range" = Option<String>, Header, description = "One range of bytes"),
         ("If-Range" = Option<String>, Header, description = "Entity tag that the range is meant for"),
         ("If-None-Match" = Option<String>, Header, description = "Entity tags that the client has"),
@@ -27,13 +29,25 @@ use crate::server::store::Part;
         (status = 206, description = "The range", body = String, content_type = "application/vnd.tmpi",
             headers(("Content-Range" = String, description = "Which bytes of how many"))),
         (status = 304, description = "The client has it"),
+        (status = 400, description = "There is no such level", body = Problem, content_type = "application/problem+json"),
         (status = 404, description = "There is no such photo", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "Not finished yet", body = Problem, content_type = "application/problem+json"),
         (status = 416, description = "There are no such bytes", body = Problem, content_type = "application/problem+json"),
     )
 )]
-pub async fn atlas(State(app): State<App>, Path(id): Path<String>, headers: HeaderMap) -> Result<Response, Problem> {
-    stored(&app, &id, &headers, Part::Atlas, MEDIA_TYPE).await
+pub async fn atlas(State(app): State<App>, Path(id): Path<String>, uri: Uri, headers: HeaderMap) -> Result<Response, Problem> {
+    let level = wanted_level(&uri)?;
+    let entry = app.photo(&id)?;
+    let (version, _) = Shared::done(&entry)?;
+    let file = app.level(version, level).await?;
+    Ok(respond(&headers, Entity { bytes: file.bytes, etag: &file.etag, content_type: MEDIA_TYPE, cache_control: IMMUTABLE }))
+}
+
+/// The level that a query asks for; other parameters are nobody's and ignored.
+fn wanted_level(uri: &Uri) -> Result<u8, Problem> {
+    let query = uri.query().unwrap_or_default().split('&').find_map(|p| p.strip_prefix("level="));
+    let range = || Problem::parameter("level", format!("must be 0 to {LEVELS}"));
+    query.map_or(Ok(0), |v| v.parse().ok().filter(|l| *l <= LEVELS).ok_or_else(range))
 }
 
 /// The disparity that the photo was made with.
