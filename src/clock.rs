@@ -44,6 +44,12 @@ mod system {
     /// Peak resident memory of this process in bytes; 0 where the system does not tell.
     #[must_use]
     pub fn peak_rss_bytes() -> u64 {
+        // `getrusage` on Linux also counts what the parent held when it started this process
+        let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+        let peak = status.lines().find_map(|l| l.strip_prefix("VmHWM:")?.trim().strip_suffix(" kB")?.trim().parse::<u64>().ok());
+        if let Some(kilobytes) = peak {
+            return kilobytes * 1024;
+        }
         let mut usage = std::mem::MaybeUninit::<libc::rusage>::zeroed();
         // SAFETY: `usage` outlives the call and all-zero is a valid `rusage`.
         let usage = unsafe {

@@ -22,6 +22,7 @@
 #![allow(clippy::module_name_repetitions)]
 
 pub mod atlas;
+pub mod bench;
 pub mod check;
 pub mod cli;
 pub mod clock;

@@ -107,6 +107,8 @@ pub struct Options {
     pub max_error: f64,
     /// Camera positions to make the scene for.
     pub view_box: ViewBox,
+    /// Whether to measure what leaving out unseen texels changes; it takes about as long as making the scene.
+    pub verify_prune: bool,
 }
 
 impl Default for Options {
@@ -124,6 +126,7 @@ impl Default for Options {
             quality: 90,
             max_error: 0.5,
             view_box: ViewBox::default(),
+            verify_prune: false,
         }
     }
 }

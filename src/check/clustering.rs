@@ -10,6 +10,9 @@ const METHODS: [(Method, &str); 4] =
 /// Planes lie on the container's grid: half a step each of three coefficients.
 const GRID: f64 = 1.5 * Plane::STEP;
 
+/// Steepest slope of a plane in δ per half tile.
+const MAX_SLOPE: f64 = 0.256;
+
 /// A tile's pixels.
 struct Tiles {
     name: &'static str,
@@ -193,7 +196,7 @@ fn fit(pixels: &[Pixel]) -> Option<Plane> {
     let uv = sum(&|p| (p[0] - u) * (p[1] - v));
     let (ud, vd) = (sum(&|p| (p[0] - u) * (p[2] - d)), sum(&|p| (p[1] - v) * (p[2] - d)));
     let det = uu * vv - uv * uv;
-    let limit = |s: f64| s.clamp(-0.256, 0.256);
+    let limit = |s: f64| s.clamp(-MAX_SLOPE, MAX_SLOPE);
     let (b, c) = (limit((ud * vv - vd * uv) / det), limit((vd * uu - ud * uv) / det));
     Some(Plane { a: d - b * u - c * v, b, c })
 }
@@ -224,7 +227,9 @@ fn excess(case: &Tiles, pixels: &[Pixel], method: Method, n: u32) -> f64 {
         && tile.planes.iter().all(Plane::is_finite)
         && tile.labels.len() == pixels.len()
         && tile.labels.iter().all(|&l| usize::from(l) < tile.planes.len());
-    if !sound {
+    // slopes are bounded, or planes would run out of their range within the tile
+    let steep = |p: &Plane| p.b.abs().max(p.c.abs()) > MAX_SLOPE + Plane::STEP;
+    if !sound || tile.planes.iter().any(steep) {
         return f64::INFINITY;
     }
     // every label must be the nearest plane's

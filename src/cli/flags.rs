@@ -49,6 +49,9 @@ pub(super) struct MakeFlags {
     /// Half extents of the box of camera positions, in units of the nearest distance
     #[arg(long, value_parser = view_box, default_value = "0.03,0.03,0.03", value_name = "X,Y,Z")]
     pub view_box: ViewBox,
+    /// Measure what leaving out texels that are never seen changes at the corners of the view box; takes about as long as making
+    #[arg(long)]
+    pub verify_prune: bool,
 }
 
 impl MakeFlags {
@@ -67,6 +70,7 @@ impl MakeFlags {
             quality: self.quality,
             max_error: self.max_error,
             view_box: self.view_box,
+            verify_prune: self.verify_prune,
         }
     }
 }

@@ -1,5 +1,6 @@
 //! The command line: results on standard output, progress and logs on standard error, exit code 0, 1 (failed) or 2 (usage).
 
+mod bench;
 mod check;
 mod depth;
 mod files;
@@ -37,6 +38,7 @@ enum Command {
     Synth(synth::SynthArgs),
     Check(check::CheckArgs),
     Models(models::ModelsArgs),
+    Bench(bench::BenchArgs),
     /// Write a completion script for a shell
     Completions {
         /// The shell
@@ -88,6 +90,7 @@ fn run(command: Command) -> anyhow::Result<()> {
         Command::Synth(args) => synth::run(&args),
         Command::Check(args) => check::run(&args),
         Command::Models(args) => models::run(&args),
+        Command::Bench(args) => bench::run(&args),
         Command::Completions { shell } => {
             let mut script = Vec::new();
             clap_complete::generate(shell, &mut Cli::command(), "tmpi", &mut script);

@@ -63,8 +63,11 @@ pub struct ErrorFigures {
     pub depth_q25: f64,
     /// PSNR in dB of the view from the reference camera against the photo; 99 where they are equal.
     pub identity_psnr: f64,
-    /// Largest difference that leaving out made at the corners of the view box, in levels of 255; none where it was not measured.
+    /// Largest difference that leaving out made at the corners of the view box, in levels of 255; none where that was
+    /// not asked for (`--verify-prune`).
     pub prune_max_abs: Option<f64>,
+    /// Share of pixels, 0 to 1, that leaving out changes by more than 8 levels, in the corner where it is largest.
+    pub prune_share_off: Option<f64>,
     /// PSNR in dB of the carried photo against the uploaded one; 99 where they are equal.
     pub codec_psnr: f64,
 }

@@ -1,5 +1,9 @@
 //! Measures of pictures.
 
+mod ssim;
+
+pub use ssim::ssim_map;
+
 /// PSNR in dB of two pictures of 8-bit values, over all values; [`EQUAL`] where they are the same (or empty).
 #[must_use]
 pub fn psnr(a: &[u8], b: &[u8]) -> f64 {

@@ -110,8 +110,19 @@ impl Blueprint {
     /// Shapes of all layers, tile by tile.
     #[must_use]
     pub fn peel(&self) -> Vec<Shapes> {
+        self.peeled(false)
+    }
+
+    /// The same with every texel behind something, seen or not: what leaving them out is measured against.
+    #[must_use]
+    pub fn peel_all(&self) -> Vec<Shapes> {
+        self.peeled(true)
+    }
+
+    fn peeled(&self, all: bool) -> Vec<Shapes> {
         let surface = self.surface();
-        (0..self.tiles.len()).into_par_iter().map_init(Scratch::default, |s, i| self.peel_tile(i as u32, &surface, s)).collect()
+        let scratch = || Scratch { all, ..Scratch::default() };
+        (0..self.tiles.len()).into_par_iter().map_init(scratch, |s, i| self.peel_tile(i as u32, &surface, s)).collect()
     }
 
     /// δ of the visible surface per pixel; where tiles overlap, of the one that comes last.
@@ -172,7 +183,7 @@ impl Blueprint {
                 step = step.max(f64::from(s.visible[i]) - f64::from(d));
             }
         }
-        if behind == 0 {
+        if behind == 0 || s.all {
             return 0;
         }
         let parallax = self.view_box.parallax(&self.intrinsics, r);
@@ -206,6 +217,8 @@ impl Blueprint {
 
 #[derive(Default)]
 struct Scratch {
+    /// Nothing is left out.
+    all: bool,
     visible: Vec<f32>,
     hidden: Vec<bool>,
     open: Vec<bool>,

@@ -117,6 +117,11 @@ pub fn make(
     trip.report.error = ErrorFigures { depth_mae: mae, depth_mse: mse, depth_q25: q25, ..ErrorFigures::default() };
     let scene = Arc::new(scene);
     verify(&scene, &carried, &mut trip.report.error)?;
+    if options.verify_prune {
+        let change = generate::prune::verify(&scene.photo, &blueprint)?;
+        trip.report.error.prune_max_abs = Some(change.max_abs.into());
+        trip.report.error.prune_share_off = Some(change.share);
+    }
     Ok(Made { container, report: trip.finish(), disparity: delta })
 }
 

@@ -3,9 +3,9 @@
 use super::Samples;
 use super::lloyd::Histogram;
 
-/// Bins: values within 1/1024 of the range count as one. Means stay exact, and at a boundary both centres are equally far, so the
-/// cost is off by the square of a bin only.
-const BINS: usize = 1024;
+/// Bins, at least this many and so many for each cluster: values within a bin count as one. Means stay exact, and at a boundary
+/// both centres are equally far, so the cost is off by the square of a bin only.
+const BINS: (usize, usize) = (256, 16);
 
 /// Optimal clusters of a tile for every count up to a bound.
 pub struct Table {
@@ -18,7 +18,9 @@ pub struct Table {
 impl Table {
     /// Splits the tile's values into 1 to `most` runs.
     pub fn new(s: &Samples, most: usize) -> Self {
-        let Some(h) = Histogram::new(s.deltas(), s.weights(), BINS) else { return Self { lo: 0.0, points: Vec::new(), from: Vec::new() } };
+        let Some(h) = Histogram::new(s.deltas(), s.weights(), BINS.0.max(BINS.1 * most)) else {
+            return Self { lo: 0.0, points: Vec::new(), from: Vec::new() };
+        };
         let points: Vec<(f64, f64)> = h.weight.iter().zip(&h.moment).filter(|(w, _)| **w > 0.0).map(|(w, m)| (*w, m / w)).collect();
         let from = split(&points, most.min(points.len()));
         Self { lo: h.lo, points, from }

@@ -1,0 +1,77 @@
+//! Drawing: every renderer by picture size, and its difference from the reference.
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use super::measure::{Bench, median};
+use super::subject::Subject;
+use super::{Axis, BenchError, Curve, Experiment, Point};
+use crate::atlas;
+use crate::photo::Limits;
+use crate::progress::Silent;
+use crate::quality::share_off;
+use crate::render::{Cpu, Gpu, Reference, Renderer};
+use crate::tmpi::{Camera, Pose, Scene};
+use crate::way::{self, Options};
+
+pub(super) fn run(
+    bench: &Bench,
+    scenes: &[Subject],
+    quick: bool,
+    skipped: &mut Vec<String>,
+    progress: &dyn Fn(&str),
+) -> Result<Vec<Experiment>, BenchError> {
+    progress("drawing");
+    let Some(s) = scenes.first() else { return Ok(Vec::new()) };
+    let scene = made(bench, s)?;
+    let mut hosts: Vec<Box<dyn Renderer>> = vec![Box::new(Cpu::default())];
+    match Gpu::new(true) {
+        Ok(gpu) => hosts.push(Box::new(gpu)),
+        Err(reason) => skipped.push(format!("gpu: {reason}")),
+    }
+    let sizes: &[u32] = if quick { &[320, 640, 1280] } else { &[320, 640, 1280, 1920, 3840] };
+    let aspect = f64::from(scene.photo.height) / f64::from(scene.photo.width);
+    let camera = |width: u32| {
+        let height = (f64::from(width) * aspect).round().max(1.0) as u32;
+        let intrinsics = scene.intrinsics.resized((scene.photo.width, scene.photo.height), (width, height));
+        Camera { pose: Pose { yaw: 1.0, ..Pose::at(0.03, -0.02, 0.03) }, intrinsics, width, height }
+    };
+    let mut curves = Vec::new();
+    for host in &hosts {
+        let mut points = Vec::new();
+        for &width in sizes {
+            let camera = camera(width);
+            let view = host.render(&scene, &camera)?;
+            let times = (0..bench.repeats * 3).map(|_| {
+                let start = Instant::now();
+                host.render(&scene, &camera).map(|_| start.elapsed().as_secs_f64() * 1e3)
+            });
+            let ms = median(times.collect::<Result<_, _>>()?);
+            let mut figures = Vec::new();
+            if width <= 1280 {
+                let want = Reference.render(&scene, &camera)?;
+                figures.push(("% of pixels off the reference by more than 8 levels", 100.0 * share_off(&view.rgba, &want.rgba, 8)));
+            }
+            let megapixels = f64::from(camera.width) * f64::from(camera.height) / 1e6;
+            let setting = format!("{}×{}", camera.width, camera.height);
+            points.push(Point { setting, x: megapixels, y: ms, figures, ..Point::default() });
+        }
+        curves.push(Curve { name: host.name().into(), points });
+    }
+    Ok(vec![Experiment {
+        id: "drawing",
+        title: "Drawing".into(),
+        about: format!("A view of “{}” from within the view box, by renderer and picture size; the scene is loaded before.", s.name),
+        x: Axis { label: "picture, megapixels", log: true, up: None },
+        y: Axis { label: "a view, ms", log: true, up: Some(false) },
+        curves,
+    }])
+}
+
+fn made(bench: &Bench, s: &Subject) -> Result<Arc<Scene>, BenchError> {
+    let options = Options { fov_x: s.fov_x, ..Options::default() };
+    let depth = s.disparity.as_deref().map(crate::depth::to_png).transpose().map_err(|e| BenchError::Picture(e.to_string()))?;
+    let made = way::make(bench.models, &Limits::default(), &s.file, depth.as_deref(), &options, &Silent)
+        .map_err(|source| BenchError::Make { subject: s.name.clone(), source })?;
+    Ok(Arc::new(atlas::decode(&made.container)?))
+}

@@ -1,0 +1,88 @@
+//! What is measured on: rendered scenes with exact disparity and second views, or photos.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use image::codecs::png::PngEncoder;
+use image::{ExtendedColorType, ImageEncoder};
+
+use super::BenchError;
+use crate::photo::Format;
+use crate::synth;
+use crate::tmpi::{Camera, DisparityMap, Photo, Pose, ViewBox};
+
+/// Scenes of the benchmark start here, far from those that networks were trained on.
+const SEED: u64 = 900_000;
+
+/// A scene or a photo.
+pub(super) struct Subject {
+    pub name: String,
+    /// The file as it would be uploaded.
+    pub file: Vec<u8>,
+    /// Exact disparity where it is known.
+    pub disparity: Option<Arc<DisparityMap>>,
+    pub fov_x: Option<f64>,
+    pub view_box: ViewBox,
+    /// Exact views.
+    pub views: Vec<(Camera, Photo)>,
+}
+
+/// Rendered scenes, each with a step aside, up and down, forward, and one of all with a turn of the head.
+pub(super) fn rendered(quick: bool) -> Result<Vec<Subject>, BenchError> {
+    let (count, size) = if quick { (4, (384, 256)) } else { (16, (630, 350)) };
+    (0..count).map(|i| scene(SEED + i, size)).collect()
+}
+
+fn scene(seed: u64, (width, height): (u32, u32)) -> Result<Subject, BenchError> {
+    let scene = synth::Scene::framed(seed, width, height);
+    let camera = scene.camera();
+    let picture = scene.render(&camera, 3);
+    let side = if seed.is_multiple_of(2) { 1.0 } else { -1.0 };
+    let poses = [
+        Pose::at(0.06 * side, 0.0, 0.0),
+        Pose::at(0.0, 0.04 * side, 0.0),
+        Pose::at(0.0, 0.0, 0.06),
+        Pose { yaw: 1.5 * side, pitch: -1.0, roll: 2.0, ..Pose::at(-0.05 * side, 0.03, -0.04) },
+    ];
+    let views = poses.map(|pose| {
+        let c = Camera { pose, ..camera };
+        (c, scene.render(&c, 3).photo)
+    });
+    let mut file = Vec::new();
+    PngEncoder::new(&mut file)
+        .write_image(picture.photo.rgb.as_flattened(), width, height, ExtendedColorType::Rgb8)
+        .map_err(|e| BenchError::Picture(e.to_string()))?;
+    Ok(Subject {
+        name: format!("{} {seed}", scene.family()),
+        file,
+        disparity: Some(Arc::new(picture.disparity)),
+        fov_x: Some(camera.intrinsics.fov_x(width)),
+        view_box: ViewBox { x: 0.06, y: 0.06, z: 0.06 },
+        views: views.into(),
+    })
+}
+
+/// All photos of the folders, by name; with `quick` a few of each.
+pub(super) fn photos(folders: &[PathBuf], quick: bool) -> Result<Vec<Subject>, BenchError> {
+    let mut all = Vec::new();
+    for folder in folders {
+        let bad = |path: &std::path::Path, e: std::io::Error| BenchError::File { path: path.to_owned(), reason: e.to_string() };
+        let entries = std::fs::read_dir(folder).map_err(|e| bad(folder, e))?;
+        let mut files = entries.map(|e| e.map(|e| e.path())).collect::<Result<Vec<_>, _>>().map_err(|e| bad(folder, e))?;
+        files.sort();
+        let mut found = 0;
+        for path in files.into_iter().filter(|p| p.is_file()) {
+            let file = std::fs::read(&path).map_err(|e| bad(&path, e))?;
+            if Format::sniff(&file).is_none() || (quick && found == 4) {
+                continue;
+            }
+            found += 1;
+            let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+            all.push(Subject { name, file, disparity: None, fov_x: None, view_box: ViewBox::default(), views: Vec::new() });
+        }
+        if found == 0 {
+            return Err(BenchError::File { path: folder.clone(), reason: "holds no photo".into() });
+        }
+    }
+    Ok(all)
+}
