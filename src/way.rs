@@ -2,6 +2,7 @@
 //!
 //! The command line, the job worker and the tests all call [`make`].
 
+pub mod budget;
 mod run;
 
 use std::sync::Arc;
@@ -107,6 +108,8 @@ pub struct Options {
     pub max_error: f64,
     /// Camera positions to make the scene for.
     pub view_box: ViewBox,
+    /// Wall time that making may take, in milliseconds: size and parallax error are chosen for it.
+    pub budget_ms: Option<f64>,
     /// Whether to measure what leaving out unseen texels changes; it takes about as long as making the scene.
     pub verify_prune: bool,
 }
@@ -126,6 +129,7 @@ impl Default for Options {
             quality: 90,
             max_error: 0.5,
             view_box: ViewBox::default(),
+            budget_ms: None,
             verify_prune: false,
         }
     }

@@ -94,7 +94,8 @@ impl Bench<'_> {
         Ok(Point { setting, x: of(axes.0), y: of(axes.1), figures: sums.0, ..Point::default() })
     }
 
-    fn figures(&self, s: &Subject, depth: &Depth, options: &Options) -> Result<Vec<(&'static str, f64)>, BenchError> {
+    /// Makes a subject as often as repeats are asked for.
+    pub fn runs(&self, s: &Subject, depth: &Depth, options: &Options) -> Result<Vec<Made>, BenchError> {
         let own = options.view_box == ViewBox::default();
         let view_box = if own { s.view_box } else { options.view_box };
         let options = Options { fov_x: options.fov_x.or(s.fov_x), view_box, ..options.clone() };
@@ -113,6 +114,11 @@ impl Bench<'_> {
             let made = way::make(&models, &Limits::default(), &s.file, file.as_deref(), &options, &Silent);
             runs.push(made.map_err(|source| BenchError::Make { subject: s.name.clone(), source })?);
         }
+        Ok(runs)
+    }
+
+    fn figures(&self, s: &Subject, depth: &Depth, options: &Options) -> Result<Vec<(&'static str, f64)>, BenchError> {
+        let runs = self.runs(s, depth, options)?;
         let over = |f: &dyn Fn(&generate::Report) -> f64| median(runs.iter().map(|m| f(&m.report)).collect());
         let stages = |wanted: &dyn Fn(&str) -> bool, cpu: bool| {
             over(&|r| r.stages.iter().filter(|s| wanted(&s.name)).map(|s| if cpu { s.cpu_ms } else { s.ms }).sum())
@@ -131,7 +137,7 @@ impl Bench<'_> {
             ("depth Q25, 1e-3", r.error.depth_q25 * 1e3),
             ("identity, dB", r.error.identity_psnr),
         ];
-        all.push(("view box, ±", options.view_box.x));
+        all.push(("view box, ±", if options.view_box == ViewBox::default() { s.view_box.x } else { options.view_box.x }));
         all.extend(r.error.prune_max_abs.map(|v| ("largest difference, levels", v)));
         all.extend(r.error.prune_share_off.map(|v| ("left out wrongly, % of pixels", v * 100.0)));
         all.push(("verifying, ms", stages(&|n| n == "verify", false)));

@@ -4,6 +4,7 @@
 //! view; for them the error is how far, in pixels over the view box, planes move the picture wrongly against the disparity they
 //! were fitted to.
 
+mod costs;
 mod drawing;
 mod experiments;
 mod machine;
@@ -18,6 +19,7 @@ use std::path::PathBuf;
 
 use serde::Serialize;
 
+use crate::way::budget::Costs;
 use crate::way::{MakeError, Models};
 pub use machine::Machine;
 pub use page::html;
@@ -100,6 +102,8 @@ pub struct Results {
     pub repeats: usize,
     /// The experiments.
     pub experiments: Vec<Experiment>,
+    /// Costs of this machine, for `--budget-ms`.
+    pub costs: Costs,
     /// What could not be measured, and why.
     pub skipped: Vec<String>,
     /// Seconds that all of it took.
@@ -154,6 +158,8 @@ pub fn run(settings: &Settings, progress: &dyn Fn(&str)) -> Result<Results, Benc
         experiments.extend(experiments::on_photos(&bench, &photos, &mut skipped, progress)?);
     }
     experiments.extend(drawing::run(&bench, &scenes, settings.quick, &mut skipped, progress)?);
+    experiments.push(costs::kept(&bench, &scenes, progress)?);
+    let costs = costs::fitted(&bench, &scenes, progress)?;
     experiments.extend(scaling);
     for e in &mut experiments {
         e.mark();
@@ -164,6 +170,7 @@ pub fn run(settings: &Settings, progress: &dyn Fn(&str)) -> Result<Results, Benc
         subjects: scenes.iter().chain(&photos).map(|s| s.name.clone()).collect(),
         repeats,
         experiments,
+        costs,
         skipped,
         seconds: start.elapsed().as_secs_f64(),
     })
@@ -232,6 +239,7 @@ mod tests {
             subjects: vec!["s".into()],
             repeats: 1,
             experiments: vec![experiment(&[(1.0, 10.0), (20.0, 30.0)])],
+            costs: Costs::default(),
             skipped: vec!["gpu: none & nothing".into()],
             seconds: 1.0,
         };

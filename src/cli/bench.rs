@@ -10,7 +10,7 @@ use crate::models;
 /// Measure error against run time of every approximation, on this machine
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct BenchArgs {
-    /// Folder for results.json, results.csv and index.html
+    /// Folder for index.html, results.json, results.csv, and costs.json for `make --budget-ms` (name it in `TMPI_COSTS`)
     #[arg(short, long, default_value = "bench", value_name = "DIR")]
     output: PathBuf,
     /// Fewer scenes, fewer settings: a few minutes
@@ -29,6 +29,7 @@ pub(super) fn run(args: &BenchArgs) -> anyhow::Result<()> {
     let results = bench::run(&settings, &|what| eprintln!("tmpi bench: {what}"))?;
     files::write(&args.output.join("results.json"), &serde_json::to_vec_pretty(&results)?)?;
     files::write(&args.output.join("results.csv"), results.csv().as_bytes())?;
+    files::write(&args.output.join("costs.json"), &serde_json::to_vec_pretty(&results.costs)?)?;
     let page = args.output.join("index.html");
     files::write(&page, bench::html(&results).as_bytes())?;
     for s in &results.skipped {

@@ -49,6 +49,10 @@ pub(super) struct MakeFlags {
     /// Half extents of the box of camera positions, in units of the nearest distance
     #[arg(long, value_parser = view_box, default_value = "0.03,0.03,0.03", value_name = "X,Y,Z")]
     pub view_box: ViewBox,
+    /// Milliseconds that making may take: the size and a parallax error of --max-error or more are chosen for it, by the costs
+    /// that `tmpi bench` found on this machine (a file named by `TMPI_COSTS`)
+    #[arg(long, value_parser = budget_ms, value_name = "MS")]
+    pub budget_ms: Option<f64>,
     /// Measure what leaving out texels that are never seen changes at the corners of the view box; takes about as long as making
     #[arg(long)]
     pub verify_prune: bool,
@@ -70,6 +74,7 @@ impl MakeFlags {
             quality: self.quality,
             max_error: self.max_error,
             view_box: self.view_box,
+            budget_ms: self.budget_ms,
             verify_prune: self.verify_prune,
         }
     }
@@ -172,6 +177,10 @@ fn max_error(text: &str) -> Result<f64, String> {
     checked(number(text)?, |o, v| o.max_error = v)
 }
 
+fn budget_ms(text: &str) -> Result<f64, String> {
+    checked(number(text)?, |o, v| o.budget_ms = Some(v))
+}
+
 fn view_box(text: &str) -> Result<ViewBox, String> {
     let &[x, y, z] = numbers(text)?.as_slice() else { return Err("three numbers are wanted".into()) };
     checked(ViewBox { x, y, z }, |o, v| o.view_box = v)
@@ -212,8 +221,12 @@ mod tests {
         );
         assert!(max_size("1").is_ok() && max_size("16384").is_ok() && max_size("0").is_err() && max_size("16385").is_err());
         assert!(fov_x("0.1").is_ok() && fov_x("179").is_ok() && fov_x("0").is_err() && fov_x("180").is_err());
+        assert!(budget_ms("1").is_ok() && budget_ms("1e7").is_ok() && budget_ms("0.9").is_err() && budget_ms("1.1e7").is_err());
         for nan in ["nan", "NaN", "inf", "-inf", "1e999"] {
-            assert!(fov_x(nan).is_err() && max_error(nan).is_err() && view_box(&format!("{nan},0,0")).is_err(), "{nan}");
+            assert!(
+                fov_x(nan).is_err() && budget_ms(nan).is_err() && max_error(nan).is_err() && view_box(&format!("{nan},0,0")).is_err(),
+                "{nan}"
+            );
         }
         assert!(size("16384x1").is_ok() && size("16385x1").is_err() && size("0x1").is_err() && size("8193x8193").is_err());
         assert!(view_box("0,0,0").is_ok() && view_box("0,0").is_err() && view_box("0,0,-0.1").is_err());

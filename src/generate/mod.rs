@@ -10,7 +10,7 @@ pub mod refine;
 mod report;
 pub mod snap;
 
-pub use report::{Bytes, ErrorFigures, Input, LeftOut, Report, Stage};
+pub use report::{Budget, Bytes, ErrorFigures, Input, LeftOut, Report, Stage};
 
 /// Why a scene could not be made.
 #[derive(Debug, thiserror::Error)]

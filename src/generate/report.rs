@@ -72,6 +72,23 @@ pub struct ErrorFigures {
     pub codec_psnr: f64,
 }
 
+/// What a budget of run time made of a photo.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct Budget {
+    /// Milliseconds that were asked for.
+    pub asked_ms: f64,
+    /// Milliseconds that were predicted for what was chosen.
+    pub predicted_ms: f64,
+    /// Milliseconds that it took.
+    pub outcome_ms: f64,
+    /// What was chosen, as on the command line.
+    pub chose: String,
+    /// Why.
+    pub reason: String,
+    /// Share of tiles, 0 to 1, that one plane does not do for at the error that was asked for.
+    pub busy: f64,
+}
+
 /// The report of a photo.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Report {
@@ -101,4 +118,7 @@ pub struct Report {
     pub bytes: Bytes,
     /// Errors made.
     pub error: ErrorFigures,
+    /// What the budget of run time made of it; none where none was given.
+    #[serde(default)]
+    pub budget: Option<Budget>,
 }

@@ -10,8 +10,21 @@ use crate::tmpi::ViewBox;
 use crate::way::{Denoise, Options, PlaneCount, PlaneMethod, Switch, TileSize};
 
 /// Names of all options.
-pub const NAMES: [&str; 12] =
-    ["denoise", "depth-kind", "fov-x", "max-error", "max-size", "plane-method", "planes", "quality", "refine", "snap", "tile", "view-box"];
+pub const NAMES: [&str; 13] = [
+    "budget-ms",
+    "denoise",
+    "depth-kind",
+    "fov-x",
+    "max-error",
+    "max-size",
+    "plane-method",
+    "planes",
+    "quality",
+    "refine",
+    "snap",
+    "tile",
+    "view-box",
+];
 
 /// Sets option `name` (with `-` or `_`) from text; false where there is no such option.
 ///
@@ -21,6 +34,7 @@ pub fn set(options: &mut Options, name: &str, value: &str) -> Result<bool, Probl
     let name = name.replace('_', "-");
     let value = value.trim();
     match name.as_str() {
+        "budget-ms" => options.budget_ms = Some(number(&name, value)?),
         "denoise" => options.denoise = choice::<Denoise>(&name, value)?,
         "depth-kind" => options.depth_kind = choice::<DepthKind>(&name, value)?,
         "fov-x" => options.fov_x = Some(number(&name, value)?),
@@ -68,6 +82,9 @@ pub fn to_text(options: &Options) -> BTreeMap<String, String> {
     put("view-box", format!("{},{},{}", o.view_box.x, o.view_box.y, o.view_box.z));
     if let Some(v) = o.fov_x {
         put("fov-x", v.to_string());
+    }
+    if let Some(v) = o.budget_ms {
+        put("budget-ms", v.to_string());
     }
     if let Some(v) = o.max_size {
         put("max-size", v.to_string());

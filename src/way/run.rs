@@ -2,12 +2,13 @@
 
 use std::sync::Arc;
 
+use super::budget::Costs;
 use super::{Denoise, Made, MakeError, Models, Options, PlaneCount, PlaneMethod, Switch, TileSize};
 use crate::atlas::{self, Carried};
 use crate::clock::{self, Clock};
 use crate::generate::layers;
-use crate::generate::planes::{MAX_AUTO_PLANES, MAX_PLANES, Method, Placement, discretisation_error, place};
-use crate::generate::{self, ErrorFigures, GenerateError, Input, LeftOut, Report, Stage, snap};
+use crate::generate::planes::{MAX_AUTO_PLANES, MAX_PLANES, Method, Placement, busy_share, discretisation_error, place};
+use crate::generate::{self, Budget, ErrorFigures, GenerateError, Input, LeftOut, Report, Stage, snap};
 use crate::photo::{self, Decoded, Format, Limits};
 use crate::progress::{Progress, Sink};
 use crate::render::{self, Backend};
@@ -37,6 +38,8 @@ pub fn make(
     let mut trip = Trip { sink, clock: Clock::start(), stage: None, report: Report::default() };
     trip.enter("photo")?;
     let input = photo;
+    let mut options = options.clone();
+    let reduced = options.fit_size(photo::check(input, limits)?.1, depth.is_none());
     let Decoded { photo, original, format, mut intrinsics, carried, .. } = photo::decode(input, limits, options.max_size)?;
     let (w, h) = (photo.width, photo.height);
     if let Some(fov) = options.fov_x {
@@ -80,12 +83,15 @@ pub fn make(
     }
 
     trip.enter("planes")?;
+    let options = &mut options;
     let grid = match options.tile {
         TileSize::Pixels(size) => Grid::new(w, h, size),
         TileSize::Full => Grid::full(w, h),
     };
     let whole = Rect { x: 0, y: 0, w, h };
-    let placement = options.placement(options.view_box.parallax(&intrinsics, whole));
+    let parallax = options.view_box.parallax(&intrinsics, whole);
+    trip.report.budget = options.fit_error(&delta, &grid, parallax, trip.clock.ms(), reduced);
+    let placement = options.placement(parallax);
     let tiles = place(&delta, confidence.as_deref(), &grid, &placement);
     drop(confidence);
     let (mae, mse, q25) = discretisation_error(&delta, &grid, &tiles);
@@ -154,6 +160,9 @@ impl Trip<'_> {
     fn finish(mut self) -> Report {
         self.leave();
         self.report.total_ms = self.clock.ms();
+        if let Some(b) = &mut self.report.budget {
+            b.outcome_ms = self.report.total_ms;
+        }
         self.report.peak_rss_bytes = clock::peak_rss_bytes();
         self.report
     }
@@ -184,6 +193,37 @@ fn sanitise(delta: &mut DisparityMap) {
 }
 
 impl Options {
+    /// Reduces the size for a budget of run time, before anything is decoded; gives the longest side where it does.
+    fn fit_size(&mut self, size: (u32, u32), estimated: bool) -> Option<u32> {
+        let size = photo::reduced_size(size, self.max_size);
+        let side = Costs::of_this_machine().side(self.budget_ms?, size, estimated)?;
+        self.max_size = Some(side);
+        Some(side)
+    }
+
+    /// Chooses the parallax error for what is left of a budget of run time.
+    fn fit_error(&mut self, delta: &DisparityMap, grid: &Grid, parallax: (f64, f64), elapsed: f64, reduced: Option<u32>) -> Option<Budget> {
+        let asked_ms = self.budget_ms?;
+        let busy = busy_share(delta, grid, self.max_error / parallax.0.max(parallax.1).max(1.0));
+        let megapixels = f64::from(delta.width) * f64::from(delta.height) / 1e6;
+        let (rate, ms, enough) = Costs::of_this_machine().choose(asked_ms - elapsed, megapixels, busy);
+        self.max_error *= rate.factor;
+        let size = reduced.map_or(String::new(), |side| format!("--max-size {side} "));
+        let reason = match (enough, rate.factor > 1.0 || reduced.is_some()) {
+            (false, _) => "the cheapest setting takes longer",
+            (true, true) => "the best that fits",
+            (true, false) => "nothing had to be given up",
+        };
+        Some(Budget {
+            asked_ms,
+            predicted_ms: elapsed + ms,
+            outcome_ms: 0.0,
+            chose: format!("{size}--max-error {}", self.max_error),
+            reason: reason.into(),
+            busy,
+        })
+    }
+
     /// How planes are to be placed for a view box of that parallax.
     fn placement(&self, parallax: (f64, f64)) -> Placement {
         let method = match self.plane_method {
@@ -222,6 +262,9 @@ impl Options {
         }
         check((1..=100).contains(&self.quality), "quality", "1 to 100", &self.quality)?;
         check(self.max_error >= 0.0 && self.max_error <= 1e3, "max-error", "0 to 1000 pixels", &self.max_error)?;
+        if let Some(b) = self.budget_ms {
+            check((1.0..=1e7).contains(&b), "budget-ms", "1 to 10000000 milliseconds", &b)?;
+        }
         for e in [self.view_box.x, self.view_box.y, self.view_box.z] {
             check((0.0..=10.0).contains(&e), "view-box", "three numbers of 0 to 10", &e)?;
         }

@@ -60,6 +60,17 @@ pub fn place(delta: &DisparityMap, confidence: Option<&[f32]>, grid: &Grid, plac
         .collect()
 }
 
+/// Share of tiles, 0 to 1, whose best single slanted plane misses `target` (99th percentile of |δ error|).
+#[must_use]
+pub fn busy_share(delta: &DisparityMap, grid: &Grid, target: f64) -> f64 {
+    let busy = (0..grid.tiles()).into_par_iter().map_init(Samples::default, |samples, tile| {
+        samples.gather(delta, None, grid, tile);
+        let one = slanted::fit(samples, 1, None);
+        usize::from(samples.error_p99(&one) > target)
+    });
+    busy.sum::<usize>() as f64 / f64::from(grid.tiles().max(1))
+}
+
 /// Places the planes of one tile.
 #[must_use]
 pub fn place_tile(samples: &Samples, placement: &Placement) -> Tile {
