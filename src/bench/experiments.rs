@@ -154,14 +154,14 @@ fn steps() -> Plan {
 
 fn denoise() -> Plan {
     let of = |depth: &Depth| {
-        [("off", Denoise::Off), ("classic", Denoise::Classic), ("auto", Denoise::Auto)]
+        [("off", Denoise::Off), ("classic", Denoise::Classic), ("auto", Denoise::Auto), ("theta", Denoise::Theta)]
             .map(|(name, d)| (format!("--denoise {name}"), Options { denoise: d, ..Options::default() }, depth.clone()))
             .into()
     };
     Plan {
         id: "denoise",
         title: "Cleaning of disparity",
-        about: "Nothing, a median with a guided filter, and the network Θ, on noise of variance 1e-3 and on blurred edges.",
+        about: "Nothing, a median with a guided filter, fitted planes where the map is damaged (auto), and the network Θ, on noise of variance 1e-3 and on blurred edges.",
         axes: (MS, VIEW),
         curves: vec![("noisy disparity", of(&Depth::Spoilt(noisy))), ("blurred disparity", of(&Depth::Spoilt(blurred)))],
     }

@@ -39,7 +39,10 @@ pub fn make(
     trip.enter("photo")?;
     let input = photo;
     let mut options = options.clone();
-    let reduced = options.fit_size(photo::check(input, limits)?.1, depth.is_none());
+    let reduced = match options.budget_ms {
+        Some(budget) => options.fit_size(budget, photo::check(input, limits)?.1, depth.is_none()),
+        None => None,
+    };
     let Decoded { photo, original, format, mut intrinsics, carried, .. } = photo::decode(input, limits, options.max_size)?;
     let (w, h) = (photo.width, photo.height);
     if let Some(fov) = options.fov_x {
@@ -194,9 +197,9 @@ fn sanitise(delta: &mut DisparityMap) {
 
 impl Options {
     /// Reduces the size for a budget of run time, before anything is decoded; gives the longest side where it does.
-    fn fit_size(&mut self, size: (u32, u32), estimated: bool) -> Option<u32> {
+    fn fit_size(&mut self, budget: f64, size: (u32, u32), estimated: bool) -> Option<u32> {
         let size = photo::reduced_size(size, self.max_size);
-        let side = Costs::of_this_machine().side(self.budget_ms?, size, estimated)?;
+        let side = Costs::of_this_machine().side(budget, size, estimated)?;
         self.max_size = Some(side);
         Some(side)
     }
