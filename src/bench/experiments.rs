@@ -228,6 +228,8 @@ pub(super) fn on_scenes(
     let mut plans = vec![planes(quick, (MS, VIEW)), tiles(quick), steps(), quality(quick), prune(quick)];
     if let Err(reason) = onnx::available() {
         skipped.push(format!("depth and denoise networks: {}", brief(&reason)));
+    } else if bench.models.theta.is_none() {
+        skipped.push("depth and denoise networks: they are not embedded".into());
     } else {
         plans.extend([denoise(), depth()]);
     }
