@@ -53,8 +53,7 @@ impl Monocular {
     }
 
     /// One run of the network: disparity at the network's size, every value finite.
-    fn run(&self, photo: &Photo, mirrored: bool) -> Result<DisparityMap, DepthError> {
-        let (w, h) = self.adapter.network_size(photo.width, photo.height);
+    fn run(&self, photo: &Photo, (w, h): (u32, u32), mirrored: bool) -> Result<DisparityMap, DepthError> {
         let planar = self.input(photo, (w, h), mirrored);
         let (w, h) = (w as usize, h as usize);
         let shape = if self.adapter.layout == Layout::Nchw { vec![1, 3, h, w] } else { vec![1, h, w, 3] };
@@ -83,10 +82,10 @@ impl Monocular {
 
     /// The photo at the network's size, normalised, in the network's layout.
     fn input(&self, photo: &Photo, size: (u32, u32), mirrored: bool) -> Vec<f32> {
-        let Adapter { mean, deviation, layout, .. } = self.adapter;
+        let Adapter { mean, deviation, layout, filter, .. } = self.adapter;
         let normal = |p: [f32; 3]| std::array::from_fn(|c| (p[c].clamp(0.0, 1.0) - mean[c]) / deviation[c]);
         let load = |p: [u8; 3]| p.map(|v| f32::from(v) / 255.0);
-        let mut small: Vec<[f32; 3]> = resample(&photo.rgb, (photo.width, photo.height), size, Filter::Lanczos3, load, normal);
+        let mut small: Vec<[f32; 3]> = resample(&photo.rgb, (photo.width, photo.height), size, filter, load, normal);
         if mirrored {
             small.chunks_exact_mut(size.0 as usize).for_each(<[[f32; 3]]>::reverse);
         }
@@ -125,32 +124,44 @@ impl Estimator for Monocular {
     }
 
     fn raw(&self, photo: &Photo) -> Result<DisparityMap, DepthError> {
-        let mut map = self.run(photo, false)?;
-        if self.flip {
-            let mut other = self.run(photo, true)?;
-            align(&mut other.delta, &map.delta);
-            for (a, b) in map.delta.iter_mut().zip(&other.delta) {
-                *a = f32::midpoint(*a, *b);
-            }
+        let sizes = self.adapter.network_sizes(photo.width, photo.height);
+        let runs: Vec<_> = sizes.iter().flat_map(|&s| [Some((s, false)), self.flip.then_some((s, true))]).flatten().collect();
+        // The last size is the largest; the others are brought to it
+        let (&last, others) = runs.split_last().unwrap_or((&((1, 1), false), &[]));
+        let mut map = self.run(photo, last.0, last.1)?;
+        let mut sum = vec![0f64; map.delta.len()];
+        for &(size, mirrored) in others {
+            let other = self.run(photo, size, mirrored)?;
+            let from = (other.width, other.height);
+            let mut delta = resample(&other.delta, from, (map.width, map.height), Filter::Triangle, |v| [v], |[v]| v);
+            align(&mut delta, &map.delta);
+            sum.iter_mut().zip(&delta).for_each(|(s, d)| *s += f64::from(*d));
+        }
+        for (d, s) in map.delta.iter_mut().zip(sum) {
+            *d = ((f64::from(*d) + s) / runs.len() as f64) as f32;
         }
         Ok(map)
     }
 }
 
-/// Scales and shifts `values` to `target` by least squares: two runs of a network agree only up to both.
+/// Scales and shifts `values` so that its tenth and ninetieth percentiles are those of `target`: two runs of a network agree only
+/// up to both, and a few wild values must not decide.
 fn align(values: &mut [f32], target: &[f32]) {
-    let n = values.len() as f64;
-    let mean = |v: &[f32]| v.iter().map(|&v| f64::from(v)).sum::<f64>() / n;
-    let (mv, mt) = (mean(values), mean(target));
-    let (mut covariance, mut variance) = (0.0, 0.0);
-    for (&v, &t) in values.iter().zip(target) {
-        covariance += (f64::from(v) - mv) * (f64::from(t) - mt);
-        variance += (f64::from(v) - mv).powi(2);
-    }
-    let scale = if variance > 0.0 { covariance / variance } else { 0.0 };
+    let (from, to) = (spread(values), spread(target));
+    let scale = if relief(from.0, from.1) { (to.1 - to.0) / (from.1 - from.0) } else { 0.0 };
     for v in values {
-        *v = (mt + scale * (f64::from(*v) - mv)) as f32;
+        *v = (to.0 + scale * (f64::from(*v) - from.0)) as f32;
     }
+}
+
+/// Tenth and ninetieth percentiles.
+fn spread(values: &[f32]) -> (f64, f64) {
+    let mut sorted = values.to_vec();
+    let mut at = |share: f64| {
+        let k = ((sorted.len() - 1) as f64 * share).round() as usize;
+        f64::from(*sorted.select_nth_unstable_by(k, f32::total_cmp).1)
+    };
+    (at(0.1), at(0.9))
 }
 
 /// Maps the range between [`PERCENTILES`] to 0..=1 and clamps the rest, where it is larger than `least`; a map without relief
@@ -298,8 +309,8 @@ mod tests {
         let got = Monocular::load(&plain, mean, &Config::default(), false).unwrap();
         let grey = Photo { width: 48, height: 32, rgb: (0..48 * 32).map(|i| [(i % 48 * 5) as u8; 3]).collect() };
         let raw = got.raw(&grey).unwrap();
-        assert_eq!((raw.width, raw.height), (224, 160));
-        assert!((raw.delta[80 * 224 + 112] - 0.46).abs() < 0.03, "{}", raw.delta[80 * 224 + 112]);
+        assert_eq!((raw.width, raw.height), (256, 192));
+        assert!((raw.delta[96 * 256 + 128] - 0.46).abs() < 0.03, "{}", raw.delta[96 * 256 + 128]);
         let two = include_bytes!("../../tests/onnx/sum_difference.onnx");
         assert!(matches!(Monocular::load(&plain, two, &Config::default(), false), Err(OnnxError::Model { .. })));
     }

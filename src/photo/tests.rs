@@ -295,8 +295,13 @@ fn reduction_keeps_the_picture_whichever_way_it_is_decoded() {
 #[test]
 fn resampling_agrees_with_sums_in_f64_and_keeps_constants() {
     let source: Vec<f32> = (0..37 * 23).map(|i| ((i * 7919) % 101) as f32 / 101.0).collect();
-    for (to, filter) in [((11, 9), Filter::Lanczos3), ((80, 51), Filter::Triangle), ((1, 1), Filter::Lanczos3), ((37, 1), Filter::Triangle)]
-    {
+    for (to, filter) in [
+        ((11, 9), Filter::Lanczos3),
+        ((80, 51), Filter::Triangle),
+        ((13, 70), Filter::Cubic),
+        ((1, 1), Filter::Lanczos3),
+        ((37, 1), Filter::Triangle),
+    ] {
         let got = resample(&source, (37, 23), to, filter, |v| [v], |[v]| v);
         for y in 0..to.1 {
             for x in 0..to.0 {
@@ -313,6 +318,11 @@ fn resampling_agrees_with_sums_in_f64_and_keeps_constants() {
 fn by_definition(source: &[f32], from: (u32, u32), to: (u32, u32), filter: Filter, at: (u32, u32)) -> f64 {
     let kernel = |x: f64| match filter {
         Filter::Triangle => (1.0 - x.abs()).max(0.0),
+        Filter::Cubic => match x.abs() {
+            x if x < 1.0 => 1.5 * x.powi(3) - 2.5 * x * x + 1.0,
+            x if x < 2.0 => -0.5 * x.powi(3) + 2.5 * x * x - 4.0 * x + 2.0,
+            _ => 0.0,
+        },
         Filter::Lanczos3 if x == 0.0 => 1.0,
         Filter::Lanczos3 if x.abs() >= 3.0 => 0.0,
         Filter::Lanczos3 => {
