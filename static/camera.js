@@ -39,12 +39,6 @@ export function resized(k, from, to) {
   };
 }
 
-/** Intrinsics zoomed by `zoom` about the centre of a picture of `size`. */
-export function zoomed(k, size, zoom) {
-  const about = (c, centre) => centre + (c - centre) * zoom;
-  return { fx: k.fx * zoom, fy: k.fy * zoom, cx: about(k.cx, size.width / 2), cy: about(k.cy, size.height / 2) };
-}
-
 /** Horizontal field of view in degrees. */
 export function fovX(k, width) {
   return (2 * Math.atan(width / 2 / k.fx)) / RADIANS;
@@ -72,51 +66,10 @@ export function lookingAt(pivot, tx, ty, tz) {
   return { tx, ty, tz, yaw, pitch, roll: 0 };
 }
 
-/** Where a reference pixel of disparity `delta` falls: `[x, y]` in units of half the picture from its centre; null behind the camera. */
-function project(scene, e, x, y, delta) {
-  const { width, height, intrinsics: k } = scene;
-  const p = [(x - k.cx) / k.fx, (y - k.cy) / k.fy, 1];
-  const q = [0, 1, 2].map((i) => e.r[i * 3] * p[0] + e.r[i * 3 + 1] * p[1] + e.r[i * 3 + 2] * p[2] + e.t[i] * delta);
-  if (!(q[2] > 0)) return null;
-  return [((k.fx * q[0]) / q[2] + k.cx) / (width / 2) - 1, ((k.fy * q[1]) / q[2] + k.cy) / (height / 2) - 1];
-}
-
 /** Pivot where only the head of a scene is known. */
 const UNKNOWN_PIVOT = 0.35;
-/** Distance of the points looked at along the border, pixels. */
-const BORDER_STEP = 4;
-/** Largest zoom that framing asks for: beyond it a little border may show at the extremes. */
-const MAX_ZOOM = 1.3;
-
-/**
- * The least zoom at which no pose of the view box uncovers the photo's border, and the disparity that views turn about.
- * @returns {{zoom: number, pivot: number}}
- */
-export function framing(scene) {
-  const pivot = pivotOf(scene);
-  const { width, height, viewBox } = scene;
-  const border = borderSamples(scene);
-  let least = 1;
-  for (const sx of [-1, 0, 1]) {
-    for (const sy of [-1, 0, 1]) {
-      for (const sz of [-1, 1]) {
-        const e = extrinsics(lookingAt(pivot, sx * viewBox.x, sy * viewBox.y, sz * viewBox.z));
-        for (const { x, y, delta } of border) {
-          const q = project(scene, e, x, y, delta);
-          if (!q) continue;
-          if (x === 0) least = Math.min(least, -q[0]);
-          if (x === width) least = Math.min(least, q[0]);
-          if (y === 0) least = Math.min(least, -q[1]);
-          if (y === height) least = Math.min(least, q[1]);
-        }
-      }
-    }
-  }
-  return { zoom: Math.min(MAX_ZOOM, 1 / Math.max(least, 1 / MAX_ZOOM)), pivot };
-}
-
-/** Disparity at the middle of the picture's area. */
-function pivotOf(scene) {
+/** The disparity that views turn about: that at the middle of the picture's area. */
+export function pivotOf(scene) {
   const { layers } = scene;
   if (!layers) return UNKNOWN_PIVOT;
   const BINS = 256;
@@ -140,31 +93,6 @@ function pivotOf(scene) {
 export function deltaAt({ layers, tileSize }, i, x, y) {
   const half = tileSize / 2;
   return layers.a[i] + (layers.b[i] * (x - layers.tileX[i] - half)) / half + (layers.c[i] * (y - layers.tileY[i] - half)) / half;
-}
-
-/** Points on the photo's border with the disparity that the photo has there. */
-function borderSamples(scene) {
-  const { layers, classes, width, height } = scene;
-  const out = [];
-  if (!layers) {
-    for (const delta of [0, 1]) for (const x of [0, width]) for (const y of [0, height]) out.push({ x, y, delta });
-    return out;
-  }
-  for (let i = 0; i < layers.count; i++) {
-    const [x0, y0, w, h] = [layers.x[i], layers.y[i], layers.w[i], layers.h[i]];
-    const add = (u, v, x, y) => {
-      if (classes[layers.firstTexel[i] + v * w + u] === 1) out.push({ x, y, delta: deltaAt(scene, i, x, y) });
-    };
-    for (let v = 0; v < h; v += BORDER_STEP) {
-      if (x0 === 0) add(0, v, 0, y0 + v);
-      if (x0 + w === width) add(w - 1, v, width, y0 + v);
-    }
-    for (let u = 0; u < w; u += BORDER_STEP) {
-      if (y0 === 0) add(u, 0, x0 + u, 0);
-      if (y0 + h === height) add(u, h - 1, x0 + u, height);
-    }
-  }
-  return out;
 }
 
 /** A pose from `tx,ty,tz[,yaw,pitch,roll]`, or null where the text is none. */

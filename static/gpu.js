@@ -1,15 +1,14 @@
 // Draws a decoded scene with WebGPU by tmpi.wgsl, the shader that the server's gpu host uses too; its header is the contract.
-import { deltaAt, extrinsics } from './camera.js';
-import { pack, expandBand } from './pages.js';
+import { pieces } from './border.js';
+import { extrinsics } from './camera.js';
+import { expandAll, INSTANCE_FLOATS, instances, pack } from './pages.js';
 
 const UNIFORM_BYTES = 112;
-const INSTANCE_BYTES = 48;
+const INSTANCE_BYTES = INSTANCE_FLOATS * 4;
 const VERTICES = 18;
 /** Disparity 1/NEAR is the nearest that is drawn. */
 const NEAR = 1e-3;
 const DEPTH_FORMAT = 'depth32float';
-/** Time that building may hold the page before it lets others run. */
-const SLICE_MS = 12;
 
 let shaderText = null;
 
@@ -55,6 +54,9 @@ export class GpuRenderer {
   constructor(device, scene, onLost) {
     this.device = device;
     this.scene = scene;
+    this.maxSide = device.limits.maxTextureDimension2D;
+    /** What is drawn over the scene, one of `OVERLAYS`. */
+    this.overlay = 0;
     this.format = navigator.gpu.getPreferredCanvasFormat();
     this.disposed = false;
     this.depth = null;
@@ -90,7 +92,8 @@ export class GpuRenderer {
       pipeline('fs_soft', false, { color: over, alpha: over }),
     ]);
     this.uniforms = device.createBuffer({ size: UNIFORM_BYTES, usage: GPUBufferUsage.UNIFORM | GPUBufferUsage.COPY_DST });
-    const places = pack(this.scene, device.limits.maxTextureDimension2D, device.limits.maxTextureArrayLayers);
+    this.pieces = pieces(this.scene);
+    const places = pack(this.pieces, device.limits.maxTextureDimension2D, device.limits.maxTextureArrayLayers);
     await this.#upload(places);
     this.#instances(places);
     this.bindings = device.createBindGroup({
@@ -113,39 +116,16 @@ export class GpuRenderer {
       format: 'rgba8unorm',
       usage: GPUTextureUsage.TEXTURE_BINDING | GPUTextureUsage.COPY_DST,
     });
-    let slice = performance.now();
-    for (const band of bands) {
-      const data = expandBand(scene, band, width);
-      const bytesPerRow = width * 4;
+    const bytesPerRow = width * 4;
+    await expandAll(scene, this.pieces, bands, width, (band, data) => {
       device.queue.writeTexture({ texture: this.atlas, origin: [0, band.y, band.page] }, data, { bytesPerRow }, [width, band.h, 1]);
-      if (performance.now() - slice > SLICE_MS) {
-        await new Promise((resume) => setTimeout(resume));
-        slice = performance.now();
-      }
-    }
+    });
     this.atlasBytes = width * height * pages * 4;
   }
 
-  /** Pass 1 takes all layers in order; pass 2 those with a soft edge, back to front by disparity at the rectangle's centre. */
-  #instances({ page, atlasX, atlasY }) {
-    const { layers, tileSize } = this.scene;
-    const softs = [];
-    const mean = new Float64Array(layers.count);
-    for (let i = 0; i < layers.count; i++) {
-      mean[i] = deltaAt(this.scene, i, layers.x[i] + layers.w[i] / 2, layers.y[i] + layers.h[i] / 2);
-      if (layers.soft[i]) softs.push(i);
-    }
-    softs.sort((i, j) => mean[i] - mean[j] || i - j);
-    const data = new Float32Array(((layers.count + softs.length) * INSTANCE_BYTES) / 4);
-    const half = tileSize / 2;
-    const put = (slot, i) => {
-      const centre = [layers.tileX[i] + half, layers.tileY[i] + half];
-      const plane = [layers.a[i], layers.b[i], layers.c[i], page[i]];
-      data.set([...plane, ...centre, layers.x[i], layers.y[i], layers.w[i], layers.h[i], atlasX[i], atlasY[i]], slot * 12);
-    };
-    for (let i = 0; i < layers.count; i++) put(i, i);
-    softs.forEach((i, k) => put(layers.count + k, i));
-    this.counts = { opaque: layers.count, soft: softs.length };
+  #instances(places) {
+    const { data, opaque, soft } = instances(this.scene, this.pieces, places);
+    this.counts = { opaque, soft };
     const size = Math.max(data.byteLength, INSTANCE_BYTES);
     this.instances = this.device.createBuffer({ size, usage: GPUBufferUsage.VERTEX | GPUBufferUsage.COPY_DST });
     this.device.queue.writeBuffer(this.instances, 0, data);
@@ -172,7 +152,7 @@ export class GpuRenderer {
       this.depth?.destroy();
       this.depth = device.createTexture({ size: [width, height], format: DEPTH_FORMAT, usage: GPUTextureUsage.RENDER_ATTACHMENT });
     }
-    device.queue.writeBuffer(this.uniforms, 0, viewUniform(this.scene, pose, k, width, height));
+    device.queue.writeBuffer(this.uniforms, 0, viewUniform(this.scene, pose, k, width, height, this.overlay));
     const encoder = device.createCommandEncoder();
     const pass = encoder.beginRenderPass({
       colorAttachments: [{ view: texture.createView(), clearValue: [0, 0, 0, 0], loadOp: 'clear', storeOp: 'store' }],
@@ -232,11 +212,11 @@ function instanceLayout() {
   return { arrayStride: INSTANCE_BYTES, stepMode: 'instance', attributes: [0, 1, 2].map(attribute) };
 }
 
-function viewUniform({ intrinsics, tileSize }, pose, k, width, height) {
+function viewUniform({ intrinsics, tileSize }, pose, k, width, height, overlay) {
   const { r, t } = extrinsics(pose);
   const column = (j) => [r[j], r[3 + j], r[6 + j], 0];
   const camera = (c) => [c.fx, c.fy, c.cx, c.cy];
-  const rest = [...t, NEAR, ...camera(intrinsics), ...camera(k), width, height, tileSize / 2, 0];
+  const rest = [...t, NEAR, ...camera(intrinsics), ...camera(k), width, height, tileSize / 2, overlay];
   return new Float32Array([...column(0), ...column(1), ...column(2), ...rest]);
 }
 

@@ -1,26 +1,27 @@
-// Places the layers of a scene on the pages of a texture array and fills these with premultiplied RGBA.
+// Places the pieces of a scene on the pages of a texture array, fills these with premultiplied RGBA, and lists the instances to draw.
 import { Class } from './container.js';
 
 /** Width of a page where the scene fits one. */
 const PAGE_STEP = 256;
+/** Time that building may hold the page before it lets others run. */
+const SLICE_MS = 12;
 
 /**
  * Shelf packing, tallest rectangles first.
- * @param {Scene} scene
+ * @param {{w: number, h: number}[]} pieces
  * @param {number} side largest width and height of a page
  * @param {number} most largest count of pages
- * @returns places per layer (`page`, `atlasX`, `atlasY`), size and count of pages, and the `bands`: full-width strips with their layers
- * @throws where the layers do not fit
+ * @returns places per piece (`page`, `atlasX`, `atlasY`), size and count of pages, and the `bands`: full-width strips with their pieces
+ * @throws where they do not fit
  */
-export function pack(scene, side, most) {
-  const { layers } = scene;
-  const n = layers.count;
-  const order = Array.from({ length: n }, (_, i) => i).sort((i, j) => layers.h[j] - layers.h[i] || i - j);
+export function pack(pieces, side, most) {
+  const n = pieces.length;
+  const order = [...pieces.keys()].sort((i, j) => pieces[j].h - pieces[i].h || i - j);
   let area = 0;
   let widest = 1;
-  for (let i = 0; i < n; i++) {
-    area += layers.w[i] * layers.h[i];
-    widest = Math.max(widest, layers.w[i]);
+  for (const { w, h } of pieces) {
+    area += w * h;
+    widest = Math.max(widest, w);
   }
   const roundUp = (v) => Math.ceil(v / PAGE_STEP) * PAGE_STEP;
   const width = Math.min(side, roundUp(Math.max(widest, Math.sqrt(area))));
@@ -28,13 +29,13 @@ export function pack(scene, side, most) {
   let band = null;
   let x = 0;
   for (const i of order) {
-    const [w, h] = [layers.w[i], layers.h[i]];
+    const { w, h } = pieces[i];
     if (w > side || h > side) throw new Error(`a layer of ${w} × ${h} pixels does not fit the graphics device`);
     if (!band || x + w > width) {
       let [page, y] = band ? [band.page, band.y + band.h] : [0, 0];
       if (y + h > side) [page, y] = [page + 1, 0];
       if (page >= most) throw new Error('the layers do not fit the graphics device');
-      band = { page, y, h, layers: [], x: [] };
+      band = { page, y, h, pieces: [], x: [] };
       places.bands.push(band);
       places.height = Math.max(places.height, y + h);
       places.pages = page + 1;
@@ -43,30 +44,51 @@ export function pack(scene, side, most) {
     places.page[i] = band.page;
     places.atlasX[i] = x;
     places.atlasY[i] = band.y;
-    band.layers.push(i);
+    band.pieces.push(i);
     band.x.push(x);
     x += w;
   }
   return places;
 }
 
+/** Expands band after band and hands each to `write(band, data)`, with pauses that let the page live. */
+export async function expandAll(scene, pieces, bands, width, write) {
+  let slice = performance.now();
+  for (const band of bands) {
+    write(band, expandBand(scene, pieces, band, width));
+    if (performance.now() - slice > SLICE_MS) {
+      await new Promise((resume) => setTimeout(resume));
+      slice = performance.now();
+    }
+  }
+}
+
 /** Premultiplied RGBA of a band, `width × band.h`. */
-export function expandBand(scene, band, width) {
+function expandBand(scene, pieces, band, width) {
   const { layers, classes, alpha, hidden, photo } = scene;
   const out = new Uint8Array(width * band.h * 4);
-  band.layers.forEach((i, k) => {
-    let texel = layers.firstTexel[i];
+  band.pieces.forEach((p, k) => {
+    const piece = pieces[p];
+    const i = piece.layer;
+    const w = layers.w[i];
     let from = layers.firstHidden[i] * 3;
-    for (let v = 0; v < layers.h[i]; v++) {
-      let to = (v * width + band.x[k]) * 4;
-      let pixel = ((layers.y[i] + v) * scene.width + layers.x[i]) * 4;
-      for (let u = 0; u < layers.w[i]; u++, to += 4, pixel += 4, texel++) {
+    // hidden colours lie in a row, so those before the piece are counted too
+    for (let v = 0; v < piece.v + piece.h; v++) {
+      let texel = layers.firstTexel[i] + v * w;
+      const inRows = v >= piece.v;
+      const row = piece.flipY ? piece.h - 1 - (v - piece.v) : v - piece.v;
+      for (let u = 0; u < w; u++, texel++) {
         const kind = classes[texel];
         if (kind === Class.EMPTY) continue;
-        const a = alpha[texel];
-        const source = kind === Class.PHOTO ? photo.data : hidden;
-        const at = kind === Class.PHOTO ? pixel : from;
+        const own = from;
         if (kind === Class.HIDDEN) from += 3;
+        if (!inRows || u < piece.u || u >= piece.u + piece.w) continue;
+        const column = piece.flipX ? piece.w - 1 - (u - piece.u) : u - piece.u;
+        const to = (row * width + band.x[k] + column) * 4;
+        const a = alpha[texel];
+        const visible = kind === Class.PHOTO;
+        const source = visible ? photo.data : hidden;
+        const at = visible ? ((layers.y[i] + v) * scene.width + layers.x[i] + u) * 4 : own;
         out[to] = premultiplied(source[at], a);
         out[to + 1] = premultiplied(source[at + 1], a);
         out[to + 2] = premultiplied(source[at + 2], a);
@@ -75,6 +97,28 @@ export function expandBand(scene, band, width) {
     }
   });
   return out;
+}
+
+/** Floats of an instance; their order is that of tmpi.wgsl. */
+export const INSTANCE_FLOATS = 12;
+
+/**
+ * Instances as the shaders take them: first all pieces in layer order for pass 1, then those with a soft edge for pass 2, back to
+ * front by disparity at the piece's centre.
+ * @returns {{data: Float32Array, opaque: number, soft: number}} with the counts of both
+ */
+export function instances(scene, pieces, { page, atlasX, atlasY }) {
+  const half = scene.tileSize / 2;
+  const mean = pieces.map((p) => p.a + (p.b * (p.x + p.w / 2 - p.cx)) / half + (p.c * (p.y + p.h / 2 - p.cy)) / half);
+  const softs = [...pieces.keys()].filter((i) => scene.layers.soft[pieces[i].layer]).sort((i, j) => mean[i] - mean[j] || i - j);
+  const data = new Float32Array((pieces.length + softs.length) * INSTANCE_FLOATS);
+  const put = (i, slot) => {
+    const p = pieces[i];
+    data.set([p.a, p.b, p.c, page[i], p.cx, p.cy, p.x, p.y, p.w, p.h, atlasX[i], atlasY[i]], slot * INSTANCE_FLOATS);
+  };
+  pieces.forEach((_, i) => put(i, i));
+  softs.forEach((i, k) => put(i, pieces.length + k));
+  return { data, opaque: pieces.length, soft: softs.length };
 }
 
 /** `value · alpha / 255`, rounded to nearest. */

@@ -15,7 +15,7 @@
 // Uniform `View`, group 0 binding 0, 112 bytes, visible to the vertex stage:
 //     0  R column 0: x y z, unused        48  t: x y z, near                                 96  target width, target height (pixels)
 //    16  R column 1: x y z, unused        64  reference camera: fx fy cx cy (pixels)        104  half: half a tile, pixels
-//    32  R column 2: x y z, unused        80  target camera: fx fy cx cy (pixels)           108  unused
+//    32  R column 2: x y z, unused        80  target camera: fx fy cx cy (pixels)           108  overlay: 0 none, 1 disparity, 2 tiles, 3 planes
 //     near: depth 1, in units of the nearest distance of the photo; the server takes 1e-3.
 //
 // Instance, one vertex buffer, stepMode `instance`, arrayStride 48, three float32x4 attributes:
@@ -65,6 +65,28 @@ struct Varyings {
     // First and last texel centre of the rectangle on its page.
     @location(1) @interpolate(flat) bounds: vec4f,
     @location(2) @interpolate(flat) page: i32,
+    // Nothing where w = 0; rgb mixed in by w where w > 0; grey of depth · −w where w < 0.
+    @location(3) @interpolate(flat) overlay: vec4f,
+}
+
+// A colour of its own for each v.
+fn tint(v: vec3f) -> vec3f {
+    let hue = fract(sin(dot(v, vec3f(12.9898, 78.233, 37.719))) * 43758.547);
+    return 0.5 + 0.5 * cos(6.2831853 * (hue + vec3f(0.0, 0.33, 0.67)));
+}
+
+fn overlay_of(i: Instance) -> vec4f {
+    let kind = view.size_half.w;
+    if (kind == 1.0) {
+        return vec4f(0.0, 0.0, 0.0, -1.0 / view.t_near.w);
+    }
+    if (kind == 2.0) {
+        return vec4f(tint(vec3f(i.centre_origin.xy / view.size_half.z, 1.0)), 0.5);
+    }
+    if (kind == 3.0) {
+        return vec4f(tint(i.plane_page.xyz), 0.5);
+    }
+    return vec4f(0.0);
 }
 
 fn delta_at(s: vec2f, i: Instance) -> f32 {
@@ -107,6 +129,7 @@ fn vs(@builtin(vertex_index) vertex: u32, i: Instance) -> Varyings {
     out.texel = place[pick] * rect + i.size_atlas.zw;
     out.bounds = vec4f(i.size_atlas.zw + 0.5, i.size_atlas.zw + rect - 0.5);
     out.page = i32(i.plane_page.w);
+    out.overlay = overlay_of(i);
     if (n < 3u) {
         out.clip = vec4f(0.0, 0.0, 0.0, 1.0);
         return out;
@@ -125,6 +148,14 @@ fn colour(v: Varyings) -> vec4f {
     return textureSampleLevel(atlas, linear_clamp, texel / vec2f(textureDimensions(atlas)), v.page, 0.0);
 }
 
+// Premultiplied colour under the overlay; near is bright.
+fn overlaid(c: vec4f, v: Varyings) -> vec4f {
+    if (v.overlay.w < 0.0) {
+        return vec4f(vec3f(c.a * min(1.0, v.clip.z * -v.overlay.w)), c.a);
+    }
+    return vec4f(mix(c.rgb, v.overlay.rgb * c.a, v.overlay.w), c.a);
+}
+
 // Opaque texels, as fully covered.
 @fragment
 fn fs_opaque(v: Varyings) -> @location(0) vec4f {
@@ -132,7 +163,7 @@ fn fs_opaque(v: Varyings) -> @location(0) vec4f {
     if (c.a < OPAQUE) {
         discard;
     }
-    return vec4f(c.rgb / c.a, 1.0);
+    return overlaid(vec4f(c.rgb / c.a, 1.0), v);
 }
 
 // All others, premultiplied.
@@ -142,5 +173,5 @@ fn fs_soft(v: Varyings) -> @location(0) vec4f {
     if (c.a >= OPAQUE || c.a <= 0.0) {
         discard;
     }
-    return c;
+    return overlaid(c, v);
 }

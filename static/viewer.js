@@ -4,10 +4,11 @@
 //   viewer.addEventListener('ready', …)
 //
 // Events (detail): `progress` {received, total} · `photo` · `ready` {mode} · `mode` {mode, reason} · `idle` {on} · `pose` ·
-// `frame` {ms} · `error` {message}. `mode` is `gpu` where the browser draws, `served` where the server does, and `still` where
-// neither can and the photo is all there is.
-import { fovX, framing, HOME, lookingAt, POSE_KEYS, resized, zoomed } from './camera.js';
-import { findAdapter, GpuRenderer } from './gpu.js';
+// `frame` {ms} · `error` {message}. `mode` is `gpu` where the browser draws with WebGPU, `webgl` where it does with WebGL2,
+// `served` where the server draws, and `still` where nobody can and the photo is all there is.
+import { margins } from './border.js';
+import { fovX, HOME, lookingAt, pivotOf, POSE_KEYS, resized } from './camera.js';
+import { Hosts } from './hosts.js';
 import { listen, Motion } from './motion.js';
 import { quantised, ServedViews } from './served.js';
 
@@ -21,16 +22,17 @@ const FRAME_WEIGHT = 0.15;
 const SLOW_FRAME_MS = 40;
 const COARSER = 0.8;
 const COARSEST = 0.5;
-/** Time in which the view zooms in from the whole photo to where no border shows. */
-const ZOOM_IN_S = 1.2;
+
+/** Pictures that can be drawn over the scene. */
+export const OVERLAYS = Object.freeze(['none', 'depth', 'tiles', 'planes']);
 
 export class Viewer extends EventTarget {
   #worker = null;
   #frameRequest = 0;
   #lastFrame = 0;
-  #losses = 0;
+  #hosts = null;
+  #overlay = 0;
   #measuring = false;
-  #zoomed = 0;
   #detail = 1;
   #exact = null;
   #disposed = false;
@@ -91,6 +93,17 @@ export class Viewer extends EventTarget {
     this.#emit('idle', { on });
   }
 
+  /** What is drawn over the scene, one of `OVERLAYS`; only where the browser draws. */
+  get overlay() {
+    return OVERLAYS[this.#overlay];
+  }
+
+  set overlay(name) {
+    this.#overlay = Math.max(0, OVERLAYS.indexOf(name));
+    if (this.renderer) this.renderer.overlay = this.#overlay;
+    this.render();
+  }
+
   /** Eases back to where the photo was taken. */
   reset() {
     this.#exact = null;
@@ -124,41 +137,30 @@ export class Viewer extends EventTarget {
 
   #poseAt(offset) {
     if (!this.head) return { ...HOME };
-    const { viewBox } = this.head;
-    return lookingAt(this.framing.pivot, offset.x * viewBox.x, offset.y * viewBox.y, offset.z * viewBox.z);
+    const { x, y, z } = this.limits;
+    return lookingAt(this.pivot, offset.x * x, offset.y * y, offset.z * z);
   }
 
   /** Draws now. */
   render() {
     if (!this.head || this.#disposed) return;
-    if (this.mode === 'gpu') {
+    if (this.renderer?.context) {
       const { canvas } = this;
-      this.renderer.draw(this.pose, this.#intrinsics(canvas, this.#zoom()));
+      this.renderer.draw(this.pose, resized(this.head.intrinsics, this.head, canvas));
       this.#measure();
     } else if (this.mode === 'served') {
-      const k = zoomed(this.head.intrinsics, this.head, this.framing.zoom);
       const pose = this.#exact ?? this.#poseAt(quantised(this.motion.now));
-      this.served.show(pose, fovX(k, this.head.width), this.poster.clientWidth * this.#pixelRatio());
+      this.served.show(pose, fovX(this.head.intrinsics, this.head.width), this.poster.clientWidth * this.#pixelRatio());
     }
   }
 
-  /** From 1 to that of the framing, smoothly. */
-  #zoom() {
-    const s = this.#zoomed;
-    return 1 + (this.framing.zoom - 1) * s * s * (3 - 2 * s);
-  }
-
-  #intrinsics(size, zoom) {
-    return zoomed(resized(this.head.intrinsics, this.head, size), size, zoom);
-  }
-
   /**
-   * The view at the present pose as the server would draw it: the photo's own field of view, no zoom.
+   * The view at the present pose as the server would draw it.
    * @returns {Promise<Uint8ClampedArray>} premultiplied RGBA
    */
   async readPixels(width = this.head.width, height = this.head.height) {
-    if (this.mode !== 'gpu') throw new Error('pixels can be read only where the browser draws');
-    return this.renderer.readPixels(this.pose, this.#intrinsics({ width, height }, 1), width, height);
+    if (!this.renderer) throw new Error('pixels can be read only where the browser draws');
+    return this.renderer.readPixels(this.pose, resized(this.head.intrinsics, this.head, { width, height }), width, height);
   }
 
   dispose() {
@@ -177,30 +179,31 @@ export class Viewer extends EventTarget {
   }
 
   async #start() {
-    const adapter = await findAdapter();
+    this.#hosts = await Hosts.find();
     if (this.#disposed) return;
     this.#worker = new Worker(workerAddress(), { type: 'module' });
     this.#worker.onerror = (event) => this.#fail(event.message || 'The decoder could not be started.');
-    this.#worker.onmessage = ({ data }) => this.#onWorker(data, adapter);
-    this.#worker.postMessage({ url: this.options.atlas, photoOnly: !adapter });
+    this.#worker.onmessage = ({ data }) => this.#onWorker(data);
+    this.#worker.postMessage({ url: this.options.atlas, photoOnly: !this.#hosts.any });
   }
 
-  #onWorker(data, adapter) {
+  #onWorker(data) {
     if (data.type === 'progress') this.#emit('progress', { received: data.received, total: data.total || this.head?.total || 0 });
     else if (data.type === 'head') {
       this.head = data.head;
-      this.framing = framing(data.head);
+      this.limits = limitsOf(data.head);
+      this.pivot = pivotOf(data.head);
       this.#layout();
     } else if (data.type === 'photo') {
       this.posterUrl = URL.createObjectURL(data.blob);
       this.poster.src = this.posterUrl;
       this.#emit('photo');
-      if (!adapter) this.#serve('This browser has no WebGPU.');
+      if (!this.#hosts.any) this.#serve(this.#hosts.reason);
     } else if (data.type === 'scene') {
       this.scene = data.scene;
-      this.framing = framing(data.scene);
+      this.pivot = pivotOf(data.scene);
       this.#worker.terminate();
-      this.#draw(adapter);
+      this.#draw();
     } else this.#fail(data.message);
   }
 
@@ -214,38 +217,31 @@ export class Viewer extends EventTarget {
     }
   }
 
-  async #draw(adapter) {
-    try {
-      const renderer = await GpuRenderer.create(adapter, this.scene, (info) => this.#onLost(info));
-      if (this.#disposed) return renderer.dispose();
-      // a canvas keeps its device, so a rebuilt one gets a new canvas
-      const canvas = this.#add('canvas', 'tmpi-canvas');
-      canvas.setAttribute('aria-hidden', 'true');
-      this.canvas?.remove();
-      this.canvas = canvas;
-      this.renderer = renderer;
-      this.mode = 'gpu';
-      this.#layout();
-      renderer.attach(canvas);
-      this.render();
-      this.#wake();
-      this.#emit('ready', { mode: 'gpu' });
-    } catch (error) {
-      this.#serve(error.message);
-    }
+  /** Draws on the best host that can be had. */
+  async #draw() {
+    const host = await this.#hosts.next(this.scene, (reason) => this.#onLost(reason));
+    if (this.#disposed) return host?.renderer.dispose();
+    if (!host) return this.#serve(this.#hosts.reason);
+    this.canvas?.remove();
+    this.canvas = host.canvas;
+    this.canvas.setAttribute('aria-hidden', 'true');
+    this.#adopt(this.canvas, 'tmpi-canvas');
+    this.renderer = host.renderer;
+    this.mode = host.mode;
+    this.renderer.overlay = this.#overlay;
+    this.#layout();
+    this.renderer.attach(this.canvas);
+    this.render();
+    this.#wake();
+    this.#emit('ready', { mode: this.mode });
   }
 
-  /** Rebuilds once; a device that goes again is not trusted further. */
-  async #onLost(info) {
+  #onLost(reason) {
     if (this.#disposed) return;
-    this.#losses++;
     this.renderer = null;
     this.mode = 'loading';
-    this.#emit('mode', { mode: 'loading', reason: info.message || 'The graphics device was lost.' });
-    const adapter = this.#losses > 1 ? null : await findAdapter();
-    if (this.#disposed) return;
-    if (adapter) await this.#draw(adapter);
-    else this.#serve(info.message || 'The graphics device was lost.');
+    this.#emit('mode', { mode: 'loading', reason });
+    this.#draw();
   }
 
   #serve(reason) {
@@ -269,7 +265,10 @@ export class Viewer extends EventTarget {
   }
 
   #add(tag, className) {
-    const element = document.createElement(tag);
+    return this.#adopt(document.createElement(tag), className);
+  }
+
+  #adopt(element, className) {
     element.className = className;
     element.draggable = false;
     this.root.append(element);
@@ -295,7 +294,7 @@ export class Viewer extends EventTarget {
       element.style.height = `${height}px`;
     }
     if (this.canvas && this.renderer) {
-      const side = this.renderer.device.limits.maxTextureDimension2D;
+      const side = this.renderer.maxSide;
       const ratio = detail * Math.min(this.#pixelRatio(), Math.sqrt(MAX_PIXELS / (width * height)), side / Math.max(width, height));
       const size = [Math.max(1, Math.round(width * ratio)), Math.max(1, Math.round(height * ratio))];
       // setting a size clears the canvas even where it stays the same
@@ -316,8 +315,7 @@ export class Viewer extends EventTarget {
     const dt = this.#lastFrame ? (now - this.#lastFrame) / 1000 : 1 / 60;
     if (this.mode === 'loading') return;
     const moving = !this.#exact && this.motion.step(dt);
-    this.#zoomed = this.#reduced.matches ? 1 : Math.min(1, this.#zoomed + dt / ZOOM_IN_S);
-    if (moving || this.#zoomed < 1) {
+    if (moving) {
       this.#lastFrame = now;
       this.#frameRequest = requestAnimationFrame((next) => this.#frame(next));
     }
@@ -354,6 +352,13 @@ export class Viewer extends EventTarget {
   #emit(type, detail = {}) {
     this.dispatchEvent(new CustomEvent(type, { detail }));
   }
+}
+
+/** How far the camera goes: the view box, or as much of it as does not see past the continued border. */
+function limitsOf(head) {
+  const { x, y, z } = head.viewBox;
+  const { share } = margins(head);
+  return { x: x * share, y: y * share, z: z * share };
 }
 
 /** A worker's script must be of the page's own origin; what it imports need not. */

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use tmpi::check::scenes::{all, camera, cameras, flat, stack};
 use tmpi::quality::{psnr, share_off};
 use tmpi::render::{Backend, Cpu, Gpu, MAX_SIDE, Reference, RenderError, Renderer, View, select};
-use tmpi::tmpi::{Camera, Intrinsics, Pose, Scene};
+use tmpi::tmpi::{Camera, Intrinsics, Pose, Scene, ViewBox};
 
 fn db(view: &View, photo: &[[u8; 3]]) -> f64 {
     psnr(rgb(view).as_flattened(), photo.as_flattened())
@@ -97,6 +97,54 @@ fn the_identity_view_on_the_gpu_is_within_50_db() {
         println!("{name}: {got:.1} dB");
         assert!(got >= 50.0, "{name}: {got:.1} dB");
         assert!(view.rgba.iter().all(|p| p[3] == 255), "{name}: covered everywhere");
+    }
+}
+
+/// Corners of a view box: cameras that look straight ahead, and cameras that turn to keep what lies at `pivot` in place.
+fn corners(v: &ViewBox, pivot: f64) -> impl Iterator<Item = Pose> + use<> {
+    let v = *v;
+    (0..8).map(move |bits: u32| {
+        let side = |bit: u32, extent: f64| if bits >> bit & 1 == 0 { extent } else { -extent };
+        let (tx, ty, tz) = (side(0, v.x), side(1, v.y), side(2, v.z));
+        let yaw = -(tx * pivot).atan2(1.0 - tz * pivot).to_degrees();
+        let pitch = (ty * pivot).atan2((1.0 - tz * pivot).hypot(tx * pivot)).to_degrees();
+        Pose { tx, ty, tz, yaw, pitch, roll: 0.0 }
+    })
+}
+
+#[test]
+fn no_corner_of_the_view_box_sees_past_the_border() {
+    let (cpu, gpu) = (Cpu::default(), gpu());
+    let hosts = [&Reference as &dyn Renderer, &cpu].into_iter().chain(gpu.iter().map(|gpu| gpu as &dyn Renderer));
+    for host in hosts {
+        for (name, scene) in faithful() {
+            for pivot in [0.0, 0.4, 1.0] {
+                for pose in corners(&scene.view_box, pivot) {
+                    let view = host.render(&scene, &camera(&scene, pose, scene.photo.width, scene.photo.height)).unwrap();
+                    let (w, h) = (view.width as usize, view.height as usize);
+                    // a band as wide as the parallax; further in, what is uncovered is no matter of the border
+                    let band = (0..w * h).filter(|i| (i % w).min(w - 1 - i % w) < 8 || (i / w).min(h - 1 - i / w) < 8);
+                    let open = band.filter(|&i| view.rgba[i][3] < 250).count();
+                    assert_eq!(open, 0, "{name} on {} from {pose:?}", host.name());
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn beyond_the_border_the_scene_is_its_own_mirror_image() {
+    let mut scene = flat(160, 100, 1.0);
+    scene.view_box = ViewBox { x: 0.1, y: 0.0, z: 0.0 };
+    let scene = Arc::new(scene);
+    // ten pixels of parallax
+    let pose = Pose::at(-10.0 / scene.intrinsics.fx, 0.0, 0.0);
+    let view = Reference.render(&scene, &camera(&scene, pose, 160, 100)).unwrap();
+    for y in 0..100 {
+        for x in 0..10 {
+            let (got, want) = (view.rgba[y * 160 + 9 - x], scene.photo.at(x as u32, y as u32));
+            assert!(got[3] == 255 && (0..3).all(|c| got[c].abs_diff(want[c]) <= 1), "{x} {y}: {got:?} {want:?}");
+        }
     }
 }
 

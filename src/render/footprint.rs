@@ -3,6 +3,7 @@
 use crate::tmpi::{Camera, Mat3, Scene, homography, mat3_vec};
 
 use super::NEAR;
+use super::border::Piece;
 
 /// Linear function of a target pixel place, `f(x, y) = f[0]·x + f[1]·y + f[2]`.
 pub(super) type Form = [f64; 3];
@@ -11,7 +12,7 @@ fn value(f: &Form, x: f64, y: f64) -> f64 {
     f[0] * x + f[1] * y + f[2]
 }
 
-/// A layer seen by a camera.
+/// A piece of a layer seen by a camera.
 ///
 /// With `λ = 1/p_z`, all of `λ`, `x·λ`, `y·λ` and the target disparity are linear in the target pixel place, so a row is walked by
 /// increments and divided once a pixel.
@@ -49,17 +50,16 @@ pub(super) struct Place {
 }
 
 impl Footprint {
-    /// Footprint of layer `index`; none where the camera cannot see it (behind, edge-on, outside the picture, not finite).
-    pub fn new(scene: &Scene, index: usize, camera: &Camera) -> Option<Self> {
-        let layer = scene.layers.get(index)?;
-        let (half, centre, k) = (scene.grid.half(), scene.grid.centre(layer.tile), &scene.intrinsics);
-        let p = &layer.plane;
+    /// Footprint of `piece`; none where the camera cannot see it (behind, edge-on, outside the picture, not finite).
+    pub fn new(scene: &Scene, piece: &Piece, camera: &Camera) -> Option<Self> {
+        let (half, centre, k) = (scene.grid.half(), piece.centre, &scene.intrinsics);
+        let p = &piece.plane;
         let h = homography(p.normal(centre, half, k), k, camera);
         let inverse = inverted(&h)?;
         // δ in reference pixels
         let n = [p.b / half, p.c / half, p.a - (p.b * centre.0 + p.c * centre.1) / half];
-        let (rx, ry) = (f64::from(layer.rect.x), f64::from(layer.rect.y));
-        let size = [f64::from(layer.rect.w), f64::from(layer.rect.h)];
+        let [rx, ry] = piece.corner.map(|v| v as f64);
+        let size = piece.size.map(f64::from);
         let lambda = inverse[2];
         let minus = |row: usize, origin: f64| std::array::from_fn(|j| inverse[row][j] - origin * lambda[j]);
         let delta = std::array::from_fn(|j| (0..3).map(|i| n[i] * inverse[i][j]).sum());
@@ -89,7 +89,7 @@ impl Footprint {
 }
 
 /// Inverse by cofactors; none where it is not finite.
-fn inverted(m: &Mat3) -> Option<Mat3> {
+pub(super) fn inverted(m: &Mat3) -> Option<Mat3> {
     let c = |i: usize, j: usize| {
         let (a, b, p, q) = ((i + 1) % 3, (i + 2) % 3, (j + 1) % 3, (j + 2) % 3);
         m[a][p] * m[b][q] - m[a][q] * m[b][p]

@@ -1,11 +1,13 @@
 //! Drawing a scene for a camera (paper, algorithm 1) on three hosts that are held against each other.
 
+mod border;
 mod cpu;
 mod encode;
 mod footprint;
 mod gpu;
 mod prepared;
 mod reference;
+mod several;
 #[cfg(test)]
 mod testing;
 
@@ -13,6 +15,7 @@ pub use cpu::Cpu;
 pub use encode::{DEFAULT_QUALITY, EncodeError, PictureFormat, encode};
 pub use gpu::Gpu;
 pub use reference::Reference;
+pub use several::{Arrangement, EYES, MAX_QUILT, Rig, draw_several};
 
 use std::sync::Arc;
 
@@ -57,6 +60,9 @@ pub enum RenderError {
     /// There is no graphics adapter, or it was lost and could not be rebuilt.
     #[error("graphics adapter: {0}")]
     Adapter(String),
+    /// Nobody waits for the view any more.
+    #[error("the view is not wanted any more")]
+    Cancelled,
     /// The scene does not fit into the adapter's limits.
     #[error("the scene does not fit the graphics adapter: {0}")]
     TooLarge(String),
@@ -69,7 +75,7 @@ pub struct View {
     pub width: u32,
     /// Height in pixels.
     pub height: u32,
-    /// Premultiplied RGBA, row-major; alpha is below 255 where the scene leaves the frame uncovered.
+    /// Premultiplied RGBA, row-major; alpha is below 255 where nothing is known, which no camera of the view box sees.
     pub rgba: Vec<[u8; 4]>,
 }
 

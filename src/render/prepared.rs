@@ -2,11 +2,12 @@
 
 use std::sync::{Arc, Weak};
 
-use crate::tmpi::{Layer, Scene, SceneError};
+use crate::tmpi::{Scene, SceneError};
 
 use super::OPAQUE;
+use super::border::{Piece, pieces};
 
-/// What the texels of a layer allow to be left out.
+/// What the texels of a piece allow to be left out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Content {
     /// Some sample can reach the alpha that counts as opaque.
@@ -17,9 +18,9 @@ pub(super) struct Content {
 
 impl Content {
     /// Of the texels' alphas: an interpolated alpha lies between them.
-    pub fn of(alphas: &[u8]) -> Self {
+    pub fn of(alphas: impl Iterator<Item = u8>) -> Self {
         let (mut least, mut most) = (u8::MAX, 0);
-        for &a in alphas {
+        for a in alphas {
             least = least.min(a);
             most = most.max(a);
         }
@@ -28,19 +29,12 @@ impl Content {
     }
 }
 
-/// δ at the centre of the layer's rectangle, which is its mean over the rectangle.
-pub(super) fn mean_delta(scene: &Scene, layer: &Layer) -> f64 {
-    let (half, centre, r) = (scene.grid.half(), scene.grid.centre(layer.tile), &layer.rect);
-    let middle = |from: u32, length: u32| f64::from(from) + f64::from(length) / 2.0;
-    layer.plane.disparity((middle(r.x, r.w) - centre.0) / half, (middle(r.y, r.h) - centre.1) / half)
-}
-
-/// Layers back to front by (mean δ, index): the same for every camera that looks forward, so nothing flickers.
+/// Pieces back to front by (mean δ, index): the same for every camera that looks forward, so nothing flickers.
 ///
 /// `backward` is for cameras that look against the reference camera's view: rays meet the planes in the opposite order, ties stay.
-pub(super) fn back_to_front(scene: &Scene, backward: bool) -> Vec<usize> {
+pub(super) fn back_to_front(scene: &Scene, pieces: &[Piece], backward: bool) -> Vec<usize> {
     let sign = if backward { -1.0 } else { 1.0 };
-    let mean: Vec<f64> = scene.layers.iter().map(|l| sign * mean_delta(scene, l)).collect();
+    let mean: Vec<f64> = pieces.iter().map(|p| sign * p.mean_delta(scene.grid.half())).collect();
     let mut order: Vec<usize> = (0..mean.len()).collect();
     order.sort_by(|&a, &b| mean[a].total_cmp(&mean[b]).then(a.cmp(&b)));
     order
@@ -49,11 +43,13 @@ pub(super) fn back_to_front(scene: &Scene, backward: bool) -> Vec<usize> {
 /// A scene as the `cpu` host draws it.
 #[derive(Debug)]
 pub(super) struct Prepared {
-    /// Straight-alpha texels of all layers; each has its last column and last row twice, so that two by two neighbours always exist.
+    /// The layers and what is mirrored beyond the borders.
+    pub pieces: Vec<Piece>,
+    /// Straight-alpha texels of all pieces; each has its last column and last row twice, so that two by two neighbours always exist.
     pub texels: Vec<[u8; 4]>,
-    /// Place of each layer's first texel; its rows are one texel longer than its rectangle.
+    /// Place of each piece's first texel; its rows are one texel longer than the piece.
     pub first: Vec<usize>,
-    /// Layers with anything to draw, nearest first.
+    /// Pieces with anything to draw, nearest first.
     pub order: Vec<usize>,
 }
 
@@ -61,40 +57,48 @@ impl Prepared {
     /// Checks and expands `scene`.
     pub fn new(scene: &Scene) -> Result<Self, SceneError> {
         scene.validate()?;
-        let mut texels = Vec::with_capacity(scene.layers.iter().map(padded).sum());
-        let mut first = Vec::with_capacity(scene.layers.len());
-        let mut drawn = vec![false; scene.layers.len()];
-        let mut own = Vec::new();
-        for (index, layer) in scene.layers.iter().enumerate() {
-            let content = Content::of(&scene.texels.alpha[layer.first_texel..layer.first_texel + layer.rect.area()]);
+        let pieces = pieces(scene);
+        let mut texels = Vec::with_capacity(pieces.iter().map(padded).sum());
+        let mut first = Vec::with_capacity(pieces.len());
+        let mut drawn = vec![false; pieces.len()];
+        let (mut layer, mut own) = (Vec::new(), Vec::new());
+        let mut expanded = None;
+        for (index, piece) in pieces.iter().enumerate() {
+            let content = Content::of(piece.alphas(scene));
             drawn[index] = content.opaque || content.soft;
             first.push(texels.len());
             if drawn[index] {
+                if expanded != Some(piece.layer) {
+                    layer.clear();
+                    scene.expand_layer(piece.layer, &mut layer);
+                    expanded = Some(piece.layer);
+                }
                 own.clear();
-                scene.expand_layer(index, &mut own);
-                let rows = own.chunks(layer.rect.w as usize);
+                piece.expand(scene, &layer, &mut own);
+                let rows = own.chunks(piece.size[0] as usize);
                 for row in rows.clone().chain(rows.last()) {
                     texels.extend_from_slice(row);
                     texels.extend(row.last());
                 }
             }
         }
-        let mut order = back_to_front(scene, false);
+        let mut order = back_to_front(scene, &pieces, false);
         order.retain(|&i| drawn[i]);
         order.reverse();
-        Ok(Self { texels, first, order })
+        Ok(Self { pieces, texels, first, order })
     }
 
     /// Bytes that [`Prepared::new`] takes for `scene`, at most.
     pub fn bytes(scene: &Scene) -> usize {
-        let texels: usize = scene.layers.iter().map(padded).sum();
-        texels * size_of::<[u8; 4]>() + scene.layers.len() * 2 * size_of::<usize>()
+        let pieces = pieces(scene);
+        let texels: usize = pieces.iter().map(padded).sum();
+        texels * size_of::<[u8; 4]>() + pieces.len() * (size_of::<Piece>() + 2 * size_of::<usize>())
     }
 }
 
-/// Texels of a layer with the column and the row that come twice.
-fn padded(layer: &Layer) -> usize {
-    (layer.rect.w as usize + 1) * (layer.rect.h as usize + 1)
+/// Texels of a piece with the column and the row that come twice.
+fn padded(piece: &Piece) -> usize {
+    (piece.size[0] as usize + 1) * (piece.size[1] as usize + 1)
 }
 
 /// Values by scene, within a budget of bytes; the least recently used go first, those of dropped scenes at once.
@@ -138,6 +142,7 @@ impl<T> SceneCache<T> {
 mod tests {
     use super::super::testing;
     use super::*;
+    use crate::tmpi::ViewBox;
 
     #[test]
     fn the_cache_keeps_within_its_budget_and_forgets_dropped_scenes() {
@@ -164,8 +169,10 @@ mod tests {
 
     #[test]
     fn the_order_is_by_mean_disparity_then_index() {
-        let scene = testing::stack(16, 16, &[[9, 9, 9, 255]; 4], &[0.5, 0.2, 0.5, 0.0]);
-        assert_eq!(back_to_front(&scene, false), [3, 1, 0, 2]);
-        assert_eq!(back_to_front(&scene, true), [0, 2, 1, 3]);
+        let mut scene = testing::stack(16, 16, &[[9, 9, 9, 255]; 4], &[0.5, 0.2, 0.5, 0.0]);
+        scene.view_box = ViewBox { x: 0.0, y: 0.0, z: 0.0 };
+        let pieces = pieces(&scene);
+        assert_eq!(back_to_front(&scene, &pieces, false), [3, 1, 0, 2]);
+        assert_eq!(back_to_front(&scene, &pieces, true), [0, 2, 1, 3]);
     }
 }

@@ -4,9 +4,10 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
+use super::border::pieces;
 use super::footprint::Footprint;
 use super::{RenderError, Renderer, View, check};
-use crate::tmpi::{Camera, Layer, Scene};
+use crate::tmpi::{Camera, Scene};
 
 /// The paper's algorithm 1 as it stands.
 ///
@@ -15,16 +16,16 @@ use crate::tmpi::{Camera, Layer, Scene};
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Reference;
 
-struct Seen<'a> {
+struct Seen {
     footprint: Footprint,
     index: usize,
-    layer: &'a Layer,
+    size: [usize; 2],
     texels: Vec<[u8; 4]>,
 }
 
 struct Sample {
     delta: f64,
-    layer: usize,
+    piece: usize,
     /// Premultiplied, 0 to 1.
     rgba: [f64; 4],
 }
@@ -37,12 +38,13 @@ impl Renderer for Reference {
     fn render(&self, scene: &Arc<Scene>, camera: &Camera) -> Result<View, RenderError> {
         check(camera)?;
         scene.validate()?;
-        let seen: Vec<Seen> = (0..scene.layers.len())
-            .filter_map(|index| {
-                let footprint = Footprint::new(scene, index, camera)?;
-                let mut texels = Vec::new();
-                scene.expand_layer(index, &mut texels);
-                Some(Seen { footprint, index, layer: &scene.layers[index], texels })
+        let seen: Vec<Seen> = (pieces(scene).iter().enumerate())
+            .filter_map(|(index, piece)| {
+                let footprint = Footprint::new(scene, piece, camera)?;
+                let (mut layer, mut texels) = (Vec::new(), Vec::new());
+                scene.expand_layer(piece.layer, &mut layer);
+                piece.expand(scene, &layer, &mut texels);
+                Some(Seen { footprint, index, size: piece.size.map(|v| v as usize), texels })
             })
             .collect();
         let mut view = View::transparent(camera);
@@ -60,9 +62,9 @@ fn row_of(seen: &[Seen], y: u32, width: u32) -> Vec<[f64; 4]> {
     for s in seen.iter().filter(|s| (s.footprint.y0..s.footprint.y1).contains(&y)) {
         for x in s.footprint.x0..s.footprint.x1 {
             if let Some(at) = s.footprint.hit(f64::from(x) + 0.5, f64::from(y) + 0.5) {
-                let rgba = bilinear(&s.texels, s.layer.rect.w as usize, s.layer.rect.h as usize, at.x, at.y);
+                let rgba = bilinear(&s.texels, s.size[0], s.size[1], at.x, at.y);
                 if rgba[3] > 0.0 {
-                    samples[x as usize].push(Sample { delta: at.delta, layer: s.index, rgba });
+                    samples[x as usize].push(Sample { delta: at.delta, piece: s.index, rgba });
                 }
             }
         }
@@ -71,7 +73,7 @@ fn row_of(seen: &[Seen], y: u32, width: u32) -> Vec<[f64; 4]> {
 }
 
 fn composite(mut samples: Vec<Sample>) -> [f64; 4] {
-    samples.sort_by(|a, b| b.delta.total_cmp(&a.delta).then(b.layer.cmp(&a.layer)));
+    samples.sort_by(|a, b| b.delta.total_cmp(&a.delta).then(b.piece.cmp(&a.piece)));
     let mut sum = [0.0; 4];
     for s in &samples {
         let transmittance = 1.0 - sum[3];

@@ -28,6 +28,20 @@ export async function openPage(browser, options = {}) {
   return { page, context, errors };
 }
 
+/** Takes WebGPU from the page, and WebGL too where `webgl` is false. */
+export async function takeGraphics(page, { webgl }) {
+  await page.addInitScript((keep) => {
+    Object.defineProperty(navigator, 'gpu', { value: undefined });
+    if (keep) return;
+    for (const canvas of [HTMLCanvasElement, OffscreenCanvas]) {
+      const { getContext } = canvas.prototype;
+      canvas.prototype.getContext = function (kind, ...rest) {
+        return /^webgl/.test(kind) ? null : getContext.call(this, kind, ...rest);
+      };
+    }
+  }, webgl);
+}
+
 /** Waits until the viewer of the page shows something in `mode`. */
 export async function waitForMode(page, mode) {
   await page.waitForFunction((wanted) => document.getElementById('stage').dataset.mode === wanted, mode);

@@ -3,7 +3,7 @@ import assert from 'node:assert/strict';
 import { existsSync, readFileSync } from 'node:fs';
 import { after, before, describe, test } from 'node:test';
 import { fileURLToPath } from 'node:url';
-import { launch, openPage, PATIENCE_MS, pixelsAt, pixelsOf, shareDifferent, waitForMode } from './browser.mjs';
+import { launch, openPage, PATIENCE_MS, pixelsAt, pixelsOf, shareDifferent, takeGraphics, waitForMode } from './browser.mjs';
 import { BOX, boxDepth, boxPhoto } from './pictures.mjs';
 import { makePhoto, startServer } from './tmpi.mjs';
 
@@ -127,9 +127,24 @@ describe('the whole way', () => {
     await context.close();
   });
 
-  test('without WebGPU the server’s pictures come', async () => {
+  test('without WebGPU the browser draws with WebGL what the server draws', async (t) => {
     const { page, context, errors } = await openPage(browser);
-    await page.addInitScript(() => Object.defineProperty(navigator, 'gpu', { value: undefined }));
+    await takeGraphics(page, { webgl: true });
+    await page.goto(`${server.url}/view/${made.id}`);
+    await waitForMode(page, 'webgl');
+    const shares = await compare(page, made.id, WIDTH, HEIGHT);
+    t.diagnostic(`share off by more than 8 levels: ${shares.map((s) => s.toFixed(5)).join(', ')}`);
+    for (const share of shares) assert.ok(share < MAX_SHARE, `${share}`);
+    const before = await page.locator('.tmpi-canvas').screenshot();
+    await page.evaluate(() => window.viewer.setPose({ tx: 0.025 }));
+    assert.notDeepEqual(await page.locator('.tmpi-canvas').screenshot(), before, 'the canvas itself shows the move');
+    assert.deepEqual(errors, []);
+    await context.close();
+  });
+
+  test('with neither WebGPU nor WebGL the server’s pictures come', async () => {
+    const { page, context, errors } = await openPage(browser);
+    await takeGraphics(page, { webgl: false });
     await page.goto(`${server.url}/view/${made.id}`);
     await waitForMode(page, 'served');
     const shown = () => page.evaluate(() => window.viewer.served.shown);

@@ -1,7 +1,7 @@
 // The viewer by itself: a container written by hand, a server that does nothing but serve files.
 import assert from 'node:assert/strict';
 import { after, before, describe, test } from 'node:test';
-import { launch, openPage, pixelsAt, shareDifferent, waitForMode } from './browser.mjs';
+import { launch, openPage, pixelsAt, shareDifferent, takeGraphics, waitForMode } from './browser.mjs';
 import { boxScene, container } from './fixture.mjs';
 import { boxPhoto, BOX, inBox, readPng, wall } from './pictures.mjs';
 import { serve } from './static-server.mjs';
@@ -29,14 +29,12 @@ function expected(tx) {
 describe('viewer', () => {
   let server;
   let browser;
-  let plain;
   before(async () => {
     server = await serve({ atlas: container(boxScene(WIDTH, HEIGHT)), delayMs: 400 });
     browser = await launch();
   });
   after(async () => {
     await browser?.close();
-    await plain?.close();
     await server?.close();
   });
 
@@ -157,7 +155,27 @@ describe('viewer', () => {
     await context.close();
   });
 
-  test('a lost device is rebuilt once; after the second loss the server draws', async () => {
+  test('no corner of the view box sees past the border', async () => {
+    const { page, context } = await open({ reducedMotion: 'reduce' });
+    await waitForMode(page, 'gpu');
+    const open8 = await page.evaluate(async () => {
+      let uncovered = 0;
+      for (const x of [-1, 1]) {
+        for (const y of [-1, 1]) {
+          for (const z of [-1, 1]) {
+            window.viewer.moveTo({ x, y, z });
+            const data = await window.viewer.readPixels();
+            for (let i = 3; i < data.length; i += 4) if (data[i] < 250) uncovered++;
+          }
+        }
+      }
+      return uncovered;
+    });
+    assert.equal(open8, 0);
+    await context.close();
+  });
+
+  test('a lost device is rebuilt once; then WebGL draws, and after two more losses the server', async () => {
     const { page, context } = await open({ reducedMotion: 'reduce' });
     await waitForMode(page, 'gpu');
     const before = await pixelsAt(page, { tx: 0.02 }, WIDTH, HEIGHT);
@@ -167,15 +185,25 @@ describe('viewer', () => {
     const rebuilt = await pixelsAt(page, { tx: 0.02 }, WIDTH, HEIGHT);
     assert.equal(shareDifferent(before, rebuilt, WIDTH, HEIGHT, { levels: 0 }), 0);
     await page.evaluate(() => window.viewer.renderer.device.destroy());
+    await waitForMode(page, 'webgl');
+    const other = shareDifferent(before, await pixelsAt(page, { tx: 0.02 }, WIDTH, HEIGHT), WIDTH, HEIGHT);
+    assert.ok(other < 0.005, `${other} of the pixels differ between WebGPU and WebGL2`);
+    for (let i = 0; i < 2; i++) {
+      await page.evaluate(() => {
+        window.lost = window.viewer.renderer;
+        window.lost.gl.getExtension('WEBGL_lose_context').loseContext();
+      });
+      await page.waitForFunction(() => window.viewer.renderer !== window.lost && window.viewer.mode !== 'loading');
+    }
     await waitForMode(page, 'served');
     await page.waitForFunction(() => document.querySelector('.tmpi-poster').naturalWidth > 0);
     assert.equal(await page.locator('.tmpi-canvas').count(), 0);
     await context.close();
   });
 
-  test('without WebGPU the server’s views are shown, one request at a time, the latest pose last', async () => {
-    plain = await launch({ webgpu: false });
-    const { page, context, errors } = await openPage(plain);
+  test('with neither WebGPU nor WebGL the server’s views are shown, one request at a time, the latest pose last', async () => {
+    const { page, context, errors } = await openPage(browser);
+    await takeGraphics(page, { webgl: false });
     await page.goto(`${server.url}/view/box`);
     await waitForMode(page, 'served');
     assert.match(await page.locator('#served-note').textContent(), /The server draws this view/);

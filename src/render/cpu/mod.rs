@@ -65,7 +65,8 @@ impl Renderer for Cpu {
     fn render(&self, scene: &Arc<Scene>, camera: &Camera) -> Result<View, RenderError> {
         check(camera)?;
         let prepared = self.prepared(scene)?;
-        let draws: Vec<Draw> = prepared.order.iter().filter_map(|&i| Draw::new(scene, i, prepared.first[i], camera)).collect();
+        let draws: Vec<Draw> =
+            prepared.order.iter().filter_map(|&i| Draw::new(scene, &prepared.pieces[i], prepared.first[i], camera)).collect();
         let mut view = View::transparent(camera);
         let width = camera.width as usize;
         let rows = (BAND_PIXELS / width).clamp(1, BAND_ROWS);

@@ -1,5 +1,6 @@
 //! Which pixels of a row a layer covers.
 
+use crate::render::border::Piece;
 use crate::render::footprint::{Footprint, Form};
 use crate::tmpi::{Camera, Scene};
 
@@ -10,7 +11,7 @@ struct Edge {
     reciprocal: f64,
 }
 
-/// A layer ready to be walked row by row.
+/// A piece of a layer ready to be walked row by row.
 #[derive(Clone, Debug)]
 pub(super) struct Draw {
     pub footprint: Footprint,
@@ -36,12 +37,11 @@ pub(super) struct Span {
 }
 
 impl Draw {
-    /// Layer `index`, whose prepared texels start at `first_texel`.
-    pub fn new(scene: &Scene, index: usize, first_texel: usize, camera: &Camera) -> Option<Self> {
-        let footprint = Footprint::new(scene, index, camera)?;
-        let layer = &scene.layers[index];
+    /// `piece`, whose prepared texels start at `first_texel`.
+    pub fn new(scene: &Scene, piece: &Piece, first_texel: usize, camera: &Camera) -> Option<Self> {
+        let footprint = Footprint::new(scene, piece, camera)?;
         let edges = footprint.conditions().map(|form| Edge { form, reciprocal: 1.0 / form[0] });
-        Some(Self { footprint, edges, first_texel, w: layer.rect.w as usize, h: layer.rect.h as usize })
+        Some(Self { footprint, edges, first_texel, w: piece.size[0] as usize, h: piece.size[1] as usize })
     }
 
     /// The span of row `y`, none where it is empty.

@@ -6,6 +6,8 @@ use wgpu::util::DeviceExt;
 
 use super::device::{COLOUR, Device, WIDE};
 use super::pack::{Packing, pack};
+use crate::render::RenderError;
+use crate::render::border::{Piece, pieces};
 use crate::render::prepared::{Content, back_to_front};
 use crate::render::{OPAQUE, RenderError};
 use crate::tmpi::Scene;
@@ -32,9 +34,9 @@ pub(super) struct Instances {
 #[derive(Debug)]
 pub(super) struct Loaded {
     pub bind_group: wgpu::BindGroup,
-    /// Layers with opaque texels, in layer order.
+    /// Pieces with opaque texels, in layer order.
     pub opaque: Instances,
-    /// Layers with soft texels, back to front as seen by a camera that looks forward.
+    /// Pieces with soft texels, back to front as seen by a camera that looks forward.
     pub soft: Instances,
     /// The same as seen by a camera that looks backward.
     pub soft_backward: Instances,
@@ -70,11 +72,12 @@ fn stacked(scene: &Scene) -> u8 {
     most
 }
 
-/// Layers to draw and where their texels go.
+/// Pieces to draw and where their texels go.
 #[derive(Debug)]
 pub(super) struct Plan {
-    /// Indices of the layers in layer order, with what they hold.
-    layers: Vec<(usize, Content)>,
+    /// The layers and what is mirrored beyond the borders, in layer order; only those with anything to draw, with what they hold.
+    pieces: Vec<Piece>,
+    contents: Vec<Content>,
     packing: Packing,
     /// Texels of 16-bit floats: thin layers in stacks need more than 8 bits once they are premultiplied.
     wide: bool,
@@ -84,55 +87,44 @@ impl Plan {
     /// Decides what of `scene` is loaded, within the adapter's limits.
     pub fn new(scene: &Scene, limits: &wgpu::Limits) -> Result<Self, RenderError> {
         scene.validate()?;
-        let mut layers = Vec::new();
-        for (index, layer) in scene.layers.iter().enumerate() {
-            let content = Content::of(&scene.texels.alpha[layer.first_texel..layer.first_texel + layer.rect.area()]);
-            if content.opaque || content.soft {
-                layers.push((index, content));
-            }
-        }
-        let sizes: Vec<(u32, u32)> = layers.iter().map(|&(i, _)| (scene.layers[i].rect.w, scene.layers[i].rect.h)).collect();
+        let all = pieces(scene).into_iter().map(|p| (p, Content::of(p.alphas(scene))));
+        let (pieces, contents): (Vec<Piece>, Vec<Content>) = all.filter(|(_, c)| c.opaque || c.soft).unzip();
+        let sizes: Vec<(u32, u32)> = pieces.iter().map(|p| (p.size[0], p.size[1])).collect();
         let packing = pack(&sizes, limits.max_texture_dimension_2d, limits.max_texture_array_layers)?;
-        Ok(Self { layers, packing, wide: stacked(scene) > STACK })
+        Ok(Self { pieces, contents, packing, wide: stacked(scene) > STACK })
     }
 
     /// Bytes of graphics memory that it takes.
     pub fn bytes(&self) -> usize {
         let p = &self.packing;
         let texel = if self.wide { 8 } else { 4 };
-        p.width as usize * p.height as usize * p.pages as usize * texel + self.layers.len() * 3 * size_of::<Instance>()
+        p.width as usize * p.height as usize * p.pages as usize * texel + self.pieces.len() * 3 * size_of::<Instance>()
     }
 
     /// Uploads the scene.
     pub fn load(&self, scene: &Scene, device: &Device) -> Loaded {
         let texture = self.upload(scene, device);
-        let mut at = vec![None; scene.layers.len()];
-        for (n, &(index, content)) in self.layers.iter().enumerate() {
-            at[index] = Some((n, content));
-        }
         let of = |indices: &mut dyn Iterator<Item = usize>, wanted: fn(&Content) -> bool| {
-            let all: Vec<Instance> =
-                indices.filter_map(|i| at[i].filter(|(_, c)| wanted(c)).map(|(n, _)| self.instance(scene, i, n))).collect();
+            let all: Vec<Instance> = indices.filter(|&n| wanted(&self.contents[n])).map(|n| self.instance(n)).collect();
             Instances::new(device, &all)
         };
         Loaded {
             bind_group: device.bind_group(&texture),
-            opaque: of(&mut (0..scene.layers.len()), |c| c.opaque),
-            soft: of(&mut back_to_front(scene, false).into_iter(), |c| c.soft),
+            opaque: of(&mut (0..self.pieces.len()), |c| c.opaque),
+            soft: of(&mut back_to_front(scene, &self.pieces, false).into_iter(), |c| c.soft),
             wide: self.wide,
-            soft_backward: of(&mut back_to_front(scene, true).into_iter(), |c| c.soft),
+            soft_backward: of(&mut back_to_front(scene, &self.pieces, true).into_iter(), |c| c.soft),
         }
     }
 
-    fn instance(&self, scene: &Scene, index: usize, n: usize) -> Instance {
-        let layer = &scene.layers[index];
-        let (p, r, place) = (&layer.plane, &layer.rect, self.packing.places[n]);
-        let centre = scene.grid.centre(layer.tile);
+    fn instance(&self, n: usize) -> Instance {
+        let (piece, place) = (&self.pieces[n], self.packing.places[n]);
+        let (p, centre) = (&piece.plane, piece.centre);
         Instance {
             plane: [p.a as f32, p.b as f32, p.c as f32],
             page: place.page as f32,
             centre: [centre.0 as f32, centre.1 as f32],
-            rect: [r.x as f32, r.y as f32, r.w as f32, r.h as f32],
+            rect: [piece.corner[0] as f32, piece.corner[1] as f32, piece.size[0] as f32, piece.size[1] as f32],
             atlas: [place.x as f32, place.y as f32],
         }
     }
@@ -154,12 +146,18 @@ impl Plan {
         let p = &self.packing;
         let texture = device.atlas(p.width, p.height, p.pages, format);
         let mut page = vec![T::zeroed(); p.width as usize * p.height as usize];
-        let mut texels = Vec::new();
+        let (mut layer, mut texels) = (Vec::new(), Vec::new());
         for number in 0..p.pages {
-            for (&(index, _), place) in self.layers.iter().zip(&p.places).filter(|(_, place)| place.page == number) {
+            let mut expanded = None;
+            for (piece, place) in self.pieces.iter().zip(&p.places).filter(|(_, place)| place.page == number) {
+                if expanded != Some(piece.layer) {
+                    layer.clear();
+                    scene.expand_layer(piece.layer, &mut layer);
+                    expanded = Some(piece.layer);
+                }
                 texels.clear();
-                scene.expand_layer(index, &mut texels);
-                let width = scene.layers[index].rect.w as usize;
+                piece.expand(scene, &layer, &mut texels);
+                let width = piece.size[0] as usize;
                 for (y, row) in texels.chunks(width).enumerate() {
                     let start = (place.y as usize + y) * p.width as usize + place.x as usize;
                     for (to, from) in page[start..start + width].iter_mut().zip(row) {

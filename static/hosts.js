@@ -1,0 +1,54 @@
+// What may draw in this browser, best first: WebGPU, then WebGL2. Each is tried a second time after it was lost, then given up.
+import { findAdapter, GpuRenderer } from './gpu.js';
+import { GlRenderer, hasWebGl } from './webgl.js';
+
+const ATTEMPTS = 2;
+
+export class Hosts {
+  /** Looks what there is. */
+  static async find() {
+    return new Hosts([(await findAdapter()) ? 'gpu' : null, hasWebGl() ? 'webgl' : null].filter(Boolean));
+  }
+
+  constructor(modes) {
+    this.left = modes.map((mode) => ({ mode, attempts: ATTEMPTS }));
+    this.reason = 'This browser has neither WebGPU nor WebGL.';
+  }
+
+  get any() {
+    return this.left.length > 0;
+  }
+
+  /**
+   * The best host that still can be had, with a new canvas, which keeps its device for life.
+   * @param {Scene} scene
+   * @param {(reason: string) => void} onLost called where it goes away by itself
+   * @returns {Promise<{mode: 'gpu' | 'webgl', renderer: GpuRenderer | GlRenderer, canvas: HTMLCanvasElement} | null>}
+   */
+  async next(scene, onLost) {
+    while (this.any) {
+      const [host] = this.left;
+      if (host.attempts-- > 0) {
+        try {
+          const canvas = document.createElement('canvas');
+          const lost = ({ message }) => {
+            this.reason = message || 'The graphics device was lost.';
+            onLost(this.reason);
+          };
+          const renderer = await (host.mode === 'gpu' ? openGpu(scene, lost) : GlRenderer.create(canvas, scene, lost));
+          return { mode: host.mode, renderer, canvas };
+        } catch (error) {
+          this.reason = error.message;
+        }
+      }
+      this.left.shift();
+    }
+    return null;
+  }
+}
+
+async function openGpu(scene, lost) {
+  const adapter = await findAdapter();
+  if (!adapter) throw new Error('The graphics device is gone.');
+  return GpuRenderer.create(adapter, scene, lost);
+}
