@@ -141,6 +141,9 @@ fn usage_errors_name_flag_and_range() {
     render(&["--size", "16385x1"]).fails(2, &["--size", "16384"]);
     render(&["--size", "0x5"]).fails(2, &["--size"]);
     render(&["--stereo", "0"]).fails(2, &["--stereo"]);
+    render(&["--anaglyph"]).fails(2, &["--stereo"]);
+    render(&["--quilt", "11x10"]).fails(2, &["--quilt"]);
+    render(&["--quilt", "10x10", "--size", "2000x1000"]).fails(2, &["--size"]);
     render(&["--frames", "5"]).fails(2, &["--path"]);
     f.run(&["render", "box.tmpi", "-o", "x.gif"]).fails(2, &[".webp"]);
     f.run(&["nonsense"]).fails(2, &["nonsense"]);
@@ -317,6 +320,10 @@ fn render_draws_in_every_format() {
     assert_eq!(pair.dimensions(), (300, 100));
     let left_edge = |x0: u32| (x0..x0 + 150).find(|&x| pair.get_pixel(x, 50).0[0] > 150).unwrap() - x0;
     assert!(left_edge(0) > left_edge(150), "the left eye sees the box farther to the right");
+    let (_, path) = render("red-cyan.png", &["--stereo", "0.1", "--anaglyph"]);
+    assert_eq!(image::open(path).unwrap().to_rgb8().dimensions(), (150, 100));
+    let (_, path) = render("quilt.png", &["--quilt", "4x2", "--size", "60x40"]);
+    assert_eq!(image::open(path).unwrap().to_rgb8().dimensions(), (240, 80));
     let (lines, _) = render("frames/f.jpg", &["--path", "swing", "--frames", "3"]);
     assert_eq!(lines.len(), 3);
     for n in 1..=3 {

@@ -10,8 +10,8 @@ use serde_json::json;
 use super::flags::{fov_x, numbers, quality, size};
 use super::{Usage, files, result};
 use crate::atlas;
-use crate::render::{self, Backend, MAX_SIDE, PictureFormat, Renderer, View};
-use crate::tmpi::{Camera, Intrinsics, Pose, Scene, ViewBox, mat3_vec};
+use crate::render::{self, Arrangement, Backend, MAX_PIXELS, MAX_SIDE, PictureFormat, Rig};
+use crate::tmpi::{Camera, Intrinsics, Pose, Scene, ViewBox};
 
 /// Draw a container from another place
 #[derive(Clone, Debug, clap::Args)]
@@ -37,6 +37,15 @@ pub(super) struct RenderArgs {
     /// Two views side by side, this far apart, in units of the nearest distance
     #[arg(long, value_parser = ipd, allow_hyphen_values = true, value_name = "IPD")]
     stereo: Option<f64>,
+    /// With --stereo: one picture for red and cyan glasses
+    #[arg(long, requires = "stereo")]
+    anaglyph: bool,
+    /// Views from left to right over the width of the view box, as light-field displays take them; --size is that of each
+    #[arg(long, value_parser = Arrangement::quilt, conflicts_with = "stereo", value_name = "COLUMNSxROWS")]
+    quilt: Option<Arrangement>,
+    /// With --stereo or --quilt: disparity that lies in the screen; what is nearer stands before it
+    #[arg(long, value_parser = focus, default_value = "0", value_name = "DISPARITY")]
+    focus: f64,
     /// Move the camera through the view box and write numbered frames
     #[arg(long, value_enum, value_name = "PATH")]
     path: Option<Path3>,
@@ -97,8 +106,12 @@ pub(super) fn run(args: &RenderArgs) -> anyhow::Result<()> {
     let bytes = files::read(&args.input)?;
     let scene = Arc::new(atlas::decode(&bytes).with_context(|| args.input.display().to_string())?);
     let (width, height) = args.size.unwrap_or((scene.grid.width, scene.grid.height));
-    if args.stereo.is_some() && width > MAX_SIDE / 2 {
-        return Err(Usage(format!("--stereo pictures are at most {} pixels wide each, not {width}", MAX_SIDE / 2)).into());
+    let rig = rig(args, &scene);
+    let (columns, rows) = rig.map_or((1, 1), |r| r.arrangement.grid());
+    let (whole_width, whole_height) = (width.saturating_mul(columns), height.saturating_mul(rows));
+    if whole_width > MAX_SIDE || whole_height > MAX_SIDE || u64::from(whole_width) * u64::from(whole_height) > MAX_PIXELS {
+        let problem = format!("{columns}×{rows} views of {width}×{height} are more than {MAX_SIDE} a side or {MAX_PIXELS} pixels together");
+        return Err(Usage(format!("{problem}: give a smaller --size")).into());
     }
     let intrinsics = match args.fov_x {
         Some(fov) => Intrinsics::from_fov_x(width, height, fov),
@@ -112,10 +125,13 @@ pub(super) fn run(args: &RenderArgs) -> anyhow::Result<()> {
         let mut camera = camera;
         let mut output = args.output.clone();
         if let Some(path) = args.path {
-            camera.pose = moved(&args.pose, path.at(f64::from(frame) / f64::from(frames), &scene.view_box));
+            camera.pose = args.pose.shifted(path.at(f64::from(frame) / f64::from(frames), &scene.view_box));
             output = numbered(&args.output, frame + 1, frames);
         }
-        let view = draw(renderer.as_ref(), &scene, &camera, args.stereo)?;
+        let view = match &rig {
+            Some(rig) => render::draw_several(renderer.as_ref(), &scene, &camera, rig)?,
+            None => renderer.render(&scene, &camera)?,
+        };
         let ms = start.elapsed().as_secs_f64() * 1e3;
         files::write(&output, &render::encode(&view, format, args.quality)?)?;
         if args.json {
@@ -129,19 +145,21 @@ pub(super) fn run(args: &RenderArgs) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The pose shifted by `by`, which is right, down and forward as the camera sees it.
-fn moved(pose: &Pose, by: [f64; 3]) -> Pose {
-    let d = mat3_vec(&pose.orientation(), by);
-    Pose { tx: pose.tx + d[0], ty: pose.ty + d[1], tz: pose.tz + d[2], ..*pose }
+fn focus(text: &str) -> Result<f64, String> {
+    match numbers(text)?.as_slice() {
+        &[v] if (0.0..=2.0).contains(&v) => Ok(v),
+        _ => Err("it must be from 0 to 2".into()),
+    }
 }
 
-fn draw(renderer: &dyn Renderer, scene: &Arc<Scene>, camera: &Camera, stereo: Option<f64>) -> anyhow::Result<View> {
-    let Some(ipd) = stereo else { return Ok(renderer.render(scene, camera)?) };
-    let eye = |shift: f64| renderer.render(scene, &Camera { pose: moved(&camera.pose, [shift, 0.0, 0.0]), ..*camera });
-    let (left, right) = (eye(-ipd / 2.0)?, eye(ipd / 2.0)?);
-    let w = left.width as usize;
-    let rgba = left.rgba.chunks_exact(w).zip(right.rgba.chunks_exact(w)).flat_map(|(l, r)| [l, r].concat()).collect();
-    Ok(View { width: left.width * 2, height: left.height, rgba })
+/// The cameras where several are asked for.
+fn rig(args: &RenderArgs, scene: &Scene) -> Option<Rig> {
+    let (arrangement, baseline) = match (args.quilt, args.stereo) {
+        (Some(quilt), _) => (quilt, 2.0 * scene.view_box.x),
+        (None, Some(ipd)) => (if args.anaglyph { Arrangement::Anaglyph } else { Arrangement::SideBySide }, ipd),
+        (None, None) => return None,
+    };
+    Some(Rig { arrangement, baseline, focus: args.focus })
 }
 
 /// `name-0001.png`, with as many digits as all frames need, at least four.
@@ -176,7 +194,7 @@ mod tests {
             let (a, b) = (path.at(0.0, &v), path.at(1.0, &v));
             assert!((0..3).all(|k| (a[k] - b[k]).abs() < 1e-9));
         }
-        let turned = moved(&Pose { yaw: 90.0, ..Pose::default() }, [1.0, 0.0, 0.0]);
+        let turned = Pose { yaw: 90.0, ..Pose::default() }.shifted([1.0, 0.0, 0.0]);
         assert!(turned.tx.abs() < 1e-9 && (turned.tz + 1.0).abs() < 1e-9, "right of a camera that looks right is back");
     }
 

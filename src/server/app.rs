@@ -57,6 +57,8 @@ pub struct Shared {
     pub files: Cache<(Version, Part), Stored>,
     /// Smaller levels of containers.
     pub levels: Cache<(Version, u8), Stored>,
+    /// Encoded views by photo and entity tag.
+    pub views: Cache<(Version, String), Bytes>,
     /// Where views are drawn.
     pub pool: Pool,
     /// What draws them.

@@ -41,6 +41,8 @@ pub struct Limits {
     pub scene_cache: usize,
     /// Memory for containers and other small files in bytes.
     pub file_cache: usize,
+    /// Memory for encoded views in bytes.
+    pub view_cache: usize,
     /// Photos on one page of the list.
     pub page: usize,
     /// Pause between two keep-alive comments of an event stream.
@@ -80,6 +82,8 @@ impl Limits {
     pub const SCENE_CACHE: usize = 256 << 20;
     /// 64 MiB.
     pub const FILE_CACHE: usize = 64 << 20;
+    /// 64 MiB.
+    pub const VIEW_CACHE: usize = 64 << 20;
     /// 200 photos.
     pub const PAGE: usize = 200;
     /// 15 s.
@@ -110,6 +114,7 @@ impl Default for Limits {
             view_side: Self::VIEW_SIDE,
             scene_cache: Self::SCENE_CACHE,
             file_cache: Self::FILE_CACHE,
+            view_cache: Self::VIEW_CACHE,
             page: Self::PAGE,
             keep_alive: Self::KEEP_ALIVE,
         }

@@ -116,6 +116,7 @@ impl Server {
             scenes: Cache::new(limits.scene_cache),
             files: Cache::new(limits.file_cache),
             levels: Cache::new(limits.file_cache / 4),
+            views: Cache::new(limits.view_cache),
             pool: Pool::new(limits.views, limits.views_waiting),
             limits,
             telemetry,

@@ -172,6 +172,8 @@ impl From<&RenderError> for Problem {
         match error {
             RenderError::Camera(_) => Self::new(StatusCode::BAD_REQUEST, "parameter", error.to_string()),
             RenderError::Adapter(_) | RenderError::Scene(_) => Self::internal("drawing the view", error),
+            // nobody is there to read it
+            RenderError::Cancelled => Self::new(StatusCode::SERVICE_UNAVAILABLE, "cancelled", error.to_string()).retry_after(1),
             RenderError::TooLarge(_) => Self::new(StatusCode::UNPROCESSABLE_ENTITY, "view-too-large", error.to_string()),
         }
     }

@@ -132,6 +132,13 @@ impl Pose {
         (r, t)
     }
 
+    /// The pose shifted by `by`: right, down and forward as the camera sees it.
+    #[must_use]
+    pub fn shifted(&self, by: [f64; 3]) -> Self {
+        let [x, y, z] = mat3_vec(&self.orientation(), by);
+        Self { tx: self.tx + x, ty: self.ty + y, tz: self.tz + z, ..*self }
+    }
+
     /// True where every entry is finite.
     #[must_use]
     pub fn is_finite(&self) -> bool {

@@ -117,6 +117,9 @@ fn views_in_every_format_with_their_timing() {
         (p.width(), p.height())
     };
     assert_eq!((size("w=40"), size("h=30"), size("w=10&h=50")), ((40, 30), (40, 30), (10, 50)));
+    assert_eq!((size("stereo=sbs&w=40"), size("stereo=anaglyph&w=40"), size("quilt=3x2&w=40")), ((80, 30), (40, 30), (120, 60)));
+    assert_eq!(view("tx=0.0200001", &[]).body, view("tx=0.02", &[]).body, "poses that look the same");
+    assert!(!view("tx=0.02", &[]).all("server-timing").contains("render;dur="), "kept, not drawn again");
     for (query, field) in [("tx=NaN", "tx"), ("yaw=inf", "yaw"), ("w=0", "w"), ("w=16384&h=16384", "w"), ("fov=180", "fov"), ("x=1", "x")] {
         assert_eq!(view(query, &[]).problem(400)["field"], field, "{query}");
     }

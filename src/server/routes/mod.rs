@@ -6,6 +6,7 @@ mod results;
 mod state;
 mod system;
 mod view;
+mod view_query;
 
 use axum::Router;
 use axum::extract::DefaultBodyLimit;

@@ -69,6 +69,7 @@ pub async fn metrics(State(app): State<App>) -> Response {
         ("tmpi_photos_failed", "Photos that could not be made.", counts.failed as f64),
         ("tmpi_scene_cache_bytes", "Memory of decoded scenes.", app.scenes.bytes() as f64),
         ("tmpi_file_cache_bytes", "Memory of cached files.", app.files.bytes() as f64),
+        ("tmpi_view_cache_bytes", "Memory of encoded views.", app.views.bytes() as f64),
         ("tmpi_views_waiting", "Views that wait to be drawn.", app.pool.waiting() as f64),
         ("tmpi_peak_rss_bytes", "Peak resident memory of the process.", crate::clock::peak_rss_bytes() as f64),
     ]);

@@ -1,0 +1,278 @@
+//! What a request for a view asks for.
+
+use std::collections::BTreeMap;
+
+use axum::extract::Query;
+use axum::http::Uri;
+
+use crate::render::{Arrangement, EYES, PictureFormat, Rig};
+use crate::server::limits::Limits;
+use crate::server::problem::Problem;
+use crate::tmpi::{Camera, Intrinsics, Pose, Scene};
+
+/// Fields of view that are drawn, in degrees.
+const FOV: std::ops::RangeInclusive<f64> = 0.1..=179.0;
+/// Distances of the first camera from the last.
+const BASELINE: std::ops::RangeInclusive<f64> = 1e-4..=10.0;
+/// Disparities that may lie in the screen.
+const FOCUS: std::ops::RangeInclusive<f64> = 0.0..=2.0;
+/// Lengths of a pose are rounded to this, in units of the nearest distance, and angles to [`ANGLE_STEP`]: far below what moves a
+/// pixel, so that poses which look the same are kept once.
+const LENGTH_STEP: f64 = 1e-5;
+/// Degrees.
+const ANGLE_STEP: f64 = 1e-3;
+
+/// Stereo pictures.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Deserialize, utoipa::ToSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum StereoKind {
+    /// Side by side, the left eye's view on the left.
+    Sbs,
+    /// For red and cyan glasses.
+    Anaglyph,
+}
+
+/// Camera and format of a view.
+#[derive(Clone, Copy, Debug, Default, PartialEq, utoipa::IntoParams)]
+#[into_params(parameter_in = Query)]
+pub struct ViewQuery {
+    /// Camera to the right, in units of the nearest distance; lengths are rounded to 0.00001.
+    pub tx: Option<f64>,
+    /// Camera down.
+    pub ty: Option<f64>,
+    /// Camera forward.
+    pub tz: Option<f64>,
+    /// Degrees to the right; angles are rounded to 0.001.
+    pub yaw: Option<f64>,
+    /// Degrees up.
+    pub pitch: Option<f64>,
+    /// Degrees clockwise.
+    pub roll: Option<f64>,
+    /// Width in pixels, of each view where there are several; the photo's if neither `w` nor `h` is given, else by its aspect.
+    #[param(minimum = 1, maximum = 16384)]
+    pub w: Option<u32>,
+    /// Height in pixels.
+    #[param(minimum = 1, maximum = 16384)]
+    pub h: Option<u32>,
+    /// Horizontal field of view in degrees; that of the photo if it is not given.
+    #[param(minimum = 0.1, maximum = 179.0)]
+    pub fov: Option<f64>,
+    /// `png`, `jpeg` or `webp`; by `Accept` if it is not given.
+    #[param(value_type = Option<String>)]
+    pub format: Option<PictureFormat>,
+    /// Two views in one picture: `sbs` side by side, `anaglyph` for red and cyan glasses.
+    #[param(value_type = Option<StereoKind>)]
+    pub stereo: Option<StereoKind>,
+    /// `COLUMNSxROWS` views from left to right, from the lower left on, as light-field displays take them; at most 100.
+    #[param(value_type = Option<String>, example = "8x6")]
+    pub quilt: Option<Arrangement>,
+    /// From the first camera to the last, in units of the nearest distance; 1/30 for stereo and the width of the view box for a
+    /// quilt if it is not given.
+    #[param(minimum = 0.0001, maximum = 10.0)]
+    pub ipd: Option<f64>,
+    /// Disparity that lies in the screen, 0 (infinity) if it is not given: what is nearer stands before it.
+    #[param(minimum = 0.0, maximum = 2.0)]
+    pub focus: Option<f64>,
+}
+
+impl ViewQuery {
+    /// Reads the query.
+    ///
+    /// # Errors
+    /// 400 that names the first parameter that is unknown, given twice, not finite or out of range.
+    pub fn read(uri: &Uri, limits: &Limits) -> Result<Self, Problem> {
+        let Query(pairs) = Query::<Vec<(String, String)>>::try_from_uri(uri).map_err(|e| Problem::bad_request(e.body_text()))?;
+        let mut given = BTreeMap::new();
+        for (name, value) in pairs {
+            if given.insert(name.clone(), value).is_some() {
+                return Err(Problem::parameter(name, "is given twice"));
+            }
+        }
+        let mut number = |name: &str| -> Result<Option<f64>, Problem> {
+            let Some(text) = given.remove(name) else { return Ok(None) };
+            let value = text.parse().ok().filter(|v: &f64| v.is_finite());
+            value.map(Some).ok_or_else(|| Problem::parameter(name, format!("must be a finite number, not {text:?}")))
+        };
+        let mut on_grid = |name: &str, step: f64| Ok::<_, Problem>(number(name)?.map(|v| rounded(v, step)));
+        let [tx, ty, tz] = [on_grid("tx", LENGTH_STEP)?, on_grid("ty", LENGTH_STEP)?, on_grid("tz", LENGTH_STEP)?];
+        let [yaw, pitch, roll] = [on_grid("yaw", ANGLE_STEP)?, on_grid("pitch", ANGLE_STEP)?, on_grid("roll", ANGLE_STEP)?];
+        let mut within = |name: &str, range: &std::ops::RangeInclusive<f64>| match number(name)? {
+            Some(v) if !range.contains(&v) => Err(Problem::parameter(name, format!("must be from {} to {}", range.start(), range.end()))),
+            v => Ok(v),
+        };
+        let fov = within("fov", &FOV)?;
+        let (ipd, focus) = (within("ipd", &BASELINE)?, within("focus", &FOCUS)?);
+        let mut side = |name: &str| -> Result<Option<u32>, Problem> {
+            let Some(text) = given.remove(name) else { return Ok(None) };
+            let value = text.parse().ok().filter(|v| (1..=limits.view_side).contains(v));
+            value.map(Some).ok_or_else(|| Problem::parameter(name, format!("must be from 1 to {} pixels, not {text:?}", limits.view_side)))
+        };
+        let (w, h) = (side("w")?, side("h")?);
+        let format = given.remove("format").map(|text| {
+            let known = PictureFormat::from_extension(&text);
+            known.ok_or_else(|| Problem::parameter("format", format!("must be png, jpeg or webp, not {text:?}")))
+        });
+        let format = format.transpose()?;
+        let stereo = given.remove("stereo").map(|text| match text.as_str() {
+            "sbs" => Ok(StereoKind::Sbs),
+            "anaglyph" => Ok(StereoKind::Anaglyph),
+            _ => Err(Problem::parameter("stereo", format!("must be sbs or anaglyph, not {text:?}"))),
+        });
+        let stereo = stereo.transpose()?;
+        let quilt = given.remove("quilt").map(|text| Arrangement::quilt(&text).map_err(|e| Problem::parameter("quilt", e))).transpose()?;
+        if stereo.is_some() && quilt.is_some() {
+            return Err(Problem::parameter("quilt", "goes without stereo"));
+        }
+        for (name, value) in [("ipd", ipd), ("focus", focus)] {
+            if value.is_some() && stereo.is_none() && quilt.is_none() {
+                return Err(Problem::parameter(name, "goes with stereo or quilt"));
+            }
+        }
+        match given.into_keys().next() {
+            Some(name) => Err(Problem::parameter(
+                name,
+                "there is no such parameter; there are tx, ty, tz, yaw, pitch, roll, w, h, fov, format, stereo, quilt, ipd, focus",
+            )),
+            None => Ok(Self { tx, ty, tz, yaw, pitch, roll, w, h, fov, format, stereo, quilt, ipd, focus }),
+        }
+    }
+
+    /// Size of each view of a photo of `photo` pixels.
+    ///
+    /// # Errors
+    /// 400 where all views together are over the limits; without a size in the query, views of a larger photo are reduced instead.
+    pub fn size(&self, photo: (u32, u32), limits: &Limits) -> Result<(u32, u32), Problem> {
+        let (columns, rows) = self.arrangement().map_or((1, 1), Arrangement::grid);
+        let (most_wide, most_high) = (limits.view_side / columns, limits.view_side / rows);
+        let most = limits.view_pixels / (u64::from(columns) * u64::from(rows));
+        let (pw, ph) = (f64::from(photo.0), f64::from(photo.1));
+        let side = |v: f64| (v.round() as u32).clamp(1, limits.view_side);
+        let (w, h) = match (self.w, self.h) {
+            (Some(w), Some(h)) => (w, h),
+            (Some(w), None) => (w, side(f64::from(w) * ph / pw)),
+            (None, Some(h)) => (side(f64::from(h) * pw / ph), h),
+            (None, None) => {
+                let scale = (most as f64 / (pw * ph)).sqrt().min(f64::from(most_wide) / pw).min(f64::from(most_high) / ph).min(1.0);
+                // rounded down, so that the product stays within the limit
+                return Ok((((pw * scale) as u32).max(1), ((ph * scale) as u32).max(1)));
+            }
+        };
+        if w > most_wide || h > most_high || u64::from(w) * u64::from(h) > most {
+            let field = if self.w.is_some() { "w" } else { "h" };
+            let views = if (columns, rows) == (1, 1) { String::new() } else { format!("{columns}×{rows} views of ") };
+            let limit = format!("{} pixels, {} a side", limits.view_pixels, limits.view_side);
+            return Err(Problem::parameter(field, format!("{views}{w}×{h} is over the limit of {limit}")));
+        }
+        Ok((w, h))
+    }
+
+    fn arrangement(&self) -> Option<Arrangement> {
+        self.quilt.or(self.stereo.map(|kind| match kind {
+            StereoKind::Sbs => Arrangement::SideBySide,
+            StereoKind::Anaglyph => Arrangement::Anaglyph,
+        }))
+    }
+
+    /// The cameras where there are several.
+    #[must_use]
+    pub fn rig(&self, scene: &Scene) -> Option<Rig> {
+        let arrangement = self.arrangement()?;
+        let usual = if self.quilt.is_some() { 2.0 * scene.view_box.x } else { EYES };
+        Some(Rig { arrangement, baseline: self.ipd.unwrap_or(usual), focus: self.focus.unwrap_or(0.0) })
+    }
+
+    /// The same view said in the same words: without what is told by its size and format.
+    #[must_use]
+    pub fn canonical(&self) -> Self {
+        Self { w: None, h: None, format: None, ..*self }
+    }
+
+    /// The camera.
+    #[must_use]
+    pub fn camera(&self, scene: &Scene, (width, height): (u32, u32)) -> Camera {
+        let of = |v: Option<f64>| v.unwrap_or(0.0);
+        let pose =
+            Pose { tx: of(self.tx), ty: of(self.ty), tz: of(self.tz), yaw: of(self.yaw), pitch: of(self.pitch), roll: of(self.roll) };
+        let intrinsics = match self.fov {
+            Some(fov) => Intrinsics::from_fov_x(width, height, fov),
+            None => scene.intrinsics.resized((scene.grid.width, scene.grid.height), (width, height)),
+        };
+        Camera { pose, intrinsics, width, height }
+    }
+}
+
+/// `v` rounded to whole multiples of `step`; as it is where it is too large for that.
+fn rounded(v: f64, step: f64) -> f64 {
+    // by the reciprocal, so that decimal steps stay short
+    let steps = (1.0 / step).round();
+    Some((v * steps).round() / steps).filter(|r| r.is_finite()).unwrap_or(v)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn read(query: &str) -> Result<ViewQuery, Problem> {
+        ViewQuery::read(&format!("/view?{query}").parse().unwrap(), &Limits::default())
+    }
+
+    #[test]
+    fn wrong_parameters_are_named() {
+        for (query, field) in [
+            ("tx=NaN", "tx"),
+            ("ty=inf", "ty"),
+            ("tz=-Infinity", "tz"),
+            ("yaw=left", "yaw"),
+            ("pitch=", "pitch"),
+            ("roll=1e999", "roll"),
+            ("w=0", "w"),
+            ("w=16385", "w"),
+            ("h=-1", "h"),
+            ("h=1.5", "h"),
+            ("fov=0.09", "fov"),
+            ("fov=179.1", "fov"),
+            ("fov=NaN", "fov"),
+            ("format=gif", "format"),
+            ("yew=3", "yew"),
+            ("stereo=both", "stereo"),
+            ("quilt=11x10", "quilt"),
+            ("quilt=8x6&stereo=sbs", "quilt"),
+            ("ipd=0.1", "ipd"),
+            ("stereo=sbs&ipd=0", "ipd"),
+            ("stereo=sbs&ipd=10.1", "ipd"),
+            ("stereo=sbs&focus=2.1", "focus"),
+            ("tx=1&tx=2", "tx"),
+        ] {
+            let p = read(query).unwrap_err();
+            assert_eq!((p.status, p.field.as_deref()), (400, Some(field)), "{query}: {}", p.detail);
+        }
+    }
+
+    #[test]
+    fn poses_that_look_the_same_are_the_same() {
+        assert_eq!(read("tx=0.0300001&yaw=1.0004").unwrap(), read("tx=0.03&yaw=1").unwrap());
+        assert_ne!(read("tx=0.03001").unwrap(), read("tx=0.03").unwrap());
+        assert_eq!(read("tx=1e300").unwrap().tx, Some(1e300), "far away is no error");
+    }
+
+    #[test]
+    fn sizes_at_the_limit_and_one_over() {
+        let limits = Limits { view_pixels: 1000, view_side: 100, ..Limits::default() };
+        let size = |w, h| ViewQuery { w, h, ..ViewQuery::default() }.size((60, 30), &limits);
+        assert_eq!(size(Some(100), Some(10)).unwrap(), (100, 10));
+        assert_eq!(size(Some(91), Some(11)).unwrap_err().field.as_deref(), Some("w"));
+        assert_eq!(size(Some(40), None).unwrap(), (40, 20));
+        assert_eq!(size(None, Some(10)).unwrap(), (20, 10));
+        let quilt = |w, h| ViewQuery { w, h, quilt: Some(Arrangement::Quilt { columns: 5, rows: 2 }), ..ViewQuery::default() };
+        assert_eq!(quilt(Some(20), Some(5)).size((60, 30), &limits).unwrap(), (20, 5));
+        for (w, h) in [(21, 4), (20, 6)] {
+            assert_eq!(quilt(Some(w), Some(h)).size((60, 30), &limits).unwrap_err().field.as_deref(), Some("w"));
+        }
+        let (w, h) = quilt(None, None).size((60, 30), &limits).unwrap();
+        assert!(w * h <= 100 && w <= 20 && w * h > 80, "{w}×{h}");
+        let (w, h) = size(None, None).unwrap();
+        assert!(w * h <= 1000 && w * h > 800, "{w}×{h}");
+        assert!(ViewQuery::read(&"/view?w=101".parse().unwrap(), &limits).is_err());
+        assert!(ViewQuery::read(&"/view?w=100".parse().unwrap(), &limits).is_ok());
+    }
+}
