@@ -6,7 +6,6 @@ use wgpu::util::DeviceExt;
 
 use super::device::{COLOUR, Device, WIDE};
 use super::pack::{Packing, pack};
-use crate::render::RenderError;
 use crate::render::border::{Piece, pieces};
 use crate::render::prepared::{Content, back_to_front};
 use crate::render::{OPAQUE, RenderError};
