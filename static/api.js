@@ -39,8 +39,9 @@ export async function getPhoto(id) {
   return (await request(photoUrl(id))).json();
 }
 
-export async function deletePhoto(id) {
-  await request(photoUrl(id), { method: 'DELETE' });
+/** `options.keepalive`: goes on when the page is left. */
+export async function deletePhoto(id, options = {}) {
+  await request(photoUrl(id), { method: 'DELETE', ...options });
 }
 
 /** The error of a refused upload; `retryAfter` in seconds where the server is only busy. */
@@ -52,10 +53,10 @@ function refusal(xhr) {
 }
 
 /**
- * Uploads a file. `onProgress(fraction)` runs while bytes go out.
+ * Uploads a file, with its depth map where there is one. `onProgress(fraction)` runs while bytes go out.
  * @returns {{done: Promise<object>, abort: () => void}} `done` gives the photo's JSON
  */
-export function uploadPhoto(file, onProgress) {
+export function uploadPhoto(file, depth, onProgress) {
   const xhr = new XMLHttpRequest();
   const done = new Promise((resolve, reject) => {
     xhr.upload.onprogress = (event) => event.lengthComputable && onProgress(event.loaded / event.total);
@@ -72,6 +73,7 @@ export function uploadPhoto(file, onProgress) {
   });
   const form = new FormData();
   form.append('photo', file, file.name || 'photo');
+  if (depth) form.append('depth', depth, depth.name || 'depth');
   xhr.open('POST', '/v1/photos');
   xhr.setRequestHeader('Accept', 'application/json');
   xhr.send(form);

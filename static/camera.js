@@ -95,6 +95,12 @@ export function deltaAt({ layers, tileSize }, i, x, y) {
   return layers.a[i] + (layers.b[i] * (x - layers.tileX[i] - half)) / half + (layers.c[i] * (y - layers.tileY[i] - half)) / half;
 }
 
+/** The pose shifted to its own right. */
+export function shifted(pose, right) {
+  const { r } = extrinsics(pose);
+  return { ...pose, tx: pose.tx + r[0] * right, ty: pose.ty + r[1] * right, tz: pose.tz + r[2] * right };
+}
+
 /** A pose from `tx,ty,tz[,yaw,pitch,roll]`, or null where the text is none. */
 export function parsePose(text) {
   const parts = text.split(',');

@@ -1,6 +1,7 @@
 // Draws a decoded scene with WebGPU by tmpi.wgsl, the shader that the server's gpu host uses too; its header is the contract.
 import { pieces } from './border.js';
 import { extrinsics } from './camera.js';
+import { acquireDevice } from './device.js';
 import { expandAll, INSTANCE_FLOATS, instances, pack } from './pages.js';
 
 const UNIFORM_BYTES = 112;
@@ -21,29 +22,18 @@ function loadShader() {
   return shaderText;
 }
 
-/** The graphics adapter, or null where the browser has none. */
-export async function findAdapter() {
-  try {
-    return (await navigator.gpu?.requestAdapter({ powerPreference: 'high-performance' })) ?? null;
-  } catch {
-    return null;
-  }
-}
-
 /** A scene on a graphics device. Build with `GpuRenderer.create`. */
 export class GpuRenderer {
   /**
-   * @param {GPUAdapter} adapter
    * @param {Scene} scene
    * @param {(info: GPUDeviceLostInfo) => void} onLost called once where the device goes away by itself
-   * @throws where the scene does not fit the device
+   * @throws where there is no device or the scene does not fit it
    */
-  static async create(adapter, scene, onLost) {
-    const side = adapter.limits.maxTextureDimension2D;
-    const device = await adapter.requestDevice({ requiredLimits: { maxTextureDimension2D: side } });
+  static async create(scene, onLost) {
+    const device = await acquireDevice();
     const renderer = new GpuRenderer(device, scene, onLost);
     try {
-      await renderer.#build();
+      await device.build(() => renderer.#build());
     } catch (error) {
       renderer.dispose();
       throw error;
@@ -51,46 +41,26 @@ export class GpuRenderer {
     return renderer;
   }
 
-  constructor(device, scene, onLost) {
-    this.device = device;
+  constructor(shared, scene, onLost) {
+    this.shared = shared;
+    this.device = shared.handle;
     this.scene = scene;
-    this.maxSide = device.limits.maxTextureDimension2D;
+    this.maxSide = this.device.limits.maxTextureDimension2D;
     /** What is drawn over the scene, one of `OVERLAYS`. */
     this.overlay = 0;
     this.format = navigator.gpu.getPreferredCanvasFormat();
     this.disposed = false;
     this.depth = null;
-    device.lost.then((info) => {
+    this.device.lost.then((info) => {
       if (!this.disposed) onLost(info);
     });
   }
 
   async #build() {
-    const { device } = this;
-    device.pushErrorScope('validation');
-    device.pushErrorScope('out-of-memory');
-    const module = device.createShaderModule({ code: await loadShader() });
-    const bindings = device.createBindGroupLayout({
-      entries: [
-        { binding: 0, visibility: GPUShaderStage.VERTEX, buffer: { type: 'uniform' } },
-        { binding: 1, visibility: GPUShaderStage.FRAGMENT, texture: { sampleType: 'float', viewDimension: '2d-array' } },
-        { binding: 2, visibility: GPUShaderStage.FRAGMENT, sampler: { type: 'filtering' } },
-      ],
-    });
-    const layout = device.createPipelineLayout({ bindGroupLayouts: [bindings] });
-    const over = { srcFactor: 'one', dstFactor: 'one-minus-src-alpha', operation: 'add' };
-    const pipeline = (entryPoint, depthWriteEnabled, blend) =>
-      device.createRenderPipelineAsync({
-        layout,
-        vertex: { module, entryPoint: 'vs', buffers: [instanceLayout()] },
-        fragment: { module, entryPoint, targets: [{ format: this.format, blend }] },
-        primitive: { topology: 'triangle-list', cullMode: 'none' },
-        depthStencil: { format: DEPTH_FORMAT, depthWriteEnabled, depthCompare: 'greater-equal' },
-      });
-    [this.opaque, this.soft] = await Promise.all([
-      pipeline('fs_opaque', true, undefined),
-      pipeline('fs_soft', false, { color: over, alpha: over }),
-    ]);
+    const { device, shared } = this;
+    if (!shared.pipelines.has(this.format)) shared.pipelines.set(this.format, pipelines(device, this.format));
+    const { bindings, opaque, soft } = await shared.pipelines.get(this.format);
+    [this.opaque, this.soft] = [opaque, soft];
     this.uniforms = device.createBuffer({ size: UNIFORM_BYTES, usage: GPUBufferUsage.UNIFORM | GPUBufferUsage.COPY_DST });
     this.pieces = pieces(this.scene);
     const places = pack(this.pieces, device.limits.maxTextureDimension2D, device.limits.maxTextureArrayLayers);
@@ -104,9 +74,6 @@ export class GpuRenderer {
         { binding: 2, resource: device.createSampler({ magFilter: 'linear', minFilter: 'linear' }) },
       ],
     });
-    const memory = await device.popErrorScope();
-    const validation = await device.popErrorScope();
-    if (memory ?? validation) throw new Error((memory ?? validation).message);
   }
 
   async #upload({ width, height, pages, bands }) {
@@ -139,25 +106,30 @@ export class GpuRenderer {
     this.context = context;
   }
 
-  /** Draws to the attached canvas for target intrinsics `k`, at the canvas's own size. */
-  draw(pose, k) {
+  /**
+   * Draws to the attached canvas.
+   * @param {{pose: object, k: object, x: number, width: number, height: number}[]} views side by side: pose and target intrinsics
+   *   of each, and its place on the canvas
+   */
+  draw(views) {
     const texture = this.context.getCurrentTexture();
-    this.#pass(texture, pose, k);
+    views.forEach((view, i) => this.#pass(texture, view, i === 0));
   }
 
-  #pass(texture, pose, k, after) {
+  #pass(texture, view, first, after) {
     const { device } = this;
     const { width, height } = texture;
     if (this.depth?.width !== width || this.depth?.height !== height) {
       this.depth?.destroy();
       this.depth = device.createTexture({ size: [width, height], format: DEPTH_FORMAT, usage: GPUTextureUsage.RENDER_ATTACHMENT });
     }
-    device.queue.writeBuffer(this.uniforms, 0, viewUniform(this.scene, pose, k, width, height, this.overlay));
+    device.queue.writeBuffer(this.uniforms, 0, viewUniform(this.scene, view.pose, view.k, view.width, view.height, this.overlay));
     const encoder = device.createCommandEncoder();
     const pass = encoder.beginRenderPass({
-      colorAttachments: [{ view: texture.createView(), clearValue: [0, 0, 0, 0], loadOp: 'clear', storeOp: 'store' }],
+      colorAttachments: [{ view: texture.createView(), clearValue: [0, 0, 0, 0], loadOp: first ? 'clear' : 'load', storeOp: 'store' }],
       depthStencilAttachment: { view: this.depth.createView(), depthClearValue: 0, depthLoadOp: 'clear', depthStoreOp: 'discard' },
     });
+    pass.setViewport(view.x, 0, view.width, view.height, 0, 1);
     pass.setBindGroup(0, this.bindings);
     if (this.counts.opaque) {
       pass.setPipeline(this.opaque);
@@ -186,7 +158,7 @@ export class GpuRenderer {
     const bytesPerRow = Math.ceil((width * 4) / 256) * 256;
     const buffer = device.createBuffer({ size: bytesPerRow * height, usage: GPUBufferUsage.COPY_DST | GPUBufferUsage.MAP_READ });
     try {
-      this.#pass(texture, pose, k, (encoder) => encoder.copyTextureToBuffer({ texture }, { buffer, bytesPerRow }, [width, height]));
+      this.#pass(texture, { pose, k, x: 0, width, height }, true, (encoder) => encoder.copyTextureToBuffer({ texture }, { buffer, bytesPerRow }, [width, height]));
       await buffer.mapAsync(GPUMapMode.READ);
       return tightRows(new Uint8Array(buffer.getMappedRange()), width, height, bytesPerRow, this.format.startsWith('bgra'));
     } finally {
@@ -201,10 +173,39 @@ export class GpuRenderer {
   }
 
   dispose() {
+    if (this.disposed) return;
     this.disposed = true;
     this.context?.unconfigure();
-    this.device.destroy();
+    for (const resource of [this.atlas, this.instances, this.uniforms, this.depth]) resource?.destroy();
+    this.shared.release();
   }
+}
+
+/** Layout of the bindings and the pipelines of both passes. */
+async function pipelines(device, format) {
+  const module = device.createShaderModule({ code: await loadShader() });
+  const bindings = device.createBindGroupLayout({
+    entries: [
+      { binding: 0, visibility: GPUShaderStage.VERTEX, buffer: { type: 'uniform' } },
+      { binding: 1, visibility: GPUShaderStage.FRAGMENT, texture: { sampleType: 'float', viewDimension: '2d-array' } },
+      { binding: 2, visibility: GPUShaderStage.FRAGMENT, sampler: { type: 'filtering' } },
+    ],
+  });
+  const layout = device.createPipelineLayout({ bindGroupLayouts: [bindings] });
+  const over = { srcFactor: 'one', dstFactor: 'one-minus-src-alpha', operation: 'add' };
+  const pipeline = (entryPoint, depthWriteEnabled, blend) =>
+    device.createRenderPipelineAsync({
+      layout,
+      vertex: { module, entryPoint: 'vs', buffers: [instanceLayout()] },
+      fragment: { module, entryPoint, targets: [{ format, blend }] },
+      primitive: { topology: 'triangle-list', cullMode: 'none' },
+      depthStencil: { format: DEPTH_FORMAT, depthWriteEnabled, depthCompare: 'greater-equal' },
+    });
+  const [opaque, soft] = await Promise.all([
+    pipeline('fs_opaque', true, undefined),
+    pipeline('fs_soft', false, { color: over, alpha: over }),
+  ]);
+  return { bindings, opaque, soft };
 }
 
 function instanceLayout() {

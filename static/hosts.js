@@ -1,5 +1,6 @@
 // What may draw in this browser, best first: WebGPU, then WebGL2. Each is tried a second time after it was lost, then given up.
-import { findAdapter, GpuRenderer } from './gpu.js';
+import { findAdapter } from './device.js';
+import { GpuRenderer } from './gpu.js';
 import { GlRenderer, hasWebGl } from './webgl.js';
 
 const ATTEMPTS = 2;
@@ -35,7 +36,7 @@ export class Hosts {
             this.reason = message || 'The graphics device was lost.';
             onLost(this.reason);
           };
-          const renderer = await (host.mode === 'gpu' ? openGpu(scene, lost) : GlRenderer.create(canvas, scene, lost));
+          const renderer = await (host.mode === 'gpu' ? GpuRenderer.create(scene, lost) : GlRenderer.create(canvas, scene, lost));
           return { mode: host.mode, renderer, canvas };
         } catch (error) {
           this.reason = error.message;
@@ -45,10 +46,4 @@ export class Hosts {
     }
     return null;
   }
-}
-
-async function openGpu(scene, lost) {
-  const adapter = await findAdapter();
-  if (!adapter) throw new Error('The graphics device is gone.');
-  return GpuRenderer.create(adapter, scene, lost);
 }

@@ -1,4 +1,5 @@
 // Numbers and names as people read them.
+import { t } from './words.js';
 
 /** Bytes, as 3.1 MB. */
 export function formatBytes(bytes) {
@@ -33,12 +34,12 @@ const STAGES = {
 
 /** A stage of the way in a person's words. */
 export function stageText(stage) {
-  return STAGES[stage] ?? stage;
+  return t(STAGES[stage] ?? stage);
 }
 
 /** A place in the queue in a person's words. */
 export function queueText(position) {
-  return position > 0 ? `Waiting for its turn, ${position} before it` : 'Waiting for its turn';
+  return position > 0 ? t('Waiting for its turn, {0} before it', position) : t('Waiting for its turn');
 }
 
 const NAME_KEY = 'tmpi:name:';
@@ -70,7 +71,7 @@ export function photoName(photo) {
   }
   if (name) return name.replace(/\.[a-z0-9]{2,5}$/i, '');
   const date = new Date(photo.created);
-  if (Number.isNaN(date.getTime())) return 'Photo';
+  if (Number.isNaN(date.getTime())) return t('Photo');
   const year = date.getFullYear() === new Date().getFullYear() ? undefined : 'numeric';
   return date.toLocaleString(undefined, { year, month: 'short', day: 'numeric', hour: 'numeric', minute: '2-digit' });
 }

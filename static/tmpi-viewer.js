@@ -1,12 +1,16 @@
 // <tmpi-viewer src="https://host/v1/photos/ID/atlas" alt="…" poster="…"></tmpi-viewer>: a 3D photo on any page.
 //
-//   src     address of a container; where it ends in /atlas, the server's views beside it serve browsers without WebGPU
-//   view    address of these views, where it is another
-//   alt     what the photo shows
-//   poster  picture until the photo is there
-//   still   (no value) does not move by itself
+//   src              address of a container; where it ends in /atlas, the server's views beside it serve browsers without a GPU
+//   view             address of these views, where it is another
+//   alt              what the photo shows
+//   poster           picture until the photo is there
+//   loading          `lazy` (as if it were not there): fetched when it comes near the screen; `eager`: at once
+//   reveal           `auto` (as if it were not there), or `interaction`: fetched when somebody points at it, touches or focuses it
+//   camera-controls  `off`: takes no input
+//   auto-rotate      `off`: does not move by itself; so does `still`, without a value
 //
-// Fires `ready` {mode} and `error` {message}. It is as wide as its place and keeps the shape given by CSS (16 / 10 if none).
+// Fires `progress` {received, total}, `load` {mode} and `error` {message}. It is as wide as its place and keeps the shape given by
+// CSS (16 / 10 if none). All elements of a page share one graphics device; those out of sight sleep.
 const STYLE = `
   :host { display: block; position: relative; overflow: hidden; aspect-ratio: 16 / 10; }
   :host([hidden]) { display: none; }
@@ -19,7 +23,7 @@ const STYLE = `
 `;
 
 class TmpiViewer extends HTMLElement {
-  static observedAttributes = ['src', 'view', 'alt', 'poster', 'still'];
+  static observedAttributes = ['src', 'view', 'alt', 'poster', 'loading', 'reveal', 'camera-controls', 'auto-rotate', 'still'];
   #viewer = null;
   #seen = null;
   #stage;
@@ -39,19 +43,20 @@ class TmpiViewer extends HTMLElement {
     this.#stage.tabIndex = 0;
     this.#stage.setAttribute('role', 'application');
     this.#stage.setAttribute('aria-roledescription', '3D photo');
+    for (const type of ['pointerenter', 'pointerdown', 'focus']) this.#stage.addEventListener(type, () => this.#start());
     shadow.append(this.#poster, this.#stage);
   }
 
-  /** The viewer, once the element has come into sight; else null. */
+  /** The viewer, once it has started; else null. */
   get viewer() {
     return this.#viewer;
   }
 
   connectedCallback() {
     this.#describe();
-    // nothing is fetched for what nobody scrolls to
-    this.#seen = new IntersectionObserver((entries) => entries.some((e) => e.isIntersecting) && this.#start(), { rootMargin: '200px' });
+    this.#seen = new IntersectionObserver((entries) => this.#onSeen(entries.at(-1).isIntersecting), { rootMargin: '200px' });
     this.#seen.observe(this);
+    this.#maybeStart(false);
   }
 
   disconnectedCallback() {
@@ -62,22 +67,38 @@ class TmpiViewer extends HTMLElement {
   attributeChangedCallback(name) {
     if (!this.isConnected) return;
     this.#describe();
-    if (name === 'still') this.#viewer?.setIdle(!this.hasAttribute('still'));
+    if (name === 'still' || name === 'auto-rotate') this.#viewer?.setIdle(this.#movesByItself);
     if ((name === 'src' || name === 'view') && this.#viewer) {
       this.#stop();
       this.#start();
     }
   }
 
+  get #movesByItself() {
+    return !this.hasAttribute('still') && this.getAttribute('auto-rotate') !== 'off' && !matchMedia('(prefers-reduced-motion: reduce)').matches;
+  }
+
+  #onSeen(visible) {
+    if (this.#viewer) this.#viewer.asleep = !visible;
+    else this.#maybeStart(visible);
+  }
+
+  /** Nothing is fetched for what nobody scrolls to or asks for, unless the page wants it. */
+  #maybeStart(visible) {
+    if (this.getAttribute('reveal') === 'interaction') return;
+    if (visible || this.getAttribute('loading') === 'eager') this.#start();
+  }
+
   #describe() {
     this.#stage.setAttribute('aria-label', this.getAttribute('alt') ?? '3D photo');
+    // the stage takes the input; without it the page scrolls and clicks as if a picture were there
+    this.#stage.inert = this.getAttribute('camera-controls') === 'off';
     const poster = this.getAttribute('poster');
     if (poster) this.#poster.src = poster;
     else this.#poster.removeAttribute('src');
   }
 
   async #start() {
-    this.#seen.disconnect();
     const src = this.getAttribute('src');
     if (!src || this.#viewer) return;
     const { Viewer } = await import(new URL('./static/viewer.js', import.meta.url).href);
@@ -87,10 +108,10 @@ class TmpiViewer extends HTMLElement {
     const beside = atlas.endsWith('/atlas') ? atlas.replace(/atlas$/, 'view') : undefined;
     const viewer = new Viewer(this.#stage, { atlas, view: given ? new URL(given, document.baseURI).href : beside, embedded: true });
     this.#viewer = viewer;
-    if (this.hasAttribute('still')) viewer.setIdle(false);
+    if (!this.#movesByItself) viewer.setIdle(false);
     viewer.addEventListener('photo', () => (this.#poster.hidden = true));
-    for (const type of ['ready', 'error']) {
-      viewer.addEventListener(type, ({ detail }) => this.dispatchEvent(new CustomEvent(type, { detail })));
+    for (const [own, type] of [['progress', 'progress'], ['ready', 'load'], ['error', 'error']]) {
+      viewer.addEventListener(own, ({ detail }) => this.dispatchEvent(new CustomEvent(type, { detail })));
     }
   }
 

@@ -1,7 +1,10 @@
 // The page of all photos: takes new ones, shows how far they are, and lists those that are there.
 import { deletePhoto, listPhotos, photoUrl, uploadPhoto } from './api.js';
+import { filesOf } from './drop.js';
 import { followPhoto, isUnderWay, reasonOf } from './events.js';
 import { element, forgetName, formatBytes, icon, photoName, queueText, rememberName, sentence, stageText } from './text.js';
+import { deleteLater, isGoing } from './undo.js';
+import { t, translatePage } from './words.js';
 
 /** Uploads under way at the same time. */
 const PARALLEL = 2;
@@ -28,10 +31,10 @@ class Row {
     this.bar = element('progress');
     this.bar.max = 1;
     this.bar.value = 0;
-    this.bar.setAttribute('aria-label', `Progress of ${name}`);
+    this.bar.setAttribute('aria-label', t('Progress of {0}', name));
     this.close = element('button', 'round', icon('close'));
     this.close.type = 'button';
-    this.close.setAttribute('aria-label', `Cancel ${name}`);
+    this.close.setAttribute('aria-label', t('Cancel {0}', name));
     this.close.addEventListener('click', () => this.onClose?.());
     this.actions = element('div', 'upload-actions', this.close);
     const body = element('div', 'upload-body', element('p', 'upload-name', name), this.bar, this.state);
@@ -49,19 +52,19 @@ class Row {
     this.root.classList.add('failed');
     this.bar.hidden = true;
     this.state.textContent = sentence(message);
-    this.close.setAttribute('aria-label', `Dismiss ${this.name}`);
+    this.close.setAttribute('aria-label', t('Dismiss {0}', this.name));
     this.onClose = () => this.remove();
     say(`${this.name}: ${message}`);
   }
 
   done(id) {
     this.bar.hidden = true;
-    this.state.textContent = 'Ready';
-    const open = element('a', 'button primary', 'Open');
+    this.state.textContent = t('Ready');
+    const open = element('a', 'button primary', t('Open'));
     open.href = `/view/${encodeURIComponent(id)}`;
-    open.setAttribute('aria-label', `Open ${this.name}`);
+    open.setAttribute('aria-label', t('Open {0}', this.name));
     this.actions.replaceChildren(open);
-    say(`${this.name} is ready.`);
+    say(t('{0} is ready.', this.name));
   }
 
   remove() {
@@ -85,10 +88,13 @@ function previewOf(address) {
 // ---- uploads
 
 function take(files) {
+  // a map belongs to one photo
+  const depth = files.length === 1 ? $('depth-map').files[0] : null;
+  if (depth) $('depth-map').value = '';
   for (const file of files) {
-    const row = new Row(file.name || 'Pasted photo', file);
-    row.show('Waiting to be sent');
-    const job = { file, row };
+    const row = new Row(file.name || t('Pasted photo'), file);
+    row.show(t('Waiting to be sent'));
+    const job = { file, depth, row };
     row.onClose = () => {
       waiting.splice(waiting.indexOf(job), 1);
       row.remove();
@@ -108,9 +114,9 @@ function sendNext() {
   }
 }
 
-async function send({ file, row }) {
+async function send({ file, depth, row }) {
   try {
-    const photo = await post(file, row);
+    const photo = await post(file, depth, row);
     rememberName(photo.id, row.name);
     // making it goes on without holding up the next upload
     follow(photo, row);
@@ -121,15 +127,17 @@ async function send({ file, row }) {
 }
 
 /** Sends the file; where the server is busy, waits as long as it asks. */
-async function post(file, row) {
+async function post(file, depth, row) {
   for (;;) {
-    const upload = uploadPhoto(file, (share) => row.show(share < 1 ? `Sending, ${Math.round(share * 100)} %` : 'Sent', share * UPLOAD_SHARE));
+    const upload = uploadPhoto(file, depth, (share) =>
+      row.show(share < 1 ? t('Sending, {0} %', Math.round(share * 100)) : t('Sent'), share * UPLOAD_SHARE),
+    );
     row.onClose = upload.abort;
     try {
       return await upload.done;
     } catch (error) {
       if (!error.retryAfter) throw error;
-      row.show(`The server is busy; trying again in ${error.retryAfter} s`, 0);
+      row.show(t('The server is busy; trying again in {0} s', error.retryAfter), 0);
       await pause(error.retryAfter * 1000, row);
     }
   }
@@ -171,6 +179,10 @@ function follow(photo, row) {
 
 async function remove(id) {
   await deletePhoto(id);
+  forget(id);
+}
+
+function forget(id) {
   forgetName(id);
   rows.get(id)?.remove();
   rows.delete(id);
@@ -182,39 +194,48 @@ function card(photo) {
   image.src = photoUrl(photo.id, '/thumbnail');
   image.alt = '';
   image.loading = 'lazy';
-  image.addEventListener('error', () => image.replaceWith(element('span', 'thumb', 'No picture')));
   const link = element('a', '', image);
+  image.addEventListener('error', () => {
+    image.replaceWith(element('span', 'thumb', t('No picture')));
+    link.setAttribute('aria-label', `${t('Open {0}', name)} – ${t('No picture')}`);
+  });
   link.href = `/view/${encodeURIComponent(photo.id)}`;
-  link.setAttribute('aria-label', `Open ${name}`);
+  link.setAttribute('aria-label', t('Open {0}', name));
   const size = element('span', 'card-size', `${photo.width} × ${photo.height} · `);
   return frame(photo, name, link, element('p', 'card-facts', size, formatBytes(photo.atlas_bytes)));
 }
 
 function failedCard(photo) {
-  const thumb = element('span', 'thumb', 'Not made');
+  const thumb = element('span', 'thumb', t('Not made'));
   return frame(photo, photoName(photo), thumb, element('p', 'card-facts bad', sentence(reasonOf(photo))));
 }
 
 function frame(photo, name, top, facts) {
   const bin = element('button', 'round', icon('bin'));
   bin.type = 'button';
-  bin.setAttribute('aria-label', `Delete ${name}`);
+  bin.setAttribute('aria-label', t('Delete {0}', name));
   const text = element('div', 'card-text', element('p', 'card-name', name), facts);
   const root = element('li', 'card', top, element('div', 'card-foot', text, bin));
-  bin.addEventListener('click', async () => {
-    if (!confirm(`Delete ${name}? This cannot be undone.`)) return;
-    bin.disabled = true;
-    try {
-      await remove(photo.id);
-      say(`${name} was deleted.`);
-      await refresh();
-      $('gallery').querySelector('a, button')?.focus();
-    } catch (error) {
-      bin.disabled = false;
-      facts.textContent = sentence(error.message);
-      facts.classList.add('bad');
-      say(error.message);
-    }
+  bin.addEventListener('click', () => {
+    const next = root.nextElementSibling ?? root.previousElementSibling;
+    root.hidden = true;
+    (next?.querySelector('a, button') ?? $('picker')).focus();
+    deleteLater(photo.id, name, {
+      gone: () => {
+        forget(photo.id);
+        root.remove();
+        say(t('{0} was deleted.', name));
+        refresh();
+      },
+      back: (reason) => {
+        root.hidden = false;
+        bin.focus();
+        if (!reason) return;
+        facts.textContent = sentence(reason);
+        facts.classList.add('bad');
+        say(reason);
+      },
+    });
   });
   return root;
 }
@@ -232,11 +253,11 @@ async function list(address) {
 }
 
 function show(page, more) {
-  const cards = page.photos.filter((photo) => !isUnderWay(photo)).map((photo) => (photo.state === 'done' ? card(photo) : failedCard(photo)));
+  const cards = page.photos.filter((photo) => !isUnderWay(photo) && !isGoing(photo.id)).map((photo) => (photo.state === 'done' ? card(photo) : failedCard(photo)));
   if (more) $('gallery').append(...cards);
   else $('gallery').replaceChildren(...cards);
   $('gallery-note').hidden = $('gallery').children.length > 0;
-  $('gallery-note').textContent = 'No photo yet. The first one takes a few seconds.';
+  $('gallery-note').textContent = t('No photo yet. The first one takes a few seconds.');
   next = page.next ?? null;
   $('more').hidden = !next;
 }
@@ -282,12 +303,12 @@ addEventListener('dragleave', (event) => {
   if (!depth) $('drop').classList.remove('over');
 });
 addEventListener('dragover', (event) => carriesFiles(event) && event.preventDefault());
-addEventListener('drop', (event) => {
+addEventListener('drop', async (event) => {
   if (!carriesFiles(event)) return;
   event.preventDefault();
   depth = 0;
   $('drop').classList.remove('over');
-  take([...event.dataTransfer.files]);
+  take(await filesOf(event.dataTransfer));
 });
 addEventListener('paste', (event) => {
   const files = [...(event.clipboardData?.files ?? [])];
@@ -296,4 +317,5 @@ addEventListener('paste', (event) => {
   take(files);
 });
 
+translatePage();
 refresh().then((page) => page && resume(page.photos));

@@ -3,7 +3,9 @@ import { getPhoto, photoUrl } from './api.js';
 import { formatPose, parsePose } from './camera.js';
 import { followPhoto, isUnderWay } from './events.js';
 import { formatBytes, photoName, queueText, sentence, stageText } from './text.js';
+import { hasGyroscope } from './gyroscope.js';
 import { Viewer } from './viewer.js';
+import { t, translatePage } from './words.js';
 
 const TOAST_MS = 2500;
 const NOTE_MS = 7000;
@@ -40,7 +42,7 @@ function toast(text) {
 function readout() {
   const parts = [];
   if (state.bytes) parts.push(formatBytes(state.bytes));
-  if (viewer.mode === 'served') parts.push('drawn by the server');
+  if (viewer.mode === 'served') parts.push(t('drawn by the server'));
   if (state.ms !== null) parts.push(`${state.ms < 9.95 ? state.ms.toFixed(1) : Math.round(state.ms)} ms`);
   $('readout').textContent = parts.join(' · ');
 }
@@ -79,24 +81,27 @@ async function showBackdrop(image) {
 function start() {
   viewer?.dispose();
   viewer = new Viewer(stage, { atlas: photoUrl(id, '/atlas'), view: photoUrl(id, '/view'), offset: offsetOfHash() });
+  applyMenu();
   // for tests, and for people at the console
   window.viewer = viewer;
   showIdle(viewer.idle);
   viewer.addEventListener('progress', ({ detail: { received, total } }) => {
     state.bytes = total || received;
-    showLoading(total ? `${formatBytes(received)} of ${formatBytes(total)}` : formatBytes(received), total ? received / total : undefined);
+    showLoading(total ? t('{0} of {1}', formatBytes(received), formatBytes(total)) : formatBytes(received), total ? received / total : undefined);
     readout();
   });
   viewer.addEventListener('photo', () => showBackdrop(viewer.poster));
   viewer.addEventListener('ready', ({ detail }) => {
     $('loading').hidden = true;
     stage.dataset.mode = detail.mode;
+    $('show').hidden = $('picture').hidden = !viewer.renderer;
   });
   viewer.addEventListener('mode', ({ detail }) => {
     stage.dataset.mode = detail.mode;
     if (detail.mode !== 'served') return;
+    $('show').hidden = $('picture').hidden = true;
     state.ms = null;
-    $('served-note').textContent = `The server draws this view. ${detail.reason}`;
+    $('served-note').textContent = t('The server draws this view. {0}', detail.reason);
     $('served-note').classList.add('on');
     setTimeout(() => $('served-note').classList.remove('on'), NOTE_MS);
     readout();
@@ -120,7 +125,7 @@ async function waitOrFail(message) {
     stage: (at) => showLoading(stageText(at.stage), (at.step - 1) / at.steps),
     done: start,
     failed: fail,
-    deleted: () => fail('The photo was deleted.'),
+    deleted: () => fail(t('The photo was deleted.')),
   });
 }
 
@@ -136,7 +141,7 @@ async function share() {
   }
   try {
     await navigator.clipboard.writeText(url);
-    toast('Link to this view copied');
+    toast(t('Link to this view copied'));
   } catch {
     // no clipboard on a page without TLS
     $('link').value = url;
@@ -150,10 +155,36 @@ async function toggleFullscreen() {
     if (document.fullscreenElement) await document.exitFullscreen();
     else await $('frame').requestFullscreen();
   } catch {
-    toast('This browser does not allow full screen');
+    toast(t('This browser does not allow full screen'));
   }
 }
 
+/** Says what the menu says to a viewer that is new. */
+function applyMenu() {
+  viewer.overlay = document.querySelector('input[name=overlay]:checked').value;
+  viewer.stereo = $('stereo').checked;
+}
+
+async function savePicture() {
+  const link = document.createElement('a');
+  link.href = URL.createObjectURL(await viewer.picture());
+  link.download = $('download').download.replace(/\.tmpi$/, '.png');
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), NOTE_MS);
+}
+
+$('show-menu').addEventListener('change', applyMenu);
+$('picture').addEventListener('click', () => savePicture().catch((error) => toast(error.message)));
+$('tilt-label').hidden = !hasGyroscope();
+$('tilt').addEventListener('change', async () => {
+  try {
+    await viewer.setTilt($('tilt').checked);
+    if ($('tilt').checked) viewer.setIdle(false);
+  } catch {
+    $('tilt').checked = false;
+    toast(t('This browser does not allow it'));
+  }
+});
 $('reset').addEventListener('click', () => viewer.reset());
 $('idle').addEventListener('click', () => viewer.setIdle(!viewer.idle));
 $('share').addEventListener('click', share);
@@ -168,6 +199,7 @@ addEventListener('hashchange', () => {
   if (offset) viewer.moveTo(offset);
 });
 
+translatePage();
 start();
 getPhoto(id)
   .then((photo) => {

@@ -7,7 +7,8 @@
 // `frame` {ms} · `error` {message}. `mode` is `gpu` where the browser draws with WebGPU, `webgl` where it does with WebGL2,
 // `served` where the server draws, and `still` where nobody can and the photo is all there is.
 import { margins } from './border.js';
-import { fovX, HOME, lookingAt, pivotOf, POSE_KEYS, resized } from './camera.js';
+import { fovX, HOME, lookingAt, pivotOf, POSE_KEYS, resized, shifted } from './camera.js';
+import { followTilt } from './gyroscope.js';
 import { Hosts } from './hosts.js';
 import { listen, Motion } from './motion.js';
 import { quantised, ServedViews } from './served.js';
@@ -23,6 +24,9 @@ const SLOW_FRAME_MS = 40;
 const COARSER = 0.8;
 const COARSEST = 0.5;
 
+/** Distance of the eyes in units of the nearest distance, as the server has it for stereo. */
+const EYES = 1 / 30;
+
 /** Pictures that can be drawn over the scene. */
 export const OVERLAYS = Object.freeze(['none', 'depth', 'tiles', 'planes']);
 
@@ -32,6 +36,9 @@ export class Viewer extends EventTarget {
   #lastFrame = 0;
   #hosts = null;
   #overlay = 0;
+  #stereo = false;
+  #stopTilt = null;
+  #asleep = false;
   #measuring = false;
   #detail = 1;
   #exact = null;
@@ -62,11 +69,7 @@ export class Viewer extends EventTarget {
     this.poster = this.#add('img', 'tmpi-poster');
     this.poster.alt = '';
     this.#stopListening = listen(root, this.motion, {
-      wake: () => {
-        this.#exact = null;
-        this.#wake();
-        this.#emit('pose');
-      },
+      wake: () => this.#moved(),
       toggleIdle: () => this.setIdle(!this.idle),
       embedded: options.embedded,
     });
@@ -104,18 +107,62 @@ export class Viewer extends EventTarget {
     this.render();
   }
 
+  /** A view for each eye, side by side; only where the browser draws. */
+  get stereo() {
+    return this.#stereo;
+  }
+
+  set stereo(on) {
+    this.#stereo = on;
+    this.#layout();
+  }
+
+  /** Lets the tilt of the device move the camera, or not; to be called from a tap. Throws where that is not allowed. */
+  async setTilt(on) {
+    this.#stopTilt?.();
+    this.#stopTilt = null;
+    if (!on) return;
+    const stop = await followTilt(this.motion, () => this.#moved());
+    if (this.#disposed) stop();
+    else this.#stopTilt = stop;
+  }
+
+  /** The view at the present pose as a PNG file, in the photo's size. */
+  async picture() {
+    const { width, height } = this.head;
+    const image = new ImageData(await this.readPixels(width, height), width, height);
+    const canvas = new OffscreenCanvas(width, height);
+    canvas.getContext('2d').putImageData(image, 0, 0);
+    return canvas.convertToBlob({ type: 'image/png' });
+  }
+
+  /** True while nobody sees it: it draws nothing then. */
+  get asleep() {
+    return this.#asleep;
+  }
+
+  set asleep(on) {
+    this.#asleep = on;
+    if (!on) return this.#wake();
+    cancelAnimationFrame(this.#frameRequest);
+    this.#frameRequest = 0;
+  }
+
   /** Eases back to where the photo was taken. */
   reset() {
-    this.#exact = null;
     this.motion.home();
-    this.#wake();
-    this.#emit('pose');
+    this.#moved();
   }
 
   /** Puts the camera at an offset in units of the view box. */
   moveTo(offset) {
-    this.#exact = null;
     this.motion.jump(offset);
+    this.#moved();
+  }
+
+  /** Input came. */
+  #moved() {
+    this.#exact = null;
     this.#wake();
     this.#emit('pose');
   }
@@ -145,13 +192,25 @@ export class Viewer extends EventTarget {
   render() {
     if (!this.head || this.#disposed) return;
     if (this.renderer?.context) {
-      const { canvas } = this;
-      this.renderer.draw(this.pose, resized(this.head.intrinsics, this.head, canvas));
+      this.renderer.draw(this.#views());
       this.#measure();
     } else if (this.mode === 'served') {
       const pose = this.#exact ?? this.#poseAt(quantised(this.motion.now));
       this.served.show(pose, fovX(this.head.intrinsics, this.head.width), this.poster.clientWidth * this.#pixelRatio());
     }
+  }
+
+  /** One view over the whole canvas, or one for each eye. */
+  #views() {
+    const { width, height } = this.canvas;
+    if (!this.#stereo) return [{ pose: this.pose, k: resized(this.head.intrinsics, this.head, this.canvas), x: 0, width, height }];
+    const half = Math.floor(width / 2);
+    return [-EYES / 2, EYES / 2].map((shift, i) => {
+      const k = resized(this.head.intrinsics, this.head, { width: half, height });
+      // what lies at the pivot stands in the screen
+      k.cx += k.fx * shift * this.pivot;
+      return { pose: shifted(this.pose, shift), k, x: i * half, width: half, height };
+    });
   }
 
   /**
@@ -168,6 +227,7 @@ export class Viewer extends EventTarget {
     cancelAnimationFrame(this.#frameRequest);
     this.#worker?.terminate();
     this.#stopListening();
+    this.#stopTilt?.();
     this.#resizes.disconnect();
     this.#reduced.removeEventListener('change', this.#onReduced);
     document.removeEventListener('visibilitychange', this.#onVisible);
@@ -285,7 +345,8 @@ export class Viewer extends EventTarget {
     const { clientWidth, clientHeight } = this.root;
     if (!clientWidth || !clientHeight) return;
     const detail = this.moving ? this.#detail : 1;
-    const aspect = this.head.width / this.head.height;
+    const eyes = this.#stereo && this.renderer ? 2 : 1;
+    const aspect = (this.head.width / this.head.height) * eyes;
     const width = Math.min(clientWidth, clientHeight * aspect);
     const height = width / aspect;
     for (const element of [this.poster, this.canvas]) {
@@ -305,7 +366,7 @@ export class Viewer extends EventTarget {
   }
 
   #wake() {
-    if (this.#frameRequest || this.#disposed || this.mode === 'failed' || this.mode === 'still') return;
+    if (this.#frameRequest || this.#asleep || this.#disposed || this.mode === 'failed' || this.mode === 'still') return;
     this.#lastFrame = 0;
     this.#frameRequest = requestAnimationFrame((now) => this.#frame(now));
   }

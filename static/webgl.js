@@ -177,21 +177,21 @@ export class GlRenderer {
   /** The canvas was given when the context was made. */
   attach() {}
 
-  /** Draws to the canvas for target intrinsics `k`, at the canvas's own size. */
-  draw(pose, k) {
+  /** As `GpuRenderer.draw`. */
+  draw(views) {
     this.gl.bindFramebuffer(this.gl.FRAMEBUFFER, null);
-    this.#pass(pose, k, this.gl.drawingBufferWidth, this.gl.drawingBufferHeight);
+    views.forEach((view, i) => this.#pass(view, i === 0));
   }
 
-  #pass(pose, k, width, height) {
+  #pass({ pose, k, x, width, height }, first) {
     const { gl, at, scene, counts } = this;
     const { r, t } = extrinsics(pose);
     const { intrinsics, tileSize } = scene;
-    gl.viewport(0, 0, width, height);
+    gl.viewport(x, 0, width, height);
     gl.clearColor(0, 0, 0, 0);
     gl.clearDepth(0);
     gl.depthMask(true);
-    gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
+    gl.clear(first ? gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT : gl.DEPTH_BUFFER_BIT);
     gl.useProgram(this.program);
     // row-major here, column by column there
     gl.uniformMatrix3fv(at.rotation, true, r);
@@ -232,7 +232,7 @@ export class GlRenderer {
       gl.renderbufferStorage(gl.RENDERBUFFER, format, width, height);
       gl.framebufferRenderbuffer(gl.FRAMEBUFFER, attachment, gl.RENDERBUFFER, buffers[i]);
     });
-    this.#pass(pose, k, width, height);
+    this.#pass({ pose, k, x: 0, width, height }, true);
     const upward = new Uint8Array(width * height * 4);
     gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, upward);
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);

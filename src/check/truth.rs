@@ -5,10 +5,10 @@
 
 use rayon::prelude::*;
 
-use crate::render::NEAR;
+use crate::render::{NEAR, border_margin};
 use crate::tmpi::{Camera, Pose, Scene};
 
-/// A layer, unpacked.
+/// A layer, unpacked, at its own place or mirrored beyond the photo's borders: there the ray is mirrored instead.
 struct Sheet {
     /// `δ = n·(x, y, 1)` in reference pixels.
     n: [f64; 3],
@@ -17,12 +17,15 @@ struct Sheet {
     width: usize,
     height: usize,
     texels: Vec<[u8; 4]>,
+    /// Twice the place of the mirrors in x and y, where there are any.
+    mirrors: [Option<f64>; 2],
 }
 
 /// The view, premultiplied, 0 to 255 a channel.
 #[must_use]
 pub fn cast(scene: &Scene, camera: &Camera) -> Vec<[f64; 4]> {
-    let sheets: Vec<Sheet> = (0..scene.layers.len()).map(|i| sheet(scene, i)).collect();
+    let margin = border_margin(scene);
+    let sheets: Vec<Sheet> = (0..scene.layers.len()).flat_map(|i| sheets(scene, i, margin)).collect();
     let (k, out) = (&scene.intrinsics, &camera.intrinsics);
     let pixel = |p: [f64; 3]| [k.fx * p[0] + k.cx * p[2], k.fy * p[1] + k.cy * p[2], p[2]];
     let place = pixel([camera.pose.tx, camera.pose.ty, camera.pose.tz]);
@@ -63,6 +66,33 @@ fn dot(a: &[f64; 3], b: &[f64; 3]) -> f64 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
+/// A layer and its mirror images within `margin` of the photo's borders.
+fn sheets(scene: &Scene, index: usize, margin: [u32; 2]) -> Vec<Sheet> {
+    let (l, grid) = (&scene.layers[index], &scene.grid);
+    // first pixel, the one after the last, and the mirror
+    let parts = |from: u32, size: u32, length: u32, margin: u32| {
+        let low = (from, (from + size).min(margin), Some(0.0));
+        let high = (from.max(length - margin.min(length)), from + size, Some(2.0 * f64::from(length)));
+        [(from, from + size, None), low, high].into_iter().filter(|(a, b, _)| a < b).collect::<Vec<_>>()
+    };
+    let columns = parts(l.rect.x, l.rect.w, grid.width, margin[0]);
+    let rows = parts(l.rect.y, l.rect.h, grid.height, margin[1]);
+    let whole = sheet(scene, index);
+    let cut = |&(y0, y1, my): &(u32, u32, Option<f64>), &(x0, x1, mx): &(u32, u32, Option<f64>)| {
+        let rows = whole.texels.chunks(whole.width).skip((y0 - l.rect.y) as usize).take((y1 - y0) as usize);
+        let texels = rows.flat_map(|row| &row[(x0 - l.rect.x) as usize..(x1 - l.rect.x) as usize]).copied().collect();
+        Sheet {
+            n: whole.n,
+            rect: [x0, y0, x1 - x0, y1 - y0].map(f64::from),
+            width: (x1 - x0) as usize,
+            height: (y1 - y0) as usize,
+            texels,
+            mirrors: [mx, my],
+        }
+    };
+    rows.iter().flat_map(|y| columns.iter().map(move |x| (y, x))).map(|(y, x)| cut(y, x)).collect()
+}
+
 fn sheet(scene: &Scene, index: usize) -> Sheet {
     let l = &scene.layers[index];
     let (half, centre) = (scene.grid.half(), scene.grid.centre(l.tile));
@@ -75,12 +105,19 @@ fn sheet(scene: &Scene, index: usize) -> Sheet {
         width: l.rect.w as usize,
         height: l.rect.h as usize,
         texels,
+        mirrors: [None; 2],
     }
 }
 
 impl Sheet {
     /// Target disparity and premultiplied colour where the ray meets the layer, if it does.
     fn meet(&self, ray: [f64; 3], place: [f64; 3]) -> Option<(f64, [f64; 4])> {
+        let [ray, place] = [ray, place].map(|mut v| {
+            for (axis, mirror) in self.mirrors.iter().enumerate() {
+                v[axis] = mirror.map_or(v[axis], |twice| twice * v[2] - v[axis]);
+            }
+            v
+        });
         let lambda = dot(&self.n, &ray) / (1.0 - dot(&self.n, &place));
         let q: [f64; 3] = std::array::from_fn(|i| ray[i] + lambda * place[i]);
         let (x, y) = (q[0] / q[2] - self.rect[0], q[1] / q[2] - self.rect[1]);

@@ -116,7 +116,7 @@ fn sides(from: u32, size: u32, length: u32, margin: u32) -> [Option<Side>; 3] {
 
 /// Pixels by which the corners of the view box see past the photo's borders, to the sides and up and down: the larger of
 /// cameras that look straight ahead and of cameras that turn to keep the nearest things in place, at δ = 0 and δ = 1.
-fn margin(scene: &Scene) -> [u32; 2] {
+pub(crate) fn margin(scene: &Scene) -> [u32; 2] {
     let (w, h) = (f64::from(scene.grid.width), f64::from(scene.grid.height));
     let v = &scene.view_box;
     let mut past = [0.0_f64; 2];

@@ -11,6 +11,7 @@ mod several;
 #[cfg(test)]
 mod testing;
 
+pub(crate) use border::margin as border_margin;
 pub use cpu::Cpu;
 pub use encode::{DEFAULT_QUALITY, EncodeError, PictureFormat, encode};
 pub use gpu::Gpu;

@@ -1,5 +1,6 @@
 // Chromium for the tests, with WebGPU on a software rasteriser.
 import { existsSync } from 'node:fs';
+import { createRequire } from 'node:module';
 import { chromium } from 'playwright-core';
 
 const executablePath = process.env.CHROMIUM || '/usr/bin/chromium';
@@ -26,6 +27,19 @@ export async function openPage(browser, options = {}) {
     if (message.type() === 'error') errors.push(`${message.text()} ${message.location().url}`);
   });
   return { page, context, errors };
+}
+
+/** What axe-core finds of serious or critical hurdles on the page, as `rule: element`. */
+export async function seriousViolations(page) {
+  const path = createRequire(import.meta.url).resolve('axe-core');
+  // past the page's own policy for scripts
+  const { readFile } = await import('node:fs/promises');
+  await page.evaluate(await readFile(path, 'utf8'));
+  return page.evaluate(async () => {
+    const { violations } = await window.axe.run();
+    const serious = violations.filter(({ impact }) => impact === 'serious' || impact === 'critical');
+    return serious.flatMap(({ id, nodes }) => nodes.map((node) => `${id}: ${node.html}`));
+  });
 }
 
 /** Takes WebGPU from the page, and WebGL too where `webgl` is false. */

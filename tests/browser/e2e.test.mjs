@@ -73,11 +73,10 @@ describe('the whole way', () => {
     const first = await page.evaluate(() => window.viewer.pose.tx);
     await page.waitForFunction((tx) => Math.abs(window.viewer.pose.tx - tx) > 1e-3, first);
     assert.match(await page.locator('#readout').textContent(), /\d kB · [\d.]+ ms/);
-    const [download] = await Promise.all([page.waitForEvent('download'), page.locator('#download').click()]);
+    const [download] = await Promise.all([page.waitForEvent('download'), page.getByRole('button', { name: 'Download' }).click().then(() => page.locator('#download').click())]);
     assert.equal(download.suggestedFilename(), 'garden.tmpi');
     assert.equal(readFileSync(await download.path()).toString('latin1', 0, 4), 'TMPI');
     await page.goto(server.url);
-    page.once('dialog', (dialog) => dialog.accept());
     await page.getByRole('button', { name: 'Delete garden' }).click();
     await inGallery.waitFor({ state: 'detached' });
     assert.deepEqual(errors, []);

@@ -1,7 +1,7 @@
 // The page of all photos, against answers of a server that the test makes up.
 import assert from 'node:assert/strict';
 import { after, before, describe, test } from 'node:test';
-import { launch, openPage } from './browser.mjs';
+import { launch, openPage, seriousViolations } from './browser.mjs';
 import { serve } from './static-server.mjs';
 
 const photo = (id) => ({ id, state: 'done', created: '2026-03-04T05:06:07Z', width: 30, height: 20, atlas_bytes: 1500 });
@@ -19,12 +19,14 @@ describe('page of all photos', () => {
   });
 
   /** Opens the page; `posts` gives the answers to uploads, one after the other. */
-  async function open({ pages = [{ photos: [] }], posts = [] }) {
-    const { page, context } = await openPage(browser);
+  async function open({ pages = [{ photos: [] }], posts = [], options = {} }) {
+    const { page, context } = await openPage(browser, options);
     const sent = [];
+    const bodies = [];
     await page.route('**/v1/photos*', (route) => {
       if (route.request().method() === 'POST') {
         sent.push(Date.now());
+        bodies.push(route.request().postDataBuffer()?.toString('latin1') ?? '');
         return route.fulfill(posts.shift());
       }
       const after = Number(new URL(route.request().url()).searchParams.get('after') ?? 0);
@@ -34,7 +36,7 @@ describe('page of all photos', () => {
       route.fulfill({ contentType: 'text/event-stream', body: 'event: stage\ndata: {"stage":"layers","step":3,"steps":4}\n\nevent: done\ndata: {}\n\n' }),
     );
     await page.goto(`${server.url}/index.html`);
-    return { page, context, sent };
+    return { page, context, sent, bodies };
   }
 
   test('an empty list says so; a long one goes on', async () => {
@@ -89,10 +91,59 @@ describe('page of all photos', () => {
     await page.route('**/v1/photos/a', (route) => route.fulfill({ status: 204 }));
     await page.setInputFiles('#picker', { name: 'one.png', mimeType: 'image/png', buffer: Buffer.from('x') });
     await page.getByRole('link', { name: 'Open one.png' }).waitFor();
-    page.once('dialog', (dialog) => dialog.accept());
     await page.getByRole('button', { name: 'Delete one' }).click();
     await page.locator('.upload').waitFor({ state: 'detached' });
     assert.ok(await page.locator('#uploads').isHidden());
     await context.close();
+  });
+
+  test('a deletion can be undone; leaving the page carries it out', async () => {
+    const { page, context } = await open({ pages: [{ photos: [photo('a'), photo('b')] }] });
+    const cards = page.locator('.card:visible');
+    await cards.nth(1).waitFor();
+    await cards.first().getByRole('button').click();
+    assert.equal(await cards.count(), 1);
+    await page.getByRole('button', { name: 'Undo' }).click();
+    assert.equal(await cards.count(), 2);
+    assert.deepEqual(server.deleted, []);
+    await cards.first().getByRole('button').click();
+    await page.goto('about:blank');
+    for (let i = 0; i < 50 && !server.deleted.length; i++) await page.waitForTimeout(100);
+    assert.deepEqual(server.deleted, ['/v1/photos/a']);
+    await context.close();
+  });
+
+  test('a depth map goes with one photo', async () => {
+    const posts = [{ status: 202, json: photo('a') }, { status: 202, json: photo('b') }];
+    const { page, context, bodies } = await open({ posts });
+    await page.locator('summary').click();
+    await page.setInputFiles('#depth-map', { name: 'map.png', mimeType: 'image/png', buffer: Buffer.from('depths') });
+    for (const name of ['one.png', 'two.png']) {
+      await page.setInputFiles('#picker', { name, mimeType: 'image/png', buffer: Buffer.from('x') });
+      await page.getByRole('link', { name: `Open ${name}` }).waitFor();
+    }
+    assert.match(bodies[0], /name="depth"; filename="map.png"/);
+    assert.doesNotMatch(bodies[1], /name="depth"/);
+    await context.close();
+  });
+
+  test('the page speaks German where the browser does', async () => {
+    const { page, context } = await open({ pages: [{ photos: [photo('a')] }], options: { locale: 'de-DE' } });
+    await page.getByText('Fotos auswählen').waitFor();
+    await page.getByRole('button', { name: /löschen$/ }).waitFor();
+    assert.equal(await page.locator('html').getAttribute('lang'), 'de');
+    const english = await page.evaluate(() => document.body.innerText.match(/\b(Drop|Choose|Options|Photos|Undo|removed)\b/g));
+    assert.equal(english, null);
+    await context.close();
+  });
+
+  test('nothing stands in the way of people who do not see or point', async () => {
+    for (const colorScheme of ['light', 'dark']) {
+      const { page, context } = await open({ pages: [{ photos: [photo('a'), photo('b')] }], options: { colorScheme } });
+      await page.locator('.card').nth(1).waitFor();
+      await page.locator('summary').click();
+      assert.deepEqual(await seriousViolations(page), []);
+      await context.close();
+    }
   });
 });

@@ -10,10 +10,11 @@ const POLICY = "default-src 'self'; img-src 'self' blob: data:; object-src 'none
 
 /**
  * @param {{atlas: Buffer, delayMs?: number}} photo
- * @returns {Promise<{url: string, views: string[], mostAtOnce: () => number, close: () => Promise<void>}>}
+ * @returns {Promise<{url: string, views: string[], deleted: string[], mostAtOnce: () => number, close: () => Promise<void>}>}
  */
 export async function serve({ atlas, delayMs = 0 }) {
   const views = [];
+  const deleted = [];
   let atOnce = 0;
   let most = 0;
   const server = createServer(async (request, response) => {
@@ -24,8 +25,13 @@ export async function serve({ atlas, delayMs = 0 }) {
       response.writeHead(status, headers);
       response.end(body);
     };
+    if (request.method === 'DELETE') {
+      deleted.push(url.pathname);
+      return send(200, 'text/plain', '');
+    }
     if (url.pathname === '/v1/photos/box') return send(200, 'application/json', JSON.stringify({ id: 'box', state: 'done' }));
     if (url.pathname === '/v1/photos/box/atlas') return sendSlowly(response, atlas, delayMs);
+    if (url.pathname === '/embed/three') return send(200, TYPES['.html'], three());
     if (url.pathname === '/embed') return send(200, TYPES['.html'], embed(url.searchParams.get('host')));
     if (url.pathname === '/v1/photos/box/view') {
       views.push(url.search);
@@ -46,6 +52,7 @@ export async function serve({ atlas, delayMs = 0 }) {
   return {
     url: `http://127.0.0.1:${server.address().port}`,
     views,
+    deleted,
     mostAtOnce: () => most,
     close: () => new Promise((resume) => (server.closeAllConnections(), server.close(resume))),
   };
@@ -59,6 +66,13 @@ async function sendSlowly(response, atlas, delayMs) {
   response.write(atlas.subarray(0, cut));
   if (delayMs) await new Promise((resume) => setTimeout(resume, delayMs));
   response.end(atlas.subarray(cut));
+}
+
+/** A page with three elements, the last far below. */
+function three() {
+  const one = (more) => `<tmpi-viewer src="/v1/photos/box/atlas" alt="A box" ${more}></tmpi-viewer>`;
+  return `<!doctype html><title>three</title><script type="module" src="/tmpi-viewer.js"></script><style>tmpi-viewer { width: 300px }</style>
+    ${one('auto-rotate="off"')}${one('camera-controls="off"')}<div style="height: 4000px"></div>${one('still')}`;
 }
 
 /** A page of somebody else with the element on it. */

@@ -1,7 +1,8 @@
 // The viewer by itself: a container written by hand, a server that does nothing but serve files.
 import assert from 'node:assert/strict';
+import { readFileSync } from 'node:fs';
 import { after, before, describe, test } from 'node:test';
-import { launch, openPage, pixelsAt, shareDifferent, takeGraphics, waitForMode } from './browser.mjs';
+import { launch, openPage, pixelsAt, seriousViolations, shareDifferent, takeGraphics, waitForMode } from './browser.mjs';
 import { boxScene, container } from './fixture.mjs';
 import { boxPhoto, BOX, inBox, readPng, wall } from './pictures.mjs';
 import { serve } from './static-server.mjs';
@@ -221,6 +222,63 @@ describe('viewer', () => {
     await context.close();
   });
 
+  test('the menu shows depth, tiles and planes, and a view for each eye', async () => {
+    const { page, context, errors } = await open({ reducedMotion: 'reduce' });
+    await waitForMode(page, 'gpu');
+    const photo = await pixelsAt(page, HOME, WIDTH, HEIGHT);
+    await page.locator('#show').click();
+    const mean = (pixels, inside) => {
+      let [sum, count] = [0, 0];
+      for (let y = 0; y < HEIGHT; y++) {
+        for (let x = 0; x < WIDTH; x++) {
+          if (inBox(x, y, WIDTH, HEIGHT) !== inside) continue;
+          sum += pixels[(y * WIDTH + x) * 4];
+          count++;
+        }
+      }
+      return sum / count;
+    };
+    await page.getByLabel('Depth').check();
+    const depth = await pixelsAt(page, HOME, WIDTH, HEIGHT);
+    assert.ok(Math.abs(mean(depth, true) - BOX.near * 255) < 12, `near is bright: ${mean(depth, true)}`);
+    assert.ok(Math.abs(mean(depth, false) - BOX.far * 255) < 12, `far is dark: ${mean(depth, false)}`);
+    for (const name of ['Tiles', 'Planes']) {
+      await page.getByLabel(name).check();
+      const tinted = await pixelsAt(page, HOME, WIDTH, HEIGHT);
+      assert.ok(shareDifferent(tinted, photo, WIDTH, HEIGHT) > 0.5, name);
+    }
+    await page.getByLabel('The photo').check();
+    assert.equal(shareDifferent(await pixelsAt(page, HOME, WIDTH, HEIGHT), photo, WIDTH, HEIGHT, { levels: 0 }), 0);
+    const shape = () => page.evaluate(() => window.viewer.canvas.clientWidth / window.viewer.canvas.clientHeight);
+    const [one] = [await shape()];
+    await page.getByLabel('Side by side').check();
+    assert.ok(Math.abs((await shape()) / one - 2) < 0.05, 'twice as wide for its height');
+    assert.deepEqual(errors, []);
+    await context.close();
+  });
+
+  test('the picture of this view is saved', async () => {
+    const { page, context } = await open({ reducedMotion: 'reduce' });
+    await waitForMode(page, 'gpu');
+    await page.evaluate(() => window.viewer.setPose({ tx: 0.02 }));
+    await page.getByRole('button', { name: 'Download' }).click();
+    const [download] = await Promise.all([page.waitForEvent('download'), page.locator('#picture').click()]);
+    assert.match(download.suggestedFilename(), /\.png$/);
+    const saved = readPng(readFileSync(await download.path()));
+    assert.deepEqual([saved.width, saved.height], [WIDTH, HEIGHT]);
+    await context.close();
+  });
+
+  test('nothing stands in the way of people who do not see or point', async () => {
+    for (const colorScheme of ['light', 'dark']) {
+      const { page, context } = await open({ colorScheme, reducedMotion: 'reduce' });
+      await waitForMode(page, 'gpu');
+      await page.locator('#show').click();
+      assert.deepEqual(await seriousViolations(page), []);
+      await context.close();
+    }
+  });
+
   test('a shared address brings the same pose', async () => {
     const { page, context } = await open({ reducedMotion: 'reduce' }, '#pose=0.5,-0.25,0.1');
     await waitForMode(page, 'gpu');
@@ -249,6 +307,35 @@ describe('viewer', () => {
     assert.deepEqual(errors.filter((e) => !e.includes('favicon')), []);
     await context.close();
     await other.close();
+  });
+
+  test('three elements share a device, sleep out of sight and leave nothing behind', async () => {
+    const { page, context, errors } = await openPage(browser);
+    await page.goto(`${server.url}/embed/three`);
+    const modes = () => page.evaluate(() => [...document.querySelectorAll('tmpi-viewer')].map((e) => e.viewer?.mode ?? null));
+    const drawn = (n) => page.waitForFunction((i) => document.querySelectorAll('tmpi-viewer')[i].viewer?.mode === 'gpu', n);
+    await drawn(0);
+    await drawn(1);
+    assert.equal((await modes())[2], null, 'what is far below is not fetched');
+    await page.evaluate(() => document.querySelectorAll('tmpi-viewer')[2].scrollIntoView());
+    await drawn(2);
+    const seen = await page.evaluate(() => {
+      const viewers = [...document.querySelectorAll('tmpi-viewer')].map((e) => e.viewer);
+      return { devices: new Set(viewers.map((v) => v.renderer.device)).size, asleep: viewers.map((v) => v.asleep), idle: viewers.map((v) => v.idle) };
+    });
+    assert.deepEqual(seen, { devices: 1, asleep: [true, true, false], idle: [false, true, false] });
+    const lost = await page.evaluate(async () => {
+      const elements = [...document.querySelectorAll('tmpi-viewer')];
+      const { device } = elements[0].viewer.renderer;
+      elements[0].remove();
+      elements[1].remove();
+      const early = await Promise.race([device.lost.then(() => true), new Promise((r) => setTimeout(r, 300, false))]);
+      elements[2].remove();
+      return [early, (await device.lost).reason];
+    });
+    assert.deepEqual(lost, [false, 'destroyed'], 'the device goes with the last');
+    assert.deepEqual(errors.filter((e) => !e.includes('favicon')), []);
+    await context.close();
   });
 
   test('a photo that is not there: the reason is shown', async () => {
