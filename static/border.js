@@ -83,6 +83,13 @@ export function margins({ width: w, height: h, intrinsics: k, viewBox: box }) {
   return { x: bounded(past[0], w), y: bounded(past[1], h), share: Math.min(1, widest / past[0] || 1, widest / past[1] || 1) };
 }
 
+/** How far the camera goes: the view box, or as much of it as does not see past the continued border. */
+export function limitsOf(head) {
+  const { x, y, z } = head.viewBox;
+  const { share } = margins(head);
+  return { x: x * share, y: y * share, z: z * share };
+}
+
 /** Inverse of a row-major 3×3 matrix by cofactors. */
 function inverted(m) {
   const c = (i, j) => {

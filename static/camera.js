@@ -95,10 +95,20 @@ export function deltaAt({ layers, tileSize }, i, x, y) {
   return layers.a[i] + (layers.b[i] * (x - layers.tileX[i] - half)) / half + (layers.c[i] * (y - layers.tileY[i] - half)) / half;
 }
 
-/** The pose shifted to its own right. */
-export function shifted(pose, right) {
+/** Distance of the eyes in units of the nearest distance, as the server has it for stereo. */
+const EYES = 1 / 30;
+
+/** The views of both eyes, side by side on a canvas of `size`; what lies at disparity `focus` stands in the screen. */
+export function eyes(pose, head, size, focus) {
+  const [width, height] = [Math.floor(size.width / 2), size.height];
   const { r } = extrinsics(pose);
-  return { ...pose, tx: pose.tx + r[0] * right, ty: pose.ty + r[1] * right, tz: pose.tz + r[2] * right };
+  return [-EYES / 2, EYES / 2].map((shift, i) => {
+    const k = resized(head.intrinsics, head, { width, height });
+    k.cx += k.fx * shift * focus;
+    // to the camera's own right
+    const at = { ...pose, tx: pose.tx + r[0] * shift, ty: pose.ty + r[1] * shift, tz: pose.tz + r[2] * shift };
+    return { pose: at, k, x: i * width, width, height };
+  });
 }
 
 /** A pose from `tx,ty,tz[,yaw,pitch,roll]`, or null where the text is none. */

@@ -6,11 +6,12 @@
 // Events (detail): `progress` {received, total} · `photo` · `ready` {mode} · `mode` {mode, reason} · `idle` {on} · `pose` ·
 // `frame` {ms} · `error` {message}. `mode` is `gpu` where the browser draws with WebGPU, `webgl` where it does with WebGL2,
 // `served` where the server draws, and `still` where nobody can and the photo is all there is.
-import { margins } from './border.js';
-import { fovX, HOME, lookingAt, pivotOf, POSE_KEYS, resized, shifted } from './camera.js';
+import { limitsOf } from './border.js';
+import { eyes, fovX, HOME, lookingAt, pivotOf, POSE_KEYS, resized } from './camera.js';
 import { followTilt } from './gyroscope.js';
 import { Hosts } from './hosts.js';
 import { listen, Motion } from './motion.js';
+import { startDecoder } from './decoder.js';
 import { quantised, ServedViews } from './served.js';
 
 /** Device pixels per CSS pixel that are drawn at most. */
@@ -23,9 +24,6 @@ const FRAME_WEIGHT = 0.15;
 const SLOW_FRAME_MS = 40;
 const COARSER = 0.8;
 const COARSEST = 0.5;
-
-/** Distance of the eyes in units of the nearest distance, as the server has it for stereo. */
-const EYES = 1 / 30;
 
 /** Pictures that can be drawn over the scene. */
 export const OVERLAYS = Object.freeze(['none', 'depth', 'tiles', 'planes']);
@@ -200,17 +198,11 @@ export class Viewer extends EventTarget {
     }
   }
 
-  /** One view over the whole canvas, or one for each eye. */
+  /** One view over the whole canvas, or one for each eye; what lies at the pivot stands in the screen. */
   #views() {
-    const { width, height } = this.canvas;
-    if (!this.#stereo) return [{ pose: this.pose, k: resized(this.head.intrinsics, this.head, this.canvas), x: 0, width, height }];
-    const half = Math.floor(width / 2);
-    return [-EYES / 2, EYES / 2].map((shift, i) => {
-      const k = resized(this.head.intrinsics, this.head, { width: half, height });
-      // what lies at the pivot stands in the screen
-      k.cx += k.fx * shift * this.pivot;
-      return { pose: shifted(this.pose, shift), k, x: i * half, width: half, height };
-    });
+    const { pose, head, canvas } = this;
+    if (this.#stereo) return eyes(pose, head, canvas, this.pivot);
+    return [{ pose, k: resized(head.intrinsics, head, canvas), x: 0, width: canvas.width, height: canvas.height }];
   }
 
   /**
@@ -241,7 +233,7 @@ export class Viewer extends EventTarget {
   async #start() {
     this.#hosts = await Hosts.find();
     if (this.#disposed) return;
-    this.#worker = new Worker(workerAddress(), { type: 'module' });
+    this.#worker = startDecoder();
     this.#worker.onerror = (event) => this.#fail(event.message || 'The decoder could not be started.');
     this.#worker.onmessage = ({ data }) => this.#onWorker(data);
     this.#worker.postMessage({ url: this.options.atlas, photoOnly: !this.#hosts.any });
@@ -345,8 +337,7 @@ export class Viewer extends EventTarget {
     const { clientWidth, clientHeight } = this.root;
     if (!clientWidth || !clientHeight) return;
     const detail = this.moving ? this.#detail : 1;
-    const eyes = this.#stereo && this.renderer ? 2 : 1;
-    const aspect = (this.head.width / this.head.height) * eyes;
+    const aspect = (this.head.width / this.head.height) * (this.#stereo && this.renderer ? 2 : 1);
     const width = Math.min(clientWidth, clientHeight * aspect);
     const height = width / aspect;
     for (const element of [this.poster, this.canvas]) {
@@ -413,18 +404,4 @@ export class Viewer extends EventTarget {
   #emit(type, detail = {}) {
     this.dispatchEvent(new CustomEvent(type, { detail }));
   }
-}
-
-/** How far the camera goes: the view box, or as much of it as does not see past the continued border. */
-function limitsOf(head) {
-  const { x, y, z } = head.viewBox;
-  const { share } = margins(head);
-  return { x: x * share, y: y * share, z: z * share };
-}
-
-/** A worker's script must be of the page's own origin; what it imports need not. */
-function workerAddress() {
-  const url = new URL('./decode-worker.js', import.meta.url);
-  if (url.origin === location.origin) return url;
-  return URL.createObjectURL(new Blob([`import ${JSON.stringify(url.href)};`], { type: 'text/javascript' }));
 }
