@@ -23,8 +23,7 @@ const LENGTH_STEP: f64 = 1e-5;
 const ANGLE_STEP: f64 = 1e-3;
 
 /// Stereo pictures.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Deserialize, utoipa::ToSchema)]
-#[serde(rename_all = "lowercase")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StereoKind {
     /// Side by side, the left eye's view on the left.
     Sbs,
@@ -61,7 +60,7 @@ pub struct ViewQuery {
     #[param(value_type = Option<String>)]
     pub format: Option<PictureFormat>,
     /// Two views in one picture: `sbs` side by side, `anaglyph` for red and cyan glasses.
-    #[param(value_type = Option<StereoKind>)]
+    #[param(value_type = Option<String>, example = "sbs")]
     pub stereo: Option<StereoKind>,
     /// `COLUMNSxROWS` views from left to right, from the lower left on, as light-field displays take them; at most 100.
     #[param(value_type = Option<String>, example = "8x6")]
