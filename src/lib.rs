@@ -1,7 +1,7 @@
 //! tmpi turns a photo into a tiled multiplane image (TMPI), packs it into a compact container and draws it for any camera.
 //!
 //! The modules lie along the way of a photo, and arrows run one way only:
-//! `photo ← depth ← generate ← atlas ← {render, server, client}`. [`tmpi`] is the vocabulary that all of them share and
+//! `photo ← depth ← generate ← atlas ← {render, export, server, client}`. [`tmpi`] is the vocabulary that all of them share and
 //! knows none of them. [`way`] runs the whole way; the command line and the server are its only callers.
 #![warn(clippy::pedantic)]
 // Pixel arithmetic casts between integer and float widths in every line; the ranges are bounded by `photo::Limits`.
@@ -21,12 +21,14 @@
 // `generate::GenerateError` reads better at a call site than `generate::Error` where several modules meet.
 #![allow(clippy::module_name_repetitions)]
 
+mod assets;
 pub mod atlas;
 pub mod bench;
 pub mod check;
 pub mod cli;
 pub mod clock;
 pub mod depth;
+pub mod export;
 pub mod generate;
 pub mod models;
 pub mod onnx;

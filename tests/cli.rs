@@ -145,6 +145,8 @@ fn usage_errors_name_flag_and_range() {
     render(&["--quilt", "11x10"]).fails(2, &["--quilt"]);
     render(&["--frames", "5"]).fails(2, &["--path"]);
     f.run(&["render", "box.tmpi", "-o", "x.gif"]).fails(2, &[".webp"]);
+    f.run(&["export", "box.tmpi", "-o", "x.gltf"]).fails(2, &["x.gltf", ".glb"]);
+    f.run(&["export", "box.tmpi", "-o", "x.glb", "--title", "x"]).fails(2, &["--title"]);
     f.run(&["nonsense"]).fails(2, &["nonsense"]);
 }
 
@@ -331,4 +333,27 @@ fn render_draws_in_every_format() {
     }
     let wide = render("wide.png", &["--fov-x", "120"]).1;
     assert!(image::open(wide).unwrap().to_rgba8().get_pixel(0, 0).0[3] < 255, "a wider view sees beyond the photo");
+}
+
+#[test]
+fn exports_are_files_that_others_open() {
+    let f = Folder::new();
+    f.container();
+    for (ending, first) in [("html", b"<!do"), ("glb", b"glTF"), ("zip", b"PK\x03\x04")] {
+        let name = format!("out/box.{ending}");
+        let run = f.run(&["export", "box.tmpi", "-o", &name, "--json"]).succeeds();
+        let about = run.json();
+        has(&about, &["output", "format", "bytes", "container_bytes", "ms"]);
+        let bytes = std::fs::read(f.path(&name)).unwrap();
+        assert_eq!((&bytes[..4], about["bytes"].as_u64()), (first.as_slice(), Some(bytes.len() as u64)));
+        // the same again is the same to the byte
+        let again = format!("again.{ending}");
+        f.run(&["export", "box.tmpi", "-o", &again, "--json"]).succeeds();
+        assert!(std::fs::read(f.path(&again)).unwrap() == bytes, "{ending}");
+    }
+    f.run(&["export", "box.tmpi", "-o", "titled.html", "--title", "A <box>"]).succeeds();
+    assert!(std::fs::read_to_string(f.path("titled.html")).unwrap().contains("<title>A &lt;box&gt;</title>"));
+    f.write("broken.tmpi", b"TMPI but no more");
+    f.run(&["export", "broken.tmpi", "-o", "broken.html"]).fails(1, &["broken.tmpi"]);
+    assert!(!f.path("broken.html").exists());
 }

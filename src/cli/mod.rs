@@ -3,6 +3,7 @@
 mod bench;
 mod check;
 mod depth;
+mod export;
 mod files;
 mod flags;
 mod info;
@@ -34,6 +35,7 @@ enum Command {
     Render(render::RenderArgs),
     Info(info::InfoArgs),
     Depth(depth::DepthArgs),
+    Export(export::ExportArgs),
     Serve(serve::ServeArgs),
     Synth(synth::SynthArgs),
     Check(check::CheckArgs),
@@ -86,6 +88,7 @@ fn run(command: Command) -> anyhow::Result<()> {
         Command::Render(args) => render::run(&args),
         Command::Info(args) => info::run(&args),
         Command::Depth(args) => depth::run(&args),
+        Command::Export(args) => export::run(&args),
         Command::Serve(args) => serve::run(args),
         Command::Synth(args) => synth::run(&args),
         Command::Check(args) => check::run(&args),

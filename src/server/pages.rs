@@ -13,9 +13,7 @@ use super::app::App;
 use super::conditional::{Entity, REVALIDATE, respond};
 use super::id::hex;
 use super::problem::Problem;
-
-/// All files below `static/`.
-static FILES: &[(&str, &[u8])] = include!(concat!(env!("OUT_DIR"), "/pages.rs"));
+use crate::assets::{FILES, content_type};
 
 /// Scripts and pictures of this server alone; the viewer's decoder needs blobs.
 const POLICY: &str = "default-src 'self'; img-src 'self' blob: data:; connect-src 'self' blob: data:; style-src 'self' 'unsafe-inline'; \
@@ -93,33 +91,9 @@ fn tags() -> &'static [String] {
     TAGS.get_or_init(|| FILES.iter().map(|(_, bytes)| tag(bytes)).collect())
 }
 
-fn content_type(name: &str) -> &'static str {
-    match Path::new(name).extension().and_then(|e| e.to_str()).unwrap_or_default() {
-        "html" => "text/html; charset=utf-8",
-        "js" | "mjs" => "text/javascript; charset=utf-8",
-        "css" => "text/css; charset=utf-8",
-        "json" | "map" => "application/json",
-        "svg" => "image/svg+xml",
-        "png" => "image/png",
-        "jpg" | "jpeg" => "image/jpeg",
-        "webp" => "image/webp",
-        "ico" => "image/x-icon",
-        "woff2" => "font/woff2",
-        "tmpi" => crate::atlas::MEDIA_TYPE,
-        "wgsl" | "txt" | "md" => "text/plain; charset=utf-8",
-        _ => "application/octet-stream",
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn the_table_is_sorted_and_holds_the_shader() {
-        assert!(FILES.is_sorted_by(|a, b| a.0 < b.0));
-        assert!(FILES.binary_search_by_key(&"tmpi.wgsl", |f| f.0).is_ok());
-    }
 
     #[test]
     fn no_name_leads_out() {

@@ -156,11 +156,40 @@ fn depth_report_and_thumbnail() {
 }
 
 #[test]
+fn exports_to_download() {
+    let (_dir, server, photo) = with_photo();
+    let fetch = |query: &str, headers: &[(&str, &str)]| request(server.addr, "GET", &format!("{photo}/export{query}"), headers, &[]);
+    let id = photo.rsplit('/').next().unwrap();
+    let mut tags = Vec::new();
+    for (query, media_type, ending, first) in [
+        ("", "text/html; charset=utf-8", "html", b"<!do"),
+        ("?format=glb", "model/gltf-binary", "glb", b"glTF"),
+        ("?format=zip", "application/zip", "zip", b"PK\x03\x04"),
+    ] {
+        let answer = fetch(query, &[]);
+        assert_eq!((answer.status, answer.header("content-type")), (200, Some(media_type)));
+        assert_eq!(answer.header("content-disposition"), Some(format!("attachment; filename=\"{id}.{ending}\"").as_str()));
+        assert_eq!(&answer.body[..4], first);
+        assert!(answer.all("server-timing").contains("export;dur="));
+        let etag = answer.header("etag").unwrap();
+        assert_eq!(fetch(query, &[("if-none-match", etag)]).status, 304);
+        let part = fetch(query, &[("range", "bytes=2-9"), ("if-range", etag)]);
+        assert_eq!((part.status, part.body.as_slice()), (206, &answer.body[2..10]));
+        tags.push(etag.to_owned());
+    }
+    tags.sort();
+    tags.dedup();
+    assert_eq!(tags.len(), 3, "each form has its own tag");
+    assert_eq!(fetch("?format=gltf", &[]).problem(400)["field"], "format");
+    assert_eq!(fetch("?size=3", &[]).problem(400)["field"], "size");
+}
+
+#[test]
 fn what_is_not_there_yet_or_not_at_all() {
     let dir = tempfile::tempdir().unwrap();
     let server = Running::start(dir.path(), Limits::default(), Gate::new(0));
     let id = server.upload(&jpeg(1));
-    for part in ["atlas", "view", "depth", "report", "thumbnail"] {
+    for part in ["atlas", "view", "depth", "report", "thumbnail", "export"] {
         let early = get(server.addr, &format!("/v1/photos/{id}/{part}"));
         early.problem(409);
         assert!(early.header("retry-after").is_some());

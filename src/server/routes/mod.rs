@@ -1,6 +1,7 @@
 //! All routes, and the `OpenAPI` document that is generated from their handlers.
 
 mod events;
+mod export;
 mod photos;
 mod results;
 mod state;
@@ -48,6 +49,7 @@ fn api() -> OpenApiRouter<App> {
         .routes(routes!(results::report))
         .routes(routes!(results::thumbnail))
         .routes(routes!(view::view))
+        .routes(routes!(export::export))
         .routes(routes!(system::healthz))
         .routes(routes!(system::readyz))
         .routes(routes!(system::metrics))
@@ -65,7 +67,17 @@ pub fn openapi() -> serde_json::Result<Bytes> {
 /// The whole service.
 pub fn router(app: App) -> Router {
     let (router, _) = api().split_for_parts();
-    let exposed = ["etag", "content-range", "accept-ranges", "content-length", "server-timing", "location", "x-request-id", "retry-after"];
+    let exposed = [
+        "etag",
+        "content-range",
+        "accept-ranges",
+        "content-length",
+        "server-timing",
+        "location",
+        "x-request-id",
+        "retry-after",
+        "content-disposition",
+    ];
     // other sites may embed what is made here; they may not upload or delete
     let cors = CorsLayer::new()
         .allow_origin(AllowOrigin::any())

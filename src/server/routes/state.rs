@@ -60,6 +60,8 @@ pub struct Links {
     pub report: String,
     /// Small picture.
     pub thumbnail: String,
+    /// Page, model or archive to download.
+    pub export: String,
     /// Page with the viewer.
     pub page: String,
 }
@@ -152,6 +154,7 @@ impl PhotoState {
                 depth: at("/depth"),
                 report: at("/report"),
                 thumbnail: at("/thumbnail"),
+                export: at("/export"),
                 page: format!("/view/{}", entry.id),
             },
         };

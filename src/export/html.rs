@@ -1,0 +1,142 @@
+//! One page that carries viewer and photo in itself, opens from disk, and fetches nothing.
+
+use std::fmt::Write as _;
+
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
+use sha2::{Digest, Sha256};
+
+use super::{ExportError, photo_file, script};
+use crate::assets;
+
+/// The page; `{{…}}` are replaced.
+const PAGE: &str = include_str!("page.html");
+/// Its style.
+const STYLE: &str = include_str!("page.css");
+/// What starts the modules and gives them each other.
+const START: &str = include_str!("start.js");
+/// The entry module, as if it lay beside the viewer's.
+const ENTRY: &str = include_str!("page.js");
+const ENTRY_NAME: &str = "page.js";
+
+/// Writes a page that shows the scene of `container`; `title` names it.
+///
+/// The container stands in the page once, in three pieces: the middle one is the photo, which is also the picture that is
+/// shown where there is no script.
+///
+/// # Errors
+/// [`ExportError::Atlas`] where the container is none.
+pub fn html(container: &[u8], title: &str) -> Result<Vec<u8>, ExportError> {
+    let photo = photo_file(container)?;
+    let script = script()?;
+    let hash = |text: &str| format!("'sha256-{}'", STANDARD.encode(Sha256::digest(text)));
+    // nothing outside this page, by order to the browser; scripts are this page's own and the worker made of it
+    let policy = format!(
+        "default-src 'none'; script-src {} data: blob:; worker-src data: blob:; connect-src data: blob:; img-src data: blob:; style-src {}; \
+         base-uri 'none'; form-action 'none'",
+        hash(&script),
+        hash(STYLE),
+    );
+    let (title, version) = (escaped(title), env!("CARGO_PKG_VERSION"));
+    let source = format!("data:{};base64,{}", photo.media_type(), STANDARD.encode(photo.bytes));
+    let (before, after) = (STANDARD.encode(&container[..photo.range.start]), STANDARD.encode(&container[photo.range.end..]));
+    let mut out = String::with_capacity(PAGE.len() + 8 * STYLE.len() + script.len() + container.len() / 3 * 4 + 1024);
+    let mut rest = PAGE;
+    while let Some((text, tail)) = rest.split_once("{{") {
+        out.push_str(text);
+        let (name, tail) = tail.split_once("}}").unwrap_or((tail, ""));
+        out.push_str(match name {
+            "policy" => &policy,
+            "title" => &title,
+            "version" => version,
+            "style" => STYLE,
+            "photo" => &source,
+            "before" => &before,
+            "after" => &after,
+            "script" => &script,
+            _ => "",
+        });
+        rest = tail;
+    }
+    out.push_str(rest);
+    Ok(out.into_bytes())
+}
+
+/// The viewer as one script.
+fn script() -> Result<String, ExportError> {
+    let linked = script::link(ENTRY_NAME, &|name| if name == ENTRY_NAME { Some(ENTRY.as_bytes()) } else { assets::file(name) })?;
+    let mut text = format!("{}\nstart({{\n", START.trim_end());
+    for (name, module) in &linked.modules {
+        // writing to a string does not fail
+        let _ = writeln!(text, "{name:?}: {module},");
+    }
+    text.push_str("}, {\n");
+    for (name, bytes) in &linked.assets {
+        let media_type = assets::content_type(name).replace(' ', "");
+        let _ = writeln!(text, "{name:?}: \"data:{media_type};base64,{}\",", STANDARD.encode(bytes));
+    }
+    let _ = writeln!(text, "}}, {ENTRY_NAME:?});");
+    // a script ends at these wherever they stand; in a string, a template or a pattern the backslash changes nothing
+    Ok(text.replace("</script", "<\\/script").replace("<!--", "<\\!--"))
+}
+
+/// Text as it may stand in an element or an attribute.
+fn escaped(text: &str) -> String {
+    let mut out = String::with_capacity(text.len());
+    for c in text.chars() {
+        match c {
+            '&' => out.push_str("&amp;"),
+            '<' => out.push_str("&lt;"),
+            '>' => out.push_str("&gt;"),
+            '"' => out.push_str("&quot;"),
+            '\'' => out.push_str("&#39;"),
+            c if c.is_control() => out.push(' '),
+            c => out.push(c),
+        }
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::testing;
+    use super::*;
+
+    fn between<'a>(text: &'a str, from: &str, to: &str) -> &'a str {
+        text.split_once(from).and_then(|(_, rest)| rest.split_once(to)).map_or_else(|| panic!("{from} … {to}"), |(inner, _)| inner)
+    }
+
+    #[test]
+    fn the_container_stands_in_the_page_once_and_whole() {
+        let (container, _) = testing::made();
+        let page = String::from_utf8(html(container, "a").unwrap()).unwrap();
+        let photo = between(&page, "src=\"data:image/jpeg;base64,", "\"");
+        let pieces = [between(&page, "id=\"before\">", "<"), photo, between(&page, "id=\"after\">", "<")];
+        let joined: Vec<u8> = pieces.iter().flat_map(|p| STANDARD.decode(p).unwrap()).collect();
+        assert!(joined == *container);
+        assert_eq!(page.matches(&photo[..64]).count(), 1);
+    }
+
+    #[test]
+    fn nothing_in_the_page_points_elsewhere() {
+        let page = String::from_utf8(html(&testing::made().0, "a").unwrap()).unwrap();
+        for word in ["src=\"", "href=\"", "url(", "@import"] {
+            for (_, rest) in page.match_indices(word).map(|(at, w)| page.split_at(at + w.len())) {
+                assert!(rest.starts_with("data:"), "{word}{}", &rest[..40]);
+            }
+        }
+        assert!(!page.contains("import.meta"));
+        for (at, _) in PAGE.match_indices("{{") {
+            let end = PAGE[at..].find("}}").unwrap();
+            assert!(!page.contains(&PAGE[at..at + end + 2]));
+        }
+        assert!(page.contains("default-src 'none'"));
+        assert_eq!(page.matches("<script").count(), page.matches("</script").count());
+    }
+
+    #[test]
+    fn a_title_is_only_text() {
+        let page = String::from_utf8(html(&testing::made().0, "</title><script>'\"&{{script}}").unwrap()).unwrap();
+        assert!(page.contains("<title>&lt;/title&gt;&lt;script&gt;&#39;&quot;&amp;{{script}}</title>"));
+    }
+}

@@ -1,0 +1,44 @@
+//! A small made photo for the unit tests of this module.
+
+use std::sync::{Arc, OnceLock};
+
+use crate::atlas::{decode, encode_jpeg};
+use crate::depth::{DepthError, Estimator, to_png};
+use crate::photo::Limits;
+use crate::progress::Silent;
+use crate::tmpi::{DisparityMap, Photo, Scene};
+use crate::way::{Models, Options, make};
+
+/// Never asked.
+struct Nothing;
+
+impl Estimator for Nothing {
+    fn name(&self) -> &'static str {
+        "nothing"
+    }
+
+    fn estimate(&self, _: &Photo) -> Result<DisparityMap, DepthError> {
+        Err(DepthError::Write("nothing to estimate".into()))
+    }
+}
+
+/// A box before a ground that rises from the camera to the horizon, with sky at infinity: container and scene.
+pub(super) fn made() -> &'static (Vec<u8>, Scene) {
+    static MADE: OnceLock<(Vec<u8>, Scene)> = OnceLock::new();
+    MADE.get_or_init(|| {
+        let (width, height) = (150u32, 110u32);
+        let inside = |x: u32, y: u32| (50..90).contains(&x) && (40..85).contains(&y);
+        let pixels = || (0..height).flat_map(|y| (0..width).map(move |x| (x, y)));
+        let rgb: Vec<u8> = pixels()
+            .flat_map(|(x, y)| if inside(x, y) { [220, 140, (x * 3) as u8] } else { [(y * 2) as u8, 90 + (x / 2) as u8, 160] })
+            .collect();
+        let ground = |y: u32| (f64::from(y) - 30.0).max(0.0) / 120.0;
+        let delta = pixels().map(|(x, y)| if inside(x, y) { 0.9 } else { ground(y) as f32 }).collect();
+        let depth = to_png(&DisparityMap { width, height, delta }).unwrap();
+        let photo = encode_jpeg(width, height, &rgb, 92).unwrap();
+        let models = Models { depth: Arc::new(Nothing), theta: None, psi: None };
+        let made = make(&models, &Limits::default(), &photo, Some(&depth), &Options::default(), &Silent).unwrap();
+        let scene = decode(&made.container).unwrap();
+        (made.container, scene)
+    })
+}
