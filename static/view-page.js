@@ -80,7 +80,9 @@ async function showBackdrop(image) {
 /** Starts the viewer; where the photo is not made yet, waits for it first. */
 function start() {
   viewer?.dispose();
-  viewer = new Viewer(stage, { atlas: photoUrl(id, '/atlas'), view: photoUrl(id, '/view'), offset: offsetOfHash() });
+  // no more pixels than the screen has: a phone need not load what it cannot show
+  const fit = Math.min(Math.ceil(Math.max(screen.width, screen.height) * devicePixelRatio), 65_535);
+  viewer = new Viewer(stage, { atlas: photoUrl(id, `/atlas?fit=${fit}`), view: photoUrl(id, '/view'), offset: offsetOfHash() });
   applyMenu();
   // for tests, and for people at the console
   window.viewer = viewer;

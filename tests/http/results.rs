@@ -71,8 +71,14 @@ fn smaller_levels_of_the_atlas() {
         assert_ne!(small.header("etag"), whole.header("etag"));
         assert_eq!(tmpi::atlas::decode(&small.body).unwrap().grid.width, width);
     }
+    for (fit, width) in [(1, 10), (10, 10), (11, 20), (40, 40), (41, 80), (5000, 80)] {
+        assert_eq!(tmpi::atlas::decode(&fetch(&format!("?fit={fit}")).body).unwrap().grid.width, width, "{fit}");
+    }
     for wrong in ["4", "-1", "x", ""] {
         assert_eq!(fetch(&format!("?level={wrong}")).problem(400)["field"], "level");
+    }
+    for wrong in ["0", "65536", "x"] {
+        assert_eq!(fetch(&format!("?fit={wrong}")).problem(400)["field"], "fit");
     }
 }
 

@@ -19,6 +19,7 @@ use crate::server::store::Part;
     params(
         ("id" = String, Path, description = "Id of the photo"),
         ("level" = Option<u8>, Query, description = "0 (default) the photo's own size, 1 half of it, 2 a quarter, 3 an eighth"),
+        ("fit" = Option<u16>, Query, description = "In place of a level: the smallest whose longer side has at least so many pixels"),
         ("Range" = Option<String>, Header, description = "One range of bytes"),
         ("If-Range" = Option<String>, Header, description = "Entity tag that the range is meant for"),
         ("If-None-Match" = Option<String>, Header, description = "Entity tags that the client has"),
@@ -36,18 +37,26 @@ use crate::server::store::Part;
     )
 )]
 pub async fn atlas(State(app): State<App>, Path(id): Path<String>, uri: Uri, headers: HeaderMap) -> Result<Response, Problem> {
-    let level = wanted_level(&uri)?;
     let entry = app.photo(&id)?;
-    let (version, _) = Shared::done(&entry)?;
+    // a wrong query is wrong whether the photo is finished or not
+    wanted_level(&uri, 0)?;
+    let (version, done) = Shared::done(&entry)?;
+    let level = wanted_level(&uri, done.width.max(done.height))?;
     let file = app.level(version, level).await?;
     Ok(respond(&headers, Entity { bytes: file.bytes, etag: &file.etag, content_type: MEDIA_TYPE, cache_control: IMMUTABLE }))
 }
 
-/// The level that a query asks for; other parameters are nobody's and ignored.
-fn wanted_level(uri: &Uri) -> Result<u8, Problem> {
-    let query = uri.query().unwrap_or_default().split('&').find_map(|p| p.strip_prefix("level="));
-    let range = || Problem::parameter("level", format!("must be 0 to {LEVELS}"));
-    query.map_or(Ok(0), |v| v.parse().ok().filter(|l| *l <= LEVELS).ok_or_else(range))
+/// The level that a query asks for, of a photo whose longer side has `side` pixels; other parameters are nobody's and ignored.
+fn wanted_level(uri: &Uri, side: u32) -> Result<u8, Problem> {
+    let of = |name: &str| uri.query().unwrap_or_default().split('&').find_map(|p| p.strip_prefix(name)?.strip_prefix('='));
+    if let Some(level) = of("level") {
+        let range = || Problem::parameter("level", format!("must be 0 to {LEVELS}"));
+        return level.parse().ok().filter(|l| *l <= LEVELS).ok_or_else(range);
+    }
+    let Some(fit) = of("fit") else { return Ok(0) };
+    let range = || Problem::parameter("fit", "must be 1 to 65535 pixels");
+    let fit = fit.parse::<u16>().ok().filter(|f| *f > 0).ok_or_else(range)?;
+    Ok((1..=LEVELS).take_while(|l| side >> l >= u32::from(fit)).last().unwrap_or(0))
 }
 
 /// The disparity that the photo was made with.
