@@ -41,7 +41,8 @@ const CAUTION: f64 = 1.1;
 const LEAST_SIDE: f64 = 64.0;
 
 impl Default for Costs {
-    /// Two cores of a server processor.
+    /// Rough figures, set by hand for two cores of a server processor: outcomes miss them by up to a factor of two. `tmpi bench` writes
+    /// those of a machine.
     fn default() -> Self {
         let rate = |factor, plain, busy| Rate { factor, plain, busy };
         Self {
