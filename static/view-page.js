@@ -193,6 +193,7 @@ $('share').addEventListener('click', share);
 $('retry').addEventListener('click', () => location.reload());
 $('download').href = photoUrl(id, '/atlas');
 $('download').download = `${id}.tmpi`;
+for (const link of document.querySelectorAll('[data-export]')) link.href = photoUrl(id, `/export?format=${link.dataset.export}`);
 $('fullscreen').hidden = !document.fullscreenEnabled;
 $('fullscreen').addEventListener('click', toggleFullscreen);
 document.addEventListener('fullscreenchange', () => $('fullscreen').setAttribute('aria-pressed', String(Boolean(document.fullscreenElement))));

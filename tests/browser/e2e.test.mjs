@@ -76,6 +76,11 @@ describe('the whole way', () => {
     const [download] = await Promise.all([page.waitForEvent('download'), page.getByRole('button', { name: 'Download' }).click().then(() => page.locator('#download').click())]);
     assert.equal(download.suggestedFilename(), 'garden.tmpi');
     assert.equal(readFileSync(await download.path()).toString('latin1', 0, 4), 'TMPI');
+    for (const [format, start] of [['html', '<!doctype html>'], ['glb', 'glTF'], ['zip', 'PK']]) {
+      const [file] = await Promise.all([page.waitForEvent('download'), page.locator(`[data-export=${format}]`).evaluate((link) => link.click())]);
+      assert.match(file.suggestedFilename(), new RegExp(`\\.${format}$`));
+      assert.equal(readFileSync(await file.path()).toString('latin1', 0, start.length).toLowerCase(), start.toLowerCase());
+    }
     await page.goto(server.url);
     await page.getByRole('button', { name: 'Delete garden' }).click();
     await inGallery.waitFor({ state: 'detached' });
