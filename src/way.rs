@@ -3,6 +3,7 @@
 //! The command line, the job worker and the tests all call [`make`].
 
 pub mod budget;
+mod prune;
 mod run;
 
 use std::sync::Arc;

@@ -5,7 +5,6 @@ pub mod confidence;
 pub mod layers;
 pub mod planar;
 pub mod planes;
-pub mod prune;
 pub mod refine;
 mod report;
 pub mod snap;

@@ -127,7 +127,7 @@ pub fn make(
     let scene = Arc::new(scene);
     verify(&scene, &carried, &mut trip.report.error)?;
     if options.verify_prune {
-        let change = generate::prune::verify(&scene.photo, &blueprint)?;
+        let change = super::prune::verify(&scene.photo, &blueprint)?;
         trip.report.error.prune_max_abs = Some(change.max_abs.into());
         trip.report.error.prune_share_off = Some(change.share);
     }

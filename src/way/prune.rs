@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::layers::{self, Coloured};
+use crate::generate::layers::{self, Coloured};
 use crate::quality::{max_abs, share_off};
 use crate::render::{Cpu, RenderError, Renderer};
 use crate::tmpi::{Blueprint, Camera, Class, Photo, Pose, Scene, Shape};
