@@ -5,6 +5,7 @@
 pub mod budget;
 mod prune;
 mod run;
+mod tile_error;
 
 use std::sync::Arc;
 

@@ -39,6 +39,16 @@ export async function getPhoto(id) {
   return (await request(photoUrl(id))).json();
 }
 
+/**
+ * Changes settings of a photo by a merge patch; only the version `etag`, where it is given.
+ * @returns {Promise<{state: object, etag: string}>}
+ */
+export async function changeSettings(id, patch, etag) {
+  const headers = { 'content-type': 'application/merge-patch+json', ...(etag && { 'if-match': etag }) };
+  const response = await request(photoUrl(id), { method: 'PATCH', headers, body: JSON.stringify(patch) });
+  return { state: await response.json(), etag: response.headers.get('etag') };
+}
+
 /** `options.keepalive`: goes on when the page is left. */
 export async function deletePhoto(id, options = {}) {
   await request(photoUrl(id), { method: 'DELETE', ...options });

@@ -65,7 +65,8 @@ export class GpuRenderer {
     this.pieces = pieces(this.scene);
     const places = pack(this.pieces, device.limits.maxTextureDimension2D, device.limits.maxTextureArrayLayers);
     await this.#upload(places);
-    this.#instances(places);
+    this.places = places;
+    this.#instances([]);
     this.bindings = device.createBindGroup({
       layout: bindings,
       entries: [
@@ -90,11 +91,16 @@ export class GpuRenderer {
     this.atlasBytes = width * height * pages * 4;
   }
 
-  #instances(places) {
-    const { data, opaque, soft } = instances(this.scene, this.pieces, places);
+  /** Parallax error in pixels of each tile, for the overlay that shows it. */
+  setTileErrors(errors) {
+    if (!this.disposed) this.#instances(errors);
+  }
+
+  #instances(errors) {
+    const { data, opaque, soft } = instances(this.scene, this.pieces, this.places, errors);
     this.counts = { opaque, soft };
     const size = Math.max(data.byteLength, INSTANCE_BYTES);
-    this.instances = this.device.createBuffer({ size, usage: GPUBufferUsage.VERTEX | GPUBufferUsage.COPY_DST });
+    this.instances ??= this.device.createBuffer({ size, usage: GPUBufferUsage.VERTEX | GPUBufferUsage.COPY_DST });
     this.device.queue.writeBuffer(this.instances, 0, data);
   }
 

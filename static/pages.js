@@ -1,5 +1,6 @@
 // Places the pieces of a scene on the pages of a texture array, fills these with premultiplied RGBA, and lists the instances to draw.
 import { Class } from './container.js';
+import { tileCounts } from './grid.js';
 
 /** Width of a page where the scene fits one. */
 const PAGE_STEP = 256;
@@ -104,21 +105,36 @@ export const INSTANCE_FLOATS = 12;
 
 /**
  * Instances as the shaders take them: first all pieces in layer order for pass 1, then those with a soft edge for pass 2, back to
- * front by disparity at the piece's centre.
+ * front by disparity at the piece's centre. `errors`: parallax error in pixels of each tile, row by row, for the overlay that shows it.
  * @returns {{data: Float32Array, opaque: number, soft: number}} with the counts of both
  */
-export function instances(scene, pieces, { page, atlasX, atlasY }) {
+export function instances(scene, pieces, { page, atlasX, atlasY }, errors = []) {
   const half = scene.tileSize / 2;
   const mean = pieces.map((p) => p.a + (p.b * (p.x + p.w / 2 - p.cx)) / half + (p.c * (p.y + p.h / 2 - p.cy)) / half);
   const softs = [...pieces.keys()].filter((i) => scene.layers.soft[pieces[i].layer]).sort((i, j) => mean[i] - mean[j] || i - j);
   const data = new Float32Array((pieces.length + softs.length) * INSTANCE_FLOATS);
   const put = (i, slot) => {
     const p = pieces[i];
-    data.set([p.a, p.b, p.c, page[i], p.cx, p.cy, p.x, p.y, p.w, p.h, atlasX[i], atlasY[i]], slot * INSTANCE_FLOATS);
+    data.set([p.a, p.b, p.c, page[i] + shareOf(errors[tileOf(scene, p.layer)]), p.cx, p.cy, p.x, p.y, p.w, p.h, atlasX[i], atlasY[i]], slot * INSTANCE_FLOATS);
   };
   pieces.forEach((_, i) => put(i, i));
   softs.forEach((i, k) => put(i, pieces.length + k));
   return { data, opaque: pieces.length, soft: softs.length };
+}
+
+/** Parallax error in pixels that is shown as the largest. */
+const MOST_PX = 1;
+
+/** An error as the fraction that an instance carries beside its page. */
+function shareOf(px) {
+  return px > 0 ? Math.min(px / MOST_PX, 1) * 0.999 : 0;
+}
+
+/** Number of a layer's tile, row by row. */
+function tileOf(scene, layer) {
+  const { layers, tileStride } = scene;
+  const { columns } = tileCounts(scene);
+  return Math.round(layers.tileY[layer] / tileStride) * columns + Math.round(layers.tileX[layer] / tileStride);
 }
 
 /** `value · alpha / 255`, rounded to nearest. */

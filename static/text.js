@@ -61,8 +61,9 @@ export function forgetName(id) {
   }
 }
 
-/** What to call a photo: its file's name without the ending, or when it was made. */
+/** What to call a photo: its title, its file's name without the ending, or when it was made. */
 export function photoName(photo) {
+  if (photo.settings?.title) return photo.settings.title;
   let name = null;
   try {
     name = localStorage.getItem(NAME_KEY + photo.id);

@@ -6,11 +6,15 @@
 //   poster           picture until the photo is there
 //   loading          `lazy` (as if it were not there): fetched when it comes near the screen; `eager`: at once
 //   reveal           `auto` (as if it were not there), or `interaction`: fetched when somebody points at it, touches or focuses it
-//   camera-controls  `off`: takes no input
-//   auto-rotate      `off`: does not move by itself; so does `still`, without a value
+//   camera-controls  `off` or `false`: takes no input
+//   auto-rotate      `off` or `false`: does not move by itself; so does `still`, without a value
+//   settings         `off`: does not ask the server what the photo's owner wants of the camera (how far it goes, where it starts)
 //
-// Fires `progress` {received, total}, `load` {mode} and `error` {message}. It is as wide as its place and keeps the shape given by
-// CSS (16 / 10 if none). All elements of a page share one graphics device; those out of sight sleep.
+// Names, properties (`loaded`), methods (`toBlob`, `resetView`) and events are those of <model-viewer> where there are such. One
+// thing differs: `camera-controls` and `auto-rotate` are on as if they were there, because a 3D photo that stands still is a photo.
+//
+// Fires `progress` {received, total, totalProgress}, `load` {mode}, `camera-change` {pose} and `error` {message}. It is as wide as its
+// place and keeps the shape given by CSS (16 / 10 if none). All elements of a page share one graphics device; those out of sight sleep.
 const STYLE = `
   :host { display: block; position: relative; overflow: hidden; aspect-ratio: 16 / 10; }
   :host([hidden]) { display: none; }
@@ -21,11 +25,13 @@ const STYLE = `
   img:not([src]) { visibility: hidden; }
   .poster { width: 100%; height: 100%; object-fit: contain; }
 `;
+const OFF = new Set(['off', 'false']);
 
 class TmpiViewer extends HTMLElement {
   static observedAttributes = ['src', 'view', 'alt', 'poster', 'loading', 'reveal', 'camera-controls', 'auto-rotate', 'still'];
   #viewer = null;
   #seen = null;
+  #loaded = false;
   #stage;
   #poster;
 
@@ -52,6 +58,22 @@ class TmpiViewer extends HTMLElement {
     return this.#viewer;
   }
 
+  /** True once the scene is shown. */
+  get loaded() {
+    return this.#loaded;
+  }
+
+  /** The view at the present pose as a PNG file, in the photo's size. */
+  async toBlob() {
+    if (!this.#viewer) throw new Error('nothing is shown yet');
+    return this.#viewer.picture();
+  }
+
+  /** Eases back to where the photo was taken. */
+  resetView() {
+    this.#viewer?.reset();
+  }
+
   connectedCallback() {
     this.#describe();
     this.#seen = new IntersectionObserver((entries) => this.#onSeen(entries.at(-1).isIntersecting), { rootMargin: '200px' });
@@ -75,7 +97,8 @@ class TmpiViewer extends HTMLElement {
   }
 
   get #movesByItself() {
-    return !this.hasAttribute('still') && this.getAttribute('auto-rotate') !== 'off' && !matchMedia('(prefers-reduced-motion: reduce)').matches;
+    const off = this.hasAttribute('still') || OFF.has(this.getAttribute('auto-rotate'));
+    return !off && !matchMedia('(prefers-reduced-motion: reduce)').matches;
   }
 
   #onSeen(visible) {
@@ -92,7 +115,7 @@ class TmpiViewer extends HTMLElement {
   #describe() {
     this.#stage.setAttribute('aria-label', this.getAttribute('alt') ?? '3D photo');
     // the stage takes the input; without it the page scrolls and clicks as if a picture were there
-    this.#stage.inert = this.getAttribute('camera-controls') === 'off';
+    this.#stage.inert = OFF.has(this.getAttribute('camera-controls'));
     const poster = this.getAttribute('poster');
     if (poster) this.#poster.src = poster;
     else this.#poster.removeAttribute('src');
@@ -101,23 +124,38 @@ class TmpiViewer extends HTMLElement {
   async #start() {
     const src = this.getAttribute('src');
     if (!src || this.#viewer) return;
-    const { Viewer } = await import(new URL('./static/viewer.js', import.meta.url).href);
+    const [{ Viewer }, { beside, fetchSettings }] = await Promise.all([
+      import(new URL('./static/viewer.js', import.meta.url).href),
+      import(new URL('./static/settings.js', import.meta.url).href),
+    ]);
     if (this.#viewer || !this.isConnected || this.getAttribute('src') !== src) return;
     const atlas = new URL(src, document.baseURI).href;
     const given = this.getAttribute('view');
-    const beside = atlas.endsWith('/atlas') ? atlas.replace(/atlas$/, 'view') : undefined;
-    const viewer = new Viewer(this.#stage, { atlas, view: given ? new URL(given, document.baseURI).href : beside, embedded: true });
+    const state = this.getAttribute('settings') === 'off' ? undefined : beside(atlas, '');
+    const viewer = new Viewer(this.#stage, {
+      atlas,
+      view: given ? new URL(given, document.baseURI).href : beside(atlas, '/view'),
+      report: beside(atlas, '/report'),
+      settings: state && fetchSettings(state),
+      embedded: true,
+    });
     this.#viewer = viewer;
     if (!this.#movesByItself) viewer.setIdle(false);
+    const fire = (type, detail) => this.dispatchEvent(new CustomEvent(type, { detail }));
     viewer.addEventListener('photo', () => (this.#poster.hidden = true));
-    for (const [own, type] of [['progress', 'progress'], ['ready', 'load'], ['error', 'error']]) {
-      viewer.addEventListener(own, ({ detail }) => this.dispatchEvent(new CustomEvent(type, { detail })));
-    }
+    viewer.addEventListener('progress', ({ detail }) => fire('progress', { ...detail, totalProgress: detail.total ? detail.received / detail.total : 0 }));
+    viewer.addEventListener('ready', ({ detail }) => {
+      this.#loaded = true;
+      fire('load', detail);
+    });
+    viewer.addEventListener('pose', () => fire('camera-change', { pose: viewer.pose }));
+    viewer.addEventListener('error', ({ detail }) => fire('error', detail));
   }
 
   #stop() {
     this.#viewer?.dispose();
     this.#viewer = null;
+    this.#loaded = false;
     this.#poster.hidden = false;
   }
 }

@@ -15,11 +15,11 @@
 // Uniform `View`, group 0 binding 0, 112 bytes, visible to the vertex stage:
 //     0  R column 0: x y z, unused        48  t: x y z, near                                 96  target width, target height (pixels)
 //    16  R column 1: x y z, unused        64  reference camera: fx fy cx cy (pixels)        104  half: half a tile, pixels
-//    32  R column 2: x y z, unused        80  target camera: fx fy cx cy (pixels)           108  overlay: 0 none, 1 disparity, 2 tiles, 3 planes
+//    32  R column 2: x y z, unused        80  target camera: fx fy cx cy (pixels)           108  overlay: 0 none, 1 disparity, 2 tiles, 3 planes, 4 error
 //     near: depth 1, in units of the nearest distance of the photo; the server takes 1e-3.
 //
 // Instance, one vertex buffer, stepMode `instance`, arrayStride 48, three float32x4 attributes:
-//     0  location 0: plane a b c, page (layer of the texture array; a whole number)
+//     0  location 0: plane a b c, page (whole part: layer of the texture array; fraction: error of the tile for overlay 4, 0 to 1)
 //    16  location 1: tile centre x y, rectangle x y       (reference pixels; the tile centre is the origin of u, v)
 //    32  location 2: rectangle w h, atlas x y             (texels; upper left texel of the rectangle on its page)
 //
@@ -75,6 +75,11 @@ fn tint(v: vec3f) -> vec3f {
     return 0.5 + 0.5 * cos(6.2831853 * (hue + vec3f(0.0, 0.33, 0.67)));
 }
 
+// Green, yellow, red.
+fn heat(v: f32) -> vec3f {
+    return clamp(vec3f(2.0 * v, 2.0 - 2.0 * v, 0.15), vec3f(0.0), vec3f(1.0));
+}
+
 fn overlay_of(i: Instance) -> vec4f {
     let kind = view.size_half.w;
     if (kind == 1.0) {
@@ -85,6 +90,9 @@ fn overlay_of(i: Instance) -> vec4f {
     }
     if (kind == 3.0) {
         return vec4f(tint(i.plane_page.xyz), 0.5);
+    }
+    if (kind == 4.0) {
+        return vec4f(heat(fract(i.plane_page.w)), 0.75);
     }
     return vec4f(0.0);
 }

@@ -191,7 +191,7 @@ function forget(id) {
 function card(photo) {
   const name = photoName(photo);
   const image = element('img', 'thumb');
-  image.src = photoUrl(photo.id, '/thumbnail');
+  image.src = photo.links?.poster ?? photoUrl(photo.id, '/thumbnail');
   image.alt = '';
   image.loading = 'lazy';
   const link = element('a', '', image);

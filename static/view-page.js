@@ -2,6 +2,8 @@
 import { getPhoto, photoUrl } from './api.js';
 import { formatPose, parsePose } from './camera.js';
 import { followPhoto, isUnderWay } from './events.js';
+import { photoWithVersion, settingsMenu } from './settings-menu.js';
+import { settingsOf } from './settings.js';
 import { formatBytes, photoName, queueText, sentence, stageText } from './text.js';
 import { hasGyroscope } from './gyroscope.js';
 import { Viewer } from './viewer.js';
@@ -82,7 +84,13 @@ function start() {
   viewer?.dispose();
   // no more pixels than the screen has: a phone need not load what it cannot show
   const fit = Math.min(Math.ceil(Math.max(screen.width, screen.height) * devicePixelRatio), 65_535);
-  viewer = new Viewer(stage, { atlas: photoUrl(id, `/atlas?fit=${fit}`), view: photoUrl(id, '/view'), offset: offsetOfHash() });
+  viewer = new Viewer(stage, {
+    atlas: photoUrl(id, `/atlas?fit=${fit}`),
+    view: photoUrl(id, '/view'),
+    report: photoUrl(id, '/report'),
+    offset: offsetOfHash(),
+    settings: known.then((answer) => settingsOf(answer?.state)),
+  });
   applyMenu();
   // for tests, and for people at the console
   window.viewer = viewer;
@@ -114,7 +122,7 @@ function start() {
   });
   viewer.addEventListener('idle', ({ detail }) => showIdle(detail.on));
   viewer.addEventListener('error', ({ detail }) => {
-    if (viewer.mode === 'served') toast(detail.message);
+    if (viewer.mode !== 'failed') toast(detail.message);
     else waitOrFail(detail.message);
   });
 }
@@ -202,14 +210,21 @@ addEventListener('hashchange', () => {
   if (offset) viewer.moveTo(offset);
 });
 
+function showName(photo) {
+  const name = photoName(photo);
+  $('title').textContent = name;
+  document.title = `${name} – tmpi`;
+  $('download').download = `${name.replace(/[^\p{L}\p{N}._-]+/gu, '-')}.tmpi`;
+}
+
 translatePage();
+// the viewer says what is wrong with the photo
+const known = photoWithVersion(id).catch(() => null);
+const menu = settingsMenu({ id, viewer: () => viewer, named: showName, say: toast });
 start();
-getPhoto(id)
-  .then((photo) => {
-    const name = photoName(photo);
-    $('title').textContent = name;
-    document.title = `${name} – tmpi`;
-    $('download').download = `${name.replace(/[^\p{L}\p{N}._-]+/gu, '-')}.tmpi`;
-  })
-  // the viewer says what is wrong with the photo
-  .catch(() => {});
+known.then((answer) => {
+  $('settings').hidden = !answer?.state.settings;
+  if (!answer) return;
+  showName(answer.state);
+  menu.read(answer);
+});

@@ -8,25 +8,19 @@
 // `served` where the server draws, and `still` where nobody can and the photo is all there is.
 import { limitsOf } from './border.js';
 import { eyes, fovX, HOME, lookingAt, pivotOf, POSE_KEYS, resized } from './camera.js';
+import { fitted, pixelRatio, setPixels } from './fit.js';
 import { followTilt } from './gyroscope.js';
 import { Hosts } from './hosts.js';
 import { listen, Motion } from './motion.js';
 import { startDecoder } from './decoder.js';
+import { Pace } from './pace.js';
 import { quantised, ServedViews } from './served.js';
+import { limited, offsetOf } from './settings.js';
+import { TileErrors } from './tile-errors.js';
 
-/** Device pixels per CSS pixel that are drawn at most. */
-const MAX_PIXEL_RATIO = 2;
-/** Largest area of the canvas, pixels. */
-const MAX_PIXELS = 6_000_000;
-/** Weight of the newest frame in the frame time shown. */
-const FRAME_WEIGHT = 0.15;
-/** A frame slower than this, while moving, is drawn with fewer pixels the next time; at rest the picture is always whole. */
-const SLOW_FRAME_MS = 40;
-const COARSER = 0.8;
-const COARSEST = 0.5;
 
 /** Pictures that can be drawn over the scene. */
-export const OVERLAYS = Object.freeze(['none', 'depth', 'tiles', 'planes']);
+export const OVERLAYS = Object.freeze(['none', 'depth', 'tiles', 'planes', 'error']);
 
 export class Viewer extends EventTarget {
   #worker = null;
@@ -37,9 +31,11 @@ export class Viewer extends EventTarget {
   #stereo = false;
   #stopTilt = null;
   #asleep = false;
-  #measuring = false;
-  #detail = 1;
+  #pace = new Pace();
+  #settings = {};
+  #touched = false;
   #exact = null;
+  #errors;
   #disposed = false;
   #stopListening;
   #resizes;
@@ -47,23 +43,26 @@ export class Viewer extends EventTarget {
 
   /**
    * @param {HTMLElement} root focusable element that takes the input and holds the pictures
-   * @param {{atlas: string, view?: string, offset?: {x: number, y: number, z: number}, embedded?: boolean}} options addresses of
-   *   the container and of the views that the server draws; where the camera starts, in units of the view box; whether the viewer
-   *   is a part of a page that scrolls
+   * @param {{atlas: string, view?: string, report?: string, offset?: {x: number, y: number, z: number}, embedded?: boolean,
+   *   settings?: object | Promise<object>}} options addresses of the container, of the views that the server draws and of the photo's
+   *   report; where the camera starts, in units of the view box; whether the viewer is a part of a page that scrolls; what the photo's
+   *   owner wants (settings.js), which the camera's start given here overrules
    */
   constructor(root, options) {
     super();
     this.root = root;
     this.options = options;
+    this.#errors = new TileErrors(options.report);
     this.mode = 'loading';
     this.scene = null;
     this.head = null;
     this.renderer = null;
     this.served = null;
-    this.frameMs = null;
     this.motion = new Motion();
     this.motion.setIdle(!this.#reduced.matches);
     if (options.offset) this.motion.jump(options.offset);
+    this.#touched = Boolean(options.offset);
+    Promise.resolve(options.settings ?? {}).then((settings) => this.#obey(settings));
     this.poster = this.#add('img', 'tmpi-poster');
     this.poster.alt = '';
     this.#stopListening = listen(root, this.motion, {
@@ -88,6 +87,38 @@ export class Viewer extends EventTarget {
     return this.#frameRequest !== 0;
   }
 
+  /** Smoothed time of a frame in ms, or null before the first. */
+  get frameMs() {
+    return this.#pace.ms;
+  }
+
+  /** What the photo's owner wants of the camera (settings.js). */
+  get settings() {
+    return this.#settings;
+  }
+
+  /** Changes it, now. */
+  set settings(settings) {
+    this.#touched = true;
+    this.#obey(settings);
+  }
+
+  #obey(settings) {
+    if (this.#disposed) return;
+    this.#settings = settings;
+    if (!this.#touched && settings.start) this.motion.jump(offsetOf(settings.start, settings));
+    this.#aim();
+    this.render();
+    this.#emit('pose');
+  }
+
+  /** Limits and pivot of the camera, by what is known of the scene. */
+  #aim() {
+    if (!this.head) return;
+    this.limits = limited(limitsOf(this.head), this.#settings);
+    this.pivot = this.#settings.focus ?? pivotOf(this.scene ?? this.head);
+  }
+
   setIdle(on) {
     this.motion.setIdle(on);
     this.#wake();
@@ -102,7 +133,20 @@ export class Viewer extends EventTarget {
   set overlay(name) {
     this.#overlay = Math.max(0, OVERLAYS.indexOf(name));
     if (this.renderer) this.renderer.overlay = this.#overlay;
+    if (name === 'error') {
+      this.#errors.want();
+      this.#showErrors();
+    }
     this.render();
+  }
+
+  async #showErrors() {
+    try {
+      await this.#errors.show(this.renderer);
+      this.render();
+    } catch (error) {
+      this.#emit('error', { message: error.message });
+    }
   }
 
   /** A view for each eye, side by side; only where the browser draws. */
@@ -161,6 +205,7 @@ export class Viewer extends EventTarget {
   /** Input came. */
   #moved() {
     this.#exact = null;
+    this.#touched = true;
     this.#wake();
     this.#emit('pose');
   }
@@ -191,10 +236,10 @@ export class Viewer extends EventTarget {
     if (!this.head || this.#disposed) return;
     if (this.renderer?.context) {
       this.renderer.draw(this.#views());
-      this.#measure();
+      this.#pace.measure(this.renderer, () => this.moving).then((news) => news && this.#emit('frame', { ms: this.#pace.ms }));
     } else if (this.mode === 'served') {
       const pose = this.#exact ?? this.#poseAt(quantised(this.motion.now));
-      this.served.show(pose, fovX(this.head.intrinsics, this.head.width), this.poster.clientWidth * this.#pixelRatio());
+      this.served.show(pose, fovX(this.head.intrinsics, this.head.width), this.poster.clientWidth * pixelRatio());
     }
   }
 
@@ -243,8 +288,7 @@ export class Viewer extends EventTarget {
     if (data.type === 'progress') this.#emit('progress', { received: data.received, total: data.total || this.head?.total || 0 });
     else if (data.type === 'head') {
       this.head = data.head;
-      this.limits = limitsOf(data.head);
-      this.pivot = pivotOf(data.head);
+      this.#aim();
       this.#layout();
     } else if (data.type === 'photo') {
       this.posterUrl = URL.createObjectURL(data.blob);
@@ -253,7 +297,7 @@ export class Viewer extends EventTarget {
       if (!this.#hosts.any) this.#serve(this.#hosts.reason);
     } else if (data.type === 'scene') {
       this.scene = data.scene;
-      this.pivot = pivotOf(data.scene);
+      this.#aim();
       this.#worker.terminate();
       this.#draw();
     } else this.#fail(data.message);
@@ -281,6 +325,7 @@ export class Viewer extends EventTarget {
     this.renderer = host.renderer;
     this.mode = host.mode;
     this.renderer.overlay = this.#overlay;
+    this.#showErrors();
     this.#layout();
     this.renderer.attach(this.canvas);
     this.render();
@@ -327,30 +372,18 @@ export class Viewer extends EventTarget {
     return element;
   }
 
-  #pixelRatio() {
-    return Math.min(devicePixelRatio || 1, MAX_PIXEL_RATIO);
-  }
-
   /** Fits the pictures into the root, whole, in the photo's own shape. */
   #layout() {
     if (!this.head || this.#disposed) return;
-    const { clientWidth, clientHeight } = this.root;
-    if (!clientWidth || !clientHeight) return;
-    const detail = this.moving ? this.#detail : 1;
-    const aspect = (this.head.width / this.head.height) * (this.#stereo && this.renderer ? 2 : 1);
-    const width = Math.min(clientWidth, clientHeight * aspect);
-    const height = width / aspect;
+    const size = fitted(this.root, (this.head.width / this.head.height) * (this.#stereo && this.renderer ? 2 : 1));
+    if (!size) return;
     for (const element of [this.poster, this.canvas]) {
       if (!element) continue;
-      element.style.width = `${width}px`;
-      element.style.height = `${height}px`;
+      element.style.width = `${size.width}px`;
+      element.style.height = `${size.height}px`;
     }
     if (this.canvas && this.renderer) {
-      const side = this.renderer.maxSide;
-      const ratio = detail * Math.min(this.#pixelRatio(), Math.sqrt(MAX_PIXELS / (width * height)), side / Math.max(width, height));
-      const size = [Math.max(1, Math.round(width * ratio)), Math.max(1, Math.round(height * ratio))];
-      // setting a size clears the canvas even where it stays the same
-      if (this.canvas.width !== size[0] || this.canvas.height !== size[1]) [this.canvas.width, this.canvas.height] = size;
+      setPixels(this.canvas, size, this.moving ? this.#pace.detail : 1, this.renderer.maxSide);
       if (!this.renderer.context) return;
     }
     this.render();
@@ -372,25 +405,6 @@ export class Viewer extends EventTarget {
       this.#frameRequest = requestAnimationFrame((next) => this.#frame(next));
     }
     this.#layout();
-  }
-
-  /** Time from submission to completion, one frame at a time. */
-  async #measure() {
-    if (this.#measuring) return;
-    this.#measuring = true;
-    const started = performance.now();
-    try {
-      await this.renderer.idle();
-      const ms = performance.now() - started;
-      this.frameMs = this.frameMs === null ? ms : this.frameMs + (ms - this.frameMs) * FRAME_WEIGHT;
-      this.#emit('frame', { ms: this.frameMs });
-      if (this.moving && ms > SLOW_FRAME_MS) this.#detail = Math.max(COARSEST, this.#detail * COARSER);
-      else if (ms < SLOW_FRAME_MS / 2) this.#detail = Math.min(1, this.#detail / COARSER);
-    } catch {
-      // the device is gone, which is dealt with where it is noticed
-    } finally {
-      this.#measuring = false;
-    }
   }
 
   #onReduced = () => {

@@ -33,10 +33,15 @@ vec3 tint(vec3 v) {
   return 0.5 + 0.5 * cos(6.2831853 * (hue + vec3(0.0, 0.33, 0.67)));
 }
 
+vec3 heat(float v) {
+  return clamp(vec3(2.0 * v, 2.0 - 2.0 * v, 0.15), 0.0, 1.0);
+}
+
 vec4 overlay_of() {
   if (size_half.w == 1.0) return vec4(0.0, 0.0, 0.0, -1.0);
   if (size_half.w == 2.0) return vec4(tint(vec3(centre_origin.xy / size_half.z, 1.0)), 0.5);
   if (size_half.w == 3.0) return vec4(tint(plane_page.xyz), 0.5);
+  if (size_half.w == 4.0) return vec4(heat(fract(plane_page.w)), 0.75);
   return vec4(0.0);
 }
 
@@ -65,7 +70,7 @@ void main() {
   int triangle = (gl_VertexID % 9) / 3;
   int pick = triangle + 2 < n && gl_VertexID % 3 > 0 ? triangle + gl_VertexID % 3 : 0;
   bounds = vec4(size_atlas.zw + 0.5, size_atlas.zw + size_atlas.xy - 0.5);
-  page = plane_page.w;
+  page = floor(plane_page.w);
   overlay = overlay_of();
   texel = vec2(0.0);
   disparity = 0.0;
@@ -163,15 +168,22 @@ export class GlRenderer {
       gl.texSubImage3D(gl.TEXTURE_2D_ARRAY, 0, 0, band.y, band.page, width, band.h, 1, gl.RGBA, gl.UNSIGNED_BYTE, data);
     });
     this.atlasBytes = width * height * pages * 4;
-    const { data, opaque, soft } = instances(scene, this.pieces, places);
-    this.counts = { opaque, soft };
+    this.places = places;
     gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
-    gl.bufferData(gl.ARRAY_BUFFER, data, gl.STATIC_DRAW);
+    this.setTileErrors([]);
     for (let i = 0; i < 3; i++) {
       gl.enableVertexAttribArray(i);
       gl.vertexAttribDivisor(i, 1);
     }
     if (gl.getError() !== gl.NO_ERROR) throw new Error('the scene does not fit the graphics context');
+  }
+
+  /** As `GpuRenderer.setTileErrors`. */
+  setTileErrors(errors) {
+    const { gl } = this;
+    const { data, opaque, soft } = instances(this.scene, this.pieces, this.places, errors);
+    this.counts = { opaque, soft };
+    gl.bufferData(gl.ARRAY_BUFFER, data, gl.STATIC_DRAW);
   }
 
   /** The canvas was given when the context was made. */

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use tmpi::check::scenes::{all, camera, cameras, flat, stack};
 use tmpi::quality::{psnr, share_off};
-use tmpi::render::{Backend, Cpu, Gpu, MAX_SIDE, Reference, RenderError, Renderer, View, select};
+use tmpi::render::{Backend, Cpu, Gpu, MAX_SIDE, Reference, RenderError, Renderer, View, corners, select};
 use tmpi::tmpi::{Camera, Intrinsics, Pose, Scene, ViewBox};
 
 fn db(view: &View, photo: &[[u8; 3]]) -> f64 {
@@ -98,18 +98,6 @@ fn the_identity_view_on_the_gpu_is_within_50_db() {
         assert!(got >= 50.0, "{name}: {got:.1} dB");
         assert!(view.rgba.iter().all(|p| p[3] == 255), "{name}: covered everywhere");
     }
-}
-
-/// Corners of a view box: cameras that look straight ahead, and cameras that turn to keep what lies at `pivot` in place.
-fn corners(v: &ViewBox, pivot: f64) -> impl Iterator<Item = Pose> + use<> {
-    let v = *v;
-    (0..8).map(move |bits: u32| {
-        let side = |bit: u32, extent: f64| if bits >> bit & 1 == 0 { extent } else { -extent };
-        let (tx, ty, tz) = (side(0, v.x), side(1, v.y), side(2, v.z));
-        let yaw = -(tx * pivot).atan2(1.0 - tz * pivot).to_degrees();
-        let pitch = (ty * pivot).atan2((1.0 - tz * pivot).hypot(tx * pivot)).to_degrees();
-        Pose { tx, ty, tz, yaw, pitch, roll: 0.0 }
-    })
 }
 
 #[test]

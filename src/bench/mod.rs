@@ -12,6 +12,7 @@ mod measure;
 mod page;
 mod plot;
 mod scaling;
+pub mod serve;
 mod subject;
 
 use std::fmt::Write;

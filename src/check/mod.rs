@@ -1,6 +1,7 @@
 //! Stiff and extreme cases: every numerical kernel against a plain `f64` reference, each case with the bound that it must hold
 //! and the error that it has (DESIGN, section 7).
 
+mod borders;
 mod clustering;
 mod compositing;
 mod filling;
@@ -10,11 +11,13 @@ mod truth;
 mod views;
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::PathBuf;
 use std::sync::Arc;
 
 use serde::Serialize;
 
 use crate::render::{Cpu, Gpu, Reference, Renderer};
+use crate::way::Models;
 pub use truth::cast;
 
 /// What became of a case.
@@ -104,6 +107,14 @@ pub fn run() -> Checked {
     compositing::run(&mut checked, &hosts);
     photos::run(&mut checked, &hosts);
     filling::run(&mut checked);
+    checked
+}
+
+/// What the corners of the view box see, on all photos of `folders`.
+#[must_use]
+pub fn run_on_photos(folders: &[PathBuf], models: &Models) -> Checked {
+    let mut checked = Checked::default();
+    borders::run(&mut checked, folders, models);
     checked
 }
 

@@ -3,13 +3,17 @@
 use std::path::PathBuf;
 
 use super::flags::ModelFlags;
-use super::{files, result};
+use super::{Usage, files, result};
+use crate::bench::serve::{Load, Target};
 use crate::bench::{self, Settings};
 use crate::models;
 
 /// Measure error against run time of every approximation, on this machine
 #[derive(Clone, Debug, clap::Args)]
+#[command(args_conflicts_with_subcommands = true)]
 pub(super) struct BenchArgs {
+    #[command(subcommand)]
+    what: Option<What>,
     /// Folder for index.html, results.json, results.csv, and costs.json for `make --budget-ms` (name it in `TMPI_COSTS`)
     #[arg(short, long, default_value = "bench", value_name = "DIR")]
     output: PathBuf,
@@ -23,7 +27,49 @@ pub(super) struct BenchArgs {
     models: ModelFlags,
 }
 
+#[derive(Clone, Debug, clap::Subcommand)]
+enum What {
+    Serve(ServeArgs),
+}
+
+/// Measure the server under load: views a second, times at 1, 8 and 64 clients, and memory
+#[derive(Clone, Debug, clap::Args)]
+struct ServeArgs {
+    /// A server that runs already: its newest photo is asked for views
+    #[arg(value_name = "URL", required_unless_present = "photo")]
+    url: Option<String>,
+    /// Start a server for the measurement, with this photo
+    #[arg(long, conflicts_with = "url", value_name = "FILE")]
+    photo: Option<PathBuf>,
+    /// Views by each count of clients
+    #[arg(long, default_value_t = 200, value_name = "N")]
+    views: usize,
+    /// Views after that, over which the server's memory is read (with --photo)
+    #[arg(long, default_value_t = 2000, value_name = "N")]
+    memory_views: usize,
+    /// Width of the views in pixels
+    #[arg(long, default_value_t = 640, value_parser = clap::value_parser!(u32).range(1..=4096), value_name = "PX")]
+    width: u32,
+    /// The figures as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+fn serve(args: &ServeArgs) -> anyhow::Result<()> {
+    let target = match (&args.url, &args.photo) {
+        (Some(url), _) => Target::Url(url.clone()),
+        (None, Some(photo)) => Target::Photo(files::read(photo)?),
+        (None, None) => return Err(Usage("bench serve needs a URL or --photo".into()).into()),
+    };
+    let load = Load { views: args.views, memory_views: args.memory_views, width: args.width };
+    let results = bench::serve::run(&target, &load, &|what| eprintln!("tmpi bench serve: {what}"))?;
+    result(&if args.json { serde_json::to_string_pretty(&results)? } else { results.table() })
+}
+
 pub(super) fn run(args: &BenchArgs) -> anyhow::Result<()> {
+    if let Some(What::Serve(args)) = &args.what {
+        return serve(args);
+    }
     let models = models::load(&args.models.settings())?;
     let settings = Settings { quick: args.quick, photos: args.photos.clone(), models };
     let results = bench::run(&settings, &|what| eprintln!("tmpi bench: {what}"))?;

@@ -1,9 +1,12 @@
 //! `tmpi check`.
 
 use std::fmt::Write;
+use std::path::PathBuf;
 
+use super::flags::ModelFlags;
 use super::result;
 use crate::check::{self, Checked, Verdict};
+use crate::models;
 
 /// Check every numerical kernel on stiff and extreme cases against f64
 #[derive(Clone, Debug, clap::Args)]
@@ -11,12 +14,18 @@ pub(super) struct CheckArgs {
     /// All cases as JSON on standard output
     #[arg(long)]
     json: bool,
+    /// Instead: what cameras at the corners of the view box see past the borders of the photos of this folder; may be given several times
+    #[arg(long, value_name = "DIR")]
+    photos: Vec<PathBuf>,
+    #[command(flatten)]
+    models: ModelFlags,
 }
 
 pub(super) fn run(args: &CheckArgs) -> anyhow::Result<()> {
     // a panic is a failed case, not a message
     std::panic::set_hook(Box::new(|info| tracing::error!(%info, "a case panicked")));
-    let checked = check::run();
+    let checked =
+        if args.photos.is_empty() { check::run() } else { check::run_on_photos(&args.photos, &models::load(&args.models.settings())?) };
     drop(std::panic::take_hook());
     result(&if args.json { serde_json::to_string_pretty(&checked)? } else { table(&checked) })?;
     let failed = checked.failed();

@@ -2,6 +2,7 @@
 
 mod bench;
 mod check;
+mod compare;
 mod depth;
 mod export;
 mod files;
@@ -39,6 +40,7 @@ enum Command {
     Serve(serve::ServeArgs),
     Synth(synth::SynthArgs),
     Check(check::CheckArgs),
+    Compare(compare::CompareArgs),
     Models(models::ModelsArgs),
     Bench(bench::BenchArgs),
     /// Write a completion script for a shell
@@ -92,6 +94,7 @@ fn run(command: Command) -> anyhow::Result<()> {
         Command::Serve(args) => serve::run(args),
         Command::Synth(args) => synth::run(&args),
         Command::Check(args) => check::run(&args),
+        Command::Compare(args) => compare::run(&args),
         Command::Models(args) => models::run(&args),
         Command::Bench(args) => bench::run(&args),
         Command::Completions { shell } => {

@@ -10,8 +10,8 @@ use serde_json::json;
 use super::flags::{fov_x, numbers, quality, size};
 use super::{Usage, files, result};
 use crate::atlas;
-use crate::render::{self, Arrangement, Backend, MAX_PIXELS, MAX_SIDE, PictureFormat, Rig};
-use crate::tmpi::{Camera, Intrinsics, Pose, Scene, ViewBox};
+use crate::render::{self, Animation, AnimationFormat, Arrangement, Backend, MAX_PIXELS, MAX_SIDE, PictureFormat, Rig};
+use crate::tmpi::{Camera, Intrinsics, Pose, Scene};
 
 /// Draw a container from another place
 #[derive(Clone, Debug, clap::Args)]
@@ -19,8 +19,9 @@ pub(super) struct RenderArgs {
     /// The container
     #[arg(value_name = "IN.tmpi")]
     input: PathBuf,
-    /// Picture to write: PNG and WebP with alpha, JPEG over black
-    #[arg(short, long, value_name = "OUT.{png,jpg,webp}")]
+    /// Picture to write: PNG and WebP with alpha, JPEG over black. With --path: an animated WebP or an MP4 film, both written by ffmpeg,
+    /// or numbered PNG or JPEG frames
+    #[arg(short, long, value_name = "OUT.{png,jpg,webp,mp4}")]
     output: PathBuf,
     /// Where the camera is (right, down, forward, in units of the nearest distance) and looks (degrees)
     #[arg(long, value_parser = pose, allow_hyphen_values = true, default_value = "0,0,0", value_name = "TX,TY,TZ[,YAW,PITCH,ROLL]")]
@@ -46,41 +47,18 @@ pub(super) struct RenderArgs {
     /// With --stereo or --quilt: disparity that lies in the screen; what is nearer stands before it
     #[arg(long, value_parser = focus, default_value = "0", value_name = "DISPARITY")]
     focus: f64,
-    /// Move the camera through the view box and write numbered frames
+    /// Move the camera through the view box, once around
     #[arg(long, value_enum, value_name = "PATH")]
-    path: Option<Path3>,
-    /// How many frames
+    path: Option<render::Path>,
+    /// How many frames; a film has 30 a second
     #[arg(long, requires = "path", value_parser = clap::value_parser!(u32).range(1..=10_000), default_value_t = 60, value_name = "N")]
     frames: u32,
-    /// Quality of a JPEG, 1 to 100
+    /// Quality of a JPEG or of an animation, 1 to 100
     #[arg(long, value_parser = quality, default_value = "90", value_name = "1-100")]
     quality: u8,
     /// A line of JSON on standard output for each picture
     #[arg(long)]
     json: bool,
-}
-
-/// Closed way of the camera around its pose.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-enum Path3 {
-    /// An ellipse to the sides, up and down
-    Orbit,
-    /// From side to side
-    Swing,
-    /// Forward and back
-    Dolly,
-}
-
-impl Path3 {
-    /// Camera position at `turn` (0 to 1) of the way, within the view box.
-    fn at(self, turn: f64, v: &ViewBox) -> [f64; 3] {
-        let (sin, cos) = (turn * std::f64::consts::TAU).sin_cos();
-        match self {
-            Self::Orbit => [v.x * cos, v.y * sin, 0.0],
-            Self::Swing => [v.x * sin, 0.0, 0.0],
-            Self::Dolly => [0.0, 0.0, v.z * sin],
-        }
-    }
 }
 
 fn pose(text: &str) -> Result<Pose, String> {
@@ -101,8 +79,10 @@ fn ipd(text: &str) -> Result<f64, String> {
 
 pub(super) fn run(args: &RenderArgs) -> anyhow::Result<()> {
     let ending = files::extension(&args.output);
-    let format = PictureFormat::from_extension(&ending)
-        .ok_or_else(|| Usage(format!("--output {} must end in .png, .jpg, .jpeg or .webp", args.output.display())))?;
+    let film = AnimationFormat::from_extension(&ending).filter(|_| args.path.is_some());
+    let endings = if args.path.is_some() { ".png, .jpg, .jpeg, .webp or .mp4" } else { ".png, .jpg, .jpeg or .webp" };
+    let format = PictureFormat::from_extension(&ending).or(film.map(|_| PictureFormat::default()));
+    let format = format.ok_or_else(|| Usage(format!("--output {} must end in {endings}", args.output.display())))?;
     let bytes = files::read(&args.input)?;
     let scene = Arc::new(atlas::decode(&bytes).with_context(|| args.input.display().to_string())?);
     let (width, height) = args.size.unwrap_or((scene.grid.width, scene.grid.height));
@@ -120,12 +100,14 @@ pub(super) fn run(args: &RenderArgs) -> anyhow::Result<()> {
     let camera = Camera { pose: args.pose, intrinsics, width, height };
     let renderer = render::select(args.backend)?;
     let frames = args.path.map_or(1, |_| args.frames);
+    let mut film = film.map(|format| Animation::start(format, (whole_width, whole_height), args.quality)).transpose()?;
+    let begun = Instant::now();
     for frame in 0..frames {
         let start = Instant::now();
         let mut camera = camera;
         let mut output = args.output.clone();
         if let Some(path) = args.path {
-            camera.pose = args.pose.shifted(path.at(f64::from(frame) / f64::from(frames), &scene.view_box));
+            camera.pose = path.pose(&args.pose, frame, frames, &scene.view_box);
             output = numbered(&args.output, frame + 1, frames);
         }
         let view = match &rig {
@@ -133,6 +115,10 @@ pub(super) fn run(args: &RenderArgs) -> anyhow::Result<()> {
             None => renderer.render(&scene, &camera)?,
         };
         let ms = start.elapsed().as_secs_f64() * 1e3;
+        if let Some(film) = &mut film {
+            film.push(&view)?;
+            continue;
+        }
         files::write(&output, &render::encode(&view, format, args.quality)?)?;
         if args.json {
             let (w, h) = (view.width, view.height);
@@ -140,6 +126,17 @@ pub(super) fn run(args: &RenderArgs) -> anyhow::Result<()> {
             result(&about.to_string())?;
         } else {
             result(&format!("{}: {}×{}, {} in {ms:.1} ms", output.display(), view.width, view.height, renderer.name()))?;
+        }
+    }
+    if let Some(film) = film {
+        files::write(&args.output, &film.finish()?)?;
+        let (name, ms) = (renderer.name(), begun.elapsed().as_secs_f64() * 1e3);
+        if args.json {
+            let about =
+                json!({ "output": args.output, "width": whole_width, "height": whole_height, "backend": name, "frames": frames, "ms": ms });
+            result(&about.to_string())?;
+        } else {
+            result(&format!("{}: {whole_width}×{whole_height}, {frames} frames, {name} in {ms:.0} ms", args.output.display()))?;
         }
     }
     Ok(())
@@ -181,21 +178,6 @@ mod tests {
             assert!(pose(bad).is_err(), "{bad}");
         }
         assert!(ipd("0.06").is_ok() && ipd("0").is_err() && ipd("-1").is_err() && ipd("nan").is_err());
-    }
-
-    #[test]
-    fn ways_stay_in_the_view_box_and_close() {
-        let v = ViewBox { x: 0.1, y: 0.05, z: 0.2 };
-        for path in [Path3::Orbit, Path3::Swing, Path3::Dolly] {
-            for i in 0..=24 {
-                let [x, y, z] = path.at(f64::from(i) / 24.0, &v);
-                assert!(x.abs() <= v.x + 1e-9 && y.abs() <= v.y + 1e-9 && z.abs() <= v.z + 1e-9);
-            }
-            let (a, b) = (path.at(0.0, &v), path.at(1.0, &v));
-            assert!((0..3).all(|k| (a[k] - b[k]).abs() < 1e-9));
-        }
-        let turned = Pose { yaw: 90.0, ..Pose::default() }.shifted([1.0, 0.0, 0.0]);
-        assert!(turned.tx.abs() < 1e-9 && (turned.tz + 1.0).abs() < 1e-9, "right of a camera that looks right is back");
     }
 
     #[test]

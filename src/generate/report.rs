@@ -61,6 +61,10 @@ pub struct ErrorFigures {
     pub depth_mse: f64,
     /// Lower quartile of its absolute error.
     pub depth_q25: f64,
+    /// Mean parallax error of each tile in pixels over the view box, row by row: how far planes move the picture away from where that
+    /// map does.
+    #[serde(default)]
+    pub tile_px: Vec<f64>,
     /// PSNR in dB of the view from the reference camera against the photo; 99 where they are equal.
     pub identity_psnr: f64,
     /// Largest difference that leaving out made at the corners of the view box, in levels of 255; none where that was

@@ -1,7 +1,9 @@
 //! Measures of pictures.
 
+mod flip;
 mod ssim;
 
+pub use flip::{PIXELS_PER_DEGREE, flip, flip_map};
 pub use ssim::ssim_map;
 
 /// PSNR in dB of two pictures of 8-bit values, over all values; [`EQUAL`] where they are the same (or empty).

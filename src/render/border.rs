@@ -3,7 +3,7 @@
 //! What is mirrored is the scene, not the picture: planes tilt the other way, and hidden texels stay behind what hides them, so the
 //! continuation moves like the photo does. Derived from the scene when it is drawn; no container holds it.
 
-use crate::tmpi::{Camera, Mat3, Plane, Pose, Scene, homography, mat3_vec};
+use crate::tmpi::{Camera, Mat3, Plane, Pose, Scene, ViewBox, homography, mat3_vec};
 
 /// The widest margin, as a share of the photo's longer side. A view box that needs more sees past it at its corners.
 const WIDEST: f64 = 1.0 / 8.0;
@@ -118,18 +118,10 @@ fn sides(from: u32, size: u32, length: u32, margin: u32) -> [Option<Side>; 3] {
 /// cameras that look straight ahead and of cameras that turn to keep the nearest things in place, at δ = 0 and δ = 1.
 pub(crate) fn margin(scene: &Scene) -> [u32; 2] {
     let (w, h) = (f64::from(scene.grid.width), f64::from(scene.grid.height));
-    let v = &scene.view_box;
     let mut past = [0.0_f64; 2];
-    for corner in 0..8 {
-        let side = |bit: u32, extent: f64| if corner >> bit & 1 == 0 { extent } else { -extent };
-        let (tx, ty, tz) = (side(0, v.x), side(1, v.y), side(2, v.z));
-        for pivot in [0.0, 1.0] {
-            let camera = Camera {
-                pose: looking_at(pivot, tx, ty, tz),
-                intrinsics: scene.intrinsics,
-                width: scene.grid.width,
-                height: scene.grid.height,
-            };
+    for pivot in [0.0, 1.0] {
+        for pose in corners(&scene.view_box, pivot) {
+            let camera = Camera { pose, intrinsics: scene.intrinsics, width: scene.grid.width, height: scene.grid.height };
             for delta in [0.0, 1.0] {
                 let seen = super::footprint::inverted(&homography([0.0, 0.0, delta], &scene.intrinsics, &camera));
                 for place in [[0.0, 0.0, 1.0], [w, 0.0, 1.0], [0.0, h, 1.0], [w, h, 1.0]] {
@@ -144,6 +136,16 @@ pub(crate) fn margin(scene: &Scene) -> [u32; 2] {
     [(past[0], w), (past[1], h)].map(|(past, length)| if past > 0.0 { (past.min(widest) + 2.0).min(length) as u32 } else { 0 })
 }
 
+/// Cameras at the corners of a view box that turn so that what lies ahead at disparity `pivot` stays in place; with 0 they look
+/// straight ahead.
+pub fn corners(v: &ViewBox, pivot: f64) -> impl Iterator<Item = Pose> + use<> {
+    let v = *v;
+    (0..8).map(move |corner: u32| {
+        let side = |bit: u32, extent: f64| if corner >> bit & 1 == 0 { extent } else { -extent };
+        looking_at(pivot, side(0, v.x), side(1, v.y), side(2, v.z))
+    })
+}
+
 /// `m · place` as a pixel; infinitely far where it lies behind.
 fn divided(m: &Mat3, place: [f64; 3]) -> [f64; 2] {
     let [x, y, z] = mat3_vec(m, place);
@@ -151,7 +153,8 @@ fn divided(m: &Mat3, place: [f64; 3]) -> [f64; 2] {
 }
 
 /// A camera at an offset that turns against it, so that what lies ahead at disparity `pivot` stays in place.
-fn looking_at(pivot: f64, tx: f64, ty: f64, tz: f64) -> Pose {
+#[must_use]
+pub fn looking_at(pivot: f64, tx: f64, ty: f64, tz: f64) -> Pose {
     let depth = 1.0 - tz * pivot;
     let yaw = -(tx * pivot).atan2(depth).to_degrees();
     let pitch = (ty * pivot).atan2(depth.hypot(tx * pivot)).to_degrees();
@@ -162,7 +165,6 @@ fn looking_at(pivot: f64, tx: f64, ty: f64, tz: f64) -> Pose {
 mod tests {
     use super::super::testing;
     use super::*;
-    use crate::tmpi::ViewBox;
 
     #[test]
     fn a_layer_is_mirrored_at_each_border_that_it_is_near() {

@@ -1,5 +1,6 @@
 //! Drawing a scene for a camera (paper, algorithm 1) on three hosts that are held against each other.
 
+mod animation;
 mod border;
 mod cpu;
 mod encode;
@@ -11,7 +12,9 @@ mod several;
 #[cfg(test)]
 mod testing;
 
+pub use animation::{Animation, AnimationError, AnimationFormat, Path, RATE};
 pub(crate) use border::margin as border_margin;
+pub use border::{corners, looking_at};
 pub use cpu::Cpu;
 pub use encode::{DEFAULT_QUALITY, EncodeError, PictureFormat, encode};
 pub use gpu::Gpu;

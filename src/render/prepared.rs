@@ -40,12 +40,16 @@ pub(super) fn back_to_front(scene: &Scene, pieces: &[Piece], backward: bool) -> 
     order
 }
 
+/// Texels after the last one.
+pub(super) const PADDING: usize = 8;
+
 /// A scene as the `cpu` host draws it.
 #[derive(Debug)]
 pub(super) struct Prepared {
     /// The layers and what is mirrored beyond the borders.
     pub pieces: Vec<Piece>,
     /// Straight-alpha texels of all pieces; each has its last column and last row twice, so that two by two neighbours always exist.
+    /// After the last come [`PADDING`] more, so that several may be loaded at once.
     pub texels: Vec<[u8; 4]>,
     /// Place of each piece's first texel; its rows are one texel longer than the piece.
     pub first: Vec<usize>,
@@ -58,7 +62,7 @@ impl Prepared {
     pub fn new(scene: &Scene) -> Result<Self, SceneError> {
         scene.validate()?;
         let pieces = pieces(scene);
-        let mut texels = Vec::with_capacity(pieces.iter().map(padded).sum());
+        let mut texels = Vec::with_capacity(pieces.iter().map(padded).sum::<usize>() + PADDING);
         let mut first = Vec::with_capacity(pieces.len());
         let mut drawn = vec![false; pieces.len()];
         let (mut layer, mut own) = (Vec::new(), Vec::new());
@@ -82,6 +86,7 @@ impl Prepared {
                 }
             }
         }
+        texels.resize(texels.len() + PADDING, [0; 4]);
         let mut order = back_to_front(scene, &pieces, false);
         order.retain(|&i| drawn[i]);
         order.reverse();
@@ -91,7 +96,7 @@ impl Prepared {
     /// Bytes that [`Prepared::new`] takes for `scene`, at most.
     pub fn bytes(scene: &Scene) -> usize {
         let pieces = pieces(scene);
-        let texels: usize = pieces.iter().map(padded).sum();
+        let texels = pieces.iter().map(padded).sum::<usize>() + PADDING;
         texels * size_of::<[u8; 4]>() + pieces.len() * (size_of::<Piece>() + 2 * size_of::<usize>())
     }
 }

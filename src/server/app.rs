@@ -37,7 +37,8 @@ pub struct Stored {
 
 impl Stored {
     /// With its size in bytes.
-    fn sized(bytes: Vec<u8>) -> (Self, usize) {
+    #[must_use]
+    pub fn sized(bytes: Vec<u8>) -> (Self, usize) {
         let (size, etag) = (bytes.len(), format!("\"{}\"", hex(&Sha256::digest(&bytes)[..16])).into());
         (Self { bytes: bytes.into(), etag }, size)
     }

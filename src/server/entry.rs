@@ -6,6 +6,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use tokio::sync::watch;
 
 use super::id::PhotoId;
+use super::settings::Settings;
 use super::store::{Accepted, Done, End, Failed, Found};
 use crate::progress::Progress;
 
@@ -52,13 +53,14 @@ pub struct Entry {
     attempts: AtomicU32,
     deleted: AtomicBool,
     gate: Mutex<()>,
+    settings: Mutex<Settings>,
 }
 
 impl Entry {
     /// A fresh upload.
     #[must_use]
     pub fn new(id: PhotoId, accepted: Accepted) -> Self {
-        Self::found(Found { id, accepted, state: super::store::State::default() })
+        Self::found(Found { id, accepted, state: super::store::State::default(), settings: Settings::default() })
     }
 
     /// A photo found on disk.
@@ -76,6 +78,7 @@ impl Entry {
             attempts: AtomicU32::new(found.state.attempts),
             deleted: AtomicBool::new(false),
             gate: Mutex::new(()),
+            settings: Mutex::new(found.settings),
         }
     }
 
@@ -138,6 +141,17 @@ impl Entry {
     /// Marks it as deleted; with the gate held.
     pub fn mark_deleted(&self) {
         self.deleted.store(true, Ordering::Release);
+    }
+
+    /// What its owner wants of viewers.
+    #[must_use]
+    pub fn settings(&self) -> Settings {
+        self.settings.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// Sets them; with the gate held, once they are on disk.
+    pub fn set_settings(&self, settings: Settings) {
+        *self.settings.lock().unwrap_or_else(PoisonError::into_inner) = settings;
     }
 
     /// Held by whoever writes into its folder or removes it.

@@ -20,6 +20,7 @@ mod pages;
 mod pool;
 mod problem;
 mod routes;
+mod settings;
 mod store;
 mod telemetry;
 mod time;

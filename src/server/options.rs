@@ -52,6 +52,12 @@ pub fn set(options: &mut Options, name: &str, value: &str) -> Result<bool, Probl
     Ok(true)
 }
 
+/// The view box among options as text; the usual one where there is none.
+#[must_use]
+pub fn view_box_of(text: &BTreeMap<String, String>) -> ViewBox {
+    text.get("view-box").and_then(|v| view_box("view-box", v).ok()).unwrap_or_default()
+}
+
 /// All options as text; [`set`] reads every pair back. Equal options give equal text.
 #[must_use]
 pub fn to_text(options: &Options) -> BTreeMap<String, String> {

@@ -20,6 +20,10 @@ const POLICY: &str = "default-src 'self'; img-src 'self' blob: data:; connect-sr
                       worker-src 'self' blob:; object-src 'none'; base-uri 'none'; form-action 'self'";
 const RESOURCE_POLICY: HeaderName = HeaderName::from_static("cross-origin-resource-policy");
 
+/// The same for the page that shows the element, of which one is from elsewhere.
+const OPEN_POLICY: &str = "default-src 'self'; img-src * blob: data:; connect-src * blob: data:; style-src 'self' 'unsafe-inline'; \
+                           worker-src 'self' blob:; object-src 'none'; base-uri 'none'; form-action 'self'";
+
 /// Who may show a page in a frame.
 #[derive(Clone, Copy)]
 enum Frames {
@@ -37,6 +41,11 @@ pub async fn index(State(app): State<App>, headers: HeaderMap) -> Result<Respons
 /// `GET /view/{id}`; the page itself says where there is no such photo.
 pub async fn view(State(app): State<App>, headers: HeaderMap) -> Result<Response, Problem> {
     page(&app, &headers, "view.html", Frames::Anybody).await
+}
+
+/// `GET /demo`.
+pub async fn demo(State(app): State<App>, headers: HeaderMap) -> Result<Response, Problem> {
+    page(&app, &headers, "demo.html", Frames::Nobody).await
 }
 
 /// `GET /static/{name}`.
@@ -65,7 +74,8 @@ async fn page(app: &App, headers: &HeaderMap, name: &str, frames: Frames) -> Res
         Frames::Nobody => "'self'",
         Frames::Anybody => "*",
     };
-    if let Ok(policy) = HeaderValue::from_str(&format!("{POLICY}; frame-ancestors {ancestors}")) {
+    let policy = if name == "demo.html" { OPEN_POLICY } else { POLICY };
+    if let Ok(policy) = HeaderValue::from_str(&format!("{policy}; frame-ancestors {ancestors}")) {
         response.headers_mut().insert(header::CONTENT_SECURITY_POLICY, policy);
     }
     response.headers_mut().insert(RESOURCE_POLICY, HeaderValue::from_static("cross-origin"));

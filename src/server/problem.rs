@@ -9,7 +9,7 @@ use crate::atlas::AtlasError;
 use crate::depth::DepthError;
 use crate::generate::GenerateError;
 use crate::photo::PhotoError;
-use crate::render::{EncodeError, RenderError};
+use crate::render::{AnimationError, EncodeError, RenderError};
 use crate::way::MakeError;
 
 /// Media type of a problem.
@@ -175,6 +175,15 @@ impl From<&RenderError> for Problem {
             // nobody is there to read it
             RenderError::Cancelled => Self::new(StatusCode::SERVICE_UNAVAILABLE, "cancelled", error.to_string()).retry_after(1),
             RenderError::TooLarge(_) => Self::new(StatusCode::UNPROCESSABLE_ENTITY, "view-too-large", error.to_string()),
+        }
+    }
+}
+
+impl From<&AnimationError> for Problem {
+    fn from(error: &AnimationError) -> Self {
+        match error {
+            AnimationError::Missing => Self::new(StatusCode::NOT_IMPLEMENTED, "no-animations", error.to_string()).field("path"),
+            AnimationError::Size(..) | AnimationError::Failed(_) => Self::internal("writing an animation", error),
         }
     }
 }

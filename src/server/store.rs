@@ -7,6 +7,7 @@
 //!               depth          the user's depth map, if any
 //!               options.json   what was accepted: Accepted
 //!               state.json     what became of it: State; missing until the first start of the job
+//!               settings.json  what its owner wants of viewers: Settings; missing until something is set
 //!               report.json atlas.tmpi depth.png thumbnail.jpg     once done
 //! ```
 //! A photo appears by one rename of a synced folder, so what is there is whole. Each file in it changes by a synced
@@ -22,6 +23,7 @@ use serde::{Deserialize, Serialize};
 
 use super::id::PhotoId;
 use super::problem::Problem;
+use super::settings::Settings;
 
 /// A file of a photo.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -34,6 +36,8 @@ pub enum Part {
     Options,
     /// What became of it.
     State,
+    /// What its owner wants of viewers.
+    Settings,
     /// Report of the way, JSON.
     Report,
     /// The container.
@@ -53,6 +57,7 @@ impl Part {
             Self::Depth => "depth",
             Self::Options => "options.json",
             Self::State => "state.json",
+            Self::Settings => "settings.json",
             Self::Report => "report.json",
             Self::Atlas => "atlas.tmpi",
             Self::Disparity => "depth.png",
@@ -127,6 +132,8 @@ pub struct Found {
     pub accepted: Accepted,
     /// What became of it so far.
     pub state: State,
+    /// What its owner wants of viewers.
+    pub settings: Settings,
 }
 
 /// The data directory.
@@ -196,7 +203,12 @@ impl Store {
                 fs::remove_file(path)?;
             }
         }
-        Ok(Found { id, accepted, state })
+        let settings = match self.read(id, Part::Settings) {
+            Ok(bytes) => Settings::read(&bytes).map_err(io::Error::other)?,
+            Err(e) if e.kind() == io::ErrorKind::NotFound => Settings::default(),
+            Err(e) => return Err(e),
+        };
+        Ok(Found { id, accepted, state, settings })
     }
 
     fn folder(&self, id: PhotoId) -> PathBuf {
@@ -273,6 +285,14 @@ impl Store {
     /// As [`Store::write`].
     pub fn write_state(&self, id: PhotoId, state: &State) -> io::Result<()> {
         self.write(id, &[(Part::State, &serde_json::to_vec_pretty(state)?)])
+    }
+
+    /// Writes what a photo's owner wants of viewers.
+    ///
+    /// # Errors
+    /// As [`Store::write`].
+    pub fn write_settings(&self, id: PhotoId, settings: &Settings) -> io::Result<()> {
+        self.write(id, &[(Part::Settings, &serde_json::to_vec_pretty(settings)?)])
     }
 
     /// Removes a photo with all its files; when this returns, it does not come back.

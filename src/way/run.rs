@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use super::budget::Costs;
+use super::tile_error::tile_errors;
 use super::{Denoise, Made, MakeError, Models, Options, PlaneCount, PlaneMethod, Switch, TileSize};
 use crate::atlas::{self, Carried};
 use crate::clock::{self, Clock};
@@ -98,6 +99,7 @@ pub fn make(
     let tiles = place(&delta, confidence.as_deref(), &grid, &placement);
     drop(confidence);
     let (mae, mse, q25) = discretisation_error(&delta, &grid, &tiles);
+    let tile_px = tile_errors(&delta, &grid, &tiles, parallax.0.max(parallax.1));
 
     trip.enter("layers")?;
     let mut blueprint = Blueprint { grid, intrinsics, view_box: options.view_box, tiles };
@@ -123,7 +125,7 @@ pub fn make(
     trip.report.bytes = bytes;
 
     trip.enter("verify")?;
-    trip.report.error = ErrorFigures { depth_mae: mae, depth_mse: mse, depth_q25: q25, ..ErrorFigures::default() };
+    trip.report.error = ErrorFigures { depth_mae: mae, depth_mse: mse, depth_q25: q25, tile_px, ..ErrorFigures::default() };
     let scene = Arc::new(scene);
     verify(&scene, &carried, &mut trip.report.error)?;
     if options.verify_prune {

@@ -8,6 +8,9 @@ const STATIC = new URL('../../static/', import.meta.url);
 const TYPES = { '.js': 'text/javascript', '.css': 'text/css', '.html': 'text/html; charset=utf-8', '.svg': 'image/svg+xml', '.wgsl': 'text/wgsl' };
 const POLICY = "default-src 'self'; img-src 'self' blob: data:; object-src 'none'; base-uri 'none'; frame-ancestors 'self'";
 
+/** Errors of the box's tiles: none, but a pixel in the last. */
+const TILE_PX = [0, 0, 0, 0, 0, 0, 0, 1];
+
 /**
  * @param {{atlas: Buffer, delayMs?: number}} photo
  * @returns {Promise<{url: string, views: string[], deleted: string[], mostAtOnce: () => number, close: () => Promise<void>}>}
@@ -15,6 +18,8 @@ const POLICY = "default-src 'self'; img-src 'self' blob: data:; object-src 'none
 export async function serve({ atlas, delayMs = 0 }) {
   const views = [];
   const deleted = [];
+  const patches = [];
+  const state = { id: 'box', state: 'done' };
   let atOnce = 0;
   let most = 0;
   const server = createServer(async (request, response) => {
@@ -29,7 +34,17 @@ export async function serve({ atlas, delayMs = 0 }) {
       deleted.push(url.pathname);
       return send(200, 'text/plain', '');
     }
-    if (url.pathname === '/v1/photos/box') return send(200, 'application/json', JSON.stringify({ id: 'box', state: 'done' }));
+    if (url.pathname === '/v1/photos/box') {
+      if (request.method === 'PATCH') {
+        let body = '';
+        for await (const part of request) body += part;
+        patches.push({ headers: request.headers, body });
+        state.settings = Object.fromEntries(Object.entries({ ...state.settings, ...JSON.parse(body) }).filter(([, v]) => v !== null));
+      }
+      response.setHeader('etag', `"${patches.length + 1}"`);
+      return send(200, 'application/json', JSON.stringify(state));
+    }
+    if (url.pathname === '/v1/photos/box/report') return send(200, 'application/json', JSON.stringify({ error: { tile_px: TILE_PX } }));
     if (url.pathname === '/v1/photos/box/atlas') return sendSlowly(response, atlas, delayMs);
     if (url.pathname === '/embed/three') return send(200, TYPES['.html'], three());
     if (url.pathname === '/embed') return send(200, TYPES['.html'], embed(url.searchParams.get('host')));
@@ -53,6 +68,8 @@ export async function serve({ atlas, delayMs = 0 }) {
     url: `http://127.0.0.1:${server.address().port}`,
     views,
     deleted,
+    patches,
+    state,
     mostAtOnce: () => most,
     close: () => new Promise((resume) => (server.closeAllConnections(), server.close(resume))),
   };

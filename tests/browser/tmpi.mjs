@@ -6,17 +6,17 @@ import { join, resolve } from 'node:path';
 import { fileURLToPath } from 'node:url';
 
 const root = fileURLToPath(new URL('../../', import.meta.url));
-const binary = resolve(process.env.TMPI_BIN || join(root, 'target/release/tmpi'));
+export const program = resolve(process.env.TMPI_BIN || join(root, 'target/release/tmpi'));
 const START_MS = 30_000;
 
 /** Starts `tmpi serve` on a free port: `{url, close}`. */
 export async function startServer() {
-  if (!existsSync(binary)) throw new Error(`no program at ${binary}: build it with cargo build --release, or set TMPI_BIN`);
+  if (!existsSync(program)) throw new Error(`no program at ${program}: build it with cargo build --release, or set TMPI_BIN`);
   const data = mkdtempSync(join(tmpdir(), 'tmpi-browser-'));
   const args = ['serve', '--addr', '127.0.0.1:0', '--data', data];
   // for work on the pages without building anew
   if (process.env.TMPI_STATIC) args.push('--static', resolve(process.env.TMPI_STATIC));
-  const child = spawn(binary, args, { cwd: root, stdio: ['ignore', 'pipe', 'pipe'] });
+  const child = spawn(program, args, { cwd: root, stdio: ['ignore', 'pipe', 'pipe'] });
   let log = '';
   child.stderr.on('data', (text) => (log += text));
   const url = await new Promise((resolve, reject) => {

@@ -9,4 +9,5 @@ mod measure;
 mod openapi;
 mod process;
 mod results;
+mod settings;
 mod uploads;

@@ -1,8 +1,12 @@
 //! The host without a graphics adapter: row bands in parallel, nearest layer first, nothing sampled behind an opaque texel.
 
+#[cfg(target_arch = "x86_64")]
+mod avx2;
 mod band;
+mod lanes;
 mod span;
 
+use std::cell::RefCell;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use rayon::prelude::*;
@@ -18,6 +22,11 @@ const BAND_PIXELS: usize = 16 * 1280;
 
 /// Most rows of a band, so that small views still give every core work.
 const BAND_ROWS: usize = 16;
+
+thread_local! {
+    /// Buffers of the thread, kept from one view to the next.
+    static BAND: RefCell<Band> = RefCell::default();
+}
 
 type Slot = Arc<OnceLock<Result<Arc<Prepared>, SceneError>>>;
 
@@ -70,8 +79,8 @@ impl Renderer for Cpu {
         let mut view = View::transparent(camera);
         let width = camera.width as usize;
         let rows = (BAND_PIXELS / width).clamp(1, BAND_ROWS);
-        view.rgba.par_chunks_mut(width * rows).enumerate().for_each_init(Band::default, |band, (i, out)| {
-            band.draw(&draws, &prepared.texels, (i * rows) as u32, width, out);
+        view.rgba.par_chunks_mut(width * rows).enumerate().for_each(|(i, out)| {
+            BAND.with_borrow_mut(|band| band.draw(&draws, &prepared.texels, (i * rows) as u32, width, out));
         });
         Ok(view)
     }

@@ -42,7 +42,7 @@ struct Document;
 fn api() -> OpenApiRouter<App> {
     OpenApiRouter::with_openapi(Document::openapi())
         .routes(routes!(photos::upload, photos::list))
-        .routes(routes!(photos::state, photos::delete))
+        .routes(routes!(photos::state, photos::change, photos::delete))
         .routes(routes!(events::events))
         .routes(routes!(results::atlas))
         .routes(routes!(results::depth))
@@ -87,6 +87,7 @@ pub fn router(app: App) -> Router {
         .max_age(std::time::Duration::from_hours(24));
     router
         .route("/", get(pages::index))
+        .route("/demo", get(pages::demo))
         .route("/view/{id}", get(pages::view))
         .route("/static/{*name}", get(pages::file))
         .route("/tmpi-viewer.js", get(pages::script))

@@ -9,11 +9,13 @@ use axum::http::{HeaderMap, HeaderName, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 
 use super::state::{PhotoList, PhotoState};
-use crate::server::app::App;
-use crate::server::conditional::insert;
+use crate::server::app::{App, Stored};
+use crate::server::body;
+use crate::server::conditional::{Entity, REVALIDATE, insert, respond};
 use crate::server::entry::{Entry, Status};
 use crate::server::id::PhotoId;
 use crate::server::problem::Problem;
+use crate::server::settings::{PATCH_BYTES, Settings, still_as_seen};
 use crate::server::upload;
 
 /// Part of the time limit of a request that is left to answer it.
@@ -193,17 +195,79 @@ fn cursor(app: &App, text: &str) -> Option<(u64, PhotoId)> {
     app.jobs.get(text.parse().ok()?).map(|entry| entry.key())
 }
 
-/// State and sizes of a photo.
+/// State, sizes and settings of a photo.
 #[utoipa::path(
     get, path = "/v1/photos/{id}", tag = "photos", params(("id" = String, Path, description = "Id of the photo")),
     responses(
-        (status = 200, description = "State and sizes", body = PhotoState),
+        (status = 200, description = "State, sizes and settings", body = PhotoState,
+            headers(("ETag" = String, description = "Version of all this, for `If-Match`"))),
+        (status = 304, description = "The client has it"),
         (status = 404, description = "There is no such photo", body = Problem, content_type = "application/problem+json"),
     )
 )]
-pub async fn state(State(app): State<App>, Path(id): Path<String>) -> Result<Json<PhotoState>, Problem> {
+pub async fn state(State(app): State<App>, Path(id): Path<String>, headers: HeaderMap) -> Result<Response, Problem> {
     let entry = app.photo(&id)?;
-    PhotoState::of(&app.jobs, &entry).map(Json).ok_or_else(|| Problem::not_found("the photo was deleted"))
+    let state = state_now(&app, &entry)?;
+    Ok(respond(&headers, Entity { bytes: state.bytes, etag: &state.etag, content_type: "application/json", cache_control: REVALIDATE }))
+}
+
+/// The state as it is sent, with its version.
+fn state_now(app: &App, entry: &Entry) -> Result<Stored, Problem> {
+    let state = PhotoState::of(&app.jobs, entry).ok_or_else(|| Problem::not_found("the photo was deleted"))?;
+    let bytes = serde_json::to_vec(&state).map_err(|e| Problem::internal("writing a photo's state", &e))?;
+    Ok(Stored::sized(bytes).0)
+}
+
+/// Change the settings of a photo.
+///
+/// A JSON merge patch (RFC 7396) of `settings`: what it names is changed, null removes, the rest stays. Viewers honour them from
+/// their next start on; they stay with the photo when the server is restarted.
+#[utoipa::path(
+    patch, path = "/v1/photos/{id}", tag = "photos",
+    params(
+        ("id" = String, Path, description = "Id of the photo"),
+        ("If-Match" = Option<String>, Header, description = "Change only this version"),
+    ),
+    request_body(content((Settings = "application/merge-patch+json"), (Settings = "application/json"))),
+    responses(
+        (status = 200, description = "State, sizes and settings", body = PhotoState),
+        (status = 400, description = "A setting is wrong; `field` names it", body = Problem, content_type = "application/problem+json"),
+        (status = 404, description = "There is no such photo", body = Problem, content_type = "application/problem+json"),
+        (status = 412, description = "It was changed meanwhile", body = Problem, content_type = "application/problem+json"),
+        (status = 413, description = "The patch is too large", body = Problem, content_type = "application/problem+json"),
+        (status = 415, description = "Not JSON", body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub async fn change(State(app): State<App>, Path(id): Path<String>, request: Request) -> Result<Response, Problem> {
+    let entry = app.photo(&id)?;
+    let (parts, body) = request.into_parts();
+    let kind = parts.headers.get(header::CONTENT_TYPE).and_then(|v| v.to_str().ok()).unwrap_or_default();
+    let kind = kind.split(';').next().unwrap_or_default().trim().to_ascii_lowercase();
+    if !matches!(kind.as_str(), "application/json" | "application/merge-patch+json") {
+        let detail = "settings are application/merge-patch+json or application/json";
+        return Err(Problem::new(StatusCode::UNSUPPORTED_MEDIA_TYPE, "unsupported-patch", detail).field("Content-Type"));
+    }
+    let body = http_body_util::Limited::new(body, PATCH_BYTES);
+    let patch = http_body_util::BodyExt::collect(body).await.map_err(|e| {
+        let large = e.downcast_ref::<http_body_util::LengthLimitError>().is_some();
+        if large { Problem::too_large(PATCH_BYTES) } else { body::problem(&*e) }
+    })?;
+    let patch = patch.to_bytes();
+    let shared = Arc::clone(&app);
+    let changed = tokio::task::spawn_blocking(move || {
+        // one change at a time, and none into a folder that goes
+        let _gate = entry.gate();
+        still_as_seen(&parts.headers, &state_now(&shared, &entry)?.etag)?;
+        let settings = entry.settings().patched(&patch)?;
+        shared.jobs.store.write_settings(entry.id, &settings).map_err(|e| Problem::store(&e))?;
+        entry.set_settings(settings);
+        state_now(&shared, &entry)
+    });
+    let state = changed.await.map_err(|e| Problem::internal("changing settings", &e))??;
+    let mut response = Response::new(axum::body::Body::from(state.bytes));
+    insert(&mut response, header::CONTENT_TYPE, "application/json");
+    insert(&mut response, header::ETAG, &state.etag);
+    Ok(response)
 }
 
 /// Delete a photo and everything that was made of it.

@@ -6,7 +6,9 @@ use serde::Serialize;
 
 use crate::server::entry::{Entry, Live, Status};
 use crate::server::jobs::Jobs;
+use crate::server::options;
 use crate::server::problem::Problem;
+use crate::server::settings::Settings;
 use crate::server::time::rfc3339;
 
 /// How a photo fares.
@@ -60,6 +62,8 @@ pub struct Links {
     pub report: String,
     /// Small picture.
     pub thumbnail: String,
+    /// The view that stands for the photo: the one that its settings name, else the thumbnail.
+    pub poster: String,
     /// Page, model or archive to download.
     pub export: String,
     /// Page with the viewer.
@@ -104,6 +108,8 @@ pub struct PhotoState {
     /// Height of the scene in pixels; once done.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub height: Option<u32>,
+    /// What its owner wants of viewers.
+    pub settings: Settings,
     /// Options that it is made with, all of them.
     pub options: BTreeMap<String, String>,
     /// Addresses.
@@ -130,7 +136,8 @@ impl PhotoState {
     /// The state of `entry` as in `live`.
     #[must_use]
     pub fn from_live(jobs: &Jobs, entry: &Entry, live: Live) -> Option<Self> {
-        let accepted = &entry.accepted;
+        let (accepted, settings) = (&entry.accepted, entry.settings());
+        let poster = settings.poster_query(&options::view_box_of(&accepted.options)).map(|query| format!("/view?{query}"));
         let at = |part: &str| format!("/v1/photos/{}{part}", entry.id);
         let mut state = Self {
             id: entry.id.to_string(),
@@ -145,6 +152,7 @@ impl PhotoState {
             atlas_bytes: None,
             width: None,
             height: None,
+            settings,
             options: accepted.options.clone(),
             links: Links {
                 this: at(""),
@@ -154,6 +162,7 @@ impl PhotoState {
                 depth: at("/depth"),
                 report: at("/report"),
                 thumbnail: at("/thumbnail"),
+                poster: at(poster.as_deref().unwrap_or("/thumbnail")),
                 export: at("/export"),
                 page: format!("/view/{}", entry.id),
             },

@@ -9,14 +9,14 @@ use axum::response::Response;
 use sha2::{Digest, Sha256};
 use tokio_util::sync::CancellationToken;
 
-use crate::render::{DEFAULT_QUALITY, PictureFormat, RenderError, Renderer, View, draw_several, encode};
+use crate::render::{Animation, DEFAULT_QUALITY, PictureFormat, RenderError, Renderer, View, draw_several, encode};
 use crate::server::app::{App, Shared, Version};
 use crate::server::conditional::{Entity, insert, is_known, respond};
 use crate::server::id::hex;
 use crate::server::problem::Problem;
 use crate::tmpi::{Camera, Scene};
 
-use super::view_query::ViewQuery;
+use super::view_query::{Moving, ViewQuery};
 
 /// The same camera gives the same picture, but a newer program may draw it better.
 const CACHED: &str = "public, max-age=86400";
@@ -57,12 +57,13 @@ fn negotiate(headers: &HeaderMap) -> Option<PictureFormat> {
     params(("id" = String, Path, description = "Id of the photo"), ViewQuery),
     responses(
         (status = 200, description = "The view; PNG and WebP are transparent where nothing is known", content(
-            (String = "image/png"), (String = "image/jpeg"), (String = "image/webp"))),
+            (String = "image/png"), (String = "image/jpeg"), (String = "image/webp"), (String = "video/mp4"))),
         (status = 304, description = "The client has it"),
         (status = 400, description = "A parameter is wrong; `field` names it", body = Problem, content_type = "application/problem+json"),
         (status = 404, description = "There is no such photo", body = Problem, content_type = "application/problem+json"),
         (status = 406, description = "The client takes none of the formats", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "Not finished yet", body = Problem, content_type = "application/problem+json"),
+        (status = 501, description = "There is no ffmpeg for an animation", body = Problem, content_type = "application/problem+json"),
         (status = 503, description = "Too many views wait", body = Problem, content_type = "application/problem+json"),
     )
 )]
@@ -71,7 +72,8 @@ pub async fn view(State(app): State<App>, Path(id): Path<String>, uri: Uri, head
     let query = ViewQuery::read(&uri, &app.limits)?;
     let (version, done) = Shared::done(&entry)?;
     let size = query.size((done.width, done.height), &app.limits)?;
-    let format = query.format.or_else(|| negotiate(&headers)).ok_or_else(|| {
+    let still = query.moving.map(|_| PictureFormat::default());
+    let format = query.format.or(still).or_else(|| negotiate(&headers)).ok_or_else(|| {
         let status = axum::http::StatusCode::NOT_ACCEPTABLE;
         Problem::new(status, "not-acceptable", "views are image/png, image/jpeg or image/webp").field("Accept")
     })?;
@@ -94,7 +96,8 @@ pub async fn view(State(app): State<App>, Path(id): Path<String>, uri: Uri, head
     for (phase, took) in timing.iter().filter(|(_, took)| !took.is_zero()) {
         app.telemetry.view(phase, *took);
     }
-    let entity = Entity { bytes, etag: &etag, content_type: format.media_type(), cache_control: CACHED };
+    let content_type = query.moving.map_or(format.media_type(), |moving| moving.format.media_type());
+    let entity = Entity { bytes, etag: &etag, content_type, cache_control: CACHED };
     let mut response = respond(&headers, entity);
     insert(&mut response, header::VARY, "Accept");
     if !timing.is_empty() {
@@ -112,7 +115,7 @@ async fn draw(
     format: PictureFormat,
 ) -> Result<(bytes::Bytes, Vec<(&'static str, Duration)>), Problem> {
     let (scene, decoding) = app.scene(version).await?;
-    let (camera, rig) = (query.camera(&scene, size), query.rig(&scene));
+    let (camera, rig, moving) = (query.camera(&scene, size), query.rig(&scene), query.moving);
     // set when the client goes away; what is under way ends with the view that it draws
     let gone = CancellationToken::new();
     let renderer = Unless { gone: gone.clone(), renderer: Arc::clone(&app.renderer) };
@@ -121,11 +124,15 @@ async fn draw(
     let drawn = app.pool.run(move || {
         let start = Instant::now();
         let waited = start - asked;
-        let view = match &rig {
-            Some(rig) => draw_several(&renderer, &scene, &camera, rig),
-            None => renderer.render(&scene, &camera),
+        let draw = |camera: &Camera| match &rig {
+            Some(rig) => draw_several(&renderer, &scene, camera, rig),
+            None => renderer.render(&scene, camera),
         };
-        let view = view.map_err(|e| Problem::from(&e))?;
+        if let Some(moving) = moving {
+            let (bytes, rendering) = film(moving, &scene, &camera, draw)?;
+            return Ok((bytes, waited, rendering, start.elapsed().saturating_sub(rendering)));
+        }
+        let view = draw(&camera).map_err(|e| Problem::from(&e))?;
         let rendered = Instant::now();
         let bytes = encode(&view, format, DEFAULT_QUALITY).map_err(|e| Problem::from(&e))?;
         Ok::<_, Problem>((bytes, waited, rendered - start, rendered.elapsed()))
@@ -134,6 +141,31 @@ async fn draw(
     // a scene at hand took no decoding
     let timing = vec![("decode", decoding.unwrap_or_default()), ("wait", waiting), ("render", rendering), ("encode", encoding)];
     Ok((bytes.into(), timing))
+}
+
+/// An animation, and how long its frames took to draw.
+fn film(
+    moving: Moving,
+    scene: &Scene,
+    camera: &Camera,
+    draw: impl Fn(&Camera) -> Result<View, RenderError>,
+) -> Result<(Vec<u8>, Duration), Problem> {
+    let (mut animation, mut rendering) = (None, Duration::ZERO);
+    for frame in 0..moving.frames {
+        let pose = moving.path.pose(&camera.pose, frame, moving.frames, &scene.view_box);
+        let start = Instant::now();
+        let view = draw(&Camera { pose, ..*camera }).map_err(|e| Problem::from(&e))?;
+        rendering += start.elapsed();
+        let size = (view.width, view.height);
+        if animation.is_none() {
+            animation = Some(Animation::start(moving.format, size, DEFAULT_QUALITY).map_err(|e| Problem::from(&e))?);
+        }
+        if let Some(animation) = &mut animation {
+            animation.push(&view).map_err(|e| Problem::from(&e))?;
+        }
+    }
+    let bytes = animation.map_or(Ok(Vec::new()), Animation::finish).map_err(|e| Problem::from(&e))?;
+    Ok((bytes, rendering))
 }
 
 /// Draws unless the client has gone.

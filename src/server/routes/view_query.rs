@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use axum::extract::Query;
 use axum::http::Uri;
 
-use crate::render::{Arrangement, EYES, PictureFormat, Rig};
+use crate::render::{AnimationFormat, Arrangement, EYES, Path, PictureFormat, Rig};
 use crate::server::limits::Limits;
 use crate::server::problem::Problem;
 use crate::tmpi::{Camera, Intrinsics, Pose, Scene};
@@ -21,6 +21,26 @@ const FOCUS: std::ops::RangeInclusive<f64> = 0.0..=2.0;
 const LENGTH_STEP: f64 = 1e-5;
 /// Degrees.
 const ANGLE_STEP: f64 = 1e-3;
+
+/// Frames of an animation.
+const FRAMES: std::ops::RangeInclusive<u32> = 2..=240;
+/// Frames where the query does not say: two seconds.
+const USUAL_FRAMES: u32 = 60;
+/// Frames that may have as many pixels as a single view each.
+const FILM: u64 = 8;
+/// Longer side of an animation where the query does not say.
+const USUAL_SIDE: u32 = 640;
+
+/// A camera that moves.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Moving {
+    /// Its way.
+    pub path: Path,
+    /// Frames of the whole way.
+    pub frames: u32,
+    /// What they become.
+    pub format: AnimationFormat,
+}
 
 /// Stereo pictures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -56,7 +76,7 @@ pub struct ViewQuery {
     /// Horizontal field of view in degrees; that of the photo if it is not given.
     #[param(minimum = 0.1, maximum = 179.0)]
     pub fov: Option<f64>,
-    /// `png`, `jpeg` or `webp`; by `Accept` if it is not given.
+    /// `png`, `jpeg` or `webp`; by `Accept` if it is not given. With `path` `webp`, which is the default then, or `mp4`.
     #[param(value_type = Option<String>)]
     pub format: Option<PictureFormat>,
     /// Two views in one picture: `sbs` side by side, `anaglyph` for red and cyan glasses.
@@ -72,6 +92,13 @@ pub struct ViewQuery {
     /// Disparity that lies in the screen, 0 (infinity) if it is not given: what is nearer stands before it.
     #[param(minimum = 0.0, maximum = 2.0)]
     pub focus: Option<f64>,
+    /// `orbit`, `swing` or `dolly`: an animation of the camera's way through the view box, 30 frames a second; no more than 640
+    /// pixels a side if the size is not given. Needs ffmpeg on the server.
+    #[param(value_type = Option<String>, example = "orbit", rename = "path")]
+    pub moving: Option<Moving>,
+    /// Frames of an animation, 60 if it is not given.
+    #[param(minimum = 2, maximum = 240)]
+    pub frames: Option<u32>,
 }
 
 impl ViewQuery {
@@ -107,6 +134,23 @@ impl ViewQuery {
             value.map(Some).ok_or_else(|| Problem::parameter(name, format!("must be from 1 to {} pixels, not {text:?}", limits.view_side)))
         };
         let (w, h) = (side("w")?, side("h")?);
+        let path = given.remove("path").map(|text| {
+            Path::from_name(&text).ok_or_else(|| Problem::parameter("path", format!("must be orbit, swing or dolly, not {text:?}")))
+        });
+        let path = path.transpose()?;
+        let frames = given.remove("frames").map(|text| {
+            let value = text.parse().ok().filter(|v| path.is_some() && FRAMES.contains(v));
+            let detail = format!("goes with path and must be from {} to {}, not {text:?}", FRAMES.start(), FRAMES.end());
+            value.ok_or_else(|| Problem::parameter("frames", detail))
+        });
+        let frames = frames.transpose()?;
+        let moving = path.map(|path| {
+            let text = given.remove("format").unwrap_or_else(|| "webp".into());
+            let format = AnimationFormat::from_extension(&text);
+            let format = format.ok_or_else(|| Problem::parameter("format", format!("must be webp or mp4 with path, not {text:?}")))?;
+            Ok::<_, Problem>(Moving { path, frames: frames.unwrap_or(USUAL_FRAMES), format })
+        });
+        let moving = moving.transpose()?;
         let format = given.remove("format").map(|text| {
             let known = PictureFormat::from_extension(&text);
             known.ok_or_else(|| Problem::parameter("format", format!("must be png, jpeg or webp, not {text:?}")))
@@ -130,9 +174,9 @@ impl ViewQuery {
         match given.into_keys().next() {
             Some(name) => Err(Problem::parameter(
                 name,
-                "there is no such parameter; there are tx, ty, tz, yaw, pitch, roll, w, h, fov, format, stereo, quilt, ipd, focus",
+                "there is no such parameter; there are tx, ty, tz, yaw, pitch, roll, w, h, fov, format, stereo, quilt, ipd, focus, path, frames",
             )),
-            None => Ok(Self { tx, ty, tz, yaw, pitch, roll, w, h, fov, format, stereo, quilt, ipd, focus }),
+            None => Ok(Self { tx, ty, tz, yaw, pitch, roll, w, h, fov, format, stereo, quilt, ipd, focus, moving, frames }),
         }
     }
 
@@ -143,7 +187,8 @@ impl ViewQuery {
     pub fn size(&self, photo: (u32, u32), limits: &Limits) -> Result<(u32, u32), Problem> {
         let (columns, rows) = self.arrangement().map_or((1, 1), Arrangement::grid);
         let (most_wide, most_high) = (limits.view_side / columns, limits.view_side / rows);
-        let most = limits.view_pixels / (u64::from(columns) * u64::from(rows));
+        let frames = self.moving.map_or(1, |m| u64::from(m.frames));
+        let most = limits.view_pixels / (u64::from(columns) * u64::from(rows)) * FILM / frames.max(FILM);
         let (pw, ph) = (f64::from(photo.0), f64::from(photo.1));
         let side = |v: f64| (v.round() as u32).clamp(1, limits.view_side);
         let (w, h) = match (self.w, self.h) {
@@ -151,6 +196,8 @@ impl ViewQuery {
             (Some(w), None) => (w, side(f64::from(w) * ph / pw)),
             (None, Some(h)) => (side(f64::from(h) * pw / ph), h),
             (None, None) => {
+                let side = if self.moving.is_some() { USUAL_SIDE } else { limits.view_side };
+                let (most_wide, most_high) = (most_wide.min(side), most_high.min(side));
                 let scale = (most as f64 / (pw * ph)).sqrt().min(f64::from(most_wide) / pw).min(f64::from(most_high) / ph).min(1.0);
                 // rounded down, so that the product stays within the limit
                 return Ok((((pw * scale) as u32).max(1), ((ph * scale) as u32).max(1)));
@@ -241,6 +288,12 @@ mod tests {
             ("stereo=sbs&ipd=10.1", "ipd"),
             ("stereo=sbs&focus=2.1", "focus"),
             ("tx=1&tx=2", "tx"),
+            ("path=spiral", "path"),
+            ("path=orbit&format=png", "format"),
+            ("format=mp4", "format"),
+            ("frames=10", "frames"),
+            ("path=orbit&frames=1", "frames"),
+            ("path=orbit&frames=241", "frames"),
         ] {
             let p = read(query).unwrap_err();
             assert_eq!((p.status, p.field.as_deref()), (400, Some(field)), "{query}: {}", p.detail);

@@ -1,0 +1,64 @@
+//! Photos: what cameras at the corners of the view box see, on scenes made of them by default.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use super::Checked;
+use crate::atlas;
+use crate::photo::{Format, Limits};
+use crate::progress::Silent;
+use crate::render::{Cpu, Renderer, corners};
+use crate::tmpi::{Camera, Scene};
+use crate::way::{self, Models, Options};
+
+const FAMILY: &str = "corners of the view box";
+/// Longer side that photos are reduced to.
+const SIDE: u32 = 1024;
+/// Alpha of 255 below which a pixel counts as uncovered.
+const COVERED: u8 = 250;
+
+/// Pixels of the eight corners that nothing covers, whether cameras look straight ahead or at the nearest things, in percent of all.
+fn uncovered(scene: &Arc<Scene>) -> f64 {
+    let cpu = Cpu::default();
+    let (mut open, mut all) = (0, 0);
+    for pivot in [0.0, 1.0] {
+        for pose in corners(&scene.view_box, pivot) {
+            let camera = Camera { pose, intrinsics: scene.intrinsics, width: scene.grid.width, height: scene.grid.height };
+            let Ok(view) = cpu.render(scene, &camera) else { return f64::INFINITY };
+            open += view.rgba.iter().filter(|p| p[3] < COVERED).count();
+            all += view.rgba.len();
+        }
+    }
+    100.0 * open as f64 / all as f64
+}
+
+/// A photo's scene by the default options, at most [`SIDE`] pixels a side.
+fn scene(models: &Models, path: &Path) -> Option<Arc<Scene>> {
+    let file = std::fs::read(path).ok()?;
+    let options = Options { max_size: Some(SIDE), ..Options::default() };
+    let made = way::make(models, &Limits::default(), &file, None, &options, &Silent).ok()?;
+    atlas::decode(&made.container).ok().map(Arc::new)
+}
+
+/// Checks every photo of the folders; a folder without one is a skipped case.
+pub(super) fn run(checked: &mut Checked, folders: &[PathBuf], models: &Models) {
+    for folder in folders {
+        let listing = std::fs::read_dir(folder).into_iter().flatten().filter_map(Result::ok);
+        let mut photos: Vec<PathBuf> = listing.map(|e| e.path()).filter(|p| is_photo(p)).collect();
+        photos.sort();
+        if photos.is_empty() {
+            checked.skipped.push(format!("{}: no photo in it", folder.display()));
+        }
+        for path in photos {
+            let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+            checked.case(FAMILY, &name, "cpu", "% uncovered", 0.0, || scene(models, &path).map_or(f64::INFINITY, |s| uncovered(&s)));
+        }
+    }
+}
+
+fn is_photo(path: &Path) -> bool {
+    use std::io::Read;
+    let mut start = [0; 32];
+    let read = std::fs::File::open(path).and_then(|mut f| f.read(&mut start)).unwrap_or(0);
+    Format::sniff(&start[..read]).is_some()
+}

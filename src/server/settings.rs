@@ -1,0 +1,223 @@
+//! What the owner of a photo wants of its viewers: title, how far the camera goes, where it starts, what stays in place, which view
+//! stands for the photo. Kept beside the photo, changed by JSON merge patches (RFC 7396).
+
+use axum::http::StatusCode;
+use serde::{Deserialize, Serialize};
+use serde_json::{Map, Value};
+
+use super::problem::Problem;
+use crate::render::looking_at;
+use crate::tmpi::ViewBox;
+
+/// Version of the settings that this program writes and reads.
+const VERSION: u32 = 1;
+/// Longest title, in characters.
+const TITLE: usize = 200;
+/// Bytes of a patch, at most.
+pub const PATCH_BYTES: usize = 16 << 10;
+/// Disparity that views turn about where the settings do not say.
+const PIVOT: f64 = 0.35;
+
+/// A place in the view box, in units of its half extents.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct Offset {
+    /// Right.
+    pub x: f64,
+    /// Down.
+    pub y: f64,
+    /// Forward.
+    pub z: f64,
+}
+
+/// Settings of a photo; what is missing is left to the viewer.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
+pub struct Settings {
+    /// 1.
+    #[schema(example = 1)]
+    pub version: u32,
+    /// What to call the photo, 1 to 200 characters.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub title: Option<String>,
+    /// How far the camera goes, each 0 to 1 of the view box.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub motion: Option<Offset>,
+    /// Disparity that stays in place while the camera moves, 0 (infinity) to 1 (the nearest thing).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub focus: Option<f64>,
+    /// Where the camera starts, each −1 to 1 of the view box.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub start: Option<Offset>,
+    /// From where the view is drawn that stands for the photo, each −1 to 1 of the view box.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub poster: Option<Offset>,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self { version: VERSION, title: None, motion: None, focus: None, start: None, poster: None }
+    }
+}
+
+impl Settings {
+    /// Reads settings from disk.
+    ///
+    /// # Errors
+    /// They are of a later version, or not as this program writes them.
+    pub fn read(bytes: &[u8]) -> Result<Self, String> {
+        let settings: Self = serde_json::from_slice(bytes).map_err(|e| e.to_string())?;
+        if settings.version == VERSION { Ok(settings) } else { Err(format!("version {} is not {VERSION}", settings.version)) }
+    }
+
+    /// These settings with a merge patch: what is null goes, what is missing stays.
+    ///
+    /// # Errors
+    /// [`Problem`] 400 that names the field.
+    pub fn patched(&self, patch: &[u8]) -> Result<Self, Problem> {
+        let patch: Value = serde_json::from_slice(patch).map_err(|e| Problem::bad_request(format!("the body is not JSON: {e}")))?;
+        let Value::Object(patch) = patch else { return Err(Problem::bad_request("the body must be a JSON object")) };
+        let mut new = self.clone();
+        for (name, value) in patch {
+            match name.as_str() {
+                "version" if value.as_u64() == Some(VERSION.into()) => {}
+                "version" => return Err(Problem::parameter(name, format!("must be {VERSION}, not {value}"))),
+                "title" => new.title = optional(&value, |v| title(&name, v))?,
+                "motion" => new.motion = optional(&value, |v| offset(&name, v, self.motion, 1.0, 0.0))?,
+                "focus" => new.focus = optional(&value, |v| number(&name, v, 0.0))?,
+                "start" => new.start = optional(&value, |v| offset(&name, v, self.start, 0.0, -1.0))?,
+                "poster" => new.poster = optional(&value, |v| offset(&name, v, self.poster, 0.0, -1.0))?,
+                _ => {
+                    let detail = "there is no such setting; there are version, title, motion, focus, start, poster";
+                    return Err(Problem::parameter(name, detail));
+                }
+            }
+        }
+        Ok(new)
+    }
+
+    /// Query of the view that stands for the photo; none where that is the photo itself.
+    #[must_use]
+    pub fn poster_query(&self, view_box: &ViewBox) -> Option<String> {
+        let at = self.poster?;
+        let pose = looking_at(self.focus.unwrap_or(PIVOT), at.x * view_box.x, at.y * view_box.y, at.z * view_box.z);
+        let number = |v: f64| v + 0.0;
+        Some(format!(
+            "tx={:.5}&ty={:.5}&tz={:.5}&yaw={:.3}&pitch={:.3}&w=640&format=jpeg",
+            number(pose.tx),
+            number(pose.ty),
+            number(pose.tz),
+            number(pose.yaw),
+            number(pose.pitch)
+        ))
+    }
+}
+
+fn optional<T>(value: &Value, read: impl FnOnce(&Value) -> Result<T, Problem>) -> Result<Option<T>, Problem> {
+    if value.is_null() { Ok(None) } else { read(value).map(Some) }
+}
+
+fn title(name: &str, value: &Value) -> Result<String, Problem> {
+    let text = value.as_str().map(str::trim).ok_or_else(|| Problem::parameter(name, format!("must be text, not {value}")))?;
+    let length = text.chars().count();
+    if length == 0 || length > TITLE || text.chars().any(char::is_control) {
+        return Err(Problem::parameter(name, format!("must have 1 to {TITLE} characters, none of them a control character")));
+    }
+    Ok(text.to_owned())
+}
+
+/// A number of `least` to 1.
+fn number(name: &str, value: &Value, least: f64) -> Result<f64, Problem> {
+    let found = value.as_f64().filter(|v| (least..=1.0).contains(v));
+    found.ok_or_else(|| Problem::parameter(name, format!("must be a number from {least} to 1, not {value}")))
+}
+
+/// Axes of `least` to 1; what is missing stays, or is `usual`.
+fn offset(name: &str, value: &Value, old: Option<Offset>, usual: f64, least: f64) -> Result<Offset, Problem> {
+    let wrong = || Problem::parameter(name, format!("must be an object of x, y and z, not {value}"));
+    let axes: &Map<String, Value> = value.as_object().ok_or_else(wrong)?;
+    let mut new = old.unwrap_or(Offset { x: usual, y: usual, z: usual });
+    for (axis, value) in axes {
+        let field = format!("{name}.{axis}");
+        let place = match axis.as_str() {
+            "x" => &mut new.x,
+            "y" => &mut new.y,
+            "z" => &mut new.z,
+            _ => return Err(Problem::parameter(field, "there is no such axis; there are x, y, z")),
+        };
+        *place = if value.is_null() { usual } else { number(&field, value, least)? };
+    }
+    Ok(new)
+}
+
+/// Answers a change to something that is not what the client saw (RFC 9110, section 13.1.1).
+///
+/// # Errors
+/// 412 where `If-Match` names other versions than `etag`.
+pub fn still_as_seen(headers: &axum::http::HeaderMap, etag: &str) -> Result<(), Problem> {
+    let mut seen = headers.get_all(axum::http::header::IF_MATCH).iter().peekable();
+    if seen.peek().is_none() {
+        return Ok(());
+    }
+    // strong comparison: a weak tag matches nothing
+    let matches = seen.filter_map(|v| v.to_str().ok()).flat_map(|v| v.split(',')).any(|v| matches!(v.trim(), "*") || v.trim() == etag);
+    if matches {
+        return Ok(());
+    }
+    let detail = format!("the photo was changed meanwhile; it is {etag} now");
+    Err(Problem::new(StatusCode::PRECONDITION_FAILED, "changed", detail).field("If-Match"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_patch_changes_what_it_names_and_null_removes() {
+        let one = Settings::default().patched(br#"{"title": " A box ", "motion": {"x": 0.5}, "focus": 0.4, "start": {"y": -1}}"#).unwrap();
+        assert_eq!(one.title.as_deref(), Some("A box"));
+        assert_eq!(one.motion, Some(Offset { x: 0.5, y: 1.0, z: 1.0 }));
+        assert_eq!((one.focus, one.start), (Some(0.4), Some(Offset { x: 0.0, y: -1.0, z: 0.0 })));
+        let two = one.patched(br#"{"version": 1, "title": null, "motion": {"z": 0}}"#).unwrap();
+        assert_eq!((two.title, two.motion, two.focus), (None, Some(Offset { x: 0.5, y: 1.0, z: 0.0 }), Some(0.4)));
+        assert_eq!(Settings::read(&serde_json::to_vec(&one).unwrap()).unwrap(), one);
+        assert!(Settings::read(br#"{"version": 2}"#).unwrap_err().contains("version 2"));
+    }
+
+    #[test]
+    fn what_is_wrong_is_named() {
+        for (patch, field) in [
+            (r#"{"titel": "x"}"#, Some("titel")),
+            (r#"{"title": ""}"#, Some("title")),
+            (r#"{"title": "a\u0007"}"#, Some("title")),
+            (r#"{"title": 3}"#, Some("title")),
+            (r#"{"motion": {"x": -0.1}}"#, Some("motion.x")),
+            (r#"{"motion": {"w": 1}}"#, Some("motion.w")),
+            (r#"{"motion": 1}"#, Some("motion")),
+            (r#"{"focus": 1.01}"#, Some("focus")),
+            (r#"{"focus": "near"}"#, Some("focus")),
+            (r#"{"start": {"z": 1e999}}"#, None),
+            (r#"{"start": {"z": 2}}"#, Some("start.z")),
+            (r#"{"poster": {"y": -1.5}}"#, Some("poster.y")),
+            (r#"{"version": 2}"#, Some("version")),
+            ("[1]", None),
+            ("{", None),
+        ] {
+            let p = Settings::default().patched(patch.as_bytes()).unwrap_err();
+            assert_eq!((p.status, p.field.as_deref()), (400, field), "{patch}: {}", p.detail);
+        }
+        let long = format!(r#"{{"title": "{}"}}"#, "é".repeat(TITLE + 1));
+        assert!(Settings::default().patched(long.as_bytes()).is_err());
+        let fits = format!(r#"{{"title": "{}"}}"#, "é".repeat(TITLE));
+        assert!(Settings::default().patched(fits.as_bytes()).is_ok());
+    }
+
+    #[test]
+    fn only_the_version_that_was_seen_may_be_changed() {
+        use axum::http::{HeaderMap, HeaderValue, header};
+        let with = |v: &str| [(header::IF_MATCH, HeaderValue::from_str(v).unwrap())].into_iter().collect::<HeaderMap>();
+        assert!(still_as_seen(&HeaderMap::new(), "\"a\"").is_ok());
+        assert!(still_as_seen(&with("\"b\", \"a\""), "\"a\"").is_ok() && still_as_seen(&with("*"), "\"a\"").is_ok());
+        for other in ["\"b\"", "W/\"a\""] {
+            assert_eq!(still_as_seen(&with(other), "\"a\"").unwrap_err().status, 412);
+        }
+    }
+}

@@ -1,0 +1,41 @@
+// How long frames take, and how many pixels can be drawn while something moves.
+
+/** Weight of the newest frame in the time told. */
+const WEIGHT = 0.15;
+/** A frame slower than this, while moving, is drawn with fewer pixels the next time; at rest the picture is always whole. */
+const SLOW_MS = 40;
+const COARSER = 0.8;
+const COARSEST = 0.5;
+
+export class Pace {
+  /** Smoothed time of a frame in ms, or null before the first. */
+  ms = null;
+  /** Share of the pixels a side that is drawn while something moves. */
+  detail = 1;
+  #measuring = false;
+
+  /**
+   * Measures from submission to completion, one frame at a time.
+   * @param {{idle: () => Promise<void>}} renderer that a frame was just handed to
+   * @param {() => boolean} moving
+   * @returns {Promise<boolean>} whether there is a new time
+   */
+  async measure(renderer, moving) {
+    if (this.#measuring) return false;
+    this.#measuring = true;
+    const started = performance.now();
+    try {
+      await renderer.idle();
+    } catch {
+      // the device is gone, which is dealt with where it is noticed
+      return false;
+    } finally {
+      this.#measuring = false;
+    }
+    const ms = performance.now() - started;
+    this.ms = this.ms === null ? ms : this.ms + (ms - this.ms) * WEIGHT;
+    if (moving() && ms > SLOW_MS) this.detail = Math.max(COARSEST, this.detail * COARSER);
+    else if (ms < SLOW_MS / 2) this.detail = Math.min(1, this.detail / COARSER);
+    return true;
+  }
+}

@@ -1,0 +1,129 @@
+//! Settings of a photo, animations, and views that nobody waits for any more.
+
+use std::sync::Arc;
+
+use serde_json::{Value, json};
+use tmpi::render::PictureFormat;
+use tmpi::server::Limits;
+
+use crate::client::{Connection, Response, get, request};
+use crate::fixture::{Running, picture, wait_until, way};
+
+const JSON: (&str, &str) = ("content-type", "application/merge-patch+json");
+
+fn with_photo(limits: Limits) -> (tempfile::TempDir, Running, String) {
+    let dir = tempfile::tempdir().unwrap();
+    let server = Running::start(dir.path(), limits, Arc::new(way()));
+    let id = server.upload(&picture(1, PictureFormat::Png));
+    server.wait(&id, "done");
+    (dir, server, format!("/v1/photos/{id}"))
+}
+
+fn patch(server: &Running, photo: &str, headers: &[(&str, &str)], body: &Value) -> Response {
+    request(server.addr, "PATCH", photo, &[&[JSON], headers].concat(), body.to_string().as_bytes())
+}
+
+#[test]
+fn settings_stay_with_the_photo() {
+    let (dir, server, photo) = with_photo(Limits::default());
+    let before = get(server.addr, &photo);
+    assert_eq!(before.json()["settings"], json!({ "version": 1 }));
+    let thumbnail = before.json()["links"]["thumbnail"].clone();
+    assert_eq!(before.json()["links"]["poster"], thumbnail);
+    let etag = before.header("etag").unwrap().to_owned();
+    assert_eq!(request(server.addr, "GET", &photo, &[("if-none-match", &etag)], &[]).status, 304);
+
+    let wanted = json!({ "title": "A box", "motion": { "x": 0.5 }, "focus": 0.4, "start": { "x": -0.25 }, "poster": { "x": 1, "y": -1 } });
+    let changed = patch(&server, &photo, &[("if-match", &etag)], &wanted);
+    assert_eq!(changed.status, 200, "{}", String::from_utf8_lossy(&changed.body));
+    let settings = changed.json()["settings"].clone();
+    assert_eq!(settings["title"], "A box");
+    assert_eq!(settings["motion"], json!({ "x": 0.5, "y": 1.0, "z": 1.0 }));
+    let second = changed.header("etag").unwrap().to_owned();
+    assert_ne!(second, etag);
+    assert_eq!(get(server.addr, &photo).header("etag"), Some(second.as_str()));
+
+    // whoever saw the version before may not overwrite what came meanwhile
+    let late = patch(&server, &photo, &[("if-match", &etag)], &json!({ "title": null }));
+    assert_eq!(late.problem(412)["field"], "If-Match");
+    let poster = get(server.addr, changed.json()["links"]["poster"].as_str().unwrap());
+    assert_eq!((poster.status, poster.header("content-type")), (200, Some("image/jpeg")));
+
+    server.stop();
+    let server = Running::start(dir.path(), Limits::default(), Arc::new(way()));
+    assert_eq!(get(server.addr, &photo).json()["settings"], settings, "after a restart");
+    let removed = patch(&server, &photo, &[], &json!({ "title": null, "poster": null }));
+    assert_eq!((removed.json()["settings"].get("title"), &removed.json()["links"]["poster"]), (None, &thumbnail));
+}
+
+#[test]
+fn a_wrong_setting_is_named_and_changes_nothing() {
+    let (_dir, server, photo) = with_photo(Limits::default());
+    for (body, field) in [
+        (json!({ "title": "fine", "motion": { "x": 1.5 } }), "motion.x"),
+        (json!({ "focus": -1 }), "focus"),
+        (json!({ "start": [0, 0, 0] }), "start"),
+        (json!({ "colour": "red" }), "colour"),
+        (json!({ "version": 7 }), "version"),
+    ] {
+        assert_eq!(patch(&server, &photo, &[], &body).problem(400)["field"], field);
+    }
+    patch(&server, &photo, &[], &json!(3)).problem(400);
+    request(server.addr, "PATCH", &photo, &[("content-type", "text/plain")], b"{}").problem(415);
+    request(server.addr, "PATCH", &photo, &[], b"{}").problem(415);
+    let at_limit = format!("{{{}}}", " ".repeat((16 << 10) - 2));
+    assert_eq!(request(server.addr, "PATCH", &photo, &[JSON], at_limit.as_bytes()).status, 200);
+    request(server.addr, "PATCH", &photo, &[JSON], format!("{at_limit} ").as_bytes()).problem(413);
+    request(server.addr, "PATCH", "/v1/photos/0123456789abcdef0123456789abcdef", &[JSON], b"{}").problem(404);
+    let foreign = request(server.addr, "PATCH", &photo, &[JSON, ("sec-fetch-site", "cross-site")], b"{}");
+    assert_eq!(foreign.problem(403)["type"], "urn:tmpi:problem:cross-site");
+    assert_eq!(get(server.addr, &photo).json()["settings"], json!({ "version": 1 }));
+}
+
+#[test]
+fn a_way_of_the_camera_is_an_animation_where_there_is_ffmpeg() {
+    let (_dir, server, photo) = with_photo(Limits::default());
+    for (query, media_type, magic) in
+        [("path=swing&frames=4", "image/webp", (8, b"WEBP")), ("path=orbit&frames=3&w=64&format=mp4", "video/mp4", (4, b"ftyp"))]
+    {
+        let answer = get(server.addr, &format!("{photo}/view?{query}"));
+        if answer.status == 501 {
+            assert_eq!(answer.problem(501)["field"], "path");
+            eprintln!("skipped: there is no ffmpeg");
+            return;
+        }
+        assert_eq!((answer.status, answer.header("content-type")), (200, Some(media_type)), "{}", String::from_utf8_lossy(&answer.body));
+        assert_eq!(&answer.body[magic.0..magic.0 + 4], magic.1);
+        let again =
+            request(server.addr, "GET", &format!("{photo}/view?{query}"), &[("if-none-match", answer.header("etag").unwrap())], &[]);
+        assert_eq!(again.status, 304);
+    }
+    assert_eq!(get(server.addr, &format!("{photo}/view?path=orbit&frames=240&w=2000&h=2000")).problem(400)["field"], "w");
+}
+
+/// A figure of `/metrics`, 0 where it is not there yet.
+fn metric(server: &Running, name: &str) -> f64 {
+    let text = String::from_utf8(get(server.addr, "/metrics").body).unwrap();
+    text.lines().find_map(|l| l.strip_prefix(name)?.trim().parse().ok()).unwrap_or(0.0)
+}
+
+#[test]
+fn views_that_nobody_waits_for_are_not_drawn() {
+    const CLIENTS: usize = 8;
+    let (_dir, server, photo) = with_photo(Limits { views: 1, views_waiting: CLIENTS, ..Limits::default() });
+    let clients: Vec<Connection> = (0..CLIENTS)
+        .map(|n| {
+            let mut client = Connection::open(server.addr);
+            client.send("GET", &format!("{photo}/view?tx=0.00{n}&w=4000&h=3000&format=png"), &[], &[]);
+            client
+        })
+        .collect();
+    // the request for the figure is one itself
+    wait_until("all ask", || metric(&server, "tmpi_requests_in_flight") >= (CLIENTS + 1) as f64);
+    drop(clients);
+    wait_until("all are gone", || metric(&server, "tmpi_requests_in_flight") <= 1.0);
+    let view = get(server.addr, &format!("{photo}/view?w=40"));
+    assert_eq!(view.status, 200, "the slots are free: {}", String::from_utf8_lossy(&view.body));
+    let drawn = metric(&server, "tmpi_view_seconds_count{phase=\"render\"}");
+    assert!((1.0..CLIENTS as f64).contains(&drawn), "{drawn} views were drawn to the end");
+}

@@ -1,0 +1,153 @@
+//! Twelve kinds of scene from eight places: the reference against its goldens, and the `cpu` and `gpu` hosts against the reference.
+//!
+//! `TMPI_BLESS=1 cargo test --release --test pictures` draws the goldens anew; `TMPI_BLESS=scenes` makes the scenes anew too.
+#![allow(clippy::unwrap_used, clippy::cast_possible_truncation, clippy::cast_precision_loss, reason = "test")]
+
+use std::io::Cursor;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use image::{ExtendedColorType, ImageEncoder};
+use tmpi::progress::Silent;
+use tmpi::quality::{flip, share_off};
+use tmpi::render::{Cpu, Gpu, PictureFormat, Reference, Renderer, View, corners, encode};
+use tmpi::tmpi::{Camera, Pose, Scene, ViewBox};
+use tmpi::{atlas, models, synth, way};
+
+/// Seeds of scenes of twelve families; nothing that a network was trained on.
+const SEEDS: std::ops::Range<u64> = 910_000..910_400;
+const FAMILIES: [&str; 12] =
+    ["room", "corridor", "kitchen", "street", "field", "terrain", "crowd", "thin", "foliage", "shelf", "heap", "floating"];
+const SIZE: (u32, u32) = (192, 128);
+/// Views in a row of a golden.
+const COLUMNS: usize = 4;
+/// Pixels that may be off by more than [`LEVELS`], and mean FLIP.
+const MOST_OFF: f64 = 0.015;
+const MOST_FLIP: f64 = 0.02;
+const LEVELS: u8 = 8;
+
+fn folder() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden/scenes")
+}
+
+/// Cameras of a scene: half are corners of the view box, half turn as well.
+fn poses(v: &ViewBox) -> Vec<Pose> {
+    let mut all: Vec<Pose> = corners(v, 0.0).step_by(2).collect();
+    all.extend(corners(v, 0.5).skip(1).step_by(2).enumerate().map(|(i, p)| Pose { roll: i as f64 - 1.5, yaw: p.yaw + 1.0, ..p }));
+    all
+}
+
+fn cameras(scene: &Scene) -> Vec<Camera> {
+    let (width, height) = (scene.grid.width, scene.grid.height);
+    poses(&scene.view_box).into_iter().map(|pose| Camera { pose, intrinsics: scene.intrinsics, width, height }).collect()
+}
+
+fn png(width: u32, height: u32, rgb: &[[u8; 3]]) -> Vec<u8> {
+    let mut out = Vec::new();
+    let encoder = image::codecs::png::PngEncoder::new(&mut out);
+    encoder.write_image(rgb.as_flattened(), width, height, ExtendedColorType::Rgb8).unwrap();
+    out
+}
+
+/// The first scene of a family, made with its exact disparity.
+fn make(family: &str) -> Vec<u8> {
+    let scene = SEEDS.map(|seed| synth::Scene::framed(seed, SIZE.0, SIZE.1)).find(|s| s.family() == family);
+    let scene = scene.unwrap_or_else(|| panic!("no {family} among the seeds"));
+    let camera = scene.camera();
+    let picture = scene.render(&camera, 3);
+    let disparity = tmpi::depth::to_png(&picture.disparity).unwrap();
+    let options = way::Options {
+        fov_x: Some(camera.intrinsics.fov_x(SIZE.0)),
+        // twice as far as usual, so that more of what is hidden is seen
+        view_box: ViewBox { x: 0.06, y: 0.06, z: 0.06 },
+        ..way::Options::default()
+    };
+    let file = png(SIZE.0, SIZE.1, &picture.photo.rgb);
+    let models = models::load(&models::Settings::default()).unwrap();
+    way::make(&models, &tmpi::photo::Limits::default(), &file, Some(&disparity), &options, &Silent).unwrap().container
+}
+
+fn scene(family: &str) -> Arc<Scene> {
+    let path = folder().join(format!("{family}.tmpi"));
+    if std::env::var("TMPI_BLESS").is_ok_and(|v| v == "scenes") {
+        std::fs::create_dir_all(folder()).unwrap();
+        std::fs::write(&path, make(family)).unwrap();
+    }
+    let bytes = std::fs::read(&path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
+    Arc::new(atlas::decode(&bytes).unwrap())
+}
+
+fn rgb(view: &View) -> Vec<[u8; 3]> {
+    view.rgba.iter().map(|p| [p[0], p[1], p[2]]).collect()
+}
+
+/// All views in one picture.
+fn sheet(views: &[View]) -> View {
+    let (w, h) = (views[0].width as usize, views[0].height as usize);
+    let rows = views.len().div_ceil(COLUMNS);
+    let mut out = View { width: (w * COLUMNS) as u32, height: (h * rows) as u32, rgba: vec![[0; 4]; w * COLUMNS * h * rows] };
+    for (i, view) in views.iter().enumerate() {
+        for (y, row) in view.rgba.chunks_exact(w).enumerate() {
+            let at = (i / COLUMNS * h + y) * w * COLUMNS + i % COLUMNS * w;
+            out.rgba[at..at + w].copy_from_slice(row);
+        }
+    }
+    out
+}
+
+#[test]
+fn the_reference_draws_its_goldens() {
+    let bless = std::env::var_os("TMPI_BLESS").is_some();
+    for family in FAMILIES {
+        let scene = scene(family);
+        let views: Vec<View> = cameras(&scene).iter().map(|camera| Reference.render(&scene, camera).unwrap()).collect();
+        let (sheet, path) = (sheet(&views), folder().join(format!("{family}.jpg")));
+        if bless {
+            std::fs::write(&path, encode(&sheet, PictureFormat::Jpeg, 92).unwrap()).unwrap();
+        }
+        let golden = std::fs::read(&path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
+        let golden = image::load(Cursor::new(golden), image::ImageFormat::Jpeg).unwrap().into_rgb8();
+        assert_eq!((golden.width(), golden.height()), (sheet.width, sheet.height), "{family}");
+        let golden: Vec<[u8; 3]> = golden.pixels().map(|p| p.0).collect();
+        // what JPEG loses is seen by nobody
+        let seen = flip(&golden, &rgb(&sheet), sheet.width as usize);
+        assert!(seen < 0.03, "{family}: FLIP {seen:.4}");
+        let other = flip(&golden, &rgb(&View { rgba: sheet.rgba.iter().rev().copied().collect(), ..sheet.clone() }), sheet.width as usize);
+        assert!(other > 0.06, "{family}: the golden would not tell another picture: FLIP {other:.4}");
+    }
+}
+
+fn compare(host: &dyn Renderer) {
+    let (mut most_off, mut most_seen, mut failed) = (0.0_f64, 0.0_f64, Vec::new());
+    for family in FAMILIES {
+        let scene = scene(family);
+        for (i, camera) in cameras(&scene).iter().enumerate() {
+            let (got, want) = (host.render(&scene, camera).unwrap(), Reference.render(&scene, camera).unwrap());
+            let off = share_off(&got.rgba, &want.rgba, LEVELS);
+            let seen = flip(&rgb(&want), &rgb(&got), camera.width as usize);
+            (most_off, most_seen) = (most_off.max(off), most_seen.max(seen));
+            if off > MOST_OFF || seen > MOST_FLIP {
+                failed.push(format!("{family} from {i}: {:.3} %, FLIP {seen:.4}", off * 100.0));
+            }
+        }
+    }
+    println!(
+        "{}: at most {:.3} % of the pixels off by more than {LEVELS} levels, FLIP at most {most_seen:.4}",
+        host.name(),
+        most_off * 100.0
+    );
+    assert!(failed.is_empty(), "{}:\n{}", host.name(), failed.join("\n"));
+}
+
+#[test]
+fn cpu_draws_what_the_reference_draws() {
+    compare(&Cpu::default());
+}
+
+#[test]
+fn gpu_draws_what_the_reference_draws() {
+    match Gpu::new(true) {
+        Ok(gpu) => compare(&gpu),
+        Err(reason) => eprintln!("skipped: {reason}"),
+    }
+}
