@@ -77,7 +77,8 @@ fn tint(v: vec3f) -> vec3f {
 
 // Green, yellow, red.
 fn heat(v: f32) -> vec3f {
-    return clamp(vec3f(2.0 * v, 2.0 - 2.0 * v, 0.15), vec3f(0.0), vec3f(1.0));
+    let low = mix(vec3f(0.1, 0.55, 0.35), vec3f(0.95, 0.8, 0.2), min(1.0, 2.0 * v));
+    return mix(low, vec3f(0.85, 0.1, 0.1), max(0.0, 2.0 * v - 1.0));
 }
 
 fn overlay_of(i: Instance) -> vec4f {
@@ -92,7 +93,7 @@ fn overlay_of(i: Instance) -> vec4f {
         return vec4f(tint(i.plane_page.xyz), 0.5);
     }
     if (kind == 4.0) {
-        return vec4f(heat(fract(i.plane_page.w)), 0.75);
+        return vec4f(heat(fract(i.plane_page.w)), 0.65);
     }
     return vec4f(0.0);
 }

@@ -34,14 +34,15 @@ vec3 tint(vec3 v) {
 }
 
 vec3 heat(float v) {
-  return clamp(vec3(2.0 * v, 2.0 - 2.0 * v, 0.15), 0.0, 1.0);
+  vec3 low = mix(vec3(0.1, 0.55, 0.35), vec3(0.95, 0.8, 0.2), min(1.0, 2.0 * v));
+  return mix(low, vec3(0.85, 0.1, 0.1), max(0.0, 2.0 * v - 1.0));
 }
 
 vec4 overlay_of() {
   if (size_half.w == 1.0) return vec4(0.0, 0.0, 0.0, -1.0);
   if (size_half.w == 2.0) return vec4(tint(vec3(centre_origin.xy / size_half.z, 1.0)), 0.5);
   if (size_half.w == 3.0) return vec4(tint(plane_page.xyz), 0.5);
-  if (size_half.w == 4.0) return vec4(heat(fract(plane_page.w)), 0.75);
+  if (size_half.w == 4.0) return vec4(heat(fract(plane_page.w)), 0.65);
   return vec4(0.0);
 }
 

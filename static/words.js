@@ -17,6 +17,7 @@ const GERMAN = {
   'Drawn by the server': 'Vom Server gezeichnet',
   'drawn by the server': 'vom Server gezeichnet',
   'Drop photos or a folder here, paste one, or': 'Fotos oder einen Ordner hierher ziehen, einfügen oder',
+  Full: 'Vollbild',
   'Full screen': 'Vollbild',
   'JPEG, PNG or WebP, up to 32 MB. Place and camera data are removed.': 'JPEG, PNG oder WebP, bis 32 MB. Orts- und Kameradaten werden entfernt.',
   'Link to this very view': 'Link zu genau dieser Sicht',

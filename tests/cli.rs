@@ -357,3 +357,46 @@ fn exports_are_files_that_others_open() {
     f.run(&["export", "broken.tmpi", "-o", "broken.html"]).fails(1, &["broken.tmpi"]);
     assert!(!f.path("broken.html").exists());
 }
+
+#[test]
+fn pictures_are_compared() {
+    let f = Folder::new();
+    let same = f.run(&["compare", "box.png", "box.png", "--json"]).succeeds().json();
+    assert_eq!((same["flip"].as_f64(), same["share_off"].as_f64(), same["max_abs"].as_u64()), (Some(0.0), Some(0.0), Some(0)));
+    let jpeg = f.run(&["compare", "box.png", "box.jpg", "--json"]).succeeds().json();
+    let between = |name: &str, least: f64, most: f64| assert!((least..most).contains(&jpeg[name].as_f64().unwrap()), "{name}: {jpeg}");
+    between("psnr", 25.0, 60.0);
+    between("flip", 1e-4, 0.3);
+    between("ssim", 0.5, 1.0);
+    f.run(&["compare", "box.png", "depth.png"]).succeeds();
+    f.write("small.png", &encoded(ImageBuffer::from_pixel(3, 2, Rgb([1u8, 2, 3])), ImageFormat::Png));
+    f.run(&["compare", "box.png", "small.png"]).fails(1, &["one size", "150×100", "3×2"]);
+}
+
+#[test]
+fn a_film_needs_a_way_and_ffmpeg() {
+    let f = Folder::new();
+    f.container();
+    f.run(&["render", "box.tmpi", "-o", "way.mp4"]).fails(2, &["--output", ".png"]);
+    f.run(&["render", "box.tmpi", "-o", "way.gif", "--path", "orbit"]).fails(2, &[".mp4"]);
+    let mut command = Command::new(env!("CARGO_BIN_EXE_tmpi"));
+    command.current_dir(f.0.path()).env("PATH", "").args(["render", "box.tmpi", "-o", "way.mp4", "--path", "swing", "--frames", "3"]);
+    Run::from(command.output().unwrap()).fails(1, &["ffmpeg", "not installed"]);
+    assert!(!f.path("way.mp4").exists());
+    f.run(&["render", "box.tmpi", "-o", "way.png", "--path", "swing", "--frames", "3"]).succeeds();
+    assert!(f.path("way-0003.png").exists());
+}
+
+#[test]
+fn the_corners_of_the_view_box_are_checked_on_photos() {
+    let f = Folder::new();
+    if !Path::new(env!("CARGO_MANIFEST_DIR")).join(".tmpi/onnxruntime/libonnxruntime.so").is_file() {
+        return eprintln!("skipped: ONNX Runtime is not here");
+    }
+    std::fs::create_dir(f.path("photos")).unwrap();
+    std::fs::copy(f.path("box.png"), f.path("photos/box.png")).unwrap();
+    f.write("photos/notes.txt", b"no photo");
+    let checked = f.run(&["check", "--photos", "photos", "--json"]).succeeds().json();
+    let cases = checked["cases"].as_array().unwrap();
+    assert_eq!((cases.len(), cases[0]["name"].as_str()), (2, Some("box.png")));
+}

@@ -14,22 +14,29 @@ use crate::way::{self, Models, Options};
 const FAMILY: &str = "corners of the view box";
 /// Longer side that photos are reduced to.
 const SIDE: u32 = 1024;
-/// Alpha of 255 below which a pixel counts as uncovered.
-const COVERED: u8 = 250;
+/// Alpha of 255 below which a pixel is a hole.
+const HOLE: u8 = 128;
+/// Alpha of 255 below which it is a seam: rims of layers are soft, and where two meet a little shows through.
+const SEAM: u8 = 250;
+/// Percent of pixels that may be seams.
+const MOST_SEAMS: f64 = 0.05;
 
-/// Pixels of the eight corners that nothing covers, whether cameras look straight ahead or at the nearest things, in percent of all.
-fn uncovered(scene: &Arc<Scene>) -> f64 {
+/// Pixels of the eight corners that are holes, and those that are seams, whether cameras look straight ahead or at the nearest things,
+/// in percent of all.
+fn uncovered(scene: &Arc<Scene>) -> [f64; 2] {
     let cpu = Cpu::default();
-    let (mut open, mut all) = (0, 0);
+    let (mut open, mut all) = ([0, 0], 0);
     for pivot in [0.0, 1.0] {
         for pose in corners(&scene.view_box, pivot) {
             let camera = Camera { pose, intrinsics: scene.intrinsics, width: scene.grid.width, height: scene.grid.height };
-            let Ok(view) = cpu.render(scene, &camera) else { return f64::INFINITY };
-            open += view.rgba.iter().filter(|p| p[3] < COVERED).count();
+            let Ok(view) = cpu.render(scene, &camera) else { return [f64::INFINITY; 2] };
+            for (open, least) in open.iter_mut().zip([HOLE, SEAM]) {
+                *open += view.rgba.iter().filter(|p| p[3] < least).count();
+            }
             all += view.rgba.len();
         }
     }
-    100.0 * open as f64 / all as f64
+    open.map(|open| 100.0 * open as f64 / all as f64)
 }
 
 /// A photo's scene by the default options, at most [`SIDE`] pixels a side.
@@ -51,7 +58,12 @@ pub(super) fn run(checked: &mut Checked, folders: &[PathBuf], models: &Models) {
         }
         for path in photos {
             let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-            checked.case(FAMILY, &name, "cpu", "% uncovered", 0.0, || scene(models, &path).map_or(f64::INFINITY, |s| uncovered(&s)));
+            let mut found = [f64::INFINITY; 2];
+            checked.case(FAMILY, &name, "cpu", "% holes", 0.0, || {
+                found = scene(models, &path).map_or(found, |s| uncovered(&s));
+                found[0]
+            });
+            checked.case(FAMILY, &name, "cpu", "% seams", MOST_SEAMS, || found[1]);
         }
     }
 }

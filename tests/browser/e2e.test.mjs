@@ -3,7 +3,7 @@ import assert from 'node:assert/strict';
 import { existsSync, readFileSync } from 'node:fs';
 import { after, before, describe, test } from 'node:test';
 import { fileURLToPath } from 'node:url';
-import { launch, openPage, PATIENCE_MS, pixelsAt, pixelsOf, shareDifferent, takeGraphics, waitForMode } from './browser.mjs';
+import { launch, openPage, PATIENCE_MS, pixelsAt, pixelsOf, seriousViolations, shareDifferent, takeGraphics, waitForMode } from './browser.mjs';
 import { BOX, boxDepth, boxPhoto } from './pictures.mjs';
 import { makePhoto, startServer } from './tmpi.mjs';
 
@@ -159,6 +159,45 @@ describe('the whole way', () => {
     await page.waitForFunction((old) => window.viewer.served.shown !== old && !window.viewer.served.busy, before);
     assert.match(await shown(), /tx=0\.0[12]/);
     assert.ok(await page.evaluate(() => document.querySelector('.tmpi-poster').naturalWidth > 0));
+    assert.deepEqual(errors, []);
+    await context.close();
+  });
+
+  test('the page of elements shows three, one from another origin', async () => {
+    const { page, context, errors } = await openPage(browser, { reducedMotion: 'reduce' });
+    await page.goto(`${server.url}/demo`);
+    for (const i of [0, 1, 2]) {
+      await page.evaluate((n) => document.querySelectorAll('tmpi-viewer')[n].scrollIntoView(), i);
+      await page.waitForFunction((n) => document.querySelectorAll('tmpi-viewer')[n].viewer?.mode === 'gpu', i);
+    }
+    const origin = await page.evaluate(() => new URL(document.querySelectorAll('tmpi-viewer')[2].getAttribute('src'), location.href).origin);
+    assert.notEqual(origin, new URL(server.url).origin);
+    assert.deepEqual(await seriousViolations(page), []);
+    const blob = await page.evaluate(async () => (await document.querySelector('tmpi-viewer').toBlob()).type);
+    assert.equal(blob, 'image/png');
+    assert.deepEqual(errors, []);
+    await context.close();
+  });
+
+  test('what the owner sets stays with the photo', async () => {
+    const { page, context, errors } = await openPage(browser, { reducedMotion: 'reduce' });
+    const other = await makePhoto(server.url, boxPhoto(240, 150), boxDepth(240, 150));
+    await page.goto(`${server.url}/view/${other.id}`);
+    await waitForMode(page, 'gpu');
+    await page.evaluate(() => window.viewer.moveTo({ x: 0.8, y: 0, z: 0 }));
+    await page.locator('#settings').click();
+    await page.getByLabel('Title').fill('A box');
+    for (const name of ['Start from here', 'Picture of the list from here']) await page.getByRole('button', { name }).click();
+    await page.getByRole('button', { name: 'Save with the photo' }).click();
+    await page.getByText('Saved', { exact: true }).waitFor();
+    await page.reload();
+    await waitForMode(page, 'gpu');
+    assert.equal(await page.locator('#title').textContent(), 'A box');
+    await page.waitForFunction(() => Math.abs(window.viewer.pose.tx - 0.024) < 2e-3);
+    await page.goto(server.url);
+    const picture = page.locator('.card').filter({ hasText: 'A box' }).locator('img');
+    await page.waitForFunction(() => [...document.querySelectorAll('.card img')].some((image) => image.src.includes('/view?tx=') && image.naturalWidth > 0));
+    assert.match(await picture.getAttribute('src'), /\/view\?tx=0\.024/);
     assert.deepEqual(errors, []);
     await context.close();
   });

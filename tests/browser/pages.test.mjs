@@ -86,6 +86,27 @@ describe('page of all photos', () => {
     await context.close();
   });
 
+  test('a folder gives its pictures, those of folders in it too', async () => {
+    const posts = [{ status: 202, json: photo('a') }, { status: 202, json: photo('b') }];
+    const { page, context, sent } = await open({ posts });
+    await page.evaluate(() => {
+      const file = (name, type) => ({ isFile: true, file: (done) => done(new File(['x'], name, { type })) });
+      // as browsers do, a reader gives a part at a time
+      const folder = (...entries) => ({
+        isDirectory: true,
+        createReader: () => ({ readEntries: (done) => done(entries.splice(0, 2)) }),
+      });
+      const tree = folder(file('one.png', 'image/png'), file('notes.txt', 'text/plain'), folder(file('two.jpg', 'image/jpeg')));
+      DataTransferItem.prototype.webkitGetAsEntry = () => tree;
+      const files = new DataTransfer();
+      files.items.add(new File([''], 'holiday'));
+      document.body.dispatchEvent(new DragEvent('drop', { bubbles: true, cancelable: true, dataTransfer: files }));
+    });
+    for (const name of ['one.png', 'two.jpg']) await page.getByRole('link', { name: `Open ${name}` }).waitFor();
+    assert.equal(sent.length, 2);
+    await context.close();
+  });
+
   test('a photo deleted while its row is shown takes the row with it', async () => {
     const { page, context } = await open({ pages: [{ photos: [photo('a')] }], posts: [{ status: 202, json: photo('a') }] });
     await page.route('**/v1/photos/a', (route) => route.fulfill({ status: 204 }));
