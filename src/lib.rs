@@ -37,6 +37,7 @@ pub mod progress;
 pub mod quality;
 pub mod render;
 pub mod server;
+mod simd;
 pub mod synth;
 pub mod tmpi;
 pub mod way;

@@ -2,7 +2,7 @@
 
 use super::measure::{Bench, Depth};
 use super::subject::Subject;
-use super::{Axis, BenchError, Curve, Experiment, Point};
+use super::{Axis, BenchError, Curve, Experiment, Point, Settings};
 use crate::onnx;
 use crate::tmpi::{DisparityMap, ViewBox};
 use crate::way::{Denoise, Options, PlaneCount, PlaneMethod, Switch, TileSize};
@@ -15,7 +15,7 @@ const METHODS: [(&str, PlaneMethod); 4] =
     [("linear", PlaneMethod::Linear), ("lloyd", PlaneMethod::Lloyd), ("optimal", PlaneMethod::Optimal), ("slanted", PlaneMethod::Slanted)];
 
 /// Settings of a curve: words, options, disparity.
-type Setting = (String, Options, Depth);
+type Set = (String, Options, Depth);
 
 /// One experiment to be.
 struct Plan {
@@ -23,7 +23,7 @@ struct Plan {
     title: &'static str,
     about: &'static str,
     axes: (Axis, Axis),
-    curves: Vec<(&'static str, Vec<Setting>)>,
+    curves: Vec<(&'static str, Vec<Set>)>,
 }
 
 impl Plan {
@@ -44,18 +44,18 @@ impl Plan {
     }
 }
 
-fn known(setting: impl Into<String>, change: impl FnOnce(&mut Options)) -> Setting {
+fn known(setting: impl Into<String>, change: impl FnOnce(&mut Options)) -> Set {
     let mut options = Options::default();
     change(&mut options);
     (setting.into(), options, Depth::Known)
 }
 
-fn errors(quick: bool) -> Vec<Setting> {
+fn errors(quick: bool) -> Vec<Set> {
     let all: &[f64] = if quick { &[0.25, 0.5, 1.0, 2.0, 4.0] } else { &[0.1, 0.25, 0.35, 0.5, 0.7, 1.0, 1.5, 2.0, 4.0, 8.0] };
     all.iter().map(|&e| known(format!("--max-error {e}"), |o| o.max_error = e)).collect()
 }
 
-fn counts(method: PlaneMethod, name: &str, counts: &[u32], tile: TileSize) -> Vec<Setting> {
+fn counts(method: PlaneMethod, name: &str, counts: &[u32], tile: TileSize) -> Vec<Set> {
     let one = |&n: &u32| {
         known(format!("--plane-method {name} --planes {n}"), |o| {
             (o.plane_method, o.planes, o.tile) = (method, PlaneCount::Fixed(n), tile);
@@ -104,7 +104,7 @@ fn tiles(quick: bool) -> Plan {
 }
 
 /// Gaussian noise of variance 1e-3 by a fixed generator.
-fn noisy(map: &DisparityMap) -> DisparityMap {
+pub(super) fn noisy(map: &DisparityMap) -> DisparityMap {
     let mut state = 1u64;
     let mut uniform = || {
         state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
@@ -142,7 +142,7 @@ fn steps() -> Plan {
         on("--plane-method optimal", &|o| o.plane_method = PlaneMethod::Optimal),
         on("--plane-method lloyd --planes 4", &|o| (o.plane_method, o.planes) = (PlaneMethod::Lloyd, PlaneCount::Fixed(4))),
     ];
-    let of = |depth: &Depth| all.iter().map(|(s, o)| (s.clone(), o.clone(), depth.clone())).collect::<Vec<Setting>>();
+    let of = |depth: &Depth| all.iter().map(|(s, o)| (s.clone(), o.clone(), depth.clone())).collect::<Vec<Set>>();
     Plan {
         id: "steps",
         title: "Steps on and off",
@@ -219,10 +219,11 @@ fn brief(reason: &impl std::fmt::Display) -> String {
 pub(super) fn on_scenes(
     bench: &Bench,
     scenes: &[Subject],
-    quick: bool,
+    settings: &Settings,
     skipped: &mut Vec<String>,
     progress: &dyn Fn(&str),
 ) -> Result<Vec<Experiment>, BenchError> {
+    let quick = settings.quick;
     // the first run of a process pays for its threads and its memory
     bench.point(&scenes[..scenes.len().min(1)], &Depth::Known, &Options::default(), String::new(), ("", ""))?;
     let mut plans = vec![planes(quick, (MS, VIEW)), tiles(quick), steps(), quality(quick), prune(quick)];
@@ -234,7 +235,7 @@ pub(super) fn on_scenes(
         plans.extend([denoise(), depth()]);
     }
     let mut all = Vec::new();
-    for plan in plans {
+    for plan in plans.into_iter().filter(|p| settings.wants(p.id)) {
         progress(plan.title);
         all.push(plan.run(bench, scenes)?);
     }

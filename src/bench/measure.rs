@@ -166,15 +166,19 @@ fn views(s: &Subject, scene: &Arc<Scene>) -> Result<[f64; 3], BenchError> {
     Ok(std::array::from_fn(|i| scores.iter().map(|v| v[i]).sum::<f64>() / scores.len().max(1) as f64))
 }
 
-/// PSNR, SSIM and L1 (of values in 0 to 1) of a view over black, less [`CROP`] on each side.
+/// The same of a view over black.
 fn score(view: &View, want: &Photo) -> [f64; 3] {
-    let (w, h) = (view.width as usize, view.height as usize);
+    compared(&view.rgba.iter().map(|p| [p[0], p[1], p[2]]).collect::<Vec<_>>(), want)
+}
+
+/// PSNR, SSIM and L1 (of values in 0 to 1) of colours, less [`CROP`] on each side.
+pub(super) fn compared(got: &[[u8; 3]], want: &Photo) -> [f64; 3] {
+    let (w, h) = (want.width as usize, want.height as usize);
     let (x, y) = ((w as f64 * CROP) as usize, (h as f64 * CROP) as usize);
-    let got: Vec<[u8; 3]> = view.rgba.iter().map(|p| [p[0], p[1], p[2]]).collect();
     let cut = |p: &[[u8; 3]]| -> Vec<[u8; 3]> { p.chunks(w).skip(y).take(h - 2 * y).flat_map(|row| row[x..w - x].to_vec()).collect() };
-    let map = ssim_map(&got, &want.rgb, w);
+    let map = ssim_map(got, &want.rgb, w);
     let ssim: Vec<f32> = map.chunks(w).skip(y).take(h - 2 * y).flat_map(|row| row[x..w - x].to_vec()).collect();
-    let (a, b) = (cut(&got), cut(&want.rgb));
+    let (a, b) = (cut(got), cut(&want.rgb));
     let l1 = a.iter().flatten().zip(b.iter().flatten()).map(|(a, b)| f64::from(a.abs_diff(*b))).sum::<f64>() / (a.len() * 3).max(1) as f64;
     [
         quality::psnr(a.as_flattened(), b.as_flattened()),

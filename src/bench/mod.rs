@@ -4,11 +4,14 @@
 //! view; for them the error is how far, in pixels over the view box, planes move the picture wrongly against the disparity they
 //! were fitted to.
 
+mod ablation;
 mod costs;
+mod discretisation;
 mod drawing;
 mod experiments;
 mod machine;
 mod measure;
+mod mesh;
 mod page;
 mod plot;
 mod scaling;
@@ -32,8 +35,36 @@ pub struct Settings {
     pub quick: bool,
     /// Folders of photos beside the rendered scenes.
     pub photos: Vec<PathBuf>,
+    /// The experiments to do, of [`EXPERIMENTS`]; none: all of them.
+    pub only: Vec<String>,
     /// The networks.
     pub models: Models,
+}
+
+/// Short names of the experiments, in the order in which they are done.
+pub const EXPERIMENTS: [&str; 16] = [
+    "scaling",
+    "planes",
+    "tiles",
+    "steps",
+    "quality",
+    "prune",
+    "denoise",
+    "depth",
+    "without",
+    "labels",
+    "moves",
+    "photos",
+    "mesh",
+    "discretisation",
+    "drawing",
+    "budget",
+];
+
+impl Settings {
+    fn wants(&self, experiment: &str) -> bool {
+        self.only.is_empty() || self.only.iter().any(|o| o == experiment)
+    }
 }
 
 /// A measured setting, mean over all subjects.
@@ -103,8 +134,8 @@ pub struct Results {
     pub repeats: usize,
     /// The experiments.
     pub experiments: Vec<Experiment>,
-    /// Costs of this machine, for `--budget-ms`.
-    pub costs: Costs,
+    /// Costs of this machine, for `--budget-ms`, where they were measured.
+    pub costs: Option<Costs>,
     /// What could not be measured, and why.
     pub skipped: Vec<String>,
     /// Seconds that all of it took.
@@ -148,19 +179,41 @@ pub enum BenchError {
 pub fn run(settings: &Settings, progress: &dyn Fn(&str)) -> Result<Results, BenchError> {
     let start = std::time::Instant::now();
     let mut skipped = Vec::new();
-    let scaling = scaling::run(settings.quick, &mut skipped, progress);
+    let wants = |id: &str| settings.wants(id);
+    let scaling = if wants("scaling") { scaling::run(settings.quick, &mut skipped, progress) } else { Vec::new() };
     progress("rendering scenes");
     let scenes = subject::rendered(settings.quick)?;
     let photos = subject::photos(&settings.photos, settings.quick)?;
     let repeats = if settings.quick { 3 } else { 5 };
     let bench = measure::Bench { models: &settings.models, repeats };
-    let mut experiments = experiments::on_scenes(&bench, &scenes, settings.quick, &mut skipped, progress)?;
-    if !photos.is_empty() {
+    let mut experiments = experiments::on_scenes(&bench, &scenes, settings, &mut skipped, progress)?;
+    if wants("without") {
+        experiments.push(ablation::steps(&scenes, progress)?);
+    }
+    if wants("labels") {
+        experiments.push(ablation::labels(&scenes, settings.quick, progress)?);
+    }
+    if wants("moves") {
+        experiments.push(ablation::moves(&bench, &scenes, progress)?);
+    }
+    if wants("photos") && !photos.is_empty() {
         experiments.extend(experiments::on_photos(&bench, &photos, &mut skipped, progress)?);
     }
-    experiments.extend(drawing::run(&bench, &scenes, settings.quick, &mut skipped, progress)?);
-    experiments.push(costs::kept(&bench, &scenes, progress)?);
-    let costs = costs::fitted(&bench, &scenes, progress)?;
+    if wants("mesh") {
+        experiments.extend(mesh::against(&bench, &photos, progress)?);
+    }
+    if wants("discretisation") {
+        let known = photos.iter().any(|p| p.disparity.is_some());
+        experiments.push(discretisation::run(&bench, if known { &photos } else { &scenes }, progress)?);
+    }
+    if wants("drawing") {
+        experiments.extend(drawing::run(&bench, &scenes, settings.quick, &mut skipped, progress)?);
+    }
+    let mut costs = None;
+    if wants("budget") {
+        experiments.push(costs::kept(&bench, &scenes, progress)?);
+        costs = Some(costs::fitted(&bench, &scenes, progress)?);
+    }
     experiments.extend(scaling);
     for e in &mut experiments {
         e.mark();
@@ -240,7 +293,7 @@ mod tests {
             subjects: vec!["s".into()],
             repeats: 1,
             experiments: vec![experiment(&[(1.0, 10.0), (20.0, 30.0)])],
-            costs: Costs::default(),
+            costs: None,
             skipped: vec!["gpu: none & nothing".into()],
             seconds: 1.0,
         };

@@ -1,13 +1,14 @@
 //! What is measured on: rendered scenes with exact disparity and second views, or photos.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use image::codecs::png::PngEncoder;
 use image::{ExtendedColorType, ImageEncoder};
 
 use super::BenchError;
-use crate::photo::Format;
+use crate::depth::{self, DepthKind};
+use crate::photo::{Format, Limits};
 use crate::synth;
 use crate::tmpi::{Camera, DisparityMap, Photo, Pose, ViewBox};
 
@@ -62,6 +63,18 @@ fn scene(seed: u64, (width, height): (u32, u32)) -> Result<Subject, BenchError> 
     })
 }
 
+/// The disparity map `NAME_disp16.png` beside a photo `NAME.jpg`, where there is one.
+fn beside(photo: &Path, file: &[u8]) -> Result<Option<DisparityMap>, BenchError> {
+    let map = photo.with_file_name(format!("{}{MAP}", photo.file_stem().unwrap_or_default().to_string_lossy()));
+    let Ok(png) = std::fs::read(&map) else { return Ok(None) };
+    let bad = |e: &dyn std::fmt::Display| BenchError::File { path: map.clone(), reason: e.to_string() };
+    let (width, height) = crate::photo::check(file, &Limits::default()).map_err(|e| bad(&e))?.1;
+    depth::from_png(&png, DepthKind::Disparity, width, height).map(Some).map_err(|e| bad(&e))
+}
+
+/// End of the name of a disparity map beside a photo.
+const MAP: &str = "_disp16.png";
+
 /// All photos of the folders, by name; with `quick` a few of each.
 pub(super) fn photos(folders: &[PathBuf], quick: bool) -> Result<Vec<Subject>, BenchError> {
     let mut all = Vec::new();
@@ -71,14 +84,16 @@ pub(super) fn photos(folders: &[PathBuf], quick: bool) -> Result<Vec<Subject>, B
         let mut files = entries.map(|e| e.map(|e| e.path())).collect::<Result<Vec<_>, _>>().map_err(|e| bad(folder, e))?;
         files.sort();
         let mut found = 0;
-        for path in files.into_iter().filter(|p| p.is_file()) {
+        let map = |p: &PathBuf| p.to_string_lossy().ends_with(MAP);
+        for path in files.into_iter().filter(|p| p.is_file() && !map(p)) {
             let file = std::fs::read(&path).map_err(|e| bad(&path, e))?;
             if Format::sniff(&file).is_none() || (quick && found == 4) {
                 continue;
             }
             found += 1;
             let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-            all.push(Subject { name, file, disparity: None, fov_x: None, view_box: ViewBox::default(), views: Vec::new() });
+            let disparity = beside(&path, &file)?.map(Arc::new);
+            all.push(Subject { name, file, disparity, fov_x: None, view_box: ViewBox::default(), views: Vec::new() });
         }
         if found == 0 {
             return Err(BenchError::File { path: folder.clone(), reason: "holds no photo".into() });

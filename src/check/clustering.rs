@@ -58,7 +58,7 @@ impl Tiles {
         let height = self.delta.len() as u32 / self.width;
         let map = DisparityMap { width: self.width, height, delta: self.delta.clone() };
         let grid = Grid::new(self.width, height, 64);
-        place(&map, self.weight.as_deref(), &grid, &Placement { method, most: n, target: None }).into_iter().next().unwrap_or_default()
+        place(&map, self.weight.as_deref(), &grid, &Placement::fixed(method, n)).into_iter().next().unwrap_or_default()
     }
 
     /// All pixels, and the weights as they are documented: 0 where a value is not finite, all 1 where no weight is left.

@@ -20,9 +20,13 @@ pub(super) struct BenchArgs {
     /// Fewer scenes, fewer settings: a few minutes
     #[arg(long)]
     quick: bool,
-    /// Also measure on the photos of this folder; may be given several times
+    /// Also measure on the photos of this folder; may be given several times. Where `NAME_disp16.png` lies beside `NAME.jpg`, it is
+    /// the photo's disparity
     #[arg(long, value_name = "DIR")]
     photos: Vec<PathBuf>,
+    /// Do these experiments alone
+    #[arg(long, value_delimiter = ',', value_parser = bench::EXPERIMENTS, value_name = "NAME,…")]
+    only: Vec<String>,
     #[command(flatten)]
     models: ModelFlags,
 }
@@ -71,11 +75,13 @@ pub(super) fn run(args: &BenchArgs) -> anyhow::Result<()> {
         return serve(args);
     }
     let models = models::load(&args.models.settings())?;
-    let settings = Settings { quick: args.quick, photos: args.photos.clone(), models };
+    let settings = Settings { quick: args.quick, photos: args.photos.clone(), only: args.only.clone(), models };
     let results = bench::run(&settings, &|what| eprintln!("tmpi bench: {what}"))?;
     files::write(&args.output.join("results.json"), &serde_json::to_vec_pretty(&results)?)?;
     files::write(&args.output.join("results.csv"), results.csv().as_bytes())?;
-    files::write(&args.output.join("costs.json"), &serde_json::to_vec_pretty(&results.costs)?)?;
+    if let Some(costs) = &results.costs {
+        files::write(&args.output.join("costs.json"), &serde_json::to_vec_pretty(costs)?)?;
+    }
     let page = args.output.join("index.html");
     files::write(&page, bench::html(&results).as_bytes())?;
     for s in &results.skipped {

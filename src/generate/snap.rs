@@ -3,6 +3,7 @@
 
 use rayon::prelude::*;
 
+use crate::simd::dispatch;
 use crate::tmpi::{DisparityMap, Photo};
 
 /// Half the window that a ramp is looked for in.
@@ -61,25 +62,40 @@ pub fn median(photo: &Photo, delta: &DisparityMap) -> DisparityMap {
 fn median_with(photo: &Photo, colour: &ColourWeight, delta: &DisparityMap) -> DisparityMap {
     each(delta, MEDIAN, EDGE, |w| {
         let own = photo.at(w.x as u32, w.y as u32);
-        let mut values = [(0f32, 0f32); (2 * MEDIAN + 1).pow(2)];
-        let (mut n, mut total) = (0, 0.0);
+        let (mut values, mut weights, mut n) = ([f32::INFINITY; LANES], [0f32; LANES], 0);
         w.each(MEDIAN, |x, y, d| {
-            let weight = colour.of(own, photo.at(x as u32, y as u32)) + 1e-6;
-            values[n] = (d, weight);
+            (values[n], weights[n]) = (d, colour.of(own, photo.at(x as u32, y as u32)) + 1e-6);
             n += 1;
-            total += weight;
         });
-        let values = &mut values[..n];
-        values.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
-        let mut sum = 0.0;
-        values
-            .iter()
-            .find(|v| {
-                sum += v.1;
-                sum >= 0.5 * total
-            })
-            .map(|v| v.0)
+        Some(weighted_median(&values, &weights))
     })
+}
+
+/// Room for the window of the median.
+const LANES: usize = 32;
+
+dispatch!(
+    /// The least value that, with all that are no greater, has half of the weight.
+    weighted_median, weighted_median_body, weighted_median_avx2, (values: &[f32; LANES], weights: &[f32; LANES]) -> f32
+);
+
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "the loop must be compiled anew with the caller's target features")]
+fn weighted_median_body(values: &[f32; LANES], weights: &[f32; LANES]) -> f32 {
+    // for a few dozen values, to compare all with all takes a third of the time of sorting them
+    let mut up_to = [0f32; LANES];
+    for (sums, of) in up_to.as_chunks_mut::<8>().0.iter_mut().zip(values.as_chunks::<8>().0) {
+        let mut sum = [0f32; 8];
+        for (v, w) in values.iter().zip(weights) {
+            for k in 0..8 {
+                let more = sum[k] + w;
+                sum[k] = if *v <= of[k] { more } else { sum[k] };
+            }
+        }
+        *sums = sum;
+    }
+    let half = 0.5 * up_to.iter().copied().fold(0.0, |a, b| if b > a { b } else { a });
+    up_to.iter().zip(values).fold(f32::INFINITY, |least, (sum, &v)| if *sum >= half && v < least { v } else { least })
 }
 
 /// A pixel and its surroundings.
@@ -92,11 +108,14 @@ struct Window<'a> {
 }
 
 impl Window<'_> {
+    #[inline(always)]
+    #[allow(clippy::inline_always, reason = "a call a pixel of the window costs more than what is done there")]
     fn each(&self, radius: usize, mut f: impl FnMut(usize, usize, f32)) {
         let (w, h) = (self.delta.width as usize, self.delta.height as usize);
+        let columns = self.x.saturating_sub(radius)..(self.x + radius + 1).min(w);
         for y in self.y.saturating_sub(radius)..(self.y + radius + 1).min(h) {
-            for x in self.x.saturating_sub(radius)..(self.x + radius + 1).min(w) {
-                f(x, y, self.delta.delta[y * w + x]);
+            for (x, &d) in columns.clone().zip(&self.delta.delta[y * w..][columns.clone()]) {
+                f(x, y, d);
             }
         }
     }
@@ -159,8 +178,11 @@ fn extreme(d: &[f32], w: usize, h: usize, r: usize, pick: impl Fn(f32, f32) -> f
     out
 }
 
-/// exp(−dc²/2σ²) by squared colour distance, tabulated.
-struct ColourWeight(Vec<f32>);
+/// exp(−dc²/2σ²) by squared colour distance and exp(−r²/2σ²) by squared distance in pixels, tabulated.
+struct ColourWeight {
+    colour: Vec<f32>,
+    place: [f32; 2 * RADIUS * RADIUS + 1],
+}
 
 impl ColourWeight {
     const SHIFT: u32 = 6;
@@ -168,12 +190,15 @@ impl ColourWeight {
     fn new() -> Self {
         let scale = 1.0 / (255.0 * 255.0 * 2.0 * SIGMA_COLOUR * SIGMA_COLOUR);
         let last = (3u32 * 255 * 255) >> Self::SHIFT;
-        Self((0..=last).map(|i| (-(((i << Self::SHIFT) + (1 << Self::SHIFT) / 2) as f32) * scale).exp()).collect())
+        Self {
+            colour: (0..=last).map(|i| (-(((i << Self::SHIFT) + (1 << Self::SHIFT) / 2) as f32) * scale).exp()).collect(),
+            place: std::array::from_fn(|i| (-(i as f32) / (2.0 * SIGMA_PLACE * SIGMA_PLACE)).exp()),
+        }
     }
 
     fn of(&self, a: [u8; 3], b: [u8; 3]) -> f32 {
         let d = |i: usize| u32::from(a[i].abs_diff(b[i])).pow(2);
-        self.0[((d(0) + d(1) + d(2)) >> Self::SHIFT) as usize]
+        self.colour[((d(0) + d(1) + d(2)) >> Self::SHIFT) as usize]
     }
 }
 
@@ -196,8 +221,8 @@ fn side(photo: &Photo, colour: &ColourWeight, w: &Window) -> Option<f32> {
         } else {
             return;
         };
-        let place = (x.abs_diff(w.x).pow(2) + y.abs_diff(w.y).pow(2)) as f32;
-        let weight = colour.of(own, photo.at(x as u32, y as u32)) * (-place / (2.0 * SIGMA_PLACE * SIGMA_PLACE)).exp() + 1e-20;
+        let place = colour.place[x.abs_diff(w.x).pow(2) + y.abs_diff(w.y).pow(2)];
+        let weight = colour.of(own, photo.at(x as u32, y as u32)) * place + 1e-20;
         sides[s][0] += weight;
         sides[s][1] += weight * d;
         sides[s][2] += 1.0;
@@ -283,6 +308,30 @@ mod tests {
     #[test]
     fn ramps_are_told_from_steps() {
         assert!(ramp_share(&step(12.0).1) > BLURRED && ramp_share(&step(1e-3).1) < BLURRED);
+    }
+
+    #[test]
+    fn the_median_is_the_one_of_sorted_values() {
+        let mut random = 7u32;
+        let mut next = || {
+            random = random.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            (random >> 8) as f32 / (1 << 24) as f32
+        };
+        for n in 1..=25 {
+            let (mut values, mut weights) = ([f32::INFINITY; LANES], [0f32; LANES]);
+            for i in 0..n {
+                // some are equal
+                (values[i], weights[i]) = ((next() * 12.0).round() / 12.0, next() + 1e-6);
+            }
+            let mut sorted: Vec<(f32, f32)> = values.iter().copied().zip(weights).take(n).collect();
+            sorted.sort_by(|a, b| a.0.total_cmp(&b.0));
+            let (total, mut sum) = (sorted.iter().map(|v| f64::from(v.1)).sum::<f64>(), 0.0);
+            let want = sorted.iter().find(|v| {
+                sum += f64::from(v.1);
+                sum >= 0.5 * total
+            });
+            assert_eq!(Some(weighted_median(&values, &weights)), want.map(|v| v.0));
+        }
     }
 
     #[test]

@@ -5,17 +5,13 @@
 
 use rayon::prelude::*;
 
+use super::rows;
 use super::{Blueprint, Class, Grid, Photo, Place, Plane, Rect, Shapes};
 
 /// Context around the hidden texels of a layer in pixels.
 const CONTEXT: u32 = 32;
-/// How far in front of the layer a source may lie, in δ.
-const IN_FRONT: f64 = 0.015;
 /// A pixel that touches a surface nearer by this much is mixed with it, and no source.
 const TOUCH: f64 = 0.03;
-/// Distance behind the layer, in δ, at which a source's weight has fallen to a half.
-const BEHIND: f64 = 0.06;
-
 /// Sources of hidden colour, found once a photo.
 pub struct Filler<'a> {
     photo: &'a Photo,
@@ -29,6 +25,8 @@ pub struct Filler<'a> {
 /// Pyramid that is used again for the next layer.
 #[derive(Default)]
 pub struct Pyramid {
+    /// Horizontal places of the columns of the finest level.
+    us: Vec<f64>,
     levels: Vec<Level>,
     /// Levels of the layer at hand; more may be kept from before.
     used: usize,
@@ -61,7 +59,7 @@ impl<'a> Filler<'a> {
         let Some(hidden) = hidden_bounds(rect, class) else { return Vec::new() };
         let place = Place::of(&self.grid, tile);
         let win = super::grown(hidden, CONTEXT, CONTEXT, &self.grid);
-        self.sources(place, plane, win, pyramid.base(win.w as usize, win.h as usize));
+        self.sources(place, plane, win, pyramid);
         if !pyramid.pull() {
             // nothing lies behind anywhere near: the layer's own surroundings are all there is
             let mean = self.mean(rect);
@@ -89,21 +87,15 @@ impl<'a> Filler<'a> {
         shapes.par_iter().enumerate().map_init(Pyramid::default, tile).collect()
     }
 
-    /// Writes colour times weight, and weight, of every source in `win`.
-    fn sources(&self, place: Place, plane: &Plane, win: Rect, level: &mut Level) {
-        for y in 0..win.h {
-            let row = (win.y + y) as usize * self.grid.width as usize;
-            for x in 0..win.w {
-                let at = row + (win.x + x) as usize;
-                let behind = f64::from(place.disparity(plane, win.x + x, win.y + y)) - f64::from(self.surface[at]);
-                if behind < -IN_FRONT || self.rim[at] {
-                    continue;
-                }
-                let far = behind.max(0.0) / BEHIND;
-                let weight = 1.0 / (1.0 + far * far);
-                let c = self.photo.rgb[at].map(|v| (f64::from(v) * weight) as f32);
-                level.texels[(y * win.w + x) as usize] = [c[0], c[1], c[2], weight as f32];
-            }
+    /// Writes colour times weight, and weight, of every source in `win` into the finest level; 0 where there is none.
+    fn sources(&self, place: Place, plane: &Plane, win: Rect, pyramid: &mut Pyramid) {
+        pyramid.base(win.w as usize, win.h as usize);
+        place.columns(win.x, win.w, &mut pyramid.us);
+        for (y, texels) in (win.y..).zip(pyramid.levels[0].texels.chunks_mut(win.w as usize)) {
+            let at = y as usize * self.grid.width as usize + win.x as usize;
+            let row = at..at + win.w as usize;
+            let row = rows::Sources { surface: &self.surface[row.clone()], rim: &self.rim[row.clone()], rgb: &self.photo.rgb[row] };
+            rows::sources(&pyramid.us, place.v(y), plane, row, texels);
         }
     }
 
@@ -132,14 +124,14 @@ fn hidden_bounds(rect: Rect, class: &[u8]) -> Option<Rect> {
 }
 
 impl Pyramid {
-    /// The finest level, emptied, and coarser ones down to 1×1 of matching size.
-    fn base(&mut self, width: usize, height: usize) -> &mut Level {
+    /// Sizes of the finest level and of coarser ones down to 1×1; what they hold is still to be written.
+    fn base(&mut self, width: usize, height: usize) {
         let (mut w, mut h, mut n) = (width, height, 0);
         loop {
             if self.levels.len() == n {
                 self.levels.push(Level::default());
             }
-            self.levels[n].reset(w, h);
+            self.levels[n].resize(w, h);
             n += 1;
             if w == 1 && h == 1 {
                 break;
@@ -147,7 +139,6 @@ impl Pyramid {
             (w, h) = (w.div_ceil(2), h.div_ceil(2));
         }
         self.used = n;
-        &mut self.levels[0]
     }
 
     /// Sums the sources upwards; false where there is none.
@@ -183,26 +174,17 @@ struct Level {
 }
 
 impl Level {
-    fn reset(&mut self, width: usize, height: usize) {
+    fn resize(&mut self, width: usize, height: usize) {
         (self.width, self.height) = (width, height);
-        self.texels.clear();
         self.texels.resize(width * height, [0.0; 4]);
     }
 
     /// From the level of twice the size: sums of 2×2 texels, weight saturated at 1, so that one source suffices where there is
     /// no other.
     fn pull(&mut self, fine: &Self) {
-        for y in 0..fine.height {
-            let row = &mut self.texels[y / 2 * self.width..][..self.width];
-            for (x, t) in fine.texels[y * fine.width..][..fine.width].iter().enumerate() {
-                for (a, b) in row[x / 2].iter_mut().zip(t) {
-                    *a += b;
-                }
-            }
-        }
-        for t in self.texels.iter_mut().filter(|t| t[3] > 1.0) {
-            let s = 1.0 / f64::from(t[3]);
-            *t = t.map(|v| (f64::from(v) * s) as f32);
+        for (y, to) in self.texels.chunks_mut(self.width).enumerate() {
+            let row = |y: usize| &fine.texels[y * fine.width..][..fine.width];
+            rows::pull(row(2 * y), (2 * y + 1 < fine.height).then(|| row(2 * y + 1)), to);
         }
     }
 

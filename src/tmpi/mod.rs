@@ -8,6 +8,7 @@ mod fill;
 mod grid;
 mod peel;
 mod plane;
+mod rows;
 mod scene;
 
 pub use camera::{Camera, Intrinsics, Mat3, Pose, ViewBox, homography, mat3_mul, mat3_vec};

@@ -5,6 +5,7 @@
 
 use rayon::prelude::*;
 
+use super::rows::{self, Columns, Dilation, dilate};
 use super::{Class, Grid, Intrinsics, Plane, Rect, ViewBox};
 
 /// Widest search for the edge that uncovers a hidden texel, in pixels.
@@ -92,6 +93,18 @@ impl Place {
         Self { centre: grid.centre(index), half: grid.half() }
     }
 
+    /// Vertical place of a row of pixels, in units of half a tile.
+    #[must_use]
+    pub fn v(&self, y: u32) -> f64 {
+        (f64::from(y) + 0.5 - self.centre.1) / self.half
+    }
+
+    /// Horizontal places of `count` columns of pixels from `x` on, into `us`.
+    pub fn columns(&self, x: u32, count: u32, us: &mut Vec<f64>) {
+        us.clear();
+        us.extend((x..x + count).map(|x| (f64::from(x) + 0.5 - self.centre.0) / self.half));
+    }
+
     /// δ of a plane at the centre of pixel `(x, y)`.
     #[must_use]
     pub fn disparity(&self, plane: &Plane, x: u32, y: u32) -> f32 {
@@ -128,12 +141,16 @@ impl Blueprint {
     /// δ of the visible surface per pixel; where tiles overlap, of the one that comes last.
     #[must_use]
     pub fn surface(&self) -> Vec<f32> {
-        let mut surface = vec![0f32; self.grid.width as usize * self.grid.height as usize];
+        let width = self.grid.width as usize;
+        let mut surface = vec![0f32; width * self.grid.height as usize];
+        let (mut us, mut planes) = (Vec::new(), Vec::new());
         for (i, t) in self.tiles.iter().enumerate() {
             let (r, place) = (self.grid.rect(i as u32), Place::of(&self.grid, i as u32));
-            for (j, &l) in t.labels.iter().enumerate() {
-                let (x, y) = (r.x + j as u32 % r.w, r.y + j as u32 / r.w);
-                surface[y as usize * self.grid.width as usize + x as usize] = place.disparity(&t.planes[l as usize], x, y);
+            place.columns(r.x, r.w, &mut us);
+            let columns = Columns { us: &us, labels: &t.labels, planes: &t.planes };
+            for y in r.y..r.y + r.h {
+                let out = &mut surface[y as usize * width + r.x as usize..][..r.w as usize];
+                columns.visible((y - r.y) as usize, place.v(y), &mut planes, out);
             }
         }
         surface
@@ -151,18 +168,28 @@ impl Blueprint {
 
     fn peel_tile(&self, index: u32, surface: &[f32], s: &mut Scratch) -> Shapes {
         let (tile, r, place) = (&self.tiles[index as usize], self.grid.rect(index), Place::of(&self.grid, index));
-        s.visible.clear();
-        for (i, &l) in tile.labels.iter().enumerate() {
-            s.visible.push(place.disparity(&tile.planes[l as usize], r.x + i as u32 % r.w, r.y + i as u32 / r.w));
+        let w = r.w as usize;
+        s.visible.resize(r.area(), 0.0);
+        s.hidden.resize(r.area(), 0);
+        s.own.resize(r.area(), 0.0);
+        let mut us = std::mem::take(&mut s.us);
+        place.columns(r.x, r.w, &mut us);
+        let columns = Columns { us: &us, labels: &tile.labels, planes: &tile.planes };
+        for (y, out) in s.visible.chunks_mut(w).enumerate() {
+            columns.visible(y, place.v(r.y + y as u32), &mut s.planes, out);
         }
         let parallax = self.view_box.parallax(&self.intrinsics, r);
         let parallax = parallax.0.max(parallax.1);
         let mut out = Shapes::default();
         let labelled = tile.planes.iter().enumerate().map(|(j, q)| (Some(j as u8), *q));
         for (label, plane) in labelled.chain(tile.backstop.map(|q| (None, q))) {
+            for (y, own) in s.own.chunks_mut(w).enumerate() {
+                rows::disparities(&us, place.v(r.y + y as u32), &plane, own);
+            }
             out.never_seen += self.mark_hidden(r, place, tile, label, &plane, surface, s);
-            out.layers.extend(shape(r, place, tile, label, plane, parallax, &s.hidden, &s.visible));
+            out.layers.extend(shape(r, tile, label, plane, parallax, s));
         }
+        s.us = us;
         // a backstop is the farthest at most places, but the order is by the tile's centre for all alike
         out.layers.sort_by(|a, b| a.plane.a.total_cmp(&b.plane.a));
         out
@@ -172,46 +199,31 @@ impl Blueprint {
     /// the count of those that lie behind it but are never seen.
     #[allow(clippy::too_many_arguments, reason = "the parts of one tile")]
     fn mark_hidden(&self, r: Rect, place: Place, tile: &Tile, label: Option<u8>, plane: &Plane, surface: &[f32], s: &mut Scratch) -> usize {
-        s.hidden.clear();
-        s.hidden.resize(r.area(), false);
-        let (mut behind, mut step) = (0usize, 0f64);
-        for (i, h) in s.hidden.iter_mut().enumerate() {
-            let d = place.disparity(plane, r.x + i as u32 % r.w, r.y + i as u32 / r.w);
-            if Some(tile.labels[i]) != label && d < s.visible[i] && d >= 0.0 {
-                *h = true;
-                behind += 1;
-                step = step.max(f64::from(s.visible[i]) - f64::from(d));
-            }
-        }
+        let (behind, step) = rows::behind(&s.own, &s.visible, &tile.labels, label, &mut s.hidden);
         if behind == 0 || s.all {
             return 0;
         }
         let parallax = self.view_box.parallax(&self.intrinsics, r);
         let reach = |parallax: f64, step: f64| (step * parallax + MARGIN).min(MAX_REACH).ceil() as u32;
         let win = grown(r, reach(parallax.0, step), reach(parallax.1, step), &self.grid);
-        let (mut nearest, mut least) = (0f64, f64::INFINITY);
-        s.open.clear();
-        for y in win.y..win.y + win.h {
-            let row = y as usize * self.grid.width as usize;
-            for x in win.x..win.x + win.w {
-                let (d, q) = (f64::from(surface[row + x as usize]), f64::from(place.disparity(plane, x, y)));
-                s.open.push(d <= q + OPEN);
-                nearest = nearest.max(d);
-                least = least.min(q);
-            }
+        place.columns(win.x, win.w, &mut s.window);
+        let (mut nearest, mut least) = (0f32, f32::INFINITY);
+        s.open.resize(win.area(), 0);
+        for (y, open) in (win.y..).zip(s.open.chunks_mut(win.w as usize)) {
+            let surface = &surface[y as usize * self.grid.width as usize + win.x as usize..][..win.w as usize];
+            let (far, near) = rows::open(&s.window, place.v(y), plane, surface, OPEN, open);
+            (least, nearest) = (least.min(far), nearest.max(near));
         }
         // an occluder of the neighbourhood may be nearer still, and its edge uncovers more
-        let step = (nearest - least.max(0.0)).max(step);
-        dilate(s, win.w as usize, reach(parallax.0, step) as usize, reach(parallax.1, step) as usize);
-        let mut never_seen = 0;
-        for (i, h) in s.hidden.iter_mut().enumerate() {
-            let (x, y) = (r.x - win.x + i as u32 % r.w, r.y - win.y + i as u32 / r.w);
-            if *h && !s.reach[(y * win.w + x) as usize] {
-                *h = false;
-                never_seen += 1;
-            }
+        let step = (f64::from(nearest) - f64::from(least).max(0.0)).max(step);
+        let inner = Rect { x: r.x - win.x, y: r.y - win.y, ..r };
+        dilate(&s.open, win.w, inner, (reach(parallax.0, step), reach(parallax.1, step)), &mut s.reach);
+        let mut seen = 0;
+        for (h, reach) in s.hidden.iter_mut().zip(&s.reach.out) {
+            *h &= reach;
+            seen += usize::from(*h);
         }
-        never_seen
+        behind - seen
     }
 }
 
@@ -219,110 +231,69 @@ impl Blueprint {
 struct Scratch {
     /// Nothing is left out.
     all: bool,
+    /// Horizontal places of the tile's columns, and of the window's.
+    us: Vec<f64>,
+    window: Vec<f64>,
+    /// δ of each plane in the row at hand but for its share in `u`.
+    planes: Vec<[f64; 2]>,
+    /// δ of the visible surface and of the layer at hand.
     visible: Vec<f32>,
-    hidden: Vec<bool>,
-    open: Vec<bool>,
-    rows: Vec<bool>,
-    reach: Vec<bool>,
-}
-
-/// Box dilation of `open` by `rx`, `ry` pixels into `reach`.
-fn dilate(s: &mut Scratch, width: usize, rx: usize, ry: usize) {
-    s.rows.clear();
-    s.rows.resize(s.open.len(), false);
-    s.reach.clear();
-    s.reach.resize(s.open.len(), false);
-    for (line, to) in s.open.chunks(width).zip(s.rows.chunks_mut(width)) {
-        let mut done = 0;
-        for (x, _) in line.iter().enumerate().filter(|(_, o)| **o) {
-            let end = (x + rx + 1).min(width);
-            to[x.saturating_sub(rx).max(done).min(end)..end].fill(true);
-            done = end;
-        }
-    }
-    // columns: how far down the last set pixel reaches, then the same upwards
-    let height = s.open.len() / width;
-    let mut until = vec![0usize; width];
-    for y in 0..height {
-        for x in 0..width {
-            if s.rows[y * width + x] {
-                until[x] = y + ry + 1;
-            }
-            s.reach[y * width + x] = y < until[x];
-        }
-    }
-    until.fill(usize::MAX);
-    for y in (0..height).rev() {
-        for x in 0..width {
-            if s.rows[y * width + x] {
-                until[x] = y.saturating_sub(ry);
-            }
-            s.reach[y * width + x] |= until[x] != usize::MAX && y >= until[x];
-        }
-    }
+    own: Vec<f32>,
+    /// Masks of 0 and 1: hidden texels of the tile, open pixels of the window, opaque texels.
+    hidden: Vec<u8>,
+    open: Vec<u8>,
+    opaque: Vec<u8>,
+    /// What the open pixels reach within the tile.
+    reach: Dilation,
 }
 
 /// Joins visible, hidden and soft texels into a layer cut to its bounds; none where nothing is left.
-#[allow(clippy::too_many_arguments, reason = "the parts of one tile")]
-fn shape(
-    r: Rect,
-    place: Place,
-    tile: &Tile,
-    label: Option<u8>,
-    plane: Plane,
-    parallax: f64,
-    hidden: &[bool],
-    visible: &[f32],
-) -> Option<Shape> {
+fn shape(r: Rect, tile: &Tile, label: Option<u8>, plane: Plane, parallax: f64, s: &mut Scratch) -> Option<Shape> {
     let (w, h) = (r.w as usize, r.h as usize);
-    let mut class: Vec<u8> = (0..w * h)
-        .map(|i| {
-            if Some(tile.labels[i]) == label {
-                Class::Photo as u8
-            } else if hidden[i] {
-                Class::Hidden as u8
-            } else {
-                Class::Empty as u8
-            }
-        })
-        .collect();
-    if class.iter().all(|&c| c == Class::Empty as u8) {
-        return None;
-    }
+    let texel = |(&l, &hidden): (&u8, &u8)| if Some(l) == label { Class::Photo as u8 } else { hidden * Class::Hidden as u8 };
+    let mut class: Vec<u8> = tile.labels.iter().zip(&s.hidden).map(texel).collect();
     let mut alpha: Vec<u8> = class.iter().map(|&c| if c == Class::Empty as u8 { 0 } else { 255 }).collect();
     if label.is_some() {
-        let pixels_in_front = |i: usize| {
-            let own = place.disparity(&plane, r.x + (i % w) as u32, r.y + (i / w) as u32);
-            (f64::from(own) - f64::from(visible[i])) * parallax
-        };
-        soften(&mut class, &mut alpha, w, h, pixels_in_front);
+        soften(&mut class, &mut alpha, w, h, parallax, s);
     }
-    let b = bounds(&class, w, h);
-    let cut = |v: &[u8]| -> Vec<u8> {
-        (b.y..b.y + b.h).flat_map(|y| v[y as usize * w + b.x as usize..][..b.w as usize].iter().copied()).collect()
+    let b = bounds(&class, w, h)?;
+    let cut = |v: Vec<u8>| -> Vec<u8> {
+        if b.w == r.w && b.h == r.h {
+            return v;
+        }
+        v.chunks(w).skip(b.y as usize).take(b.h as usize).flat_map(|row| &row[b.x as usize..][..b.w as usize]).copied().collect()
     };
-    Some(Shape { plane, label, rect: Rect { x: r.x + b.x, y: r.y + b.y, w: b.w, h: b.h }, class: cut(&class), alpha: cut(&alpha) })
+    Some(Shape { plane, label, rect: Rect { x: r.x + b.x, y: r.y + b.y, w: b.w, h: b.h }, class: cut(class), alpha: cut(alpha) })
 }
 
 /// One ring of soft texels outside: alpha is the 3×3 box of the opaque mask, colour the photo's, so that the identity view
 /// stays exact. Only where the layer lies in front: elsewhere the photo's colour belongs to something else. Where it lies
 /// hardly in front the surface goes on, bent by a crease: there the ring is opaque, or a hairline would open along the crease.
-fn soften(class: &mut [u8], alpha: &mut [u8], w: usize, h: usize, pixels_in_front: impl Fn(usize) -> f64) {
-    let opaque: Vec<bool> = alpha.iter().map(|&a| a == 255).collect();
+fn soften(class: &mut [u8], alpha: &mut [u8], w: usize, h: usize, parallax: f64, s: &mut Scratch) {
+    s.opaque.clear();
+    s.opaque.extend(alpha.iter().map(|&a| u8::from(a == 255)));
+    let Scratch { opaque, own, visible, .. } = s;
+    let mut columns = vec![0u8; w];
     for y in 0..h {
+        let lines = y.saturating_sub(1)..(y + 2).min(h);
+        columns.fill(0);
+        for line in lines.clone() {
+            for (c, o) in columns.iter_mut().zip(&opaque[line * w..]) {
+                *c += o;
+            }
+        }
+        // rows without an opaque texel near have no ring
+        if columns.iter().all(|&c| c == 0) {
+            continue;
+        }
         for x in 0..w {
-            let at = y * w + x;
-            if opaque[at] {
+            let (at, near) = (y * w + x, x.saturating_sub(1)..(x + 2).min(w));
+            let all = (lines.len() * near.len()) as u32;
+            let set: u32 = columns[near].iter().map(|&c| u32::from(c)).sum();
+            if set == 0 || opaque[at] != 0 {
                 continue;
             }
-            let (mut set, mut all) = (0u32, 0u32);
-            for ny in y.saturating_sub(1)..(y + 2).min(h) {
-                for nx in x.saturating_sub(1)..(x + 2).min(w) {
-                    all += 1;
-                    set += u32::from(opaque[ny * w + nx]);
-                }
-            }
-            let front = if set > 0 { pixels_in_front(at) } else { 0.0 };
+            let front = (f64::from(own[at]) - f64::from(visible[at])) * parallax;
             if front > 0.0 {
                 class[at] = Class::Photo as u8;
                 alpha[at] = if front <= SEAM { 255 } else { ((255 * set + all / 2) / all) as u8 };
@@ -331,40 +302,25 @@ fn soften(class: &mut [u8], alpha: &mut [u8], w: usize, h: usize, pixels_in_fron
     }
 }
 
-/// Bounds of what is not empty, with one empty pixel around where the tile has it, so that bilinear samples fade out.
-fn bounds(class: &[u8], w: usize, h: usize) -> Rect {
-    let (mut x0, mut y0, mut x1, mut y1) = (w, h, 0, 0);
-    for y in 0..h {
-        for x in 0..w {
-            if class[y * w + x] != Class::Empty as u8 {
-                x0 = x0.min(x);
-                x1 = x1.max(x + 1);
-                y0 = y0.min(y);
-                y1 = y1.max(y + 1);
-            }
-        }
+/// Bounds of what is not empty, with one empty pixel around where the tile has it, so that bilinear samples fade out; none where
+/// all is empty.
+fn bounds(class: &[u8], w: usize, h: usize) -> Option<Rect> {
+    let full = |c: &u8| *c != Class::Empty as u8;
+    let y0 = class.iter().position(full)? / w;
+    let y1 = class.iter().rposition(full)? / w + 1;
+    let (mut x0, mut x1) = (w, 0);
+    for row in class[y0 * w..y1 * w].chunks(w) {
+        // only what lies outside of the bounds so far can widen them
+        x0 = row[..x0].iter().position(full).unwrap_or(x0);
+        x1 = row[x1..].iter().rposition(full).map_or(x1, |x| x1 + x + 1);
     }
     let (x0, y0, x1, y1) = (x0.saturating_sub(1), y0.saturating_sub(1), (x1 + 1).min(w), (y1 + 1).min(h));
-    Rect { x: x0 as u32, y: y0 as u32, w: (x1 - x0) as u32, h: (y1 - y0) as u32 }
+    Some(Rect { x: x0 as u32, y: y0 as u32, w: (x1 - x0) as u32, h: (y1 - y0) as u32 })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use proptest::prelude::*;
-
-    proptest! {
-        #[test]
-        fn dilation_is_a_box(mask in prop::collection::vec(prop::bool::weighted(0.05), 15 * 11), rx in 0usize..20, ry in 0usize..20) {
-            let mut s = Scratch { open: mask.clone(), ..Scratch::default() };
-            dilate(&mut s, 15, rx, ry);
-            for y in 0..11usize { for x in 0..15usize {
-                let want = (0..11usize).any(|b| (0..15usize).any(|a| mask[b * 15 + a] && a.abs_diff(x) <= rx && b.abs_diff(y) <= ry));
-                prop_assert_eq!(s.reach[y * 15 + x], want);
-            }}
-        }
-    }
-
     #[test]
     fn background_is_hidden_only_near_the_edge_that_uncovers_it() {
         // a near square in the middle of a far wall

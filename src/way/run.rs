@@ -106,7 +106,10 @@ pub fn make(
     layers::add_backstops(&mut blueprint, &delta);
     let shapes = blueprint.peel();
     trip.count(&blueprint, &shapes, &placement);
-    let mut coloured = layers::colour(&photo, &blueprint, shapes);
+    // the file for the container takes one core; beside the layers, which take all there are, it costs no time of its own
+    let file = || carry(carried, format, &photo, options.quality);
+    let (mut coloured, carried) = rayon::join(|| layers::colour(&photo, &blueprint, shapes), file);
+    let carried = carried?;
 
     trip.enter("refine")?;
     trip.report.left_out.tiles_not_refined = coloured.len();
@@ -120,7 +123,6 @@ pub fn make(
 
     trip.enter("encode")?;
     let scene = layers::compose(photo, &blueprint, coloured);
-    let carried = carry(carried, format, &scene.photo, options.quality)?;
     let (container, bytes) = atlas::encode(&blueprint, &scene, &carried, carries)?;
     trip.report.bytes = bytes;
 
@@ -238,10 +240,8 @@ impl Options {
             PlaneMethod::Slanted => Method::Slanted,
         };
         match self.planes {
-            PlaneCount::Fixed(n) => Placement { method, most: n, target: None },
-            PlaneCount::Auto => {
-                Placement { method, most: MAX_AUTO_PLANES, target: Some(self.max_error / parallax.0.max(parallax.1).max(1.0)) }
-            }
+            PlaneCount::Fixed(n) => Placement::fixed(method, n),
+            PlaneCount::Auto => Placement::fewest(method, MAX_AUTO_PLANES, self.max_error / parallax.0.max(parallax.1).max(1.0)),
         }
     }
 
@@ -290,9 +290,13 @@ fn carry(uploaded: Option<Vec<u8>>, format: Format, photo: &Photo, quality: u8) 
 fn verify(scene: &Arc<Scene>, carried: &Carried, error: &mut ErrorFigures) -> Result<(), MakeError> {
     let photo = &scene.photo;
     let camera = Camera { pose: Pose::default(), intrinsics: scene.intrinsics, width: photo.width, height: photo.height };
-    let view = render::select(Backend::Cpu)?.render(scene, &camera)?;
-    let rgb: Vec<[u8; 3]> = view.rgba.iter().map(|p| [p[0], p[1], p[2]]).collect();
-    error.identity_psnr = quality::psnr(rgb.as_flattened(), photo.rgb.as_flattened());
-    error.codec_psnr = quality::psnr(carried.decode()?.rgb.as_flattened(), photo.rgb.as_flattened());
+    let identity = || {
+        let view = render::select(Backend::Cpu)?.render(scene, &camera)?;
+        let rgb: Vec<[u8; 3]> = view.rgba.iter().map(|p| [p[0], p[1], p[2]]).collect();
+        Ok::<_, MakeError>(quality::psnr(rgb.as_flattened(), photo.rgb.as_flattened()))
+    };
+    let codec = || Ok::<_, MakeError>(quality::psnr(carried.decode()?.rgb.as_flattened(), photo.rgb.as_flattened()));
+    let (identity, codec) = rayon::join(identity, codec);
+    (error.identity_psnr, error.codec_psnr) = (identity?, codec?);
     Ok(())
 }

@@ -1,5 +1,7 @@
 //! The two inner loops of k-planes, written so that they vectorise, with run-time dispatch to AVX2.
 
+use crate::simd::dispatch;
+
 /// Lanes of the accumulators.
 const LANES: usize = 8;
 
@@ -22,38 +24,17 @@ pub struct Columns<'a> {
     pub w: &'a [f32],
 }
 
-macro_rules! dispatch {
-    ($(#[$doc:meta])* $name:ident, $body:ident, $avx2:ident, ($($arg:ident: $ty:ty),*) $(-> $ret:ty)?) => {
-        $(#[$doc])*
-        #[allow(unsafe_code, reason = "the call is guarded by the test for the features that it needs")]
-        pub fn $name($($arg: $ty),*) $(-> $ret)? {
-            #[cfg(target_arch = "x86_64")]
-            if std::arch::is_x86_feature_detected!("avx2") && std::arch::is_x86_feature_detected!("fma") {
-                // SAFETY: both features were just found.
-                return unsafe { $avx2($($arg),*) };
-            }
-            $body($($arg),*)
-        }
-
-        #[cfg(target_arch = "x86_64")]
-        #[target_feature(enable = "avx2,fma")]
-        fn $avx2($($arg: $ty),*) $(-> $ret)? {
-            $body($($arg),*)
-        }
-    };
-}
-
 dispatch!(
     /// Labels every sample with its nearest plane `(a, b, c)`, the first of equals, and leaves its absolute error in `error`;
     /// `error` and `label` are as long as the columns. Samples whose label changed are added to `moved` with their old label.
     /// Gives the weighted sum of squared errors.
-    nearest, nearest_body, nearest_avx2,
+    pub nearest, nearest_body, nearest_avx2,
     (planes: &[[f32; 3]], s: Columns, error: &mut [f32], label: &mut [u32], moved: &mut Vec<(u32, u32)>) -> f64
 );
 
 dispatch!(
     /// Sums of the samples of label `j`.
-    sums, sums_body, sums_avx2, (s: Columns, label: &[u32], j: u32) -> Sums
+    pub sums, sums_body, sums_avx2, (s: Columns, label: &[u32], j: u32) -> Sums
 );
 
 #[inline(always)]

@@ -69,18 +69,18 @@ impl Samples {
         }
     }
 
-    /// Every second pixel of every second row, for searches; itself where the tile is small.
+    /// Every `step`th pixel of every `step`th row, for searches; itself where fewer than a quarter of a 64-pixel tile's pixels are there.
     #[must_use]
-    pub fn thinned(&self) -> Self {
+    pub fn thinned(&self, step: usize) -> Self {
         let mut s = Self::default();
         if self.len() <= 1024 || self.width == 0 {
             s.clone_from(self);
             return s;
         }
-        s.clear(self.width.div_ceil(2));
-        for (i, row) in (0..self.len()).step_by(self.width * 2).enumerate() {
+        s.clear(self.width.div_ceil(step));
+        for (i, row) in (0..self.len()).step_by(self.width * step).enumerate() {
             // alternate the phase, so that neither stripes of one pixel in rows nor in columns are missed as a whole
-            for at in (row + i % 2..(row + self.width).min(self.len())).step_by(2) {
+            for at in (row + i * (step / 2) % step + (i / 2) % (step / 2).max(1)..(row + self.width).min(self.len())).step_by(step) {
                 s.push(self.u[at], self.v[at], self.delta[at], self.weight[at]);
             }
         }

@@ -17,7 +17,7 @@ fn samples(width: usize, deltas: &[f32], weights: Option<&[f32]>) -> Samples {
 const METHODS: [Method; 4] = [Method::Linear, Method::Lloyd, Method::Optimal, Method::Slanted];
 
 fn place_n(s: &Samples, method: Method, n: u32) -> Tile {
-    place_tile(s, &Placement { method, most: n, target: None })
+    place_tile(s, &Placement::fixed(method, n))
 }
 
 fn cost(s: &Samples, p: &[Plane]) -> f64 {
@@ -37,9 +37,9 @@ fn a_flat_tile_gets_one_plane() {
 fn a_ramp_needs_one_slanted_plane() {
     let ramp: Vec<f32> = (0..4096).map(|i| 0.5 + 0.2 * (2.0 * ((i % 64) as f32 + 0.5) / 64.0 - 1.0)).collect();
     let s = samples(64, &ramp, None);
-    let target = Some(0.002);
-    assert_eq!(place_tile(&s, &Placement { method: Method::Slanted, most: 6, target }).planes.len(), 1);
-    assert!(place_tile(&s, &Placement { method: Method::Optimal, most: 6, target }).planes.len() > 4);
+    let target = 0.002;
+    assert_eq!(place_tile(&s, &Placement::fewest(Method::Slanted, 6, target)).planes.len(), 1);
+    assert!(place_tile(&s, &Placement::fewest(Method::Optimal, 6, target)).planes.len() > 4);
 }
 
 #[test]
@@ -57,7 +57,7 @@ fn two_walls_and_an_object_need_three_slanted_planes() {
         })
         .collect();
     let s = samples(64, &scene, None);
-    let t = place_tile(&s, &Placement { method: Method::Slanted, most: 6, target: Some(0.004) });
+    let t = place_tile(&s, &Placement::fewest(Method::Slanted, 6, 0.004));
     assert_eq!(t.planes.len(), 3);
     assert!(s.error_p99(&t.planes) < 0.004);
 }

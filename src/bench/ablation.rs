@@ -1,0 +1,320 @@
+//! Each step of planes, layers and drawing switched off by itself, with what that loses.
+
+use std::sync::Arc;
+
+use super::measure::{self, Bench};
+use super::mesh;
+use super::subject::Subject;
+use super::{Axis, BenchError, Curve, Experiment, Point};
+use crate::generate::layers::{self, Coloured};
+use crate::generate::planes::{MAX_AUTO_PLANES, Method, NEIGHBOUR, Placement, place};
+use crate::generate::snap;
+use crate::photo::{self, Limits};
+use crate::render::{Cpu, Reference, Renderer};
+use crate::tmpi::{Blueprint, Class, DisparityMap, Grid, Intrinsics, Photo, Rect, Scene, Shapes};
+use crate::way::{MakeError, Options};
+
+/// What is done otherwise than by default.
+#[derive(Clone, Copy, PartialEq, Default)]
+enum Without {
+    #[default]
+    Nothing,
+    /// The map as it is given.
+    Median,
+    /// Fronto-parallel planes under the same bound of error.
+    Slant,
+    /// Every pixel on its nearest plane.
+    Calm,
+    /// No plane for background that only the neighbourhood shows.
+    Backstops,
+    /// Nothing behind what is visible.
+    Hidden,
+    /// Hidden texels also where the layer lies in front of what is visible.
+    Trim,
+    /// Every texel behind something, seen from the view box or not.
+    Prune,
+    /// Hidden texels take the photo's colour at their own place.
+    Fill,
+    /// No soft rim.
+    Soft,
+    /// Every pixel of the view sorted by itself, in `f64`.
+    Passes,
+    /// The photo as a mesh, torn where it would be stretched.
+    Planes,
+}
+
+const ALL: [(&str, Without); 12] = [
+    ("all steps", Without::Nothing),
+    ("without the colour-weighted median", Without::Median),
+    ("without slant (optimal, same error)", Without::Slant),
+    ("without calm labels", Without::Calm),
+    ("without backstops", Without::Backstops),
+    ("without hidden texels", Without::Hidden),
+    ("hidden texels in front of the surface too", Without::Trim),
+    ("unseen texels kept", Without::Prune),
+    ("without fill: the photo's own colour behind", Without::Fill),
+    ("without soft rims", Without::Soft),
+    ("drawn by a full sort of every pixel", Without::Passes),
+    ("mesh of photo and disparity", Without::Planes),
+];
+
+/// A subject ready for planes.
+struct Prepared<'a> {
+    subject: &'a Subject,
+    photo: Photo,
+    intrinsics: Intrinsics,
+    given: DisparityMap,
+    snapped: DisparityMap,
+}
+
+impl<'a> Prepared<'a> {
+    fn new(subject: &'a Subject) -> Result<Option<Self>, BenchError> {
+        let Some(map) = &subject.disparity else { return Ok(None) };
+        let fail = |e| BenchError::Make { subject: subject.name.clone(), source: MakeError::Photo(e) };
+        let decoded = photo::decode(&subject.file, &Limits::default(), None).map_err(fail)?;
+        let (photo, mut intrinsics) = (decoded.photo, decoded.intrinsics);
+        if let Some(fov) = subject.fov_x {
+            intrinsics = Intrinsics::from_fov_x(photo.width, photo.height, fov);
+        }
+        let given = DisparityMap::clone(map);
+        let snapped = snap::median(&photo, &given);
+        Ok(Some(Self { subject, photo, intrinsics, given, snapped }))
+    }
+
+    /// Planes, labels and backstops.
+    fn blueprint(&self, without: Without, neighbour: f32) -> Blueprint {
+        let options = Options::default();
+        let (w, h) = (self.photo.width, self.photo.height);
+        let grid = Grid::new(w, h, 64);
+        let parallax = self.subject.view_box.parallax(&self.intrinsics, Rect { x: 0, y: 0, w, h });
+        let target = options.max_error / parallax.0.max(parallax.1).max(1.0);
+        let placement = match without {
+            Without::Slant => Placement::fewest(Method::Optimal, 64, target),
+            Without::Calm => Placement { neighbour: 0.0, ..Placement::fewest(Method::Slanted, MAX_AUTO_PLANES, target) },
+            _ => Placement { neighbour, ..Placement::fewest(Method::Slanted, MAX_AUTO_PLANES, target) },
+        };
+        let map = if without == Without::Median { &self.given } else { &self.snapped };
+        let tiles = place(map, None, &grid, &placement);
+        let mut blueprint = Blueprint { grid, intrinsics: self.intrinsics, view_box: self.subject.view_box, tiles };
+        if without != Without::Backstops {
+            layers::add_backstops(&mut blueprint, map);
+        }
+        blueprint
+    }
+
+    fn scene(&self, blueprint: &Blueprint, without: Without) -> Scene {
+        let mut shapes = if without == Without::Prune { blueprint.peel_all() } else { blueprint.peel() };
+        for (class, alpha) in texels(&mut shapes) {
+            let (hidden, soft) = (*class == Class::Hidden as u8, *class == Class::Photo as u8 && *alpha < 255);
+            if (without == Without::Hidden && hidden) || (without == Without::Soft && soft) {
+                (*class, *alpha) = (Class::Empty as u8, 0);
+            } else if without == Without::Trim && *class == Class::Empty as u8 {
+                (*class, *alpha) = (Class::Hidden as u8, 255);
+            }
+        }
+        let mut coloured = layers::colour(&self.photo, blueprint, shapes);
+        if without == Without::Fill {
+            coloured.iter_mut().flatten().for_each(|l| self.own_colours(l));
+        }
+        layers::compose(self.photo.clone(), blueprint, coloured)
+    }
+
+    fn own_colours(&self, l: &mut Coloured) {
+        let r = l.shape.rect;
+        let hidden = l.shape.class.iter().enumerate().filter(|(_, c)| **c == Class::Hidden as u8);
+        for ((i, _), colour) in hidden.zip(&mut l.hidden) {
+            *colour = self.photo.at(r.x + i as u32 % r.w, r.y + i as u32 / r.w);
+        }
+    }
+
+    /// Figures of one setting.
+    fn figures(&self, without: Without, neighbour: f32) -> Result<Vec<(&'static str, f64)>, BenchError> {
+        if without == Without::Planes {
+            let views = self.subject.views.iter().map(|(camera, want)| {
+                let warp = mesh::warp(&self.photo, &self.given, &self.intrinsics, camera);
+                let uncovered = warp.covered.iter().filter(|c| !**c).count() as f64 / warp.covered.len() as f64;
+                (measure::compared(&warp.rgb, want), uncovered)
+            });
+            return Ok(means(&views.collect::<Vec<_>>()));
+        }
+        let blueprint = self.blueprint(without, neighbour);
+        let scene = Arc::new(self.scene(&blueprint, without));
+        let renderer: &dyn Renderer = if without == Without::Passes { &Reference } else { &Cpu::default() };
+        let mut views = Vec::new();
+        for (camera, want) in &self.subject.views {
+            let view = renderer.render(&scene, camera)?;
+            let rgb: Vec<[u8; 3]> = view.rgba.iter().map(|p| [p[0], p[1], p[2]]).collect();
+            let uncovered = view.rgba.iter().filter(|p| p[3] < 128).count() as f64 / view.rgba.len() as f64;
+            views.push((measure::compared(&rgb, want), uncovered));
+        }
+        let mut all = means(&views);
+        let pixels = f64::from(self.photo.width) * f64::from(self.photo.height);
+        all.push(("planes a tile", scene.layers.len() as f64 / f64::from(scene.grid.tiles())));
+        all.push(("texels for each pixel", scene.texels.class.iter().filter(|c| **c != 0).count() as f64 / pixels));
+        all.push(("changes of label, % of pixels", 100.0 * changes(&blueprint)));
+        Ok(all)
+    }
+}
+
+/// PSNR, SSIM and L1 of a view, and the share of it that is not covered.
+type View = ([f64; 3], f64);
+
+/// Means over the views.
+fn means(views: &[View]) -> Vec<(&'static str, f64)> {
+    let mean = |f: &dyn Fn(&View) -> f64| views.iter().map(f).sum::<f64>() / views.len().max(1) as f64;
+    vec![
+        ("view, dB", mean(&|v| v.0[0])),
+        ("view SSIM", mean(&|v| v.0[1])),
+        ("view L1", mean(&|v| v.0[2])),
+        ("uncovered, % of pixels", 100.0 * mean(&|v| v.1)),
+    ]
+}
+
+/// Class and alpha of every texel.
+fn texels(shapes: &mut [Shapes]) -> impl Iterator<Item = (&mut u8, &mut u8)> {
+    shapes.iter_mut().flat_map(|s| &mut s.layers).flat_map(|l| l.class.iter_mut().zip(&mut l.alpha))
+}
+
+/// Share of pixels, of all tiles, whose right neighbour lies on another plane: what labels cost on the wire follows it.
+fn changes(b: &Blueprint) -> f64 {
+    let rows = (0..b.grid.tiles()).zip(&b.tiles).flat_map(|(i, t)| t.labels.chunks(b.grid.rect(i).w as usize));
+    let (mut changed, mut all) = (0usize, 0usize);
+    for row in rows {
+        changed += row.windows(2).filter(|p| p[0] != p[1]).count();
+        all += row.len();
+    }
+    changed as f64 / all.max(1) as f64
+}
+
+/// Mean over the subjects of the figures of a setting.
+fn point(all: &[Prepared], setting: String, without: Without, neighbour: f32, axes: (&str, &str)) -> Result<Point, BenchError> {
+    let mut figures: Vec<(&'static str, f64)> = Vec::new();
+    for p in all {
+        for (name, value) in p.figures(without, neighbour)? {
+            let value = value / all.len() as f64;
+            match figures.iter_mut().find(|f| f.0 == name) {
+                Some(f) => f.1 += value,
+                None => figures.push((name, value)),
+            }
+        }
+    }
+    let of = |name: &str| figures.iter().find(|f| f.0 == name).map_or(0.0, |f| f.1);
+    Ok(Point { setting, x: of(axes.0), y: of(axes.1), figures, ..Point::default() })
+}
+
+const VIEW: Axis = Axis { label: "view, dB", log: false, up: Some(true) };
+
+fn prepared(subjects: &[Subject]) -> Result<Vec<Prepared<'_>>, BenchError> {
+    subjects.iter().filter_map(|s| Prepared::new(s).transpose()).collect()
+}
+
+/// Steps off one at a time.
+pub(super) fn steps(subjects: &[Subject], progress: &dyn Fn(&str)) -> Result<Experiment, BenchError> {
+    progress("Without each step");
+    let all = prepared(subjects)?;
+    let texels = Axis { label: "texels for each pixel", log: false, up: Some(false) };
+    let mut points = Vec::new();
+    for (name, without) in ALL {
+        points.push(point(&all, name.into(), without, NEIGHBOUR, (texels.label, VIEW.label))?);
+    }
+    let whole = points[0].y;
+    for p in &mut points {
+        p.figures.insert(0, ("loss, dB", whole - p.y));
+        p.default = p.setting == ALL[0].0;
+    }
+    Ok(Experiment {
+        id: "without",
+        title: "Without each step".into(),
+        about: "Exact disparity and the photo's own pixels, no coding; one step of planes, layers and drawing switched off at a time. The mesh is compared over its torn places too, which it leaves black.".into(),
+        x: texels,
+        y: VIEW,
+        curves: vec![Curve { name: "steps".into(), points }],
+    })
+}
+
+/// The weight of calm labels.
+pub(super) fn labels(subjects: &[Subject], quick: bool, progress: &dyn Fn(&str)) -> Result<Experiment, BenchError> {
+    progress("Calm labels");
+    let all = prepared(subjects)?;
+    let changes = Axis { label: "changes of label, % of pixels", log: true, up: Some(false) };
+    let weights: &[f32] = if quick { &[0.0, 0.12, 0.3, 1.5] } else { &[0.0, 0.05, 0.12, 0.2, 0.3, 0.6, 1.5] };
+    let mut points = Vec::new();
+    for &w in weights {
+        let mut p = point(&all, format!("a neighbour's plane weighs {w}"), Without::Nothing, w, (changes.label, VIEW.label))?;
+        p.default = (w - NEIGHBOUR).abs() < 1e-6;
+        points.push(p);
+    }
+    Ok(Experiment {
+        id: "labels",
+        title: "Calm labels".into(),
+        about: "How much a neighbour on another plane weighs against the error of a pixel, in squares of the error allowed. Changes of label are what the label section of a container pays for.".into(),
+        x: changes,
+        y: VIEW,
+        curves: vec![Curve { name: "weight".into(), points }],
+    })
+}
+
+/// Kinds of motion apart, and errors near the borders of tiles against errors elsewhere.
+pub(super) fn moves(bench: &Bench, subjects: &[Subject], progress: &dyn Fn(&str)) -> Result<Experiment, BenchError> {
+    /// Pixels on each side of a border of a tile that count as near it.
+    const NEAR: u32 = 8;
+    const NAMES: [&str; 4] = ["sideways", "up and down", "forward", "all, turned"];
+    progress("Kinds of motion, and seams");
+    let mut sums = [[0f64; 6]; 4];
+    let mut count = 0usize;
+    for s in subjects {
+        let Some(p) = Prepared::new(s)? else { continue };
+        let Some(made) = bench.runs(s, &measure::Depth::Known, &Options::default())?.pop() else { continue };
+        let scene = Arc::new(crate::atlas::decode(&made.container)?);
+        // the same scene painted white near borders tells where they have gone in a view
+        let (w, h) = (p.photo.width, p.photo.height);
+        let near = |at: u32, all: u32| at.min(all - 1 - at) >= NEAR && (at % 56 < 16 || at % 56 >= 56 - NEAR);
+        let white = |i: u32| if near(i % w, w) || near(i / w, h) { [255; 3] } else { [0; 3] };
+        let mut painted = Scene::clone(&scene);
+        painted.photo.rgb = (0..w * h).map(white).collect();
+        painted.texels.hidden.fill([0; 3]);
+        let painted = Arc::new(painted);
+        let cpu = Cpu::default();
+        count += 1;
+        for (sum, (camera, want)) in sums.iter_mut().zip(&s.views) {
+            let (view, mask) = (cpu.render(&scene, camera)?, cpu.render(&painted, camera)?);
+            let rgb: Vec<[u8; 3]> = view.rgba.iter().map(|p| [p[0], p[1], p[2]]).collect();
+            let [psnr, ssim, l1] = measure::compared(&rgb, want);
+            let mut error = [(0f64, 0usize); 2];
+            for ((got, want), mask) in rgb.iter().zip(&want.rgb).zip(&mask.rgba) {
+                let e = &mut error[usize::from(mask[0] < 128)];
+                e.0 += got.iter().zip(want).map(|(a, b)| f64::from(a.abs_diff(*b))).sum::<f64>() / 3.0;
+                e.1 += 1;
+            }
+            let [near, elsewhere] = error.map(|(sum, n)| sum / n.max(1) as f64);
+            for (s, v) in sum.iter_mut().zip([psnr, ssim, l1, near, elsewhere, 100.0 * error[0].1 as f64 / rgb.len() as f64]) {
+                *s += v;
+            }
+        }
+    }
+    let (x, y) = (
+        Axis { label: "error elsewhere, levels", log: false, up: Some(false) },
+        Axis { label: "error near tile borders, levels", log: false, up: Some(false) },
+    );
+    let points = NAMES.iter().zip(sums).map(|(name, s)| {
+        let [psnr, ssim, l1, near, elsewhere, share] = s.map(|v| v / count.max(1) as f64);
+        let figures = vec![
+            ("view, dB", psnr),
+            ("view SSIM", ssim),
+            ("view L1", l1),
+            ("near ÷ elsewhere", near / elsewhere),
+            ("near, % of pixels", share),
+        ];
+        Point { setting: (*name).into(), x: elsewhere, y: near, figures, default: true, pareto: false }
+    });
+    Ok(Experiment {
+        id: "moves",
+        title: "Kinds of motion, and seams".into(),
+        about: format!(
+            "Exact views by kind of motion; mean error of pixels within {NEAR} of a border of a tile, and of all others. On the diagonal both are equal."
+        ),
+        x,
+        y,
+        curves: vec![Curve { name: "motion".into(), points: points.collect() }],
+    })
+}
