@@ -1,12 +1,12 @@
 // Container → scene (schema and layout in proto/tmpi.proto). Pure: no page, no network; pictures are decoded by the caller.
-import { fillHidden } from './fill.js';
+import { buffersOf, Class, cutIntoBands, joined, unfold } from './bands.js';
 import { tileCounts, tileRect } from './grid.js';
 import { decodeLabels } from './labels.js';
-import { peel } from './peel.js';
+import { checkWork } from './peel.js';
 import { broken, ContainerError, readMessage } from './protobuf.js';
 import { decompress } from './vendor/fzstd.js';
 
-export { ContainerError };
+export { Class, ContainerError };
 
 /** Major version that this reader knows. */
 export const MAJOR = 1;
@@ -24,6 +24,7 @@ const ZSTD_LEAST_BLOCK = 4;
 const ZSTD_MOST_CONTENT = 131_072;
 /** Bytes of a plane, and the flag in a tile's count where a backstop follows. */
 const PLANE_BYTES = 6;
+const MAX_TILE_PLANES = 65;
 const BACKSTOP = 0x80;
 
 export const Kind = { PHOTO: 1, PLANES: 2, LABELS: 3, ALPHA: 4, HIDDEN: 5 };
@@ -31,9 +32,6 @@ const KIND_NAMES = { 1: 'photo', 2: 'planes', 3: 'labels', 4: 'alpha', 5: 'hidde
 const Codec = { RAW: 0, ZSTD: 1, RANGE: 5 };
 /** Media types of the picture codecs. */
 const PICTURES = { 2: 'image/jpeg', 3: 'image/png', 4: 'image/webp' };
-
-/** What a texel is, as in the server's `Class`. */
-export const Class = { EMPTY: 0, PHOTO: 1, HIDDEN: 2 };
 
 const SECTION = {
   1: ['kind', 'u32'],
@@ -89,7 +87,7 @@ function checkIndex(index) {
   if (!width || !height || width > MAX_SIDE || height > MAX_SIDE || width * height > MAX_PIXELS) {
     broken(`photo of ${width} × ${height} pixels`);
   }
-  if (!tileSize || tileSize > MAX_SIDE || !tileStride || tileStride > tileSize) broken(`tiles of ${tileSize} pixels every ${tileStride}`);
+  if (!tileSize || tileSize > MAX_SIDE || tileStride * 2 < tileSize || tileStride > tileSize) broken(`tiles of ${tileSize} pixels every ${tileStride}`);
   for (const name of ['fx', 'fy', 'cx', 'cy', 'viewX', 'viewY', 'viewZ']) {
     if (!Number.isFinite(index[name])) broken(`${name} is not a number`);
   }
@@ -200,29 +198,28 @@ export function sceneHead(index) {
  * @param {(picture: {bytes: Uint8Array, type: string}) => Promise<{width: number, height: number, data: Uint8ClampedArray}>} decodePicture
  *   straight RGBA of a picture file
  * @param {object} [photo] the photo where the caller has decoded it already
+ * @param {(band: object) => object | Promise<object>} [unfolded] `unfold`, perhaps on other threads
+ * @param {number} [bands] how many bands of tiles are unfolded at the same time
  * @returns {Promise<Scene>}
  */
-export async function decode(bytes, decodePicture, photo) {
+export async function decode(bytes, decodePicture, photo, unfolded = null, bands = 1) {
   const head = readIndex(bytes);
   if (!head) broken('cut off');
   const { index } = head;
   const scene = sceneHead(index);
   const tiles = readTiles(bytes, head);
-  const shapes = peel(scene, tiles);
-  Object.assign(scene, readLayers(scene, shapes));
-  refineAlpha(bytes, head, scene.alpha);
-  const hidden = scene.classes.reduce((n, kind) => n + (kind === Class.HIDDEN), 0);
-  describeLayers(scene);
   scene.photo = photo ?? (await decodedPicture(bytes, head, Kind.PHOTO, decodePicture));
   if (scene.photo.width !== index.width || scene.photo.height !== index.height) {
     broken(`the photo is ${scene.photo.width} × ${scene.photo.height} pixels, not ${index.width} × ${index.height}`);
   }
-  if (sectionOf(index, Kind.HIDDEN)) {
+  const carried = sectionOf(index, Kind.HIDDEN);
+  const parts = cutIntoBands(scene, tiles, bands, !carried);
+  Object.assign(scene, joined(await Promise.all(parts.map(unfolded ?? unfold))));
+  refineAlpha(bytes, head, scene);
+  if (carried) {
+    const hidden = scene.classes.reduce((n, kind) => n + (kind === Class.HIDDEN), 0);
     const image = hidden ? await decodedPicture(bytes, head, Kind.HIDDEN, decodePicture) : null;
     scene.hidden = readHidden(scene, index, hidden, image);
-  } else {
-    countHidden(scene);
-    scene.hidden = fillHidden(scene, tiles, shapes, hidden);
   }
   return scene;
 }
@@ -241,7 +238,7 @@ function readTiles(bytes, head) {
   const { index } = head;
   const { planes: n } = index;
   const { columns, tiles: count } = tileCounts(index);
-  if (n < count) broken(`${n} planes for ${count} tiles`);
+  if (n < count || n > count * MAX_TILE_PLANES) broken(`${n} planes for ${count} tiles`);
   const data = unpacked(bytes, head, Kind.PLANES, count + n * PLANE_BYTES);
   const counts = data.subarray(0, count).map((c) => c & ~BACKSTOP);
   const total = data.subarray(0, count).reduce((sum, c) => sum + (c & ~BACKSTOP) + (c >> 7), 0);
@@ -250,6 +247,8 @@ function readTiles(bytes, head) {
     const at = count + column * 2 * n + i;
     return (((data[at] | (data[at + n] << 8)) << 16) >> 16) * PLANE_STEP;
   };
+  const rects = Array.from(counts, (_, t) => tileRect(index, columns, t));
+  checkWork(index, rects, counts);
   const section = sectionOf(index, Kind.LABELS);
   if (section?.codec !== Codec.RANGE) broken('no labels section');
   const labels = decodeLabels(index, counts, payload(bytes, head, section));
@@ -260,7 +259,7 @@ function readTiles(bytes, head) {
     return { a: coefficient(0, i), b: coefficient(1, i), c: coefficient(2, i) };
   };
   return Array.from(counts, (planes, t) => {
-    const rect = tileRect(index, columns, t);
+    const rect = rects[t];
     const own = labels.subarray(first, (first += rect.w * rect.h));
     return {
       rect,
@@ -272,7 +271,7 @@ function readTiles(bytes, head) {
 }
 
 /** Adds a network's refinement to the soft alphas, where there is one. */
-function refineAlpha(bytes, head, alpha) {
+function refineAlpha(bytes, head, { alpha }) {
   if (!sectionOf(head.index, Kind.ALPHA)) return;
   const soft = alpha.reduce((n, a) => n + (a > 0 && a < 255), 0);
   const change = unpacked(bytes, head, Kind.ALPHA, soft);
@@ -281,75 +280,6 @@ function refineAlpha(bytes, head, alpha) {
     if (alpha[i] === 0 || alpha[i] === 255) continue;
     alpha[i] += change[next++];
     if (alpha[i] === 0 || alpha[i] === 255) broken('a soft texel has no alpha between 1 and 254');
-  }
-}
-
-/** Columns over all layers, and classes and alpha of all their texels. */
-function readLayers(scene, shapes) {
-  const n = shapes.length;
-  const { columns } = tileCounts(scene);
-  const layers = {
-    count: n,
-    /** Upper left pixel of the layer's tile. */
-    tileX: new Uint32Array(n),
-    tileY: new Uint32Array(n),
-    /** δ = a + b u + c v. */
-    a: new Float64Array(n),
-    b: new Float64Array(n),
-    c: new Float64Array(n),
-    /** Rectangle in photo pixels. */
-    x: new Uint32Array(n),
-    y: new Uint32Array(n),
-    w: new Uint32Array(n),
-    h: new Uint32Array(n),
-    firstTexel: new Uint32Array(n),
-    firstHidden: new Uint32Array(n),
-    /** Count of texels from the photo. */
-    visible: new Uint32Array(n),
-    /** 1 where any texel is not opaque, so that the layer has a soft edge. */
-    soft: new Uint8Array(n),
-  };
-  const texels = shapes.reduce((sum, { w, h }) => sum + w * h, 0);
-  const classes = new Uint8Array(texels);
-  const alpha = new Uint8Array(texels);
-  let texel = 0;
-  shapes.forEach((shape, i) => {
-    const own = tileRect(scene, columns, shape.tile);
-    layers.tileX[i] = own.x;
-    layers.tileY[i] = own.y;
-    for (const key of ['a', 'b', 'c']) layers[key][i] = shape.plane[key];
-    for (const key of ['x', 'y', 'w', 'h']) layers[key][i] = shape[key];
-    layers.firstTexel[i] = texel;
-    classes.set(shape.classes, texel);
-    alpha.set(shape.alpha, texel);
-    texel += shape.w * shape.h;
-  });
-  return { layers, classes, alpha };
-}
-
-/** Fills `layers.visible` and `layers.soft`. */
-function describeLayers({ layers, classes, alpha }) {
-  for (let i = 0; i < layers.count; i++) {
-    const first = layers.firstTexel[i];
-    const end = first + layers.w[i] * layers.h[i];
-    let visible = 0;
-    let soft = 0;
-    for (let k = first; k < end; k++) {
-      if (classes[k] === Class.PHOTO) visible++;
-      if (alpha[k] < 255) soft = 1;
-    }
-    layers.visible[i] = visible;
-    layers.soft[i] = soft;
-  }
-}
-
-/** Fills `layers.firstHidden`. */
-function countHidden({ layers, classes }) {
-  let count = 0;
-  for (let i = 0; i < layers.count; i++) {
-    layers.firstHidden[i] = count;
-    const end = layers.firstTexel[i] + layers.w[i] * layers.h[i];
-    for (let k = layers.firstTexel[i]; k < end; k++) if (classes[k] === Class.HIDDEN) count++;
   }
 }
 
@@ -417,8 +347,5 @@ function copyHidden({ layers, classes }, i, { place, columns }, blockColumns, im
 
 /** Buffers of a scene that can be handed to another thread without a copy. */
 export function transferables(scene) {
-  const { layers } = scene;
-  const arrays = [scene.classes, scene.alpha, scene.hidden, scene.photo.data];
-  for (const value of Object.values(layers)) if (ArrayBuffer.isView(value)) arrays.push(value);
-  return [...new Set(arrays.map((a) => a.buffer))];
+  return buffersOf([scene.classes, scene.alpha, scene.hidden, scene.photo.data, ...Object.values(scene.layers)]);
 }

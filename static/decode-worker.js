@@ -1,11 +1,57 @@
 // Fetches and decodes a container off the page's thread.
 // In: {url, photoOnly}: with photoOnly it stops once the photo is there. Out: {type: 'progress', received, total}, {type: 'head', …}, {type: 'photo', blob}, {type: 'scene', scene}, {type: 'error', message}.
+// In: {band}, from another of these workers. Out: {type: 'part', part}.
+import { buffersOf, detached, unfold } from './bands.js';
 import { decode, endOfAll, endOfSection, Kind, picture, readIndex, sceneHead, transferables } from './container.js';
 import { problemOf } from './api.js';
+import { startDecoder } from './decoder.js';
 
 /** Most bytes of a container. */
 const MAX_BYTES = 512 * 1024 * 1024;
 const POST_EVERY_MS = 100;
+/** Pixels that are worth a thread, and most threads: each begins with an empty heap and untried code. */
+const BAND_PIXELS = 500_000;
+const MAX_BANDS = 4;
+
+/** Threads beside this one that unfold bands of tiles. */
+class Helpers {
+  #workers = [];
+
+  /** As many as the scene's size and the machine are good for. */
+  constructor({ width, height }) {
+    const wanted = Math.min(Math.ceil((width * height) / BAND_PIXELS), MAX_BANDS, navigator.hardwareConcurrency || 1);
+    try {
+      while (this.#workers.length + 1 < wanted) this.#workers.push(startDecoder());
+    } catch {
+      // where a worker may start no other, one is enough
+    }
+  }
+
+  get bands() {
+    return this.#workers.length + 1;
+  }
+
+  /** Unfolds a band, the last one here; here too where a helper cannot be started. */
+  unfold(band, i) {
+    const worker = this.#workers[i];
+    // after the others have got theirs
+    if (!worker) return Promise.resolve().then(() => unfold(this.bands > 1 ? detached(band).band : band));
+    return new Promise((done, fail) => {
+      worker.onmessage = ({ data }) => (data.type === 'part' ? done(data.part) : fail(new Error(data.message)));
+      worker.onerror = (event) => {
+        event.preventDefault();
+        done(unfold(band));
+      };
+      const { band: copy, buffers } = detached(band);
+      worker.postMessage({ band: copy }, buffers);
+    });
+  }
+
+  close() {
+    for (const worker of this.#workers) worker.terminate();
+    this.#workers = [];
+  }
+}
 
 async function decodePicture({ bytes, type }) {
   const bitmap = await createImageBitmap(new Blob([bytes], { type }), {
@@ -53,6 +99,7 @@ async function load({ url, photoOnly }) {
   const download = new Download(Math.min(total, MAX_BYTES));
   const reader = response.body.getReader();
   let head = null;
+  let helpers = null;
   let photo = null;
   let posted = 0;
   for (;;) {
@@ -61,6 +108,8 @@ async function load({ url, photoOnly }) {
     download.push(value);
     if (!head) {
       head = readIndex(download.bytes);
+      // they start while the rest comes
+      if (head && !photoOnly) helpers = new Helpers(head.index);
       if (head) postMessage({ type: 'head', head: { ...sceneHead(head.index), total: endOfAll(head) } });
     }
     if (head && !photo && download.length >= endOfSection(head, Kind.PHOTO)) {
@@ -75,7 +124,9 @@ async function load({ url, photoOnly }) {
   }
   postMessage({ type: 'progress', received: download.length, total: download.length });
   const started = performance.now();
-  const scene = await decode(download.bytes, decodePicture, photo ? await photo : undefined);
+  const decoded = photo ? await photo : undefined;
+  const unfolded = helpers && ((band, i) => helpers.unfold(band, i));
+  const scene = await decode(download.bytes, decodePicture, decoded, unfolded, helpers?.bands).finally(() => helpers?.close());
   scene.decodeMs = performance.now() - started;
   postMessage({ type: 'scene', scene }, transferables(scene));
 }
@@ -95,7 +146,12 @@ function showPhoto(bytes, head, photoOnly) {
 
 self.onmessage = async ({ data }) => {
   try {
-    await load(data);
+    if (data.band) {
+      const part = unfold(data.band);
+      postMessage({ type: 'part', part }, buffersOf([part.classes, part.alpha, part.hidden, ...Object.values(part.layers)]));
+    } else {
+      await load(data);
+    }
   } catch (error) {
     postMessage({ type: 'error', message: error.message });
   }

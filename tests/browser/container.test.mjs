@@ -3,6 +3,7 @@ import assert from 'node:assert/strict';
 import { createHash } from 'node:crypto';
 import { readFileSync } from 'node:fs';
 import { describe, test } from 'node:test';
+import { detached, unfold } from '../../static/bands.js';
 import { Class, ContainerError, decode, endOfSection, Kind, readIndex } from '../../static/container.js';
 import { lookingAt, pivotOf } from '../../static/camera.js';
 import { tileCounts, tileRect } from '../../static/grid.js';
@@ -74,6 +75,18 @@ describe('decoder', () => {
     }
     const none = async () => assert.fail('there is no other picture');
     const got = await decode(new Uint8Array(golden('v1_1.tmpi')), none, { width, height, data });
+    // the same in bands that are handed over, as to other threads
+    for (const count of [2, 3, 100]) {
+      let handed = 0;
+      const elsewhere = async (band) => {
+        const { band: copy, buffers } = detached(band);
+        handed++;
+        return unfold(structuredClone({ copy }, { transfer: buffers }).copy);
+      };
+      const parts = await decode(new Uint8Array(golden('v1_1.tmpi')), none, { width, height, data }, elsewhere, count);
+      assert.deepEqual({ ...parts, photo: null }, { ...got, photo: null });
+      assert.equal(handed, Math.min(count, tileCounts(parts).tiles));
+    }
     const hash = (bytes) => createHash('sha256').update(bytes).digest('hex');
     assert.deepEqual([hash(got.classes), hash(got.alpha)], [want.classes, want.alpha]);
     assert.deepEqual([got.hidden.length / 3, hash(got.hidden)], [want.hidden, want.colours]);
