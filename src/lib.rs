@@ -29,6 +29,8 @@ pub mod cli;
 pub mod clock;
 pub mod depth;
 pub mod export;
+#[doc(hidden)]
+pub mod fuzzing;
 pub mod generate;
 pub mod models;
 pub mod onnx;

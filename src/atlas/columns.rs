@@ -7,6 +7,8 @@ use crate::tmpi::{Grid, Plane, Tile};
 const BACKSTOP: u8 = 0x80;
 /// Most labelled planes a tile.
 const MOST: u8 = 64;
+/// Most planes a tile, its backstop included.
+pub const MOST_PLANES: usize = MOST as usize + 1;
 /// Columns: a, b, c.
 const COLUMNS: usize = 3;
 

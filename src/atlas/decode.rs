@@ -4,8 +4,12 @@ use prost::Message;
 use serde::Serialize;
 
 use super::wire::{Codec, Index, Kind, Section};
-use super::{AtlasError, MAGIC, MAJOR, bounds, columns, hidden, labels, picture};
+use super::{AtlasError, MAGIC, MAJOR, bounds, columns, hidden, labels, picture, select};
 use crate::tmpi::{Blueprint, Class, Filler, Grid, Intrinsics, Layer, Photo, Scene, Texels, ViewBox};
+
+/// A zstd block has at least 4 bytes and holds at most 128 KiB.
+const ZSTD_LEAST_BLOCK: usize = 4;
+const ZSTD_MOST_CONTENT: usize = 128 << 10;
 
 /// One section as the index names it.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
@@ -29,14 +33,6 @@ pub struct SectionInfo {
 pub fn sections(bytes: &[u8]) -> Result<Vec<SectionInfo>, AtlasError> {
     let (index, body) = split(bytes)?;
     let start = (bytes.len() - body.len()) as u64;
-    let name = |s: &Section| match s.kind() {
-        Kind::Photo => "photo",
-        Kind::Planes => "planes",
-        Kind::Labels => "labels",
-        Kind::Alpha => "alpha",
-        Kind::Hidden => "hidden",
-        Kind::Unspecified => "unknown",
-    };
     let codec = |s: &Section| match s.codec() {
         Codec::Raw => "raw",
         Codec::Zstd => "zstd",
@@ -50,7 +46,13 @@ pub fn sections(bytes: &[u8]) -> Result<Vec<SectionInfo>, AtlasError> {
         .iter()
         .map(|s| {
             range(s, body)?;
-            Ok(SectionInfo { kind: name(s), codec: codec(s), offset: start + s.offset, length: s.length, raw_length: s.raw_length })
+            Ok(SectionInfo {
+                kind: select::name(s.kind()),
+                codec: codec(s),
+                offset: start + s.offset,
+                length: s.length,
+                raw_length: s.raw_length,
+            })
         })
         .collect()
 }
@@ -64,7 +66,7 @@ pub fn read(bytes: &[u8]) -> Result<(Photo, Blueprint), AtlasError> {
 fn parts(index: &Index, body: &[u8]) -> Result<(Photo, Blueprint), AtlasError> {
     let (grid, intrinsics, view_box) = geometry(index)?;
     let section = find(index, Kind::Photo).ok_or_else(|| AtlasError::broken("there is no photo section"))?;
-    let photo = picture::decode(section.codec(), range(section, body)?)?;
+    let photo = picture::decode(section.codec(), range(section, body)?, (grid.width, grid.height))?;
     if (photo.width, photo.height) != (grid.width, grid.height) {
         return Err(AtlasError::broken("photo: its size is not the index's"));
     }
@@ -104,7 +106,7 @@ pub fn decode(bytes: &[u8]) -> Result<Scene, AtlasError> {
 }
 
 /// Header and index checked; gives the index and the bytes after it.
-fn split(bytes: &[u8]) -> Result<(Index, &[u8]), AtlasError> {
+pub(super) fn split(bytes: &[u8]) -> Result<(Index, &[u8]), AtlasError> {
     let head: [u8; 12] = bytes.first_chunk().copied().ok_or_else(|| AtlasError::broken("shorter than its header"))?;
     if head[..4] != MAGIC {
         return Err(AtlasError::broken("it does not begin with \"TMPI\""));
@@ -126,7 +128,16 @@ fn split(bytes: &[u8]) -> Result<(Index, &[u8]), AtlasError> {
     if index.sections.len() > bounds::SECTIONS {
         return Err(AtlasError::broken("too many sections"));
     }
+    // also those that nobody asks for
+    index.sections.iter().try_for_each(|s| range(s, body).map(drop))?;
     Ok((index, body))
+}
+
+/// Index and grid, checked.
+pub(super) fn declared(bytes: &[u8]) -> Result<(Index, Grid), AtlasError> {
+    let (index, _) = split(bytes)?;
+    let (grid, ..) = geometry(&index)?;
+    Ok((index, grid))
 }
 
 fn geometry(i: &Index) -> Result<(Grid, Intrinsics, ViewBox), AtlasError> {
@@ -134,7 +145,8 @@ fn geometry(i: &Index) -> Result<(Grid, Intrinsics, ViewBox), AtlasError> {
     if !sides.contains(&i.width) || !sides.contains(&i.height) || u64::from(i.width) * u64::from(i.height) > bounds::PIXELS {
         return Err(AtlasError::broken("photo size out of bounds"));
     }
-    if !sides.contains(&i.tile_size) || i.tile_stride == 0 || i.tile_stride > i.tile_size {
+    // tiles that overlap by more than half would make the labels many times as large as the photo
+    if !sides.contains(&i.tile_size) || i.tile_stride < i.tile_size.div_ceil(2) || i.tile_stride > i.tile_size {
         return Err(AtlasError::broken("tile size out of bounds"));
     }
     let k = Intrinsics { fx: i.fx, fy: i.fy, cx: i.cx, cy: i.cy };
@@ -149,7 +161,7 @@ fn find(index: &Index, kind: Kind) -> Option<&Section> {
     index.sections.iter().find(|s| s.kind() == kind)
 }
 
-fn range<'a>(s: &Section, body: &'a [u8]) -> Result<&'a [u8], AtlasError> {
+pub(super) fn range<'a>(s: &Section, body: &'a [u8]) -> Result<&'a [u8], AtlasError> {
     let end = s.offset.checked_add(s.length).filter(|e| *e <= body.len() as u64);
     match end {
         Some(end) => Ok(&body[s.offset as usize..end as usize]),
@@ -168,13 +180,12 @@ fn unpack(index: &Index, body: &[u8], kind: Kind, want: usize) -> Result<Vec<u8>
     }
     let raw = match s.codec() {
         Codec::Raw => data.to_vec(),
-        // grows as it decodes, so that a false length cannot reserve memory that the bytes do not fill
+        // at once rather than as a stream: that would reserve whatever window the frame asks for
         Codec::Zstd => {
-            let mut out = Vec::new();
-            let decoder = zstd::stream::read::Decoder::with_buffer(data).map_err(|e| AtlasError::broken(format!("zstd: {e}")))?;
-            std::io::Read::read_to_end(&mut std::io::Read::take(decoder, want as u64 + 1), &mut out)
-                .map_err(|e| AtlasError::broken(format!("section {}: {e}", s.kind)))?;
-            out
+            if want > (data.len() / ZSTD_LEAST_BLOCK).saturating_mul(ZSTD_MOST_CONTENT) {
+                return Err(AtlasError::broken(format!("section {} cannot unpack to {want} bytes", s.kind)));
+            }
+            zstd::bulk::decompress(data, want).map_err(|e| AtlasError::broken(format!("section {}: {e}", s.kind)))?
         }
         _ => return Err(AtlasError::broken(format!("section {} has a picture codec", s.kind))),
     };
@@ -187,7 +198,8 @@ fn unpack(index: &Index, body: &[u8], kind: Kind, want: usize) -> Result<Vec<u8>
 /// Planes and labels of all tiles.
 fn blueprint(index: &Index, body: &[u8], grid: Grid, intrinsics: Intrinsics, view_box: ViewBox) -> Result<Blueprint, AtlasError> {
     let count = index.planes as usize;
-    if count > bounds::PLANES || count < grid.tiles() as usize {
+    let (least, most) = (grid.tiles() as usize, grid.tiles() as usize * columns::MOST_PLANES);
+    if count > bounds::PLANES.min(most) || count < least {
         return Err(AtlasError::broken("count of planes out of bounds"));
     }
     let planes = unpack(index, body, Kind::Planes, columns::bytes(grid.tiles() as usize, count))?;
@@ -195,16 +207,16 @@ fn blueprint(index: &Index, body: &[u8], grid: Grid, intrinsics: Intrinsics, vie
     let section = find(index, Kind::Labels)
         .filter(|s| s.codec() == Codec::Range)
         .ok_or_else(|| AtlasError::broken("there is no section of labels"))?;
+    let pixels = u64::from(grid.width) * u64::from(grid.height);
+    if crate::tmpi::work(&grid, &tiles) > bounds::WORK.min(bounds::WORK_LEAST + pixels * bounds::WORK_PER_PIXEL) {
+        return Err(AtlasError::broken("more planes than a photo of this size can have"));
+    }
     let counts: Vec<u8> = tiles.iter().map(|t| t.planes.len() as u8).collect();
     let mut labels = labels::decode(&grid, &counts, range(section, body)?)?.into_iter();
     for (i, t) in tiles.iter_mut().enumerate() {
         t.labels = labels.by_ref().take(grid.rect(i as u32).area()).collect();
     }
-    let blueprint = Blueprint { grid, intrinsics, view_box, tiles };
-    if blueprint.work() > bounds::WORK {
-        return Err(AtlasError::broken("more planes than a photo of this size can have"));
-    }
-    Ok(blueprint)
+    Ok(Blueprint { grid, intrinsics, view_box, tiles })
 }
 
 /// Adds the refinement to the soft alphas, where there is one.
@@ -238,12 +250,13 @@ fn hidden_colours(index: &Index, body: &[u8], layers: &[Layer], class: &[u8], co
         return Ok(Vec::new());
     }
     let s = find(index, Kind::Hidden).ok_or_else(|| AtlasError::broken("there is no section of hidden colours"))?;
-    let p = picture::decode(s.codec(), range(s, body)?)?;
     let columns = index.hidden_columns as usize;
     let blocks = hidden::walk(layers, class, |_, _, _| {});
     if columns == 0 || index.hidden_blocks as usize != blocks {
         return Err(AtlasError::broken("hidden: wrong count of blocks"));
     }
+    let side = |blocks: usize| u32::try_from(blocks * 8).map_err(|_| AtlasError::broken("hidden: more blocks than a picture can hold"));
+    let p = picture::decode(s.codec(), range(s, body)?, (side(columns)?, side(blocks.div_ceil(columns))?))?;
     let fits = columns.checked_mul(8).is_some_and(|w| w <= p.width as usize) && blocks.div_ceil(columns) * 8 <= p.height as usize;
     if !fits {
         return Err(AtlasError::broken("hidden: the picture is too small"));

@@ -1,9 +1,10 @@
 //! Writing a container.
 
+use image::ImageFormat;
 use prost::Message;
 
 use super::wire::{Codec, Index, Kind, Section};
-use super::{AtlasError, Carried, MAGIC, MAJOR, MINOR, columns, encode_jpeg, hidden, labels};
+use super::{AtlasError, Carried, MAGIC, MAJOR, MINOR, columns, encode_jpeg, encode_lossless, hidden, labels};
 use crate::generate::Bytes;
 use crate::tmpi::{Blueprint, Scene};
 
@@ -18,8 +19,19 @@ const LARGE_LEVEL: i32 = 9;
 pub struct Carries {
     /// Soft alphas, because a network refined them.
     pub alpha: bool,
-    /// Hidden colours at this quality (1 to 100), because they are others than [`crate::tmpi::Filler`] gives.
-    pub hidden: Option<u8>,
+    /// Hidden colours, because they are others than [`crate::tmpi::Filler`] gives.
+    pub hidden: Option<HiddenAs>,
+}
+
+/// How hidden colours are carried.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum HiddenAs {
+    /// JPEG of quality 1 to 100.
+    Jpeg(u8),
+    /// PNG, without loss.
+    Png,
+    /// WebP without loss.
+    Webp,
 }
 
 /// Writes a container of a scene that follows from `blueprint`, but for what `carries` names. `carried` is the photo's file.
@@ -37,12 +49,17 @@ pub fn encode(blueprint: &Blueprint, scene: &Scene, carried: &Carried, carries: 
         file.add_packed(Kind::Alpha, &refined_alpha(blueprint, scene))?;
     }
     let (mut blocks, mut per_row) = (0, 0);
-    if let Some(quality) = carries.hidden {
+    if let Some(how) = carries.hidden {
         blocks = hidden::walk(&scene.layers, &scene.texels.class, |_, _, _| {});
         per_row = hidden::columns_for(blocks);
         if blocks > 0 {
             let (w, h, rgb) = hidden::paint(&scene.layers, &scene.texels.class, &scene.texels.hidden, blocks, per_row);
-            file.add(Kind::Hidden, Codec::Jpeg, encode_jpeg(w, h, &rgb, quality)?, 0);
+            let (codec, picture) = match how {
+                HiddenAs::Jpeg(quality) => (Codec::Jpeg, encode_jpeg(w, h, &rgb, quality)?),
+                HiddenAs::Png => (Codec::Png, encode_lossless(ImageFormat::Png, w, h, &rgb)?),
+                HiddenAs::Webp => (Codec::Webp, encode_lossless(ImageFormat::WebP, w, h, &rgb)?),
+            };
+            file.add(Kind::Hidden, codec, picture, 0);
         }
     }
     let (g, k, v) = (&scene.grid, &scene.intrinsics, &scene.view_box);
@@ -105,12 +122,7 @@ impl File {
     fn finish(self, index: &Index) -> (Vec<u8>, Bytes) {
         let index = index.encode_to_vec();
         let of = |kinds: &[Kind]| -> usize { self.sections.iter().filter(|s| kinds.contains(&s.kind())).map(|s| s.length as usize).sum() };
-        let mut out = Vec::with_capacity(12 + index.len() + self.body.len());
-        out.extend(MAGIC);
-        out.extend(MAJOR.to_le_bytes());
-        out.extend(MINOR.to_le_bytes());
-        out.extend((index.len() as u32).to_le_bytes());
-        out.extend(&index);
+        let mut out = header(&[MAJOR.to_le_bytes(), MINOR.to_le_bytes()].concat(), &index);
         out.extend(&self.body);
         let bytes = Bytes {
             total: out.len(),
@@ -121,4 +133,9 @@ impl File {
         };
         (out, bytes)
     }
+}
+
+/// Header of a container, with its index.
+pub(super) fn header(version: &[u8], index: &[u8]) -> Vec<u8> {
+    [&MAGIC[..], version, &(index.len() as u32).to_le_bytes(), index].concat()
 }

@@ -3,17 +3,22 @@
 mod columns;
 mod decode;
 mod encode;
+pub(crate) mod fuzzing;
 mod hidden;
 mod labels;
 mod level;
 mod picture;
 mod range;
+mod select;
 mod wire;
 
+#[cfg(feature = "codecs")]
+pub(crate) use decode::read;
 pub use decode::{SectionInfo, decode, sections};
-pub use encode::{Carries, encode};
+pub use encode::{Carries, HiddenAs, encode};
 pub use level::{LEVELS, level};
-pub use picture::{Carried, encode_jpeg};
+pub use picture::{Carried, encode_jpeg, encode_lossless};
+pub use select::{SECTIONS, select};
 
 /// First bytes of a container.
 pub const MAGIC: [u8; 4] = *b"TMPI";
@@ -34,6 +39,10 @@ mod bounds {
     pub const PLANES: usize = 4_000_000;
     /// Pixels that deriving the texels may look at: a 50-megapixel photo of four planes a tile looks at about 5e9.
     pub const WORK: u64 = 8_000_000_000;
+    /// The same for each pixel of the photo: tiles of 8 pixels, the smallest level's, with 20 planes each look at 17 000.
+    pub const WORK_PER_PIXEL: u64 = 20_000;
+    /// What even the smallest photo may look at.
+    pub const WORK_LEAST: u64 = 50_000_000;
     /// Bytes of the index.
     pub const INDEX: usize = 1 << 20;
     /// Sections.

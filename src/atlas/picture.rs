@@ -1,7 +1,7 @@
 //! Picture codecs of the container.
 
 use image::codecs::jpeg::JpegEncoder;
-use image::{ExtendedColorType, ImageEncoder};
+use image::{ExtendedColorType, ImageEncoder, ImageFormat};
 
 use super::{AtlasError, bounds, wire::Codec};
 use crate::photo::Format;
@@ -28,6 +28,18 @@ pub fn encode_jpeg(width: u32, height: u32, rgb: &[u8], quality: u8) -> Result<V
     Ok(out)
 }
 
+/// Encodes 8-bit RGB (three bytes a pixel) or RGBA (four) without loss as PNG or WebP.
+///
+/// # Errors
+/// [`AtlasError::Encode`] where the format cannot hold the size.
+pub fn encode_lossless(format: ImageFormat, width: u32, height: u32, pixels: &[u8]) -> Result<Vec<u8>, AtlasError> {
+    let rgb = pixels.len() == width as usize * height as usize * 3;
+    let mut out = std::io::Cursor::new(Vec::new());
+    let colour = if rgb { ExtendedColorType::Rgb8 } else { ExtendedColorType::Rgba8 };
+    image::write_buffer_with_format(&mut out, pixels, width, height, colour, format).map_err(|e| AtlasError::Encode(e.to_string()))?;
+    Ok(out.into_inner())
+}
+
 impl Carried {
     /// Encodes a photo anew as JPEG of `quality` 1 to 100.
     ///
@@ -51,12 +63,17 @@ impl Carried {
     /// # Errors
     /// [`AtlasError::Broken`].
     pub fn decode(&self) -> Result<Photo, AtlasError> {
-        decode(self.codec(), &self.bytes)
+        decode(self.codec(), &self.bytes, (bounds::SIDE, bounds::SIDE))
     }
 }
 
-/// Decodes a picture section within the container's bounds.
-pub fn decode(codec: Codec, bytes: &[u8]) -> Result<Photo, AtlasError> {
+/// Most bytes a pixel that decoding takes: 16-bit RGBA, and what a progressive JPEG keeps of its coefficients.
+const DECODING: u64 = 16;
+/// What even the smallest picture may take.
+const DECODING_LEAST: u64 = 1 << 20;
+
+/// Decodes a picture section of at most `most` pixels right and down.
+pub fn decode(codec: Codec, bytes: &[u8], most: (u32, u32)) -> Result<Photo, AtlasError> {
     let format = match codec {
         Codec::Jpeg => image::ImageFormat::Jpeg,
         Codec::Png => image::ImageFormat::Png,
@@ -66,9 +83,10 @@ pub fn decode(codec: Codec, bytes: &[u8]) -> Result<Photo, AtlasError> {
     let broken = |e: image::ImageError| AtlasError::broken(format!("picture: {e}"));
     let mut reader = image::ImageReader::with_format(std::io::Cursor::new(bytes), format);
     let mut limits = image::Limits::default();
-    limits.max_image_width = Some(u32::from(u16::MAX));
-    limits.max_image_height = Some(u32::from(u16::MAX));
-    limits.max_alloc = Some(bounds::PIXELS * 8);
+    limits.max_image_width = Some(most.0);
+    limits.max_image_height = Some(most.1);
+    let pixels = (u64::from(most.0) * u64::from(most.1)).min(bounds::PIXELS);
+    limits.max_alloc = Some(DECODING_LEAST + pixels * DECODING);
     reader.limits(limits);
     let rgb = reader.decode().map_err(broken)?.into_rgb8();
     let (width, height) = rgb.dimensions();

@@ -43,7 +43,7 @@ fn scene(width: u32, height: u32) -> (Blueprint, Scene) {
 
 fn container((blueprint, s): &(Blueprint, Scene)) -> Vec<u8> {
     let photo = Carried::from_photo(&s.photo, 90).unwrap();
-    let (bytes, parts) = encode(blueprint, s, &photo, Carries { alpha: true, hidden: Some(90) }).unwrap();
+    let (bytes, parts) = encode(blueprint, s, &photo, Carries { alpha: true, hidden: Some(HiddenAs::Jpeg(90)) }).unwrap();
     assert_eq!(parts.total, bytes.len());
     assert_eq!(parts.index + parts.photo + parts.alpha + parts.hidden, bytes.len());
     bytes
@@ -86,6 +86,12 @@ fn all_but_the_pictures_comes_back_exactly() {
         assert!(d.texels.hidden.iter().zip(&s.texels.hidden).all(|(a, b)| a.iter().zip(b).all(|(a, b)| a.abs_diff(*b) <= 3)));
     }
     assert!(scene(150, 100).1.texels.hidden.len() > 1000);
+    let (blueprint, scene) = scene(150, 100);
+    let photo = Carried::from_photo(&scene.photo, 90).unwrap();
+    for how in [HiddenAs::Png, HiddenAs::Webp] {
+        let bytes = encode(&blueprint, &scene, &photo, Carries { alpha: true, hidden: Some(how) }).unwrap().0;
+        assert_eq!(decode(&bytes).unwrap().texels, scene.texels);
+    }
 }
 
 /// Containers and what must come out of them are shared with the browser's decoder; `TMPI_BLESS=1` writes them anew.
@@ -126,6 +132,35 @@ fn golden_containers_stay_readable() {
     golden("v1_1", || bare(&scene(150, 100)), true);
 }
 
+/// Seeds of the fuzzer: small containers of every kind, and what lies in them. `TMPI_BLESS=1` writes them anew.
+#[test]
+fn seeds_of_the_fuzzer_are_readable() {
+    let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/seeds");
+    let small = [("carried", container(&scene(70, 40))), ("derived", bare(&scene(66, 40))), ("pixel", bare(&scene(1, 1)))];
+    if std::env::var_os("TMPI_BLESS").is_some() {
+        let write = |kind: &str, name: &str, data: &[u8]| {
+            std::fs::create_dir_all(folder.join(kind)).unwrap();
+            std::fs::write(folder.join(kind).join(name), data).unwrap();
+        };
+        for (name, bytes) in &small {
+            write("container", &format!("{name}.tmpi"), bytes);
+        }
+        write("container", "level.tmpi", &level(&bare(&scene(131, 90)), 2).unwrap());
+        for (w, h) in [(70, 40), (130, 90)] {
+            let b = scene(w, h).0;
+            let counts: Vec<u8> = b.tiles.iter().map(|t| t.planes.len() as u8).collect();
+            let all: Vec<u8> = b.tiles.iter().flat_map(|t| &t.labels).copied().collect();
+            let head = [w as u8 - 1, h as u8 - 1, 63];
+            write("labels", &format!("{w}x{h}"), &[&head[..], &[2; 5], &labels::encode(&b.grid, &counts, &all)].concat());
+            write("planes", &format!("{w}x{h}"), &[&head[..], &[0], &columns::write(&b.tiles)].concat());
+        }
+    }
+    for (name, bytes) in &small {
+        let file = std::fs::read(folder.join("container").join(format!("{name}.tmpi"))).unwrap();
+        assert_eq!(decode(&file).unwrap(), decode(bytes).unwrap(), "{name}");
+    }
+}
+
 #[test]
 fn smaller_levels_show_the_same_scene() {
     use crate::render::{Backend, select};
@@ -153,6 +188,38 @@ fn smaller_levels_show_the_same_scene() {
     let off = |(a, b): (&[u8; 4], &[u8; 4])| a.iter().zip(b).any(|(a, b)| a.abs_diff(*b) > 24);
     let share = large.rgba.iter().zip(&small.rgba).filter(|p| off(*p)).count() as f64 / 15100.0;
     assert!(share < 0.03, "{share}");
+}
+
+#[test]
+fn some_sections_are_a_container_of_their_own() {
+    let whole = container(&scene(70, 40));
+    assert_eq!(select(&whole, &SECTIONS).unwrap(), whole);
+    let all = sections(&whole).unwrap();
+    for wanted in [&["photo"][..], &["planes", "labels"], &["hidden", "index"], &[]] {
+        let some = select(&whole, wanted).unwrap();
+        let held = sections(&some).unwrap();
+        assert_eq!(held.iter().map(|s| s.kind).collect::<Vec<_>>(), {
+            let kinds = all.iter().map(|s| s.kind);
+            kinds.filter(|k| wanted.contains(k)).collect::<Vec<_>>()
+        });
+        for s in &held {
+            let was = all.iter().find(|w| w.kind == s.kind).unwrap();
+            let bytes = |file: &[u8], s: &SectionInfo| file[s.offset as usize..(s.offset + s.length) as usize].to_vec();
+            assert_eq!(bytes(&some, s), bytes(&whole, was));
+        }
+        assert!(matches!(decode(&some), Err(AtlasError::Broken(_))));
+    }
+    assert!(select(&whole[..20], &["photo"]).is_err());
+}
+
+#[test]
+fn a_section_past_the_end_is_an_error_though_nobody_reads_it() {
+    use prost::Message;
+    let whole = bare(&scene(70, 40));
+    let (mut index, body) = decode::split(&whole).unwrap();
+    index.sections.push(wire::Section { kind: 77, offset: 1 << 40, length: 1, ..wire::Section::default() });
+    let bytes = [encode::header(&whole[4..8], &index.encode_to_vec()), body.to_vec()].concat();
+    assert!(matches!(super::decode(&bytes), Err(AtlasError::Broken(_))) && sections(&bytes).is_err());
 }
 
 #[test]

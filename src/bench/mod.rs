@@ -5,6 +5,8 @@
 //! were fitted to.
 
 mod ablation;
+#[cfg(feature = "codecs")]
+pub mod codec;
 mod costs;
 mod discretisation;
 mod drawing;

@@ -2,6 +2,8 @@
 
 use std::path::PathBuf;
 
+#[cfg(feature = "codecs")]
+use super::bench_codec::{self, CodecArgs};
 use super::flags::ModelFlags;
 use super::{Usage, files, result};
 use crate::bench::serve::{Load, Target};
@@ -33,6 +35,8 @@ pub(super) struct BenchArgs {
 
 #[derive(Clone, Debug, clap::Subcommand)]
 enum What {
+    #[cfg(feature = "codecs")]
+    Codec(Box<CodecArgs>),
     Serve(ServeArgs),
 }
 
@@ -71,8 +75,11 @@ fn serve(args: &ServeArgs) -> anyhow::Result<()> {
 }
 
 pub(super) fn run(args: &BenchArgs) -> anyhow::Result<()> {
-    if let Some(What::Serve(args)) = &args.what {
-        return serve(args);
+    match &args.what {
+        #[cfg(feature = "codecs")]
+        Some(What::Codec(args)) => return bench_codec::run(args),
+        Some(What::Serve(args)) => return serve(args),
+        None => {}
     }
     let models = models::load(&args.models.settings())?;
     let settings = Settings { quick: args.quick, photos: args.photos.clone(), only: args.only.clone(), models };

@@ -1,6 +1,8 @@
 //! The command line: results on standard output, progress and logs on standard error, exit code 0, 1 (failed) or 2 (usage).
 
 mod bench;
+#[cfg(feature = "codecs")]
+mod bench_codec;
 mod check;
 mod compare;
 mod depth;

@@ -2,9 +2,13 @@
 
 mod flip;
 mod ssim;
+#[cfg(feature = "codecs")]
+mod ssimulacra;
 
 pub use flip::{PIXELS_PER_DEGREE, flip, flip_map};
 pub use ssim::ssim_map;
+#[cfg(feature = "codecs")]
+pub use ssimulacra::Ssimulacra2;
 
 /// PSNR in dB of two pictures of 8-bit values, over all values; [`EQUAL`] where they are the same (or empty).
 #[must_use]

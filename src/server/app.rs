@@ -36,11 +36,18 @@ pub struct Stored {
 }
 
 impl Stored {
+    /// Tagged by its bytes.
+    #[must_use]
+    pub fn new(bytes: Vec<u8>) -> Self {
+        let etag = format!("\"{}\"", hex(&Sha256::digest(&bytes)[..16])).into();
+        Self { bytes: bytes.into(), etag }
+    }
+
     /// With its size in bytes.
     #[must_use]
     pub fn sized(bytes: Vec<u8>) -> (Self, usize) {
-        let (size, etag) = (bytes.len(), format!("\"{}\"", hex(&Sha256::digest(&bytes)[..16])).into());
-        (Self { bytes: bytes.into(), etag }, size)
+        let size = bytes.len();
+        (Self::new(bytes), size)
     }
 }
 

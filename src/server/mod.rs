@@ -10,6 +10,7 @@ mod body;
 mod cache;
 mod conditional;
 mod entry;
+pub(crate) mod fuzzing;
 mod id;
 mod jobs;
 mod limits;

@@ -14,6 +14,6 @@ mod scene;
 pub use camera::{Camera, Intrinsics, Mat3, Pose, ViewBox, homography, mat3_mul, mat3_vec};
 pub use fill::{Filler, Pyramid};
 pub use grid::{Grid, Rect};
-pub use peel::{Blueprint, Place, Shape, Shapes, Tile, grown};
+pub use peel::{Blueprint, Place, Shape, Shapes, Tile, grown, work};
 pub use plane::Plane;
 pub use scene::{Class, DisparityMap, Layer, Photo, Scene, SceneError, Texels};

@@ -119,6 +119,14 @@ pub fn grown(r: Rect, x: u32, y: u32, grid: &Grid) -> Rect {
     Rect { x: x0, y: y0, w: (r.x + r.w + x).min(grid.width) - x0, h: (r.y + r.h + y).min(grid.height) - y0 }
 }
 
+/// Pixels that [`Blueprint::peel`] looks at, at most: a reader's bound on its work. Labels need not be there yet.
+#[must_use]
+pub fn work(grid: &Grid, tiles: &[Tile]) -> u64 {
+    let reach = MAX_REACH as u32;
+    let window = |i: u32| grown(grid.rect(i), reach, reach, grid).area() as u64;
+    (0..grid.tiles()).zip(tiles).map(|(i, t)| window(i) * (t.planes.len() as u64 + 1)).sum()
+}
+
 impl Blueprint {
     /// Shapes of all layers, tile by tile.
     #[must_use]
@@ -154,16 +162,6 @@ impl Blueprint {
             }
         }
         surface
-    }
-
-    /// Pixels that [`Blueprint::peel`] looks at, at most: a reader's bound on its work.
-    #[must_use]
-    pub fn work(&self) -> u64 {
-        let reach = MAX_REACH as u32;
-        (0..self.grid.tiles())
-            .zip(&self.tiles)
-            .map(|(i, t)| grown(self.grid.rect(i), reach, reach, &self.grid).area() as u64 * (t.planes.len() as u64 + 1))
-            .sum()
     }
 
     fn peel_tile(&self, index: u32, surface: &[f32], s: &mut Scratch) -> Shapes {

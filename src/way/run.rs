@@ -118,7 +118,7 @@ pub fn make(
     if wanted && let Some(psi) = &models.psi {
         let refined = generate::refine::run(psi.as_ref(), &photo, &blueprint, &mut coloured)?;
         trip.report.left_out.tiles_not_refined = refined.skipped;
-        carries = atlas::Carries { alpha: true, hidden: refined.colours.then_some(options.quality) };
+        carries = atlas::Carries { alpha: true, hidden: refined.colours.then_some(atlas::HiddenAs::Jpeg(options.quality)) };
     }
 
     trip.enter("encode")?;

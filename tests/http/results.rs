@@ -83,6 +83,38 @@ fn smaller_levels_of_the_atlas() {
 }
 
 #[test]
+fn sections_of_the_atlas_that_are_asked_for() {
+    let (_dir, server, photo) = with_photo();
+    let fetch = |query: &str| get(server.addr, &format!("{photo}/atlas{query}"));
+    let whole = fetch("");
+    let mut tags = vec![whole.header("etag").unwrap().to_owned()];
+    for (query, kinds) in [
+        ("?sections=index", &[][..]),
+        ("?sections=index,photo", &["photo"]),
+        ("?sections=labels,planes", &["planes", "labels"]),
+        ("?level=1&sections=photo", &["photo"]),
+        ("?sections=photo%2Chidden", &["photo"]),
+    ] {
+        let some = fetch(query);
+        assert_eq!((some.status, some.header("cache-control")), (200, whole.header("cache-control")), "{query}");
+        let held = tmpi::atlas::sections(&some.body).unwrap();
+        assert_eq!(held.iter().map(|s| s.kind).collect::<Vec<_>>(), kinds, "{query}");
+        tags.push(some.header("etag").unwrap().to_owned());
+    }
+    // the last is the same choice as the second
+    assert_eq!(tags.pop().unwrap(), tags[2]);
+    assert!((1..tags.len()).all(|i| !tags[..i].contains(&tags[i])), "{tags:?}");
+    let path = format!("{photo}/atlas?sections=photo");
+    let part = request(server.addr, "GET", &path, &[("range", "bytes=0-3")], &[]);
+    assert_eq!((part.status, part.body.as_slice()), (206, &b"TMPI"[..]));
+    for wrong in ["", "photo,", "depth", "photo,pixels"] {
+        let problem = fetch(&format!("?sections={wrong}")).problem(400);
+        assert_eq!(problem["field"], "sections");
+        assert!(problem["detail"].as_str().unwrap().contains("there are index, photo, planes, labels, alpha, hidden"));
+    }
+}
+
+#[test]
 fn views_in_every_format_with_their_timing() {
     let (_dir, server, photo) = with_photo();
     let view = |query: &str, headers: &[(&str, &str)]| request(server.addr, "GET", &format!("{photo}/view?{query}"), headers, &[]);

@@ -1,7 +1,8 @@
-//! Tasks around the program: `cargo xtask serve`, `cargo xtask test`, `cargo xtask fetch`.
+//! Tasks around the program: `cargo xtask serve`, `cargo xtask test`, `cargo xtask fetch`, `cargo xtask fuzz`.
 
 mod browser;
 mod command;
+mod fuzz;
 mod runtime;
 
 use std::process::ExitCode;
@@ -14,6 +15,8 @@ usage: cargo xtask <task>
 
   serve [ARGS]  fetch ONNX Runtime where it is missing, build, and run `tmpi serve ARGS`
   test          formatting, lints, all tests, browser tests; installs what these need where it may
+  fuzz [--seconds N] [TARGET…]
+                run the fuzzer on what reads foreign bytes (container, labels, planes, query), N seconds each
   fetch         fetch ONNX Runtime into .tmpi/onnxruntime where it is missing";
 
 fn main() -> ExitCode {
@@ -22,6 +25,7 @@ fn main() -> ExitCode {
     let rest: Vec<String> = args.collect();
     let done = match task.as_deref() {
         Some("serve") => serve(&rest),
+        Some("fuzz") => fuzz::fuzz(&rest),
         Some("test") if rest.is_empty() => test(),
         Some("fetch") if rest.is_empty() => runtime::fetch().map_err(|e| e.in_step("ONNX Runtime")),
         Some("help" | "--help" | "-h") => {
@@ -58,7 +62,7 @@ type Step = (&'static str, fn() -> Result<(), Fault>);
 fn test() -> Result<(), Fault> {
     let steps: [Step; 6] = [
         ("format", || run(cargo(&["fmt", "--all", "--check"]))),
-        ("lint", || run(cargo(&["clippy", "--workspace", "--release", "--all-targets", "--", "-D", "warnings"]))),
+        ("lint", || run(cargo(&["clippy", "--workspace", "--release", "--all-targets", "--all-features", "--", "-D", "warnings"]))),
         ("ONNX Runtime", runtime::fetch),
         ("tools", browser::tools),
         ("tests", || run(cargo(&["test", "--workspace", "--release"]))),

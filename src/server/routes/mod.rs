@@ -22,6 +22,8 @@ use utoipa_axum::routes;
 
 use super::app::App;
 use super::middleware;
+pub(super) use view_query::ViewQuery;
+
 use super::pages;
 use super::problem::Problem;
 

@@ -4,22 +4,26 @@ use axum::extract::{Path, State};
 use axum::http::{HeaderMap, Uri};
 use axum::response::Response;
 
-use crate::atlas::{LEVELS, MEDIA_TYPE};
-use crate::server::app::{App, Shared};
+use crate::atlas::{self, LEVELS, MEDIA_TYPE, SECTIONS};
+use crate::server::app::{App, Shared, Stored};
 use crate::server::conditional::{Entity, IMMUTABLE, respond};
 use crate::server::problem::Problem;
 use crate::server::store::Part;
 
 /// The container of a photo.
 ///
-/// Sections can be fetched one by one with `Range`; the entity tag is strong and the bytes never change. A smaller level has the
-/// same planes over a photo of half, a quarter or an eighth of the size.
+/// Its index says where each section lies, so that these can be fetched one by one with `Range`; or `sections` names those that a
+/// smaller container is to hold. The entity tag is strong, other for every level and choice of sections, and the bytes never change.
+/// A smaller level has the same planes over a photo of half, a quarter or an eighth of the size.
 #[utoipa::path(
     get, path = "/v1/photos/{id}/atlas", tag = "photos",
     params(
         ("id" = String, Path, description = "Id of the photo"),
         ("level" = Option<u8>, Query, description = "0 (default) the photo's own size, 1 half of it, 2 a quarter, 3 an eighth"),
         ("fit" = Option<u16>, Query, description = "In place of a level: the smallest whose longer side has at least so many pixels"),
+        ("sections" = Option<String>, Query, description = "Which of `index` (always there), `photo`, `planes`, `labels`, `alpha` and \
+            `hidden` the container is to hold, with commas between them; all if it is not given. What a photo does not have is left out",
+            example = "photo"),
         ("Range" = Option<String>, Header, description = "One range of bytes"),
         ("If-Range" = Option<String>, Header, description = "Entity tag that the range is meant for"),
         ("If-None-Match" = Option<String>, Header, description = "Entity tags that the client has"),
@@ -30,7 +34,7 @@ use crate::server::store::Part;
         (status = 206, description = "The range", body = String, content_type = "application/vnd.tmpi",
             headers(("Content-Range" = String, description = "Which bytes of how many"))),
         (status = 304, description = "The client has it"),
-        (status = 400, description = "There is no such level", body = Problem, content_type = "application/problem+json"),
+        (status = 400, description = "There is no such level or section", body = Problem, content_type = "application/problem+json"),
         (status = 404, description = "There is no such photo", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "Not finished yet", body = Problem, content_type = "application/problem+json"),
         (status = 416, description = "There are no such bytes", body = Problem, content_type = "application/problem+json"),
@@ -40,15 +44,36 @@ pub async fn atlas(State(app): State<App>, Path(id): Path<String>, uri: Uri, hea
     let entry = app.photo(&id)?;
     // a wrong query is wrong whether the photo is finished or not
     wanted_level(&uri, 0)?;
+    let sections = wanted_sections(&uri)?;
     let (version, done) = Shared::done(&entry)?;
     let level = wanted_level(&uri, done.width.max(done.height))?;
-    let file = app.level(version, level).await?;
+    let mut file = app.level(version, level).await?;
+    if let Some(names) = sections {
+        file = Stored::new(atlas::select(&file.bytes, &names).map_err(|e| Problem::from(&e))?);
+    }
     Ok(respond(&headers, Entity { bytes: file.bytes, etag: &file.etag, content_type: MEDIA_TYPE, cache_control: IMMUTABLE }))
 }
 
-/// The level that a query asks for, of a photo whose longer side has `side` pixels; other parameters are nobody's and ignored.
+/// Value of a parameter of the query; parameters that nobody knows are ignored.
+fn parameter<'a>(uri: &'a Uri, name: &str) -> Option<&'a str> {
+    uri.query().unwrap_or_default().split('&').find_map(|p| p.strip_prefix(name)?.strip_prefix('='))
+}
+
+/// Names of the sections that a query asks for; none where it does not say.
+fn wanted_sections(uri: &Uri) -> Result<Option<Vec<&'static str>>, Problem> {
+    let Some(list) = parameter(uri, "sections") else { return Ok(None) };
+    // a comma may come as it is or escaped
+    let list = list.replace("%2C", ",").replace("%2c", ",");
+    let known = |name: &str| {
+        let unknown = || Problem::parameter("sections", format!("there is no section {name:?}; there are {}", SECTIONS.join(", ")));
+        SECTIONS.into_iter().find(|s| *s == name).ok_or_else(unknown)
+    };
+    list.split(',').map(known).collect::<Result<_, _>>().map(Some)
+}
+
+/// The level that a query asks for, of a photo whose longer side has `side` pixels.
 fn wanted_level(uri: &Uri, side: u32) -> Result<u8, Problem> {
-    let of = |name: &str| uri.query().unwrap_or_default().split('&').find_map(|p| p.strip_prefix(name)?.strip_prefix('='));
+    let of = |name| parameter(uri, name);
     if let Some(level) = of("level") {
         let range = || Problem::parameter("level", format!("must be 0 to {LEVELS}"));
         return level.parse().ok().filter(|l| *l <= LEVELS).ok_or_else(range);

@@ -1,0 +1,70 @@
+//! What the readers of foreign bytes are fuzzed with. `fuzz/` runs these targets on bytes that libFuzzer finds, `tests/fuzz.rs` on
+//! the seeds and on changes of them. Not part of the interface.
+
+use axum::http::{HeaderMap, HeaderValue, Uri, header};
+
+use crate::{atlas, server};
+
+/// Runs a reader on the bytes and panics where it breaks a promise; gives the most bytes of memory that it may have taken.
+pub type Run = fn(&[u8]) -> usize;
+
+/// All targets by name.
+pub const TARGETS: [(&str, Run); 4] = [("container", container), ("labels", labels), ("planes", planes), ("query", query)];
+
+/// What a reader may take for whatever it is given: threads, tables, messages.
+const LEAST: usize = 4 << 20;
+/// Pixels above which a container is not decoded here: it would be slow, not wrong.
+const SLOW: u64 = 128 * 128;
+
+/// A whole container, as anyone may send it. Promised: an error or a scene that holds together; memory by bytes, pixels and texels.
+fn container(data: &[u8]) -> usize {
+    let Ok(size) = atlas::fuzzing::size(data) else {
+        assert!(atlas::decode(data).is_err(), "a container without a readable index was read");
+        return LEAST + 2 * data.len();
+    };
+    // never larger than what it came from and what it says it holds
+    let most = LEAST + 8 * data.len() + 64 * size.pixels as usize + 12 * size.texels as usize;
+    let sections = atlas::sections(data);
+    if size.pixels > SLOW || size.texels > 64 * SLOW {
+        return most;
+    }
+    if let Ok(scene) = atlas::decode(data) {
+        assert_eq!(scene.validate(), Ok(()));
+        assert!(sections.is_ok(), "a container was read whose sections cannot be listed");
+    }
+    most
+}
+
+/// The labels of a grid. Promised: labels below their tile's count, and what is written of them is read again.
+fn labels(data: &[u8]) -> usize {
+    let Some((head, stream)) = data.split_first_chunk::<8>() else { return LEAST };
+    let grid = atlas::fuzzing::grid(u32::from(head[0]) + 1, u32::from(head[1]) + 1, u32::from(head[2]) % 80 + 1);
+    let counts: Vec<u8> = (0..grid.tiles()).map(|t| head[3 + t as usize % 5] % 66).collect();
+    atlas::fuzzing::labels(&grid, &counts, stream);
+    LEAST + 8 * data.len() + 64 * (grid.width * grid.height) as usize
+}
+
+/// The planes of a grid, unpacked. Promised: what is read is written again, byte by byte.
+fn planes(data: &[u8]) -> usize {
+    let Some((head, columns)) = data.split_first_chunk::<4>() else { return LEAST };
+    let grid = atlas::fuzzing::grid(u32::from(head[0]) + 1, u32::from(head[1]) + 1, u32::from(head[2]) % 80 + 1);
+    let tiles = grid.tiles() as usize;
+    let given = columns.len().saturating_sub(tiles) / 6;
+    // now and then another count than the bytes hold
+    let count = if head[3] < 250 { given } else { given + usize::from(head[3]) };
+    atlas::fuzzing::planes(&grid, count, columns);
+    LEAST + 32 * data.len() + 128 * tiles
+}
+
+/// A query for a view, a line end, and a `Range`. Promised: an error that names a parameter, or a camera within the limits.
+fn query(data: &[u8]) -> usize {
+    let text = String::from_utf8_lossy(data);
+    let (query, range) = text.split_once('\n').unwrap_or((&text, "bytes=0-"));
+    if let Ok(uri) = format!("/v1/photos/x/view?{query}").parse::<Uri>() {
+        server::fuzzing::view(&uri);
+    }
+    if let Ok(value) = HeaderValue::from_str(range) {
+        server::fuzzing::range(&HeaderMap::from_iter([(header::RANGE, value)]), data.len());
+    }
+    LEAST + 64 * data.len()
+}

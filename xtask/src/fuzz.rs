@@ -1,0 +1,61 @@
+//! The fuzzer: the targets of `src/fuzzing.rs` on what libFuzzer finds, from the seeds on.
+
+use std::fs;
+use std::process::Command;
+
+use crate::command::{Fault, cargo, output, root, run};
+
+const TARGETS: [&str; 4] = ["container", "labels", "planes", "query"];
+const SECONDS: u32 = 60;
+/// An input that takes longer is a finding.
+const TIMEOUT: &str = "-timeout=20";
+const MEMORY: &str = "-rss_limit_mb=2048";
+/// What cargo-fuzz passes, but for the sanitizer of addresses: it needs a nightly compiler.
+const COVERAGE: [&str; 6] = [
+    "-Cpasses=sancov-module",
+    "-Cllvm-args=-sanitizer-coverage-level=4",
+    "-Cllvm-args=-sanitizer-coverage-inline-8bit-counters",
+    "-Cllvm-args=-sanitizer-coverage-pc-table",
+    "-Cllvm-args=-sanitizer-coverage-trace-compares",
+    "--cfg=fuzzing",
+];
+
+/// `[--seconds N] [TARGET…]`: every target, or those named, for so long each.
+pub fn fuzz(args: &[String]) -> Result<(), Fault> {
+    let (mut seconds, mut targets) = (SECONDS, Vec::new());
+    let mut args = args.iter();
+    while let Some(arg) = args.next() {
+        match arg.as_str() {
+            "--seconds" => {
+                let wrong = || Fault::new("--seconds takes a whole number");
+                seconds = args.next().and_then(|n| n.parse().ok()).ok_or_else(wrong)?;
+            }
+            name if TARGETS.contains(&name) => targets.push(name),
+            other => return Err(Fault::new(format!("there is no target {other:?}; there are {}", TARGETS.join(", ")))),
+        }
+    }
+    if targets.is_empty() {
+        targets.extend(TARGETS);
+    }
+    let triple = output("rustc", &["-vV"]).and_then(|v| v.lines().find_map(|l| l.strip_prefix("host: ").map(str::to_owned)));
+    let triple = triple.ok_or_else(|| Fault::new("`rustc -vV` names no host"))?;
+    // with a target named, build scripts are not instrumented
+    let mut build =
+        cargo(&["build", "--release", "--manifest-path", "fuzz/Cargo.toml", "--target-dir", "target/fuzz", "--target", &triple]);
+    build.env("RUSTFLAGS", COVERAGE.join(" "));
+    run(build)?;
+    let program = root().join("target/fuzz").join(&triple).join("release/fuzz");
+    for name in targets {
+        println!("── {name}, {seconds} s");
+        let (found, crashes) = (root().join("target/fuzz/corpus").join(name), root().join("target/fuzz/crashes").join(name));
+        for folder in [&found, &crashes] {
+            fs::create_dir_all(folder).map_err(|e| Fault::new(format!("{}: {e}", folder.display())))?;
+        }
+        let mut command = Command::new(&program);
+        command.env("TMPI_FUZZ", name).current_dir(root()).args([TIMEOUT, MEMORY, "-print_final_stats=1", "-verbosity=0"]);
+        command.arg(format!("-max_total_time={seconds}")).arg(format!("-artifact_prefix={}/", crashes.display()));
+        command.arg(&found).arg(root().join("fuzz/seeds").join(name));
+        run(command)?;
+    }
+    Ok(())
+}
