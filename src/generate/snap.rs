@@ -212,15 +212,12 @@ fn side(photo: &Photo, colour: &ColourWeight, w: &Window) -> Option<f32> {
     let own = photo.at(w.x as u32, w.y as u32);
     // per side: weight, weighted δ, count
     let mut sides = [[0f32; 3]; 2];
+    let (low_to, high_from) = (w.lo + 0.2 * step, w.lo + 0.8 * step);
     w.each(RADIUS, |x, y, d| {
-        let t = (d - w.lo) / step;
-        let s = if t <= 0.2 {
-            0
-        } else if t >= 0.8 {
-            1
-        } else {
+        if d > low_to && d < high_from {
             return;
-        };
+        }
+        let s = usize::from(d > low_to);
         let place = colour.place[x.abs_diff(w.x).pow(2) + y.abs_diff(w.y).pow(2)];
         let weight = colour.of(own, photo.at(x as u32, y as u32)) * place + 1e-20;
         sides[s][0] += weight;

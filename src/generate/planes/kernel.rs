@@ -5,9 +5,6 @@ use crate::simd::dispatch;
 /// Lanes of the accumulators.
 const LANES: usize = 8;
 
-/// Samples that are looked at together.
-const BLOCK: usize = 512;
-
 /// Sums of a cluster: w, wu, wv, wδ, wuu, wuv, wvv, wuδ, wvδ.
 pub type Sums = [f32; 9];
 
@@ -41,38 +38,53 @@ dispatch!(
 #[allow(clippy::inline_always, reason = "the loop must be compiled anew with the caller's target features")]
 fn nearest_body(planes: &[[f32; 3]], s: Columns, error: &mut [f32], label: &mut [u32], moved: &mut Vec<(u32, u32)>) -> f64 {
     let mut total = 0f64;
-    // blocks stay in the first-level cache from plane to plane; a loop a plane is what vectorises
-    let mut who = [0u32; BLOCK];
-    for (block, (best, label)) in error.chunks_mut(BLOCK).zip(label.chunks_mut(BLOCK)).enumerate() {
-        let range = block * BLOCK..block * BLOCK + best.len();
-        let (u, v, d, w) = (&s.u[range.clone()], &s.v[range.clone()], &s.d[range.clone()], &s.w[range.clone()]);
-        let who = &mut who[..best.len()];
-        best.fill(f32::INFINITY);
-        who.fill(0);
-        for (j, &[a, b, c]) in planes.iter().enumerate() {
-            for ((((u, v), d), e), l) in u.iter().zip(v).zip(d).zip(best.iter_mut()).zip(who.iter_mut()) {
-                let new = (a + b * u + c * v - d).abs();
-                let better = new < *e;
-                *e = if better { new } else { *e };
-                *l = if better { j as u32 } else { *l };
-            }
+    let mut part = [0f32; LANES];
+    let ((u, u_rest), (v, v_rest)) = (s.u.as_chunks::<LANES>(), s.v.as_chunks::<LANES>());
+    let ((d, d_rest), (w, w_rest)) = (s.d.as_chunks::<LANES>(), s.w.as_chunks::<LANES>());
+    let (e, e_rest) = error.as_chunks_mut::<LANES>();
+    let (l, l_rest) = label.as_chunks_mut::<LANES>();
+    let runs = e.len();
+    for ((run, (e, l)), (((u, v), d), w)) in e.iter_mut().zip(l).enumerate().zip(u.iter().zip(v).zip(d).zip(w)) {
+        // all planes while the run lies in registers
+        let (best, who) = nearest_of(planes, u, v, d);
+        part = lanes(|i| part[i] + w[i] * best[i] * best[i]);
+        *e = best;
+        if *l != who {
+            let at = run * LANES;
+            moved.extend((at..).zip(*l).zip(who).filter(|((_, old), new)| old != new).map(|((i, old), _)| (i as u32, old)));
+            *l = who;
         }
-        let mut cost = [0f32; LANES];
-        let ((e, e_rest), (w, w_rest)) = (best.as_chunks::<LANES>(), w.as_chunks::<LANES>());
-        for (e, w) in e.iter().zip(w) {
-            cost = lanes(|i| cost[i] + w[i] * e[i] * e[i]);
+        // sums of many squares would lose the small ones
+        if run % 64 == 63 {
+            total += f64::from(part.iter().sum::<f32>());
+            part = [0.0; LANES];
         }
-        let rest: f32 = e_rest.iter().zip(w_rest).map(|(e, w)| w * e * e).sum();
-        total += f64::from(cost.iter().sum::<f32>() + rest);
-        for (run, (old, new)) in label.chunks(LANES).zip(who.chunks(LANES)).enumerate() {
-            if old != new {
-                let first = range.start + run * LANES;
-                moved.extend((first..).zip(old).zip(new).filter(|((_, old), new)| old != new).map(|((i, old), _)| (i as u32, *old)));
-            }
+    }
+    total += f64::from(part.iter().sum::<f32>());
+    for (i, (e, l)) in e_rest.iter_mut().zip(l_rest).enumerate() {
+        let (best, who) = nearest_of(planes, &[u_rest[i]; LANES], &[v_rest[i]; LANES], &[d_rest[i]; LANES]);
+        total += f64::from(w_rest[i] * best[0] * best[0]);
+        *e = best[0];
+        if *l != who[0] {
+            moved.push(((runs * LANES + i) as u32, *l));
+            *l = who[0];
         }
-        label.copy_from_slice(who);
     }
     total
+}
+
+/// Absolute errors and labels of eight samples.
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "the loop must be compiled anew with the caller's target features")]
+fn nearest_of(planes: &[[f32; 3]], u: &[f32; LANES], v: &[f32; LANES], d: &[f32; LANES]) -> ([f32; LANES], [u32; LANES]) {
+    let (mut best, mut who) = ([f32::INFINITY; LANES], [0u32; LANES]);
+    for (j, &[a, b, c]) in (0u32..).zip(planes) {
+        let new = lanes(|i| (a + b * u[i] + c * v[i] - d[i]).abs());
+        let better: [bool; LANES] = std::array::from_fn(|i| new[i] < best[i]);
+        best = lanes(|i| if better[i] { new[i] } else { best[i] });
+        who = std::array::from_fn(|i| if better[i] { j } else { who[i] });
+    }
+    (best, who)
 }
 
 #[inline(always)]
