@@ -267,9 +267,16 @@ pub(super) fn moves(bench: &Bench, subjects: &[Subject], progress: &dyn Fn(&str)
         let Some(made) = bench.runs(s, &measure::Depth::Known, &Options::default())?.pop() else { continue };
         let scene = Arc::new(crate::atlas::decode(&made.container)?);
         // the same scene painted white near borders tells where they have gone in a view
-        let (w, h) = (p.photo.width, p.photo.height);
-        let near = |at: u32, all: u32| at.min(all - 1 - at) >= NEAR && (at % 56 < 16 || at % 56 >= 56 - NEAR);
-        let white = |i: u32| if near(i % w, w) || near(i / w, h) { [255; 3] } else { [0; 3] };
+        let (w, h, grid) = (p.photo.width, p.photo.height, scene.grid);
+        let borders = |start: fn(&Rect) -> u32, length: fn(&Rect) -> u32, side: u32| -> Vec<bool> {
+            let tiles: Vec<Rect> = (0..grid.tiles()).map(|t| grid.rect(t)).collect();
+            let lines = tiles.iter().flat_map(|r| [start(r), start(r) + length(r)]).filter(|&b| b > 0 && b < side);
+            let mut near = vec![false; side as usize];
+            lines.for_each(|b| near[b.saturating_sub(NEAR) as usize..(b + NEAR).min(side) as usize].fill(true));
+            near
+        };
+        let (columns, rows) = (borders(|r| r.x, |r| r.w, w), borders(|r| r.y, |r| r.h, h));
+        let white = |i: u32| if columns[(i % w) as usize] || rows[(i / w) as usize] { [255; 3] } else { [0; 3] };
         let mut painted = Scene::clone(&scene);
         painted.photo.rgb = (0..w * h).map(white).collect();
         painted.texels.hidden.fill([0; 3]);

@@ -158,32 +158,27 @@ const FINE: u32 = 14;
 /// Overlapping tiles count every pixel that they hold.
 #[must_use]
 pub fn discretisation_error(delta: &DisparityMap, grid: &Grid, tiles: &[Tile]) -> (f64, f64, f64) {
-    let new = || (Samples::default(), vec![0u32; (1f32.to_bits() >> FINE) as usize + 1], [0f64; 2]);
-    let merge = |mut a: (Samples, Vec<u32>, [f64; 2]), b: (Samples, Vec<u32>, [f64; 2])| {
-        for (a, b) in a.1.iter_mut().zip(b.1) {
-            *a += b;
-        }
-        a.2 = [a.2[0] + b.2[0], a.2[1] + b.2[1]];
-        a
-    };
+    let none = || (vec![0u32; (1f32.to_bits() >> FINE) as usize + 1], [0f64; 2]);
     let per_thread = tiles.len().div_ceil(rayon::current_num_threads()).max(1);
-    let all = tiles.par_chunks(per_thread).enumerate().map(|(chunk, tiles)| {
-        let (mut s, mut counts, mut sums) = new();
+    let parts = tiles.par_chunks(per_thread).enumerate().map(|(chunk, tiles)| {
+        let (mut s, (mut counts, mut sums)) = (Samples::default(), none());
+        let last = counts.len() - 1;
         for (i, t) in tiles.iter().enumerate() {
             s.gather(delta, None, grid, (chunk * per_thread + i) as u32);
             let errors = s.errors(&t.planes, &t.labels);
             for e in &errors {
-                let at = (e.to_bits() >> FINE) as usize;
-                let last = counts.len() - 1;
-                counts[at.min(last)] += 1;
+                counts[((e.to_bits() >> FINE) as usize).min(last)] += 1;
             }
             // a row at a time: `f32` keeps a few dozen terms, and adds them side by side
             let sum = |f: fn(f32) -> f32| errors.chunks(64).map(|row| f64::from(row.iter().map(|&e| f(e)).sum::<f32>())).sum::<f64>();
             sums = [sums[0] + sum(|e| e), sums[1] + sum(|e| e * e)];
         }
-        (s, counts, sums)
+        (counts, sums)
     });
-    let (_, counts, [absolute, squared]) = all.reduce(new, merge);
+    let (counts, [absolute, squared]) = parts.reduce(none, |(mut counts, sums), (more, others)| {
+        counts.iter_mut().zip(more).for_each(|(a, b)| *a += b);
+        (counts, [sums[0] + others[0], sums[1] + others[1]])
+    });
     let n: u64 = counts.iter().map(|&c| u64::from(c)).sum();
     if n == 0 {
         return (0.0, 0.0, 0.0);
