@@ -32,7 +32,11 @@ export async function followTilt(motion, wake) {
     wake();
   };
   addEventListener('deviceorientation', onTilt);
-  return () => removeEventListener('deviceorientation', onTilt);
+  motion.steered = true;
+  return () => {
+    motion.steered = false;
+    removeEventListener('deviceorientation', onTilt);
+  };
 }
 
 /** Tilt to the right and downwards as the screen is held. */

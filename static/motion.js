@@ -32,6 +32,8 @@ export class Motion {
     this.now = { x: 0, y: 0, z: 0 };
     this.speed = { x: 0, y: 0, z: 0 };
     this.idle = false;
+    /** True while something else than the pointer aims: a mouse that only hovers must not fight it. */
+    this.steered = false;
     this.quiet = SWING.delay;
     this.phase = 0;
     this.level = 0;
@@ -132,7 +134,7 @@ export function listen(element, motion, { wake, toggleIdle, embedded }) {
     const box = element.getBoundingClientRect();
     const last = pointers.get(event.pointerId);
     if (last) drag(event, last, box);
-    else if (event.pointerType === 'mouse' && hovering) {
+    else if (event.pointerType === 'mouse' && hovering && !motion.steered) {
       // as in a drag, near things follow the pointer
       motion.aim(1 - ((event.clientX - box.left) / box.width) * 2, 1 - ((event.clientY - box.top) / box.height) * 2);
       wake();
@@ -143,7 +145,7 @@ export function listen(element, motion, { wake, toggleIdle, embedded }) {
   on('pointercancel', release);
   on('pointerenter', () => (hovering = pointers.size === 0));
   on('pointerleave', (event) => {
-    if (event.pointerType === 'mouse' && hovering) {
+    if (event.pointerType === 'mouse' && hovering && !motion.steered) {
       motion.aim(0, 0);
       wake();
     }

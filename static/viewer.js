@@ -169,6 +169,11 @@ export class Viewer extends EventTarget {
     else this.#stopTilt = stop;
   }
 
+  /** True while the tilt of the device moves the camera, which it does once the browser has allowed it. */
+  get tilting() {
+    return this.#stopTilt !== null;
+  }
+
   /** The view at the present pose as a PNG file, in the photo's size. */
   async picture() {
     const { width, height } = this.head;

@@ -97,6 +97,8 @@ describe('life', () => {
     const tilt = (beta, gamma) => page.evaluate(([b, g]) => dispatchEvent(new DeviceOrientationEvent('deviceorientation', { beta: b, gamma: g })), [beta, gamma]);
     const settled = () => page.waitForFunction(() => !window.viewer.moving);
     const pose = () => page.evaluate(() => window.viewer.pose);
+    // the browser is asked first, which takes its time
+    await page.waitForFunction(() => window.viewer.tilting);
     await tilt(40, 10);
     await settled();
     assert.ok(Math.abs((await pose()).tx) < 1e-4, 'the first posture is the middle');
@@ -106,6 +108,11 @@ describe('life', () => {
     await page.waitForFunction(() => window.viewer.pose.ty < -0.01);
     await settled();
     const last = await pose();
+    const stage = await page.locator('#stage').boundingBox();
+    await page.mouse.move(stage.x + 20, stage.y + 20);
+    await page.mouse.move(stage.x + 60, stage.y + 40);
+    await page.waitForTimeout(100);
+    assert.deepEqual(await pose(), last, 'a mouse that hovers does not fight the tilt');
     await box.uncheck();
     await tilt(70, 60);
     await page.waitForTimeout(200);
