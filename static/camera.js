@@ -96,19 +96,36 @@ export function deltaAt({ layers, tileSize }, i, x, y) {
 }
 
 /** Distance of the eyes in units of the nearest distance, as the server has it for stereo. */
-const EYES = 1 / 30;
+export const EYES = 1 / 30;
 
 /** The views of both eyes, side by side on a canvas of `size`; what lies at disparity `focus` stands in the screen. */
 export function eyes(pose, head, size, focus) {
   const [width, height] = [Math.floor(size.width / 2), size.height];
+  const k = resized(head.intrinsics, head, { width, height });
+  return [-EYES / 2, EYES / 2].map((shift, i) => shifted({ pose, k, x: i * width, width, height }, [shift, 0], focus));
+}
+
+/** The view from a place to the camera's own right and below, of which what lies at disparity `focus` stays in its place. */
+export function shifted(view, [right, down], focus) {
+  const { pose, k } = view;
   const { r } = extrinsics(pose);
-  return [-EYES / 2, EYES / 2].map((shift, i) => {
-    const k = resized(head.intrinsics, head, { width, height });
-    k.cx += k.fx * shift * focus;
-    // to the camera's own right
-    const at = { ...pose, tx: pose.tx + r[0] * shift, ty: pose.ty + r[1] * shift, tz: pose.tz + r[2] * shift };
-    return { pose: at, k, x: i * width, width, height };
-  });
+  const along = (i) => r[i] * right + r[3 + i] * down;
+  return {
+    ...view,
+    pose: { ...pose, tx: pose.tx + along(0), ty: pose.ty + along(1), tz: pose.tz + along(2) },
+    k: { ...k, cx: k.cx + k.fx * right * focus, cy: k.cy + k.fy * down * focus },
+  };
+}
+
+/** Angles of a pose whose camera-to-world rotation is `c`, row-major. */
+export function anglesOf(c) {
+  const sine = Math.max(-1, Math.min(1, -c[5]));
+  const [pitch, yaw] = [Math.asin(sine), Math.atan2(c[2], c[8])];
+  // straight up or down, yaw and roll are one
+  const upright = Math.abs(sine) > 1 - 1e-9;
+  const angles = upright ? [Math.atan2(-c[6], c[0]), pitch, 0] : [yaw, pitch, Math.atan2(c[3], c[4])];
+  const [y, p, r] = angles.map((v) => v / RADIANS);
+  return { yaw: y, pitch: p, roll: r };
 }
 
 /** A pose from `tx,ty,tz[,yaw,pitch,roll]`, or null where the text is none. */

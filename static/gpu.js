@@ -2,6 +2,7 @@
 import { pieces } from './border.js';
 import { extrinsics } from './camera.js';
 import { acquireDevice } from './device.js';
+import { GpuMean } from './lens-gpu.js';
 import { expandAll, INSTANCE_FLOATS, instances, pack } from './pages.js';
 
 const UNIFORM_BYTES = 112;
@@ -122,6 +123,21 @@ export class GpuRenderer {
     views.forEach((view, i) => this.#pass(texture, view, i === 0));
   }
 
+  /**
+   * Draws the mean of pictures to the attached canvas, going on from a mean of `before` pictures drawn the same way just now.
+   * @param {{pose: object, k: object, x: number, width: number, height: number}[][]} frames views of each picture, as `draw` has them
+   */
+  drawMean(frames, before) {
+    const texture = this.context.getCurrentTexture();
+    this.mean ??= new GpuMean(this.device, this.format);
+    this.mean.resize(texture.width, texture.height);
+    frames.forEach((views, i) => {
+      views.forEach((view, j) => this.#pass(this.mean.part, view, j === 0));
+      this.mean.add(1 / (before + i + 1));
+    });
+    this.mean.show(texture);
+  }
+
   #pass(texture, view, first, after) {
     const { device } = this;
     const { width, height } = texture;
@@ -182,6 +198,7 @@ export class GpuRenderer {
     if (this.disposed) return;
     this.disposed = true;
     this.context?.unconfigure();
+    this.mean?.dispose();
     for (const resource of [this.atlas, this.instances, this.uniforms, this.depth]) resource?.destroy();
     this.shared.release();
   }

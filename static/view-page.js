@@ -8,11 +8,14 @@ import { formatBytes, photoName, queueText, sentence, stageText } from './text.j
 import { hasGyroscope } from './gyroscope.js';
 import { Viewer } from './viewer.js';
 import { t, translatePage } from './words.js';
+import { hasHeadset } from './xr.js';
 
 const TOAST_MS = 2500;
 const NOTE_MS = 7000;
 const HASH_KEY = 'pose';
 const BACKDROP = [12, 9];
+/** How far a pointer may go between press and release and still have clicked. */
+const CLICK_PX = 5;
 
 const $ = (id) => document.getElementById(id);
 const id = decodeURIComponent(location.pathname.split('/').filter(Boolean).pop() ?? '');
@@ -105,6 +108,7 @@ function start() {
     $('loading').hidden = true;
     stage.dataset.mode = detail.mode;
     $('show').hidden = $('picture').hidden = !viewer.renderer;
+    offerHeadset();
   });
   viewer.addEventListener('mode', ({ detail }) => {
     stage.dataset.mode = detail.mode;
@@ -173,6 +177,24 @@ async function toggleFullscreen() {
 function applyMenu() {
   viewer.overlay = document.querySelector('input[name=overlay]:checked').value;
   viewer.stereo = $('stereo').checked;
+  viewer.blur = Number($('blur').value);
+  $('blur-hint').hidden = !viewer.blur;
+}
+
+/** A click without a drag says where to focus, where that makes a difference. */
+function focusOnClick() {
+  let pressed = null;
+  stage.addEventListener('pointerdown', ({ clientX, clientY }) => (pressed = { clientX, clientY }));
+  stage.addEventListener('click', ({ clientX, clientY }) => {
+    if (!viewer.blur || !viewer.canvas || !pressed || Math.hypot(clientX - pressed.clientX, clientY - pressed.clientY) > CLICK_PX) return;
+    const box = viewer.canvas.getBoundingClientRect();
+    viewer.focusAt((clientX - box.x) / box.width, (clientY - box.y) / box.height).catch((error) => toast(error.message));
+  });
+}
+
+/** Only where the browser draws and has something to look into. */
+async function offerHeadset() {
+  $('headset').hidden = !viewer.renderer || !(await hasHeadset());
 }
 
 async function savePicture() {
@@ -195,6 +217,10 @@ $('tilt').addEventListener('change', async () => {
     toast(t('This browser does not allow it'));
   }
 });
+$('blur').addEventListener('input', applyMenu);
+focusOnClick();
+$('headset').addEventListener('click', () => viewer.enterHeadset().catch(() => toast(t('This browser does not allow it'))));
+navigator.xr?.addEventListener?.('devicechange', offerHeadset);
 $('reset').addEventListener('click', () => viewer.reset());
 $('idle').addEventListener('click', () => viewer.setIdle(!viewer.idle));
 $('share').addEventListener('click', share);

@@ -7,35 +7,29 @@
 // `frame` {ms} · `error` {message}. `mode` is `gpu` where the browser draws with WebGPU, `webgl` where it does with WebGL2,
 // `served` where the server draws, and `still` where nobody can and the photo is all there is.
 import { limitsOf } from './border.js';
-import { eyes, fovX, HOME, lookingAt, pivotOf, POSE_KEYS, resized } from './camera.js';
+import { fovX, HOME, lookingAt, pivotOf, POSE_KEYS, resized } from './camera.js';
+import { startDecoder } from './decoder.js';
+import { Drawing } from './drawing.js';
 import { fitted, pixelRatio, setPixels } from './fit.js';
 import { followTilt } from './gyroscope.js';
 import { Hosts } from './hosts.js';
 import { listen, Motion } from './motion.js';
-import { startDecoder } from './decoder.js';
 import { Pace } from './pace.js';
 import { quantised, ServedViews } from './served.js';
 import { limited, offsetOf } from './settings.js';
-import { TileErrors } from './tile-errors.js';
-
-
-/** Pictures that can be drawn over the scene. */
-export const OVERLAYS = Object.freeze(['none', 'depth', 'tiles', 'planes', 'error']);
 
 export class Viewer extends EventTarget {
   #worker = null;
   #frameRequest = 0;
   #lastFrame = 0;
   #hosts = null;
-  #overlay = 0;
-  #stereo = false;
+  #drawing;
   #stopTilt = null;
   #asleep = false;
   #pace = new Pace();
   #settings = {};
   #touched = false;
   #exact = null;
-  #errors;
   #disposed = false;
   #stopListening;
   #resizes;
@@ -52,8 +46,10 @@ export class Viewer extends EventTarget {
     super();
     this.root = root;
     this.options = options;
-    this.#errors = new TileErrors(options.report);
+    this.#drawing = new Drawing(options.report);
     this.mode = 'loading';
+    /** What shows the scene in a headset (xr.js) while one does, else null. */
+    this.headset = null;
     this.scene = null;
     this.head = null;
     this.renderer = null;
@@ -125,38 +121,68 @@ export class Viewer extends EventTarget {
     this.#emit('idle', { on });
   }
 
-  /** What is drawn over the scene, one of `OVERLAYS`; only where the browser draws. */
+  /** What is drawn over the scene, one of `OVERLAYS` (drawing.js); only where the browser draws. */
   get overlay() {
-    return OVERLAYS[this.#overlay];
+    return this.#drawing.overlay;
   }
 
   set overlay(name) {
-    this.#overlay = Math.max(0, OVERLAYS.indexOf(name));
-    if (this.renderer) this.renderer.overlay = this.#overlay;
-    if (name === 'error') {
-      this.#errors.want();
-      this.#showErrors();
+    this.#drawing.overlay = name;
+    this.#prepare();
+    this.render();
+  }
+
+  async #prepare() {
+    try {
+      await this.#drawing.prepare(this.renderer);
+    } catch (error) {
+      this.#emit('error', { message: error.message });
     }
     this.render();
   }
 
-  async #showErrors() {
-    try {
-      await this.#errors.show(this.renderer);
-      this.render();
-    } catch (error) {
-      this.#emit('error', { message: error.message });
-    }
-  }
-
   /** A view for each eye, side by side; only where the browser draws. */
   get stereo() {
-    return this.#stereo;
+    return this.#drawing.stereo;
   }
 
   set stereo(on) {
-    this.#stereo = on;
+    this.#drawing.stereo = on;
     this.#layout();
+  }
+
+  /** How much blurs what lies away from the focus, 0 to 1; only where the browser draws. */
+  get blur() {
+    return this.#drawing.lens.blur;
+  }
+
+  set blur(share) {
+    this.#drawing.lens.blur = Math.max(0, Math.min(1, share || 0));
+    this.render();
+  }
+
+  /** Disparity of what is sharp. */
+  get focus() {
+    return this.#drawing.lens.focus ?? this.pivot;
+  }
+
+  /** Makes sharp what is seen at a place of the canvas, shares of its width and height from the upper left. */
+  async focusAt(x, y) {
+    if (!this.renderer || this.stereo) return;
+    this.#drawing.lens.focus = await this.#drawing.disparityAt(this.renderer, this, x, y);
+    this.render();
+  }
+
+  /** Shows the scene in a headset; to be called from a tap. Throws where that is not allowed. */
+  async enterHeadset() {
+    if (this.headset || !this.scene) return;
+    const { Headset } = await import('./xr.js');
+    this.headset = await Headset.enter(this.scene, this.limits, () => {
+      this.headset = null;
+      this.asleep = false;
+    });
+    // nobody sees the page
+    this.asleep = true;
   }
 
   /** Lets the tilt of the device move the camera, or not; to be called from a tap. Throws where that is not allowed. */
@@ -175,12 +201,8 @@ export class Viewer extends EventTarget {
   }
 
   /** The view at the present pose as a PNG file, in the photo's size. */
-  async picture() {
-    const { width, height } = this.head;
-    const image = new ImageData(await this.readPixels(width, height), width, height);
-    const canvas = new OffscreenCanvas(width, height);
-    canvas.getContext('2d').putImageData(image, 0, 0);
-    return canvas.convertToBlob({ type: 'image/png' });
+  picture() {
+    return this.#drawing.picture(this.renderer, this);
   }
 
   /** True while nobody sees it: it draws nothing then. */
@@ -240,19 +262,19 @@ export class Viewer extends EventTarget {
   render() {
     if (!this.head || this.#disposed) return;
     if (this.renderer?.context) {
-      this.renderer.draw(this.#views());
-      this.#pace.measure(this.renderer, () => this.moving).then((news) => news && this.#emit('frame', { ms: this.#pace.ms }));
+      const { lens } = this.#drawing;
+      const times = this.#drawing.draw(this.renderer, this);
+      if (lens.unfinished) this.#wake();
+      if (!times) return;
+      this.#pace.measure(this.renderer, () => this.moving).then((ms) => {
+        if (ms === null) return;
+        lens.cost = ms / times;
+        this.#emit('frame', { ms: this.#pace.ms });
+      });
     } else if (this.mode === 'served') {
       const pose = this.#exact ?? this.#poseAt(quantised(this.motion.now));
       this.served.show(pose, fovX(this.head.intrinsics, this.head.width), this.poster.clientWidth * pixelRatio());
     }
-  }
-
-  /** One view over the whole canvas, or one for each eye; what lies at the pivot stands in the screen. */
-  #views() {
-    const { pose, head, canvas } = this;
-    if (this.#stereo) return eyes(pose, head, canvas, this.pivot);
-    return [{ pose, k: resized(head.intrinsics, head, canvas), x: 0, width: canvas.width, height: canvas.height }];
   }
 
   /**
@@ -270,6 +292,7 @@ export class Viewer extends EventTarget {
     this.#worker?.terminate();
     this.#stopListening();
     this.#stopTilt?.();
+    this.headset?.end();
     this.#resizes.disconnect();
     this.#reduced.removeEventListener('change', this.#onReduced);
     document.removeEventListener('visibilitychange', this.#onVisible);
@@ -329,10 +352,9 @@ export class Viewer extends EventTarget {
     this.#adopt(this.canvas, 'tmpi-canvas');
     this.renderer = host.renderer;
     this.mode = host.mode;
-    this.renderer.overlay = this.#overlay;
-    this.#showErrors();
     this.#layout();
     this.renderer.attach(this.canvas);
+    this.#prepare();
     this.render();
     this.#wake();
     this.#emit('ready', { mode: this.mode });
@@ -380,7 +402,7 @@ export class Viewer extends EventTarget {
   /** Fits the pictures into the root, whole, in the photo's own shape. */
   #layout() {
     if (!this.head || this.#disposed) return;
-    const size = fitted(this.root, (this.head.width / this.head.height) * (this.#stereo && this.renderer ? 2 : 1));
+    const size = fitted(this.root, (this.head.width / this.head.height) * (this.stereo && this.renderer ? 2 : 1));
     if (!size) return;
     for (const element of [this.poster, this.canvas]) {
       if (!element) continue;

@@ -1,7 +1,9 @@
 // Draws a decoded scene with WebGL2 where there is no WebGPU: tmpi.wgsl said again in GLSL, on the same pages and instances.
 import { pieces } from './border.js';
 import { extrinsics } from './camera.js';
+import { GlMean } from './lens-webgl.js';
 import { expandAll, INSTANCE_FLOATS, instances, pack } from './pages.js';
+import { program } from './shaders.js';
 
 const VERTICES = 18;
 /** Time between two looks at whether the device is done, ms. */
@@ -155,7 +157,7 @@ export class GlRenderer {
 
   async #build() {
     const { gl, scene } = this;
-    this.program = program(gl);
+    this.program = program(gl, VERTEX, FRAGMENT);
     const names = ['rotation', 't_near', 'k_ref', 'k_out', 'size_half', 'soft'];
     this.at = Object.fromEntries(names.map((name) => [name, gl.getUniformLocation(this.program, name)]));
     this.pieces = pieces(scene);
@@ -190,17 +192,29 @@ export class GlRenderer {
   /** The canvas was given when the context was made. */
   attach() {}
 
-  /** As `GpuRenderer.draw`. */
-  draw(views) {
-    this.gl.bindFramebuffer(this.gl.FRAMEBUFFER, null);
+  /** As `GpuRenderer.draw`; `framebuffer` where it is not the canvas's. */
+  draw(views, framebuffer = null) {
+    this.gl.bindFramebuffer(this.gl.FRAMEBUFFER, framebuffer);
     views.forEach((view, i) => this.#pass(view, i === 0));
   }
 
-  #pass({ pose, k, x, width, height }, first) {
+  /** As `GpuRenderer.drawMean`. */
+  drawMean(frames, before) {
+    const { gl } = this;
+    this.mean ??= new GlMean(gl);
+    this.mean.resize(gl.canvas.width, gl.canvas.height);
+    frames.forEach((views, i) => {
+      this.draw(views, this.mean.part.frame);
+      this.mean.add(1 / (before + i + 1));
+    });
+    this.mean.show();
+  }
+
+  #pass({ pose, k, x, y = 0, width, height }, first) {
     const { gl, at, scene, counts } = this;
     const { r, t } = extrinsics(pose);
     const { intrinsics, tileSize } = scene;
-    gl.viewport(x, 0, width, height);
+    gl.viewport(x, y, width, height);
     gl.clearColor(0, 0, 0, 0);
     gl.clearDepth(0);
     gl.depthMask(true);
@@ -279,21 +293,4 @@ export class GlRenderer {
  */
 function nearOf(t) {
   return 0.25 * Math.max(0.004, 1 - Math.hypot(...t));
-}
-
-function program(gl) {
-  const out = gl.createProgram();
-  for (const [type, source] of [
-    [gl.VERTEX_SHADER, VERTEX],
-    [gl.FRAGMENT_SHADER, FRAGMENT],
-  ]) {
-    const shader = gl.createShader(type);
-    gl.shaderSource(shader, source);
-    gl.compileShader(shader);
-    if (!gl.getShaderParameter(shader, gl.COMPILE_STATUS) && !gl.isContextLost()) throw new Error(gl.getShaderInfoLog(shader));
-    gl.attachShader(out, shader);
-  }
-  gl.linkProgram(out);
-  if (!gl.getProgramParameter(out, gl.LINK_STATUS)) throw new Error(gl.getProgramInfoLog(out) || 'the shader cannot be built');
-  return out;
 }
