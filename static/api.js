@@ -63,10 +63,10 @@ function refusal(xhr) {
 }
 
 /**
- * Uploads a file, with its depth map where there is one. `onProgress(fraction)` runs while bytes go out.
+ * Uploads a file, with its depth map where there is one and options by name. `onProgress(fraction)` runs while bytes go out.
  * @returns {{done: Promise<object>, abort: () => void}} `done` gives the photo's JSON
  */
-export function uploadPhoto(file, depth, onProgress) {
+export function uploadPhoto(file, depth, options, onProgress) {
   const xhr = new XMLHttpRequest();
   const done = new Promise((resolve, reject) => {
     xhr.upload.onprogress = (event) => event.lengthComputable && onProgress(event.loaded / event.total);
@@ -82,6 +82,7 @@ export function uploadPhoto(file, depth, onProgress) {
     xhr.onabort = () => reject(new DOMException('Cancelled.', 'AbortError'));
   });
   const form = new FormData();
+  for (const [name, value] of Object.entries(options)) form.append(name, value);
   form.append('photo', file, file.name || 'photo');
   if (depth) form.append('depth', depth, depth.name || 'depth');
   xhr.open('POST', '/v1/photos');

@@ -2,12 +2,14 @@
 
 /** A worker that runs decode-worker.js. */
 export function startDecoder() {
-  return new Worker(workerAddress(), { type: 'module' });
-}
-
-/** A worker's script must be of the page's own origin; what it imports need not. */
-function workerAddress() {
   const url = new URL('./decode-worker.js', import.meta.url);
-  if (url.protocol === 'data:' || url.origin === location.origin) return url;
-  return URL.createObjectURL(new Blob([`import ${JSON.stringify(url.href)};`], { type: 'text/javascript' }));
+  if (url.protocol === 'data:' || url.origin === location.origin) return new Worker(url, { type: 'module' });
+  // a worker's script must be of the page's own origin; what it imports need not
+  const address = URL.createObjectURL(new Blob([`import ${JSON.stringify(url.href)};`], { type: 'text/javascript' }));
+  const worker = new Worker(address, { type: 'module' });
+  // by its first message it has long been read
+  const forget = () => URL.revokeObjectURL(address);
+  worker.addEventListener('message', forget, { once: true });
+  worker.addEventListener('error', forget, { once: true });
+  return worker;
 }

@@ -10,6 +10,12 @@ import { t, translatePage } from './words.js';
 const PARALLEL = 2;
 /** Share of the bar that the upload itself takes. */
 const UPLOAD_SHARE = 0.25;
+/** What the words for quality mean: options of the interface; what is not named stays as the server has it. */
+const QUALITIES = {
+  small: { quality: 75, 'max-error': 1.15 },
+  good: {},
+  best: { quality: 97, 'max-error': 0.25 },
+};
 
 const $ = (id) => document.getElementById(id);
 const waiting = [];
@@ -91,10 +97,11 @@ function take(files) {
   // a map belongs to one photo
   const depth = files.length === 1 ? $('depth-map').files[0] : null;
   if (depth) $('depth-map').value = '';
+  const options = QUALITIES[$('quality').value];
   for (const file of files) {
     const row = new Row(file.name || t('Pasted photo'), file);
     row.show(t('Waiting to be sent'));
-    const job = { file, depth, row };
+    const job = { file, depth, options, row };
     row.onClose = () => {
       waiting.splice(waiting.indexOf(job), 1);
       row.remove();
@@ -114,9 +121,9 @@ function sendNext() {
   }
 }
 
-async function send({ file, depth, row }) {
+async function send({ file, depth, options, row }) {
   try {
-    const photo = await post(file, depth, row);
+    const photo = await post(file, depth, options, row);
     rememberName(photo.id, row.name);
     // making it goes on without holding up the next upload
     follow(photo, row);
@@ -127,9 +134,9 @@ async function send({ file, depth, row }) {
 }
 
 /** Sends the file; where the server is busy, waits as long as it asks. */
-async function post(file, depth, row) {
+async function post(file, depth, options, row) {
   for (;;) {
-    const upload = uploadPhoto(file, depth, (share) =>
+    const upload = uploadPhoto(file, depth, options, (share) =>
       row.show(share < 1 ? t('Sending, {0} %', Math.round(share * 100)) : t('Sent'), share * UPLOAD_SHARE),
     );
     row.onClose = upload.abort;
@@ -283,12 +290,14 @@ $('more').addEventListener('click', async () => {
   $('more').disabled = false;
 });
 
-// ---- picker, drop, paste
+// ---- picker, camera, drop, paste
 
-$('picker').addEventListener('change', () => {
-  take([...$('picker').files]);
-  $('picker').value = '';
-});
+for (const picker of [$('picker'), $('camera')]) {
+  picker.addEventListener('change', () => {
+    take([...picker.files]);
+    picker.value = '';
+  });
+}
 
 let depth = 0;
 const carriesFiles = (event) => event.dataTransfer?.types.includes('Files');
