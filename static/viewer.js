@@ -6,17 +6,16 @@
 // Events (detail): `progress` {received, total} · `photo` · `ready` {mode} · `mode` {mode, reason} · `idle` {on} · `pose` ·
 // `frame` {ms} · `error` {message}. `mode` is `gpu` where the browser draws with WebGPU, `webgl` where it does with WebGL2,
 // `served` where the server draws, and `still` where nobody can and the photo is all there is.
-import { limitsOf } from './border.js';
-import { fovX, HOME, lookingAt, pivotOf, POSE_KEYS, resized } from './camera.js';
+import { Aim } from './aim.js';
+import { fovX, resized } from './camera.js';
 import { startDecoder } from './decoder.js';
 import { Drawing } from './drawing.js';
 import { fitted, pixelRatio, setPixels } from './fit.js';
-import { followTilt } from './gyroscope.js';
+import { Tilt } from './gyroscope.js';
 import { Hosts } from './hosts.js';
 import { listen, Motion } from './motion.js';
 import { Pace } from './pace.js';
-import { quantised, ServedViews } from './served.js';
-import { limited, offsetOf } from './settings.js';
+import { ServedViews } from './served.js';
 
 export class Viewer extends EventTarget {
   #worker = null;
@@ -24,12 +23,10 @@ export class Viewer extends EventTarget {
   #lastFrame = 0;
   #hosts = null;
   #drawing;
-  #stopTilt = null;
+  #aim;
+  #tilt;
   #asleep = false;
   #pace = new Pace();
-  #settings = {};
-  #touched = false;
-  #exact = null;
   #disposed = false;
   #stopListening;
   #resizes;
@@ -56,8 +53,10 @@ export class Viewer extends EventTarget {
     this.served = null;
     this.motion = new Motion();
     this.motion.setIdle(!this.#reduced.matches);
+    this.#aim = new Aim(this.motion);
+    this.#tilt = new Tilt(this.motion, () => this.#moved());
     if (options.offset) this.motion.jump(options.offset);
-    this.#touched = Boolean(options.offset);
+    this.#aim.touched = Boolean(options.offset);
     Promise.resolve(options.settings ?? {}).then((settings) => this.#obey(settings));
     this.poster = this.#add('img', 'tmpi-poster');
     this.poster.alt = '';
@@ -90,29 +89,30 @@ export class Viewer extends EventTarget {
 
   /** What the photo's owner wants of the camera (settings.js). */
   get settings() {
-    return this.#settings;
+    return this.#aim.settings;
   }
 
   /** Changes it, now. */
   set settings(settings) {
-    this.#touched = true;
+    this.#aim.touched = true;
     this.#obey(settings);
   }
 
   #obey(settings) {
     if (this.#disposed) return;
-    this.#settings = settings;
-    if (!this.#touched && settings.start) this.motion.jump(offsetOf(settings.start, settings));
-    this.#aim();
+    this.#aim.obey(settings);
     this.render();
     this.#emit('pose');
   }
 
-  /** Limits and pivot of the camera, by what is known of the scene. */
-  #aim() {
-    if (!this.head) return;
-    this.limits = limited(limitsOf(this.head), this.#settings);
-    this.pivot = this.#settings.focus ?? pivotOf(this.scene ?? this.head);
+  /** Half extents of where the camera goes, in units of the nearest distance, or null before that is known. */
+  get limits() {
+    return this.#aim.limits;
+  }
+
+  /** Disparity that views turn about. */
+  get pivot() {
+    return this.#aim.pivot;
   }
 
   setIdle(on) {
@@ -186,18 +186,13 @@ export class Viewer extends EventTarget {
   }
 
   /** Lets the tilt of the device move the camera, or not; to be called from a tap. Throws where that is not allowed. */
-  async setTilt(on) {
-    this.#stopTilt?.();
-    this.#stopTilt = null;
-    if (!on) return;
-    const stop = await followTilt(this.motion, () => this.#moved());
-    if (this.#disposed) stop();
-    else this.#stopTilt = stop;
+  setTilt(on) {
+    return this.#tilt.set(on);
   }
 
   /** True while the tilt of the device moves the camera, which it does once the browser has allowed it. */
   get tilting() {
-    return this.#stopTilt !== null;
+    return this.#tilt.on;
   }
 
   /** The view at the present pose as a PNG file, in the photo's size. */
@@ -231,31 +226,22 @@ export class Viewer extends EventTarget {
 
   /** Input came. */
   #moved() {
-    this.#exact = null;
-    this.#touched = true;
+    this.#aim.moved();
     this.#wake();
     this.#emit('pose');
   }
 
   /** Puts the camera at a pose exactly, and stops moving by itself; not limited to the view box. */
   setPose(pose) {
-    const exact = { ...HOME };
-    for (const key of POSE_KEYS) if (Number.isFinite(pose[key])) exact[key] = pose[key];
     this.setIdle(false);
-    this.#exact = exact;
+    this.#aim.hold(pose);
     this.render();
     this.#emit('pose');
   }
 
   /** The pose shown now. */
   get pose() {
-    return this.#exact ?? this.#poseAt(this.motion.now);
-  }
-
-  #poseAt(offset) {
-    if (!this.head) return { ...HOME };
-    const { x, y, z } = this.limits;
-    return lookingAt(this.pivot, offset.x * x, offset.y * y, offset.z * z);
+    return this.#aim.pose;
   }
 
   /** Draws now. */
@@ -272,8 +258,7 @@ export class Viewer extends EventTarget {
         this.#emit('frame', { ms: this.#pace.ms });
       });
     } else if (this.mode === 'served') {
-      const pose = this.#exact ?? this.#poseAt(quantised(this.motion.now));
-      this.served.show(pose, fovX(this.head.intrinsics, this.head.width), this.poster.clientWidth * pixelRatio());
+      this.served.show(this.#aim.coarsePose, fovX(this.head.intrinsics, this.head.width), this.poster.clientWidth * pixelRatio());
     }
   }
 
@@ -291,7 +276,7 @@ export class Viewer extends EventTarget {
     cancelAnimationFrame(this.#frameRequest);
     this.#worker?.terminate();
     this.#stopListening();
-    this.#stopTilt?.();
+    this.#tilt.set(false);
     this.headset?.end();
     this.#resizes.disconnect();
     this.#reduced.removeEventListener('change', this.#onReduced);
@@ -316,7 +301,7 @@ export class Viewer extends EventTarget {
     if (data.type === 'progress') this.#emit('progress', { received: data.received, total: data.total || this.head?.total || 0 });
     else if (data.type === 'head') {
       this.head = data.head;
-      this.#aim();
+      this.#aim.know(this.head, null);
       this.#layout();
     } else if (data.type === 'photo') {
       this.posterUrl = URL.createObjectURL(data.blob);
@@ -325,7 +310,7 @@ export class Viewer extends EventTarget {
       if (!this.#hosts.any) this.#serve(this.#hosts.reason);
     } else if (data.type === 'scene') {
       this.scene = data.scene;
-      this.#aim();
+      this.#aim.know(this.head, this.scene);
       this.#worker.terminate();
       this.#draw();
     } else this.#fail(data.message);
@@ -426,7 +411,7 @@ export class Viewer extends EventTarget {
     this.#frameRequest = 0;
     const dt = this.#lastFrame ? (now - this.#lastFrame) / 1000 : 1 / 60;
     if (this.mode === 'loading') return;
-    const moving = !this.#exact && this.motion.step(dt);
+    const moving = !this.#aim.held && this.motion.step(dt);
     if (moving) {
       this.#lastFrame = now;
       this.#frameRequest = requestAnimationFrame((next) => this.#frame(next));

@@ -6,6 +6,7 @@ use crate::tmpi::{Scene, SceneError};
 
 use super::OPAQUE;
 use super::border::{Piece, pieces};
+use super::cpu::Home;
 
 /// What the texels of a piece allow to be left out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -55,6 +56,8 @@ pub(super) struct Prepared {
     pub first: Vec<usize>,
     /// Pieces with anything to draw, nearest first.
     pub order: Vec<usize>,
+    /// Whether the view from the photo's own place is the photo.
+    pub home: Home,
 }
 
 impl Prepared {
@@ -90,7 +93,7 @@ impl Prepared {
         let mut order = back_to_front(scene, &pieces, false);
         order.retain(|&i| drawn[i]);
         order.reverse();
-        Ok(Self { pieces, texels, first, order })
+        Ok(Self { pieces, texels, first, order, home: Home::default() })
     }
 
     /// Bytes that [`Prepared::new`] takes for `scene`, at most.

@@ -3,6 +3,7 @@
 #[cfg(target_arch = "x86_64")]
 mod avx2;
 mod band;
+mod home;
 mod lanes;
 mod span;
 
@@ -12,6 +13,7 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use rayon::prelude::*;
 
 use self::band::Band;
+pub(super) use self::home::Home;
 use self::span::Draw;
 use super::prepared::{Prepared, SceneCache};
 use super::{RenderError, Renderer, View, check};
@@ -74,14 +76,19 @@ impl Renderer for Cpu {
     fn render(&self, scene: &Arc<Scene>, camera: &Camera) -> Result<View, RenderError> {
         check(camera)?;
         let prepared = self.prepared(scene)?;
-        let draws: Vec<Draw> =
-            prepared.order.iter().filter_map(|&i| Draw::new(scene, &prepared.pieces[i], prepared.first[i], camera)).collect();
-        let mut view = View::transparent(camera);
-        let width = camera.width as usize;
-        let rows = (BAND_PIXELS / width).clamp(1, BAND_ROWS);
-        view.rgba.par_chunks_mut(width * rows).enumerate().for_each(|(i, out)| {
-            BAND.with_borrow_mut(|band| band.draw(&draws, &prepared.texels, (i * rows) as u32, width, out));
-        });
-        Ok(view)
+        let home = prepared.home.view(scene, camera, |own| draw(scene, &prepared, own));
+        Ok(home.unwrap_or_else(|| draw(scene, &prepared, camera)))
     }
+}
+
+fn draw(scene: &Scene, prepared: &Prepared, camera: &Camera) -> View {
+    let draws: Vec<Draw> =
+        prepared.order.iter().filter_map(|&i| Draw::new(scene, &prepared.pieces[i], prepared.first[i], camera)).collect();
+    let mut view = View::transparent(camera);
+    let width = camera.width as usize;
+    let rows = (BAND_PIXELS / width).clamp(1, BAND_ROWS);
+    view.rgba.par_chunks_mut(width * rows).enumerate().for_each(|(i, out)| {
+        BAND.with_borrow_mut(|band| band.draw(&draws, &prepared.texels, (i * rows) as u32, width, out));
+    });
+    view
 }
