@@ -1,6 +1,7 @@
-// From planes and labels to texels and their colours, in bands of tiles that know nothing of each other: each may go to a thread of
-// its own, and together they are what one alone would come to.
+// Labels, and from planes and labels to texels and their colours, in bands of tiles that know nothing of each other: each may go to a
+// thread of its own, and together they are what one alone would come to.
 import { fillHidden } from './fill.js';
+import { concatenated, decodeBands } from './labels.js';
 import { MARGIN_ROWS, peel, surfaceOf } from './peel.js';
 
 /** What a texel is, as in the server's `Class`. */
@@ -28,8 +29,24 @@ export function cutIntoBands(scene, tiles, count, fill) {
   return bands;
 }
 
-/** A copy of a band with nothing but the rows that it depends on, and the buffers that can be handed over with it. */
-export function detached({ head, tiles, surface, data, fill }) {
+/** Does a job, on whatever thread: `{labels}` bands of labels to read, else a band of tiles to unfold. */
+export function work(job) {
+  return job.labels ? { labels: decodeBands(job.labels) } : unfold(job);
+}
+
+/** A copy of a job with nothing but what it depends on, and the buffers that can be handed over with it. */
+export function detached(job) {
+  if (!job.labels) return detachedBand(job);
+  const labels = job.labels.map((band) => ({ ...band, counts: band.counts.slice(), bytes: band.bytes.slice() }));
+  return { band: { labels }, buffers: buffersOf(labels.flatMap(({ counts, bytes }) => [counts, bytes])) };
+}
+
+/** The buffers of what `work` gave. */
+export function resultBuffers({ labels, layers = {}, classes, alpha, hidden }) {
+  return buffersOf([labels, classes, alpha, hidden, ...Object.values(layers)]);
+}
+
+function detachedBand({ head, tiles, surface, data, fill }) {
   const top = Math.max(tiles[0].rect.y - MARGIN_ROWS, 0);
   const bottom = Math.min(Math.max(...tiles.map(({ rect }) => rect.y + rect.h)) + MARGIN_ROWS, head.height);
   const rows = (from, channels) => from.slice(top * head.width * channels, bottom * head.width * channels);
@@ -49,7 +66,7 @@ export function buffersOf(arrays) {
   return [...new Set(arrays.filter((a) => ArrayBuffer.isView(a)).map((a) => a.buffer))];
 }
 
-/** Layers of a band: columns over all of them, classes and alpha of all their texels, and the hidden ones' RGB. */
+/** Layers of a band of tiles: columns over all of them, classes and alpha of all their texels, and the hidden ones' RGB. */
 export function unfold({ head, tiles, surface, data, fill }) {
   const shapes = peel(head, tiles, surface);
   const part = readLayers(tiles, shapes);
@@ -61,16 +78,7 @@ export function unfold({ head, tiles, surface, data, fill }) {
 /** What `unfold` would have given of all bands at once. */
 export function joined(parts) {
   if (parts.length === 1) return parts[0];
-  const together = (arrays) => {
-    const out = new arrays[0].constructor(arrays.reduce((sum, a) => sum + a.length, 0));
-    let at = 0;
-    for (const a of arrays) {
-      out.set(a, at);
-      at += a.length;
-    }
-    return out;
-  };
-  const of = (key) => together(parts.map((part) => part[key]));
+  const of = (key) => concatenated(parts.map((part) => part[key]));
   let [texels, hidden] = [0, 0];
   for (const part of parts) {
     for (let i = 0; i < part.layers.count; i++) {
@@ -82,7 +90,7 @@ export function joined(parts) {
   }
   const layers = {};
   for (const key of Object.keys(parts[0].layers)) {
-    if (key !== 'count') layers[key] = together(parts.map((part) => part.layers[key]));
+    if (key !== 'count') layers[key] = concatenated(parts.map((part) => part.layers[key]));
   }
   layers.count = layers.a.length;
   return { layers, classes: of('classes'), alpha: of('alpha'), hidden: of('hidden') };

@@ -1,7 +1,7 @@
 // Container → scene (schema and layout in proto/tmpi.proto). Pure: no page, no network; pictures are decoded by the caller.
-import { buffersOf, Class, cutIntoBands, joined, unfold } from './bands.js';
+import { Class, cutIntoBands, joined, resultBuffers, work } from './bands.js';
 import { tileCounts, tileRect } from './grid.js';
-import { decodeLabels } from './labels.js';
+import { concatenated, decodeLabels, labelBands } from './labels.js';
 import { checkWork } from './peel.js';
 import { broken, ContainerError, readMessage } from './protobuf.js';
 import { decompress } from './vendor/fzstd.js';
@@ -29,7 +29,7 @@ const BACKSTOP = 0x80;
 
 export const Kind = { PHOTO: 1, PLANES: 2, LABELS: 3, ALPHA: 4, HIDDEN: 5 };
 const KIND_NAMES = { 1: 'photo', 2: 'planes', 3: 'labels', 4: 'alpha', 5: 'hidden' };
-const Codec = { RAW: 0, ZSTD: 1, RANGE: 5 };
+const Codec = { RAW: 0, ZSTD: 1, RANGE: 5, RANGE_BANDS: 6 };
 /** Media types of the picture codecs. */
 const PICTURES = { 2: 'image/jpeg', 3: 'image/png', 4: 'image/webp' };
 
@@ -39,6 +39,7 @@ const SECTION = {
   3: ['offset', 'u64'],
   4: ['length', 'u64'],
   5: ['rawLength', 'u64'],
+  6: ['bands', { 1: ['rows', 'u32'], 2: ['length', 'u32'], 3: ['check', 'u32'] }],
 };
 const INDEX = {
   1: ['width', 'u32'],
@@ -197,24 +198,25 @@ export function sceneHead(index) {
  * @param {Uint8Array} bytes
  * @param {(picture: {bytes: Uint8Array, type: string}) => Promise<{width: number, height: number, data: Uint8ClampedArray}>} decodePicture
  *   straight RGBA of a picture file
- * @param {object} [photo] the photo where the caller has decoded it already
- * @param {(band: object) => object | Promise<object>} [unfolded] `unfold`, perhaps on other threads
- * @param {number} [bands] how many bands of tiles are unfolded at the same time
+ * @param {object | Promise<object>} [photo] the photo where the caller decodes it
+ * @param {(job: object, i: number) => object | Promise<object>} [elsewhere] `work`, perhaps on other threads; `i` is below `bands`
+ * @param {number} [bands] how many bands are worked on at the same time
  * @returns {Promise<Scene>}
  */
-export async function decode(bytes, decodePicture, photo, unfolded = null, bands = 1) {
+export async function decode(bytes, decodePicture, photo, elsewhere = work, bands = 1) {
   const head = readIndex(bytes);
   if (!head) broken('cut off');
   const { index } = head;
   const scene = sceneHead(index);
-  const tiles = readTiles(bytes, head);
-  scene.photo = photo ?? (await decodedPicture(bytes, head, Kind.PHOTO, decodePicture));
+  const together = (jobs) => Promise.all(jobs.map(elsewhere ?? work));
+  const tiles = await readTiles(bytes, head, together, bands);
+  scene.photo = (await photo) ?? (await decodedPicture(bytes, head, Kind.PHOTO, decodePicture));
   if (scene.photo.width !== index.width || scene.photo.height !== index.height) {
     broken(`the photo is ${scene.photo.width} × ${scene.photo.height} pixels, not ${index.width} × ${index.height}`);
   }
   const carried = sectionOf(index, Kind.HIDDEN);
   const parts = cutIntoBands(scene, tiles, bands, !carried);
-  Object.assign(scene, joined(await Promise.all(parts.map(unfolded ?? unfold))));
+  Object.assign(scene, joined(await together(parts)));
   refineAlpha(bytes, head, scene);
   if (carried) {
     const hidden = scene.classes.reduce((n, kind) => n + (kind === Class.HIDDEN), 0);
@@ -233,8 +235,8 @@ async function decodedPicture(bytes, head, kind, decodePicture) {
   }
 }
 
-/** Planes and labels of all tiles. */
-function readTiles(bytes, head) {
+/** Planes and labels of all tiles; `together` does up to `bands` jobs at the same time. */
+async function readTiles(bytes, head, together, bands) {
   const { index } = head;
   const { planes: n } = index;
   const { columns, tiles: count } = tileCounts(index);
@@ -249,9 +251,7 @@ function readTiles(bytes, head) {
   };
   const rects = Array.from(counts, (_, t) => tileRect(index, columns, t));
   checkWork(index, rects, counts);
-  const section = sectionOf(index, Kind.LABELS);
-  if (section?.codec !== Codec.RANGE) broken('no labels section');
-  const labels = decodeLabels(index, counts, payload(bytes, head, section));
+  const labels = await readLabels(bytes, head, counts, together, bands);
   let next = 0;
   let first = 0;
   const plane = () => {
@@ -268,6 +268,20 @@ function readTiles(bytes, head) {
       backstop: data[t] & BACKSTOP ? plane() : null,
     };
   });
+}
+
+/** Labels of all tiles in a row. */
+async function readLabels(bytes, head, counts, together, bands) {
+  const { index } = head;
+  const section = sectionOf(index, Kind.LABELS);
+  if (section?.codec !== Codec.RANGE && section?.codec !== Codec.RANGE_BANDS) broken('no labels section');
+  const data = payload(bytes, head, section);
+  if (section.codec === Codec.RANGE) return decodeLabels(index, counts, data);
+  const all = labelBands(index, counts, section.bands, data);
+  const place = (i) => Math.floor((i * all.length) / bands);
+  const jobs = Array.from({ length: bands }, (_, i) => ({ labels: all.slice(place(i), place(i + 1)) }));
+  const parts = await together(jobs.filter(({ labels }) => labels.length));
+  return parts.length === 1 ? parts[0].labels : concatenated(parts.map(({ labels }) => labels));
 }
 
 /** Adds a network's refinement to the soft alphas, where there is one. */
@@ -347,5 +361,5 @@ function copyHidden({ layers, classes }, i, { place, columns }, blockColumns, im
 
 /** Buffers of a scene that can be handed to another thread without a copy. */
 export function transferables(scene) {
-  return buffersOf([scene.classes, scene.alpha, scene.hidden, scene.photo.data, ...Object.values(scene.layers)]);
+  return [...new Set([...resultBuffers(scene), scene.photo.data.buffer])];
 }

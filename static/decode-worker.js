@@ -1,7 +1,7 @@
 // Fetches and decodes a container off the page's thread.
 // In: {url, photoOnly}: with photoOnly it stops once the photo is there. Out: {type: 'progress', received, total}, {type: 'head', …}, {type: 'photo', blob}, {type: 'scene', scene}, {type: 'error', message}.
-// In: {band}, from another of these workers. Out: {type: 'part', part}.
-import { buffersOf, detached, unfold } from './bands.js';
+// In: {band}, a job from another of these workers. Out: {type: 'part', part}.
+import { detached, resultBuffers, work } from './bands.js';
 import { decode, endOfAll, endOfSection, Kind, picture, readIndex, sceneHead, transferables } from './container.js';
 import { problemOf } from './api.js';
 import { startDecoder } from './decoder.js';
@@ -13,7 +13,7 @@ const POST_EVERY_MS = 100;
 const BAND_PIXELS = 500_000;
 const MAX_BANDS = 4;
 
-/** Threads beside this one that unfold bands of tiles. */
+/** Threads beside this one that work on bands of labels and of tiles. */
 class Helpers {
   #workers = [];
 
@@ -31,16 +31,16 @@ class Helpers {
     return this.#workers.length + 1;
   }
 
-  /** Unfolds a band, the last one here; here too where a helper cannot be started. */
-  unfold(band, i) {
+  /** Works on a band, the last one here; here too where a helper cannot be started. */
+  work(band, i) {
     const worker = this.#workers[i];
     // after the others have got theirs
-    if (!worker) return Promise.resolve().then(() => unfold(this.bands > 1 ? detached(band).band : band));
+    if (!worker) return Promise.resolve().then(() => work(this.bands > 1 ? detached(band).band : band));
     return new Promise((done, fail) => {
       worker.onmessage = ({ data }) => (data.type === 'part' ? done(data.part) : fail(new Error(data.message)));
       worker.onerror = (event) => {
         event.preventDefault();
-        done(unfold(band));
+        done(work(band));
       };
       const { band: copy, buffers } = detached(band);
       worker.postMessage({ band: copy }, buffers);
@@ -124,9 +124,8 @@ async function load({ url, photoOnly }) {
   }
   postMessage({ type: 'progress', received: download.length, total: download.length });
   const started = performance.now();
-  const decoded = photo ? await photo : undefined;
-  const unfolded = helpers && ((band, i) => helpers.unfold(band, i));
-  const scene = await decode(download.bytes, decodePicture, decoded, unfolded, helpers?.bands).finally(() => helpers?.close());
+  const elsewhere = helpers && ((band, i) => helpers.work(band, i));
+  const scene = await decode(download.bytes, decodePicture, photo, elsewhere, helpers?.bands).finally(() => helpers?.close());
   scene.decodeMs = performance.now() - started;
   postMessage({ type: 'scene', scene }, transferables(scene));
 }
@@ -147,8 +146,8 @@ function showPhoto(bytes, head, photoOnly) {
 self.onmessage = async ({ data }) => {
   try {
     if (data.band) {
-      const part = unfold(data.band);
-      postMessage({ type: 'part', part }, buffersOf([part.classes, part.alpha, part.hidden, ...Object.values(part.layers)]));
+      const part = work(data.band);
+      postMessage({ type: 'part', part }, resultBuffers(part));
     } else {
       await load(data);
     }

@@ -69,6 +69,61 @@ export function decodeLabels(grid, counts, bytes) {
   return walkLabels(grid, counts, new RangeDecoder(bytes));
 }
 
+/**
+ * Cuts labels in bands of whole rows of tiles into what `decodeBands` takes; the bands know nothing of each other.
+ * @param {Array<{rows: number, length: number, check: number}>} bands
+ */
+export function labelBands(grid, counts, bands, bytes) {
+  const { columns, tiles } = tileCounts(grid);
+  const sum = (key) => bands.reduce((total, band) => total + band[key], 0);
+  if (bands.some(({ rows }) => rows === 0) || sum('rows') * columns !== tiles || counts.length !== tiles) {
+    broken('the bands of labels have other rows of tiles than the grid');
+  }
+  if (sum('length') !== bytes.length) broken('the bands of labels have another length than their section');
+  let [row, at] = [0, 0];
+  return bands.map(({ rows, length, check }, i) => {
+    const height = Math.min((rows - 1) * grid.tileStride + grid.tileSize, grid.height - row * grid.tileStride);
+    const own = counts.subarray(row * columns, (row + rows) * columns);
+    row += rows;
+    const { width, tileSize, tileStride } = grid;
+    const name = `band ${i + 1} of ${bands.length}`;
+    return { grid: { width, height, tileSize, tileStride }, counts: own, bytes: bytes.subarray(at, (at += length)), check, name };
+  });
+}
+
+/** Labels of some bands, one after the other. */
+export function decodeBands(bands) {
+  const parts = bands.map(({ grid, counts, bytes, check, name }) => {
+    if (crc32(bytes) !== check) broken(`${name} of the labels is damaged`);
+    return decodeLabels(grid, counts, bytes);
+  });
+  return concatenated(parts);
+}
+
+/** One array of all, of their own type. */
+export function concatenated(arrays) {
+  const out = new arrays[0].constructor(arrays.reduce((sum, a) => sum + a.length, 0));
+  let at = 0;
+  for (const a of arrays) {
+    out.set(a, at);
+    at += a.length;
+  }
+  return out;
+}
+
+const CRC_TABLE = Int32Array.from({ length: 256 }, (_, byte) => {
+  let value = byte;
+  for (let i = 0; i < 8; i++) value = (value >>> 1) ^ (value & 1 ? 0xedb8_8320 : 0);
+  return value;
+});
+
+/** CRC-32 as in gzip. */
+export function crc32(bytes) {
+  let value = -1;
+  for (let i = 0; i < bytes.length; i++) value = (value >>> 8) ^ CRC_TABLE[(value ^ bytes[i]) & 255];
+  return ~value >>> 0;
+}
+
 /** The walk over all labels, which is the same for a writer: a coder that writes is told what to write by `want`. */
 export function walkLabels(grid, counts, coder, want) {
   const { width, height } = grid;

@@ -353,6 +353,16 @@ fn exports_are_files_that_others_open() {
     }
     f.run(&["export", "box.tmpi", "-o", "titled.html", "--title", "A <box>"]).succeeds();
     assert!(std::fs::read_to_string(f.path("titled.html")).unwrap().contains("<title>A &lt;box&gt;</title>"));
+    f.run(&["export", "box.tmpi", "-o", "part.tmpi", "--region", "0,0,9,9", "--lossless"]).succeeds();
+    f.run(&["export", "box.tmpi", "-o", "small.tmpi", "--level", "1"]).succeeds();
+    f.run(&["export", "box.tmpi", "-o", "part.glb", "--region", "0,0,9,9"]).succeeds();
+    let width = |name: &str| f.run(&["info", name, "--json"]).succeeds().json()["width"].as_u64().unwrap();
+    assert_eq!((width("part.tmpi"), width("small.tmpi")), (64, width("box.tmpi").div_ceil(2)));
+    assert!(std::fs::metadata(f.path("part.glb")).unwrap().len() < std::fs::metadata(f.path("out/box.glb")).unwrap().len());
+    f.run(&["export", "box.tmpi", "-o", "x.tmpi", "--region", "0,0,9999,9"]).fails(2, &["--region"]);
+    f.run(&["export", "box.tmpi", "-o", "x.tmpi", "--region", "0,0,9"]).fails(2, &["--region", "four whole numbers"]);
+    f.run(&["export", "box.tmpi", "-o", "x.tmpi", "--lossless"]).fails(2, &["--region"]);
+    f.run(&["export", "box.tmpi", "-o", "x.tmpi", "--level", "4"]).fails(2, &["--level"]);
     f.write("broken.tmpi", b"TMPI but no more");
     f.run(&["export", "broken.tmpi", "-o", "broken.html"]).fails(1, &["broken.tmpi"]);
     assert!(!f.path("broken.html").exists());

@@ -1,12 +1,16 @@
 //! Reading a container. Nothing in it is trusted: counts are bounded before anything is allocated for them.
 
+use std::ops::Range;
+
 use prost::Message;
 use serde::Serialize;
 
 use super::wire::{Codec, Index, Kind, Section};
-use super::{AtlasError, MAGIC, MAJOR, bounds, columns, hidden, labels, picture, select};
+use super::{AtlasError, MAGIC, MAJOR, bands, bounds, columns, hidden, labels, picture, select};
 use crate::tmpi::{Blueprint, Class, Filler, Grid, Intrinsics, Layer, Photo, Scene, Texels, ViewBox};
 
+/// All rows of tiles.
+const ALL_ROWS: Range<u32> = 0..u32::MAX;
 /// A zstd block has at least 4 bytes and holds at most 128 KiB.
 const ZSTD_LEAST_BLOCK: usize = 4;
 const ZSTD_MOST_CONTENT: usize = 128 << 10;
@@ -16,7 +20,7 @@ const ZSTD_MOST_CONTENT: usize = 128 << 10;
 pub struct SectionInfo {
     /// `photo planes labels alpha hidden`, or `unknown`.
     pub kind: &'static str,
-    /// `raw zstd jpeg png webp range`.
+    /// `raw zstd jpeg png webp range range-bands`.
     pub codec: &'static str,
     /// First byte in the file.
     pub offset: u64,
@@ -40,6 +44,7 @@ pub fn sections(bytes: &[u8]) -> Result<Vec<SectionInfo>, AtlasError> {
         Codec::Png => "png",
         Codec::Webp => "webp",
         Codec::Range => "range",
+        Codec::RangeBands => "range-bands",
     };
     index
         .sections
@@ -59,18 +64,36 @@ pub fn sections(bytes: &[u8]) -> Result<Vec<SectionInfo>, AtlasError> {
 
 /// Photo and blueprint of a container.
 pub fn read(bytes: &[u8]) -> Result<(Photo, Blueprint), AtlasError> {
-    let (index, body) = split(bytes)?;
-    parts(&index, body)
+    read_rows(bytes, ALL_ROWS)
 }
 
-fn parts(index: &Index, body: &[u8]) -> Result<(Photo, Blueprint), AtlasError> {
+/// The same, where nobody looks at labels but those of some rows of tiles; other tiles may have none.
+pub fn read_rows(bytes: &[u8], rows: Range<u32>) -> Result<(Photo, Blueprint), AtlasError> {
+    let (index, body) = split(bytes)?;
+    parts(&index, body, &rows)
+}
+
+/// Blueprint of a container alone.
+#[cfg(feature = "codecs")]
+pub fn read_tiles(bytes: &[u8]) -> Result<Blueprint, AtlasError> {
+    let (index, body) = split(bytes)?;
+    let (grid, intrinsics, view_box) = geometry(&index)?;
+    blueprint(&index, body, grid, (intrinsics, view_box), &ALL_ROWS)
+}
+
+fn parts(index: &Index, body: &[u8], rows: &Range<u32>) -> Result<(Photo, Blueprint), AtlasError> {
     let (grid, intrinsics, view_box) = geometry(index)?;
     let section = find(index, Kind::Photo).ok_or_else(|| AtlasError::broken("there is no photo section"))?;
-    let photo = picture::decode(section.codec(), range(section, body)?, (grid.width, grid.height))?;
+    let file = range(section, body)?;
+    let (photo, blueprint) = rayon::join(
+        || picture::decode(section.codec(), file, (grid.width, grid.height)),
+        || blueprint(index, body, grid, (intrinsics, view_box), rows),
+    );
+    let (photo, blueprint) = (photo?, blueprint?);
     if (photo.width, photo.height) != (grid.width, grid.height) {
         return Err(AtlasError::broken("photo: its size is not the index's"));
     }
-    Ok((photo, blueprint(index, body, grid, intrinsics, view_box)?))
+    Ok((photo, blueprint))
 }
 
 /// Reads a container; trusts nothing in it. The scene returned passes [`Scene::validate`].
@@ -79,7 +102,7 @@ fn parts(index: &Index, body: &[u8]) -> Result<(Photo, Blueprint), AtlasError> {
 /// [`AtlasError::Broken`] or [`AtlasError::Newer`].
 pub fn decode(bytes: &[u8]) -> Result<Scene, AtlasError> {
     let (index, body) = split(bytes)?;
-    let (photo, blueprint) = parts(&index, body)?;
+    let (photo, blueprint) = parts(&index, body, &ALL_ROWS)?;
     let Blueprint { grid, intrinsics, view_box, .. } = blueprint;
     let (mut layers, mut texels) = (Vec::new(), Texels::default());
     let shapes = blueprint.peel();
@@ -195,8 +218,14 @@ fn unpack(index: &Index, body: &[u8], kind: Kind, want: usize) -> Result<Vec<u8>
     Ok(raw)
 }
 
-/// Planes and labels of all tiles.
-fn blueprint(index: &Index, body: &[u8], grid: Grid, intrinsics: Intrinsics, view_box: ViewBox) -> Result<Blueprint, AtlasError> {
+/// Planes of all tiles, and labels of those in `rows`.
+fn blueprint(
+    index: &Index,
+    body: &[u8],
+    grid: Grid,
+    (intrinsics, view_box): (Intrinsics, ViewBox),
+    rows: &Range<u32>,
+) -> Result<Blueprint, AtlasError> {
     let count = index.planes as usize;
     let (least, most) = (grid.tiles() as usize, grid.tiles() as usize * columns::MOST_PLANES);
     if count > bounds::PLANES.min(most) || count < least {
@@ -205,16 +234,24 @@ fn blueprint(index: &Index, body: &[u8], grid: Grid, intrinsics: Intrinsics, vie
     let planes = unpack(index, body, Kind::Planes, columns::bytes(grid.tiles() as usize, count))?;
     let mut tiles = columns::read(&grid, count, &planes)?;
     let section = find(index, Kind::Labels)
-        .filter(|s| s.codec() == Codec::Range)
+        .filter(|s| matches!(s.codec(), Codec::Range | Codec::RangeBands))
         .ok_or_else(|| AtlasError::broken("there is no section of labels"))?;
     let pixels = u64::from(grid.width) * u64::from(grid.height);
     if crate::tmpi::work(&grid, &tiles) > bounds::WORK.min(bounds::WORK_LEAST + pixels * bounds::WORK_PER_PIXEL) {
         return Err(AtlasError::broken("more planes than a photo of this size can have"));
     }
     let counts: Vec<u8> = tiles.iter().map(|t| t.planes.len() as u8).collect();
-    let mut labels = labels::decode(&grid, &counts, range(section, body)?)?.into_iter();
-    for (i, t) in tiles.iter_mut().enumerate() {
-        t.labels = labels.by_ref().take(grid.rect(i as u32).area()).collect();
+    let data = range(section, body)?;
+    let labels = match section.codec() {
+        Codec::RangeBands => bands::decode(&grid, &counts, &section.bands, data, rows)?,
+        _ => labels::decode(&grid, &counts, data)?,
+    };
+    let mut rest = labels.as_slice();
+    for (i, t) in (0..).zip(&mut tiles) {
+        let own = rest.split_off(..grid.rect(i).area()).unwrap_or_default();
+        if rows.contains(&(i / grid.columns())) {
+            t.labels = own.to_vec();
+        }
     }
     Ok(Blueprint { grid, intrinsics, view_box, tiles })
 }

@@ -4,9 +4,9 @@ use image::ImageFormat;
 use prost::Message;
 
 use super::wire::{Codec, Index, Kind, Section};
-use super::{AtlasError, Carried, MAGIC, MAJOR, MINOR, columns, encode_jpeg, encode_lossless, hidden, labels};
+use super::{AtlasError, Carried, MAGIC, MAJOR, MINOR, MINOR_ONE_STREAM, bands, columns, encode_jpeg, encode_lossless, hidden, labels};
 use crate::generate::Bytes;
-use crate::tmpi::{Blueprint, Scene};
+use crate::tmpi::{Blueprint, Grid, Scene};
 
 /// Level of zstd; sections are small, so the highest of the ordinary levels costs little.
 const LEVEL: i32 = 19;
@@ -39,12 +39,23 @@ pub enum HiddenAs {
 /// # Errors
 /// [`AtlasError::Encode`] where a picture codec fails or a plane does not fit.
 pub fn encode(blueprint: &Blueprint, scene: &Scene, carried: &Carried, carries: Carries) -> Result<(Vec<u8>, Bytes), AtlasError> {
+    encode_in(bands::rows(&blueprint.grid), blueprint, scene, carried, carries)
+}
+
+/// The same with labels in bands of so many rows of tiles, or in one stream.
+pub fn encode_in(
+    rows: Option<u32>,
+    blueprint: &Blueprint,
+    scene: &Scene,
+    carried: &Carried,
+    carries: Carries,
+) -> Result<(Vec<u8>, Bytes), AtlasError> {
     let mut file = File::default();
     file.add(Kind::Photo, carried.codec(), carried.bytes.clone(), 0);
     file.add_packed(Kind::Planes, &columns::write(&blueprint.tiles))?;
     let counts: Vec<u8> = blueprint.tiles.iter().map(|t| t.planes.len() as u8).collect();
     let all: Vec<u8> = blueprint.tiles.iter().flat_map(|t| &t.labels).copied().collect();
-    file.add(Kind::Labels, Codec::Range, labels::encode(&blueprint.grid, &counts, &all), 0);
+    file.add_labels(&blueprint.grid, &counts, &all, rows);
     if carries.alpha {
         file.add_packed(Kind::Alpha, &refined_alpha(blueprint, scene))?;
     }
@@ -105,8 +116,19 @@ impl File {
             offset: self.body.len() as u64,
             length: data.len() as u64,
             raw_length,
+            bands: Vec::new(),
         });
         self.body.extend(data);
+    }
+
+    /// Labels of all tiles in bands of `rows` rows of tiles, or in one stream.
+    fn add_labels(&mut self, grid: &Grid, counts: &[u8], all: &[u8], rows: Option<u32>) {
+        let Some(rows) = rows else { return self.add(Kind::Labels, Codec::Range, labels::encode(grid, counts, all), 0) };
+        let (data, bands) = bands::encode(grid, counts, all, rows);
+        self.add(Kind::Labels, Codec::RangeBands, data, 0);
+        if let Some(section) = self.sections.last_mut() {
+            section.bands = bands;
+        }
     }
 
     fn add_packed(&mut self, kind: Kind, raw: &[u8]) -> Result<(), AtlasError> {
@@ -122,7 +144,9 @@ impl File {
     fn finish(self, index: &Index) -> (Vec<u8>, Bytes) {
         let index = index.encode_to_vec();
         let of = |kinds: &[Kind]| -> usize { self.sections.iter().filter(|s| kinds.contains(&s.kind())).map(|s| s.length as usize).sum() };
-        let mut out = header(&[MAJOR.to_le_bytes(), MINOR.to_le_bytes()].concat(), &index);
+        let one_stream = self.sections.iter().all(|s| s.codec() != Codec::RangeBands);
+        let minor = if one_stream { MINOR_ONE_STREAM } else { MINOR };
+        let mut out = header(&[MAJOR.to_le_bytes(), minor.to_le_bytes()].concat(), &index);
         out.extend(&self.body);
         let bytes = Bytes {
             total: out.len(),

@@ -72,13 +72,19 @@ pub fn encode(grid: &Grid, counts: &[u8], labels: &[u8]) -> Vec<u8> {
 
 /// Reads the labels of all tiles; `counts` has one entry a tile of the grid, each 1 to 64.
 pub fn decode(grid: &Grid, counts: &[u8], data: &[u8]) -> Result<Vec<u8>, AtlasError> {
+    let total = (0..grid.tiles()).map(|t| grid.rect(t).area()).sum();
+    let mut labels = vec![0; total];
+    decode_into(grid, counts, data, &mut labels)?;
+    Ok(labels)
+}
+
+/// The same into zeros, one for each pixel of each tile.
+pub fn decode_into(grid: &Grid, counts: &[u8], data: &[u8], labels: &mut [u8]) -> Result<(), AtlasError> {
     if counts.len() != grid.tiles() as usize || counts.iter().any(|c| !(1..=TREE as u8).contains(c)) {
         return Err(AtlasError::broken("labels: a tile must have 1 to 64 of them"));
     }
-    let total = (0..grid.tiles()).map(|t| grid.rect(t).area()).sum();
-    let mut labels = vec![0; total];
-    walk(grid, counts, &mut labels, &mut Decoder::new(data));
-    Ok(labels)
+    walk(grid, counts, labels, &mut Decoder::new(data));
+    Ok(())
 }
 
 fn walk(grid: &Grid, counts: &[u8], labels: &mut [u8], coder: &mut impl Coder) {
@@ -155,11 +161,11 @@ fn spell(models: &mut Models, count: u8, label: u8, coder: &mut impl Coder) -> u
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use proptest::prelude::*;
+pub(super) mod testing {
+    use crate::tmpi::Grid;
 
-    fn maps(grid: &Grid, seed: u32) -> (Vec<u8>, Vec<u8>) {
+    /// Counts and labels in stripes that go on from tile to tile.
+    pub fn maps(grid: &Grid, seed: u32) -> (Vec<u8>, Vec<u8>) {
         let (mut counts, mut labels) = (Vec::new(), Vec::new());
         for t in 0..grid.tiles() {
             let r = grid.rect(t);
@@ -171,6 +177,13 @@ mod tests {
         }
         (counts, labels)
     }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::testing::maps;
+    use super::*;
+    use proptest::prelude::*;
 
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(40))]

@@ -16,7 +16,17 @@ const QUALITY: u8 = 90;
 /// # Errors
 /// [`AtlasError::Broken`], [`AtlasError::Newer`], [`AtlasError::Encode`].
 pub fn level(container: &[u8], level: u8) -> Result<Vec<u8>, AtlasError> {
-    let (mut photo, mut blueprint) = decode::read(container)?;
+    let (photo, blueprint) = decode::read(container)?;
+    let (photo, blueprint, done) = smaller(photo, blueprint, level);
+    if done == 0 {
+        return Ok(container.to_vec());
+    }
+    let carried = carried(&photo)?;
+    written(photo, &blueprint, &carried)
+}
+
+/// Photo and blueprint at `1 / 2^level` of their size, or the smallest there is, and how many times they were halved.
+pub(super) fn smaller(mut photo: Photo, mut blueprint: Blueprint, level: u8) -> (Photo, Blueprint, u8) {
     let mut done = 0;
     while done < level.min(LEVELS)
         && let Some(half) = halved(&blueprint)
@@ -25,14 +35,19 @@ pub fn level(container: &[u8], level: u8) -> Result<Vec<u8>, AtlasError> {
         blueprint = half;
         done += 1;
     }
-    if done == 0 {
-        return Ok(container.to_vec());
-    }
-    let carried = Carried::from_photo(&photo, QUALITY)?;
-    let Blueprint { grid, intrinsics, view_box, .. } = blueprint;
-    // all texels follow from the blueprint; none is written
+    (photo, blueprint, done)
+}
+
+/// The photo as levels carry it.
+pub(super) fn carried(photo: &Photo) -> Result<Carried, AtlasError> {
+    Carried::from_photo(photo, QUALITY)
+}
+
+/// A container of photo and blueprint, from which all texels follow; none is written.
+pub(super) fn written(photo: Photo, blueprint: &Blueprint, carried: &Carried) -> Result<Vec<u8>, AtlasError> {
+    let Blueprint { grid, intrinsics, view_box, .. } = *blueprint;
     let scene = Scene { grid, intrinsics, view_box, photo, layers: Vec::new(), texels: Texels::default() };
-    Ok(encode(&blueprint, &scene, &carried, Carries::default())?.0)
+    Ok(encode(blueprint, &scene, carried, Carries::default())?.0)
 }
 
 /// The same planes over tiles of half the size; none where a tile's size or stride is odd.

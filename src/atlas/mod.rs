@@ -1,5 +1,6 @@
 //! The container: a scene as bytes (DESIGN, section 5; schema in `proto/tmpi.proto`).
 
+mod bands;
 mod columns;
 mod decode;
 mod encode;
@@ -9,23 +10,33 @@ mod labels;
 mod level;
 mod picture;
 mod range;
+mod region;
 mod select;
 mod wire;
 
-#[cfg(feature = "codecs")]
-pub(crate) use decode::read;
 pub use decode::{SectionInfo, decode, sections};
 pub use encode::{Carries, HiddenAs, encode};
 pub use level::{LEVELS, level};
 pub use picture::{Carried, encode_jpeg, encode_lossless};
+pub use region::{RegionPhoto, Tiles, region};
 pub use select::{SECTIONS, select};
+#[cfg(feature = "codecs")]
+pub(crate) use {
+    bands::rows_for,
+    decode::{read, read_tiles},
+    encode::encode_in,
+    select::with_section,
+    wire::{Codec, Kind},
+};
 
 /// First bytes of a container.
 pub const MAGIC: [u8; 4] = *b"TMPI";
 /// Major version written, and the newest that is read.
 pub const MAJOR: u16 = 1;
-/// Minor version written.
-pub const MINOR: u16 = 1;
+/// Newest minor version written. A container is given the oldest that has all it uses.
+pub const MINOR: u16 = 2;
+/// Minor version of containers whose labels are one stream.
+const MINOR_ONE_STREAM: u16 = 1;
 /// Media type of a container.
 pub const MEDIA_TYPE: &str = "application/vnd.tmpi";
 

@@ -50,6 +50,15 @@ impl Carried {
         Ok(Self { bytes, format: Format::Jpeg })
     }
 
+    /// Encodes a photo anew without loss, as WebP.
+    ///
+    /// # Errors
+    /// [`AtlasError`] where a side is over 16 383 pixels.
+    pub fn lossless(photo: &Photo) -> Result<Self, AtlasError> {
+        let bytes = encode_lossless(ImageFormat::WebP, photo.width, photo.height, photo.rgb.as_flattened())?;
+        Ok(Self { bytes, format: Format::WebP })
+    }
+
     pub(super) fn codec(&self) -> Codec {
         match self.format {
             Format::Jpeg => Codec::Jpeg,
@@ -78,7 +87,7 @@ pub fn decode(codec: Codec, bytes: &[u8], most: (u32, u32)) -> Result<Photo, Atl
         Codec::Jpeg => image::ImageFormat::Jpeg,
         Codec::Png => image::ImageFormat::Png,
         Codec::Webp => image::ImageFormat::WebP,
-        Codec::Raw | Codec::Zstd | Codec::Range => return Err(AtlasError::broken("picture: not a picture codec")),
+        Codec::Raw | Codec::Zstd | Codec::Range | Codec::RangeBands => return Err(AtlasError::broken("picture: not a picture codec")),
     };
     let broken = |e: image::ImageError| AtlasError::broken(format!("picture: {e}"));
     let mut reader = image::ImageReader::with_format(std::io::Cursor::new(bytes), format);

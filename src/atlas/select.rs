@@ -21,12 +21,24 @@ pub fn select(container: &[u8], names: &[&str]) -> Result<Vec<u8>, AtlasError> {
         if !names.contains(&name(s.kind())) {
             continue;
         }
-        sections.push(Section { offset: kept.len() as u64, ..*s });
+        sections.push(Section { offset: kept.len() as u64, ..s.clone() });
         kept.extend_from_slice(decode::range(s, body)?);
     }
     index.sections = sections;
     let mut out = encode::header(&container[4..8], &index.encode_to_vec());
     out.extend(kept);
+    Ok(out)
+}
+
+/// The container with one section more.
+#[cfg(feature = "codecs")]
+pub fn with_section(container: &[u8], kind: Kind, codec: super::wire::Codec, data: &[u8]) -> Result<Vec<u8>, AtlasError> {
+    let (mut index, body) = decode::split(container)?;
+    let (offset, length) = (body.len() as u64, data.len() as u64);
+    index.sections.push(Section { kind: kind.into(), codec: codec.into(), offset, length, ..Section::default() });
+    let mut out = encode::header(&container[4..8], &index.encode_to_vec());
+    out.extend(body);
+    out.extend(data);
     Ok(out)
 }
 

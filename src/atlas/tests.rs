@@ -5,7 +5,7 @@ use crate::generate::layers::{Coloured, compose};
 use crate::tmpi::{Blueprint, Filler, Grid, Intrinsics, Photo, Plane, Scene, Tile, ViewBox};
 
 /// Near discs before a slanted wall, with backstops and refined alphas here and there; hidden colours that JPEG keeps well.
-fn scene(width: u32, height: u32) -> (Blueprint, Scene) {
+pub(super) fn scene(width: u32, height: u32) -> (Blueprint, Scene) {
     let grid = Grid::new(width, height, 64);
     let photo = Photo {
         width,
@@ -50,7 +50,12 @@ fn container((blueprint, s): &(Blueprint, Scene)) -> Vec<u8> {
 }
 
 /// The same with nothing but photo (without loss), planes and labels.
-fn bare((blueprint, s): &(Blueprint, Scene)) -> Vec<u8> {
+fn bare(made: &(Blueprint, Scene)) -> Vec<u8> {
+    bare_in(None, made)
+}
+
+/// The same with labels in bands of so many rows of tiles.
+pub(super) fn bare_in(rows: Option<u32>, (blueprint, s): &(Blueprint, Scene)) -> Vec<u8> {
     let mut png = Vec::new();
     image::ImageEncoder::write_image(
         image::codecs::png::PngEncoder::new(&mut png),
@@ -61,7 +66,7 @@ fn bare((blueprint, s): &(Blueprint, Scene)) -> Vec<u8> {
     )
     .unwrap();
     let photo = Carried { bytes: png, format: crate::photo::Format::Png };
-    encode(blueprint, s, &photo, Carries::default()).unwrap().0
+    encode::encode_in(rows, blueprint, s, &photo, Carries::default()).unwrap().0
 }
 
 #[test]
@@ -130,13 +135,19 @@ fn golden(name: &str, write: impl Fn() -> Vec<u8>, exact: bool) {
 fn golden_containers_stay_readable() {
     golden("v1", || container(&scene(150, 100)), false);
     golden("v1_1", || bare(&scene(150, 100)), true);
+    golden("v1_2", || bare_in(Some(1), &scene(150, 100)), true);
 }
 
 /// Seeds of the fuzzer: small containers of every kind, and what lies in them. `TMPI_BLESS=1` writes them anew.
 #[test]
 fn seeds_of_the_fuzzer_are_readable() {
     let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/seeds");
-    let small = [("carried", container(&scene(70, 40))), ("derived", bare(&scene(66, 40))), ("pixel", bare(&scene(1, 1)))];
+    let small = [
+        ("carried", container(&scene(70, 40))),
+        ("derived", bare(&scene(66, 40))),
+        ("pixel", bare(&scene(1, 1))),
+        ("bands", bare_in(Some(1), &scene(70, 130))),
+    ];
     if std::env::var_os("TMPI_BLESS").is_some() {
         let write = |kind: &str, name: &str, data: &[u8]| {
             std::fs::create_dir_all(folder.join(kind)).unwrap();
@@ -223,6 +234,20 @@ fn a_section_past_the_end_is_an_error_though_nobody_reads_it() {
 }
 
 #[test]
+fn bands_hold_the_same_labels_under_a_minor_version_of_their_own() {
+    let made = scene(150, 300);
+    let (one, bands) = (bare(&made), bare_in(Some(2), &made));
+    assert_eq!((one[6], bands[6]), (1, 2));
+    assert_eq!(decode(&one).unwrap(), decode(&bands).unwrap());
+    let codec = |bytes: &[u8]| sections(bytes).unwrap().iter().find(|s| s.kind == "labels").unwrap().codec;
+    assert_eq!((codec(&one), codec(&bands)), ("range", "range-bands"));
+    let labels = sections(&bands).unwrap().into_iter().find(|s| s.kind == "labels").unwrap();
+    let mut damaged = bands.clone();
+    damaged[(labels.offset + labels.length) as usize - 1] ^= 1;
+    assert!(decode(&damaged).unwrap_err().to_string().contains("band 3 of 3"));
+}
+
+#[test]
 fn a_newer_major_version_is_refused_by_number() {
     let mut b = container(&scene(70, 70));
     b[4] = 2;
@@ -243,9 +268,9 @@ proptest! {
     #[test]
     fn damage_never_panics(at in prop::collection::vec((0usize..4000, any::<u8>()), 1..6)) {
         use std::sync::OnceLock;
-        static CLEAN: OnceLock<[Vec<u8>; 2]> = OnceLock::new();
-        let clean = CLEAN.get_or_init(|| [container(&scene(70, 40)), bare(&scene(70, 40))]);
-        let mut b = clean[at.len() % 2].clone();
+        static CLEAN: OnceLock<[Vec<u8>; 3]> = OnceLock::new();
+        let clean = CLEAN.get_or_init(|| [container(&scene(70, 40)), bare(&scene(70, 40)), bare_in(Some(1), &scene(70, 130))]);
+        let mut b = clean[at.len() % 3].clone();
         for (i, v) in at { let n = b.len(); b[i % n] = v; }
         if let Ok(s) = decode(&b) { prop_assert_eq!(s.validate(), Ok(())); }
     }

@@ -7,18 +7,28 @@ use anyhow::Context;
 use serde_json::json;
 
 use super::{Usage, files, result};
-use crate::atlas;
+use crate::atlas::{self, LEVELS, RegionPhoto, Tiles};
 use crate::export::{ExportFormat, export};
+use crate::tmpi::Rect;
 
-/// Write a container as a page, a glTF model or an archive of its parts
+/// Write a container, or a part of it, as a page, a glTF model, an archive of its parts or a container
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct ExportArgs {
     /// The container
     #[arg(value_name = "IN.tmpi")]
     input: PathBuf,
-    /// File to write: a page that opens from disk, a binary glTF model, or photo, layers and planes in an archive
-    #[arg(short, long, value_name = "OUT.{html,glb,zip}")]
+    /// File to write: a page that opens from disk, a binary glTF model, photo, layers and planes in an archive, or a container
+    #[arg(short, long, value_name = "OUT.{html,glb,zip,tmpi}")]
     output: PathBuf,
+    /// Only the tiles over this rectangle, in pixels of the photo; its part of the photo is coded anew
+    #[arg(long, value_name = "X,Y,W,H")]
+    region: Option<Rect>,
+    /// Half (1), a quarter (2) or an eighth (3) of the size
+    #[arg(long, default_value_t = 0, value_name = "0-3", value_parser = clap::value_parser!(u8).range(..=i64::from(LEVELS)))]
+    level: u8,
+    /// Code the region's photo without loss
+    #[arg(long, requires = "region")]
+    lossless: bool,
     /// Title of the page; without it the container's name
     #[arg(long, value_name = "TEXT")]
     title: Option<String>,
@@ -27,22 +37,40 @@ pub(super) struct ExportArgs {
     json: bool,
 }
 
+/// The container that is written, or written as something else: the whole one or what the flags leave of it.
+fn container(args: &ExportArgs) -> anyhow::Result<Vec<u8>> {
+    let whole = files::read(&args.input)?;
+    let context = || args.input.display().to_string();
+    let Some(region) = args.region else {
+        return if args.level == 0 { Ok(whole) } else { atlas::level(&whole, args.level).with_context(context) };
+    };
+    let tiles = Tiles::over_region(&whole, region).with_context(context)?;
+    let tiles = tiles.ok_or_else(|| Usage("--region must hold a pixel and lie within the photo".into()))?;
+    let photo = if args.lossless { RegionPhoto::Lossless } else { RegionPhoto::Jpeg };
+    atlas::region(&whole, &tiles, args.level, photo).with_context(context)
+}
+
 pub(super) fn run(args: &ExportArgs) -> anyhow::Result<()> {
-    let format = ExportFormat::from_extension(&files::extension(&args.output))
-        .ok_or_else(|| Usage(format!("--output {} must end in .html, .glb or .zip", args.output.display())))?;
-    if args.title.is_some() && format != ExportFormat::Html {
+    let extension = files::extension(&args.output);
+    let format = ExportFormat::from_extension(&extension);
+    if format.is_none() && extension != "tmpi" {
+        return Err(Usage(format!("--output {} must end in .html, .glb, .zip or .tmpi", args.output.display())).into());
+    }
+    if args.title.is_some() && format != Some(ExportFormat::Html) {
         return Err(Usage("--title is only for .html".into()).into());
     }
-    let container = files::read(&args.input)?;
+    let start = Instant::now();
+    let container = container(args)?;
     let context = || args.input.display().to_string();
     // a container that cannot be read must not become a page that cannot be shown
     let scene = atlas::decode(&container).with_context(context)?;
     let stem = args.input.file_stem().unwrap_or_default().to_string_lossy();
-    let start = Instant::now();
-    let bytes = export(format, &container, &scene, args.title.as_deref().unwrap_or(&stem)).with_context(context)?;
+    let written = format.map(|f| export(f, &container, &scene, args.title.as_deref().unwrap_or(&stem))).transpose();
+    let bytes = written.with_context(context)?.unwrap_or_else(|| container.clone());
     let ms = start.elapsed().as_secs_f64() * 1e3;
     files::write(&args.output, &bytes)?;
     if args.json {
+        let format = format.map_or("tmpi", ExportFormat::extension);
         let about = json!({ "output": args.output, "format": format, "bytes": bytes.len(), "container_bytes": container.len(), "ms": ms });
         return result(&about.to_string());
     }

@@ -17,8 +17,9 @@ use super::pool::Pool;
 use super::problem::Problem;
 use super::store::{Done, Part};
 use super::telemetry::Telemetry;
+use crate::atlas::{self, RegionPhoto, Tiles};
 use crate::render::Renderer;
-use crate::tmpi::Scene;
+use crate::tmpi::{Rect, Scene};
 
 /// A made photo: its id and when it was made, so that nothing of a deleted one is taken for the next of the same id.
 pub type Version = (PhotoId, u64);
@@ -63,8 +64,8 @@ pub struct Shared {
     pub scenes: Cache<Version, Arc<Scene>>,
     /// Containers, pictures and reports.
     pub files: Cache<(Version, Part), Stored>,
-    /// Smaller levels of containers.
-    pub levels: Cache<(Version, u8), Stored>,
+    /// Smaller levels and parts of containers.
+    pub levels: Cache<(Version, u8, Option<Tiles>), Stored>,
     /// Encoded views by photo and entity tag.
     pub views: Cache<(Version, String), Bytes>,
     /// Where views are drawn.
@@ -132,10 +133,28 @@ impl Shared {
         }
         let make = async {
             let container = self.file(version, Part::Atlas).await?.bytes;
-            let bytes = self.pool.run(move || crate::atlas::level(&container, level)).await?.map_err(|e| Problem::from(&e))?;
+            let bytes = self.pool.run(move || atlas::level(&container, level)).await?.map_err(|e| Problem::from(&e))?;
             Ok::<_, Problem>(Stored::sized(bytes))
         };
-        self.levels.get((version, level), make).await
+        self.levels.get((version, level, None), make).await
+    }
+
+    /// The same of the tiles over `region` alone.
+    ///
+    /// # Errors
+    /// As [`Shared::level`]; 400 where the region is not within the photo.
+    pub async fn region(self: &Arc<Self>, version: Version, level: u8, region: Rect) -> Result<Stored, Problem> {
+        let container = self.file(version, Part::Atlas).await?.bytes;
+        let tiles = Tiles::over_region(&container, region).map_err(|e| Problem::from(&e))?;
+        let tiles = tiles.ok_or_else(|| Problem::parameter("region", "must hold a pixel and lie within the photo"))?;
+        // regions over the same tiles are one
+        let key = (version, level, Some(tiles.clone()));
+        let make = async {
+            let cut = move || atlas::region(&container, &tiles, level, RegionPhoto::default());
+            let bytes = self.pool.run(cut).await?.map_err(|e| Problem::from(&e))?;
+            Ok::<_, Problem>(Stored::sized(bytes))
+        };
+        self.levels.get(key, make).await
     }
 
     /// The decoded scene of a made photo, and how long decoding took if it was not at hand.
@@ -147,7 +166,7 @@ impl Shared {
         let decode = async {
             let container = self.file(version, Part::Atlas).await?.bytes;
             let start = std::time::Instant::now();
-            let scene = self.pool.run(move || crate::atlas::decode(&container)).await?.map_err(|e| Problem::from(&e))?;
+            let scene = self.pool.run(move || atlas::decode(&container)).await?.map_err(|e| Problem::from(&e))?;
             took = Some(start.elapsed());
             let size = scene.memory();
             Ok::<_, Problem>((Arc::new(scene), size))

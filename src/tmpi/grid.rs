@@ -1,5 +1,8 @@
 //! The grid of tiles over a photo (paper, section 3.1).
 
+use std::ops::Range;
+use std::str::FromStr;
+
 use serde::{Deserialize, Serialize};
 
 /// Rectangle in photo pixels.
@@ -30,6 +33,24 @@ impl Rect {
             && other.y >= self.y
             && end(other.x, other.w) <= end(self.x, self.w)
             && end(other.y, other.h) <= end(self.y, self.h)
+    }
+}
+
+/// Four whole numbers that could not be read as a rectangle.
+#[derive(Debug, PartialEq, Eq, thiserror::Error)]
+#[error("must be four whole numbers X,Y,W,H, not {0:?}")]
+pub struct NoRect(String);
+
+impl FromStr for Rect {
+    type Err = NoRect;
+
+    /// Reads `x,y,w,h`.
+    fn from_str(text: &str) -> Result<Self, NoRect> {
+        let wrong = |_| NoRect(text.to_owned());
+        let all: Vec<u32> =
+            text.split(',').map(|part| part.trim().parse()).collect::<Result<_, std::num::ParseIntError>>().map_err(wrong)?;
+        let &[x, y, w, h] = all.as_slice() else { return Err(NoRect(text.to_owned())) };
+        Ok(Self { x, y, w, h })
     }
 }
 
@@ -81,6 +102,20 @@ impl Grid {
         self.columns() * self.rows()
     }
 
+    /// Some columns and rows of tiles as a grid of their own, and where its pixels lie in this one's photo. Neither range is empty
+    /// or reaches past the last tile.
+    #[must_use]
+    pub fn part(&self, columns: Range<u32>, rows: Range<u32>) -> (Rect, Self) {
+        let side = |tiles: &Range<u32>, length: u32| {
+            let from = tiles.start * self.stride;
+            // in 64 bits: the last tile may reach past the photo
+            let most = u64::from(tiles.end - tiles.start - 1) * u64::from(self.stride) + u64::from(self.size);
+            (from, most.min(u64::from(length - from)) as u32)
+        };
+        let ((x, w), (y, h)) = (side(&columns, self.width), side(&rows, self.height));
+        (Rect { x, y, w, h }, Self { width: w, height: h, ..*self })
+    }
+
     fn count(length: u32, size: u32, stride: u32) -> u32 {
         if length <= size { 1 } else { (length - size).div_ceil(stride) + 1 }
     }
@@ -124,6 +159,23 @@ mod tests {
     }
 
     proptest! {
+        #[test]
+        fn a_part_has_the_same_tiles(w in 1u32..400, h in 1u32..400, size in 1u32..100, at in any::<[u16; 4]>()) {
+            let g = Grid::new(w, h, size);
+            let range = |a: u16, b: u16, n: u32| {
+                let (a, b) = (u32::from(a) % n, u32::from(b) % n);
+                a.min(b)..a.max(b) + 1
+            };
+            let (columns, rows) = (range(at[0], at[1], g.columns()), range(at[2], at[3], g.rows()));
+            let (rect, part) = g.part(columns.clone(), rows.clone());
+            prop_assert_eq!((part.columns(), part.rows()), (columns.end - columns.start, rows.end - rows.start));
+            for i in 0..part.tiles() {
+                let (column, row) = (columns.start + i % part.columns(), rows.start + i / part.columns());
+                let (was, is) = (g.rect(row * g.columns() + column), part.rect(i));
+                prop_assert_eq!(was, Rect { x: is.x + rect.x, y: is.y + rect.y, ..is });
+            }
+        }
+
         #[test]
         fn every_pixel_is_covered(w in 1u32..400, h in 1u32..400, size in 1u32..100) {
             let g = Grid::new(w, h, size);

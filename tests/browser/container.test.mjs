@@ -3,11 +3,11 @@ import assert from 'node:assert/strict';
 import { createHash } from 'node:crypto';
 import { readFileSync } from 'node:fs';
 import { describe, test } from 'node:test';
-import { detached, unfold } from '../../static/bands.js';
+import { detached, work } from '../../static/bands.js';
 import { Class, ContainerError, decode, endOfSection, Kind, readIndex } from '../../static/container.js';
 import { lookingAt, pivotOf } from '../../static/camera.js';
 import { tileCounts, tileRect } from '../../static/grid.js';
-import { decodeLabels } from '../../static/labels.js';
+import { crc32, decodeLabels } from '../../static/labels.js';
 import { boxScene, container } from './fixture.mjs';
 import { BOX, readPng, wall } from './pictures.mjs';
 
@@ -28,6 +28,7 @@ const refuses = (data, pattern) =>
   });
 
 describe('decoder', () => {
+  const golden = (name) => readFileSync(new URL(`../golden/${name}`, import.meta.url));
   test('gives back every layer and texel', async () => {
     const got = await decode(bytes, decodePicture);
     assert.equal(got.layers.count, scene.layers.length);
@@ -54,7 +55,6 @@ describe('decoder', () => {
   });
 
   test('comes to the same texels as the server, bit for bit', async () => {
-    const golden = (name) => readFileSync(new URL(`../golden/${name}`, import.meta.url));
     const want = JSON.parse(golden('v1.json'));
     const picture = async () => ({ width: 4096, height: 4096, data: new Uint8Array(4096 * 4096 * 4) });
     const got = await decode(new Uint8Array(golden('v1.tmpi')), picture, { width: want.width, height: want.height });
@@ -64,35 +64,59 @@ describe('decoder', () => {
     assert.deepEqual([hash(got.classes), hash(got.alpha), got.hidden.length / 3], [want.classes, want.alpha, want.hidden]);
   });
 
-  test('fills hidden texels that are not carried as the server does, bit for bit', async () => {
-    const golden = (name) => readFileSync(new URL(`../golden/${name}`, import.meta.url));
-    const want = JSON.parse(golden('v1_1.json'));
-    const { width, height } = want;
-    // the photo of that container, which is a file without loss
-    const data = new Uint8Array(width * height * 4);
-    for (let i = 0; i < width * height; i++) {
-      data.set([Math.floor(((i % width) * 255) / width), Math.floor((Math.floor(i / width) * 255) / height), 90, 255], i * 4);
+  // the second has its labels in two bands
+  for (const [name, labelJobs] of [['v1_1', 0], ['v1_2', 2]]) {
+    test(`fills hidden texels that are not carried as the server does, bit for bit: ${name}`, async () => {
+      const want = JSON.parse(golden(`${name}.json`));
+      const { width, height } = want;
+      // the photo of that container, which is a file without loss
+      const data = new Uint8Array(width * height * 4);
+      for (let i = 0; i < width * height; i++) {
+        data.set([Math.floor(((i % width) * 255) / width), Math.floor((Math.floor(i / width) * 255) / height), 90, 255], i * 4);
+      }
+      const none = async () => assert.fail('there is no other picture');
+      const got = await decode(new Uint8Array(golden(`${name}.tmpi`)), none, { width, height, data });
+      // the same in bands that are handed over, as to other threads
+      for (const count of [2, 3, 100]) {
+        let handed = 0;
+        const elsewhere = async (band) => {
+          const { band: copy, buffers } = detached(band);
+          handed++;
+          return work(structuredClone({ copy }, { transfer: buffers }).copy);
+        };
+        const parts = await decode(new Uint8Array(golden(`${name}.tmpi`)), none, { width, height, data }, elsewhere, count);
+        assert.deepEqual({ ...parts, photo: null }, { ...got, photo: null });
+        assert.equal(handed, Math.min(count, tileCounts(parts).tiles) + Math.min(count, labelJobs));
+      }
+      const hash = (bytes) => createHash('sha256').update(bytes).digest('hex');
+      assert.deepEqual([hash(got.classes), hash(got.alpha)], [want.classes, want.alpha]);
+      assert.deepEqual([got.hidden.length / 3, hash(got.hidden)], [want.hidden, want.colours]);
+      const { layers, classes } = got;
+      const before = (i) => classes.subarray(0, layers.firstTexel[i]).reduce((n, kind) => n + (kind === Class.HIDDEN), 0);
+      for (let i = 0; i < layers.count; i += 5) assert.equal(layers.firstHidden[i], before(i));
+    });
+  }
+
+  test('a damaged band of labels is told by its number, bands that do not fit are refused', async () => {
+    const file = new Uint8Array(golden('v1_2.tmpi'));
+    const { index, start } = readIndex(file);
+    const section = index.sections.find((s) => s.kind === Kind.LABELS);
+    assert.equal(section.bands.length, 2);
+    const photo = { width: index.width, height: index.height, data: new Uint8Array(index.width * index.height * 4) };
+    const refused = (data, pattern) => assert.rejects(decode(data, null, photo), (e) => e instanceof ContainerError && pattern.test(e.message));
+    for (const [at, number] of [[0, 1], [section.bands[0].length, 2]]) {
+      const damaged = file.slice();
+      damaged[start + section.offset + at] ^= 4;
+      await refused(damaged, new RegExp(`band ${number} of 2 of the labels is damaged`));
     }
-    const none = async () => assert.fail('there is no other picture');
-    const got = await decode(new Uint8Array(golden('v1_1.tmpi')), none, { width, height, data });
-    // the same in bands that are handed over, as to other threads
-    for (const count of [2, 3, 100]) {
-      let handed = 0;
-      const elsewhere = async (band) => {
-        const { band: copy, buffers } = detached(band);
-        handed++;
-        return unfold(structuredClone({ copy }, { transfer: buffers }).copy);
-      };
-      const parts = await decode(new Uint8Array(golden('v1_1.tmpi')), none, { width, height, data }, elsewhere, count);
-      assert.deepEqual({ ...parts, photo: null }, { ...got, photo: null });
-      assert.equal(handed, Math.min(count, tileCounts(parts).tiles));
-    }
-    const hash = (bytes) => createHash('sha256').update(bytes).digest('hex');
-    assert.deepEqual([hash(got.classes), hash(got.alpha)], [want.classes, want.alpha]);
-    assert.deepEqual([got.hidden.length / 3, hash(got.hidden)], [want.hidden, want.colours]);
-    const { layers, classes } = got;
-    const before = (i) => classes.subarray(0, layers.firstTexel[i]).reduce((n, kind) => n + (kind === Class.HIDDEN), 0);
-    for (let i = 0; i < layers.count; i += 5) assert.equal(layers.firstHidden[i], before(i));
+    await refused(file.subarray(0, start + section.offset + section.bands[0].length), /ends after the last byte/);
+    // a message of a band is `rows`, `length`, `check`: rows of the first one more
+    const head = [0x32, 0, 0x08, 1, 0x10];
+    const at = file.findIndex((_, i) => head.every((byte, k) => k === 1 || file[i + k] === byte));
+    const more = file.slice();
+    more[at + 3] = 2;
+    await refused(more, /other rows of tiles/);
+    assert.equal(crc32(new TextEncoder().encode('123456789')), 0xcbf4_3926);
   });
 
   test('needs only the first bytes for index and photo', () => {

@@ -83,6 +83,51 @@ fn smaller_levels_of_the_atlas() {
 }
 
 #[test]
+fn regions_of_the_atlas() {
+    let (_dir, server, photo) = with_photo();
+    let fetch = |query: &str| get(server.addr, &format!("{photo}/atlas{query}"));
+    let whole = fetch("");
+    let camera = |body: &[u8]| tmpi::atlas::decode(body).unwrap().intrinsics;
+    let mut tags = vec![whole.header("etag").unwrap().to_owned()];
+    for (query, size, corner) in [
+        ("?region=0,0,10,10", (64, 60), 0.0),
+        ("?region=70,0,10,60", (24, 60), 56.0),
+        ("?region=70%2C50%2C1%2C1&level=1", (12, 30), 28.0),
+        // of the region's 10 pixels at level 0, 5 at level 1
+        ("?region=0,0,10,10&fit=5", (32, 30), 0.0),
+        ("?region=0,0,10,10&fit=6", (64, 60), 0.0),
+    ] {
+        let part = fetch(query);
+        assert_eq!((part.status, part.header("content-type")), (200, Some("application/vnd.tmpi")), "{query}");
+        assert_eq!(part.header("cache-control"), whole.header("cache-control"));
+        let scene = tmpi::atlas::decode(&part.body).unwrap();
+        assert_eq!((scene.grid.width, scene.grid.height), size, "{query}");
+        let scale = f64::from(scene.grid.size) / 64.0;
+        assert_eq!(scene.intrinsics.cx, camera(&whole.body).cx * scale - corner, "{query}");
+        tags.push(part.header("etag").unwrap().to_owned());
+    }
+    // regions over the same tiles are the same file
+    assert_eq!(tags[1], tags[5]);
+    assert_eq!(fetch("?region=3,4,5,6").header("etag"), Some(tags[1].as_str()));
+    assert!((1..5).all(|i| !tags[..i].contains(&tags[i])), "{tags:?}");
+    assert_eq!(fetch("?region=0,0,80,60").body, whole.body, "all tiles are the photo itself");
+    let held = tmpi::atlas::sections(&fetch("?region=70,0,5,5&sections=photo").body).unwrap();
+    assert_eq!(held.iter().map(|s| s.kind).collect::<Vec<_>>(), ["photo"]);
+
+    let path = format!("{photo}/atlas?region=70,0,5,5");
+    let all = get(server.addr, &path);
+    let head = request(server.addr, "HEAD", &path, &[], &[]);
+    assert_eq!((head.status, head.header("content-length")), (200, Some(all.body.len().to_string().as_str())));
+    let part = request(server.addr, "GET", &path, &[("range", "bytes=4-11"), ("if-range", &tags[2])], &[]);
+    assert_eq!((part.status, part.body.as_slice()), (206, &all.body[4..12]));
+    assert_eq!(request(server.addr, "GET", &path, &[("if-none-match", &tags[2])], &[]).status, 304);
+
+    for wrong in ["", "1,2,3", "1,2,3,4,5", "a,0,1,1", "-1,0,5,5", "0,0,0,5", "0,0,81,5", "79,59,2,1", "0,0,1.5,5", "0,0,4294967296,5"] {
+        assert_eq!(fetch(&format!("?region={wrong}")).problem(400)["field"], "region", "{wrong}");
+    }
+}
+
+#[test]
 fn sections_of_the_atlas_that_are_asked_for() {
     let (_dir, server, photo) = with_photo();
     let fetch = |query: &str| get(server.addr, &format!("{photo}/atlas{query}"));

@@ -288,7 +288,7 @@ pub async fn delete(State(app): State<App>, Path(id): Path<String>) -> Result<St
     app.scenes.retain(|(of, _)| *of != photo);
     app.views.retain(|((of, _), _)| *of != photo);
     app.files.retain(|((of, _), _)| *of != photo);
-    app.levels.retain(|((of, _), _)| *of != photo);
+    app.levels.retain(|((of, _), ..)| *of != photo);
     if deleted { Ok(StatusCode::NO_CONTENT) } else { Err(Problem::not_found("the photo was deleted already")) }
 }
 

@@ -9,18 +9,24 @@ use crate::server::app::{App, Shared, Stored};
 use crate::server::conditional::{Entity, IMMUTABLE, respond};
 use crate::server::problem::Problem;
 use crate::server::store::Part;
+use crate::tmpi::Rect;
 
 /// The container of a photo.
 ///
 /// Its index says where each section lies, so that these can be fetched one by one with `Range`; or `sections` names those that a
 /// smaller container is to hold. The entity tag is strong, other for every level and choice of sections, and the bytes never change.
-/// A smaller level has the same planes over a photo of half, a quarter or an eighth of the size.
+/// A smaller level has the same planes over a photo of half, a quarter or an eighth of the size. With `region` it is the container of
+/// the fewest whole tiles that cover a rectangle of the photo, at the same poses; the photo's part of it is coded anew as levels are.
 #[utoipa::path(
     get, path = "/v1/photos/{id}/atlas", tag = "photos",
     params(
         ("id" = String, Path, description = "Id of the photo"),
         ("level" = Option<u8>, Query, description = "0 (default) the photo's own size, 1 half of it, 2 a quarter, 3 an eighth"),
-        ("fit" = Option<u16>, Query, description = "In place of a level: the smallest whose longer side has at least so many pixels"),
+        ("fit" = Option<u16>, Query, description = "In place of a level: the smallest whose longer side has at least so many pixels; with \
+            `region` the longer side of that"),
+        ("region" = Option<String>, Query, description = "`x,y,w,h` in pixels of the photo at its own size: only the tiles over it. Where \
+            the answer's photo lies follows from its principal point: it is the whole one's less the corner",
+            example = "512,512,512,512"),
         ("sections" = Option<String>, Query, description = "Which of `index` (always there), `photo`, `planes`, `labels`, `alpha` and \
             `hidden` the container is to hold, with commas between them; all if it is not given. What a photo does not have is left out",
             example = "photo"),
@@ -34,7 +40,7 @@ use crate::server::store::Part;
         (status = 206, description = "The range", body = String, content_type = "application/vnd.tmpi",
             headers(("Content-Range" = String, description = "Which bytes of how many"))),
         (status = 304, description = "The client has it"),
-        (status = 400, description = "There is no such level or section", body = Problem, content_type = "application/problem+json"),
+        (status = 400, description = "There is no such level, region or section", body = Problem, content_type = "application/problem+json"),
         (status = 404, description = "There is no such photo", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "Not finished yet", body = Problem, content_type = "application/problem+json"),
         (status = 416, description = "There are no such bytes", body = Problem, content_type = "application/problem+json"),
@@ -44,10 +50,14 @@ pub async fn atlas(State(app): State<App>, Path(id): Path<String>, uri: Uri, hea
     let entry = app.photo(&id)?;
     // a wrong query is wrong whether the photo is finished or not
     wanted_level(&uri, 0)?;
-    let sections = wanted_sections(&uri)?;
+    let (sections, region) = (wanted_sections(&uri)?, wanted_region(&uri)?);
     let (version, done) = Shared::done(&entry)?;
-    let level = wanted_level(&uri, done.width.max(done.height))?;
-    let mut file = app.level(version, level).await?;
+    let side = region.map_or(done.width.max(done.height), |r| r.w.max(r.h));
+    let level = wanted_level(&uri, side)?;
+    let mut file = match region {
+        Some(region) => app.region(version, level, region).await?,
+        None => app.level(version, level).await?,
+    };
     if let Some(names) = sections {
         file = Stored::new(atlas::select(&file.bytes, &names).map_err(|e| Problem::from(&e))?);
     }
@@ -62,13 +72,22 @@ fn parameter<'a>(uri: &'a Uri, name: &str) -> Option<&'a str> {
 /// Names of the sections that a query asks for; none where it does not say.
 fn wanted_sections(uri: &Uri) -> Result<Option<Vec<&'static str>>, Problem> {
     let Some(list) = parameter(uri, "sections") else { return Ok(None) };
-    // a comma may come as it is or escaped
-    let list = list.replace("%2C", ",").replace("%2c", ",");
+    let list = with_commas(list);
     let known = |name: &str| {
         let unknown = || Problem::parameter("sections", format!("there is no section {name:?}; there are {}", SECTIONS.join(", ")));
         SECTIONS.into_iter().find(|s| *s == name).ok_or_else(unknown)
     };
     list.split(',').map(known).collect::<Result<_, _>>().map(Some)
+}
+
+/// A comma may come as it is or escaped.
+fn with_commas(list: &str) -> String {
+    list.replace("%2C", ",").replace("%2c", ",")
+}
+
+/// The rectangle of the photo that a query asks for; none where it does not say.
+fn wanted_region(uri: &Uri) -> Result<Option<Rect>, Problem> {
+    parameter(uri, "region").map(|text| with_commas(text).parse().map_err(|e| Problem::parameter("region", e))).transpose()
 }
 
 /// The level that a query asks for, of a photo whose longer side has `side` pixels.
