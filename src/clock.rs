@@ -1,4 +1,4 @@
-//! Wall time, processor time and peak memory of this process.
+//! Wall time, processor time and peak memory of this process; programs that it ran and waited for count as its processor time.
 
 use std::time::Instant;
 
@@ -22,7 +22,8 @@ impl Clock {
         self.wall.elapsed().as_secs_f64() * 1e3
     }
 
-    /// Processor milliseconds of all threads of the process since the start; 0 where the system does not tell.
+    /// Processor milliseconds of all threads of the process since the start, and of programs that ended since; 0 where the system
+    /// does not tell.
     #[must_use]
     pub fn cpu_ms(&self) -> f64 {
         cpu_ms() - self.cpu
@@ -38,7 +39,18 @@ mod system {
         if unsafe { libc::clock_gettime(libc::CLOCK_PROCESS_CPUTIME_ID, &raw mut t) } != 0 {
             return 0.0;
         }
-        t.tv_sec as f64 * 1e3 + t.tv_nsec as f64 / 1e6
+        let programs = usage(libc::RUSAGE_CHILDREN).map_or(0.0, |u| ms(u.ru_utime) + ms(u.ru_stime));
+        t.tv_sec as f64 * 1e3 + t.tv_nsec as f64 / 1e6 + programs
+    }
+
+    fn ms(t: libc::timeval) -> f64 {
+        t.tv_sec as f64 * 1e3 + t.tv_usec as f64 / 1e3
+    }
+
+    fn usage(of: libc::c_int) -> Option<libc::rusage> {
+        let mut usage = std::mem::MaybeUninit::<libc::rusage>::zeroed();
+        // SAFETY: `usage` outlives the call and all-zero is a valid `rusage`.
+        unsafe { (libc::getrusage(of, usage.as_mut_ptr()) == 0).then(|| usage.assume_init()) }
     }
 
     /// Peak resident memory of this process in bytes; 0 where the system does not tell.
@@ -50,16 +62,8 @@ mod system {
         if let Some(kilobytes) = peak {
             return kilobytes * 1024;
         }
-        let mut usage = std::mem::MaybeUninit::<libc::rusage>::zeroed();
-        // SAFETY: `usage` outlives the call and all-zero is a valid `rusage`.
-        let usage = unsafe {
-            if libc::getrusage(libc::RUSAGE_SELF, usage.as_mut_ptr()) != 0 {
-                return 0;
-            }
-            usage.assume_init()
-        };
         // kilobytes everywhere but on macOS
-        usage.ru_maxrss as u64 * if cfg!(target_os = "macos") { 1 } else { 1024 }
+        usage(libc::RUSAGE_SELF).map_or(0, |u| u.ru_maxrss as u64) * if cfg!(target_os = "macos") { 1 } else { 1024 }
     }
 }
 

@@ -29,6 +29,9 @@ pub(super) struct CodecArgs {
     /// The container alone, not the other ways
     #[arg(long)]
     ours: bool,
+    /// The container alone, with labels in bands of several sizes
+    #[arg(long, conflicts_with = "ours")]
+    bands: bool,
     /// Also write the files that were compared, a folder for each photo
     #[arg(long)]
     files: bool,
@@ -48,6 +51,7 @@ pub(super) fn run(args: &CodecArgs) -> anyhow::Result<()> {
         repeats: args.repeats,
         quick: args.quick,
         ours: args.ours,
+        bands: args.bands,
     };
     let keep = |scene: &str, name: &str, bytes: &[u8]| {
         let path = args.output.join(scene).join(name);

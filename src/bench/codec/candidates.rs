@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use image::ImageFormat;
 
+use super::avif::{self, Pixels};
 use super::layers::{Packing, texels, with_texels};
 use crate::atlas::{self, Carried, Carries, HiddenAs, encode_jpeg, encode_lossless};
 use crate::bench::BenchError;
@@ -31,12 +32,20 @@ impl Source {
         Self { blueprint, scene, kept, quality, disparity, texels, packing }
     }
 
-    fn container(&self, hidden: Option<HiddenAs>) -> Result<Vec<u8>, BenchError> {
-        let carried = match &self.kept {
+    fn carried(&self) -> Result<Carried, BenchError> {
+        Ok(match &self.kept {
             Some(kept) => kept.clone(),
             None => Carried::from_photo(&self.scene.photo, self.quality)?,
-        };
-        Ok(atlas::encode(&self.blueprint, &self.scene, &carried, Carries { alpha: false, hidden })?.0)
+        })
+    }
+
+    fn container(&self, hidden: Option<HiddenAs>) -> Result<Vec<u8>, BenchError> {
+        Ok(atlas::encode(&self.blueprint, &self.scene, &self.carried()?, Carries { alpha: false, hidden })?.0)
+    }
+
+    /// The container with labels in bands of so many rows of tiles, or in one stream.
+    pub fn container_in(&self, rows: Option<u32>) -> Result<Vec<u8>, BenchError> {
+        Ok(atlas::encode_in(rows, &self.blueprint, &self.scene, &self.carried()?, Carries::default())?.0)
     }
 
     fn alpha(&self) -> Result<Vec<u8>, BenchError> {
@@ -65,6 +74,8 @@ pub enum Way {
     HiddenPng,
     /// The same without loss.
     HiddenWebp,
+    /// The same as AVIF.
+    HiddenAvif,
     /// RGBA8 of all layers by zstd at this level.
     Zstd(i32),
     /// All layers in one picture.
@@ -75,16 +86,19 @@ pub enum Way {
     Jpeg,
     /// Lossy WebP with alpha without loss.
     Webp,
+    /// Colours of all layers as AVIF, alpha as another without loss.
+    Avif,
     /// Photo and 16-bit disparity, as viewers that bend one mesh take it: no layers, nothing behind anything.
     PhotoAndDepth,
 }
 
 impl Way {
-    /// All of them, the container first.
-    pub fn all() -> Vec<Self> {
-        let mut all = vec![Self::Ours, Self::HiddenJpeg, Self::HiddenPng, Self::HiddenWebp];
+    /// All of them, the container first; those of AVIF where it can be written.
+    pub fn all(avif: bool) -> Vec<Self> {
+        let mut all = vec![Self::Ours, Self::HiddenJpeg, Self::HiddenPng, Self::HiddenWebp, Self::HiddenAvif];
         all.extend([1, 3, 9, ZSTD_MOST].map(Self::Zstd));
-        all.extend([Self::Png, Self::WebpLossless, Self::Jpeg, Self::Webp, Self::PhotoAndDepth]);
+        all.extend([Self::Png, Self::WebpLossless, Self::Jpeg, Self::Webp, Self::Avif, Self::PhotoAndDepth]);
+        all.retain(|way| avif || !matches!(way, Self::HiddenAvif | Self::Avif));
         all
     }
 
@@ -94,6 +108,8 @@ impl Way {
             Self::HiddenJpeg => "tmpi, hidden as JPEG".into(),
             Self::HiddenPng => "tmpi, hidden as PNG".into(),
             Self::HiddenWebp => "tmpi, hidden as WebP lossless".into(),
+            Self::HiddenAvif => "tmpi, hidden as AVIF".into(),
+            Self::Avif => "layers, AVIF + AVIF alpha".into(),
             Self::Zstd(level) => format!("layers, zstd -{level}"),
             Self::Png => "layers, PNG".into(),
             Self::WebpLossless => "layers, WebP lossless".into(),
@@ -110,13 +126,13 @@ impl Way {
             Self::Zstd(_) => "zst",
             Self::Png => "png",
             Self::WebpLossless | Self::Webp => "webp",
-            Self::Jpeg | Self::PhotoAndDepth => "bin",
+            Self::Jpeg | Self::HiddenAvif | Self::Avif | Self::PhotoAndDepth => "bin",
         }
     }
 
     /// True where a quality is to be chosen.
     pub fn lossy(self) -> bool {
-        matches!(self, Self::HiddenJpeg | Self::Jpeg | Self::Webp)
+        matches!(self, Self::HiddenJpeg | Self::HiddenAvif | Self::Jpeg | Self::Webp | Self::Avif)
     }
 
     /// The bytes, at `quality` 1 to 100 where one is to be chosen.
@@ -129,12 +145,18 @@ impl Way {
             Self::HiddenJpeg => s.container(Some(HiddenAs::Jpeg(quality))),
             Self::HiddenPng => s.container(Some(HiddenAs::Png)),
             Self::HiddenWebp => s.container(Some(HiddenAs::Webp)),
+            Self::HiddenAvif => hidden_as_avif(s, quality),
+            Self::Avif => {
+                let colours = avif::encode(s.packing.colours(&s.scene, &s.texels).as_flattened(), Pixels::Rgb, (w, h), quality)?;
+                let alpha: Vec<u8> = s.packing.picture(layers, &s.texels).iter().map(|t| t[3]).collect();
+                Ok(joined(&colours, &avif::encode(&alpha, Pixels::Grey, (w, h), quality)?))
+            }
             Self::Zstd(level) => zstd::bulk::compress(s.texels.as_flattened(), level).map_err(|e| BenchError::Picture(e.to_string())),
             Self::Png => lossless(ImageFormat::Png),
             Self::WebpLossless => Ok(webp::lossless(&s.packing.picture(layers, &s.texels), w, h)),
             Self::Jpeg => {
                 let colours = encode_jpeg(w, h, s.packing.colours(&s.scene, &s.texels).as_flattened(), quality)?;
-                Ok([&(colours.len() as u32).to_le_bytes()[..], &colours, &s.alpha()?].concat())
+                Ok(joined(&colours, &s.alpha()?))
             }
             Self::Webp => {
                 let colours = s.packing.colours(&s.scene, &s.texels);
@@ -143,10 +165,7 @@ impl Way {
                 Ok(webp::lossy(&joined, w, h, quality))
             }
             Self::PhotoAndDepth => {
-                let photo = match &s.kept {
-                    Some(kept) => kept.bytes.clone(),
-                    None => Carried::from_photo(&s.scene.photo, s.quality)?.bytes,
-                };
+                let photo = s.carried()?.bytes;
                 let depth = depth::to_png(&s.disparity).map_err(|e| BenchError::Picture(e.to_string()))?;
                 Ok([photo, depth].concat())
             }
@@ -164,6 +183,15 @@ impl Way {
         let scene = |picture: &[[u8; 4]]| with_texels(&s.scene, &s.packing.unpack(&s.scene.layers, picture, s.texels.len()));
         Ok(Some(match self {
             Self::Ours | Self::HiddenJpeg | Self::HiddenPng | Self::HiddenWebp => Arc::new(atlas::decode(bytes)?),
+            Self::HiddenAvif => Arc::new(atlas::decode(&hidden_from_avif(bytes)?)?),
+            Self::Avif => {
+                let (colours, alpha) = parted(bytes)?;
+                let size = (s.packing.width, s.packing.height);
+                let colours = avif::decode(colours, Pixels::Rgb, size)?;
+                let alpha = avif::decode(alpha, Pixels::Grey, size)?;
+                let rgba: Vec<[u8; 4]> = colours.as_chunks().0.iter().zip(alpha).map(|(&[r, g, b], a)| [r, g, b, a]).collect();
+                scene(&rgba)
+            }
             Self::Zstd(_) => {
                 let raw = zstd::bulk::decompress(bytes, s.texels.len() * 4).map_err(|e| broken(&e))?;
                 with_texels(&s.scene, raw.as_chunks().0)
@@ -171,8 +199,7 @@ impl Way {
             Self::Png => scene(&picture(ImageFormat::Png)?),
             Self::WebpLossless | Self::Webp => scene(&webp::decode(bytes)?),
             Self::Jpeg => {
-                let (length, rest) = bytes.split_first_chunk().ok_or_else(|| broken(&"cut off"))?;
-                let (colours, alpha) = rest.split_at_checked(u32::from_le_bytes(*length) as usize).ok_or_else(|| broken(&"cut off"))?;
+                let (colours, alpha) = parted(bytes)?;
                 let colours = image::load_from_memory_with_format(colours, ImageFormat::Jpeg).map_err(|e| broken(&e))?.into_rgb8();
                 let alpha = zstd::bulk::decompress(alpha, s.texels.len()).map_err(|e| broken(&e))?;
                 s.joined(colours.as_raw().as_chunks().0, &alpha)
@@ -180,6 +207,40 @@ impl Way {
             Self::PhotoAndDepth => return Ok(None),
         }))
     }
+}
+
+/// Two files in one.
+fn joined(first: &[u8], second: &[u8]) -> Vec<u8> {
+    [&(first.len() as u32).to_le_bytes()[..], first, second].concat()
+}
+
+fn parted(bytes: &[u8]) -> Result<(&[u8], &[u8]), BenchError> {
+    let parts = bytes.split_first_chunk().and_then(|(length, rest)| rest.split_at_checked(u32::from_le_bytes(*length) as usize));
+    parts.ok_or_else(|| BenchError::Picture("cut off".into()))
+}
+
+/// The container without its picture of hidden colours, and that as AVIF. Readers know it as PNG: the times hold writing one and
+/// reading it, some milliseconds.
+fn hidden_as_avif(s: &Source, quality: u8) -> Result<Vec<u8>, BenchError> {
+    let whole = s.container(Some(HiddenAs::Png))?;
+    let sections = atlas::sections(&whole)?;
+    let Some(hidden) = sections.iter().find(|s| s.kind == "hidden") else { return Ok(joined(&whole, &[])) };
+    let png = &whole[hidden.offset as usize..(hidden.offset + hidden.length) as usize];
+    let picture = image::load_from_memory_with_format(png, ImageFormat::Png).map_err(|e| BenchError::Picture(e.to_string()))?.into_rgb8();
+    let (w, h) = picture.dimensions();
+    let avif = avif::encode(picture.as_raw(), Pixels::Rgb, (w, h), quality)?;
+    let size = [w.to_le_bytes(), h.to_le_bytes()].concat();
+    Ok(joined(&atlas::select(&whole, &["photo", "planes", "labels"])?, &[size, avif].concat()))
+}
+
+fn hidden_from_avif(bytes: &[u8]) -> Result<Vec<u8>, BenchError> {
+    let (container, picture) = parted(bytes)?;
+    let Some((w, rest)) = picture.split_first_chunk() else { return Ok(container.to_vec()) };
+    let (h, avif) = rest.split_first_chunk().ok_or_else(|| BenchError::Picture("cut off".into()))?;
+    let (w, h) = (u32::from_le_bytes(*w), u32::from_le_bytes(*h));
+    let rgb = avif::decode(avif, Pixels::Rgb, (w, h))?;
+    let png = encode_lossless(ImageFormat::Png, w, h, &rgb)?;
+    Ok(atlas::with_section(container, atlas::Kind::Hidden, atlas::Codec::Png, &png)?)
 }
 
 /// WebP by libwebp.

@@ -4,6 +4,8 @@
 //! view box are the original that SSIMULACRA2 and PSNR compare with. A way that has a quality gets the lowest at which its views
 //! score no less than the container's.
 
+mod avif;
+mod bands;
 mod candidates;
 mod judge;
 mod layers;
@@ -24,6 +26,7 @@ use crate::photo::{self, Format, Limits};
 use crate::progress::Silent;
 use crate::quality::{Ssimulacra2, psnr};
 use crate::way::{self, Models, Options};
+pub use bands::BandRow;
 use candidates::{Source, Way};
 use judge::{Judge, Score};
 
@@ -49,6 +52,8 @@ pub struct Settings {
     pub quick: bool,
     /// The container alone.
     pub ours: bool,
+    /// The container alone, with labels in bands of several sizes.
+    pub bands: bool,
 }
 
 /// A way to send one scene.
@@ -101,6 +106,8 @@ pub struct Scene {
     pub photo_ssimulacra2: Option<f64>,
     /// All ways.
     pub rows: Vec<Row>,
+    /// Sizes of bands of labels, where they were asked for.
+    pub bands: Vec<BandRow>,
 }
 
 /// Everything that was measured.
@@ -132,7 +139,7 @@ pub fn run(settings: &Settings, progress: &dyn Fn(&str), keep: Keep) -> Result<C
         progress(&s.name);
         scenes.push(scene(settings, s, keep)?);
     }
-    let skipped = vec!["AVIF: its encoder takes minutes to build, and its decoder another C library".to_owned()];
+    let skipped = avif::available().err().map(|why| format!("AVIF: {why}")).into_iter().collect();
     Ok(CodecResults { version: env!("CARGO_PKG_VERSION"), machine: Machine::this(), repeats: settings.repeats, scenes, skipped })
 }
 
@@ -174,14 +181,19 @@ fn scene(settings: &Settings, s: &Subject, keep: Keep) -> Result<Scene, BenchErr
         photo_psnr: psnr(photo.rgb.as_flattened(), decoded.rgb.as_flattened()),
         photo_ssimulacra2: Ssimulacra2::of(&photo.rgb, photo.width as usize).and_then(|s| s.score(&decoded.rgb)),
         rows: Vec::new(),
+        bands: Vec::new(),
         sections,
     };
     let before = fill::compose(photo.clone(), &blueprint, fill::colour(&photo, &blueprint, blueprint.peel()));
     out.texels = before.texels.class.len();
     let source = Source::new(blueprint, Arc::new(before), kept, settings.options.quality, made.disparity);
+    if settings.bands {
+        out.bands = bands::compare(&source, settings.repeats)?;
+        return Ok(out);
+    }
     let judge = Judge::of(&source.scene)?;
     let mut target = f64::NEG_INFINITY;
-    let ways = if settings.ours { vec![Way::Ours] } else { Way::all() };
+    let ways = if settings.ours { vec![Way::Ours] } else { Way::all(avif::available().is_ok()) };
     for way in ways {
         let row = row(settings, way, &source, &judge, target)?;
         keep(

@@ -97,11 +97,41 @@ impl CodecResults {
                 text(some(&|r| r.decode_cpu_ms), 1),
             );
         }
+        self.bands(&mut out);
         self.sections(&mut out);
         for s in &self.skipped {
             let _ = writeln!(out, "left out: {s}");
         }
         out
+    }
+
+    fn bands(&self, out: &mut String) {
+        if self.scenes.iter().all(|s| s.bands.is_empty()) {
+            return;
+        }
+        let _ = writeln!(
+            out,
+            "{:<24}{:>11}{:>10}{:>7}{:>11}{:>9}{:>9}{:>10}{:>10}",
+            "photo", "size", "band px", "bands", "bytes", "more B", "more %", "read ms", "read cpu"
+        );
+        for s in &self.scenes {
+            let one = s.bands.first().map_or(0, |b| b.bytes) as f64;
+            for b in &s.bands {
+                let more = b.bytes as f64 - one;
+                let _ = writeln!(
+                    out,
+                    "{:<24}{:>11}{:>10}{:>7}{:>11}{more:>9.0}{:>9.3}{:>10.1}{:>10.1}",
+                    s.name,
+                    format!("{}x{}", s.width, s.height),
+                    b.pixels.map_or("-".into(), |p| p.to_string()),
+                    b.bands,
+                    b.bytes,
+                    100.0 * more / one,
+                    b.read_ms,
+                    b.read_cpu_ms,
+                );
+            }
+        }
     }
 
     fn sections(&self, out: &mut String) {
