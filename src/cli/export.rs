@@ -37,17 +37,14 @@ pub(super) struct ExportArgs {
     json: bool,
 }
 
-/// The container that is written, or written as something else: the whole one or what the flags leave of it.
-fn container(args: &ExportArgs) -> anyhow::Result<Vec<u8>> {
-    let whole = files::read(&args.input)?;
+/// What the flags leave of a container.
+fn part_of(whole: &[u8], args: &ExportArgs) -> anyhow::Result<Vec<u8>> {
     let context = || args.input.display().to_string();
-    let Some(region) = args.region else {
-        return if args.level == 0 { Ok(whole) } else { atlas::level(&whole, args.level).with_context(context) };
-    };
-    let tiles = Tiles::over_region(&whole, region).with_context(context)?;
+    let Some(region) = args.region else { return atlas::level(whole, args.level).with_context(context) };
+    let tiles = Tiles::over_region(whole, region).with_context(context)?;
     let tiles = tiles.ok_or_else(|| Usage("--region must hold a pixel and lie within the photo".into()))?;
     let photo = if args.lossless { RegionPhoto::Lossless } else { RegionPhoto::Jpeg };
-    atlas::region(&whole, &tiles, args.level, photo).with_context(context)
+    atlas::region(whole, &tiles, args.level, photo).with_context(context)
 }
 
 pub(super) fn run(args: &ExportArgs) -> anyhow::Result<()> {
@@ -60,7 +57,8 @@ pub(super) fn run(args: &ExportArgs) -> anyhow::Result<()> {
         return Err(Usage("--title is only for .html".into()).into());
     }
     let start = Instant::now();
-    let container = container(args)?;
+    let whole = files::read(&args.input)?;
+    let container = if args.region.is_some() || args.level > 0 { part_of(&whole, args)? } else { whole.clone() };
     let context = || args.input.display().to_string();
     // a container that cannot be read must not become a page that cannot be shown
     let scene = atlas::decode(&container).with_context(context)?;
@@ -71,9 +69,9 @@ pub(super) fn run(args: &ExportArgs) -> anyhow::Result<()> {
     files::write(&args.output, &bytes)?;
     if args.json {
         let format = format.map_or("tmpi", ExportFormat::extension);
-        let about = json!({ "output": args.output, "format": format, "bytes": bytes.len(), "container_bytes": container.len(), "ms": ms });
+        let about = json!({ "output": args.output, "format": format, "bytes": bytes.len(), "container_bytes": whole.len(), "ms": ms });
         return result(&about.to_string());
     }
-    let times = bytes.len() as f64 / container.len() as f64;
+    let times = bytes.len() as f64 / whole.len() as f64;
     result(&format!("{}: {} bytes, {times:.2} × the container, in {ms:.1} ms", args.output.display(), bytes.len()))
 }
