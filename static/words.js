@@ -17,6 +17,7 @@ const GERMAN = {
   'Depth map': 'Tiefenkarte',
   'Depth map of your own (16-bit PNG, near is bright), for one photo': 'Eigene Tiefenkarte (PNG mit 16 Bit, Nahes ist hell), für ein Foto',
   'Dismiss {0}': '{0} ausblenden',
+  Download: 'Laden',
   'Drawn by the server': 'Vom Server gezeichnet',
   'drawn by the server': 'vom Server gezeichnet',
   'Drop photos or a folder here, paste one, or': 'Fotos oder einen Ordner hierher ziehen, einfügen oder',
@@ -31,7 +32,7 @@ const GERMAN = {
   'Loading…': 'Lädt …',
   'Leaving out what is never seen': 'Nie Sichtbares weglassen',
   'Look around in a headset': 'In einer Brille umsehen',
-  Motion: 'Bewegung',
+  Motion: 'Wiegen',
   'Move by tilting the device': 'Durch Neigen bewegen',
   'Move gently by itself (space)': 'Bewegt sich von selbst (Leertaste)',
   'Move with a drag or the arrow keys, closer and farther with plus and minus, back with 0, motion on and off with the space bar.':
