@@ -115,7 +115,9 @@ export function instances(scene, pieces, { page, atlasX, atlasY }, errors = []) 
   const data = new Float32Array((pieces.length + softs.length) * INSTANCE_FLOATS);
   const put = (i, slot) => {
     const p = pieces[i];
-    data.set([p.a, p.b, p.c, page[i] + shareOf(errors[tileOf(scene, p.layer)]), p.cx, p.cy, p.x, p.y, p.w, p.h, atlasX[i], atlasY[i]], slot * INSTANCE_FLOATS);
+    const plane = [p.a, p.b, p.c, page[i] + shareOf(errors[tileOf(scene, p.layer)])];
+    const rect = [p.x + p.left, p.y + p.upper, p.right - p.left, p.lower - p.upper];
+    data.set([...plane, p.cx, p.cy, ...rect, atlasX[i] + p.left, atlasY[i] + p.upper], slot * INSTANCE_FLOATS);
   };
   pieces.forEach((_, i) => put(i, i));
   softs.forEach((i, k) => put(i, pieces.length + k));

@@ -132,7 +132,7 @@ function peelTile(scene, tile, surface, room) {
   const add = (label, plane) => {
     planeMap(scene, rect, plane, room.line, room.delta);
     markHidden(scene, tile, label, plane, surface, room);
-    const layer = shape(rect, tile, label, plane, Math.max(px, py), room);
+    const layer = shape(scene, tile, label, plane, Math.max(px, py), room);
     if (layer) layers.push(layer);
   };
   planes.forEach((plane, label) => add(label, plane));
@@ -232,7 +232,7 @@ function keepNear({ hidden, open, rows, until }, rect, win, rx, ry) {
 }
 
 /** Visible, hidden and soft texels of a layer, cut to its bounds; null where nothing is left. */
-function shape(rect, { labels }, label, plane, parallax, room) {
+function shape(scene, { rect, planes, labels }, label, plane, parallax, room) {
   const { w, h } = rect;
   const { classes, alpha, hidden } = room;
   let any = 0;
@@ -243,7 +243,7 @@ function shape(rect, { labels }, label, plane, parallax, room) {
     any |= kind;
   }
   if (!any) return null;
-  if (label >= 0) soften(room, w, h, parallax);
+  if (label >= 0) soften(scene, { rect, planes, labels }, label, parallax, room);
   const b = bounds(classes, w, h);
   const cut = (from) => {
     const out = new Uint8Array(b.w * b.h);
@@ -253,8 +253,9 @@ function shape(rect, { labels }, label, plane, parallax, room) {
   return { plane, x: rect.x + b.x, y: rect.y + b.y, w: b.w, h: b.h, classes: cut(classes), alpha: cut(alpha) };
 }
 
-/** One ring of soft texels outside, where the layer lies in front; opaque where it is hardly so. */
-function soften({ classes, alpha, delta, visible, sums }, w, h, parallax) {
+/** One ring of soft texels outside, where the layer lies in front; opaque where it is hardly so and the surface is bent. */
+function soften(scene, tile, label, parallax, { classes, alpha, delta, visible, sums }) {
+  const { w, h } = tile.rect;
   // opaque texels among three of a row
   for (let y = 0, i = 0; y < h; y++) {
     let before = 0;
@@ -275,9 +276,26 @@ function soften({ classes, alpha, delta, visible, sums }, w, h, parallax) {
       if (!(front > 0)) continue;
       const all = (1 + (x > 0) + (x + 1 < w)) * (1 + (y > 0) + (y + 1 < h));
       classes[i] = PHOTO;
-      alpha[i] = front <= SEAM ? 255 : Math.floor((255 * set + (all >> 1)) / all);
+      const bent = front <= SEAM && isBent(scene, tile, label, x, y, delta);
+      alpha[i] = bent ? 255 : Math.floor((255 * set + (all >> 1)) / all);
     }
   }
+}
+
+/** Whether the layer that shows at a pixel of the ring has no texel under one of the layer's own pixels beside it. */
+function isBent(scene, { rect, planes, labels }, label, x, y, delta) {
+  const { w, h } = rect;
+  const { a, b, c } = planes[labels[y * w + x]];
+  const half = scene.tileSize / 2;
+  for (let v = Math.max(y - 1, 0); v < Math.min(y + 2, h); v++) {
+    for (let u = Math.max(x - 1, 0); u < Math.min(x + 2, w); u++) {
+      const i = v * w + u;
+      if (labels[i] !== label) continue;
+      const d = Math.fround(a + b * ((u + 0.5 - half) / half) + c * ((v + 0.5 - half) / half));
+      if (d >= delta[i] || d < 0) return true;
+    }
+  }
+  return false;
 }
 
 function bounds(classes, w, h) {

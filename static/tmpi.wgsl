@@ -21,10 +21,12 @@
 // Instance, one vertex buffer, stepMode `instance`, arrayStride 48, three float32x4 attributes:
 //     0  location 0: plane a b c, page (whole part: layer of the texture array; fraction: error of the tile for overlay 4, 0 to 1)
 //    16  location 1: tile centre x y, rectangle x y       (reference pixels; the tile centre is the origin of u, v)
-//    32  location 2: rectangle w h, atlas x y             (texels; upper left texel of the rectangle on its page)
+//    32  location 2: rectangle w h, atlas x y             (texels; upper left corner of the rectangle on its page)
+//     The rectangle is the part that is drawn: it starts and ends at the border of a texel, or at the centre of one where the layer
+//     goes on (the outermost texels of a tile are sampled, but not drawn where the next tile has the same pixels).
 //
 // Group 0 binding 1: the atlas, texture_2d_array<f32>, rgba8unorm, PREMULTIPLIED, one mip level; view dimension `2d-array` even with
-// one page. No gutter is needed between rectangles: coordinates are clamped to the rectangle inset by half a texel.
+// one page. No gutter is needed between rectangles: coordinates are clamped to the texels' centres.
 // Group 0 binding 2: sampler, magFilter and minFilter `linear`, clamp-to-edge.
 //
 // DRAWING: draw(VERTICES = 18, instances), primitive `triangle-list`, cullMode none. Colour is premultiplied, in the photo's own
@@ -136,7 +138,7 @@ fn vs(@builtin(vertex_index) vertex: u32, i: Instance) -> Varyings {
     var out: Varyings;
     let rect = i.size_atlas.xy;
     out.texel = place[pick] * rect + i.size_atlas.zw;
-    out.bounds = vec4f(i.size_atlas.zw + 0.5, i.size_atlas.zw + rect - 0.5);
+    out.bounds = vec4f(floor(i.size_atlas.zw) + 0.5, ceil(i.size_atlas.zw + rect) - 0.5);
     out.page = i32(i.plane_page.w);
     out.overlay = overlay_of(i);
     if (n < 3u) {

@@ -72,7 +72,7 @@ void main() {
   }
   int triangle = (gl_VertexID % 9) / 3;
   int pick = triangle + 2 < n && gl_VertexID % 3 > 0 ? triangle + gl_VertexID % 3 : 0;
-  bounds = vec4(size_atlas.zw + 0.5, size_atlas.zw + size_atlas.xy - 0.5);
+  bounds = vec4(floor(size_atlas.zw) + 0.5, ceil(size_atlas.zw + size_atlas.xy) - 0.5);
   page = floor(plane_page.w);
   overlay = overlay_of();
   texel = vec2(0.0);

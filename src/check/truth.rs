@@ -17,6 +17,8 @@ struct Sheet {
     width: usize,
     height: usize,
     texels: Vec<[u8; 4]>,
+    /// Left, upper, right and lower end of what its tile draws, in pixels.
+    limits: [f64; 4],
     /// Twice the place of the mirrors in x and y, where there are any.
     mirrors: [Option<f64>; 2],
 }
@@ -87,6 +89,7 @@ fn sheets(scene: &Scene, index: usize, margin: [u32; 2]) -> Vec<Sheet> {
             width: (x1 - x0) as usize,
             height: (y1 - y0) as usize,
             texels,
+            limits: whole.limits,
             mirrors: [mx, my],
         }
     };
@@ -99,12 +102,19 @@ fn sheet(scene: &Scene, index: usize) -> Sheet {
     let (b, c) = (l.plane.b / half, l.plane.c / half);
     let mut texels = Vec::new();
     scene.expand_layer(index, &mut texels);
+    let (tile, by) = (scene.grid.rect(l.tile), scene.grid.inset());
+    let (right, lower) = (tile.x + tile.w, tile.y + tile.h);
+    // at the photo's own borders nothing is left out
+    let inner = [tile.x > 0, tile.y > 0, right < scene.grid.width, lower < scene.grid.height].map(|inner| if inner { by } else { 0.0 });
+    let [x0, y0, x1, y1] = [tile.x, tile.y, right, lower].map(f64::from);
+    let limits = [x0 + inner[0], y0 + inner[1], x1 - inner[2], y1 - inner[3]];
     Sheet {
         n: [b, c, l.plane.a - b * centre.0 - c * centre.1],
         rect: [l.rect.x, l.rect.y, l.rect.w, l.rect.h].map(f64::from),
         width: l.rect.w as usize,
         height: l.rect.h as usize,
         texels,
+        limits,
         mirrors: [None; 2],
     }
 }
@@ -120,8 +130,11 @@ impl Sheet {
         });
         let lambda = dot(&self.n, &ray) / (1.0 - dot(&self.n, &place));
         let q: [f64; 3] = std::array::from_fn(|i| ray[i] + lambda * place[i]);
-        let (x, y) = (q[0] / q[2] - self.rect[0], q[1] / q[2] - self.rect[1]);
-        let inside = x >= 0.0 && y >= 0.0 && x <= self.rect[2] && y <= self.rect[3];
+        let (x, y) = (q[0] / q[2], q[1] / q[2]);
+        let [left, upper, right, lower] = self.limits;
+        let drawn = x >= left && y >= upper && x <= right && y <= lower;
+        let (x, y) = (x - self.rect[0], y - self.rect[1]);
+        let inside = drawn && x >= 0.0 && y >= 0.0 && x <= self.rect[2] && y <= self.rect[3];
         if !(lambda.is_finite() && q[2] > 0.0 && lambda * NEAR <= 1.0 && inside) {
             return None;
         }

@@ -144,7 +144,12 @@ impl Mesh {
         let start = self.triangles.len();
         // strips side by side have their corners in common
         let mut known = HashMap::new();
-        for polygon in polygons(&layer.rect, &disparity(scene, layer), &scene.intrinsics) {
+        let [[left, right], [upper, lower]] = scene.grid.drawn(layer.tile, layer.rect);
+        if left >= right || upper >= lower {
+            return start..start;
+        }
+        let (x, y) = (f64::from(layer.rect.x), f64::from(layer.rect.y));
+        for polygon in polygons([x + left, y + upper], [x + right, y + lower], &disparity(scene, layer), &scene.intrinsics) {
             let mut vertex = |corner: &Corner| {
                 *known.entry(corner.position.map(f32::to_bits)).or_insert_with(|| {
                     self.positions.push(corner.position);
@@ -356,11 +361,12 @@ mod tests {
                 seen += ((b[1] - a[1]) * (c[0] - a[0]) - (b[0] - a[0]) * (c[1] - a[1])) / 2.0;
             }
         }
-        let all: usize = (0..scene.layers.len())
+        let drawn = |l: usize| scene.grid.drawn(scene.layers[l].tile, scene.layers[l].rect).map(|[from, to]| (to - from).max(0.0));
+        let all: f64 = (0..scene.layers.len())
             .filter(|&l| matches!(kind(scene, l), Kind::Whole | Kind::Layered { opaque: true, .. }))
-            .map(|l| scene.layers[l].rect.area())
+            .map(|l| drawn(l).iter().product::<f64>())
             .sum();
-        assert!((seen - all as f64).abs() < 1e-3 * all as f64, "{seen} {all}");
+        assert!((seen - all).abs() < 1e-3 * all, "{seen} {all}");
     }
 
     #[test]

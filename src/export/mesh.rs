@@ -5,7 +5,7 @@
 //! q = (√δ₁ − √δ₀) / (√δ₁ + √δ₀), so the texture is off by at most q times its size. The rectangle is cut along lines of equal δ into
 //! strips in which that is at most [`OFF`].
 
-use crate::tmpi::{Intrinsics, Rect};
+use crate::tmpi::Intrinsics;
 
 /// What is farther than this is put here, in units of the photo's nearest distance.
 ///
@@ -41,10 +41,9 @@ impl Disparity {
     }
 }
 
-/// The convex polygons that stand for `rect`, in space and in the photo, front side towards the camera.
-pub(super) fn polygons(rect: &Rect, delta: &Disparity, k: &Intrinsics) -> Vec<Vec<Corner>> {
-    let (x0, y0) = (f64::from(rect.x), f64::from(rect.y));
-    let (x1, y1) = (x0 + f64::from(rect.w), y0 + f64::from(rect.h));
+/// The convex polygons that stand for the part of the photo from one corner to the other, in space and in the photo, front side towards
+/// the camera.
+pub(super) fn polygons([x0, y0]: [f64; 2], [x1, y1]: [f64; 2], delta: &Disparity, k: &Intrinsics) -> Vec<Vec<Corner>> {
     // anticlockwise for a camera that has y upwards
     let corners = [[x0, y0], [x0, y1], [x1, y1], [x1, y0]];
     let all = corners.map(|c| delta.of(c));
@@ -129,9 +128,8 @@ mod tests {
         ) {
             let (b, c) = if flat == 0 { (0.0, 0.0) } else { (b, c) };
             let k = Intrinsics { fx: 380.0, fy: 370.0, cx: 310.0, cy: 170.0 };
-            let rect = Rect { x, y, w, h };
             let delta = Disparity { origin: [f64::from(x) + 20.0, f64::from(y) + 30.0], at: a, slope: [b / 32.0, c / 32.0] };
-            let all = polygons(&rect, &delta, &k);
+            let all = polygons([x, y].map(f64::from), [x + w, y + h].map(f64::from), &delta, &k);
             let total: f64 = all.iter().map(|p| area(p)).sum();
             // anticlockwise with y upwards is negative with y downwards
             prop_assert!((total + f64::from(w * h)).abs() < 1e-3 * f64::from(w * h), "{total}");
@@ -161,7 +159,7 @@ mod tests {
         let k = Intrinsics::centred(100, 80, 60.0);
         let flat = |at| Disparity { origin: [0.0, 0.0], at, slope: [0.0, 0.0] };
         for (at, distance) in [(0.5, 2.0), (0.0, FAR), (-1.0, FAR)] {
-            let all = polygons(&Rect { x: 8, y: 4, w: 20, h: 10 }, &flat(at), &k);
+            let all = polygons([8.0, 4.0], [28.0, 14.0], &flat(at), &k);
             assert_eq!((all.len(), all[0].len()), (1, 4), "{at}");
             assert!(all[0].iter().all(|c| (f64::from(c.position[2]) + distance).abs() < 1e-6));
         }

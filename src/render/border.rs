@@ -21,6 +21,8 @@ pub(super) struct Piece {
     pub corner: [i64; 2],
     /// Width and height.
     pub size: [u32; 2],
+    /// From and to where it is drawn, across and down, in texels from its upper left corner.
+    pub drawn: [[f64; 2]; 2],
     /// First column and row that it takes of the layer's rectangle.
     first: [u32; 2],
     /// Mirrored in x, in y.
@@ -33,6 +35,8 @@ struct Side {
     corner: i64,
     size: u32,
     first: u32,
+    /// From and to where it is drawn.
+    drawn: [f64; 2],
     /// Twice the place of the mirror, where there is one.
     mirror: Option<i64>,
 }
@@ -53,6 +57,7 @@ impl Piece {
             centre,
             corner: [x.corner, y.corner],
             size: [x.size, y.size],
+            drawn: [x.drawn, y.drawn],
             first: [x.first, y.first],
             mirrored: [x.mirror.is_some(), y.mirror.is_some()],
         }
@@ -92,8 +97,9 @@ pub(super) fn pieces(scene: &Scene) -> Vec<Piece> {
     let (grid, margin) = (&scene.grid, margin(scene));
     let mut out = Vec::with_capacity(scene.layers.len() * 3 / 2);
     for (index, layer) in scene.layers.iter().enumerate() {
-        let columns = sides(layer.rect.x, layer.rect.w, grid.width, margin[0]);
-        let rows = sides(layer.rect.y, layer.rect.h, grid.height, margin[1]);
+        let [x, y] = grid.drawn(layer.tile, layer.rect);
+        let columns = sides(layer.rect.x, layer.rect.w, x, grid.width, margin[0]);
+        let rows = sides(layer.rect.y, layer.rect.h, y, grid.height, margin[1]);
         for y in rows.into_iter().flatten() {
             out.extend(columns.into_iter().flatten().map(|x| Piece::new(scene, index, x, y)));
         }
@@ -101,17 +107,29 @@ pub(super) fn pieces(scene: &Scene) -> Vec<Piece> {
     out
 }
 
-/// `from..from + size` of an axis of `length` pixels: itself, and its parts within `margin` of either end mirrored there.
-fn sides(from: u32, size: u32, length: u32, margin: u32) -> [Option<Side>; 3] {
+/// `from..from + size` of an axis of `length` pixels, of which `drawn` is drawn: itself, and its parts within `margin` of either end
+/// mirrored there; those of which anything is drawn.
+fn sides(from: u32, size: u32, drawn: [f64; 2], length: u32, margin: u32) -> [Option<Side>; 3] {
     let end = from + size;
-    let own = Side { corner: i64::from(from), size, first: 0, mirror: None };
+    let own = Side { corner: i64::from(from), size, first: 0, drawn, mirror: None };
+    // what is drawn of the `size` texels from `first` on, seen from the other end
+    let back = |first: u32, size: u32| {
+        let [from, to] = drawn.map(|v| (v - f64::from(first)).clamp(0.0, f64::from(size)));
+        [f64::from(size) - to, f64::from(size) - from]
+    };
     let low = end.min(margin).checked_sub(from).filter(|&n| n > 0);
-    let low = low.map(|size| Side { corner: -i64::from(from + size), size, first: 0, mirror: Some(0) });
+    let low = low.map(|size| Side { corner: -i64::from(from + size), size, first: 0, drawn: back(0, size), mirror: Some(0) });
     let start = from.max(length.saturating_sub(margin));
     let high = end.checked_sub(start).filter(|&n| n > 0);
     let twice = 2 * i64::from(length);
-    let high = high.map(|size| Side { corner: twice - i64::from(end), size, first: start - from, mirror: Some(twice) });
-    [Some(own), low, high]
+    let high = high.map(|size| Side {
+        corner: twice - i64::from(end),
+        size,
+        first: start - from,
+        drawn: back(start - from, size),
+        mirror: Some(twice),
+    });
+    [Some(own), low, high].map(|side| side.filter(|s| s.drawn[0] < s.drawn[1]))
 }
 
 /// Pixels by which the corners of the view box see past the photo's borders, to the sides and up and down: the larger of

@@ -26,8 +26,8 @@ pub(super) struct Footprint {
     pub y: Form,
     /// Target disparity `δ_t`, before anything beyond infinity (below 0) counts as 0.
     pub delta: Form,
-    /// Rectangle's width and height in texels.
-    pub size: [f64; 2],
+    /// From and to where it is drawn, across and down, in texels from the rectangle's upper left corner.
+    pub drawn: [[f64; 2]; 2],
     /// First column that may be covered.
     pub x0: u32,
     /// Column after the last that may be covered.
@@ -59,20 +59,22 @@ impl Footprint {
         // δ in reference pixels
         let n = [p.b / half, p.c / half, p.a - (p.b * centre.0 + p.c * centre.1) / half];
         let [rx, ry] = piece.corner.map(|v| v as f64);
-        let size = piece.size.map(f64::from);
         let lambda = inverse[2];
         let minus = |row: usize, origin: f64| std::array::from_fn(|j| inverse[row][j] - origin * lambda[j]);
         let delta = std::array::from_fn(|j| (0..3).map(|i| n[i] * inverse[i][j]).sum());
-        let (x0, x1, y0, y1) = bounds(&h, &n, [rx, ry], size, camera)?;
-        let footprint = Self { lambda, x: minus(0, rx), y: minus(1, ry), delta, size, x0, x1, y0, y1 };
+        let drawn = piece.drawn;
+        let (x0, x1, y0, y1) = bounds(&h, &n, drawn.map(|d| d[0]), drawn.map(|d| d[1]), [rx, ry], camera)?;
+        let footprint = Self { lambda, x: minus(0, rx), y: minus(1, ry), delta, drawn, x0, x1, y0, y1 };
         [footprint.lambda, footprint.x, footprint.y, footprint.delta].iter().flatten().all(|v| v.is_finite()).then_some(footprint)
     }
 
     /// All conditions for a target place to be covered, each `≥ 0`.
     pub fn conditions(&self) -> [Form; 6] {
-        let minus = |a: f64, f: &Form, g: &Form| std::array::from_fn(|j| a * f[j] - g[j]);
+        let after = |f: &Form, from: f64| std::array::from_fn(|j| f[j] - from * self.lambda[j]);
+        let before = |f: &Form, to: f64| std::array::from_fn(|j| to * self.lambda[j] - f[j]);
+        let [[left, right], [upper, lower]] = self.drawn;
         let near = [-self.delta[0], -self.delta[1], 1.0 / NEAR - self.delta[2]];
-        [self.lambda, self.x, self.y, minus(self.size[0], &self.lambda, &self.x), minus(self.size[1], &self.lambda, &self.y), near]
+        [self.lambda, after(&self.x, left), after(&self.y, upper), before(&self.x, right), before(&self.y, lower), near]
     }
 
     /// Where the layer is hit by the ray through target place `(x, y)`, if it is.
@@ -83,7 +85,8 @@ impl Footprint {
             return None;
         }
         let (px, py) = (value(&self.x, x, y) / lambda, value(&self.y, x, y) / lambda);
-        let inside = px >= 0.0 && py >= 0.0 && px <= self.size[0] && py <= self.size[1];
+        let [[left, right], [upper, lower]] = self.drawn;
+        let inside = px >= left && py >= upper && px <= right && py <= lower;
         inside.then_some(Place { x: px, y: py, delta: delta.max(0.0) })
     }
 }
@@ -100,11 +103,11 @@ pub(super) fn inverted(m: &Mat3) -> Option<Mat3> {
 }
 
 /// Pixel bounds of a rectangle's visible part: clipped in homogeneous coordinates, so nothing behind the camera is projected.
-fn bounds(h: &Mat3, n: &[f64; 3], origin: [f64; 2], size: [f64; 2], camera: &Camera) -> Option<(u32, u32, u32, u32)> {
+fn bounds(h: &Mat3, n: &[f64; 3], from: [f64; 2], to: [f64; 2], origin: [f64; 2], camera: &Camera) -> Option<(u32, u32, u32, u32)> {
     // below this depth per reference depth a direction lies 90° off the axis and projects outside any picture
     const LEAST: f64 = 1e-9;
-    let corners = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]].map(|[u, v]| {
-        let r = [origin[0] + u * size[0], origin[1] + v * size[1], 1.0];
+    let corners = [[from[0], from[1]], [to[0], from[1]], to, [from[0], to[1]]].map(|[x, y]| {
+        let r = [origin[0] + x, origin[1] + y, 1.0];
         let q = mat3_vec(h, r);
         let delta: f64 = (0..3).map(|i| n[i] * r[i]).sum();
         [q[0], q[1], q[2], delta]

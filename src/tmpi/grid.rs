@@ -141,6 +141,35 @@ impl Grid {
         (f64::from(x) + self.half(), f64::from(y) + self.half())
     }
 
+    /// Pixels along a border that a tile shares with others within which its layers are sampled, but not drawn: the next tile has the
+    /// same pixels.
+    ///
+    /// A tile's last half texel could only be repeated, which shows as a column out of place; and where two tiles overlap the nearer
+    /// one hides the truer one, and soft rims lie over each other twice. What is left of the overlap keeps neighbours from coming apart.
+    #[must_use]
+    pub fn inset(&self) -> f64 {
+        // an odd count of halves, so that what is drawn starts and ends at texels' centres
+        match self.size.saturating_sub(self.stride) {
+            0 | 1 => 0.0,
+            2..8 => 0.5,
+            8.. => 1.5,
+        }
+    }
+
+    /// Where a layer of tile `index` that has texels in `rect` is drawn: from and to, across and down, in pixels from the rectangle's
+    /// upper left corner. To may lie before from: nothing is drawn then.
+    #[must_use]
+    pub fn drawn(&self, index: u32, rect: Rect) -> [[f64; 2]; 2] {
+        let (tile, by) = (self.rect(index), self.inset());
+        let side = |from: u32, size: u32, tile: u32, length: u32, all: u32| {
+            let (from, end) = (f64::from(from), f64::from(tile + length));
+            let first = if tile > 0 { f64::from(tile) + by } else { 0.0 };
+            let last = if tile + length < all { end - by } else { end };
+            [(first - from).max(0.0), (last - from).min(f64::from(size))]
+        };
+        [side(rect.x, rect.w, tile.x, tile.w, self.width), side(rect.y, rect.h, tile.y, tile.h, self.height)]
+    }
+
     /// Half the tile size in pixels: the unit of `(u, v)`.
     #[must_use]
     pub fn half(&self) -> f64 {
@@ -179,13 +208,21 @@ mod tests {
         #[test]
         fn every_pixel_is_covered(w in 1u32..400, h in 1u32..400, size in 1u32..100) {
             let g = Grid::new(w, h, size);
-            let mut seen = vec![false; (w * h) as usize];
+            let (mut seen, mut drawn) = (vec![false; (w * h) as usize], vec![false; (w * h) as usize]);
             for i in 0..g.tiles() {
                 let r = g.rect(i);
                 prop_assert!(r.w > 0 && r.h > 0 && r.x + r.w <= w && r.y + r.h <= h);
-                for y in r.y..r.y + r.h { for x in r.x..r.x + r.w { seen[(y * w + x) as usize] = true; } }
+                let [[left, right], [upper, lower]] = g.drawn(i, r);
+                for y in 0..r.h { for x in 0..r.w {
+                    let at = ((r.y + y) * w + r.x + x) as usize;
+                    seen[at] = true;
+                    // the whole of a pixel
+                    let (x, y) = (f64::from(x), f64::from(y));
+                    drawn[at] |= left <= x && x + 1.0 <= right && upper <= y && y + 1.0 <= lower;
+                } }
             }
             prop_assert!(seen.into_iter().all(|s| s));
+            prop_assert!(drawn.into_iter().all(|s| s));
         }
     }
 }

@@ -185,7 +185,7 @@ impl Blueprint {
                 rows::disparities(&us, place.v(r.y + y as u32), &plane, own);
             }
             out.never_seen += self.mark_hidden(r, place, tile, label, &plane, surface, s);
-            out.layers.extend(shape(r, tile, label, plane, parallax, s));
+            out.layers.extend(shape(r, place, tile, label, plane, parallax, s));
         }
         s.us = us;
         // a backstop is the farthest at most places, but the order is by the tile's centre for all alike
@@ -246,13 +246,13 @@ struct Scratch {
 }
 
 /// Joins visible, hidden and soft texels into a layer cut to its bounds; none where nothing is left.
-fn shape(r: Rect, tile: &Tile, label: Option<u8>, plane: Plane, parallax: f64, s: &mut Scratch) -> Option<Shape> {
+fn shape(r: Rect, place: Place, tile: &Tile, label: Option<u8>, plane: Plane, parallax: f64, s: &mut Scratch) -> Option<Shape> {
     let (w, h) = (r.w as usize, r.h as usize);
     let texel = |(&l, &hidden): (&u8, &u8)| if Some(l) == label { Class::Photo as u8 } else { hidden * Class::Hidden as u8 };
     let mut class: Vec<u8> = tile.labels.iter().zip(&s.hidden).map(texel).collect();
     let mut alpha: Vec<u8> = class.iter().map(|&c| if c == Class::Empty as u8 { 0 } else { 255 }).collect();
-    if label.is_some() {
-        soften(&mut class, &mut alpha, w, h, parallax, s);
+    if let Some(label) = label {
+        soften(&mut class, &mut alpha, &Rim { r, place, tile, label, parallax }, s);
     }
     let b = bounds(&class, w, h)?;
     let cut = |v: Vec<u8>| -> Vec<u8> {
@@ -264,10 +264,34 @@ fn shape(r: Rect, tile: &Tile, label: Option<u8>, plane: Plane, parallax: f64, s
     Some(Shape { plane, label, rect: Rect { x: r.x + b.x, y: r.y + b.y, w: b.w, h: b.h }, class: cut(class), alpha: cut(alpha) })
 }
 
+/// A layer whose rim is softened.
+struct Rim<'a> {
+    r: Rect,
+    place: Place,
+    tile: &'a Tile,
+    label: u8,
+    parallax: f64,
+}
+
+impl Rim<'_> {
+    /// True where the surface is bent so that each side lies in front of the other's continuation: the layer that shows at pixel
+    /// `(x, y)` of the ring has no texel under one of this layer's own pixels beside it. `own`: δ of this layer.
+    fn bent(&self, x: usize, y: usize, own: &[f32]) -> bool {
+        let (w, h) = (self.r.w as usize, self.r.h as usize);
+        let other = &self.tile.planes[self.tile.labels[y * w + x] as usize];
+        let beside = (y.saturating_sub(1)..(y + 2).min(h)).flat_map(|y| (x.saturating_sub(1)..(x + 2).min(w)).map(move |x| (x, y)));
+        beside.filter(|(x, y)| self.tile.labels[y * w + x] == self.label).any(|(x, y)| {
+            let delta = self.place.disparity(other, self.r.x + x as u32, self.r.y + y as u32);
+            delta >= own[y * w + x] || delta < 0.0
+        })
+    }
+}
+
 /// One ring of soft texels outside: alpha is the 3×3 box of the opaque mask, colour the photo's, so that the identity view
 /// stays exact. Only where the layer lies in front: elsewhere the photo's colour belongs to something else. Where it lies
-/// hardly in front the surface goes on, bent by a crease: there the ring is opaque, or a hairline would open along the crease.
-fn soften(class: &mut [u8], alpha: &mut [u8], w: usize, h: usize, parallax: f64, s: &mut Scratch) {
+/// hardly in front and the surface is bent by a crease, the ring is opaque, or a hairline would open along the crease.
+fn soften(class: &mut [u8], alpha: &mut [u8], rim: &Rim, s: &mut Scratch) {
+    let (w, h) = (rim.r.w as usize, rim.r.h as usize);
     s.opaque.clear();
     s.opaque.extend(alpha.iter().map(|&a| u8::from(a == 255)));
     let Scratch { opaque, own, visible, .. } = s;
@@ -291,10 +315,11 @@ fn soften(class: &mut [u8], alpha: &mut [u8], w: usize, h: usize, parallax: f64,
             if set == 0 || opaque[at] != 0 {
                 continue;
             }
-            let front = (f64::from(own[at]) - f64::from(visible[at])) * parallax;
+            let front = (f64::from(own[at]) - f64::from(visible[at])) * rim.parallax;
             if front > 0.0 {
                 class[at] = Class::Photo as u8;
-                alpha[at] = if front <= SEAM { 255 } else { ((255 * set + all / 2) / all) as u8 };
+                let soft = ((255 * set + all / 2) / all) as u8;
+                alpha[at] = if front <= SEAM && rim.bent(x, y, own) { 255 } else { soft };
             }
         }
     }
@@ -340,5 +365,33 @@ mod tests {
         assert_eq!(shapes.never_seen, 22 * 28);
         let near = &shapes.layers[1];
         assert!(near.alpha.iter().any(|a| (1..255).contains(a)), "the near layer has a soft rim");
+    }
+
+    #[test]
+    fn rims_are_opaque_where_the_surface_is_bent_and_soft_at_a_small_step() {
+        let grid = Grid::new(64, 64, 64);
+        let rims = |left: Plane, right: Plane| {
+            let mut planes = vec![left, right];
+            let order = left.a > right.a;
+            planes.sort_by(|p, q| p.a.total_cmp(&q.a));
+            let labels = (0..4096u32).map(|i| u8::from((i % 64 < 32) == order)).collect();
+            let b = Blueprint {
+                grid,
+                intrinsics: Intrinsics::centred(64, 64, 100.0),
+                view_box: ViewBox { x: 0.04, y: 0.0, z: 0.0 },
+                tiles: vec![Tile { planes, labels, backstop: None }],
+            };
+            let shapes = b.peel().remove(0);
+            let row =
+                |s: &Shape| s.alpha[32 * s.rect.w as usize..][..s.rect.w as usize].iter().map(|&a| usize::from(a == 255)).sum::<usize>();
+            let soft = |s: &Shape| s.alpha.iter().any(|a| (1..255).contains(a));
+            (shapes.layers.iter().map(row).sum::<usize>(), shapes.layers.iter().any(soft))
+        };
+        // both sides rise towards the middle and go on rising beyond it: neither has a texel under the other
+        let valley = rims(Plane { a: 0.52, b: 0.3, c: 0.0 }, Plane { a: 0.521, b: -0.3, c: 0.0 });
+        assert_eq!(valley, (64 + 2, false));
+        // a step of half a pixel: the far side goes on under the near one
+        let (_, soft) = rims(Plane::fronto_parallel(0.4), Plane::fronto_parallel(0.5));
+        assert!(soft);
     }
 }

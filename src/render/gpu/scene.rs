@@ -119,12 +119,14 @@ impl Plan {
     fn instance(&self, n: usize) -> Instance {
         let (piece, place) = (&self.pieces[n], self.packing.places[n]);
         let (p, centre) = (&piece.plane, piece.centre);
+        let [[left, right], [upper, lower]] = piece.drawn;
+        let corner = piece.corner.map(|v| v as f64);
         Instance {
             plane: [p.a as f32, p.b as f32, p.c as f32],
             page: place.page as f32,
             centre: [centre.0 as f32, centre.1 as f32],
-            rect: [piece.corner[0] as f32, piece.corner[1] as f32, piece.size[0] as f32, piece.size[1] as f32],
-            atlas: [place.x as f32, place.y as f32],
+            rect: [corner[0] + left, corner[1] + upper, right - left, lower - upper].map(|v| v as f32),
+            atlas: [f64::from(place.x) + left, f64::from(place.y) + upper].map(|v| v as f32),
         }
     }
 
