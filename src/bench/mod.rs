@@ -10,6 +10,7 @@ pub mod codec;
 mod costs;
 mod discretisation;
 mod drawing;
+mod efficiency;
 mod experiments;
 mod machine;
 mod measure;
@@ -44,8 +45,10 @@ pub struct Settings {
 }
 
 /// Short names of the experiments, in the order in which they are done.
-pub const EXPERIMENTS: [&str; 16] = [
+pub const EXPERIMENTS: [&str; 18] = [
     "scaling",
+    "efficiency",
+    "clustering",
     "planes",
     "tiles",
     "steps",
@@ -183,12 +186,20 @@ pub fn run(settings: &Settings, progress: &dyn Fn(&str)) -> Result<Results, Benc
     let mut skipped = Vec::new();
     let wants = |id: &str| settings.wants(id);
     let scaling = if wants("scaling") { scaling::run(settings.quick, &mut skipped, progress) } else { Vec::new() };
+    let repeats = if settings.quick { 3 } else { 5 };
+    let mut first = Vec::new();
+    if wants("efficiency") {
+        first.extend(efficiency::table(repeats, &mut skipped, progress));
+    }
+    if wants("clustering") {
+        first.push(efficiency::clustering(repeats, progress));
+    }
     progress("rendering scenes");
     let scenes = subject::rendered(settings.quick)?;
     let photos = subject::photos(&settings.photos, settings.quick)?;
-    let repeats = if settings.quick { 3 } else { 5 };
     let bench = measure::Bench { models: &settings.models, repeats };
-    let mut experiments = experiments::on_scenes(&bench, &scenes, settings, &mut skipped, progress)?;
+    let mut experiments = first;
+    experiments.extend(experiments::on_scenes(&bench, &scenes, settings, &mut skipped, progress)?);
     if wants("without") {
         experiments.push(ablation::steps(&scenes, progress)?);
     }

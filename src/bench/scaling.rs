@@ -1,6 +1,6 @@
-//! Scaling: time and peak memory by photo size. Each size runs in a process of its own, since a process's peak never falls.
+//! Scaling: time and peak memory by photo size.
 
-use std::path::Path;
+use std::path::PathBuf;
 use std::process::{Command, Stdio};
 
 use image::codecs::jpeg::JpegEncoder;
@@ -11,7 +11,7 @@ use crate::depth::to_png;
 use crate::generate::Report;
 use crate::photo::resize;
 use crate::synth;
-use crate::tmpi::Photo;
+use crate::tmpi::{DisparityMap, Photo};
 
 /// Size of the rendered scene that is enlarged, 3:2.
 const BASE: (u32, u32) = (1200, 800);
@@ -62,42 +62,66 @@ fn experiment(id: &'static str, title: &str, y: &'static str, reports: &[Report]
     }
 }
 
-fn measured(megapixels: &[f64]) -> Result<Vec<Report>, BenchError> {
-    let folder = std::env::temp_dir().join(format!("tmpi-bench-{}", std::process::id()));
-    let bad = |e: &dyn std::fmt::Display| BenchError::File { path: folder.clone(), reason: e.to_string() };
-    std::fs::create_dir_all(&folder).map_err(|e| bad(&e))?;
-    let all = sizes(&folder, megapixels, &bad);
-    // what is left behind lies in the system's folder for such things
-    let _ = std::fs::remove_dir_all(&folder);
-    all
+/// A folder for files that processes of their own read and write, and the program that they run.
+pub(super) struct Workshop {
+    folder: PathBuf,
+    program: PathBuf,
 }
 
-fn sizes(folder: &Path, megapixels: &[f64], bad: &dyn Fn(&dyn std::fmt::Display) -> BenchError) -> Result<Vec<Report>, BenchError> {
-    let scene = synth::Scene::framed(900_100, BASE.0, BASE.1);
-    let camera = scene.camera();
-    let picture = scene.render(&camera, 1);
-    let (photo, depth, report) = (folder.join("p.jpg"), folder.join("d.png"), folder.join("r.json"));
-    let map = to_png(&picture.disparity).map_err(|e| bad(&e))?;
-    std::fs::write(&depth, map).map_err(|e| bad(&e))?;
-    let program = std::env::current_exe().map_err(|e| bad(&e))?;
-    let mut all = Vec::new();
-    for mp in megapixels {
-        let width = (mp * 1e6 * 1.5).sqrt().round();
-        let Photo { width, height, rgb } = resize(&picture.photo, width as u32, (width / 1.5).round() as u32);
+impl Workshop {
+    /// Makes the folder.
+    pub fn new() -> Result<Self, BenchError> {
+        let folder = std::env::temp_dir().join(format!("tmpi-bench-{}", std::process::id()));
+        let bad = |e: std::io::Error| BenchError::File { path: folder.clone(), reason: e.to_string() };
+        std::fs::create_dir_all(&folder).map_err(bad)?;
+        let program = std::env::current_exe().map_err(bad)?;
+        Ok(Self { folder, program })
+    }
+
+    fn bad(&self, reason: &dyn std::fmt::Display) -> BenchError {
+        BenchError::File { path: self.folder.clone(), reason: reason.to_string() }
+    }
+
+    /// Writes the photo and the disparity map that [`Workshop::make`] takes.
+    pub fn put(&self, photo: &Photo, disparity: &DisparityMap) -> Result<(), BenchError> {
         let mut file = Vec::new();
         JpegEncoder::new_with_quality(&mut file, 85)
-            .write_image(rgb.as_flattened(), width, height, ExtendedColorType::Rgb8)
-            .map_err(|e| bad(&e))?;
-        std::fs::write(&photo, file).map_err(|e| bad(&e))?;
-        drop(rgb);
-        let mut command = Command::new(&program);
-        command.arg("make").arg(&photo).arg("--depth").arg(&depth).arg("-o").arg(folder.join("o.tmpi")).arg("--report").arg(&report);
-        let status = command.arg("--quiet").stdout(Stdio::null()).status().map_err(|e| bad(&e))?;
-        if !status.success() {
-            return Err(bad(&format!("making {width}×{height} ended with {status}")));
-        }
-        let text = std::fs::read(&report).map_err(|e| bad(&e))?;
-        all.push(serde_json::from_slice(&text).map_err(|e| bad(&e))?);
+            .write_image(photo.rgb.as_flattened(), photo.width, photo.height, ExtendedColorType::Rgb8)
+            .map_err(|e| self.bad(&e))?;
+        std::fs::write(self.folder.join("p.jpg"), file).map_err(|e| self.bad(&e))?;
+        let map = to_png(disparity).map_err(|e| self.bad(&e))?;
+        std::fs::write(self.folder.join("d.png"), map).map_err(|e| self.bad(&e))
     }
-    Ok(all)
+
+    /// Makes the photo in a process of its own: a process's peak of memory never falls.
+    pub fn make(&self, arguments: &[&str]) -> Result<Report, BenchError> {
+        let [photo, depth, out, report] = ["p.jpg", "d.png", "o.tmpi", "r.json"].map(|name| self.folder.join(name));
+        let mut command = Command::new(&self.program);
+        command.arg("make").arg(photo).arg("--depth").arg(depth).arg("-o").arg(out).arg("--report").arg(&report).args(arguments);
+        let status = command.arg("--quiet").stdout(Stdio::null()).status().map_err(|e| self.bad(&e))?;
+        if !status.success() {
+            return Err(self.bad(&format!("making with {arguments:?} ended with {status}")));
+        }
+        let text = std::fs::read(&report).map_err(|e| self.bad(&e))?;
+        serde_json::from_slice(&text).map_err(|e| self.bad(&e))
+    }
+}
+
+impl Drop for Workshop {
+    fn drop(&mut self) {
+        // what is left behind lies in the system's folder for such things
+        let _ = std::fs::remove_dir_all(&self.folder);
+    }
+}
+
+fn measured(megapixels: &[f64]) -> Result<Vec<Report>, BenchError> {
+    let scene = synth::Scene::framed(900_100, BASE.0, BASE.1);
+    let picture = scene.render(&scene.camera(), 1);
+    let workshop = Workshop::new()?;
+    let one = |mp: &f64| {
+        let width = (mp * 1e6 * 1.5).sqrt().round();
+        workshop.put(&resize(&picture.photo, width as u32, (width / 1.5).round() as u32), &picture.disparity)?;
+        workshop.make(&[])
+    };
+    megapixels.iter().map(one).collect()
 }

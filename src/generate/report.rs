@@ -116,6 +116,9 @@ pub struct Report {
     pub planes: usize,
     /// Mean planes a tile.
     pub planes_per_tile: f64,
+    /// Count of texels that are not empty, of all layers.
+    #[serde(default)]
+    pub texels: usize,
     /// What this scene did not need.
     pub left_out: LeftOut,
     /// Sections in bytes.

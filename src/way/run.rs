@@ -183,6 +183,7 @@ impl Trip<'_> {
         let placed: usize = blueprint.tiles.iter().map(|t| t.planes.len()).sum();
         let full: usize = (0..blueprint.grid.tiles()).map(|t| blueprint.grid.rect(t).area()).sum::<usize>() * placement.most as usize;
         let kept: usize = shapes.iter().flat_map(|s| &s.layers).map(|l| l.class.iter().filter(|c| **c != 0).count()).sum();
+        r.texels = kept;
         r.left_out = LeftOut {
             planes: (r.tiles * placement.most as usize).saturating_sub(placed),
             tiles_not_refined: 0,
