@@ -3,6 +3,7 @@ import { Class, cutIntoBands, joined, resultBuffers, work } from './bands.js';
 import { tileCounts, tileRect } from './grid.js';
 import { concatenated, decodeLabels, labelBands } from './labels.js';
 import { checkWork } from './peel.js';
+import { BACKSTOP, decodePlanes, planesOf } from './planes.js';
 import { broken, ContainerError, readMessage } from './protobuf.js';
 import { decompress } from './vendor/fzstd.js';
 
@@ -22,10 +23,9 @@ const HEADER_BYTES = 12;
 /** A zstd block has at least 4 bytes and holds at most 128 KiB. */
 const ZSTD_LEAST_BLOCK = 4;
 const ZSTD_MOST_CONTENT = 131_072;
-/** Bytes of a plane, and the flag in a tile's count where a backstop follows. */
+/** Bytes of a plane. */
 const PLANE_BYTES = 6;
 const MAX_TILE_PLANES = 65;
-const BACKSTOP = 0x80;
 
 export const Kind = { PHOTO: 1, PLANES: 2, LABELS: 3, ALPHA: 4, HIDDEN: 5 };
 const KIND_NAMES = { 1: 'photo', 2: 'planes', 3: 'labels', 4: 'alpha', 5: 'hidden' };
@@ -241,9 +241,9 @@ async function readTiles(bytes, head, together, bands) {
   const { planes: n } = index;
   const { columns, tiles: count } = tileCounts(index);
   if (n < count || n > count * MAX_TILE_PLANES) broken(`${n} planes for ${count} tiles`);
-  const data = unpacked(bytes, head, Kind.PLANES, count + n * PLANE_BYTES);
+  const data = laidOut(bytes, head, { columns, tiles: count, planes: n });
   const counts = data.subarray(0, count).map((c) => c & ~BACKSTOP);
-  const total = data.subarray(0, count).reduce((sum, c) => sum + (c & ~BACKSTOP) + (c >> 7), 0);
+  const total = data.subarray(0, count).reduce((sum, c) => sum + planesOf(c), 0);
   if (total !== n) broken(`${total} planes in the tiles, not ${n}`);
   const coefficient = (column, i) => {
     const at = count + column * 2 * n + i;
@@ -268,6 +268,16 @@ async function readTiles(bytes, head, together, bands) {
       backstop: data[t] & BACKSTOP ? plane() : null,
     };
   });
+}
+
+/** Counts and columns of all planes. */
+function laidOut(bytes, head, layout) {
+  const length = layout.tiles + layout.planes * PLANE_BYTES;
+  const section = sectionOf(head.index, Kind.PLANES);
+  // before minor version 3
+  if (section?.codec !== Codec.RANGE) return unpacked(bytes, head, Kind.PLANES, length);
+  if (section.rawLength !== length) broken(`the planes section has ${section.rawLength} bytes, not ${length}`);
+  return decodePlanes(layout, payload(bytes, head, section));
 }
 
 /** Labels of all tiles in a row. */

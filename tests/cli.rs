@@ -276,7 +276,7 @@ fn info_tells_what_is_in_a_container() {
     assert!(sections.iter().all(|s| s["kind"] != "hidden"), "hidden colours follow from the rest");
     let share =
         |kind: &str| text.lines().find(|l| l.starts_with(kind)).and_then(|l| l.split('%').next()?.rsplit(' ').next()?.parse::<f64>().ok());
-    let total: f64 = ["header", "photo     jpeg", "planes    zstd", "labels"].iter().map(|k| share(k).unwrap()).sum();
+    let total: f64 = ["header", "photo     jpeg", "planes    range", "labels"].iter().map(|k| share(k).unwrap()).sum();
     assert!((total - 100.0).abs() < 0.3, "{total} %:\n{text}");
 }
 

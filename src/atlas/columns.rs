@@ -4,7 +4,7 @@ use super::AtlasError;
 use crate::tmpi::{Grid, Plane, Tile};
 
 /// Set in a tile's count where its last plane is a backstop.
-const BACKSTOP: u8 = 0x80;
+pub const BACKSTOP: u8 = 0x80;
 /// Most labelled planes a tile.
 const MOST: u8 = 64;
 /// Most planes a tile, its backstop included.
@@ -15,6 +15,11 @@ const COLUMNS: usize = 3;
 /// Bytes of the section.
 pub fn bytes(tiles: usize, planes: usize) -> usize {
     tiles + planes * COLUMNS * 2
+}
+
+/// Planes that the count of a tile stands for.
+pub fn planes_of(count: u8) -> usize {
+    usize::from(count & !BACKSTOP) + usize::from(count >> 7)
 }
 
 /// Planes of a tile in the order of the section.
@@ -40,7 +45,7 @@ pub fn read(grid: &Grid, count: usize, data: &[u8]) -> Result<Vec<Tile>, AtlasEr
         return Err(AtlasError::broken("planes: wrong length"));
     }
     let (counts, columns) = data.split_at(tiles);
-    let total: usize = counts.iter().map(|c| usize::from(c & !BACKSTOP) + usize::from(c >> 7)).sum();
+    let total: usize = counts.iter().map(|&c| planes_of(c)).sum();
     if total != count || counts.iter().any(|c| !(1..=MOST).contains(&(c & !BACKSTOP))) {
         return Err(AtlasError::broken("planes: wrong count in a tile"));
     }

@@ -6,7 +6,7 @@ use prost::Message;
 use serde::Serialize;
 
 use super::wire::{Codec, Index, Kind, Section};
-use super::{AtlasError, MAGIC, MAJOR, bands, bounds, columns, hidden, labels, picture, select};
+use super::{AtlasError, MAGIC, MAJOR, bands, bounds, columns, hidden, labels, picture, planes, select};
 use crate::tmpi::{Blueprint, Class, Filler, Grid, Intrinsics, Layer, Photo, Scene, Texels, ViewBox};
 
 /// All rows of tiles.
@@ -79,6 +79,14 @@ pub fn read_tiles(bytes: &[u8]) -> Result<Blueprint, AtlasError> {
     let (index, body) = split(bytes)?;
     let (grid, intrinsics, view_box) = geometry(&index)?;
     blueprint(&index, body, grid, (intrinsics, view_box), &ALL_ROWS)
+}
+
+/// Header and index of a container, and its planes as [`columns`] lays them out.
+#[cfg(feature = "codecs")]
+pub fn read_plain(bytes: &[u8]) -> Result<(&[u8], Vec<u8>), AtlasError> {
+    let (index, body) = split(bytes)?;
+    let (grid, ..) = geometry(&index)?;
+    Ok((&bytes[..bytes.len() - body.len()], laid_out(&index, body, &grid, index.planes as usize)?))
 }
 
 fn parts(index: &Index, body: &[u8], rows: &Range<u32>) -> Result<(Photo, Blueprint), AtlasError> {
@@ -218,6 +226,17 @@ fn unpack(index: &Index, body: &[u8], kind: Kind, want: usize) -> Result<Vec<u8>
     Ok(raw)
 }
 
+/// Bytes of the section of `count` planes as [`columns`] lays them out.
+fn laid_out(index: &Index, body: &[u8], grid: &Grid, count: usize) -> Result<Vec<u8>, AtlasError> {
+    let want = columns::bytes(grid.tiles() as usize, count);
+    match find(index, Kind::Planes).filter(|s| s.codec() == Codec::Range) {
+        Some(s) if s.raw_length != want as u64 => Err(AtlasError::broken("planes: wrong length")),
+        Some(s) => planes::decode(planes::Layout::of(grid, count), range(s, body)?),
+        // before minor version 3
+        None => unpack(index, body, Kind::Planes, want),
+    }
+}
+
 /// Planes of all tiles, and labels of those in `rows`.
 fn blueprint(
     index: &Index,
@@ -231,8 +250,7 @@ fn blueprint(
     if count > bounds::PLANES.min(most) || count < least {
         return Err(AtlasError::broken("count of planes out of bounds"));
     }
-    let planes = unpack(index, body, Kind::Planes, columns::bytes(grid.tiles() as usize, count))?;
-    let mut tiles = columns::read(&grid, count, &planes)?;
+    let mut tiles = columns::read(&grid, count, &laid_out(index, body, &grid, count)?)?;
     let section = find(index, Kind::Labels)
         .filter(|s| matches!(s.codec(), Codec::Range | Codec::RangeBands))
         .ok_or_else(|| AtlasError::broken("there is no section of labels"))?;

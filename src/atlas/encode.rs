@@ -4,7 +4,7 @@ use image::ImageFormat;
 use prost::Message;
 
 use super::wire::{Codec, Index, Kind, Section};
-use super::{AtlasError, Carried, MAGIC, MAJOR, MINOR, MINOR_ONE_STREAM, bands, columns, encode_jpeg, encode_lossless, hidden, labels};
+use super::{AtlasError, Carried, MAGIC, MAJOR, MINOR, bands, columns, encode_jpeg, encode_lossless, hidden, labels, planes};
 use crate::generate::Bytes;
 use crate::tmpi::{Blueprint, Grid, Scene};
 
@@ -52,7 +52,15 @@ pub fn encode_in(
 ) -> Result<(Vec<u8>, Bytes), AtlasError> {
     let mut file = File::default();
     file.add(Kind::Photo, carried.codec(), carried.bytes.clone(), 0);
-    file.add_packed(Kind::Planes, &columns::write(&blueprint.tiles))?;
+    let planes = columns::write(&blueprint.tiles);
+    let layout = planes::Layout::of(&blueprint.grid, blueprint.planes());
+    let coded = planes::encode(layout, &planes)?;
+    // planes that repeat from tile to tile, as in drawings
+    if packed(&planes)?.len() < coded.len() {
+        file.add_packed(Kind::Planes, &planes)?;
+    } else {
+        file.add(Kind::Planes, Codec::Range, coded, planes.len() as u64);
+    }
     let counts: Vec<u8> = blueprint.tiles.iter().map(|t| t.planes.len() as u8).collect();
     let all: Vec<u8> = blueprint.tiles.iter().flat_map(|t| &t.labels).copied().collect();
     file.add_labels(&blueprint.grid, &counts, &all, rows);
@@ -86,7 +94,7 @@ pub fn encode_in(
         view_x: v.x,
         view_y: v.y,
         view_z: v.z,
-        planes: blueprint.tiles.iter().map(|t| t.planes.len() + usize::from(t.backstop.is_some())).sum::<usize>() as u32,
+        planes: layout.planes as u32,
         hidden_blocks: blocks as u32,
         hidden_columns: per_row as u32,
         sections: file.sections.clone(),
@@ -100,6 +108,11 @@ fn refined_alpha(blueprint: &Blueprint, scene: &Scene) -> Vec<u8> {
     let soft =
         scene.texels.alpha.iter().zip(derived).filter(|(_, d)| (1..255).contains(d)).map(|(a, d)| a.wrapping_sub(d)).collect::<Vec<_>>();
     if soft.iter().all(|d| *d == 0) { Vec::new() } else { soft }
+}
+
+fn packed(raw: &[u8]) -> Result<Vec<u8>, AtlasError> {
+    let level = if raw.len() > LARGE { LARGE_LEVEL } else { LEVEL };
+    zstd::bulk::compress(raw, level).map_err(|e| AtlasError::Encode(e.to_string()))
 }
 
 #[derive(Default)]
@@ -135,18 +148,14 @@ impl File {
         if raw.is_empty() {
             return Ok(());
         }
-        let level = if raw.len() > LARGE { LARGE_LEVEL } else { LEVEL };
-        let packed = zstd::bulk::compress(raw, level).map_err(|e| AtlasError::Encode(e.to_string()))?;
-        self.add(kind, Codec::Zstd, packed, raw.len() as u64);
+        self.add(kind, Codec::Zstd, packed(raw)?, raw.len() as u64);
         Ok(())
     }
 
     fn finish(self, index: &Index) -> (Vec<u8>, Bytes) {
         let index = index.encode_to_vec();
         let of = |kinds: &[Kind]| -> usize { self.sections.iter().filter(|s| kinds.contains(&s.kind())).map(|s| s.length as usize).sum() };
-        let one_stream = self.sections.iter().all(|s| s.codec() != Codec::RangeBands);
-        let minor = if one_stream { MINOR_ONE_STREAM } else { MINOR };
-        let mut out = header(&[MAJOR.to_le_bytes(), minor.to_le_bytes()].concat(), &index);
+        let mut out = header(&[MAJOR.to_le_bytes(), MINOR.to_le_bytes()].concat(), &index);
         out.extend(&self.body);
         let bytes = Bytes {
             total: out.len(),

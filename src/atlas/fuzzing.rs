@@ -1,6 +1,6 @@
 //! Doors to what lies within a container, for [`crate::fuzzing`].
 
-use super::{AtlasError, bounds, columns, decode, labels};
+use super::{AtlasError, bounds, columns, decode, labels, planes as coded};
 use crate::tmpi::Grid;
 
 /// What the index says that a container holds.
@@ -43,5 +43,12 @@ pub fn planes(grid: &Grid, count: usize, data: &[u8]) {
     if let Ok(tiles) = columns::read(grid, count, data) {
         assert!(tiles.iter().flat_map(|t| t.planes.iter().chain(&t.backstop)).all(crate::tmpi::Plane::is_finite));
         assert_eq!(columns::write(&tiles), data, "planes that were read are written otherwise");
+    }
+    let layout = coded::Layout::of(grid, count);
+    // the same bytes as a stream
+    if let Ok(raw) = coded::decode(layout, data) {
+        assert!(columns::read(grid, count, &raw).is_ok(), "planes that were decoded cannot be read");
+        let again = coded::encode(layout, &raw).and_then(|data| coded::decode(layout, &data));
+        assert!(again.is_ok_and(|a| a == raw), "planes that were coded are decoded otherwise");
     }
 }

@@ -4,7 +4,7 @@
 //! neighbours agree, and of whether the tile decoded before has an edge there where tiles overlap.
 
 use super::AtlasError;
-use super::range::{Bit, Decoder, Encoder};
+use super::range::{Bit, Coder, Decoder, Encoder};
 use crate::tmpi::Grid;
 
 /// Contexts of a question: five bits of agreement, three states of the overlapping tile.
@@ -27,24 +27,6 @@ impl Models {
             diagonal: [Bit::default(); CONTEXTS],
             tree: [Bit::default(); TREE * 2],
         })
-    }
-}
-
-/// Writes bits or reads them: the walk over a label map is the same both ways.
-trait Coder {
-    fn bit(&mut self, model: &mut Bit, bit: bool) -> bool;
-}
-
-impl Coder for Encoder {
-    fn bit(&mut self, model: &mut Bit, bit: bool) -> bool {
-        self.put(model, bit);
-        bit
-    }
-}
-
-impl Coder for Decoder<'_> {
-    fn bit(&mut self, model: &mut Bit, _: bool) -> bool {
-        self.get(model)
     }
 }
 

@@ -9,6 +9,7 @@ mod hidden;
 mod labels;
 mod level;
 mod picture;
+mod planes;
 mod range;
 mod region;
 mod select;
@@ -23,7 +24,7 @@ pub use select::{SECTIONS, select};
 #[cfg(feature = "codecs")]
 pub(crate) use {
     bands::rows_for,
-    decode::{read, read_tiles},
+    decode::{read, read_plain, read_tiles},
     encode::encode_in,
     select::with_section,
     wire::{Codec, Kind},
@@ -33,10 +34,8 @@ pub(crate) use {
 pub const MAGIC: [u8; 4] = *b"TMPI";
 /// Major version written, and the newest that is read.
 pub const MAJOR: u16 = 1;
-/// Newest minor version written. A container is given the oldest that has all it uses.
-pub const MINOR: u16 = 2;
-/// Minor version of containers whose labels are one stream.
-const MINOR_ONE_STREAM: u16 = 1;
+/// Minor version written.
+pub const MINOR: u16 = 3;
 /// Media type of a container.
 pub const MEDIA_TYPE: &str = "application/vnd.tmpi";
 

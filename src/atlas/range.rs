@@ -1,6 +1,6 @@
 //! Adaptive binary range coder: 12-bit probabilities as mean of a quick and a slow estimate, 32-bit range, carry by counting.
 //!
-//! The browser has the same coder in `static/labels.js`; both must agree bit for bit, so all arithmetic is on integers.
+//! The browser has the same coder in `static/range.js`; both must agree bit for bit, so all arithmetic is on integers.
 
 /// An adaptive bit: probability of a 1 in 1/65 536, learnt at two speeds.
 #[derive(Clone, Copy, Debug)]
@@ -136,6 +136,25 @@ impl<'a> Decoder<'a> {
         let (next, rest) = self.data.split_first().map_or((0, self.data), |(b, r)| (*b, r));
         self.data = rest;
         self.code = (self.code << 8) | u32::from(next);
+    }
+}
+
+/// Writes bits or reads them: the walk over what is coded is the same both ways.
+pub trait Coder {
+    /// Writes `bit` and gives it, or gives the bit that is read.
+    fn bit(&mut self, model: &mut Bit, bit: bool) -> bool;
+}
+
+impl Coder for Encoder {
+    fn bit(&mut self, model: &mut Bit, bit: bool) -> bool {
+        self.put(model, bit);
+        bit
+    }
+}
+
+impl Coder for Decoder<'_> {
+    fn bit(&mut self, model: &mut Bit, _: bool) -> bool {
+        self.get(model)
     }
 }
 

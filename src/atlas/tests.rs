@@ -41,6 +41,17 @@ pub(super) fn scene(width: u32, height: u32) -> (Blueprint, Scene) {
     (blueprint, scene)
 }
 
+/// The same scene with planes that differ from tile to tile, as in photos; only planes and labels are of use.
+fn rough((mut blueprint, scene): (Blueprint, Scene)) -> (Blueprint, Scene) {
+    let planes = blueprint.tiles.iter_mut().flat_map(|t| t.planes.iter_mut().chain(&mut t.backstop));
+    for (i, p) in (1u32..).zip(planes) {
+        let share = |k: u32| f64::from(i.wrapping_mul(k) >> 16) / 65_536.0 - 0.5;
+        *p = Plane { a: p.a * (1.0 + share(0x9E37_79B1) / 4.0), b: p.a * share(0x85EB_CA77) / 2.0, c: p.a * share(0xC2B2_AE3D) / 2.0 }
+            .quantised();
+    }
+    (blueprint, scene)
+}
+
 fn container((blueprint, s): &(Blueprint, Scene)) -> Vec<u8> {
     let photo = Carried::from_photo(&s.photo, 90).unwrap();
     let (bytes, parts) = encode(blueprint, s, &photo, Carries { alpha: true, hidden: Some(HiddenAs::Jpeg(90)) }).unwrap();
@@ -99,12 +110,12 @@ fn all_but_the_pictures_comes_back_exactly() {
     }
 }
 
-/// Containers and what must come out of them are shared with the browser's decoder; `TMPI_BLESS=1` writes them anew.
+/// Containers and what must come out of them are shared with the browser's decoder; `TMPI_BLESS=1` writes that of this version anew.
 fn golden(name: &str, write: impl Fn() -> Vec<u8>, exact: bool) {
     use sha2::Digest;
     let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden");
     let (container, json) = (folder.join(format!("{name}.tmpi")), folder.join(format!("{name}.json")));
-    let bless = std::env::var_os("TMPI_BLESS").is_some();
+    let bless = std::env::var_os("TMPI_BLESS").is_some() && name == format!("v{MAJOR}_{MINOR}");
     if bless {
         std::fs::create_dir_all(&folder).unwrap();
         std::fs::write(&container, write()).unwrap();
@@ -133,9 +144,11 @@ fn golden(name: &str, write: impl Fn() -> Vec<u8>, exact: bool) {
 
 #[test]
 fn golden_containers_stay_readable() {
-    golden("v1", || container(&scene(150, 100)), false);
-    golden("v1_1", || bare(&scene(150, 100)), true);
-    golden("v1_2", || bare_in(Some(1), &scene(150, 100)), true);
+    let older = || unreachable!("a version that is no longer written");
+    golden("v1", older, false);
+    golden("v1_1", older, true);
+    golden("v1_2", older, true);
+    golden("v1_3", || bare_in(Some(1), &rough(scene(150, 100))), true);
 }
 
 /// Seeds of the fuzzer: small containers of every kind, and what lies in them. `TMPI_BLESS=1` writes them anew.
@@ -146,7 +159,7 @@ fn seeds_of_the_fuzzer_are_readable() {
         ("carried", container(&scene(70, 40))),
         ("derived", bare(&scene(66, 40))),
         ("pixel", bare(&scene(1, 1))),
-        ("bands", bare_in(Some(1), &scene(70, 130))),
+        ("bands", bare_in(Some(1), &rough(scene(70, 130)))),
     ];
     if std::env::var_os("TMPI_BLESS").is_some() {
         let write = |kind: &str, name: &str, data: &[u8]| {
@@ -234,10 +247,21 @@ fn a_section_past_the_end_is_an_error_though_nobody_reads_it() {
 }
 
 #[test]
-fn bands_hold_the_same_labels_under_a_minor_version_of_their_own() {
+fn planes_take_the_codec_that_makes_less_of_them() {
+    let codec = |made: &(Blueprint, Scene)| sections(&bare(made)).unwrap().iter().find(|s| s.kind == "planes").unwrap().codec;
+    let made = scene(150, 300);
+    assert_eq!(codec(&made), "zstd");
+    // the second is the golden one
+    for made in [rough(made), rough(scene(150, 100))] {
+        assert_eq!(codec(&made), "range");
+        assert_eq!(decode::read(&bare(&made)).unwrap().1, made.0);
+    }
+}
+
+#[test]
+fn bands_hold_the_same_labels_as_one_stream() {
     let made = scene(150, 300);
     let (one, bands) = (bare(&made), bare_in(Some(2), &made));
-    assert_eq!((one[6], bands[6]), (1, 2));
     assert_eq!(decode(&one).unwrap(), decode(&bands).unwrap());
     let codec = |bytes: &[u8]| sections(bytes).unwrap().iter().find(|s| s.kind == "labels").unwrap().codec;
     assert_eq!((codec(&one), codec(&bands)), ("range", "range-bands"));
@@ -269,7 +293,7 @@ proptest! {
     fn damage_never_panics(at in prop::collection::vec((0usize..4000, any::<u8>()), 1..6)) {
         use std::sync::OnceLock;
         static CLEAN: OnceLock<[Vec<u8>; 3]> = OnceLock::new();
-        let clean = CLEAN.get_or_init(|| [container(&scene(70, 40)), bare(&scene(70, 40)), bare_in(Some(1), &scene(70, 130))]);
+        let clean = CLEAN.get_or_init(|| [container(&scene(70, 40)), bare(&scene(70, 40)), bare_in(Some(1), &rough(scene(70, 130)))]);
         let mut b = clean[at.len() % 3].clone();
         for (i, v) in at { let n = b.len(); b[i % n] = v; }
         if let Ok(s) = decode(&b) { prop_assert_eq!(s.validate(), Ok(())); }

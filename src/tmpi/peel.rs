@@ -128,6 +128,12 @@ pub fn work(grid: &Grid, tiles: &[Tile]) -> u64 {
 }
 
 impl Blueprint {
+    /// Count of all planes, backstops included.
+    #[must_use]
+    pub fn planes(&self) -> usize {
+        self.tiles.iter().map(|t| t.planes.len() + usize::from(t.backstop.is_some())).sum()
+    }
+
     /// Shapes of all layers, tile by tile.
     #[must_use]
     pub fn peel(&self) -> Vec<Shapes> {

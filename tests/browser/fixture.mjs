@@ -1,5 +1,6 @@
 // A container written by hand from proto/tmpi.proto; that the server's come out the same is held against tests/golden.
-import { learn, share, walkLabels } from '../../static/labels.js';
+import { walkLabels } from '../../static/labels.js';
+import { learn, share } from '../../static/range.js';
 import { peel } from '../../static/peel.js';
 import { boxPhoto, BOX, inBox, png, wall } from './pictures.mjs';
 

@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use image::ImageFormat;
 
+use super::ZSTD_MOST;
 use super::avif::{self, Pixels};
 use super::layers::{Packing, texels, with_texels};
 use crate::atlas::{self, Carried, Carries, HiddenAs, encode_jpeg, encode_lossless};
@@ -60,8 +61,6 @@ impl Source {
         with_texels(&self.scene, &rgba)
     }
 }
-
-const ZSTD_MOST: i32 = 19;
 
 /// A way to send a scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -7,6 +7,7 @@
 mod avif;
 mod bands;
 mod candidates;
+mod dictionary;
 mod judge;
 mod layers;
 mod table;
@@ -28,10 +29,15 @@ use crate::quality::{Ssimulacra2, psnr};
 use crate::way::{self, Models, Options};
 pub use bands::BandRow;
 use candidates::{Source, Way};
+use dictionary::Plain;
+pub use dictionary::SharedRow;
 use judge::{Judge, Score};
 
 /// Highest quality of a picture codec.
 const BEST: u8 = 100;
+
+/// The highest of zstd's ordinary levels.
+const ZSTD_MOST: i32 = 19;
 
 /// What has taken so long in all is not run again.
 const ENOUGH_MS: f64 = 3000.0;
@@ -106,6 +112,8 @@ pub struct Scene {
     pub photo_ssimulacra2: Option<f64>,
     /// All ways.
     pub rows: Vec<Row>,
+    /// Index and planes with a dictionary.
+    pub shared: Option<SharedRow>,
     /// Sizes of bands of labels, where they were asked for.
     pub bands: Vec<BandRow>,
 }
@@ -134,10 +142,15 @@ pub type Keep<'a> = &'a dyn Fn(&str, &str, &[u8]) -> Result<(), BenchError>;
 /// [`BenchError`].
 pub fn run(settings: &Settings, progress: &dyn Fn(&str), keep: Keep) -> Result<CodecResults, BenchError> {
     let photos = subject::photos(&settings.photos, settings.quick)?;
-    let mut scenes = Vec::new();
+    let (mut scenes, mut plain) = (Vec::new(), Vec::new());
     for s in &photos {
         progress(&s.name);
-        scenes.push(scene(settings, s, keep)?);
+        let (scene, container) = scene(settings, s, keep)?;
+        scenes.push(scene);
+        plain.push(Plain::of(&container)?);
+    }
+    for (scene, row) in scenes.iter_mut().zip(dictionary::compare(&plain)?) {
+        scene.shared = Some(row);
     }
     let skipped = avif::available().err().map(|why| format!("AVIF: {why}")).into_iter().collect();
     Ok(CodecResults { version: env!("CARGO_PKG_VERSION"), machine: Machine::this(), repeats: settings.repeats, scenes, skipped })
@@ -156,7 +169,8 @@ fn cut(file: &[u8], size: (u32, u32)) -> Result<Vec<u8>, BenchError> {
     Ok(encode_lossless(image::ImageFormat::Png, p.width, p.height, p.rgb.as_flattened())?)
 }
 
-fn scene(settings: &Settings, s: &Subject, keep: Keep) -> Result<Scene, BenchError> {
+/// Measures one photo; gives its container too.
+fn scene(settings: &Settings, s: &Subject, keep: Keep) -> Result<(Scene, Vec<u8>), BenchError> {
     let cut = settings.size.map(|size| cut(&s.file, size)).transpose()?;
     let file = cut.as_ref().unwrap_or(&s.file);
     let failed = |source| BenchError::Make { subject: s.name.clone(), source };
@@ -175,12 +189,13 @@ fn scene(settings: &Settings, s: &Subject, keep: Keep) -> Result<Scene, BenchErr
         height: photo.height,
         uploaded: file.len(),
         kept: kept.is_some(),
-        planes: blueprint.tiles.iter().map(|t| t.planes.len() + usize::from(t.backstop.is_some())).sum::<usize>() as u32,
+        planes: blueprint.planes() as u32,
         texels: 0,
         over_photo: made.container.len() as f64 / carried.len().max(1) as f64,
         photo_psnr: psnr(photo.rgb.as_flattened(), decoded.rgb.as_flattened()),
         photo_ssimulacra2: Ssimulacra2::of(&photo.rgb, photo.width as usize).and_then(|s| s.score(&decoded.rgb)),
         rows: Vec::new(),
+        shared: None,
         bands: Vec::new(),
         sections,
     };
@@ -189,7 +204,7 @@ fn scene(settings: &Settings, s: &Subject, keep: Keep) -> Result<Scene, BenchErr
     let source = Source::new(blueprint, Arc::new(before), kept, settings.options.quality, made.disparity);
     if settings.bands {
         out.bands = bands::compare(&source, settings.repeats)?;
-        return Ok(out);
+        return Ok((out, made.container));
     }
     let judge = Judge::of(&source.scene)?;
     let mut target = f64::NEG_INFINITY;
@@ -206,7 +221,7 @@ fn scene(settings: &Settings, s: &Subject, keep: Keep) -> Result<Scene, BenchErr
         }
         out.rows.push(row.0);
     }
-    Ok(out)
+    Ok((out, made.container))
 }
 
 /// Measures one way, at the lowest quality that scores `target` where it has one; gives its bytes too.

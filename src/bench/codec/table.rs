@@ -99,6 +99,15 @@ impl CodecResults {
         }
         self.bands(&mut out);
         self.sections(&mut out);
+        let shared: Vec<_> = self.scenes.iter().filter_map(|s| s.shared).collect();
+        let of = |f: fn(&super::SharedRow) -> usize| mean(shared.iter().map(|r| f(r) as f64));
+        let _ = writeln!(
+            out,
+            "index and planes, bytes: now {:.0}, by zstd {:.0}, by zstd with a dictionary of all others {:.0}",
+            of(|r| r.now),
+            of(|r| r.zstd),
+            of(|r| r.shared)
+        );
         for s in &self.skipped {
             let _ = writeln!(out, "left out: {s}");
         }
