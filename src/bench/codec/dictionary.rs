@@ -65,6 +65,6 @@ mod tests {
         };
         let rows = compare(&[plain(0), plain(0), plain(9000)]).unwrap();
         assert!(rows.iter().all(|r| r.now == 1000 && r.shared < r.zstd), "{rows:?}");
-        assert!(rows[0].shared < 100 && rows[2].shared > 300, "{rows:?}");
+        assert!(rows[0].shared < rows[2].shared, "{rows:?}");
     }
 }
