@@ -28,6 +28,7 @@ pub mod check;
 pub mod cli;
 pub mod clock;
 pub mod depth;
+pub mod eval;
 pub mod export;
 #[doc(hidden)]
 pub mod fuzzing;

@@ -410,3 +410,19 @@ fn the_corners_of_the_view_box_are_checked_on_photos() {
     let cases = checked["cases"].as_array().unwrap();
     assert_eq!((cases.len(), cases[0]["name"].as_str()), (2, Some("box.png")));
 }
+
+#[test]
+fn ways_are_measured_on_scenes_whose_views_are_known() {
+    let f = Folder::new();
+    f.run(&["synth", "-o", "scenes", "--count", "1", "--size", "160x96", "--views", "2", "--baseline", "0.03"]).succeeds();
+    let results = f.run(&["eval", "scenes", "--only", "mesh,ours", "--json"]).succeeds().json();
+    assert_eq!((results["views"].as_u64(), results["blank"].as_u64(), results["depth_score"].is_null()), (Some(2), Some(0), true));
+    for (row, way) in results["rows"].as_array().unwrap().iter().zip(["mesh", "ours"]) {
+        assert_eq!(row["way"].as_str(), Some(way));
+        assert!(row["score"]["psnr"].as_f64().unwrap() > 20.0 && row["score"]["ssim"].as_f64().unwrap() > 0.7, "{row}");
+        assert!(row["bytes"].as_f64().unwrap() > 0.0 && row["make_ms"].as_f64().unwrap() > 0.0, "{row}");
+    }
+    f.run(&["eval", "scenes", "--only", "best"]).fails(2, &["--only", "tmpi-lloyd"]);
+    f.run(&["eval", "scenes/00000000"]).fails(1, &["stereo pair"]);
+    f.run(&["eval", "nowhere"]).fails(1, &["nowhere"]);
+}

@@ -131,7 +131,7 @@ impl<'a> Prepared<'a> {
     fn figures(&self, without: Without, neighbour: f32) -> Result<Vec<(&'static str, f64)>, BenchError> {
         if without == Without::Planes {
             let views = self.subject.views.iter().map(|(camera, want)| {
-                let warp = mesh::warp(&self.photo, &self.given, &self.intrinsics, camera, 1);
+                let warp = mesh::warp(&self.photo, &self.given, &self.intrinsics, camera, mesh::LONGEST);
                 let uncovered = warp.covered.iter().filter(|c| !**c).count() as f64 / warp.covered.len() as f64;
                 (measure::compared(&warp.rgb, want), uncovered)
             });

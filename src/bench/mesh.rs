@@ -11,15 +11,15 @@ use crate::render::{Cpu, RenderError, Renderer};
 use crate::tmpi::{Camera, DisparityMap, Intrinsics, Photo, Pose, Scene, mat3_vec};
 use crate::way::{Options, PlaneCount, PlaneMethod, Switch};
 
-/// A mesh is torn where an edge would be longer than a pixel and this much more, in pixels of the view.
-const TEAR: f64 = 1.5;
+/// A mesh is torn where an edge would be longer than this, in pixels of the view.
+pub(crate) const LONGEST: f64 = 2.5;
 /// Samples across and down a pixel where edges are to be smooth in both pictures.
 const SAMPLES: u32 = 4;
 /// Slack of edges, in pixels.
 const EDGE: f64 = 1e-9;
 
 /// A drawn mesh.
-pub(super) struct Warp {
+pub(crate) struct Warp {
     /// Colours; black where the mesh is torn.
     pub rgb: Vec<[u8; 3]>,
     /// True where the mesh covers a pixel's centre.
@@ -34,7 +34,7 @@ fn compared(scene: &Arc<Scene>, map: &DisparityMap, pose: Pose, samples: u32) ->
     let enlarged = Intrinsics { fx: k.fx * n, fy: k.fy * n, cx: k.cx * n, cy: k.cy * n };
     let camera = Camera { pose, intrinsics: enlarged, width: w * samples, height: h * samples };
     let drawn = Cpu::default().render(scene, &camera)?;
-    let mesh = warp(&scene.photo, map, &k, &camera, samples);
+    let mesh = warp(&scene.photo, map, &k, &camera, LONGEST * n);
     let (mut want, mut got) = (Vec::new(), Vec::new());
     for (x, y) in (0..h).flat_map(|y| (0..w).map(move |x| (x, y))) {
         let within = |i: u32| (y * samples + i / samples) as usize * camera.width as usize + (x * samples + i % samples) as usize;
@@ -62,10 +62,10 @@ struct Vertex {
     d: f64,
 }
 
-/// Draws `photo` with `map` from `camera`, of which `samples` pixels in a row make one of the view. In `f64`, with a depth buffer,
-/// colours bilinear between vertices. Where the mesh is torn, each of its pixels still covers its own square: a surface ends at the
+/// Draws `photo` with `map` from `camera`. In `f64`, with a depth buffer, colours bilinear between vertices. The mesh is torn where an
+/// edge would be longer than `longest` pixels of the view; there each of its pixels still covers its own square: a surface ends at the
 /// border of its last pixel, not at the centre.
-pub(super) fn warp(photo: &Photo, map: &DisparityMap, reference: &Intrinsics, camera: &Camera, samples: u32) -> Warp {
+pub(crate) fn warp(photo: &Photo, map: &DisparityMap, reference: &Intrinsics, camera: &Camera, longest: f64) -> Warp {
     let (w, h) = (photo.width as usize, photo.height as usize);
     let (r, t) = camera.pose.extrinsics();
     let k = &camera.intrinsics;
@@ -82,7 +82,7 @@ pub(super) fn warp(photo: &Photo, map: &DisparityMap, reference: &Intrinsics, ca
             let at = [y * w + x, y * w + x + 1, (y + 1) * w + x, (y + 1) * w + x + 1];
             let [Some(a), Some(b), Some(c), Some(d)] = at.map(|i| vertices[i]) else { continue };
             let length = |p: Vertex, q: Vertex| (p.x - q.x).hypot(p.y - q.y);
-            let whole = [length(a, b), length(c, d), length(a, c), length(b, d)].iter().all(|&l| l <= (1.0 + TEAR) * f64::from(samples));
+            let whole = [length(a, b), length(c, d), length(a, c), length(b, d)].iter().all(|&l| l <= longest);
             if whole {
                 out.quad([a, b, c, d], at.map(|i| photo.rgb[i]));
                 continue;
@@ -227,7 +227,7 @@ mod tests {
     fn view(pose: Pose, delta: impl Fn(usize) -> f32) -> Warp {
         let k = Intrinsics::centred(40, 30, 50.0);
         let map = DisparityMap { width: 40, height: 30, delta: (0..1200).map(delta).collect() };
-        warp(&photo(), &map, &k, &Camera { pose, intrinsics: k, width: 40, height: 30 }, 1)
+        warp(&photo(), &map, &k, &Camera { pose, intrinsics: k, width: 40, height: 30 }, LONGEST)
     }
 
     #[test]

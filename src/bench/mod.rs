@@ -14,7 +14,7 @@ mod efficiency;
 mod experiments;
 mod machine;
 mod measure;
-mod mesh;
+pub(crate) mod mesh;
 mod page;
 mod plot;
 mod scaling;

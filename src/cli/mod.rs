@@ -6,6 +6,7 @@ mod bench_codec;
 mod check;
 mod compare;
 mod depth;
+mod eval;
 mod export;
 mod files;
 mod flags;
@@ -45,6 +46,7 @@ enum Command {
     Compare(compare::CompareArgs),
     Models(models::ModelsArgs),
     Bench(bench::BenchArgs),
+    Eval(eval::EvalArgs),
     /// Write a completion script for a shell
     Completions {
         /// The shell
@@ -99,6 +101,7 @@ fn run(command: Command) -> anyhow::Result<()> {
         Command::Compare(args) => compare::run(&args),
         Command::Models(args) => models::run(&args),
         Command::Bench(args) => bench::run(&args),
+        Command::Eval(args) => eval::run(&args),
         Command::Completions { shell } => {
             let mut script = Vec::new();
             clap_complete::generate(shell, &mut Cli::command(), "tmpi", &mut script);

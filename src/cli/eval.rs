@@ -1,0 +1,33 @@
+//! `tmpi eval`.
+
+use std::path::PathBuf;
+
+use super::flags::ModelFlags;
+use super::result;
+use crate::eval::{self, Depth};
+use crate::models;
+
+/// Measure second views against the truth: this program, plain multiplane images and a mesh, on scenes whose views are known
+#[derive(Clone, Debug, clap::Args)]
+pub(super) struct EvalArgs {
+    /// Folders of scenes: those of `tmpi synth --views N`, or rectified stereo pairs (left.png, right.png, disp_left.png, meta.json)
+    #[arg(required = true, value_name = "DIR")]
+    folders: Vec<PathBuf>,
+    /// Where depth comes from
+    #[arg(long, value_enum, default_value_t, value_name = "DEPTH")]
+    depth: Depth,
+    /// Do these ways alone
+    #[arg(long, value_delimiter = ',', value_parser = eval::names(), value_name = "WAY,…")]
+    only: Vec<String>,
+    /// The figures as JSON, scene by scene
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    models: ModelFlags,
+}
+
+pub(super) fn run(args: &EvalArgs) -> anyhow::Result<()> {
+    let models = models::load(&args.models.settings())?;
+    let results = eval::run(&models, &args.folders, args.depth, &args.only, &|scene| eprintln!("tmpi eval: {scene}"))?;
+    result(&if args.json { serde_json::to_string_pretty(&results)? } else { results.table() })
+}
