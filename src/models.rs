@@ -55,19 +55,18 @@ pub struct ModelFileError {
     pub source: std::io::Error,
 }
 
-/// The networks by `settings`. A model file is read at once, networks are loaded at their first run; Θ and Ψ are there only
-/// where they are embedded and ONNX Runtime can be loaded, as both are left out without harm.
+/// The networks by `settings`. A model file is read at once, networks and ONNX Runtime are loaded at their first run: a photo with
+/// a depth map needs neither. Θ and Ψ are there only where they are embedded.
 ///
 /// # Errors
 /// [`ModelFileError`].
 pub fn load(settings: &Settings) -> Result<Models, ModelFileError> {
     let model = settings.depth_file.as_deref().map(read).transpose()?;
     let depth = Depth { settings: settings.clone(), model, loaded: OnceLock::new() };
-    let there = (THETA.is_some() || PSI.is_some()) && onnx::available().is_ok();
     let lazily = |name: &'static str, model: Option<&'static [u8]>| {
         let config = settings.onnx.clone();
         let network = move |model| Arc::new(Lazy { name, model, config, loaded: OnceLock::new() }) as Arc<dyn Network>;
-        model.filter(|_| there).map(network)
+        model.map(network)
     };
     Ok(Models { depth: Arc::new(depth), theta: lazily("theta", THETA), psi: lazily("psi", PSI) })
 }

@@ -42,7 +42,7 @@ pub(super) fn run(bench: &Bench, subjects: &[Subject], progress: &dyn Fn(&str)) 
         methods.iter().map(|&(name, m)| (format!("{name}, {PLANES} planes"), Placement::fixed(m, PLANES), Cleaning::Off)).collect();
     settings.push(("slanted, error 0.005".into(), Placement::fewest(Method::Slanted, MAX_AUTO_PLANES, 0.005), Cleaning::Off));
     let mut ways = vec![("classic", Cleaning::Classic), ("auto", Cleaning::Auto)];
-    if bench.models.theta.is_some() {
+    if bench.models.theta.is_some() && crate::onnx::available().is_ok() {
         ways.push(("theta", Cleaning::Theta));
     }
     for (name, c) in ways {

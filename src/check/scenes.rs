@@ -181,6 +181,23 @@ pub fn all() -> Vec<(&'static str, Scene)> {
     });
     out.push(("crossing, beyond infinity", b.0));
 
+    // all of it beyond infinity, where the last layer is in front whatever δ it has
+    let mut b = Builder::new(Grid::full(w, h));
+    let blinds = |colour: [u8; 3], every: u32| {
+        move |x: u32, _: u32| if (x / every).is_multiple_of(2) { Texel::Hidden(colour, 255) } else { Texel::Photo(255) }
+    };
+    b.layer(0, Plane::fronto_parallel(-0.05), (1.0, 1.0), blinds([250, 30, 30], 20));
+    b.layer(0, Plane { a: -0.3, b: 0.05, c: 0.1 }, (1.0, 1.0), blinds([30, 250, 30], 12));
+    b.layer(0, Plane::fronto_parallel(-0.1), (0.5, 0.6), blinds([30, 30, 250], 7));
+    out.push(("beyond infinity", b.0));
+
+    // so small that what is drawn beyond the outermost texel centres is a good part of it
+    let mut b = Builder::new(Grid::full(12, 10));
+    b.layer(0, Plane { a: 0.4, b: 0.02, c: 0.03 }, (1.0, 1.0), |x, y| {
+        if (x + y).is_multiple_of(2) { Texel::Hidden([250, 250, 250], 255) } else { Texel::Hidden([5, 5, 5], 255) }
+    });
+    out.push(("twelve by ten", b.0));
+
     // narrow remnants: tiles of one column, layers of a part of their tile
     let mut b = Builder::new(Grid::new(65, 63, 64));
     for tile in 0..b.0.grid.tiles() {

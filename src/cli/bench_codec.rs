@@ -9,6 +9,7 @@ use crate::bench::codec::{self, Settings};
 use crate::models;
 
 /// Measure bytes, time and quality of the container against other ways to send the same layers
+#[allow(clippy::struct_excessive_bools, reason = "each is a flag of its own")]
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct CodecArgs {
     /// Folders of photos

@@ -10,7 +10,7 @@ use crate::models;
 /// Measure second views against the truth: this program, plain multiplane images and a mesh, on scenes whose views are known
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct EvalArgs {
-    /// Folders of scenes: those of `tmpi synth --views N`, or rectified stereo pairs (left.png, right.png, disp_left.png, meta.json)
+    /// Folders of scenes: those of `tmpi synth --views N`, or rectified stereo pairs (`left.png`, `right.png`, `disp_left.png`, `meta.json`)
     #[arg(required = true, value_name = "DIR")]
     folders: Vec<PathBuf>,
     /// Where depth comes from

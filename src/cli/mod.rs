@@ -62,6 +62,8 @@ struct Usage(String);
 /// Runs the program; exit code 0, 1 (failed) or 2 (usage).
 #[must_use]
 pub fn main() -> ExitCode {
+    // SAFETY: the program has no other thread yet
+    unsafe { crate::onnx::keep_to_yourself() };
     let cli = match Cli::try_parse() {
         Ok(cli) => cli,
         Err(error) => {

@@ -164,10 +164,10 @@ mod tests {
     fn unknown_disparities_are_those_of_what_lies_behind() {
         let mut row = [0.0, 3.0, 0.0, 0.0, 5.0, 0.0];
         complete(&mut row);
-        assert_eq!(row, [3.0, 3.0, 3.0, 3.0, 5.0, 5.0]);
+        assert!(row.iter().zip([3.0, 3.0, 3.0, 3.0, 5.0, 5.0]).all(|(a, b): (&f64, f64)| a.total_cmp(&b).is_eq()), "{row:?}");
         let mut row = [0.0; 3];
         complete(&mut row);
-        assert_eq!(row, [0.0; 3]);
+        assert!(row.iter().all(|d: &f64| d.abs() <= 0.0), "{row:?}");
     }
 
     #[test]
@@ -183,7 +183,7 @@ mod tests {
         std::fs::write(scene.join("meta.json"), r#"{"scale": 20}"#).unwrap();
         let cases = read(folder.path()).unwrap();
         assert_eq!(cases.len(), 1);
-        assert!(cases[0].truth.delta.iter().all(|d| *d == 1.0));
+        assert!(cases[0].truth.delta.iter().all(|d| (*d - 1.0).abs() < 1e-6));
         // two pixels of shift for the nearest
         let camera = &cases[0].views[0].camera;
         assert!((camera.pose.tx * camera.intrinsics.fx - 2.0).abs() < 1e-12);

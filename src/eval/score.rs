@@ -49,7 +49,9 @@ impl Mask {
         let mut outside = vec![false; covered.len()];
         let border = (0..covered.len()).filter(|i| i % width == 0 || i % width == width - 1 || i / width == 0 || i / width == height - 1);
         let mut open: Vec<usize> = border.filter(|&i| !covered[i]).collect();
-        open.iter().for_each(|&i| outside[i] = true);
+        for &i in &open {
+            outside[i] = true;
+        }
         while let Some(i) = open.pop() {
             let (x, y) = (i % width, i / width);
             let around = [
@@ -199,7 +201,7 @@ fn ranks(values: impl Iterator<Item = f64>) -> Vec<f64> {
     order.sort_by(|&a, &b| values[a].total_cmp(&values[b]));
     let mut ranks = vec![0.0; values.len()];
     let mut first = 0;
-    for run in order.chunk_by(|&a, &b| values[a] == values[b]) {
+    for run in order.chunk_by(|&a, &b| values[a].total_cmp(&values[b]).is_eq()) {
         for &i in run {
             ranks[i] = first as f64 + (run.len() - 1) as f64 / 2.0;
         }

@@ -20,6 +20,16 @@ const FILE: &str = "libonnxruntime.dylib";
 #[cfg(not(any(target_os = "windows", target_os = "macos")))]
 const FILE: &str = "libonnxruntime.so";
 
+/// Has libraries send nothing to anyone: those from 1.29 to the newest known send their maker what they are used for, from their
+/// loading on, unless this is set before. The one that `cargo xtask serve` fetches is older, but a user may name another.
+///
+/// # Safety
+/// As [`std::env::set_var`]: no other thread may be running.
+pub unsafe fn keep_to_yourself() {
+    // SAFETY: by the condition above
+    unsafe { std::env::set_var("ORT_DISABLE_TELEMETRY", "1") };
+}
+
 /// Checks that ONNX Runtime can be loaded; the first call loads it for the whole process.
 ///
 /// # Errors

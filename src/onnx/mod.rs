@@ -6,7 +6,7 @@ mod session;
 #[cfg(test)]
 mod tests;
 
-pub use library::available;
+pub use library::{available, keep_to_yourself};
 pub use session::{Config, Optimisation, Port, Provider, Session};
 
 /// A dense `f32` tensor, row-major.

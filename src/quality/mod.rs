@@ -13,7 +13,9 @@ pub use ssimulacra::Ssimulacra2;
 /// PSNR in dB of two pictures of 8-bit values, over all values; [`EQUAL`] where they are the same (or empty).
 #[must_use]
 pub fn psnr(a: &[u8], b: &[u8]) -> f64 {
-    let sum: u64 = a.iter().zip(b).map(|(a, b)| u64::from(a.abs_diff(*b)).pow(2)).sum();
+    // sums of 32 bits are twice as many a step, and hold 65 535 squares of 8 bits
+    let part = |(a, b): (&[u8], &[u8])| a.iter().zip(b).map(|(a, b)| u32::from(a.abs_diff(*b)).pow(2)).sum::<u32>();
+    let sum: u64 = a.chunks(1 << 15).zip(b.chunks(1 << 15)).map(|both| u64::from(part(both))).sum();
     if sum == 0 {
         return EQUAL;
     }

@@ -26,7 +26,7 @@ pub(super) struct Piece {
     /// First column and row that it takes of the layer's rectangle.
     first: [u32; 2],
     /// Mirrored in x, in y.
-    mirrored: [bool; 2],
+    pub mirrored: [bool; 2],
 }
 
 /// One axis of a piece.
@@ -76,19 +76,29 @@ impl Piece {
         all.chunks(scene.layers[self.layer].rect.w as usize).skip(y).take(h).map(move |row| &row[x..x + w])
     }
 
-    /// Alphas of its texels, in any order.
-    pub fn alphas(&self, scene: &Scene) -> impl Iterator<Item = u8> {
+    /// Rows of the alphas of its texels, in any order.
+    pub fn alphas<'a>(&self, scene: &'a Scene) -> impl Iterator<Item = &'a [u8]> {
         let layer = &scene.layers[self.layer];
-        let alpha = &scene.texels.alpha[layer.first_texel..layer.first_texel + layer.rect.area()];
-        self.rows(scene, alpha).flatten().copied()
+        self.rows(scene, &scene.texels.alpha[layer.first_texel..layer.first_texel + layer.rect.area()])
     }
 
     /// Appends its texels to `out`, row-major; `layer` are all texels of its layer.
     pub fn expand(&self, scene: &Scene, layer: &[[u8; 4]], out: &mut Vec<[u8; 4]>) {
-        let mut row = |row: &[[u8; 4]]| {
+        for row in self.texels(scene, layer) {
             if self.mirrored[0] { out.extend(row.iter().rev()) } else { out.extend_from_slice(row) }
-        };
-        if self.mirrored[1] { self.rows(scene, layer).rev().for_each(&mut row) } else { self.rows(scene, layer).for_each(&mut row) }
+        }
+    }
+
+    /// Rows of its texels from its upper one on, each from left to right of the layer; `layer` are all texels of that.
+    pub fn texels<'a>(&self, scene: &Scene, layer: &'a [[u8; 4]]) -> impl Iterator<Item = &'a [[u8; 4]]> {
+        let mut rows = self.rows(scene, layer);
+        let upwards = self.mirrored[1];
+        std::iter::from_fn(move || if upwards { rows.next_back() } else { rows.next() })
+    }
+
+    /// Whether it lies beyond a border.
+    pub fn is_mirrored(&self) -> bool {
+        self.mirrored != [false; 2]
     }
 }
 

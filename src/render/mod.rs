@@ -15,7 +15,7 @@ mod testing;
 pub use animation::{Animation, AnimationError, AnimationFormat, Path, RATE};
 pub(crate) use border::margin as border_margin;
 pub use border::{corners, looking_at};
-pub use cpu::Cpu;
+pub use cpu::{Cpu, draw_home};
 pub use encode::{DEFAULT_QUALITY, EncodeError, PictureFormat, encode};
 pub use gpu::Gpu;
 pub use reference::Reference;

@@ -18,12 +18,11 @@ pub(super) struct Content {
 }
 
 impl Content {
-    /// Of the texels' alphas: an interpolated alpha lies between them.
-    pub fn of(alphas: impl Iterator<Item = u8>) -> Self {
+    /// Of rows of the texels' alphas: an interpolated alpha lies between them.
+    pub fn of<'a>(rows: impl Iterator<Item = &'a [u8]>) -> Self {
         let (mut least, mut most) = (u8::MAX, 0);
-        for a in alphas {
-            least = least.min(a);
-            most = most.max(a);
+        for row in rows {
+            (least, most) = row.iter().fold((least, most), |(least, most), &a| (least.min(a), most.max(a)));
         }
         let is_opaque = |a: u8| f32::from(a) / 255.0 >= OPAQUE;
         Self { opaque: is_opaque(most), soft: most > 0 && !is_opaque(least) }
@@ -40,6 +39,9 @@ pub(super) fn back_to_front(scene: &Scene, pieces: &[Piece], backward: bool) -> 
     order.sort_by(|&a, &b| mean[a].total_cmp(&mean[b]).then(a.cmp(&b)));
     order
 }
+
+/// Texels that are worth a thread to expand them.
+const THREAD_TEXELS: usize = 1 << 17;
 
 /// Texels after the last one.
 pub(super) const PADDING: usize = 8;
@@ -64,36 +66,40 @@ impl Prepared {
     /// Checks and expands `scene`.
     pub fn new(scene: &Scene) -> Result<Self, SceneError> {
         scene.validate()?;
-        let pieces = pieces(scene);
-        let mut texels = Vec::with_capacity(pieces.iter().map(padded).sum::<usize>() + PADDING);
+        Ok(Self::of(scene, pieces(scene)))
+    }
+
+    /// Checks and expands what the photo's own place sees of `scene`: nothing beyond the borders.
+    pub fn at_home(scene: &Scene) -> Result<Self, SceneError> {
+        scene.validate()?;
+        let mut pieces = pieces(scene);
+        pieces.retain(|p| !p.is_mirrored());
+        Ok(Self::of(scene, pieces))
+    }
+
+    fn of(scene: &Scene, pieces: Vec<Piece>) -> Self {
+        let contents: Vec<Content> = pieces.iter().map(|p| Content::of(p.alphas(scene))).collect();
+        let drawn = |i: usize| contents[i].opaque || contents[i].soft;
         let mut first = Vec::with_capacity(pieces.len());
-        let mut drawn = vec![false; pieces.len()];
-        let (mut layer, mut own) = (Vec::new(), Vec::new());
-        let mut expanded = None;
-        for (index, piece) in pieces.iter().enumerate() {
-            let content = Content::of(piece.alphas(scene));
-            drawn[index] = content.opaque || content.soft;
-            first.push(texels.len());
-            if drawn[index] {
-                if expanded != Some(piece.layer) {
-                    layer.clear();
-                    scene.expand_layer(piece.layer, &mut layer);
-                    expanded = Some(piece.layer);
-                }
-                own.clear();
-                piece.expand(scene, &layer, &mut own);
-                let rows = own.chunks(piece.size[0] as usize);
-                for row in rows.clone().chain(rows.last()) {
-                    texels.extend_from_slice(row);
-                    texels.extend(row.last());
-                }
-            }
+        let mut count = 0;
+        for (i, piece) in pieces.iter().enumerate() {
+            first.push(count);
+            count += if drawn(i) { padded(piece) } else { 0 };
         }
-        texels.resize(texels.len() + PADDING, [0; 4]);
+        let mut texels = vec![[0; 4]; count + PADDING];
         let mut order = back_to_front(scene, &pieces, false);
-        order.retain(|&i| drawn[i]);
+        order.retain(|&i| drawn(i));
         order.reverse();
-        Ok(Self { pieces, texels, first, order, home: Home::default() })
+        let mut parts: Vec<(&Piece, &mut [[u8; 4]])> = Vec::with_capacity(order.len());
+        let mut rest = &mut texels[..];
+        for (i, piece) in pieces.iter().enumerate().filter(|(i, _)| drawn(*i)) {
+            debug_assert_eq!(first[i] + rest.len(), count + PADDING);
+            let (own, after) = rest.split_at_mut(padded(piece));
+            parts.push((piece, own));
+            rest = after;
+        }
+        expand(scene, parts, count);
+        Self { pieces, texels, first, order, home: Home::default() }
     }
 
     /// Bytes that [`Prepared::new`] takes for `scene`, at most.
@@ -101,6 +107,55 @@ impl Prepared {
         let pieces = pieces(scene);
         let texels = pieces.iter().map(padded).sum::<usize>() + PADDING;
         texels * size_of::<[u8; 4]>() + pieces.len() * (size_of::<Piece>() + 2 * size_of::<usize>())
+    }
+}
+
+/// Writes the texels of pieces into their places, `count` of them.
+///
+/// Threads of its own, not rayon's: one of those may wait for this scene while it holds what this waits for.
+fn expand(scene: &Scene, mut parts: Vec<(&Piece, &mut [[u8; 4]])>, count: usize) {
+    let threads = std::thread::available_parallelism().map_or(1, usize::from).min(count / THREAD_TEXELS);
+    if threads < 2 {
+        return expand_some(scene, &mut parts);
+    }
+    std::thread::scope(|scope| {
+        let mut rest = &mut parts[..];
+        while !rest.is_empty() {
+            let mut sum = 0;
+            let enough = rest.iter().position(|(_, own)| {
+                sum += own.len();
+                sum > count / threads
+            });
+            let (some, after) = rest.split_at_mut(enough.map_or(rest.len(), |i| i + 1));
+            rest = after;
+            if rest.is_empty() {
+                expand_some(scene, some);
+            } else {
+                scope.spawn(|| expand_some(scene, some));
+            }
+        }
+    });
+}
+
+fn expand_some(scene: &Scene, parts: &mut [(&Piece, &mut [[u8; 4]])]) {
+    let mut layer = Vec::new();
+    let mut expanded = None;
+    for (piece, out) in parts {
+        if expanded != Some(piece.layer) {
+            layer.clear();
+            scene.expand_layer(piece.layer, &mut layer);
+            expanded = Some(piece.layer);
+        }
+        let width = piece.size[0] as usize;
+        for (row, out) in piece.texels(scene, &layer).zip(out.chunks_mut(width + 1)) {
+            out[..width].copy_from_slice(row);
+            if piece.mirrored[0] {
+                out[..width].reverse();
+            }
+            out[width] = out[width - 1];
+        }
+        let last = out.len() - (width + 1);
+        out.copy_within(last - (width + 1)..last, last);
     }
 }
 
@@ -148,9 +203,9 @@ impl<T> SceneCache<T> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::testing;
+    use super::super::{Cpu, Renderer, draw_home, testing};
     use super::*;
-    use crate::tmpi::ViewBox;
+    use crate::tmpi::{Pose, ViewBox};
 
     #[test]
     fn the_cache_keeps_within_its_budget_and_forgets_dropped_scenes() {
@@ -173,6 +228,25 @@ mod tests {
         let other = Arc::new(testing::flat(8, 8, 0.5));
         get(&mut cache, &other);
         assert_eq!(cache.entries.len(), 1);
+    }
+
+    #[test]
+    fn texels_that_several_threads_expand_are_those_of_each_piece_with_its_ends_twice() {
+        let scene = crate::check::scenes::typical(640, 480);
+        let prepared = Prepared::new(&scene).unwrap();
+        assert!(prepared.texels.len() > 3 * THREAD_TEXELS && prepared.pieces.iter().any(Piece::is_mirrored));
+        for (piece, &first) in prepared.pieces.iter().zip(&prepared.first) {
+            let (mut layer, mut own) = (Vec::new(), Vec::new());
+            scene.expand_layer(piece.layer, &mut layer);
+            piece.expand(&scene, &layer, &mut own);
+            let (w, h) = (piece.size[0] as usize, piece.size[1] as usize);
+            let texel = |i: usize| own[(i / (w + 1)).min(h - 1) * w + (i % (w + 1)).min(w - 1)];
+            assert!((0..padded(piece)).all(|i| prepared.texels[first + i] == texel(i)), "{piece:?}");
+        }
+        let home = Prepared::at_home(&scene).unwrap();
+        assert_eq!(home.pieces.len(), scene.layers.len());
+        let camera = crate::check::scenes::camera(&scene, Pose::default(), 640, 480);
+        assert_eq!(draw_home(&scene).unwrap(), Cpu::default().render(&Arc::new(scene), &camera).unwrap());
     }
 
     #[test]

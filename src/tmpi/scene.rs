@@ -160,18 +160,20 @@ impl Scene {
     pub fn expand_layer(&self, index: usize, out: &mut Vec<[u8; 4]>) {
         let l = &self.layers[index];
         let mut hidden = self.texels.hidden[l.first_hidden..].iter();
-        let mut at = l.first_texel;
-        for y in l.rect.y..l.rect.y + l.rect.h {
+        let own = l.first_texel..l.first_texel + l.rect.area();
+        let (class, alpha) = (&self.texels.class[own.clone()], &self.texels.alpha[own]);
+        let width = l.rect.w as usize;
+        for (y, (class, alpha)) in (l.rect.y..).zip(class.chunks(width).zip(alpha.chunks(width))) {
             let row = y as usize * self.photo.width as usize + l.rect.x as usize;
-            for p in &self.photo.rgb[row..row + l.rect.w as usize] {
-                let rgb = match self.texels.class[at] {
+            let own = &self.photo.rgb[row..row + width];
+            out.extend(own.iter().zip(class.iter().zip(alpha)).map(|(p, (&c, &a))| {
+                let [r, g, b] = match c {
                     c if c == Class::Photo as u8 => *p,
                     c if c == Class::Hidden as u8 => hidden.next().copied().unwrap_or_default(),
                     _ => [0; 3],
                 };
-                out.push([rgb[0], rgb[1], rgb[2], self.texels.alpha[at]]);
-                at += 1;
-            }
+                [r, g, b, a]
+            }));
         }
     }
 }

@@ -39,6 +39,9 @@ const BUSY: f64 = 0.4;
 const CAUTION: f64 = 1.1;
 /// Smallest size that a photo is reduced to, longest side in pixels.
 const LEAST_SIDE: f64 = 64.0;
+/// What takes its time at any size is joined by at least this share of it: to reduce a photo further would cost much of the picture
+/// and save little of the time.
+const WORTH_IT: f64 = 0.25;
 
 impl Default for Costs {
     /// Rough figures, set by hand for two cores of a server processor: outcomes miss them by up to a factor of two. `tmpi bench` writes
@@ -79,7 +82,7 @@ impl Costs {
         let megapixels = f64::from(width) * f64::from(height) / 1e6;
         let (fixed, more) = if estimated { (self.depth, self.depth_megapixel) } else { (0.0, 0.0) };
         let rate = (self.before + more + cheapest.plain + cheapest.busy * BUSY) * CAUTION;
-        let room = ((budget - fixed) / rate).max(0.0);
+        let room = (budget - fixed).max(fixed * WORTH_IT) / rate;
         if room >= megapixels {
             return None;
         }
@@ -142,5 +145,9 @@ mod tests {
         assert!((64..large).contains(&small) && large < 4000, "{small} {large}");
         assert!(c.side(500.0, (4000, 3000), true).unwrap() < large);
         assert_eq!(c.side(f64::NAN, (100, 50), false), Some(64));
+        // no time is left beside the depth network: a smaller photo would not bring it back
+        let hopeless = c.side(1.0, (4000, 3000), true).unwrap();
+        assert_eq!(c.side(c.depth, (4000, 3000), true), Some(hopeless));
+        assert!(hopeless > 2 * c.side(1.0, (4000, 3000), false).unwrap(), "{hopeless}");
     }
 }

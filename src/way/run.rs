@@ -1,7 +1,5 @@
 //! The way itself.
 
-use std::sync::Arc;
-
 use super::budget::Costs;
 use super::tile_error::tile_errors;
 use super::{Denoise, Made, MakeError, Models, Options, PlaneCount, PlaneMethod, Switch, TileSize};
@@ -12,8 +10,8 @@ use crate::generate::planes::{MAX_AUTO_PLANES, MAX_PLANES, Method, Placement, bu
 use crate::generate::{self, Budget, ErrorFigures, GenerateError, Input, LeftOut, Report, Stage, snap};
 use crate::photo::{self, Decoded, Format, Limits};
 use crate::progress::{Progress, Sink};
-use crate::render::{self, Backend};
-use crate::tmpi::{Blueprint, Camera, DisparityMap, Grid, Intrinsics, Photo, Pose, Rect, Scene, Shapes};
+use crate::render;
+use crate::tmpi::{Blueprint, DisparityMap, Grid, Intrinsics, Photo, Rect, Scene, Shapes};
 use crate::{depth, quality};
 
 /// Stages of every photo, in order.
@@ -128,7 +126,6 @@ pub fn make(
 
     trip.enter("verify")?;
     trip.report.error = ErrorFigures { depth_mae: mae, depth_mse: mse, depth_q25: q25, tile_px, ..ErrorFigures::default() };
-    let scene = Arc::new(scene);
     verify(&scene, &carried, &mut trip.report.error)?;
     if options.verify_prune {
         let change = super::prune::verify(&scene.photo, &blueprint)?;
@@ -218,6 +215,7 @@ impl Options {
         self.max_error *= rate.factor;
         let size = reduced.map_or(String::new(), |side| format!("--max-size {side} "));
         let reason = match (enough, rate.factor > 1.0 || reduced.is_some()) {
+            (false, _) if elapsed >= asked_ms => "the photo and its depth alone took longer",
             (false, _) => "the cheapest setting takes longer",
             (true, true) => "the best that fits",
             (true, false) => "nothing had to be given up",
@@ -288,11 +286,10 @@ fn carry(uploaded: Option<Vec<u8>>, format: Format, photo: &Photo, quality: u8) 
 }
 
 /// Measures the identity view and the carried photo.
-fn verify(scene: &Arc<Scene>, carried: &Carried, error: &mut ErrorFigures) -> Result<(), MakeError> {
+fn verify(scene: &Scene, carried: &Carried, error: &mut ErrorFigures) -> Result<(), MakeError> {
     let photo = &scene.photo;
-    let camera = Camera { pose: Pose::default(), intrinsics: scene.intrinsics, width: photo.width, height: photo.height };
     let identity = || {
-        let view = render::select(Backend::Cpu)?.render(scene, &camera)?;
+        let view = render::draw_home(scene)?;
         let rgb: Vec<[u8; 3]> = view.rgba.iter().map(|p| [p[0], p[1], p[2]]).collect();
         Ok::<_, MakeError>(quality::psnr(rgb.as_flattened(), photo.rgb.as_flattened()))
     };

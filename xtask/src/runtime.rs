@@ -5,7 +5,8 @@ use std::process::Command;
 
 use crate::command::{Fault, output, root, run_quietly};
 
-const VERSION: &str = "1.31.1";
+/// The last before Linux and macOS builds began to send usage data to their maker.
+const VERSION: &str = "1.28.0";
 /// Where the program looks for it.
 const FOLDER: &str = ".tmpi/onnxruntime";
 
@@ -27,31 +28,31 @@ const WHEELS: [Wheel; 4] = [
         os: "linux",
         arch: "x86_64",
         tag: "manylinux_2_28_x86_64",
-        sha256: "1f3dea47f2f0e5117c2404cea7d21fd253ae7836a3bf167a501cdfbb2600d536",
-        member: "onnxruntime/capi/libonnxruntime.so.1.31.1",
+        sha256: "0a83bdb70d143cede762b677789bf2a7acca54b3fb82565601d5c30695aa933c",
+        member: "onnxruntime/capi/libonnxruntime.so.1.28.0",
         file: "libonnxruntime.so",
     },
     Wheel {
         os: "linux",
         arch: "aarch64",
         tag: "manylinux_2_28_aarch64",
-        sha256: "0b9a492176886992e0e875f06bc0367e333f5fff11711a2d642e18b02f3009cc",
-        member: "onnxruntime/capi/libonnxruntime.so.1.31.1",
+        sha256: "4e81a23df16e7acb9d51b06d30cc098e49315ef9180f97bc2221d167b4b04d9c",
+        member: "onnxruntime/capi/libonnxruntime.so.1.28.0",
         file: "libonnxruntime.so",
     },
     Wheel {
         os: "macos",
         arch: "aarch64",
         tag: "macosx_14_0_arm64",
-        sha256: "96dd2564b10ea7153ad9c207e7cd8e5917cb3ba521e0e0a62ac03486fdc8d56c",
-        member: "onnxruntime/capi/libonnxruntime.1.31.1.dylib",
+        sha256: "26ff0fdd06efb6c155bae95387a09db1a2be89c7a03e4d0bffd5a171cc2826da",
+        member: "onnxruntime/capi/libonnxruntime.1.28.0.dylib",
         file: "libonnxruntime.dylib",
     },
     Wheel {
         os: "windows",
         arch: "x86_64",
         tag: "win_amd64",
-        sha256: "ae8a9a351efda685cc59a66226cdefaa37a126c1d66872ca23a2de9425326130",
+        sha256: "c35064f9b3c43c81c5d5d282091401d0f1ff22796d93ccade4ea2ece5e137ab8",
         member: "onnxruntime/capi/onnxruntime.dll",
         file: "onnxruntime.dll",
     },

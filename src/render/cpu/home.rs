@@ -42,7 +42,7 @@ impl Home {
 }
 
 /// The camera that took the photo.
-fn at_home(scene: &Scene) -> Camera {
+pub(super) fn at_home(scene: &Scene) -> Camera {
     Camera { pose: Pose::default(), intrinsics: scene.intrinsics, width: scene.photo.width, height: scene.photo.height }
 }
 

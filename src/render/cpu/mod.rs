@@ -62,6 +62,14 @@ impl Cpu {
     }
 }
 
+/// Draws the view that is to be the photo, from its own place, whatever it turns out to be. Nothing is kept of the scene.
+///
+/// # Errors
+/// [`RenderError::Scene`].
+pub fn draw_home(scene: &Scene) -> Result<View, RenderError> {
+    Ok(draw(scene, &Prepared::at_home(scene)?, &home::at_home(scene)))
+}
+
 impl Default for Cpu {
     fn default() -> Self {
         Self::new(Self::CACHE_BYTES)
