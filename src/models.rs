@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
 
 use crate::depth::{ADAPTERS, Adapter, DepthError, Estimator, Monocular};
-use crate::onnx::{self, Config, Network, OnnxError, Session, Tensor};
+use crate::onnx::{Config, Network, OnnxError, Session, Tensor};
 use crate::tmpi::{DisparityMap, Photo};
 use crate::way::Models;
 

@@ -69,6 +69,16 @@ impl Piece {
         self.plane.disparity((middle(0) - self.centre.0) / half, (middle(1) - self.centre.1) / half)
     }
 
+    /// The least δ of the piece: at one of its corners.
+    pub fn least_delta(&self, half: f64) -> f64 {
+        let ends = |axis: usize, centre: f64| {
+            let from = self.corner[axis] as f64 - centre;
+            [from / half, (from + f64::from(self.size[axis])) / half]
+        };
+        let (us, vs) = (ends(0, self.centre.0), ends(1, self.centre.1));
+        us.into_iter().flat_map(|u| vs.map(|v| self.plane.disparity(u, v))).fold(f64::INFINITY, f64::min)
+    }
+
     /// Rows of the piece in `all`, one value for each texel of its layer; not mirrored.
     fn rows<'a, T>(&self, scene: &Scene, all: &'a [T]) -> impl DoubleEndedIterator<Item = &'a [T]> {
         let (x, w) = (self.first[0] as usize, self.size[0] as usize);

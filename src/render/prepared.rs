@@ -56,7 +56,7 @@ pub(super) struct Prepared {
     pub texels: Vec<[u8; 4]>,
     /// Place of each piece's first texel; its rows are one texel longer than the piece.
     pub first: Vec<usize>,
-    /// Pieces with anything to draw, nearest first.
+    /// Pieces with anything to draw, nearest first; those that reach infinity come last, the highest index first.
     pub order: Vec<usize>,
     /// Whether the view from the photo's own place is the photo.
     pub home: Home,
@@ -90,6 +90,11 @@ impl Prepared {
         let mut order = back_to_front(scene, &pieces, false);
         order.retain(|&i| drawn(i));
         order.reverse();
+        // all that is beyond infinity counts as being there, where the index decides: the higher one comes first
+        let (mut order, mut last): (Vec<usize>, Vec<usize>) =
+            order.into_iter().partition(|&i| pieces[i].least_delta(scene.grid.half()) > 0.0);
+        last.sort_unstable_by(|a, b| b.cmp(a));
+        order.append(&mut last);
         let mut parts: Vec<(&Piece, &mut [[u8; 4]])> = Vec::with_capacity(order.len());
         let mut rest = &mut texels[..];
         for (i, piece) in pieces.iter().enumerate().filter(|(i, _)| drawn(*i)) {
@@ -235,7 +240,8 @@ mod tests {
         let scene = crate::check::scenes::typical(640, 480);
         let prepared = Prepared::new(&scene).unwrap();
         assert!(prepared.texels.len() > 3 * THREAD_TEXELS && prepared.pieces.iter().any(Piece::is_mirrored));
-        for (piece, &first) in prepared.pieces.iter().zip(&prepared.first) {
+        for &i in &prepared.order {
+            let (piece, first) = (&prepared.pieces[i], prepared.first[i]);
             let (mut layer, mut own) = (Vec::new(), Vec::new());
             scene.expand_layer(piece.layer, &mut layer);
             piece.expand(&scene, &layer, &mut own);
