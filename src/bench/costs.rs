@@ -11,6 +11,8 @@ use crate::way::{self, Made, Options};
 
 /// Operating points: times the parallax error that is asked for.
 const FACTORS: [f64; 4] = [1.0, 2.0, 4.0, 8.0];
+/// Stages up to the disparity that planes are placed on.
+const BEFORE: [&str; 4] = ["photo", "depth", "denoise", "snap"];
 /// Enough for everything: the budget is only asked for its figures.
 const PLENTY: f64 = 1e7;
 
@@ -42,7 +44,7 @@ pub(super) fn fitted(bench: &Bench, scenes: &[Subject], progress: &dyn Fn(&str))
             let mp = runs.first().map_or(1.0, megapixels);
             if let Some(b) = runs.first().and_then(|m| m.report.budget.as_ref()) {
                 busy = b.busy;
-                before.push(median_of(&runs, |m| stages(m, &["photo", "depth", "denoise", "snap"])) / mp);
+                before.push(median_of(&runs, |m| stages(m, &BEFORE)) / mp);
             }
             measured.push((busy, median_of(&runs, |m| stages(m, &["planes", "layers", "refine", "encode", "verify"])) / mp));
         }
@@ -53,11 +55,12 @@ pub(super) fn fitted(bench: &Bench, scenes: &[Subject], progress: &dyn Fn(&str))
         // two sizes tell what grows from what does not
         let ms = |max_size: Option<u32>| -> Result<(f64, f64), BenchError> {
             let runs = bench.runs(s, &Depth::Estimated, &Options { max_size, ..Options::default() })?;
-            Ok((runs.first().map_or(1.0, megapixels), median_of(&runs, |m| stages(m, &["depth", "denoise"]))))
+            Ok((runs.first().map_or(1.0, megapixels), median_of(&runs, |m| stages(m, &BEFORE))))
         };
         let ((small, a), (large, b)) = (ms(Some(192))?, ms(None)?);
-        costs.depth_megapixel = ((b - a) / (large - small)).max(0.0);
-        costs.depth = (a - costs.depth_megapixel * small).max(0.0);
+        let slope = ((b - a) / (large - small)).max(0.0);
+        costs.depth_megapixel = (slope - costs.before).max(0.0);
+        costs.depth = (a - slope * small).max(0.0);
     }
     Ok(costs)
 }

@@ -10,8 +10,10 @@ use super::guided::box_mean;
 use crate::photo::{Filter, resample};
 use crate::tmpi::{DisparityMap, Photo};
 
-/// Pixels at which the model is fitted, at most.
-const WORK: f64 = 400_000.0;
+/// Pixels at which the model is fitted, at most. On seven stereo scenes with this program's own depth, 100 000 in place of 400 000
+/// leave the RMSE as it is (.531), cost the second view .01 dB and .0004 SSIM, and save 30 of 87 ms of processor time
+/// (`tmpi eval DIR --depth own --only ours`).
+const WORK: f64 = 100_000.0;
 /// Half the window, as a share of the square root of the working pixels.
 const RADIUS: f64 = 0.006;
 /// Variance of colour (in 0..=1) below which the disparity is smoothed instead of following the photo.

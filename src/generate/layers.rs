@@ -24,28 +24,34 @@ pub struct Coloured {
 /// Adds a backstop to every tile whose neighbourhood shows background that the tile does not.
 pub fn add_backstops(blueprint: &mut Blueprint, delta: &DisparityMap) {
     let grid = blueprint.grid;
-    blueprint.tiles.par_iter_mut().enumerate().for_each(|(i, t)| {
+    blueprint.tiles.par_iter_mut().enumerate().for_each_init(Vec::new, |points, (i, t)| {
         let (r, place) = (grid.rect(i as u32), Place::of(&grid, i as u32));
-        let visible =
-            t.labels.iter().enumerate().map(|(j, &l)| place.disparity(&t.planes[l as usize], r.x + j as u32 % r.w, r.y + j as u32 / r.w));
-        t.backstop = backstop(delta, &grid, r, place, visible.fold(f32::INFINITY, f32::min));
+        t.backstop = backstop(delta, &grid, r, place, t.farthest(&grid, i as u32), points);
     });
 }
 
 /// A plane for background that only the neighbourhood shows: without it, gaps wider than the tile's reach stay empty.
-fn backstop(delta: &DisparityMap, grid: &Grid, r: Rect, place: Place, farthest: f32) -> Option<Plane> {
+fn backstop(
+    delta: &DisparityMap,
+    grid: &Grid,
+    r: Rect,
+    place: Place,
+    farthest: f32,
+    points: &mut Vec<(f64, f64, f64, f64)>,
+) -> Option<Plane> {
     let win = grown(r, BACKSTOP_REACH, BACKSTOP_REACH, grid);
-    let mut points = Vec::new();
+    points.clear();
+    let far = farthest - BACKSTOP_STEP;
     for y in win.y..win.y + win.h {
-        let row = y as usize * delta.width as usize;
-        for x in win.x..win.x + win.w {
-            let inside = x >= r.x && x < r.x + r.w && y >= r.y && y < r.y + r.h;
-            let d = delta.delta[row + x as usize];
-            if inside || d >= farthest - BACKSTOP_STEP {
-                continue;
+        let (row, v) = (&delta.delta[y as usize * delta.width as usize..], place.v(y));
+        // left and right of the tile in its own rows
+        let beside = if (r.y..r.y + r.h).contains(&y) { [win.x..r.x, r.x + r.w..win.x + win.w] } else { [win.x..win.x + win.w, 0..0] };
+        for part in beside {
+            for (x, &d) in (part.start..).zip(&row[part.start as usize..part.end as usize]) {
+                if d < far {
+                    points.push(((f64::from(x) + 0.5 - place.centre.0) / place.half, v, f64::from(d), 1.0));
+                }
             }
-            let (ux, uy) = (f64::from(x) + 0.5 - place.centre.0, f64::from(y) + 0.5 - place.centre.1);
-            points.push((ux / place.half, uy / place.half, f64::from(d), 1.0));
         }
     }
     if points.len() < BACKSTOP_PIXELS {

@@ -66,16 +66,13 @@ impl<'a> Filler<'a> {
             return class.iter().filter(|&&c| c == Class::Hidden as u8).map(|_| mean).collect();
         }
         pyramid.push();
-        class
-            .iter()
-            .enumerate()
-            .filter(|(_, c)| **c == Class::Hidden as u8)
-            .map(|(i, _)| {
-                let (x, y) = (rect.x - win.x + i as u32 % rect.w, rect.y - win.y + i as u32 / rect.w);
-                let t = pyramid.levels[0].full(pyramid.levels[..pyramid.used].get(1), x as usize, y as usize);
-                [t[0], t[1], t[2]].map(|v| f64::from(v).round().clamp(0.0, 255.0) as u8)
-            })
-            .collect()
+        let mut out = Vec::with_capacity(class.iter().filter(|&&c| c == Class::Hidden as u8).count());
+        let rows = (rect.y..).zip(class.chunks(rect.w as usize)).skip((hidden.y - rect.y) as usize).take(hidden.h as usize);
+        for (y, class) in rows {
+            let class = &class[(hidden.x - rect.x) as usize..][..hidden.w as usize];
+            pyramid.colours((hidden.x - win.x) as usize, (y - win.y) as usize, class, &mut out);
+        }
+        out
     }
 
     /// Colours of the hidden texels of all layers: tile by tile, layer by layer.
@@ -116,9 +113,11 @@ impl<'a> Filler<'a> {
 /// Bounds of the hidden texels in photo pixels, none where there is none.
 fn hidden_bounds(rect: Rect, class: &[u8]) -> Option<Rect> {
     let (mut x0, mut y0, mut x1, mut y1) = (u32::MAX, u32::MAX, 0, 0);
-    for (i, _) in class.iter().enumerate().filter(|(_, c)| **c == Class::Hidden as u8) {
-        let (x, y) = (i as u32 % rect.w, i as u32 / rect.w);
-        (x0, y0, x1, y1) = (x0.min(x), y0.min(y), x1.max(x + 1), y1.max(y + 1));
+    let is_hidden = |c: &u8| *c == Class::Hidden as u8;
+    for (y, row) in (0..).zip(class.chunks(rect.w as usize)) {
+        let Some(first) = row.iter().position(is_hidden) else { continue };
+        let last = row.iter().rposition(is_hidden).unwrap_or(first);
+        (x0, y0, x1, y1) = (x0.min(first as u32), y0.min(y), x1.max(last as u32 + 1), y + 1);
     }
     (x1 > 0).then(|| Rect { x: rect.x + x0, y: rect.y + y0, w: x1 - x0, h: y1 - y0 })
 }
@@ -155,13 +154,16 @@ impl Pyramid {
         for n in (1..self.used).rev() {
             let (fine, coarse) = self.levels[..self.used].split_at_mut(n + 1);
             let (level, up) = (&mut fine[n], coarse.first());
-            for y in 0..level.height {
-                for x in 0..level.width {
-                    let full = level.full(up, x, y);
-                    level.texels[y * level.width + x] = full;
-                }
+            for (y, texels) in level.texels.chunks_mut(level.width).enumerate() {
+                rows::push(Level::about(up, y), texels);
             }
         }
+    }
+
+    /// Appends the colours of hidden texels of the finest level's row `y`, from column `x` on.
+    fn colours(&self, x: usize, y: usize, class: &[u8], out: &mut Vec<[u8; 3]>) {
+        let (level, up) = (&self.levels[0], self.levels[..self.used].get(1));
+        rows::colours(Level::about(up, y), &level.texels[y * level.width..][..level.width], x, class, out);
     }
 }
 
@@ -188,31 +190,13 @@ impl Level {
         }
     }
 
-    /// Full colour of a texel: its own where the weight is 1, the coarser level's where it is 0.
-    fn full(&self, coarse: Option<&Self>, x: usize, y: usize) -> [f32; 4] {
-        let t = self.texels[y * self.width + x];
-        let weight = f64::from(t[3]);
-        match coarse {
-            Some(c) if weight < 1.0 => {
-                let up = c.bilinear(x, y);
-                let mix = |i: usize| (f64::from(t[i]) + (1.0 - weight) * up[i]) as f32;
-                [mix(0), mix(1), mix(2), 1.0]
-            }
-            _ if weight > 0.0 => t.map(|v| (f64::from(v) / weight) as f32),
-            _ => t,
-        }
-    }
-
-    /// Colour of a finer level's texel `(x, y)` from this level, bilinear between texel centres.
-    fn bilinear(&self, x: usize, y: usize) -> [f64; 3] {
-        let split = |i: usize, n: usize| {
-            let (near, other) = (i / 2, if i.is_multiple_of(2) { (i / 2).saturating_sub(1) } else { (i / 2 + 1).min(n - 1) });
-            (near.min(n - 1), other)
-        };
-        let ((x0, x1), (y0, y1)) = (split(x, self.width), split(y, self.height));
-        let at = |x: usize, y: usize| &self.texels[y * self.width + x];
-        let (a, b, c, d) = (at(x0, y0), at(x1, y0), at(x0, y1), at(x1, y1));
-        std::array::from_fn(|i| 0.5625 * f64::from(a[i]) + 0.1875 * (f64::from(b[i]) + f64::from(c[i])) + 0.0625 * f64::from(d[i]))
+    /// The rows of a level, where there is one, about row `y` of the next finer one.
+    fn about(level: Option<&Self>, y: usize) -> rows::Coarser<'_> {
+        let Some(level) = level else { return rows::Coarser { near: &[], other: &[] } };
+        let last = level.height - 1;
+        let beside = if y.is_multiple_of(2) { (y / 2).saturating_sub(1) } else { y / 2 + 1 };
+        let row = |y: usize| &level.texels[y.min(last) * level.width..][..level.width];
+        rows::Coarser { near: row(y / 2), other: row(beside) }
     }
 }
 

@@ -29,6 +29,21 @@ pub struct Tile {
     pub backstop: Option<Plane>,
 }
 
+impl Tile {
+    /// The least δ that it shows, of tile `index` of the grid.
+    #[must_use]
+    pub fn farthest(&self, grid: &Grid, index: u32) -> f32 {
+        let (r, place) = (grid.rect(index), Place::of(grid, index));
+        let (mut us, mut planes, mut row) = (Vec::new(), Vec::new(), vec![0f32; r.w as usize]);
+        place.columns(r.x, r.w, &mut us);
+        let columns = Columns { us: &us, labels: &self.labels, planes: &self.planes };
+        (0..r.h).fold(f32::INFINITY, |least, y| {
+            columns.visible(y as usize, place.v(r.y + y), &mut planes, &mut row);
+            row.iter().fold(least, |least, &d| if d < least { d } else { least })
+        })
+    }
+}
+
 /// Everything that the texels of a scene follow from, but their colours.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Blueprint {

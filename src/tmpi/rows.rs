@@ -2,7 +2,7 @@
 
 use crate::simd::dispatch;
 
-use super::{Plane, Rect};
+use super::{Class, Plane, Rect};
 
 /// How far in front of the layer a source may lie, in δ.
 const IN_FRONT: f64 = 0.015;
@@ -150,19 +150,90 @@ dispatch!(
 #[inline(always)]
 #[allow(clippy::inline_always, reason = "the loop must be compiled anew with the caller's target features")]
 fn pull_body(first: &[[f32; 4]], second: Option<&[[f32; 4]]>, out: &mut [[f32; 4]]) {
-    let add = |a: [f32; 4], b: &[f32; 4]| [a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3]];
-    for (x, o) in out.iter_mut().enumerate() {
-        let pair = 2 * x..(2 * x + 2).min(first.len());
-        let mut t = first[pair.clone()].iter().fold([0.0; 4], add);
-        if let Some(second) = second {
-            t = second[pair].iter().fold(t, add);
-        }
-        *o = if t[3] > 1.0 {
+    let add = |a: &[f32; 4], b: &[f32; 4]| -> [f32; 4] { std::array::from_fn(|i| a[i] + b[i]) };
+    let saturated = |t: [f32; 4]| {
+        if t[3] > 1.0 {
             let s = 1.0 / f64::from(t[3]);
             t.map(|v| (f64::from(v) * s) as f32)
         } else {
             t
-        };
+        }
+    };
+    let (firsts, last) = first.as_chunks::<2>();
+    if let Some(second) = second {
+        for ((o, [a, b]), [c, d]) in out.iter_mut().zip(firsts).zip(second.as_chunks::<2>().0) {
+            *o = saturated(add(&add(&add(a, b), c), d));
+        }
+    } else {
+        for (o, [a, b]) in out.iter_mut().zip(firsts) {
+            *o = saturated(add(a, b));
+        }
+    }
+    // of an odd count the last stands alone
+    if let ([t], Some(o)) = (last, out.get_mut(firsts.len())) {
+        *o = saturated(second.and_then(<[_]>::last).map_or(*t, |below| add(t, below)));
+    }
+}
+
+/// Two rows of the next coarser level: the one that a texel lies in, and the one beside it that is nearer; empty where there is no
+/// coarser level.
+#[derive(Clone, Copy)]
+pub struct Coarser<'a> {
+    /// Three quarters of the colour.
+    pub near: &'a [[f32; 4]],
+    /// One quarter.
+    pub other: &'a [[f32; 4]],
+}
+
+/// Full colour of texel `x` of a row: its own where the weight is 1, the coarser level's, bilinear between texel centres, where it
+/// is 0.
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
+fn full(t: &[f32; 4], x: usize, Coarser { near, other }: Coarser) -> [f32; 4] {
+    let weight = f64::from(t[3]);
+    if weight < 1.0 && !near.is_empty() {
+        let last = near.len() - 1;
+        let beside = if x.is_multiple_of(2) { (x / 2).saturating_sub(1) } else { x / 2 + 1 };
+        let (x0, x1) = ((x / 2).min(last), beside.min(last));
+        let (a, b, c, d) = (&near[x0], &near[x1], &other[x0], &other[x1]);
+        let mut out: [f32; 4] = std::array::from_fn(|i| {
+            let up = 0.5625 * f64::from(a[i]) + 0.1875 * (f64::from(b[i]) + f64::from(c[i])) + 0.0625 * f64::from(d[i]);
+            (f64::from(t[i]) + (1.0 - weight) * up) as f32
+        });
+        out[3] = 1.0;
+        out
+    } else if weight > 0.0 {
+        t.map(|v| (f64::from(v) / weight) as f32)
+    } else {
+        *t
+    }
+}
+
+dispatch!(
+    /// Full colours of a row of texels.
+    pub push, push_body, push_avx2, (coarser: Coarser, texels: &mut [[f32; 4]])
+);
+
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "the loop must be compiled anew with the caller's target features")]
+fn push_body(coarser: Coarser, texels: &mut [[f32; 4]]) {
+    for (x, t) in texels.iter_mut().enumerate() {
+        *t = full(t, x, coarser);
+    }
+}
+
+dispatch!(
+    /// Appends the colours of the hidden texels of a row, whose classes are `class`, to `out`; the first lies in column `x` of `texels`.
+    pub colours, colours_body, colours_avx2, (coarser: Coarser, texels: &[[f32; 4]], x: usize, class: &[u8], out: &mut Vec<[u8; 3]>)
+);
+
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "the loop must be compiled anew with the caller's target features")]
+fn colours_body(coarser: Coarser, texels: &[[f32; 4]], x: usize, class: &[u8], out: &mut Vec<[u8; 3]>) {
+    for (x, (t, _)) in (x..).zip(texels[x..].iter().zip(class)).filter(|(_, (_, c))| **c == Class::Hidden as u8) {
+        let [r, g, b, _] = full(t, x, coarser);
+        // rounded; the cast takes what lies outside to 0 and 255
+        out.push([r, g, b].map(|v| (f64::from(v) + 0.5) as u8));
     }
 }
 

@@ -12,9 +12,9 @@ use serde::{Deserialize, Serialize};
 pub struct Costs {
     /// From the file to the disparity that planes are placed on, a megapixel; without the depth network.
     pub before: f64,
-    /// Depth network and Θ, a photo; they work at a size of their own.
+    /// Depth network, a photo; it works at a size of its own.
     pub depth: f64,
-    /// Θ and enlarging, a megapixel.
+    /// What else it takes where depth is estimated, a megapixel: enlarging, and snapping blurred edges.
     pub depth_megapixel: f64,
     /// Planes and all that follows, by operating point, from the best to the cheapest.
     pub points: Vec<Rate>,
@@ -44,15 +44,14 @@ const LEAST_SIDE: f64 = 64.0;
 const WORTH_IT: f64 = 0.25;
 
 impl Default for Costs {
-    /// Rough figures, set by hand for two cores of a server processor: outcomes miss them by up to a factor of two. `tmpi bench` writes
-    /// those of a machine.
+    /// Two cores of a server processor, as `tmpi bench --only budget` found them, rounded. That writes those of any machine.
     fn default() -> Self {
         let rate = |factor, plain, busy| Rate { factor, plain, busy };
         Self {
-            before: 110.0,
-            depth: 150.0,
-            depth_megapixel: 700.0,
-            points: vec![rate(1.0, 260.0, 430.0), rate(2.0, 250.0, 380.0), rate(4.0, 240.0, 260.0), rate(8.0, 240.0, 160.0)],
+            before: 45.0,
+            depth: 40.0,
+            depth_megapixel: 80.0,
+            points: vec![rate(1.0, 70.0, 230.0), rate(2.0, 75.0, 160.0), rate(4.0, 85.0, 90.0), rate(8.0, 90.0, 60.0)],
         }
     }
 }
