@@ -422,6 +422,15 @@ fn ways_are_measured_on_scenes_whose_views_are_known() {
         assert!(row["score"]["psnr"].as_f64().unwrap() > 20.0 && row["score"]["ssim"].as_f64().unwrap() > 0.7, "{row}");
         assert!(row["bytes"].as_f64().unwrap() > 0.0 && row["make_ms"].as_f64().unwrap() > 0.0, "{row}");
     }
+    if Path::new(env!("CARGO_MANIFEST_DIR")).join(".tmpi/onnxruntime/libonnxruntime.so").is_file() {
+        let network = |name: &str| format!("{}/tests/onnx/{name}.onnx", env!("CARGO_MANIFEST_DIR"));
+        let results = f.run(&["eval", "scenes", "--only", "ours", "--lpips", &network("distance"), "--json"]).succeeds().json();
+        let score = &results["rows"][0]["score"];
+        // its pictures lie in −1 to 1, those of L1 in 0 to 1; pixels that are not scored count as equal
+        let (lpips, l1) = (score["lpips"].as_f64().unwrap(), score["l1"].as_f64().unwrap());
+        assert!(lpips > l1 && lpips <= 2.0 * l1 + 1e-6, "{lpips} {l1}");
+        f.run(&["eval", "scenes", "--lpips", &network("mean")]).fails(1, &["two"]);
+    }
     f.run(&["eval", "scenes", "--only", "best"]).fails(2, &["--only", "tmpi-lloyd"]);
     f.run(&["eval", "scenes/00000000"]).fails(1, &["stereo pair"]);
     f.run(&["eval", "nowhere"]).fails(1, &["nowhere"]);

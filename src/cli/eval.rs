@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use super::flags::ModelFlags;
 use super::result;
-use crate::eval::{self, Depth};
+use crate::eval::{self, Depth, Settings};
 use crate::models;
 
 /// Measure second views against the truth: this program, plain multiplane images and a mesh, on scenes whose views are known
@@ -19,6 +19,9 @@ pub(super) struct EvalArgs {
     /// Do these ways alone
     #[arg(long, value_delimiter = ',', value_parser = eval::names(), value_name = "WAY,…")]
     only: Vec<String>,
+    /// Also LPIPS by this network: an ONNX file with two inputs [1, 3, height, width] in −1 to 1
+    #[arg(long, value_name = "FILE.onnx")]
+    lpips: Option<PathBuf>,
     /// The figures as JSON, scene by scene
     #[arg(long)]
     json: bool,
@@ -28,6 +31,7 @@ pub(super) struct EvalArgs {
 
 pub(super) fn run(args: &EvalArgs) -> anyhow::Result<()> {
     let models = models::load(&args.models.settings())?;
-    let results = eval::run(&models, &args.folders, args.depth, &args.only, &|scene| eprintln!("tmpi eval: {scene}"))?;
+    let settings = Settings { depth: args.depth, only: args.only.clone(), lpips: args.lpips.clone() };
+    let results = eval::run(&models, &args.folders, &settings, &|scene| eprintln!("tmpi eval: {scene}"))?;
     result(&if args.json { serde_json::to_string_pretty(&results)? } else { results.table() })
 }

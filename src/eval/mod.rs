@@ -14,6 +14,7 @@ pub use self::score::{DepthScore, Score};
 use self::score::{Fit, Mask};
 use crate::bench::mesh;
 use crate::depth;
+use crate::onnx::{Config, OnnxError, Session};
 use crate::photo::Limits;
 use crate::progress::Silent;
 use crate::render::{Cpu, Renderer};
@@ -58,6 +59,9 @@ pub enum EvalError {
     /// A container cannot be read.
     #[error(transparent)]
     Atlas(#[from] crate::atlas::AtlasError),
+    /// The network for LPIPS fails.
+    #[error(transparent)]
+    Onnx(#[from] OnnxError),
     /// The depth map cannot be written.
     #[error(transparent)]
     Depth(#[from] depth::DepthError),
@@ -154,11 +158,25 @@ struct Made {
     disparity: DisparityMap,
 }
 
+/// How to measure.
+#[derive(Clone, Debug, Default)]
+pub struct Settings {
+    /// Where depth comes from.
+    pub depth: Depth,
+    /// Names of the ways; none for all.
+    pub only: Vec<String>,
+    /// A network for LPIPS as an ONNX file.
+    pub lpips: Option<PathBuf>,
+}
+
 /// Measures the ways named, or all, on all scenes below the folders.
 ///
 /// # Errors
 /// [`EvalError`].
-pub fn run(models: &Models, folders: &[PathBuf], depth: Depth, only: &[String], progress: &dyn Fn(&str)) -> Result<Results, EvalError> {
+pub fn run(models: &Models, folders: &[PathBuf], settings: &Settings, progress: &dyn Fn(&str)) -> Result<Results, EvalError> {
+    let Settings { depth, only, lpips } = settings;
+    let depth = *depth;
+    let lpips = lpips.as_deref().map(lpips_network).transpose()?;
     if let Some(unknown) = only.iter().find(|o| !names().contains(&o.as_str())) {
         return Err(EvalError::Way { way: unknown.clone() });
     }
@@ -180,7 +198,8 @@ pub fn run(models: &Models, folders: &[PathBuf], depth: Depth, only: &[String], 
             for truth in &case.views {
                 let covered = mesh::warp(&photo, &case.truth, &case.intrinsics, &truth.camera, mesh::LONGEST).covered;
                 let mask = Mask::new(truth.camera.width as usize, &covered);
-                let drawn: Vec<(Score, f64, f64)> = all.iter().map(|m| scored(m, &case, truth, &mask, depth)).collect::<Result<_, _>>()?;
+                let scored = |m| scored(m, &case, truth, &mask, depth, lpips.as_ref());
+                let drawn: Vec<(Score, f64, f64)> = all.iter().map(scored).collect::<Result<_, _>>()?;
                 if drawn.iter().any(|d| d.1 > BLANK) {
                     blank += 1;
                     continue;
@@ -209,6 +228,16 @@ pub fn run(models: &Models, folders: &[PathBuf], depth: Depth, only: &[String], 
         }
     }
     Ok(Results { depth, views, blank, rows, depth_score: DepthScore::mean(&depth_scores) })
+}
+
+/// The network of an ONNX file, which has to take two pictures.
+fn lpips_network(path: &Path) -> Result<Session, EvalError> {
+    let bytes = std::fs::read(path).map_err(|e| EvalError::file(path, &e))?;
+    let session = Session::load("lpips", &bytes, &Config::default())?;
+    if session.inputs().len() != 2 {
+        return Err(EvalError::file(path, &format!("it has {} inputs; a network for LPIPS has two", session.inputs().len())));
+    }
+    Ok(session)
 }
 
 fn photo(case: &Case) -> Result<Photo, EvalError> {
@@ -260,12 +289,21 @@ fn draw(made: &Made, reference: &Intrinsics, camera: &Camera) -> Result<Drawn, E
 }
 
 /// The score of a view, its blank share and the time to draw it.
-fn scored(made: &Made, case: &Case, truth: &Truth, mask: &Mask, depth: Depth) -> Result<(Score, f64, f64), EvalError> {
+fn scored(
+    made: &Made,
+    case: &Case,
+    truth: &Truth,
+    mask: &Mask,
+    depth: Depth,
+    lpips: Option<&Session>,
+) -> Result<(Score, f64, f64), EvalError> {
     let camera = if depth == Depth::Own { seen(&truth.camera, Fit::new(&made.disparity, &case.truth)) } else { truth.camera };
     let start = Instant::now();
     let drawn = draw(made, &case.intrinsics, &camera)?;
     let ms = start.elapsed().as_secs_f64() * 1e3;
-    Ok((mask.score(&drawn.rgb, &truth.rgb), mask.share(|i| drawn.blank[i]), ms))
+    let mut score = mask.score(&drawn.rgb, &truth.rgb);
+    score.lpips = lpips.map(|network| mask.lpips(network, &drawn.rgb, &truth.rgb)).transpose()?;
+    Ok((score, mask.share(|i| drawn.blank[i]), ms))
 }
 
 /// The camera that sees a scene of estimated disparity δ, which has neither scale nor zero, where `camera` sees the true one,
@@ -291,21 +329,23 @@ impl Results {
         let _ = writeln!(out, "; depth: {}", if self.depth == Depth::Own { "estimated" } else { "true" });
         let _ = writeln!(
             out,
-            "{:<14}{:>7}{:>8}{:>8}{:>8}{:>9}{:>9}{:>9}{:>9}{:>9}{:>9}",
-            "way", "PSNR", "SSIM", "L1", "FLIP", "SSIMU2", "make ms", "view ms", "KB", "Mtexel", "planes"
+            "{:<14}{:>7}{:>8}{:>8}{:>8}{:>9}{:>8}{:>9}{:>9}{:>9}{:>9}{:>9}",
+            "way", "PSNR", "SSIM", "L1", "FLIP", "SSIMU2", "LPIPS", "make ms", "view ms", "KB", "Mtexel", "planes"
         );
         for r in &self.rows {
             let s = r.score;
             let ssimulacra2 = s.ssimulacra2.map_or("-".into(), |v| format!("{v:.2}"));
+            let lpips = s.lpips.map_or("-".into(), |v| format!("{v:.4}"));
             let _ = writeln!(
                 out,
-                "{:<14}{:>7.2}{:>8.4}{:>8.4}{:>8.4}{:>9}{:>9.0}{:>9.1}{:>9.1}{:>9.2}{:>9.2}",
+                "{:<14}{:>7.2}{:>8.4}{:>8.4}{:>8.4}{:>9}{:>8}{:>9.0}{:>9.1}{:>9.1}{:>9.2}{:>9.2}",
                 r.way,
                 s.psnr,
                 s.ssim,
                 s.l1,
                 s.flip,
                 ssimulacra2,
+                lpips,
                 r.make_ms,
                 r.draw_ms,
                 r.bytes / 1e3,

@@ -2,6 +2,7 @@
 
 use serde::Serialize;
 
+use crate::onnx::{Network, OnnxError, Tensor};
 use crate::quality;
 use crate::tmpi::DisparityMap;
 
@@ -23,6 +24,8 @@ pub struct Score {
     pub flip: f64,
     /// SSIMULACRA2 of the cropped view; none without the feature `codecs`.
     pub ssimulacra2: Option<f64>,
+    /// LPIPS of the cropped view; none without a network for it.
+    pub lpips: Option<f64>,
 }
 
 impl Score {
@@ -30,8 +33,9 @@ impl Score {
     pub(super) fn mean(all: &[Self]) -> Self {
         let n = all.len().max(1) as f64;
         let of = |f: fn(&Self) -> f64| all.iter().map(f).sum::<f64>() / n;
-        let ssimulacra2 = all.iter().map(|s| s.ssimulacra2).sum::<Option<f64>>().map(|s| s / n);
-        Self { psnr: of(|s| s.psnr), ssim: of(|s| s.ssim), l1: of(|s| s.l1), flip: of(|s| s.flip), ssimulacra2 }
+        let if_all = |f: fn(&Self) -> Option<f64>| all.iter().map(f).sum::<Option<f64>>().map(|s| s / n);
+        let (ssimulacra2, lpips) = (if_all(|s| s.ssimulacra2), if_all(|s| s.lpips));
+        Self { psnr: of(|s| s.psnr), ssim: of(|s| s.ssim), l1: of(|s| s.l1), flip: of(|s| s.flip), ssimulacra2, lpips }
     }
 }
 
@@ -96,20 +100,46 @@ impl Mask {
         let psnr = if mse > 0.0 { (-10.0 * mse.log10()).min(quality::EQUAL) } else { quality::EQUAL };
         let ssim = self.mean(quality::ssim_map(view, truth, self.width).iter().map(|v| f64::from(*v)));
         let flip = self.mean(quality::flip_map(truth, view, self.width).into_iter());
-        Score { psnr, ssim, l1: difference(1), flip, ssimulacra2: self.ssimulacra2(view, truth) }
+        Score { psnr, ssim, l1: difference(1), flip, ssimulacra2: self.ssimulacra2(view, truth), lpips: None }
     }
 
-    /// What is not scored is taken from the truth.
-    #[cfg(feature = "codecs")]
-    fn ssimulacra2(&self, view: &[[u8; 3]], truth: &[[u8; 3]]) -> Option<f64> {
+    /// The middle of a view and of the truth, and its width; what is not scored is taken from the truth in both.
+    fn middle(&self, view: &[[u8; 3]], truth: &[[u8; 3]]) -> [Vec<[u8; 3]>; 2] {
         let mixed: Vec<[u8; 3]> = view.iter().zip(truth).zip(&self.inside).map(|((v, t), inside)| if *inside { *v } else { *t }).collect();
-        let (cx, cy) = ((self.width as f64 * CROP) as usize, ((truth.len() / self.width) as f64 * CROP) as usize);
-        let crop = |p: &[[u8; 3]]| -> Vec<[u8; 3]> {
+        let cx = self.cut();
+        let cy = ((truth.len() / self.width) as f64 * CROP) as usize;
+        [&mixed, truth].map(|p| {
             let rows = p.chunks(self.width);
             let keep = rows.len() - 2 * cy;
             rows.skip(cy).take(keep).flat_map(|r| r[cx..self.width - cx].to_vec()).collect()
-        };
-        quality::Ssimulacra2::of(&crop(truth), self.width - 2 * cx)?.score(&crop(&mixed))
+        })
+    }
+
+    /// Columns that are cut off on each side.
+    fn cut(&self) -> usize {
+        (self.width as f64 * CROP) as usize
+    }
+
+    /// What `network` says of a view and the truth: of two inputs `[1, 3, height, width]` in −1 to 1, the mean of all that it gives.
+    ///
+    /// # Errors
+    /// [`OnnxError`]: it is no such network.
+    pub fn lpips(&self, network: &dyn Network, view: &[[u8; 3]], truth: &[[u8; 3]]) -> Result<f64, OnnxError> {
+        let width = self.width - 2 * self.cut();
+        let both = self.middle(view, truth).map(|rgb| {
+            let plane = |c: usize| rgb.iter().map(move |p| f32::from(p[c]) / 127.5 - 1.0);
+            Tensor { shape: vec![1, 3, rgb.len() / width, width], data: (0..3).flat_map(plane).collect() }
+        });
+        let out = network.run(both.into())?;
+        let fail = || OnnxError::Run { name: "lpips".into(), reason: "it gave no number".into() };
+        let values = &out.first().filter(|o| !o.data.is_empty()).ok_or_else(fail)?.data;
+        Ok(values.iter().map(|v| f64::from(*v)).sum::<f64>() / values.len() as f64)
+    }
+
+    #[cfg(feature = "codecs")]
+    fn ssimulacra2(&self, view: &[[u8; 3]], truth: &[[u8; 3]]) -> Option<f64> {
+        let [view, truth] = self.middle(view, truth);
+        quality::Ssimulacra2::of(&truth, self.width - 2 * self.cut())?.score(&view)
     }
 
     #[cfg(not(feature = "codecs"))]

@@ -35,3 +35,14 @@ write(
     [value("image", 1, 3, "h", "w")],
     [value("disparity", 1, 1, "h", "w")],
 )
+# Mean difference of two images: stands in for LPIPS
+write(
+    "distance",
+    [
+        helper.make_node("Sub", ["in0", "in1"], ["difference"]),
+        helper.make_node("Abs", ["difference"], ["size"]),
+        helper.make_node("ReduceMean", ["size"], ["distance"], axes=[1, 2, 3], keepdims=1),
+    ],
+    [value("in0", 1, 3, "h", "w"), value("in1", 1, 3, "h", "w")],
+    [value("distance", 1, 1, 1, 1)],
+)
