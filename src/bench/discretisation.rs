@@ -4,7 +4,7 @@ use super::measure::{Bench, median};
 use super::subject::Subject;
 use super::{Axis, BenchError, Curve, Experiment, Point, experiments};
 use crate::clock::Clock;
-use crate::generate::planes::{MAX_AUTO_PLANES, Method, Placement, discretisation_error, place};
+use crate::generate::planes::{MAX_AUTO_PLANES, Method, Placement, discretisation_error, overlap_disagreement, place};
 use crate::generate::{classic, confidence, planar};
 use crate::photo::{self, Limits};
 use crate::tmpi::{DisparityMap, Grid, Photo};
@@ -77,7 +77,7 @@ fn point(
     cleaning: Cleaning,
     damage: fn(&DisparityMap) -> DisparityMap,
 ) -> Result<Point, BenchError> {
-    let (mut sums, mut count) = ([0f64; 5], 0usize);
+    let (mut sums, mut count) = ([0f64; 6], 0usize);
     for s in subjects {
         let Some(clean) = &s.disparity else { continue };
         let fail = |source| BenchError::Make { subject: s.name.clone(), source };
@@ -92,12 +92,13 @@ fn point(
         }
         let (mae, mse, q25) = discretisation_error(clean, &grid, &tiles);
         let planes = tiles.iter().map(|t| t.planes.len()).sum::<usize>() as f64 / tiles.len().max(1) as f64;
-        for (sum, v) in sums.iter_mut().zip([median(times), mae * 1e3, mse * 1e3, q25 * 1e3, planes]) {
+        let apart = overlap_disagreement(&grid, &tiles) * 1e3;
+        for (sum, v) in sums.iter_mut().zip([median(times), mae * 1e3, mse * 1e3, q25 * 1e3, planes, apart]) {
             *sum += v;
         }
         count += 1;
     }
-    let [ms, mae, mse, q25, planes] = sums.map(|v| v / count.max(1) as f64);
-    let figures = vec![("MSE, 1e-3", mse), ("Q25, 1e-3", q25), ("planes placed a tile", planes)];
+    let [ms, mae, mse, q25, planes, apart] = sums.map(|v| v / count.max(1) as f64);
+    let figures = vec![("MSE, 1e-3", mse), ("Q25, 1e-3", q25), ("planes placed a tile", planes), ("neighbours apart, 1e-3", apart)];
     Ok(Point { setting: setting.into(), x: ms, y: mae, figures, ..Point::default() })
 }

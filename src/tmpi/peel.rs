@@ -33,14 +33,20 @@ impl Tile {
     /// The least δ that it shows, of tile `index` of the grid.
     #[must_use]
     pub fn farthest(&self, grid: &Grid, index: u32) -> f32 {
+        self.shown(grid, index).iter().fold(f32::INFINITY, |least, &d| if d < least { d } else { least })
+    }
+
+    /// δ of each of its pixels, row-major, of tile `index` of the grid.
+    #[must_use]
+    pub fn shown(&self, grid: &Grid, index: u32) -> Vec<f32> {
         let (r, place) = (grid.rect(index), Place::of(grid, index));
-        let (mut us, mut planes, mut row) = (Vec::new(), Vec::new(), vec![0f32; r.w as usize]);
+        let (mut us, mut planes, mut out) = (Vec::new(), Vec::new(), vec![0f32; r.area()]);
         place.columns(r.x, r.w, &mut us);
         let columns = Columns { us: &us, labels: &self.labels, planes: &self.planes };
-        (0..r.h).fold(f32::INFINITY, |least, y| {
-            columns.visible(y as usize, place.v(r.y + y), &mut planes, &mut row);
-            row.iter().fold(least, |least, &d| if d < least { d } else { least })
-        })
+        for (y, row) in out.chunks_mut(r.w as usize).enumerate() {
+            columns.visible(y, place.v(r.y + y as u32), &mut planes, row);
+        }
+        out
     }
 }
 

@@ -10,7 +10,7 @@ mod slanted;
 
 use rayon::prelude::*;
 
-use crate::tmpi::{DisparityMap, Grid, Plane, Tile};
+use crate::tmpi::{DisparityMap, Grid, Plane, Rect, Tile};
 use lloyd::Histogram;
 use optimal::Table;
 pub use regular::NEIGHBOUR;
@@ -189,6 +189,26 @@ pub fn discretisation_error(delta: &DisparityMap, grid: &Grid, tiles: &[Tile]) -
         below > n / 4
     });
     (absolute / n as f64, squared / n as f64, f64::from(f32::from_bits((q25.unwrap_or(0) as u32) << FINE)))
+}
+
+/// How far neighbouring tiles, beside or below each other, are from showing the same where both lie: mean |δ − δ′| over the pixels that
+/// they share, each pair by itself; 0 where none overlap.
+#[must_use]
+pub fn overlap_disagreement(grid: &Grid, tiles: &[Tile]) -> f64 {
+    let shown: Vec<Vec<f32>> = tiles.par_iter().enumerate().map(|(i, t)| t.shown(grid, i as u32)).collect();
+    let columns = grid.columns() as usize;
+    let pair = |(i, j): (usize, usize)| {
+        let (a, b) = (grid.rect(i as u32), grid.rect(j as u32));
+        let (x0, y0) = (a.x.max(b.x), a.y.max(b.y));
+        let (x1, y1) = ((a.x + a.w).min(b.x + b.w), (a.y + a.h).min(b.y + b.h));
+        let at = |r: &Rect, tile: usize, x: u32, y: u32| f64::from(shown[tile][((y - r.y) * r.w + x - r.x) as usize]);
+        let both = (y0..y1).flat_map(|y| (x0..x1).map(move |x| (x, y)));
+        both.fold((0.0, 0u64), |(sum, n), (x, y)| (sum + (at(&a, i, x, y) - at(&b, j, x, y)).abs(), n + 1))
+    };
+    let beside = (0..tiles.len()).filter(|i| (i + 1) % columns != 0).map(|i| (i, i + 1));
+    let below = (0..tiles.len().saturating_sub(columns)).map(|i| (i, i + columns));
+    let (sum, n) = beside.chain(below).map(pair).fold((0.0, 0), |s, p| (s.0 + p.0, s.1 + p.1));
+    if n > 0 { sum / n as f64 } else { 0.0 }
 }
 
 #[cfg(test)]
