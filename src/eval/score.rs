@@ -103,7 +103,7 @@ impl Mask {
         Score { psnr, ssim, l1: difference(1), flip, ssimulacra2: self.ssimulacra2(view, truth), lpips: None }
     }
 
-    /// The middle of a view and of the truth, and its width; what is not scored is taken from the truth in both.
+    /// The middle of a view and of the truth; what is not scored is taken from the truth in both.
     fn middle(&self, view: &[[u8; 3]], truth: &[[u8; 3]]) -> [Vec<[u8; 3]>; 2] {
         let mixed: Vec<[u8; 3]> = view.iter().zip(truth).zip(&self.inside).map(|((v, t), inside)| if *inside { *v } else { *t }).collect();
         let cx = self.cut();
