@@ -12,7 +12,10 @@ import torch.nn.functional as F
 from torch import nn
 
 import common
+import graph
+import yolox
 from common import DATA, RUNS
+from yolox import Yolox
 
 # (height, width) of batches; small ones first, then those of about the area used at inference
 LARGE = [(160, 224), (224, 160), (192, 192), (128, 256), (160, 256), (192, 224), (128, 288), (256, 160), (224, 192), (288, 128)]
@@ -99,10 +102,40 @@ class Decoder(nn.Module):
         return F.interpolate(self.head(x), scale_factor=2, mode="bilinear", align_corners=False)
 
 
-class DepthNet(nn.Module):
-    def __init__(self):
+class Encoders(nn.Module):
+    """MobileNetV2, and beside it, where `both`, YOLOX-nano: its maps of strides 8, 16, 32 stand behind the other's channels."""
+
+    def __init__(self, both):
         super().__init__()
-        self.encoder, self.decoder, self.session = MobileNetV2(), Decoder(), None
+        self.classifier, self.detector = MobileNetV2(), Yolox() if both else None
+        self.channels = MobileNetV2.CHANNELS
+        if both:
+            self.channels = self.channels[:2] + tuple(a + b for a, b in zip(self.channels[2:], Yolox.CHANNELS))
+
+    def forward(self, x):
+        f = self.classifier(x)
+        return f if self.detector is None else f[:2] + [torch.cat(p, 1) for p in zip(f[2:], self.detector(x))]
+
+    def written(self, g, x):
+        """The same into a graph."""
+        f = graph.encoder(g, x, self.classifier)
+        if self.detector is not None:
+            f[2:] = [g.op("Concat", *p, axis=1) for p in zip(f[2:], yolox.written(g, x, self.detector))]
+        return f
+
+
+class DepthNet(nn.Module):
+    def __init__(self, both=False):
+        super().__init__()
+        self.encoder, self.session = Encoders(both), None
+        self.decoder = Decoder(self.encoder.channels)
+
+    @staticmethod
+    def of(checkpoint):
+        """The network of a checkpoint: its decoder tells what it was trained behind."""
+        net = DepthNet(checkpoint["decoder"]["top.0.weight"].shape[1] > MobileNetV2.CHANNELS[4] + 1)
+        net.decoder.load_state_dict(checkpoint["decoder"])
+        return net
 
     def forward(self, image):
         # channels last is a third faster on a CPU
@@ -116,11 +149,9 @@ class DepthNet(nn.Module):
 
     def use_runtime(self, path, threads):
         """Runs the frozen encoder in ONNX Runtime, which is twice as fast as PyTorch on a CPU."""
-        from graph import Graph, encoder
-
-        g = Graph("encoder", half=False)
-        for i, f in enumerate(encoder(g, g.input("image", ["n", 3, "h", "w"]), self.encoder)):
-            g.output(f, f"f{i}", ["n", MobileNetV2.CHANNELS[i], None, None])
+        g = graph.Graph("encoder", half=False)
+        for i, f in enumerate(self.encoder.written(g, g.input("image", ["n", 3, "h", "w"]))):
+            g.output(f, f"f{i}", ["n", self.encoder.channels[i], None, None])
         g.save(path, {})
         self.runtime(path, threads)
 
@@ -213,7 +244,7 @@ def produce(queue, a, first, encoder):
     """Feature maps and truth of every fresh batch from `first` on, made beside the training."""
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
-    net, kinds, start = DepthNet(), None, time.time() - a.spent
+    net, kinds, start = DepthNet(a.encoder == "both"), None, time.time() - a.spent
     net.runtime(encoder, 1)
     for step in range(first, a.steps):
         done = max(step / a.steps, (time.time() - start) / 60 / a.minutes)
@@ -266,6 +297,8 @@ def main():
     a.add_argument("--replay", type=int, default=1, help="how often an earlier batch is taken again after each fresh one")
     a.add_argument("--style", choices=["off", "batch", "photos"], default="off", help="whose channel statistics are mixed in")
     a.add_argument("--pictures", default=str(RUNS / "pictures"), help="photographs for --style photos")
+    a.add_argument("--encoder", choices=["mobilenet", "both"], default="both", help="MobileNetV2 alone, or YOLOX-nano beside it")
+    a.add_argument("--ramp", type=float, default=0.5, help="share of the vertical ramp by which checkpoints are measured")
     a.add_argument("--init", help="checkpoint whose decoder to begin with")
     a.add_argument("--seed", type=int, default=1)
     a = a.parse_args()
@@ -277,7 +310,7 @@ def main():
     out = common.Path(a.out)
     out.mkdir(parents=True, exist_ok=True)
     dev = common.device()
-    net = DepthNet().to(dev)
+    net = DepthNet(a.encoder == "both").to(dev)
     if dev.type == "cpu":
         net.use_runtime(out / "encoder.onnx", a.threads)
     net.decoder.to(memory_format=torch.channels_last)
@@ -336,7 +369,7 @@ def main():
         if step % a.every == 0 or step == a.steps:
             live = {k: v.clone() for k, v in net.decoder.state_dict().items()}
             net.decoder.load_state_dict(ema.shadow)
-            scores = evaluate(net.eval(), sets)
+            scores = evaluate(Shipped(net.eval(), a.ramp), sets)
             score = float(np.mean([v["net"] for v in scores.values()]))
             if score < best:
                 best = score

@@ -181,8 +181,7 @@ def main():
         print("TMPI_DATA is not there: nothing to measure")
         return
     if a.model.endswith(".pt"):
-        net = DepthNet().eval()
-        net.decoder.load_state_dict(torch.load(a.model, weights_only=False)["decoder"])
+        net = DepthNet.of(torch.load(a.model, weights_only=False)).eval()
     elif not a.model.endswith(".onnx"):
         net = Program(a.model, flags)
     else:

@@ -7,7 +7,7 @@ import torch
 
 import common
 from common import MODELS, RUNS
-from graph import Graph, check, decoder, encoder, halved, ramped
+from graph import Graph, check, decoder, halved, ramped
 
 LICENCE = "MIT OR Apache-2.0"
 
@@ -15,12 +15,11 @@ LICENCE = "MIT OR Apache-2.0"
 def depth(path, checkpoint, ramp):
     from depth import DepthNet, Shipped
 
-    net = DepthNet().eval()
-    net.decoder.load_state_dict(checkpoint["decoder"])
+    net = DepthNet.of(checkpoint).eval()
     fold_into_half(net)
     g = Graph("tmpi depth")
     x = g.input("image", ["n", 3, "h", "w"])
-    g.output(ramped(g, decoder(g, encoder(g, x, net.encoder), net.decoder), ramp), "disparity", ["n", 1, "h", "w"])
+    g.output(ramped(g, decoder(g, net.encoder.written(g, x), net.decoder), ramp), "disparity", ["n", 1, "h", "w"])
     g.save(path, {"licence": LICENCE + "; encoder: MobileNetV2, Apache-2.0", "step": str(checkpoint["step"]), "ramp": str(ramp)})
     inputs = [{"image": torch.randn(n, 3, h, w)} for n, h, w in ((1, 192, 288), (2, 96, 288), (1, 288, 96))]
     return [check(path, Shipped(net, ramp), i) for i in inputs]

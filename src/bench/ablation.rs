@@ -4,14 +4,17 @@ use std::sync::Arc;
 
 use super::measure::{self, Bench};
 use super::mesh;
-use super::subject::Subject;
+use super::subject::{self, Subject};
 use super::{Axis, BenchError, Curve, Experiment, Point};
 use crate::generate::layers::{self, Coloured};
 use crate::generate::planes::{MAX_AUTO_PLANES, Method, NEIGHBOUR, Placement, place};
+use crate::generate::refine;
 use crate::generate::snap;
+use crate::onnx::Network;
 use crate::photo::{self, Limits};
 use crate::render::{Cpu, Reference, Renderer};
-use crate::tmpi::{Blueprint, Class, DisparityMap, Grid, Intrinsics, Photo, Rect, Scene, Shapes};
+use crate::synth::behind;
+use crate::tmpi::{Blueprint, Class, DisparityMap, Grid, Intrinsics, Photo, Place, Rect, Scene, Shapes};
 use crate::way::{MakeError, Options};
 
 /// What is done otherwise than by default.
@@ -41,9 +44,13 @@ enum Without {
     Passes,
     /// The photo as a mesh, torn where it would be stretched.
     Planes,
+    /// Alpha and hidden colour by Ψ.
+    Refined,
+    /// Hidden texels take the colour of the exact surface where it lies on their plane: the most that any Ψ could bring.
+    Known,
 }
 
-const ALL: [(&str, Without); 12] = [
+const ALL: [(&str, Without); 14] = [
     ("all steps", Without::Nothing),
     ("without the colour-weighted median", Without::Median),
     ("without slant (optimal, same error)", Without::Slant),
@@ -56,6 +63,8 @@ const ALL: [(&str, Without); 12] = [
     ("without soft rims", Without::Soft),
     ("drawn by a full sort of every pixel", Without::Passes),
     ("mesh of photo and disparity", Without::Planes),
+    ("with Ψ", Without::Refined),
+    ("hidden colours known", Without::Known),
 ];
 
 /// A subject ready for planes.
@@ -65,10 +74,11 @@ struct Prepared<'a> {
     intrinsics: Intrinsics,
     given: DisparityMap,
     snapped: DisparityMap,
+    psi: Option<&'a dyn Network>,
 }
 
 impl<'a> Prepared<'a> {
-    fn new(subject: &'a Subject) -> Result<Option<Self>, BenchError> {
+    fn new(subject: &'a Subject, psi: Option<&'a dyn Network>) -> Result<Option<Self>, BenchError> {
         let Some(map) = &subject.disparity else { return Ok(None) };
         let fail = |e| BenchError::Make { subject: subject.name.clone(), source: MakeError::Photo(e) };
         let decoded = photo::decode(&subject.file, &Limits::default(), None).map_err(fail)?;
@@ -78,7 +88,7 @@ impl<'a> Prepared<'a> {
         }
         let given = DisparityMap::clone(map);
         let snapped = snap::median(&photo, &given);
-        Ok(Some(Self { subject, photo, intrinsics, given, snapped }))
+        Ok(Some(Self { subject, photo, intrinsics, given, snapped, psi }))
     }
 
     /// Planes, labels and backstops.
@@ -102,7 +112,7 @@ impl<'a> Prepared<'a> {
         blueprint
     }
 
-    fn scene(&self, blueprint: &Blueprint, without: Without) -> Scene {
+    fn scene(&self, blueprint: &Blueprint, without: Without) -> Result<Scene, BenchError> {
         let mut shapes = if without == Without::Prune { blueprint.peel_all() } else { blueprint.peel() };
         for (class, alpha) in texels(&mut shapes) {
             let (hidden, soft) = (*class == Class::Hidden as u8, *class == Class::Photo as u8 && *alpha < 255);
@@ -116,7 +126,22 @@ impl<'a> Prepared<'a> {
         if without == Without::Fill {
             coloured.iter_mut().flatten().for_each(|l| self.own_colours(l));
         }
-        layers::compose(self.photo.clone(), blueprint, coloured)
+        let fail = |e| BenchError::Make { subject: self.subject.name.clone(), source: MakeError::Generate(e) };
+        match (without, self.psi, self.subject.seed) {
+            (Without::Refined, Some(psi), _) => drop(refine::run(psi, &self.photo, blueprint, &mut coloured).map_err(fail)?),
+            (Without::Known, _, Some(seed)) => {
+                let hidden = subject::hidden(seed, (self.photo.width, self.photo.height));
+                coloured.iter_mut().zip(0..).for_each(|(t, i)| {
+                    let place = Place::of(&blueprint.grid, i);
+                    t.iter_mut().for_each(|l| {
+                        let known = behind::colours(&l.shape, place, &self.given, &hidden);
+                        l.hidden.iter_mut().zip(known).for_each(|(c, k)| *c = k.unwrap_or(*c));
+                    });
+                });
+            }
+            _ => {}
+        }
+        Ok(layers::compose(self.photo.clone(), blueprint, coloured))
     }
 
     fn own_colours(&self, l: &mut Coloured) {
@@ -138,7 +163,7 @@ impl<'a> Prepared<'a> {
             return Ok(means(&views.collect::<Vec<_>>()));
         }
         let blueprint = self.blueprint(without, neighbour);
-        let scene = Arc::new(self.scene(&blueprint, without));
+        let scene = Arc::new(self.scene(&blueprint, without)?);
         let renderer: &dyn Renderer = if without == Without::Passes { &Reference } else { &Cpu::default() };
         let mut views = Vec::new();
         for (camera, want) in &self.subject.views {
@@ -204,14 +229,14 @@ fn point(all: &[Prepared], setting: String, without: Without, neighbour: f32, ax
 
 const VIEW: Axis = Axis { label: "view, dB", log: false, up: Some(true) };
 
-fn prepared(subjects: &[Subject]) -> Result<Vec<Prepared<'_>>, BenchError> {
-    subjects.iter().filter_map(|s| Prepared::new(s).transpose()).collect()
+fn prepared<'a>(subjects: &'a [Subject], psi: Option<&'a dyn Network>) -> Result<Vec<Prepared<'a>>, BenchError> {
+    subjects.iter().filter_map(|s| Prepared::new(s, psi).transpose()).collect()
 }
 
 /// Steps off one at a time.
-pub(super) fn steps(subjects: &[Subject], progress: &dyn Fn(&str)) -> Result<Experiment, BenchError> {
+pub(super) fn steps(bench: &Bench, subjects: &[Subject], progress: &dyn Fn(&str)) -> Result<Experiment, BenchError> {
     progress("Without each step");
-    let all = prepared(subjects)?;
+    let all = prepared(subjects, bench.models.psi.as_deref())?;
     let texels = Axis { label: "texels for each pixel", log: false, up: Some(false) };
     let mut points = Vec::new();
     for (name, without) in ALL {
@@ -225,7 +250,7 @@ pub(super) fn steps(subjects: &[Subject], progress: &dyn Fn(&str)) -> Result<Exp
     Ok(Experiment {
         id: "without",
         title: "Without each step".into(),
-        about: "Exact disparity and the photo's own pixels, no coding; one step of planes, layers and drawing switched off at a time. The mesh is compared over its torn places too, which it leaves black.".into(),
+        about: "Exact disparity and the photo's own pixels, no coding; one step of planes, layers and drawing switched off at a time. The mesh is compared over its torn places too, which it leaves black. The last two rows add something: Ψ, and colours that no photo tells.".into(),
         x: texels,
         y: VIEW,
         curves: vec![Curve { name: "steps".into(), points }],
@@ -235,7 +260,7 @@ pub(super) fn steps(subjects: &[Subject], progress: &dyn Fn(&str)) -> Result<Exp
 /// The weight of calm labels.
 pub(super) fn labels(subjects: &[Subject], quick: bool, progress: &dyn Fn(&str)) -> Result<Experiment, BenchError> {
     progress("Calm labels");
-    let all = prepared(subjects)?;
+    let all = prepared(subjects, None)?;
     let changes = Axis { label: "changes of label, % of pixels", log: true, up: Some(false) };
     let weights: &[f32] = if quick { &[0.0, 0.12, 0.3, 1.5] } else { &[0.0, 0.05, 0.12, 0.2, 0.3, 0.6, 1.5] };
     let mut points = Vec::new();
@@ -263,7 +288,7 @@ pub(super) fn moves(bench: &Bench, subjects: &[Subject], progress: &dyn Fn(&str)
     let mut sums = [[0f64; 6]; 4];
     let mut count = 0usize;
     for s in subjects {
-        let Some(p) = Prepared::new(s)? else { continue };
+        let Some(p) = Prepared::new(s, None)? else { continue };
         let Some(made) = bench.runs(s, &measure::Depth::Known, &Options::default())?.pop() else { continue };
         let scene = Arc::new(crate::atlas::decode(&made.container)?);
         // the same scene painted white near borders tells where they have gone in a view

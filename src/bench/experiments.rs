@@ -115,7 +115,7 @@ pub(super) fn noisy(map: &DisparityMap) -> DisparityMap {
 }
 
 /// A box of 5×5 pixels: what networks do to edges.
-fn blurred(map: &DisparityMap) -> DisparityMap {
+pub(super) fn blurred(map: &DisparityMap) -> DisparityMap {
     let (w, h) = (map.width as usize, map.height as usize);
     let mean = |i: usize| {
         let (x, y) = (i % w, i / w);

@@ -201,7 +201,7 @@ pub fn run(settings: &Settings, progress: &dyn Fn(&str)) -> Result<Results, Benc
     let mut experiments = first;
     experiments.extend(experiments::on_scenes(&bench, &scenes, settings, &mut skipped, progress)?);
     if wants("without") {
-        experiments.push(ablation::steps(&scenes, progress)?);
+        experiments.push(ablation::steps(&bench, &scenes, progress)?);
     }
     if wants("labels") {
         experiments.push(ablation::labels(&scenes, settings.quick, progress)?);

@@ -22,6 +22,8 @@ pub(super) struct Subject {
     pub file: Vec<u8>,
     /// Exact disparity where it is known.
     pub disparity: Option<Arc<DisparityMap>>,
+    /// Seed of a rendered scene.
+    pub seed: Option<u64>,
     pub fov_x: Option<f64>,
     pub view_box: ViewBox,
     /// Exact views.
@@ -57,10 +59,17 @@ fn scene(seed: u64, (width, height): (u32, u32)) -> Result<Subject, BenchError> 
         name: format!("{} {seed}", scene.family()),
         file,
         disparity: Some(Arc::new(picture.disparity)),
+        seed: Some(seed),
         fov_x: Some(camera.intrinsics.fov_x(width)),
         view_box: ViewBox { x: 0.06, y: 0.06, z: 0.06 },
         views: views.into(),
     })
+}
+
+/// The surface behind the first one of a rendered scene.
+pub(super) fn hidden(seed: u64, (width, height): (u32, u32)) -> synth::Picture {
+    let scene = synth::Scene::framed(seed, width, height);
+    scene.hidden(&scene.camera(), 3)
 }
 
 /// The disparity map `NAME_disp16.png` beside a photo `NAME.jpg`, where there is one.
@@ -93,7 +102,7 @@ pub(super) fn photos(folders: &[PathBuf], quick: bool) -> Result<Vec<Subject>, B
             found += 1;
             let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
             let disparity = beside(&path, &file)?.map(Arc::new);
-            all.push(Subject { name, file, disparity, fov_x: None, view_box: ViewBox::default(), views: Vec::new() });
+            all.push(Subject { name, file, disparity, seed: None, fov_x: None, view_box: ViewBox::default(), views: Vec::new() });
         }
         if found == 0 {
             return Err(BenchError::File { path: folder.clone(), reason: "holds no photo".into() });

@@ -17,6 +17,7 @@ mod progress;
 mod render;
 mod serve;
 pub mod synth;
+mod synth_layers;
 
 use std::io::{IsTerminal, Write};
 use std::process::ExitCode;

@@ -36,6 +36,9 @@ pub struct SynthArgs {
     /// Also write the surface behind the first one
     #[arg(long)]
     pub hidden: bool,
+    /// Also write the layers as this program makes them, with what their hidden texels should show: what Ψ learns from
+    #[arg(long)]
+    pub layers: bool,
     /// Colour samples in a pixel at edges, squared
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=16), value_name = "N")]
     pub supersampling: u32,
@@ -128,6 +131,10 @@ fn write_scene(args: &SynthArgs, pictures: &Pictures, seed: u64, folder: &Path) 
     if args.hidden {
         write_picture(folder, "hidden_", &scene.hidden(&camera, 1))?;
     }
+    if args.layers {
+        let layers = super::synth_layers::layers(&scene, &picture, seed % 2 == 1);
+        std::fs::write(folder.join("layers.npy"), layers)?;
+    }
     let mut views = Vec::new();
     for i in 0..args.views {
         let pose = second_pose(seed, i, args.baseline);
@@ -211,6 +218,7 @@ mod tests {
             views: 1,
             baseline: 0.05,
             hidden: true,
+            layers: true,
             supersampling: 1,
             pictures: None,
             resume: false,
@@ -225,6 +233,8 @@ mod tests {
         let about: serde_json::Value = serde_json::from_slice(&std::fs::read(folder.path().join("00000006/scene.json"))?)?;
         assert_eq!(about["views"].as_array().map(Vec::len), Some(1));
         assert!(folder.path().join("00000006/hidden_photo.png").exists());
+        let layers = std::fs::read(folder.path().join("00000006/layers.npy"))?;
+        assert_eq!(&layers[..6], b"\x93NUMPY");
         Ok(())
     }
 }

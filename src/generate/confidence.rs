@@ -1,96 +1,84 @@
 //! Θ: denoised disparity and a confidence per pixel, from photo and disparity (paper, section 3.2).
 
-use super::GenerateError;
+use super::planar::Damage;
+use super::{GenerateError, snap};
+use std::ops::Range;
+
 use crate::onnx::{Network, Tensor};
 use crate::tmpi::{DisparityMap, Photo};
 
-/// Most pixels that Θ sees at once; it was trained at about this size, and more only costs time.
-const PIXELS: usize = 384 * 640;
+/// Longest sides of a block that Θ sees at once, in pixels: multiples of [`MULTIPLE`].
+const BLOCK: (usize, usize) = (640, 384);
 /// Sides are multiples of this.
 const MULTIPLE: usize = 16;
+/// Pixels around a block that Θ sees and that are thrown away: about as far as it looks.
+const MARGIN: usize = 48;
 
-/// Runs Θ. The denoised map is the given one plus the network's change, so that detail above the network's size stays.
+/// Confidence of a pixel of which the network says none.
+const LEAST: f32 = 1e-3;
+
+/// True where a map has something for Θ to mend: noise, outliers or edges blurred to ramps. It loses a little on any other.
+#[must_use]
+pub fn wanted(delta: &DisparityMap) -> bool {
+    Damage::of(delta).found() || snap::ramp_share(delta) > snap::BLURRED
+}
+
+/// Runs Θ at the map's own size, in blocks that overlap: what varies from pixel to pixel is what it is there to take away, so nothing is
+/// resampled. A clipped block repeats its last row and column.
 ///
 /// # Errors
 /// [`GenerateError::Onnx`] where the network fails, [`GenerateError::Shape`] where its outputs are not as its card says.
 pub fn run(theta: &dyn Network, photo: &Photo, delta: &DisparityMap) -> Result<(DisparityMap, Vec<f32>), GenerateError> {
     let (w, h) = (photo.width as usize, photo.height as usize);
-    let (nw, nh) = size(w, h);
-    let mut data = Vec::with_capacity(4 * nw * nh);
-    for channel in 0..3 {
-        data.extend(resample(&|i| f32::from(photo.rgb[i][channel]) / 255.0, (w, h), (nw, nh)));
+    let (mut clean, mut certain) = (delta.delta.clone(), vec![0f32; w * h]);
+    for rows in parts(h, BLOCK.1) {
+        for columns in parts(w, BLOCK.0) {
+            let (nw, nh) = (columns.seen.len().next_multiple_of(MULTIPLE), rows.seen.len().next_multiple_of(MULTIPLE));
+            let area = nw * nh;
+            let mut data = vec![0f32; 4 * area];
+            for (y, x, o) in (0..nh).flat_map(|y| (0..nw).map(move |x| (y, x, y * nw + x))) {
+                let at = (rows.seen.start + y).min(h - 1) * w + (columns.seen.start + x).min(w - 1);
+                (0..3).for_each(|c| data[c * area + o] = f32::from(photo.rgb[at][c]) / 255.0);
+                data[3 * area + o] = delta.delta[at];
+            }
+            let out = theta.run(vec![Tensor { shape: vec![1, 4, nh, nw], data }])?;
+            let [denoised, confidence] = out.as_slice() else { return Err(shape(&out, area)) };
+            if denoised.data.len() != area || confidence.data.len() != area {
+                return Err(shape(&out, area));
+            }
+            for y in rows.kept.clone() {
+                for x in columns.kept.clone() {
+                    let (at, o) = (y * w + x, (y - rows.seen.start) * nw + x - columns.seen.start);
+                    if denoised.data[o].is_finite() {
+                        clean[at] = denoised.data[o].clamp(0.0, 1.0);
+                    }
+                    certain[at] = if confidence.data[o].is_finite() { confidence.data[o].clamp(LEAST, 1.0) } else { LEAST };
+                }
+            }
+        }
     }
-    let small = resample(&|i| delta.delta[i], (w, h), (nw, nh));
-    data.extend(&small);
-    let out = theta.run(vec![Tensor { shape: vec![1, 4, nh, nw], data }])?;
-    let want = nw * nh;
-    let [denoised, confidence] = out.as_slice() else { return Err(shape(&out, want)) };
-    if denoised.data.len() != want || confidence.data.len() != want {
-        return Err(shape(&out, want));
-    }
-    let change: Vec<f32> = denoised.data.iter().zip(&small).map(|(d, s)| if d.is_finite() { d - s } else { 0.0 }).collect();
-    let up = resample(&|i| change[i], (nw, nh), (w, h));
-    let clean = delta.delta.iter().zip(up).map(|(d, c)| (d + c).clamp(0.0, 1.0)).collect();
-    let confidence =
-        resample(&|i| if confidence.data[i].is_finite() { confidence.data[i].clamp(1e-3, 1.0) } else { 1e-3 }, (nw, nh), (w, h));
-    Ok((DisparityMap { width: delta.width, height: delta.height, delta: clean }, confidence))
+    Ok((DisparityMap { delta: clean, ..*delta }, certain))
+}
+
+/// Part of a side: what is kept of it, and what is seen for that.
+struct Part {
+    kept: Range<usize>,
+    seen: Range<usize>,
+}
+
+/// Parts of a side of `n` pixels, of which no more than `most` are seen at once.
+fn parts(n: usize, most: usize) -> impl Iterator<Item = Part> {
+    let step = if n <= most { n } else { most - 2 * MARGIN };
+    (0..n).step_by(step.max(1)).map(move |start| {
+        let kept = start..(start + step).min(n);
+        let seen = if step == n { 0..n } else { kept.start.saturating_sub(MARGIN)..(kept.end + MARGIN).min(n) };
+        Part { kept, seen }
+    })
 }
 
 fn shape(out: &[Tensor], want: usize) -> GenerateError {
     let got = out.iter().map(|t| format!("{:?}", t.shape)).collect::<Vec<_>>().join(" ");
     GenerateError::Shape { network: "theta", got, want: format!("two maps of {want} values") }
-}
-
-/// Size that Θ runs at: the photo's where it is small enough, rounded up to the multiple; else reduced to [`PIXELS`].
-fn size(w: usize, h: usize) -> (usize, usize) {
-    let scale = (PIXELS as f64 / (w * h) as f64).sqrt().min(1.0);
-    let fit = |n: usize| {
-        // a very long photo must not become wider than it is for the sake of its other side
-        let n = (n as f64 * scale).clamp(1.0, PIXELS as f64 / MULTIPLE as f64) as usize;
-        n.div_ceil(MULTIPLE) * MULTIPLE
-    };
-    (fit(w), fit(h))
-}
-
-/// Resamples a map: mean over the source area where it shrinks, bilinear where it grows; per axis.
-fn resample(at: &dyn Fn(usize) -> f32, (w, h): (usize, usize), (nw, nh): (usize, usize)) -> Vec<f32> {
-    let columns = taps(w, nw);
-    let rows = taps(h, nh);
-    let mut out = Vec::with_capacity(nw * nh);
-    let mut cache: Vec<(usize, Vec<f32>)> = Vec::new();
-    for (start, weights) in &rows {
-        cache.retain(|(y, _)| *y >= *start);
-        for y in *start..start + weights.len() {
-            if !cache.iter().any(|(c, _)| *c == y) {
-                let line = columns.iter().map(|(x, k)| k.iter().enumerate().map(|(i, k)| k * at(y * w + x + i)).sum()).collect();
-                cache.push((y, line));
-            }
-        }
-        let lines: Vec<(&Vec<f32>, f32)> =
-            weights.iter().enumerate().filter_map(|(i, k)| cache.iter().find(|(y, _)| *y == start + i).map(|(_, l)| (l, *k))).collect();
-        out.extend((0..nw).map(|x| lines.iter().map(|(l, k)| l[x] * k).sum::<f32>()));
-    }
-    out
-}
-
-/// First source sample and weights for every target sample of an axis.
-fn taps(from: usize, to: usize) -> Vec<(usize, Vec<f32>)> {
-    let step = from as f64 / to as f64;
-    (0..to)
-        .map(|i| {
-            if step > 1.0 {
-                let (a, b) = (i as f64 * step, ((i + 1) as f64 * step).min(from as f64));
-                let (first, last) = (a.floor() as usize, (b.ceil() as usize).min(from));
-                let k = (first..last).map(|s| (((s + 1) as f64).min(b) - (s as f64).max(a)).max(0.0) / (b - a)).map(|k| k as f32).collect();
-                (first, k)
-            } else {
-                let x = ((i as f64 + 0.5) * step - 0.5).clamp(0.0, (from - 1) as f64);
-                let first = (x.floor() as usize).min(from.saturating_sub(2));
-                let t = (x - first as f64) as f32;
-                (first, if from == 1 { vec![1.0] } else { vec![1.0 - t, t] })
-            }
-        })
-        .collect()
 }
 
 #[cfg(test)]
@@ -121,7 +109,7 @@ mod tests {
 
     #[test]
     fn a_network_that_changes_nothing_changes_nothing() {
-        for (w, h) in [(64, 48), (100, 37), (1, 1), (1, 700), (2000, 3)] {
+        for (w, h) in [(64, 48), (100, 37), (1, 1), (1, 700), (2000, 3), (900, 800)] {
             let (photo, delta) = input(w, h);
             let (clean, confidence) = run(&Fake(|t| vec![map(t, |d| d), map(t, |_| 0.5)]), &photo, &delta).unwrap();
             assert_eq!(clean, delta, "{w}x{h}");
@@ -138,11 +126,25 @@ mod tests {
     }
 
     #[test]
-    fn resampling_keeps_a_constant_and_the_mean() {
-        for (a, b) in [(7, 3), (3, 7), (100, 16), (1, 16), (16, 1)] {
-            for (first, k) in taps(a, b) {
-                assert!(first + k.len() <= a && (k.iter().sum::<f32>() - 1.0).abs() < 1e-5, "{a} to {b}");
+    fn parts_keep_every_pixel_once_and_see_around_it() {
+        for n in [1, 2, 16, 639, 640, 641, 5000] {
+            let mut next = 0;
+            for p in parts(n, 640) {
+                assert_eq!(p.kept.start, next);
+                assert!(p.seen.len() <= 640 && p.seen.start <= p.kept.start && p.kept.end <= p.seen.end && p.seen.end <= n);
+                assert!(p.seen.end == n || p.seen.end >= p.kept.end + MARGIN);
+                next = p.kept.end;
             }
+            assert_eq!(next, n);
+        }
+    }
+
+    #[test]
+    fn noise_of_a_photo_of_any_size_reaches_the_network_as_it_is() {
+        for (w, h) in [(630, 350), (700, 500)] {
+            let (photo, delta) = input(w, h);
+            let (clean, _) = run(&Fake(|t| vec![map(t, |d| if d > 0.45 { 1.0 } else { 0.0 }), map(t, |_| 1.0)]), &photo, &delta).unwrap();
+            assert!(clean.delta.iter().zip(&delta.delta).all(|(c, d)| *c == f32::from(u8::from(*d > 0.45))), "{w}x{h}");
         }
     }
 }

@@ -1,4 +1,4 @@
-//! Ψ: soft alpha and hidden colour of layers, batched over tiles; only where a layer has hidden or soft texels (paper, section 3.2).
+//! Ψ: hidden colour and soft alpha of layers, batched over tiles; only where a layer has hidden texels (paper, section 3.2).
 
 use super::GenerateError;
 use super::layers::Coloured;
@@ -6,7 +6,7 @@ use crate::onnx::{Network, Tensor};
 use crate::tmpi::{Blueprint, Class, Grid, Photo, Place, Tile};
 
 /// Channels of Ψ's input.
-const CHANNELS: usize = 9;
+pub const CHANNELS: usize = 9;
 /// Layers a call: one call for many is much faster than one each, and memory stays bounded.
 const BATCH: usize = 32;
 /// Largest tile that Ψ runs on; a regular MPI (one tile) is left as it is.
@@ -23,7 +23,7 @@ pub struct Refined {
     pub colours: bool,
 }
 
-/// Refines all layers that have something to refine.
+/// Refines all layers that have hidden texels. A Ψ with one output gives hidden colours alone, one with two alpha before them.
 ///
 /// # Errors
 /// [`GenerateError::Onnx`], [`GenerateError::Shape`].
@@ -32,7 +32,7 @@ pub fn run(psi: &dyn Network, photo: &Photo, blueprint: &Blueprint, tiles: &mut 
     if grid.size > MAX_TILE {
         return Ok(Refined { skipped: tiles.len(), colours: false });
     }
-    let side = (grid.size as usize).div_ceil(16) * 16;
+    let side = side(grid);
     let mut todo: Vec<(usize, usize)> = Vec::new();
     let (mut skipped, mut colours) = (0, false);
     for (t, tile) in tiles.iter().enumerate() {
@@ -47,8 +47,12 @@ pub fn run(psi: &dyn Network, photo: &Photo, blueprint: &Blueprint, tiles: &mut 
         }
         let out = psi.run(vec![Tensor { shape: vec![batch.len(), CHANNELS, side, side], data }])?;
         let area = side * side;
-        let [alpha, background] = out.as_slice() else { return Err(shape(&out)) };
-        if alpha.data.len() != batch.len() * area || background.data.len() != batch.len() * 3 * area {
+        let (alpha, background) = match out.as_slice() {
+            [background] => (None, background),
+            [alpha, background] => (Some(alpha), background),
+            _ => return Err(shape(&out)),
+        };
+        if alpha.is_some_and(|a| a.data.len() != batch.len() * area) || background.data.len() != batch.len() * 3 * area {
             return Err(shape(&out));
         }
         for (i, &(t, j)) in batch.iter().enumerate() {
@@ -57,7 +61,7 @@ pub fn run(psi: &dyn Network, photo: &Photo, blueprint: &Blueprint, tiles: &mut 
                 &mut tiles[t][j],
                 (origin.x, origin.y),
                 side,
-                &alpha.data[i * area..(i + 1) * area],
+                alpha.map(|a| &a.data[i * area..(i + 1) * area]),
                 &background.data[i * 3 * area..(i + 1) * 3 * area],
             );
         }
@@ -65,18 +69,25 @@ pub fn run(psi: &dyn Network, photo: &Photo, blueprint: &Blueprint, tiles: &mut 
     Ok(Refined { skipped, colours })
 }
 
+/// Side of Ψ's input for the tiles of a grid: the tile's, up to a multiple of 16.
+#[must_use]
+pub fn side(grid: &Grid) -> usize {
+    (grid.size as usize).div_ceil(16) * 16
+}
+
 fn shape(out: &[Tensor]) -> GenerateError {
     let got = out.iter().map(|t| format!("{:?}", t.shape)).collect::<Vec<_>>().join(" ");
-    GenerateError::Shape { network: "psi", got, want: "alpha [N,1,h,w] and background [N,3,h,w]".into() }
+    GenerateError::Shape { network: "psi", got, want: "background [N,3,h,w], or alpha [N,1,h,w] and it".into() }
 }
 
-/// True where a layer has hidden or soft texels.
-fn needs(l: &Coloured) -> bool {
-    !l.hidden.is_empty() || l.shape.alpha.iter().any(|&a| a != 0 && a != 255)
+/// True where a layer has hidden texels.
+#[must_use]
+pub fn needs(l: &Coloured) -> bool {
+    !l.hidden.is_empty()
 }
 
-/// Fills the nine channels of one layer (see the model card); a clipped tile repeats its last row and column.
-fn input(photo: &Photo, grid: &Grid, tile: u32, planes: &Tile, l: &Coloured, side: usize, to: &mut [f32]) {
+/// Fills the nine channels of one layer, `side²` values each (see the model card); a clipped tile repeats its last row and column.
+pub fn input(photo: &Photo, grid: &Grid, tile: u32, planes: &Tile, l: &Coloured, side: usize, to: &mut [f32]) {
     let r = grid.rect(tile);
     let place = Place::of(grid, tile);
     let shape = &l.shape;
@@ -112,7 +123,7 @@ fn input(photo: &Photo, grid: &Grid, tile: u32, planes: &Tile, l: &Coloured, sid
 
 /// Takes the network's colours at hidden texels and its alpha at soft ones; visible texels stay, so the identity view does.
 /// True where a colour changed.
-fn take(Coloured { shape: l, hidden }: &mut Coloured, origin: (u32, u32), side: usize, alpha: &[f32], background: &[f32]) -> bool {
+fn take(Coloured { shape: l, hidden }: &mut Coloured, origin: (u32, u32), side: usize, alpha: Option<&[f32]>, background: &[f32]) -> bool {
     let area = side * side;
     let (mut next, mut changed) = (0, false);
     for i in 0..l.class.len() {
@@ -128,9 +139,13 @@ fn take(Coloured { shape: l, hidden }: &mut Coloured, origin: (u32, u32), side: 
                 }
             }
             next += 1;
-        } else if l.class[i] == Class::Photo as u8 && l.alpha[i] < 255 && alpha[o].is_finite() {
+        } else if let Some(a) = alpha.map(|a| a[o])
+            && l.class[i] == Class::Photo as u8
+            && l.alpha[i] < 255
+            && a.is_finite()
+        {
             // a soft texel stays soft and there: the passes of the renderers are told apart by it
-            l.alpha[i] = (alpha[o] * 255.0).round().clamp(1.0, 254.0) as u8;
+            l.alpha[i] = (a * 255.0).round().clamp(1.0, 254.0) as u8;
         }
     }
     changed

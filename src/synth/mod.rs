@@ -3,6 +3,7 @@
 //! A scene is a function of its seed alone. It is a small ray tracer over analytic primitives, so that disparity is exact to
 //! rounding, not to a mesh; training, benchmarks and the stability suite take their ground truth from here.
 
+pub mod behind;
 mod bvh;
 mod close;
 mod families;
@@ -183,20 +184,22 @@ impl Scene {
     /// Renders the scene for a camera, with up to `supersampling`² colour samples in a pixel where it shows an edge.
     #[must_use]
     pub fn render(&self, camera: &Camera, supersampling: u32) -> Picture {
-        self.draw(camera, supersampling, |o, d| self.world.trace(o, d, NEAR, 0))
+        self.draw(camera, supersampling, false, |o, d| self.world.trace(o, d, NEAR, 0))
     }
 
     /// Renders what lies behind the first thing along each ray: the second surface that belongs to another thing.
-    /// Where the first ray meets the sky or nothing lies behind, colour and disparity are those of the sky.
+    /// Where the first ray meets the sky or nothing lies behind, colour and disparity are those of the sky. A pixel's colour is
+    /// that of the one thing at its centre: what lies behind a silhouette has nothing to do with what lies behind the pixel beside it.
     #[must_use]
     pub fn hidden(&self, camera: &Camera, supersampling: u32) -> Picture {
-        self.draw(camera, supersampling, |o, d| {
+        self.draw(camera, supersampling, true, |o, d| {
             let first = self.world.trace(o, d, NEAR, 0)?;
             self.world.trace(o, d, first.t, first.group)
         })
     }
 
-    fn draw(&self, camera: &Camera, supersampling: u32, trace: impl Fn(V3, V3) -> Option<Hit> + Sync) -> Picture {
+    /// `apart`: samples of other things than the one at a pixel's centre do not count.
+    fn draw(&self, camera: &Camera, supersampling: u32, apart: bool, trace: impl Fn(V3, V3) -> Option<Hit> + Sync) -> Picture {
         let rays = self.rays(camera);
         let (w, h) = (camera.width as usize, camera.height as usize);
         let pixel = 1.0 / camera.intrinsics.fx;
@@ -220,11 +223,12 @@ impl Scene {
             let busy = (x > 0 && edge(i - 1)) || (x + 1 < w && edge(i + 1)) || (y > 0 && edge(i - w)) || (y + 1 < h && edge(i + w));
             let c = if n > 1 && busy {
                 let step = 1.0 / f64::from(n);
-                let sum = (0..n * n).fold(V3::default(), |sum, k| {
+                let (sum, count) = (0..n * n).fold((V3::default(), 0.0), |(sum, count), k| {
                     let (i, j) = (f64::from(k % n) + 0.5, f64::from(k / n) + 0.5);
-                    sum + sample(x as f64 + i * step, y as f64 + j * step, pixel * step).0
+                    let (c, (object, _)) = sample(x as f64 + i * step, y as f64 + j * step, pixel * step);
+                    if apart && object != here.1.0 { (sum, count) } else { (sum + c, count + 1.0) }
                 });
-                sum * (step * step)
+                if count > 0.0 { sum * (1.0 / count) } else { here.0 }
             } else {
                 here.0
             };

@@ -62,6 +62,7 @@ pub fn make(
     trip.enter("denoise")?;
     let mut confidence = None;
     match (options.denoise, &models.theta) {
+        (Denoise::Theta, Some(_)) if !generate::confidence::wanted(&delta) => {}
         (Denoise::Theta, Some(theta)) => {
             let (clean, c) = generate::confidence::run(theta.as_ref(), &photo, &delta)?;
             delta = clean;

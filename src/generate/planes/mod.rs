@@ -191,6 +191,26 @@ pub fn discretisation_error(delta: &DisparityMap, grid: &Grid, tiles: &[Tile]) -
     (absolute / n as f64, squared / n as f64, f64::from(f32::from_bits((q25.unwrap_or(0) as u32) << FINE)))
 }
 
+/// Share of pixels whose plane lies where no surface of `delta` is: farther than `apart` from every value of the 5×5 pixels around.
+/// In a novel view such a pixel floats by itself beside an edge, as a ghost.
+///
+/// Overlapping tiles count every pixel that they hold.
+#[must_use]
+pub fn ghost_share(delta: &DisparityMap, grid: &Grid, tiles: &[Tile], apart: f32) -> f64 {
+    let (w, h) = (delta.width as usize, delta.height as usize);
+    let lone = |x: usize, y: usize, d: f32| {
+        let (columns, mut rows) = (x.saturating_sub(2)..(x + 3).min(w), y.saturating_sub(2)..(y + 3).min(h));
+        rows.all(|y| delta.delta[y * w + columns.start..y * w + columns.end].iter().all(|v| (v - d).abs() > apart))
+    };
+    let counts = tiles.par_iter().enumerate().map(|(i, t)| {
+        let (r, shown) = (grid.rect(i as u32), t.shown(grid, i as u32));
+        let place = |k: usize| (r.x as usize + k % r.w as usize, r.y as usize + k / r.w as usize);
+        (shown.iter().enumerate().filter(|&(k, &d)| lone(place(k).0, place(k).1, d)).count(), shown.len())
+    });
+    let (ghosts, all) = counts.reduce(|| (0, 0), |a, b| (a.0 + b.0, a.1 + b.1));
+    ghosts as f64 / all.max(1) as f64
+}
+
 /// How far neighbouring tiles, beside or below each other, are from showing the same where both lie: mean |δ − δ′| over the pixels that
 /// they share, each pair by itself; 0 where none overlap.
 #[must_use]

@@ -1,0 +1,109 @@
+//! Layers of rendered scenes as the program makes them, with what their hidden texels should show: what Ψ learns from.
+
+use crate::generate::layers::{self, Coloured};
+use crate::generate::planes::{MAX_AUTO_PLANES, Method, Placement, place};
+use crate::generate::{refine, snap};
+use crate::photo::{Filter, resample};
+use crate::synth::{Picture, Scene, behind};
+use crate::tmpi::{Blueprint, Class, DisparityMap, Grid, Place, Rect, ViewBox};
+use crate::way::Options;
+
+/// Half the side of the view box: as large as the second views of scenes go.
+const BOX: f64 = 0.06;
+/// Channels after Ψ's own: the colour that a texel should show, and whether it is known.
+const TRUTH: usize = 4;
+
+/// A file of `NumPy`, u8 [N, 13, side, side]: for each layer with known hidden texels the channels of [`refine::input`], of which the
+/// disparity goes from −1..1 to 0..255 and all others from 0..1, then red, green, blue and 255 where they are known.
+///
+/// With `spoilt` the planes come from a map of half the size, as a network would give it.
+#[must_use]
+pub fn layers(scene: &Scene, picture: &Picture, spoilt: bool) -> Vec<u8> {
+    let (photo, camera) = (&picture.photo, scene.camera());
+    let size @ (w, h) = (photo.width, photo.height);
+    let map = if spoilt { snap::snap(photo, &halved(&picture.disparity)) } else { snap::median(photo, &picture.disparity) };
+    let (grid, view_box) = (Grid::new(w, h, 64), ViewBox { x: BOX, y: BOX, z: BOX });
+    let parallax = view_box.parallax(&camera.intrinsics, Rect { x: 0, y: 0, w, h });
+    let target = Options::default().max_error / parallax.0.max(parallax.1).max(1.0);
+    let tiles = place(&map, None, &grid, &Placement::fewest(Method::Slanted, MAX_AUTO_PLANES, target));
+    let mut blueprint = Blueprint { grid, intrinsics: camera.intrinsics, view_box, tiles };
+    layers::add_backstops(&mut blueprint, &map);
+    let shapes = blueprint.peel();
+    let coloured = layers::colour(photo, &blueprint, shapes);
+    let hidden = scene.hidden(&camera, 2);
+    let side = refine::side(&grid);
+    let (mut data, mut count) = (Vec::new(), 0usize);
+    let mut channels = vec![0f32; refine::CHANNELS * side * side];
+    for (tile, t) in (0..).zip(&coloured) {
+        for l in t.iter().filter(|l| refine::needs(l)) {
+            let known = behind::colours(&l.shape, Place::of(&grid, tile), &picture.disparity, &hidden);
+            if known.iter().all(Option::is_none) {
+                continue;
+            }
+            refine::input(photo, &grid, tile, &blueprint.tiles[tile as usize], l, side, &mut channels);
+            let byte = |(i, v): (usize, &f32)| if i / (side * side) == 7 { (v + 1.0) * 127.5 } else { v * 255.0 }.round() as u8;
+            data.extend(channels.iter().enumerate().map(byte));
+            data.extend(truth(l, grid.rect(tile), &known, side));
+            count += 1;
+        }
+    }
+    debug_assert_eq!(size, (grid.width, grid.height));
+    let mut file = header(&[count, refine::CHANNELS + TRUTH, side, side]);
+    file.extend(data);
+    file
+}
+
+/// Four planes of bytes: red, green, blue, known.
+fn truth(l: &Coloured, tile: Rect, known: &[Option<[u8; 3]>], side: usize) -> Vec<u8> {
+    let (r, mut out, mut next) = (l.shape.rect, vec![0; TRUTH * side * side], known.iter());
+    for (i, _) in l.shape.class.iter().enumerate().filter(|(_, c)| **c == Class::Hidden as u8) {
+        let Some(Some([red, green, blue])) = next.next() else { continue };
+        let (x, y) = ((r.x - tile.x) as usize + i % r.w as usize, (r.y - tile.y) as usize + i / r.w as usize);
+        for (c, v) in [*red, *green, *blue, 255].into_iter().enumerate() {
+            out[c * side * side + y * side + x] = v;
+        }
+    }
+    out
+}
+
+/// The map at half its size and back.
+fn halved(d: &DisparityMap) -> DisparityMap {
+    let half = ((d.width / 2).max(1), (d.height / 2).max(1));
+    let to = |from: &[f32], a, b| resample(from, a, b, Filter::Triangle, |v: f32| [v], |[v]| v);
+    DisparityMap { delta: to(&to(&d.delta, (d.width, d.height), half), half, (d.width, d.height)), ..*d }
+}
+
+/// Head of a file of `NumPy`, version 1.0, for bytes in C order.
+fn header(shape: &[usize]) -> Vec<u8> {
+    let extents: String = shape.iter().map(|n| format!("{n}, ")).collect();
+    let about = format!("{{'descr': '|u1', 'fortran_order': False, 'shape': ({extents}), }}");
+    // magic, version, length and text together fill lines of 64 bytes
+    let length = (10 + about.len() + 1).next_multiple_of(64) - 10;
+    let mut out = b"\x93NUMPY\x01\x00".to_vec();
+    out.extend((length as u16).to_le_bytes());
+    out.extend(format!("{about:<width$}\n", width = length - 1).bytes());
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn hidden_texels_that_are_known_have_a_truth() {
+        let scene = Scene::framed(3, 160, 96);
+        let picture = scene.render(&scene.camera(), 1);
+        let file = layers(&scene, &picture, false);
+        let head = 10 + usize::from(u16::from_le_bytes([file[8], file[9]]));
+        assert_eq!(head % 64, 0);
+        let text = String::from_utf8_lossy(&file[10..head]).into_owned();
+        let count: usize = text.split("'shape': (").nth(1).and_then(|s| s.split(',').next()).and_then(|s| s.parse().ok()).unwrap();
+        assert!(count > 0 && text.ends_with('\n'), "{text}");
+        assert_eq!(file.len(), head + count * 13 * 64 * 64);
+        // a texel that is known is hidden by Ψ's own mask
+        for l in file[head..].chunks_exact(13 * 4096) {
+            assert!((0..4096).all(|i| l[12 * 4096 + i] == 0 || l[8 * 4096 + i] == 255));
+            assert!((0..4096).any(|i| l[12 * 4096 + i] == 255));
+        }
+    }
+}
