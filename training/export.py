@@ -83,38 +83,25 @@ def theta(path, checkpoint):
     return [check(path, net, i) for i in inputs]
 
 
-def psi(path, checkpoint, colour):
+def psi(path, checkpoint):
     from psi import Psi
 
     net = Psi().eval()
     net.load_state_dict(checkpoint["model"])
-    if not colour:
-        with torch.no_grad():
-            net.head.weight[1:] = 0
-            net.head.bias[1:] = 0
     g = Graph("tmpi psi", half=False)
     x = g.input("layers", ["n", 9, "h", "w"])
 
     def part(v, a, b):
         return g.op("Slice", v, *(g.constant([i], np.int64) for i in (a, b, 1)))
 
-    def clip(v):
-        return g.op("Clip", v, g.constant(np.float32(0)), g.constant(np.float32(1)))
-
     centred = g.op("Add", g.op("Mul", x, g.constant(net.scale)), g.constant(net.shift))
     f1 = g.layer(centred, net.e1, relu=True)
     f2 = g.layer(g.layer(f1, net.e2, relu=True), net.m2, relu=True)
-    f3 = g.layer(g.layer(f2, net.e3, relu=True), net.m3, relu=True)
+    f3 = g.layer(g.layer(g.layer(f2, net.e3, relu=True), net.m3, relu=True), net.m4, relu=True)
     g2 = g.layer(g.op("Add", g.double(g.layer(f3, net.u2)), f2), net.d2, relu=True)
     g1 = g.layer(g.op("Add", g.double(g.layer(g2, net.u1)), f1), net.d1, relu=True)
-    y = g.double(g.layer(g1, net.head))
-    own, hidden = part(x, 6, 7), part(x, 8, 9)
-    near = g.op("MaxPool", own, kernel_shape=[3, 3], pads=[1] * 4)
-    box = g.op("AveragePool", own, kernel_shape=[3, 3], pads=[1] * 4, count_include_pad=1)
-    soft = g.op("Mul", clip(g.op("Add", box, part(y, 0, 1))), near)
-    g.output(clip(g.op("Max", own, soft)), "alpha", ["n", 1, "h", "w"])
-    colour = g.op("Add", part(x, 0, 3), g.op("Mul", part(y, 1, 4), hidden))
-    g.output(clip(colour), "background", ["n", 3, "h", "w"])
+    colour = g.op("Add", part(x, 0, 3), g.op("Mul", g.double(g.layer(g1, net.head)), part(x, 8, 9)))
+    g.output(g.op("Clip", colour, g.constant(np.float32(0)), g.constant(np.float32(1))), "background", ["n", 3, "h", "w"])
     g.save(path, {"licence": LICENCE, "step": str(checkpoint["step"])})
     inputs = [{"layers": torch.rand(n, 9, h, w)} for n, h, w in ((3, 64, 64), (1, 16, 48), (2, 128, 64))]
     return [check(path, net, i) for i in inputs]
@@ -126,7 +113,6 @@ def main():
     a.add_argument("--checkpoint")
     a.add_argument("--out")
     a.add_argument("--ramp", type=float, default=0.5, help="share of the vertical ramp in the depth network's map")
-    a.add_argument("--alpha-only", action="store_true", help="leave the first fill as it is")
     a = a.parse_args()
     torch.manual_seed(0)
     torch.set_num_threads(1)
@@ -134,7 +120,7 @@ def main():
     path = common.Path(a.out or MODELS / f"{a.model}.onnx")
     path.parent.mkdir(parents=True, exist_ok=True)
     checkpoint = torch.load(a.checkpoint or RUNS / name, weights_only=False, map_location="cpu")
-    worst = depth(path, checkpoint, a.ramp) if a.model == "depth" else theta(path, checkpoint) if a.model == "theta" else psi(path, checkpoint, not a.alpha_only)
+    worst = depth(path, checkpoint, a.ramp) if a.model == "depth" else theta(path, checkpoint) if a.model == "theta" else psi(path, checkpoint)
     print(f"{path}: {path.stat().st_size} bytes, step {checkpoint['step']}, ONNX Runtime − PyTorch at most {max(worst):.1e}")
 
 

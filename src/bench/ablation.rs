@@ -3,7 +3,6 @@
 use std::sync::Arc;
 
 use super::measure::{self, Bench};
-use super::mesh;
 use super::subject::{self, Subject};
 use super::{Axis, BenchError, Curve, Experiment, Point};
 use crate::generate::layers::{self, Coloured};
@@ -12,6 +11,7 @@ use crate::generate::refine;
 use crate::generate::snap;
 use crate::onnx::Network;
 use crate::photo::{self, Limits};
+use crate::quality::mesh;
 use crate::render::{Cpu, Reference, Renderer};
 use crate::synth::behind;
 use crate::tmpi::{Blueprint, Class, DisparityMap, Grid, Intrinsics, Photo, Place, Rect, Scene, Shapes};

@@ -14,7 +14,7 @@ mod efficiency;
 mod experiments;
 mod machine;
 mod measure;
-pub(crate) mod mesh;
+mod mesh;
 mod page;
 mod plot;
 mod scaling;

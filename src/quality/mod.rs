@@ -1,6 +1,7 @@
 //! Measures of pictures.
 
 mod flip;
+pub mod mesh;
 mod ssim;
 #[cfg(feature = "codecs")]
 mod ssimulacra;
