@@ -53,6 +53,10 @@ class MobileNetV2(nn.Module):
             last[op["oshape"][1]] = op["o"]
         return [last[s] for s in sorted(last, reverse=True)]
 
+    def after(self, op, o):
+        """What follows a convolution: nothing, its BatchNorm is folded into it."""
+        return o
+
     def forward(self, x):
         value = {self.ops[0]["i"]: x * self.scale + self.shift}
         for op in self.ops:
@@ -68,7 +72,7 @@ class MobileNetV2(nn.Module):
                     i = F.pad(i, (0, 1, 0, 1))  # TensorFlow's SAME for even sizes
                 else:
                     pad = 1
-            o = F.conv2d(i, w, b, op["stride"], pad, 1, groups)
+            o = self.after(op, F.conv2d(i, w, b, op["stride"], pad, 1, groups))
             value[op["o"]] = o.clamp(0, 6) if op["act"] == "relu6" else o
         return [value[t] for t in self.taps]
 
@@ -80,14 +84,14 @@ def block(i, o):
 class Decoder(nn.Module):
     """Top-down pyramid with one 3×3 convolution a level and the mean of the coarsest level as context."""
 
-    def __init__(self, channels=MobileNetV2.CHANNELS, width=(12, 24, 40, 64, 96)):
+    def __init__(self, channels=MobileNetV2.CHANNELS, width=(12, 24, 40, 64, 96), drop=0.1):
         super().__init__()
         self.top = nn.Sequential(nn.Conv2d(channels[4] + 1, width[4], 1), nn.ReLU())
         self.context = nn.Sequential(nn.Conv2d(width[4], width[4], 1), nn.ReLU(), nn.Conv2d(width[4], width[4], 1))
         self.mix = block(width[4], width[4])
         self.side = nn.ModuleList(nn.Conv2d(channels[i], width[i], 1) for i in range(4))
         self.join = nn.ModuleList(block(width[i] + width[i + 1], width[i]) for i in range(4))
-        self.drop = nn.Dropout2d(0.1)
+        self.drop = nn.Dropout2d(drop)
         self.head = nn.Conv2d(width[0], 1, 3, padding=1)
 
     def forward(self, features):
@@ -102,12 +106,30 @@ class Decoder(nn.Module):
         return F.interpolate(self.head(x), scale_factor=2, mode="bilinear", align_corners=False)
 
 
+class Untrained(MobileNetV2):
+    """The same layers with random weights that are trained along, each with a BatchNorm of its own: what the pretrained start is worth."""
+
+    def __init__(self):
+        super().__init__()
+        self.norms = nn.ModuleDict()
+        for op in self.ops:
+            if op["op"] != "add":
+                w = getattr(self, f"w{op['k']}")
+                delattr(self, f"w{op['k']}")
+                self.register_parameter(f"w{op['k']}", nn.Parameter(nn.init.kaiming_normal_(torch.empty_like(w))))
+                setattr(self, f"b{op['k']}", None)
+                self.norms[str(op["k"])] = nn.BatchNorm2d(w.shape[0])
+
+    def after(self, op, o):
+        return self.norms[str(op["k"])](o)
+
+
 class Encoders(nn.Module):
     """MobileNetV2, and beside it, where `both`, YOLOX-nano: its maps of strides 8, 16, 32 stand behind the other's channels."""
 
-    def __init__(self, both):
+    def __init__(self, both, untrained=False):
         super().__init__()
-        self.classifier, self.detector = MobileNetV2(), Yolox() if both else None
+        self.classifier, self.detector = Untrained() if untrained else MobileNetV2(), Yolox() if both else None
         self.channels = MobileNetV2.CHANNELS
         if both:
             self.channels = self.channels[:2] + tuple(a + b for a, b in zip(self.channels[2:], Yolox.CHANNELS))
@@ -125,10 +147,10 @@ class Encoders(nn.Module):
 
 
 class DepthNet(nn.Module):
-    def __init__(self, both=False):
+    def __init__(self, both=False, drop=0.1, untrained=False):
         super().__init__()
-        self.encoder, self.session = Encoders(both), None
-        self.decoder = Decoder(self.encoder.channels)
+        self.encoder, self.session, self.untrained = Encoders(both, untrained), None, untrained
+        self.decoder = Decoder(self.encoder.channels, drop=drop)
 
     @staticmethod
     def of(checkpoint):
@@ -144,7 +166,7 @@ class DepthNet(nn.Module):
     def features(self, image):
         if self.session is not None and image.device.type == "cpu":
             return [torch.from_numpy(f) for f in self.session.run(None, {"image": image.numpy()})]
-        with torch.no_grad():
+        with torch.set_grad_enabled(self.untrained and self.training):
             return self.encoder(image)
 
     def use_runtime(self, path, threads):
@@ -245,13 +267,15 @@ def produce(queue, a, first, encoder):
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
     net, kinds, start = DepthNet(a.encoder == "both"), None, time.time() - a.spent
-    net.runtime(encoder, 1)
+    if a.encoder != "untrained":
+        net.runtime(encoder, 1)
     for step in range(first, a.steps):
         done = max(step / a.steps, (time.time() - start) / 60 / a.minutes)
         if kinds is None or step % 100 == 0:
             kinds = families(common.scenes(*a.scenes))  # scenes may still be coming
         x, y = batch_at(kinds, step, done, a)
-        queue.put(([f.numpy().astype(np.float16) for f in net.features(x)], y.numpy(), sum(map(len, kinds.values()))))
+        made = [x] if a.encoder == "untrained" else net.features(x)
+        queue.put(([f.numpy().astype(np.float16) for f in made], y.numpy(), sum(map(len, kinds.values()))))
 
 
 def restyled(features, bank):
@@ -297,8 +321,10 @@ def main():
     a.add_argument("--replay", type=int, default=1, help="how often an earlier batch is taken again after each fresh one")
     a.add_argument("--style", choices=["off", "batch", "photos"], default="off", help="whose channel statistics are mixed in")
     a.add_argument("--pictures", default=str(RUNS / "pictures"), help="photographs for --style photos")
-    a.add_argument("--encoder", choices=["mobilenet", "both"], default="both", help="MobileNetV2 alone, or YOLOX-nano beside it")
+    a.add_argument("--encoder", choices=["untrained", "mobilenet", "both"], default="both", help="MobileNetV2 with random weights, as it is, or with YOLOX-nano beside it")
     a.add_argument("--ramp", type=float, default=0.5, help="share of the vertical ramp by which checkpoints are measured")
+    a.add_argument("--drop", type=float, default=0.1, help="share of the encoder's channels that each sample goes without")
+    a.add_argument("--ema", type=float, default=0.995, help="decay of the mean over weights")
     a.add_argument("--init", help="checkpoint whose decoder to begin with")
     a.add_argument("--seed", type=int, default=1)
     a = a.parse_args()
@@ -310,15 +336,16 @@ def main():
     out = common.Path(a.out)
     out.mkdir(parents=True, exist_ok=True)
     dev = common.device()
-    net = DepthNet(a.encoder == "both").to(dev)
-    if dev.type == "cpu":
+    untrained = a.encoder == "untrained"
+    net = DepthNet(a.encoder == "both", a.drop, untrained).to(dev)
+    if dev.type == "cpu" and not untrained:
         net.use_runtime(out / "encoder.onnx", a.threads)
     net.decoder.to(memory_format=torch.channels_last)
-    params = list(net.decoder.parameters())
+    params = list(net.parameters())
     optimiser = torch.optim.AdamW(params, a.lr, weight_decay=1e-2)
     if a.init:
         net.decoder.load_state_dict(torch.load(a.init, weights_only=False, map_location=dev)["decoder"])
-    ema = common.Ema(net.decoder, 0.995)
+    ema = common.Ema(net.decoder, a.ema)
     step, best, a.spent = 0, 9.0, 0.0
     if (out / "last.pt").exists():
         s = torch.load(out / "last.pt", weights_only=False)
@@ -336,9 +363,7 @@ def main():
         spawn.Process(target=produce, args=(queue, a, step, out / "encoder.onnx"), daemon=True).start()
     start = time.time() - a.spent
     while step < a.steps:
-        done = max(step / a.steps, (time.time() - start) / 60 / a.minutes)
-        if done >= 1:
-            break
+        done = min(1, max(step / a.steps, (time.time() - start) / 60 / a.minutes))
         for group in optimiser.param_groups:
             group["lr"] = a.lr * (min(1, (step + 1) / 50) * (0.5 + 0.5 * np.cos(np.pi * done)) + 0.01)
         if queue is not None:
@@ -347,14 +372,17 @@ def main():
             if kinds is None or step % 100 == 0:
                 kinds = families(common.scenes(*a.scenes))
             x, y = batch_at(kinds, step, done, a)
-            kept.append(([f.cpu().numpy() for f in net.features(x.to(dev))], y.numpy(), sum(map(len, kinds.values()))))
+            made = [x] if untrained else net.features(x.to(dev))
+            kept.append(([f.cpu().numpy() for f in made], y.numpy(), sum(map(len, kinds.values()))))
         del kept[:-200]
         again = random.Random(a.seed * 7_000_003 + step)
         net.train()
         for k in range(1 + a.replay):
             f, y, scenes = kept[-1] if k == 0 else again.choice(kept)
             f = [torch.from_numpy(v).to(dev).float() for v in f]
-            if a.style != "off":
+            if untrained:
+                f = net.features(f[0])
+            elif a.style != "off":
                 f = restyled(f, bank)
             loss = loss_of(net.decoder([v.contiguous(memory_format=torch.channels_last) for v in f]), torch.from_numpy(y).to(dev))
             optimiser.zero_grad()
@@ -366,7 +394,8 @@ def main():
         step += 1
         if step % 20 == 0:
             print(f"step {step} loss {np.mean(losses[-20 * (1 + a.replay) :]):.4f}", flush=True)
-        if step % a.every == 0 or step == a.steps:
+        ended = step == a.steps or time.time() - start >= 60 * a.minutes
+        if step % a.every == 0 or ended:
             live = {k: v.clone() for k, v in net.decoder.state_dict().items()}
             net.decoder.load_state_dict(ema.shadow)
             scores = evaluate(Shipped(net.eval(), a.ramp), sets)
@@ -377,6 +406,8 @@ def main():
             net.decoder.load_state_dict(live)
             log.row(step=step, loss=float(np.mean(losses[-a.every * (1 + a.replay) :])), scenes=scenes, **{k: v["net"] for k, v in scores.items()}, score=score)
             common.save(out / "last.pt", decoder=live, ema=ema.shadow, optimiser=optimiser.state_dict(), step=step, best=best, spent=time.time() - start)
+        if ended:
+            break
 
 
 if __name__ == "__main__":

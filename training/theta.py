@@ -30,12 +30,12 @@ class Theta(nn.Module):
 
     def __init__(self):
         super().__init__()
-        self.e0, self.e1, self.e2, self.e3, self.e4 = conv(10, 8), conv(8, 16, 2), conv(16, 24, 2), conv(24, 32, 2), conv(32, 32)
+        self.e0, self.e1, self.e2, self.e3, self.e4 = conv(10, 7), conv(7, 16, 2), conv(16, 24, 2), conv(24, 32, 2), conv(32, 32)
         self.m2 = conv(24, 24)
         self.u2, self.d2 = nn.Conv2d(32, 24, 1), conv(24, 24)
         self.u1, self.d1 = nn.Conv2d(24, 16, 1), conv(16, 16)
-        self.u0, self.d0 = nn.Conv2d(16, 8, 1), conv(8, 8)
-        self.heads = nn.Conv2d(8, 9, 1)
+        self.u0, self.d0 = nn.Conv2d(16, 7, 1), conv(7, 7)
+        self.heads = nn.Conv2d(7, 9, 1)
         with torch.no_grad():
             self.heads.weight[7].zero_()
             self.heads.bias.copy_(torch.tensor([1.0, 0, 0, 0, 0, 0, 0, 0, 1.0]))
