@@ -1,9 +1,9 @@
 //! Flags that several commands share. Ranges are those of [`Options::validate`]; an error names flag and range.
 
 use std::collections::BTreeSet;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-use crate::depth::{ADAPTERS, Adapter, DepthKind, adapter};
+use crate::depth::{ADAPTERS, Adapter, DepthKind, adapter, detect};
 use crate::models::Settings;
 use crate::models::registry::{PUBLISHED, Published, published};
 use crate::onnx::{Config, Provider};
@@ -83,8 +83,9 @@ impl MakeFlags {
 /// Which networks are used, and how.
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct ModelFlags {
-    /// Depth network: its name, and its ONNX file unless it is embedded or was fetched by `tmpi models get`
-    #[arg(long, value_parser = depth_model, default_value = "tmpi", value_name = "NAME[=FILE]", env = "TMPI_DEPTH_MODEL")]
+    /// Depth network: its name, and its ONNX file unless it is embedded or was fetched by `tmpi models get`; a file alone
+    /// where its name or its graph tells the network
+    #[arg(long, value_parser = depth_model, default_value = "tmpi", value_name = "NAME[=FILE]|FILE", env = "TMPI_DEPTH_MODEL")]
     pub depth_model: DepthModel,
     /// Run depth on the mirrored photo too and take the mean: twice the time
     #[arg(long)]
@@ -115,11 +116,18 @@ pub(super) struct DepthModel {
 fn depth_model(text: &str) -> Result<DepthModel, String> {
     let (name, file) = text.split_once('=').map_or((text, None), |(n, f)| (n, Some(PathBuf::from(f))));
     let fetched = published(name);
-    let known = || ADAPTERS.iter().map(|a| a.name).chain(PUBLISHED.iter().map(|p| p.name)).collect::<BTreeSet<_>>();
-    let adapter = adapter(name).or_else(|| fetched?.adapter()).ok_or_else(|| {
-        let names = known().into_iter().collect::<Vec<_>>().join(", ");
-        format!("the name must be one of {names}")
-    })?;
+    let known = || {
+        let names = ADAPTERS.iter().map(|a| a.name).chain(PUBLISHED.iter().map(|p| p.name)).collect::<BTreeSet<_>>();
+        names.into_iter().collect::<Vec<_>>().join(", ")
+    };
+    let Some(adapter) = adapter(name).or_else(|| fetched?.adapter()) else {
+        let path = Path::new(text);
+        if !path.extension().is_some_and(|e| e.eq_ignore_ascii_case("onnx")) || name != text && !path.is_file() {
+            return Err(format!("the name must be one of {}", known()));
+        }
+        let adapter = detect(path).ok_or_else(|| format!("{text} does not tell its network: write NAME={text} with one of {}", known()))?;
+        return Ok(DepthModel { adapter, file: Some(path.to_owned()) });
+    };
     let file = file.or_else(|| fetched.map(Published::file).filter(|f| f.is_file()));
     if file.is_none() && adapter.name != ADAPTERS[0].name {
         let how = fetched.map_or_else(String::new, |p| format!(", or run tmpi models get {}", p.name));
@@ -238,5 +246,9 @@ mod tests {
         assert!(depth_model("depth-anything-v2").unwrap_err().contains("=FILE"));
         assert_eq!(depth_model("dpt-large=a=b.onnx").unwrap().file.unwrap(), PathBuf::from("a=b.onnx"));
         assert!(depth_model("nosuch").unwrap_err().contains("midas-v2.1"));
+        assert!(depth_model("nosuch=dpt-large.onnx").unwrap_err().contains("one of"));
+        let alone = depth_model("nets/zoedepth-nyu/model.onnx").unwrap();
+        assert_eq!((alone.adapter.name, alone.file.unwrap()), ("zoedepth", PathBuf::from("nets/zoedepth-nyu/model.onnx")));
+        assert!(depth_model("nets/model.onnx").unwrap_err().contains("NAME=nets/model.onnx"));
     }
 }

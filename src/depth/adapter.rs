@@ -11,10 +11,30 @@ pub enum SizeRule {
     Area(u32),
     /// As [`Self::Area`], once for each, and the mean of the maps.
     Areas(&'static [u32]),
-    /// The photo's aspect, its shorter side this long.
-    Short(u32),
-    /// The photo's aspect, its longer side this long.
-    Long(u32),
+    /// The photo's aspect, as wide or as high as this, whichever changes its scale less.
+    Near(u32, u32),
+    /// The photo's aspect, neither side longer than this.
+    Within(u32),
+}
+
+/// How the photo is brought to the network's size.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Sampling {
+    /// Unrounded, by a kernel that is stretched when reducing; cut to 0..=1.
+    Unrounded(Filter),
+    /// By such a kernel too, with the rounding to bytes of Pillow.
+    Bytes(Filter),
+    /// By a cubic over four pixels whatever the ratio, as `OpenCV`'s.
+    Four,
+    /// First widened by mirrored margins of [`margin`], then by lines between the two nearest pixels, corner on corner; the
+    /// margins are taken off the map again.
+    Mirrored,
+}
+
+/// Pixels that [`Sampling::Mirrored`] adds on either end of a side: 3·√(side / 2).
+#[must_use]
+pub fn margin(side: u32) -> u32 {
+    ((f64::from(side) / 2.0).sqrt() * 3.0) as u32
 }
 
 /// Order of a tensor's extents.
@@ -55,7 +75,7 @@ pub struct Adapter {
     /// Meaning of the output.
     pub output: Kind,
     /// How the photo is brought to the network's size.
-    pub filter: Filter,
+    pub sampling: Sampling,
     /// Strength of smoothing up to the photo's edges, for a network that leaves haloes; 0 for one with sharp edges.
     pub smoothing: f64,
 }
@@ -65,29 +85,32 @@ const HALF: ([f32; 3], [f32; 3]) = ([0.5; 3], [0.5; 3]);
 /// For networks that normalise by themselves.
 const PLAIN: ([f32; 3], [f32; 3]) = ([0.0; 3], [1.0; 3]);
 
-const fn entry(name: &'static str, size: SizeRule, multiple: u32, norm: ([f32; 3], [f32; 3]), output: Kind) -> Adapter {
-    Adapter { name, size, multiple, mean: norm.0, deviation: norm.1, layout: Layout::Nchw, output, filter: Filter::Cubic, smoothing: 0.0 }
+const CUBIC: Sampling = Sampling::Bytes(Filter::Cubic);
+const LINEAR: Sampling = Sampling::Bytes(Filter::Triangle);
+
+const fn entry(name: &'static str, size: SizeRule, multiple: u32, norm: ([f32; 3], [f32; 3]), sampling: Sampling, output: Kind) -> Adapter {
+    Adapter { name, size, multiple, mean: norm.0, deviation: norm.1, layout: Layout::Nchw, output, sampling, smoothing: 0.0 }
 }
 
-/// All known networks; the first is the embedded one. Sizes and normalisation are those of `transformers`, against which
-/// `training/adapters.py` holds them; those that the `MiDaS` project publishes are of one size and normalise by themselves,
+/// All known networks; the first is the embedded one. The rest is prepared as its publishers do, to the rounding, and
+/// `training/adapters.py` holds them to it: DPT, Depth Anything and `ZoeDepth` by the image processors and the published
+/// settings of `transformers`; those that the `MiDaS` project publishes as ONNX are of one size and normalise by themselves,
 /// those exported from its torch hub do neither.
 pub const ADAPTERS: [Adapter; 11] = [
     Adapter {
-        filter: Filter::Lanczos3,
         smoothing: 3000.0,
-        ..entry("tmpi", SizeRule::Areas(&[128 * 192, 192 * 256]), 32, IMAGENET, Kind::Disparity)
+        ..entry("tmpi", SizeRule::Areas(&[128 * 192, 192 * 256]), 32, IMAGENET, Sampling::Unrounded(Filter::Lanczos3), Kind::Disparity)
     },
-    entry("midas-v2.1-small", SizeRule::Fixed(256, 256), 32, PLAIN, Kind::Disparity),
-    entry("midas-v2.1", SizeRule::Fixed(384, 384), 32, PLAIN, Kind::Disparity),
-    entry("midas-v2.1-small-hub", SizeRule::Long(256), 32, IMAGENET, Kind::Disparity),
-    entry("midas-v2.1-hub", SizeRule::Long(384), 32, IMAGENET, Kind::Disparity),
-    entry("dpt-hybrid", SizeRule::Fixed(384, 384), 32, HALF, Kind::Disparity),
-    entry("dpt-large", SizeRule::Fixed(384, 384), 32, HALF, Kind::Disparity),
-    entry("depth-anything-v2", SizeRule::Short(518), 14, IMAGENET, Kind::Disparity),
-    entry("depth-anything-v2-metric", SizeRule::Short(518), 14, IMAGENET, Kind::Metric),
-    entry("zoedepth", SizeRule::Area(384 * 512), 32, HALF, Kind::Metric),
-    entry("log-depth", SizeRule::Area(384 * 512), 32, IMAGENET, Kind::LogDepth),
+    entry("midas-v2.1-small", SizeRule::Fixed(256, 256), 32, PLAIN, Sampling::Four, Kind::Disparity),
+    entry("midas-v2.1", SizeRule::Fixed(384, 384), 32, PLAIN, Sampling::Four, Kind::Disparity),
+    entry("midas-v2.1-small-hub", SizeRule::Within(256), 32, IMAGENET, Sampling::Four, Kind::Disparity),
+    entry("midas-v2.1-hub", SizeRule::Within(384), 32, IMAGENET, Sampling::Four, Kind::Disparity),
+    entry("dpt-hybrid", SizeRule::Fixed(384, 384), 32, HALF, LINEAR, Kind::Disparity),
+    entry("dpt-large", SizeRule::Fixed(384, 384), 32, HALF, LINEAR, Kind::Disparity),
+    entry("depth-anything-v2", SizeRule::Near(518, 518), 14, IMAGENET, CUBIC, Kind::Disparity),
+    entry("depth-anything-v2-metric", SizeRule::Near(518, 518), 14, IMAGENET, CUBIC, Kind::Metric),
+    entry("zoedepth", SizeRule::Near(512, 384), 32, HALF, Sampling::Mirrored, Kind::Metric),
+    entry("log-depth", SizeRule::Area(384 * 512), 32, IMAGENET, Sampling::Unrounded(Filter::Cubic), Kind::LogDepth),
 ];
 
 /// The network of that name.
@@ -97,16 +120,18 @@ pub fn adapter(name: &str) -> Option<&'static Adapter> {
 }
 
 impl Adapter {
-    /// Aspect beyond which a photo is squeezed: no network has seen longer pictures, and their short side would vanish.
+    /// Aspect beyond which a photo is squeezed for a network run by area: ours has seen no longer pictures, and their short side
+    /// would vanish.
     const MAX_ASPECT: f64 = 3.0;
+    /// The same for networks run by a side; it bounds their memory, which in a transformer grows with the square of the pixels.
+    const MAX_ASPECT_BY_SIDE: u32 = 4;
     /// Upper bound of pixels, whatever the rule says.
     const MAX_PIXELS: f64 = 2e6;
 
     /// Widths and heights that the network is run at for a photo of `width × height`, each at least 1.
     #[must_use]
     pub fn network_sizes(&self, width: u32, height: u32) -> Vec<(u32, u32)> {
-        let of = |pixels: f64| self.rounded(pixels.min(Self::MAX_PIXELS), Self::aspect(width, height));
-        let aspect = Self::aspect(width, height);
+        let of = |pixels: f64| self.by_area(pixels.min(Self::MAX_PIXELS), Self::aspect(width, height));
         match self.size {
             SizeRule::Fixed(w, h) => vec![(w, h)],
             SizeRule::Area(pixels) => vec![of(f64::from(pixels))],
@@ -115,9 +140,34 @@ impl Adapter {
                 sizes.dedup();
                 sizes
             }
-            SizeRule::Short(side) => vec![of(f64::from(side).powi(2) * aspect.max(1.0 / aspect))],
-            SizeRule::Long(side) => vec![of(f64::from(side).powi(2) / aspect.max(1.0 / aspect))],
+            SizeRule::Near(w, h) => {
+                // The order of operations is that of the publishers: quotients fall on halves, and rounding decides
+                let (width, height) = self.squeezed(width, height);
+                let (across, down) = (f64::from(w) / width, f64::from(h) / height);
+                let scale = if (1.0 - across).abs() < (1.0 - down).abs() { across } else { down };
+                vec![(self.rounded(scale * width, None), self.rounded(scale * height, None))]
+            }
+            SizeRule::Within(side) => {
+                let (width, height) = self.squeezed(width, height);
+                let scale = (f64::from(side) / width).min(f64::from(side) / height);
+                vec![(self.rounded(scale * width, Some(side)), self.rounded(scale * height, Some(side)))]
+            }
         }
+    }
+
+    /// The photo's size with its margins, where it gets some, and its longer side cut to what is bearable.
+    fn squeezed(&self, width: u32, height: u32) -> (f64, f64) {
+        let pad = if self.sampling == Sampling::Mirrored { margin } else { |_| 0 };
+        let (w, h) = (width + 2 * pad(width), height + 2 * pad(height));
+        (f64::from(w.min(h * Self::MAX_ASPECT_BY_SIDE)), f64::from(h.min(w * Self::MAX_ASPECT_BY_SIDE)))
+    }
+
+    /// The multiple nearest to a length, of two as near the even one; below `most` where that is given; never 0.
+    fn rounded(&self, length: f64, most: Option<u32>) -> u32 {
+        let ratio = length / f64::from(self.multiple);
+        let near = ratio.round_ties_even();
+        let above = most.is_some_and(|most| near * f64::from(self.multiple) > f64::from(most));
+        (if above { ratio.floor() } else { near }.max(1.0) as u32) * self.multiple
     }
 
     // NaN cannot arise: both sides are at least 1
@@ -125,7 +175,7 @@ impl Adapter {
         (f64::from(width) / f64::from(height)).clamp(1.0 / Self::MAX_ASPECT, Self::MAX_ASPECT)
     }
 
-    fn rounded(&self, pixels: f64, aspect: f64) -> (u32, u32) {
+    fn by_area(&self, pixels: f64, aspect: f64) -> (u32, u32) {
         let side = |length: f64| ((length / f64::from(self.multiple)).round().max(1.0) as u32) * self.multiple;
         (side((pixels * aspect).sqrt()), side((pixels / aspect).sqrt()))
     }
@@ -145,9 +195,22 @@ mod tests {
     }
 
     #[test]
-    fn depth_anything_has_its_shorter_side_at_518() {
-        assert_eq!(adapter("depth-anything-v2").unwrap().network_sizes(1000, 1000), [(518, 518)]);
-        assert_eq!(adapter("depth-anything-v2").unwrap().network_sizes(4000, 3000), [(686, 518)]);
+    fn sizes_are_those_of_the_publishers() {
+        let size = |name: &str, w, h| adapter(name).unwrap().network_sizes(w, h)[0];
+        let anything = |w, h| size("depth-anything-v2", w, h);
+        assert_eq!(anything(1000, 1000), (518, 518));
+        assert_eq!(anything(4000, 3000), (686, 518));
+        assert_eq!(anything(640, 480), (686, 518));
+        assert_eq!(anything(3000, 2000), (784, 518), "55.5 multiples: the even one");
+        assert_eq!(anything(64, 32), (518, 252), "18.5 multiples: the even one; enlarged, the longer side decides");
+        assert_eq!(anything(600, 400), (518, 350), "400 would grow more than 600 shrinks");
+        assert_eq!(anything(16_384, 1), (518, 126), "squeezed to 4:1");
+        assert_eq!(size("midas-v2.1-small-hub", 1500, 1000), (256, 160));
+        assert_eq!(size("midas-v2.1-small-hub", 1000, 1500), (160, 256));
+        assert_eq!(size("midas-v2.1-hub", 1000, 1000), (384, 384));
+        assert_eq!(size("zoedepth", 640, 480), (512, 384));
+        assert_eq!(size("zoedepth", 1500, 1000), (576, 384));
+        assert_eq!((margin(640), margin(480), margin(1)), (53, 46, 2));
     }
 
     proptest! {
@@ -158,7 +221,7 @@ mod tests {
             for (nw, nh) in a.network_sizes(w, h) {
                 prop_assert!(nw > 0 && nh > 0 && nw % a.multiple == 0 && nh % a.multiple == 0);
                 prop_assert!(u64::from(nw) * u64::from(nh) < 2_200_000);
-                prop_assert!(f64::from(nw.max(nh)) / f64::from(nw.min(nh)) < 4.0);
+                prop_assert!(f64::from(nw.max(nh)) / f64::from(nw.min(nh)) < 5.0);
             }
         }
     }

@@ -1,6 +1,7 @@
 //! Disparity of a photo: by a monocular depth network, or a map that the user gives.
 
 mod adapter;
+mod detect;
 pub mod guided;
 mod map;
 mod monocular;
@@ -8,7 +9,8 @@ mod png;
 mod smooth;
 mod upsample;
 
-pub use adapter::{ADAPTERS, Adapter, Kind, Layout, SizeRule, adapter};
+pub use adapter::{ADAPTERS, Adapter, Kind, Layout, Sampling, SizeRule, adapter, margin};
+pub use detect::detect;
 pub use map::from_png;
 pub use monocular::Monocular;
 pub use png::to_png;

@@ -3,9 +3,9 @@
 use std::sync::Arc;
 
 use super::smooth::smooth;
-use super::{Adapter, DepthError, Estimator, Kind, Layout, SizeRule, upsample};
+use super::{Adapter, DepthError, Estimator, Kind, Layout, Sampling, SizeRule, margin, upsample};
 use crate::onnx::{Config, Network, OnnxError, Session, Tensor};
-use crate::photo::{Filter, resample};
+use crate::photo::{Filter, Taps, resample, resample_by, resample_bytes};
 use crate::tmpi::{DisparityMap, Photo};
 
 /// Shares of pixels below and above which the normalised map saturates.
@@ -52,7 +52,7 @@ impl Monocular {
         Ok(Self::new(&adapter, Arc::new(session), flip))
     }
 
-    /// One run of the network: disparity at the network's size, every value finite.
+    /// One run of the network: disparity at the network's size, less margins that the photo was given; every value finite.
     fn run(&self, photo: &Photo, (w, h): (u32, u32), mirrored: bool) -> Result<DisparityMap, DepthError> {
         let planar = self.input(photo, (w, h), mirrored);
         let (w, h) = (w as usize, h as usize);
@@ -63,7 +63,8 @@ impl Monocular {
         if out.data.len() != w * h {
             return Err(fail(format!("it gave {:?} for a picture of {w}×{h}", out.shape)).into());
         }
-        let mut delta: Vec<f32> = out.data.into_iter().map(|v| self.to_disparity(v)).collect();
+        let (data, w, h) = self.without_margins(out.data, photo, w, h);
+        let mut delta: Vec<f32> = data.into_iter().map(|v| self.to_disparity(v)).collect();
         // What is not finite is taken as far away
         let far = delta.iter().copied().filter(|v| v.is_finite()).fold(f32::INFINITY, f32::min);
         if far == f32::INFINITY {
@@ -80,14 +81,44 @@ impl Monocular {
         Ok(DisparityMap { width: w as u32, height: h as u32, delta })
     }
 
+    /// The part of a map of `w × h` that shows the photo, and its size: the scale stays about the network's.
+    fn without_margins(&self, map: Vec<f32>, photo: &Photo, w: usize, h: usize) -> (Vec<f32>, usize, usize) {
+        if self.adapter.sampling != Sampling::Mirrored {
+            return (map, w, h);
+        }
+        let axis = |map: usize, side: u32| {
+            let margin = margin(side) as usize;
+            let side = side as usize;
+            let to = ((map * side) as f64 / (side + 2 * margin) as f64).round().max(1.0) as usize;
+            (Taps::cropped(map, side, margin, to), to)
+        };
+        let ((across, to_w), (down, to_h)) = (axis(w, photo.width), axis(h, photo.height));
+        // A cubic overshoots beside the nearest things; what it takes to 0 and below is as near as anything
+        let least = map.iter().copied().filter(|v| v.is_finite()).fold(f32::INFINITY, f32::min);
+        let metric = self.adapter.output == Kind::Metric;
+        let store = |[v]: [f32; 1]| if metric && v <= 0.0 { least } else { v };
+        (resample_by(&map, w, &across, &down, |v| [v], store), to_w, to_h)
+    }
+
     /// The photo at the network's size, normalised, in the network's layout.
     fn input(&self, photo: &Photo, size: (u32, u32), mirrored: bool) -> Vec<f32> {
-        let Adapter { mean, deviation, layout, filter, .. } = self.adapter;
-        let normal = |p: [f32; 3]| std::array::from_fn(|c| (p[c].clamp(0.0, 1.0) - mean[c]) / deviation[c]);
+        let Adapter { mean, deviation, layout, sampling, .. } = self.adapter;
+        let normal = |p: [f32; 3]| std::array::from_fn(|c| (p[c] - mean[c]) / deviation[c]);
         let load = |p: [u8; 3]| p.map(|v| f32::from(v) / 255.0);
-        let mut small: Vec<[f32; 3]> = resample(&photo.rgb, (photo.width, photo.height), size, filter, load, normal);
+        let from = (photo.width, photo.height);
+        let (from_w, from_h, to_w, to_h) = (from.0 as usize, from.1 as usize, size.0 as usize, size.1 as usize);
+        let by = |across: &Taps, down: &Taps| resample_by(&photo.rgb, from_w, across, down, load, normal);
+        let mut small: Vec<[f32; 3]> = match sampling {
+            Sampling::Unrounded(filter) => resample(&photo.rgb, from, size, filter, load, |p| normal(p.map(|v| v.clamp(0.0, 1.0)))),
+            Sampling::Bytes(filter) => resample_bytes(&photo.rgb, from, size, filter).into_iter().map(|p| normal(load(p))).collect(),
+            Sampling::Four => by(&Taps::four(from_w, to_w), &Taps::four(from_h, to_h)),
+            Sampling::Mirrored => {
+                let taps = |side: u32, to| Taps::mirrored(side as usize, margin(side) as usize, to);
+                by(&taps(photo.width, to_w), &taps(photo.height, to_h))
+            }
+        };
         if mirrored {
-            small.chunks_exact_mut(size.0 as usize).for_each(<[[f32; 3]]>::reverse);
+            small.chunks_exact_mut(to_w).for_each(<[[f32; 3]]>::reverse);
         }
         match layout {
             Layout::Nhwc => small.into_flattened(),
@@ -284,6 +315,26 @@ mod tests {
         let row = &got.delta[h / 2 * w..(h / 2 + 1) * w];
         assert!((row[0] - row[w - 1]).abs() < 30.0, "{} {}", row[0], row[w - 1]);
         assert!(got.delta[0] < got.delta[(h - 1) * w]);
+    }
+
+    #[test]
+    fn margins_are_put_on_and_taken_off() {
+        let zoe = super::super::adapter("zoedepth").unwrap();
+        // 60 × 40 pixels have margins of 16 and 13, and the network runs at 512 × 352
+        let ramp = Monocular::new(zoe, Arc::new(Stub(|x, _| x as f32 + 1.0)), false).raw(&photo(60, 40)).unwrap();
+        assert_eq!((ramp.width, ramp.height), (334, 213));
+        let distance = |x: usize| 1.0 / ramp.delta[100 * 334 + x];
+        assert!((distance(0) - (512.0 * 16.5 / 92.0 + 0.5)).abs() < 4.0, "{}", distance(0));
+        assert!((distance(333) - (512.0 * 75.5 / 92.0 + 0.5)).abs() < 4.0, "{}", distance(333));
+        // Beside a step the cubic goes below 0, which is not far away
+        let step = Monocular::new(zoe, Arc::new(Stub(|x, _| if x < 256 { 0.01 } else { 10.0 })), false).raw(&photo(60, 40)).unwrap();
+        let least = step.delta[..160].iter().copied().fold(f32::INFINITY, f32::min);
+        assert!(least > 0.5, "{least}");
+        for (w, h) in [(1, 1), (1, 300), (300, 2), (16_384, 1)] {
+            let got = Monocular::new(zoe, Arc::new(Stub(|x, y| (x + y + 1) as f32)), true).estimate(&photo(w, h)).unwrap();
+            assert_eq!((got.width, got.height), (w, h));
+            assert!(got.delta.iter().all(|v| (0.0..=1.0).contains(v)), "{w}×{h}");
+        }
     }
 
     #[test]

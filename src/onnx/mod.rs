@@ -1,12 +1,14 @@
 //! ONNX Runtime: the library is looked up at run time, sessions belong to named worker threads with bounded queues.
 
 mod library;
+mod outline;
 mod session;
 
 #[cfg(test)]
 mod tests;
 
 pub use library::{available, keep_to_yourself};
+pub use outline::{Outline, outline};
 pub use session::{Config, Optimisation, Port, Provider, Session};
 
 /// A dense `f32` tensor, row-major.

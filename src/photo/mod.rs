@@ -12,6 +12,8 @@ mod jpeg;
 mod limits;
 mod pixels;
 mod resample;
+mod resample_bytes;
+mod taps;
 mod webp;
 
 #[cfg(test)]
@@ -26,7 +28,9 @@ use image::{ColorType, ImageDecoder};
 pub use check::check;
 pub use error::PhotoError;
 pub use limits::Limits;
-pub use resample::{Filter, reduced_size, resample, resize};
+pub use resample::{Filter, reduced_size, resample, resample_by, resize};
+pub use resample_bytes::resample_bytes;
+pub use taps::Taps;
 
 use self::exif::Facts;
 use crate::tmpi::{Intrinsics, Photo};

@@ -2,6 +2,7 @@
 
 use rayon::prelude::*;
 
+use super::taps::Taps;
 use crate::tmpi::Photo;
 
 /// Kernel of a resampling; when reducing it is stretched by the ratio, so that nothing aliases.
@@ -16,7 +17,8 @@ pub enum Filter {
 }
 
 impl Filter {
-    fn support(self) -> f64 {
+    /// Distance from which on the kernel is 0.
+    pub(super) fn support(self) -> f64 {
         match self {
             Self::Lanczos3 => 3.0,
             Self::Triangle => 1.0,
@@ -24,7 +26,8 @@ impl Filter {
         }
     }
 
-    fn at(self, x: f64) -> f64 {
+    /// The kernel at a distance in places, unstretched.
+    pub(super) fn at(self, x: f64) -> f64 {
         let x = x.abs();
         match self {
             Self::Triangle => (1.0 - x).max(0.0),
@@ -41,38 +44,6 @@ impl Filter {
     }
 }
 
-/// For each place of the result, the first source place and the weights from there on; weights sum to 1.
-struct Taps(Vec<(usize, Vec<f32>)>);
-
-impl Taps {
-    fn new(from: usize, to: usize, filter: Filter) -> Self {
-        let ratio = from as f64 / to as f64;
-        let stretch = ratio.max(1.0);
-        let reach = filter.support() * stretch;
-        Self(
-            (0..to)
-                .map(|i| {
-                    let centre = (i as f64 + 0.5) * ratio;
-                    let first = (centre - reach).floor().max(0.0) as usize;
-                    let end = ((centre + reach).ceil() as usize).clamp(first + 1, from);
-                    let first = first.min(end - 1);
-                    let mut weights: Vec<f64> = (first..end).map(|s| filter.at((s as f64 + 0.5 - centre) / stretch)).collect();
-                    let sum: f64 = weights.iter().sum();
-                    if sum.abs() < 1e-12 {
-                        let middle = weights.len() / 2;
-                        weights[middle] = 1.0;
-                    } else {
-                        for w in &mut weights {
-                            *w /= sum;
-                        }
-                    }
-                    (first, weights.into_iter().map(|w| w as f32).collect())
-                })
-                .collect(),
-        )
-    }
-}
-
 /// Resamples a row-major picture of `from` pixels to `to` pixels; `load` and `store` convert a pixel to and from channels.
 ///
 /// Both sizes are at least 1×1 and `source` has `from.0 · from.1` pixels.
@@ -84,9 +55,22 @@ pub fn resample<const C: usize, S: Copy + Sync, D: Copy + Default + Send>(
     load: impl Fn(S) -> [f32; C] + Sync,
     store: impl Fn([f32; C]) -> D + Sync,
 ) -> Vec<D> {
+    let across = Taps::stretched(from.0 as usize, to.0 as usize, filter);
+    let down = Taps::stretched(from.1 as usize, to.1 as usize, filter);
+    resample_by(source, from.0 as usize, &across, &down, load, store)
+}
+
+/// As [`resample`], by taps of one's own; `source` has rows of `from_w` pixels, and the taps lie inside it.
+pub fn resample_by<const C: usize, S: Copy + Sync, D: Copy + Default + Send>(
+    source: &[S],
+    from_w: usize,
+    across: &Taps,
+    down: &Taps,
+    load: impl Fn(S) -> [f32; C] + Sync,
+    store: impl Fn([f32; C]) -> D + Sync,
+) -> Vec<D> {
     const BAND: usize = 32;
-    let (from_w, from_h, to_w, to_h) = (from.0 as usize, from.1 as usize, to.0 as usize, to.1 as usize);
-    let (across, down) = (Taps::new(from_w, to_w, filter), Taps::new(from_h, to_h, filter));
+    let (to_w, to_h) = (across.0.len(), down.0.len());
     let mut out = vec![D::default(); to_w * to_h];
     out.par_chunks_mut(BAND * to_w).enumerate().for_each(|(band, out)| {
         let taps = &down.0[band * BAND..band * BAND + out.len() / to_w];
@@ -94,6 +78,10 @@ pub fn resample<const C: usize, S: Copy + Sync, D: Copy + Default + Send>(
         let mut sums = vec![[0f32; C]; out.len()];
         let (mut line, mut row) = (vec![[0f32; C]; from_w], vec![[0f32; C]; to_w]);
         for y in first..end {
+            // Taps that are not stretched leave rows out
+            if !taps.iter().any(|(at, weights)| (*at..at + weights.len()).contains(&y)) {
+                continue;
+            }
             for (l, &s) in line.iter_mut().zip(&source[y * from_w..]) {
                 *l = load(s);
             }

@@ -1,0 +1,165 @@
+//! Which source places a place of the result is made of, and by which weights, along one axis.
+
+use super::resample::Filter;
+
+/// Slope of `OpenCV`'s and `PyTorch`'s cubic at 1.
+const SLOPE: f64 = -0.75;
+
+/// Taps along one axis: for each place of the result, the first source place and the weights from there on.
+pub struct Taps(pub(super) Vec<(usize, Vec<f32>)>);
+
+impl Taps {
+    /// `from` places to `to`, both at least 1, by a kernel that is stretched by the ratio when reducing; weights sum to 1.
+    #[must_use]
+    pub fn stretched(from: usize, to: usize, filter: Filter) -> Self {
+        let ratio = from as f64 / to as f64;
+        let stretch = ratio.max(1.0);
+        let reach = filter.support() * stretch;
+        let tap = |i: usize| {
+            let centre = (i as f64 + 0.5) * ratio;
+            let first = (centre - reach).floor().max(0.0) as usize;
+            let end = ((centre + reach).ceil() as usize).clamp(first + 1, from);
+            let first = first.min(end - 1);
+            let mut weights: Vec<f64> = (first..end).map(|s| filter.at((s as f64 + 0.5 - centre) / stretch)).collect();
+            let sum: f64 = weights.iter().sum();
+            if sum.abs() < 1e-12 {
+                let middle = weights.len() / 2;
+                weights[middle] = 1.0;
+            } else {
+                for w in &mut weights {
+                    *w /= sum;
+                }
+            }
+            (first, weights.into_iter().map(|w| w as f32).collect())
+        };
+        Self((0..to).map(tap).collect())
+    }
+
+    /// `from` places to `to`, both at least 1, by a cubic of slope −¾ over four places whatever the ratio, the border repeated: as
+    /// `OpenCV`'s `INTER_CUBIC` and `PyTorch`'s `bicubic` without antialiasing.
+    #[must_use]
+    pub fn four(from: usize, to: usize) -> Self {
+        Self((0..to).map(|i| gathered(&cubic(from, to, i))).collect())
+    }
+
+    /// `from` places with `margin` mirrored ones on either side (the border not repeated) to `to`, all but `margin` at least 1,
+    /// by lines between neighbours, first on first and last on last: as `PyTorch`'s `bilinear` with `align_corners`.
+    #[must_use]
+    pub fn mirrored(from: usize, margin: usize, to: usize) -> Self {
+        let padded = from + 2 * margin;
+        // In single precision, as there: in thousands of places it decides on the fourth digit of a weight
+        let step = if to > 1 { (padded - 1) as f32 / (to - 1) as f32 } else { 0.0 };
+        let tap = |i: usize| {
+            let at = step * i as f32;
+            let low = (at as usize).min(padded - 1);
+            let share = f64::from((at - low as f32).clamp(0.0, 1.0));
+            let source = |p: usize| mirror(p as i64 - margin as i64, from);
+            gathered(&[(source(low), 1.0 - share), (source((low + 1).min(padded - 1)), share)])
+        };
+        Self((0..to).map(tap).collect())
+    }
+
+    /// Back from [`Self::mirrored`]: a map of `map` places over `from` places and their margins becomes one of `to` places over
+    /// `from` alone. Two cubics of slope −¾ after one another, to `from + 2 · margin` places and from the `from` in the middle.
+    #[must_use]
+    pub fn cropped(map: usize, from: usize, margin: usize, to: usize) -> Self {
+        let tap = |i: usize| {
+            let mut all = Vec::with_capacity(16);
+            for (j, v) in cubic(from, to, i) {
+                all.extend(cubic(map, from + 2 * margin, j + margin).map(|(k, w)| (k, v * w)));
+            }
+            gathered(&all)
+        };
+        Self((0..to).map(tap).collect())
+    }
+}
+
+/// The four places, within the border, that place `i` of `to` is made of, and their weights.
+fn cubic(from: usize, to: usize, i: usize) -> [(usize, f64); 4] {
+    // The place in single precision, as there
+    let at = ((i as f64 + 0.5) * (from as f64 / to as f64) - 0.5) as f32;
+    let low = at.floor();
+    let t = f64::from(at - low);
+    let near = |x: f64| ((SLOPE + 2.0) * x - (SLOPE + 3.0)) * x * x + 1.0;
+    let far = |x: f64| SLOPE * (((x - 5.0) * x + 8.0) * x - 4.0);
+    let weights = [far(t + 1.0), near(t), near(1.0 - t), far(2.0 - t)];
+    std::array::from_fn(|k| ((low as i64 + k as i64 - 1).clamp(0, from as i64 - 1) as usize, weights[k]))
+}
+
+/// The place of `0..size` that `at` is mirrored to, the border not repeated.
+fn mirror(at: i64, size: usize) -> usize {
+    let last = size as i64 - 1;
+    if last == 0 {
+        return 0;
+    }
+    let at = at.rem_euclid(2 * last);
+    at.min(2 * last - at) as usize
+}
+
+/// Weights of single places, of which there is at least one, as one row of them.
+fn gathered(all: &[(usize, f64)]) -> (usize, Vec<f32>) {
+    let (first, last) = all.iter().fold((usize::MAX, 0), |m, &(at, _)| (m.0.min(at), m.1.max(at)));
+    let mut weights = vec![0f64; last + 1 - first];
+    for &(at, w) in all {
+        weights[at - first] += w;
+    }
+    (first, weights.into_iter().map(|w| w as f32).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn mirroring_does_not_repeat_the_border() {
+        let all: Vec<_> = (-5..8).map(|at| mirror(at, 3)).collect();
+        assert_eq!(all, [1, 0, 1, 2, 1, 0, 1, 2, 1, 0, 1, 2, 1]);
+        assert!((-3..3).all(|at| mirror(at, 1) == 0));
+    }
+
+    #[test]
+    fn the_same_size_changes_nothing() {
+        for (taps, shift) in
+            [(Taps::four(9, 9), 0), (Taps::mirrored(9, 0, 9), 0), (Taps::cropped(9, 9, 0, 9), 0), (Taps::cropped(13, 9, 2, 9), 2)]
+        {
+            for (i, (at, weights)) in taps.0.iter().enumerate() {
+                let there = weights.iter().position(|&w| (w - 1.0).abs() < 1e-6);
+                assert_eq!(there.map(|k| at + k), Some(i + shift), "{weights:?}");
+            }
+        }
+    }
+
+    /// Mean place of a tap.
+    fn place(at: usize, weights: &[f32]) -> f64 {
+        weights.iter().enumerate().map(|(k, &w)| (at + k) as f64 * f64::from(w)).sum()
+    }
+
+    #[test]
+    fn cropping_leaves_a_line_where_it_was() {
+        // Place i of 30 over 60 pixels, in a map of 80 places over 60 + 2 · 10 pixels
+        let taps = Taps::cropped(80, 60, 10, 30);
+        for (i, (at, weights)) in taps.0.iter().enumerate().skip(2).take(26) {
+            let want = (i as f64 + 0.5) * 2.0 - 0.5 + 10.0;
+            assert!((place(*at, weights) - want).abs() < 0.05, "{i}");
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn weights_lie_inside_and_sum_to_one(from in 1usize..300, to in 1usize..300, margin in 0usize..40, map in 1usize..200) {
+            for (taps, size) in [
+                (Taps::four(from, to), from),
+                (Taps::mirrored(from, margin, to), from),
+                (Taps::cropped(map, from, margin, to), map),
+                (Taps::stretched(from, to, Filter::Cubic), from),
+            ] {
+                prop_assert_eq!(taps.0.len(), to);
+                for (at, weights) in &taps.0 {
+                    prop_assert!(!weights.is_empty() && at + weights.len() <= size);
+                    prop_assert!((weights.iter().sum::<f32>() - 1.0).abs() < 1e-5);
+                }
+            }
+        }
+    }
+}
