@@ -6,7 +6,7 @@ use super::measure::{self, Bench};
 use super::subject::{self, Subject};
 use super::{Axis, BenchError, Curve, Experiment, Point};
 use crate::generate::layers::{self, Coloured};
-use crate::generate::planes::{MAX_AUTO_PLANES, Method, NEIGHBOUR, Placement, place};
+use crate::generate::planes::{MAX_AUTO_PLANES, Method, NEIGHBOUR, Placement, overlap_disagreement, place};
 use crate::generate::refine;
 use crate::generate::snap;
 use crate::onnx::Network;
@@ -19,7 +19,7 @@ use crate::way::{MakeError, Options};
 
 /// What is done otherwise than by default.
 #[derive(Clone, Copy, PartialEq, Default)]
-enum Without {
+pub(super) enum Without {
     #[default]
     Nothing,
     /// The map as it is given.
@@ -68,7 +68,7 @@ const ALL: [(&str, Without); 14] = [
 ];
 
 /// A subject ready for planes.
-struct Prepared<'a> {
+pub(super) struct Prepared<'a> {
     subject: &'a Subject,
     photo: Photo,
     intrinsics: Intrinsics,
@@ -78,7 +78,7 @@ struct Prepared<'a> {
 }
 
 impl<'a> Prepared<'a> {
-    fn new(subject: &'a Subject, psi: Option<&'a dyn Network>) -> Result<Option<Self>, BenchError> {
+    pub(super) fn new(subject: &'a Subject, psi: Option<&'a dyn Network>) -> Result<Option<Self>, BenchError> {
         let Some(map) = &subject.disparity else { return Ok(None) };
         let fail = |e| BenchError::Make { subject: subject.name.clone(), source: MakeError::Photo(e) };
         let decoded = photo::decode(&subject.file, &Limits::default(), None).map_err(fail)?;
@@ -152,6 +152,12 @@ impl<'a> Prepared<'a> {
         }
     }
 
+    /// How far neighbouring tiles are apart where both lie, in δ.
+    pub(super) fn neighbours_apart(&self) -> f64 {
+        let b = self.blueprint(Without::Nothing, NEIGHBOUR);
+        overlap_disagreement(&b.grid, &b.tiles)
+    }
+
     /// Figures of one setting.
     fn figures(&self, without: Without, neighbour: f32) -> Result<Vec<(&'static str, f64)>, BenchError> {
         if without == Without::Planes {
@@ -212,7 +218,7 @@ fn changes(b: &Blueprint) -> f64 {
 }
 
 /// Mean over the subjects of the figures of a setting.
-fn point(all: &[Prepared], setting: String, without: Without, neighbour: f32, axes: (&str, &str)) -> Result<Point, BenchError> {
+pub(super) fn point(all: &[Prepared], setting: String, without: Without, neighbour: f32, axes: (&str, &str)) -> Result<Point, BenchError> {
     let mut figures: Vec<(&'static str, f64)> = Vec::new();
     for p in all {
         for (name, value) in p.figures(without, neighbour)? {

@@ -12,6 +12,7 @@ mod discretisation;
 mod drawing;
 mod efficiency;
 mod experiments;
+mod families;
 mod machine;
 mod measure;
 mod mesh;
@@ -45,7 +46,7 @@ pub struct Settings {
 }
 
 /// Short names of the experiments, in the order in which they are done.
-pub const EXPERIMENTS: [&str; 18] = [
+pub const EXPERIMENTS: [&str; 19] = [
     "scaling",
     "efficiency",
     "clustering",
@@ -62,6 +63,7 @@ pub const EXPERIMENTS: [&str; 18] = [
     "photos",
     "mesh",
     "discretisation",
+    "families",
     "drawing",
     "budget",
 ];
@@ -202,6 +204,9 @@ pub fn run(settings: &Settings, progress: &dyn Fn(&str)) -> Result<Results, Benc
     experiments.extend(experiments::on_scenes(&bench, &scenes, settings, &mut skipped, progress)?);
     if wants("without") {
         experiments.push(ablation::steps(&bench, &scenes, progress)?);
+    }
+    if wants("families") {
+        experiments.push(families::run(&bench, settings.quick, progress)?);
     }
     if wants("labels") {
         experiments.push(ablation::labels(&scenes, settings.quick, progress)?);

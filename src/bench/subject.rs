@@ -66,6 +66,24 @@ fn scene(seed: u64, (width, height): (u32, u32)) -> Result<Subject, BenchError> 
     })
 }
 
+/// So many scenes of each family, families by name.
+pub(super) fn by_family(count: usize) -> Result<super::families::Families, BenchError> {
+    /// Apart from the scenes of [`rendered`].
+    const FIRST: u64 = SEED + 50_000;
+    const SIZE: (u32, u32) = (384, 256);
+    let mut found = std::collections::BTreeMap::<&'static str, Vec<u64>>::new();
+    for seed in FIRST..FIRST + 3000 {
+        let seeds = found.entry(synth::Scene::framed(seed, SIZE.0, SIZE.1).family()).or_default();
+        if seeds.len() < count {
+            seeds.push(seed);
+        }
+        if found.len() == synth::FAMILY_COUNT && found.values().all(|s| s.len() == count) {
+            break;
+        }
+    }
+    found.into_iter().map(|(family, seeds)| Ok((family, seeds.into_iter().map(|s| scene(s, SIZE)).collect::<Result<_, _>>()?))).collect()
+}
+
 /// The surface behind the first one of a rendered scene.
 pub(super) fn hidden(seed: u64, (width, height): (u32, u32)) -> synth::Picture {
     let scene = synth::Scene::framed(seed, width, height);

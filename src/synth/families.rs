@@ -8,9 +8,12 @@ use crate::tmpi::Pose;
 
 type Make = fn(&mut Build);
 
+/// How many families there are.
+pub const FAMILY_COUNT: usize = 18;
+
 /// Name, share and maker. A quarter of all scenes has no vertical trend or a reversed one: most shelves, heaps, drapes, figures
 /// and floating things, rooms and streets seen upwards.
-const FAMILIES: [(&str, f64, Make); 18] = [
+const FAMILIES: [(&str, f64, Make); FAMILY_COUNT] = [
     ("room", 0.13, indoor::room),
     ("corridor", 0.03, places::corridor),
     ("lounge", 0.06, places::lounge),

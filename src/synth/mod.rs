@@ -24,6 +24,7 @@ use crate::tmpi::{Camera, DisparityMap, Intrinsics, Photo, Pose};
 use math::{Rng, V3, v3};
 use world::{Hit, World};
 
+pub use families::FAMILY_COUNT;
 pub use picture::Pictures;
 
 /// Nothing nearer than this many metres is seen; families keep things farther away.
