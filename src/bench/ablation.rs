@@ -133,10 +133,10 @@ impl<'a> Prepared<'a> {
                 let hidden = subject::hidden(seed, (self.photo.width, self.photo.height));
                 coloured.iter_mut().zip(0..).for_each(|(t, i)| {
                     let place = Place::of(&blueprint.grid, i);
-                    t.iter_mut().for_each(|l| {
+                    for l in t {
                         let known = behind::colours(&l.shape, place, &self.given, &hidden);
                         l.hidden.iter_mut().zip(known).for_each(|(c, k)| *c = k.unwrap_or(*c));
-                    });
+                    }
                 });
             }
             _ => {}

@@ -75,8 +75,8 @@ fn halved(d: &DisparityMap) -> DisparityMap {
 
 /// Head of a file of `NumPy`, version 1.0, for bytes in C order.
 fn header(shape: &[usize]) -> Vec<u8> {
-    let extents: String = shape.iter().map(|n| format!("{n}, ")).collect();
-    let about = format!("{{'descr': '|u1', 'fortran_order': False, 'shape': ({extents}), }}");
+    let extents = shape.iter().map(usize::to_string).collect::<Vec<_>>().join(", ");
+    let about = format!("{{'descr': '|u1', 'fortran_order': False, 'shape': ({extents},), }}");
     // magic, version, length and text together fill lines of 64 bytes
     let length = (10 + about.len() + 1).next_multiple_of(64) - 10;
     let mut out = b"\x93NUMPY\x01\x00".to_vec();
