@@ -322,7 +322,7 @@ def main():
     a.add_argument("--style", choices=["off", "batch", "photos"], default="off", help="whose channel statistics are mixed in")
     a.add_argument("--pictures", default=str(RUNS / "pictures"), help="photographs for --style photos")
     a.add_argument("--encoder", choices=["untrained", "mobilenet", "both"], default="both", help="MobileNetV2 with random weights, as it is, or with YOLOX-nano beside it")
-    a.add_argument("--ramp", type=float, default=0.5, help="share of the vertical ramp by which checkpoints are measured")
+    a.add_argument("--ramp", type=float, default=0.3, help="share of the vertical ramp by which checkpoints are measured")
     a.add_argument("--drop", type=float, default=0.1, help="share of the encoder's channels that each sample goes without")
     a.add_argument("--ema", type=float, default=0.995, help="decay of the mean over weights")
     a.add_argument("--init", help="checkpoint whose decoder to begin with")

@@ -13,8 +13,8 @@ import common
 from common import DATA
 from depth import MEAN, STD, DepthNet
 
-# pixels of the network's input that it was trained for
-AREA = 160 * 224
+# pixels at which the program runs the network
+AREA = 128 * 192
 
 
 def size_for(h, w, area=AREA):

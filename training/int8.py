@@ -69,7 +69,7 @@ def main():
     a.add_argument("out")
     a.add_argument("--scenes", nargs="+", default=[str(RUNS / "data" / "held")])
     a.add_argument("--count", type=int, default=24)
-    a.add_argument("--calibrate", choices=["minmax", "percentile", "entropy"], default="minmax")
+    a.add_argument("--calibrate", choices=["minmax", "percentile", "entropy"], default="percentile")
     a.add_argument("--rounds", type=int, default=40)
     a.add_argument("--keep", type=int, default=0, help="leave that many convolutions at the end in 32 bits")
     a = a.parse_args()
@@ -97,8 +97,7 @@ def main():
         p, q = (s.run(None, x)[0] for s in pair)
         difference.append(np.abs(p - q).mean() / p.std())
     for size in SIZES[:2]:
-        x = {k: v[..., : size[0], : size[1]] for k, v in next(inputs(kind, folders[1:], 1)).items()}
-        x = {k: np.ascontiguousarray(v) for k, v in x.items()}
+        x = next(inputs(kind, folders[1:], 1, [size]))
         for _ in range(a.rounds):
             for s, t in zip(pair, times):
                 start = time.perf_counter()

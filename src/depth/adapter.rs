@@ -9,8 +9,6 @@ pub enum SizeRule {
     Fixed(u32, u32),
     /// The photo's aspect at about this many pixels.
     Area(u32),
-    /// As [`Self::Area`], once for each, and the mean of the maps.
-    Areas(&'static [u32]),
     /// The photo's aspect, as wide or as high as this, whichever changes its scale less.
     Near(u32, u32),
     /// The photo's aspect, neither side longer than this.
@@ -99,7 +97,7 @@ const fn entry(name: &'static str, size: SizeRule, multiple: u32, norm: ([f32; 3
 pub const ADAPTERS: [Adapter; 11] = [
     Adapter {
         smoothing: 3000.0,
-        ..entry("tmpi", SizeRule::Areas(&[128 * 192, 192 * 256]), 32, IMAGENET, Sampling::Unrounded(Filter::Lanczos3), Kind::Disparity)
+        ..entry("tmpi", SizeRule::Area(128 * 192), 32, IMAGENET, Sampling::Unrounded(Filter::Lanczos3), Kind::Disparity)
     },
     entry("midas-v2.1-small", SizeRule::Fixed(256, 256), 32, PLAIN, Sampling::Four, Kind::Disparity),
     entry("midas-v2.1", SizeRule::Fixed(384, 384), 32, PLAIN, Sampling::Four, Kind::Disparity),
@@ -128,29 +126,23 @@ impl Adapter {
     /// Upper bound of pixels, whatever the rule says.
     const MAX_PIXELS: f64 = 2e6;
 
-    /// Widths and heights that the network is run at for a photo of `width × height`, each at least 1.
+    /// Width and height that the network is run at for a photo of `width × height`, each at least 1.
     #[must_use]
-    pub fn network_sizes(&self, width: u32, height: u32) -> Vec<(u32, u32)> {
-        let of = |pixels: f64| self.by_area(pixels.min(Self::MAX_PIXELS), Self::aspect(width, height));
+    pub fn network_size(&self, width: u32, height: u32) -> (u32, u32) {
         match self.size {
-            SizeRule::Fixed(w, h) => vec![(w, h)],
-            SizeRule::Area(pixels) => vec![of(f64::from(pixels))],
-            SizeRule::Areas(all) => {
-                let mut sizes: Vec<_> = all.iter().map(|&pixels| of(f64::from(pixels))).collect();
-                sizes.dedup();
-                sizes
-            }
+            SizeRule::Fixed(w, h) => (w, h),
+            SizeRule::Area(pixels) => self.by_area(f64::from(pixels).min(Self::MAX_PIXELS), Self::aspect(width, height)),
             SizeRule::Near(w, h) => {
                 // The order of operations is that of the publishers: quotients fall on halves, and rounding decides
                 let (width, height) = self.squeezed(width, height);
                 let (across, down) = (f64::from(w) / width, f64::from(h) / height);
                 let scale = if (1.0 - across).abs() < (1.0 - down).abs() { across } else { down };
-                vec![(self.rounded(scale * width, None), self.rounded(scale * height, None))]
+                (self.rounded(scale * width, None), self.rounded(scale * height, None))
             }
             SizeRule::Within(side) => {
                 let (width, height) = self.squeezed(width, height);
                 let scale = (f64::from(side) / width).min(f64::from(side) / height);
-                vec![(self.rounded(scale * width, Some(side)), self.rounded(scale * height, Some(side)))]
+                (self.rounded(scale * width, Some(side)), self.rounded(scale * height, Some(side)))
             }
         }
     }
@@ -187,16 +179,16 @@ mod tests {
     use proptest::prelude::*;
 
     #[test]
-    fn the_embedded_network_runs_at_two_sizes_about_its_training_area() {
+    fn the_embedded_network_runs_at_a_small_size_whatever_the_photo() {
         let a = adapter("tmpi").unwrap();
-        assert_eq!(a.network_sizes(6000, 4000), [(192, 128), (256, 192)]);
-        assert_eq!(a.network_sizes(300, 450), [(128, 192), (192, 256)]);
-        assert_eq!(a.network_sizes(1, 20_000), a.network_sizes(1000, 3000));
+        assert_eq!(a.network_size(6000, 4000), (192, 128));
+        assert_eq!(a.network_size(300, 450), (128, 192));
+        assert_eq!(a.network_size(1, 20_000), a.network_size(1000, 3000));
     }
 
     #[test]
     fn sizes_are_those_of_the_publishers() {
-        let size = |name: &str, w, h| adapter(name).unwrap().network_sizes(w, h)[0];
+        let size = |name: &str, w, h| adapter(name).unwrap().network_size(w, h);
         let anything = |w, h| size("depth-anything-v2", w, h);
         assert_eq!(anything(1000, 1000), (518, 518));
         assert_eq!(anything(4000, 3000), (686, 518));
@@ -217,12 +209,10 @@ mod tests {
         #[test]
         fn sizes_are_multiples_and_bounded(w in 1u32..=16_384, h in 1u32..=16_384, which in 0..ADAPTERS.len()) {
             let a = &ADAPTERS[which];
-            prop_assert!(!a.network_sizes(w, h).is_empty());
-            for (nw, nh) in a.network_sizes(w, h) {
-                prop_assert!(nw > 0 && nh > 0 && nw % a.multiple == 0 && nh % a.multiple == 0);
-                prop_assert!(u64::from(nw) * u64::from(nh) < 2_200_000);
-                prop_assert!(f64::from(nw.max(nh)) / f64::from(nw.min(nh)) < 5.0);
-            }
+            let (nw, nh) = a.network_size(w, h);
+            prop_assert!(nw > 0 && nh > 0 && nw % a.multiple == 0 && nh % a.multiple == 0);
+            prop_assert!(u64::from(nw) * u64::from(nh) < 2_200_000);
+            prop_assert!(f64::from(nw.max(nh)) / f64::from(nw.min(nh)) < 5.0);
         }
     }
 }

@@ -155,21 +155,12 @@ impl Estimator for Monocular {
     }
 
     fn raw(&self, photo: &Photo) -> Result<DisparityMap, DepthError> {
-        let sizes = self.adapter.network_sizes(photo.width, photo.height);
-        let runs: Vec<_> = sizes.iter().flat_map(|&s| [Some((s, false)), self.flip.then_some((s, true))]).flatten().collect();
-        // The last size is the largest; the others are brought to it
-        let (&last, others) = runs.split_last().unwrap_or((&((1, 1), false), &[]));
-        let mut map = self.run(photo, last.0, last.1)?;
-        let mut sum = vec![0f64; map.delta.len()];
-        for &(size, mirrored) in others {
-            let other = self.run(photo, size, mirrored)?;
-            let from = (other.width, other.height);
-            let mut delta = resample(&other.delta, from, (map.width, map.height), Filter::Triangle, |v| [v], |[v]| v);
-            align(&mut delta, &map.delta);
-            sum.iter_mut().zip(&delta).for_each(|(s, d)| *s += f64::from(*d));
-        }
-        for (d, s) in map.delta.iter_mut().zip(sum) {
-            *d = ((f64::from(*d) + s) / runs.len() as f64) as f32;
+        let size = self.adapter.network_size(photo.width, photo.height);
+        let mut map = self.run(photo, size, false)?;
+        if self.flip {
+            let mut mirrored = self.run(photo, size, true)?;
+            align(&mut mirrored.delta, &map.delta);
+            map.delta.iter_mut().zip(&mirrored.delta).for_each(|(d, m)| *d = f32::midpoint(*d, *m));
         }
         Ok(map)
     }
@@ -360,8 +351,8 @@ mod tests {
         let got = Monocular::load(&plain, mean, &Config::default(), false).unwrap();
         let grey = Photo { width: 48, height: 32, rgb: (0..48 * 32).map(|i| [(i % 48 * 5) as u8; 3]).collect() };
         let raw = got.raw(&grey).unwrap();
-        assert_eq!((raw.width, raw.height), (256, 192));
-        assert!((raw.delta[96 * 256 + 128] - 0.46).abs() < 0.03, "{}", raw.delta[96 * 256 + 128]);
+        assert_eq!((raw.width, raw.height), (192, 128));
+        assert!((raw.delta[64 * 192 + 96] - 0.46).abs() < 0.03, "{}", raw.delta[64 * 192 + 96]);
         let two = include_bytes!("../../tests/onnx/sum_difference.onnx");
         assert!(matches!(Monocular::load(&plain, two, &Config::default(), false), Err(OnnxError::Model { .. })));
     }

@@ -48,10 +48,10 @@ impl Default for Costs {
     fn default() -> Self {
         let rate = |factor, plain, busy| Rate { factor, plain, busy };
         Self {
-            before: 45.0,
-            depth: 40.0,
-            depth_megapixel: 80.0,
-            points: vec![rate(1.0, 70.0, 230.0), rate(2.0, 75.0, 160.0), rate(4.0, 85.0, 90.0), rate(8.0, 90.0, 60.0)],
+            before: 40.0,
+            depth: 25.0,
+            depth_megapixel: 40.0,
+            points: vec![rate(1.0, 62.0, 190.0), rate(2.0, 65.0, 140.0), rate(4.0, 78.0, 78.0), rate(8.0, 88.0, 40.0)],
         }
     }
 }
