@@ -18,6 +18,7 @@ use std::fs::{self, File};
 use std::io::{self, Write as _};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 
@@ -146,22 +147,31 @@ pub struct Store {
     _lock: File,
 }
 
+/// Takes the lock; a process that is about to end, or has just begun to, is waited for.
+fn locked(lock: &File, dir: &Path) -> io::Result<()> {
+    const TRIES: u32 = 50;
+    const PAUSE: Duration = Duration::from_millis(20);
+    for _ in 0..TRIES {
+        match lock.try_lock() {
+            Ok(()) => return Ok(()),
+            Err(fs::TryLockError::WouldBlock) => std::thread::sleep(PAUSE),
+            Err(fs::TryLockError::Error(e)) => return Err(e),
+        }
+    }
+    Err(io::Error::new(io::ErrorKind::ResourceBusy, format!("another process works in {}", dir.display())))
+}
+
 impl Store {
     /// Opens the data directory, makes it where it is missing, removes leftovers of uploads that were never accepted, and
     /// tells what is there, oldest first. Folders that cannot be read are left alone and logged.
     ///
     /// # Errors
-    /// The directory cannot be written, or another process works in it.
+    /// The directory cannot be written, or another process works in it for more than a second.
     pub fn open(dir: &Path) -> io::Result<(Self, Vec<Found>)> {
         let (photos, incoming) = (dir.join("photos"), dir.join("incoming"));
         fs::create_dir_all(&photos)?;
         let lock = File::options().create(true).truncate(false).write(true).open(dir.join("lock"))?;
-        lock.try_lock().map_err(|e| match e {
-            fs::TryLockError::WouldBlock => {
-                io::Error::new(io::ErrorKind::ResourceBusy, format!("another process works in {}", dir.display()))
-            }
-            fs::TryLockError::Error(e) => e,
-        })?;
+        locked(&lock, dir)?;
         match fs::remove_dir_all(&incoming) {
             Err(e) if e.kind() != io::ErrorKind::NotFound => return Err(e),
             _ => {}
@@ -429,6 +439,18 @@ mod tests {
         assert_eq!(put(&store, 1, 2), id, "another upload of the photo heals it");
         drop(store);
         assert_eq!(Store::open(dir.path()).unwrap().1.len(), 1);
+    }
+
+    #[test]
+    fn a_process_that_is_about_to_end_is_waited_for() {
+        let dir = tempfile::tempdir().unwrap();
+        let (before, _) = Store::open(dir.path()).unwrap();
+        let ending = std::thread::spawn(move || {
+            std::thread::sleep(Duration::from_millis(100));
+            drop(before);
+        });
+        assert!(Store::open(dir.path()).is_ok());
+        ending.join().unwrap();
     }
 
     #[test]
