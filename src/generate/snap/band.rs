@@ -84,24 +84,21 @@ impl Band {
     }
 }
 
+/// Added to a small number, it leaves its whole part in the lowest bits.
+pub(super) const ROUND: f32 = 12_582_912.0;
+/// Of the series of `2^f`, the highest power first.
+pub(super) const SERIES: [f32; 7] = [1.540_353e-4, 1.333_355_8e-3, 9.618_129e-3, 5.550_411e-2, 0.240_226_5, std::f32::consts::LN_2, 1.0];
+
 /// `2^x` for `x` in −126 to 0, to a relative 2e-7; about `2^−126` below, to −1e6.
 ///
 /// The polynomial is the Taylor series of `2^f` about 0, with `f` in −½ to ½.
 #[inline(always)]
 #[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
 pub(super) fn exp2(x: f32) -> f32 {
-    /// Added to a small number, it leaves its whole part in the lowest bits.
-    const ROUND: f32 = 12_582_912.0;
     const LEAST: u32 = (ROUND - 126.0).to_bits();
     let whole = x + ROUND;
     let f = x - (whole - ROUND);
-    let p = 1.540_353e-4;
-    let p = p * f + 1.333_355_8e-3;
-    let p = p * f + 9.618_129e-3;
-    let p = p * f + 5.550_411e-2;
-    let p = p * f + 0.240_226_5;
-    let p = p * f + std::f32::consts::LN_2;
-    let p = p * f + 1.0;
+    let p = SERIES[1..].iter().fold(SERIES[0], |p, c| p * f + c);
     // numbers above 0 are in the order of their bits; a comparison of floats may become a branch for each lane
     f32::from_bits(p.to_bits().wrapping_add(whole.to_bits().max(LEAST) << 23))
 }

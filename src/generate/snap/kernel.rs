@@ -1,6 +1,6 @@
 //! What is done about each pixel, row by row.
 
-use super::band::{Band, LANES, Lanes, REACH, exp2};
+use super::band::{Band, LANES, Lanes, REACH, ROUND, SERIES, exp2};
 use super::{EDGE, JOIN, MEDIAN, OWN, RADIUS, RAMP, SIGMA_COLOUR, SIGMA_PLACE};
 use crate::simd::dispatch;
 
@@ -71,14 +71,102 @@ fn likeness(own: [f32; 3], colour: &[Lanes; 3]) -> Lanes {
     })
 }
 
-dispatch!(
-    /// Gives the pixels of row `y` that lie on ramps the δ of the side that they belong to; `lo`, `hi`: extremes of their windows.
-    pub(super) sides, sides_body, sides_avx2, (band: &Band, tables: &Tables, y: usize, lo: &[f32], hi: &[f32], out: &mut [f32])
-);
+/// Of the pixels around one that are on the near and on the far side of a ramp: weight, weighted δ, count.
+type Side = [f32; 3];
+
+/// Gives the pixels of row `y` that lie on ramps the δ of the side that they belong to; `lo`, `hi`: extremes of their windows.
+pub(super) fn sides(band: &Band, tables: &Tables, y: usize, lo: &[f32], hi: &[f32], out: &mut [f32]) {
+    #[cfg(target_arch = "x86_64")]
+    if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
+        // SAFETY: both features were just found.
+        #[allow(unsafe_code, reason = "the call is guarded by the test for the features that it needs")]
+        return unsafe { sides_avx2(band, tables, y, lo, hi, out) };
+    }
+    sides_portable(band, tables, y, lo, hi, out);
+}
+
+/// The same by lanes that the compiler makes of it what it can.
+fn sides_portable(band: &Band, tables: &Tables, y: usize, lo: &[f32], hi: &[f32], out: &mut [f32]) {
+    sides_body(band, y, lo, hi, out, |x, own, low_to, high_from| gathered(band, tables, (x, y), own, low_to, high_from));
+}
+
+fn gathered(band: &Band, tables: &Tables, (x, y): (usize, usize), own: [f32; 3], low_to: f32, high_from: f32) -> (Side, Side) {
+    let mut low = [[0f32; LANES]; 3];
+    let mut high = [[0f32; LANES]; 3];
+    for row in band.near(y, RADIUS) {
+        let s = band.strip(x, row);
+        let like = likeness(own, &s.colour);
+        let place = &tables.place[row + RADIUS - y];
+        let weight: Lanes = std::array::from_fn(|k| like[k] * place[k] + tables.tiny[k]);
+        let product: Lanes = std::array::from_fn(|k| weight[k] * s.delta[k]);
+        let is_low = mask(|k| s.delta[k] <= low_to);
+        let is_high = mask(|k| s.delta[k] >= high_from);
+        for (i, values) in [&weight, &product, &tables.within].into_iter().enumerate() {
+            add(&mut low[i], values, &is_low);
+            add(&mut high[i], values, &is_high);
+        }
+    }
+    (low.map(|l| total(&l)), high.map(|l| total(&l)))
+}
+
+// whether the compiler makes vectors of the lanes changes from build to build; these are, and give the same bits
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2,fma")]
+fn sides_avx2(band: &Band, tables: &Tables, y: usize, lo: &[f32], hi: &[f32], out: &mut [f32]) {
+    use std::arch::x86_64::{
+        _CMP_GE_OQ, _CMP_LE_OQ, _mm256_add_ps, _mm256_and_ps, _mm256_cmp_ps, _mm256_mul_ps, _mm256_set1_ps, _mm256_setzero_ps,
+        _mm256_sub_ps,
+    };
+    sides_body(band, y, lo, hi, out, |x, own, low_to, high_from| {
+        let [red, green, blue] = own.map(|c| _mm256_set1_ps(c));
+        let (low_to, high_from, fall) = (_mm256_set1_ps(low_to), _mm256_set1_ps(high_from), _mm256_set1_ps(FALL));
+        let (tiny, within) = (lanes_avx2(&tables.tiny), lanes_avx2(&tables.within));
+        let mut low = [_mm256_setzero_ps(); 3];
+        let mut high = [_mm256_setzero_ps(); 3];
+        for row in band.near(y, RADIUS) {
+            let s = band.strip(x, row);
+            let square = |of: &Lanes, own| {
+                let d = _mm256_sub_ps(lanes_avx2(of), own);
+                _mm256_mul_ps(d, d)
+            };
+            let distance = _mm256_add_ps(_mm256_add_ps(square(&s.colour[0], red), square(&s.colour[1], green)), square(&s.colour[2], blue));
+            let like = exp2_avx2(_mm256_mul_ps(distance, fall));
+            let weight = _mm256_add_ps(_mm256_mul_ps(like, lanes_avx2(&tables.place[row + RADIUS - y])), tiny);
+            let delta = lanes_avx2(&s.delta);
+            let product = _mm256_mul_ps(weight, delta);
+            let (is_low, is_high) = (_mm256_cmp_ps::<_CMP_LE_OQ>(delta, low_to), _mm256_cmp_ps::<_CMP_GE_OQ>(delta, high_from));
+            for (i, values) in [weight, product, within].into_iter().enumerate() {
+                low[i] = _mm256_add_ps(low[i], _mm256_and_ps(values, is_low));
+                high[i] = _mm256_add_ps(high[i], _mm256_and_ps(values, is_high));
+            }
+        }
+        (low.map(|l| total(&from_lanes_avx2(l))), high.map(|l| total(&from_lanes_avx2(l))))
+    });
+}
+
+/// [`super::band::exp2`] of eight values, the same bits.
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2")]
+fn exp2_avx2(x: std::arch::x86_64::__m256) -> std::arch::x86_64::__m256 {
+    use std::arch::x86_64::{
+        _mm256_add_epi32, _mm256_add_ps, _mm256_castps_si256, _mm256_castsi256_ps, _mm256_max_epu32, _mm256_mul_ps, _mm256_set1_epi32,
+        _mm256_set1_ps, _mm256_slli_epi32, _mm256_sub_ps,
+    };
+    let round = _mm256_set1_ps(ROUND);
+    let whole = _mm256_add_ps(x, round);
+    let f = _mm256_sub_ps(x, _mm256_sub_ps(whole, round));
+    let mut p = _mm256_set1_ps(SERIES[0]);
+    for c in &SERIES[1..] {
+        p = _mm256_add_ps(_mm256_mul_ps(p, f), _mm256_set1_ps(*c));
+    }
+    let least = _mm256_set1_epi32((ROUND - 126.0).to_bits().cast_signed());
+    let power = _mm256_slli_epi32::<23>(_mm256_max_epu32(_mm256_castps_si256(whole), least));
+    _mm256_castsi256_ps(_mm256_add_epi32(_mm256_castps_si256(p), power))
+}
 
 #[inline(always)]
 #[allow(clippy::inline_always, reason = "the loop must be compiled anew with the caller's target features")]
-fn sides_body(band: &Band, tables: &Tables, y: usize, lo: &[f32], hi: &[f32], out: &mut [f32]) {
+fn sides_body(band: &Band, y: usize, lo: &[f32], hi: &[f32], out: &mut [f32], gather: impl Fn(usize, [f32; 3], f32, f32) -> (Side, Side)) {
     for (x, ((o, &lo), &hi)) in out.iter_mut().zip(lo).zip(hi).enumerate() {
         let step = hi - lo;
         if step <= RAMP {
@@ -89,25 +177,8 @@ fn sides_body(band: &Band, tables: &Tables, y: usize, lo: &[f32], hi: &[f32], ou
             continue;
         }
         let own = band.colour(x, y);
-        let (low_to, high_from) = (lo + 0.2 * step, lo + 0.8 * step);
-        // per side: weight, weighted δ, count
-        let mut low = [[0f32; LANES]; 3];
-        let mut high = [[0f32; LANES]; 3];
-        for row in band.near(y, RADIUS) {
-            let s = band.strip(x, row);
-            let like = likeness(own, &s.colour);
-            let place = &tables.place[row + RADIUS - y];
-            let weight: Lanes = std::array::from_fn(|k| like[k] * place[k] + tables.tiny[k]);
-            let product: Lanes = std::array::from_fn(|k| weight[k] * s.delta[k]);
-            let is_low = mask(|k| s.delta[k] <= low_to);
-            let is_high = mask(|k| s.delta[k] >= high_from);
-            for (i, values) in [&weight, &product, &tables.within].into_iter().enumerate() {
-                add(&mut low[i], values, &is_low);
-                add(&mut high[i], values, &is_high);
-            }
-        }
-        let (low, high) = (low.map(|l| total(&l)), high.map(|l| total(&l)));
-        let score = |s: &[f32; 3]| if s[2] > 0.0 { (s[0] / s[2]).ln() } else { f32::NEG_INFINITY };
+        let (low, high) = gather(x, own, lo + 0.2 * step, lo + 0.8 * step);
+        let score = |s: &Side| if s[2] > 0.0 { (s[0] / s[2]).ln() } else { f32::NEG_INFINITY };
         let side = if score(&low) + OWN * (1.0 - 2.0 * t) > score(&high) { low } else { high };
         if side[2] > 0.0 {
             *o = side[1] / side[0];
@@ -264,5 +335,35 @@ fn joins_body(band: &Band, tables: &Tables, y: usize, lo: &[f32], hi: &[f32], ou
         if norm > CONTRAST * CONTRAST && dot > JOIN * norm {
             *o = near[3] / near[4];
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::tmpi::{DisparityMap, Photo};
+
+    #[test]
+    fn sides_are_the_same_bits_with_and_without_vectors() {
+        let (w, h) = (61u32, 23u32);
+        let mut state = 7u64;
+        let mut next = || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (state >> 40) as f32 / (1u64 << 24) as f32
+        };
+        let photo = Photo { width: w, height: h, rgb: (0..w * h).map(|_| std::array::from_fn(|_| (next() * 255.0) as u8)).collect() };
+        let delta = DisparityMap { width: w, height: h, delta: (0..w * h).map(|_| next()).collect() };
+        let (mut band, tables) = (Band::default(), Tables::new());
+        band.load(&photo, &delta, 0..h as usize);
+        let (lo, hi) = (vec![0.1; w as usize], vec![0.9; w as usize]);
+        let mut moved = 0;
+        for (y, row) in delta.delta.chunks(w as usize).enumerate() {
+            let (mut one, mut other) = (row.to_vec(), row.to_vec());
+            sides(&band, &tables, y, &lo, &hi, &mut one);
+            sides_portable(&band, &tables, y, &lo, &hi, &mut other);
+            assert!(one.iter().zip(&other).all(|(a, b)| a.to_bits() == b.to_bits()), "row {y}");
+            moved += one.iter().zip(row).filter(|(a, b)| a.to_bits() != b.to_bits()).count();
+        }
+        assert!(moved > 500, "{moved}");
     }
 }
