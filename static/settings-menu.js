@@ -24,7 +24,8 @@ export function settingsMenu({ id, viewer, named, say }) {
 
   function show() {
     const all = now();
-    $('set-title').value = all.title ?? '';
+    // what is being typed is nobody else's
+    if (document.activeElement !== $('set-title')) $('set-title').value = all.title ?? '';
     $('set-motion').value = String(all.motion?.x ?? 1);
     $('set-focus').value = String(all.focus ?? viewer().pivot ?? 0.35);
     $('set-start').setAttribute('aria-pressed', String(Boolean(all.start)));
