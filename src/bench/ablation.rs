@@ -44,7 +44,7 @@ pub(super) enum Without {
     Passes,
     /// The photo as a mesh, torn where it would be stretched.
     Planes,
-    /// Alpha and hidden colour by Ψ.
+    /// Hidden colours by Ψ.
     Refined,
     /// Hidden texels take the colour of the exact surface where it lies on their plane: the most that any Ψ could bring.
     Known,
@@ -242,10 +242,10 @@ fn prepared<'a>(subjects: &'a [Subject], psi: Option<&'a dyn Network>) -> Result
 /// Steps off one at a time.
 pub(super) fn steps(bench: &Bench, subjects: &[Subject], progress: &dyn Fn(&str)) -> Result<Experiment, BenchError> {
     progress("Without each step");
-    let all = prepared(subjects, bench.models.psi.as_deref())?;
+    let all = prepared(subjects, bench.psi())?;
     let texels = Axis { label: "texels for each pixel", log: false, up: Some(false) };
     let mut points = Vec::new();
-    for (name, without) in ALL {
+    for (name, without) in ALL.into_iter().filter(|(_, w)| *w != Without::Refined || bench.psi().is_some()) {
         points.push(point(&all, name.into(), without, NEIGHBOUR, (texels.label, VIEW.label))?);
     }
     let whole = points[0].y;

@@ -13,7 +13,7 @@ pub(super) fn run(bench: &Bench, quick: bool, progress: &dyn Fn(&str)) -> Result
     progress("Families of scenes");
     let subjects = subject::by_family(if quick { 1 } else { SCENES })?;
     let (x, y) = (Axis { label: "neighbours apart, 1e-3", log: true, up: None }, Axis { label: "view, dB", log: false, up: None });
-    let psi = bench.models.psi.as_deref().filter(|_| crate::onnx::available().is_ok());
+    let psi = bench.psi();
     let mut ways = vec![("planes", Without::Nothing), ("mesh", Without::Planes)];
     if psi.is_some() {
         ways.insert(1, ("planes and Ψ", Without::Refined));

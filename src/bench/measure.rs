@@ -7,6 +7,7 @@ use rayon::prelude::*;
 use super::subject::Subject;
 use super::{BenchError, Point};
 use crate::depth::{DepthError, Estimator};
+use crate::onnx::{self, Network};
 use crate::photo::Limits;
 use crate::progress::Silent;
 use crate::quality::{self, ssim_map};
@@ -75,6 +76,11 @@ impl Sums {
 }
 
 impl Bench<'_> {
+    /// Ψ, where there is one and ONNX Runtime to run it.
+    pub fn psi(&self) -> Option<&dyn Network> {
+        self.models.psi.as_deref().filter(|_| onnx::available().is_ok()).map(|psi| psi as &dyn Network)
+    }
+
     /// Runs a setting on all subjects. `x` and `y` name the figures of the axes.
     pub fn point(
         &self,

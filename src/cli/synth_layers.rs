@@ -8,7 +8,7 @@ use crate::synth::{Picture, Scene, behind};
 use crate::tmpi::{Blueprint, Class, DisparityMap, Grid, Place, Rect, ViewBox};
 use crate::way::Options;
 
-/// Half the side of the view box: as large as the second views of scenes go.
+/// Half the side of the view box, as in the bench.
 const BOX: f64 = 0.06;
 /// Channels after Ψ's own: the colour that a texel should show, and whether it is known.
 const TRUTH: usize = 4;
@@ -20,7 +20,7 @@ const TRUTH: usize = 4;
 #[must_use]
 pub fn layers(scene: &Scene, picture: &Picture, spoilt: bool) -> Vec<u8> {
     let (photo, camera) = (&picture.photo, scene.camera());
-    let size @ (w, h) = (photo.width, photo.height);
+    let (w, h) = (photo.width, photo.height);
     let map = if spoilt { snap::snap(photo, &halved(&picture.disparity)) } else { snap::median(photo, &picture.disparity) };
     let (grid, view_box) = (Grid::new(w, h, 64), ViewBox { x: BOX, y: BOX, z: BOX });
     let parallax = view_box.parallax(&camera.intrinsics, Rect { x: 0, y: 0, w, h });
@@ -47,7 +47,6 @@ pub fn layers(scene: &Scene, picture: &Picture, spoilt: bool) -> Vec<u8> {
             count += 1;
         }
     }
-    debug_assert_eq!(size, (grid.width, grid.height));
     let mut file = header(&[count, refine::CHANNELS + TRUTH, side, side]);
     file.extend(data);
     file

@@ -1,9 +1,9 @@
 //! Θ: denoised disparity and a confidence per pixel, from photo and disparity (paper, section 3.2).
 
-use super::planar::Damage;
-use super::{GenerateError, snap};
 use std::ops::Range;
 
+use super::planar::Damage;
+use super::{GenerateError, snap};
 use crate::onnx::{Network, Tensor};
 use crate::tmpi::{DisparityMap, Photo};
 

@@ -44,7 +44,8 @@ const LEAST_SIDE: f64 = 64.0;
 const WORTH_IT: f64 = 0.25;
 
 impl Default for Costs {
-    /// Two cores of a server processor, as `tmpi bench --only budget` found them, rounded. That writes those of any machine.
+    /// Two cores of a server processor, between what `tmpi bench --only budget` found in a slow hour and in a
+    /// quick one. That writes those of any machine.
     fn default() -> Self {
         let rate = |factor, plain, busy| Rate { factor, plain, busy };
         Self {
