@@ -73,8 +73,11 @@ def theta(path, checkpoint):
     g1 = layer(g.op("Add", g.double(g.layer(g2, net.u1)), f1), net.d1)
     g0 = layer(g.op("Add", g.double(g.layer(g1, net.u0)), f0), net.d0)
     y = g.layer(g0, net.heads)
-    weights = g.op("Softmax", part(y, 0, 7), axis=1)
-    mixed = g.op("ReduceSum", g.op("Mul", weights, g.op("Concat", d, others, axis=1)), g.constant([1], np.int64), keepdims=1)
+    # ONNX Runtime's Softmax over channels is sequential and takes as long as all the rest
+    logits, channels = part(y, 0, 7), g.constant([1], np.int64)
+    weights = g.op("Exp", g.op("Sub", logits, g.op("ReduceMax", logits, axes=[1], keepdims=1)))
+    total = g.op("ReduceSum", weights, channels, keepdims=1)
+    mixed = g.op("Div", g.op("ReduceSum", g.op("Mul", weights, g.op("Concat", d, others, axis=1)), channels, keepdims=1), total)
     mixed = g.op("Add", mixed, g.op("Mul", g.op("Tanh", part(y, 7, 8)), g.constant(np.float32(net.STEP))))
     g.output(g.op("Clip", mixed, g.constant(np.float32(0)), g.constant(np.float32(1))), "disparity", ["n", 1, "h", "w"])
     g.output(g.op("Sigmoid", part(y, 8, 9)), "confidence", ["n", 1, "h", "w"])

@@ -6,7 +6,7 @@ use super::measure::{self, Bench};
 use super::subject::{self, Subject};
 use super::{Axis, BenchError, Curve, Experiment, Point};
 use crate::generate::layers::{self, Coloured};
-use crate::generate::planes::{MAX_AUTO_PLANES, Method, NEIGHBOUR, Placement, overlap_disagreement, place};
+use crate::generate::planes::{Method, NEIGHBOUR, Placement, overlap_disagreement, place};
 use crate::generate::refine;
 use crate::generate::snap;
 use crate::onnx::Network;
@@ -24,6 +24,8 @@ pub(super) enum Without {
     Nothing,
     /// The map as it is given.
     Median,
+    /// The median also of pixels whose colour speaks for the side that they are on.
+    FullMedian,
     /// Fronto-parallel planes under the same bound of error.
     Slant,
     /// Every pixel on its nearest plane.
@@ -50,9 +52,10 @@ pub(super) enum Without {
     Known,
 }
 
-const ALL: [(&str, Without); 14] = [
+const ALL: [(&str, Without); 15] = [
     ("all steps", Without::Nothing),
     ("without the colour-weighted median", Without::Median),
+    ("colour-weighted median of every pixel at edges", Without::FullMedian),
     ("without slant (optimal, same error)", Without::Slant),
     ("without calm labels", Without::Calm),
     ("without backstops", Without::Backstops),
@@ -97,13 +100,17 @@ impl<'a> Prepared<'a> {
         let (w, h) = (self.photo.width, self.photo.height);
         let grid = Grid::new(w, h, 64);
         let parallax = self.subject.view_box.parallax(&self.intrinsics, Rect { x: 0, y: 0, w, h });
-        let target = options.max_error / parallax.0.max(parallax.1).max(1.0);
+        let placement = options.placement(parallax);
         let placement = match without {
-            Without::Slant => Placement::fewest(Method::Optimal, 64, target),
-            Without::Calm => Placement { neighbour: 0.0, ..Placement::fewest(Method::Slanted, MAX_AUTO_PLANES, target) },
-            _ => Placement { neighbour, ..Placement::fewest(Method::Slanted, MAX_AUTO_PLANES, target) },
+            Without::Slant => Placement { method: Method::Optimal, most: 64, ..placement },
+            Without::Calm => Placement { neighbour: 0.0, ..placement },
+            _ => Placement { neighbour, ..placement },
         };
-        let map = if without == Without::Median { &self.given } else { &self.snapped };
+        let map = match without {
+            Without::Median => &self.given,
+            Without::FullMedian => &snap::full_median(&self.photo, &self.given),
+            _ => &self.snapped,
+        };
         let tiles = place(map, None, &grid, &placement);
         let mut blueprint = Blueprint { grid, intrinsics: self.intrinsics, view_box: self.subject.view_box, tiles };
         if without != Without::Backstops {

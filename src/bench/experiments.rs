@@ -116,10 +116,15 @@ pub(super) fn noisy(map: &DisparityMap) -> DisparityMap {
 
 /// A box of 5×5 pixels: what networks do to edges.
 pub(super) fn blurred(map: &DisparityMap) -> DisparityMap {
+    box_blurred(map, 2)
+}
+
+/// Means over `(2r+1)²` pixels, fewer at borders.
+pub(super) fn box_blurred(map: &DisparityMap, r: usize) -> DisparityMap {
     let (w, h) = (map.width as usize, map.height as usize);
     let mean = |i: usize| {
         let (x, y) = (i % w, i / w);
-        let (rows, columns) = (y.saturating_sub(2)..(y + 3).min(h), x.saturating_sub(2)..(x + 3).min(w));
+        let (rows, columns) = (y.saturating_sub(r)..(y + r + 1).min(h), x.saturating_sub(r)..(x + r + 1).min(w));
         let n = (rows.len() * columns.len()) as f32;
         rows.map(|y| map.delta[y * w + columns.start..y * w + columns.end].iter().sum::<f32>()).sum::<f32>() / n
     };

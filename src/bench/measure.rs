@@ -36,6 +36,8 @@ pub(super) enum Depth {
     Estimated,
     /// What is known, spoilt.
     Spoilt(fn(&DisparityMap) -> DisparityMap),
+    /// What is known, spoilt, and given as a file.
+    Given(fn(&DisparityMap) -> DisparityMap),
 }
 
 /// Hands out a map as if a network had estimated it, so that the way treats it as estimated.
@@ -108,6 +110,7 @@ impl Bench<'_> {
         let mut models = self.models.clone();
         let map = match (depth, &s.disparity) {
             (Depth::Known, Some(d)) => Some(d.clone()),
+            (Depth::Given(how), Some(d)) => Some(Arc::new(how(d))),
             (Depth::Spoilt(how), Some(d)) => {
                 models.depth = Arc::new(Fixed(how(d)));
                 None

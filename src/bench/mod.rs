@@ -18,6 +18,7 @@ mod measure;
 mod mesh;
 mod page;
 mod plot;
+mod ramps;
 mod scaling;
 pub mod serve;
 mod subject;
@@ -46,13 +47,14 @@ pub struct Settings {
 }
 
 /// Short names of the experiments, in the order in which they are done.
-pub const EXPERIMENTS: [&str; 19] = [
+pub const EXPERIMENTS: [&str; 20] = [
     "scaling",
     "efficiency",
     "clustering",
     "planes",
     "tiles",
     "steps",
+    "ramps",
     "quality",
     "prune",
     "denoise",
@@ -202,6 +204,9 @@ pub fn run(settings: &Settings, progress: &dyn Fn(&str)) -> Result<Results, Benc
     let bench = measure::Bench { models: &settings.models, repeats };
     let mut experiments = first;
     experiments.extend(experiments::on_scenes(&bench, &scenes, settings, &mut skipped, progress)?);
+    if wants("ramps") {
+        experiments.push(ramps::run(&bench, &scenes, progress)?);
+    }
     if wants("without") {
         experiments.push(ablation::steps(&bench, &scenes, progress)?);
     }

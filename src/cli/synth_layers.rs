@@ -1,7 +1,7 @@
 //! Layers of rendered scenes as the program makes them, with what their hidden texels should show: what Ψ learns from.
 
 use crate::generate::layers::{self, Coloured};
-use crate::generate::planes::{MAX_AUTO_PLANES, Method, Placement, place};
+use crate::generate::planes::place;
 use crate::generate::{refine, snap};
 use crate::photo::{Filter, resample};
 use crate::synth::{Picture, Scene, behind};
@@ -24,8 +24,7 @@ pub fn layers(scene: &Scene, picture: &Picture, spoilt: bool) -> Vec<u8> {
     let map = if spoilt { snap::snap(photo, &halved(&picture.disparity)) } else { snap::median(photo, &picture.disparity) };
     let (grid, view_box) = (Grid::new(w, h, 64), ViewBox { x: BOX, y: BOX, z: BOX });
     let parallax = view_box.parallax(&camera.intrinsics, Rect { x: 0, y: 0, w, h });
-    let target = Options::default().max_error / parallax.0.max(parallax.1).max(1.0);
-    let tiles = place(&map, None, &grid, &Placement::fewest(Method::Slanted, MAX_AUTO_PLANES, target));
+    let tiles = place(&map, None, &grid, &Options::default().placement(parallax));
     let mut blueprint = Blueprint { grid, intrinsics: camera.intrinsics, view_box, tiles };
     layers::add_backstops(&mut blueprint, &map);
     let shapes = blueprint.peel();

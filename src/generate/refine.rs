@@ -1,5 +1,7 @@
 //! Ψ: hidden colour and soft alpha of layers, batched over tiles; only where a layer has hidden texels (paper, section 3.2).
 
+use rayon::prelude::*;
+
 use super::GenerateError;
 use super::layers::Coloured;
 use crate::onnx::{Network, Tensor};
@@ -42,9 +44,9 @@ pub fn run(psi: &dyn Network, photo: &Photo, blueprint: &Blueprint, tiles: &mut 
     }
     for batch in todo.chunks(BATCH) {
         let mut data = vec![0f32; batch.len() * CHANNELS * side * side];
-        for (&(t, j), to) in batch.iter().zip(data.chunks_mut(CHANNELS * side * side)) {
+        batch.par_iter().zip(data.par_chunks_mut(CHANNELS * side * side)).for_each(|(&(t, j), to)| {
             input(photo, grid, t as u32, &blueprint.tiles[t], &tiles[t][j], side, to);
-        }
+        });
         let out = psi.run(vec![Tensor { shape: vec![batch.len(), CHANNELS, side, side], data }])?;
         let area = side * side;
         let (alpha, background) = match out.as_slice() {

@@ -232,7 +232,8 @@ impl Options {
     }
 
     /// How planes are to be placed for a view box of that parallax.
-    fn placement(&self, parallax: (f64, f64)) -> Placement {
+    #[must_use]
+    pub fn placement(&self, parallax: (f64, f64)) -> Placement {
         let method = match self.plane_method {
             PlaneMethod::Linear => Method::Linear,
             PlaneMethod::Lloyd => Method::Lloyd,

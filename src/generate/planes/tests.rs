@@ -156,3 +156,25 @@ fn neighbours_that_show_other_disparities_are_apart_where_both_lie() {
     assert!((0..columns - 1).all(|i| shared(i) == shared(0) && shared(0) > 0));
     assert!((overlap_disagreement(&grid, &one) - 0.25 / pairs).abs() < 1e-6);
 }
+
+#[test]
+fn ghosts_are_pixels_on_a_plane_between_two_surfaces() {
+    // one tile: near on the left of column 32, far on the right of it
+    let (w, h) = (64u32, 48u32);
+    let map = DisparityMap { width: w, height: h, delta: (0..w * h).map(|i| if i % w < 32 { 0.8 } else { 0.2 }).collect() };
+    let grid = Grid::new(w, h, 64);
+    assert_eq!(grid.tiles(), 1);
+    let planes = vec![Plane::fronto_parallel(0.8), Plane::fronto_parallel(0.2), Plane::fronto_parallel(0.5)];
+    let label = |x: u32, from: u32| if (from..from + 3).contains(&x) { 2 } else { u8::from(x >= 32) };
+    let share = |from: u32| {
+        let labels = (0..w * h).map(|i| label(i % w, from)).collect();
+        ghost_share(&map, &grid, &[Tile { planes: planes.clone(), labels, backstop: None }], 0.05)
+    };
+    // three columns of 64 are on the plane between, wherever they are
+    assert!((share(31) - 3.0 / 64.0).abs() < 1e-12 && (share(5) - 3.0 / 64.0).abs() < 1e-12);
+    assert!(share(64).abs() < 1e-12);
+    // the far plane two pixels within the near side is beside its surface, farther in it is a ghost
+    let labels = |to: u32| (0..w * h).map(|i| u8::from(i % w >= to)).collect::<Vec<u8>>();
+    let moved = |to| ghost_share(&map, &grid, &[Tile { planes: planes.clone(), labels: labels(to), backstop: None }], 0.05);
+    assert!(moved(30).abs() < 1e-12 && (moved(28) - 2.0 / 64.0).abs() < 1e-12);
+}

@@ -1,7 +1,7 @@
 //! What is done about each pixel, row by row.
 
 use super::band::{Band, LANES, Lanes, REACH, ROUND, SERIES, exp2};
-use super::{EDGE, JOIN, MEDIAN, OWN, RADIUS, RAMP, SIGMA_COLOUR, SIGMA_PLACE};
+use super::{EDGE, JOIN, MEDIAN, OWN, RADIUS, RAMP, SIDE, SIGMA_COLOUR, SIGMA_PLACE};
 use crate::simd::dispatch;
 
 /// Added to each weight of a side, so that sides far from a colour can still be told apart.
@@ -186,22 +186,22 @@ fn sides_body(band: &Band, y: usize, lo: &[f32], hi: &[f32], out: &mut [f32], ga
     }
 }
 
-/// Colour-weighted median of the pixels of row `y` where δ has an edge.
-pub(super) fn medians(band: &Band, y: usize, lo: &[f32], hi: &[f32], out: &mut [f32]) {
+/// Colour-weighted median of the pixels of row `y` where δ has an edge, but for those that have more than `kept` of the weight on their side.
+pub(super) fn medians(band: &Band, kept: f32, y: usize, lo: &[f32], hi: &[f32], out: &mut [f32]) {
     #[cfg(target_arch = "x86_64")]
     if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
         // SAFETY: both features were just found.
         #[allow(unsafe_code, reason = "the call is guarded by the test for the features that it needs")]
-        return unsafe { medians_avx2(band, y, lo, hi, out) };
+        return unsafe { medians_avx2(band, kept, y, lo, hi, out) };
     }
-    medians_body(band, y, lo, hi, out, up_to);
+    medians_body(band, kept, y, lo, hi, out, up_to);
 }
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2,fma")]
-fn medians_avx2(band: &Band, y: usize, lo: &[f32], hi: &[f32], out: &mut [f32]) {
+fn medians_avx2(band: &Band, kept: f32, y: usize, lo: &[f32], hi: &[f32], out: &mut [f32]) {
     // left to the compiler, the sums are drawn together in half registers: three times the time
-    medians_body(band, y, lo, hi, out, |values, weights, of| {
+    medians_body(band, kept, y, lo, hi, out, |values, weights, of| {
         use std::arch::x86_64::{_CMP_LE_OQ, _mm256_add_ps, _mm256_and_ps, _mm256_cmp_ps, _mm256_set1_ps, _mm256_setzero_ps};
         let of = of.map(|of| lanes_avx2(&of));
         let mut sums = [_mm256_setzero_ps(); ROOM / LANES];
@@ -234,7 +234,7 @@ fn from_lanes_avx2(sum: std::arch::x86_64::__m256) -> Lanes {
 
 #[inline(always)]
 #[allow(clippy::inline_always, reason = "the loop must be compiled anew with the caller's target features")]
-fn medians_body(band: &Band, y: usize, lo: &[f32], hi: &[f32], out: &mut [f32], up_to: impl Fn(&[f32], &[f32], &Sums) -> Sums) {
+fn medians_body(band: &Band, kept: f32, y: usize, lo: &[f32], hi: &[f32], out: &mut [f32], up_to: impl Fn(&[f32], &[f32], &Sums) -> Sums) {
     for (x, ((o, &lo), &hi)) in out.iter_mut().zip(lo).zip(hi).enumerate() {
         if hi - lo <= EDGE {
             continue;
@@ -253,7 +253,15 @@ fn medians_body(band: &Band, y: usize, lo: &[f32], hi: &[f32], out: &mut [f32], 
             }
             n += 2 * MEDIAN + 1;
         }
-        *o = weighted_median(&values[..n], &weights[..n], &up_to);
+        let (values, weights) = (&values[..n], &weights[..n]);
+        let near = SIDE * (hi - lo);
+        let mut own = 0.0;
+        for (v, w) in values.iter().zip(weights) {
+            own += if (v - *o).abs() <= near { *w } else { 0.0 };
+        }
+        if own <= kept * weights.iter().sum::<f32>() {
+            *o = weighted_median(values, weights, &up_to);
+        }
     }
 }
 

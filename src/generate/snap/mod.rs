@@ -16,6 +16,8 @@ const RADIUS: usize = 3;
 const RAMP: f32 = 0.03;
 /// Range of δ in the window that makes an edge a strong one: weaker ones may be slopes.
 const STRONG: f32 = 0.15;
+/// Part of a step that lies within 3×3 pixels of a ramp.
+const STEEP: f32 = 0.2;
 /// Range of δ above which the median runs.
 const EDGE: f32 = 0.02;
 /// Spread of colour distance (RGB in 0..=1) and of place in pixels.
@@ -25,45 +27,60 @@ const SIGMA_PLACE: f32 = 3.0;
 const OWN: f32 = 4.0;
 /// Half the window of the median.
 const MEDIAN: usize = 2;
+/// Part of the range of δ in its window within which another pixel is on a pixel's own side.
+const SIDE: f32 = 0.3;
+/// Weight on its own side above which the careful median leaves a pixel as it is, and one that none has.
+const KEPT: f32 = 0.65;
+const NONE: f32 = 2.0;
 /// Share of the way from background to foreground colour beyond which a rim pixel joins the foreground.
 const JOIN: f32 = 0.25;
 
 /// Rows that a task takes.
 const ROWS: usize = 16;
 
-/// Gives the pixels of ramps to the near or the far side, then runs [`median`], then joins rim pixels to the near side.
+/// Gives the pixels of ramps to the near or the far side, then runs [`full_median`], then joins rim pixels to the near side.
 #[must_use]
 pub fn snap(photo: &Photo, delta: &DisparityMap) -> DisparityMap {
     let tables = Tables::new();
     let snapped = each(photo, delta, RADIUS, |band, y, lo, hi, out| kernel::sides(band, &tables, y, lo, hi, out));
-    let filtered = median(photo, &snapped);
+    let filtered = full_median(photo, &snapped);
     each(photo, &filtered, RADIUS, |band, y, lo, hi, out| kernel::joins(band, &tables, y, lo, hi, out))
 }
 
-/// Share of the pixels near strong depth edges that lie on a ramp between the two sides. True depth has 0.05 to 0.24 on seven
-/// Middlebury maps and 0.63 to 0.94 once blurred by 5×5; maps of a large depth network have 0.25 to 0.43 where they have strong
-/// edges at all.
+/// Share of the pixels near strong depth edges that lie on a ramp between the two sides: between them over 7×7 and over 3×3 pixels,
+/// and where much of the step lies within the 3×3. Exact maps have next to none, however many surfaces meet there.
 #[must_use]
 pub fn ramp_share(delta: &DisparityMap) -> f64 {
-    let (lo, hi) = extremes(delta, RADIUS);
+    let ((lo, hi), (near_lo, near_hi)) = (extremes(delta, RADIUS), extremes(delta, 1));
+    let between = |d: f32, lo: f32, hi: f32| (d - lo) > 0.1 * (hi - lo) && (d - lo) < 0.9 * (hi - lo);
     let (mut ramp, mut edge) = (0usize, 0usize);
-    for ((&d, lo), hi) in delta.delta.iter().zip(lo).zip(hi) {
-        if hi - lo > STRONG {
+    for (i, &d) in delta.delta.iter().enumerate() {
+        let step = hi[i] - lo[i];
+        if step > STRONG {
             edge += 1;
-            let t = (d - lo) / (hi - lo);
-            ramp += usize::from(t > 0.1 && t < 0.9);
+            let steep = near_hi[i] - near_lo[i] > STEEP * step;
+            ramp += usize::from(steep && between(d, lo[i], hi[i]) && between(d, near_lo[i], near_hi[i]));
         }
     }
     if edge == 0 { 0.0 } else { ramp as f64 / edge as f64 }
 }
 
-/// [`ramp_share`] above which a map counts as blurred.
-pub const BLURRED: f64 = 0.24;
+/// [`ramp_share`] above which a map counts as blurred. True depth has at most 0.03 on seven Middlebury maps, and 0.3 or more once it is
+/// enlarged from half the size or blurred by 3×3; maps of a large depth network have 0.27 to 0.4. `tmpi bench --only ramps` shows
+/// what snapping is worth on either side of it.
+pub const BLURRED: f64 = 0.15;
 
-/// Colour-weighted median over 5×5 pixels where δ has an edge; worth doing on true depth too.
+/// Colour-weighted median over 5×5 pixels where δ has an edge, of pixels whose colour does not speak for their own side of it: worth
+/// doing on measured depth, and nearly harmless on exact depth.
 #[must_use]
 pub fn median(photo: &Photo, delta: &DisparityMap) -> DisparityMap {
-    each(photo, delta, MEDIAN, kernel::medians)
+    each(photo, delta, MEDIAN, |band, y, lo, hi, out| kernel::medians(band, KEPT, y, lo, hi, out))
+}
+
+/// The same of all pixels where δ has an edge (RECIPE, step 1).
+#[must_use]
+pub fn full_median(photo: &Photo, delta: &DisparityMap) -> DisparityMap {
+    each(photo, delta, MEDIAN, |band, y, lo, hi, out| kernel::medians(band, NONE, y, lo, hi, out))
 }
 
 /// Runs `f` over each row with the extremes of δ within `radius` of its pixels; it begins with the row as it is.
@@ -148,7 +165,23 @@ mod tests {
 
     #[test]
     fn ramps_are_told_from_steps() {
-        assert!(ramp_share(&step(12.0).1) > BLURRED && ramp_share(&step(1e-3).1) < BLURRED);
+        assert!(ramp_share(&step(4.0).1) > BLURRED && ramp_share(&step(1e-3).1) < BLURRED);
+        // three surfaces that meet within a window are no ramp
+        let stairs = DisparityMap { width: 48, height: 24, delta: (0..48 * 24).map(|i| ((i % 48) / 2) as f32 / 24.0).collect() };
+        assert!(ramp_share(&stairs) < 1e-9);
+    }
+
+    #[test]
+    fn the_careful_median_keeps_what_its_colour_speaks_for() {
+        // an edge one pixel off its colours is moved to them; a lone pixel of its own colour stays
+        let (photo, mut map) = step(1e-3);
+        map.delta.iter_mut().enumerate().filter(|(i, _)| i % 48 == 24).for_each(|(_, d)| *d = 0.2);
+        let mended = median(&photo, &map);
+        assert!(mended.delta.iter().enumerate().all(|(i, d)| (d - if i % 48 < 24 { 0.2 } else { 0.8 }).abs() < 1e-6));
+        // grey between the sides, which the far one outnumbers
+        let mut mixed = step(1e-3);
+        mixed.0.rgb.iter_mut().enumerate().filter(|(i, _)| i % 48 == 24).for_each(|(_, c)| *c = [190, 142, 62]);
+        assert_eq!(median(&mixed.0, &mixed.1), mixed.1);
     }
 
     #[test]
@@ -221,12 +254,16 @@ mod tests {
             side.1 / side.0
         }
 
-        fn median(&self) -> f64 {
+        fn median(&self, kept: f32) -> f64 {
             let (lo, hi) = self.range();
             if hi - lo <= f64::from(EDGE) {
                 return self.own.1;
             }
             let mut values: Vec<(f64, f64)> = self.all.iter().map(|w| (w.3, self.likeness(w.2) + 1e-6)).collect();
+            let own: f64 = values.iter().filter(|v| (v.0 - self.own.1).abs() <= f64::from(SIDE) * (hi - lo)).map(|v| v.1).sum();
+            if own > f64::from(kept) * values.iter().map(|v| v.1).sum::<f64>() {
+                return self.own.1;
+            }
             values.sort_by(|a, b| a.0.total_cmp(&b.0));
             let (total, mut sum) = (values.iter().map(|v| v.1).sum::<f64>(), 0.0);
             let reached = values.iter().find(|v| {
@@ -274,7 +311,7 @@ mod tests {
             let map = DisparityMap { width: w, height: h, delta: (0..w * h).map(|i| ramp(i, rough)).collect() };
             let tables = Tables::new();
             let sides = each(&photo, &map, RADIUS, |band, y, lo, hi, out| kernel::sides(band, &tables, y, lo, hi, out));
-            let medians = median(&photo, &map);
+            let (medians, full) = (median(&photo, &map), full_median(&photo, &map));
             let joins = each(&photo, &map, RADIUS, |band, y, lo, hi, out| kernel::joins(band, &tables, y, lo, hi, out));
             let compare = |name: &str, got: &DisparityMap, radius: i64, want: &dyn Fn(&Window) -> f64| {
                 let off = (0..i64::from(w * h)).filter(|&i| {
@@ -287,7 +324,10 @@ mod tests {
                 assert!(off <= 4, "{name} at {rough}: {off} off");
                 moved
             };
-            let moved = compare("side", &sides, 3, &Window::side) + compare("median", &medians, 2, &Window::median);
+            let careful = compare("careful median", &medians, 2, &|w| w.median(KEPT));
+            let all = compare("median", &full, 2, &|w| w.median(NONE));
+            assert!(careful <= all, "{careful} {all}");
+            let moved = compare("side", &sides, 3, &Window::side) + careful;
             assert!(moved + compare("join", &joins, 3, &Window::join) > 100, "{rough}: {moved}");
         }
     }
