@@ -8,7 +8,7 @@ pub mod registry;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
 
-use crate::depth::{ADAPTERS, Adapter, DepthError, Estimator, Monocular};
+use crate::depth::{ADAPTERS, Adapter, DepthError, Estimator, Monocular, SizeRule};
 use crate::onnx::{Config, Network, OnnxError, Session, Tensor};
 use crate::tmpi::{DisparityMap, Photo};
 use crate::way::Models;
@@ -33,6 +33,8 @@ pub struct Settings {
     pub depth: &'static Adapter,
     /// Its ONNX file; none: the embedded one.
     pub depth_file: Option<PathBuf>,
+    /// Pixels that a photo is brought to for it, other than its own choice; a file of one size overrides it.
+    pub depth_pixels: Option<u32>,
     /// Run depth twice, the second time mirrored, and take the mean.
     pub flip: bool,
     /// How networks are run.
@@ -41,7 +43,7 @@ pub struct Settings {
 
 impl Default for Settings {
     fn default() -> Self {
-        Self { depth: &ADAPTERS[0], depth_file: None, flip: false, onnx: Config::default() }
+        Self { depth: &ADAPTERS[0], depth_file: None, depth_pixels: None, flip: false, onnx: Config::default() }
     }
 }
 
@@ -99,14 +101,15 @@ struct Depth {
 
 impl Depth {
     fn get(&self) -> Result<&Monocular, DepthError> {
-        let Settings { depth, flip, onnx, .. } = &self.settings;
+        let Settings { depth, depth_pixels, flip, onnx, .. } = &self.settings;
         let loaded = self.loaded.get_or_init(|| {
             let embedded = DEPTH.filter(|_| *depth == &ADAPTERS[0]);
             let model = self.model.as_deref().or(embedded).ok_or_else(|| OnnxError::Model {
                 name: depth.name.to_owned(),
                 reason: "it is not embedded in this program: name its ONNX file, or give a depth map".into(),
             })?;
-            Monocular::load(depth, model, onnx, *flip)
+            let adapter = Adapter { size: depth_pixels.map_or(depth.size, SizeRule::Area), ..**depth };
+            Monocular::load(&adapter, model, onnx, *flip)
         });
         loaded.as_ref().map_err(|e| e.clone().into())
     }

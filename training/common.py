@@ -55,6 +55,16 @@ def read_pair(folder):
     return rgb, d.astype(np.float32)
 
 
+def read_label(path):
+    """Photo and disparity of a label that `labels.py` painted; NaN where nothing is known."""
+    if path not in CACHE:
+        rgb = read_rgb(str(path).replace(".disparity.", ".rgb."))
+        code = cv2.imread(str(path), cv2.IMREAD_UNCHANGED).astype(np.float32)
+        CACHE[path] = rgb, np.where(code > 0, (code - 1) / 65534, np.nan).astype(np.float16)
+    rgb, d = CACHE[path]
+    return rgb, d.astype(np.float32)
+
+
 def read_scene(folder):
     return json.loads((Path(folder) / "scene.json").read_text())
 
@@ -98,10 +108,10 @@ def photometric(rgb, disparity, rng):
     return x
 
 
-def framed(rgb, disparity, size, rng):
-    """A random crop of the wanted shape, flipped half of the time, at `size` = (height, width)."""
+def framed(rgb, disparity, size, rng, closest=0.6):
+    """A random crop of the wanted shape, down to `closest` of the picture, flipped half of the time, at `size` = (height, width)."""
     h, w = disparity.shape
-    zoom = rng.uniform(0.6, 1.0) if rng.random() < 0.6 else 1.0
+    zoom = rng.uniform(closest, 1.0) if rng.random() < 0.6 else 1.0
     ch, cw = (h, h * size[1] / size[0]) if w * size[0] > h * size[1] else (w * size[0] / size[1], w)
     ch, cw = max(16, int(ch * zoom)), max(16, int(cw * zoom))
     y, x = rng.randint(0, h - ch), rng.randint(0, w - cw)

@@ -1,4 +1,4 @@
-"""Trains the monocular depth network: a frozen ImageNet MobileNetV2 and a small decoder, on rendered scenes alone."""
+"""Trains the monocular depth network: frozen encoders and a small decoder, on rendered scenes and a few photographs labelled by hand."""
 
 import argparse
 import json
@@ -211,21 +211,30 @@ MEAN = torch.tensor([0.485, 0.456, 0.406])[:, None, None]
 STD = torch.tensor([0.229, 0.224, 0.225])[:, None, None]
 
 
-def normalised(x):
-    """Median 0 and mean absolute value 1 per picture."""
-    flat = x.flatten(1)
-    middle = flat.median(1, keepdim=True).values
-    spread = (flat - middle).abs().mean(1, keepdim=True).clamp_min(1e-4)
-    return ((flat - middle) / spread).view_as(x)
+def normalised(x, known):
+    """Median 0 and mean absolute value 1 per picture, of what is known."""
+    flat, known = x.flatten(1), known.flatten(1)
+    middle = flat.masked_fill(~known, torch.nan).nanmedian(1, keepdim=True).values
+    spread = ((flat - middle).abs() * known).sum(1, keepdim=True) / known.sum(1, keepdim=True)
+    return ((flat - middle) / spread.clamp_min(1e-4)).view_as(x)
+
+
+def mean_of(x, known):
+    """Mean of what is known."""
+    return (x * known).sum() / known.sum().clamp_min(1)
 
 
 def loss_of(prediction, target):
-    p, t = normalised(prediction), normalised(target).clamp(-6, 6)
-    e = p - t
-    loss = e.abs().mean()
+    """Scale- and shift-invariant L1 with gradients at four scales; NaN in the target counts for nothing."""
+    known = ~target.isnan()
+    target = target.nan_to_num(0)
+    e = (normalised(prediction, known) - normalised(target, known).clamp(-6, 6)) * known
+    loss = mean_of(e.abs(), known)
     for s in range(4):
-        d = e if s == 0 else F.avg_pool2d(e, 2**s)
-        loss = loss + 0.125 * ((d[..., 1:] - d[..., :-1]).abs().mean() + (d[..., 1:, :] - d[..., :-1, :]).abs().mean()) * 2
+        share = known.float() if s == 0 else F.avg_pool2d(known.float(), 2**s)
+        d, full = (e, known) if s == 0 else (F.avg_pool2d(e, 2**s), share > 0.999)
+        across, down = full[..., 1:] & full[..., :-1], full[..., 1:, :] & full[..., :-1, :]
+        loss = loss + 0.25 * (mean_of((d[..., 1:] - d[..., :-1]).abs(), across) + mean_of((d[..., 1:, :] - d[..., :-1, :]).abs(), down))
     return loss
 
 
@@ -234,6 +243,8 @@ SHARE = {
     "room": 0.14, "corridor": 0.03, "lounge": 0.09, "kitchen": 0.08, "street": 0.09, "field": 0.17, "water": 0.05, "terrain": 0.03, "crowd": 0.04,
     "thin": 0.02, "foliage": 0.02, "shelf": 0.06, "heap": 0.06, "table": 0.08, "closeup": 0.05, "drape": 0.03, "figures": 0.04, "floating": 0.01,
 }  # fmt: skip
+# families that labelled photographs have little of
+INDOORS = ("room", "corridor", "lounge", "kitchen", "shelf", "heap", "table", "closeup", "drape")
 
 
 def families(folders):
@@ -244,14 +255,32 @@ def families(folders):
     return found
 
 
-def batch_of(kinds, size, n, rng):
+def batch_of(kinds, size, n, rng, labels=(), share=0.0):
+    """Pictures and disparity; `share` of them are labelled photographs, whose unknown pixels are NaN."""
     xs, ys = [], []
     names = sorted(kinds)
-    for kind in rng.choices(names, [SHARE[k] for k in names], k=n):
-        rgb, d = common.framed(*common.read_pair(rng.choice(kinds[kind])), size, rng)
-        xs.append((common.chw(common.photometric(rgb, d, rng)) - MEAN) / STD)
+    share = share if labels else 0.0
+    # the photographs take the place of scenes outdoors and of figures
+    indoors, all_ = (sum(SHARE[k] for k in names if k in of) for of in (INDOORS, names))
+    others = max(0.2, (all_ * (1 - share) - indoors) / max(all_ - indoors, 1e-9))
+    for kind in rng.choices(names, [SHARE[k] if k in INDOORS else SHARE[k] * others for k in names], k=n):
+        if rng.random() < share:
+            rgb, d = labelled(labels, size, rng)
+        else:
+            rgb, d = common.framed(*common.read_pair(rng.choice(kinds[kind])), size, rng)
+        xs.append((common.chw(common.photometric(rgb, np.nan_to_num(d), rng)) - MEAN) / STD)
         ys.append(torch.from_numpy(d)[None])
     return torch.stack(xs), torch.stack(ys)
+
+
+def labelled(labels, size, rng):
+    """A crop of a labelled photograph at least half of which is known and has a depth to tell."""
+    for _ in range(20):
+        rgb, d = common.framed(*common.read_label(rng.choice(labels)), size, rng, 0.4)
+        known = ~np.isnan(d)
+        if known.mean() > 0.5 and np.ptp(d[known]) > 0.1:
+            break
+    return rgb, d
 
 
 def batch_at(kinds, step, done, a):
@@ -259,7 +288,8 @@ def batch_at(kinds, step, done, a):
     rng = random.Random(a.seed * 1_000_003 + step)
     small = done < a.small
     size = rng.choice(SMALL if small or rng.random() < 0.25 else LARGE)
-    return batch_of(kinds, size, a.batch if small else max(4, a.batch * 5 // 8), rng)
+    labels = sorted(common.Path(a.labels).glob("*.disparity.png")) if a.labels else ()
+    return batch_of(kinds, size, a.batch if small else max(4, a.batch * 5 // 8), rng, labels, a.label_share)
 
 
 def produce(queue, a, first, encoder):
@@ -321,6 +351,8 @@ def main():
     a.add_argument("--replay", type=int, default=1, help="how often an earlier batch is taken again after each fresh one")
     a.add_argument("--style", choices=["off", "batch", "photos"], default="off", help="whose channel statistics are mixed in")
     a.add_argument("--pictures", default=str(RUNS / "pictures"), help="photographs for --style photos")
+    a.add_argument("--labels", help="photographs labelled by hand, as `labels.py` writes them")
+    a.add_argument("--label-share", type=float, default=0.3, help="share of them in a batch")
     a.add_argument("--encoder", choices=["untrained", "mobilenet", "both"], default="both", help="MobileNetV2 with random weights, as it is, or with YOLOX-nano beside it")
     a.add_argument("--ramp", type=float, default=0.3, help="share of the vertical ramp by which checkpoints are measured")
     a.add_argument("--drop", type=float, default=0.1, help="share of the encoder's channels that each sample goes without")

@@ -87,6 +87,9 @@ pub(super) struct ModelFlags {
     /// where its name or its graph tells the network
     #[arg(long, value_parser = depth_model, default_value = "tmpi", value_name = "NAME[=FILE]|FILE", env = "TMPI_DEPTH_MODEL")]
     pub depth_model: DepthModel,
+    /// Pixels at which the depth network sees a photo, if not those that it is best at: its time grows with them
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1024..=2_000_000), value_name = "PIXELS")]
+    pub depth_pixels: Option<u32>,
     /// Run depth on the mirrored photo too and take the mean: twice the time
     #[arg(long)]
     pub flip: bool,
@@ -102,7 +105,8 @@ impl ModelFlags {
     /// The settings that the flags stand for.
     pub(super) fn settings(&self) -> Settings {
         let onnx = Config { threads: self.threads.into(), providers: self.provider.clone(), ..Config::default() };
-        Settings { depth: self.depth_model.adapter, depth_file: self.depth_model.file.clone(), flip: self.flip, onnx }
+        let DepthModel { adapter, file } = &self.depth_model;
+        Settings { depth: adapter, depth_file: file.clone(), depth_pixels: self.depth_pixels, flip: self.flip, onnx }
     }
 }
 

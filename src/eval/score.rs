@@ -143,6 +143,7 @@ impl Mask {
     }
 
     #[cfg(not(feature = "codecs"))]
+    #[allow(clippy::unused_self, reason = "with the feature it is used")]
     fn ssimulacra2(&self, _: &[[u8; 3]], _: &[[u8; 3]]) -> Option<f64> {
         None
     }
