@@ -35,6 +35,8 @@ pub struct Settings {
     pub depth_file: Option<PathBuf>,
     /// Pixels that a photo is brought to for it, other than its own choice; a file of one size overrides it.
     pub depth_pixels: Option<u32>,
+    /// Strength of the smoothing of its map up to the photo's edges, other than its own; 0: none.
+    pub depth_smoothing: Option<f64>,
     /// Run depth twice, the second time mirrored, and take the mean.
     pub flip: bool,
     /// How networks are run.
@@ -43,7 +45,7 @@ pub struct Settings {
 
 impl Default for Settings {
     fn default() -> Self {
-        Self { depth: &ADAPTERS[0], depth_file: None, depth_pixels: None, flip: false, onnx: Config::default() }
+        Self { depth: &ADAPTERS[0], depth_file: None, depth_pixels: None, depth_smoothing: None, flip: false, onnx: Config::default() }
     }
 }
 
@@ -101,14 +103,15 @@ struct Depth {
 
 impl Depth {
     fn get(&self) -> Result<&Monocular, DepthError> {
-        let Settings { depth, depth_pixels, flip, onnx, .. } = &self.settings;
+        let Settings { depth, depth_pixels, depth_smoothing, flip, onnx, .. } = &self.settings;
         let loaded = self.loaded.get_or_init(|| {
             let embedded = DEPTH.filter(|_| *depth == &ADAPTERS[0]);
             let model = self.model.as_deref().or(embedded).ok_or_else(|| OnnxError::Model {
                 name: depth.name.to_owned(),
                 reason: "it is not embedded in this program: name its ONNX file, or give a depth map".into(),
             })?;
-            let adapter = Adapter { size: depth_pixels.map_or(depth.size, SizeRule::Area), ..**depth };
+            let size = depth_pixels.map_or(depth.size, SizeRule::Area);
+            let adapter = Adapter { size, smoothing: depth_smoothing.unwrap_or(depth.smoothing), ..**depth };
             Monocular::load(&adapter, model, onnx, *flip)
         });
         loaded.as_ref().map_err(|e| e.clone().into())

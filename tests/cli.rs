@@ -256,6 +256,9 @@ fn depth_is_written_as_used_and_raw() {
     assert!(pfm.starts_with(b"Pf\n"));
     let flipped = f.run(&["depth", "box.jpg", "-q", "--flip", "--raw", "-o", "flip.pfm"]).succeeds();
     assert!(flipped.out.contains("disparity"));
+    f.run(&["depth", "box.jpg", "-q", "--depth-smoothing", "0", "-o", "rough.png"]).succeeds();
+    assert_ne!(std::fs::read(f.path("rough.png")).unwrap(), std::fs::read(f.path("d.png")).unwrap());
+    assert!(f.run(&["depth", "box.jpg", "--depth-smoothing", "-1", "-o", "no.png"]).code == 2);
     let sized = f.run(&["depth", "box.jpg", "-q", "--raw", "--depth-pixels", "6000", "-o", "sized.pfm"]).succeeds();
     assert!(sized.out.contains("96×64"), "{}", sized.out);
     assert!(f.run(&["depth", "box.jpg", "--depth-pixels", "10", "-o", "no.png"]).err.contains("1024..=2000000"));

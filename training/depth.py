@@ -154,9 +154,10 @@ class DepthNet(nn.Module):
 
     @staticmethod
     def of(checkpoint):
-        """The network of a checkpoint: its decoder tells what it was trained behind."""
-        net = DepthNet(checkpoint["decoder"]["top.0.weight"].shape[1] > MobileNetV2.CHANNELS[4] + 1)
-        net.decoder.load_state_dict(checkpoint["decoder"])
+        """The network of a checkpoint, of its running mean where it has one: its decoder tells what it was trained behind."""
+        decoder = checkpoint.get("ema", checkpoint["decoder"])
+        net = DepthNet(decoder["top.0.weight"].shape[1] > MobileNetV2.CHANNELS[4] + 1)
+        net.decoder.load_state_dict(decoder)
         return net
 
     def forward(self, image):
@@ -354,10 +355,10 @@ def main():
     a.add_argument("--labels", help="photographs labelled by hand, as `labels.py` writes them")
     a.add_argument("--label-share", type=float, default=0.3, help="share of them in a batch")
     a.add_argument("--encoder", choices=["untrained", "mobilenet", "both"], default="both", help="MobileNetV2 with random weights, as it is, or with YOLOX-nano beside it")
-    a.add_argument("--ramp", type=float, default=0.3, help="share of the vertical ramp by which checkpoints are measured")
+    a.add_argument("--ramp", type=float, default=0.2, help="share of the vertical ramp by which checkpoints are measured")
     a.add_argument("--drop", type=float, default=0.1, help="share of the encoder's channels that each sample goes without")
     a.add_argument("--ema", type=float, default=0.995, help="decay of the mean over weights")
-    a.add_argument("--init", help="checkpoint whose decoder to begin with")
+    a.add_argument("--init", help="checkpoint whose decoder to begin with, its running mean where it has one")
     a.add_argument("--seed", type=int, default=1)
     a = a.parse_args()
     from eval_depth import evaluate, load_sets  # here, because it needs DepthNet
@@ -376,7 +377,8 @@ def main():
     params = list(net.parameters())
     optimiser = torch.optim.AdamW(params, a.lr, weight_decay=1e-2)
     if a.init:
-        net.decoder.load_state_dict(torch.load(a.init, weights_only=False, map_location=dev)["decoder"])
+        begun = torch.load(a.init, weights_only=False, map_location=dev)
+        net.decoder.load_state_dict(begun.get("ema", begun["decoder"]))
     ema = common.Ema(net.decoder, a.ema)
     step, best, a.spent = 0, 9.0, 0.0
     if (out / "last.pt").exists():

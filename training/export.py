@@ -115,7 +115,7 @@ def main():
     a.add_argument("model", choices=["depth", "theta", "psi"])
     a.add_argument("--checkpoint")
     a.add_argument("--out")
-    a.add_argument("--ramp", type=float, default=0.3, help="share of the vertical ramp in the depth network's map")
+    a.add_argument("--ramp", type=float, default=0.2, help="share of the vertical ramp in the depth network's map")
     a = a.parse_args()
     torch.manual_seed(0)
     torch.set_num_threads(1)

@@ -90,6 +90,9 @@ pub(super) struct ModelFlags {
     /// Pixels at which the depth network sees a photo, if not those that it is best at: its time grows with them
     #[arg(long, value_parser = clap::value_parser!(u32).range(1024..=2_000_000), value_name = "PIXELS")]
     pub depth_pixels: Option<u32>,
+    /// How strongly the map of the depth network is smoothed up to the photo's edges, against haloes, 0 to 1000000; 0: not at all
+    #[arg(long, value_parser = strength, value_name = "N")]
+    pub depth_smoothing: Option<f64>,
     /// Run depth on the mirrored photo too and take the mean: twice the time
     #[arg(long)]
     pub flip: bool,
@@ -106,7 +109,8 @@ impl ModelFlags {
     pub(super) fn settings(&self) -> Settings {
         let onnx = Config { threads: self.threads.into(), providers: self.provider.clone(), ..Config::default() };
         let DepthModel { adapter, file } = &self.depth_model;
-        Settings { depth: adapter, depth_file: file.clone(), depth_pixels: self.depth_pixels, flip: self.flip, onnx }
+        let Self { depth_pixels, depth_smoothing, flip, .. } = *self;
+        Settings { depth: adapter, depth_file: file.clone(), depth_pixels, depth_smoothing, flip, onnx }
     }
 }
 
@@ -146,6 +150,12 @@ fn checked<T: Copy>(value: T, set: impl FnOnce(&mut Options, T)) -> Result<T, St
     set(&mut options, value);
     options.validate().map_err(|e| e.to_string())?;
     Ok(value)
+}
+
+/// A strength of smoothing.
+fn strength(text: &str) -> Result<f64, String> {
+    let value = number(text)?;
+    if (0.0..=1e6).contains(&value) { Ok(value) } else { Err(format!("{text} is not between 0 and 1000000")) }
 }
 
 fn number(text: &str) -> Result<f64, String> {

@@ -96,7 +96,7 @@ const fn entry(name: &'static str, size: SizeRule, multiple: u32, norm: ([f32; 3
 /// those exported from its torch hub do neither.
 pub const ADAPTERS: [Adapter; 11] = [
     Adapter {
-        smoothing: 3000.0,
+        smoothing: 100.0,
         ..entry("tmpi", SizeRule::Area(128 * 192), 32, IMAGENET, Sampling::Unrounded(Filter::Lanczos3), Kind::Disparity)
     },
     entry("midas-v2.1-small", SizeRule::Fixed(256, 256), 32, PLAIN, Sampling::Four, Kind::Disparity),
