@@ -195,7 +195,7 @@ fn front(out: &mut String, e: &Experiment, x: &Scale, y: &Scale) {
 impl Experiment {
     /// True where the points of a curve follow one number, so that a line between them means something.
     fn joined(&self) -> bool {
-        !["steps", "denoise", "without", "moves", "mesh", "discretisation", "families"].contains(&self.id)
+        !["steps", "ramps", "denoise", "without", "moves", "mesh", "discretisation", "families"].contains(&self.id)
     }
 }
 

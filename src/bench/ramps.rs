@@ -27,7 +27,7 @@ pub(super) fn run(bench: &Bench, subjects: &[Subject], progress: &dyn Fn(&str)) 
     );
     let damages: [(&str, Damage); 4] = [
         ("exact disparity", DisparityMap::clone),
-        ("enlarged from half the size", enlarged),
+        ("enlarged to twice", enlarged),
         ("blurred by 3×3", |map| experiments::box_blurred(map, 1)),
         ("blurred by 5×5", experiments::blurred),
     ];
