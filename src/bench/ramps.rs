@@ -3,20 +3,13 @@
 use super::measure::{Bench, Depth};
 use super::subject::Subject;
 use super::{Axis, BenchError, Curve, Experiment, Point, experiments};
+use crate::depth;
 use crate::generate::snap;
-use crate::photo::{Filter, resample};
 use crate::tmpi::DisparityMap;
 use crate::way::{Options, Switch};
 
 /// A way to spoil a map.
 type Damage = fn(&DisparityMap) -> DisparityMap;
-
-/// Half the size, as networks give maps, and back.
-fn enlarged(map: &DisparityMap) -> DisparityMap {
-    let half = ((map.width / 2).max(1), (map.height / 2).max(1));
-    let to = |from: &[f32], a, b| resample(from, a, b, Filter::Triangle, |v: f32| [v], |[v]| v);
-    DisparityMap { delta: to(&to(&map.delta, (map.width, map.height), half), half, (map.width, map.height)), ..*map }
-}
 
 /// A point a scene and damage: the share of ramps, and by how much the views of snapped maps are better.
 pub(super) fn run(bench: &Bench, subjects: &[Subject], progress: &dyn Fn(&str)) -> Result<Experiment, BenchError> {
@@ -27,7 +20,7 @@ pub(super) fn run(bench: &Bench, subjects: &[Subject], progress: &dyn Fn(&str)) 
     );
     let damages: [(&str, Damage); 4] = [
         ("exact disparity", DisparityMap::clone),
-        ("enlarged to twice", enlarged),
+        ("enlarged to twice", depth::halved),
         ("blurred by 3×3", |map| experiments::box_blurred(map, 1)),
         ("blurred by 5×5", experiments::blurred),
     ];

@@ -1,11 +1,11 @@
 //! Layers of rendered scenes as the program makes them, with what their hidden texels should show: what Ψ learns from.
 
+use crate::depth;
 use crate::generate::layers::{self, Coloured};
 use crate::generate::planes::place;
 use crate::generate::{refine, snap};
-use crate::photo::{Filter, resample};
 use crate::synth::{Picture, Scene, behind};
-use crate::tmpi::{Blueprint, Class, DisparityMap, Grid, Place, Rect, ViewBox};
+use crate::tmpi::{Blueprint, Class, Grid, Place, Rect, ViewBox};
 use crate::way::Options;
 
 /// Half the side of the view box, as in the bench.
@@ -21,7 +21,7 @@ const TRUTH: usize = 4;
 pub fn layers(scene: &Scene, picture: &Picture, spoilt: bool) -> Vec<u8> {
     let (photo, camera) = (&picture.photo, scene.camera());
     let (w, h) = (photo.width, photo.height);
-    let map = if spoilt { snap::snap(photo, &halved(&picture.disparity)) } else { snap::median(photo, &picture.disparity) };
+    let map = if spoilt { snap::snap(photo, &depth::halved(&picture.disparity)) } else { snap::median(photo, &picture.disparity) };
     let (grid, view_box) = (Grid::new(w, h, 64), ViewBox { x: BOX, y: BOX, z: BOX });
     let parallax = view_box.parallax(&camera.intrinsics, Rect { x: 0, y: 0, w, h });
     let tiles = place(&map, None, &grid, &Options::default().placement(parallax));
@@ -62,13 +62,6 @@ fn truth(l: &Coloured, tile: Rect, known: &[Option<[u8; 3]>], side: usize) -> Ve
         }
     }
     out
-}
-
-/// The map at half its size and back.
-fn halved(d: &DisparityMap) -> DisparityMap {
-    let half = ((d.width / 2).max(1), (d.height / 2).max(1));
-    let to = |from: &[f32], a, b| resample(from, a, b, Filter::Triangle, |v: f32| [v], |[v]| v);
-    DisparityMap { delta: to(&to(&d.delta, (d.width, d.height), half), half, (d.width, d.height)), ..*d }
 }
 
 /// Head of a file of `NumPy`, version 1.0, for bytes in C order.

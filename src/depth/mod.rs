@@ -14,7 +14,7 @@ pub use detect::detect;
 pub use map::from_png;
 pub use monocular::Monocular;
 pub use png::to_png;
-pub use upsample::upsample;
+pub use upsample::{halved, upsample};
 
 use crate::tmpi::{DisparityMap, Photo};
 

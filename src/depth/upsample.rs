@@ -43,6 +43,14 @@ pub fn upsample(photo: &Photo, small: &DisparityMap) -> DisparityMap {
     DisparityMap { width, height, delta: out }
 }
 
+/// The map at half its size and back, as a network would give it: what snapping is measured on and Ψ learns behind.
+#[must_use]
+pub fn halved(d: &DisparityMap) -> DisparityMap {
+    let half = ((d.width / 2).max(1), (d.height / 2).max(1));
+    let to = |from: &[f32], a, b| resample(from, a, b, Filter::Triangle, |v: f32| [v], |[v]| v);
+    DisparityMap { delta: to(&to(&d.delta, (d.width, d.height), half), half, (d.width, d.height)), ..*d }
+}
+
 /// The photo's size, reduced to [`WORK`] pixels.
 fn working_size(width: u32, height: u32) -> (u32, u32) {
     let scale = (WORK / (f64::from(width) * f64::from(height))).sqrt().min(1.0);
