@@ -3,10 +3,10 @@
 
 use std::sync::Arc;
 
-use tmpi::check::scenes::{all, camera, cameras, flat, stack};
-use tmpi::quality::{psnr, share_off};
-use tmpi::render::{Backend, Cpu, Gpu, MAX_SIDE, Reference, RenderError, Renderer, View, corners, select};
-use tmpi::tmpi::{Camera, Intrinsics, Pose, Scene, ViewBox};
+use tmpi_core::{Camera, Intrinsics, Pose, Scene, ViewBox};
+use tmpi_lab::metrics::{psnr, share_off};
+use tmpi_lab::stress::scenes::{all, camera, cameras, flat, stack};
+use tmpi_render::{Backend, Cpu, Gpu, MAX_SIDE, Reference, RenderError, Renderer, View, corners, select};
 
 fn db(view: &View, photo: &[[u8; 3]]) -> f64 {
     psnr(rgb(view).as_flattened(), photo.as_flattened())

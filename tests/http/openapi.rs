@@ -6,11 +6,11 @@ use serde_json::Value;
 use tmpi::server::Limits;
 
 use crate::client::{get, request};
-use crate::fixture::{Running, jpeg, way};
+use crate::fixture::{Running, jpeg, pipeline};
 
 fn start() -> (tempfile::TempDir, Running) {
     let dir = tempfile::tempdir().unwrap();
-    let server = Running::start(dir.path(), Limits::default(), Arc::new(way()));
+    let server = Running::start(dir.path(), Limits::default(), Arc::new(pipeline()));
     (dir, server)
 }
 

@@ -1,0 +1,179 @@
+//! A tiled multiplane image in memory.
+
+use super::{Grid, Intrinsics, Plane, Rect, ViewBox};
+
+/// Decoded photo: 8-bit sRGB, row-major, `width · height` texels.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Photo {
+    /// Width in pixels.
+    pub width: u32,
+    /// Height in pixels.
+    pub height: u32,
+    /// Pixels from the upper left, row by row.
+    pub rgb: Vec<[u8; 3]>,
+}
+
+impl Photo {
+    /// Pixel at `(x, y)`, both inside the photo.
+    #[must_use]
+    pub fn at(&self, x: u32, y: u32) -> [u8; 3] {
+        self.rgb[y as usize * self.width as usize + x as usize]
+    }
+}
+
+/// Disparity per pixel of a photo, row-major, every value finite.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DisparityMap {
+    /// Width in pixels.
+    pub width: u32,
+    /// Height in pixels.
+    pub height: u32,
+    /// δ from the upper left, row by row.
+    pub delta: Vec<f32>,
+}
+
+/// What a texel of a layer is. Stored as one byte.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum Class {
+    /// Nothing there; alpha is 0.
+    Empty = 0,
+    /// Takes its colour from the photo's pixel at the same place.
+    Photo = 1,
+    /// Behind something: has a colour of its own in [`Texels::hidden`].
+    Hidden = 2,
+}
+
+/// Texels of all layers, layer after layer, row-major within each layer's rectangle.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Texels {
+    /// A [`Class`] per texel, as its byte.
+    pub class: Vec<u8>,
+    /// Straight alpha per texel: 0 where the class is empty, else 1 to 255.
+    pub alpha: Vec<u8>,
+    /// Colours of the hidden texels alone, in the order in which they come in `class`.
+    pub hidden: Vec<[u8; 3]>,
+}
+
+/// One RGBA layer of one tile.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Layer {
+    /// Index of its tile in the grid.
+    pub tile: u32,
+    /// Its plane, in the tile's `(u, v)`.
+    pub plane: Plane,
+    /// Pixels of the photo that its texels stand for; within the tile's rectangle, never empty.
+    pub rect: Rect,
+    /// TileFrame of its first texel in [`Texels::class`] and [`Texels::alpha`].
+    pub first_texel: usize,
+    /// TileFrame of its first hidden texel in [`Texels::hidden`].
+    pub first_hidden: usize,
+}
+
+/// Ordered tiled multiplane image `(Γ(I), ≤)` (paper, section 3.1).
+///
+/// Layers lie tile after tile, and within a tile from far to near by disparity at the tile's centre; that index is the
+/// tie-break of every renderer.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Scene {
+    /// The tiles.
+    pub grid: Grid,
+    /// The reference camera, at the origin looking along +z.
+    pub intrinsics: Intrinsics,
+    /// Camera positions that the scene was made for.
+    pub view_box: ViewBox,
+    /// The photo: source of every visible texel.
+    pub photo: Photo,
+    /// All layers.
+    pub layers: Vec<Layer>,
+    /// Their texels.
+    pub texels: Texels,
+}
+
+/// A scene whose parts do not fit together.
+#[derive(Clone, Copy, Debug, thiserror::Error, PartialEq, Eq)]
+pub enum SceneError {
+    /// Sizes, counts or ranges contradict each other; the text names which.
+    #[error("scene is inconsistent: {0}")]
+    Inconsistent(&'static str),
+}
+
+impl Scene {
+    /// Checks that all parts fit: sizes, rectangles within tiles, texel counts, order, finite planes and intrinsics.
+    ///
+    /// # Errors
+    /// [`SceneError::Inconsistent`] names the first part that does not.
+    pub fn validate(&self) -> Result<(), SceneError> {
+        let fail = |what| Err(SceneError::Inconsistent(what));
+        let g = &self.grid;
+        if g.width == 0 || g.height == 0 || g.size == 0 || g.stride == 0 || g.stride > g.size {
+            return fail("grid");
+        }
+        if (self.photo.width, self.photo.height) != (g.width, g.height) || self.photo.rgb.len() != g.width as usize * g.height as usize {
+            return fail("photo size");
+        }
+        if !self.intrinsics.is_valid() {
+            return fail("intrinsics");
+        }
+        let (mut texel, mut hidden, mut tile) = (0usize, 0usize, 0u32);
+        for l in &self.layers {
+            if l.tile >= g.tiles() || l.tile < tile {
+                return fail("tile order");
+            }
+            tile = l.tile;
+            if l.rect.area() == 0 || !g.rect(l.tile).contains(&l.rect) {
+                return fail("layer rectangle");
+            }
+            if !l.plane.is_finite() {
+                return fail("plane");
+            }
+            if l.first_texel != texel || l.first_hidden != hidden {
+                return fail("texel offsets");
+            }
+            let end = texel + l.rect.area();
+            let Some(classes) = self.texels.class.get(texel..end) else { return fail("texel count") };
+            hidden += classes.iter().filter(|&&c| c == Class::Hidden as u8).count();
+            texel = end;
+        }
+        if self.texels.class.len() != texel || self.texels.alpha.len() != texel || self.texels.hidden.len() != hidden {
+            return fail("texel count");
+        }
+        if self.texels.class.iter().zip(&self.texels.alpha).any(|(&c, &a)| c > Class::Hidden as u8 || (c == Class::Empty as u8) != (a == 0))
+        {
+            return fail("texel class");
+        }
+        Ok(())
+    }
+
+    /// Memory that the scene takes, in bytes.
+    #[must_use]
+    pub fn memory(&self) -> usize {
+        size_of::<Self>()
+            + size_of_val(self.photo.rgb.as_slice())
+            + size_of_val(self.layers.as_slice())
+            + self.texels.class.len()
+            + self.texels.alpha.len()
+            + size_of_val(self.texels.hidden.as_slice())
+    }
+
+    /// Straight-alpha RGBA texels of layer `index`, row-major in its rectangle, appended to `out`; empty texels are 0.
+    pub fn expand_layer(&self, index: usize, out: &mut Vec<[u8; 4]>) {
+        let l = &self.layers[index];
+        let mut hidden = self.texels.hidden[l.first_hidden..].iter();
+        let own = l.first_texel..l.first_texel + l.rect.area();
+        let (class, alpha) = (&self.texels.class[own.clone()], &self.texels.alpha[own]);
+        let width = l.rect.w as usize;
+        for (y, (class, alpha)) in (l.rect.y..).zip(class.chunks(width).zip(alpha.chunks(width))) {
+            let row = y as usize * self.photo.width as usize + l.rect.x as usize;
+            let own = &self.photo.rgb[row..row + width];
+            out.extend(own.iter().zip(class.iter().zip(alpha)).map(|(p, (&c, &a))| {
+                let [r, g, b] = match c {
+                    c if c == Class::Photo as u8 => *p,
+                    c if c == Class::Hidden as u8 => hidden.next().copied().unwrap_or_default(),
+                    _ => [0; 3],
+                };
+                [r, g, b, a]
+            }));
+        }
+    }
+}
