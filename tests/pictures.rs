@@ -1,4 +1,4 @@
-//! Twelve kinds of scene from eight places: the reference against its goldens, and the `cpu` and `gpu` hosts against the reference.
+//! Twelve kinds of scene from eight places: the reference against its goldens, and the `cpu` and `gpu` backends against the reference.
 //!
 //! `TMPI_BLESS=1 cargo test --release --test pictures` draws the goldens anew; `TMPI_BLESS=scenes` makes the scenes anew too.
 #![allow(clippy::unwrap_used, clippy::cast_possible_truncation, clippy::cast_precision_loss, reason = "test")]
@@ -119,12 +119,12 @@ fn the_reference_draws_its_goldens() {
     }
 }
 
-fn compare(host: &dyn Renderer) {
+fn compare(backend: &dyn Renderer) {
     let (mut most_off, mut most_seen, mut failed) = (0.0_f64, 0.0_f64, Vec::new());
     for family in FAMILIES {
         let scene = scene(family);
         for (i, camera) in cameras(&scene).iter().enumerate() {
-            let (got, want) = (host.render(&scene, camera).unwrap(), Reference.render(&scene, camera).unwrap());
+            let (got, want) = (backend.render(&scene, camera).unwrap(), Reference.render(&scene, camera).unwrap());
             let off = share_off(&got.rgba, &want.rgba, LEVELS);
             let seen = flip(&rgb(&want), &rgb(&got), camera.width as usize);
             (most_off, most_seen) = (most_off.max(off), most_seen.max(seen));
@@ -135,10 +135,10 @@ fn compare(host: &dyn Renderer) {
     }
     println!(
         "{}: at most {:.3} % of the pixels off by more than {LEVELS} levels, FLIP at most {most_seen:.4}",
-        host.name(),
+        backend.name(),
         most_off * 100.0
     );
-    assert!(failed.is_empty(), "{}:\n{}", host.name(), failed.join("\n"));
+    assert!(failed.is_empty(), "{}:\n{}", backend.name(), failed.join("\n"));
 }
 
 #[test]

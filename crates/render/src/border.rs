@@ -154,6 +154,7 @@ fn sides(from: u32, size: u32, drawn: [f64; 2], length: u32, margin: u32) -> [Op
 
 /// Pixels by which the corners of the view box see past the photo's borders, to the sides and up and down: the larger of
 /// cameras that look straight ahead and of cameras that turn to keep the nearest things in place, at δ = 0 and δ = 1.
+#[must_use]
 pub fn margin(scene: &Scene) -> [u32; 2] {
     let (w, h) = (f64::from(scene.grid.width), f64::from(scene.grid.height));
     let mut past = [0.0_f64; 2];

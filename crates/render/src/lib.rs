@@ -1,4 +1,4 @@
-//! Drawing a scene for a camera (paper, algorithm 1) on three hosts that are held against each other.
+//! Drawing a scene for a camera (paper, algorithm 1) on three backends that are held against each other.
 
 mod animation;
 mod border;
@@ -37,7 +37,7 @@ pub const MAX_SIDE: u32 = 16_384;
 /// Largest count of pixels of a view.
 pub const MAX_PIXELS: u64 = 1 << 26;
 
-/// Which host draws.
+/// Which backend draws.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[cfg_attr(feature = "clap", derive(clap::ValueEnum))]
 #[serde(rename_all = "lowercase")]
@@ -92,7 +92,7 @@ impl View {
     }
 }
 
-/// A host that draws scenes.
+/// A backend that draws scenes.
 pub trait Renderer: Send + Sync {
     /// `gpu`, `cpu` or `reference`.
     fn name(&self) -> &'static str;
@@ -104,7 +104,7 @@ pub trait Renderer: Send + Sync {
     fn render(&self, scene: &Arc<Scene>, camera: &Camera) -> Result<View, RenderError>;
 }
 
-/// Checks what every host relies on: a finite pose, valid intrinsics, a size within [`MAX_SIDE`] and [`MAX_PIXELS`].
+/// Checks what every backend relies on: a finite pose, valid intrinsics, a size within [`MAX_SIDE`] and [`MAX_PIXELS`].
 fn check(camera: &Camera) -> Result<(), RenderError> {
     let (w, h) = (camera.width, camera.height);
     if !camera.pose.is_finite() {
@@ -119,7 +119,7 @@ fn check(camera: &Camera) -> Result<(), RenderError> {
     Ok(())
 }
 
-/// The host for `backend`. An adapter in software counts only where `gpu` is asked for by name.
+/// The backend for `backend`. An adapter in software counts only where `gpu` is asked for by name.
 ///
 /// # Errors
 /// [`RenderError::Adapter`] where `gpu` is asked for and there is no adapter.

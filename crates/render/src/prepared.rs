@@ -46,7 +46,7 @@ const THREAD_TEXELS: usize = 1 << 17;
 /// Texels after the last one.
 pub(super) const PADDING: usize = 8;
 
-/// A scene as the `cpu` host draws it.
+/// A scene as the `cpu` backend draws it.
 #[derive(Debug)]
 pub(super) struct Prepared {
     /// The layers and what is mirrored beyond the borders.

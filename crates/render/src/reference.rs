@@ -1,4 +1,4 @@
-//! The standard that the other hosts are held against: `f64`, every sample of a pixel gathered, sorted and composited.
+//! The standard that the other backends are held against: `f64`, every sample of a pixel gathered, sorted and composited.
 
 use std::sync::Arc;
 

@@ -19,6 +19,7 @@ pub fn rows(grid: &Grid) -> Option<u32> {
 }
 
 /// The same for about equal bands of at least so many pixels.
+#[must_use]
 pub fn rows_for(grid: &Grid, pixels: u64) -> Option<u32> {
     let most = u64::from(grid.width) * u64::from(grid.height) / pixels.max(1);
     let bands = most.min(u64::from(grid.rows())) as u32;

@@ -58,6 +58,9 @@ pub fn encode(geometry: &Geometry, scene: &Scene, carried: &Carried, carries: Ca
 }
 
 /// The same with labels in bands of so many rows of tiles, or in one stream.
+///
+/// # Errors
+/// [`ContainerError::Encode`] where a picture codec fails or a plane does not fit.
 pub fn encode_in(
     rows: Option<u32>,
     geometry: &Geometry,

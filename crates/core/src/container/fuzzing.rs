@@ -20,6 +20,7 @@ pub fn size(bytes: &[u8]) -> Result<Size, ContainerError> {
 }
 
 /// A grid as photos have it.
+#[must_use]
 pub fn grid(width: u32, height: u32, size: u32) -> Grid {
     Grid::new(width, height, size)
 }

@@ -31,6 +31,9 @@ pub fn select(container: &[u8], names: &[&str]) -> Result<Vec<u8>, ContainerErro
 }
 
 /// The container with one section more.
+///
+/// # Errors
+/// [`ContainerError::Broken`], [`ContainerError::Newer`].
 pub fn with_section(container: &[u8], kind: Kind, codec: super::wire::Codec, data: &[u8]) -> Result<Vec<u8>, ContainerError> {
     let (mut index, body) = decode::split(container)?;
     let (offset, length) = (body.len() as u64, data.len() as u64);

@@ -20,7 +20,7 @@ pub fn texture(photo: &Photo, geometry: &Geometry, shapes: Vec<LayerMasks>) -> V
     shapes.into_iter().zip(colours).map(tile).collect()
 }
 
-/// Joins coloured layers into a scene.
+/// Joins textured layers into a scene.
 #[must_use]
 pub fn compose(photo: Photo, geometry: &Geometry, tiles: Vec<Vec<TexturedLayer>>) -> Scene {
     let mut texels = Texels::default();

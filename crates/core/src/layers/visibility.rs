@@ -1,6 +1,6 @@
 //! Which texels each layer has: derived from planes and labels alone, so that a container need not carry it.
 //!
-//! Writer and readers (the browser's is `static/peel.js`) run the same steps in `f64` on values rounded to `f32` at the same
+//! Writer and readers run the same steps in `f64` on values rounded to `f32` at the same
 //! places, and so come to the same texels bit for bit.
 
 use super::rows::{self, Columns, Dilation, dilate};
@@ -62,7 +62,7 @@ pub struct Geometry {
     pub tiles: Vec<Tile>,
 }
 
-/// LayerMask of one layer.
+/// Which texels one layer has, and how opaque they are.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LayerMask {
     /// Its plane.
@@ -77,7 +77,7 @@ pub struct LayerMask {
     pub alpha: Vec<u8>,
 }
 
-/// LayerMasks of the layers of a tile, from far to near at its centre.
+/// Masks of the layers of a tile, from far to near at its centre.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct LayerMasks {
     /// The layers that have any texel.
@@ -154,7 +154,7 @@ impl Geometry {
         self.tiles.iter().map(|t| t.planes.len() + usize::from(t.background.is_some())).sum()
     }
 
-    /// LayerMasks of all layers, tile by tile.
+    /// Masks of all layers, tile by tile.
     #[must_use]
     pub fn masks(&self) -> Vec<LayerMasks> {
         self.extract(false)

@@ -64,9 +64,9 @@ pub struct Layer {
     pub plane: Plane,
     /// Pixels of the photo that its texels stand for; within the tile's rectangle, never empty.
     pub rect: Rect,
-    /// TileFrame of its first texel in [`Texels::class`] and [`Texels::alpha`].
+    /// Place of its first texel in [`Texels::class`] and [`Texels::alpha`].
     pub first_texel: usize,
-    /// TileFrame of its first hidden texel in [`Texels::hidden`].
+    /// Place of its first hidden texel in [`Texels::hidden`].
     pub first_hidden: usize,
 }
 

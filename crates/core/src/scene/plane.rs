@@ -16,7 +16,7 @@ pub struct Plane {
 }
 
 impl Plane {
-    /// Step of the grid that planes lie on in a container, 2⁻¹⁴: an error of δ of at most 1.5 half steps anywhere on the tile.
+    /// Step of the grid that planes lie on in a container, 2⁻¹⁴: an error of δ of at most three half steps anywhere on the tile, half a step of each coefficient.
     pub const STEP: f64 = 1.0 / 16_384.0;
 
     /// Fronto-parallel plane of disparity `a`.

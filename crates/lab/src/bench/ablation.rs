@@ -30,7 +30,7 @@ pub(super) enum Without {
     /// Fronto-parallel planes under the same bound of error.
     Slant,
     /// Every pixel on its nearest plane.
-    Calm,
+    Smoothing,
     /// No plane for background that only the neighbourhood shows.
     Backgrounds,
     /// Nothing behind what is visible.
@@ -58,7 +58,7 @@ const ALL: [(&str, Without); 15] = [
     ("without the colour-weighted median", Without::Median),
     ("colour-weighted median of every pixel at edges", Without::FullMedian),
     ("without slant (optimal, same error)", Without::Slant),
-    ("without calm labels", Without::Calm),
+    ("without label smoothing", Without::Smoothing),
     ("without backgrounds", Without::Backgrounds),
     ("without hidden texels", Without::Hidden),
     ("hidden texels in front of the surface too", Without::Trim),
@@ -104,7 +104,7 @@ impl<'a> Prepared<'a> {
         let placement = options.placement(parallax);
         let placement = match without {
             Without::Slant => Placement { method: Method::Optimal, most: 64, ..placement },
-            Without::Calm => Placement { neighbour: 0.0, ..placement },
+            Without::Smoothing => Placement { neighbour: 0.0, ..placement },
             _ => Placement { neighbour, ..placement },
         };
         let map = match without {
@@ -271,9 +271,9 @@ pub(super) fn steps(bench: &Bench, subjects: &[Subject], progress: &dyn Fn(&str)
     })
 }
 
-/// The weight of calm labels.
+/// The weight of label smoothing.
 pub(super) fn labels(subjects: &[Subject], quick: bool, progress: &dyn Fn(&str)) -> Result<Experiment, BenchError> {
-    progress("Calm labels");
+    progress("Smoothing labels");
     let all = prepared(subjects, None)?;
     let changes = Axis { label: "changes of label, % of pixels", log: true, up: Some(false) };
     let weights: &[f32] = if quick { &[0.0, 0.12, 0.3, 1.5] } else { &[0.0, 0.05, 0.12, 0.2, 0.3, 0.6, 1.5] };
@@ -285,7 +285,7 @@ pub(super) fn labels(subjects: &[Subject], quick: bool, progress: &dyn Fn(&str))
     }
     Ok(Experiment {
         id: "labels",
-        title: "Calm labels".into(),
+        title: "Smoothing labels".into(),
         about: "How much a neighbour on another plane weighs against the error of a pixel, in squares of the error allowed. Changes of label are what the label section of a container pays for.".into(),
         x: changes,
         y: VIEW,

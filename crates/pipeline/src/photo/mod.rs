@@ -43,7 +43,7 @@ pub struct Decoded {
     pub photo: Photo,
     /// Size as uploaded, upright, before any reduction.
     pub original: (u32, u32),
-    /// PhotoFormat as uploaded.
+    /// Format as uploaded.
     pub format: PhotoFormat,
     /// Intrinsics for `photo`: EXIF focal length (35 mm equivalent) where it is sane, else 0.58 × width.
     ///

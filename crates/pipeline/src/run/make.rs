@@ -138,7 +138,7 @@ pub fn make(
     Ok(Made { container, report: trip.finish(), disparity: delta })
 }
 
-/// A photo on its way.
+/// A photo on its way through the stages.
 struct Trip<'a> {
     sink: &'a dyn Sink,
     clock: Clock,

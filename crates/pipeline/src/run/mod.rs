@@ -144,7 +144,7 @@ impl Default for Options {
     }
 }
 
-/// The networks of the way, loaded once per process and shared by all photos.
+/// The networks of the pipeline, loaded once per process and shared by all photos.
 #[derive(Clone)]
 pub struct Models {
     /// Monocular depth.

@@ -5,7 +5,7 @@ use serde::Serialize;
 /// One message on the way of a photo.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Progress {
-    /// Name of the stage now under way: `photo depth denoise snap planes layers refine prune encode`.
+    /// Name of the stage now under way: one of [`STAGES`](super::STAGES).
     pub stage: &'static str,
     /// Number of that stage, from 1.
     pub step: u32,
@@ -20,7 +20,7 @@ pub trait Sink: Sync {
     /// Takes a message; called at the start of every stage.
     fn progress(&self, message: &Progress);
 
-    /// True once the caller no longer wants the result; the way stops before its next stage.
+    /// True once the caller no longer wants the result; the pipeline stops before its next stage.
     fn cancelled(&self) -> bool {
         false
     }

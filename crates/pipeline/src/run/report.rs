@@ -15,7 +15,7 @@ pub struct Input {
     pub bytes: usize,
 }
 
-/// One stage of the way.
+/// One stage of the pipeline.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 pub struct Stage {
@@ -120,7 +120,7 @@ pub struct Report {
     pub depth_model: String,
     /// All stages in order.
     pub stages: Vec<Stage>,
-    /// Wall time of the whole way.
+    /// Wall time of all stages.
     pub total_ms: f64,
     /// Peak resident memory of the process so far.
     pub peak_rss_bytes: u64,

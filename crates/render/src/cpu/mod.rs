@@ -1,4 +1,4 @@
-//! The host without a graphics adapter: row bands in parallel, nearest layer first, nothing sampled behind an opaque texel.
+//! The backend without a graphics adapter: row bands in parallel, nearest layer first, nothing sampled behind an opaque texel.
 
 #[cfg(target_arch = "x86_64")]
 mod avx2;
@@ -45,7 +45,7 @@ impl Cpu {
     /// Bytes of expanded texels that are kept (4 a texel).
     pub const CACHE_BYTES: usize = 256 << 20;
 
-    /// A host that keeps at most `cache_bytes` of expanded texels, and always those of the last scene.
+    /// A backend that keeps at most `cache_bytes` of expanded texels, and always those of the last scene.
     #[must_use]
     pub fn new(cache_bytes: usize) -> Self {
         Self { scenes: Mutex::new(SceneCache::new(cache_bytes)) }

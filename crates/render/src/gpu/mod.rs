@@ -1,4 +1,4 @@
-//! The graphics adapter's host: the WGSL that the browser uses, through wgpu, on a thread of its own.
+//! The graphics adapter's backend: the WGSL that the browser uses, through wgpu, on a thread of its own.
 
 mod device;
 mod frame;

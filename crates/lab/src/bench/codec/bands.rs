@@ -36,7 +36,7 @@ pub fn compare(source: &Source, repeats: usize) -> Result<Vec<BandRow>, BenchErr
             continue;
         }
         let bytes = source.container_in(rows)?;
-        let ((read_ms, read_cpu_ms), _) = timed(repeats, || Ok(container::read_tiles(&bytes)?))?;
+        let ((read_ms, read_cpu_ms), _) = timed(repeats, || Ok(container::read_geometry(&bytes)?))?;
         all.push(BandRow { pixels, bands, bytes: bytes.len(), read_ms, read_cpu_ms });
     }
     Ok(all)

@@ -239,7 +239,7 @@ fn hidden_from_avif(bytes: &[u8]) -> Result<Vec<u8>, BenchError> {
     let (w, h) = (u32::from_le_bytes(*w), u32::from_le_bytes(*h));
     let rgb = avif::decode(avif, Pixels::Rgb, (w, h))?;
     let png = encode_lossless(ImageFormat::Png, w, h, &rgb)?;
-    Ok(container::with_section(container, container::Kind::Hidden, container::Codec::Png, &png)?)
+    Ok(container::with_section(container, container::wire::Kind::Hidden, container::wire::Codec::Png, &png)?)
 }
 
 /// WebP by libwebp.

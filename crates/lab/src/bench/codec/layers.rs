@@ -114,7 +114,7 @@ mod tests {
     use tmpi_render::{Cpu, Renderer};
 
     fn golden() -> Scene {
-        tmpi_core::container::decode(include_bytes!("../../../tests/golden/v1_1.tmpi")).unwrap()
+        tmpi_core::container::decode(include_bytes!("../../../../../tests/golden/v1_1.tmpi")).unwrap()
     }
 
     #[test]

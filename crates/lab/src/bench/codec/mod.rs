@@ -26,11 +26,12 @@ use candidates::{Source, Way};
 use dictionary::Plain;
 pub use dictionary::SharedRow;
 use judge::{Judge, Score};
+use tmpi_core::container::PhotoFormat;
 use tmpi_core::container::{self, Carried, SectionInfo, encode_lossless};
+use tmpi_core::{compose, texture};
 use tmpi_pipeline::Silent;
 use tmpi_pipeline::clock::Clock;
-use tmpi_pipeline::layers as fill;
-use tmpi_pipeline::photo::{self, Format, Limits};
+use tmpi_pipeline::photo::{self, Limits};
 use tmpi_pipeline::{self, Models, Options};
 
 /// Highest quality of a picture codec.
@@ -182,7 +183,7 @@ fn scene(settings: &Settings, s: &Subject, keep: Keep) -> Result<(Scene, Vec<u8>
     let of = |kind: &str| sections.iter().find(|s| s.kind == kind);
     let carried = of("photo").map_or(&[][..], |s| &made.container[s.offset as usize..(s.offset + s.length) as usize]);
     let kept = uploaded.carried.filter(|k| k == carried);
-    let kept = kept.map(|bytes| Carried { format: Format::sniff(&bytes).unwrap_or(Format::Jpeg), bytes });
+    let kept = kept.map(|bytes| Carried { format: PhotoFormat::sniff(&bytes).unwrap_or(PhotoFormat::Jpeg), bytes });
     let mut out = Scene {
         name: s.name.clone(),
         width: photo.width,
@@ -199,7 +200,7 @@ fn scene(settings: &Settings, s: &Subject, keep: Keep) -> Result<(Scene, Vec<u8>
         bands: Vec::new(),
         sections,
     };
-    let before = fill::compose(photo.clone(), &geometry, fill::colour(&photo, &geometry, geometry.masks()));
+    let before = compose(photo.clone(), &geometry, texture(&photo, &geometry, geometry.masks()));
     out.texels = before.texels.class.len();
     let source = Source::new(geometry, Arc::new(before), kept, settings.options.quality, made.disparity);
     if settings.bands {
