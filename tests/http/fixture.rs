@@ -177,7 +177,7 @@ impl Drop for Running {
 /// Fails after a minute.
 #[track_caller]
 pub fn wait_until(what: &str, mut true_now: impl FnMut() -> bool) {
-    let end = Instant::now() + Duration::from_secs(60);
+    let end = Instant::now() + Duration::from_mins(1);
     while !true_now() {
         assert!(Instant::now() < end, "a minute is over before {what}");
         std::thread::sleep(Duration::from_millis(5));

@@ -1,4 +1,4 @@
-//! The OpenAPI document against the server that it describes.
+//! The `OpenAPI` document against the server that it describes.
 
 use std::sync::Arc;
 
@@ -26,9 +26,9 @@ fn every_route_of_the_document_answers_as_it_says() {
         for (method, operation) in item.as_object().unwrap() {
             let call = (method.to_uppercase(), path.replace("{id}", &photo), operation);
             if method == "delete" {
-                deletions.push(call)
+                deletions.push(call);
             } else {
-                check(&server, &call)
+                check(&server, &call);
             }
             count += 1;
         }

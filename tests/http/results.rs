@@ -1,4 +1,5 @@
 //! What is made of a photo, as clients fetch it; pages, and what every answer carries.
+#![allow(clippy::float_cmp, reason = "figures that must be exact")]
 
 use std::sync::Arc;
 
