@@ -1,6 +1,6 @@
 //! Which texels each layer has: derived from planes and labels alone, so that a container need not carry it.
 //!
-//! Writer and readers (the browser's is `static/peel.js`) run the same steps in `f64` on values rounded to `f32` at the same
+//! Writer and readers (the browser's is `static/decode/peel.js`) run the same steps in `f64` on values rounded to `f32` at the same
 //! places, and so come to the same texels bit for bit.
 
 use rayon::prelude::*;

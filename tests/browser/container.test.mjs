@@ -3,11 +3,11 @@ import assert from 'node:assert/strict';
 import { createHash } from 'node:crypto';
 import { readFileSync } from 'node:fs';
 import { describe, test } from 'node:test';
-import { detached, work } from '../../static/bands.js';
-import { Class, ContainerError, decode, endOfSection, Kind, readIndex } from '../../static/container.js';
-import { lookingAt, pivotOf } from '../../static/camera.js';
-import { tileCounts, tileRect } from '../../static/grid.js';
-import { crc32, decodeLabels } from '../../static/labels.js';
+import { detached, work } from '../../static/decode/bands.js';
+import { Class, ContainerError, decode, endOfSection, Kind, readIndex } from '../../static/decode/container.js';
+import { lookingAt, pivotOf } from '../../static/view/camera.js';
+import { tileCounts, tileRect } from '../../static/decode/grid.js';
+import { crc32, decodeLabels } from '../../static/decode/labels.js';
 import { boxScene, container } from './fixture.mjs';
 import { BOX, readPng, wall } from './pictures.mjs';
 

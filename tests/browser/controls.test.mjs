@@ -208,7 +208,7 @@ describe('every control', () => {
     server.state.settings = { version: 1, title: 'A name that is long enough to fill a line of its own, and then some more of it' };
     for (const locale of ['en', 'de']) {
       const { page, context } = await openPage(browser, { reducedMotion: 'reduce', locale });
-      for (const path of ['/view/box', '/index.html']) {
+      for (const path of ['/view/box', '/']) {
         await page.goto(server.url + path);
         if (path.startsWith('/view')) await page.waitForFunction(() => !document.getElementById('settings').hidden);
         for (const width of [320, 360, 480, 600, 641, 720, 800, 901, 1024, 1280]) {
@@ -245,7 +245,7 @@ describe('every control', () => {
       if (going) await going;
       return route.fulfill({ contentType: 'text/event-stream', body: 'event: done\ndata: {}\n\n' });
     });
-    await page.goto(`${server.url}/index.html`);
+    await page.goto(`${server.url}/`);
     const card = page.getByRole('link', { name: 'Open box' });
     await card.waitFor();
     const $ = (id) => page.locator(`#${id}`);

@@ -153,12 +153,12 @@ describe('the whole way', () => {
     await takeGraphics(page, { webgl: false });
     await page.goto(`${server.url}/view/${made.id}`);
     await waitForMode(page, 'served');
-    const shown = () => page.evaluate(() => window.viewer.served.shown);
-    await page.waitForFunction(() => window.viewer.served.shown);
+    const shown = () => page.evaluate(() => window.viewer.serverViews.shown);
+    await page.waitForFunction(() => window.viewer.serverViews.shown);
     const before = await shown();
     await page.locator('#stage').focus();
     for (let i = 0; i < 4; i++) await page.keyboard.press('ArrowRight');
-    await page.waitForFunction((old) => window.viewer.served.shown !== old && !window.viewer.served.busy, before);
+    await page.waitForFunction((old) => window.viewer.serverViews.shown !== old && !window.viewer.serverViews.busy, before);
     assert.match(await shown(), /tx=0\.0[12]/);
     assert.ok(await page.evaluate(() => document.querySelector('.tmpi-poster').naturalWidth > 0));
     assert.deepEqual(errors, []);

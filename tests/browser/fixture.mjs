@@ -1,7 +1,7 @@
 // A container written by hand from proto/tmpi.proto; that the server's come out the same is held against tests/golden.
-import { walkLabels } from '../../static/labels.js';
-import { learn, share } from '../../static/range.js';
-import { peel } from '../../static/peel.js';
+import { walkLabels } from '../../static/decode/labels.js';
+import { learn, share } from '../../static/decode/range.js';
+import { peel } from '../../static/decode/peel.js';
 import { boxPhoto, BOX, inBox, png, wall } from './pictures.mjs';
 
 const varint = (value) => {

@@ -35,7 +35,7 @@ describe('page of all photos', () => {
     await page.route('**/v1/photos/*/events', (route) =>
       route.fulfill({ contentType: 'text/event-stream', body: 'event: stage\ndata: {"stage":"layers","step":3,"steps":4}\n\nevent: done\ndata: {}\n\n' }),
     );
-    await page.goto(`${server.url}/index.html`);
+    await page.goto(`${server.url}/`);
     return { page, context, sent, bodies };
   }
 

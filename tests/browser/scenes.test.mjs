@@ -6,7 +6,7 @@ import { tmpdir } from 'node:os';
 import { join } from 'node:path';
 import { after, before, describe, test } from 'node:test';
 import { fileURLToPath } from 'node:url';
-import { HOME, lookingAt, POSE_KEYS } from '../../static/camera.js';
+import { HOME, lookingAt, POSE_KEYS } from '../../static/view/camera.js';
 import { launch, openPage, pixelsAt, takeGraphics, waitForMode } from './browser.mjs';
 import { png } from './pictures.mjs';
 import { serve } from './static-server.mjs';

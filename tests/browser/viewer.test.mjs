@@ -212,7 +212,7 @@ describe('viewer', () => {
     await page.locator('#stage').focus();
     const seen = server.views.length;
     for (let i = 0; i < 12; i++) await page.keyboard.press('ArrowLeft');
-    await page.waitForFunction(() => !window.viewer.moving && window.viewer.served.shown === window.viewer.served.wanted);
+    await page.waitForFunction(() => !window.viewer.moving && window.viewer.serverViews.shown === window.viewer.serverViews.wanted);
     assert.ok(server.views.length > seen);
     assert.equal(server.mostAtOnce(), 1);
     const last = new URLSearchParams(server.views.at(-1));
