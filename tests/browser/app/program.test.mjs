@@ -3,9 +3,19 @@ import assert from 'node:assert/strict';
 import { existsSync, readFileSync } from 'node:fs';
 import { after, before, describe, test } from 'node:test';
 import { fileURLToPath } from 'node:url';
-import { launch, openPage, PATIENCE_MS, pixelsAt, pixelsOf, seriousViolations, shareDifferent, takeGraphics, waitForMode } from './browser.mjs';
-import { BOX, boxDepth, boxPhoto } from './pictures.mjs';
-import { makePhoto, startServer } from './tmpi.mjs';
+import {
+  launch,
+  openPage,
+  PATIENCE_MS,
+  pixelsAt,
+  pixelsOf,
+  seriousViolations,
+  shareDifferent,
+  takeGraphics,
+  waitForMode,
+} from '../support/browser.mjs';
+import { BOX, boxDepth, boxPhoto } from '../support/pictures.mjs';
+import { makePhoto, startServer } from '../support/program.mjs';
 
 const WIDTH = 320;
 const HEIGHT = 200;
@@ -19,7 +29,7 @@ const realPhoto = fileURLToPath(new URL('photos/dav2/demo01.jpg', dataUrl()));
 
 function dataUrl() {
   const root = process.env.TMPI_DATA;
-  return root ? new URL(`file://${root.endsWith('/') ? root : `${root}/`}`) : new URL('../../../shared/data/', import.meta.url);
+  return root ? new URL(`file://${root.endsWith('/') ? root : `${root}/`}`) : new URL('../../../../shared/data/', import.meta.url);
 }
 
 const query = (pose, width, height) => new URLSearchParams({ ...pose, w: width, h: height, format: 'png' });
@@ -75,13 +85,31 @@ describe('the whole way', () => {
     const first = await page.evaluate(() => window.viewer.pose.tx);
     await page.waitForFunction((tx) => Math.abs(window.viewer.pose.tx - tx) > 1e-3, first);
     assert.match(await page.locator('#readout').textContent(), /\d kB · [\d.]+ ms/);
-    const [download] = await Promise.all([page.waitForEvent('download'), page.getByRole('button', { name: 'Download' }).click().then(() => page.locator('#download').click())]);
+    const [download] = await Promise.all([
+      page.waitForEvent('download'),
+      page
+        .getByRole('button', { name: 'Download' })
+        .click()
+        .then(() => page.locator('#download').click()),
+    ]);
     assert.equal(download.suggestedFilename(), 'garden.tmpi');
     assert.equal(readFileSync(await download.path()).toString('latin1', 0, 4), 'TMPI');
-    for (const [format, start] of [['html', '<!doctype html>'], ['glb', 'glTF'], ['zip', 'PK']]) {
-      const [file] = await Promise.all([page.waitForEvent('download'), page.locator(`[data-export=${format}]`).evaluate((link) => link.click())]);
+    for (const [format, start] of [
+      ['html', '<!doctype html>'],
+      ['glb', 'glTF'],
+      ['zip', 'PK'],
+    ]) {
+      const [file] = await Promise.all([
+        page.waitForEvent('download'),
+        page.locator(`[data-export=${format}]`).evaluate((link) => link.click()),
+      ]);
       assert.match(file.suggestedFilename(), new RegExp(`\\.${format}$`));
-      assert.equal(readFileSync(await file.path()).toString('latin1', 0, start.length).toLowerCase(), start.toLowerCase());
+      assert.equal(
+        readFileSync(await file.path())
+          .toString('latin1', 0, start.length)
+          .toLowerCase(),
+        start.toLowerCase(),
+      );
     }
     await page.goto(server.url);
     await page.getByRole('button', { name: 'Delete garden' }).click();
@@ -172,7 +200,9 @@ describe('the whole way', () => {
       await page.evaluate((n) => document.querySelectorAll('tmpi-viewer')[n].scrollIntoView(), i);
       await page.waitForFunction((n) => document.querySelectorAll('tmpi-viewer')[n].viewer?.mode === 'gpu', i);
     }
-    const origin = await page.evaluate(() => new URL(document.querySelectorAll('tmpi-viewer')[2].getAttribute('src'), location.href).origin);
+    const origin = await page.evaluate(
+      () => new URL(document.querySelectorAll('tmpi-viewer')[2].getAttribute('src'), location.href).origin,
+    );
     assert.notEqual(origin, new URL(server.url).origin);
     assert.deepEqual(await seriousViolations(page), []);
     const blob = await page.evaluate(async () => (await document.querySelector('tmpi-viewer').toBlob()).type);
@@ -198,7 +228,9 @@ describe('the whole way', () => {
     await page.waitForFunction(() => Math.abs(window.viewer.pose.tx - 0.024) < 2e-3);
     await page.goto(server.url);
     const picture = page.locator('.card').filter({ hasText: 'A box' }).locator('img');
-    await page.waitForFunction(() => [...document.querySelectorAll('.card img')].some((image) => image.src.includes('/view?tx=') && image.naturalWidth > 0));
+    await page.waitForFunction(() =>
+      [...document.querySelectorAll('.card img')].some((image) => image.src.includes('/view?tx=') && image.naturalWidth > 0),
+    );
     assert.match(await picture.getAttribute('src'), /\/view\?tx=0\.024/);
     assert.deepEqual(errors, []);
     await context.close();

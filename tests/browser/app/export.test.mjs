@@ -5,10 +5,10 @@ import { tmpdir } from 'node:os';
 import { join } from 'node:path';
 import { after, before, describe, test } from 'node:test';
 import { pathToFileURL } from 'node:url';
-import { launch, openPage, pixelsAt, pixelsOf, shareDifferent, waitForMode } from './browser.mjs';
-import { openModel, validate } from './gltf.mjs';
-import { boxPhoto, inBox, png16 } from './pictures.mjs';
-import { makePhoto, startServer } from './tmpi.mjs';
+import { launch, openPage, pixelsAt, pixelsOf, shareDifferent, waitForMode } from '../support/browser.mjs';
+import { openModel, validate } from '../support/gltf.mjs';
+import { boxPhoto, inBox, png16 } from '../support/pictures.mjs';
+import { makePhoto, startServer } from '../support/program.mjs';
 
 const WIDTH = 320;
 const HEIGHT = 200;

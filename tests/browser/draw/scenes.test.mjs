@@ -6,13 +6,13 @@ import { tmpdir } from 'node:os';
 import { join } from 'node:path';
 import { after, before, describe, test } from 'node:test';
 import { fileURLToPath } from 'node:url';
-import { HOME, lookingAt, POSE_KEYS } from '../../static/view/camera.js';
-import { launch, openPage, pixelsAt, takeGraphics, waitForMode } from './browser.mjs';
-import { png } from './pictures.mjs';
-import { serve } from './static-server.mjs';
-import { program } from './tmpi.mjs';
+import { HOME, lookingAt, POSE_KEYS } from '../../../static/view/camera.js';
+import { launch, openPage, pixelsAt, takeGraphics, waitForMode } from '../support/browser.mjs';
+import { png } from '../support/pictures.mjs';
+import { program } from '../support/program.mjs';
+import { serve } from '../support/static-server.mjs';
 
-const FOLDER = fileURLToPath(new URL('../golden/scenes/', import.meta.url));
+const FOLDER = fileURLToPath(new URL('../../golden/scenes/', import.meta.url));
 /** Share of the pixels off by more than 8 levels, and mean FLIP, at most. */
 const MOST_OFF = 0.015;
 const MOST_FLIP = 0.02;
@@ -70,7 +70,10 @@ describe('scenes', () => {
         const { path, width, height } = reference(scene, pose, i);
         const data = await pixelsAt(page, pose, width, height);
         const own = join(folder, 'own.png');
-        writeFileSync(own, png(width, height, 3, (x, y) => data.subarray((y * width + x) * 4, (y * width + x) * 4 + 3)));
+        writeFileSync(
+          own,
+          png(width, height, 3, (x, y) => data.subarray((y * width + x) * 4, (y * width + x) * 4 + 3)),
+        );
         const figures = JSON.parse(run('compare', path, own, '--json'));
         assert.ok(figures.share_off <= MOST_OFF && figures.flip <= MOST_FLIP, `${scene} from ${i}: ${JSON.stringify(figures)}`);
         [off, seen] = [Math.max(off, figures.share_off), Math.max(seen, figures.flip)];

@@ -4,8 +4,14 @@ import { createServer } from 'node:http';
 import { extname, normalize } from 'node:path';
 import { boxPhoto } from './pictures.mjs';
 
-const STATIC = new URL('../../static/', import.meta.url);
-const TYPES = { '.js': 'text/javascript', '.css': 'text/css', '.html': 'text/html; charset=utf-8', '.svg': 'image/svg+xml', '.wgsl': 'text/wgsl' };
+const STATIC = new URL('../../../static/', import.meta.url);
+const TYPES = {
+  '.js': 'text/javascript',
+  '.css': 'text/css',
+  '.html': 'text/html; charset=utf-8',
+  '.svg': 'image/svg+xml',
+  '.wgsl': 'text/wgsl',
+};
 /** What the server has at addresses of its own. */
 const PAGES = { '/': 'app/upload-page.html', '/tmpi-viewer.js': 'element/tmpi-viewer.js' };
 const POLICY = "default-src 'self'; img-src 'self' blob: data:; object-src 'none'; base-uri 'none'; frame-ancestors 'self'";
@@ -57,7 +63,8 @@ export async function serve({ atlas, delayMs = 0 }) {
       atOnce--;
       return send(200, 'image/png', boxPhoto(Number(url.searchParams.get('w')), Number(url.searchParams.get('h'))));
     }
-    const name = PAGES[url.pathname] ?? (url.pathname.startsWith('/view/') ? 'app/view-page.html' : url.pathname.replace(/^\/static\//, ''));
+    const name =
+      PAGES[url.pathname] ?? (url.pathname.startsWith('/view/') ? 'app/view-page.html' : url.pathname.replace(/^\/static\//, ''));
     try {
       send(200, TYPES[extname(name)] ?? 'application/octet-stream', await readFile(new URL(normalize(name).replace(/^[/.]+/, ''), STATIC)));
     } catch {
@@ -73,7 +80,10 @@ export async function serve({ atlas, delayMs = 0 }) {
     patches,
     state,
     mostAtOnce: () => most,
-    close: () => new Promise((resume) => (server.closeAllConnections(), server.close(resume))),
+    close: () => {
+      server.closeAllConnections();
+      return new Promise((resume) => server.close(resume));
+    },
   };
 }
 

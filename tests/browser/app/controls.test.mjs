@@ -3,14 +3,20 @@ import assert from 'node:assert/strict';
 import { readFileSync } from 'node:fs';
 import { createRequire } from 'node:module';
 import { after, before, describe, test } from 'node:test';
-import { launch, openPage, PATIENCE_MS, waitForMode } from './browser.mjs';
-import { boxScene, container } from './fixture.mjs';
-import { boxPhoto } from './pictures.mjs';
-import { serve } from './static-server.mjs';
+import { launch, openPage, PATIENCE_MS, waitForMode } from '../support/browser.mjs';
+import { boxScene, container } from '../support/container.mjs';
+import { boxPhoto } from '../support/pictures.mjs';
+import { serve } from '../support/static-server.mjs';
 
 const EMULATOR = createRequire(import.meta.url).resolve('iwer/build/iwer.min.js');
 /** A finger, and a browser in which all controls are offered. */
-const EVERYTHING = { reducedMotion: 'reduce', hasTouch: true, isMobile: true, viewport: { width: 700, height: 800 }, acceptDownloads: true };
+const EVERYTHING = {
+  reducedMotion: 'reduce',
+  hasTouch: true,
+  isMobile: true,
+  viewport: { width: 700, height: 800 },
+  acceptDownloads: true,
+};
 
 /** Names of all controls, shown or not. */
 function controls(page) {
@@ -59,7 +65,8 @@ describe('every control', () => {
     const $ = (id) => page.locator(`#${id}`);
     const viewer = (f) => page.evaluate(`(${f})(window.viewer)`);
     const until = async (f) => {
-      for (const end = Date.now() + PATIENCE_MS; !(await viewer(f)); await page.waitForTimeout(20)) assert.ok(Date.now() < end, `never: ${f}`);
+      for (const end = Date.now() + PATIENCE_MS; !(await viewer(f)); await page.waitForTimeout(20))
+        assert.ok(Date.now() < end, `never: ${f}`);
     };
     const menu = (id) => page.evaluate((name) => document.getElementById(name).matches(':popover-open'), id);
     const opens = (button, id) => async () => {
@@ -70,7 +77,11 @@ describe('every control', () => {
       await page.locator(`input[value=${name}]`).check();
       assert.equal(await viewer((v) => v.overlay), name);
     };
-    const answers = (locator, path) => async () => assert.equal(new URL(await locator.getAttribute('href'), server.url).pathname + new URL(await locator.getAttribute('href'), server.url).search, path);
+    const answers = (locator, path) => async () =>
+      assert.equal(
+        new URL(await locator.getAttribute('href'), server.url).pathname + new URL(await locator.getAttribute('href'), server.url).search,
+        path,
+      );
     const saves = (count) => () => assert.equal(server.patches.length, count);
     saves(0)();
     await walk(page, {
@@ -214,8 +225,13 @@ describe('every control', () => {
         for (const width of [320, 360, 480, 600, 641, 720, 800, 901, 1024, 1280]) {
           await page.setViewportSize({ width, height: 700 });
           const beyond = await page.evaluate(() => {
-            const shown = [...document.body.querySelectorAll('*')].filter((e) => e.checkVisibility({ visibilityProperty: true }) && e.getBoundingClientRect().right > innerWidth + 0.5);
-            return [...(document.documentElement.scrollWidth > innerWidth ? ['the page'] : []), ...shown.map((e) => `${e.localName} ${e.id} ${e.className}`)];
+            const shown = [...document.body.querySelectorAll('*')].filter(
+              (e) => e.checkVisibility({ visibilityProperty: true }) && e.getBoundingClientRect().right > innerWidth + 0.5,
+            );
+            return [
+              ...(document.documentElement.scrollWidth > innerWidth ? ['the page'] : []),
+              ...shown.map((e) => `${e.localName} ${e.id} ${e.className}`),
+            ];
           });
           assert.deepEqual(beyond, [], `${path} in ${locale} at ${width} pixels`);
         }
@@ -227,7 +243,15 @@ describe('every control', () => {
 
   test('of the page of all photos', async () => {
     const { page, context, errors } = await openPage(browser, EVERYTHING);
-    const photo = (id) => ({ id, state: 'done', created: '2026-03-04T05:06:07Z', width: 30, height: 20, atlas_bytes: 1500, settings: { version: 1, title: id } });
+    const photo = (id) => ({
+      id,
+      state: 'done',
+      created: '2026-03-04T05:06:07Z',
+      width: 30,
+      height: 20,
+      atlas_bytes: 1500,
+      settings: { version: 1, title: id },
+    });
     const bodies = [];
     let refuse = false;
     await page.route('**/v1/photos*', async (route) => {
@@ -311,7 +335,10 @@ describe('every control', () => {
       },
       'a: 3D photos on a page': async () => assert.equal(await page.locator('a[href="/demo"]').count(), 1),
     });
-    assert.deepEqual(errors.filter((e) => !/favicon|415/.test(e)), []);
+    assert.deepEqual(
+      errors.filter((e) => !/favicon|415/.test(e)),
+      [],
+    );
     await context.close();
   });
 });

@@ -1,8 +1,8 @@
 // A container written by hand from proto/tmpi.proto; that the server's come out the same is held against tests/golden.
-import { walkLabels } from '../../static/decode/labels.js';
-import { learn, share } from '../../static/decode/range.js';
-import { peel } from '../../static/decode/peel.js';
-import { boxPhoto, BOX, inBox, png, wall } from './pictures.mjs';
+import { walkLabels } from '../../../static/decode/labels.js';
+import { peel } from '../../../static/decode/peel.js';
+import { learn, share } from '../../../static/decode/range.js';
+import { BOX, boxPhoto, inBox, png, wall } from './pictures.mjs';
 
 const varint = (value) => {
   const out = [];

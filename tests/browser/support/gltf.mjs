@@ -1,9 +1,12 @@
 // A glTF model through other people's programs: the validator of its makers, and a renderer.
-import { createRequire } from 'node:module';
+
 import { readFile } from 'node:fs/promises';
+import { createRequire } from 'node:module';
 import { validateBytes } from 'gltf-validator';
 
-const three = createRequire(import.meta.url).resolve('three').replace(/build\/[^/]*$/, '');
+const three = createRequire(import.meta.url)
+  .resolve('three')
+  .replace(/build\/[^/]*$/, '');
 const HOST = 'http://model.test';
 
 const PAGE = `<!doctype html><script type="importmap">
