@@ -41,7 +41,7 @@ export async function deletePhoto(id, options = {}) {
 
 /** The error of a refused upload; `retryAfter` in seconds where the server is only busy. */
 function refusal(xhr) {
-  const error = new Error(problemText(xhr.status, xhr.statusText, xhr.responseText));
+  const error = /** @type {Error & {retryAfter?: number}} */ (new Error(problemText(xhr.status, xhr.statusText, xhr.responseText)));
   const seconds = Number(xhr.getResponseHeader('retry-after'));
   if ((xhr.status === 429 || xhr.status === 503) && seconds > 0) error.retryAfter = Math.ceil(seconds);
   return error;
@@ -49,7 +49,7 @@ function refusal(xhr) {
 
 /**
  * Uploads a file, with its depth map where there is one and options by name. `onProgress(fraction)` runs while bytes go out.
- * @returns {{done: Promise<object>, abort: () => void}} `done` gives the photo's JSON
+ * @returns {{done: Promise<{id: string, state: string}>, abort: () => void}} `done` gives the photo's JSON
  */
 export function uploadPhoto(file, depth, options, onProgress) {
   const xhr = new XMLHttpRequest();

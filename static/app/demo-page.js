@@ -1,10 +1,11 @@
 // The page that shows the element: three of the photos that there are, one of them as if from another server.
-import { listPhotos } from './api.js';
+
 import { t, translatePage } from '../i18n/messages.js';
+import { listPhotos } from './api.js';
+import { $ } from './dom.js';
 import { photoName } from './photo-name.js';
 
 const SHOWN = 3;
-const $ = (id) => document.getElementById(id);
 
 /** The same server under a name that makes another origin of it; the page's own where there is no such name. */
 function otherOrigin() {
@@ -27,6 +28,7 @@ async function show() {
     // where there are fewer photos, one is shown again
     const photo = done[i % done.length];
     const element = figure.querySelector('tmpi-viewer');
+    if (!(element instanceof HTMLElement)) return;
     element.style.aspectRatio = `${photo.width} / ${photo.height}`;
     element.setAttribute('alt', photoName(photo));
     element.setAttribute('poster', photo.links.poster);

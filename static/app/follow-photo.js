@@ -16,7 +16,8 @@ export function isUnderWay(photo) {
 
 /**
  * @param {string} id
- * @param {object} on `queued(position)`, `stage({stage, step, steps})`, and at the end one of `done()`, `failed(reason)`, `deleted()`
+ * @param {{queued: (position: number) => void, stage: (at: {stage: string, step: number, steps: number}) => void, done: () => void,
+ *   failed: (reason: string) => void, deleted: () => void}} on at the end one of `done`, `failed` and `deleted`
  * @returns {() => void} stops following
  */
 export function followPhoto(id, on) {

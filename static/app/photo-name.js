@@ -23,6 +23,7 @@ export function forgetName(id) {
 /** What to call a photo: its title, its file's name without the ending, or when it was made. */
 export function photoName(photo) {
   if (photo.settings?.title) return photo.settings.title;
+  /** @type {string | null} */
   let name = null;
   try {
     name = localStorage.getItem(NAME_KEY + photo.id);

@@ -1,9 +1,12 @@
 // The menu in which a photo's owner says how viewers move: shows what is set, tries it at once, and saves it with the photo.
-import { changeSettings, photoUrl } from './api.js';
-import { placeOf, settingsOf } from '../view/settings.js';
-import { t } from '../i18n/messages.js';
 
-const $ = (id) => document.getElementById(id);
+import { t } from '../i18n/messages.js';
+import { placeOf, settingsOf } from '../view/settings.js';
+import { changeSettings, photoUrl } from './api.js';
+import { $ } from './dom.js';
+
+/** @import { Viewer } from '../view/viewer.js' */
+/** @import { Settings } from '../view/settings.js' */
 
 /**
  * Fills the menu and listens to it.
@@ -11,26 +14,30 @@ const $ = (id) => document.getElementById(id);
  *   as it is now, what to do with a saved state, and how to tell something
  */
 export function settingsMenu({ id, viewer, named, say }) {
+  const [title, motion, focus] = ['set-title', 'set-motion', 'set-focus'].map((name) => $(name, HTMLInputElement));
+  /** @type {string | null} */
   let etag = null;
+  /** @type {Settings} */
   let settings = {};
-  /** Set in this menu and not saved yet: a merge patch. */
+  /**
+   * Set in this menu and not saved yet: a merge patch.
+   * @type {{[K in keyof Settings]: Settings[K] | null}}
+   */
   let patch = {};
 
-  const now = () => {
-    const out = { ...settings, ...patch };
-    for (const key of Object.keys(out)) if (out[key] === null) delete out[key];
-    return out;
-  };
+  /** What would be if it were saved. */
+  const now = () =>
+    /** @type {Settings} */ (Object.fromEntries(Object.entries({ ...settings, ...patch }).filter(([, value]) => value !== null)));
 
   function show() {
     const all = now();
     // what is being typed is nobody else's
-    if (document.activeElement !== $('set-title')) $('set-title').value = all.title ?? '';
-    $('set-motion').value = String(all.motion?.x ?? 1);
-    $('set-focus').value = String(all.focus ?? viewer().pivot ?? 0.35);
+    if (document.activeElement !== title) title.value = all.title ?? '';
+    motion.value = String(all.motion?.x ?? 1);
+    focus.value = String(all.focus ?? viewer().pivot ?? 0.35);
     $('set-start').setAttribute('aria-pressed', String(Boolean(all.start)));
     $('set-poster').setAttribute('aria-pressed', String(Boolean(all.poster)));
-    $('set-save').disabled = Object.keys(patch).length === 0;
+    $('set-save', HTMLButtonElement).disabled = Object.keys(patch).length === 0;
   }
 
   function change(more) {
@@ -66,12 +73,12 @@ export function settingsMenu({ id, viewer, named, say }) {
     show();
   }
 
-  $('set-title').addEventListener('change', () => change({ title: $('set-title').value.trim() || null }));
-  $('set-motion').addEventListener('input', () => {
-    const share = Number($('set-motion').value);
+  title.addEventListener('change', () => change({ title: title.value.trim() || null }));
+  motion.addEventListener('input', () => {
+    const share = Number(motion.value);
     change({ motion: share < 1 ? { x: share, y: share, z: share } : null });
   });
-  $('set-focus').addEventListener('input', () => change({ focus: Number($('set-focus').value) }));
+  focus.addEventListener('input', () => change({ focus: Number(focus.value) }));
   $('set-start').addEventListener('click', () => change({ start: now().start ? null : place() }));
   $('set-poster').addEventListener('click', () => change({ poster: now().poster ? null : place() }));
   $('set-clear').addEventListener('click', () => change({ title: null, motion: null, focus: null, start: null, poster: null }));

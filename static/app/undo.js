@@ -1,13 +1,15 @@
 // Deletions that wait a little, so that they can be taken back.
+
+import { t } from '../i18n/messages.js';
 import { deletePhoto } from './api.js';
 import { element } from './dom.js';
-import { t } from '../i18n/messages.js';
 
 /** Time to change one's mind. */
 const WAIT_MS = 6000;
 
 /** Deletions that wait, by photo. */
 const waiting = new Map();
+/** @type {{id: string, bar: HTMLElement} | null} */
 let shown = null;
 
 /** True while the photo is to be deleted. */

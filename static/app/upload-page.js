@@ -1,25 +1,29 @@
 // The page of all photos: takes new ones, shows how far they are, and lists those that are there.
+
+import { t, translatePage } from '../i18n/messages.js';
+import { formatBytes, queueText, sentence, stageText } from '../i18n/text.js';
 import { deletePhoto, listPhotos, photoUrl, uploadPhoto } from './api.js';
+import { $, element, icon } from './dom.js';
 import { filesOf } from './drop.js';
 import { followPhoto, isUnderWay, reasonOf } from './follow-photo.js';
-import { formatBytes, queueText, sentence, stageText } from '../i18n/text.js';
-import { element, icon } from './dom.js';
 import { forgetName, photoName, rememberName } from './photo-name.js';
 import { deleteLater, isGoing } from './undo.js';
-import { t, translatePage } from '../i18n/messages.js';
 
 /** Uploads under way at the same time. */
 const PARALLEL = 2;
 /** Share of the bar that the upload itself takes. */
 const UPLOAD_SHARE = 0.25;
-/** What the words for quality mean: options of the interface; what is not named stays as the server has it. */
+/**
+ * What the words for quality mean: options of the interface; what is not named stays as the server has it.
+ * @type {Record<string, Record<string, number>>}
+ */
 const QUALITIES = {
   small: { quality: 75, 'max-error': 1.15 },
   good: {},
   best: { quality: 97, 'max-error': 0.25 },
 };
 
-const $ = (id) => document.getElementById(id);
+/** @type {{file: File, depth: File | null, options: Record<string, number>, row: Row}[]} */
 const waiting = [];
 /** Rows by the ids of their photos. */
 const rows = new Map();
@@ -43,6 +47,8 @@ class Row {
     this.close = element('button', 'round', icon('close'));
     this.close.type = 'button';
     this.close.setAttribute('aria-label', t('Cancel {0}', name));
+    /** @type {(() => void) | undefined} */
+    this.onClose = undefined;
     this.close.addEventListener('click', () => this.onClose?.());
     this.actions = element('div', 'upload-actions', this.close);
     const body = element('div', 'upload-body', element('p', 'upload-name', name), this.bar, this.state);
@@ -96,10 +102,11 @@ function previewOf(address) {
 // ---- uploads
 
 function take(files) {
+  const map = $('depth-map', HTMLInputElement);
   // a map belongs to one photo
-  const depth = files.length === 1 ? $('depth-map').files[0] : null;
-  if (depth) $('depth-map').value = '';
-  const options = QUALITIES[$('quality').value];
+  const depth = files.length === 1 ? (map.files?.[0] ?? null) : null;
+  if (depth) map.value = '';
+  const options = QUALITIES[$('quality', HTMLSelectElement).value];
   for (const file of files) {
     const row = new Row(file.name || t('Pasted photo'), file);
     row.show(t('Waiting to be sent'));
@@ -116,7 +123,8 @@ function take(files) {
 function sendNext() {
   while (running < PARALLEL && waiting.length) {
     running++;
-    send(waiting.shift()).finally(() => {
+    const [job] = waiting.splice(0, 1);
+    send(job).finally(() => {
       running--;
       sendNext();
     });
@@ -228,7 +236,7 @@ function frame(photo, name, top, facts) {
   bin.addEventListener('click', () => {
     const next = root.nextElementSibling ?? root.previousElementSibling;
     root.hidden = true;
-    (next?.querySelector('a, button') ?? $('picker')).focus();
+    (next?.querySelector(/** @type {'a'} */ ('a, button')) ?? $('picker')).focus();
     deleteLater(photo.id, name, {
       gone: () => {
         forget(photo.id);
@@ -249,11 +257,16 @@ function frame(photo, name, top, facts) {
   return root;
 }
 
+/**
+ * Address of the next page of the list.
+ * @type {string | null}
+ */
 let next = null;
 
+/** @param {string | null} [address] */
 async function list(address) {
   try {
-    return await listPhotos(address);
+    return await listPhotos(address ?? undefined);
   } catch (error) {
     $('gallery-note').hidden = false;
     $('gallery-note').textContent = sentence(error.message);
@@ -262,7 +275,9 @@ async function list(address) {
 }
 
 function show(page, more) {
-  const cards = page.photos.filter((photo) => !isUnderWay(photo) && !isGoing(photo.id)).map((photo) => (photo.state === 'done' ? card(photo) : failedCard(photo)));
+  const cards = page.photos
+    .filter((photo) => !isUnderWay(photo) && !isGoing(photo.id))
+    .map((photo) => (photo.state === 'done' ? card(photo) : failedCard(photo)));
   if (more) $('gallery').append(...cards);
   else $('gallery').replaceChildren(...cards);
   $('gallery-note').hidden = $('gallery').children.length > 0;
@@ -285,18 +300,19 @@ function resume(photos) {
   }
 }
 
-$('more').addEventListener('click', async () => {
-  $('more').disabled = true;
+const more = $('more', HTMLButtonElement);
+more.addEventListener('click', async () => {
+  more.disabled = true;
   const page = await list(next);
   if (page) show(page, true);
-  $('more').disabled = false;
+  more.disabled = false;
 });
 
 // ---- picker, camera, drop, paste
 
-for (const picker of [$('picker'), $('camera')]) {
+for (const picker of [$('picker', HTMLInputElement), $('camera', HTMLInputElement)]) {
   picker.addEventListener('change', () => {
-    take([...picker.files]);
+    take([...(picker.files ?? [])]);
     picker.value = '';
   });
 }

@@ -1,15 +1,17 @@
 // The page of one photo.
-import { getPhoto, photoUrl } from './api.js';
-import { formatPose, parsePose } from '../view/camera.js';
-import { followPhoto, isUnderWay } from './follow-photo.js';
-import { photoWithVersion, settingsMenu } from './settings-menu.js';
-import { settingsOf } from '../view/settings.js';
-import { formatBytes, queueText, sentence, stageText } from '../i18n/text.js';
-import { photoName } from './photo-name.js';
-import { hasGyroscope } from '../input/gyroscope.js';
-import { Viewer } from '../view/viewer.js';
+
 import { t, translatePage } from '../i18n/messages.js';
+import { formatBytes, queueText, sentence, stageText } from '../i18n/text.js';
+import { hasGyroscope } from '../input/gyroscope.js';
 import { hasHeadset } from '../input/xr.js';
+import { formatPose, parsePose } from '../view/camera.js';
+import { settingsOf } from '../view/settings.js';
+import { Viewer } from '../view/viewer.js';
+import { getPhoto, photoUrl } from './api.js';
+import { $ } from './dom.js';
+import { followPhoto, isUnderWay } from './follow-photo.js';
+import { photoName } from './photo-name.js';
+import { photoWithVersion, settingsMenu } from './settings-menu.js';
 
 const TOAST_MS = 2500;
 const NOTE_MS = 7000;
@@ -18,16 +20,17 @@ const BACKDROP = [12, 9];
 /** How far a pointer may go between press and release and still have clicked. */
 const CLICK_PX = 5;
 
-const $ = (id) => document.getElementById(id);
 const id = decodeURIComponent(location.pathname.split('/').filter(Boolean).pop() ?? '');
 const stage = $('stage');
-const state = { bytes: 0, ms: null, toast: 0 };
+/** @type {{bytes: number, ms: number | null, toast: number | undefined}} */
+const state = { bytes: 0, ms: null, toast: undefined };
+/** @type {Viewer} */
 let viewer;
 
 /** Where the address asks the camera to start: offsets in units of the view box. */
 function offsetOfHash() {
   const pose = parsePose(new URLSearchParams(location.hash.slice(1)).get(HASH_KEY) ?? '');
-  return pose && { x: pose.tx, y: pose.ty, z: pose.tz };
+  return pose ? { x: pose.tx, y: pose.ty, z: pose.tz } : undefined;
 }
 
 function shareAddress() {
@@ -57,7 +60,7 @@ function showLoading(text, share) {
   $('loading').hidden = false;
   $('loading-text').textContent = text;
   if (share === undefined) $('bar').removeAttribute('value');
-  else $('bar').value = share;
+  else $('bar', HTMLProgressElement).value = share;
 }
 
 function fail(message) {
@@ -75,9 +78,10 @@ function showIdle(on) {
 async function showBackdrop(image) {
   await image.decode().catch(() => {});
   if (!image.naturalWidth) return;
-  const canvas = $('backdrop');
+  const canvas = $('backdrop', HTMLCanvasElement);
   [canvas.width, canvas.height] = BACKDROP;
   const context = canvas.getContext('2d');
+  if (!context) return;
   context.imageSmoothingQuality = 'high';
   context.drawImage(image, 0, 0, canvas.width, canvas.height);
   canvas.hidden = false;
@@ -97,11 +101,14 @@ function start() {
   });
   applyMenu();
   // for tests, and for people at the console
-  window.viewer = viewer;
+  Object.assign(window, { viewer });
   showIdle(viewer.idle);
   viewer.addEventListener('progress', ({ detail: { received, total } }) => {
     state.bytes = total || received;
-    showLoading(total ? t('{0} of {1}', formatBytes(received), formatBytes(total)) : formatBytes(received), total ? received / total : undefined);
+    showLoading(
+      total ? t('{0} of {1}', formatBytes(received), formatBytes(total)) : formatBytes(received),
+      total ? received / total : undefined,
+    );
     readout();
   });
   viewer.addEventListener('photo', () => showBackdrop(viewer.poster));
@@ -159,9 +166,10 @@ async function share() {
     toast(t('Link to this view copied'));
   } catch {
     // no clipboard on a page without TLS
-    $('link').value = url;
-    $('link-dialog').showModal();
-    $('link').select();
+    const link = $('link', HTMLInputElement);
+    link.value = url;
+    $('link-dialog', HTMLDialogElement).showModal();
+    link.select();
   }
 }
 
@@ -176,14 +184,15 @@ async function toggleFullscreen() {
 
 /** Says what the menu says to a viewer that is new. */
 function applyMenu() {
-  viewer.overlay = document.querySelector('input[name=overlay]:checked').value;
-  viewer.stereo = $('stereo').checked;
-  viewer.blur = Number($('blur').value);
+  viewer.overlay = document.querySelector(/** @type {'input'} */ ('input[name=overlay]:checked'))?.value ?? 'none';
+  viewer.stereo = $('stereo', HTMLInputElement).checked;
+  viewer.blur = Number($('blur', HTMLInputElement).value);
   $('blur-hint').hidden = !viewer.blur;
 }
 
 /** A click without a drag says where to focus, where that makes a difference. */
 function focusOnClick() {
+  /** @type {{clientX: number, clientY: number} | null} */
   let pressed = null;
   stage.addEventListener('pointerdown', ({ clientX, clientY }) => (pressed = { clientX, clientY }));
   stage.addEventListener('click', ({ clientX, clientY }) => {
@@ -201,20 +210,22 @@ async function offerHeadset() {
 async function savePicture() {
   const link = document.createElement('a');
   link.href = URL.createObjectURL(await viewer.picture());
-  link.download = $('download').download.replace(/\.tmpi$/, '.png');
+  link.download = container.download.replace(/\.tmpi$/, '.png');
   link.click();
   setTimeout(() => URL.revokeObjectURL(link.href), NOTE_MS);
 }
 
+const container = $('download', HTMLAnchorElement);
 $('show-menu').addEventListener('change', applyMenu);
 $('picture').addEventListener('click', () => savePicture().catch((error) => toast(error.message)));
 $('tilt-label').hidden = !hasGyroscope();
-$('tilt').addEventListener('change', async () => {
+const tilt = $('tilt', HTMLInputElement);
+tilt.addEventListener('change', async () => {
   try {
-    await viewer.setTilt($('tilt').checked);
-    if ($('tilt').checked) viewer.setIdle(false);
+    await viewer.setTilt(tilt.checked);
+    if (tilt.checked) viewer.setIdle(false);
   } catch {
-    $('tilt').checked = false;
+    tilt.checked = false;
     toast(t('This browser does not allow it'));
   }
 });
@@ -226,12 +237,15 @@ $('reset').addEventListener('click', () => viewer.reset());
 $('idle').addEventListener('click', () => viewer.setIdle(!viewer.idle));
 $('share').addEventListener('click', share);
 $('retry').addEventListener('click', () => location.reload());
-$('download').href = photoUrl(id, '/atlas');
-$('download').download = `${id}.tmpi`;
-for (const link of document.querySelectorAll('[data-export]')) link.href = photoUrl(id, `/export?format=${link.dataset.export}`);
+container.href = photoUrl(id, '/atlas');
+container.download = `${id}.tmpi`;
+for (const link of document.querySelectorAll(/** @type {'a'} */ ('[data-export]')))
+  link.href = photoUrl(id, `/export?format=${link.dataset.export}`);
 $('fullscreen').hidden = !document.fullscreenEnabled;
 $('fullscreen').addEventListener('click', toggleFullscreen);
-document.addEventListener('fullscreenchange', () => $('fullscreen').setAttribute('aria-pressed', String(Boolean(document.fullscreenElement))));
+document.addEventListener('fullscreenchange', () =>
+  $('fullscreen').setAttribute('aria-pressed', String(Boolean(document.fullscreenElement))),
+);
 addEventListener('hashchange', () => {
   const offset = offsetOfHash();
   if (offset) viewer.moveTo(offset);
@@ -241,7 +255,7 @@ function showName(photo) {
   const name = photoName(photo);
   $('title').textContent = name;
   document.title = `${name} – tmpi`;
-  $('download').download = `${name.replace(/[^\p{L}\p{N}._-]+/gu, '-')}.tmpi`;
+  container.download = `${name.replace(/[^\p{L}\p{N}._-]+/gu, '-')}.tmpi`;
 }
 
 translatePage();

@@ -1,7 +1,9 @@
 // What may draw in this browser, best first: WebGPU, then WebGL2. Each is tried a second time after it was lost, then given up.
 import { findAdapter } from './device.js';
+import { hasWebGl, WebGlRenderer } from './webgl.js';
 import { WebGpuRenderer } from './webgpu.js';
-import { WebGlRenderer, hasWebGl } from './webgl.js';
+
+/** @import { Scene } from '../decode/scene.js' */
 
 const ATTEMPTS = 2;
 

@@ -2,12 +2,19 @@
 // that of src/render/border.rs: the scene is mirrored, not the picture, so the continuation moves as the photo does.
 import { margins } from '../view/limits.js';
 
+/** @import { Scene } from '../decode/scene.js' */
+
+/**
+ * A part of a layer that is drawn: place in reference pixels (`x` to `h`), from and to where it is drawn in texels from its upper left
+ * corner, first column and row taken of the layer, whether these run backward, its plane and the origin of the plane's coordinates.
+ * @typedef {{layer: number, x: number, y: number, w: number, h: number, left: number, right: number, upper: number, lower: number,
+ *   u: number, v: number, flipX: boolean, flipY: boolean, a: number, b: number, c: number, cx: number, cy: number}} Piece
+ */
+
 /**
  * The parts of layers that are drawn: each layer at its own place first, then what is mirrored beyond the borders.
- * @returns {{layer: number, x: number, y: number, w: number, h: number, left: number, right: number, upper: number, lower: number,
- *   u: number, v: number, flipX: boolean, flipY: boolean, a: number, b: number, c: number, cx: number, cy: number}[]} place in
- *   reference pixels, from and to where it is drawn in texels from its upper left corner, first column and row taken of the layer,
- *   its plane and the origin of the plane's coordinates
+ * @param {Scene} scene
+ * @returns {Piece[]}
  */
 export function pieces(scene) {
   const { layers } = scene;
@@ -15,8 +22,20 @@ export function pieces(scene) {
   const half = scene.tileSize / 2;
   const out = [];
   for (let i = 0; i < layers.count; i++) {
-    const columns = sides(layers.x[i], layers.w[i], drawn(scene, layers.tileX[i], layers.x[i], layers.w[i], scene.width), scene.width, margin.x);
-    const rows = sides(layers.y[i], layers.h[i], drawn(scene, layers.tileY[i], layers.y[i], layers.h[i], scene.height), scene.height, margin.y);
+    const columns = sides(
+      layers.x[i],
+      layers.w[i],
+      drawn(scene, layers.tileX[i], layers.x[i], layers.w[i], scene.width),
+      scene.width,
+      margin.x,
+    );
+    const rows = sides(
+      layers.y[i],
+      layers.h[i],
+      drawn(scene, layers.tileY[i], layers.y[i], layers.h[i], scene.height),
+      scene.height,
+      margin.y,
+    );
     for (const y of rows) {
       for (const x of columns) {
         const [flipX, flipY] = [x.mirror !== null, y.mirror !== null];
@@ -38,8 +57,8 @@ export function pieces(scene) {
           a: layers.a[i],
           b: flipX ? -layers.b[i] : layers.b[i],
           c: flipY ? -layers.c[i] : layers.c[i],
-          cx: flipX ? x.mirror - centre[0] : centre[0],
-          cy: flipY ? y.mirror - centre[1] : centre[1],
+          cx: x.mirror !== null ? x.mirror - centre[0] : centre[0],
+          cy: y.mirror !== null ? y.mirror - centre[1] : centre[1],
         });
       }
     }
@@ -59,9 +78,15 @@ function drawn({ tileSize, tileStride }, tile, from, size, length) {
 /**
  * A range of an axis, drawn from `start` to `stop`: itself, and its parts within `margin` of either end mirrored there; `mirror` is
  * twice the mirror's place. Those of which anything is drawn.
+ * @param {number} from
+ * @param {number} size
+ * @param {number[]} drawn
+ * @param {number} length
+ * @param {number} margin
  */
 function sides(from, size, [start, stop], length, margin) {
   const end = from + size;
+  /** @type {{at: number, size: number, first: number, drawn: number[], mirror: number | null}[]} */
   const out = [{ at: from, size, first: 0, drawn: [start, stop], mirror: null }];
   // what is drawn of `n` texels from `first` on, seen from the other end
   const back = (first, n) => [stop, start].map((v) => n - Math.min(Math.max(v - first, 0), n));

@@ -1,5 +1,6 @@
 // One WebGPU device for all viewers of a page: it opens with the first and goes with the last.
 
+/** @type {{opening: Promise<Device>, device?: Device} | null} */
 let shared = null;
 
 /** The graphics adapter, or null where the browser has none. */
@@ -30,6 +31,7 @@ class Device {
     const run = async () => {
       this.handle.pushErrorScope('validation');
       this.handle.pushErrorScope('out-of-memory');
+      /** @type {Error | null} */
       let failure = null;
       try {
         await build();

@@ -1,12 +1,19 @@
 // The instances that the shaders draw, in their order.
 import { tileCounts } from '../decode/grid.js';
 
+/** @import { Scene } from '../decode/scene.js' */
+/** @import { Piece } from './border.js' */
+
 /** Floats of an instance; their order is that of tmpi.wgsl. */
 export const INSTANCE_FLOATS = 12;
 
 /**
  * Instances as the shaders take them: first all pieces in layer order for pass 1, then those with a soft edge for pass 2, back to
  * front by disparity at the piece's centre. `errors`: parallax error in pixels of each tile, row by row, for the overlay that shows it.
+ * @param {Scene} scene
+ * @param {Piece[]} pieces
+ * @param {{page: Uint32Array, atlasX: Uint32Array, atlasY: Uint32Array}} places
+ * @param {number[]} [errors]
  * @returns {{data: Float32Array, opaque: number, soft: number}} with the counts of both
  */
 export function instances(scene, pieces, { page, atlasX, atlasY }, errors = []) {

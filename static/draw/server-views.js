@@ -19,6 +19,7 @@ export class ServerViews {
     this.url = url;
     this.size = size;
     this.onError = onError;
+    /** @type {Map<string, string>} */
     this.kept = new Map();
     this.wanted = null;
     this.busy = false;
@@ -79,7 +80,7 @@ export class ServerViews {
     this.kept.delete(address);
     this.kept.set(address, source);
     if (this.kept.size <= KEPT) return;
-    const [oldest, old] = this.kept.entries().next().value;
+    const [[oldest, old]] = this.kept;
     this.kept.delete(oldest);
     URL.revokeObjectURL(old);
   }

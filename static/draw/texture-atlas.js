@@ -1,6 +1,18 @@
 // Places the pieces of a scene on the pages of a texture array, and fills these with premultiplied RGBA.
 import { Class } from '../decode/scene.js';
 
+/** @import { Scene } from '../decode/scene.js' */
+/** @import { Piece } from './border.js' */
+
+/**
+ * A full-width strip of a page, with the numbers of its pieces and their columns.
+ * @typedef {{page: number, y: number, h: number, pieces: number[], x: number[]}} Band
+ */
+/**
+ * Place of each piece, size and count of pages, and the bands that they are filled by.
+ * @typedef {{page: Uint32Array, atlasX: Uint32Array, atlasY: Uint32Array, width: number, height: number, pages: number, bands: Band[]}} Places
+ */
+
 /** Width of a page where the scene fits one. */
 const PAGE_STEP = 256;
 /** Time that building may hold the page before it lets others run. */
@@ -11,7 +23,7 @@ const SLICE_MS = 12;
  * @param {{w: number, h: number}[]} pieces
  * @param {number} side largest width and height of a page
  * @param {number} most largest count of pages
- * @returns places per piece (`page`, `atlasX`, `atlasY`), size and count of pages, and the `bands`: full-width strips with their pieces
+ * @returns {Places}
  * @throws where they do not fit
  */
 export function pack(pieces, side, most) {
@@ -25,7 +37,17 @@ export function pack(pieces, side, most) {
   }
   const roundUp = (v) => Math.ceil(v / PAGE_STEP) * PAGE_STEP;
   const width = Math.min(side, roundUp(Math.max(widest, Math.sqrt(area))));
-  const places = { page: new Uint32Array(n), atlasX: new Uint32Array(n), atlasY: new Uint32Array(n), width, height: 1, pages: 1, bands: [] };
+  /** @type {Places} */
+  const places = {
+    page: new Uint32Array(n),
+    atlasX: new Uint32Array(n),
+    atlasY: new Uint32Array(n),
+    width,
+    height: 1,
+    pages: 1,
+    bands: [],
+  };
+  /** @type {Band | null} */
   let band = null;
   let x = 0;
   for (const i of order) {

@@ -1,6 +1,7 @@
 // The parallax error of each tile, as the photo's report has it, for the overlay that shows it.
 
 export class TileErrors {
+  /** @type {Promise<number[]> | null} */
   #wanted = null;
 
   /** @param {string | undefined} address of the report, where there is one */
@@ -17,10 +18,11 @@ export class TileErrors {
   /** Asks for them; a failure is told by `show` and forgotten. */
   want() {
     if (this.#wanted || !this.address) return;
-    this.#wanted = fetch(this.address).then(async (response) => {
+    const wanted = fetch(this.address).then(async (response) => {
       if (!response.ok) throw new Error('The report of the photo cannot be had.');
       return (await response.json()).error?.tile_px ?? [];
     });
-    this.#wanted.catch(() => (this.#wanted = null));
+    this.#wanted = wanted;
+    wanted.catch(() => (this.#wanted = null));
   }
 }

@@ -1,10 +1,14 @@
+// @ts-nocheck
 // Draws a decoded scene with WebGL2 where there is no WebGPU: tmpi.wgsl said again in GLSL, on the same pages and instances.
-import { pieces } from './border.js';
+
 import { extrinsics } from '../view/camera.js';
+import { pieces } from './border.js';
 import { WebGlMean } from './depth-of-field/mean-webgl.js';
 import { INSTANCE_FLOATS, instances } from './instances.js';
 import { expandAll, pack } from './texture-atlas.js';
 import { program } from './webgl-program.js';
+
+/** @import { View } from '../view/camera.js' */
 
 const VERTICES = 18;
 /** Time between two looks at whether the device is done, ms. */
@@ -193,7 +197,11 @@ export class WebGlRenderer {
   /** The canvas was given when the context was made. */
   attach() {}
 
-  /** As `WebGpuRenderer.draw`; `framebuffer` where it is not the canvas's. */
+  /**
+   * As `WebGpuRenderer.draw`; `framebuffer` where it is not the canvas's.
+   * @param {View[]} views
+   * @param {WebGLFramebuffer | null} [framebuffer]
+   */
   draw(views, framebuffer = null) {
     this.gl.bindFramebuffer(this.gl.FRAMEBUFFER, framebuffer);
     views.forEach((view, i) => this.#pass(view, i === 0));

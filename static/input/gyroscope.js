@@ -1,5 +1,7 @@
 // Moves the camera by tilting the device. The first posture is the middle; it follows slowly, so that people may sit back.
 
+/** @import { Motion } from './motion.js' */
+
 /** Tilt that takes the camera to the end of the view box, degrees. */
 const RANGE = 14;
 /** Share of the way that the middle follows with each event. */
@@ -11,7 +13,10 @@ export function hasGyroscope() {
 }
 
 export class Tilt {
-  /** What stops it, or null; and the last wish, since the browser may take its time to allow it. */
+  /**
+   * What stops it, or null; and the last wish, since the browser may take its time to allow it.
+   * @type {(() => void) | null}
+   */
   #stop = null;
   #wish = 0;
 
@@ -35,13 +40,16 @@ export class Tilt {
     this.#stop?.();
     this.#stop = null;
     if (!on) return;
-    const answer = await DeviceOrientationEvent.requestPermission?.();
+    // only Safari has it
+    const kind = /** @type {{requestPermission?: () => Promise<string>}} */ (DeviceOrientationEvent);
+    const answer = await kind.requestPermission?.();
     if (answer && answer !== 'granted') throw new Error('the gyroscope is not allowed');
     if (wish === this.#wish) this.#stop = this.#follow();
   }
 
   #follow() {
     const { motion } = this;
+    /** @type {number[] | null} */
     let middle = null;
     const onTilt = ({ beta, gamma }) => {
       if (beta === null || gamma === null) return;

@@ -1,7 +1,10 @@
 // The photo in a headset, by WebXR: it stands around the place where it was taken, and the head moves within the view box.
+
+import { WebGlRenderer } from '../draw/webgl.js';
 import { anglesOf, EYES, HOME } from '../view/camera.js';
 import { softLimit } from './motion.js';
-import { WebGlRenderer } from '../draw/webgl.js';
+
+/** @import { Scene } from '../decode/scene.js' */
 
 /** Distance of a person's eyes in metres: it is that of the other stereo views, which gives the unit of length its metres. */
 const EYES_M = 0.063;
@@ -26,6 +29,7 @@ export class Headset {
    * @throws where the browser or the person does not allow it
    */
   static async enter(scene, limits, onEnd) {
+    if (!navigator.xr) throw new Error('the browser knows no headsets');
     const session = await navigator.xr.requestSession('immersive-vr');
     const headset = new Headset(session, limits, onEnd);
     try {
@@ -60,13 +64,16 @@ export class Headset {
     this.session.requestAnimationFrame(this.#frame);
   }
 
+  /** @type {XRFrameRequestCallback} */
   #frame = (_, frame) => {
-    if (!this.session || this.renderer.disposed) return;
+    const { renderer, layer, space } = this;
+    if (!this.session || !renderer || !layer || !space || renderer.disposed) return;
     this.session.requestAnimationFrame(this.#frame);
-    const seen = frame.getViewerPose(this.space);
+    const seen = frame.getViewerPose(space);
     if (!seen) return;
-    this.views = seen.views.map((view) => eyeView(view, seen.transform, this.limits, this.layer.getViewport(view)));
-    this.renderer.draw(this.views, this.layer.framebuffer);
+    const none = { x: 0, y: 0, width: 0, height: 0 };
+    this.views = seen.views.map((view) => eyeView(view, seen.transform, this.limits, layer.getViewport(view) ?? none));
+    renderer.draw(this.views, layer.framebuffer);
     this.frames++;
   };
 

@@ -1,8 +1,17 @@
 // Cameras and poses: the arithmetic of src/tmpi/camera.rs, plus what framing a photo on a page needs.
 // x right, y down, z forward; lengths in units of the nearest distance; angles in degrees.
 
+/** @import { Intrinsics, Scene, SceneHead } from '../decode/scene.js' */
+
+/** @typedef {{tx: number, ty: number, tz: number, yaw: number, pitch: number, roll: number}} Pose */
+/**
+ * A camera and the place of its picture on a canvas.
+ * @typedef {{pose: Pose, k: Intrinsics, x: number, y?: number, width: number, height: number}} View
+ */
+
+/** @type {Readonly<Pose>} */
 export const HOME = Object.freeze({ tx: 0, ty: 0, tz: 0, yaw: 0, pitch: 0, roll: 0 });
-export const POSE_KEYS = Object.freeze(Object.keys(HOME));
+export const POSE_KEYS = Object.freeze(/** @type {(keyof Pose)[]} */ (Object.keys(HOME)));
 
 const RADIANS = Math.PI / 180;
 
@@ -105,7 +114,14 @@ export function eyes(pose, head, size, focus) {
   return [-EYES / 2, EYES / 2].map((shift, i) => shifted({ pose, k, x: i * width, width, height }, [shift, 0], focus));
 }
 
-/** The view from a place to the camera's own right and below, of which what lies at disparity `focus` stays in its place. */
+/**
+ * The view from a place to the camera's own right and below, of which what lies at disparity `focus` stays in its place.
+ * @template {{pose: Pose, k: Intrinsics}} V
+ * @param {V} view
+ * @param {number[]} place
+ * @param {number} focus
+ * @returns {V}
+ */
 export function shifted(view, [right, down], focus) {
   const { pose, k } = view;
   const { r } = extrinsics(pose);

@@ -1,7 +1,8 @@
 // How a scene is drawn: what lies over it, for one eye or two, through a pinhole or a lens.
-import { eyes, resized } from './camera.js';
+
 import { DepthOfField } from '../draw/depth-of-field/aperture.js';
 import { TileErrors } from '../draw/tile-errors.js';
+import { eyes, resized } from './camera.js';
 
 /** Pictures that can be drawn over the scene. */
 export const OVERLAYS = Object.freeze(['none', 'depth', 'tiles', 'planes', 'error']);
@@ -44,7 +45,7 @@ export class Display {
       ? await this.depthOfField.pixels(renderer, { pose, k, width, height }, pivot)
       : await renderer.readPixels(pose, k, width, height);
     const canvas = new OffscreenCanvas(width, height);
-    canvas.getContext('2d').putImageData(new ImageData(pixels, width, height), 0, 0);
+    canvas.getContext('2d')?.putImageData(new ImageData(pixels, width, height), 0, 0);
     return canvas.convertToBlob({ type: 'image/png' });
   }
 

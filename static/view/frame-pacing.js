@@ -8,7 +8,10 @@ const COARSER = 0.8;
 const COARSEST = 0.5;
 
 export class FramePacing {
-  /** Smoothed time of a frame in ms, or null before the first. */
+  /**
+   * Smoothed time of a frame in ms, or null before the first.
+   * @type {number | null}
+   */
   ms = null;
   /** Share of the pixels a side that is drawn while something moves. */
   detail = 1;

@@ -16,7 +16,12 @@ export function margins({ width: w, height: h, intrinsics: k, viewBox: box }) {
       const e = extrinsics(lookingAt(pivot, side(0, box.x), side(1, box.y), side(2, box.z)));
       for (const delta of [0, 1]) {
         const m = inverted(e.r.map((v, i) => (i % 3 === 2 ? v + e.t[(i - 2) / 3] * delta : v)));
-        for (const [x, y] of [[0, 0], [w, 0], [0, h], [w, h]]) {
+        for (const [x, y] of [
+          [0, 0],
+          [w, 0],
+          [0, h],
+          [w, h],
+        ]) {
           const q = [(x - k.cx) / k.fx, (y - k.cy) / k.fy, 1];
           const p = [0, 3, 6].map((i) => m[i] * q[0] + m[i + 1] * q[1] + m[i + 2] * q[2]);
           const at = p[2] > 0 ? [(k.fx * p[0]) / p[2] + k.cx, (k.fy * p[1]) / p[2] + k.cy] : [Infinity, Infinity];

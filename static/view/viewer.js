@@ -6,21 +6,29 @@
 // Events (detail): `progress` {received, total} · `photo` · `ready` {mode} · `mode` {mode, reason} · `idle` {on} · `pose` ·
 // `frame` {ms} · `error` {message}. `mode` is `gpu` where the browser draws with WebGPU, `webgl` where it does with WebGL2,
 // `served` where the server draws, and `still` where nobody can and the photo is all there is.
-import { CameraControl } from '../input/camera-control.js';
-import { fovX, resized } from './camera.js';
+
 import { startDecoder } from '../decode/start.js';
-import { Display } from './display.js';
-import { fitted, pixelRatio, setPixels } from './canvas-size.js';
-import { Tilt } from '../input/gyroscope.js';
 import { Backends } from '../draw/backends.js';
-import { listen, Motion } from '../input/motion.js';
-import { FramePacing } from './frame-pacing.js';
 import { ServerViews } from '../draw/server-views.js';
+import { CameraControl } from '../input/camera-control.js';
+import { Tilt } from '../input/gyroscope.js';
+import { listen, Motion } from '../input/motion.js';
+import { fovX, resized } from './camera.js';
+import { fitted, pixelRatio, setPixels } from './canvas-size.js';
+import { Display } from './display.js';
+import { FramePacing } from './frame-pacing.js';
+
+/** @import { Scene, SceneHead } from '../decode/scene.js' */
+/** @import { WebGlRenderer } from '../draw/webgl.js' */
+/** @import { WebGpuRenderer } from '../draw/webgpu.js' */
+/** @import { Headset } from '../input/xr.js' */
 
 export class Viewer extends EventTarget {
+  /** @type {Worker | null} */
   #worker = null;
   #frameRequest = 0;
   #lastFrame = 0;
+  /** @type {Backends | null} */
   #backends = null;
   #display;
   #camera;
@@ -46,11 +54,12 @@ export class Viewer extends EventTarget {
     this.#display = new Display(options.report);
     this.mode = 'loading';
     /** What shows the scene in a headset (input/xr.js) while one does, else null. */
-    this.headset = null;
-    this.scene = null;
-    this.head = null;
-    this.renderer = null;
-    this.serverViews = null;
+    this.headset = /** @type {Headset | null} */ (null);
+    this.scene = /** @type {Scene | null} */ (null);
+    this.head = /** @type {SceneHead & {total: number} | null} */ (null);
+    this.renderer = /** @type {WebGpuRenderer | WebGlRenderer | null} */ (null);
+    this.serverViews = /** @type {ServerViews | null} */ (null);
+    this.canvas = /** @type {HTMLCanvasElement | null} */ (null);
     this.motion = new Motion();
     this.motion.setIdle(!this.#reduced.matches);
     this.#camera = new CameraControl(this.motion);
@@ -70,6 +79,16 @@ export class Viewer extends EventTarget {
     this.#reduced.addEventListener('change', this.#onReduced);
     document.addEventListener('visibilitychange', this.#onVisible);
     this.#start();
+  }
+
+  /**
+   * As of every event target; the events are those named above.
+   * @param {string} type
+   * @param {(event: any) => void} listener to a CustomEvent
+   * @param {AddEventListenerOptions | boolean} [options]
+   */
+  addEventListener(type, listener, options) {
+    super.addEventListener(type, listener, options);
   }
 
   /** True while the camera moves by itself when left alone. */
@@ -207,9 +226,10 @@ export class Viewer extends EventTarget {
 
   set asleep(on) {
     this.#asleep = on;
-    if (!on) return this.#wake();
-    cancelAnimationFrame(this.#frameRequest);
-    this.#frameRequest = 0;
+    if (on) {
+      cancelAnimationFrame(this.#frameRequest);
+      this.#frameRequest = 0;
+    } else this.#wake();
   }
 
   /** Eases back to where the photo was taken. */
@@ -252,13 +272,15 @@ export class Viewer extends EventTarget {
       const times = this.#display.draw(this.renderer, this);
       if (depthOfField.unfinished) this.#wake();
       if (!times) return;
-      this.#pacing.measure(this.renderer, () => this.moving).then((ms) => {
-        if (ms === null) return;
-        depthOfField.cost = ms / times;
-        this.#emit('frame', { ms: this.#pacing.ms });
-      });
+      this.#pacing
+        .measure(this.renderer, () => this.moving)
+        .then((ms) => {
+          if (ms === null) return;
+          depthOfField.cost = ms / times;
+          this.#emit('frame', { ms: this.#pacing.ms });
+        });
     } else if (this.mode === 'served') {
-      this.serverViews.show(this.#camera.coarsePose, fovX(this.head.intrinsics, this.head.width), this.poster.clientWidth * pixelRatio());
+      this.serverViews?.show(this.#camera.coarsePose, fovX(this.head.intrinsics, this.head.width), this.poster.clientWidth * pixelRatio());
     }
   }
 
@@ -266,8 +288,8 @@ export class Viewer extends EventTarget {
    * The view at the present pose as the server would draw it.
    * @returns {Promise<Uint8ClampedArray>} premultiplied RGBA
    */
-  async readPixels(width = this.head.width, height = this.head.height) {
-    if (!this.renderer) throw new Error('pixels can be read only where the browser draws');
+  async readPixels(width = this.head?.width ?? 0, height = this.head?.height ?? 0) {
+    if (!this.renderer || !this.head) throw new Error('pixels can be read only where the browser draws');
     return this.renderer.readPixels(this.pose, resized(this.head.intrinsics, this.head, { width, height }), width, height);
   }
 
@@ -307,11 +329,11 @@ export class Viewer extends EventTarget {
       this.posterUrl = URL.createObjectURL(data.blob);
       this.poster.src = this.posterUrl;
       this.#emit('photo');
-      if (!this.#backends.any) this.#serve(this.#backends.reason);
+      if (!this.#backends?.any) this.#serve(this.#backends?.reason);
     } else if (data.type === 'scene') {
       this.scene = data.scene;
       this.#camera.know(this.head, this.scene);
-      this.#worker.terminate();
+      this.#worker?.terminate();
       this.#draw();
     } else this.#fail(data.message);
   }
@@ -328,6 +350,7 @@ export class Viewer extends EventTarget {
 
   /** Draws on the best backend that can be had. */
   async #draw() {
+    if (!this.#backends || !this.scene) return;
     const backend = await this.#backends.next(this.scene, (reason) => this.#onLost(reason));
     if (this.#disposed) return backend?.renderer.dispose();
     if (!backend) return this.#serve(this.#backends.reason);
@@ -359,13 +382,15 @@ export class Viewer extends EventTarget {
     this.canvas = null;
     // a swing would ask the server without end
     this.setIdle(false);
-    if (!this.options.view) {
+    if (!this.options.view || !this.head) {
       this.mode = 'still';
       this.#emit('mode', { mode: 'still', reason });
       this.#emit('ready', { mode: 'still' });
       return;
     }
-    this.serverViews = new ServerViews(this.poster, this.options.view, this.head, (error) => this.#emit('error', { message: error.message }));
+    this.serverViews = new ServerViews(this.poster, this.options.view, this.head, (error) =>
+      this.#emit('error', { message: error.message }),
+    );
     this.mode = 'served';
     this.#emit('mode', { mode: 'served', reason });
     this.#layout();

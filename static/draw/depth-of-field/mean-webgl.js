@@ -1,3 +1,4 @@
+// @ts-nocheck
 // The running mean of pictures with WebGL2, as mean-webgpu.js has it.
 import { program } from '../webgl-program.js';
 
@@ -51,7 +52,10 @@ export class WebGlMean {
     const frame = gl.createFramebuffer();
     gl.bindFramebuffer(gl.FRAMEBUFFER, frame);
     gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, texture, 0);
-    this.#made.push(() => gl.deleteFramebuffer(frame), () => gl.deleteTexture(texture));
+    this.#made.push(
+      () => gl.deleteFramebuffer(frame),
+      () => gl.deleteTexture(texture),
+    );
     return { texture, frame };
   }
 

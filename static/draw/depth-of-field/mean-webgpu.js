@@ -19,8 +19,12 @@ export class WebGpuMean {
   #device;
   #add;
   #show;
+  /** @type {GPUTexture | null} */
   #sum = null;
-  /** What the next picture is drawn into. */
+  /**
+   * What the next picture is drawn into.
+   * @type {GPUTexture | null}
+   */
   part = null;
 
   /** @param {string} format of the pictures and of what shows their mean */
@@ -61,10 +65,15 @@ export class WebGpuMean {
   #pass(pipeline, from, to, loadOp, weight) {
     const device = this.#device;
     const encoder = device.createCommandEncoder();
-    const pass = encoder.beginRenderPass({ colorAttachments: [{ view: to.createView(), loadOp, clearValue: [0, 0, 0, 0], storeOp: 'store' }] });
+    const pass = encoder.beginRenderPass({
+      colorAttachments: [{ view: to.createView(), loadOp, clearValue: [0, 0, 0, 0], storeOp: 'store' }],
+    });
     pass.setPipeline(pipeline);
     pass.setBlendConstant([weight, weight, weight, weight]);
-    pass.setBindGroup(0, device.createBindGroup({ layout: pipeline.getBindGroupLayout(0), entries: [{ binding: 0, resource: from.createView() }] }));
+    pass.setBindGroup(
+      0,
+      device.createBindGroup({ layout: pipeline.getBindGroupLayout(0), entries: [{ binding: 0, resource: from.createView() }] }),
+    );
     pass.draw(VERTICES);
     pass.end();
     device.queue.submit([encoder.finish()]);
