@@ -1,5 +1,11 @@
 // One WebGPU device for all viewers of a page: it opens with the first and goes with the last.
 
+/**
+ * Features that are used where they are there.
+ * @type {GPUFeatureName[]}
+ */
+const OPTIONAL = ['float32-blendable'];
+
 /** @type {{opening: Promise<Device>, device?: Device} | null} */
 let shared = null;
 
@@ -12,13 +18,17 @@ export async function findAdapter() {
   }
 }
 
-class Device {
+export class Device {
   users = 0;
-  /** Pipelines by canvas format, as promises. */
-  pipelines = new Map();
+  /**
+   * What was made once for all, by name.
+   * @type {Map<string, Promise<any>>}
+   */
+  #made = new Map();
   /** Builds come one after the other, so that each sees its own errors. */
   #last = Promise.resolve();
 
+  /** @param {GPUDevice} handle */
   constructor(handle) {
     this.handle = handle;
     handle.lost.then(() => {
@@ -26,7 +36,24 @@ class Device {
     });
   }
 
-  /** Runs `build` after those before it; throws what it or the device reports. */
+  /**
+   * What `make` gives, made once; again where it failed.
+   * @template T
+   * @param {string} name
+   * @param {() => Promise<T>} make
+   * @returns {Promise<T>}
+   */
+  once(name, make) {
+    const made = this.#made.get(name) ?? make();
+    this.#made.set(name, made);
+    made.catch(() => this.#made.delete(name));
+    return made;
+  }
+
+  /**
+   * Runs `build` after those before it; throws what it or the device reports.
+   * @param {() => Promise<void>} build
+   */
   build(build) {
     const run = async () => {
       this.handle.pushErrorScope('validation');
@@ -40,7 +67,8 @@ class Device {
       }
       const memory = await this.handle.popErrorScope();
       const validation = await this.handle.popErrorScope();
-      if (failure ?? memory ?? validation) throw new Error((failure ?? memory ?? validation).message);
+      const problem = failure ?? memory ?? validation;
+      if (problem) throw new Error(problem.message);
     };
     const done = this.#last.then(run);
     this.#last = done.catch(() => {});
@@ -72,6 +100,7 @@ export async function acquireDevice() {
 async function open() {
   const adapter = await findAdapter();
   if (!adapter) throw new Error('there is no graphics adapter');
-  const side = adapter.limits.maxTextureDimension2D;
-  return new Device(await adapter.requestDevice({ requiredLimits: { maxTextureDimension2D: side } }));
+  const { maxTextureDimension2D } = adapter.limits;
+  const requiredFeatures = OPTIONAL.filter((name) => adapter.features.has(name));
+  return new Device(await adapter.requestDevice({ requiredFeatures, requiredLimits: { maxTextureDimension2D } }));
 }

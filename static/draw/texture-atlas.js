@@ -1,5 +1,6 @@
 // Places the pieces of a scene on the pages of a texture array, and fills these with premultiplied RGBA.
 import { Class } from '../decode/scene.js';
+import { premultipliedHalves } from './half-float.js';
 
 /** @import { Scene } from '../decode/scene.js' */
 /** @import { Piece } from './border.js' */
@@ -73,11 +74,19 @@ export function pack(pieces, side, most) {
   return places;
 }
 
-/** Expands band after band and hands each to `write(band, data)`, with pauses that let the page live. */
-export async function expandAll(scene, pieces, bands, width, write) {
+/**
+ * Expands band after band and hands each to `write(band, data)`, with pauses that let the page live.
+ * @param {Scene} scene
+ * @param {Piece[]} pieces
+ * @param {Places} places
+ * @param {boolean} wide texels of 16-bit floats instead of bytes
+ * @param {(band: Band, data: Uint8Array<ArrayBuffer> | Uint16Array<ArrayBuffer>) => void} write
+ */
+export async function expandAll(scene, pieces, { bands, width }, wide, write) {
+  const halves = wide ? premultipliedHalves() : null;
   let slice = performance.now();
   for (const band of bands) {
-    write(band, expandBand(scene, pieces, band, width));
+    write(band, expandBand(scene, pieces, band, width, halves));
     if (performance.now() - slice > SLICE_MS) {
       await new Promise((resume) => setTimeout(resume));
       slice = performance.now();
@@ -85,10 +94,18 @@ export async function expandAll(scene, pieces, bands, width, write) {
   }
 }
 
-/** Premultiplied RGBA of a band, `width × band.h`. */
-function expandBand(scene, pieces, band, width) {
+/**
+ * Premultiplied RGBA of a band, `width × band.h`: bytes, or the 16-bit floats of a table.
+ * @param {Scene} scene
+ * @param {Piece[]} pieces
+ * @param {Band} band
+ * @param {number} width
+ * @param {Uint16Array | null} halves
+ */
+function expandBand(scene, pieces, band, width, halves) {
   const { layers, classes, alpha, hidden, photo } = scene;
-  const out = new Uint8Array(width * band.h * 4);
+  const out = halves ? new Uint16Array(width * band.h * 4) : new Uint8Array(width * band.h * 4);
+  const colour = halves ? (/** @type {number} */ value, /** @type {number} */ a) => halves[value * 256 + a] : premultiplied;
   band.pieces.forEach((p, k) => {
     const piece = pieces[p];
     const i = piece.layer;
@@ -111,17 +128,21 @@ function expandBand(scene, pieces, band, width) {
         const visible = kind === Class.PHOTO;
         const source = visible ? photo.data : hidden;
         const at = visible ? ((layers.y[i] + v) * scene.width + layers.x[i] + u) * 4 : own;
-        out[to] = premultiplied(source[at], a);
-        out[to + 1] = premultiplied(source[at + 1], a);
-        out[to + 2] = premultiplied(source[at + 2], a);
-        out[to + 3] = a;
+        out[to] = colour(source[at], a);
+        out[to + 1] = colour(source[at + 1], a);
+        out[to + 2] = colour(source[at + 2], a);
+        out[to + 3] = halves ? colour(255, a) : a;
       }
     }
   });
   return out;
 }
 
-/** `value · alpha / 255`, rounded to nearest. */
+/**
+ * `value · alpha / 255`, rounded to nearest.
+ * @param {number} value
+ * @param {number} alpha
+ */
 function premultiplied(value, alpha) {
   return ((value * alpha + 127) / 255) | 0;
 }

@@ -1,4 +1,5 @@
-// Draws a tiled multiplane image for a camera. One file for the server (wgpu) and the browser (WebGPU), default features only.
+// Draws a tiled multiplane image for a camera. One file for the server (wgpu) and the browser (WebGPU), default features only; for
+// WebGL2 `cargo xtask shaders` translates it.
 //
 // Geometry is linear in homogeneous coordinates; nothing is divided by depth. For a corner (x, y) of a layer's rectangle, in
 // reference pixels (texel i covers [i, i+1]):
@@ -107,8 +108,7 @@ fn delta_at(s: vec2f, i: Instance) -> f32 {
 
 // Vertices 0 to 8: the fan of the part with δ ≥ 0; 9 to 17: of the part beyond infinity. A rectangle cut by a line has at most five
 // corners a side, so three triangles; those not needed are degenerate.
-@vertex
-fn vs(@builtin(vertex_index) vertex: u32, i: Instance) -> Varyings {
+fn corner_of(vertex: u32, i: Instance) -> Varyings {
     let beyond = vertex >= 9u;
     var corner = array<vec2f, 4>(vec2f(0.0, 0.0), vec2f(1.0, 0.0), vec2f(1.0, 1.0), vec2f(0.0, 1.0));
     var place: array<vec2f, 6>;
@@ -151,6 +151,19 @@ fn vs(@builtin(vertex_index) vertex: u32, i: Instance) -> Varyings {
     let pixel = view.k_out.xy * p.xy + view.k_out.zw * p.z;
     let ndc = 2.0 * pixel / view.size_half.xy - p.z;
     out.clip = vec4f(ndc.x, -ndc.y, view.t_near.w * select(d, 0.0, beyond), p.z);
+    return out;
+}
+
+@vertex
+fn vs(@builtin(vertex_index) vertex: u32, i: Instance) -> Varyings {
+    return corner_of(vertex, i);
+}
+
+// For WebGL, whose clip space begins at z = −w: depth 0 is infinity there too.
+@vertex
+fn vs_webgl(@builtin(vertex_index) vertex: u32, i: Instance) -> Varyings {
+    var out = corner_of(vertex, i);
+    out.clip.z = 2.0 * out.clip.z - out.clip.w;
     return out;
 }
 

@@ -73,7 +73,8 @@ export class Headset {
     if (!seen) return;
     const none = { x: 0, y: 0, width: 0, height: 0 };
     this.views = seen.views.map((view) => eyeView(view, seen.transform, this.limits, layer.getViewport(view) ?? none));
-    renderer.draw(this.views, layer.framebuffer);
+    const { framebuffer, framebufferWidth: width, framebufferHeight: height } = layer;
+    renderer.draw(this.views, { framebuffer, width, height });
     this.frames++;
   };
 

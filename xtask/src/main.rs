@@ -1,9 +1,10 @@
-//! Tasks around the program: `cargo xtask serve`, `cargo xtask test`, `cargo xtask fetch`, `cargo xtask fuzz`.
+//! Tasks around the program: `cargo xtask serve`, `cargo xtask test`, `cargo xtask fetch`, `cargo xtask shaders`, `cargo xtask fuzz`.
 
 mod browser;
 mod command;
 mod fuzz;
 mod runtime;
+mod shaders;
 
 use std::process::ExitCode;
 use std::time::Instant;
@@ -17,6 +18,7 @@ usage: cargo xtask <task>
   test          formatting, lints, types of the pages' scripts, all tests, browser tests; installs what these need where it may
   fuzz [--seconds N] [TARGET…]
                 run the fuzzer on what reads foreign bytes (container, labels, planes, query), N seconds each
+  shaders       make the GLSL of static/draw/glsl.js from the WGSL
   fetch         fetch ONNX Runtime into .tmpi/onnxruntime where it is missing";
 
 fn main() -> ExitCode {
@@ -27,6 +29,7 @@ fn main() -> ExitCode {
         Some("serve") => serve(&rest),
         Some("fuzz") => fuzz::fuzz(&rest),
         Some("test") if rest.is_empty() => test(),
+        Some("shaders") if rest.is_empty() => shaders::write(),
         Some("fetch") if rest.is_empty() => runtime::fetch().map_err(|e| e.in_step("ONNX Runtime")),
         Some("help" | "--help" | "-h") => {
             println!("{HELP}");

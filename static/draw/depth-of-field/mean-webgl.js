@@ -1,92 +1,57 @@
-// @ts-nocheck
 // The running mean of pictures with WebGL2, as mean-webgpu.js has it.
-import { program } from '../webgl-program.js';
+import { hasHalfFloatTargets, WebGlTarget } from '../webgl-target.js';
 
-const VERTEX = `#version 300 es
-void main() {
-  gl_Position = vec4(float(gl_VertexID & 1) * 4.0 - 1.0, float(gl_VertexID >> 1) * 4.0 - 1.0, 0.0, 1.0);
-}`;
-
-const FRAGMENT = `#version 300 es
-precision highp float;
-uniform highp sampler2D picture;
-out vec4 colour;
-void main() {
-  colour = texelFetch(picture, ivec2(gl_FragCoord.xy), 0);
-}`;
+/** @import { copier } from '../webgl-copy.js' */
 
 export class WebGlMean {
-  #gl;
-  #program;
-  #sumFormat;
+  #copy;
+  #part;
+  #sum;
   #size = [0, 0];
-  #made = [];
 
-  constructor(gl) {
-    this.#gl = gl;
-    // without half floats the sum rounds to eight bits each time, which shows as bands but shows
-    this.#sumFormat = gl.getExtension('EXT_color_buffer_float') || gl.getExtension('EXT_color_buffer_half_float') ? gl.RGBA16F : gl.RGBA8;
-    this.#program = program(gl, VERTEX, FRAGMENT);
+  /**
+   * @param {WebGL2RenderingContext} gl
+   * @param {ReturnType<typeof copier>} copy
+   * @param {GLenum} partFormat of the pictures
+   */
+  constructor(gl, copy, partFormat) {
+    this.#copy = copy;
+    this.#part = new WebGlTarget(gl, partFormat, { depth: true });
+    this.#sum = new WebGlTarget(gl, sumFormat(gl));
   }
 
-  resize(width, height) {
-    if (this.#size[0] === width && this.#size[1] === height) return;
-    const gl = this.#gl;
-    this.#forget();
+  /**
+   * What the next picture is to be drawn into.
+   * @param {number} width
+   * @param {number} height
+   */
+  part(width, height) {
     this.#size = [width, height];
-    this.part = this.#target(gl.RGBA8);
-    this.sum = this.#target(this.#sumFormat);
-    const depth = gl.createRenderbuffer();
-    gl.bindRenderbuffer(gl.RENDERBUFFER, depth);
-    gl.renderbufferStorage(gl.RENDERBUFFER, gl.DEPTH_COMPONENT24, width, height);
-    gl.bindFramebuffer(gl.FRAMEBUFFER, this.part.frame);
-    gl.framebufferRenderbuffer(gl.FRAMEBUFFER, gl.DEPTH_ATTACHMENT, gl.RENDERBUFFER, depth);
-    this.#made.push(() => gl.deleteRenderbuffer(depth));
+    return this.#part.of(width, height).frame;
   }
 
-  #target(format) {
-    const gl = this.#gl;
-    const texture = gl.createTexture();
-    gl.bindTexture(gl.TEXTURE_2D, texture);
-    gl.texStorage2D(gl.TEXTURE_2D, 1, format, ...this.#size);
-    const frame = gl.createFramebuffer();
-    gl.bindFramebuffer(gl.FRAMEBUFFER, frame);
-    gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, texture, 0);
-    this.#made.push(
-      () => gl.deleteFramebuffer(frame),
-      () => gl.deleteTexture(texture),
-    );
-    return { texture, frame };
-  }
-
-  /** Takes what was drawn into `part` into the mean, of which it is the share `weight`. */
+  /**
+   * Takes the part into the mean, of which it is the share `weight`.
+   * @param {number} weight
+   */
   add(weight) {
-    const gl = this.#gl;
-    gl.enable(gl.BLEND);
-    gl.blendColor(weight, weight, weight, weight);
-    gl.blendFunc(gl.CONSTANT_COLOR, gl.ONE_MINUS_CONSTANT_COLOR);
-    this.#copy(this.part.texture, this.sum.frame);
+    const [width, height] = this.#size;
+    this.#copy(this.#part.of(width, height).texture, this.#sum.of(width, height).frame, width, height, weight);
   }
 
   /** Writes the mean to the canvas. */
   show() {
-    this.#gl.disable(this.#gl.BLEND);
-    this.#copy(this.sum.texture, null);
+    const [width, height] = this.#size;
+    this.#copy(this.#sum.of(width, height).texture, null, width, height);
   }
+}
 
-  #copy(texture, frame) {
-    const gl = this.#gl;
-    gl.bindFramebuffer(gl.FRAMEBUFFER, frame);
-    gl.viewport(0, 0, ...this.#size);
-    gl.disable(gl.DEPTH_TEST);
-    gl.useProgram(this.#program);
-    gl.bindTexture(gl.TEXTURE_2D, texture);
-    gl.drawArrays(gl.TRIANGLES, 0, 3);
-    gl.bindTexture(gl.TEXTURE_2D, null);
-  }
-
-  #forget() {
-    for (const remove of this.#made) remove();
-    this.#made = [];
-  }
+/**
+ * The finest format that can be blended into. The last of many pictures change a sum of 16-bit floats by less than it can tell; one of
+ * bytes rounds each time, which shows as bands but shows.
+ * @param {WebGL2RenderingContext} gl
+ */
+function sumFormat(gl) {
+  if (gl.getExtension('EXT_color_buffer_float') && gl.getExtension('EXT_float_blend')) return gl.RGBA32F;
+  return hasHalfFloatTargets(gl) ? gl.RGBA16F : gl.RGBA8;
 }

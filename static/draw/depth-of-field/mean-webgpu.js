@@ -1,87 +1,71 @@
-// The running mean of pictures with WebGPU: each is drawn into `part`, and blended into a sum of half floats by its weight.
+// The running mean of pictures with WebGPU: each is drawn into `part`, and blended into a sum by its weight.
+import { copyPipeline, copyTexture } from '../webgpu-copy.js';
 
-const SUM_FORMAT = 'rgba16float';
-const VERTICES = 3;
-const SHADER = `
-@group(0) @binding(0) var picture: texture_2d<f32>;
-
-@vertex
-fn vs(@builtin(vertex_index) i: u32) -> @builtin(position) vec4f {
-    return vec4f(f32(i & 1u) * 4.0 - 1.0, f32(i >> 1u) * 4.0 - 1.0, 0.0, 1.0);
-}
-
-@fragment
-fn fs(@builtin(position) at: vec4f) -> @location(0) vec4f {
-    return textureLoad(picture, vec2i(at.xy), 0);
-}`;
+/** @type {GPUBlendComponent} */
+const WEIGHED = { srcFactor: 'constant', dstFactor: 'one-minus-constant', operation: 'add' };
 
 export class WebGpuMean {
   #device;
   #add;
   #show;
+  #sumFormat;
   /** @type {GPUTexture | null} */
   #sum = null;
   /**
    * What the next picture is drawn into.
    * @type {GPUTexture | null}
    */
-  part = null;
+  #part = null;
 
-  /** @param {string} format of the pictures and of what shows their mean */
-  constructor(device, format) {
+  /**
+   * @param {GPUDevice} device
+   * @param {GPUShaderModule} copy of copy.wgsl
+   * @param {GPUTextureFormat} partFormat of the pictures
+   * @param {GPUTextureFormat} format of what shows their mean
+   */
+  constructor(device, copy, partFormat, format) {
     this.#device = device;
-    this.format = format;
-    const module = device.createShaderModule({ code: SHADER });
-    const weighed = { srcFactor: 'constant', dstFactor: 'one-minus-constant', operation: 'add' };
-    const pipeline = (target) =>
-      device.createRenderPipeline({
-        layout: 'auto',
-        vertex: { module, entryPoint: 'vs' },
-        fragment: { module, entryPoint: 'fs', targets: [target] },
-        primitive: { topology: 'triangle-list' },
-      });
-    this.#add = pipeline({ format: SUM_FORMAT, blend: { color: weighed, alpha: weighed } });
-    this.#show = pipeline({ format });
+    this.partFormat = partFormat;
+    // the last of many pictures change a sum of 16-bit floats by less than it can tell
+    this.#sumFormat = /** @type {GPUTextureFormat} */ (device.features.has('float32-blendable') ? 'rgba32float' : 'rgba16float');
+    this.#add = copyPipeline(device, copy, this.#sumFormat, { color: WEIGHED, alpha: WEIGHED });
+    this.#show = copyPipeline(device, copy, format);
   }
 
-  resize(width, height) {
-    if (this.part?.width === width && this.part?.height === height) return;
+  /**
+   * What the next picture is to be drawn into.
+   * @param {number} width
+   * @param {number} height
+   */
+  part(width, height) {
+    if (this.#part && this.#part.width === width && this.#part.height === height) return this.#part;
     this.dispose();
     const usage = GPUTextureUsage.RENDER_ATTACHMENT | GPUTextureUsage.TEXTURE_BINDING;
-    this.part = this.#device.createTexture({ size: [width, height], format: this.format, usage });
-    this.#sum = this.#device.createTexture({ size: [width, height], format: SUM_FORMAT, usage });
+    const part = this.#device.createTexture({ size: [width, height], format: this.partFormat, usage });
+    this.#part = part;
+    this.#sum = this.#device.createTexture({ size: [width, height], format: this.#sumFormat, usage });
+    return part;
   }
 
-  /** Takes `part` into the mean, of which it is the share `weight`. */
+  /**
+   * Takes the part into the mean, of which it is the share `weight`.
+   * @param {number} weight
+   */
   add(weight) {
-    this.#pass(this.#add, this.part, this.#sum, 'load', weight);
+    if (this.#part && this.#sum) copyTexture(this.#device, this.#add, this.#part, this.#sum, weight);
   }
 
-  /** Writes the mean to a texture. */
+  /**
+   * Writes the mean to a texture.
+   * @param {GPUTexture} texture
+   */
   show(texture) {
-    this.#pass(this.#show, this.#sum, texture, 'clear', 0);
-  }
-
-  #pass(pipeline, from, to, loadOp, weight) {
-    const device = this.#device;
-    const encoder = device.createCommandEncoder();
-    const pass = encoder.beginRenderPass({
-      colorAttachments: [{ view: to.createView(), loadOp, clearValue: [0, 0, 0, 0], storeOp: 'store' }],
-    });
-    pass.setPipeline(pipeline);
-    pass.setBlendConstant([weight, weight, weight, weight]);
-    pass.setBindGroup(
-      0,
-      device.createBindGroup({ layout: pipeline.getBindGroupLayout(0), entries: [{ binding: 0, resource: from.createView() }] }),
-    );
-    pass.draw(VERTICES);
-    pass.end();
-    device.queue.submit([encoder.finish()]);
+    if (this.#sum) copyTexture(this.#device, this.#show, this.#sum, texture);
   }
 
   dispose() {
-    this.part?.destroy();
+    this.#part?.destroy();
     this.#sum?.destroy();
-    this.part = this.#sum = null;
+    this.#part = this.#sum = null;
   }
 }

@@ -52,9 +52,7 @@ describe('texture atlas', () => {
     assert.ok(all.some((p) => p.flipX) && all.some((p) => p.flipY), 'the scene goes on beyond its border');
     const places = pack(all, 2048, 16);
     const atlas = new Uint8Array(places.width * places.height * places.pages * 4);
-    await expandAll(scene, all, places.bands, places.width, (band, data) =>
-      atlas.set(data, (band.page * places.height + band.y) * places.width * 4),
-    );
+    await expandAll(scene, all, places, false, (band, data) => atlas.set(data, (band.page * places.height + band.y) * places.width * 4));
     const { layers, classes, alpha, photo } = scene;
     let looked = 0;
     all.forEach((p, i) => {

@@ -54,6 +54,8 @@ export async function serve({ atlas, delayMs = 0 }) {
     }
     if (url.pathname === '/v1/photos/box/report') return send(200, 'application/json', JSON.stringify({ error: { tile_px: TILE_PX } }));
     if (url.pathname === '/v1/photos/box/atlas') return sendSlowly(response, atlas, delayMs);
+    if (url.pathname === '/embed/blank')
+      return send(200, TYPES['.html'], '<!doctype html><title>blank</title><link rel="icon" href="data:,">');
     if (url.pathname === '/embed/three') return send(200, TYPES['.html'], three());
     if (url.pathname === '/embed') return send(200, TYPES['.html'], embed(url.searchParams.get('host')));
     if (url.pathname === '/v1/photos/box/view') {
