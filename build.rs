@@ -1,21 +1,9 @@
-//! Compiles the wire schema without an external protoc, tells the code which networks there are to embed, and lists the
-//! pages to embed.
+//! Lists the pages to embed.
 
 use std::fmt::Write as _;
 use std::path::Path;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    println!("cargo:rerun-if-changed=proto/tmpi.proto");
-    prost_build::Config::new().compile_fds(protox::compile(["proto/tmpi.proto"], ["proto"])?)?;
-
-    println!("cargo:rerun-if-changed=models");
-    println!("cargo:rustc-check-cfg=cfg(embedded, values(\"depth\", \"theta\", \"psi\"))");
-    for network in ["depth", "theta", "psi"] {
-        if Path::new("models").join(network).with_extension("onnx").is_file() {
-            println!("cargo:rustc-cfg=embedded=\"{network}\"");
-        }
-    }
-
     println!("cargo:rerun-if-changed=static");
     let mut names = Vec::new();
     list(Path::new("static"), "", &mut names)?;

@@ -9,11 +9,11 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
-use tmpi::atlas;
-use tmpi::check::scenes;
-use tmpi::clock::Clock;
-use tmpi::render::{Cpu, Gpu, Renderer};
-use tmpi::tmpi::{Camera, Pose, Scene};
+use tmpi_core::container;
+use tmpi_core::{Camera, Pose, Scene};
+use tmpi_lab::stress::scenes;
+use tmpi_pipeline::clock::Clock;
+use tmpi_render::{Cpu, Gpu, Renderer};
 
 /// Turns of the paired measurement.
 const TURNS: usize = 40;
@@ -21,7 +21,7 @@ const TURNS: usize = 40;
 /// The container that `TMPI_SCENE` names, else a made-up scene.
 fn scene() -> Arc<Scene> {
     Arc::new(match std::env::var_os("TMPI_SCENE") {
-        Some(path) => atlas::decode(&std::fs::read(path).unwrap()).unwrap(),
+        Some(path) => container::decode(&std::fs::read(path).unwrap()).unwrap(),
         None => scenes::typical(640, 360),
     })
 }

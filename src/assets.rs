@@ -25,7 +25,7 @@ pub fn content_type(name: &str) -> &'static str {
         "webp" => "image/webp",
         "ico" => "image/x-icon",
         "woff2" => "font/woff2",
-        "tmpi" => crate::atlas::MEDIA_TYPE,
+        "tmpi" => tmpi_core::container::MEDIA_TYPE,
         "wgsl" | "txt" | "md" => "text/plain; charset=utf-8",
         _ => "application/octet-stream",
     }

@@ -3,7 +3,9 @@
 
 use axum::http::{HeaderMap, HeaderValue, Uri, header};
 
-use crate::{atlas, server};
+use tmpi_core::container;
+
+use crate::server;
 
 /// Runs a reader on the bytes and panics where it breaks a promise; gives the most bytes of memory that it may have taken.
 pub type Run = fn(&[u8]) -> usize;
@@ -18,17 +20,17 @@ const SLOW: u64 = 128 * 128;
 
 /// A whole container, as anyone may send it. Promised: an error or a scene that holds together; memory by bytes, pixels and texels.
 fn container(data: &[u8]) -> usize {
-    let Ok(size) = atlas::fuzzing::size(data) else {
-        assert!(atlas::decode(data).is_err(), "a container without a readable index was read");
+    let Ok(size) = container::fuzzing::size(data) else {
+        assert!(container::decode(data).is_err(), "a container without a readable index was read");
         return LEAST + 2 * data.len();
     };
     // never larger than what it came from and what it says it holds
     let most = LEAST + 8 * data.len() + 64 * size.pixels as usize + 12 * size.texels as usize;
-    let sections = atlas::sections(data);
+    let sections = container::sections(data);
     if size.pixels > SLOW || size.texels > 64 * SLOW {
         return most;
     }
-    if let Ok(scene) = atlas::decode(data) {
+    if let Ok(scene) = container::decode(data) {
         assert_eq!(scene.validate(), Ok(()));
         assert!(sections.is_ok(), "a container was read whose sections cannot be listed");
     }
@@ -38,21 +40,21 @@ fn container(data: &[u8]) -> usize {
 /// The labels of a grid. Promised: labels below their tile's count, and what is written of them is read again.
 fn labels(data: &[u8]) -> usize {
     let Some((head, stream)) = data.split_first_chunk::<8>() else { return LEAST };
-    let grid = atlas::fuzzing::grid(u32::from(head[0]) + 1, u32::from(head[1]) + 1, u32::from(head[2]) % 80 + 1);
+    let grid = container::fuzzing::grid(u32::from(head[0]) + 1, u32::from(head[1]) + 1, u32::from(head[2]) % 80 + 1);
     let counts: Vec<u8> = (0..grid.tiles()).map(|t| head[3 + t as usize % 5] % 66).collect();
-    atlas::fuzzing::labels(&grid, &counts, stream);
+    container::fuzzing::labels(&grid, &counts, stream);
     LEAST + 8 * data.len() + 64 * (grid.width * grid.height) as usize
 }
 
 /// The planes of a grid, unpacked. Promised: what is read is written again, byte by byte.
 fn planes(data: &[u8]) -> usize {
     let Some((head, columns)) = data.split_first_chunk::<4>() else { return LEAST };
-    let grid = atlas::fuzzing::grid(u32::from(head[0]) + 1, u32::from(head[1]) + 1, u32::from(head[2]) % 80 + 1);
+    let grid = container::fuzzing::grid(u32::from(head[0]) + 1, u32::from(head[1]) + 1, u32::from(head[2]) % 80 + 1);
     let tiles = grid.tiles() as usize;
     let given = columns.len().saturating_sub(tiles) / 6;
     // now and then another count than the bytes hold
     let count = if head[3] < 250 { given } else { given + usize::from(head[3]) };
-    atlas::fuzzing::planes(&grid, count, columns);
+    container::fuzzing::planes(&grid, count, columns);
     LEAST + 32 * data.len() + 128 * tiles
 }
 

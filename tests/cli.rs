@@ -192,7 +192,7 @@ fn make_writes_a_container_and_a_report() {
     let quiet = f.run(&["make", "box.jpg", "--depth", "depth.png", "-o", "b.tmpi", "--quiet"]).succeeds();
     assert_eq!(quiet.err, "");
     assert!(quiet.out.starts_with("b.tmpi: 150×100"));
-    assert!(!f.names().iter().any(|n| n.ends_with(".part")));
+    assert!(!f.names().iter().any(|n| Path::new(n).extension().is_some_and(|e| e == "part")));
 }
 
 #[test]
@@ -207,7 +207,7 @@ fn options_of_make_take_effect() {
     assert!((make("c.tmpi", &["--fov-x", "60"])["fov_x"].as_f64().unwrap() - 60.0).abs() < 1e-6);
     assert!((make("d.tmpi", &["--view-box", "0.1,0,0.05"])["view_box"]["x"].as_f64().unwrap() - 0.1).abs() < 1e-9);
     let one = make("e.tmpi", &["--planes", "1", "--plane-method", "lloyd"]);
-    assert!(one["planes_per_tile"].as_f64().unwrap() < 2.01, "one plane, and a backstop at most");
+    assert!(one["planes_per_tile"].as_f64().unwrap() < 2.01, "one plane, and a background at most");
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! Twelve kinds of scene from eight places: the reference against its goldens, and the `cpu` and `gpu` hosts against the reference.
+//! Twelve kinds of scene from eight places: the reference against its goldens, and the `cpu` and `gpu` backends against the reference.
 //!
 //! `TMPI_BLESS=1 cargo test --release --test pictures` draws the goldens anew; `TMPI_BLESS=scenes` makes the scenes anew too.
 #![allow(clippy::unwrap_used, clippy::cast_possible_truncation, clippy::cast_precision_loss, reason = "test")]
@@ -8,11 +8,13 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use image::{ExtendedColorType, ImageEncoder};
-use tmpi::progress::Silent;
-use tmpi::quality::{flip, share_off};
-use tmpi::render::{Cpu, Gpu, PictureFormat, Reference, Renderer, View, corners, encode};
-use tmpi::tmpi::{Camera, Pose, Scene, ViewBox};
-use tmpi::{atlas, models, synth, way};
+use tmpi_core::container;
+use tmpi_core::{Camera, Pose, Scene, ViewBox};
+use tmpi_lab::metrics::{flip, share_off};
+use tmpi_lab::scenes;
+use tmpi_pipeline::Silent;
+use tmpi_pipeline::networks::models;
+use tmpi_render::{Cpu, Gpu, PictureFormat, Reference, Renderer, View, corners, encode};
 
 /// Seeds of scenes of twelve families; nothing that a network was trained on.
 const SEEDS: std::ops::Range<u64> = 910_000..910_400;
@@ -51,20 +53,20 @@ fn png(width: u32, height: u32, rgb: &[[u8; 3]]) -> Vec<u8> {
 
 /// The first scene of a family, made with its exact disparity.
 fn make(family: &str) -> Vec<u8> {
-    let scene = SEEDS.map(|seed| synth::Scene::framed(seed, SIZE.0, SIZE.1)).find(|s| s.family() == family);
+    let scene = SEEDS.map(|seed| scenes::Scene::framed(seed, SIZE.0, SIZE.1)).find(|s| s.family() == family);
     let scene = scene.unwrap_or_else(|| panic!("no {family} among the seeds"));
     let camera = scene.camera();
     let picture = scene.render(&camera, 3);
-    let disparity = tmpi::depth::to_png(&picture.disparity).unwrap();
-    let options = way::Options {
+    let disparity = tmpi_pipeline::depth::to_png(&picture.disparity).unwrap();
+    let options = tmpi_pipeline::Options {
         fov_x: Some(camera.intrinsics.fov_x(SIZE.0)),
         // twice as far as usual, so that more of what is hidden is seen
         view_box: ViewBox { x: 0.06, y: 0.06, z: 0.06 },
-        ..way::Options::default()
+        ..tmpi_pipeline::Options::default()
     };
     let file = png(SIZE.0, SIZE.1, &picture.photo.rgb);
     let models = models::load(&models::Settings::default()).unwrap();
-    way::make(&models, &tmpi::photo::Limits::default(), &file, Some(&disparity), &options, &Silent).unwrap().container
+    tmpi_pipeline::make(&models, &tmpi_pipeline::photo::Limits::default(), &file, Some(&disparity), &options, &Silent).unwrap().container
 }
 
 fn scene(family: &str) -> Arc<Scene> {
@@ -74,7 +76,7 @@ fn scene(family: &str) -> Arc<Scene> {
         std::fs::write(&path, make(family)).unwrap();
     }
     let bytes = std::fs::read(&path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
-    Arc::new(atlas::decode(&bytes).unwrap())
+    Arc::new(container::decode(&bytes).unwrap())
 }
 
 fn rgb(view: &View) -> Vec<[u8; 3]> {
@@ -117,12 +119,12 @@ fn the_reference_draws_its_goldens() {
     }
 }
 
-fn compare(host: &dyn Renderer) {
+fn compare(backend: &dyn Renderer) {
     let (mut most_off, mut most_seen, mut failed) = (0.0_f64, 0.0_f64, Vec::new());
     for family in FAMILIES {
         let scene = scene(family);
         for (i, camera) in cameras(&scene).iter().enumerate() {
-            let (got, want) = (host.render(&scene, camera).unwrap(), Reference.render(&scene, camera).unwrap());
+            let (got, want) = (backend.render(&scene, camera).unwrap(), Reference.render(&scene, camera).unwrap());
             let off = share_off(&got.rgba, &want.rgba, LEVELS);
             let seen = flip(&rgb(&want), &rgb(&got), camera.width as usize);
             (most_off, most_seen) = (most_off.max(off), most_seen.max(seen));
@@ -133,10 +135,10 @@ fn compare(host: &dyn Renderer) {
     }
     println!(
         "{}: at most {:.3} % of the pixels off by more than {LEVELS} levels, FLIP at most {most_seen:.4}",
-        host.name(),
+        backend.name(),
         most_off * 100.0
     );
-    assert!(failed.is_empty(), "{}:\n{}", host.name(), failed.join("\n"));
+    assert!(failed.is_empty(), "{}:\n{}", backend.name(), failed.join("\n"));
 }
 
 #[test]

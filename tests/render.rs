@@ -1,31 +1,31 @@
-//! The `cpu` and `gpu` hosts held against the `f64` reference, and the reference against what is known.
+//! The `cpu` and `gpu` backends held against the `f64` reference, and the reference against what is known.
 #![allow(clippy::unwrap_used, clippy::cast_precision_loss, clippy::cast_lossless, clippy::cast_possible_truncation, reason = "test")]
 
 use std::sync::Arc;
 
-use tmpi::check::scenes::{all, camera, cameras, flat, stack};
-use tmpi::quality::{psnr, share_off};
-use tmpi::render::{Backend, Cpu, Gpu, MAX_SIDE, Reference, RenderError, Renderer, View, corners, select};
-use tmpi::tmpi::{Camera, Intrinsics, Pose, Scene, ViewBox};
+use tmpi_core::{Camera, Intrinsics, Pose, Scene, ViewBox};
+use tmpi_lab::metrics::{psnr, share_off};
+use tmpi_lab::stress::scenes::{all, camera, cameras, flat, stack};
+use tmpi_render::{Backend, Cpu, Gpu, MAX_SIDE, Reference, RenderError, Renderer, View, corners, select};
 
 fn db(view: &View, photo: &[[u8; 3]]) -> f64 {
     psnr(rgb(view).as_flattened(), photo.as_flattened())
 }
 
-/// The `gpu` host on whatever adapter there is; none, said aloud, where there is none at all.
+/// The `gpu` backend on whatever adapter there is; none, said aloud, where there is none at all.
 fn gpu() -> Option<Gpu> {
     Gpu::new(true).map_err(|reason| eprintln!("skipped: {reason}")).ok()
 }
 
 /// `excused` pairs of scene and camera must only draw.
-fn compare(host: &dyn Renderer, excused: &[(&str, &str)]) {
+fn compare(backend: &dyn Renderer, excused: &[(&str, &str)]) {
     let (mut worst, mut failed) = ((0.0, String::new()), Vec::new());
     for (scene_name, scene) in all() {
         scene.validate().unwrap();
         let scene = Arc::new(scene);
         for (camera_name, camera) in cameras(&scene) {
             let want = Reference.render(&scene, &camera).unwrap();
-            let got = host.render(&scene, &camera).unwrap();
+            let got = backend.render(&scene, &camera).unwrap();
             if excused.contains(&(scene_name, camera_name)) {
                 assert_eq!(got.rgba.len(), want.rgba.len());
                 continue;
@@ -42,8 +42,8 @@ fn compare(host: &dyn Renderer, excused: &[(&str, &str)]) {
             }
         }
     }
-    println!("{}: worst {}", host.name(), worst.1);
-    assert!(failed.is_empty(), "{} differs from reference:\n{}", host.name(), failed.join("\n"));
+    println!("{}: worst {}", backend.name(), worst.1);
+    assert!(failed.is_empty(), "{} differs from reference:\n{}", backend.name(), failed.join("\n"));
 }
 
 #[test]
@@ -80,10 +80,10 @@ fn faithful() -> impl Iterator<Item = (&'static str, Arc<Scene>)> {
 #[test]
 fn the_identity_view_is_the_photo() {
     for (name, scene) in faithful() {
-        for host in [&Reference as &dyn Renderer, &Cpu::default()] {
-            let view = host.render(&scene, &identity(&scene)).unwrap();
-            assert!(rgb(&view) == scene.photo.rgb, "{name} on {}: {:.1} dB", host.name(), db(&view, &scene.photo.rgb));
-            assert!(view.rgba.iter().all(|p| p[3] == 255), "{name} on {}: covered everywhere", host.name());
+        for backend in [&Reference as &dyn Renderer, &Cpu::default()] {
+            let view = backend.render(&scene, &identity(&scene)).unwrap();
+            assert!(rgb(&view) == scene.photo.rgb, "{name} on {}: {:.1} dB", backend.name(), db(&view, &scene.photo.rgb));
+            assert!(view.rgba.iter().all(|p| p[3] == 255), "{name} on {}: covered everywhere", backend.name());
         }
     }
 }
@@ -103,17 +103,17 @@ fn the_identity_view_on_the_gpu_is_within_50_db() {
 #[test]
 fn no_corner_of_the_view_box_sees_past_the_border() {
     let (cpu, gpu) = (Cpu::default(), gpu());
-    let hosts = [&Reference as &dyn Renderer, &cpu].into_iter().chain(gpu.iter().map(|gpu| gpu as &dyn Renderer));
-    for host in hosts {
+    let backends = [&Reference as &dyn Renderer, &cpu].into_iter().chain(gpu.iter().map(|gpu| gpu as &dyn Renderer));
+    for backend in backends {
         for (name, scene) in faithful() {
             for pivot in [0.0, 0.4, 1.0] {
                 for pose in corners(&scene.view_box, pivot) {
-                    let view = host.render(&scene, &camera(&scene, pose, scene.photo.width, scene.photo.height)).unwrap();
+                    let view = backend.render(&scene, &camera(&scene, pose, scene.photo.width, scene.photo.height)).unwrap();
                     let (w, h) = (view.width as usize, view.height as usize);
                     // a band as wide as the parallax; further in, what is uncovered is no matter of the border
                     let band = (0..w * h).filter(|i| (i % w).min(w - 1 - i % w) < 8 || (i / w).min(h - 1 - i / w) < 8);
                     let open = band.filter(|&i| view.rgba[i][3] < 250).count();
-                    assert_eq!(open, 0, "{name} on {} from {pose:?}", host.name());
+                    assert_eq!(open, 0, "{name} on {} from {pose:?}", backend.name());
                 }
             }
         }
@@ -153,17 +153,17 @@ fn spot(delta: f64) -> Arc<Scene> {
     Arc::new(scene)
 }
 
-fn signs(host: &dyn Renderer) {
+fn signs(backend: &dyn Renderer) {
     let shift = |delta: f64, pose: Pose| {
         let scene = spot(delta);
-        column_of_red(&host.render(&scene, &camera(&scene, pose, 160, 100)).unwrap()) - 79.5
+        column_of_red(&backend.render(&scene, &camera(&scene, pose, 160, 100)).unwrap()) - 79.5
     };
     let f = 160.0 * Intrinsics::DEFAULT_FOCAL_PER_WIDTH;
     let (near, far) = (shift(1.0, Pose::at(0.1, 0.0, 0.0)), shift(0.3, Pose::at(0.1, 0.0, 0.0)));
-    assert!((near + 0.1 * f).abs() < 0.6, "{}: nearest moves left by tx·f = {:.1}, got {near}", host.name(), 0.1 * f);
-    assert!((far + 0.03 * f).abs() < 0.6, "{}: farther moves less, got {far}", host.name());
-    assert!(shift(0.0, Pose::at(0.1, 0.1, 0.1)).abs() < 0.1, "{}: infinity stays", host.name());
-    assert!(shift(0.5, Pose { yaw: 5.0, ..Pose::default() }) < -5.0, "{}: looking right moves the scene left", host.name());
+    assert!((near + 0.1 * f).abs() < 0.6, "{}: nearest moves left by tx·f = {:.1}, got {near}", backend.name(), 0.1 * f);
+    assert!((far + 0.03 * f).abs() < 0.6, "{}: farther moves less, got {far}", backend.name());
+    assert!(shift(0.0, Pose::at(0.1, 0.1, 0.1)).abs() < 0.1, "{}: infinity stays", backend.name());
+    assert!(shift(0.5, Pose { yaw: 5.0, ..Pose::default() }) < -5.0, "{}: looking right moves the scene left", backend.name());
 }
 
 #[test]
@@ -176,10 +176,10 @@ fn signs_are_those_of_the_design() {
 }
 
 /// Largest difference of any channel from `f64` compositing of one-colour layers, farthest first.
-fn error_of_stack(host: &dyn Renderer, colours: &[[u8; 4]]) -> f64 {
+fn error_of_stack(backend: &dyn Renderer, colours: &[[u8; 4]]) -> f64 {
     let delta: Vec<f64> = (0..colours.len()).map(|i| (i + 1) as f64 / colours.len() as f64).collect();
     let scene = Arc::new(stack(16, 16, colours, &delta));
-    let view = host.render(&scene, &identity(&scene)).unwrap();
+    let view = backend.render(&scene, &identity(&scene)).unwrap();
     let mut want = [0.0; 4];
     for c in colours {
         let a = f64::from(c[3]) / 255.0;
@@ -207,10 +207,10 @@ fn compositing_is_stable() {
     let (cpu, gpu) = (Cpu::default(), gpu());
     for (name, colours, bound, bound8) in stacks() {
         let exact = [(&Reference as &dyn Renderer, bound), (&cpu, bound)];
-        for (host, bound) in exact.into_iter().chain(gpu.iter().map(|gpu| (gpu as &dyn Renderer, bound8))) {
-            let error = error_of_stack(host, &colours);
-            println!("{name} on {}: {error:.2} of {bound} levels", host.name());
-            assert!(error <= bound, "{name} on {}: {error} > {bound} levels", host.name());
+        for (backend, bound) in exact.into_iter().chain(gpu.iter().map(|gpu| (gpu as &dyn Renderer, bound8))) {
+            let error = error_of_stack(backend, &colours);
+            println!("{name} on {}: {error:.2} of {bound} levels", backend.name());
+            assert!(error <= bound, "{name} on {}: {error} > {bound} levels", backend.name());
         }
     }
 }
@@ -228,8 +228,8 @@ fn a_camera_out_of_range_is_refused_with_the_fields_name() {
         (Camera { width: 8192, height: 8193, ..good }, "pixels"),
     ];
     for (camera, field) in bad {
-        for host in [&Reference as &dyn Renderer, &Cpu::default()] {
-            let error = host.render(&scene, &camera).unwrap_err();
+        for backend in [&Reference as &dyn Renderer, &Cpu::default()] {
+            let error = backend.render(&scene, &camera).unwrap_err();
             assert!(matches!(error, RenderError::Camera(text) if text.contains(field)), "{field}: {error}");
         }
     }
@@ -240,8 +240,8 @@ fn a_scene_that_does_not_fit_together_is_refused() {
     let mut scene = flat(8, 8, 0.5);
     scene.texels.alpha.pop();
     let scene = Arc::new(scene);
-    for host in [&Reference as &dyn Renderer, &Cpu::default()] {
-        assert!(matches!(host.render(&scene, &identity(&scene)), Err(RenderError::Scene(_))));
+    for backend in [&Reference as &dyn Renderer, &Cpu::default()] {
+        assert!(matches!(backend.render(&scene, &identity(&scene)), Err(RenderError::Scene(_))));
     }
 }
 
@@ -252,18 +252,18 @@ fn extreme_numbers_give_no_panic() {
     for focal in [1e-300, 1e-9, 1e9, 1e300] {
         for t in [1e-300, 1e9, 1e300] {
             let camera = Camera { pose: Pose::at(t, -t, t), intrinsics: Intrinsics::centred(32, 20, focal), width: 32, height: 20 };
-            for host in [&Reference as &dyn Renderer, &Cpu::default()].into_iter().chain(gpu.iter().map(|gpu| gpu as &dyn Renderer)) {
-                assert_eq!(host.render(&scene, &camera).unwrap().rgba.len(), 640);
+            for backend in [&Reference as &dyn Renderer, &Cpu::default()].into_iter().chain(gpu.iter().map(|gpu| gpu as &dyn Renderer)) {
+                assert_eq!(backend.render(&scene, &camera).unwrap().rgba.len(), 640);
             }
         }
     }
 }
 
 /// Many callers at once, of two scenes: each gets its own view.
-fn shared(host: &dyn Renderer) {
+fn shared(backend: &dyn Renderer) {
     let scenes = [0.2, 0.9].map(|delta| Arc::new(flat(48, 32, delta)));
     let pose = Pose::at(0.05, 0.0, 0.0);
-    let want = scenes.clone().map(|scene| host.render(&scene, &camera(&scene, pose, 96, 64)).unwrap());
+    let want = scenes.clone().map(|scene| backend.render(&scene, &camera(&scene, pose, 96, 64)).unwrap());
     assert_ne!(want[0], want[1]);
     std::thread::scope(|threads| {
         for caller in 0..12 {
@@ -272,7 +272,7 @@ fn shared(host: &dyn Renderer) {
                 for turn in 0..5 {
                     let which = (caller + turn) % 2;
                     let camera = camera(&scenes[which], pose, 96, 64);
-                    assert!(host.render(&scenes[which], &camera).unwrap() == want[which], "{}", host.name());
+                    assert!(backend.render(&scenes[which], &camera).unwrap() == want[which], "{}", backend.name());
                 }
             });
         }
@@ -290,6 +290,6 @@ fn a_host_serves_many_callers_at_once() {
 #[test]
 fn auto_always_finds_a_host() {
     let scene = Arc::new(flat(8, 8, 0.5));
-    let host = select(Backend::Auto).unwrap();
-    assert_eq!(rgb(&host.render(&scene, &identity(&scene)).unwrap()), scene.photo.rgb);
+    let backend = select(Backend::Auto).unwrap();
+    assert_eq!(rgb(&backend.render(&scene, &identity(&scene)).unwrap()), scene.photo.rgb);
 }

@@ -6,9 +6,9 @@ use std::path::PathBuf;
 use super::bench_codec::{self, CodecArgs};
 use super::flags::ModelFlags;
 use super::{Usage, files, result};
-use crate::bench::serve::{Load, Target};
-use crate::bench::{self, Settings};
-use crate::models;
+use tmpi_lab::bench::serve::{Load, Target};
+use tmpi_lab::bench::{self, Settings};
+use tmpi_pipeline::networks::models;
 
 /// Measure error against run time of every approximation, on this machine
 #[derive(Clone, Debug, clap::Args)]

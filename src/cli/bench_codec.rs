@@ -4,9 +4,9 @@ use std::path::PathBuf;
 
 use super::flags::{MakeFlags, ModelFlags};
 use super::{Usage, files, result};
-use crate::bench::BenchError;
-use crate::bench::codec::{self, Settings};
-use crate::models;
+use tmpi_lab::bench::BenchError;
+use tmpi_lab::bench::codec::{self, Settings};
+use tmpi_pipeline::networks::models;
 
 /// Measure bytes, time and quality of the container against other ways to send the same layers
 #[allow(clippy::struct_excessive_bools, reason = "each is a flag of its own")]

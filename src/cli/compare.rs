@@ -6,7 +6,7 @@ use anyhow::Context;
 use serde_json::json;
 
 use super::{files, result};
-use crate::quality::{flip, max_abs, psnr, share_off, ssim_map};
+use tmpi_lab::metrics::{flip, max_abs, psnr, share_off, ssim_map};
 
 /// Levels of 255 from which a pixel counts as different.
 const LEVELS: u8 = 8;

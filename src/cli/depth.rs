@@ -8,11 +8,11 @@ use serde_json::json;
 use super::flags::{MakeFlags, ModelFlags};
 use super::progress::Bar;
 use super::{Usage, files, result};
-use crate::depth::to_png;
-use crate::models;
-use crate::photo::{self, Limits};
-use crate::tmpi::DisparityMap;
-use crate::way::{self, Options, PlaneCount, PlaneMethod, Switch};
+use tmpi_core::DisparityMap;
+use tmpi_pipeline::depth::to_png;
+use tmpi_pipeline::networks::models;
+use tmpi_pipeline::photo::{self, Limits};
+use tmpi_pipeline::{self, Options, PlaneCount, PlaneMethod, Switch};
 
 /// Write the disparity of a photo
 #[derive(Clone, Debug, clap::Args)]
@@ -61,7 +61,7 @@ pub(super) fn run(args: &DepthArgs) -> anyhow::Result<()> {
             quality: 1,
             ..args.flags.options()
         };
-        way::make(&models, &limits, &bytes, None, &options, &bar).with_context(|| name.clone())?.disparity
+        tmpi_pipeline::make(&models, &limits, &bytes, None, &options, &bar).with_context(|| name.clone())?.disparity
     };
     files::write(&args.output, &encode(&map, args.raw)?)?;
     let (low, high) = range(&map);
@@ -102,7 +102,7 @@ fn pfm(map: &DisparityMap, _: bool) -> anyhow::Result<Vec<u8>> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::depth::{DepthKind, from_png};
+    use tmpi_pipeline::depth::{DepthKind, from_png};
 
     #[test]
     fn a_png_reads_back_as_written() {

@@ -4,8 +4,8 @@ use std::path::PathBuf;
 
 use super::flags::ModelFlags;
 use super::result;
-use crate::eval::{self, Depth, Settings};
-use crate::models;
+use tmpi_lab::eval::{self, Depth, Settings};
+use tmpi_pipeline::networks::models;
 
 /// Measure second views against the truth: this program, plain multiplane images and a mesh, on scenes whose views are known
 #[derive(Clone, Debug, clap::Args)]

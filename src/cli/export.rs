@@ -7,9 +7,9 @@ use anyhow::Context;
 use serde_json::json;
 
 use super::{Usage, files, result};
-use crate::atlas::{self, LEVELS, RegionPhoto, Tiles};
 use crate::export::{ExportFormat, export};
-use crate::tmpi::Rect;
+use tmpi_core::Rect;
+use tmpi_core::container::{self, LEVELS, RegionPhoto, Tiles};
 
 /// Write a container, or a part of it, as a page, a glTF model, an archive of its parts or a container
 #[derive(Clone, Debug, clap::Args)]
@@ -40,11 +40,11 @@ pub(super) struct ExportArgs {
 /// What the flags leave of a container.
 fn part_of(whole: &[u8], args: &ExportArgs) -> anyhow::Result<Vec<u8>> {
     let context = || args.input.display().to_string();
-    let Some(region) = args.region else { return atlas::level(whole, args.level).with_context(context) };
+    let Some(region) = args.region else { return container::level(whole, args.level).with_context(context) };
     let tiles = Tiles::over_region(whole, region).with_context(context)?;
     let tiles = tiles.ok_or_else(|| Usage("--region must hold a pixel and lie within the photo".into()))?;
     let photo = if args.lossless { RegionPhoto::Lossless } else { RegionPhoto::Jpeg };
-    atlas::region(whole, &tiles, args.level, photo).with_context(context)
+    container::region(whole, &tiles, args.level, photo).with_context(context)
 }
 
 pub(super) fn run(args: &ExportArgs) -> anyhow::Result<()> {
@@ -61,7 +61,7 @@ pub(super) fn run(args: &ExportArgs) -> anyhow::Result<()> {
     let container = if args.region.is_some() || args.level > 0 { part_of(&whole, args)? } else { whole.clone() };
     let context = || args.input.display().to_string();
     // a container that cannot be read must not become a page that cannot be shown
-    let scene = atlas::decode(&container).with_context(context)?;
+    let scene = container::decode(&container).with_context(context)?;
     let stem = args.input.file_stem().unwrap_or_default().to_string_lossy();
     let written = format.map(|f| export(f, &container, &scene, args.title.as_deref().unwrap_or(&stem))).transpose();
     let bytes = written.with_context(context)?.unwrap_or_else(|| container.clone());

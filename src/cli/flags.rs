@@ -3,12 +3,12 @@
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-use crate::depth::{ADAPTERS, Adapter, DepthKind, adapter, detect};
-use crate::models::Settings;
-use crate::models::registry::{PUBLISHED, Published, published};
-use crate::onnx::{Config, Provider};
-use crate::tmpi::ViewBox;
-use crate::way::{Denoise, Options, PlaneCount, PlaneMethod, Switch, TileSize};
+use tmpi_core::ViewBox;
+use tmpi_pipeline::depth::{ADAPTERS, Adapter, DepthKind, adapter, detect};
+use tmpi_pipeline::networks::models::Settings;
+use tmpi_pipeline::networks::models::registry::{PUBLISHED, Published, published};
+use tmpi_pipeline::networks::{Config, Provider};
+use tmpi_pipeline::{Denoise, Options, PlaneCount, PlaneMethod, Switch, TileSize};
 
 /// How a photo is made.
 #[derive(Clone, Debug, clap::Args)]
@@ -210,7 +210,7 @@ fn view_box(text: &str) -> Result<ViewBox, String> {
 
 /// A picture size, `WxH`.
 pub(super) fn size(text: &str) -> Result<(u32, u32), String> {
-    use crate::render::{MAX_PIXELS, MAX_SIDE};
+    use tmpi_render::{MAX_PIXELS, MAX_SIDE};
     let (w, h) = text.split_once(['x', 'X', '×']).ok_or("a size is written WIDTHxHEIGHT")?;
     let (w, h) = (whole(w)?, whole(h)?);
     if !(1..=MAX_SIDE).contains(&w) || !(1..=MAX_SIDE).contains(&h) || u64::from(w) * u64::from(h) > MAX_PIXELS {

@@ -6,8 +6,8 @@ use anyhow::Context;
 use serde_json::json;
 
 use super::{files, result};
-use crate::atlas;
-use crate::tmpi::Class;
+use tmpi_core::Class;
+use tmpi_core::container;
 
 /// Characters of a bar that stands for all bytes.
 const BAR: f64 = 40.0;
@@ -26,8 +26,8 @@ pub(super) struct InfoArgs {
 pub(super) fn run(args: &InfoArgs) -> anyhow::Result<()> {
     let bytes = files::read(&args.input)?;
     let context = || args.input.display().to_string();
-    let sections = atlas::sections(&bytes).with_context(context)?;
-    let scene = atlas::decode(&bytes).with_context(context)?;
+    let sections = container::sections(&bytes).with_context(context)?;
+    let scene = container::decode(&bytes).with_context(context)?;
     // A container that was decoded has its whole header
     let version = bytes.get(4..8).map_or([0, 0], |v| [u16::from_le_bytes([v[0], v[1]]), u16::from_le_bytes([v[2], v[3]])]);
     let (g, k, b) = (&scene.grid, &scene.intrinsics, &scene.view_box);

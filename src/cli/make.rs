@@ -7,10 +7,10 @@ use serde_json::json;
 use super::flags::{MakeFlags, ModelFlags};
 use super::progress::Bar;
 use super::{Usage, files, result};
-use crate::generate::Report;
-use crate::models;
-use crate::photo::Limits;
-use crate::way::{self, Made, Models, Options};
+use tmpi_pipeline::Report;
+use tmpi_pipeline::networks::models;
+use tmpi_pipeline::photo::Limits;
+use tmpi_pipeline::{self, Made, Models, Options};
 
 /// Make tiled multiplane images of photos
 #[derive(Clone, Debug, clap::Args)]
@@ -78,7 +78,7 @@ pub(super) fn run(args: &MakeArgs) -> anyhow::Result<()> {
 fn one(models: &Models, photo: &Path, depth: Option<&[u8]>, options: &Options, output: &Path, quiet: bool) -> anyhow::Result<Report> {
     let bytes = files::read(photo)?;
     let bar = Bar::new(&photo.display().to_string(), quiet);
-    let made = way::make(models, &Limits::default(), &bytes, depth, options, &bar);
+    let made = tmpi_pipeline::make(models, &Limits::default(), &bytes, depth, options, &bar);
     drop(bar);
     let Made { container, report, .. } = made.map_err(|e| anyhow::Error::new(e).context(photo.display().to_string()))?;
     files::write(output, &container)?;

@@ -64,7 +64,7 @@ struct Usage(String);
 #[must_use]
 pub fn main() -> ExitCode {
     // SAFETY: the program has no other thread yet
-    unsafe { crate::onnx::keep_to_yourself() };
+    unsafe { tmpi_pipeline::networks::keep_to_yourself() };
     let cli = match Cli::try_parse() {
         Ok(cli) => cli,
         Err(error) => {

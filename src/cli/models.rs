@@ -7,8 +7,8 @@ use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
 
 use super::{Usage, result};
-use crate::models::download::{Digest, Wanted, fetch};
-use crate::models::registry::{PUBLISHED, folder, published};
+use tmpi_pipeline::networks::models::download::{Digest, Wanted, fetch};
+use tmpi_pipeline::networks::models::registry::{PUBLISHED, folder, published};
 
 /// List and fetch depth networks that others have published
 #[derive(Clone, Debug, clap::Args)]

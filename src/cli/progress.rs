@@ -3,7 +3,7 @@
 use indicatif::{ProgressBar, ProgressStyle};
 use std::io::IsTerminal;
 
-use crate::progress::{Progress, Sink};
+use tmpi_pipeline::{Progress, Sink};
 
 /// Progress of one photo.
 pub(super) struct Bar {

@@ -9,9 +9,9 @@ use serde_json::json;
 
 use super::flags::{fov_x, numbers, quality, size};
 use super::{Usage, files, result};
-use crate::atlas;
-use crate::render::{self, Animation, AnimationFormat, Arrangement, Backend, MAX_PIXELS, MAX_SIDE, PictureFormat, Rig};
-use crate::tmpi::{Camera, Intrinsics, Pose, Scene};
+use tmpi_core::container;
+use tmpi_core::{Camera, Intrinsics, Pose, Scene};
+use tmpi_render::{self, Animation, AnimationFormat, Arrangement, Backend, MAX_PIXELS, MAX_SIDE, PictureFormat, Rig};
 
 /// Draw a container from another place
 #[derive(Clone, Debug, clap::Args)]
@@ -49,7 +49,7 @@ pub(super) struct RenderArgs {
     focus: f64,
     /// Move the camera through the view box, once around
     #[arg(long, value_enum, value_name = "PATH")]
-    path: Option<render::Path>,
+    path: Option<tmpi_render::Path>,
     /// How many frames; a film has 30 a second
     #[arg(long, requires = "path", value_parser = clap::value_parser!(u32).range(1..=10_000), default_value_t = 60, value_name = "N")]
     frames: u32,
@@ -84,7 +84,7 @@ pub(super) fn run(args: &RenderArgs) -> anyhow::Result<()> {
     let format = PictureFormat::from_extension(&ending).or(film.map(|_| PictureFormat::default()));
     let format = format.ok_or_else(|| Usage(format!("--output {} must end in {endings}", args.output.display())))?;
     let bytes = files::read(&args.input)?;
-    let scene = Arc::new(atlas::decode(&bytes).with_context(|| args.input.display().to_string())?);
+    let scene = Arc::new(container::decode(&bytes).with_context(|| args.input.display().to_string())?);
     let (width, height) = args.size.unwrap_or((scene.grid.width, scene.grid.height));
     let rig = rig(args, &scene);
     let (columns, rows) = rig.map_or((1, 1), |r| r.arrangement.grid());
@@ -98,7 +98,7 @@ pub(super) fn run(args: &RenderArgs) -> anyhow::Result<()> {
         None => scene.intrinsics.resized((scene.grid.width, scene.grid.height), (width, height)),
     };
     let camera = Camera { pose: args.pose, intrinsics, width, height };
-    let renderer = render::select(args.backend)?;
+    let renderer = tmpi_render::select(args.backend)?;
     let frames = args.path.map_or(1, |_| args.frames);
     let mut film = film.map(|format| Animation::start(format, (whole_width, whole_height), args.quality)).transpose()?;
     let begun = Instant::now();
@@ -111,7 +111,7 @@ pub(super) fn run(args: &RenderArgs) -> anyhow::Result<()> {
             output = numbered(&args.output, frame + 1, frames);
         }
         let view = match &rig {
-            Some(rig) => render::draw_several(renderer.as_ref(), &scene, &camera, rig)?,
+            Some(rig) => tmpi_render::draw_several(renderer.as_ref(), &scene, &camera, rig)?,
             None => renderer.render(&scene, &camera)?,
         };
         let ms = start.elapsed().as_secs_f64() * 1e3;
@@ -119,7 +119,7 @@ pub(super) fn run(args: &RenderArgs) -> anyhow::Result<()> {
             film.push(&view)?;
             continue;
         }
-        files::write(&output, &render::encode(&view, format, args.quality)?)?;
+        files::write(&output, &tmpi_render::encode(&view, format, args.quality)?)?;
         if args.json {
             let (w, h) = (view.width, view.height);
             let about = json!({ "output": output, "width": w, "height": h, "backend": renderer.name(), "pose": camera.pose, "ms": ms });

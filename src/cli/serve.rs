@@ -9,9 +9,9 @@ use std::time::Duration;
 use anyhow::Context as _;
 
 use super::flags::ModelFlags;
-use crate::models;
-use crate::render::{self, Backend};
-use crate::server::{Config, Limits, Server, WayMaker, stop_signal};
+use crate::server::{Config, Limits, PipelineMaker, Server, stop_signal};
+use tmpi_pipeline::networks::models;
+use tmpi_render::{self, Backend};
 
 /// Take photos over HTTP and serve what is made of them
 #[derive(Clone, Debug, clap::Args)]
@@ -38,7 +38,7 @@ pub(super) struct ServeArgs {
     #[arg(long, default_value_t = (Limits::BODY >> 20) as u32, value_parser = clap::value_parser!(u32).range(1..=4096), value_name = "MIB")]
     max_body: u32,
     /// Largest photo, in megapixels
-    #[arg(long, default_value_t = (crate::photo::Limits::PIXELS / 1_000_000) as u32, value_parser = clap::value_parser!(u32).range(1..), value_name = "MP")]
+    #[arg(long, default_value_t = (tmpi_pipeline::photo::Limits::PIXELS / 1_000_000) as u32, value_parser = clap::value_parser!(u32).range(1..), value_name = "MP")]
     max_pixels: u32,
     /// Views that are drawn at a time
     #[arg(long, default_value_t = Limits::VIEWS as u16, value_parser = clap::value_parser!(u16).range(1..), value_name = "N")]
@@ -63,7 +63,7 @@ impl ServeArgs {
     /// The limits that the arguments give.
     fn limits(&self) -> Limits {
         let body = (self.max_body as usize) << 20;
-        let photo = crate::photo::Limits { bytes: body, pixels: u64::from(self.max_pixels) * 1_000_000, ..Default::default() };
+        let photo = tmpi_pipeline::photo::Limits { bytes: body, pixels: u64::from(self.max_pixels) * 1_000_000, ..Default::default() };
         Limits {
             photo,
             body,
@@ -81,12 +81,12 @@ impl ServeArgs {
 
 /// Serves until SIGTERM or SIGINT; prints the server's URL on stdout once it listens.
 pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
-    if let Err(error) = crate::onnx::available() {
+    if let Err(error) = tmpi_pipeline::networks::available() {
         tracing::warn!(%error, "photos without a depth map of their own cannot be made");
     }
     let limits = args.limits();
-    let renderer = render::select(args.backend).context("renderer")?;
-    let maker = Arc::new(WayMaker::new(models::load(&args.models.settings())?, &limits));
+    let renderer = tmpi_render::select(args.backend).context("renderer")?;
+    let maker = Arc::new(PipelineMaker::new(models::load(&args.models.settings())?, &limits));
     let config = Config { addr: args.addr, data: args.data, pages: args.pages, limits };
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().thread_name("tmpi-http").build()?;
     runtime.block_on(async {
@@ -118,7 +118,7 @@ mod tests {
     fn without_arguments_the_limits_are_the_documented_ones() {
         let args = Cli::try_parse_from(["serve"]).unwrap().serve;
         let photo = args.limits().photo;
-        assert_eq!((photo.bytes, photo.pixels), (crate::photo::Limits::BYTES, crate::photo::Limits::PIXELS));
+        assert_eq!((photo.bytes, photo.pixels), (tmpi_pipeline::photo::Limits::BYTES, tmpi_pipeline::photo::Limits::PIXELS));
         assert_eq!(args.limits(), Limits::default());
     }
 

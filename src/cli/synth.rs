@@ -9,8 +9,8 @@ use image::{ExtendedColorType, ImageEncoder};
 use rayon::prelude::*;
 use serde_json::json;
 
-use crate::synth::{Picture, Pictures, Scene};
-use crate::tmpi::{Camera, Photo, Pose};
+use tmpi_core::{Camera, Photo, Pose};
+use tmpi_lab::scenes::{Picture, Pictures, Scene};
 
 /// Render scenes with exact disparity, exact second views and the exact hidden surface
 #[derive(Clone, Debug, clap::Args)]

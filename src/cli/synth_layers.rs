@@ -1,12 +1,14 @@
 //! Layers of rendered scenes as the program makes them, with what their hidden texels should show: what Ψ learns from.
 
-use crate::depth;
-use crate::generate::layers::{self, Coloured};
-use crate::generate::planes::place;
-use crate::generate::{refine, snap};
-use crate::synth::{Picture, Scene, behind};
-use crate::tmpi::{Blueprint, Class, Grid, Place, Rect, ViewBox};
-use crate::way::Options;
+use tmpi_core::TexturedLayer;
+use tmpi_core::{Class, Geometry, Grid, Rect, TileFrame, ViewBox};
+use tmpi_lab::scenes::{Picture, Scene, behind};
+use tmpi_pipeline::Options;
+use tmpi_pipeline::depth;
+use tmpi_pipeline::edges;
+use tmpi_pipeline::layers;
+use tmpi_pipeline::layers::refine;
+use tmpi_pipeline::planes::place;
 
 /// Half the side of the view box, as in the bench.
 const BOX: f64 = 0.06;
@@ -21,25 +23,25 @@ const TRUTH: usize = 4;
 pub fn layers(scene: &Scene, picture: &Picture, spoilt: bool) -> Vec<u8> {
     let (photo, camera) = (&picture.photo, scene.camera());
     let (w, h) = (photo.width, photo.height);
-    let map = if spoilt { snap::snap(photo, &depth::halved(&picture.disparity)) } else { snap::median(photo, &picture.disparity) };
+    let map = if spoilt { edges::snap(photo, &depth::halved(&picture.disparity)) } else { edges::median(photo, &picture.disparity) };
     let (grid, view_box) = (Grid::new(w, h, 64), ViewBox { x: BOX, y: BOX, z: BOX });
     let parallax = view_box.parallax(&camera.intrinsics, Rect { x: 0, y: 0, w, h });
     let tiles = place(&map, None, &grid, &Options::default().placement(parallax));
-    let mut blueprint = Blueprint { grid, intrinsics: camera.intrinsics, view_box, tiles };
-    layers::add_backstops(&mut blueprint, &map);
-    let shapes = blueprint.peel();
-    let coloured = layers::colour(photo, &blueprint, shapes);
+    let mut geometry = Geometry { grid, intrinsics: camera.intrinsics, view_box, tiles };
+    layers::add_backgrounds(&mut geometry, &map);
+    let shapes = geometry.masks();
+    let coloured = tmpi_core::texture(photo, &geometry, shapes);
     let hidden = scene.hidden(&camera, 2);
     let side = refine::side(&grid);
     let (mut data, mut count) = (Vec::new(), 0usize);
     let mut channels = vec![0f32; refine::CHANNELS * side * side];
     for (tile, t) in (0..).zip(&coloured) {
         for l in t.iter().filter(|l| refine::needs(l)) {
-            let known = behind::colours(&l.shape, Place::of(&grid, tile), &picture.disparity, &hidden);
+            let known = behind::colours(&l.shape, TileFrame::of(&grid, tile), &picture.disparity, &hidden);
             if known.iter().all(Option::is_none) {
                 continue;
             }
-            refine::input(photo, &grid, tile, &blueprint.tiles[tile as usize], l, side, &mut channels);
+            refine::input(photo, &grid, tile, &geometry.tiles[tile as usize], l, side, &mut channels);
             let byte = |(i, v): (usize, &f32)| if i / (side * side) == 7 { (v + 1.0) * 127.5 } else { v * 255.0 }.round() as u8;
             data.extend(channels.iter().enumerate().map(byte));
             data.extend(truth(l, grid.rect(tile), &known, side));
@@ -52,7 +54,7 @@ pub fn layers(scene: &Scene, picture: &Picture, spoilt: bool) -> Vec<u8> {
 }
 
 /// Four planes of bytes: red, green, blue, known.
-fn truth(l: &Coloured, tile: Rect, known: &[Option<[u8; 3]>], side: usize) -> Vec<u8> {
+fn truth(l: &TexturedLayer, tile: Rect, known: &[Option<[u8; 3]>], side: usize) -> Vec<u8> {
     let (r, mut out, mut next) = (l.shape.rect, vec![0; TRUTH * side * side], known.iter());
     for (i, _) in l.shape.class.iter().enumerate().filter(|(_, c)| **c == Class::Hidden as u8) {
         let Some(Some([red, green, blue])) = next.next() else { continue };

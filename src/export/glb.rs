@@ -10,9 +10,9 @@ use serde_json::{Value, json};
 
 use super::mesh::{Corner, Disparity, FAR, polygons};
 use super::{ExportError, PhotoFile, pages, photo_file};
-use crate::atlas::encode_jpeg;
-use crate::render::OPAQUE;
-use crate::tmpi::{Class, Layer, Scene};
+use tmpi_core::container::encode_jpeg;
+use tmpi_core::{Class, Layer, Scene};
+use tmpi_render::OPAQUE;
 
 /// Nearest distance that the camera of the file sees.
 const NEAR: f64 = 0.05;

@@ -5,7 +5,7 @@
 //! q = (√δ₁ − √δ₀) / (√δ₁ + √δ₀), so the texture is off by at most q times its size. The rectangle is cut along lines of equal δ into
 //! strips in which that is at most [`OFF`].
 
-use crate::tmpi::Intrinsics;
+use tmpi_core::Intrinsics;
 
 /// What is farther than this is put here, in units of the photo's nearest distance.
 ///

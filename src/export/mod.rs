@@ -14,9 +14,9 @@ pub use html::html;
 pub use script::ScriptError;
 pub use zip::zip;
 
-use crate::atlas::{self, AtlasError};
-use crate::depth::DepthError;
-use crate::tmpi::Scene;
+use tmpi_core::Scene;
+use tmpi_core::container::{self, ContainerError};
+use tmpi_pipeline::depth::DepthError;
 
 /// What a scene can be written as.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
@@ -69,7 +69,7 @@ impl ExportFormat {
 pub enum ExportError {
     /// The container cannot be read.
     #[error(transparent)]
-    Atlas(#[from] AtlasError),
+    Atlas(#[from] ContainerError),
     /// The viewer's scripts cannot be put into one page.
     #[error("the viewer's scripts: {0}")]
     Script(#[from] ScriptError),
@@ -133,10 +133,10 @@ impl PhotoFile<'_> {
 }
 
 fn photo_file(container: &[u8]) -> Result<PhotoFile<'_>, ExportError> {
-    let sections = atlas::sections(container)?;
-    let photo = sections.iter().find(|s| s.kind == "photo").ok_or_else(|| AtlasError::Broken("there is no photo section".into()))?;
+    let sections = container::sections(container)?;
+    let photo = sections.iter().find(|s| s.kind == "photo").ok_or_else(|| ContainerError::Broken("there is no photo section".into()))?;
     let range = photo.offset as usize..(photo.offset + photo.length) as usize;
-    let bytes = container.get(range.clone()).ok_or_else(|| AtlasError::Broken("the photo is cut off".into()))?;
+    let bytes = container.get(range.clone()).ok_or_else(|| ContainerError::Broken("the photo is cut off".into()))?;
     Ok(PhotoFile { range, bytes, codec: photo.codec })
 }
 

@@ -4,7 +4,7 @@ use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder};
 
 use super::ExportError;
-use crate::tmpi::Scene;
+use tmpi_core::Scene;
 
 /// Side of a page, unless a layer is larger.
 const SIDE: u32 = 4096;

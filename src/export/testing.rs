@@ -2,12 +2,12 @@
 
 use std::sync::{Arc, OnceLock};
 
-use crate::atlas::{decode, encode_jpeg};
-use crate::depth::{DepthError, Estimator, to_png};
-use crate::photo::Limits;
-use crate::progress::Silent;
-use crate::tmpi::{DisparityMap, Photo, Scene};
-use crate::way::{Models, Options, make};
+use tmpi_core::container::{decode, encode_jpeg};
+use tmpi_core::{DisparityMap, Photo, Scene};
+use tmpi_pipeline::Silent;
+use tmpi_pipeline::depth::{DepthError, Estimator, to_png};
+use tmpi_pipeline::photo::Limits;
+use tmpi_pipeline::{Models, Options, make};
 
 /// Never asked.
 struct Nothing;

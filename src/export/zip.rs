@@ -7,8 +7,8 @@ use ::zip::{CompressionMethod, ZipWriter};
 use serde_json::json;
 
 use super::{ExportError, pages, photo_file};
-use crate::depth::to_png;
-use crate::tmpi::{Class, DisparityMap, Scene};
+use tmpi_core::{Class, DisparityMap, Scene};
+use tmpi_pipeline::depth::to_png;
 
 const README: &str = include_str!("README.txt");
 /// Version of the archive's own layout.
@@ -48,7 +48,7 @@ pub fn zip(container: &[u8], scene: &Scene) -> Result<Vec<u8>, ExportError> {
 fn names(scene: &Scene) -> Vec<String> {
     let digits = scene.grid.tiles().to_string().len().max(4);
     let (mut tile, mut number) = (None, 0);
-    let name = |l: &crate::tmpi::Layer| {
+    let name = |l: &tmpi_core::Layer| {
         number = if tile == Some(l.tile) { number + 1 } else { 0 };
         tile = Some(l.tile);
         format!("layers/{:0digits$}-{number}.png", l.tile)
@@ -123,7 +123,7 @@ mod tests {
             scene.expand_layer(i, &mut want);
             assert_eq!((picture.width(), picture.height()), (scene.layers[i].rect.w, scene.layers[i].rect.h));
             assert!(picture.as_raw().as_slice() == want.as_flattened(), "layer {i}");
-            let plane: crate::tmpi::Plane = serde_json::from_value(l["plane"].clone()).unwrap();
+            let plane: tmpi_core::Plane = serde_json::from_value(l["plane"].clone()).unwrap();
             assert_eq!(plane, scene.layers[i].plane);
         }
         let image::DynamicImage::ImageLuma16(map) = image::load_from_memory(&file("disparity.png")).unwrap() else { panic!("16-bit grey") };

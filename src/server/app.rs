@@ -17,9 +17,9 @@ use super::pool::Pool;
 use super::problem::Problem;
 use super::store::{Done, Part};
 use super::telemetry::Telemetry;
-use crate::atlas::{self, RegionPhoto, Tiles};
-use crate::render::Renderer;
-use crate::tmpi::{Rect, Scene};
+use tmpi_core::container::{self, RegionPhoto, Tiles};
+use tmpi_core::{Rect, Scene};
+use tmpi_render::Renderer;
 
 /// A made photo: its id and when it was made, so that nothing of a deleted one is taken for the next of the same id.
 pub type Version = (PhotoId, u64);
@@ -123,7 +123,7 @@ impl Shared {
         self.files.get((version, part), read).await
     }
 
-    /// The container of a made photo at `1 / 2^level` of its size, 0 to [`crate::atlas::LEVELS`].
+    /// The container of a made photo at `1 / 2^level` of its size, 0 to [`tmpi_core::container::LEVELS`].
     ///
     /// # Errors
     /// As [`Shared::file`]; 503 where too much is under way.
@@ -133,7 +133,7 @@ impl Shared {
         }
         let make = async {
             let container = self.file(version, Part::Atlas).await?.bytes;
-            let bytes = self.pool.run(move || atlas::level(&container, level)).await?.map_err(|e| Problem::from(&e))?;
+            let bytes = self.pool.run(move || container::level(&container, level)).await?.map_err(|e| Problem::from(&e))?;
             Ok::<_, Problem>(Stored::sized(bytes))
         };
         self.levels.get((version, level, None), make).await
@@ -150,7 +150,7 @@ impl Shared {
         // regions over the same tiles are one
         let key = (version, level, Some(tiles.clone()));
         let make = async {
-            let cut = move || atlas::region(&container, &tiles, level, RegionPhoto::default());
+            let cut = move || container::region(&container, &tiles, level, RegionPhoto::default());
             let bytes = self.pool.run(cut).await?.map_err(|e| Problem::from(&e))?;
             Ok::<_, Problem>(Stored::sized(bytes))
         };
@@ -166,7 +166,7 @@ impl Shared {
         let decode = async {
             let container = self.file(version, Part::Atlas).await?.bytes;
             let start = std::time::Instant::now();
-            let scene = self.pool.run(move || atlas::decode(&container)).await?.map_err(|e| Problem::from(&e))?;
+            let scene = self.pool.run(move || container::decode(&container)).await?.map_err(|e| Problem::from(&e))?;
             took = Some(start.elapsed());
             let size = scene.memory();
             Ok::<_, Problem>((Arc::new(scene), size))

@@ -8,7 +8,7 @@ use tokio::sync::watch;
 use super::id::PhotoId;
 use super::settings::Settings;
 use super::store::{Accepted, Done, End, Failed, Found};
-use crate::progress::Progress;
+use tmpi_pipeline::Progress;
 
 /// How a photo fares.
 #[derive(Clone, Debug, PartialEq)]

@@ -5,7 +5,7 @@ use axum::http::{HeaderMap, Uri};
 use super::Limits;
 use super::conditional::{Wanted, wanted};
 use super::routes::ViewQuery;
-use crate::tmpi::{Grid, Intrinsics, Photo, Scene, Texels, ViewBox};
+use tmpi_core::{Grid, Intrinsics, Photo, Scene, Texels, ViewBox};
 
 /// Reads a query for a view of a photo of 60 × 40 pixels.
 pub fn view(uri: &Uri) {

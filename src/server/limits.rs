@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use crate::photo;
+use tmpi_pipeline::photo;
 
 /// Bounds that the server holds its clients to.
 #[derive(Clone, Debug, PartialEq, Eq)]

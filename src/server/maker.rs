@@ -1,11 +1,11 @@
 //! What the server asks of the way of a photo, as a seam for tests.
 
-use crate::atlas::AtlasError;
-use crate::generate::Report;
-use crate::photo;
-use crate::progress::Sink;
-use crate::render::{DEFAULT_QUALITY, PictureFormat, View, encode};
-use crate::way::{self, MakeError, Models, Options};
+use tmpi_core::container::ContainerError;
+use tmpi_pipeline::Report;
+use tmpi_pipeline::Sink;
+use tmpi_pipeline::photo;
+use tmpi_pipeline::{self, MakeError, Models, Options};
+use tmpi_render::{DEFAULT_QUALITY, PictureFormat, View, encode};
 
 use super::limits::Limits;
 
@@ -38,12 +38,12 @@ pub trait Maker: Send + Sync + 'static {
 }
 
 /// The real way of a photo.
-pub struct WayMaker {
+pub struct PipelineMaker {
     models: Models,
     limits: photo::Limits,
 }
 
-impl WayMaker {
+impl PipelineMaker {
     /// A maker with the networks and the limits of photos.
     #[must_use]
     pub fn new(models: Models, limits: &Limits) -> Self {
@@ -51,7 +51,7 @@ impl WayMaker {
     }
 }
 
-impl Maker for WayMaker {
+impl Maker for PipelineMaker {
     fn check(&self, photo: &[u8], options: &Options) -> Result<(), MakeError> {
         options.validate()?;
         photo::check(photo, &self.limits)?;
@@ -59,11 +59,12 @@ impl Maker for WayMaker {
     }
 
     fn make(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options, sink: &dyn Sink) -> Result<Product, MakeError> {
-        let made = way::make(&self.models, &self.limits, photo, depth, options, sink)?;
+        let made = tmpi_pipeline::make(&self.models, &self.limits, photo, depth, options, sink)?;
         let small = photo::decode(photo, &self.limits, Some(Limits::THUMBNAIL))?.photo;
         Ok(Product {
-            thumbnail: encode(&View::from(&small), PictureFormat::Jpeg, DEFAULT_QUALITY).map_err(|e| AtlasError::Encode(e.to_string()))?,
-            disparity: crate::depth::to_png(&made.disparity)?,
+            thumbnail: encode(&View::from(&small), PictureFormat::Jpeg, DEFAULT_QUALITY)
+                .map_err(|e| ContainerError::Encode(e.to_string()))?,
+            disparity: tmpi_pipeline::depth::to_png(&made.disparity)?,
             container: made.container,
             report: made.report,
         })

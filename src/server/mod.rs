@@ -1,6 +1,6 @@
 //! The HTTP server (DESIGN, section 8): uploads in, containers, views and progress out.
 //!
-//! It knows no pixels: it calls [`crate::way::make`], [`crate::atlas::decode`] and a [`crate::render::Renderer`].
+//! It knows no pixels: it calls [`tmpi_pipeline::make`], [`tmpi_core::container::decode`] and a [`tmpi_render::Renderer`].
 //! Requests run on tokio; photos are made on named threads ([`Limits::workers`]); views are drawn on a bounded pool.
 //! What was answered 202 is on disk, survives a crash, and is taken up again at the next start.
 
@@ -38,7 +38,7 @@ use tokio_util::sync::CancellationToken;
 
 pub use id::PhotoId;
 pub use limits::Limits;
-pub use maker::{Maker, Product, WayMaker};
+pub use maker::{Maker, PipelineMaker, Product};
 pub use problem::Problem;
 pub use routes::openapi;
 
@@ -49,7 +49,7 @@ use pool::Pool;
 use store::Store;
 use telemetry::Telemetry;
 
-use crate::render::Renderer;
+use tmpi_render::Renderer;
 
 /// Where the server listens and keeps its photos.
 #[derive(Clone, Debug)]

@@ -5,9 +5,9 @@ use std::collections::BTreeMap;
 use clap::ValueEnum;
 
 use super::problem::Problem;
-use crate::depth::DepthKind;
-use crate::tmpi::ViewBox;
-use crate::way::{Denoise, Options, PlaneCount, PlaneMethod, Switch, TileSize};
+use tmpi_core::ViewBox;
+use tmpi_pipeline::depth::DepthKind;
+use tmpi_pipeline::{Denoise, Options, PlaneCount, PlaneMethod, Switch, TileSize};
 
 /// Names of all options.
 pub const NAMES: [&str; 13] = [

@@ -5,12 +5,12 @@ use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use serde::{Deserialize, Serialize};
 
-use crate::atlas::AtlasError;
-use crate::depth::DepthError;
-use crate::generate::GenerateError;
-use crate::photo::PhotoError;
-use crate::render::{AnimationError, EncodeError, RenderError};
-use crate::way::MakeError;
+use tmpi_core::container::ContainerError;
+use tmpi_pipeline::MakeError;
+use tmpi_pipeline::StageError;
+use tmpi_pipeline::depth::DepthError;
+use tmpi_pipeline::photo::PhotoError;
+use tmpi_render::{AnimationError, EncodeError, RenderError};
 
 /// Media type of a problem.
 pub const MEDIA_TYPE: &str = "application/problem+json";
@@ -150,7 +150,7 @@ impl From<&MakeError> for Problem {
             MakeError::Depth(DepthError::Map(_)) => {
                 Self::new(StatusCode::UNPROCESSABLE_ENTITY, "broken-depth-map", error.to_string()).field("depth")
             }
-            MakeError::Generate(e @ GenerateError::Option { field, .. }) => {
+            MakeError::Generate(e @ StageError::Option { field, .. }) => {
                 Self::new(StatusCode::BAD_REQUEST, "parameter", e.to_string()).field(*field)
             }
             MakeError::Cancelled => Self::new(StatusCode::SERVICE_UNAVAILABLE, "cancelled", "the job was cancelled"),
@@ -161,8 +161,8 @@ impl From<&MakeError> for Problem {
     }
 }
 
-impl From<&AtlasError> for Problem {
-    fn from(error: &AtlasError) -> Self {
+impl From<&ContainerError> for Problem {
+    fn from(error: &ContainerError) -> Self {
         Self::internal("reading the container", error)
     }
 }
@@ -210,14 +210,14 @@ mod tests {
 
     #[test]
     fn what_broke_inside_is_not_told() {
-        let p = Problem::from(&MakeError::Atlas(AtlasError::Encode("secret path".into())));
+        let p = Problem::from(&MakeError::Atlas(ContainerError::Encode("secret path".into())));
         assert_eq!(p.status, 500);
         assert!(!p.detail.contains("secret"));
     }
 
     #[test]
     fn an_option_is_named() {
-        let p = Problem::from(&MakeError::Generate(GenerateError::Option { field: "quality", range: "1 to 100", value: "0".into() }));
+        let p = Problem::from(&MakeError::Generate(StageError::Option { field: "quality", range: "1 to 100", value: "0".into() }));
         assert_eq!((p.status, p.field.as_deref()), (400, Some("quality")));
     }
 

@@ -6,8 +6,8 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
 use super::problem::Problem;
-use crate::render::looking_at;
-use crate::tmpi::ViewBox;
+use tmpi_core::ViewBox;
+use tmpi_render::looking_at;
 
 /// Version of the settings that this program writes and reads.
 const VERSION: u32 = 1;

@@ -18,7 +18,7 @@ use super::options;
 use super::problem::Problem;
 use super::store::{Accepted, Incoming, Part};
 use super::time::now_ms;
-use crate::way::Options;
+use tmpi_pipeline::Options;
 
 /// Longest text of an option.
 const MAX_OPTION: usize = 256;

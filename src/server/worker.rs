@@ -15,8 +15,8 @@ use super::options;
 use super::problem::Problem;
 use super::store::{Done, End, Failed, Part, State};
 use super::time::now_ms;
-use crate::progress::{Progress, Sink};
-use crate::way::MakeError;
+use tmpi_pipeline::MakeError;
+use tmpi_pipeline::{Progress, Sink};
 
 /// Makes photos until the server stops.
 pub fn work(jobs: &Arc<Jobs>) {

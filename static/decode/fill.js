@@ -1,4 +1,4 @@
-// Colour of hidden texels, from photo, planes and labels: the server's src/tmpi/fill.rs, step by step. Numbers are rounded to 32 bits
+// Colour of hidden texels, from photo, planes and labels: the server's crates/core/src/layers/inpaint.rs, step by step. Numbers are rounded to 32 bits
 // where the server's are (all that is kept in a Float32Array), so that both come to the same colours from the same photo.
 import { grown, planeLine, planeStep } from './peel.js';
 

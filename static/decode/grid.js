@@ -1,4 +1,4 @@
-// The grid of tiles over a photo, as src/tmpi/grid.rs.
+// The grid of tiles over a photo, as crates/core/src/scene/grid.rs.
 
 function count(length, size, stride) {
   return length <= size ? 1 : Math.ceil((length - size) / stride) + 1;

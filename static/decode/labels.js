@@ -1,4 +1,4 @@
-// Label maps: which plane each pixel of each tile lies on. The server's src/atlas/{labels,bands}.rs, step by step; all on integers.
+// Label maps: which plane each pixel of each tile lies on. The server's crates/core/src/container/{labels,bands}.rs, step by step; all on integers.
 import { tileCounts, tileRect } from './grid.js';
 import { broken } from './protobuf.js';
 import { models, RangeDecoder } from './range.js';

@@ -1,4 +1,4 @@
-// Which texels each layer has, from planes and labels alone: the server's src/tmpi/peel.rs, step by step. Numbers are rounded to
+// Which texels each layer has, from planes and labels alone: the server's crates/core/src/layers/visibility.rs, step by step. Numbers are rounded to
 // 32 bits where the server's are, so that both come to the same texels bit for bit.
 import { broken } from './protobuf.js';
 

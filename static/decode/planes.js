@@ -1,4 +1,4 @@
-// The section of planes, entropy coded. The server's src/atlas/planes.rs, step by step; all on integers.
+// The section of planes, entropy coded. The server's crates/core/src/container/planes.rs, step by step; all on integers.
 import { broken } from './protobuf.js';
 import { models, RangeDecoder } from './range.js';
 

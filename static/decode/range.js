@@ -1,4 +1,4 @@
-// Adaptive binary range coder. The server's src/atlas/range.rs, step by step; all on integers.
+// Adaptive binary range coder. The server's crates/core/src/container/range.rs, step by step; all on integers.
 
 const QUICK = 4;
 const SLOW = 7;

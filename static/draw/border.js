@@ -1,5 +1,5 @@
 // Continues a scene beyond the photo's borders by its mirror image, so that no camera of the view box sees past them. The rule is
-// that of src/render/border.rs: the scene is mirrored, not the picture, so the continuation moves as the photo does.
+// that of crates/render/src/border.rs: the scene is mirrored, not the picture, so the continuation moves as the photo does.
 import { margins } from '../view/limits.js';
 
 /** @import { Scene } from '../decode/scene.js' */

@@ -1,5 +1,6 @@
 //! A small blocking HTTP client that shows everything that came over the wire.
 
+use std::fmt::Write as _;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{SocketAddr, TcpStream};
 use std::time::Duration;
@@ -51,7 +52,7 @@ pub struct Connection {
 impl Connection {
     pub fn open(addr: SocketAddr) -> Self {
         let stream = TcpStream::connect(addr).expect("the server listens");
-        stream.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
+        stream.set_read_timeout(Some(Duration::from_mins(1))).unwrap();
         stream.set_nodelay(true).unwrap();
         Self { stream: BufReader::new(stream) }
     }
@@ -64,10 +65,10 @@ impl Connection {
     pub fn send(&mut self, method: &str, path: &str, headers: &[(&str, &str)], body: &[u8]) {
         let mut head = format!("{method} {path} HTTP/1.1\r\nhost: tmpi\r\n");
         for (name, value) in headers {
-            head += &format!("{name}: {value}\r\n");
+            _ = write!(head, "{name}: {value}\r\n");
         }
         if !body.is_empty() || method == "POST" {
-            head += &format!("content-length: {}\r\n", body.len());
+            _ = write!(head, "content-length: {}\r\n", body.len());
         }
         let stream = self.stream.get_mut();
         stream.write_all((head + "\r\n").as_bytes()).expect("the header goes out");

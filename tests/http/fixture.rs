@@ -7,12 +7,12 @@ use std::sync::{Arc, Condvar, Mutex};
 use std::time::{Duration, Instant};
 
 use serde_json::Value;
-use tmpi::depth::{DepthError, Estimator};
-use tmpi::progress::{Progress, Sink};
-use tmpi::render::{self, Backend, PictureFormat, View, encode};
-use tmpi::server::{Config, Limits, Maker, Product, Server, WayMaker};
-use tmpi::tmpi::{DisparityMap, Photo};
-use tmpi::way::{MakeError, Models, Options};
+use tmpi::server::{Config, Limits, Maker, PipelineMaker, Product, Server};
+use tmpi_core::{DisparityMap, Photo};
+use tmpi_pipeline::depth::{DepthError, Estimator};
+use tmpi_pipeline::{MakeError, Models, Options};
+use tmpi_pipeline::{Progress, Sink};
+use tmpi_render::{Backend, PictureFormat, View, encode};
 
 use crate::client;
 
@@ -31,19 +31,19 @@ impl Estimator for Ramp {
     }
 }
 
-/// The real way, with a ramp for a depth network.
-pub fn way() -> WayMaker {
+/// The real pipeline, with a ramp for a depth network.
+pub fn pipeline() -> PipelineMaker {
     way_with(&Limits::default())
 }
 
 /// The same under other limits.
-pub fn way_with(limits: &Limits) -> WayMaker {
-    WayMaker::new(Models { depth: Arc::new(Ramp), theta: None, psi: None }, limits)
+pub fn way_with(limits: &Limits) -> PipelineMaker {
+    PipelineMaker::new(Models { depth: Arc::new(Ramp), theta: None, psi: None }, limits)
 }
 
 /// The real way behind a gate.
 pub struct Gate {
-    inner: WayMaker,
+    inner: PipelineMaker,
     open: Mutex<usize>,
     changed: Condvar,
     pub started: AtomicUsize,
@@ -54,7 +54,7 @@ impl Gate {
     /// Lets `n` photos through.
     pub fn new(n: usize) -> Arc<Self> {
         Arc::new(Self {
-            inner: way(),
+            inner: pipeline(),
             open: Mutex::new(n),
             changed: Condvar::new(),
             started: AtomicUsize::new(0),
@@ -127,7 +127,7 @@ impl Running {
         let thread = std::thread::spawn(move || {
             let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build().unwrap();
             runtime.block_on(async {
-                let server = Server::bind(config, maker, render::select(Backend::Cpu).unwrap()).await.unwrap();
+                let server = Server::bind(config, maker, tmpi_render::select(Backend::Cpu).unwrap()).await.unwrap();
                 tell.send(server.addr()).unwrap();
                 server.run(async { drop(stopped.await) }).await;
             });
@@ -177,7 +177,7 @@ impl Drop for Running {
 /// Fails after a minute.
 #[track_caller]
 pub fn wait_until(what: &str, mut true_now: impl FnMut() -> bool) {
-    let end = Instant::now() + Duration::from_secs(60);
+    let end = Instant::now() + Duration::from_mins(1);
     while !true_now() {
         assert!(Instant::now() < end, "a minute is over before {what}");
         std::thread::sleep(Duration::from_millis(5));
@@ -203,5 +203,5 @@ pub fn jpeg(seed: u8) -> Vec<u8> {
 pub fn depth_map() -> Vec<u8> {
     let (width, height) = (80, 60);
     let delta = (0..height).flat_map(|_| (0..width).map(|x| if x < 40 { 0.25 } else { 0.75 })).collect();
-    tmpi::depth::to_png(&DisparityMap { width, height, delta }).unwrap()
+    tmpi_pipeline::depth::to_png(&DisparityMap { width, height, delta }).unwrap()
 }

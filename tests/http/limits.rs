@@ -5,11 +5,11 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
-use tmpi::photo;
 use tmpi::server::Limits;
+use tmpi_pipeline::photo;
 
 use crate::client::{Connection, get, post_form, request};
-use crate::fixture::{Gate, Running, jpeg, wait_until, way};
+use crate::fixture::{Gate, Running, jpeg, pipeline, wait_until};
 
 fn start(limits: Limits, maker: Arc<dyn tmpi::server::Maker>) -> (tempfile::TempDir, Running) {
     let dir = tempfile::tempdir().unwrap();
@@ -20,7 +20,7 @@ fn start(limits: Limits, maker: Arc<dyn tmpi::server::Maker>) -> (tempfile::Temp
 #[test]
 fn the_body_at_its_limit_and_one_byte_over() {
     let photo = jpeg(1);
-    let (_dir, server) = start(Limits { body: photo.len(), ..Limits::default() }, Arc::new(way()));
+    let (_dir, server) = start(Limits { body: photo.len(), ..Limits::default() }, Arc::new(pipeline()));
     assert_eq!(request(server.addr, "POST", "/v1/photos", &[], &photo).status, 202);
     let mut over = photo.clone();
     over.push(0);
@@ -38,7 +38,7 @@ fn the_body_at_its_limit_and_one_byte_over() {
 
 #[test]
 fn the_default_body_limit_is_told_before_the_body_is_read_to_its_end() {
-    let (_dir, server) = start(Limits::default(), Arc::new(way()));
+    let (_dir, server) = start(Limits::default(), Arc::new(pipeline()));
     let over = vec![0; Limits::BODY + 1];
     request(server.addr, "POST", "/v1/photos", &[], &over).problem(413);
     // at the limit it is read, and is no picture
@@ -87,7 +87,7 @@ fn a_full_queue_is_429_and_known_photos_still_get_in() {
 
 #[test]
 fn a_header_that_does_not_come_closes_the_connection() {
-    let (_dir, server) = start(Limits { header_read: Duration::from_millis(300), ..Limits::default() }, Arc::new(way()));
+    let (_dir, server) = start(Limits { header_read: Duration::from_millis(300), ..Limits::default() }, Arc::new(pipeline()));
     let mut slow = Connection::open(server.addr);
     let start = Instant::now();
     slow.raw().write_all(b"GET /healthz HTTP/1.1\r\nhost:").unwrap();
@@ -106,7 +106,7 @@ fn a_header_that_does_not_come_closes_the_connection() {
 
 #[test]
 fn a_header_that_is_too_large_is_refused() {
-    let (_dir, server) = start(Limits::default(), Arc::new(way()));
+    let (_dir, server) = start(Limits::default(), Arc::new(pipeline()));
     let send = |bytes: usize| request(server.addr, "GET", "/healthz", &[("x-long", &"a".repeat(bytes))], &[]).status;
     assert_eq!(send(Limits::HEADER_BYTES - 1000), 200);
     assert_eq!(send(Limits::HEADER_BYTES + 1), 431);
@@ -114,7 +114,7 @@ fn a_header_that_is_too_large_is_refused() {
 
 #[test]
 fn a_body_that_stops_is_408_and_leaves_nothing() {
-    let (dir, server) = start(Limits { body_read: Duration::from_millis(200), ..Limits::default() }, Arc::new(way()));
+    let (dir, server) = start(Limits { body_read: Duration::from_millis(200), ..Limits::default() }, Arc::new(pipeline()));
     for content_type in ["image/jpeg", "multipart/form-data; boundary=x"] {
         let mut stuck = Connection::open(server.addr);
         let head = format!("POST /v1/photos HTTP/1.1\r\nhost: x\r\ncontent-type: {content_type}\r\ncontent-length: 1000\r\n\r\n--x\r\n");
@@ -147,7 +147,7 @@ fn a_request_that_takes_too_long_is_ended() {
 
 #[test]
 fn connections_over_the_limit_wait_their_turn() {
-    let (_dir, server) = start(Limits { connections: 2, ..Limits::default() }, Arc::new(way()));
+    let (_dir, server) = start(Limits { connections: 2, ..Limits::default() }, Arc::new(pipeline()));
     let (mut a, mut b) = (Connection::open(server.addr), Connection::open(server.addr));
     assert_eq!((a.request("GET", "/healthz", &[], &[]).status, b.request("GET", "/healthz", &[], &[]).status), (200, 200));
     let mut third = Connection::open(server.addr);
@@ -161,7 +161,7 @@ fn connections_over_the_limit_wait_their_turn() {
 
 #[test]
 fn a_refused_upload_of_which_the_client_sends_all_still_gets_its_answer() {
-    let (_dir, server) = start(Limits { body: 1 << 20, ..Limits::default() }, Arc::new(way()));
+    let (_dir, server) = start(Limits { body: 1 << 20, ..Limits::default() }, Arc::new(pipeline()));
     for _ in 0..5 {
         let refused = request(server.addr, "POST", "/v1/photos", &[], &vec![7; (1 << 20) + 500_000]);
         refused.problem(413);

@@ -1,4 +1,4 @@
-//! The OpenAPI document against the server that it describes.
+//! The `OpenAPI` document against the server that it describes.
 
 use std::sync::Arc;
 
@@ -6,11 +6,11 @@ use serde_json::Value;
 use tmpi::server::Limits;
 
 use crate::client::{get, request};
-use crate::fixture::{Running, jpeg, way};
+use crate::fixture::{Running, jpeg, pipeline};
 
 fn start() -> (tempfile::TempDir, Running) {
     let dir = tempfile::tempdir().unwrap();
-    let server = Running::start(dir.path(), Limits::default(), Arc::new(way()));
+    let server = Running::start(dir.path(), Limits::default(), Arc::new(pipeline()));
     (dir, server)
 }
 
@@ -26,9 +26,9 @@ fn every_route_of_the_document_answers_as_it_says() {
         for (method, operation) in item.as_object().unwrap() {
             let call = (method.to_uppercase(), path.replace("{id}", &photo), operation);
             if method == "delete" {
-                deletions.push(call)
+                deletions.push(call);
             } else {
-                check(&server, &call)
+                check(&server, &call);
             }
             count += 1;
         }

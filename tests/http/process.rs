@@ -8,7 +8,7 @@ use std::process::{Child, Command, Stdio};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use tmpi::render::{PictureFormat, View, encode};
+use tmpi_render::{PictureFormat, View, encode};
 
 use crate::client::{Connection, form, get, request};
 use crate::fixture::{depth_map, wait_until};
@@ -138,7 +138,7 @@ fn a_crash_in_the_middle_of_ten_uploads_loses_and_doubles_none() {
         for id in &all {
             wait_until("all are done", || state(id) == "done");
             let atlas = get(server.addr, &format!("/v1/photos/{id}/atlas")).body;
-            assert!(tmpi::atlas::decode(&atlas).is_ok());
+            assert!(tmpi_core::container::decode(&atlas).is_ok());
         }
         assert_eq!(ids(server.addr).len(), 10);
         assert_eq!(std::fs::read_dir(dir.path().join("photos")).unwrap().count(), 10);

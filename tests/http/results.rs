@@ -1,17 +1,18 @@
 //! What is made of a photo, as clients fetch it; pages, and what every answer carries.
+#![allow(clippy::float_cmp, reason = "figures that must be exact")]
 
 use std::sync::Arc;
 
-use tmpi::render::PictureFormat;
 use tmpi::server::Limits;
+use tmpi_render::PictureFormat;
 
 use crate::client::{get, request};
-use crate::fixture::{Gate, Running, jpeg, picture, way};
+use crate::fixture::{Gate, Running, jpeg, picture, pipeline};
 
 /// A server with one finished photo.
 fn with_photo() -> (tempfile::TempDir, Running, String) {
     let dir = tempfile::tempdir().unwrap();
-    let server = Running::start(dir.path(), Limits::default(), Arc::new(way()));
+    let server = Running::start(dir.path(), Limits::default(), Arc::new(pipeline()));
     let id = server.upload(&picture(1, PictureFormat::Png));
     server.wait(&id, "done");
     (dir, server, format!("/v1/photos/{id}"))
@@ -28,7 +29,7 @@ fn the_atlas_whole_in_parts_and_not_at_all() {
     assert_eq!(whole.header("cache-control"), Some("public, max-age=31536000, immutable"));
     assert_eq!(whole.header("accept-ranges"), Some("bytes"));
     assert!(whole.body.starts_with(b"TMPI"));
-    assert!(tmpi::atlas::decode(&whole.body).is_ok());
+    assert!(tmpi_core::container::decode(&whole.body).is_ok());
     let etag = whole.header("etag").unwrap().to_owned();
     assert!(etag.starts_with('"') && etag.ends_with('"'), "strong: {etag}");
     let length = whole.body.len();
@@ -69,10 +70,10 @@ fn smaller_levels_of_the_atlas() {
         let small = fetch(&format!("?level={level}"));
         assert_eq!((small.status, small.header("content-type")), (200, Some("application/vnd.tmpi")));
         assert_ne!(small.header("etag"), whole.header("etag"));
-        assert_eq!(tmpi::atlas::decode(&small.body).unwrap().grid.width, width);
+        assert_eq!(tmpi_core::container::decode(&small.body).unwrap().grid.width, width);
     }
     for (fit, width) in [(1, 10), (10, 10), (11, 20), (40, 40), (41, 80), (5000, 80)] {
-        assert_eq!(tmpi::atlas::decode(&fetch(&format!("?fit={fit}")).body).unwrap().grid.width, width, "{fit}");
+        assert_eq!(tmpi_core::container::decode(&fetch(&format!("?fit={fit}")).body).unwrap().grid.width, width, "{fit}");
     }
     for wrong in ["4", "-1", "x", ""] {
         assert_eq!(fetch(&format!("?level={wrong}")).problem(400)["field"], "level");
@@ -87,7 +88,7 @@ fn regions_of_the_atlas() {
     let (_dir, server, photo) = with_photo();
     let fetch = |query: &str| get(server.addr, &format!("{photo}/atlas{query}"));
     let whole = fetch("");
-    let camera = |body: &[u8]| tmpi::atlas::decode(body).unwrap().intrinsics;
+    let camera = |body: &[u8]| tmpi_core::container::decode(body).unwrap().intrinsics;
     let mut tags = vec![whole.header("etag").unwrap().to_owned()];
     for (query, size, corner) in [
         ("?region=0,0,10,10", (64, 60), 0.0),
@@ -100,7 +101,7 @@ fn regions_of_the_atlas() {
         let part = fetch(query);
         assert_eq!((part.status, part.header("content-type")), (200, Some("application/vnd.tmpi")), "{query}");
         assert_eq!(part.header("cache-control"), whole.header("cache-control"));
-        let scene = tmpi::atlas::decode(&part.body).unwrap();
+        let scene = tmpi_core::container::decode(&part.body).unwrap();
         assert_eq!((scene.grid.width, scene.grid.height), size, "{query}");
         let scale = f64::from(scene.grid.size) / 64.0;
         assert_eq!(scene.intrinsics.cx, camera(&whole.body).cx * scale - corner, "{query}");
@@ -111,7 +112,7 @@ fn regions_of_the_atlas() {
     assert_eq!(fetch("?region=3,4,5,6").header("etag"), Some(tags[1].as_str()));
     assert!((1..5).all(|i| !tags[..i].contains(&tags[i])), "{tags:?}");
     assert_eq!(fetch("?region=0,0,80,60").body, whole.body, "all tiles are the photo itself");
-    let held = tmpi::atlas::sections(&fetch("?region=70,0,5,5&sections=photo").body).unwrap();
+    let held = tmpi_core::container::sections(&fetch("?region=70,0,5,5&sections=photo").body).unwrap();
     assert_eq!(held.iter().map(|s| s.kind).collect::<Vec<_>>(), ["photo"]);
 
     let path = format!("{photo}/atlas?region=70,0,5,5");
@@ -142,7 +143,7 @@ fn sections_of_the_atlas_that_are_asked_for() {
     ] {
         let some = fetch(query);
         assert_eq!((some.status, some.header("cache-control")), (200, whole.header("cache-control")), "{query}");
-        let held = tmpi::atlas::sections(&some.body).unwrap();
+        let held = tmpi_core::container::sections(&some.body).unwrap();
         assert_eq!(held.iter().map(|s| s.kind).collect::<Vec<_>>(), kinds, "{query}");
         tags.push(some.header("etag").unwrap().to_owned());
     }
@@ -169,7 +170,7 @@ fn views_in_every_format_with_their_timing() {
     let photo_pixels = image::load_from_memory(&crate::fixture::picture(1, PictureFormat::Png)).unwrap().to_rgb8();
     assert_eq!(picture.dimensions(), (80, 60));
     // the photo itself is carried as a lossy picture
-    let psnr = tmpi::quality::psnr(picture.as_raw(), photo_pixels.as_raw());
+    let psnr = tmpi_lab::metrics::psnr(picture.as_raw(), photo_pixels.as_raw());
     assert!(psnr > 30.0, "the view from the reference camera is the photo: {psnr} dB");
     let timing = identity.all("server-timing");
     for phase in ["decode;dur=", "render;dur=", "encode;dur=", "total;dur="] {
@@ -292,7 +293,7 @@ fn what_is_not_there_yet_or_not_at_all() {
 #[test]
 fn pages_and_the_headers_of_every_answer() {
     let dir = tempfile::tempdir().unwrap();
-    let server = Running::start(dir.path(), Limits::default(), Arc::new(way()));
+    let server = Running::start(dir.path(), Limits::default(), Arc::new(pipeline()));
     for path in ["/", "/view/0123456789abcdef0123456789abcdef"] {
         let page = get(server.addr, path);
         assert_eq!((page.status, page.header("content-type")), (200, Some("text/html; charset=utf-8")));

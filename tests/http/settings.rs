@@ -3,17 +3,17 @@
 use std::sync::Arc;
 
 use serde_json::{Value, json};
-use tmpi::render::PictureFormat;
 use tmpi::server::Limits;
+use tmpi_render::PictureFormat;
 
 use crate::client::{Connection, Response, get, request};
-use crate::fixture::{Running, picture, wait_until, way};
+use crate::fixture::{Running, picture, pipeline, wait_until};
 
 const JSON: (&str, &str) = ("content-type", "application/merge-patch+json");
 
 fn with_photo(limits: Limits) -> (tempfile::TempDir, Running, String) {
     let dir = tempfile::tempdir().unwrap();
-    let server = Running::start(dir.path(), limits, Arc::new(way()));
+    let server = Running::start(dir.path(), limits, Arc::new(pipeline()));
     let id = server.upload(&picture(1, PictureFormat::Png));
     server.wait(&id, "done");
     (dir, server, format!("/v1/photos/{id}"))
@@ -50,7 +50,7 @@ fn settings_stay_with_the_photo() {
     assert_eq!((poster.status, poster.header("content-type")), (200, Some("image/jpeg")));
 
     server.stop();
-    let server = Running::start(dir.path(), Limits::default(), Arc::new(way()));
+    let server = Running::start(dir.path(), Limits::default(), Arc::new(pipeline()));
     assert_eq!(get(server.addr, &photo).json()["settings"], settings, "after a restart");
     let removed = patch(&server, &photo, &[], &json!({ "title": null, "poster": null }));
     assert_eq!((removed.json()["settings"].get("title"), &removed.json()["links"]["poster"]), (None, &thumbnail));

@@ -3,12 +3,12 @@
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
-use tmpi::render::PictureFormat;
 use tmpi::server::Limits;
-use tmpi::way::MakeError;
+use tmpi_pipeline::MakeError;
+use tmpi_render::PictureFormat;
 
 use crate::client::{get, post_form, request};
-use crate::fixture::{Does, Gate, Running, depth_map, jpeg, picture, wait_until, way};
+use crate::fixture::{Does, Gate, Running, depth_map, jpeg, picture, pipeline, wait_until};
 
 fn start(maker: Arc<dyn tmpi::server::Maker>) -> (tempfile::TempDir, Running) {
     let dir = tempfile::tempdir().unwrap();
@@ -18,7 +18,7 @@ fn start(maker: Arc<dyn tmpi::server::Maker>) -> (tempfile::TempDir, Running) {
 
 #[test]
 fn raw_and_multipart_in_every_format() {
-    let (_dir, server) = start(Arc::new(way()));
+    let (_dir, server) = start(Arc::new(pipeline()));
     for format in PictureFormat::ALL {
         let photo = picture(1, format);
         let raw = request(server.addr, "POST", "/v1/photos", &[("content-type", format.media_type())], &photo);
@@ -55,7 +55,7 @@ fn waiting_for_the_result() {
 
 #[test]
 fn options_and_depth_are_part_of_the_photo() {
-    let (_dir, server) = start(Arc::new(way()));
+    let (_dir, server) = start(Arc::new(pipeline()));
     let photo = jpeg(3);
     let plain = server.upload(&photo);
     let query = request(server.addr, "POST", "/v1/photos?quality=70&plane_method=lloyd", &[], &photo).json();
@@ -74,7 +74,7 @@ fn options_and_depth_are_part_of_the_photo() {
 
 #[test]
 fn wrong_uploads_are_refused_at_once_and_leave_nothing() {
-    let (dir, server) = start(Arc::new(way()));
+    let (dir, server) = start(Arc::new(pipeline()));
     let photo = jpeg(1);
     let post = |path: &str, body: &[u8]| request(server.addr, "POST", path, &[], body);
     assert_eq!(post("/v1/photos", b"").problem(400)["field"], "photo");
@@ -101,7 +101,7 @@ fn wrong_uploads_are_refused_at_once_and_leave_nothing() {
 
 #[test]
 fn a_photo_that_fails_says_why_and_is_tried_again_when_uploaded_again() {
-    let (_dir, server) = start(Arc::new(way()));
+    let (_dir, server) = start(Arc::new(pipeline()));
     let wrong = post_form(server.addr, &[("prefer", "wait=20")], &[("photo", &jpeg(1)), ("depth", b"not a map")]);
     assert_eq!(wrong.problem(422)["field"], "depth");
     let id = wrong.header("location").unwrap().rsplit('/').next().unwrap().to_owned();
@@ -112,11 +112,11 @@ fn a_photo_that_fails_says_why_and_is_tried_again_when_uploaded_again() {
     let gate = Gate::new(9);
     let flaky = {
         let gate = gate.clone();
-        Does(move |photo: &[u8], sink: &dyn tmpi::progress::Sink| {
+        Does(move |photo: &[u8], sink: &dyn tmpi_pipeline::Sink| {
             if gate.finished.fetch_add(1, Ordering::SeqCst) == 0 {
-                return Err(MakeError::Photo(tmpi::photo::PhotoError::Broken("the first time".into())));
+                return Err(MakeError::Photo(tmpi_pipeline::photo::PhotoError::Broken("the first time".into())));
             }
-            tmpi::server::Maker::make(&way(), photo, None, &tmpi::way::Options::default(), sink)
+            tmpi::server::Maker::make(&pipeline(), photo, None, &tmpi_pipeline::Options::default(), sink)
         })
     };
     let (_dir, server) = start(Arc::new(flaky));
@@ -128,9 +128,9 @@ fn a_photo_that_fails_says_why_and_is_tried_again_when_uploaded_again() {
 
 #[test]
 fn a_panic_in_a_job_fails_that_photo_alone() {
-    let (_dir, server) = start(Arc::new(Does(|photo: &[u8], sink: &dyn tmpi::progress::Sink| {
+    let (_dir, server) = start(Arc::new(Does(|photo: &[u8], sink: &dyn tmpi_pipeline::Sink| {
         assert_ne!(photo, jpeg(66), "on purpose");
-        tmpi::server::Maker::make(&way(), photo, None, &tmpi::way::Options::default(), sink)
+        tmpi::server::Maker::make(&pipeline(), photo, None, &tmpi_pipeline::Options::default(), sink)
     })));
     let (bad, good) = (server.upload(&jpeg(66)), server.upload(&jpeg(1)));
     assert_eq!(server.wait(&bad, "failed")["problem"]["status"], 500);

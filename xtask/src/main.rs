@@ -51,7 +51,8 @@ fn main() -> ExitCode {
 
 fn serve(args: &[String]) -> Result<(), Fault> {
     runtime::fetch().map_err(|e| e.in_step("ONNX Runtime"))?;
-    run(cargo(&["build", "--release", "--package", "tmpi"])).map_err(|e| e.in_step("build"))?;
+    // all of it, as the tests do: alone the program would be built a second time, with other features of what it shares with this one
+    run(cargo(&["build", "--release", "--workspace"])).map_err(|e| e.in_step("build"))?;
     // The server prints its URL itself, once it listens
     let mut server = std::process::Command::new(command::program());
     server.arg("serve").args(args);

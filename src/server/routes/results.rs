@@ -4,12 +4,12 @@ use axum::extract::{Path, State};
 use axum::http::{HeaderMap, Uri};
 use axum::response::Response;
 
-use crate::atlas::{self, LEVELS, MEDIA_TYPE, SECTIONS};
 use crate::server::app::{App, Shared, Stored};
 use crate::server::conditional::{Entity, IMMUTABLE, respond};
 use crate::server::problem::Problem;
 use crate::server::store::Part;
-use crate::tmpi::Rect;
+use tmpi_core::Rect;
+use tmpi_core::container::{self, LEVELS, MEDIA_TYPE, SECTIONS};
 
 /// The container of a photo.
 ///
@@ -59,7 +59,7 @@ pub async fn atlas(State(app): State<App>, Path(id): Path<String>, uri: Uri, hea
         None => app.level(version, level).await?,
     };
     if let Some(names) = sections {
-        file = Stored::new(atlas::select(&file.bytes, &names).map_err(|e| Problem::from(&e))?);
+        file = Stored::new(container::select(&file.bytes, &names).map_err(|e| Problem::from(&e))?);
     }
     Ok(respond(&headers, Entity { bytes: file.bytes, etag: &file.etag, content_type: MEDIA_TYPE, cache_control: IMMUTABLE }))
 }
@@ -121,7 +121,7 @@ pub async fn depth(State(app): State<App>, Path(id): Path<String>, headers: Head
 #[utoipa::path(
     get, path = "/v1/photos/{id}/report", tag = "photos", params(("id" = String, Path, description = "Id of the photo")),
     responses(
-        (status = 200, description = "The report", body = crate::generate::Report),
+        (status = 200, description = "The report", body = tmpi_pipeline::Report),
         (status = 304, description = "The client has it"),
         (status = 404, description = "There is no such photo", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "Not finished yet", body = Problem, content_type = "application/problem+json"),

@@ -38,8 +38,8 @@ pub struct Progress {
     pub elapsed_ms: f64,
 }
 
-impl From<&crate::progress::Progress> for Progress {
-    fn from(p: &crate::progress::Progress) -> Self {
+impl From<&tmpi_pipeline::Progress> for Progress {
+    fn from(p: &tmpi_pipeline::Progress) -> Self {
         Self { stage: p.stage.to_owned(), step: p.step, steps: p.steps, elapsed_ms: p.elapsed_ms }
     }
 }

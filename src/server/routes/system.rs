@@ -71,7 +71,7 @@ pub async fn metrics(State(app): State<App>) -> Response {
         ("tmpi_file_cache_bytes", "Memory of cached files.", app.files.bytes() as f64),
         ("tmpi_view_cache_bytes", "Memory of encoded views.", app.views.bytes() as f64),
         ("tmpi_views_waiting", "Views that wait to be drawn.", app.pool.waiting() as f64),
-        ("tmpi_peak_rss_bytes", "Peak resident memory of the process.", crate::clock::peak_rss_bytes() as f64),
+        ("tmpi_peak_rss_bytes", "Peak resident memory of the process.", tmpi_pipeline::clock::peak_rss_bytes() as f64),
     ]);
     ([(header::CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")], text).into_response()
 }

@@ -9,12 +9,12 @@ use axum::response::Response;
 use sha2::{Digest, Sha256};
 use tokio_util::sync::CancellationToken;
 
-use crate::render::{Animation, DEFAULT_QUALITY, PictureFormat, RenderError, Renderer, View, draw_several, encode};
 use crate::server::app::{App, Shared, Version};
 use crate::server::conditional::{Entity, insert, is_known, respond};
 use crate::server::id::hex;
 use crate::server::problem::Problem;
-use crate::tmpi::{Camera, Scene};
+use tmpi_core::{Camera, Scene};
+use tmpi_render::{Animation, DEFAULT_QUALITY, PictureFormat, RenderError, Renderer, View, draw_several, encode};
 
 use super::view_query::{Moving, ViewQuery};
 

@@ -5,10 +5,10 @@ use std::collections::BTreeMap;
 use axum::extract::Query;
 use axum::http::Uri;
 
-use crate::render::{AnimationFormat, Arrangement, EYES, Path, PictureFormat, Rig};
 use crate::server::limits::Limits;
 use crate::server::problem::Problem;
-use crate::tmpi::{Camera, Intrinsics, Pose, Scene};
+use tmpi_core::{Camera, Intrinsics, Pose, Scene};
+use tmpi_render::{AnimationFormat, Arrangement, EYES, Path, PictureFormat, Rig};
 
 /// Fields of view that are drawn, in degrees.
 const FOV: std::ops::RangeInclusive<f64> = 0.1..=179.0;

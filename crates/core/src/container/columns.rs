@@ -1,0 +1,65 @@
+//! The section of planes: a count per tile, then columns of 16-bit values, low bytes before high bytes.
+
+use super::ContainerError;
+use crate::{Grid, Plane, Tile};
+
+/// Set in a tile's count where its last plane is a background.
+pub const BACKGROUND: u8 = 0x80;
+/// Most labelled planes a tile.
+const MOST: u8 = 64;
+/// Most planes a tile, its background included.
+pub const MOST_PLANES: usize = MOST as usize + 1;
+/// Columns: a, b, c.
+const COLUMNS: usize = 3;
+
+/// Bytes of the section.
+pub fn bytes(tiles: usize, planes: usize) -> usize {
+    tiles + planes * COLUMNS * 2
+}
+
+/// Planes that the count of a tile stands for.
+pub fn planes_of(count: u8) -> usize {
+    usize::from(count & !BACKGROUND) + usize::from(count >> 7)
+}
+
+/// Planes of a tile in the order of the section.
+fn planes(tile: &Tile) -> impl Iterator<Item = &Plane> {
+    tile.planes.iter().chain(&tile.background)
+}
+
+/// Writes the planes of all tiles.
+pub fn write(tiles: &[Tile]) -> Vec<u8> {
+    let mut out: Vec<u8> = tiles.iter().map(|t| t.planes.len() as u8 | if t.background.is_some() { BACKGROUND } else { 0 }).collect();
+    for column in [|p: &Plane| p.a, |p: &Plane| p.b, |p: &Plane| p.c] {
+        let values: Vec<[u8; 2]> = tiles.iter().flat_map(planes).map(|p| Plane::to_grid(column(p)).to_le_bytes()).collect();
+        out.extend(values.iter().map(|v| v[0]));
+        out.extend(values.iter().map(|v| v[1]));
+    }
+    out
+}
+
+/// Reads the planes of all tiles of a grid, `count` planes in all; labels are left empty.
+pub fn read(grid: &Grid, count: usize, data: &[u8]) -> Result<Vec<Tile>, ContainerError> {
+    let tiles = grid.tiles() as usize;
+    if data.len() != bytes(tiles, count) {
+        return Err(ContainerError::broken("planes: wrong length"));
+    }
+    let (counts, columns) = data.split_at(tiles);
+    let total: usize = counts.iter().map(|&c| planes_of(c)).sum();
+    if total != count || counts.iter().any(|c| !(1..=MOST).contains(&(c & !BACKGROUND))) {
+        return Err(ContainerError::broken("planes: wrong count in a tile"));
+    }
+    let value = |column: usize, i: usize| {
+        let at = column * count * 2 + i;
+        f64::from(i16::from_le_bytes([columns[at], columns[at + count]])) * Plane::STEP
+    };
+    let mut all = (0..count).map(|i| Plane { a: value(0, i), b: value(1, i), c: value(2, i) });
+    Ok(counts
+        .iter()
+        .map(|c| Tile {
+            planes: all.by_ref().take(usize::from(c & !BACKGROUND)).collect(),
+            labels: Vec::new(),
+            background: if c & BACKGROUND == 0 { None } else { all.next() },
+        })
+        .collect())
+}

@@ -1,0 +1,369 @@
+//! Reading a container. Nothing in it is trusted: counts are bounded before anything is allocated for them.
+
+use std::ops::Range;
+
+use prost::Message;
+
+use super::wire::{Codec, Index, Kind, Section};
+use super::{ContainerError, MAGIC, MAJOR, PhotoFormat, bands, bounds, columns, hidden, labels, planes, select};
+use crate::parallel;
+use crate::{Class, Geometry, Grid, Inpainter, Intrinsics, Layer, Photo, Scene, Texels, ViewBox};
+
+/// All rows of tiles.
+const ALL_ROWS: Range<u32> = 0..u32::MAX;
+/// Decodes a picture of at most so many pixels right and down.
+pub type Pictures<'a> = &'a (dyn Fn(PhotoFormat, &[u8], (u32, u32)) -> Result<Photo, ContainerError> + Sync);
+
+/// A zstd block has at least 4 bytes and holds at most 128 KiB.
+const ZSTD_LEAST_BLOCK: usize = 4;
+const ZSTD_MOST_CONTENT: usize = 128 << 10;
+
+/// One section as the index names it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize))]
+pub struct SectionInfo {
+    /// `photo planes labels alpha hidden`, or `unknown`.
+    pub kind: &'static str,
+    /// `raw zstd jpeg png webp range range-bands`.
+    pub codec: &'static str,
+    /// First byte in the file.
+    pub offset: u64,
+    /// Bytes in the file.
+    pub length: u64,
+    /// Bytes after decompression, 0 for pictures.
+    pub raw_length: u64,
+}
+
+/// The sections of a container, in file order, without decoding them.
+///
+/// # Errors
+/// [`ContainerError::Broken`] or [`ContainerError::Newer`].
+pub fn sections(bytes: &[u8]) -> Result<Vec<SectionInfo>, ContainerError> {
+    let (index, body) = split(bytes)?;
+    let start = (bytes.len() - body.len()) as u64;
+    let codec = |s: &Section| match s.codec() {
+        Codec::Raw => "raw",
+        Codec::Zstd => "zstd",
+        Codec::Jpeg => "jpeg",
+        Codec::Png => "png",
+        Codec::Webp => "webp",
+        Codec::Range => "range",
+        Codec::RangeBands => "range-bands",
+    };
+    index
+        .sections
+        .iter()
+        .map(|s| {
+            range(s, body)?;
+            Ok(SectionInfo {
+                kind: select::name(s.kind()),
+                codec: codec(s),
+                offset: start + s.offset,
+                length: s.length,
+                raw_length: s.raw_length,
+            })
+        })
+        .collect()
+}
+
+/// Photo and geometry of a container.
+///
+/// # Errors
+/// [`ContainerError::Broken`] or [`ContainerError::Newer`].
+#[cfg(feature = "pictures")]
+pub fn read(bytes: &[u8]) -> Result<(Photo, Geometry), ContainerError> {
+    read_rows(bytes, ALL_ROWS)
+}
+
+/// The same, where nobody looks at labels but those of some rows of tiles; other tiles may have none.
+#[cfg(feature = "pictures")]
+pub(super) fn read_rows(bytes: &[u8], rows: Range<u32>) -> Result<(Photo, Geometry), ContainerError> {
+    let (index, body) = split(bytes)?;
+    parts(&index, body, &rows, &super::picture::decode)
+}
+
+/// Geometry of a container alone; its photo is not looked at.
+///
+/// # Errors
+/// [`ContainerError::Broken`] or [`ContainerError::Newer`].
+pub fn read_geometry(bytes: &[u8]) -> Result<Geometry, ContainerError> {
+    let (index, body) = split(bytes)?;
+    let (grid, intrinsics, view_box) = cameras(&index)?;
+    layer_geometry(&index, body, grid, (intrinsics, view_box), &ALL_ROWS)
+}
+
+/// Header and index of a container, and its planes as its section lays them out before coding.
+///
+/// # Errors
+/// [`ContainerError::Broken`] or [`ContainerError::Newer`].
+pub fn read_plain(bytes: &[u8]) -> Result<(&[u8], Vec<u8>), ContainerError> {
+    let (index, body) = split(bytes)?;
+    let (grid, ..) = cameras(&index)?;
+    Ok((&bytes[..bytes.len() - body.len()], laid_out(&index, body, &grid, index.planes as usize)?))
+}
+
+fn parts(index: &Index, body: &[u8], rows: &Range<u32>, pictures: Pictures) -> Result<(Photo, Geometry), ContainerError> {
+    let (grid, intrinsics, view_box) = cameras(index)?;
+    let section = find(index, Kind::Photo).ok_or_else(|| ContainerError::broken("there is no photo section"))?;
+    let file = range(section, body)?;
+    let (photo, geometry) = parallel::join(
+        || pictures(format(section)?, file, (grid.width, grid.height)),
+        || layer_geometry(index, body, grid, (intrinsics, view_box), rows),
+    );
+    let (photo, geometry) = (photo?, geometry?);
+    if (photo.width, photo.height) != (grid.width, grid.height) {
+        return Err(ContainerError::broken("photo: its size is not the index's"));
+    }
+    Ok((photo, geometry))
+}
+
+/// Reads a container; trusts nothing in it. The scene returned passes [`Scene::validate`].
+///
+/// # Errors
+/// [`ContainerError::Broken`] or [`ContainerError::Newer`].
+#[cfg(feature = "pictures")]
+pub fn decode(bytes: &[u8]) -> Result<Scene, ContainerError> {
+    decode_with(bytes, &super::picture::decode)
+}
+
+/// The same where the caller decodes picture sections.
+///
+/// # Errors
+/// [`ContainerError::Broken`] or [`ContainerError::Newer`], or what `pictures` gives.
+pub fn decode_with(bytes: &[u8], pictures: Pictures) -> Result<Scene, ContainerError> {
+    let (index, body) = split(bytes)?;
+    let (photo, geometry) = parts(&index, body, &ALL_ROWS, pictures)?;
+    let Geometry { grid, intrinsics, view_box, .. } = geometry;
+    let (mut layers, mut texels) = (Vec::new(), Texels::default());
+    let shapes = geometry.masks();
+    let carried = find(&index, Kind::Hidden).is_some();
+    if !carried {
+        let colours = Inpainter::new(&photo, &geometry).fill_all(&shapes);
+        texels.hidden = colours.into_iter().flatten().flatten().collect();
+    }
+    for (tile, shapes) in shapes.into_iter().enumerate() {
+        for s in shapes.layers {
+            layers.push(Layer { tile: tile as u32, plane: s.plane, rect: s.rect, first_texel: texels.class.len(), first_hidden: 0 });
+            texels.class.extend(s.class);
+            texels.alpha.extend(s.alpha);
+        }
+    }
+    refine_alpha(&index, body, &mut texels.alpha)?;
+    let hidden_count = count_hidden(&mut layers, &texels.class);
+    if carried {
+        texels.hidden = hidden_colours(&index, body, &layers, &texels.class, hidden_count, pictures)?;
+    }
+    let scene = Scene { grid, intrinsics, view_box, photo, layers, texels };
+    scene.validate().map_err(|e| ContainerError::broken(e.to_string()))?;
+    Ok(scene)
+}
+
+/// Header and index checked; gives the index and the bytes after it.
+pub(super) fn split(bytes: &[u8]) -> Result<(Index, &[u8]), ContainerError> {
+    let head: [u8; 12] = bytes.first_chunk().copied().ok_or_else(|| ContainerError::broken("shorter than its header"))?;
+    if head[..4] != MAGIC {
+        return Err(ContainerError::broken("it does not begin with \"TMPI\""));
+    }
+    let found = u16::from_le_bytes([head[4], head[5]]);
+    if found > MAJOR {
+        return Err(ContainerError::Newer { found, known: MAJOR });
+    }
+    if found == 0 {
+        return Err(ContainerError::broken("version 0"));
+    }
+    let length = u32::from_le_bytes([head[8], head[9], head[10], head[11]]) as usize;
+    if length > bounds::INDEX {
+        return Err(ContainerError::broken("the index is too long"));
+    }
+    let rest = &bytes[12..];
+    let (index, body) = rest.split_at_checked(length).ok_or_else(|| ContainerError::broken("the index is cut off"))?;
+    let index = Index::decode(index).map_err(|e| ContainerError::broken(format!("index: {e}")))?;
+    if index.sections.len() > bounds::SECTIONS {
+        return Err(ContainerError::broken("too many sections"));
+    }
+    // also those that nobody asks for
+    index.sections.iter().try_for_each(|s| range(s, body).map(drop))?;
+    Ok((index, body))
+}
+
+/// Index and grid, checked.
+pub(super) fn declared(bytes: &[u8]) -> Result<(Index, Grid), ContainerError> {
+    let (index, _) = split(bytes)?;
+    let (grid, ..) = cameras(&index)?;
+    Ok((index, grid))
+}
+
+fn cameras(i: &Index) -> Result<(Grid, Intrinsics, ViewBox), ContainerError> {
+    let sides = 1..=bounds::SIDE;
+    if !sides.contains(&i.width) || !sides.contains(&i.height) || u64::from(i.width) * u64::from(i.height) > bounds::PIXELS {
+        return Err(ContainerError::broken("photo size out of bounds"));
+    }
+    // tiles that overlap by more than half would make the labels many times as large as the photo
+    if !sides.contains(&i.tile_size) || i.tile_stride < i.tile_size.div_ceil(2) || i.tile_stride > i.tile_size {
+        return Err(ContainerError::broken("tile size out of bounds"));
+    }
+    let k = Intrinsics { fx: i.fx, fy: i.fy, cx: i.cx, cy: i.cy };
+    let v = ViewBox { x: i.view_x, y: i.view_y, z: i.view_z };
+    if !k.is_valid() || ![v.x, v.y, v.z].iter().all(|e| e.is_finite() && *e >= 0.0) {
+        return Err(ContainerError::broken("camera out of bounds"));
+    }
+    Ok((Grid { width: i.width, height: i.height, size: i.tile_size, stride: i.tile_stride }, k, v))
+}
+
+fn find(index: &Index, kind: Kind) -> Option<&Section> {
+    index.sections.iter().find(|s| s.kind() == kind)
+}
+
+pub(super) fn range<'a>(s: &Section, body: &'a [u8]) -> Result<&'a [u8], ContainerError> {
+    let end = s.offset.checked_add(s.length).filter(|e| *e <= body.len() as u64);
+    match end {
+        Some(end) => Ok(&body[s.offset as usize..end as usize]),
+        None => Err(ContainerError::broken(format!("section {} reaches past the end", s.kind))),
+    }
+}
+
+/// Format of a picture section.
+fn format(s: &Section) -> Result<PhotoFormat, ContainerError> {
+    match s.codec() {
+        Codec::Jpeg => Ok(PhotoFormat::Jpeg),
+        Codec::Png => Ok(PhotoFormat::Png),
+        Codec::Webp => Ok(PhotoFormat::WebP),
+        Codec::Raw | Codec::Zstd | Codec::Range | Codec::RangeBands => Err(ContainerError::broken("picture: not a picture codec")),
+    }
+}
+
+/// A compressed section of exactly `want` bytes; absent where that is 0.
+fn unpack(index: &Index, body: &[u8], kind: Kind, want: usize) -> Result<Vec<u8>, ContainerError> {
+    let Some(s) = find(index, kind) else {
+        return if want == 0 { Ok(Vec::new()) } else { Err(ContainerError::broken(format!("section {} is missing", kind as i32))) };
+    };
+    let data = range(s, body)?;
+    if s.raw_length != want as u64 {
+        return Err(ContainerError::broken(format!("section {} is of the wrong length", s.kind)));
+    }
+    let raw = match s.codec() {
+        Codec::Raw => data.to_vec(),
+        // at once rather than as a stream: that would reserve whatever window the frame asks for
+        Codec::Zstd => {
+            if want > (data.len() / ZSTD_LEAST_BLOCK).saturating_mul(ZSTD_MOST_CONTENT) {
+                return Err(ContainerError::broken(format!("section {} cannot unpack to {want} bytes", s.kind)));
+            }
+            decompress(data, want).map_err(|e| ContainerError::broken(format!("section {}: {e}", s.kind)))?
+        }
+        _ => return Err(ContainerError::broken(format!("section {} has a picture codec", s.kind))),
+    };
+    if raw.len() != want {
+        return Err(ContainerError::broken(format!("section {} is of the wrong length", s.kind)));
+    }
+    Ok(raw)
+}
+
+#[cfg(feature = "write")]
+fn decompress(data: &[u8], want: usize) -> std::io::Result<Vec<u8>> {
+    zstd::bulk::decompress(data, want)
+}
+
+#[cfg(not(feature = "write"))]
+fn decompress(_: &[u8], _: usize) -> Result<Vec<u8>, &'static str> {
+    Err("it is compressed by zstd, which this program was built without")
+}
+
+/// Bytes of the section of `count` planes as [`columns`] lays them out.
+fn laid_out(index: &Index, body: &[u8], grid: &Grid, count: usize) -> Result<Vec<u8>, ContainerError> {
+    let want = columns::bytes(grid.tiles() as usize, count);
+    match find(index, Kind::Planes).filter(|s| s.codec() == Codec::Range) {
+        Some(s) if s.raw_length != want as u64 => Err(ContainerError::broken("planes: wrong length")),
+        Some(s) => planes::decode(planes::Layout::of(grid, count), range(s, body)?),
+        // before minor version 3
+        None => unpack(index, body, Kind::Planes, want),
+    }
+}
+
+/// Planes of all tiles, and labels of those in `rows`.
+fn layer_geometry(
+    index: &Index,
+    body: &[u8],
+    grid: Grid,
+    (intrinsics, view_box): (Intrinsics, ViewBox),
+    rows: &Range<u32>,
+) -> Result<Geometry, ContainerError> {
+    let count = index.planes as usize;
+    let (least, most) = (grid.tiles() as usize, grid.tiles() as usize * columns::MOST_PLANES);
+    if count > bounds::PLANES.min(most) || count < least {
+        return Err(ContainerError::broken("count of planes out of bounds"));
+    }
+    let mut tiles = columns::read(&grid, count, &laid_out(index, body, &grid, count)?)?;
+    let section = find(index, Kind::Labels)
+        .filter(|s| matches!(s.codec(), Codec::Range | Codec::RangeBands))
+        .ok_or_else(|| ContainerError::broken("there is no section of labels"))?;
+    let pixels = u64::from(grid.width) * u64::from(grid.height);
+    if crate::layers::work(&grid, &tiles) > bounds::WORK.min(bounds::WORK_LEAST + pixels * bounds::WORK_PER_PIXEL) {
+        return Err(ContainerError::broken("more planes than a photo of this size can have"));
+    }
+    let counts: Vec<u8> = tiles.iter().map(|t| t.planes.len() as u8).collect();
+    let data = range(section, body)?;
+    let labels = match section.codec() {
+        Codec::RangeBands => bands::decode(&grid, &counts, &section.bands, data, rows)?,
+        _ => labels::decode(&grid, &counts, data)?,
+    };
+    let mut rest = labels.as_slice();
+    for (i, t) in (0..).zip(&mut tiles) {
+        let own = rest.split_off(..grid.rect(i).area()).unwrap_or_default();
+        if rows.contains(&(i / grid.columns())) {
+            t.labels = own.to_vec();
+        }
+    }
+    Ok(Geometry { grid, intrinsics, view_box, tiles })
+}
+
+/// Adds the refinement to the soft alphas, where there is one.
+fn refine_alpha(index: &Index, body: &[u8], alpha: &mut [u8]) -> Result<(), ContainerError> {
+    if find(index, Kind::Alpha).is_none() {
+        return Ok(());
+    }
+    let soft = |a: u8| (1..255).contains(&a);
+    let change = unpack(index, body, Kind::Alpha, alpha.iter().filter(|a| soft(**a)).count())?;
+    for (a, c) in alpha.iter_mut().filter(|a| soft(**a)).zip(change) {
+        *a = a.wrapping_add(c);
+        if !soft(*a) {
+            return Err(ContainerError::broken("alpha: a soft texel must have 1 to 254"));
+        }
+    }
+    Ok(())
+}
+
+/// Sets where each layer's hidden texels begin; gives their count.
+fn count_hidden(layers: &mut [Layer], class: &[u8]) -> usize {
+    let mut hidden = 0;
+    for l in layers {
+        l.first_hidden = hidden;
+        hidden += class[l.first_texel..l.first_texel + l.rect.area()].iter().filter(|&&c| c == Class::Hidden as u8).count();
+    }
+    hidden
+}
+
+fn hidden_colours(
+    index: &Index,
+    body: &[u8],
+    layers: &[Layer],
+    class: &[u8],
+    count: usize,
+    pictures: Pictures,
+) -> Result<Vec<[u8; 3]>, ContainerError> {
+    if count == 0 {
+        return Ok(Vec::new());
+    }
+    let s = find(index, Kind::Hidden).ok_or_else(|| ContainerError::broken("there is no section of hidden colours"))?;
+    let columns = index.hidden_columns as usize;
+    let blocks = hidden::walk(layers, class, |_, _, _| {});
+    if columns == 0 || index.hidden_blocks as usize != blocks {
+        return Err(ContainerError::broken("hidden: wrong count of blocks"));
+    }
+    let side = |blocks: usize| u32::try_from(blocks * 8).map_err(|_| ContainerError::broken("hidden: more blocks than a picture can hold"));
+    let p = pictures(format(s)?, range(s, body)?, (side(columns)?, side(blocks.div_ceil(columns))?))?;
+    let fits = columns.checked_mul(8).is_some_and(|w| w <= p.width as usize) && blocks.div_ceil(columns) * 8 <= p.height as usize;
+    if !fits {
+        return Err(ContainerError::broken("hidden: the picture is too small"));
+    }
+    Ok(hidden::read(layers, class, count, columns, p.width as usize, &p.rgb))
+}

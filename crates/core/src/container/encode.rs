@@ -1,0 +1,187 @@
+//! Writing a container.
+
+use image::ImageFormat;
+use prost::Message;
+
+use super::select::header;
+use super::wire::{Codec, Index, Kind, Section};
+use super::{Carried, ContainerError, MAJOR, MINOR, bands, columns, encode_jpeg, encode_lossless, hidden, labels, planes};
+use crate::{Geometry, Grid, Scene};
+
+/// Level of zstd; sections are small, so the highest of the ordinary levels costs little.
+const LEVEL: i32 = 19;
+/// Above this many bytes a section takes a quicker level: level 19 does about 3 MB/s.
+const LARGE: usize = 2 << 20;
+const LARGE_LEVEL: i32 = 9;
+
+/// What a container carries beyond photo, planes and labels, from which all else follows.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Carries {
+    /// Soft alphas, because a network refined them.
+    pub alpha: bool,
+    /// Hidden colours, because they are others than [`crate::Inpainter`] gives.
+    pub hidden: Option<HiddenAs>,
+}
+
+/// Sections of a container in bytes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct SectionBytes {
+    /// Everything.
+    pub total: usize,
+    /// Index and planes.
+    pub index: usize,
+    /// Photo.
+    pub photo: usize,
+    /// Classes and alpha.
+    pub alpha: usize,
+    /// Hidden colours.
+    pub hidden: usize,
+}
+
+/// How hidden colours are carried.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum HiddenAs {
+    /// JPEG of quality 1 to 100.
+    Jpeg(u8),
+    /// PNG, without loss.
+    Png,
+    /// WebP without loss.
+    Webp,
+}
+
+/// Writes a container of a scene that follows from `geometry`, but for what `carries` names. `carried` is the photo's file.
+///
+/// # Errors
+/// [`ContainerError::Encode`] where a picture codec fails or a plane does not fit.
+pub fn encode(geometry: &Geometry, scene: &Scene, carried: &Carried, carries: Carries) -> Result<(Vec<u8>, SectionBytes), ContainerError> {
+    encode_in(bands::rows(&geometry.grid), geometry, scene, carried, carries)
+}
+
+/// The same with labels in bands of so many rows of tiles, or in one stream.
+///
+/// # Errors
+/// [`ContainerError::Encode`] where a picture codec fails or a plane does not fit.
+pub fn encode_in(
+    rows: Option<u32>,
+    geometry: &Geometry,
+    scene: &Scene,
+    carried: &Carried,
+    carries: Carries,
+) -> Result<(Vec<u8>, SectionBytes), ContainerError> {
+    let mut file = File::default();
+    file.add(Kind::Photo, carried.format.codec(), carried.bytes.clone(), 0);
+    let planes = columns::write(&geometry.tiles);
+    let layout = planes::Layout::of(&geometry.grid, geometry.planes());
+    let coded = planes::encode(layout, &planes)?;
+    // planes that repeat from tile to tile, as in drawings
+    if packed(&planes)?.len() < coded.len() {
+        file.add_packed(Kind::Planes, &planes)?;
+    } else {
+        file.add(Kind::Planes, Codec::Range, coded, planes.len() as u64);
+    }
+    let counts: Vec<u8> = geometry.tiles.iter().map(|t| t.planes.len() as u8).collect();
+    let all: Vec<u8> = geometry.tiles.iter().flat_map(|t| &t.labels).copied().collect();
+    file.add_labels(&geometry.grid, &counts, &all, rows);
+    if carries.alpha {
+        file.add_packed(Kind::Alpha, &refined_alpha(geometry, scene))?;
+    }
+    let (mut blocks, mut per_row) = (0, 0);
+    if let Some(how) = carries.hidden {
+        blocks = hidden::walk(&scene.layers, &scene.texels.class, |_, _, _| {});
+        per_row = hidden::columns_for(blocks);
+        if blocks > 0 {
+            let (w, h, rgb) = hidden::paint(&scene.layers, &scene.texels.class, &scene.texels.hidden, blocks, per_row);
+            let (codec, picture) = match how {
+                HiddenAs::Jpeg(quality) => (Codec::Jpeg, encode_jpeg(w, h, &rgb, quality)?),
+                HiddenAs::Png => (Codec::Png, encode_lossless(ImageFormat::Png, w, h, &rgb)?),
+                HiddenAs::Webp => (Codec::Webp, encode_lossless(ImageFormat::WebP, w, h, &rgb)?),
+            };
+            file.add(Kind::Hidden, codec, picture, 0);
+        }
+    }
+    let (g, k, v) = (&scene.grid, &scene.intrinsics, &scene.view_box);
+    let index = Index {
+        width: g.width,
+        height: g.height,
+        tile_size: g.size,
+        tile_stride: g.stride,
+        fx: k.fx,
+        fy: k.fy,
+        cx: k.cx,
+        cy: k.cy,
+        view_x: v.x,
+        view_y: v.y,
+        view_z: v.z,
+        planes: layout.planes as u32,
+        hidden_blocks: blocks as u32,
+        hidden_columns: per_row as u32,
+        sections: file.sections.clone(),
+    };
+    Ok(file.finish(&index))
+}
+
+/// Difference (mod 256) of every soft texel's alpha to the one that follows from the geometry; empty where there is none.
+fn refined_alpha(geometry: &Geometry, scene: &Scene) -> Vec<u8> {
+    let derived = geometry.masks().into_iter().flat_map(|s| s.layers).flat_map(|l| l.alpha);
+    let soft =
+        scene.texels.alpha.iter().zip(derived).filter(|(_, d)| (1..255).contains(d)).map(|(a, d)| a.wrapping_sub(d)).collect::<Vec<_>>();
+    if soft.iter().all(|d| *d == 0) { Vec::new() } else { soft }
+}
+
+fn packed(raw: &[u8]) -> Result<Vec<u8>, ContainerError> {
+    let level = if raw.len() > LARGE { LARGE_LEVEL } else { LEVEL };
+    zstd::bulk::compress(raw, level).map_err(|e| ContainerError::Encode(e.to_string()))
+}
+
+#[derive(Default)]
+struct File {
+    sections: Vec<Section>,
+    body: Vec<u8>,
+}
+
+impl File {
+    fn add(&mut self, kind: Kind, codec: Codec, data: Vec<u8>, raw_length: u64) {
+        self.sections.push(Section {
+            kind: kind.into(),
+            codec: codec.into(),
+            offset: self.body.len() as u64,
+            length: data.len() as u64,
+            raw_length,
+            bands: Vec::new(),
+        });
+        self.body.extend(data);
+    }
+
+    /// Labels of all tiles in bands of `rows` rows of tiles, or in one stream.
+    fn add_labels(&mut self, grid: &Grid, counts: &[u8], all: &[u8], rows: Option<u32>) {
+        let Some(rows) = rows else { return self.add(Kind::Labels, Codec::Range, labels::encode(grid, counts, all), 0) };
+        let (data, bands) = bands::encode(grid, counts, all, rows);
+        self.add(Kind::Labels, Codec::RangeBands, data, 0);
+        if let Some(section) = self.sections.last_mut() {
+            section.bands = bands;
+        }
+    }
+
+    fn add_packed(&mut self, kind: Kind, raw: &[u8]) -> Result<(), ContainerError> {
+        if raw.is_empty() {
+            return Ok(());
+        }
+        self.add(kind, Codec::Zstd, packed(raw)?, raw.len() as u64);
+        Ok(())
+    }
+
+    fn finish(self, index: &Index) -> (Vec<u8>, SectionBytes) {
+        let index = index.encode_to_vec();
+        let of = |kinds: &[Kind]| -> usize { self.sections.iter().filter(|s| kinds.contains(&s.kind())).map(|s| s.length as usize).sum() };
+        let mut out = header(&[MAJOR.to_le_bytes(), MINOR.to_le_bytes()].concat(), &index);
+        out.extend(&self.body);
+        let bytes = SectionBytes {
+            total: out.len(),
+            index: 12 + index.len() + of(&[Kind::Planes]),
+            photo: of(&[Kind::Photo]),
+            alpha: of(&[Kind::Labels, Kind::Alpha]),
+            hidden: of(&[Kind::Hidden]),
+        };
+        (out, bytes)
+    }
+}

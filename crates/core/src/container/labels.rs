@@ -1,0 +1,201 @@
+//! Label maps, entropy coded: which layer is visible at each pixel of each tile.
+//!
+//! A pixel is coded as a series of questions (is it the label to the left? the one above? …), each with a context of which
+//! neighbours agree, and of whether the tile decoded before has an edge there where tiles overlap.
+
+use super::ContainerError;
+use super::range::{Bit, Coder, Decoder, Encoder};
+use crate::Grid;
+
+/// Contexts of a question: five bits of agreement, three states of the overlapping tile.
+const CONTEXTS: usize = 32 * 3;
+/// Most labels a tile: the depth of the tree that a label without a neighbour is spelled with.
+const TREE: usize = 64;
+
+struct Models {
+    left: [Bit; CONTEXTS],
+    above: [Bit; CONTEXTS],
+    diagonal: [Bit; CONTEXTS],
+    tree: [Bit; TREE * 2],
+}
+
+impl Models {
+    fn new() -> Box<Self> {
+        Box::new(Self {
+            left: [Bit::default(); CONTEXTS],
+            above: [Bit::default(); CONTEXTS],
+            diagonal: [Bit::default(); CONTEXTS],
+            tree: [Bit::default(); TREE * 2],
+        })
+    }
+}
+
+/// What earlier tiles said of each pixel: tile number plus one, and label.
+struct Seen {
+    width: usize,
+    tile: Vec<u32>,
+    label: Vec<u8>,
+}
+
+impl Seen {
+    /// 0 unknown, 1 the same label at both pixels, 2 an edge between them.
+    fn edge(&self, p: usize, q: usize) -> usize {
+        if self.tile[p] == 0 || self.tile[p] != self.tile[q] { 0 } else { 1 + usize::from(self.label[p] != self.label[q]) }
+    }
+}
+
+/// Labels of all tiles (row-major within each tile, each below its tile's count) as bytes; a tile of one label takes none.
+pub fn encode(grid: &Grid, counts: &[u8], labels: &[u8]) -> Vec<u8> {
+    let mut coder = Encoder::new();
+    let mut labels = labels.to_vec();
+    walk(grid, counts, &mut labels, &mut coder);
+    coder.finish()
+}
+
+/// Reads the labels of all tiles; `counts` has one entry a tile of the grid, each 1 to 64.
+pub fn decode(grid: &Grid, counts: &[u8], data: &[u8]) -> Result<Vec<u8>, ContainerError> {
+    let total = (0..grid.tiles()).map(|t| grid.rect(t).area()).sum();
+    let mut labels = vec![0; total];
+    decode_into(grid, counts, data, &mut labels)?;
+    Ok(labels)
+}
+
+/// The same into zeros, one for each pixel of each tile.
+pub fn decode_into(grid: &Grid, counts: &[u8], data: &[u8], labels: &mut [u8]) -> Result<(), ContainerError> {
+    if counts.len() != grid.tiles() as usize || counts.iter().any(|c| !(1..=TREE as u8).contains(c)) {
+        return Err(ContainerError::broken("labels: a tile must have 1 to 64 of them"));
+    }
+    walk(grid, counts, labels, &mut Decoder::new(data));
+    Ok(())
+}
+
+fn walk(grid: &Grid, counts: &[u8], labels: &mut [u8], coder: &mut impl Coder) {
+    let width = grid.width as usize;
+    let mut seen = Seen { width, tile: vec![0; width * grid.height as usize], label: vec![0; width * grid.height as usize] };
+    let mut models = Models::new();
+    let mut first = 0;
+    for tile in 0..grid.tiles() {
+        let area = grid.rect(tile).area();
+        let own = &mut labels[first..first + area];
+        first += area;
+        tile_labels(grid, tile, counts[tile as usize], own, &mut seen, &mut models, coder);
+    }
+}
+
+fn tile_labels(grid: &Grid, tile: u32, count: u8, own: &mut [u8], seen: &mut Seen, models: &mut Models, coder: &mut impl Coder) {
+    let r = grid.rect(tile);
+    let (w, h) = (r.w as usize, r.h as usize);
+    let photo = |x: usize, y: usize| (r.y as usize + y) * seen.width + r.x as usize + x;
+    if count > 1 {
+        for y in 0..h {
+            for x in 0..w {
+                let at = |dx: usize, dy: usize| if x >= dx && y >= dy { Some(own[(y - dy) * w + x - dx]) } else { None };
+                let (left, above) = (at(1, 0), at(0, 1));
+                let fallback = left.or(above).unwrap_or(0);
+                let (l, a) = (left.or(above), above.or(left));
+                let corner = at(1, 1).unwrap_or(fallback);
+                let right = if y > 0 && x + 1 < w { own[(y - 1) * w + x + 1] } else { a.unwrap_or(0) };
+                let left2 = at(2, 0).unwrap_or(l.unwrap_or(0));
+                let above2 = at(0, 2).unwrap_or(a.unwrap_or(0));
+                let p = photo(x, y);
+                let edge_left = if x > 0 { seen.edge(p, p - 1) } else { 0 };
+                let edge_above = if y > 0 { seen.edge(p, p - seen.width) } else { 0 };
+                let bit = |b: bool, i: u32| usize::from(b) << i;
+                let label = own[y * w + x];
+                own[y * w + x] = 'label: {
+                    let (Some(l), Some(a)) = (l, a) else { break 'label spell(models, count, label, coder) };
+                    let context =
+                        (bit(l == a, 0) + bit(a == corner, 1) + bit(a == right, 2) + bit(l == left2, 3) + bit(a == above2, 4)) * 3;
+                    if coder.bit(&mut models.left[context + edge_left], label == l) {
+                        break 'label l;
+                    }
+                    if a != l && coder.bit(&mut models.above[context + edge_above], label == a) {
+                        break 'label a;
+                    }
+                    let diagonal = if right != l && right != a { right } else { corner };
+                    if diagonal != l && diagonal != a && coder.bit(&mut models.diagonal[context + edge_above], label == diagonal) {
+                        break 'label diagonal;
+                    }
+                    spell(models, count, label, coder)
+                };
+            }
+        }
+    }
+    for y in 0..h {
+        for x in 0..w {
+            let p = photo(x, y);
+            seen.tile[p] = tile + 1;
+            seen.label[p] = own[y * w + x];
+        }
+    }
+}
+
+/// A label from scratch, bit by bit from the highest; what a damaged stream spells beyond the count becomes the last label.
+fn spell(models: &mut Models, count: u8, label: u8, coder: &mut impl Coder) -> u8 {
+    let bits = u8::BITS - (count - 1).leading_zeros();
+    let (mut node, mut value) = (1usize, 0u8);
+    for i in (0..bits).rev() {
+        let b = coder.bit(&mut models.tree[node], label >> i & 1 == 1);
+        node = node << 1 | usize::from(b);
+        value = value << 1 | u8::from(b);
+    }
+    value.min(count - 1)
+}
+
+#[cfg(test)]
+pub(super) mod testing {
+    use crate::Grid;
+
+    /// Counts and labels in stripes that go on from tile to tile.
+    pub fn maps(grid: &Grid, seed: u32) -> (Vec<u8>, Vec<u8>) {
+        let (mut counts, mut labels) = (Vec::new(), Vec::new());
+        for t in 0..grid.tiles() {
+            let r = grid.rect(t);
+            let n = 1 + ((t.wrapping_mul(7) + seed) % 5) as u8;
+            counts.push(n);
+            labels.extend(
+                (0..r.h).flat_map(|y| (0..r.w).map(move |x| (((x + r.x) / 9 + (y + r.y) / 13 + (x * y) / 400) % u32::from(n)) as u8)),
+            );
+        }
+        (counts, labels)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::testing::maps;
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(40))]
+
+        #[test]
+        fn labels_come_back(w in 1u32..150, h in 1u32..150, size in 8u32..70, seed in 0u32..100) {
+            let grid = Grid::new(w, h, size);
+            let (counts, labels) = maps(&grid, seed);
+            prop_assert_eq!(decode(&grid, &counts, &encode(&grid, &counts, &labels)).unwrap(), labels);
+        }
+
+        #[test]
+        fn damage_gives_valid_labels(data in prop::collection::vec(any::<u8>(), 0..300), seed in 0u32..100) {
+            let grid = Grid::new(100, 90, 64);
+            let (counts, _) = maps(&grid, seed);
+            let labels = decode(&grid, &counts, &data).unwrap();
+            let mut at = 0;
+            for t in 0..grid.tiles() {
+                let n = grid.rect(t).area();
+                prop_assert!(labels[at..at + n].iter().all(|l| *l < counts[t as usize]));
+                at += n;
+            }
+        }
+    }
+
+    #[test]
+    fn sixty_four_labels_fit() {
+        let grid = Grid::new(64, 64, 64);
+        let labels: Vec<u8> = (0..4096u32).map(|i| (i.wrapping_mul(2_654_435_761) >> 26) as u8).collect();
+        assert_eq!(decode(&grid, &[64], &encode(&grid, &[64], &labels)).unwrap(), labels);
+        assert!(decode(&grid, &[0], &[]).is_err() && decode(&grid, &[65], &[]).is_err());
+    }
+}

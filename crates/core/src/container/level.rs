@@ -1,0 +1,112 @@
+//! Smaller levels of a container, for slow links and small screens: photo and labels at half, a quarter, an eighth of the size.
+//!
+//! Planes stay as they are, since δ is affine in units of half a tile and tiles shrink with the photo. Nothing is estimated anew.
+
+use super::{Carried, Carries, ContainerError, decode, encode};
+use crate::{Geometry, Grid, Intrinsics, Photo, Scene, Texels, Tile};
+
+/// The smallest level: an eighth of the size.
+pub const LEVELS: u8 = 3;
+/// Quality of a level's photo.
+const QUALITY: u8 = 90;
+
+/// A container of `1 / 2^level` of the size; levels above [`LEVELS`], or above what the tiles allow (size and stride must be
+/// divisible), give the smallest there is. Level 0 is the container itself.
+///
+/// # Errors
+/// [`ContainerError::Broken`], [`ContainerError::Newer`], [`ContainerError::Encode`].
+pub fn level(container: &[u8], level: u8) -> Result<Vec<u8>, ContainerError> {
+    let (photo, geometry) = decode::read(container)?;
+    let (photo, geometry, done) = smaller(photo, geometry, level);
+    if done == 0 {
+        return Ok(container.to_vec());
+    }
+    let carried = carried(&photo)?;
+    written(photo, &geometry, &carried)
+}
+
+/// Photo and geometry at `1 / 2^level` of their size, or the smallest there is, and how many times they were halved.
+pub(super) fn smaller(mut photo: Photo, mut geometry: Geometry, level: u8) -> (Photo, Geometry, u8) {
+    let mut done = 0;
+    while done < level.min(LEVELS)
+        && let Some(half) = halved(&geometry)
+    {
+        photo = halved_photo(&photo);
+        geometry = half;
+        done += 1;
+    }
+    (photo, geometry, done)
+}
+
+/// The photo as levels carry it.
+pub(super) fn carried(photo: &Photo) -> Result<Carried, ContainerError> {
+    Carried::from_photo(photo, QUALITY)
+}
+
+/// A container of photo and geometry, from which all texels follow; none is written.
+pub(super) fn written(photo: Photo, geometry: &Geometry, carried: &Carried) -> Result<Vec<u8>, ContainerError> {
+    let Geometry { grid, intrinsics, view_box, .. } = *geometry;
+    let scene = Scene { grid, intrinsics, view_box, photo, layers: Vec::new(), texels: Texels::default() };
+    Ok(encode(geometry, &scene, carried, Carries::default())?.0)
+}
+
+/// The same planes over tiles of half the size; none where a tile's size or stride is odd.
+fn halved(b: &Geometry) -> Option<Geometry> {
+    let (g, k) = (b.grid, b.intrinsics);
+    if !g.size.is_multiple_of(2) || !g.stride.is_multiple_of(2) {
+        return None;
+    }
+    let grid = Grid { width: g.width.div_ceil(2), height: g.height.div_ceil(2), size: g.size / 2, stride: g.stride / 2 };
+    let intrinsics = Intrinsics { fx: k.fx / 2.0, fy: k.fy / 2.0, cx: k.cx / 2.0, cy: k.cy / 2.0 };
+    let tiles = b.tiles.iter().enumerate().map(|(i, t)| halved_tile(t, &g, &grid, i as u32)).collect();
+    Some(Geometry { grid, intrinsics, view_box: b.view_box, tiles })
+}
+
+/// Each label by the vote of the four pixels under it; of equals the nearer plane, so that thin things stay.
+fn halved_tile(tile: &Tile, from: &Grid, to: &Grid, index: u32) -> Tile {
+    let (r, half) = (from.rect(index), to.rect(index));
+    let mut labels = Vec::with_capacity(half.area());
+    for y in 0..half.h {
+        for x in 0..half.w {
+            let mut four = [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(dx, dy)| {
+                let (x, y) = ((2 * x + dx).min(r.w - 1), (2 * y + dy).min(r.h - 1));
+                tile.labels[(y * r.w + x) as usize]
+            });
+            four.sort_unstable();
+            let votes = |l: u8| four.iter().filter(|&&k| k == l).count();
+            labels.push(four.into_iter().max_by_key(|&l| votes(l)).unwrap_or(0));
+        }
+    }
+    let mut used = vec![None; tile.planes.len()];
+    for &l in &labels {
+        used[l as usize] = Some(0u8);
+    }
+    let mut next = 0u8;
+    let mut planes = Vec::with_capacity(tile.planes.len());
+    for (u, p) in used.iter_mut().zip(&tile.planes) {
+        if let Some(to) = u {
+            *to = next;
+            next += 1;
+            planes.push(*p);
+        }
+    }
+    for l in &mut labels {
+        *l = used[*l as usize].unwrap_or(0);
+    }
+    Tile { planes, labels, background: tile.background }
+}
+
+/// Means of 2×2 pixels; the last row and column stand twice where there is no other.
+fn halved_photo(p: &Photo) -> Photo {
+    let (width, height) = (p.width.div_ceil(2), p.height.div_ceil(2));
+    let mut rgb = Vec::with_capacity(width as usize * height as usize);
+    for y in 0..height {
+        let (y0, y1) = (2 * y, (2 * y + 1).min(p.height - 1));
+        for x in 0..width {
+            let (x0, x1) = (2 * x, (2 * x + 1).min(p.width - 1));
+            let four = [p.at(x0, y0), p.at(x1, y0), p.at(x0, y1), p.at(x1, y1)];
+            rgb.push(std::array::from_fn(|c| ((four.iter().map(|q| u16::from(q[c])).sum::<u16>() + 2) / 4) as u8));
+        }
+    }
+    Photo { width, height, rgb }
+}

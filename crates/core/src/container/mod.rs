@@ -1,0 +1,105 @@
+//! The container: a scene as bytes (DESIGN, section 5; schema in `proto/tmpi.proto`).
+
+mod bands;
+mod columns;
+mod decode;
+#[cfg(feature = "write")]
+mod encode;
+#[cfg(all(feature = "write", any(test, feature = "fixtures")))]
+#[doc(hidden)]
+pub mod fixtures;
+#[doc(hidden)]
+pub mod fuzzing;
+mod hidden;
+mod labels;
+#[cfg(feature = "write")]
+mod level;
+mod photo;
+#[cfg(feature = "pictures")]
+mod picture;
+mod planes;
+mod range;
+#[cfg(feature = "write")]
+mod region;
+mod select;
+#[doc(hidden)]
+pub mod wire;
+
+pub use bands::rows_for;
+pub use decode::{Pictures, SectionInfo, decode_with, read_geometry, read_plain, sections};
+#[cfg(feature = "pictures")]
+pub use decode::{decode, read};
+#[cfg(feature = "write")]
+pub use encode::{Carries, HiddenAs, SectionBytes, encode, encode_in};
+#[cfg(feature = "write")]
+pub use level::{LEVELS, level};
+pub use photo::{Carried, PhotoFormat};
+#[cfg(feature = "pictures")]
+pub use picture::decode as decode_picture;
+#[cfg(feature = "write")]
+pub use picture::{encode_jpeg, encode_lossless};
+#[cfg(feature = "write")]
+pub use region::{RegionPhoto, Tiles, region};
+pub use select::{SECTIONS, select, with_section};
+
+/// First bytes of a container.
+pub const MAGIC: [u8; 4] = *b"TMPI";
+/// Major version written, and the newest that is read.
+pub const MAJOR: u16 = 1;
+/// Minor version written.
+pub const MINOR: u16 = 3;
+/// Media type of a container.
+pub const MEDIA_TYPE: &str = "application/vnd.tmpi";
+
+/// Pixels of the photo of a container, at most: 50 megapixels.
+pub const MAX_PIXELS: u64 = 50_000_000;
+/// Pixels a side of the photo of a container, at most.
+pub const MAX_SIDE: u32 = 16_384;
+
+/// Bounds that a reader holds a container to, whatever it says of itself.
+mod bounds {
+    /// Pixels of the photo.
+    pub const PIXELS: u64 = super::MAX_PIXELS;
+    /// Pixels a side.
+    pub const SIDE: u32 = super::MAX_SIDE;
+    /// Planes in all.
+    pub const PLANES: usize = 4_000_000;
+    /// Pixels that deriving the texels may look at: a 50-megapixel photo of four planes a tile looks at about 5e9.
+    pub const WORK: u64 = 8_000_000_000;
+    /// The same for each pixel of the photo: tiles of 8 pixels, the smallest level's, with 20 planes each look at 17 000.
+    pub const WORK_PER_PIXEL: u64 = 20_000;
+    /// What even the smallest photo may look at.
+    pub const WORK_LEAST: u64 = 50_000_000;
+    /// Bytes of the index.
+    pub const INDEX: usize = 1 << 20;
+    /// Sections.
+    pub const SECTIONS: usize = 64;
+}
+
+/// Why a container could not be written or read.
+#[derive(Debug, thiserror::Error)]
+pub enum ContainerError {
+    /// The bytes are no container, damaged, or exceed a bound; the text names what and where.
+    #[error("not a readable TMPI container: {0}")]
+    Broken(String),
+    /// The container is of a newer major version.
+    #[error("the container is of version {found}; this program reads up to version {known}")]
+    Newer {
+        /// Major version found.
+        found: u16,
+        /// Major version known.
+        known: u16,
+    },
+    /// A picture codec failed while writing.
+    #[error("encoding a picture: {0}")]
+    Encode(String),
+}
+
+impl ContainerError {
+    fn broken(what: impl Into<String>) -> Self {
+        Self::Broken(what.into())
+    }
+}
+
+#[cfg(all(test, feature = "write"))]
+mod tests;

@@ -1,0 +1,97 @@
+//! Picture codecs of the container.
+
+use image::codecs::jpeg::JpegEncoder;
+use image::{ExtendedColorType, ImageEncoder, ImageFormat};
+
+use super::{Carried, ContainerError, PhotoFormat, bounds};
+use crate::scene::Photo;
+
+/// Encodes 8-bit RGB as JPEG of `quality` 1 to 100.
+///
+/// # Errors
+/// [`ContainerError::Encode`] where a side is over 65 535 pixels.
+pub fn encode_jpeg(width: u32, height: u32, rgb: &[u8], quality: u8) -> Result<Vec<u8>, ContainerError> {
+    let mut out = Vec::new();
+    JpegEncoder::new_with_quality(&mut out, quality.clamp(1, 100))
+        .write_image(rgb, width, height, ExtendedColorType::Rgb8)
+        .map_err(|e| ContainerError::Encode(e.to_string()))?;
+    Ok(out)
+}
+
+/// Encodes 8-bit RGB (three bytes a pixel) or RGBA (four) without loss as PNG or WebP.
+///
+/// # Errors
+/// [`ContainerError::Encode`] where the format cannot hold the size.
+pub fn encode_lossless(format: ImageFormat, width: u32, height: u32, pixels: &[u8]) -> Result<Vec<u8>, ContainerError> {
+    let rgb = pixels.len() == width as usize * height as usize * 3;
+    let mut out = std::io::Cursor::new(Vec::new());
+    let colour = if rgb { ExtendedColorType::Rgb8 } else { ExtendedColorType::Rgba8 };
+    image::write_buffer_with_format(&mut out, pixels, width, height, colour, format).map_err(|e| ContainerError::Encode(e.to_string()))?;
+    Ok(out.into_inner())
+}
+
+impl Carried {
+    /// Encodes a photo anew as JPEG of `quality` 1 to 100.
+    ///
+    /// # Errors
+    /// [`ContainerError::Encode`].
+    pub fn from_photo(photo: &Photo, quality: u8) -> Result<Self, ContainerError> {
+        let bytes = encode_jpeg(photo.width, photo.height, photo.rgb.as_flattened(), quality)?;
+        Ok(Self { bytes, format: PhotoFormat::Jpeg })
+    }
+
+    /// Encodes a photo anew without loss, as WebP.
+    ///
+    /// # Errors
+    /// [`ContainerError`] where a side is over 16 383 pixels.
+    pub fn lossless(photo: &Photo) -> Result<Self, ContainerError> {
+        let bytes = encode_lossless(ImageFormat::WebP, photo.width, photo.height, photo.rgb.as_flattened())?;
+        Ok(Self { bytes, format: PhotoFormat::WebP })
+    }
+
+    /// Decodes the photo as a reader of the container sees it.
+    ///
+    /// # Errors
+    /// [`ContainerError::Broken`].
+    pub fn decode(&self) -> Result<Photo, ContainerError> {
+        decode(self.format, &self.bytes, (bounds::SIDE, bounds::SIDE))
+    }
+}
+
+/// Most bytes a pixel that decoding takes: 16-bit RGBA, and what a progressive JPEG keeps of its coefficients.
+const DECODING: u64 = 16;
+/// What even the smallest picture may take.
+const DECODING_LEAST: u64 = 1 << 20;
+
+/// Decodes a picture of at most `most` pixels right and down.
+///
+/// # Errors
+/// [`ContainerError::Broken`] where it is damaged or larger.
+pub fn decode(format: PhotoFormat, bytes: &[u8], most: (u32, u32)) -> Result<Photo, ContainerError> {
+    let format = match format {
+        PhotoFormat::Jpeg => ImageFormat::Jpeg,
+        PhotoFormat::Png => ImageFormat::Png,
+        PhotoFormat::WebP => ImageFormat::WebP,
+    };
+    let broken = |e: image::ImageError| ContainerError::broken(format!("picture: {e}"));
+    let mut reader = image::ImageReader::with_format(std::io::Cursor::new(bytes), format);
+    let mut limits = image::Limits::default();
+    limits.max_image_width = Some(most.0);
+    limits.max_image_height = Some(most.1);
+    let pixels = (u64::from(most.0) * u64::from(most.1)).min(bounds::PIXELS);
+    limits.max_alloc = Some(DECODING_LEAST + pixels * DECODING);
+    reader.limits(limits);
+    let rgb = reader.decode().map_err(broken)?.into_rgb8();
+    let (width, height) = rgb.dimensions();
+    Ok(Photo { width, height, rgb: rgb.into_pixels() })
+}
+
+trait Chunks {
+    fn into_pixels(self) -> Vec<[u8; 3]>;
+}
+
+impl Chunks for image::RgbImage {
+    fn into_pixels(self) -> Vec<[u8; 3]> {
+        bytemuck::allocation::try_cast_vec(self.into_raw()).unwrap_or_else(|(_, raw)| raw.as_chunks().0.to_vec())
+    }
+}

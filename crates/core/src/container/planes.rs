@@ -1,0 +1,195 @@
+//! The section of planes, entropy coded: the bytes that [`super::columns`] lays out, by a range coder whose contexts are few.
+//!
+//! Of each plane: how far `a` is from the plane before it in the tile, or from the first of the tile to the left (above in the first
+//! column); `b`; `c`, in the context of how large `b` is. Predicting planes from those of all neighbouring tiles saves 1 % more.
+
+use super::ContainerError;
+use super::columns::{self, BACKGROUND};
+use super::range::{Bit, Coder, Decoder, Encoder};
+use crate::Grid;
+
+/// Contexts of a count: those of the two neighbouring tiles, together.
+const COUNTS: usize = 8;
+/// Bits of a count less one.
+const COUNT_BITS: u32 = 6;
+/// Contexts of `a`: a tile's first plane, others, backgrounds.
+const PLACES: usize = 3;
+/// Contexts of `c`: bits of `b` up to 12, by threes.
+const SIZES: usize = 5;
+/// Bits of a count of bits, 0 to 16.
+const LENGTH_BITS: u32 = 5;
+
+/// Models of a signed number: its count of bits, its sign, the bit after the highest; the rest is as likely 0 as 1.
+#[derive(Clone, Copy)]
+struct Number {
+    length: [Bit; 1 << LENGTH_BITS],
+    sign: Bit,
+    second: [Bit; 1 << LENGTH_BITS],
+}
+
+impl Number {
+    fn new() -> Self {
+        Self { length: [Bit::default(); 1 << LENGTH_BITS], sign: Bit::default(), second: [Bit::default(); 1 << LENGTH_BITS] }
+    }
+
+    /// Writes the value, or reads one in place of it; what a damaged stream says beyond 16 bits is cut off.
+    fn code(&mut self, coder: &mut impl Coder, value: i16) -> i16 {
+        let size = u32::from(value.unsigned_abs());
+        let length = tree(&mut self.length, LENGTH_BITS, u32::BITS - size.leading_zeros(), coder);
+        if length == 0 {
+            return 0;
+        }
+        let negative = coder.bit(&mut self.sign, value < 0);
+        let mut read = 1u32;
+        for i in (0..length - 1).rev() {
+            let mut even = Bit::default();
+            let model = if i + 2 == length { &mut self.second[length as usize] } else { &mut even };
+            read = read << 1 | u32::from(coder.bit(model, size >> i & 1 == 1));
+        }
+        let size = read as u16 as i16;
+        if negative { size.wrapping_neg() } else { size }
+    }
+}
+
+/// A number of `bits` bits, from the highest.
+fn tree(models: &mut [Bit], bits: u32, value: u32, coder: &mut impl Coder) -> u32 {
+    let mut node = 1;
+    for i in (0..bits).rev() {
+        node = node << 1 | usize::from(coder.bit(&mut models[node], value >> i & 1 == 1));
+    }
+    node as u32 - (1 << bits)
+}
+
+/// Where the planes of a grid are laid out.
+#[derive(Clone, Copy)]
+pub struct Layout {
+    /// Tiles in a row, at least 1.
+    pub columns: usize,
+    /// All tiles.
+    pub tiles: usize,
+    /// Planes of all tiles.
+    pub planes: usize,
+}
+
+impl Layout {
+    /// Of a grid with so many planes in all.
+    pub fn of(grid: &Grid, planes: usize) -> Self {
+        Self { columns: grid.columns() as usize, tiles: grid.tiles() as usize, planes }
+    }
+}
+
+/// Codes the bytes of [`columns::write`].
+pub fn encode(layout: Layout, raw: &[u8]) -> Result<Vec<u8>, ContainerError> {
+    let mut coder = Encoder::new();
+    walk(layout, &mut raw.to_vec(), &mut coder)?;
+    Ok(coder.finish())
+}
+
+/// The bytes that were coded.
+pub fn decode(layout: Layout, data: &[u8]) -> Result<Vec<u8>, ContainerError> {
+    let mut raw = vec![0; columns::bytes(layout.tiles, layout.planes)];
+    walk(layout, &mut raw, &mut Decoder::new(data))?;
+    Ok(raw)
+}
+
+/// The walk over all planes, which is the same both ways; a reader gets `raw` filled.
+fn walk(layout: Layout, raw: &mut [u8], coder: &mut impl Coder) -> Result<(), ContainerError> {
+    let Layout { columns, tiles, planes } = layout;
+    let (counts, values) = raw.split_at_mut(tiles);
+    code_counts(columns, counts, coder);
+    if counts.iter().map(|&c| columns::planes_of(c)).sum::<usize>() != planes {
+        return Err(ContainerError::broken("planes: wrong count in a tile"));
+    }
+    let (mut a_models, mut b_models, mut c_models) = ([Number::new(); PLACES], Number::new(), [Number::new(); SIZES]);
+    let mut firsts = vec![0i16; tiles];
+    let mut at = 0;
+    for (t, &count) in counts.iter().enumerate() {
+        let mut last = match t % columns {
+            0 if t == 0 => 0,
+            0 => firsts[t - columns],
+            _ => firsts[t - 1],
+        };
+        for i in 0..columns::planes_of(count) {
+            let place = if i == usize::from(count & !BACKGROUND) { 2 } else { i.min(1) };
+            let [a, b, c] = [0, 1, 2].map(|column| get(values, planes, column, at));
+            let a = last.wrapping_add(a_models[place].code(coder, a.wrapping_sub(last)));
+            let b = b_models.code(coder, b);
+            let size = (u16::BITS - b.unsigned_abs().leading_zeros()).min(12) as usize / 3;
+            let c = c_models[size].code(coder, c);
+            for (column, value) in [a, b, c].into_iter().enumerate() {
+                put(values, planes, column, at, value);
+            }
+            if i == 0 {
+                firsts[t] = a;
+            }
+            last = a;
+            at += 1;
+        }
+    }
+    Ok(())
+}
+
+fn code_counts(columns: usize, counts: &mut [u8], coder: &mut impl Coder) {
+    let mut models = [[Bit::default(); 1 << COUNT_BITS]; COUNTS];
+    let mut background = Bit::default();
+    for t in 0..counts.len() {
+        let left = if t % columns == 0 { 1 } else { counts[t - 1] & !BACKGROUND };
+        let above = if t < columns { 1 } else { counts[t - columns] & !BACKGROUND };
+        let model = &mut models[usize::from(left + above).min(COUNTS - 1)];
+        let count = tree(model, COUNT_BITS, u32::from((counts[t] & !BACKGROUND).wrapping_sub(1)), coder) as u8 + 1;
+        let behind = coder.bit(&mut background, counts[t] & BACKGROUND != 0);
+        counts[t] = count | if behind { BACKGROUND } else { 0 };
+    }
+}
+
+fn get(values: &[u8], planes: usize, column: usize, i: usize) -> i16 {
+    let at = column * 2 * planes + i;
+    i16::from_le_bytes([values[at], values[at + planes]])
+}
+
+fn put(values: &mut [u8], planes: usize, column: usize, i: usize, value: i16) {
+    let at = column * 2 * planes + i;
+    [values[at], values[at + planes]] = value.to_le_bytes();
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(64))]
+
+        #[test]
+        fn planes_come_back(columns in 1usize..9, counts in prop::collection::vec((1u8..=64, any::<bool>()), 1..40),
+            bits in 0u32..=16, seed in any::<u64>()) {
+            let counts: Vec<u8> = counts.iter().map(|(n, b)| n | if *b { BACKGROUND } else { 0 }).collect();
+            let planes: usize = counts.iter().map(|&c| columns::planes_of(c)).sum();
+            let mut state = seed | 1;
+            let values: Vec<i16> = (0..planes * 3).map(|_| {
+                state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+                ((state >> 40) as i16).wrapping_shr(16 - bits.max(1))
+            }).chain([i16::MIN, i16::MAX, -1]).collect();
+            let mut raw = vec![0; columns::bytes(counts.len(), planes)];
+            raw[..counts.len()].copy_from_slice(&counts);
+            for (i, v) in values.iter().rev().take(planes * 3).enumerate() {
+                put(&mut raw[counts.len()..], planes, i % 3, i / 3, *v);
+            }
+            let layout = Layout { columns, tiles: counts.len(), planes };
+            let data = encode(layout, &raw).unwrap();
+            prop_assert!(data.len() <= raw.len() * 3 / 2 + 64);
+            prop_assert_eq!(&decode(layout, &data).unwrap(), &raw);
+            for wrong in [planes - 1, planes + 1] {
+                let wrong = Layout { planes: wrong, ..layout };
+                prop_assert!(decode(wrong, &data).is_err());
+            }
+        }
+
+        #[test]
+        fn any_bytes_give_counts_within_bounds_or_an_error(data in prop::collection::vec(any::<u8>(), 0..200), planes in 0usize..300) {
+            if let Ok(raw) = decode(Layout { columns: 3, tiles: 9, planes }, &data) {
+                prop_assert!(raw[..9].iter().all(|c| (1..=64).contains(&(c & !BACKGROUND))));
+            }
+        }
+    }
+}

@@ -1,0 +1,62 @@
+//! Some sections of a container, as a container of its own.
+
+use prost::Message;
+
+use super::wire::{Kind, Section};
+use super::{ContainerError, MAGIC, decode};
+
+/// Names of the sections, in file order; `index` stands for the header and the index, which are always there.
+pub const SECTIONS: [&str; 6] = ["index", "photo", "planes", "labels", "alpha", "hidden"];
+
+/// A container of those sections alone that `names` holds; its index lists no other. What the container does not have is left out.
+/// The bytes of a section stay as they are.
+///
+/// # Errors
+/// [`ContainerError::Broken`], [`ContainerError::Newer`].
+pub fn select(container: &[u8], names: &[&str]) -> Result<Vec<u8>, ContainerError> {
+    let (mut index, body) = decode::split(container)?;
+    let mut kept = Vec::new();
+    let mut sections = Vec::new();
+    for s in &index.sections {
+        if !names.contains(&name(s.kind())) {
+            continue;
+        }
+        sections.push(Section { offset: kept.len() as u64, ..s.clone() });
+        kept.extend_from_slice(decode::range(s, body)?);
+    }
+    index.sections = sections;
+    let mut out = header(&container[4..8], &index.encode_to_vec());
+    out.extend(kept);
+    Ok(out)
+}
+
+/// The container with one section more.
+///
+/// # Errors
+/// [`ContainerError::Broken`], [`ContainerError::Newer`].
+pub fn with_section(container: &[u8], kind: Kind, codec: super::wire::Codec, data: &[u8]) -> Result<Vec<u8>, ContainerError> {
+    let (mut index, body) = decode::split(container)?;
+    let (offset, length) = (body.len() as u64, data.len() as u64);
+    index.sections.push(Section { kind: kind.into(), codec: codec.into(), offset, length, ..Section::default() });
+    let mut out = header(&container[4..8], &index.encode_to_vec());
+    out.extend(body);
+    out.extend(data);
+    Ok(out)
+}
+
+/// Header of a container, with its index.
+pub(super) fn header(version: &[u8], index: &[u8]) -> Vec<u8> {
+    [&MAGIC[..], version, &(index.len() as u32).to_le_bytes(), index].concat()
+}
+
+/// Name of a kind of section.
+pub fn name(kind: Kind) -> &'static str {
+    match kind {
+        Kind::Photo => "photo",
+        Kind::Planes => "planes",
+        Kind::Labels => "labels",
+        Kind::Alpha => "alpha",
+        Kind::Hidden => "hidden",
+        Kind::Unspecified => "unknown",
+    }
+}

@@ -1,0 +1,223 @@
+use proptest::prelude::*;
+
+use super::fixtures::{bare_in, discs as scene, rough};
+use super::*;
+use crate::{Geometry, Grid, Inpainter, Scene};
+
+fn container((geometry, s): &(Geometry, Scene)) -> Vec<u8> {
+    let photo = Carried::from_photo(&s.photo, 90).unwrap();
+    let (bytes, parts) = encode(geometry, s, &photo, Carries { alpha: true, hidden: Some(HiddenAs::Jpeg(90)) }).unwrap();
+    assert_eq!(parts.total, bytes.len());
+    assert_eq!(parts.index + parts.photo + parts.alpha + parts.hidden, bytes.len());
+    bytes
+}
+
+/// The same with nothing but photo (without loss), planes and labels.
+fn bare(made: &(Geometry, Scene)) -> Vec<u8> {
+    bare_in(None, made)
+}
+
+#[test]
+fn hidden_colours_that_are_not_carried_come_back_exactly() {
+    for (w, h) in [(150, 100), (1, 1), (65, 63)] {
+        let (geometry, scene) = scene(w, h);
+        let filled: Vec<_> = Inpainter::new(&scene.photo, &geometry).fill_all(&geometry.masks()).into_iter().flatten().flatten().collect();
+        let bytes = bare(&(geometry, scene));
+        assert!(sections(&bytes).unwrap().iter().all(|s| s.kind != "hidden"));
+        assert_eq!(decode(&bytes).unwrap().texels.hidden, filled);
+    }
+}
+
+#[test]
+fn all_but_the_pictures_comes_back_exactly() {
+    for (w, h) in [(150, 100), (64, 64), (1, 1), (65, 63), (1, 200)] {
+        let made = scene(w, h);
+        let (s, d) = (&made.1, decode(&container(&made)).unwrap());
+        assert_eq!((&d.grid, &d.intrinsics, &d.view_box, &d.layers), (&s.grid, &s.intrinsics, &s.view_box, &s.layers));
+        assert_eq!((&d.texels.class, &d.texels.alpha), (&s.texels.class, &s.texels.alpha));
+        assert_eq!(d.texels.hidden.len(), s.texels.hidden.len());
+        assert!(d.texels.hidden.iter().zip(&s.texels.hidden).all(|(a, b)| a.iter().zip(b).all(|(a, b)| a.abs_diff(*b) <= 3)));
+    }
+    assert!(scene(150, 100).1.texels.hidden.len() > 1000);
+    let (geometry, scene) = scene(150, 100);
+    let photo = Carried::from_photo(&scene.photo, 90).unwrap();
+    for how in [HiddenAs::Png, HiddenAs::Webp] {
+        let bytes = encode(&geometry, &scene, &photo, Carries { alpha: true, hidden: Some(how) }).unwrap().0;
+        assert_eq!(decode(&bytes).unwrap().texels, scene.texels);
+    }
+}
+
+/// Containers and what must come out of them are shared with the browser's decoder; `TMPI_BLESS=1` writes that of this version anew.
+fn golden(name: &str, write: impl Fn() -> Vec<u8>, exact: bool) {
+    use sha2::Digest;
+    let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/golden");
+    let (container, json) = (folder.join(format!("{name}.tmpi")), folder.join(format!("{name}.json")));
+    let bless = std::env::var_os("TMPI_BLESS").is_some() && name == format!("v{MAJOR}_{MINOR}");
+    if bless {
+        std::fs::create_dir_all(&folder).unwrap();
+        std::fs::write(&container, write()).unwrap();
+    }
+    let s = decode(&std::fs::read(&container).unwrap()).unwrap();
+    let hash = |data: &[u8]| sha2::Sha256::digest(data).iter().fold(String::new(), |s, b| s + &format!("{b:02x}"));
+    let row = |l: &crate::Layer| [l.plane.a, l.plane.b, l.plane.c, l.rect.x.into(), l.rect.y.into(), l.rect.w.into(), l.rect.h.into()];
+    let mut got = serde_json::json!({
+        "width": s.grid.width,
+        "height": s.grid.height,
+        "layers": s.layers.iter().map(row).collect::<Vec<_>>(),
+        "classes": hash(&s.texels.class),
+        "alpha": hash(&s.texels.alpha),
+        "hidden": s.texels.hidden.len(),
+    });
+    if exact {
+        got["colours"] = hash(s.texels.hidden.as_flattened()).into();
+    }
+    if bless {
+        std::fs::write(&json, format!("{got}\n")).unwrap();
+    }
+    let want: serde_json::Value = serde_json::from_slice(&std::fs::read(json).unwrap()).unwrap();
+    assert_eq!(got, want);
+}
+
+#[test]
+fn golden_containers_stay_readable() {
+    let older = || unreachable!("a version that is no longer written");
+    golden("v1", older, false);
+    golden("v1_1", older, true);
+    golden("v1_2", older, true);
+    golden("v1_3", || bare_in(Some(1), &rough(scene(150, 100))), true);
+}
+
+/// Seeds of the fuzzer: small containers of every kind, and what lies in them. `TMPI_BLESS=1` writes them anew.
+#[test]
+fn seeds_of_the_fuzzer_are_readable() {
+    let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fuzz/seeds");
+    let small = [
+        ("carried", container(&scene(70, 40))),
+        ("derived", bare(&scene(66, 40))),
+        ("pixel", bare(&scene(1, 1))),
+        ("bands", bare_in(Some(1), &rough(scene(70, 130)))),
+    ];
+    if std::env::var_os("TMPI_BLESS").is_some() {
+        let write = |kind: &str, name: &str, data: &[u8]| {
+            std::fs::create_dir_all(folder.join(kind)).unwrap();
+            std::fs::write(folder.join(kind).join(name), data).unwrap();
+        };
+        for (name, bytes) in &small {
+            write("container", &format!("{name}.tmpi"), bytes);
+        }
+        write("container", "level.tmpi", &level(&bare(&scene(131, 90)), 2).unwrap());
+        for (w, h) in [(70, 40), (130, 90)] {
+            let b = scene(w, h).0;
+            let counts: Vec<u8> = b.tiles.iter().map(|t| t.planes.len() as u8).collect();
+            let all: Vec<u8> = b.tiles.iter().flat_map(|t| &t.labels).copied().collect();
+            let head = [w as u8 - 1, h as u8 - 1, 63];
+            write("labels", &format!("{w}x{h}"), &[&head[..], &[2; 5], &labels::encode(&b.grid, &counts, &all)].concat());
+            write("planes", &format!("{w}x{h}"), &[&head[..], &[0], &columns::write(&b.tiles)].concat());
+        }
+    }
+    for (name, bytes) in &small {
+        let file = std::fs::read(folder.join("container").join(format!("{name}.tmpi"))).unwrap();
+        assert_eq!(decode(&file).unwrap(), decode(bytes).unwrap(), "{name}");
+    }
+}
+
+#[test]
+fn smaller_levels_show_the_same_scene() {
+    for (w, h) in [(151, 100), (64, 63), (1, 1), (2, 200)] {
+        let whole = bare(&scene(w, h));
+        assert_eq!(level(&whole, 0).unwrap(), whole);
+        for n in 1..=LEVELS {
+            let small = decode(&level(&whole, n).unwrap()).unwrap();
+            let side = |s: u32| (0..n).fold(s, |s, _| s.div_ceil(2));
+            assert_eq!((small.grid.width, small.grid.height, small.grid.size), (side(w), side(h), 64 >> n));
+            assert_eq!(small.grid.tiles(), Grid::new(w, h, 64).tiles());
+        }
+        assert_eq!(level(&whole, 200).unwrap(), level(&whole, LEVELS).unwrap());
+    }
+}
+
+#[test]
+fn some_sections_are_a_container_of_their_own() {
+    let whole = container(&scene(70, 40));
+    assert_eq!(select(&whole, &SECTIONS).unwrap(), whole);
+    let all = sections(&whole).unwrap();
+    for wanted in [&["photo"][..], &["planes", "labels"], &["hidden", "index"], &[]] {
+        let some = select(&whole, wanted).unwrap();
+        let held = sections(&some).unwrap();
+        assert_eq!(held.iter().map(|s| s.kind).collect::<Vec<_>>(), {
+            let kinds = all.iter().map(|s| s.kind);
+            kinds.filter(|k| wanted.contains(k)).collect::<Vec<_>>()
+        });
+        for s in &held {
+            let was = all.iter().find(|w| w.kind == s.kind).unwrap();
+            let bytes = |file: &[u8], s: &SectionInfo| file[s.offset as usize..(s.offset + s.length) as usize].to_vec();
+            assert_eq!(bytes(&some, s), bytes(&whole, was));
+        }
+        assert!(matches!(decode(&some), Err(ContainerError::Broken(_))));
+    }
+    assert!(select(&whole[..20], &["photo"]).is_err());
+}
+
+#[test]
+fn a_section_past_the_end_is_an_error_though_nobody_reads_it() {
+    use prost::Message;
+    let whole = bare(&scene(70, 40));
+    let (mut index, body) = decode::split(&whole).unwrap();
+    index.sections.push(wire::Section { kind: 77, offset: 1 << 40, length: 1, ..wire::Section::default() });
+    let bytes = [select::header(&whole[4..8], &index.encode_to_vec()), body.to_vec()].concat();
+    assert!(matches!(super::decode(&bytes), Err(ContainerError::Broken(_))) && sections(&bytes).is_err());
+}
+
+#[test]
+fn planes_take_the_codec_that_makes_less_of_them() {
+    let codec = |made: &(Geometry, Scene)| sections(&bare(made)).unwrap().iter().find(|s| s.kind == "planes").unwrap().codec;
+    let made = scene(150, 300);
+    assert_eq!(codec(&made), "zstd");
+    // the second is the golden one
+    for made in [rough(made), rough(scene(150, 100))] {
+        assert_eq!(codec(&made), "range");
+        assert_eq!(decode::read(&bare(&made)).unwrap().1, made.0);
+    }
+}
+
+#[test]
+fn bands_hold_the_same_labels_as_one_stream() {
+    let made = scene(150, 300);
+    let (one, bands) = (bare(&made), bare_in(Some(2), &made));
+    assert_eq!(decode(&one).unwrap(), decode(&bands).unwrap());
+    let codec = |bytes: &[u8]| sections(bytes).unwrap().iter().find(|s| s.kind == "labels").unwrap().codec;
+    assert_eq!((codec(&one), codec(&bands)), ("range", "range-bands"));
+    let labels = sections(&bands).unwrap().into_iter().find(|s| s.kind == "labels").unwrap();
+    let mut damaged = bands.clone();
+    damaged[(labels.offset + labels.length) as usize - 1] ^= 1;
+    assert!(decode(&damaged).unwrap_err().to_string().contains("band 3 of 3"));
+}
+
+#[test]
+fn a_newer_major_version_is_refused_by_number() {
+    let mut b = container(&scene(70, 70));
+    b[4] = 2;
+    assert!(matches!(decode(&b), Err(ContainerError::Newer { found: 2, known: 1 })));
+}
+
+#[test]
+fn every_truncation_is_an_error() {
+    let b = container(&scene(70, 40));
+    for cut in (0..b.len()).step_by(7) {
+        assert!(decode(&b[..cut]).is_err(), "cut at {cut}");
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+
+    #[test]
+    fn damage_never_panics(at in prop::collection::vec((0usize..4000, any::<u8>()), 1..6)) {
+        use std::sync::OnceLock;
+        static CLEAN: OnceLock<[Vec<u8>; 3]> = OnceLock::new();
+        let clean = CLEAN.get_or_init(|| [container(&scene(70, 40)), bare(&scene(70, 40)), bare_in(Some(1), &rough(scene(70, 130)))]);
+        let mut b = clean[at.len() % 3].clone();
+        for (i, v) in at { let n = b.len(); b[i % n] = v; }
+        if let Ok(s) = decode(&b) { prop_assert_eq!(s.validate(), Ok(())); }
+    }
+}

@@ -1,0 +1,252 @@
+//! Colour of hidden texels: push-pull pyramid over the neighbourhood, sources at or behind the layer only (RECIPE, step 5).
+//!
+//! It follows from the photo and the [`Geometry`] alone, so a container need not carry it. Writer and readers (the browser's is
+//! `static/decode/fill.js`) run the same steps in `f64`, rounded to `f32` at the same places: from the same photo come the same colours.
+
+use super::rows;
+use super::{Geometry, LayerMasks, TileFrame};
+use crate::parallel;
+use crate::scene::{Class, Grid, Photo, Plane, Rect};
+
+/// Context around the hidden texels of a layer in pixels.
+const CONTEXT: u32 = 32;
+/// A pixel that touches a surface nearer by this much is mixed with it, and no source.
+const TOUCH: f64 = 0.03;
+/// Sources of hidden colour, found once a photo.
+pub struct Inpainter<'a> {
+    photo: &'a Photo,
+    grid: Grid,
+    /// δ of the visible surface per pixel.
+    surface: Vec<f32>,
+    /// True where a pixel touches something nearer.
+    rim: Vec<bool>,
+}
+
+/// Pyramid that is used again for the next layer.
+#[derive(Default)]
+pub struct Pyramid {
+    /// Horizontal places of the columns of the finest level.
+    us: Vec<f64>,
+    levels: Vec<Level>,
+    /// Levels of the layer at hand; more may be kept from before.
+    used: usize,
+}
+
+impl<'a> Inpainter<'a> {
+    /// Finds the visible surface, and the pixels on it that touch something nearer.
+    #[must_use]
+    pub fn new(photo: &'a Photo, geometry: &Geometry) -> Self {
+        let (w, h) = (photo.width as usize, photo.height as usize);
+        let surface = geometry.surface();
+        let d = &surface;
+        let mut rim = vec![false; d.len()];
+        parallel::each_row(&mut rim, w, |y, row| {
+            let (y0, y1) = (y.saturating_sub(1), (y + 1).min(h - 1));
+            let column = |x: usize| (y0..=y1).fold(f32::NEG_INFINITY, |m, yy| m.max(d[yy * w + x]));
+            let (mut before, mut here) = (f32::NEG_INFINITY, column(0));
+            for (x, r) in row.iter_mut().enumerate() {
+                let after = if x + 1 < w { column(x + 1) } else { f32::NEG_INFINITY };
+                *r = f64::from(before.max(here).max(after)) - f64::from(d[y * w + x]) > TOUCH;
+                (before, here) = (here, after);
+            }
+        });
+        Self { photo, grid: geometry.grid, surface, rim }
+    }
+
+    /// Colours of the hidden texels of a layer with [`Class`]es `class` over `rect`, in their order.
+    #[must_use]
+    pub fn fill(&self, tile: u32, plane: &Plane, rect: Rect, class: &[u8], pyramid: &mut Pyramid) -> Vec<[u8; 3]> {
+        let Some(hidden) = hidden_bounds(rect, class) else { return Vec::new() };
+        let place = TileFrame::of(&self.grid, tile);
+        let win = super::grown(hidden, CONTEXT, CONTEXT, &self.grid);
+        self.sources(place, plane, win, pyramid);
+        if !pyramid.pull() {
+            // nothing lies behind anywhere near: the layer's own surroundings are all there is
+            let mean = self.mean(rect);
+            return class.iter().filter(|&&c| c == Class::Hidden as u8).map(|_| mean).collect();
+        }
+        pyramid.push();
+        let mut out = Vec::with_capacity(class.iter().filter(|&&c| c == Class::Hidden as u8).count());
+        let rows = (rect.y..).zip(class.chunks(rect.w as usize)).skip((hidden.y - rect.y) as usize).take(hidden.h as usize);
+        for (y, class) in rows {
+            let class = &class[(hidden.x - rect.x) as usize..][..hidden.w as usize];
+            pyramid.colours((hidden.x - win.x) as usize, (y - win.y) as usize, class, &mut out);
+        }
+        out
+    }
+
+    /// Colours of the hidden texels of all layers: tile by tile, layer by layer.
+    #[must_use]
+    pub fn fill_all(&self, masks: &[LayerMasks]) -> Vec<Vec<Vec<[u8; 3]>>> {
+        parallel::map_init(masks.len(), Pyramid::default, |pyramid, i| {
+            masks[i].layers.iter().map(|l| self.fill(i as u32, &l.plane, l.rect, &l.class, pyramid)).collect()
+        })
+    }
+
+    /// Writes colour times weight, and weight, of every source in `win` into the finest level; 0 where there is none.
+    fn sources(&self, place: TileFrame, plane: &Plane, win: Rect, pyramid: &mut Pyramid) {
+        pyramid.base(win.w as usize, win.h as usize);
+        place.columns(win.x, win.w, &mut pyramid.us);
+        for (y, texels) in (win.y..).zip(pyramid.levels[0].texels.chunks_mut(win.w as usize)) {
+            let at = y as usize * self.grid.width as usize + win.x as usize;
+            let row = at..at + win.w as usize;
+            let row = rows::Sources { surface: &self.surface[row.clone()], rim: &self.rim[row.clone()], rgb: &self.photo.rgb[row] };
+            rows::sources(&pyramid.us, place.v(y), plane, row, texels);
+        }
+    }
+
+    fn mean(&self, r: Rect) -> [u8; 3] {
+        let mut sum = [0u64; 3];
+        for y in r.y..r.y + r.h {
+            for x in r.x..r.x + r.w {
+                let p = self.photo.at(x, y);
+                for (s, v) in sum.iter_mut().zip(p) {
+                    *s += u64::from(v);
+                }
+            }
+        }
+        sum.map(|s| (s / r.area().max(1) as u64) as u8)
+    }
+}
+
+/// Bounds of the hidden texels in photo pixels, none where there is none.
+fn hidden_bounds(rect: Rect, class: &[u8]) -> Option<Rect> {
+    let (mut x0, mut y0, mut x1, mut y1) = (u32::MAX, u32::MAX, 0, 0);
+    let is_hidden = |c: &u8| *c == Class::Hidden as u8;
+    for (y, row) in (0..).zip(class.chunks(rect.w as usize)) {
+        let Some(first) = row.iter().position(is_hidden) else { continue };
+        let last = row.iter().rposition(is_hidden).unwrap_or(first);
+        (x0, y0, x1, y1) = (x0.min(first as u32), y0.min(y), x1.max(last as u32 + 1), y + 1);
+    }
+    (x1 > 0).then(|| Rect { x: rect.x + x0, y: rect.y + y0, w: x1 - x0, h: y1 - y0 })
+}
+
+impl Pyramid {
+    /// Sizes of the finest level and of coarser ones down to 1×1; what they hold is still to be written.
+    fn base(&mut self, width: usize, height: usize) {
+        let (mut w, mut h, mut n) = (width, height, 0);
+        loop {
+            if self.levels.len() == n {
+                self.levels.push(Level::default());
+            }
+            self.levels[n].resize(w, h);
+            n += 1;
+            if w == 1 && h == 1 {
+                break;
+            }
+            (w, h) = (w.div_ceil(2), h.div_ceil(2));
+        }
+        self.used = n;
+    }
+
+    /// Sums the sources upwards; false where there is none.
+    fn pull(&mut self) -> bool {
+        for n in 1..self.used {
+            let (fine, coarse) = self.levels.split_at_mut(n);
+            coarse[0].pull(&fine[n - 1]);
+        }
+        self.levels[self.used - 1].texels[0][3] > 0.0
+    }
+
+    /// Full colours downwards, but for the finest level: there only hidden texels are asked for.
+    fn push(&mut self) {
+        for n in (1..self.used).rev() {
+            let (fine, coarse) = self.levels[..self.used].split_at_mut(n + 1);
+            let (level, up) = (&mut fine[n], coarse.first());
+            for (y, texels) in level.texels.chunks_mut(level.width).enumerate() {
+                rows::push(Level::about(up, y), texels);
+            }
+        }
+    }
+
+    /// Appends the colours of hidden texels of the finest level's row `y`, from column `x` on.
+    fn colours(&self, x: usize, y: usize, class: &[u8], out: &mut Vec<[u8; 3]>) {
+        let (level, up) = (&self.levels[0], self.levels[..self.used].get(1));
+        rows::colours(Level::about(up, y), &level.texels[y * level.width..][..level.width], x, class, out);
+    }
+}
+
+/// One level of the pyramid: colour times weight, and weight in 0..=1.
+#[derive(Default)]
+struct Level {
+    width: usize,
+    height: usize,
+    texels: Vec<[f32; 4]>,
+}
+
+impl Level {
+    fn resize(&mut self, width: usize, height: usize) {
+        (self.width, self.height) = (width, height);
+        self.texels.resize(width * height, [0.0; 4]);
+    }
+
+    /// From the level of twice the size: sums of 2×2 texels, weight saturated at 1, so that one source suffices where there is
+    /// no other.
+    fn pull(&mut self, fine: &Self) {
+        for (y, to) in self.texels.chunks_mut(self.width).enumerate() {
+            let row = |y: usize| &fine.texels[y * fine.width..][..fine.width];
+            rows::pull(row(2 * y), (2 * y + 1 < fine.height).then(|| row(2 * y + 1)), to);
+        }
+    }
+
+    /// The rows of a level, where there is one, about row `y` of the next finer one.
+    fn about(level: Option<&Self>, y: usize) -> rows::Coarser<'_> {
+        let Some(level) = level else { return rows::Coarser { near: &[], other: &[] } };
+        let last = level.height - 1;
+        let beside = if y.is_multiple_of(2) { (y / 2).saturating_sub(1) } else { y / 2 + 1 };
+        let row = |y: usize| &level.texels[y.min(last) * level.width..][..level.width];
+        rows::Coarser { near: row(y / 2), other: row(beside) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Intrinsics, Tile, ViewBox};
+
+    fn geometry(grid: Grid, planes: Vec<Plane>, labels: Vec<u8>) -> Geometry {
+        let tiles = vec![Tile { planes, labels, background: None }];
+        Geometry { grid, intrinsics: Intrinsics::centred(grid.width, grid.height, 50.0), view_box: ViewBox::default(), tiles }
+    }
+
+    #[test]
+    fn hidden_colour_comes_from_behind_only() {
+        // left half green at δ .2, right half red at δ .8; a layer at .2 under the red half must be green
+        let (w, h) = (64u32, 64u32);
+        let photo = Photo { width: w, height: h, rgb: (0..w * h).map(|i| if i % w < 32 { [0, 200, 0] } else { [200, 0, 0] }).collect() };
+        let grid = Grid::new(w, h, 64);
+        let planes = vec![Plane::fronto_parallel(0.2), Plane::fronto_parallel(0.8)];
+        let b = geometry(grid, planes.clone(), (0..w * h).map(|i| u8::from(i % w >= 32)).collect());
+        let class: Vec<u8> = (0..w * h).map(|i| if i % w < 32 { Class::Photo } else { Class::Hidden } as u8).collect();
+        let colours = Inpainter::new(&photo, &b).fill(0, &planes[0], grid.rect(0), &class, &mut Pyramid::default());
+        assert_eq!(colours.len(), 32 * 64);
+        assert!(colours.iter().all(|c| *c == [0, 200, 0]));
+    }
+
+    #[test]
+    fn without_any_source_the_fill_is_still_a_colour_of_the_photo() {
+        let photo = Photo { width: 8, height: 8, rgb: vec![[90, 80, 70]; 64] };
+        let grid = Grid::new(8, 8, 64);
+        let b = geometry(grid, vec![Plane::fronto_parallel(0.9)], vec![0; 64]);
+        let class = vec![Class::Hidden as u8; 64];
+        let colours = Inpainter::new(&photo, &b).fill(0, &Plane::fronto_parallel(0.1), grid.rect(0), &class, &mut Pyramid::default());
+        assert_eq!(colours, vec![[90, 80, 70]; 64]);
+    }
+
+    #[test]
+    fn a_pyramid_that_was_used_before_gives_the_same() {
+        let (w, h) = (64u32, 40u32);
+        let photo =
+            Photo { width: w, height: h, rgb: (0..w * h).map(|i| [(i % 251) as u8, (i * 7 % 256) as u8, (i / 13 % 256) as u8]).collect() };
+        let grid = Grid::new(w, h, 64);
+        let planes = vec![Plane::fronto_parallel(0.2), Plane::fronto_parallel(0.8)];
+        let b = geometry(grid, planes.clone(), (0..w * h).map(|i| u8::from(i % w >= 40)).collect());
+        let class: Vec<u8> = (0..w * h).map(|i| if i % w < 40 { Class::Photo } else { Class::Hidden } as u8).collect();
+        let filler = Inpainter::new(&photo, &b);
+        let mut used = Pyramid::default();
+        let first = filler.fill(0, &planes[0], grid.rect(0), &class, &mut used);
+        let small = filler.fill(0, &planes[0], Rect { x: 41, y: 3, w: 2, h: 1 }, &[Class::Hidden as u8; 2], &mut used);
+        assert_eq!(small.len(), 2);
+        assert_eq!(filler.fill(0, &planes[0], grid.rect(0), &class, &mut used), first);
+    }
+}

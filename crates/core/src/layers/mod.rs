@@ -1,0 +1,11 @@
+//! Layers from planes and labels: which texels each has ([`Geometry::masks`]), and the colours of those that something hides
+//! ([`Inpainter`]). Writer and readers run the same steps on the same values, so a container need not carry them.
+
+mod inpaint;
+mod rows;
+mod texture;
+mod visibility;
+
+pub use inpaint::{Inpainter, Pyramid};
+pub use texture::{TexturedLayer, compose, texture};
+pub use visibility::{Geometry, LayerMask, LayerMasks, Tile, TileFrame, grown, work};

@@ -1,0 +1,41 @@
+//! Layers with colours, and the scene that they make up (paper, section 3.2).
+
+use super::{Geometry, Inpainter, LayerMask, LayerMasks};
+use crate::scene::{Layer, Photo, Scene, Texels};
+
+/// A layer with the colours of its hidden texels, in the order of its classes.
+#[derive(Clone, Debug)]
+pub struct TexturedLayer {
+    /// Plane, rectangle, class and alpha.
+    pub shape: LayerMask,
+    /// A colour for every hidden texel.
+    pub hidden: Vec<[u8; 3]>,
+}
+
+/// Colours the hidden texels of all layers; sources are the photo's pixels at or behind each layer.
+#[must_use]
+pub fn texture(photo: &Photo, geometry: &Geometry, shapes: Vec<LayerMasks>) -> Vec<Vec<TexturedLayer>> {
+    let colours = Inpainter::new(photo, geometry).fill_all(&shapes);
+    let tile = |(s, c): (LayerMasks, Vec<_>)| s.layers.into_iter().zip(c).map(|(shape, hidden)| TexturedLayer { shape, hidden }).collect();
+    shapes.into_iter().zip(colours).map(tile).collect()
+}
+
+/// Joins textured layers into a scene.
+#[must_use]
+pub fn compose(photo: Photo, geometry: &Geometry, tiles: Vec<Vec<TexturedLayer>>) -> Scene {
+    let mut texels = Texels::default();
+    let mut layers = Vec::with_capacity(tiles.iter().map(Vec::len).sum());
+    let total: usize = tiles.iter().flatten().map(|l| l.shape.class.len()).sum();
+    texels.class.reserve_exact(total);
+    texels.alpha.reserve_exact(total);
+    for (tile, t) in tiles.into_iter().enumerate() {
+        for TexturedLayer { shape, hidden } in t {
+            let (first_texel, first_hidden) = (texels.class.len(), texels.hidden.len());
+            layers.push(Layer { tile: tile as u32, plane: shape.plane, rect: shape.rect, first_texel, first_hidden });
+            texels.class.extend(shape.class);
+            texels.alpha.extend(shape.alpha);
+            texels.hidden.extend(hidden);
+        }
+    }
+    Scene { grid: geometry.grid, intrinsics: geometry.intrinsics, view_box: geometry.view_box, photo, layers, texels }
+}

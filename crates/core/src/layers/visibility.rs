@@ -1,0 +1,433 @@
+//! Which texels each layer has: derived from planes and labels alone, so that a container need not carry it.
+//!
+//! Writer and readers run the same steps in `f64` on values rounded to `f32` at the same
+//! places, and so come to the same texels bit for bit.
+
+use super::rows::{self, Columns, Dilation, dilate};
+use crate::parallel;
+use crate::scene::{Class, Grid, Intrinsics, Plane, Rect, ViewBox};
+
+/// Widest search for the edge that uncovers a hidden texel, in pixels.
+const MAX_REACH: f64 = 96.0;
+/// Pixels added to the parallax: bilinear footprint and rounding.
+const MARGIN: f64 = 1.5;
+/// A surface counts as open for a layer that lies at most this far in front of it, in δ.
+const UNOCCLUDED: f64 = 0.004;
+
+/// A layer whose rim lies in front of its neighbour by at most this many pixels of parallax is one surface with it.
+const SEAM: f64 = 1.0;
+
+/// The planes of one tile and which of them each pixel lies on.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Tile {
+    /// Planes on the container's grid, from far to near at the tile's centre; 1 to 64.
+    pub planes: Vec<Plane>,
+    /// Plane that each pixel of the tile's rectangle lies on, row-major.
+    pub labels: Vec<u8>,
+    /// A plane behind all that the tile shows, known from its neighbourhood: hidden texels only.
+    pub background: Option<Plane>,
+}
+
+impl Tile {
+    /// The least δ that it shows, of tile `index` of the grid.
+    #[must_use]
+    pub fn farthest(&self, grid: &Grid, index: u32) -> f32 {
+        self.shown(grid, index).iter().fold(f32::INFINITY, |least, &d| if d < least { d } else { least })
+    }
+
+    /// δ of each of its pixels, row-major, of tile `index` of the grid.
+    #[must_use]
+    pub fn shown(&self, grid: &Grid, index: u32) -> Vec<f32> {
+        let (r, place) = (grid.rect(index), TileFrame::of(grid, index));
+        let (mut us, mut planes, mut out) = (Vec::new(), Vec::new(), vec![0f32; r.area()]);
+        place.columns(r.x, r.w, &mut us);
+        let columns = Columns { us: &us, labels: &self.labels, planes: &self.planes };
+        for (y, row) in out.chunks_mut(r.w as usize).enumerate() {
+            columns.visible(y, place.v(r.y + y as u32), &mut planes, row);
+        }
+        out
+    }
+}
+
+/// Everything that the texels of a scene follow from, but their colours.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Geometry {
+    /// The tiles.
+    pub grid: Grid,
+    /// The reference camera.
+    pub intrinsics: Intrinsics,
+    /// Camera positions that the scene is made for.
+    pub view_box: ViewBox,
+    /// One entry a tile of the grid.
+    pub tiles: Vec<Tile>,
+}
+
+/// Which texels one layer has, and how opaque they are.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LayerMask {
+    /// Its plane.
+    pub plane: Plane,
+    /// Its label, none for a background.
+    pub label: Option<u8>,
+    /// Photo pixels that its texels stand for.
+    pub rect: Rect,
+    /// [`Class`] per texel.
+    pub class: Vec<u8>,
+    /// Straight alpha per texel.
+    pub alpha: Vec<u8>,
+}
+
+/// Masks of the layers of a tile, from far to near at its centre.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct LayerMasks {
+    /// The layers that have any texel.
+    pub layers: Vec<LayerMask>,
+    /// Texels behind something that no camera of the view box looks past, and that were therefore left out.
+    pub never_seen: usize,
+}
+
+impl ViewBox {
+    /// Parallax in pixels, right and down, that a unit of disparity has within `rect` between the photo and the farthest
+    /// camera of the box.
+    #[must_use]
+    pub fn parallax(&self, k: &Intrinsics, rect: Rect) -> (f64, f64) {
+        // forward motion moves a pixel by its distance from the principal point
+        let reach = |from: u32, len: u32, c: f64| (f64::from(from) - c).abs().max((f64::from(from + len) - c).abs());
+        (k.fx * self.x + reach(rect.x, rect.w, k.cx) * self.z, k.fy * self.y + reach(rect.y, rect.h, k.cy) * self.z)
+    }
+}
+
+/// Where `(u, v)` of a tile lies in the photo.
+#[derive(Clone, Copy, Debug)]
+pub struct TileFrame {
+    /// Tile centre in pixels.
+    pub centre: (f64, f64),
+    /// Half a tile in pixels.
+    pub half: f64,
+}
+
+impl TileFrame {
+    /// Of tile `index`.
+    #[must_use]
+    pub fn of(grid: &Grid, index: u32) -> Self {
+        Self { centre: grid.centre(index), half: grid.half() }
+    }
+
+    /// Vertical place of a row of pixels, in units of half a tile.
+    #[must_use]
+    pub fn v(&self, y: u32) -> f64 {
+        (f64::from(y) + 0.5 - self.centre.1) / self.half
+    }
+
+    /// Horizontal places of `count` columns of pixels from `x` on, into `us`.
+    pub fn columns(&self, x: u32, count: u32, us: &mut Vec<f64>) {
+        us.clear();
+        us.extend((x..x + count).map(|x| (f64::from(x) + 0.5 - self.centre.0) / self.half));
+    }
+
+    /// δ of a plane at the centre of pixel `(x, y)`.
+    #[must_use]
+    pub fn disparity(&self, plane: &Plane, x: u32, y: u32) -> f32 {
+        plane.disparity((f64::from(x) + 0.5 - self.centre.0) / self.half, (f64::from(y) + 0.5 - self.centre.1) / self.half) as f32
+    }
+}
+
+/// The rectangle grown by `x`, `y` pixels and clipped to the photo.
+#[must_use]
+pub fn grown(r: Rect, x: u32, y: u32, grid: &Grid) -> Rect {
+    let (x0, y0) = (r.x.saturating_sub(x), r.y.saturating_sub(y));
+    Rect { x: x0, y: y0, w: (r.x + r.w + x).min(grid.width) - x0, h: (r.y + r.h + y).min(grid.height) - y0 }
+}
+
+/// Pixels that [`Geometry::masks`] looks at, at most: a reader's bound on its work. Labels need not be there yet.
+#[must_use]
+pub fn work(grid: &Grid, tiles: &[Tile]) -> u64 {
+    let reach = MAX_REACH as u32;
+    let window = |i: u32| grown(grid.rect(i), reach, reach, grid).area() as u64;
+    (0..grid.tiles()).zip(tiles).map(|(i, t)| window(i) * (t.planes.len() as u64 + 1)).sum()
+}
+
+impl Geometry {
+    /// Count of all planes, backgrounds included.
+    #[must_use]
+    pub fn planes(&self) -> usize {
+        self.tiles.iter().map(|t| t.planes.len() + usize::from(t.background.is_some())).sum()
+    }
+
+    /// Masks of all layers, tile by tile.
+    #[must_use]
+    pub fn masks(&self) -> Vec<LayerMasks> {
+        self.extract(false)
+    }
+
+    /// The same with every texel behind something, seen or not: what leaving them out is measured against.
+    #[must_use]
+    pub fn masks_unpruned(&self) -> Vec<LayerMasks> {
+        self.extract(true)
+    }
+
+    fn extract(&self, all: bool) -> Vec<LayerMasks> {
+        let surface = self.surface();
+        let scratch = || Scratch { all, ..Scratch::default() };
+        parallel::map_init(self.tiles.len(), scratch, |s, i| self.masks_of_tile(i as u32, &surface, s))
+    }
+
+    /// δ of the visible surface per pixel; where tiles overlap, of the one that comes last.
+    #[must_use]
+    pub fn surface(&self) -> Vec<f32> {
+        let width = self.grid.width as usize;
+        let mut surface = vec![0f32; width * self.grid.height as usize];
+        let (mut us, mut planes) = (Vec::new(), Vec::new());
+        for (i, t) in self.tiles.iter().enumerate() {
+            let (r, place) = (self.grid.rect(i as u32), TileFrame::of(&self.grid, i as u32));
+            place.columns(r.x, r.w, &mut us);
+            let columns = Columns { us: &us, labels: &t.labels, planes: &t.planes };
+            for y in r.y..r.y + r.h {
+                let out = &mut surface[y as usize * width + r.x as usize..][..r.w as usize];
+                columns.visible((y - r.y) as usize, place.v(y), &mut planes, out);
+            }
+        }
+        surface
+    }
+
+    fn masks_of_tile(&self, index: u32, surface: &[f32], s: &mut Scratch) -> LayerMasks {
+        let (tile, r, place) = (&self.tiles[index as usize], self.grid.rect(index), TileFrame::of(&self.grid, index));
+        let w = r.w as usize;
+        s.visible.resize(r.area(), 0.0);
+        s.hidden.resize(r.area(), 0);
+        s.own.resize(r.area(), 0.0);
+        let mut us = std::mem::take(&mut s.us);
+        place.columns(r.x, r.w, &mut us);
+        let columns = Columns { us: &us, labels: &tile.labels, planes: &tile.planes };
+        for (y, out) in s.visible.chunks_mut(w).enumerate() {
+            columns.visible(y, place.v(r.y + y as u32), &mut s.planes, out);
+        }
+        let parallax = self.view_box.parallax(&self.intrinsics, r);
+        let parallax = parallax.0.max(parallax.1);
+        let mut out = LayerMasks::default();
+        let labelled = tile.planes.iter().enumerate().map(|(j, q)| (Some(j as u8), *q));
+        for (label, plane) in labelled.chain(tile.background.map(|q| (None, q))) {
+            for (y, own) in s.own.chunks_mut(w).enumerate() {
+                rows::disparities(&us, place.v(r.y + y as u32), &plane, own);
+            }
+            out.never_seen += self.mark_hidden(r, place, tile, label, &plane, surface, s);
+            out.layers.extend(mask(r, place, tile, label, plane, parallax, s));
+        }
+        s.us = us;
+        // a background is the farthest at most places, but the order is by the tile's centre for all alike
+        out.layers.sort_by(|a, b| a.plane.a.total_cmp(&b.plane.a));
+        out
+    }
+
+    /// Marks the texels of a layer that lie behind the visible surface and that a camera in the view box can look at; gives
+    /// the count of those that lie behind it but are never seen.
+    #[allow(clippy::too_many_arguments, reason = "the parts of one tile")]
+    fn mark_hidden(
+        &self,
+        r: Rect,
+        place: TileFrame,
+        tile: &Tile,
+        label: Option<u8>,
+        plane: &Plane,
+        surface: &[f32],
+        s: &mut Scratch,
+    ) -> usize {
+        let (behind, step) = rows::behind(&s.own, &s.visible, &tile.labels, label, &mut s.hidden);
+        if behind == 0 || s.all {
+            return 0;
+        }
+        let parallax = self.view_box.parallax(&self.intrinsics, r);
+        let reach = |parallax: f64, step: f64| (step * parallax + MARGIN).min(MAX_REACH).ceil() as u32;
+        let win = grown(r, reach(parallax.0, step), reach(parallax.1, step), &self.grid);
+        place.columns(win.x, win.w, &mut s.window);
+        let (mut nearest, mut least) = (0f32, f32::INFINITY);
+        s.open.resize(win.area(), 0);
+        for (y, open) in (win.y..).zip(s.open.chunks_mut(win.w as usize)) {
+            let surface = &surface[y as usize * self.grid.width as usize + win.x as usize..][..win.w as usize];
+            let (far, near) = rows::open(&s.window, place.v(y), plane, surface, UNOCCLUDED, open);
+            (least, nearest) = (least.min(far), nearest.max(near));
+        }
+        // an occluder of the neighbourhood may be nearer still, and its edge uncovers more
+        let step = (f64::from(nearest) - f64::from(least).max(0.0)).max(step);
+        let inner = Rect { x: r.x - win.x, y: r.y - win.y, ..r };
+        dilate(&s.open, win.w, inner, (reach(parallax.0, step), reach(parallax.1, step)), &mut s.reach);
+        let mut seen = 0;
+        for (h, reach) in s.hidden.iter_mut().zip(&s.reach.out) {
+            *h &= reach;
+            seen += usize::from(*h);
+        }
+        behind - seen
+    }
+}
+
+#[derive(Default)]
+struct Scratch {
+    /// Nothing is left out.
+    all: bool,
+    /// Horizontal places of the tile's columns, and of the window's.
+    us: Vec<f64>,
+    window: Vec<f64>,
+    /// δ of each plane in the row at hand but for its share in `u`.
+    planes: Vec<[f64; 2]>,
+    /// δ of the visible surface and of the layer at hand.
+    visible: Vec<f32>,
+    own: Vec<f32>,
+    /// Masks of 0 and 1: hidden texels of the tile, open pixels of the window, opaque texels.
+    hidden: Vec<u8>,
+    open: Vec<u8>,
+    opaque: Vec<u8>,
+    /// What the open pixels reach within the tile.
+    reach: Dilation,
+}
+
+/// Joins visible, hidden and soft texels into a layer cut to its bounds; none where nothing is left.
+fn mask(r: Rect, place: TileFrame, tile: &Tile, label: Option<u8>, plane: Plane, parallax: f64, s: &mut Scratch) -> Option<LayerMask> {
+    let (w, h) = (r.w as usize, r.h as usize);
+    let texel = |(&l, &hidden): (&u8, &u8)| if Some(l) == label { Class::Photo as u8 } else { hidden * Class::Hidden as u8 };
+    let mut class: Vec<u8> = tile.labels.iter().zip(&s.hidden).map(texel).collect();
+    let mut alpha: Vec<u8> = class.iter().map(|&c| if c == Class::Empty as u8 { 0 } else { 255 }).collect();
+    if let Some(label) = label {
+        soften(&mut class, &mut alpha, &SoftEdge { r, place, tile, label, parallax }, s);
+    }
+    let b = bounds(&class, w, h)?;
+    let cut = |v: Vec<u8>| -> Vec<u8> {
+        if b.w == r.w && b.h == r.h {
+            return v;
+        }
+        v.chunks(w).skip(b.y as usize).take(b.h as usize).flat_map(|row| &row[b.x as usize..][..b.w as usize]).copied().collect()
+    };
+    Some(LayerMask { plane, label, rect: Rect { x: r.x + b.x, y: r.y + b.y, w: b.w, h: b.h }, class: cut(class), alpha: cut(alpha) })
+}
+
+/// A layer whose rim is softened.
+struct SoftEdge<'a> {
+    r: Rect,
+    place: TileFrame,
+    tile: &'a Tile,
+    label: u8,
+    parallax: f64,
+}
+
+impl SoftEdge<'_> {
+    /// True where the surface is bent so that each side lies in front of the other's continuation: the layer that shows at pixel
+    /// `(x, y)` of the ring has no texel under one of this layer's own pixels beside it. `own`: δ of this layer.
+    fn folds(&self, x: usize, y: usize, own: &[f32]) -> bool {
+        let (w, h) = (self.r.w as usize, self.r.h as usize);
+        let other = &self.tile.planes[self.tile.labels[y * w + x] as usize];
+        let beside = (y.saturating_sub(1)..(y + 2).min(h)).flat_map(|y| (x.saturating_sub(1)..(x + 2).min(w)).map(move |x| (x, y)));
+        beside.filter(|(x, y)| self.tile.labels[y * w + x] == self.label).any(|(x, y)| {
+            let delta = self.place.disparity(other, self.r.x + x as u32, self.r.y + y as u32);
+            delta >= own[y * w + x] || delta < 0.0
+        })
+    }
+}
+
+/// One ring of soft texels outside: alpha is the 3×3 box of the opaque mask, colour the photo's, so that the identity view
+/// stays exact. Only where the layer lies in front: elsewhere the photo's colour belongs to something else. Where it lies
+/// hardly in front and the surface is bent by a crease, the ring is opaque, or a hairline would open along the crease.
+fn soften(class: &mut [u8], alpha: &mut [u8], edge: &SoftEdge, s: &mut Scratch) {
+    let (w, h) = (edge.r.w as usize, edge.r.h as usize);
+    s.opaque.clear();
+    s.opaque.extend(alpha.iter().map(|&a| u8::from(a == 255)));
+    let Scratch { opaque, own, visible, .. } = s;
+    let mut columns = vec![0u8; w];
+    for y in 0..h {
+        let lines = y.saturating_sub(1)..(y + 2).min(h);
+        columns.fill(0);
+        for line in lines.clone() {
+            for (c, o) in columns.iter_mut().zip(&opaque[line * w..]) {
+                *c += o;
+            }
+        }
+        // rows without an opaque texel near have no ring
+        if columns.iter().all(|&c| c == 0) {
+            continue;
+        }
+        for x in 0..w {
+            let (at, near) = (y * w + x, x.saturating_sub(1)..(x + 2).min(w));
+            let all = (lines.len() * near.len()) as u32;
+            let set: u32 = columns[near].iter().map(|&c| u32::from(c)).sum();
+            if set == 0 || opaque[at] != 0 {
+                continue;
+            }
+            let front = (f64::from(own[at]) - f64::from(visible[at])) * edge.parallax;
+            if front > 0.0 {
+                class[at] = Class::Photo as u8;
+                let soft = ((255 * set + all / 2) / all) as u8;
+                alpha[at] = if front <= SEAM && edge.folds(x, y, own) { 255 } else { soft };
+            }
+        }
+    }
+}
+
+/// Bounds of what is not empty, with one empty pixel around where the tile has it, so that bilinear samples fade out; none where
+/// all is empty.
+fn bounds(class: &[u8], w: usize, h: usize) -> Option<Rect> {
+    let full = |c: &u8| *c != Class::Empty as u8;
+    let y0 = class.iter().position(full)? / w;
+    let y1 = class.iter().rposition(full)? / w + 1;
+    let (mut x0, mut x1) = (w, 0);
+    for row in class[y0 * w..y1 * w].chunks(w) {
+        // only what lies outside of the bounds so far can widen them
+        x0 = row[..x0].iter().position(full).unwrap_or(x0);
+        x1 = row[x1..].iter().rposition(full).map_or(x1, |x| x1 + x + 1);
+    }
+    let (x0, y0, x1, y1) = (x0.saturating_sub(1), y0.saturating_sub(1), (x1 + 1).min(w), (y1 + 1).min(h));
+    Some(Rect { x: x0 as u32, y: y0 as u32, w: (x1 - x0) as u32, h: (y1 - y0) as u32 })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    #[test]
+    fn background_is_hidden_only_near_the_edge_that_uncovers_it() {
+        // a near square in the middle of a far wall
+        let grid = Grid::new(64, 64, 64);
+        let labels = (0..4096u32).map(|i| u8::from((16..48).contains(&(i % 64)) && (16..48).contains(&(i / 64)))).collect();
+        let tile = Tile { planes: vec![Plane::fronto_parallel(0.25), Plane::fronto_parallel(1.0)], labels, background: None };
+        let b = Geometry {
+            grid,
+            intrinsics: Intrinsics::centred(64, 64, 100.0),
+            view_box: ViewBox { x: 0.04, y: 0.0, z: 0.0 },
+            tiles: vec![tile],
+        };
+        let shapes = &b.masks()[0];
+        let far = &shapes.layers[0];
+        let hidden = |x: u32, y: u32| far.class[((y - far.rect.y) * far.rect.w + x - far.rect.x) as usize] == Class::Hidden as u8;
+        // parallax 4 px times a step of 0.75, and the margin: 5 px from the left and right edges, 2 from the others
+        assert!(hidden(20, 32) && !hidden(21, 32) && hidden(43, 32) && !hidden(42, 32));
+        assert!(hidden(32, 17) && !hidden(32, 18));
+        assert_eq!(shapes.never_seen, 22 * 28);
+        let near = &shapes.layers[1];
+        assert!(near.alpha.iter().any(|a| (1..255).contains(a)), "the near layer has a soft rim");
+    }
+
+    #[test]
+    fn rims_are_opaque_where_the_surface_is_bent_and_soft_at_a_small_step() {
+        let grid = Grid::new(64, 64, 64);
+        let rims = |left: Plane, right: Plane| {
+            let mut planes = vec![left, right];
+            let order = left.a > right.a;
+            planes.sort_by(|p, q| p.a.total_cmp(&q.a));
+            let labels = (0..4096u32).map(|i| u8::from((i % 64 < 32) == order)).collect();
+            let b = Geometry {
+                grid,
+                intrinsics: Intrinsics::centred(64, 64, 100.0),
+                view_box: ViewBox { x: 0.04, y: 0.0, z: 0.0 },
+                tiles: vec![Tile { planes, labels, background: None }],
+            };
+            let shapes = b.masks().remove(0);
+            let row = |s: &LayerMask| {
+                s.alpha[32 * s.rect.w as usize..][..s.rect.w as usize].iter().map(|&a| usize::from(a == 255)).sum::<usize>()
+            };
+            let soft = |s: &LayerMask| s.alpha.iter().any(|a| (1..255).contains(a));
+            (shapes.layers.iter().map(row).sum::<usize>(), shapes.layers.iter().any(soft))
+        };
+        // both sides rise towards the middle and go on rising beyond it: neither has a texel under the other
+        let valley = rims(Plane { a: 0.52, b: 0.3, c: 0.0 }, Plane { a: 0.521, b: -0.3, c: 0.0 });
+        assert_eq!(valley, (64 + 2, false));
+        // a step of half a pixel: the far side goes on under the near one
+        let (_, soft) = rims(Plane::fronto_parallel(0.4), Plane::fronto_parallel(0.5));
+        assert!(soft);
+    }
+}

@@ -1,0 +1,228 @@
+//! The grid of tiles over a photo (paper, section 3.1).
+
+use std::ops::Range;
+use std::str::FromStr;
+
+/// Rectangle in photo pixels.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+pub struct Rect {
+    /// Left border.
+    pub x: u32,
+    /// Upper border.
+    pub y: u32,
+    /// Width.
+    pub w: u32,
+    /// Height.
+    pub h: u32,
+}
+
+impl Rect {
+    /// Count of pixels.
+    #[must_use]
+    pub fn area(&self) -> usize {
+        self.w as usize * self.h as usize
+    }
+
+    /// True where `other` lies within this rectangle.
+    #[must_use]
+    pub fn contains(&self, other: &Rect) -> bool {
+        let end = |a: u32, b: u32| u64::from(a) + u64::from(b);
+        other.x >= self.x
+            && other.y >= self.y
+            && end(other.x, other.w) <= end(self.x, self.w)
+            && end(other.y, other.h) <= end(self.y, self.h)
+    }
+}
+
+/// Four whole numbers that could not be read as a rectangle.
+#[derive(Debug, PartialEq, Eq, thiserror::Error)]
+#[error("must be four whole numbers X,Y,W,H, not {0:?}")]
+pub struct NoRect(String);
+
+impl FromStr for Rect {
+    type Err = NoRect;
+
+    /// Reads `x,y,w,h`.
+    fn from_str(text: &str) -> Result<Self, NoRect> {
+        let wrong = |_| NoRect(text.to_owned());
+        let all: Vec<u32> =
+            text.split(',').map(|part| part.trim().parse()).collect::<Result<_, std::num::ParseIntError>>().map_err(wrong)?;
+        let &[x, y, w, h] = all.as_slice() else { return Err(NoRect(text.to_owned())) };
+        Ok(Self { x, y, w, h })
+    }
+}
+
+/// Square tiles of `size` pixels every `stride` pixels; edge tiles are clipped to the photo.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+pub struct Grid {
+    /// Photo width, at least 1.
+    pub width: u32,
+    /// Photo height, at least 1.
+    pub height: u32,
+    /// Tile size `h`, at least 1.
+    pub size: u32,
+    /// Distance of neighbouring tiles `r ≤ h`, at least 1.
+    pub stride: u32,
+}
+
+impl Grid {
+    /// Tile size of the paper.
+    pub const DEFAULT_SIZE: u32 = 64;
+
+    /// Tiles of `size` pixels with the paper's stride `r = h − h/8`.
+    #[must_use]
+    pub fn new(width: u32, height: u32, size: u32) -> Self {
+        Self { width, height, size, stride: (size - size / 8).max(1) }
+    }
+
+    /// One tile as large as the photo: a regular MPI.
+    #[must_use]
+    pub fn full(width: u32, height: u32) -> Self {
+        let size = width.max(height);
+        Self { width, height, size, stride: size }
+    }
+
+    /// Tiles in a row.
+    #[must_use]
+    pub fn columns(&self) -> u32 {
+        Self::count(self.width, self.size, self.stride)
+    }
+
+    /// Tiles in a column.
+    #[must_use]
+    pub fn rows(&self) -> u32 {
+        Self::count(self.height, self.size, self.stride)
+    }
+
+    /// Count of all tiles.
+    #[must_use]
+    pub fn tiles(&self) -> u32 {
+        self.columns() * self.rows()
+    }
+
+    /// Some columns and rows of tiles as a grid of their own, and where its pixels lie in this one's photo. Neither range is empty
+    /// or reaches past the last tile.
+    #[must_use]
+    pub fn part(&self, columns: Range<u32>, rows: Range<u32>) -> (Rect, Self) {
+        let side = |tiles: &Range<u32>, length: u32| {
+            let from = tiles.start * self.stride;
+            // in 64 bits: the last tile may reach past the photo
+            let most = u64::from(tiles.end - tiles.start - 1) * u64::from(self.stride) + u64::from(self.size);
+            (from, most.min(u64::from(length - from)) as u32)
+        };
+        let ((x, w), (y, h)) = (side(&columns, self.width), side(&rows, self.height));
+        (Rect { x, y, w, h }, Self { width: w, height: h, ..*self })
+    }
+
+    fn count(length: u32, size: u32, stride: u32) -> u32 {
+        if length <= size { 1 } else { (length - size).div_ceil(stride) + 1 }
+    }
+
+    /// Pixels of tile `index` (row-major), clipped to the photo.
+    #[must_use]
+    pub fn rect(&self, index: u32) -> Rect {
+        let (x, y) = self.origin(index);
+        Rect { x, y, w: self.size.min(self.width - x), h: self.size.min(self.height - y) }
+    }
+
+    /// Upper left pixel of tile `index`.
+    #[must_use]
+    pub fn origin(&self, index: u32) -> (u32, u32) {
+        let columns = self.columns();
+        ((index % columns) * self.stride, (index / columns) * self.stride)
+    }
+
+    /// Centre of tile `index` before clipping, in photo pixels; the origin of `(u, v)` of its planes.
+    #[must_use]
+    pub fn centre(&self, index: u32) -> (f64, f64) {
+        let (x, y) = self.origin(index);
+        (f64::from(x) + self.half(), f64::from(y) + self.half())
+    }
+
+    /// Pixels along a border that a tile shares with others within which its layers are sampled, but not drawn: the next tile has the
+    /// same pixels.
+    ///
+    /// A tile's last half texel could only be repeated, which shows as a column out of place; and where two tiles overlap the nearer
+    /// one hides the truer one, and soft rims lie over each other twice. What is left of the overlap keeps neighbours from coming apart.
+    #[must_use]
+    pub fn inset(&self) -> f64 {
+        // an odd count of halves, so that what is drawn starts and ends at texels' centres
+        match self.size.saturating_sub(self.stride) {
+            0 | 1 => 0.0,
+            2..8 => 0.5,
+            8.. => 1.5,
+        }
+    }
+
+    /// Where a layer of tile `index` that has texels in `rect` is drawn: from and to, across and down, in pixels from the rectangle's
+    /// upper left corner. To may lie before from: nothing is drawn then.
+    #[must_use]
+    pub fn drawn(&self, index: u32, rect: Rect) -> [[f64; 2]; 2] {
+        let (tile, by) = (self.rect(index), self.inset());
+        let side = |from: u32, size: u32, tile: u32, length: u32, all: u32| {
+            let (from, end) = (f64::from(from), f64::from(tile + length));
+            let first = if tile > 0 { f64::from(tile) + by } else { 0.0 };
+            let last = if tile + length < all { end - by } else { end };
+            [(first - from).max(0.0), (last - from).min(f64::from(size))]
+        };
+        [side(rect.x, rect.w, tile.x, tile.w, self.width), side(rect.y, rect.h, tile.y, tile.h, self.height)]
+    }
+
+    /// Half the tile size in pixels: the unit of `(u, v)`.
+    #[must_use]
+    pub fn half(&self) -> f64 {
+        f64::from(self.size) / 2.0
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn the_papers_picture_has_84_tiles() {
+        assert_eq!(Grid::new(630, 350, 64).tiles(), 84);
+    }
+
+    proptest! {
+        #[test]
+        fn a_part_has_the_same_tiles(w in 1u32..400, h in 1u32..400, size in 1u32..100, at in any::<[u16; 4]>()) {
+            let g = Grid::new(w, h, size);
+            let range = |a: u16, b: u16, n: u32| {
+                let (a, b) = (u32::from(a) % n, u32::from(b) % n);
+                a.min(b)..a.max(b) + 1
+            };
+            let (columns, rows) = (range(at[0], at[1], g.columns()), range(at[2], at[3], g.rows()));
+            let (rect, part) = g.part(columns.clone(), rows.clone());
+            prop_assert_eq!((part.columns(), part.rows()), (columns.end - columns.start, rows.end - rows.start));
+            for i in 0..part.tiles() {
+                let (column, row) = (columns.start + i % part.columns(), rows.start + i / part.columns());
+                let (was, is) = (g.rect(row * g.columns() + column), part.rect(i));
+                prop_assert_eq!(was, Rect { x: is.x + rect.x, y: is.y + rect.y, ..is });
+            }
+        }
+
+        #[test]
+        fn every_pixel_is_covered(w in 1u32..400, h in 1u32..400, size in 1u32..100) {
+            let g = Grid::new(w, h, size);
+            let (mut seen, mut drawn) = (vec![false; (w * h) as usize], vec![false; (w * h) as usize]);
+            for i in 0..g.tiles() {
+                let r = g.rect(i);
+                prop_assert!(r.w > 0 && r.h > 0 && r.x + r.w <= w && r.y + r.h <= h);
+                let [[left, right], [upper, lower]] = g.drawn(i, r);
+                for y in 0..r.h { for x in 0..r.w {
+                    let at = ((r.y + y) * w + r.x + x) as usize;
+                    seen[at] = true;
+                    // the whole of a pixel
+                    let (x, y) = (f64::from(x), f64::from(y));
+                    drawn[at] |= left <= x && x + 1.0 <= right && upper <= y && y + 1.0 <= lower;
+                } }
+            }
+            prop_assert!(seen.into_iter().all(|s| s));
+            prop_assert!(drawn.into_iter().all(|s| s));
+        }
+    }
+}

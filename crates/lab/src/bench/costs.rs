@@ -1,0 +1,104 @@
+//! What making costs on this machine, and how well a budget of run time is kept with it.
+
+use super::measure::{Bench, Depth, median};
+use super::subject::Subject;
+use super::{Axis, BenchError, Curve, Experiment, Point};
+use tmpi_pipeline::Silent;
+use tmpi_pipeline::networks;
+use tmpi_pipeline::photo::Limits;
+use tmpi_pipeline::run::budget::{Costs, fit};
+use tmpi_pipeline::{self, Made, Options};
+
+/// Operating points: times the parallax error that is asked for.
+const FACTORS: [f64; 4] = [1.0, 2.0, 4.0, 8.0];
+/// Stages up to the disparity that planes are placed on.
+const BEFORE: [&str; 4] = ["photo", "depth", "denoise", "snap"];
+/// Enough for everything: the budget is only asked for its figures.
+const PLENTY: f64 = 1e7;
+
+/// Median over the repeats of what `of` says.
+fn median_of(runs: &[Made], of: impl Fn(&Made) -> f64) -> f64 {
+    median(runs.iter().map(of).collect())
+}
+
+fn stages(made: &Made, names: &[&str]) -> f64 {
+    made.report.stages.iter().filter(|s| names.contains(&s.name.as_str())).map(|s| s.ms).sum()
+}
+
+fn megapixels(made: &Made) -> f64 {
+    f64::from(made.report.width) * f64::from(made.report.height) / 1e6
+}
+
+/// Fits the costs to the scenes.
+pub(super) fn fitted(bench: &Bench, scenes: &[Subject], progress: &dyn Fn(&str)) -> Result<Costs, BenchError> {
+    progress("costs of this machine");
+    let mut costs = Costs::default();
+    let mut before = Vec::new();
+    let mut points = vec![Vec::new(); FACTORS.len()];
+    for s in scenes {
+        let mut busy = 0.0;
+        for (factor, measured) in FACTORS.into_iter().zip(&mut points) {
+            let budget_ms = (factor <= 1.0).then_some(PLENTY);
+            let options = Options { max_error: Options::default().max_error * factor, budget_ms, ..Options::default() };
+            let runs = bench.runs(s, &Depth::Known, &options)?;
+            let mp = runs.first().map_or(1.0, megapixels);
+            if let Some(b) = runs.first().and_then(|m| m.report.budget.as_ref()) {
+                busy = b.busy;
+                before.push(median_of(&runs, |m| stages(m, &BEFORE)) / mp);
+            }
+            measured.push((busy, median_of(&runs, |m| stages(m, &["planes", "layers", "refine", "encode", "verify"])) / mp));
+        }
+    }
+    costs.before = median(before);
+    costs.points = FACTORS.into_iter().zip(&points).map(|(factor, measured)| fit(factor, measured)).collect();
+    if let (true, Some(s)) = (networks::available().is_ok(), scenes.first()) {
+        // two sizes tell what grows from what does not
+        let ms = |max_size: Option<u32>| -> Result<(f64, f64), BenchError> {
+            let runs = bench.runs(s, &Depth::Estimated, &Options { max_size, ..Options::default() })?;
+            Ok((runs.first().map_or(1.0, megapixels), median_of(&runs, |m| stages(m, &BEFORE))))
+        };
+        let ((small, a), (large, b)) = (ms(Some(192))?, ms(None)?);
+        let slope = ((b - a) / (large - small)).max(0.0);
+        costs.depth_megapixel = (slope - costs.before).max(0.0);
+        costs.depth = (a - slope * small).max(0.0);
+    }
+    Ok(costs)
+}
+
+/// Asks for several budgets by the built-in or named costs; the scenes are enlarged, so that there is something to choose.
+pub(super) fn kept(bench: &Bench, scenes: &[Subject], progress: &dyn Fn(&str)) -> Result<Experiment, BenchError> {
+    progress("budgets");
+    let mut curves = Vec::new();
+    for s in scenes.iter().take(3) {
+        let mut points = Vec::new();
+        for asked in [25.0, 50.0, 100.0, 200.0, 500.0] {
+            let options = Options { budget_ms: Some(asked), fov_x: s.fov_x, view_box: s.view_box, ..Options::default() };
+            let map =
+                s.disparity.as_deref().map(tmpi_pipeline::depth::to_png).transpose().map_err(|e| BenchError::Picture(e.to_string()))?;
+            let make = || {
+                tmpi_pipeline::make(bench.models, &Limits::default(), &s.file, map.as_deref(), &options, &Silent)
+                    .map_err(|source| BenchError::Make { subject: s.name.clone(), source })
+            };
+            let runs = (0..bench.repeats).map(|_| make()).collect::<Result<Vec<_>, _>>()?;
+            let budget = |of: fn(&tmpi_pipeline::Budget) -> f64| median_of(&runs, |m| m.report.budget.as_ref().map_or(0.0, of));
+            let chose = runs.last().and_then(|m| m.report.budget.as_ref()).map_or(String::new(), |b| format!("{}: {}", b.chose, b.reason));
+            let outcome = budget(|b| b.outcome_ms);
+            points.push(Point {
+                setting: format!("--budget-ms {asked} chose {chose}"),
+                x: asked,
+                y: outcome,
+                figures: vec![("predicted, ms", budget(|b| b.predicted_ms)), ("outcome over budget, %", 100.0 * (outcome / asked - 1.0))],
+                ..Point::default()
+            });
+        }
+        curves.push(Curve { name: s.name.clone(), points });
+    }
+    Ok(Experiment {
+        id: "budget",
+        title: "Budgets of run time".into(),
+        about: "What --budget-ms made of it, by the costs that TMPI_COSTS names, else by the built-in ones.".into(),
+        x: Axis { label: "asked for, ms", log: true, up: None },
+        y: Axis { label: "took, ms", log: true, up: None },
+        curves,
+    })
+}

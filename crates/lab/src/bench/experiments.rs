@@ -1,0 +1,264 @@
+//! What is varied.
+
+use super::measure::{Bench, Depth};
+use super::subject::Subject;
+use super::{Axis, BenchError, Curve, Experiment, Point, Settings};
+use tmpi_core::{DisparityMap, ViewBox};
+use tmpi_pipeline::networks;
+use tmpi_pipeline::{Denoise, Options, PlaneCount, PlaneMethod, Switch, TileSize};
+
+const MS: Axis = Axis { label: "making, ms", log: true, up: Some(false) };
+const VIEW: Axis = Axis { label: "view, dB", log: false, up: Some(true) };
+const PARALLAX: Axis = Axis { label: "parallax error, px", log: true, up: Some(false) };
+
+const METHODS: [(&str, PlaneMethod); 4] =
+    [("linear", PlaneMethod::Linear), ("lloyd", PlaneMethod::Lloyd), ("optimal", PlaneMethod::Optimal), ("slanted", PlaneMethod::Slanted)];
+
+/// Settings of a curve: words, options, disparity.
+type Set = (String, Options, Depth);
+
+/// One experiment to be.
+struct Plan {
+    id: &'static str,
+    title: &'static str,
+    about: &'static str,
+    axes: (Axis, Axis),
+    curves: Vec<(&'static str, Vec<Set>)>,
+}
+
+impl Plan {
+    fn run(self, bench: &Bench, subjects: &[Subject]) -> Result<Experiment, BenchError> {
+        let defaults = Options::default();
+        let (x, y) = self.axes;
+        let mut curves = Vec::new();
+        for (name, settings) in self.curves {
+            let mut points: Vec<Point> = Vec::new();
+            for (setting, options, depth) in settings {
+                let mut p = bench.point(subjects, &depth, &options, setting, (x.label, y.label))?;
+                p.default = options == defaults;
+                points.push(p);
+            }
+            curves.push(Curve { name: name.into(), points });
+        }
+        Ok(Experiment { id: self.id, title: self.title.into(), about: self.about.into(), x, y, curves })
+    }
+}
+
+fn known(setting: impl Into<String>, change: impl FnOnce(&mut Options)) -> Set {
+    let mut options = Options::default();
+    change(&mut options);
+    (setting.into(), options, Depth::Known)
+}
+
+fn errors(quick: bool) -> Vec<Set> {
+    let all: &[f64] = if quick { &[0.25, 0.5, 1.0, 2.0, 4.0] } else { &[0.1, 0.25, 0.35, 0.5, 0.7, 1.0, 1.5, 2.0, 4.0, 8.0] };
+    all.iter().map(|&e| known(format!("--max-error {e}"), |o| o.max_error = e)).collect()
+}
+
+fn counts(method: PlaneMethod, name: &str, counts: &[u32], tile: TileSize) -> Vec<Set> {
+    let one = |&n: &u32| {
+        known(format!("--plane-method {name} --planes {n}"), |o| {
+            (o.plane_method, o.planes, o.tile) = (method, PlaneCount::Fixed(n), tile);
+        })
+    };
+    counts.iter().map(one).collect()
+}
+
+/// Plane placement by count and by error.
+fn planes(quick: bool, axes: (Axis, Axis)) -> Plan {
+    let n: &[u32] = if quick { &[1, 2, 4, 8] } else { &[1, 2, 3, 4, 6, 8, 12] };
+    let mut curves: Vec<_> = METHODS.map(|(name, m)| (name, counts(m, name, n, TileSize::Pixels(64)))).into();
+    curves.push(("slanted, by error", errors(quick)));
+    Plan {
+        id: "planes",
+        title: "Planes: how they are placed, and how many",
+        about: "A fixed count of planes a tile by each method, and the fewest slanted planes that keep the parallax error.",
+        axes,
+        curves,
+    }
+}
+
+/// The paper's figure: tile size by plane count.
+fn tiles(quick: bool) -> Plan {
+    let sizes: &[(&'static str, TileSize)] = &[
+        ("tiles of 32", TileSize::Pixels(32)),
+        ("tiles of 64", TileSize::Pixels(64)),
+        ("tiles of 128", TileSize::Pixels(128)),
+        ("tiles of 256", TileSize::Pixels(256)),
+    ];
+    let errors: &[f64] = if quick { &[0.5, 1.0, 4.0] } else { &[0.25, 0.5, 1.0, 2.0, 4.0] };
+    let of = |&(name, tile): &(&'static str, TileSize)| {
+        let one = |&e: &f64| known(format!("{name}, --max-error {e}"), |o| (o.tile, o.max_error) = (tile, e));
+        (name, errors.iter().map(one).collect())
+    };
+    let full: &[u32] = if quick { &[8, 32] } else { &[4, 8, 16, 32, 64] };
+    let mut curves: Vec<_> = sizes.iter().map(of).collect();
+    curves.push(("one tile, fronto-parallel", counts(PlaneMethod::Lloyd, "lloyd --tile full", full, TileSize::Full)));
+    Plan {
+        id: "tiles",
+        title: "Tile size",
+        about: "Slanted planes on tiles of several sizes, and regular multiplane images: one tile, many fronto-parallel planes.",
+        axes: (MS, VIEW),
+        curves,
+    }
+}
+
+/// Gaussian noise of variance 1e-3 by a fixed generator.
+pub(super) fn noisy(map: &DisparityMap) -> DisparityMap {
+    let mut state = 1u64;
+    let mut uniform = || {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        ((state >> 40) as f32 + 0.5) / (1u64 << 24) as f32
+    };
+    let mut noise = || (-2.0 * uniform().ln()).sqrt() * (std::f32::consts::TAU * uniform()).cos() * 1e-3f32.sqrt();
+    DisparityMap { delta: map.delta.iter().map(|d| (d + noise()).clamp(0.0, 1.0)).collect(), ..*map }
+}
+
+/// A box of 5×5 pixels: what networks do to edges.
+pub(super) fn blurred(map: &DisparityMap) -> DisparityMap {
+    box_blurred(map, 2)
+}
+
+/// Means over `(2r+1)²` pixels, fewer at borders.
+pub(super) fn box_blurred(map: &DisparityMap, r: usize) -> DisparityMap {
+    let (w, h) = (map.width as usize, map.height as usize);
+    let mean = |i: usize| {
+        let (x, y) = (i % w, i / w);
+        let (rows, columns) = (y.saturating_sub(r)..(y + r + 1).min(h), x.saturating_sub(r)..(x + r + 1).min(w));
+        let n = (rows.len() * columns.len()) as f32;
+        rows.map(|y| map.delta[y * w + columns.start..y * w + columns.end].iter().sum::<f32>()).sum::<f32>() / n
+    };
+    DisparityMap { delta: (0..w * h).map(mean).collect(), ..*map }
+}
+
+/// Each step off, one at a time.
+fn steps() -> Plan {
+    let on = |setting: &str, change: &dyn Fn(&mut Options)| {
+        let mut o = Options::default();
+        change(&mut o);
+        (setting.to_owned(), o)
+    };
+    let all = [
+        on("defaults", &|_| {}),
+        on("--snap off", &|o| o.snap = Switch::Off),
+        on("--snap on", &|o| o.snap = Switch::On),
+        on("--denoise classic", &|o| o.denoise = Denoise::Classic),
+        on("--refine on", &|o| o.refine = Switch::On),
+        on("--plane-method optimal", &|o| o.plane_method = PlaneMethod::Optimal),
+        on("--plane-method lloyd --planes 4", &|o| (o.plane_method, o.planes) = (PlaneMethod::Lloyd, PlaneCount::Fixed(4))),
+    ];
+    let of = |depth: &Depth| all.iter().map(|(s, o)| (s.clone(), o.clone(), depth.clone())).collect::<Vec<Set>>();
+    Plan {
+        id: "steps",
+        title: "Steps on and off",
+        about: "One step changed at a time, on exact disparity and on disparity whose edges are blurred over 5 pixels.",
+        axes: (MS, VIEW),
+        curves: vec![("exact disparity", of(&Depth::Known)), ("blurred disparity", of(&Depth::Spoilt(blurred)))],
+    }
+}
+
+fn denoise() -> Plan {
+    let of = |depth: &Depth| {
+        [("off", Denoise::Off), ("classic", Denoise::Classic), ("auto", Denoise::Auto), ("theta", Denoise::Theta)]
+            .map(|(name, d)| (format!("--denoise {name}"), Options { denoise: d, ..Options::default() }, depth.clone()))
+            .into()
+    };
+    Plan {
+        id: "denoise",
+        title: "Cleaning of disparity",
+        about: "Nothing, a median with a guided filter, fitted planes where the map is damaged (auto), and the network Θ, on noise of variance 1e-3 and on blurred edges.",
+        axes: (MS, VIEW),
+        curves: vec![("noisy disparity", of(&Depth::Spoilt(noisy))), ("blurred disparity", of(&Depth::Spoilt(blurred)))],
+    }
+}
+
+fn quality(quick: bool) -> Plan {
+    let all: &[u8] = if quick { &[60, 80, 90, 100] } else { &[30, 50, 60, 70, 80, 85, 90, 95, 100] };
+    Plan {
+        id: "quality",
+        title: "Picture quality",
+        about: "How large the container is, and how near its views are to the exact ones.",
+        axes: (Axis { label: "container, KB", log: true, up: Some(false) }, VIEW),
+        curves: vec![("quality", all.iter().map(|&q| known(format!("--quality {q}"), |o| o.quality = q)).collect())],
+    }
+}
+
+fn prune(quick: bool) -> Plan {
+    let all: &[f64] = if quick { &[0.015, 0.06, 0.12] } else { &[0.015, 0.045, 0.06, 0.12, 0.25] };
+    let one = |&v: &f64| {
+        known(format!("--view-box {v},{v},{v} --verify-prune"), |o| {
+            (o.view_box, o.verify_prune) = (ViewBox { x: v, y: v, z: v }, true);
+        })
+    };
+    Plan {
+        id: "prune",
+        title: "Leaving out what is never seen",
+        about: "Pixels that differ by more than 8 levels at the corners of the view box and the middles of its sides, drawn with and without the texels left out; the corner where they are most.",
+        axes: (
+            Axis { label: "texels for each pixel", log: false, up: Some(false) },
+            Axis { label: "left out wrongly, % of pixels", log: false, up: Some(false) },
+        ),
+        curves: vec![("view box", all.iter().map(one).collect())],
+    }
+}
+
+fn depth() -> Plan {
+    Plan {
+        id: "depth",
+        title: "Depth network",
+        about: "Disparity of the network against the exact one, after the best scale and shift.",
+        axes: (
+            Axis { label: "depth, ms", log: true, up: Some(false) },
+            Axis { label: "disparity error, 1e-3", log: false, up: Some(false) },
+        ),
+        curves: vec![("estimated", vec![("as given by --depth-model".into(), Options::default(), Depth::Estimated)])],
+    }
+}
+
+/// The first words of a reason: a list of all places that were searched is of no use here.
+fn brief(reason: &impl std::fmt::Display) -> String {
+    reason.to_string().split(':').next().unwrap_or_default().to_owned()
+}
+
+/// Experiments on scenes with exact views.
+pub(super) fn on_scenes(
+    bench: &Bench,
+    scenes: &[Subject],
+    settings: &Settings,
+    skipped: &mut Vec<String>,
+    progress: &dyn Fn(&str),
+) -> Result<Vec<Experiment>, BenchError> {
+    let quick = settings.quick;
+    // the first run of a process pays for its threads and its memory
+    bench.point(&scenes[..scenes.len().min(1)], &Depth::Known, &Options::default(), String::new(), ("", ""))?;
+    let mut plans = vec![planes(quick, (MS, VIEW)), tiles(quick), steps(), quality(quick), prune(quick)];
+    if let Err(reason) = networks::available() {
+        skipped.push(format!("depth and denoise networks: {}", brief(&reason)));
+    } else if bench.models.theta.is_none() {
+        skipped.push("depth and denoise networks: they are not embedded".into());
+    } else {
+        plans.extend([denoise(), depth()]);
+    }
+    let mut all = Vec::new();
+    for plan in plans.into_iter().filter(|p| settings.wants(p.id)) {
+        progress(plan.title);
+        all.push(plan.run(bench, scenes)?);
+    }
+    Ok(all)
+}
+
+/// Experiments on photos, whose disparity the network estimates.
+pub(super) fn on_photos(
+    bench: &Bench,
+    photos: &[Subject],
+    skipped: &mut Vec<String>,
+    progress: &dyn Fn(&str),
+) -> Result<Vec<Experiment>, BenchError> {
+    if let Err(reason) = networks::available() {
+        skipped.push(format!("photos: {}", brief(&reason)));
+        return Ok(Vec::new());
+    }
+    let plan = Plan { id: "photos", title: "Planes on photos", ..planes(true, (MS, PARALLAX)) };
+    progress(plan.title);
+    Ok(vec![plan.run(bench, photos)?])
+}

@@ -1,0 +1,233 @@
+//! Runs a setting on all subjects: medians of time, means of error.
+
+use std::sync::Arc;
+
+use rayon::prelude::*;
+
+use super::subject::Subject;
+use super::{BenchError, Point};
+use crate::metrics::{self, ssim_map};
+use tmpi_core::container;
+use tmpi_core::{DisparityMap, Photo, Scene, ViewBox};
+use tmpi_pipeline::Silent;
+use tmpi_pipeline::depth::{DepthError, Estimator};
+use tmpi_pipeline::networks::{self, Network};
+use tmpi_pipeline::photo::Limits;
+use tmpi_pipeline::{self, Made, Models, Options};
+use tmpi_render::{Cpu, Renderer, View};
+
+/// Share of a view that is left out on each side, as in the paper.
+const CROP: f64 = 0.15;
+/// Stages that no knob changes: reading files, and measuring itself.
+const APART: [&str; 3] = ["photo", "depth", "verify"];
+
+/// What settings are run with.
+pub(super) struct Bench<'a> {
+    pub models: &'a Models,
+    pub repeats: usize,
+}
+
+/// How a setting's disparity comes about.
+#[derive(Clone)]
+pub(super) enum Depth {
+    /// As it is known, else by the network.
+    Known,
+    /// By the network, whatever is known.
+    Estimated,
+    /// What is known, spoilt.
+    Spoilt(fn(&DisparityMap) -> DisparityMap),
+    /// What is known, spoilt, and given as a file.
+    Given(fn(&DisparityMap) -> DisparityMap),
+}
+
+/// Hands out a map as if a network had estimated it, so that the way treats it as estimated.
+struct Fixed(DisparityMap);
+
+impl Estimator for Fixed {
+    fn name(&self) -> &'static str {
+        "fixed"
+    }
+
+    fn estimate(&self, _: &Photo) -> Result<DisparityMap, DepthError> {
+        Ok(self.0.clone())
+    }
+}
+
+/// Median; 0 of nothing.
+pub(super) fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    let n = values.len();
+    match n {
+        0 => 0.0,
+        _ if n % 2 == 1 => values[n / 2],
+        _ => f64::midpoint(values[n / 2 - 1], values[n / 2]),
+    }
+}
+
+/// Sums of figures by name, for means.
+#[derive(Default)]
+struct Sums(Vec<(&'static str, f64)>);
+
+impl Sums {
+    fn add(&mut self, name: &'static str, value: f64) {
+        match self.0.iter_mut().find(|(n, _)| *n == name) {
+            Some((_, sum)) => *sum += value,
+            None => self.0.push((name, value)),
+        }
+    }
+}
+
+impl Bench<'_> {
+    /// Ψ, where there is one and ONNX Runtime to run it.
+    pub fn psi(&self) -> Option<&dyn Network> {
+        self.models.psi.as_deref().filter(|_| networks::available().is_ok()).map(|psi| psi as &dyn Network)
+    }
+
+    /// Runs a setting on all subjects. `x` and `y` name the figures of the axes.
+    pub fn point(
+        &self,
+        subjects: &[Subject],
+        depth: &Depth,
+        options: &Options,
+        setting: String,
+        axes: (&str, &str),
+    ) -> Result<Point, BenchError> {
+        let mut sums = Sums::default();
+        for s in subjects {
+            for (name, value) in self.figures(s, depth, options)? {
+                sums.add(name, value / subjects.len() as f64);
+            }
+        }
+        let of = |name: &str| sums.0.iter().find(|f| f.0 == name).map_or(f64::NAN, |f| f.1);
+        Ok(Point { setting, x: of(axes.0), y: of(axes.1), figures: sums.0, ..Point::default() })
+    }
+
+    /// Makes a subject as often as repeats are asked for.
+    pub fn runs(&self, s: &Subject, depth: &Depth, options: &Options) -> Result<Vec<Made>, BenchError> {
+        let own = options.view_box == ViewBox::default();
+        let view_box = if own { s.view_box } else { options.view_box };
+        let options = Options { fov_x: options.fov_x.or(s.fov_x), view_box, ..options.clone() };
+        let mut models = self.models.clone();
+        let map = match (depth, &s.disparity) {
+            (Depth::Known, Some(d)) => Some(d.clone()),
+            (Depth::Given(how), Some(d)) => Some(Arc::new(how(d))),
+            (Depth::Spoilt(how), Some(d)) => {
+                models.depth = Arc::new(Fixed(how(d)));
+                None
+            }
+            _ => None,
+        };
+        let file = map.map(|d| tmpi_pipeline::depth::to_png(&d)).transpose().map_err(|e| BenchError::Picture(e.to_string()))?;
+        let mut runs: Vec<Made> = Vec::with_capacity(self.repeats);
+        for _ in 0..self.repeats {
+            let made = tmpi_pipeline::make(&models, &Limits::default(), &s.file, file.as_deref(), &options, &Silent);
+            runs.push(made.map_err(|source| BenchError::Make { subject: s.name.clone(), source })?);
+        }
+        Ok(runs)
+    }
+
+    fn figures(&self, s: &Subject, depth: &Depth, options: &Options) -> Result<Vec<(&'static str, f64)>, BenchError> {
+        let runs = self.runs(s, depth, options)?;
+        let over = |f: &dyn Fn(&tmpi_pipeline::Report) -> f64| median(runs.iter().map(|m| f(&m.report)).collect());
+        let stages = |wanted: &dyn Fn(&str) -> bool, cpu: bool| {
+            over(&|r| r.stages.iter().filter(|s| wanted(&s.name)).map(|s| if cpu { s.cpu_ms } else { s.ms }).sum())
+        };
+        let Some(made) = runs.last() else { return Ok(Vec::new()) };
+        let r = &made.report;
+        let mut all = vec![
+            ("making, ms", stages(&|n| !APART.contains(&n), false)),
+            ("making, cpu ms", stages(&|n| !APART.contains(&n), true)),
+            ("planes, cpu ms", stages(&|n| n == "planes", true)),
+            ("depth, ms", stages(&|n| n == "depth", false)),
+            ("planes a tile", r.planes_per_tile),
+            ("container, KB", r.bytes.total as f64 / 1000.0),
+            ("depth MAE, 1e-3", r.error.depth_mae * 1e3),
+            ("depth MSE, 1e-3", r.error.depth_mse * 1e3),
+            ("depth Q25, 1e-3", r.error.depth_q25 * 1e3),
+            ("identity, dB", r.error.identity_psnr),
+        ];
+        all.push(("view box, ±", if options.view_box == ViewBox::default() { s.view_box.x } else { options.view_box.x }));
+        all.extend(r.error.prune_max_abs.map(|v| ("largest difference, levels", v)));
+        all.extend(r.error.prune_share_off.map(|v| ("left out wrongly, % of pixels", v * 100.0)));
+        all.push(("verifying, ms", stages(&|n| n == "verify", false)));
+        let scene = Arc::new(container::decode(&made.container)?);
+        let held = scene.texels.class.iter().filter(|c| **c != 0).count() as f64;
+        all.push(("texels for each pixel", held / (f64::from(r.width) * f64::from(r.height))));
+        let whole = tmpi_core::Rect { x: 0, y: 0, w: scene.grid.width, h: scene.grid.height };
+        let reach = scene.view_box.parallax(&scene.intrinsics, whole);
+        all.push(("parallax error, px", r.error.depth_mae * reach.0.max(reach.1)));
+        if let Some(truth) = &s.disparity {
+            all.push(("disparity error, 1e-3", 1e3 * aligned_error(&made.disparity, truth)));
+        }
+        if !s.views.is_empty() {
+            let [psnr, ssim, l1] = views(s, &scene)?;
+            all.extend([("view, dB", psnr), ("view SSIM", ssim), ("view L1", l1)]);
+        }
+        Ok(all)
+    }
+}
+
+/// Mean PSNR, SSIM and L1 of all exact views.
+fn views(s: &Subject, scene: &Arc<Scene>) -> Result<[f64; 3], BenchError> {
+    let cpu = Cpu::default();
+    let drawn = s.views.iter().map(|(camera, _)| cpu.render(scene, camera)).collect::<Result<Vec<_>, _>>()?;
+    let scores: Vec<[f64; 3]> = drawn.par_iter().zip(&s.views).map(|(view, (_, want))| score(view, want)).collect();
+    Ok(std::array::from_fn(|i| scores.iter().map(|v| v[i]).sum::<f64>() / scores.len().max(1) as f64))
+}
+
+/// The same of a view over black.
+fn score(view: &View, want: &Photo) -> [f64; 3] {
+    compared(&view.rgba.iter().map(|p| [p[0], p[1], p[2]]).collect::<Vec<_>>(), want)
+}
+
+/// PSNR, SSIM and L1 (of values in 0 to 1) of colours, less [`CROP`] on each side.
+pub(super) fn compared(got: &[[u8; 3]], want: &Photo) -> [f64; 3] {
+    let (w, h) = (want.width as usize, want.height as usize);
+    let (x, y) = ((w as f64 * CROP) as usize, (h as f64 * CROP) as usize);
+    let cut = |p: &[[u8; 3]]| -> Vec<[u8; 3]> { p.chunks(w).skip(y).take(h - 2 * y).flat_map(|row| row[x..w - x].to_vec()).collect() };
+    let map = ssim_map(got, &want.rgb, w);
+    let ssim: Vec<f32> = map.chunks(w).skip(y).take(h - 2 * y).flat_map(|row| row[x..w - x].to_vec()).collect();
+    let (a, b) = (cut(got), cut(&want.rgb));
+    let l1 = a.iter().flatten().zip(b.iter().flatten()).map(|(a, b)| f64::from(a.abs_diff(*b))).sum::<f64>() / (a.len() * 3).max(1) as f64;
+    [
+        metrics::psnr(a.as_flattened(), b.as_flattened()),
+        ssim.iter().map(|&v| f64::from(v)).sum::<f64>() / ssim.len().max(1) as f64,
+        l1 / 255.0,
+    ]
+}
+
+/// Mean absolute difference after the best scale and shift: monocular disparity has neither.
+fn aligned_error(got: &DisparityMap, want: &DisparityMap) -> f64 {
+    let n = got.delta.len().min(want.delta.len()).max(1) as f64;
+    let mean = |f: &dyn Fn(f64, f64) -> f64| got.delta.iter().zip(&want.delta).map(|(g, w)| f((*g).into(), (*w).into())).sum::<f64>() / n;
+    let (mg, mw) = (mean(&|g, _| g), mean(&|_, w| w));
+    let (var, cov) = (mean(&|g, _| (g - mg).powi(2)), mean(&|g, w| (g - mg) * (w - mw)));
+    let scale = if var > 0.0 { cov / var } else { 0.0 };
+    mean(&|g, w| (mw + scale * (g - mg) - w).abs())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn medians_of_odd_even_and_none() {
+        assert!((median(vec![3.0, 1.0, 9.0]) - 3.0).abs() < 1e-12);
+        assert!((median(vec![4.0, 1.0, 9.0, 2.0]) - 3.0).abs() < 1e-12);
+        assert!(median(Vec::new()).abs() < 1e-12);
+    }
+
+    #[test]
+    fn scale_and_shift_of_disparity_do_not_count() {
+        let map = |f: &dyn Fn(f32) -> f32| DisparityMap { width: 10, height: 1, delta: (0..10).map(|i| f(i as f32)).collect() };
+        assert!(aligned_error(&map(&|i| i * 0.01 + 0.3), &map(&|i| i * 0.1)) < 1e-6);
+        assert!(aligned_error(&map(&|_| 0.5), &map(&|i| i * 0.1)) > 0.2);
+    }
+
+    #[test]
+    fn equal_views_score_best() {
+        let photo = Photo { width: 20, height: 20, rgb: (0..400).map(|i: u32| [(i % 256) as u8, (i / 3) as u8, 90]).collect() };
+        let [psnr, ssim, l1] = score(&View::from(&photo), &photo);
+        assert!((psnr - metrics::EQUAL).abs() < 1e-9 && (ssim - 1.0).abs() < 1e-5 && l1.abs() < 1e-12);
+    }
+}

@@ -1,0 +1,329 @@
+//! Error against run time of every approximation, on rendered scenes with exact second views and on any photos.
+//!
+//! Rendered scenes tell the error of whole views (PSNR, SSIM, L1 over the view less 15 % on each side). Photos have no second
+//! view; for them the error is how far, in pixels over the view box, planes move the picture wrongly against the disparity they
+//! were fitted to.
+
+mod ablation;
+#[cfg(feature = "codecs")]
+pub mod codec;
+mod costs;
+mod discretisation;
+mod drawing;
+mod efficiency;
+mod experiments;
+mod families;
+mod machine;
+mod measure;
+mod mesh;
+mod page;
+mod plot;
+mod ramps;
+mod scaling;
+pub mod serve;
+mod subject;
+
+use std::fmt::Write;
+use std::path::PathBuf;
+
+use serde::Serialize;
+
+pub use machine::Machine;
+pub use page::html;
+use tmpi_pipeline::run::budget::Costs;
+use tmpi_pipeline::{MakeError, Models};
+
+/// What is measured, and how long it may take.
+#[derive(Clone)]
+pub struct Settings {
+    /// Fewer scenes, fewer repeats, smaller pictures: minutes.
+    pub quick: bool,
+    /// Folders of photos beside the rendered scenes.
+    pub photos: Vec<PathBuf>,
+    /// The experiments to do, of [`EXPERIMENTS`]; none: all of them.
+    pub only: Vec<String>,
+    /// The networks.
+    pub models: Models,
+}
+
+/// Short names of the experiments, in the order in which they are done.
+pub const EXPERIMENTS: [&str; 20] = [
+    "scaling",
+    "efficiency",
+    "clustering",
+    "planes",
+    "tiles",
+    "steps",
+    "ramps",
+    "quality",
+    "prune",
+    "denoise",
+    "depth",
+    "without",
+    "labels",
+    "moves",
+    "photos",
+    "mesh",
+    "discretisation",
+    "families",
+    "drawing",
+    "budget",
+];
+
+impl Settings {
+    fn wants(&self, experiment: &str) -> bool {
+        self.only.is_empty() || self.only.iter().any(|o| o == experiment)
+    }
+}
+
+/// A measured setting, mean over all subjects.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct Point {
+    /// What is set, as on the command line.
+    pub setting: String,
+    /// Position on the horizontal axis.
+    pub x: f64,
+    /// Position on the vertical axis.
+    pub y: f64,
+    /// True for the defaults.
+    pub default: bool,
+    /// True where no other point of the experiment is better in both.
+    pub pareto: bool,
+    /// Everything that was measured, by name.
+    pub figures: Vec<(&'static str, f64)>,
+}
+
+/// Settings that differ in one number.
+#[derive(Clone, Debug, Serialize)]
+pub struct Curve {
+    /// Name in the legend.
+    pub name: String,
+    /// In the order of the number.
+    pub points: Vec<Point>,
+}
+
+/// Axis of a plot.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct Axis {
+    /// Name and unit.
+    pub label: &'static str,
+    /// Logarithmic.
+    pub log: bool,
+    /// Whether more is better; none where neither is.
+    pub up: Option<bool>,
+}
+
+/// Curves on common axes.
+#[derive(Clone, Debug, Serialize)]
+pub struct Experiment {
+    /// Short name.
+    pub id: &'static str,
+    /// Heading.
+    pub title: String,
+    /// What was done.
+    pub about: String,
+    /// Horizontal axis.
+    pub x: Axis,
+    /// Vertical axis.
+    pub y: Axis,
+    /// Its curves.
+    pub curves: Vec<Curve>,
+}
+
+/// Everything that was measured.
+#[derive(Clone, Debug, Serialize)]
+pub struct Results {
+    /// Version of the program.
+    pub version: &'static str,
+    /// Where.
+    pub machine: Machine,
+    /// What on.
+    pub subjects: Vec<String>,
+    /// Runs a figure of time is the median of.
+    pub repeats: usize,
+    /// The experiments.
+    pub experiments: Vec<Experiment>,
+    /// Costs of this machine, for `--budget-ms`, where they were measured.
+    pub costs: Option<Costs>,
+    /// What could not be measured, and why.
+    pub skipped: Vec<String>,
+    /// Seconds that all of it took.
+    pub seconds: f64,
+}
+
+/// Why nothing was measured.
+#[derive(Debug, thiserror::Error)]
+pub enum BenchError {
+    /// A photo could not be made.
+    #[error("{subject}: {source}")]
+    Make {
+        /// Scene or photo.
+        subject: String,
+        /// What went wrong.
+        source: MakeError,
+    },
+    /// A view could not be drawn.
+    #[error(transparent)]
+    Render(#[from] tmpi_render::RenderError),
+    /// A container could not be read back.
+    #[error(transparent)]
+    Atlas(#[from] tmpi_core::container::ContainerError),
+    /// A scene could not be written as a picture.
+    #[error("writing a scene: {0}")]
+    Picture(String),
+    /// A folder or a file cannot be used.
+    #[error("{path}: {reason}")]
+    File {
+        /// The path.
+        path: PathBuf,
+        /// What is wrong.
+        reason: String,
+    },
+}
+
+/// Measures everything; `progress` is told of every experiment.
+///
+/// # Errors
+/// [`BenchError`].
+pub fn run(settings: &Settings, progress: &dyn Fn(&str)) -> Result<Results, BenchError> {
+    let start = std::time::Instant::now();
+    let mut skipped = Vec::new();
+    let wants = |id: &str| settings.wants(id);
+    let scaling = if wants("scaling") { scaling::run(settings.quick, &mut skipped, progress) } else { Vec::new() };
+    let repeats = if settings.quick { 3 } else { 5 };
+    let mut first = Vec::new();
+    if wants("efficiency") {
+        first.extend(efficiency::table(repeats, &mut skipped, progress));
+    }
+    if wants("clustering") {
+        first.push(efficiency::clustering(repeats, progress));
+    }
+    progress("rendering scenes");
+    let scenes = subject::rendered(settings.quick)?;
+    let photos = subject::photos(&settings.photos, settings.quick)?;
+    let bench = measure::Bench { models: &settings.models, repeats };
+    let mut experiments = first;
+    experiments.extend(experiments::on_scenes(&bench, &scenes, settings, &mut skipped, progress)?);
+    if wants("ramps") {
+        experiments.push(ramps::run(&bench, &scenes, progress)?);
+    }
+    if wants("without") {
+        experiments.push(ablation::steps(&bench, &scenes, progress)?);
+    }
+    if wants("families") {
+        experiments.push(families::run(&bench, settings.quick, progress)?);
+    }
+    if wants("labels") {
+        experiments.push(ablation::labels(&scenes, settings.quick, progress)?);
+    }
+    if wants("moves") {
+        experiments.push(ablation::moves(&bench, &scenes, progress)?);
+    }
+    if wants("photos") && !photos.is_empty() {
+        experiments.extend(experiments::on_photos(&bench, &photos, &mut skipped, progress)?);
+    }
+    if wants("mesh") {
+        experiments.extend(mesh::against(&bench, &photos, progress)?);
+    }
+    if wants("discretisation") {
+        let known = photos.iter().any(|p| p.disparity.is_some());
+        experiments.push(discretisation::run(&bench, if known { &photos } else { &scenes }, progress)?);
+    }
+    if wants("drawing") {
+        experiments.extend(drawing::run(&bench, &scenes, settings.quick, &mut skipped, progress)?);
+    }
+    let mut costs = None;
+    if wants("budget") {
+        experiments.push(costs::kept(&bench, &scenes, progress)?);
+        costs = Some(costs::fitted(&bench, &scenes, progress)?);
+    }
+    experiments.extend(scaling);
+    for e in &mut experiments {
+        e.mark();
+    }
+    Ok(Results {
+        version: env!("CARGO_PKG_VERSION"),
+        machine: Machine::this(),
+        subjects: scenes.iter().chain(&photos).map(|s| s.name.clone()).collect(),
+        repeats,
+        experiments,
+        costs,
+        skipped,
+        seconds: start.elapsed().as_secs_f64(),
+    })
+}
+
+impl Experiment {
+    /// Marks the points that no other one beats in both directions.
+    fn mark(&mut self) {
+        let (Some(x_up), Some(y_up)) = (self.x.up, self.y.up) else { return };
+        let score = |p: &Point| (if x_up { p.x } else { -p.x }, if y_up { p.y } else { -p.y });
+        let all: Vec<(f64, f64)> = self.curves.iter().flat_map(|c| &c.points).map(score).collect();
+        for p in self.curves.iter_mut().flat_map(|c| &mut c.points) {
+            let (x, y) = score(p);
+            p.pareto = !all.iter().any(|&(a, b)| a >= x && b >= y && (a > x || b > y));
+        }
+    }
+}
+
+impl Results {
+    /// All points as comma-separated values, a line each.
+    #[must_use]
+    pub fn csv(&self) -> String {
+        let quoted = |s: &str| format!("\"{}\"", s.replace('"', "\"\""));
+        let mut out = String::from("experiment,curve,setting,default,pareto,figure,value\n");
+        for e in &self.experiments {
+            for (c, p) in e.curves.iter().flat_map(|c| c.points.iter().map(move |p| (c, p))) {
+                let head = format!("{},{},{},{},{}", e.id, quoted(&c.name), quoted(&p.setting), p.default, p.pareto);
+                for (name, value) in [(e.x.label, p.x), (e.y.label, p.y)].iter().chain(&p.figures) {
+                    // a String takes everything
+                    let _ = writeln!(out, "{head},{},{value}", quoted(name));
+                }
+            }
+        }
+        out
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn experiment(points: &[(f64, f64)]) -> Experiment {
+        let points = points.iter().map(|&(x, y)| Point { x, y, setting: format!("{x}"), ..Point::default() }).collect();
+        Experiment {
+            id: "e",
+            title: "E".into(),
+            about: "about <it>".into(),
+            x: Axis { label: "ms", log: true, up: Some(false) },
+            y: Axis { label: "dB", log: false, up: Some(true) },
+            curves: vec![Curve { name: "c, \"d\"".into(), points }],
+        }
+    }
+
+    #[test]
+    fn the_front_holds_what_nothing_beats() {
+        let mut e = experiment(&[(1.0, 10.0), (2.0, 20.0), (3.0, 15.0), (2.0, 19.0), (1.0, 10.0)]);
+        e.mark();
+        assert_eq!(e.curves[0].points.iter().map(|p| p.pareto).collect::<Vec<_>>(), [true, true, false, false, true]);
+    }
+
+    #[test]
+    fn tables_and_page_hold_every_point() {
+        let results = Results {
+            version: "0",
+            machine: Machine::this(),
+            subjects: vec!["s".into()],
+            repeats: 1,
+            experiments: vec![experiment(&[(1.0, 10.0), (20.0, 30.0)])],
+            costs: None,
+            skipped: vec!["gpu: none & nothing".into()],
+            seconds: 1.0,
+        };
+        assert_eq!(results.csv().lines().count(), 1 + 2 * 2);
+        assert!(results.csv().contains("\"c, \"\"d\"\"\""));
+        let page = html(&results);
+        assert!(page.contains("about &lt;it&gt;") && page.contains("none &amp; nothing") && page.matches("<circle").count() >= 2);
+        assert!(!page.contains("http://") || page.contains("http://www.w3.org/2000/svg"), "nothing is fetched");
+    }
+}

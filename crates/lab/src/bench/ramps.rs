@@ -1,0 +1,53 @@
+//! Blurred maps told from exact ones, and what snapping is worth on both.
+
+use super::measure::{Bench, Depth};
+use super::subject::Subject;
+use super::{Axis, BenchError, Curve, Experiment, Point, experiments};
+use tmpi_core::DisparityMap;
+use tmpi_pipeline::depth;
+use tmpi_pipeline::edges;
+use tmpi_pipeline::{Options, Switch};
+
+/// A way to spoil a map.
+type Damage = fn(&DisparityMap) -> DisparityMap;
+
+/// A point a scene and damage: the share of ramps, and by how much the views of snapped maps are better.
+pub(super) fn run(bench: &Bench, subjects: &[Subject], progress: &dyn Fn(&str)) -> Result<Experiment, BenchError> {
+    progress("Ramps");
+    let axes = (
+        Axis { label: "ramps, % of pixels at edges", log: false, up: None },
+        Axis { label: "views with --snap on − off, dB", log: false, up: Some(true) },
+    );
+    let damages: [(&str, Damage); 4] = [
+        ("exact disparity", DisparityMap::clone),
+        ("enlarged to twice", depth::halved),
+        ("blurred by 3×3", |map| experiments::box_blurred(map, 1)),
+        ("blurred by 5×5", experiments::blurred),
+    ];
+    let mut curves = Vec::new();
+    for (name, damage) in damages {
+        let mut points = Vec::new();
+        for subject in subjects {
+            let Some(exact) = &subject.disparity else { continue };
+            let view = |snap: Switch| -> Result<f64, BenchError> {
+                let options = Options { snap, ..Options::default() };
+                Ok(bench.point(std::slice::from_ref(subject), &Depth::Given(damage), &options, String::new(), ("", "view, dB"))?.y)
+            };
+            let (x, auto, on, off) = (edges::ramp_share(&damage(exact)), view(Switch::Auto)?, view(Switch::On)?, view(Switch::Off)?);
+            let figures = vec![("--snap auto, dB", auto), ("--snap on, dB", on), ("--snap off, dB", off)];
+            points.push(Point { setting: subject.name.clone(), x: 100.0 * x, y: on - off, figures, ..Point::default() });
+        }
+        curves.push(Curve { name: name.into(), points });
+    }
+    Ok(Experiment {
+        id: "ramps",
+        title: "Blurred maps told from exact ones".into(),
+        about: format!(
+            "Maps as they are exact, and spoilt in three ways, each given as a file; one point a scene. Above {} % of ramps the program takes a map for blurred and snaps it to the photo's edges; below, only the careful median runs.",
+            100.0 * edges::BLURRED
+        ),
+        x: axes.0,
+        y: axes.1,
+        curves,
+    })
+}

@@ -1,0 +1,131 @@
+//! What is measured on: rendered scenes with exact disparity and second views, or photos.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use image::codecs::png::PngEncoder;
+use image::{ExtendedColorType, ImageEncoder};
+
+use super::BenchError;
+use crate::scenes;
+use tmpi_core::container::PhotoFormat;
+use tmpi_core::{Camera, DisparityMap, Photo, Pose, ViewBox};
+use tmpi_pipeline::depth::{self, DepthKind};
+use tmpi_pipeline::photo::Limits;
+
+/// Scenes of the benchmark start here, far from those that networks were trained on.
+const SEED: u64 = 900_000;
+
+/// A scene or a photo.
+pub(super) struct Subject {
+    pub name: String,
+    /// The file as it would be uploaded.
+    pub file: Vec<u8>,
+    /// Exact disparity where it is known.
+    pub disparity: Option<Arc<DisparityMap>>,
+    /// Seed of a rendered scene.
+    pub seed: Option<u64>,
+    pub fov_x: Option<f64>,
+    pub view_box: ViewBox,
+    /// Exact views.
+    pub views: Vec<(Camera, Photo)>,
+}
+
+/// Rendered scenes, each with a step aside, up and down, forward, and one of all with a turn of the head.
+pub(super) fn rendered(quick: bool) -> Result<Vec<Subject>, BenchError> {
+    let (count, size) = if quick { (4, (384, 256)) } else { (16, (630, 350)) };
+    (0..count).map(|i| scene(SEED + i, size)).collect()
+}
+
+fn scene(seed: u64, (width, height): (u32, u32)) -> Result<Subject, BenchError> {
+    let scene = scenes::Scene::framed(seed, width, height);
+    let camera = scene.camera();
+    let picture = scene.render(&camera, 3);
+    let side = if seed.is_multiple_of(2) { 1.0 } else { -1.0 };
+    let poses = [
+        Pose::at(0.06 * side, 0.0, 0.0),
+        Pose::at(0.0, 0.04 * side, 0.0),
+        Pose::at(0.0, 0.0, 0.06),
+        Pose { yaw: 1.5 * side, pitch: -1.0, roll: 2.0, ..Pose::at(-0.05 * side, 0.03, -0.04) },
+    ];
+    let views = poses.map(|pose| {
+        let c = Camera { pose, ..camera };
+        (c, scene.render(&c, 3).photo)
+    });
+    let mut file = Vec::new();
+    PngEncoder::new(&mut file)
+        .write_image(picture.photo.rgb.as_flattened(), width, height, ExtendedColorType::Rgb8)
+        .map_err(|e| BenchError::Picture(e.to_string()))?;
+    Ok(Subject {
+        name: format!("{} {seed}", scene.family()),
+        file,
+        disparity: Some(Arc::new(picture.disparity)),
+        seed: Some(seed),
+        fov_x: Some(camera.intrinsics.fov_x(width)),
+        view_box: ViewBox { x: 0.06, y: 0.06, z: 0.06 },
+        views: views.into(),
+    })
+}
+
+/// So many scenes of each family, families by name.
+pub(super) fn by_family(count: usize) -> Result<super::families::Families, BenchError> {
+    /// Apart from the scenes of [`rendered`].
+    const FIRST: u64 = SEED + 50_000;
+    const SIZE: (u32, u32) = (384, 256);
+    let mut found = std::collections::BTreeMap::<&'static str, Vec<u64>>::new();
+    for seed in FIRST..FIRST + 3000 {
+        let seeds = found.entry(scenes::Scene::framed(seed, SIZE.0, SIZE.1).family()).or_default();
+        if seeds.len() < count {
+            seeds.push(seed);
+        }
+        if found.len() == scenes::FAMILY_COUNT && found.values().all(|s| s.len() == count) {
+            break;
+        }
+    }
+    found.into_iter().map(|(family, seeds)| Ok((family, seeds.into_iter().map(|s| scene(s, SIZE)).collect::<Result<_, _>>()?))).collect()
+}
+
+/// The surface behind the first one of a rendered scene.
+pub(super) fn hidden(seed: u64, (width, height): (u32, u32)) -> scenes::Picture {
+    let scene = scenes::Scene::framed(seed, width, height);
+    scene.hidden(&scene.camera(), 3)
+}
+
+/// The disparity map `NAME_disp16.png` beside a photo `NAME.jpg`, where there is one.
+fn beside(photo: &Path, file: &[u8]) -> Result<Option<DisparityMap>, BenchError> {
+    let map = photo.with_file_name(format!("{}{MAP}", photo.file_stem().unwrap_or_default().to_string_lossy()));
+    let Ok(png) = std::fs::read(&map) else { return Ok(None) };
+    let bad = |e: &dyn std::fmt::Display| BenchError::File { path: map.clone(), reason: e.to_string() };
+    let (width, height) = tmpi_pipeline::photo::check(file, &Limits::default()).map_err(|e| bad(&e))?.1;
+    depth::from_png(&png, DepthKind::Disparity, width, height).map(Some).map_err(|e| bad(&e))
+}
+
+/// End of the name of a disparity map beside a photo.
+const MAP: &str = "_disp16.png";
+
+/// All photos of the folders, by name; with `quick` a few of each.
+pub(super) fn photos(folders: &[PathBuf], quick: bool) -> Result<Vec<Subject>, BenchError> {
+    let mut all = Vec::new();
+    for folder in folders {
+        let bad = |path: &std::path::Path, e: std::io::Error| BenchError::File { path: path.to_owned(), reason: e.to_string() };
+        let entries = std::fs::read_dir(folder).map_err(|e| bad(folder, e))?;
+        let mut files = entries.map(|e| e.map(|e| e.path())).collect::<Result<Vec<_>, _>>().map_err(|e| bad(folder, e))?;
+        files.sort();
+        let mut found = 0;
+        let map = |p: &PathBuf| p.to_string_lossy().ends_with(MAP);
+        for path in files.into_iter().filter(|p| p.is_file() && !map(p)) {
+            let file = std::fs::read(&path).map_err(|e| bad(&path, e))?;
+            if PhotoFormat::sniff(&file).is_none() || (quick && found == 4) {
+                continue;
+            }
+            found += 1;
+            let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+            let disparity = beside(&path, &file)?.map(Arc::new);
+            all.push(Subject { name, file, disparity, seed: None, fov_x: None, view_box: ViewBox::default(), views: Vec::new() });
+        }
+        if found == 0 {
+            return Err(BenchError::File { path: folder.clone(), reason: "holds no photo".into() });
+        }
+    }
+    Ok(all)
+}

@@ -1,0 +1,392 @@
+//! Second views against the truth: what each way of making a scene out of a photo and its depth is worth (paper, section 5, table 1).
+
+pub mod mesh;
+mod scenes;
+mod score;
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Instant;
+
+use serde::Serialize;
+
+use self::scenes::{Case, Truth};
+pub use self::score::{DepthScore, Score};
+use self::score::{Fit, Mask};
+use tmpi_core::{Camera, DisparityMap, Intrinsics, Photo, Pose};
+use tmpi_pipeline::Silent;
+use tmpi_pipeline::depth;
+use tmpi_pipeline::networks::{Config, OnnxError, Session};
+use tmpi_pipeline::photo::Limits;
+use tmpi_pipeline::{self, Denoise, Models, Options, PlaneCount, PlaneMethod, Switch, TileSize};
+use tmpi_render::{Cpu, Renderer};
+
+/// Share of a view's scored pixels that may be blank; where it is more in any way's view, the view does not count (paper, section 5).
+const BLANK: f64 = 0.15;
+/// Where depth comes from.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[cfg_attr(feature = "clap", derive(clap::ValueEnum))]
+#[serde(rename_all = "lowercase")]
+pub enum Depth {
+    /// The depth network.
+    Own,
+    /// The scene's true disparity.
+    #[default]
+    True,
+}
+
+/// Why nothing could be measured.
+#[derive(Debug, thiserror::Error)]
+pub enum EvalError {
+    /// A file cannot be had or read.
+    #[error("{path}: {reason}")]
+    File {
+        /// Which.
+        path: PathBuf,
+        /// Why.
+        reason: String,
+    },
+    /// A scene cannot be made.
+    #[error("{scene}: {source}")]
+    Make {
+        /// Its name.
+        scene: String,
+        /// Why.
+        source: tmpi_pipeline::MakeError,
+    },
+    /// A view cannot be drawn.
+    #[error(transparent)]
+    Render(#[from] tmpi_render::RenderError),
+    /// A container cannot be read.
+    #[error(transparent)]
+    Atlas(#[from] tmpi_core::container::ContainerError),
+    /// The network for LPIPS fails.
+    #[error(transparent)]
+    Onnx(#[from] OnnxError),
+    /// The depth map cannot be written.
+    #[error(transparent)]
+    Depth(#[from] depth::DepthError),
+    /// There is no such way.
+    #[error("there is no way {way:?}; there are {all}", all = names().join(", "))]
+    Way {
+        /// Its name.
+        way: String,
+    },
+}
+
+impl EvalError {
+    fn file(path: &Path, reason: &dyn std::fmt::Display) -> Self {
+        Self::File { path: path.into(), reason: reason.to_string() }
+    }
+}
+
+/// Ways by name; none: the photo as a mesh.
+fn ways() -> Vec<(&'static str, Option<Options>)> {
+    let with = |change: fn(&mut Options)| {
+        let mut options = Options::default();
+        change(&mut options);
+        Some(options)
+    };
+    vec![
+        ("mesh", None),
+        ("mpi-32", with(|o| (o.tile, o.planes, o.plane_method) = (TileSize::Full, PlaneCount::Fixed(32), PlaneMethod::Linear))),
+        ("mpi-64", with(|o| (o.tile, o.planes, o.plane_method) = (TileSize::Full, PlaneCount::Fixed(64), PlaneMethod::Linear))),
+        ("tmpi-linear", with(|o| (o.planes, o.plane_method) = (PlaneCount::Fixed(4), PlaneMethod::Linear))),
+        ("tmpi-lloyd", with(|o| (o.planes, o.plane_method) = (PlaneCount::Fixed(4), PlaneMethod::Lloyd))),
+        ("ours-plain", with(|o| (o.denoise, o.refine, o.snap) = (Denoise::Off, Switch::Off, Switch::Off))),
+        ("ours-refined", with(|o| o.refine = Switch::On)),
+        ("ours", with(|_| {})),
+    ]
+}
+
+/// Names of all ways.
+#[must_use]
+pub fn names() -> Vec<&'static str> {
+    ways().into_iter().map(|w| w.0).collect()
+}
+
+/// What one way came to.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct Row {
+    /// The way.
+    pub way: &'static str,
+    /// Mean over all views that count.
+    pub score: Score,
+    /// Wall time to make a scene, with depth where it is estimated, ms.
+    pub make_ms: f64,
+    /// Wall time to draw a view on the processor, ms.
+    pub draw_ms: f64,
+    /// Size of what is sent, bytes.
+    pub bytes: f64,
+    /// Texels of all layers, or vertices, millions.
+    pub texels_m: f64,
+    /// Mean planes a tile.
+    pub planes: f64,
+    /// Scores by scene.
+    pub scenes: Vec<(String, Score)>,
+}
+
+/// All that was measured.
+#[derive(Clone, Debug, Serialize)]
+pub struct Results {
+    /// Where depth came from.
+    pub depth: Depth,
+    /// Views that count.
+    pub views: usize,
+    /// Views left out because some way leaves too much of them blank.
+    pub blank: usize,
+    /// A row a way.
+    pub rows: Vec<Row>,
+    /// The estimated disparity against the truth; none where the truth was given.
+    pub depth_score: Option<DepthScore>,
+}
+
+/// A view as a way draws it: colours, and where there is nothing.
+struct Drawn {
+    rgb: Vec<[u8; 3]>,
+    blank: Vec<bool>,
+}
+
+/// A scene made in one way, ready to be drawn.
+enum Model {
+    Mesh(Box<(Photo, DisparityMap)>),
+    Layers(Arc<tmpi_core::Scene>),
+}
+
+struct Made {
+    model: Model,
+    row: Row,
+    disparity: DisparityMap,
+}
+
+/// How to measure.
+#[derive(Clone, Debug, Default)]
+pub struct Settings {
+    /// Where depth comes from.
+    pub depth: Depth,
+    /// Names of the ways; none for all.
+    pub only: Vec<String>,
+    /// A network for LPIPS as an ONNX file.
+    pub lpips: Option<PathBuf>,
+}
+
+/// Measures the ways named, or all, on all scenes below the folders.
+///
+/// # Errors
+/// [`EvalError`].
+pub fn run(models: &Models, folders: &[PathBuf], settings: &Settings, progress: &dyn Fn(&str)) -> Result<Results, EvalError> {
+    let Settings { depth, only, lpips } = settings;
+    let depth = *depth;
+    let lpips = lpips.as_deref().map(lpips_network).transpose()?;
+    if let Some(unknown) = only.iter().find(|o| !names().contains(&o.as_str())) {
+        return Err(EvalError::Way { way: unknown.clone() });
+    }
+    let chosen: Vec<_> = ways().into_iter().filter(|(name, _)| only.is_empty() || only.iter().any(|o| o == name)).collect();
+    let mut rows: Vec<Row> = chosen.iter().map(|(way, _)| Row { way, ..Row::default() }).collect();
+    let mut scores: Vec<Vec<Score>> = vec![Vec::new(); rows.len()];
+    let (mut blank, mut views, mut depth_scores, mut cases) = (0, 0, Vec::new(), 0.0);
+    for folder in folders {
+        for case in scenes::read(folder)? {
+            progress(&case.name);
+            cases += 1.0;
+            let all: Vec<Made> =
+                chosen.iter().map(|(way, options)| made(models, &case, way, options.as_ref(), depth)).collect::<Result<_, _>>()?;
+            if let (Depth::Own, Some(first)) = (depth, all.first()) {
+                depth_scores.push(DepthScore::new(&first.disparity, &case.truth));
+            }
+            let photo = photo(&case)?;
+            let mut own: Vec<Vec<Score>> = vec![Vec::new(); all.len()];
+            for truth in &case.views {
+                let covered = mesh::warp(&photo, &case.truth, &case.intrinsics, &truth.camera, mesh::LONGEST).covered;
+                let mask = Mask::new(truth.camera.width as usize, &covered);
+                let scored = |m| scored(m, &case, truth, &mask, depth, lpips.as_ref());
+                let drawn: Vec<(Score, f64, f64)> = all.iter().map(scored).collect::<Result<_, _>>()?;
+                if drawn.iter().any(|d| d.1 > BLANK) {
+                    blank += 1;
+                    continue;
+                }
+                views += 1;
+                for (i, (score, _, ms)) in drawn.into_iter().enumerate() {
+                    own[i].push(score);
+                    rows[i].draw_ms += ms;
+                }
+            }
+            for ((row, made), own) in rows.iter_mut().zip(&all).zip(&own) {
+                row.make_ms += made.row.make_ms;
+                row.bytes += made.row.bytes;
+                row.texels_m += made.row.texels_m;
+                row.planes += made.row.planes;
+                row.scenes.push((case.name.clone(), Score::mean(own)));
+            }
+            scores.iter_mut().zip(own).for_each(|(all, own)| all.extend(own));
+        }
+    }
+    for (row, scores) in rows.iter_mut().zip(&scores) {
+        row.score = Score::mean(scores);
+        row.draw_ms /= f64::from(u32::try_from(views).unwrap_or(u32::MAX)).max(1.0);
+        for v in [&mut row.make_ms, &mut row.bytes, &mut row.texels_m, &mut row.planes] {
+            *v /= cases;
+        }
+    }
+    Ok(Results { depth, views, blank, rows, depth_score: DepthScore::mean(&depth_scores) })
+}
+
+/// The network of an ONNX file, which has to take two pictures.
+fn lpips_network(path: &Path) -> Result<Session, EvalError> {
+    let bytes = std::fs::read(path).map_err(|e| EvalError::file(path, &e))?;
+    let session = Session::load("lpips", &bytes, &Config::default())?;
+    if session.inputs().len() != 2 {
+        return Err(EvalError::file(path, &format!("it has {} inputs; a network for LPIPS has two", session.inputs().len())));
+    }
+    Ok(session)
+}
+
+fn photo(case: &Case) -> Result<Photo, EvalError> {
+    let bad = |e: &dyn std::fmt::Display| EvalError::File { path: case.name.clone().into(), reason: e.to_string() };
+    let decoded = image::load_from_memory(&case.photo).map_err(|e| bad(&e))?.into_rgb8();
+    let (width, height) = (decoded.width(), decoded.height());
+    if (width, height) != (case.truth.width, case.truth.height) {
+        return Err(bad(&"photo and disparity have different sizes"));
+    }
+    Ok(Photo { width, height, rgb: decoded.pixels().map(|p| p.0).collect() })
+}
+
+fn made(models: &Models, case: &Case, way: &'static str, options: Option<&Options>, depth: Depth) -> Result<Made, EvalError> {
+    let given = (depth == Depth::True).then(|| depth::to_png(&case.truth)).transpose()?;
+    // a mesh takes the depth as it is
+    let plain = Options { denoise: Denoise::Off, snap: Switch::Off, planes: PlaneCount::Fixed(1), ..Options::default() };
+    let options =
+        Options { fov_x: Some(case.intrinsics.fov_x(case.truth.width)), view_box: case.view_box(), ..options.unwrap_or(&plain).clone() };
+    let done = tmpi_pipeline::make(models, &Limits::default(), &case.photo, given.as_deref(), &options, &Silent)
+        .map_err(|source| EvalError::Make { scene: case.name.clone(), source })?;
+    let mut row = Row { way, planes: done.report.planes_per_tile, ..Row::default() };
+    if way == "mesh" {
+        let own = done.report.stages.iter().filter(|s| ["photo", "depth"].contains(&s.name.as_str()));
+        row.make_ms = own.map(|s| s.ms).sum();
+        row.bytes = (done.report.bytes.photo + depth::to_png(&done.disparity)?.len()) as f64;
+        row.texels_m = done.disparity.delta.len() as f64 / 1e6;
+        row.planes = 0.0;
+        return Ok(Made { model: Model::Mesh(Box::new((photo(case)?, done.disparity.clone()))), row, disparity: done.disparity });
+    }
+    let scene = Arc::new(tmpi_core::container::decode(&done.container)?);
+    row.make_ms = done.report.total_ms;
+    row.bytes = done.container.len() as f64;
+    row.texels_m = scene.texels.class.len() as f64 / 1e6;
+    Ok(Made { model: Model::Layers(scene), row, disparity: done.disparity })
+}
+
+fn draw(made: &Made, reference: &Intrinsics, camera: &Camera) -> Result<Drawn, EvalError> {
+    Ok(match &made.model {
+        Model::Mesh(parts) => {
+            // as viewers of depth maps do: a sheet that is stretched, not torn
+            let warp = mesh::warp(&parts.0, &parts.1, reference, camera, f64::INFINITY);
+            Drawn { rgb: warp.rgb, blank: warp.covered.iter().map(|c| !c).collect() }
+        }
+        Model::Layers(scene) => {
+            let view = Cpu::default().render(scene, camera)?;
+            Drawn { rgb: view.rgba.iter().map(|p| [p[0], p[1], p[2]]).collect(), blank: view.rgba.iter().map(|p| p[3] < 128).collect() }
+        }
+    })
+}
+
+/// The score of a view, its blank share and the time to draw it.
+fn scored(
+    made: &Made,
+    case: &Case,
+    truth: &Truth,
+    mask: &Mask,
+    depth: Depth,
+    lpips: Option<&Session>,
+) -> Result<(Score, f64, f64), EvalError> {
+    let camera = if depth == Depth::Own { seen(&truth.camera, Fit::new(&made.disparity, &case.truth)) } else { truth.camera };
+    let start = Instant::now();
+    let drawn = draw(made, &case.intrinsics, &camera)?;
+    let ms = start.elapsed().as_secs_f64() * 1e3;
+    let mut score = mask.score(&drawn.rgb, &truth.rgb);
+    score.lpips = lpips.map(|network| mask.lpips(network, &drawn.rgb, &truth.rgb)).transpose()?;
+    Ok((score, mask.share(|i| drawn.blank[i]), ms))
+}
+
+/// The camera that sees a scene of estimated disparity δ, which has neither scale nor zero, where `camera` sees the true one,
+/// `scale · δ + shift`: of `x̂ + t (scale · δ + shift)` the shift is a matter of intrinsics. Exact for cameras that do not turn.
+fn seen(camera: &Camera, fit: Fit) -> Camera {
+    let (p, k) = (camera.pose, camera.intrinsics);
+    let nearer = 1.0 / (1.0 - p.tz * fit.shift);
+    let step = nearer * fit.scale;
+    let (fx, fy) = (k.fx * nearer, k.fy * nearer);
+    let intrinsics = Intrinsics { fx, fy, cx: k.cx - fx * p.tx * fit.shift, cy: k.cy - fy * p.ty * fit.shift };
+    Camera { pose: Pose { tx: p.tx * step, ty: p.ty * step, tz: p.tz * step, ..p }, intrinsics, ..*camera }
+}
+
+impl Results {
+    /// A table for people.
+    #[must_use]
+    pub fn table(&self) -> String {
+        use std::fmt::Write;
+        let mut out = format!("{} views", self.views);
+        if self.blank > 0 {
+            let _ = write!(out, ", {} left out: more than {:.0} % blank in some way", self.blank, 100.0 * BLANK);
+        }
+        let _ = writeln!(out, "; depth: {}", if self.depth == Depth::Own { "estimated" } else { "true" });
+        let _ = writeln!(
+            out,
+            "{:<14}{:>7}{:>8}{:>8}{:>8}{:>9}{:>8}{:>9}{:>9}{:>9}{:>9}{:>9}",
+            "way", "PSNR", "SSIM", "L1", "FLIP", "SSIMU2", "LPIPS", "make ms", "view ms", "KB", "Mtexel", "planes"
+        );
+        for r in &self.rows {
+            let s = r.score;
+            let ssimulacra2 = s.ssimulacra2.map_or("-".into(), |v| format!("{v:.2}"));
+            let lpips = s.lpips.map_or("-".into(), |v| format!("{v:.4}"));
+            let _ = writeln!(
+                out,
+                "{:<14}{:>7.2}{:>8.4}{:>8.4}{:>8.4}{:>9}{:>8}{:>9.0}{:>9.1}{:>9.1}{:>9.2}{:>9.2}",
+                r.way,
+                s.psnr,
+                s.ssim,
+                s.l1,
+                s.flip,
+                ssimulacra2,
+                lpips,
+                r.make_ms,
+                r.draw_ms,
+                r.bytes / 1e3,
+                r.texels_m,
+                r.planes
+            );
+        }
+        if let Some(d) = self.depth_score {
+            let _ = write!(
+                out,
+                "depth, scaled and shifted to fit: AbsRel {:.3}, RMSE {:.3} of the deviation, δ<1.25 {:.1} %, Spearman {:.3}",
+                d.abs_rel,
+                d.rmse,
+                100.0 * d.within_125,
+                d.spearman
+            );
+        }
+        out.trim_end().to_owned()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tmpi_core::homography;
+
+    #[test]
+    fn a_camera_sees_estimated_disparity_where_the_other_sees_the_true_one() {
+        let k = Intrinsics::centred(100, 60, 80.0);
+        let camera = Camera { pose: Pose::at(0.05, -0.03, 0.04), intrinsics: k, width: 100, height: 60 };
+        let fit = Fit { scale: 0.7, shift: -0.15 };
+        let other = seen(&camera, fit);
+        for delta in [0.0, 0.3, 1.0] {
+            let at = |camera: &Camera, delta: f64| {
+                let h = homography([0.0, 0.0, delta], &k, camera);
+                let p = h.map(|row| row[0] * 12.5 + row[1] * 44.5 + row[2]);
+                (p[0] / p[2], p[1] / p[2])
+            };
+            let (want, got) = (at(&camera, fit.scale * delta + fit.shift), at(&other, delta));
+            assert!((want.0 - got.0).abs() < 1e-9 && (want.1 - got.1).abs() < 1e-9, "{want:?} {got:?}");
+        }
+    }
+}

@@ -1,0 +1,90 @@
+//! Pieces of photographs as textures.
+
+use std::sync::Arc;
+
+use super::math::{Rng, V3, v3};
+use tmpi_core::Photo;
+
+/// Photographs that textures may be cut from; empty by default.
+///
+/// With them a scene is a function of its seed and of these pictures, in this order.
+#[derive(Clone, Debug, Default)]
+pub struct Pictures(pub(super) Arc<[Arc<Levels>]>);
+
+/// A picture in linear light, halved again and again.
+#[derive(Debug)]
+pub(super) struct Levels {
+    /// Width, height and texels, finest first.
+    levels: Vec<(usize, usize, Vec<[f32; 3]>)>,
+}
+
+impl Pictures {
+    /// Prepares photographs as textures; empty ones are left out.
+    #[must_use]
+    pub fn new(photos: &[Photo]) -> Self {
+        Self(photos.iter().filter(|p| !p.rgb.is_empty()).map(|p| Arc::new(Levels::new(p))).collect())
+    }
+}
+
+impl Levels {
+    fn new(photo: &Photo) -> Self {
+        let linear = |p: &[u8; 3]| p.map(|v| (f32::from(v) / 255.0).powf(2.2));
+        let mut levels = vec![(photo.width as usize, photo.height as usize, photo.rgb.iter().map(linear).collect::<Vec<_>>())];
+        while let Some((w, h, texels)) = levels.last().filter(|l| l.0 >= 4 && l.1 >= 4) {
+            let (w2, h2) = (w / 2, h / 2);
+            let mean = |i: usize| {
+                let at = (i / w2) * 2 * w + (i % w2) * 2;
+                std::array::from_fn(|c| 0.25 * (texels[at][c] + texels[at + 1][c] + texels[at + w][c] + texels[at + w + 1][c]))
+            };
+            let next = (w2, h2, (0..w2 * h2).map(mean).collect());
+            levels.push(next);
+        }
+        Self { levels }
+    }
+}
+
+/// A square piece of a picture, repeated in mirrors.
+#[derive(Clone, Debug)]
+pub(super) struct Patch {
+    picture: Arc<Levels>,
+    /// Left, top and side, in texels of the finest level.
+    x: f64,
+    y: f64,
+    side: f64,
+    mean: V3,
+}
+
+impl Patch {
+    /// A piece of a quarter to two thirds of the shorter side: larger ones would show a scene of their own.
+    pub fn cut(picture: &Arc<Levels>, rng: &Rng) -> Self {
+        let (w, h) = (picture.levels[0].0 as f64, picture.levels[0].1 as f64);
+        let side = w.min(h) * rng.range(0.25, 0.66);
+        let (x, y) = (rng.range(0.0, w - side), rng.range(0.0, h - side));
+        let mut patch = Self { picture: Arc::clone(picture), x, y, side, mean: V3::default() };
+        let sum = (0..64).fold(V3::default(), |s, i| s + patch.at((f64::from(i % 8) + 0.5) / 8.0, (f64::from(i / 8) + 0.5) / 8.0, 0.12));
+        patch.mean = sum * (1.0 / 64.0);
+        patch
+    }
+
+    pub fn mean(&self) -> V3 {
+        self.mean
+    }
+
+    /// Linear colour at `(u, v)`, where the piece spans 1; `width` is what one pixel covers.
+    pub fn at(&self, u: f64, v: f64, width: f64) -> V3 {
+        let fold = |t: f64| 1.0 - (t.rem_euclid(2.0) - 1.0).abs();
+        let level = ((width * self.side).max(1.0).log2() as usize).min(self.picture.levels.len() - 1);
+        let (w, h, texels) = &self.picture.levels[level];
+        let shrink = 1.0 / (1u64 << level) as f64;
+        let place = |t: f64, from: f64, n: usize| ((from + fold(t) * self.side) * shrink - 0.5).min(n as f64 - 1.001).max(0.0);
+        let (x, y) = (place(u, self.x, *w), place(v, self.y, *h));
+        let (i, j) = (x as usize, y as usize);
+        let (i1, j1) = ((i + 1).min(w - 1), (j + 1).min(h - 1));
+        let (s, t) = ((x - i as f64) as f32, (y - j as f64) as f32);
+        let mix = |c: usize| {
+            let row = |j: usize| texels[j * w + i][c] * (1.0 - s) + texels[j * w + i1][c] * s;
+            f64::from(row(j) * (1.0 - t) + row(j1) * t)
+        };
+        v3(mix(0), mix(1), mix(2))
+    }
+}

@@ -1,0 +1,77 @@
+//! Photos: what cameras at the corners of the view box see, on scenes made of them by default.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use super::Checked;
+use tmpi_core::container;
+use tmpi_core::container::PhotoFormat;
+use tmpi_core::{Camera, Scene};
+use tmpi_pipeline::Silent;
+use tmpi_pipeline::photo::Limits;
+use tmpi_pipeline::{self, Models, Options};
+use tmpi_render::{Cpu, Renderer, corners};
+
+const FAMILY: &str = "corners of the view box";
+/// Longer side that photos are reduced to.
+const SIDE: u32 = 1024;
+/// Alpha of 255 below which a pixel is a hole.
+const HOLE: u8 = 128;
+/// Alpha of 255 below which it is a seam: rims of layers are soft, and where two meet a little shows through.
+const SEAM: u8 = 250;
+/// Percent of pixels that may be seams.
+const MOST_SEAMS: f64 = 0.05;
+
+/// Pixels of the eight corners that are holes, and those that are seams, whether cameras look straight ahead or at the nearest things,
+/// in percent of all.
+fn uncovered(scene: &Arc<Scene>) -> [f64; 2] {
+    let cpu = Cpu::default();
+    let (mut open, mut all) = ([0, 0], 0);
+    for pivot in [0.0, 1.0] {
+        for pose in corners(&scene.view_box, pivot) {
+            let camera = Camera { pose, intrinsics: scene.intrinsics, width: scene.grid.width, height: scene.grid.height };
+            let Ok(view) = cpu.render(scene, &camera) else { return [f64::INFINITY; 2] };
+            for (open, least) in open.iter_mut().zip([HOLE, SEAM]) {
+                *open += view.rgba.iter().filter(|p| p[3] < least).count();
+            }
+            all += view.rgba.len();
+        }
+    }
+    open.map(|open| 100.0 * open as f64 / all as f64)
+}
+
+/// A photo's scene by the default options, at most [`SIDE`] pixels a side.
+fn scene(models: &Models, path: &Path) -> Option<Arc<Scene>> {
+    let file = std::fs::read(path).ok()?;
+    let options = Options { max_size: Some(SIDE), ..Options::default() };
+    let made = tmpi_pipeline::make(models, &Limits::default(), &file, None, &options, &Silent).ok()?;
+    container::decode(&made.container).ok().map(Arc::new)
+}
+
+/// Checks every photo of the folders; a folder without one is a skipped case.
+pub(super) fn run(checked: &mut Checked, folders: &[PathBuf], models: &Models) {
+    for folder in folders {
+        let listing = std::fs::read_dir(folder).into_iter().flatten().filter_map(Result::ok);
+        let mut photos: Vec<PathBuf> = listing.map(|e| e.path()).filter(|p| is_photo(p)).collect();
+        photos.sort();
+        if photos.is_empty() {
+            checked.skipped.push(format!("{}: no photo in it", folder.display()));
+        }
+        for path in photos {
+            let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+            let mut found = [f64::INFINITY; 2];
+            checked.case(FAMILY, &name, "cpu", "% holes", 0.0, || {
+                found = scene(models, &path).map_or(found, |s| uncovered(&s));
+                found[0]
+            });
+            checked.case(FAMILY, &name, "cpu", "% seams", MOST_SEAMS, || found[1]);
+        }
+    }
+}
+
+fn is_photo(path: &Path) -> bool {
+    use std::io::Read;
+    let mut start = [0; 32];
+    let read = std::fs::File::open(path).and_then(|mut f| f.read(&mut start)).unwrap_or(0);
+    PhotoFormat::sniff(&start[..read]).is_some()
+}

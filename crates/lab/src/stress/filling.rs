@@ -1,0 +1,109 @@
+//! Hidden colours, and what the container rounds: planes to a grid, disparity to 16 bits, everything at the ends of its options.
+
+use std::sync::Arc;
+
+use super::Checked;
+use super::photos::{Brightness, identity, made, rgb_png};
+use tmpi_core::{DisparityMap, Plane, ViewBox};
+use tmpi_pipeline;
+use tmpi_pipeline::depth::{DepthKind, from_png, to_png};
+use tmpi_pipeline::{Models, Options, PlaneCount, PlaneMethod, TileSize};
+use tmpi_render::Cpu;
+
+/// Layers a tile at most, as [`tmpi_pipeline::planes::MAX_PLANES`] and one behind them.
+const LAYERS: usize = tmpi_pipeline::planes::MAX_PLANES as usize + 1;
+
+pub(super) fn run(checked: &mut Checked) {
+    let models = Models { depth: Arc::new(Brightness), theta: None, psi: None };
+    fill(checked, &models);
+    rounding(checked);
+    options(checked, &models);
+}
+
+type Paint = fn(u32, u32) -> [u8; 3];
+
+/// Bright things lie in front of dark ones: what is hidden behind them may not be brighter than the dark ones are.
+fn fill(checked: &mut Checked, models: &Models) {
+    const SIDE: u32 = 96;
+    let photos: [(&str, Paint, u8); 4] = [
+        (
+            "bright disc before a dark wall",
+            |x, y| if x.abs_diff(48).pow(2) + y.abs_diff(48).pow(2) < 400 { [250; 3] } else { [40, 50, 30] },
+            50,
+        ),
+        (
+            "bright bars before dark noise",
+            |x, y| if x % 24 < 10 { [255, 240, 250] } else { [(x * 7 + y * 13) as u8 % 60, (x * 5 + y) as u8 % 60, (y * 11) as u8 % 60] },
+            59,
+        ),
+        ("background seen through one pixel", |x, y| if (x, y) == (48, 48) { [20; 3] } else { [240, 250, 255] }, 255),
+        ("black and white at infinity and nearest", |x, _| if x < 48 { [255; 3] } else { [0; 3] }, 0),
+    ];
+    for (name, paint, most) in photos {
+        let rgb: Vec<u8> = (0..SIDE * SIDE).flat_map(|i| paint(i % SIDE, i / SIDE)).collect();
+        let options = Options { quality: 100, view_box: ViewBox { x: 0.1, y: 0.1, z: 0.1 }, ..Options::default() };
+        // the hidden colours pass through a lossy picture
+        checked.case("filling", name, "pyramid", "levels too bright", 12.0, || {
+            let file = super::photos::png(SIDE, SIDE, &rgb, image::ExtendedColorType::Rgb8);
+            let Some(scene) = made(models, &file, &options) else { return f64::INFINITY };
+            scene.texels.hidden.iter().flatten().map(|v| f64::from(v.saturating_sub(most))).fold(0.0, f64::max)
+        });
+    }
+}
+
+fn rounding(checked: &mut Checked) {
+    let coefficients: Vec<f64> = (0..400).map(|i| (i as f64 - 200.0) / 200.0 * 1.999).chain([0.0, -0.0, 1e-300, 1e-8, 1.0]).collect();
+    checked.case("quantisation", "planes on the container's grid, anywhere on the tile", "planes", "δ", 1.5 * Plane::STEP, || {
+        let off = |(a, b, c): (f64, f64, f64)| {
+            let (p, corners) = (Plane { a, b, c }, [(-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)]);
+            let q = p.quantised();
+            corners.into_iter().map(|(u, v)| (p.disparity(u, v) - q.disparity(u, v)).abs()).fold(0.0, f64::max)
+        };
+        let n = coefficients.len();
+        (0..n).map(|i| off((coefficients[i], coefficients[i * 7 % n], coefficients[i * 13 % n]))).fold(0.0, f64::max)
+    });
+    checked.case("quantisation", "NaN, infinite and huge coefficients", "planes", "not finite", 0.0, || {
+        let bad = [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 1e300, -1e300];
+        bad.into_iter().filter(|&v| !Plane { a: v, b: -v, c: v }.quantised().is_finite()).count() as f64
+    });
+    checked.case("quantisation", "disparity as 16 bits and back", "depth map", "δ", 0.501 / 65_535.0, || {
+        let delta: Vec<f32> = (0..4096).map(|i| (i as f32 / 4095.0).powi(3)).collect();
+        let map = DisparityMap { width: 64, height: 64, delta };
+        let back = to_png(&map).ok().and_then(|png| from_png(&png, DepthKind::Disparity, 64, 64).ok());
+        back.map_or(f64::INFINITY, |b| b.delta.iter().zip(&map.delta).map(|(a, b)| f64::from((a - b).abs())).fold(0.0, f64::max))
+    });
+}
+
+/// The way and the container at both ends of every option.
+fn options(checked: &mut Checked, models: &Models) {
+    let file = rgb_png(150, 100);
+    let cpu = Cpu::default();
+    let plain = Options::default;
+    let all = [
+        ("64 planes a tile", Options { planes: PlaneCount::Fixed(64), plane_method: PlaneMethod::Linear, ..plain() }),
+        ("64 slanted planes a tile", Options { planes: PlaneCount::Fixed(64), ..plain() }),
+        ("1 plane a tile", Options { planes: PlaneCount::Fixed(1), ..plain() }),
+        ("tiles of 8", Options { tile: TileSize::Pixels(8), ..plain() }),
+        ("tiles of 1024", Options { tile: TileSize::Pixels(1024), ..plain() }),
+        ("one tile", Options { tile: TileSize::Full, ..plain() }),
+        ("view box of no extent", Options { view_box: ViewBox { x: 0.0, y: 0.0, z: 0.0 }, ..plain() }),
+        ("view box of 10", Options { view_box: ViewBox { x: 10.0, y: 10.0, z: 10.0 }, ..plain() }),
+        ("error 0", Options { max_error: 0.0, ..plain() }),
+        ("error 1000 px", Options { max_error: 1000.0, ..plain() }),
+        ("quality 1", Options { quality: 1, ..plain() }),
+        ("field of view 0.1°", Options { fov_x: Some(0.1), ..plain() }),
+        ("field of view 179°", Options { fov_x: Some(179.0), ..plain() }),
+        ("largest side 1", Options { max_size: Some(1), ..plain() }),
+    ];
+    for (name, options) in all {
+        checked.case("quantisation", &format!("identity view, {name}"), "container", "levels", 0.0, || {
+            identity(made(models, &file, &options).as_ref(), &cpu)
+        });
+    }
+    checked.case("quantisation", "layers a tile", "container", "more than there may be", 0.0, || {
+        let options = Options { planes: PlaneCount::Fixed(64), plane_method: PlaneMethod::Linear, ..plain() };
+        let Some(scene) = made(models, &file, &options) else { return f64::INFINITY };
+        let most = (0..scene.grid.tiles()).map(|t| scene.layers.iter().filter(|l| l.tile == t).count()).max().unwrap_or(0);
+        most.saturating_sub(LAYERS) as f64
+    });
+}

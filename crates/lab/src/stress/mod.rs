@@ -1,0 +1,143 @@
+//! Stiff and extreme cases: every numerical kernel against a plain `f64` reference, each case with the bound that it must hold
+//! and the error that it has (DESIGN, section 7).
+
+mod borders;
+mod clustering;
+mod compositing;
+mod filling;
+mod photos;
+pub mod scenes;
+mod truth;
+mod views;
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use serde::Serialize;
+
+use tmpi_pipeline::Models;
+use tmpi_render::{Cpu, Gpu, Reference, Renderer};
+pub use truth::cast;
+
+/// What became of a case.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Verdict {
+    /// The error is within the bound.
+    Ok,
+    /// It is not, or the code under test panicked.
+    Fail,
+}
+
+/// One case.
+#[derive(Clone, Debug, Serialize)]
+pub struct Case {
+    /// Family of cases.
+    pub family: &'static str,
+    /// What is stiff or extreme about it.
+    pub name: String,
+    /// The kernel or the renderer under test.
+    pub subject: &'static str,
+    /// What `error` and `bound` count.
+    pub unit: &'static str,
+    /// Largest error allowed.
+    pub bound: f64,
+    /// Error found; none where the code under test panicked or gave something that is no number.
+    pub error: Option<f64>,
+    /// Verdict.
+    pub verdict: Verdict,
+}
+
+/// Everything that was checked.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct Checked {
+    /// All cases, family by family.
+    pub cases: Vec<Case>,
+    /// What could not be checked, and why.
+    pub skipped: Vec<String>,
+}
+
+impl Checked {
+    /// Count of the cases that failed.
+    #[must_use]
+    pub fn failed(&self) -> usize {
+        self.cases.iter().filter(|c| c.verdict == Verdict::Fail).count()
+    }
+
+    /// Runs `work` for a case and notes its error; a panic is a failure.
+    fn case(
+        &mut self,
+        family: &'static str,
+        name: &str,
+        subject: &'static str,
+        unit: &'static str,
+        bound: f64,
+        work: impl FnOnce() -> f64,
+    ) {
+        let error = catch_unwind(AssertUnwindSafe(work)).ok().filter(|e| e.is_finite());
+        let verdict = if error.is_some_and(|e| e <= bound) { Verdict::Ok } else { Verdict::Fail };
+        self.cases.push(Case { family, name: name.into(), subject, unit, bound, error, verdict });
+    }
+}
+
+/// The renderers that can be checked here: `reference`, `cpu`, and `gpu` on whatever adapter there is.
+struct Hosts {
+    all: Vec<Arc<dyn Renderer>>,
+}
+
+impl Hosts {
+    fn new(skipped: &mut Vec<String>) -> Self {
+        let mut all: Vec<Arc<dyn Renderer>> = vec![Arc::new(Reference), Arc::new(Cpu::default())];
+        match Gpu::new(true) {
+            Ok(gpu) => all.push(Arc::new(gpu)),
+            Err(reason) => skipped.push(format!("gpu: {reason}")),
+        }
+        Self { all }
+    }
+}
+
+/// Runs all cases.
+#[must_use]
+pub fn run() -> Checked {
+    let mut checked = Checked::default();
+    let hosts = Hosts::new(&mut checked.skipped);
+    clustering::run(&mut checked);
+    views::run(&mut checked, &hosts);
+    compositing::run(&mut checked, &hosts);
+    photos::run(&mut checked, &hosts);
+    filling::run(&mut checked);
+    checked
+}
+
+/// What the corners of the view box see, on all photos of `folders`.
+#[must_use]
+pub fn run_on_photos(folders: &[PathBuf], models: &Models) -> Checked {
+    let mut checked = Checked::default();
+    borders::run(&mut checked, folders, models);
+    checked
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_case_holds_its_bound() {
+        let checked = run();
+        let bad: Vec<&Case> = checked.cases.iter().filter(|c| c.verdict == Verdict::Fail).collect();
+        assert!(bad.is_empty(), "{bad:#?}");
+        assert!(checked.cases.len() > 100);
+    }
+
+    #[test]
+    fn an_error_beyond_its_bound_nan_and_a_panic_fail() {
+        let mut c = Checked::default();
+        c.case("f", "within", "s", "u", 1.0, || 1.0);
+        c.case("f", "beyond", "s", "u", 1.0, || 1.01);
+        c.case("f", "nan", "s", "u", 1.0, || f64::NAN);
+        c.case("f", "panic", "s", "u", 1.0, || panic!("on purpose"));
+        assert_eq!(c.cases.iter().map(|c| c.verdict == Verdict::Ok).collect::<Vec<_>>(), [true, false, false, false]);
+        assert_eq!(c.failed(), 3);
+    }
+}

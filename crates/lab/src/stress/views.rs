@@ -1,0 +1,98 @@
+//! Planes and cameras: every scene for every camera on every renderer, against rays cast in `f64`.
+
+use std::sync::Arc;
+
+use super::scenes::{all, cameras, flat};
+use super::{Checked, Hosts, cast};
+use tmpi_core::{Camera, Intrinsics, Pose, Scene};
+use tmpi_render::{RenderError, Renderer};
+
+/// Levels of 255 from which a pixel counts as wrong.
+const LEVELS: f64 = 8.0;
+/// A picture with fewer pixels than this is one border only.
+const FEW: usize = 100;
+/// Soft layers are drawn in one order for the whole picture. Beside them there is none: left of such a camera the near ones come
+/// first, right of it the far ones.
+const WITHOUT_ORDER: [(&str, &str); 2] = [("translucent stack", "edge-on"), ("translucent stack", "nearly edge-on")];
+
+/// Percent of pixels that may be wrong: quad edges differ between rasterisers; in `f64` only the order of tiles that overlap on one
+/// surface hangs on rounding.
+fn bound(host: &dyn Renderer) -> f64 {
+    if host.name() == "reference" { 0.25 } else { 1.5 }
+}
+
+/// Percent of wrong pixels of a view; infinite where nothing was drawn.
+fn wrong(host: &dyn Renderer, scene: &Arc<Scene>, camera: &Camera, want: &[[f64; 4]]) -> f64 {
+    let Ok(view) = host.render(scene, camera) else { return f64::INFINITY };
+    let off = |p: &[u8; 4], q: &[f64; 4]| p.iter().zip(q).any(|(p, q)| (f64::from(*p) - q).abs() > LEVELS);
+    let bad = view.rgba.iter().zip(want).filter(|(p, q)| off(p, q)).count();
+    if view.rgba.len() != want.len() {
+        return f64::INFINITY;
+    }
+    // a few pixels on borders between planes are all that a very small picture has
+    if want.len() < FEW && bad > 0 { f64::INFINITY } else { 100.0 * bad as f64 / want.len() as f64 }
+}
+
+pub(super) fn run(checked: &mut Checked, hosts: &Hosts) {
+    let scenes: Vec<(&'static str, Arc<Scene>)> = all().into_iter().map(|(n, s)| (n, Arc::new(s))).collect();
+    let names: Vec<&'static str> = scenes.first().map(|s| cameras(&s.1).into_iter().map(|c| c.0).collect()).unwrap_or_default();
+    // [scene][camera]
+    let wanted: Vec<Vec<(Camera, Vec<[f64; 4]>)>> =
+        scenes.iter().map(|(_, s)| cameras(s).into_iter().map(|(_, c)| (c, cast(s, &c))).collect()).collect();
+    for host in &hosts.all {
+        let host = host.as_ref();
+        let gpu = host.name() == "gpu";
+        let excused = |s: usize, c: usize| gpu && WITHOUT_ORDER.contains(&(scenes[s].0, names[c]));
+        let share = |s: usize, c: usize| wrong(host, &scenes[s].1, &wanted[s][c].0, &wanted[s][c].1);
+        let shares: Vec<Vec<f64>> = (0..scenes.len())
+            .map(|s| {
+                let one = |c: usize| std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| share(s, c))).unwrap_or(f64::INFINITY);
+                (0..names.len()).map(one).collect()
+            })
+            .collect();
+        let pairs = || (0..scenes.len()).flat_map(|s| (0..names.len()).map(move |c| (s, c)));
+        let worst =
+            |wanted: &dyn Fn(usize, usize) -> bool| pairs().filter(|&(s, c)| wanted(s, c)).map(|(s, c)| shares[s][c]).fold(0.0, f64::max);
+        let unit = "% of pixels";
+        for (s, (name, _)) in scenes.iter().enumerate() {
+            checked.case("planes", name, host.name(), unit, bound(host), || worst(&|a, c| a == s && !excused(a, c)));
+        }
+        for (c, name) in names.iter().enumerate() {
+            checked.case("cameras", name, host.name(), unit, bound(host), || worst(&|s, a| a == c && !excused(s, a)));
+        }
+        if gpu {
+            checked.case("planes", "translucent stack from beside (drawn, not ordered)", host.name(), unit, 100.0, || worst(&excused));
+        }
+        refusals(checked, host);
+    }
+}
+
+/// Cameras that no picture exists for are refused, extreme but valid ones draw.
+fn refusals(checked: &mut Checked, host: &dyn Renderer) {
+    let scene = Arc::new(flat(32, 20, 0.5));
+    let good = Camera { pose: Pose::default(), intrinsics: scene.intrinsics, width: 32, height: 20 };
+    let pose = |pose: Pose| Camera { pose, ..good };
+    let k = |intrinsics: Intrinsics| Camera { intrinsics, ..good };
+    let bad = [
+        ("pose of NaN", pose(Pose { yaw: f64::NAN, ..Pose::default() })),
+        ("pose of infinity", pose(Pose::at(f64::INFINITY, 0.0, 0.0))),
+        ("focal length 0", k(Intrinsics { fx: 0.0, ..good.intrinsics })),
+        ("focal length NaN", k(Intrinsics { fy: f64::NAN, ..good.intrinsics })),
+        ("principal point at infinity", k(Intrinsics { cy: f64::INFINITY, ..good.intrinsics })),
+        ("width 0", Camera { width: 0, ..good }),
+        ("height 16 385", Camera { height: 16_385, ..good }),
+    ];
+    for (name, camera) in bad {
+        checked.case("cameras", &format!("{name} is refused"), host.name(), "accepted", 0.0, || {
+            f64::from(u8::from(!matches!(host.render(&scene, &camera), Err(RenderError::Camera(_)))))
+        });
+    }
+    checked.case("cameras", "focal 1e-300 to 1e300, camera 1e-300 to 1e300 away", host.name(), "not drawn", 0.0, || {
+        let pairs = [1e-300, 1e-9, 1e9, 1e300].map(|f| [1e-300, 1e9, 1e300].map(|t| (f, t)));
+        let drawn = |&(f, t): &(f64, f64)| {
+            let camera = Camera { pose: Pose::at(t, -t, t), intrinsics: Intrinsics::centred(32, 20, f), ..good };
+            host.render(&scene, &camera).is_ok_and(|v| v.rgba.len() == 640)
+        };
+        pairs.as_flattened().iter().filter(|p| !drawn(p)).count() as f64
+    });
+}

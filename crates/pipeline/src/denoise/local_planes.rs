@@ -1,0 +1,292 @@
+//! Cleaning of a noisy disparity map without a network: planes fitted around each pixel, and how noisy a map is.
+//!
+//! A disparity map is flat or sloping between its edges, so the value of a plane fitted to hundreds of neighbours is far less noisy
+//! than any of them. Neighbours count by how like they are in the map as cleaned before, so that a plane ends at an edge; three
+//! rounds, each with a larger window and a stricter likeness (adaptive weights as in Polzehl and Spokoiny 2000).
+//! `training/eval_theta.py` compares it with the others.
+
+use rayon::prelude::*;
+
+use super::median_guided;
+use tmpi_core::DisparityMap;
+
+/// Window radius in pixels, deviation of the distance weight, and the difference that is still alike, in deviations of the noise.
+const ROUNDS: [(i32, f32, f32); 3] = [(6, 3.0, 1.7), (10, 5.0, 0.9), (14, 7.0, 0.6)];
+/// Added to the second moments: a window with few like neighbours gives their mean instead of a plane through them.
+const RIDGE: f32 = 2.0;
+/// Deviation above which a map counts as noisy: 16-bit and 8-bit maps without noise stay below, those with 1/300 of their range above.
+const NOISY: f32 = 1.5e-3;
+/// Share of single outliers above which they are taken out.
+const SPOTTED: f64 = 1e-3;
+/// How far a pixel lies beyond all its neighbours to be an outlier.
+const BEYOND: f32 = 0.05;
+/// Noise below which the likeness is not made stricter still.
+const LEAST: f32 = 0.01;
+
+/// What is wrong with a map.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Degradation {
+    /// Deviation of noise that differs from pixel to pixel.
+    pub noise: f32,
+    /// Share of pixels, 0 to 1, that lie far beyond all eight neighbours.
+    pub outliers: f64,
+}
+
+impl Degradation {
+    /// Measures a finite map: noise by the median of mixed second differences (Immerkær 1996), which edges and slopes hardly move.
+    #[must_use]
+    pub fn of(map: &DisparityMap) -> Self {
+        let (w, h) = (map.width as usize, map.height as usize);
+        if w < 3 || h < 3 {
+            return Self { noise: 0.0, outliers: 0.0 };
+        }
+        let rows: Vec<(Vec<f32>, usize)> = (1..h - 1)
+            .into_par_iter()
+            .map(|y| {
+                let row = |y: usize| &map.delta[y * w..(y + 1) * w];
+                let (a, b, c) = (row(y - 1), row(y), row(y + 1));
+                let mut beyond = 0;
+                let second = (1..w - 1).map(|x| {
+                    let corners = [a[x - 1], a[x + 1], c[x - 1], c[x + 1]];
+                    let sides = [a[x], b[x - 1], b[x + 1], c[x]];
+                    let around = corners.iter().chain(&sides);
+                    let (low, high) = around.fold((f32::INFINITY, f32::NEG_INFINITY), |(l, u), &v| (l.min(v), u.max(v)));
+                    beyond += usize::from(b[x] > high + BEYOND || b[x] < low - BEYOND);
+                    (corners.iter().sum::<f32>() - 2.0 * sides.iter().sum::<f32>() + 4.0 * b[x]).abs()
+                });
+                (second.collect(), beyond)
+            })
+            .collect();
+        let outliers = rows.iter().map(|r| r.1).sum::<usize>() as f64 / (w * h) as f64;
+        let mut second: Vec<f32> = rows.into_iter().flat_map(|r| r.0).collect();
+        let middle = second.len() / 2;
+        // The weights' root of squares is 6; a normal deviate is below .6745 half of the time
+        let noise = *second.select_nth_unstable_by(middle, f32::total_cmp).1 / 0.6745 / 6.0;
+        Self { noise, outliers }
+    }
+
+    /// True where cleaning helps.
+    #[must_use]
+    pub fn found(self) -> bool {
+        self.noisy() || self.outliers >= SPOTTED
+    }
+
+    fn noisy(self) -> bool {
+        self.noise >= NOISY
+    }
+}
+
+/// The cleaned map, within 0..=1; the very same one where [`Degradation::found`] is false.
+#[must_use]
+pub fn denoise(map: &DisparityMap) -> DisparityMap {
+    let damage = Degradation::of(map);
+    if !damage.found() {
+        return map.clone();
+    }
+    let middle = median_guided::median(map);
+    if !damage.noisy() {
+        let delta = map.delta.iter().zip(&middle.delta).map(|(&d, &m)| if (d - m).abs() > BEYOND { m } else { d }).collect();
+        return DisparityMap { delta, ..*map };
+    }
+    let size = (map.width as usize, map.height as usize);
+    let mut guide = blurred(&middle.delta, size);
+    for (radius, spread, alike) in ROUNDS {
+        guide = fitted(&map.delta, &guide, size, radius, spread, alike * damage.noise.max(LEAST));
+    }
+    DisparityMap { delta: guide, ..*map }
+}
+
+/// Gaussian of deviation 1.
+fn blurred(values: &[f32], (w, h): (usize, usize)) -> Vec<f32> {
+    const KERNEL: [f32; 7] = [0.004_433, 0.054_006, 0.242_036, 0.399_05, 0.242_036, 0.054_006, 0.004_433];
+    let at = |i: usize, k: usize, n: usize| (i + k).saturating_sub(3).min(n - 1);
+    let across: Vec<f32> =
+        (0..w * h).into_par_iter().map(|i| (0..7).map(|k| KERNEL[k] * values[i - i % w + at(i % w, k, w)]).sum()).collect();
+    (0..w * h).into_par_iter().map(|i| (0..7).map(|k| KERNEL[k] * across[at(i / w, k, h) * w + i % w]).sum()).collect()
+}
+
+/// Value at each pixel of the plane fitted to `values` in a disc around it; weights by distance and by likeness of `guide`.
+fn fitted(values: &[f32], guide: &[f32], (w, h): (usize, usize), radius: i32, spread: f32, tolerance: f32) -> Vec<f32> {
+    let r = radius as usize;
+    // Padded by repeating the border, so that inner loops have no bounds to look after
+    let wide = w + 2 * r;
+    let padded = |source: &[f32]| -> Vec<f32> {
+        let row = |y: usize| &source[y.saturating_sub(r).min(h - 1) * w..][..w];
+        (0..h + 2 * r).flat_map(|y| (0..wide).map(move |x| row(y)[x.saturating_sub(r).min(w - 1)])).collect()
+    };
+    let (values, around) = (padded(values), padded(guide));
+    let sharp = 1.0 / (8.0 * tolerance * tolerance);
+    let mut out = vec![0f32; w * h];
+    out.par_chunks_mut(w).enumerate().for_each(|(y, out)| {
+        let own = &guide[y * w..(y + 1) * w];
+        let mut sums: [Vec<f32>; 9] = std::array::from_fn(|_| vec![0f32; w]);
+        for dy in -radius..=radius {
+            let line = (y as i32 + radius + dy) as usize * wide;
+            for dx in -radius..=radius {
+                let square = dx * dx + dy * dy;
+                if square > radius * radius {
+                    continue;
+                }
+                let near = (-(square as f32) / (2.0 * spread * spread)).exp();
+                let from = line + (radius + dx) as usize;
+                let (fx, fy) = (dx as f32, dy as f32);
+                let [s, sx, sy, sxx, sxy, syy, t, tx, ty] = sums.each_mut().map(|v| &mut v[..w]);
+                let (v, g) = (&values[from..from + w], &around[from..from + w]);
+                for x in 0..w {
+                    let difference = g[x] - own[x];
+                    // close to exp(−d²/2) and without an exponential
+                    let like = (1.0 - difference * difference * sharp).max(0.0);
+                    let like = like * like;
+                    let weight = near * like * like;
+                    let value = weight * v[x];
+                    s[x] += weight;
+                    sx[x] += weight * fx;
+                    sy[x] += weight * fy;
+                    sxx[x] += weight * fx * fx;
+                    sxy[x] += weight * fx * fy;
+                    syy[x] += weight * fy * fy;
+                    t[x] += value;
+                    tx[x] += value * fx;
+                    ty[x] += value * fy;
+                }
+            }
+        }
+        for (x, o) in out.iter_mut().enumerate() {
+            *o = centre(&std::array::from_fn(|k| f64::from(sums[k][x]))).clamp(0.0, 1.0) as f32;
+        }
+    });
+    out
+}
+
+/// Value of the fitted plane in the middle of its window, by Cramer's rule; the sums are those of 1, x, y, xx, xy, yy, v, vx, vy.
+fn centre(&[s, x, y, xx, xy, yy, t, tx, ty]: &[f64; 9]) -> f64 {
+    let (xx, yy) = (xx + f64::from(RIDGE), yy + f64::from(RIDGE));
+    let minor = xx * yy - xy * xy;
+    let (p, q) = (x * yy - y * xy, y * xx - x * xy);
+    // Positive, as the pixel itself has weight 1 and the ridge is
+    let whole = s * minor - x * p - y * q;
+    if whole <= 0.0 {
+        return t / s.max(1e-12);
+    }
+    (t * minor - tx * p - ty * q) / whole
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Two slopes that meet at a step.
+    fn clean(w: u32, h: u32) -> DisparityMap {
+        let delta = (0..w * h).map(|i| (i % w, i / w)).map(|(x, y)| {
+            let far = 0.2 + 0.1 * y as f32 / h as f32;
+            if x < w / 2 { far } else { 0.6 + 0.2 * x as f32 / w as f32 }
+        });
+        DisparityMap { width: w, height: h, delta: delta.collect() }
+    }
+
+    /// Normal deviates by sums of twelve even ones (`SplitMix64`).
+    fn noise(i: usize) -> f32 {
+        let even = |k: u64| {
+            let z = (i as u64 * 12 + k + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+            let z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+            let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+            ((z ^ (z >> 31)) >> 40) as f32 / 16_777_216.0
+        };
+        (0..12).map(even).sum::<f32>() - 6.0
+    }
+
+    fn spoilt(map: &DisparityMap, deviation: f32) -> DisparityMap {
+        DisparityMap { delta: map.delta.iter().enumerate().map(|(i, d)| (d + deviation * noise(i)).clamp(0.0, 1.0)).collect(), ..*map }
+    }
+
+    fn error(a: &DisparityMap, b: &DisparityMap) -> f32 {
+        a.delta.iter().zip(&b.delta).map(|(a, b)| (a - b).abs()).sum::<f32>() / a.delta.len() as f32
+    }
+
+    #[test]
+    fn noise_is_measured_and_a_clean_map_stays_bit_for_bit() {
+        let map = clean(120, 90);
+        assert_eq!(denoise(&map), map);
+        let coarse = DisparityMap { delta: map.delta.iter().map(|d| (d * 255.0).round() / 255.0).collect(), ..map };
+        assert_eq!(denoise(&coarse), coarse, "an 8-bit map is no noise");
+        for deviation in [0.003, 0.01, 0.0316] {
+            let got = Degradation::of(&spoilt(&map, deviation)).noise;
+            assert!((got / deviation - 1.0).abs() < 0.15, "{deviation}: {got}");
+        }
+    }
+
+    #[test]
+    fn noise_goes_and_the_step_stays() {
+        let map = clean(160, 120);
+        for deviation in [0.01, 0.0316] {
+            let dirty = spoilt(&map, deviation);
+            let got = denoise(&dirty);
+            assert!(error(&got, &map) < 0.12 * error(&dirty, &map), "{} of {}", error(&got, &map), error(&dirty, &map));
+            let row = &got.delta[60 * 160..61 * 160];
+            assert!(row[80] - row[79] > 0.4, "{} {}", row[79], row[80]);
+        }
+    }
+
+    #[test]
+    fn outliers_go_and_nothing_else_changes() {
+        let map = clean(100, 80);
+        let mut dirty = map.clone();
+        for i in (0..dirty.delta.len()).step_by(83) {
+            dirty.delta[i] = 1.0 - dirty.delta[i];
+        }
+        assert!(Degradation::of(&dirty).outliers > SPOTTED);
+        let got = denoise(&dirty);
+        assert!(got.delta.iter().zip(&map.delta).all(|(a, b)| (a - b).abs() < 0.02));
+    }
+
+    #[test]
+    fn the_value_is_that_of_least_squares() {
+        let (w, h) = (21, 17);
+        let values: Vec<f32> = (0..w * h).map(|i| 0.5 + 0.1 * noise(i)).collect();
+        let guide: Vec<f32> = (0..w * h).map(|i| 0.5 + 0.05 * noise(i + 999)).collect();
+        let got = fitted(&values, &guide, (w, h), 4, 2.0, 0.05);
+        for (x, y) in [(10usize, 8usize), (0, 0), (20, 3)] {
+            // normal equations by elimination, in f64
+            let mut a = [[0f64; 4]; 3];
+            for dy in -4i32..=4 {
+                for dx in -4i32..=4 {
+                    if dx * dx + dy * dy > 16 {
+                        continue;
+                    }
+                    let i = (y as i32 + dy).clamp(0, h as i32 - 1) as usize * w + (x as i32 + dx).clamp(0, w as i32 - 1) as usize;
+                    let d = f64::from(guide[i] - guide[y * w + x]);
+                    let weight = (1.0 - d * d / (8.0 * 0.0025)).max(0.0).powi(4) * (-f64::from(dx * dx + dy * dy) / 8.0).exp();
+                    let basis = [1.0, f64::from(dx), f64::from(dy)];
+                    for (row, b) in a.iter_mut().zip(basis) {
+                        for k in 0..3 {
+                            row[k] += weight * b * basis[k];
+                        }
+                        row[3] += weight * b * f64::from(values[i]);
+                    }
+                }
+            }
+            a[1][1] += 2.0;
+            a[2][2] += 2.0;
+            for p in 0..3 {
+                let pivot = a[p];
+                for (q, row) in a.iter_mut().enumerate() {
+                    if q != p {
+                        let f = row[p] / pivot[p];
+                        row.iter_mut().zip(pivot).for_each(|(v, p)| *v -= f * p);
+                    }
+                }
+            }
+            let want = (a[0][3] / a[0][0]).clamp(0.0, 1.0);
+            assert!((f64::from(got[y * w + x]) - want).abs() < 1e-4, "({x}, {y}): {} {want}", got[y * w + x]);
+        }
+    }
+
+    #[test]
+    fn the_smallest_maps() {
+        for (w, h) in [(1, 1), (1, 50), (50, 1), (3, 3)] {
+            let map = spoilt(&clean(w, h), 0.05);
+            let got = denoise(&map);
+            assert!(got.delta.len() == map.delta.len() && got.delta.iter().all(|v| (0.0..=1.0).contains(v)));
+        }
+    }
+}

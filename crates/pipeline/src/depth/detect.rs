@@ -1,0 +1,110 @@
+//! Which adapter a model file wants, by its name and its graph.
+
+use std::fs::File;
+use std::io::BufReader;
+use std::path::Path;
+
+use super::{ADAPTERS, Adapter, adapter};
+use crate::networks::{Outline, outline};
+
+/// Words of a file's name that tell a network, the more special ones first; the second is its adapter.
+const WORDS: [(&[&str], &str); 9] = [
+    (&["depth-anything", "metric"], "depth-anything-v2-metric"),
+    (&["depth-anything"], "depth-anything-v2"),
+    (&["zoe"], "zoedepth"),
+    (&["dpt", "hybrid"], "dpt-hybrid"),
+    (&["dpt", "large"], "dpt-large"),
+    (&["midas", "small"], "midas-v2.1-small"),
+    (&["midas"], "midas-v2.1"),
+    // As the MiDaS project calls its files
+    (&["model-small"], "midas-v2.1-small"),
+    (&["model-f6b98070"], "midas-v2.1"),
+];
+
+/// The adapter for an ONNX file: by words of its name, else of the folders that it lies in, else by the size that its graph is
+/// fixed to. None where nothing tells.
+#[must_use]
+pub fn detect(file: &Path) -> Option<&'static Adapter> {
+    let outline = File::open(file).ok().and_then(|f| outline(&mut BufReader::new(f)));
+    let named = file.ancestors().take(4).filter_map(|p| p.file_name()?.to_str()).find_map(by_name);
+    named.map_or_else(|| outline.as_ref().and_then(by_graph), |found| Some(normalised(found, outline.as_ref())))
+}
+
+/// The adapter whose name is the longest in `name`, else that of its words.
+fn by_name(name: &str) -> Option<&'static Adapter> {
+    let name = name.to_lowercase().replace(['_', ' '], "-");
+    // The embedded network's name is that of the whole program and tells nothing
+    let named = ADAPTERS[1..].iter().filter(|a| name.contains(a.name)).max_by_key(|a| a.name.len());
+    let worded = || WORDS.iter().find(|(words, _)| words.iter().all(|w| name.contains(w))).and_then(|w| adapter(w.1));
+    named.or_else(worded)
+}
+
+fn by_graph(outline: &Outline) -> Option<&'static Adapter> {
+    let [_, _, h, w] = outline.shape;
+    let name = match (w, h) {
+        (256, 256) => "midas-v2.1-small",
+        // The name that `transformers` gives
+        (384, 384) if outline.input == "pixel_values" => "dpt-large",
+        (384, 384) => "midas-v2.1",
+        (512, 384) => "zoedepth",
+        (14.., 14..) if w % 14 == 0 && h % 14 == 0 && (w % 32 != 0 || h % 32 != 0) => "depth-anything-v2",
+        _ => return None,
+    };
+    adapter(name).map(|found| normalised(found, Some(outline)))
+}
+
+/// Of the two kinds of `MiDaS` files that which fits the graph: one normalises by itself, the other from the torch hub does not.
+fn normalised(found: &'static Adapter, outline: Option<&Outline>) -> &'static Adapter {
+    let plain = outline.is_some_and(|o| !o.normalises) && matches!(found.name, "midas-v2.1" | "midas-v2.1-small");
+    if plain { adapter(&format!("{}-hub", found.name)).unwrap_or(found) } else { found }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn published_files_by_their_names() {
+        for (file, want) in [
+            ("model-small.onnx", "midas-v2.1-small"),
+            ("model-f6b98070.onnx", "midas-v2.1"),
+            ("MiDaS_small.onnx", "midas-v2.1-small"),
+            ("midas-v2.1-small-hub-256x160.onnx", "midas-v2.1-small-hub"),
+            ("dpt_hybrid-midas-501f0c75.onnx", "dpt-hybrid"),
+            ("dpt_large_384.onnx", "dpt-large"),
+            ("depth_anything_v2_vits.onnx", "depth-anything-v2"),
+            ("depth-anything-v2-small/onnx/model.onnx", "depth-anything-v2"),
+            ("Depth-Anything-V2-Metric-Indoor-Small-hf/model.onnx", "depth-anything-v2-metric"),
+            ("depth_anything_metric_depth_indoor.onnx", "depth-anything-v2-metric"),
+            ("ZoeD_N.onnx", "zoedepth"),
+            ("zoedepth-nyu-kitti/onnx/model.onnx", "zoedepth"),
+        ] {
+            assert_eq!(detect(Path::new(file)).map(|a| a.name), Some(want), "{file}");
+        }
+        assert_eq!(detect(Path::new("models/depth.onnx")), None);
+    }
+
+    #[test]
+    fn files_without_a_name_by_their_graph() {
+        let of =
+            |input: &str, w, h, normalises| by_graph(&Outline { input: input.into(), shape: [1, 3, h, w], normalises }).map(|a| a.name);
+        assert_eq!(of("0", 256, 256, true), Some("midas-v2.1-small"));
+        assert_eq!(of("0", 384, 384, true), Some("midas-v2.1"));
+        assert_eq!(of("0", 384, 384, false), Some("midas-v2.1-hub"));
+        assert_eq!(of("pixel_values", 384, 384, false), Some("dpt-large"));
+        assert_eq!(of("image", 518, 518, false), Some("depth-anything-v2"));
+        assert_eq!(of("image", 686, 518, false), Some("depth-anything-v2"));
+        assert_eq!(of("pixel_values", 512, 384, false), Some("zoedepth"));
+        assert_eq!(of("image", -1, -1, false), None);
+        assert_eq!(of("image", 448, 224, false), None);
+    }
+
+    #[test]
+    fn a_name_of_midas_is_held_against_the_graph() {
+        let small = adapter("midas-v2.1-small").unwrap();
+        let outline = |normalises| Outline { input: "x".into(), shape: [1, 3, -1, -1], normalises };
+        assert_eq!(normalised(small, Some(&outline(true))).name, "midas-v2.1-small");
+        assert_eq!(normalised(small, Some(&outline(false))).name, "midas-v2.1-small-hub");
+        assert_eq!(normalised(small, None).name, "midas-v2.1-small");
+    }
+}

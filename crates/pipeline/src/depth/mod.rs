@@ -1,0 +1,66 @@
+//! Disparity of a photo: by a monocular depth network, or a map that the user gives.
+
+mod adapter;
+mod detect;
+
+mod map;
+mod monocular;
+mod png;
+mod smooth;
+mod upsample;
+
+pub use adapter::{ADAPTERS, Adapter, Kind, Layout, Sampling, SizeRule, adapter, margin};
+pub use detect::detect;
+pub use map::from_png;
+pub use monocular::Monocular;
+pub use png::to_png;
+pub use upsample::{halved, upsample};
+
+use tmpi_core::{DisparityMap, Photo};
+
+/// How the values of a user's own depth map are meant.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[cfg_attr(feature = "clap", derive(clap::ValueEnum))]
+#[serde(rename_all = "lowercase")]
+pub enum DepthKind {
+    /// `δ = v / 65535`, taken as it is.
+    #[default]
+    Disparity,
+    /// Depth; `δ = z_min / z`, 0 marks unknown.
+    Metric,
+}
+
+/// Why there is no disparity map.
+#[derive(Clone, Debug, thiserror::Error)]
+pub enum DepthError {
+    /// The depth map is not a grey PNG.
+    #[error("the depth map must be a grey PNG of 8 or 16 bits: {0}")]
+    Map(String),
+    /// The map cannot be written as a file.
+    #[error("the depth map cannot be written: {0}")]
+    Write(String),
+    /// The network failed.
+    #[error(transparent)]
+    Onnx(#[from] crate::networks::OnnxError),
+}
+
+/// A monocular depth estimator with everything before and after the network.
+pub trait Estimator: Send + Sync {
+    /// Name as in the report.
+    fn name(&self) -> &str;
+
+    /// Disparity at the photo's size, normalised to `[0, 1]` by robust percentiles, larger is nearer; every value finite.
+    ///
+    /// # Errors
+    /// [`DepthError::Onnx`] where the network cannot run.
+    fn estimate(&self, photo: &Photo) -> Result<DisparityMap, DepthError>;
+
+    /// Disparity as the network gave it: its own size and scale, larger is nearer; an estimator without a network gives
+    /// what [`Estimator::estimate`] does.
+    ///
+    /// # Errors
+    /// [`DepthError::Onnx`] where the network cannot run.
+    fn raw(&self, photo: &Photo) -> Result<DisparityMap, DepthError> {
+        self.estimate(photo)
+    }
+}

@@ -1,0 +1,359 @@
+//! A depth network with everything before and after it.
+
+use std::sync::Arc;
+
+use super::smooth::smooth;
+use super::{Adapter, DepthError, Estimator, Kind, Layout, Sampling, SizeRule, margin, upsample};
+use crate::networks::{Config, Network, OnnxError, Session, Tensor};
+use crate::photo::{Filter, Taps, resample, resample_by, resample_bytes};
+use tmpi_core::{DisparityMap, Photo};
+
+/// Shares of pixels below and above which the normalised map saturates.
+const PERCENTILES: (f64, f64) = (0.01, 0.99);
+/// Normalised disparity of a map without any relief, which tells nothing: half way, so that it moves and stays in range.
+const FLAT: f32 = 0.5;
+/// Range of a smoothed map below which it is not stretched again.
+const NOISE: f64 = 0.25;
+
+/// Monocular depth by one network of [`super::ADAPTERS`].
+pub struct Monocular {
+    adapter: Adapter,
+    network: Arc<dyn Network>,
+    flip: bool,
+}
+
+impl Monocular {
+    /// Depth by `network`, which wants and gives what `adapter` says. With `flip` it runs a second time on the mirrored
+    /// photo and takes the mean: twice the time.
+    #[must_use]
+    pub fn new(adapter: &Adapter, network: Arc<dyn Network>, flip: bool) -> Self {
+        Self { adapter: *adapter, network, flip }
+    }
+
+    /// Loads the network from the bytes of an ONNX file; fixed extents in the file override the adapter's size rule.
+    ///
+    /// # Errors
+    /// [`OnnxError`]: no library, or the file does not fit the adapter.
+    pub fn load(adapter: &Adapter, model: &[u8], config: &Config, flip: bool) -> Result<Self, OnnxError> {
+        let session = Session::load(adapter.name, model, config)?;
+        let bad = |reason: String| OnnxError::Model { name: adapter.name.to_owned(), reason };
+        let [input] = session.inputs() else {
+            return Err(bad(format!("it has {} inputs; a depth network has one", session.inputs().len())));
+        };
+        let &[_, a, b, c] = input.shape.as_slice() else { return Err(bad(format!("its input has extents {:?}", input.shape))) };
+        let (channels, rows, columns) = if adapter.layout == Layout::Nchw { (a, b, c) } else { (c, a, b) };
+        if channels != 3 && channels >= 0 {
+            return Err(bad(format!("its input has extents {:?}, not three channels", input.shape)));
+        }
+        let mut adapter = *adapter;
+        if let (Ok(w @ 1..), Ok(h @ 1..)) = (u32::try_from(columns), u32::try_from(rows)) {
+            adapter.size = SizeRule::Fixed(w, h);
+        }
+        Ok(Self::new(&adapter, Arc::new(session), flip))
+    }
+
+    /// One run of the network: disparity at the network's size, less margins that the photo was given; every value finite.
+    fn run(&self, photo: &Photo, (w, h): (u32, u32), mirrored: bool) -> Result<DisparityMap, DepthError> {
+        let planar = self.input(photo, (w, h), mirrored);
+        let (w, h) = (w as usize, h as usize);
+        let shape = if self.adapter.layout == Layout::Nchw { vec![1, 3, h, w] } else { vec![1, h, w, 3] };
+        let out = self.network.run(vec![Tensor { shape, data: planar }])?;
+        let fail = |reason: String| OnnxError::Run { name: self.adapter.name.to_owned(), reason };
+        let Some(out) = out.into_iter().next() else { return Err(fail("it gave nothing".into()).into()) };
+        if out.data.len() != w * h {
+            return Err(fail(format!("it gave {:?} for a picture of {w}×{h}", out.shape)).into());
+        }
+        let (data, w, h) = self.without_margins(out.data, photo, w, h);
+        let mut delta: Vec<f32> = data.into_iter().map(|v| self.to_disparity(v)).collect();
+        // What is not finite is taken as far away
+        let far = delta.iter().copied().filter(|v| v.is_finite()).fold(f32::INFINITY, f32::min);
+        if far == f32::INFINITY {
+            return Err(fail("it gave no finite value".into()).into());
+        }
+        for v in &mut delta {
+            if !v.is_finite() {
+                *v = far;
+            }
+        }
+        if mirrored {
+            delta.chunks_exact_mut(w).for_each(<[f32]>::reverse);
+        }
+        Ok(DisparityMap { width: w as u32, height: h as u32, delta })
+    }
+
+    /// The part of a map of `w × h` that shows the photo, and its size: the scale stays about the network's.
+    fn without_margins(&self, map: Vec<f32>, photo: &Photo, w: usize, h: usize) -> (Vec<f32>, usize, usize) {
+        if self.adapter.sampling != Sampling::Mirrored {
+            return (map, w, h);
+        }
+        let axis = |map: usize, side: u32| {
+            let margin = margin(side) as usize;
+            let side = side as usize;
+            let to = ((map * side) as f64 / (side + 2 * margin) as f64).round().max(1.0) as usize;
+            (Taps::cropped(map, side, margin, to), to)
+        };
+        let ((across, to_w), (down, to_h)) = (axis(w, photo.width), axis(h, photo.height));
+        // A cubic overshoots beside the nearest things; what it takes to 0 and below is as near as anything
+        let least = map.iter().copied().filter(|v| v.is_finite()).fold(f32::INFINITY, f32::min);
+        let metric = self.adapter.output == Kind::Metric;
+        let store = |[v]: [f32; 1]| if metric && v <= 0.0 { least } else { v };
+        (resample_by(&map, w, &across, &down, |v| [v], store), to_w, to_h)
+    }
+
+    /// The photo at the network's size, normalised, in the network's layout.
+    fn input(&self, photo: &Photo, size: (u32, u32), mirrored: bool) -> Vec<f32> {
+        let Adapter { mean, deviation, layout, sampling, .. } = self.adapter;
+        let normal = |p: [f32; 3]| std::array::from_fn(|c| (p[c] - mean[c]) / deviation[c]);
+        let load = |p: [u8; 3]| p.map(|v| f32::from(v) / 255.0);
+        let from = (photo.width, photo.height);
+        let (from_w, from_h, to_w, to_h) = (from.0 as usize, from.1 as usize, size.0 as usize, size.1 as usize);
+        let by = |across: &Taps, down: &Taps| resample_by(&photo.rgb, from_w, across, down, load, normal);
+        let mut small: Vec<[f32; 3]> = match sampling {
+            Sampling::Unrounded(filter) => resample(&photo.rgb, from, size, filter, load, |p| normal(p.map(|v| v.clamp(0.0, 1.0)))),
+            Sampling::Bytes(filter) => resample_bytes(&photo.rgb, from, size, filter).into_iter().map(|p| normal(load(p))).collect(),
+            Sampling::Four => by(&Taps::four(from_w, to_w), &Taps::four(from_h, to_h)),
+            Sampling::Mirrored => {
+                let taps = |side: u32, to| Taps::mirrored(side as usize, margin(side) as usize, to);
+                by(&taps(photo.width, to_w), &taps(photo.height, to_h))
+            }
+        };
+        if mirrored {
+            small.chunks_exact_mut(to_w).for_each(<[[f32; 3]]>::reverse);
+        }
+        match layout {
+            Layout::Nhwc => small.into_flattened(),
+            Layout::Nchw => (0..3).flat_map(|c| small.iter().map(move |p| p[c])).collect(),
+        }
+    }
+
+    fn to_disparity(&self, v: f32) -> f32 {
+        match self.adapter.output {
+            Kind::Disparity => v,
+            // A distance that is not positive is unknown
+            Kind::Metric if v > 0.0 => 1.0 / v,
+            Kind::Metric => f32::NAN,
+            Kind::LogDepth => (-v).exp(),
+        }
+    }
+}
+
+impl Estimator for Monocular {
+    fn name(&self) -> &str {
+        self.adapter.name
+    }
+
+    fn estimate(&self, photo: &Photo) -> Result<DisparityMap, DepthError> {
+        let mut map = self.raw(photo)?;
+        if normalise(&mut map.delta, 0.0) && self.adapter.smoothing > 0.0 {
+            let load = |p: [u8; 3]| p.map(|v| f32::from(v) / 255.0);
+            let guide = resample(&photo.rgb, (photo.width, photo.height), (map.width, map.height), Filter::Triangle, load, |p| p);
+            map.delta = smooth(&guide, &map.delta, map.width as usize, self.adapter.smoothing);
+            // Smoothing draws values together; where little is left, it was noise and stays little
+            normalise(&mut map.delta, NOISE);
+        }
+        Ok(upsample(photo, &map))
+    }
+
+    fn raw(&self, photo: &Photo) -> Result<DisparityMap, DepthError> {
+        let size = self.adapter.network_size(photo.width, photo.height);
+        let mut map = self.run(photo, size, false)?;
+        if self.flip {
+            let mut mirrored = self.run(photo, size, true)?;
+            align(&mut mirrored.delta, &map.delta);
+            map.delta.iter_mut().zip(&mirrored.delta).for_each(|(d, m)| *d = f32::midpoint(*d, *m));
+        }
+        Ok(map)
+    }
+}
+
+/// Scales and shifts `values` so that its tenth and ninetieth percentiles are those of `target`: two runs of a network agree only
+/// up to both, and a few wild values must not decide.
+fn align(values: &mut [f32], target: &[f32]) {
+    let (from, to) = (spread(values), spread(target));
+    let scale = if relief(from.0, from.1) { (to.1 - to.0) / (from.1 - from.0) } else { 0.0 };
+    for v in values {
+        *v = (to.0 + scale * (f64::from(*v) - from.0)) as f32;
+    }
+}
+
+/// Tenth and ninetieth percentiles.
+fn spread(values: &[f32]) -> (f64, f64) {
+    let mut sorted = values.to_vec();
+    let mut at = |share: f64| {
+        let k = ((sorted.len() - 1) as f64 * share).round() as usize;
+        f64::from(*sorted.select_nth_unstable_by(k, f32::total_cmp).1)
+    };
+    (at(0.1), at(0.9))
+}
+
+/// Maps the range between [`PERCENTILES`] to 0..=1 and clamps the rest, where it is larger than `least`; a map without relief
+/// becomes [`FLAT`]. True where there is relief. Finite values only.
+fn normalise(values: &mut [f32], least: f64) -> bool {
+    let mut sorted = values.to_vec();
+    let mut at = |share: f64| {
+        let k = ((sorted.len() - 1) as f64 * share).round() as usize;
+        f64::from(*sorted.select_nth_unstable_by(k, f32::total_cmp).1)
+    };
+    let (mut lo, mut hi) = (at(PERCENTILES.0), at(PERCENTILES.1));
+    // A few pixels may be all the relief there is
+    if !relief(lo, hi) {
+        (lo, hi) = (at(0.0), at(1.0));
+    }
+    if !relief(lo, hi) {
+        values.fill(FLAT);
+        return false;
+    }
+    if hi - lo <= least {
+        return true;
+    }
+    for v in values {
+        *v = (((f64::from(*v) - lo) / (hi - lo)).clamp(0.0, 1.0)) as f32;
+    }
+    true
+}
+
+/// True where the range is more than rounding.
+fn relief(lo: f64, hi: f64) -> bool {
+    hi - lo > 1e-6 * lo.abs().max(hi.abs()).max(1e-30)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Gives, for a picture, a plane of disparity that the test chose; remembers nothing.
+    struct Stub(fn(usize, usize) -> f32);
+
+    impl Network for Stub {
+        fn run(&self, inputs: Vec<Tensor>) -> Result<Vec<Tensor>, OnnxError> {
+            let [_, _, h, w] = inputs[0].shape[..] else { panic!("{:?}", inputs[0].shape) };
+            let data = (0..w * h).map(|i| (self.0)(i % w, i / w)).collect();
+            Ok(vec![Tensor { shape: vec![1, 1, h, w], data }])
+        }
+    }
+
+    fn photo(width: u32, height: u32) -> Photo {
+        let rgb = (0..width * height).map(|i| [(i % 251) as u8, (i / width % 253) as u8, (i % 17) as u8]).collect();
+        Photo { width, height, rgb }
+    }
+
+    fn with(f: fn(usize, usize) -> f32) -> Monocular {
+        Monocular::new(&super::super::ADAPTERS[0], Arc::new(Stub(f)), false)
+    }
+
+    #[test]
+    fn every_shape_of_photo_gives_finite_values_in_range() {
+        for (w, h) in [(1, 1), (1, 16_384), (16_384, 1), (63, 63), (65, 65), (640, 350), (2, 3)] {
+            let got = with(|x, y| (x + 2 * y) as f32).estimate(&photo(w, h)).unwrap();
+            assert_eq!((got.width, got.height, got.delta.len()), (w, h, (w * h) as usize));
+            assert!(got.delta.iter().all(|v| (0.0..=1.0).contains(v)), "{w}×{h}");
+        }
+    }
+
+    #[test]
+    fn larger_is_nearer_whatever_the_network_gives() {
+        for (kind, f) in [
+            (Kind::Disparity, (|x, _| x as f32) as fn(usize, usize) -> f32),
+            (Kind::Metric, |x, _| 100.0 / (x + 1) as f32),
+            (Kind::LogDepth, |x, _| -(x as f32) / 100.0),
+        ] {
+            let adapter = Adapter { output: kind, ..super::super::ADAPTERS[0] };
+            let got = Monocular::new(&adapter, Arc::new(Stub(f)), false).estimate(&photo(60, 40)).unwrap();
+            assert!(got.delta[20 * 60] < 0.15 && got.delta[20 * 60 + 59] > 0.85, "{kind:?}");
+        }
+    }
+
+    #[test]
+    fn stiff_outputs() {
+        let p = photo(64, 48);
+        let flat = with(|_, _| 7.0).estimate(&p).unwrap();
+        let worst = flat.delta.iter().map(|v| (v - 0.5).abs()).fold(0.0, f32::max);
+        assert!(worst < 1e-5, "no relief: {worst}");
+        let holes = with(|x, y| {
+            if x == y {
+                f32::NAN
+            } else if x == y + 1 {
+                f32::NEG_INFINITY
+            } else {
+                x as f32
+            }
+        })
+        .estimate(&p)
+        .unwrap();
+        assert!(holes.delta.iter().all(|v| v.is_finite()));
+        let outlier = with(|x, y| if (x, y) == (9, 9) { 1e30 } else { x as f32 }).estimate(&p).unwrap();
+        assert!(outlier.delta[63] > 0.85, "one outlier does not flatten the rest");
+        let lone = with(|x, y| if (x, y) == (0, 0) { 1.0 } else { 0.0 })
+            .raw(&p)
+            .map(|mut m| {
+                normalise(&mut m.delta, 0.0);
+                m
+            })
+            .unwrap();
+        assert!((lone.delta[0] - 1.0).abs() < 1e-6, "the only relief there is is kept");
+        assert!(matches!(with(|_, _| f32::NAN).estimate(&p), Err(DepthError::Onnx(OnnxError::Run { .. }))));
+        let metric = Adapter { output: Kind::Metric, ..super::super::ADAPTERS[0] };
+        let got = Monocular::new(&metric, Arc::new(Stub(|x, _| x as f32 - 5.0)), false).estimate(&p).unwrap();
+        assert!(got.delta.iter().all(|v| (0.0..=1.0).contains(v)), "distances of 0 and below");
+    }
+
+    #[test]
+    fn flipping_takes_the_mean_of_both_runs() {
+        // A network that is blind to the picture sees the same ramp in the mirrored photo: the mean has no slope to the side
+        let adapter = super::super::ADAPTERS[0];
+        let got = Monocular::new(&adapter, Arc::new(Stub(|x, y| (x + 10 * y) as f32)), true).raw(&photo(90, 60)).unwrap();
+        let (w, h) = (got.width as usize, got.height as usize);
+        let row = &got.delta[h / 2 * w..(h / 2 + 1) * w];
+        assert!((row[0] - row[w - 1]).abs() < 30.0, "{} {}", row[0], row[w - 1]);
+        assert!(got.delta[0] < got.delta[(h - 1) * w]);
+    }
+
+    #[test]
+    fn margins_are_put_on_and_taken_off() {
+        let zoe = super::super::adapter("zoedepth").unwrap();
+        // 60 × 40 pixels have margins of 16 and 13, and the network runs at 512 × 352
+        let ramp = Monocular::new(zoe, Arc::new(Stub(|x, _| x as f32 + 1.0)), false).raw(&photo(60, 40)).unwrap();
+        assert_eq!((ramp.width, ramp.height), (334, 213));
+        let distance = |x: usize| 1.0 / ramp.delta[100 * 334 + x];
+        assert!((distance(0) - (512.0 * 16.5 / 92.0 + 0.5)).abs() < 4.0, "{}", distance(0));
+        assert!((distance(333) - (512.0 * 75.5 / 92.0 + 0.5)).abs() < 4.0, "{}", distance(333));
+        // Beside a step the cubic goes below 0, which is not far away
+        let step = Monocular::new(zoe, Arc::new(Stub(|x, _| if x < 256 { 0.01 } else { 10.0 })), false).raw(&photo(60, 40)).unwrap();
+        let least = step.delta[..160].iter().copied().fold(f32::INFINITY, f32::min);
+        assert!(least > 0.5, "{least}");
+        for (w, h) in [(1, 1), (1, 300), (300, 2), (16_384, 1)] {
+            let got = Monocular::new(zoe, Arc::new(Stub(|x, y| (x + y + 1) as f32)), true).estimate(&photo(w, h)).unwrap();
+            assert_eq!((got.width, got.height), (w, h));
+            assert!(got.delta.iter().all(|v| (0.0..=1.0).contains(v)), "{w}×{h}");
+        }
+    }
+
+    #[test]
+    fn a_network_of_another_size_is_an_error() {
+        struct Small;
+        impl Network for Small {
+            fn run(&self, _: Vec<Tensor>) -> Result<Vec<Tensor>, OnnxError> {
+                Ok(vec![Tensor { shape: vec![1, 1, 2, 2], data: vec![0.0; 4] }])
+            }
+        }
+        let got = Monocular::new(&super::super::ADAPTERS[0], Arc::new(Small), false).estimate(&photo(8, 8));
+        assert!(got.unwrap_err().to_string().contains("[1, 1, 2, 2]"));
+    }
+
+    #[test]
+    fn a_real_file_is_loaded_and_run() {
+        if let Err(e) = crate::networks::available() {
+            eprintln!("skipped: {e}");
+            return;
+        }
+        let mean = include_bytes!("../../../../tests/onnx/mean.onnx");
+        let plain = Adapter { mean: [0.0; 3], deviation: [1.0; 3], ..super::super::ADAPTERS[0] };
+        let got = Monocular::load(&plain, mean, &Config::default(), false).unwrap();
+        let grey = Photo { width: 48, height: 32, rgb: (0..48 * 32).map(|i| [(i % 48 * 5) as u8; 3]).collect() };
+        let raw = got.raw(&grey).unwrap();
+        assert_eq!((raw.width, raw.height), (192, 128));
+        assert!((raw.delta[64 * 192 + 96] - 0.46).abs() < 0.03, "{}", raw.delta[64 * 192 + 96]);
+        let two = include_bytes!("../../../../tests/onnx/sum_difference.onnx");
+        assert!(matches!(Monocular::load(&plain, two, &Config::default(), false), Err(OnnxError::Model { .. })));
+    }
+}

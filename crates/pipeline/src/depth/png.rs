@@ -1,0 +1,45 @@
+//! Disparity maps as files.
+
+use image::codecs::png::{CompressionType, FilterType, PngEncoder};
+use image::{ExtendedColorType, ImageEncoder};
+
+use super::DepthError;
+use tmpi_core::DisparityMap;
+
+/// Writes a map as a 16-bit grey PNG, `v = round(65535 δ)`; δ is clamped to `[0, 1]`, NaN becomes 0.
+///
+/// # Errors
+/// [`DepthError::Write`].
+pub fn to_png(map: &DisparityMap) -> Result<Vec<u8>, DepthError> {
+    // `as` maps NaN to 0
+    let grey: Vec<u16> = map.delta.iter().map(|&d| (d.clamp(0.0, 1.0) * 65_535.0).round() as u16).collect();
+    let mut out = Vec::with_capacity(grey.len() + 1024);
+    // the encoder takes native byte order and writes the file's
+    PngEncoder::new_with_quality(&mut out, CompressionType::Fast, FilterType::Adaptive)
+        .write_image(bytemuck::cast_slice(&grey), map.width, map.height, ExtendedColorType::L16)
+        .map_err(|e| DepthError::Write(e.to_string()))?;
+    Ok(out)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::depth::{DepthKind, from_png};
+
+    #[test]
+    fn what_is_written_is_read_back_to_half_a_step() {
+        let delta: Vec<f32> = (0..35).map(|i| i as f32 / 34.0).collect();
+        let map = DisparityMap { width: 7, height: 5, delta };
+        let back = from_png(&to_png(&map).unwrap(), DepthKind::Disparity, 7, 5).unwrap();
+        for (a, b) in map.delta.iter().zip(&back.delta) {
+            assert!((a - b).abs() <= 0.5 / 65_535.0 + f32::EPSILON, "{a} {b}");
+        }
+    }
+
+    #[test]
+    fn no_value_is_out_of_range() {
+        let map = DisparityMap { width: 4, height: 1, delta: vec![-1.0, 2.0, f32::NAN, f32::INFINITY] };
+        let back = from_png(&to_png(&map).unwrap(), DepthKind::Disparity, 4, 1).unwrap();
+        assert_eq!(back.delta, [0.0, 1.0, 0.0, 1.0]);
+    }
+}

@@ -1,0 +1,344 @@
+//! Edge snapping: depth networks blur depth edges into ramps; ramps would land on planes of their own and show as ghost
+//! contours, so their pixels are given to one side or the other by colour (RECIPE, step 1).
+
+mod band;
+mod kernel;
+
+use rayon::prelude::*;
+
+use self::band::Band;
+use self::kernel::Tables;
+use tmpi_core::{DisparityMap, Photo};
+
+/// Half the window that a ramp is looked for in.
+const RADIUS: usize = 3;
+/// Range of δ in the window above which a pixel can lie on a ramp.
+const RAMP: f32 = 0.03;
+/// Range of δ in the window that makes an edge a strong one: weaker ones may be slopes.
+const STRONG: f32 = 0.15;
+/// Part of a step that lies within 3×3 pixels of a ramp.
+const STEEP: f32 = 0.2;
+/// Range of δ above which the median runs.
+const EDGE: f32 = 0.02;
+/// Spread of colour distance (RGB in 0..=1) and of place in pixels.
+const SIGMA_COLOUR: f32 = 0.1;
+const SIGMA_PLACE: f32 = 3.0;
+/// Worth of a ramp pixel's own δ against the colours of the two sides, in log weight.
+const OWN: f32 = 4.0;
+/// Half the window of the median.
+const MEDIAN: usize = 2;
+/// Part of the range of δ in its window within which another pixel is on a pixel's own side.
+const SIDE: f32 = 0.3;
+/// Weight on its own side above which the careful median leaves a pixel as it is, and one that none has.
+const KEPT: f32 = 0.65;
+const NONE: f32 = 2.0;
+/// Share of the way from background to foreground colour beyond which a rim pixel joins the foreground.
+const JOIN: f32 = 0.25;
+
+/// Rows that a task takes.
+const ROWS: usize = 16;
+
+/// Gives the pixels of ramps to the near or the far side, then runs [`full_median`], then joins rim pixels to the near side.
+#[must_use]
+pub fn snap(photo: &Photo, delta: &DisparityMap) -> DisparityMap {
+    let tables = Tables::new();
+    let snapped = each(photo, delta, RADIUS, |band, y, lo, hi, out| kernel::sides(band, &tables, y, lo, hi, out));
+    let filtered = full_median(photo, &snapped);
+    each(photo, &filtered, RADIUS, |band, y, lo, hi, out| kernel::joins(band, &tables, y, lo, hi, out))
+}
+
+/// Share of the pixels near strong depth edges that lie on a ramp between the two sides: between them over 7×7 and over 3×3 pixels,
+/// and where much of the step lies within the 3×3. Exact maps have next to none, however many surfaces meet there.
+#[must_use]
+pub fn ramp_share(delta: &DisparityMap) -> f64 {
+    let ((lo, hi), (near_lo, near_hi)) = (extremes(delta, RADIUS), extremes(delta, 1));
+    let between = |d: f32, lo: f32, hi: f32| (d - lo) > 0.1 * (hi - lo) && (d - lo) < 0.9 * (hi - lo);
+    let (mut ramp, mut edge) = (0usize, 0usize);
+    for (i, &d) in delta.delta.iter().enumerate() {
+        let step = hi[i] - lo[i];
+        if step > STRONG {
+            edge += 1;
+            let steep = near_hi[i] - near_lo[i] > STEEP * step;
+            ramp += usize::from(steep && between(d, lo[i], hi[i]) && between(d, near_lo[i], near_hi[i]));
+        }
+    }
+    if edge == 0 { 0.0 } else { ramp as f64 / edge as f64 }
+}
+
+/// [`ramp_share`] above which a map counts as blurred. True depth has at most 0.03 on seven Middlebury maps, and 0.3 or more once it is
+/// enlarged from half the size or blurred by 3×3; maps of a large depth network have 0.27 to 0.4. `tmpi bench --only ramps` shows
+/// what snapping is worth on either side of it.
+pub const BLURRED: f64 = 0.15;
+
+/// Colour-weighted median over 5×5 pixels where δ has an edge, of pixels whose colour does not speak for their own side of it: worth
+/// doing on measured depth, and nearly harmless on exact depth.
+#[must_use]
+pub fn median(photo: &Photo, delta: &DisparityMap) -> DisparityMap {
+    each(photo, delta, MEDIAN, |band, y, lo, hi, out| kernel::medians(band, KEPT, y, lo, hi, out))
+}
+
+/// The same of all pixels where δ has an edge (RECIPE, step 1).
+#[must_use]
+pub fn full_median(photo: &Photo, delta: &DisparityMap) -> DisparityMap {
+    each(photo, delta, MEDIAN, |band, y, lo, hi, out| kernel::medians(band, NONE, y, lo, hi, out))
+}
+
+/// Runs `f` over each row with the extremes of δ within `radius` of its pixels; it begins with the row as it is.
+fn each(photo: &Photo, delta: &DisparityMap, radius: usize, f: impl Fn(&Band, usize, &[f32], &[f32], &mut [f32]) + Sync) -> DisparityMap {
+    let w = delta.width as usize;
+    let (lo, hi) = extremes(delta, radius);
+    let mut out = delta.delta.clone();
+    out.par_chunks_mut(w * ROWS).enumerate().for_each_init(Band::default, |band, (i, rows)| {
+        let first = i * ROWS;
+        band.load(photo, delta, first..first + rows.len() / w);
+        for (y, row) in (first..).zip(rows.chunks_mut(w)) {
+            f(band, y, &lo[y * w..][..w], &hi[y * w..][..w], row);
+        }
+    });
+    DisparityMap { width: delta.width, height: delta.height, delta: out }
+}
+
+/// Least and greatest value of a `(2r+1)²` window.
+fn extremes(delta: &DisparityMap, radius: usize) -> (Vec<f32>, Vec<f32>) {
+    let (w, h) = (delta.width as usize, delta.height as usize);
+    // not `f32::min`, whose care for NaN costs the vector instruction; the map is finite
+    rayon::join(
+        || extreme(&delta.delta, w, h, radius, |a, b| if b < a { b } else { a }),
+        || extreme(&delta.delta, w, h, radius, |a, b| if b > a { b } else { a }),
+    )
+}
+
+/// One of the extremes, by rows and then by columns.
+fn extreme(d: &[f32], w: usize, h: usize, r: usize, pick: impl Fn(f32, f32) -> f32 + Sync) -> Vec<f32> {
+    let merge = |to: &mut [f32], from: &[f32]| {
+        for (o, v) in to.iter_mut().zip(from) {
+            *o = pick(*o, *v);
+        }
+    };
+    let mut rows = vec![0.0; d.len()];
+    rows.par_chunks_mut(w).zip(d.par_chunks(w)).for_each(|(out, line)| {
+        out.copy_from_slice(line);
+        for off in 1..=r.min(w - 1) {
+            merge(&mut out[..w - off], &line[off..]);
+            merge(&mut out[off..], &line[..w - off]);
+        }
+    });
+    let mut out = vec![0.0; d.len()];
+    out.par_chunks_mut(w).enumerate().for_each(|(y, out)| {
+        out.copy_from_slice(&rows[y * w..(y + 1) * w]);
+        for yy in y.saturating_sub(r)..(y + r + 1).min(h) {
+            merge(out, &rows[yy * w..(yy + 1) * w]);
+        }
+    });
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn step(ramp: f32) -> (Photo, DisparityMap) {
+        let (w, h) = (48u32, 24u32);
+        let photo =
+            Photo { width: w, height: h, rgb: (0..w * h).map(|i| if i % w < 24 { [40, 60, 90] } else { [200, 150, 60] }).collect() };
+        let d = (0..w * h).map(|i| 0.2 + 0.6 * ((i % w) as f32 - 24.0 + 0.5 + ramp / 2.0).max(0.0).min(ramp) / ramp).collect();
+        (photo, DisparityMap { width: w, height: h, delta: d })
+    }
+
+    #[test]
+    fn a_ramp_becomes_a_step_at_the_colour_edge() {
+        let (photo, blurred) = step(4.0);
+        let sharp = snap(&photo, &blurred);
+        for (i, &d) in sharp.delta.iter().enumerate() {
+            let want = if i % 48 < 24 { 0.2 } else { 0.8 };
+            assert!((d - want).abs() < 0.1, "column {}: {d}", i % 48);
+        }
+    }
+
+    #[test]
+    fn a_true_step_and_a_slope_stay() {
+        let (photo, sharp) = step(1e-3);
+        assert_eq!(snap(&photo, &sharp), sharp);
+        let slope = DisparityMap { delta: (0..48 * 24).map(|i| (i % 48) as f32 * 0.002).collect(), ..sharp };
+        assert_eq!(snap(&photo, &slope), slope);
+    }
+
+    #[test]
+    fn ramps_are_told_from_steps() {
+        assert!(ramp_share(&step(4.0).1) > BLURRED && ramp_share(&step(1e-3).1) < BLURRED);
+        // three surfaces that meet within a window are no ramp
+        let stairs = DisparityMap { width: 48, height: 24, delta: (0..48 * 24).map(|i| ((i % 48) / 2) as f32 / 24.0).collect() };
+        assert!(ramp_share(&stairs) < 1e-9);
+    }
+
+    #[test]
+    fn the_careful_median_keeps_what_its_colour_speaks_for() {
+        // an edge one pixel off its colours is moved to them
+        let (photo, mut map) = step(1e-3);
+        map.delta.iter_mut().enumerate().filter(|(i, _)| i % 48 == 24).for_each(|(_, d)| *d = 0.2);
+        let mended = median(&photo, &map);
+        assert!(mended.delta.iter().enumerate().all(|(i, d)| (d - if i % 48 < 24 { 0.2 } else { 0.8 }).abs() < 1e-6));
+        // a slope beside an edge that its colours agree with stays, where the full median flattens it
+        let (photo, mut map) = step(1e-3);
+        map.delta.iter_mut().enumerate().filter(|(i, _)| i % 48 >= 24).for_each(|(i, d)| *d = 0.7 + 0.004 * (i % 48) as f32);
+        assert_eq!(median(&photo, &map), map);
+        assert_ne!(full_median(&photo, &map), map);
+    }
+
+    #[test]
+    fn the_median_is_the_one_of_sorted_values() {
+        let mut random = 7u32;
+        let mut next = || {
+            random = random.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            (random >> 8) as f32 / (1 << 24) as f32
+        };
+        for n in 1..=25 {
+            // some are equal
+            let (values, weights): (Vec<f32>, Vec<f32>) = (0..n).map(|_| ((next() * 12.0).round() / 12.0, next() + 1e-6)).unzip();
+            let mut sorted: Vec<(f32, f32)> = values.iter().copied().zip(weights.iter().copied()).collect();
+            sorted.sort_by(|a, b| a.0.total_cmp(&b.0));
+            let (total, mut sum) = (sorted.iter().map(|v| f64::from(v.1)).sum::<f64>(), 0.0);
+            let want = sorted.iter().find(|v| {
+                sum += f64::from(v.1);
+                sum >= 0.5 * total
+            });
+            assert_eq!(Some(kernel::weighted_median(&values, &weights, &kernel::up_to)), want.map(|v| v.0));
+        }
+    }
+
+    /// A pixel's window, by its definition.
+    struct Window {
+        own: ([f64; 3], f64),
+        /// Columns and rows off, colour, δ.
+        all: Vec<(i64, i64, [f64; 3], f64)>,
+    }
+
+    impl Window {
+        fn new(photo: &Photo, map: &DisparityMap, (x, y): (i64, i64), radius: i64) -> Self {
+            let at = |x: i64, y: i64| {
+                (photo.at(x as u32, y as u32).map(f64::from), f64::from(map.delta[(y * i64::from(map.width) + x) as usize]))
+            };
+            let inside = |x: i64, y: i64| (0..i64::from(map.width)).contains(&x) && (0..i64::from(map.height)).contains(&y);
+            let places = (-radius..=radius).flat_map(|dy| (-radius..=radius).map(move |dx| (dx, dy)));
+            let all = places.filter(|(dx, dy)| inside(x + dx, y + dy)).map(|(dx, dy)| {
+                let (colour, delta) = at(x + dx, y + dy);
+                (dx, dy, colour, delta)
+            });
+            Self { own: at(x, y), all: all.collect() }
+        }
+
+        fn range(&self) -> (f64, f64) {
+            self.all.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |r, w| (r.0.min(w.3), r.1.max(w.3)))
+        }
+
+        fn likeness(&self, colour: [f64; 3]) -> f64 {
+            let d2: f64 = (0..3).map(|c| (colour[c] - self.own.0[c]).powi(2)).sum();
+            (-d2 / (255.0 * 255.0 * 2.0 * f64::from(SIGMA_COLOUR).powi(2))).exp()
+        }
+
+        fn side(&self) -> f64 {
+            let (lo, hi) = self.range();
+            let t = (self.own.1 - lo) / (hi - lo);
+            if hi - lo <= f64::from(RAMP) || t <= 0.1 || t >= 0.9 {
+                return self.own.1;
+            }
+            let of = |is: &dyn Fn(f64) -> bool| {
+                let weights = self.all.iter().filter(|w| is(w.3)).map(|w| {
+                    let r2 = (w.0 * w.0 + w.1 * w.1) as f64;
+                    (self.likeness(w.2) * (-r2 / (2.0 * f64::from(SIGMA_PLACE).powi(2))).exp() + 1e-20, w.3)
+                });
+                weights.fold((0.0, 0.0, 0.0), |s, (w, d)| (s.0 + w, s.1 + w * d, s.2 + 1.0))
+            };
+            let low = of(&|d| d <= lo + 0.2 * (hi - lo));
+            let high = of(&|d| d >= lo + 0.8 * (hi - lo));
+            let side = if (low.0 / low.2).ln() + f64::from(OWN) * (1.0 - 2.0 * t) > (high.0 / high.2).ln() { low } else { high };
+            side.1 / side.0
+        }
+
+        fn median(&self, kept: f32) -> f64 {
+            let (lo, hi) = self.range();
+            if hi - lo <= f64::from(EDGE) {
+                return self.own.1;
+            }
+            let mut values: Vec<(f64, f64)> = self.all.iter().map(|w| (w.3, self.likeness(w.2) + 1e-6)).collect();
+            let own: f64 = values.iter().filter(|v| (v.0 - self.own.1).abs() <= f64::from(SIDE) * (hi - lo)).map(|v| v.1).sum();
+            if own > f64::from(kept) * values.iter().map(|v| v.1).sum::<f64>() {
+                return self.own.1;
+            }
+            values.sort_by(|a, b| a.0.total_cmp(&b.0));
+            let (total, mut sum) = (values.iter().map(|v| v.1).sum::<f64>(), 0.0);
+            let reached = values.iter().find(|v| {
+                sum += v.1;
+                sum >= 0.5 * total
+            });
+            reached.unwrap().0
+        }
+
+        fn join(&self) -> f64 {
+            let (lo, hi) = self.range();
+            let (far_to, near_from) = (lo + 0.2 * (hi - lo), lo + 0.8 * (hi - lo));
+            let touches = self.all.iter().any(|w| w.0.abs().max(w.1.abs()) <= 1 && w.3 >= near_from);
+            if hi - lo <= f64::from(RAMP) || self.own.1 > far_to || !touches {
+                return self.own.1;
+            }
+            let near: Vec<_> = self.all.iter().filter(|w| w.3 >= near_from).collect();
+            let far: Vec<_> = self.all.iter().filter(|w| w.3 <= far_to && w.0.abs().max(w.1.abs()) > 1).collect();
+            if far.is_empty() {
+                return self.own.1;
+            }
+            let mean = |of: &[&(i64, i64, [f64; 3], f64)], c: usize| of.iter().map(|w| w.2[c]).sum::<f64>() / of.len() as f64;
+            let both = (0..3).map(|c| (self.own.0[c], mean(&near, c), mean(&far, c)));
+            let (dot, norm) = both.fold((0.0, 0.0), |s, (o, f, b)| (s.0 + (o - b) * (f - b), s.1 + (f - b) * (f - b)));
+            let joins = norm > 144.0 && dot > f64::from(JOIN) * norm;
+            if joins { near.iter().map(|w| w.3).sum::<f64>() / near.len() as f64 } else { self.own.1 }
+        }
+    }
+
+    #[test]
+    fn every_step_agrees_with_its_definition_in_f64() {
+        let (w, h) = (61u32, 43u32);
+        // sides of different colours, rough, with a ramp between them
+        let noise = |i: u32, seed: u32| f64::from(i.wrapping_add(seed * 7919).wrapping_mul(2_654_435_761) >> 16) / 65_536.0;
+        let near = |i: u32| 8.0 * (f64::from(i / w) / 9.0).sin() + 30.0 - f64::from(i % w);
+        let photo = Photo {
+            width: w,
+            height: h,
+            rgb: (0..w * h)
+                .map(|i| [1, 2, 3].map(|c| ((if near(i) > 0.0 { 150.0 } else { 70.0 }) + 60.0 * (noise(i, c) - 0.5)) as u8))
+                .collect(),
+        };
+        let ramp = |i: u32, rough: f64| (0.2 + 0.6 * (near(i) / 5.0 + 0.5).clamp(0.0, 1.0) + rough * (noise(i, 9) - 0.5)) as f32;
+        for rough in [0.0, 0.02, 0.4] {
+            let map = DisparityMap { width: w, height: h, delta: (0..w * h).map(|i| ramp(i, rough)).collect() };
+            let tables = Tables::new();
+            let sides = each(&photo, &map, RADIUS, |band, y, lo, hi, out| kernel::sides(band, &tables, y, lo, hi, out));
+            let (medians, full) = (median(&photo, &map), full_median(&photo, &map));
+            let joins = each(&photo, &map, RADIUS, |band, y, lo, hi, out| kernel::joins(band, &tables, y, lo, hi, out));
+            let compare = |name: &str, got: &DisparityMap, radius: i64, want: &dyn Fn(&Window) -> f64| {
+                let off = (0..i64::from(w * h)).filter(|&i| {
+                    let window = Window::new(&photo, &map, (i % i64::from(w), i / i64::from(w)), radius);
+                    (f64::from(got.delta[i as usize]) - want(&window)).abs() > 1e-5
+                });
+                let off = off.count();
+                let moved = got.delta.iter().zip(&map.delta).filter(|(a, b)| (**a - **b).abs() > 1e-3).count();
+                // where a test is all but even, rounding may decide it
+                assert!(off <= 4, "{name} at {rough}: {off} off");
+                moved
+            };
+            let careful = compare("careful median", &medians, 2, &|w| w.median(KEPT));
+            let all = compare("median", &full, 2, &|w| w.median(NONE));
+            assert!(careful <= all, "{careful} {all}");
+            let moved = compare("side", &sides, 3, &Window::side) + careful;
+            assert!(moved + compare("join", &joins, 3, &Window::join) > 100, "{rough}: {moved}");
+        }
+    }
+
+    #[test]
+    fn tiny_photos_pass() {
+        for (w, h) in [(1, 1), (1, 9), (9, 1)] {
+            let photo = Photo { width: w, height: h, rgb: vec![[9, 9, 9]; (w * h) as usize] };
+            let d = DisparityMap { width: w, height: h, delta: (0..w * h).map(|i| (i % 2) as f32).collect() };
+            assert!(snap(&photo, &d).delta.iter().all(|d| d.is_finite()));
+        }
+    }
+}

@@ -1,0 +1,29 @@
+//! Errors of the stages.
+
+/// Why a scene could not be made.
+#[derive(Debug, thiserror::Error)]
+pub enum StageError {
+    /// An option is out of its range; the text names it and the range.
+    #[error("{field} must be {range}, not {value}")]
+    Option {
+        /// Name of the option.
+        field: &'static str,
+        /// What is allowed.
+        range: &'static str,
+        /// What was given.
+        value: String,
+    },
+    /// A network failed.
+    #[error(transparent)]
+    Onnx(#[from] crate::networks::OnnxError),
+    /// A network gave something other than what its card says.
+    #[error("{network} gave {got}, not {want}")]
+    Shape {
+        /// The network.
+        network: &'static str,
+        /// Shape given.
+        got: String,
+        /// Shape expected.
+        want: String,
+    },
+}

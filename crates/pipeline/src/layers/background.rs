@@ -1,0 +1,58 @@
+//! Background planes: what only the neighbourhood of a tile shows (RECIPE, step 4).
+
+use rayon::prelude::*;
+
+use tmpi_core::{DisparityMap, Geometry, Grid, Plane, Rect, TileFrame, grown};
+
+use crate::planes::fit_points;
+
+/// Pixels around a tile that a background plane is fitted to (RECIPE, step 4).
+const BACKGROUND_REACH: u32 = 32;
+/// Fewest pixels that a background is fitted to.
+const BACKGROUND_PIXELS: usize = 32;
+/// How much farther than the whole tile they must be, in δ.
+const BACKGROUND_STEP: f32 = 0.05;
+
+/// Adds a background to every tile whose neighbourhood shows background that the tile does not.
+pub fn add_backgrounds(geometry: &mut Geometry, delta: &DisparityMap) {
+    let grid = geometry.grid;
+    geometry.tiles.par_iter_mut().enumerate().for_each_init(Vec::new, |points, (i, t)| {
+        let (r, place) = (grid.rect(i as u32), TileFrame::of(&grid, i as u32));
+        t.background = background(delta, &grid, r, place, t.farthest(&grid, i as u32), points);
+    });
+}
+
+/// A plane for background that only the neighbourhood shows: without it, gaps wider than the tile's reach stay empty.
+fn background(
+    delta: &DisparityMap,
+    grid: &Grid,
+    r: Rect,
+    place: TileFrame,
+    farthest: f32,
+    points: &mut Vec<(f64, f64, f64, f64)>,
+) -> Option<Plane> {
+    let win = grown(r, BACKGROUND_REACH, BACKGROUND_REACH, grid);
+    points.clear();
+    let far = farthest - BACKGROUND_STEP;
+    for y in win.y..win.y + win.h {
+        let (row, v) = (&delta.delta[y as usize * delta.width as usize..], place.v(y));
+        // left and right of the tile in its own rows
+        let beside = if (r.y..r.y + r.h).contains(&y) { [win.x..r.x, r.x + r.w..win.x + win.w] } else { [win.x..win.x + win.w, 0..0] };
+        for part in beside {
+            for (x, &d) in (part.start..).zip(&row[part.start as usize..part.end as usize]) {
+                if d < far {
+                    points.push(((f64::from(x) + 0.5 - place.centre.0) / place.half, v, f64::from(d), 1.0));
+                }
+            }
+        }
+    }
+    if points.len() < BACKGROUND_PIXELS {
+        return None;
+    }
+    let plane = fit_points(points.iter().copied())?;
+    // extrapolated into the tile it must stay behind everything there, else the slope is not to be trusted
+    let mean = points.iter().map(|q| q.2).sum::<f64>() / points.len() as f64;
+    let corners = [(-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)].map(|(u, v)| plane.disparity(u, v));
+    let sane = corners.iter().all(|&d| d >= 0.0 && d < f64::from(farthest));
+    Some(if sane { plane } else { Plane::fronto_parallel(mean) }.quantised())
+}

@@ -1,0 +1,19 @@
+//! The way of a photo to the container of a tiled multiplane image (paper, sections 3 and 4):
+//! [`photo`] → [`depth`] → [`denoise`] → [`edges`] → [`planes`] → [`layers`] → container; [`run`] drives these stages.
+
+pub mod clock;
+pub mod denoise;
+pub mod depth;
+pub mod edges;
+mod error;
+pub mod layers;
+pub mod networks;
+pub mod photo;
+pub mod planes;
+pub mod run;
+
+pub use error::StageError;
+pub use run::{
+    Budget, Bytes, Denoise, ErrorFigures, Input, LeftOut, Made, MakeError, Models, Options, PlaneCount, PlaneMethod, Progress, Report,
+    STAGES, Silent, Sink, Stage, Switch, TileSize, make,
+};

@@ -1,0 +1,157 @@
+//! The networks of a process: embedded or from a file, loaded when they are first needed.
+//!
+//! The command line and the server both take their [`Models`] from [`load`].
+
+pub mod download;
+pub mod registry;
+
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, OnceLock};
+
+use crate::Models;
+use crate::depth::{ADAPTERS, Adapter, DepthError, Estimator, Monocular, SizeRule};
+use crate::networks::{Config, Network, OnnxError, Session, Tensor};
+use tmpi_core::{DisparityMap, Photo};
+
+#[cfg(embedded = "depth")]
+const DEPTH: Option<&[u8]> = Some(include_bytes!("../../../../../models/depth.onnx"));
+#[cfg(not(embedded = "depth"))]
+const DEPTH: Option<&[u8]> = None;
+#[cfg(embedded = "theta")]
+const THETA: Option<&[u8]> = Some(include_bytes!("../../../../../models/theta.onnx"));
+#[cfg(not(embedded = "theta"))]
+const THETA: Option<&[u8]> = None;
+#[cfg(embedded = "psi")]
+const PSI: Option<&[u8]> = Some(include_bytes!("../../../../../models/psi.onnx"));
+#[cfg(not(embedded = "psi"))]
+const PSI: Option<&[u8]> = None;
+
+/// Which networks to use, and how.
+#[derive(Clone, Debug)]
+pub struct Settings {
+    /// Depth network.
+    pub depth: &'static Adapter,
+    /// Its ONNX file; none: the embedded one.
+    pub depth_file: Option<PathBuf>,
+    /// Pixels that a photo is brought to for it, other than its own choice; a file of one size overrides it.
+    pub depth_pixels: Option<u32>,
+    /// Strength of the smoothing of its map up to the photo's edges, other than its own; 0: none.
+    pub depth_smoothing: Option<f64>,
+    /// Run depth twice, the second time mirrored, and take the mean.
+    pub flip: bool,
+    /// How networks are run.
+    pub onnx: Config,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self { depth: &ADAPTERS[0], depth_file: None, depth_pixels: None, depth_smoothing: None, flip: false, onnx: Config::default() }
+    }
+}
+
+/// A model file that cannot be read.
+#[derive(Debug, thiserror::Error)]
+#[error("model file {file}: {source}")]
+pub struct ModelFileError {
+    /// The file.
+    pub file: PathBuf,
+    /// What the system says.
+    pub source: std::io::Error,
+}
+
+/// The networks by `settings`. A model file is read at once, networks and ONNX Runtime are loaded at their first run: a photo with
+/// a depth map needs neither. Θ and Ψ are there only where they are embedded.
+///
+/// # Errors
+/// [`ModelFileError`].
+pub fn load(settings: &Settings) -> Result<Models, ModelFileError> {
+    let model = settings.depth_file.as_deref().map(read).transpose()?;
+    let depth = Depth { settings: settings.clone(), model, loaded: OnceLock::new() };
+    let lazily = |name: &'static str, model: Option<&'static [u8]>| {
+        let config = settings.onnx.clone();
+        let network = move |model| Arc::new(Lazy { name, model, config, loaded: OnceLock::new() }) as Arc<dyn Network>;
+        model.map(network)
+    };
+    Ok(Models { depth: Arc::new(depth), theta: lazily("theta", THETA), psi: lazily("psi", PSI) })
+}
+
+fn read(file: &Path) -> Result<Vec<u8>, ModelFileError> {
+    std::fs::read(file).map_err(|source| ModelFileError { file: file.to_owned(), source })
+}
+
+/// A network that is loaded at its first run.
+struct Lazy {
+    name: &'static str,
+    model: &'static [u8],
+    config: Config,
+    loaded: OnceLock<Result<Session, OnnxError>>,
+}
+
+impl Network for Lazy {
+    fn run(&self, inputs: Vec<Tensor>) -> Result<Vec<Tensor>, OnnxError> {
+        let loaded = self.loaded.get_or_init(|| Session::load(self.name, self.model, &self.config));
+        loaded.as_ref().map_err(Clone::clone)?.run(inputs)
+    }
+}
+
+/// A depth network that is loaded at its first run.
+struct Depth {
+    settings: Settings,
+    model: Option<Vec<u8>>,
+    loaded: OnceLock<Result<Monocular, OnnxError>>,
+}
+
+impl Depth {
+    fn get(&self) -> Result<&Monocular, DepthError> {
+        let Settings { depth, depth_pixels, depth_smoothing, flip, onnx, .. } = &self.settings;
+        let loaded = self.loaded.get_or_init(|| {
+            let embedded = DEPTH.filter(|_| *depth == &ADAPTERS[0]);
+            let model = self.model.as_deref().or(embedded).ok_or_else(|| OnnxError::Model {
+                name: depth.name.to_owned(),
+                reason: "it is not embedded in this program: name its ONNX file, or give a depth map".into(),
+            })?;
+            let size = depth_pixels.map_or(depth.size, SizeRule::Area);
+            let adapter = Adapter { size, smoothing: depth_smoothing.unwrap_or(depth.smoothing), ..**depth };
+            Monocular::load(&adapter, model, onnx, *flip)
+        });
+        loaded.as_ref().map_err(|e| e.clone().into())
+    }
+}
+
+impl Estimator for Depth {
+    fn name(&self) -> &str {
+        self.settings.depth.name
+    }
+
+    fn estimate(&self, photo: &Photo) -> Result<DisparityMap, DepthError> {
+        self.get()?.estimate(photo)
+    }
+
+    fn raw(&self, photo: &Photo) -> Result<DisparityMap, DepthError> {
+        self.get()?.raw(photo)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_missing_file_is_told_at_once_and_a_bad_one_at_the_first_run() {
+        let settings = Settings { depth_file: Some("no/such.onnx".into()), ..Settings::default() };
+        assert!(load(&settings).err().unwrap().to_string().contains("no/such.onnx"));
+        let settings = Settings { depth_file: Some("Cargo.toml".into()), ..Settings::default() };
+        let models = load(&settings).unwrap();
+        assert_eq!(models.depth.name(), "tmpi");
+        let photo = Photo { width: 2, height: 2, rgb: vec![[0; 3]; 4] };
+        assert!(matches!(models.depth.estimate(&photo), Err(DepthError::Onnx(_))));
+    }
+
+    #[test]
+    fn a_network_that_is_not_embedded_needs_a_file() {
+        let settings = Settings { depth: crate::depth::adapter("dpt-large").unwrap(), ..Settings::default() };
+        let photo = Photo { width: 2, height: 2, rgb: vec![[0; 3]; 4] };
+        let error = load(&settings).unwrap().depth.estimate(&photo).unwrap_err().to_string();
+        assert!(error.contains("dpt-large") && error.contains("ONNX file"), "{error}");
+    }
+}

@@ -1,0 +1,230 @@
+//! A network in a worker thread of its own.
+
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::thread;
+
+use ort::ep::{self, ExecutionProviderDispatch};
+use ort::session::builder::GraphOptimizationLevel;
+use ort::value::{TensorElementType, TensorRef, ValueType};
+
+use super::{Network, OnnxError, Tensor, library};
+
+/// How far ONNX Runtime rewrites a graph while loading it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Optimisation {
+    /// Not at all.
+    Off,
+    /// Constants folded, redundant nodes removed.
+    Basic,
+    /// Also fused nodes.
+    Extended,
+    /// Also layouts of this processor.
+    #[default]
+    All,
+}
+
+/// What computes a network.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "clap", derive(clap::ValueEnum))]
+#[cfg_attr(feature = "clap", value(rename_all = "lower"))]
+pub enum Provider {
+    /// The processor.
+    Cpu,
+    /// NVIDIA.
+    Cuda,
+    /// Apple.
+    CoreMl,
+    /// Any `DirectX` 12 card.
+    DirectMl,
+}
+
+impl Provider {
+    fn dispatch(self) -> ExecutionProviderDispatch {
+        match self {
+            Self::Cpu => ep::CPU::default().build(),
+            Self::Cuda => ep::CUDA::default().build(),
+            Self::CoreMl => ep::CoreML::default().build(),
+            Self::DirectMl => ep::DirectML::default().build(),
+        }
+    }
+}
+
+/// How a network is loaded and run.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Config {
+    /// Threads within an operation; 0: as many as there are cores.
+    pub threads: usize,
+    /// Graph optimisation.
+    pub optimisation: Optimisation,
+    /// Providers, best first. Where the list holds [`Provider::Cpu`], one that is missing is passed over; else it is an error.
+    pub providers: Vec<Provider>,
+    /// Runs that may wait; a caller beyond them blocks.
+    pub queue: usize,
+}
+
+impl Default for Config {
+    fn default() -> Self {
+        Self { threads: 0, optimisation: Optimisation::default(), providers: vec![Provider::Cpu], queue: 16 }
+    }
+}
+
+/// An input or output of a network.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Port {
+    /// Its name in the graph.
+    pub name: String,
+    /// Its extents; −1 where any extent will do.
+    pub shape: Vec<i64>,
+}
+
+struct Job {
+    inputs: Vec<Tensor>,
+    reply: SyncSender<Result<Vec<Tensor>, OnnxError>>,
+}
+
+/// A loaded network. A worker thread named after it owns the ONNX Runtime session, whose `run` is not thread-safe.
+pub struct Session {
+    name: String,
+    inputs: Vec<Port>,
+    outputs: Vec<Port>,
+    queue: SyncSender<Job>,
+}
+
+impl Session {
+    /// Loads a network from the bytes of an ONNX file; `name` is for errors and for the thread.
+    ///
+    /// # Errors
+    /// [`OnnxError::Library`] without ONNX Runtime, [`OnnxError::Model`] where the file cannot be used.
+    pub fn load(name: &str, model: &[u8], config: &Config) -> Result<Self, OnnxError> {
+        let reason = |reason: String| OnnxError::Model { name: name.to_owned(), reason };
+        let session = build(model, config).map_err(|e| match e {
+            Fault::Library(e) => e,
+            Fault::Model(e) => reason(e),
+        })?;
+        let (inputs, outputs) = (ports(session.inputs()).map_err(reason)?, ports(session.outputs()).map_err(reason)?);
+        let (queue, jobs) = sync_channel(config.queue.max(1));
+        let worker = Worker { name: name.to_owned(), session, inputs: inputs.clone() };
+        thread::Builder::new()
+            .name(format!("onnx-{name}"))
+            .spawn(move || worker.serve(&jobs))
+            .map_err(|e| reason(format!("no thread for it: {e}")))?;
+        Ok(Self { name: name.to_owned(), inputs, outputs, queue })
+    }
+
+    /// Inputs in the graph's order.
+    #[must_use]
+    pub fn inputs(&self) -> &[Port] {
+        &self.inputs
+    }
+
+    /// Outputs in the graph's order.
+    #[must_use]
+    pub fn outputs(&self) -> &[Port] {
+        &self.outputs
+    }
+}
+
+impl Network for Session {
+    fn run(&self, inputs: Vec<Tensor>) -> Result<Vec<Tensor>, OnnxError> {
+        let gone = || OnnxError::Run { name: self.name.clone(), reason: "its worker thread has ended".into() };
+        let (reply, result) = sync_channel(1);
+        self.queue.send(Job { inputs, reply }).map_err(|_| gone())?;
+        result.recv().map_err(|_| gone())?
+    }
+}
+
+enum Fault {
+    Library(OnnxError),
+    Model(String),
+}
+
+impl<R> From<ort::Error<R>> for Fault {
+    fn from(e: ort::Error<R>) -> Self {
+        Self::Model(e.message().to_owned())
+    }
+}
+
+fn build(model: &[u8], config: &Config) -> Result<ort::session::Session, Fault> {
+    let environment = library::environment().map_err(Fault::Library)?;
+    let level = match config.optimisation {
+        Optimisation::Off => GraphOptimizationLevel::Disable,
+        Optimisation::Basic => GraphOptimizationLevel::Level1,
+        Optimisation::Extended => GraphOptimizationLevel::Level2,
+        Optimisation::All => GraphOptimizationLevel::All,
+    };
+    let fall_back = config.providers.contains(&Provider::Cpu);
+    let providers: Vec<_> = config
+        .providers
+        .iter()
+        .filter(|&&p| p != Provider::Cpu)
+        .map(|p| if fall_back { p.dispatch() } else { p.dispatch().error_on_failure() })
+        .collect();
+    Ok(ort::session::Session::builder(environment)?
+        .with_optimization_level(level)?
+        .with_intra_threads(config.threads)?
+        // Idle threads that spin take the cores from the steps between two networks
+        .with_intra_op_spinning(false)?
+        .with_execution_providers(providers)?
+        .commit_from_memory(model)?)
+}
+
+fn ports(outlets: &[ort::value::Outlet]) -> Result<Vec<Port>, String> {
+    outlets
+        .iter()
+        .map(|o| match o.dtype() {
+            ValueType::Tensor { ty: TensorElementType::Float32, shape, .. } => {
+                Ok(Port { name: o.name().to_owned(), shape: shape.to_vec() })
+            }
+            other => Err(format!("{} is {other:?}, not a tensor of 32-bit floats", o.name())),
+        })
+        .collect()
+}
+
+struct Worker {
+    name: String,
+    session: ort::session::Session,
+    inputs: Vec<Port>,
+}
+
+impl Worker {
+    fn serve(mut self, jobs: &Receiver<Job>) {
+        for job in jobs {
+            // A caller that no longer waits is no concern of the worker
+            let _ = job.reply.send(self.run(&job.inputs).map_err(|reason| OnnxError::Run { name: self.name.clone(), reason }));
+        }
+    }
+
+    fn run(&mut self, inputs: &[Tensor]) -> Result<Vec<Tensor>, String> {
+        if inputs.len() != self.inputs.len() {
+            return Err(format!("{} inputs given, {} wanted", inputs.len(), self.inputs.len()));
+        }
+        let mut values = Vec::with_capacity(inputs.len());
+        for (tensor, port) in inputs.iter().zip(&self.inputs) {
+            check(tensor, port)?;
+            let value = TensorRef::from_array_view((tensor.shape.as_slice(), tensor.data.as_slice())).map_err(|e| e.to_string())?;
+            values.push(ort::session::SessionInputValue::from(value));
+        }
+        let outputs = self.session.run(values.as_slice()).map_err(|e| e.message().to_owned())?;
+        outputs
+            .values()
+            .map(|value| {
+                let (shape, data) = value.try_extract_tensor::<f32>().map_err(|e| e.to_string())?;
+                let shape = shape.iter().map(|&n| usize::try_from(n).map_err(|_| format!("an output extent of {n}")));
+                Ok(Tensor { shape: shape.collect::<Result<_, String>>()?, data: data.to_vec() })
+            })
+            .collect()
+    }
+}
+
+fn check(tensor: &Tensor, port: &Port) -> Result<(), String> {
+    let fits = tensor.shape.len() == port.shape.len()
+        && tensor.shape.iter().zip(&port.shape).all(|(&n, &want)| n > 0 && (want < 0 || usize::try_from(want) == Ok(n)));
+    if !fits {
+        return Err(format!("input {} is {:?}, {:?} is wanted (-1: any)", port.name, tensor.shape, port.shape));
+    }
+    let count = tensor.shape.iter().try_fold(1usize, |n, &s| n.checked_mul(s));
+    if count != Some(tensor.data.len()) {
+        return Err(format!("input {} of {:?} has {} values", port.name, tensor.shape, tensor.data.len()));
+    }
+    Ok(())
+}

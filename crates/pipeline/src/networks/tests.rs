@@ -1,0 +1,108 @@
+use std::sync::Arc;
+
+use super::*;
+
+const SUM_DIFFERENCE: &[u8] = include_bytes!("../../../../tests/onnx/sum_difference.onnx");
+const INTEGERS: &[u8] = include_bytes!("../../../../tests/onnx/integers.onnx");
+
+/// True where ONNX Runtime is there; a machine without it says so and goes on.
+fn there() -> bool {
+    available().inspect_err(|e| eprintln!("skipped: {e}")).is_ok()
+}
+
+fn rows(n: usize, f: impl Fn(usize) -> f32) -> Tensor {
+    Tensor { shape: vec![n, 3], data: (0..n * 3).map(f).collect() }
+}
+
+fn load() -> Session {
+    Session::load("sum", SUM_DIFFERENCE, &Config::default()).unwrap()
+}
+
+#[test]
+fn runs_with_inputs_and_outputs_in_the_graphs_order() {
+    if !there() {
+        return;
+    }
+    let session = load();
+    assert_eq!(session.inputs().iter().map(|p| p.name.as_str()).collect::<Vec<_>>(), ["a", "b"]);
+    assert_eq!(session.outputs()[1], Port { name: "difference".into(), shape: vec![-1, 3] });
+    let out = session.run(vec![rows(2, |i| i as f32), rows(2, |_| 10.0)]).unwrap();
+    assert_eq!(out[0], rows(2, |i| i as f32 + 10.0));
+    assert_eq!(out[1], rows(2, |i| i as f32 - 10.0));
+}
+
+#[test]
+fn nan_and_infinity_pass_through_unharmed() {
+    if !there() {
+        return;
+    }
+    let out = load().run(vec![rows(1, |i| [f32::NAN, f32::INFINITY, 1.0][i]), rows(1, |_| 1.0)]).unwrap();
+    assert!(out[0].data[0].is_nan() && out[0].data[1].is_infinite() && (out[0].data[2] - 2.0).abs() < f32::EPSILON);
+}
+
+#[test]
+fn wrong_inputs_are_errors_that_name_them() {
+    if !there() {
+        return;
+    }
+    let session = load();
+    let good = || rows(2, |_| 0.0);
+    let bad = [
+        (vec![good()], "1 inputs given, 2 wanted"),
+        (vec![good(), good(), good()], "3 inputs"),
+        (vec![good(), Tensor { shape: vec![2, 4], data: vec![0.0; 8] }], "input b is [2, 4]"),
+        (vec![Tensor { shape: vec![6], data: vec![0.0; 6] }, good()], "input a is [6]"),
+        (vec![Tensor { shape: vec![2, 3], data: vec![0.0; 5] }, good()], "has 5 values"),
+        (vec![Tensor { shape: vec![0, 3], data: vec![] }, good()], "input a is [0, 3]"),
+        (vec![Tensor { shape: vec![usize::MAX, 3], data: vec![] }, good()], "has 0 values"),
+        // Fits each input by itself; the graph itself refuses it
+        (vec![good(), rows(5, |_| 0.0)], ""),
+    ];
+    for (inputs, text) in bad {
+        let error = session.run(inputs).unwrap_err();
+        assert!(matches!(&error, OnnxError::Run { name, reason } if name == "sum" && reason.contains(text)), "{error}");
+    }
+    assert!(session.run(vec![good(), good()]).is_ok(), "the worker lives on after errors");
+}
+
+#[test]
+fn unusable_models_are_errors() {
+    if !there() {
+        return;
+    }
+    for (bytes, text) in [(b"".as_slice(), ""), (b"no model", ""), (&SUM_DIFFERENCE[..60], ""), (INTEGERS, "32-bit floats")] {
+        let error = Session::load("bad", bytes, &Config::default()).err().unwrap();
+        assert!(matches!(&error, OnnxError::Model { reason, .. } if reason.contains(text)), "{error}");
+    }
+}
+
+#[test]
+fn a_missing_provider_is_passed_over_only_where_the_processor_is_listed() {
+    if !there() {
+        return;
+    }
+    let with = |providers: Vec<Provider>| {
+        Session::load("sum", SUM_DIFFERENCE, &Config { providers, threads: 1, optimisation: Optimisation::Off, queue: 0 })
+    };
+    assert!(with(vec![Provider::DirectMl, Provider::Cpu]).is_ok());
+    assert!(matches!(with(vec![Provider::DirectMl]), Err(OnnxError::Model { .. })));
+}
+
+#[test]
+fn many_callers_share_one_worker() {
+    if !there() {
+        return;
+    }
+    let session: Arc<dyn Network> = Arc::new(load());
+    std::thread::scope(|scope| {
+        for t in 0..8 {
+            let session = Arc::clone(&session);
+            scope.spawn(move || {
+                for k in 1..50 {
+                    let out = session.run(vec![rows(k, |_| t as f32), rows(k, |i| i as f32)]).unwrap();
+                    assert_eq!(out[0], rows(k, |i| t as f32 + i as f32));
+                }
+            });
+        }
+    });
+}

@@ -1,0 +1,198 @@
+//! Photo in: sniff by content, check limits before decoding, decode, orient, read the focal length, drop all metadata.
+//!
+//! What is read: JPEG (baseline and progressive; grey, `YCbCr`, RGB, CMYK), PNG (all kinds), WebP (lossy, lossless, alpha).
+//! Of an animation the first picture is taken, as a browser shows it with animations off. An embedded RGB ICC profile is
+//! converted to sRGB; grey and CMYK profiles, and PNG's `gAMA` and `cHRM`, are passed over.
+
+mod check;
+mod colour;
+mod error;
+mod exif;
+mod jpeg;
+mod limits;
+mod pixels;
+mod resample;
+mod resample_bytes;
+mod taps;
+mod webp;
+
+#[cfg(test)]
+mod tests;
+
+use std::io::Cursor;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+
+use image::codecs::{jpeg::JpegDecoder, png::PngDecoder, webp::WebPDecoder};
+use image::{ColorType, ImageDecoder};
+
+pub use check::check;
+pub use error::PhotoError;
+pub use limits::Limits;
+pub use resample::{Filter, reduced_size, resample, resample_by, resize};
+pub use resample_bytes::resample_bytes;
+pub use taps::Taps;
+
+use self::exif::Facts;
+use tmpi_core::container::PhotoFormat;
+use tmpi_core::{Intrinsics, Photo};
+
+/// A decoded photo with what was learnt on the way.
+#[derive(Clone, Debug)]
+pub struct Decoded {
+    /// Upright pixels; alpha blended over black.
+    pub photo: Photo,
+    /// Size as uploaded, upright, before any reduction.
+    pub original: (u32, u32),
+    /// Format as uploaded.
+    pub format: PhotoFormat,
+    /// Intrinsics for `photo`: EXIF focal length (35 mm equivalent) where it is sane, else 0.58 × width.
+    ///
+    /// A 35 mm frame is 36 mm wide, so the focal length in pixels is `f35 / 36 × longer side`; values outside
+    /// 8 to 600 mm are taken as missing.
+    pub intrinsics: Intrinsics,
+    /// True where the focal length comes from EXIF.
+    pub focal_from_exif: bool,
+    /// The uploaded file without metadata, where its pixels are exactly `photo` (no rotation, no reduction, no alpha; JPEG or WebP).
+    pub carried: Option<Vec<u8>>,
+}
+
+/// Decodes an uploaded photo; `max_size` bounds the longer side in pixels (a larger photo is reduced).
+///
+/// # Errors
+/// [`PhotoError`] names the limit or the fault.
+pub fn decode(bytes: &[u8], limits: &Limits, max_size: Option<u32>) -> Result<Decoded, PhotoError> {
+    limits.check_bytes(bytes.len())?;
+    let format = PhotoFormat::sniff(bytes).ok_or(PhotoError::Unsupported)?;
+    // The last resort: a decoder's own bug must not take the process down
+    catch_unwind(AssertUnwindSafe(|| read(bytes, format, limits, max_size).map(|raw| finish(raw, format, max_size))))
+        .unwrap_or_else(|_| Err(PhotoError::Broken("the decoder failed on this file".into())))
+}
+
+/// A picture as its decoder gave it.
+struct Raw {
+    /// Pixels as stored: not upright, in the file's own colour space; smaller than `size` where decoding could reduce.
+    photo: Photo,
+    /// Size as stored.
+    size: (u32, u32),
+    facts: Facts,
+    icc: Option<Vec<u8>>,
+    /// File without metadata, where its pixels are exactly `photo`.
+    carried: Option<Vec<u8>>,
+}
+
+fn read(bytes: &[u8], format: PhotoFormat, limits: &Limits, max_size: Option<u32>) -> Result<Raw, PhotoError> {
+    match format {
+        PhotoFormat::Jpeg => read_jpeg(bytes, limits, max_size),
+        PhotoFormat::Png => read_png(bytes, limits),
+        PhotoFormat::WebP => read_webp(bytes, limits),
+    }
+}
+
+/// Colours, size and orientation, in the order that touches the fewest pixels.
+fn finish(raw: Raw, format: PhotoFormat, max_size: Option<u32>) -> Decoded {
+    let Raw { mut photo, size, facts, icc, mut carried } = raw;
+    if icc.is_some_and(|icc| colour::to_srgb(&mut photo.rgb, &icc)) {
+        carried = None;
+    }
+    let (width, height) = reduced_size(size, max_size);
+    if (photo.width, photo.height) != (width, height) {
+        photo = resize(&photo, width, height);
+    }
+    if (width, height) != size || facts.orientation != 1 {
+        carried = None;
+    }
+    let photo = pixels::upright(photo, facts.orientation);
+    let original = if facts.orientation >= 5 { (size.1, size.0) } else { size };
+    let long = f64::from(photo.width.max(photo.height));
+    let focal = facts.focal_35.map_or(Intrinsics::DEFAULT_FOCAL_PER_WIDTH * f64::from(photo.width), |f| f / 36.0 * long);
+    let intrinsics = Intrinsics::centred(photo.width, photo.height, focal);
+    Decoded { photo, original, format, intrinsics, focal_from_exif: facts.focal_35.is_some(), carried }
+}
+
+fn broken(error: impl std::fmt::Display) -> PhotoError {
+    PhotoError::Broken(error.to_string())
+}
+
+fn read_jpeg(bytes: &[u8], limits: &Limits, max_size: Option<u32>) -> Result<Raw, PhotoError> {
+    let jpeg = jpeg::scan(bytes)?;
+    let size = (jpeg.width, jpeg.height);
+    limits.check_size(size.0, size.1)?;
+    let facts = Facts::read(jpeg.exif.as_deref());
+    let pixels = u64::from(size.0) * u64::from(size.1);
+    let want = reduced_size(size, max_size);
+    let scaled = if jpeg.components < 4 && want.0 <= size.0 / 2 && want.1 <= size.1 / 2 {
+        limits.check_memory(jpeg.coefficient_bytes + pixels / 4 * 6)?;
+        scaled_jpeg(&jpeg.stripped, want)
+    } else {
+        None
+    };
+    let photo = if let Some(photo) = scaled {
+        photo
+    } else {
+        limits.check_memory(jpeg.coefficient_bytes + pixels * 3)?;
+        image_pixels(JpegDecoder::new(Cursor::new(&jpeg.stripped)).map_err(broken)?)?.0
+    };
+    // Decoders do not agree on how CMYK becomes RGB
+    let carried = (jpeg.components < 4).then_some(jpeg.stripped);
+    Ok(Raw { photo, size, facts, icc: jpeg.icc.filter(|_| jpeg.components == 3), carried })
+}
+
+/// A JPEG decoded at 1/2, 1/4 or 1/8 inside the DCT, at least `want` large; none where that is not possible.
+fn scaled_jpeg(file: &[u8], want: (u32, u32)) -> Option<Photo> {
+    let mut decoder = jpeg_decoder::Decoder::new(file);
+    let (w, h) = decoder.scale(u16::try_from(want.0).ok()?, u16::try_from(want.1).ok()?).ok()?;
+    let (width, height) = (u32::from(w), u32::from(h));
+    if width < want.0 || height < want.1 {
+        return None;
+    }
+    let samples = decoder.decode().ok()?;
+    let colour = match decoder.info()?.pixel_format {
+        jpeg_decoder::PixelFormat::L8 => ColorType::L8,
+        jpeg_decoder::PixelFormat::RGB24 => ColorType::Rgb8,
+        _ => return None,
+    };
+    let (rgb, _) = pixels::to_rgb(&samples, colour).ok()?;
+    (rgb.len() == width as usize * height as usize).then_some(Photo { width, height, rgb })
+}
+
+fn read_png(bytes: &[u8], limits: &Limits) -> Result<Raw, PhotoError> {
+    let size = check::png_size(bytes)?;
+    limits.check_size(size.0, size.1)?;
+    let mut bounds = image::Limits::no_limits();
+    bounds.max_alloc = Some(limits.decoder_memory);
+    let mut decoder = PngDecoder::with_limits(Cursor::new(bytes), bounds).map_err(broken)?;
+    limits.check_memory(decoder.total_bytes())?;
+    let facts = Facts::read(decoder.exif_metadata().map_err(broken)?.as_deref());
+    let icc = decoder.icc_profile().map_err(broken)?;
+    let photo = image_pixels(decoder)?.0;
+    Ok(Raw { photo, size, facts, icc, carried: None })
+}
+
+fn read_webp(bytes: &[u8], limits: &Limits) -> Result<Raw, PhotoError> {
+    let webp = webp::scan(bytes)?;
+    let size = (webp.width, webp.height);
+    limits.check_size(size.0, size.1)?;
+    limits.check_memory(u64::from(size.0) * u64::from(size.1) * webp.bytes_per_pixel())?;
+    let facts = Facts::read(webp.exif.as_deref());
+    let decoder = WebPDecoder::new(Cursor::new(&webp.stripped)).map_err(broken)?;
+    if decoder.dimensions() != size {
+        return Err(broken("the picture has another size than its header says"));
+    }
+    let (photo, see_through) = image_pixels(decoder)?;
+    let carried = (!see_through && !webp.animated).then_some(webp.stripped);
+    Ok(Raw { photo, size, facts, icc: webp.icc, carried })
+}
+
+/// Decodes, and tells whether any pixel was not opaque.
+fn image_pixels(decoder: impl ImageDecoder) -> Result<(Photo, bool), PhotoError> {
+    let ((width, height), colour) = (decoder.dimensions(), decoder.color_type());
+    if colour == ColorType::Rgb8 {
+        let mut rgb = vec![[0; 3]; width as usize * height as usize];
+        decoder.read_image(rgb.as_flattened_mut()).map_err(broken)?;
+        return Ok((Photo { width, height, rgb }, false));
+    }
+    let mut samples = vec![0; decoder.total_bytes() as usize];
+    decoder.read_image(&mut samples).map_err(broken)?;
+    let (rgb, see_through) = pixels::to_rgb(&samples, colour)?;
+    Ok((Photo { width, height, rgb }, see_through))
+}

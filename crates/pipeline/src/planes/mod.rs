@@ -1,0 +1,235 @@
+//! Per-tile planes: weighted clustering of disparity into the fewest planes that meet an error target (paper, section 3.2).
+
+mod kernel;
+mod linear;
+mod lloyd;
+mod optimal;
+mod potts;
+mod sample;
+mod slanted;
+
+use rayon::prelude::*;
+
+use lloyd::Histogram;
+use optimal::Table;
+pub use potts::NEIGHBOUR;
+pub use sample::Samples;
+pub(crate) use slanted::fit_points;
+use tmpi_core::{DisparityMap, Grid, Plane, Rect, Tile};
+
+/// Most planes a tile can have; labels are bytes and renderers sort few layers a tile.
+pub const MAX_PLANES: u32 = 64;
+
+/// Most planes that the automatic count gives a tile.
+pub const MAX_AUTO_PLANES: u32 = 6;
+
+/// How planes are placed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Placement {
+    /// Placement rule.
+    pub method: Method,
+    /// Upper bound of planes a tile, 1 to [`MAX_PLANES`].
+    pub most: u32,
+    /// Where given, the fewest planes (up to `most`) whose 99th percentile of |δ error| is at most this; else always `most`.
+    pub target: Option<f64>,
+    /// How much a neighbour on another plane weighs against the squared error in units of the target, where there is a target;
+    /// [`NEIGHBOUR`] unless told otherwise, 0 leaves every pixel on its nearest plane.
+    pub neighbour: f32,
+}
+
+impl Placement {
+    /// Always `n` planes.
+    #[must_use]
+    pub fn fixed(method: Method, n: u32) -> Self {
+        Self { method, most: n, target: None, neighbour: NEIGHBOUR }
+    }
+
+    /// As few planes as keep the error, `most` at most.
+    #[must_use]
+    pub fn fewest(method: Method, most: u32, target: f64) -> Self {
+        Self { method, most, target: Some(target), neighbour: NEIGHBOUR }
+    }
+}
+
+/// Placement rule of the planes of a tile.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Method {
+    /// Evenly between the extremes of the tile.
+    Linear,
+    /// Weighted k-means.
+    Lloyd,
+    /// Exact one-dimensional k-means.
+    Optimal,
+    /// Weighted k-planes.
+    Slanted,
+}
+
+/// Places the planes of all tiles of `grid`, in the order of the tiles.
+///
+/// `confidence` is a weight per pixel in (0, 1] where there is one. Values of either map that are not finite weigh nothing.
+#[must_use]
+pub fn place(delta: &DisparityMap, confidence: Option<&[f32]>, grid: &Grid, placement: &Placement) -> Vec<Tile> {
+    (0..grid.tiles())
+        .into_par_iter()
+        .map_init(Samples::default, |samples, tile| {
+            samples.gather(delta, confidence, grid, tile);
+            place_tile(samples, placement)
+        })
+        .collect()
+}
+
+/// Share of tiles, 0 to 1, whose best single slanted plane misses `target` (99th percentile of |δ error|).
+#[must_use]
+pub fn busy_share(delta: &DisparityMap, grid: &Grid, target: f64) -> f64 {
+    let busy = (0..grid.tiles()).into_par_iter().map_init(Samples::default, |samples, tile| {
+        samples.gather(delta, None, grid, tile);
+        let one = slanted::fit(samples, 1, None);
+        usize::from(samples.error_p99(&one) > target)
+    });
+    busy.sum::<usize>() as f64 / f64::from(grid.tiles().max(1))
+}
+
+/// Places the planes of one tile.
+#[must_use]
+pub fn place_tile(samples: &Samples, placement: &Placement) -> Tile {
+    let most = placement.most.clamp(1, MAX_PLANES) as usize;
+    if placement.method == Method::Slanted {
+        return finish(samples, slanted::fit(samples, most, placement.target), placement);
+    }
+    let histogram = Histogram::new(samples.deltas(), samples.weights(), lloyd::BINS);
+    let mut table = None;
+    let mut run = |n: usize| -> Vec<Plane> {
+        let centres = match placement.method {
+            Method::Linear => linear::centres(samples, n),
+            Method::Optimal => table.get_or_insert_with(|| Table::new(samples, most)).centres(n),
+            Method::Lloyd | Method::Slanted => lloyd::centres(histogram.as_ref(), n),
+        };
+        centres.into_iter().map(Plane::fronto_parallel).collect()
+    };
+    let Some(target) = placement.target else { return finish(samples, run(most), placement) };
+    let mut best = run(1);
+    for n in 1..=most {
+        if n > 1 {
+            best = run(n);
+        }
+        if samples.error_p99(&best) <= target {
+            break;
+        }
+    }
+    finish(samples, best, placement)
+}
+
+/// Puts planes on the container's grid, drops those that no pixel lies on, orders the rest and labels the pixels.
+fn finish(samples: &Samples, planes: Vec<Plane>, placement: &Placement) -> Tile {
+    let mut planes: Vec<Plane> = planes.into_iter().map(|p| p.quantised()).collect();
+    planes.sort_by(|p, q| p.a.total_cmp(&q.a).then(p.b.total_cmp(&q.b)).then(p.c.total_cmp(&q.c)));
+    planes.dedup();
+    let (mut nearest, mut error) = (Vec::new(), Vec::new());
+    samples.assign(&planes, &mut nearest, &mut error);
+    let mut labels: Vec<u8> = nearest.iter().map(|&l| l as u8).collect();
+    if let Some(target) = placement.target {
+        potts::smooth_labels(samples, &planes, &mut labels, target, placement.neighbour);
+    }
+    let mut used = vec![false; planes.len()];
+    for &l in &labels {
+        used[l as usize] = true;
+    }
+    let map: Vec<u8> = used
+        .iter()
+        .scan(0u8, |next, &u| {
+            let at = *next;
+            *next += u8::from(u);
+            Some(at)
+        })
+        .collect();
+    for l in &mut labels {
+        *l = map[*l as usize];
+    }
+    let mut keep = used.iter();
+    planes.retain(|_| *keep.next().unwrap_or(&false));
+    Tile { planes, labels, background: None }
+}
+
+/// Bits of an error that its place in the distribution is counted by: exponent and nine bits of the fraction.
+const FINE: u32 = 14;
+
+/// Error of all tiles' planes against the map they were fitted to: mean absolute, mean squared, lower quartile of absolute (to 0.2 %).
+///
+/// Overlapping tiles count every pixel that they hold.
+#[must_use]
+pub fn discretisation_error(delta: &DisparityMap, grid: &Grid, tiles: &[Tile]) -> (f64, f64, f64) {
+    let none = || (vec![0u32; (1f32.to_bits() >> FINE) as usize + 1], [0f64; 2]);
+    let per_thread = tiles.len().div_ceil(rayon::current_num_threads()).max(1);
+    let parts = tiles.par_chunks(per_thread).enumerate().map(|(chunk, tiles)| {
+        let (mut s, (mut counts, mut sums)) = (Samples::default(), none());
+        let last = counts.len() - 1;
+        for (i, t) in tiles.iter().enumerate() {
+            s.gather(delta, None, grid, (chunk * per_thread + i) as u32);
+            let errors = s.errors(&t.planes, &t.labels);
+            for e in &errors {
+                counts[((e.to_bits() >> FINE) as usize).min(last)] += 1;
+            }
+            // a row at a time: `f32` keeps a few dozen terms, and adds them side by side
+            let sum = |f: fn(f32) -> f32| errors.chunks(64).map(|row| f64::from(row.iter().map(|&e| f(e)).sum::<f32>())).sum::<f64>();
+            sums = [sums[0] + sum(|e| e), sums[1] + sum(|e| e * e)];
+        }
+        (counts, sums)
+    });
+    let (counts, [absolute, squared]) = parts.reduce(none, |(mut counts, sums), (more, others)| {
+        counts.iter_mut().zip(more).for_each(|(a, b)| *a += b);
+        (counts, [sums[0] + others[0], sums[1] + others[1]])
+    });
+    let n: u64 = counts.iter().map(|&c| u64::from(c)).sum();
+    if n == 0 {
+        return (0.0, 0.0, 0.0);
+    }
+    let mut below = 0;
+    let q25 = counts.iter().position(|&c| {
+        below += u64::from(c);
+        below > n / 4
+    });
+    (absolute / n as f64, squared / n as f64, f64::from(f32::from_bits((q25.unwrap_or(0) as u32) << FINE)))
+}
+
+/// Share of pixels whose plane lies where no surface of `delta` is: farther than `apart` from every value of the 5×5 pixels around.
+/// In a novel view such a pixel floats by itself beside an edge, as a ghost.
+///
+/// Overlapping tiles count every pixel that they hold.
+#[must_use]
+pub fn ghost_share(delta: &DisparityMap, grid: &Grid, tiles: &[Tile], apart: f32) -> f64 {
+    let (w, h) = (delta.width as usize, delta.height as usize);
+    let lone = |x: usize, y: usize, d: f32| {
+        let (columns, mut rows) = (x.saturating_sub(2)..(x + 3).min(w), y.saturating_sub(2)..(y + 3).min(h));
+        rows.all(|y| delta.delta[y * w + columns.start..y * w + columns.end].iter().all(|v| (v - d).abs() > apart))
+    };
+    let counts = tiles.par_iter().enumerate().map(|(i, t)| {
+        let (r, shown) = (grid.rect(i as u32), t.shown(grid, i as u32));
+        let place = |k: usize| (r.x as usize + k % r.w as usize, r.y as usize + k / r.w as usize);
+        (shown.iter().enumerate().filter(|&(k, &d)| lone(place(k).0, place(k).1, d)).count(), shown.len())
+    });
+    let (ghosts, all) = counts.reduce(|| (0, 0), |a, b| (a.0 + b.0, a.1 + b.1));
+    ghosts as f64 / all.max(1) as f64
+}
+
+/// How far neighbouring tiles, beside or below each other, are from showing the same where both lie: mean |δ − δ′| over the pixels that
+/// they share, each pair by itself; 0 where none overlap.
+#[must_use]
+pub fn overlap_disagreement(grid: &Grid, tiles: &[Tile]) -> f64 {
+    let shown: Vec<Vec<f32>> = tiles.par_iter().enumerate().map(|(i, t)| t.shown(grid, i as u32)).collect();
+    let columns = grid.columns() as usize;
+    let pair = |(i, j): (usize, usize)| {
+        let (a, b) = (grid.rect(i as u32), grid.rect(j as u32));
+        let (x0, y0) = (a.x.max(b.x), a.y.max(b.y));
+        let (x1, y1) = ((a.x + a.w).min(b.x + b.w), (a.y + a.h).min(b.y + b.h));
+        let at = |r: &Rect, tile: usize, x: u32, y: u32| f64::from(shown[tile][((y - r.y) * r.w + x - r.x) as usize]);
+        let both = (y0..y1).flat_map(|y| (x0..x1).map(move |x| (x, y)));
+        both.fold((0.0, 0u64), |(sum, n), (x, y)| (sum + (at(&a, i, x, y) - at(&b, j, x, y)).abs(), n + 1))
+    };
+    let beside = (0..tiles.len()).filter(|i| (i + 1) % columns != 0).map(|i| (i, i + 1));
+    let below = (0..tiles.len().saturating_sub(columns)).map(|i| (i, i + columns));
+    let (sum, n) = beside.chain(below).map(pair).fold((0.0, 0), |s, p| (s.0 + p.0, s.1 + p.1));
+    if n > 0 { sum / n as f64 } else { 0.0 }
+}
+
+#[cfg(test)]
+mod tests;

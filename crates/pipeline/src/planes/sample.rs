@@ -1,0 +1,185 @@
+//! Disparity samples of one tile.
+
+use super::MAX_PLANES;
+use super::kernel::{self, Columns};
+use tmpi_core::{DisparityMap, Grid, Plane};
+
+/// The pixels of one tile as columns: place in half tiles from its centre, disparity, weight. Reused from tile to tile.
+#[derive(Clone, Debug, Default)]
+pub struct Samples {
+    u: Vec<f32>,
+    v: Vec<f32>,
+    delta: Vec<f32>,
+    weight: Vec<f32>,
+    /// Width of the tile in pixels.
+    pub width: usize,
+}
+
+impl Samples {
+    /// Takes the pixels of tile `tile`. A disparity that is not finite becomes 0 with weight 0; a weight that is not finite
+    /// or not positive becomes 0; where all weights are 0, all become 1.
+    pub fn gather(&mut self, delta: &DisparityMap, confidence: Option<&[f32]>, grid: &Grid, tile: u32) {
+        let (r, centre, half) = (grid.rect(tile), grid.centre(tile), grid.half());
+        self.clear(r.w as usize);
+        for y in r.y..r.y + r.h {
+            let v = ((f64::from(y) + 0.5 - centre.1) / half) as f32;
+            let row = y as usize * delta.width as usize + r.x as usize;
+            let row = row..row + r.w as usize;
+            self.u.extend((r.x..r.x + r.w).map(|x| ((f64::from(x) + 0.5 - centre.0) / half) as f32));
+            self.v.resize(self.v.len() + row.len(), v);
+            self.delta.extend_from_slice(&delta.delta[row.clone()]);
+            match confidence {
+                Some(c) => self.weight.extend(c[row].iter().map(|&w| usable(w))),
+                None => self.weight.resize(self.v.len(), 1.0),
+            }
+        }
+        for (d, w) in self.delta.iter_mut().zip(&mut self.weight) {
+            if !d.is_finite() {
+                (*d, *w) = (0.0, 0.0);
+            }
+        }
+        self.settle_weights();
+    }
+
+    /// Empties the columns for a tile `width` pixels wide.
+    pub fn clear(&mut self, width: usize) {
+        self.width = width;
+        for c in [&mut self.u, &mut self.v, &mut self.delta, &mut self.weight] {
+            c.clear();
+        }
+    }
+
+    /// Adds one pixel.
+    pub fn push(&mut self, u: f32, v: f32, delta: f32, weight: f32) {
+        let known = delta.is_finite();
+        self.u.push(u);
+        self.v.push(v);
+        self.delta.push(if known { delta } else { 0.0 });
+        self.weight.push(if known { usable(weight) } else { 0.0 });
+    }
+
+    #[cfg(test)]
+    pub(super) fn settle_weights_for_test(&mut self) {
+        self.settle_weights();
+    }
+
+    fn settle_weights(&mut self) {
+        if self.weight.iter().all(|&w| w == 0.0) {
+            self.weight.fill(1.0);
+        }
+    }
+
+    /// Every `step`th pixel of every `step`th row, for searches; itself where fewer than a quarter of a 64-pixel tile's pixels are there.
+    #[must_use]
+    pub fn thinned(&self, step: usize) -> Self {
+        let mut s = Self::default();
+        if self.len() <= 1024 || self.width == 0 {
+            s.clone_from(self);
+            return s;
+        }
+        s.clear(self.width.div_ceil(step));
+        for (i, row) in (0..self.len()).step_by(self.width * step).enumerate() {
+            // alternate the phase, so that neither stripes of one pixel in rows nor in columns are missed as a whole
+            for at in (row + i * (step / 2) % step + (i / 2) % (step / 2).max(1)..(row + self.width).min(self.len())).step_by(step) {
+                s.push(self.u[at], self.v[at], self.delta[at], self.weight[at]);
+            }
+        }
+        s.settle_weights();
+        s
+    }
+
+    /// Count of pixels.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.delta.len()
+    }
+
+    /// True where there is no pixel.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.delta.is_empty()
+    }
+
+    /// Disparities.
+    #[must_use]
+    pub fn deltas(&self) -> &[f32] {
+        &self.delta
+    }
+
+    /// Weights.
+    #[must_use]
+    pub fn weights(&self) -> &[f32] {
+        &self.weight
+    }
+
+    /// Horizontal places, in half tiles from the tile's centre.
+    #[must_use]
+    pub fn us(&self) -> &[f32] {
+        &self.u
+    }
+
+    /// Vertical places.
+    #[must_use]
+    pub fn vs(&self) -> &[f32] {
+        &self.v
+    }
+
+    /// The columns as the kernels take them.
+    #[must_use]
+    pub(super) fn columns(&self) -> Columns<'_> {
+        Columns { u: &self.u, v: &self.v, d: &self.delta, w: &self.weight }
+    }
+
+    /// Labels every pixel with its nearest plane (the first of equals) and leaves absolute errors in `error`; gives the
+    /// weighted sum of squared errors.
+    pub fn assign(&self, planes: &[Plane], labels: &mut Vec<u32>, error: &mut Vec<f32>) -> f64 {
+        self.assign_moved(planes, labels, error, &mut Vec::new())
+    }
+
+    /// The same; pixels whose label changed are left in `moved` with their old label.
+    pub(super) fn assign_moved(&self, planes: &[Plane], labels: &mut Vec<u32>, error: &mut Vec<f32>, moved: &mut Vec<(u32, u32)>) -> f64 {
+        let mut some = [[0f32; 3]; MAX_PLANES as usize];
+        for (to, p) in some.iter_mut().zip(planes) {
+            *to = [p.a as f32, p.b as f32, p.c as f32];
+        }
+        labels.resize(self.len(), 0);
+        error.resize(self.len(), 0.0);
+        moved.clear();
+        kernel::nearest(&some[..planes.len().min(some.len())], self.columns(), error, labels, moved)
+    }
+
+    /// Absolute errors of labelled pixels.
+    #[must_use]
+    pub fn errors(&self, planes: &[Plane], labels: &[u8]) -> Vec<f32> {
+        let planes: Vec<[f32; 3]> = planes.iter().map(|p| [p.a as f32, p.b as f32, p.c as f32]).collect();
+        let pixels = labels.iter().zip(&self.u).zip(&self.v).zip(&self.delta);
+        pixels
+            .map(|(((&l, u), v), d)| {
+                let [a, b, c] = planes[l as usize];
+                (a + b * u + c * v - d).abs()
+            })
+            .collect()
+    }
+
+    /// 99th percentile of the absolute error to the nearest plane.
+    #[must_use]
+    pub fn error_p99(&self, planes: &[Plane]) -> f64 {
+        let (mut labels, mut error) = (Vec::new(), Vec::new());
+        self.assign(planes, &mut labels, &mut error);
+        percentile_99(&mut error)
+    }
+}
+
+/// A weight that can be added up: 0 where it is not finite or not positive, and no +Inf that swallows the others.
+fn usable(weight: f32) -> f32 {
+    if weight.is_finite() && weight > 0.0 { weight.min(1e6) } else { 0.0 }
+}
+
+/// 99th percentile; 0 where there is no value.
+pub(super) fn percentile_99(values: &mut [f32]) -> f64 {
+    if values.is_empty() {
+        return 0.0;
+    }
+    let at = (values.len() * 99 / 100).min(values.len() - 1);
+    f64::from(*values.select_nth_unstable_by(at, f32::total_cmp).1)
+}

@@ -1,0 +1,238 @@
+//! Closed ways of the camera through the view box, and their frames as an animated picture or a film.
+
+use std::io::Write as _;
+use std::path::PathBuf;
+use std::process::{Child, Command, Stdio};
+use std::sync::atomic::{AtomicU32, Ordering};
+
+use super::View;
+use tmpi_core::{Pose, ViewBox};
+
+/// Frames a second.
+pub const RATE: u32 = 30;
+
+/// A closed way of the camera around its pose.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "clap", derive(clap::ValueEnum))]
+pub enum Path {
+    /// An ellipse to the sides, up and down
+    Orbit,
+    /// From side to side
+    Swing,
+    /// Forward and back
+    Dolly,
+}
+
+impl Path {
+    /// The way of that name: `orbit`, `swing` or `dolly`.
+    #[must_use]
+    pub fn from_name(name: &str) -> Option<Self> {
+        match name {
+            "orbit" => Some(Self::Orbit),
+            "swing" => Some(Self::Swing),
+            "dolly" => Some(Self::Dolly),
+            _ => None,
+        }
+    }
+
+    /// The pose of frame `frame` of `frames` around `pose`, within the view box.
+    #[must_use]
+    pub fn pose(self, pose: &Pose, frame: u32, frames: u32, view_box: &ViewBox) -> Pose {
+        pose.shifted(self.at(f64::from(frame) / f64::from(frames.max(1)), view_box))
+    }
+
+    /// Camera position at `turn` (0 to 1) of the way.
+    fn at(self, turn: f64, v: &ViewBox) -> [f64; 3] {
+        let (sin, cos) = (turn * std::f64::consts::TAU).sin_cos();
+        match self {
+            Self::Orbit => [v.x * cos, v.y * sin, 0.0],
+            Self::Swing => [v.x * sin, 0.0, 0.0],
+            Self::Dolly => [0.0, 0.0, v.z * sin],
+        }
+    }
+}
+
+/// What frames become.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum AnimationFormat {
+    /// Animated, lossy, repeats for ever.
+    WebP,
+    /// H.264.
+    Mp4,
+}
+
+impl AnimationFormat {
+    /// The format of that name, in any case: `webp` or `mp4`.
+    #[must_use]
+    pub fn from_extension(extension: &str) -> Option<Self> {
+        match extension.to_ascii_lowercase().as_str() {
+            "webp" => Some(Self::WebP),
+            "mp4" => Some(Self::Mp4),
+            _ => None,
+        }
+    }
+
+    /// Media type.
+    #[must_use]
+    pub const fn media_type(self) -> &'static str {
+        match self {
+            Self::WebP => "image/webp",
+            Self::Mp4 => "video/mp4",
+        }
+    }
+
+    const fn extension(self) -> &'static str {
+        match self {
+            Self::WebP => "webp",
+            Self::Mp4 => "mp4",
+        }
+    }
+
+    /// How `ffmpeg` is to write it at a quality of 1 to 100.
+    fn arguments(self, quality: u8) -> Vec<String> {
+        let quality = quality.clamp(1, 100);
+        let text = |all: &[&str]| all.iter().map(|&a| a.to_owned()).collect::<Vec<_>>();
+        match self {
+            Self::WebP => [text(&["-c:v", "libwebp_anim", "-loop", "0", "-q:v"]), vec![quality.to_string()]].concat(),
+            Self::Mp4 => {
+                // 90 is 20, which nobody tells from the frames; chroma of half the size wants even sides
+                let rate = 51 - u32::from(quality) * 31 / 90;
+                let even = text(&["-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2", "-pix_fmt", "yuv420p", "-movflags", "+faststart"]);
+                [text(&["-c:v", "libx264", "-preset", "veryfast", "-crf"]), vec![rate.to_string()], even].concat()
+            }
+        }
+    }
+}
+
+/// Why frames did not become an animation.
+#[derive(Debug, thiserror::Error)]
+pub enum AnimationError {
+    /// There is no `ffmpeg`.
+    #[error("animations are written by ffmpeg, which is not installed here")]
+    Missing,
+    /// A frame of another size than the first.
+    #[error("all frames must have {0}×{1} pixels")]
+    Size(u32, u32),
+    /// `ffmpeg` failed.
+    #[error("ffmpeg: {0}")]
+    Failed(String),
+}
+
+/// Takes frames and gives a file.
+#[derive(Debug)]
+pub struct Animation {
+    child: Child,
+    file: PathBuf,
+    size: (u32, u32),
+}
+
+impl Animation {
+    /// Starts an animation of frames of `size` at [`RATE`] frames a second; `quality` is 1 to 100.
+    ///
+    /// # Errors
+    /// [`AnimationError::Missing`], [`AnimationError::Failed`].
+    pub fn start(format: AnimationFormat, size: (u32, u32), quality: u8) -> Result<Self, AnimationError> {
+        static NEXT: AtomicU32 = AtomicU32::new(0);
+        let name = format!("tmpi-{}-{}.{}", std::process::id(), NEXT.fetch_add(1, Ordering::Relaxed), format.extension());
+        // formats are finished by going back to their start, which a pipe cannot
+        let file = std::env::temp_dir().join(name);
+        let mut command = Command::new("ffmpeg");
+        command.args(["-hide_banner", "-loglevel", "error", "-nostdin", "-y", "-f", "rawvideo", "-pix_fmt", "rgb24"]);
+        command.args(["-s", &format!("{}x{}", size.0, size.1), "-r", &RATE.to_string(), "-i", "pipe:0"]);
+        command.args(format.arguments(quality)).arg(&file);
+        let child = command.stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::piped()).spawn();
+        let child = child.map_err(|e| match e.kind() {
+            std::io::ErrorKind::NotFound => AnimationError::Missing,
+            _ => AnimationError::Failed(e.to_string()),
+        })?;
+        Ok(Self { child, file, size })
+    }
+
+    /// Adds a frame; what is transparent lies over black.
+    ///
+    /// # Errors
+    /// [`AnimationError::Size`], [`AnimationError::Failed`].
+    pub fn push(&mut self, view: &View) -> Result<(), AnimationError> {
+        if (view.width, view.height) != self.size {
+            return Err(AnimationError::Size(self.size.0, self.size.1));
+        }
+        let rgb: Vec<[u8; 3]> = view.rgba.iter().map(|p| [p[0], p[1], p[2]]).collect();
+        let written = self.child.stdin.as_mut().map_or(Ok(()), |pipe| pipe.write_all(rgb.as_flattened()));
+        // a pipe that broke means that it ended, and it says why
+        written.or_else(|e| self.ended().and(Err(AnimationError::Failed(e.to_string()))))
+    }
+
+    /// Ends the animation and gives its file.
+    ///
+    /// # Errors
+    /// [`AnimationError::Failed`].
+    pub fn finish(mut self) -> Result<Vec<u8>, AnimationError> {
+        self.ended()?;
+        std::fs::read(&self.file).map_err(|e| AnimationError::Failed(e.to_string()))
+    }
+
+    /// Waits for the end; an error with what `ffmpeg` says where it is a bad one.
+    fn ended(&mut self) -> Result<(), AnimationError> {
+        drop(self.child.stdin.take());
+        let mut said = String::new();
+        if let Some(mut pipe) = self.child.stderr.take() {
+            // what cannot be read is not told
+            let _ = std::io::Read::read_to_string(&mut pipe, &mut said);
+        }
+        match self.child.wait() {
+            Ok(status) if status.success() => Ok(()),
+            Ok(status) => Err(AnimationError::Failed(format!("{status}: {}", said.trim()))),
+            Err(e) => Err(AnimationError::Failed(e.to_string())),
+        }
+    }
+}
+
+impl Drop for Animation {
+    fn drop(&mut self) {
+        // given up before its end, or ended already
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+        let _ = std::fs::remove_file(&self.file);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ways_stay_in_the_view_box_and_close() {
+        let v = ViewBox { x: 0.1, y: 0.05, z: 0.2 };
+        for path in ["orbit", "swing", "dolly"].map(|name| Path::from_name(name).unwrap()) {
+            for i in 0..=24 {
+                let p = path.pose(&Pose::default(), i, 24, &v);
+                assert!(p.tx.abs() <= v.x + 1e-9 && p.ty.abs() <= v.y + 1e-9 && p.tz.abs() <= v.z + 1e-9);
+            }
+            let (a, b) = (path.at(0.0, &v), path.at(1.0, &v));
+            assert!((0..3).all(|k| (a[k] - b[k]).abs() < 1e-9));
+        }
+        assert!(Path::from_name("spiral").is_none());
+        let turned = Pose { yaw: 90.0, ..Pose::default() }.shifted([1.0, 0.0, 0.0]);
+        assert!(turned.tx.abs() < 1e-9 && (turned.tz + 1.0).abs() < 1e-9, "right of a camera that looks right is back");
+    }
+
+    #[test]
+    fn frames_become_a_file_or_the_reason_is_told() {
+        let view = |level: u8| View { width: 33, height: 21, rgba: vec![[level, 90, 200, 255]; 33 * 21] };
+        for (format, magic, at) in [(AnimationFormat::WebP, b"WEBP", 8), (AnimationFormat::Mp4, b"ftyp", 4)] {
+            let mut animation = match Animation::start(format, (33, 21), 80) {
+                Ok(animation) => animation,
+                Err(AnimationError::Missing) => return eprintln!("skipped: {}", AnimationError::Missing),
+                Err(e) => panic!("{e}"),
+            };
+            let file = animation.file.clone();
+            assert!(matches!(animation.push(&View { width: 1, ..view(0) }), Err(AnimationError::Size(33, 21))));
+            for level in [0, 80, 160, 240] {
+                animation.push(&view(level)).unwrap();
+            }
+            let bytes = animation.finish().unwrap();
+            assert_eq!(&bytes[at..at + 4], magic);
+            assert!(!file.exists(), "nothing is left behind");
+        }
+    }
+}

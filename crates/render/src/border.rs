@@ -1,0 +1,248 @@
+//! A scene is continued beyond the photo's borders by its mirror image, so that no camera of the view box sees past them.
+//!
+//! What is mirrored is the scene, not the picture: planes tilt the other way, and hidden texels stay behind what hides them, so the
+//! continuation moves like the photo does. Derived from the scene when it is drawn; no container holds it.
+
+use tmpi_core::{Camera, Mat3, Plane, Pose, Scene, ViewBox, homography, mat3_vec};
+
+/// The widest margin, as a share of the photo's longer side. A view box that needs more sees past it at its corners.
+const WIDEST: f64 = 1.0 / 8.0;
+
+/// A part of a layer at its own place, or mirrored beyond a border.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Piece {
+    /// The layer whose texels it takes.
+    pub layer: usize,
+    /// Its plane, in `(u, v)` about `centre`.
+    pub plane: Plane,
+    /// Origin of `(u, v)`, reference pixels.
+    pub centre: (f64, f64),
+    /// Upper left corner, reference pixels; outside the photo where mirrored.
+    pub corner: [i64; 2],
+    /// Width and height.
+    pub size: [u32; 2],
+    /// From and to where it is drawn, across and down, in texels from its upper left corner.
+    pub drawn: [[f64; 2]; 2],
+    /// First column and row that it takes of the layer's rectangle.
+    first: [u32; 2],
+    /// Mirrored in x, in y.
+    pub mirrored: [bool; 2],
+}
+
+/// One axis of a piece.
+#[derive(Clone, Copy)]
+struct Side {
+    corner: i64,
+    size: u32,
+    first: u32,
+    /// From and to where it is drawn.
+    drawn: [f64; 2],
+    /// Twice the place of the mirror, where there is one.
+    mirror: Option<i64>,
+}
+
+impl Piece {
+    fn new(scene: &Scene, layer: usize, x: Side, y: Side) -> Self {
+        let own = &scene.layers[layer];
+        let (mut plane, mut centre) = (own.plane, scene.grid.centre(own.tile));
+        if let Some(twice) = x.mirror {
+            (plane.b, centre.0) = (-plane.b, twice as f64 - centre.0);
+        }
+        if let Some(twice) = y.mirror {
+            (plane.c, centre.1) = (-plane.c, twice as f64 - centre.1);
+        }
+        Self {
+            layer,
+            plane,
+            centre,
+            corner: [x.corner, y.corner],
+            size: [x.size, y.size],
+            drawn: [x.drawn, y.drawn],
+            first: [x.first, y.first],
+            mirrored: [x.mirror.is_some(), y.mirror.is_some()],
+        }
+    }
+
+    /// δ at the centre of the piece, which is its mean over the piece.
+    pub fn mean_delta(&self, half: f64) -> f64 {
+        let middle = |axis: usize| self.corner[axis] as f64 + f64::from(self.size[axis]) / 2.0;
+        self.plane.disparity((middle(0) - self.centre.0) / half, (middle(1) - self.centre.1) / half)
+    }
+
+    /// The least δ of the piece: at one of its corners.
+    pub fn least_delta(&self, half: f64) -> f64 {
+        let ends = |axis: usize, centre: f64| {
+            let from = self.corner[axis] as f64 - centre;
+            [from / half, (from + f64::from(self.size[axis])) / half]
+        };
+        let (us, vs) = (ends(0, self.centre.0), ends(1, self.centre.1));
+        us.into_iter().flat_map(|u| vs.map(|v| self.plane.disparity(u, v))).fold(f64::INFINITY, f64::min)
+    }
+
+    /// Rows of the piece in `all`, one value for each texel of its layer; not mirrored.
+    fn rows<'a, T>(&self, scene: &Scene, all: &'a [T]) -> impl DoubleEndedIterator<Item = &'a [T]> {
+        let (x, w) = (self.first[0] as usize, self.size[0] as usize);
+        let (y, h) = (self.first[1] as usize, self.size[1] as usize);
+        all.chunks(scene.layers[self.layer].rect.w as usize).skip(y).take(h).map(move |row| &row[x..x + w])
+    }
+
+    /// Rows of the alphas of its texels, in any order.
+    pub fn alphas<'a>(&self, scene: &'a Scene) -> impl Iterator<Item = &'a [u8]> {
+        let layer = &scene.layers[self.layer];
+        self.rows(scene, &scene.texels.alpha[layer.first_texel..layer.first_texel + layer.rect.area()])
+    }
+
+    /// Appends its texels to `out`, row-major; `layer` are all texels of its layer.
+    pub fn expand(&self, scene: &Scene, layer: &[[u8; 4]], out: &mut Vec<[u8; 4]>) {
+        for row in self.texels(scene, layer) {
+            if self.mirrored[0] { out.extend(row.iter().rev()) } else { out.extend_from_slice(row) }
+        }
+    }
+
+    /// Rows of its texels from its upper one on, each from left to right of the layer; `layer` are all texels of that.
+    pub fn texels<'a>(&self, scene: &Scene, layer: &'a [[u8; 4]]) -> impl Iterator<Item = &'a [[u8; 4]]> {
+        let mut rows = self.rows(scene, layer);
+        let upwards = self.mirrored[1];
+        std::iter::from_fn(move || if upwards { rows.next_back() } else { rows.next() })
+    }
+
+    /// Whether it lies beyond a border.
+    pub fn is_mirrored(&self) -> bool {
+        self.mirrored != [false; 2]
+    }
+}
+
+/// All pieces of a scene, layer after layer in their order, each layer's own place first.
+pub(super) fn pieces(scene: &Scene) -> Vec<Piece> {
+    let (grid, margin) = (&scene.grid, margin(scene));
+    let mut out = Vec::with_capacity(scene.layers.len() * 3 / 2);
+    for (index, layer) in scene.layers.iter().enumerate() {
+        let [x, y] = grid.drawn(layer.tile, layer.rect);
+        let columns = sides(layer.rect.x, layer.rect.w, x, grid.width, margin[0]);
+        let rows = sides(layer.rect.y, layer.rect.h, y, grid.height, margin[1]);
+        for y in rows.into_iter().flatten() {
+            out.extend(columns.into_iter().flatten().map(|x| Piece::new(scene, index, x, y)));
+        }
+    }
+    out
+}
+
+/// `from..from + size` of an axis of `length` pixels, of which `drawn` is drawn: itself, and its parts within `margin` of either end
+/// mirrored there; those of which anything is drawn.
+fn sides(from: u32, size: u32, drawn: [f64; 2], length: u32, margin: u32) -> [Option<Side>; 3] {
+    let end = from + size;
+    let own = Side { corner: i64::from(from), size, first: 0, drawn, mirror: None };
+    // what is drawn of the `size` texels from `first` on, seen from the other end
+    let back = |first: u32, size: u32| {
+        let [from, to] = drawn.map(|v| (v - f64::from(first)).clamp(0.0, f64::from(size)));
+        [f64::from(size) - to, f64::from(size) - from]
+    };
+    let low = end.min(margin).checked_sub(from).filter(|&n| n > 0);
+    let low = low.map(|size| Side { corner: -i64::from(from + size), size, first: 0, drawn: back(0, size), mirror: Some(0) });
+    let start = from.max(length.saturating_sub(margin));
+    let high = end.checked_sub(start).filter(|&n| n > 0);
+    let twice = 2 * i64::from(length);
+    let high = high.map(|size| Side {
+        corner: twice - i64::from(end),
+        size,
+        first: start - from,
+        drawn: back(start - from, size),
+        mirror: Some(twice),
+    });
+    [Some(own), low, high].map(|side| side.filter(|s| s.drawn[0] < s.drawn[1]))
+}
+
+/// Pixels by which the corners of the view box see past the photo's borders, to the sides and up and down: the larger of
+/// cameras that look straight ahead and of cameras that turn to keep the nearest things in place, at δ = 0 and δ = 1.
+#[must_use]
+pub fn margin(scene: &Scene) -> [u32; 2] {
+    let (w, h) = (f64::from(scene.grid.width), f64::from(scene.grid.height));
+    let mut past = [0.0_f64; 2];
+    for pivot in [0.0, 1.0] {
+        for pose in corners(&scene.view_box, pivot) {
+            let camera = Camera { pose, intrinsics: scene.intrinsics, width: scene.grid.width, height: scene.grid.height };
+            for delta in [0.0, 1.0] {
+                let seen = super::footprint::inverted(&homography([0.0, 0.0, delta], &scene.intrinsics, &camera));
+                for place in [[0.0, 0.0, 1.0], [w, 0.0, 1.0], [0.0, h, 1.0], [w, h, 1.0]] {
+                    let [x, y] = seen.as_ref().map_or([f64::INFINITY; 2], |m| divided(m, place));
+                    past = [past[0].max(-x).max(x - w), past[1].max(-y).max(y - h)];
+                }
+            }
+        }
+    }
+    let widest = w.max(h) * WIDEST;
+    // a pixel for rounding, and one because a piece ends at its last texel; `as` saturates
+    [(past[0], w), (past[1], h)].map(|(past, length)| if past > 0.0 { (past.min(widest) + 2.0).min(length) as u32 } else { 0 })
+}
+
+/// Cameras at the corners of a view box that turn so that what lies ahead at disparity `pivot` stays in place; with 0 they look
+/// straight ahead.
+pub fn corners(v: &ViewBox, pivot: f64) -> impl Iterator<Item = Pose> + use<> {
+    let v = *v;
+    (0..8).map(move |corner: u32| {
+        let side = |bit: u32, extent: f64| if corner >> bit & 1 == 0 { extent } else { -extent };
+        looking_at(pivot, side(0, v.x), side(1, v.y), side(2, v.z))
+    })
+}
+
+/// `m · place` as a pixel; infinitely far where it lies behind.
+fn divided(m: &Mat3, place: [f64; 3]) -> [f64; 2] {
+    let [x, y, z] = mat3_vec(m, place);
+    if z > 0.0 { [x / z, y / z] } else { [f64::INFINITY; 2] }
+}
+
+/// A camera at an offset that turns against it, so that what lies ahead at disparity `pivot` stays in place.
+#[must_use]
+pub fn looking_at(pivot: f64, tx: f64, ty: f64, tz: f64) -> Pose {
+    let depth = 1.0 - tz * pivot;
+    let yaw = -(tx * pivot).atan2(depth).to_degrees();
+    let pitch = (ty * pivot).atan2(depth.hypot(tx * pivot)).to_degrees();
+    Pose { tx, ty, tz, yaw, pitch, roll: 0.0 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::testing;
+    use super::*;
+
+    #[test]
+    fn a_layer_is_mirrored_at_each_border_that_it_is_near() {
+        let mut scene = testing::flat(100, 60, 0.5);
+        scene.layers[0].plane = Plane { a: 0.5, b: 0.2, c: -0.1 };
+        let [x, y] = margin(&scene);
+        assert!((3..20).contains(&x) && (3..20).contains(&y), "{x} {y}");
+        let all = pieces(&scene);
+        assert_eq!(all.len(), 9);
+        assert_eq!((all[0].corner, all[0].size), ([0, 0], [100, 60]));
+        // the four borders and four corners, without overlap
+        let area = |p: &Piece| p.size[0] as usize * p.size[1] as usize;
+        let outside: usize = all[1..].iter().map(area).sum();
+        assert_eq!(outside, (100 + 2 * x as usize) * (60 + 2 * y as usize) - 6000);
+        // mirrored: the disparity is continuous across the border, and texels repeat there
+        let half = scene.grid.half();
+        for p in &all {
+            let own = &all[0];
+            let reflected = |v: f64, length: f64| if v < 0.0 { -v } else { v.min(2.0 * length - v) };
+            let at = [p.corner[0] as f64 + 0.5, p.corner[1] as f64 + 0.5];
+            let delta = |p: &Piece, x: f64, y: f64| p.plane.disparity((x - p.centre.0) / half, (y - p.centre.1) / half);
+            let want = delta(own, reflected(at[0], 100.0), reflected(at[1], 60.0));
+            assert!((delta(p, at[0], at[1]) - want).abs() < 1e-12, "{p:?}");
+            let (mut layer, mut texels) = (Vec::new(), Vec::new());
+            scene.expand_layer(0, &mut layer);
+            p.expand(&scene, &layer, &mut texels);
+            let place = reflected(at[1], 60.0) as usize * 100 + reflected(at[0], 100.0) as usize;
+            assert_eq!((texels.len(), texels[0]), (area(p), layer[place]));
+        }
+    }
+
+    #[test]
+    fn no_view_box_gives_no_margin_and_any_other_a_bounded_one() {
+        let mut scene = testing::flat(100, 60, 0.5);
+        for (extent, want) in [(0.0, [0, 0]), (1e9, [14, 14]), (f64::NAN, [14, 14]), (f64::INFINITY, [14, 14])] {
+            scene.view_box = ViewBox { x: extent, y: extent, z: extent };
+            let got = margin(&scene);
+            assert!(got[0] <= want[0] && got[1] <= want[1], "{extent}: {got:?}");
+            assert_eq!(pieces(&scene).len(), if got == [0, 0] { 1 } else { 9 });
+        }
+    }
+}

@@ -1,0 +1,254 @@
+//! Adapter, device, pipelines, and the errors that they report.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use crate::RenderError;
+
+/// Colour of views and atlas: the photo's own encoding, no conversion on the way.
+pub(super) const COLOUR: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8Unorm;
+/// Views and texels of stacks of soft layers: 8 bits would round after every layer.
+pub(super) const WIDE: wgpu::TextureFormat = wgpu::TextureFormat::Rgba16Float;
+/// Reversed depth needs floating point to keep its precision at infinity.
+pub(super) const DEPTH: wgpu::TextureFormat = wgpu::TextureFormat::Depth32Float;
+/// Size of the uniform at the head of `tmpi.wgsl`.
+pub(super) const UNIFORM_BYTES: usize = 112;
+
+/// An open device with everything that does not depend on the scene.
+#[derive(Debug)]
+pub(super) struct Device {
+    pub handle: wgpu::Device,
+    pub queue: wgpu::Queue,
+    pub limits: wgpu::Limits,
+    pub uniform: wgpu::Buffer,
+    /// Pass 1 and pass 2 for a target of [`COLOUR`].
+    pub plain: [wgpu::RenderPipeline; 2],
+    /// The same for [`WIDE`].
+    pub wide: [wgpu::RenderPipeline; 2],
+    /// Rounds a picture of [`WIDE`] to one of [`COLOUR`].
+    pub round: wgpu::RenderPipeline,
+    layout: wgpu::BindGroupLayout,
+    sampler: wgpu::Sampler,
+    failure: Failure,
+}
+
+/// The first error since it was last asked for.
+#[derive(Clone, Debug, Default)]
+struct Failure(Arc<Mutex<Option<String>>>);
+
+impl Failure {
+    fn note(&self, text: String) {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(text);
+    }
+
+    fn take(&self) -> Option<String> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).take()
+    }
+}
+
+fn adapter_error(what: &str, e: impl std::fmt::Display) -> RenderError {
+    RenderError::Adapter(format!("{what}: {e}"))
+}
+
+/// The best adapter; a software one only where `software` allows it and there is no other.
+fn adapter(software: bool) -> Result<wgpu::Adapter, RenderError> {
+    let descriptor =
+        wgpu::InstanceDescriptor { backends: wgpu::Backends::PRIMARY, ..wgpu::InstanceDescriptor::new_without_display_handle() };
+    let instance = wgpu::Instance::new(descriptor);
+    let rank = |a: &wgpu::Adapter| match a.get_info().device_type {
+        wgpu::DeviceType::DiscreteGpu => 0,
+        wgpu::DeviceType::IntegratedGpu => 1,
+        wgpu::DeviceType::VirtualGpu => 2,
+        wgpu::DeviceType::Other => 3,
+        wgpu::DeviceType::Cpu => 4,
+    };
+    let adapters = pollster::block_on(instance.enumerate_adapters(wgpu::Backends::PRIMARY));
+    let best = adapters.into_iter().filter(|a| software || rank(a) < 4).min_by_key(rank);
+    let wanted =
+        if software { "no adapter found (Vulkan, Metal or DirectX 12)" } else { "no hardware adapter found (Vulkan, Metal or DirectX 12)" };
+    best.ok_or_else(|| RenderError::Adapter(wanted.into()))
+}
+
+impl Device {
+    /// Opens the best adapter.
+    pub fn open(software: bool) -> Result<Self, RenderError> {
+        let adapter = adapter(software)?;
+        let info = adapter.get_info();
+        tracing::info!(adapter = info.name, backend = %info.backend, kind = ?info.device_type, "graphics adapter");
+        let limits = adapter.limits();
+        let descriptor =
+            wgpu::DeviceDescriptor { label: Some("tmpi"), required_limits: limits.clone(), ..wgpu::DeviceDescriptor::default() };
+        let (device, queue) =
+            pollster::block_on(adapter.request_device(&descriptor)).map_err(|e| adapter_error("opening the device", e))?;
+        let failure = Failure::default();
+        let (on_error, on_loss) = (failure.clone(), failure.clone());
+        device.on_uncaptured_error(Arc::new(move |e: wgpu::Error| on_error.note(e.to_string())));
+        device.set_device_lost_callback(move |reason, text| on_loss.note(format!("device lost ({reason:?}): {text}")));
+
+        let layout = layout(&device);
+        let uniform = device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some("view"),
+            size: UNIFORM_BYTES as u64,
+            usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
+            mapped_at_creation: false,
+        });
+        let sampler = device.create_sampler(&wgpu::SamplerDescriptor {
+            mag_filter: wgpu::FilterMode::Linear,
+            min_filter: wgpu::FilterMode::Linear,
+            ..wgpu::SamplerDescriptor::default()
+        });
+        let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
+            label: Some("tmpi.wgsl"),
+            source: wgpu::ShaderSource::Wgsl(include_str!("../../../../static/draw/tmpi.wgsl").into()),
+        });
+        let [plain, wide] = [COLOUR, WIDE].map(|format| pipelines(&device, &module, &layout, format));
+        let round = rounding(&device);
+        let opened = Self { handle: device, queue, limits, uniform, plain, wide, round, layout, sampler, failure };
+        opened.check()?;
+        Ok(opened)
+    }
+
+    /// An error that was reported since the last call, if there is one.
+    pub fn check(&self) -> Result<(), RenderError> {
+        self.failure.take().map_or(Ok(()), |text| Err(RenderError::Adapter(text)))
+    }
+
+    /// An empty atlas of [`COLOUR`] or [`WIDE`].
+    pub fn atlas(&self, width: u32, height: u32, pages: u32, format: wgpu::TextureFormat) -> wgpu::Texture {
+        self.handle.create_texture(&wgpu::TextureDescriptor {
+            label: Some("atlas"),
+            size: wgpu::Extent3d { width, height, depth_or_array_layers: pages },
+            mip_level_count: 1,
+            sample_count: 1,
+            dimension: wgpu::TextureDimension::D2,
+            format,
+            usage: wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST,
+            view_formats: &[],
+        })
+    }
+
+    /// Fills a page of an atlas with premultiplied texels.
+    pub fn write_page(&self, atlas: &wgpu::Texture, page: u32, texels: &[u8]) {
+        let to = wgpu::TexelCopyTextureInfo {
+            texture: atlas,
+            mip_level: 0,
+            origin: wgpu::Origin3d { x: 0, y: 0, z: page },
+            aspect: wgpu::TextureAspect::All,
+        };
+        let (width, height) = (atlas.width(), atlas.height());
+        let texel = if atlas.format() == WIDE { 8 } else { 4 };
+        let layout = wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(width * texel), rows_per_image: Some(height) };
+        self.queue.write_texture(to, texels, layout, wgpu::Extent3d { width, height, depth_or_array_layers: 1 });
+    }
+
+    /// Bindings for a scene's atlas.
+    pub fn bind_group(&self, atlas: &wgpu::Texture) -> wgpu::BindGroup {
+        let view = atlas.create_view(&wgpu::TextureViewDescriptor {
+            dimension: Some(wgpu::TextureViewDimension::D2Array),
+            ..wgpu::TextureViewDescriptor::default()
+        });
+        let entry = |binding, resource| wgpu::BindGroupEntry { binding, resource };
+        self.handle.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some("scene"),
+            layout: &self.layout,
+            entries: &[
+                entry(0, self.uniform.as_entire_binding()),
+                entry(1, wgpu::BindingResource::TextureView(&view)),
+                entry(2, wgpu::BindingResource::Sampler(&self.sampler)),
+            ],
+        })
+    }
+}
+
+fn layout(device: &wgpu::Device) -> wgpu::BindGroupLayout {
+    let entry = |binding, visibility, ty| wgpu::BindGroupLayoutEntry { binding, visibility, ty, count: None };
+    let uniform = wgpu::BindingType::Buffer { ty: wgpu::BufferBindingType::Uniform, has_dynamic_offset: false, min_binding_size: None };
+    let texture = wgpu::BindingType::Texture {
+        sample_type: wgpu::TextureSampleType::Float { filterable: true },
+        view_dimension: wgpu::TextureViewDimension::D2Array,
+        multisampled: false,
+    };
+    let sampler = wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Filtering);
+    device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+        label: Some("scene"),
+        entries: &[
+            entry(0, wgpu::ShaderStages::VERTEX, uniform),
+            entry(1, wgpu::ShaderStages::FRAGMENT, texture),
+            entry(2, wgpu::ShaderStages::FRAGMENT, sampler),
+        ],
+    })
+}
+
+/// The pipelines of pass 1 and pass 2 for a target of that format.
+fn pipelines(
+    device: &wgpu::Device,
+    module: &wgpu::ShaderModule,
+    layout: &wgpu::BindGroupLayout,
+    format: wgpu::TextureFormat,
+) -> [wgpu::RenderPipeline; 2] {
+    let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+        label: Some("tmpi"),
+        bind_group_layouts: &[Some(layout)],
+        immediate_size: 0,
+    });
+    let attributes = wgpu::vertex_attr_array![0 => Float32x4, 1 => Float32x4, 2 => Float32x4];
+    let instances = wgpu::VertexBufferLayout { array_stride: 48, step_mode: wgpu::VertexStepMode::Instance, attributes: &attributes };
+    let pipeline = |entry_point, blend, write| {
+        device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
+            label: Some(entry_point),
+            layout: Some(&layout),
+            vertex: wgpu::VertexState {
+                module,
+                entry_point: Some("vs"),
+                compilation_options: wgpu::PipelineCompilationOptions::default(),
+                buffers: &[Some(instances.clone())],
+            },
+            primitive: wgpu::PrimitiveState::default(),
+            depth_stencil: Some(wgpu::DepthStencilState {
+                format: DEPTH,
+                depth_write_enabled: Some(write),
+                depth_compare: Some(wgpu::CompareFunction::GreaterEqual),
+                stencil: wgpu::StencilState::default(),
+                bias: wgpu::DepthBiasState::default(),
+            }),
+            multisample: wgpu::MultisampleState::default(),
+            fragment: Some(wgpu::FragmentState {
+                module,
+                entry_point: Some(entry_point),
+                compilation_options: wgpu::PipelineCompilationOptions::default(),
+                targets: &[Some(wgpu::ColorTargetState { format, blend, write_mask: wgpu::ColorWrites::ALL })],
+            }),
+            multiview_mask: None,
+            cache: None,
+        })
+    };
+    [pipeline("fs_opaque", None, true), pipeline("fs_soft", Some(wgpu::BlendState::PREMULTIPLIED_ALPHA_BLENDING), false)]
+}
+
+/// The pipeline that rounds a wide picture, texel by texel.
+fn rounding(device: &wgpu::Device) -> wgpu::RenderPipeline {
+    let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
+        label: Some("round.wgsl"),
+        source: wgpu::ShaderSource::Wgsl(include_str!("round.wgsl").into()),
+    });
+    device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
+        label: Some("round"),
+        layout: None,
+        vertex: wgpu::VertexState {
+            module: &module,
+            entry_point: Some("vs"),
+            compilation_options: wgpu::PipelineCompilationOptions::default(),
+            buffers: &[],
+        },
+        primitive: wgpu::PrimitiveState::default(),
+        depth_stencil: None,
+        multisample: wgpu::MultisampleState::default(),
+        fragment: Some(wgpu::FragmentState {
+            module: &module,
+            entry_point: Some("fs"),
+            compilation_options: wgpu::PipelineCompilationOptions::default(),
+            targets: &[Some(wgpu::ColorTargetState { format: COLOUR, blend: None, write_mask: wgpu::ColorWrites::ALL })],
+        }),
+        multiview_mask: None,
+        cache: None,
+    })
+}

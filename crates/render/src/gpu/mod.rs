@@ -1,0 +1,204 @@
+//! The graphics adapter's backend: the WGSL that the browser uses, through wgpu, on a thread of its own.
+
+mod device;
+mod frame;
+mod pack;
+mod scene;
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::{Arc, mpsc};
+
+use self::device::Device;
+use self::frame::Target;
+use self::scene::{Loaded, Plan};
+use super::prepared::SceneCache;
+use super::{RenderError, Renderer, View, check};
+use tmpi_core::{Camera, Scene};
+
+/// Draws with a graphics adapter.
+///
+/// One named thread owns the device; calls queue for it and block until their view is there. After an error the device is dropped and
+/// the next call opens a new one. Atlases of the scenes last drawn stay in graphics memory.
+#[derive(Debug)]
+pub struct Gpu {
+    /// Gone only while it is dropped.
+    jobs: Option<mpsc::SyncSender<Job>>,
+    thread: Option<std::thread::JoinHandle<()>>,
+}
+
+type Reply<T> = mpsc::SyncSender<Result<T, RenderError>>;
+
+enum Job {
+    Open(Reply<()>),
+    Render(Arc<Scene>, Camera, Reply<View>),
+    #[cfg(test)]
+    Lose(Reply<()>),
+}
+
+impl Gpu {
+    /// Views that wait for the device at most; further callers wait to queue.
+    pub const QUEUE: usize = 8;
+
+    /// Bytes of atlases that are kept in graphics memory; a scene that needs more alone is refused.
+    pub const POOL_BYTES: usize = 512 << 20;
+
+    /// Opens the best adapter; one in software counts only where `software` says so.
+    ///
+    /// # Errors
+    /// [`RenderError::Adapter`] where there is none.
+    pub fn new(software: bool) -> Result<Self, RenderError> {
+        let (jobs, queue) = mpsc::sync_channel(Self::QUEUE);
+        let worker = Worker { software, state: None };
+        let thread = std::thread::Builder::new()
+            .name("tmpi-gpu".into())
+            .spawn(move || worker.run(&queue))
+            .map_err(|e| RenderError::Adapter(format!("starting its thread: {e}")))?;
+        let gpu = Self { jobs: Some(jobs), thread: Some(thread) };
+        gpu.ask(Job::Open)?;
+        Ok(gpu)
+    }
+
+    fn ask<T>(&self, job: impl FnOnce(Reply<T>) -> Job) -> Result<T, RenderError> {
+        let ended = |_| RenderError::Adapter("its thread has ended".into());
+        let (reply, answer) = mpsc::sync_channel(1);
+        self.jobs.as_ref().and_then(|jobs| jobs.send(job(reply)).ok()).ok_or_else(|| ended(mpsc::RecvError))?;
+        answer.recv().map_err(ended)?
+    }
+}
+
+impl Drop for Gpu {
+    /// Waits until the device is closed: a driver that is unloaded while the process ends brings the process down.
+    fn drop(&mut self) {
+        self.jobs = None;
+        // a panic of its thread was reported to whoever asked
+        self.thread.take().map(std::thread::JoinHandle::join);
+    }
+}
+
+impl Renderer for Gpu {
+    fn name(&self) -> &'static str {
+        "gpu"
+    }
+
+    fn render(&self, scene: &Arc<Scene>, camera: &Camera) -> Result<View, RenderError> {
+        check(camera)?;
+        self.ask(|reply| Job::Render(Arc::clone(scene), *camera, reply))
+    }
+}
+
+struct State {
+    scenes: SceneCache<Loaded>,
+    target: Option<Target>,
+    device: Device,
+}
+
+struct Worker {
+    software: bool,
+    state: Option<State>,
+}
+
+impl Worker {
+    fn run(mut self, queue: &mpsc::Receiver<Job>) {
+        while let Ok(job) = queue.recv() {
+            // a caller that has gone away does not want its answer
+            match job {
+                Job::Open(reply) => drop(reply.send(self.guarded(|_| Ok(())))),
+                Job::Render(scene, camera, reply) => drop(reply.send(self.guarded(|state| state.render(&scene, &camera)))),
+                #[cfg(test)]
+                Job::Lose(reply) => drop(reply.send(self.guarded(|state| {
+                    state.device.handle.destroy();
+                    Ok(())
+                }))),
+            }
+        }
+    }
+
+    /// Runs `work` on an open device; drops the device after an error of its own, so that the next call opens another.
+    fn guarded<T>(&mut self, work: impl FnOnce(&mut State) -> Result<T, RenderError>) -> Result<T, RenderError> {
+        let software = self.software;
+        let state = &mut self.state;
+        let caught = catch_unwind(AssertUnwindSafe(|| {
+            let state = match state {
+                Some(state) => state,
+                None => state.insert(State::open(software)?),
+            };
+            work(state)
+        }));
+        let result = caught.unwrap_or_else(|_| Err(RenderError::Adapter("the graphics library panicked".into())));
+        if let Err(error @ RenderError::Adapter(_)) = &result {
+            tracing::warn!(%error, "the graphics device is dropped");
+            self.state = None;
+        }
+        result
+    }
+}
+
+impl State {
+    fn open(software: bool) -> Result<Self, RenderError> {
+        Ok(Self { scenes: SceneCache::new(Gpu::POOL_BYTES), target: None, device: Device::open(software)? })
+    }
+
+    fn render(&mut self, scene: &Arc<Scene>, camera: &Camera) -> Result<View, RenderError> {
+        let Self { scenes, target, device } = self;
+        let loaded = if let Some(loaded) = scenes.get(scene) {
+            loaded
+        } else {
+            let plan = Plan::new(scene, &device.limits)?;
+            let bytes = plan.bytes();
+            if bytes > Gpu::POOL_BYTES {
+                return Err(RenderError::TooLarge(format!("{bytes} bytes of atlas; at most {} are taken", Gpu::POOL_BYTES)));
+            }
+            scenes.insert(scene, bytes, || plan.load(scene, device))
+        };
+        if target.as_ref().is_none_or(|t| !t.fits(camera, loaded.wide)) {
+            // the old one first, so that both never take memory at once
+            *target = None;
+            *target = Some(Target::new(device, camera, loaded.wide)?);
+        }
+        match target {
+            Some(target) => target.draw(device, scene, loaded, camera),
+            None => Err(RenderError::Adapter("no target".into())),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::testing;
+    use super::*;
+    use tmpi_core::Pose;
+
+    #[test]
+    fn a_lost_device_is_an_error_once_and_then_rebuilt() {
+        let gpu = match Gpu::new(true) {
+            Ok(gpu) => gpu,
+            Err(reason) => return eprintln!("skipped: {reason}"),
+        };
+        let scene = Arc::new(testing::flat(8, 8, 0.5));
+        let camera = Camera { pose: Pose::default(), intrinsics: scene.intrinsics, width: 8, height: 8 };
+        let before = gpu.render(&scene, &camera).unwrap();
+        gpu.ask(Job::Lose).unwrap();
+        assert!(matches!(gpu.render(&scene, &camera), Err(RenderError::Adapter(_))));
+        assert_eq!(gpu.render(&scene, &camera).unwrap(), before);
+        gpu.ask(Job::Lose).unwrap();
+        let auto = super::super::GpuOrCpu { gpu, cpu: super::super::Cpu::default() };
+        assert_eq!(auto.render(&scene, &camera).unwrap(), before, "meanwhile cpu serves");
+    }
+
+    #[test]
+    fn a_scene_beyond_the_pool_is_refused_with_its_size() {
+        let gpu = match Gpu::new(true) {
+            Ok(gpu) => gpu,
+            Err(reason) => return eprintln!("skipped: {reason}"),
+        };
+        let count = Gpu::POOL_BYTES / (2048 * 2048 * 4) + 1;
+        let mut scene = testing::flat(2048, 2048, 0.5);
+        let texels = 2048 * 2048;
+        scene.layers = (0..count).map(|i| tmpi_core::Layer { first_texel: i * texels, ..scene.layers[0] }).collect();
+        scene.texels.class = vec![1; count * texels];
+        scene.texels.alpha = vec![255; count * texels];
+        let camera = Camera { pose: Pose::default(), intrinsics: scene.intrinsics, width: 8, height: 8 };
+        let error = gpu.render(&Arc::new(scene), &camera).unwrap_err();
+        assert!(matches!(&error, RenderError::TooLarge(text) if text.contains("bytes")), "{error}");
+    }
+}

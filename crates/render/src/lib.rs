@@ -1,0 +1,158 @@
+//! Drawing a scene for a camera (paper, algorithm 1) on three backends that are held against each other.
+
+mod animation;
+mod border;
+mod cpu;
+pub mod difference;
+mod encode;
+mod footprint;
+mod gpu;
+mod prepared;
+mod reference;
+mod several;
+#[cfg(test)]
+mod testing;
+
+pub use animation::{Animation, AnimationError, AnimationFormat, Path, RATE};
+pub use border::{corners, looking_at, margin as border_margin};
+pub use cpu::{Cpu, draw_reference_view};
+pub use encode::{DEFAULT_QUALITY, EncodeError, PictureFormat, encode};
+pub use gpu::Gpu;
+pub use reference::Reference;
+pub use several::{Arrangement, EYES, MAX_QUILT, Rig, draw_several};
+
+use std::sync::Arc;
+
+use tmpi_core::{Camera, Scene, SceneError};
+
+/// What is nearer to the camera than this is not drawn, in units of the photo's nearest distance: depth 1 of the depth buffer.
+pub const NEAR: f64 = 1e-3;
+
+/// Sampled alpha from which `cpu` and `gpu` take a texel as opaque.
+pub const OPAQUE: f32 = 0.99;
+
+/// Largest width or height of a view in pixels.
+pub const MAX_SIDE: u32 = 16_384;
+
+/// Largest count of pixels of a view.
+pub const MAX_PIXELS: u64 = 1 << 26;
+
+/// Which backend draws.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[cfg_attr(feature = "clap", derive(clap::ValueEnum))]
+#[serde(rename_all = "lowercase")]
+pub enum Backend {
+    /// `gpu` where there is a hardware adapter, else `cpu`.
+    #[default]
+    Auto,
+    /// wgpu with the WGSL that the browser uses.
+    Gpu,
+    /// Row bands in parallel, front to back.
+    Cpu,
+    /// `f64`, all samples of a pixel sorted.
+    Reference,
+}
+
+/// Why nothing was drawn.
+#[derive(Debug, thiserror::Error)]
+pub enum RenderError {
+    /// The camera is not usable; the text names the field.
+    #[error("camera: {0}")]
+    Camera(&'static str),
+    /// The scene is not usable.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+    /// There is no graphics adapter, or it was lost and could not be rebuilt.
+    #[error("graphics adapter: {0}")]
+    Adapter(String),
+    /// Nobody waits for the view any more.
+    #[error("the view is not wanted any more")]
+    Cancelled,
+    /// The scene does not fit into the adapter's limits.
+    #[error("the scene does not fit the graphics adapter: {0}")]
+    TooLarge(String),
+}
+
+/// A drawn view.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct View {
+    /// Width in pixels.
+    pub width: u32,
+    /// Height in pixels.
+    pub height: u32,
+    /// Premultiplied RGBA, row-major; alpha is below 255 where nothing is known, which no camera of the view box sees.
+    pub rgba: Vec<[u8; 4]>,
+}
+
+impl View {
+    /// A view of `camera`'s size that nothing covers.
+    fn transparent(camera: &Camera) -> Self {
+        let pixels = camera.width as usize * camera.height as usize;
+        Self { width: camera.width, height: camera.height, rgba: vec![[0; 4]; pixels] }
+    }
+}
+
+/// A backend that draws scenes.
+pub trait Renderer: Send + Sync {
+    /// `gpu`, `cpu` or `reference`.
+    fn name(&self) -> &'static str;
+
+    /// Draws `scene` for `camera`.
+    ///
+    /// # Errors
+    /// [`RenderError`].
+    fn render(&self, scene: &Arc<Scene>, camera: &Camera) -> Result<View, RenderError>;
+}
+
+/// Checks what every backend relies on: a finite pose, valid intrinsics, a size within [`MAX_SIDE`] and [`MAX_PIXELS`].
+fn check(camera: &Camera) -> Result<(), RenderError> {
+    let (w, h) = (camera.width, camera.height);
+    if !camera.pose.is_finite() {
+        return Err(RenderError::Camera("pose must be finite"));
+    }
+    if !camera.intrinsics.is_valid() {
+        return Err(RenderError::Camera("intrinsics must be finite, focal lengths above 0"));
+    }
+    if w == 0 || h == 0 || w > MAX_SIDE || h > MAX_SIDE || u64::from(w) * u64::from(h) > MAX_PIXELS {
+        return Err(RenderError::Camera("width and height must be 1 to 16384, and at most 67108864 pixels together"));
+    }
+    Ok(())
+}
+
+/// The backend for `backend`. An adapter in software counts only where `gpu` is asked for by name.
+///
+/// # Errors
+/// [`RenderError::Adapter`] where `gpu` is asked for and there is no adapter.
+pub fn select(backend: Backend) -> Result<Arc<dyn Renderer>, RenderError> {
+    match backend {
+        Backend::Reference => Ok(Arc::new(Reference)),
+        Backend::Cpu => Ok(Arc::new(Cpu::default())),
+        Backend::Gpu => Ok(Arc::new(Gpu::new(true)?)),
+        Backend::Auto => match Gpu::new(false) {
+            Ok(gpu) => Ok(Arc::new(GpuOrCpu { gpu, cpu: Cpu::default() })),
+            Err(reason) => {
+                tracing::info!(%reason, "drawing on the processor");
+                Ok(Arc::new(Cpu::default()))
+            }
+        },
+    }
+}
+
+/// `gpu`, and `cpu` for a view that it cannot draw: too large, or the device was lost.
+struct GpuOrCpu {
+    gpu: Gpu,
+    cpu: Cpu,
+}
+
+impl Renderer for GpuOrCpu {
+    fn name(&self) -> &'static str {
+        self.gpu.name()
+    }
+
+    fn render(&self, scene: &Arc<Scene>, camera: &Camera) -> Result<View, RenderError> {
+        match self.gpu.render(scene, camera) {
+            Err(RenderError::Adapter(_) | RenderError::TooLarge(_)) => self.cpu.render(scene, camera),
+            result => result,
+        }
+    }
+}
