@@ -1,6 +1,27 @@
 // The server's HTTP interface, as far as the pages need it.
 import { problemOf, problemText } from '../decode/problem.js';
 
+/** @import { Settings } from '../view/settings.js' */
+
+/**
+ * State of a photo as the server tells it.
+ * @typedef {object} Photo
+ * @property {string} id
+ * @property {'queued' | 'working' | 'done' | 'failed'} state
+ * @property {string} created
+ * @property {number} width
+ * @property {number} height
+ * @property {number} atlas_bytes size of the container
+ * @property {Settings} [settings]
+ * @property {{atlas: string, poster: string}} links
+ * @property {{stage: string, step: number, steps: number}} [progress]
+ * @property {{title?: string, detail?: string}} [problem]
+ */
+
+/**
+ * @param {string} url
+ * @param {RequestInit} [options]
+ */
 async function request(url, options) {
   let response;
   try {
@@ -12,21 +33,32 @@ async function request(url, options) {
   return response;
 }
 
-export const photoUrl = (id, part = '') => `/v1/photos/${encodeURIComponent(id)}${part}`;
+export const photoUrl = (/** @type {string} */ id, part = '') => `/v1/photos/${encodeURIComponent(id)}${part}`;
 
-/** One page of the list, newest first: `{photos, next}`; `next` is the address of the next page. */
+/**
+ * One page of the list, newest first: `{photos, next}`; `next` is the address of the next page.
+ * @param {string} [address]
+ * @returns {Promise<{photos: Photo[], next?: string}>}
+ */
 export async function listPhotos(address = '/v1/photos') {
   return (await request(address)).json();
 }
 
-/** State of one photo. */
+/**
+ * State of one photo.
+ * @param {string} id
+ * @returns {Promise<Photo>}
+ */
 export async function getPhoto(id) {
   return (await request(photoUrl(id))).json();
 }
 
 /**
  * Changes settings of a photo by a merge patch; only the version `etag`, where it is given.
- * @returns {Promise<{state: object, etag: string}>}
+ * @param {string} id
+ * @param {object} patch
+ * @param {string | null} etag
+ * @returns {Promise<{state: Photo, etag: string | null}>}
  */
 export async function changeSettings(id, patch, etag) {
   const headers = { 'content-type': 'application/merge-patch+json', ...(etag && { 'if-match': etag }) };
@@ -34,12 +66,19 @@ export async function changeSettings(id, patch, etag) {
   return { state: await response.json(), etag: response.headers.get('etag') };
 }
 
-/** `options.keepalive`: goes on when the page is left. */
+/**
+ * `options.keepalive`: goes on when the page is left.
+ * @param {string} id
+ * @param {RequestInit} [options]
+ */
 export async function deletePhoto(id, options = {}) {
   await request(photoUrl(id), { method: 'DELETE', ...options });
 }
 
-/** The error of a refused upload; `retryAfter` in seconds where the server is only busy. */
+/**
+ * The error of a refused upload; `retryAfter` in seconds where the server is only busy.
+ * @param {XMLHttpRequest} xhr
+ */
 function refusal(xhr) {
   const error = /** @type {Error & {retryAfter?: number}} */ (new Error(problemText(xhr.status, xhr.statusText, xhr.responseText)));
   const seconds = Number(xhr.getResponseHeader('retry-after'));
@@ -49,7 +88,11 @@ function refusal(xhr) {
 
 /**
  * Uploads a file, with its depth map where there is one and options by name. `onProgress(fraction)` runs while bytes go out.
- * @returns {{done: Promise<{id: string, state: string}>, abort: () => void}} `done` gives the photo's JSON
+ * @param {File} file
+ * @param {File | null} depth
+ * @param {Record<string, number>} options
+ * @param {(fraction: number) => void} onProgress
+ * @returns {{done: Promise<Photo>, abort: () => void}} `done` gives the photo's JSON
  */
 export function uploadPhoto(file, depth, options, onProgress) {
   const xhr = new XMLHttpRequest();
@@ -67,7 +110,7 @@ export function uploadPhoto(file, depth, options, onProgress) {
     xhr.onabort = () => reject(new DOMException('Cancelled.', 'AbortError'));
   });
   const form = new FormData();
-  for (const [name, value] of Object.entries(options)) form.append(name, value);
+  for (const [name, value] of Object.entries(options)) form.append(name, String(value));
   form.append('photo', file, file.name || 'photo');
   if (depth) form.append('depth', depth, depth.name || 'depth');
   xhr.open('POST', '/v1/photos');

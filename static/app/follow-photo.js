@@ -1,15 +1,23 @@
 // Follows a photo on its way by the server's events, and by asking where these cannot be had.
 import { getPhoto, photoUrl } from './api.js';
 
+/** @import { Photo } from './api.js' */
+
 const ASK_EVERY_MS = 1500;
 const UNKNOWN = 'It could not be made.';
 
-/** Why a photo could not be made, from its state. */
+/**
+ * Why a photo could not be made, from its state.
+ * @param {Pick<Photo, 'problem'>} photo
+ */
 export function reasonOf(photo) {
   return photo.problem?.detail || photo.problem?.title || UNKNOWN;
 }
 
-/** True where a photo is still on its way. */
+/**
+ * True where a photo is still on its way.
+ * @param {Photo} photo
+ */
 export function isUnderWay(photo) {
   return photo.state === 'queued' || photo.state === 'working';
 }
@@ -31,6 +39,9 @@ export function followPhoto(id, on) {
     source.close();
   }
 
+  /**
+   * @param {() => void} call
+   */
   function settle(call) {
     if (ended) return;
     end();

@@ -1,9 +1,15 @@
 // What a photo is called.
 import { t } from '../i18n/messages.js';
 
+/** @import { Photo } from './api.js' */
+
 const NAME_KEY = 'tmpi:name:';
 
-/** The name of the file that a photo came from is known only to the browser that sent it. */
+/**
+ * The name of the file that a photo came from is known only to the browser that sent it.
+ * @param {string} id
+ * @param {string} name
+ */
 export function rememberName(id, name) {
   try {
     localStorage.setItem(NAME_KEY + id, name);
@@ -12,6 +18,9 @@ export function rememberName(id, name) {
   }
 }
 
+/**
+ * @param {string} id
+ */
 export function forgetName(id) {
   try {
     localStorage.removeItem(NAME_KEY + id);
@@ -20,7 +29,10 @@ export function forgetName(id) {
   }
 }
 
-/** What to call a photo: its title, its file's name without the ending, or when it was made. */
+/**
+ * What to call a photo: its title, its file's name without the ending, or when it was made.
+ * @param {Photo} photo
+ */
 export function photoName(photo) {
   if (photo.settings?.title) return photo.settings.title;
   /** @type {string | null} */

@@ -5,12 +5,13 @@ import { placeOf, settingsOf } from '../view/settings.js';
 import { changeSettings, photoUrl } from './api.js';
 import { $ } from './dom.js';
 
+/** @import { Photo } from './api.js' */
 /** @import { Viewer } from '../view/viewer.js' */
 /** @import { Settings } from '../view/settings.js' */
 
 /**
  * Fills the menu and listens to it.
- * @param {{id: string, viewer: () => Viewer, named: (state: object) => void, say: (text: string) => void}} page the photo, its viewer
+ * @param {{id: string, viewer: () => Viewer, named: (state: Photo) => void, say: (text: string) => void}} page the photo, its viewer
  *   as it is now, what to do with a saved state, and how to tell something
  */
 export function settingsMenu({ id, viewer, named, say }) {
@@ -40,6 +41,9 @@ export function settingsMenu({ id, viewer, named, say }) {
     $('set-save', HTMLButtonElement).disabled = Object.keys(patch).length === 0;
   }
 
+  /**
+   * @param {typeof patch} more
+   */
   function change(more) {
     Object.assign(patch, more);
     viewer().settings = now();
@@ -49,10 +53,13 @@ export function settingsMenu({ id, viewer, named, say }) {
   /** Where the camera is, in the view box. */
   const place = () => {
     const { x, y, z } = placeOf(viewer().motion.now, viewer().settings);
-    const short = (v) => Math.round(Math.max(-1, Math.min(1, v)) * 1e3) / 1e3;
+    const short = (/** @type {number} */ v) => Math.round(Math.max(-1, Math.min(1, v)) * 1e3) / 1e3;
     return { x: short(x), y: short(y), z: short(z) };
   };
 
+  /**
+   * @param {Event} [event]
+   */
   async function save(event) {
     event?.preventDefault();
     try {
@@ -65,7 +72,10 @@ export function settingsMenu({ id, viewer, named, say }) {
     }
   }
 
-  /** Takes over what the server has. */
+  /**
+   * Takes over what the server has.
+   * @param {{state: Photo, etag: string | null}} answer
+   */
   function read(answer) {
     etag = answer.etag;
     settings = settingsOf(answer.state);
@@ -87,7 +97,11 @@ export function settingsMenu({ id, viewer, named, say }) {
   return { read, settings: () => settings };
 }
 
-/** The state of a photo with its version, as `settingsMenu().read` takes it. */
+/**
+ * The state of a photo with its version, as `settingsMenu().read` takes it.
+ * @param {string} id
+ * @returns {Promise<{state: Photo, etag: string | null}>}
+ */
 export async function photoWithVersion(id) {
   const response = await fetch(photoUrl(id));
   if (!response.ok) throw new Error(String(response.status));

@@ -13,7 +13,7 @@ const waiting = new Map();
 let shown = null;
 
 /** True while the photo is to be deleted. */
-export const isGoing = (id) => waiting.has(id);
+export const isGoing = (/** @type {string} */ id) => waiting.has(id);
 
 /**
  * Deletes a photo after a while, unless it is undone.
@@ -27,6 +27,10 @@ export function deleteLater(id, name, then) {
   show(id, name);
 }
 
+/**
+ * @param {string} id
+ * @param {RequestInit} [options]
+ */
 async function run(id, options) {
   const { timer, then } = waiting.get(id);
   clearTimeout(timer);
@@ -41,6 +45,10 @@ async function run(id, options) {
   }
 }
 
+/**
+ * @param {string} id
+ * @param {string} name
+ */
 function show(id, name) {
   hide();
   const button = element('button', '', t('Undo'));

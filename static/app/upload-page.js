@@ -9,6 +9,8 @@ import { followPhoto, isUnderWay, reasonOf } from './follow-photo.js';
 import { forgetName, photoName, rememberName } from './photo-name.js';
 import { deleteLater, isGoing } from './undo.js';
 
+/** @import { Photo } from './api.js' */
+
 /** Uploads under way at the same time. */
 const PARALLEL = 2;
 /** Share of the bar that the upload itself takes. */
@@ -29,6 +31,9 @@ const waiting = [];
 const rows = new Map();
 let running = 0;
 
+/**
+ * @param {string} text
+ */
 function say(text) {
   $('status').textContent = text;
 }
@@ -36,6 +41,10 @@ function say(text) {
 // ---- one row while a photo is on its way
 
 class Row {
+  /**
+   * @param {string} name
+   * @param {File | null} preview
+   */
   constructor(name, preview) {
     this.name = name;
     this.preview = preview && URL.createObjectURL(preview);
@@ -57,11 +66,18 @@ class Row {
     $('uploads').hidden = false;
   }
 
+  /**
+   * @param {string} text
+   * @param {number} [share]
+   */
   show(text, share) {
     this.state.textContent = text;
     if (share !== undefined) this.bar.value = share;
   }
 
+  /**
+   * @param {string} message
+   */
   fail(message) {
     this.root.classList.add('failed');
     this.bar.hidden = true;
@@ -71,6 +87,9 @@ class Row {
     say(`${this.name}: ${message}`);
   }
 
+  /**
+   * @param {string} id
+   */
   done(id) {
     this.bar.hidden = true;
     this.state.textContent = t('Ready');
@@ -88,7 +107,10 @@ class Row {
   }
 }
 
-/** A small picture, or an empty frame where there is none to show. */
+/**
+ * A small picture, or an empty frame where there is none to show.
+ * @param {string | null} address
+ */
 function previewOf(address) {
   const empty = element('span', 'upload-picture');
   if (!address) return empty;
@@ -101,6 +123,9 @@ function previewOf(address) {
 
 // ---- uploads
 
+/**
+ * @param {File[]} files
+ */
 function take(files) {
   const map = $('depth-map', HTMLInputElement);
   // a map belongs to one photo
@@ -131,6 +156,9 @@ function sendNext() {
   }
 }
 
+/**
+ * @param {typeof waiting[number]} job
+ */
 async function send({ file, depth, options, row }) {
   try {
     const photo = await post(file, depth, options, row);
@@ -143,7 +171,13 @@ async function send({ file, depth, options, row }) {
   }
 }
 
-/** Sends the file; where the server is busy, waits as long as it asks. */
+/**
+ * Sends the file; where the server is busy, waits as long as it asks.
+ * @param {File} file
+ * @param {File | null} depth
+ * @param {Record<string, number>} options
+ * @param {Row} row
+ */
 async function post(file, depth, options, row) {
   for (;;) {
     const upload = uploadPhoto(file, depth, options, (share) =>
@@ -160,6 +194,10 @@ async function post(file, depth, options, row) {
   }
 }
 
+/**
+ * @param {number} ms
+ * @param {Row} row
+ */
 function pause(ms, row) {
   return new Promise((resolve, reject) => {
     const timer = setTimeout(resolve, ms);
@@ -170,6 +208,10 @@ function pause(ms, row) {
   });
 }
 
+/**
+ * @param {Photo} photo
+ * @param {Row} row
+ */
 function follow(photo, row) {
   rows.set(photo.id, row);
   const stop = followPhoto(photo.id, {
@@ -194,17 +236,26 @@ function follow(photo, row) {
 
 // ---- gallery
 
+/**
+ * @param {string} id
+ */
 async function remove(id) {
   await deletePhoto(id);
   forget(id);
 }
 
+/**
+ * @param {string} id
+ */
 function forget(id) {
   forgetName(id);
   rows.get(id)?.remove();
   rows.delete(id);
 }
 
+/**
+ * @param {Photo} photo
+ */
 function card(photo) {
   const name = photoName(photo);
   const image = element('img', 'thumb');
@@ -222,11 +273,20 @@ function card(photo) {
   return frame(photo, name, link, element('p', 'card-facts', size, formatBytes(photo.atlas_bytes)));
 }
 
+/**
+ * @param {Photo} photo
+ */
 function failedCard(photo) {
   const thumb = element('span', 'thumb', t('Not made'));
   return frame(photo, photoName(photo), thumb, element('p', 'card-facts bad', sentence(reasonOf(photo))));
 }
 
+/**
+ * @param {Photo} photo
+ * @param {string} name
+ * @param {HTMLElement} top
+ * @param {HTMLElement} facts
+ */
 function frame(photo, name, top, facts) {
   const bin = element('button', 'round', icon('bin'));
   bin.type = 'button';
@@ -274,6 +334,10 @@ async function list(address) {
   }
 }
 
+/**
+ * @param {{photos: Photo[], next?: string}} page
+ * @param {boolean} more
+ */
 function show(page, more) {
   const cards = page.photos
     .filter((photo) => !isUnderWay(photo) && !isGoing(photo.id))
@@ -292,7 +356,10 @@ async function refresh() {
   return page;
 }
 
-/** Photos that were on their way when the page was opened. */
+/**
+ * Photos that were on their way when the page was opened.
+ * @param {Photo[]} photos
+ */
 function resume(photos) {
   for (const photo of photos) {
     if (!isUnderWay(photo) || rows.has(photo.id)) continue;
@@ -318,7 +385,7 @@ for (const picker of [$('picker', HTMLInputElement), $('camera', HTMLInputElemen
 }
 
 let depth = 0;
-const carriesFiles = (event) => event.dataTransfer?.types.includes('Files');
+const carriesFiles = (/** @type {DragEvent} */ event) => event.dataTransfer?.types.includes('Files');
 addEventListener('dragenter', (event) => {
   if (!carriesFiles(event)) return;
   depth++;
@@ -335,7 +402,7 @@ addEventListener('drop', async (event) => {
   event.preventDefault();
   depth = 0;
   $('drop').classList.remove('over');
-  take(await filesOf(event.dataTransfer));
+  if (event.dataTransfer) take(await filesOf(event.dataTransfer));
 });
 addEventListener('paste', (event) => {
   const files = [...(event.clipboardData?.files ?? [])];

@@ -13,6 +13,8 @@ import { followPhoto, isUnderWay } from './follow-photo.js';
 import { photoName } from './photo-name.js';
 import { photoWithVersion, settingsMenu } from './settings-menu.js';
 
+/** @import { Photo } from './api.js' */
+
 const TOAST_MS = 2500;
 const NOTE_MS = 7000;
 const HASH_KEY = 'pose';
@@ -41,6 +43,9 @@ function shareAddress() {
   return url.href;
 }
 
+/**
+ * @param {string} text
+ */
 function toast(text) {
   $('toast').textContent = text;
   $('toast').classList.add('on');
@@ -56,6 +61,10 @@ function readout() {
   $('readout').textContent = parts.join(' · ');
 }
 
+/**
+ * @param {string} text
+ * @param {number} [share]
+ */
 function showLoading(text, share) {
   $('loading').hidden = false;
   $('loading-text').textContent = text;
@@ -63,6 +72,9 @@ function showLoading(text, share) {
   else $('bar', HTMLProgressElement).value = share;
 }
 
+/**
+ * @param {string} message
+ */
 function fail(message) {
   $('loading').hidden = true;
   $('tools').hidden = true;
@@ -70,11 +82,17 @@ function fail(message) {
   $('failure').hidden = false;
 }
 
+/**
+ * @param {boolean} on
+ */
 function showIdle(on) {
   $('idle').setAttribute('aria-pressed', String(on));
 }
 
-/** Fills what the photo leaves free with its colours: a few pixels drawn large, which costs no frame any time. */
+/**
+ * Fills what the photo leaves free with its colours: a few pixels drawn large, which costs no frame any time.
+ * @param {HTMLImageElement} image
+ */
 async function showBackdrop(image) {
   await image.decode().catch(() => {});
   if (!image.naturalWidth) return;
@@ -139,6 +157,9 @@ function start() {
   });
 }
 
+/**
+ * @param {string} message
+ */
 async function waitOrFail(message) {
   const photo = await getPhoto(id).catch(() => null);
   if (!photo || !isUnderWay(photo)) return fail(message);
@@ -251,6 +272,9 @@ addEventListener('hashchange', () => {
   if (offset) viewer.moveTo(offset);
 });
 
+/**
+ * @param {Photo} photo
+ */
 function showName(photo) {
   const name = photoName(photo);
   $('title').textContent = name;

@@ -5,14 +5,23 @@ import { WebGpuRenderer } from './webgpu.js';
 
 /** @import { Scene } from '../decode/scene.js' */
 
+/** @typedef {'gpu' | 'webgl'} Mode */
+
 const ATTEMPTS = 2;
 
 export class Backends {
   /** Looks what there is. */
   static async find() {
-    return new Backends([(await findAdapter()) ? 'gpu' : null, hasWebGl() ? 'webgl' : null].filter(Boolean));
+    /** @type {Mode[]} */
+    const modes = [];
+    if (await findAdapter()) modes.push('gpu');
+    if (hasWebGl()) modes.push('webgl');
+    return new Backends(modes);
   }
 
+  /**
+   * @param {Mode[]} modes
+   */
   constructor(modes) {
     this.left = modes.map((mode) => ({ mode, attempts: ATTEMPTS }));
     this.reason = 'This browser has neither WebGPU nor WebGL.';
@@ -34,7 +43,7 @@ export class Backends {
       if (backend.attempts-- > 0) {
         try {
           const canvas = document.createElement('canvas');
-          const lost = ({ message }) => {
+          const lost = (/** @type {{message: string}} */ { message }) => {
             this.reason = message || 'The graphics device was lost.';
             onLost(this.reason);
           };

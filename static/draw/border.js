@@ -66,7 +66,14 @@ export function pieces(scene) {
   return out;
 }
 
-/** From and to where `from..from + size` of a tile that starts at `tile` is drawn, on an axis of `length` pixels: `Grid::drawn`. */
+/**
+ * From and to where `from..from + size` of a tile that starts at `tile` is drawn, on an axis of `length` pixels: `Grid::drawn`.
+ * @param {Scene} scene
+ * @param {number} tile
+ * @param {number} from
+ * @param {number} size
+ * @param {number} length
+ */
 function drawn({ tileSize, tileStride }, tile, from, size, length) {
   const overlap = tileSize - tileStride;
   const by = overlap < 2 ? 0 : overlap < 8 ? 0.5 : 1.5;
@@ -89,7 +96,7 @@ function sides(from, size, [start, stop], length, margin) {
   /** @type {{at: number, size: number, first: number, drawn: number[], mirror: number | null}[]} */
   const out = [{ at: from, size, first: 0, drawn: [start, stop], mirror: null }];
   // what is drawn of `n` texels from `first` on, seen from the other end
-  const back = (first, n) => [stop, start].map((v) => n - Math.min(Math.max(v - first, 0), n));
+  const back = (/** @type {number} */ first, /** @type {number} */ n) => [stop, start].map((v) => n - Math.min(Math.max(v - first, 0), n));
   const low = Math.min(end, margin) - from;
   if (low > 0) out.push({ at: -(from + low), size: low, first: 0, drawn: back(0, low), mirror: 0 });
   const first = Math.max(from, length - margin) - from;

@@ -35,12 +35,19 @@ export function instances(scene, pieces, { page, atlasX, atlasY }, errors = []) 
 /** Parallax error in pixels that is shown as the largest. */
 const MOST_PX = 1;
 
-/** An error as the fraction that an instance carries beside its page. */
+/**
+ * An error as the fraction that an instance carries beside its page.
+ * @param {number} px
+ */
 function shareOf(px) {
   return px > 0 ? Math.min(px / MOST_PX, 1) * 0.999 : 0;
 }
 
-/** Number of a layer's tile, row by row. */
+/**
+ * Number of a layer's tile, row by row.
+ * @param {Scene} scene
+ * @param {number} layer
+ */
 function tileOf(scene, layer) {
   const { layers, tileStride } = scene;
   const { columns } = tileCounts(scene);

@@ -3,6 +3,8 @@ import { problemOf } from '../decode/problem.js';
 import { POSE_KEYS } from '../view/camera.js';
 
 const KEPT = 64;
+/** @import { Pose } from '../view/camera.js' */
+
 /** Longest side asked for, pixels. */
 const MAX_SIDE = 1280;
 const SIZE_STEP = 64;
@@ -21,15 +23,17 @@ export class ServerViews {
     this.onError = onError;
     /** @type {Map<string, string>} */
     this.kept = new Map();
+    /** @type {string | null} */
     this.wanted = null;
     this.busy = false;
     this.disposed = false;
+    /** @type {string | null} */
     this.shown = null;
   }
 
   /**
    * Asks for a view; the latest wins and at most one request is under way.
-   * @param {object} pose
+   * @param {Pose} pose
    * @param {number} fov horizontal, degrees
    * @param {number} width wanted, device pixels
    */
@@ -38,6 +42,11 @@ export class ServerViews {
     if (!this.busy) this.#next();
   }
 
+  /**
+   * @param {Pose} pose
+   * @param {number} fov
+   * @param {number} wanted
+   */
   #address(pose, fov, wanted) {
     const aspect = this.size.height / this.size.width;
     const limit = Math.min(MAX_SIDE, MAX_SIDE / aspect);
@@ -75,7 +84,11 @@ export class ServerViews {
     }
   }
 
-  /** Keeps the pictures used last. */
+  /**
+   * Keeps the pictures used last.
+   * @param {string} address
+   * @param {string} source
+   */
   #keep(address, source) {
     this.kept.delete(address);
     this.kept.set(address, source);
@@ -92,6 +105,9 @@ export class ServerViews {
   }
 }
 
+/**
+ * @param {string} address
+ */
 async function fetchView(address) {
   const response = await fetch(address);
   if (!response.ok) throw new Error(await problemOf(response));

@@ -36,7 +36,7 @@ export function pack(pieces, side, most) {
     area += w * h;
     widest = Math.max(widest, w);
   }
-  const roundUp = (v) => Math.ceil(v / PAGE_STEP) * PAGE_STEP;
+  const roundUp = (/** @type {number} */ v) => Math.ceil(v / PAGE_STEP) * PAGE_STEP;
   const width = Math.min(side, roundUp(Math.max(widest, Math.sqrt(area))));
   /** @type {Places} */
   const places = {
@@ -55,6 +55,7 @@ export function pack(pieces, side, most) {
     const { w, h } = pieces[i];
     if (w > side || h > side) throw new Error(`a layer of ${w} × ${h} pixels does not fit the graphics device`);
     if (!band || x + w > width) {
+      /** @type {number[]} */
       let [page, y] = band ? [band.page, band.y + band.h] : [0, 0];
       if (y + h > side) [page, y] = [page + 1, 0];
       if (page >= most) throw new Error('the layers do not fit the graphics device');

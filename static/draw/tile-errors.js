@@ -9,7 +9,10 @@ export class TileErrors {
     this.address = address;
   }
 
-  /** Fetches the errors, once, and hands them to `renderer`; does nothing before `want`. */
+  /**
+   * Fetches the errors, once, and hands them to `renderer`; does nothing before `want`.
+   * @param {{setTileErrors: (errors: number[]) => void} | null} renderer
+   */
   async show(renderer) {
     const errors = await this.#wanted;
     if (errors) renderer?.setTileErrors(errors);

@@ -143,6 +143,9 @@ class TmpiViewer extends HTMLElement {
     this.#stop();
   }
 
+  /**
+   * @param {string} name
+   */
   attributeChangedCallback(name) {
     if (!this.isConnected) return;
     this.#describe();
@@ -158,12 +161,18 @@ class TmpiViewer extends HTMLElement {
     return !off && !matchMedia('(prefers-reduced-motion: reduce)').matches;
   }
 
+  /**
+   * @param {boolean} visible
+   */
   #onSeen(visible) {
     if (this.#viewer) this.#viewer.asleep = !visible;
     else this.#maybeStart(visible);
   }
 
-  /** Nothing is fetched for what nobody scrolls to or asks for, unless the page wants it. */
+  /**
+   * Nothing is fetched for what nobody scrolls to or asks for, unless the page wants it.
+   * @param {boolean} visible
+   */
   #maybeStart(visible) {
     if (this.getAttribute('reveal') === 'interaction') return;
     if (visible || this.getAttribute('loading') === 'eager') this.#start();
@@ -196,12 +205,12 @@ class TmpiViewer extends HTMLElement {
       atlas,
       view: given ? new URL(given, document.baseURI).href : beside(atlas, '/view'),
       report: beside(atlas, '/report'),
-      settings: state && fetchSettings(state),
+      settings: state ? fetchSettings(state) : undefined,
       embedded: true,
     });
     this.#viewer = viewer;
     if (!this.#movesByItself) viewer.setIdle(false);
-    const fire = (type, detail) => this.dispatchEvent(new CustomEvent(type, { detail }));
+    const fire = (/** @type {string} */ type, /** @type {object} */ detail) => this.dispatchEvent(new CustomEvent(type, { detail }));
     viewer.addEventListener('photo', () => (this.#poster.hidden = true));
     viewer.addEventListener('progress', ({ detail }) =>
       fire('progress', { ...detail, totalProgress: detail.total ? detail.received / detail.total : 0 }),

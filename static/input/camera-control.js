@@ -1,5 +1,5 @@
 // Where the camera is: how far it was moved, within what the photo allows and its owner wants.
-import { HOME, lookingAt, POSE_KEYS, pivotOf } from '../view/camera.js';
+import { HOME, lookingAt, POSE_KEYS, pivotOf, UNKNOWN_PIVOT } from '../view/camera.js';
 import { limitsOf } from '../view/limits.js';
 import { limited, offsetOf } from '../view/settings.js';
 
@@ -17,8 +17,11 @@ export class CameraControl {
    * @type {Offset | null}
    */
   limits = null;
-  /** Disparity that views turn about. */
-  pivot;
+  /**
+   * Disparity that views turn about.
+   * @type {number}
+   */
+  pivot = UNKNOWN_PIVOT;
   /**
    * What the photo's owner wants (view/settings.js).
    * @type {Settings}
@@ -38,13 +41,20 @@ export class CameraControl {
     this.motion = motion;
   }
 
-  /** Takes over what is known of the scene: its head, and all of it once it is there. */
+  /**
+   * Takes over what is known of the scene: its head, and all of it once it is there.
+   * @param {SceneHead} head
+   * @param {Scene | null} scene
+   */
   know(head, scene) {
     this.#head = head;
     this.#scene = scene;
     this.#update();
   }
 
+  /**
+   * @param {Settings} settings
+   */
   obey(settings) {
     this.settings = settings;
     if (!this.touched && settings.start) this.motion.jump(offsetOf(settings.start, settings));
@@ -63,10 +73,13 @@ export class CameraControl {
     this.touched = true;
   }
 
-  /** Holds a pose, within the limits or not, until it is moved; what is no number is as at home. */
+  /**
+   * Holds a pose, within the limits or not, until it is moved; what is no number is as at home.
+   * @param {Partial<Pose>} pose
+   */
   hold(pose) {
     const exact = { ...HOME };
-    for (const key of POSE_KEYS) if (Number.isFinite(pose[key])) exact[key] = pose[key];
+    for (const key of POSE_KEYS) if (Number.isFinite(pose[key])) exact[key] = Number(pose[key]);
     this.#exact = exact;
   }
 
@@ -85,6 +98,9 @@ export class CameraControl {
     return this.#exact ?? this.#at(quantised(this.motion.now));
   }
 
+  /**
+   * @param {Offset} offset
+   */
   #at(offset) {
     if (!this.limits) return { ...HOME };
     const { x, y, z } = this.limits;
@@ -92,8 +108,11 @@ export class CameraControl {
   }
 }
 
-/** An offset in units of the view box, on a grid. */
+/**
+ * An offset in units of the view box, on a grid.
+ * @param {Offset} offset
+ */
 export function quantised(offset) {
-  const snap = (v) => Math.round(v * STEPS) / STEPS;
+  const snap = (/** @type {number} */ v) => Math.round(v * STEPS) / STEPS;
   return { x: snap(offset.x), y: snap(offset.y), z: snap(offset.z) };
 }

@@ -34,7 +34,10 @@ export class Tilt {
     return this.#stop !== null;
   }
 
-  /** Starts or stops. To be called from a tap, which is when iOS asks for permission; throws where that is not given. */
+  /**
+   * Starts or stops. To be called from a tap, which is when iOS asks for permission; throws where that is not given.
+   * @param {boolean} on
+   */
   async set(on) {
     const wish = ++this.#wish;
     this.#stop?.();
@@ -51,7 +54,7 @@ export class Tilt {
     const { motion } = this;
     /** @type {number[] | null} */
     let middle = null;
-    const onTilt = ({ beta, gamma }) => {
+    const onTilt = (/** @type {DeviceOrientationEvent} */ { beta, gamma }) => {
       if (beta === null || gamma === null) return;
       const now = turned(beta, gamma, screen.orientation?.angle ?? 0);
       middle ??= now;
@@ -70,13 +73,21 @@ export class Tilt {
   }
 }
 
-/** Tilt to the right and downwards as the screen is held. */
+/**
+ * Tilt to the right and downwards as the screen is held.
+ * @param {number} beta
+ * @param {number} gamma
+ * @param {number} angle
+ */
 function turned(beta, gamma, angle) {
   if (angle === 90) return [beta, -gamma];
   if (angle === 270) return [-beta, gamma];
   return angle === 180 ? [-gamma, -beta] : [gamma, beta];
 }
 
+/**
+ * @param {number} degrees
+ */
 function wrapped(degrees) {
   return ((((degrees + 180) % 360) + 360) % 360) - 180;
 }

@@ -1,7 +1,9 @@
 // Where the camera should be: takes pointer, touch, wheel and keys, keeps to the view box, and eases there.
 // All offsets are in units of the view box's half extents: -1 to 1 on each axis.
 
-const AXES = ['x', 'y', 'z'];
+/** @import { Offset } from '../decode/scene.js' */
+
+const AXES = /** @type {('x' | 'y' | 'z')[]} */ (['x', 'y', 'z']);
 /** Time constant of the critically damped spring, seconds. */
 const EASE_S = 0.11;
 /** Longest step that the spring takes at once, so that a pause does not make it jump. */
@@ -15,12 +17,18 @@ const MAX_RAW = 2.5;
 const KEY_STEP = 0.2;
 const WHEEL_STEP = 1 / 600;
 
-/** Smooth clamp of any number to (-1, 1); close to the identity around 0. */
+/**
+ * Smooth clamp of any number to (-1, 1); close to the identity around 0.
+ * @param {number} v
+ */
 export function softLimit(v) {
   return v / (1 + Math.abs(v) ** KNEE) ** (1 / KNEE);
 }
 
-/** The number that `softLimit` takes to `v`; short of the limits, where there is none. */
+/**
+ * The number that `softLimit` takes to `v`; short of the limits, where there is none.
+ * @param {number} v
+ */
 function hardened(v) {
   const inside = Math.max(-0.98, Math.min(0.98, v || 0));
   return inside / (1 - Math.abs(inside) ** KNEE) ** (1 / KNEE);
@@ -39,15 +47,24 @@ export class Motion {
     this.level = 0;
   }
 
-  /** Moves the target by an offset. */
+  /**
+   * Moves the target by an offset.
+   * @param {number} dx
+   * @param {number} dy
+   * @param {number} dz
+   */
   nudge(dx, dy, dz) {
     // not far beyond the knee, or the way back would feel dead
-    const bounded = (v) => Math.max(-MAX_RAW, Math.min(MAX_RAW, v));
+    const bounded = (/** @type {number} */ v) => Math.max(-MAX_RAW, Math.min(MAX_RAW, v));
     this.raw = { x: bounded(this.raw.x + dx), y: bounded(this.raw.y + dy), z: bounded(this.raw.z + dz) };
     this.touched();
   }
 
-  /** Sets the target on x and y. */
+  /**
+   * Sets the target on x and y.
+   * @param {number} x
+   * @param {number} y
+   */
   aim(x, y) {
     this.raw.x = x;
     this.raw.y = y;
@@ -60,7 +77,10 @@ export class Motion {
     this.touched();
   }
 
-  /** Puts the camera there at once, within the view box. */
+  /**
+   * Puts the camera there at once, within the view box.
+   * @param {Offset} offset
+   */
   jump({ x, y, z }) {
     this.raw = { x: hardened(x), y: hardened(y), z: hardened(z) };
     this.now = { x: softLimit(this.raw.x), y: softLimit(this.raw.y), z: softLimit(this.raw.z) };
@@ -73,12 +93,18 @@ export class Motion {
     this.quiet = 0;
   }
 
+  /**
+   * @param {boolean} on
+   */
   setIdle(on) {
     this.idle = on;
     this.quiet = on ? SWING.delay : 0;
   }
 
-  /** Advances by `dt` seconds; true while anything moves or will move by itself. */
+  /**
+   * Advances by `dt` seconds; true while anything moves or will move by itself.
+   * @param {number} dt
+   */
   step(dt) {
     this.quiet += dt;
     const swinging = this.idle && this.quiet > SWING.delay;
@@ -98,6 +124,11 @@ export class Motion {
     return moving;
   }
 
+  /**
+   * @param {'x' | 'y' | 'z'} axis
+   * @param {number} target
+   * @param {number} dt
+   */
   #spring(axis, target, dt) {
     const omega = 2 / EASE_S;
     const distance = this.now[axis] - target;
@@ -115,11 +146,21 @@ export class Motion {
 /**
  * Listens on `element` and drives `motion`. `wake` is called after every input; `toggleIdle` on the space bar. `embedded`: the
  * wheel scrolls the page unless the element has the focus.
+ * @param {HTMLElement} element
+ * @param {Motion} motion
+ * @param {{wake: () => void, toggleIdle: () => void, embedded?: boolean}} on
  * @returns {() => void} stops listening
  */
 export function listen(element, motion, { wake, toggleIdle, embedded }) {
   const stop = new AbortController();
+  /**
+   * @template {keyof HTMLElementEventMap} K
+   * @param {K} type
+   * @param {(event: HTMLElementEventMap[K]) => void} handler
+   * @param {AddEventListenerOptions} [options]
+   */
   const on = (type, handler, options) => element.addEventListener(type, handler, { signal: stop.signal, ...options });
+  /** @type {Map<number, {x: number, y: number}>} */
   const pointers = new Map();
   // after a drag the camera stays where it was put until the pointer comes back
   let hovering = true;
@@ -140,7 +181,7 @@ export function listen(element, motion, { wake, toggleIdle, embedded }) {
       wake();
     }
   });
-  const release = (event) => pointers.delete(event.pointerId);
+  const release = (/** @type {PointerEvent} */ event) => pointers.delete(event.pointerId);
   on('pointerup', release);
   on('pointercancel', release);
   on('pointerenter', () => (hovering = pointers.size === 0));
@@ -151,6 +192,11 @@ export function listen(element, motion, { wake, toggleIdle, embedded }) {
     }
   });
 
+  /**
+   * @param {PointerEvent} event
+   * @param {{x: number, y: number}} last
+   * @param {DOMRect} box
+   */
   function drag(event, last, box) {
     const before = spread();
     const share = pointers.size;
@@ -182,6 +228,7 @@ export function listen(element, motion, { wake, toggleIdle, embedded }) {
     { passive: false },
   );
 
+  /** @type {Record<string, () => void>} */
   const keys = {
     ArrowLeft: () => motion.nudge(-KEY_STEP, 0, 0),
     ArrowRight: () => motion.nudge(KEY_STEP, 0, 0),

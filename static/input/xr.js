@@ -4,7 +4,8 @@ import { WebGlRenderer } from '../draw/webgl.js';
 import { anglesOf, EYES, HOME } from '../view/camera.js';
 import { softLimit } from './motion.js';
 
-/** @import { Scene } from '../decode/scene.js' */
+/** @import { Offset, Scene } from '../decode/scene.js' */
+/** @import { View } from '../view/camera.js' */
 
 /** Distance of a person's eyes in metres: it is that of the other stereo views, which gives the unit of length its metres. */
 const EYES_M = 0.063;
@@ -41,11 +42,18 @@ export class Headset {
     return headset;
   }
 
+  /**
+   * @param {XRSession} session
+   * @param {Offset} limits
+   * @param {() => void} onEnd
+   */
   constructor(session, limits, onEnd) {
+    /** @type {XRSession | null} */
     this.session = session;
     this.limits = limits;
     this.frames = 0;
     /** What the eyes saw last. */
+    /** @type {View[]} */
     this.views = [];
     session.addEventListener('end', () => {
       this.session = null;
@@ -54,14 +62,19 @@ export class Headset {
     });
   }
 
+  /**
+   * @param {Scene} scene
+   */
   async #build(scene) {
+    const { session } = this;
+    if (!session) throw new Error('the headset was put down');
     this.renderer = await WebGlRenderer.create(document.createElement('canvas'), scene, () => this.end());
     const { gl } = this.renderer;
     await gl.makeXRCompatible();
-    this.layer = new XRWebGLLayer(this.session, gl);
-    await this.session.updateRenderState({ baseLayer: this.layer, depthFar: FAR_M });
-    this.space = await this.session.requestReferenceSpace('local');
-    this.session.requestAnimationFrame(this.#frame);
+    this.layer = new XRWebGLLayer(session, gl);
+    await session.updateRenderState({ baseLayer: this.layer, depthFar: FAR_M });
+    this.space = await session.requestReferenceSpace('local');
+    session.requestAnimationFrame(this.#frame);
   }
 
   /** @type {XRFrameRequestCallback} */
@@ -87,13 +100,17 @@ export class Headset {
  * One eye's view as renderers take it. WebXR has y up and z backward; here y is down and z forward.
  * @param {XRView} view
  * @param {XRRigidTransform} head
+ * @param {Offset} limits
+ * @param {{x: number, y: number, width: number, height: number}} viewport
+ * @returns {View}
  */
 export function eyeView(view, head, limits, { x, y, width, height }) {
   const turned = [1, -1, -1];
   const at = view.transform.matrix;
   const axes = [0, 1, 2];
   const c = axes.flatMap((i) => axes.map((j) => at[j * 4 + i] * turned[i] * turned[j]));
-  const place = ['x', 'y', 'z'].map((axis, i) => {
+  const names = /** @type {('x' | 'y' | 'z')[]} */ (['x', 'y', 'z']);
+  const place = names.map((axis, i) => {
     const middle = head.position[axis] * turned[i] * UNITS_PER_METRE;
     const apart = (view.transform.position[axis] - head.position[axis]) * turned[i] * UNITS_PER_METRE;
     return limits[axis] * softLimit(middle / limits[axis] || 0) + apart;

@@ -1,7 +1,7 @@
 // Cameras and poses: the arithmetic of crates/core/src/scene/camera.rs, plus what framing a photo on a page needs.
 // x right, y down, z forward; lengths in units of the nearest distance; angles in degrees.
 
-/** @import { Intrinsics, Scene, SceneHead } from '../decode/scene.js' */
+/** @import { Intrinsics, Offset, Scene, SceneHead } from '../decode/scene.js' */
 
 /** @typedef {{tx: number, ty: number, tz: number, yaw: number, pitch: number, roll: number}} Pose */
 /**
@@ -15,6 +15,10 @@ export const POSE_KEYS = Object.freeze(/** @type {(keyof Pose)[]} */ (Object.key
 
 const RADIANS = Math.PI / 180;
 
+/**
+ * @param {number[]} a
+ * @param {number[]} b
+ */
 function multiply(a, b) {
   const out = [];
   for (let i = 0; i < 3; i++) {
@@ -23,7 +27,10 @@ function multiply(a, b) {
   return out;
 }
 
-/** `{r, t}` with `X_t = R X + t`; `r` row-major. */
+/**
+ * `{r, t}` with `X_t = R X + t`; `r` row-major.
+ * @param {Pose} pose
+ */
 export function extrinsics(pose) {
   const [sy, cy] = [Math.sin(pose.yaw * RADIANS), Math.cos(pose.yaw * RADIANS)];
   const [sp, cp] = [Math.sin(pose.pitch * RADIANS), Math.cos(pose.pitch * RADIANS)];
@@ -37,7 +44,12 @@ export function extrinsics(pose) {
   return { r, t };
 }
 
-/** The same camera at another picture size: the horizontal field of view stays. */
+/**
+ * The same camera at another picture size: the horizontal field of view stays.
+ * @param {Intrinsics} k
+ * @param {{width: number, height: number}} from
+ * @param {{width: number, height: number}} to
+ */
 export function resized(k, from, to) {
   const s = to.width / from.width;
   return {
@@ -48,12 +60,20 @@ export function resized(k, from, to) {
   };
 }
 
-/** Horizontal field of view in degrees. */
+/**
+ * Horizontal field of view in degrees.
+ * @param {Intrinsics} k
+ * @param {number} width
+ */
 export function fovX(k, width) {
   return (2 * Math.atan(width / 2 / k.fx)) / RADIANS;
 }
 
-/** `m` with `δ = mᵀ(x, y, 1)` in normalised image coordinates, of layer `i`. */
+/**
+ * `m` with `δ = mᵀ(x, y, 1)` in normalised image coordinates, of layer `i`.
+ * @param {Scene} scene
+ * @param {number} i
+ */
 export function normalOf(scene, i) {
   const { layers, intrinsics: k } = scene;
   const half = scene.tileSize / 2;
@@ -67,6 +87,10 @@ export function normalOf(scene, i) {
 /**
  * A camera at an offset that keeps looking at the middle of the scene: it turns against its own shift so that what lies at
  * disparity `pivot` stays in place.
+ * @param {number} pivot
+ * @param {number} tx
+ * @param {number} ty
+ * @param {number} tz
  */
 export function lookingAt(pivot, tx, ty, tz) {
   const depth = 1 - tz * pivot;
@@ -76,11 +100,14 @@ export function lookingAt(pivot, tx, ty, tz) {
 }
 
 /** Pivot where only the head of a scene is known. */
-const UNKNOWN_PIVOT = 0.35;
-/** The disparity that views turn about: that at the middle of the picture's area. */
+export const UNKNOWN_PIVOT = 0.35;
+/**
+ * The disparity that views turn about: that at the middle of the picture's area.
+ * @param {Scene | SceneHead} scene
+ */
 export function pivotOf(scene) {
+  if (!('layers' in scene)) return UNKNOWN_PIVOT;
   const { layers } = scene;
-  if (!layers) return UNKNOWN_PIVOT;
   const BINS = 256;
   const area = new Float64Array(BINS);
   let total = 0;
@@ -98,7 +125,13 @@ export function pivotOf(scene) {
   return 1;
 }
 
-/** δ of layer `i` at a reference pixel. */
+/**
+ * δ of layer `i` at a reference pixel.
+ * @param {Pick<Scene, 'layers' | 'tileSize'>} scene
+ * @param {number} i
+ * @param {number} x
+ * @param {number} y
+ */
 export function deltaAt({ layers, tileSize }, i, x, y) {
   const half = tileSize / 2;
   return layers.a[i] + (layers.b[i] * (x - layers.tileX[i] - half)) / half + (layers.c[i] * (y - layers.tileY[i] - half)) / half;
@@ -107,7 +140,13 @@ export function deltaAt({ layers, tileSize }, i, x, y) {
 /** Distance of the eyes in units of the nearest distance, as the server has it for stereo. */
 export const EYES = 1 / 30;
 
-/** The views of both eyes, side by side on a canvas of `size`; what lies at disparity `focus` stands in the screen. */
+/**
+ * The views of both eyes, side by side on a canvas of `size`; what lies at disparity `focus` stands in the screen.
+ * @param {Pose} pose
+ * @param {SceneHead} head
+ * @param {{width: number, height: number}} size
+ * @param {number} focus
+ */
 export function eyes(pose, head, size, focus) {
   const [width, height] = [Math.floor(size.width / 2), size.height];
   const k = resized(head.intrinsics, head, { width, height });
@@ -125,7 +164,7 @@ export function eyes(pose, head, size, focus) {
 export function shifted(view, [right, down], focus) {
   const { pose, k } = view;
   const { r } = extrinsics(pose);
-  const along = (i) => r[i] * right + r[3 + i] * down;
+  const along = (/** @type {number} */ i) => r[i] * right + r[3 + i] * down;
   return {
     ...view,
     pose: { ...pose, tx: pose.tx + along(0), ty: pose.ty + along(1), tz: pose.tz + along(2) },
@@ -133,7 +172,10 @@ export function shifted(view, [right, down], focus) {
   };
 }
 
-/** Angles of a pose whose camera-to-world rotation is `c`, row-major. */
+/**
+ * Angles of a pose whose camera-to-world rotation is `c`, row-major.
+ * @param {number[]} c
+ */
 export function anglesOf(c) {
   const sine = Math.max(-1, Math.min(1, -c[5]));
   const [pitch, yaw] = [Math.asin(sine), Math.atan2(c[2], c[8])];
@@ -144,7 +186,10 @@ export function anglesOf(c) {
   return { yaw: y, pitch: p, roll: r };
 }
 
-/** A pose from `tx,ty,tz[,yaw,pitch,roll]`, or null where the text is none. */
+/**
+ * A pose from `tx,ty,tz[,yaw,pitch,roll]`, or null where the text is none.
+ * @param {string} text
+ */
 export function parsePose(text) {
   const parts = text.split(',');
   if (parts.length !== 3 && parts.length !== 6) return null;
@@ -157,9 +202,12 @@ export function parsePose(text) {
   return pose;
 }
 
-/** The text form of a pose, four decimals. */
+/**
+ * The text form of a pose, four decimals.
+ * @param {Partial<Pose>} pose
+ */
 export function formatPose(pose) {
-  const short = (v) => String(Math.round(v * 1e4) / 1e4 || 0);
+  const short = (/** @type {number} */ v) => String(Math.round(v * 1e4) / 1e4 || 0);
   const keys = pose.yaw || pose.pitch || pose.roll ? POSE_KEYS : POSE_KEYS.slice(0, 3);
-  return keys.map((key) => short(pose[key])).join(',');
+  return keys.map((key) => short(pose[key] ?? 0)).join(',');
 }

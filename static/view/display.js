@@ -4,6 +4,17 @@ import { DepthOfField } from '../draw/depth-of-field/aperture.js';
 import { TileErrors } from '../draw/tile-errors.js';
 import { eyes, resized } from './camera.js';
 
+/** @import { SceneHead } from '../decode/scene.js' */
+/** @import { WebGlRenderer } from '../draw/webgl.js' */
+/** @import { WebGpuRenderer } from '../draw/webgpu.js' */
+/** @import { Pose } from './camera.js' */
+
+/**
+ * What is seen: a pose, the head of the scene, the disparity that views turn about.
+ * @typedef {{pose: Pose, head: SceneHead, pivot: number}} Seen
+ */
+/** @typedef {WebGpuRenderer | WebGlRenderer} Renderer */
+
 /** Pictures that can be drawn over the scene. */
 export const OVERLAYS = Object.freeze(['none', 'depth', 'tiles', 'planes', 'error']);
 
@@ -18,7 +29,10 @@ export class Display {
     this.#errors = new TileErrors(report);
   }
 
-  /** Brings a renderer up to what is to be drawn over the scene; throws where the report cannot be had. */
+  /**
+   * Brings a renderer up to what is to be drawn over the scene; throws where the report cannot be had.
+   * @param {Renderer | null} renderer
+   */
   async prepare(renderer) {
     if (this.overlay === 'error') this.#errors.want();
     if (!renderer) return;
@@ -27,7 +41,11 @@ export class Display {
     this.depthOfField.restart();
   }
 
-  /** Draws on the canvas of a renderer; what lies at disparity `pivot` stands in the screen. Gives back how often the scene was drawn. */
+  /**
+   * Draws on the canvas of a renderer; what lies at disparity `pivot` stands in the screen. Gives back how often the scene was drawn.
+   * @param {Renderer} renderer
+   * @param {Seen & {canvas: {width: number, height: number}, moving: boolean}} seen
+   */
   draw(renderer, { pose, head, canvas, pivot, moving }) {
     const { width, height } = canvas;
     const views = this.stereo
@@ -38,18 +56,28 @@ export class Display {
     return 1;
   }
 
-  /** The view in the photo's size as a PNG file, as it is drawn for one eye. */
+  /**
+   * The view in the photo's size as a PNG file, as it is drawn for one eye.
+   * @param {Renderer} renderer
+   * @param {Seen} seen
+   */
   async picture(renderer, { pose, head, pivot }) {
     const { width, height, intrinsics: k } = head;
     const pixels = this.depthOfField.on
-      ? await this.depthOfField.pixels(renderer, { pose, k, width, height }, pivot)
+      ? await this.depthOfField.pixels(renderer, { pose, k, x: 0, width, height }, pivot)
       : await renderer.readPixels(pose, k, width, height);
     const canvas = new OffscreenCanvas(width, height);
     canvas.getContext('2d')?.putImageData(new ImageData(pixels, width, height), 0, 0);
     return canvas.convertToBlob({ type: 'image/png' });
   }
 
-  /** Disparity of what is seen at a place of the view, shares of its width and height from the upper left. */
+  /**
+   * Disparity of what is seen at a place of the view, shares of its width and height from the upper left.
+   * @param {Renderer} renderer
+   * @param {Seen} seen
+   * @param {number} x
+   * @param {number} y
+   */
   async disparityAt(renderer, { pose, head }, x, y) {
     // as coarse as a finger
     const width = Math.min(head.width, 256);
@@ -59,7 +87,7 @@ export class Display {
     const depth = renderer.readPixels(pose, resized(head.intrinsics, head, { width, height }), width, height);
     // it is drawn by now, and only not read yet
     renderer.overlay = overlay;
-    const at = (v, side) => Math.max(0, Math.min(side - 1, Math.floor(v * side)));
+    const at = (/** @type {number} */ v, /** @type {number} */ side) => Math.max(0, Math.min(side - 1, Math.floor(v * side)));
     return (await depth)[(at(y, height) * width + at(x, width)) * 4] / 255;
   }
 }

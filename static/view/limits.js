@@ -1,17 +1,20 @@
 // How far the camera goes: the view box, as far as it does not see past the continued border (draw/border.js).
 import { extrinsics, lookingAt } from './camera.js';
 
+/** @import { SceneHead } from '../decode/scene.js' */
+
 /** The widest margin, as a share of the photo's longer side. */
 const WIDEST = 1 / 8;
 
 /**
  * Pixels by which the corners of the view box see past the photo's borders, and the share of the box that the widest margin allows.
+ * @param {SceneHead} head
  * @returns {{x: number, y: number, share: number}}
  */
 export function margins({ width: w, height: h, intrinsics: k, viewBox: box }) {
   const past = [0, 0];
   for (let corner = 0; corner < 8; corner++) {
-    const side = (bit, extent) => ((corner >> bit) & 1 ? -extent : extent);
+    const side = (/** @type {number} */ bit, /** @type {number} */ extent) => ((corner >> bit) & 1 ? -extent : extent);
     for (const pivot of [0, 1]) {
       const e = extrinsics(lookingAt(pivot, side(0, box.x), side(1, box.y), side(2, box.z)));
       for (const delta of [0, 1]) {
@@ -33,20 +36,27 @@ export function margins({ width: w, height: h, intrinsics: k, viewBox: box }) {
   }
   const widest = Math.max(w, h) * WIDEST;
   // a pixel for rounding, and one because a piece ends at its last texel
-  const bounded = (v, length) => (v > 0 ? Math.floor(Math.min(Math.min(v, widest) + 2, length)) : 0);
+  const bounded = (/** @type {number} */ v, /** @type {number} */ length) =>
+    v > 0 ? Math.floor(Math.min(Math.min(v, widest) + 2, length)) : 0;
   return { x: bounded(past[0], w), y: bounded(past[1], h), share: Math.min(1, widest / past[0] || 1, widest / past[1] || 1) };
 }
 
-/** How far the camera goes: the view box, or as much of it as does not see past the continued border. */
+/**
+ * How far the camera goes: the view box, or as much of it as does not see past the continued border.
+ * @param {SceneHead} head
+ */
 export function limitsOf(head) {
   const { x, y, z } = head.viewBox;
   const { share } = margins(head);
   return { x: x * share, y: y * share, z: z * share };
 }
 
-/** Inverse of a row-major 3×3 matrix by cofactors. */
+/**
+ * Inverse of a row-major 3×3 matrix by cofactors.
+ * @param {number[]} m
+ */
 function inverted(m) {
-  const c = (i, j) => {
+  const c = (/** @type {number} */ i, /** @type {number} */ j) => {
     const [a, b, p, q] = [(i + 1) % 3, (i + 2) % 3, (j + 1) % 3, (j + 2) % 3];
     return m[a * 3 + p] * m[b * 3 + q] - m[a * 3 + q] * m[b * 3 + p];
   };

@@ -18,10 +18,12 @@ import { fitted, pixelRatio, setPixels } from './canvas-size.js';
 import { Display } from './display.js';
 import { FramePacing } from './frame-pacing.js';
 
-/** @import { Scene, SceneHead } from '../decode/scene.js' */
+/** @import { Offset, Scene, SceneHead } from '../decode/scene.js' */
 /** @import { WebGlRenderer } from '../draw/webgl.js' */
 /** @import { WebGpuRenderer } from '../draw/webgpu.js' */
 /** @import { Headset } from '../input/xr.js' */
+/** @import { Pose } from './camera.js' */
+/** @import { Settings } from './settings.js' */
 
 export class Viewer extends EventTarget {
   /** @type {Worker | null} */
@@ -117,6 +119,9 @@ export class Viewer extends EventTarget {
     this.#obey(settings);
   }
 
+  /**
+   * @param {Settings} settings
+   */
   #obey(settings) {
     if (this.#disposed) return;
     this.#camera.obey(settings);
@@ -134,6 +139,9 @@ export class Viewer extends EventTarget {
     return this.#camera.pivot;
   }
 
+  /**
+   * @param {boolean} on
+   */
   setIdle(on) {
     this.motion.setIdle(on);
     this.#wake();
@@ -185,16 +193,21 @@ export class Viewer extends EventTarget {
     return this.#display.depthOfField.focus ?? this.pivot;
   }
 
-  /** Makes sharp what is seen at a place of the canvas, shares of its width and height from the upper left. */
+  /**
+   * Makes sharp what is seen at a place of the canvas, shares of its width and height from the upper left.
+   * @param {number} x
+   * @param {number} y
+   */
   async focusAt(x, y) {
-    if (!this.renderer || this.stereo) return;
-    this.#display.depthOfField.focus = await this.#display.disparityAt(this.renderer, this, x, y);
+    const seen = this.#seen;
+    if (!this.renderer || !seen || this.stereo) return;
+    this.#display.depthOfField.focus = await this.#display.disparityAt(this.renderer, seen, x, y);
     this.render();
   }
 
   /** Shows the scene in a headset; to be called from a tap. Throws where that is not allowed. */
   async enterHeadset() {
-    if (this.headset || !this.scene) return;
+    if (this.headset || !this.scene || !this.limits) return;
     const { Headset } = await import('../input/xr.js');
     this.headset = await Headset.enter(this.scene, this.limits, () => {
       this.headset = null;
@@ -204,7 +217,10 @@ export class Viewer extends EventTarget {
     this.asleep = true;
   }
 
-  /** Lets the tilt of the device move the camera, or not; to be called from a tap. Throws where that is not allowed. */
+  /**
+   * Lets the tilt of the device move the camera, or not; to be called from a tap. Throws where that is not allowed.
+   * @param {boolean} on
+   */
   setTilt(on) {
     return this.#tilt.set(on);
   }
@@ -215,8 +231,16 @@ export class Viewer extends EventTarget {
   }
 
   /** The view at the present pose as a PNG file, in the photo's size. */
-  picture() {
-    return this.#display.picture(this.renderer, this);
+  async picture() {
+    const seen = this.#seen;
+    if (!this.renderer || !seen) throw new Error('a picture can be taken only where the browser draws');
+    return this.#display.picture(this.renderer, seen);
+  }
+
+  /** What is seen now, or null before the head of the scene is known. */
+  get #seen() {
+    const { pose, head, pivot, moving } = this;
+    return head && { pose, head, pivot, moving };
   }
 
   /** True while nobody sees it: it draws nothing then. */
@@ -238,7 +262,10 @@ export class Viewer extends EventTarget {
     this.#moved();
   }
 
-  /** Puts the camera at an offset in units of the view box. */
+  /**
+   * Puts the camera at an offset in units of the view box.
+   * @param {Offset} offset
+   */
   moveTo(offset) {
     this.motion.jump(offset);
     this.#moved();
@@ -251,7 +278,10 @@ export class Viewer extends EventTarget {
     this.#emit('pose');
   }
 
-  /** Puts the camera at a pose exactly, and stops moving by itself; not limited to the view box. */
+  /**
+   * Puts the camera at a pose exactly, and stops moving by itself; not limited to the view box.
+   * @param {Partial<Pose>} pose
+   */
   setPose(pose) {
     this.setIdle(false);
     this.#camera.hold(pose);
@@ -266,10 +296,11 @@ export class Viewer extends EventTarget {
 
   /** Draws now. */
   render() {
-    if (!this.head || this.#disposed) return;
-    if (this.renderer?.context) {
+    const seen = this.#seen;
+    if (!this.head || !seen || this.#disposed) return;
+    if (this.renderer?.context && this.canvas) {
       const { depthOfField } = this.#display;
-      const times = this.#display.draw(this.renderer, this);
+      const times = this.#display.draw(this.renderer, { ...seen, canvas: this.canvas });
       if (depthOfField.unfinished) this.#wake();
       if (!times) return;
       this.#pacing
@@ -319,26 +350,32 @@ export class Viewer extends EventTarget {
     this.#worker.postMessage({ url: this.options.atlas, photoOnly: !this.#backends.any });
   }
 
+  /**
+   * @param {any} data posted by decode/worker.js
+   */
   #onWorker(data) {
     if (data.type === 'progress') this.#emit('progress', { received: data.received, total: data.total || this.head?.total || 0 });
     else if (data.type === 'head') {
       this.head = data.head;
-      this.#camera.know(this.head, null);
+      this.#camera.know(data.head, null);
       this.#layout();
     } else if (data.type === 'photo') {
       this.posterUrl = URL.createObjectURL(data.blob);
       this.poster.src = this.posterUrl;
       this.#emit('photo');
-      if (!this.#backends?.any) this.#serve(this.#backends?.reason);
+      if (this.#backends && !this.#backends.any) this.#serve(this.#backends.reason);
     } else if (data.type === 'scene') {
       this.scene = data.scene;
-      this.#camera.know(this.head, this.scene);
+      if (this.head) this.#camera.know(this.head, this.scene);
       this.#worker?.terminate();
       this.#draw();
     } else this.#fail(data.message);
   }
 
-  /** The container cannot be had or read: views from the server are the last resort, where at least its head came. */
+  /**
+   * The container cannot be had or read: views from the server are the last resort, where at least its head came.
+   * @param {string} message
+   */
   #fail(message) {
     if (this.mode !== 'loading') return;
     if (this.head) this.#serve(message);
@@ -368,6 +405,9 @@ export class Viewer extends EventTarget {
     this.#emit('ready', { mode: this.mode });
   }
 
+  /**
+   * @param {string} reason
+   */
   #onLost(reason) {
     if (this.#disposed) return;
     this.renderer = null;
@@ -376,6 +416,9 @@ export class Viewer extends EventTarget {
     this.#draw();
   }
 
+  /**
+   * @param {string} reason
+   */
   #serve(reason) {
     if (this.#disposed) return;
     this.canvas?.remove();
@@ -398,10 +441,20 @@ export class Viewer extends EventTarget {
     this.#emit('ready', { mode: 'served' });
   }
 
+  /**
+   * @template {keyof HTMLElementTagNameMap} K
+   * @param {K} tag
+   * @param {string} className
+   */
   #add(tag, className) {
     return this.#adopt(document.createElement(tag), className);
   }
 
+  /**
+   * @template {HTMLElement} T
+   * @param {T} element
+   * @param {string} className
+   */
   #adopt(element, className) {
     element.className = className;
     element.draggable = false;
@@ -432,6 +485,9 @@ export class Viewer extends EventTarget {
     this.#frameRequest = requestAnimationFrame((now) => this.#frame(now));
   }
 
+  /**
+   * @param {number} now
+   */
   #frame(now) {
     this.#frameRequest = 0;
     const dt = this.#lastFrame ? (now - this.#lastFrame) / 1000 : 1 / 60;
@@ -452,6 +508,10 @@ export class Viewer extends EventTarget {
     if (!document.hidden) this.#wake();
   };
 
+  /**
+   * @param {string} type
+   * @param {object} [detail]
+   */
   #emit(type, detail = {}) {
     this.dispatchEvent(new CustomEvent(type, { detail }));
   }

@@ -2,6 +2,10 @@
 import { shifted } from '../../view/camera.js';
 import { SLOW_MS } from '../../view/frame-pacing.js';
 
+/** @import { View } from '../../view/camera.js' */
+/** @import { WebGlRenderer } from '../webgl.js' */
+/** @import { WebGpuRenderer } from '../webgpu.js' */
+
 /** Views that a picture at rest is the mean of, and the most of them that one frame draws. */
 const SAMPLES = 64;
 const STEP = 8;
@@ -12,6 +16,7 @@ export class DepthOfField {
   /** Share of the largest aperture, 0 (a pinhole) to 1. */
   blur = 0;
   /** Disparity of what is sharp, or null for what views turn about. */
+  /** @type {number | null} */
   focus = null;
   /** Time to draw the scene once, ms. */
   cost = 0;
@@ -36,6 +41,10 @@ export class DepthOfField {
   /**
    * Draws some more of the aperture's views, anew where anything has changed since; nothing where the picture is done. Where that
    * takes too long while something moves, one through a pinhole. Gives back how often the scene was drawn.
+   * @param {WebGpuRenderer | WebGlRenderer} renderer
+   * @param {View[]} views
+   * @param {number} pivot
+   * @param {boolean} moving
    */
   draw(renderer, views, pivot, moving) {
     const focus = this.focus ?? pivot;
@@ -57,7 +66,12 @@ export class DepthOfField {
     return frames.length;
   }
 
-  /** The finished picture of one view: premultiplied RGBA. */
+  /**
+   * The finished picture of one view: premultiplied RGBA.
+   * @param {WebGpuRenderer | WebGlRenderer} renderer
+   * @param {View} view
+   * @param {number} pivot
+   */
   async pixels(renderer, view, pivot) {
     const sum = new Float32Array(view.width * view.height * 4);
     for (let i = 0; i < SAMPLES; i++) {
@@ -68,6 +82,9 @@ export class DepthOfField {
     return Uint8ClampedArray.from(sum, (v) => v / SAMPLES);
   }
 
+  /**
+   * @param {number} i
+   */
   #offset(i) {
     const radius = LARGEST * this.blur;
     return apertureAt(i).map((v) => v * radius);
@@ -77,7 +94,10 @@ export class DepthOfField {
 /** Steps of the R2 sequence, whose every beginning is spread evenly over a square. */
 const [ALONG, AROUND] = [0.7548776662466927, 0.5698402909980532];
 
-/** Place `i` in the unit disc. Places come in opposite pairs: no even number of them moves the picture. */
+/**
+ * Place `i` in the unit disc. Places come in opposite pairs: no even number of them moves the picture.
+ * @param {number} i
+ */
 export function apertureAt(i) {
   const pair = (i >> 1) + 0.5;
   const radius = Math.sqrt((ALONG * pair) % 1) * (i % 2 ? -1 : 1);
