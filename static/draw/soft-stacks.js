@@ -7,7 +7,7 @@
 /** So many soft texels over each other are blended in 8 bits: each may round by half a level. */
 const STACK = 4;
 /** Most bytes of an atlas of 16-bit floats: where these are not enough, a device that has no memory left would show nothing at all. */
-const MOST_BYTES = 256 * 1024 * 1024;
+const MOST_BYTES = 128 * 1024 * 1024;
 /** Alpha from which a texel counts as opaque, as in tmpi.wgsl. */
 const OPAQUE = 0.99 * 255;
 
