@@ -217,6 +217,7 @@ impl Jobs {
 
     /// Counts of photos.
     #[must_use]
+    #[allow(clippy::iter_over_hash_type, reason = "counts are the same in any order")]
     pub fn counts(&self) -> Counts {
         let inner = self.lock();
         let mut counts = Counts { queued: inner.queue.len(), working: inner.running.len(), ..Counts::default() };

@@ -154,6 +154,7 @@ impl From<&MakeError> for Problem {
                 Self::new(StatusCode::BAD_REQUEST, "parameter", e.to_string()).field(*field)
             }
             MakeError::Cancelled => Self::new(StatusCode::SERVICE_UNAVAILABLE, "cancelled", "the job was cancelled"),
+            MakeError::Late { .. } => Self::new(StatusCode::SERVICE_UNAVAILABLE, "late", error.to_string()),
             MakeError::Depth(_) | MakeError::Generate(_) | MakeError::Atlas(_) | MakeError::Render(_) => {
                 Self::internal("making the photo", error)
             }
