@@ -39,9 +39,7 @@ export function followPhoto(id, on) {
     source.close();
   }
 
-  /**
-   * @param {() => void} call
-   */
+  /** @param {() => void} call */
   function settle(call) {
     if (ended) return;
     end();

@@ -18,9 +18,7 @@ export function rememberName(id, name) {
   }
 }
 
-/**
- * @param {string} id
- */
+/** @param {string} id */
 export function forgetName(id) {
   try {
     localStorage.removeItem(NAME_KEY + id);

@@ -41,9 +41,7 @@ export function settingsMenu({ id, viewer, named, say }) {
     $('set-save', HTMLButtonElement).disabled = Object.keys(patch).length === 0;
   }
 
-  /**
-   * @param {typeof patch} more
-   */
+  /** @param {typeof patch} more */
   function change(more) {
     Object.assign(patch, more);
     viewer().settings = now();
@@ -57,9 +55,7 @@ export function settingsMenu({ id, viewer, named, say }) {
     return { x: short(x), y: short(y), z: short(z) };
   };
 
-  /**
-   * @param {Event} [event]
-   */
+  /** @param {Event} [event] */
   async function save(event) {
     event?.preventDefault();
     try {

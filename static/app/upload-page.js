@@ -8,6 +8,7 @@ import { filesOf } from './drop.js';
 import { followPhoto, isUnderWay, reasonOf } from './follow-photo.js';
 import { forgetName, photoName, rememberName } from './photo-name.js';
 import { deleteLater, isGoing } from './undo.js';
+import { Row, say } from './upload-row.js';
 
 /** @import { Photo } from './api.js' */
 
@@ -31,101 +32,9 @@ const waiting = [];
 const rows = new Map();
 let running = 0;
 
-/**
- * @param {string} text
- */
-function say(text) {
-  $('status').textContent = text;
-}
-
-// ---- one row while a photo is on its way
-
-class Row {
-  /**
-   * @param {string} name
-   * @param {File | null} preview
-   */
-  constructor(name, preview) {
-    this.name = name;
-    this.preview = preview && URL.createObjectURL(preview);
-    this.state = element('p', 'upload-state');
-    this.bar = element('progress');
-    this.bar.max = 1;
-    this.bar.value = 0;
-    this.bar.setAttribute('aria-label', t('Progress of {0}', name));
-    this.close = element('button', 'round', icon('close'));
-    this.close.type = 'button';
-    this.close.setAttribute('aria-label', t('Cancel {0}', name));
-    /** @type {(() => void) | undefined} */
-    this.onClose = undefined;
-    this.close.addEventListener('click', () => this.onClose?.());
-    this.actions = element('div', 'upload-actions', this.close);
-    const body = element('div', 'upload-body', element('p', 'upload-name', name), this.bar, this.state);
-    this.root = element('li', 'upload', previewOf(this.preview), body, this.actions);
-    $('upload-list').prepend(this.root);
-    $('uploads').hidden = false;
-  }
-
-  /**
-   * @param {string} text
-   * @param {number} [share]
-   */
-  show(text, share) {
-    this.state.textContent = text;
-    if (share !== undefined) this.bar.value = share;
-  }
-
-  /**
-   * @param {string} message
-   */
-  fail(message) {
-    this.root.classList.add('failed');
-    this.bar.hidden = true;
-    this.state.textContent = sentence(message);
-    this.close.setAttribute('aria-label', t('Dismiss {0}', this.name));
-    this.onClose = () => this.remove();
-    say(`${this.name}: ${message}`);
-  }
-
-  /**
-   * @param {string} id
-   */
-  done(id) {
-    this.bar.hidden = true;
-    this.state.textContent = t('Ready');
-    const open = element('a', 'button primary', t('Open'));
-    open.href = `/view/${encodeURIComponent(id)}`;
-    open.setAttribute('aria-label', t('Open {0}', this.name));
-    this.actions.replaceChildren(open);
-    say(t('{0} is ready.', this.name));
-  }
-
-  remove() {
-    this.root.remove();
-    if (this.preview) URL.revokeObjectURL(this.preview);
-    $('uploads').hidden = !$('upload-list').children.length;
-  }
-}
-
-/**
- * A small picture, or an empty frame where there is none to show.
- * @param {string | null} address
- */
-function previewOf(address) {
-  const empty = element('span', 'upload-picture');
-  if (!address) return empty;
-  const image = element('img', 'upload-picture');
-  image.alt = '';
-  image.addEventListener('error', () => image.replaceWith(empty));
-  image.src = address;
-  return image;
-}
-
 // ---- uploads
 
-/**
- * @param {File[]} files
- */
+/** @param {File[]} files */
 function take(files) {
   const map = $('depth-map', HTMLInputElement);
   // a map belongs to one photo
@@ -156,9 +65,7 @@ function sendNext() {
   }
 }
 
-/**
- * @param {typeof waiting[number]} job
- */
+/** @param {typeof waiting[number]} job */
 async function send({ file, depth, options, row }) {
   try {
     const photo = await post(file, depth, options, row);
@@ -236,26 +143,20 @@ function follow(photo, row) {
 
 // ---- gallery
 
-/**
- * @param {string} id
- */
+/** @param {string} id */
 async function remove(id) {
   await deletePhoto(id);
   forget(id);
 }
 
-/**
- * @param {string} id
- */
+/** @param {string} id */
 function forget(id) {
   forgetName(id);
   rows.get(id)?.remove();
   rows.delete(id);
 }
 
-/**
- * @param {Photo} photo
- */
+/** @param {Photo} photo */
 function card(photo) {
   const name = photoName(photo);
   const image = element('img', 'thumb');
@@ -273,9 +174,7 @@ function card(photo) {
   return frame(photo, name, link, element('p', 'card-facts', size, formatBytes(photo.atlas_bytes)));
 }
 
-/**
- * @param {Photo} photo
- */
+/** @param {Photo} photo */
 function failedCard(photo) {
   const thumb = element('span', 'thumb', t('Not made'));
   return frame(photo, photoName(photo), thumb, element('p', 'card-facts bad', sentence(reasonOf(photo))));

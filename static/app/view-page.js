@@ -43,9 +43,7 @@ function shareAddress() {
   return url.href;
 }
 
-/**
- * @param {string} text
- */
+/** @param {string} text */
 function toast(text) {
   $('toast').textContent = text;
   $('toast').classList.add('on');
@@ -72,9 +70,7 @@ function showLoading(text, share) {
   else $('bar', HTMLProgressElement).value = share;
 }
 
-/**
- * @param {string} message
- */
+/** @param {string} message */
 function fail(message) {
   $('loading').hidden = true;
   $('tools').hidden = true;
@@ -82,9 +78,7 @@ function fail(message) {
   $('failure').hidden = false;
 }
 
-/**
- * @param {boolean} on
- */
+/** @param {boolean} on */
 function showIdle(on) {
   $('idle').setAttribute('aria-pressed', String(on));
 }
@@ -157,9 +151,7 @@ function start() {
   });
 }
 
-/**
- * @param {string} message
- */
+/** @param {string} message */
 async function waitOrFail(message) {
   const photo = await getPhoto(id).catch(() => null);
   if (!photo || !isUnderWay(photo)) return fail(message);
@@ -272,9 +264,7 @@ addEventListener('hashchange', () => {
   if (offset) viewer.moveTo(offset);
 });
 
-/**
- * @param {Photo} photo
- */
+/** @param {Photo} photo */
 function showName(photo) {
   const name = photoName(photo);
   $('title').textContent = name;

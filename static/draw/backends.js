@@ -19,9 +19,7 @@ export class Backends {
     return new Backends(modes);
   }
 
-  /**
-   * @param {Mode[]} modes
-   */
+  /** @param {Mode[]} modes */
   constructor(modes) {
     this.left = modes.map((mode) => ({ mode, attempts: ATTEMPTS }));
     this.reason = 'This browser has neither WebGPU nor WebGL.';

@@ -105,9 +105,7 @@ export class ServerViews {
   }
 }
 
-/**
- * @param {string} address
- */
+/** @param {string} address */
 async function fetchView(address) {
   const response = await fetch(address);
   if (!response.ok) throw new Error(await problemOf(response));

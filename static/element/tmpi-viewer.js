@@ -64,6 +64,7 @@ const MODULES = [
   'view/frame-pacing.js',
   'view/limits.js',
   'view/settings.js',
+  'view/stage.js',
   'view/viewer.js',
 ];
 const OFF = new Set(['off', 'false']);
@@ -143,9 +144,7 @@ class TmpiViewer extends HTMLElement {
     this.#stop();
   }
 
-  /**
-   * @param {string} name
-   */
+  /** @param {string} name */
   attributeChangedCallback(name) {
     if (!this.isConnected) return;
     this.#describe();
@@ -161,9 +160,7 @@ class TmpiViewer extends HTMLElement {
     return !off && !matchMedia('(prefers-reduced-motion: reduce)').matches;
   }
 
-  /**
-   * @param {boolean} visible
-   */
+  /** @param {boolean} visible */
   #onSeen(visible) {
     if (this.#viewer) this.#viewer.asleep = !visible;
     else this.#maybeStart(visible);

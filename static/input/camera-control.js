@@ -52,9 +52,7 @@ export class CameraControl {
     this.#update();
   }
 
-  /**
-   * @param {Settings} settings
-   */
+  /** @param {Settings} settings */
   obey(settings) {
     this.settings = settings;
     if (!this.touched && settings.start) this.motion.jump(offsetOf(settings.start, settings));
@@ -98,9 +96,7 @@ export class CameraControl {
     return this.#exact ?? this.#at(quantised(this.motion.now));
   }
 
-  /**
-   * @param {Offset} offset
-   */
+  /** @param {Offset} offset */
   #at(offset) {
     if (!this.limits) return { ...HOME };
     const { x, y, z } = this.limits;

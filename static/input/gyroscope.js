@@ -85,9 +85,7 @@ function turned(beta, gamma, angle) {
   return angle === 180 ? [-gamma, -beta] : [gamma, beta];
 }
 
-/**
- * @param {number} degrees
- */
+/** @param {number} degrees */
 function wrapped(degrees) {
   return ((((degrees + 180) % 360) + 360) % 360) - 180;
 }

@@ -93,9 +93,7 @@ export class Motion {
     this.quiet = 0;
   }
 
-  /**
-   * @param {boolean} on
-   */
+  /** @param {boolean} on */
   setIdle(on) {
     this.idle = on;
     this.quiet = on ? SWING.delay : 0;

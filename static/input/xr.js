@@ -62,9 +62,7 @@ export class Headset {
     });
   }
 
-  /**
-   * @param {Scene} scene
-   */
+  /** @param {Scene} scene */
   async #build(scene) {
     const { session } = this;
     if (!session) throw new Error('the headset was put down');

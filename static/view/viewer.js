@@ -14,9 +14,10 @@ import { CameraControl } from '../input/camera-control.js';
 import { Tilt } from '../input/gyroscope.js';
 import { listen, Motion } from '../input/motion.js';
 import { fovX, resized } from './camera.js';
-import { fitted, pixelRatio, setPixels } from './canvas-size.js';
+import { pixelRatio, setPixels } from './canvas-size.js';
 import { Display } from './display.js';
 import { FramePacing } from './frame-pacing.js';
+import { Stage } from './stage.js';
 
 /** @import { Offset, Scene, SceneHead } from '../decode/scene.js' */
 /** @import { WebGlRenderer } from '../draw/webgl.js' */
@@ -32,6 +33,7 @@ export class Viewer extends EventTarget {
   #lastFrame = 0;
   /** @type {Backends | null} */
   #backends = null;
+  #stage;
   #display;
   #camera;
   #tilt;
@@ -53,6 +55,7 @@ export class Viewer extends EventTarget {
     super();
     this.root = root;
     this.options = options;
+    this.#stage = new Stage(root);
     this.#display = new Display(options.report);
     this.mode = 'loading';
     /** What shows the scene in a headset (input/xr.js) while one does, else null. */
@@ -61,7 +64,6 @@ export class Viewer extends EventTarget {
     this.head = /** @type {SceneHead & {total: number} | null} */ (null);
     this.renderer = /** @type {WebGpuRenderer | WebGlRenderer | null} */ (null);
     this.serverViews = /** @type {ServerViews | null} */ (null);
-    this.canvas = /** @type {HTMLCanvasElement | null} */ (null);
     this.motion = new Motion();
     this.motion.setIdle(!this.#reduced.matches);
     this.#camera = new CameraControl(this.motion);
@@ -69,8 +71,6 @@ export class Viewer extends EventTarget {
     if (options.offset) this.motion.jump(options.offset);
     this.#camera.touched = Boolean(options.offset);
     Promise.resolve(options.settings ?? {}).then((settings) => this.#obey(settings));
-    this.poster = this.#add('img', 'tmpi-poster');
-    this.poster.alt = '';
     this.#stopListening = listen(root, this.motion, {
       wake: () => this.#moved(),
       toggleIdle: () => this.setIdle(!this.idle),
@@ -91,6 +91,16 @@ export class Viewer extends EventTarget {
    */
   addEventListener(type, listener, options) {
     super.addEventListener(type, listener, options);
+  }
+
+  /** The picture of the photo, which lies below the scene. */
+  get poster() {
+    return this.#stage.poster;
+  }
+
+  /** What the scene is drawn on, or null. */
+  get canvas() {
+    return this.#stage.canvas;
   }
 
   /** True while the camera moves by itself when left alone. */
@@ -119,9 +129,7 @@ export class Viewer extends EventTarget {
     this.#obey(settings);
   }
 
-  /**
-   * @param {Settings} settings
-   */
+  /** @param {Settings} settings */
   #obey(settings) {
     if (this.#disposed) return;
     this.#camera.obey(settings);
@@ -139,9 +147,7 @@ export class Viewer extends EventTarget {
     return this.#camera.pivot;
   }
 
-  /**
-   * @param {boolean} on
-   */
+  /** @param {boolean} on */
   setIdle(on) {
     this.motion.setIdle(on);
     this.#wake();
@@ -336,9 +342,7 @@ export class Viewer extends EventTarget {
     document.removeEventListener('visibilitychange', this.#onVisible);
     this.renderer?.dispose();
     this.serverViews?.dispose();
-    this.poster.remove();
-    this.canvas?.remove();
-    if (this.posterUrl) URL.revokeObjectURL(this.posterUrl);
+    this.#stage.dispose();
   }
 
   async #start() {
@@ -350,9 +354,7 @@ export class Viewer extends EventTarget {
     this.#worker.postMessage({ url: this.options.atlas, photoOnly: !this.#backends.any });
   }
 
-  /**
-   * @param {any} data posted by decode/worker.js
-   */
+  /** @param {any} data posted by decode/worker.js */
   #onWorker(data) {
     if (data.type === 'progress') this.#emit('progress', { received: data.received, total: data.total || this.head?.total || 0 });
     else if (data.type === 'head') {
@@ -360,8 +362,7 @@ export class Viewer extends EventTarget {
       this.#camera.know(data.head, null);
       this.#layout();
     } else if (data.type === 'photo') {
-      this.posterUrl = URL.createObjectURL(data.blob);
-      this.poster.src = this.posterUrl;
+      this.#stage.showPhoto(data.blob);
       this.#emit('photo');
       if (this.#backends && !this.#backends.any) this.#serve(this.#backends.reason);
     } else if (data.type === 'scene') {
@@ -391,23 +392,18 @@ export class Viewer extends EventTarget {
     const backend = await this.#backends.next(this.scene, (reason) => this.#onLost(reason));
     if (this.#disposed) return backend?.renderer.dispose();
     if (!backend) return this.#serve(this.#backends.reason);
-    this.canvas?.remove();
-    this.canvas = backend.canvas;
-    this.canvas.setAttribute('aria-hidden', 'true');
-    this.#adopt(this.canvas, 'tmpi-canvas');
+    this.#stage.canvas = backend.canvas;
     this.renderer = backend.renderer;
     this.mode = backend.mode;
     this.#layout();
-    this.renderer.attach(this.canvas);
+    this.renderer.attach(backend.canvas);
     this.#prepare();
     this.render();
     this.#wake();
     this.#emit('ready', { mode: this.mode });
   }
 
-  /**
-   * @param {string} reason
-   */
+  /** @param {string} reason */
   #onLost(reason) {
     if (this.#disposed) return;
     this.renderer = null;
@@ -416,13 +412,10 @@ export class Viewer extends EventTarget {
     this.#draw();
   }
 
-  /**
-   * @param {string} reason
-   */
+  /** @param {string} reason */
   #serve(reason) {
     if (this.#disposed) return;
-    this.canvas?.remove();
-    this.canvas = null;
+    this.#stage.canvas = null;
     // a swing would ask the server without end
     this.setIdle(false);
     if (!this.options.view || !this.head) {
@@ -441,37 +434,11 @@ export class Viewer extends EventTarget {
     this.#emit('ready', { mode: 'served' });
   }
 
-  /**
-   * @template {keyof HTMLElementTagNameMap} K
-   * @param {K} tag
-   * @param {string} className
-   */
-  #add(tag, className) {
-    return this.#adopt(document.createElement(tag), className);
-  }
-
-  /**
-   * @template {HTMLElement} T
-   * @param {T} element
-   * @param {string} className
-   */
-  #adopt(element, className) {
-    element.className = className;
-    element.draggable = false;
-    this.root.append(element);
-    return element;
-  }
-
   /** Fits the pictures into the root, whole, in the photo's own shape. */
   #layout() {
     if (!this.head || this.#disposed) return;
-    const size = fitted(this.root, (this.head.width / this.head.height) * (this.stereo && this.renderer ? 2 : 1));
+    const size = this.#stage.fit((this.head.width / this.head.height) * (this.stereo && this.renderer ? 2 : 1));
     if (!size) return;
-    for (const element of [this.poster, this.canvas]) {
-      if (!element) continue;
-      element.style.width = `${size.width}px`;
-      element.style.height = `${size.height}px`;
-    }
     if (this.canvas && this.renderer) {
       setPixels(this.canvas, size, this.moving ? this.#pacing.detail : 1, this.renderer.maxSide);
       if (!this.renderer.context) return;
@@ -485,9 +452,7 @@ export class Viewer extends EventTarget {
     this.#frameRequest = requestAnimationFrame((now) => this.#frame(now));
   }
 
-  /**
-   * @param {number} now
-   */
+  /** @param {number} now */
   #frame(now) {
     this.#frameRequest = 0;
     const dt = this.#lastFrame ? (now - this.#lastFrame) / 1000 : 1 / 60;

@@ -82,9 +82,7 @@ export class DepthOfField {
     return Uint8ClampedArray.from(sum, (v) => v / SAMPLES);
   }
 
-  /**
-   * @param {number} i
-   */
+  /** @param {number} i */
   #offset(i) {
     const radius = LARGEST * this.blur;
     return apertureAt(i).map((v) => v * radius);
