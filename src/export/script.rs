@@ -1,7 +1,8 @@
 //! Links the viewer's ES modules into one script: a page opened from disk may not load modules of its own.
 //!
 //! No bundler, but a rule that the modules keep: `import` and `export` statements begin a line, files are named by literals
-//! (`import('./x.js')`, `new URL('./x', import.meta.url)`), and there are no default exports. What breaks it is an error.
+//! (`import('./x.js')`, `new URL('./x', import.meta.url)`), and there are no default exports. What breaks it is an error. Documenting
+//! comments are left out.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -76,6 +77,13 @@ impl Module<'_> {
         let mut out = String::from("($use, $load, $asset) => {\n");
         let mut lines = text.lines();
         while let Some(line) = lines.next() {
+            if starts_comment(line) {
+                // nobody reads them there
+                if !line.trim_end().ends_with("*/") {
+                    let _ = lines.by_ref().find(|l| l.trim_end().ends_with("*/"));
+                }
+                continue;
+            }
             if !line.starts_with("import ") && !line.starts_with("import{") && !starts_export(line) {
                 out.push_str(line);
                 out.push('\n');
@@ -200,6 +208,11 @@ impl Module<'_> {
     }
 }
 
+/// A documenting comment that has its lines to itself; no line of a string begins like one.
+fn starts_comment(line: &str) -> bool {
+    line.trim_start().strip_prefix("/**").is_some_and(|rest| rest.split_once("*/").is_none_or(|(_, after)| after.trim().is_empty()))
+}
+
 fn starts_export(line: &str) -> bool {
     line.starts_with("export ") || line.starts_with("export{") || line.starts_with("export*")
 }
@@ -240,7 +253,8 @@ mod tests {
     fn every_form_that_modules_may_use() {
         let a = "import { b, c as d } from './x/b.js';\nimport {\n  e,\n} from \"./x/b.js\";\nimport * as all from './x/b.js';\nimport './x/b.js';\n\
                  export const f = 1;\nexport async function g() {}\nexport class H {}\nexport { d as i, e };\nexport { b as j } from './x/b.js';\n\
-                 const k = new URL('./k.wgsl', import.meta.url);\nconst l = await import('./l.js');\n";
+                 const k = new URL('./k.wgsl', import.meta.url);\nconst l = await import('./l.js');\n\
+                 /** One. */\n  /**\n   * @import { b } from './x/b.js'\n   */\nconst m = /** @type {1} */ (1);\n";
         let all = linked(&[("a.js", a), ("x/b.js", "import '../l.js';\n"), ("l.js", ""), ("k.wgsl", "shader")]).unwrap();
         assert_eq!(all.modules.keys().collect::<Vec<_>>(), ["a.js", "l.js", "x/b.js"]);
         assert_eq!(all.assets["k.wgsl"], b"shader");
@@ -259,6 +273,7 @@ mod tests {
                 "const $from5 = $use(\"x/b.js\");",
                 "const k = $asset(\"k.wgsl\");",
                 "const l = await $load(\"l.js\");",
+                "const m = /** @type {1} */ (1);",
                 "return { f, g, H, i: d, e: e, j: $from5.b };",
                 "}",
             ]

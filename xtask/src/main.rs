@@ -1,9 +1,10 @@
-//! Tasks around the program: `cargo xtask serve`, `cargo xtask test`, `cargo xtask fetch`, `cargo xtask fuzz`.
+//! Tasks around the program: `cargo xtask serve`, `cargo xtask test`, `cargo xtask fetch`, `cargo xtask shaders`, `cargo xtask fuzz`.
 
 mod browser;
 mod command;
 mod fuzz;
 mod runtime;
+mod shaders;
 
 use std::process::ExitCode;
 use std::time::Instant;
@@ -14,9 +15,10 @@ const HELP: &str = "\
 usage: cargo xtask <task>
 
   serve [ARGS]  fetch ONNX Runtime where it is missing, build, and run `tmpi serve ARGS`
-  test          formatting, lints, all tests, browser tests; installs what these need where it may
+  test          formatting, lints, types of the pages' scripts, all tests, browser tests; installs what these need where it may
   fuzz [--seconds N] [TARGET…]
                 run the fuzzer on what reads foreign bytes (container, labels, planes, query), N seconds each
+  shaders       make the GLSL of static/draw/glsl.js from the WGSL
   fetch         fetch ONNX Runtime into .tmpi/onnxruntime where it is missing";
 
 fn main() -> ExitCode {
@@ -27,6 +29,7 @@ fn main() -> ExitCode {
         Some("serve") => serve(&rest),
         Some("fuzz") => fuzz::fuzz(&rest),
         Some("test") if rest.is_empty() => test(),
+        Some("shaders") if rest.is_empty() => shaders::write(),
         Some("fetch") if rest.is_empty() => runtime::fetch().map_err(|e| e.in_step("ONNX Runtime")),
         Some("help" | "--help" | "-h") => {
             println!("{HELP}");
@@ -48,7 +51,8 @@ fn main() -> ExitCode {
 
 fn serve(args: &[String]) -> Result<(), Fault> {
     runtime::fetch().map_err(|e| e.in_step("ONNX Runtime"))?;
-    run(cargo(&["build", "--release", "--package", "tmpi"])).map_err(|e| e.in_step("build"))?;
+    // all of it, as the tests do: alone the program would be built a second time, with other features of what it shares with this one
+    run(cargo(&["build", "--release", "--workspace"])).map_err(|e| e.in_step("build"))?;
     // The server prints its URL itself, once it listens
     let mut server = std::process::Command::new(command::program());
     server.arg("serve").args(args);
@@ -60,11 +64,12 @@ type Step = (&'static str, fn() -> Result<(), Fault>);
 
 /// Runs every step in order, stops at the first that fails, and tells how long each took.
 fn test() -> Result<(), Fault> {
-    let steps: [Step; 6] = [
+    let steps: [Step; 7] = [
         ("format", || run(cargo(&["fmt", "--all", "--check"]))),
         ("lint", || run(cargo(&["clippy", "--workspace", "--release", "--all-targets", "--all-features", "--", "-D", "warnings"]))),
         ("ONNX Runtime", runtime::fetch),
         ("tools", browser::tools),
+        ("pages", browser::check),
         ("tests", || run(cargo(&["test", "--workspace", "--release"]))),
         ("browser", browser::test),
     ];

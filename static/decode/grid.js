@@ -1,0 +1,33 @@
+// The grid of tiles over a photo, as crates/core/src/scene/grid.rs.
+
+/** @typedef {{width: number, height: number, tileSize: number, tileStride: number}} Grid a photo's size, the side of its tiles and the way between them */
+
+/**
+ * @param {number} length
+ * @param {number} size
+ * @param {number} stride
+ */
+function count(length, size, stride) {
+  return length <= size ? 1 : Math.ceil((length - size) / stride) + 1;
+}
+
+/**
+ * `{columns, tiles}` of a grid.
+ * @param {Grid} grid
+ */
+export function tileCounts({ width, height, tileSize, tileStride }) {
+  const columns = count(width, tileSize, tileStride);
+  return { columns, tiles: columns * count(height, tileSize, tileStride) };
+}
+
+/**
+ * Pixels of tile `index`, row by row, clipped to the photo.
+ * @param {Grid} grid
+ * @param {number} columns
+ * @param {number} index
+ */
+export function tileRect({ width, height, tileSize, tileStride }, columns, index) {
+  const x = (index % columns) * tileStride;
+  const y = Math.floor(index / columns) * tileStride;
+  return { x, y, w: Math.min(tileSize, width - x), h: Math.min(tileSize, height - y) };
+}

@@ -1,0 +1,106 @@
+// One WebGPU device for all viewers of a page: it opens with the first and goes with the last.
+
+/**
+ * Features that are used where they are there.
+ * @type {GPUFeatureName[]}
+ */
+const OPTIONAL = ['float32-blendable'];
+
+/** @type {{opening: Promise<Device>, device?: Device} | null} */
+let shared = null;
+
+/** The graphics adapter, or null where the browser has none. */
+export async function findAdapter() {
+  try {
+    return (await navigator.gpu?.requestAdapter({ powerPreference: 'high-performance' })) ?? null;
+  } catch {
+    return null;
+  }
+}
+
+export class Device {
+  users = 0;
+  /**
+   * What was made once for all, by name.
+   * @type {Map<string, Promise<any>>}
+   */
+  #made = new Map();
+  /** Builds come one after the other, so that each sees its own errors. */
+  #last = Promise.resolve();
+
+  /** @param {GPUDevice} handle */
+  constructor(handle) {
+    this.handle = handle;
+    handle.lost.then(() => {
+      if (shared?.device === this) shared = null;
+    });
+  }
+
+  /**
+   * What `make` gives, made once; again where it failed.
+   * @template T
+   * @param {string} name
+   * @param {() => Promise<T>} make
+   * @returns {Promise<T>}
+   */
+  once(name, make) {
+    const made = this.#made.get(name) ?? make();
+    this.#made.set(name, made);
+    made.catch(() => this.#made.delete(name));
+    return made;
+  }
+
+  /**
+   * Runs `build` after those before it; throws what it or the device reports.
+   * @param {() => Promise<void>} build
+   */
+  build(build) {
+    const run = async () => {
+      this.handle.pushErrorScope('validation');
+      this.handle.pushErrorScope('out-of-memory');
+      /** @type {Error | null} */
+      let failure = null;
+      try {
+        await build();
+      } catch (error) {
+        failure = error;
+      }
+      const memory = await this.handle.popErrorScope();
+      const validation = await this.handle.popErrorScope();
+      const problem = failure ?? memory ?? validation;
+      if (problem) throw new Error(problem.message);
+    };
+    const done = this.#last.then(run);
+    this.#last = done.catch(() => {});
+    return done;
+  }
+
+  /** To be called once by everybody who got it. */
+  release() {
+    if (--this.users > 0) return;
+    if (shared?.device === this) shared = null;
+    this.handle.destroy();
+  }
+}
+
+/** The page's device; whoever gets it has to release it. */
+export async function acquireDevice() {
+  shared ??= { opening: open() };
+  const own = shared;
+  try {
+    own.device = await own.opening;
+  } catch (error) {
+    if (shared === own) shared = null;
+    throw error;
+  }
+  own.device.users++;
+  return own.device;
+}
+
+async function open() {
+  const adapter = await findAdapter();
+  if (!adapter) throw new Error('there is no graphics adapter');
+  const { maxTextureDimension2D } = adapter.limits;
+  const requiredFeatures = OPTIONAL.filter((name) => adapter.features.has(name));
+  return new Device(await adapter.requestDevice({ requiredFeatures, requiredLimits: { maxTextureDimension2D } }));
+}

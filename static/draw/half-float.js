@@ -1,0 +1,24 @@
+// 16-bit floats.
+
+/**
+ * Bits of the nearest 16-bit float of a number from 0 to 1.
+ * @param {number} value
+ */
+export function halfBits(value) {
+  if (value <= 0) return 0;
+  // below 2⁻¹⁴ there is no smaller exponent
+  const exponent = Math.max(-14, Math.floor(Math.log2(value)));
+  return ((exponent + 14) << 10) + Math.round(value * 2 ** (10 - exponent));
+}
+
+/**
+ * Bits of `value · alpha` for all pairs of bytes that stand for 0 to 1: at `value · 256 + alpha`.
+ * @returns {Uint16Array<ArrayBuffer>}
+ */
+export function premultipliedHalves() {
+  const out = new Uint16Array(65_536);
+  for (let value = 0; value < 256; value++) {
+    for (let alpha = 0; alpha < 256; alpha++) out[value * 256 + alpha] = halfBits((value * alpha) / 65_025);
+  }
+  return out;
+}

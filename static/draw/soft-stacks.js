@@ -1,0 +1,45 @@
+// Where many soft texels lie over each other, 8 bits a layer are not enough.
+
+/** @import { Scene } from '../decode/scene.js' */
+/** @import { Piece } from './border.js' */
+/** @import { Places } from './texture-atlas.js' */
+
+/** So many soft texels over each other are blended in 8 bits: each may round by half a level. */
+const STACK = 4;
+/** Most bytes of an atlas of 16-bit floats: where these are not enough, a device that has no memory left would show nothing at all. */
+const MOST_BYTES = 128 * 1024 * 1024;
+/** Alpha from which a texel counts as opaque, as in tmpi.wgsl. */
+const OPAQUE = 0.99 * 255;
+
+/**
+ * True where a scene is to be kept and drawn in 16-bit floats.
+ * @param {Scene} scene
+ * @param {Piece[]} pieces
+ * @param {Places} places
+ */
+export function needsFloats(scene, pieces, { width, height, pages }) {
+  return width * height * pages * 8 <= MOST_BYTES && hasDeepStacks(scene, pieces);
+}
+
+/**
+ * True where more than `STACK` soft texels are drawn over a pixel of the photo: of one tile, or of several where their borders overlap.
+ * @param {Scene} scene
+ * @param {Piece[]} pieces
+ */
+export function hasDeepStacks({ layers, alpha, width, height }, pieces) {
+  const over = new Uint8Array(width * height);
+  for (const p of pieces) {
+    // what is mirrored beyond the border is as it is within
+    if (p.flipX || p.flipY || !layers.soft[p.layer]) continue;
+    const [left, right] = [Math.floor(p.left), Math.ceil(p.right)];
+    for (let v = Math.floor(p.upper); v < Math.ceil(p.lower); v++) {
+      const texel = layers.firstTexel[p.layer] + v * layers.w[p.layer];
+      const pixel = (p.y + v) * width + p.x;
+      for (let u = left; u < right; u++) {
+        const a = alpha[texel + u];
+        if (a > 0 && a < OPAQUE && ++over[pixel + u] > STACK) return true;
+      }
+    }
+  }
+  return false;
+}

@@ -1,0 +1,201 @@
+// Draws a tiled multiplane image for a camera. One file for the server (wgpu) and the browser (WebGPU), default features only; for
+// WebGL2 `cargo xtask shaders` translates it.
+//
+// Geometry is linear in homogeneous coordinates; nothing is divided by depth. For a corner (x, y) of a layer's rectangle, in
+// reference pixels (texel i covers [i, i+1]):
+//     x̂ = ((x − cx)/fx, (y − cy)/fy, 1)      (u, v) = ((x, y) − tile centre) / half       δ = a + b·u + c·v
+//     p = R x̂ + t δ                          pixel = K_t p / p_z                          target disparity δ_t = δ / p_z
+// Clip position: (K_t p in NDC, times p_z; near·δ; p_z). Depth = near·δ_t lies in [0, 1], 0 at infinity, larger is nearer:
+// depth format depth32float, cleared to 0, compare `greater-equal` in both passes (so δ = 0 still draws on a cleared pixel).
+// What has p_z ≤ 0 is behind the camera and clipped by w; what is nearer than `near` is clipped by z ≤ w.
+// A plane may pass beyond infinity (δ < 0) inside its rectangle. The vertex stage splits the rectangle along δ = 0 and gives the
+// part beyond it depth 0, so it is drawn behind everything, at the place that the linear formula says; nothing is dropped.
+//
+// BUFFERS (little-endian f32, tightly packed)
+//
+// Uniform `View`, group 0 binding 0, 112 bytes, visible to the vertex stage:
+//     0  R column 0: x y z, unused        48  t: x y z, near                                 96  target width, target height (pixels)
+//    16  R column 1: x y z, unused        64  reference camera: fx fy cx cy (pixels)        104  half: half a tile, pixels
+//    32  R column 2: x y z, unused        80  target camera: fx fy cx cy (pixels)           108  overlay: 0 none, 1 disparity, 2 tiles, 3 planes, 4 error
+//     near: depth 1, in units of the nearest distance of the photo; the server takes 1e-3.
+//
+// Instance, one vertex buffer, stepMode `instance`, arrayStride 48, three float32x4 attributes:
+//     0  location 0: plane a b c, page (whole part: layer of the texture array; fraction: error of the tile for overlay 4, 0 to 1)
+//    16  location 1: tile centre x y, rectangle x y       (reference pixels; the tile centre is the origin of u, v)
+//    32  location 2: rectangle w h, atlas x y             (texels; upper left corner of the rectangle on its page)
+//     The rectangle is the part that is drawn: it starts and ends at the border of a texel, or at the centre of one where the layer
+//     goes on (the outermost texels of a tile are sampled, but not drawn where the next tile has the same pixels).
+//
+// Group 0 binding 1: the atlas, texture_2d_array<f32>, rgba8unorm, PREMULTIPLIED, one mip level; view dimension `2d-array` even with
+// one page. No gutter is needed between rectangles: coordinates are clamped to the texels' centres.
+// Group 0 binding 2: sampler, magFilter and minFilter `linear`, clamp-to-edge.
+//
+// DRAWING: draw(VERTICES = 18, instances), primitive `triangle-list`, cullMode none. Colour is premultiplied, in the photo's own
+// encoding: the target is rgba8unorm or bgra8unorm without -srgb, cleared to (0, 0, 0, 0).
+//   pass 1  vs + fs_opaque, no blending, depth write on;  instances in layer order (a tie in depth goes to the later layer).
+//   pass 2  vs + fs_soft, blend (one, one-minus-src-alpha, add) for colour and alpha, depth write OFF;  instances back to front by
+//           (mean δ over the rectangle, layer order): mean δ = δ at the rectangle's centre. The order does not depend on the pose,
+//           but where R column 2 has z < 0 (the camera looks backward) it is by (−mean δ, layer order).
+// Both passes may be one render pass with two pipelines. Layers without a soft edge may be left out of pass 2.
+
+struct View {
+    r0: vec4f,
+    r1: vec4f,
+    r2: vec4f,
+    t_near: vec4f,
+    k_ref: vec4f,
+    k_out: vec4f,
+    size_half: vec4f,
+}
+
+@group(0) @binding(0) var<uniform> view: View;
+@group(0) @binding(1) var atlas: texture_2d_array<f32>;
+@group(0) @binding(2) var linear_clamp: sampler;
+
+// Sampled alpha from which a texel counts as opaque.
+const OPAQUE: f32 = 0.99;
+
+struct Instance {
+    @location(0) plane_page: vec4f,
+    @location(1) centre_origin: vec4f,
+    @location(2) size_atlas: vec4f,
+}
+
+struct Varyings {
+    @builtin(position) clip: vec4f,
+    // Place on the page in texels.
+    @location(0) texel: vec2f,
+    // First and last texel centre of the rectangle on its page.
+    @location(1) @interpolate(flat) bounds: vec4f,
+    @location(2) @interpolate(flat) page: i32,
+    // Nothing where w = 0; rgb mixed in by w where w > 0; grey of depth · −w where w < 0.
+    @location(3) @interpolate(flat) overlay: vec4f,
+}
+
+// A colour of its own for each v.
+fn tint(v: vec3f) -> vec3f {
+    let hue = fract(sin(dot(v, vec3f(12.9898, 78.233, 37.719))) * 43758.547);
+    return 0.5 + 0.5 * cos(6.2831853 * (hue + vec3f(0.0, 0.33, 0.67)));
+}
+
+// Green, yellow, red.
+fn heat(v: f32) -> vec3f {
+    let low = mix(vec3f(0.1, 0.55, 0.35), vec3f(0.95, 0.8, 0.2), min(1.0, 2.0 * v));
+    return mix(low, vec3f(0.85, 0.1, 0.1), max(0.0, 2.0 * v - 1.0));
+}
+
+fn overlay_of(i: Instance) -> vec4f {
+    let kind = view.size_half.w;
+    if (kind == 1.0) {
+        return vec4f(0.0, 0.0, 0.0, -1.0 / view.t_near.w);
+    }
+    if (kind == 2.0) {
+        return vec4f(tint(vec3f(i.centre_origin.xy / view.size_half.z, 1.0)), 0.5);
+    }
+    if (kind == 3.0) {
+        return vec4f(tint(i.plane_page.xyz), 0.5);
+    }
+    if (kind == 4.0) {
+        return vec4f(heat(fract(i.plane_page.w)), 0.65);
+    }
+    return vec4f(0.0);
+}
+
+fn delta_at(s: vec2f, i: Instance) -> f32 {
+    let uv = (s * i.size_atlas.xy + i.centre_origin.zw - i.centre_origin.xy) / view.size_half.z;
+    return i.plane_page.x + i.plane_page.y * uv.x + i.plane_page.z * uv.y;
+}
+
+// Vertices 0 to 8: the fan of the part with δ ≥ 0; 9 to 17: of the part beyond infinity. A rectangle cut by a line has at most five
+// corners a side, so three triangles; those not needed are degenerate.
+fn corner_of(vertex: u32, i: Instance) -> Varyings {
+    let beyond = vertex >= 9u;
+    var corner = array<vec2f, 4>(vec2f(0.0, 0.0), vec2f(1.0, 0.0), vec2f(1.0, 1.0), vec2f(0.0, 1.0));
+    var place: array<vec2f, 6>;
+    var delta: array<f32, 6>;
+    var n = 0u;
+    for (var k = 0u; k < 4u; k++) {
+        let a = corner[k];
+        let b = corner[(k + 1u) % 4u];
+        let da = delta_at(a, i);
+        let db = delta_at(b, i);
+        if ((da < 0.0) == beyond) {
+            place[n] = a;
+            delta[n] = da;
+            n++;
+        }
+        if ((da < 0.0) != (db < 0.0)) {
+            place[n] = a + (b - a) * (da / (da - db));
+            delta[n] = 0.0;
+            n++;
+        }
+    }
+    let triangle = (vertex % 9u) / 3u;
+    var pick = 0u;
+    if (triangle + 2u < n && vertex % 3u > 0u) {
+        pick = triangle + vertex % 3u;
+    }
+    var out: Varyings;
+    let rect = i.size_atlas.xy;
+    out.texel = place[pick] * rect + i.size_atlas.zw;
+    out.bounds = vec4f(floor(i.size_atlas.zw) + 0.5, ceil(i.size_atlas.zw + rect) - 0.5);
+    out.page = i32(i.plane_page.w);
+    out.overlay = overlay_of(i);
+    if (n < 3u) {
+        out.clip = vec4f(0.0, 0.0, 0.0, 1.0);
+        return out;
+    }
+    let x = (place[pick] * rect + i.centre_origin.zw - view.k_ref.zw) / view.k_ref.xy;
+    let d = delta[pick];
+    let p = view.r0.xyz * x.x + view.r1.xyz * x.y + view.r2.xyz + view.t_near.xyz * d;
+    let pixel = view.k_out.xy * p.xy + view.k_out.zw * p.z;
+    let ndc = 2.0 * pixel / view.size_half.xy - p.z;
+    out.clip = vec4f(ndc.x, -ndc.y, view.t_near.w * select(d, 0.0, beyond), p.z);
+    return out;
+}
+
+@vertex
+fn vs(@builtin(vertex_index) vertex: u32, i: Instance) -> Varyings {
+    return corner_of(vertex, i);
+}
+
+// For WebGL, whose clip space begins at z = −w: depth 0 is infinity there too.
+@vertex
+fn vs_webgl(@builtin(vertex_index) vertex: u32, i: Instance) -> Varyings {
+    var out = corner_of(vertex, i);
+    out.clip.z = 2.0 * out.clip.z - out.clip.w;
+    return out;
+}
+
+fn colour(v: Varyings) -> vec4f {
+    let texel = clamp(v.texel, v.bounds.xy, v.bounds.zw);
+    return textureSampleLevel(atlas, linear_clamp, texel / vec2f(textureDimensions(atlas)), v.page, 0.0);
+}
+
+// Premultiplied colour under the overlay; near is bright.
+fn overlaid(c: vec4f, v: Varyings) -> vec4f {
+    if (v.overlay.w < 0.0) {
+        return vec4f(vec3f(c.a * min(1.0, v.clip.z * -v.overlay.w)), c.a);
+    }
+    return vec4f(mix(c.rgb, v.overlay.rgb * c.a, v.overlay.w), c.a);
+}
+
+// Opaque texels, as fully covered.
+@fragment
+fn fs_opaque(v: Varyings) -> @location(0) vec4f {
+    let c = colour(v);
+    if (c.a < OPAQUE) {
+        discard;
+    }
+    return overlaid(vec4f(c.rgb / c.a, 1.0), v);
+}
+
+// All others, premultiplied.
+@fragment
+fn fs_soft(v: Varyings) -> @location(0) vec4f {
+    let c = colour(v);
+    if (c.a >= OPAQUE || c.a <= 0.0) {
+        discard;
+    }
+    return overlaid(c, v);
+}

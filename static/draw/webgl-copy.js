@@ -1,0 +1,34 @@
+// Copies textures with WebGL2 by copy.wgsl: between formats, or blended into what is there.
+import { COPY_FRAGMENT, COPY_VERTEX } from './glsl.js';
+import { program } from './webgl-program.js';
+
+const VERTICES = 3;
+
+/**
+ * Gives what copies a texture to a framebuffer of the same size; what is there stays where `weight`, the blend constant, is given.
+ * @param {WebGL2RenderingContext} gl
+ */
+export function copier(gl) {
+  const built = program(gl, COPY_VERTEX, COPY_FRAGMENT);
+  return (
+    /** @type {WebGLTexture} */ from,
+    /** @type {WebGLFramebuffer | null} */ to,
+    /** @type {number} */ width,
+    /** @type {number} */ height,
+    /** @type {number | undefined} */ weight = undefined,
+  ) => {
+    gl.bindFramebuffer(gl.FRAMEBUFFER, to);
+    gl.viewport(0, 0, width, height);
+    gl.disable(gl.DEPTH_TEST);
+    if (weight === undefined) gl.disable(gl.BLEND);
+    else {
+      gl.enable(gl.BLEND);
+      gl.blendColor(weight, weight, weight, weight);
+      gl.blendFunc(gl.CONSTANT_COLOR, gl.ONE_MINUS_CONSTANT_COLOR);
+    }
+    gl.useProgram(built);
+    gl.bindTexture(gl.TEXTURE_2D, from);
+    gl.drawArrays(gl.TRIANGLES, 0, VERTICES);
+    gl.bindTexture(gl.TEXTURE_2D, null);
+  };
+}

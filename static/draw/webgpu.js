@@ -1,0 +1,366 @@
+// Draws a decoded scene with WebGPU by tmpi.wgsl, the shader that the server's gpu backend uses too; its header is the contract.
+import { pieces } from './border.js';
+import { WebGpuMean } from './depth-of-field/mean-webgpu.js';
+import { acquireDevice } from './device.js';
+import { INSTANCE_FLOATS, instances } from './instances.js';
+import { needsFloats } from './soft-stacks.js';
+import { expandAll, pack } from './texture-atlas.js';
+import { looksBackward, UNIFORM_BYTES, VERTICES, viewUniform } from './view-uniform.js';
+import { copyPipeline, copyTexture } from './webgpu-copy.js';
+
+/** @import { Intrinsics, Scene } from '../decode/scene.js' */
+/** @import { Pose, View } from '../view/camera.js' */
+/** @import { Device } from './device.js' */
+
+const INSTANCE_BYTES = INSTANCE_FLOATS * 4;
+/** Disparity 1/NEAR is the nearest that is drawn. */
+const NEAR = 1e-3;
+const DEPTH_FORMAT = 'depth32float';
+/** Texels and views of stacks of soft layers: 8 bits would round after every layer. */
+const WIDE_FORMAT = 'rgba16float';
+
+/** @typedef {{scene: GPUShaderModule, copy: GPUShaderModule, layout: GPUBindGroupLayout}} Shaders */
+/** @typedef {{opaque: GPURenderPipeline, soft: GPURenderPipeline}} Passes */
+/** @typedef {Awaited<ReturnType<typeof load>>} Loaded */
+
+/** A scene on a graphics device. Build with `WebGpuRenderer.create`. */
+export class WebGpuRenderer {
+  /**
+   * @param {Scene} scene
+   * @param {(info: GPUDeviceLostInfo) => void} onLost called once where the device goes away by itself
+   * @throws where there is no device or the scene does not fit it
+   */
+  static async create(scene, onLost) {
+    const device = await acquireDevice();
+    /** @type {WebGpuRenderer[]} */
+    const made = [];
+    try {
+      await device.build(async () => {
+        made.push(new WebGpuRenderer(device, scene, await load(device, scene), onLost));
+      });
+    } catch (error) {
+      if (made.length) made[0].dispose();
+      else device.release();
+      throw error;
+    }
+    return made[0];
+  }
+
+  #scene;
+  #loaded;
+  /** @type {{buffer: GPUBuffer, opaque: number, soft: number} | null} */
+  #instances = null;
+  /** @type {GPUTexture | null} */
+  #depth = null;
+  /** @type {GPUTexture | null} */
+  #wide = null;
+  /** @type {WebGpuMean | null} */
+  #mean = null;
+
+  /**
+   * @param {Device} shared
+   * @param {Scene} scene
+   * @param {Loaded} loaded
+   * @param {(info: GPUDeviceLostInfo) => void} onLost
+   */
+  constructor(shared, scene, loaded, onLost) {
+    this.shared = shared;
+    this.device = shared.handle;
+    this.#scene = scene;
+    this.#loaded = loaded;
+    this.maxSide = this.device.limits.maxTextureDimension2D;
+    /** What is drawn over the scene: the place of one in `OVERLAYS`. */
+    this.overlay = 0;
+    this.disposed = false;
+    /** @type {GPUCanvasContext | null} */
+    this.context = null;
+    this.setTileErrors([]);
+    this.device.lost.then((info) => {
+      if (!this.disposed) onLost(info);
+    });
+  }
+
+  /** True where the scene is drawn in 16-bit floats and rounded in the end. */
+  get wide() {
+    return this.#loaded.wide;
+  }
+
+  /**
+   * Parallax error in pixels of each tile, for the overlay that shows it.
+   * @param {number[]} errors
+   */
+  setTileErrors(errors) {
+    if (this.disposed) return;
+    const { data, opaque, soft } = instances(this.#scene, this.#loaded.pieces, this.#loaded.places, errors);
+    const size = Math.max(data.byteLength, INSTANCE_BYTES);
+    const buffer = this.#instances?.buffer ?? this.device.createBuffer({ size, usage: GPUBufferUsage.VERTEX | GPUBufferUsage.COPY_DST });
+    this.#instances = { buffer, opaque, soft };
+    this.device.queue.writeBuffer(buffer, 0, data);
+  }
+
+  /**
+   * Makes `canvas` show what `draw` draws.
+   * @param {HTMLCanvasElement} canvas
+   */
+  attach(canvas) {
+    const context = canvas.getContext('webgpu');
+    if (!context) throw new Error('the canvas has no WebGPU context');
+    context.configure({ device: this.device, format: this.#loaded.format, alphaMode: 'opaque' });
+    this.context = context;
+  }
+
+  /**
+   * Draws to the attached canvas.
+   * @param {View[]} views side by side
+   */
+  draw(views) {
+    if (this.context) this.#draw(views, this.context.getCurrentTexture());
+  }
+
+  /**
+   * Draws the mean of pictures to the attached canvas, going on from a mean of `before` pictures drawn the same way just now.
+   * @param {View[][]} frames views of each picture, as `draw` has them
+   * @param {number} before
+   */
+  drawMean(frames, before) {
+    if (!this.context) return;
+    const texture = this.context.getCurrentTexture();
+    const { copy, target, format } = this.#loaded;
+    this.#mean ??= new WebGpuMean(this.device, copy, target, format);
+    const part = this.#mean.part(texture.width, texture.height);
+    frames.forEach((views, i) => {
+      this.#passes(views, part);
+      this.#mean?.add(1 / (before + i + 1));
+    });
+    this.#mean.show(texture);
+  }
+
+  /**
+   * Draws apart from the canvas and reads the picture back.
+   * @param {Pose} pose
+   * @param {Intrinsics} k
+   * @param {number} width
+   * @param {number} height
+   * @returns {Promise<Uint8ClampedArray<ArrayBuffer>>} premultiplied RGBA, row by row
+   */
+  async readPixels(pose, k, width, height) {
+    const { device } = this;
+    const { format } = this.#loaded;
+    const usage = GPUTextureUsage.RENDER_ATTACHMENT | GPUTextureUsage.COPY_SRC;
+    const texture = device.createTexture({ size: [width, height], format, usage });
+    // rows of a copy start at multiples of 256 bytes
+    const bytesPerRow = Math.ceil((width * 4) / 256) * 256;
+    const buffer = device.createBuffer({ size: bytesPerRow * height, usage: GPUBufferUsage.COPY_DST | GPUBufferUsage.MAP_READ });
+    try {
+      this.#draw([{ pose, k, x: 0, width, height }], texture);
+      const encoder = device.createCommandEncoder();
+      encoder.copyTextureToBuffer({ texture }, { buffer, bytesPerRow }, [width, height]);
+      device.queue.submit([encoder.finish()]);
+      await buffer.mapAsync(GPUMapMode.READ);
+      return tightRows(new Uint8Array(buffer.getMappedRange()), width, height, bytesPerRow, format.startsWith('bgra'));
+    } finally {
+      texture.destroy();
+      buffer.destroy();
+    }
+  }
+
+  /** Resolves once everything submitted so far is drawn. */
+  idle() {
+    return this.device.queue.onSubmittedWorkDone();
+  }
+
+  dispose() {
+    if (this.disposed) return;
+    this.disposed = true;
+    this.context?.unconfigure();
+    this.#mean?.dispose();
+    this.#loaded.dispose();
+    for (const resource of [this.#instances?.buffer, this.#depth, this.#wide]) resource?.destroy();
+    this.shared.release();
+  }
+
+  /**
+   * Draws to a texture of the canvas's format.
+   * @param {View[]} views
+   * @param {GPUTexture} texture
+   */
+  #draw(views, texture) {
+    const { wide, round } = this.#loaded;
+    if (!wide) return this.#passes(views, texture);
+    const { width, height } = texture;
+    if (this.#wide?.width !== width || this.#wide?.height !== height) {
+      this.#wide?.destroy();
+      const usage = GPUTextureUsage.RENDER_ATTACHMENT | GPUTextureUsage.TEXTURE_BINDING;
+      this.#wide = this.device.createTexture({ size: [width, height], format: WIDE_FORMAT, usage });
+    }
+    this.#passes(views, this.#wide);
+    copyTexture(this.device, round, this.#wide, texture);
+  }
+
+  /**
+   * Draws to a texture of the format that the scene is drawn in.
+   * @param {View[]} views
+   * @param {GPUTexture} texture
+   */
+  #passes(views, texture) {
+    const { device } = this;
+    const { width, height } = texture;
+    if (this.#depth?.width !== width || this.#depth?.height !== height) {
+      this.#depth?.destroy();
+      this.#depth = device.createTexture({ size: [width, height], format: DEPTH_FORMAT, usage: GPUTextureUsage.RENDER_ATTACHMENT });
+    }
+    const depth = this.#depth.createView();
+    views.forEach((view, i) => this.#pass(texture.createView(), depth, view, i === 0));
+  }
+
+  /**
+   * @param {GPUTextureView} texture
+   * @param {GPUTextureView} depth
+   * @param {View} view
+   * @param {boolean} first of those on the texture
+   */
+  #pass(texture, depth, view, first) {
+    const { device } = this;
+    const { uniforms, bindings, passes } = this.#loaded;
+    if (!this.#instances) return;
+    const { buffer, opaque, soft } = this.#instances;
+    device.queue.writeBuffer(
+      uniforms,
+      0,
+      viewUniform(this.#scene, view, () => NEAR, this.overlay),
+    );
+    const encoder = device.createCommandEncoder();
+    const pass = encoder.beginRenderPass({
+      colorAttachments: [{ view: texture, clearValue: [0, 0, 0, 0], loadOp: first ? 'clear' : 'load', storeOp: 'store' }],
+      depthStencilAttachment: { view: depth, depthClearValue: 0, depthLoadOp: 'clear', depthStoreOp: 'discard' },
+    });
+    pass.setViewport(view.x, 0, view.width, view.height, 0, 1);
+    pass.setBindGroup(0, bindings);
+    pass.setVertexBuffer(0, buffer);
+    if (opaque) {
+      pass.setPipeline(passes.opaque);
+      pass.draw(VERTICES, opaque);
+    }
+    if (soft) {
+      pass.setPipeline(passes.soft);
+      pass.draw(VERTICES, soft, 0, opaque + (looksBackward(view) ? soft : 0));
+    }
+    pass.end();
+    device.queue.submit([encoder.finish()]);
+  }
+}
+
+/**
+ * Puts a scene into graphics memory.
+ * @param {Device} shared
+ * @param {Scene} scene
+ */
+async function load(shared, scene) {
+  const device = shared.handle;
+  const format = navigator.gpu.getPreferredCanvasFormat();
+  const all = pieces(scene);
+  const places = pack(all, device.limits.maxTextureDimension2D, device.limits.maxTextureArrayLayers);
+  const wide = needsFloats(scene, all, places);
+  const target = wide ? WIDE_FORMAT : format;
+  const { scene: module, copy, layout } = await shared.once('shaders', () => shadersOf(device));
+  const passes = await shared.once(target, () => passesOf(device, module, layout, target));
+  const uniforms = device.createBuffer({ size: UNIFORM_BYTES, usage: GPUBufferUsage.UNIFORM | GPUBufferUsage.COPY_DST });
+  const atlas = device.createTexture({
+    size: [places.width, places.height, places.pages],
+    format: wide ? WIDE_FORMAT : 'rgba8unorm',
+    usage: GPUTextureUsage.TEXTURE_BINDING | GPUTextureUsage.COPY_DST,
+  });
+  const dispose = () => {
+    uniforms.destroy();
+    atlas.destroy();
+  };
+  try {
+    const bytesPerRow = places.width * (wide ? 8 : 4);
+    await expandAll(scene, all, places, wide, (band, data) => {
+      device.queue.writeTexture({ texture: atlas, origin: [0, band.y, band.page] }, data, { bytesPerRow }, [places.width, band.h, 1]);
+    });
+  } catch (error) {
+    dispose();
+    throw error;
+  }
+  const bindings = device.createBindGroup({
+    layout,
+    entries: [
+      { binding: 0, resource: { buffer: uniforms } },
+      { binding: 1, resource: atlas.createView({ dimension: '2d-array' }) },
+      { binding: 2, resource: device.createSampler({ magFilter: 'linear', minFilter: 'linear' }) },
+    ],
+  });
+  const round = copyPipeline(device, copy, format);
+  return { format, target, wide, pieces: all, places, uniforms, bindings, passes, copy, round, dispose };
+}
+
+/** @param {URL} address */
+async function textOf(address) {
+  const response = await fetch(address);
+  if (!response.ok) throw new Error('the shader cannot be loaded');
+  return response.text();
+}
+
+/**
+ * @param {GPUDevice} device
+ * @returns {Promise<Shaders>}
+ */
+async function shadersOf(device) {
+  const [scene, copy] = await Promise.all([
+    textOf(new URL('./tmpi.wgsl', import.meta.url)),
+    textOf(new URL('./copy.wgsl', import.meta.url)),
+  ]);
+  const layout = device.createBindGroupLayout({
+    entries: [
+      { binding: 0, visibility: GPUShaderStage.VERTEX, buffer: { type: 'uniform' } },
+      { binding: 1, visibility: GPUShaderStage.FRAGMENT, texture: { sampleType: 'float', viewDimension: '2d-array' } },
+      { binding: 2, visibility: GPUShaderStage.FRAGMENT, sampler: { type: 'filtering' } },
+    ],
+  });
+  return { scene: device.createShaderModule({ code: scene }), copy: device.createShaderModule({ code: copy }), layout };
+}
+
+/**
+ * The pipelines of pass 1 and pass 2 for a target of that format.
+ * @param {GPUDevice} device
+ * @param {GPUShaderModule} module
+ * @param {GPUBindGroupLayout} bindings
+ * @param {GPUTextureFormat} format
+ * @returns {Promise<Passes>}
+ */
+async function passesOf(device, module, bindings, format) {
+  const layout = device.createPipelineLayout({ bindGroupLayouts: [bindings] });
+  /** @type {GPUBlendComponent} */
+  const over = { srcFactor: 'one', dstFactor: 'one-minus-src-alpha', operation: 'add' };
+  /** @type {GPUVertexAttribute[]} */
+  const attributes = [0, 1, 2].map((shaderLocation) => ({ shaderLocation, offset: shaderLocation * 16, format: 'float32x4' }));
+  const pipeline = (
+    /** @type {string} */ entryPoint,
+    /** @type {boolean} */ depthWriteEnabled,
+    /** @type {GPUBlendState | undefined} */ blend = undefined,
+  ) =>
+    device.createRenderPipelineAsync({
+      layout,
+      vertex: { module, entryPoint: 'vs', buffers: [{ arrayStride: INSTANCE_BYTES, stepMode: 'instance', attributes }] },
+      fragment: { module, entryPoint, targets: [{ format, ...(blend && { blend }) }] },
+      primitive: { topology: 'triangle-list', cullMode: 'none' },
+      depthStencil: { format: DEPTH_FORMAT, depthWriteEnabled, depthCompare: 'greater-equal' },
+    });
+  const [opaque, soft] = await Promise.all([pipeline('fs_opaque', true), pipeline('fs_soft', false, { color: over, alpha: over })]);
+  return { opaque, soft };
+}
+
+/**
+ * @param {Uint8Array} padded
+ * @param {number} width
+ * @param {number} height
+ * @param {number} bytesPerRow
+ * @param {boolean} swap red and blue
+ */
+function tightRows(padded, width, height, bytesPerRow, swap) {
+  const out = new Uint8ClampedArray(width * height * 4);
+  for (let y = 0; y < height; y++) out.set(padded.subarray(y * bytesPerRow, y * bytesPerRow + width * 4), y * width * 4);
+  if (swap) for (let i = 0; i < out.length; i += 4) [out[i], out[i + 2]] = [out[i + 2], out[i]];
+  return out;
+}
