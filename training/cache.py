@@ -34,14 +34,16 @@ VERSION = 1
 
 
 def layout(shape, channels):
-    """A record: feature maps of strides 2 to 32, channels last, the map to learn (NaN: unknown), number and kind of each pixel's region."""
+    """A record: feature maps of strides 2 to 32, channels last, their statistics, and, at half of the shape, the map to learn (NaN: unknown),
+    number and kind of each pixel's region."""
     h, w = shape
     maps = [(f"f{i}", "<f2", (h >> (i + 1), w >> (i + 1), c)) for i, c in enumerate(channels)]
-    return np.dtype([*maps, ("value", "<f2", shape), ("region", "u1", shape), ("kind", "u1", shape)])
+    half, told = (h // 2, w // 2), statistics_layout(channels).descr
+    return np.dtype([*maps, *told, ("value", "<f2", half), ("region", "u1", half), ("kind", "u1", half)])
 
 
 def statistics_layout(channels):
-    """Mean and deviation of each channel of a picture that is not rendered."""
+    """Mean and deviation of each channel of all feature maps."""
     return np.dtype([(f"s{i}", "<f4", (2, c)) for i, c in enumerate(channels)])
 
 
@@ -78,7 +80,7 @@ def planned(items, args):
 
 
 def augmented(item, sample, shape, rng):
-    """A crop of the wanted shape in other colours; of a map with holes one that shows enough of it."""
+    """A crop of the wanted shape in other colours, of a map with holes one that shows enough of it: colours, and at half of the shape map, region, kind."""
     least = 0.0 if item.sparse else 0.5
     shown = 0.02 if item.sparse else 0.4 * float(np.isfinite(sample.value).mean())
     for _ in range(20):
@@ -86,7 +88,9 @@ def augmented(item, sample, shape, rng):
         known = np.isfinite(value)
         if item.space == "none" or (known.mean() > shown and np.ptp(value[known]) > 0.1):
             break
-    return common.photometric(rgb, np.nan_to_num(value), rng), value, region, kind
+    half = shape[0] // 2, shape[1] // 2
+    rgb = common.photometric(rgb, np.nan_to_num(value), rng)
+    return rgb, common.shrunk(value, half, least), *(cv2.resize(m, half[::-1], interpolation=cv2.INTER_NEAREST) for m in (region, kind))
 
 
 def digest_of(items, args, encoders):
@@ -117,13 +121,15 @@ def build(items, out, args, net):
         for k, (shape, row, told) in enumerate(own):
             rgb, value, region, kind = augmented(item, sample, shape, loop.stream(args.seed, "variant", item.name, k))
             found = net.features(((common.chw(rgb) - network.MEAN) / network.STD)[None])
+            parts = [torch.stack([f.mean((0, 2, 3)), f.std((0, 2, 3)) + 1e-4]).numpy() for f in found]
             if told is not None:
-                for i, f in enumerate(found):
-                    bank[told][f"s{i}"][:] = torch.stack([f.mean((0, 2, 3)), f.std((0, 2, 3)) + 1e-4]).numpy()
+                at = bank[told]
+                for i, s in enumerate(parts):
+                    at[f"s{i}"][:] = s
             if row is not None:
                 at = maps[shape][row]
-                for i, f in enumerate(found):
-                    at[f"f{i}"][:] = f[0].permute(1, 2, 0).numpy()
+                for i, (f, s) in enumerate(zip(found, parts)):
+                    at[f"f{i}"][:], at[f"s{i}"][:] = f[0].permute(1, 2, 0).numpy(), s
                 at["value"][:], at["region"][:], at["kind"][:] = value, region, kind
         if (n + 1) % 50 == 0 or n + 1 == len(items):
             for m in (*maps.values(), bank):

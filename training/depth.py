@@ -58,17 +58,17 @@ class Records:
         return shares.get("scene", 0) * family[group.split(":")[1]] / sum(family.values())
 
     def at(self, step):
-        """Feature maps [N, C, h, w], channels last, the map to learn [N, H, W], regions and kinds of them, and (group, space) of each picture.
-
-        Every batch has about as many pixels."""
+        """Feature maps [N, C, h, w], channels last, their statistics [N, 2, C], the map to learn [N, H, W], regions and kinds of it, and (group, space)
+        of each picture. Every batch has about as many pixels."""
         rng = loop.stream(self.seed, "batch", step)
         shape = rng.choices(self.shapes, [self.sums[s][-1] for s in self.shapes])[0]
         sums, count = self.sums[shape], max(4, round(self.batch * cache.AREA / (shape[0] * shape[1])))
         rows = sorted(min(bisect.bisect(sums, rng.random() * sums[-1]), len(sums) - 1) for _ in range(count))
         got = self.maps[shape][rows]
         features = [torch.from_numpy(got[f"f{i}"][..., :c].astype(np.float32)).permute(0, 3, 1, 2) for i, c in enumerate(self.used)]
+        own = [torch.from_numpy(got[f"s{i}"][:, :, :c].copy()) for i, c in enumerate(self.used)]
         told = [torch.from_numpy(got[k].astype(t)) for k, t in (("value", np.float32), ("region", np.int64), ("kind", np.int64))]
-        return features, *told, [self.groups[shape][r] for r in rows]
+        return features, own, *told, [self.groups[shape][r] for r in rows]
 
     def statistics(self):
         """Channel means and deviations of photographs: per level [N, 2, C]."""
@@ -78,48 +78,47 @@ class Records:
         return {"cache": [self.folder / "cache.json", self.folder / "inputs.sha256", *sorted(self.folder.glob("*.bin"))]}
 
 
-def restyled(features, bank):
+def restyled(features, own, bank):
     """Half of the samples get channel statistics on the way to those of a photograph, the same one at every level.
 
     What the colours and textures of rendered scenes do to the frozen encoders then matters less (MixStyle, Zhou et al. 2021)."""
     n = features[0].shape[0]
-    share = torch.distributions.Beta(0.3, 0.3).sample((n, 1, 1, 1))
-    share = torch.where(torch.rand(n, 1, 1, 1) < 0.5, torch.ones(()), share)
+    share = torch.distributions.Beta(0.3, 0.3).sample((n, 1))
+    share = torch.where(torch.rand(n, 1) < 0.5, torch.ones(()), share)
     pick, out = torch.randint(len(bank[0]), (n,)), []
-    for f, b in zip(features, bank):
-        mean, std = f.mean((2, 3), keepdim=True), f.std((2, 3), keepdim=True) + 1e-4
-        to_mean, to_std = (b[pick, k][..., None, None] for k in (0, 1))
+    for f, s, b in zip(features, own, bank):
+        mean, std = s.unbind(1)
+        to_mean, to_std = b[pick].unbind(1)
         gain = share + (1 - share) * to_std / std
-        # in one go over the maps, which are large
-        out.append(torch.addcmul(share * mean + (1 - share) * to_mean - mean * gain, f, gain))
+        shift = share * mean + (1 - share) * to_mean - mean * gain
+        out.append(torch.addcmul(shift[..., None, None], f, gain[..., None, None]))
     return out
 
 
 def loss_of(p, value, region, kind, of, generator, weights):
     """Sum of all that is known of a batch, and its parts: means over the batch's pictures; p is [N, H, W]."""
-    n, parts = len(of), {}
+    parts = {}
 
-    def add(name, per_picture, weight=1.0):
-        parts[name] = parts.get(name, 0.0) + (per_picture * weight).sum() / n
+    def some(wanted):
+        return [i for i, (g, s) in enumerate(of) if wanted(g, s)]
 
-    for group in sorted({g for g, _ in of}):
-        at = [i for i, (g, _) in enumerate(of) if g == group]
-        space = of[at[0]][1]
-        if space == "order":
-            add("order", losses.order(p[at], value[at], generator))
-            continue
-        trim, sharp = TRUST[group]
-        error, gradients = (losses.depth if space == "depth" else losses.disparity)(p[at], value[at], trim)
-        add("error", error)
-        add("gradient", gradients, sharp)
-    at = [i for i, (g, _) in enumerate(of) if g == "label"]
-    if at:
+    def add(name, per_picture):
+        parts[name] = parts.get(name, 0.0) + per_picture.sum() / len(of)
+
+    for space, known in (("disparity", losses.disparity), ("depth", losses.depth)):
+        if at := some(lambda g, s: s == space):
+            trim, sharp = torch.tensor([TRUST[of[i][0]] for i in at]).unbind(1)
+            error, gradients = known(p[at], value[at], trim)
+            add("error", error)
+            add("gradient", gradients * sharp)
+    if at := some(lambda g, s: s == "order"):
+        add("order", losses.order(p[at], value[at], generator))
+    if at := some(lambda g, s: g == "label"):
         wrong, broken = losses.things(p[at], value[at], region[at], kind[at])
         add("border", wrong)
         add("whole", broken)
         add("sky", losses.sky(p[at], kind[at]))
-    total = sum(weights[k] * v for k, v in parts.items())
-    return {"loss": total, **parts}
+    return {"loss": sum(weights[k] * v for k, v in parts.items()), **parts}
 
 
 # weight of each part of the loss
@@ -161,10 +160,10 @@ def main():
     inputs["chosen by"] = eval_depth.files("choose")
 
     def loss_at(step):
-        features, value, region, kind, of = records.at(step)
-        features = features if bank is None else restyled(features, bank)
+        features, own, value, region, kind, of = records.at(step)
+        features = features if bank is None else restyled(features, own, bank)
         generator = torch.Generator().manual_seed(loop.stream(a.seed, "pairs", step).getrandbits(60))
-        return loss_of(net.decoder(features)[:, 0], value, region, kind, of, generator, weights)
+        return loss_of(net.decoder.half(features)[:, 0], value, region, kind, of, generator, weights)
 
     def measure(mean):
         live, net.decoder = net.decoder, mean

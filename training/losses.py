@@ -12,7 +12,9 @@ from sources import SKY, THING
 # of the larger of two disparities: what two sides of a border differ by for their order to count, and the least of the whole range
 STEP, LEAST = 0.08, 0.03
 # pixels between the two sides of a border that are compared
-REACH = (2, 4)
+REACH = (2, 3)
+# least pairs of pixels within a thing, and at its border, that count
+INSIDE, BORDER = 24, 6
 # how far a prediction of unit deviation must be on the right side of a border
 MARGIN = 0.1
 
@@ -58,11 +60,13 @@ def fit(p, t, known, rounds=4, most=2.0):
 
 
 def trimmed(e, known, share):
-    """Mean of absolute errors without the largest `share` of them, per picture."""
+    """Mean of absolute errors without the largest `share` [N] of them, per picture."""
     e = e.abs()
-    if share > 0:
-        bound = torch.nanquantile(e.detach().masked_fill(~known, torch.nan).flatten(1), 1 - share, dim=1).nan_to_num(0)
-        known = known & (e <= bound[:, None, None])
+    if (share > 0).any():
+        count = known.flatten(1).sum(1)
+        last = ((1 - share) * count).long().clamp(max=e[0].numel() - 1)
+        bound = e.detach().masked_fill(~known, torch.inf).flatten(1).sort(1).values.gather(1, last[:, None])
+        known = known & ((e <= bound[:, :, None]) | (share == 0)[:, None, None])
     return average(e, known)
 
 
@@ -77,8 +81,8 @@ def gradients(e, known, scales=4):
     return total / scales
 
 
-def disparity(p, t, trim=0.0):
-    """Error in disparity [N] and of its gradients [N]."""
+def disparity(p, t, trim):
+    """Error in disparity [N] and of its gradients [N]; `trim` [N]: share of the largest errors that counts for nothing."""
     known = ~t.isnan()
     p, t = normalised(p, known), normalised(t.nan_to_num(0), known).clamp(-6, 6)
     scale, shift = fit(p, t, known)
@@ -86,7 +90,7 @@ def disparity(p, t, trim=0.0):
     return trimmed(e, known, trim), gradients(e, known)
 
 
-def depth(p, t, trim=0.0, offsets=(0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4)):
+def depth(p, t, trim, offsets=(0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4)):
     """Error in distance [N] and of its gradients [N], for maps of one minus distance up to scale and shift.
 
     Distance is a/(p + c) + b. For each c, which must leave p + c positive, the rest is linear; the best of the `offsets` above the farthest
@@ -154,16 +158,15 @@ def things(p, t, region, kind):
             wrong = wrong + (F.softplus((MARGIN - apart) * 8) / 8 * jump).flatten(1).sum(1)
             seen = seen + jump.flatten(1).sum(1)
             # the step counts for the nearer side, if that is a thing
-            front = torch.where(nearer > 0, ra, rb).long() + index
+            front = torch.where(nearer > 0, ra, rb) + index
             of = jump & torch.where(nearer > 0, ha, hb)
-            step = step.index_add(0, front[of], apart[of])
-            outer = outer.index_add(0, front[of], torch.ones_like(apart[of]))
-            same = both & (ra == rb) & ha
-            own = (ra.long() + index)[same]
-            inside = inside.index_add(0, own, ((pa - pb) - (la - lb))[same].abs())
-            inner = inner.index_add(0, own, torch.ones_like(pa[same]))
+            step = step.index_add(0, front.flatten(), (apart * of).flatten())
+            outer = outer.index_add(0, front.flatten(), of.flatten().float())
+            same, own = both & (ra == rb) & ha, (ra + index).flatten()
+            inside = inside.index_add(0, own, (((pa - pb) - (la - lb)).abs() * same).flatten())
+            inner = inner.index_add(0, own, same.flatten().float())
     inside, step = inside / inner.clamp_min(1), F.softplus(step / outer.clamp_min(1) * 16) / 16
-    counted = ((inner >= 40) & (outer >= 10)).float()
+    counted = ((inner >= INSIDE) & (outer >= BORDER)).float()
     broken = (inside / (inside + step + 1e-3) * counted).view(n, count).sum(1) / counted.view(n, count).sum(1).clamp_min(1)
     return wrong / seen.clamp_min(1), broken
 

@@ -86,6 +86,11 @@ class Decoder(nn.Module):
         self.head = nn.Conv2d(width[0], 1, 3, padding=1)
 
     def forward(self, features):
+        """The map at the picture's size, from that at half of it."""
+        return F.interpolate(self.half(features), scale_factor=2, mode="bilinear", align_corners=False)
+
+    def half(self, features):
+        """The map at half of the picture's size, which is what is learnt: the rest is enlarging."""
         f5 = features[4]
         one = torch.ones_like(f5[:, :1])
         row = torch.cumsum(one, 2) / one.sum(2, keepdim=True)
@@ -93,8 +98,14 @@ class Decoder(nn.Module):
         x = self.mix(x + self.context(x.mean((2, 3), keepdim=True)))
         for i in (3, 2, 1, 0):
             x = F.interpolate(x, scale_factor=2, mode="bilinear", align_corners=False)
-            x = self.join[i](torch.cat([x, self.side[i](self.drop(features[i]) if i else features[i])], 1))
-        return F.interpolate(self.head(x), scale_factor=2, mode="bilinear", align_corners=False)
+            side = self.side[i](self.drop(features[i]) if i else features[i])
+            conv, *rest = self.join[i]
+            # one convolution over both, without a copy of both side by side: its backward pass would be three times as slow
+            own, other = conv.weight.split([x.shape[1], side.shape[1]], 1)
+            x = F.conv2d(x, own, conv.bias, padding=1) + F.conv2d(side, other, padding=1)
+            for part in rest:
+                x = part(x)
+        return self.head(x)
 
 
 class Encoders(nn.Module):

@@ -37,9 +37,10 @@ def small_cache(folder, seed=0, each=3):
         maps = cache.mapped(folder / cache.file_of((h, w)), cache.layout((h, w), CHANNELS), len(kept), True)
         for i in range(len(CHANNELS)):
             maps[f"f{i}"] = rng.normal(size=maps[f"f{i}"].shape)
+            maps[f"s{i}"] = rng.random(maps[f"s{i}"].shape) + 0.1
         maps["value"] = np.where(rng.random(maps["value"].shape) < 0.1, np.nan, rng.random(maps["value"].shape))
-        maps["region"][:, 4:16, 4:16] = 1
-        maps["region"][:, 16:28, 16:28] = 2
+        maps["region"][:, 2:8, 2:8] = 1
+        maps["region"][:, 8:14, 8:14] = 2
         maps["kind"] = np.where(maps["region"] > 0, sources.THING, sources.SKY)
         maps.flush()
         records[f"{h}x{w}"] = kept
@@ -58,9 +59,9 @@ def depth_run(folder, out, steps=6, stop=None, seed=1, every=2):
     net = network.Decoder(CHANNELS, (4, 6, 8, 10, 12), 0.2)
 
     def loss_at(step):
-        features, value, region, kind, of = records.at(step)
+        features, own, value, region, kind, of = records.at(step)
         generator = torch.Generator().manual_seed(step)
-        return depth.loss_of(net(depth.restyled(features, records.statistics()))[:, 0], value, region, kind, of, generator, depth.WEIGHTS)
+        return depth.loss_of(net.half(depth.restyled(features, own, records.statistics()))[:, 0], value, region, kind, of, generator, depth.WEIGHTS)
 
     plan = loop.Plan(steps=steps, lr=1e-2, weight_decay=1e-2, ema=0.9, every=every, seed=seed)
     return loop.train(out, plan, net, loss_at, records.inputs(), {"batch": 4}, lambda mean: {"score": float(mean.head.weight.abs().sum())}, stop, quiet=True)

@@ -20,6 +20,10 @@ def scene(h=48, w=64):
     return torch.tensor(t[None], dtype=torch.float32), torch.tensor(region[None]), torch.tensor(kind[None])
 
 
+NONE = torch.zeros(1)
+SOME = torch.full((1,), 0.1)
+
+
 def noise(shape, seed=0):
     return torch.randn(shape, generator=torch.Generator().manual_seed(seed))
 
@@ -30,7 +34,7 @@ class Losses(unittest.TestCase):
         p = t + 0.1 * noise(t.shape)
         generator = lambda: torch.Generator().manual_seed(1)
         for of in (
-            lambda p: losses.disparity(p, t, 0.1), lambda p: losses.depth(p, t, 0.1), lambda p: [losses.order(p, t, generator())],
+            lambda p: losses.disparity(p, t, SOME), lambda p: losses.depth(p, t, SOME), lambda p: [losses.order(p, t, generator())],
             lambda p: losses.things(p, t, region, kind), lambda p: [losses.sky(p, kind)],
         ):  # fmt: skip
             for a, b in zip(of(p), of(7 * p - 3)):
@@ -39,7 +43,7 @@ class Losses(unittest.TestCase):
     def test_the_truth_is_best_and_its_opposite_worst(self):
         t, region, kind = scene()
         for of in (
-            lambda p: losses.disparity(p, t)[0], lambda p: losses.disparity(p, t)[1], lambda p: losses.order(p, t, torch.Generator().manual_seed(1)),
+            lambda p: losses.disparity(p, t, NONE)[0], lambda p: losses.disparity(p, t, NONE)[1], lambda p: losses.order(p, t, torch.Generator().manual_seed(1)),
             lambda p: losses.things(p, t, region, kind)[0], lambda p: losses.sky(p, kind),
         ):  # fmt: skip
             right, spoilt, turned = (float(of(p)) for p in (t, t + 0.1 * noise(t.shape), -t))
@@ -52,7 +56,7 @@ class Losses(unittest.TestCase):
         t = t.masked_fill(hole, torch.nan)
         for of in (losses.disparity, losses.depth):
             whole = p.clone().requires_grad_()
-            sum(v.sum() for v in of(whole, t)).backward()
+            sum(v.sum() for v in of(whole, t, SOME)).backward()
             self.assertTrue(torch.isfinite(whole.grad).all())
             self.assertEqual(float(whole.grad[hole].abs().max()), 0.0)
             self.assertGreater(float(whole.grad[~hole].abs().max()), 0.0)
@@ -62,7 +66,7 @@ class Losses(unittest.TestCase):
         t, region, kind = scene()
         p = noise(t.shape).requires_grad_()
         nothing = torch.full_like(t, torch.nan)
-        total = sum(v.sum() for v in (*losses.disparity(p, nothing), *losses.things(p, nothing, region, kind)))
+        total = sum(v.sum() for v in (*losses.disparity(p, nothing, SOME), *losses.depth(p, nothing, SOME), *losses.things(p, nothing, region, kind)))
         total.backward()
         self.assertTrue(torch.isfinite(total) and torch.isfinite(p.grad).all())
 
@@ -70,8 +74,8 @@ class Losses(unittest.TestCase):
         z = torch.linspace(1, 12, 64).repeat(1, 48, 1)
         t = 1 - (z - 1) / 11
         right = 1 / z
-        self.assertLess(float(losses.depth(right, t)[0]), 0.25 * float(losses.disparity(right, t)[0]))
-        self.assertLess(float(losses.depth(right, t)[0]), 0.25 * float(losses.depth(right.sqrt() * -1, t)[0]))
+        self.assertLess(float(losses.depth(right, t, NONE)[0]), 0.25 * float(losses.disparity(right, t, NONE)[0]))
+        self.assertLess(float(losses.depth(right, t, NONE)[0]), 0.25 * float(losses.depth(-right.sqrt(), t, NONE)[0]))
 
     def test_outliers_hardly_move_the_fit(self):
         t = noise((1, 40, 40))
@@ -95,7 +99,7 @@ class Losses(unittest.TestCase):
         p = noise(t.shape, 3).requires_grad_()
         optimiser = torch.optim.Adam([p], 0.05)
         for _ in range(300):
-            loss = sum(v.sum() for v in (*losses.disparity(p, t), *losses.things(p, t, region, kind), losses.sky(p, kind)))
+            loss = sum(v.sum() for v in (*losses.disparity(p, t, NONE), *losses.things(p, t, region, kind), losses.sky(p, kind)))
             optimiser.zero_grad()
             loss.backward()
             optimiser.step()
