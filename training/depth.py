@@ -139,7 +139,7 @@ def main():
     a.add_argument("--drop", type=float, default=0.15, help="share of the encoders' channels that each sample goes without")
     a.add_argument("--ema", type=float, default=0.998, help="decay of the mean over weights")
     a.add_argument("--init", help="checkpoint whose weights to begin with, their running mean")
-    loop.arguments(a, steps=40000, seed=1, every=1000)
+    loop.arguments(a, steps=20000, seed=1, every=1000)
     a = a.parse_args()
     import eval_depth  # here, because it reads real pictures
 
