@@ -41,9 +41,8 @@ def short(path):
 
 def plain(word):
     """A word of a command line without this machine's folders."""
-    for root, name in ((DATA.resolve(), "$TMPI_DATA"), (DATA, "$TMPI_DATA"), (HERE.parent, "..")):
-        word = word.replace(str(root), name)
-    return word
+    key, is_, value = word.partition("=") if word.startswith("-") else ("", "", word)
+    return key + is_ + (short(value) if Path(value).is_absolute() else value)
 
 
 def versions():

@@ -202,6 +202,10 @@ class Cards(unittest.TestCase):
             self.assertEqual(manifest.told_in(card), manifest.sha256(model))
             self.assertEqual((text.count(manifest.BEGIN), text.count("by hand")), (1, 1))
 
+    def test_command_lines_tell_no_folders_of_the_machine(self):
+        words = ["--out=/elsewhere/runs/x", "/elsewhere/y.pt", str(manifest.DATA / "photos"), str(manifest.HERE / "runs"), "runs/z", "--lr=0.1"]
+        self.assertEqual([manifest.plain(w) for w in words], ["--out=x", "y.pt", "$TMPI_DATA/photos", "runs", "runs/z", "--lr=0.1"])
+
     def test_a_manifest_follows_to_the_card(self):
         with tempfile.TemporaryDirectory() as t:
             root = Path(t)
