@@ -29,6 +29,8 @@ from paths import RUNS
 # (height, width) of batches: about the pixels that the program runs at, and up to half more
 SHAPES = [(128, 192), (192, 128), (160, 160), (128, 224), (224, 128), (96, 256), (160, 224), (224, 160), (192, 192)]
 AREA = 128 * 192
+# pictures after which an interrupted build can go on
+EVERY = 50
 # goes into cache.json: to be raised when the same seed gives other records
 VERSION = 1
 
@@ -131,7 +133,7 @@ def build(items, out, args, net):
                 for i, (f, s) in enumerate(zip(found, parts)):
                     at[f"f{i}"][:], at[f"s{i}"][:] = f[0].permute(1, 2, 0).numpy(), s
                 at["value"][:], at["region"][:], at["kind"][:] = value, region, kind
-        if (n + 1) % 50 == 0 or n + 1 == len(items):
+        if (n + 1) % EVERY == 0 or n + 1 == len(items):
             for m in (*maps.values(), bank):
                 if m is not None:
                     m.flush()

@@ -1,15 +1,22 @@
 """Only what may be trained on is read, as what it is."""
 
+import argparse
+import contextlib
+import io
+import json
 import tempfile
 import unittest
 from pathlib import Path
+from unittest import mock
 
 import cv2
 import numpy as np
+import torch.nn.functional as F
 
 import cache
 import common
 import loop
+import network
 import sources
 
 INDEX = """path\tsource\tlicence\tkind\tunit\ttrain\torigin
@@ -82,6 +89,36 @@ class Sources(unittest.TestCase):
         made = [loop.digest(list(cache.augmented(item, sample, (32, 64), loop.stream(1, "variant", item.name, k)))) for k in (0, 0, 1)]
         self.assertEqual(made[0], made[1])
         self.assertNotEqual(made[0], made[2])
+
+    def test_an_interrupted_cache_becomes_the_same(self):
+        args = argparse.Namespace(seed=1, variants=1, real=3)
+        whole, parts = self.root / "whole", self.root / "parts"
+        with mock.patch.object(network, "FILES", ()), mock.patch.object(cache, "EVERY", 1), contextlib.redirect_stdout(io.StringIO()):
+            cache.build(list(self.items.values()), whole, args, Pooled())
+            with self.assertRaises(KeyboardInterrupt):
+                cache.build(list(self.items.values()), parts, args, Pooled(ends=8))
+            self.assertFalse((parts / "cache.json").exists())
+            second = Pooled()
+            cache.build(list(self.items.values()), parts, args, second)
+            self.assertLess(second.calls, 3 * len(self.items))
+            told = [json.loads((f / "cache.json").read_text()) for f in (whole, parts)]
+            self.assertEqual(told[0], told[1])
+            cache.build(list(self.items.values()), parts, argparse.Namespace(seed=2, variants=1, real=3), Pooled())
+        self.assertNotEqual(json.loads((parts / "cache.json").read_text())["files"], told[0]["files"])
+
+
+class Pooled:
+    """Stands in for the network: its encoders give means of colours."""
+
+    def __init__(self, ends=None):
+        self.ends, self.calls = ends, 0
+        self.encoder = argparse.Namespace(channels=(3, 3, 3, 3, 3))
+
+    def features(self, x):
+        self.calls += 1
+        if self.calls == self.ends:
+            raise KeyboardInterrupt
+        return [F.avg_pool2d(x, 2 << i) for i in range(5)]
 
 
 if __name__ == "__main__":
