@@ -105,6 +105,18 @@ class Losses(unittest.TestCase):
             optimiser.step()
         self.assertGreater(float(torch.corrcoef(torch.stack([p.detach().flatten(), t.flatten()]))[0, 1]), 0.98)
 
+    def test_descent_finds_the_order_of_depth_from_noise(self):
+        z = 1 + 11 * torch.rand((1, 6, 8), generator=torch.Generator().manual_seed(2)).repeat_interleave(6, 1).repeat_interleave(6, 2)
+        p = noise(z.shape, 4).requires_grad_()
+        optimiser = torch.optim.Adam([p], 0.05)
+        for _ in range(400):
+            loss = sum(v.sum() for v in losses.depth(p, 1 - z / 12, NONE))
+            optimiser.zero_grad()
+            loss.backward()
+            optimiser.step()
+        ranks = torch.stack([v.flatten().argsort().argsort().float() for v in (p.detach(), -z)])
+        self.assertGreater(float(torch.corrcoef(ranks)[0, 1]), 0.95)
+
 
 class Things(unittest.TestCase):
     def sample(self):
