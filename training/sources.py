@@ -22,7 +22,9 @@ from paths import DATA, HERE
 
 try:
     from label_paint import paint, read  # label files of both kinds
-except ModuleNotFoundError:
+except ModuleNotFoundError as e:
+    if e.name != "label_paint":
+        raise
     from labels import paint
 
     def read(path):
