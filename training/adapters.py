@@ -1,6 +1,5 @@
 """Holds the program's work before and after a depth network against that of its publishers, on networks with random weights.
 
-    pip install transformers torchvision timm opencv-python-headless onnxscript
     python adapters.py ../target/release/tmpi [photo …]
 
 Each architecture is built with few layers, exported to ONNX, and run twice: with the image processor of `transformers` (MiDaS: OpenCV,
@@ -235,11 +234,12 @@ def main():
     photos = a.photos or sorted(str(p) for p in (DATA / "photos" / "dav2").glob("*.jpg"))[:3]
     if not photos:
         raise SystemExit("no photos: name some, or set TMPI_DATA")
-    worst, begun = 0.0, time.time()
+    worst, rows, begun = 0.0, 0, time.time()
     with tempfile.TemporaryDirectory() as folder:
         for row, name, make, prepare, any_size, metric, processor in architectures():
             if not row.startswith(a.only):
                 continue
+            rows += 1
             torch.manual_seed(0)
             net, last = make()
             model, sizes = None, {}
@@ -283,6 +283,8 @@ def main():
                 label = f"{shape} {image.size[0]}×{image.size[1]}"
                 print(f"{row:26} {label:25} {x.shape[3]:4}×{x.shape[2]:<4} worst {off:.1e} mean {mean:.1e}{note}", flush=True)
             Path(model).unlink()
+    if not rows:
+        raise SystemExit(f"no row begins with {a.only}")
     print(f"worst {worst:.1e}, bound {a.bound:.0e}, {time.time() - begun:.0f} s")
     if not worst <= a.bound:
         raise SystemExit(1)

@@ -1,31 +1,17 @@
-"""What the three trainings share: rendered scenes, augmentation, running means of weights, logs, checkpoints."""
+"""What the three trainings share: reading scenes and photographs, crops, and what cameras and codecs do to colours."""
 
-import csv
 import json
-import os
-import random
-import time
 from pathlib import Path
 
 import cv2
 import numpy as np
 import torch
-import torch.nn.functional as F
 
-HERE = Path(__file__).resolve().parent
-RUNS = HERE / "runs"
-MODELS = HERE.parent / "models"
-DATA = Path(os.environ.get("TMPI_DATA", HERE.parent.parent / "shared" / "data"))
+from paths import DATA, HERE, MODELS, RUNS  # noqa: F401 - others import them from here
 
 
 def device():
     return torch.device("cuda" if torch.cuda.is_available() else "cpu")
-
-
-def seed_all(seed):
-    random.seed(seed)
-    np.random.seed(seed)
-    torch.manual_seed(seed)
 
 
 def scenes(*folders):
@@ -55,22 +41,12 @@ def read_pair(folder):
     return rgb, d.astype(np.float32)
 
 
-def read_label(path):
-    """Photo and disparity of a label that `labels.py` painted; NaN where nothing is known."""
-    if path not in CACHE:
-        rgb = read_rgb(str(path).replace(".disparity.", ".rgb."))
-        code = cv2.imread(str(path), cv2.IMREAD_UNCHANGED).astype(np.float32)
-        CACHE[path] = rgb, np.where(code > 0, (code - 1) / 65534, np.nan).astype(np.float16)
-    rgb, d = CACHE[path]
-    return rgb, d.astype(np.float32)
-
-
 def read_scene(folder):
     return json.loads((Path(folder) / "scene.json").read_text())
 
 
 def photometric(rgb, disparity, rng):
-    """Colours, light, focus, noise and compression of a photograph, on a rendered uint8 picture."""
+    """Colours, light, focus, noise and compression of a photograph, on a uint8 picture; the focus follows the map, which is finite."""
     x = rgb.astype(np.float32)
     if rng.random() < 0.5:
         lab = cv2.cvtColor(x / 255, cv2.COLOR_RGB2LAB)
@@ -108,71 +84,36 @@ def photometric(rgb, disparity, rng):
     return x
 
 
-def framed(rgb, disparity, size, rng, closest=0.6):
-    """A random crop of the wanted shape, down to `closest` of the picture, flipped half of the time, at `size` = (height, width)."""
+def framed(rgb, disparity, size, rng, closest=0.6, least=0.999, regions=()):
+    """A random crop of the wanted shape, down to `closest` of the picture, flipped half of the time, at `size` = (height, width).
+
+    NaN in the map is unknown; a pixel is known where more than the share `least` of what it covers is. `regions` are maps of numbers that are
+    cropped alike. Returns colours, map, and those maps."""
     h, w = disparity.shape
     zoom = rng.uniform(closest, 1.0) if rng.random() < 0.6 else 1.0
     ch, cw = (h, h * size[1] / size[0]) if w * size[0] > h * size[1] else (w * size[0] / size[1], w)
     ch, cw = max(16, int(ch * zoom)), max(16, int(cw * zoom))
-    y, x = rng.randint(0, h - ch), rng.randint(0, w - cw)
-    rgb, disparity = rgb[y : y + ch, x : x + cw], disparity[y : y + ch, x : x + cw]
+    y, x = rng.randint(0, max(0, h - ch)), rng.randint(0, max(0, w - cw))
+    at = np.s_[y : y + ch, x : x + cw]
     shrink = cw > size[1]
-    rgb = cv2.resize(rgb, size[::-1], interpolation=cv2.INTER_AREA if shrink else cv2.INTER_CUBIC)
-    disparity = cv2.resize(disparity, size[::-1], interpolation=cv2.INTER_AREA if shrink else cv2.INTER_NEAREST)
+    area, nearest = cv2.INTER_AREA, cv2.INTER_NEAREST
+    rgb = cv2.resize(rgb[at], size[::-1], interpolation=area if shrink else cv2.INTER_CUBIC)
+    disparity = shrunk(disparity[at], size, least) if shrink else cv2.resize(disparity[at], size[::-1], interpolation=nearest)
+    maps = [rgb, disparity, *(cv2.resize(r[at], size[::-1], interpolation=nearest) for r in regions)]
     if rng.random() < 0.5:
-        rgb, disparity = rgb[:, ::-1], disparity[:, ::-1]
-    return np.ascontiguousarray(rgb), np.ascontiguousarray(disparity)
+        maps = [m[:, ::-1] for m in maps]
+    return [np.ascontiguousarray(m) for m in maps]
+
+
+def shrunk(disparity, size, least):
+    """Mean of what is known below each pixel of a smaller map; NaN where that is no more than the share `least`."""
+    known = (~np.isnan(disparity)).astype(np.float32)
+    if known.all():
+        return cv2.resize(disparity, size[::-1], interpolation=cv2.INTER_AREA)
+    total = cv2.resize(np.nan_to_num(disparity), size[::-1], interpolation=cv2.INTER_AREA)
+    share = cv2.resize(known, size[::-1], interpolation=cv2.INTER_AREA)
+    return np.where(share > least, total / np.maximum(share, 1e-6), np.nan).astype(np.float32)
 
 
 def chw(rgb):
     return torch.from_numpy(rgb).permute(2, 0, 1).float().div(255)
-
-
-class Ema:
-    """Running mean of all weights and buffers of a module."""
-
-    def __init__(self, module, decay):
-        self.decay, self.shadow = decay, {k: v.detach().clone() for k, v in module.state_dict().items()}
-
-    @torch.no_grad()
-    def update(self, module, step):
-        d = min(self.decay, (1 + step) / (10 + step))
-        for k, v in module.state_dict().items():
-            if v.dtype.is_floating_point:
-                self.shadow[k].lerp_(v, 1 - d)
-            else:
-                self.shadow[k].copy_(v)
-
-
-class Log:
-    """Rows of a CSV file, and the same on the terminal."""
-
-    def __init__(self, path, columns):
-        self.columns, new = columns, not Path(path).exists()
-        self.file = open(path, "a", newline="")
-        self.writer = csv.writer(self.file)
-        if new:
-            self.writer.writerow(columns)
-        self.start = time.time()
-
-    def row(self, **values):
-        self.writer.writerow([values.get(c, "") for c in self.columns])
-        self.file.flush()
-        text = " ".join(f"{k} {v:.4f}" if isinstance(v, float) else f"{k} {v}" for k, v in values.items())
-        print(f"[{time.time() - self.start:6.0f} s] {text}", flush=True)
-
-
-def save(path, **state):
-    tmp = Path(str(path) + ".part")
-    torch.save(state, tmp)
-    tmp.replace(path)
-
-
-def ssim(a, b):
-    """Mean structural similarity map of [N,3,H,W] pictures in 0..1, 7×7 box windows."""
-    def box(x):
-        return F.avg_pool2d(x, 7, 1)
-
-    ma, mb = box(a), box(b)
-    va, vb, vab = box(a * a) - ma * ma, box(b * b) - mb * mb, box(a * b) - ma * mb
-    return ((2 * ma * mb + 1e-4) * (2 * vab + 9e-4)) / ((ma * ma + mb * mb + 1e-4) * (va + vb + 9e-4))

@@ -10,8 +10,10 @@ import numpy as np
 import torch
 
 import common
-from common import DATA
-from depth import MEAN, STD, DepthNet
+import sources
+import things
+from network import MEAN, STD, DepthNet, Shipped
+from paths import DATA
 
 # pixels at which the program runs the network
 AREA = 128 * 192
@@ -23,48 +25,48 @@ def size_for(h, w, area=AREA):
     return max(2, round((area / r) ** 0.5 / 32)) * 32, max(2, round((area * r) ** 0.5 / 32)) * 32
 
 
-def load_sets(part="all"):
-    """Name → list of (rgb, disparity, valid). Empty where the data is not there.
+def listed(part):
+    """Every picture to measure on: (set, photo, depth file, how it is stored). `part`: "choose" is what checkpoints are chosen by, "report" is the
+    rest, on which nothing is chosen, "all" is both."""
+    found = []
+    for i, f in enumerate(sorted((DATA / "depth_pred" / "adampi").glob("*.jpg"))):
+        found.append(("adampi", f, f.with_name(f.stem + "_disp16.png"), "disparity", i % 2 == 0))
+    for f in sorted((DATA / "stereo_gt").iterdir() if (DATA / "stereo_gt").exists() else []):
+        if (f / "disp_left.png").exists():
+            left = next(p for p in sorted(f.iterdir()) if p.stem in ("left", "im0", "view1", "im2"))
+            found.append(("middlebury", left, f / "disp_left.png", "stereo", f.name in ("art", "cones")))
+    found += [("replica", *p, "depth", i % 3 == 0) for i, p in enumerate(replica())]
+    found += [("kitchen", *p, "depth", i % 7 == 0) for i, p in enumerate(kitchen(28))]
+    single = DATA / "rgbd_single"
+    found += [("nyu", p, single / "nyu_demo" / "depth" / (p.stem.replace("rgb", "sync_depth") + ".png"), "depth", False) for p in sorted((single / "nyu_demo" / "rgb").glob("*"))]
+    found += [("redwood", p, single / "redwood" / "depth" / (p.stem + ".png"), "depth", False) for p in sorted((single / "redwood" / "color").glob("*"))]
+    found += [("corridor", single / "sun_corridor" / "SUN_color.jpg", single / "sun_corridor" / "SUN_depth.png", "rotated depth", False)]
+    return [f[:4] for f in found if f[2].exists() and (part == "all" or f[4] == (part == "choose"))]
 
-    `part`: "choose" is what checkpoints are chosen by, "report" is the rest, "all" is both."""
+
+def files(part):
+    return [f for _, photo, depth, _ in listed(part) for f in (photo, depth)]
+
+
+def load_sets(part):
+    """Name → list of (rgb, disparity, valid). Empty where the data is not there. `part` as in [`listed`]."""
     sets = {}
-
-    def wanted(chosen):
-        return part == "all" or chosen == (part == "choose")
-
-    def add(name, rgb, d, valid):
+    for name, photo, depth, kind in listed(part):
+        rgb, d = common.read_rgb(photo), cv2.imread(str(depth), cv2.IMREAD_UNCHANGED)
+        if kind in ("disparity", "stereo"):
+            d = d.astype(np.float32)
+            valid = d > 0 if kind == "stereo" else np.ones(d.shape, bool)
+        else:
+            d = (d >> 3) | (d << 13) if kind == "rotated depth" else d
+            valid = (d > 0) & (d < 65535)
+            d = 1 / np.maximum(d.astype(np.float32), 1)
         if rgb.shape[1] > 640:
-            s = 640 / rgb.shape[1]
-            size = (640, round(rgb.shape[0] * s))
-            rgb = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA)
+            rgb = cv2.resize(rgb, (640, round(rgb.shape[0] * 640 / rgb.shape[1])), interpolation=cv2.INTER_AREA)
         if d.shape != rgb.shape[:2]:
             size = rgb.shape[1::-1]
             d = cv2.resize(d, size, interpolation=cv2.INTER_NEAREST)
             valid = cv2.resize(valid.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
         sets.setdefault(name, []).append((rgb, d.astype(np.float64), valid))
-
-    for i, f in enumerate(sorted((DATA / "depth_pred" / "adampi").glob("*.jpg"))):
-        if wanted(i % 2 == 0):
-            d = cv2.imread(str(f.with_name(f.stem + "_disp16.png")), -1).astype(np.float32)
-            add("adampi", common.read_rgb(f), d, np.ones(d.shape, bool))
-    for f in sorted((DATA / "stereo_gt").iterdir() if (DATA / "stereo_gt").exists() else []):
-        if not (f / "disp_left.png").exists() or not wanted(f.name in ("art", "cones")):
-            continue
-        left = next(p for p in sorted(f.iterdir()) if p.stem in ("left", "im0", "view1", "im2"))
-        d = cv2.imread(str(f / "disp_left.png"), -1).astype(np.float32)
-        add("middlebury", common.read_rgb(left), d, d > 0)
-    found = [("replica", *p, i % 3 == 0) for i, p in enumerate(replica())] + [("kitchen", *p, i % 7 == 0) for i, p in enumerate(kitchen(28))]
-    single = DATA / "rgbd_single"
-    found += [("nyu", p, single / "nyu_demo" / "depth" / (p.stem.replace("rgb", "sync_depth") + ".png"), False) for p in sorted((single / "nyu_demo" / "rgb").glob("*"))]
-    found += [("redwood", p, single / "redwood" / "depth" / (p.stem + ".png"), False) for p in sorted((single / "redwood" / "color").glob("*"))]
-    found += [("corridor", single / "sun_corridor" / "SUN_color.jpg", single / "sun_corridor" / "SUN_depth.png", False)]
-    for name, photo, depth, chosen in found:
-        if not wanted(chosen) or not depth.exists():
-            continue
-        raw = cv2.imread(str(depth), -1)
-        raw = (raw >> 3) | (raw << 13) if name == "corridor" else raw
-        valid = (raw > 0) & (raw < 65535)
-        add(name, common.read_rgb(photo), 1 / np.maximum(raw.astype(np.float32), 1), valid)
     return sets
 
 
@@ -136,6 +138,15 @@ class Program:
         return cv2.resize(d, rgb.shape[1::-1], interpolation=cv2.INTER_LINEAR)
 
 
+def predicted(net, rgb, **how):
+    return net.predict(rgb) if isinstance(net, Program) else predict(net, rgb, **how)
+
+
+def rows_of(d):
+    """The vertical ramp at a map's size."""
+    return np.repeat(np.arange(d.shape[0], dtype=np.float64)[:, None], d.shape[1], 1)
+
+
 def evaluate(net, sets, **how):
     """Per set: means over its pictures of RMSE/deviation, Spearman and δ < 1.25, of the network and of the best vertical ramp."""
     result = {}
@@ -143,14 +154,31 @@ def evaluate(net, sets, **how):
         own, ramp = [], []
         for rgb, d, valid in pictures:
             valid = valid & (d > 0)
-            p = net.predict(rgb) if isinstance(net, Program) else predict(net, rgb, **how)
-            own.append(scores(p, d, valid))
-            rows = np.repeat(np.arange(d.shape[0], dtype=np.float64)[:, None], d.shape[1], 1)
-            s = scores(rows, d, valid)
+            own.append(scores(predicted(net, rgb, **how), d, valid))
+            s = scores(rows_of(d), d, valid)
             ramp.append([s[0], abs(s[1]), s[2]])  # the fit may turn the ramp round
         own, ramp = np.mean(own, 0), np.mean(ramp, 0)
         result[name] = {"net": float(own[0]), "ramp": float(ramp[0]), "all": own.tolist(), "all_ramp": ramp.tolist(), "pictures": len(pictures)}
     return result
+
+
+def evaluate_things(net, items, **how):
+    """Means over labelled photographs of [`things.measure`], of the network and of the vertical ramp, turned as fits the label."""
+    own, ramp, names = [], [], []
+    for item in items:
+        sample = sources.read_item(item)
+        known = np.isfinite(sample.value)
+        rows = rows_of(sample.value)
+        rows *= np.sign(np.corrcoef(rows[known], sample.value[known])[0, 1]) or 1
+        pair = [things.measure(p, sample) for p in (predicted(net, sample.rgb, **how), rows)]
+        if pair[0] is not None:
+            own.append(pair[0])
+            ramp.append(pair[1])
+            names.append(item.name)
+    if not own:
+        return None
+    mean = lambda rows: {k: float(np.mean([r[k] for r in rows])) for k in rows[0]}
+    return {"net": mean(own), "ramp": mean(ramp), "pictures": names, "each": own}
 
 
 class Onnx:
@@ -167,12 +195,20 @@ class Onnx:
         return torch.from_numpy(self.session.run(None, {"image": x.numpy()})[0])
 
 
+def opened(model, flags):
+    """The network of a file, or the program."""
+    if model.endswith(".pt"):
+        return DepthNet.of(torch.load(model, weights_only=False)).eval()
+    return Onnx(model) if model.endswith(".onnx") else Program(model, flags)
+
+
 def main():
     a = argparse.ArgumentParser(description=__doc__)
     a.add_argument("model", help="depth.onnx, a checkpoint .pt, or the program tmpi: the whole way of `tmpi depth`")
     a.add_argument("--flip", action="store_true")
     a.add_argument("--areas", type=int, nargs="+", default=[AREA])
-    a.add_argument("--part", choices=["all", "choose", "report"], default="all", help="pictures that checkpoints are chosen by, the others, or both")
+    a.add_argument("--part", choices=["all", "choose", "report"], default="report", help="the pictures that nothing is chosen by, those that checkpoints are chosen by, or both")
+    a.add_argument("--ramp", type=float, default=0.2, help="share of the vertical ramp that a checkpoint gets, as in export.py")
     a.add_argument("--json", action="store_true")
     a, flags = a.parse_known_args()  # what is left over goes to the program
     torch.set_num_threads(1)
@@ -180,19 +216,22 @@ def main():
     if not sets:
         print("TMPI_DATA is not there: nothing to measure")
         return
-    if a.model.endswith(".pt"):
-        net = DepthNet.of(torch.load(a.model, weights_only=False)).eval()
-    elif not a.model.endswith(".onnx"):
-        net = Program(a.model, flags)
-    else:
-        net = Onnx(a.model)
-    result = evaluate(net, sets, flip=a.flip, areas=a.areas)
+    net = opened(a.model, flags)
+    net = Shipped(net, a.ramp) if isinstance(net, DepthNet) else net
+    how = {"flip": a.flip, "areas": a.areas}
+    result = evaluate(net, sets, **how)
+    # held-out labels are never chosen by
+    objects = evaluate_things(net, sources.labels(held=True), **how) if a.part != "choose" else None
     if a.json:
-        print(json.dumps(result))
+        print(json.dumps({"sets": result, "things": objects}))
         return
-    print("set          pictures  RMSE/std net  ramp   Spearman net  ramp   <1.25 net  ramp")
+    print(f"part: {a.part}\nset          pictures  RMSE/std net  ramp   Spearman net  ramp   <1.25 net  ramp")
     for k, v in result.items():
         print(f"{k:12} {v['pictures']:8}  " + "   ".join(f"{n:10.3f} {r:6.3f}" for n, r in zip(v["all"], v["all_ramp"])))
+    if objects:
+        print(f"\nthings of {len(objects['pictures'])} held-out labelled photographs      net    ramp")
+        for k in objects["net"]:
+            print(f"{things.MEASURES[k]:52} {objects['net'][k]:6.3f} {objects['ramp'][k]:6.3f}")
 
 
 if __name__ == "__main__":

@@ -7,22 +7,27 @@ import numpy as np
 import torch
 
 import common
-from common import DATA
+from paths import DATA
 from graph import run
 from theta import TILE, discrete, tiles
 
 
+def boxed(x, radius):
+    """Means over windows that are clipped to the map."""
+    total = lambda v: cv2.boxFilter(v, -1, (2 * radius + 1,) * 2, normalize=False, borderType=cv2.BORDER_CONSTANT)
+    return total(x.astype(np.float64)) / total(np.ones(x.shape))
+
+
 def guided(d, guide, radius, eps):
-    box = lambda x: cv2.blur(x, (2 * radius + 1, 2 * radius + 1), borderType=cv2.BORDER_REFLECT)
-    mg, md = box(guide), box(d)
-    a = (box(guide * d) - mg * md) / (box(guide * guide) - mg * mg + eps)
-    return box(a) * guide + box(md - a * mg)
+    mg, md = boxed(guide, radius), boxed(d, radius)
+    a = (boxed(guide * d, radius) - mg * md) / (np.maximum(boxed(guide * guide, radius) - mg * mg, 0) + eps)
+    return boxed(a, radius) * guide + boxed(md - a * mg, radius)
 
 
-def classic(rgb, d, radius=4, eps=1e-3):
-    """5-pixel median, then a filter guided by luminance."""
+def classic(rgb, d, radius=3, eps=1e-4):
+    """What `--denoise classic` does, but for the median within two pixels of the border: 5-pixel median, then a filter guided by luminance."""
     grey = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY).astype(np.float32) / 255
-    return guided(cv2.medianBlur(d.astype(np.float32), 5), grey, radius, eps).clip(0, 1)
+    return guided(cv2.medianBlur(d.astype(np.float32), 5), grey, radius, eps).astype(np.float32)
 
 
 def noise_level(d):
@@ -54,7 +59,7 @@ def fitted(d, guide, radius, spread, tolerance, stride):
 
 
 def planar(d):
-    """What `--denoise planar` does: nothing without noise; else planes fitted three times, each by the likeness of the one before."""
+    """About what `--denoise auto` does: nothing without noise; else planes fitted three times, each by the likeness of the one before."""
     sigma, outliers = noise_level(d)
     if sigma < 1.5e-3 and outliers < 1e-3:
         return d

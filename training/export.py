@@ -1,4 +1,4 @@
-"""Writes models/depth.onnx, theta.onnx or psi.onnx from a checkpoint, and holds ONNX Runtime against PyTorch."""
+"""Writes models/depth.onnx, theta.onnx or psi.onnx from a checkpoint, what they were made from into their cards, and holds ONNX Runtime against PyTorch."""
 
 import argparse
 
@@ -6,6 +6,7 @@ import numpy as np
 import torch
 
 import common
+import manifest
 from common import MODELS, RUNS
 from graph import Graph, check, decoder, halved, ramped
 
@@ -13,7 +14,7 @@ LICENCE = "MIT OR Apache-2.0"
 
 
 def depth(path, checkpoint, ramp):
-    from depth import DepthNet, Shipped
+    from network import DepthNet, Shipped
 
     net = DepthNet.of(checkpoint).eval()
     fold_into_half(net)
@@ -38,7 +39,7 @@ def theta(path, checkpoint):
     from theta import Theta
 
     net = Theta().eval()
-    net.load_state_dict(checkpoint["model"])
+    net.load_state_dict(checkpoint["mean"])
     g = Graph("tmpi theta", half=False)
     x = g.input("input", ["n", 4, "h", "w"])
 
@@ -90,7 +91,7 @@ def psi(path, checkpoint):
     from psi import Psi
 
     net = Psi().eval()
-    net.load_state_dict(checkpoint["model"])
+    net.load_state_dict(checkpoint["mean"])
     g = Graph("tmpi psi", half=False)
     x = g.input("layers", ["n", 9, "h", "w"])
 
@@ -114,7 +115,7 @@ def main():
     a = argparse.ArgumentParser(description=__doc__)
     a.add_argument("model", choices=["depth", "theta", "psi"])
     a.add_argument("--checkpoint")
-    a.add_argument("--out")
+    a.add_argument("--out", help="another file than models/NAME.onnx, whose card is then left alone")
     a.add_argument("--ramp", type=float, default=0.2, help="share of the vertical ramp in the depth network's map")
     a = a.parse_args()
     torch.manual_seed(0)
@@ -122,8 +123,12 @@ def main():
     name = {"depth": "depth/best.pt", "theta": "theta/last.pt", "psi": "psi/last.pt"}[a.model]
     path = common.Path(a.out or MODELS / f"{a.model}.onnx")
     path.parent.mkdir(parents=True, exist_ok=True)
-    checkpoint = torch.load(a.checkpoint or RUNS / name, weights_only=False, map_location="cpu")
+    source = common.Path(a.checkpoint or RUNS / name)
+    checkpoint = torch.load(source, weights_only=False, map_location="cpu")
     worst = depth(path, checkpoint, a.ramp) if a.model == "depth" else theta(path, checkpoint) if a.model == "theta" else psi(path, checkpoint)
+    told = manifest.exported(source, path)
+    if not a.out:
+        manifest.into_card(path.with_suffix(".md"), manifest.block(path, told))
     print(f"{path}: {path.stat().st_size} bytes, step {checkpoint['step']}, ONNX Runtime − PyTorch at most {max(worst):.1e}")
 
 

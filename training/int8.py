@@ -19,10 +19,11 @@ from onnxruntime.quantization import CalibrationDataReader, CalibrationMethod, Q
 
 import common
 from common import RUNS
-from depth import MEAN, STD
+from eval_depth import size_for
+from network import MEAN, STD
 
-# the two sizes that the program runs the depth network at, for 3:2 and for 2:3
-SIZES = [(128, 192), (192, 256), (192, 128), (256, 192)]
+# (height, width) that the program runs the depth network at, for photos of 3:2, 16:9, 1:1 and 2:3
+SIZES = [size_for(h, w) for w, h in ((3, 2), (16, 9), (1, 1), (2, 3))]
 
 
 def inputs(kind, folders, count, sizes=SIZES):
@@ -84,8 +85,8 @@ def main():
             n.name = n.name or f"{n.op_type}_{i}"
         convolutions = [n.name for n in m.graph.node if n.op_type == "Conv"]
         onnx.save(m, wide)
-        # histograms want maps of one size
-        samples = inputs(kind, folders, a.count, SIZES if a.calibrate == "minmax" else SIZES[1:2])
+        # histograms want maps of one size: that of most photos
+        samples = inputs(kind, folders, a.count, SIZES if a.calibrate == "minmax" else SIZES[:1])
         quantize_static(
             wide, a.out, Reader(samples), quant_format=QuantFormat.QDQ, per_channel=True, activation_type=QuantType.QUInt8,
             weight_type=QuantType.QInt8, op_types_to_quantize=["Conv", "Add", "Concat", "Clip", "Relu", "Mul", "Sigmoid", "MaxPool"],
@@ -96,7 +97,7 @@ def main():
     for x in inputs(kind, folders[a.count :], 8):
         p, q = (s.run(None, x)[0] for s in pair)
         difference.append(np.abs(p - q).mean() / p.std())
-    for size in SIZES[:2]:
+    for size in SIZES:
         x = next(inputs(kind, folders[1:], 1, [size]))
         for _ in range(a.rounds):
             for s, t in zip(pair, times):
@@ -104,7 +105,7 @@ def main():
                 s.run(None, x)
                 t.append((size, time.perf_counter() - start))
     print(f"maps differ by {np.mean(difference):.3f} of their deviation in the mean")
-    for size in SIZES[:2]:
+    for size in SIZES:
         fp32, int8 = (1e3 * np.median([s for z, s in t if z == size]) for t in times)
         print(f"{size[1]}×{size[0]}: fp32 {fp32:.2f} ms, int8 {int8:.2f} ms")
     print(f"{a.out}: {common.Path(a.out).stat().st_size} bytes against {common.Path(a.model).stat().st_size}")

@@ -23,7 +23,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from common import DATA, HERE, RUNS
+from paths import DATA, HERE, RUNS
 
 # metres at which things count as infinitely far
 FAR = 1e6
@@ -107,6 +107,33 @@ def painted(label, picture):
     return inverse, valid & ~(edge & jump), masks
 
 
+def photo(label):
+    """The photograph of a label, u8 BGR [H, W, 3] at the label's size."""
+    picture = cv2.imread(str(DATA / label["photo"]))
+    if left := label.get("left"):
+        picture = picture[:, : int(picture.shape[1] * left)]
+    return cv2.resize(picture, tuple(label["size"]), interpolation=cv2.INTER_AREA)
+
+
+def paint(label, size=None):
+    """What a label says about its photograph, at `size` (width, height; the label's own without one).
+
+    `label` is the contents of a label file. Returns `disparity` float32 [H, W] in 1/m (0: infinitely far), `region` int32 [H, W] (0: none, i + 1: the
+    i-th), `kind` (for each number of `region`, "" for 0), `known` bool [H, W]: where `disparity` counts.
+    """
+    full = tuple(label["size"])
+    disparity, known, masks = painted(label, photo(label))
+    ids = np.zeros(full[::-1], np.int32)
+    for i, mask in enumerate(masks):
+        ids[mask > 0] = i + 1
+    disparity = np.where(disparity > 1 / FAR, disparity, 0).astype(np.float32)
+    if size and tuple(size) != full:
+        known = cv2.resize(known.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
+        disparity, ids = (cv2.resize(m, size, interpolation=cv2.INTER_NEAREST) for m in (disparity, ids))
+    kind = [""] + ["unknown" if r.get("unknown") else "sky" if r.get("far") else "object" for r in label["regions"]]
+    return {"disparity": disparity, "region": ids, "kind": kind, "known": known}
+
+
 def main():
     a = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     a.add_argument("-o", "--out", type=Path, default=RUNS / "labels")
@@ -118,10 +145,7 @@ def main():
         if a.only and file.stem != a.only:
             continue
         label = json.loads(file.read_text())
-        picture = cv2.imread(str(DATA / label["photo"]))
-        if left := label.get("left"):
-            picture = picture[:, : int(picture.shape[1] * left)]
-        picture = cv2.resize(picture, tuple(label["size"]), interpolation=cv2.INTER_AREA)
+        picture = photo(label)
         inverse, valid, masks = painted(label, picture)
         shown = inverse / np.percentile(inverse[valid], 99.5)
         code = np.where(valid, 1 + np.clip(shown, 0, 1) * 65534, 0)

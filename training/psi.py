@@ -1,8 +1,6 @@
 """Trains Ψ: the colour of hidden texels, on layers as the program makes them, whose exact surface behind is known."""
 
 import argparse
-import random
-import time
 
 import numpy as np
 import torch
@@ -10,6 +8,7 @@ import torch.nn.functional as F
 from torch import nn
 
 import common
+import loop
 from common import RUNS
 
 # channels of layers.npy (`tmpi synth --layers`): Ψ's nine, the true colour, and whether it is known
@@ -101,16 +100,13 @@ def main():
     a.add_argument("--scenes", nargs="+", default=[str(RUNS / "data" / "layers")])
     a.add_argument("--held", nargs="+", default=[str(RUNS / "data" / "held")], help="scenes that are only measured on")
     a.add_argument("--out", default=str(RUNS / "psi"))
-    a.add_argument("--steps", type=int, default=6000)
-    a.add_argument("--minutes", type=float, default=1e9, help="processor minutes to end by, with the schedule drawn out over them")
     a.add_argument("--batch", type=int, default=32)
-    a.add_argument("--threads", type=int, default=1)
-    a.add_argument("--seed", type=int, default=3)
     a.add_argument("--measure", metavar="MODEL", help="measure psi.onnx against the first fill on the held-out scenes, and end")
+    loop.arguments(a, steps=6000, seed=3, every=300)
     a = a.parse_args()
     torch.set_num_threads(a.threads)
-    common.seed_all(a.seed)
-    held = load(common.scenes(*a.held))
+    held_folders = common.scenes(*a.held)
+    held = load(held_folders)
     rounded = lambda r: {k: round(v, 5) for k, v in r.items()}
     print("first fill", rounded(measure(lambda x: x[:, :3], held)), f"{len(held)} layers", flush=True)
     if a.measure:
@@ -118,43 +114,23 @@ def main():
 
         print("with Ψ    ", rounded(measure(lambda x: torch.from_numpy(run(a.measure, {"layers": x})[0]), held)))
         return
-    out = common.Path(a.out)
-    out.mkdir(parents=True, exist_ok=True)
-    net = Psi()
-    optimiser = torch.optim.AdamW(net.parameters(), 2e-3, weight_decay=1e-2)
-    ema = common.Ema(net, 0.995)
-    step, spent = 0, 0.0
-    if (out / "last.pt").exists():
-        s = torch.load(out / "last.pt", weights_only=False)
-        net.load_state_dict(s["live"])
-        optimiser.load_state_dict(s["optimiser"])
-        ema.shadow, step, spent = s["model"], s["step"], s["spent"]
-    start = time.process_time() - spent
-    layers = load(common.scenes(*a.scenes))
+    folders = common.scenes(*a.scenes)
+    layers = load(folders)
     print(len(layers), "layers", flush=True)
-    log = common.Log(out / "log.csv", ["step", "train", "loss", "l1", "mse"])
-    seen, smoothed = [], Psi()
-    while True:
-        done = max(step / a.steps, (time.process_time() - start) / 60 / a.minutes)
-        if done < 1:
-            for group in optimiser.param_groups:
-                group["lr"] = 2e-3 * (min(1, (step + 1) / 50) * (0.5 + 0.5 * np.cos(np.pi * done)) + 0.01)
-            rng = random.Random(a.seed * 1_000_003 + step)
-            x = augmented(floats(layers[rng.choices(range(len(layers)), k=a.batch)]), rng)
-            loss = losses(net(x[:, :9]), x)["loss"]
-            optimiser.zero_grad()
-            loss.backward()
-            torch.nn.utils.clip_grad_norm_(net.parameters(), 1.0)
-            optimiser.step()
-            step += 1
-            ema.update(net, step)
-            seen.append(loss.item())
-        if step % 300 == 0 or done >= 1:
-            smoothed.load_state_dict(ema.shadow)
-            log.row(step=step, train=float(np.mean(seen[-300:])), **measure(smoothed, held))
-            common.save(out / "last.pt", live=net.state_dict(), model=ema.shadow, optimiser=optimiser.state_dict(), step=step, spent=time.process_time() - start)
-        if done >= 1:
-            break
+    loop.seed_all(a.seed)
+    net = Psi()
+
+    def loss_at(step):
+        rng = loop.stream(a.seed, step)
+        x = augmented(floats(layers[rng.choices(range(len(layers)), k=a.batch)]), rng)
+        return {"loss": losses(net(x[:, :9]), x)["loss"]}
+
+    def held_out(mean):
+        return {f"held {k}": v for k, v in measure(mean, held).items()}
+
+    inputs = {k: [f / "layers.npy" for f in of if (f / "layers.npy").exists()] for k, of in (("layers", folders), ("held", held_folders))}
+    plan = loop.Plan(steps=a.steps, lr=2e-3, weight_decay=1e-2, ema=0.995, every=a.every, seed=a.seed, threads=a.threads)
+    loop.train(a.out, plan, net, loss_at, inputs, loop.remaining(a, "scenes", "held", "measure"), held_out, a.stop)
 
 
 if __name__ == "__main__":

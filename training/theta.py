@@ -1,8 +1,6 @@
 """Trains Θ: denoised disparity and confidence, through differentiable weighted k-means in tiles of 64 pixels."""
 
 import argparse
-import random
-import time
 
 import cv2
 import numpy as np
@@ -11,6 +9,7 @@ import torch.nn.functional as F
 from torch import nn
 
 import common
+import loop
 from common import RUNS
 
 TILE, PLANES = 64, 4
@@ -177,48 +176,23 @@ def main():
     a = argparse.ArgumentParser(description=__doc__)
     a.add_argument("--scenes", nargs="+", default=[str(RUNS / "data" / "train")])
     a.add_argument("--out", default=str(RUNS / "theta"))
-    a.add_argument("--steps", type=int, default=2500)
-    a.add_argument("--minutes", type=float, default=1e9, help="processor minutes to end by, with the schedule drawn out over them")
     a.add_argument("--batch", type=int, default=3)
-    a.add_argument("--threads", type=int, default=1)
-    a.add_argument("--seed", type=int, default=2)
+    loop.arguments(a, steps=2500, seed=2, every=50)
     a = a.parse_args()
-    torch.set_num_threads(a.threads)
     cv2.setNumThreads(1)
-    common.seed_all(a.seed)
-    out = common.Path(a.out)
-    out.mkdir(parents=True, exist_ok=True)
+    folders = common.scenes(*a.scenes)
+    loop.seed_all(a.seed)
     net = Theta()
-    optimiser = torch.optim.AdamW(net.parameters(), 5e-3, weight_decay=1e-4)
-    ema = common.Ema(net, 0.99)
-    step, spent = 0, 0.0
-    if (out / "last.pt").exists():
-        s = torch.load(out / "last.pt", weights_only=False)
-        net.load_state_dict(s["live"])
-        optimiser.load_state_dict(s["optimiser"])
-        ema.shadow, step, spent = s["model"], s["step"], s["spent"]
-    log = common.Log(out / "log.csv", ["step", "loss", "direct"])
-    folders, start, seen = common.scenes(*a.scenes), time.process_time() - spent, []
-    while step < a.steps:
-        done = max(step / a.steps, (time.process_time() - start) / 60 / a.minutes)
-        if done >= 1:
-            break
-        for group in optimiser.param_groups:
-            group["lr"] = 5e-3 * (min(1, (step + 1) / 50) * (0.5 + 0.5 * np.cos(np.pi * done)) + 0.01)
-        rng = random.Random(a.seed * 1_000_003 + step)
+
+    def loss_at(step):
+        rng = loop.stream(a.seed, step)
         x, y = batch_of(folders, rng.choice([(128, 192), (192, 128), (128, 128), (192, 192)]), a.batch, rng)
-        loss, folded = loss_of(net, x, y)
-        optimiser.zero_grad()
-        loss.backward()
-        torch.nn.utils.clip_grad_norm_(net.parameters(), 1.0)
-        optimiser.step()
-        step += 1
-        ema.update(net, step)
-        seen.append((loss.item(), folded.item()))
-        if step % 50 == 0:
-            log.row(step=step, loss=float(np.mean([s[0] for s in seen[-50:]])), direct=float(np.mean([s[1] for s in seen[-50:]])))
-            common.save(out / "last.pt", live=net.state_dict(), model=ema.shadow, optimiser=optimiser.state_dict(), step=step, spent=time.process_time() - start)
-    common.save(out / "last.pt", live=net.state_dict(), model=ema.shadow, optimiser=optimiser.state_dict(), step=step, spent=time.process_time() - start)
+        loss, direct = loss_of(net, x, y)
+        return {"loss": loss, "direct": direct}
+
+    inputs = {"scenes": [f / n for f in folders for n in ("photo.png", "disparity.png")]}
+    plan = loop.Plan(steps=a.steps, lr=5e-3, weight_decay=1e-4, ema=0.99, every=a.every, seed=a.seed, threads=a.threads)
+    loop.train(a.out, plan, net, loss_at, inputs, loop.remaining(a, "scenes"), stop=a.stop)
 
 
 if __name__ == "__main__":

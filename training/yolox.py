@@ -7,7 +7,7 @@ import torch.nn.functional as F
 from onnx import numpy_helper
 from torch import nn
 
-from common import DATA
+from paths import DATA
 
 FILE = DATA / "pretrained" / "yolox_nano.onnx"
 

@@ -1,0 +1,125 @@
+"""Only what may be trained on is read, as what it is."""
+
+import argparse
+import contextlib
+import io
+import json
+import tempfile
+import unittest
+from pathlib import Path
+from unittest import mock
+
+import cv2
+import numpy as np
+import torch.nn.functional as F
+
+import cache
+import common
+import loop
+import network
+import sources
+
+INDEX = """path\tsource\tlicence\tkind\tunit\ttrain\torigin
+rgbd/a/x.jpg\ts\tMIT\trgbd real: Kinect\tmm, 0 unknown\tyes\to
+rgbd/a/y.jpg\ts\t?\trgbd real: Kinect\tmm, 0 unknown\tno (until its licence is known)\to
+rgbd/a/l.jpg\ts\tMIT\trgbd real: LiDAR\tmm, sparse, 0 unknown\tyes\to
+rgbd/b/z.jpg\ts\tMIT\trgbd real: phone\tdisp16: inverse depth, scale and offset unknown\tyes\to
+stereo/c/d/\ts\tMIT\tstereo pair\tpx*256; 0 unknown\tyes\to
+pairs/e/m.jpg\ts\tCC\tphoto + map\taffine-invariant DEPTH (linear, not disparity)\tyes\to
+pairs/e/o.jpg\ts\tMIT\tphoto + map\tordering only, 8-bit\tyes\to
+pairs/e/d.jpg\ts\tMIT\tphoto + map\tdisparity up to affine, float\tyes\to
+assets/f.glb\ts\tMIT\tmodel\tmetres\tyes\to
+"""
+
+
+class Sources(unittest.TestCase):
+    def setUp(self):
+        made = tempfile.TemporaryDirectory()
+        self.addCleanup(made.cleanup)
+        self.root = Path(made.name)
+        (self.root / "INDEX.tsv").write_text(INDEX)
+        raw = np.arange(24 * 32, dtype=np.uint16).reshape(24, 32)
+        for name in ("rgbd/a/x.jpg", "rgbd/a/y.jpg", "rgbd/a/l.jpg", "rgbd/b/z.jpg", "stereo/c/d/left.jpg", "pairs/e/m.jpg", "pairs/e/o.jpg", "pairs/e/d.jpg"):
+            path = self.root / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            cv2.imwrite(str(path), np.zeros((24, 32, 3), np.uint8))
+            depth = "silver_disp_left" if "stereo" in name else f"{path.stem}_depth_mm" if "rgbd/a" in name else f"{path.stem}_disp16"
+            cv2.imwrite(str(path.with_name(f"{depth}.png")), raw)
+        self.items = {i.name.removeprefix("train2/"): i for i in sources.gathered(self.root)}
+
+    def test_only_what_may_be_trained_on(self):
+        self.assertEqual(set(self.items), {"rgbd/a/x.jpg", "rgbd/a/l.jpg", "rgbd/b/z.jpg", "stereo/c/d", "pairs/e/m.jpg", "pairs/e/o.jpg", "pairs/e/d.jpg"})
+
+    def test_what_maps_mean(self):
+        spaces = {k: (i.group, i.space, i.sparse) for k, i in self.items.items()}
+        self.assertEqual(spaces["pairs/e/m.jpg"], ("pairs:depth", "depth", False))
+        self.assertEqual(spaces["pairs/e/o.jpg"], ("pairs:order", "order", False))
+        self.assertEqual(spaces["pairs/e/d.jpg"], ("pairs:disparity", "disparity", False))
+        self.assertEqual(spaces["rgbd/a/l.jpg"], ("rgbd", "disparity", True))
+
+    def test_nearer_is_larger_and_unknown_is_nan(self):
+        mm = sources.read_item(self.items["rgbd/a/x.jpg"]).value
+        self.assertTrue(np.isnan(mm[0, 0]) and np.isnan(mm).sum() == 1)
+        self.assertAlmostEqual(float(mm[10, 0] / mm[20, 0]), 2.0, places=5)
+        inverse = sources.read_item(self.items["rgbd/b/z.jpg"]).value
+        self.assertFalse(np.isnan(inverse).any())
+        self.assertLess(inverse[3, 0], inverse[20, 0])
+        pixels = sources.read_item(self.items["stereo/c/d"]).value
+        self.assertTrue(np.isnan(pixels[0, 0]) and pixels[3, 0] < pixels[20, 0])
+
+    def test_a_held_out_label_stays_held_out(self):
+        held = [f"photos/{n}.jpg" for n in range(400) if sources.held_out(f"photos/{n}.jpg")]
+        self.assertTrue(40 < len(held) < 120)
+        train, kept = ({i.name for i in sources.labels(h)} for h in (False, True))
+        self.assertFalse(train & kept)
+        self.assertEqual(len(train | kept), len(list((sources.HERE / "labels").glob("*.json"))))
+
+    def test_crops_do_not_spread_the_unknown(self):
+        value = np.ones((40, 60), np.float32)
+        value[:, ::2] = np.nan
+        rgb, region = np.zeros((40, 60, 3), np.uint8), np.ones((40, 60), np.uint8)
+        for least, known in ((0.0, 1.0), (0.999, 0.0)):
+            crop = common.framed(rgb, value, (8, 12), loop.stream(0, "x"), 1.0, least, (region,))
+            self.assertEqual(float(np.isfinite(crop[1]).mean()), known)
+            self.assertEqual((crop[0].shape, crop[2].shape), ((8, 12, 3), (8, 12)))
+
+    def test_variants_are_functions_of_seed_name_and_number(self):
+        item = self.items["pairs/e/d.jpg"]
+        sample = sources.Sample(np.random.default_rng(0).integers(0, 256, (200, 300, 3), np.uint8), np.tile(np.linspace(0, 1, 300, dtype=np.float32), (200, 1)), *np.zeros((2, 200, 300), np.uint8))
+        made = [loop.digest(list(cache.augmented(item, sample, (32, 64), loop.stream(1, "variant", item.name, k)))) for k in (0, 0, 1)]
+        self.assertEqual(made[0], made[1])
+        self.assertNotEqual(made[0], made[2])
+
+    def test_an_interrupted_cache_becomes_the_same(self):
+        args = argparse.Namespace(seed=1, variants=1, real=3)
+        whole, parts = self.root / "whole", self.root / "parts"
+        with mock.patch.object(network, "FILES", ()), mock.patch.object(cache, "EVERY", 1), contextlib.redirect_stdout(io.StringIO()):
+            cache.build(list(self.items.values()), whole, args, Pooled())
+            with self.assertRaises(KeyboardInterrupt):
+                cache.build(list(self.items.values()), parts, args, Pooled(ends=8))
+            self.assertFalse((parts / "cache.json").exists())
+            second = Pooled()
+            cache.build(list(self.items.values()), parts, args, second)
+            self.assertLess(second.calls, 3 * len(self.items))
+            told = [json.loads((f / "cache.json").read_text()) for f in (whole, parts)]
+            self.assertEqual(told[0], told[1])
+            cache.build(list(self.items.values()), parts, argparse.Namespace(seed=2, variants=1, real=3), Pooled())
+        self.assertNotEqual(json.loads((parts / "cache.json").read_text())["files"], told[0]["files"])
+
+
+class Pooled:
+    """Stands in for the network: its encoders give means of colours."""
+
+    def __init__(self, ends=None):
+        self.ends, self.calls = ends, 0
+        self.encoder = argparse.Namespace(channels=(3, 3, 3, 3, 3))
+
+    def features(self, x):
+        self.calls += 1
+        if self.calls == self.ends:
+            raise KeyboardInterrupt
+        return [F.avg_pool2d(x, 2 << i) for i in range(5)]
+
+
+if __name__ == "__main__":
+    unittest.main()
