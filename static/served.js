@@ -50,7 +50,7 @@ export class ServedViews {
     query.set('h', String(height));
     query.set('fov', fov.toFixed(4));
     query.set('format', 'jpeg');
-    return `${this.url}?${query}`;
+    return `${this.url}${this.url.includes('?') ? '&' : '?'}${query}`;
   }
 
   async #next() {

@@ -9,7 +9,9 @@ use std::time::Duration;
 use anyhow::Context as _;
 
 use super::flags::ModelFlags;
-use crate::server::{Config, Limits, PipelineMaker, Server, stop_signal};
+use sha2::{Digest as _, Sha256};
+
+use crate::server::{Config, Limits, PipelineMaker, Server, hex, stop_signal};
 use tmpi_pipeline::networks::models;
 use tmpi_render::{self, Backend};
 
@@ -25,6 +27,12 @@ pub(super) struct ServeArgs {
     /// Read the pages from this directory instead of from the program
     #[arg(long = "static", value_name = "DIR")]
     pages: Option<PathBuf>,
+    /// Name under which the server answers besides localhost and its address, as a proxy passes it on in Host; may be repeated
+    #[arg(long = "host", value_name = "NAME")]
+    hosts: Vec<String>,
+    /// Let everybody who can reach the server list all photos, not only this machine's own user
+    #[arg(long)]
+    public_list: bool,
     /// What draws views
     #[arg(long, value_enum, default_value_t)]
     backend: Backend,
@@ -86,11 +94,13 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
     }
     let limits = args.limits();
     let renderer = tmpi_render::select(args.backend).context("renderer")?;
-    let maker = Arc::new(PipelineMaker::new(models::load(&args.models.settings())?, &limits));
-    let config = Config { addr: args.addr, data: args.data, pages: args.pages, limits };
+    let settings = args.models.settings();
+    let maker = PipelineMaker::new(models::load(&settings)?, &limits).identified(&identity(&settings)?);
+    let config =
+        Config { addr: args.addr, data: args.data, pages: args.pages, hosts: args.hosts, public_list: args.public_list, limits };
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().thread_name("tmpi-http").build()?;
     runtime.block_on(async {
-        let server = Server::bind(config, maker, renderer).await?;
+        let server = Server::bind(config, Arc::new(maker), renderer).await?;
         let mut stdout = std::io::stdout();
         // whoever waits for this line may have gone
         let _ = writeln!(stdout, "http://{}", server.addr()).and_then(|()| stdout.flush());
@@ -100,6 +110,15 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
     // a job that outlived the drain time is taken up at the next start
     runtime.shutdown_background();
     Ok(())
+}
+
+/// What photos depend on besides the program: a better network makes them anew.
+fn identity(settings: &models::Settings) -> anyhow::Result<String> {
+    // an embedded network is a part of the program
+    let file = settings.depth_file.as_deref().map(|f| std::fs::read(f).with_context(|| f.display().to_string())).transpose()?;
+    let digest = file.map(|bytes| hex(&Sha256::digest(bytes)));
+    let models::Settings { depth, depth_pixels, depth_smoothing, flip, .. } = settings;
+    Ok(format!("{} {digest:?} {depth_pixels:?} {depth_smoothing:?} {flip}", depth.name))
 }
 
 #[cfg(test)]

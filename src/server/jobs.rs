@@ -168,9 +168,23 @@ impl Jobs {
         if inner.queue.len() < self.limits.queue {
             return Ok(());
         }
-        let seconds = inner.mean_seconds.unwrap_or(FIRST_GUESS).ceil() as u64;
+        let seconds = inner.wait(self.limits.workers).ceil() as u64;
         Err(Problem::new(StatusCode::TOO_MANY_REQUESTS, "queue-full", format!("{} photos are waiting already", inner.queue.len()))
             .retry_after(seconds.clamp(1, MAX_RETRY_AFTER)))
+    }
+
+    /// Places in the queue that are free.
+    #[must_use]
+    pub fn free_places(&self) -> usize {
+        self.limits.queue.saturating_sub(self.lock().queue.len())
+    }
+
+    /// The answer to an upload for which there is no place, before its body is read.
+    #[must_use]
+    pub fn refusal(&self) -> Problem {
+        let seconds = self.lock().wait(self.limits.workers).ceil() as u64;
+        Problem::new(StatusCode::TOO_MANY_REQUESTS, "queue-full", "as many photos are waiting and coming in as may")
+            .retry_after(seconds.clamp(1, MAX_RETRY_AFTER))
     }
 
     /// A photo.
@@ -299,6 +313,12 @@ impl Jobs {
 }
 
 impl Inner {
+    /// Seconds until what waits and runs now is done.
+    fn wait(&self, workers: usize) -> f64 {
+        let jobs = (self.queue.len() + self.running.len()).div_ceil(workers.max(1));
+        self.mean_seconds.unwrap_or(FIRST_GUESS) * jobs.max(1) as f64
+    }
+
     fn insert(&mut self, entry: &Arc<Entry>) {
         self.by_id.insert(entry.id, Arc::clone(entry));
         self.by_age.insert(entry.key(), Arc::clone(entry));

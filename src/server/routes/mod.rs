@@ -3,6 +3,7 @@
 mod events;
 mod export;
 mod photos;
+mod query;
 mod results;
 mod state;
 mod system;
@@ -11,11 +12,13 @@ mod view_query;
 
 use axum::Router;
 use axum::extract::DefaultBodyLimit;
-use axum::http::{HeaderName, Method, StatusCode, header};
-use axum::middleware::from_fn_with_state;
+use axum::http::{HeaderName, HeaderValue, Method, StatusCode, header};
+use axum::middleware::{from_fn_with_state, map_response};
+use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 use bytes::Bytes;
 use tower_http::cors::{AllowOrigin, CorsLayer};
+use tower_http::csrf::{CsrfLayer, ProtectionError};
 use utoipa::OpenApi;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
@@ -42,20 +45,52 @@ use super::problem::Problem;
 struct Document;
 
 fn api() -> OpenApiRouter<App> {
-    OpenApiRouter::with_openapi(Document::openapi())
-        .routes(routes!(photos::upload, photos::list))
-        .routes(routes!(photos::state, photos::change, photos::delete))
-        .routes(routes!(events::events))
+    // what elements and frames on other sites need
+    let open = OpenApiRouter::new()
+        .routes(routes!(photos::settings))
         .routes(routes!(results::atlas))
-        .routes(routes!(results::depth))
         .routes(routes!(results::report))
         .routes(routes!(results::thumbnail))
         .routes(routes!(view::view))
         .routes(routes!(export::export))
+        .layer(map_response(open_to_all))
+        .layer(cors());
+    OpenApiRouter::with_openapi(Document::openapi())
+        .merge(open)
+        .routes(routes!(photos::upload, photos::list))
+        .routes(routes!(photos::state, photos::change, photos::delete))
+        .routes(routes!(events::events))
+        .routes(routes!(results::depth))
         .routes(routes!(system::healthz))
         .routes(routes!(system::readyz))
         .routes(routes!(system::metrics))
         .routes(routes!(system::openapi))
+}
+
+/// Says that any site may take the answer in as a picture.
+async fn open_to_all(mut response: Response) -> Response {
+    response.headers_mut().insert(pages::RESOURCE_POLICY, HeaderValue::from_static("cross-origin"));
+    response
+}
+
+/// Leave for pages of any site to read an answer.
+fn cors() -> CorsLayer {
+    let exposed = [
+        "etag",
+        "content-range",
+        "accept-ranges",
+        "content-length",
+        "server-timing",
+        "x-request-id",
+        "retry-after",
+        "content-disposition",
+    ];
+    CorsLayer::new()
+        .allow_origin(AllowOrigin::any())
+        .allow_methods([Method::GET, Method::HEAD])
+        .allow_headers([header::RANGE, header::IF_NONE_MATCH, header::IF_RANGE, header::ACCEPT])
+        .expose_headers(exposed.map(HeaderName::from_static))
+        .max_age(std::time::Duration::from_hours(24))
 }
 
 /// The `OpenAPI` document as JSON.
@@ -69,36 +104,20 @@ pub fn openapi() -> serde_json::Result<Bytes> {
 /// The whole service.
 pub fn router(app: App) -> Router {
     let (router, _) = api().split_for_parts();
-    let exposed = [
-        "etag",
-        "content-range",
-        "accept-ranges",
-        "content-length",
-        "server-timing",
-        "location",
-        "x-request-id",
-        "retry-after",
-        "content-disposition",
-    ];
-    // other sites may embed what is made here; they may not upload or delete
-    let cors = CorsLayer::new()
-        .allow_origin(AllowOrigin::any())
-        .allow_methods([Method::GET, Method::HEAD])
-        .allow_headers([header::RANGE, header::IF_NONE_MATCH, header::IF_RANGE, header::ACCEPT, HeaderName::from_static("last-event-id")])
-        .expose_headers(exposed.map(HeaderName::from_static))
-        .max_age(std::time::Duration::from_hours(24));
+    let scripts = Router::new().route("/static/{*name}", get(pages::file)).route("/tmpi-viewer.js", get(pages::script)).layer(cors());
+    let foreign = |_: ProtectionError| Problem::new(StatusCode::FORBIDDEN, "cross-site", "a page of another site may not change anything here").into_response();
     router
+        .merge(scripts)
         .route("/", get(pages::index))
         .route("/demo", get(pages::demo))
         .route("/view/{id}", get(pages::view))
-        .route("/static/{*name}", get(pages::file))
-        .route("/tmpi-viewer.js", get(pages::script))
+        .route("/embed/{id}", get(pages::embed))
         .fallback(async || Problem::not_found("there is nothing at this address"))
         .method_not_allowed_fallback(async |method: Method| {
             Problem::new(StatusCode::METHOD_NOT_ALLOWED, "method", format!("{method} is not possible at this address"))
         })
         .layer(DefaultBodyLimit::disable())
+        .layer(CsrfLayer::new().with_rejection_response(foreign))
         .layer(from_fn_with_state(app.clone(), middleware::around))
-        .layer(cors)
         .with_state(app)
 }

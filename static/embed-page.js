@@ -1,0 +1,20 @@
+// The photo alone, for frames of other sites: it shows and moves, and nothing in it changes anything on the server.
+const id = location.pathname.split('/').pop();
+const photo = `/v1/photos/${id}`;
+const viewer = document.querySelector('tmpi-viewer');
+const failure = document.getElementById('failure');
+
+viewer.addEventListener('error', ({ detail }) => {
+  failure.textContent = detail.message;
+  failure.hidden = false;
+});
+viewer.addEventListener('load', () => (failure.hidden = true));
+viewer.setAttribute('poster', `${photo}/thumbnail`);
+viewer.setAttribute('src', `${photo}/atlas`);
+
+const answer = await fetch(`${photo}/settings`).catch(() => null);
+const { title } = answer?.ok ? await answer.json() : {};
+if (title) {
+  document.title = title;
+  viewer.setAttribute('alt', title);
+}
