@@ -57,7 +57,16 @@ pub(super) struct ServeArgs {
     /// Connections at a time
     #[arg(long, default_value_t = Limits::CONNECTIONS as u32, value_parser = clap::value_parser!(u32).range(1..), value_name = "N")]
     connections: u32,
-    /// Seconds that a request may take
+    /// Connections at a time from one address; a proxy is one
+    #[arg(long, default_value_t = Limits::CONNECTIONS_PER_ADDRESS as u32, value_parser = clap::value_parser!(u32).range(1..), value_name = "N")]
+    connections_per_address: u32,
+    /// Memory for work on scenes that are not kept, in MiB; one that needs more is worked on alone
+    #[arg(long, default_value_t = (Limits::WORK_MEMORY >> 20) as u32, value_parser = clap::value_parser!(u32).range(1..), value_name = "MIB")]
+    work_memory: u32,
+    /// Disk for files to download that were written already, in MiB
+    #[arg(long, default_value_t = (Limits::EXPORT_CACHE >> 20) as u32, value_name = "MIB")]
+    export_cache: u32,
+    /// Seconds that a request may take, from the end of its body
     #[arg(long, default_value_t = Limits::REQUEST.as_secs() as u32, value_parser = clap::value_parser!(u32).range(1..), value_name = "S")]
     request_timeout: u32,
     /// Seconds that requests and jobs under way have left after SIGTERM
@@ -80,6 +89,9 @@ impl ServeArgs {
             views: usize::from(self.views),
             scene_cache: (self.scene_cache as usize) << 20,
             connections: self.connections as usize,
+            connections_per_address: self.connections_per_address as usize,
+            work_memory: (self.work_memory as usize) << 20,
+            export_cache: (self.export_cache as usize) << 20,
             request: Duration::from_secs(u64::from(self.request_timeout)),
             drain: Duration::from_secs(u64::from(self.drain)),
             ..Limits::default()
@@ -104,6 +116,13 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
         let mut stdout = std::io::stdout();
         // whoever waits for this line may have gone
         let _ = writeln!(stdout, "http://{}", server.addr()).and_then(|()| stdout.flush());
+        tokio::spawn(async {
+            stop_signal().await;
+            stop_signal().await;
+            tracing::warn!("stopped at once: what was under way is taken up at the next start");
+            // whoever asks twice does not want to wait for the drain
+            std::process::exit(1);
+        });
         server.run(stop_signal()).await;
         anyhow::Ok(())
     })?;

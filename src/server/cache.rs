@@ -81,7 +81,7 @@ impl<K: Key, V: Value> Cache<K, V> {
     }
 
     /// Count of entries.
-    #[must_use]
+    #[cfg(test)]
     pub fn entries(&self) -> u64 {
         self.kept.entry_count()
     }

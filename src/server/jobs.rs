@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 
 use axum::http::StatusCode;
 
-use super::entry::{Entry, Status};
+use super::entry::{Entry, Status, Tally};
 use super::id::PhotoId;
 use super::limits::Limits;
 use super::maker::Maker;
@@ -44,6 +44,7 @@ struct Inner {
     by_age: BTreeMap<(u64, PhotoId), Arc<Entry>>,
     queue: VecDeque<Arc<Entry>>,
     running: Vec<Arc<Entry>>,
+    tally: Arc<Tally>,
     stopping: bool,
     mean_seconds: Option<f64>,
 }
@@ -233,15 +234,8 @@ impl Jobs {
     #[must_use]
     pub fn counts(&self) -> Counts {
         let inner = self.lock();
-        let mut counts = Counts { queued: inner.queue.len(), working: inner.running.len(), ..Counts::default() };
-        for entry in inner.by_id.values() {
-            match entry.status() {
-                Status::Done(_) => counts.done += 1,
-                Status::Failed(_) => counts.failed += 1,
-                _ => {}
-            }
-        }
-        counts
+        let (done, failed) = inner.tally.counts();
+        Counts { queued: inner.queue.len(), working: inner.running.len(), done, failed }
     }
 
     /// The next photo to be made; blocks; none once the server stops.
@@ -320,6 +314,7 @@ impl Inner {
     }
 
     fn insert(&mut self, entry: &Arc<Entry>) {
+        entry.count_in(&self.tally);
         self.by_id.insert(entry.id, Arc::clone(entry));
         self.by_age.insert(entry.key(), Arc::clone(entry));
     }

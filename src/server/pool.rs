@@ -25,7 +25,8 @@ pub enum Class {
 
 impl Class {
     /// All of them.
-    pub const ALL: [Self; 3] = [Self::Interactive, Self::Derived, Self::Export];
+    #[cfg(test)]
+    const ALL: [Self; 3] = [Self::Interactive, Self::Derived, Self::Export];
 
     /// Name, as in metrics.
     #[must_use]

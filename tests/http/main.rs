@@ -1,9 +1,11 @@
 //! The HTTP interface, end to end: real sockets, real disk, and where time allows the real way of a photo.
 
+mod arrivals;
 mod client;
 mod fixture;
 
 mod events;
+mod fair;
 mod limits;
 mod measure;
 mod openapi;

@@ -325,7 +325,7 @@ fn health_and_metrics() {
     }
     assert_eq!(get(server.addr, &format!("{photo}/view?w=8")).status, 200);
     let metrics = get(server.addr, "/metrics");
-    assert!(metrics.header("content-type").unwrap().starts_with("text/plain"));
+    assert!(metrics.header("content-type").unwrap().starts_with("application/openmetrics-text"));
     let text = String::from_utf8(metrics.body).unwrap();
     let value = |name: &str| {
         text.lines().find_map(|l| l.strip_prefix(name)?.trim().parse::<f64>().ok()).unwrap_or_else(|| panic!("{name} in\n{text}"))

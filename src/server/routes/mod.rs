@@ -44,19 +44,20 @@ use super::problem::Problem;
 )]
 struct Document;
 
-fn api() -> OpenApiRouter<App> {
-    // what elements and frames on other sites need
-    let open = OpenApiRouter::new()
+/// What elements and frames on other sites need.
+fn open_api() -> OpenApiRouter<App> {
+    OpenApiRouter::new()
         .routes(routes!(photos::settings))
         .routes(routes!(results::atlas))
         .routes(routes!(results::report))
         .routes(routes!(results::thumbnail))
         .routes(routes!(view::view))
         .routes(routes!(export::export))
-        .layer(map_response(open_to_all))
-        .layer(cors());
+}
+
+/// What is for this server's own pages and for programs.
+fn own_api() -> OpenApiRouter<App> {
     OpenApiRouter::with_openapi(Document::openapi())
-        .merge(open)
         .routes(routes!(photos::upload, photos::list))
         .routes(routes!(photos::state, photos::change, photos::delete))
         .routes(routes!(events::events))
@@ -65,6 +66,11 @@ fn api() -> OpenApiRouter<App> {
         .routes(routes!(system::readyz))
         .routes(routes!(system::metrics))
         .routes(routes!(system::openapi))
+}
+
+/// The answer to a method that an address does not have.
+async fn no_method(method: Method) -> Problem {
+    Problem::new(StatusCode::METHOD_NOT_ALLOWED, "method", format!("{method} is not possible at this address"))
 }
 
 /// Says that any site may take the answer in as a picture.
@@ -98,24 +104,26 @@ fn cors() -> CorsLayer {
 /// # Errors
 /// It cannot be written as JSON.
 pub fn openapi() -> serde_json::Result<Bytes> {
-    api().into_openapi().to_pretty_json().map(Bytes::from)
+    own_api().merge(open_api()).into_openapi().to_pretty_json().map(Bytes::from)
 }
 
 /// The whole service.
 pub fn router(app: App) -> Router {
-    let (router, _) = api().split_for_parts();
-    let scripts = Router::new().route("/static/{*name}", get(pages::file)).route("/tmpi-viewer.js", get(pages::script)).layer(cors());
+    let (router, _) = own_api().split_for_parts();
+    let (open, _) = open_api().split_for_parts();
+    // before the layers, so that these see every method: questions before a request (preflights) are OPTIONS
+    let open = open.method_not_allowed_fallback(no_method).layer(map_response(open_to_all));
+    let scripts = Router::new().route("/static/{*name}", get(pages::file)).route("/tmpi-viewer.js", get(pages::script));
+    let scripts = scripts.method_not_allowed_fallback(no_method);
     let foreign = |_: ProtectionError| Problem::new(StatusCode::FORBIDDEN, "cross-site", "a page of another site may not change anything here").into_response();
     router
-        .merge(scripts)
+        .merge(open.merge(scripts).layer(cors()))
         .route("/", get(pages::index))
         .route("/demo", get(pages::demo))
         .route("/view/{id}", get(pages::view))
         .route("/embed/{id}", get(pages::embed))
         .fallback(async || Problem::not_found("there is nothing at this address"))
-        .method_not_allowed_fallback(async |method: Method| {
-            Problem::new(StatusCode::METHOD_NOT_ALLOWED, "method", format!("{method} is not possible at this address"))
-        })
+        .method_not_allowed_fallback(no_method)
         .layer(DefaultBodyLimit::disable())
         .layer(CsrfLayer::new().with_rejection_response(foreign))
         .layer(from_fn_with_state(app.clone(), middleware::around))
