@@ -108,8 +108,7 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
     let renderer = tmpi_render::select(args.backend).context("renderer")?;
     let settings = args.models.settings();
     let maker = PipelineMaker::new(models::load(&settings)?, &limits).identified(&identity(&settings)?);
-    let config =
-        Config { addr: args.addr, data: args.data, pages: args.pages, hosts: args.hosts, public_list: args.public_list, limits };
+    let config = Config { addr: args.addr, data: args.data, pages: args.pages, hosts: args.hosts, public_list: args.public_list, limits };
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().thread_name("tmpi-http").build()?;
     runtime.block_on(async {
         let server = Server::bind(config, Arc::new(maker), renderer).await?;

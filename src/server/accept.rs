@@ -109,7 +109,7 @@ impl Shares {
         let of = match peer.to_canonical() {
             // one customer has a whole network of these
             IpAddr::V6(v6) => IpAddr::V6((u128::from(v6) >> 64 << 64).into()),
-            v4 => v4,
+            v4 @ IpAddr::V4(_) => v4,
         };
         let mut open = self.lock();
         let count = open.entry(of).or_default();

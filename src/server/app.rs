@@ -36,6 +36,8 @@ pub type App = Arc<Shared>;
 
 /// Files up to this many bytes are kept in memory; larger ones are read while they are sent.
 const SMALL: usize = 256 << 10;
+/// Derived files of more bytes are kept on disk.
+const LARGE: usize = 1 << 20;
 /// What an open file counts in a cache of files: their number is bounded, too.
 const OPEN_FILE: usize = 1 << 20;
 /// Memory of a decoded scene in bytes a pixel, measured on photographs and rounded up.
@@ -58,26 +60,28 @@ impl Stored {
         Self { source: Source::Memory(bytes.into()), etag }
     }
 
-    /// Tagged by its bytes and by what they were made of, so that [`super::conditional::known_as`] knows it before it is made again.
-    #[must_use]
-    pub fn made(made: &str, bytes: Vec<u8>) -> Self {
-        let etag = made_tag(made, &bytes);
-        Self { source: Source::Memory(bytes.into()), etag }
-    }
-
-    /// The same on disk, in a file below `dir` that no name leads to: it goes with the last who reads it.
+    /// Derived bytes, tagged by themselves and, where that tells them, by what they were made of: then
+    /// [`super::conditional::known_as`] knows them before they are made again. Large ones go into a file below `dir` that no name
+    /// leads to, so that slow readers hold no memory; it goes with the last who reads it. Blocks.
     ///
     /// # Errors
-    /// The disk is full.
-    pub fn on_disk(made: &str, bytes: &[u8], dir: &Path) -> std::io::Result<Self> {
-        let mut file = tempfile::tempfile_in(dir)?;
-        file.write_all(bytes)?;
-        Ok(Self { source: Source::File(Arc::new(file), bytes.len()), etag: made_tag(made, bytes) })
+    /// 507 where the disk is full, 500.
+    pub fn derived(made: Option<&str>, bytes: Vec<u8>, dir: &Path) -> Result<Self, Problem> {
+        let plain = Self::new(bytes);
+        let etag = match made {
+            Some(made) => format!("\"{made}-{}\"", plain.etag.get(1..17).unwrap_or_default()).into(),
+            None => plain.etag,
+        };
+        let source = match plain.source {
+            Source::Memory(bytes) if bytes.len() > LARGE => {
+                let write = |mut file: File| file.write_all(&bytes).map(|()| file);
+                let file = tempfile::tempfile_in(dir).and_then(write).map_err(|e| Problem::store(&e))?;
+                Source::File(Arc::new(file), bytes.len())
+            }
+            source => source,
+        };
+        Ok(Self { source, etag })
     }
-}
-
-fn made_tag(made: &str, bytes: &[u8]) -> Arc<str> {
-    format!("\"{made}-{}\"", hex(&Sha256::digest(bytes)[..8])).into()
 }
 
 impl Value for Stored {
@@ -89,13 +93,16 @@ impl Value for Stored {
     }
 }
 
+/// What a file for download counts at least: the number of those that are open is bounded, too.
+const LEAST_EXPORT: usize = 4 << 20;
+
 /// A file for download; what it weighs is disk.
 #[derive(Clone, Debug)]
 pub struct Export(pub Stored);
 
 impl Value for Export {
     fn weight(&self) -> usize {
-        self.0.source.len()
+        self.0.source.len().max(LEAST_EXPORT)
     }
 }
 
@@ -262,7 +269,7 @@ impl Shared {
         let names = sections.map(<[_]>::to_vec);
         let make = async {
             let slot = self.pool.enter(Class::Derived, scene_bytes(done)).await?;
-            let read = self.reading(version);
+            let (read, scratch) = (self.reading(version), self.scratch.clone());
             let make = move || {
                 let mut bytes = read()?;
                 if let Some(tiles) = &made.tiles {
@@ -273,7 +280,7 @@ impl Shared {
                 if let Some(names) = names {
                     bytes = container::select(&bytes, &names).map_err(|e| Problem::from(&e))?;
                 }
-                Ok::<_, Problem>(Stored::new(bytes))
+                Stored::derived(None, bytes, &scratch)
             };
             slot.run(make).await?
         };

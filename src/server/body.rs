@@ -64,7 +64,9 @@ fn root<'a>(error: &'a (dyn Error + 'static)) -> &'a (dyn Error + 'static) {
 pub fn problem(error: &(dyn Error + 'static)) -> Problem {
     match CutOff::find(error) {
         Some(CutOff::TooLarge(limit)) => Problem::too_large(limit),
-        Some(slow @ (CutOff::TooSlow(_) | CutOff::BelowRate(_))) => Problem::new(StatusCode::REQUEST_TIMEOUT, "body-too-slow", slow.to_string()),
+        Some(slow @ (CutOff::TooSlow(_) | CutOff::BelowRate(_))) => {
+            Problem::new(StatusCode::REQUEST_TIMEOUT, "body-too-slow", slow.to_string())
+        }
         None => Problem::bad_request(format!("the request's body cannot be read: {}", root(error))),
     }
 }

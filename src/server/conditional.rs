@@ -2,10 +2,10 @@
 
 use std::ops::Range;
 
-use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
-use axum::response::{IntoResponse, Response};
 use super::problem::Problem;
 use super::source::Source;
+use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
+use axum::response::{IntoResponse, Response};
 
 /// A year, and never asked for again: only under an address that names the version.
 const IMMUTABLE: &str = "public, max-age=31536000, immutable";
@@ -55,7 +55,7 @@ pub fn is_known(headers: &HeaderMap, etag: &str) -> bool {
 #[must_use]
 pub fn known_as<'a>(headers: &'a HeaderMap, made: &str) -> Option<&'a str> {
     let tags = headers.get_all(header::IF_NONE_MATCH).iter().filter_map(|v| v.to_str().ok()).flat_map(|v| v.split(','));
-    tags.map(|tag| tag.trim()).map(|tag| tag.strip_prefix("W/").unwrap_or(tag)).find(|tag| {
+    tags.map(str::trim).map(|tag| tag.strip_prefix("W/").unwrap_or(tag)).find(|tag| {
         let digest = tag.strip_prefix('"').and_then(|t| t.strip_suffix('"')?.strip_prefix(made)?.strip_prefix('-'));
         digest.is_some_and(|d| d.len() == 16 && d.bytes().all(|b| b.is_ascii_hexdigit()))
     })

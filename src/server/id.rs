@@ -71,6 +71,7 @@ impl fmt::Debug for PhotoId {
 }
 
 /// Lower-case hex of `bytes`.
+#[must_use]
 pub fn hex(bytes: &[u8]) -> String {
     use fmt::Write as _;
     bytes.iter().fold(String::with_capacity(bytes.len() * 2), |mut s, b| {

@@ -13,8 +13,8 @@ use axum::response::{IntoResponse, Response};
 use futures_util::FutureExt;
 use tracing::Instrument;
 
-use super::app::App;
 use super::accept::Peer;
+use super::app::App;
 use super::body::Guarded;
 use super::clock::Clock;
 use super::conditional::insert;

@@ -32,7 +32,6 @@ impl Source {
     }
 
     /// The body that sends `range` of it.
-    #[must_use]
     pub fn body(self, range: Range<usize>) -> Body {
         match self {
             Self::Memory(bytes) => Body::from(bytes.slice(range)),
@@ -95,7 +94,9 @@ mod tests {
         let mut file = tempfile::tempfile().unwrap();
         file.write_all(&bytes).unwrap();
         let file = Arc::new(file);
-        let send = async |length, range| Source::File(Arc::clone(&file), length).body(range).collect().await.map(|all| all.to_bytes());
+        let send = async |length, range| {
+            Source::File(Arc::clone(&file), length).body(range).collect().await.map(http_body_util::Collected::to_bytes)
+        };
         assert_eq!(send(bytes.len(), 0..bytes.len()).await.unwrap(), bytes);
         assert_eq!(send(bytes.len(), 5..PIECE + 9).await.unwrap(), bytes[5..PIECE + 9]);
         assert_eq!(send(bytes.len(), 5..5).await.unwrap().len(), 0);

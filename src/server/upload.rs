@@ -94,7 +94,8 @@ pub async fn take(app: &App, query: Vec<(String, String)>, request: Request) -> 
     }
     let _ticket = Ticket::take(app)?;
     let jobs = Arc::clone(&app.jobs);
-    let incoming = tokio::task::spawn_blocking(move || jobs.store.begin()).await.map_err(|e| Problem::internal("beginning an upload", &e))?;
+    let incoming =
+        tokio::task::spawn_blocking(move || jobs.store.begin()).await.map_err(|e| Problem::internal("beginning an upload", &e))?;
     let incoming = Folder(Some(incoming.map_err(|e| Problem::store(&e))?));
     let mut parts = Parts { incoming, photo: None, depth: None, options };
     if is_multipart(request.headers()) {

@@ -164,7 +164,14 @@ impl Running {
     pub fn drawing(data: &Path, limits: Limits, maker: Arc<dyn Maker>, renderer: Arc<dyn Renderer>) -> Self {
         let (stop, stopped) = tokio::sync::oneshot::channel();
         let (tell, told) = std::sync::mpsc::channel();
-        let config = Config { addr: ([127, 0, 0, 1], 0).into(), data: data.to_owned(), pages: None, hosts: vec!["photos.example".into()], public_list: false, limits };
+        let config = Config {
+            addr: ([127, 0, 0, 1], 0).into(),
+            data: data.to_owned(),
+            pages: None,
+            hosts: vec!["photos.example".into()],
+            public_list: false,
+            limits,
+        };
         let thread = std::thread::spawn(move || {
             let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build().unwrap();
             runtime.block_on(async {

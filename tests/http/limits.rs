@@ -117,7 +117,8 @@ fn a_body_that_stops_is_408_and_leaves_nothing() {
     let (dir, server) = start(Limits { body_read: Duration::from_millis(200), ..Limits::default() }, Arc::new(pipeline()));
     for content_type in ["image/jpeg", "multipart/form-data; boundary=x"] {
         let mut stuck = Connection::open(server.addr);
-        let head = format!("POST /v1/photos HTTP/1.1\r\nhost: localhost\r\ncontent-type: {content_type}\r\ncontent-length: 1000\r\n\r\n--x\r\n");
+        let head =
+            format!("POST /v1/photos HTTP/1.1\r\nhost: localhost\r\ncontent-type: {content_type}\r\ncontent-length: 1000\r\n\r\n--x\r\n");
         stuck.raw().write_all(head.as_bytes()).unwrap();
         stuck.receive("POST").unwrap().problem(408);
     }

@@ -61,7 +61,8 @@ fn call(server: &Running, caller: &Caller, method: &str, path: &str, more: &[(&s
 }
 
 /// Routes that any site may read, and those that only our own pages may.
-const OPEN: [&str; 8] = ["atlas", "atlas?level=1", "view?w=8", "thumbnail", "report", "settings", "export?format=glb", "atlas?sections=photo"];
+const OPEN: [&str; 8] =
+    ["atlas", "atlas?level=1", "view?w=8", "thumbnail", "report", "settings", "export?format=glb", "atlas?sections=photo"];
 const OWN: [&str; 6] = ["/v1/photos", "/v1/photos/ID", "/v1/photos/ID/depth", "/metrics", "/readyz", "/openapi.json"];
 
 #[test]
@@ -96,7 +97,9 @@ fn who_may_read_what() {
             assert_eq!(list.problem(403)["type"], "urn:tmpi:problem:list-closed");
         }
         let ours = caller.lists != 421;
-        for path in OPEN.map(|part| format!("/v1/photos/{id}/{part}")).iter().map(String::as_str).chain(["/tmpi-viewer.js", "/static/viewer.js"]) {
+        for path in
+            OPEN.map(|part| format!("/v1/photos/{id}/{part}")).iter().map(String::as_str).chain(["/tmpi-viewer.js", "/static/viewer.js"])
+        {
             for method in ["GET", "HEAD"] {
                 let answer = call(&server, &caller, method, path, &[], &[]);
                 assert_eq!(answer.status, if ours { 200 } else { 421 }, "{what}: {method} {path}");
@@ -125,7 +128,8 @@ fn preflights_are_answered_only_where_other_sites_may_read() {
     let open = preflight(&format!("/v1/photos/{id}/atlas"), "GET");
     assert_eq!((open.status, open.header("access-control-allow-origin")), (200, Some("*")));
     assert!(open.header("x-request-id").is_some());
-    for (path, method) in [("/v1/photos".to_owned(), "POST"), (format!("/v1/photos/{id}"), "DELETE"), (format!("/v1/photos/{id}"), "PATCH")] {
+    for (path, method) in [("/v1/photos".to_owned(), "POST"), (format!("/v1/photos/{id}"), "DELETE"), (format!("/v1/photos/{id}"), "PATCH")]
+    {
         let closed = preflight(&path, method);
         closed.problem(405);
         assert_eq!(closed.header("access-control-allow-origin"), None);

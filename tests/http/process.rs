@@ -78,7 +78,8 @@ pub fn upload(addr: SocketAddr, photo: &[u8]) -> Option<String> {
     let (content_type, body) = form(&[("photo", photo), ("depth", &depth_map())]);
     std::net::TcpStream::connect(addr).ok()?;
     let mut connection = std::panic::catch_unwind(|| Connection::open(addr)).ok()?;
-    let head = format!("POST /v1/photos HTTP/1.1\r\nhost: localhost\r\ncontent-type: {content_type}\r\ncontent-length: {}\r\n\r\n", body.len());
+    let head =
+        format!("POST /v1/photos HTTP/1.1\r\nhost: localhost\r\ncontent-type: {content_type}\r\ncontent-length: {}\r\n\r\n", body.len());
     connection.raw().write_all(head.as_bytes()).ok()?;
     connection.raw().write_all(&body).ok()?;
     let answer = connection.receive("POST").ok()?;

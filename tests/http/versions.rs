@@ -14,8 +14,17 @@ fn start(maker: Arc<dyn Maker>) -> (tempfile::TempDir, Running) {
     (dir, server)
 }
 
-const PARTS: [&str; 9] =
-    ["atlas", "atlas?level=1", "atlas?region=0,0,9,9", "atlas?sections=photo", "depth", "report", "thumbnail", "view?w=20", "export?format=glb"];
+const PARTS: [&str; 9] = [
+    "atlas",
+    "atlas?level=1",
+    "atlas?region=0,0,9,9",
+    "atlas?sections=photo",
+    "depth",
+    "report",
+    "thumbnail",
+    "view?w=20",
+    "export?format=glb",
+];
 
 #[test]
 fn only_an_address_that_names_the_version_is_kept_for_ever() {

@@ -107,7 +107,7 @@ pub async fn export(
                 ExportError::Cancelled => Problem::new(StatusCode::SERVICE_UNAVAILABLE, "cancelled", e.to_string()).retry_after(1),
                 e => Problem::internal("exporting a photo", &e),
             })?;
-            let stored = Stored::on_disk(&name, &bytes, &shared.scratch).map_err(|e| Problem::store(&e))?;
+            let stored = Stored::derived(Some(&name), bytes, &shared.scratch)?;
             Ok::<_, Problem>((Export(stored), start.elapsed()))
         });
         let (export, elapsed) = written.await??;

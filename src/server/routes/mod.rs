@@ -34,7 +34,9 @@ use super::problem::Problem;
 #[openapi(
     info(
         title = "tmpi",
-        description = "Turns an uploaded photo into a tiled multiplane image and serves it. Every error is a problem document (RFC 9457)."
+        description = "Turns an uploaded photo into a tiled multiplane image and serves it. Every error is a problem document (RFC 9457). \
+                       On every route: a request has one Host (else 400) that is the server's own (else 421); parameters are known and given \
+                       once (else 400); changes by pages of other sites are refused (403)."
     ),
     tags(
         (name = "photos", description = "Photos and what is made of them"),
@@ -81,16 +83,8 @@ async fn open_to_all(mut response: Response) -> Response {
 
 /// Leave for pages of any site to read an answer.
 fn cors() -> CorsLayer {
-    let exposed = [
-        "etag",
-        "content-range",
-        "accept-ranges",
-        "content-length",
-        "server-timing",
-        "x-request-id",
-        "retry-after",
-        "content-disposition",
-    ];
+    let exposed =
+        ["etag", "content-range", "accept-ranges", "content-length", "server-timing", "x-request-id", "retry-after", "content-disposition"];
     CorsLayer::new()
         .allow_origin(AllowOrigin::any())
         .allow_methods([Method::GET, Method::HEAD])
@@ -115,7 +109,9 @@ pub fn router(app: App) -> Router {
     let open = open.method_not_allowed_fallback(no_method).layer(map_response(open_to_all));
     let scripts = Router::new().route("/static/{*name}", get(pages::file)).route("/tmpi-viewer.js", get(pages::script));
     let scripts = scripts.method_not_allowed_fallback(no_method);
-    let foreign = |_: ProtectionError| Problem::new(StatusCode::FORBIDDEN, "cross-site", "a page of another site may not change anything here").into_response();
+    let foreign = |_: ProtectionError| {
+        Problem::new(StatusCode::FORBIDDEN, "cross-site", "a page of another site may not change anything here").into_response()
+    };
     router
         .merge(open.merge(scripts).layer(cors()))
         .route("/", get(pages::index))

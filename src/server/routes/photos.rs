@@ -11,8 +11,8 @@ use axum::response::{IntoResponse, Response};
 use super::query::{NoQuery, Pairs};
 use super::state::{PhotoList, PhotoState};
 use crate::server::app::{App, Stored};
-use crate::server::clock::Clock;
 use crate::server::body;
+use crate::server::clock::Clock;
 use crate::server::conditional::{Entity, REVALIDATE, insert, respond};
 use crate::server::entry::{Entry, Status};
 use crate::server::id::PhotoId;
@@ -167,7 +167,8 @@ pub struct ListQuery {
 )]
 pub async fn list(State(app): State<App>, request: Request) -> Result<Json<PhotoList>, Problem> {
     if !app.public_list && !app.hosts.is_own(request.headers()) {
-        let detail = "photos are listed to this machine's own user alone, at a loopback address; tmpi serve --public-list opens the list to all";
+        let detail =
+            "photos are listed to this machine's own user alone, at a loopback address; tmpi serve --public-list opens the list to all";
         return Err(Problem::new(StatusCode::FORBIDDEN, "list-closed", detail));
     }
     let pairs = Pairs::read(request.uri(), &["limit", "after"])?;

@@ -4,8 +4,8 @@ use axum::extract::{Path, State};
 use axum::http::{HeaderMap, Uri};
 use axum::response::Response;
 
-use crate::server::app::{App, Shared};
 use super::query::{OnlyVersion, Pairs};
+use crate::server::app::{App, Shared};
 use crate::server::conditional::{Entity, kept, respond};
 use crate::server::problem::Problem;
 use crate::server::store::Part;

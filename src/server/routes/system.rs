@@ -93,5 +93,8 @@ pub async fn metrics(State(app): State<App>, _: NoQuery) -> Response {
 )]
 pub async fn openapi(State(app): State<App>, _: NoQuery, headers: HeaderMap) -> Response {
     let etag = format!("\"{}\"", hex(&Sha256::digest(&app.openapi)[..16]));
-    respond(&headers, Entity { source: app.openapi.clone().into(), etag: &etag, content_type: "application/json", cache_control: REVALIDATE })
+    respond(
+        &headers,
+        Entity { source: app.openapi.clone().into(), etag: &etag, content_type: "application/json", cache_control: REVALIDATE },
+    )
 }

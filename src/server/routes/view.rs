@@ -6,6 +6,7 @@ use std::time::{Duration, Instant};
 use axum::extract::{Extension, Path, State};
 use axum::http::{HeaderMap, HeaderName, Uri, header};
 use axum::response::Response;
+use futures_util::TryFutureExt as _;
 use tokio_util::sync::CancellationToken;
 
 use crate::server::app::{App, Export, Shared, Stored, Version, scene_bytes};
@@ -92,23 +93,19 @@ pub async fn view(
     }
     let mut timing = Vec::new();
     // whoever asks for the same view meanwhile waits for this one
+    let drawn = async {
+        let (bytes, took) = draw(&app, version, &done, &query, size, format).await?;
+        timing = took;
+        let (name, shared) = (made.clone(), Arc::clone(&app));
+        let keep = tokio::task::spawn_blocking(move || Stored::derived(Some(&name), bytes, &shared.scratch));
+        keep.await.map_err(|e| Problem::internal("keeping a view", &e))?
+    };
+    let key = (version, made.clone());
     let stored = if query.moving.is_some() {
         clock.allow(app.limits.export);
-        let drawn = async {
-            let (bytes, took) = draw(&app, version, &done, &query, size, format).await?;
-            timing = took;
-            let (name, shared) = (made.clone(), Arc::clone(&app));
-            let write = move || Stored::on_disk(&name, &bytes, &shared.scratch).map(Export).map_err(|e| Problem::store(&e));
-            tokio::task::spawn_blocking(write).await.map_err(|e| Problem::internal("writing a film", &e))?
-        };
-        app.exports.get((version, made.clone()), drawn).await?.0
+        app.exports.get(key, drawn.map_ok(Export)).await?.0
     } else {
-        let drawn = async {
-            let (bytes, took) = draw(&app, version, &done, &query, size, format).await?;
-            timing = took;
-            Ok::<_, Problem>(Stored::made(&made, bytes))
-        };
-        app.views.get((version, made.clone()), drawn).await?
+        app.views.get(key, drawn).await?
     };
     // a scene that was at hand would make decoding look cheap
     for (phase, took) in timing.iter().filter(|(_, took)| !took.is_zero()) {

@@ -20,9 +20,8 @@ const LENGTH_STEP: f64 = 1e-5;
 /// Degrees.
 const ANGLE_STEP: f64 = 1e-3;
 
-const NAMES: [&str; 17] = [
-    "tx", "ty", "tz", "yaw", "pitch", "roll", "w", "h", "fov", "format", "stereo", "quilt", "ipd", "focus", "path", "frames", "v",
-];
+const NAMES: [&str; 17] =
+    ["tx", "ty", "tz", "yaw", "pitch", "roll", "w", "h", "fov", "format", "stereo", "quilt", "ipd", "focus", "path", "frames", "v"];
 /// Frames of an animation.
 const FRAMES: std::ops::RangeInclusive<u32> = 2..=240;
 /// Frames where the query does not say: two seconds.
