@@ -8,8 +8,9 @@ use moka::policy::EvictionPolicy;
 
 use super::id::PhotoId;
 
-/// Bytes that an entry takes besides its key's and its value's own, rounded up: slots, counts and lists of the cache.
-const OVERHEAD: usize = 512;
+/// Bytes that an entry takes besides its key's and its value's own, measured on views of one pixel: slots, counts and lists of the
+/// cache, and what the allocator loses on small pieces.
+const OVERHEAD: usize = 1536;
 
 /// What a cache is asked for.
 pub trait Key: Clone + Eq + Hash + Send + Sync + 'static {
@@ -122,13 +123,13 @@ mod tests {
 
     #[tokio::test]
     async fn the_least_recently_used_goes_first_and_the_budget_holds() {
-        let cache = Cache::new(10 * KIB);
-        assert!(put(&cache, 1, 4 * KIB).await && put(&cache, 2, 4 * KIB).await);
-        assert!(!put(&cache, 1, 4 * KIB).await);
-        assert!(put(&cache, 3, 4 * KIB).await, "goes in, 2 goes out");
-        assert!(!put(&cache, 1, 4 * KIB).await && put(&cache, 2, 4 * KIB).await);
-        assert!(put(&cache, 9, 11 * KIB).await && put(&cache, 9, 11 * KIB).await, "too large to be kept");
-        assert!(cache.bytes() <= 10 * KIB as u64, "{}", cache.bytes());
+        let cache = Cache::new(100 * KIB);
+        assert!(put(&cache, 1, 40 * KIB).await && put(&cache, 2, 40 * KIB).await);
+        assert!(!put(&cache, 1, 40 * KIB).await);
+        assert!(put(&cache, 3, 40 * KIB).await, "goes in, 2 goes out");
+        assert!(!put(&cache, 1, 40 * KIB).await && put(&cache, 2, 40 * KIB).await);
+        assert!(put(&cache, 9, 110 * KIB).await && put(&cache, 9, 110 * KIB).await, "too large to be kept");
+        assert!(cache.bytes() <= 100 * KIB as u64, "{}", cache.bytes());
     }
 
     #[tokio::test]
@@ -138,7 +139,7 @@ mod tests {
             put(&cache, key, 1).await;
         }
         assert!(cache.entries() <= (100 * KIB / OVERHEAD) as u64, "{} entries", cache.entries());
-        assert!(cache.entries() > 100);
+        assert!(cache.entries() > 50);
     }
 
     #[tokio::test]

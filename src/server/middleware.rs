@@ -19,6 +19,7 @@ use super::body::Guarded;
 use super::clock::Clock;
 use super::conditional::insert;
 use super::pages::RESOURCE_POLICY;
+use super::pool::ASKER;
 use super::problem::Problem;
 
 /// Header of the id of a request.
@@ -35,9 +36,11 @@ pub async fn around(State(app): State<App>, request: Request, next: Next) -> Res
     let method = request.method().clone();
     let path = request.uri().path().to_owned();
     let route = request.extensions().get::<MatchedPath>().map_or("none", MatchedPath::as_str).to_owned();
-    let peer = request.extensions().get::<Peer>().map(|p| p.0.to_string()).unwrap_or_default();
+    let peer = request.extensions().get::<Peer>().map(|p| p.0);
+    let asker = peer.filter(|ip| !ip.to_canonical().is_loopback());
+    let peer = peer.map(|ip| ip.to_string()).unwrap_or_default();
     let span = tracing::info_span!("request", id, peer, %method, path);
-    let mut response = answer(&app, request, next).instrument(span.clone()).await;
+    let mut response = ASKER.scope(asker, answer(&app, request, next).instrument(span.clone())).await;
     let response_id = HeaderValue::from_str(&id);
     response = finish(response, id).await;
     let took = start.elapsed();

@@ -1,7 +1,9 @@
 //! Blocking work on behalf of requests: a lane for each class, so that a film holds up no view, and memory by bytes.
 
-use std::sync::Arc;
+use std::collections::HashMap;
+use std::net::IpAddr;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use axum::http::StatusCode;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
@@ -50,16 +52,55 @@ struct Lane {
     slots: Arc<Semaphore>,
     waiting: AtomicUsize,
     most_waiting: usize,
+    /// Of those that wait, how many each address has.
+    of: Mutex<HashMap<IpAddr, usize>>,
     count: usize,
     /// Guess of how long one takes, in seconds, for `Retry-After`.
     seconds: u64,
 }
 
-struct Waits<'a>(&'a AtomicUsize);
+tokio::task_local! {
+    /// Who asks, where that tells clients apart: loopback is also the address of all who come by a proxy.
+    pub static ASKER: Option<IpAddr>;
+}
+
+/// A place among those that wait.
+struct Waits<'a> {
+    lane: &'a Lane,
+    asker: Option<IpAddr>,
+}
 
 impl Drop for Waits<'_> {
     fn drop(&mut self) {
-        self.0.fetch_sub(1, Ordering::AcqRel);
+        self.lane.waiting.fetch_sub(1, Ordering::AcqRel);
+        if let Some(asker) = self.asker {
+            let mut of = self.lane.of();
+            if let Some(count) = of.get_mut(&asker) {
+                *count -= 1;
+                if *count == 0 {
+                    of.remove(&asker);
+                }
+            }
+        }
+    }
+}
+
+impl Lane {
+    fn of(&self) -> MutexGuard<'_, HashMap<IpAddr, usize>> {
+        self.of.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// A place to wait; none where all are taken, or the asker has half of them.
+    fn wait(&self) -> Option<Waits<'_>> {
+        let asker = ASKER.try_with(|asker| *asker).ok().flatten();
+        if let Some(asker) = asker {
+            *self.of().entry(asker).or_default() += 1;
+        }
+        let before = self.waiting.fetch_add(1, Ordering::AcqRel);
+        // dropped where it is refused
+        let waits = Waits { lane: self, asker };
+        let own = asker.map_or(0, |asker| self.of().get(&asker).copied().unwrap_or_default());
+        (before < self.most_waiting && own <= self.most_waiting.div_ceil(2)).then_some(waits)
     }
 }
 
@@ -77,6 +118,7 @@ impl Pool {
             slots: Arc::new(Semaphore::new(slots.max(1))),
             waiting: AtomicUsize::new(0),
             most_waiting,
+            of: Mutex::default(),
             count: slots.max(1),
             seconds,
         };
@@ -111,12 +153,11 @@ impl Pool {
             }
             drop(slot);
         }
-        let waits = Waits(&lane.waiting);
-        if lane.waiting.fetch_add(1, Ordering::AcqRel) >= lane.most_waiting {
+        let Some(waits) = lane.wait() else {
             let rounds = (lane.most_waiting / lane.count) as u64;
             let detail = format!("too many requests for {} work are waiting already", class.name());
             return Err(Problem::new(StatusCode::SERVICE_UNAVAILABLE, "busy", detail).retry_after((rounds * lane.seconds / 8).clamp(1, 60)));
-        }
+        };
         let slot = Arc::clone(&lane.slots).acquire_owned().await.map_err(broken)?;
         let memory = Arc::clone(&self.memory).acquire_many_owned(wanted).await.map_err(broken)?;
         drop(waits);
@@ -202,6 +243,34 @@ mod tests {
         let _level = pool.enter(Class::Derived, 1).await.unwrap();
         assert!(!waits(pool.enter(Class::Interactive, 1)).await);
         assert_eq!(Class::ALL.map(|class| pool.waiting(class)), [0; 3], "who gives up waits no more");
+    }
+
+    #[tokio::test]
+    async fn one_address_has_half_of_the_places_to_wait() {
+        let pool = pool(1, 4, 9);
+        let _busy = pool.enter(Class::Interactive, 1).await.unwrap();
+        let ask = |asker: Option<&str>| {
+            let pool = Arc::clone(&pool);
+            let asker = asker.map(|a| a.parse().unwrap());
+            tokio::spawn(ASKER.scope(asker, async move { pool.enter(Class::Interactive, 1).await.is_ok() }))
+        };
+        let greedy: Vec<_> = (0..2).map(|_| ask(Some("192.0.2.1"))).collect();
+        while pool.waiting(Class::Interactive) < 2 {
+            tokio::task::yield_now().await;
+        }
+        assert!(!ask(Some("192.0.2.1")).await.unwrap(), "a third");
+        assert_eq!(pool.waiting(Class::Interactive), 2);
+        let others = [ask(Some("192.0.2.2")), ask(None)];
+        while pool.waiting(Class::Interactive) < 4 {
+            tokio::task::yield_now().await;
+        }
+        for task in greedy.iter().chain(&others) {
+            task.abort();
+        }
+        while pool.waiting(Class::Interactive) > 0 {
+            tokio::task::yield_now().await;
+        }
+        assert!(pool.lane(Class::Interactive).of().is_empty());
     }
 
     #[tokio::test]
