@@ -1,7 +1,14 @@
-//! Lists the pages to embed.
+//! Lists the pages to embed, and names the program by its sources.
 
 use std::fmt::Write as _;
 use std::path::Path;
+
+use sha2::{Digest, Sha256};
+
+/// What decides which bytes are made of a photo.
+const PIPELINE: [&str; 6] = ["Cargo.lock", "crates/core", "crates/pipeline", "models", "proto", "build.rs"];
+/// The same and what decides which bytes are drawn and exported of it.
+const PROGRAM: [&str; 5] = ["crates/render", "src/export", "src/server", "static", "Cargo.toml"];
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     println!("cargo:rerun-if-changed=static");
@@ -14,7 +21,34 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     }
     table.push(']');
     std::fs::write(Path::new(&std::env::var("OUT_DIR")?).join("pages.rs"), table)?;
+    println!("cargo:rustc-env=TMPI_PIPELINE={}", digest(&PIPELINE)?);
+    println!("cargo:rustc-env=TMPI_PROGRAM={}", digest(&[PIPELINE.as_slice(), &PROGRAM].concat())?);
     Ok(())
+}
+
+/// SHA-256 of all files below `roots` and of their names.
+fn digest(roots: &[&str]) -> std::io::Result<String> {
+    let mut hash = Sha256::new();
+    // floating-point code differs between targets
+    hash.update(std::env::var("TARGET").unwrap_or_default());
+    for root in roots {
+        println!("cargo:rerun-if-changed={root}");
+        let path = Path::new(root);
+        let mut names = Vec::new();
+        if path.is_dir() {
+            list(path, &format!("{root}/"), &mut names)?;
+        } else {
+            names.push((*root).to_owned());
+        }
+        names.sort();
+        for name in names {
+            let bytes = std::fs::read(&name)?;
+            hash.update(name.as_bytes());
+            hash.update((bytes.len() as u64).to_le_bytes());
+            hash.update(bytes);
+        }
+    }
+    Ok(hash.finalize().iter().fold(String::new(), |text, byte| text + &format!("{byte:02x}")))
 }
 
 /// Names of all files below `dir`, with `/` between folders; hidden ones are left out.

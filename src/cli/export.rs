@@ -63,7 +63,7 @@ pub(super) fn run(args: &ExportArgs) -> anyhow::Result<()> {
     // a container that cannot be read must not become a page that cannot be shown
     let scene = container::decode(&container).with_context(context)?;
     let stem = args.input.file_stem().unwrap_or_default().to_string_lossy();
-    let written = format.map(|f| export(f, &container, &scene, args.title.as_deref().unwrap_or(&stem))).transpose();
+    let written = format.map(|f| export(f, &container, &scene, args.title.as_deref().unwrap_or(&stem), &|| false)).transpose();
     let bytes = written.with_context(context)?.unwrap_or_else(|| container.clone());
     let ms = start.elapsed().as_secs_f64() * 1e3;
     files::write(&args.output, &bytes)?;

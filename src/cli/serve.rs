@@ -9,7 +9,9 @@ use std::time::Duration;
 use anyhow::Context as _;
 
 use super::flags::ModelFlags;
-use crate::server::{Config, Limits, PipelineMaker, Server, stop_signal};
+use sha2::{Digest as _, Sha256};
+
+use crate::server::{Config, Limits, PipelineMaker, Server, hex, stop_signal};
 use tmpi_pipeline::networks::models;
 use tmpi_render::{self, Backend};
 
@@ -25,6 +27,12 @@ pub(super) struct ServeArgs {
     /// Read the pages from this directory instead of from the program
     #[arg(long = "static", value_name = "DIR")]
     pages: Option<PathBuf>,
+    /// Name under which the server answers besides localhost and its address, as a proxy passes it on in Host; may be repeated
+    #[arg(long = "host", value_name = "NAME")]
+    hosts: Vec<String>,
+    /// Let everybody who can reach the server list all photos, not only this machine's own user
+    #[arg(long)]
+    public_list: bool,
     /// What draws views
     #[arg(long, value_enum, default_value_t)]
     backend: Backend,
@@ -49,7 +57,16 @@ pub(super) struct ServeArgs {
     /// Connections at a time
     #[arg(long, default_value_t = Limits::CONNECTIONS as u32, value_parser = clap::value_parser!(u32).range(1..), value_name = "N")]
     connections: u32,
-    /// Seconds that a request may take
+    /// Connections at a time from one address; a proxy is one
+    #[arg(long, default_value_t = Limits::CONNECTIONS_PER_ADDRESS as u32, value_parser = clap::value_parser!(u32).range(1..), value_name = "N")]
+    connections_per_address: u32,
+    /// Memory for work on scenes that are not kept, in MiB; one that needs more is worked on alone
+    #[arg(long, default_value_t = (Limits::WORK_MEMORY >> 20) as u32, value_parser = clap::value_parser!(u32).range(1..), value_name = "MIB")]
+    work_memory: u32,
+    /// Disk for files to download that were written already, in MiB
+    #[arg(long, default_value_t = (Limits::EXPORT_CACHE >> 20) as u32, value_name = "MIB")]
+    export_cache: u32,
+    /// Seconds that a request may take, from the end of its body
     #[arg(long, default_value_t = Limits::REQUEST.as_secs() as u32, value_parser = clap::value_parser!(u32).range(1..), value_name = "S")]
     request_timeout: u32,
     /// Seconds that requests and jobs under way have left after SIGTERM
@@ -72,6 +89,9 @@ impl ServeArgs {
             views: usize::from(self.views),
             scene_cache: (self.scene_cache as usize) << 20,
             connections: self.connections as usize,
+            connections_per_address: self.connections_per_address as usize,
+            work_memory: (self.work_memory as usize) << 20,
+            export_cache: (self.export_cache as usize) << 20,
             request: Duration::from_secs(u64::from(self.request_timeout)),
             drain: Duration::from_secs(u64::from(self.drain)),
             ..Limits::default()
@@ -86,20 +106,37 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
     }
     let limits = args.limits();
     let renderer = tmpi_render::select(args.backend).context("renderer")?;
-    let maker = Arc::new(PipelineMaker::new(models::load(&args.models.settings())?, &limits));
-    let config = Config { addr: args.addr, data: args.data, pages: args.pages, limits };
+    let settings = args.models.settings();
+    let maker = PipelineMaker::new(models::load(&settings)?, &limits).identified(&identity(&settings)?);
+    let config = Config { addr: args.addr, data: args.data, pages: args.pages, hosts: args.hosts, public_list: args.public_list, limits };
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().thread_name("tmpi-http").build()?;
     runtime.block_on(async {
-        let server = Server::bind(config, maker, renderer).await?;
+        let server = Server::bind(config, Arc::new(maker), renderer).await?;
         let mut stdout = std::io::stdout();
         // whoever waits for this line may have gone
         let _ = writeln!(stdout, "http://{}", server.addr()).and_then(|()| stdout.flush());
+        tokio::spawn(async {
+            stop_signal().await;
+            stop_signal().await;
+            tracing::warn!("stopped at once: what was under way is taken up at the next start");
+            // whoever asks twice does not want to wait for the drain
+            std::process::exit(1);
+        });
         server.run(stop_signal()).await;
         anyhow::Ok(())
     })?;
     // a job that outlived the drain time is taken up at the next start
     runtime.shutdown_background();
     Ok(())
+}
+
+/// What photos depend on besides the program: a better network makes them anew.
+fn identity(settings: &models::Settings) -> anyhow::Result<String> {
+    // an embedded network is a part of the program
+    let file = settings.depth_file.as_deref().map(|f| std::fs::read(f).with_context(|| f.display().to_string())).transpose()?;
+    let digest = file.map(|bytes| hex(&Sha256::digest(bytes)));
+    let models::Settings { depth, depth_pixels, depth_smoothing, flip, .. } = settings;
+    Ok(format!("{} {digest:?} {depth_pixels:?} {depth_smoothing:?} {flip}", depth.name))
 }
 
 #[cfg(test)]

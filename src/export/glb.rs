@@ -34,11 +34,14 @@ const CLAMP: u32 = 33_071;
 ///
 /// # Errors
 /// [`ExportError::TooLarge`] above 4 GiB.
-pub fn glb(container: &[u8], scene: &Scene) -> Result<Vec<u8>, ExportError> {
+pub fn glb(container: &[u8], scene: &Scene, cancelled: &dyn Fn() -> bool) -> Result<Vec<u8>, ExportError> {
     let photo = photo_file(container)?;
     let mut file = File::default();
     let (mut whole, mut layered) = (Vec::new(), Vec::new());
     for index in back_to_front(scene) {
+        if cancelled() {
+            return Err(ExportError::Cancelled);
+        }
         match kind(scene, index) {
             Kind::Whole => whole.push(index),
             Kind::Empty => {}
@@ -56,6 +59,9 @@ pub fn glb(container: &[u8], scene: &Scene) -> Result<Vec<u8>, ExportError> {
         file.surface("photo", &vertices, &mesh.pick(parts), material);
     }
     for (n, page) in pages::pack(scene, &layered).iter().enumerate() {
+        if cancelled() {
+            return Err(ExportError::Cancelled);
+        }
         let (w, h) = (f64::from(page.width), f64::from(page.height));
         let mut mesh = Mesh::default();
         let mut parts = Vec::new();
@@ -331,7 +337,7 @@ mod tests {
     #[test]
     fn every_layer_is_there_and_the_photo_is_its_own_file() {
         let (container, scene) = testing::made();
-        let file = glb(container, scene).unwrap();
+        let file = glb(container, scene, &|| false).unwrap();
         let (root, binary) = read(&file);
         let names: Vec<&str> = root["nodes"].as_array().unwrap().iter().map(|n| n["name"].as_str().unwrap()).collect();
         assert_eq!(names, ["photo", "opaque 0", "soft 0", "3D photo", "camera"]);
@@ -372,7 +378,7 @@ mod tests {
     #[test]
     fn the_camera_sees_what_the_photo_shows() {
         let (container, scene) = testing::made();
-        let file = glb(container, scene).unwrap();
+        let file = glb(container, scene, &|| false).unwrap();
         let camera = &read(&file).0["cameras"][0]["perspective"];
         let (yfov, aspect) = (camera["yfov"].as_f64().unwrap(), camera["aspectRatio"].as_f64().unwrap());
         let fov_x = 2.0 * ((yfov / 2.0).tan() * aspect).atan().to_degrees();
@@ -384,7 +390,7 @@ mod tests {
         let (container, scene) = testing::made();
         let mut scene = scene.clone();
         scene.layers.clear();
-        let file = glb(container, &scene).unwrap();
+        let file = glb(container, &scene, &|| false).unwrap();
         let (root, _) = read(&file);
         assert!(root["meshes"].is_null() && root["cameras"][0].is_object());
     }

@@ -88,20 +88,30 @@ pub enum ExportError {
     /// A description cannot be written as JSON.
     #[error("writing JSON: {0}")]
     Json(#[from] serde_json::Error),
+    /// Nobody waits for it any more.
+    #[error("the export is not wanted any more")]
+    Cancelled,
     /// The result would be larger than its format can hold.
     #[error("the scene is too large for a {0} file")]
     TooLarge(&'static str),
 }
 
-/// Writes `scene`, which is what `container` decodes to, in `format`. `title` names it for people.
+/// Writes `scene`, which is what `container` decodes to, in `format`. `title` names it for people. `cancelled` is asked before each
+/// layer or page of them.
 ///
 /// # Errors
 /// [`ExportError`].
-pub fn export(format: ExportFormat, container: &[u8], scene: &Scene, title: &str) -> Result<Vec<u8>, ExportError> {
+pub fn export(
+    format: ExportFormat,
+    container: &[u8],
+    scene: &Scene,
+    title: &str,
+    cancelled: &dyn Fn() -> bool,
+) -> Result<Vec<u8>, ExportError> {
     match format {
         ExportFormat::Html => html(container, title),
-        ExportFormat::Glb => glb(container, scene),
-        ExportFormat::Zip => zip(container, scene),
+        ExportFormat::Glb => glb(container, scene, cancelled),
+        ExportFormat::Zip => zip(container, scene, cancelled),
     }
 }
 

@@ -18,7 +18,7 @@ const VERSION: u32 = 1;
 ///
 /// # Errors
 /// [`ExportError`].
-pub fn zip(container: &[u8], scene: &Scene) -> Result<Vec<u8>, ExportError> {
+pub fn zip(container: &[u8], scene: &Scene, cancelled: &dyn Fn() -> bool) -> Result<Vec<u8>, ExportError> {
     let photo = photo_file(container)?;
     let photo_name = format!("photo.{}", photo.extension());
     let mut archive = ZipWriter::new(Cursor::new(Vec::new()));
@@ -36,6 +36,9 @@ pub fn zip(container: &[u8], scene: &Scene) -> Result<Vec<u8>, ExportError> {
     add("disparity.png", picture, &to_png(&visible_disparity(scene))?)?;
     let mut texels = Vec::new();
     for (index, name) in names(scene).iter().enumerate() {
+        if cancelled() {
+            return Err(ExportError::Cancelled);
+        }
         let rect = scene.layers[index].rect;
         texels.clear();
         scene.expand_layer(index, &mut texels);
@@ -105,7 +108,7 @@ mod tests {
     #[test]
     fn the_archive_holds_the_scene() {
         let (container, scene) = testing::made();
-        let bytes = zip(container, scene).unwrap();
+        let bytes = zip(container, scene, &|| false).unwrap();
         let mut archive = ::zip::ZipArchive::new(Cursor::new(bytes)).unwrap();
         let mut file = |name: &str| {
             let mut out = Vec::new();

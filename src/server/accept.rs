@@ -1,13 +1,18 @@
 //! The accept loop: `axum::serve` sets no timer for the header of a request and none for writing, this one does.
 
+use std::collections::HashMap;
 use std::io;
+use std::net::IpAddr;
 use std::pin::Pin;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::task::{Context, Poll};
 use std::time::Duration;
 
 use axum::Router;
+use hyper::Request;
+use hyper::body::Incoming;
 use hyper::server::conn::http1;
+use hyper::service::{Service as _, service_fn};
 use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::server::graceful::GracefulShutdown;
 use hyper_util::service::TowerToHyperService;
@@ -28,6 +33,7 @@ pub async fn serve(listener: TcpListener, router: Router, limits: &Limits, telem
     let mut http = http1::Builder::new();
     http.timer(TokioTimer::new()).header_read_timeout(limits.header_read).max_header_size(Limits::HEADER_BYTES);
     let room = Arc::new(Semaphore::new(limits.connections));
+    let shares = Shares::new(limits.connections_per_address);
     let graceful = GracefulShutdown::new();
     loop {
         let accepted = tokio::select! {
@@ -35,23 +41,34 @@ pub async fn serve(listener: TcpListener, router: Router, limits: &Limits, telem
             () = stop.cancelled() => break,
             accepted = next(&listener, &room) => accepted,
         };
-        let (stream, permit) = match accepted {
+        let (stream, peer, permit) = match accepted {
             Ok(accepted) => accepted,
+            // that client has gone already; the next one is as welcome
+            Err(error) if is_of_the_client(&error) => continue,
             Err(error) => {
                 tracing::warn!(%error, "accepting a connection");
                 tokio::time::sleep(BACK_OFF).await;
                 continue;
             }
         };
+        let Some(share) = shares.take(peer) else {
+            tracing::debug!(%peer, "an address has as many connections as it may");
+            continue;
+        };
         let io = TokioIo::new(Timed::new(stream, limits.write));
-        let connection = graceful.watch(http.serve_connection(io, TowerToHyperService::new(router.clone())));
+        let inner = TowerToHyperService::new(router.clone());
+        let service = service_fn(move |mut request: Request<Incoming>| {
+            request.extensions_mut().insert(Peer(peer));
+            inner.call(request)
+        });
+        let connection = graceful.watch(http.serve_connection(io, service));
         let telemetry = Arc::clone(telemetry);
         tokio::spawn(async move {
             let _present = telemetry.connection();
             if let Err(error) = connection.await {
                 tracing::debug!(%error, "connection");
             }
-            drop(permit);
+            drop((permit, share));
         });
     }
     drop(listener);
@@ -61,12 +78,72 @@ pub async fn serve(listener: TcpListener, router: Router, limits: &Limits, telem
     }
 }
 
-async fn next(listener: &TcpListener, room: &Arc<Semaphore>) -> io::Result<(TcpStream, tokio::sync::OwnedSemaphorePermit)> {
+/// Who sends a request: the address at the other end of the connection, which is a proxy's where there is one.
+#[derive(Clone, Copy, Debug)]
+pub struct Peer(pub IpAddr);
+
+/// Connections of each address.
+#[derive(Clone)]
+struct Shares {
+    most: usize,
+    open: Arc<Mutex<HashMap<IpAddr, usize>>>,
+}
+
+/// A connection of an address, as long as it lives.
+struct Share {
+    shares: Shares,
+    of: IpAddr,
+}
+
+impl Shares {
+    fn new(most: usize) -> Self {
+        Self { most, open: Arc::default() }
+    }
+
+    fn lock(&self) -> MutexGuard<'_, HashMap<IpAddr, usize>> {
+        self.open.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// One more of `peer`; none where it has as many as it may.
+    fn take(&self, peer: IpAddr) -> Option<Share> {
+        let of = match peer.to_canonical() {
+            // one customer has a whole network of these
+            IpAddr::V6(v6) => IpAddr::V6((u128::from(v6) >> 64 << 64).into()),
+            v4 @ IpAddr::V4(_) => v4,
+        };
+        let mut open = self.lock();
+        let count = open.entry(of).or_default();
+        (*count < self.most).then(|| {
+            *count += 1;
+            Share { shares: self.clone(), of }
+        })
+    }
+}
+
+impl Drop for Share {
+    fn drop(&mut self) {
+        let mut open = self.shares.lock();
+        if let Some(count) = open.get_mut(&self.of) {
+            *count -= 1;
+            if *count == 0 {
+                open.remove(&self.of);
+            }
+        }
+    }
+}
+
+/// Errors of one connection, not of the system.
+fn is_of_the_client(error: &io::Error) -> bool {
+    use io::ErrorKind::{ConnectionAborted, ConnectionRefused, ConnectionReset, NotConnected};
+    matches!(error.kind(), ConnectionAborted | ConnectionRefused | ConnectionReset | NotConnected)
+}
+
+async fn next(listener: &TcpListener, room: &Arc<Semaphore>) -> io::Result<(TcpStream, IpAddr, tokio::sync::OwnedSemaphorePermit)> {
     let permit = Arc::clone(room).acquire_owned().await.map_err(io::Error::other)?;
-    let (stream, _) = listener.accept().await?;
+    let (stream, peer) = listener.accept().await?;
     // answers are written in one go: waiting for more to send only adds delay
     stream.set_nodelay(true)?;
-    Ok((stream, permit))
+    Ok((stream, peer.ip(), permit))
 }
 
 /// A stream of which a write fails once the other side takes nothing for too long.
@@ -132,6 +209,20 @@ mod tests {
     use tokio::io::{AsyncReadExt, AsyncWriteExt};
 
     use super::*;
+
+    #[test]
+    fn an_address_has_its_share_and_gives_it_back() {
+        let shares = Shares::new(2);
+        let [a, b]: [IpAddr; 2] = ["192.0.2.1".parse().unwrap(), "2001:db8::1".parse().unwrap()];
+        let first = (shares.take(a).unwrap(), shares.take(a).unwrap());
+        assert!(shares.take(a).is_none() && shares.take("192.0.2.2".parse().unwrap()).is_some());
+        assert!(shares.take("::ffff:192.0.2.1".parse().unwrap()).is_none(), "the same written otherwise");
+        let net = (shares.take(b).unwrap(), shares.take("2001:db8::2".parse().unwrap()).unwrap());
+        assert!(shares.take("2001:db8::3".parse().unwrap()).is_none() && shares.take("2001:db8:0:1::1".parse().unwrap()).is_some());
+        drop((first, net));
+        assert!(shares.take(a).is_some());
+        assert!(shares.lock().is_empty(), "nothing is kept of who has gone");
+    }
 
     #[tokio::test]
     async fn a_client_that_takes_nothing_is_cut_off_and_a_slow_one_is_not() {

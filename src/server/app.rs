@@ -1,20 +1,27 @@
 //! What all handlers share.
 
-use std::path::PathBuf;
+use std::fs::File;
+use std::io::{Read as _, Write as _};
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicUsize};
 use std::time::Duration;
 
 use bytes::Bytes;
 use sha2::{Digest, Sha256};
+use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 
-use super::cache::Cache;
+use super::cache::{Cache, Key, Value};
 use super::entry::{Entry, Status};
+use super::hosts::Hosts;
 use super::id::{PhotoId, hex};
+use super::identity;
 use super::jobs::Jobs;
 use super::limits::Limits;
-use super::pool::Pool;
+use super::pool::{Class, Pool, Slot};
 use super::problem::Problem;
+use super::source::Source;
 use super::store::{Done, Part};
 use super::telemetry::Telemetry;
 use tmpi_core::container::{self, RegionPhoto, Tiles};
@@ -27,11 +34,20 @@ pub type Version = (PhotoId, u64);
 /// Shared state; cheap to clone.
 pub type App = Arc<Shared>;
 
-/// A file of a made photo.
-#[derive(Clone)]
+/// Files up to this many bytes are kept in memory; larger ones are read while they are sent.
+const SMALL: usize = 256 << 10;
+/// Derived files of more bytes are kept on disk.
+const LARGE: usize = 1 << 20;
+/// What an open file counts in a cache of files: their number is bounded, too.
+const OPEN_FILE: usize = 1 << 20;
+/// Memory of a decoded scene in bytes a pixel, measured on photographs and rounded up.
+const SCENE_BYTES: u64 = 13;
+
+/// A file of a made photo, or what was derived of one.
+#[derive(Clone, Debug)]
 pub struct Stored {
     /// Its bytes.
-    pub bytes: Bytes,
+    pub source: Source,
     /// Strong entity tag with its quotes.
     pub etag: Arc<str>,
 }
@@ -41,15 +57,98 @@ impl Stored {
     #[must_use]
     pub fn new(bytes: Vec<u8>) -> Self {
         let etag = format!("\"{}\"", hex(&Sha256::digest(&bytes)[..16])).into();
-        Self { bytes: bytes.into(), etag }
+        Self { source: Source::Memory(bytes.into()), etag }
     }
 
-    /// With its size in bytes.
-    #[must_use]
-    pub fn sized(bytes: Vec<u8>) -> (Self, usize) {
-        let size = bytes.len();
-        (Self::new(bytes), size)
+    /// Derived bytes, tagged by themselves and, where that tells them, by what they were made of: then
+    /// [`super::conditional::known_as`] knows them before they are made again. Large ones go into a file below `dir` that no name
+    /// leads to, so that slow readers hold no memory; it goes with the last who reads it. Blocks.
+    ///
+    /// # Errors
+    /// 507 where the disk is full, 500.
+    pub fn derived(made: Option<&str>, bytes: Vec<u8>, dir: &Path) -> Result<Self, Problem> {
+        let plain = Self::new(bytes);
+        let etag = match made {
+            Some(made) => format!("\"{made}-{}\"", plain.etag.get(1..17).unwrap_or_default()).into(),
+            None => plain.etag,
+        };
+        let source = match plain.source {
+            Source::Memory(bytes) if bytes.len() > LARGE => {
+                let write = |mut file: File| file.write_all(&bytes).map(|()| file);
+                let file = tempfile::tempfile_in(dir).and_then(write).map_err(|e| Problem::store(&e))?;
+                Source::File(Arc::new(file), bytes.len())
+            }
+            source => source,
+        };
+        Ok(Self { source, etag })
     }
+}
+
+impl Value for Stored {
+    fn weight(&self) -> usize {
+        match &self.source {
+            Source::Memory(bytes) => bytes.len(),
+            Source::File(..) => OPEN_FILE,
+        }
+    }
+}
+
+/// What a file for download counts at least: the number of those that are open is bounded, too.
+const LEAST_EXPORT: usize = 4 << 20;
+
+/// A file for download; what it weighs is disk.
+#[derive(Clone, Debug)]
+pub struct Export(pub Stored);
+
+impl Value for Export {
+    fn weight(&self) -> usize {
+        self.0.source.len().max(LEAST_EXPORT)
+    }
+}
+
+impl Value for Arc<Scene> {
+    fn weight(&self) -> usize {
+        self.memory()
+    }
+}
+
+impl Key for Version {
+    fn photo(&self) -> PhotoId {
+        self.0
+    }
+}
+
+impl Key for (Version, Part) {
+    fn photo(&self) -> PhotoId {
+        self.0.0
+    }
+}
+
+impl Key for (Version, String) {
+    fn photo(&self) -> PhotoId {
+        self.0.0
+    }
+
+    fn weight(&self) -> usize {
+        self.1.len()
+    }
+}
+
+impl Key for (Version, Derived) {
+    fn photo(&self) -> PhotoId {
+        self.0.0
+    }
+}
+
+/// A container that is made of a photo's own.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub struct Derived {
+    /// `1 / 2^level` of the size.
+    pub level: u8,
+    /// These tiles alone.
+    pub tiles: Option<Tiles>,
+    /// These sections alone, by their place among [`container::SECTIONS`].
+    pub sections: Option<Vec<u8>>,
 }
 
 /// State of the server.
@@ -62,16 +161,32 @@ pub struct Shared {
     pub telemetry: Arc<Telemetry>,
     /// Decoded scenes.
     pub scenes: Cache<Version, Arc<Scene>>,
-    /// Containers, pictures and reports.
+    /// Small files, and those that are open.
     pub files: Cache<(Version, Part), Stored>,
     /// Smaller levels and parts of containers.
-    pub levels: Cache<(Version, u8, Option<Tiles>), Stored>,
-    /// Encoded views by photo and entity tag.
-    pub views: Cache<(Version, String), Bytes>,
+    pub levels: Cache<(Version, Derived), Stored>,
+    /// Encoded views by photo and what they were made of.
+    pub views: Cache<(Version, String), Stored>,
+    /// Files to download and films, on disk.
+    pub exports: Cache<(Version, String), Export>,
+    /// Where these are written.
+    pub scratch: PathBuf,
     /// Where views are drawn.
     pub pool: Pool,
+    /// Uploads that come in.
+    pub uploads: AtomicUsize,
+    /// Places for event streams.
+    pub streams: Arc<Semaphore>,
+    /// False once the data directory could not be written.
+    pub writable: AtomicBool,
     /// What draws them.
     pub renderer: Arc<dyn Renderer>,
+    /// Names under which the server answers.
+    pub hosts: Hosts,
+    /// Whether strangers may list photos.
+    pub public_list: bool,
+    /// What the bytes of everything that is derived depend on besides the container: program and backend.
+    pub build: String,
     /// Directory that replaces the embedded pages, for work on them.
     pub pages: Option<PathBuf>,
     /// The `OpenAPI` document.
@@ -106,72 +221,154 @@ impl Shared {
         }
     }
 
+    /// Names the bytes of everything that is made of a photo: other for another photo, another making of it and another program.
+    #[must_use]
+    pub fn version(&self, done: &Done) -> String {
+        identity::of_results(&self.build, done)
+    }
+
     /// A file of a made photo.
     ///
     /// # Errors
-    /// 404 where it was deleted meanwhile, 500.
-    pub async fn file(self: &Arc<Self>, version: Version, part: Part) -> Result<Stored, Problem> {
-        let read = async {
-            let jobs = Arc::clone(&self.jobs);
-            let read = tokio::task::spawn_blocking(move || jobs.store.read(version.0, part));
-            let bytes = read.await.map_err(|e| Problem::internal("reading a file", &e))?.map_err(|e| match e.kind() {
-                std::io::ErrorKind::NotFound => Problem::not_found("the photo was deleted"),
-                _ => Problem::store(&e),
-            })?;
-            Ok(Stored::sized(bytes))
+    /// 404 where it was deleted meanwhile, 500 also where it is not what was made.
+    pub async fn file(&self, version: Version, done: &Done, part: Part) -> Result<Stored, Problem> {
+        let jobs = Arc::clone(&self.jobs);
+        let whole = (part == Part::Atlas).then(|| (done.atlas_bytes, done.atlas_hash.clone()));
+        let open = async move {
+            let open = tokio::task::spawn_blocking(move || open(&jobs.store.path(version.0, part), whole));
+            open.await.map_err(|e| Problem::internal("opening a file", &e))?.map_err(|e| stored_problem(&e))
         };
-        self.files.get((version, part), read).await
+        self.files.get((version, part), open).await
     }
 
-    /// The container of a made photo at `1 / 2^level` of its size, 0 to [`tmpi_core::container::LEVELS`].
+    /// The container of a made photo, or a smaller one of its tiles over `region` at `1 / 2^level` of the size (0 to
+    /// [`tmpi_core::container::LEVELS`]) with some `sections`.
     ///
     /// # Errors
-    /// As [`Shared::file`]; 503 where too much is under way.
-    pub async fn level(self: &Arc<Self>, version: Version, level: u8) -> Result<Stored, Problem> {
-        if level == 0 {
-            return self.file(version, Part::Atlas).await;
+    /// As [`Shared::file`]; 400 where the region is not within the photo, 503 where too much is under way.
+    pub async fn container(
+        &self,
+        version: Version,
+        done: &Done,
+        (level, region): (u8, Option<Rect>),
+        sections: Option<&[&'static str]>,
+    ) -> Result<Stored, Problem> {
+        if (level, region, sections) == (0, None, None) {
+            return self.file(version, done, Part::Atlas).await;
         }
+        let tiles = if let Some(region) = region { Some(self.tiles(version, region).await?) } else { None };
+        let place = |name: &&str| container::SECTIONS.iter().position(|s| s == name).map(|i| i as u8);
+        let mut places = sections.map(|names| names.iter().filter_map(place).collect::<Vec<_>>());
+        if let Some(places) = &mut places {
+            places.sort_unstable();
+            places.dedup();
+        }
+        // regions over the same tiles, and sections in any order, are one
+        let key = Derived { level, tiles, sections: places };
+        let made = key.clone();
+        let names = sections.map(<[_]>::to_vec);
         let make = async {
-            let container = self.file(version, Part::Atlas).await?.bytes;
-            let bytes = self.pool.run(move || container::level(&container, level)).await?.map_err(|e| Problem::from(&e))?;
-            Ok::<_, Problem>(Stored::sized(bytes))
+            let slot = self.pool.enter(Class::Derived, scene_bytes(done)).await?;
+            let (read, scratch) = (self.reading(version), self.scratch.clone());
+            let make = move || {
+                let mut bytes = read()?;
+                if let Some(tiles) = &made.tiles {
+                    bytes = container::region(&bytes, tiles, made.level, RegionPhoto::default()).map_err(|e| Problem::from(&e))?;
+                } else if made.level > 0 {
+                    bytes = container::level(&bytes, made.level).map_err(|e| Problem::from(&e))?;
+                }
+                if let Some(names) = names {
+                    bytes = container::select(&bytes, &names).map_err(|e| Problem::from(&e))?;
+                }
+                Stored::derived(None, bytes, &scratch)
+            };
+            slot.run(make).await?
         };
-        self.levels.get((version, level, None), make).await
+        self.levels.get((version, key), make).await
     }
 
-    /// The same of the tiles over `region` alone.
-    ///
-    /// # Errors
-    /// As [`Shared::level`]; 400 where the region is not within the photo.
-    pub async fn region(self: &Arc<Self>, version: Version, level: u8, region: Rect) -> Result<Stored, Problem> {
-        let container = self.file(version, Part::Atlas).await?.bytes;
-        let tiles = Tiles::over_region(&container, region).map_err(|e| Problem::from(&e))?;
-        let tiles = tiles.ok_or_else(|| Problem::parameter("region", "must hold a pixel and lie within the photo"))?;
-        // regions over the same tiles are one
-        let key = (version, level, Some(tiles.clone()));
-        let make = async {
-            let cut = move || container::region(&container, &tiles, level, RegionPhoto::default());
-            let bytes = self.pool.run(cut).await?.map_err(|e| Problem::from(&e))?;
-            Ok::<_, Problem>(Stored::sized(bytes))
-        };
-        self.levels.get(key, make).await
+    /// The tiles over a region of a photo.
+    async fn tiles(&self, version: Version, region: Rect) -> Result<Tiles, Problem> {
+        let slot = self.pool.enter(Class::Derived, 0).await?;
+        let read = self.reading(version);
+        let tiles = slot.run(move || Tiles::over_region(&read()?, region).map_err(|e| Problem::from(&e))).await??;
+        tiles.ok_or_else(|| Problem::parameter("region", "must hold a pixel and lie within the photo"))
     }
 
-    /// The decoded scene of a made photo, and how long decoding took if it was not at hand.
+    /// What reads the container of a photo, blocking.
+    pub fn reading(&self, version: Version) -> impl Fn() -> Result<Vec<u8>, Problem> + Send + 'static {
+        let jobs = Arc::clone(&self.jobs);
+        move || jobs.store.read(version.0, Part::Atlas).map_err(|e| stored_problem(&e))
+    }
+
+    /// The decoded scene of a made photo, and how long decoding took if it was not at hand. `slot` was entered with
+    /// [`scene_bytes`].
     ///
     /// # Errors
-    /// As [`Shared::file`]; 503 where too much is under way.
-    pub async fn scene(self: &Arc<Self>, version: Version) -> Result<(Arc<Scene>, Option<Duration>), Problem> {
+    /// As [`Shared::file`].
+    pub async fn scene(&self, version: Version, slot: &Slot) -> Result<(Arc<Scene>, Option<Duration>), Problem> {
         let mut took = None;
         let decode = async {
-            let container = self.file(version, Part::Atlas).await?.bytes;
             let start = std::time::Instant::now();
-            let scene = self.pool.run(move || container::decode(&container)).await?.map_err(|e| Problem::from(&e))?;
+            let read = self.reading(version);
+            let scene = slot.run(move || container::decode(&read()?).map_err(|e| Problem::from(&e))).await??;
             took = Some(start.elapsed());
-            let size = scene.memory();
-            Ok::<_, Problem>((Arc::new(scene), size))
+            Ok::<_, Problem>(Arc::new(scene))
         };
         let scene = self.scenes.get(version, decode).await?;
         Ok((scene, took))
     }
+
+    /// Frees what is kept of a deleted photo.
+    pub async fn forget(&self, photo: PhotoId) {
+        self.scenes.forget(photo).await;
+        self.views.forget(photo).await;
+        self.files.forget(photo).await;
+        self.levels.forget(photo).await;
+        self.exports.forget(photo).await;
+    }
+}
+
+/// Memory that work on the scene of a photo takes, in bytes.
+#[must_use]
+pub fn scene_bytes(done: &Done) -> u64 {
+    SCENE_BYTES * u64::from(done.width) * u64::from(done.height) + done.atlas_bytes
+}
+
+fn stored_problem(error: &std::io::Error) -> Problem {
+    match error.kind() {
+        std::io::ErrorKind::NotFound => Problem::not_found("the photo was deleted"),
+        _ => Problem::store(error),
+    }
+}
+
+/// Opens a file: small ones are read. `whole`: its length and digest where they are on record.
+fn open(path: &Path, whole: Option<(u64, String)>) -> std::io::Result<Stored> {
+    let mut file = File::open(path)?;
+    let length = file.metadata()?.len();
+    if let Some((bytes, _)) = &whole
+        && *bytes != length
+    {
+        return Err(std::io::Error::other(format!("{} has {length} bytes, {bytes} were written", path.display())));
+    }
+    if length <= SMALL as u64 {
+        let mut bytes = Vec::with_capacity(length as usize);
+        file.read_to_end(&mut bytes)?;
+        return Ok(Stored::new(bytes));
+    }
+    let digest = if let Some((_, digest)) = whole {
+        digest
+    } else {
+        let mut hash = Sha256::new();
+        let mut piece = vec![0; SMALL];
+        loop {
+            let n = file.read(&mut piece)?;
+            if n == 0 {
+                break;
+            }
+            hash.update(&piece[..n]);
+        }
+        hex(&hash.finalize()[..16])
+    };
+    Ok(Stored { source: Source::File(Arc::new(file), length as usize), etag: format!("\"{digest}\"").into() })
 }

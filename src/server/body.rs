@@ -14,6 +14,8 @@ use http_body_util::BodyExt;
 use hyper::body::{Frame, SizeHint};
 use tokio::time::{Instant, Sleep};
 
+use super::clock::Clock;
+use super::limits::Limits;
 use super::problem::Problem;
 
 /// Time for which the rest of a refused body is read, so that the client gets to see the answer.
@@ -28,6 +30,9 @@ pub enum CutOff {
     /// Nothing came for that long.
     #[error("nothing of the request's body came for {0:?}")]
     TooSlow(Duration),
+    /// It came with fewer bytes a second.
+    #[error("the request's body came with less than {0} bytes a second")]
+    BelowRate(u64),
 }
 
 impl CutOff {
@@ -45,13 +50,24 @@ impl CutOff {
     }
 }
 
+/// The first cause of an error, which says most.
+fn root<'a>(error: &'a (dyn Error + 'static)) -> &'a (dyn Error + 'static) {
+    let mut last = error;
+    while let Some(cause) = last.source() {
+        last = cause;
+    }
+    last
+}
+
 /// The answer to a body that could not be read.
 #[must_use]
 pub fn problem(error: &(dyn Error + 'static)) -> Problem {
     match CutOff::find(error) {
         Some(CutOff::TooLarge(limit)) => Problem::too_large(limit),
-        Some(slow @ CutOff::TooSlow(_)) => Problem::new(StatusCode::REQUEST_TIMEOUT, "body-too-slow", slow.to_string()),
-        None => Problem::bad_request(format!("the request's body cannot be read: {error}")),
+        Some(slow @ (CutOff::TooSlow(_) | CutOff::BelowRate(_))) => {
+            Problem::new(StatusCode::REQUEST_TIMEOUT, "body-too-slow", slow.to_string())
+        }
+        None => Problem::bad_request(format!("the request's body cannot be read: {}", root(error))),
     }
 }
 
@@ -95,17 +111,31 @@ pub struct Guarded {
     limit: usize,
     left: usize,
     pause: Duration,
+    rate: u64,
+    started: Instant,
     timer: Pin<Box<Sleep>>,
+    clock: Clock,
 }
 
 impl Guarded {
-    /// Bounds `inner` to `limit` bytes and pauses of `pause`.
+    /// Bounds `inner` to `limits`; `clock` starts when it has ended, or nobody wants more of it.
     #[must_use]
-    pub fn new(inner: Body, limit: usize, pause: Duration) -> (Self, Rest) {
+    pub fn new(inner: Body, limits: &Limits, clock: Clock) -> (Self, Rest) {
         let rest = Rest::default();
-        rest.ended.store(inner.is_end_stream(), Ordering::Release);
+        if inner.is_end_stream() {
+            rest.ended.store(true, Ordering::Release);
+            clock.start();
+        }
+        let Limits { body: limit, body_read: pause, body_rate: rate, .. } = *limits;
         let timer = Box::pin(tokio::time::sleep(pause));
-        (Self { inner: Some(inner), rest: rest.clone(), limit, left: limit, pause, timer }, rest)
+        let started = Instant::now();
+        (Self { inner: Some(inner), rest: rest.clone(), limit, left: limit, pause, rate, started, timer, clock }, rest)
+    }
+
+    /// True where it came too slowly on the whole; the first while is free.
+    fn is_below_rate(&self) -> bool {
+        let over = self.started.elapsed().saturating_sub(self.pause).as_secs_f64();
+        ((self.limit - self.left) as f64) < over * self.rate as f64
     }
 }
 
@@ -121,7 +151,8 @@ impl HttpBody for Guarded {
             return Poll::Ready(Some(Err(CutOff::TooLarge(this.limit).into())));
         }
         if !this.rest.polled.swap(true, Ordering::AcqRel) {
-            this.timer.as_mut().reset(Instant::now() + this.pause);
+            this.started = Instant::now();
+            this.timer.as_mut().reset(this.started + this.pause);
         }
         let frame = match Pin::new(inner).poll_frame(cx) {
             Poll::Ready(frame) => frame,
@@ -135,6 +166,7 @@ impl HttpBody for Guarded {
             None => {
                 this.rest.ended.store(true, Ordering::Release);
                 this.inner = None;
+                this.clock.start();
                 None
             }
             Some(Err(error)) => Some(Err(error.into())),
@@ -144,6 +176,9 @@ impl HttpBody for Guarded {
                     return Poll::Ready(Some(Err(CutOff::TooLarge(this.limit).into())));
                 }
                 this.left -= bytes;
+                if this.is_below_rate() {
+                    return Poll::Ready(Some(Err(CutOff::BelowRate(this.rate).into())));
+                }
                 Some(Ok(frame))
             }
         })
@@ -160,6 +195,7 @@ impl HttpBody for Guarded {
 
 impl Drop for Guarded {
     fn drop(&mut self) {
+        self.clock.start();
         let rest = self.inner.take().filter(|b| !b.is_end_stream());
         if rest.is_none() {
             self.rest.ended.store(true, Ordering::Release);
@@ -173,7 +209,8 @@ mod tests {
     use super::*;
 
     async fn read(body: Body, limit: usize, pause: Duration) -> Result<Bytes, Problem> {
-        let (guarded, _) = Guarded::new(body, limit, pause);
+        let limits = Limits { body: limit, body_read: pause, body_rate: 200, ..Limits::default() };
+        let (guarded, _) = Guarded::new(body, &limits, Clock::new(pause));
         match Body::new(guarded).collect().await {
             Ok(all) => Ok(all.to_bytes()),
             Err(e) => Err(problem(&e)),
@@ -196,22 +233,27 @@ mod tests {
 
     #[tokio::test]
     async fn pauses_end_it_but_slowness_does_not() {
-        let drip = |pause| {
+        let drip = |pause, bytes: &'static [u8]| {
             Body::from_stream(futures_util::stream::unfold(0, move |n| async move {
                 tokio::time::sleep(Duration::from_millis(pause)).await;
-                (n < 50).then(|| (Ok::<_, std::io::Error>(Bytes::from_static(b"x")), n + 1))
+                (n < 50).then(|| (Ok::<_, std::io::Error>(Bytes::from_static(bytes)), n + 1))
             }))
         };
         let pause = Duration::from_millis(300);
-        assert_eq!(read(drip(10), 100, pause).await.unwrap().len(), 50);
-        assert_eq!(read(drip(2000), 100, pause).await.unwrap_err().status, 408);
+        assert_eq!(read(drip(10, &[0; 100]), 5000, pause).await.unwrap().len(), 5000);
+        assert_eq!(read(drip(2000, b"x"), 100, pause).await.unwrap_err().status, 408);
+        // never a pause, but less than the rate
+        let slow = read(drip(20, b"x"), 5000, pause).await.unwrap_err();
+        assert!(slow.status == 408 && slow.detail.contains("200 bytes a second"), "{}", slow.detail);
     }
 
     #[tokio::test]
     async fn the_rest_can_be_drained() {
-        let (guarded, rest) = Guarded::new(pieces(&[40, 60, 50]), 30, Duration::from_secs(1));
+        let clock = Clock::new(Duration::from_secs(1));
+        let (guarded, rest) = Guarded::new(pieces(&[40, 60, 50]), &Limits { body: 30, ..Limits::default() }, clock.clone());
+        assert!(clock.deadline().is_none());
         assert!(Body::new(guarded).collect().await.is_err());
-        assert!(!rest.ended());
+        assert!(!rest.ended() && clock.deadline().is_some());
         rest.drain(1000, false).await;
     }
 }

@@ -1,119 +1,90 @@
 //! A cache in bytes with one computation per key.
 
-use std::collections::HashMap;
 use std::hash::Hash;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
 
-use tokio::sync::OnceCell;
+use moka::future::Cache as Kept;
+use moka::policy::EvictionPolicy;
 
-/// Keeps values of at most `budget` bytes together; the least recently used go first.
+use super::id::PhotoId;
+
+/// Bytes that an entry takes besides its key's and its value's own, measured on views of one pixel: slots, counts and lists of the
+/// cache, and what the allocator loses on small pieces.
+const OVERHEAD: usize = 1536;
+
+/// What a cache is asked for.
+pub trait Key: Clone + Eq + Hash + Send + Sync + 'static {
+    /// Whose it is.
+    fn photo(&self) -> PhotoId;
+
+    /// Bytes on the heap.
+    fn weight(&self) -> usize {
+        0
+    }
+}
+
+/// What a cache keeps.
+pub trait Value: Clone + Send + Sync + 'static {
+    /// Bytes on the heap.
+    fn weight(&self) -> usize;
+}
+
+/// Keeps values of at most `budget` bytes together with their keys; the least recently used go first.
 pub struct Cache<K, V> {
-    budget: usize,
-    inner: Mutex<Inner<K, V>>,
+    kept: Kept<K, V>,
 }
 
-struct Inner<K, V> {
-    slots: HashMap<K, Slot<V>>,
-    clock: u64,
-    bytes: usize,
-}
-
-struct Slot<V> {
-    cell: Arc<OnceCell<V>>,
-    used: u64,
-    bytes: usize,
-}
-
-impl<K: Hash + Eq + Clone, V: Clone> Cache<K, V> {
+impl<K: Key, V: Value> Cache<K, V> {
     /// An empty cache of `budget` bytes.
     #[must_use]
     pub fn new(budget: usize) -> Self {
-        Self { budget, inner: Mutex::new(Inner { slots: HashMap::new(), clock: 0, bytes: 0 }) }
+        let weigh = |key: &K, value: &V| u32::try_from(key.weight() + value.weight() + OVERHEAD).unwrap_or(u32::MAX);
+        let kept = Kept::builder()
+            .max_capacity(budget as u64)
+            .weigher(weigh)
+            .eviction_policy(EvictionPolicy::lru())
+            .support_invalidation_closures()
+            .build();
+        Self { kept }
     }
 
-    fn lock(&self) -> MutexGuard<'_, Inner<K, V>> {
-        self.inner.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// The value of `key`; where it is missing, `make` gives it and its size in bytes. Whoever asks for the same key
-    /// meanwhile waits for that one computation. A failure is not kept.
+    /// The value of `key`; where it is missing, `make` gives it. Whoever asks for the same key meanwhile waits for that one
+    /// computation; where its client leaves, the next of them goes on with its own. A failure is not kept.
     ///
     /// # Errors
     /// That of `make`.
     pub async fn get<E, F>(&self, key: K, make: F) -> Result<V, E>
     where
-        F: Future<Output = Result<(V, usize), E>>,
+        E: Clone + Send + Sync + 'static,
+        F: Future<Output = Result<V, E>>,
     {
-        let cell = {
-            let mut inner = self.lock();
-            inner.clock += 1;
-            let used = inner.clock;
-            let slot = inner.slots.entry(key.clone()).or_insert_with(|| Slot { cell: Arc::default(), used, bytes: 0 });
-            slot.used = used;
-            Arc::clone(&slot.cell)
-        };
-        let mut size = None;
-        let value = cell
-            .get_or_try_init(async || {
-                let (value, bytes) = make.await?;
-                size = Some(bytes);
-                Ok(value)
-            })
-            .await
-            .cloned();
-        match (&value, size) {
-            (Ok(_), Some(bytes)) => self.settle(&key, &cell, bytes),
-            (Err(_), _) => self.forget(&key, &cell),
-            _ => {}
+        let entry = self.kept.entry(key).or_try_insert_with(make).await.map_err(|error: Arc<E>| E::clone(&error))?;
+        if entry.is_fresh() {
+            // at once, not when some entries have gathered: one may be half of the memory
+            self.kept.run_pending_tasks().await;
         }
-        value
+        Ok(entry.into_value())
     }
 
-    /// Books a fresh value and makes room for it.
-    fn settle(&self, key: &K, cell: &Arc<OnceCell<V>>, bytes: usize) {
-        let mut inner = self.lock();
-        let Some(slot) = inner.slots.get_mut(key).filter(|s| Arc::ptr_eq(&s.cell, cell)) else { return };
-        slot.bytes = bytes;
-        inner.bytes += bytes;
-        if bytes > self.budget {
-            inner.remove(key);
+    /// Removes what is kept of a photo.
+    pub async fn forget(&self, photo: PhotoId) {
+        if let Err(error) = self.kept.invalidate_entries_if(move |key, _| key.photo() == photo) {
+            // it goes as the least recently used: nobody has its key any more
+            tracing::error!(%error, "forgetting a photo");
         }
-        while inner.bytes > self.budget {
-            let oldest = inner.slots.iter().filter(|(k, s)| s.bytes > 0 && *k != key).min_by_key(|(_, s)| s.used);
-            let Some(oldest) = oldest.map(|(k, _)| k.clone()) else { break };
-            inner.remove(&oldest);
-        }
+        self.kept.run_pending_tasks().await;
     }
 
-    fn forget(&self, key: &K, cell: &Arc<OnceCell<V>>) {
-        let mut inner = self.lock();
-        // somebody else's computation may have succeeded meanwhile
-        if inner.slots.get(key).is_some_and(|s| Arc::ptr_eq(&s.cell, cell) && s.cell.get().is_none()) {
-            inner.remove(key);
-        }
-    }
-
-    /// Removes the values of which the key is wanted no more.
-    pub fn retain(&self, mut wanted: impl FnMut(&K) -> bool) {
-        let mut inner = self.lock();
-        let gone: Vec<K> = inner.slots.keys().filter(|k| !wanted(k)).cloned().collect();
-        for key in gone {
-            inner.remove(&key);
-        }
-    }
-
-    /// Bytes of all values.
+    /// Bytes of all entries.
     #[must_use]
-    pub fn bytes(&self) -> usize {
-        self.lock().bytes
+    pub fn bytes(&self) -> u64 {
+        self.kept.weighted_size()
     }
-}
 
-impl<K: Hash + Eq, V> Inner<K, V> {
-    fn remove(&mut self, key: &K) {
-        if let Some(slot) = self.slots.remove(key) {
-            self.bytes -= slot.bytes;
-        }
+    /// Count of entries.
+    #[cfg(test)]
+    pub fn entries(&self) -> u64 {
+        self.kept.entry_count()
     }
 }
 
@@ -124,61 +95,104 @@ mod tests {
 
     use super::*;
 
-    async fn put(cache: &Cache<u8, u8>, key: u8, bytes: usize) -> bool {
+    impl Key for u32 {
+        fn photo(&self) -> PhotoId {
+            PhotoId::of(&[(*self % 2) as u8; 32], None, "", "")
+        }
+    }
+
+    impl Value for usize {
+        fn weight(&self) -> usize {
+            *self
+        }
+    }
+
+    const KIB: usize = 1024;
+
+    async fn put(cache: &Cache<u32, usize>, key: u32, bytes: usize) -> bool {
         let mut made = false;
         let value = cache
             .get(key, async {
                 made = true;
-                Ok::<_, ()>((key, bytes))
+                Ok::<_, ()>(bytes)
             })
             .await;
-        assert_eq!(value, Ok(key));
+        assert_eq!(value, Ok(bytes));
         made
     }
 
     #[tokio::test]
     async fn the_least_recently_used_goes_first_and_the_budget_holds() {
-        let cache = Cache::new(10);
-        assert!(put(&cache, 1, 4).await && put(&cache, 2, 4).await);
-        assert!(!put(&cache, 1, 4).await);
-        assert!(put(&cache, 3, 4).await, "goes in, 2 goes out");
-        assert_eq!(cache.bytes(), 8);
-        assert!(!put(&cache, 1, 4).await && put(&cache, 2, 4).await);
-        assert!(put(&cache, 9, 11).await && put(&cache, 9, 11).await, "too large to be kept");
-        assert!(cache.bytes() <= 10);
-        assert!(put(&cache, 8, 10).await && !put(&cache, 8, 10).await, "just fits");
-        cache.retain(|_| false);
-        assert_eq!(cache.bytes(), 0);
+        let cache = Cache::new(100 * KIB);
+        assert!(put(&cache, 1, 40 * KIB).await && put(&cache, 2, 40 * KIB).await);
+        assert!(!put(&cache, 1, 40 * KIB).await);
+        assert!(put(&cache, 3, 40 * KIB).await, "goes in, 2 goes out");
+        assert!(!put(&cache, 1, 40 * KIB).await && put(&cache, 2, 40 * KIB).await);
+        assert!(put(&cache, 9, 110 * KIB).await && put(&cache, 9, 110 * KIB).await, "too large to be kept");
+        assert!(cache.bytes() <= 100 * KIB as u64, "{}", cache.bytes());
+    }
+
+    #[tokio::test]
+    async fn keys_and_overhead_count_so_that_small_values_are_bounded_too() {
+        let cache = Cache::new(100 * KIB);
+        for key in 0..5000 {
+            put(&cache, key, 1).await;
+        }
+        assert!(cache.entries() <= (100 * KIB / OVERHEAD) as u64, "{} entries", cache.entries());
+        assert!(cache.entries() > 50);
     }
 
     #[tokio::test]
     async fn one_computation_per_key() {
-        let cache = Cache::new(100);
+        let cache = Cache::new(100 * KIB);
         let runs = AtomicUsize::new(0);
         let one = || {
-            cache.get(7, async {
+            cache.get(7_u32, async {
                 runs.fetch_add(1, Ordering::SeqCst);
                 tokio::time::sleep(Duration::from_millis(20)).await;
-                Ok::<_, ()>((1, 1))
+                Ok::<_, ()>(1_usize)
             })
         };
         let all = futures_util::future::join_all((0..16).map(|_| one())).await;
         assert!(all.iter().all(|v| *v == Ok(1)));
-        assert_eq!((runs.load(Ordering::SeqCst), cache.bytes()), (1, 1));
+        assert_eq!(runs.load(Ordering::SeqCst), 1);
     }
 
     #[tokio::test]
     async fn a_failure_is_not_kept() {
-        let cache: Cache<u8, u8> = Cache::new(100);
+        let cache: Cache<u32, usize> = Cache::new(100 * KIB);
         assert_eq!(cache.get(1, async { Err("no") }).await, Err("no"));
         assert!(put(&cache, 1, 1).await);
     }
 
     #[tokio::test]
-    async fn who_gives_up_does_not_block_the_next() {
-        let cache: Cache<u8, u8> = Cache::new(100);
-        let never = cache.get(1, std::future::pending::<Result<(u8, usize), ()>>());
-        assert!(tokio::time::timeout(Duration::from_millis(5), never).await.is_err());
-        assert!(put(&cache, 1, 1).await);
+    async fn who_gives_up_leaves_nothing_and_does_not_end_it_for_others() {
+        let cache: Cache<u32, usize> = Cache::new(100 * KIB);
+        for key in 0..1000 {
+            let never = cache.get(key, std::future::pending::<Result<usize, ()>>());
+            assert!(tokio::time::timeout(Duration::from_micros(1), never).await.is_err());
+        }
+        assert_eq!((cache.entries(), cache.bytes()), (0, 0));
+        // the second of two waits for the first, which gives up
+        let first = tokio::time::timeout(Duration::from_millis(20), cache.get(1, std::future::pending::<Result<usize, ()>>()));
+        let second = async {
+            tokio::time::sleep(Duration::from_millis(5)).await;
+            cache.get(1, async { Ok::<_, ()>(3) }).await
+        };
+        let (first, second) = tokio::join!(first, second);
+        assert!(first.is_err());
+        assert_eq!(second, Ok(3));
+    }
+
+    #[tokio::test]
+    async fn what_is_kept_of_a_photo_can_be_forgotten() {
+        let cache = Cache::new(100 * KIB);
+        for key in 0..10 {
+            put(&cache, key, 1).await;
+        }
+        cache.forget(1_u32.photo()).await;
+        for key in 0..10 {
+            assert_eq!(put(&cache, key, 1).await, key % 2 == 1, "{key}");
+        }
     }
 }

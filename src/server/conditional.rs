@@ -2,22 +2,26 @@
 
 use std::ops::Range;
 
-use axum::body::Body;
+use super::problem::Problem;
+use super::source::Source;
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
-use bytes::Bytes;
 
-use super::problem::Problem;
-
-/// A year, and never asked for again.
-pub const IMMUTABLE: &str = "public, max-age=31536000, immutable";
+/// A year, and never asked for again: only under an address that names the version.
+const IMMUTABLE: &str = "public, max-age=31536000, immutable";
 /// Kept, but asked for again each time.
 pub const REVALIDATE: &str = "no-cache";
+
+/// How long the answer to a request for version `asked` may be kept, where `version` is what is sent.
+#[must_use]
+pub fn kept(asked: Option<&str>, version: &str) -> &'static str {
+    if asked == Some(version) { IMMUTABLE } else { REVALIDATE }
+}
 
 /// What a response is about.
 pub struct Entity<'a> {
     /// All bytes.
-    pub bytes: Bytes,
+    pub source: Source,
     /// Strong entity tag with its quotes.
     pub etag: &'a str,
     /// Media type.
@@ -44,6 +48,26 @@ pub fn is_known(headers: &HeaderMap, etag: &str) -> bool {
         let candidate = candidate.trim();
         candidate == "*" || candidate.strip_prefix("W/").unwrap_or(candidate) == etag
     })
+}
+
+/// The tag among those that the client has of which the bytes were made as `made` says: such tags begin with it and go on with a
+/// digest of the bytes. So what is known need not be made again to say so.
+#[must_use]
+pub fn known_as<'a>(headers: &'a HeaderMap, made: &str) -> Option<&'a str> {
+    let tags = headers.get_all(header::IF_NONE_MATCH).iter().filter_map(|v| v.to_str().ok()).flat_map(|v| v.split(','));
+    tags.map(str::trim).map(|tag| tag.strip_prefix("W/").unwrap_or(tag)).find(|tag| {
+        let digest = tag.strip_prefix('"').and_then(|t| t.strip_suffix('"')?.strip_prefix(made)?.strip_prefix('-'));
+        digest.is_some_and(|d| d.len() == 16 && d.bytes().all(|b| b.is_ascii_hexdigit()))
+    })
+}
+
+/// The answer to a client that has the version `etag`.
+#[must_use]
+pub fn not_modified(etag: &str, cache_control: &str) -> Response {
+    let mut response = StatusCode::NOT_MODIFIED.into_response();
+    insert(&mut response, header::ETAG, etag);
+    insert(&mut response, header::CACHE_CONTROL, cache_control);
+    response
 }
 
 /// Reads `Range` and `If-Range` for `length` bytes. What is malformed, of another unit or of several ranges is ignored.
@@ -78,32 +102,29 @@ pub fn wanted(headers: &HeaderMap, etag: &str, length: usize) -> Wanted {
 /// Answers a GET or HEAD: 200, 206, 304 or 416.
 #[must_use]
 pub fn respond(headers: &HeaderMap, entity: Entity<'_>) -> Response {
-    let Entity { bytes, etag, content_type, cache_control } = entity;
-    let length = bytes.len();
-    let mut response = if is_known(headers, etag) {
-        StatusCode::NOT_MODIFIED.into_response()
-    } else {
-        match wanted(headers, etag, length) {
-            Wanted::All => Response::new(Body::from(bytes)),
-            Wanted::Part(range) => {
-                let content_range = format!("bytes {}-{}/{length}", range.start, range.end - 1);
-                let mut response = Response::new(Body::from(bytes.slice(range)));
-                *response.status_mut() = StatusCode::PARTIAL_CONTENT;
-                insert(&mut response, header::CONTENT_RANGE, &content_range);
-                response
-            }
-            Wanted::Unsatisfiable => {
-                let detail = format!("there are {length} bytes");
-                let mut response = Problem::new(StatusCode::RANGE_NOT_SATISFIABLE, "range", detail).field("Range").into_response();
-                insert(&mut response, header::CONTENT_RANGE, &format!("bytes */{length}"));
-                return response;
-            }
+    let Entity { source, etag, content_type, cache_control } = entity;
+    let length = source.len();
+    if is_known(headers, etag) {
+        return not_modified(etag, cache_control);
+    }
+    let (status, range) = match wanted(headers, etag, length) {
+        Wanted::All => (StatusCode::OK, 0..length),
+        Wanted::Part(range) => (StatusCode::PARTIAL_CONTENT, range),
+        Wanted::Unsatisfiable => {
+            let detail = format!("there are {length} bytes");
+            let mut response = Problem::new(StatusCode::RANGE_NOT_SATISFIABLE, "range", detail).field("Range").into_response();
+            insert(&mut response, header::CONTENT_RANGE, &format!("bytes */{length}"));
+            return response;
         }
     };
-    if response.status() != StatusCode::NOT_MODIFIED {
-        insert(&mut response, header::CONTENT_TYPE, content_type);
-        insert(&mut response, header::ACCEPT_RANGES, "bytes");
+    let mut response = Response::new(source.body(range.clone()));
+    *response.status_mut() = status;
+    if status == StatusCode::PARTIAL_CONTENT {
+        insert(&mut response, header::CONTENT_RANGE, &format!("bytes {}-{}/{length}", range.start, range.end - 1));
     }
+    response.headers_mut().insert(header::CONTENT_LENGTH, range.len().into());
+    insert(&mut response, header::CONTENT_TYPE, content_type);
+    insert(&mut response, header::ACCEPT_RANGES, "bytes");
     insert(&mut response, header::ETAG, etag);
     insert(&mut response, header::CACHE_CONTROL, cache_control);
     response
@@ -118,6 +139,8 @@ pub fn insert(response: &mut Response, name: header::HeaderName, value: &str) {
 
 #[cfg(test)]
 mod tests {
+    use bytes::Bytes;
+
     use super::*;
     use proptest::prelude::*;
 
@@ -165,6 +188,21 @@ mod tests {
         assert!(!is_known(&HeaderMap::new(), "\"e\""));
     }
 
+    #[test]
+    fn tags_that_tell_how_the_bytes_were_made() {
+        let with = |tags: &str| known_as(&headers(&[(header::IF_NONE_MATCH, tags)]), "cafe").map(str::to_owned);
+        assert_eq!(with("\"a\", W/\"cafe-0123456789abcdef\"").as_deref(), Some("\"cafe-0123456789abcdef\""));
+        for other in ["*", "\"cafe\"", "\"cafe-\"", "\"cafe-0123456789abcdeg\"", "\"cafes-0123456789abcdef\"", "cafe-0123456789abcdef"] {
+            assert_eq!(with(other), None, "{other}");
+        }
+    }
+
+    #[test]
+    fn only_the_version_that_was_asked_for_is_kept_for_ever() {
+        assert!(kept(Some("a"), "a").contains("immutable"));
+        assert!(!kept(Some("b"), "a").contains("immutable") && !kept(None, "a").contains("immutable"));
+    }
+
     proptest! {
         #[test]
         fn a_part_lies_within_and_is_never_empty(text in "bytes=[0-9]{0,4}-[0-9]{0,4}", length in 0usize..3000) {
@@ -175,7 +213,7 @@ mod tests {
         fn no_header_panics(text in "\\PC{0,30}", length in 0usize..100) {
             if let Ok(value) = HeaderValue::from_str(&text) {
                 let map: HeaderMap = [(header::RANGE, value)].into_iter().collect();
-                let _ = respond(&map, Entity { bytes: Bytes::from(vec![0; length]), etag: "\"e\"", content_type: "a/b", cache_control: REVALIDATE });
+                let _ = respond(&map, Entity { source: Bytes::from(vec![0; length]).into(), etag: "\"e\"", content_type: "a/b", cache_control: REVALIDATE });
             }
         }
     }

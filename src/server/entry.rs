@@ -1,7 +1,7 @@
 //! One photo that the server knows, and how it fares.
 
-use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::atomic::{AtomicBool, AtomicU32, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
 use tokio::sync::watch;
 
@@ -42,6 +42,38 @@ pub struct Live {
     pub stages: Vec<Progress>,
 }
 
+/// Counts of finished photos and of those that could not be made, kept as they change: asking for them looks at no photo.
+#[derive(Debug, Default)]
+pub struct Tally {
+    done: AtomicUsize,
+    failed: AtomicUsize,
+}
+
+impl Tally {
+    /// Finished photos, and those that could not be made.
+    #[must_use]
+    pub fn counts(&self) -> (usize, usize) {
+        (self.done.load(Ordering::Relaxed), self.failed.load(Ordering::Relaxed))
+    }
+
+    fn of(&self, status: &Status) -> Option<&AtomicUsize> {
+        match status {
+            Status::Done(_) => Some(&self.done),
+            Status::Failed(_) => Some(&self.failed),
+            Status::Queued | Status::Working | Status::Deleted => None,
+        }
+    }
+
+    fn moved(&self, from: Option<&Status>, to: &Status) {
+        if let Some(count) = from.and_then(|status| self.of(status)) {
+            count.fetch_sub(1, Ordering::Relaxed);
+        }
+        if let Some(count) = self.of(to) {
+            count.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+}
+
 /// One photo.
 #[derive(Debug)]
 pub struct Entry {
@@ -50,6 +82,7 @@ pub struct Entry {
     /// What was accepted.
     pub accepted: Accepted,
     live: watch::Sender<Live>,
+    tally: OnceLock<Arc<Tally>>,
     attempts: AtomicU32,
     deleted: AtomicBool,
     gate: Mutex<()>,
@@ -75,6 +108,7 @@ impl Entry {
             id: found.id,
             accepted: found.accepted,
             live: watch::Sender::new(Live { status, stages: Vec::new() }),
+            tally: OnceLock::new(),
             attempts: AtomicU32::new(found.state.attempts),
             deleted: AtomicBool::new(false),
             gate: Mutex::new(()),
@@ -112,8 +146,18 @@ impl Entry {
             if !status.is_final() {
                 live.stages.clear();
             }
+            if let Some(tally) = self.tally.get() {
+                tally.moved(Some(&live.status), &status);
+            }
             live.status = status;
         });
+    }
+
+    /// Counts it from now on; a second time does nothing.
+    pub fn count_in(&self, tally: &Arc<Tally>) {
+        if self.tally.set(Arc::clone(tally)).is_ok() {
+            tally.moved(None, &self.live.borrow().status);
+        }
     }
 
     /// Tells listeners of a stage.

@@ -5,22 +5,25 @@ use std::str::FromStr;
 
 use sha2::{Digest, Sha256};
 
-/// Id of a photo: the first 128 bits of a SHA-256 over photo, depth map and options, as 32 lower-case hex digits.
+/// Id of a photo: the first 128 bits of a SHA-256 over photo, depth map, options and the identity of what makes it, as 32 lower-case hex digits.
 ///
-/// Two uploads of one photo with the same options have the same id and share all work.
+/// Two uploads of one photo with the same options have the same id and share all work, until a better program or network makes it.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct PhotoId([u8; 16]);
 
 impl PhotoId {
-    /// From the SHA-256 of the photo's bytes, of the depth map's bytes, and the options in their canonical text.
+    /// From the SHA-256 of the photo's bytes, of the depth map's bytes, the options in their canonical text, and the identity of the
+    /// pipeline.
     #[must_use]
-    pub fn of(photo: &[u8; 32], depth: Option<&[u8; 32]>, options: &str) -> Self {
+    pub fn of(photo: &[u8; 32], depth: Option<&[u8; 32]>, options: &str, pipeline: &str) -> Self {
         let mut hash = Sha256::new();
-        hash.update(b"tmpi photo 1\0");
+        hash.update(b"tmpi photo 2\0");
         hash.update(photo);
         hash.update([u8::from(depth.is_some())]);
         hash.update(depth.unwrap_or(&[0; 32]));
         hash.update(options.as_bytes());
+        hash.update([0]);
+        hash.update(pipeline.as_bytes());
         let mut id = [0; 16];
         for (to, from) in id.iter_mut().zip(hash.finalize()) {
             *to = from;
@@ -68,6 +71,7 @@ impl fmt::Debug for PhotoId {
 }
 
 /// Lower-case hex of `bytes`.
+#[must_use]
 pub fn hex(bytes: &[u8]) -> String {
     use fmt::Write as _;
     bytes.iter().fold(String::with_capacity(bytes.len() * 2), |mut s, b| {
@@ -85,16 +89,17 @@ mod tests {
     fn every_part_counts() {
         let (a, b) = ([1; 32], [2; 32]);
         let ids = [
-            PhotoId::of(&a, None, ""),
-            PhotoId::of(&b, None, ""),
-            PhotoId::of(&a, Some(&[0; 32]), ""),
-            PhotoId::of(&a, Some(&b), ""),
-            PhotoId::of(&a, None, "quality=80"),
+            PhotoId::of(&a, None, "", ""),
+            PhotoId::of(&a, None, "", "another network"),
+            PhotoId::of(&b, None, "", ""),
+            PhotoId::of(&a, Some(&[0; 32]), "", ""),
+            PhotoId::of(&a, Some(&b), "", ""),
+            PhotoId::of(&a, None, "quality=80", ""),
         ];
         for (i, x) in ids.iter().enumerate() {
             assert!(ids.iter().skip(i + 1).all(|y| x != y));
         }
-        assert_eq!(ids[0], PhotoId::of(&a, None, ""));
+        assert_eq!(ids[0], PhotoId::of(&a, None, "", ""));
     }
 
     proptest! {

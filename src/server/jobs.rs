@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 
 use axum::http::StatusCode;
 
-use super::entry::{Entry, Status};
+use super::entry::{Entry, Status, Tally};
 use super::id::PhotoId;
 use super::limits::Limits;
 use super::maker::Maker;
@@ -44,6 +44,7 @@ struct Inner {
     by_age: BTreeMap<(u64, PhotoId), Arc<Entry>>,
     queue: VecDeque<Arc<Entry>>,
     running: Vec<Arc<Entry>>,
+    tally: Arc<Tally>,
     stopping: bool,
     mean_seconds: Option<f64>,
 }
@@ -168,9 +169,23 @@ impl Jobs {
         if inner.queue.len() < self.limits.queue {
             return Ok(());
         }
-        let seconds = inner.mean_seconds.unwrap_or(FIRST_GUESS).ceil() as u64;
+        let seconds = inner.wait(self.limits.workers).ceil() as u64;
         Err(Problem::new(StatusCode::TOO_MANY_REQUESTS, "queue-full", format!("{} photos are waiting already", inner.queue.len()))
             .retry_after(seconds.clamp(1, MAX_RETRY_AFTER)))
+    }
+
+    /// Places in the queue that are free.
+    #[must_use]
+    pub fn free_places(&self) -> usize {
+        self.limits.queue.saturating_sub(self.lock().queue.len())
+    }
+
+    /// The answer to an upload for which there is no place, before its body is read.
+    #[must_use]
+    pub fn refusal(&self) -> Problem {
+        let seconds = self.lock().wait(self.limits.workers).ceil() as u64;
+        Problem::new(StatusCode::TOO_MANY_REQUESTS, "queue-full", "as many photos are waiting and coming in as may")
+            .retry_after(seconds.clamp(1, MAX_RETRY_AFTER))
     }
 
     /// A photo.
@@ -220,15 +235,8 @@ impl Jobs {
     #[allow(clippy::iter_over_hash_type, reason = "counts are the same in any order")]
     pub fn counts(&self) -> Counts {
         let inner = self.lock();
-        let mut counts = Counts { queued: inner.queue.len(), working: inner.running.len(), ..Counts::default() };
-        for entry in inner.by_id.values() {
-            match entry.status() {
-                Status::Done(_) => counts.done += 1,
-                Status::Failed(_) => counts.failed += 1,
-                _ => {}
-            }
-        }
-        counts
+        let (done, failed) = inner.tally.counts();
+        Counts { queued: inner.queue.len(), working: inner.running.len(), done, failed }
     }
 
     /// The next photo to be made; blocks; none once the server stops.
@@ -300,7 +308,14 @@ impl Jobs {
 }
 
 impl Inner {
+    /// Seconds until what waits and runs now is done.
+    fn wait(&self, workers: usize) -> f64 {
+        let jobs = (self.queue.len() + self.running.len()).div_ceil(workers.max(1));
+        self.mean_seconds.unwrap_or(FIRST_GUESS) * jobs.max(1) as f64
+    }
+
     fn insert(&mut self, entry: &Arc<Entry>) {
+        entry.count_in(&self.tally);
         self.by_id.insert(entry.id, Arc::clone(entry));
         self.by_age.insert(entry.key(), Arc::clone(entry));
     }

@@ -13,10 +13,16 @@ pub struct Limits {
     pub body: usize,
     /// Time for a request's header to arrive; also how long an idle connection is kept.
     pub header_read: Duration,
-    /// Time from a request's header to its response's header.
+    /// Time from the end of a request's body to its response's header.
     pub request: Duration,
+    /// The same for films and files to download, as long as the client waits.
+    pub export: Duration,
     /// Longest pause between two pieces of a request's body.
     pub body_read: Duration,
+    /// Bytes a second that a request's body comes at least with, once it has come for [`Limits::body_read`].
+    pub body_rate: u64,
+    /// Uploads that may come in beyond the places that are free in the queue: they may be of photos that are known.
+    pub uploads_beyond: usize,
     /// Longest time that a client may take no byte of a response.
     pub write: Duration,
     /// Time that requests and the jobs under way have left after the signal to stop.
@@ -29,10 +35,22 @@ pub struct Limits {
     pub attempts: u32,
     /// Connections at a time; more wait in the kernel's queue.
     pub connections: usize,
-    /// Views drawn at a time.
+    /// Connections at a time from one address (IPv6: one network of 64 bits); more are closed.
+    pub connections_per_address: usize,
+    /// Event streams at a time; one more is answered 503.
+    pub streams: usize,
+    /// Views drawn at a time, and, apart from them, levels and parts of containers.
     pub views: usize,
     /// Views that wait for their turn; one more is answered 503.
     pub views_waiting: usize,
+    /// Films and files to download written at a time.
+    pub exports: usize,
+    /// Films and files that wait for their turn; one more is answered 503.
+    pub exports_waiting: usize,
+    /// Pictures drawn for one request: views times frames.
+    pub renders: u32,
+    /// Memory for scenes under work, in bytes, besides those kept; what needs more is worked on alone.
+    pub work_memory: usize,
     /// Pixels of a view.
     pub view_pixels: u64,
     /// Longest side of a view in pixels.
@@ -43,6 +61,8 @@ pub struct Limits {
     pub file_cache: usize,
     /// Memory for encoded views in bytes.
     pub view_cache: usize,
+    /// Disk for files to download, in bytes; they are written anew when they were displaced.
+    pub export_cache: usize,
     /// Photos on one page of the list.
     pub page: usize,
     /// Pause between two keep-alive comments of an event stream.
@@ -56,6 +76,26 @@ impl Limits {
     pub const HEADER_READ: Duration = Duration::from_secs(10);
     /// 30 s.
     pub const REQUEST: Duration = Duration::from_secs(30);
+    /// 10 min.
+    pub const EXPORT: Duration = Duration::from_mins(10);
+    /// 8 KiB/s: 32 MiB in a little more than an hour.
+    pub const BODY_RATE: u64 = 8 << 10;
+    /// 4 uploads.
+    pub const UPLOADS_BEYOND: usize = 4;
+    /// 512 connections.
+    pub const CONNECTIONS_PER_ADDRESS: usize = 512;
+    /// 512 streams.
+    pub const STREAMS: usize = 512;
+    /// One film or file.
+    pub const EXPORTS: usize = 1;
+    /// 8 films or files.
+    pub const EXPORTS_WAITING: usize = 8;
+    /// 480 pictures: the longest film for two eyes.
+    pub const RENDERS: u32 = 480;
+    /// 1 GiB: one scene of 50 megapixels, and small ones beside it.
+    pub const WORK_MEMORY: usize = 1 << 30;
+    /// 1 GiB.
+    pub const EXPORT_CACHE: usize = 1 << 30;
     /// 30 s.
     pub const BODY_READ: Duration = Duration::from_secs(30);
     /// 10 s.
@@ -101,20 +141,30 @@ impl Default for Limits {
             body: Self::BODY,
             header_read: Self::HEADER_READ,
             request: Self::REQUEST,
+            export: Self::EXPORT,
             body_read: Self::BODY_READ,
+            body_rate: Self::BODY_RATE,
+            uploads_beyond: Self::UPLOADS_BEYOND,
             write: Self::WRITE,
             drain: Self::DRAIN,
             queue: Self::QUEUE,
             workers: Self::WORKERS,
             attempts: Self::ATTEMPTS,
             connections: Self::CONNECTIONS,
+            connections_per_address: Self::CONNECTIONS_PER_ADDRESS,
+            streams: Self::STREAMS,
             views: Self::VIEWS,
             views_waiting: Self::VIEWS_WAITING,
+            exports: Self::EXPORTS,
+            exports_waiting: Self::EXPORTS_WAITING,
+            renders: Self::RENDERS,
+            work_memory: Self::WORK_MEMORY,
             view_pixels: Self::VIEW_PIXELS,
             view_side: Self::VIEW_SIDE,
             scene_cache: Self::SCENE_CACHE,
             file_cache: Self::FILE_CACHE,
             view_cache: Self::VIEW_CACHE,
+            export_cache: Self::EXPORT_CACHE,
             page: Self::PAGE,
             keep_alive: Self::KEEP_ALIVE,
         }

@@ -7,6 +7,7 @@ use tmpi_pipeline::photo;
 use tmpi_pipeline::{self, MakeError, Models, Options};
 use tmpi_render::{DEFAULT_QUALITY, PictureFormat, View, encode};
 
+use super::identity;
 use super::limits::Limits;
 
 /// Everything that is kept of a made photo.
@@ -24,6 +25,11 @@ pub struct Product {
 
 /// Makes photos.
 pub trait Maker: Send + Sync + 'static {
+    /// What its products depend on besides what is uploaded: part of a photo's id, so that a better maker makes a photo anew.
+    fn identity(&self) -> &str {
+        identity::PIPELINE
+    }
+
     /// Refuses early, before any work, what [`Maker::make`] would refuse for its format, its size or its options.
     ///
     /// # Errors
@@ -41,17 +47,28 @@ pub trait Maker: Send + Sync + 'static {
 pub struct PipelineMaker {
     models: Models,
     limits: photo::Limits,
+    identity: String,
 }
 
 impl PipelineMaker {
     /// A maker with the networks and the limits of photos.
     #[must_use]
     pub fn new(models: Models, limits: &Limits) -> Self {
-        Self { models, limits: limits.photo }
+        Self { models, limits: limits.photo, identity: identity::PIPELINE.into() }
+    }
+
+    /// With networks that `text` tells from others.
+    #[must_use]
+    pub fn identified(self, text: &str) -> Self {
+        Self { identity: format!("{} {text}", identity::PIPELINE), ..self }
     }
 }
 
 impl Maker for PipelineMaker {
+    fn identity(&self) -> &str {
+        &self.identity
+    }
+
     fn check(&self, photo: &[u8], options: &Options) -> Result<(), MakeError> {
         options.validate()?;
         photo::check(photo, &self.limits)?;

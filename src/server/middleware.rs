@@ -1,6 +1,7 @@
 //! Around every request: its id, its time limit, its line in the log, its counters, and the headers of every answer.
 
 use std::panic::AssertUnwindSafe;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
 
@@ -12,9 +13,13 @@ use axum::response::{IntoResponse, Response};
 use futures_util::FutureExt;
 use tracing::Instrument;
 
+use super::accept::Peer;
 use super::app::App;
 use super::body::Guarded;
+use super::clock::Clock;
 use super::conditional::insert;
+use super::pages::RESOURCE_POLICY;
+use super::pool::ASKER;
 use super::problem::Problem;
 
 /// Header of the id of a request.
@@ -31,8 +36,11 @@ pub async fn around(State(app): State<App>, request: Request, next: Next) -> Res
     let method = request.method().clone();
     let path = request.uri().path().to_owned();
     let route = request.extensions().get::<MatchedPath>().map_or("none", MatchedPath::as_str).to_owned();
-    let span = tracing::info_span!("request", id, %method, path);
-    let mut response = answer(&app, request, next).instrument(span.clone()).await;
+    let peer = request.extensions().get::<Peer>().map(|p| p.0);
+    let asker = peer.filter(|ip| !ip.to_canonical().is_loopback());
+    let peer = peer.map(|ip| ip.to_string()).unwrap_or_default();
+    let span = tracing::info_span!("request", id, peer, %method, path);
+    let mut response = ASKER.scope(asker, answer(&app, request, next).instrument(span.clone())).await;
     let response_id = HeaderValue::from_str(&id);
     response = finish(response, id).await;
     let took = start.elapsed();
@@ -53,33 +61,39 @@ pub async fn around(State(app): State<App>, request: Request, next: Next) -> Res
 
 /// The handler's answer, or that its time is over, or that it panicked.
 async fn answer(app: &App, request: Request, next: Next) -> Response {
-    if let Some(refusal) = cross_site(&request) {
-        return refusal.into_response();
-    }
-    let limits = &app.limits;
+    let limits = Arc::clone(&app.limits);
+    let clock = Clock::new(limits.request);
     let awaited = request.headers().contains_key(header::EXPECT);
     let mut rest = None;
-    let request = request.map(|body| {
-        let (guarded, left) = Guarded::new(body, limits.body, limits.body_read);
+    let mut request = request.map(|body| {
+        let (guarded, left) = Guarded::new(body, &limits, clock.clone());
         rest = Some(left);
         Body::new(guarded)
     });
-    let handled = tokio::time::timeout(limits.request, AssertUnwindSafe(next.run(request)).catch_unwind()).await;
-    let ended = rest.as_ref().is_none_or(super::body::Rest::ended);
-    let mut response = match handled {
-        Ok(Ok(response)) => response,
-        Ok(Err(_)) => Problem::internal("the request's handler panicked", &"see above").into_response(),
-        Err(_) if ended => {
-            let detail = format!("no answer within {:?}", limits.request);
-            Problem::new(StatusCode::SERVICE_UNAVAILABLE, "timeout", detail).retry_after(5).into_response()
-        }
-        Err(_) => {
-            let detail = format!("the request did not arrive within {:?}", limits.request);
-            Problem::new(StatusCode::REQUEST_TIMEOUT, "request-too-slow", detail).into_response()
+    if *request.method() != Method::GET {
+        // ranges are of GET alone (RFC 9110, section 14.2)
+        request.headers_mut().remove(header::RANGE);
+    }
+    request.extensions_mut().insert(clock.clone());
+    let handled = async {
+        match app.hosts.check(&request) {
+            Ok(()) => next.run(request).await,
+            Err(foreign) => foreign.into_response(),
         }
     };
-    if !ended && let Some(rest) = rest {
-        rest.drain(limits.body, awaited).await;
+    let mut response = tokio::select! {
+        handled = AssertUnwindSafe(handled).catch_unwind() => match handled {
+            Ok(response) => response,
+            Err(_) => Problem::internal("the request's handler panicked", &"see above").into_response(),
+        },
+        limit = clock.expired() => {
+            let detail = format!("no answer within {limit:?}");
+            Problem::new(StatusCode::SERVICE_UNAVAILABLE, "timeout", detail).retry_after(5).into_response()
+        }
+    };
+    if let Some(rest) = rest.filter(|rest| !rest.ended()) {
+        // beside the answer, not before it
+        tokio::spawn(rest.drain(limits.body, awaited));
         response.headers_mut().insert(header::CONNECTION, HeaderValue::from_static("close"));
     }
     response
@@ -112,17 +126,11 @@ async fn finish(response: Response, id: String) -> Response {
     headers.insert(header::X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff"));
     headers.entry(header::REFERRER_POLICY).or_insert(HeaderValue::from_static("no-referrer"));
     headers.entry(header::CONTENT_SECURITY_POLICY).or_insert(HeaderValue::from_static("default-src 'none'; frame-ancestors 'none'"));
+    headers.entry(RESOURCE_POLICY).or_insert(HeaderValue::from_static("same-origin"));
     if !headers.contains_key(header::CACHE_CONTROL) {
         insert(&mut response, header::CACHE_CONTROL, "no-store");
     }
     response
-}
-
-/// Other sites may read pictures but not upload or delete in a visitor's name.
-fn cross_site(request: &Request) -> Option<Problem> {
-    let changes = !matches!(*request.method(), Method::GET | Method::HEAD | Method::OPTIONS);
-    let foreign = request.headers().get("sec-fetch-site").is_some_and(|v| v == "cross-site");
-    (changes && foreign).then(|| Problem::new(StatusCode::FORBIDDEN, "cross-site", "a page of another site may not change anything here"))
 }
 
 /// The client's id of the request where it is harmless, else a fresh one.

@@ -8,10 +8,14 @@ mod accept;
 mod app;
 mod body;
 mod cache;
+mod clock;
 mod conditional;
 mod entry;
+mod form;
 pub(crate) mod fuzzing;
+mod hosts;
 mod id;
+mod identity;
 mod jobs;
 mod limits;
 mod maker;
@@ -22,6 +26,7 @@ mod pool;
 mod problem;
 mod routes;
 mod settings;
+mod source;
 mod store;
 mod telemetry;
 mod time;
@@ -31,12 +36,14 @@ mod worker;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::time::Instant;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::time::{Duration, Instant};
 
 use tokio::net::TcpListener;
+use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 
-pub use id::PhotoId;
+pub use id::{PhotoId, hex};
 pub use limits::Limits;
 pub use maker::{Maker, PipelineMaker, Product};
 pub use problem::Problem;
@@ -44,12 +51,16 @@ pub use routes::openapi;
 
 use app::{App, Shared};
 use cache::Cache;
+use hosts::Hosts;
 use jobs::Jobs;
 use pool::Pool;
 use store::Store;
 use telemetry::Telemetry;
 
 use tmpi_render::Renderer;
+
+/// Pause between two looks at the data directory.
+const PROBE: Duration = Duration::from_secs(2);
 
 /// Where the server listens and keeps its photos.
 #[derive(Clone, Debug)]
@@ -60,6 +71,10 @@ pub struct Config {
     pub data: PathBuf,
     /// Directory that replaces the embedded pages.
     pub pages: Option<PathBuf>,
+    /// Names under which the server answers besides loopback's and its address, without ports: those that proxies pass on.
+    pub hosts: Vec<String>,
+    /// Lists all photos to everybody who can reach the server, not only to this machine's own user.
+    pub public_list: bool,
     /// Limits.
     pub limits: Limits,
 }
@@ -104,13 +119,13 @@ impl Server {
     /// # Errors
     /// [`ServerError`].
     pub async fn bind(config: Config, maker: Arc<dyn Maker>, renderer: Arc<dyn Renderer>) -> Result<Self, ServerError> {
-        let Config { addr, data, pages, limits } = config;
+        let Config { addr, data, pages, hosts, public_list, limits } = config;
         let openapi = openapi()?;
         let listener = TcpListener::bind(addr).await.map_err(|source| ServerError::Listen { addr, source })?;
         let addr = listener.local_addr().map_err(|source| ServerError::Listen { addr, source })?;
         // done once before any request is served
-        let (store, found) = Store::open(&data).map_err(|source| ServerError::Data { dir: data, source })?;
-        let limits = Arc::new(limits);
+        let (store, found) = Store::open(&data).map_err(|source| ServerError::Data { dir: data.clone(), source })?;
+        let (limits, scratch) = (Arc::new(limits), data.join("incoming"));
         let telemetry = Arc::new(Telemetry::default());
         let jobs = Jobs::start(store, found, maker, Arc::clone(&limits), Arc::clone(&telemetry)).map_err(ServerError::Worker)?;
         let app = Arc::new(Shared {
@@ -119,10 +134,18 @@ impl Server {
             files: Cache::new(limits.file_cache),
             levels: Cache::new(limits.file_cache / 4),
             views: Cache::new(limits.view_cache),
-            pool: Pool::new(limits.views, limits.views_waiting),
+            exports: Cache::new(limits.export_cache),
+            scratch,
+            pool: Pool::new(&limits),
+            uploads: AtomicUsize::new(0),
+            streams: Arc::new(Semaphore::new(limits.streams)),
+            writable: AtomicBool::new(true),
             limits,
             telemetry,
+            build: identity::of_server(renderer.name()),
             renderer,
+            hosts: Hosts::new(addr, &hosts),
+            public_list,
             pages,
             openapi,
             stop: CancellationToken::new(),
@@ -153,11 +176,23 @@ impl Server {
                 tokio::task::spawn_blocking(move || jobs.drain(deadline)).await
             }
         });
+        let probe = tokio::spawn(probe(Arc::clone(&app)));
         accept::serve(listener, routes::router(Arc::clone(&app)), &app.limits, &app.telemetry, &token).await;
+        probe.abort();
         if let Err(error) = signal.await {
             tracing::error!(%error, "draining jobs");
         }
         tracing::info!("stopped");
+    }
+}
+
+/// Looks now and then whether the data directory can be written, so that asking for it costs nothing.
+async fn probe(app: App) {
+    loop {
+        let shared = Arc::clone(&app);
+        let writable = tokio::task::spawn_blocking(move || shared.jobs.store.writable()).await.unwrap_or(false);
+        app.writable.store(writable, Ordering::Release);
+        tokio::time::sleep(PROBE).await;
     }
 }
 

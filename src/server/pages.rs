@@ -18,34 +18,40 @@ use crate::assets::{FILES, content_type};
 /// Scripts and pictures of this server alone; the viewer's decoder needs blobs.
 const POLICY: &str = "default-src 'self'; img-src 'self' blob: data:; connect-src 'self' blob: data:; style-src 'self' 'unsafe-inline'; \
                       worker-src 'self' blob:; object-src 'none'; base-uri 'none'; form-action 'self'";
-const RESOURCE_POLICY: HeaderName = HeaderName::from_static("cross-origin-resource-policy");
+/// Which sites may take an answer in as a picture or a script (Fetch standard, section 3.7).
+pub const RESOURCE_POLICY: HeaderName = HeaderName::from_static("cross-origin-resource-policy");
 
 /// The same where photos of other servers are shown.
 const OPEN_POLICY: &str = "default-src 'self'; img-src * blob: data:; connect-src * blob: data:; style-src 'self' 'unsafe-inline'; \
                            worker-src 'self' blob:; object-src 'none'; base-uri 'none'; form-action 'self'";
 
-/// Who may show a page in a frame.
+/// Who may show a page in a frame, or take a file in.
 #[derive(Clone, Copy)]
 enum Frames {
-    /// Nobody: it has buttons that change things.
-    Nobody,
+    /// This site: the page has buttons that change things, and another site could lay its own over them.
+    Own,
     /// Any site.
     Anybody,
 }
 
 /// `GET /`.
 pub async fn index(State(app): State<App>, headers: HeaderMap) -> Result<Response, Problem> {
-    page(&app, &headers, "app/upload-page.html", Frames::Nobody).await
+    page(&app, &headers, "app/upload-page.html", Frames::Own).await
 }
 
 /// `GET /view/{id}`; the page itself says where there is no such photo.
 pub async fn view(State(app): State<App>, headers: HeaderMap) -> Result<Response, Problem> {
-    page(&app, &headers, "app/view-page.html", Frames::Anybody).await
+    page(&app, &headers, "app/view-page.html", Frames::Own).await
+}
+
+/// `GET /embed/{id}`: the photo alone, for frames of other sites; it can change nothing.
+pub async fn embed(State(app): State<App>, headers: HeaderMap) -> Result<Response, Problem> {
+    page(&app, &headers, "app/embed-page.html", Frames::Anybody).await
 }
 
 /// `GET /demo`.
 pub async fn demo(State(app): State<App>, headers: HeaderMap) -> Result<Response, Problem> {
-    page(&app, &headers, "app/demo-page.html", Frames::Nobody).await
+    page(&app, &headers, "app/demo-page.html", Frames::Own).await
 }
 
 /// `GET /static/{name}`.
@@ -69,17 +75,17 @@ async fn page(app: &App, headers: &HeaderMap, name: &str, frames: Frames) -> Res
         (Bytes::from_static(FILES[at].1), tags()[at].clone())
     };
     let content_type = content_type(name);
-    let mut response = respond(headers, Entity { bytes, etag: &etag, content_type, cache_control: REVALIDATE });
-    let ancestors = match frames {
-        Frames::Nobody => "'self'",
-        Frames::Anybody => "*",
+    let mut response = respond(headers, Entity { source: bytes.into(), etag: &etag, content_type, cache_control: REVALIDATE });
+    let (ancestors, takers) = match frames {
+        Frames::Own => ("'self'", "same-origin"),
+        Frames::Anybody => ("*", "cross-origin"),
     };
     // a worker has the policy of its own script, and reads containers of other servers too
     let policy = if matches!(name, "app/demo-page.html" | "decode/worker.js") { OPEN_POLICY } else { POLICY };
     if let Ok(policy) = HeaderValue::from_str(&format!("{policy}; frame-ancestors {ancestors}")) {
         response.headers_mut().insert(header::CONTENT_SECURITY_POLICY, policy);
     }
-    response.headers_mut().insert(RESOURCE_POLICY, HeaderValue::from_static("cross-origin"));
+    response.headers_mut().insert(RESOURCE_POLICY, HeaderValue::from_static(takers));
     Ok(response)
 }
 

@@ -1,103 +1,304 @@
-//! Blocking work on behalf of requests, bounded in what runs and in what waits.
+//! Blocking work on behalf of requests: a lane for each class, so that a film holds up no view, and memory by bytes.
 
-use std::sync::Arc;
+use std::collections::HashMap;
+use std::net::IpAddr;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use axum::http::StatusCode;
-use tokio::sync::Semaphore;
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
+use super::limits::Limits;
 use super::problem::Problem;
 
-/// Runs blocking closures.
+/// Bytes of the unit in which memory is given out.
+const UNIT: u64 = 1 << 20;
+
+/// What waits for what: each class has slots of its own.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Class {
+    /// Somebody looks at the screen: single views.
+    Interactive,
+    /// Smaller levels and parts of containers.
+    Derived,
+    /// Films and files to download.
+    Export,
+}
+
+impl Class {
+    /// All of them.
+    #[cfg(test)]
+    const ALL: [Self; 3] = [Self::Interactive, Self::Derived, Self::Export];
+
+    /// Name, as in metrics.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Interactive => "interactive",
+            Self::Derived => "derived",
+            Self::Export => "export",
+        }
+    }
+}
+
+/// Gives out slots and memory.
 pub struct Pool {
+    lanes: [Lane; 3],
+    memory: Arc<Semaphore>,
+    most: u32,
+}
+
+struct Lane {
     slots: Arc<Semaphore>,
     waiting: AtomicUsize,
     most_waiting: usize,
+    /// Of those that wait, how many each address has.
+    of: Mutex<HashMap<IpAddr, usize>>,
+    count: usize,
+    /// Guess of how long one takes, in seconds, for `Retry-After`.
+    seconds: u64,
 }
 
-struct Waits<'a>(&'a AtomicUsize);
+tokio::task_local! {
+    /// Who asks, where that tells clients apart: loopback is also the address of all who come by a proxy.
+    pub static ASKER: Option<IpAddr>;
+}
+
+/// A place among those that wait.
+struct Waits<'a> {
+    lane: &'a Lane,
+    asker: Option<IpAddr>,
+}
 
 impl Drop for Waits<'_> {
     fn drop(&mut self) {
-        self.0.fetch_sub(1, Ordering::AcqRel);
+        self.lane.waiting.fetch_sub(1, Ordering::AcqRel);
+        if let Some(asker) = self.asker {
+            let mut of = self.lane.of();
+            if let Some(count) = of.get_mut(&asker) {
+                *count -= 1;
+                if *count == 0 {
+                    of.remove(&asker);
+                }
+            }
+        }
     }
 }
 
-impl Pool {
-    /// At most `slots` closures at a time, at most `most_waiting` that wait.
-    #[must_use]
-    pub fn new(slots: usize, most_waiting: usize) -> Self {
-        Self { slots: Arc::new(Semaphore::new(slots.max(1))), waiting: AtomicUsize::new(0), most_waiting }
+impl Lane {
+    fn of(&self) -> MutexGuard<'_, HashMap<IpAddr, usize>> {
+        self.of.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Runs `work` once it is its turn.
+    /// A place to wait; none where all are taken, or the asker has half of them.
+    fn wait(&self) -> Option<Waits<'_>> {
+        let asker = ASKER.try_with(|asker| *asker).ok().flatten();
+        if let Some(asker) = asker {
+            *self.of().entry(asker).or_default() += 1;
+        }
+        let before = self.waiting.fetch_add(1, Ordering::AcqRel);
+        // dropped where it is refused
+        let waits = Waits { lane: self, asker };
+        let own = asker.map_or(0, |asker| self.of().get(&asker).copied().unwrap_or_default());
+        (before < self.most_waiting && own <= self.most_waiting.div_ceil(2)).then_some(waits)
+    }
+}
+
+/// Leave to work, with the memory for it; given back when the last clone goes.
+#[derive(Clone)]
+pub struct Slot {
+    _held: Arc<(OwnedSemaphorePermit, OwnedSemaphorePermit)>,
+}
+
+impl Pool {
+    /// By the limits of a server.
+    #[must_use]
+    pub fn new(limits: &Limits) -> Self {
+        let lane = |slots: usize, most_waiting, seconds| Lane {
+            slots: Arc::new(Semaphore::new(slots.max(1))),
+            waiting: AtomicUsize::new(0),
+            most_waiting,
+            of: Mutex::default(),
+            count: slots.max(1),
+            seconds,
+        };
+        let most = u32::try_from(limits.work_memory as u64 / UNIT).unwrap_or(u32::MAX >> 3).max(1);
+        Self {
+            lanes: [
+                lane(limits.views, limits.views_waiting, 1),
+                lane(limits.views, limits.views_waiting, 1),
+                lane(limits.exports, limits.exports_waiting, 10),
+            ],
+            memory: Arc::new(Semaphore::new(most as usize)),
+            most,
+        }
+    }
+
+    const fn lane(&self, class: Class) -> &Lane {
+        &self.lanes[class as usize]
+    }
+
+    /// Waits for a slot and for `bytes` of memory; what needs more than there is gets all of it, alone.
     ///
     /// # Errors
-    /// 503 where too many wait already, 500 where `work` panicked.
-    pub async fn run<T: Send + 'static>(&self, work: impl FnOnce() -> T + Send + 'static) -> Result<T, Problem> {
-        let permit = if let Ok(permit) = Arc::clone(&self.slots).try_acquire_owned() {
-            permit
-        } else {
-            let waits = Waits(&self.waiting);
-            if self.waiting.fetch_add(1, Ordering::AcqRel) >= self.most_waiting {
-                return Err(Problem::new(StatusCode::SERVICE_UNAVAILABLE, "busy", "too many views are waiting already").retry_after(1));
+    /// 503 where too many of the class wait already.
+    pub async fn enter(&self, class: Class, bytes: u64) -> Result<Slot, Problem> {
+        let lane = self.lane(class);
+        let broken = |e| Problem::internal("work pool", &e);
+        let wanted = u32::try_from(bytes.div_ceil(UNIT)).unwrap_or(u32::MAX).clamp(1, self.most);
+        let at_once = Arc::clone(&lane.slots).try_acquire_owned().ok();
+        if let Some(slot) = at_once {
+            if let Ok(memory) = Arc::clone(&self.memory).try_acquire_many_owned(wanted) {
+                return Ok(Slot { _held: Arc::new((slot, memory)) });
             }
-            let permit = Arc::clone(&self.slots).acquire_owned().await;
-            drop(waits);
-            permit.map_err(|e| Problem::internal("view pool", &e))?
+            drop(slot);
+        }
+        let Some(waits) = lane.wait() else {
+            let rounds = (lane.most_waiting / lane.count) as u64;
+            let detail = format!("too many requests for {} work are waiting already", class.name());
+            return Err(Problem::new(StatusCode::SERVICE_UNAVAILABLE, "busy", detail).retry_after((rounds * lane.seconds / 8).clamp(1, 60)));
         };
-        let result = tokio::task::spawn_blocking(move || {
-            let result = work();
-            // the slot is held to the end even where the request is gone: blocking work cannot be cut off
-            drop(permit);
-            result
-        });
-        result.await.map_err(|e| Problem::internal("drawing panicked", &e))
+        let slot = Arc::clone(&lane.slots).acquire_owned().await.map_err(broken)?;
+        let memory = Arc::clone(&self.memory).acquire_many_owned(wanted).await.map_err(broken)?;
+        drop(waits);
+        Ok(Slot { _held: Arc::new((slot, memory)) })
     }
 
-    /// Closures that wait.
+    /// Requests of a class that wait.
     #[must_use]
-    pub fn waiting(&self) -> usize {
-        self.waiting.load(Ordering::Acquire)
+    pub fn waiting(&self, class: Class) -> usize {
+        self.lane(class).waiting.load(Ordering::Acquire)
+    }
+
+    /// Bytes of memory that are given out.
+    #[must_use]
+    pub fn bytes(&self) -> u64 {
+        u64::from(self.most).saturating_sub(self.memory.available_permits() as u64) * UNIT
+    }
+}
+
+impl Slot {
+    /// Runs blocking work; the slot is held to its end even where the request is gone: it cannot be cut off.
+    ///
+    /// # Errors
+    /// 500 where `work` panicked.
+    pub async fn run<T: Send + 'static>(&self, work: impl FnOnce() -> T + Send + 'static) -> Result<T, Problem> {
+        let slot = self.clone();
+        let result = tokio::task::spawn_blocking(move || {
+            let result = work();
+            drop(slot);
+            result
+        });
+        result.await.map_err(|e| Problem::internal("work panicked", &e))
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use std::sync::mpsc;
+    use std::time::Duration;
 
     use super::*;
 
-    #[tokio::test(flavor = "multi_thread")]
-    async fn one_more_than_may_wait_is_refused() {
-        let pool = Arc::new(Pool::new(1, 1));
-        let (go, gate) = mpsc::channel::<()>();
-        let first = tokio::spawn({
-            let pool = Arc::clone(&pool);
-            async move { pool.run(move || gate.recv().is_ok()).await }
-        });
-        while pool.slots.available_permits() > 0 {
-            tokio::task::yield_now().await;
-        }
-        let second = tokio::spawn({
-            let pool = Arc::clone(&pool);
-            async move { pool.run(|| true).await }
-        });
-        while pool.waiting() == 0 {
-            tokio::task::yield_now().await;
-        }
-        let refused = pool.run(|| true).await.unwrap_err();
-        assert_eq!((refused.status, refused.retry_after), (503, Some(1)));
-        assert_eq!(pool.waiting(), 1);
-        go.send(()).unwrap();
-        assert!(first.await.unwrap().unwrap() && second.await.unwrap().unwrap());
-        assert_eq!(pool.waiting(), 0);
+    fn pool(slots: usize, waiting: usize, memory: u64) -> Arc<Pool> {
+        let limits = Limits {
+            views: slots,
+            views_waiting: waiting,
+            exports: slots,
+            exports_waiting: waiting,
+            work_memory: (memory * UNIT) as usize,
+            ..Limits::default()
+        };
+        Arc::new(Pool::new(&limits))
+    }
+
+    /// True once `future` waits.
+    async fn waits<T>(future: impl Future<Output = T>) -> bool {
+        tokio::time::timeout(Duration::from_millis(20), future).await.is_err()
     }
 
     #[tokio::test]
-    async fn a_panic_frees_its_slot() {
-        let pool = Pool::new(1, 0);
-        assert_eq!(pool.run(|| panic!("on purpose")).await.map(|()| 0).unwrap_err().status, 500);
-        assert_eq!(pool.run(|| 7).await.unwrap(), 7);
+    async fn one_more_than_may_wait_is_refused() {
+        let pool = pool(1, 1, 9);
+        let first = pool.enter(Class::Interactive, 1).await.unwrap();
+        let second = tokio::spawn({
+            let pool = Arc::clone(&pool);
+            async move { pool.enter(Class::Interactive, 1).await.is_ok() }
+        });
+        while pool.waiting(Class::Interactive) == 0 {
+            tokio::task::yield_now().await;
+        }
+        let refused = pool.enter(Class::Interactive, 1).await.err().unwrap();
+        assert!(refused.status == 503 && refused.retry_after.is_some());
+        assert_eq!(pool.waiting(Class::Interactive), 1);
+        drop(first);
+        assert!(second.await.unwrap());
+        assert_eq!(pool.waiting(Class::Interactive), 0);
+    }
+
+    #[tokio::test]
+    async fn no_class_holds_up_another() {
+        let pool = pool(1, 9, 9);
+        let _film = pool.enter(Class::Export, 1).await.unwrap();
+        assert!(waits(pool.enter(Class::Export, 1)).await);
+        let _level = pool.enter(Class::Derived, 1).await.unwrap();
+        assert!(!waits(pool.enter(Class::Interactive, 1)).await);
+        assert_eq!(Class::ALL.map(|class| pool.waiting(class)), [0; 3], "who gives up waits no more");
+    }
+
+    #[tokio::test]
+    async fn one_address_has_half_of_the_places_to_wait() {
+        let pool = pool(1, 4, 9);
+        let _busy = pool.enter(Class::Interactive, 1).await.unwrap();
+        let ask = |asker: Option<&str>| {
+            let pool = Arc::clone(&pool);
+            let asker = asker.map(|a| a.parse().unwrap());
+            tokio::spawn(ASKER.scope(asker, async move { pool.enter(Class::Interactive, 1).await.is_ok() }))
+        };
+        let greedy: Vec<_> = (0..2).map(|_| ask(Some("192.0.2.1"))).collect();
+        while pool.waiting(Class::Interactive) < 2 {
+            tokio::task::yield_now().await;
+        }
+        assert!(!ask(Some("192.0.2.1")).await.unwrap(), "a third");
+        assert_eq!(pool.waiting(Class::Interactive), 2);
+        let others = [ask(Some("192.0.2.2")), ask(None)];
+        while pool.waiting(Class::Interactive) < 4 {
+            tokio::task::yield_now().await;
+        }
+        for task in greedy.iter().chain(&others) {
+            task.abort();
+        }
+        while pool.waiting(Class::Interactive) > 0 {
+            tokio::task::yield_now().await;
+        }
+        assert!(pool.lane(Class::Interactive).of().is_empty());
+    }
+
+    #[tokio::test]
+    async fn memory_is_given_out_by_bytes() {
+        let pool = pool(9, 99, 10);
+        let large = pool.enter(Class::Interactive, 7 * UNIT).await.unwrap();
+        assert!(waits(pool.enter(Class::Interactive, 4 * UNIT)).await);
+        let small = pool.enter(Class::Interactive, 3 * UNIT).await.unwrap();
+        assert_eq!(pool.bytes(), 10 * UNIT);
+        drop((large, small));
+        assert_eq!(pool.bytes(), 0);
+        let _huge = pool.enter(Class::Interactive, 99 * UNIT).await.unwrap();
+        assert!(waits(pool.enter(Class::Derived, 1)).await, "alone");
+    }
+
+    #[tokio::test]
+    async fn a_panic_frees_its_slot_and_work_holds_it_to_the_end() {
+        let pool = pool(1, 0, 9);
+        let slot = pool.enter(Class::Interactive, 1).await.unwrap();
+        assert_eq!(slot.run(|| panic!("on purpose")).await.map(|()| 0).unwrap_err().status, 500);
+        let (go, gate) = std::sync::mpsc::channel::<()>();
+        let work = slot.run(move || gate.recv().is_ok());
+        assert!(waits(work).await);
+        drop(slot);
+        assert_eq!(pool.enter(Class::Interactive, 1).await.err().map(|p| p.status), Some(503));
+        go.send(()).unwrap();
+        while pool.enter(Class::Interactive, 1).await.is_err() {
+            tokio::time::sleep(Duration::from_millis(1)).await;
+        }
     }
 }

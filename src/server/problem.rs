@@ -15,6 +15,19 @@ use tmpi_render::{AnimationError, EncodeError, RenderError};
 /// Media type of a problem.
 pub const MEDIA_TYPE: &str = "application/problem+json";
 
+/// Bytes of foreign text that a problem repeats, at most: a name, and all together.
+const MOST_NAME: usize = 64;
+const MOST_DETAIL: usize = 1024;
+
+/// The first `most` bytes of `text`.
+fn clipped(mut text: String, most: usize) -> String {
+    if text.len() > most {
+        text.truncate(text.floor_char_boundary(most));
+        text.push('…');
+    }
+    text
+}
+
 /// Problem details (RFC 9457).
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Problem {
@@ -48,7 +61,7 @@ impl Problem {
             kind: format!("urn:tmpi:problem:{kind}").into(),
             title: status.canonical_reason().unwrap_or("Error").into(),
             status: status.as_u16(),
-            detail: detail.into().into(),
+            detail: clipped(detail.into(), MOST_DETAIL).into(),
             field: None,
             request_id: None,
             retry_after: None,
@@ -58,7 +71,7 @@ impl Problem {
     /// Names the field at fault.
     #[must_use]
     pub fn field(mut self, name: impl Into<String>) -> Self {
-        self.field = Some(name.into());
+        self.field = Some(clipped(name.into(), MOST_NAME));
         self
     }
 
@@ -72,6 +85,7 @@ impl Problem {
     /// A parameter, option or form field is wrong.
     pub fn parameter(name: impl Into<String>, detail: impl std::fmt::Display) -> Self {
         let name = name.into();
+        let name = clipped(name, MOST_NAME);
         Self::new(StatusCode::BAD_REQUEST, "parameter", format!("{name}: {detail}")).field(name)
     }
 
@@ -214,6 +228,13 @@ mod tests {
         let p = Problem::from(&MakeError::Atlas(ContainerError::Encode("secret path".into())));
         assert_eq!(p.status, 500);
         assert!(!p.detail.contains("secret"));
+    }
+
+    #[test]
+    fn foreign_text_is_repeated_in_part() {
+        let p = Problem::parameter("ä".repeat(1 << 20), "ö".repeat(1 << 20));
+        assert!(p.field.as_ref().unwrap().len() <= MOST_NAME + 3 && p.detail.len() <= MOST_DETAIL + 3);
+        assert!(p.field.unwrap().starts_with('ä'));
     }
 
     #[test]

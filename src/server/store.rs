@@ -365,7 +365,7 @@ mod tests {
     }
 
     fn put(store: &Store, n: u8, at_ms: u64) -> PhotoId {
-        let id = PhotoId::of(&[n; 32], None, "");
+        let id = PhotoId::of(&[n; 32], None, "", "");
         let incoming = store.begin().unwrap();
         fs::write(incoming.path(Part::Upload), b"photo").unwrap();
         store.accept(incoming, id, &accepted(at_ms)).unwrap();

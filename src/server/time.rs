@@ -1,10 +1,13 @@
 //! Points in time as clients read them.
 
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{SystemTime, UNIX_EPOCH};
 
-/// Milliseconds since 1970, UTC.
+/// Milliseconds since 1970, UTC; never earlier than it said before, as the list and versions of photos go by it.
 pub fn now_ms() -> u64 {
-    SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_millis() as u64)
+    static LATEST: AtomicU64 = AtomicU64::new(0);
+    let now = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_millis() as u64);
+    LATEST.fetch_max(now, Ordering::AcqRel).max(now)
 }
 
 /// `2026-01-31T12:00:00.000Z` (RFC 3339).

@@ -1,9 +1,12 @@
 //! Reads an upload, multipart or raw, onto disk while it comes in.
 
+use std::path::PathBuf;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
+use axum::body::Body;
 use axum::extract::{FromRequest, Multipart, Request};
-use axum::http::{HeaderMap, header};
+use axum::http::{HeaderMap, StatusCode, header};
 use bytes::Bytes;
 use futures_util::{Stream, StreamExt};
 use sha2::{Digest, Sha256};
@@ -12,6 +15,7 @@ use tokio::io::AsyncWriteExt;
 
 use super::app::App;
 use super::body;
+use super::form::Bounded;
 use super::id::PhotoId;
 use super::jobs::Submitted;
 use super::options;
@@ -20,6 +24,8 @@ use super::store::{Accepted, Incoming, Part};
 use super::time::now_ms;
 use tmpi_pipeline::Options;
 
+/// Longest name of a field in bytes.
+const MAX_NAME: usize = 64;
 /// Longest text of an option.
 const MAX_OPTION: usize = 256;
 /// Bytes that are gathered before they are written.
@@ -31,9 +37,45 @@ struct Written {
     bytes: u64,
 }
 
+/// A folder on its way in of which the removal, which blocks, keeps no other request waiting.
+struct Folder(Option<Incoming>);
+
+impl Drop for Folder {
+    fn drop(&mut self) {
+        let incoming = self.0.take();
+        if let (Some(incoming), Ok(runtime)) = (incoming, tokio::runtime::Handle::try_current()) {
+            runtime.spawn_blocking(move || drop(incoming));
+        }
+    }
+}
+
+/// Leave for an upload to come in.
+struct Ticket<'a>(&'a AtomicUsize);
+
+impl Drop for Ticket<'_> {
+    fn drop(&mut self) {
+        self.0.fetch_sub(1, Ordering::AcqRel);
+    }
+}
+
+impl<'a> Ticket<'a> {
+    /// Before a byte of the body is taken. A few come in though the queue is full: they may be of photos that are known.
+    ///
+    /// # Errors
+    /// 429 where as many come in already as may, 503 while the server stops.
+    fn take(app: &'a App) -> Result<Self, Problem> {
+        let ticket = Self(&app.uploads);
+        let before = app.uploads.fetch_add(1, Ordering::AcqRel);
+        if !app.jobs.is_accepting() {
+            return Err(Problem::new(StatusCode::SERVICE_UNAVAILABLE, "stopping", "the server is stopping").retry_after(10));
+        }
+        if before >= app.jobs.free_places() + app.limits.uploads_beyond { Err(app.jobs.refusal()) } else { Ok(ticket) }
+    }
+}
+
 /// Everything of an upload.
 struct Parts {
-    incoming: Incoming,
+    incoming: Folder,
     photo: Option<Written>,
     depth: Option<Written>,
     options: Options,
@@ -50,7 +92,11 @@ pub async fn take(app: &App, query: Vec<(String, String)>, request: Request) -> 
             return Err(Problem::parameter(&name, format!("there is no such option; there are {}", options::NAMES.join(", "))));
         }
     }
-    let incoming = app.jobs.store.begin().map_err(|e| Problem::store(&e))?;
+    let _ticket = Ticket::take(app)?;
+    let jobs = Arc::clone(&app.jobs);
+    let incoming =
+        tokio::task::spawn_blocking(move || jobs.store.begin()).await.map_err(|e| Problem::internal("beginning an upload", &e))?;
+    let incoming = Folder(Some(incoming.map_err(|e| Problem::store(&e))?));
     let mut parts = Parts { incoming, photo: None, depth: None, options };
     if is_multipart(request.headers()) {
         read_multipart(&mut parts, request).await?;
@@ -65,23 +111,33 @@ pub async fn take(app: &App, query: Vec<(String, String)>, request: Request) -> 
 
 /// The part of taking an upload that blocks: checks it and makes it durable.
 fn accept(app: &App, parts: Parts) -> Result<Submitted, Problem> {
-    let Parts { incoming, photo, depth, options } = parts;
+    let Parts { mut incoming, photo, depth, options } = parts;
     let photo = photo.filter(|p| p.bytes > 0).ok_or_else(|| Problem::parameter("photo", "is missing"))?;
     if depth.as_ref().is_some_and(|d| d.bytes == 0) {
         return Err(Problem::parameter("depth", "is empty"));
     }
     let text = options::to_text(&options);
-    let id = PhotoId::of(&photo.hash, depth.as_ref().map(|d| &d.hash), &options::canonical(&text));
+    let id = PhotoId::of(&photo.hash, depth.as_ref().map(|d| &d.hash), &options::canonical(&text), app.jobs.maker.identity());
     if app.jobs.get(id).is_none() {
-        let bytes = std::fs::read(incoming.path(Part::Upload)).map_err(|e| Problem::store(&e))?;
+        let bytes = std::fs::read(parts_path(&incoming, Part::Upload)?).map_err(|e| Problem::store(&e))?;
         app.jobs.maker.check(&bytes, &options).map_err(|e| Problem::from(&e))?;
     }
     let accepted = Accepted { at_ms: now_ms(), photo_bytes: photo.bytes, depth_bytes: depth.as_ref().map(|d| d.bytes), options: text };
-    let submitted = app.jobs.submit(incoming, id, accepted)?;
+    let folder = incoming.0.take().ok_or_else(gone)?;
+    let submitted = app.jobs.submit(folder, id, accepted)?;
     if submitted.new {
         app.telemetry.uploaded(photo.bytes + depth.map_or(0, |d| d.bytes));
     }
     Ok(submitted)
+}
+
+/// Where a part of an upload belongs.
+fn parts_path(folder: &Folder, part: Part) -> Result<PathBuf, Problem> {
+    folder.0.as_ref().map(|incoming| incoming.path(part)).ok_or_else(gone)
+}
+
+fn gone() -> Problem {
+    Problem::internal("an upload", &"its folder was given away already")
 }
 
 fn is_multipart(headers: &HeaderMap) -> bool {
@@ -90,9 +146,15 @@ fn is_multipart(headers: &HeaderMap) -> bool {
 }
 
 async fn read_multipart(parts: &mut Parts, request: Request) -> Result<(), Problem> {
+    let content_type = request.headers().get(header::CONTENT_TYPE).and_then(|v| v.to_str().ok()).unwrap_or_default();
+    let boundary = multer::parse_boundary(content_type).map_err(|e| Problem::bad_request(format!("the form's boundary: {e}")))?;
+    let request = request.map(|body| Body::from_stream(Bounded::new(body.into_data_stream(), &boundary)));
     let mut form = Multipart::from_request(request, &()).await.map_err(|e| Problem::bad_request(e.body_text()))?;
     while let Some(field) = form.next_field().await.map_err(|e| body::problem(&e))? {
         let name = field.name().unwrap_or_default().to_owned();
+        if name.len() > MAX_NAME {
+            return Err(Problem::parameter(name, format!("the name of a field is longer than {MAX_NAME} bytes")));
+        }
         let (part, slot) = match name.as_str() {
             "photo" => (Part::Upload, &mut parts.photo),
             "depth" => (Part::Depth, &mut parts.depth),
@@ -125,12 +187,12 @@ async fn text(name: &str, mut field: axum::extract::multipart::Field<'_>) -> Res
 }
 
 /// Writes a stream to its file, synced.
-async fn write<S, E>(incoming: &Incoming, part: Part, mut stream: S, problem: impl Fn(E) -> Problem) -> Result<Written, Problem>
+async fn write<S, E>(incoming: &Folder, part: Part, mut stream: S, problem: impl Fn(E) -> Problem) -> Result<Written, Problem>
 where
     S: Stream<Item = Result<Bytes, E>> + Unpin,
 {
     let disk = |e: std::io::Error| Problem::store(&e);
-    let mut file = tokio::io::BufWriter::with_capacity(BUFFER, File::create(incoming.path(part)).await.map_err(disk)?);
+    let mut file = tokio::io::BufWriter::with_capacity(BUFFER, File::create(parts_path(incoming, part)?).await.map_err(disk)?);
     let mut hash = Sha256::new();
     let mut bytes = 0;
     while let Some(chunk) = stream.next().await {

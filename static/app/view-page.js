@@ -100,14 +100,16 @@ async function showBackdrop(image) {
 }
 
 /** Starts the viewer; where the photo is not made yet, waits for it first. */
-function start() {
+async function start() {
+  // with its version, browsers need not ask again for what never changes
+  const version = (await known)?.state.version;
   viewer?.dispose();
   // no more pixels than the screen has: a phone need not load what it cannot show
   const fit = Math.min(Math.ceil(Math.max(screen.width, screen.height) * devicePixelRatio), 65_535);
   viewer = new Viewer(stage, {
-    atlas: photoUrl(id, `/atlas?fit=${fit}`),
-    view: photoUrl(id, '/view'),
-    report: photoUrl(id, '/report'),
+    atlas: photoUrl(id, `/atlas?fit=${fit}${version ? `&v=${version}` : ''}`),
+    view: photoUrl(id, version ? `/view?v=${version}` : '/view'),
+    report: photoUrl(id, version ? `/report?v=${version}` : '/report'),
     offset: offsetOfHash(),
     settings: known.then((answer) => settingsOf(answer?.state)),
   });

@@ -58,7 +58,7 @@ export class ServerViews {
     query.set('h', String(height));
     query.set('fov', fov.toFixed(4));
     query.set('format', 'jpeg');
-    return `${this.url}?${query}`;
+    return `${this.url}${this.url.includes('?') ? '&' : '?'}${query}`;
   }
 
   async #next() {

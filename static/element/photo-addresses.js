@@ -2,13 +2,16 @@
 import { settingsOf } from '../view/settings.js';
 
 /**
- * Addresses that lie beside a container's: `…/ID/atlas?level=1` → `…/ID/view`, or undefined where it is no photo of a server.
+ * Addresses that lie beside a container's: `…/ID/atlas?level=1&v=V` → `…/ID/view?v=V`, or undefined where it is no photo of a server.
+ * What never changes is of the container's version.
  * @param {string} atlas
  * @param {string} part
  */
 export function beside(atlas, part) {
-  const [path] = atlas.split(/[?#]/);
-  return path.endsWith('/atlas') ? path.slice(0, -'/atlas'.length) + part : undefined;
+  const [path, query] = atlas.split('#')[0].split('?');
+  if (!path.endsWith('/atlas')) return undefined;
+  const version = part === '/settings' ? null : new URLSearchParams(query).get('v');
+  return `${path.slice(0, -'/atlas'.length)}${part}${version ? `?v=${encodeURIComponent(version)}` : ''}`;
 }
 
 /**
@@ -19,7 +22,7 @@ export async function fetchSettings(address) {
   try {
     const response = await fetch(address);
     if (!response.ok) return {};
-    return settingsOf(await response.json());
+    return settingsOf({ settings: await response.json() });
   } catch {
     return {};
   }

@@ -197,7 +197,7 @@ class TmpiViewer extends HTMLElement {
     if (this.#viewer || !this.isConnected || this.getAttribute('src') !== src) return;
     const atlas = new URL(src, document.baseURI).href;
     const given = this.getAttribute('view');
-    const state = this.getAttribute('settings') === 'off' ? undefined : beside(atlas, '');
+    const state = this.getAttribute('settings') === 'off' ? undefined : beside(atlas, '/settings');
     const viewer = new Viewer(this.#stage, {
       atlas,
       view: given ? new URL(given, document.baseURI).href : beside(atlas, '/view'),

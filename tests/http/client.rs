@@ -47,6 +47,7 @@ impl Response {
 /// A connection.
 pub struct Connection {
     stream: BufReader<TcpStream>,
+    host: String,
 }
 
 impl Connection {
@@ -54,7 +55,7 @@ impl Connection {
         let stream = TcpStream::connect(addr).expect("the server listens");
         stream.set_read_timeout(Some(Duration::from_mins(1))).unwrap();
         stream.set_nodelay(true).unwrap();
-        Self { stream: BufReader::new(stream) }
+        Self { stream: BufReader::new(stream), host: addr.to_string() }
     }
 
     pub fn raw(&mut self) -> &mut TcpStream {
@@ -63,7 +64,10 @@ impl Connection {
 
     /// Sends a request; the server may answer and close before all of the body is out.
     pub fn send(&mut self, method: &str, path: &str, headers: &[(&str, &str)], body: &[u8]) {
-        let mut head = format!("{method} {path} HTTP/1.1\r\nhost: tmpi\r\n");
+        let mut head = format!("{method} {path} HTTP/1.1\r\n");
+        if !headers.iter().any(|(name, _)| name.eq_ignore_ascii_case("host")) {
+            _ = write!(head, "host: {}\r\n", self.host);
+        }
         for (name, value) in headers {
             _ = write!(head, "{name}: {value}\r\n");
         }

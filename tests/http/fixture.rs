@@ -8,11 +8,11 @@ use std::time::{Duration, Instant};
 
 use serde_json::Value;
 use tmpi::server::{Config, Limits, Maker, PipelineMaker, Product, Server};
-use tmpi_core::{DisparityMap, Photo};
+use tmpi_core::{Camera, DisparityMap, Photo, Scene};
 use tmpi_pipeline::depth::{DepthError, Estimator};
 use tmpi_pipeline::{MakeError, Models, Options};
 use tmpi_pipeline::{Progress, Sink};
-use tmpi_render::{Backend, PictureFormat, View, encode};
+use tmpi_render::{Backend, PictureFormat, RenderError, Renderer, View, encode};
 
 use crate::client;
 
@@ -112,6 +112,42 @@ where
     }
 }
 
+/// Draws nothing, and views of [`SlowDrawing::HELD`] pixels of width only once it is opened.
+#[derive(Default)]
+pub struct SlowDrawing {
+    open: Mutex<bool>,
+    changed: Condvar,
+    pub begun: AtomicUsize,
+    pub held: AtomicUsize,
+}
+
+impl SlowDrawing {
+    pub const HELD: u32 = 77;
+
+    pub fn open(&self) {
+        *self.open.lock().unwrap() = true;
+        self.changed.notify_all();
+    }
+}
+
+impl Renderer for SlowDrawing {
+    fn name(&self) -> &'static str {
+        "slow"
+    }
+
+    fn render(&self, _: &Arc<Scene>, camera: &Camera) -> Result<View, RenderError> {
+        self.begun.fetch_add(1, Ordering::SeqCst);
+        if camera.width == Self::HELD {
+            self.held.fetch_add(1, Ordering::SeqCst);
+            let guard = self.changed.wait_while(self.open.lock().unwrap(), |open| !*open).unwrap();
+            drop(guard);
+            self.held.fetch_sub(1, Ordering::SeqCst);
+        }
+        std::thread::sleep(Duration::from_millis(5));
+        Ok(View { width: camera.width, height: camera.height, rgba: vec![[9; 4]; (camera.width * camera.height) as usize] })
+    }
+}
+
 /// A running server.
 pub struct Running {
     pub addr: SocketAddr,
@@ -121,13 +157,25 @@ pub struct Running {
 
 impl Running {
     pub fn start(data: &Path, limits: Limits, maker: Arc<dyn Maker>) -> Self {
+        Self::drawing(data, limits, maker, tmpi_render::select(Backend::Cpu).unwrap())
+    }
+
+    /// A server whose views `renderer` draws.
+    pub fn drawing(data: &Path, limits: Limits, maker: Arc<dyn Maker>, renderer: Arc<dyn Renderer>) -> Self {
         let (stop, stopped) = tokio::sync::oneshot::channel();
         let (tell, told) = std::sync::mpsc::channel();
-        let config = Config { addr: ([127, 0, 0, 1], 0).into(), data: data.to_owned(), pages: None, limits };
+        let config = Config {
+            addr: ([127, 0, 0, 1], 0).into(),
+            data: data.to_owned(),
+            pages: None,
+            hosts: vec!["photos.example".into()],
+            public_list: false,
+            limits,
+        };
         let thread = std::thread::spawn(move || {
             let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build().unwrap();
             runtime.block_on(async {
-                let server = Server::bind(config, maker, tmpi_render::select(Backend::Cpu).unwrap()).await.unwrap();
+                let server = Server::bind(config, maker, renderer).await.unwrap();
                 tell.send(server.addr()).unwrap();
                 server.run(async { drop(stopped.await) }).await;
             });

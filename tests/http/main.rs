@@ -1,14 +1,18 @@
 //! The HTTP interface, end to end: real sockets, real disk, and where time allows the real way of a photo.
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "test")]
 
+mod arrivals;
 mod client;
 mod fixture;
 
 mod events;
+mod fair;
 mod limits;
 mod measure;
 mod openapi;
+mod origins;
 mod process;
 mod results;
 mod settings;
 mod uploads;
+mod versions;

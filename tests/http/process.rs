@@ -79,7 +79,8 @@ pub fn upload(addr: SocketAddr, photo: &[u8]) -> Option<String> {
     let (content_type, body) = form(&[("photo", photo), ("depth", &depth_map())]);
     std::net::TcpStream::connect(addr).ok()?;
     let mut connection = std::panic::catch_unwind(|| Connection::open(addr)).ok()?;
-    let head = format!("POST /v1/photos HTTP/1.1\r\nhost: x\r\ncontent-type: {content_type}\r\ncontent-length: {}\r\n\r\n", body.len());
+    let head =
+        format!("POST /v1/photos HTTP/1.1\r\nhost: localhost\r\ncontent-type: {content_type}\r\ncontent-length: {}\r\n\r\n", body.len());
     connection.raw().write_all(head.as_bytes()).ok()?;
     connection.raw().write_all(&body).ok()?;
     let answer = connection.receive("POST").ok()?;
@@ -104,7 +105,7 @@ fn a_crash_in_the_middle_of_ten_uploads_loses_and_doubles_none() {
         let next = AtomicUsize::new(0);
         // one upload that never gets to its end
         let mut half = Connection::open(addr);
-        half.raw().write_all(b"POST /v1/photos HTTP/1.1\r\nhost: x\r\ncontent-length: 100000\r\n\r\nhalf of it").unwrap();
+        half.raw().write_all(b"POST /v1/photos HTTP/1.1\r\nhost: localhost\r\ncontent-length: 100000\r\n\r\nhalf of it").unwrap();
         std::thread::scope(|scope| {
             for _ in 0..3 {
                 scope.spawn(|| {

@@ -26,7 +26,7 @@ fn the_atlas_whole_in_parts_and_not_at_all() {
     let whole = fetch("GET", &[]);
     assert_eq!(whole.status, 200);
     assert_eq!(whole.header("content-type"), Some("application/vnd.tmpi"));
-    assert_eq!(whole.header("cache-control"), Some("public, max-age=31536000, immutable"));
+    assert_eq!(whole.header("cache-control"), Some("no-cache"));
     assert_eq!(whole.header("accept-ranges"), Some("bytes"));
     assert!(whole.body.starts_with(b"TMPI"));
     assert!(tmpi_core::container::decode(&whole.body).is_ok());
@@ -235,7 +235,7 @@ fn depth_report_and_thumbnail() {
     let small = image::load_from_memory(&thumbnail.body).unwrap();
     assert!(small.width().max(small.height()) <= 320);
     for answer in [&depth, &thumbnail] {
-        assert!(answer.header("etag").is_some() && answer.header("cache-control").unwrap().contains("immutable"));
+        assert!(answer.header("etag").is_some() && answer.header("cache-control") == Some("no-cache"));
     }
 }
 
@@ -311,15 +311,9 @@ fn pages_and_the_headers_of_every_answer() {
         let answer = request(server.addr, "GET", path, &[("origin", "https://example.org"), ("x-request-id", "mine-1")], &[]);
         assert_eq!(answer.header("x-content-type-options"), Some("nosniff"), "{path}");
         assert_eq!(answer.header("x-request-id"), Some("mine-1"));
-        assert_eq!(answer.header("access-control-allow-origin"), Some("*"));
         assert!(answer.header("referrer-policy").is_some() && answer.header("content-security-policy").is_some());
         assert!(answer.all("server-timing").contains("total;dur="));
     }
-    let preflight = |method| {
-        let headers = [("origin", "https://example.org"), ("access-control-request-method", method)];
-        request(server.addr, "OPTIONS", "/v1/photos", &headers, &[]).header("access-control-allow-methods").unwrap_or_default().to_owned()
-    };
-    assert!(preflight("GET").contains("GET") && !preflight("DELETE").contains("DELETE") && !preflight("POST").contains("POST"));
 }
 
 #[test]
@@ -331,7 +325,7 @@ fn health_and_metrics() {
     }
     assert_eq!(get(server.addr, &format!("{photo}/view?w=8")).status, 200);
     let metrics = get(server.addr, "/metrics");
-    assert!(metrics.header("content-type").unwrap().starts_with("text/plain"));
+    assert!(metrics.header("content-type").unwrap().starts_with("application/openmetrics-text"));
     let text = String::from_utf8(metrics.body).unwrap();
     let value = |name: &str| {
         text.lines().find_map(|l| l.strip_prefix(name)?.trim().parse::<f64>().ok()).unwrap_or_else(|| panic!("{name} in\n{text}"))

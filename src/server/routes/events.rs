@@ -2,20 +2,25 @@
 
 use std::convert::Infallible;
 use std::sync::Arc;
+use std::time::Duration;
 
 use axum::extract::{Path, State};
-use axum::http::header;
+use axum::http::{StatusCode, header};
 use axum::response::sse::{Event, KeepAlive, Sse};
 use axum::response::{IntoResponse, Response};
 use futures_util::stream;
 use serde::Serialize;
-use tokio::sync::watch;
+use tokio::sync::{OwnedSemaphorePermit, watch};
 
+use super::query::NoQuery;
 use super::state::{PhotoState, Progress};
 use crate::server::app::App;
 use crate::server::conditional::insert;
 use crate::server::entry::{Entry, Live, Status};
 use crate::server::problem::Problem;
+
+/// Pause between two looks at the queue.
+const QUEUE_LOOK: Duration = Duration::from_secs(1);
 
 /// Where a photo stands in the queue.
 #[derive(Serialize)]
@@ -30,9 +35,10 @@ struct Listener {
     watch: watch::Receiver<Live>,
     /// Stages told so far.
     stages: usize,
-    /// True once `queued` was told and nothing since.
-    queued: bool,
+    /// Place in the queue that was told last, and nothing since.
+    queued: Option<usize>,
     ended: bool,
+    _place: OwnedSemaphorePermit,
 }
 
 impl Listener {
@@ -46,6 +52,8 @@ impl Listener {
             let stop = self.app.stop.clone();
             tokio::select! {
                 changed = self.watch.changed() => self.ended |= changed.is_err(),
+                // the queue moves without a word to those who wait in it
+                () = tokio::time::sleep(QUEUE_LOOK), if self.queued.is_some() => {}
                 // the client comes back by itself
                 () = stop.cancelled() => self.ended = true,
             }
@@ -61,14 +69,15 @@ impl Listener {
         self.stages = live.stages.len();
         match &live.status {
             Status::Queued => {
-                if !std::mem::replace(&mut self.queued, true) {
-                    events.push(event("queued", &Position { position: self.app.jobs.position(self.entry.id).unwrap_or(0) }));
+                let position = self.app.jobs.position(self.entry.id).unwrap_or(0);
+                if self.queued.replace(position) != Some(position) {
+                    events.push(event("queued", &Position { position }));
                 }
                 return events;
             }
             Status::Working => {}
             Status::Done(_) => {
-                events.extend(PhotoState::from_live(&self.app.jobs, &self.entry, live).map(|s| event("done", &s)));
+                events.extend(PhotoState::from_live(&self.app, &self.entry, live).map(|s| event("done", &s)));
                 self.ended = true;
             }
             Status::Failed(failed) => {
@@ -80,7 +89,7 @@ impl Listener {
                 self.ended = true;
             }
         }
-        self.queued = false;
+        self.queued = None;
         events
     }
 }
@@ -92,23 +101,29 @@ fn event<T: Serialize>(name: &'static str, data: &T) -> Event {
 
 /// Progress of a photo as server-sent events.
 ///
-/// Events: `queued` (`{"position": N}`), `stage` (a `Progress`), and at the end one of `done` (a `PhotoState`), `failed` (a
+/// Events: `queued` (`{"position": N}`, again when it moves up), `stage` (a `Progress`), and at the end one of `done` (a `PhotoState`), `failed` (a
 /// `Problem`) or `deleted`; then the stream ends. A client that connects late is told the last event first.
 #[utoipa::path(
     get, path = "/v1/photos/{id}/events", tag = "photos", params(("id" = String, Path, description = "Id of the photo")),
     responses(
         (status = 200, description = "Events until the photo is done, has failed or is deleted", body = Progress, content_type = "text/event-stream"),
+        (status = 400, description = "There are no parameters here", body = Problem, content_type = "application/problem+json"),
         (status = 404, description = "There is no such photo", body = Problem, content_type = "application/problem+json"),
+        (status = 503, description = "Too many streams are open", body = Problem, content_type = "application/problem+json"),
     )
 )]
-pub async fn events(State(app): State<App>, Path(id): Path<String>) -> Result<Response, Problem> {
+pub async fn events(State(app): State<App>, Path(id): Path<String>, _: NoQuery) -> Result<Response, Problem> {
     let entry = app.photo(&id)?;
+    let Ok(place) = Arc::clone(&app.streams).try_acquire_owned() else {
+        let detail = "as many event streams are open as may";
+        return Err(Problem::new(StatusCode::SERVICE_UNAVAILABLE, "busy", detail).retry_after(5));
+    };
     let watch = entry.watch();
     // the last state alone, then everything
     let seen = entry.live();
     let stages = if seen.status.is_final() { seen.stages.len() } else { seen.stages.len().saturating_sub(1) };
     let keep_alive = KeepAlive::new().interval(app.limits.keep_alive);
-    let listener = Listener { app, entry, watch, stages, queued: false, ended: false };
+    let listener = Listener { app, entry, watch, stages, queued: None, ended: false, _place: place };
     let batches = stream::unfold(listener, async |mut listener| listener.next().await.map(|events| (events, listener)));
     let events = futures_util::StreamExt::flat_map(batches, |events| stream::iter(events.into_iter().map(Ok::<_, Infallible>)));
     let mut response = Sse::new(events).keep_alive(keep_alive).into_response();

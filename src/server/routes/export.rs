@@ -3,30 +3,33 @@
 use std::sync::Arc;
 use std::time::Instant;
 
-use axum::extract::{Path, Query, State};
-use axum::http::{HeaderMap, HeaderName, Uri, header};
+use axum::extract::{Extension, Path, State};
+use axum::http::{HeaderMap, HeaderName, StatusCode, Uri, header};
 use axum::response::Response;
-use sha2::{Digest, Sha256};
+use tokio_util::sync::CancellationToken;
 
-use crate::export::{self, ExportFormat};
-use crate::server::app::{App, Shared};
-use crate::server::conditional::{Entity, insert, is_known, respond};
-use crate::server::id::hex;
+use super::query::Pairs;
+use crate::export::{self, ExportError, ExportFormat};
+use crate::server::app::{App, Export, Shared, Stored, scene_bytes};
+use crate::server::clock::Clock;
+use crate::server::conditional::{Entity, insert, kept, known_as, not_modified, respond};
+use crate::server::identity;
+use crate::server::pool::Class;
 use crate::server::problem::Problem;
-use crate::server::store::Part;
 
-/// The same photo gives the same file, but a newer program may write it better.
-const CACHED: &str = "public, max-age=86400";
 /// Title of a page: the server knows no name of a photo.
 const TITLE: &str = "3D photo";
 
 /// Format of an export.
-#[derive(Clone, Copy, Debug, Default, PartialEq, utoipa::IntoParams)]
+#[derive(Clone, Debug, Default, PartialEq, utoipa::IntoParams)]
 #[into_params(parameter_in = Query)]
 pub struct ExportQuery {
     /// `html`, `glb` or `zip`; `html` if it is not given.
     #[param(value_type = Option<String>)]
     pub format: ExportFormat,
+    /// Version as in the photo's `links`: the file is kept for a year then.
+    #[param(rename = "v")]
+    pub version: Option<String>,
 }
 
 impl ExportQuery {
@@ -35,19 +38,12 @@ impl ExportQuery {
     /// # Errors
     /// 400 that names the first parameter that is unknown, given twice or wrong.
     pub fn read(uri: &Uri) -> Result<Self, Problem> {
-        let Query(pairs) = Query::<Vec<(String, String)>>::try_from_uri(uri).map_err(|e| Problem::bad_request(e.body_text()))?;
-        let mut format = None;
-        for (name, value) in pairs {
-            if name != "format" {
-                return Err(Problem::parameter(name, "there is no such parameter; there is format"));
-            }
-            if format.is_some() {
-                return Err(Problem::parameter(name, "is given twice"));
-            }
-            let known = ExportFormat::from_extension(&value);
-            format = Some(known.ok_or_else(|| Problem::parameter("format", format!("must be html, glb or zip, not {value:?}")))?);
-        }
-        Ok(Self { format: format.unwrap_or_default() })
+        let mut pairs = Pairs::read(uri, &["format", "v"])?;
+        let format = pairs.get("format").map_or(Ok(ExportFormat::default()), |value| {
+            let known = ExportFormat::from_extension(value);
+            known.ok_or_else(|| Problem::parameter("format", format!("must be html, glb or zip, not {value:?}")))
+        })?;
+        Ok(Self { format, version: pairs.take("v") })
     }
 }
 
@@ -76,32 +72,51 @@ impl ExportQuery {
         (status = 503, description = "Too much waits", body = Problem, content_type = "application/problem+json"),
     )
 )]
-pub async fn export(State(app): State<App>, Path(id): Path<String>, uri: Uri, headers: HeaderMap) -> Result<Response, Problem> {
+pub async fn export(
+    State(app): State<App>,
+    Extension(clock): Extension<Clock>,
+    Path(id): Path<String>,
+    uri: Uri,
+    headers: HeaderMap,
+) -> Result<Response, Problem> {
     let entry = app.photo(&id)?;
-    let ExportQuery { format } = ExportQuery::read(&uri)?;
+    let ExportQuery { format, version: asked } = ExportQuery::read(&uri)?;
     let (version, done) = Shared::done(&entry)?;
-    let what = format!("export {} {} {format:?}", env!("CARGO_PKG_VERSION"), done.atlas_hash);
-    let etag = format!("\"{}\"", hex(&Sha256::digest(what)[..16]));
+    let results = app.version(&done);
+    let cache_control = kept(asked.as_deref(), &results);
+    let made = identity::short(&format!("export {results} {format:?}"));
+    if let Some(etag) = known_as(&headers, &made) {
+        return Ok(not_modified(etag, cache_control));
+    }
+    clock.allow(app.limits.export);
     let mut took = None;
-    let bytes = if is_known(&headers, &etag) {
-        bytes::Bytes::new()
-    } else {
-        let container = app.file(version, Part::Atlas).await?.bytes;
+    let write = async {
+        let gone = CancellationToken::new();
+        let _guard = gone.clone().drop_guard();
+        let slot = app.pool.enter(Class::Export, scene_bytes(&done)).await?;
         // a page carries the container as it is
-        let scene = if format == ExportFormat::Html { None } else { Some(app.scene(version).await?.0) };
-        let written = app.pool.run(move || {
-            let start = Instant::now();
+        let scene = if format == ExportFormat::Html { None } else { Some(app.scene(version, &slot).await?.0) };
+        let (read, name, shared) = (app.reading(version), made.clone(), Arc::clone(&app));
+        let written = slot.run(move || {
+            let (start, container) = (Instant::now(), read()?);
             let bytes = match scene {
                 None => export::html(&container, TITLE),
-                Some(scene) => export::export(format, &container, &Arc::clone(&scene), TITLE),
+                Some(scene) => export::export(format, &container, &scene, TITLE, &|| gone.is_cancelled()),
             };
-            bytes.map(|bytes| (bytes, start.elapsed())).map_err(|e| Problem::internal("exporting a photo", &e))
+            let bytes = bytes.map_err(|e| match e {
+                ExportError::Cancelled => Problem::new(StatusCode::SERVICE_UNAVAILABLE, "cancelled", e.to_string()).retry_after(1),
+                e => Problem::internal("exporting a photo", &e),
+            })?;
+            let stored = Stored::derived(Some(&name), bytes, &shared.scratch)?;
+            Ok::<_, Problem>((Export(stored), start.elapsed()))
         });
-        let (bytes, elapsed) = written.await??;
+        let (export, elapsed) = written.await??;
         took = Some(elapsed);
-        bytes.into()
+        Ok::<_, Problem>(export)
     };
-    let mut response = respond(&headers, Entity { bytes, etag: &etag, content_type: format.media_type(), cache_control: CACHED });
+    let Export(stored) = app.exports.get((version, made.clone()), write).await?;
+    let entity = Entity { source: stored.source, etag: &stored.etag, content_type: format.media_type(), cache_control };
+    let mut response = respond(&headers, entity);
     let name = format!("attachment; filename=\"{}.{}\"", entry.id, format.extension());
     insert(&mut response, header::CONTENT_DISPOSITION, &name);
     if let Some(took) = took {

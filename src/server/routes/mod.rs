@@ -3,6 +3,7 @@
 mod events;
 mod export;
 mod photos;
+mod query;
 mod results;
 mod state;
 mod system;
@@ -11,11 +12,13 @@ mod view_query;
 
 use axum::Router;
 use axum::extract::DefaultBodyLimit;
-use axum::http::{HeaderName, Method, StatusCode, header};
-use axum::middleware::from_fn_with_state;
+use axum::http::{HeaderName, HeaderValue, Method, StatusCode, header};
+use axum::middleware::{from_fn_with_state, map_response};
+use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 use bytes::Bytes;
 use tower_http::cors::{AllowOrigin, CorsLayer};
+use tower_http::csrf::{CsrfLayer, ProtectionError};
 use utoipa::OpenApi;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
@@ -31,7 +34,9 @@ use super::problem::Problem;
 #[openapi(
     info(
         title = "tmpi",
-        description = "Turns an uploaded photo into a tiled multiplane image and serves it. Every error is a problem document (RFC 9457)."
+        description = "Turns an uploaded photo into a tiled multiplane image and serves it. Every error is a problem document (RFC 9457). \
+                       On every route: a request has one Host (else 400) that is the server's own (else 421); parameters are known and given \
+                       once (else 400); changes by pages of other sites are refused (403)."
     ),
     tags(
         (name = "photos", description = "Photos and what is made of them"),
@@ -41,21 +46,51 @@ use super::problem::Problem;
 )]
 struct Document;
 
-fn api() -> OpenApiRouter<App> {
-    OpenApiRouter::with_openapi(Document::openapi())
-        .routes(routes!(photos::upload, photos::list))
-        .routes(routes!(photos::state, photos::change, photos::delete))
-        .routes(routes!(events::events))
+/// What elements and frames on other sites need.
+fn open_api() -> OpenApiRouter<App> {
+    OpenApiRouter::new()
+        .routes(routes!(photos::settings))
         .routes(routes!(results::atlas))
-        .routes(routes!(results::depth))
         .routes(routes!(results::report))
         .routes(routes!(results::thumbnail))
         .routes(routes!(view::view))
         .routes(routes!(export::export))
+}
+
+/// What is for this server's own pages and for programs.
+fn own_api() -> OpenApiRouter<App> {
+    OpenApiRouter::with_openapi(Document::openapi())
+        .routes(routes!(photos::upload, photos::list))
+        .routes(routes!(photos::state, photos::change, photos::delete))
+        .routes(routes!(events::events))
+        .routes(routes!(results::depth))
         .routes(routes!(system::healthz))
         .routes(routes!(system::readyz))
         .routes(routes!(system::metrics))
         .routes(routes!(system::openapi))
+}
+
+/// The answer to a method that an address does not have.
+async fn no_method(method: Method) -> Problem {
+    Problem::new(StatusCode::METHOD_NOT_ALLOWED, "method", format!("{method} is not possible at this address"))
+}
+
+/// Says that any site may take the answer in as a picture.
+async fn open_to_all(mut response: Response) -> Response {
+    response.headers_mut().insert(pages::RESOURCE_POLICY, HeaderValue::from_static("cross-origin"));
+    response
+}
+
+/// Leave for pages of any site to read an answer.
+fn cors() -> CorsLayer {
+    let exposed =
+        ["etag", "content-range", "accept-ranges", "content-length", "server-timing", "x-request-id", "retry-after", "content-disposition"];
+    CorsLayer::new()
+        .allow_origin(AllowOrigin::any())
+        .allow_methods([Method::GET, Method::HEAD])
+        .allow_headers([header::RANGE, header::IF_NONE_MATCH, header::IF_RANGE, header::ACCEPT])
+        .expose_headers(exposed.map(HeaderName::from_static))
+        .max_age(std::time::Duration::from_hours(24))
 }
 
 /// The `OpenAPI` document as JSON.
@@ -63,42 +98,30 @@ fn api() -> OpenApiRouter<App> {
 /// # Errors
 /// It cannot be written as JSON.
 pub fn openapi() -> serde_json::Result<Bytes> {
-    api().into_openapi().to_pretty_json().map(Bytes::from)
+    own_api().merge(open_api()).into_openapi().to_pretty_json().map(Bytes::from)
 }
 
 /// The whole service.
 pub fn router(app: App) -> Router {
-    let (router, _) = api().split_for_parts();
-    let exposed = [
-        "etag",
-        "content-range",
-        "accept-ranges",
-        "content-length",
-        "server-timing",
-        "location",
-        "x-request-id",
-        "retry-after",
-        "content-disposition",
-    ];
-    // other sites may embed what is made here; they may not upload or delete
-    let cors = CorsLayer::new()
-        .allow_origin(AllowOrigin::any())
-        .allow_methods([Method::GET, Method::HEAD])
-        .allow_headers([header::RANGE, header::IF_NONE_MATCH, header::IF_RANGE, header::ACCEPT, HeaderName::from_static("last-event-id")])
-        .expose_headers(exposed.map(HeaderName::from_static))
-        .max_age(std::time::Duration::from_hours(24));
+    let (router, _) = own_api().split_for_parts();
+    let (open, _) = open_api().split_for_parts();
+    // before the layers, so that these see every method: questions before a request (preflights) are OPTIONS
+    let open = open.method_not_allowed_fallback(no_method).layer(map_response(open_to_all));
+    let scripts = Router::new().route("/static/{*name}", get(pages::file)).route("/tmpi-viewer.js", get(pages::script));
+    let scripts = scripts.method_not_allowed_fallback(no_method);
+    let foreign = |_: ProtectionError| {
+        Problem::new(StatusCode::FORBIDDEN, "cross-site", "a page of another site may not change anything here").into_response()
+    };
     router
+        .merge(open.merge(scripts).layer(cors()))
         .route("/", get(pages::index))
         .route("/demo", get(pages::demo))
         .route("/view/{id}", get(pages::view))
-        .route("/static/{*name}", get(pages::file))
-        .route("/tmpi-viewer.js", get(pages::script))
+        .route("/embed/{id}", get(pages::embed))
         .fallback(async || Problem::not_found("there is nothing at this address"))
-        .method_not_allowed_fallback(async |method: Method| {
-            Problem::new(StatusCode::METHOD_NOT_ALLOWED, "method", format!("{method} is not possible at this address"))
-        })
+        .method_not_allowed_fallback(no_method)
         .layer(DefaultBodyLimit::disable())
+        .layer(CsrfLayer::new().with_rejection_response(foreign))
         .layer(from_fn_with_state(app.clone(), middleware::around))
-        .layer(cors)
         .with_state(app)
 }

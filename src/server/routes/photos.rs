@@ -4,13 +4,15 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use axum::Json;
-use axum::extract::{Path, Query, Request, State};
+use axum::extract::{Extension, Path, Query, Request, State};
 use axum::http::{HeaderMap, HeaderName, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 
+use super::query::{NoQuery, Pairs};
 use super::state::{PhotoList, PhotoState};
 use crate::server::app::{App, Stored};
 use crate::server::body;
+use crate::server::clock::Clock;
 use crate::server::conditional::{Entity, REVALIDATE, insert, respond};
 use crate::server::entry::{Entry, Status};
 use crate::server::id::PhotoId;
@@ -92,14 +94,15 @@ pub struct UploadForm {
         (status = 507, description = "The disk is full", body = Problem, content_type = "application/problem+json"),
     )
 )]
-pub async fn upload(State(app): State<App>, request: Request) -> Result<Response, Problem> {
-    let start = tokio::time::Instant::now();
+pub async fn upload(State(app): State<App>, Extension(clock): Extension<Clock>, request: Request) -> Result<Response, Problem> {
     let wait = prefer_wait(request.headers());
-    let query = query(request.uri().query())?;
+    let Query(query) = Query::try_from_uri(request.uri()).map_err(|e| Problem::bad_request(e.body_text()))?;
     let entry = upload::take(&app, query, request).await?.entry;
     let mut ready = false;
     if let Some(seconds) = wait {
-        let until = (start + app.limits.request.saturating_sub(ANSWER)).min(start + Duration::from_secs(seconds));
+        // counted from the end of the body; the longest wait is what the request has left
+        let left = clock.deadline().map_or(Duration::ZERO, |at| at.saturating_duration_since(tokio::time::Instant::now()));
+        let until = tokio::time::Instant::now() + left.saturating_sub(ANSWER).min(Duration::from_secs(seconds));
         ready = wait_for(&app, &entry, until).await;
     }
     if let (true, Status::Failed(failed)) = (ready, entry.status()) {
@@ -107,7 +110,7 @@ pub async fn upload(State(app): State<App>, request: Request) -> Result<Response
         insert(&mut response, header::LOCATION, &format!("/v1/photos/{}", entry.id));
         return Ok(response);
     }
-    let state = PhotoState::of(&app.jobs, &entry).ok_or_else(|| Problem::not_found("the photo was deleted meanwhile"))?;
+    let state = PhotoState::of(&app, &entry).ok_or_else(|| Problem::not_found("the photo was deleted meanwhile"))?;
     let status = if ready { StatusCode::CREATED } else { StatusCode::ACCEPTED };
     let location = state.links.this.clone();
     let mut response = (status, Json(state)).into_response();
@@ -138,12 +141,6 @@ fn prefer_wait(headers: &HeaderMap) -> Option<u64> {
     })
 }
 
-/// The parameters of a query in their order.
-fn query(text: Option<&str>) -> Result<Vec<(String, String)>, Problem> {
-    let uri = format!("/?{}", text.unwrap_or_default()).parse().map_err(|_| Problem::bad_request("the query cannot be read"))?;
-    Query::try_from_uri(&uri).map(|Query(pairs)| pairs).map_err(|e| Problem::bad_request(e.body_text()))
-}
-
 /// Parameters of the list.
 #[derive(Debug, Default, serde::Deserialize, utoipa::IntoParams)]
 #[into_params(parameter_in = Query)]
@@ -157,34 +154,39 @@ pub struct ListQuery {
 }
 
 /// List photos, newest first.
+///
+/// Only for this machine's own user: where the server is bound beyond loopback, is asked under another name than loopback's, or a proxy
+/// passes the request on, the list is closed unless the server was started with `--public-list`.
 #[utoipa::path(
     get, path = "/v1/photos", tag = "photos", params(ListQuery),
     responses(
         (status = 200, description = "A page of the list", body = PhotoList),
         (status = 400, description = "A parameter is wrong", body = Problem, content_type = "application/problem+json"),
+        (status = 403, description = "The list is closed", body = Problem, content_type = "application/problem+json"),
     )
 )]
 pub async fn list(State(app): State<App>, request: Request) -> Result<Json<PhotoList>, Problem> {
-    let (mut limit, mut after) = (DEFAULT_PAGE.min(app.limits.page), None);
-    for (name, value) in query(request.uri().query())? {
-        match name.as_str() {
-            "limit" => {
-                let most = app.limits.page;
-                let n = value.parse().ok().filter(|n| (1..=most).contains(n));
-                limit = n.ok_or_else(|| Problem::parameter("limit", format!("must be from 1 to {most}, not {value:?}")))?;
-            }
-            "after" => {
-                let known = cursor(&app, &value);
-                after = Some(known.ok_or_else(|| Problem::parameter("after", format!("there is no photo {value:?}")))?);
-            }
-            _ => return Err(Problem::parameter(name, "there is no such parameter; there are limit, after")),
-        }
+    if !app.public_list && !app.hosts.is_own(request.headers()) {
+        let detail =
+            "photos are listed to this machine's own user alone, at a loopback address; tmpi serve --public-list opens the list to all";
+        return Err(Problem::new(StatusCode::FORBIDDEN, "list-closed", detail));
     }
+    let pairs = Pairs::read(request.uri(), &["limit", "after"])?;
+    let most = app.limits.page;
+    let limit = pairs.get("limit").map_or(Ok(DEFAULT_PAGE.min(most)), |text| {
+        let n = text.parse().ok().filter(|n| (1..=most).contains(n));
+        n.ok_or_else(|| Problem::parameter("limit", format!("must be from 1 to {most}, not {text:?}")))
+    })?;
+    let after = pairs.get("after").map(|text| {
+        let known = cursor(&app, text);
+        known.ok_or_else(|| Problem::parameter("after", format!("there is no photo {text:?}")))
+    });
+    let after = after.transpose()?;
     let page = app.jobs.list(after, limit);
     // the next page is found by age as well, so that it is found even if the last photo of this one is deleted
     let last = page.photos.last().filter(|_| page.more).map(|e| e.key());
     let next = last.map(|(at_ms, id)| format!("/v1/photos?limit={limit}&after={at_ms}-{id}"));
-    let photos = page.photos.iter().filter_map(|entry| PhotoState::of(&app.jobs, entry)).collect();
+    let photos = page.photos.iter().filter_map(|entry| PhotoState::of(&app, entry)).collect();
     Ok(Json(PhotoList { photos, next }))
 }
 
@@ -205,17 +207,37 @@ fn cursor(app: &App, text: &str) -> Option<(u64, PhotoId)> {
         (status = 404, description = "There is no such photo", body = Problem, content_type = "application/problem+json"),
     )
 )]
-pub async fn state(State(app): State<App>, Path(id): Path<String>, headers: HeaderMap) -> Result<Response, Problem> {
+pub async fn state(State(app): State<App>, Path(id): Path<String>, _: NoQuery, headers: HeaderMap) -> Result<Response, Problem> {
     let entry = app.photo(&id)?;
     let state = state_now(&app, &entry)?;
-    Ok(respond(&headers, Entity { bytes: state.bytes, etag: &state.etag, content_type: "application/json", cache_control: REVALIDATE }))
+    Ok(respond(&headers, Entity { source: state.source, etag: &state.etag, content_type: "application/json", cache_control: REVALIDATE }))
+}
+
+/// What the owner of a photo wants of its viewers.
+///
+/// Any site may read it: it is what an element on another site's page needs besides the container.
+#[utoipa::path(
+    get, path = "/v1/photos/{id}/settings", tag = "photos", params(("id" = String, Path, description = "Id of the photo")),
+    responses(
+        (status = 200, description = "The settings", body = Settings),
+        (status = 304, description = "The client has it"),
+        (status = 400, description = "There are no parameters here", body = Problem, content_type = "application/problem+json"),
+        (status = 404, description = "There is no such photo", body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub async fn settings(State(app): State<App>, Path(id): Path<String>, _: NoQuery, headers: HeaderMap) -> Result<Response, Problem> {
+    let settings = app.photo(&id)?.settings();
+    let bytes = serde_json::to_vec(&settings).map_err(|e| Problem::internal("writing a photo's settings", &e))?;
+    let file = Stored::new(bytes);
+    let entity = Entity { source: file.source, etag: &file.etag, content_type: "application/json", cache_control: REVALIDATE };
+    Ok(respond(&headers, entity))
 }
 
 /// The state as it is sent, with its version.
 fn state_now(app: &App, entry: &Entry) -> Result<Stored, Problem> {
-    let state = PhotoState::of(&app.jobs, entry).ok_or_else(|| Problem::not_found("the photo was deleted"))?;
+    let state = PhotoState::of(app, entry).ok_or_else(|| Problem::not_found("the photo was deleted"))?;
     let bytes = serde_json::to_vec(&state).map_err(|e| Problem::internal("writing a photo's state", &e))?;
-    Ok(Stored::sized(bytes).0)
+    Ok(Stored::new(bytes))
 }
 
 /// Change the settings of a photo.
@@ -238,7 +260,7 @@ fn state_now(app: &App, entry: &Entry) -> Result<Stored, Problem> {
         (status = 415, description = "Not JSON", body = Problem, content_type = "application/problem+json"),
     )
 )]
-pub async fn change(State(app): State<App>, Path(id): Path<String>, request: Request) -> Result<Response, Problem> {
+pub async fn change(State(app): State<App>, Path(id): Path<String>, _: NoQuery, request: Request) -> Result<Response, Problem> {
     let entry = app.photo(&id)?;
     let (parts, body) = request.into_parts();
     let kind = parts.headers.get(header::CONTENT_TYPE).and_then(|v| v.to_str().ok()).unwrap_or_default();
@@ -257,6 +279,9 @@ pub async fn change(State(app): State<App>, Path(id): Path<String>, request: Req
     let changed = tokio::task::spawn_blocking(move || {
         // one change at a time, and none into a folder that goes
         let _gate = entry.gate();
+        if entry.is_deleted() {
+            return Err(Problem::not_found("the photo was deleted"));
+        }
         still_as_seen(&parts.headers, &state_now(&shared, &entry)?.etag)?;
         let settings = entry.settings().patched(&patch)?;
         shared.jobs.store.write_settings(entry.id, &settings).map_err(|e| Problem::store(&e))?;
@@ -264,7 +289,8 @@ pub async fn change(State(app): State<App>, Path(id): Path<String>, request: Req
         state_now(&shared, &entry)
     });
     let state = changed.await.map_err(|e| Problem::internal("changing settings", &e))??;
-    let mut response = Response::new(axum::body::Body::from(state.bytes));
+    let length = state.source.len();
+    let mut response = Response::new(state.source.body(0..length));
     insert(&mut response, header::CONTENT_TYPE, "application/json");
     insert(&mut response, header::ETAG, &state.etag);
     Ok(response)
@@ -280,15 +306,12 @@ pub async fn change(State(app): State<App>, Path(id): Path<String>, request: Req
         (status = 404, description = "There is no such photo", body = Problem, content_type = "application/problem+json"),
     )
 )]
-pub async fn delete(State(app): State<App>, Path(id): Path<String>) -> Result<StatusCode, Problem> {
+pub async fn delete(State(app): State<App>, Path(id): Path<String>, _: NoQuery) -> Result<StatusCode, Problem> {
     let photo = app.photo(&id)?.id;
     let shared = Arc::clone(&app);
     let deleted = tokio::task::spawn_blocking(move || shared.jobs.delete(photo));
     let deleted = deleted.await.map_err(|e| Problem::internal("deleting a photo", &e))??;
-    app.scenes.retain(|(of, _)| *of != photo);
-    app.views.retain(|((of, _), _)| *of != photo);
-    app.files.retain(|((of, _), _)| *of != photo);
-    app.levels.retain(|((of, _), ..)| *of != photo);
+    app.forget(photo).await;
     if deleted { Ok(StatusCode::NO_CONTENT) } else { Err(Problem::not_found("the photo was deleted already")) }
 }
 

@@ -4,17 +4,18 @@ use axum::extract::{Path, State};
 use axum::http::{HeaderMap, Uri};
 use axum::response::Response;
 
-use crate::server::app::{App, Shared, Stored};
-use crate::server::conditional::{Entity, IMMUTABLE, respond};
+use super::query::{OnlyVersion, Pairs};
+use crate::server::app::{App, Shared};
+use crate::server::conditional::{Entity, kept, respond};
 use crate::server::problem::Problem;
 use crate::server::store::Part;
 use tmpi_core::Rect;
-use tmpi_core::container::{self, LEVELS, MEDIA_TYPE, SECTIONS};
+use tmpi_core::container::{LEVELS, MEDIA_TYPE, SECTIONS};
 
 /// The container of a photo.
 ///
 /// Its index says where each section lies, so that these can be fetched one by one with `Range`; or `sections` names those that a
-/// smaller container is to hold. The entity tag is strong, other for every level and choice of sections, and the bytes never change.
+/// smaller container is to hold. The entity tag is strong and other for every level and choice of sections.
 /// A smaller level has the same planes over a photo of half, a quarter or an eighth of the size. With `region` it is the container of
 /// the fewest whole tiles that cover a rectangle of the photo, at the same poses; the photo's part of it is coded anew as levels are.
 #[utoipa::path(
@@ -30,6 +31,8 @@ use tmpi_core::container::{self, LEVELS, MEDIA_TYPE, SECTIONS};
         ("sections" = Option<String>, Query, description = "Which of `index` (always there), `photo`, `planes`, `labels`, `alpha` and \
             `hidden` the container is to hold, with commas between them; all if it is not given. What a photo does not have is left out",
             example = "photo"),
+        ("v" = Option<String>, Query, description = "Version as in the photo's `links`: what lies there never changes and is kept for a \
+            year; without it, or where there is another version now, browsers ask again"),
         ("Range" = Option<String>, Header, description = "One range of bytes"),
         ("If-Range" = Option<String>, Header, description = "Entity tag that the range is meant for"),
         ("If-None-Match" = Option<String>, Header, description = "Entity tags that the client has"),
@@ -49,30 +52,20 @@ use tmpi_core::container::{self, LEVELS, MEDIA_TYPE, SECTIONS};
 pub async fn atlas(State(app): State<App>, Path(id): Path<String>, uri: Uri, headers: HeaderMap) -> Result<Response, Problem> {
     let entry = app.photo(&id)?;
     // a wrong query is wrong whether the photo is finished or not
-    wanted_level(&uri, 0)?;
-    let (sections, region) = (wanted_sections(&uri)?, wanted_region(&uri)?);
+    let pairs = Pairs::read(&uri, &["level", "fit", "region", "sections", "v"])?;
+    wanted_level(&pairs, 0)?;
+    let (sections, region) = (wanted_sections(&pairs)?, wanted_region(&pairs)?);
     let (version, done) = Shared::done(&entry)?;
     let side = region.map_or(done.width.max(done.height), |r| r.w.max(r.h));
-    let level = wanted_level(&uri, side)?;
-    let mut file = match region {
-        Some(region) => app.region(version, level, region).await?,
-        None => app.level(version, level).await?,
-    };
-    if let Some(names) = sections {
-        file = Stored::new(container::select(&file.bytes, &names).map_err(|e| Problem::from(&e))?);
-    }
-    Ok(respond(&headers, Entity { bytes: file.bytes, etag: &file.etag, content_type: MEDIA_TYPE, cache_control: IMMUTABLE }))
-}
-
-/// Value of a parameter of the query; parameters that nobody knows are ignored.
-fn parameter<'a>(uri: &'a Uri, name: &str) -> Option<&'a str> {
-    uri.query().unwrap_or_default().split('&').find_map(|p| p.strip_prefix(name)?.strip_prefix('='))
+    let level = wanted_level(&pairs, side)?;
+    let cache_control = kept(pairs.get("v"), &app.version(&done));
+    let file = app.container(version, &done, (level, region), sections.as_deref()).await?;
+    Ok(respond(&headers, Entity { source: file.source, etag: &file.etag, content_type: MEDIA_TYPE, cache_control }))
 }
 
 /// Names of the sections that a query asks for; none where it does not say.
-fn wanted_sections(uri: &Uri) -> Result<Option<Vec<&'static str>>, Problem> {
-    let Some(list) = parameter(uri, "sections") else { return Ok(None) };
-    let list = with_commas(list);
+fn wanted_sections(pairs: &Pairs) -> Result<Option<Vec<&'static str>>, Problem> {
+    let Some(list) = pairs.get("sections") else { return Ok(None) };
     let known = |name: &str| {
         let unknown = || Problem::parameter("sections", format!("there is no section {name:?}; there are {}", SECTIONS.join(", ")));
         SECTIONS.into_iter().find(|s| *s == name).ok_or_else(unknown)
@@ -80,24 +73,18 @@ fn wanted_sections(uri: &Uri) -> Result<Option<Vec<&'static str>>, Problem> {
     list.split(',').map(known).collect::<Result<_, _>>().map(Some)
 }
 
-/// A comma may come as it is or escaped.
-fn with_commas(list: &str) -> String {
-    list.replace("%2C", ",").replace("%2c", ",")
-}
-
 /// The rectangle of the photo that a query asks for; none where it does not say.
-fn wanted_region(uri: &Uri) -> Result<Option<Rect>, Problem> {
-    parameter(uri, "region").map(|text| with_commas(text).parse().map_err(|e| Problem::parameter("region", e))).transpose()
+fn wanted_region(pairs: &Pairs) -> Result<Option<Rect>, Problem> {
+    pairs.get("region").map(|text| text.parse().map_err(|e| Problem::parameter("region", e))).transpose()
 }
 
 /// The level that a query asks for, of a photo whose longer side has `side` pixels.
-fn wanted_level(uri: &Uri, side: u32) -> Result<u8, Problem> {
-    let of = |name| parameter(uri, name);
-    if let Some(level) = of("level") {
+fn wanted_level(pairs: &Pairs, side: u32) -> Result<u8, Problem> {
+    if let Some(level) = pairs.get("level") {
         let range = || Problem::parameter("level", format!("must be 0 to {LEVELS}"));
         return level.parse().ok().filter(|l| *l <= LEVELS).ok_or_else(range);
     }
-    let Some(fit) = of("fit") else { return Ok(0) };
+    let Some(fit) = pairs.get("fit") else { return Ok(0) };
     let range = || Problem::parameter("fit", "must be 1 to 65535 pixels");
     let fit = fit.parse::<u16>().ok().filter(|f| *f > 0).ok_or_else(range)?;
     Ok((1..=LEVELS).take_while(|l| side >> l >= u32::from(fit)).last().unwrap_or(0))
@@ -105,49 +92,65 @@ fn wanted_level(uri: &Uri, side: u32) -> Result<u8, Problem> {
 
 /// The disparity that the photo was made with.
 #[utoipa::path(
-    get, path = "/v1/photos/{id}/depth", tag = "photos", params(("id" = String, Path, description = "Id of the photo")),
+    get, path = "/v1/photos/{id}/depth", tag = "photos",
+    params(
+        ("id" = String, Path, description = "Id of the photo"),
+        ("v" = Option<String>, Query, description = "Version as in the photo's `links`"),
+    ),
     responses(
         (status = 200, description = "Grey PNG of 16 bits, δ = v / 65535, larger is nearer", body = String, content_type = "image/png"),
         (status = 304, description = "The client has it"),
+        (status = 400, description = "A parameter is unknown or given twice", body = Problem, content_type = "application/problem+json"),
         (status = 404, description = "There is no such photo", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "Not finished yet", body = Problem, content_type = "application/problem+json"),
     )
 )]
-pub async fn depth(State(app): State<App>, Path(id): Path<String>, headers: HeaderMap) -> Result<Response, Problem> {
-    stored(&app, &id, &headers, Part::Disparity, "image/png").await
+pub async fn depth(State(app): State<App>, Path(id): Path<String>, v: OnlyVersion, headers: HeaderMap) -> Result<Response, Problem> {
+    stored(&app, &id, &v, &headers, Part::Disparity, "image/png").await
 }
 
 /// What was done, what was left out, and at what error and cost.
 #[utoipa::path(
-    get, path = "/v1/photos/{id}/report", tag = "photos", params(("id" = String, Path, description = "Id of the photo")),
+    get, path = "/v1/photos/{id}/report", tag = "photos",
+    params(
+        ("id" = String, Path, description = "Id of the photo"),
+        ("v" = Option<String>, Query, description = "Version as in the photo's `links`"),
+    ),
     responses(
         (status = 200, description = "The report", body = tmpi_pipeline::Report),
         (status = 304, description = "The client has it"),
+        (status = 400, description = "A parameter is unknown or given twice", body = Problem, content_type = "application/problem+json"),
         (status = 404, description = "There is no such photo", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "Not finished yet", body = Problem, content_type = "application/problem+json"),
     )
 )]
-pub async fn report(State(app): State<App>, Path(id): Path<String>, headers: HeaderMap) -> Result<Response, Problem> {
-    stored(&app, &id, &headers, Part::Report, "application/json").await
+pub async fn report(State(app): State<App>, Path(id): Path<String>, v: OnlyVersion, headers: HeaderMap) -> Result<Response, Problem> {
+    stored(&app, &id, &v, &headers, Part::Report, "application/json").await
 }
 
 /// A small picture of the photo.
 #[utoipa::path(
-    get, path = "/v1/photos/{id}/thumbnail", tag = "photos", params(("id" = String, Path, description = "Id of the photo")),
+    get, path = "/v1/photos/{id}/thumbnail", tag = "photos",
+    params(
+        ("id" = String, Path, description = "Id of the photo"),
+        ("v" = Option<String>, Query, description = "Version as in the photo's `links`"),
+    ),
     responses(
         (status = 200, description = "JPEG of at most 320 pixels a side", body = String, content_type = "image/jpeg"),
         (status = 304, description = "The client has it"),
+        (status = 400, description = "A parameter is unknown or given twice", body = Problem, content_type = "application/problem+json"),
         (status = 404, description = "There is no such photo", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "Not finished yet", body = Problem, content_type = "application/problem+json"),
     )
 )]
-pub async fn thumbnail(State(app): State<App>, Path(id): Path<String>, headers: HeaderMap) -> Result<Response, Problem> {
-    stored(&app, &id, &headers, Part::Thumbnail, "image/jpeg").await
+pub async fn thumbnail(State(app): State<App>, Path(id): Path<String>, v: OnlyVersion, headers: HeaderMap) -> Result<Response, Problem> {
+    stored(&app, &id, &v, &headers, Part::Thumbnail, "image/jpeg").await
 }
 
-async fn stored(app: &App, id: &str, headers: &HeaderMap, part: Part, content_type: &str) -> Result<Response, Problem> {
+async fn stored(app: &App, id: &str, v: &OnlyVersion, headers: &HeaderMap, part: Part, content_type: &str) -> Result<Response, Problem> {
     let entry = app.photo(id)?;
-    let (version, _) = Shared::done(&entry)?;
-    let file = app.file(version, part).await?;
-    Ok(respond(headers, Entity { bytes: file.bytes, etag: &file.etag, content_type, cache_control: IMMUTABLE }))
+    let (version, done) = Shared::done(&entry)?;
+    let cache_control = kept(v.0.as_deref(), &app.version(&done));
+    let file = app.file(version, &done, part).await?;
+    Ok(respond(headers, Entity { source: file.source, etag: &file.etag, content_type, cache_control }))
 }

@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 
 use serde::Serialize;
 
+use crate::server::app::Shared;
 use crate::server::entry::{Entry, Live, Status};
-use crate::server::jobs::Jobs;
 use crate::server::options;
 use crate::server::problem::Problem;
 use crate::server::settings::Settings;
@@ -44,7 +44,8 @@ impl From<&tmpi_pipeline::Progress> for Progress {
     }
 }
 
-/// Addresses of everything that belongs to a photo; those of results answer once it is done.
+/// Addresses of everything that belongs to a photo. Those of results answer once it is done. Those that take no other parameters than `v` then
+/// name the version: what lies there never changes.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, utoipa::ToSchema)]
 pub struct Links {
     /// This state.
@@ -52,6 +53,8 @@ pub struct Links {
     pub this: String,
     /// Progress as server-sent events.
     pub events: String,
+    /// What its owner wants of viewers, alone.
+    pub settings: String,
     /// The container.
     pub atlas: String,
     /// Rendered views.
@@ -68,6 +71,8 @@ pub struct Links {
     pub export: String,
     /// Page with the viewer.
     pub page: String,
+    /// The photo alone, for frames of other sites.
+    pub embed: String,
 }
 
 /// State and sizes of a photo.
@@ -108,6 +113,9 @@ pub struct PhotoState {
     /// Height of the scene in pixels; once done.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub height: Option<u32>,
+    /// Version of everything that is made of it, once done: results at addresses with `v=VERSION` never change.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub version: Option<String>,
     /// What its owner wants of viewers.
     pub settings: Settings,
     /// Options that it is made with, all of them.
@@ -129,16 +137,22 @@ pub struct PhotoList {
 impl PhotoState {
     /// The state of `entry` now; none where it was deleted.
     #[must_use]
-    pub fn of(jobs: &Jobs, entry: &Entry) -> Option<Self> {
-        Self::from_live(jobs, entry, entry.live())
+    pub fn of(app: &Shared, entry: &Entry) -> Option<Self> {
+        Self::from_live(app, entry, entry.live())
     }
 
     /// The state of `entry` as in `live`.
     #[must_use]
-    pub fn from_live(jobs: &Jobs, entry: &Entry, live: Live) -> Option<Self> {
+    pub fn from_live(app: &Shared, entry: &Entry, live: Live) -> Option<Self> {
         let (accepted, settings) = (&entry.accepted, entry.settings());
         let poster = settings.poster_query(&options::view_box_of(&accepted.options)).map(|query| format!("/view?{query}"));
         let at = |part: &str| format!("/v1/photos/{}{part}", entry.id);
+        let version = if let Status::Done(done) = &live.status { Some(app.version(done)) } else { None };
+        // what lies there never changes, so browsers need not ask again
+        let fixed = |part: &str| match &version {
+            Some(v) => at(&format!("{part}{}v={v}", if part.contains('?') { '&' } else { '?' })),
+            None => at(part),
+        };
         let mut state = Self {
             id: entry.id.to_string(),
             state: StateName::Queued,
@@ -152,23 +166,26 @@ impl PhotoState {
             atlas_bytes: None,
             width: None,
             height: None,
+            version: version.clone(),
             settings,
             options: accepted.options.clone(),
             links: Links {
                 this: at(""),
                 events: at("/events"),
-                atlas: at("/atlas"),
+                settings: at("/settings"),
+                atlas: fixed("/atlas"),
                 view: at("/view"),
-                depth: at("/depth"),
-                report: at("/report"),
-                thumbnail: at("/thumbnail"),
-                poster: at(poster.as_deref().unwrap_or("/thumbnail")),
+                depth: fixed("/depth"),
+                report: fixed("/report"),
+                thumbnail: fixed("/thumbnail"),
+                poster: fixed(poster.as_deref().unwrap_or("/thumbnail")),
                 export: at("/export"),
                 page: format!("/view/{}", entry.id),
+                embed: format!("/embed/{}", entry.id),
             },
         };
         match live.status {
-            Status::Queued => state.position = jobs.position(entry.id),
+            Status::Queued => state.position = app.jobs.position(entry.id),
             Status::Working => {
                 state.state = StateName::Working;
                 state.progress = live.stages.last().map(Progress::from);

@@ -1,6 +1,6 @@
 //! Health, metrics, and the `OpenAPI` document.
 
-use std::sync::Arc;
+use std::sync::atomic::Ordering;
 
 use axum::Json;
 use axum::extract::State;
@@ -9,10 +9,13 @@ use axum::response::{IntoResponse, Response};
 use serde::Serialize;
 use sha2::{Digest, Sha256};
 
+use super::query::NoQuery;
 use crate::server::app::App;
 use crate::server::conditional::{Entity, REVALIDATE, respond};
 use crate::server::id::hex;
+use crate::server::pool::Class;
 use crate::server::problem::Problem;
+use crate::server::telemetry::MEDIA_TYPE;
 
 /// Health of the server.
 #[derive(Serialize, utoipa::ToSchema)]
@@ -27,7 +30,7 @@ const HEALTHY: Health = Health { status: "ok", version: env!("CARGO_PKG_VERSION"
 
 /// The process is alive.
 #[utoipa::path(get, path = "/healthz", tag = "system", responses((status = 200, description = "Alive", body = Health)))]
-pub async fn healthz() -> Json<Health> {
+pub async fn healthz(_: NoQuery) -> Json<Health> {
     Json(HEALTHY)
 }
 
@@ -39,14 +42,12 @@ pub async fn healthz() -> Json<Health> {
         (status = 503, description = "Not ready; `detail` says why", body = Problem, content_type = "application/problem+json"),
     )
 )]
-pub async fn readyz(State(app): State<App>) -> Result<Json<Health>, Problem> {
-    let shared = Arc::clone(&app);
-    let writable = tokio::task::spawn_blocking(move || shared.jobs.store.writable()).await.unwrap_or(false);
+pub async fn readyz(State(app): State<App>, _: NoQuery) -> Result<Json<Health>, Problem> {
     let why = if app.stop.is_cancelled() || !app.jobs.is_accepting() {
         "the server is stopping"
-    } else if app.jobs.counts().queued >= app.limits.queue {
+    } else if app.jobs.free_places() == 0 {
         "the queue is full"
-    } else if !writable {
+    } else if !app.writable.load(Ordering::Acquire) {
         "the data directory cannot be written"
     } else {
         return Ok(Json(HEALTHY));
@@ -57,23 +58,32 @@ pub async fn readyz(State(app): State<App>) -> Result<Json<Health>, Problem> {
 /// Counters and durations for Prometheus.
 #[utoipa::path(
     get, path = "/metrics", tag = "system",
-    responses((status = 200, description = "Prometheus text format 0.0.4", body = String, content_type = "text/plain"))
+    responses((status = 200, description = "OpenMetrics text 1.0.0, which Prometheus reads", body = String, content_type = "application/openmetrics-text"))
 )]
-pub async fn metrics(State(app): State<App>) -> Response {
+pub async fn metrics(State(app): State<App>, _: NoQuery) -> Response {
     let counts = app.jobs.counts();
+    let waiting = |class| app.pool.waiting(class) as f64;
     let text = app.telemetry.text(&[
-        ("tmpi_queue_depth", "Photos that wait.", counts.queued as f64),
-        ("tmpi_queue_limit", "Photos that may wait.", app.limits.queue as f64),
-        ("tmpi_jobs_running", "Photos that are being made.", counts.working as f64),
-        ("tmpi_photos_done", "Finished photos.", counts.done as f64),
-        ("tmpi_photos_failed", "Photos that could not be made.", counts.failed as f64),
-        ("tmpi_scene_cache_bytes", "Memory of decoded scenes.", app.scenes.bytes() as f64),
-        ("tmpi_file_cache_bytes", "Memory of cached files.", app.files.bytes() as f64),
-        ("tmpi_view_cache_bytes", "Memory of encoded views.", app.views.bytes() as f64),
-        ("tmpi_views_waiting", "Views that wait to be drawn.", app.pool.waiting() as f64),
-        ("tmpi_peak_rss_bytes", "Peak resident memory of the process.", tmpi_pipeline::clock::peak_rss_bytes() as f64),
+        ("tmpi_queue_depth", "Photos that wait", counts.queued as f64),
+        ("tmpi_queue_limit", "Photos that may wait", app.limits.queue as f64),
+        ("tmpi_jobs_running", "Photos that are being made", counts.working as f64),
+        ("tmpi_photos_done", "Finished photos", counts.done as f64),
+        ("tmpi_photos_failed", "Photos that could not be made", counts.failed as f64),
+        ("tmpi_scene_cache_bytes", "Memory of decoded scenes", app.scenes.bytes() as f64),
+        ("tmpi_file_cache_bytes", "Memory of cached files", app.files.bytes() as f64),
+        ("tmpi_view_cache_bytes", "Memory of encoded views", app.views.bytes() as f64),
+        ("tmpi_export_cache_bytes", "Disk of files to download", app.exports.bytes() as f64),
+        ("tmpi_level_cache_bytes", "Memory of smaller levels and parts of containers", app.levels.bytes() as f64),
+        ("tmpi_work_memory_bytes", "Memory given out to work on scenes", app.pool.bytes() as f64),
+        ("tmpi_views_waiting", "Views that wait to be drawn", waiting(Class::Interactive)),
+        ("tmpi_derived_waiting", "Levels and parts that wait to be made", waiting(Class::Derived)),
+        ("tmpi_exports_waiting", "Films and files that wait to be written", waiting(Class::Export)),
+        ("tmpi_peak_rss_bytes", "Peak resident memory of the process", tmpi_pipeline::clock::peak_rss_bytes() as f64),
     ]);
-    ([(header::CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")], text).into_response()
+    match text {
+        Ok(text) => ([(header::CONTENT_TYPE, MEDIA_TYPE)], text).into_response(),
+        Err(error) => Problem::internal("writing metrics", &error).into_response(),
+    }
 }
 
 /// This document.
@@ -81,7 +91,10 @@ pub async fn metrics(State(app): State<App>) -> Response {
     get, path = "/openapi.json", tag = "system",
     responses((status = 200, description = "OpenAPI document", body = Object))
 )]
-pub async fn openapi(State(app): State<App>, headers: HeaderMap) -> Response {
+pub async fn openapi(State(app): State<App>, _: NoQuery, headers: HeaderMap) -> Response {
     let etag = format!("\"{}\"", hex(&Sha256::digest(&app.openapi)[..16]));
-    respond(&headers, Entity { bytes: app.openapi.clone(), etag: &etag, content_type: "application/json", cache_control: REVALIDATE })
+    respond(
+        &headers,
+        Entity { source: app.openapi.clone().into(), etag: &etag, content_type: "application/json", cache_control: REVALIDATE },
+    )
 }

@@ -3,23 +3,23 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use axum::extract::{Path, State};
+use axum::extract::{Extension, Path, State};
 use axum::http::{HeaderMap, HeaderName, Uri, header};
 use axum::response::Response;
-use sha2::{Digest, Sha256};
+use futures_util::TryFutureExt as _;
 use tokio_util::sync::CancellationToken;
 
-use crate::server::app::{App, Shared, Version};
-use crate::server::conditional::{Entity, insert, is_known, respond};
-use crate::server::id::hex;
+use crate::server::app::{App, Export, Shared, Stored, Version, scene_bytes};
+use crate::server::clock::Clock;
+use crate::server::conditional::{Entity, insert, kept, known_as, not_modified, respond};
+use crate::server::identity;
+use crate::server::pool::Class;
 use crate::server::problem::Problem;
+use crate::server::store::Done;
 use tmpi_core::{Camera, Scene};
 use tmpi_render::{Animation, DEFAULT_QUALITY, PictureFormat, RenderError, Renderer, View, draw_several, encode};
 
 use super::view_query::{Moving, ViewQuery};
-
-/// The same camera gives the same picture, but a newer program may draw it better.
-const CACHED: &str = "public, max-age=86400";
 
 /// The format that a client likes best; PNG where it has no preference. None where it takes none of them.
 fn negotiate(headers: &HeaderMap) -> Option<PictureFormat> {
@@ -64,10 +64,16 @@ fn negotiate(headers: &HeaderMap) -> Option<PictureFormat> {
         (status = 406, description = "The client takes none of the formats", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "Not finished yet", body = Problem, content_type = "application/problem+json"),
         (status = 501, description = "There is no ffmpeg for an animation", body = Problem, content_type = "application/problem+json"),
-        (status = 503, description = "Too many views wait", body = Problem, content_type = "application/problem+json"),
+        (status = 503, description = "Too much waits; `Retry-After` says when to come back", body = Problem, content_type = "application/problem+json"),
     )
 )]
-pub async fn view(State(app): State<App>, Path(id): Path<String>, uri: Uri, headers: HeaderMap) -> Result<Response, Problem> {
+pub async fn view(
+    State(app): State<App>,
+    Extension(clock): Extension<Clock>,
+    Path(id): Path<String>,
+    uri: Uri,
+    headers: HeaderMap,
+) -> Result<Response, Problem> {
     let entry = app.photo(&id)?;
     let query = ViewQuery::read(&uri, &app.limits)?;
     let (version, done) = Shared::done(&entry)?;
@@ -77,27 +83,36 @@ pub async fn view(State(app): State<App>, Path(id): Path<String>, uri: Uri, head
         let status = axum::http::StatusCode::NOT_ACCEPTABLE;
         Problem::new(status, "not-acceptable", "views are image/png, image/jpeg or image/webp").field("Accept")
     })?;
-    let what = format!("{} {} {size:?} {format:?} {:?}", env!("CARGO_PKG_VERSION"), done.atlas_hash, query.canonical());
-    let etag = format!("\"{}\"", hex(&Sha256::digest(what)[..16]));
+    let results = app.version(&done);
+    let cache_control = kept(query.version.as_deref(), &results);
+    let made = identity::short(&format!("{results} {size:?} {format:?} {:?}", query.canonical()));
+    if let Some(etag) = known_as(&headers, &made) {
+        let mut response = not_modified(etag, cache_control);
+        insert(&mut response, header::VARY, "Accept");
+        return Ok(response);
+    }
     let mut timing = Vec::new();
-    let bytes = if is_known(&headers, &etag) {
-        bytes::Bytes::new()
+    // whoever asks for the same view meanwhile waits for this one
+    let drawn = async {
+        let (bytes, took) = draw(&app, version, &done, &query, size, format).await?;
+        timing = took;
+        let (name, shared) = (made.clone(), Arc::clone(&app));
+        let keep = tokio::task::spawn_blocking(move || Stored::derived(Some(&name), bytes, &shared.scratch));
+        keep.await.map_err(|e| Problem::internal("keeping a view", &e))?
+    };
+    let key = (version, made.clone());
+    let stored = if query.moving.is_some() {
+        clock.allow(app.limits.export);
+        app.exports.get(key, drawn.map_ok(Export)).await?.0
     } else {
-        // whoever asks for the same view meanwhile waits for this one
-        let drawn = async {
-            let (bytes, took) = draw(&app, version, &query, size, format).await?;
-            timing = took;
-            let size = bytes.len();
-            Ok::<_, Problem>((bytes, size))
-        };
-        app.views.get((version, etag.clone()), drawn).await?
+        app.views.get(key, drawn).await?
     };
     // a scene that was at hand would make decoding look cheap
     for (phase, took) in timing.iter().filter(|(_, took)| !took.is_zero()) {
         app.telemetry.view(phase, *took);
     }
     let content_type = query.moving.map_or(format.media_type(), |moving| moving.format.media_type());
-    let entity = Entity { bytes, etag: &etag, content_type, cache_control: CACHED };
+    let entity = Entity { source: stored.source, etag: &stored.etag, content_type, cache_control };
     let mut response = respond(&headers, entity);
     insert(&mut response, header::VARY, "Accept");
     if !timing.is_empty() {
@@ -110,37 +125,41 @@ pub async fn view(State(app): State<App>, Path(id): Path<String>, uri: Uri, head
 async fn draw(
     app: &App,
     version: Version,
+    done: &Done,
     query: &ViewQuery,
     size: (u32, u32),
     format: PictureFormat,
-) -> Result<(bytes::Bytes, Vec<(&'static str, Duration)>), Problem> {
-    let (scene, decoding) = app.scene(version).await?;
-    let (camera, rig, moving) = (query.camera(&scene, size), query.rig(&scene), query.moving);
+) -> Result<(Vec<u8>, Vec<(&'static str, Duration)>), Problem> {
     // set when the client goes away; what is under way ends with the view that it draws
     let gone = CancellationToken::new();
     let renderer = Unless { gone: gone.clone(), renderer: Arc::clone(&app.renderer) };
     let _guard = gone.drop_guard();
     let asked = Instant::now();
-    let drawn = app.pool.run(move || {
+    let class = if query.moving.is_some() { Class::Export } else { Class::Interactive };
+    // decoding is a part of the work: who waits holds no scene
+    let slot = app.pool.enter(class, scene_bytes(done)).await?;
+    let waited = asked.elapsed();
+    let (scene, decoding) = app.scene(version, &slot).await?;
+    let (camera, rig, moving) = (query.camera(&scene, size), query.rig(&scene), query.moving);
+    let drawn = slot.run(move || {
         let start = Instant::now();
-        let waited = start - asked;
         let draw = |camera: &Camera| match &rig {
             Some(rig) => draw_several(&renderer, &scene, camera, rig),
             None => renderer.render(&scene, camera),
         };
         if let Some(moving) = moving {
             let (bytes, rendering) = film(moving, &scene, &camera, draw)?;
-            return Ok((bytes, waited, rendering, start.elapsed().saturating_sub(rendering)));
+            return Ok((bytes, rendering, start.elapsed().saturating_sub(rendering)));
         }
         let view = draw(&camera).map_err(|e| Problem::from(&e))?;
         let rendered = Instant::now();
         let bytes = encode(&view, format, DEFAULT_QUALITY).map_err(|e| Problem::from(&e))?;
-        Ok::<_, Problem>((bytes, waited, rendered - start, rendered.elapsed()))
+        Ok::<_, Problem>((bytes, rendered - start, rendered.elapsed()))
     });
-    let (bytes, waiting, rendering, encoding) = drawn.await??;
+    let (bytes, rendering, encoding) = drawn.await??;
     // a scene at hand took no decoding
-    let timing = vec![("decode", decoding.unwrap_or_default()), ("wait", waiting), ("render", rendering), ("encode", encoding)];
-    Ok((bytes.into(), timing))
+    let timing = vec![("decode", decoding.unwrap_or_default()), ("wait", waited), ("render", rendering), ("encode", encoding)];
+    Ok((bytes, timing))
 }
 
 /// An animation, and how long its frames took to draw.

@@ -1,10 +1,8 @@
 //! What a request for a view asks for.
 
-use std::collections::BTreeMap;
-
-use axum::extract::Query;
 use axum::http::Uri;
 
+use super::query::Pairs;
 use crate::server::limits::Limits;
 use crate::server::problem::Problem;
 use tmpi_core::{Camera, Intrinsics, Pose, Scene};
@@ -22,12 +20,16 @@ const LENGTH_STEP: f64 = 1e-5;
 /// Degrees.
 const ANGLE_STEP: f64 = 1e-3;
 
+const NAMES: [&str; 17] =
+    ["tx", "ty", "tz", "yaw", "pitch", "roll", "w", "h", "fov", "format", "stereo", "quilt", "ipd", "focus", "path", "frames", "v"];
 /// Frames of an animation.
 const FRAMES: std::ops::RangeInclusive<u32> = 2..=240;
 /// Frames where the query does not say: two seconds.
 const USUAL_FRAMES: u32 = 60;
 /// Frames that may have as many pixels as a single view each.
 const FILM: u64 = 8;
+/// Longest side that WebP can say, in pixels.
+const WEBP_SIDE: u32 = 16_383;
 /// Longer side of an animation where the query does not say.
 const USUAL_SIDE: u32 = 640;
 
@@ -52,7 +54,7 @@ pub enum StereoKind {
 }
 
 /// Camera and format of a view.
-#[derive(Clone, Copy, Debug, Default, PartialEq, utoipa::IntoParams)]
+#[derive(Clone, Debug, Default, PartialEq, utoipa::IntoParams)]
 #[into_params(parameter_in = Query)]
 pub struct ViewQuery {
     /// Camera to the right, in units of the nearest distance; lengths are rounded to 0.00001.
@@ -99,6 +101,9 @@ pub struct ViewQuery {
     /// Frames of an animation, 60 if it is not given.
     #[param(minimum = 2, maximum = 240)]
     pub frames: Option<u32>,
+    /// Version as in the photo's `links`: the view is kept for a year then.
+    #[param(rename = "v")]
+    pub version: Option<String>,
 }
 
 impl ViewQuery {
@@ -107,15 +112,10 @@ impl ViewQuery {
     /// # Errors
     /// 400 that names the first parameter that is unknown, given twice, not finite or out of range.
     pub fn read(uri: &Uri, limits: &Limits) -> Result<Self, Problem> {
-        let Query(pairs) = Query::<Vec<(String, String)>>::try_from_uri(uri).map_err(|e| Problem::bad_request(e.body_text()))?;
-        let mut given = BTreeMap::new();
-        for (name, value) in pairs {
-            if given.insert(name.clone(), value).is_some() {
-                return Err(Problem::parameter(name, "is given twice"));
-            }
-        }
+        let mut given = Pairs::read(uri, &NAMES)?;
+        let version = given.take("v");
         let mut number = |name: &str| -> Result<Option<f64>, Problem> {
-            let Some(text) = given.remove(name) else { return Ok(None) };
+            let Some(text) = given.take(name) else { return Ok(None) };
             let value = text.parse().ok().filter(|v: &f64| v.is_finite());
             value.map(Some).ok_or_else(|| Problem::parameter(name, format!("must be a finite number, not {text:?}")))
         };
@@ -129,40 +129,40 @@ impl ViewQuery {
         let fov = within("fov", &FOV)?;
         let (ipd, focus) = (within("ipd", &BASELINE)?, within("focus", &FOCUS)?);
         let mut side = |name: &str| -> Result<Option<u32>, Problem> {
-            let Some(text) = given.remove(name) else { return Ok(None) };
+            let Some(text) = given.take(name) else { return Ok(None) };
             let value = text.parse().ok().filter(|v| (1..=limits.view_side).contains(v));
             value.map(Some).ok_or_else(|| Problem::parameter(name, format!("must be from 1 to {} pixels, not {text:?}", limits.view_side)))
         };
         let (w, h) = (side("w")?, side("h")?);
-        let path = given.remove("path").map(|text| {
+        let path = given.take("path").map(|text| {
             Path::from_name(&text).ok_or_else(|| Problem::parameter("path", format!("must be orbit, swing or dolly, not {text:?}")))
         });
         let path = path.transpose()?;
-        let frames = given.remove("frames").map(|text| {
+        let frames = given.take("frames").map(|text| {
             let value = text.parse().ok().filter(|v| path.is_some() && FRAMES.contains(v));
             let detail = format!("goes with path and must be from {} to {}, not {text:?}", FRAMES.start(), FRAMES.end());
             value.ok_or_else(|| Problem::parameter("frames", detail))
         });
         let frames = frames.transpose()?;
         let moving = path.map(|path| {
-            let text = given.remove("format").unwrap_or_else(|| "webp".into());
+            let text = given.take("format").unwrap_or_else(|| "webp".into());
             let format = AnimationFormat::from_extension(&text);
             let format = format.ok_or_else(|| Problem::parameter("format", format!("must be webp or mp4 with path, not {text:?}")))?;
             Ok::<_, Problem>(Moving { path, frames: frames.unwrap_or(USUAL_FRAMES), format })
         });
         let moving = moving.transpose()?;
-        let format = given.remove("format").map(|text| {
+        let format = given.take("format").map(|text| {
             let known = PictureFormat::from_extension(&text);
             known.ok_or_else(|| Problem::parameter("format", format!("must be png, jpeg or webp, not {text:?}")))
         });
         let format = format.transpose()?;
-        let stereo = given.remove("stereo").map(|text| match text.as_str() {
+        let stereo = given.take("stereo").map(|text| match text.as_str() {
             "sbs" => Ok(StereoKind::Sbs),
             "anaglyph" => Ok(StereoKind::Anaglyph),
             _ => Err(Problem::parameter("stereo", format!("must be sbs or anaglyph, not {text:?}"))),
         });
         let stereo = stereo.transpose()?;
-        let quilt = given.remove("quilt").map(|text| Arrangement::quilt(&text).map_err(|e| Problem::parameter("quilt", e))).transpose()?;
+        let quilt = given.take("quilt").map(|text| Arrangement::quilt(&text).map_err(|e| Problem::parameter("quilt", e))).transpose()?;
         if stereo.is_some() && quilt.is_some() {
             return Err(Problem::parameter("quilt", "goes without stereo"));
         }
@@ -171,13 +171,7 @@ impl ViewQuery {
                 return Err(Problem::parameter(name, "goes with stereo or quilt"));
             }
         }
-        match given.into_keys().next() {
-            Some(name) => Err(Problem::parameter(
-                name,
-                "there is no such parameter; there are tx, ty, tz, yaw, pitch, roll, w, h, fov, format, stereo, quilt, ipd, focus, path, frames",
-            )),
-            None => Ok(Self { tx, ty, tz, yaw, pitch, roll, w, h, fov, format, stereo, quilt, ipd, focus, moving, frames }),
-        }
+        Ok(Self { tx, ty, tz, yaw, pitch, roll, w, h, fov, format, stereo, quilt, ipd, focus, moving, frames, version })
     }
 
     /// Size of each view of a photo of `photo` pixels.
@@ -186,6 +180,7 @@ impl ViewQuery {
     /// 400 where all views together are over the limits; without a size in the query, views of a larger photo are reduced instead.
     pub fn size(&self, photo: (u32, u32), limits: &Limits) -> Result<(u32, u32), Problem> {
         let (columns, rows) = self.arrangement().map_or((1, 1), Arrangement::grid);
+        self.renders_within(limits.renders)?;
         let (most_wide, most_high) = (limits.view_side / columns, limits.view_side / rows);
         let frames = self.moving.map_or(1, |m| u64::from(m.frames));
         let most = limits.view_pixels / (u64::from(columns) * u64::from(rows)) * FILM / frames.max(FILM);
@@ -203,6 +198,11 @@ impl ViewQuery {
                 return Ok((((pw * scale) as u32).max(1), ((ph * scale) as u32).max(1)));
             }
         };
+        let webp = self.moving.is_some_and(|m| m.format == AnimationFormat::WebP);
+        if webp && (w > WEBP_SIDE / columns || h > WEBP_SIDE / rows) {
+            let field = if self.w.is_some() { "w" } else { "h" };
+            return Err(Problem::parameter(field, format!("WebP animations have at most {WEBP_SIDE} pixels a side; format=mp4 has more")));
+        }
         if w > most_wide || h > most_high || u64::from(w) * u64::from(h) > most {
             let field = if self.w.is_some() { "w" } else { "h" };
             let views = if (columns, rows) == (1, 1) { String::new() } else { format!("{columns}×{rows} views of ") };
@@ -210,6 +210,21 @@ impl ViewQuery {
             return Err(Problem::parameter(field, format!("{views}{w}×{h} is over the limit of {limit}")));
         }
         Ok((w, h))
+    }
+
+    /// Each picture costs however small it is.
+    fn renders_within(&self, most: u32) -> Result<(), Problem> {
+        let views = match self.arrangement() {
+            Some(Arrangement::Quilt { columns, rows }) => columns * rows,
+            Some(_) => 2,
+            None => 1,
+        };
+        let frames = self.moving.map_or(1, |m| m.frames);
+        if views * frames > most {
+            let field = if self.moving.is_some() { "frames" } else { "quilt" };
+            return Err(Problem::parameter(field, format!("{frames} frames of {views} views are over the limit of {most} pictures")));
+        }
+        Ok(())
     }
 
     fn arrangement(&self) -> Option<Arrangement> {
@@ -230,7 +245,7 @@ impl ViewQuery {
     /// The same view said in the same words: without what is told by its size and format.
     #[must_use]
     pub fn canonical(&self) -> Self {
-        Self { w: None, h: None, format: None, ..*self }
+        Self { w: None, h: None, format: None, version: None, ..self.clone() }
     }
 
     /// The camera.
@@ -305,6 +320,24 @@ mod tests {
         assert_eq!(read("tx=0.0300001&yaw=1.0004").unwrap(), read("tx=0.03&yaw=1").unwrap());
         assert_ne!(read("tx=0.03001").unwrap(), read("tx=0.03").unwrap());
         assert_eq!(read("tx=1e305").unwrap().tx, Some(1e305), "too far away to be rounded");
+    }
+
+    #[test]
+    fn pictures_are_counted_however_small() {
+        let limits = Limits::default();
+        let size = |query: &str| read(query).unwrap().size((60, 30), &limits);
+        assert!(size("quilt=10x10&w=4&h=4").is_ok() && size("path=orbit&frames=240&stereo=sbs&w=4&h=4").is_ok());
+        let p = size("quilt=10x10&path=orbit&frames=240&w=4&h=4").unwrap_err();
+        assert_eq!((p.status, p.field.as_deref()), (400, Some("frames")));
+        assert!(size("quilt=10x10&path=orbit&frames=4&w=4&h=4").is_ok());
+        assert_eq!(size("quilt=10x10&path=orbit&frames=5&w=4&h=4").unwrap_err().status, 400);
+    }
+
+    #[test]
+    fn what_webp_cannot_hold_is_refused() {
+        let size = |query: &str| read(query).unwrap().size((60, 30), &Limits::default());
+        assert_eq!(size("path=orbit&frames=8&w=16384&h=1").unwrap_err().field.as_deref(), Some("w"));
+        assert!(size("path=orbit&frames=8&w=16383&h=1").is_ok() && size("path=orbit&frames=8&w=16384&h=1&format=mp4").is_ok());
     }
 
     #[test]

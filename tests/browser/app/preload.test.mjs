@@ -6,7 +6,7 @@ import { files, graph, imports, source } from '../support/modules.mjs';
 const sorted = (names) => [...names].toSorted();
 
 describe('modules', () => {
-  for (const page of ['upload', 'view', 'demo']) {
+  for (const page of ['upload', 'view', 'demo', 'embed']) {
     test(`the ${page} page preloads all that its script imports`, () => {
       const links = [...source(`app/${page}-page.html`).matchAll(/<link rel="modulepreload" href="\/static\/([^"]+)" \/>/g)].map(
         ([, name]) => name,
@@ -37,6 +37,7 @@ describe('modules', () => {
       'app/upload-page.js',
       'app/view-page.js',
       'app/demo-page.js',
+      'app/embed-page.js',
       'element/tmpi-viewer.js',
       'element/photo-addresses.js',
       'view/viewer.js',

@@ -1,0 +1,81 @@
+//! The time that a request has: it starts when its body has come, so that slow links are no fault, and longer work may ask for more.
+
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use tokio::sync::Notify;
+use tokio::time::Instant;
+
+/// A request's time.
+#[derive(Clone, Debug)]
+pub struct Clock {
+    state: Arc<(Mutex<State>, Notify)>,
+}
+
+#[derive(Debug)]
+struct State {
+    limit: Duration,
+    started: Option<Instant>,
+}
+
+impl Clock {
+    /// A clock of `limit` that stands still.
+    #[must_use]
+    pub fn new(limit: Duration) -> Self {
+        Self { state: Arc::new((Mutex::new(State { limit, started: None }), Notify::new())) }
+    }
+
+    fn lock(&self) -> MutexGuard<'_, State> {
+        self.state.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Starts it where it stands still.
+    pub fn start(&self) {
+        self.lock().started.get_or_insert_with(Instant::now);
+        self.state.1.notify_waiters();
+    }
+
+    /// Gives the request `limit` in all, where that is more.
+    pub fn allow(&self, limit: Duration) {
+        let mut state = self.lock();
+        state.limit = state.limit.max(limit);
+    }
+
+    /// When its time is over; none while it stands still.
+    #[must_use]
+    pub fn deadline(&self) -> Option<Instant> {
+        let state = self.lock();
+        state.started.map(|at| at + state.limit)
+    }
+
+    /// Ready once its time is over; gives the limit.
+    pub async fn expired(&self) -> Duration {
+        loop {
+            let started = self.state.1.notified();
+            match self.deadline() {
+                None => started.await,
+                Some(deadline) if deadline <= Instant::now() => return self.lock().limit,
+                Some(deadline) => tokio::time::sleep_until(deadline).await,
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test]
+    async fn it_runs_from_its_start_and_may_be_given_more() {
+        let short = Duration::from_millis(20);
+        let expires = async |clock: &Clock| tokio::time::timeout(Duration::from_millis(60), clock.expired()).await.is_ok();
+        let clock = Clock::new(short);
+        assert!(!expires(&clock).await, "stands still");
+        let (late, ()) = tokio::join!(expires(&clock), async { clock.start() });
+        assert!(late && clock.deadline().is_some());
+        let clock = Clock::new(short);
+        clock.start();
+        clock.allow(Duration::from_mins(1));
+        assert!(!expires(&clock).await);
+    }
+}

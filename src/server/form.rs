@@ -1,0 +1,134 @@
+//! Bounds the headers of a form's parts: the reader of forms gathers each of them whole, however long it is.
+
+use std::error::Error;
+use std::pin::Pin;
+use std::task::{Context, Poll};
+
+use bytes::Bytes;
+use futures_util::Stream;
+use memchr::memmem::Finder;
+
+/// Bytes of a part's header, at most.
+const HEADER: usize = 8 << 10;
+
+/// A header of a part is longer than that.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("the header of a part of the form is over the limit of {HEADER} bytes")]
+pub struct HeaderTooLong;
+
+/// Where in a form the bytes are.
+#[derive(Clone, Copy, Debug)]
+enum At {
+    /// In a header, with so many bytes of it seen.
+    Header(usize),
+    /// In the bytes of a part.
+    Data,
+}
+
+/// The bytes of a form as they come, up to a header that is too long.
+pub struct Bounded<S> {
+    stream: S,
+    delimiter: Finder<'static>,
+    header_end: Finder<'static>,
+    at: At,
+    /// The last bytes that came, as far as they may begin what is looked for.
+    tail: Vec<u8>,
+}
+
+impl<S> Bounded<S> {
+    /// Of a form of which the parts are told apart by `boundary`.
+    #[must_use]
+    pub fn new(stream: S, boundary: &str) -> Self {
+        let delimiter = Finder::new(&format!("\r\n--{boundary}")).into_owned();
+        let header_end = Finder::new("\r\n\r\n").into_owned();
+        Self { stream, delimiter, header_end, at: At::Header(0), tail: Vec::new() }
+    }
+
+    /// Follows the form over `piece`.
+    fn see(&mut self, piece: &[u8]) -> Result<(), HeaderTooLong> {
+        let carried = self.tail.len();
+        let mut bytes = std::mem::take(&mut self.tail);
+        bytes.extend_from_slice(piece);
+        let (mut from, mut fresh) = (0, carried);
+        loop {
+            let rest = &bytes[from..];
+            let finder = if matches!(self.at, At::Data) { &self.delimiter } else { &self.header_end };
+            let length = finder.needle().len();
+            let found = finder.find(rest).map(|at| from + at + length);
+            let end = found.unwrap_or(bytes.len());
+            if let At::Header(seen) = &mut self.at {
+                *seen += end.saturating_sub(fresh.max(from));
+                if *seen > HEADER {
+                    return Err(HeaderTooLong);
+                }
+            }
+            let Some(end) = found else {
+                let kept = bytes.len().saturating_sub(length - 1).max(from);
+                self.tail = bytes.split_off(kept);
+                return Ok(());
+            };
+            self.at = if matches!(self.at, At::Data) { At::Header(0) } else { At::Data };
+            (from, fresh) = (end, end);
+        }
+    }
+}
+
+impl<S, E> Stream for Bounded<S>
+where
+    S: Stream<Item = Result<Bytes, E>> + Unpin,
+    E: Into<Box<dyn Error + Send + Sync>>,
+{
+    type Item = Result<Bytes, Box<dyn Error + Send + Sync>>;
+
+    fn poll_next(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Option<Self::Item>> {
+        let next = std::task::ready!(Pin::new(&mut self.stream).poll_next(cx));
+        Poll::Ready(next.map(|piece| {
+            let piece = piece.map_err(Into::into)?;
+            self.see(&piece)?;
+            Ok(piece)
+        }))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn form(headers: &[usize], data: usize) -> Vec<u8> {
+        let mut form = Vec::new();
+        for header in headers {
+            form.extend(b"--b\r\n");
+            form.extend(vec![b'h'; *header]);
+            form.extend(b"\r\n\r\n");
+            form.extend(vec![b'\r'; data]);
+            form.extend(b"\r\n");
+        }
+        form.extend(b"--b--\r\n");
+        form
+    }
+
+    fn passes(form: &[u8], pieces: usize) -> bool {
+        let mut bounded = Bounded::new(futures_util::stream::empty::<Result<Bytes, std::io::Error>>(), "b");
+        form.chunks(pieces).all(|piece| bounded.see(piece).is_ok())
+    }
+
+    #[test]
+    fn headers_are_bounded_and_data_is_not() {
+        // the delimiter is a part of the header
+        for pieces in [1, 7, 1000, 1 << 20] {
+            assert!(passes(&form(&[10, HEADER - 20, 10], 3 * HEADER), pieces), "{pieces}");
+            assert!(!passes(&form(&[10, HEADER + 1], 5), pieces), "{pieces}");
+            assert!(!passes(&form(&[HEADER + 1], 5), pieces), "{pieces}");
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn pieces_make_no_difference(headers in prop::collection::vec(HEADER - 30..HEADER + 30, 1..4), data in 0..40_usize, pieces in 1..9000_usize) {
+            let form = form(&headers, data);
+            prop_assert_eq!(passes(&form, pieces), passes(&form, form.len()));
+        }
+    }
+}

@@ -1,0 +1,143 @@
+//! Under which names the server answers, and who is a stranger.
+//!
+//! A page of another site can give its own name the address of this server (DNS rebinding) and is then of one origin with it. It
+//! cannot choose what the browser sends as `Host`: that is its own name, which is not in the list.
+
+use std::net::{IpAddr, SocketAddr};
+
+use axum::extract::Request;
+use axum::http::uri::Authority;
+use axum::http::{HeaderMap, StatusCode, header};
+
+use super::problem::Problem;
+
+/// Headers by which proxies say that a request is not their own.
+const PROXIED: [&str; 4] = ["forwarded", "x-forwarded-for", "x-forwarded-host", "via"];
+
+/// The names that count.
+#[derive(Clone, Debug)]
+pub struct Hosts {
+    bound: IpAddr,
+    names: Vec<String>,
+}
+
+impl Hosts {
+    /// Loopback names, the address that the server is bound to (any address where it is bound to all), and `names` without ports.
+    #[must_use]
+    pub fn new(bound: SocketAddr, names: &[String]) -> Self {
+        Self { bound: bound.ip(), names: names.iter().map(|n| plain(n)).collect() }
+    }
+
+    /// The host that a request is meant for.
+    ///
+    /// # Errors
+    /// 400 where there is no `Host` or more than one, 421 where it is none of ours.
+    pub fn check(&self, request: &Request) -> Result<(), Problem> {
+        let named = authority(request)?;
+        // the target wins over the header (RFC 9112, section 3.2.2), but neither may be a stranger's
+        for host in request.uri().authority().into_iter().chain([&named]) {
+            if !self.allows(host.host()) {
+                let detail = format!("the server does not answer as {:?}; tmpi serve --host names others", clipped(host.host()));
+                return Err(Problem::new(StatusCode::MISDIRECTED_REQUEST, "host", detail).field("Host"));
+            }
+        }
+        Ok(())
+    }
+
+    fn allows(&self, host: &str) -> bool {
+        let host = plain(host);
+        if is_loopback_name(&host) || self.names.contains(&host) {
+            return true;
+        }
+        // an address cannot be rebound: a browser that sends it was told it by a person
+        address(&host).is_some_and(|ip| ip.is_loopback() || ip == self.bound || self.bound.is_unspecified())
+    }
+
+    /// True where the request comes from this machine's own user, as far as can be told: the server is bound to loopback, is asked
+    /// under a loopback name, and no proxy passed it on.
+    #[must_use]
+    pub fn is_own(&self, headers: &HeaderMap) -> bool {
+        let host = headers.get(header::HOST).and_then(|v| v.to_str().ok()).and_then(|v| v.parse::<Authority>().ok());
+        let local = |host: Authority| {
+            let host = plain(host.host());
+            is_loopback_name(&host) || address(&host).is_some_and(|ip| ip.is_loopback())
+        };
+        self.bound.is_loopback() && host.is_some_and(local) && !PROXIED.iter().any(|name| headers.contains_key(*name))
+    }
+}
+
+/// The one `Host` of a request.
+fn authority(request: &Request) -> Result<Authority, Problem> {
+    let wrong = |detail: &str| Problem::bad_request(detail).field("Host");
+    let mut all = request.headers().get_all(header::HOST).iter();
+    let (Some(host), None) = (all.next(), all.next()) else { return Err(wrong("a request has one Host header (RFC 9112, section 3.2)")) };
+    let host = host.to_str().ok().and_then(|v| v.parse::<Authority>().ok()).filter(|a| !a.as_str().contains('@'));
+    host.ok_or_else(|| wrong("the Host header is no host"))
+}
+
+/// Lower case, without the dot at the end.
+fn plain(name: &str) -> String {
+    name.trim_end_matches('.').to_ascii_lowercase()
+}
+
+fn is_loopback_name(host: &str) -> bool {
+    host == "localhost" || host.ends_with(".localhost")
+}
+
+fn address(host: &str) -> Option<IpAddr> {
+    host.trim_start_matches('[').trim_end_matches(']').parse().ok()
+}
+
+/// What an error says of foreign text.
+fn clipped(text: &str) -> String {
+    text.chars().take(64).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use axum::body::Body;
+
+    fn status(hosts: &Hosts, target: &str, all: &[&str]) -> u16 {
+        let mut request = Request::builder().uri(target);
+        for host in all {
+            request = request.header(header::HOST, *host);
+        }
+        hosts.check(&request.body(Body::empty()).unwrap()).map_or_else(|p| p.status, |()| 200)
+    }
+
+    #[test]
+    fn names_that_count() {
+        let loopback = Hosts::new(([127, 0, 0, 1], 8080).into(), &["Photos.Example.".into()]);
+        for fine in
+            ["localhost", "LOCALHOST:8080", "a.localhost", "127.0.0.1:1", "127.9.9.9", "[::1]:8080", "photos.example", "photos.example:443"]
+        {
+            assert_eq!(status(&loopback, "/", &[fine]), 200, "{fine}");
+        }
+        for foreign in ["evil.example", "192.168.1.5", "localhost.evil.example", "photos.example.evil", "127.0.0.1.evil.example"] {
+            assert_eq!(status(&loopback, "/", &[foreign]), 421, "{foreign}");
+        }
+        for wrong in [&[][..], &["localhost", "localhost"], &["a b"], &["user@localhost"], &[""]] {
+            assert_eq!(status(&loopback, "/", wrong), 400, "{wrong:?}");
+        }
+        assert_eq!(status(&loopback, "http://evil.example/", &["localhost"]), 421);
+        assert_eq!(status(&loopback, "http://localhost/", &["evil.example"]), 421);
+        let one = Hosts::new(([192, 168, 1, 5], 80).into(), &[]);
+        assert_eq!((status(&one, "/", &["192.168.1.5"]), status(&one, "/", &["192.168.1.6"])), (200, 421));
+        let all = Hosts::new(([0, 0, 0, 0], 80).into(), &[]);
+        assert_eq!((status(&all, "/", &["192.168.1.6:80"]), status(&all, "/", &["evil.example"])), (200, 421));
+    }
+
+    #[test]
+    fn strangers_are_whoever_does_not_come_by_loopback() {
+        let headers = |pairs: &[(&'static str, &'static str)]| {
+            pairs.iter().map(|(k, v)| (header::HeaderName::from_static(k), header::HeaderValue::from_static(v))).collect::<HeaderMap>()
+        };
+        let loopback = Hosts::new(([127, 0, 0, 1], 8080).into(), &["photos.example".into()]);
+        assert!(loopback.is_own(&headers(&[("host", "localhost:8080")])) && loopback.is_own(&headers(&[("host", "[::1]")])));
+        assert!(!loopback.is_own(&headers(&[("host", "photos.example")])));
+        assert!(!loopback.is_own(&headers(&[("host", "localhost"), ("x-forwarded-for", "203.0.113.1")])));
+        let all = Hosts::new(([0, 0, 0, 0], 8080).into(), &[]);
+        assert!(!all.is_own(&headers(&[("host", "localhost")])));
+    }
+}

@@ -1,0 +1,48 @@
+//! What results depend on besides what was uploaded: the program that makes and draws, as digests that the build takes of its sources.
+
+use sha2::{Digest, Sha256};
+
+use super::id::hex;
+use super::store::Done;
+
+/// Sources, networks and dependencies that make photos.
+pub const PIPELINE: &str = env!("TMPI_PIPELINE");
+/// The same and those that draw and export.
+const PROGRAM: &str = env!("TMPI_PROGRAM");
+
+/// What a server's views, levels and exports depend on besides the container.
+#[must_use]
+pub fn of_server(backend: &str) -> String {
+    format!("{PROGRAM} {backend}")
+}
+
+/// Names everything that a server of identity `build` derives from one making of a photo: 16 hex digits.
+#[must_use]
+pub fn of_results(build: &str, done: &Done) -> String {
+    short(&format!("{build} {} {}", done.atlas_hash, done.at_ms))
+}
+
+/// The first 64 bits of the SHA-256 of `text`, in hex.
+#[must_use]
+pub fn short(text: &str) -> String {
+    hex(&Sha256::digest(text)[..8])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn another_program_backend_or_making_has_another_name() {
+        let done = |hash: &str, at_ms| Done { at_ms, width: 1, height: 1, atlas_bytes: 1, atlas_hash: hash.into() };
+        let all = [
+            of_results(&of_server("cpu"), &done("a", 1)),
+            of_results(&of_server("gpu"), &done("a", 1)),
+            of_results("another program cpu", &done("a", 1)),
+            of_results(&of_server("cpu"), &done("b", 1)),
+            of_results(&of_server("cpu"), &done("a", 2)),
+        ];
+        assert!(all.iter().enumerate().all(|(i, x)| !all[..i].contains(x)), "{all:?}");
+        assert!(PIPELINE.len() == 64 && PROGRAM.len() == 64 && PIPELINE != PROGRAM);
+    }
+}

@@ -1,0 +1,105 @@
+//! Bytes of an answer: in memory, or a file that is read while it is sent.
+
+use std::fs::File;
+use std::io;
+use std::ops::Range;
+use std::sync::Arc;
+
+use axum::body::Body;
+use bytes::Bytes;
+use futures_util::stream;
+
+/// Bytes that are read at a time, so that a slow reader holds no more of a file than that.
+const PIECE: usize = 256 << 10;
+
+/// Bytes of an answer.
+#[derive(Clone, Debug)]
+pub enum Source {
+    /// In memory.
+    Memory(Bytes),
+    /// A file and its length in bytes.
+    File(Arc<File>, usize),
+}
+
+impl Source {
+    /// Count of bytes.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        match self {
+            Self::Memory(bytes) => bytes.len(),
+            Self::File(_, length) => *length,
+        }
+    }
+
+    /// The body that sends `range` of it.
+    pub fn body(self, range: Range<usize>) -> Body {
+        match self {
+            Self::Memory(bytes) => Body::from(bytes.slice(range)),
+            Self::File(file, _) => {
+                let pieces = stream::try_unfold(range, move |left| {
+                    let file = Arc::clone(&file);
+                    async move {
+                        if left.is_empty() {
+                            return Ok(None);
+                        }
+                        let end = left.end.min(left.start + PIECE);
+                        let read = move || read_at(&file, left.start..end).map(|piece| (Bytes::from(piece), end..left.end));
+                        tokio::task::spawn_blocking(read).await.map_err(io::Error::other)?.map(Some)
+                    }
+                });
+                Body::from_stream(pieces)
+            }
+        }
+    }
+}
+
+impl From<Bytes> for Source {
+    fn from(bytes: Bytes) -> Self {
+        Self::Memory(bytes)
+    }
+}
+
+#[cfg(unix)]
+fn read_at(file: &File, range: Range<usize>) -> io::Result<Vec<u8>> {
+    use std::os::unix::fs::FileExt as _;
+    let mut piece = vec![0; range.len()];
+    file.read_exact_at(&mut piece, range.start as u64)?;
+    Ok(piece)
+}
+
+#[cfg(windows)]
+fn read_at(file: &File, range: Range<usize>) -> io::Result<Vec<u8>> {
+    use std::os::windows::fs::FileExt as _;
+    let (mut piece, mut done) = (vec![0; range.len()], 0);
+    while done < piece.len() {
+        match file.seek_read(&mut piece[done..], (range.start + done) as u64)? {
+            0 => return Err(io::ErrorKind::UnexpectedEof.into()),
+            n => done += n,
+        }
+    }
+    Ok(piece)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::Write as _;
+
+    use http_body_util::BodyExt as _;
+
+    use super::*;
+
+    #[tokio::test]
+    async fn a_file_is_sent_in_pieces_and_a_shorter_one_is_an_error() {
+        let bytes: Vec<u8> = (0..PIECE * 2 + 77).map(|i| (i * 7) as u8).collect();
+        let mut file = tempfile::tempfile().unwrap();
+        file.write_all(&bytes).unwrap();
+        let file = Arc::new(file);
+        let send = async |length, range| {
+            Source::File(Arc::clone(&file), length).body(range).collect().await.map(http_body_util::Collected::to_bytes)
+        };
+        assert_eq!(send(bytes.len(), 0..bytes.len()).await.unwrap(), bytes);
+        assert_eq!(send(bytes.len(), 5..PIECE + 9).await.unwrap(), bytes[5..PIECE + 9]);
+        assert_eq!(send(bytes.len(), 5..5).await.unwrap().len(), 0);
+        assert!(send(bytes.len() + 1, 0..bytes.len() + 1).await.is_err());
+    }
+}

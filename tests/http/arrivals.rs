@@ -1,0 +1,144 @@
+//! How uploads arrive: slowly but steadily, too slowly, in vain, and with headers that nobody asked for.
+
+use std::io::Write;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use tmpi::server::{Limits, Maker};
+
+use crate::client::{Connection, form, post_form, request};
+use crate::fixture::{Gate, Running, jpeg, pipeline, wait_until};
+
+fn start(limits: Limits, maker: Arc<dyn Maker>) -> (tempfile::TempDir, Running) {
+    let dir = tempfile::tempdir().unwrap();
+    let server = Running::start(dir.path(), limits, maker);
+    (dir, server)
+}
+
+fn incoming(dir: &tempfile::TempDir) -> usize {
+    std::fs::read_dir(dir.path().join("incoming")).unwrap().count()
+}
+
+/// Sends an upload in `pieces` over `time`.
+fn drip(server: &Running, headers: &str, body: &[u8], pieces: usize, time: Duration) -> Connection {
+    let mut connection = Connection::open(server.addr);
+    let head = format!("POST /v1/photos HTTP/1.1\r\nhost: localhost\r\n{headers}content-length: {}\r\n\r\n", body.len());
+    connection.raw().write_all(head.as_bytes()).unwrap();
+    for piece in body.chunks(body.len().div_ceil(pieces)) {
+        if connection.raw().write_all(piece).is_err() {
+            break;
+        }
+        std::thread::sleep(time / pieces as u32);
+    }
+    connection
+}
+
+#[test]
+fn a_slow_but_steady_upload_succeeds_however_long_it_takes() {
+    let limits = Limits { request: Duration::from_secs(1), body_read: Duration::from_millis(900), body_rate: 500, ..Limits::default() };
+    let (_dir, server) = start(limits, Arc::new(pipeline()));
+    let photo = jpeg(1);
+    let began = Instant::now();
+    let mut raw = drip(&server, "prefer: wait=20\r\n", &photo, 20, Duration::from_secs(3));
+    // the time of the request begins now: it waits for the result
+    let answer = raw.receive("POST").unwrap();
+    assert!(answer.status == 201 || answer.status == 202, "{}", String::from_utf8_lossy(&answer.body));
+    assert!(began.elapsed() > Duration::from_secs(3));
+    let (content_type, body) = form(&[("photo", &photo)]);
+    let mut multipart = drip(&server, &format!("content-type: {content_type}\r\n"), &body, 20, Duration::from_secs(2));
+    assert_eq!(multipart.receive("POST").unwrap().json()["id"], answer.json()["id"]);
+}
+
+#[test]
+fn an_upload_below_the_least_rate_is_408_and_leaves_nothing() {
+    let limits = Limits { body_read: Duration::from_millis(300), body_rate: 50_000, ..Limits::default() };
+    let (dir, server) = start(limits, Arc::new(pipeline()));
+    // never a pause that is too long
+    let mut slow = drip(&server, "", &[7; 5000], 50, Duration::from_secs(2));
+    let problem = slow.receive("POST").unwrap().problem(408);
+    assert!(problem["detail"].as_str().unwrap().contains("bytes a second"), "{problem}");
+    wait_until("nothing is left", || incoming(&dir) == 0);
+}
+
+#[test]
+fn room_is_asked_for_before_the_body() {
+    let gate = Gate::new(0);
+    let (dir, server) = start(Limits { queue: 1, uploads_beyond: 1, ..Limits::default() }, gate.clone());
+    let _running = server.upload(&jpeg(1));
+    gate.wait_started(1);
+    let queued = server.upload(&jpeg(2));
+    // one may come in, in case that its photo is known
+    let mut known = Connection::open(server.addr);
+    let photo = jpeg(2);
+    let head = format!("POST /v1/photos HTTP/1.1\r\nhost: localhost\r\ncontent-length: {}\r\n\r\n", photo.len());
+    known.raw().write_all(head.as_bytes()).unwrap();
+    wait_until("it comes in", || incoming(&dir) == 1);
+    let mut refused = Connection::open(server.addr);
+    refused.raw().write_all(b"POST /v1/photos HTTP/1.1\r\nhost: localhost\r\ncontent-length: 30000000\r\n\r\n").unwrap();
+    let answer = refused.receive("POST").unwrap();
+    assert!(answer.header("retry-after").is_some());
+    answer.problem(429);
+    assert_eq!(incoming(&dir), 1, "nothing of it was written");
+    known.raw().write_all(&photo).unwrap();
+    assert_eq!(known.receive("POST").unwrap().json()["id"], queued.as_str());
+    gate.open(2);
+    server.wait(&queued, "done");
+    assert_eq!(request(server.addr, "POST", "/v1/photos", &[], &jpeg(3)).status, 202, "there is room again");
+    gate.open(1);
+}
+
+#[test]
+fn retry_after_grows_with_what_waits() {
+    let after = |queue: u8| {
+        let gate = Gate::new(0);
+        let (_dir, server) = start(Limits { queue: queue.into(), ..Limits::default() }, gate.clone());
+        server.upload(&jpeg(0));
+        gate.wait_started(1);
+        for seed in 1..=queue {
+            server.upload(&jpeg(seed));
+        }
+        let refused = request(server.addr, "POST", "/v1/photos", &[], &jpeg(99));
+        refused.problem(429)["retry_after"].as_u64().unwrap()
+    };
+    let (few, many) = (after(1), after(10));
+    assert!(many > 3 * few && many <= 120, "{few} s, {many} s");
+}
+
+#[test]
+fn no_wait_is_too_long_to_be_asked_for() {
+    let gate = Gate::new(1);
+    let (_dir, server) = start(Limits::default(), gate);
+    for seconds in [u64::MAX.to_string(), "99999999999999999999".into(), "1e9".into()] {
+        let answer = request(server.addr, "POST", "/v1/photos", &[("prefer", &format!("wait={seconds}"))], &jpeg(1));
+        assert!(matches!(answer.status, 201 | 202), "{seconds}: {}", String::from_utf8_lossy(&answer.body));
+    }
+}
+
+#[test]
+fn headers_and_names_of_forms_are_bounded() {
+    let (dir, server) = start(Limits::default(), Arc::new(pipeline()));
+    for name in ["n".repeat(65), "n".repeat(4000)] {
+        let answer = post_form(server.addr, &[], &[(&name, b"1"), ("photo", &jpeg(1))]);
+        assert!(answer.body.len() < 2000, "{} bytes", answer.body.len());
+        answer.problem(400);
+    }
+    let answer = post_form(server.addr, &[], &[(&"n".repeat(1 << 20), b"1"), ("photo", &jpeg(1))]);
+    assert!(answer.body.len() < 2000, "{} bytes", answer.body.len());
+    assert!(answer.problem(400)["detail"].as_str().unwrap().contains("header of a part"));
+    let answer = request(server.addr, "POST", &format!("/v1/photos?{}=1", "q".repeat(20_000)), &[], &jpeg(1));
+    assert!(answer.body.len() < 2000, "{} bytes", answer.body.len());
+    answer.problem(400);
+    // at the limit it is a name like another
+    assert_eq!(post_form(server.addr, &[], &[(&"n".repeat(64), b"1")]).problem(400)["field"], "n".repeat(64));
+    wait_until("nothing is left", || incoming(&dir) == 0);
+}
+
+#[test]
+fn an_answer_does_not_wait_for_a_body_that_nobody_wants() {
+    let (_dir, server) = start(Limits::default(), Arc::new(pipeline()));
+    let mut connection = Connection::open(server.addr);
+    let began = Instant::now();
+    connection.raw().write_all(b"GET /healthz HTTP/1.1\r\nhost: localhost\r\ncontent-length: 100\r\n\r\n").unwrap();
+    assert_eq!(connection.receive("GET").unwrap().status, 200);
+    assert!(began.elapsed() < Duration::from_secs(1), "{:?}", began.elapsed());
+}

@@ -1,0 +1,207 @@
+//! Fair use: nothing holds up what it need not, and what waits holds no memory.
+#![allow(clippy::float_cmp, reason = "counts that must be exact")]
+
+use std::io::Read as _;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::Duration;
+
+use tmpi::server::Limits;
+use tmpi_render::{PictureFormat, View, encode};
+
+use crate::client::{Connection, get, request};
+use crate::fixture::{Running, SlowDrawing, jpeg, pipeline, wait_until};
+
+const HELD: u32 = SlowDrawing::HELD;
+
+/// A server with finished photos, drawn by hand.
+fn start(limits: Limits, photos: u8) -> (tempfile::TempDir, Running, Vec<String>, Arc<SlowDrawing>) {
+    let dir = tempfile::tempdir().unwrap();
+    let drawing = Arc::new(SlowDrawing::default());
+    let server = Running::drawing(dir.path(), limits, Arc::new(pipeline()), drawing.clone());
+    let photos = (0..photos).map(|seed| server.upload(&jpeg(seed))).collect::<Vec<_>>();
+    for id in &photos {
+        server.wait(id, "done");
+    }
+    let photos = photos.iter().map(|id| format!("/v1/photos/{id}")).collect();
+    (dir, server, photos, drawing)
+}
+
+fn ask(server: &Running, path: &str) -> Connection {
+    let mut client = Connection::open(server.addr);
+    client.send("GET", path, &[], &[]);
+    client
+}
+
+/// A figure of `/metrics`, 0 where it is not there yet.
+fn metric(server: &Running, name: &str) -> f64 {
+    let text = String::from_utf8(get(server.addr, "/metrics").body).unwrap();
+    text.lines().find_map(|l| l.strip_prefix(name)?.trim().parse().ok()).unwrap_or(0.0)
+}
+
+#[test]
+fn a_film_holds_up_no_view_and_views_no_level_or_file() {
+    let (_dir, server, photos, drawing) = start(Limits { views: 1, ..Limits::default() }, 1);
+    let photo = &photos[0];
+    let _film = ask(&server, &format!("{photo}/view?path=orbit&frames=2&w={HELD}"));
+    wait_until("the film is drawn", || drawing.held.load(Ordering::SeqCst) == 1);
+    assert_eq!(get(server.addr, &format!("{photo}/view?w=40")).status, 200);
+    let _view = ask(&server, &format!("{photo}/view?w={HELD}"));
+    wait_until("the view is drawn", || drawing.held.load(Ordering::SeqCst) == 2);
+    assert_eq!(get(server.addr, &format!("{photo}/atlas?level=1")).status, 200);
+    // what every lane waits for is none of the business of these
+    let _more: Vec<_> = (0..8).map(|n| ask(&server, &format!("{photo}/view?ty=0.0{n}&w={HELD}"))).collect();
+    wait_until("they wait", || metric(&server, "tmpi_views_waiting") >= 8.0);
+    for path in ["/healthz", "/readyz", "/metrics"] {
+        assert_eq!(get(server.addr, path).status, 200, "{path}");
+    }
+    drawing.open();
+}
+
+#[test]
+fn a_film_ends_with_its_client() {
+    let (_dir, server, photos, drawing) = start(Limits::default(), 1);
+    let film = ask(&server, &format!("{}/view?path=orbit&frames=240&w={HELD}", photos[0]));
+    wait_until("it is drawn", || drawing.held.load(Ordering::SeqCst) == 1);
+    let before = drawing.begun.load(Ordering::SeqCst);
+    drop(film);
+    wait_until("the request is gone", || metric(&server, "tmpi_requests_in_flight") <= 1.0);
+    drawing.open();
+    // the slot is free once the picture under way is drawn
+    wait_until("the memory is free", || metric(&server, "tmpi_work_memory_bytes") == 0.0);
+    assert_eq!(drawing.begun.load(Ordering::SeqCst), before, "no further picture was drawn");
+}
+
+#[test]
+fn who_waits_holds_no_scene_and_memory_bounds_what_is_drawn_at_a_time() {
+    const PHOTOS: u8 = 6;
+    let limits = Limits { views: 8, work_memory: 2 << 20, scene_cache: 0, ..Limits::default() };
+    let (_dir, server, photos, drawing) = start(limits, PHOTOS);
+    let clients: Vec<_> = photos.iter().map(|photo| ask(&server, &format!("{photo}/view?w={HELD}"))).collect();
+    // a scene takes a part of the unit in which memory is given out
+    wait_until("two are drawn", || drawing.held.load(Ordering::SeqCst) == 2);
+    wait_until("the others wait", || metric(&server, "tmpi_views_waiting") == f64::from(PHOTOS - 2));
+    assert_eq!(metric(&server, "tmpi_work_memory_bytes"), f64::from(2 << 20));
+    assert_eq!((drawing.held.load(Ordering::SeqCst), metric(&server, "tmpi_scene_cache_bytes")), (2, 0.0));
+    drawing.open();
+    for mut client in clients {
+        assert_eq!(client.receive("GET").unwrap().status, 200);
+    }
+}
+
+#[test]
+fn a_view_is_drawn_once_for_all_and_goes_on_when_the_first_client_leaves() {
+    let (_dir, server, photos, drawing) = start(Limits::default(), 1);
+    let path = format!("{}/view?w={HELD}", photos[0]);
+    let first = ask(&server, &path);
+    wait_until("it is drawn", || drawing.held.load(Ordering::SeqCst) == 1);
+    let others: Vec<_> = (0..6).map(|_| ask(&server, &path)).collect();
+    wait_until("all ask", || metric(&server, "tmpi_requests_in_flight") >= 8.0);
+    drop(first);
+    wait_until("one is gone", || metric(&server, "tmpi_requests_in_flight") <= 7.0);
+    drawing.open();
+    for mut client in others {
+        assert_eq!(client.receive("GET").unwrap().status, 200);
+    }
+    assert!(drawing.begun.load(Ordering::SeqCst) <= 2, "once for the one that left, once for all others");
+}
+
+#[test]
+fn one_class_that_is_full_says_so() {
+    let (_dir, server, photos, drawing) = start(Limits { views: 1, views_waiting: 1, ..Limits::default() }, 1);
+    let view = |n: u32| format!("{}/view?tx=0.0{n}&w={HELD}", photos[0]);
+    let _drawn = ask(&server, &view(1));
+    wait_until("one is drawn", || drawing.held.load(Ordering::SeqCst) == 1);
+    let _waits = ask(&server, &view(2));
+    wait_until("one waits", || metric(&server, "tmpi_views_waiting") == 1.0);
+    let refused = get(server.addr, &view(3));
+    assert!(refused.header("retry-after").is_some());
+    refused.problem(503);
+    drawing.open();
+}
+
+#[test]
+fn a_file_is_written_once_for_all_its_parts() {
+    let (dir, server, photos, _) = start(Limits::default(), 1);
+    let path = format!("{}/export?format=zip", photos[0]);
+    let whole = get(server.addr, &path);
+    assert!(whole.all("server-timing").contains("export;dur="));
+    let part = request(server.addr, "GET", &path, &[("range", "bytes=0-0")], &[]);
+    assert_eq!((part.status, part.body.as_slice()), (206, &whole.body[..1]));
+    let head = request(server.addr, "HEAD", &path, &[], &[]);
+    assert_eq!(head.header("content-length"), Some(whole.body.len().to_string().as_str()));
+    for again in [&part, &head] {
+        assert!(!again.all("server-timing").contains("export;dur="), "not written again");
+    }
+    assert!(metric(&server, "tmpi_export_cache_bytes") >= whole.body.len() as f64);
+    assert_eq!(std::fs::read_dir(dir.path().join("incoming")).unwrap().count(), 0, "no name leads to it");
+    assert_eq!(request(server.addr, "DELETE", &photos[0], &[], &[]).status, 204);
+    assert_eq!(metric(&server, "tmpi_export_cache_bytes"), 0.0);
+}
+
+/// A photo whose container is larger than what is kept in memory.
+fn noise() -> Vec<u8> {
+    let (width, height) = (640, 480);
+    let rgba =
+        (0..width * height).map(|i: u32| [(i.wrapping_mul(2_654_435_761) >> 24) as u8, (i.wrapping_mul(40_503) >> 7) as u8, i as u8, 255]);
+    encode(&View { width, height, rgba: rgba.collect() }, PictureFormat::Jpeg, 100).unwrap()
+}
+
+#[test]
+fn a_large_file_is_read_while_it_is_sent_and_a_damaged_one_is_none() {
+    let dir = tempfile::tempdir().unwrap();
+    let server = Running::start(dir.path(), Limits::default(), Arc::new(pipeline()));
+    let id = server.upload(&noise());
+    server.wait(&id, "done");
+    let file = dir.path().join("photos").join(&id).join("atlas.tmpi");
+    let bytes = std::fs::read(&file).unwrap();
+    assert!(bytes.len() > 256 << 10, "{}", bytes.len());
+    let path = format!("/v1/photos/{id}/atlas");
+    let whole = get(server.addr, &path);
+    assert_eq!(whole.body, bytes);
+    assert_eq!(whole.header("content-length"), Some(bytes.len().to_string().as_str()));
+    let last = bytes.len() - 300_000;
+    let part =
+        request(server.addr, "GET", &path, &[("range", &format!("bytes={last}-")), ("if-range", whole.header("etag").unwrap())], &[]);
+    assert_eq!((part.status, part.body.as_slice()), (206, &bytes[last..]));
+    server.stop();
+    let server = Running::start(dir.path(), Limits::default(), Arc::new(pipeline()));
+    assert_eq!(get(server.addr, &path).header("etag"), whole.header("etag"));
+    server.stop();
+    std::fs::write(&file, &bytes[..bytes.len() / 2]).unwrap();
+    let server = Running::start(dir.path(), Limits::default(), Arc::new(pipeline()));
+    get(server.addr, &path).problem(500);
+}
+
+#[test]
+fn an_address_has_no_more_connections_than_its_share() {
+    let dir = tempfile::tempdir().unwrap();
+    let limits = Limits { connections_per_address: 2, ..Limits::default() };
+    let server = Running::start(dir.path(), limits, Arc::new(pipeline()));
+    let (mut a, mut b) = (Connection::open(server.addr), Connection::open(server.addr));
+    assert_eq!((a.request("GET", "/healthz", &[], &[]).status, b.request("GET", "/healthz", &[], &[]).status), (200, 200));
+    let mut third = Connection::open(server.addr);
+    assert!(matches!(third.raw().read(&mut [0; 9]), Ok(0) | Err(_)), "closed at once");
+    drop(a);
+    wait_until("another one is let in", || {
+        let mut next = Connection::open(server.addr);
+        let sent = std::io::Write::write_all(next.raw(), b"GET /healthz HTTP/1.1\r\nhost: localhost\r\n\r\n").is_ok();
+        sent && next.receive("GET").is_ok_and(|answer| answer.status == 200)
+    });
+}
+
+#[test]
+fn event_streams_have_their_own_places() {
+    let dir = tempfile::tempdir().unwrap();
+    let server = Running::start(dir.path(), Limits { streams: 1, ..Limits::default() }, crate::fixture::Gate::new(0));
+    let _busy = server.upload(&jpeg(1));
+    let path = format!("/v1/photos/{}/events", server.upload(&jpeg(2)));
+    let mut first = ask(&server, &path);
+    assert_eq!(first.head().unwrap().status, 200);
+    get(server.addr, &path).problem(503);
+    drop(first);
+    wait_until("the place is free", || {
+        std::thread::sleep(Duration::from_millis(20));
+        ask(&server, &path).head().unwrap().status == 200
+    });
+}

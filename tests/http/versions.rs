@@ -1,0 +1,148 @@
+//! Names that name bytes: what may be kept for ever, entity tags, ranges, and queries that are what they seem.
+
+use std::sync::Arc;
+
+use tmpi::server::{Limits, Maker};
+use tmpi_render::PictureFormat;
+
+use crate::client::{get, request};
+use crate::fixture::{Running, jpeg, picture, pipeline};
+
+fn start(maker: Arc<dyn Maker>) -> (tempfile::TempDir, Running) {
+    let dir = tempfile::tempdir().unwrap();
+    let server = Running::start(dir.path(), Limits::default(), maker);
+    (dir, server)
+}
+
+const PARTS: [&str; 9] = [
+    "atlas",
+    "atlas?level=1",
+    "atlas?region=0,0,9,9",
+    "atlas?sections=photo",
+    "depth",
+    "report",
+    "thumbnail",
+    "view?w=20",
+    "export?format=glb",
+];
+
+#[test]
+fn only_an_address_that_names_the_version_is_kept_for_ever() {
+    let (_dir, server) = start(Arc::new(pipeline()));
+    let id = server.upload(&picture(1, PictureFormat::Png));
+    let version = server.wait(&id, "done")["version"].as_str().unwrap().to_owned();
+    for part in PARTS {
+        let path = format!("/v1/photos/{id}/{part}");
+        let and = if part.contains('?') { '&' } else { '?' };
+        let plain = get(server.addr, &path);
+        let etag = plain.header("etag").unwrap().to_owned();
+        assert_eq!((plain.status, plain.header("cache-control")), (200, Some("no-cache")), "{part}");
+        let named = get(server.addr, &format!("{path}{and}v={version}"));
+        assert_eq!((named.status, named.header("cache-control")), (200, Some("public, max-age=31536000, immutable")), "{part}");
+        assert_eq!((named.header("etag"), &named.body), (Some(etag.as_str()), &plain.body), "{part}");
+        let old = get(server.addr, &format!("{path}{and}v=0123456789abcdef"));
+        assert_eq!((old.status, old.header("cache-control")), (200, Some("no-cache")), "{part}");
+        let same = request(server.addr, "GET", &path, &[("if-none-match", &etag)], &[]);
+        assert_eq!((same.status, same.header("etag")), (304, Some(etag.as_str())), "{part}");
+    }
+    let state = server.state(&id);
+    for link in ["atlas", "depth", "report", "thumbnail", "poster"] {
+        let answer = get(server.addr, state["links"][link].as_str().unwrap());
+        assert!(answer.status == 200 && answer.header("cache-control").unwrap().contains("immutable"), "{link}");
+    }
+}
+
+/// The pipeline under another name.
+struct Named(&'static str);
+
+impl Maker for Named {
+    fn identity(&self) -> &str {
+        self.0
+    }
+
+    fn check(&self, photo: &[u8], options: &tmpi_pipeline::Options) -> Result<(), tmpi_pipeline::MakeError> {
+        pipeline().check(photo, options)
+    }
+
+    fn make(
+        &self,
+        photo: &[u8],
+        depth: Option<&[u8]>,
+        options: &tmpi_pipeline::Options,
+        sink: &dyn tmpi_pipeline::Sink,
+    ) -> Result<tmpi::server::Product, tmpi_pipeline::MakeError> {
+        pipeline().make(photo, depth, options, sink)
+    }
+}
+
+#[test]
+fn a_better_network_makes_the_photo_again() {
+    let dir = tempfile::tempdir().unwrap();
+    let with = |name| Running::start(dir.path(), Limits::default(), Arc::new(Named(name)));
+    let server = with("a network");
+    let first = server.upload(&jpeg(1));
+    server.wait(&first, "done");
+    server.stop();
+    let server = with("a better network");
+    let second = server.upload(&jpeg(1));
+    assert_ne!(first, second);
+    server.wait(&second, "done");
+    assert_eq!(server.upload(&jpeg(1)), second);
+    assert_eq!(get(server.addr, &format!("/v1/photos/{first}/atlas")).status, 200, "what was made stays");
+}
+
+#[test]
+fn a_photo_made_anew_has_another_version() {
+    let (_dir, server) = start(Arc::new(pipeline()));
+    let id = server.upload(&jpeg(1));
+    let before = server.wait(&id, "done")["version"].clone();
+    assert_eq!(request(server.addr, "DELETE", &format!("/v1/photos/{id}"), &[], &[]).status, 204);
+    assert_eq!(server.upload(&jpeg(1)), id);
+    assert_ne!(server.wait(&id, "done")["version"], before);
+}
+
+#[test]
+fn ranges_are_of_get_alone() {
+    let (_dir, server) = start(Arc::new(pipeline()));
+    let id = server.upload(&jpeg(1));
+    server.wait(&id, "done");
+    let path = format!("/v1/photos/{id}/atlas");
+    let whole = get(server.addr, &path);
+    let head = request(server.addr, "HEAD", &path, &[("range", "bytes=0-3")], &[]);
+    assert_eq!((head.status, head.header("content-range")), (200, None));
+    assert_eq!(head.header("content-length"), whole.header("content-length"));
+    assert_eq!(request(server.addr, "GET", &path, &[("range", "bytes=0-3")], &[]).body, whole.body[..4]);
+    // nothing was drawn yet of which `*` could be a version
+    let any = request(server.addr, "GET", &format!("/v1/photos/{id}/view?w=9"), &[("if-none-match", "*")], &[]);
+    assert!(any.status == 304 && any.header("etag").is_some());
+}
+
+#[test]
+fn names_of_queries_are_known_and_given_once_on_every_route() {
+    let (_dir, server) = start(Arc::new(pipeline()));
+    let id = server.upload(&picture(1, PictureFormat::Png));
+    server.wait(&id, "done");
+    let photo = format!("/v1/photos/{id}");
+    for part in ["", "/atlas", "/depth", "/report", "/thumbnail", "/view", "/export", "/settings", "/events"] {
+        assert_eq!(get(server.addr, &format!("{photo}{part}?zz=1")).problem(400)["field"], "zz", "{part}");
+    }
+    for path in ["/v1/photos", "/healthz", "/readyz", "/metrics", "/openapi.json"] {
+        assert_eq!(get(server.addr, &format!("{path}?zz=1")).problem(400)["field"], "zz", "{path}");
+    }
+    for method in ["DELETE", "PATCH"] {
+        assert_eq!(request(server.addr, method, &format!("{photo}?zz=1"), &[], &[]).problem(400)["field"], "zz");
+    }
+    for (query, field) in [
+        ("atlas?lev%65l=9", "level"),
+        ("atlas?level=1&level=1", "level"),
+        ("atlas?level=1&l%65vel=2", "level"),
+        ("thumbnail?v=a&v=a", "v"),
+        ("export?format=zip&f%6Frmat=zip", "format"),
+        ("view?w=9&%77=9", "w"),
+    ] {
+        assert_eq!(get(server.addr, &format!("{photo}/{query}")).problem(400)["field"], field, "{query}");
+    }
+    let small = get(server.addr, &format!("{photo}/atlas?lev%65l=1"));
+    assert_eq!(tmpi_core::container::decode(&small.body).unwrap().grid.width, 40);
+    assert_eq!(get(server.addr, "/v1/photos?limit=1&limit=2").problem(400)["field"], "limit");
+}
