@@ -13,6 +13,9 @@ use crate::server::{Config, Limits, PipelineMaker, Server, stop_signal};
 use tmpi_pipeline::networks::models;
 use tmpi_render::{self, Backend};
 
+/// More than readers of a container take would be made and never shown.
+const MOST_MEGAPIXELS: i64 = (tmpi_core::container::MAX_PIXELS / 1_000_000) as i64;
+
 /// Take photos over HTTP and serve what is made of them
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct ServeArgs {
@@ -38,7 +41,7 @@ pub(super) struct ServeArgs {
     #[arg(long, default_value_t = (Limits::BODY >> 20) as u32, value_parser = clap::value_parser!(u32).range(1..=4096), value_name = "MIB")]
     max_body: u32,
     /// Largest photo, in megapixels
-    #[arg(long, default_value_t = (tmpi_pipeline::photo::Limits::PIXELS / 1_000_000) as u32, value_parser = clap::value_parser!(u32).range(1..), value_name = "MP")]
+    #[arg(long, default_value_t = (tmpi_pipeline::photo::Limits::PIXELS / 1_000_000) as u32, value_parser = clap::value_parser!(u32).range(1..=MOST_MEGAPIXELS), value_name = "MP")]
     max_pixels: u32,
     /// Views that are drawn at a time
     #[arg(long, default_value_t = Limits::VIEWS as u16, value_parser = clap::value_parser!(u16).range(1..), value_name = "N")]
@@ -126,5 +129,11 @@ mod tests {
     fn zero_workers_are_refused() {
         assert!(Cli::try_parse_from(["serve", "--workers", "0"]).is_err());
         assert!(Cli::try_parse_from(["serve", "--addr", "nowhere"]).is_err());
+    }
+
+    #[test]
+    fn photos_that_no_reader_takes_cannot_be_allowed() {
+        assert!(Cli::try_parse_from(["serve", "--max-pixels", "50"]).is_ok());
+        assert!(Cli::try_parse_from(["serve", "--max-pixels", "51"]).is_err());
     }
 }

@@ -1,9 +1,9 @@
 //! What the server asks of the way of a photo, as a seam for tests.
 
-use tmpi_core::container::ContainerError;
+use tmpi_core::container::{self, ContainerError};
 use tmpi_pipeline::Report;
 use tmpi_pipeline::Sink;
-use tmpi_pipeline::photo;
+use tmpi_pipeline::{depth, photo};
 use tmpi_pipeline::{self, MakeError, Models, Options};
 use tmpi_render::{DEFAULT_QUALITY, PictureFormat, View, encode};
 
@@ -24,11 +24,11 @@ pub struct Product {
 
 /// Makes photos.
 pub trait Maker: Send + Sync + 'static {
-    /// Refuses early, before any work, what [`Maker::make`] would refuse for its format, its size or its options.
+    /// Refuses early, before any work, what [`Maker::make`] would refuse for its format, its size, its depth map or its options.
     ///
     /// # Errors
     /// [`MakeError`].
-    fn check(&self, photo: &[u8], options: &Options) -> Result<(), MakeError>;
+    fn check(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options) -> Result<(), MakeError>;
 
     /// Makes a photo; blocks.
     ///
@@ -52,19 +52,27 @@ impl PipelineMaker {
 }
 
 impl Maker for PipelineMaker {
-    fn check(&self, photo: &[u8], options: &Options) -> Result<(), MakeError> {
+    fn check(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options) -> Result<(), MakeError> {
         options.validate()?;
-        photo::check(photo, &self.limits)?;
+        let (_, size) = photo::check(photo, &self.limits)?;
+        if let Some(depth) = depth {
+            depth::check(depth, &self.limits)?;
+        }
+        let (width, height) = photo::reduced_size(size, options.max_size);
+        options.check_readable(width, height)?;
         Ok(())
     }
 
     fn make(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options, sink: &dyn Sink) -> Result<Product, MakeError> {
         let made = tmpi_pipeline::make(&self.models, &self.limits, photo, depth, options, sink)?;
-        let small = photo::decode(photo, &self.limits, Some(Limits::THUMBNAIL))?.photo;
+        // what cannot be read back is not published; layers follow from what is read here
+        let (photo, _) = container::read(&made.container)?;
+        let (width, height) = photo::reduced_size((photo.width, photo.height), Some(Limits::THUMBNAIL));
+        let small = photo::resize(&photo, width, height);
         Ok(Product {
             thumbnail: encode(&View::from(&small), PictureFormat::Jpeg, DEFAULT_QUALITY)
                 .map_err(|e| ContainerError::Encode(e.to_string()))?,
-            disparity: tmpi_pipeline::depth::to_png(&made.disparity)?,
+            disparity: depth::to_png(&made.disparity)?,
             container: made.container,
             report: made.report,
         })

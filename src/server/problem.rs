@@ -153,6 +153,10 @@ impl From<&MakeError> for Problem {
             MakeError::Generate(e @ StageError::Option { field, .. }) => {
                 Self::new(StatusCode::BAD_REQUEST, "parameter", e.to_string()).field(*field)
             }
+            MakeError::Generate(e @ StageError::Bound { field, .. }) => {
+                Self::new(StatusCode::BAD_REQUEST, "parameter", e.to_string()).field(*field)
+            }
+            MakeError::Atlas(e @ ContainerError::Bound(_)) => e.into(),
             MakeError::Cancelled => Self::new(StatusCode::SERVICE_UNAVAILABLE, "cancelled", "the job was cancelled"),
             MakeError::Depth(_) | MakeError::Generate(_) | MakeError::Atlas(_) | MakeError::Render(_) => {
                 Self::internal("making the photo", error)
@@ -163,7 +167,10 @@ impl From<&MakeError> for Problem {
 
 impl From<&ContainerError> for Problem {
     fn from(error: &ContainerError) -> Self {
-        Self::internal("reading the container", error)
+        match error {
+            ContainerError::Bound(_) => Self::new(StatusCode::UNPROCESSABLE_ENTITY, "beyond-readers", error.to_string()),
+            _ => Self::internal("reading the container", error),
+        }
     }
 }
 

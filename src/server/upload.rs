@@ -73,8 +73,9 @@ fn accept(app: &App, parts: Parts) -> Result<Submitted, Problem> {
     let text = options::to_text(&options);
     let id = PhotoId::of(&photo.hash, depth.as_ref().map(|d| &d.hash), &options::canonical(&text));
     if app.jobs.get(id).is_none() {
-        let bytes = std::fs::read(incoming.path(Part::Upload)).map_err(|e| Problem::store(&e))?;
-        app.jobs.maker.check(&bytes, &options).map_err(|e| Problem::from(&e))?;
+        let read = |part| std::fs::read(incoming.path(part)).map_err(|e| Problem::store(&e));
+        let (photo, map) = (read(Part::Upload)?, depth.as_ref().map(|_| read(Part::Depth)).transpose()?);
+        app.jobs.maker.check(&photo, map.as_deref(), &options).map_err(|e| Problem::from(&e))?;
     }
     let accepted = Accepted { at_ms: now_ms(), photo_bytes: photo.bytes, depth_bytes: depth.as_ref().map(|d| d.bytes), options: text };
     let submitted = app.jobs.submit(incoming, id, accepted)?;

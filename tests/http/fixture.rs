@@ -74,8 +74,8 @@ impl Gate {
 }
 
 impl Maker for Gate {
-    fn check(&self, photo: &[u8], options: &Options) -> Result<(), MakeError> {
-        self.inner.check(photo, options)
+    fn check(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options) -> Result<(), MakeError> {
+        self.inner.check(photo, depth, options)
     }
 
     fn make(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options, sink: &dyn Sink) -> Result<Product, MakeError> {
@@ -103,7 +103,7 @@ impl<F> Maker for Does<F>
 where
     F: Fn(&[u8], &dyn Sink) -> Result<Product, MakeError> + Send + Sync + 'static,
 {
-    fn check(&self, _: &[u8], _: &Options) -> Result<(), MakeError> {
+    fn check(&self, _: &[u8], _: Option<&[u8]>, _: &Options) -> Result<(), MakeError> {
         Ok(())
     }
 

@@ -54,7 +54,7 @@ pub fn make(
 
     trip.enter("depth")?;
     let mut delta = match depth {
-        Some(png) => depth::from_png(png, options.depth_kind, w, h)?,
+        Some(png) => depth::from_png(png, options.depth_kind, limits, w, h)?,
         None => models.depth.estimate(&photo)?,
     };
     let given = depth.is_some();
