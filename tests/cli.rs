@@ -1,4 +1,5 @@
 //! The contract of the command line, on the built program: exit codes, what goes to which stream, shapes of JSON, files.
+#![allow(clippy::unwrap_used, clippy::expect_used, reason = "test")]
 
 use std::io::Cursor;
 use std::path::{Path, PathBuf};

@@ -1,4 +1,5 @@
 //! The fuzzing targets on their seeds, and on changes of these by a fixed generator. `cargo xtask fuzz` goes on from there.
+#![allow(clippy::unwrap_used, reason = "test")]
 #![allow(unsafe_code, reason = "an allocator that counts and hands on")]
 
 use std::path::Path;

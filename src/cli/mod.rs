@@ -64,7 +64,10 @@ struct Usage(String);
 #[must_use]
 pub fn main() -> ExitCode {
     // SAFETY: the program has no other thread yet
-    unsafe { tmpi_pipeline::networks::keep_to_yourself() };
+    #[allow(unsafe_code, reason = "the one call before all others")]
+    unsafe {
+        tmpi_pipeline::networks::keep_to_yourself();
+    };
     let cli = match Cli::try_parse() {
         Ok(cli) => cli,
         Err(error) => {

@@ -9,7 +9,7 @@ use std::time::Duration;
 use anyhow::Context as _;
 
 use super::flags::ModelFlags;
-use crate::server::{Config, Limits, PipelineMaker, Server, stop_signal};
+use crate::server::{Config, Limits, PipelineMaker, ProcessMaker, Server, VARIABLE, make_for_a_server, stop_signal};
 use tmpi_pipeline::networks::models;
 use tmpi_render::{self, Backend};
 
@@ -55,6 +55,12 @@ pub(super) struct ServeArgs {
     /// Seconds that a request may take
     #[arg(long, default_value_t = Limits::REQUEST.as_secs() as u32, value_parser = clap::value_parser!(u32).range(1..), value_name = "S")]
     request_timeout: u32,
+    /// Seconds that making a photo of up to 12 megapixels may take; larger ones have as much more
+    #[arg(long, default_value_t = Limits::JOB.as_secs() as u32, value_parser = clap::value_parser!(u32).range(1..), value_name = "S")]
+    job_timeout: u32,
+    /// Memory that making a photo may take, in MiB
+    #[arg(long, default_value_t = (Limits::JOB_MEMORY >> 20) as u32, value_parser = clap::value_parser!(u32).range(256..), value_name = "MIB")]
+    job_memory: u32,
     /// Seconds that requests and jobs under way have left after SIGTERM
     #[arg(long, default_value_t = Limits::DRAIN.as_secs() as u32, value_name = "S")]
     drain: u32,
@@ -74,6 +80,8 @@ impl ServeArgs {
             workers: usize::from(self.workers),
             views: usize::from(self.views),
             scene_cache: (self.scene_cache as usize) << 20,
+            job: Duration::from_secs(u64::from(self.job_timeout)),
+            job_memory: u64::from(self.job_memory) << 20,
             connections: self.connections as usize,
             request: Duration::from_secs(u64::from(self.request_timeout)),
             drain: Duration::from_secs(u64::from(self.drain)),
@@ -88,8 +96,13 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
         tracing::warn!(%error, "photos without a depth map of their own cannot be made");
     }
     let limits = args.limits();
+    let maker = PipelineMaker::new(models::load(&args.models.settings())?, &limits);
+    if std::env::var_os(VARIABLE).is_some() {
+        make_for_a_server(&maker, limits.job_memory);
+        return Ok(());
+    }
     let renderer = tmpi_render::select(args.backend).context("renderer")?;
-    let maker = Arc::new(PipelineMaker::new(models::load(&args.models.settings())?, &limits));
+    let maker = Arc::new(ProcessMaker::new(maker));
     let config = Config { addr: args.addr, data: args.data, pages: args.pages, limits };
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().thread_name("tmpi-http").build()?;
     runtime.block_on(async {
@@ -97,7 +110,16 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
         let mut stdout = std::io::stdout();
         // whoever waits for this line may have gone
         let _ = writeln!(stdout, "http://{}", server.addr()).and_then(|()| stdout.flush());
-        server.run(stop_signal()).await;
+        let stop = async {
+            stop_signal().await;
+            // whoever asks twice does not want to wait
+            tokio::spawn(async {
+                stop_signal().await;
+                tracing::warn!("stopping at once");
+                std::process::exit(1);
+            });
+        };
+        server.run(stop).await;
         anyhow::Ok(())
     })?;
     // a job that outlived the drain time is taken up at the next start

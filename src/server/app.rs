@@ -106,6 +106,14 @@ impl Shared {
         }
     }
 
+    /// Forgets whatever is kept in memory of a photo.
+    pub fn forget(&self, photo: PhotoId) {
+        self.scenes.retain(|(of, _)| *of != photo);
+        self.views.retain(|((of, _), _)| *of != photo);
+        self.files.retain(|((of, _), _)| *of != photo);
+        self.levels.retain(|((of, _), ..)| *of != photo);
+    }
+
     /// A file of a made photo.
     ///
     /// # Errors

@@ -3,11 +3,12 @@
 use tmpi_core::container::{self, ContainerError};
 use tmpi_pipeline::Report;
 use tmpi_pipeline::Sink;
-use tmpi_pipeline::{depth, photo};
+use tmpi_pipeline::photo;
 use tmpi_pipeline::{self, MakeError, Models, Options};
 use tmpi_render::{DEFAULT_QUALITY, PictureFormat, View, encode};
 
 use super::limits::Limits;
+use super::problem::Problem;
 
 /// Everything that is kept of a made photo.
 #[derive(Clone, Debug)]
@@ -22,6 +23,19 @@ pub struct Product {
     pub thumbnail: Vec<u8>,
 }
 
+/// Why a photo was not made.
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+pub enum Fault {
+    /// The photo, its depth map or an option is at fault: another try would end the same way.
+    Photo(Problem),
+    /// The photo took down what made it, as the text says; after some tries it is given up.
+    Crashed(String),
+    /// The server is at fault, as the text says: no library, no room, no device. The photo is made once that is mended.
+    Server(String),
+    /// Nobody wants it any more, or the server stops.
+    Cancelled,
+}
+
 /// Makes photos.
 pub trait Maker: Send + Sync + 'static {
     /// Refuses early, before any work, what [`Maker::make`] would refuse for its format, its size, its depth map or its options.
@@ -33,8 +47,8 @@ pub trait Maker: Send + Sync + 'static {
     /// Makes a photo; blocks.
     ///
     /// # Errors
-    /// [`MakeError`].
-    fn make(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options, sink: &dyn Sink) -> Result<Product, MakeError>;
+    /// [`Fault`].
+    fn make(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options, sink: &dyn Sink) -> Result<Product, Fault>;
 }
 
 /// The real way of a photo.
@@ -56,14 +70,20 @@ impl Maker for PipelineMaker {
         options.validate()?;
         let (_, size) = photo::check(photo, &self.limits)?;
         if let Some(depth) = depth {
-            depth::check(depth, &self.limits)?;
+            tmpi_pipeline::depth::check(depth, &self.limits)?;
         }
         let (width, height) = photo::reduced_size(size, options.max_size);
         options.check_readable(width, height)?;
         Ok(())
     }
 
-    fn make(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options, sink: &dyn Sink) -> Result<Product, MakeError> {
+    fn make(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options, sink: &dyn Sink) -> Result<Product, Fault> {
+        Ok(self.product(photo, depth, options, sink)?)
+    }
+}
+
+impl PipelineMaker {
+    fn product(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options, sink: &dyn Sink) -> Result<Product, MakeError> {
         let made = tmpi_pipeline::make(&self.models, &self.limits, photo, depth, options, sink)?;
         // what cannot be read back is not published; layers follow from what is read here
         let (photo, _) = container::read(&made.container)?;
@@ -72,7 +92,7 @@ impl Maker for PipelineMaker {
         Ok(Product {
             thumbnail: encode(&View::from(&small), PictureFormat::Jpeg, DEFAULT_QUALITY)
                 .map_err(|e| ContainerError::Encode(e.to_string()))?,
-            disparity: depth::to_png(&made.disparity)?,
+            disparity: tmpi_pipeline::depth::to_png(&made.disparity)?,
             container: made.container,
             report: made.report,
         })

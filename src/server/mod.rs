@@ -8,8 +8,12 @@ mod accept;
 mod app;
 mod body;
 mod cache;
+mod child;
 mod conditional;
 mod entry;
+mod files;
+#[cfg(test)]
+mod forgetful;
 pub(crate) mod fuzzing;
 mod id;
 mod jobs;
@@ -20,6 +24,7 @@ mod options;
 mod pages;
 mod pool;
 mod problem;
+mod records;
 mod routes;
 mod settings;
 mod store;
@@ -36,9 +41,10 @@ use std::time::Instant;
 use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
 
+pub use child::{ProcessMaker, VARIABLE, serve as make_for_a_server};
 pub use id::PhotoId;
 pub use limits::Limits;
-pub use maker::{Maker, PipelineMaker, Product};
+pub use maker::{Fault, Maker, PipelineMaker, Product};
 pub use problem::Problem;
 pub use routes::openapi;
 

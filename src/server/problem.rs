@@ -158,6 +158,7 @@ impl From<&MakeError> for Problem {
             }
             MakeError::Atlas(e @ ContainerError::Bound(_)) => e.into(),
             MakeError::Cancelled => Self::new(StatusCode::SERVICE_UNAVAILABLE, "cancelled", "the job was cancelled"),
+            MakeError::Late { .. } => Self::new(StatusCode::SERVICE_UNAVAILABLE, "late", error.to_string()),
             MakeError::Depth(_) | MakeError::Generate(_) | MakeError::Atlas(_) | MakeError::Render(_) => {
                 Self::internal("making the photo", error)
             }

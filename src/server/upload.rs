@@ -16,6 +16,7 @@ use super::id::PhotoId;
 use super::jobs::Submitted;
 use super::options;
 use super::problem::Problem;
+use super::records::VERSION;
 use super::store::{Accepted, Incoming, Part};
 use super::time::now_ms;
 use tmpi_pipeline::Options;
@@ -77,8 +78,11 @@ fn accept(app: &App, parts: Parts) -> Result<Submitted, Problem> {
         let (photo, map) = (read(Part::Upload)?, depth.as_ref().map(|_| read(Part::Depth)).transpose()?);
         app.jobs.maker.check(&photo, map.as_deref(), &options).map_err(|e| Problem::from(&e))?;
     }
-    let accepted = Accepted { at_ms: now_ms(), photo_bytes: photo.bytes, depth_bytes: depth.as_ref().map(|d| d.bytes), options: text };
+    let accepted = Accepted { version: VERSION, at_ms: now_ms(), photo_bytes: photo.bytes, depth_bytes: depth.as_ref().map(|d| d.bytes), options: text };
     let submitted = app.jobs.submit(incoming, id, accepted)?;
+    if submitted.healed {
+        app.forget(id);
+    }
     if submitted.new {
         app.telemetry.uploaded(photo.bytes + depth.map_or(0, |d| d.bytes));
     }
@@ -125,13 +129,19 @@ async fn text(name: &str, mut field: axum::extract::multipart::Field<'_>) -> Res
     String::from_utf8(value).map_err(|_| Problem::parameter(name, "is not UTF-8"))
 }
 
+/// A new file that only its owner may read.
+async fn create(path: std::path::PathBuf) -> std::io::Result<File> {
+    let mut options = tokio::fs::OpenOptions::from(super::files::private());
+    options.create(true).truncate(true).write(true).open(path).await
+}
+
 /// Writes a stream to its file, synced.
 async fn write<S, E>(incoming: &Incoming, part: Part, mut stream: S, problem: impl Fn(E) -> Problem) -> Result<Written, Problem>
 where
     S: Stream<Item = Result<Bytes, E>> + Unpin,
 {
     let disk = |e: std::io::Error| Problem::store(&e);
-    let mut file = tokio::io::BufWriter::with_capacity(BUFFER, File::create(incoming.path(part)).await.map_err(disk)?);
+    let mut file = tokio::io::BufWriter::with_capacity(BUFFER, create(incoming.path(part)).await.map_err(disk)?);
     let mut hash = Sha256::new();
     let mut bytes = 0;
     while let Some(chunk) = stream.next().await {

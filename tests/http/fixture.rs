@@ -7,7 +7,7 @@ use std::sync::{Arc, Condvar, Mutex};
 use std::time::{Duration, Instant};
 
 use serde_json::Value;
-use tmpi::server::{Config, Limits, Maker, PipelineMaker, Product, Server};
+use tmpi::server::{Config, Fault, Limits, Maker, PipelineMaker, Product, Server};
 use tmpi_core::{DisparityMap, Photo};
 use tmpi_pipeline::depth::{DepthError, Estimator};
 use tmpi_pipeline::{MakeError, Models, Options};
@@ -78,13 +78,13 @@ impl Maker for Gate {
         self.inner.check(photo, depth, options)
     }
 
-    fn make(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options, sink: &dyn Sink) -> Result<Product, MakeError> {
+    fn make(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options, sink: &dyn Sink) -> Result<Product, Fault> {
         self.started.fetch_add(1, Ordering::SeqCst);
         sink.progress(&Progress { stage: "photo", step: 1, steps: 9, elapsed_ms: 0.0 });
         let mut open = self.open.lock().unwrap();
         while *open == 0 {
             if sink.cancelled() {
-                return Err(MakeError::Cancelled);
+                return Err(Fault::Cancelled);
             }
             open = self.changed.wait_timeout(open, Duration::from_millis(5)).unwrap().0;
         }
@@ -101,13 +101,13 @@ pub struct Does<F>(pub F);
 
 impl<F> Maker for Does<F>
 where
-    F: Fn(&[u8], &dyn Sink) -> Result<Product, MakeError> + Send + Sync + 'static,
+    F: Fn(&[u8], &dyn Sink) -> Result<Product, Fault> + Send + Sync + 'static,
 {
     fn check(&self, _: &[u8], _: Option<&[u8]>, _: &Options) -> Result<(), MakeError> {
         Ok(())
     }
 
-    fn make(&self, photo: &[u8], _: Option<&[u8]>, _: &Options, sink: &dyn Sink) -> Result<Product, MakeError> {
+    fn make(&self, photo: &[u8], _: Option<&[u8]>, _: &Options, sink: &dyn Sink) -> Result<Product, Fault> {
         (self.0)(photo, sink)
     }
 }

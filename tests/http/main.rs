@@ -1,4 +1,5 @@
 //! The HTTP interface, end to end: real sockets, real disk, and where time allows the real way of a photo.
+#![allow(clippy::unwrap_used, clippy::expect_used, reason = "test")]
 
 mod client;
 mod fixture;

@@ -114,7 +114,7 @@ fn a_photo_that_fails_says_why_and_is_tried_again_when_uploaded_again() {
         let gate = gate.clone();
         Does(move |photo: &[u8], sink: &dyn tmpi_pipeline::Sink| {
             if gate.finished.fetch_add(1, Ordering::SeqCst) == 0 {
-                return Err(MakeError::Photo(tmpi_pipeline::photo::PhotoError::Broken("the first time".into())));
+                return Err(tmpi::server::Fault::from(MakeError::Photo(tmpi_pipeline::photo::PhotoError::Broken("the first time".into()))));
             }
             tmpi::server::Maker::make(&pipeline(), photo, None, &tmpi_pipeline::Options::default(), sink)
         })

@@ -15,5 +15,5 @@ pub mod run;
 pub use error::StageError;
 pub use run::{
     Budget, Bytes, Denoise, ErrorFigures, Input, LeftOut, Made, MakeError, Models, Options, PlaneCount, PlaneMethod, Progress, Report,
-    STAGES, Silent, Sink, Stage, Switch, TileSize, make,
+    STAGES, Silent, Sink, StageTime, Switch, TileSize, make,
 };

@@ -285,10 +285,7 @@ pub async fn delete(State(app): State<App>, Path(id): Path<String>) -> Result<St
     let shared = Arc::clone(&app);
     let deleted = tokio::task::spawn_blocking(move || shared.jobs.delete(photo));
     let deleted = deleted.await.map_err(|e| Problem::internal("deleting a photo", &e))??;
-    app.scenes.retain(|(of, _)| *of != photo);
-    app.views.retain(|((of, _), _)| *of != photo);
-    app.files.retain(|((of, _), _)| *of != photo);
-    app.levels.retain(|((of, _), ..)| *of != photo);
+    app.forget(photo);
     if deleted { Ok(StatusCode::NO_CONTENT) } else { Err(Problem::not_found("the photo was deleted already")) }
 }
 

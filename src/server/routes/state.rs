@@ -88,6 +88,9 @@ pub struct PhotoState {
     /// Photos that are made before this one; only while it waits.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub position: Option<usize>,
+    /// What keeps it from being made, a fault of the server's; only while it waits.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub waits_for: Option<String>,
     /// Stage that it is at; only while it is being made.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub progress: Option<Progress>,
@@ -145,6 +148,7 @@ impl PhotoState {
             created: rfc3339(accepted.at_ms),
             finished: None,
             position: None,
+            waits_for: None,
             progress: None,
             problem: None,
             photo_bytes: accepted.photo_bytes,
@@ -168,7 +172,7 @@ impl PhotoState {
             },
         };
         match live.status {
-            Status::Queued => state.position = jobs.position(entry.id),
+            Status::Queued => (state.position, state.waits_for) = (jobs.position(entry.id), jobs.trouble()),
             Status::Working => {
                 state.state = StateName::Working;
                 state.progress = live.stages.last().map(Progress::from);

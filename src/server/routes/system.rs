@@ -31,7 +31,8 @@ pub async fn healthz() -> Json<Health> {
     Json(HEALTHY)
 }
 
-/// The server takes uploads: it is not stopping, the queue has room, the data directory can be written.
+/// The server takes uploads: it is not stopping, the queue has room, the data directory can be written, nothing of the server keeps
+/// photos from being made.
 #[utoipa::path(
     get, path = "/readyz", tag = "system",
     responses(
@@ -41,13 +42,19 @@ pub async fn healthz() -> Json<Health> {
 )]
 pub async fn readyz(State(app): State<App>) -> Result<Json<Health>, Problem> {
     let shared = Arc::clone(&app);
-    let writable = tokio::task::spawn_blocking(move || shared.jobs.store.writable()).await.unwrap_or(false);
+    let storage = tokio::task::spawn_blocking(move || shared.jobs.store.check()).await.unwrap_or_else(|e| Err(std::io::Error::other(e)));
+    let trouble = app.jobs.trouble();
     let why = if app.stop.is_cancelled() || !app.jobs.is_accepting() {
         "the server is stopping"
     } else if app.jobs.counts().queued >= app.limits.queue {
         "the queue is full"
-    } else if !writable {
-        "the data directory cannot be written"
+    } else if let Err(error) = &storage {
+        match error.kind() {
+            std::io::ErrorKind::StorageFull => "the data directory has no room left",
+            _ => "the data directory cannot be written",
+        }
+    } else if let Some(reason) = &trouble {
+        reason
     } else {
         return Ok(Json(HEALTHY));
     };
@@ -67,6 +74,7 @@ pub async fn metrics(State(app): State<App>) -> Response {
         ("tmpi_jobs_running", "Photos that are being made.", counts.working as f64),
         ("tmpi_photos_done", "Finished photos.", counts.done as f64),
         ("tmpi_photos_failed", "Photos that could not be made.", counts.failed as f64),
+        ("tmpi_photos_unreadable", "Photos whose records cannot be read.", app.jobs.store.unreadable() as f64),
         ("tmpi_scene_cache_bytes", "Memory of decoded scenes.", app.scenes.bytes() as f64),
         ("tmpi_file_cache_bytes", "Memory of cached files.", app.files.bytes() as f64),
         ("tmpi_view_cache_bytes", "Memory of encoded views.", app.views.bytes() as f64),

@@ -71,6 +71,13 @@ pub fn geometry(g: &Geometry) -> Result<(), ContainerError> {
     work(&g.grid, &g.tiles)
 }
 
+/// Whether readers take so many planes of this grid, backgrounds for all of its tiles included.
+#[must_use]
+pub fn readable(grid: &Grid, tiles: &[Tile]) -> bool {
+    let count = tiles.iter().map(|t| t.planes.len() + 1).sum();
+    planes(grid, count).is_ok() && work(grid, tiles).is_ok()
+}
+
 /// Most planes a tile, without backgrounds, that readers take of any photo of this grid; 0 where its tiles are too small for its size.
 #[must_use]
 pub fn most_planes(grid: &Grid) -> u32 {

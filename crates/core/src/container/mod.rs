@@ -27,7 +27,7 @@ mod select;
 pub mod wire;
 
 pub use bands::rows_for;
-pub use bounds::most_planes;
+pub use bounds::{most_planes, readable};
 pub use decode::{Pictures, SectionInfo, decode_with, read_geometry, read_plain, sections};
 #[cfg(feature = "pictures")]
 pub use decode::{decode, read};

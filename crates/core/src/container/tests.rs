@@ -1,3 +1,4 @@
+#![allow(clippy::unwrap_used, reason = "test")]
 use proptest::prelude::*;
 
 use super::fixtures::{bare_in, discs as scene, rough};

@@ -101,7 +101,7 @@ impl<'a> Prepared<'a> {
         let (w, h) = (self.photo.width, self.photo.height);
         let grid = Grid::new(w, h, 64);
         let parallax = self.subject.view_box.parallax(&self.intrinsics, Rect { x: 0, y: 0, w, h });
-        let placement = options.placement(parallax);
+        let placement = options.placement(options.max_error, parallax);
         let placement = match without {
             Without::Slant => Placement { method: Method::Optimal, most: 64, ..placement },
             Without::Smoothing => Placement { neighbour: 0.0, ..placement },

@@ -91,7 +91,7 @@ impl World {
     }
 
     /// A flat piece about `centre`, spanned by two perpendicular unit vectors.
-    #[allow(clippy::too_many_arguments)] // each names one geometric quantity; a struct would only repeat them
+    #[allow(clippy::too_many_arguments, reason = "each names one geometric quantity; a struct would only repeat them")]
     pub fn card(&mut self, group: u32, centre: V3, right: V3, down: V3, half: (f64, f64), outline: Outline, texture: Texture) {
         let frame = Frame { origin: centre, axes: [right, down, right.cross(down)] };
         self.add(group, frame, Shape::Card(half.0, half.1, outline), texture);

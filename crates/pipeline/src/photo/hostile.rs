@@ -68,7 +68,9 @@ fn a_file_too_short_for_the_size_that_it_claims_is_refused_by_the_check() {
         out
     };
     assert!(check(&flat, &Limits::default()).is_ok() && !decode(&flat, &Limits::default(), None).unwrap().damaged);
-    assert!(check(&scans(1), &Limits::default()).is_ok());
+    let error = decode(&scans(1), &Limits::default(), None).unwrap_err();
+    assert!(error.to_string().contains("first scan"), "{error}");
+    assert!(!decode(&scans(2), &Limits::default(), None).unwrap().damaged);
 }
 
 #[test]

@@ -20,7 +20,13 @@ pub(super) struct Jpeg {
     /// Place in `stripped` behind the first scan.
     first_scan_end: usize,
     /// Every scan refines the whole picture.
-    progressive: bool,
+    pub progressive: bool,
+    /// Each component comes in a scan of its own.
+    one_by_one: bool,
+    /// Count of scans.
+    pub scans: usize,
+    /// The scans of a progressive file bring every coefficient to its last bit.
+    pub complete: bool,
     /// The picture alone: no `APPn` but JFIF (without its thumbnail) and Adobe, no comments, nothing after the end marker.
     pub stripped: Vec<u8>,
     /// TIFF structure of the first EXIF segment.
@@ -48,18 +54,30 @@ impl Jpeg {
         Ok(())
     }
 
+    /// The file for a strict decoder: it takes zeros for whatever an end marker cuts off, but not the end of the file. So a file of one
+    /// scan ends in a few zeros, which the decoder may read ahead, and no marker.
+    pub(super) fn open(&self) -> Vec<u8> {
+        if self.progressive || self.one_by_one {
+            return self.stripped.clone();
+        }
+        [&self.stripped[..self.stripped.len() - 2], &[0; READ_AHEAD]].concat()
+    }
+
     /// The file cut to what has to be whole for a damaged picture to be worth showing: the upper [`MOST`] of it, or, where each
     /// scan refines the whole picture, the first scan.
     pub(super) fn most(&self) -> Vec<u8> {
         if self.progressive {
             return [&self.stripped[..self.first_scan_end], &[0xFF, 0xD9]].concat();
         }
-        let mut file = self.stripped.clone();
+        let mut file = self.open();
         let rows = (u64::from(self.height) * MOST.0).div_ceil(MOST.1) as u16;
         file[self.height_at..self.height_at + 2].copy_from_slice(&rows.to_be_bytes());
         file
     }
 }
+
+/// Bytes that a decoder holds ahead of the block that it is at.
+const READ_AHEAD: usize = 16;
 
 /// Share of the rows, as a fraction, that must decode without a fault.
 const MOST: (u64, u64) = (3, 4);
@@ -82,6 +100,9 @@ pub(super) fn scan(bytes: &[u8]) -> Result<Jpeg, PhotoError> {
         height_at: 0,
         first_scan_end: 0,
         progressive: false,
+        one_by_one: false,
+        scans: 0,
+        complete: false,
         stripped: Vec::new(),
         exif: None,
         icc: None,
@@ -124,6 +145,7 @@ pub(super) fn scan(bytes: &[u8]) -> Result<Jpeg, PhotoError> {
                 if scans == MAX_SCANS {
                     return Err(PhotoError::Broken(format!("more than {MAX_SCANS} scans")));
                 }
+                frame.refine(body);
                 frame.one_by_one |= body.first().is_some_and(|&n| n < frame.components);
                 push(&mut out, marker, body);
                 let end = entropy_end(bytes, at);
@@ -146,7 +168,8 @@ pub(super) fn scan(bytes: &[u8]) -> Result<Jpeg, PhotoError> {
     jpeg.icc = (!icc.is_empty()).then(|| icc.iter().flat_map(|&(_, part)| part).copied().collect());
     (jpeg.width, jpeg.height, jpeg.components) = (frame.width, frame.height, frame.components);
     jpeg.coefficient_bytes = if frame.progressive || frame.one_by_one { frame.coefficient_bytes } else { 0 };
-    jpeg.progressive = frame.progressive;
+    (jpeg.progressive, jpeg.one_by_one, jpeg.scans) = (frame.progressive, frame.one_by_one, scans);
+    jpeg.complete = frame.left.iter().all(|left| *left == 0);
     jpeg.least_data = (frame.blocks * if frame.progressive { 1 } else { 2 }) / 8;
     jpeg.stripped = out;
     Ok(jpeg)
@@ -209,6 +232,10 @@ struct Frame {
     coefficient_bytes: u64,
     /// Blocks of the picture alone, without those that only fill up the last minimum coded units.
     blocks: u64,
+    /// Names of the components.
+    names: Vec<u8>,
+    /// Coefficients, as bits, of each component that no scan has brought to their last bit.
+    left: Vec<u64>,
 }
 
 impl Frame {
@@ -244,7 +271,24 @@ impl Frame {
             one_by_one: false,
             coefficient_bytes,
             blocks,
+            names: parts.chunks_exact(3).take(components.into()).map(|p| p[0]).collect(),
+            left: vec![u64::MAX; components.into()],
         })
+    }
+
+    /// Notes what a scan brings, by its header.
+    fn refine(&mut self, scan: &[u8]) {
+        let Some((&count, rest)) = scan.split_first() else { return };
+        let (named, spectrum) = rest.split_at(rest.len().min(2 * usize::from(count)));
+        let &[first, last @ 0..=63, bits] = spectrum else { return };
+        if first > last || bits & 15 != 0 {
+            return;
+        }
+        let brought = (u64::MAX >> (63 - last)) & (u64::MAX << first);
+        for name in named.chunks_exact(2).map(|p| p[0]) {
+            let of_name = self.names.iter().zip(&mut self.left).filter(|(n, _)| **n == name);
+            of_name.for_each(|(_, left)| *left &= !brought);
+        }
     }
 }
 

@@ -146,7 +146,13 @@ fn read_jpeg(bytes: &[u8], limits: &Limits, max_size: Option<u32>) -> Result<Raw
 
 /// A JPEG at its own size, and whether it is damaged; one of which less than most is whole is refused.
 fn whole_jpeg(jpeg: &jpeg::Jpeg) -> Result<(Photo, bool), PhotoError> {
-    match jpeg_pixels(&jpeg.stripped, true) {
+    if jpeg.progressive && !jpeg.complete {
+        if jpeg.scans < 2 {
+            return Err(broken("it was cut within its first scan"));
+        }
+        return Ok((jpeg_pixels(&jpeg.stripped, false)?, true));
+    }
+    match jpeg_pixels(&jpeg.open(), true) {
         Ok(photo) => Ok((photo, false)),
         Err(fault) => {
             jpeg_pixels(&jpeg.most(), true).map_err(|_| fault)?;

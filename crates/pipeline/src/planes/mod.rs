@@ -159,12 +159,14 @@ const FINE: u32 = 14;
 /// Overlapping tiles count every pixel that they hold.
 #[must_use]
 pub fn discretisation_error(delta: &DisparityMap, grid: &Grid, tiles: &[Tile]) -> (f64, f64, f64) {
-    let none = || (vec![0u32; (1f32.to_bits() >> FINE) as usize + 1], [0f64; 2]);
+    let none = || vec![0u32; (1f32.to_bits() >> FINE) as usize + 1];
     let per_thread = tiles.len().div_ceil(rayon::current_num_threads()).max(1);
-    let parts = tiles.par_chunks(per_thread).enumerate().map(|(chunk, tiles)| {
-        let (mut s, (mut counts, mut sums)) = (Samples::default(), none());
+    // sums a tile, added up in the order of the tiles: the same on any count of threads
+    let mut sums = vec![[0f64; 2]; tiles.len()];
+    let parts = tiles.par_chunks(per_thread).zip(sums.par_chunks_mut(per_thread)).enumerate().map(|(chunk, (tiles, sums))| {
+        let (mut s, mut counts) = (Samples::default(), none());
         let last = counts.len() - 1;
-        for (i, t) in tiles.iter().enumerate() {
+        for (i, (t, to)) in tiles.iter().zip(sums).enumerate() {
             s.gather(delta, None, grid, (chunk * per_thread + i) as u32);
             let errors = s.errors(&t.planes, &t.labels);
             for e in &errors {
@@ -172,14 +174,15 @@ pub fn discretisation_error(delta: &DisparityMap, grid: &Grid, tiles: &[Tile]) -
             }
             // a row at a time: `f32` keeps a few dozen terms, and adds them side by side
             let sum = |f: fn(f32) -> f32| errors.chunks(64).map(|row| f64::from(row.iter().map(|&e| f(e)).sum::<f32>())).sum::<f64>();
-            sums = [sums[0] + sum(|e| e), sums[1] + sum(|e| e * e)];
+            *to = [sum(|e| e), sum(|e| e * e)];
         }
-        (counts, sums)
+        counts
     });
-    let (counts, [absolute, squared]) = parts.reduce(none, |(mut counts, sums), (more, others)| {
+    let counts = parts.reduce(none, |mut counts, more| {
         counts.iter_mut().zip(more).for_each(|(a, b)| *a += b);
-        (counts, [sums[0] + others[0], sums[1] + others[1]])
+        counts
     });
+    let [absolute, squared] = sums.iter().fold([0.0; 2], |all, one| [all[0] + one[0], all[1] + one[1]]);
     let n: u64 = counts.iter().map(|&c| u64::from(c)).sum();
     if n == 0 {
         return (0.0, 0.0, 0.0);

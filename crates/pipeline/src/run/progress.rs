@@ -1,5 +1,7 @@
 //! One stream of progress messages feeds the command line's bar, the server's events and the log alike.
 
+use std::time::Instant;
+
 use serde::Serialize;
 
 /// One message on the way of a photo.
@@ -23,6 +25,11 @@ pub trait Sink: Sync {
     /// True once the caller no longer wants the result; the pipeline stops before its next stage.
     fn cancelled(&self) -> bool {
         false
+    }
+
+    /// When the result is of no more use; no stage begins after that.
+    fn deadline(&self) -> Option<Instant> {
+        None
     }
 }
 

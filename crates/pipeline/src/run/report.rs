@@ -13,12 +13,15 @@ pub struct Input {
     pub height: u32,
     /// File size.
     pub bytes: usize,
+    /// The file is damaged or cut short, and a part of the picture is grey or coarse.
+    #[serde(default)]
+    pub damaged: bool,
 }
 
-/// One stage of the pipeline.
+/// What one stage took.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
-pub struct Stage {
+pub struct StageTime {
     /// As in [`crate::Progress::stage`].
     pub name: String,
     /// Wall time in milliseconds.
@@ -119,7 +122,7 @@ pub struct Report {
     /// Depth model, or `given`.
     pub depth_model: String,
     /// All stages in order.
-    pub stages: Vec<Stage>,
+    pub stages: Vec<StageTime>,
     /// Wall time of all stages.
     pub total_ms: f64,
     /// Peak resident memory of the process so far.

@@ -1,0 +1,160 @@
+//! What a photo comes to, held against stated values: a loss of quality anywhere from the map to the view fails here.
+//!
+//! `TMPI_BLESS=quality cargo test --release --workspace --test quality` states the values of this version anew.
+#![allow(clippy::unwrap_used, reason = "test")]
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::Arc;
+
+use image::{ExtendedColorType, ImageEncoder};
+use serde::{Deserialize, Serialize};
+use tmpi_core::container::decode;
+use tmpi_core::{Camera, DisparityMap, Photo, Pose, ViewBox};
+use tmpi_lab::metrics::psnr;
+use tmpi_lab::scenes::Scene;
+use tmpi_pipeline::depth::{DepthError, Estimator, halved};
+use tmpi_pipeline::photo::Limits;
+use tmpi_pipeline::{Made, Models, Options, Silent, make};
+use tmpi_render::{Cpu, Renderer};
+
+const SIZE: (u32, u32) = (320, 208);
+/// Seeds that nothing was trained or chosen on, and what their maps are like.
+const SCENES: [(u64, Map); 4] = [(920_001, Map::Exact), (920_002, Map::Blurred), (920_003, Map::Noisy), (920_004, Map::Exact)];
+/// Half extents of the view box, and how much of it the views use.
+const BOX: f64 = 0.06;
+/// Change of bytes, as a share, and of PSNR, in dB, that is none.
+const BYTES: f64 = 0.01;
+const DECIBELS: f64 = 0.2;
+
+#[derive(Clone, Copy, Debug)]
+enum Map {
+    /// As it is known, given as a file.
+    Exact,
+    /// As a network blurs it.
+    Blurred,
+    /// With noise of variance 1e-3, given as a file.
+    Noisy,
+}
+
+/// What is stated of a scene.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+struct Figures {
+    family: String,
+    planes: usize,
+    bytes: usize,
+    /// Mean over views from the side, from above and from nearer, dB.
+    views_psnr: f64,
+    identity_psnr: f64,
+}
+
+/// Hands out a map as if a network had estimated it.
+struct Fixed(DisparityMap);
+
+impl Estimator for Fixed {
+    fn name(&self) -> &'static str {
+        "fixed"
+    }
+
+    fn estimate(&self, _: &Photo) -> Result<DisparityMap, DepthError> {
+        Ok(self.0.clone())
+    }
+}
+
+/// Sum of twelve even numbers: normal enough, and the same everywhere.
+fn noisy(map: &DisparityMap) -> DisparityMap {
+    let mut state = 1u64;
+    let mut even = || {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (state >> 40) as f32 / (1 << 24) as f32
+    };
+    let deviation = 1e-3f32.sqrt();
+    let delta = map.delta.iter().map(|d| (d + deviation * ((0..12).map(|_| even()).sum::<f32>() - 6.0)).clamp(0.0, 1.0)).collect();
+    DisparityMap { delta, ..*map }
+}
+
+struct Subject {
+    scene: Scene,
+    camera: Camera,
+    file: Vec<u8>,
+    given: Option<Vec<u8>>,
+    models: Models,
+}
+
+fn subject(seed: u64, map: Map) -> Subject {
+    let scene = Scene::framed(seed, SIZE.0, SIZE.1);
+    let camera = scene.camera();
+    let picture = scene.render(&camera, 3);
+    let mut file = Vec::new();
+    let encoder = image::codecs::png::PngEncoder::new(&mut file);
+    encoder.write_image(picture.photo.rgb.as_flattened(), SIZE.0, SIZE.1, ExtendedColorType::Rgb8).unwrap();
+    let png = |map: &DisparityMap| Some(tmpi_pipeline::depth::to_png(map).unwrap());
+    let given = match map {
+        Map::Exact => png(&picture.disparity),
+        Map::Noisy => png(&noisy(&picture.disparity)),
+        Map::Blurred => None,
+    };
+    let models = Models { depth: Arc::new(Fixed(halved(&picture.disparity))), theta: None, psi: None };
+    Subject { scene, camera, file, given, models }
+}
+
+impl Subject {
+    fn make(&self) -> Made {
+        let view_box = ViewBox { x: BOX, y: BOX, z: BOX };
+        let options = Options { fov_x: Some(self.camera.intrinsics.fov_x(SIZE.0)), view_box, ..Options::default() };
+        make(&self.models, &Limits::default(), &self.file, self.given.as_deref(), &options, &Silent).unwrap()
+    }
+
+    fn figures(&self, made: &Made) -> Figures {
+        let decoded = Arc::new(decode(&made.container).unwrap());
+        let poses = [Pose::at(BOX, 0.0, 0.0), Pose::at(0.0, -BOX, 0.0), Pose::at(-BOX / 2.0, BOX / 2.0, BOX)];
+        let cpu = Cpu::default();
+        let view = |pose: &Pose| {
+            let camera = Camera { pose: *pose, ..self.camera };
+            let truth = self.scene.render(&camera, 3).photo;
+            let drawn: Vec<u8> = cpu.render(&decoded, &camera).unwrap().rgba.iter().flat_map(|p| [p[0], p[1], p[2]]).collect();
+            psnr(&drawn, truth.rgb.as_flattened())
+        };
+        Figures {
+            family: self.scene.family().into(),
+            planes: made.report.planes,
+            bytes: made.container.len(),
+            views_psnr: poses.iter().map(view).sum::<f64>() / 3.0,
+            identity_psnr: made.report.error.identity_psnr,
+        }
+    }
+}
+
+#[test]
+fn photos_come_to_what_is_stated() {
+    let golden = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/golden/quality.json");
+    let got: BTreeMap<String, Figures> = SCENES
+        .map(|(seed, map)| {
+            let s = subject(seed, map);
+            (format!("{seed} {map:?}"), s.figures(&s.make()))
+        })
+        .into();
+    if std::env::var("TMPI_BLESS").is_ok_and(|v| v == "quality") {
+        std::fs::write(&golden, serde_json::to_string_pretty(&got).unwrap() + "\n").unwrap();
+    }
+    let want: BTreeMap<String, Figures> = serde_json::from_slice(&std::fs::read(&golden).unwrap()).unwrap();
+    assert_eq!(got.keys().collect::<Vec<_>>(), want.keys().collect::<Vec<_>>());
+    for (name, want) in &want {
+        let got = &got[name];
+        assert_eq!((got.planes, &got.family), (want.planes, &want.family), "{name}: {got:?}, stated {want:?}");
+        assert!((got.bytes as f64 / want.bytes as f64 - 1.0).abs() <= BYTES, "{name}: {got:?}, stated {want:?}");
+        for (is, stated) in [(got.views_psnr, want.views_psnr), (got.identity_psnr, want.identity_psnr)] {
+            assert!((is - stated).abs() <= DECIBELS, "{name}: {got:?}, stated {want:?}");
+        }
+    }
+}
+
+#[test]
+fn one_thread_and_eight_come_to_the_same() {
+    for (seed, map) in SCENES {
+        let s = subject(seed, map);
+        let [one, eight] = [1, 8].map(|n| rayon::ThreadPoolBuilder::new().num_threads(n).build().unwrap().install(|| s.make()));
+        assert!(one.container == eight.container && one.disparity == eight.disparity, "{seed}");
+        assert_eq!(one.report.error, eight.report.error, "{seed}");
+    }
+}

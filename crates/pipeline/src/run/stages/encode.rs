@@ -1,0 +1,38 @@
+//! The container.
+
+use tmpi_core::container::{self, Carried};
+use tmpi_core::{Geometry, Photo, Scene, compose};
+
+use super::Layered;
+use crate::run::{Context, MakeError, Stage};
+
+/// Layers → scene and container.
+#[derive(Debug, Default)]
+pub struct Encode;
+
+/// A scene and its container.
+#[derive(Clone, Debug)]
+pub struct Encoded {
+    /// The container.
+    pub container: Vec<u8>,
+    /// What is in it.
+    pub scene: Scene,
+    /// What the scene follows from.
+    pub geometry: Geometry,
+    /// The photo's file.
+    pub carried: Carried,
+}
+
+impl Stage for Encode {
+    const NAME: &'static str = "encode";
+    type Input<'a> = (Photo, Layered);
+    type Output = Encoded;
+
+    fn run(&mut self, (photo, layered): (Photo, Layered), context: &mut Context) -> Result<Encoded, MakeError> {
+        let Layered { geometry, tiles, carried, carries } = layered;
+        let scene = compose(photo, &geometry, tiles);
+        let (container, bytes) = container::encode(&geometry, &scene, &carried, carries)?;
+        context.report.bytes = bytes.into();
+        Ok(Encoded { container, scene, geometry, carried })
+    }
+}

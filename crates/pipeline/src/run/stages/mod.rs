@@ -1,0 +1,21 @@
+//! The stages of a photo, in their order: each takes the values that the ones before it gave.
+
+mod depth;
+mod encode;
+mod layers;
+mod photo;
+mod planes;
+mod verify;
+
+pub use depth::{Denoise, Depth, Estimated, Snap};
+pub use encode::{Encode, Encoded};
+pub use layers::{Layered, Layers, Refine};
+pub use photo::{Prepare, Prepared};
+pub use planes::{Placed, Planes};
+pub use verify::Verify;
+
+use super::Stage;
+
+/// Names of all stages, in order.
+pub const STAGES: [&str; 9] =
+    [Prepare::NAME, Depth::NAME, Denoise::NAME, Snap::NAME, Planes::NAME, Layers::NAME, Refine::NAME, Encode::NAME, Verify::NAME];

@@ -1,0 +1,54 @@
+//! The photo: checked, decoded, upright, of the size that is wanted.
+
+use tmpi_core::container::PhotoFormat;
+use tmpi_core::{Intrinsics, Photo};
+
+use crate::photo::{self, Decoded};
+use crate::run::budget::Costs;
+use crate::run::{Context, Input, MakeError, Stage};
+
+/// Bytes of a file → photo and camera.
+#[derive(Debug, Default)]
+pub struct Prepare;
+
+/// A photo that the other stages can work on.
+#[derive(Clone, Debug)]
+pub struct Prepared {
+    /// Its pixels.
+    pub photo: Photo,
+    /// The reference camera.
+    pub intrinsics: Intrinsics,
+    /// Format as uploaded.
+    pub format: PhotoFormat,
+    /// The uploaded file without metadata, where it shows the same picture.
+    pub uploaded: Option<Vec<u8>>,
+    /// Longest side in pixels that a budget of run time brought it to.
+    pub reduced: Option<u32>,
+}
+
+impl Stage for Prepare {
+    const NAME: &'static str = "photo";
+    /// The file, and whether its depth is to be estimated.
+    type Input<'a> = (&'a [u8], bool);
+    type Output = Prepared;
+
+    fn run(&mut self, (file, estimated): (&[u8], bool), context: &mut Context) -> Result<Prepared, MakeError> {
+        let options = context.options;
+        let reduced = match options.budget_ms {
+            Some(budget) => {
+                let size = photo::reduced_size(photo::check(file, context.limits)?.1, options.max_size);
+                Costs::of_this_machine().side(budget, size, estimated)
+            }
+            None => None,
+        };
+        let decoded = photo::decode(file, context.limits, reduced.or(options.max_size))?;
+        let Decoded { photo, original, format, mut intrinsics, carried: uploaded, damaged, .. } = decoded;
+        options.check_readable(photo.width, photo.height)?;
+        if let Some(fov) = options.fov_x {
+            intrinsics = Intrinsics::from_fov_x(photo.width, photo.height, fov);
+        }
+        context.report.input = Input { width: original.0, height: original.1, bytes: file.len(), damaged };
+        (context.report.width, context.report.height) = (photo.width, photo.height);
+        Ok(Prepared { photo, intrinsics, format, uploaded, reduced })
+    }
+}

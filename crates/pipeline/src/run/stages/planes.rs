@@ -1,0 +1,84 @@
+//! Planes of all tiles.
+
+use tmpi_core::{DisparityMap, Geometry, Grid, Rect};
+
+use super::{Estimated, Prepared};
+use crate::planes::{Placement, busy_share, discretisation_error, place};
+use crate::run::budget::Costs;
+use crate::run::tile_error::tile_errors;
+use crate::run::{Budget, Context, ErrorFigures, MakeError, Stage};
+use tmpi_core::container::{most_planes, readable};
+
+/// Disparity → planes and labels of every tile.
+#[derive(Debug, Default)]
+pub struct Planes;
+
+/// Tiles with their planes, without background planes yet.
+#[derive(Clone, Debug)]
+pub struct Placed {
+    /// The tiles.
+    pub geometry: Geometry,
+    /// How their planes were placed.
+    pub placement: Placement,
+}
+
+impl Stage for Planes {
+    const NAME: &'static str = "planes";
+    type Input<'a> = (&'a Prepared, &'a Estimated);
+    type Output = Placed;
+
+    fn run(&mut self, (prepared, map): (&Prepared, &Estimated), context: &mut Context) -> Result<Placed, MakeError> {
+        let (options, delta) = (context.options, &map.delta);
+        let (w, h) = (delta.width, delta.height);
+        let grid = options.grid(w, h);
+        let parallax = options.view_box.parallax(&prepared.intrinsics, Rect { x: 0, y: 0, w, h });
+        let mut max_error = options.max_error;
+        if let Some(asked) = options.budget_ms {
+            let budget = fit(context, asked, (delta, &grid), parallax, prepared.reduced, &mut max_error);
+            context.report.budget = Some(budget);
+        }
+        let mut placement = options.placement(max_error, parallax);
+        let mut tiles = place(delta, map.confidence.as_deref(), &grid, &placement);
+        let most = most_planes(&grid);
+        if most < placement.most && !readable(&grid, &tiles) {
+            // small tiles on a large photo: fewer planes, which readers take whatever the photo
+            placement.most = most;
+            tiles = place(delta, map.confidence.as_deref(), &grid, &placement);
+        }
+        let (depth_mae, depth_mse, depth_q25) = discretisation_error(delta, &grid, &tiles);
+        let tile_px = tile_errors(delta, &grid, &tiles, parallax.0.max(parallax.1));
+        context.report.error = ErrorFigures { depth_mae, depth_mse, depth_q25, tile_px, ..ErrorFigures::default() };
+        Ok(Placed { geometry: Geometry { grid, intrinsics: prepared.intrinsics, view_box: options.view_box, tiles }, placement })
+    }
+}
+
+/// Chooses the parallax error for what is left of a budget of run time.
+fn fit(
+    context: &Context,
+    asked_ms: f64,
+    (delta, grid): (&DisparityMap, &Grid),
+    parallax: (f64, f64),
+    reduced: Option<u32>,
+    max_error: &mut f64,
+) -> Budget {
+    let elapsed = context.elapsed_ms();
+    let busy = busy_share(delta, grid, *max_error / parallax.0.max(parallax.1).max(1.0));
+    let megapixels = f64::from(delta.width) * f64::from(delta.height) / 1e6;
+    let (rate, ms, enough) = Costs::of_this_machine().choose(asked_ms - elapsed, megapixels, busy);
+    *max_error *= rate.factor;
+    let size = reduced.map_or(String::new(), |side| format!("--max-size {side} "));
+    let reason = match (enough, rate.factor > 1.0 || reduced.is_some()) {
+        (false, _) if elapsed >= asked_ms => "the photo and its depth alone took longer",
+        (false, _) => "the cheapest setting takes longer",
+        (true, true) => "the best that fits",
+        (true, false) => "nothing had to be given up",
+    };
+    Budget {
+        asked_ms,
+        predicted_ms: elapsed + ms,
+        outcome_ms: 0.0,
+        chose: format!("{size}--max-error {max_error}"),
+        reason: reason.into(),
+        busy,
+    }
+}
