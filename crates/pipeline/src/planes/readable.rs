@@ -50,4 +50,68 @@ mod tests {
         assert!(matches!(small, Err(StageError::Bound { field: "tile", .. })));
         assert!(Options::default().check_readable(8192, 6000).is_ok());
     }
+
+    /// Noise of which each pixel is of a depth of its own, as a JPEG and a depth map.
+    fn noise(w: u32, h: u32) -> (Vec<u8>, Vec<u8>) {
+        let mut seed = 7u32;
+        let mut next = || {
+            seed = seed.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            (seed >> 24) as u8
+        };
+        let rgb: Vec<u8> = (0..w * h * 3).map(|_| next()).collect();
+        let delta = (0..w * h).map(|_| f32::from(next()) / 255.0).collect();
+        let photo = tmpi_core::container::encode_jpeg(w, h, &rgb, 90).unwrap();
+        (photo, crate::depth::to_png(&tmpi_core::DisparityMap { width: w, height: h, delta }).unwrap())
+    }
+
+    /// Makes photos at the corners of the options and reads them; what cannot be read must have been refused by name.
+    fn corners(w: u32, h: u32) {
+        use crate::photo::Limits;
+        use crate::run::{MakeError, Silent, make};
+        use tmpi_core::ViewBox;
+        let models = crate::networks::models::load(&crate::networks::models::Settings::default()).unwrap();
+        let (photo, depth) = noise(w, h);
+        let (mut made, mut refused) = (0, 0);
+        let mut one = |options: &Options| match make(&models, &Limits::default(), &photo, Some(&depth), options, &Silent) {
+            Ok(got) => {
+                made += 1;
+                let scene = tmpi_core::container::decode(&got.container);
+                assert!(scene.is_ok(), "{options:?}: {:?}", scene.err());
+                for level in 1..=tmpi_core::container::LEVELS {
+                    let small = tmpi_core::container::level(&got.container, level).unwrap();
+                    assert!(tmpi_core::container::decode(&small).is_ok(), "level {level} of {options:?}");
+                }
+            }
+            Err(MakeError::Generate(StageError::Bound { .. })) => {
+                refused += 1;
+                assert!(options.check_readable(w, h).is_err(), "{options:?} was refused late");
+            }
+            Err(e) => panic!("{options:?}: {e}"),
+        };
+        let wide = ViewBox { x: 10.0, y: 10.0, z: 10.0 };
+        for tile in [8, 16, 1024].map(TileSize::Pixels).into_iter().chain([TileSize::Full]) {
+            let most = most_planes(&Options { tile, ..Options::default() }.grid(w, h)).clamp(1, 64);
+            for planes in [PlaneCount::Auto, PlaneCount::Fixed(1), PlaneCount::Fixed(most), PlaneCount::Fixed(64)] {
+                one(&Options { tile, planes, max_error: 0.0, view_box: wide, ..Options::default() });
+            }
+        }
+        let none = ViewBox { x: 0.0, y: 0.0, z: 0.0 };
+        one(&Options { view_box: none, quality: 1, max_error: 1000.0, ..Options::default() });
+        one(&Options { fov_x: Some(0.001), quality: 100, ..Options::default() });
+        one(&Options { fov_x: Some(179.999), ..Options::default() });
+        one(&Options { max_size: Some(1), ..Options::default() });
+        eprintln!("{made} made, {refused} refused");
+        assert!(made >= 14 && refused >= 1);
+    }
+
+    #[test]
+    fn whatever_is_made_at_the_corners_of_the_options_is_read() {
+        corners(96, 64);
+    }
+
+    #[test]
+    #[ignore = "twelve megapixels of noise take minutes and gigabytes"]
+    fn the_same_at_twelve_megapixels() {
+        corners(4000, 3000);
+    }
 }
