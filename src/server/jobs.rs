@@ -304,13 +304,14 @@ impl Jobs {
         self.wake.notify_one();
     }
 
-    /// Puts a photo back to the head of the queue; none is tried for a while, the longer the more often that happened.
+    /// Puts a photo back behind the others, which may need nothing of what is amiss; none is tried for a while, the longer the more
+    /// often that happened.
     pub(super) fn wait_for_repair(&self, entry: &Arc<Entry>, reason: String) {
         let mut inner = self.lock();
         let tries = inner.trouble.as_ref().map_or(0, |t| t.tries);
         let pause = REPAIR.saturating_mul(1 << tries.min(16)).min(MOST_REPAIR);
         inner.trouble = Some(Trouble { reason, until: Instant::now() + pause, tries: tries + 1 });
-        inner.queue.push_front(Arc::clone(entry));
+        inner.queue.push_back(Arc::clone(entry));
     }
 
     /// A photo was made: whatever kept others from it is over.
