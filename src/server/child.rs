@@ -330,9 +330,9 @@ fn bound_memory(_: u64) -> io::Result<()> {
 
 impl From<MakeError> for Fault {
     fn from(error: MakeError) -> Self {
+        use tmpi_pipeline::StageError;
         use tmpi_pipeline::depth::DepthError;
         use tmpi_pipeline::networks::OnnxError;
-        use tmpi_pipeline::StageError;
         match &error {
             MakeError::Cancelled => Self::Cancelled,
             MakeError::Depth(DepthError::Onnx(e)) | MakeError::Generate(StageError::Onnx(e)) => match e {

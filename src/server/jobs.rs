@@ -167,7 +167,10 @@ impl Jobs {
         self.room()?;
         let (entry, new) = if let Some(entry) = known {
             let gate = entry.gate();
-            self.store.take_upload(&incoming, id).and_then(|()| self.store.write_state(id, &State::default())).map_err(|e| Problem::store(&e))?;
+            self.store
+                .take_upload(&incoming, id)
+                .and_then(|()| self.store.write_state(id, &State::default()))
+                .map_err(|e| Problem::store(&e))?;
             entry.set_attempts(0);
             entry.set(Status::Queued);
             drop(gate);

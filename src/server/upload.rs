@@ -78,7 +78,13 @@ fn accept(app: &App, parts: Parts) -> Result<Submitted, Problem> {
         let (photo, map) = (read(Part::Upload)?, depth.as_ref().map(|_| read(Part::Depth)).transpose()?);
         app.jobs.maker.check(&photo, map.as_deref(), &options).map_err(|e| Problem::from(&e))?;
     }
-    let accepted = Accepted { version: VERSION, at_ms: now_ms(), photo_bytes: photo.bytes, depth_bytes: depth.as_ref().map(|d| d.bytes), options: text };
+    let accepted = Accepted {
+        version: VERSION,
+        at_ms: now_ms(),
+        photo_bytes: photo.bytes,
+        depth_bytes: depth.as_ref().map(|d| d.bytes),
+        options: text,
+    };
     let submitted = app.jobs.submit(incoming, id, accepted)?;
     if submitted.healed {
         app.forget(id);

@@ -200,6 +200,15 @@ pub fn jpeg(seed: u8) -> Vec<u8> {
 }
 
 /// A depth map of two steps.
+/// A depth map of which the pixels are damaged, which nobody sees by its headers.
+pub fn spoilt_map() -> Vec<u8> {
+    let mut map = depth_map();
+    // within the checksum of the pixels, before the end chunk of twelve bytes
+    let at = map.len() - 14;
+    map[at] ^= 1;
+    map
+}
+
 pub fn depth_map() -> Vec<u8> {
     let (width, height) = (80, 60);
     let delta = (0..height).flat_map(|_| (0..width).map(|x| if x < 40 { 0.25 } else { 0.75 })).collect();

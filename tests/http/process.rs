@@ -201,7 +201,10 @@ fn a_port_in_use_is_an_error_that_names_it() {
 
 /// A picture that takes seconds to make.
 fn slow(seed: u32) -> Vec<u8> {
-    let (width, height) = (2000, 1500);
+    sized(seed, 2000, 1500)
+}
+
+fn sized(seed: u32, width: u32, height: u32) -> Vec<u8> {
     let at = |x: u32, y: u32| [(x * 7 + seed) as u8, (y * 5) as u8, ((x / 32) * (y / 32) * 9 + seed) as u8, 255];
     let rgba = (0..height).flat_map(|y| (0..width).map(move |x| at(x, y))).collect();
     encode(&View { width, height, rgba }, PictureFormat::Jpeg, 90).unwrap()
@@ -291,7 +294,7 @@ fn a_job_that_takes_too_long_is_given_up() {
 fn memory_of_a_job_is_bounded() {
     let dir = tempfile::tempdir().unwrap();
     let server = Process::start_with(dir.path(), &["--job-memory", "256"]);
-    let long = upload_with(server.addr, &slow(6), LONG);
+    let long = upload_with(server.addr, &sized(6, 4000, 3000), &[]);
     wait_until("it is given up", || state(server.addr, &long)["state"] == "failed");
     assert_eq!(state(server.addr, &long)["problem"]["type"], "urn:tmpi:problem:gave-up");
     let small = upload(server.addr, &large(7)).unwrap();

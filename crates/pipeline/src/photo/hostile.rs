@@ -11,7 +11,8 @@ fn noisy(w: u32, h: u32) -> Vec<u8> {
         seed = seed.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
         (seed >> 26) as u8
     };
-    let rgb: Vec<u8> = (0..w * h).flat_map(|i| [(i % w * 255 / w) as u8 / 2 + next(), (i / w * 255 / h) as u8 / 2 + next(), next()]).collect();
+    let rgb: Vec<u8> =
+        (0..w * h).flat_map(|i| [(i % w * 255 / w) as u8 / 2 + next(), (i / w * 255 / h) as u8 / 2 + next(), next()]).collect();
     let mut out = Vec::new();
     image::codecs::jpeg::JpegEncoder::new_with_quality(&mut out, 90).write_image(&rgb, w, h, ExtendedColorType::Rgb8).unwrap();
     out

@@ -49,7 +49,9 @@ impl Jpeg {
     pub(super) fn check_data(&self) -> Result<(), PhotoError> {
         if self.data < self.least_data {
             let (have, least) = (self.data, self.least_data);
-            return Err(PhotoError::Broken(format!("{have} bytes of picture data, where its size takes at least {least}: it was cut short")));
+            return Err(PhotoError::Broken(format!(
+                "{have} bytes of picture data, where its size takes at least {least}: it was cut short"
+            )));
         }
         Ok(())
     }
