@@ -71,8 +71,8 @@ fn targets_hold_on_seeds_and_on_changes_of_them() {
 }
 
 /// A chunk of PNG with its checksum.
-fn png_chunk(name: &[u8; 4], body: &[u8]) -> Vec<u8> {
-    let mut out = [(body.len() as u32).to_be_bytes().as_slice(), name, body].concat();
+fn png_chunk(name: [u8; 4], body: &[u8]) -> Vec<u8> {
+    let mut out = [(body.len() as u32).to_be_bytes().as_slice(), &name, body].concat();
     out.extend_from_slice(&crc32fast::hash(&out[4..]).to_be_bytes());
     out
 }
@@ -92,12 +92,12 @@ fn metadata_of_many_megabytes_takes_no_more_than_a_few_times_its_size() {
     let seed = &seeds("png")[0].1;
     let with = |chunk: Vec<u8>| [&seed[..33], &chunk, &seed[33..]].concat();
     // an orientation of 31 million texts, all of them empty
-    memory::hold(run, &with(png_chunk(b"eXIf", &orientation(2, 31 << 20))));
+    memory::hold(run, &with(png_chunk(*b"eXIf", &orientation(2, 31 << 20))));
     // a profile of zeros, a thousand times as large as its chunk
     let packed = miniz(&vec![0; 64 << 20]);
-    memory::hold(run, &with(png_chunk(b"iCCP", &[b"p\0\0".as_slice(), &packed].concat())));
-    memory::hold(run, &with(png_chunk(b"zTXt", &[b"p\0\0".as_slice(), &packed].concat())));
-    let many: Vec<u8> = (0..200_000).flat_map(|_| png_chunk(b"tEXt", b"a\0b")).collect();
+    memory::hold(run, &with(png_chunk(*b"iCCP", &[b"p\0\0".as_slice(), &packed].concat())));
+    memory::hold(run, &with(png_chunk(*b"zTXt", &[b"p\0\0".as_slice(), &packed].concat())));
+    let many: Vec<u8> = (0..200_000).flat_map(|_| png_chunk(*b"tEXt", b"a\0b")).collect();
     memory::hold(run, &with(many));
     // a JPEG segment of directories that name one another
     let mut tiff = b"II*\0\x08\0\0\0".to_vec();

@@ -259,6 +259,7 @@ pub fn serve(maker: &PipelineMaker, memory: u64) {
             let passed_on = read(&mut input).is_ok_and(|frame| tell.send(frame).is_ok());
             if !passed_on {
                 // the server has gone: nobody wants what is being made
+                #[allow(clippy::disallowed_methods, reason = "what runs cannot be stopped otherwise, and owns nothing")]
                 std::process::exit(0);
             }
         }
@@ -338,7 +339,7 @@ impl From<MakeError> for Fault {
             MakeError::Depth(DepthError::Onnx(e)) | MakeError::Generate(StageError::Onnx(e)) => match e {
                 OnnxError::Library(_) | OnnxError::Model { .. } => Self::Server(error.to_string()),
                 // the same photo may bring it about again
-                _ => Self::Crashed(error.to_string()),
+                OnnxError::Run { .. } => Self::Crashed(error.to_string()),
             },
             _ => Self::Photo(Problem::from(&error)),
         }

@@ -24,7 +24,7 @@ use super::worker;
 const FIRST_GUESS: f64 = 5.0;
 /// Pause after a fault of the server, doubled with each further one, and its longest.
 const REPAIR: Duration = Duration::from_millis(500);
-const MOST_REPAIR: Duration = Duration::from_secs(60);
+const MOST_REPAIR: Duration = Duration::from_mins(1);
 /// How often photos that could not be read are looked at again.
 const LOOK_AGAIN: Duration = Duration::from_secs(10);
 /// Longest `Retry-After` in seconds.

@@ -73,7 +73,7 @@ impl Limits {
     /// Three starts.
     pub const ATTEMPTS: u32 = 3;
     /// 120 s.
-    pub const JOB: Duration = Duration::from_secs(120);
+    pub const JOB: Duration = Duration::from_mins(2);
     /// 12 megapixels.
     pub const JOB_PIXELS: u64 = 12_000_000;
     /// 6 GiB.

@@ -150,10 +150,7 @@ impl From<&MakeError> for Problem {
             MakeError::Depth(DepthError::Map(_)) => {
                 Self::new(StatusCode::UNPROCESSABLE_ENTITY, "broken-depth-map", error.to_string()).field("depth")
             }
-            MakeError::Generate(e @ StageError::Option { field, .. }) => {
-                Self::new(StatusCode::BAD_REQUEST, "parameter", e.to_string()).field(*field)
-            }
-            MakeError::Generate(e @ StageError::Bound { field, .. }) => {
+            MakeError::Generate(e @ (StageError::Option { field, .. } | StageError::Bound { field, .. })) => {
                 Self::new(StatusCode::BAD_REQUEST, "parameter", e.to_string()).field(*field)
             }
             MakeError::Atlas(e @ ContainerError::Bound(_)) => e.into(),

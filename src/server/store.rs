@@ -204,7 +204,7 @@ impl Store {
         let folder = self.folder(id);
         let names = self.files.names(&folder)?;
         let has = |part: Part| names.iter().any(|n| n == part.name());
-        for name in names.iter().filter(|n| n.ends_with(".tmp")) {
+        for name in names.iter().filter(|n| n.strip_suffix(TEMPORARY).is_some()) {
             self.files.remove(&folder.join(name))?;
         }
         let accepted = match self.record(id, Part::Options)? {
@@ -361,7 +361,7 @@ impl Store {
     pub fn write(&self, id: PhotoId, parts: &[(Part, &[u8])]) -> io::Result<()> {
         let folder = self.folder(id);
         for (part, bytes) in parts {
-            let temporary = folder.join(format!("{}.tmp", part.name()));
+            let temporary = folder.join(format!("{}{TEMPORARY}", part.name()));
             let written = self.files.write(&temporary, bytes).and_then(|()| self.files.rename(&temporary, &folder.join(part.name())));
             if let Err(error) = written {
                 // what filled the disk must not keep it full
@@ -414,6 +414,8 @@ impl Store {
     }
 }
 
+/// End of the name of a file that is being written.
+const TEMPORARY: &str = ".tmp";
 /// Settings that this program does not understand.
 const KEPT_SETTINGS: &str = "settings.json.kept";
 
