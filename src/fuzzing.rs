@@ -4,6 +4,8 @@
 use axum::http::{HeaderMap, HeaderValue, Uri, header};
 
 use tmpi_core::container;
+use tmpi_pipeline::depth::{self as maps, DepthKind};
+use tmpi_pipeline::photo;
 
 use crate::server;
 
@@ -11,7 +13,20 @@ use crate::server;
 pub type Run = fn(&[u8]) -> usize;
 
 /// All targets by name.
-pub const TARGETS: [(&str, Run); 4] = [("container", container), ("labels", labels), ("planes", planes), ("query", query)];
+pub const TARGETS: [(&str, Run); 12] = [
+    ("container", container),
+    ("labels", labels),
+    ("planes", planes),
+    ("query", query),
+    ("jpeg", photo),
+    ("png", photo),
+    ("webp", photo),
+    ("exif", exif),
+    ("icc", icc),
+    ("depth", depth),
+    ("multipart", multipart),
+    ("patch", patch),
+];
 
 /// What a reader may take for whatever it is given: threads, tables, messages.
 const LEAST: usize = 4 << 20;
@@ -68,5 +83,68 @@ fn query(data: &[u8]) -> usize {
     if let Ok(value) = HeaderValue::from_str(range) {
         server::fuzzing::range(&HeaderMap::from_iter([(header::RANGE, value)]), data.len());
     }
+    LEAST + 64 * data.len()
+}
+
+/// Limits under which a photo is decoded here: a larger one would be slow, not wrong.
+const PHOTO: photo::Limits =
+    photo::Limits { bytes: 64 << 20, pixels: SLOW, side: photo::Limits::SIDE, decoder_memory: photo::Limits::DECODER_MEMORY };
+/// What a decoder may take for tables, rows and an unpacked profile, whatever it is given.
+const DECODER: usize = 24 << 20;
+
+/// A photo of any format, at its own size and reduced. Promised: what was checked without decoding is refused for its data alone;
+/// a photo that holds together; what is carried is the same photo; memory by bytes and pixels.
+fn photo(data: &[u8]) -> usize {
+    let checked = photo::check(data, &PHOTO);
+    for most in [None, Some(5)] {
+        match photo::decode(data, &PHOTO, most) {
+            Ok(got) => {
+                assert!(checked.is_ok(), "a photo was decoded that the check refuses");
+                assert_eq!(got.photo.rgb.len(), got.photo.width as usize * got.photo.height as usize);
+                assert!(got.intrinsics.is_valid());
+                if let Some(file) = got.carried {
+                    let again = photo::decode(&file, &PHOTO, None).map(|d| d.photo);
+                    assert!(again.is_ok_and(|p| p == got.photo), "what is carried is another photo");
+                }
+            }
+            Err(photo::PhotoError::Broken(text)) => assert!(!text.contains("the decoder failed"), "a decoder panicked"),
+            Err(_) => assert!(checked.is_err(), "a photo was checked that is over the limits"),
+        }
+    }
+    LEAST + DECODER + 8 * data.len() + 64 * SLOW as usize
+}
+
+/// A TIFF structure. Promised: an orientation and a focal length in their ranges, and no memory taken.
+fn exif(data: &[u8]) -> usize {
+    photo::fuzzing::exif(data);
+    1 << 10
+}
+
+/// A colour profile. Promised: an answer; memory by its bytes and the tables of a conversion.
+fn icc(data: &[u8]) -> usize {
+    photo::fuzzing::icc(data);
+    LEAST + DECODER + 32 * data.len()
+}
+
+/// A user's depth map, for a photo of another size. Promised: finite values, one for each pixel; what is read was not refused before.
+fn depth(data: &[u8]) -> usize {
+    let kind = if data.last().is_some_and(|b| b % 2 == 1) { DepthKind::Metric } else { DepthKind::Disparity };
+    if let Ok(map) = maps::from_png(data, kind, &PHOTO, 21, 13) {
+        assert!(maps::check(data, &PHOTO).is_ok(), "a map was read that the check refuses");
+        assert_eq!(map.delta.len(), 21 * 13);
+        assert!(map.delta.iter().all(|v| (0.0..=1.0).contains(v)));
+    }
+    LEAST + DECODER + 8 * data.len() + 64 * SLOW as usize
+}
+
+/// The body of a form whose boundary is `x`. Promised: an error of the request, or its options.
+fn multipart(data: &[u8]) -> usize {
+    server::fuzzing::multipart(data);
+    LEAST + 16 * data.len()
+}
+
+/// A merge patch of settings. Promised: an error that names its field, or settings that are read again as they were written.
+fn patch(data: &[u8]) -> usize {
+    server::fuzzing::patch(data);
     LEAST + 64 * data.len()
 }

@@ -66,6 +66,57 @@ fn targets_hold_on_seeds_and_on_changes_of_them() {
             }
         }
     }
+    // one after the other: the memory of the whole process is counted
+    metadata_of_many_megabytes_takes_no_more_than_a_few_times_its_size();
+}
+
+/// A chunk of PNG with its checksum.
+fn png_chunk(name: [u8; 4], body: &[u8]) -> Vec<u8> {
+    let mut out = [(body.len() as u32).to_be_bytes().as_slice(), &name, body].concat();
+    out.extend_from_slice(&crc32fast::hash(&out[4..]).to_be_bytes());
+    out
+}
+
+/// A little-endian TIFF structure of one entry: an orientation of `count` values of type `kind`, which follow it.
+fn orientation(kind: u16, count: u32) -> Vec<u8> {
+    let mut tiff = b"II*\0\x08\0\0\0\x01\0\x12\x01".to_vec();
+    tiff.extend_from_slice(&kind.to_le_bytes());
+    tiff.extend_from_slice(&[count.to_le_bytes(), 26u32.to_le_bytes()].concat());
+    tiff.extend_from_slice(&[0; 4]);
+    tiff.resize(26 + count as usize, 0);
+    tiff
+}
+
+fn metadata_of_many_megabytes_takes_no_more_than_a_few_times_its_size() {
+    let run = TARGETS.iter().find(|(name, _)| *name == "png").unwrap().1;
+    let seed = &seeds("png")[0].1;
+    let with = |chunk: Vec<u8>| [&seed[..33], &chunk, &seed[33..]].concat();
+    // an orientation of 31 million texts, all of them empty
+    memory::hold(run, &with(png_chunk(*b"eXIf", &orientation(2, 31 << 20))));
+    // a profile of zeros, a thousand times as large as its chunk
+    let packed = miniz(&vec![0; 64 << 20]);
+    memory::hold(run, &with(png_chunk(*b"iCCP", &[b"p\0\0".as_slice(), &packed].concat())));
+    memory::hold(run, &with(png_chunk(*b"zTXt", &[b"p\0\0".as_slice(), &packed].concat())));
+    let many: Vec<u8> = (0..200_000).flat_map(|_| png_chunk(*b"tEXt", b"a\0b")).collect();
+    memory::hold(run, &with(many));
+    // a JPEG segment of directories that name one another
+    let mut tiff = b"II*\0\x08\0\0\0".to_vec();
+    tiff.extend_from_slice(&5000u16.to_le_bytes());
+    for _ in 0..5000 {
+        tiff.extend_from_slice(b"\x69\x87\x04\0\x01\0\0\0\x08\0\0\0");
+    }
+    let body = [b"Exif\0\0".as_slice(), &tiff].concat();
+    let jpeg = &seeds("jpeg")[0].1;
+    let segment = [[0xFF, 0xE1].as_slice(), &((body.len() + 2) as u16).to_be_bytes(), &body].concat();
+    let jpeg = [&jpeg[..2], &segment, &jpeg[2..]].concat();
+    memory::hold(run, &jpeg);
+}
+
+/// Bytes as a zlib stream.
+fn miniz(bytes: &[u8]) -> Vec<u8> {
+    let mut out = flate2::write::ZlibEncoder::new(Vec::new(), flate2::Compression::best());
+    std::io::Write::write_all(&mut out, bytes).unwrap();
+    out.finish().unwrap()
 }
 
 #[test]

@@ -11,9 +11,12 @@ use anyhow::Context as _;
 use super::flags::ModelFlags;
 use sha2::{Digest as _, Sha256};
 
-use crate::server::{Config, Limits, PipelineMaker, Server, hex, stop_signal};
+use crate::server::{Config, Limits, PipelineMaker, ProcessMaker, Server, VARIABLE, hex, make_for_a_server, stop_signal};
 use tmpi_pipeline::networks::models;
 use tmpi_render::{self, Backend};
+
+/// More than readers of a container take would be made and never shown.
+const MOST_MEGAPIXELS: i64 = (tmpi_core::container::MAX_PIXELS / 1_000_000) as i64;
 
 /// Take photos over HTTP and serve what is made of them
 #[derive(Clone, Debug, clap::Args)]
@@ -46,7 +49,7 @@ pub(super) struct ServeArgs {
     #[arg(long, default_value_t = (Limits::BODY >> 20) as u32, value_parser = clap::value_parser!(u32).range(1..=4096), value_name = "MIB")]
     max_body: u32,
     /// Largest photo, in megapixels
-    #[arg(long, default_value_t = (tmpi_pipeline::photo::Limits::PIXELS / 1_000_000) as u32, value_parser = clap::value_parser!(u32).range(1..), value_name = "MP")]
+    #[arg(long, default_value_t = (tmpi_pipeline::photo::Limits::PIXELS / 1_000_000) as u32, value_parser = clap::value_parser!(u32).range(1..=MOST_MEGAPIXELS), value_name = "MP")]
     max_pixels: u32,
     /// Views that are drawn at a time
     #[arg(long, default_value_t = Limits::VIEWS as u16, value_parser = clap::value_parser!(u16).range(1..), value_name = "N")]
@@ -69,6 +72,12 @@ pub(super) struct ServeArgs {
     /// Seconds that a request may take, from the end of its body
     #[arg(long, default_value_t = Limits::REQUEST.as_secs() as u32, value_parser = clap::value_parser!(u32).range(1..), value_name = "S")]
     request_timeout: u32,
+    /// Seconds that making a photo of up to 12 megapixels may take; larger ones have as much more
+    #[arg(long, default_value_t = Limits::JOB.as_secs() as u32, value_parser = clap::value_parser!(u32).range(1..), value_name = "S")]
+    job_timeout: u32,
+    /// Memory that making a photo may take, in MiB
+    #[arg(long, default_value_t = (Limits::JOB_MEMORY >> 20) as u32, value_parser = clap::value_parser!(u32).range(256..), value_name = "MIB")]
+    job_memory: u32,
     /// Seconds that requests and jobs under way have left after SIGTERM
     #[arg(long, default_value_t = Limits::DRAIN.as_secs() as u32, value_name = "S")]
     drain: u32,
@@ -88,6 +97,8 @@ impl ServeArgs {
             workers: usize::from(self.workers),
             views: usize::from(self.views),
             scene_cache: (self.scene_cache as usize) << 20,
+            job: Duration::from_secs(u64::from(self.job_timeout)),
+            job_memory: u64::from(self.job_memory) << 20,
             connections: self.connections as usize,
             connections_per_address: self.connections_per_address as usize,
             work_memory: (self.work_memory as usize) << 20,
@@ -105,9 +116,14 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
         tracing::warn!(%error, "photos without a depth map of their own cannot be made");
     }
     let limits = args.limits();
-    let renderer = tmpi_render::select(args.backend).context("renderer")?;
     let settings = args.models.settings();
     let maker = PipelineMaker::new(models::load(&settings)?, &limits).identified(&identity(&settings)?);
+    if std::env::var_os(VARIABLE).is_some() {
+        make_for_a_server(&maker, limits.job_memory);
+        return Ok(());
+    }
+    let renderer = tmpi_render::select(args.backend).context("renderer")?;
+    let maker = ProcessMaker::new(maker);
     let config = Config { addr: args.addr, data: args.data, pages: args.pages, hosts: args.hosts, public_list: args.public_list, limits };
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().thread_name("tmpi-http").build()?;
     runtime.block_on(async {
@@ -115,14 +131,17 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
         let mut stdout = std::io::stdout();
         // whoever waits for this line may have gone
         let _ = writeln!(stdout, "http://{}", server.addr()).and_then(|()| stdout.flush());
-        tokio::spawn(async {
+        let stop = async {
             stop_signal().await;
-            stop_signal().await;
-            tracing::warn!("stopped at once: what was under way is taken up at the next start");
-            // whoever asks twice does not want to wait for the drain
-            std::process::exit(1);
-        });
-        server.run(stop_signal()).await;
+            // whoever asks twice does not want to wait
+            tokio::spawn(async {
+                stop_signal().await;
+                tracing::warn!("stopping at once");
+                #[allow(clippy::disallowed_methods, reason = "that is what was asked for; what was accepted is on disk")]
+                std::process::exit(1);
+            });
+        };
+        server.run(stop).await;
         anyhow::Ok(())
     })?;
     // a job that outlived the drain time is taken up at the next start
@@ -163,5 +182,11 @@ mod tests {
     fn zero_workers_are_refused() {
         assert!(Cli::try_parse_from(["serve", "--workers", "0"]).is_err());
         assert!(Cli::try_parse_from(["serve", "--addr", "nowhere"]).is_err());
+    }
+
+    #[test]
+    fn photos_that_no_reader_takes_cannot_be_allowed() {
+        assert!(Cli::try_parse_from(["serve", "--max-pixels", "50"]).is_ok());
+        assert!(Cli::try_parse_from(["serve", "--max-pixels", "51"]).is_err());
     }
 }

@@ -3,8 +3,8 @@
 use std::fs::File;
 use std::io::{Read as _, Write as _};
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicUsize};
+use std::sync::atomic::AtomicUsize;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use bytes::Bytes;
@@ -177,8 +177,8 @@ pub struct Shared {
     pub uploads: AtomicUsize,
     /// Places for event streams.
     pub streams: Arc<Semaphore>,
-    /// False once the data directory could not be written.
-    pub writable: AtomicBool,
+    /// Why the data directory could not be written when that was last tried.
+    pub storage: Mutex<Option<&'static str>>,
     /// What draws them.
     pub renderer: Arc<dyn Renderer>,
     /// Names under which the server answers.
@@ -196,6 +196,17 @@ pub struct Shared {
 }
 
 impl Shared {
+    /// Why the data directory could not be written when that was last tried.
+    #[must_use]
+    pub fn storage(&self) -> Option<&'static str> {
+        *self.storage.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Keeps the outcome of a try.
+    pub fn set_storage(&self, trouble: Option<&'static str>) {
+        *self.storage.lock().unwrap_or_else(PoisonError::into_inner) = trouble;
+    }
+
     /// The photo of a path.
     ///
     /// # Errors

@@ -1,10 +1,14 @@
 //! Doors to what reads requests, for [`crate::fuzzing`].
 
-use axum::http::{HeaderMap, Uri};
+use axum::body::Body;
+use axum::extract::{FromRequest, Multipart, Request};
+use axum::http::{HeaderMap, HeaderValue, Uri, header};
 
 use super::Limits;
 use super::conditional::{Wanted, wanted};
+use super::options;
 use super::routes::ViewQuery;
+use super::settings::Settings;
 use tmpi_core::{Grid, Intrinsics, Photo, Scene, Texels, ViewBox};
 
 /// Reads a query for a view of a photo of 60 × 40 pixels.
@@ -39,5 +43,37 @@ pub fn view(uri: &Uri) {
 pub fn range(headers: &HeaderMap, length: usize) {
     if let Wanted::Part(r) = wanted(headers, "\"tag\"", length) {
         assert!(r.start < r.end && r.end <= length);
+    }
+}
+
+/// Reads the options of a form whose boundary is `x`.
+pub fn multipart(body: &[u8]) {
+    let mut request = Request::new(Body::from(body.to_vec()));
+    request.headers_mut().insert(header::CONTENT_TYPE, HeaderValue::from_static("multipart/form-data; boundary=x"));
+    let Ok(runtime) = tokio::runtime::Builder::new_current_thread().build() else { return };
+    runtime.block_on(async {
+        let Ok(mut form) = Multipart::from_request(request, &()).await else { return };
+        let mut read = tmpi_pipeline::Options::default();
+        while let Ok(Some(field)) = form.next_field().await {
+            let name = field.name().unwrap_or_default().to_owned();
+            let Ok(value) = field.text().await else { return };
+            if let Err(problem) = options::set(&mut read, &name, &value) {
+                assert!(problem.status == 400 && problem.field.is_some());
+            }
+        }
+        let text = options::to_text(&read);
+        assert!(options::from_text(&text).is_ok_and(|again| options::to_text(&again) == text), "options are read otherwise than written");
+    });
+}
+
+/// Reads a merge patch.
+pub fn patch(patch: &[u8]) {
+    match Settings::default().patched(patch) {
+        Ok(settings) => {
+            let written = serde_json::to_vec(&settings).unwrap_or_default();
+            assert_eq!(Settings::read(&written).as_ref(), Ok(&settings));
+            assert_eq!(settings.patched(b"{}").as_ref(), Ok(&settings));
+        }
+        Err(problem) => assert!(problem.status == 400 && !problem.detail.is_empty()),
     }
 }

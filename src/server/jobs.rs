@@ -22,6 +22,11 @@ use super::worker;
 
 /// Guess of a job's duration before one was measured, in seconds.
 const FIRST_GUESS: f64 = 5.0;
+/// Pause after a fault of the server, doubled with each further one, and its longest.
+const REPAIR: Duration = Duration::from_millis(500);
+const MOST_REPAIR: Duration = Duration::from_mins(1);
+/// How often photos that could not be read are looked at again.
+const LOOK_AGAIN: Duration = Duration::from_secs(10);
 /// Longest `Retry-After` in seconds.
 const MAX_RETRY_AFTER: u64 = 120;
 
@@ -47,6 +52,17 @@ struct Inner {
     tally: Arc<Tally>,
     stopping: bool,
     mean_seconds: Option<f64>,
+    trouble: Option<Trouble>,
+}
+
+/// A fault of the server that keeps photos from being made.
+#[derive(Debug)]
+struct Trouble {
+    reason: String,
+    /// No photo is tried before.
+    until: Instant,
+    /// Tries so far.
+    tries: u32,
 }
 
 /// Counts for health and metrics.
@@ -76,6 +92,8 @@ pub struct Submitted {
     pub entry: Arc<Entry>,
     /// False where the photo was known already.
     pub new: bool,
+    /// True where what was made of it was damaged, and is made again.
+    pub healed: bool,
 }
 
 impl Jobs {
@@ -90,16 +108,6 @@ impl Jobs {
         limits: Arc<Limits>,
         telemetry: Arc<Telemetry>,
     ) -> std::io::Result<Arc<Self>> {
-        let mut inner = Inner::default();
-        for photo in found {
-            let entry = Arc::new(Entry::found(photo));
-            // what was accepted is taken up again, however long the queue is
-            if entry.status() == Status::Queued {
-                inner.queue.push_back(Arc::clone(&entry));
-            }
-            inner.insert(&entry);
-        }
-        tracing::info!(photos = inner.by_id.len(), unfinished = inner.queue.len(), "data directory");
         let workers = limits.workers;
         let jobs = Arc::new(Self {
             store,
@@ -107,11 +115,17 @@ impl Jobs {
             limits,
             telemetry,
             membership: Mutex::new(()),
-            inner: Mutex::new(inner),
+            inner: Mutex::default(),
             wake: Condvar::new(),
             idle: Condvar::new(),
             abort: AtomicBool::new(false),
         });
+        jobs.take_up(found);
+        {
+            let inner = jobs.lock();
+            let unreadable = jobs.store.unreadable();
+            tracing::info!(photos = inner.by_id.len(), unfinished = inner.queue.len(), unreadable, "data directory");
+        }
         for n in 0..workers {
             let jobs = Arc::clone(&jobs);
             std::thread::Builder::new().name(format!("tmpi-way-{n}")).spawn(move || worker::work(&jobs))?;
@@ -133,17 +147,31 @@ impl Jobs {
     /// # Errors
     /// 429 where the queue is full, 503 while the server stops, 500 and 507 where the disk fails.
     pub fn submit(&self, incoming: Incoming, id: PhotoId, accepted: Accepted) -> Result<Submitted, Problem> {
+        // read before the lock is taken: others need not wait for it
+        let spoilt = |entry: &Entry| matches!(entry.status(), Status::Done(done) if !self.store.is_whole(id, &done));
+        let healed = self.get(id).is_some_and(|entry| spoilt(&entry));
         let _membership = self.membership();
         let known = self.get(id);
-        if let Some(entry) = &known
-            && !matches!(entry.status(), Status::Failed(_))
-        {
-            return Ok(Submitted { entry: Arc::clone(entry), new: false });
+        if let Some(entry) = &known {
+            let again = match entry.status() {
+                Status::Failed(_) => true,
+                Status::Done(_) => healed,
+                _ => false,
+            };
+            if !again {
+                return Ok(Submitted { entry: Arc::clone(entry), new: false, healed: false });
+            }
+        }
+        if healed {
+            tracing::error!(%id, "what was made of the photo is damaged on disk; it is made again");
         }
         self.room()?;
         let (entry, new) = if let Some(entry) = known {
             let gate = entry.gate();
-            self.store.write_state(id, &State::default()).map_err(|e| Problem::store(&e))?;
+            self.store
+                .take_upload(&incoming, id)
+                .and_then(|()| self.store.write_state(id, &State::default()))
+                .map_err(|e| Problem::store(&e))?;
             entry.set_attempts(0);
             entry.set(Status::Queued);
             drop(gate);
@@ -157,7 +185,7 @@ impl Jobs {
         inner.queue.push_back(Arc::clone(&entry));
         drop(inner);
         self.wake.notify_one();
-        Ok(Submitted { entry, new })
+        Ok(Submitted { entry, new, healed })
     }
 
     /// Room in the queue; with `membership` held it stays until the caller has used it.
@@ -246,18 +274,76 @@ impl Jobs {
             if inner.stopping {
                 return None;
             }
-            if let Some(entry) = inner.queue.pop_front() {
+            let pause = inner.trouble.as_ref().map(|t| t.until.saturating_duration_since(Instant::now()));
+            if pause.is_none_or(|p| p.is_zero())
+                && let Some(entry) = inner.queue.pop_front()
+            {
                 inner.running.push(Arc::clone(&entry));
                 return Some(entry);
             }
-            inner = self.wake.wait(inner).unwrap_or_else(PoisonError::into_inner);
+            let pause = pause.filter(|p| !p.is_zero() && !inner.queue.is_empty());
+            let unread = self.store.unreadable() > 0;
+            inner = match pause.or(unread.then_some(LOOK_AGAIN)) {
+                Some(pause) => self.wake.wait_timeout(inner, pause).unwrap_or_else(PoisonError::into_inner).0,
+                None => self.wake.wait(inner).unwrap_or_else(PoisonError::into_inner),
+            };
+            if unread && inner.queue.is_empty() && !inner.stopping {
+                drop(inner);
+                self.take_up(self.store.look_again());
+                inner = self.lock();
+            }
         }
+    }
+
+    /// Takes up photos that were found on disk.
+    fn take_up(&self, found: Vec<Found>) {
+        let _membership = self.membership();
+        let mut inner = self.lock();
+        for photo in found.into_iter().filter(|f| !inner.by_id.contains_key(&f.id)).collect::<Vec<_>>() {
+            let entry = Arc::new(Entry::found(photo));
+            // what was accepted is taken up again, however long the queue is
+            if entry.status() == Status::Queued {
+                inner.queue.push_back(Arc::clone(&entry));
+            }
+            inner.insert(&entry);
+        }
+    }
+
+    /// Puts a photo behind those that wait.
+    pub(super) fn queue_again(&self, entry: &Arc<Entry>) {
+        self.lock().queue.push_back(Arc::clone(entry));
+        self.wake.notify_one();
+    }
+
+    /// Puts a photo back behind the others, which may need nothing of what is amiss; none is tried for a while, the longer the more
+    /// often that happened.
+    pub(super) fn wait_for_repair(&self, entry: &Arc<Entry>, reason: String) {
+        let mut inner = self.lock();
+        let tries = inner.trouble.as_ref().map_or(0, |t| t.tries);
+        let pause = REPAIR.saturating_mul(1 << tries.min(16)).min(MOST_REPAIR);
+        inner.trouble = Some(Trouble { reason, until: Instant::now() + pause, tries: tries + 1 });
+        inner.queue.push_back(Arc::clone(entry));
+    }
+
+    /// A photo was made: whatever kept others from it is over.
+    pub(super) fn mended(&self) {
+        self.lock().trouble = None;
+        self.wake.notify_all();
+    }
+
+    /// The fault of the server that keeps photos from being made, if there is one.
+    #[must_use]
+    pub fn trouble(&self) -> Option<String> {
+        self.lock().trouble.as_ref().map(|t| t.reason.clone())
     }
 
     /// The counterpart of [`Jobs::take`].
     pub(super) fn release(&self, entry: &Arc<Entry>, took: Duration) {
         let mut inner = self.lock();
-        inner.running.retain(|e| !Arc::ptr_eq(e, entry));
+        // a photo that failed and was uploaded again at once may be there twice
+        if let Some(at) = inner.running.iter().position(|e| Arc::ptr_eq(e, entry)) {
+            inner.running.swap_remove(at);
+        }
         let mean = inner.mean_seconds.map_or(took.as_secs_f64(), |m| 0.8 * m + 0.2 * took.as_secs_f64());
         inner.mean_seconds = Some(mean);
         drop(inner);
@@ -287,23 +373,14 @@ impl Jobs {
         let wait = |until: Instant| {
             let left = until.saturating_duration_since(Instant::now());
             let inner = self.idle.wait_timeout_while(self.lock(), left, |inner| !inner.running.is_empty());
-            inner.unwrap_or_else(PoisonError::into_inner).0.running.clone()
+            inner.unwrap_or_else(PoisonError::into_inner).0.running.is_empty()
         };
-        if wait(deadline).is_empty() {
+        if wait(deadline) {
             return;
         }
         self.abort.store(true, Ordering::Release);
-        // a way stops before its next stage: those that reach it put their count of starts right themselves
-        for entry in wait(Instant::now() + Duration::from_millis(500)) {
-            let _gate = entry.gate();
-            let attempts = entry.attempts().saturating_sub(1);
-            let state = State { attempts, end: None };
-            if !entry.status().is_final()
-                && let Err(error) = self.store.write_state(entry.id, &state)
-            {
-                tracing::warn!(id = %entry.id, %error, "state of an unfinished photo");
-            }
-        }
+        // what is cut off was never counted: there is nothing to put right
+        wait(Instant::now() + Duration::from_millis(500));
     }
 }
 

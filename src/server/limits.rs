@@ -31,8 +31,12 @@ pub struct Limits {
     pub queue: usize,
     /// Threads that make photos.
     pub workers: usize,
-    /// Starts of one job; a photo that took the process down that often is given up.
+    /// Tries of one job: a photo that took down what made it that often is given up.
     pub attempts: u32,
+    /// Time that a job may take for a photo of up to [`Self::JOB_PIXELS`]; larger ones have as much more.
+    pub job: Duration,
+    /// Memory that a job may take, in bytes, where photos are made in a process of their own.
+    pub job_memory: u64,
     /// Connections at a time; more wait in the kernel's queue.
     pub connections: usize,
     /// Connections at a time from one address (IPv6: one network of 64 bits); more are closed.
@@ -108,6 +112,12 @@ impl Limits {
     pub const WORKERS: usize = 1;
     /// Three starts.
     pub const ATTEMPTS: u32 = 3;
+    /// 120 s.
+    pub const JOB: Duration = Duration::from_mins(2);
+    /// 12 megapixels.
+    pub const JOB_PIXELS: u64 = 12_000_000;
+    /// 6 GiB.
+    pub const JOB_MEMORY: u64 = 6 << 30;
     /// 1 024 connections.
     pub const CONNECTIONS: usize = 1024;
     /// Two views.
@@ -134,6 +144,15 @@ impl Limits {
     pub const THUMBNAIL: u32 = 320;
 }
 
+impl Limits {
+    /// Time that making a photo may take.
+    #[must_use]
+    pub fn time_for(&self, photo: &[u8]) -> Duration {
+        let pixels = photo::check(photo, &self.photo).map_or(0, |(_, (w, h))| u64::from(w) * u64::from(h));
+        self.job.mul_f64((pixels as f64 / Self::JOB_PIXELS as f64).max(1.0))
+    }
+}
+
 impl Default for Limits {
     fn default() -> Self {
         Self {
@@ -150,6 +169,8 @@ impl Default for Limits {
             queue: Self::QUEUE,
             workers: Self::WORKERS,
             attempts: Self::ATTEMPTS,
+            job: Self::JOB,
+            job_memory: Self::JOB_MEMORY,
             connections: Self::CONNECTIONS,
             connections_per_address: Self::CONNECTIONS_PER_ADDRESS,
             streams: Self::STREAMS,

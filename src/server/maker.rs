@@ -1,6 +1,6 @@
 //! What the server asks of the way of a photo, as a seam for tests.
 
-use tmpi_core::container::ContainerError;
+use tmpi_core::container::{self, ContainerError};
 use tmpi_pipeline::Report;
 use tmpi_pipeline::Sink;
 use tmpi_pipeline::photo;
@@ -9,6 +9,7 @@ use tmpi_render::{DEFAULT_QUALITY, PictureFormat, View, encode};
 
 use super::identity;
 use super::limits::Limits;
+use super::problem::Problem;
 
 /// Everything that is kept of a made photo.
 #[derive(Clone, Debug)]
@@ -23,6 +24,19 @@ pub struct Product {
     pub thumbnail: Vec<u8>,
 }
 
+/// Why a photo was not made.
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+pub enum Fault {
+    /// The photo, its depth map or an option is at fault: another try would end the same way.
+    Photo(Problem),
+    /// The photo took down what made it, as the text says; after some tries it is given up.
+    Crashed(String),
+    /// The server is at fault, as the text says: no library, no room, no device. The photo is made once that is mended.
+    Server(String),
+    /// Nobody wants it any more, or the server stops.
+    Cancelled,
+}
+
 /// Makes photos.
 pub trait Maker: Send + Sync + 'static {
     /// What its products depend on besides what is uploaded: part of a photo's id, so that a better maker makes a photo anew.
@@ -30,17 +44,17 @@ pub trait Maker: Send + Sync + 'static {
         identity::PIPELINE
     }
 
-    /// Refuses early, before any work, what [`Maker::make`] would refuse for its format, its size or its options.
+    /// Refuses early, before any work, what [`Maker::make`] would refuse for its format, its size, its depth map or its options.
     ///
     /// # Errors
     /// [`MakeError`].
-    fn check(&self, photo: &[u8], options: &Options) -> Result<(), MakeError>;
+    fn check(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options) -> Result<(), MakeError>;
 
     /// Makes a photo; blocks.
     ///
     /// # Errors
-    /// [`MakeError`].
-    fn make(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options, sink: &dyn Sink) -> Result<Product, MakeError>;
+    /// [`Fault`].
+    fn make(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options, sink: &dyn Sink) -> Result<Product, Fault>;
 }
 
 /// The real way of a photo.
@@ -69,15 +83,29 @@ impl Maker for PipelineMaker {
         &self.identity
     }
 
-    fn check(&self, photo: &[u8], options: &Options) -> Result<(), MakeError> {
+    fn check(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options) -> Result<(), MakeError> {
         options.validate()?;
-        photo::check(photo, &self.limits)?;
+        let (_, size) = photo::check(photo, &self.limits)?;
+        if let Some(depth) = depth {
+            tmpi_pipeline::depth::check(depth, &self.limits)?;
+        }
+        let (width, height) = photo::reduced_size(size, options.max_size);
+        options.check_readable(width, height)?;
         Ok(())
     }
 
-    fn make(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options, sink: &dyn Sink) -> Result<Product, MakeError> {
+    fn make(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options, sink: &dyn Sink) -> Result<Product, Fault> {
+        Ok(self.product(photo, depth, options, sink)?)
+    }
+}
+
+impl PipelineMaker {
+    fn product(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options, sink: &dyn Sink) -> Result<Product, MakeError> {
         let made = tmpi_pipeline::make(&self.models, &self.limits, photo, depth, options, sink)?;
-        let small = photo::decode(photo, &self.limits, Some(Limits::THUMBNAIL))?.photo;
+        // what cannot be read back is not published; layers follow from what is read here
+        let (photo, _) = container::read(&made.container)?;
+        let (width, height) = photo::reduced_size((photo.width, photo.height), Some(Limits::THUMBNAIL));
+        let small = photo::resize(&photo, width, height);
         Ok(Product {
             thumbnail: encode(&View::from(&small), PictureFormat::Jpeg, DEFAULT_QUALITY)
                 .map_err(|e| ContainerError::Encode(e.to_string()))?,

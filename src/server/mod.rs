@@ -8,9 +8,13 @@ mod accept;
 mod app;
 mod body;
 mod cache;
+mod child;
 mod clock;
 mod conditional;
 mod entry;
+mod files;
+#[cfg(test)]
+mod forgetful;
 mod form;
 pub(crate) mod fuzzing;
 mod hosts;
@@ -24,6 +28,7 @@ mod options;
 mod pages;
 mod pool;
 mod problem;
+mod records;
 mod routes;
 mod settings;
 mod source;
@@ -35,17 +40,18 @@ mod worker;
 
 use std::net::SocketAddr;
 use std::path::PathBuf;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::atomic::AtomicUsize;
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use tokio::net::TcpListener;
 use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 
+pub use child::{ProcessMaker, VARIABLE, serve as make_for_a_server};
 pub use id::{PhotoId, hex};
 pub use limits::Limits;
-pub use maker::{Maker, PipelineMaker, Product};
+pub use maker::{Fault, Maker, PipelineMaker, Product};
 pub use problem::Problem;
 pub use routes::openapi;
 
@@ -124,7 +130,7 @@ impl Server {
         let listener = TcpListener::bind(addr).await.map_err(|source| ServerError::Listen { addr, source })?;
         let addr = listener.local_addr().map_err(|source| ServerError::Listen { addr, source })?;
         // done once before any request is served
-        let (store, found) = Store::open(&data).map_err(|source| ServerError::Data { dir: data.clone(), source })?;
+        let (store, found) = Store::open(&data, maker.identity()).map_err(|source| ServerError::Data { dir: data.clone(), source })?;
         let (limits, scratch) = (Arc::new(limits), data.join("incoming"));
         let telemetry = Arc::new(Telemetry::default());
         let jobs = Jobs::start(store, found, maker, Arc::clone(&limits), Arc::clone(&telemetry)).map_err(ServerError::Worker)?;
@@ -139,7 +145,7 @@ impl Server {
             pool: Pool::new(&limits),
             uploads: AtomicUsize::new(0),
             streams: Arc::new(Semaphore::new(limits.streams)),
-            writable: AtomicBool::new(true),
+            storage: Mutex::new(None),
             limits,
             telemetry,
             build: identity::of_server(renderer.name()),
@@ -190,8 +196,12 @@ impl Server {
 async fn probe(app: App) {
     loop {
         let shared = Arc::clone(&app);
-        let writable = tokio::task::spawn_blocking(move || shared.jobs.store.writable()).await.unwrap_or(false);
-        app.writable.store(writable, Ordering::Release);
+        let checked =
+            tokio::task::spawn_blocking(move || shared.jobs.store.check()).await.unwrap_or_else(|e| Err(std::io::Error::other(e)));
+        app.set_storage(checked.err().map(|error| match error.kind() {
+            std::io::ErrorKind::StorageFull => "the data directory has no room left",
+            _ => "the data directory cannot be written",
+        }));
         tokio::time::sleep(PROBE).await;
     }
 }

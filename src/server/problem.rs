@@ -164,9 +164,10 @@ impl From<&MakeError> for Problem {
             MakeError::Depth(DepthError::Map(_)) => {
                 Self::new(StatusCode::UNPROCESSABLE_ENTITY, "broken-depth-map", error.to_string()).field("depth")
             }
-            MakeError::Generate(e @ StageError::Option { field, .. }) => {
+            MakeError::Generate(e @ (StageError::Option { field, .. } | StageError::Bound { field, .. })) => {
                 Self::new(StatusCode::BAD_REQUEST, "parameter", e.to_string()).field(*field)
             }
+            MakeError::Atlas(e @ ContainerError::Bound(_)) => e.into(),
             MakeError::Cancelled => Self::new(StatusCode::SERVICE_UNAVAILABLE, "cancelled", "the job was cancelled"),
             MakeError::Late { .. } => Self::new(StatusCode::SERVICE_UNAVAILABLE, "late", error.to_string()),
             MakeError::Depth(_) | MakeError::Generate(_) | MakeError::Atlas(_) | MakeError::Render(_) => {
@@ -178,7 +179,10 @@ impl From<&MakeError> for Problem {
 
 impl From<&ContainerError> for Problem {
     fn from(error: &ContainerError) -> Self {
-        Self::internal("reading the container", error)
+        match error {
+            ContainerError::Bound(_) => Self::new(StatusCode::UNPROCESSABLE_ENTITY, "beyond-readers", error.to_string()),
+            _ => Self::internal("reading the container", error),
+        }
     }
 }
 

@@ -68,6 +68,16 @@ impl Settings {
         if settings.version == VERSION { Ok(settings) } else { Err(format!("version {} is not {VERSION}", settings.version)) }
     }
 
+    /// What this program understands of settings of any version, damaged ones included.
+    #[must_use]
+    pub fn understood(bytes: &[u8]) -> Self {
+        let Ok(Value::Object(all)) = serde_json::from_slice(bytes) else { return Self::default() };
+        all.into_iter().fold(Self::default(), |known, (name, value)| {
+            let one = Value::Object(Map::from_iter([(name, value)])).to_string();
+            known.patched(one.as_bytes()).unwrap_or(known)
+        })
+    }
+
     /// These settings with a merge patch: what is null goes, what is missing stays.
     ///
     /// # Errors
@@ -180,6 +190,9 @@ mod tests {
         assert_eq!((two.title, two.motion, two.focus), (None, Some(Offset { x: 0.5, y: 1.0, z: 0.0 }), Some(0.4)));
         assert_eq!(Settings::read(&serde_json::to_vec(&one).unwrap()).unwrap(), one);
         assert!(Settings::read(br#"{"version": 2}"#).unwrap_err().contains("version 2"));
+        let later = Settings::understood(br#"{"version": 2, "title": "A", "focus": {"near": 1}, "halo": true}"#);
+        assert_eq!(later, Settings { title: Some("A".into()), ..Settings::default() });
+        assert_eq!(Settings::understood(b"{\"title"), Settings::default());
     }
 
     #[test]

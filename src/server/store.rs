@@ -11,20 +11,32 @@
 //!               report.json atlas.tmpi depth.png thumbnail.jpg     once done
 //! ```
 //! A photo appears by one rename of a synced folder, so what is there is whole. Each file in it changes by a synced
-//! temporary file and a rename; `state.json` says `done` only after everything else is on disk.
+//! temporary file and a rename; `state.json` says `done` only after everything else is on disk. All of it is its owner's alone to read.
 
-use std::collections::BTreeMap;
 use std::fs::{self, File};
-use std::io::{self, Write as _};
+use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-use serde::{Deserialize, Serialize};
+use rayon::prelude::*;
+use serde::de::DeserializeOwned;
+use sha2::{Digest, Sha256};
 
-use super::id::PhotoId;
-use super::problem::Problem;
+use super::files::{Disk, Files};
+use super::id::{PhotoId, hex};
+use super::options;
+pub use super::records::{Accepted, Done, End, Failed, Found, State};
 use super::settings::Settings;
+use super::time::now_ms;
+
+/// Room that is kept free for what must be written of photos accepted already, and its share of a small disk.
+const RESERVE: u64 = 64 << 20;
+const RESERVE_SHARE: u64 = 20;
+/// Reads of a record that fails to be read, as where no file descriptor is left.
+const READS: u32 = 3;
+const PAUSE: Duration = Duration::from_millis(20);
 
 /// A file of a photo.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -67,90 +79,24 @@ impl Part {
     }
 }
 
-/// An accepted upload.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Accepted {
-    /// When it was accepted, milliseconds since 1970.
-    pub at_ms: u64,
-    /// Size of the photo.
-    pub photo_bytes: u64,
-    /// Size of the depth map, if there is one.
-    pub depth_bytes: Option<u64>,
-    /// Options as text, all of them.
-    pub options: BTreeMap<String, String>,
-}
-
-/// What became of an accepted upload.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct State {
-    /// Starts of the job so far.
-    pub attempts: u32,
-    /// How it ended.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub end: Option<End>,
-}
-
-/// How a job ended.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum End {
-    /// All files are there.
-    Done(Done),
-    /// The photo could not be made.
-    Failed(Failed),
-}
-
-/// A finished photo.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Done {
-    /// When, milliseconds since 1970.
-    pub at_ms: u64,
-    /// Width of the scene in pixels.
-    pub width: u32,
-    /// Height of the scene in pixels.
-    pub height: u32,
-    /// Size of the container.
-    pub atlas_bytes: u64,
-    /// First 128 bits of the container's SHA-256 in hex.
-    pub atlas_hash: String,
-}
-
-/// A photo that could not be made.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Failed {
-    /// When, milliseconds since 1970.
-    pub at_ms: u64,
-    /// Why.
-    pub problem: Problem,
-}
-
-/// A photo found at start.
-#[derive(Debug)]
-pub struct Found {
-    /// Its id.
-    pub id: PhotoId,
-    /// What was accepted.
-    pub accepted: Accepted,
-    /// What became of it so far.
-    pub state: State,
-    /// What its owner wants of viewers.
-    pub settings: Settings,
-}
-
 /// The data directory.
 #[derive(Debug)]
 pub struct Store {
+    files: Arc<dyn Files>,
     photos: PathBuf,
     incoming: PathBuf,
+    /// Identity of what makes photos, a part of their ids.
+    pipeline: String,
     next: AtomicU64,
+    /// Photos that could not be read so far.
+    unread: Mutex<Vec<PhotoId>>,
     // unlocked when dropped
-    _lock: File,
+    _lock: Option<File>,
 }
 
 /// Takes the lock; a process that is about to end, or has just begun to, is waited for.
 fn locked(lock: &File, dir: &Path) -> io::Result<()> {
     const TRIES: u32 = 50;
-    const PAUSE: Duration = Duration::from_millis(20);
     for _ in 0..TRIES {
         match lock.try_lock() {
             Ok(()) => return Ok(()),
@@ -163,62 +109,150 @@ fn locked(lock: &File, dir: &Path) -> io::Result<()> {
 
 impl Store {
     /// Opens the data directory, makes it where it is missing, removes leftovers of uploads that were never accepted, and
-    /// tells what is there, oldest first. Folders that cannot be read are left alone and logged.
+    /// tells what is there, oldest first. Folders that cannot be read are left alone and logged; see [`Store::look_again`].
     ///
     /// # Errors
     /// The directory cannot be written, or another process works in it for more than a second.
-    pub fn open(dir: &Path) -> io::Result<(Self, Vec<Found>)> {
-        let (photos, incoming) = (dir.join("photos"), dir.join("incoming"));
-        fs::create_dir_all(&photos)?;
-        let lock = File::options().create(true).truncate(false).write(true).open(dir.join("lock"))?;
+    pub fn open(dir: &Path, pipeline: &str) -> io::Result<(Self, Vec<Found>)> {
+        Disk.create_dir(&dir.join("photos"), true)?;
+        let lock = super::files::private().create(true).truncate(false).write(true).open(dir.join("lock"))?;
         locked(&lock, dir)?;
-        match fs::remove_dir_all(&incoming) {
+        // those of before were everybody's to read
+        #[cfg(unix)]
+        fs::set_permissions(dir.join("photos"), std::os::unix::fs::PermissionsExt::from_mode(0o700))?;
+        Self::open_in(Arc::new(Disk), dir, pipeline, Some(lock))
+    }
+
+    /// The same on other files than the disk's.
+    pub(super) fn open_in(files: Arc<dyn Files>, dir: &Path, pipeline: &str, lock: Option<File>) -> io::Result<(Self, Vec<Found>)> {
+        let (photos, incoming) = (dir.join("photos"), dir.join("incoming"));
+        files.create_dir(&photos, true)?;
+        match files.remove(&incoming) {
             Err(e) if e.kind() != io::ErrorKind::NotFound => return Err(e),
             _ => {}
         }
-        fs::create_dir(&incoming)?;
-        sync_dir(dir)?;
-        let store = Self { photos, incoming, next: AtomicU64::new(0), _lock: lock };
-        let mut found = store.scan()?;
-        found.sort_by_key(|f| (f.accepted.at_ms, f.id));
+        files.create_dir(&incoming, false)?;
+        files.sync_dir(dir)?;
+        let (next, unread) = (AtomicU64::new(0), Mutex::default());
+        let store = Self { files, photos, incoming, pipeline: pipeline.into(), next, unread, _lock: lock };
+        let ids = store.ids()?;
+        let found = store.look_at(ids);
         Ok((store, found))
     }
 
-    fn scan(&self) -> io::Result<Vec<Found>> {
-        let mut found = Vec::new();
-        for entry in fs::read_dir(&self.photos)? {
-            let entry = entry?;
-            let Some(id) = entry.file_name().to_str().and_then(|n| n.parse().ok()) else {
-                tracing::warn!(path = %entry.path().display(), "not a photo, left alone");
-                continue;
-            };
-            match self.look(id) {
+    fn ids(&self) -> io::Result<Vec<PhotoId>> {
+        let name = |name: String| {
+            let id = name.parse().ok();
+            if id.is_none() {
+                tracing::warn!(name, "not a photo, left alone");
+            }
+            id
+        };
+        Ok(self.files.names(&self.photos)?.into_iter().filter_map(name).collect())
+    }
+
+    /// Photos, oldest first; those that cannot be read now are remembered.
+    fn look_at(&self, ids: Vec<PhotoId>) -> Vec<Found> {
+        let looked: Vec<_> = ids.into_par_iter().map(|id| self.look(id).map_err(|e| (id, e))).collect();
+        let mut found = Vec::with_capacity(looked.len());
+        for photo in looked {
+            match photo {
                 Ok(photo) => found.push(photo),
-                Err(error) => tracing::error!(%id, %error, "cannot be read, left alone"),
+                Err((id, error)) => {
+                    tracing::error!(%id, %error, "cannot be read, left alone");
+                    self.unread().push(id);
+                }
             }
         }
-        Ok(found)
+        found.sort_by_key(|f| (f.accepted.at_ms, f.id));
+        found
+    }
+
+    /// Photos that could not be read before and can be now.
+    pub fn look_again(&self) -> Vec<Found> {
+        let ids = std::mem::take(&mut *self.unread());
+        self.look_at(ids)
+    }
+
+    /// Count of photos that cannot be read.
+    #[must_use]
+    pub fn unreadable(&self) -> usize {
+        self.unread().len()
+    }
+
+    fn unread(&self) -> std::sync::MutexGuard<'_, Vec<PhotoId>> {
+        self.unread.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// A record; none where it is missing or damaged, which is logged.
+    fn record<T: DeserializeOwned>(&self, id: PhotoId, part: Part) -> io::Result<Option<T>> {
+        let mut reads = 0;
+        let bytes = loop {
+            reads += 1;
+            match self.read(id, part) {
+                Ok(bytes) => break bytes,
+                Err(e) if e.kind() == io::ErrorKind::NotFound => return Ok(None),
+                Err(e) if reads == READS => return Err(e),
+                Err(_) => std::thread::sleep(PAUSE),
+            }
+        };
+        let record = serde_json::from_slice(&bytes);
+        if let Err(error) = &record {
+            tracing::error!(%id, part = part.name(), %error, "a damaged record");
+        }
+        Ok(record.ok())
     }
 
     fn look(&self, id: PhotoId) -> io::Result<Found> {
-        let accepted: Accepted = serde_json::from_slice(&self.read(id, Part::Options)?)?;
-        let state = match self.read(id, Part::State) {
-            Ok(bytes) => serde_json::from_slice(&bytes)?,
-            Err(e) if e.kind() == io::ErrorKind::NotFound => State::default(),
-            Err(e) => return Err(e),
-        };
-        for entry in fs::read_dir(self.folder(id))? {
-            let path = entry?.path();
-            if path.extension().is_some_and(|e| e == "tmp") {
-                fs::remove_file(path)?;
-            }
+        let folder = self.folder(id);
+        let names = self.files.names(&folder)?;
+        let has = |part: Part| names.iter().any(|n| n == part.name());
+        for name in names.iter().filter(|n| n.strip_suffix(TEMPORARY).is_some()) {
+            self.files.remove(&folder.join(name))?;
         }
-        let settings = match self.read(id, Part::Settings) {
-            Ok(bytes) => Settings::read(&bytes).map_err(io::Error::other)?,
-            Err(e) if e.kind() == io::ErrorKind::NotFound => Settings::default(),
+        let accepted = match self.record(id, Part::Options)? {
+            Some(accepted) => accepted,
+            None => self.by_default(id)?,
+        };
+        // what cannot be told to be done is made again
+        let mut state: State = if has(Part::State) { self.record(id, Part::State)?.unwrap_or_default() } else { State::default() };
+        let results = [Part::Atlas, Part::Disparity, Part::Thumbnail, Part::Report];
+        if matches!(state.end, Some(End::Done(_))) && !results.into_iter().all(has) {
+            tracing::error!(%id, "a result is missing; it is made again");
+            state = State::default();
+        }
+        let settings = if has(Part::Settings) { self.settings(id)? } else { Settings::default() };
+        Ok(Found { id, accepted, state, settings })
+    }
+
+    /// What was accepted, where its record is damaged but the id tells that it was an upload without options.
+    fn by_default(&self, id: PhotoId) -> io::Result<Accepted> {
+        let photo = self.read(id, Part::Upload)?;
+        let depth = match self.read(id, Part::Depth) {
+            Ok(depth) => Some(depth),
+            Err(e) if e.kind() == io::ErrorKind::NotFound => None,
             Err(e) => return Err(e),
         };
-        Ok(Found { id, accepted, state, settings })
+        let options = options::to_text(&tmpi_pipeline::Options::default());
+        let hash = |bytes: &Vec<u8>| <[u8; 32]>::from(Sha256::digest(bytes));
+        if PhotoId::of(&hash(&photo), depth.as_ref().map(hash).as_ref(), &options::canonical(&options), &self.pipeline) != id {
+            return Err(io::Error::new(io::ErrorKind::InvalidData, "its options are lost: upload the photo again"));
+        }
+        let depth_bytes = depth.map(|d| d.len() as u64);
+        Ok(Accepted { version: super::records::VERSION, at_ms: now_ms(), photo_bytes: photo.len() as u64, depth_bytes, options })
+    }
+
+    /// Settings as far as they are understood; those of a later version, or damaged ones, are kept beside what is written here.
+    fn settings(&self, id: PhotoId) -> io::Result<Settings> {
+        let bytes = self.read(id, Part::Settings)?;
+        Settings::read(&bytes).or_else(|error| {
+            tracing::error!(%id, error, "settings; what is understood of them is used");
+            let kept = self.folder(id).join(KEPT_SETTINGS);
+            if self.files.read(&kept).is_err() {
+                self.files.write(&kept, &bytes)?;
+            }
+            Ok(Settings::understood(&bytes))
+        })
     }
 
     fn folder(&self, id: PhotoId) -> PathBuf {
@@ -238,31 +272,73 @@ impl Store {
     /// A folder for an upload on its way in.
     ///
     /// # Errors
-    /// The data directory cannot be written.
+    /// The data directory cannot be written, or has no more than its reserve.
     pub fn begin(&self) -> io::Result<Incoming> {
+        self.room()?;
         let folder = self.fresh();
-        fs::create_dir(&folder)?;
-        Ok(Incoming { folder })
+        self.files.create_dir(&folder, false)?;
+        Ok(Incoming { files: Arc::clone(&self.files), folder, accepted: false })
+    }
+
+    /// Refuses where no more than the reserve is left.
+    fn room(&self) -> io::Result<()> {
+        match self.files.room(&self.photos) {
+            Some((free, all)) if free < RESERVE.min(all / RESERVE_SHARE) => Err(io::ErrorKind::StorageFull.into()),
+            _ => Ok(()),
+        }
     }
 
     /// Accepts an upload: when this returns, the photo is on disk and survives a crash. Its files must be synced already.
     ///
     /// # Errors
     /// The data directory cannot be written; nothing was accepted then.
-    pub fn accept(&self, incoming: Incoming, id: PhotoId, accepted: &Accepted) -> io::Result<()> {
-        let mut file = File::create(incoming.path(Part::Options))?;
-        file.write_all(&serde_json::to_vec_pretty(accepted)?)?;
-        file.sync_all()?;
-        sync_dir(&incoming.folder)?;
-        let folder = self.folder(id);
-        if folder.exists() {
-            // a folder that could not be read at start; a fresh upload of the same photo replaces it
-            self.remove(id)?;
+    pub fn accept(&self, mut incoming: Incoming, id: PhotoId, accepted: &Accepted) -> io::Result<()> {
+        self.files.write(&incoming.path(Part::Options), &serde_json::to_vec_pretty(accepted)?)?;
+        self.files.sync_dir(&incoming.folder)?;
+        let (folder, gone) = (self.folder(id), self.fresh());
+        // a folder that could not be read; this upload of the same photo replaces it, both or neither being durable
+        let replaced = match self.files.rename(&folder, &gone) {
+            Ok(()) => true,
+            Err(e) if e.kind() == io::ErrorKind::NotFound => false,
+            Err(e) => return Err(e),
+        };
+        let placed = self.files.rename(&incoming.folder, &folder).and_then(|()| self.files.sync_dir(&self.photos));
+        if let Err(error) = placed {
+            // what is refused must not appear at the next start
+            let back = self.files.rename(&folder, &incoming.folder);
+            let old = if replaced { self.files.rename(&gone, &folder) } else { Ok(()) };
+            if let Err(undo) = back.and(old) {
+                tracing::error!(%id, %undo, "an upload that was not accepted may appear at the next start");
+            }
+            return Err(error);
         }
-        fs::rename(&incoming.folder, folder)?;
-        // the folder is at its place: there is nothing left to clean up
-        std::mem::forget(incoming);
-        sync_dir(&self.photos)
+        incoming.accepted = true;
+        self.unread().retain(|other| *other != id);
+        if replaced {
+            self.discard(id, &gone);
+        }
+        Ok(())
+    }
+
+    /// Takes over the files of another upload of a photo that is there already, whose own may be damaged.
+    ///
+    /// # Errors
+    /// The data directory cannot be written.
+    pub fn take_upload(&self, incoming: &Incoming, id: PhotoId) -> io::Result<()> {
+        for part in [Part::Upload, Part::Depth] {
+            match self.files.rename(&incoming.path(part), &self.path(id, part)) {
+                Err(e) if e.kind() != io::ErrorKind::NotFound => return Err(e),
+                _ => {}
+            }
+        }
+        self.files.sync_dir(&self.folder(id))
+    }
+
+    fn discard(&self, id: PhotoId, gone: &Path) {
+        // a leftover is removed at the next start
+        if let Err(error) = self.files.remove(gone) {
+            tracing::warn!(%id, %error, "cannot be removed now");
+        }
     }
 
     /// The bytes of a file of a photo.
@@ -270,7 +346,15 @@ impl Store {
     /// # Errors
     /// As [`fs::read`].
     pub fn read(&self, id: PhotoId, part: Part) -> io::Result<Vec<u8>> {
-        fs::read(self.path(id, part))
+        self.files.read(&self.path(id, part))
+    }
+
+    /// True where the container is, byte by byte, the one that was made.
+    #[must_use]
+    pub fn is_whole(&self, id: PhotoId, done: &Done) -> bool {
+        let rest = [Part::Disparity, Part::Thumbnail, Part::Report];
+        self.read(id, Part::Atlas).is_ok_and(|bytes| digest(&bytes) == done.atlas_hash)
+            && rest.into_iter().all(|part| self.read(id, part).is_ok_and(|bytes| !bytes.is_empty()))
     }
 
     /// Writes files of a photo, each whole or not at all; all are on disk when this returns.
@@ -280,13 +364,15 @@ impl Store {
     pub fn write(&self, id: PhotoId, parts: &[(Part, &[u8])]) -> io::Result<()> {
         let folder = self.folder(id);
         for (part, bytes) in parts {
-            let temporary = folder.join(format!("{}.tmp", part.name()));
-            let mut file = File::create(&temporary)?;
-            file.write_all(bytes)?;
-            file.sync_all()?;
-            fs::rename(temporary, folder.join(part.name()))?;
+            let temporary = folder.join(format!("{}{TEMPORARY}", part.name()));
+            let written = self.files.write(&temporary, bytes).and_then(|()| self.files.rename(&temporary, &folder.join(part.name())));
+            if let Err(error) = written {
+                // what filled the disk must not keep it full
+                let _ = self.files.remove(&temporary);
+                return Err(error);
+            }
         }
-        sync_dir(&folder)
+        self.files.sync_dir(&folder)
     }
 
     /// Writes what became of a photo.
@@ -311,27 +397,43 @@ impl Store {
     /// The data directory cannot be written.
     pub fn remove(&self, id: PhotoId) -> io::Result<()> {
         let gone = self.fresh();
-        fs::rename(self.folder(id), &gone)?;
-        sync_dir(&self.photos)?;
-        // a leftover is removed at the next start
-        if let Err(error) = fs::remove_dir_all(&gone) {
-            tracing::warn!(%id, %error, "cannot be removed now");
-        }
+        self.files.rename(&self.folder(id), &gone)?;
+        self.files.sync_dir(&self.photos)?;
+        self.discard(id, &gone);
         Ok(())
     }
 
-    /// True where the data directory can be written.
-    #[must_use]
-    pub fn writable(&self) -> bool {
+    /// Checks that the data directory can be written and has room beyond its reserve.
+    ///
+    /// # Errors
+    /// What stands against it.
+    pub fn check(&self) -> io::Result<()> {
+        self.room()?;
         let probe = self.fresh();
-        fs::write(&probe, b"").and_then(|()| fs::remove_file(&probe)).is_ok()
+        // an empty file takes no room, and is written to a full disk
+        let written = self.files.write(&probe, b"room");
+        let removed = self.files.remove(&probe);
+        written.and(removed)
     }
+}
+
+/// End of the name of a file that is being written.
+const TEMPORARY: &str = ".tmp";
+/// Settings that this program does not understand.
+const KEPT_SETTINGS: &str = "settings.json.kept";
+
+/// First 128 bits of a SHA-256 in hex, as [`Done`] names a container.
+#[must_use]
+pub fn digest(bytes: &[u8]) -> String {
+    hex(&Sha256::digest(bytes)[..16])
 }
 
 /// A folder for an upload on its way in; removed when dropped before [`Store::accept`].
 #[derive(Debug)]
 pub struct Incoming {
+    files: Arc<dyn Files>,
     folder: PathBuf,
+    accepted: bool,
 }
 
 impl Incoming {
@@ -344,121 +446,14 @@ impl Incoming {
 
 impl Drop for Incoming {
     fn drop(&mut self) {
-        if let Err(error) = fs::remove_dir_all(&self.folder) {
+        if !self.accepted
+            && let Err(error) = self.files.remove(&self.folder)
+        {
             tracing::warn!(folder = %self.folder.display(), %error, "leftover of an upload cannot be removed now");
         }
     }
 }
 
-/// Makes renames within `dir` durable.
-fn sync_dir(dir: &Path) -> io::Result<()> {
-    // directories cannot be opened as files elsewhere
-    if cfg!(unix) { File::open(dir)?.sync_all() } else { Ok(()) }
-}
-
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn accepted(at_ms: u64) -> Accepted {
-        Accepted { at_ms, photo_bytes: 5, depth_bytes: None, options: BTreeMap::from([("quality".into(), "90".into())]) }
-    }
-
-    fn put(store: &Store, n: u8, at_ms: u64) -> PhotoId {
-        let id = PhotoId::of(&[n; 32], None, "", "");
-        let incoming = store.begin().unwrap();
-        fs::write(incoming.path(Part::Upload), b"photo").unwrap();
-        store.accept(incoming, id, &accepted(at_ms)).unwrap();
-        id
-    }
-
-    #[test]
-    fn what_was_accepted_is_found_again_oldest_first() {
-        let dir = tempfile::tempdir().unwrap();
-        let (store, found) = Store::open(dir.path()).unwrap();
-        assert!(found.is_empty());
-        let (b, a) = (put(&store, 2, 20), put(&store, 1, 10));
-        let state = State { attempts: 2, end: None };
-        store.write_state(b, &state).unwrap();
-        drop(store);
-        let (store, found) = Store::open(dir.path()).unwrap();
-        assert_eq!(found.iter().map(|f| f.id).collect::<Vec<_>>(), [a, b]);
-        assert_eq!((&found[0].state, &found[1].state), (&State::default(), &state));
-        assert_eq!(found[0].accepted, accepted(10));
-        assert_eq!(store.read(a, Part::Upload).unwrap(), b"photo");
-    }
-
-    #[test]
-    fn leftovers_go_and_strangers_stay() {
-        let dir = tempfile::tempdir().unwrap();
-        let (store, _) = Store::open(dir.path()).unwrap();
-        let id = put(&store, 1, 1);
-        std::mem::forget(store.begin().unwrap());
-        fs::write(store.folder(id).join("atlas.tmpi.tmp"), b"half").unwrap();
-        fs::create_dir(store.photos.join("stranger")).unwrap();
-        drop(store);
-        let (store, found) = Store::open(dir.path()).unwrap();
-        assert_eq!(found.len(), 1);
-        assert_eq!(fs::read_dir(&store.incoming).unwrap().count(), 0);
-        assert!(!store.folder(id).join("atlas.tmpi.tmp").exists());
-        assert!(store.photos.join("stranger").exists());
-    }
-
-    #[test]
-    fn an_upload_that_is_given_up_leaves_nothing() {
-        let dir = tempfile::tempdir().unwrap();
-        let (store, _) = Store::open(dir.path()).unwrap();
-        let incoming = store.begin().unwrap();
-        fs::write(incoming.path(Part::Upload), b"photo").unwrap();
-        drop(incoming);
-        assert_eq!(fs::read_dir(&store.incoming).unwrap().count(), 0);
-    }
-
-    #[test]
-    fn removal_is_for_good_and_writes_after_it_fail() {
-        let dir = tempfile::tempdir().unwrap();
-        let (store, _) = Store::open(dir.path()).unwrap();
-        let id = put(&store, 1, 1);
-        store.remove(id).unwrap();
-        assert!(store.write_state(id, &State::default()).is_err());
-        assert!(store.remove(id).is_err());
-        drop(store);
-        assert!(Store::open(dir.path()).unwrap().1.is_empty());
-    }
-
-    #[test]
-    fn a_folder_of_which_the_record_is_damaged_is_kept() {
-        let dir = tempfile::tempdir().unwrap();
-        let (store, _) = Store::open(dir.path()).unwrap();
-        let id = put(&store, 1, 1);
-        fs::write(store.path(id, Part::Options), b"{").unwrap();
-        drop(store);
-        let (store, found) = Store::open(dir.path()).unwrap();
-        assert!(found.is_empty());
-        assert_eq!(store.read(id, Part::Upload).unwrap(), b"photo");
-        assert_eq!(put(&store, 1, 2), id, "another upload of the photo heals it");
-        drop(store);
-        assert_eq!(Store::open(dir.path()).unwrap().1.len(), 1);
-    }
-
-    #[test]
-    fn a_process_that_is_about_to_end_is_waited_for() {
-        let dir = tempfile::tempdir().unwrap();
-        let (before, _) = Store::open(dir.path()).unwrap();
-        let ending = std::thread::spawn(move || {
-            std::thread::sleep(Duration::from_millis(100));
-            drop(before);
-        });
-        assert!(Store::open(dir.path()).is_ok());
-        ending.join().unwrap();
-    }
-
-    #[test]
-    fn one_process_at_a_time() {
-        let dir = tempfile::tempdir().unwrap();
-        let first = Store::open(dir.path()).unwrap();
-        assert_eq!(Store::open(dir.path()).unwrap_err().kind(), io::ErrorKind::ResourceBusy);
-        drop(first);
-        Store::open(dir.path()).unwrap();
-    }
-}
+#[path = "store_tests.rs"]
+mod tests;

@@ -20,6 +20,7 @@ use super::id::PhotoId;
 use super::jobs::Submitted;
 use super::options;
 use super::problem::Problem;
+use super::records::VERSION;
 use super::store::{Accepted, Incoming, Part};
 use super::time::now_ms;
 use tmpi_pipeline::Options;
@@ -104,9 +105,13 @@ pub async fn take(app: &App, query: Vec<(String, String)>, request: Request) -> 
         let stream = request.into_body().into_data_stream();
         parts.photo = Some(write(&parts.incoming, Part::Upload, stream, |e| body::problem(&e)).await?);
     }
-    let app = Arc::clone(app);
-    let accept = tokio::task::spawn_blocking(move || accept(&app, parts));
-    accept.await.map_err(|e| Problem::internal("accepting an upload", &e))?
+    let shared = Arc::clone(app);
+    let accept = tokio::task::spawn_blocking(move || accept(&shared, parts));
+    let submitted = accept.await.map_err(|e| Problem::internal("accepting an upload", &e))??;
+    if submitted.healed {
+        app.forget(submitted.entry.id).await;
+    }
+    Ok(submitted)
 }
 
 /// The part of taking an upload that blocks: checks it and makes it durable.
@@ -119,10 +124,17 @@ fn accept(app: &App, parts: Parts) -> Result<Submitted, Problem> {
     let text = options::to_text(&options);
     let id = PhotoId::of(&photo.hash, depth.as_ref().map(|d| &d.hash), &options::canonical(&text), app.jobs.maker.identity());
     if app.jobs.get(id).is_none() {
-        let bytes = std::fs::read(parts_path(&incoming, Part::Upload)?).map_err(|e| Problem::store(&e))?;
-        app.jobs.maker.check(&bytes, &options).map_err(|e| Problem::from(&e))?;
+        let read = |part| std::fs::read(parts_path(&incoming, part)?).map_err(|e| Problem::store(&e));
+        let (photo, map) = (read(Part::Upload)?, depth.as_ref().map(|_| read(Part::Depth)).transpose()?);
+        app.jobs.maker.check(&photo, map.as_deref(), &options).map_err(|e| Problem::from(&e))?;
     }
-    let accepted = Accepted { at_ms: now_ms(), photo_bytes: photo.bytes, depth_bytes: depth.as_ref().map(|d| d.bytes), options: text };
+    let accepted = Accepted {
+        version: VERSION,
+        at_ms: now_ms(),
+        photo_bytes: photo.bytes,
+        depth_bytes: depth.as_ref().map(|d| d.bytes),
+        options: text,
+    };
     let folder = incoming.0.take().ok_or_else(gone)?;
     let submitted = app.jobs.submit(folder, id, accepted)?;
     if submitted.new {
@@ -186,13 +198,19 @@ async fn text(name: &str, mut field: axum::extract::multipart::Field<'_>) -> Res
     String::from_utf8(value).map_err(|_| Problem::parameter(name, "is not UTF-8"))
 }
 
+/// A new file that only its owner may read.
+async fn create(path: std::path::PathBuf) -> std::io::Result<File> {
+    let mut options = tokio::fs::OpenOptions::from(super::files::private());
+    options.create(true).truncate(true).write(true).open(path).await
+}
+
 /// Writes a stream to its file, synced.
 async fn write<S, E>(incoming: &Folder, part: Part, mut stream: S, problem: impl Fn(E) -> Problem) -> Result<Written, Problem>
 where
     S: Stream<Item = Result<Bytes, E>> + Unpin,
 {
     let disk = |e: std::io::Error| Problem::store(&e);
-    let mut file = tokio::io::BufWriter::with_capacity(BUFFER, File::create(parts_path(incoming, part)?).await.map_err(disk)?);
+    let mut file = tokio::io::BufWriter::with_capacity(BUFFER, create(parts_path(incoming, part)?).await.map_err(disk)?);
     let mut hash = Sha256::new();
     let mut bytes = 0;
     while let Some(chunk) = stream.next().await {

@@ -5,24 +5,26 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use axum::http::StatusCode;
-use sha2::{Digest, Sha256};
 
 use super::entry::{Entry, Status};
-use super::id::hex;
 use super::jobs::Jobs;
-use super::maker::Product;
+use super::maker::{Fault, Product};
 use super::options;
 use super::problem::Problem;
-use super::store::{Done, End, Failed, Part, State};
+use super::store::{Done, End, Failed, Part, State, digest};
 use super::time::now_ms;
-use tmpi_pipeline::MakeError;
 use tmpi_pipeline::{Progress, Sink};
 
 /// Makes photos until the server stops.
 pub fn work(jobs: &Arc<Jobs>) {
     while let Some(entry) = jobs.take() {
         let start = Instant::now();
-        let outcome = run(jobs, &entry);
+        // whatever goes wrong, the next photo finds a worker
+        let outcome = catch_unwind(AssertUnwindSafe(|| run(jobs, &entry))).unwrap_or_else(|panic| {
+            let text = said(panic.as_ref());
+            tracing::error!(id = %entry.id, text, "a worker panicked");
+            catch_unwind(AssertUnwindSafe(|| try_again(jobs, &entry, &text))).unwrap_or("panicked")
+        });
         let took = start.elapsed();
         jobs.telemetry.job(outcome, took);
         tracing::info!(id = %entry.id, outcome, ms = took.as_millis() as u64, "job");
@@ -34,6 +36,7 @@ pub fn work(jobs: &Arc<Jobs>) {
 struct JobSink<'a> {
     jobs: &'a Jobs,
     entry: &'a Entry,
+    deadline: Instant,
 }
 
 impl Sink for JobSink<'_> {
@@ -45,57 +48,57 @@ impl Sink for JobSink<'_> {
     fn cancelled(&self) -> bool {
         self.jobs.aborted() || self.entry.is_deleted()
     }
-}
 
-/// Why a job brought no product.
-enum Miss {
-    /// It is a failure of the photo, or of the server.
-    Problem(Problem),
-    /// Nobody wants it any more, or the server stops.
-    Cancelled,
+    fn deadline(&self) -> Option<Instant> {
+        Some(self.deadline)
+    }
 }
 
 fn run(jobs: &Jobs, entry: &Arc<Entry>) -> &'static str {
-    let attempts = entry.attempts() + 1;
-    let gate = entry.gate();
     if entry.is_deleted() {
         return "deleted";
     }
-    let begun = if attempts > jobs.limits.attempts {
-        let detail = format!("the server stopped {} times while it made this photo", jobs.limits.attempts);
-        Err(Problem::new(StatusCode::INTERNAL_SERVER_ERROR, "gave-up", detail))
-    } else {
-        jobs.store.write_state(entry.id, &State { attempts, end: None }).map_err(|e| Problem::store(&e))
-    };
-    entry.set_attempts(attempts);
-    drop(gate);
-    if let Err(problem) = begun {
-        return fail(jobs, entry, problem);
+    if entry.attempts() >= jobs.limits.attempts {
+        let detail = format!("making this photo took down what made it {} times", entry.attempts());
+        return fail(jobs, entry, Problem::new(StatusCode::UNPROCESSABLE_ENTITY, "gave-up", detail));
     }
     entry.set(Status::Working);
     match make(jobs, entry) {
         Ok(product) => keep(jobs, entry, &product),
-        Err(Miss::Problem(problem)) => fail(jobs, entry, problem),
-        Err(Miss::Cancelled) => give_back(jobs, entry),
+        Err(Fault::Photo(problem)) => fail(jobs, entry, problem),
+        Err(Fault::Crashed(reason)) => try_again(jobs, entry, &reason),
+        Err(Fault::Server(reason)) => put_back(jobs, entry, reason),
+        Err(Fault::Cancelled) => give_back(entry),
     }
 }
 
-fn make(jobs: &Jobs, entry: &Arc<Entry>) -> Result<Product, Miss> {
-    let read = |part| jobs.store.read(entry.id, part).map_err(|e| Miss::Problem(Problem::store(&e)));
-    let options = options::from_text(&entry.accepted.options).map_err(Miss::Problem)?;
+fn make(jobs: &Jobs, entry: &Arc<Entry>) -> Result<Product, Fault> {
+    let read = |part: Part| {
+        jobs.store.read(entry.id, part).map_err(|e| match e.kind() {
+            std::io::ErrorKind::NotFound => {
+                let detail = format!("the file {} is no longer on disk: upload the photo again", part.name());
+                Fault::Photo(Problem::new(StatusCode::INTERNAL_SERVER_ERROR, "lost", detail))
+            }
+            _ => Fault::Server(format!("the data directory cannot be read: {e}")),
+        })
+    };
+    let options = options::from_text(&entry.accepted.options).map_err(Fault::Photo)?;
     let photo = read(Part::Upload)?;
     let depth = entry.accepted.depth_bytes.map(|_| read(Part::Depth)).transpose()?;
-    let sink = JobSink { jobs, entry };
-    // no state of ours is borrowed mutably by the way, so none can be left half changed
-    match catch_unwind(AssertUnwindSafe(|| jobs.maker.make(&photo, depth.as_deref(), &options, &sink))) {
-        Ok(Ok(product)) => Ok(product),
-        Ok(Err(MakeError::Cancelled)) if sink.cancelled() => Err(Miss::Cancelled),
-        Ok(Err(error)) => Err(Miss::Problem(Problem::from(&error))),
-        Err(panic) => {
-            let text = panic.downcast_ref::<&str>().map(ToString::to_string).or_else(|| panic.downcast_ref::<String>().cloned());
-            Err(Miss::Problem(Problem::internal("making the photo panicked", &text.unwrap_or_default())))
-        }
-    }
+    let sink = JobSink { jobs, entry, deadline: Instant::now() + jobs.limits.time_for(&photo) };
+    caught(|| jobs.maker.make(&photo, depth.as_deref(), &options, &sink))
+}
+
+/// Turns a panic into a failure of the photo. No state of ours is borrowed mutably by the maker, so none can be left half changed.
+pub(super) fn caught(make: impl FnOnce() -> Result<Product, Fault>) -> Result<Product, Fault> {
+    catch_unwind(AssertUnwindSafe(make))
+        .unwrap_or_else(|panic| Err(Fault::Photo(Problem::internal("making the photo panicked", &said(panic.as_ref())))))
+}
+
+/// What a panic said.
+fn said(panic: &(dyn std::any::Any + Send)) -> String {
+    let text = panic.downcast_ref::<&str>().map(ToString::to_string);
+    text.or_else(|| panic.downcast_ref::<String>().cloned()).unwrap_or_default()
 }
 
 fn keep(jobs: &Jobs, entry: &Arc<Entry>, product: &Product) -> &'static str {
@@ -108,9 +111,9 @@ fn keep(jobs: &Jobs, entry: &Arc<Entry>, product: &Product) -> &'static str {
         width: product.report.width,
         height: product.report.height,
         atlas_bytes: product.container.len() as u64,
-        atlas_hash: hex(&Sha256::digest(&product.container)[..16]),
+        atlas_hash: digest(&product.container),
     };
-    let state = State { attempts: entry.attempts(), end: Some(End::Done(done.clone())) };
+    let state = State::new(entry.attempts(), Some(End::Done(done.clone())));
     let written = serde_json::to_vec(&product.report).map_err(std::io::Error::from).and_then(|report| {
         jobs.store.write(
             entry.id,
@@ -126,10 +129,11 @@ fn keep(jobs: &Jobs, entry: &Arc<Entry>, product: &Product) -> &'static str {
     drop(gate);
     match written {
         Ok(()) => {
+            jobs.mended();
             entry.set(Status::Done(done));
             "done"
         }
-        Err(error) => fail(jobs, entry, Problem::store(&error)),
+        Err(error) => put_back(jobs, entry, format!("the data directory cannot be written: {error}")),
     }
 }
 
@@ -140,7 +144,7 @@ fn fail(jobs: &Jobs, entry: &Arc<Entry>, problem: Problem) -> &'static str {
     }
     tracing::warn!(id = %entry.id, kind = problem.kind, detail = problem.detail, "the photo cannot be made");
     let failed = Failed { at_ms: now_ms(), problem };
-    let state = State { attempts: entry.attempts(), end: Some(End::Failed(failed.clone())) };
+    let state = State::new(entry.attempts(), Some(End::Failed(failed.clone())));
     if let Err(error) = jobs.store.write_state(entry.id, &state) {
         // it is tried again after a restart
         tracing::error!(id = %entry.id, %error, "state of a failed photo");
@@ -149,16 +153,44 @@ fn fail(jobs: &Jobs, entry: &Arc<Entry>, problem: Problem) -> &'static str {
     "failed"
 }
 
-/// A start that was cut off by an orderly stop is not counted.
-fn give_back(jobs: &Jobs, entry: &Arc<Entry>) -> &'static str {
+/// Counts a try that took down what made the photo, alone, and puts it behind the others.
+fn try_again(jobs: &Jobs, entry: &Arc<Entry>, reason: &str) -> &'static str {
     let _gate = entry.gate();
     if entry.is_deleted() {
         return "deleted";
     }
-    let attempts = entry.attempts().saturating_sub(1);
+    if !jobs.is_accepting() {
+        // it may have ended with the server
+        entry.set(Status::Queued);
+        return "cancelled";
+    }
+    let attempts = entry.attempts() + 1;
+    tracing::warn!(id = %entry.id, attempts, reason, "the photo took down what made it");
     entry.set_attempts(attempts);
-    if let Err(error) = jobs.store.write_state(entry.id, &State { attempts, end: None }) {
+    if let Err(error) = jobs.store.write_state(entry.id, &State::new(attempts, None)) {
         tracing::warn!(id = %entry.id, %error, "state of an unfinished photo");
+    }
+    entry.set(Status::Queued);
+    jobs.queue_again(entry);
+    "crashed"
+}
+
+/// A fault of the server: the photo waits until it is mended.
+fn put_back(jobs: &Jobs, entry: &Arc<Entry>, reason: String) -> &'static str {
+    let _gate = entry.gate();
+    if entry.is_deleted() {
+        return "deleted";
+    }
+    tracing::error!(id = %entry.id, reason, "a fault of the server; the photo is tried again");
+    entry.set(Status::Queued);
+    jobs.wait_for_repair(entry, reason);
+    "put-back"
+}
+
+/// Cut off by an orderly stop.
+fn give_back(entry: &Arc<Entry>) -> &'static str {
+    if entry.is_deleted() {
+        return "deleted";
     }
     entry.set(Status::Queued);
     "cancelled"

@@ -7,7 +7,7 @@ use serde_json::Value;
 use tmpi::server::Limits;
 
 use crate::client::{Connection, get, request};
-use crate::fixture::{Gate, Running, jpeg, pipeline};
+use crate::fixture::{Gate, Running, jpeg, pipeline, spoilt_map};
 
 /// An open event stream.
 struct Events {
@@ -86,7 +86,7 @@ fn late_listeners_hear_the_last_stage_first() {
 fn failures_and_unknown_photos() {
     let dir = tempfile::tempdir().unwrap();
     let server = Running::start(dir.path(), Limits::default(), Arc::new(pipeline()));
-    let failed = crate::client::post_form(server.addr, &[], &[("photo", &jpeg(1)), ("depth", b"no map")]).json();
+    let failed = crate::client::post_form(server.addr, &[], &[("photo", &jpeg(1)), ("depth", &spoilt_map())]).json();
     let mut events = Events::open(&server, failed["id"].as_str().unwrap());
     let last = std::iter::from_fn(|| events.next()).last().unwrap();
     assert_eq!((last.0.as_str(), last.1["status"].as_u64()), ("failed", Some(422)));

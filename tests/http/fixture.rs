@@ -7,7 +7,7 @@ use std::sync::{Arc, Condvar, Mutex};
 use std::time::{Duration, Instant};
 
 use serde_json::Value;
-use tmpi::server::{Config, Limits, Maker, PipelineMaker, Product, Server};
+use tmpi::server::{Config, Fault, Limits, Maker, PipelineMaker, Product, Server};
 use tmpi_core::{Camera, DisparityMap, Photo, Scene};
 use tmpi_pipeline::depth::{DepthError, Estimator};
 use tmpi_pipeline::{MakeError, Models, Options};
@@ -74,17 +74,17 @@ impl Gate {
 }
 
 impl Maker for Gate {
-    fn check(&self, photo: &[u8], options: &Options) -> Result<(), MakeError> {
-        self.inner.check(photo, options)
+    fn check(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options) -> Result<(), MakeError> {
+        self.inner.check(photo, depth, options)
     }
 
-    fn make(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options, sink: &dyn Sink) -> Result<Product, MakeError> {
+    fn make(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options, sink: &dyn Sink) -> Result<Product, Fault> {
         self.started.fetch_add(1, Ordering::SeqCst);
         sink.progress(&Progress { stage: "photo", step: 1, steps: 9, elapsed_ms: 0.0 });
         let mut open = self.open.lock().unwrap();
         while *open == 0 {
             if sink.cancelled() {
-                return Err(MakeError::Cancelled);
+                return Err(Fault::Cancelled);
             }
             open = self.changed.wait_timeout(open, Duration::from_millis(5)).unwrap().0;
         }
@@ -101,13 +101,13 @@ pub struct Does<F>(pub F);
 
 impl<F> Maker for Does<F>
 where
-    F: Fn(&[u8], &dyn Sink) -> Result<Product, MakeError> + Send + Sync + 'static,
+    F: Fn(&[u8], &dyn Sink) -> Result<Product, Fault> + Send + Sync + 'static,
 {
-    fn check(&self, _: &[u8], _: &Options) -> Result<(), MakeError> {
+    fn check(&self, _: &[u8], _: Option<&[u8]>, _: &Options) -> Result<(), MakeError> {
         Ok(())
     }
 
-    fn make(&self, photo: &[u8], _: Option<&[u8]>, _: &Options, sink: &dyn Sink) -> Result<Product, MakeError> {
+    fn make(&self, photo: &[u8], _: Option<&[u8]>, _: &Options, sink: &dyn Sink) -> Result<Product, Fault> {
         (self.0)(photo, sink)
     }
 }
@@ -248,6 +248,15 @@ pub fn jpeg(seed: u8) -> Vec<u8> {
 }
 
 /// A depth map of two steps.
+/// A depth map of which the pixels are damaged, which nobody sees by its headers.
+pub fn spoilt_map() -> Vec<u8> {
+    let mut map = depth_map();
+    // within the checksum of the pixels, before the end chunk of twelve bytes
+    let at = map.len() - 14;
+    map[at] ^= 1;
+    map
+}
+
 pub fn depth_map() -> Vec<u8> {
     let (width, height) = (80, 60);
     let delta = (0..height).flat_map(|_| (0..width).map(|x| if x < 40 { 0.25 } else { 0.75 })).collect();

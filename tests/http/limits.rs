@@ -5,11 +5,11 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
-use tmpi::server::Limits;
+use tmpi::server::{Fault, Limits};
 use tmpi_pipeline::photo;
 
 use crate::client::{Connection, get, post_form, request};
-use crate::fixture::{Gate, Running, jpeg, pipeline, wait_until};
+use crate::fixture::{Does, Gate, Running, jpeg, pipeline, wait_until};
 
 fn start(limits: Limits, maker: Arc<dyn tmpi::server::Maker>) -> (tempfile::TempDir, Running) {
     let dir = tempfile::tempdir().unwrap();
@@ -188,12 +188,86 @@ fn a_photo_that_takes_the_process_down_is_given_up() {
     gate.wait_started(1);
     server.stop();
     let state = dir.path().join("photos").join(&id).join("state.json");
-    // an orderly stop does not count
-    assert!(std::fs::read_to_string(&state).unwrap().contains("\"attempts\": 0"));
+    // an orderly stop does not count, nor does the end of the server by itself
+    assert!(!state.exists());
     std::fs::write(&state, "{\"attempts\": 2}").unwrap();
     let server = Running::start(dir.path(), limits(), Gate::new(9));
     assert_eq!(server.wait(&id, "failed")["problem"]["type"], "urn:tmpi:problem:gave-up");
     // the user may insist
     server.upload(&jpeg(1));
     server.wait(&id, "done");
+}
+
+/// Fails as `faults` say, one after the other, then makes photos.
+fn failing(faults: Vec<Fault>) -> Arc<dyn tmpi::server::Maker> {
+    let faults = std::sync::Mutex::new(faults.into_iter());
+    Arc::new(Does(move |photo: &[u8], sink: &dyn tmpi_pipeline::Sink| match faults.lock().unwrap().next() {
+        Some(fault) => Err(fault),
+        None => tmpi::server::Maker::make(&crate::fixture::pipeline(), photo, None, &tmpi_pipeline::Options::default(), sink),
+    }))
+}
+
+#[test]
+fn a_fault_of_the_server_is_told_and_the_photo_waits_until_it_is_mended() {
+    let dir = tempfile::tempdir().unwrap();
+    let faults = (0..3).map(|_| Fault::Server("no library".into())).collect();
+    let server = Running::start(dir.path(), Limits { attempts: 1, ..Limits::default() }, failing(faults));
+    let id = server.upload(&jpeg(1));
+    wait_until("the reason is told", || server.state(&id)["waits_for"] == "no library");
+    let ready = get(server.addr, "/readyz");
+    assert_eq!(ready.status, 503);
+    assert_eq!(ready.json()["detail"], "no library");
+    server.wait(&id, "done");
+    assert_eq!(get(server.addr, "/readyz").status, 200);
+}
+
+#[test]
+fn a_photo_that_takes_down_what_makes_it_is_counted_and_does_not_hold_up_others() {
+    let dir = tempfile::tempdir().unwrap();
+    let crash = || Fault::Crashed("signal 9".into());
+    let limits = || Limits { attempts: 2, ..Limits::default() };
+    let server = Running::start(dir.path(), limits(), failing(vec![crash(), crash()]));
+    let id = server.upload(&jpeg(1));
+    assert_eq!(server.wait(&id, "failed")["problem"]["type"], "urn:tmpi:problem:gave-up");
+    let other = server.upload(&jpeg(2));
+    server.wait(&other, "done");
+}
+
+#[test]
+fn damage_on_disk_is_healed_by_the_same_upload() {
+    let dir = tempfile::tempdir().unwrap();
+    let server = Running::start(dir.path(), Limits::default(), failing(Vec::new()));
+    let id = server.upload(&jpeg(1));
+    server.wait(&id, "done");
+    let atlas = dir.path().join("photos").join(&id).join("atlas.tmpi");
+    let whole = std::fs::read(&atlas).unwrap();
+    let mut flipped = whole.clone();
+    *flipped.last_mut().unwrap() ^= 1;
+    for damage in [Some(&flipped[..]), Some(&whole[..whole.len() / 2]), None] {
+        match damage {
+            Some(bytes) => std::fs::write(&atlas, bytes).unwrap(),
+            None => std::fs::remove_file(&atlas).unwrap(),
+        }
+        server.upload(&jpeg(1));
+        server.wait(&id, "done");
+        assert_eq!(std::fs::read(&atlas).unwrap(), whole);
+        assert_eq!(get(server.addr, &format!("/v1/photos/{id}/atlas")).body, whole);
+    }
+}
+
+#[cfg(unix)]
+#[test]
+fn what_is_kept_is_its_owners_alone_to_read() {
+    use std::os::unix::fs::PermissionsExt;
+    let dir = tempfile::tempdir().unwrap();
+    let server = Running::start(dir.path(), Limits::default(), failing(Vec::new()));
+    let id = server.upload(&jpeg(1));
+    server.wait(&id, "done");
+    let mode = |path: &std::path::Path| std::fs::metadata(path).unwrap().permissions().mode() & 0o777;
+    let photos = dir.path().join("photos");
+    assert_eq!((mode(&photos), mode(&photos.join(&id))), (0o700, 0o700));
+    for file in std::fs::read_dir(photos.join(&id)).unwrap() {
+        let path = file.unwrap().path();
+        assert_eq!(mode(&path), 0o600, "{}", path.display());
+    }
 }

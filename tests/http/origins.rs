@@ -97,8 +97,11 @@ fn who_may_read_what() {
             assert_eq!(list.problem(403)["type"], "urn:tmpi:problem:list-closed");
         }
         let ours = caller.lists != 421;
-        for path in
-            OPEN.map(|part| format!("/v1/photos/{id}/{part}")).iter().map(String::as_str).chain(["/tmpi-viewer.js", "/static/view/viewer.js"])
+        for path in OPEN
+            .map(|part| format!("/v1/photos/{id}/{part}"))
+            .iter()
+            .map(String::as_str)
+            .chain(["/tmpi-viewer.js", "/static/view/viewer.js"])
         {
             for method in ["GET", "HEAD"] {
                 let answer = call(&server, &caller, method, path, &[], &[]);

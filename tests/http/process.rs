@@ -21,10 +21,16 @@ pub struct Process {
 
 impl Process {
     pub fn start(data: &Path) -> Self {
+        Self::start_with(data, &["--drain", "5"])
+    }
+
+    fn start_with(data: &Path, arguments: &[&str]) -> Self {
         // a file: a pipe that nobody empties would stop the server
         let log = tempfile::NamedTempFile::new().unwrap();
         let mut child = Command::new(env!("CARGO_BIN_EXE_tmpi"))
-            .args(["serve", "--addr", "127.0.0.1:0", "--drain", "5", "--data"])
+            .args(["serve", "--addr", "127.0.0.1:0"])
+            .args(arguments)
+            .arg("--data")
             .arg(data)
             .stdout(Stdio::piped())
             .stderr(log.reopen().unwrap())
@@ -47,6 +53,24 @@ impl Process {
     fn crash(&mut self) {
         self.child.kill().unwrap();
         self.child.wait().unwrap();
+    }
+
+    /// The process that makes photos for it.
+    #[cfg(target_os = "linux")]
+    fn maker(&self) -> Option<libc::pid_t> {
+        let ours = |pid: &str| {
+            let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).ok()?;
+            let mut rest = stat.rsplit_once(')')?.1.split_whitespace().skip(1);
+            (rest.next()?.parse::<u32>().ok()? == self.child.id()).then(|| pid.parse().ok())?
+        };
+        std::fs::read_dir("/proc").unwrap().find_map(|e| ours(e.ok()?.file_name().to_str()?))
+    }
+
+    #[cfg(unix)]
+    #[allow(unsafe_code, reason = "the standard library has no call that sends another signal than SIGKILL")]
+    fn signal(&self, signal: libc::c_int) {
+        // SAFETY: the process is our child and was not waited for
+        assert_eq!(unsafe { libc::kill(self.child.id() as libc::pid_t, signal) }, 0);
     }
 
     #[cfg(unix)]
@@ -174,4 +198,121 @@ fn a_port_in_use_is_an_error_that_names_it() {
     assert_eq!(output.status.code(), Some(1));
     assert!(String::from_utf8_lossy(&output.stderr).contains(&addr));
     assert!(output.stdout.is_empty());
+}
+
+/// A picture that takes seconds to make.
+fn slow(seed: u32) -> Vec<u8> {
+    sized(seed, 2000, 1500)
+}
+
+fn sized(seed: u32, width: u32, height: u32) -> Vec<u8> {
+    let at = |x: u32, y: u32| [(x * 7 + seed) as u8, (y * 5) as u8, ((x / 32) * (y / 32) * 9 + seed) as u8, 255];
+    let rgba = (0..height).flat_map(|y| (0..width).map(move |x| at(x, y))).collect();
+    encode(&View { width, height, rgba }, PictureFormat::Jpeg, 90).unwrap()
+}
+
+fn upload_with(addr: SocketAddr, photo: &[u8], options: &[(&str, &[u8])]) -> String {
+    let depth = depth_map();
+    let (content_type, body) = form(&[&[("photo", photo), ("depth", &depth)], options].concat());
+    let answer = request(addr, "POST", "/v1/photos", &[("content-type", &content_type)], &body);
+    assert_eq!(answer.status, 202, "{}", String::from_utf8_lossy(&answer.body));
+    answer.json()["id"].as_str().unwrap().to_owned()
+}
+
+fn state(addr: SocketAddr, id: &str) -> serde_json::Value {
+    get(addr, &format!("/v1/photos/{id}")).json()
+}
+
+/// Options that keep a photo in one stage for long.
+const LONG: &[(&str, &[u8])] = &[("planes", b"40"), ("tile", b"32")];
+
+#[test]
+fn crashes_of_the_server_count_against_no_photo() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut ids: Vec<String> = Vec::new();
+    // once more than a photo may take its maker down
+    for round in 0..4 {
+        let mut server = Process::start(dir.path());
+        if round == 0 {
+            ids.push(upload_with(server.addr, &slow(1), &[]));
+            ids.extend((0..3).map(|seed| upload(server.addr, &large(seed)).unwrap()));
+        }
+        wait_until("the same photo is being made", || state(server.addr, &ids[0])["state"] == "working");
+        server.crash();
+    }
+    let server = Process::start(dir.path());
+    for id in &ids {
+        wait_until("it is done", || {
+            let state = state(server.addr, id)["state"].as_str().unwrap().to_owned();
+            assert_ne!(state, "failed");
+            state == "done"
+        });
+    }
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+#[allow(unsafe_code, reason = "the standard library has no call that sends a signal to the child of a child")]
+fn a_process_that_makes_photos_may_end_and_the_photo_is_made_by_another() {
+    let dir = tempfile::tempdir().unwrap();
+    let server = Process::start(dir.path());
+    let id = upload_with(server.addr, &slow(2), &[]);
+    wait_until("it is being made", || state(server.addr, &id)["state"] == "working");
+    let maker = server.maker().unwrap();
+    // SAFETY: the process is a child of our child, which has not waited for it
+    assert_eq!(unsafe { libc::kill(maker, libc::SIGKILL) }, 0);
+    wait_until("it is done", || state(server.addr, &id)["state"] == "done");
+    let log = std::fs::read_to_string(server.log.path()).unwrap();
+    assert!(log.contains("took down what made it") && !log.contains("panicked"), "{log}");
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn a_deleted_photo_is_stopped_within_its_stage_and_the_next_one_is_made() {
+    let dir = tempfile::tempdir().unwrap();
+    let server = Process::start(dir.path());
+    let long = upload_with(server.addr, &slow(3), LONG);
+    wait_until("it is within a long stage", || state(server.addr, &long)["progress"]["stage"] == "planes");
+    let (maker, start) = (server.maker().unwrap(), std::time::Instant::now());
+    assert_eq!(request(server.addr, "DELETE", &format!("/v1/photos/{long}"), &[], &[]).status, 204);
+    wait_until("what made it has ended", || !std::path::Path::new(&format!("/proc/{maker}")).exists());
+    eprintln!("stopped after {} ms", start.elapsed().as_millis());
+    let next = upload(server.addr, &large(4)).unwrap();
+    wait_until("the next one is done", || state(server.addr, &next)["state"] == "done");
+}
+
+#[test]
+fn a_job_that_takes_too_long_is_given_up() {
+    let dir = tempfile::tempdir().unwrap();
+    let server = Process::start_with(dir.path(), &["--job-timeout", "1"]);
+    let long = upload_with(server.addr, &slow(5), LONG);
+    wait_until("it is given up", || state(server.addr, &long)["state"] == "failed");
+    assert_eq!(state(server.addr, &long)["problem"]["type"], "urn:tmpi:problem:late");
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn memory_of_a_job_is_bounded() {
+    let dir = tempfile::tempdir().unwrap();
+    let server = Process::start_with(dir.path(), &["--job-memory", "256"]);
+    let long = upload_with(server.addr, &sized(6, 4000, 3000), &[]);
+    wait_until("it is given up", || state(server.addr, &long)["state"] == "failed");
+    assert_eq!(state(server.addr, &long)["problem"]["type"], "urn:tmpi:problem:gave-up");
+    let small = upload(server.addr, &large(7)).unwrap();
+    wait_until("a small one is done", || state(server.addr, &small)["state"] == "done");
+}
+
+#[cfg(unix)]
+#[test]
+fn a_second_signal_ends_it_at_once() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut server = Process::start_with(dir.path(), &["--drain", "600"]);
+    let id = upload_with(server.addr, &slow(8), LONG);
+    wait_until("it is being made", || state(server.addr, &id)["state"] == "working");
+    server.signal(libc::SIGTERM);
+    wait_until("the first one is taken", || std::fs::read_to_string(server.log.path()).unwrap().contains("stopping"));
+    wait_until("the second one ends it", || {
+        server.signal(libc::SIGTERM);
+        server.child.try_wait().unwrap().is_some_and(|status| status.code() == Some(1))
+    });
 }

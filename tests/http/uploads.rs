@@ -8,7 +8,7 @@ use tmpi_pipeline::MakeError;
 use tmpi_render::PictureFormat;
 
 use crate::client::{get, post_form, request};
-use crate::fixture::{Does, Gate, Running, depth_map, jpeg, picture, pipeline, wait_until};
+use crate::fixture::{Does, Gate, Running, depth_map, jpeg, picture, pipeline, spoilt_map, wait_until};
 
 fn start(maker: Arc<dyn tmpi::server::Maker>) -> (tempfile::TempDir, Running) {
     let dir = tempfile::tempdir().unwrap();
@@ -102,7 +102,9 @@ fn wrong_uploads_are_refused_at_once_and_leave_nothing() {
 #[test]
 fn a_photo_that_fails_says_why_and_is_tried_again_when_uploaded_again() {
     let (_dir, server) = start(Arc::new(pipeline()));
-    let wrong = post_form(server.addr, &[("prefer", "wait=20")], &[("photo", &jpeg(1)), ("depth", b"not a map")]);
+    let refused = post_form(server.addr, &[], &[("photo", &jpeg(1)), ("depth", b"not a map")]);
+    assert_eq!(refused.problem(422)["field"], "depth");
+    let wrong = post_form(server.addr, &[("prefer", "wait=20")], &[("photo", &jpeg(1)), ("depth", &spoilt_map())]);
     assert_eq!(wrong.problem(422)["field"], "depth");
     let id = wrong.header("location").unwrap().rsplit('/').next().unwrap().to_owned();
     let state = server.state(&id);
@@ -114,7 +116,7 @@ fn a_photo_that_fails_says_why_and_is_tried_again_when_uploaded_again() {
         let gate = gate.clone();
         Does(move |photo: &[u8], sink: &dyn tmpi_pipeline::Sink| {
             if gate.finished.fetch_add(1, Ordering::SeqCst) == 0 {
-                return Err(MakeError::Photo(tmpi_pipeline::photo::PhotoError::Broken("the first time".into())));
+                return Err(tmpi::server::Fault::from(MakeError::Photo(tmpi_pipeline::photo::PhotoError::Broken("the first time".into()))));
             }
             tmpi::server::Maker::make(&pipeline(), photo, None, &tmpi_pipeline::Options::default(), sink)
         })
@@ -217,7 +219,7 @@ fn what_was_made_and_what_was_not_survives_a_restart() {
     let server = Running::start(dir.path(), limits(), gate.clone());
     let done = server.upload(&jpeg(1));
     let before = server.wait(&done, "done");
-    let failed = post_form(server.addr, &[], &[("photo", &jpeg(1)), ("depth", b"no")]).json()["id"].as_str().unwrap().to_owned();
+    let failed = post_form(server.addr, &[], &[("photo", &jpeg(1)), ("depth", &spoilt_map())]).json()["id"].as_str().unwrap().to_owned();
     gate.open(1);
     server.wait(&failed, "failed");
     let atlas = get(server.addr, &format!("/v1/photos/{done}/atlas"));

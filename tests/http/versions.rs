@@ -60,8 +60,8 @@ impl Maker for Named {
         self.0
     }
 
-    fn check(&self, photo: &[u8], options: &tmpi_pipeline::Options) -> Result<(), tmpi_pipeline::MakeError> {
-        pipeline().check(photo, options)
+    fn check(&self, photo: &[u8], depth: Option<&[u8]>, options: &tmpi_pipeline::Options) -> Result<(), tmpi_pipeline::MakeError> {
+        pipeline().check(photo, depth, options)
     }
 
     fn make(
@@ -70,7 +70,7 @@ impl Maker for Named {
         depth: Option<&[u8]>,
         options: &tmpi_pipeline::Options,
         sink: &dyn tmpi_pipeline::Sink,
-    ) -> Result<tmpi::server::Product, tmpi_pipeline::MakeError> {
+    ) -> Result<tmpi::server::Product, tmpi::server::Fault> {
         pipeline().make(photo, depth, options, sink)
     }
 }

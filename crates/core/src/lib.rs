@@ -10,7 +10,7 @@ mod parallel;
 pub mod scene;
 pub mod simd;
 
-pub use layers::{Geometry, Inpainter, LayerMask, LayerMasks, Pyramid, TexturedLayer, Tile, TileFrame, compose, grown, texture, work};
+pub use layers::{Geometry, Inpainter, LayerMask, LayerMasks, Pyramid, TexturedLayer, Tile, TileFrame, compose, grown, texture};
 pub use scene::{
     Camera, Class, DisparityMap, Grid, Intrinsics, Layer, Mat3, Photo, Plane, Pose, Rect, Scene, SceneError, Texels, ViewBox, homography,
     mat3_mul, mat3_vec,

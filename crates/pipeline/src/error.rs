@@ -13,6 +13,14 @@ pub enum StageError {
         /// What was given.
         value: String,
     },
+    /// An option asks for more than readers of a container take of a photo of this size; the text names the bound.
+    #[error("{field}: {detail}")]
+    Bound {
+        /// Name of the option.
+        field: &'static str,
+        /// What is asked for, and the most that can be.
+        detail: String,
+    },
     /// A network failed.
     #[error(transparent)]
     Onnx(#[from] crate::networks::OnnxError),

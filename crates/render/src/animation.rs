@@ -1,12 +1,22 @@
 //! Closed ways of the camera through the view box, and their frames as an animated picture or a film.
 
-use std::io::Write as _;
+use std::fs::File;
+use std::io::{Read as _, Write as _};
 use std::path::PathBuf;
-use std::process::{Child, Command, Stdio};
-use std::sync::atomic::{AtomicU32, Ordering};
+use std::process::{Child, ChildStdin, Command, ExitStatus, Stdio};
+use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
 
 use super::View;
 use tmpi_core::{Pose, ViewBox};
+
+/// Longest time that `ffmpeg` may run: the longest film of the largest frames takes about a minute of one core.
+const MOST_TIME: Duration = Duration::from_mins(5);
+/// How often the end of `ffmpeg` is looked for.
+const TICK: Duration = Duration::from_millis(2);
+/// Bytes of what `ffmpeg` says that are told.
+const SAID: u64 = 4 << 10;
 
 /// Frames a second.
 pub const RATE: u32 = 30;
@@ -121,31 +131,53 @@ pub enum AnimationError {
 /// Takes frames and gives a file.
 #[derive(Debug)]
 pub struct Animation {
-    child: Child,
+    child: Arc<Mutex<Child>>,
+    input: Option<ChildStdin>,
     file: PathBuf,
+    said: PathBuf,
     size: (u32, u32),
+    // dropped: nobody watches any more
+    _over: Sender<()>,
+    // nobody else may look into it, and it goes with what is in it
+    _folder: tempfile::TempDir,
 }
 
 impl Animation {
-    /// Starts an animation of frames of `size` at [`RATE`] frames a second; `quality` is 1 to 100.
+    /// Starts an animation of frames of `size` at [`RATE`] frames a second; `quality` is 1 to 100. It is stopped after five minutes.
     ///
     /// # Errors
     /// [`AnimationError::Missing`], [`AnimationError::Failed`].
     pub fn start(format: AnimationFormat, size: (u32, u32), quality: u8) -> Result<Self, AnimationError> {
-        static NEXT: AtomicU32 = AtomicU32::new(0);
-        let name = format!("tmpi-{}-{}.{}", std::process::id(), NEXT.fetch_add(1, Ordering::Relaxed), format.extension());
-        // formats are finished by going back to their start, which a pipe cannot
-        let file = std::env::temp_dir().join(name);
+        Self::start_for(MOST_TIME, format, size, quality)
+    }
+
+    fn start_for(time: Duration, format: AnimationFormat, size: (u32, u32), quality: u8) -> Result<Self, AnimationError> {
+        let failed = |e: std::io::Error| AnimationError::Failed(e.to_string());
+        let folder = tempfile::Builder::new().prefix("tmpi-").tempdir().map_err(failed)?;
+        // formats are finished by going back to their start, which a pipe cannot; a pipe of messages that nobody reads would fill
+        let (file, said) = (folder.path().join(format!("film.{}", format.extension())), folder.path().join("said"));
         let mut command = Command::new("ffmpeg");
         command.args(["-hide_banner", "-loglevel", "error", "-nostdin", "-y", "-f", "rawvideo", "-pix_fmt", "rgb24"]);
         command.args(["-s", &format!("{}x{}", size.0, size.1), "-r", &RATE.to_string(), "-i", "pipe:0"]);
         command.args(format.arguments(quality)).arg(&file);
-        let child = command.stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::piped()).spawn();
-        let child = child.map_err(|e| match e.kind() {
+        let messages = File::create(&said).map_err(failed)?;
+        let child = command.stdin(Stdio::piped()).stdout(Stdio::null()).stderr(messages).spawn();
+        let mut child = child.map_err(|e| match e.kind() {
             std::io::ErrorKind::NotFound => AnimationError::Missing,
             _ => AnimationError::Failed(e.to_string()),
         })?;
-        Ok(Self { child, file, size })
+        let input = child.stdin.take();
+        let child = Arc::new(Mutex::new(child));
+        let (over, ended) = channel();
+        let watched = Arc::clone(&child);
+        let watch = std::thread::Builder::new().name("tmpi-film".into()).spawn(move || {
+            if matches!(ended.recv_timeout(time), Err(RecvTimeoutError::Timeout)) {
+                // it may have ended just now
+                let _ = watched.lock().unwrap_or_else(PoisonError::into_inner).kill();
+            }
+        });
+        let animation = Self { child, input, file, said, size, _over: over, _folder: folder };
+        watch.map(|_| animation).map_err(failed)
     }
 
     /// Adds a frame; what is transparent lies over black.
@@ -157,7 +189,7 @@ impl Animation {
             return Err(AnimationError::Size(self.size.0, self.size.1));
         }
         let rgb: Vec<[u8; 3]> = view.rgba.iter().map(|p| [p[0], p[1], p[2]]).collect();
-        let written = self.child.stdin.as_mut().map_or(Ok(()), |pipe| pipe.write_all(rgb.as_flattened()));
+        let written = self.input.as_mut().map_or(Ok(()), |pipe| pipe.write_all(rgb.as_flattened()));
         // a pipe that broke means that it ended, and it says why
         written.or_else(|e| self.ended().and(Err(AnimationError::Failed(e.to_string()))))
     }
@@ -173,26 +205,35 @@ impl Animation {
 
     /// Waits for the end; an error with what `ffmpeg` says where it is a bad one.
     fn ended(&mut self) -> Result<(), AnimationError> {
-        drop(self.child.stdin.take());
-        let mut said = String::new();
-        if let Some(mut pipe) = self.child.stderr.take() {
-            // what cannot be read is not told
-            let _ = std::io::Read::read_to_string(&mut pipe, &mut said);
+        drop(self.input.take());
+        let status = self.wait().map_err(|e| AnimationError::Failed(e.to_string()))?;
+        if status.success() {
+            return Ok(());
         }
-        match self.child.wait() {
-            Ok(status) if status.success() => Ok(()),
-            Ok(status) => Err(AnimationError::Failed(format!("{status}: {}", said.trim()))),
-            Err(e) => Err(AnimationError::Failed(e.to_string())),
+        let mut said = Vec::new();
+        // what cannot be read is not told
+        let _ = File::open(&self.said).and_then(|f| f.take(SAID).read_to_end(&mut said));
+        Err(AnimationError::Failed(format!("{status}: {}", String::from_utf8_lossy(&said).trim())))
+    }
+
+    /// Waits without keeping the watch from ending it.
+    fn wait(&self) -> std::io::Result<ExitStatus> {
+        loop {
+            let ended = self.child.lock().unwrap_or_else(PoisonError::into_inner).try_wait()?;
+            match ended {
+                Some(status) => return Ok(status),
+                None => std::thread::sleep(TICK),
+            }
         }
     }
 }
 
 impl Drop for Animation {
     fn drop(&mut self) {
+        let mut child = self.child.lock().unwrap_or_else(PoisonError::into_inner);
         // given up before its end, or ended already
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-        let _ = std::fs::remove_file(&self.file);
+        let _ = child.kill();
+        let _ = child.wait();
     }
 }
 
@@ -234,5 +275,22 @@ mod tests {
             assert_eq!(&bytes[at..at + 4], magic);
             assert!(!file.exists(), "nothing is left behind");
         }
+    }
+
+    #[test]
+    fn one_that_takes_too_long_is_stopped_and_leaves_nothing() {
+        let time = Duration::from_millis(50);
+        let mut animation = match Animation::start_for(time, AnimationFormat::Mp4, (64, 64), 80) {
+            Ok(animation) => animation,
+            Err(AnimationError::Missing) => return eprintln!("skipped: {}", AnimationError::Missing),
+            Err(e) => panic!("{e}"),
+        };
+        let folder = animation.file.parent().unwrap().to_owned();
+        let view = View { width: 64, height: 64, rgba: vec![[9, 90, 200, 255]; 64 * 64] };
+        animation.push(&view).unwrap();
+        // it waits for frames that do not come
+        assert!(animation.wait().is_ok_and(|status| !status.success()));
+        drop(animation);
+        assert!(!folder.exists());
     }
 }

@@ -93,6 +93,9 @@ pub struct PhotoState {
     /// Photos that are made before this one; only while it waits.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub position: Option<usize>,
+    /// What keeps it from being made, a fault of the server's; only while it waits.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub waits_for: Option<String>,
     /// Stage that it is at; only while it is being made.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub progress: Option<Progress>,
@@ -159,6 +162,7 @@ impl PhotoState {
             created: rfc3339(accepted.at_ms),
             finished: None,
             position: None,
+            waits_for: None,
             progress: None,
             problem: None,
             photo_bytes: accepted.photo_bytes,
@@ -185,7 +189,7 @@ impl PhotoState {
             },
         };
         match live.status {
-            Status::Queued => state.position = app.jobs.position(entry.id),
+            Status::Queued => (state.position, state.waits_for) = (app.jobs.position(entry.id), app.jobs.trouble()),
             Status::Working => {
                 state.state = StateName::Working;
                 state.progress = live.stages.last().map(Progress::from);

@@ -1,7 +1,5 @@
 //! Health, metrics, and the `OpenAPI` document.
 
-use std::sync::atomic::Ordering;
-
 use axum::Json;
 use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode, header};
@@ -34,7 +32,8 @@ pub async fn healthz(_: NoQuery) -> Json<Health> {
     Json(HEALTHY)
 }
 
-/// The server takes uploads: it is not stopping, the queue has room, the data directory can be written.
+/// The server takes uploads: it is not stopping, the queue has room, the data directory can be written, nothing of the server keeps
+/// photos from being made.
 #[utoipa::path(
     get, path = "/readyz", tag = "system",
     responses(
@@ -43,12 +42,15 @@ pub async fn healthz(_: NoQuery) -> Json<Health> {
     )
 )]
 pub async fn readyz(State(app): State<App>, _: NoQuery) -> Result<Json<Health>, Problem> {
+    let (storage, trouble) = (app.storage(), app.jobs.trouble());
     let why = if app.stop.is_cancelled() || !app.jobs.is_accepting() {
         "the server is stopping"
     } else if app.jobs.free_places() == 0 {
         "the queue is full"
-    } else if !app.writable.load(Ordering::Acquire) {
-        "the data directory cannot be written"
+    } else if let Some(why) = storage {
+        why
+    } else if let Some(reason) = &trouble {
+        reason
     } else {
         return Ok(Json(HEALTHY));
     };
@@ -69,6 +71,7 @@ pub async fn metrics(State(app): State<App>, _: NoQuery) -> Response {
         ("tmpi_jobs_running", "Photos that are being made", counts.working as f64),
         ("tmpi_photos_done", "Finished photos", counts.done as f64),
         ("tmpi_photos_failed", "Photos that could not be made", counts.failed as f64),
+        ("tmpi_photos_unreadable", "Photos whose records cannot be read", app.jobs.store.unreadable() as f64),
         ("tmpi_scene_cache_bytes", "Memory of decoded scenes", app.scenes.bytes() as f64),
         ("tmpi_file_cache_bytes", "Memory of cached files", app.files.bytes() as f64),
         ("tmpi_view_cache_bytes", "Memory of encoded views", app.views.bytes() as f64),

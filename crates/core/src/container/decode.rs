@@ -37,7 +37,7 @@ pub struct SectionInfo {
 /// The sections of a container, in file order, without decoding them.
 ///
 /// # Errors
-/// [`ContainerError::Broken`] or [`ContainerError::Newer`].
+/// [`ContainerError::Broken`], [`ContainerError::Bound`] or [`ContainerError::Newer`].
 pub fn sections(bytes: &[u8]) -> Result<Vec<SectionInfo>, ContainerError> {
     let (index, body) = split(bytes)?;
     let start = (bytes.len() - body.len()) as u64;
@@ -69,7 +69,7 @@ pub fn sections(bytes: &[u8]) -> Result<Vec<SectionInfo>, ContainerError> {
 /// Photo and geometry of a container.
 ///
 /// # Errors
-/// [`ContainerError::Broken`] or [`ContainerError::Newer`].
+/// [`ContainerError::Broken`], [`ContainerError::Bound`] or [`ContainerError::Newer`].
 #[cfg(feature = "pictures")]
 pub fn read(bytes: &[u8]) -> Result<(Photo, Geometry), ContainerError> {
     read_rows(bytes, ALL_ROWS)
@@ -85,7 +85,7 @@ pub(super) fn read_rows(bytes: &[u8], rows: Range<u32>) -> Result<(Photo, Geomet
 /// Geometry of a container alone; its photo is not looked at.
 ///
 /// # Errors
-/// [`ContainerError::Broken`] or [`ContainerError::Newer`].
+/// [`ContainerError::Broken`], [`ContainerError::Bound`] or [`ContainerError::Newer`].
 pub fn read_geometry(bytes: &[u8]) -> Result<Geometry, ContainerError> {
     let (index, body) = split(bytes)?;
     let (grid, intrinsics, view_box) = cameras(&index)?;
@@ -95,7 +95,7 @@ pub fn read_geometry(bytes: &[u8]) -> Result<Geometry, ContainerError> {
 /// Header and index of a container, and its planes as its section lays them out before coding.
 ///
 /// # Errors
-/// [`ContainerError::Broken`] or [`ContainerError::Newer`].
+/// [`ContainerError::Broken`], [`ContainerError::Bound`] or [`ContainerError::Newer`].
 pub fn read_plain(bytes: &[u8]) -> Result<(&[u8], Vec<u8>), ContainerError> {
     let (index, body) = split(bytes)?;
     let (grid, ..) = cameras(&index)?;
@@ -120,7 +120,7 @@ fn parts(index: &Index, body: &[u8], rows: &Range<u32>, pictures: Pictures) -> R
 /// Reads a container; trusts nothing in it. The scene returned passes [`Scene::validate`].
 ///
 /// # Errors
-/// [`ContainerError::Broken`] or [`ContainerError::Newer`].
+/// [`ContainerError::Broken`], [`ContainerError::Bound`] or [`ContainerError::Newer`].
 #[cfg(feature = "pictures")]
 pub fn decode(bytes: &[u8]) -> Result<Scene, ContainerError> {
     decode_with(bytes, &super::picture::decode)
@@ -194,20 +194,11 @@ pub(super) fn declared(bytes: &[u8]) -> Result<(Index, Grid), ContainerError> {
 }
 
 fn cameras(i: &Index) -> Result<(Grid, Intrinsics, ViewBox), ContainerError> {
-    let sides = 1..=bounds::SIDE;
-    if !sides.contains(&i.width) || !sides.contains(&i.height) || u64::from(i.width) * u64::from(i.height) > bounds::PIXELS {
-        return Err(ContainerError::broken("photo size out of bounds"));
-    }
-    // tiles that overlap by more than half would make the labels many times as large as the photo
-    if !sides.contains(&i.tile_size) || i.tile_stride < i.tile_size.div_ceil(2) || i.tile_stride > i.tile_size {
-        return Err(ContainerError::broken("tile size out of bounds"));
-    }
     let k = Intrinsics { fx: i.fx, fy: i.fy, cx: i.cx, cy: i.cy };
     let v = ViewBox { x: i.view_x, y: i.view_y, z: i.view_z };
-    if !k.is_valid() || ![v.x, v.y, v.z].iter().all(|e| e.is_finite() && *e >= 0.0) {
-        return Err(ContainerError::broken("camera out of bounds"));
-    }
-    Ok((Grid { width: i.width, height: i.height, size: i.tile_size, stride: i.tile_stride }, k, v))
+    let grid = Grid { width: i.width, height: i.height, size: i.tile_size, stride: i.tile_stride };
+    bounds::frame(&grid, &k, &v)?;
+    Ok((grid, k, v))
 }
 
 fn find(index: &Index, kind: Kind) -> Option<&Section> {
@@ -288,18 +279,12 @@ fn layer_geometry(
     rows: &Range<u32>,
 ) -> Result<Geometry, ContainerError> {
     let count = index.planes as usize;
-    let (least, most) = (grid.tiles() as usize, grid.tiles() as usize * columns::MOST_PLANES);
-    if count > bounds::PLANES.min(most) || count < least {
-        return Err(ContainerError::broken("count of planes out of bounds"));
-    }
+    bounds::planes(&grid, count)?;
     let mut tiles = columns::read(&grid, count, &laid_out(index, body, &grid, count)?)?;
     let section = find(index, Kind::Labels)
         .filter(|s| matches!(s.codec(), Codec::Range | Codec::RangeBands))
         .ok_or_else(|| ContainerError::broken("there is no section of labels"))?;
-    let pixels = u64::from(grid.width) * u64::from(grid.height);
-    if crate::layers::work(&grid, &tiles) > bounds::WORK.min(bounds::WORK_LEAST + pixels * bounds::WORK_PER_PIXEL) {
-        return Err(ContainerError::broken("more planes than a photo of this size can have"));
-    }
+    bounds::work(&grid, &tiles)?;
     let counts: Vec<u8> = tiles.iter().map(|t| t.planes.len() as u8).collect();
     let data = range(section, body)?;
     let labels = match section.codec() {

@@ -5,7 +5,7 @@ use prost::Message;
 
 use super::select::header;
 use super::wire::{Codec, Index, Kind, Section};
-use super::{Carried, ContainerError, MAJOR, MINOR, bands, columns, encode_jpeg, encode_lossless, hidden, labels, planes};
+use super::{Carried, ContainerError, MAJOR, MINOR, bands, bounds, columns, encode_jpeg, encode_lossless, hidden, labels, planes};
 use crate::{Geometry, Grid, Scene};
 
 /// Level of zstd; sections are small, so the highest of the ordinary levels costs little.
@@ -52,7 +52,8 @@ pub enum HiddenAs {
 /// Writes a container of a scene that follows from `geometry`, but for what `carries` names. `carried` is the photo's file.
 ///
 /// # Errors
-/// [`ContainerError::Encode`] where a picture codec fails or a plane does not fit.
+/// [`ContainerError::Encode`] where a picture codec fails or a plane does not fit; [`ContainerError::Bound`] where no reader would
+/// take it.
 pub fn encode(geometry: &Geometry, scene: &Scene, carried: &Carried, carries: Carries) -> Result<(Vec<u8>, SectionBytes), ContainerError> {
     encode_in(bands::rows(&geometry.grid), geometry, scene, carried, carries)
 }
@@ -60,7 +61,8 @@ pub fn encode(geometry: &Geometry, scene: &Scene, carried: &Carried, carries: Ca
 /// The same with labels in bands of so many rows of tiles, or in one stream.
 ///
 /// # Errors
-/// [`ContainerError::Encode`] where a picture codec fails or a plane does not fit.
+/// [`ContainerError::Encode`] where a picture codec fails or a plane does not fit; [`ContainerError::Bound`] where no reader would
+/// take it.
 pub fn encode_in(
     rows: Option<u32>,
     geometry: &Geometry,
@@ -68,6 +70,7 @@ pub fn encode_in(
     carried: &Carried,
     carries: Carries,
 ) -> Result<(Vec<u8>, SectionBytes), ContainerError> {
+    bounds::geometry(geometry)?;
     let mut file = File::default();
     file.add(Kind::Photo, carried.format.codec(), carried.bytes.clone(), 0);
     let planes = columns::write(&geometry.tiles);

@@ -2,7 +2,7 @@
 //!
 //! Planes stay as they are, since δ is affine in units of half a tile and tiles shrink with the photo. Nothing is estimated anew.
 
-use super::{Carried, Carries, ContainerError, decode, encode};
+use super::{Carried, Carries, ContainerError, bounds, decode, encode};
 use crate::{Geometry, Grid, Intrinsics, Photo, Scene, Texels, Tile};
 
 /// The smallest level: an eighth of the size.
@@ -11,7 +11,7 @@ pub const LEVELS: u8 = 3;
 const QUALITY: u8 = 90;
 
 /// A container of `1 / 2^level` of the size; levels above [`LEVELS`], or above what the tiles allow (size and stride must be
-/// divisible), give the smallest there is. Level 0 is the container itself.
+/// divisible, and readers must take their count of planes for the size), give the smallest there is. Level 0 is the container itself.
 ///
 /// # Errors
 /// [`ContainerError::Broken`], [`ContainerError::Newer`], [`ContainerError::Encode`].
@@ -29,7 +29,7 @@ pub fn level(container: &[u8], level: u8) -> Result<Vec<u8>, ContainerError> {
 pub(super) fn smaller(mut photo: Photo, mut geometry: Geometry, level: u8) -> (Photo, Geometry, u8) {
     let mut done = 0;
     while done < level.min(LEVELS)
-        && let Some(half) = halved(&geometry)
+        && let Some(half) = halved(&geometry).filter(|half| bounds::geometry(half).is_ok())
     {
         photo = halved_photo(&photo);
         geometry = half;

@@ -1,6 +1,7 @@
 //! The container: a scene as bytes (DESIGN, section 5; schema in `proto/tmpi.proto`).
 
 mod bands;
+mod bounds;
 mod columns;
 mod decode;
 #[cfg(feature = "write")]
@@ -26,6 +27,7 @@ mod select;
 pub mod wire;
 
 pub use bands::rows_for;
+pub use bounds::{most_planes, readable};
 pub use decode::{Pictures, SectionInfo, decode_with, read_geometry, read_plain, sections};
 #[cfg(feature = "pictures")]
 pub use decode::{decode, read};
@@ -56,26 +58,6 @@ pub const MAX_PIXELS: u64 = 50_000_000;
 /// Pixels a side of the photo of a container, at most.
 pub const MAX_SIDE: u32 = 16_384;
 
-/// Bounds that a reader holds a container to, whatever it says of itself.
-mod bounds {
-    /// Pixels of the photo.
-    pub const PIXELS: u64 = super::MAX_PIXELS;
-    /// Pixels a side.
-    pub const SIDE: u32 = super::MAX_SIDE;
-    /// Planes in all.
-    pub const PLANES: usize = 4_000_000;
-    /// Pixels that deriving the texels may look at: a 50-megapixel photo of four planes a tile looks at about 5e9.
-    pub const WORK: u64 = 8_000_000_000;
-    /// The same for each pixel of the photo: tiles of 8 pixels, the smallest level's, with 20 planes each look at 17 000.
-    pub const WORK_PER_PIXEL: u64 = 20_000;
-    /// What even the smallest photo may look at.
-    pub const WORK_LEAST: u64 = 50_000_000;
-    /// Bytes of the index.
-    pub const INDEX: usize = 1 << 20;
-    /// Sections.
-    pub const SECTIONS: usize = 64;
-}
-
 /// Why a container could not be written or read.
 #[derive(Debug, thiserror::Error)]
 pub enum ContainerError {
@@ -90,6 +72,9 @@ pub enum ContainerError {
         /// Major version known.
         known: u16,
     },
+    /// It holds more than a reader takes; the text names what and the bound.
+    #[error("not a container that readers take: {0}")]
+    Bound(String),
     /// A picture codec failed while writing.
     #[error("encoding a picture: {0}")]
     Encode(String),

@@ -8,4 +8,4 @@ mod visibility;
 
 pub use inpaint::{Inpainter, Pyramid};
 pub use texture::{TexturedLayer, compose, texture};
-pub use visibility::{Geometry, LayerMask, LayerMasks, Tile, TileFrame, grown, work};
+pub use visibility::{Geometry, LayerMask, LayerMasks, Tile, TileFrame, grown, work_of};

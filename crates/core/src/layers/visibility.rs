@@ -139,12 +139,11 @@ pub fn grown(r: Rect, x: u32, y: u32, grid: &Grid) -> Rect {
     Rect { x: x0, y: y0, w: (r.x + r.w + x).min(grid.width) - x0, h: (r.y + r.h + y).min(grid.height) - y0 }
 }
 
-/// Pixels that [`Geometry::masks`] looks at, at most: a reader's bound on its work. Labels need not be there yet.
-#[must_use]
-pub fn work(grid: &Grid, tiles: &[Tile]) -> u64 {
+/// Pixels that [`Geometry::masks`] looks at, at most, where the tiles of a grid have so many planes: a reader's bound on its work.
+pub fn work_of(grid: &Grid, planes: impl Iterator<Item = u64>) -> u64 {
     let reach = MAX_REACH as u32;
     let window = |i: u32| grown(grid.rect(i), reach, reach, grid).area() as u64;
-    (0..grid.tiles()).zip(tiles).map(|(i, t)| window(i) * (t.planes.len() as u64 + 1)).sum()
+    (0..grid.tiles()).zip(planes).map(|(i, n)| window(i) * (n + 1)).sum()
 }
 
 impl Geometry {

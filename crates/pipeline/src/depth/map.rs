@@ -1,8 +1,5 @@
 //! A user's own depth map.
 
-use std::io::Cursor;
-
-use image::codecs::png::PngDecoder;
 use image::{ColorType, ImageDecoder};
 use rayon::prelude::*;
 
@@ -10,6 +7,7 @@ use super::{DepthError, DepthKind};
 use tmpi_core::container::PhotoFormat;
 
 use crate::photo::Limits;
+use crate::photo::png::{self, Png};
 use tmpi_core::DisparityMap;
 
 /// Range of neighbouring disparities above which they lie on two surfaces and are not mixed.
@@ -17,24 +15,33 @@ const EDGE: f32 = 0.03;
 /// Share of metric values that may be nearer than δ = 1: a sensor's outliers must not push everything else to infinity.
 const OUTLIERS: f64 = 1e-3;
 
-/// Reads a user's depth map (8- or 16-bit grey PNG) at the photo's size `width × height`; a map of another size is resampled
-/// without mixing across edges. Metric depth is scaled so that its nearest 0.1 % is at δ = 1; unknown metric values (0) take the farther known
-/// neighbour in the row.
+/// Refuses by its headers alone what [`from_png`] would refuse: another format, colour, or a map over the limits.
 ///
 /// # Errors
 /// [`DepthError::Map`] says what is wrong with the file.
-pub fn from_png(bytes: &[u8], kind: DepthKind, width: u32, height: u32) -> Result<DisparityMap, DepthError> {
-    let bad = |e: &dyn std::fmt::Display| DepthError::Map(e.to_string());
+pub fn check(bytes: &[u8], limits: &Limits) -> Result<(), DepthError> {
+    scan(bytes, limits).map(drop)
+}
+
+fn scan<'a>(bytes: &'a [u8], limits: &Limits) -> Result<Png<'a>, DepthError> {
     if PhotoFormat::sniff(bytes) != Some(PhotoFormat::Png) {
         return Err(DepthError::Map("it is not a PNG file".into()));
     }
-    let limits = Limits::default();
-    limits.check_bytes(bytes.len()).map_err(|e| bad(&e))?;
-    let mut bounds = image::Limits::no_limits();
-    bounds.max_alloc = Some(limits.decoder_memory);
-    let decoder = PngDecoder::with_limits(Cursor::new(bytes), bounds).map_err(|e| bad(&e))?;
-    let (w, h) = decoder.dimensions();
-    limits.check_size(w, h).and_then(|()| limits.check_memory(decoder.total_bytes())).map_err(|e| bad(&e))?;
+    let map = limits.check_bytes(bytes.len()).and_then(|()| png::scan(bytes, limits)).map_err(|e| DepthError::Map(e.to_string()))?;
+    if map.grey { Ok(map) } else { Err(DepthError::Map("it is in colour".into())) }
+}
+
+/// Reads a user's depth map (8- or 16-bit grey PNG within `limits`) at the photo's size `width × height`; a map of another size is
+/// resampled without mixing across edges. Metric depth is scaled so that its nearest 0.1 % is at δ = 1; unknown metric values (0) take
+/// the farther known neighbour in the row.
+///
+/// # Errors
+/// [`DepthError::Map`] says what is wrong with the file.
+pub fn from_png(bytes: &[u8], kind: DepthKind, limits: &Limits, width: u32, height: u32) -> Result<DisparityMap, DepthError> {
+    let bad = |e: &dyn std::fmt::Display| DepthError::Map(e.to_string());
+    let map = scan(bytes, limits)?;
+    let (w, h) = (map.width, map.height);
+    let decoder = map.decoder().map_err(|e| bad(&e))?;
     let colour = decoder.color_type();
     let mut samples = vec![0; decoder.total_bytes() as usize];
     decoder.read_image(&mut samples).map_err(|e| bad(&e))?;
@@ -152,7 +159,14 @@ fn covered(i: usize, ratio: f64, n: usize) -> (usize, usize) {
 
 #[cfg(test)]
 mod tests {
+    use std::io::Cursor;
+
     use super::*;
+
+    fn from_png(bytes: &[u8], kind: DepthKind, width: u32, height: u32) -> Result<DisparityMap, DepthError> {
+        super::from_png(bytes, kind, &Limits::default(), width, height)
+    }
+
     use image::{DynamicImage, ImageBuffer, ImageFormat, Luma, Rgb};
 
     fn png(image: impl Into<DynamicImage>) -> Vec<u8> {
@@ -200,6 +214,26 @@ mod tests {
         let got = from_png(&ramp, DepthKind::Disparity, 16, 16).unwrap();
         let want = (17.5 * 300.0 + 29.5 * 200.0) / 65_535.0;
         assert!((f64::from(got.delta[7 * 16 + 4]) - want).abs() < 1e-5, "{} {want}", got.delta[7 * 16 + 4]);
+    }
+
+    #[test]
+    fn the_limits_given_hold_before_anything_is_decoded() {
+        let map = wide(20, 10, |x, _| x as u16);
+        let limits = Limits { pixels: 200, side: 20, bytes: map.len(), decoder_memory: 400 };
+        assert!(check(&map, &limits).is_ok());
+        assert!(super::from_png(&map, DepthKind::Disparity, &limits, 20, 10).is_ok());
+        for over in [
+            Limits { pixels: 199, ..limits },
+            Limits { side: 19, ..limits },
+            Limits { bytes: map.len() - 1, ..limits },
+            Limits { decoder_memory: 399, ..limits },
+        ] {
+            assert!(check(&map, &over).is_err(), "{over:?}");
+            assert!(super::from_png(&map, DepthKind::Disparity, &over, 20, 10).is_err(), "{over:?}");
+        }
+        let colour = png(ImageBuffer::from_fn(2, 2, |_, _| Rgb([1u8, 2, 3])));
+        assert!(check(&colour, &Limits::default()).is_err());
+        assert!(check(b"P5 2 2 255", &Limits::default()).is_err());
     }
 
     #[test]

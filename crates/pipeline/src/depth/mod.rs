@@ -11,7 +11,7 @@ mod upsample;
 
 pub use adapter::{ADAPTERS, Adapter, Kind, Layout, Sampling, SizeRule, adapter, margin};
 pub use detect::detect;
-pub use map::from_png;
+pub use map::{check, from_png};
 pub use monocular::Monocular;
 pub use png::to_png;
 pub use upsample::{halved, upsample};

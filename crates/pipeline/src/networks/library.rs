@@ -1,7 +1,7 @@
 //! Where the ONNX Runtime library is looked for.
 
 use std::path::{Path, PathBuf};
-use std::sync::OnceLock;
+use std::sync::{Mutex, OnceLock, PoisonError};
 
 use ort::environment::Environment;
 use ort::logging::LogLevel;
@@ -39,10 +39,34 @@ pub fn available() -> Result<(), OnnxError> {
     environment().map(|_| ())
 }
 
-/// The process's ONNX Runtime environment. Loaded once: a process has one library, found or not.
+/// The process's ONNX Runtime environment. Loaded once; a library that is not there is looked for again each time.
 pub(super) fn environment() -> Result<&'static Environment, OnnxError> {
-    static ENVIRONMENT: OnceLock<Result<Environment, OnnxError>> = OnceLock::new();
-    ENVIRONMENT.get_or_init(load).as_ref().map_err(Clone::clone)
+    static ENVIRONMENT: Once<Environment> = Once::new();
+    ENVIRONMENT.get(load)
+}
+
+/// What is made once, by whoever needs it first; an error is not kept.
+pub(super) struct Once<T> {
+    made: OnceLock<T>,
+    making: Mutex<()>,
+}
+
+impl<T> Once<T> {
+    pub(super) const fn new() -> Self {
+        Self { made: OnceLock::new(), making: Mutex::new(()) }
+    }
+
+    /// It, made by `make` where it is not there yet.
+    pub(super) fn get<E>(&self, make: impl FnOnce() -> Result<T, E>) -> Result<&T, E> {
+        if let Some(made) = self.made.get() {
+            return Ok(made);
+        }
+        let _alone = self.making.lock().unwrap_or_else(PoisonError::into_inner);
+        match self.made.get() {
+            Some(made) => Ok(made),
+            None => make().map(|new| self.made.get_or_init(|| new)),
+        }
+    }
 }
 
 fn load() -> Result<Environment, OnnxError> {
@@ -105,6 +129,14 @@ fn places(named: Option<&Path>, current: Option<&Path>, exe: Option<&Path>) -> V
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn an_error_is_not_kept_and_what_was_made_is() {
+        let once = Once::new();
+        assert_eq!(once.get(|| Err("not there")), Err("not there"));
+        assert_eq!(once.get(|| Ok::<_, &str>(1)), Ok(&1));
+        assert_eq!(once.get(|| Err("not asked")), Ok(&1));
+    }
 
     #[test]
     fn a_named_file_is_the_only_place() {

@@ -2,7 +2,9 @@
 
 use tmpi_core::container::PhotoFormat;
 
-use super::{Limits, PhotoError, broken, jpeg, webp};
+use super::jpeg::Jpeg;
+use super::webp::WebP;
+use super::{Limits, PhotoError, jpeg, png, webp};
 
 /// Format and stored size of a photo, from its headers alone; a server refuses by it before it queues any work.
 ///
@@ -12,19 +14,28 @@ pub fn check(bytes: &[u8], limits: &Limits) -> Result<(PhotoFormat, (u32, u32)),
     limits.check_bytes(bytes.len())?;
     let format = PhotoFormat::sniff(bytes).ok_or(PhotoError::Unsupported)?;
     let size = match format {
-        PhotoFormat::Jpeg => jpeg::scan(bytes).map(|j| (j.width, j.height))?,
-        PhotoFormat::WebP => webp::scan(bytes).map(|w| (w.width, w.height))?,
-        PhotoFormat::Png => png_size(bytes)?,
+        PhotoFormat::Jpeg => jpeg(bytes, limits).map(|j| (j.width, j.height))?,
+        PhotoFormat::WebP => webp(bytes, limits).map(|w| (w.width, w.height))?,
+        PhotoFormat::Png => png::scan(bytes, limits).map(|p| (p.width, p.height))?,
     };
-    limits.check_size(size.0, size.1)?;
     Ok((format, size))
 }
 
-/// Size of a PNG: its header chunk comes first and has a fixed length.
-pub(super) fn png_size(bytes: &[u8]) -> Result<(u32, u32), PhotoError> {
-    let Some(head) = bytes.get(8..24).filter(|h| &h[4..8] == b"IHDR") else { return Err(broken("no PNG header")) };
-    let side = |at: usize| u32::from_be_bytes([head[at], head[at + 1], head[at + 2], head[at + 3]]);
-    Ok((side(8), side(12)))
+/// The segments of a JPEG within the limits, with data for each of its blocks.
+pub(super) fn jpeg(bytes: &[u8], limits: &Limits) -> Result<Jpeg, PhotoError> {
+    let jpeg = jpeg::scan(bytes)?;
+    limits.check_size(jpeg.width, jpeg.height)?;
+    jpeg.check_data()?;
+    limits.check_memory(jpeg.memory())?;
+    Ok(jpeg)
+}
+
+/// The chunks of a WebP within the limits.
+pub(super) fn webp(bytes: &[u8], limits: &Limits) -> Result<WebP, PhotoError> {
+    let webp = webp::scan(bytes)?;
+    limits.check_size(webp.width, webp.height)?;
+    limits.check_memory(u64::from(webp.width) * u64::from(webp.height) * webp.bytes_per_pixel())?;
+    Ok(webp)
 }
 
 #[cfg(test)]

@@ -11,6 +11,22 @@ pub(super) struct Jpeg {
     pub components: u8,
     /// Bytes of DCT coefficients, where the decoder has to keep all of them (progressive, or a scan per component); else 0.
     pub coefficient_bytes: u64,
+    /// Bytes of entropy-coded data in all scans.
+    data: u64,
+    /// Bytes without which the frame's blocks cannot be coded.
+    least_data: u64,
+    /// Place in `stripped` of the frame's height, two bytes.
+    height_at: usize,
+    /// Place in `stripped` behind the first scan.
+    first_scan_end: usize,
+    /// Every scan refines the whole picture.
+    pub progressive: bool,
+    /// Each component comes in a scan of its own.
+    one_by_one: bool,
+    /// Count of scans.
+    pub scans: usize,
+    /// The scans of a progressive file bring every coefficient to its last bit.
+    pub complete: bool,
     /// The picture alone: no `APPn` but JFIF (without its thumbnail) and Adobe, no comments, nothing after the end marker.
     pub stripped: Vec<u8>,
     /// TIFF structure of the first EXIF segment.
@@ -18,6 +34,55 @@ pub(super) struct Jpeg {
     /// ICC profile, put together from its segments.
     pub icc: Option<Vec<u8>>,
 }
+
+/// Scans of a file, at most: decoding takes scans × blocks, and a scan of a few bytes covers any count of blocks (LJT-01-003).
+/// Writers of progressive files make 10 to 64.
+pub(super) const MAX_SCANS: usize = 100;
+
+impl Jpeg {
+    /// Memory that decoding takes, result included.
+    pub(super) fn memory(&self) -> u64 {
+        self.coefficient_bytes + u64::from(self.width) * u64::from(self.height) * 3
+    }
+
+    /// Refuses a file whose data cannot fill its frame: a block takes at least two bits, and in a progressive file one.
+    pub(super) fn check_data(&self) -> Result<(), PhotoError> {
+        if self.data < self.least_data {
+            let (have, least) = (self.data, self.least_data);
+            return Err(PhotoError::Broken(format!(
+                "{have} bytes of picture data, where its size takes at least {least}: it was cut short"
+            )));
+        }
+        Ok(())
+    }
+
+    /// The file for a strict decoder: it takes zeros for whatever an end marker cuts off, but not the end of the file. So a file of one
+    /// scan ends in a few zeros, which the decoder may read ahead, and no marker.
+    pub(super) fn open(&self) -> Vec<u8> {
+        if self.progressive || self.one_by_one {
+            return self.stripped.clone();
+        }
+        [&self.stripped[..self.stripped.len() - 2], &[0; READ_AHEAD]].concat()
+    }
+
+    /// The file cut to what has to be whole for a damaged picture to be worth showing: the upper [`MOST`] of it, or, where each
+    /// scan refines the whole picture, the first scan.
+    pub(super) fn most(&self) -> Vec<u8> {
+        if self.progressive {
+            return [&self.stripped[..self.first_scan_end], &[0xFF, 0xD9]].concat();
+        }
+        let mut file = self.open();
+        let rows = (u64::from(self.height) * MOST.0).div_ceil(MOST.1) as u16;
+        file[self.height_at..self.height_at + 2].copy_from_slice(&rows.to_be_bytes());
+        file
+    }
+}
+
+/// Bytes that a decoder holds ahead of the block that it is at.
+const READ_AHEAD: usize = 16;
+
+/// Share of the rows, as a fraction, that must decode without a fault.
+const MOST: (u64, u64) = (3, 4);
 
 fn broken(what: &str) -> PhotoError {
     PhotoError::Broken(what.to_owned())
@@ -27,7 +92,23 @@ fn broken(what: &str) -> PhotoError {
 pub(super) fn scan(bytes: &[u8]) -> Result<Jpeg, PhotoError> {
     let mut out = Vec::with_capacity(bytes.len());
     out.extend_from_slice(&[0xFF, 0xD8]);
-    let mut jpeg = Jpeg { width: 0, height: 0, components: 0, coefficient_bytes: 0, stripped: Vec::new(), exif: None, icc: None };
+    let mut jpeg = Jpeg {
+        width: 0,
+        height: 0,
+        components: 0,
+        coefficient_bytes: 0,
+        data: 0,
+        least_data: 0,
+        height_at: 0,
+        first_scan_end: 0,
+        progressive: false,
+        one_by_one: false,
+        scans: 0,
+        complete: false,
+        stripped: Vec::new(),
+        exif: None,
+        icc: None,
+    };
     let mut icc: Vec<(u8, &[u8])> = Vec::new();
     let (mut at, mut frame, mut scans) = (2, None::<Frame>, 0);
     loop {
@@ -57,14 +138,24 @@ pub(super) fn scan(bytes: &[u8]) -> Result<Jpeg, PhotoError> {
                     return Err(broken("more than one frame header"));
                 }
                 frame = Some(Frame::read(marker, body)?);
+                // marker, length and precision come before it
+                jpeg.height_at = out.len() + 5;
                 push(&mut out, marker, body);
             }
             0xDA => {
                 let Some(frame) = &mut frame else { return Err(broken("a scan before the frame header")) };
+                if scans == MAX_SCANS {
+                    return Err(PhotoError::Broken(format!("more than {MAX_SCANS} scans")));
+                }
+                frame.refine(body);
                 frame.one_by_one |= body.first().is_some_and(|&n| n < frame.components);
                 push(&mut out, marker, body);
                 let end = entropy_end(bytes, at);
                 out.extend_from_slice(&bytes[at..end]);
+                jpeg.data += (end - at) as u64;
+                if scans == 0 {
+                    jpeg.first_scan_end = out.len();
+                }
                 (at, scans) = (end, scans + 1);
             }
             _ => push(&mut out, marker, body),
@@ -79,6 +170,9 @@ pub(super) fn scan(bytes: &[u8]) -> Result<Jpeg, PhotoError> {
     jpeg.icc = (!icc.is_empty()).then(|| icc.iter().flat_map(|&(_, part)| part).copied().collect());
     (jpeg.width, jpeg.height, jpeg.components) = (frame.width, frame.height, frame.components);
     jpeg.coefficient_bytes = if frame.progressive || frame.one_by_one { frame.coefficient_bytes } else { 0 };
+    (jpeg.progressive, jpeg.one_by_one, jpeg.scans) = (frame.progressive, frame.one_by_one, scans);
+    jpeg.complete = frame.left.iter().all(|left| *left == 0);
+    jpeg.least_data = (frame.blocks * if frame.progressive { 1 } else { 2 }) / 8;
     jpeg.stripped = out;
     Ok(jpeg)
 }
@@ -138,6 +232,12 @@ struct Frame {
     /// A scan holds fewer components than the frame.
     one_by_one: bool,
     coefficient_bytes: u64,
+    /// Blocks of the picture alone, without those that only fill up the last minimum coded units.
+    blocks: u64,
+    /// Names of the components.
+    names: Vec<u8>,
+    /// Coefficients, as bits, of each component that no scan has brought to their last bit.
+    left: Vec<u64>,
 }
 
 impl Frame {
@@ -161,6 +261,8 @@ impl Frame {
         }
         let (h_max, v_max) = sampling.iter().fold((1, 1), |m, s| (m.0.max(s.0), m.1.max(s.1)));
         let mcus = u64::from(width).div_ceil(8 * h_max) * u64::from(height).div_ceil(8 * v_max);
+        let across = |side: u16, sampling: u64, most: u64| (u64::from(side) * sampling).div_ceil(most).div_ceil(8);
+        let blocks = sampling.iter().map(|&(h, v)| across(width, h, h_max) * across(height, v, v_max)).sum();
         // 64 coefficients of 2 bytes a block
         let coefficient_bytes = sampling.iter().map(|(h, v)| mcus * h * v * 128).sum();
         Ok(Self {
@@ -170,6 +272,36 @@ impl Frame {
             progressive: marker == 0xC2,
             one_by_one: false,
             coefficient_bytes,
+            blocks,
+            names: parts.chunks_exact(3).take(components.into()).map(|p| p[0]).collect(),
+            left: vec![u64::MAX; components.into()],
         })
+    }
+
+    /// Notes what a scan brings, by its header.
+    fn refine(&mut self, scan: &[u8]) {
+        let Some((&count, rest)) = scan.split_first() else { return };
+        let (named, spectrum) = rest.split_at(rest.len().min(2 * usize::from(count)));
+        let &[first, last @ 0..=63, bits] = spectrum else { return };
+        if first > last || bits & 15 != 0 {
+            return;
+        }
+        let brought = (u64::MAX >> (63 - last)) & (u64::MAX << first);
+        for name in named.chunks_exact(2).map(|p| p[0]) {
+            let of_name = self.names.iter().zip(&mut self.left).filter(|(n, _)| **n == name);
+            of_name.for_each(|(_, left)| *left &= !brought);
+        }
+    }
+}
+
+#[cfg(test)]
+pub(super) mod tests {
+    use super::*;
+
+    /// Memory for a frame of that kind, as its segment describes it.
+    pub fn memory_of(marker: u8, body: &[u8]) -> u64 {
+        let frame = Frame::read(marker, body).unwrap();
+        let coefficients = if frame.progressive { frame.coefficient_bytes } else { 0 };
+        coefficients + u64::from(frame.width) * u64::from(frame.height) * 3
     }
 }

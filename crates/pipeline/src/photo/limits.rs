@@ -22,8 +22,8 @@ impl Limits {
     pub const PIXELS: u64 = tmpi_core::container::MAX_PIXELS;
     /// 16 384 pixels a side.
     pub const SIDE: u32 = tmpi_core::container::MAX_SIDE;
-    /// 256 MiB.
-    pub const DECODER_MEMORY: u64 = 256 << 20;
+    /// 512 MiB: 50 megapixels of a progressive JPEG without subsampling take 450 MB, of a PNG of 16 bits with alpha 400 MB.
+    pub const DECODER_MEMORY: u64 = 512 << 20;
 }
 
 impl Limits {

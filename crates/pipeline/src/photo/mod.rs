@@ -8,22 +8,30 @@ mod check;
 mod colour;
 mod error;
 mod exif;
+#[doc(hidden)]
+pub mod fuzzing;
 mod jpeg;
 mod limits;
 mod pixels;
+pub(crate) mod png;
 mod resample;
 mod resample_bytes;
 mod taps;
 mod webp;
 
 #[cfg(test)]
+mod hostile;
+#[cfg(test)]
 mod tests;
 
 use std::io::Cursor;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
-use image::codecs::{jpeg::JpegDecoder, png::PngDecoder, webp::WebPDecoder};
+use image::codecs::webp::WebPDecoder;
 use image::{ColorType, ImageDecoder};
+use zune_jpeg::zune_core::bytestream::ZCursor;
+use zune_jpeg::zune_core::colorspace::ColorSpace;
+use zune_jpeg::zune_core::options::DecoderOptions;
 
 pub use check::check;
 pub use error::PhotoError;
@@ -54,7 +62,13 @@ pub struct Decoded {
     pub focal_from_exif: bool,
     /// The uploaded file without metadata, where its pixels are exactly `photo` (no rotation, no reduction, no alpha; JPEG or WebP).
     pub carried: Option<Vec<u8>>,
+    /// True where the file is damaged or cut short, yet most of the picture is there; what is missing is grey or coarse. Told of
+    /// JPEG files that are decoded at their own size; others are refused, or decoded to a reduced size as far as they go.
+    pub damaged: bool,
 }
+
+/// Bytes of a colour profile, at most; larger ones are passed over. Those of printers take 0.5 to 3 MB, those of cameras some kB.
+const MAX_PROFILE: usize = 4 << 20;
 
 /// Decodes an uploaded photo; `max_size` bounds the longer side in pixels (a larger photo is reduced).
 ///
@@ -78,6 +92,7 @@ struct Raw {
     icc: Option<Vec<u8>>,
     /// File without metadata, where its pixels are exactly `photo`.
     carried: Option<Vec<u8>>,
+    damaged: bool,
 }
 
 fn read(bytes: &[u8], format: PhotoFormat, limits: &Limits, max_size: Option<u32>) -> Result<Raw, PhotoError> {
@@ -90,7 +105,7 @@ fn read(bytes: &[u8], format: PhotoFormat, limits: &Limits, max_size: Option<u32
 
 /// Colours, size and orientation, in the order that touches the fewest pixels.
 fn finish(raw: Raw, format: PhotoFormat, max_size: Option<u32>) -> Decoded {
-    let Raw { mut photo, size, facts, icc, mut carried } = raw;
+    let Raw { mut photo, size, facts, icc, mut carried, damaged } = raw;
     if icc.is_some_and(|icc| colour::to_srgb(&mut photo.rgb, &icc)) {
         carried = None;
     }
@@ -106,7 +121,7 @@ fn finish(raw: Raw, format: PhotoFormat, max_size: Option<u32>) -> Decoded {
     let long = f64::from(photo.width.max(photo.height));
     let focal = facts.focal_35.map_or(Intrinsics::DEFAULT_FOCAL_PER_WIDTH * f64::from(photo.width), |f| f / 36.0 * long);
     let intrinsics = Intrinsics::centred(photo.width, photo.height, focal);
-    Decoded { photo, original, format, intrinsics, focal_from_exif: facts.focal_35.is_some(), carried }
+    Decoded { photo, original, format, intrinsics, focal_from_exif: facts.focal_35.is_some(), carried, damaged }
 }
 
 fn broken(error: impl std::fmt::Display) -> PhotoError {
@@ -114,27 +129,57 @@ fn broken(error: impl std::fmt::Display) -> PhotoError {
 }
 
 fn read_jpeg(bytes: &[u8], limits: &Limits, max_size: Option<u32>) -> Result<Raw, PhotoError> {
-    let jpeg = jpeg::scan(bytes)?;
+    let jpeg = check::jpeg(bytes, limits)?;
     let size = (jpeg.width, jpeg.height);
-    limits.check_size(size.0, size.1)?;
     let facts = Facts::read(jpeg.exif.as_deref());
-    let pixels = u64::from(size.0) * u64::from(size.1);
     let want = reduced_size(size, max_size);
-    let scaled = if jpeg.components < 4 && want.0 <= size.0 / 2 && want.1 <= size.1 / 2 {
-        limits.check_memory(jpeg.coefficient_bytes + pixels / 4 * 6)?;
-        scaled_jpeg(&jpeg.stripped, want)
-    } else {
-        None
+    let reducible = jpeg.components < 4 && want.0 <= size.0 / 2 && want.1 <= size.1 / 2;
+    let (photo, damaged) = match reducible.then(|| scaled_jpeg(&jpeg.stripped, want)).flatten() {
+        Some(photo) => (photo, false),
+        None => whole_jpeg(&jpeg)?,
     };
-    let photo = if let Some(photo) = scaled {
-        photo
-    } else {
-        limits.check_memory(jpeg.coefficient_bytes + pixels * 3)?;
-        image_pixels(JpegDecoder::new(Cursor::new(&jpeg.stripped)).map_err(broken)?)?.0
+    let icc = jpeg.icc.filter(|icc| jpeg.components == 3 && icc.len() <= MAX_PROFILE);
+    // Decoders do not agree on how CMYK becomes RGB, nor on what is shown of damaged files
+    let carried = (jpeg.components < 4 && !damaged).then_some(jpeg.stripped);
+    Ok(Raw { photo, size, facts, icc, carried, damaged })
+}
+
+/// A JPEG at its own size, and whether it is damaged; one of which less than most is whole is refused.
+fn whole_jpeg(jpeg: &jpeg::Jpeg) -> Result<(Photo, bool), PhotoError> {
+    if jpeg.progressive && !jpeg.complete {
+        if jpeg.scans < 2 {
+            return Err(broken("it was cut within its first scan"));
+        }
+        return Ok((jpeg_pixels(&jpeg.stripped, false)?, true));
+    }
+    match jpeg_pixels(&jpeg.open(), true) {
+        Ok(photo) => Ok((photo, false)),
+        Err(fault) => {
+            jpeg_pixels(&jpeg.most(), true).map_err(|_| fault)?;
+            Ok((jpeg_pixels(&jpeg.stripped, false)?, true))
+        }
+    }
+}
+
+/// Decodes a JPEG of one, three or four components. Strictly, any fault in its data is an error; else what can be had is given.
+fn jpeg_pixels(file: &[u8], strict: bool) -> Result<Photo, PhotoError> {
+    let options = DecoderOptions::default().set_strict_mode(strict).set_max_width(usize::MAX).set_max_height(usize::MAX);
+    let mut decoder = zune_jpeg::JpegDecoder::new_with_options(ZCursor::new(file), options);
+    decoder.decode_headers().map_err(broken)?;
+    let (Some((width, height)), Some(stored)) = (decoder.dimensions(), decoder.input_colorspace()) else {
+        return Err(broken("no frame header"));
     };
-    // Decoders do not agree on how CMYK becomes RGB
-    let carried = (jpeg.components < 4).then_some(jpeg.stripped);
-    Ok(Raw { photo, size, facts, icc: jpeg.icc.filter(|_| jpeg.components == 3), carried })
+    let grey = stored == ColorSpace::Luma;
+    decoder.set_options(options.jpeg_set_out_colorspace(if grey { ColorSpace::Luma } else { ColorSpace::RGB }));
+    let mut rgb = vec![[0; 3]; width * height];
+    if grey {
+        let mut samples = vec![0; width * height];
+        decoder.decode_into(&mut samples).map_err(broken)?;
+        rgb.iter_mut().zip(samples).for_each(|(p, v)| *p = [v; 3]);
+    } else {
+        decoder.decode_into(rgb.as_flattened_mut()).map_err(broken)?;
+    }
+    Ok(Photo { width: width as u32, height: height as u32, rgb })
 }
 
 /// A JPEG decoded at 1/2, 1/4 or 1/8 inside the DCT, at least `want` large; none where that is not possible.
@@ -156,23 +201,17 @@ fn scaled_jpeg(file: &[u8], want: (u32, u32)) -> Option<Photo> {
 }
 
 fn read_png(bytes: &[u8], limits: &Limits) -> Result<Raw, PhotoError> {
-    let size = check::png_size(bytes)?;
-    limits.check_size(size.0, size.1)?;
-    let mut bounds = image::Limits::no_limits();
-    bounds.max_alloc = Some(limits.decoder_memory);
-    let mut decoder = PngDecoder::with_limits(Cursor::new(bytes), bounds).map_err(broken)?;
+    let png = png::scan(bytes, limits)?;
+    let mut decoder = png.decoder()?;
     limits.check_memory(decoder.total_bytes())?;
-    let facts = Facts::read(decoder.exif_metadata().map_err(broken)?.as_deref());
     let icc = decoder.icc_profile().map_err(broken)?;
     let photo = image_pixels(decoder)?.0;
-    Ok(Raw { photo, size, facts, icc, carried: None })
+    Ok(Raw { photo, size: (png.width, png.height), facts: Facts::read(png.exif), icc, carried: None, damaged: false })
 }
 
 fn read_webp(bytes: &[u8], limits: &Limits) -> Result<Raw, PhotoError> {
-    let webp = webp::scan(bytes)?;
+    let webp = check::webp(bytes, limits)?;
     let size = (webp.width, webp.height);
-    limits.check_size(size.0, size.1)?;
-    limits.check_memory(u64::from(size.0) * u64::from(size.1) * webp.bytes_per_pixel())?;
     let facts = Facts::read(webp.exif.as_deref());
     let decoder = WebPDecoder::new(Cursor::new(&webp.stripped)).map_err(broken)?;
     if decoder.dimensions() != size {
@@ -180,7 +219,7 @@ fn read_webp(bytes: &[u8], limits: &Limits) -> Result<Raw, PhotoError> {
     }
     let (photo, see_through) = image_pixels(decoder)?;
     let carried = (!see_through && !webp.animated).then_some(webp.stripped);
-    Ok(Raw { photo, size, facts, icc: webp.icc, carried })
+    Ok(Raw { photo, size, facts, icc: webp.icc, carried, damaged: false })
 }
 
 /// Decodes, and tells whether any pixel was not opaque.

@@ -108,7 +108,10 @@ pub(super) fn scan(bytes: &[u8]) -> Result<WebP, PhotoError> {
             b"ANMF" if webp.animated => {
                 check_frame(content, (webp.width, webp.height))?;
                 pictures += 1;
-                push(&mut body, name, content);
+                // nobody looks at the others
+                if pictures == 1 {
+                    push(&mut body, name, content);
+                }
             }
             b"ALPH" if pictures == 0 && extended => push(&mut body, name, content),
             b"ANIM" if webp.animated => push(&mut body, name, content),
@@ -116,7 +119,7 @@ pub(super) fn scan(bytes: &[u8]) -> Result<WebP, PhotoError> {
                 // Some writers keep the JPEG segment's prefix
                 webp.exif = Some(content.strip_prefix(b"Exif\0\0").unwrap_or(content).to_vec());
             }
-            b"ICCP" if webp.icc.is_none() => webp.icc = Some(content.to_vec()),
+            b"ICCP" if webp.icc.is_none() && content.len() <= super::MAX_PROFILE => webp.icc = Some(content.to_vec()),
             _ => {}
         }
     }

@@ -5,6 +5,7 @@ mod linear;
 mod lloyd;
 mod optimal;
 mod potts;
+mod readable;
 mod sample;
 mod slanted;
 

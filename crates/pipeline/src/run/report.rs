@@ -13,6 +13,9 @@ pub struct Input {
     pub height: u32,
     /// File size.
     pub bytes: usize,
+    /// The file is damaged or cut short, and a part of the picture is grey or coarse.
+    #[serde(default)]
+    pub damaged: bool,
 }
 
 /// What one stage took.

@@ -6,10 +6,11 @@ pub mod download;
 pub mod registry;
 
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, OnceLock};
+use std::sync::Arc;
 
 use crate::Models;
 use crate::depth::{ADAPTERS, Adapter, DepthError, Estimator, Monocular, SizeRule};
+use crate::networks::library::Once;
 use crate::networks::{Config, Network, OnnxError, Session, Tensor};
 use tmpi_core::{DisparityMap, Photo};
 
@@ -66,10 +67,10 @@ pub struct ModelFileError {
 /// [`ModelFileError`].
 pub fn load(settings: &Settings) -> Result<Models, ModelFileError> {
     let model = settings.depth_file.as_deref().map(read).transpose()?;
-    let depth = Depth { settings: settings.clone(), model, loaded: OnceLock::new() };
+    let depth = Depth { settings: settings.clone(), model, loaded: Once::new() };
     let lazily = |name: &'static str, model: Option<&'static [u8]>| {
         let config = settings.onnx.clone();
-        let network = move |model| Arc::new(Lazy { name, model, config, loaded: OnceLock::new() }) as Arc<dyn Network>;
+        let network = move |model| Arc::new(Lazy { name, model, config, loaded: Once::new() }) as Arc<dyn Network>;
         model.map(network)
     };
     Ok(Models { depth: Arc::new(depth), theta: lazily("theta", THETA), psi: lazily("psi", PSI) })
@@ -84,13 +85,12 @@ struct Lazy {
     name: &'static str,
     model: &'static [u8],
     config: Config,
-    loaded: OnceLock<Result<Session, OnnxError>>,
+    loaded: Once<Session>,
 }
 
 impl Network for Lazy {
     fn run(&self, inputs: Vec<Tensor>) -> Result<Vec<Tensor>, OnnxError> {
-        let loaded = self.loaded.get_or_init(|| Session::load(self.name, self.model, &self.config));
-        loaded.as_ref().map_err(Clone::clone)?.run(inputs)
+        self.loaded.get(|| Session::load(self.name, self.model, &self.config))?.run(inputs)
     }
 }
 
@@ -98,13 +98,13 @@ impl Network for Lazy {
 struct Depth {
     settings: Settings,
     model: Option<Vec<u8>>,
-    loaded: OnceLock<Result<Monocular, OnnxError>>,
+    loaded: Once<Monocular>,
 }
 
 impl Depth {
     fn get(&self) -> Result<&Monocular, DepthError> {
         let Settings { depth, depth_pixels, depth_smoothing, flip, onnx, .. } = &self.settings;
-        let loaded = self.loaded.get_or_init(|| {
+        let loaded = self.loaded.get(|| {
             let embedded = DEPTH.filter(|_| *depth == &ADAPTERS[0]);
             let model = self.model.as_deref().or(embedded).ok_or_else(|| OnnxError::Model {
                 name: depth.name.to_owned(),
@@ -114,7 +114,7 @@ impl Depth {
             let adapter = Adapter { size, smoothing: depth_smoothing.unwrap_or(depth.smoothing), ..**depth };
             Monocular::load(&adapter, model, onnx, *flip)
         });
-        loaded.as_ref().map_err(|e| e.clone().into())
+        loaded.map_err(|e: OnnxError| e.into())
     }
 }
 

@@ -27,7 +27,7 @@ impl run::Stage for Depth {
 
     fn run(&mut self, (photo, given): (&Photo, Option<&[u8]>), context: &mut Context) -> Result<Estimated, MakeError> {
         let mut delta = match given {
-            Some(png) => depth::from_png(png, context.options.depth_kind, photo.width, photo.height)?,
+            Some(png) => depth::from_png(png, context.options.depth_kind, context.limits, photo.width, photo.height)?,
             None => context.models.depth.estimate(photo)?,
         };
         context.report.depth_model = if given.is_some() { "given".into() } else { context.models.depth.name().into() };

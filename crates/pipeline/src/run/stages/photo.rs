@@ -42,11 +42,12 @@ impl Stage for Prepare {
             None => None,
         };
         let decoded = photo::decode(file, context.limits, reduced.or(options.max_size))?;
-        let Decoded { photo, original, format, mut intrinsics, carried: uploaded, .. } = decoded;
+        let Decoded { photo, original, format, mut intrinsics, carried: uploaded, damaged, .. } = decoded;
+        options.check_readable(photo.width, photo.height)?;
         if let Some(fov) = options.fov_x {
             intrinsics = Intrinsics::from_fov_x(photo.width, photo.height, fov);
         }
-        context.report.input = Input { width: original.0, height: original.1, bytes: file.len() };
+        context.report.input = Input { width: original.0, height: original.1, bytes: file.len(), damaged };
         (context.report.width, context.report.height) = (photo.width, photo.height);
         Ok(Prepared { photo, intrinsics, format, uploaded, reduced })
     }

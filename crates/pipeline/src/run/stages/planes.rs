@@ -6,7 +6,8 @@ use super::{Estimated, Prepared};
 use crate::planes::{Placement, busy_share, discretisation_error, place};
 use crate::run::budget::Costs;
 use crate::run::tile_error::tile_errors;
-use crate::run::{Budget, Context, ErrorFigures, MakeError, Stage, TileSize};
+use crate::run::{Budget, Context, ErrorFigures, MakeError, Stage};
+use tmpi_core::container::{most_planes, readable};
 
 /// Disparity → planes and labels of every tile.
 #[derive(Debug, Default)]
@@ -29,18 +30,21 @@ impl Stage for Planes {
     fn run(&mut self, (prepared, map): (&Prepared, &Estimated), context: &mut Context) -> Result<Placed, MakeError> {
         let (options, delta) = (context.options, &map.delta);
         let (w, h) = (delta.width, delta.height);
-        let grid = match options.tile {
-            TileSize::Pixels(size) => Grid::new(w, h, size),
-            TileSize::Full => Grid::full(w, h),
-        };
+        let grid = options.grid(w, h);
         let parallax = options.view_box.parallax(&prepared.intrinsics, Rect { x: 0, y: 0, w, h });
         let mut max_error = options.max_error;
         if let Some(asked) = options.budget_ms {
             let budget = fit(context, asked, (delta, &grid), parallax, prepared.reduced, &mut max_error);
             context.report.budget = Some(budget);
         }
-        let placement = options.placement(max_error, parallax);
-        let tiles = place(delta, map.confidence.as_deref(), &grid, &placement);
+        let mut placement = options.placement(max_error, parallax);
+        let mut tiles = place(delta, map.confidence.as_deref(), &grid, &placement);
+        let most = most_planes(&grid);
+        if most < placement.most && !readable(&grid, &tiles) {
+            // small tiles on a large photo: fewer planes, which readers take whatever the photo
+            placement.most = most;
+            tiles = place(delta, map.confidence.as_deref(), &grid, &placement);
+        }
         let (depth_mae, depth_mse, depth_q25) = discretisation_error(delta, &grid, &tiles);
         let tile_px = tile_errors(delta, &grid, &tiles, parallax.0.max(parallax.1));
         context.report.error = ErrorFigures { depth_mae, depth_mse, depth_q25, tile_px, ..ErrorFigures::default() };

@@ -1,0 +1,116 @@
+//! Bounds that readers hold a container to, whatever it says of itself; writers hold themselves to the same.
+
+use super::{ContainerError, columns};
+use crate::layers::work_of;
+use crate::{Geometry, Grid, Intrinsics, Tile, ViewBox};
+
+/// Pixels of the photo.
+pub const PIXELS: u64 = super::MAX_PIXELS;
+/// Pixels a side.
+pub const SIDE: u32 = super::MAX_SIDE;
+/// Planes in all.
+pub const PLANES: usize = 4_000_000;
+/// Pixels that deriving the texels may look at: a 50-megapixel photo of four planes a tile looks at about 5e9.
+const WORK: u64 = 8_000_000_000;
+/// The same for each pixel of the photo: tiles of 8 pixels, the smallest level's, with 20 planes each look at 17 000.
+const WORK_PER_PIXEL: u64 = 20_000;
+/// What even the smallest photo may look at.
+const WORK_LEAST: u64 = 50_000_000;
+/// Bytes of the index.
+pub const INDEX: usize = 1 << 20;
+/// Sections.
+pub const SECTIONS: usize = 64;
+
+/// Pixels that deriving the texels of a grid may look at.
+fn most_work(grid: &Grid) -> u64 {
+    WORK.min(WORK_LEAST + u64::from(grid.width) * u64::from(grid.height) * WORK_PER_PIXEL)
+}
+
+/// Checks a grid and its cameras.
+pub fn frame(grid: &Grid, k: &Intrinsics, v: &ViewBox) -> Result<(), ContainerError> {
+    let sides = 1..=SIDE;
+    if !sides.contains(&grid.width) || !sides.contains(&grid.height) || u64::from(grid.width) * u64::from(grid.height) > PIXELS {
+        return Err(ContainerError::Bound(format!("a photo of {}×{}, over {PIXELS} pixels or {SIDE} a side", grid.width, grid.height)));
+    }
+    // tiles that overlap by more than half would make the labels many times as large as the photo
+    if !sides.contains(&grid.size) || grid.stride < grid.size.div_ceil(2) || grid.stride > grid.size {
+        return Err(ContainerError::Bound(format!("tiles of {} pixels every {}", grid.size, grid.stride)));
+    }
+    if !k.is_valid() || ![v.x, v.y, v.z].iter().all(|e| e.is_finite() && *e >= 0.0) {
+        return Err(ContainerError::Bound("a camera that is no camera".into()));
+    }
+    Ok(())
+}
+
+/// Checks the count of planes, backgrounds included.
+pub fn planes(grid: &Grid, count: usize) -> Result<(), ContainerError> {
+    let least = grid.tiles() as usize;
+    let most = PLANES.min(least * columns::MOST_PLANES);
+    if (least..=most).contains(&count) {
+        Ok(())
+    } else {
+        Err(ContainerError::Bound(format!("{count} planes, where {least} to {most} can be")))
+    }
+}
+
+/// Checks what deriving the texels looks at. Labels need not be there yet.
+pub fn work(grid: &Grid, tiles: &[Tile]) -> Result<(), ContainerError> {
+    let (found, most) = (work_of(grid, (0..).map(|i: usize| tiles.get(i).map_or(0, |t| t.planes.len() as u64))), most_work(grid));
+    if found > most {
+        return Err(ContainerError::Bound(format!(
+            "more planes than a photo of this size can have: its layers look at {found} pixels, over {most}"
+        )));
+    }
+    Ok(())
+}
+
+/// Checks what is to be written.
+pub fn geometry(g: &Geometry) -> Result<(), ContainerError> {
+    frame(&g.grid, &g.intrinsics, &g.view_box)?;
+    planes(&g.grid, g.planes())?;
+    work(&g.grid, &g.tiles)
+}
+
+/// Whether readers take so many planes of this grid, backgrounds for all of its tiles included.
+#[must_use]
+pub fn readable(grid: &Grid, tiles: &[Tile]) -> bool {
+    let count = tiles.iter().map(|t| t.planes.len() + 1).sum();
+    planes(grid, count).is_ok() && work(grid, tiles).is_ok()
+}
+
+/// Most planes a tile, without backgrounds, that readers take of any photo of this grid; 0 where its tiles are too small for its size.
+#[must_use]
+pub fn most_planes(grid: &Grid) -> u32 {
+    let (one, most) = (work_of(grid, std::iter::repeat(0)), most_work(grid));
+    let tiles = grid.tiles().max(1) as usize;
+    // a tile's background is a plane, too
+    let by_count = (PLANES / tiles).saturating_sub(1);
+    let by_work = (most / one.max(1)).saturating_sub(1) as usize;
+    by_count.min(by_work).min(columns::MOST_PLANES - 1) as u32
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Plane;
+
+    fn tiles(grid: &Grid, planes: u32) -> Vec<Tile> {
+        let tile = || Tile { planes: vec![Plane { a: 0.0, b: 0.0, c: 0.5 }; planes as usize], ..Tile::default() };
+        (0..grid.tiles()).map(|_| tile()).collect()
+    }
+
+    #[test]
+    fn the_most_planes_are_readable_and_one_more_are_not() {
+        for (w, h, size) in [(600, 400, 8), (300, 200, 8), (4000, 3000, 64), (4000, 3000, 16), (8192, 6000, 64)] {
+            let grid = Grid::new(w, h, size);
+            let most = most_planes(&grid);
+            assert!(most > 0, "{w}×{h} in tiles of {size}");
+            assert!(work(&grid, &tiles(&grid, most)).is_ok());
+            if most < columns::MOST_PLANES as u32 - 1 {
+                assert!(work(&grid, &tiles(&grid, most + 1)).is_err(), "{w}×{h} in tiles of {size}: {most}");
+            }
+        }
+        assert_eq!(most_planes(&Grid::new(8192, 6000, 8)), 0);
+        assert_eq!(most_planes(&Grid::full(4000, 3000)) as usize, columns::MOST_PLANES - 1);
+    }
+}

@@ -1,0 +1,129 @@
+//! Files made to cost much or to pass as whole.
+
+use image::{ExtendedColorType, ImageEncoder};
+
+use super::*;
+
+/// A photograph's worth of detail, so that every stretch of the file matters.
+fn noisy(w: u32, h: u32) -> Vec<u8> {
+    let mut seed = 1u32;
+    let mut next = || {
+        seed = seed.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        (seed >> 26) as u8
+    };
+    let rgb: Vec<u8> =
+        (0..w * h).flat_map(|i| [(i % w * 255 / w) as u8 / 2 + next(), (i / w * 255 / h) as u8 / 2 + next(), next()]).collect();
+    let mut out = Vec::new();
+    image::codecs::jpeg::JpegEncoder::new_with_quality(&mut out, 90).write_image(&rgb, w, h, ExtendedColorType::Rgb8).unwrap();
+    out
+}
+
+fn at_marker(file: &[u8], marker: u8) -> usize {
+    file.windows(2).position(|w| w == [0xFF, marker]).unwrap()
+}
+
+/// A progressive JPEG of 16 × 16 grey pixels, with as many scans: one of means, then empty ones of all else.
+fn scans(count: usize) -> Vec<u8> {
+    let mut out = vec![0xFF, 0xD8, 0xFF, 0xDB, 0, 67, 0];
+    out.extend_from_slice(&[1; 64]);
+    out.extend_from_slice(&[0xFF, 0xC2, 0, 11, 8, 0, 16, 0, 16, 1, 1, 0x11, 0]);
+    for (table, symbol) in [(0x00, 0x00), (0x10, 0x20)] {
+        out.extend_from_slice(&[0xFF, 0xC4, 0, 20, table, 1]);
+        out.extend_from_slice(&[0; 15]);
+        out.push(symbol);
+    }
+    // four blocks of no difference
+    out.extend_from_slice(&[0xFF, 0xDA, 0, 8, 1, 1, 0x00, 0, 0, 0, 0x0F]);
+    for _ in 1..count {
+        // the end of four blocks
+        out.extend_from_slice(&[0xFF, 0xDA, 0, 8, 1, 1, 0x00, 1, 63, 0, 0x1F]);
+    }
+    out.extend_from_slice(&[0xFF, 0xD9]);
+    out
+}
+
+#[test]
+fn scans_are_counted_before_anything_is_decoded() {
+    let limits = Limits::default();
+    check(&scans(jpeg::MAX_SCANS), &limits).unwrap();
+    assert_eq!(decode(&scans(jpeg::MAX_SCANS), &limits, None).unwrap().photo.at(3, 3), [128; 3]);
+    for reduced in [None, Some(4)] {
+        let error = decode(&scans(jpeg::MAX_SCANS + 1), &limits, reduced).unwrap_err();
+        assert!(error.to_string().contains("more than 100 scans"), "{error}");
+    }
+    assert!(check(&scans(jpeg::MAX_SCANS + 1), &limits).is_err());
+}
+
+#[test]
+fn a_file_too_short_for_the_size_that_it_claims_is_refused_by_the_check() {
+    let mut file = noisy(64, 64);
+    let frame = at_marker(&file, 0xC0);
+    file[frame + 5..frame + 9].copy_from_slice(&[&3000u16.to_be_bytes()[..], &16_384u16.to_be_bytes()].concat());
+    let error = check(&file, &Limits::default()).unwrap_err();
+    assert!(error.to_string().contains("cut short"), "{error}");
+    // the flattest picture takes few bits, and is read
+    let flat = {
+        let mut out = Vec::new();
+        let grey = vec![128; 4096 * 300];
+        image::codecs::jpeg::JpegEncoder::new_with_quality(&mut out, 1).write_image(&grey, 4096, 300, ExtendedColorType::L8).unwrap();
+        out
+    };
+    assert!(check(&flat, &Limits::default()).is_ok() && !decode(&flat, &Limits::default(), None).unwrap().damaged);
+    let error = decode(&scans(1), &Limits::default(), None).unwrap_err();
+    assert!(error.to_string().contains("first scan"), "{error}");
+    assert!(!decode(&scans(2), &Limits::default(), None).unwrap().damaged);
+}
+
+#[test]
+fn a_picture_that_ends_in_the_middle_is_refused_and_one_without_its_tail_is_told() {
+    let whole = noisy(320, 240);
+    let data = at_marker(&whole, 0xDA) + 14;
+    let cut = |share: f64| {
+        let end = data + ((whole.len() - data) as f64 * share) as usize;
+        [&whole[..end], &[0xFF, 0xD9]].concat()
+    };
+    let full = decode(&whole, &Limits::default(), None).unwrap();
+    assert!(!full.damaged && full.carried.is_some());
+    for share in [0.02, 0.3, 0.5, 0.7] {
+        let got = decode(&cut(share), &Limits::default(), None);
+        assert!(matches!(got, Err(PhotoError::Broken(_))), "cut at {share}");
+    }
+    for share in [0.8, 0.9, 0.97] {
+        let got = decode(&cut(share), &Limits::default(), None).unwrap();
+        assert!(got.damaged && got.carried.is_none(), "cut at {share}");
+        assert_eq!((got.photo.width, got.photo.height), (320, 240));
+        let there = 320 * 176;
+        assert_eq!(got.photo.rgb[..there], full.photo.rgb[..there], "cut at {share}");
+    }
+}
+
+#[test]
+fn memory_is_checked_without_decoding_and_fifty_megapixels_of_any_kind_pass() {
+    let progressive = scans(2);
+    let at = |decoder_memory| check(&progressive, &Limits { decoder_memory, ..Limits::default() });
+    // four blocks of 64 coefficients, and 256 pixels
+    let need = 4 * 128 + 256 * 3;
+    assert!(at(need).is_ok());
+    assert!(matches!(at(need - 1), Err(PhotoError::TooMuchMemory { bytes, .. }) if bytes == need));
+    let memory = |sampling: u8, marker: u8| {
+        let parts: Vec<u8> = (1..=3).flat_map(|id| [id, if id == 1 { sampling } else { 0x11 }, 0]).collect();
+        let head = [&[8][..], &6000u16.to_be_bytes(), &8192u16.to_be_bytes(), &[3]].concat();
+        jpeg::tests::memory_of(marker, &[head, parts].concat())
+    };
+    for (sampling, marker) in [(0x11, 0xC0), (0x22, 0xC2), (0x21, 0xC2), (0x11, 0xC2)] {
+        let bytes = memory(sampling, marker);
+        assert!(bytes <= Limits::DECODER_MEMORY, "{sampling:x}: {bytes}");
+    }
+}
+
+#[test]
+fn a_png_cut_within_a_chunk_is_refused_by_the_check_and_its_memory_is_counted() {
+    let mut file = Vec::new();
+    image::codecs::png::PngEncoder::new(&mut file).write_image(&[7; 40 * 30 * 8], 40, 30, ExtendedColorType::Rgba16).unwrap();
+    let limits = |decoder_memory| Limits { decoder_memory, ..Limits::default() };
+    assert!(check(&file, &limits(40 * 30 * 8)).is_ok());
+    assert!(matches!(check(&file, &limits(40 * 30 * 8 - 1)), Err(PhotoError::TooMuchMemory { .. })));
+    for end in [30, 40, file.len() - 20, file.len() - 1] {
+        assert!(check(&file[..end], &Limits::default()).is_err(), "cut to {end}");
+    }
+}

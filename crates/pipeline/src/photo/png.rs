@@ -1,0 +1,92 @@
+//! Walks the chunks of a PNG file: size, metadata, and the file again with what its pixels need.
+
+use std::io::Cursor;
+
+use image::codecs::png::PngDecoder;
+
+use super::{Limits, MAX_PROFILE, PhotoError, broken};
+
+const SIGNATURE: usize = 8;
+/// Memory for an unpacked colour profile and for rows on their way, beyond the pixels.
+const WORKING: u64 = 2 * MAX_PROFILE as u64;
+
+/// What the chunks of a PNG file say.
+#[derive(Debug)]
+pub(crate) struct Png<'a> {
+    /// Signature and the chunks that pixels and colours come from; of an animation the picture that stands still.
+    stripped: Vec<u8>,
+    /// TIFF structure of the EXIF chunk.
+    pub exif: Option<&'a [u8]>,
+    pub width: u32,
+    pub height: u32,
+    /// Bytes a pixel as decoded.
+    pub bytes_per_pixel: u64,
+    /// Grey, with or without alpha.
+    pub grey: bool,
+}
+
+/// Size of a PNG: its header chunk comes first and has a fixed length.
+pub(super) fn size(bytes: &[u8]) -> Result<(u32, u32), PhotoError> {
+    let Some(head) = bytes.get(8..24).filter(|h| &h[4..8] == b"IHDR") else { return Err(broken("no PNG header")) };
+    let side = |at: usize| u32::from_be_bytes([head[at], head[at + 1], head[at + 2], head[at + 3]]);
+    Ok((side(8), side(12)))
+}
+
+/// Reads all chunks; a file that ends within one was cut short. Size and memory are held to the limits first.
+pub(crate) fn scan<'a>(bytes: &'a [u8], limits: &Limits) -> Result<Png<'a>, PhotoError> {
+    let (width, height) = size(bytes)?;
+    limits.check_size(width, height)?;
+    let Some(&[depth, colour]) = bytes.get(24..26) else { return Err(broken("the file is cut short")) };
+    let mut channels = match colour {
+        0 => 1,
+        4 => 2,
+        2 | 3 => 3,
+        6 => 4,
+        _ => return Err(broken("an unknown kind of colour")),
+    };
+    let mut png =
+        Png { stripped: Vec::with_capacity(bytes.len()), exif: None, width, height, bytes_per_pixel: 0, grey: matches!(colour, 0 | 4) };
+    png.stripped.extend_from_slice(&bytes[..SIGNATURE]);
+    let (mut at, mut pictures) = (SIGNATURE, false);
+    while at < bytes.len() {
+        let cut = || broken("the file is cut short");
+        let head: [u8; 8] = bytes.get(at..at + 8).and_then(|h| h.try_into().ok()).ok_or_else(cut)?;
+        let length = u32::from_be_bytes([head[0], head[1], head[2], head[3]]) as usize;
+        // length, name and checksum are 4 bytes each
+        let chunk = bytes.get(at..).and_then(|b| b.get(..length.checked_add(12)?)).ok_or_else(cut)?;
+        at += chunk.len();
+        match &head[4..] {
+            b"tRNS" if !pictures => {
+                channels += u64::from(matches!(colour, 0 | 2 | 3));
+                png.stripped.extend_from_slice(chunk);
+            }
+            b"iCCP" if length > MAX_PROFILE => {}
+            b"IHDR" | b"PLTE" | b"iCCP" => png.stripped.extend_from_slice(chunk),
+            b"IDAT" => {
+                pictures = true;
+                png.stripped.extend_from_slice(chunk);
+            }
+            b"eXIf" if png.exif.is_none() => png.exif = Some(&chunk[8..8 + length]),
+            b"IEND" => {
+                png.stripped.extend_from_slice(chunk);
+                break;
+            }
+            _ => {}
+        }
+    }
+    if !pictures {
+        return Err(broken("no picture data"));
+    }
+    png.bytes_per_pixel = channels * if depth == 16 { 2 } else { 1 };
+    limits.check_memory(u64::from(width) * u64::from(height) * png.bytes_per_pixel)?;
+    Ok(png)
+}
+
+impl Png<'_> {
+    /// The decoder, held to little memory beyond the pixels that it is asked for.
+    pub(crate) fn decoder(&self) -> Result<PngDecoder<Cursor<&[u8]>>, PhotoError> {
+        let mut bounds = image::Limits::no_limits();
+        bounds.max_alloc = Some(WORKING);
+        PngDecoder::with_limits(Cursor::new(self.stripped.as_slice()), bounds).map_err(broken)
+    }
+}

@@ -1,0 +1,118 @@
+//! Options against the bounds of those who read the container.
+
+use crate::StageError;
+use crate::run::{Options, PlaneCount, TileSize};
+use tmpi_core::Grid;
+use tmpi_core::container::most_planes;
+
+impl Options {
+    /// The grid of tiles over a scene of that size.
+    #[must_use]
+    pub fn grid(&self, width: u32, height: u32) -> Grid {
+        match self.tile {
+            TileSize::Pixels(size) => Grid::new(width, height, size),
+            TileSize::Full => Grid::full(width, height),
+        }
+    }
+
+    /// Refuses what could lead, for a scene of that size, to a container that no reader takes.
+    ///
+    /// # Errors
+    /// [`StageError::Bound`] names the option and the most that can be.
+    pub fn check_readable(&self, width: u32, height: u32) -> Result<(), StageError> {
+        let most = most_planes(&self.grid(width, height));
+        if most == 0 {
+            let detail = format!("tiles this small are too many for {width}×{height} pixels: readers bound what layers look at");
+            return Err(StageError::Bound { field: "tile", detail });
+        }
+        match self.planes {
+            PlaneCount::Fixed(n) if n > most => {
+                let detail = format!("{n} planes a tile are over the {most} that readers take of {width}×{height} pixels in such tiles");
+                Err(StageError::Bound { field: "planes", detail })
+            }
+            PlaneCount::Fixed(_) | PlaneCount::Auto => Ok(()),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn planes_at_the_bound_pass_and_one_more_are_refused_by_name() {
+        let tile = TileSize::Pixels(8);
+        let most = most_planes(&Grid::new(640, 480, 8));
+        let at = |n| Options { tile, planes: PlaneCount::Fixed(n), ..Options::default() }.check_readable(640, 480);
+        assert!(most < 64 && at(most).is_ok());
+        assert!(matches!(at(most + 1), Err(StageError::Bound { field: "planes", .. })));
+        let small = Options { tile, ..Options::default() }.check_readable(8192, 6000);
+        assert!(matches!(small, Err(StageError::Bound { field: "tile", .. })));
+        assert!(Options::default().check_readable(8192, 6000).is_ok());
+    }
+
+    /// Noise of which each pixel is of a depth of its own, as a JPEG and a depth map.
+    fn noise(w: u32, h: u32) -> (Vec<u8>, Vec<u8>) {
+        let mut seed = 7u32;
+        let mut next = || {
+            seed = seed.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            (seed >> 24) as u8
+        };
+        let rgb: Vec<u8> = (0..w * h * 3).map(|_| next()).collect();
+        let delta = (0..w * h).map(|_| f32::from(next()) / 255.0).collect();
+        let photo = tmpi_core::container::encode_jpeg(w, h, &rgb, 90).unwrap();
+        (photo, crate::depth::to_png(&tmpi_core::DisparityMap { width: w, height: h, delta }).unwrap())
+    }
+
+    /// Makes photos at the corners of the options and reads them; what cannot be read must have been refused by name.
+    fn corners(w: u32, h: u32, refusals: usize) {
+        use crate::photo::Limits;
+        use crate::run::{MakeError, Silent, make};
+        use tmpi_core::ViewBox;
+        let models = crate::networks::models::load(&crate::networks::models::Settings::default()).unwrap();
+        let (photo, depth) = noise(w, h);
+        let (mut made, mut refused) = (0, 0);
+        let mut one = |options: &Options| match make(&models, &Limits::default(), &photo, Some(&depth), options, &Silent) {
+            Ok(got) => {
+                made += 1;
+                let scene = tmpi_core::container::decode(&got.container);
+                assert!(scene.is_ok(), "{options:?}: {:?}", scene.err());
+                for level in 1..=tmpi_core::container::LEVELS {
+                    let small = tmpi_core::container::level(&got.container, level).unwrap();
+                    assert!(tmpi_core::container::decode(&small).is_ok(), "level {level} of {options:?}");
+                }
+            }
+            Err(MakeError::Generate(StageError::Bound { .. })) => {
+                refused += 1;
+                assert!(options.check_readable(w, h).is_err(), "{options:?} was refused late");
+            }
+            Err(e) => panic!("{options:?}: {e}"),
+        };
+        let wide = ViewBox { x: 10.0, y: 10.0, z: 10.0 };
+        for tile in [8, 16, 1024].map(TileSize::Pixels).into_iter().chain([TileSize::Full]) {
+            let most = most_planes(&Options { tile, ..Options::default() }.grid(w, h)).clamp(1, 64);
+            for planes in [PlaneCount::Auto, PlaneCount::Fixed(1), PlaneCount::Fixed(most), PlaneCount::Fixed(64)] {
+                one(&Options { tile, planes, max_error: 0.0, view_box: wide, ..Options::default() });
+            }
+        }
+        let none = ViewBox { x: 0.0, y: 0.0, z: 0.0 };
+        one(&Options { view_box: none, quality: 1, max_error: 1000.0, ..Options::default() });
+        one(&Options { fov_x: Some(0.001), quality: 100, ..Options::default() });
+        one(&Options { fov_x: Some(179.999), ..Options::default() });
+        one(&Options { max_size: Some(1), ..Options::default() });
+        eprintln!("{made} made, {refused} refused");
+        assert_eq!((made + refused, refused), (20, refusals));
+    }
+
+    #[test]
+    fn whatever_is_made_at_the_corners_of_the_options_is_read() {
+        corners(96, 64, 0);
+    }
+
+    #[test]
+    #[ignore = "twelve megapixels of noise take minutes and gigabytes"]
+    fn the_same_at_twelve_megapixels() {
+        // tiles of 8 pixels whatever their planes, and 64 planes in tiles of 16
+        corners(4000, 3000, 5);
+    }
+}

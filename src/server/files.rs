@@ -1,0 +1,125 @@
+//! What the store does with files, as a seam: the disk, and in tests one that forgets what was not synced.
+
+use std::fmt::Debug;
+use std::fs::{self, File, OpenOptions};
+use std::io::{self, Write as _};
+use std::path::Path;
+
+/// Files and folders of a data directory. All that is written is readable by its owner alone.
+pub trait Files: Debug + Send + Sync + 'static {
+    /// Makes a folder, with those above it where `all`.
+    ///
+    /// # Errors
+    /// As [`fs::create_dir`].
+    fn create_dir(&self, path: &Path, all: bool) -> io::Result<()>;
+
+    /// Writes a whole file and syncs it. What could not be written whole is left behind.
+    ///
+    /// # Errors
+    /// As [`fs::write`].
+    fn write(&self, path: &Path, bytes: &[u8]) -> io::Result<()>;
+
+    /// The bytes of a file.
+    ///
+    /// # Errors
+    /// As [`fs::read`].
+    fn read(&self, path: &Path) -> io::Result<Vec<u8>>;
+
+    /// Names within a folder, in any order.
+    ///
+    /// # Errors
+    /// As [`fs::read_dir`].
+    fn names(&self, path: &Path) -> io::Result<Vec<String>>;
+
+    /// Renames a file or folder, over a file that is there.
+    ///
+    /// # Errors
+    /// As [`fs::rename`].
+    fn rename(&self, from: &Path, to: &Path) -> io::Result<()>;
+
+    /// Makes what was made, renamed and removed within a folder durable.
+    ///
+    /// # Errors
+    /// The system cannot.
+    fn sync_dir(&self, path: &Path) -> io::Result<()>;
+
+    /// Removes a file, or a folder with all that is in it.
+    ///
+    /// # Errors
+    /// As [`fs::remove_file`] and [`fs::remove_dir_all`].
+    fn remove(&self, path: &Path) -> io::Result<()>;
+
+    /// Free bytes and all bytes of the file system; none where it does not tell.
+    fn room(&self, path: &Path) -> Option<(u64, u64)>;
+}
+
+/// The file system.
+#[derive(Debug)]
+pub struct Disk;
+
+impl Files for Disk {
+    fn create_dir(&self, path: &Path, all: bool) -> io::Result<()> {
+        let mut builder = fs::DirBuilder::new();
+        builder.recursive(all);
+        #[cfg(unix)]
+        std::os::unix::fs::DirBuilderExt::mode(&mut builder, 0o700);
+        builder.create(path)
+    }
+
+    fn write(&self, path: &Path, bytes: &[u8]) -> io::Result<()> {
+        let mut file = private().create(true).truncate(true).write(true).open(path)?;
+        file.write_all(bytes)?;
+        file.sync_all()
+    }
+
+    fn read(&self, path: &Path) -> io::Result<Vec<u8>> {
+        fs::read(path)
+    }
+
+    fn names(&self, path: &Path) -> io::Result<Vec<String>> {
+        // a name that is no text is nobody's here
+        fs::read_dir(path)?.map(|e| Ok(e?.file_name().to_string_lossy().into_owned())).collect()
+    }
+
+    fn rename(&self, from: &Path, to: &Path) -> io::Result<()> {
+        fs::rename(from, to)
+    }
+
+    fn sync_dir(&self, path: &Path) -> io::Result<()> {
+        // directories cannot be opened as files elsewhere
+        if cfg!(unix) { File::open(path)?.sync_all() } else { Ok(()) }
+    }
+
+    fn remove(&self, path: &Path) -> io::Result<()> {
+        match fs::remove_file(path) {
+            Err(e) if e.kind() != io::ErrorKind::NotFound && path.is_dir() => fs::remove_dir_all(path),
+            done => done,
+        }
+    }
+
+    #[cfg(unix)]
+    #[allow(unsafe_code, reason = "a call of libc that only writes the struct it is handed")]
+    fn room(&self, path: &Path) -> Option<(u64, u64)> {
+        let path = std::ffi::CString::new(std::os::unix::ffi::OsStrExt::as_bytes(path.as_os_str())).ok()?;
+        // SAFETY: all zeros is a value of this struct of integers
+        let mut room: libc::statvfs = unsafe { std::mem::zeroed() };
+        // SAFETY: the path ends with a zero, and the struct outlives the call
+        let answer = unsafe { libc::statvfs(path.as_ptr(), &raw mut room) };
+        #[allow(clippy::useless_conversion, clippy::unnecessary_cast, reason = "the widths differ by system")]
+        let bytes = |blocks| u64::from(blocks).saturating_mul(room.f_frsize as u64);
+        (answer == 0).then(|| (bytes(room.f_bavail), bytes(room.f_blocks)))
+    }
+
+    #[cfg(not(unix))]
+    fn room(&self, _: &Path) -> Option<(u64, u64)> {
+        None
+    }
+}
+
+/// How files are opened that only their owner may read.
+pub fn private() -> OpenOptions {
+    let mut options = OpenOptions::new();
+    #[cfg(unix)]
+    std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
+    options
+}
