@@ -38,7 +38,7 @@ mod tests {
     #[test]
     fn the_table_is_sorted_and_holds_the_shader() {
         assert!(FILES.is_sorted_by(|a, b| a.0 < b.0));
-        assert!(file("tmpi.wgsl").is_some_and(|f| !f.is_empty()));
+        assert!(file("draw/tmpi.wgsl").is_some_and(|f| !f.is_empty()));
         assert!(file("nothing").is_none());
     }
 }

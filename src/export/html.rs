@@ -15,7 +15,7 @@ const PAGE: &str = include_str!("page.html");
 const STYLE: &str = include_str!("page.css");
 /// What starts the modules and gives them each other.
 const START: &str = include_str!("start.js");
-/// The entry module, as if it lay beside the viewer's.
+/// The entry module, as if it lay at the top of the viewer's folders.
 const ENTRY: &str = include_str!("page.js");
 const ENTRY_NAME: &str = "page.js";
 

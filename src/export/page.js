@@ -1,5 +1,5 @@
 // Entry of a page that carries its photo in itself.
-import { Viewer } from './viewer.js';
+import { Viewer } from './view/viewer.js';
 
 const $ = (id) => document.getElementById(id);
 const stage = $('stage');

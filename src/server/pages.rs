@@ -35,17 +35,17 @@ enum Frames {
 
 /// `GET /`.
 pub async fn index(State(app): State<App>, headers: HeaderMap) -> Result<Response, Problem> {
-    page(&app, &headers, "index.html", Frames::Nobody).await
+    page(&app, &headers, "app/upload-page.html", Frames::Nobody).await
 }
 
 /// `GET /view/{id}`; the page itself says where there is no such photo.
 pub async fn view(State(app): State<App>, headers: HeaderMap) -> Result<Response, Problem> {
-    page(&app, &headers, "view.html", Frames::Anybody).await
+    page(&app, &headers, "app/view-page.html", Frames::Anybody).await
 }
 
 /// `GET /demo`.
 pub async fn demo(State(app): State<App>, headers: HeaderMap) -> Result<Response, Problem> {
-    page(&app, &headers, "demo.html", Frames::Nobody).await
+    page(&app, &headers, "app/demo-page.html", Frames::Nobody).await
 }
 
 /// `GET /static/{name}`.
@@ -55,7 +55,7 @@ pub async fn file(State(app): State<App>, extract::Path(name): extract::Path<Str
 
 /// `GET /tmpi-viewer.js`.
 pub async fn script(State(app): State<App>, headers: HeaderMap) -> Result<Response, Problem> {
-    page(&app, &headers, "tmpi-viewer.js", Frames::Anybody).await
+    page(&app, &headers, "element/tmpi-viewer.js", Frames::Anybody).await
 }
 
 async fn page(app: &App, headers: &HeaderMap, name: &str, frames: Frames) -> Result<Response, Problem> {
@@ -75,7 +75,7 @@ async fn page(app: &App, headers: &HeaderMap, name: &str, frames: Frames) -> Res
         Frames::Anybody => "*",
     };
     // a worker has the policy of its own script, and reads containers of other servers too
-    let policy = if matches!(name, "demo.html" | "decode-worker.js") { OPEN_POLICY } else { POLICY };
+    let policy = if matches!(name, "app/demo-page.html" | "decode/worker.js") { OPEN_POLICY } else { POLICY };
     if let Ok(policy) = HeaderValue::from_str(&format!("{policy}; frame-ancestors {ancestors}")) {
         response.headers_mut().insert(header::CONTENT_SECURITY_POLICY, policy);
     }

@@ -8,7 +8,7 @@ import { createServer } from 'node:http';
 import { extname, join } from 'node:path';
 import { fileURLToPath } from 'node:url';
 import { parseArgs } from 'node:util';
-import { launch } from './browser.mjs';
+import { launch } from './support/browser.mjs';
 
 const STATIC = fileURLToPath(new URL('../../static/', import.meta.url));
 const TYPES = { '.js': 'text/javascript', '.png': 'image/png', '.webp': 'image/webp', '.tmpi': 'application/vnd.tmpi' };
@@ -49,7 +49,11 @@ const server = createServer(async (request, response) => {
   if (path === '/') return response.writeHead(200, { 'content-type': 'text/html' }).end('<!doctype html><title>link</title>');
   if (path.startsWith('/link/')) {
     const bytes = readFileSync(join(folder, path.slice(6)));
-    const headers = { 'content-type': TYPES[extname(path)] ?? 'application/octet-stream', 'content-length': bytes.length, 'cache-control': 'no-store' };
+    const headers = {
+      'content-type': TYPES[extname(path)] ?? 'application/octet-stream',
+      'content-length': bytes.length,
+      'cache-control': 'no-store',
+    };
     if (extname(path) === '.zst') headers['content-encoding'] = 'zstd';
     await sleep(link.latency);
     response.writeHead(200, headers);
@@ -63,7 +67,7 @@ const server = createServer(async (request, response) => {
 
 /** In the page: milliseconds to the photo on screen's memory, to the whole scene, and of decoding alone. */
 async function container(url) {
-  const { startDecoder } = await import('/decoder.js');
+  const { startDecoder } = await import('/decode/start.js');
   const worker = startDecoder();
   const start = performance.now();
   return new Promise((done, fail) => {
@@ -100,23 +104,31 @@ await new Promise((ready) => server.listen(0, '127.0.0.1', ready));
 const browser = await launch({ webgpu: false });
 const page = await browser.newPage();
 await page.goto(`http://127.0.0.1:${server.address().port}/`);
-const files = readdirSync(folder).filter((name) => name === 'tmpi.tmpi' || (name.startsWith('layers') && ['.zst', '.png', '.webp'].includes(extname(name))));
+const files = readdirSync(folder).filter(
+  (name) => name === 'tmpi.tmpi' || (name.startsWith('layers') && ['.zst', '.png', '.webp'].includes(extname(name))),
+);
 files.sort((a, b) => statSync(join(folder, a)).size - statSync(join(folder, b)).size);
 const results = [];
-console.log(`${'file'.padEnd(34)}${'KB'.padStart(9)}${'Mb/s'.padStart(7)}${'first ms'.padStart(10)}${'whole ms'.padStart(10)}${'decode ms'.padStart(11)}`);
+console.log(
+  `${'file'.padEnd(34)}${'KB'.padStart(9)}${'Mb/s'.padStart(7)}${'first ms'.padStart(10)}${'whole ms'.padStart(10)}${'decode ms'.padStart(11)}`,
+);
 for (const mbps of values.mbps.split(',').map(Number)) {
   link.bytesPerMs = (mbps * 1e6) / 8 / 1000;
   for (const file of files) {
     const url = `/link/${encodeURIComponent(file)}`;
     const runs = [];
     for (let i = 0; i < Number(values.runs); i++) {
-      runs.push(await (file === 'tmpi.tmpi' ? page.evaluate(container, url) : page.evaluate(layers, { url, picture: extname(file) !== '.zst' })));
+      runs.push(
+        await (file === 'tmpi.tmpi' ? page.evaluate(container, url) : page.evaluate(layers, { url, picture: extname(file) !== '.zst' })),
+      );
     }
     const of = (key) => median(runs.map((run) => run[key]));
     const row = { file, bytes: statSync(join(folder, file)).size, mbps, first: of('first'), whole: of('whole'), decode: of('decode') };
     results.push(row);
     const cell = (value, width, digits = 0) => value.toFixed(digits).padStart(width);
-    console.log(`${file.padEnd(34)}${cell(row.bytes / 1000, 9, 1)}${cell(mbps, 7)}${cell(row.first, 10)}${cell(row.whole, 10)}${cell(row.decode, 11, 1)}`);
+    console.log(
+      `${file.padEnd(34)}${cell(row.bytes / 1000, 9, 1)}${cell(mbps, 7)}${cell(row.first, 10)}${cell(row.whole, 10)}${cell(row.decode, 11, 1)}`,
+    );
   }
 }
 if (values.json) writeFileSync(values.json, `${JSON.stringify({ latency: link.latency, runs: Number(values.runs), results }, null, 1)}\n`);

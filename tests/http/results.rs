@@ -302,7 +302,7 @@ fn pages_and_the_headers_of_every_answer() {
         let etag = page.header("etag").unwrap();
         assert_eq!(request(server.addr, "GET", path, &[("if-none-match", etag)], &[]).status, 304);
     }
-    let shader = get(server.addr, "/static/tmpi.wgsl");
+    let shader = get(server.addr, "/static/draw/tmpi.wgsl");
     assert_eq!((shader.status, shader.header("content-type")), (200, Some("text/plain; charset=utf-8")));
     let script = get(server.addr, "/tmpi-viewer.js");
     assert_eq!((script.status, script.header("content-type")), (200, Some("text/javascript; charset=utf-8")));

@@ -104,6 +104,13 @@ fn packages() -> Result<(), Fault> {
     run_quietly(command)
 }
 
+/// Types, lint and format of the pages' scripts.
+pub fn check() -> Result<(), Fault> {
+    let mut command = npm();
+    command.args(["run", "check", "--silent"]);
+    run(command)
+}
+
 /// Runs the browser tests against the release build.
 pub fn test() -> Result<(), Fault> {
     let mut command = npm();

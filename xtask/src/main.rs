@@ -14,7 +14,7 @@ const HELP: &str = "\
 usage: cargo xtask <task>
 
   serve [ARGS]  fetch ONNX Runtime where it is missing, build, and run `tmpi serve ARGS`
-  test          formatting, lints, all tests, browser tests; installs what these need where it may
+  test          formatting, lints, types of the pages' scripts, all tests, browser tests; installs what these need where it may
   fuzz [--seconds N] [TARGET…]
                 run the fuzzer on what reads foreign bytes (container, labels, planes, query), N seconds each
   fetch         fetch ONNX Runtime into .tmpi/onnxruntime where it is missing";
@@ -60,11 +60,12 @@ type Step = (&'static str, fn() -> Result<(), Fault>);
 
 /// Runs every step in order, stops at the first that fails, and tells how long each took.
 fn test() -> Result<(), Fault> {
-    let steps: [Step; 6] = [
+    let steps: [Step; 7] = [
         ("format", || run(cargo(&["fmt", "--all", "--check"]))),
         ("lint", || run(cargo(&["clippy", "--workspace", "--release", "--all-targets", "--all-features", "--", "-D", "warnings"]))),
         ("ONNX Runtime", runtime::fetch),
         ("tools", browser::tools),
+        ("pages", browser::check),
         ("tests", || run(cargo(&["test", "--workspace", "--release"]))),
         ("browser", browser::test),
     ];

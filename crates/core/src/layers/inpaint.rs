@@ -1,7 +1,7 @@
 //! Colour of hidden texels: push-pull pyramid over the neighbourhood, sources at or behind the layer only (RECIPE, step 5).
 //!
-//! It follows from the photo and the [`Geometry`] alone, so a container need not carry it. Writer and readers (the browser's is
-//! `static/fill.js`) run the same steps in `f64`, rounded to `f32` at the same places: from the same photo come the same colours.
+//! It follows from the photo and the [`Geometry`] alone, so a container need not carry it. Writer and readers run the same steps in
+//! `f64`, rounded to `f32` at the same places: from the same photo come the same colours.
 
 use super::rows;
 use super::{Geometry, LayerMasks, TileFrame};

@@ -98,7 +98,7 @@ impl Device {
         });
         let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
             label: Some("tmpi.wgsl"),
-            source: wgpu::ShaderSource::Wgsl(include_str!("../../../../static/tmpi.wgsl").into()),
+            source: wgpu::ShaderSource::Wgsl(include_str!("../../../../static/draw/tmpi.wgsl").into()),
         });
         let [plain, wide] = [COLOUR, WIDE].map(|format| pipelines(&device, &module, &layout, format));
         let round = rounding(&device);

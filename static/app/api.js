@@ -1,0 +1,77 @@
+// The server's HTTP interface, as far as the pages need it.
+import { problemOf, problemText } from '../decode/problem.js';
+
+async function request(url, options) {
+  let response;
+  try {
+    response = await fetch(url, options);
+  } catch {
+    throw new Error('The server cannot be reached.');
+  }
+  if (!response.ok) throw new Error(await problemOf(response));
+  return response;
+}
+
+export const photoUrl = (id, part = '') => `/v1/photos/${encodeURIComponent(id)}${part}`;
+
+/** One page of the list, newest first: `{photos, next}`; `next` is the address of the next page. */
+export async function listPhotos(address = '/v1/photos') {
+  return (await request(address)).json();
+}
+
+/** State of one photo. */
+export async function getPhoto(id) {
+  return (await request(photoUrl(id))).json();
+}
+
+/**
+ * Changes settings of a photo by a merge patch; only the version `etag`, where it is given.
+ * @returns {Promise<{state: object, etag: string}>}
+ */
+export async function changeSettings(id, patch, etag) {
+  const headers = { 'content-type': 'application/merge-patch+json', ...(etag && { 'if-match': etag }) };
+  const response = await request(photoUrl(id), { method: 'PATCH', headers, body: JSON.stringify(patch) });
+  return { state: await response.json(), etag: response.headers.get('etag') };
+}
+
+/** `options.keepalive`: goes on when the page is left. */
+export async function deletePhoto(id, options = {}) {
+  await request(photoUrl(id), { method: 'DELETE', ...options });
+}
+
+/** The error of a refused upload; `retryAfter` in seconds where the server is only busy. */
+function refusal(xhr) {
+  const error = /** @type {Error & {retryAfter?: number}} */ (new Error(problemText(xhr.status, xhr.statusText, xhr.responseText)));
+  const seconds = Number(xhr.getResponseHeader('retry-after'));
+  if ((xhr.status === 429 || xhr.status === 503) && seconds > 0) error.retryAfter = Math.ceil(seconds);
+  return error;
+}
+
+/**
+ * Uploads a file, with its depth map where there is one and options by name. `onProgress(fraction)` runs while bytes go out.
+ * @returns {{done: Promise<{id: string, state: string}>, abort: () => void}} `done` gives the photo's JSON
+ */
+export function uploadPhoto(file, depth, options, onProgress) {
+  const xhr = new XMLHttpRequest();
+  const done = new Promise((resolve, reject) => {
+    xhr.upload.onprogress = (event) => event.lengthComputable && onProgress(event.loaded / event.total);
+    xhr.onload = () => {
+      if (xhr.status < 200 || xhr.status > 299) return reject(refusal(xhr));
+      try {
+        resolve(JSON.parse(xhr.responseText));
+      } catch {
+        reject(new Error('The server gave an answer that is no JSON.'));
+      }
+    };
+    xhr.onerror = () => reject(new Error('The server cannot be reached.'));
+    xhr.onabort = () => reject(new DOMException('Cancelled.', 'AbortError'));
+  });
+  const form = new FormData();
+  for (const [name, value] of Object.entries(options)) form.append(name, value);
+  form.append('photo', file, file.name || 'photo');
+  if (depth) form.append('depth', depth, depth.name || 'depth');
+  xhr.open('POST', '/v1/photos');
+  xhr.setRequestHeader('Accept', 'application/json');
+  xhr.send(form);
+  return { done, abort: () => xhr.abort() };
+}

@@ -1,0 +1,62 @@
+// Follows a photo on its way by the server's events, and by asking where these cannot be had.
+import { getPhoto, photoUrl } from './api.js';
+
+const ASK_EVERY_MS = 1500;
+const UNKNOWN = 'It could not be made.';
+
+/** Why a photo could not be made, from its state. */
+export function reasonOf(photo) {
+  return photo.problem?.detail || photo.problem?.title || UNKNOWN;
+}
+
+/** True where a photo is still on its way. */
+export function isUnderWay(photo) {
+  return photo.state === 'queued' || photo.state === 'working';
+}
+
+/**
+ * @param {string} id
+ * @param {{queued: (position: number) => void, stage: (at: {stage: string, step: number, steps: number}) => void, done: () => void,
+ *   failed: (reason: string) => void, deleted: () => void}} on at the end one of `done`, `failed` and `deleted`
+ * @returns {() => void} stops following
+ */
+export function followPhoto(id, on) {
+  const source = new EventSource(photoUrl(id, '/events'));
+  let timer = 0;
+  let ended = false;
+
+  function end() {
+    ended = true;
+    clearTimeout(timer);
+    source.close();
+  }
+
+  function settle(call) {
+    if (ended) return;
+    end();
+    call();
+  }
+
+  async function ask() {
+    try {
+      const photo = await getPhoto(id);
+      if (photo.state === 'done') settle(on.done);
+      else if (photo.state === 'failed') settle(() => on.failed(reasonOf(photo)));
+      else if (!ended && photo.progress) on.stage(photo.progress);
+    } catch (error) {
+      settle(() => on.failed(error.message));
+    }
+    if (!ended) timer = setTimeout(ask, ASK_EVERY_MS);
+  }
+
+  source.addEventListener('queued', (event) => on.queued(JSON.parse(event.data).position));
+  source.addEventListener('stage', (event) => on.stage(JSON.parse(event.data)));
+  source.addEventListener('done', () => settle(on.done));
+  source.addEventListener('failed', (event) => settle(() => on.failed(reasonOf({ problem: JSON.parse(event.data) }))));
+  source.addEventListener('deleted', () => settle(on.deleted));
+  source.onerror = () => {
+    // the browser tries again by itself unless the server refused
+    if (source.readyState === EventSource.CLOSED && !ended) ask();
+  };
+  return end;
+}

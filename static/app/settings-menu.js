@@ -1,0 +1,95 @@
+// The menu in which a photo's owner says how viewers move: shows what is set, tries it at once, and saves it with the photo.
+
+import { t } from '../i18n/messages.js';
+import { placeOf, settingsOf } from '../view/settings.js';
+import { changeSettings, photoUrl } from './api.js';
+import { $ } from './dom.js';
+
+/** @import { Viewer } from '../view/viewer.js' */
+/** @import { Settings } from '../view/settings.js' */
+
+/**
+ * Fills the menu and listens to it.
+ * @param {{id: string, viewer: () => Viewer, named: (state: object) => void, say: (text: string) => void}} page the photo, its viewer
+ *   as it is now, what to do with a saved state, and how to tell something
+ */
+export function settingsMenu({ id, viewer, named, say }) {
+  const [title, motion, focus] = ['set-title', 'set-motion', 'set-focus'].map((name) => $(name, HTMLInputElement));
+  /** @type {string | null} */
+  let etag = null;
+  /** @type {Settings} */
+  let settings = {};
+  /**
+   * Set in this menu and not saved yet: a merge patch.
+   * @type {{[K in keyof Settings]: Settings[K] | null}}
+   */
+  let patch = {};
+
+  /** What would be if it were saved. */
+  const now = () =>
+    /** @type {Settings} */ (Object.fromEntries(Object.entries({ ...settings, ...patch }).filter(([, value]) => value !== null)));
+
+  function show() {
+    const all = now();
+    // what is being typed is nobody else's
+    if (document.activeElement !== title) title.value = all.title ?? '';
+    motion.value = String(all.motion?.x ?? 1);
+    focus.value = String(all.focus ?? viewer().pivot ?? 0.35);
+    $('set-start').setAttribute('aria-pressed', String(Boolean(all.start)));
+    $('set-poster').setAttribute('aria-pressed', String(Boolean(all.poster)));
+    $('set-save', HTMLButtonElement).disabled = Object.keys(patch).length === 0;
+  }
+
+  function change(more) {
+    Object.assign(patch, more);
+    viewer().settings = now();
+    show();
+  }
+
+  /** Where the camera is, in the view box. */
+  const place = () => {
+    const { x, y, z } = placeOf(viewer().motion.now, viewer().settings);
+    const short = (v) => Math.round(Math.max(-1, Math.min(1, v)) * 1e3) / 1e3;
+    return { x: short(x), y: short(y), z: short(z) };
+  };
+
+  async function save(event) {
+    event?.preventDefault();
+    try {
+      const answer = await changeSettings(id, patch, etag);
+      read(answer);
+      named(answer.state);
+      say(t('Saved'));
+    } catch (error) {
+      say(error.message);
+    }
+  }
+
+  /** Takes over what the server has. */
+  function read(answer) {
+    etag = answer.etag;
+    settings = settingsOf(answer.state);
+    patch = {};
+    show();
+  }
+
+  title.addEventListener('change', () => change({ title: title.value.trim() || null }));
+  motion.addEventListener('input', () => {
+    const share = Number(motion.value);
+    change({ motion: share < 1 ? { x: share, y: share, z: share } : null });
+  });
+  focus.addEventListener('input', () => change({ focus: Number(focus.value) }));
+  $('set-start').addEventListener('click', () => change({ start: now().start ? null : place() }));
+  $('set-poster').addEventListener('click', () => change({ poster: now().poster ? null : place() }));
+  $('set-clear').addEventListener('click', () => change({ title: null, motion: null, focus: null, start: null, poster: null }));
+  $('set-form').addEventListener('submit', save);
+  $('settings-menu').addEventListener('toggle', show);
+  return { read, settings: () => settings };
+}
+
+/** The state of a photo with its version, as `settingsMenu().read` takes it. */
+export async function photoWithVersion(id) {
+  const response = await fetch(photoUrl(id));
+  if (!response.ok) throw new Error(String(response.status));
+  return { state: await response.json(), etag: response.headers.get('etag') };
+}

@@ -1,0 +1,271 @@
+// The page of one photo.
+
+import { t, translatePage } from '../i18n/messages.js';
+import { formatBytes, queueText, sentence, stageText } from '../i18n/text.js';
+import { hasGyroscope } from '../input/gyroscope.js';
+import { hasHeadset } from '../input/xr.js';
+import { formatPose, parsePose } from '../view/camera.js';
+import { settingsOf } from '../view/settings.js';
+import { Viewer } from '../view/viewer.js';
+import { getPhoto, photoUrl } from './api.js';
+import { $ } from './dom.js';
+import { followPhoto, isUnderWay } from './follow-photo.js';
+import { photoName } from './photo-name.js';
+import { photoWithVersion, settingsMenu } from './settings-menu.js';
+
+const TOAST_MS = 2500;
+const NOTE_MS = 7000;
+const HASH_KEY = 'pose';
+const BACKDROP = [12, 9];
+/** How far a pointer may go between press and release and still have clicked. */
+const CLICK_PX = 5;
+
+const id = decodeURIComponent(location.pathname.split('/').filter(Boolean).pop() ?? '');
+const stage = $('stage');
+/** @type {{bytes: number, ms: number | null, toast: number | undefined}} */
+const state = { bytes: 0, ms: null, toast: undefined };
+/** @type {Viewer} */
+let viewer;
+
+/** Where the address asks the camera to start: offsets in units of the view box. */
+function offsetOfHash() {
+  const pose = parsePose(new URLSearchParams(location.hash.slice(1)).get(HASH_KEY) ?? '');
+  return pose ? { x: pose.tx, y: pose.ty, z: pose.tz } : undefined;
+}
+
+function shareAddress() {
+  const { x, y, z } = viewer.motion.now;
+  const url = new URL(location.href);
+  const pose = formatPose({ tx: x, ty: y, tz: z });
+  url.hash = pose === '0,0,0' ? '' : `${HASH_KEY}=${pose}`;
+  return url.href;
+}
+
+function toast(text) {
+  $('toast').textContent = text;
+  $('toast').classList.add('on');
+  clearTimeout(state.toast);
+  state.toast = setTimeout(() => $('toast').classList.remove('on'), TOAST_MS);
+}
+
+function readout() {
+  const parts = [];
+  if (state.bytes) parts.push(formatBytes(state.bytes));
+  if (viewer.mode === 'served') parts.push(t('drawn by the server'));
+  if (state.ms !== null) parts.push(`${state.ms < 9.95 ? state.ms.toFixed(1) : Math.round(state.ms)} ms`);
+  $('readout').textContent = parts.join(' · ');
+}
+
+function showLoading(text, share) {
+  $('loading').hidden = false;
+  $('loading-text').textContent = text;
+  if (share === undefined) $('bar').removeAttribute('value');
+  else $('bar', HTMLProgressElement).value = share;
+}
+
+function fail(message) {
+  $('loading').hidden = true;
+  $('tools').hidden = true;
+  $('failure-text').textContent = sentence(message);
+  $('failure').hidden = false;
+}
+
+function showIdle(on) {
+  $('idle').setAttribute('aria-pressed', String(on));
+}
+
+/** Fills what the photo leaves free with its colours: a few pixels drawn large, which costs no frame any time. */
+async function showBackdrop(image) {
+  await image.decode().catch(() => {});
+  if (!image.naturalWidth) return;
+  const canvas = $('backdrop', HTMLCanvasElement);
+  [canvas.width, canvas.height] = BACKDROP;
+  const context = canvas.getContext('2d');
+  if (!context) return;
+  context.imageSmoothingQuality = 'high';
+  context.drawImage(image, 0, 0, canvas.width, canvas.height);
+  canvas.hidden = false;
+}
+
+/** Starts the viewer; where the photo is not made yet, waits for it first. */
+function start() {
+  viewer?.dispose();
+  // no more pixels than the screen has: a phone need not load what it cannot show
+  const fit = Math.min(Math.ceil(Math.max(screen.width, screen.height) * devicePixelRatio), 65_535);
+  viewer = new Viewer(stage, {
+    atlas: photoUrl(id, `/atlas?fit=${fit}`),
+    view: photoUrl(id, '/view'),
+    report: photoUrl(id, '/report'),
+    offset: offsetOfHash(),
+    settings: known.then((answer) => settingsOf(answer?.state)),
+  });
+  applyMenu();
+  // for tests, and for people at the console
+  Object.assign(window, { viewer });
+  showIdle(viewer.idle);
+  viewer.addEventListener('progress', ({ detail: { received, total } }) => {
+    state.bytes = total || received;
+    showLoading(
+      total ? t('{0} of {1}', formatBytes(received), formatBytes(total)) : formatBytes(received),
+      total ? received / total : undefined,
+    );
+    readout();
+  });
+  viewer.addEventListener('photo', () => showBackdrop(viewer.poster));
+  viewer.addEventListener('ready', ({ detail }) => {
+    $('loading').hidden = true;
+    stage.dataset.mode = detail.mode;
+    $('show').hidden = $('picture').hidden = !viewer.renderer;
+    offerHeadset();
+  });
+  viewer.addEventListener('mode', ({ detail }) => {
+    stage.dataset.mode = detail.mode;
+    if (detail.mode !== 'served') return;
+    $('show').hidden = $('picture').hidden = true;
+    state.ms = null;
+    $('served-note').textContent = t('The server draws this view. {0}', detail.reason);
+    $('served-note').classList.add('on');
+    setTimeout(() => $('served-note').classList.remove('on'), NOTE_MS);
+    readout();
+  });
+  viewer.addEventListener('frame', ({ detail }) => {
+    state.ms = detail.ms;
+    readout();
+  });
+  viewer.addEventListener('idle', ({ detail }) => showIdle(detail.on));
+  viewer.addEventListener('error', ({ detail }) => {
+    if (viewer.mode !== 'failed') toast(detail.message);
+    else waitOrFail(detail.message);
+  });
+}
+
+async function waitOrFail(message) {
+  const photo = await getPhoto(id).catch(() => null);
+  if (!photo || !isUnderWay(photo)) return fail(message);
+  followPhoto(id, {
+    queued: (position) => showLoading(queueText(position)),
+    stage: (at) => showLoading(stageText(at.stage), (at.step - 1) / at.steps),
+    done: start,
+    failed: fail,
+    deleted: () => fail(t('The photo was deleted.')),
+  });
+}
+
+async function share() {
+  const url = shareAddress();
+  if (navigator.share && matchMedia('(pointer: coarse)').matches) {
+    try {
+      await navigator.share({ title: document.title, url });
+      return;
+    } catch (error) {
+      if (error.name === 'AbortError') return;
+    }
+  }
+  try {
+    await navigator.clipboard.writeText(url);
+    toast(t('Link to this view copied'));
+  } catch {
+    // no clipboard on a page without TLS
+    const link = $('link', HTMLInputElement);
+    link.value = url;
+    $('link-dialog', HTMLDialogElement).showModal();
+    link.select();
+  }
+}
+
+async function toggleFullscreen() {
+  try {
+    if (document.fullscreenElement) await document.exitFullscreen();
+    else await $('frame').requestFullscreen();
+  } catch {
+    toast(t('This browser does not allow full screen'));
+  }
+}
+
+/** Says what the menu says to a viewer that is new. */
+function applyMenu() {
+  viewer.overlay = document.querySelector(/** @type {'input'} */ ('input[name=overlay]:checked'))?.value ?? 'none';
+  viewer.stereo = $('stereo', HTMLInputElement).checked;
+  viewer.blur = Number($('blur', HTMLInputElement).value);
+  $('blur-hint').hidden = !viewer.blur;
+}
+
+/** A click without a drag says where to focus, where that makes a difference. */
+function focusOnClick() {
+  /** @type {{clientX: number, clientY: number} | null} */
+  let pressed = null;
+  stage.addEventListener('pointerdown', ({ clientX, clientY }) => (pressed = { clientX, clientY }));
+  stage.addEventListener('click', ({ clientX, clientY }) => {
+    if (!viewer.blur || !viewer.canvas || !pressed || Math.hypot(clientX - pressed.clientX, clientY - pressed.clientY) > CLICK_PX) return;
+    const box = viewer.canvas.getBoundingClientRect();
+    viewer.focusAt((clientX - box.x) / box.width, (clientY - box.y) / box.height).catch((error) => toast(error.message));
+  });
+}
+
+/** Only where the browser draws and has something to look into. */
+async function offerHeadset() {
+  $('headset').hidden = !viewer.renderer || !(await hasHeadset());
+}
+
+async function savePicture() {
+  const link = document.createElement('a');
+  link.href = URL.createObjectURL(await viewer.picture());
+  link.download = container.download.replace(/\.tmpi$/, '.png');
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), NOTE_MS);
+}
+
+const container = $('download', HTMLAnchorElement);
+$('show-menu').addEventListener('change', applyMenu);
+$('picture').addEventListener('click', () => savePicture().catch((error) => toast(error.message)));
+$('tilt-label').hidden = !hasGyroscope();
+const tilt = $('tilt', HTMLInputElement);
+tilt.addEventListener('change', async () => {
+  try {
+    await viewer.setTilt(tilt.checked);
+    if (tilt.checked) viewer.setIdle(false);
+  } catch {
+    tilt.checked = false;
+    toast(t('This browser does not allow it'));
+  }
+});
+$('blur').addEventListener('input', applyMenu);
+focusOnClick();
+$('headset').addEventListener('click', () => viewer.enterHeadset().catch(() => toast(t('This browser does not allow it'))));
+navigator.xr?.addEventListener?.('devicechange', offerHeadset);
+$('reset').addEventListener('click', () => viewer.reset());
+$('idle').addEventListener('click', () => viewer.setIdle(!viewer.idle));
+$('share').addEventListener('click', share);
+$('retry').addEventListener('click', () => location.reload());
+container.href = photoUrl(id, '/atlas');
+container.download = `${id}.tmpi`;
+for (const link of document.querySelectorAll(/** @type {'a'} */ ('[data-export]')))
+  link.href = photoUrl(id, `/export?format=${link.dataset.export}`);
+$('fullscreen').hidden = !document.fullscreenEnabled;
+$('fullscreen').addEventListener('click', toggleFullscreen);
+document.addEventListener('fullscreenchange', () =>
+  $('fullscreen').setAttribute('aria-pressed', String(Boolean(document.fullscreenElement))),
+);
+addEventListener('hashchange', () => {
+  const offset = offsetOfHash();
+  if (offset) viewer.moveTo(offset);
+});
+
+function showName(photo) {
+  const name = photoName(photo);
+  $('title').textContent = name;
+  document.title = `${name} – tmpi`;
+  container.download = `${name.replace(/[^\p{L}\p{N}._-]+/gu, '-')}.tmpi`;
+}
+
+translatePage();
+// the viewer says what is wrong with the photo
+const known = photoWithVersion(id).catch(() => null);
+const menu = settingsMenu({ id, viewer: () => viewer, named: showName, say: toast });
+start();
+known.then((answer) => {
+  $('settings').hidden = !answer?.state.settings;
+  if (!answer) return;
+  showName(answer.state);
+  menu.read(answer);
+});

@@ -1,0 +1,45 @@
+// A decoded scene: what the decoder gives, and what is drawn. Lengths are in pixels of the photo unless they say otherwise.
+
+/** @typedef {{fx: number, fy: number, cx: number, cy: number}} Intrinsics */
+/** @typedef {{x: number, y: number, z: number}} Offset three numbers along the camera's axes: right, down, forward */
+
+/**
+ * What is known of a scene before its layers are there.
+ * @typedef {object} SceneHead
+ * @property {number} width
+ * @property {number} height
+ * @property {number} tileSize side of a tile
+ * @property {number} tileStride from one tile to the next
+ * @property {Intrinsics} intrinsics of the photo's camera
+ * @property {Offset} viewBox half extents, in units of the nearest distance
+ */
+
+/**
+ * Layers, one number each in every array: plane δ = a + b·u + c·v over the tile, rectangle, corner of its tile, first texel and first
+ * hidden texel, count of visible texels, and whether any texel is soft.
+ * @typedef {object} Layers
+ * @property {number} count
+ * @property {Float64Array} a
+ * @property {Float64Array} b
+ * @property {Float64Array} c
+ * @property {Uint32Array} x
+ * @property {Uint32Array} y
+ * @property {Uint32Array} w
+ * @property {Uint32Array} h
+ * @property {Uint32Array} tileX
+ * @property {Uint32Array} tileY
+ * @property {Uint32Array} firstTexel
+ * @property {Uint32Array} firstHidden
+ * @property {Uint32Array} visible
+ * @property {Uint8Array} soft
+ */
+
+/** @typedef {{width: number, height: number, data: Uint8ClampedArray}} Picture straight RGBA */
+
+/**
+ * All of a scene. Texels of all layers lie in a row: `classes` and `alpha`; `hidden` has the colours of hidden ones, three bytes each.
+ * @typedef {SceneHead & {layers: Layers, classes: Uint8Array, alpha: Uint8Array, hidden: Uint8Array, photo: Picture, decodeMs: number}} Scene
+ */
+
+/** What a texel is, as in the server's `Class`. */
+export const Class = { EMPTY: 0, PHOTO: 1, HIDDEN: 2 };

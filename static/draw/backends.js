@@ -1,0 +1,51 @@
+// What may draw in this browser, best first: WebGPU, then WebGL2. Each is tried a second time after it was lost, then given up.
+import { findAdapter } from './device.js';
+import { hasWebGl, WebGlRenderer } from './webgl.js';
+import { WebGpuRenderer } from './webgpu.js';
+
+/** @import { Scene } from '../decode/scene.js' */
+
+const ATTEMPTS = 2;
+
+export class Backends {
+  /** Looks what there is. */
+  static async find() {
+    return new Backends([(await findAdapter()) ? 'gpu' : null, hasWebGl() ? 'webgl' : null].filter(Boolean));
+  }
+
+  constructor(modes) {
+    this.left = modes.map((mode) => ({ mode, attempts: ATTEMPTS }));
+    this.reason = 'This browser has neither WebGPU nor WebGL.';
+  }
+
+  get any() {
+    return this.left.length > 0;
+  }
+
+  /**
+   * The best backend that still can be had, with a new canvas, which keeps its device for life.
+   * @param {Scene} scene
+   * @param {(reason: string) => void} onLost called where it goes away by itself
+   * @returns {Promise<{mode: 'gpu' | 'webgl', renderer: WebGpuRenderer | WebGlRenderer, canvas: HTMLCanvasElement} | null>}
+   */
+  async next(scene, onLost) {
+    while (this.any) {
+      const [backend] = this.left;
+      if (backend.attempts-- > 0) {
+        try {
+          const canvas = document.createElement('canvas');
+          const lost = ({ message }) => {
+            this.reason = message || 'The graphics device was lost.';
+            onLost(this.reason);
+          };
+          const renderer = await (backend.mode === 'gpu' ? WebGpuRenderer.create(scene, lost) : WebGlRenderer.create(canvas, scene, lost));
+          return { mode: backend.mode, renderer, canvas };
+        } catch (error) {
+          this.reason = error.message;
+        }
+      }
+      this.left.shift();
+    }
+    return null;
+  }
+}

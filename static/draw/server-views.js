@@ -1,0 +1,99 @@
+// Shows views that the server draws, where the browser cannot draw them itself.
+import { problemOf } from '../decode/problem.js';
+import { POSE_KEYS } from '../view/camera.js';
+
+const KEPT = 64;
+/** Longest side asked for, pixels. */
+const MAX_SIDE = 1280;
+const SIZE_STEP = 64;
+
+export class ServerViews {
+  /**
+   * @param {HTMLImageElement} image where the views are shown
+   * @param {string} url the view resource of a photo
+   * @param {{width: number, height: number}} size of the photo
+   * @param {(error: Error) => void} onError
+   */
+  constructor(image, url, size, onError) {
+    this.image = image;
+    this.url = url;
+    this.size = size;
+    this.onError = onError;
+    /** @type {Map<string, string>} */
+    this.kept = new Map();
+    this.wanted = null;
+    this.busy = false;
+    this.disposed = false;
+    this.shown = null;
+  }
+
+  /**
+   * Asks for a view; the latest wins and at most one request is under way.
+   * @param {object} pose
+   * @param {number} fov horizontal, degrees
+   * @param {number} width wanted, device pixels
+   */
+  show(pose, fov, width) {
+    this.wanted = this.#address(pose, fov, width);
+    if (!this.busy) this.#next();
+  }
+
+  #address(pose, fov, wanted) {
+    const aspect = this.size.height / this.size.width;
+    const limit = Math.min(MAX_SIDE, MAX_SIDE / aspect);
+    const width = Math.max(1, Math.round(Math.min(limit, Math.ceil(wanted / SIZE_STEP) * SIZE_STEP)));
+    const height = Math.max(1, Math.round(width * aspect));
+    const query = new URLSearchParams();
+    for (const key of POSE_KEYS) if (pose[key]) query.set(key, pose[key].toFixed(5));
+    query.set('w', String(width));
+    query.set('h', String(height));
+    query.set('fov', fov.toFixed(4));
+    query.set('format', 'jpeg');
+    return `${this.url}?${query}`;
+  }
+
+  async #next() {
+    this.busy = true;
+    try {
+      while (!this.disposed && this.wanted && this.wanted !== this.shown) {
+        const address = this.wanted;
+        const source = this.kept.get(address) ?? (await fetchView(address));
+        if (this.disposed) {
+          URL.revokeObjectURL(source);
+          return;
+        }
+        this.#keep(address, source);
+        this.image.src = source;
+        await this.image.decode();
+        this.shown = address;
+      }
+    } catch (error) {
+      this.wanted = null;
+      if (!this.disposed) this.onError(error);
+    } finally {
+      this.busy = false;
+    }
+  }
+
+  /** Keeps the pictures used last. */
+  #keep(address, source) {
+    this.kept.delete(address);
+    this.kept.set(address, source);
+    if (this.kept.size <= KEPT) return;
+    const [[oldest, old]] = this.kept;
+    this.kept.delete(oldest);
+    URL.revokeObjectURL(old);
+  }
+
+  dispose() {
+    this.disposed = true;
+    for (const source of this.kept.values()) URL.revokeObjectURL(source);
+    this.kept.clear();
+  }
+}
+
+async function fetchView(address) {
+  const response = await fetch(address);
+  if (!response.ok) throw new Error(await problemOf(response));
+  return URL.createObjectURL(await response.blob());
+}

@@ -1,0 +1,43 @@
+// Numbers and names as people read them.
+import { t } from './messages.js';
+
+/** Bytes, as 3.1 MB. */
+export function formatBytes(bytes) {
+  if (bytes < 1000) return `${bytes} B`;
+  const units = ['kB', 'MB', 'GB'];
+  let value = bytes / 1000;
+  let unit = 0;
+  while (value >= 999.5 && unit < units.length - 1) {
+    value /= 1000;
+    unit++;
+  }
+  return `${value < 9.95 ? value.toFixed(1) : Math.round(value)} ${units[unit]}`;
+}
+
+/** A message as a sentence of its own. */
+export function sentence(message) {
+  return message.charAt(0).toUpperCase() + message.slice(1);
+}
+
+const STAGES = {
+  photo: 'Reading the photo',
+  depth: 'Estimating depth',
+  denoise: 'Cleaning the depth',
+  snap: 'Sharpening depth edges',
+  planes: 'Placing planes',
+  layers: 'Building layers',
+  refine: 'Refining layers',
+  prune: 'Leaving out what is never seen',
+  encode: 'Packing',
+  verify: 'Checking the result',
+};
+
+/** A stage of the way in a person's words. */
+export function stageText(stage) {
+  return t(STAGES[stage] ?? stage);
+}
+
+/** A place in the queue in a person's words. */
+export function queueText(position) {
+  return position > 0 ? t('Waiting for its turn, {0} before it', position) : t('Waiting for its turn');
+}

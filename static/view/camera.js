@@ -1,0 +1,165 @@
+// Cameras and poses: the arithmetic of src/tmpi/camera.rs, plus what framing a photo on a page needs.
+// x right, y down, z forward; lengths in units of the nearest distance; angles in degrees.
+
+/** @import { Intrinsics, Scene, SceneHead } from '../decode/scene.js' */
+
+/** @typedef {{tx: number, ty: number, tz: number, yaw: number, pitch: number, roll: number}} Pose */
+/**
+ * A camera and the place of its picture on a canvas.
+ * @typedef {{pose: Pose, k: Intrinsics, x: number, y?: number, width: number, height: number}} View
+ */
+
+/** @type {Readonly<Pose>} */
+export const HOME = Object.freeze({ tx: 0, ty: 0, tz: 0, yaw: 0, pitch: 0, roll: 0 });
+export const POSE_KEYS = Object.freeze(/** @type {(keyof Pose)[]} */ (Object.keys(HOME)));
+
+const RADIANS = Math.PI / 180;
+
+function multiply(a, b) {
+  const out = [];
+  for (let i = 0; i < 3; i++) {
+    for (let j = 0; j < 3; j++) out.push(a[i * 3] * b[j] + a[i * 3 + 1] * b[3 + j] + a[i * 3 + 2] * b[6 + j]);
+  }
+  return out;
+}
+
+/** `{r, t}` with `X_t = R X + t`; `r` row-major. */
+export function extrinsics(pose) {
+  const [sy, cy] = [Math.sin(pose.yaw * RADIANS), Math.cos(pose.yaw * RADIANS)];
+  const [sp, cp] = [Math.sin(pose.pitch * RADIANS), Math.cos(pose.pitch * RADIANS)];
+  const [sr, cr] = [Math.sin(pose.roll * RADIANS), Math.cos(pose.roll * RADIANS)];
+  const ry = [cy, 0, sy, 0, 1, 0, -sy, 0, cy];
+  const rx = [1, 0, 0, 0, cp, -sp, 0, sp, cp];
+  const rz = [cr, -sr, 0, sr, cr, 0, 0, 0, 1];
+  const c = multiply(multiply(ry, rx), rz);
+  const r = [c[0], c[3], c[6], c[1], c[4], c[7], c[2], c[5], c[8]];
+  const t = [0, 1, 2].map((i) => -(r[i * 3] * pose.tx + r[i * 3 + 1] * pose.ty + r[i * 3 + 2] * pose.tz));
+  return { r, t };
+}
+
+/** The same camera at another picture size: the horizontal field of view stays. */
+export function resized(k, from, to) {
+  const s = to.width / from.width;
+  return {
+    fx: k.fx * s,
+    fy: k.fy * s,
+    cx: to.width / 2 + (k.cx - from.width / 2) * s,
+    cy: to.height / 2 + (k.cy - from.height / 2) * s,
+  };
+}
+
+/** Horizontal field of view in degrees. */
+export function fovX(k, width) {
+  return (2 * Math.atan(width / 2 / k.fx)) / RADIANS;
+}
+
+/** `m` with `δ = mᵀ(x, y, 1)` in normalised image coordinates, of layer `i`. */
+export function normalOf(scene, i) {
+  const { layers, intrinsics: k } = scene;
+  const half = scene.tileSize / 2;
+  const bx = layers.b[i] / half;
+  const by = layers.c[i] / half;
+  const cx = layers.tileX[i] + half;
+  const cy = layers.tileY[i] + half;
+  return [bx * k.fx, by * k.fy, layers.a[i] + bx * (k.cx - cx) + by * (k.cy - cy)];
+}
+
+/**
+ * A camera at an offset that keeps looking at the middle of the scene: it turns against its own shift so that what lies at
+ * disparity `pivot` stays in place.
+ */
+export function lookingAt(pivot, tx, ty, tz) {
+  const depth = 1 - tz * pivot;
+  const yaw = -Math.atan2(tx * pivot, depth) / RADIANS;
+  const pitch = Math.atan2(ty * pivot, Math.hypot(depth, tx * pivot)) / RADIANS;
+  return { tx, ty, tz, yaw, pitch, roll: 0 };
+}
+
+/** Pivot where only the head of a scene is known. */
+const UNKNOWN_PIVOT = 0.35;
+/** The disparity that views turn about: that at the middle of the picture's area. */
+export function pivotOf(scene) {
+  const { layers } = scene;
+  if (!layers) return UNKNOWN_PIVOT;
+  const BINS = 256;
+  const area = new Float64Array(BINS);
+  let total = 0;
+  for (let i = 0; i < layers.count; i++) {
+    const delta = deltaAt(scene, i, layers.x[i] + layers.w[i] / 2, layers.y[i] + layers.h[i] / 2);
+    area[Math.min(BINS - 1, Math.max(0, Math.floor(delta * BINS)))] += layers.visible[i];
+    total += layers.visible[i];
+  }
+  if (total === 0) return UNKNOWN_PIVOT;
+  let sum = 0;
+  for (let bin = 0; bin < BINS; bin++) {
+    sum += area[bin];
+    if (sum >= total / 2) return (bin + 0.5) / BINS;
+  }
+  return 1;
+}
+
+/** δ of layer `i` at a reference pixel. */
+export function deltaAt({ layers, tileSize }, i, x, y) {
+  const half = tileSize / 2;
+  return layers.a[i] + (layers.b[i] * (x - layers.tileX[i] - half)) / half + (layers.c[i] * (y - layers.tileY[i] - half)) / half;
+}
+
+/** Distance of the eyes in units of the nearest distance, as the server has it for stereo. */
+export const EYES = 1 / 30;
+
+/** The views of both eyes, side by side on a canvas of `size`; what lies at disparity `focus` stands in the screen. */
+export function eyes(pose, head, size, focus) {
+  const [width, height] = [Math.floor(size.width / 2), size.height];
+  const k = resized(head.intrinsics, head, { width, height });
+  return [-EYES / 2, EYES / 2].map((shift, i) => shifted({ pose, k, x: i * width, width, height }, [shift, 0], focus));
+}
+
+/**
+ * The view from a place to the camera's own right and below, of which what lies at disparity `focus` stays in its place.
+ * @template {{pose: Pose, k: Intrinsics}} V
+ * @param {V} view
+ * @param {number[]} place
+ * @param {number} focus
+ * @returns {V}
+ */
+export function shifted(view, [right, down], focus) {
+  const { pose, k } = view;
+  const { r } = extrinsics(pose);
+  const along = (i) => r[i] * right + r[3 + i] * down;
+  return {
+    ...view,
+    pose: { ...pose, tx: pose.tx + along(0), ty: pose.ty + along(1), tz: pose.tz + along(2) },
+    k: { ...k, cx: k.cx + k.fx * right * focus, cy: k.cy + k.fy * down * focus },
+  };
+}
+
+/** Angles of a pose whose camera-to-world rotation is `c`, row-major. */
+export function anglesOf(c) {
+  const sine = Math.max(-1, Math.min(1, -c[5]));
+  const [pitch, yaw] = [Math.asin(sine), Math.atan2(c[2], c[8])];
+  // straight up or down, yaw and roll are one
+  const upright = Math.abs(sine) > 1 - 1e-9;
+  const angles = upright ? [Math.atan2(-c[6], c[0]), pitch, 0] : [yaw, pitch, Math.atan2(c[3], c[4])];
+  const [y, p, r] = angles.map((v) => v / RADIANS);
+  return { yaw: y, pitch: p, roll: r };
+}
+
+/** A pose from `tx,ty,tz[,yaw,pitch,roll]`, or null where the text is none. */
+export function parsePose(text) {
+  const parts = text.split(',');
+  if (parts.length !== 3 && parts.length !== 6) return null;
+  const pose = { ...HOME };
+  for (let i = 0; i < parts.length; i++) {
+    const value = parts[i].trim() === '' ? NaN : Number(parts[i]);
+    if (!Number.isFinite(value)) return null;
+    pose[POSE_KEYS[i]] = value;
+  }
+  return pose;
+}
+
+/** The text form of a pose, four decimals. */
+export function formatPose(pose) {
+  const short = (v) => String(Math.round(v * 1e4) / 1e4 || 0);
+  const keys = pose.yaw || pose.pitch || pose.roll ? POSE_KEYS : POSE_KEYS.slice(0, 3);
+  return keys.map((key) => short(pose[key])).join(',');
+}

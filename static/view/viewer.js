@@ -1,0 +1,458 @@
+// The viewer: shows a photo at once, then the scene in three dimensions, and moves the camera.
+//
+//   const viewer = new Viewer(element, { atlas: '/v1/photos/ID/atlas', view: '/v1/photos/ID/view' });
+//   viewer.addEventListener('ready', …)
+//
+// Events (detail): `progress` {received, total} · `photo` · `ready` {mode} · `mode` {mode, reason} · `idle` {on} · `pose` ·
+// `frame` {ms} · `error` {message}. `mode` is `gpu` where the browser draws with WebGPU, `webgl` where it does with WebGL2,
+// `served` where the server draws, and `still` where nobody can and the photo is all there is.
+
+import { startDecoder } from '../decode/start.js';
+import { Backends } from '../draw/backends.js';
+import { ServerViews } from '../draw/server-views.js';
+import { CameraControl } from '../input/camera-control.js';
+import { Tilt } from '../input/gyroscope.js';
+import { listen, Motion } from '../input/motion.js';
+import { fovX, resized } from './camera.js';
+import { fitted, pixelRatio, setPixels } from './canvas-size.js';
+import { Display } from './display.js';
+import { FramePacing } from './frame-pacing.js';
+
+/** @import { Scene, SceneHead } from '../decode/scene.js' */
+/** @import { WebGlRenderer } from '../draw/webgl.js' */
+/** @import { WebGpuRenderer } from '../draw/webgpu.js' */
+/** @import { Headset } from '../input/xr.js' */
+
+export class Viewer extends EventTarget {
+  /** @type {Worker | null} */
+  #worker = null;
+  #frameRequest = 0;
+  #lastFrame = 0;
+  /** @type {Backends | null} */
+  #backends = null;
+  #display;
+  #camera;
+  #tilt;
+  #asleep = false;
+  #pacing = new FramePacing();
+  #disposed = false;
+  #stopListening;
+  #resizes;
+  #reduced = matchMedia('(prefers-reduced-motion: reduce)');
+
+  /**
+   * @param {HTMLElement} root focusable element that takes the input and holds the pictures
+   * @param {{atlas: string, view?: string, report?: string, offset?: {x: number, y: number, z: number}, embedded?: boolean,
+   *   settings?: object | Promise<object>}} options addresses of the container, of the views that the server draws and of the photo's
+   *   report; where the camera starts, in units of the view box; whether the viewer is a part of a page that scrolls; what the photo's
+   *   owner wants (settings.js), which the camera's start given here overrules
+   */
+  constructor(root, options) {
+    super();
+    this.root = root;
+    this.options = options;
+    this.#display = new Display(options.report);
+    this.mode = 'loading';
+    /** What shows the scene in a headset (input/xr.js) while one does, else null. */
+    this.headset = /** @type {Headset | null} */ (null);
+    this.scene = /** @type {Scene | null} */ (null);
+    this.head = /** @type {SceneHead & {total: number} | null} */ (null);
+    this.renderer = /** @type {WebGpuRenderer | WebGlRenderer | null} */ (null);
+    this.serverViews = /** @type {ServerViews | null} */ (null);
+    this.canvas = /** @type {HTMLCanvasElement | null} */ (null);
+    this.motion = new Motion();
+    this.motion.setIdle(!this.#reduced.matches);
+    this.#camera = new CameraControl(this.motion);
+    this.#tilt = new Tilt(this.motion, () => this.#moved());
+    if (options.offset) this.motion.jump(options.offset);
+    this.#camera.touched = Boolean(options.offset);
+    Promise.resolve(options.settings ?? {}).then((settings) => this.#obey(settings));
+    this.poster = this.#add('img', 'tmpi-poster');
+    this.poster.alt = '';
+    this.#stopListening = listen(root, this.motion, {
+      wake: () => this.#moved(),
+      toggleIdle: () => this.setIdle(!this.idle),
+      embedded: options.embedded,
+    });
+    this.#resizes = new ResizeObserver(() => this.#layout());
+    this.#resizes.observe(root);
+    this.#reduced.addEventListener('change', this.#onReduced);
+    document.addEventListener('visibilitychange', this.#onVisible);
+    this.#start();
+  }
+
+  /**
+   * As of every event target; the events are those named above.
+   * @param {string} type
+   * @param {(event: any) => void} listener to a CustomEvent
+   * @param {AddEventListenerOptions | boolean} [options]
+   */
+  addEventListener(type, listener, options) {
+    super.addEventListener(type, listener, options);
+  }
+
+  /** True while the camera moves by itself when left alone. */
+  get idle() {
+    return this.motion.idle;
+  }
+
+  /** True while another frame is to come. */
+  get moving() {
+    return this.#frameRequest !== 0;
+  }
+
+  /** Smoothed time of a frame in ms, or null before the first. */
+  get frameMs() {
+    return this.#pacing.ms;
+  }
+
+  /** What the photo's owner wants of the camera (settings.js). */
+  get settings() {
+    return this.#camera.settings;
+  }
+
+  /** Changes it, now. */
+  set settings(settings) {
+    this.#camera.touched = true;
+    this.#obey(settings);
+  }
+
+  #obey(settings) {
+    if (this.#disposed) return;
+    this.#camera.obey(settings);
+    this.render();
+    this.#emit('pose');
+  }
+
+  /** Half extents of where the camera goes, in units of the nearest distance, or null before that is known. */
+  get limits() {
+    return this.#camera.limits;
+  }
+
+  /** Disparity that views turn about. */
+  get pivot() {
+    return this.#camera.pivot;
+  }
+
+  setIdle(on) {
+    this.motion.setIdle(on);
+    this.#wake();
+    this.#emit('idle', { on });
+  }
+
+  /** What is drawn over the scene, one of `OVERLAYS` (display.js); only where the browser draws. */
+  get overlay() {
+    return this.#display.overlay;
+  }
+
+  set overlay(name) {
+    this.#display.overlay = name;
+    this.#prepare();
+    this.render();
+  }
+
+  async #prepare() {
+    try {
+      await this.#display.prepare(this.renderer);
+    } catch (error) {
+      this.#emit('error', { message: error.message });
+    }
+    this.render();
+  }
+
+  /** A view for each eye, side by side; only where the browser draws. */
+  get stereo() {
+    return this.#display.stereo;
+  }
+
+  set stereo(on) {
+    this.#display.stereo = on;
+    this.#layout();
+  }
+
+  /** How much blurs what lies away from the focus, 0 to 1; only where the browser draws. */
+  get blur() {
+    return this.#display.depthOfField.blur;
+  }
+
+  set blur(share) {
+    this.#display.depthOfField.blur = Math.max(0, Math.min(1, share || 0));
+    this.render();
+  }
+
+  /** Disparity of what is sharp. */
+  get focus() {
+    return this.#display.depthOfField.focus ?? this.pivot;
+  }
+
+  /** Makes sharp what is seen at a place of the canvas, shares of its width and height from the upper left. */
+  async focusAt(x, y) {
+    if (!this.renderer || this.stereo) return;
+    this.#display.depthOfField.focus = await this.#display.disparityAt(this.renderer, this, x, y);
+    this.render();
+  }
+
+  /** Shows the scene in a headset; to be called from a tap. Throws where that is not allowed. */
+  async enterHeadset() {
+    if (this.headset || !this.scene) return;
+    const { Headset } = await import('../input/xr.js');
+    this.headset = await Headset.enter(this.scene, this.limits, () => {
+      this.headset = null;
+      this.asleep = false;
+    });
+    // nobody sees the page
+    this.asleep = true;
+  }
+
+  /** Lets the tilt of the device move the camera, or not; to be called from a tap. Throws where that is not allowed. */
+  setTilt(on) {
+    return this.#tilt.set(on);
+  }
+
+  /** True while the tilt of the device moves the camera, which it does once the browser has allowed it. */
+  get tilting() {
+    return this.#tilt.on;
+  }
+
+  /** The view at the present pose as a PNG file, in the photo's size. */
+  picture() {
+    return this.#display.picture(this.renderer, this);
+  }
+
+  /** True while nobody sees it: it draws nothing then. */
+  get asleep() {
+    return this.#asleep;
+  }
+
+  set asleep(on) {
+    this.#asleep = on;
+    if (on) {
+      cancelAnimationFrame(this.#frameRequest);
+      this.#frameRequest = 0;
+    } else this.#wake();
+  }
+
+  /** Eases back to where the photo was taken. */
+  reset() {
+    this.motion.home();
+    this.#moved();
+  }
+
+  /** Puts the camera at an offset in units of the view box. */
+  moveTo(offset) {
+    this.motion.jump(offset);
+    this.#moved();
+  }
+
+  /** Input came. */
+  #moved() {
+    this.#camera.moved();
+    this.#wake();
+    this.#emit('pose');
+  }
+
+  /** Puts the camera at a pose exactly, and stops moving by itself; not limited to the view box. */
+  setPose(pose) {
+    this.setIdle(false);
+    this.#camera.hold(pose);
+    this.render();
+    this.#emit('pose');
+  }
+
+  /** The pose shown now. */
+  get pose() {
+    return this.#camera.pose;
+  }
+
+  /** Draws now. */
+  render() {
+    if (!this.head || this.#disposed) return;
+    if (this.renderer?.context) {
+      const { depthOfField } = this.#display;
+      const times = this.#display.draw(this.renderer, this);
+      if (depthOfField.unfinished) this.#wake();
+      if (!times) return;
+      this.#pacing
+        .measure(this.renderer, () => this.moving)
+        .then((ms) => {
+          if (ms === null) return;
+          depthOfField.cost = ms / times;
+          this.#emit('frame', { ms: this.#pacing.ms });
+        });
+    } else if (this.mode === 'served') {
+      this.serverViews?.show(this.#camera.coarsePose, fovX(this.head.intrinsics, this.head.width), this.poster.clientWidth * pixelRatio());
+    }
+  }
+
+  /**
+   * The view at the present pose as the server would draw it.
+   * @returns {Promise<Uint8ClampedArray>} premultiplied RGBA
+   */
+  async readPixels(width = this.head?.width ?? 0, height = this.head?.height ?? 0) {
+    if (!this.renderer || !this.head) throw new Error('pixels can be read only where the browser draws');
+    return this.renderer.readPixels(this.pose, resized(this.head.intrinsics, this.head, { width, height }), width, height);
+  }
+
+  dispose() {
+    this.#disposed = true;
+    cancelAnimationFrame(this.#frameRequest);
+    this.#worker?.terminate();
+    this.#stopListening();
+    this.#tilt.set(false);
+    this.headset?.end();
+    this.#resizes.disconnect();
+    this.#reduced.removeEventListener('change', this.#onReduced);
+    document.removeEventListener('visibilitychange', this.#onVisible);
+    this.renderer?.dispose();
+    this.serverViews?.dispose();
+    this.poster.remove();
+    this.canvas?.remove();
+    if (this.posterUrl) URL.revokeObjectURL(this.posterUrl);
+  }
+
+  async #start() {
+    this.#backends = await Backends.find();
+    if (this.#disposed) return;
+    this.#worker = startDecoder();
+    this.#worker.onerror = (event) => this.#fail(event.message || 'The decoder could not be started.');
+    this.#worker.onmessage = ({ data }) => this.#onWorker(data);
+    this.#worker.postMessage({ url: this.options.atlas, photoOnly: !this.#backends.any });
+  }
+
+  #onWorker(data) {
+    if (data.type === 'progress') this.#emit('progress', { received: data.received, total: data.total || this.head?.total || 0 });
+    else if (data.type === 'head') {
+      this.head = data.head;
+      this.#camera.know(this.head, null);
+      this.#layout();
+    } else if (data.type === 'photo') {
+      this.posterUrl = URL.createObjectURL(data.blob);
+      this.poster.src = this.posterUrl;
+      this.#emit('photo');
+      if (!this.#backends?.any) this.#serve(this.#backends?.reason);
+    } else if (data.type === 'scene') {
+      this.scene = data.scene;
+      this.#camera.know(this.head, this.scene);
+      this.#worker?.terminate();
+      this.#draw();
+    } else this.#fail(data.message);
+  }
+
+  /** The container cannot be had or read: views from the server are the last resort, where at least its head came. */
+  #fail(message) {
+    if (this.mode !== 'loading') return;
+    if (this.head) this.#serve(message);
+    else {
+      this.mode = 'failed';
+      this.#emit('error', { message });
+    }
+  }
+
+  /** Draws on the best backend that can be had. */
+  async #draw() {
+    if (!this.#backends || !this.scene) return;
+    const backend = await this.#backends.next(this.scene, (reason) => this.#onLost(reason));
+    if (this.#disposed) return backend?.renderer.dispose();
+    if (!backend) return this.#serve(this.#backends.reason);
+    this.canvas?.remove();
+    this.canvas = backend.canvas;
+    this.canvas.setAttribute('aria-hidden', 'true');
+    this.#adopt(this.canvas, 'tmpi-canvas');
+    this.renderer = backend.renderer;
+    this.mode = backend.mode;
+    this.#layout();
+    this.renderer.attach(this.canvas);
+    this.#prepare();
+    this.render();
+    this.#wake();
+    this.#emit('ready', { mode: this.mode });
+  }
+
+  #onLost(reason) {
+    if (this.#disposed) return;
+    this.renderer = null;
+    this.mode = 'loading';
+    this.#emit('mode', { mode: 'loading', reason });
+    this.#draw();
+  }
+
+  #serve(reason) {
+    if (this.#disposed) return;
+    this.canvas?.remove();
+    this.canvas = null;
+    // a swing would ask the server without end
+    this.setIdle(false);
+    if (!this.options.view || !this.head) {
+      this.mode = 'still';
+      this.#emit('mode', { mode: 'still', reason });
+      this.#emit('ready', { mode: 'still' });
+      return;
+    }
+    this.serverViews = new ServerViews(this.poster, this.options.view, this.head, (error) =>
+      this.#emit('error', { message: error.message }),
+    );
+    this.mode = 'served';
+    this.#emit('mode', { mode: 'served', reason });
+    this.#layout();
+    this.render();
+    this.#emit('ready', { mode: 'served' });
+  }
+
+  #add(tag, className) {
+    return this.#adopt(document.createElement(tag), className);
+  }
+
+  #adopt(element, className) {
+    element.className = className;
+    element.draggable = false;
+    this.root.append(element);
+    return element;
+  }
+
+  /** Fits the pictures into the root, whole, in the photo's own shape. */
+  #layout() {
+    if (!this.head || this.#disposed) return;
+    const size = fitted(this.root, (this.head.width / this.head.height) * (this.stereo && this.renderer ? 2 : 1));
+    if (!size) return;
+    for (const element of [this.poster, this.canvas]) {
+      if (!element) continue;
+      element.style.width = `${size.width}px`;
+      element.style.height = `${size.height}px`;
+    }
+    if (this.canvas && this.renderer) {
+      setPixels(this.canvas, size, this.moving ? this.#pacing.detail : 1, this.renderer.maxSide);
+      if (!this.renderer.context) return;
+    }
+    this.render();
+  }
+
+  #wake() {
+    if (this.#frameRequest || this.#asleep || this.#disposed || this.mode === 'failed' || this.mode === 'still') return;
+    this.#lastFrame = 0;
+    this.#frameRequest = requestAnimationFrame((now) => this.#frame(now));
+  }
+
+  #frame(now) {
+    this.#frameRequest = 0;
+    const dt = this.#lastFrame ? (now - this.#lastFrame) / 1000 : 1 / 60;
+    if (this.mode === 'loading') return;
+    const moving = !this.#camera.held && this.motion.step(dt);
+    if (moving) {
+      this.#lastFrame = now;
+      this.#frameRequest = requestAnimationFrame((next) => this.#frame(next));
+    }
+    this.#layout();
+  }
+
+  #onReduced = () => {
+    if (this.#reduced.matches) this.setIdle(false);
+  };
+
+  #onVisible = () => {
+    if (!document.hidden) this.#wake();
+  };
+
+  #emit(type, detail = {}) {
+    this.dispatchEvent(new CustomEvent(type, { detail }));
+  }
+}

@@ -1,0 +1,344 @@
+// A walk through every control of the pages. What a page has and the walk does not is a failure, and so is the reverse.
+import assert from 'node:assert/strict';
+import { readFileSync } from 'node:fs';
+import { createRequire } from 'node:module';
+import { after, before, describe, test } from 'node:test';
+import { launch, openPage, PATIENCE_MS, waitForMode } from '../support/browser.mjs';
+import { boxScene, container } from '../support/container.mjs';
+import { boxPhoto } from '../support/pictures.mjs';
+import { serve } from '../support/static-server.mjs';
+
+const EMULATOR = createRequire(import.meta.url).resolve('iwer/build/iwer.min.js');
+/** A finger, and a browser in which all controls are offered. */
+const EVERYTHING = {
+  reducedMotion: 'reduce',
+  hasTouch: true,
+  isMobile: true,
+  viewport: { width: 700, height: 800 },
+  acceptDownloads: true,
+};
+
+/** Names of all controls, shown or not. */
+function controls(page) {
+  return page.evaluate(() =>
+    [...document.querySelectorAll('a, button, input, select, summary, [tabindex]')].map((element) => {
+      const text = (from) => from?.textContent.trim().replace(/\s+/g, ' ');
+      const labelled = element.getAttribute('aria-label') || text(document.getElementById(element.getAttribute('aria-labelledby')));
+      return `${element.localName}: ${labelled || text(element.labels?.[0]) || text(element) || element.id}`;
+    }),
+  );
+}
+
+/** Takes the steps in their order; every control is named by one of them and by no other. */
+async function walk(page, steps) {
+  assert.deepEqual([...new Set(await controls(page))].toSorted(), Object.keys(steps).toSorted(), 'the walk knows all controls');
+  for (const [name, step] of Object.entries(steps)) {
+    await step().catch((error) => {
+      throw new Error(`${name}: ${error.message}`, { cause: error });
+    });
+  }
+}
+
+describe('every control', () => {
+  let server;
+  let browser;
+  before(async () => {
+    server = await serve({ atlas: container(boxScene(200, 120)) });
+    browser = await launch();
+  });
+  after(async () => {
+    await browser?.close();
+    await server?.close();
+  });
+
+  test('of the page of one photo', async () => {
+    const { page, context, errors } = await openPage(browser, EVERYTHING);
+    await page.addInitScript(`${readFileSync(EMULATOR, 'utf8')}
+      window.headset = new IWER.XRDevice(IWER.metaQuest3);
+      window.headset.installRuntime({ forceInstall: true });
+      window.sharing = null;
+      navigator.share = async (what) => { window.sharing = what; };`);
+    server.state.settings = { version: 1, title: 'The box' };
+    await page.goto(`${server.url}/view/box`);
+    await waitForMode(page, 'gpu');
+    await page.waitForFunction(() => document.title.startsWith('The box') && !document.getElementById('headset').hidden);
+    const $ = (id) => page.locator(`#${id}`);
+    const viewer = (f) => page.evaluate(`(${f})(window.viewer)`);
+    const until = async (f) => {
+      for (const end = Date.now() + PATIENCE_MS; !(await viewer(f)); await page.waitForTimeout(20))
+        assert.ok(Date.now() < end, `never: ${f}`);
+    };
+    const menu = (id) => page.evaluate((name) => document.getElementById(name).matches(':popover-open'), id);
+    const opens = (button, id) => async () => {
+      await button.click();
+      assert.ok(await menu(id), 'opens its menu');
+    };
+    const overlay = (name) => async () => {
+      await page.locator(`input[value=${name}]`).check();
+      assert.equal(await viewer((v) => v.overlay), name);
+    };
+    const answers = (locator, path) => async () =>
+      assert.equal(
+        new URL(await locator.getAttribute('href'), server.url).pathname + new URL(await locator.getAttribute('href'), server.url).search,
+        path,
+      );
+    const saves = (count) => () => assert.equal(server.patches.length, count);
+    saves(0)();
+    await walk(page, {
+      'a: All photos': async () => {
+        // twice: in the bar, and where the photo cannot be shown
+        for (const link of await page.locator('a[href="/"]').all()) assert.equal(await link.getAttribute('href'), '/');
+      },
+      'div: The box': async () => {
+        await $('stage').focus();
+        await page.keyboard.press('ArrowRight');
+        await until((v) => v.pose.tx > 0.002);
+      },
+      'button: Reset': async () => {
+        await $('reset').click();
+        await until((v) => !v.moving && v.pose.tx === 0);
+      },
+      'button: Motion': async () => {
+        await $('idle').click();
+        assert.ok(await viewer((v) => v.idle));
+        await $('idle').click();
+        assert.ok(!(await viewer((v) => v.idle)));
+      },
+      'button: Show': opens($('show'), 'show-menu'),
+      'input: Depth': overlay('depth'),
+      'input: Tiles': overlay('tiles'),
+      'input: Planes': overlay('planes'),
+      'input: Error: red is a pixel of parallax or more': overlay('error'),
+      'input: The photo': overlay('none'),
+      'input: Side by side for stereo viewers': async () => {
+        await $('stereo').check();
+        assert.ok(await viewer((v) => v.stereo));
+        await $('stereo').uncheck();
+        assert.ok(!(await viewer((v) => v.stereo)));
+      },
+      'input: Move by tilting the device': async () => {
+        await $('tilt').check();
+        await until((v) => v.tilting);
+        await $('tilt').uncheck();
+        await until((v) => !v.tilting);
+      },
+      'input: Blur of what is out of focus': async () => {
+        assert.ok(await $('blur-hint').isHidden());
+        await $('blur').fill('0.5');
+        assert.equal(await viewer((v) => v.blur), 0.5);
+        assert.ok(await $('blur-hint').isVisible());
+        await $('blur').fill('0');
+      },
+      'button: Look around in a headset': async () => {
+        await $('headset').click();
+        await until((v) => v.headset?.frames > 0);
+        await viewer((v) => v.headset.end());
+        await until((v) => !v.headset);
+        await page.keyboard.press('Escape');
+      },
+      'button: Settings': opens($('settings'), 'settings-menu'),
+      'input: Title': async () => {
+        await $('set-title').fill('Another');
+        await $('set-title').press('Tab');
+      },
+      'input: How far it moves': async () => {
+        await $('set-motion').fill('0.5');
+        assert.ok(Math.abs((await viewer((v) => v.limits.x)) - 0.015) < 1e-4);
+      },
+      'input: What stays in place: far to near': async () => {
+        await $('set-focus').fill('0.7');
+        assert.equal(await viewer((v) => v.pivot), 0.7);
+      },
+      'button: Start from here': async () => {
+        await $('set-start').click();
+        assert.deepEqual(await viewer((v) => v.settings.start), { x: 0, y: 0, z: 0 });
+      },
+      'button: Picture of the list from here': async () => {
+        await $('set-poster').click();
+        assert.deepEqual(await viewer((v) => v.settings.poster), { x: 0, y: 0, z: 0 });
+      },
+      'button: Save with the photo': async () => {
+        await $('set-save').click();
+        await page.getByText('Saved', { exact: true }).waitFor();
+        saves(1)();
+        assert.equal(await $('title').textContent(), 'Another');
+      },
+      'button: As it came': async () => {
+        await $('set-clear').click();
+        assert.equal(await $('set-title').inputValue(), '');
+        assert.deepEqual(await viewer((v) => v.settings), { version: 1 });
+        await page.keyboard.press('Escape');
+      },
+      'button: Download': opens(page.locator('[popovertarget=download-menu]'), 'download-menu'),
+      'a: The 3D photo (.tmpi)': answers($('download'), '/v1/photos/box/atlas'),
+      'a: A page for any browser (.html)': answers(page.locator('[data-export=html]'), '/v1/photos/box/export?format=html'),
+      'a: A 3D model (.glb)': answers(page.locator('[data-export=glb]'), '/v1/photos/box/export?format=glb'),
+      'a: The parts (.zip)': answers(page.locator('[data-export=zip]'), '/v1/photos/box/export?format=zip'),
+      'button: This view (.png)': async () => {
+        const [download] = await Promise.all([page.waitForEvent('download'), $('picture').click()]);
+        assert.equal(download.suggestedFilename(), 'Another.png');
+        await page.keyboard.press('Escape');
+      },
+      'button: Share': async () => {
+        await $('share').click();
+        await page.waitForFunction(() => window.sharing?.url === location.href.split('#')[0]);
+      },
+      'input: Link to this view': async () => {
+        await page.evaluate(() => {
+          navigator.share = () => Promise.reject(new Error('no'));
+          Object.defineProperty(navigator, 'clipboard', { value: undefined });
+        });
+        await $('share').click();
+        assert.equal(await $('link').inputValue(), `${server.url}/view/box`);
+      },
+      'button: Close': async () => {
+        await page.getByRole('button', { name: 'Close' }).click();
+        assert.ok(await $('link-dialog').isHidden());
+      },
+      // last: where a screen is only emulated, clicks go astray afterwards
+      'button: Full screen': async () => {
+        await $('fullscreen').click();
+        await page.waitForFunction(() => document.fullscreenElement?.id === 'frame');
+        await page.evaluate(() => document.exitFullscreen());
+        await page.waitForFunction(() => document.getElementById('fullscreen').getAttribute('aria-pressed') === 'false');
+      },
+      'button: Try again': async () => {
+        const lost = await context.newPage();
+        await lost.goto(`${server.url}/view/nowhere`);
+        const [again] = await Promise.all([lost.waitForEvent('load'), lost.getByRole('button', { name: 'Try again' }).click()]);
+        assert.ok(again);
+        await lost.close();
+      },
+    });
+    assert.deepEqual(errors, []);
+    await context.close();
+    server.state.settings = undefined;
+  });
+
+  test('at no width the page is wider than the screen, in both languages', async () => {
+    server.state.settings = { version: 1, title: 'A name that is long enough to fill a line of its own, and then some more of it' };
+    for (const locale of ['en', 'de']) {
+      const { page, context } = await openPage(browser, { reducedMotion: 'reduce', locale });
+      for (const path of ['/view/box', '/']) {
+        await page.goto(server.url + path);
+        if (path.startsWith('/view')) await page.waitForFunction(() => !document.getElementById('settings').hidden);
+        for (const width of [320, 360, 480, 600, 641, 720, 800, 901, 1024, 1280]) {
+          await page.setViewportSize({ width, height: 700 });
+          const beyond = await page.evaluate(() => {
+            const shown = [...document.body.querySelectorAll('*')].filter(
+              (e) => e.checkVisibility({ visibilityProperty: true }) && e.getBoundingClientRect().right > innerWidth + 0.5,
+            );
+            return [
+              ...(document.documentElement.scrollWidth > innerWidth ? ['the page'] : []),
+              ...shown.map((e) => `${e.localName} ${e.id} ${e.className}`),
+            ];
+          });
+          assert.deepEqual(beyond, [], `${path} in ${locale} at ${width} pixels`);
+        }
+      }
+      await context.close();
+    }
+    server.state.settings = undefined;
+  });
+
+  test('of the page of all photos', async () => {
+    const { page, context, errors } = await openPage(browser, EVERYTHING);
+    const photo = (id) => ({
+      id,
+      state: 'done',
+      created: '2026-03-04T05:06:07Z',
+      width: 30,
+      height: 20,
+      atlas_bytes: 1500,
+      settings: { version: 1, title: id },
+    });
+    const bodies = [];
+    let refuse = false;
+    await page.route('**/v1/photos*', async (route) => {
+      if (route.request().method() !== 'POST') {
+        const second = route.request().url().includes('after');
+        return route.fulfill({ json: second ? { photos: [photo('older')] } : { photos: [photo('box')], next: '/v1/photos?after=1' } });
+      }
+      bodies.push(route.request().postDataBuffer().toString('latin1'));
+      if (refuse) return route.fulfill({ status: 415, json: { detail: 'This is no picture.' } });
+      return route.fulfill({ status: 202, json: photo('new') });
+    });
+    await page.route('**/thumbnail', (route) => route.fulfill({ contentType: 'image/png', body: boxPhoto(60, 40) }));
+    let going = null;
+    await page.route('**/events', async (route) => {
+      if (going) await going;
+      return route.fulfill({ contentType: 'text/event-stream', body: 'event: done\ndata: {}\n\n' });
+    });
+    await page.goto(`${server.url}/`);
+    const card = page.getByRole('link', { name: 'Open box' });
+    await card.waitFor();
+    const $ = (id) => page.locator(`#${id}`);
+    const file = (name) => ({ name, mimeType: 'image/png', buffer: Buffer.from(name) });
+    const sent = async (count) => {
+      while (bodies.length < count) await page.waitForTimeout(20);
+      return bodies.at(-1);
+    };
+    await walk(page, {
+      'a: tmpi': async () => assert.equal(await page.locator('.brand').getAttribute('href'), '/'),
+      'summary: Options': async () => {
+        await page.locator('summary').click();
+        assert.ok(await $('quality').isVisible());
+      },
+      'input: Choose photos': async () => {
+        await $('picker').setInputFiles([file('one.png')]);
+        const body = await sent(1);
+        assert.match(body, /name="photo"; filename="one.png"/);
+        assert.doesNotMatch(body, /name="quality"/);
+        // the row's controls come and go with it
+        await page.getByRole('link', { name: 'Open one.png' }).waitFor();
+      },
+      'input: Take a photo': async () => {
+        assert.ok(await page.getByText('Take a photo').isVisible());
+        assert.equal(await $('camera').getAttribute('capture'), 'environment');
+        let arrive;
+        going = new Promise((resume) => (arrive = resume));
+        await $('camera').setInputFiles([file('shot.png')]);
+        assert.match(await sent(2), /filename="shot.png"/);
+        await page.getByRole('button', { name: 'Cancel shot.png' }).click();
+        await page.getByText('shot.png', { exact: true }).waitFor({ state: 'detached' });
+        assert.deepEqual(server.deleted, ['/v1/photos/new']);
+        arrive();
+        going = null;
+      },
+      'select: Quality of the next photos': async () => {
+        await $('quality').selectOption('small');
+        await $('picker').setInputFiles([file('two.png')]);
+        const body = await sent(3);
+        assert.match(body, /name="quality"\r\n\r\n75\r\n/);
+        assert.match(body, /name="max-error"\r\n\r\n1.15\r\n/);
+      },
+      'input: Depth map of your own (16-bit PNG, near is bright), for one photo': async () => {
+        await $('depth-map').setInputFiles([file('map.png')]);
+        refuse = true;
+        await $('picker').setInputFiles([file('three.png')]);
+        assert.match(await sent(4), /name="depth"; filename="map.png"/);
+        await page.getByText('This is no picture.', { exact: true }).waitFor();
+        await page.getByRole('button', { name: 'Dismiss three.png' }).click();
+        await page.getByText('three.png', { exact: true }).waitFor({ state: 'detached' });
+      },
+      'a: Open box': async () => assert.equal(await card.getAttribute('href'), '/view/box'),
+      'button: Delete box': async () => {
+        await page.getByRole('button', { name: 'Delete box' }).click();
+        await card.waitFor({ state: 'hidden' });
+        await page.getByRole('button', { name: 'Undo' }).click();
+        await card.waitFor();
+      },
+      'button: Show more': async () => {
+        await $('more').click();
+        await page.getByRole('link', { name: 'Open older' }).waitFor();
+        assert.ok(await $('more').isHidden());
+      },
+      'a: 3D photos on a page': async () => assert.equal(await page.locator('a[href="/demo"]').count(), 1),
+    });
+    assert.deepEqual(
+      errors.filter((e) => !/favicon|415/.test(e)),
+      [],
+    );
+    await context.close();
+  });
+});

@@ -1,0 +1,56 @@
+// Files that are dropped or pasted.
+import assert from 'node:assert/strict';
+import { describe, test } from 'node:test';
+import { photo, uploadSuite } from '../support/upload-page.mjs';
+
+describe('drop', () => {
+  const suite = uploadSuite();
+
+  test('photos can be dropped and pasted', async () => {
+    const posts = [
+      { status: 202, json: photo('a') },
+      { status: 202, json: photo('b') },
+      { status: 202, json: photo('c') },
+    ];
+    const { page, context, sent } = await suite.open({ posts });
+    await page.evaluate(() => {
+      const files = new DataTransfer();
+      for (const name of ['dropped.png', 'second.png']) files.items.add(new File(['x'], name, { type: 'image/png' }));
+      const event = (type) => new DragEvent(type, { bubbles: true, cancelable: true, dataTransfer: files });
+      document.body.dispatchEvent(event('dragenter'));
+      if (!document.getElementById('drop').classList.contains('over')) throw new Error('the page does not show that it takes the files');
+      document.body.dispatchEvent(event('drop'));
+      const pasted = new DataTransfer();
+      pasted.items.add(new File(['x'], 'pasted.png', { type: 'image/png' }));
+      document.body.dispatchEvent(new ClipboardEvent('paste', { bubbles: true, cancelable: true, clipboardData: pasted }));
+    });
+    for (const name of ['dropped', 'second', 'pasted']) await page.getByRole('link', { name: `Open ${name}.png` }).waitFor();
+    assert.equal(sent.length, 3);
+    assert.ok(!(await page.locator('#drop').getAttribute('class')).includes('over'));
+    await context.close();
+  });
+
+  test('a folder gives its pictures, those of folders in it too', async () => {
+    const posts = [
+      { status: 202, json: photo('a') },
+      { status: 202, json: photo('b') },
+    ];
+    const { page, context, sent } = await suite.open({ posts });
+    await page.evaluate(() => {
+      const file = (name, type) => ({ isFile: true, file: (done) => done(new File(['x'], name, { type })) });
+      // as browsers do, a reader gives a part at a time
+      const folder = (...entries) => ({
+        isDirectory: true,
+        createReader: () => ({ readEntries: (done) => done(entries.splice(0, 2)) }),
+      });
+      const tree = folder(file('one.png', 'image/png'), file('notes.txt', 'text/plain'), folder(file('two.jpg', 'image/jpeg')));
+      DataTransferItem.prototype.webkitGetAsEntry = () => tree;
+      const files = new DataTransfer();
+      files.items.add(new File([''], 'holiday'));
+      document.body.dispatchEvent(new DragEvent('drop', { bubbles: true, cancelable: true, dataTransfer: files }));
+    });
+    for (const name of ['one.png', 'two.jpg']) await page.getByRole('link', { name: `Open ${name}` }).waitFor();
+    assert.equal(sent.length, 2);
+    await context.close();
+  });
+});

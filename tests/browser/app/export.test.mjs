@@ -1,0 +1,130 @@
+// What is written for programs of others, opened by them.
+import assert from 'node:assert/strict';
+import { mkdtempSync, rmSync, writeFileSync } from 'node:fs';
+import { tmpdir } from 'node:os';
+import { join } from 'node:path';
+import { after, before, describe, test } from 'node:test';
+import { pathToFileURL } from 'node:url';
+import { launch, openPage, pixelsAt, pixelsOf, shareDifferent, waitForMode } from '../support/browser.mjs';
+import { openModel, validate } from '../support/gltf.mjs';
+import { boxPhoto, inBox, png16 } from '../support/pictures.mjs';
+import { makePhoto, startServer } from '../support/program.mjs';
+
+const WIDTH = 320;
+const HEIGHT = 200;
+const MAX_SHARE = 0.015;
+/** Borders are left out of comparisons: renderers differ in what lies beside the photo. */
+const INNER = { x0: 0.05, y0: 0.05, x1: 0.95, y1: 0.95 };
+const POSES = [
+  { tx: 0.025, ty: -0.01, tz: 0.01 },
+  { tx: -0.02, ty: 0.015, tz: -0.02, yaw: 1.5, pitch: -1, roll: 2 },
+];
+
+/** A box on a ground that comes near, below a sky. */
+const depth = () => png16(WIDTH, HEIGHT, (x, y) => (inBox(x, y, WIDTH, HEIGHT) ? 0.95 : Math.max(0, y - 60) / 160));
+
+describe('exports', () => {
+  let server;
+  let browser;
+  let made;
+  let folder;
+  const files = {};
+  before(async () => {
+    server = await startServer();
+    browser = await launch();
+    folder = mkdtempSync(join(tmpdir(), 'tmpi-export-'));
+    made = await makePhoto(server.url, boxPhoto(WIDTH, HEIGHT), depth());
+    for (const format of ['html', 'glb', 'zip']) {
+      const response = await fetch(`${server.url}${made.links.export}?format=${format}`);
+      assert.equal(response.status, 200);
+      assert.equal(response.headers.get('content-disposition'), `attachment; filename="${made.id}.${format}"`);
+      files[format] = Buffer.from(await response.arrayBuffer());
+    }
+    writeFileSync(join(folder, 'photo.html'), files.html);
+  });
+  after(async () => {
+    await browser?.close();
+    await server?.close();
+    if (folder) rmSync(folder, { recursive: true, force: true });
+  });
+
+  /** Opens the page from disk; `asked` collects every address outside it. */
+  async function openPageFile(on, options) {
+    const opened = await openPage(on, options);
+    const asked = [];
+    opened.page.on('request', (request) => /^(data|blob|file):/.test(request.url()) || asked.push(request.url()));
+    await opened.page.goto(pathToFileURL(join(folder, 'photo.html')).href);
+    return { ...opened, asked };
+  }
+
+  /** The server's view at a pose. */
+  async function served(pose) {
+    const { page, context } = await openPage(browser);
+    await page.goto(server.url);
+    const query = new URLSearchParams({ ...pose, w: WIDTH, h: HEIGHT, format: 'png' });
+    const pixels = await pixelsOf(page, `/v1/photos/${made.id}/view?${query}`);
+    await context.close();
+    return pixels;
+  }
+
+  async function screenshot(page) {
+    const shot = await page.screenshot();
+    const { page: reader, context } = await openPage(browser);
+    const pixels = await pixelsOf(reader, `data:image/png;base64,${shot.toString('base64')}`);
+    await context.close();
+    return pixels;
+  }
+
+  test('the page from disk draws what the server draws, moves, and asks for nothing', async (t) => {
+    const { page, context, errors, asked } = await openPageFile(browser);
+    await waitForMode(page, 'gpu');
+    const first = await page.evaluate(() => window.viewer.pose.tx);
+    await page.waitForFunction((tx) => Math.abs(window.viewer.pose.tx - tx) > 2e-3, first);
+    const shares = [];
+    for (const pose of POSES) shares.push(shareDifferent(await pixelsAt(page, pose, WIDTH, HEIGHT), await served(pose), WIDTH, HEIGHT));
+    t.diagnostic(`share off by more than 8 levels: ${shares.map((s) => s.toFixed(5)).join(', ')}`);
+    for (const share of shares) assert.ok(share < MAX_SHARE, `${share}`);
+    // and that reaches the screen
+    await page.evaluate(() => window.viewer.setPose({ tx: -0.03 }));
+    const left = await screenshot(page);
+    await page.evaluate(() => window.viewer.setPose({ tx: 0.03 }));
+    const right = await screenshot(page);
+    assert.ok(shareDifferent(left, right, 1280, 800) > 0.05, 'the canvas stands still');
+    assert.deepEqual([errors, asked], [[], []]);
+    await context.close();
+  });
+
+  test('without WebGPU, or without scripts, the page shows the photo', async () => {
+    const plain = await launch({ webgpu: false });
+    const pages = [await openPageFile(plain), await openPageFile(plain, { javaScriptEnabled: false })];
+    await pages[0].page.waitForFunction(() => document.getElementById('stage').dataset.mode);
+    for (const { page, errors, asked } of pages) {
+      const pixels = await screenshot(page);
+      // the photo is as high as the window, in its middle the box
+      const middle = pixels.subarray((400 * 1280 + 640) * 4, (400 * 1280 + 640) * 4 + 3);
+      const share = pixels.filter((v, i) => i % 4 === 0 && v > 30).length / (1280 * 800);
+      assert.ok(Math.max(...middle) > 60 && share > 0.8, `${middle} ${share}`);
+      assert.deepEqual([errors, asked], [[], []]);
+    }
+    await plain.close();
+  });
+
+  test('the model is valid glTF, and another renderer draws the same views from it', async (t) => {
+    const report = await validate(files.glb);
+    assert.deepEqual([report.errors, report.warnings], [0, 0], JSON.stringify(report.messages));
+    const { page, context, errors } = await openPage(browser);
+    const model = await openModel(page, files.glb);
+    for (const name of ['photo', 'opaque_0', 'soft_0', 'camera']) assert.ok(model.names.includes(name), `${name}: ${model.names}`);
+    const still = await model.draw({}, WIDTH, HEIGHT);
+    const shares = [];
+    for (const pose of [{}, ...POSES]) {
+      const want = await served(pose);
+      shares.push(shareDifferent(await model.draw(pose, WIDTH, HEIGHT), want, WIDTH, HEIGHT, INNER));
+      if (pose.tx) assert.ok(shareDifferent(still, want, WIDTH, HEIGHT, INNER) > 3 * MAX_SHARE, 'a model that stands still would pass');
+    }
+    t.diagnostic(`share off by more than 8 levels: ${shares.map((s) => s.toFixed(5)).join(', ')}`);
+    for (const share of shares) assert.ok(share < MAX_SHARE, `${share}`);
+    assert.deepEqual(errors, []);
+    await context.close();
+  });
+});

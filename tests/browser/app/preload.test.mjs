@@ -1,0 +1,51 @@
+// Whatever a page or a worker needs is named where it begins: no module is found out only once another has come.
+import assert from 'node:assert/strict';
+import { describe, test } from 'node:test';
+import { files, graph, imports, source } from '../support/modules.mjs';
+
+const sorted = (names) => [...names].toSorted();
+
+describe('modules', () => {
+  for (const page of ['upload', 'view', 'demo']) {
+    test(`the ${page} page preloads all that its script imports`, () => {
+      const links = [...source(`app/${page}-page.html`).matchAll(/<link rel="modulepreload" href="\/static\/([^"]+)" \/>/g)].map(
+        ([, name]) => name,
+      );
+      const script = `app/${page}-page.js`;
+      assert.ok(source(`app/${page}-page.html`).includes(`src="/static/${script}"`));
+      assert.deepEqual(links, sorted([...graph(script)].filter((name) => name !== script)));
+    });
+  }
+
+  test('the decoder’s worker imports all that it needs itself', () => {
+    const all = graph('decode/worker.js');
+    all.delete('decode/worker.js');
+    assert.deepEqual(sorted(imports('decode/worker.js')), sorted(all));
+  });
+
+  test('the element preloads the viewer', () => {
+    const [, list] = source('element/tmpi-viewer.js').match(/^const MODULES = \[([^\]]*)\];/m);
+    const needed = new Set([...graph('view/viewer.js'), ...graph('element/photo-addresses.js')]);
+    assert.deepEqual(
+      [...list.matchAll(/'([^']+)'/g)].map(([, name]) => name),
+      sorted(needed),
+    );
+  });
+
+  test('every module is needed by some page', () => {
+    const roots = [
+      'app/upload-page.js',
+      'app/view-page.js',
+      'app/demo-page.js',
+      'element/tmpi-viewer.js',
+      'element/photo-addresses.js',
+      'view/viewer.js',
+      'decode/worker.js',
+    ];
+    const needed = new Set(roots.flatMap((root) => [...graph(root)]));
+    assert.deepEqual(
+      files().filter((name) => name.endsWith('.js') && !needed.has(name)),
+      [],
+    );
+  });
+});

@@ -1,0 +1,272 @@
+// From the picker to the moving picture, on the built program.
+import assert from 'node:assert/strict';
+import { existsSync, readFileSync } from 'node:fs';
+import { after, before, describe, test } from 'node:test';
+import { fileURLToPath } from 'node:url';
+import {
+  launch,
+  openPage,
+  PATIENCE_MS,
+  pixelsAt,
+  pixelsOf,
+  seriousViolations,
+  shareDifferent,
+  takeGraphics,
+  waitForMode,
+} from '../support/browser.mjs';
+import { BOX, boxDepth, boxPhoto } from '../support/pictures.mjs';
+import { makePhoto, startServer } from '../support/program.mjs';
+
+const WIDTH = 320;
+const HEIGHT = 200;
+/** Share of the pixels that may differ by more than 8 levels between the two hosts. */
+const MAX_SHARE = 0.015;
+const POSES = [
+  { tx: 0.025, ty: -0.01, tz: 0.01 },
+  { tx: -0.02, ty: 0.015, tz: -0.02, yaw: 1.5, pitch: -1, roll: 2 },
+];
+const realPhoto = fileURLToPath(new URL('photos/dav2/demo01.jpg', dataUrl()));
+
+function dataUrl() {
+  const root = process.env.TMPI_DATA;
+  return root ? new URL(`file://${root.endsWith('/') ? root : `${root}/`}`) : new URL('../../../../shared/data/', import.meta.url);
+}
+
+const query = (pose, width, height) => new URLSearchParams({ ...pose, w: width, h: height, format: 'png' });
+
+/** Canvas against the server's view at both poses; gives the shares that differ. */
+async function compare(page, id, width, height) {
+  const shares = [];
+  for (const pose of POSES) {
+    const drawn = await pixelsAt(page, pose, width, height);
+    const served = await pixelsOf(page, `/v1/photos/${id}/view?${query(pose, width, height)}`);
+    shares.push(shareDifferent(drawn, served, width, height));
+  }
+  return shares;
+}
+
+describe('the whole way', () => {
+  let server;
+  let browser;
+  let made;
+  before(async () => {
+    server = await startServer();
+    browser = await launch();
+    made = await makePhoto(server.url, boxPhoto(WIDTH, HEIGHT), boxDepth(WIDTH, HEIGHT));
+  });
+  after(async () => {
+    await browser?.close();
+    await server?.close();
+  });
+
+  test('picker, stages, gallery, moving picture, deletion', async () => {
+    const { page, context, errors } = await openPage(browser);
+    await page.addInitScript(() => {
+      window.stagesShown = [];
+      new MutationObserver(() => {
+        const text = document.querySelector('.upload-state')?.textContent;
+        if (text && window.stagesShown.at(-1) !== text) window.stagesShown.push(text);
+      }).observe(document, { childList: true, subtree: true, characterData: true });
+    });
+    await page.goto(server.url);
+    await page.setInputFiles('#picker', { name: 'garden.png', mimeType: 'image/png', buffer: boxPhoto(1200, 780) });
+    const open = page.getByRole('link', { name: 'Open garden.png' });
+    await open.waitFor();
+    const stages = await page.evaluate(() => window.stagesShown);
+    // whoever listens late has missed some
+    const seen = [/depth/i, /planes/i, /layers/i, /Packing|Checking/].filter((word) => stages.some((s) => word.test(s)));
+    assert.ok(seen.length >= 2, `${stages}`);
+    const inGallery = page.locator('#gallery .card').filter({ hasText: 'garden' });
+    await inGallery.waitFor();
+    await page.waitForFunction(() => document.querySelector('#gallery img.thumb')?.naturalWidth > 0);
+    await open.click();
+    await waitForMode(page, 'gpu');
+    assert.equal(await page.locator('#title').textContent(), 'garden');
+    const first = await page.evaluate(() => window.viewer.pose.tx);
+    await page.waitForFunction((tx) => Math.abs(window.viewer.pose.tx - tx) > 1e-3, first);
+    assert.match(await page.locator('#readout').textContent(), /\d kB · [\d.]+ ms/);
+    const [download] = await Promise.all([
+      page.waitForEvent('download'),
+      page
+        .getByRole('button', { name: 'Download' })
+        .click()
+        .then(() => page.locator('#download').click()),
+    ]);
+    assert.equal(download.suggestedFilename(), 'garden.tmpi');
+    assert.equal(readFileSync(await download.path()).toString('latin1', 0, 4), 'TMPI');
+    for (const [format, start] of [
+      ['html', '<!doctype html>'],
+      ['glb', 'glTF'],
+      ['zip', 'PK'],
+    ]) {
+      const [file] = await Promise.all([
+        page.waitForEvent('download'),
+        page.locator(`[data-export=${format}]`).evaluate((link) => link.click()),
+      ]);
+      assert.match(file.suggestedFilename(), new RegExp(`\\.${format}$`));
+      assert.equal(
+        readFileSync(await file.path())
+          .toString('latin1', 0, start.length)
+          .toLowerCase(),
+        start.toLowerCase(),
+      );
+    }
+    await page.goto(server.url);
+    await page.getByRole('button', { name: 'Delete garden' }).click();
+    await inGallery.waitFor({ state: 'detached' });
+    assert.deepEqual(errors, []);
+    await context.close();
+  });
+
+  test('the browser draws what the server draws', async (t) => {
+    const { page, context } = await openPage(browser);
+    await page.goto(`${server.url}/view/${made.id}`);
+    await waitForMode(page, 'gpu');
+    const home = await pixelsAt(page, {}, WIDTH, HEIGHT);
+    for (const pose of POSES) {
+      const moved = shareDifferent(home, await pixelsAt(page, pose, WIDTH, HEIGHT), WIDTH, HEIGHT);
+      assert.ok(moved > 10 * MAX_SHARE, `the comparison would not tell a camera that stands still: ${moved}`);
+    }
+    const shares = await compare(page, made.id, WIDTH, HEIGHT);
+    t.diagnostic(`share off by more than 8 levels: ${shares.map((s) => s.toFixed(5)).join(', ')}`);
+    for (const share of shares) assert.ok(share < MAX_SHARE, `${share}`);
+    await context.close();
+  });
+
+  test('between two poses the near box moves and the far wall stands', async () => {
+    const { page, context } = await openPage(browser);
+    await page.goto(`${server.url}/view/${made.id}`);
+    await waitForMode(page, 'gpu');
+    const [left, right] = [await pixelsAt(page, { tx: -0.02 }, WIDTH, HEIGHT), await pixelsAt(page, { tx: 0.02 }, WIDTH, HEIGHT)];
+    const near = { x0: BOX.x0 + 0.03, x1: BOX.x1 - 0.03, y0: BOX.y0 + 0.03, y1: BOX.y1 - 0.03 };
+    const far = { x0: 0.03, x1: 0.25, y0: 0.05, y1: 0.95 };
+    // the pattern of the box moves by 6.7 pixels, that of the wall by 0.7, which changes it by up to 8 levels a pixel
+    const moved = shareDifferent(left, right, WIDTH, HEIGHT, { ...near, levels: 10 });
+    const stood = shareDifferent(left, right, WIDTH, HEIGHT, { ...far, levels: 10 });
+    assert.ok(moved > 0.5, `near: ${moved}`);
+    assert.ok(stood < 0.05, `far: ${stood}`);
+    await context.close();
+  });
+
+  test('a photo from a camera', { skip: existsSync(realPhoto) ? false : 'no data for measuring: set TMPI_DATA' }, async (t) => {
+    const { page, context, errors } = await openPage(browser);
+    const state = await makePhoto(server.url, readFileSync(realPhoto));
+    await page.goto(`${server.url}/view/${state.id}`);
+    await waitForMode(page, 'gpu');
+    const [width, height] = [480, Math.round((480 * state.height) / state.width)];
+    const shares = await compare(page, state.id, width, height);
+    t.diagnostic(`share off by more than 8 levels: ${shares.map((s) => s.toFixed(5)).join(', ')}`);
+    for (const share of shares) assert.ok(share < MAX_SHARE, `${share}`);
+    assert.deepEqual(errors, []);
+    await context.close();
+  });
+
+  test('without WebGPU the browser draws with WebGL what the server draws', async (t) => {
+    const { page, context, errors } = await openPage(browser);
+    await takeGraphics(page, { webgl: true });
+    await page.goto(`${server.url}/view/${made.id}`);
+    await waitForMode(page, 'webgl');
+    const shares = await compare(page, made.id, WIDTH, HEIGHT);
+    t.diagnostic(`share off by more than 8 levels: ${shares.map((s) => s.toFixed(5)).join(', ')}`);
+    for (const share of shares) assert.ok(share < MAX_SHARE, `${share}`);
+    const before = await page.locator('.tmpi-canvas').screenshot();
+    await page.evaluate(() => window.viewer.setPose({ tx: 0.025 }));
+    assert.notDeepEqual(await page.locator('.tmpi-canvas').screenshot(), before, 'the canvas itself shows the move');
+    assert.deepEqual(errors, []);
+    await context.close();
+  });
+
+  test('with neither WebGPU nor WebGL the server’s pictures come', async () => {
+    const { page, context, errors } = await openPage(browser);
+    await takeGraphics(page, { webgl: false });
+    await page.goto(`${server.url}/view/${made.id}`);
+    await waitForMode(page, 'served');
+    const shown = () => page.evaluate(() => window.viewer.serverViews.shown);
+    await page.waitForFunction(() => window.viewer.serverViews.shown);
+    const before = await shown();
+    await page.locator('#stage').focus();
+    for (let i = 0; i < 4; i++) await page.keyboard.press('ArrowRight');
+    await page.waitForFunction((old) => window.viewer.serverViews.shown !== old && !window.viewer.serverViews.busy, before);
+    assert.match(await shown(), /tx=0\.0[12]/);
+    assert.ok(await page.evaluate(() => document.querySelector('.tmpi-poster').naturalWidth > 0));
+    assert.deepEqual(errors, []);
+    await context.close();
+  });
+
+  test('the page of elements shows three, one from another origin', async () => {
+    const { page, context, errors } = await openPage(browser, { reducedMotion: 'reduce' });
+    await page.goto(`${server.url}/demo`);
+    for (const i of [0, 1, 2]) {
+      await page.evaluate((n) => document.querySelectorAll('tmpi-viewer')[n].scrollIntoView(), i);
+      await page.waitForFunction((n) => document.querySelectorAll('tmpi-viewer')[n].viewer?.mode === 'gpu', i);
+    }
+    const origin = await page.evaluate(
+      () => new URL(document.querySelectorAll('tmpi-viewer')[2].getAttribute('src'), location.href).origin,
+    );
+    assert.notEqual(origin, new URL(server.url).origin);
+    assert.deepEqual(await seriousViolations(page), []);
+    const blob = await page.evaluate(async () => (await document.querySelector('tmpi-viewer').toBlob()).type);
+    assert.equal(blob, 'image/png');
+    assert.deepEqual(errors, []);
+    await context.close();
+  });
+
+  test('what the owner sets stays with the photo', async () => {
+    const { page, context, errors } = await openPage(browser, { reducedMotion: 'reduce' });
+    const other = await makePhoto(server.url, boxPhoto(240, 150), boxDepth(240, 150));
+    await page.goto(`${server.url}/view/${other.id}`);
+    await waitForMode(page, 'gpu');
+    await page.evaluate(() => window.viewer.moveTo({ x: 0.8, y: 0, z: 0 }));
+    await page.locator('#settings').click();
+    await page.getByLabel('Title').fill('A box');
+    for (const name of ['Start from here', 'Picture of the list from here']) await page.getByRole('button', { name }).click();
+    await page.getByRole('button', { name: 'Save with the photo' }).click();
+    await page.getByText('Saved', { exact: true }).waitFor();
+    await page.reload();
+    await waitForMode(page, 'gpu');
+    assert.equal(await page.locator('#title').textContent(), 'A box');
+    await page.waitForFunction(() => Math.abs(window.viewer.pose.tx - 0.024) < 2e-3);
+    await page.goto(server.url);
+    const picture = page.locator('.card').filter({ hasText: 'A box' }).locator('img');
+    await page.waitForFunction(() =>
+      [...document.querySelectorAll('.card img')].some((image) => image.src.includes('/view?tx=') && image.naturalWidth > 0),
+    );
+    assert.match(await picture.getAttribute('src'), /\/view\?tx=0\.024/);
+    assert.deepEqual(errors, []);
+    await context.close();
+  });
+
+  test('what is no picture is refused with the reason', async () => {
+    const { page, context } = await openPage(browser);
+    await page.goto(server.url);
+    await page.setInputFiles('#picker', { name: 'notes.png', mimeType: 'image/png', buffer: Buffer.from('this is no picture at all') });
+    const row = page.locator('.upload.failed');
+    await row.waitFor();
+    const reason = await row.locator('.upload-state').textContent();
+    assert.match(reason, /JPEG|PNG|WebP|format|picture/i);
+    await row.getByRole('button', { name: 'Dismiss notes.png' }).click();
+    await row.waitFor({ state: 'detached' });
+    await context.close();
+  });
+
+  test('nothing is wider than a phone', async () => {
+    for (const width of [360, 390]) {
+      const { page, context } = await openPage(browser, { viewport: { width, height: 844 }, deviceScaleFactor: 2, hasTouch: true });
+      for (const path of ['/', `/view/${made.id}`]) {
+        await page.goto(server.url + path);
+        if (path === '/') await page.locator('#gallery .card').first().waitFor({ timeout: PATIENCE_MS });
+        else await waitForMode(page, 'gpu');
+        const [wide, inner] = await page.evaluate(() => [document.documentElement.scrollWidth, innerWidth]);
+        assert.ok(wide <= inner, `${path} is ${wide} pixels wide on ${inner}`);
+        const cut = await page.evaluate(() =>
+          [...document.querySelectorAll('button, a, label')]
+            .map((e) => [e.textContent.trim(), e.getBoundingClientRect()])
+            .filter(([, r]) => r.width > 0 && (r.left < 0 || r.right > innerWidth + 0.5))
+            .map(([text]) => text),
+        );
+        assert.deepEqual(cut, []);
+      }
+      await context.close();
+    }
+  });
+});

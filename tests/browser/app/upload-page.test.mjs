@@ -1,0 +1,63 @@
+// The page of all photos, against answers of a server that the test makes up.
+import assert from 'node:assert/strict';
+import { describe, test } from 'node:test';
+import { seriousViolations } from '../support/browser.mjs';
+import { photo, uploadSuite } from '../support/upload-page.mjs';
+
+describe('page of all photos', () => {
+  const suite = uploadSuite();
+
+  test('an empty list says so; a long one goes on', async () => {
+    const empty = await suite.open({});
+    await empty.page.getByText('No photo yet').waitFor();
+    assert.ok(await empty.page.locator('#more').isHidden());
+    await empty.context.close();
+    const pages = [{ photos: [photo('a'), photo('b')], next: '/v1/photos?after=1' }, { photos: [photo('c')] }];
+    const { page, context } = await suite.open({ pages });
+    await page.locator('#more').click();
+    await page.locator('.card').nth(2).waitFor();
+    assert.ok(await page.locator('#more').isHidden());
+    await context.close();
+  });
+
+  test('where the server is busy the upload waits as long as it says', async () => {
+    const posts = [
+      { status: 429, headers: { 'retry-after': '1' }, contentType: 'application/problem+json', body: '{"detail":"64 photos wait"}' },
+      { status: 202, json: { ...photo('a'), state: 'queued' } },
+    ];
+    const { page, context, sent } = await suite.open({ posts });
+    await page.setInputFiles('#picker', { name: 'one.png', mimeType: 'image/png', buffer: Buffer.from('x') });
+    await page.getByText('trying again in 1 s').waitFor();
+    await page.getByRole('link', { name: 'Open one.png' }).waitFor();
+    assert.equal(sent.length, 2);
+    assert.ok(sent[1] - sent[0] >= 950, `${sent[1] - sent[0]} ms`);
+    await context.close();
+  });
+
+  test('a depth map goes with one photo', async () => {
+    const posts = [
+      { status: 202, json: photo('a') },
+      { status: 202, json: photo('b') },
+    ];
+    const { page, context, bodies } = await suite.open({ posts });
+    await page.locator('summary').click();
+    await page.setInputFiles('#depth-map', { name: 'map.png', mimeType: 'image/png', buffer: Buffer.from('depths') });
+    for (const name of ['one.png', 'two.png']) {
+      await page.setInputFiles('#picker', { name, mimeType: 'image/png', buffer: Buffer.from('x') });
+      await page.getByRole('link', { name: `Open ${name}` }).waitFor();
+    }
+    assert.match(bodies[0], /name="depth"; filename="map.png"/);
+    assert.doesNotMatch(bodies[1], /name="depth"/);
+    await context.close();
+  });
+
+  test('nothing stands in the way of people who do not see or point', async () => {
+    for (const colorScheme of ['light', 'dark']) {
+      const { page, context } = await suite.open({ pages: [{ photos: [photo('a'), photo('b')] }], options: { colorScheme } });
+      await page.locator('.card').nth(1).waitFor();
+      await page.locator('summary').click();
+      assert.deepEqual(await seriousViolations(page), []);
+      await context.close();
+    }
+  });
+});

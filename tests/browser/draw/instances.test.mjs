@@ -1,0 +1,41 @@
+// The instances that the shaders draw.
+import assert from 'node:assert/strict';
+import { describe, test } from 'node:test';
+import { decode } from '../../../static/decode/container.js';
+import { pieces } from '../../../static/draw/border.js';
+import { INSTANCE_FLOATS, instances } from '../../../static/draw/instances.js';
+import { pack } from '../../../static/draw/texture-atlas.js';
+import { boxScene, container } from '../support/container.mjs';
+import { readPng } from '../support/pictures.mjs';
+
+describe('instances', async () => {
+  const scene = await decode(new Uint8Array(container(boxScene())), async ({ bytes }) => readPng(bytes));
+  const all = pieces(scene);
+  const places = pack(all, 2048, 16);
+  /** Instance `i` by the names of tmpi.wgsl. */
+  const read = (data, i) => {
+    const [a, b, c, page, cx, cy, x, y, w, h] = data.subarray(i * INSTANCE_FLOATS, (i + 1) * INSTANCE_FLOATS);
+    return { a, b, c, page, cx, cy, x, y, w, h };
+  };
+  const delta = ({ a, b, c, cx, cy, x, y, w, h }) => a + (b * (x + w / 2 - cx) + c * (y + h / 2 - cy)) / (scene.tileSize / 2);
+
+  test('first all pieces in layer order, then the soft ones back to front', () => {
+    const { data, opaque, soft } = instances(scene, all, places);
+    assert.equal(opaque, all.length);
+    assert.equal(soft, all.filter((p) => scene.layers.soft[p.layer]).length);
+    assert.ok(soft > 10, `${soft} soft pieces`);
+    all.forEach((p, i) => assert.deepEqual([read(data, i).x, read(data, i).y], [p.x + p.left, p.y + p.upper]));
+    for (let i = 1; i < soft; i++) assert.ok(delta(read(data, opaque + i - 1)) <= delta(read(data, opaque + i)) + 1e-6, `${i}`);
+  });
+
+  test('a tile’s error is the fraction beside its page, less than one', () => {
+    const errors = [0, 0.5, 7];
+    const { data } = instances(scene, all, places, errors);
+    const shares = new Map();
+    all.forEach((p, i) => shares.set(scene.layers.tileX[p.layer] + scene.layers.tileY[p.layer] * 1000, read(data, i).page % 1));
+    const [first, second, third] = [0, 56, 112].map((x) => shares.get(x));
+    assert.equal(first, 0);
+    assert.ok(Math.abs(second - 0.5) < 0.01, `${second}`);
+    assert.ok(third > 0.99 && third < 1, `${third}`);
+  });
+});

@@ -1,0 +1,90 @@
+// Twelve kinds of scene from eight places, drawn by WebGPU and by WebGL2, against the reference that the program draws in f64.
+import assert from 'node:assert/strict';
+import { execFileSync } from 'node:child_process';
+import { mkdtempSync, readdirSync, readFileSync, rmSync, writeFileSync } from 'node:fs';
+import { tmpdir } from 'node:os';
+import { join } from 'node:path';
+import { after, before, describe, test } from 'node:test';
+import { fileURLToPath } from 'node:url';
+import { HOME, lookingAt, POSE_KEYS } from '../../../static/view/camera.js';
+import { launch, openPage, pixelsAt, takeGraphics, waitForMode } from '../support/browser.mjs';
+import { png } from '../support/pictures.mjs';
+import { program } from '../support/program.mjs';
+import { serve } from '../support/static-server.mjs';
+
+const FOLDER = fileURLToPath(new URL('../../golden/scenes/', import.meta.url));
+/** Share of the pixels off by more than 8 levels, and mean FLIP, at most. */
+const MOST_OFF = 0.015;
+const MOST_FLIP = 0.02;
+/** Scenes are made for twice the usual view box. */
+const REACH = 0.06;
+
+/** Corners of the view box: four look straight ahead, four turn. */
+function poses() {
+  const out = [];
+  for (let corner = 0; corner < 8; corner++) {
+    const side = (bit) => ((corner >> bit) & 1 ? -REACH : REACH);
+    const [tx, ty, tz] = [0, 1, 2].map(side);
+    out.push(corner < 4 ? { ...HOME, tx, ty, tz } : { ...lookingAt(0.5, tx, ty, tz), roll: corner - 5.5 });
+  }
+  return out;
+}
+
+const run = (...args) => execFileSync(program, args, { encoding: 'utf8', stdio: ['ignore', 'pipe', 'ignore'] });
+
+describe('scenes', () => {
+  const scenes = readdirSync(FOLDER).filter((name) => name.endsWith('.tmpi'));
+  let browser;
+  let folder;
+  before(async () => {
+    folder = mkdtempSync(join(tmpdir(), 'tmpi-scenes-'));
+    browser = await launch();
+  });
+  after(async () => {
+    await browser?.close();
+    if (folder) rmSync(folder, { recursive: true });
+  });
+
+  /** The reference's picture of a scene at pose `i`, drawn once. */
+  const drawn = new Map();
+  function reference(scene, pose, i) {
+    const path = join(folder, `${scene}-${i}.png`);
+    if (!drawn.has(path)) {
+      const text = POSE_KEYS.map((key) => pose[key]).join(',');
+      const about = run('render', join(FOLDER, scene), '-o', path, '--pose', text, '--backend', 'reference', '--json');
+      drawn.set(path, JSON.parse(about));
+    }
+    return { path, ...drawn.get(path) };
+  }
+
+  async function compare(t, mode) {
+    assert.equal(scenes.length, 12);
+    let [off, seen] = [0, 0];
+    for (const scene of scenes) {
+      const server = await serve({ atlas: readFileSync(join(FOLDER, scene)) });
+      const { page, context, errors } = await openPage(browser, { reducedMotion: 'reduce' });
+      if (mode === 'webgl') await takeGraphics(page, { webgl: true });
+      await page.goto(`${server.url}/view/box`);
+      await waitForMode(page, mode);
+      for (const [i, pose] of poses().entries()) {
+        const { path, width, height } = reference(scene, pose, i);
+        const data = await pixelsAt(page, pose, width, height);
+        const own = join(folder, 'own.png');
+        writeFileSync(
+          own,
+          png(width, height, 3, (x, y) => data.subarray((y * width + x) * 4, (y * width + x) * 4 + 3)),
+        );
+        const figures = JSON.parse(run('compare', path, own, '--json'));
+        assert.ok(figures.share_off <= MOST_OFF && figures.flip <= MOST_FLIP, `${scene} from ${i}: ${JSON.stringify(figures)}`);
+        [off, seen] = [Math.max(off, figures.share_off), Math.max(seen, figures.flip)];
+      }
+      assert.deepEqual(errors, []);
+      await context.close();
+      await server.close();
+    }
+    t.diagnostic(`${mode}: at most ${(off * 100).toFixed(3)} % of the pixels off by more than 8 levels, FLIP at most ${seen.toFixed(4)}`);
+  }
+
+  test('WebGPU draws what the reference draws', (t) => compare(t, 'gpu'));
+  test('WebGL2 draws what the reference draws', (t) => compare(t, 'webgl'));
+});

@@ -1,0 +1,29 @@
+// Views that the server draws, where the browser cannot.
+import assert from 'node:assert/strict';
+import { describe, test } from 'node:test';
+import { openPage, takeGraphics, waitForMode } from '../support/browser.mjs';
+import { boxSuite } from '../support/suite.mjs';
+
+describe('views of the server', () => {
+  const suite = boxSuite();
+
+  test('with neither WebGPU nor WebGL the server’s views are shown, one request at a time, the latest pose last', async () => {
+    const { page, context, errors } = await openPage(suite.browser);
+    await takeGraphics(page, { webgl: false });
+    await page.goto(`${suite.server.url}/view/box`);
+    await waitForMode(page, 'served');
+    assert.match(await page.locator('#served-note').textContent(), /The server draws this view/);
+    assert.match(await page.locator('#readout').textContent(), /drawn by the server/);
+    await page.locator('#stage').focus();
+    const seen = suite.server.views.length;
+    for (let i = 0; i < 12; i++) await page.keyboard.press('ArrowLeft');
+    await page.waitForFunction(() => !window.viewer.moving && window.viewer.serverViews.shown === window.viewer.serverViews.wanted);
+    assert.ok(suite.server.views.length > seen);
+    assert.equal(suite.server.mostAtOnce(), 1);
+    const last = new URLSearchParams(suite.server.views.at(-1));
+    assert.equal(last.get('tx'), '-0.03000');
+    assert.ok(Number(last.get('fov')) > 60 && Number(last.get('fov')) < 82, last.get('fov'));
+    assert.deepEqual(errors, []);
+    await context.close();
+  });
+});

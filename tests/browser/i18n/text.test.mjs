@@ -1,0 +1,37 @@
+// Numbers and sentences as people read them.
+import assert from 'node:assert/strict';
+import { describe, test } from 'node:test';
+
+// the module looks at the browser's language when it is loaded
+Object.defineProperty(globalThis, 'navigator', { value: { language: 'en' }, configurable: true });
+const { formatBytes, queueText, sentence, stageText } = await import('../../../static/i18n/text.js');
+const { t } = await import('../../../static/i18n/messages.js');
+
+describe('text', () => {
+  test('bytes have at most three digits', () => {
+    const cases = {
+      0: '0 B',
+      999: '999 B',
+      1000: '1.0 kB',
+      9949: '9.9 kB',
+      9951: '10 kB',
+      999499: '999 kB',
+      999500: '1.0 MB',
+      5e9: '5.0 GB',
+      5e12: '5000 GB',
+    };
+    for (const [bytes, want] of Object.entries(cases)) assert.equal(formatBytes(Number(bytes)), want);
+  });
+
+  test('a stage that is not known is named as the server names it', () => {
+    assert.equal(stageText('encode'), 'Packing');
+    assert.equal(stageText('polish'), 'polish');
+  });
+
+  test('places in the queue, values and sentences', () => {
+    assert.equal(queueText(0), 'Waiting for its turn');
+    assert.equal(queueText(3), 'Waiting for its turn, 3 before it');
+    assert.equal(t('{1} before {0}', 'a', 'b'), 'b before a');
+    assert.equal(sentence('no.'), 'No.');
+  });
+});

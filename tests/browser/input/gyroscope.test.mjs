@@ -1,0 +1,44 @@
+// The tilt of the device moves the camera.
+import assert from 'node:assert/strict';
+import { describe, test } from 'node:test';
+import { openPage, waitForMode } from '../support/browser.mjs';
+import { boxSuite } from '../support/suite.mjs';
+
+describe('gyroscope', () => {
+  const suite = boxSuite();
+
+  test('tilting the device moves the camera, from the first posture on, and stops with the box', async () => {
+    const { page, context, errors } = await openPage(suite.browser, { reducedMotion: 'reduce', hasTouch: true });
+    await page.goto(`${suite.server.url}/view/box`);
+    await waitForMode(page, 'gpu');
+    await page.locator('#show').click();
+    const box = page.getByLabel('Move by tilting');
+    await box.check();
+    const tilt = (beta, gamma) =>
+      page.evaluate(([b, g]) => dispatchEvent(new DeviceOrientationEvent('deviceorientation', { beta: b, gamma: g })), [beta, gamma]);
+    const settled = () => page.waitForFunction(() => !window.viewer.moving);
+    const pose = () => page.evaluate(() => window.viewer.pose);
+    // the browser is asked first, which takes its time
+    await page.waitForFunction(() => window.viewer.tilting);
+    await tilt(40, 10);
+    await settled();
+    assert.ok(Math.abs((await pose()).tx) < 1e-4, 'the first posture is the middle');
+    await tilt(40, 20);
+    await page.waitForFunction(() => window.viewer.pose.tx > 0.01);
+    await tilt(30, 10);
+    await page.waitForFunction(() => window.viewer.pose.ty < -0.01);
+    await settled();
+    const last = await pose();
+    const stage = await page.locator('#stage').boundingBox();
+    await page.mouse.move(stage.x + 20, stage.y + 20);
+    await page.mouse.move(stage.x + 60, stage.y + 40);
+    await page.waitForTimeout(100);
+    assert.deepEqual(await pose(), last, 'a mouse that hovers does not fight the tilt');
+    await box.uncheck();
+    await tilt(70, 60);
+    await page.waitForTimeout(200);
+    assert.deepEqual(await pose(), last);
+    assert.deepEqual(errors, []);
+    await context.close();
+  });
+});

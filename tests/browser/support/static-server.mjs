@@ -1,0 +1,111 @@
+// Serves static/ as the real server does, and one photo with a container given, so that the viewer is tested by itself.
+import { readFile } from 'node:fs/promises';
+import { createServer } from 'node:http';
+import { extname, normalize } from 'node:path';
+import { boxPhoto } from './pictures.mjs';
+
+const STATIC = new URL('../../../static/', import.meta.url);
+const TYPES = {
+  '.js': 'text/javascript',
+  '.css': 'text/css',
+  '.html': 'text/html; charset=utf-8',
+  '.svg': 'image/svg+xml',
+  '.wgsl': 'text/wgsl',
+};
+/** What the server has at addresses of its own. */
+const PAGES = { '/': 'app/upload-page.html', '/tmpi-viewer.js': 'element/tmpi-viewer.js' };
+const POLICY = "default-src 'self'; img-src 'self' blob: data:; object-src 'none'; base-uri 'none'; frame-ancestors 'self'";
+
+/** Errors of the box's tiles: none, but a pixel in the last. */
+const TILE_PX = [0, 0, 0, 0, 0, 0, 0, 1];
+
+/**
+ * @param {{atlas: Buffer, delayMs?: number}} photo
+ * @returns {Promise<{url: string, views: string[], deleted: string[], mostAtOnce: () => number, close: () => Promise<void>}>}
+ */
+export async function serve({ atlas, delayMs = 0 }) {
+  const views = [];
+  const deleted = [];
+  const patches = [];
+  const state = { id: 'box', state: 'done' };
+  let atOnce = 0;
+  let most = 0;
+  const server = createServer(async (request, response) => {
+    const url = new URL(request.url, 'http://localhost');
+    const send = (status, type, body) => {
+      const headers = { 'content-type': type, 'content-length': Buffer.byteLength(body), 'access-control-allow-origin': '*' };
+      if (!url.pathname.startsWith('/embed')) headers['content-security-policy'] = POLICY;
+      response.writeHead(status, headers);
+      response.end(body);
+    };
+    if (request.method === 'DELETE') {
+      deleted.push(url.pathname);
+      return send(200, 'text/plain', '');
+    }
+    if (url.pathname === '/v1/photos/box') {
+      if (request.method === 'PATCH') {
+        let body = '';
+        for await (const part of request) body += part;
+        patches.push({ headers: request.headers, body });
+        state.settings = Object.fromEntries(Object.entries({ ...state.settings, ...JSON.parse(body) }).filter(([, v]) => v !== null));
+      }
+      response.setHeader('etag', `"${patches.length + 1}"`);
+      return send(200, 'application/json', JSON.stringify(state));
+    }
+    if (url.pathname === '/v1/photos/box/report') return send(200, 'application/json', JSON.stringify({ error: { tile_px: TILE_PX } }));
+    if (url.pathname === '/v1/photos/box/atlas') return sendSlowly(response, atlas, delayMs);
+    if (url.pathname === '/embed/three') return send(200, TYPES['.html'], three());
+    if (url.pathname === '/embed') return send(200, TYPES['.html'], embed(url.searchParams.get('host')));
+    if (url.pathname === '/v1/photos/box/view') {
+      views.push(url.search);
+      most = Math.max(most, ++atOnce);
+      await new Promise((resume) => setTimeout(resume, 30));
+      atOnce--;
+      return send(200, 'image/png', boxPhoto(Number(url.searchParams.get('w')), Number(url.searchParams.get('h'))));
+    }
+    const name =
+      PAGES[url.pathname] ?? (url.pathname.startsWith('/view/') ? 'app/view-page.html' : url.pathname.replace(/^\/static\//, ''));
+    try {
+      send(200, TYPES[extname(name)] ?? 'application/octet-stream', await readFile(new URL(normalize(name).replace(/^[/.]+/, ''), STATIC)));
+    } catch {
+      const problem = { type: 'about:blank', title: 'Not Found', status: 404, detail: `there is no ${url.pathname}` };
+      send(404, 'application/problem+json', JSON.stringify(problem));
+    }
+  });
+  await new Promise((resume) => server.listen(0, '127.0.0.1', resume));
+  return {
+    url: `http://127.0.0.1:${server.address().port}`,
+    views,
+    deleted,
+    patches,
+    state,
+    mostAtOnce: () => most,
+    close: () => {
+      server.closeAllConnections();
+      return new Promise((resume) => server.close(resume));
+    },
+  };
+}
+
+/** The container in two parts, the pause between them after the photo. */
+async function sendSlowly(response, atlas, delayMs) {
+  const headers = { 'content-type': 'application/vnd.tmpi', 'content-length': atlas.length, 'access-control-allow-origin': '*' };
+  response.writeHead(200, headers);
+  const cut = Math.floor(atlas.length * 0.9);
+  response.write(atlas.subarray(0, cut));
+  if (delayMs) await new Promise((resume) => setTimeout(resume, delayMs));
+  response.end(atlas.subarray(cut));
+}
+
+/** A page with three elements, the last far below. */
+function three() {
+  const one = (more) => `<tmpi-viewer src="/v1/photos/box/atlas" alt="A box" ${more}></tmpi-viewer>`;
+  return `<!doctype html><title>three</title><script type="module" src="/tmpi-viewer.js"></script><style>tmpi-viewer { width: 300px }</style>
+    ${one('auto-rotate="off"')}${one('camera-controls="off"')}<div style="height: 4000px"></div>${one('still')}`;
+}
+
+/** A page of somebody else with the element on it. */
+function embed(host) {
+  return `<!doctype html><title>embed</title><script type="module" src="${host}/tmpi-viewer.js"></script>
+    <p>text</p><tmpi-viewer src="${host}/v1/photos/box/atlas" alt="A box before a wall" still></tmpi-viewer>`;
+}

@@ -1,0 +1,60 @@
+// What can be drawn over the scene, and for each eye.
+import assert from 'node:assert/strict';
+import { readFileSync } from 'node:fs';
+import { describe, test } from 'node:test';
+import { pixelsAt, shareDifferent, waitForMode } from '../support/browser.mjs';
+import { BOX, inBox, readPng } from '../support/pictures.mjs';
+import { boxSuite, HEIGHT, WIDTH } from '../support/suite.mjs';
+
+const HOME = {};
+
+describe('display', () => {
+  const suite = boxSuite();
+
+  test('the menu shows depth, tiles and planes, and a view for each eye', async () => {
+    const { page, context, errors } = await suite.open();
+    await waitForMode(page, 'gpu');
+    const photo = await pixelsAt(page, HOME, WIDTH, HEIGHT);
+    await page.locator('#show').click();
+    const mean = (pixels, inside) => {
+      let [sum, count] = [0, 0];
+      for (let y = 0; y < HEIGHT; y++) {
+        for (let x = 0; x < WIDTH; x++) {
+          if (inBox(x, y, WIDTH, HEIGHT) !== inside) continue;
+          sum += pixels[(y * WIDTH + x) * 4];
+          count++;
+        }
+      }
+      return sum / count;
+    };
+    await page.getByLabel('Depth').check();
+    const depth = await pixelsAt(page, HOME, WIDTH, HEIGHT);
+    assert.ok(Math.abs(mean(depth, true) - BOX.near * 255) < 12, `near is bright: ${mean(depth, true)}`);
+    assert.ok(Math.abs(mean(depth, false) - BOX.far * 255) < 12, `far is dark: ${mean(depth, false)}`);
+    for (const name of ['Tiles', 'Planes']) {
+      await page.getByLabel(name).check();
+      const tinted = await pixelsAt(page, HOME, WIDTH, HEIGHT);
+      assert.ok(shareDifferent(tinted, photo, WIDTH, HEIGHT) > 0.5, name);
+    }
+    await page.getByLabel('The photo').check();
+    assert.equal(shareDifferent(await pixelsAt(page, HOME, WIDTH, HEIGHT), photo, WIDTH, HEIGHT, { levels: 0 }), 0);
+    const shape = () => page.evaluate(() => window.viewer.canvas.clientWidth / window.viewer.canvas.clientHeight);
+    const [one] = [await shape()];
+    await page.getByLabel('Side by side').check();
+    assert.ok(Math.abs((await shape()) / one - 2) < 0.05, 'twice as wide for its height');
+    assert.deepEqual(errors, []);
+    await context.close();
+  });
+
+  test('the picture of this view is saved', async () => {
+    const { page, context } = await suite.open();
+    await waitForMode(page, 'gpu');
+    await page.evaluate(() => window.viewer.setPose({ tx: 0.02 }));
+    await page.getByRole('button', { name: 'Download' }).click();
+    const [download] = await Promise.all([page.waitForEvent('download'), page.locator('#picture').click()]);
+    assert.match(download.suggestedFilename(), /\.png$/);
+    const saved = readPng(readFileSync(await download.path()));
+    assert.deepEqual([saved.width, saved.height], [WIDTH, HEIGHT]);
+    await context.close();
+  });
+});

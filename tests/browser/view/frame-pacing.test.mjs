@@ -1,0 +1,52 @@
+// How many pixels are drawn while something moves.
+import assert from 'node:assert/strict';
+import { describe, test } from 'node:test';
+import { FramePacing, SLOW_MS } from '../../../static/view/frame-pacing.js';
+
+/** A renderer whose frames take `ms` by a clock that the test moves. */
+function renderer(t, ms) {
+  let now = 0;
+  t.mock.method(performance, 'now', () => now);
+  return {
+    idle: async () => {
+      now += ms;
+    },
+  };
+}
+
+describe('frame pacing', () => {
+  test('slow frames lose pixels while something moves, down to half a side', async (t) => {
+    const pacing = new FramePacing();
+    const slow = renderer(t, SLOW_MS + 1);
+    await pacing.measure(slow, () => false);
+    assert.equal(pacing.detail, 1, 'at rest the picture stays whole');
+    await pacing.measure(slow, () => true);
+    const once = pacing.detail;
+    assert.ok(once < 1);
+    for (let i = 0; i < 20; i++) await pacing.measure(slow, () => true);
+    assert.equal(pacing.detail, 0.5);
+  });
+
+  test('fast frames get them back; those between change nothing', async (t) => {
+    const pacing = new FramePacing();
+    pacing.detail = 0.5;
+    await pacing.measure(renderer(t, SLOW_MS * 0.75), () => true);
+    assert.equal(pacing.detail, 0.5);
+    for (let i = 0; i < 20; i++) await pacing.measure(renderer(t, SLOW_MS / 4), () => true);
+    assert.equal(pacing.detail, 1);
+  });
+
+  test('the time told follows slowly; a frame during a measurement and one of a lost device are not measured', async (t) => {
+    const pacing = new FramePacing();
+    assert.equal(await pacing.measure(renderer(t, 10), () => false), 10);
+    assert.equal(await pacing.measure(renderer(t, 30), () => false), 30);
+    assert.ok(pacing.ms > 10 && pacing.ms < 20, `${pacing.ms}`);
+    let finish;
+    const first = pacing.measure({ idle: () => new Promise((resume) => (finish = resume)) }, () => false);
+    assert.equal(await pacing.measure(renderer(t, 5), () => false), null);
+    finish();
+    assert.notEqual(await first, null);
+    assert.equal(await pacing.measure({ idle: () => Promise.reject(new Error('lost')) }, () => false), null);
+    assert.equal(await pacing.measure(renderer(t, 5), () => false), 5, 'and measuring goes on');
+  });
+});

@@ -1,0 +1,136 @@
+// The viewer by itself: a container written by hand, a server that does nothing but serve files.
+import assert from 'node:assert/strict';
+import { describe, test } from 'node:test';
+import { openPage, pixelsAt, seriousViolations, shareDifferent, waitForMode } from '../support/browser.mjs';
+import { BOX, boxPhoto, inBox, readPng, wall } from '../support/pictures.mjs';
+import { boxSuite, HEIGHT, STILL, WIDTH } from '../support/suite.mjs';
+
+const HOME = {};
+
+/** The box before the wall for a camera at `tx`, drawn by hand; the soft rim is left out. */
+function expected(tx) {
+  const focal = 0.58 * WIDTH;
+  const out = new Uint8ClampedArray(WIDTH * HEIGHT * 4);
+  const photo = readPng(boxPhoto(WIDTH, HEIGHT)).data;
+  for (let y = 0; y < HEIGHT; y++) {
+    for (let x = 0; x < WIDTH; x++) {
+      const near = Math.round(x + focal * tx * BOX.near);
+      const far = x + focal * tx * BOX.far;
+      const colour = inBox(near, y, WIDTH, HEIGHT) ? photo.subarray((y * WIDTH + near) * 4, (y * WIDTH + near) * 4 + 3) : wall(far, y);
+      out.set([...colour, 255], (y * WIDTH + x) * 4);
+    }
+  }
+  return out;
+}
+
+describe('viewer', () => {
+  const suite = boxSuite({ delayMs: 400 });
+
+  test('shows the photo first, then the scene', async () => {
+    const { page, context, errors } = await suite.open();
+    await page.waitForFunction(() => document.querySelector('.tmpi-poster')?.src.startsWith('blob:'));
+    assert.equal(await page.evaluate(() => window.viewer.mode), 'loading');
+    await waitForMode(page, 'gpu');
+    assert.ok(await page.locator('#loading').isHidden());
+    assert.deepEqual(errors, []);
+    await context.close();
+  });
+
+  test('the view from the photo’s own place is the photo', async () => {
+    const { page, context } = await suite.open();
+    await waitForMode(page, 'gpu');
+    const got = await pixelsAt(page, HOME, WIDTH, HEIGHT);
+    const photo = readPng(boxPhoto(WIDTH, HEIGHT)).data;
+    const share = shareDifferent(got, photo, WIDTH, HEIGHT, { levels: 2 });
+    assert.ok(share < 0.001, `${share} of the pixels differ`);
+    await context.close();
+  });
+
+  test('from the side the box moves before the wall, and the wall behind it appears', async () => {
+    const { page, context } = await suite.open();
+    await waitForMode(page, 'gpu');
+    // 5 pixels of parallax for the box, 0.55 for the wall
+    const tx = 5 / (0.58 * WIDTH) / BOX.near;
+    for (const side of [tx, -tx]) {
+      const got = await pixelsAt(page, { tx: side }, WIDTH, HEIGHT);
+      // the left and right border and the soft rim are not in the drawing by hand
+      const share = shareDifferent(got, expected(side), WIDTH, HEIGHT, { levels: 12, x0: 0.02, x1: 0.98 });
+      assert.ok(share < 0.03, `${share} of the pixels differ at ${side}`);
+      const still = shareDifferent(await pixelsAt(page, HOME, WIDTH, HEIGHT), expected(side), WIDTH, HEIGHT, { levels: 12 });
+      assert.ok(still > 0.1, `the drawings would not tell a view that stands still: ${still}`);
+    }
+    await context.close();
+  });
+
+  test('draws nothing while nothing moves', async () => {
+    const { page, context } = await suite.open();
+    await waitForMode(page, 'gpu');
+    const frames = await page.evaluate(async () => {
+      await new Promise((resume) => setTimeout(resume, 500));
+      let count = 0;
+      const draw = window.viewer.renderer.draw.bind(window.viewer.renderer);
+      window.viewer.renderer.draw = (...args) => {
+        count++;
+        draw(...args);
+      };
+      await new Promise((resume) => setTimeout(resume, 700));
+      return count;
+    });
+    assert.equal(frames, 0);
+    await context.close();
+  });
+
+  test('no corner of the view box sees past the border', async () => {
+    const { page, context } = await suite.open();
+    await waitForMode(page, 'gpu');
+    const open8 = await page.evaluate(async () => {
+      let uncovered = 0;
+      for (const x of [-1, 1]) {
+        for (const y of [-1, 1]) {
+          for (const z of [-1, 1]) {
+            window.viewer.moveTo({ x, y, z });
+            const data = await window.viewer.readPixels();
+            for (let i = 3; i < data.length; i += 4) if (data[i] < 250) uncovered++;
+          }
+        }
+      }
+      return uncovered;
+    });
+    assert.equal(open8, 0);
+    await context.close();
+  });
+
+  test('nothing stands in the way of people who do not see or point', async () => {
+    for (const colorScheme of ['light', 'dark']) {
+      const { page, context } = await suite.open({ colorScheme, reducedMotion: 'reduce' });
+      await waitForMode(page, 'gpu');
+      await page.locator('#show').click();
+      assert.deepEqual(await seriousViolations(page), []);
+      await context.close();
+    }
+  });
+
+  test('a shared address brings the same pose', async () => {
+    const { page, context } = await suite.open(STILL, '#pose=0.5,-0.25,0.1');
+    await waitForMode(page, 'gpu');
+    await page.locator('#share').click();
+    const address = await page.evaluate(
+      async () => document.getElementById('link').value || navigator.clipboard.readText().catch(() => ''),
+    );
+    const pose = await page.evaluate(() => window.viewer.pose);
+    assert.ok(
+      Math.abs(pose.tx - 0.015) < 1e-6 && Math.abs(pose.ty + 0.0075) < 1e-6 && Math.abs(pose.tz - 0.003) < 1e-6,
+      JSON.stringify(pose),
+    );
+    if (address) assert.match(address, /#pose=0\.5,-0\.25,0\.1$|#pose=0\.5%2C-0\.25%2C0\.1$/);
+    await context.close();
+  });
+
+  test('a photo that is not there: the reason is shown', async () => {
+    const { page, context } = await openPage(suite.browser);
+    await page.goto(`${suite.server.url}/view/none`);
+    await page.locator('#failure').waitFor();
+    assert.match(await page.locator('#failure-text').textContent(), /There is no \/v1\/photos\/none\/atlas/);
+    await context.close();
+  });
+});
