@@ -5,8 +5,10 @@ use std::ops::Range;
 use prost::Message;
 
 use super::wire::{Codec, Index, Kind, Section};
+use super::part::Part;
 use super::{ContainerError, MAGIC, MAJOR, PhotoFormat, bands, bounds, columns, hidden, labels, planes, select};
 use crate::parallel;
+use crate::layers::Surface;
 use crate::{Class, Geometry, Grid, Inpainter, Intrinsics, Layer, Photo, Scene, Texels, ViewBox};
 
 /// All rows of tiles.
@@ -14,6 +16,8 @@ const ALL_ROWS: Range<u32> = 0..u32::MAX;
 /// Decodes a picture of at most so many pixels right and down.
 pub type Pictures<'a> = &'a (dyn Fn(PhotoFormat, &[u8], (u32, u32)) -> Result<Photo, ContainerError> + Sync);
 
+/// Bytes of the header.
+pub(super) const HEADER: usize = 12;
 /// A zstd block has at least 4 bytes and holds at most 128 KiB.
 const ZSTD_LEAST_BLOCK: usize = 4;
 const ZSTD_MOST_CONTENT: usize = 128 << 10;
@@ -134,36 +138,68 @@ pub fn decode_with(bytes: &[u8], pictures: Pictures) -> Result<Scene, ContainerE
     let (index, body) = split(bytes)?;
     let (photo, geometry) = parts(&index, body, &ALL_ROWS, pictures)?;
     let Geometry { grid, intrinsics, view_box, .. } = geometry;
-    let (mut layers, mut texels) = (Vec::new(), Texels::default());
-    let shapes = geometry.masks();
-    let carried = find(&index, Kind::Hidden).is_some();
-    if !carried {
-        let colours = Inpainter::new(&photo, &geometry).fill_all(&shapes);
-        texels.hidden = colours.into_iter().flatten().flatten().collect();
-    }
-    for (tile, shapes) in shapes.into_iter().enumerate() {
-        for s in shapes.layers {
-            layers.push(Layer { tile: tile as u32, plane: s.plane, rect: s.rect, first_texel: texels.class.len(), first_hidden: 0 });
-            texels.class.extend(s.class);
-            texels.alpha.extend(s.alpha);
-        }
-    }
-    refine_alpha(&index, body, &mut texels.alpha)?;
-    let hidden_count = count_hidden(&mut layers, &texels.class);
-    if carried {
-        texels.hidden = hidden_colours(&index, body, &layers, &texels.class, hidden_count, pictures)?;
-    }
+    let tiles = 0..geometry.tiles.len() as u32;
+    let Part { layers, texels, .. } = unfold(&index, body, &geometry, tiles, geometry.surface(), &photo.rgb, pictures)?;
     let scene = Scene { grid, intrinsics, view_box, photo, layers, texels };
     scene.validate().map_err(|e| ContainerError::broken(e.to_string()))?;
     Ok(scene)
 }
 
+/// Layers and texels of some tiles. `surface` and `rgb` have the rows that these follow from, the same ones.
+pub(super) fn unfold(
+    index: &Index,
+    body: &[u8],
+    geometry: &Geometry,
+    tiles: Range<u32>,
+    surface: Surface,
+    rgb: &[[u8; 3]],
+    pictures: Pictures,
+) -> Result<Part, ContainerError> {
+    let (mut layers, mut texels) = (Vec::new(), Texels::default());
+    let shapes = geometry.masks_of(tiles.clone(), &surface, false);
+    let carried = find(index, Kind::Hidden).is_some();
+    if !carried {
+        let colours = Inpainter::on(geometry.grid, surface, rgb).fill_tiles(tiles.start, &shapes);
+        texels.hidden.reserve_exact(colours.iter().flatten().map(Vec::len).sum());
+        for colours in colours.iter().flatten() {
+            texels.hidden.extend_from_slice(colours);
+        }
+    }
+    let count = shapes.iter().flat_map(|s| &s.layers).map(|l| l.class.len()).sum();
+    texels.class.reserve_exact(count);
+    texels.alpha.reserve_exact(count);
+    for (tile, shapes) in tiles.zip(shapes) {
+        for s in shapes.layers {
+            layers.push(Layer { tile, plane: s.plane, rect: s.rect, first_texel: texels.class.len(), first_hidden: 0 });
+            texels.class.extend_from_slice(&s.class);
+            texels.alpha.extend_from_slice(&s.alpha);
+        }
+    }
+    refine_alpha(index, body, &mut texels.alpha)?;
+    let hidden = count_hidden(&mut layers, &texels.class);
+    if carried {
+        texels.hidden = hidden_colours(index, body, &layers, &texels.class, hidden, pictures)?;
+    }
+    Ok(Part { layers, texels })
+}
+
 /// Header and index checked; gives the index and the bytes after it.
 pub(super) fn split(bytes: &[u8]) -> Result<(Index, &[u8]), ContainerError> {
-    let head: [u8; 12] = bytes.first_chunk().copied().ok_or_else(|| ContainerError::broken("shorter than its header"))?;
-    if head[..4] != MAGIC {
+    let length = index_length(bytes)?.ok_or_else(|| ContainerError::broken("shorter than its header"))?;
+    let rest = &bytes[HEADER..];
+    let (index, body) = rest.split_at_checked(length).ok_or_else(|| ContainerError::broken("the index is cut off"))?;
+    let index = parsed(index)?;
+    // also those that nobody asks for
+    index.sections.iter().try_for_each(|s| range(s, body).map(drop))?;
+    Ok((index, body))
+}
+
+/// Bytes of the index by the header; none where more bytes are needed to know.
+pub(super) fn index_length(bytes: &[u8]) -> Result<Option<usize>, ContainerError> {
+    if bytes.iter().zip(MAGIC).any(|(b, m)| *b != m) {
         return Err(ContainerError::broken("it does not begin with \"TMPI\""));
     }
+    let Some(head) = bytes.first_chunk::<HEADER>() else { return Ok(None) };
     let found = u16::from_le_bytes([head[4], head[5]]);
     if found > MAJOR {
         return Err(ContainerError::Newer { found, known: MAJOR });
@@ -175,15 +211,16 @@ pub(super) fn split(bytes: &[u8]) -> Result<(Index, &[u8]), ContainerError> {
     if length > bounds::INDEX {
         return Err(ContainerError::broken("the index is too long"));
     }
-    let rest = &bytes[12..];
-    let (index, body) = rest.split_at_checked(length).ok_or_else(|| ContainerError::broken("the index is cut off"))?;
+    Ok(Some(length))
+}
+
+/// Reads the bytes of an index.
+pub(super) fn parsed(index: &[u8]) -> Result<Index, ContainerError> {
     let index = Index::decode(index).map_err(|e| ContainerError::broken(format!("index: {e}")))?;
     if index.sections.len() > bounds::SECTIONS {
         return Err(ContainerError::broken("too many sections"));
     }
-    // also those that nobody asks for
-    index.sections.iter().try_for_each(|s| range(s, body).map(drop))?;
-    Ok((index, body))
+    Ok(index)
 }
 
 /// Index and grid, checked.
@@ -193,7 +230,7 @@ pub(super) fn declared(bytes: &[u8]) -> Result<(Index, Grid), ContainerError> {
     Ok((index, grid))
 }
 
-fn cameras(i: &Index) -> Result<(Grid, Intrinsics, ViewBox), ContainerError> {
+pub(super) fn cameras(i: &Index) -> Result<(Grid, Intrinsics, ViewBox), ContainerError> {
     let sides = 1..=bounds::SIDE;
     if !sides.contains(&i.width) || !sides.contains(&i.height) || u64::from(i.width) * u64::from(i.height) > bounds::PIXELS {
         return Err(ContainerError::broken("photo size out of bounds"));
@@ -210,7 +247,7 @@ fn cameras(i: &Index) -> Result<(Grid, Intrinsics, ViewBox), ContainerError> {
     Ok((Grid { width: i.width, height: i.height, size: i.tile_size, stride: i.tile_stride }, k, v))
 }
 
-fn find(index: &Index, kind: Kind) -> Option<&Section> {
+pub(super) fn find(index: &Index, kind: Kind) -> Option<&Section> {
     index.sections.iter().find(|s| s.kind() == kind)
 }
 
@@ -223,7 +260,7 @@ pub(super) fn range<'a>(s: &Section, body: &'a [u8]) -> Result<&'a [u8], Contain
 }
 
 /// Format of a picture section.
-fn format(s: &Section) -> Result<PhotoFormat, ContainerError> {
+pub(super) fn format(s: &Section) -> Result<PhotoFormat, ContainerError> {
     match s.codec() {
         Codec::Jpeg => Ok(PhotoFormat::Jpeg),
         Codec::Png => Ok(PhotoFormat::Png),
@@ -280,7 +317,7 @@ fn laid_out(index: &Index, body: &[u8], grid: &Grid, count: usize) -> Result<Vec
 }
 
 /// Planes of all tiles, and labels of those in `rows`.
-fn layer_geometry(
+pub(super) fn layer_geometry(
     index: &Index,
     body: &[u8],
     grid: Grid,
@@ -360,7 +397,11 @@ fn hidden_colours(
         return Err(ContainerError::broken("hidden: wrong count of blocks"));
     }
     let side = |blocks: usize| u32::try_from(blocks * 8).map_err(|_| ContainerError::broken("hidden: more blocks than a picture can hold"));
-    let p = pictures(format(s)?, range(s, body)?, (side(columns)?, side(blocks.div_ceil(columns))?))?;
+    let most = (side(columns)?, side(blocks.div_ceil(columns))?);
+    let p = pictures(format(s)?, range(s, body)?, most)?;
+    if p.width > most.0 || p.height > most.1 {
+        return Err(ContainerError::broken("hidden: the picture is too large"));
+    }
     let fits = columns.checked_mul(8).is_some_and(|w| w <= p.width as usize) && blocks.div_ceil(columns) * 8 <= p.height as usize;
     if !fits {
         return Err(ContainerError::broken("hidden: the picture is too small"));

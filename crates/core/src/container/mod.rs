@@ -14,6 +14,7 @@ mod hidden;
 mod labels;
 #[cfg(feature = "write")]
 mod level;
+mod part;
 mod photo;
 #[cfg(feature = "pictures")]
 mod picture;
@@ -33,6 +34,7 @@ pub use decode::{decode, read};
 pub use encode::{Carries, HiddenAs, SectionBytes, encode, encode_in};
 #[cfg(feature = "write")]
 pub use level::{LEVELS, level};
+pub use part::{Head, Part, PhotoRows, Picture, decode_rows, head, reach};
 pub use photo::{Carried, PhotoFormat};
 #[cfg(feature = "pictures")]
 pub use picture::decode as decode_picture;
