@@ -2,10 +2,9 @@
 // Draws a decoded scene with WebGL2 where there is no WebGPU: tmpi.wgsl said again in GLSL, on the same pages and instances.
 
 import { extrinsics } from '../view/camera.js';
-import { pieces } from './border.js';
 import { WebGlMean } from './depth-of-field/mean-webgl.js';
-import { INSTANCE_FLOATS, instances } from './instances.js';
-import { expandAll, pack } from './texture-atlas.js';
+import { INSTANCE_FLOATS, withErrors } from './instances.js';
+import { upload } from './texture-atlas.js';
 import { program } from './webgl-program.js';
 
 /** @import { View } from '../view/camera.js' */
@@ -165,18 +164,16 @@ export class WebGlRenderer {
     this.program = program(gl, VERTEX, FRAGMENT);
     const names = ['rotation', 't_near', 'k_ref', 'k_out', 'size_half', 'soft'];
     this.at = Object.fromEntries(names.map((name) => [name, gl.getUniformLocation(this.program, name)]));
-    this.pieces = pieces(scene);
-    const places = pack(this.pieces, this.maxSide, gl.getParameter(gl.MAX_ARRAY_TEXTURE_LAYERS));
-    const { width, height, pages, bands } = places;
+    const { width, height, pages } = scene.atlas;
+    const most = { side: this.maxSide, pages: gl.getParameter(gl.MAX_ARRAY_TEXTURE_LAYERS) };
     gl.bindTexture(gl.TEXTURE_2D_ARRAY, gl.createTexture());
     gl.texStorage3D(gl.TEXTURE_2D_ARRAY, 1, gl.RGBA8, width, height, pages);
     gl.texParameteri(gl.TEXTURE_2D_ARRAY, gl.TEXTURE_MIN_FILTER, gl.LINEAR);
     for (const axis of [gl.TEXTURE_WRAP_S, gl.TEXTURE_WRAP_T]) gl.texParameteri(gl.TEXTURE_2D_ARRAY, axis, gl.CLAMP_TO_EDGE);
-    await expandAll(scene, this.pieces, bands, width, (band, data) => {
-      gl.texSubImage3D(gl.TEXTURE_2D_ARRAY, 0, 0, band.y, band.page, width, band.h, 1, gl.RGBA, gl.UNSIGNED_BYTE, data);
+    await upload(scene.atlas, most, ({ page, y, h, data }) => {
+      gl.texSubImage3D(gl.TEXTURE_2D_ARRAY, 0, 0, y, page, width, h, 1, gl.RGBA, gl.UNSIGNED_BYTE, data);
     });
     this.atlasBytes = width * height * pages * 4;
-    this.places = places;
     gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
     this.setTileErrors([]);
     for (let i = 0; i < 3; i++) {
@@ -189,7 +186,7 @@ export class WebGlRenderer {
   /** As `WebGpuRenderer.setTileErrors`. */
   setTileErrors(errors) {
     const { gl } = this;
-    const { data, opaque, soft } = instances(this.scene, this.pieces, this.places, errors);
+    const { data, opaque, soft } = withErrors(this.scene.instances, errors);
     this.counts = { opaque, soft };
     gl.bufferData(gl.ARRAY_BUFFER, data, gl.STATIC_DRAW);
   }

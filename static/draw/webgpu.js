@@ -2,16 +2,13 @@
 // Draws a decoded scene with WebGPU by tmpi.wgsl, the shader that the server's gpu host uses too; its header is the contract.
 
 import { extrinsics } from '../view/camera.js';
-import { pieces } from './border.js';
 import { WebGpuMean } from './depth-of-field/mean-webgpu.js';
 import { acquireDevice } from './device.js';
-import { INSTANCE_FLOATS, instances } from './instances.js';
-import { expandAll, pack } from './texture-atlas.js';
+import { INSTANCE_FLOATS, withErrors } from './instances.js';
+import { upload } from './texture-atlas.js';
 
 /** @import { Intrinsics, Scene } from '../decode/scene.js' */
 /** @import { Pose, View } from '../view/camera.js' */
-/** @import { Piece } from './border.js' */
-/** @import { Places } from './texture-atlas.js' */
 
 const UNIFORM_BYTES = 112;
 const INSTANCE_BYTES = INSTANCE_FLOATS * 4;
@@ -77,10 +74,7 @@ export class WebGpuRenderer {
     this.opaque = opaque;
     this.soft = soft;
     this.uniforms = device.createBuffer({ size: UNIFORM_BYTES, usage: GPUBufferUsage.UNIFORM | GPUBufferUsage.COPY_DST });
-    this.pieces = pieces(this.scene);
-    const places = pack(this.pieces, device.limits.maxTextureDimension2D, device.limits.maxTextureArrayLayers);
-    await this.#upload(places);
-    this.places = places;
+    await this.#upload(this.scene.atlas);
     this.#list([]);
     this.bindings = device.createBindGroup({
       layout: bindings,
@@ -92,16 +86,18 @@ export class WebGpuRenderer {
     });
   }
 
-  async #upload({ width, height, pages, bands }) {
-    const { device, scene } = this;
+  async #upload(atlas) {
+    const { device } = this;
+    const { width, height, pages } = atlas;
+    const most = { side: device.limits.maxTextureDimension2D, pages: device.limits.maxTextureArrayLayers };
     this.atlas = device.createTexture({
       size: [width, height, pages],
       format: 'rgba8unorm',
       usage: GPUTextureUsage.TEXTURE_BINDING | GPUTextureUsage.COPY_DST,
     });
     const bytesPerRow = width * 4;
-    await expandAll(scene, this.pieces, bands, width, (band, data) => {
-      device.queue.writeTexture({ texture: this.atlas, origin: [0, band.y, band.page] }, data, { bytesPerRow }, [width, band.h, 1]);
+    await upload(atlas, most, ({ page, y, h, data }) => {
+      device.queue.writeTexture({ texture: this.atlas, origin: [0, y, page] }, data, { bytesPerRow }, [width, h, 1]);
     });
     this.atlasBytes = width * height * pages * 4;
   }
@@ -112,7 +108,7 @@ export class WebGpuRenderer {
   }
 
   #list(errors) {
-    const { data, opaque, soft } = instances(this.scene, this.pieces, this.places, errors);
+    const { data, opaque, soft } = withErrors(this.scene.instances, errors);
     this.counts = { opaque, soft };
     const size = Math.max(data.byteLength, INSTANCE_BYTES);
     this.instances ??= this.device.createBuffer({ size, usage: GPUBufferUsage.VERTEX | GPUBufferUsage.COPY_DST });

@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use tmpi_core::container::{Head, Part, PhotoFormat, PhotoRows, Picture, decode_rows, head};
+use tmpi_core::container::{Part, PhotoRows, decode_rows};
 use tmpi_core::{Class, Photo};
 
 use crate::strip::{Piece, strip};
@@ -15,7 +15,7 @@ pub enum Output {
     Text = 0,
     /// Text of a panic.
     Panic = 1,
-    /// Numbers of the head (see `Decoder::head`) or of the layers (see `Decoder::decode`), 64-bit floats, low byte first.
+    /// Numbers of the layers (see `Decoder::decode`), 64-bit floats, low byte first.
     Numbers = 2,
     /// Classes of all texels.
     Class = 3,
@@ -48,25 +48,6 @@ impl Decoder {
         &mut self.input
     }
 
-    /// Reads the head; leaves its numbers: width, height, tile size, stride, fx, fy, cx, cy, view box right, down and forward, bytes of
-    /// the container, whether bands may be read, then of the photo and of the hidden picture first byte, end and format (0 none, 1
-    /// JPEG, 2 PNG, 3 WebP).
-    ///
-    /// # Errors
-    /// Where the bytes are no container.
-    pub fn head(&mut self) -> Result<i32, String> {
-        let Some(Head { grid, intrinsics: k, view_box: v, photo, hidden, bands, bytes }) = head(&self.input).map_err(|e| e.to_string())?
-        else {
-            return Ok(0);
-        };
-        let mut numbers = [grid.width, grid.height, grid.size, grid.stride].map(f64::from).to_vec();
-        numbers.extend([k.fx, k.fy, k.cx, k.cy, v.x, v.y, v.z, bytes as f64, f64::from(u8::from(bands))]);
-        numbers.extend(picture(photo));
-        numbers.extend(picture(hidden));
-        self.put(&numbers);
-        Ok(1)
-    }
-
     /// Takes over what was handed over as the container.
     pub fn open(&mut self) {
         self.container = std::mem::take(&mut self.input);
@@ -86,8 +67,8 @@ impl Decoder {
         self.input = Vec::new();
     }
 
-    /// Decodes rows of tiles; leaves twelve columns of numbers, one value each for every layer: a, b, c of the plane, x, y, w, h of the
-    /// rectangle, tile, first texel, first hidden texel, count of visible texels, whether any texel is soft.
+    /// Decodes rows of tiles; leaves ten columns of numbers, one value each for every layer: a, b, c of the plane, x, y, w, h of the
+    /// rectangle, tile, count of visible texels, whether any texel is soft.
     ///
     /// # Errors
     /// Where the container is damaged.
@@ -97,19 +78,18 @@ impl Decoder {
         self.part = decode_rows(&self.container, &rows, &self.photo, hidden).map_err(|e| e.to_string())?;
         (self.container, self.input, self.hidden) = (Vec::new(), Vec::new(), None);
         let (layers, texels) = (&self.part.layers, &self.part.texels);
-        let rows: Vec<[f64; 12]> = layers
+        let rows: Vec<[f64; 10]> = layers
             .iter()
             .map(|l| {
                 let own = l.first_texel..l.first_texel + l.rect.area();
                 let visible = texels.class[own.clone()].iter().filter(|&&c| c == Class::Photo as u8).count();
                 let soft = texels.alpha[own].iter().any(|&a| a < u8::MAX);
                 let [x, y, w, h] = [l.rect.x, l.rect.y, l.rect.w, l.rect.h].map(f64::from);
-                let places = [l.first_texel, l.first_hidden, visible].map(|n| n as f64);
                 let (p, soft) = (l.plane, f64::from(u8::from(soft)));
-                [p.a, p.b, p.c, x, y, w, h, f64::from(l.tile), places[0], places[1], places[2], soft]
+                [p.a, p.b, p.c, x, y, w, h, f64::from(l.tile), visible as f64, soft]
             })
             .collect();
-        let columns: Vec<f64> = (0..12).flat_map(|column| rows.iter().map(move |row| row[column])).collect();
+        let columns: Vec<f64> = (0..10).flat_map(|column| rows.iter().map(move |row| row[column])).collect();
         self.put(&columns);
         Ok(1)
     }
@@ -143,15 +123,4 @@ impl Decoder {
     fn put(&mut self, numbers: &[f64]) {
         self.numbers = numbers.iter().flat_map(|n| n.to_le_bytes()).collect();
     }
-}
-
-/// First byte, end and format.
-fn picture(picture: Option<Picture>) -> [f64; 3] {
-    let Some(Picture { range, format }) = picture else { return [0.0; 3] };
-    let format = match format {
-        PhotoFormat::Jpeg => 1.0,
-        PhotoFormat::Png => 2.0,
-        PhotoFormat::WebP => 3.0,
-    };
-    [range.start as f64, range.end as f64, format]
 }

@@ -33,13 +33,6 @@ thread_local! {
     static PANIC: RefCell<String> = const { RefCell::new(String::new()) };
 }
 
-/// Reads the head from the first bytes of a container: 1 where it is there, 0 where more bytes are needed.
-#[allow(unsafe_code, reason = "a C name")]
-#[unsafe(no_mangle)]
-pub extern "C" fn tmpi_head() -> i32 {
-    call(Decoder::head)
-}
-
 /// Takes over a container; its pictures need not be in it, but zeros in their place.
 #[allow(unsafe_code, reason = "a C name")]
 #[unsafe(no_mangle)]

@@ -3,6 +3,7 @@
 use std::ops::Range;
 
 use prost::Message;
+use ruzstd::decoding::{BlockDecodingStrategy, FrameDecoder};
 
 use super::wire::{Codec, Index, Kind, Section};
 use super::part::Part;
@@ -16,11 +17,11 @@ const ALL_ROWS: Range<u32> = 0..u32::MAX;
 /// Decodes a picture of at most so many pixels right and down.
 pub type Pictures<'a> = &'a (dyn Fn(PhotoFormat, &[u8], (u32, u32)) -> Result<Photo, ContainerError> + Sync);
 
-/// Bytes of the header.
-pub(super) const HEADER: usize = 12;
 /// A zstd block has at least 4 bytes and holds at most 128 KiB.
 const ZSTD_LEAST_BLOCK: usize = 4;
 const ZSTD_MOST_CONTENT: usize = 128 << 10;
+/// A frame's window may be larger than its content by this: writers round it up.
+const ZSTD_SLACK: usize = 1 << 20;
 
 /// One section as the index names it.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -185,21 +186,10 @@ pub(super) fn unfold(
 
 /// Header and index checked; gives the index and the bytes after it.
 pub(super) fn split(bytes: &[u8]) -> Result<(Index, &[u8]), ContainerError> {
-    let length = index_length(bytes)?.ok_or_else(|| ContainerError::broken("shorter than its header"))?;
-    let rest = &bytes[HEADER..];
-    let (index, body) = rest.split_at_checked(length).ok_or_else(|| ContainerError::broken("the index is cut off"))?;
-    let index = parsed(index)?;
-    // also those that nobody asks for
-    index.sections.iter().try_for_each(|s| range(s, body).map(drop))?;
-    Ok((index, body))
-}
-
-/// Bytes of the index by the header; none where more bytes are needed to know.
-pub(super) fn index_length(bytes: &[u8]) -> Result<Option<usize>, ContainerError> {
-    if bytes.iter().zip(MAGIC).any(|(b, m)| *b != m) {
+    let head: [u8; 12] = bytes.first_chunk().copied().ok_or_else(|| ContainerError::broken("shorter than its header"))?;
+    if head[..4] != MAGIC {
         return Err(ContainerError::broken("it does not begin with \"TMPI\""));
     }
-    let Some(head) = bytes.first_chunk::<HEADER>() else { return Ok(None) };
     let found = u16::from_le_bytes([head[4], head[5]]);
     if found > MAJOR {
         return Err(ContainerError::Newer { found, known: MAJOR });
@@ -211,16 +201,15 @@ pub(super) fn index_length(bytes: &[u8]) -> Result<Option<usize>, ContainerError
     if length > bounds::INDEX {
         return Err(ContainerError::broken("the index is too long"));
     }
-    Ok(Some(length))
-}
-
-/// Reads the bytes of an index.
-pub(super) fn parsed(index: &[u8]) -> Result<Index, ContainerError> {
+    let rest = &bytes[12..];
+    let (index, body) = rest.split_at_checked(length).ok_or_else(|| ContainerError::broken("the index is cut off"))?;
     let index = Index::decode(index).map_err(|e| ContainerError::broken(format!("index: {e}")))?;
     if index.sections.len() > bounds::SECTIONS {
         return Err(ContainerError::broken("too many sections"));
     }
-    Ok(index)
+    // also those that nobody asks for
+    index.sections.iter().try_for_each(|s| range(s, body).map(drop))?;
+    Ok((index, body))
 }
 
 /// Index and grid, checked.
@@ -260,7 +249,7 @@ pub(super) fn range<'a>(s: &Section, body: &'a [u8]) -> Result<&'a [u8], Contain
 }
 
 /// Format of a picture section.
-pub(super) fn format(s: &Section) -> Result<PhotoFormat, ContainerError> {
+fn format(s: &Section) -> Result<PhotoFormat, ContainerError> {
     match s.codec() {
         Codec::Jpeg => Ok(PhotoFormat::Jpeg),
         Codec::Png => Ok(PhotoFormat::Png),
@@ -280,12 +269,11 @@ fn unpack(index: &Index, body: &[u8], kind: Kind, want: usize) -> Result<Vec<u8>
     }
     let raw = match s.codec() {
         Codec::Raw => data.to_vec(),
-        // at once rather than as a stream: that would reserve whatever window the frame asks for
         Codec::Zstd => {
             if want > (data.len() / ZSTD_LEAST_BLOCK).saturating_mul(ZSTD_MOST_CONTENT) {
                 return Err(ContainerError::broken(format!("section {} cannot unpack to {want} bytes", s.kind)));
             }
-            decompress(data, want).map_err(|e| ContainerError::broken(format!("section {}: {e}", s.kind)))?
+            decompress(data, want)?
         }
         _ => return Err(ContainerError::broken(format!("section {} has a picture codec", s.kind))),
     };
@@ -295,14 +283,28 @@ fn unpack(index: &Index, body: &[u8], kind: Kind, want: usize) -> Result<Vec<u8>
     Ok(raw)
 }
 
-#[cfg(feature = "write")]
-fn decompress(data: &[u8], want: usize) -> std::io::Result<Vec<u8>> {
-    zstd::bulk::decompress(data, want)
+/// A single zstd frame of exactly `want` bytes. Its window is bounded before it is reserved, what comes out while it is unpacked.
+fn decompress(mut data: &[u8], want: usize) -> Result<Vec<u8>, ContainerError> {
+    let fail = |e: &dyn std::fmt::Display| ContainerError::broken(format!("zstd: {e}"));
+    if zstd_window(data).is_some_and(|window| window > (want + ZSTD_SLACK) as u64) {
+        return Err(fail(&"a window larger than what it holds"));
+    }
+    let mut decoder = FrameDecoder::new();
+    decoder.init(&mut data).map_err(|e| fail(&e))?;
+    while !decoder.is_finished() {
+        decoder.decode_blocks(&mut data, BlockDecodingStrategy::UptoBlocks(1)).map_err(|e| fail(&e))?;
+        if decoder.can_collect() > want {
+            return Err(fail(&"more bytes than it says"));
+        }
+    }
+    Ok(decoder.collect().unwrap_or_default())
 }
 
-#[cfg(not(feature = "write"))]
-fn decompress(_: &[u8], _: usize) -> Result<Vec<u8>, &'static str> {
-    Err("it is compressed by zstd, which this program was built without")
+/// Window that a zstd frame names; none where it is a single segment, as large as its content.
+fn zstd_window(frame: &[u8]) -> Option<u64> {
+    let (flags, window) = (frame.get(4)?, u64::from(*frame.get(5)?));
+    let base = 1u64 << (10 + (window >> 3));
+    (flags & 0x20 == 0).then_some(base + base / 8 * (window & 7))
 }
 
 /// Bytes of the section of `count` planes as [`columns`] lays them out.

@@ -2,6 +2,7 @@
 
 mod bands;
 mod columns;
+mod crc;
 mod decode;
 #[cfg(feature = "write")]
 mod encode;
@@ -34,7 +35,7 @@ pub use decode::{decode, read};
 pub use encode::{Carries, HiddenAs, SectionBytes, encode, encode_in};
 #[cfg(feature = "write")]
 pub use level::{LEVELS, level};
-pub use part::{Head, Part, PhotoRows, Picture, decode_rows, head, reach};
+pub use part::{Part, PhotoRows, decode_rows, reach};
 pub use photo::{Carried, PhotoFormat};
 #[cfg(feature = "pictures")]
 pub use picture::decode as decode_picture;

@@ -1,60 +1,11 @@
-//! Reading a container as a browser does: its head as soon as the first bytes are there, its pictures by whoever can, its tiles in
-//! bands of whole rows that know nothing of each other, so that each may go to a worker of its own.
+//! Reading a container as a browser does: its pictures by whoever can, its tiles in bands of whole rows that know nothing of each
+//! other, so that each may go to a worker of its own.
 
 use std::ops::Range;
 
 use super::wire::Kind;
 use super::{ContainerError, PhotoFormat, decode};
-use crate::{Geometry, Grid, Intrinsics, Layer, Photo, Texels, ViewBox};
-
-/// What the first bytes of a container tell.
-#[derive(Clone, Debug)]
-pub struct Head {
-    /// The tiles.
-    pub grid: Grid,
-    /// The reference camera.
-    pub intrinsics: Intrinsics,
-    /// Camera positions that the scene was made for.
-    pub view_box: ViewBox,
-    /// The photo's file.
-    pub photo: Option<Picture>,
-    /// The file of carried hidden colours.
-    pub hidden: Option<Picture>,
-    /// Whether tiles can be read in bands: not where something runs through all texels.
-    pub bands: bool,
-    /// Bytes of the whole container.
-    pub bytes: u64,
-}
-
-/// A picture file in a container.
-#[derive(Clone, Debug)]
-pub struct Picture {
-    /// Its bytes in the container.
-    pub range: Range<u64>,
-    /// Its format.
-    pub format: PhotoFormat,
-}
-
-/// Reads what the first bytes of a container tell; none where more are needed.
-///
-/// # Errors
-/// [`ContainerError::Broken`] or [`ContainerError::Newer`].
-pub fn head(bytes: &[u8]) -> Result<Option<Head>, ContainerError> {
-    let Some(length) = decode::index_length(bytes)? else { return Ok(None) };
-    let start = decode::HEADER + length;
-    let Some(index) = bytes.get(decode::HEADER..start) else { return Ok(None) };
-    let index = decode::parsed(index)?;
-    let (grid, intrinsics, view_box) = decode::cameras(&index)?;
-    let end = |offset: u64, length: u64| (start as u64).saturating_add(offset).saturating_add(length);
-    let picture = |kind| {
-        let of = |s: &super::wire::Section| Ok(Picture { range: end(s.offset, 0)..end(s.offset, s.length), format: decode::format(s)? });
-        decode::find(&index, kind).map(of).transpose()
-    };
-    let bands = ![Kind::Alpha, Kind::Hidden].into_iter().any(|kind| decode::find(&index, kind).is_some());
-    let bytes = index.sections.iter().map(|s| end(s.offset, s.length)).max().unwrap_or(start as u64);
-    // a codec of hidden colours that is none matters only where there are any
-    Ok(Some(Head { grid, intrinsics, view_box, photo: picture(Kind::Photo)?, hidden: picture(Kind::Hidden).unwrap_or_default(), bands, bytes }))
-}
+use crate::{Geometry, Grid, Layer, Photo, Texels};
 
 /// Some rows of the photo.
 #[derive(Clone, Debug, Default)]
