@@ -1,5 +1,7 @@
 // A decoded scene: what the decoder gives, and what is drawn. Lengths are in pixels of the photo unless they say otherwise.
 
+export {};
+
 /** @typedef {{fx: number, fy: number, cx: number, cy: number}} Intrinsics */
 /** @typedef {{x: number, y: number, z: number}} Offset three numbers along the camera's axes: right, down, forward */
 

@@ -11,7 +11,6 @@ import { startDecoder } from './start.js';
 // what those import, named here so that all of it is fetched at once
 import './decoder.js';
 import './grid.js';
-import './scene.js';
 import '../draw/border.js';
 import '../draw/instances.js';
 import '../draw/texture-atlas.js';

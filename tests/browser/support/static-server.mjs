@@ -10,11 +10,12 @@ const TYPES = {
   '.css': 'text/css',
   '.html': 'text/html; charset=utf-8',
   '.svg': 'image/svg+xml',
+  '.wasm': 'application/wasm',
   '.wgsl': 'text/wgsl',
 };
 /** What the server has at addresses of its own. */
 const PAGES = { '/': 'app/upload-page.html', '/tmpi-viewer.js': 'element/tmpi-viewer.js' };
-const POLICY = "default-src 'self'; img-src 'self' blob: data:; object-src 'none'; base-uri 'none'; frame-ancestors 'self'";
+const POLICY = "default-src 'self'; script-src 'self' 'wasm-unsafe-eval'; img-src 'self' blob: data:; object-src 'none'; base-uri 'none'; frame-ancestors 'self'";
 
 /** Errors of the box's tiles: none, but a pixel in the last. */
 const TILE_PX = [0, 0, 0, 0, 0, 0, 0, 1];

@@ -1,7 +1,7 @@
 // What most suites need: a server with one photo, a browser, and pages in it.
 import { after, before } from 'node:test';
 import { launch, openPage } from './browser.mjs';
-import { boxScene, container } from './container.mjs';
+import { boxContainer } from './container.mjs';
 import { serve } from './static-server.mjs';
 
 /** Size of the box's photo. */
@@ -26,7 +26,7 @@ export function boxSuite({ webgpu = true, width = WIDTH, height = HEIGHT, delayM
     },
   };
   before(async () => {
-    suite.server = await serve({ atlas: atlas ?? container(boxScene(width, height)), delayMs });
+    suite.server = await serve({ atlas: atlas ?? boxContainer(width, height), delayMs });
     suite.browser = await launch({ webgpu });
   });
   after(async () => {
