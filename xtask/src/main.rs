@@ -1,9 +1,10 @@
-//! Tasks around the program: `cargo xtask serve`, `cargo xtask test`, `cargo xtask fetch`, `cargo xtask fuzz`.
+//! Tasks around the program: `cargo xtask serve`, `cargo xtask test`, `cargo xtask fetch`, `cargo xtask wasm`, `cargo xtask fuzz`.
 
 mod browser;
 mod command;
 mod fuzz;
 mod runtime;
+mod wasm;
 
 use std::process::ExitCode;
 use std::time::Instant;
@@ -17,6 +18,7 @@ usage: cargo xtask <task>
   test          formatting, lints, types of the pages' scripts, all tests, browser tests; installs what these need where it may
   fuzz [--seconds N] [TARGET…]
                 run the fuzzer on what reads foreign bytes (container, labels, planes, query), N seconds each
+  wasm          build the page's decoder, static/decode/decoder.wasm, from crates/decoder
   fetch         fetch ONNX Runtime into .tmpi/onnxruntime where it is missing";
 
 fn main() -> ExitCode {
@@ -27,6 +29,7 @@ fn main() -> ExitCode {
         Some("serve") => serve(&rest),
         Some("fuzz") => fuzz::fuzz(&rest),
         Some("test") if rest.is_empty() => test(),
+        Some("wasm") if rest.is_empty() => wasm::build(),
         Some("fetch") if rest.is_empty() => runtime::fetch().map_err(|e| e.in_step("ONNX Runtime")),
         Some("help" | "--help" | "-h") => {
             println!("{HELP}");

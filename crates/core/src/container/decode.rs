@@ -285,16 +285,17 @@ fn unpack(index: &Index, body: &[u8], kind: Kind, want: usize) -> Result<Vec<u8>
 
 /// A single zstd frame of exactly `want` bytes. Its window is bounded before it is reserved, what comes out while it is unpacked.
 fn decompress(mut data: &[u8], want: usize) -> Result<Vec<u8>, ContainerError> {
-    let fail = |e: &dyn std::fmt::Display| ContainerError::broken(format!("zstd: {e}"));
+    // its own errors' texts would be a tenth of the wasm
+    let damaged = || ContainerError::broken("a zstd frame is damaged");
     if zstd_window(data).is_some_and(|window| window > (want + ZSTD_SLACK) as u64) {
-        return Err(fail(&"a window larger than what it holds"));
+        return Err(ContainerError::broken("a zstd frame has a window larger than what it holds"));
     }
     let mut decoder = FrameDecoder::new();
-    decoder.init(&mut data).map_err(|e| fail(&e))?;
+    decoder.init(&mut data).map_err(|_| damaged())?;
     while !decoder.is_finished() {
-        decoder.decode_blocks(&mut data, BlockDecodingStrategy::UptoBlocks(1)).map_err(|e| fail(&e))?;
+        decoder.decode_blocks(&mut data, BlockDecodingStrategy::UptoBlocks(1)).map_err(|_| damaged())?;
         if decoder.can_collect() > want {
-            return Err(fail(&"more bytes than it says"));
+            return Err(ContainerError::broken("a zstd frame holds more than it says"));
         }
     }
     Ok(decoder.collect().unwrap_or_default())
