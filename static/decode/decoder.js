@@ -90,12 +90,12 @@ export class Decoder {
    * Fills a strip of a texture page.
    * @param {Uint32Array} pieces seven numbers each: layer, first column, first row, columns, rows, mirrored (1 columns, 2 rows), column in
    *   the strip
-   * @returns {Uint8Array} premultiplied RGBA, a buffer of its own
+   * @returns {Uint8Array<ArrayBuffer>} premultiplied RGBA, a buffer of its own
    */
   strip(pieces, width, height) {
     this.#hand(new Uint8Array(pieces.buffer, pieces.byteOffset, pieces.byteLength));
     this.#call('tmpi_strip', width, height);
-    return this.#output(STRIP).slice();
+    return new Uint8Array(this.#output(STRIP));
   }
 
   #hand(bytes) {

@@ -50,7 +50,8 @@ export function readHead(bytes) {
   const one = (field) => fields.findLast(([number]) => number === field)?.[1] ?? 0;
   const [width, height, tileSize, tileStride] = [1, 2, 3, 4].map((field) => one(field) % 2 ** 32);
   const [fx, fy, cx, cy, x, y, z] = [5, 6, 7, 8, 9, 10, 11].map(one);
-  if (!(width > 0 && height > 0) || width > MAX_SIDE || height > MAX_SIDE || width * height > MAX_PIXELS) broken('photo size out of bounds');
+  if (!(width > 0 && height > 0) || width > MAX_SIDE || height > MAX_SIDE || width * height > MAX_PIXELS)
+    broken('photo size out of bounds');
   if (!tileSize || tileStride * 2 < tileSize || tileStride > tileSize) broken('tile size out of bounds');
   if (![fx, fy, cx, cy, x, y, z].every(Number.isFinite)) broken('camera out of bounds');
   const sections = fields

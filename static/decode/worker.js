@@ -122,6 +122,7 @@ async function load({ url, photoOnly }) {
   const reader = /** @type {ReadableStream<Uint8Array>} */ (response.body).getReader();
   /** @type {Head | null} */
   let head = null;
+  /** @type {ReturnType<typeof decodePicture> | null} */
   let photo = null;
   let posted = 0;
   for (;;) {
@@ -154,7 +155,7 @@ async function load({ url, photoOnly }) {
   const bands = bandsFor(head, await module);
   try {
     const { scene, transfer } = await assembled(head, input, bands);
-    postMessage({ type: 'scene', scene: { ...scene, decodeMs: performance.now() - started } }, transfer);
+    self.postMessage({ type: 'scene', scene: { ...scene, decodeMs: performance.now() - started } }, { transfer });
   } finally {
     for (const band of bands) band.close();
   }
@@ -166,9 +167,9 @@ let own = null;
 async function help({ band, strips }) {
   if (band) own = new Band(band.module);
   if (!own) throw new Error('no band was given');
-  const value = band ? await own.decode(band) : await own.strips(strips);
-  const transfer = band ? [] : value.map(({ data }) => data.buffer);
-  self.postMessage({ type: 'done', value }, { transfer });
+  if (band) return self.postMessage({ type: 'done', value: await own.decode(band) });
+  const value = await own.strips(strips);
+  return self.postMessage({ type: 'done', value }, { transfer: value.map(({ data }) => data.buffer) });
 }
 
 self.onmessage = async ({ data }) => {

@@ -118,7 +118,13 @@ async function measured({ kind, file, runs }) {
   const first = await work(undefined);
   const again = await work(first.module ?? undefined);
   const megapixels = (scene.width * scene.height) / 1e6;
-  return { cold: first.times[0], again: again.times[0], warm: again.times.at(-1), pages: again.pages, memory: again.memory / 2 ** 20 / megapixels };
+  return {
+    cold: first.times[0],
+    again: again.times[0],
+    warm: again.times.at(-1),
+    pages: again.pages,
+    memory: again.memory / 2 ** 20 / megapixels,
+  };
 }
 
 const sorted = (list) => list.toSorted((a, b) => a - b);

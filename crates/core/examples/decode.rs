@@ -33,7 +33,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             *picture.lock().map_err(|_| "poisoned")? = Some(scene.photo);
         }
         times.sort_by(f64::total_cmp);
-        println!("{file}: least {:.1} ms, median {:.1} ms, {digest}", times.first().unwrap_or(&0.0), times.get(times.len() / 2).unwrap_or(&0.0));
+        println!(
+            "{file}: least {:.1} ms, median {:.1} ms, {digest}",
+            times.first().unwrap_or(&0.0),
+            times.get(times.len() / 2).unwrap_or(&0.0)
+        );
     }
     Ok(())
 }

@@ -86,7 +86,11 @@ fn golden_containers_and_damaged_ones_come_to_what_they_came_to() {
         let mut all = Sha256::new();
         for _ in 0..VARIANTS {
             let outcome = outcome(&damaged(&bytes, &mut random));
-            if outcome == "refused" { refused += 1 } else { read += 1 };
+            if outcome == "refused" {
+                refused += 1
+            } else {
+                read += 1
+            };
             all.update(outcome);
         }
         let all: String = all.finalize().iter().map(|b| format!("{b:02x}")).collect();

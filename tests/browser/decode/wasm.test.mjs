@@ -21,7 +21,7 @@ function pattern(width, height) {
 }
 
 /** Digest of a container decoded with the pattern for its pictures, or `refused`. */
-async function outcome(bytes, count) {
+async function outcome(bytes) {
   try {
     const head = readHead(bytes);
     if (!head) return 'refused';

@@ -6,7 +6,6 @@ import { readHead } from '../../../static/decode/head.js';
 import { pieces } from '../../../static/draw/border.js';
 import { INSTANCE_FLOATS } from '../../../static/draw/instances.js';
 import { pack, upload } from '../../../static/draw/texture-atlas.js';
-import { boxContainer } from '../support/container.mjs';
 import { scene as decoded, texels } from '../support/decoder.mjs';
 
 /** Sizes from a generator with a fixed seed. */
@@ -71,7 +70,7 @@ describe('texture atlas', () => {
       const pages = new Uint8Array(atlas.width * atlas.height * atlas.pages * 4);
       for (const strip of atlas.strips) pages.set(strip.data, (strip.page * atlas.height + strip.y) * atlas.width * 4);
       const { classes, alpha, hidden } = await texels(bytes, { photo });
-      let looked = [0, 0, 0];
+      const looked = [0, 0, 0];
       const starts = [];
       const ranks = [];
       let [texel, rank] = [0, 0];
@@ -100,7 +99,10 @@ describe('texture atlas', () => {
           }
         }
       });
-      assert.ok(looked.every((n) => n > 1000), `${looked} texels`);
+      assert.ok(
+        looked.every((n) => n > 1000),
+        `${looked} texels`,
+      );
     });
   }
 });

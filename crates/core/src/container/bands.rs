@@ -2,8 +2,8 @@
 
 use std::ops::Range;
 
-use super::wire::Band;
 use super::crc::crc32;
+use super::wire::Band;
 use super::{ContainerError, labels};
 use crate::parallel;
 use crate::scene::Grid;

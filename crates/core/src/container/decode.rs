@@ -5,11 +5,11 @@ use std::ops::Range;
 use prost::Message;
 use ruzstd::decoding::{BlockDecodingStrategy, FrameDecoder};
 
-use super::wire::{Codec, Index, Kind, Section};
 use super::part::Part;
+use super::wire::{Codec, Index, Kind, Section};
 use super::{ContainerError, MAGIC, MAJOR, PhotoFormat, bands, bounds, columns, hidden, labels, planes, select};
-use crate::parallel;
 use crate::layers::Surface;
+use crate::parallel;
 use crate::{Class, Geometry, Grid, Inpainter, Intrinsics, Layer, Photo, Scene, Texels, ViewBox};
 
 /// All rows of tiles.
