@@ -1,4 +1,5 @@
 //! What visibility and inpainting do along rows of pixels, in forms that vectorise; the same bits come out on every processor.
+#![allow(clippy::float_cmp, reason = "weights that are exactly 0 or 1 take a shorter way")]
 
 use std::ops::Range;
 

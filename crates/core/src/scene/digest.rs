@@ -22,6 +22,6 @@ impl Scene {
         hash.update(&self.texels.class);
         hash.update(&self.texels.alpha);
         hash.update(self.texels.hidden.as_flattened());
-        hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
+        hash.finalize().iter().fold(String::new(), |text, byte| text + &format!("{byte:02x}"))
     }
 }
