@@ -2,6 +2,7 @@
 
 mod bands;
 mod columns;
+mod crc;
 mod decode;
 #[cfg(feature = "write")]
 mod encode;
@@ -14,6 +15,7 @@ mod hidden;
 mod labels;
 #[cfg(feature = "write")]
 mod level;
+mod part;
 mod photo;
 #[cfg(feature = "pictures")]
 mod picture;
@@ -33,6 +35,7 @@ pub use decode::{decode, read};
 pub use encode::{Carries, HiddenAs, SectionBytes, encode, encode_in};
 #[cfg(feature = "write")]
 pub use level::{LEVELS, level};
+pub use part::{Part, PhotoRows, decode_rows, reach};
 pub use photo::{Carried, PhotoFormat};
 #[cfg(feature = "pictures")]
 pub use picture::decode as decode_picture;
