@@ -24,6 +24,7 @@ pub fn content_type(name: &str) -> &'static str {
         "jpg" | "jpeg" => "image/jpeg",
         "webp" => "image/webp",
         "ico" => "image/x-icon",
+        "wasm" => "application/wasm",
         "woff2" => "font/woff2",
         "tmpi" => tmpi_core::container::MEDIA_TYPE,
         "wgsl" | "txt" | "md" => "text/plain; charset=utf-8",

@@ -21,6 +21,9 @@ pub(super) struct InfoArgs {
     /// As JSON
     #[arg(long)]
     json: bool,
+    /// Only the SHA-256 of what it decodes to: layers, classes, alphas, hidden colours
+    #[arg(long, conflicts_with = "json")]
+    digest: bool,
 }
 
 pub(super) fn run(args: &InfoArgs) -> anyhow::Result<()> {
@@ -28,6 +31,9 @@ pub(super) fn run(args: &InfoArgs) -> anyhow::Result<()> {
     let context = || args.input.display().to_string();
     let sections = container::sections(&bytes).with_context(context)?;
     let scene = container::decode(&bytes).with_context(context)?;
+    if args.digest {
+        return result(&scene.digest());
+    }
     // A container that was decoded has its whole header
     let version = bytes.get(4..8).map_or([0, 0], |v| [u16::from_le_bytes([v[0], v[1]]), u16::from_le_bytes([v[2], v[3]])]);
     let (g, k, b) = (&scene.grid, &scene.intrinsics, &scene.view_box);

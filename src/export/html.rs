@@ -32,7 +32,7 @@ pub fn html(container: &[u8], title: &str) -> Result<Vec<u8>, ExportError> {
     let hash = |text: &str| format!("'sha256-{}'", STANDARD.encode(Sha256::digest(text)));
     // nothing outside this page, by order to the browser; scripts are this page's own and the worker made of it
     let policy = format!(
-        "default-src 'none'; script-src {} data: blob:; worker-src data: blob:; connect-src data: blob:; img-src data: blob:; style-src {}; \
+        "default-src 'none'; script-src {} data: blob: 'wasm-unsafe-eval'; worker-src data: blob:; connect-src data: blob:; img-src data: blob:; style-src {}; \
          base-uri 'none'; form-action 'none'",
         hash(&script),
         hash(STYLE),

@@ -16,13 +16,13 @@ use super::problem::Problem;
 use crate::assets::{FILES, content_type};
 
 /// Scripts and pictures of this server alone; the viewer's decoder needs blobs.
-const POLICY: &str = "default-src 'self'; img-src 'self' blob: data:; connect-src 'self' blob: data:; style-src 'self' 'unsafe-inline'; \
+const POLICY: &str = "default-src 'self'; script-src 'self' 'wasm-unsafe-eval'; img-src 'self' blob: data:; connect-src 'self' blob: data:; style-src 'self' 'unsafe-inline'; \
                       worker-src 'self' blob:; object-src 'none'; base-uri 'none'; form-action 'self'";
 /// Which sites may take an answer in as a picture or a script (Fetch standard, section 3.7).
 pub const RESOURCE_POLICY: HeaderName = HeaderName::from_static("cross-origin-resource-policy");
 
 /// The same where photos of other servers are shown.
-const OPEN_POLICY: &str = "default-src 'self'; img-src * blob: data:; connect-src * blob: data:; style-src 'self' 'unsafe-inline'; \
+const OPEN_POLICY: &str = "default-src 'self'; script-src 'self' 'wasm-unsafe-eval'; img-src * blob: data:; connect-src * blob: data:; style-src 'self' 'unsafe-inline'; \
                            worker-src 'self' blob:; object-src 'none'; base-uri 'none'; form-action 'self'";
 
 /// Who may show a page in a frame, or take a file in.

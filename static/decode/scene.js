@@ -1,5 +1,7 @@
 // A decoded scene: what the decoder gives, and what is drawn. Lengths are in pixels of the photo unless they say otherwise.
 
+export {};
+
 /** @typedef {{fx: number, fy: number, cx: number, cy: number}} Intrinsics */
 /** @typedef {{x: number, y: number, z: number}} Offset three numbers along the camera's axes: right, down, forward */
 
@@ -15,8 +17,8 @@
  */
 
 /**
- * Layers, one number each in every array: plane δ = a + b·u + c·v over the tile, rectangle, corner of its tile, first texel and first
- * hidden texel, count of visible texels, and whether any texel is soft.
+ * Layers, one number each in every array: plane δ = a + b·u + c·v over the tile, rectangle, corner of its tile, count of visible
+ * texels, and whether any texel is soft.
  * @typedef {object} Layers
  * @property {number} count
  * @property {Float64Array} a
@@ -28,18 +30,16 @@
  * @property {Uint32Array} h
  * @property {Uint32Array} tileX
  * @property {Uint32Array} tileY
- * @property {Uint32Array} firstTexel
- * @property {Uint32Array} firstHidden
  * @property {Uint32Array} visible
  * @property {Uint8Array} soft
  */
 
-/** @typedef {{width: number, height: number, data: Uint8ClampedArray}} Picture straight RGBA */
+/** @typedef {{width: number, height: number, data: Uint8Array | Uint8ClampedArray}} Picture straight RGBA */
+
+/** @import { Instances } from '../draw/instances.js' */
+/** @import { Atlas } from '../draw/texture-atlas.js' */
 
 /**
- * All of a scene. Texels of all layers lie in a row: `classes` and `alpha`; `hidden` has the colours of hidden ones, three bytes each.
- * @typedef {SceneHead & {layers: Layers, classes: Uint8Array, alpha: Uint8Array, hidden: Uint8Array, photo: Picture, decodeMs: number}} Scene
+ * All of a scene as it is drawn, and the time that decoding took.
+ * @typedef {SceneHead & {layers: Layers, instances: Instances, atlas: Atlas, decodeMs: number}} Scene
  */
-
-/** What a texel is, as in the server's `Class`. */
-export const Class = { EMPTY: 0, PHOTO: 1, HIDDEN: 2 };

@@ -1,76 +1,87 @@
 // Fetches and decodes a container off the page's thread.
-// In: {url, photoOnly}: with photoOnly it stops once the photo is there. Out: {type: 'progress', received, total}, {type: 'head', …}, {type: 'photo', blob}, {type: 'scene', scene}, {type: 'error', message}.
-// In: {band}, a job from another of these workers. Out: {type: 'part', part}.
-import { detached, resultBuffers, work } from './bands.js';
-import { decode, endOfAll, endOfSection, Kind, picture, readIndex, sceneHead, transferables } from './container.js';
+// In: {url, photoOnly}: with photoOnly it stops once the photo is there. Out: {type: 'progress', received, total}, {type: 'head', …},
+// {type: 'photo', blob}, {type: 'scene', scene}, {type: 'error', message}.
+// In: {band}, then {deep} and {strips}, from another of these workers. Out: {type: 'done', value}.
+import { Band } from './band.js';
+import { readHead } from './head.js';
+import { compiled } from './module.js';
 import { problemOf } from './problem.js';
+import { assembled } from './assemble.js';
 import { startDecoder } from './start.js';
 // what those import, named here so that all of it is fetched at once
-import './fill.js';
+import './decoder.js';
 import './grid.js';
-import './labels.js';
-import './peel.js';
-import './planes.js';
-import './protobuf.js';
-import './range.js';
-import './scene.js';
-import '../vendor/fzstd.js';
+import '../draw/border.js';
+import '../draw/half-float.js';
+import '../draw/instances.js';
+import '../draw/soft-stacks.js';
+import '../draw/texture-atlas.js';
+import '../view/camera.js';
+import '../view/limits.js';
+
+/** @import { Head } from './head.js' */
 
 /** Most bytes of a container. */
 const MAX_BYTES = 512 * 1024 * 1024;
 const POST_EVERY_MS = 100;
-/** Pixels that are worth a thread, and most threads: each begins with an empty heap and untried code. */
-const BAND_PIXELS = 500_000;
+/** Pixels that are worth a worker, and most workers. */
+const BAND_PIXELS = 1_000_000;
 const MAX_BANDS = 4;
 
-/** Threads beside this one that work on bands of labels and of tiles. */
-class Helpers {
-  #workers = [];
-
-  /** As many as the scene's size and the machine are good for. */
-  constructor({ width, height }) {
-    const wanted = Math.min(Math.ceil((width * height) / BAND_PIXELS), MAX_BANDS, navigator.hardwareConcurrency || 1);
-    try {
-      while (this.#workers.length + 1 < wanted) this.#workers.push(startDecoder());
-    } catch {
-      // where a worker may start no other, one is enough
-    }
+/** A band that another worker decodes: the calls of `Band`. */
+class RemoteBand {
+  constructor(module) {
+    this.worker = startDecoder();
+    this.module = module;
   }
 
-  get bands() {
-    return this.#workers.length + 1;
+  decode(job) {
+    return this.#ask({ band: { ...job, module: this.module } }, job.photo.data.buffer);
   }
 
-  /** Works on a band, the last one here; here too where a helper cannot be started. */
-  work(band, i) {
-    const worker = this.#workers[i];
-    // after the others have got theirs
-    if (!worker) return Promise.resolve().then(() => work(this.bands > 1 ? detached(band).band : band));
+  deep(job) {
+    return this.#ask({ deep: job });
+  }
+
+  strips(asked) {
+    return this.#ask({ strips: asked });
+  }
+
+  #ask(message, ...transfer) {
     return new Promise((done, fail) => {
-      worker.onmessage = ({ data }) => (data.type === 'part' ? done(data.part) : fail(new Error(data.message)));
-      worker.onerror = (event) => {
+      this.worker.onmessage = ({ data }) => (data.type === 'done' ? done(data.value) : fail(new Error(data.message)));
+      this.worker.onerror = (event) => {
         event.preventDefault();
-        done(work(band));
+        fail(new Error(event.message || 'a worker could not be started'));
       };
-      const { band: copy, buffers } = detached(band);
-      worker.postMessage({ band: copy }, buffers);
+      this.worker.postMessage(message, transfer);
     });
   }
 
   close() {
-    for (const worker of this.#workers) worker.terminate();
-    this.#workers = [];
+    this.worker.terminate();
   }
 }
 
-async function decodePicture({ bytes, type }) {
-  const bitmap = await createImageBitmap(new Blob([bytes], { type }), {
-    premultiplyAlpha: 'none',
-    colorSpaceConversion: 'none',
-    imageOrientation: 'none',
-  });
+/** As many bands as the scene's size and the machine are good for; the first is decoded here. */
+function bandsFor({ scene, bands }, module) {
+  const most = bands ? Math.min(MAX_BANDS, navigator.hardwareConcurrency || 1) : 1;
+  const wanted = Math.min(Math.floor((scene.width * scene.height) / BAND_PIXELS), most);
+  /** @type {(Band | RemoteBand)[]} */
+  const all = [new Band(module)];
+  try {
+    while (all.length < wanted) all.push(new RemoteBand(module));
+  } catch {
+    // where a worker may start no other, one is enough
+  }
+  return all;
+}
+
+async function decodePicture(blob) {
+  const bitmap = await createImageBitmap(blob, { premultiplyAlpha: 'none', colorSpaceConversion: 'none', imageOrientation: 'none' });
   const { width, height } = bitmap;
   const context = new OffscreenCanvas(width, height).getContext('2d', { willReadFrequently: true });
+  if (!context) throw new Error('the browser has no canvas for workers');
   context.drawImage(bitmap, 0, 0);
   bitmap.close();
   const { data } = context.getImageData(0, 0, width, height);
@@ -99,17 +110,25 @@ class Download {
   get bytes() {
     return this.buffer.subarray(0, this.length);
   }
+
+  blob({ start, end, type }) {
+    return new Blob([this.bytes.slice(start, end)], { type });
+  }
 }
 
 async function load({ url, photoOnly }) {
+  const module = photoOnly ? null : compiled();
+  // reported when it is awaited
+  module?.catch(() => {});
   const response = await fetch(url);
   if (!response.ok) throw new Error(await problemOf(response));
   // with a content coding the header counts packed bytes
   const total = response.headers.get('content-encoding') ? 0 : Number(response.headers.get('content-length')) || 0;
   const download = new Download(Math.min(total, MAX_BYTES));
-  const reader = response.body.getReader();
+  const reader = /** @type {ReadableStream<Uint8Array>} */ (response.body).getReader();
+  /** @type {Head | null} */
   let head = null;
-  let helpers = null;
+  /** @type {ReturnType<typeof decodePicture> | null} */
   let photo = null;
   let posted = 0;
   for (;;) {
@@ -117,14 +136,16 @@ async function load({ url, photoOnly }) {
     if (done) break;
     download.push(value);
     if (!head) {
-      head = readIndex(download.bytes);
-      // they start while the rest comes
-      if (head && !photoOnly) helpers = new Helpers(head.index);
-      if (head) postMessage({ type: 'head', head: { ...sceneHead(head.index), total: endOfAll(head) } });
+      head = readHead(download.bytes);
+      if (head) postMessage({ type: 'head', head: { ...head.scene, total: head.bytes } });
     }
-    if (head && !photo && download.length >= endOfSection(head, Kind.PHOTO)) {
-      photo = showPhoto(download.bytes, head, photoOnly);
+    if (head && !photo && download.length >= head.photo.end) {
+      const blob = download.blob(head.photo);
+      postMessage({ type: 'photo', blob });
       if (photoOnly) return reader.cancel();
+      photo = decodePicture(blob);
+      // reported when it is awaited
+      photo.catch(() => {});
     }
     const now = performance.now();
     if (now - posted > POST_EVERY_MS) {
@@ -132,36 +153,37 @@ async function load({ url, photoOnly }) {
       postMessage({ type: 'progress', received: download.length, total });
     }
   }
+  if (!head || !photo || !module) throw new Error('the container is cut off');
   postMessage({ type: 'progress', received: download.length, total: download.length });
+  const hidden = head.hidden && (await decodePicture(download.blob(head.hidden)).catch(() => null));
+  const input = { bytes: download.bytes, photo: await photo, hidden };
   const started = performance.now();
-  const elsewhere = helpers && ((band, i) => helpers.work(band, i));
-  const scene = await decode(download.bytes, decodePicture, photo, elsewhere, helpers?.bands).finally(() => helpers?.close());
-  scene.decodeMs = performance.now() - started;
-  postMessage({ type: 'scene', scene }, transferables(scene));
+  const bands = bandsFor(head, await module);
+  try {
+    const { scene, transfer } = await assembled(head, input, bands);
+    self.postMessage({ type: 'scene', scene: { ...scene, decodeMs: performance.now() - started } }, { transfer });
+  } finally {
+    for (const band of bands) band.close();
+  }
 }
 
-/** Posts the photo's file for the page to show at once, and starts to decode it. */
-function showPhoto(bytes, head, photoOnly) {
-  const file = picture(bytes, head, Kind.PHOTO);
-  // the download's buffer may be replaced while the picture is decoded
-  const blob = new Blob([file.bytes], { type: file.type });
-  postMessage({ type: 'photo', blob });
-  if (photoOnly) return null;
-  const decoded = decodePicture({ bytes: blob, type: file.type });
-  // reported when it is awaited
-  decoded.catch(() => {});
-  return decoded;
+/** @type {Band | null} */
+let own = null;
+
+async function help({ band, deep, strips }) {
+  if (band) own = new Band(band.module);
+  if (!own) throw new Error('no band was given');
+  if (band) return self.postMessage({ type: 'done', value: await own.decode(band) });
+  if (deep) return self.postMessage({ type: 'done', value: await own.deep(deep) });
+  const value = await own.strips(strips);
+  return self.postMessage({ type: 'done', value }, { transfer: value.map(({ data }) => data.buffer) });
 }
 
 self.onmessage = async ({ data }) => {
   try {
-    if (data.band) {
-      const part = work(data.band);
-      postMessage({ type: 'part', part }, resultBuffers(part));
-    } else {
-      await load(data);
-    }
+    await (data.url ? load(data) : help(data));
   } catch (error) {
+    console.error(error.message);
     postMessage({ type: 'error', message: error.message });
   }
 };

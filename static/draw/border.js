@@ -2,7 +2,7 @@
 // that of crates/render/src/border.rs: the scene is mirrored, not the picture, so the continuation moves as the photo does.
 import { margins } from '../view/limits.js';
 
-/** @import { Scene } from '../decode/scene.js' */
+/** @import { Layers, SceneHead } from '../decode/scene.js' */
 
 /**
  * A part of a layer that is drawn: place in reference pixels (`x` to `h`), from and to where it is drawn in texels from its upper left
@@ -13,7 +13,7 @@ import { margins } from '../view/limits.js';
 
 /**
  * The parts of layers that are drawn: each layer at its own place first, then what is mirrored beyond the borders.
- * @param {Scene} scene
+ * @param {SceneHead & {layers: Layers}} scene
  * @returns {Piece[]}
  */
 export function pieces(scene) {

@@ -22,3 +22,19 @@ export function premultipliedHalves() {
   }
   return out;
 }
+
+/**
+ * Straight RGBA as premultiplied 16-bit floats.
+ * @param {Uint8Array} bytes
+ * @param {Uint16Array} table of `premultipliedHalves`
+ */
+export function inHalves(bytes, table) {
+  const out = new Uint16Array(bytes.length);
+  for (let i = 0; i < bytes.length; i += 4) {
+    const alpha = bytes[i + 3];
+    if (alpha === 0) continue;
+    for (let c = 0; c < 3; c++) out[i + c] = table[bytes[i + c] * 256 + alpha];
+    out[i + 3] = table[255 * 256 + alpha];
+  }
+  return out;
+}

@@ -8,30 +8,50 @@ import { tileCounts } from '../decode/grid.js';
 export const INSTANCE_FLOATS = 12;
 
 /**
+ * Instances, `opaque` of them for pass 1 and `soft` for pass 2 either way, and the number of each one's tile, row by row.
+ * @typedef {{data: Float32Array<ArrayBuffer>, tiles: Uint32Array<ArrayBuffer>, opaque: number, soft: number}} Instances
+ */
+
+/**
  * Instances as the shaders take them: first all pieces in layer order for pass 1, then those with a soft edge for pass 2, back to
  * front by disparity at the piece's centre, and these again as a camera sees them that looks backward.
- * @param {Scene} scene
+ * @param {Pick<Scene, 'layers' | 'width' | 'height' | 'tileSize' | 'tileStride'>} scene
  * @param {Piece[]} pieces
  * @param {{page: Uint32Array, atlasX: Uint32Array, atlasY: Uint32Array}} places
- * @param {number[]} [errors] parallax error in pixels of each tile, row by row, for the overlay that shows it
- * @returns {{data: Float32Array<ArrayBuffer>, opaque: number, soft: number}} with the count of pieces, and of those with a soft edge
+ * @returns {Instances}
  */
-export function instances(scene, pieces, { page, atlasX, atlasY }, errors = []) {
+export function instances(scene, pieces, { page, atlasX, atlasY }) {
   const half = scene.tileSize / 2;
   const mean = pieces.map((p) => p.a + (p.b * (p.x + p.w / 2 - p.cx)) / half + (p.c * (p.y + p.h / 2 - p.cy)) / half);
   const softs = [...pieces.keys()].filter((i) => scene.layers.soft[pieces[i].layer]);
   const inOrder = (/** @type {number} */ sign) => softs.toSorted((i, j) => sign * (mean[i] - mean[j]) || i - j);
   const order = [...pieces.keys(), ...inOrder(1), ...inOrder(-1)];
   const data = new Float32Array(order.length * INSTANCE_FLOATS);
+  const tiles = new Uint32Array(order.length);
   order.forEach((i, slot) => {
     const p = pieces[i];
-    const plane = [p.a, p.b, p.c, page[i] + shareOf(errors[tileOf(scene, p.layer)])];
     const rect = [p.x + p.left, p.y + p.upper, p.right - p.left, p.lower - p.upper];
-    data.set([...plane, p.cx, p.cy, ...rect, atlasX[i] + p.left, atlasY[i] + p.upper], slot * INSTANCE_FLOATS);
+    data.set([p.a, p.b, p.c, page[i], p.cx, p.cy, ...rect, atlasX[i] + p.left, atlasY[i] + p.upper], slot * INSTANCE_FLOATS);
+    tiles[slot] = tileOf(scene, p.layer);
   });
-  return { data, opaque: pieces.length, soft: softs.length };
+  return { data, tiles, opaque: pieces.length, soft: softs.length };
 }
 
+/**
+ * The same with the parallax error in pixels of each tile, row by row, for the overlay that shows it.
+ * @param {Instances} instances
+ * @param {number[]} errors
+ */
+export function withErrors({ data, tiles, ...counts }, errors) {
+  const out = data.slice();
+  tiles.forEach((tile, slot) => {
+    out[slot * INSTANCE_FLOATS + PAGE] += shareOf(errors[tile]);
+  });
+  return { data: out, tiles, ...counts };
+}
+
+/** Place of the page among the floats of an instance. */
+const PAGE = 3;
 /** Parallax error in pixels that is shown as the largest. */
 const MOST_PX = 1;
 
@@ -45,7 +65,7 @@ function shareOf(px) {
 
 /**
  * Number of a layer's tile, row by row.
- * @param {Scene} scene
+ * @param {Pick<Scene, 'layers' | 'width' | 'height' | 'tileSize' | 'tileStride'>} scene
  * @param {number} layer
  */
 function tileOf(scene, layer) {

@@ -1,6 +1,6 @@
 // Where many soft texels lie over each other, 8 bits a layer are not enough.
 
-/** @import { Scene } from '../decode/scene.js' */
+/** @import { Layers } from '../decode/scene.js' */
 /** @import { Piece } from './border.js' */
 /** @import { Places } from './texture-atlas.js' */
 
@@ -12,28 +12,30 @@ const MOST_BYTES = 128 * 1024 * 1024;
 const OPAQUE = 0.99 * 255;
 
 /**
- * True where a scene is to be kept and drawn in 16-bit floats.
- * @param {Scene} scene
- * @param {Piece[]} pieces
- * @param {Places} places
+ * True where an atlas of 16-bit floats has a place.
+ * @param {Pick<Places, 'width' | 'height' | 'pages'>} places
  */
-export function needsFloats(scene, pieces, { width, height, pages }) {
-  return width * height * pages * 8 <= MOST_BYTES && hasDeepStacks(scene, pieces);
+export function floatsFit({ width, height, pages }) {
+  return width * height * pages * 8 <= MOST_BYTES;
 }
 
 /**
  * True where more than `STACK` soft texels are drawn over a pixel of the photo: of one tile, or of several where their borders overlap.
- * @param {Scene} scene
- * @param {Piece[]} pieces
+ * @param {{width: number, height: number}} photo
+ * @param {Pick<Layers, 'w' | 'h' | 'soft' | 'count'>} layers of these tiles
+ * @param {Uint8Array} alpha of all their texels
+ * @param {Piece[]} pieces of these layers
  */
-export function hasDeepStacks({ layers, alpha, width, height }, pieces) {
+export function hasDeepStacks({ width, height }, layers, alpha, pieces) {
+  const firstTexel = new Float64Array(layers.count);
+  for (let i = 1; i < layers.count; i++) firstTexel[i] = firstTexel[i - 1] + layers.w[i - 1] * layers.h[i - 1];
   const over = new Uint8Array(width * height);
   for (const p of pieces) {
     // what is mirrored beyond the border is as it is within
     if (p.flipX || p.flipY || !layers.soft[p.layer]) continue;
     const [left, right] = [Math.floor(p.left), Math.ceil(p.right)];
     for (let v = Math.floor(p.upper); v < Math.ceil(p.lower); v++) {
-      const texel = layers.firstTexel[p.layer] + v * layers.w[p.layer];
+      const texel = firstTexel[p.layer] + v * layers.w[p.layer];
       const pixel = (p.y + v) * width + p.x;
       for (let u = left; u < right; u++) {
         const a = alpha[texel + u];

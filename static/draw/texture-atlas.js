@@ -1,8 +1,5 @@
-// Places the pieces of a scene on the pages of a texture array, and fills these with premultiplied RGBA.
-import { Class } from '../decode/scene.js';
-import { premultipliedHalves } from './half-float.js';
+// Places the pieces of a scene on the pages of a texture array; the decoder fills these with premultiplied RGBA, strip by strip.
 
-/** @import { Scene } from '../decode/scene.js' */
 /** @import { Piece } from './border.js' */
 
 /**
@@ -13,28 +10,34 @@ import { premultipliedHalves } from './half-float.js';
  * Place of each piece, size and count of pages, and the bands that they are filled by.
  * @typedef {{page: Uint32Array, atlasX: Uint32Array, atlasY: Uint32Array, width: number, height: number, pages: number, bands: Band[]}} Places
  */
+/**
+ * Pages of a texture array, and what they are filled with: strips of their full width, of bytes or, where it is wide, 16-bit floats.
+ * @typedef {{page: number, y: number, h: number, data: Uint8Array<ArrayBuffer> | Uint16Array<ArrayBuffer>}} Strip
+ * @typedef {{width: number, height: number, pages: number, wide: boolean, strips: Strip[]}} Atlas
+ */
 
 /** Width of a page where the scene fits one. */
 const PAGE_STEP = 256;
-/** Time that building may hold the page before it lets others run. */
-const SLICE_MS = 12;
+/** Side of a page at most while the pieces themselves are smaller: any graphics device has that. */
+const PAGE_SIDE = 4096;
+/** Time that uploading may hold the page before it lets others run. */
+const SLICE_MS = 8;
 
 /**
- * Shelf packing, tallest rectangles first.
- * @param {{w: number, h: number}[]} pieces
- * @param {number} side largest width and height of a page
- * @param {number} most largest count of pages
+ * Shelf packing, tallest rectangles first, as crates/render has it. Pieces of different groups, numbered from 0, share no strip.
+ * @param {Pick<Piece, 'w' | 'h'>[]} pieces
+ * @param {number[]} [groups] the group of each
  * @returns {Places}
- * @throws where they do not fit
  */
-export function pack(pieces, side, most) {
+export function pack(pieces, groups = pieces.map(() => 0)) {
   const n = pieces.length;
-  const order = [...pieces.keys()].sort((i, j) => pieces[j].h - pieces[i].h || i - j);
+  const order = [...pieces.keys()].sort((i, j) => groups[i] - groups[j] || pieces[j].h - pieces[i].h || i - j);
   let area = 0;
-  let widest = 1;
+  let [widest, side] = [1, PAGE_SIDE];
   for (const { w, h } of pieces) {
     area += w * h;
     widest = Math.max(widest, w);
+    side = Math.max(side, w, h);
   }
   const roundUp = (/** @type {number} */ v) => Math.ceil(v / PAGE_STEP) * PAGE_STEP;
   const width = Math.min(side, roundUp(Math.max(widest, Math.sqrt(area))));
@@ -51,19 +54,19 @@ export function pack(pieces, side, most) {
   /** @type {Band | null} */
   let band = null;
   let x = 0;
+  let group = 0;
   for (const i of order) {
     const { w, h } = pieces[i];
-    if (w > side || h > side) throw new Error(`a layer of ${w} × ${h} pixels does not fit the graphics device`);
-    if (!band || x + w > width) {
+    if (!band || x + w > width || groups[i] !== group) {
       /** @type {number[]} */
       let [page, y] = band ? [band.page, band.y + band.h] : [0, 0];
       if (y + h > side) [page, y] = [page + 1, 0];
-      if (page >= most) throw new Error('the layers do not fit the graphics device');
       band = { page, y, h, pieces: [], x: [] };
       places.bands.push(band);
       places.height = Math.max(places.height, y + h);
       places.pages = page + 1;
       x = 0;
+      group = groups[i];
     }
     places.page[i] = band.page;
     places.atlasX[i] = x;
@@ -76,74 +79,26 @@ export function pack(pieces, side, most) {
 }
 
 /**
- * Expands band after band and hands each to `write(band, data)`, with pauses that let the page live.
- * @param {Scene} scene
- * @param {Piece[]} pieces
- * @param {Places} places
- * @param {boolean} wide texels of 16-bit floats instead of bytes
- * @param {(band: Band, data: Uint8Array<ArrayBuffer> | Uint16Array<ArrayBuffer>) => void} write
+ * @param {Atlas} atlas
+ * @param {{side: number, pages: number}} most what the graphics device can hold
+ * @throws where the atlas does not fit
  */
-export async function expandAll(scene, pieces, { bands, width }, wide, write) {
-  const halves = wide ? premultipliedHalves() : null;
+export function checkFit({ width, height, pages }, most) {
+  if (Math.max(width, height) > most.side || pages > most.pages) throw new Error('the layers do not fit the graphics device');
+}
+
+/**
+ * Hands each strip to `write`, with pauses that let the page live.
+ * @param {Atlas} atlas
+ * @param {(strip: Strip) => void} write
+ */
+export async function upload({ strips }, write) {
   let slice = performance.now();
-  for (const band of bands) {
-    write(band, expandBand(scene, pieces, band, width, halves));
+  for (const strip of strips) {
+    write(strip);
     if (performance.now() - slice > SLICE_MS) {
       await new Promise((resume) => setTimeout(resume));
       slice = performance.now();
     }
   }
-}
-
-/**
- * Premultiplied RGBA of a band, `width × band.h`: bytes, or the 16-bit floats of a table.
- * @param {Scene} scene
- * @param {Piece[]} pieces
- * @param {Band} band
- * @param {number} width
- * @param {Uint16Array | null} halves
- */
-function expandBand(scene, pieces, band, width, halves) {
-  const { layers, classes, alpha, hidden, photo } = scene;
-  const out = halves ? new Uint16Array(width * band.h * 4) : new Uint8Array(width * band.h * 4);
-  const colour = halves ? (/** @type {number} */ value, /** @type {number} */ a) => halves[value * 256 + a] : premultiplied;
-  band.pieces.forEach((p, k) => {
-    const piece = pieces[p];
-    const i = piece.layer;
-    const w = layers.w[i];
-    let from = layers.firstHidden[i] * 3;
-    // hidden colours lie in a row, so those before the piece are counted too
-    for (let v = 0; v < piece.v + piece.h; v++) {
-      let texel = layers.firstTexel[i] + v * w;
-      const inRows = v >= piece.v;
-      const row = piece.flipY ? piece.h - 1 - (v - piece.v) : v - piece.v;
-      for (let u = 0; u < w; u++, texel++) {
-        const kind = classes[texel];
-        if (kind === Class.EMPTY) continue;
-        const own = from;
-        if (kind === Class.HIDDEN) from += 3;
-        if (!inRows || u < piece.u || u >= piece.u + piece.w) continue;
-        const column = piece.flipX ? piece.w - 1 - (u - piece.u) : u - piece.u;
-        const to = (row * width + band.x[k] + column) * 4;
-        const a = alpha[texel];
-        const visible = kind === Class.PHOTO;
-        const source = visible ? photo.data : hidden;
-        const at = visible ? ((layers.y[i] + v) * scene.width + layers.x[i] + u) * 4 : own;
-        out[to] = colour(source[at], a);
-        out[to + 1] = colour(source[at + 1], a);
-        out[to + 2] = colour(source[at + 2], a);
-        out[to + 3] = halves ? colour(255, a) : a;
-      }
-    }
-  });
-  return out;
-}
-
-/**
- * `value · alpha / 255`, rounded to nearest.
- * @param {number} value
- * @param {number} alpha
- */
-function premultiplied(value, alpha) {
-  return ((value * alpha + 127) / 255) | 0;
 }

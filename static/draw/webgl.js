@@ -1,10 +1,8 @@
 // Draws a decoded scene with WebGL2 where there is no WebGPU: the same shader, translated, on the same atlas and instances.
-import { pieces } from './border.js';
 import { WebGlMean } from './depth-of-field/mean-webgl.js';
 import { OPAQUE_FRAGMENT, SCENE_VERTEX, SOFT_FRAGMENT } from './glsl.js';
-import { INSTANCE_FLOATS, instances } from './instances.js';
-import { needsFloats } from './soft-stacks.js';
-import { expandAll, pack } from './texture-atlas.js';
+import { INSTANCE_FLOATS, withErrors } from './instances.js';
+import { checkFit, upload } from './texture-atlas.js';
 import { looksBackward, UNIFORM_BYTES, VERTICES, viewUniform } from './view-uniform.js';
 import { copier } from './webgl-copy.js';
 import { program } from './webgl-program.js';
@@ -97,7 +95,7 @@ export class WebGlRenderer {
    */
   setTileErrors(errors) {
     const { gl } = this;
-    const { data, opaque, soft } = instances(this.#scene, this.#loaded.pieces, this.#loaded.places, errors);
+    const { data, opaque, soft } = withErrors(this.#scene.instances, errors);
     this.#counts = { opaque, soft };
     gl.bufferData(gl.ARRAY_BUFFER, data, gl.STATIC_DRAW);
   }
@@ -127,7 +125,7 @@ export class WebGlRenderer {
    */
   drawMean(frames, before) {
     const { gl } = this;
-    this.#mean ??= new WebGlMean(gl, this.#loaded.copy, this.wide ? gl.RGBA16F : gl.RGBA8);
+    this.#mean ??= new WebGlMean(gl, this.#loaded.copy, this.halves ? gl.RGBA16F : gl.RGBA8);
     const part = this.#mean.part(gl.drawingBufferWidth, gl.drawingBufferHeight);
     frames.forEach((views, i) => {
       this.#passes(views, part);
@@ -228,25 +226,25 @@ export class WebGlRenderer {
  * @param {Scene} scene
  */
 async function load(gl, scene) {
-  const all = pieces(scene);
   const opaque = program(gl, SCENE_VERTEX, OPAQUE_FRAGMENT);
   const soft = program(gl, SCENE_VERTEX, SOFT_FRAGMENT);
-  const places = pack(all, gl.getParameter(gl.MAX_TEXTURE_SIZE), gl.getParameter(gl.MAX_ARRAY_TEXTURE_LAYERS));
-  const { width, height, pages } = places;
-  const wide = hasHalfFloatTargets(gl) && needsFloats(scene, all, places);
+  const { width, height, pages, wide: halves } = scene.atlas;
+  checkFit(scene.atlas, { side: gl.getParameter(gl.MAX_TEXTURE_SIZE), pages: gl.getParameter(gl.MAX_ARRAY_TEXTURE_LAYERS) });
+  // texels of 16-bit floats are always to be had, targets are not: then the sum is rounded layer by layer
+  const wide = halves && hasHalfFloatTargets(gl);
   gl.bindTexture(gl.TEXTURE_2D_ARRAY, gl.createTexture());
-  gl.texStorage3D(gl.TEXTURE_2D_ARRAY, 1, wide ? gl.RGBA16F : gl.RGBA8, width, height, pages);
+  gl.texStorage3D(gl.TEXTURE_2D_ARRAY, 1, halves ? gl.RGBA16F : gl.RGBA8, width, height, pages);
   gl.texParameteri(gl.TEXTURE_2D_ARRAY, gl.TEXTURE_MIN_FILTER, gl.LINEAR);
   for (const axis of [gl.TEXTURE_WRAP_S, gl.TEXTURE_WRAP_T]) gl.texParameteri(gl.TEXTURE_2D_ARRAY, axis, gl.CLAMP_TO_EDGE);
-  const type = wide ? gl.HALF_FLOAT : gl.UNSIGNED_BYTE;
-  await expandAll(scene, all, places, wide, (band, data) => {
-    gl.texSubImage3D(gl.TEXTURE_2D_ARRAY, 0, 0, band.y, band.page, width, band.h, 1, gl.RGBA, type, data);
+  const type = halves ? gl.HALF_FLOAT : gl.UNSIGNED_BYTE;
+  await upload(scene.atlas, ({ page, y, h, data }) => {
+    gl.texSubImage3D(gl.TEXTURE_2D_ARRAY, 0, 0, y, page, width, h, 1, gl.RGBA, type, data);
   });
   // the one block of the programs is at binding 0
   gl.bindBufferBase(gl.UNIFORM_BUFFER, 0, gl.createBuffer());
   gl.bufferData(gl.UNIFORM_BUFFER, UNIFORM_BYTES, gl.DYNAMIC_DRAW);
   gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
-  return { pieces: all, places, wide, opaque, soft, copy: copier(gl) };
+  return { wide, opaque, soft, copy: copier(gl) };
 }
 
 /**

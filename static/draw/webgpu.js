@@ -1,10 +1,8 @@
 // Draws a decoded scene with WebGPU by tmpi.wgsl, the shader that the server's gpu backend uses too; its header is the contract.
-import { pieces } from './border.js';
 import { WebGpuMean } from './depth-of-field/mean-webgpu.js';
 import { acquireDevice } from './device.js';
-import { INSTANCE_FLOATS, instances } from './instances.js';
-import { needsFloats } from './soft-stacks.js';
-import { expandAll, pack } from './texture-atlas.js';
+import { INSTANCE_FLOATS, withErrors } from './instances.js';
+import { checkFit, upload } from './texture-atlas.js';
 import { looksBackward, UNIFORM_BYTES, VERTICES, viewUniform } from './view-uniform.js';
 import { copyPipeline, copyTexture } from './webgpu-copy.js';
 
@@ -91,7 +89,7 @@ export class WebGpuRenderer {
    */
   setTileErrors(errors) {
     if (this.disposed) return;
-    const { data, opaque, soft } = instances(this.#scene, this.#loaded.pieces, this.#loaded.places, errors);
+    const { data, opaque, soft } = withErrors(this.#scene.instances, errors);
     const size = Math.max(data.byteLength, INSTANCE_BYTES);
     const buffer = this.#instances?.buffer ?? this.device.createBuffer({ size, usage: GPUBufferUsage.VERTEX | GPUBufferUsage.COPY_DST });
     this.#instances = { buffer, opaque, soft };
@@ -258,15 +256,15 @@ export class WebGpuRenderer {
 async function load(shared, scene) {
   const device = shared.handle;
   const format = navigator.gpu.getPreferredCanvasFormat();
-  const all = pieces(scene);
-  const places = pack(all, device.limits.maxTextureDimension2D, device.limits.maxTextureArrayLayers);
-  const wide = needsFloats(scene, all, places);
+  const { width, height, pages, wide } = scene.atlas;
+  const most = { side: device.limits.maxTextureDimension2D, pages: device.limits.maxTextureArrayLayers };
+  checkFit(scene.atlas, most);
   const target = wide ? WIDE_FORMAT : format;
   const { scene: module, copy, layout } = await shared.once('shaders', () => shadersOf(device));
   const passes = await shared.once(target, () => passesOf(device, module, layout, target));
   const uniforms = device.createBuffer({ size: UNIFORM_BYTES, usage: GPUBufferUsage.UNIFORM | GPUBufferUsage.COPY_DST });
   const atlas = device.createTexture({
-    size: [places.width, places.height, places.pages],
+    size: [width, height, pages],
     format: wide ? WIDE_FORMAT : 'rgba8unorm',
     usage: GPUTextureUsage.TEXTURE_BINDING | GPUTextureUsage.COPY_DST,
   });
@@ -275,9 +273,9 @@ async function load(shared, scene) {
     atlas.destroy();
   };
   try {
-    const bytesPerRow = places.width * (wide ? 8 : 4);
-    await expandAll(scene, all, places, wide, (band, data) => {
-      device.queue.writeTexture({ texture: atlas, origin: [0, band.y, band.page] }, data, { bytesPerRow }, [places.width, band.h, 1]);
+    const bytesPerRow = width * (wide ? 8 : 4);
+    await upload(scene.atlas, ({ page, y, h, data }) => {
+      device.queue.writeTexture({ texture: atlas, origin: [0, y, page] }, data, { bytesPerRow }, [width, h, 1]);
     });
   } catch (error) {
     dispose();
@@ -292,7 +290,7 @@ async function load(shared, scene) {
     ],
   });
   const round = copyPipeline(device, copy, format);
-  return { format, target, wide, pieces: all, places, uniforms, bindings, passes, copy, round, dispose };
+  return { format, target, wide, uniforms, bindings, passes, copy, round, dispose };
 }
 
 /** @param {URL} address */

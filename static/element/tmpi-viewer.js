@@ -32,10 +32,8 @@ const STYLE = `
 const MODULES = [
   'decode/grid.js',
   'decode/problem.js',
-  'decode/scene.js',
   'decode/start.js',
   'draw/backends.js',
-  'draw/border.js',
   'draw/depth-of-field/aperture.js',
   'draw/depth-of-field/mean-webgl.js',
   'draw/depth-of-field/mean-webgpu.js',

@@ -11,7 +11,13 @@ import { parseArgs } from 'node:util';
 import { launch } from './support/browser.mjs';
 
 const STATIC = fileURLToPath(new URL('../../static/', import.meta.url));
-const TYPES = { '.js': 'text/javascript', '.png': 'image/png', '.webp': 'image/webp', '.tmpi': 'application/vnd.tmpi' };
+const TYPES = {
+  '.js': 'text/javascript',
+  '.wasm': 'application/wasm',
+  '.png': 'image/png',
+  '.webp': 'image/webp',
+  '.tmpi': 'application/vnd.tmpi',
+};
 const TICK_MS = 5;
 
 const { values, positionals } = parseArgs({

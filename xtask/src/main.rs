@@ -1,10 +1,12 @@
-//! Tasks around the program: `cargo xtask serve`, `cargo xtask test`, `cargo xtask fetch`, `cargo xtask shaders`, `cargo xtask fuzz`.
+//! Tasks around the program: `cargo xtask serve`, `cargo xtask test`, `cargo xtask fetch`, `cargo xtask shaders`, `cargo xtask wasm`,
+//! `cargo xtask fuzz`.
 
 mod browser;
 mod command;
 mod fuzz;
 mod runtime;
 mod shaders;
+mod wasm;
 
 use std::process::ExitCode;
 use std::time::Instant;
@@ -19,6 +21,7 @@ usage: cargo xtask <task>
   fuzz [--seconds N] [TARGET…]
                 run the fuzzer on what reads foreign bytes (container, labels, planes, query), N seconds each
   shaders       make the GLSL of static/draw/glsl.js from the WGSL
+  wasm          build the page's decoder, static/decode/decoder.wasm, from crates/decoder
   fetch         fetch ONNX Runtime into .tmpi/onnxruntime where it is missing";
 
 fn main() -> ExitCode {
@@ -30,6 +33,7 @@ fn main() -> ExitCode {
         Some("fuzz") => fuzz::fuzz(&rest),
         Some("test") if rest.is_empty() => test(),
         Some("shaders") if rest.is_empty() => shaders::write(),
+        Some("wasm") if rest.is_empty() => wasm::build(),
         Some("fetch") if rest.is_empty() => runtime::fetch().map_err(|e| e.in_step("ONNX Runtime")),
         Some("help" | "--help" | "-h") => {
             println!("{HELP}");

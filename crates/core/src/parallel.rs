@@ -16,14 +16,6 @@ pub fn map_init<S, T: Send>(count: usize, init: impl Fn() -> S + Send + Sync, f:
     (0..count).map(|i| f(&mut scratch, i)).collect()
 }
 
-/// `f` of every row of `width` values, with the row's number.
-pub fn each_row<T: Send>(values: &mut [T], width: usize, f: impl Fn(usize, &mut [T]) + Send + Sync) {
-    #[cfg(feature = "threads")]
-    values.par_chunks_mut(width).enumerate().for_each(|(y, row)| f(y, row));
-    #[cfg(not(feature = "threads"))]
-    values.chunks_mut(width).enumerate().for_each(|(y, row)| f(y, row));
-}
-
 /// `f` of every item, until one fails.
 ///
 /// # Errors

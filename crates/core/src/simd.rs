@@ -6,6 +6,8 @@
 macro_rules! dispatch {
     ($(#[$doc:meta])* $vis:vis $name:ident, $body:ident, $avx2:ident, ($($arg:ident: $ty:ty),* $(,)?) $(-> $ret:ty)?) => {
         $(#[$doc])*
+        // wasm: a function of its own is made quick while the first run goes on, one that was inlined is not
+        #[inline(never)]
         #[allow(unsafe_code, reason = "the call is guarded by the test for the features that it needs")]
         $vis fn $name($($arg: $ty),*) $(-> $ret)? {
             #[cfg(target_arch = "x86_64")]

@@ -4,7 +4,7 @@ import { readFileSync } from 'node:fs';
 import { createRequire } from 'node:module';
 import { after, before, describe, test } from 'node:test';
 import { launch, openPage, PATIENCE_MS, waitForMode } from '../support/browser.mjs';
-import { boxScene, container } from '../support/container.mjs';
+import { boxContainer } from '../support/container.mjs';
 import { boxPhoto } from '../support/pictures.mjs';
 import { serve } from '../support/static-server.mjs';
 
@@ -43,7 +43,7 @@ describe('every control', () => {
   let server;
   let browser;
   before(async () => {
-    server = await serve({ atlas: container(boxScene(200, 120)) });
+    server = await serve({ atlas: boxContainer() });
     browser = await launch();
   });
   after(async () => {

@@ -32,6 +32,7 @@ describe('modules', () => {
     );
   });
 
+  // decode/scene.js has types alone
   test('every module is needed by some page', () => {
     const roots = [
       'app/upload-page.js',
@@ -45,7 +46,7 @@ describe('modules', () => {
     ];
     const needed = new Set(roots.flatMap((root) => [...graph(root)]));
     assert.deepEqual(
-      files().filter((name) => name.endsWith('.js') && !needed.has(name)),
+      files().filter((name) => name.endsWith('.js') && !needed.has(name) && name !== 'decode/scene.js'),
       [],
     );
   });

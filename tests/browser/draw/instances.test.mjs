@@ -1,17 +1,17 @@
 // The instances that the shaders draw.
 import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
-import { decode } from '../../../static/decode/container.js';
 import { pieces } from '../../../static/draw/border.js';
-import { INSTANCE_FLOATS, instances } from '../../../static/draw/instances.js';
+import { INSTANCE_FLOATS, instances, withErrors } from '../../../static/draw/instances.js';
 import { pack } from '../../../static/draw/texture-atlas.js';
-import { boxScene, container } from '../support/container.mjs';
+import { boxContainer } from '../support/container.mjs';
+import { scene as decoded } from '../support/decoder.mjs';
 import { readPng } from '../support/pictures.mjs';
 
 describe('instances', async () => {
-  const scene = await decode(new Uint8Array(container(boxScene())), async ({ bytes }) => readPng(bytes));
+  const scene = await decoded(new Uint8Array(boxContainer()), readPng);
   const all = pieces(scene);
-  const places = pack(all, 2048, 16);
+  const places = pack(all);
   /** Instance `i` by the names of tmpi.wgsl. */
   const read = (data, i) => {
     const [a, b, c, page, cx, cy, x, y, w, h] = data.subarray(i * INSTANCE_FLOATS, (i + 1) * INSTANCE_FLOATS);
@@ -30,7 +30,7 @@ describe('instances', async () => {
 
   test('a tile’s error is the fraction beside its page, less than one', () => {
     const errors = [0, 0.5, 7];
-    const { data } = instances(scene, all, places, errors);
+    const { data } = withErrors(instances(scene, all, places), errors);
     const shares = new Map();
     all.forEach((p, i) => shares.set(scene.layers.tileX[p.layer] + scene.layers.tileY[p.layer] * 1000, read(data, i).page % 1));
     const [first, second, third] = [0, 56, 112].map((x) => shares.get(x));

@@ -1,11 +1,12 @@
 // Places of pieces on the pages of the texture array, and what is written there.
 import assert from 'node:assert/strict';
+import { readFileSync } from 'node:fs';
 import { describe, test } from 'node:test';
-import { decode } from '../../../static/decode/container.js';
+import { readHead } from '../../../static/decode/head.js';
 import { pieces } from '../../../static/draw/border.js';
-import { expandAll, pack } from '../../../static/draw/texture-atlas.js';
-import { boxScene, container } from '../support/container.mjs';
-import { readPng } from '../support/pictures.mjs';
+import { INSTANCE_FLOATS } from '../../../static/draw/instances.js';
+import { pack, upload } from '../../../static/draw/texture-atlas.js';
+import { scene as decoded, texels } from '../support/decoder.mjs';
 
 /** Sizes from a generator with a fixed seed. */
 function sizes(count, most) {
@@ -18,57 +19,90 @@ function sizes(count, most) {
 }
 
 describe('texture atlas', () => {
-  test('pieces lie on their pages without overlap', () => {
-    const all = sizes(300, 70);
-    const { page, atlasX, atlasY, width, height, pages } = pack(all, 256, 64);
-    assert.ok(pages > 1 && width <= 256 && height <= 256);
-    const taken = new Set();
-    all.forEach(({ w, h }, i) => {
-      assert.ok(page[i] < pages && atlasX[i] + w <= width && atlasY[i] + h <= height, `piece ${i}`);
-      for (let y = atlasY[i]; y < atlasY[i] + h; y++) {
-        for (let x = atlasX[i]; x < atlasX[i] + w; x++) {
-          const at = (page[i] * height + y) * width + x;
-          assert.ok(!taken.has(at), `two pieces at ${x}, ${y} of page ${page[i]}`);
-          taken.add(at);
-        }
+  test('pieces lie on their pages without overlap, those of two groups in strips of their own', () => {
+    for (const groups of [undefined, Array.from({ length: 3000 }, (_, i) => Number(i > 1700))]) {
+      const all = sizes(3000, 170);
+      const { page, atlasX, atlasY, width, height, pages, bands } = pack(all, groups);
+      assert.ok(pages > 1 && width <= 4096 && height <= 4096, `${pages} pages of ${width} × ${height}`);
+      const rows = new Map();
+      all.forEach(({ w, h }, i) => {
+        assert.ok(page[i] < pages && atlasX[i] + w <= width && atlasY[i] + h <= height, `piece ${i}`);
+        const strip = bands.find((band) => band.pieces.includes(i));
+        assert.ok(strip && strip.page === page[i] && strip.y === atlasY[i] && h <= strip.h, `piece ${i}`);
+        assert.ok(!groups || strip.pieces.every((other) => groups[other] === groups[i]), `piece ${i}`);
+        rows.set(strip, [...(rows.get(strip) ?? []), [atlasX[i], atlasX[i] + w]]);
+      });
+      for (const places of rows.values()) {
+        places.sort((p, q) => p[0] - q[0]);
+        for (let k = 1; k < places.length; k++) assert.ok(places[k - 1][1] <= places[k][0], 'two pieces in one place');
       }
-    });
+      const strips = bands.toSorted((p, q) => p.page - q.page || p.y - q.y);
+      for (let k = 1; k < strips.length; k++) {
+        assert.ok(strips[k - 1].page < strips[k].page || strips[k - 1].y + strips[k - 1].h <= strips[k].y, 'two strips in one place');
+      }
+    }
   });
 
-  test('what does not fit is refused', () => {
-    assert.equal(pack([{ w: 100, h: 10 }], 100, 1).pages, 1);
-    assert.throws(() => pack([{ w: 101, h: 10 }], 100, 1), /does not fit/);
-    const two = [
-      { w: 100, h: 100 },
-      { w: 100, h: 100 },
-    ];
-    assert.equal(pack(two, 100, 2).pages, 2);
-    assert.throws(() => pack(two, 100, 1), /do not fit/);
+  test('what does not fit the device is refused', async () => {
+    assert.equal(pack([{ w: 5000, h: 10 }]).width, 5000);
+    const atlas = { width: 5000, height: 10, pages: 2, strips: [] };
+    await upload(atlas, { side: 5000, pages: 2 }, () => {});
+    for (const most of [
+      { side: 4999, pages: 2 },
+      { side: 5000, pages: 1 },
+    ]) {
+      await assert.rejects(
+        upload(atlas, most, () => {}),
+        /do not fit/,
+      );
+    }
   });
 
-  test('the texels written are those of the layers, premultiplied, and mirrored beyond the border', async () => {
-    const scene = await decode(new Uint8Array(container(boxScene())), async ({ bytes }) => readPng(bytes));
-    const all = pieces(scene);
-    assert.ok(all.some((p) => p.flipX) && all.some((p) => p.flipY), 'the scene goes on beyond its border');
-    const places = pack(all, 2048, 16);
-    const atlas = new Uint8Array(places.width * places.height * places.pages * 4);
-    await expandAll(scene, all, places, false, (band, data) => atlas.set(data, (band.page * places.height + band.y) * places.width * 4));
-    const { layers, classes, alpha, photo } = scene;
-    let looked = 0;
-    all.forEach((p, i) => {
-      for (let v = 0; v < p.h; v++) {
-        for (let u = 0; u < p.w; u++) {
-          const [x, y] = [p.u + (p.flipX ? p.w - 1 - u : u), p.v + (p.flipY ? p.h - 1 - v : v)];
-          const texel = layers.firstTexel[p.layer] + y * layers.w[p.layer] + x;
-          const at = ((places.page[i] * places.height + places.atlasY[i] + v) * places.width + places.atlasX[i] + u) * 4;
-          assert.equal(atlas[at + 3], classes[texel] ? alpha[texel] : 0);
-          if (classes[texel] !== 1) continue;
-          const from = ((layers.y[p.layer] + y) * scene.width + layers.x[p.layer] + x) * 4;
-          for (let c = 0; c < 3; c++) assert.equal(atlas[at + c], Math.round((photo.data[from + c] * alpha[texel]) / 255));
-          looked++;
+  for (const count of [1, 2]) {
+    test(`the texels written are those of the layers, premultiplied, and mirrored beyond the border: ${count} bands`, async () => {
+      const bytes = new Uint8Array(readFileSync(new URL('../../golden/v1_3.tmpi', import.meta.url)));
+      const { width, height } = readHead(bytes).scene;
+      const photo = { width, height, data: Uint8Array.from({ length: width * height * 4 }, (_, i) => (i * 7 + (i >> 9)) & 255) };
+      const scene = await decoded(bytes, async () => photo, count);
+      const all = pieces(scene);
+      assert.ok(all.some((p) => p.flipX) && all.some((p) => p.flipY), 'the scene goes on beyond its border');
+      const { atlas, layers } = scene;
+      const pages = new Uint8Array(atlas.width * atlas.height * atlas.pages * 4);
+      for (const strip of atlas.strips) pages.set(strip.data, (strip.page * atlas.height + strip.y) * atlas.width * 4);
+      const { classes, alpha, hidden } = await texels(bytes, { photo });
+      const looked = [0, 0, 0];
+      const starts = [];
+      const ranks = [];
+      let [texel, rank] = [0, 0];
+      for (let i = 0; i < layers.count; i++) {
+        starts.push(texel);
+        for (let k = 0; k < layers.w[i] * layers.h[i]; k++, texel++) {
+          ranks.push(rank);
+          if (classes[texel] === 2) rank++;
         }
       }
+      all.forEach((p, i) => {
+        const { instances } = scene;
+        const [page, left, upper] = [3, 10, 11].map((k) => instances.data[i * INSTANCE_FLOATS + k]);
+        const [atlasX, atlasY] = [left - p.left, upper - p.upper];
+        for (let v = 0; v < p.h; v++) {
+          for (let u = 0; u < p.w; u++) {
+            const [x, y] = [p.u + (p.flipX ? p.w - 1 - u : u), p.v + (p.flipY ? p.h - 1 - v : v)];
+            const texel = starts[p.layer] + y * layers.w[p.layer] + x;
+            const at = ((page * atlas.height + atlasY + v) * atlas.width + atlasX + u) * 4;
+            const kind = classes[texel];
+            looked[kind]++;
+            assert.equal(pages[at + 3], kind ? alpha[texel] : 0);
+            const from = ((layers.y[p.layer] + y) * width + layers.x[p.layer] + x) * 4;
+            const source = kind === 1 ? photo.data.subarray(from) : hidden.subarray(ranks[texel] * 3);
+            for (let c = 0; c < 3; c++) assert.equal(pages[at + c], kind ? Math.round((source[c] * alpha[texel]) / 255) : 0);
+          }
+        }
+      });
+      assert.ok(
+        looked.every((n) => n > 1000),
+        `${looked} texels`,
+      );
     });
-    assert.ok(looked > 20_000, `${looked} texels`);
-  });
+  }
 });

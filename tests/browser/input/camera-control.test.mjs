@@ -4,11 +4,11 @@ import { describe, test } from 'node:test';
 import { CameraControl, quantised } from '../../../static/input/camera-control.js';
 import { Motion } from '../../../static/input/motion.js';
 import { lookingAt } from '../../../static/view/camera.js';
-import { boxScene } from '../support/container.mjs';
+import { BOX_HEAD } from '../support/container.mjs';
 
 const control = () => {
   const made = new CameraControl(new Motion());
-  made.know(boxScene(), null);
+  made.know(BOX_HEAD, null);
   return made;
 };
 

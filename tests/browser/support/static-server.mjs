@@ -10,20 +10,22 @@ const TYPES = {
   '.css': 'text/css',
   '.html': 'text/html; charset=utf-8',
   '.svg': 'image/svg+xml',
+  '.wasm': 'application/wasm',
   '.wgsl': 'text/wgsl',
 };
 /** What the server has at addresses of its own. */
 const PAGES = { '/': 'app/upload-page.html', '/tmpi-viewer.js': 'element/tmpi-viewer.js' };
-const POLICY = "default-src 'self'; img-src 'self' blob: data:; object-src 'none'; base-uri 'none'; frame-ancestors 'self'";
+const POLICY =
+  "default-src 'self'; script-src 'self' 'wasm-unsafe-eval'; img-src 'self' blob: data:; object-src 'none'; base-uri 'none'; frame-ancestors 'self'";
 
 /** Errors of the box's tiles: none, but a pixel in the last. */
 const TILE_PX = [0, 0, 0, 0, 0, 0, 0, 1];
 
 /**
- * @param {{atlas: Buffer, delayMs?: number}} photo
+ * @param {{atlas: Buffer, delayMs?: number, wasm?: boolean}} photo `wasm`: whether the page's policy allows WebAssembly
  * @returns {Promise<{url: string, views: string[], deleted: string[], mostAtOnce: () => number, close: () => Promise<void>}>}
  */
-export async function serve({ atlas, delayMs = 0 }) {
+export async function serve({ atlas, delayMs = 0, wasm = true }) {
   const views = [];
   const deleted = [];
   const patches = [];
@@ -34,7 +36,8 @@ export async function serve({ atlas, delayMs = 0 }) {
     const url = new URL(request.url, 'http://localhost');
     const send = (status, type, body) => {
       const headers = { 'content-type': type, 'content-length': Buffer.byteLength(body), 'access-control-allow-origin': '*' };
-      if (!url.pathname.startsWith('/embed')) headers['content-security-policy'] = POLICY;
+      if (!url.pathname.startsWith('/embed'))
+        headers['content-security-policy'] = wasm ? POLICY : POLICY.replace(" 'wasm-unsafe-eval'", '');
       response.writeHead(status, headers);
       response.end(body);
     };

@@ -1,7 +1,7 @@
 // What most suites need: a server with one photo, a browser, and pages in it.
 import { after, before } from 'node:test';
 import { launch, openPage } from './browser.mjs';
-import { boxScene, container } from './container.mjs';
+import { boxContainer } from './container.mjs';
 import { serve } from './static-server.mjs';
 
 /** Size of the box's photo. */
@@ -11,10 +11,10 @@ export const STILL = { reducedMotion: 'reduce' };
 
 /**
  * The box's photo on a server, and a browser; to be called in `describe`.
- * @param {{webgpu?: boolean, width?: number, height?: number, delayMs?: number, atlas?: Buffer}} [options] `delayMs`: pause in the
- *   container, after the photo; `atlas`: another container
+ * @param {{webgpu?: boolean, width?: number, height?: number, delayMs?: number, wasm?: boolean, atlas?: Buffer}} [options] `delayMs`: pause in the
+ *   container, after the photo; `wasm`: whether the policy allows WebAssembly; `atlas`: another container
  */
-export function boxSuite({ webgpu = true, width = WIDTH, height = HEIGHT, delayMs = 0, atlas } = {}) {
+export function boxSuite({ webgpu = true, width = WIDTH, height = HEIGHT, delayMs = 0, wasm = true, atlas } = {}) {
   const suite = {
     server: null,
     browser: null,
@@ -26,7 +26,7 @@ export function boxSuite({ webgpu = true, width = WIDTH, height = HEIGHT, delayM
     },
   };
   before(async () => {
-    suite.server = await serve({ atlas: atlas ?? container(boxScene(width, height)), delayMs });
+    suite.server = await serve({ atlas: atlas ?? boxContainer(width, height), delayMs, wasm });
     suite.browser = await launch({ webgpu });
   });
   after(async () => {

@@ -1,14 +1,14 @@
 // Poses and angles.
 import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
-import { decode } from '../../../static/decode/container.js';
 import { anglesOf, extrinsics, HOME, lookingAt, pivotOf } from '../../../static/view/camera.js';
-import { boxScene, container } from '../support/container.mjs';
+import { boxContainer } from '../support/container.mjs';
+import { scene as decoded } from '../support/decoder.mjs';
 import { BOX, readPng } from '../support/pictures.mjs';
 
 describe('camera', () => {
   test('turns about the middle', async () => {
-    const scene = await decode(new Uint8Array(container(boxScene())), async ({ bytes }) => readPng(bytes));
+    const scene = await decoded(new Uint8Array(boxContainer()), readPng);
     const pivot = pivotOf(scene);
     assert.ok(Math.abs(pivot - BOX.far) < 0.01, `most of the picture is wall: ${pivot}`);
   });

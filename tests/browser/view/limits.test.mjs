@@ -2,10 +2,10 @@
 import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
 import { limitsOf, margins } from '../../../static/view/limits.js';
-import { boxScene } from '../support/container.mjs';
+import { BOX_HEAD } from '../support/container.mjs';
 
 describe('limits', () => {
-  const scene = boxScene();
+  const scene = BOX_HEAD;
 
   test('a usual view box is open as far as it goes, its margins are as wide as the nearest plane moves', () => {
     const { x, y, share } = margins(scene);

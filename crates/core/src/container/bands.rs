@@ -2,6 +2,7 @@
 
 use std::ops::Range;
 
+use super::crc::crc32;
 use super::wire::Band;
 use super::{ContainerError, labels};
 use crate::parallel;
@@ -58,7 +59,7 @@ pub fn encode(grid: &Grid, counts: &[u8], all: &[u8], rows: u32) -> (Vec<u8>, Ve
         work.push((part, own));
     }
     let streams: Vec<Vec<u8>> = parallel::map_init(work.len(), || (), |(), i| labels::encode(&work[i].0.grid, work[i].0.counts, work[i].1));
-    let band = |(part, data): (&Part, &Vec<u8>)| Band { rows: part.grid.rows(), length: data.len() as u32, check: crc32fast::hash(data) };
+    let band = |(part, data): (&Part, &Vec<u8>)| Band { rows: part.grid.rows(), length: data.len() as u32, check: crc32(data) };
     let bands = work.iter().map(|(part, _)| part).zip(&streams).map(band).collect();
     (streams.concat(), bands)
 }
@@ -86,7 +87,7 @@ pub fn decode(grid: &Grid, counts: &[u8], bands: &[Band], data: &[u8], wanted: &
         }
     }
     parallel::try_each(work, |(i, part, band, own, data)| {
-        if crc32fast::hash(data) != band.check {
+        if crc32(data) != band.check {
             return Err(ContainerError::broken(format!("labels: band {} of {} is damaged", i + 1, bands.len())));
         }
         labels::decode_into(&part.grid, part.counts, data, own)

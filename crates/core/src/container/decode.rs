@@ -3,9 +3,12 @@
 use std::ops::Range;
 
 use prost::Message;
+use ruzstd::decoding::{BlockDecodingStrategy, FrameDecoder};
 
+use super::part::Part;
 use super::wire::{Codec, Index, Kind, Section};
 use super::{ContainerError, MAGIC, MAJOR, PhotoFormat, bands, bounds, columns, hidden, labels, planes, select};
+use crate::layers::Surface;
 use crate::parallel;
 use crate::{Class, Geometry, Grid, Inpainter, Intrinsics, Layer, Photo, Scene, Texels, ViewBox};
 
@@ -17,6 +20,8 @@ pub type Pictures<'a> = &'a (dyn Fn(PhotoFormat, &[u8], (u32, u32)) -> Result<Ph
 /// A zstd block has at least 4 bytes and holds at most 128 KiB.
 const ZSTD_LEAST_BLOCK: usize = 4;
 const ZSTD_MOST_CONTENT: usize = 128 << 10;
+/// A frame's window may be larger than its content by this: writers round it up.
+const ZSTD_SLACK: usize = 1 << 20;
 
 /// One section as the index names it.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -134,28 +139,49 @@ pub fn decode_with(bytes: &[u8], pictures: Pictures) -> Result<Scene, ContainerE
     let (index, body) = split(bytes)?;
     let (photo, geometry) = parts(&index, body, &ALL_ROWS, pictures)?;
     let Geometry { grid, intrinsics, view_box, .. } = geometry;
-    let (mut layers, mut texels) = (Vec::new(), Texels::default());
-    let shapes = geometry.masks();
-    let carried = find(&index, Kind::Hidden).is_some();
-    if !carried {
-        let colours = Inpainter::new(&photo, &geometry).fill_all(&shapes);
-        texels.hidden = colours.into_iter().flatten().flatten().collect();
-    }
-    for (tile, shapes) in shapes.into_iter().enumerate() {
-        for s in shapes.layers {
-            layers.push(Layer { tile: tile as u32, plane: s.plane, rect: s.rect, first_texel: texels.class.len(), first_hidden: 0 });
-            texels.class.extend(s.class);
-            texels.alpha.extend(s.alpha);
-        }
-    }
-    refine_alpha(&index, body, &mut texels.alpha)?;
-    let hidden_count = count_hidden(&mut layers, &texels.class);
-    if carried {
-        texels.hidden = hidden_colours(&index, body, &layers, &texels.class, hidden_count, pictures)?;
-    }
+    let tiles = 0..geometry.tiles.len() as u32;
+    let Part { layers, texels, .. } = unfold(&index, body, &geometry, tiles, geometry.surface(), &photo.rgb, pictures)?;
     let scene = Scene { grid, intrinsics, view_box, photo, layers, texels };
     scene.validate().map_err(|e| ContainerError::broken(e.to_string()))?;
     Ok(scene)
+}
+
+/// Layers and texels of some tiles. `surface` and `rgb` have the rows that these follow from, the same ones.
+pub(super) fn unfold(
+    index: &Index,
+    body: &[u8],
+    geometry: &Geometry,
+    tiles: Range<u32>,
+    surface: Surface,
+    rgb: &[[u8; 3]],
+    pictures: Pictures,
+) -> Result<Part, ContainerError> {
+    let (mut layers, mut texels) = (Vec::new(), Texels::default());
+    let shapes = geometry.masks_of(tiles.clone(), &surface, false);
+    let carried = find(index, Kind::Hidden).is_some();
+    if !carried {
+        let colours = Inpainter::on(geometry.grid, surface, rgb).fill_tiles(tiles.start, &shapes);
+        texels.hidden.reserve_exact(colours.iter().flatten().map(Vec::len).sum());
+        for colours in colours.iter().flatten() {
+            texels.hidden.extend_from_slice(colours);
+        }
+    }
+    let count = shapes.iter().flat_map(|s| &s.layers).map(|l| l.class.len()).sum();
+    texels.class.reserve_exact(count);
+    texels.alpha.reserve_exact(count);
+    for (tile, shapes) in tiles.zip(shapes) {
+        for s in shapes.layers {
+            layers.push(Layer { tile, plane: s.plane, rect: s.rect, first_texel: texels.class.len(), first_hidden: 0 });
+            texels.class.extend_from_slice(&s.class);
+            texels.alpha.extend_from_slice(&s.alpha);
+        }
+    }
+    refine_alpha(index, body, &mut texels.alpha)?;
+    let hidden = count_hidden(&mut layers, &texels.class);
+    if carried {
+        texels.hidden = hidden_colours(index, body, &layers, &texels.class, hidden, pictures)?;
+    }
+    Ok(Part { layers, texels })
 }
 
 /// Header and index checked; gives the index and the bytes after it.
@@ -193,7 +219,7 @@ pub(super) fn declared(bytes: &[u8]) -> Result<(Index, Grid), ContainerError> {
     Ok((index, grid))
 }
 
-fn cameras(i: &Index) -> Result<(Grid, Intrinsics, ViewBox), ContainerError> {
+pub(super) fn cameras(i: &Index) -> Result<(Grid, Intrinsics, ViewBox), ContainerError> {
     let k = Intrinsics { fx: i.fx, fy: i.fy, cx: i.cx, cy: i.cy };
     let v = ViewBox { x: i.view_x, y: i.view_y, z: i.view_z };
     let grid = Grid { width: i.width, height: i.height, size: i.tile_size, stride: i.tile_stride };
@@ -201,7 +227,7 @@ fn cameras(i: &Index) -> Result<(Grid, Intrinsics, ViewBox), ContainerError> {
     Ok((grid, k, v))
 }
 
-fn find(index: &Index, kind: Kind) -> Option<&Section> {
+pub(super) fn find(index: &Index, kind: Kind) -> Option<&Section> {
     index.sections.iter().find(|s| s.kind() == kind)
 }
 
@@ -234,12 +260,11 @@ fn unpack(index: &Index, body: &[u8], kind: Kind, want: usize) -> Result<Vec<u8>
     }
     let raw = match s.codec() {
         Codec::Raw => data.to_vec(),
-        // at once rather than as a stream: that would reserve whatever window the frame asks for
         Codec::Zstd => {
             if want > (data.len() / ZSTD_LEAST_BLOCK).saturating_mul(ZSTD_MOST_CONTENT) {
                 return Err(ContainerError::broken(format!("section {} cannot unpack to {want} bytes", s.kind)));
             }
-            decompress(data, want).map_err(|e| ContainerError::broken(format!("section {}: {e}", s.kind)))?
+            decompress(data, want)?
         }
         _ => return Err(ContainerError::broken(format!("section {} has a picture codec", s.kind))),
     };
@@ -249,14 +274,29 @@ fn unpack(index: &Index, body: &[u8], kind: Kind, want: usize) -> Result<Vec<u8>
     Ok(raw)
 }
 
-#[cfg(feature = "write")]
-fn decompress(data: &[u8], want: usize) -> std::io::Result<Vec<u8>> {
-    zstd::bulk::decompress(data, want)
+/// A single zstd frame of exactly `want` bytes. Its window is bounded before it is reserved, what comes out while it is unpacked.
+fn decompress(mut data: &[u8], want: usize) -> Result<Vec<u8>, ContainerError> {
+    // its own errors' texts would be a tenth of the wasm
+    let damaged = || ContainerError::broken("a zstd frame is damaged");
+    if zstd_window(data).is_some_and(|window| window > (want + ZSTD_SLACK) as u64) {
+        return Err(ContainerError::broken("a zstd frame has a window larger than what it holds"));
+    }
+    let mut decoder = FrameDecoder::new();
+    decoder.init(&mut data).map_err(|_| damaged())?;
+    while !decoder.is_finished() {
+        decoder.decode_blocks(&mut data, BlockDecodingStrategy::UptoBlocks(1)).map_err(|_| damaged())?;
+        if decoder.can_collect() > want {
+            return Err(ContainerError::broken("a zstd frame holds more than it says"));
+        }
+    }
+    Ok(decoder.collect().unwrap_or_default())
 }
 
-#[cfg(not(feature = "write"))]
-fn decompress(_: &[u8], _: usize) -> Result<Vec<u8>, &'static str> {
-    Err("it is compressed by zstd, which this program was built without")
+/// Window that a zstd frame names; none where it is a single segment, as large as its content.
+fn zstd_window(frame: &[u8]) -> Option<u64> {
+    let (flags, window) = (frame.get(4)?, u64::from(*frame.get(5)?));
+    let base = 1u64 << (10 + (window >> 3));
+    (flags & 0x20 == 0).then_some(base + base / 8 * (window & 7))
 }
 
 /// Bytes of the section of `count` planes as [`columns`] lays them out.
@@ -271,7 +311,7 @@ fn laid_out(index: &Index, body: &[u8], grid: &Grid, count: usize) -> Result<Vec
 }
 
 /// Planes of all tiles, and labels of those in `rows`.
-fn layer_geometry(
+pub(super) fn layer_geometry(
     index: &Index,
     body: &[u8],
     grid: Grid,
@@ -345,7 +385,11 @@ fn hidden_colours(
         return Err(ContainerError::broken("hidden: wrong count of blocks"));
     }
     let side = |blocks: usize| u32::try_from(blocks * 8).map_err(|_| ContainerError::broken("hidden: more blocks than a picture can hold"));
-    let p = pictures(format(s)?, range(s, body)?, (side(columns)?, side(blocks.div_ceil(columns))?))?;
+    let most = (side(columns)?, side(blocks.div_ceil(columns))?);
+    let p = pictures(format(s)?, range(s, body)?, most)?;
+    if p.width > most.0 || p.height > most.1 {
+        return Err(ContainerError::broken("hidden: the picture is too large"));
+    }
     let fits = columns.checked_mul(8).is_some_and(|w| w <= p.width as usize) && blocks.div_ceil(columns) * 8 <= p.height as usize;
     if !fits {
         return Err(ContainerError::broken("hidden: the picture is too small"));

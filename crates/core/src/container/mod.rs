@@ -3,6 +3,7 @@
 mod bands;
 mod bounds;
 mod columns;
+mod crc;
 mod decode;
 #[cfg(feature = "write")]
 mod encode;
@@ -15,6 +16,7 @@ mod hidden;
 mod labels;
 #[cfg(feature = "write")]
 mod level;
+mod part;
 mod photo;
 #[cfg(feature = "pictures")]
 mod picture;
@@ -35,6 +37,7 @@ pub use decode::{decode, read};
 pub use encode::{Carries, HiddenAs, SectionBytes, encode, encode_in};
 #[cfg(feature = "write")]
 pub use level::{LEVELS, level};
+pub use part::{Part, PhotoRows, decode_rows, reach};
 pub use photo::{Carried, PhotoFormat};
 #[cfg(feature = "pictures")]
 pub use picture::decode as decode_picture;

@@ -3,8 +3,10 @@
 //! It follows from the photo and the [`Geometry`] alone, so a container need not carry it. Writer and readers run the same steps in
 //! `f64`, rounded to `f32` at the same places: from the same photo come the same colours.
 
-use super::rows;
-use super::{Geometry, LayerMasks, TileFrame};
+use std::ops::Range;
+
+use super::rows::{self, Sources};
+use super::{Geometry, LayerMasks, Surface, TileFrame};
 use crate::parallel;
 use crate::scene::{Class, Grid, Photo, Plane, Rect};
 
@@ -12,65 +14,66 @@ use crate::scene::{Class, Grid, Photo, Plane, Rect};
 const CONTEXT: u32 = 32;
 /// A pixel that touches a surface nearer by this much is mixed with it, and no source.
 const TOUCH: f64 = 0.03;
+
 /// Sources of hidden colour, found once a photo.
 pub struct Inpainter<'a> {
-    photo: &'a Photo,
+    /// Pixels of as many rows as the surface has.
+    rgb: &'a [[u8; 3]],
     grid: Grid,
-    /// δ of the visible surface per pixel.
-    surface: Vec<f32>,
-    /// True where a pixel touches something nearer.
-    rim: Vec<bool>,
+    /// δ of the visible surface, infinite where a pixel touches something nearer.
+    sources: Surface,
 }
 
-/// Pyramid that is used again for the next layer.
+/// Pyramid that is used again for the next layer. The finest level, that of the photo's own pixels, is not kept: it follows from them.
 #[derive(Default)]
 pub struct Pyramid {
-    /// Horizontal places of the columns of the finest level.
+    /// Horizontal places of the columns of the window.
     us: Vec<f64>,
+    /// From half the size of the window on.
     levels: Vec<Level>,
     /// Levels of the layer at hand; more may be kept from before.
     used: usize,
 }
 
+/// Columns and rows of a level.
+type Region = (Range<usize>, Range<usize>);
+
 impl<'a> Inpainter<'a> {
     /// Finds the visible surface, and the pixels on it that touch something nearer.
     #[must_use]
     pub fn new(photo: &'a Photo, geometry: &Geometry) -> Self {
-        let (w, h) = (photo.width as usize, photo.height as usize);
-        let surface = geometry.surface();
-        let d = &surface;
-        let mut rim = vec![false; d.len()];
-        parallel::each_row(&mut rim, w, |y, row| {
-            let (y0, y1) = (y.saturating_sub(1), (y + 1).min(h - 1));
-            let column = |x: usize| (y0..=y1).fold(f32::NEG_INFINITY, |m, yy| m.max(d[yy * w + x]));
-            let (mut before, mut here) = (f32::NEG_INFINITY, column(0));
-            for (x, r) in row.iter_mut().enumerate() {
-                let after = if x + 1 < w { column(x + 1) } else { f32::NEG_INFINITY };
-                *r = f64::from(before.max(here).max(after)) - f64::from(d[y * w + x]) > TOUCH;
-                (before, here) = (here, after);
-            }
-        });
-        Self { photo, grid: geometry.grid, surface, rim }
+        Self::on(geometry.grid, geometry.surface(), &photo.rgb)
+    }
+
+    /// The same where the surface is known already, of some rows of the photo; `rgb` has the pixels of the same rows.
+    #[must_use]
+    pub fn on(grid: Grid, mut surface: Surface, rgb: &'a [[u8; 3]]) -> Self {
+        surface.put_away_mixed(TOUCH);
+        Self { rgb, grid, sources: surface }
     }
 
     /// Colours of the hidden texels of a layer with [`Class`]es `class` over `rect`, in their order.
     #[must_use]
+    #[inline(never)]
     pub fn fill(&self, tile: u32, plane: &Plane, rect: Rect, class: &[u8], pyramid: &mut Pyramid) -> Vec<[u8; 3]> {
         let Some(hidden) = hidden_bounds(rect, class) else { return Vec::new() };
         let place = TileFrame::of(&self.grid, tile);
         let win = super::grown(hidden, CONTEXT, CONTEXT, &self.grid);
-        self.sources(place, plane, win, pyramid);
+        place.columns(win.x, win.w, &mut pyramid.us);
+        self.gather(place, plane, win, pyramid);
         if !pyramid.pull() {
             // nothing lies behind anywhere near: the layer's own surroundings are all there is
             let mean = self.mean(rect);
             return class.iter().filter(|&&c| c == Class::Hidden as u8).map(|_| mean).collect();
         }
-        pyramid.push();
+        let (x, y) = ((hidden.x - win.x) as usize, (hidden.y - win.y) as usize);
+        pyramid.push((x..x + hidden.w as usize, y..y + hidden.h as usize));
         let mut out = Vec::with_capacity(class.iter().filter(|&&c| c == Class::Hidden as u8).count());
         let rows = (rect.y..).zip(class.chunks(rect.w as usize)).skip((hidden.y - rect.y) as usize).take(hidden.h as usize);
         for (y, class) in rows {
             let class = &class[(hidden.x - rect.x) as usize..][..hidden.w as usize];
-            pyramid.colours((hidden.x - win.x) as usize, (y - win.y) as usize, class, &mut out);
+            let row = self.row(place, y, hidden);
+            rows::colours(&pyramid.us[x..], plane, row, pyramid.levels[0].about((y - win.y) as usize), x, class, &mut out);
         }
         out
     }
@@ -78,30 +81,40 @@ impl<'a> Inpainter<'a> {
     /// Colours of the hidden texels of all layers: tile by tile, layer by layer.
     #[must_use]
     pub fn fill_all(&self, masks: &[LayerMasks]) -> Vec<Vec<Vec<[u8; 3]>>> {
+        self.fill_tiles(0, masks)
+    }
+
+    /// The same where the first tile is not the grid's first.
+    pub(crate) fn fill_tiles(&self, first: u32, masks: &[LayerMasks]) -> Vec<Vec<Vec<[u8; 3]>>> {
         parallel::map_init(masks.len(), Pyramid::default, |pyramid, i| {
-            masks[i].layers.iter().map(|l| self.fill(i as u32, &l.plane, l.rect, &l.class, pyramid)).collect()
+            masks[i].layers.iter().map(|l| self.fill(first + i as u32, &l.plane, l.rect, &l.class, pyramid)).collect()
         })
     }
 
-    /// Writes colour times weight, and weight, of every source in `win` into the finest level; 0 where there is none.
-    fn sources(&self, place: TileFrame, plane: &Plane, win: Rect, pyramid: &mut Pyramid) {
-        pyramid.base(win.w as usize, win.h as usize);
-        place.columns(win.x, win.w, &mut pyramid.us);
-        for (y, texels) in (win.y..).zip(pyramid.levels[0].texels.chunks_mut(win.w as usize)) {
-            let at = y as usize * self.grid.width as usize + win.x as usize;
-            let row = at..at + win.w as usize;
-            let row = rows::Sources { surface: &self.surface[row.clone()], rim: &self.rim[row.clone()], rgb: &self.photo.rgb[row] };
-            rows::sources(&pyramid.us, place.v(y), plane, row, texels);
+    /// Pixels of row `y` in the columns of `win`.
+    fn row(&self, place: TileFrame, y: u32, win: Rect) -> Sources<'_> {
+        let at = self.sources.at(win.x, y);
+        let surface = self.sources.row(win.x, y, win.w);
+        Sources { v: place.v(y), surface, rgb: &self.rgb[at..at + surface.len()] }
+    }
+
+    /// Sums the sources in `win` by 2×2 into the first level that is kept.
+    fn gather(&self, place: TileFrame, plane: &Plane, win: Rect, pyramid: &mut Pyramid) {
+        pyramid.resize(win.w as usize, win.h as usize);
+        let Pyramid { us, levels, .. } = pyramid;
+        let width = levels[0].width;
+        for (y, out) in (win.y..).step_by(2).zip(levels[0].texels.chunks_mut(width)) {
+            let second = if y + 1 < win.y + win.h { self.row(place, y + 1, win) } else { Sources::NONE };
+            rows::gather(us, plane, [self.row(place, y, win), second], out);
         }
     }
 
     fn mean(&self, r: Rect) -> [u8; 3] {
         let mut sum = [0u64; 3];
         for y in r.y..r.y + r.h {
-            for x in r.x..r.x + r.w {
-                let p = self.photo.at(x, y);
+            for p in &self.rgb[self.sources.at(r.x, y)..][..r.w as usize] {
                 for (s, v) in sum.iter_mut().zip(p) {
-                    *s += u64::from(v);
+                    *s += u64::from(*v);
                 }
             }
         }
@@ -122,19 +135,16 @@ fn hidden_bounds(rect: Rect, class: &[u8]) -> Option<Rect> {
 }
 
 impl Pyramid {
-    /// Sizes of the finest level and of coarser ones down to 1×1; what they hold is still to be written.
-    fn base(&mut self, width: usize, height: usize) {
+    /// Sizes of the levels over a window, from half of its size down to 1×1; what they hold is still to be written.
+    fn resize(&mut self, width: usize, height: usize) {
         let (mut w, mut h, mut n) = (width, height, 0);
-        loop {
+        while n == 0 || w > 1 || h > 1 {
+            (w, h) = (w.div_ceil(2), h.div_ceil(2));
             if self.levels.len() == n {
                 self.levels.push(Level::default());
             }
             self.levels[n].resize(w, h);
             n += 1;
-            if w == 1 && h == 1 {
-                break;
-            }
-            (w, h) = (w.div_ceil(2), h.div_ceil(2));
         }
         self.used = n;
     }
@@ -148,21 +158,25 @@ impl Pyramid {
         self.levels[self.used - 1].texels[0][3] > 0.0
     }
 
-    /// Full colours downwards, but for the finest level: there only hidden texels are asked for.
-    fn push(&mut self) {
-        for n in (1..self.used).rev() {
-            let (fine, coarse) = self.levels[..self.used].split_at_mut(n + 1);
-            let (level, up) = (&mut fine[n], coarse.first());
-            for (y, texels) in level.texels.chunks_mut(level.width).enumerate() {
-                rows::push(Level::about(up, y), texels);
-            }
-        }
+    /// Full colours downwards, of those texels that the pixels of a region of the window are mixed from.
+    fn push(&mut self, region: Region) {
+        self.push_level(0, region);
     }
 
-    /// Appends the colours of hidden texels of the finest level's row `y`, from column `x` on.
-    fn colours(&self, x: usize, y: usize, class: &[u8], out: &mut Vec<[u8; 3]>) {
-        let (level, up) = (&self.levels[0], self.levels[..self.used].get(1));
-        rows::colours(Level::about(up, y), &level.texels[y * level.width..][..level.width], x, class, out);
+    fn push_level(&mut self, n: usize, (xs, ys): Region) {
+        // each texel is mixed from the four coarser ones nearest to it
+        let coarser = |r: Range<usize>, most: usize| (r.start / 2).saturating_sub(1)..((r.end - 1) / 2 + 2).min(most);
+        let level = &self.levels[n];
+        let (xs, ys) = (coarser(xs, level.width), coarser(ys, level.height));
+        if n + 1 < self.used {
+            self.push_level(n + 1, (xs.clone(), ys.clone()));
+        }
+        let (fine, coarse) = self.levels[..self.used].split_at_mut(n + 1);
+        let Level { width, texels, .. } = &mut fine[n];
+        for y in ys {
+            let about = coarse.first().map_or(rows::Coarser { near: &[], other: &[] }, |up| up.about(y));
+            rows::push(about, xs.start, &mut texels[y * *width..][xs.clone()]);
+        }
     }
 }
 
@@ -180,8 +194,7 @@ impl Level {
         self.texels.resize(width * height, [0.0; 4]);
     }
 
-    /// From the level of twice the size: sums of 2×2 texels, weight saturated at 1, so that one source suffices where there is
-    /// no other.
+    /// From the level of twice the size: sums of 2×2 texels, weight saturated at 1.
     fn pull(&mut self, fine: &Self) {
         for (y, to) in self.texels.chunks_mut(self.width).enumerate() {
             let row = |y: usize| &fine.texels[y * fine.width..][..fine.width];
@@ -189,12 +202,11 @@ impl Level {
         }
     }
 
-    /// The rows of a level, where there is one, about row `y` of the next finer one.
-    fn about(level: Option<&Self>, y: usize) -> rows::Coarser<'_> {
-        let Some(level) = level else { return rows::Coarser { near: &[], other: &[] } };
-        let last = level.height - 1;
+    /// Its rows about row `y` of the next finer level.
+    fn about(&self, y: usize) -> rows::Coarser<'_> {
+        let last = self.height - 1;
         let beside = if y.is_multiple_of(2) { (y / 2).saturating_sub(1) } else { y / 2 + 1 };
-        let row = |y: usize| &level.texels[y.min(last) * level.width..][..level.width];
+        let row = |y: usize| &self.texels[y.min(last) * self.width..][..self.width];
         rows::Coarser { near: row(y / 2), other: row(beside) }
     }
 }

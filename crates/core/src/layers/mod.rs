@@ -3,9 +3,11 @@
 
 mod inpaint;
 mod rows;
+mod surface;
 mod texture;
 mod visibility;
 
 pub use inpaint::{Inpainter, Pyramid};
+pub use surface::Surface;
 pub use texture::{TexturedLayer, compose, texture};
 pub use visibility::{Geometry, LayerMask, LayerMasks, Tile, TileFrame, grown, work_of};

@@ -1,4 +1,7 @@
 //! What visibility and inpainting do along rows of pixels, in forms that vectorise; the same bits come out on every processor.
+#![allow(clippy::float_cmp, reason = "weights that are exactly 0 or 1 take a shorter way")]
+
+use std::ops::Range;
 
 use crate::scene::{Class, Plane, Rect};
 use crate::simd::dispatch;
@@ -70,6 +73,9 @@ fn behind_body(own: &[f32], visible: &[f32], labels: &[u8], label: Option<u8>, m
         *m = u8::from(l != label) & u8::from(d < v) & u8::from(d >= 0.0);
     }
     let count = mask.iter().map(|&m| usize::from(m)).sum();
+    if count == 0 {
+        return (0, 0.0);
+    }
     let mut step = [0f64; LANES];
     let chunks = mask.chunks(LANES).zip(own.chunks(LANES)).zip(visible.chunks(LANES));
     for ((m, d), v) in chunks {
@@ -82,62 +88,195 @@ fn behind_body(own: &[f32], visible: &[f32], labels: &[u8], label: Option<u8>, m
 }
 
 dispatch!(
-    /// Marks with 1 the pixels of a row where `surface` lies behind `plane`, or in front of it by at most `slack`; gives the least δ
-    /// of the plane and the greatest of the surface.
-    pub open, open_body, open_avx2, (us: &[f64], v: f64, plane: &Plane, surface: &[f32], slack: f64, mask: &mut [u8]) -> (f32, f32)
+    /// Classes and alpha of texels: the photo's where a pixel's label is the layer's, else hidden or empty by the mask.
+    pub classify, classify_body, classify_avx2, (labels: &[u8], label: Option<u8>, hidden: &[u8], class: &mut [u8], alpha: &mut [u8])
 );
 
 #[inline(always)]
 #[allow(clippy::inline_always, reason = "the loop must be compiled anew with the caller's target features")]
-fn open_body(us: &[f64], v: f64, plane: &Plane, surface: &[f32], slack: f64, mask: &mut [u8]) -> (f32, f32) {
-    let (a, b, cv) = (plane.a, plane.b, plane.c * v);
-    let (mut least, mut nearest) = ([f32::INFINITY; LANES], [0f32; LANES]);
-    for ((m, d), u) in mask.chunks_mut(LANES).zip(surface.chunks(LANES)).zip(us.chunks(LANES)) {
-        for ((((m, &d), u), least), nearest) in m.iter_mut().zip(d).zip(u).zip(&mut least).zip(&mut nearest) {
-            let q = (a + b * u + cv) as f32;
-            *m = u8::from(f64::from(d) <= f64::from(q) + slack);
-            *least = if q < *least { q } else { *least };
-            *nearest = if d > *nearest { d } else { *nearest };
+fn classify_body(labels: &[u8], label: Option<u8>, hidden: &[u8], class: &mut [u8], alpha: &mut [u8]) {
+    // labels end at 63, so 255 is no pixel's
+    let label = label.unwrap_or(u8::MAX);
+    for (((c, a), &l), &hidden) in class.iter_mut().zip(alpha).zip(labels).zip(hidden) {
+        let class = if l == label { Class::Photo as u8 } else { hidden * Class::Hidden as u8 };
+        *c = class;
+        *a = if class == Class::Empty as u8 { 0 } else { u8::MAX };
+    }
+}
+
+/// Opaque texels among each one of a row and its neighbours.
+#[inline(never)]
+pub fn sums_of_three(alpha: &[u8], sums: &mut [u8]) {
+    for (s, a) in sums.iter_mut().zip(alpha) {
+        *s = a >> 7;
+    }
+    for (s, a) in sums.iter_mut().zip(alpha.get(1..).unwrap_or_default()) {
+        *s += a >> 7;
+    }
+    for (s, a) in sums.iter_mut().skip(1).zip(alpha) {
+        *s += a >> 7;
+    }
+}
+
+/// For each empty texel of a row the count of opaque ones among itself and its neighbours, by the sums of up to three rows; false
+/// where all are 0.
+#[inline(never)]
+pub fn ring(class: &[u8], sums: [&[u8]; 3], ring: &mut [u8]) -> bool {
+    ring.fill(0);
+    for sums in sums {
+        for (r, s) in ring.iter_mut().zip(sums) {
+            *r += s;
         }
     }
-    (least.into_iter().fold(f32::INFINITY, f32::min), nearest.into_iter().fold(0.0, f32::max))
+    let mut any = 0;
+    for (r, &c) in ring.iter_mut().zip(class) {
+        *r = if c == Class::Empty as u8 { *r } else { 0 };
+        any |= *r;
+    }
+    any != 0
+}
+
+dispatch!(
+    /// Marks with 1 the pixels of a row where `surface` lies behind `plane`, or in front of it by at most `slack`.
+    pub open, open_body, open_avx2, (us: &[f64], v: f64, plane: &Plane, surface: &[f32], slack: f64, mask: &mut [u8])
+);
+
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "the loop must be compiled anew with the caller's target features")]
+fn open_body(us: &[f64], v: f64, plane: &Plane, surface: &[f32], slack: f64, mask: &mut [u8]) {
+    let (a, b, cv) = (plane.a, plane.b, plane.c * v);
+    for ((m, &d), u) in mask.iter_mut().zip(surface).zip(us) {
+        *m = u8::from(f64::from(d) <= f64::from((a + b * u + cv) as f32) + slack);
+    }
+}
+
+dispatch!(
+    /// The greatest of some values, at least 0.
+    pub nearest, nearest_body, nearest_avx2, (surface: &[f32]) -> f32
+);
+
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "the loop must be compiled anew with the caller's target features")]
+fn nearest_body(surface: &[f32]) -> f32 {
+    let mut most = [0f32; LANES];
+    let (chunks, rest) = surface.as_chunks::<LANES>();
+    for chunk in chunks {
+        for (m, &d) in most.iter_mut().zip(chunk) {
+            *m = if d > *m { d } else { *m };
+        }
+    }
+    rest.iter().chain(&most).fold(0.0, |m, &d| if d > m { d } else { m })
 }
 
 /// Pixels of a row that may be sources of hidden colour.
 #[derive(Clone, Copy)]
 pub struct Sources<'a> {
-    /// δ of the visible surface.
+    /// Place of the row.
+    pub v: f64,
+    /// δ of the visible surface, infinite where a pixel is no source.
     pub surface: &'a [f32],
-    /// True where a pixel touches something nearer.
-    pub rim: &'a [bool],
     /// The photo's colours.
     pub rgb: &'a [[u8; 3]],
 }
 
+impl Sources<'_> {
+    /// No pixel.
+    pub const NONE: Self = Self { v: 0.0, surface: &[], rgb: &[] };
+}
+
+/// Columns whose weights are found at once; even.
+const BLOCK: usize = 32;
+
+/// Weight of a source that lies `behind` the layer by so much in δ.
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
+fn weight(behind: f64) -> f64 {
+    let far = if behind > 0.0 { behind } else { 0.0 } / BEHIND;
+    let weight = 1.0 / (1.0 + far * far);
+    if behind < -IN_FRONT { 0.0 } else { weight }
+}
+
+/// Weights of the sources in a row, at most a block of them, for a layer on `plane`; 0 where there is none.
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
+fn weigh(us: &[f64], v: f64, plane: &Plane, surface: &[f32], weights: &mut [f64; BLOCK]) {
+    let (a, b, cv) = (plane.a, plane.b, plane.c * v);
+    let mut any_behind = false;
+    for ((w, u), &d) in weights.iter_mut().zip(us).zip(surface) {
+        *w = f64::from((a + b * u + cv) as f32) - f64::from(d);
+        any_behind |= *w > 0.0;
+    }
+    let (weights, past) = weights.split_at_mut(surface.len().min(BLOCK));
+    past.fill(0.0);
+    if any_behind {
+        for w in weights {
+            *w = weight(*w);
+        }
+    } else {
+        // nothing lies behind: no division
+        for w in weights {
+            *w = if *w < -IN_FRONT { 0.0 } else { 1.0 };
+        }
+    }
+}
+
+/// Colour times weight, and weight.
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
+fn weighted(c: [u8; 3], w: f64) -> [f32; 4] {
+    [f64::from(c[0]), f64::from(c[1]), f64::from(c[2]), 1.0].map(|c| (c * w) as f32)
+}
+
 dispatch!(
-    /// Colour times weight, and weight, of the sources in a row for a layer on `plane`; 0 where there is none.
-    pub sources, sources_body, sources_avx2, (us: &[f64], v: f64, plane: &Plane, row: Sources, out: &mut [[f32; 4]])
+    /// Sums of 2×2 sources of one or two rows for a layer on `plane`, as [`pull`] has them: colour times weight, and weight.
+    pub gather, gather_body, gather_avx2, (us: &[f64], plane: &Plane, rows: [Sources; 2], out: &mut [[f32; 4]])
 );
 
 #[inline(always)]
 #[allow(clippy::inline_always, reason = "the loop must be compiled anew with the caller's target features")]
-fn sources_body(us: &[f64], v: f64, plane: &Plane, row: Sources, out: &mut [[f32; 4]]) {
-    const BLOCK: usize = 64;
-    let (a, b, cv) = (plane.a, plane.b, plane.c * v);
-    let Sources { surface, rim, rgb } = row;
-    let blocks = out.chunks_mut(BLOCK).zip(us.chunks(BLOCK)).zip(surface.chunks(BLOCK)).zip(rim.chunks(BLOCK)).zip(rgb.chunks(BLOCK));
-    let mut weights = [0f64; BLOCK];
-    for ((((out, us), surface), rim), rgb) in blocks {
-        for (((w, u), &d), &rim) in weights.iter_mut().zip(us).zip(surface).zip(rim) {
-            let behind = f64::from((a + b * u + cv) as f32) - f64::from(d);
-            let far = if behind > 0.0 { behind } else { 0.0 } / BEHIND;
-            let weight = 1.0 / (1.0 + far * far);
-            *w = if rim || behind < -IN_FRONT { 0.0 } else { weight };
+fn gather_body(us: &[f64], plane: &Plane, [first, second]: [Sources; 2], out: &mut [[f32; 4]]) {
+    let (mut upper, mut lower) = ([0f64; BLOCK], [0f64; BLOCK]);
+    // a block of each row, so that its length is known
+    let (mut colours, mut below) = ([[0u8; 3]; BLOCK], [[0u8; 3]; BLOCK]);
+    let part = |row: Sources, at: usize| -> Range<usize> { at.min(row.surface.len())..(at + BLOCK).min(row.surface.len()) };
+    for (i, (out, us)) in out.chunks_mut(BLOCK / 2).zip(us.chunks(BLOCK)).enumerate() {
+        for (row, weights, colours) in [(first, &mut upper, &mut colours), (second, &mut lower, &mut below)] {
+            let part = part(row, i * BLOCK);
+            colours[..part.len()].copy_from_slice(&row.rgb[part.clone()]);
+            weigh(us, row.v, plane, &row.surface[part], weights);
         }
-        for ((t, w), c) in out.iter_mut().zip(&weights).zip(rgb) {
-            let c = [f64::from(c[0]), f64::from(c[1]), f64::from(c[2]), 1.0];
-            *t = c.map(|c| (c * w) as f32);
+        let pairs = colours.as_chunks::<2>().0.iter().zip(below.as_chunks::<2>().0);
+        let weights = upper.as_chunks::<2>().0.iter().zip(lower.as_chunks::<2>().0);
+        for ((o, ([a, b], [c, d])), ([wa, wb], [wc, wd])) in out.iter_mut().zip(pairs).zip(weights) {
+            let sum = (wa + wb) + (wc + wd);
+            *o = if sum == 4.0 {
+                let mean = |k: usize| (u32::from(a[k]) + u32::from(b[k]) + u32::from(c[k]) + u32::from(d[k])) as f32 * 0.25;
+                [mean(0), mean(1), mean(2), 1.0]
+            } else if sum == 0.0 {
+                [0.0; 4]
+            } else {
+                saturated(add(&add(&add(&weighted(*a, *wa), &weighted(*b, *wb)), &weighted(*c, *wc)), &weighted(*d, *wd)))
+            };
         }
+    }
+}
+
+/// Sum of two texels.
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
+fn add(a: &[f32; 4], b: &[f32; 4]) -> [f32; 4] {
+    std::array::from_fn(|i| a[i] + b[i])
+}
+
+/// A texel of weight at most 1, so that one source suffices where there is no other.
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
+fn saturated(t: [f32; 4]) -> [f32; 4] {
+    if t[3] > 1.0 {
+        let s = 1.0 / f64::from(t[3]);
+        t.map(|v| (f64::from(v) * s) as f32)
+    } else {
+        t
     }
 }
 
@@ -149,15 +288,6 @@ dispatch!(
 #[inline(always)]
 #[allow(clippy::inline_always, reason = "the loop must be compiled anew with the caller's target features")]
 fn pull_body(first: &[[f32; 4]], second: Option<&[[f32; 4]]>, out: &mut [[f32; 4]]) {
-    let add = |a: &[f32; 4], b: &[f32; 4]| -> [f32; 4] { std::array::from_fn(|i| a[i] + b[i]) };
-    let saturated = |t: [f32; 4]| {
-        if t[3] > 1.0 {
-            let s = 1.0 / f64::from(t[3]);
-            t.map(|v| (f64::from(v) * s) as f32)
-        } else {
-            t
-        }
-    };
     let (firsts, last) = first.as_chunks::<2>();
     if let Some(second) = second {
         for ((o, [a, b]), [c, d]) in out.iter_mut().zip(firsts).zip(second.as_chunks::<2>().0) {
@@ -209,30 +339,42 @@ fn full(t: &[f32; 4], x: usize, Coarser { near, other }: Coarser) -> [f32; 4] {
 }
 
 dispatch!(
-    /// Full colours of a row of texels.
-    pub push, push_body, push_avx2, (coarser: Coarser, texels: &mut [[f32; 4]])
+    /// Full colours of the texels of a row from column `x` on.
+    pub push, push_body, push_avx2, (coarser: Coarser, x: usize, texels: &mut [[f32; 4]])
 );
 
 #[inline(always)]
 #[allow(clippy::inline_always, reason = "the loop must be compiled anew with the caller's target features")]
-fn push_body(coarser: Coarser, texels: &mut [[f32; 4]]) {
-    for (x, t) in texels.iter_mut().enumerate() {
-        *t = full(t, x, coarser);
+fn push_body(coarser: Coarser, x: usize, texels: &mut [[f32; 4]]) {
+    for (x, t) in (x..).zip(texels) {
+        // a colour of weight 1 is full
+        if t[3] != 1.0 {
+            *t = full(t, x, coarser);
+        }
     }
 }
 
 dispatch!(
-    /// Appends the colours of the hidden texels of a row, whose classes are `class`, to `out`; the first lies in column `x` of `texels`.
-    pub colours, colours_body, colours_avx2, (coarser: Coarser, texels: &[[f32; 4]], x: usize, class: &[u8], out: &mut Vec<[u8; 3]>)
+    /// Appends the colours of the hidden texels of a row, whose classes are `class`, to `out`. `us` and `row` begin with the first of
+    /// them, which lies in column `x` of the window that `coarser` is of.
+    pub colours, colours_body, colours_avx2,
+    (us: &[f64], plane: &Plane, row: Sources, coarser: Coarser, x: usize, class: &[u8], out: &mut Vec<[u8; 3]>)
 );
 
 #[inline(always)]
 #[allow(clippy::inline_always, reason = "the loop must be compiled anew with the caller's target features")]
-fn colours_body(coarser: Coarser, texels: &[[f32; 4]], x: usize, class: &[u8], out: &mut Vec<[u8; 3]>) {
-    for (x, (t, _)) in (x..).zip(texels[x..].iter().zip(class)).filter(|(_, (_, c))| **c == Class::Hidden as u8) {
-        let [r, g, b, _] = full(t, x, coarser);
-        // rounded; the cast takes what lies outside to 0 and 255
-        out.push([r, g, b].map(|v| (f64::from(v) + 0.5) as u8));
+fn colours_body(us: &[f64], plane: &Plane, row: Sources, coarser: Coarser, x: usize, class: &[u8], out: &mut Vec<[u8; 3]>) {
+    let (a, b, cv) = (plane.a, plane.b, plane.c * row.v);
+    let pixels = class.iter().zip(us).zip(row.surface).zip(row.rgb);
+    for (x, (((_, u), &d), rgb)) in (x..).zip(pixels).filter(|(_, (((c, _), _), _))| **c == Class::Hidden as u8) {
+        let weight = weight(f64::from((a + b * u + cv) as f32) - f64::from(d));
+        out.push(if weight == 1.0 {
+            *rgb
+        } else {
+            let [r, g, b, _] = full(&weighted(*rgb, weight), x, coarser);
+            // rounded; the cast takes what lies outside to 0 and 255
+            [r, g, b].map(|v| (f64::from(v) + 0.5) as u8)
+        });
     }
 }
 
@@ -346,7 +488,7 @@ mod tests {
             let mut own = vec![0f32; n];
             disparities(&us, v, &plane, &mut own);
             let (mut mask, mut hidden) = (vec![9u8; n], vec![9u8; n]);
-            let (least, nearest) = open(&us, v, &plane, surface, 0.004, &mut mask);
+            open(&us, v, &plane, surface, 0.004, &mut mask);
             let (count, step) = behind(&own, surface, &labels, label, &mut hidden);
             let (mut want_count, mut want_step) = (0, 0f64);
             for i in 0..n {
@@ -360,8 +502,7 @@ mod tests {
                 }
             }
             prop_assert_eq!((count, step.to_bits()), (want_count, want_step.to_bits()));
-            prop_assert_eq!(least.to_bits(), own.iter().copied().fold(f32::INFINITY, f32::min).to_bits());
-            prop_assert_eq!(nearest.to_bits(), surface.iter().copied().fold(0.0, f32::max).to_bits());
+            prop_assert_eq!(nearest(surface).to_bits(), surface.iter().copied().fold(0.0, f32::max).to_bits());
         }
     }
 }

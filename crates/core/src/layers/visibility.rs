@@ -1,8 +1,11 @@
 //! Which texels each layer has: derived from planes and labels alone, so that a container need not carry it.
 //!
-//! Writer and readers run the same steps in `f64` on values rounded to `f32` at the same
-//! places, and so come to the same texels bit for bit.
+//! Writer and readers run the same steps in `f64` on values rounded to `f32` at the same places, and so come to the same texels bit
+//! for bit.
 
+use std::ops::Range;
+
+use super::Surface;
 use super::rows::{self, Columns, Dilation, dilate};
 use crate::parallel;
 use crate::scene::{Class, Grid, Intrinsics, Plane, Rect, ViewBox};
@@ -166,35 +169,47 @@ impl Geometry {
     }
 
     fn extract(&self, all: bool) -> Vec<LayerMasks> {
-        let surface = self.surface();
+        self.masks_of(0..self.tiles.len() as u32, &self.surface(), all)
+    }
+
+    /// Masks of some tiles; the surface has at least the [`Geometry::reach`] of them. `all`: with every texel behind something.
+    pub(crate) fn masks_of(&self, tiles: Range<u32>, surface: &Surface, all: bool) -> Vec<LayerMasks> {
         let scratch = || Scratch { all, ..Scratch::default() };
-        parallel::map_init(self.tiles.len(), scratch, |s, i| self.masks_of_tile(i as u32, &surface, s))
+        parallel::map_init(tiles.len(), scratch, |s, i| self.masks_of_tile(tiles.start + i as u32, surface, s))
     }
 
-    /// δ of the visible surface per pixel; where tiles overlap, of the one that comes last.
+    /// δ of the visible surface of the whole photo.
     #[must_use]
-    pub fn surface(&self) -> Vec<f32> {
-        let width = self.grid.width as usize;
-        let mut surface = vec![0f32; width * self.grid.height as usize];
-        let (mut us, mut planes) = (Vec::new(), Vec::new());
-        for (i, t) in self.tiles.iter().enumerate() {
-            let (r, place) = (self.grid.rect(i as u32), TileFrame::of(&self.grid, i as u32));
-            place.columns(r.x, r.w, &mut us);
-            let columns = Columns { us: &us, labels: &t.labels, planes: &t.planes };
-            for y in r.y..r.y + r.h {
-                let out = &mut surface[y as usize * width + r.x as usize..][..r.w as usize];
-                columns.visible((y - r.y) as usize, place.v(y), &mut planes, out);
-            }
-        }
-        surface
+    pub fn surface(&self) -> Surface {
+        Surface::of(self, 0..self.grid.height)
     }
 
-    fn masks_of_tile(&self, index: u32, surface: &[f32], s: &mut Scratch) -> LayerMasks {
+    /// The same of some rows of pixels alone.
+    pub(crate) fn surface_of(&self, rows: Range<u32>) -> Surface {
+        Surface::of(self, rows)
+    }
+
+    /// Rows of pixels that the texels of some rows of tiles, and their colours, follow from.
+    pub(crate) fn reach(grid: &Grid, rows: &Range<u32>) -> Range<u32> {
+        let last = grid.rect((rows.end - 1) * grid.columns());
+        let reach = MAX_REACH as u32;
+        (rows.start * grid.stride).saturating_sub(reach)..(last.y + last.h + reach).min(grid.height)
+    }
+
+    #[inline(never)]
+    fn masks_of_tile(&self, index: u32, surface: &Surface, s: &mut Scratch) -> LayerMasks {
         let (tile, r, place) = (&self.tiles[index as usize], self.grid.rect(index), TileFrame::of(&self.grid, index));
+        if let ([plane], None) = (tile.planes.as_slice(), tile.background) {
+            // the one plane of a tile is all visible
+            let (class, alpha) = (vec![Class::Photo as u8; r.area()], vec![u8::MAX; r.area()]);
+            return LayerMasks { layers: vec![LayerMask { plane: *plane, label: Some(0), rect: r, class, alpha }], never_seen: 0 };
+        }
         let w = r.w as usize;
         s.visible.resize(r.area(), 0.0);
-        s.hidden.resize(r.area(), 0);
         s.own.resize(r.area(), 0.0);
+        for mask in [&mut s.hidden, &mut s.class, &mut s.alpha] {
+            mask.resize(r.area(), 0);
+        }
         let mut us = std::mem::take(&mut s.us);
         place.columns(r.x, r.w, &mut us);
         let columns = Columns { us: &us, labels: &tile.labels, planes: &tile.planes };
@@ -221,6 +236,7 @@ impl Geometry {
     /// Marks the texels of a layer that lie behind the visible surface and that a camera in the view box can look at; gives
     /// the count of those that lie behind it but are never seen.
     #[allow(clippy::too_many_arguments, reason = "the parts of one tile")]
+    #[inline(never)]
     fn mark_hidden(
         &self,
         r: Rect,
@@ -228,35 +244,46 @@ impl Geometry {
         tile: &Tile,
         label: Option<u8>,
         plane: &Plane,
-        surface: &[f32],
+        surface: &Surface,
         s: &mut Scratch,
     ) -> usize {
         let (behind, step) = rows::behind(&s.own, &s.visible, &tile.labels, label, &mut s.hidden);
-        if behind == 0 || s.all {
-            return 0;
-        }
+        let Some(hidden) = extent(&s.hidden, r.w as usize).filter(|_| !s.all) else { return 0 };
         let parallax = self.view_box.parallax(&self.intrinsics, r);
         let reach = |parallax: f64, step: f64| (step * parallax + MARGIN).min(MAX_REACH).ceil() as u32;
         let win = grown(r, reach(parallax.0, step), reach(parallax.1, step), &self.grid);
-        place.columns(win.x, win.w, &mut s.window);
-        let (mut nearest, mut least) = (0f32, f32::INFINITY);
-        s.open.resize(win.area(), 0);
-        for (y, open) in (win.y..).zip(s.open.chunks_mut(win.w as usize)) {
-            let surface = &surface[y as usize * self.grid.width as usize + win.x as usize..][..win.w as usize];
-            let (far, near) = rows::open(&s.window, place.v(y), plane, surface, UNOCCLUDED, open);
-            (least, nearest) = (least.min(far), nearest.max(near));
-        }
         // an occluder of the neighbourhood may be nearer still, and its edge uncovers more
+        let nearest = (win.y..win.y + win.h).map(|y| rows::nearest(surface.row(win.x, y, win.w))).fold(0.0, f32::max);
+        // the plane is nowhere farther than at a corner
+        let corner = |x: u32, y: u32| place.disparity(plane, x, y);
+        let (right, lower) = (win.x + win.w - 1, win.y + win.h - 1);
+        let least = corner(win.x, win.y).min(corner(right, win.y)).min(corner(win.x, lower)).min(corner(right, lower));
         let step = (f64::from(nearest) - f64::from(least).max(0.0)).max(step);
-        let inner = Rect { x: r.x - win.x, y: r.y - win.y, ..r };
-        dilate(&s.open, win.w, inner, (reach(parallax.0, step), reach(parallax.1, step)), &mut s.reach);
+        let radius = (reach(parallax.0, step), reach(parallax.1, step));
+        // what lies farther from every hidden texel uncovers none
+        let inner = Rect { x: r.x + hidden.x, y: r.y + hidden.y, ..hidden };
+        let near = common(win, grown(inner, radius.0, radius.1, &self.grid));
+        place.columns(near.x, near.w, &mut s.window);
+        s.open.resize(near.area(), 0);
+        for (y, open) in (near.y..).zip(s.open.chunks_mut(near.w as usize)) {
+            rows::open(&s.window, place.v(y), plane, surface.row(near.x, y, near.w), UNOCCLUDED, open);
+        }
+        dilate(&s.open, near.w, Rect { x: inner.x - near.x, y: inner.y - near.y, ..inner }, radius, &mut s.reach);
         let mut seen = 0;
-        for (h, reach) in s.hidden.iter_mut().zip(&s.reach.out) {
-            *h &= reach;
-            seen += usize::from(*h);
+        for (y, reach) in (hidden.y as usize..).zip(s.reach.out.chunks(hidden.w as usize)) {
+            for (h, reach) in s.hidden[y * r.w as usize + hidden.x as usize..].iter_mut().zip(reach) {
+                *h &= reach;
+                seen += usize::from(*h);
+            }
         }
         behind - seen
     }
+}
+
+/// The rectangle that both have in common, where they overlap.
+fn common(a: Rect, b: Rect) -> Rect {
+    let (x, y) = (a.x.max(b.x), a.y.max(b.y));
+    Rect { x, y, w: (a.x + a.w).min(b.x + b.w) - x, h: (a.y + a.h).min(b.y + b.h) - y }
 }
 
 #[derive(Default)]
@@ -271,31 +298,36 @@ struct Scratch {
     /// δ of the visible surface and of the layer at hand.
     visible: Vec<f32>,
     own: Vec<f32>,
-    /// Masks of 0 and 1: hidden texels of the tile, open pixels of the window, opaque texels.
+    /// Masks of 0 and 1: hidden texels of the tile, pixels of the window that nothing covers.
     hidden: Vec<u8>,
     open: Vec<u8>,
-    opaque: Vec<u8>,
+    /// The layer at hand: classes and alpha over the whole tile.
+    class: Vec<u8>,
+    alpha: Vec<u8>,
     /// What the open pixels reach within the tile.
     reach: Dilation,
+    /// Opaque texels among three of a row.
+    sums: Vec<u8>,
+    /// Empty texels of a row that touch an opaque one.
+    ring: Vec<u8>,
 }
 
 /// Joins visible, hidden and soft texels into a layer cut to its bounds; none where nothing is left.
+#[inline(never)]
 fn mask(r: Rect, place: TileFrame, tile: &Tile, label: Option<u8>, plane: Plane, parallax: f64, s: &mut Scratch) -> Option<LayerMask> {
-    let (w, h) = (r.w as usize, r.h as usize);
-    let texel = |(&l, &hidden): (&u8, &u8)| if Some(l) == label { Class::Photo as u8 } else { hidden * Class::Hidden as u8 };
-    let mut class: Vec<u8> = tile.labels.iter().zip(&s.hidden).map(texel).collect();
-    let mut alpha: Vec<u8> = class.iter().map(|&c| if c == Class::Empty as u8 { 0 } else { 255 }).collect();
+    rows::classify(&tile.labels, label, &s.hidden, &mut s.class, &mut s.alpha);
     if let Some(label) = label {
-        soften(&mut class, &mut alpha, &SoftEdge { r, place, tile, label, parallax }, s);
+        soften(&SoftEdge { r, place, tile, label, parallax }, s);
     }
-    let b = bounds(&class, w, h)?;
-    let cut = |v: Vec<u8>| -> Vec<u8> {
-        if b.w == r.w && b.h == r.h {
-            return v;
+    let b = bounds(&s.class, r.w, r.h)?;
+    let cut = |texels: &[u8]| {
+        let mut out = Vec::with_capacity(b.area());
+        for row in texels.chunks(r.w as usize).skip(b.y as usize).take(b.h as usize) {
+            out.extend_from_slice(&row[b.x as usize..][..b.w as usize]);
         }
-        v.chunks(w).skip(b.y as usize).take(b.h as usize).flat_map(|row| &row[b.x as usize..][..b.w as usize]).copied().collect()
+        out
     };
-    Some(LayerMask { plane, label, rect: Rect { x: r.x + b.x, y: r.y + b.y, w: b.w, h: b.h }, class: cut(class), alpha: cut(alpha) })
+    Some(LayerMask { plane, label, rect: Rect { x: r.x + b.x, y: r.y + b.y, w: b.w, h: b.h }, class: cut(&s.class), alpha: cut(&s.alpha) })
 }
 
 /// A layer whose rim is softened.
@@ -324,33 +356,31 @@ impl SoftEdge<'_> {
 /// One ring of soft texels outside: alpha is the 3×3 box of the opaque mask, colour the photo's, so that the identity view
 /// stays exact. Only where the layer lies in front: elsewhere the photo's colour belongs to something else. Where it lies
 /// hardly in front and the surface is bent by a crease, the ring is opaque, or a hairline would open along the crease.
-fn soften(class: &mut [u8], alpha: &mut [u8], edge: &SoftEdge, s: &mut Scratch) {
+#[inline(never)]
+fn soften(edge: &SoftEdge, s: &mut Scratch) {
     let (w, h) = (edge.r.w as usize, edge.r.h as usize);
-    s.opaque.clear();
-    s.opaque.extend(alpha.iter().map(|&a| u8::from(a == 255)));
-    let Scratch { opaque, own, visible, .. } = s;
-    let mut columns = vec![0u8; w];
+    let Scratch { class, alpha, own, visible, sums, ring, .. } = s;
+    sums.resize(w * h, 0);
+    for (alpha, sums) in alpha.chunks(w).zip(sums.chunks_mut(w)) {
+        rows::sums_of_three(alpha, sums);
+    }
+    ring.resize(w, 0);
     for y in 0..h {
-        let lines = y.saturating_sub(1)..(y + 2).min(h);
-        columns.fill(0);
-        for line in lines.clone() {
-            for (c, o) in columns.iter_mut().zip(&opaque[line * w..]) {
-                *c += o;
-            }
-        }
-        // rows without an opaque texel near have no ring
-        if columns.iter().all(|&c| c == 0) {
+        let row = |y: usize| &sums[y * w..][..w];
+        let above = if y > 0 { row(y - 1) } else { &[] };
+        let below = if y + 1 < h { row(y + 1) } else { &[] };
+        if !rows::ring(&class[y * w..][..w], [above, row(y), below], ring) {
             continue;
         }
+        let lines = 1 + usize::from(y > 0) + usize::from(y + 1 < h);
         for x in 0..w {
-            let (at, near) = (y * w + x, x.saturating_sub(1)..(x + 2).min(w));
-            let all = (lines.len() * near.len()) as u32;
-            let set: u32 = columns[near].iter().map(|&c| u32::from(c)).sum();
-            if set == 0 || opaque[at] != 0 {
+            let (at, set) = (y * w + x, u32::from(ring[x]));
+            if set == 0 {
                 continue;
             }
             let front = (f64::from(own[at]) - f64::from(visible[at])) * edge.parallax;
             if front > 0.0 {
+                let all = (lines * (1 + usize::from(x > 0) + usize::from(x + 1 < w))) as u32;
                 class[at] = Class::Photo as u8;
                 let soft = ((255 * set + all / 2) / all) as u8;
                 alpha[at] = if front <= SEAM && edge.folds(x, y, own) { 255 } else { soft };
@@ -359,20 +389,26 @@ fn soften(class: &mut [u8], alpha: &mut [u8], edge: &SoftEdge, s: &mut Scratch) 
     }
 }
 
-/// Bounds of what is not empty, with one empty pixel around where the tile has it, so that bilinear samples fade out; none where
-/// all is empty.
-fn bounds(class: &[u8], w: usize, h: usize) -> Option<Rect> {
-    let full = |c: &u8| *c != Class::Empty as u8;
-    let y0 = class.iter().position(full)? / w;
-    let y1 = class.iter().rposition(full)? / w + 1;
+/// Bounds of what is not 0 in a mask `w` pixels wide; none where all is.
+pub(super) fn extent(mask: &[u8], w: usize) -> Option<Rect> {
+    let full = |c: &u8| *c != 0;
+    let y0 = mask.iter().position(full)? / w;
+    let y1 = mask.iter().rposition(full)? / w + 1;
     let (mut x0, mut x1) = (w, 0);
-    for row in class[y0 * w..y1 * w].chunks(w) {
+    for row in mask[y0 * w..y1 * w].chunks(w) {
         // only what lies outside of the bounds so far can widen them
         x0 = row[..x0].iter().position(full).unwrap_or(x0);
         x1 = row[x1..].iter().rposition(full).map_or(x1, |x| x1 + x + 1);
     }
-    let (x0, y0, x1, y1) = (x0.saturating_sub(1), y0.saturating_sub(1), (x1 + 1).min(w), (y1 + 1).min(h));
     Some(Rect { x: x0 as u32, y: y0 as u32, w: (x1 - x0) as u32, h: (y1 - y0) as u32 })
+}
+
+/// Bounds of what is not empty, with one empty pixel around where the tile has it, so that bilinear samples fade out; none where
+/// all is empty.
+fn bounds(class: &[u8], w: u32, h: u32) -> Option<Rect> {
+    let b = extent(class, w as usize)?;
+    let (x, y) = (b.x.saturating_sub(1), b.y.saturating_sub(1));
+    Some(Rect { x, y, w: (b.x + b.w + 1).min(w) - x, h: (b.y + b.h + 1).min(h) - y })
 }
 
 #[cfg(test)]

@@ -4,6 +4,8 @@
 //! `δ = 1/z`: infinity is 0, the nearest surface of a photo is 1, so lengths are in units of the nearest distance.
 
 mod camera;
+#[cfg(feature = "digest")]
+mod digest;
 mod grid;
 mod multiplane;
 mod plane;

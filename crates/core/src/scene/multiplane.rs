@@ -138,8 +138,9 @@ impl Scene {
         if self.texels.class.len() != texel || self.texels.alpha.len() != texel || self.texels.hidden.len() != hidden {
             return fail("texel count");
         }
-        if self.texels.class.iter().zip(&self.texels.alpha).any(|(&c, &a)| c > Class::Hidden as u8 || (c == Class::Empty as u8) != (a == 0))
-        {
+        // without a branch, so that many are looked at together
+        let wrong = |c: u8, a: u8| u8::from(c > Class::Hidden as u8) | u8::from((c == Class::Empty as u8) != (a == 0));
+        if self.texels.class.iter().zip(&self.texels.alpha).fold(0, |any, (&c, &a)| any | wrong(c, a)) != 0 {
             return fail("texel class");
         }
         Ok(())

@@ -1,0 +1,72 @@
+//! The visible surface: δ of what each pixel of the photo shows.
+
+use std::ops::Range;
+
+use super::rows::Columns;
+use super::{Geometry, TileFrame};
+
+/// δ of the visible surface per pixel, of some rows of the photo; where tiles overlap, of the tile that comes last.
+pub struct Surface {
+    width: usize,
+    /// The first row.
+    top: u32,
+    delta: Vec<f32>,
+}
+
+impl Surface {
+    pub(super) fn of(geometry: &Geometry, rows: Range<u32>) -> Self {
+        let (grid, width) = (&geometry.grid, geometry.grid.width as usize);
+        let mut surface = Self { width, top: rows.start, delta: vec![0.0; width * rows.len()] };
+        let (mut us, mut planes) = (Vec::new(), Vec::new());
+        for (i, t) in (0..).zip(&geometry.tiles) {
+            let r = grid.rect(i);
+            let own = r.y.max(rows.start)..(r.y + r.h).min(rows.end);
+            if own.is_empty() {
+                continue;
+            }
+            let place = TileFrame::of(grid, i);
+            place.columns(r.x, r.w, &mut us);
+            let columns = Columns { us: &us, labels: &t.labels, planes: &t.planes };
+            for y in own {
+                let at = surface.at(r.x, y);
+                columns.visible((y - r.y) as usize, place.v(y), &mut planes, &mut surface.delta[at..at + r.w as usize]);
+            }
+        }
+        surface
+    }
+
+    /// Place of a pixel among those of its rows.
+    pub(super) fn at(&self, x: u32, y: u32) -> usize {
+        (y - self.top) as usize * self.width + x as usize
+    }
+
+    /// `count` pixels of row `y` from column `x` on.
+    pub(super) fn row(&self, x: u32, y: u32, count: u32) -> &[f32] {
+        &self.delta[self.at(x, y)..][..count as usize]
+    }
+
+    /// Makes infinite what touches something nearer by more than `touch`: such a pixel's colour is mixed.
+    pub(super) fn put_away_mixed(&mut self, touch: f64) {
+        let width = self.width;
+        let mut above = vec![f32::NEG_INFINITY; width];
+        let (mut here, mut nearest) = (above.clone(), above.clone());
+        let rows = self.delta.len() / width;
+        for y in 0..rows {
+            let (row, below) = self.delta[y * width..].split_at_mut(width);
+            here.copy_from_slice(row);
+            nearest.copy_from_slice(row);
+            for other in [&above[..], below.get(..width).unwrap_or_default()] {
+                for (n, &d) in nearest.iter_mut().zip(other) {
+                    *n = if d > *n { d } else { *n };
+                }
+            }
+            let larger = |a: f32, b: f32| if b > a { b } else { a };
+            for (x, d) in row.iter_mut().enumerate() {
+                let (before, after) = (nearest[x.saturating_sub(1)], nearest[(x + 1).min(width - 1)]);
+                let most = larger(larger(nearest[x], before), after);
+                *d = if f64::from(most) - f64::from(*d) > touch { f32::INFINITY } else { *d };
+            }
+            std::mem::swap(&mut above, &mut here);
+        }
+    }
+}

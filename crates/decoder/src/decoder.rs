@@ -1,0 +1,126 @@
+//! What an instance holds, and what its functions do.
+
+use std::ops::Range;
+
+use tmpi_core::container::{Part, PhotoRows, decode_rows};
+use tmpi_core::{Class, Photo};
+
+use crate::strip::{Piece, strip};
+
+/// What can be read out.
+#[derive(Clone, Copy, Debug)]
+#[repr(u32)]
+pub enum Output {
+    /// Why the last call failed: text.
+    Text = 0,
+    /// Text of a panic.
+    Panic = 1,
+    /// Numbers of the layers (see `Decoder::decode`), 64-bit floats, low byte first.
+    Numbers = 2,
+    /// Classes of all texels.
+    Class = 3,
+    /// Their alphas.
+    Alpha = 4,
+    /// Colours of the hidden ones, three bytes each.
+    Hidden = 5,
+    /// The last strip, four bytes a texel.
+    Strip = 6,
+}
+
+/// One container, or one band of its tiles.
+#[derive(Default)]
+pub struct Decoder {
+    input: Vec<u8>,
+    container: Vec<u8>,
+    photo: PhotoRows,
+    hidden: Option<Photo>,
+    part: Part,
+    numbers: Vec<u8>,
+    strip: Vec<[u8; 4]>,
+    /// Why the last call failed.
+    pub text: String,
+}
+
+impl Decoder {
+    /// A buffer of so many bytes for the next call.
+    pub fn room(&mut self, length: usize) -> &mut [u8] {
+        self.input.resize(length, 0);
+        &mut self.input
+    }
+
+    /// Takes over what was handed over as the container.
+    pub fn open(&mut self) {
+        self.container = std::mem::take(&mut self.input);
+    }
+
+    /// Takes over rows of a picture, RGBA.
+    pub fn picture(&mut self, hidden: bool, (width, height): (u32, u32), top: u32) {
+        let rgb = self.input.as_chunks::<4>().0.iter().map(|&[r, g, b, _]| [r, g, b]);
+        if hidden {
+            self.hidden.get_or_insert_with(|| Photo { width, height, rgb: Vec::new() }).rgb.extend(rgb);
+        } else {
+            if self.photo.rgb.is_empty() {
+                self.photo = PhotoRows { width, height, top, rgb: Vec::new() };
+            }
+            self.photo.rgb.extend(rgb);
+        }
+        self.input = Vec::new();
+    }
+
+    /// Decodes rows of tiles; leaves ten columns of numbers, one value each for every layer: a, b, c of the plane, x, y, w, h of the
+    /// rectangle, tile, count of visible texels, whether any texel is soft.
+    ///
+    /// # Errors
+    /// Where the container is damaged.
+    pub fn decode(&mut self, rows: Range<u32>) -> Result<i32, String> {
+        // what is not finished is no picture
+        let hidden = self.hidden.as_ref().filter(|p| p.rgb.len() == p.width as usize * p.height as usize);
+        self.part = decode_rows(&self.container, &rows, &self.photo, hidden).map_err(|e| e.to_string())?;
+        (self.container, self.input, self.hidden) = (Vec::new(), Vec::new(), None);
+        let (layers, texels) = (&self.part.layers, &self.part.texels);
+        let rows: Vec<[f64; 10]> = layers
+            .iter()
+            .map(|l| {
+                let own = l.first_texel..l.first_texel + l.rect.area();
+                let visible = texels.class[own.clone()].iter().filter(|&&c| c == Class::Photo as u8).count();
+                let soft = texels.alpha[own].iter().any(|&a| a < u8::MAX);
+                let [x, y, w, h] = [l.rect.x, l.rect.y, l.rect.w, l.rect.h].map(f64::from);
+                let (p, soft) = (l.plane, f64::from(u8::from(soft)));
+                [p.a, p.b, p.c, x, y, w, h, f64::from(l.tile), visible as f64, soft]
+            })
+            .collect();
+        let columns: Vec<f64> = (0..10).flat_map(|column| rows.iter().map(move |row| row[column])).collect();
+        self.put(&columns);
+        Ok(1)
+    }
+
+    /// Fills a strip with the pieces that were handed over, colours straight or premultiplied.
+    ///
+    /// # Errors
+    /// Where a piece does not lie in its layer or in the strip.
+    pub fn strip(&mut self, size: (usize, usize), straight: bool) -> Result<i32, String> {
+        let numbers: Vec<u32> = self.input.as_chunks().0.iter().map(|n| u32::from_le_bytes(*n)).collect();
+        let pieces = numbers.as_chunks().0.iter().map(Piece::of);
+        self.strip = strip(&self.part, &self.photo, pieces, size, straight).ok_or("a piece does not fit")?;
+        Ok(1)
+    }
+
+    /// The bytes of a result, by the number of an [`Output`].
+    #[must_use]
+    pub fn output(&self, what: u32) -> &[u8] {
+        const OUTPUTS: [Output; 6] = [Output::Text, Output::Numbers, Output::Class, Output::Alpha, Output::Hidden, Output::Strip];
+        match OUTPUTS.into_iter().find(|o| *o as u32 == what) {
+            Some(Output::Text) => self.text.as_bytes(),
+            Some(Output::Numbers) => &self.numbers,
+            Some(Output::Class) => &self.part.texels.class,
+            Some(Output::Alpha) => &self.part.texels.alpha,
+            Some(Output::Hidden) => self.part.texels.hidden.as_flattened(),
+            Some(Output::Strip) => self.strip.as_flattened(),
+            Some(Output::Panic) | None => &[],
+        }
+    }
+
+    fn put(&mut self, numbers: &[f64]) {
+        self.numbers = numbers.iter().flat_map(|n| n.to_le_bytes()).collect();
+    }
+}

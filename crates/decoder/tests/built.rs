@@ -1,0 +1,59 @@
+//! The built module is that of these sources: `crates/decoder/built.txt` has their hash and the module's. `cargo xtask wasm` writes both.
+#![allow(clippy::unwrap_used, reason = "a test")]
+
+use std::path::{Path, PathBuf};
+
+use sha2::{Digest, Sha256};
+
+/// What the module is built from, but for what only tests have.
+const SOURCES: [&str; 7] = [
+    "crates/core/Cargo.toml",
+    "crates/core/build.rs",
+    "crates/core/src",
+    "crates/decoder/Cargo.toml",
+    "crates/decoder/src",
+    "crates/decoder/wasm32-std.sh",
+    "proto/tmpi.proto",
+];
+const TESTS: [&str; 3] = ["tests.rs", "fixtures.rs", "fuzzing.rs"];
+/// Packages whose code is in it.
+const PACKAGES: [&str; 3] = ["prost", "ruzstd", "thiserror"];
+
+fn files(path: &Path, found: &mut Vec<PathBuf>) {
+    if path.is_dir() {
+        std::fs::read_dir(path).unwrap().for_each(|entry| files(&entry.unwrap().path(), found));
+    } else if !TESTS.iter().any(|name| path.ends_with(name)) {
+        found.push(path.to_owned());
+    }
+}
+
+fn hex(hash: Sha256) -> String {
+    hash.finalize().iter().map(|b| format!("{b:02x}")).collect()
+}
+
+#[test]
+fn the_built_module_is_of_these_sources() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+    let mut found = Vec::new();
+    SOURCES.iter().for_each(|name| files(&root.join(name), &mut found));
+    let name = |path: &Path| path.strip_prefix(&root).unwrap().to_string_lossy().replace('\\', "/");
+    found.sort_by_key(|path| name(path));
+    let mut hash = Sha256::new();
+    for path in found {
+        hash.update(name(&path));
+        hash.update(std::fs::read_to_string(&path).unwrap().replace("\r\n", "\n"));
+    }
+    let lock = std::fs::read_to_string(root.join("Cargo.lock")).unwrap();
+    for package in PACKAGES {
+        let named = format!("name = \"{package}\"\n");
+        hash.update(lock.split("[[package]]\n").find(|p| p.starts_with(&named)).unwrap());
+    }
+    let module = std::fs::read(root.join("static/decode/decoder.wasm")).unwrap();
+    let now = format!("sources {}\nmodule {}\n", hex(hash), hex(Sha256::new_with_prefix(module)));
+    let kept = root.join("crates/decoder/built.txt");
+    if std::env::var("TMPI_BLESS").is_ok_and(|v| v == "wasm") {
+        std::fs::write(&kept, &now).unwrap();
+    }
+    let then = std::fs::read_to_string(&kept).unwrap();
+    assert_eq!(now, then, "static/decode/decoder.wasm is stale: `cargo xtask wasm` builds it");
+}

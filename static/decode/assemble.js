@@ -1,0 +1,119 @@
+// Decodes a container in bands, and puts their layers together to what the page uploads and draws.
+import { pieces as piecesOf } from '../draw/border.js';
+import { instances } from '../draw/instances.js';
+import { floatsFit } from '../draw/soft-stacks.js';
+import { pack } from '../draw/texture-atlas.js';
+import { tileCounts } from './grid.js';
+
+/** @import { Band, BandJob } from './band.js' */
+/** @import { Head } from './head.js' */
+/** @import { Layers, Picture, Scene } from './scene.js' */
+
+/** Rows of pixels above and below a tile that its layers follow from: crates/core's `MAX_REACH`. */
+const REACH = 96;
+
+/**
+ * @param {Head} head
+ * @param {{bytes: Uint8Array, photo: Picture, hidden: Picture | null}} input
+ * @param {Pick<Band, 'decode' | 'deep' | 'strips'>[]} bands
+ * @returns {Promise<{scene: Omit<Scene, 'decodeMs'>, transfer: ArrayBuffer[]}>} `transfer`: buffers that can be handed over with it
+ */
+export async function assembled({ scene }, input, bands) {
+  const jobs = cut(scene, input, bands.length);
+  // those of other workers first: the first band is decoded here
+  const tables = await together(bands.slice(0, jobs.length), (band, i) => band.decode(jobs[i]));
+  const layers = joined(tables);
+  const whole = { ...scene, layers };
+  const pieces = piecesOf(whole);
+  const starts = tables.map((_, i) => tables.slice(0, i).reduce((sum, { count }) => sum + count, 0));
+  const groups = pieces.map(({ layer }) => starts.findLastIndex((start) => layer >= start));
+  const places = pack(pieces, groups);
+  const wide = floatsFit(places) && (await anyDeep(scene, pieces, starts, bands.slice(0, jobs.length)));
+  const strips = places.bands.map((band) => ({ ...band, group: groups[band.pieces[0]] }));
+  const filled = await together(bands.slice(0, jobs.length), (band, i) =>
+    band.strips({
+      jobs: strips.filter(({ group }) => group === i).map((strip) => stripJob(strip, pieces, starts[i], places.width)),
+      wide,
+    }),
+  );
+  // each group's strips stay in their order
+  const next = filled.map(() => 0);
+  const atlas = {
+    width: places.width,
+    height: places.height,
+    pages: places.pages,
+    wide,
+    strips: strips.map(({ page, y, h, group }) => ({ page, y, h, data: filled[group][next[group]++].data })),
+  };
+  const drawn = instances(whole, pieces, places);
+  const arrays = [...Object.values(layers), drawn.data, drawn.tiles, ...atlas.strips.map(({ data }) => data)];
+  const transfer = arrays.filter((a) => ArrayBuffer.isView(a)).map((a) => /** @type {ArrayBuffer} */ (a.buffer));
+  return { scene: { ...whole, instances: drawn, atlas }, transfer };
+}
+
+/** Whether many soft texels lie over each other in any band; layers of a band are numbered from its first. */
+async function anyDeep({ width, height }, pieces, starts, bands) {
+  const own = bands.map(() => []);
+  for (const piece of pieces) {
+    const i = starts.findLastIndex((start) => piece.layer >= start);
+    own[i].push({ ...piece, layer: piece.layer - starts[i] });
+  }
+  const deep = await together(bands, (band, i) => band.deep({ width, height, pieces: own[i] }));
+  return deep.some(Boolean);
+}
+
+/** Results of all bands; the last is begun first. */
+async function together(bands, call) {
+  const begun = bands.map(() => null);
+  for (let i = bands.length - 1; i >= 0; i--) begun[i] = call(bands[i], i);
+  return Promise.all(begun);
+}
+
+/**
+ * Whole rows of tiles, about as many for each band.
+ * @returns {BandJob[]}
+ */
+function cut(scene, { bytes, photo, hidden }, count) {
+  const { columns, tiles } = tileCounts(scene);
+  const rows = tiles / columns;
+  const bands = Math.min(count, rows);
+  return Array.from({ length: bands }, (_, i) => {
+    const [first, end] = [Math.floor((i * rows) / bands), Math.floor(((i + 1) * rows) / bands)];
+    const top = Math.max(first * scene.tileStride - REACH, 0);
+    const bottom = Math.min((end - 1) * scene.tileStride + scene.tileSize + REACH, photo.height);
+    const stride = photo.width * 4;
+    // the band decoded here looks at the picture itself
+    const data = i === 0 ? photo.data.subarray(0, bottom * stride) : photo.data.slice(top * stride, bottom * stride);
+    return { scene, bytes, first, end, top, photo: { ...photo, data }, hidden };
+  });
+}
+
+/**
+ * One table of the layers of all bands.
+ * @param {Layers[]} tables
+ * @returns {Layers}
+ */
+function joined(tables) {
+  if (tables.length === 1) return tables[0];
+  const count = tables.reduce((sum, table) => sum + table.count, 0);
+  const columns = Object.keys(tables[0]).filter((key) => key !== 'count');
+  const column = (key) => {
+    const out = new tables[0][key].constructor(count);
+    let at = 0;
+    for (const table of tables) {
+      out.set(table[key], at);
+      at += table.count;
+    }
+    return out;
+  };
+  return /** @type {any} */ ({ count, ...Object.fromEntries(columns.map((key) => [key, column(key)])) });
+}
+
+/** A strip as `Decoder.strip` takes it; layers count from the band's first. */
+function stripJob({ pieces: own, x, h }, pieces, start, width) {
+  const numbers = own.flatMap((i, k) => {
+    const { layer, u, v, w, h, flipX, flipY } = pieces[i];
+    return [layer - start, u, v, w, h, Number(flipX) + 2 * Number(flipY), x[k]];
+  });
+  return { pieces: Uint32Array.from(numbers), width, height: h };
+}

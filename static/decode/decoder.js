@@ -1,0 +1,136 @@
+// One container, or a band of its tiles, in an instance of decoder.wasm (crates/decoder). Pure: no page, no network; pictures are
+// decoded by the caller.
+
+import { ContainerError } from './head.js';
+
+/** @import { Layers, SceneHead } from './scene.js' */
+
+/** Outputs, by the numbers of crates/decoder's `Output`. */
+const [TEXT, PANIC, NUMBERS, CLASSES, ALPHA, HIDDEN, STRIP] = [0, 1, 2, 3, 4, 5, 6];
+/** Columns of the table of layers, and how each is kept. */
+const COLUMNS = /** @type {const} */ ([
+  ['a', Float64Array],
+  ['b', Float64Array],
+  ['c', Float64Array],
+  ['x', Uint32Array],
+  ['y', Uint32Array],
+  ['w', Uint32Array],
+  ['h', Uint32Array],
+  ['tile', Uint32Array],
+  ['visible', Uint32Array],
+  ['soft', Uint8Array],
+]);
+/** Rows of a picture that are handed over at once, in bytes. */
+const PICTURE_BYTES = 4 << 20;
+
+export class Decoder {
+  #exports;
+
+  /** @param {WebAssembly.Module} module */
+  static async of(module) {
+    return new Decoder(await WebAssembly.instantiate(module, {}));
+  }
+
+  /** @param {WebAssembly.Instance} instance of decoder.wasm, not used before */
+  constructor(instance) {
+    this.#exports = /** @type {any} */ (instance.exports);
+  }
+
+  /** Bytes of the instance's memory. */
+  get memory() {
+    return this.#exports.memory.buffer.byteLength;
+  }
+
+  /**
+   * Takes over a whole container; the bytes of its photo are not looked at.
+   * @param {Uint8Array} bytes
+   */
+  open(bytes) {
+    this.#hand(bytes);
+    this.#call('tmpi_open');
+  }
+
+  /**
+   * Takes over the photo, or its rows from `top` on, or the picture of hidden colours.
+   * @param {'photo' | 'hidden'} kind
+   * @param {{width: number, height: number, data: Uint8Array | Uint8ClampedArray}} picture size of the whole, straight RGBA
+   */
+  picture(kind, { width, height, data }, top = 0) {
+    const step = Math.max(1, Math.floor(PICTURE_BYTES / (width * 4))) * width * 4;
+    for (let at = 0; at < data.length; at += step) {
+      this.#hand(data.subarray(at, at + step));
+      this.#call('tmpi_picture', kind === 'hidden' ? 1 : 0, width, height, top);
+    }
+  }
+
+  /**
+   * Decodes rows of tiles from `first` to before `end`.
+   * @param {SceneHead} scene
+   * @returns {Layers}
+   * @throws {ContainerError}
+   */
+  decode({ tileSize, tileStride, width }, first, end) {
+    this.#call('tmpi_decode', first, end);
+    const numbers = this.#numbers();
+    const count = numbers.length / COLUMNS.length;
+    const columns = width <= tileSize ? 1 : Math.ceil((width - tileSize) / tileStride) + 1;
+    const table = COLUMNS.map(([name, Kind], i) => [name, Kind.from(numbers.subarray(i * count, (i + 1) * count))]);
+    const { tile, ...layers } = Object.fromEntries(table);
+    const tileX = tile.map((t) => (t % columns) * tileStride);
+    const tileY = tile.map((t) => Math.floor(t / columns) * tileStride);
+    return /** @type {any} */ ({ count, ...layers, tileX, tileY });
+  }
+
+  /** Alphas of all texels; seen until the next call. */
+  get alpha() {
+    return this.#output(ALPHA);
+  }
+
+  /** Classes, alphas and hidden colours of all texels, copied: what tests look at. */
+  texels() {
+    return { classes: this.#output(CLASSES).slice(), alpha: this.#output(ALPHA).slice(), hidden: this.#output(HIDDEN).slice() };
+  }
+
+  /**
+   * Fills a strip of a texture page.
+   * @param {Uint32Array} pieces seven numbers each: layer, first column, first row, columns, rows, mirrored (1 columns, 2 rows), column in
+   *   the strip
+   * @returns {Uint8Array<ArrayBuffer>} RGBA, premultiplied unless it is to be straight, a buffer of its own
+   */
+  strip(pieces, width, height, straight = false) {
+    this.#hand(new Uint8Array(pieces.buffer, pieces.byteOffset, pieces.byteLength));
+    this.#call('tmpi_strip', width, height, Number(straight));
+    return new Uint8Array(this.#output(STRIP));
+  }
+
+  #hand(bytes) {
+    const at = this.#guarded('tmpi_room', [bytes.length]);
+    new Uint8Array(this.#exports.memory.buffer).set(bytes, at >>> 0);
+  }
+
+  #output(what) {
+    const [at, length] = [this.#exports.tmpi_output(what), this.#exports.tmpi_output_length(what)];
+    return new Uint8Array(this.#exports.memory.buffer, at >>> 0, length >>> 0);
+  }
+
+  #numbers() {
+    // copied, as it need not lie at a multiple of eight
+    return new Float64Array(this.#output(NUMBERS).slice().buffer);
+  }
+
+  #call(name, ...args) {
+    const status = this.#guarded(name, args);
+    if (status < 0) throw new ContainerError(new TextDecoder().decode(this.#output(TEXT)));
+    return status;
+  }
+
+  /** A panic ends the instance, and memory that is not to be had too: it says why. */
+  #guarded(name, args) {
+    try {
+      return this.#exports[name](...args);
+    } catch (error) {
+      const text = new TextDecoder().decode(this.#output(PANIC));
+      throw new Error(`the decoder failed: ${text || error.message}`);
+    }
+  }
+}

@@ -1,0 +1,107 @@
+// What the first bytes of a container tell (proto/tmpi.proto): enough to show the photo before the decoder is there, and where it may
+// not run. The decoder itself trusts none of it.
+
+/** @import { SceneHead } from './scene.js' */
+
+/** A container that is damaged, of a newer version, or none. */
+export class ContainerError extends Error {}
+
+/** Major version that this reader knows, and the bounds of crates/core's `container`. */
+const MAJOR = 1;
+const MAX_INDEX_BYTES = 1 << 20;
+const MAX_SIDE = 16_384;
+const MAX_PIXELS = 50_000_000;
+const HEADER_BYTES = 12;
+const MAGIC = [0x54, 0x4d, 0x50, 0x49];
+/** Kinds of sections. */
+const [PHOTO, ALPHA, HIDDEN] = [1, 4, 5];
+/** Media types of the picture codecs. */
+const PICTURES = { 2: 'image/jpeg', 3: 'image/png', 4: 'image/webp' };
+/** Fields of the index. */
+const SECTIONS = 16;
+
+/** @typedef {{start: number, end: number, type: string}} PictureFile first byte, end, media type of a picture file in a container */
+/**
+ * The scene's head, count of all bytes, picture files, and whether tiles may be decoded in bands: not where a section runs through all
+ * texels.
+ * @typedef {{scene: SceneHead, bytes: number, photo: PictureFile, hidden: PictureFile | null, bands: boolean}} Head
+ */
+
+/** @returns {never} */
+function broken(what) {
+  throw new ContainerError(`not a readable TMPI container: ${what}`);
+}
+
+/**
+ * Reads header and index.
+ * @param {Uint8Array} bytes the first bytes of a container
+ * @returns {Head | null} null where more bytes are needed
+ */
+export function readHead(bytes) {
+  if (MAGIC.some((byte, i) => i < bytes.length && bytes[i] !== byte)) broken('it does not begin with "TMPI"');
+  if (bytes.length < HEADER_BYTES) return null;
+  const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.length);
+  const major = view.getUint16(4, true);
+  if (major > MAJOR) throw new ContainerError(`the container is of version ${major}; this program reads up to version ${MAJOR}`);
+  const start = HEADER_BYTES + view.getUint32(8, true);
+  if (start - HEADER_BYTES > MAX_INDEX_BYTES) broken('the index is too long');
+  if (bytes.length < start) return null;
+  const fields = message(view, HEADER_BYTES, start);
+  const one = (field) => fields.findLast(([number]) => number === field)?.[1] ?? 0;
+  const [width, height, tileSize, tileStride] = [1, 2, 3, 4].map((field) => one(field) % 2 ** 32);
+  const [fx, fy, cx, cy, x, y, z] = [5, 6, 7, 8, 9, 10, 11].map(one);
+  if (!(width > 0 && height > 0) || width > MAX_SIDE || height > MAX_SIDE || width * height > MAX_PIXELS)
+    broken('photo size out of bounds');
+  if (!tileSize || tileStride * 2 < tileSize || tileStride > tileSize) broken('tile size out of bounds');
+  if (![fx, fy, cx, cy, x, y, z].every(Number.isFinite)) broken('camera out of bounds');
+  const sections = fields
+    .filter(([field]) => field === SECTIONS)
+    .map(([, range]) => {
+      const own = Object.fromEntries(message(view, ...range));
+      const from = start + (own[3] ?? 0);
+      return { kind: own[1], type: PICTURES[own[2]], start: from, end: from + (own[4] ?? 0) };
+    });
+  const section = (kind) => sections.find((s) => s.kind === kind);
+  const [photo, hidden] = [section(PHOTO), section(HIDDEN)];
+  if (!photo?.type) return broken('there is no photo section');
+  return {
+    scene: { width, height, tileSize, tileStride, intrinsics: { fx, fy, cx, cy }, viewBox: { x, y, z } },
+    bytes: sections.reduce((end, section) => Math.max(end, section.end), start),
+    photo,
+    hidden: hidden?.type ? hidden : null,
+    bands: !sections.some(({ kind }) => kind === ALPHA || kind === HIDDEN),
+  };
+}
+
+/**
+ * The fields of a protobuf message, in order: numbers, and [from, to] of what has a length.
+ * @returns {[number, any][]}
+ */
+function message(view, from, to) {
+  const fields = [];
+  let at = from;
+  const varint = () => {
+    let value = 0n;
+    for (let i = 0n; i < 10n; i++) {
+      if (at >= to) broken('index: cut off');
+      const byte = view.getUint8(at++);
+      if (i === 9n && byte > 1) break;
+      value |= BigInt(byte & 127) << (7n * i);
+      if (byte < 128) return value;
+    }
+    return broken('index: a number is too long');
+  };
+  while (at < to) {
+    const key = Number(varint());
+    const [field, wire] = [Math.floor(key / 8), key % 8];
+    if (wire === 0) {
+      fields.push([field, Number(varint())]);
+      continue;
+    }
+    const length = wire === 1 ? 8 : wire === 5 ? 4 : wire === 2 ? Number(varint()) : broken('index: an unknown type');
+    if (at + length > to) broken('index: cut off');
+    fields.push([field, wire === 1 ? view.getFloat64(at, true) : [at, at + length]]);
+    at += length;
+  }
+  return fields;
+}

@@ -1,0 +1,21 @@
+// The compiled decoder, once a page or worker.
+
+/** Why WebAssembly is not to be had, for a person who can change it. */
+export const REFUSED = "The page's content security policy forbids WebAssembly: add 'wasm-unsafe-eval' to its script-src.";
+
+/** @returns {Promise<WebAssembly.Module>} */
+export async function compiled() {
+  const address = new URL('./decoder.wasm', import.meta.url);
+  const response = await fetch(address);
+  if (!response.ok) throw new Error('the decoder cannot be loaded');
+  try {
+    // while it comes; a server that names another media type, and a data address, have it whole
+    if (response.headers.get('content-type') === 'application/wasm') return await WebAssembly.compileStreaming(response);
+    return await WebAssembly.compile(await response.arrayBuffer());
+  } catch (error) {
+    if (error instanceof WebAssembly.CompileError && /unsafe-eval|Content Security Policy|disallowed|blocked by CSP/i.test(error.message)) {
+      throw new Error(REFUSED);
+    }
+    throw error;
+  }
+}
