@@ -2,7 +2,6 @@
 
 import csv
 import json
-import os
 import random
 import time
 from pathlib import Path
@@ -12,10 +11,7 @@ import numpy as np
 import torch
 import torch.nn.functional as F
 
-HERE = Path(__file__).resolve().parent
-RUNS = HERE / "runs"
-MODELS = HERE.parent / "models"
-DATA = Path(os.environ.get("TMPI_DATA", HERE.parent.parent / "shared" / "data"))
+from paths import DATA, HERE, MODELS, RUNS  # noqa: F401 - others import them from here
 
 
 def device():

@@ -23,7 +23,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from common import DATA, HERE, RUNS
+from paths import DATA, HERE, RUNS
 
 # metres at which things count as infinitely far
 FAR = 1e6
