@@ -139,7 +139,7 @@ def heat(done, at, shape_):
 
 
 def metres(values):
-    return " to ".join("far" if v < 1e-4 else f"{1 / v:.3g}" for v in dict.fromkeys(np.percentile(values, (98, 2))))
+    return " to ".join("far" if v < 1e-6 else f"{1 / v:.3g}" for v in dict.fromkeys(np.percentile(values, (98, 2))))
 
 
 def painted(a):
@@ -191,7 +191,7 @@ def faults(label, done):
         speck = size[size < 60].sum() / size.sum()
         if count > 12 and speck > 0.1:
             yield "fault", f"{name}: speckled, {100 * speck:.0f} % in {int((size < 60).sum())} islands"
-        if region["kind"] not in ("sky", "unknown") and np.median(disparity[inside]) < 1e-4:
+        if region["kind"] not in ("sky", "unknown") and np.median(disparity[inside]) < 1e-6:
             yield "fault", f"{name}: infinitely far, as only sky is (its foot is at the horizon?)"
         if inside.mean() > 0.01 and region.get("area") not in (None, "all"):
             rough = shape(region, label["size"]) > 0
@@ -210,7 +210,7 @@ def faults(label, done):
             if not mine.any():
                 mine, its = ids == i + 1, ids == numbers[other]
             near, far = np.median(disparity[mine]), np.median(disparity[its])
-            if near < far * 0.999:
+            if near < far * 0.9:
                 yield "fault", f"{region['name']} ({metres(near)} m) is not in front of {other} ({metres(far)} m)"
     declared = {(r["name"], o) for r in regions for o in np.atleast_1d(r.get("front", []))}
     for i, region in enumerate(regions):

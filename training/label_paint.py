@@ -36,7 +36,7 @@ from paths import DATA, RUNS
 KINDS = ("sky", "ground", "water", "wall", "building", "object", "person", "animal", "plant", "vehicle", "unknown")
 REACH, WIDTH, WINDOW = 12, 10, 96
 # goes into the name of a cached outline: to be raised when the finding of outlines changes
-VERSION = 1
+VERSION = 2
 
 
 class LabelError(ValueError):
@@ -189,12 +189,26 @@ def crumbs(ids):
         size = stats[1:, cv2.CC_STAT_AREA]
         for k in np.nonzero((size < 30) & (size < 0.1 * size.max()))[0]:
             drop[marks == k + 1] = 1
-    if not drop.any():
-        return ids
+    return filled(ids, drop) if drop.any() else ids
+
+
+def filled(ids, drop):
+    """What `drop` marks gets the region nearest to it."""
     _, nearest = cv2.distanceTransformWithLabels(drop, cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL)
     of = np.zeros(nearest.max() + 1, ids.dtype)
     of[nearest[drop == 0]] = ids[drop == 0]
     return of[nearest]
+
+
+def slits(ids, base, reach):
+    """Slits of the region behind everything, left between two outlines that each found their own border, go to the nearer of these."""
+    behind = (ids == base).astype(np.uint8)
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1,) * 2)
+    # outside the photo it goes on
+    wide = cv2.morphologyEx(cv2.copyMakeBorder(behind, *[3 * reach] * 4, cv2.BORDER_REPLICATE), cv2.MORPH_OPEN, kernel)
+    wide = cv2.dilate(wide, kernel)[3 * reach : -3 * reach, 3 * reach : -3 * reach]
+    drop = behind & (1 - wide)
+    return filled(ids, drop) if drop.any() and (ids != base).any() else ids
 
 
 def outlined(label, picture):
@@ -209,7 +223,9 @@ def outlined(label, picture):
         if reach and region.get("area") != "all":
             mask = snapped(mask, picture, reach, taken)
         ids[(mask > 0) & ~taken] = i + 1
-    return crumbs(ids)
+    ids = crumbs(ids)
+    base = next((i + 1 for i, r in enumerate(label["regions"]) if r.get("area") == "all"), None)
+    return slits(ids, base, max(1, round(3 * scale))) if base else ids
 
 
 def cached(label, picture):
