@@ -2,9 +2,10 @@
 
     python label.py view PHOTO... [--zoom]                 # grid of coordinates over it; --zoom: also its four quarters, twice as large
     python label.py new PHOTO [--second]                 # an empty label file; --second: NAME.b.json, for a second labeller
-    python label.py paint LABEL... [--zoom X,Y,WIDTH]    # outlines and names, and disparity, to look at
+    python label.py paint LABEL... [--at X,Y,WIDTH]      # outlines and names, and disparity, to look at
     python label.py check [LABEL...]                     # all files without one; fails where one has a fault
     python label.py sheet [LABEL...]                     # contact sheets of many
+    python label.py agree                                # how much NAME.b.json differs from NAME.json
 
 PHOTO is below TMPI_DATA (train2/photos/azure/dog.jpg) or a path; pictures go to `runs/label`, or where `-o` says.
 """
@@ -82,9 +83,9 @@ def view(a):
     for name in a.photos:
         path, below = located(name)
         picture, stem = cv2.imread(str(path)), f"{path.parent.name}-{path.stem}"
-        window, _ = window_of(picture)
+        window, at = window_of(picture, a.at)
         files = [a.out / f"{stem}.view.png"]
-        cv2.imwrite(str(files[0]), gridded(enlarged(picture), window, 100))
+        cv2.imwrite(str(files[0]), gridded(enlarged(picture[at]), window, 50 if a.at else 100))
         if a.zoom:
             across, down = window[2:]
             for k, (x, y) in enumerate((x, y) for y in (0, 0.45 * down) for x in (0, 0.45 * across)):
@@ -146,10 +147,10 @@ def painted(a):
     for file in a.labels:
         label = read(file)
         picture, done = photo(label), paint(label)
-        window, at = window_of(picture, a.zoom)
+        window, at = window_of(picture, a.at)
         wide = window[2] > 1.15 * window[3]
         names = [r["name"] for r in label["regions"]]
-        left = gridded(drawn(picture, done["region"], names, LONG if wide or window[3] > 1.15 * window[2] else 800, at), window, 50 if a.zoom else 100)
+        left = gridded(drawn(picture, done["region"], names, LONG if wide or window[3] > 1.15 * window[2] else 800, at), window, 50 if a.at else 100)
         right = heat(done, at, left.shape[1::-1])
         out = a.out / f"{Path(file).stem}.paint.png"
         cv2.imwrite(str(out), np.vstack([left, right]) if wide else np.hstack([left, right]))
@@ -169,6 +170,20 @@ def touching(ids, a, b):
     return (cv2.dilate(of[1], around) & of[0]) > 0, (cv2.dilate(of[0], around) & of[1]) > 0
 
 
+def islands(label, ids):
+    """Where the region behind everything shows between two others, which may be meant or not."""
+    unit = 1000 / max(label["size"])
+    for i, region in enumerate(label["regions"]):
+        if region.get("area") != "all":
+            continue
+        count, _, stats, centres = cv2.connectedComponentsWithStats((ids == i + 1).astype(np.uint8), connectivity=4)
+        order = np.argsort(-stats[1:, cv2.CC_STAT_AREA])[1:6] + 1
+        for k in order:
+            if (part := stats[k, cv2.CC_STAT_AREA] / ids.size) > 0.001:
+                x, y = np.round(centres[k] * unit).astype(int)
+                yield "look", f"{region['name']} shows through around {x},{y} ({100 * part:.1f} %)"
+
+
 def faults(label, done):
     """What is wrong ("fault") or may be ("look") with a label, as pairs."""
     ids, disparity = done["region"], done["disparity"]
@@ -181,7 +196,7 @@ def faults(label, done):
     for i, region in enumerate(regions):
         name, inside = region["name"], ids == i + 1
         if not inside.any():
-            yield "fault", f"{name}: empty"
+            yield "look" if is_old(label) else "fault", f"{name}: empty"
             continue
         numbers[name] = i + 1
         if is_old(label):
@@ -200,6 +215,7 @@ def faults(label, done):
                 yield "look", f"{name}: {100 * moved:.0f} % of it moved at its outline"
     if is_old(label):
         return
+    yield from islands(label, ids)
     for i, region in enumerate(regions):
         behind = region.get("front", [])
         for other in [behind] if isinstance(behind, str) else behind:
@@ -262,7 +278,8 @@ def check(a):
         found, done = checked(file)
         bad += any(level == "fault" for level, _ in found)
         for level, what in found:
-            print(f"{file.name}: {level}: {what}")
+            if level == "fault":
+                print(f"{file.name}: {what}")
         if done is not None:
             known.append(done["known"].mean())
     print(f"{len(files)} files, {bad} with faults, {100 * np.mean(known or [0]):.0f} % of their pixels known")
@@ -287,22 +304,59 @@ def sheet(a):
         cv2.imwrite(str(a.out / f"sheet{s // per + 1}.png"), out)
 
 
+def agree(a):
+    """Two labels of each photograph that has them: what a second look changes."""
+    rows = []
+    for second in sorted(LABELS.glob("*.b.json")):
+        first = second.with_name(second.name.replace(".b.json", ".json"))
+        if not first.exists():
+            continue
+        p, q = paint(read(first)), paint(read(second))
+        both = p["known"] & q["known"]
+        d, e = p["disparity"][both].astype(np.float64), q["disparity"][both].astype(np.float64)
+        # up to scale and shift, as the network learns it, in parts of the range of the first
+        scale, shift = np.polyfit(e, d, 1)
+        spread = np.percentile(d, 99.5) - np.percentile(d, 0.5)
+        off = np.abs(d - scale * e - shift).mean() / max(spread, 1e-9)
+        picks = np.random.default_rng(0).integers(0, len(d), (20000, 2))
+        order = [np.sign((v[picks[:, 0]] - v[picks[:, 1]]) * (np.abs(v[picks[:, 0]] - v[picks[:, 1]]) > 0.02 * np.ptp(v))) for v in (d, e)]
+        clear = (order[0] != 0) & (order[1] != 0)
+        edges = [jumps(m["disparity"]) for m in (p, q)]
+        met = [near(edges[k], edges[1 - k]) for k in (0, 1)]
+        rows.append((off, np.corrcoef(d, e)[0, 1], (order[0] == order[1])[clear].mean(), 2 * met[0] * met[1] / max(sum(met), 1e-9)))
+        print(f"{first.stem:32} off {100 * off:5.1f} %  correlation {rows[-1][1]:.3f}  order {100 * rows[-1][2]:5.1f} %  borders within 2 px {100 * rows[-1][3]:3.0f} %")
+    if rows:
+        off, alike, order, border = np.mean(rows, 0)
+        print(f"{'mean of ' + str(len(rows)):32} off {100 * off:5.1f} %  correlation {alike:.3f}  order {100 * order:5.1f} %  borders within 2 px {100 * border:3.0f} %")
+
+
+def jumps(disparity):
+    """Pixels where disparity jumps by a twentieth of its range."""
+    around = np.ones((2, 2), np.uint8)
+    return cv2.dilate(disparity, around) - cv2.erode(disparity, around) > 0.05 * np.percentile(disparity, 99.5)
+
+
+def near(these, those):
+    """Part of `these` pixels that has one of `those` within 2."""
+    return (cv2.distanceTransform((~those).astype(np.uint8), cv2.DIST_L2, 5)[these] <= 2).mean() if these.any() and those.any() else 0.0
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("-o", "--out", type=Path, default=RUNS / "label")
     commands = parser.add_subparsers(required=True)
-    for name, run, many in (("view", view, "photos"), ("new", new, None), ("paint", painted, "labels"), ("check", check, "labels"), ("sheet", sheet, "labels")):
+    for name, run, many in (("view", view, "photos"), ("new", new, None), ("paint", painted, "labels"), ("check", check, "labels"), ("sheet", sheet, "labels"), ("agree", agree, None)):
         c = commands.add_parser(name)
         c.set_defaults(run=run)
         if many:
             c.add_argument(many, nargs="+" if name in ("view", "paint") else "*")
         if name == "view":
             c.add_argument("--zoom", action="store_true")
+        if name in ("view", "paint"):
+            c.add_argument("--at", help="only this part: x, y of its corner and its width, in coordinates")
         if name == "new":
             c.add_argument("photo")
             c.add_argument("--second", action="store_true")
-        if name == "paint":
-            c.add_argument("--zoom")
     a = parser.parse_args()
     a.out.mkdir(parents=True, exist_ok=True)
     try:

@@ -2,7 +2,8 @@
 
     python labels.py [-o OUT] [--only NAME] [--check]
 
-A label file names its photo below TMPI_DATA and lists regions, painted in their order, later ones over earlier ones; `left` takes that part
+Files that `label.py` made are painted by `label_paint.py`; the others, drawn by hand with no help but `refine`, are told of here.
+Such a file names its photo below TMPI_DATA and lists regions, painted in their order, later ones over earlier ones; `left` takes that part
 of a picture's width:
 
     {"photo": "photos/kodak/03.png", "size": [768, 512], "regions": [
@@ -23,7 +24,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from paths import DATA, HERE, RUNS
+import label_paint
+from paths import HERE, RUNS
 
 # metres at which things count as infinitely far
 FAR = 1e6
@@ -115,14 +117,17 @@ def main():
     a = a.parse_args()
     a.out.mkdir(parents=True, exist_ok=True)
     for file in sorted((HERE / "labels").glob("*.json")):
-        if a.only and file.stem != a.only:
+        # a second label of a photo only tells how far two differ
+        if (a.only and file.stem != a.only) or file.stem.endswith(".b"):
             continue
         label = json.loads(file.read_text())
-        picture = cv2.imread(str(DATA / label["photo"]))
-        if left := label.get("left"):
-            picture = picture[:, : int(picture.shape[1] * left)]
-        picture = cv2.resize(picture, tuple(label["size"]), interpolation=cv2.INTER_AREA)
-        inverse, valid, masks = painted(label, picture)
+        picture = label_paint.photo(label)
+        if label_paint.is_old(label):
+            inverse, valid, masks = painted(label, picture)
+        else:
+            done = label_paint.paint(label)
+            inverse, valid = done["disparity"], done["known"]
+            masks = [(done["region"] == i + 1).astype(np.uint8) for i in range(len(label["regions"]))]
         shown = inverse / np.percentile(inverse[valid], 99.5)
         code = np.where(valid, 1 + np.clip(shown, 0, 1) * 65534, 0)
         cv2.imwrite(str(a.out / f"{file.stem}.rgb.png"), picture)
