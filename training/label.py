@@ -1,11 +1,11 @@
 """Labels photographs by eye: see LABELLING.md for how, `label_paint.py` for the format and for how outlines are found.
 
-    python label.py view PHOTO... [--zoom]                 # grid of coordinates over it; --zoom: also its four quarters, twice as large
-    python label.py new PHOTO [--second]                 # an empty label file; --second: NAME.b.json, for a second labeller
-    python label.py paint LABEL... [--at X,Y,WIDTH]      # outlines and names, and disparity, to look at
-    python label.py check [LABEL...]                     # all files without one; fails where one has a fault
-    python label.py sheet [LABEL...]                     # contact sheets of many
-    python label.py agree                                # how much NAME.b.json differs from NAME.json
+    python label.py view PHOTO... [--zoom | --at X,Y,WIDTH]      # grid of coordinates over it; --zoom: also its four quarters, twice as large
+    python label.py put PHOTO [--horizon Y] [--second] < REGIONS     # writes the label file and paints it; --second: NAME.b.json
+    python label.py paint LABEL... [--at X,Y,WIDTH]                # outlines and names, and disparity, to look at
+    python label.py check [LABEL...]                               # all files without one; fails where one has a fault
+    python label.py sheet [LABEL...]                               # contact sheets of many
+    python label.py agree                                          # how much NAME.b.json differs from NAME.json
 
 PHOTO is below TMPI_DATA (train2/photos/azure/dog.jpg) or a path; pictures go to `runs/label`, or where `-o` says.
 """
@@ -95,15 +95,35 @@ def view(a):
         print(below, *files)
 
 
-def new(a):
+def regions_of(words):
+    """Regions, one JSON object after another; commas between them are as good as none."""
+    decoder, out, at = json.JSONDecoder(), [], 0
+    while at < len(words):
+        if words[at] in ", \n\t":
+            at += 1
+            continue
+        try:
+            region, at = decoder.raw_decode(words, at)
+        except json.JSONDecodeError as e:
+            raise LabelError(f"region {len(out) + 1}: {e.msg} at {words[e.pos : e.pos + 60]!r}") from e
+        out.append(region)
+    return out
+
+
+def put(a):
     path, below = located(a.photo)
     picture = cv2.imread(str(path))
     file = LABELS / f"{path.parent.name}-{path.stem}{'.b' if a.second else ''}.json"
-    if file.exists():
-        raise LabelError(f"{file}: is there")
-    head = {"photo": below, "sha256": hashlib.sha256(path.read_bytes()).hexdigest(), "size": list(picture.shape[1::-1])}
-    file.write_text(json.dumps(head)[:-1] + ', "horizon": null, "regions": [\n]}\n')
+    label = {"photo": below, "sha256": hashlib.sha256(path.read_bytes()).hexdigest(), "size": list(picture.shape[1::-1])}
+    label |= {"horizon": json.loads(a.horizon) if a.horizon and "," not in a.horizon else a.horizon, "regions": regions_of(sys.stdin.read())}
+    if wrong := list(form(label)):
+        raise LabelError("\n".join(wrong))
+    head = json.dumps({k: v for k, v in label.items() if k != "regions"}, ensure_ascii=False)[:-1]
+    body = ",\n".join("  " + json.dumps(r, ensure_ascii=False) for r in label["regions"])
+    file.write_text(f'{head}, "regions": [\n{body}\n]}}\n')
     print(file)
+    a.labels = [file]
+    painted(a)
 
 
 def colours(count):
@@ -345,18 +365,19 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("-o", "--out", type=Path, default=RUNS / "label")
     commands = parser.add_subparsers(required=True)
-    for name, run, many in (("view", view, "photos"), ("new", new, None), ("paint", painted, "labels"), ("check", check, "labels"), ("sheet", sheet, "labels"), ("agree", agree, None)):
+    for name, run, many in (("view", view, "photos"), ("put", put, None), ("paint", painted, "labels"), ("check", check, "labels"), ("sheet", sheet, "labels"), ("agree", agree, None)):
         c = commands.add_parser(name)
         c.set_defaults(run=run)
         if many:
             c.add_argument(many, nargs="+" if name in ("view", "paint") else "*")
         if name == "view":
             c.add_argument("--zoom", action="store_true")
-        if name in ("view", "paint"):
+        if name in ("view", "paint", "put"):
             c.add_argument("--at", help="only this part: x, y of its corner and its width, in coordinates")
-        if name == "new":
+        if name == "put":
             c.add_argument("photo")
-            c.add_argument("--second", action="store_true")
+            c.add_argument("--horizon")
+            c.add_argument("--second", action="store_true", help="a second label of a photo, by somebody who has not seen the first")
     a = parser.parse_args()
     a.out.mkdir(parents=True, exist_ok=True)
     try:

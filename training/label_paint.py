@@ -36,7 +36,7 @@ from paths import DATA, RUNS
 KINDS = ("sky", "ground", "water", "wall", "building", "object", "person", "animal", "plant", "vehicle", "unknown")
 REACH, WIDTH, WINDOW = 12, 10, 96
 # goes into the name of a cached outline: to be raised when the finding of outlines changes
-VERSION = 2
+VERSION = 3
 
 
 class LabelError(ValueError):
@@ -185,7 +185,7 @@ def crumbs(ids):
     """Small islands of a region that has larger ones go to what surrounds them."""
     drop = np.zeros(ids.shape, np.uint8)
     for i in np.unique(ids[ids > 0]):
-        count, marks, stats, _ = cv2.connectedComponentsWithStats((ids == i).astype(np.uint8), connectivity=8)
+        _, marks, stats, _ = cv2.connectedComponentsWithStats((ids == i).astype(np.uint8), connectivity=8)
         size = stats[1:, cv2.CC_STAT_AREA]
         for k in np.nonzero((size < 30) & (size < 0.1 * size.max()))[0]:
             drop[marks == k + 1] = 1
@@ -201,13 +201,17 @@ def filled(ids, drop):
 
 
 def slits(ids, base, reach):
-    """Slits of the region behind everything, left between two outlines that each found their own border, go to the nearer of these."""
+    """Slits and specks of the region behind everything, left between outlines that each found their own border, go to the nearest of these."""
     behind = (ids == base).astype(np.uint8)
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1,) * 2)
     # outside the photo it goes on
     wide = cv2.morphologyEx(cv2.copyMakeBorder(behind, *[3 * reach] * 4, cv2.BORDER_REPLICATE), cv2.MORPH_OPEN, kernel)
     wide = cv2.dilate(wide, kernel)[3 * reach : -3 * reach, 3 * reach : -3 * reach]
     drop = behind & (1 - wide)
+    _, marks, stats, _ = cv2.connectedComponentsWithStats(behind, connectivity=4)
+    size = stats[1:, cv2.CC_STAT_AREA]
+    for k in np.nonzero((size < 0.0015 * ids.size) & (size < size.max(initial=0)))[0]:
+        drop[marks == k + 1] = 1
     return filled(ids, drop) if drop.any() and (ids != base).any() else ids
 
 
