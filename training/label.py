@@ -255,7 +255,8 @@ def faults(label, done):
                 continue
             mine, its = touching(ids, i + 1, k + 1)
             if mine.sum() > 40 and np.median(disparity[mine]) < 0.8 * np.median(disparity[its]):
-                yield "look", f"{region['name']} is painted over {regions[k]['name']}, and farther there: {metres(np.median(disparity[mine]))} m, {metres(np.median(disparity[its]))} m"
+                near, far = (metres(np.median(disparity[m])) for m in (its, mine))
+                yield "look", f"{region['name']} is painted over {regions[k]['name']}, and farther there: {far} m, {near} m"
 
 
 def form(label):
@@ -365,7 +366,8 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("-o", "--out", type=Path, default=RUNS / "label")
     commands = parser.add_subparsers(required=True)
-    for name, run, many in (("view", view, "photos"), ("put", put, None), ("paint", painted, "labels"), ("check", check, "labels"), ("sheet", sheet, "labels"), ("agree", agree, None)):
+    of_labels = (("paint", painted, "labels"), ("check", check, "labels"), ("sheet", sheet, "labels"))
+    for name, run, many in (("view", view, "photos"), ("put", put, None), *of_labels, ("agree", agree, None)):
         c = commands.add_parser(name)
         c.set_defaults(run=run)
         if many:

@@ -18,10 +18,12 @@ Sky is infinitely far; `unknown` counts for nothing. `bulge` [m] brings a region
 where they touch.
 
 How outlines are found: four photographs (a dog, a furnished room, a house among trees, a portrait) were labelled in several ways and looked at.
-Strokes alone, grown by watershed or random walker on CIELAB edges, were right for plain things and leaked through table legs, shadows and foliage: more strokes
-cost more than an outline. Superpixels (SLIC, 150 and 400 with their numbers) need 10 to 30 numbers a thing, and lose table legs and a dog's back to the floor. In a band around a rough outline, watershed and random walker were ragged wherever ground or thing is textured; GrabCut was
-best, with one colour model over all it went astray where thing and background share a colour elsewhere (a white chimney before a white sky), with colour models of
-96-pixel windows it held there, and failed where a window has too little of one side. So both vote, with a little weight on the line as drawn.
+Strokes alone, grown by watershed or random walker on CIELAB edges, were right for plain things and leaked through table legs, shadows and foliage:
+more strokes cost more than an outline. Superpixels (SLIC, 150 and 400 with their numbers) need 10 to 30 numbers a thing, and lose table legs and a
+dog's back to the floor. In a band around a rough outline, watershed and random walker were ragged wherever ground or thing is textured; GrabCut was
+best, with one colour model over all it went astray where thing and background share a colour elsewhere (a white chimney before a white sky), with
+colour models of 96-pixel windows it held there, and failed where a window has too little of one side. So both vote, with a little weight on the line
+as drawn.
 """
 
 import hashlib
