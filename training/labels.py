@@ -2,7 +2,8 @@
 
     python labels.py [-o OUT] [--only NAME] [--check]
 
-A label file names its photo below TMPI_DATA and lists regions, painted in their order, later ones over earlier ones; `left` takes that part
+Files that `label.py` made are painted by `label_paint.py`; the others, drawn by hand with no help but `refine`, are told of here.
+Such a file names its photo below TMPI_DATA and lists regions, painted in their order, later ones over earlier ones; `left` takes that part
 of a picture's width:
 
     {"photo": "photos/kodak/03.png", "size": [768, 512], "regions": [
@@ -23,7 +24,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from paths import DATA, HERE, RUNS
+import label_paint
+from paths import HERE, RUNS
 
 # metres at which things count as infinitely far
 FAR = 1e6
@@ -107,33 +109,6 @@ def painted(label, picture):
     return inverse, valid & ~(edge & jump), masks
 
 
-def photo(label):
-    """The photograph of a label, u8 BGR [H, W, 3] at the label's size."""
-    picture = cv2.imread(str(DATA / label["photo"]))
-    if left := label.get("left"):
-        picture = picture[:, : int(picture.shape[1] * left)]
-    return cv2.resize(picture, tuple(label["size"]), interpolation=cv2.INTER_AREA)
-
-
-def paint(label, size=None):
-    """What a label says about its photograph, at `size` (width, height; the label's own without one).
-
-    `label` is the contents of a label file. Returns `disparity` float32 [H, W] in 1/m (0: infinitely far), `region` int32 [H, W] (0: none, i + 1: the
-    i-th), `kind` (for each number of `region`, "" for 0), `known` bool [H, W]: where `disparity` counts.
-    """
-    full = tuple(label["size"])
-    disparity, known, masks = painted(label, photo(label))
-    ids = np.zeros(full[::-1], np.int32)
-    for i, mask in enumerate(masks):
-        ids[mask > 0] = i + 1
-    disparity = np.where(disparity > 1 / FAR, disparity, 0).astype(np.float32)
-    if size and tuple(size) != full:
-        known = cv2.resize(known.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
-        disparity, ids = (cv2.resize(m, size, interpolation=cv2.INTER_NEAREST) for m in (disparity, ids))
-    kind = [""] + ["unknown" if r.get("unknown") else "sky" if r.get("far") else "object" for r in label["regions"]]
-    return {"disparity": disparity, "region": ids, "kind": kind, "known": known}
-
-
 def main():
     a = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     a.add_argument("-o", "--out", type=Path, default=RUNS / "labels")
@@ -142,11 +117,17 @@ def main():
     a = a.parse_args()
     a.out.mkdir(parents=True, exist_ok=True)
     for file in sorted((HERE / "labels").glob("*.json")):
-        if a.only and file.stem != a.only:
+        # a second label of a photo only tells how far two differ
+        if (a.only and file.stem != a.only) or file.stem.endswith(".b"):
             continue
         label = json.loads(file.read_text())
-        picture = photo(label)
-        inverse, valid, masks = painted(label, picture)
+        picture = label_paint.photo(label)
+        if label_paint.is_old(label):
+            inverse, valid, masks = painted(label, picture)
+        else:
+            done = label_paint.paint(label)
+            inverse, valid = done["disparity"], done["known"]
+            masks = [(done["region"] == i + 1).astype(np.uint8) for i in range(len(label["regions"]))]
         shown = inverse / np.percentile(inverse[valid], 99.5)
         code = np.where(valid, 1 + np.clip(shown, 0, 1) * 65534, 0)
         cv2.imwrite(str(a.out / f"{file.stem}.rgb.png"), picture)

@@ -18,17 +18,8 @@ import cv2
 import numpy as np
 
 import common
+from label_paint import paint, read  # label files of both kinds
 from paths import DATA, HERE
-
-try:
-    from label_paint import paint, read  # label files of both kinds
-except ModuleNotFoundError as e:
-    if e.name != "label_paint":
-        raise
-    from labels import paint
-
-    def read(path):
-        return json.loads(Path(path).read_text())
 
 
 # numbers of what a region is, in the maps `kind`
