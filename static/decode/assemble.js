@@ -5,9 +5,13 @@ import { floatsFit } from '../draw/soft-stacks.js';
 import { pack } from '../draw/texture-atlas.js';
 import { tileCounts } from './grid.js';
 
-/** @import { Band, BandJob } from './band.js' */
+/** @import { Piece } from '../draw/border.js' */
+/** @import { Band as Strip } from '../draw/texture-atlas.js' */
+/** @import { Band, BandJob, StripJob } from './band.js' */
 /** @import { Head } from './head.js' */
-/** @import { Layers, Picture, Scene } from './scene.js' */
+/** @import { Layers, Picture, Scene, SceneHead } from './scene.js' */
+
+/** @typedef {Pick<Band, 'decode' | 'deep' | 'strips'>} Helper a band here or in another worker */
 
 /** Rows of pixels above and below a tile that its layers follow from: crates/core's `MAX_REACH`. */
 const REACH = 96;
@@ -15,7 +19,7 @@ const REACH = 96;
 /**
  * @param {Head} head
  * @param {{bytes: Uint8Array, photo: Picture, hidden: Picture | null}} input
- * @param {Pick<Band, 'decode' | 'deep' | 'strips'>[]} bands
+ * @param {Helper[]} bands
  * @returns {Promise<{scene: Omit<Scene, 'decodeMs'>, transfer: ArrayBuffer[]}>} `transfer`: buffers that can be handed over with it
  */
 export async function assembled({ scene }, input, bands) {
@@ -51,9 +55,15 @@ export async function assembled({ scene }, input, bands) {
   return { scene: { ...whole, instances: drawn, atlas }, transfer };
 }
 
-/** Whether many soft texels lie over each other in any band; layers of a band are numbered from its first. */
+/**
+ * Whether many soft texels lie over each other in any band; layers of a band are numbered from its first.
+ * @param {SceneHead} scene
+ * @param {Piece[]} pieces
+ * @param {number[]} starts first layer of each band
+ * @param {Helper[]} bands
+ */
 async function anyDeep({ width, height }, pieces, starts, bands) {
-  const own = bands.map(() => []);
+  const own = bands.map(() => /** @type {Piece[]} */ ([]));
   for (const piece of pieces) {
     const i = starts.findLastIndex((start) => piece.layer >= start);
     own[i].push({ ...piece, layer: piece.layer - starts[i] });
@@ -62,15 +72,24 @@ async function anyDeep({ width, height }, pieces, starts, bands) {
   return deep.some(Boolean);
 }
 
-/** Results of all bands; the last is begun first. */
+/**
+ * Results of all bands; the last is begun first.
+ * @template T
+ * @param {Helper[]} bands
+ * @param {(band: Helper, i: number) => Promise<T>} call
+ */
 async function together(bands, call) {
-  const begun = bands.map(() => null);
+  /** @type {Promise<T>[]} */
+  const begun = [];
   for (let i = bands.length - 1; i >= 0; i--) begun[i] = call(bands[i], i);
   return Promise.all(begun);
 }
 
 /**
  * Whole rows of tiles, about as many for each band.
+ * @param {SceneHead} scene
+ * @param {{bytes: Uint8Array, photo: Picture, hidden: Picture | null}} input
+ * @param {number} count of bands at most
  * @returns {BandJob[]}
  */
 function cut(scene, { bytes, photo, hidden }, count) {
@@ -96,20 +115,47 @@ function cut(scene, { bytes, photo, hidden }, count) {
 function joined(tables) {
   if (tables.length === 1) return tables[0];
   const count = tables.reduce((sum, table) => sum + table.count, 0);
-  const columns = Object.keys(tables[0]).filter((key) => key !== 'count');
-  const column = (key) => {
-    const out = new tables[0][key].constructor(count);
+  /**
+   * @template {Float64Array | Uint32Array | Uint8Array} Column
+   * @param {Column} out
+   * @param {(table: Layers) => Column} of
+   */
+  const column = (out, of) => {
     let at = 0;
     for (const table of tables) {
-      out.set(table[key], at);
+      out.set(of(table), at);
       at += table.count;
     }
     return out;
   };
-  return /** @type {any} */ ({ count, ...Object.fromEntries(columns.map((key) => [key, column(key)])) });
+  /** @param {'a' | 'b' | 'c'} key */
+  const floats = (key) => column(new Float64Array(count), (table) => table[key]);
+  /** @param {'x' | 'y' | 'w' | 'h' | 'tileX' | 'tileY' | 'visible'} key */
+  const integers = (key) => column(new Uint32Array(count), (table) => table[key]);
+  return {
+    count,
+    a: floats('a'),
+    b: floats('b'),
+    c: floats('c'),
+    x: integers('x'),
+    y: integers('y'),
+    w: integers('w'),
+    h: integers('h'),
+    tileX: integers('tileX'),
+    tileY: integers('tileY'),
+    visible: integers('visible'),
+    soft: column(new Uint8Array(count), (table) => table.soft),
+  };
 }
 
-/** A strip as `Decoder.strip` takes it; layers count from the band's first. */
+/**
+ * A strip as `Decoder.strip` takes it; layers count from the band's first.
+ * @param {Pick<Strip, 'pieces' | 'x' | 'h'>} strip
+ * @param {Piece[]} pieces
+ * @param {number} start the band's first layer
+ * @param {number} width of a page
+ * @returns {StripJob}
+ */
 function stripJob({ pieces: own, x, h }, pieces, start, width) {
   const numbers = own.flatMap((i, k) => {
     const { layer, u, v, w, h, flipX, flipY } = pieces[i];

@@ -7,21 +7,13 @@ import { ContainerError } from './head.js';
 
 /** Outputs, by the numbers of crates/decoder's `Output`. */
 const [TEXT, PANIC, NUMBERS, CLASSES, ALPHA, HIDDEN, STRIP] = [0, 1, 2, 3, 4, 5, 6];
-/** Columns of the table of layers, and how each is kept. */
-const COLUMNS = /** @type {const} */ ([
-  ['a', Float64Array],
-  ['b', Float64Array],
-  ['c', Float64Array],
-  ['x', Uint32Array],
-  ['y', Uint32Array],
-  ['w', Uint32Array],
-  ['h', Uint32Array],
-  ['tile', Uint32Array],
-  ['visible', Uint32Array],
-  ['soft', Uint8Array],
-]);
+/** Columns of the table of layers. */
+const COLUMNS = 10;
 /** Rows of a picture that are handed over at once, in bytes. */
 const PICTURE_BYTES = 4 << 20;
+
+/** @typedef {'tmpi_room' | 'tmpi_open' | 'tmpi_picture' | 'tmpi_decode' | 'tmpi_strip' | 'tmpi_output' | 'tmpi_output_length'} Name */
+/** @typedef {Record<Name, (...args: number[]) => number> & {memory: WebAssembly.Memory}} Exports of decoder.wasm */
 
 export class Decoder {
   #exports;
@@ -33,7 +25,7 @@ export class Decoder {
 
   /** @param {WebAssembly.Instance} instance of decoder.wasm, not used before */
   constructor(instance) {
-    this.#exports = /** @type {any} */ (instance.exports);
+    this.#exports = /** @type {Exports} */ (/** @type {unknown} */ (instance.exports));
   }
 
   /** Bytes of the instance's memory. */
@@ -65,20 +57,33 @@ export class Decoder {
 
   /**
    * Decodes rows of tiles from `first` to before `end`.
-   * @param {SceneHead} scene
+   * @param {Pick<SceneHead, 'tileSize' | 'tileStride' | 'width'>} scene
+   * @param {number} first
+   * @param {number} end
    * @returns {Layers}
    * @throws {ContainerError}
    */
   decode({ tileSize, tileStride, width }, first, end) {
     this.#call('tmpi_decode', first, end);
     const numbers = this.#numbers();
-    const count = numbers.length / COLUMNS.length;
+    const count = numbers.length / COLUMNS;
     const columns = width <= tileSize ? 1 : Math.ceil((width - tileSize) / tileStride) + 1;
-    const table = COLUMNS.map(([name, Kind], i) => [name, Kind.from(numbers.subarray(i * count, (i + 1) * count))]);
-    const { tile, ...layers } = Object.fromEntries(table);
-    const tileX = tile.map((t) => (t % columns) * tileStride);
-    const tileY = tile.map((t) => Math.floor(t / columns) * tileStride);
-    return /** @type {any} */ ({ count, ...layers, tileX, tileY });
+    const table = Array.from({ length: COLUMNS }, (_, i) => numbers.subarray(i * count, (i + 1) * count));
+    const [a, b, c, x, y, w, h, tile, visible, soft] = table;
+    return {
+      count,
+      a: a.slice(),
+      b: b.slice(),
+      c: c.slice(),
+      x: Uint32Array.from(x),
+      y: Uint32Array.from(y),
+      w: Uint32Array.from(w),
+      h: Uint32Array.from(h),
+      tileX: Uint32Array.from(tile, (t) => (t % columns) * tileStride),
+      tileY: Uint32Array.from(tile, (t) => Math.floor(t / columns) * tileStride),
+      visible: Uint32Array.from(visible),
+      soft: Uint8Array.from(soft),
+    };
   }
 
   /** Alphas of all texels; seen until the next call. */
@@ -95,6 +100,9 @@ export class Decoder {
    * Fills a strip of a texture page.
    * @param {Uint32Array} pieces seven numbers each: layer, first column, first row, columns, rows, mirrored (1 columns, 2 rows), column in
    *   the strip
+   * @param {number} width
+   * @param {number} height
+   * @param {boolean} straight
    * @returns {Uint8Array<ArrayBuffer>} RGBA, premultiplied unless it is to be straight, a buffer of its own
    */
   strip(pieces, width, height, straight = false) {
@@ -103,11 +111,13 @@ export class Decoder {
     return new Uint8Array(this.#output(STRIP));
   }
 
+  /** @param {Uint8Array | Uint8ClampedArray} bytes */
   #hand(bytes) {
     const at = this.#guarded('tmpi_room', [bytes.length]);
     new Uint8Array(this.#exports.memory.buffer).set(bytes, at >>> 0);
   }
 
+  /** @param {number} what */
   #output(what) {
     const [at, length] = [this.#exports.tmpi_output(what), this.#exports.tmpi_output_length(what)];
     return new Uint8Array(this.#exports.memory.buffer, at >>> 0, length >>> 0);
@@ -118,13 +128,21 @@ export class Decoder {
     return new Float64Array(this.#output(NUMBERS).slice().buffer);
   }
 
+  /**
+   * @param {Name} name
+   * @param {number[]} args
+   */
   #call(name, ...args) {
     const status = this.#guarded(name, args);
     if (status < 0) throw new ContainerError(new TextDecoder().decode(this.#output(TEXT)));
     return status;
   }
 
-  /** A panic ends the instance, and memory that is not to be had too: it says why. */
+  /**
+   * A panic ends the instance, and memory that is not to be had too: it says why.
+   * @param {Name} name
+   * @param {number[]} args
+   */
   #guarded(name, args) {
     try {
       return this.#exports[name](...args);

@@ -1,4 +1,4 @@
-// The grid of tiles over a photo, as crates/core/src/scene/grid.rs.
+// The grid of tiles over a photo: `Grid` of crates/core.
 
 /** @typedef {{width: number, height: number, tileSize: number, tileStride: number}} Grid a photo's size, the side of its tiles and the way between them */
 
@@ -18,16 +18,4 @@ function count(length, size, stride) {
 export function tileCounts({ width, height, tileSize, tileStride }) {
   const columns = count(width, tileSize, tileStride);
   return { columns, tiles: columns * count(height, tileSize, tileStride) };
-}
-
-/**
- * Pixels of tile `index`, row by row, clipped to the photo.
- * @param {Grid} grid
- * @param {number} columns
- * @param {number} index
- */
-export function tileRect({ width, height, tileSize, tileStride }, columns, index) {
-  const x = (index % columns) * tileStride;
-  const y = Math.floor(index / columns) * tileStride;
-  return { x, y, w: Math.min(tileSize, width - x), h: Math.min(tileSize, height - y) };
 }

@@ -15,7 +15,10 @@ const HEADER_BYTES = 12;
 const MAGIC = [0x54, 0x4d, 0x50, 0x49];
 /** Kinds of sections. */
 const [PHOTO, ALPHA, HIDDEN] = [1, 4, 5];
-/** Media types of the picture codecs. */
+/**
+ * Media types of the picture codecs.
+ * @type {Record<number, string | undefined>}
+ */
 const PICTURES = { 2: 'image/jpeg', 3: 'image/png', 4: 'image/webp' };
 /** Fields of the index. */
 const SECTIONS = 16;
@@ -27,7 +30,10 @@ const SECTIONS = 16;
  * @typedef {{scene: SceneHead, bytes: number, photo: PictureFile, hidden: PictureFile | null, bands: boolean}} Head
  */
 
-/** @returns {never} */
+/**
+ * @param {string} what
+ * @returns {never}
+ */
 function broken(what) {
   throw new ContainerError(`not a readable TMPI container: ${what}`);
 }
@@ -47,38 +53,52 @@ export function readHead(bytes) {
   if (start - HEADER_BYTES > MAX_INDEX_BYTES) broken('the index is too long');
   if (bytes.length < start) return null;
   const fields = message(view, HEADER_BYTES, start);
-  const one = (field) => fields.findLast(([number]) => number === field)?.[1] ?? 0;
+  /** @param {number} field */
+  const one = (field) => fields.numbers.findLast(([number]) => number === field)?.[1] ?? 0;
   const [width, height, tileSize, tileStride] = [1, 2, 3, 4].map((field) => one(field) % 2 ** 32);
   const [fx, fy, cx, cy, x, y, z] = [5, 6, 7, 8, 9, 10, 11].map(one);
   if (!(width > 0 && height > 0) || width > MAX_SIDE || height > MAX_SIDE || width * height > MAX_PIXELS)
     broken('photo size out of bounds');
   if (!tileSize || tileStride * 2 < tileSize || tileStride > tileSize) broken('tile size out of bounds');
   if (![fx, fy, cx, cy, x, y, z].every(Number.isFinite)) broken('camera out of bounds');
-  const sections = fields
+  const sections = fields.ranges
     .filter(([field]) => field === SECTIONS)
-    .map(([, range]) => {
-      const own = Object.fromEntries(message(view, ...range));
-      const from = start + (own[3] ?? 0);
-      return { kind: own[1], type: PICTURES[own[2]], start: from, end: from + (own[4] ?? 0) };
+    .map(([, from, to]) => {
+      const own = Object.fromEntries(message(view, from, to).numbers);
+      const first = start + (own[3] ?? 0);
+      return { kind: own[1], type: PICTURES[own[2]], start: first, end: first + (own[4] ?? 0) };
     });
-  const section = (kind) => sections.find((s) => s.kind === kind);
-  const [photo, hidden] = [section(PHOTO), section(HIDDEN)];
-  if (!photo?.type) return broken('there is no photo section');
+  const [photo, hidden] = [PHOTO, HIDDEN].map((kind) => picture(sections.find((section) => section.kind === kind)));
+  if (!photo) return broken('there is no photo section');
   return {
     scene: { width, height, tileSize, tileStride, intrinsics: { fx, fy, cx, cy }, viewBox: { x, y, z } },
     bytes: sections.reduce((end, section) => Math.max(end, section.end), start),
     photo,
-    hidden: hidden?.type ? hidden : null,
+    hidden,
     bands: !sections.some(({ kind }) => kind === ALPHA || kind === HIDDEN),
   };
 }
 
 /**
- * The fields of a protobuf message, in order: numbers, and [from, to] of what has a length.
- * @returns {[number, any][]}
+ * A section as a picture file; null where it is none.
+ * @param {{start: number, end: number, type: string | undefined} | undefined} section
+ * @returns {PictureFile | null}
+ */
+function picture(section) {
+  return section?.type ? { start: section.start, end: section.end, type: section.type } : null;
+}
+
+/**
+ * The fields of a protobuf message, in order: numbers, and from and to of what has a length.
+ * @param {DataView} view
+ * @param {number} from
+ * @param {number} to
  */
 function message(view, from, to) {
-  const fields = [];
+  /** @type {[number, number][]} */
+  const numbers = [];
+  /** @type {[number, number, number][]} */
+  const ranges = [];
   let at = from;
   const varint = () => {
     let value = 0n;
@@ -95,13 +115,14 @@ function message(view, from, to) {
     const key = Number(varint());
     const [field, wire] = [Math.floor(key / 8), key % 8];
     if (wire === 0) {
-      fields.push([field, Number(varint())]);
+      numbers.push([field, Number(varint())]);
       continue;
     }
     const length = wire === 1 ? 8 : wire === 5 ? 4 : wire === 2 ? Number(varint()) : broken('index: an unknown type');
     if (at + length > to) broken('index: cut off');
-    fields.push([field, wire === 1 ? view.getFloat64(at, true) : [at, at + length]]);
+    if (wire === 1) numbers.push([field, view.getFloat64(at, true)]);
+    else ranges.push([field, at, at + length]);
     at += length;
   }
-  return fields;
+  return { numbers, ranges };
 }

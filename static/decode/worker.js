@@ -2,11 +2,12 @@
 // In: {url, photoOnly}: with photoOnly it stops once the photo is there. Out: {type: 'progress', received, total}, {type: 'head', …},
 // {type: 'photo', blob}, {type: 'scene', scene}, {type: 'error', message}.
 // In: {band}, then {deep} and {strips}, from another of these workers. Out: {type: 'done', value}.
+
+import { assembled } from './assemble.js';
 import { Band } from './band.js';
 import { readHead } from './head.js';
 import { compiled } from './module.js';
 import { problemOf } from './problem.js';
-import { assembled } from './assemble.js';
 import { startDecoder } from './start.js';
 // what those import, named here so that all of it is fetched at once
 import './decoder.js';
@@ -19,7 +20,14 @@ import '../draw/texture-atlas.js';
 import '../view/camera.js';
 import '../view/limits.js';
 
-/** @import { Head } from './head.js' */
+/** @import { BandJob } from './band.js' */
+/** @import { Head, PictureFile } from './head.js' */
+/** @import { Layers, Picture } from './scene.js' */
+
+/** @typedef {{url: string, photoOnly?: boolean}} Wanted a container to load */
+/** @typedef {Parameters<Band['deep']>[0]} DeepJob */
+/** @typedef {Parameters<Band['strips']>[0]} StripsJob */
+/** @typedef {{band: BandJob & {module: WebAssembly.Module}} | {deep: DeepJob} | {strips: StripsJob}} Asked what one of these workers asks of another */
 
 /** Most bytes of a container. */
 const MAX_BYTES = 512 * 1024 * 1024;
@@ -30,23 +38,43 @@ const MAX_BANDS = 4;
 
 /** A band that another worker decodes: the calls of `Band`. */
 class RemoteBand {
+  /** @param {WebAssembly.Module} module */
   constructor(module) {
     this.worker = startDecoder();
     this.module = module;
   }
 
+  /**
+   * @param {BandJob} job
+   * @returns {Promise<Layers>}
+   */
   decode(job) {
-    return this.#ask({ band: { ...job, module: this.module } }, job.photo.data.buffer);
+    // `cut` gives this band rows of its own
+    return this.#ask({ band: { ...job, module: this.module } }, /** @type {ArrayBuffer} */ (job.photo.data.buffer));
   }
 
+  /**
+   * @param {DeepJob} job
+   * @returns {Promise<boolean>}
+   */
   deep(job) {
     return this.#ask({ deep: job });
   }
 
+  /**
+   * @param {StripsJob} asked
+   * @returns {ReturnType<Band['strips']>}
+   */
   strips(asked) {
     return this.#ask({ strips: asked });
   }
 
+  /**
+   * @template T
+   * @param {Asked} message
+   * @param {ArrayBuffer[]} transfer
+   * @returns {Promise<T>}
+   */
   #ask(message, ...transfer) {
     return new Promise((done, fail) => {
       this.worker.onmessage = ({ data }) => (data.type === 'done' ? done(data.value) : fail(new Error(data.message)));
@@ -63,7 +91,11 @@ class RemoteBand {
   }
 }
 
-/** As many bands as the scene's size and the machine are good for; the first is decoded here. */
+/**
+ * As many bands as the scene's size and the machine are good for; the first is decoded here.
+ * @param {Head} head
+ * @param {WebAssembly.Module} module
+ */
 function bandsFor({ scene, bands }, module) {
   const most = bands ? Math.min(MAX_BANDS, navigator.hardwareConcurrency || 1) : 1;
   const wanted = Math.min(Math.floor((scene.width * scene.height) / BAND_PIXELS), most);
@@ -77,6 +109,10 @@ function bandsFor({ scene, bands }, module) {
   return all;
 }
 
+/**
+ * @param {Blob} blob
+ * @returns {Promise<Picture>}
+ */
 async function decodePicture(blob) {
   const bitmap = await createImageBitmap(blob, { premultiplyAlpha: 'none', colorSpaceConversion: 'none', imageOrientation: 'none' });
   const { width, height } = bitmap;
@@ -90,11 +126,13 @@ async function decodePicture(blob) {
 
 /** A byte buffer that grows as the download goes on. */
 class Download {
+  /** @param {number} expected bytes, 0 where they are not known */
   constructor(expected) {
     this.buffer = new Uint8Array(expected || 1 << 20);
     this.length = 0;
   }
 
+  /** @param {Uint8Array} chunk */
   push(chunk) {
     const need = this.length + chunk.length;
     if (need > MAX_BYTES) throw new Error(`the file is larger than ${MAX_BYTES / 1024 / 1024} MiB`);
@@ -111,11 +149,13 @@ class Download {
     return this.buffer.subarray(0, this.length);
   }
 
+  /** @param {PictureFile} file */
   blob({ start, end, type }) {
     return new Blob([this.bytes.slice(start, end)], { type });
   }
 }
 
+/** @param {Wanted} wanted */
 async function load({ url, photoOnly }) {
   const module = photoOnly ? null : compiled();
   // reported when it is awaited
@@ -170,12 +210,13 @@ async function load({ url, photoOnly }) {
 /** @type {Band | null} */
 let own = null;
 
-async function help({ band, deep, strips }) {
-  if (band) own = new Band(band.module);
+/** @param {Asked} asked */
+async function help(asked) {
+  if ('band' in asked) own = new Band(asked.band.module);
   if (!own) throw new Error('no band was given');
-  if (band) return self.postMessage({ type: 'done', value: await own.decode(band) });
-  if (deep) return self.postMessage({ type: 'done', value: await own.deep(deep) });
-  const value = await own.strips(strips);
+  if ('band' in asked) return self.postMessage({ type: 'done', value: await own.decode(asked.band) });
+  if ('deep' in asked) return self.postMessage({ type: 'done', value: await own.deep(asked.deep) });
+  const value = await own.strips(asked.strips);
   return self.postMessage({ type: 'done', value }, { transfer: value.map(({ data }) => data.buffer) });
 }
 

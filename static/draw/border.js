@@ -68,7 +68,7 @@ export function pieces(scene) {
 
 /**
  * From and to where `from..from + size` of a tile that starts at `tile` is drawn, on an axis of `length` pixels: `Grid::drawn`.
- * @param {Scene} scene
+ * @param {Pick<SceneHead, 'tileSize' | 'tileStride'>} scene
  * @param {number} tile
  * @param {number} from
  * @param {number} size

@@ -125,7 +125,7 @@ export class WebGlRenderer {
    */
   drawMean(frames, before) {
     const { gl } = this;
-    this.#mean ??= new WebGlMean(gl, this.#loaded.copy, this.halves ? gl.RGBA16F : gl.RGBA8);
+    this.#mean ??= new WebGlMean(gl, this.#loaded.copy, this.wide ? gl.RGBA16F : gl.RGBA8);
     const part = this.#mean.part(gl.drawingBufferWidth, gl.drawingBufferHeight);
     frames.forEach((views, i) => {
       this.#passes(views, part);

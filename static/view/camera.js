@@ -1,4 +1,4 @@
-// Cameras and poses: the arithmetic of crates/core/src/scene/camera.rs, plus what framing a photo on a page needs.
+// Cameras and poses: the arithmetic of crates/core's `Pose` and `Camera`, plus what framing a photo on a page needs.
 // x right, y down, z forward; lengths in units of the nearest distance; angles in degrees.
 
 /** @import { Intrinsics, Offset, Scene, SceneHead } from '../decode/scene.js' */

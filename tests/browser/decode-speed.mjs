@@ -1,7 +1,7 @@
 // Time to decode containers in Chromium, of this tree's decoder against another's, in alternating rounds. Not a test; run by hand:
 //   node decode-speed.mjs [--rounds 6] [--runs 4] [--js STATIC] FILE.tmpi…
-// `--js STATIC`: a static/ folder of commit fe415db, whose decoder was JavaScript. Pictures are decoded before the clock runs, and one
-// thread decodes. Cold: a new process, compiling included. Again: a fresh worker that is handed the module. Warm: the last of the runs.
+// `--js STATIC`: the static/ folder of commit fe415db, which has all modules side by side, container.js, the decoder in JavaScript, among
+// them. Pictures are decoded before the clock runs, and one thread decodes. Cold: a new process, compiling included. Again: a fresh worker that is handed the module. Warm: the last of the runs.
 // Pages: filling all texture pages, warm; the JavaScript decoder left that to the page's own thread.
 import { createReadStream, readFileSync } from 'node:fs';
 import { createServer } from 'node:http';

@@ -21,21 +21,25 @@ const PACKAGES: [&str; 3] = ["prost", "ruzstd", "thiserror"];
 
 fn files(path: &Path, found: &mut Vec<PathBuf>) {
     if path.is_dir() {
-        std::fs::read_dir(path).unwrap().for_each(|entry| files(&entry.unwrap().path(), found));
+        for entry in std::fs::read_dir(path).unwrap() {
+            files(&entry.unwrap().path(), found);
+        }
     } else if !TESTS.iter().any(|name| path.ends_with(name)) {
         found.push(path.to_owned());
     }
 }
 
 fn hex(hash: Sha256) -> String {
-    hash.finalize().iter().map(|b| format!("{b:02x}")).collect()
+    hash.finalize().iter().fold(String::new(), |text, byte| text + &format!("{byte:02x}"))
 }
 
 #[test]
 fn the_built_module_is_of_these_sources() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
     let mut found = Vec::new();
-    SOURCES.iter().for_each(|name| files(&root.join(name), &mut found));
+    for name in SOURCES {
+        files(&root.join(name), &mut found);
+    }
     let name = |path: &Path| path.strip_prefix(&root).unwrap().to_string_lossy().replace('\\', "/");
     found.sort_by_key(|path| name(path));
     let mut hash = Sha256::new();

@@ -87,13 +87,13 @@ fn golden_containers_and_damaged_ones_come_to_what_they_came_to() {
         for _ in 0..VARIANTS {
             let outcome = outcome(&damaged(&bytes, &mut random));
             if outcome == "refused" {
-                refused += 1
+                refused += 1;
             } else {
-                read += 1
-            };
+                read += 1;
+            }
             all.update(outcome);
         }
-        let all: String = all.finalize().iter().map(|b| format!("{b:02x}")).collect();
+        let all = all.finalize().iter().fold(String::new(), |text, byte| text + &format!("{byte:02x}"));
         writeln!(lines, "{name} {whole} {all}").unwrap();
     }
     assert!(refused > 100 && read > 100, "{refused} refused, {read} read: the damage tells nothing");

@@ -224,7 +224,9 @@ describe('every control', () => {
         if (path.startsWith('/view')) await page.waitForFunction(() => !document.getElementById('settings').hidden);
         for (const width of [320, 360, 480, 600, 641, 720, 800, 901, 1024, 1280]) {
           await page.setViewportSize({ width, height: 700 });
-          const beyond = await page.evaluate(() => {
+          const beyond = await page.evaluate(async () => {
+            // the viewer lays its pictures out within the frame that sees the new size
+            await new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)));
             const shown = [...document.body.querySelectorAll('*')].filter(
               (e) => e.checkVisibility({ visibilityProperty: true }) && e.getBoundingClientRect().right > innerWidth + 0.5,
             );

@@ -5,7 +5,7 @@ import { pieces } from '../../../static/draw/border.js';
 import { halfBits, premultipliedHalves } from '../../../static/draw/half-float.js';
 import { hasDeepStacks } from '../../../static/draw/soft-stacks.js';
 import { openPage } from '../support/browser.mjs';
-import { drawn, layerScene, over } from '../support/layers.mjs';
+import { drawn, layerScene, layersOf, over } from '../support/layers.mjs';
 import { boxSuite } from '../support/suite.mjs';
 
 const MODES = ['gpu', 'webgl'];
@@ -29,10 +29,10 @@ describe('soft layers', () => {
   const near = { delta: 0.5, alpha: 128, colour: () => [20, 20, 250] };
 
   for (const mode of MODES) {
-    test(`a camera that looks backward sees them in the opposite order (${mode})`, async () => {
+    test(`a camera that looks backward sees them in the opposite order (${mode})`, async (t) => {
       const { page, context, errors } = await openPage(suite.browser);
       await page.goto(`${suite.server.url}/embed/blank`);
-      const scene = layerScene([far, near]);
+      const scene = await layerScene(t, [far, near]);
       const forward = await drawn(page, mode, scene, {});
       assert.ok(worst(forward.pixels, [far, near], scene) < 1.5, 'the near one lies over the far one');
       const backward = await drawn(page, mode, scene, BEHIND);
@@ -52,30 +52,32 @@ describe('soft layers', () => {
         colour: (x, y) => [0, 1, 2].map((c) => (37 * x + 59 * y + 83 * i + 101 * c) % 256),
       });
       const planes = Array.from({ length: 8 }, (_, i) => thin(i));
-      const scene = layerScene(planes);
+      const scene = await layerScene(t, planes);
       const { pixels, wide } = await drawn(page, mode, scene, {});
       assert.ok(wide);
       const most = worst(pixels, planes, scene);
       t.diagnostic(`at most ${most.toFixed(3)} levels off`);
       // half a level is what rounding the finished picture takes
       assert.ok(most < 0.7, `${most} levels`);
-      assert.equal((await drawn(page, mode, layerScene(planes.slice(4)), {})).wide, false, 'four layers need no more than bytes');
+      const few = await layerScene(t, planes.slice(4));
+      assert.equal((await drawn(page, mode, few, {})).wide, false, 'four layers need no more than bytes');
       assert.deepEqual(errors, []);
       await context.close();
     });
   }
 
   test('stacks are counted over the borders of tiles', () => {
-    const scene = layerScene([far, far, far, near, near, near]);
+    const deep = (scene) => hasDeepStacks(scene, scene.layers, scene.alpha, pieces(scene));
+    const scene = layersOf([far, far, far, near, near, near]);
     const one = { ...scene, layers: { ...scene.layers, count: 3 } };
-    assert.equal(hasDeepStacks(one, pieces(one)), false);
+    assert.equal(deep(one), false);
     // the last three belong to a tile beside, whose pixels overlap those of the first by eight
-    const two = { ...scene, width: 88, tileSize: 48, tileStride: 40, layers: structuredClone(scene.layers), photo: null };
+    const two = { ...scene, width: 88, tileSize: 48, tileStride: 40, layers: structuredClone(scene.layers) };
     for (const i of [3, 4, 5]) two.layers.tileX[i] = two.layers.x[i] = 40;
-    assert.ok(hasDeepStacks(two, pieces(two)));
+    assert.ok(deep(two));
     const apart = { ...two, tileStride: 48, width: 96, layers: structuredClone(two.layers) };
     for (const i of [3, 4, 5]) apart.layers.tileX[i] = apart.layers.x[i] = 48;
-    assert.equal(hasDeepStacks(apart, pieces(apart)), false);
+    assert.equal(deep(apart), false);
   });
 
   test('16-bit floats are the nearest ones', () => {

@@ -1,20 +1,18 @@
 // Scenes of layers over the whole photo, made as the decoder would give them, and what is seen of them straight ahead.
+import { assembled } from '../../../static/decode/assemble.js';
+import { Band } from '../../../static/decode/band.js';
+import { Decoder } from '../../../static/decode/decoder.js';
 
 /**
  * Layers in front of each other: every texel is hidden and has a colour of its own.
  * @param {{delta: number, alpha: number, colour: (x: number, y: number) => number[]}[]} planes in layer order, far to near
  * @param {{width?: number, height?: number}} [size]
  */
-export function layerScene(planes, { width = 48, height = 32 } = {}) {
+export function layersOf(planes, { width = 48, height = 32 } = {}) {
   const n = planes.length;
   const size = width * height;
   const all = (Kind, value) => Kind.from({ length: n }, (_, i) => (typeof value === 'function' ? value(i) : value));
-  const hidden = new Uint8Array(n * size * 3);
-  const alpha = new Uint8Array(n * size);
-  planes.forEach((plane, i) => {
-    for (let y = 0; y < height; y++) for (let x = 0; x < width; x++) hidden.set(plane.colour(x, y), (i * size + y * width + x) * 3);
-    alpha.fill(plane.alpha, i * size, (i + 1) * size);
-  });
+  const alpha = Uint8Array.from({ length: n * size }, (_, i) => planes[Math.floor(i / size)].alpha);
   const focal = 0.7 * width;
   return {
     width,
@@ -34,17 +32,48 @@ export function layerScene(planes, { width = 48, height = 32 } = {}) {
       h: all(Uint32Array, height),
       tileX: all(Uint32Array, 0),
       tileY: all(Uint32Array, 0),
-      firstTexel: all(Uint32Array, (i) => i * size),
-      firstHidden: all(Uint32Array, (i) => i * size),
       visible: all(Uint32Array, 0),
       soft: all(Uint8Array, (i) => Number(planes[i].alpha < 255)),
     },
-    classes: new Uint8Array(n * size).fill(2),
     alpha,
-    hidden,
-    photo: { width, height, data: new Uint8ClampedArray(size * 4) },
-    decodeMs: 0,
   };
+}
+
+/** A decoder that gives planes in place of a container's layers: what `Band` asks of one. */
+function decoderOf(planes, { layers, alpha }) {
+  return {
+    alpha,
+    open() {},
+    picture() {},
+    decode: () => layers,
+    strip(pieces, width, height, straight) {
+      const out = new Uint8Array(width * height * 4);
+      for (let k = 0; k < pieces.length; k += 7) {
+        const [layer, u, v, w, h, mirrored, at] = pieces.subarray(k, k + 7);
+        if (mirrored) throw new Error('nothing is seen beyond the border');
+        const { alpha, colour } = planes[layer];
+        const part = straight ? 1 : alpha / 255;
+        for (let y = 0; y < h; y++) {
+          for (let x = 0; x < w; x++) {
+            out.set([...colour(u + x, v + y).map((value) => Math.round(value * part)), alpha], (y * width + at + x) * 4);
+          }
+        }
+      }
+      return out;
+    },
+  };
+}
+
+/** The scene of `layersOf` as pages get it: assembled by a band whose decoder gives the planes. */
+export async function layerScene(test, planes, size) {
+  const given = layersOf(planes, size);
+  const { width, height } = given;
+  const mocked = test.mock.method(Decoder, 'of', async () => decoderOf(planes, given));
+  const photo = { width, height, data: new Uint8ClampedArray(width * height * 4) };
+  const { alpha, layers, ...head } = given;
+  const { scene } = await assembled({ scene: head }, { bytes: new Uint8Array(), photo, hidden: null }, [new Band(null)]);
+  mocked.mock.restore();
+  return { ...scene, decodeMs: 0 };
 }
 
 /** Premultiplied colour of planes over each other, nearest last, as numbers from 0 to 255 that nothing has rounded. */

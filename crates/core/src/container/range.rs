@@ -1,6 +1,6 @@
 //! Adaptive binary range coder: 12-bit probabilities as mean of a quick and a slow estimate, 32-bit range, carry by counting.
 //!
-//! The browser has the same coder in `static/decode/range.js`; both must agree bit for bit, so all arithmetic is on integers.
+//! All arithmetic is on integers, so that writer and reader agree bit for bit on every machine, in browsers too.
 
 /// An adaptive bit: probability of a 1 in 1/65 536, learnt at two speeds.
 #[derive(Clone, Copy, Debug)]
