@@ -6,6 +6,7 @@ import { problemOf, problemText } from '../decode/problem.js';
 /**
  * State of a photo as the server tells it.
  * @typedef {object} Photo
+ * @property {string} [version] names the bytes of all that is made of it, once it is done
  * @property {string} id
  * @property {'queued' | 'working' | 'done' | 'failed'} state
  * @property {string} created

@@ -6,8 +6,8 @@ const photo = `/v1/photos/${id}`;
 const viewer = $('viewer');
 const failure = $('failure');
 
-viewer.addEventListener('error', (event) => {
-  failure.textContent = /** @type {CustomEvent} */ (event).detail.message;
+viewer.addEventListener('error', (/** @type {Event} */ event) => {
+  failure.textContent = /** @type {CustomEvent<{message: string}>} */ (event).detail.message;
   failure.hidden = false;
 });
 viewer.addEventListener('load', () => {
