@@ -55,6 +55,7 @@ export async function serve({ atlas, delayMs = 0, wasm = true }) {
       response.setHeader('etag', `"${patches.length + 1}"`);
       return send(200, 'application/json', JSON.stringify(state));
     }
+    if (url.pathname === '/v1/photos/box/settings') return send(200, 'application/json', JSON.stringify(state.settings ?? {}));
     if (url.pathname === '/v1/photos/box/report') return send(200, 'application/json', JSON.stringify({ error: { tile_px: TILE_PX } }));
     if (url.pathname === '/v1/photos/box/atlas') return sendSlowly(response, atlas, delayMs);
     if (url.pathname === '/embed/blank')
