@@ -79,10 +79,13 @@ pub struct ProcessMaker {
     command: fn() -> io::Result<Command>,
 }
 
+/// What a process answers, frame by frame, until it ends.
+type Frames = Receiver<io::Result<(u8, Vec<u8>)>>;
+
 struct Worker {
     child: Child,
     input: ChildStdin,
-    output: Receiver<io::Result<(u8, Vec<u8>)>>,
+    output: Frames,
 }
 
 impl Drop for Worker {
@@ -165,54 +168,90 @@ impl Maker for ProcessMaker {
     fn make(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options, sink: &dyn Sink) -> Result<Product, Fault> {
         let mut worker = self.take()?;
         let options = serde_json::to_vec(&options::to_text(options)).map_err(|e| Fault::Server(e.to_string()))?;
-        let input = &mut worker.input;
-        let sent = write(input, kind::OPTIONS, &options)
-            .and_then(|()| write(input, kind::PHOTO, photo))
-            .and_then(|()| depth.map_or(Ok(()), |depth| write(input, kind::DEPTH, depth)))
-            .and_then(|()| write(input, kind::MAKE, &[]))
-            .and_then(|()| input.flush());
-        if sent.is_err() {
-            return Err(Fault::Crashed(ending(&mut worker.child)));
-        }
-        let mut product = Product { container: Vec::new(), report: Report::default(), disparity: Vec::new(), thumbnail: Vec::new() };
-        let mut stage = STAGES[0];
-        loop {
-            let (kind, bytes) = match worker.output.recv_timeout(TICK) {
-                Ok(Ok(frame)) => frame,
-                Ok(Err(_)) | Err(RecvTimeoutError::Disconnected) => return Err(Fault::Crashed(ending(&mut worker.child))),
-                Err(RecvTimeoutError::Timeout) if sink.cancelled() => return Err(Fault::Cancelled),
-                Err(RecvTimeoutError::Timeout) => match sink.deadline() {
-                    Some(deadline) if Instant::now() >= deadline => return Err(MakeError::Late { stage }.into()),
-                    _ => continue,
-                },
-            };
-            let text = |e: serde_json::Error| Fault::Server(format!("a process that makes photos answered what it should not: {e}"));
-            match kind {
-                kind::PROGRESS => {
-                    let told: Told = serde_json::from_slice(&bytes).map_err(text)?;
-                    stage = STAGES.iter().find(|s| **s == told.stage).copied().unwrap_or(stage);
-                    sink.progress(&Progress { stage, step: told.step, steps: told.steps, elapsed_ms: told.elapsed_ms });
-                }
-                kind::CONTAINER => product.container = bytes,
-                kind::DISPARITY => product.disparity = bytes,
-                kind::THUMBNAIL => product.thumbnail = bytes,
-                kind::REPORT => {
-                    product.report = serde_json::from_slice(&bytes).map_err(text)?;
-                    if product.report.peak_rss_bytes < KEPT_BYTES {
-                        self.keep(worker);
-                    }
-                    return Ok(product);
-                }
-                kind::FAULT => {
-                    let fault: Fault = serde_json::from_slice(&bytes).map_err(text)?;
-                    // after a fault of its own a fresh one begins anew: a library that was missing may be there
-                    if matches!(fault, Fault::Photo(_)) {
-                        self.keep(worker);
-                    }
-                    return Err(fault);
-                }
-                _ => return Err(Fault::Server("a process that makes photos answered out of turn".into())),
+        let (outcome, keep) = std::thread::scope(|scope| {
+            let Worker { child, input, output } = &mut worker;
+            // a process that does not read would hold up whoever writes to it, past deadline and cancellation
+            let sending = std::thread::Builder::new().name("tmpi-sends".into()).spawn_scoped(scope, || send(input, &options, photo, depth));
+            if let Err(error) = sending {
+                return (Err(Fault::Server(format!("no thread can be started: {error}"))), false);
             }
+            let outcome = listen(child, output, sink);
+            let keep = match &outcome {
+                Ok(product) => product.report.peak_rss_bytes < KEPT_BYTES,
+                Err(Answer::Told(Fault::Photo(_))) => true,
+                // after a fault of its own a fresh one begins anew: a library that was missing may be there
+                Err(_) => false,
+            };
+            if !keep {
+                // what is still being sent to it ends with it
+                let _ = child.kill();
+            }
+            (outcome.map_err(Answer::fault), keep)
+        });
+        if keep {
+            self.keep(worker);
+        }
+        outcome
+    }
+}
+
+/// Sends a photo to be made.
+fn send(input: &mut ChildStdin, options: &[u8], photo: &[u8], depth: Option<&[u8]>) {
+    // where the process has ended, the end of its output tells
+    let _ = write(input, kind::OPTIONS, options)
+        .and_then(|()| write(input, kind::PHOTO, photo))
+        .and_then(|()| depth.map_or(Ok(()), |depth| write(input, kind::DEPTH, depth)))
+        .and_then(|()| write(input, kind::MAKE, &[]))
+        .and_then(|()| input.flush());
+}
+
+/// Why there is no photo.
+enum Answer {
+    /// The process says so, and waits for the next one.
+    Told(Fault),
+    /// It ended, or was not waited for, or answers nonsense.
+    Lost(Fault),
+}
+
+impl Answer {
+    fn fault(self) -> Fault {
+        let (Self::Told(fault) | Self::Lost(fault)) = self;
+        fault
+    }
+}
+
+/// Takes frames until the photo is made, refused, cancelled or late.
+fn listen(child: &mut Child, output: &Frames, sink: &dyn Sink) -> Result<Product, Answer> {
+    let mut product = Product { container: Vec::new(), report: Report::default(), disparity: Vec::new(), thumbnail: Vec::new() };
+    let mut stage = STAGES[0];
+    let lost = |problem: String| Answer::Lost(Fault::Server(format!("a process that makes photos answered what it should not: {problem}")));
+    loop {
+        if sink.cancelled() {
+            return Err(Answer::Lost(Fault::Cancelled));
+        }
+        let (kind, bytes) = match output.recv_timeout(TICK) {
+            Ok(Ok(frame)) => frame,
+            Ok(Err(_)) | Err(RecvTimeoutError::Disconnected) => return Err(Answer::Lost(Fault::Crashed(ending(child)))),
+            Err(RecvTimeoutError::Timeout) => match sink.deadline() {
+                Some(deadline) if Instant::now() >= deadline => return Err(Answer::Lost(MakeError::Late { stage }.into())),
+                _ => continue,
+            },
+        };
+        match kind {
+            kind::PROGRESS => {
+                let told: Told = serde_json::from_slice(&bytes).map_err(|e| lost(e.to_string()))?;
+                stage = STAGES.iter().find(|s| **s == told.stage).copied().unwrap_or(stage);
+                sink.progress(&Progress { stage, step: told.step, steps: told.steps, elapsed_ms: told.elapsed_ms });
+            }
+            kind::CONTAINER => product.container = bytes,
+            kind::DISPARITY => product.disparity = bytes,
+            kind::THUMBNAIL => product.thumbnail = bytes,
+            kind::REPORT => {
+                product.report = serde_json::from_slice(&bytes).map_err(|e| lost(e.to_string()))?;
+                return Ok(product);
+            }
+            kind::FAULT => return Err(Answer::Told(serde_json::from_slice(&bytes).map_err(|e| lost(e.to_string()))?)),
+            other => return Err(lost(format!("a frame of kind {other}"))),
         }
     }
 }
