@@ -12,6 +12,7 @@ import { startDecoder } from './start.js';
 // what those import, named here so that all of it is fetched at once
 import './decoder.js';
 import './grid.js';
+import './instance.js';
 import '../draw/border.js';
 import '../draw/half-float.js';
 import '../draw/instances.js';
@@ -155,6 +156,13 @@ class Download {
   }
 }
 
+/** What unpacks a container, fetched. */
+async function unpackerFor() {
+  const { unpacked, unpacker } = await import('./unpack.js');
+  const module = await unpacker();
+  return (/** @type {Uint8Array} */ bytes) => unpacked(module, bytes);
+}
+
 /** @param {Wanted} wanted */
 async function load({ url, photoOnly }) {
   const module = photoOnly ? null : compiled();
@@ -170,6 +178,8 @@ async function load({ url, photoOnly }) {
   let head = null;
   /** @type {ReturnType<typeof decodePicture> | null} */
   let photo = null;
+  /** @type {ReturnType<typeof unpackerFor> | null} */
+  let unpack = null;
   let posted = 0;
   for (;;) {
     const { done, value } = await reader.read();
@@ -178,6 +188,9 @@ async function load({ url, photoOnly }) {
     if (!head) {
       head = readHead(download.bytes);
       if (head) postMessage({ type: 'head', head: { ...head.scene, total: head.bytes } });
+      if (head?.packed && !photoOnly) unpack = unpackerFor();
+      // reported when it is awaited
+      unpack?.catch(() => {});
     }
     if (head && !photo && download.length >= head.photo.end) {
       const blob = download.blob(head.photo);
@@ -196,7 +209,8 @@ async function load({ url, photoOnly }) {
   if (!head || !photo || !module) throw new Error('the container is cut off');
   postMessage({ type: 'progress', received: download.length, total: download.length });
   const hidden = head.hidden && (await decodePicture(download.blob(head.hidden)).catch(() => null));
-  const input = { bytes: download.bytes, photo: await photo, hidden };
+  const bytes = unpack ? await (await unpack)(download.bytes) : download.bytes;
+  const input = { bytes, photo: await photo, hidden };
   const started = performance.now();
   const bands = bandsFor(head, await module);
   try {
