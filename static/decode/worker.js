@@ -1,5 +1,5 @@
 // Fetches and decodes a container off the page's thread.
-// In: {url, photoOnly}: with photoOnly it stops once the photo is there. Out: {type: 'progress', received, total}, {type: 'head', …},
+// In: {url, photoOnly, side}: with photoOnly it stops once the photo is there; side of the largest texture. Out: {type: 'progress', received, total}, {type: 'head', …},
 // {type: 'photo', blob}, {type: 'scene', scene}, {type: 'error', message}.
 // In: {band}, then {deep} and {strips}, from another of these workers. Out: {type: 'done', value}.
 
@@ -25,7 +25,7 @@ import '../view/limits.js';
 /** @import { Head, PictureFile } from './head.js' */
 /** @import { Layers, Picture } from './scene.js' */
 
-/** @typedef {{url: string, photoOnly?: boolean}} Wanted a container to load */
+/** @typedef {{url: string, photoOnly?: boolean, side?: number}} Wanted a container to load */
 /** @typedef {Parameters<Band['deep']>[0]} DeepJob */
 /** @typedef {Parameters<Band['strips']>[0]} StripsJob */
 /** @typedef {{band: BandJob & {module: WebAssembly.Module}} | {deep: DeepJob} | {strips: StripsJob}} Asked what one of these workers asks of another */
@@ -164,7 +164,7 @@ async function unpackerFor() {
 }
 
 /** @param {Wanted} wanted */
-async function load({ url, photoOnly }) {
+async function load({ url, photoOnly, side }) {
   const module = photoOnly ? null : compiled();
   // reported when it is awaited
   module?.catch(() => {});
@@ -214,7 +214,7 @@ async function load({ url, photoOnly }) {
   const started = performance.now();
   const bands = bandsFor(head, await module);
   try {
-    const { scene, transfer } = await assembled(head, input, bands);
+    const { scene, transfer } = await assembled(head, input, bands, side);
     self.postMessage({ type: 'scene', scene: { ...scene, decodeMs: performance.now() - started } }, { transfer });
   } finally {
     for (const band of bands) band.close();

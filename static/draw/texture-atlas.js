@@ -18,7 +18,7 @@
 
 /** Width of a page where the scene fits one. */
 const PAGE_STEP = 256;
-/** Side of a page at most while the pieces themselves are smaller: any graphics device has that. */
+/** Side of a page at most while the pieces themselves are smaller: nearly any graphics device has that. */
 const PAGE_SIDE = 4096;
 /** Time that uploading may hold the page before it lets others run. */
 const SLICE_MS = 8;
@@ -27,13 +27,14 @@ const SLICE_MS = 8;
  * Shelf packing, tallest rectangles first, as crates/render has it. Pieces of different groups, numbered from 0, share no strip.
  * @param {Pick<Piece, 'w' | 'h'>[]} pieces
  * @param {number[]} [groups] the group of each
+ * @param {number} [most] side of a page that the graphics device can hold
  * @returns {Places}
  */
-export function pack(pieces, groups = pieces.map(() => 0)) {
+export function pack(pieces, groups = pieces.map(() => 0), most = PAGE_SIDE) {
   const n = pieces.length;
   const order = [...pieces.keys()].sort((i, j) => groups[i] - groups[j] || pieces[j].h - pieces[i].h || i - j);
   let area = 0;
-  let [widest, side] = [1, PAGE_SIDE];
+  let [widest, side] = [1, Math.min(PAGE_SIDE, most)];
   for (const { w, h } of pieces) {
     area += w * h;
     widest = Math.max(widest, w);

@@ -24,11 +24,13 @@ const CONTEXT = { alpha: false, antialias: false, depth: true, powerPreference: 
 /** @param {HTMLCanvasElement} canvas */
 const contextOf = (canvas) => /** @type {WebGL2RenderingContext | null} */ (canvas.getContext('webgl2', CONTEXT));
 
-/** Whether the browser has WebGL2. */
-export function hasWebGl() {
+/** Side of the largest texture of the browser's WebGL2, 0 where it has none. */
+export function webGlSide() {
   const gl = contextOf(document.createElement('canvas'));
-  gl?.getExtension('WEBGL_lose_context')?.loseContext();
-  return Boolean(gl);
+  if (!gl) return 0;
+  const side = gl.getParameter(gl.MAX_TEXTURE_SIZE);
+  forget(gl);
+  return side;
 }
 
 /** A scene in a WebGL2 context. Build with `WebGlRenderer.create`. */

@@ -20,10 +20,12 @@ function sizes(count, most) {
 
 describe('texture atlas', () => {
   test('pieces lie on their pages without overlap, those of two groups in strips of their own', () => {
-    for (const groups of [undefined, Array.from({ length: 3000 }, (_, i) => Number(i > 1700))]) {
+    const two = Array.from({ length: 3000 }, (_, i) => Number(i > 1700));
+    for (const [groups, most] of [[undefined], [two], [two, 2048], [undefined, 1000]]) {
       const all = sizes(3000, 170);
-      const { page, atlasX, atlasY, width, height, pages, bands } = pack(all, groups);
-      assert.ok(pages > 1 && width <= 4096 && height <= 4096, `${pages} pages of ${width} × ${height}`);
+      const { page, atlasX, atlasY, width, height, pages, bands } = pack(all, groups, most);
+      const side = most ?? 4096;
+      assert.ok(pages > 1 && width <= side && height <= side, `${pages} pages of ${width} × ${height}`);
       const rows = new Map();
       all.forEach(({ w, h }, i) => {
         assert.ok(page[i] < pages && atlasX[i] + w <= width && atlasY[i] + h <= height, `piece ${i}`);
