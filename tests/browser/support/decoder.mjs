@@ -25,7 +25,7 @@ export async function scene(bytes, picture, count = 1) {
 }
 
 /**
- * Layers, and texels of a container, by one instance, or the rows of tiles `rows`.
+ * Layers and texels of a container, and the decoder that has them, by one instance, or the rows of tiles `rows`.
  * @param {{photo: object, hidden?: object | null, rows?: number[]}} given pictures as RGBA
  */
 export async function texels(bytes, { photo, hidden = null, rows }) {
@@ -36,7 +36,7 @@ export async function texels(bytes, { photo, hidden = null, rows }) {
   if (hidden) decoder.picture('hidden', hidden);
   const { columns, tiles } = tileCounts(head.scene);
   const layers = decoder.decode(head.scene, ...(rows ?? [0, tiles / columns]));
-  return { layers, memory: decoder.memory, ...decoder.texels() };
+  return { layers, decoder, memory: decoder.memory, ...decoder.texels() };
 }
 
 /** What `Scene::digest` of crates/core gives. */
