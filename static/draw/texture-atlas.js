@@ -22,6 +22,10 @@ const PAGE_STEP = 256;
 const PAGE_SIDE = 4096;
 /** Time that uploading may hold the page before it lets others run. */
 const SLICE_MS = 8;
+/** Bytes that are written at once. */
+const PART_BYTES = 2 << 20;
+/** Bytes that may wait to be taken over. */
+const QUEUE_BYTES = 8 << 20;
 
 /**
  * Shelf packing, tallest rectangles first, as crates/render has it. Pieces of different groups, numbered from 0, share no strip.
@@ -89,17 +93,44 @@ export function checkFit({ width, height, pages }, most) {
 }
 
 /**
- * Hands each strip to `write`, with pauses that let the page live.
+ * Hands all strips to `write`, tall ones in parts, with pauses that let the page live; `settle` resolves once what was written is taken
+ * over, as a full queue holds the page.
  * @param {Atlas} atlas
  * @param {(strip: Strip) => void} write
+ * @param {() => Promise<void>} settle
  */
-export async function upload({ strips }, write) {
+export async function upload({ strips }, write, settle) {
+  // what came before has held the page for a while
+  await new Promise((resume) => setTimeout(resume));
   let slice = performance.now();
+  let queued = 0;
   for (const strip of strips) {
-    write(strip);
-    if (performance.now() - slice > SLICE_MS) {
-      await new Promise((resume) => setTimeout(resume));
+    for (const part of parts(strip)) {
+      write(part);
+      queued += part.data.byteLength;
+      if (queued < QUEUE_BYTES && performance.now() - slice <= SLICE_MS) continue;
+      if (queued < QUEUE_BYTES) await new Promise((resume) => setTimeout(resume));
+      else {
+        await settle();
+        queued = 0;
+      }
       slice = performance.now();
     }
   }
+}
+
+/**
+ * A strip in parts of whole rows that are written in a moment.
+ * @param {Strip} strip
+ * @returns {Strip[]}
+ */
+function parts({ page, y, h, data }) {
+  const row = data.length / h;
+  const rows = Math.max(1, Math.floor(PART_BYTES / (row * data.BYTES_PER_ELEMENT)));
+  const out = [];
+  for (let at = 0; at < h; at += rows) {
+    const end = Math.min(at + rows, h);
+    out.push({ page, y: y + at, h: end - at, data: data.subarray(at * row, end * row) });
+  }
+  return out;
 }
