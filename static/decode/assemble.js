@@ -20,9 +20,10 @@ const REACH = 96;
  * @param {Head} head
  * @param {{bytes: Uint8Array, photo: Picture, hidden: Picture | null}} input
  * @param {Helper[]} bands
+ * @param {number} [side] of the largest texture that the graphics device can hold
  * @returns {Promise<{scene: Omit<Scene, 'decodeMs'>, transfer: ArrayBuffer[]}>} `transfer`: buffers that can be handed over with it
  */
-export async function assembled({ scene }, input, bands) {
+export async function assembled({ scene }, input, bands, side) {
   const jobs = cut(scene, input, bands.length);
   // those of other workers first: the first band is decoded here
   const tables = await together(bands.slice(0, jobs.length), (band, i) => band.decode(jobs[i]));
@@ -31,7 +32,7 @@ export async function assembled({ scene }, input, bands) {
   const pieces = piecesOf(whole);
   const starts = tables.map((_, i) => tables.slice(0, i).reduce((sum, { count }) => sum + count, 0));
   const groups = pieces.map(({ layer }) => starts.findLastIndex((start) => layer >= start));
-  const places = pack(pieces, groups);
+  const places = pack(pieces, groups, side);
   const wide = floatsFit(places) && (await anyDeep(scene, pieces, starts, bands.slice(0, jobs.length)));
   const strips = places.bands.map((band) => ({ ...band, group: groups[band.pieces[0]] }));
   const filled = await together(bands.slice(0, jobs.length), (band, i) =>

@@ -1,45 +1,42 @@
 // One container, or a band of its tiles, in an instance of decoder.wasm (crates/decoder). Pure: no page, no network; pictures are
 // decoded by the caller.
 
-import { ContainerError } from './head.js';
+import { Instance } from './instance.js';
 
 /** @import { Layers, SceneHead } from './scene.js' */
 
 /** Outputs, by the numbers of crates/decoder's `Output`. */
-const [TEXT, PANIC, NUMBERS, CLASSES, ALPHA, HIDDEN, STRIP] = [0, 1, 2, 3, 4, 5, 6];
+const [NUMBERS, CLASSES, ALPHA, HIDDEN, STRIP] = [2, 3, 4, 5, 6];
 /** Columns of the table of layers. */
 const COLUMNS = 10;
 /** Rows of a picture that are handed over at once, in bytes. */
 const PICTURE_BYTES = 4 << 20;
 
-/** @typedef {'tmpi_room' | 'tmpi_open' | 'tmpi_picture' | 'tmpi_decode' | 'tmpi_strip' | 'tmpi_output' | 'tmpi_output_length'} Name */
-/** @typedef {Record<Name, (...args: number[]) => number> & {memory: WebAssembly.Memory}} Exports of decoder.wasm */
-
 export class Decoder {
-  #exports;
+  #instance;
 
-  /** @param {WebAssembly.Module} module */
+  /** @param {WebAssembly.Module} module of decoder.wasm */
   static async of(module) {
-    return new Decoder(await WebAssembly.instantiate(module, {}));
+    return new Decoder(await Instance.of(module));
   }
 
-  /** @param {WebAssembly.Instance} instance of decoder.wasm, not used before */
+  /** @param {Instance} instance */
   constructor(instance) {
-    this.#exports = /** @type {Exports} */ (/** @type {unknown} */ (instance.exports));
+    this.#instance = instance;
   }
 
   /** Bytes of the instance's memory. */
   get memory() {
-    return this.#exports.memory.buffer.byteLength;
+    return this.#instance.memory;
   }
 
   /**
-   * Takes over a whole container; the bytes of its photo are not looked at.
+   * Takes over a whole container, no section of which is packed (unpack.js); the bytes of its photo are not looked at.
    * @param {Uint8Array} bytes
    */
   open(bytes) {
-    this.#hand(bytes);
-    this.#call('tmpi_open');
+    this.#instance.hand(bytes);
+    this.#instance.call('tmpi_open');
   }
 
   /**
@@ -50,8 +47,8 @@ export class Decoder {
   picture(kind, { width, height, data }, top = 0) {
     const step = Math.max(1, Math.floor(PICTURE_BYTES / (width * 4))) * width * 4;
     for (let at = 0; at < data.length; at += step) {
-      this.#hand(data.subarray(at, at + step));
-      this.#call('tmpi_picture', kind === 'hidden' ? 1 : 0, width, height, top);
+      this.#instance.hand(data.subarray(at, at + step));
+      this.#instance.call('tmpi_picture', kind === 'hidden' ? 1 : 0, width, height, top);
     }
   }
 
@@ -64,7 +61,7 @@ export class Decoder {
    * @throws {ContainerError}
    */
   decode({ tileSize, tileStride, width }, first, end) {
-    this.#call('tmpi_decode', first, end);
+    this.#instance.call('tmpi_decode', first, end);
     const numbers = this.#numbers();
     const count = numbers.length / COLUMNS;
     const columns = width <= tileSize ? 1 : Math.ceil((width - tileSize) / tileStride) + 1;
@@ -88,12 +85,16 @@ export class Decoder {
 
   /** Alphas of all texels; seen until the next call. */
   get alpha() {
-    return this.#output(ALPHA);
+    return this.#instance.output(ALPHA);
   }
 
   /** Classes, alphas and hidden colours of all texels, copied: what tests look at. */
   texels() {
-    return { classes: this.#output(CLASSES).slice(), alpha: this.#output(ALPHA).slice(), hidden: this.#output(HIDDEN).slice() };
+    return {
+      classes: this.#instance.output(CLASSES).slice(),
+      alpha: this.#instance.output(ALPHA).slice(),
+      hidden: this.#instance.output(HIDDEN).slice(),
+    };
   }
 
   /**
@@ -106,49 +107,13 @@ export class Decoder {
    * @returns {Uint8Array<ArrayBuffer>} RGBA, premultiplied unless it is to be straight, a buffer of its own
    */
   strip(pieces, width, height, straight = false) {
-    this.#hand(new Uint8Array(pieces.buffer, pieces.byteOffset, pieces.byteLength));
-    this.#call('tmpi_strip', width, height, Number(straight));
-    return new Uint8Array(this.#output(STRIP));
-  }
-
-  /** @param {Uint8Array | Uint8ClampedArray} bytes */
-  #hand(bytes) {
-    const at = this.#guarded('tmpi_room', [bytes.length]);
-    new Uint8Array(this.#exports.memory.buffer).set(bytes, at >>> 0);
-  }
-
-  /** @param {number} what */
-  #output(what) {
-    const [at, length] = [this.#exports.tmpi_output(what), this.#exports.tmpi_output_length(what)];
-    return new Uint8Array(this.#exports.memory.buffer, at >>> 0, length >>> 0);
+    this.#instance.hand(new Uint8Array(pieces.buffer, pieces.byteOffset, pieces.byteLength));
+    this.#instance.call('tmpi_strip', width, height, Number(straight));
+    return new Uint8Array(this.#instance.output(STRIP));
   }
 
   #numbers() {
     // copied, as it need not lie at a multiple of eight
-    return new Float64Array(this.#output(NUMBERS).slice().buffer);
-  }
-
-  /**
-   * @param {Name} name
-   * @param {number[]} args
-   */
-  #call(name, ...args) {
-    const status = this.#guarded(name, args);
-    if (status < 0) throw new ContainerError(new TextDecoder().decode(this.#output(TEXT)));
-    return status;
-  }
-
-  /**
-   * A panic ends the instance, and memory that is not to be had too: it says why.
-   * @param {Name} name
-   * @param {number[]} args
-   */
-  #guarded(name, args) {
-    try {
-      return this.#exports[name](...args);
-    } catch (error) {
-      const text = new TextDecoder().decode(this.#output(PANIC));
-      throw new Error(`the decoder failed: ${text || error.message}`);
-    }
+    return new Float64Array(this.#instance.output(NUMBERS).slice().buffer);
   }
 }

@@ -14,7 +14,9 @@ const MAX_PIXELS = 50_000_000;
 const HEADER_BYTES = 12;
 const MAGIC = [0x54, 0x4d, 0x50, 0x49];
 /** Kinds of sections. */
-const [PHOTO, ALPHA, HIDDEN] = [1, 4, 5];
+const [PHOTO, PLANES, ALPHA, HIDDEN] = [1, 2, 4, 5];
+/** The codec that the decoder has not. */
+const ZSTD = 1;
 /**
  * Media types of the picture codecs.
  * @type {Record<number, string | undefined>}
@@ -25,9 +27,9 @@ const SECTIONS = 16;
 
 /** @typedef {{start: number, end: number, type: string}} PictureFile first byte, end, media type of a picture file in a container */
 /**
- * The scene's head, count of all bytes, picture files, and whether tiles may be decoded in bands: not where a section runs through all
- * texels.
- * @typedef {{scene: SceneHead, bytes: number, photo: PictureFile, hidden: PictureFile | null, bands: boolean}} Head
+ * The scene's head, count of all bytes, picture files, whether a section is packed (unpack.js), and whether tiles may be decoded in
+ * bands: not where a section runs through all texels.
+ * @typedef {{scene: SceneHead, bytes: number, photo: PictureFile, hidden: PictureFile | null, packed: boolean, bands: boolean}} Head
  */
 
 /**
@@ -66,7 +68,7 @@ export function readHead(bytes) {
     .map(([, from, to]) => {
       const own = Object.fromEntries(message(view, from, to).numbers);
       const first = start + (own[3] ?? 0);
-      return { kind: own[1], type: PICTURES[own[2]], start: first, end: first + (own[4] ?? 0) };
+      return { kind: own[1], codec: own[2], type: PICTURES[own[2]], start: first, end: first + (own[4] ?? 0) };
     });
   const [photo, hidden] = [PHOTO, HIDDEN].map((kind) => picture(sections.find((section) => section.kind === kind)));
   if (!photo) return broken('there is no photo section');
@@ -75,6 +77,7 @@ export function readHead(bytes) {
     bytes: sections.reduce((end, section) => Math.max(end, section.end), start),
     photo,
     hidden,
+    packed: sections.some(({ kind, codec }) => codec === ZSTD && (kind === PLANES || kind === ALPHA)),
     bands: !sections.some(({ kind }) => kind === ALPHA || kind === HIDDEN),
   };
 }

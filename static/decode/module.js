@@ -1,11 +1,18 @@
-// The compiled decoder, once a page or worker.
+// Modules of WebAssembly, compiled while they come.
 
 /** Why WebAssembly is not to be had, for a person who can change it. */
 export const REFUSED = "The page's content security policy forbids WebAssembly: add 'wasm-unsafe-eval' to its script-src.";
 
-/** @returns {Promise<WebAssembly.Module>} */
-export async function compiled() {
-  const address = new URL('./decoder.wasm', import.meta.url);
+/** The compiled decoder. */
+export function compiled() {
+  return compiledFrom(new URL('./decoder.wasm', import.meta.url));
+}
+
+/**
+ * @param {URL} address
+ * @returns {Promise<WebAssembly.Module>}
+ */
+export async function compiledFrom(address) {
   const response = await fetch(address);
   if (!response.ok) throw new Error('the decoder cannot be loaded');
   try {

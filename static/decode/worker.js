@@ -1,5 +1,5 @@
 // Fetches and decodes a container off the page's thread.
-// In: {url, photoOnly}: with photoOnly it stops once the photo is there. Out: {type: 'progress', received, total}, {type: 'head', …},
+// In: {url, photoOnly, side}: with photoOnly it stops once the photo is there; side of the largest texture. Out: {type: 'progress', received, total}, {type: 'head', …},
 // {type: 'photo', blob}, {type: 'scene', scene}, {type: 'error', message}.
 // In: {band}, then {deep} and {strips}, from another of these workers. Out: {type: 'done', value}.
 
@@ -12,6 +12,7 @@ import { startDecoder } from './start.js';
 // what those import, named here so that all of it is fetched at once
 import './decoder.js';
 import './grid.js';
+import './instance.js';
 import '../draw/border.js';
 import '../draw/half-float.js';
 import '../draw/instances.js';
@@ -24,7 +25,7 @@ import '../view/limits.js';
 /** @import { Head, PictureFile } from './head.js' */
 /** @import { Layers, Picture } from './scene.js' */
 
-/** @typedef {{url: string, photoOnly?: boolean}} Wanted a container to load */
+/** @typedef {{url: string, photoOnly?: boolean, side?: number}} Wanted a container to load */
 /** @typedef {Parameters<Band['deep']>[0]} DeepJob */
 /** @typedef {Parameters<Band['strips']>[0]} StripsJob */
 /** @typedef {{band: BandJob & {module: WebAssembly.Module}} | {deep: DeepJob} | {strips: StripsJob}} Asked what one of these workers asks of another */
@@ -155,8 +156,15 @@ class Download {
   }
 }
 
+/** What unpacks a container, fetched. */
+async function unpackerFor() {
+  const { unpacked, unpacker } = await import('./unpack.js');
+  const module = await unpacker();
+  return (/** @type {Uint8Array} */ bytes) => unpacked(module, bytes);
+}
+
 /** @param {Wanted} wanted */
-async function load({ url, photoOnly }) {
+async function load({ url, photoOnly, side }) {
   const module = photoOnly ? null : compiled();
   // reported when it is awaited
   module?.catch(() => {});
@@ -170,6 +178,8 @@ async function load({ url, photoOnly }) {
   let head = null;
   /** @type {ReturnType<typeof decodePicture> | null} */
   let photo = null;
+  /** @type {ReturnType<typeof unpackerFor> | null} */
+  let unpack = null;
   let posted = 0;
   for (;;) {
     const { done, value } = await reader.read();
@@ -178,6 +188,9 @@ async function load({ url, photoOnly }) {
     if (!head) {
       head = readHead(download.bytes);
       if (head) postMessage({ type: 'head', head: { ...head.scene, total: head.bytes } });
+      if (head?.packed && !photoOnly) unpack = unpackerFor();
+      // reported when it is awaited
+      unpack?.catch(() => {});
     }
     if (head && !photo && download.length >= head.photo.end) {
       const blob = download.blob(head.photo);
@@ -196,11 +209,12 @@ async function load({ url, photoOnly }) {
   if (!head || !photo || !module) throw new Error('the container is cut off');
   postMessage({ type: 'progress', received: download.length, total: download.length });
   const hidden = head.hidden && (await decodePicture(download.blob(head.hidden)).catch(() => null));
-  const input = { bytes: download.bytes, photo: await photo, hidden };
+  const bytes = unpack ? await (await unpack)(download.bytes) : download.bytes;
+  const input = { bytes, photo: await photo, hidden };
   const started = performance.now();
   const bands = bandsFor(head, await module);
   try {
-    const { scene, transfer } = await assembled(head, input, bands);
+    const { scene, transfer } = await assembled(head, input, bands, side);
     self.postMessage({ type: 'scene', scene: { ...scene, decodeMs: performance.now() - started } }, { transfer });
   } finally {
     for (const band of bands) band.close();

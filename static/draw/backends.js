@@ -1,6 +1,6 @@
 // What may draw in this browser, best first: WebGPU, then WebGL2. Each is tried a second time after it was lost, then given up.
 import { findAdapter } from './device.js';
-import { hasWebGl, WebGlRenderer } from './webgl.js';
+import { WebGlRenderer, webGlSide } from './webgl.js';
 import { WebGpuRenderer } from './webgpu.js';
 
 /** @import { Scene } from '../decode/scene.js' */
@@ -14,13 +14,26 @@ export class Backends {
   static async find() {
     /** @type {Mode[]} */
     const modes = [];
-    if (await findAdapter()) modes.push('gpu');
-    if (hasWebGl()) modes.push('webgl');
-    return new Backends(modes);
+    const sides = [];
+    const adapter = await findAdapter();
+    if (adapter) {
+      modes.push('gpu');
+      sides.push(adapter.limits.maxTextureDimension2D);
+    }
+    const side = webGlSide();
+    if (side) {
+      modes.push('webgl');
+      sides.push(side);
+    }
+    return new Backends(modes, Math.min(...sides));
   }
 
-  /** @param {Mode[]} modes */
-  constructor(modes) {
+  /**
+   * @param {Mode[]} modes
+   * @param {number} side of the largest texture that all of them can hold
+   */
+  constructor(modes, side) {
+    this.side = side;
     this.left = modes.map((mode) => ({ mode, attempts: ATTEMPTS }));
     this.reason = 'This browser has neither WebGPU nor WebGL.';
   }

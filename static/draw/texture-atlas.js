@@ -18,22 +18,27 @@
 
 /** Width of a page where the scene fits one. */
 const PAGE_STEP = 256;
-/** Side of a page at most while the pieces themselves are smaller: any graphics device has that. */
+/** Side of a page at most while the pieces themselves are smaller: nearly any graphics device has that. */
 const PAGE_SIDE = 4096;
 /** Time that uploading may hold the page before it lets others run. */
 const SLICE_MS = 8;
+/** Bytes that are written at once. */
+const PART_BYTES = 2 << 20;
+/** Bytes that may wait to be taken over. */
+const QUEUE_BYTES = 8 << 20;
 
 /**
  * Shelf packing, tallest rectangles first, as crates/render has it. Pieces of different groups, numbered from 0, share no strip.
  * @param {Pick<Piece, 'w' | 'h'>[]} pieces
  * @param {number[]} [groups] the group of each
+ * @param {number} [most] side of a page that the graphics device can hold
  * @returns {Places}
  */
-export function pack(pieces, groups = pieces.map(() => 0)) {
+export function pack(pieces, groups = pieces.map(() => 0), most = PAGE_SIDE) {
   const n = pieces.length;
   const order = [...pieces.keys()].sort((i, j) => groups[i] - groups[j] || pieces[j].h - pieces[i].h || i - j);
   let area = 0;
-  let [widest, side] = [1, PAGE_SIDE];
+  let [widest, side] = [1, Math.min(PAGE_SIDE, most)];
   for (const { w, h } of pieces) {
     area += w * h;
     widest = Math.max(widest, w);
@@ -88,17 +93,44 @@ export function checkFit({ width, height, pages }, most) {
 }
 
 /**
- * Hands each strip to `write`, with pauses that let the page live.
+ * Hands all strips to `write`, tall ones in parts, with pauses that let the page live; `settle` resolves once what was written is taken
+ * over, as a full queue holds the page.
  * @param {Atlas} atlas
  * @param {(strip: Strip) => void} write
+ * @param {() => Promise<void>} settle
  */
-export async function upload({ strips }, write) {
+export async function upload({ strips }, write, settle) {
+  // what came before has held the page for a while
+  await new Promise((resume) => setTimeout(resume));
   let slice = performance.now();
+  let queued = 0;
   for (const strip of strips) {
-    write(strip);
-    if (performance.now() - slice > SLICE_MS) {
-      await new Promise((resume) => setTimeout(resume));
+    for (const part of parts(strip)) {
+      write(part);
+      queued += part.data.byteLength;
+      if (queued < QUEUE_BYTES && performance.now() - slice <= SLICE_MS) continue;
+      if (queued < QUEUE_BYTES) await new Promise((resume) => setTimeout(resume));
+      else {
+        await settle();
+        queued = 0;
+      }
       slice = performance.now();
     }
   }
+}
+
+/**
+ * A strip in parts of whole rows that are written in a moment.
+ * @param {Strip} strip
+ * @returns {Strip[]}
+ */
+function parts({ page, y, h, data }) {
+  const row = data.length / h;
+  const rows = Math.max(1, Math.floor(PART_BYTES / (row * data.BYTES_PER_ELEMENT)));
+  const out = [];
+  for (let at = 0; at < h; at += rows) {
+    const end = Math.min(at + rows, h);
+    out.push({ page, y: y + at, h: end - at, data: data.subarray(at * row, end * row) });
+  }
+  return out;
 }

@@ -1,15 +1,13 @@
 // Copies textures with WebGL2 by copy.wgsl: between formats, or blended into what is there.
-import { COPY_FRAGMENT, COPY_VERTEX } from './glsl.js';
-import { program } from './webgl-program.js';
 
 const VERTICES = 3;
 
 /**
  * Gives what copies a texture to a framebuffer of the same size; what is there stays where `weight`, the blend constant, is given.
  * @param {WebGL2RenderingContext} gl
+ * @param {WebGLProgram} program of copy.wgsl
  */
-export function copier(gl) {
-  const built = program(gl, COPY_VERTEX, COPY_FRAGMENT);
+export function copier(gl, program) {
   return (
     /** @type {WebGLTexture} */ from,
     /** @type {WebGLFramebuffer | null} */ to,
@@ -26,7 +24,7 @@ export function copier(gl) {
       gl.blendColor(weight, weight, weight, weight);
       gl.blendFunc(gl.CONSTANT_COLOR, gl.ONE_MINUS_CONSTANT_COLOR);
     }
-    gl.useProgram(built);
+    gl.useProgram(program);
     gl.bindTexture(gl.TEXTURE_2D, from);
     gl.drawArrays(gl.TRIANGLES, 0, VERTICES);
     gl.bindTexture(gl.TEXTURE_2D, null);

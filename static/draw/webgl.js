@@ -1,15 +1,16 @@
 // Draws a decoded scene with WebGL2 where there is no WebGPU: the same shader, translated, on the same atlas and instances.
 import { WebGlMean } from './depth-of-field/mean-webgl.js';
-import { OPAQUE_FRAGMENT, SCENE_VERTEX, SOFT_FRAGMENT } from './glsl.js';
+import { COPY_FRAGMENT, COPY_VERTEX, OPAQUE_FRAGMENT, SCENE_VERTEX, SOFT_FRAGMENT } from './glsl.js';
 import { INSTANCE_FLOATS, withErrors } from './instances.js';
 import { checkFit, upload } from './texture-atlas.js';
 import { looksBackward, UNIFORM_BYTES, VERTICES, viewUniform } from './view-uniform.js';
 import { copier } from './webgl-copy.js';
-import { program } from './webgl-program.js';
+import { begin, built } from './webgl-program.js';
 import { hasHalfFloatTargets, WebGlTarget } from './webgl-target.js';
 
 /** @import { Intrinsics, Scene } from '../decode/scene.js' */
 /** @import { Pose, View } from '../view/camera.js' */
+/** @import { Strip } from './texture-atlas.js' */
 
 /**
  * A framebuffer and its size.
@@ -24,11 +25,13 @@ const CONTEXT = { alpha: false, antialias: false, depth: true, powerPreference: 
 /** @param {HTMLCanvasElement} canvas */
 const contextOf = (canvas) => /** @type {WebGL2RenderingContext | null} */ (canvas.getContext('webgl2', CONTEXT));
 
-/** Whether the browser has WebGL2. */
-export function hasWebGl() {
+/** Side of the largest texture of the browser's WebGL2, 0 where it has none. */
+export function webGlSide() {
   const gl = contextOf(document.createElement('canvas'));
-  gl?.getExtension('WEBGL_lose_context')?.loseContext();
-  return Boolean(gl);
+  if (!gl) return 0;
+  const side = gl.getParameter(gl.MAX_TEXTURE_SIZE);
+  forget(gl);
+  return side;
 }
 
 /** A scene in a WebGL2 context. Build with `WebGlRenderer.create`. */
@@ -158,12 +161,8 @@ export class WebGlRenderer {
   }
 
   /** Resolves once everything submitted so far is drawn. */
-  async idle() {
-    const { gl } = this;
-    const fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
-    gl.flush();
-    while (fence && gl.clientWaitSync(fence, 0, 0) === gl.TIMEOUT_EXPIRED) await new Promise((resume) => setTimeout(resume, POLL_MS));
-    gl.deleteSync(fence);
+  idle() {
+    return done(this.gl);
   }
 
   dispose() {
@@ -221,13 +220,27 @@ export class WebGlRenderer {
 }
 
 /**
+ * Resolves once everything given to the device so far is done.
+ * @param {WebGL2RenderingContext} gl
+ */
+async function done(gl) {
+  const fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
+  gl.flush();
+  while (fence && gl.clientWaitSync(fence, 0, 0) === gl.TIMEOUT_EXPIRED) await new Promise((resume) => setTimeout(resume, POLL_MS));
+  gl.deleteSync(fence);
+}
+
+/**
  * Puts a scene into a context's memory. What is bound here stays bound.
  * @param {WebGL2RenderingContext} gl
  * @param {Scene} scene
  */
 async function load(gl, scene) {
-  const opaque = program(gl, SCENE_VERTEX, OPAQUE_FRAGMENT);
-  const soft = program(gl, SCENE_VERTEX, SOFT_FRAGMENT);
+  const begun = [
+    [SCENE_VERTEX, OPAQUE_FRAGMENT],
+    [SCENE_VERTEX, SOFT_FRAGMENT],
+    [COPY_VERTEX, COPY_FRAGMENT],
+  ].map(([vertex, fragment]) => begin(gl, vertex, fragment));
   const { width, height, pages, wide: halves } = scene.atlas;
   checkFit(scene.atlas, { side: gl.getParameter(gl.MAX_TEXTURE_SIZE), pages: gl.getParameter(gl.MAX_ARRAY_TEXTURE_LAYERS) });
   // texels of 16-bit floats are always to be had, targets are not: then the sum is rounded layer by layer
@@ -237,14 +250,17 @@ async function load(gl, scene) {
   gl.texParameteri(gl.TEXTURE_2D_ARRAY, gl.TEXTURE_MIN_FILTER, gl.LINEAR);
   for (const axis of [gl.TEXTURE_WRAP_S, gl.TEXTURE_WRAP_T]) gl.texParameteri(gl.TEXTURE_2D_ARRAY, axis, gl.CLAMP_TO_EDGE);
   const type = halves ? gl.HALF_FLOAT : gl.UNSIGNED_BYTE;
-  await upload(scene.atlas, ({ page, y, h, data }) => {
+  const write = (/** @type {Strip} */ { page, y, h, data }) =>
     gl.texSubImage3D(gl.TEXTURE_2D_ARRAY, 0, 0, y, page, width, h, 1, gl.RGBA, type, data);
-  });
+  await upload(scene.atlas, write, () => done(gl));
+  const [opaque, soft, copy] = await Promise.all(begun.map((program) => built(gl, program)));
+  // until then asking for errors holds the page
+  await done(gl);
   // the one block of the programs is at binding 0
   gl.bindBufferBase(gl.UNIFORM_BUFFER, 0, gl.createBuffer());
   gl.bufferData(gl.UNIFORM_BUFFER, UNIFORM_BYTES, gl.DYNAMIC_DRAW);
   gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
-  return { wide, opaque, soft, copy: copier(gl) };
+  return { wide, opaque, soft, copy: copier(gl, copy) };
 }
 
 /**

@@ -9,6 +9,7 @@ import { copyPipeline, copyTexture } from './webgpu-copy.js';
 /** @import { Intrinsics, Scene } from '../decode/scene.js' */
 /** @import { Pose, View } from '../view/camera.js' */
 /** @import { Device } from './device.js' */
+/** @import { Strip } from './texture-atlas.js' */
 
 const INSTANCE_BYTES = INSTANCE_FLOATS * 4;
 /** Disparity 1/NEAR is the nearest that is drawn. */
@@ -274,9 +275,9 @@ async function load(shared, scene) {
   };
   try {
     const bytesPerRow = width * (wide ? 8 : 4);
-    await upload(scene.atlas, ({ page, y, h, data }) => {
+    const write = (/** @type {Strip} */ { page, y, h, data }) =>
       device.queue.writeTexture({ texture: atlas, origin: [0, y, page] }, data, { bytesPerRow }, [width, h, 1]);
-    });
+    await upload(scene.atlas, write, () => device.queue.onSubmittedWorkDone());
   } catch (error) {
     dispose();
     throw error;

@@ -351,7 +351,7 @@ export class Viewer extends EventTarget {
     this.#worker = startDecoder();
     this.#worker.onerror = (event) => this.#fail(event.message || 'The decoder could not be started.');
     this.#worker.onmessage = ({ data }) => this.#onWorker(data);
-    this.#worker.postMessage({ url: this.options.atlas, photoOnly: !this.#backends.any });
+    this.#worker.postMessage({ url: this.options.atlas, photoOnly: !this.#backends.any, side: this.#backends.side });
   }
 
   /** @param {any} data posted by decode/worker.js */

@@ -1,165 +1,148 @@
-// Time to decode containers in Chromium, of this tree's decoder against another's, in alternating rounds. Not a test; run by hand:
-//   node decode-speed.mjs [--rounds 6] [--runs 4] [--js STATIC] FILE.tmpi…
-// `--js STATIC`: the static/ folder of commit fe415db, which has all modules side by side, container.js, the decoder in JavaScript, among
-// them. Pictures are decoded before the clock runs, and one thread decodes. Cold: a new process, compiling included. Again: a fresh worker that is handed the module. Warm: the last of the runs.
-// Pages: filling all texture pages, warm; the JavaScript decoder left that to the page's own thread.
-import { createReadStream, readFileSync } from 'node:fs';
-import { createServer } from 'node:http';
-import { basename, extname, join } from 'node:path';
-import { fileURLToPath } from 'node:url';
+// All figures of the page's decoder: its size, its time against the decoder in JavaScript and the native one, its memory, how long it
+// holds the page's thread, and the time to the first view over a link. Not a test; run by hand on an idle machine, after
+// `cargo build --release --workspace --examples`:
+//   node decode-speed.mjs [--rounds 6] [--runs 4] [--old fe415db] [--only sizes,decode,page,link] [--mbps 50] [--latency 40] PHOTO|FILE.tmpi…
+// Of a photo containers are made in five sizes. `--old`: a commit whose static/ has the decoder in JavaScript, or that folder, or nothing.
+import { execFileSync } from 'node:child_process';
+import { existsSync, mkdirSync, mkdtempSync, readFileSync, rmSync } from 'node:fs';
+import { tmpdir } from 'node:os';
+import { basename, dirname, join } from 'node:path';
 import { parseArgs } from 'node:util';
-import { launch } from './support/browser.mjs';
+import { gzipSync } from 'node:zlib';
+import { containersOf } from './speed/containers.mjs';
+import { decodeRounds } from './speed/decode.mjs';
+import { firstViews } from './speed/first-view.mjs';
+import { pageTasks } from './speed/page-thread.mjs';
+import { STATIC, startSpeedServer } from './speed/server.mjs';
+import { program } from './support/program.mjs';
 
-const { values, positionals: files } = parseArgs({
+const { values, positionals } = parseArgs({
   allowPositionals: true,
-  options: { rounds: { type: 'string', default: '6' }, runs: { type: 'string', default: '4' }, js: { type: 'string' } },
+  options: {
+    rounds: { type: 'string', default: '6' },
+    runs: { type: 'string', default: '4' },
+    old: { type: 'string', default: 'fe415db' },
+    only: { type: 'string', default: 'sizes,decode,page,link' },
+    mbps: { type: 'string', default: '50' },
+    latency: { type: 'string', default: '40' },
+  },
 });
-if (!files.length) {
-  console.error('usage: node decode-speed.mjs [--rounds N] [--runs N] [--js STATIC] FILE.tmpi…');
+if (!positionals.length) {
+  console.error('usage: node decode-speed.mjs [--rounds N] [--runs N] [--old COMMIT|STATIC] [--only PARTS] PHOTO|FILE.tmpi…');
   process.exit(2);
 }
-const STATIC = fileURLToPath(new URL('../../static/', import.meta.url));
-const TYPES = { '.js': 'text/javascript', '.wasm': 'application/wasm', '.html': 'text/html' };
-
-/** What both workers do: decode as often as asked, and say how long each took. */
-const COMMON = `
-self.onmessage = async ({ data }) => {
-  try {
-    const bitmap = await createImageBitmap(data.blob, { premultiplyAlpha: 'none', colorSpaceConversion: 'none', imageOrientation: 'none' });
-    const context = new OffscreenCanvas(bitmap.width, bitmap.height).getContext('2d', { willReadFrequently: true });
-    context.drawImage(bitmap, 0, 0);
-    const photo = context.getImageData(0, 0, bitmap.width, bitmap.height);
-    const times = [];
-    let prepared = data.module;
-    let pages = 0;
-    let memory = 0;
-    for (let i = 0; i < data.runs; i++) {
-      const wasm = !prepared && (await source());
-      const start = performance.now();
-      prepared ??= wasm && (await WebAssembly.compile(wasm));
-      const done = await run(prepared, data.bytes, { width: photo.width, height: photo.height, data: photo.data });
-      times.push(performance.now() - start);
-      const packing = performance.now();
-      await done.pages();
-      pages = performance.now() - packing;
-      memory = done.memory ?? 0;
-    }
-    postMessage({ times, pages, memory, module: prepared });
-  } catch (error) {
-    postMessage({ error: error.stack });
-  }
-};`;
-const WORKERS = {
-  '/worker-wasm.js': `
-import { pieces } from '/wasm/draw/border.js';
-import { pack } from '/wasm/draw/texture-atlas.js';
-import { Decoder } from '/wasm/decode/decoder.js';
-import { readHead } from '/wasm/decode/head.js';
-import { tileCounts } from '/wasm/decode/grid.js';
-const source = async () => (await fetch('/wasm/decode/decoder.wasm')).arrayBuffer();
-async function run(module, bytes, photo) {
-  const { scene } = readHead(bytes);
-  const decoder = await Decoder.of(module);
-  decoder.open(bytes);
-  decoder.picture('photo', photo);
-  const { columns, tiles } = tileCounts(scene);
-  const layers = decoder.decode(scene, 0, tiles / columns);
-  const pages = () => {
-    const all = pieces({ ...scene, layers });
-    const { bands, width } = pack(all);
-    for (const { pieces: own, x, h } of bands) {
-      const numbers = own.flatMap((i, k) => [all[i].layer, all[i].u, all[i].v, all[i].w, all[i].h, Number(all[i].flipX) + 2 * Number(all[i].flipY), x[k]]);
-      decoder.strip(Uint32Array.from(numbers), width, h);
-    }
-  };
-  return { pages, memory: decoder.memory };
-}${COMMON}`,
-  '/worker-js.js': `
-import { decode } from '/js/container.js';
-import { pieces } from '/js/border.js';
-import { expandAll, pack } from '/js/pages.js';
-const source = async () => null;
-async function run(_, bytes, photo) {
-  const scene = await decode(bytes, null, photo);
-  return { pages: () => { const all = pieces(scene); const places = pack(all, 8192, 256); return expandAll(scene, all, places.bands, places.width, () => {}); } };
-}${COMMON}`,
-};
-
-const server = createServer((request, response) => {
-  const path = decodeURIComponent(new URL(request.url, 'http://x').pathname);
-  const reply = (type, body) => response.writeHead(200, { 'content-type': type }).end(body);
-  if (path === '/') return reply('text/html', '<!doctype html><title>speed</title>');
-  if (WORKERS[path]) return reply('text/javascript', WORKERS[path]);
-  if (path.startsWith('/file/')) return reply('application/octet-stream', readFileSync(files[Number(path.slice(6))]));
-  const folder = path.startsWith('/js/') ? values.js : STATIC;
-  return createReadStream(join(folder, path.replace(/^\/(js|wasm)\//, '')))
-    .on('error', () => response.writeHead(404).end())
-    .once('open', () => response.writeHead(200, { 'content-type': TYPES[extname(path)] ?? 'text/plain' }))
-    .pipe(response);
-});
-
-/** In the page: the first worker, then a fresh one that is handed its module. */
-async function measured({ kind, file, runs }) {
-  const { readHead } = await import('/wasm/decode/head.js');
-  const bytes = new Uint8Array(await (await fetch(`/file/${file}`)).arrayBuffer());
-  const { photo, scene } = readHead(bytes);
-  const blob = new Blob([bytes.subarray(photo.start, photo.end)], { type: photo.type });
-  const work = (module) =>
-    new Promise((done, fail) => {
-      const worker = new Worker(`/worker-${kind}.js`, { type: 'module' });
-      worker.onmessage = ({ data }) => {
-        worker.terminate();
-        if (data.error) fail(new Error(data.error));
-        else done(data);
-      };
-      worker.onerror = (event) => fail(new Error(event.message));
-      worker.postMessage({ bytes, blob, runs, module });
-    });
-  const first = await work(undefined);
-  const again = await work(first.module ?? undefined);
-  const megapixels = (scene.width * scene.height) / 1e6;
-  return {
-    cold: first.times[0],
-    again: again.times[0],
-    warm: again.times.at(-1),
-    pages: again.pages,
-    memory: again.memory / 2 ** 20 / megapixels,
-  };
-}
+const [rounds, runs] = [values.rounds, values.runs].map(Number);
+const parts = values.only.split(',');
+/** The table of decoding: what is timed, and of what the link is timed. */
+const TIMES = ['cold', 'again', 'warm', 'pages'];
+const LINK_SIZE = '630x350';
+/** A task that holds the page longer is seen. */
+const FRAME_MS = 16;
+const NATIVE_ROUNDS = 10;
 
 const sorted = (list) => list.toSorted((a, b) => a - b);
 const median = (list) => {
   const all = sorted(list);
   return (all[(all.length - 1) >> 1] + all[all.length >> 1]) / 2;
 };
-await new Promise((ready) => server.listen(0, '127.0.0.1', ready));
-const address = `http://127.0.0.1:${server.address().port}/`;
-const kinds = values.js ? ['js', 'wasm'] : ['wasm'];
-for (const [file, name] of files.entries()) {
-  const rounds = [];
-  for (let round = 0; round < Number(values.rounds); round++) {
-    const result = {};
-    for (const kind of round % 2 ? kinds.toReversed() : kinds) {
-      const browser = await launch({ webgpu: false });
-      const page = await browser.newPage();
-      await page.goto(address);
-      result[kind] = await page.evaluate(measured, { kind, file, runs: Number(values.runs) });
-      await browser.close();
-    }
-    rounds.push(result);
-  }
-  console.log(basename(name));
-  for (const kind of kinds) {
-    const text = ['cold', 'again', 'warm', 'pages'].map((key) => {
-      const all = sorted(rounds.map((r) => r[kind][key]));
-      return `${key} ${median(all).toFixed(1)} ms (${all[0].toFixed(1)}–${all.at(-1).toFixed(1)})`;
+const range = (list) => `${median(list).toFixed(1)} ms (${Math.min(...list).toFixed(1)}–${Math.max(...list).toFixed(1)})`;
+
+/** static/ of another commit, or null where there is none. */
+function oldStatic(folder) {
+  if (!values.old || existsSync(join(values.old, 'container.js'))) return values.old || null;
+  const root = join(STATIC, '..');
+  try {
+    const archive = execFileSync('git', ['archive', values.old, 'static'], {
+      cwd: root,
+      maxBuffer: 1 << 28,
+      stdio: ['ignore', 'pipe', 'ignore'],
     });
-    const memory = kind === 'wasm' ? `, memory ${Math.max(...rounds.map((r) => r.wasm.memory)).toFixed(1)} MiB a megapixel` : '';
-    console.log(`  ${kind.padEnd(5)} ${text.join(', ')}${memory}`);
-  }
-  if (values.js) {
-    const ratio = (key) => `${key} ${median(rounds.map((r) => r.js[key] / r.wasm[key])).toFixed(2)}`;
-    console.log(`  js/wasm, paired: ${['cold', 'again', 'warm', 'pages'].map(ratio).join(', ')}`);
+    mkdirSync(folder);
+    execFileSync('tar', ['-x', '-C', folder], { input: archive });
+    return join(folder, 'static');
+  } catch {
+    console.log(`no commit ${values.old} here: the decoder in JavaScript is left out`);
+    return null;
   }
 }
-server.close();
+
+function sizes() {
+  for (const name of ['decoder.wasm', 'unpacker.wasm']) {
+    const bytes = readFileSync(join(STATIC, 'decode', name));
+    console.log(`${name}: ${bytes.length} bytes, gzip ${gzipSync(bytes, { level: 9 }).length}`);
+  }
+}
+
+/** Median of the native decoder on one thread, ms, or none where its example was not built. */
+function nativeMs(file) {
+  const example = join(dirname(program), 'examples/decode');
+  if (!existsSync(example)) return null;
+  const env = { ...process.env, RAYON_NUM_THREADS: '1' };
+  return Number(
+    execFileSync(example, [file, String(NATIVE_ROUNDS)], { env })
+      .toString()
+      .match(/median ([\d.]+) ms/)?.[1],
+  );
+}
+
+async function decoding(address, files, old) {
+  const kinds = old ? ['js', 'wasm'] : ['wasm'];
+  for (const [file, name] of files.entries()) {
+    const all = await decodeRounds(address, { kinds, file, runs, rounds });
+    console.log(basename(name));
+    const of = (kind, key) => all.map((round) => round[kind][key]);
+    for (const kind of kinds) console.log(`  ${kind.padEnd(7)}${TIMES.map((key) => `${key} ${range(of(kind, key))}`).join(', ')}`);
+    if (old) {
+      const ratio = (key) => `${key} ${median(all.map((round) => round.js[key] / round.wasm[key])).toFixed(2)}`;
+      console.log(`  js/wasm, paired: ${TIMES.map(ratio).join(', ')}`);
+    }
+    const native = nativeMs(name);
+    if (native)
+      console.log(
+        `  native, one thread ${native.toFixed(1)} ms; wasm, warm, ${(median(of('wasm', 'warm')) / native).toFixed(2)} times that`,
+      );
+    console.log(`  memory ${Math.max(...of('wasm', 'memory')).toFixed(1)} MiB a megapixel`);
+  }
+}
+
+async function pageThread(address, files) {
+  for (const [file, name] of files.entries()) {
+    for (const webgpu of [true, false]) {
+      const { mode, tasks } = await pageTasks(`${address}wasm/`, `${address}file/${file}`, webgpu);
+      const long = tasks.filter(({ cpuMs }) => cpuMs > FRAME_MS).length;
+      console.log(`${basename(name)}, ${mode}: ${long} of ${tasks.length} tasks over ${FRAME_MS} ms; the longest:`);
+      for (const { cpuMs, ms, what } of tasks.slice(0, 3)) {
+        console.log(`  ${cpuMs.toFixed(1)} ms, and ${(ms - cpuMs).toFixed(1)} ms not on the processor: ${what.join('; ')}`);
+      }
+    }
+  }
+}
+
+async function overLink(photo) {
+  const link = { mbps: Number(values.mbps), latency: Number(values.latency) };
+  for (const webgpu of [true, false]) {
+    const times = await firstViews(photo, { ...link, runs: rounds, webgpu });
+    const of = (key) => range(times.map((time) => time[key]));
+    console.log(
+      `${times[0].mode}, ${link.mbps} Mb/s: photo ${of('photo')}, scene given to the device ${of('ready')}, drawn ${of('drawn')}`,
+    );
+  }
+}
+
+const folder = mkdtempSync(join(tmpdir(), 'tmpi-speed-'));
+try {
+  const containers = positionals.filter((name) => name.endsWith('.tmpi'));
+  const made = [];
+  for (const photo of positionals.filter((name) => !name.endsWith('.tmpi'))) made.push(...(await containersOf(photo, folder)));
+  const files = [...containers, ...made.map(({ container }) => container)];
+  const old = parts.includes('decode') ? oldStatic(join(folder, 'old')) : null;
+  const server = await startSpeedServer(files, old);
+  if (parts.includes('sizes')) sizes();
+  if (parts.includes('decode')) await decoding(server.address, files, old);
+  if (parts.includes('page')) await pageThread(server.address, files);
+  const photo = made.find((one) => one.photo.includes(LINK_SIZE))?.photo;
+  if (parts.includes('link') && photo) await overLink(photo);
+  server.close();
+} finally {
+  rmSync(folder, { recursive: true, force: true });
+}

@@ -21,7 +21,7 @@ usage: cargo xtask <task>
   fuzz [--seconds N] [TARGET…]
                 run the fuzzer on what reads foreign bytes (container, labels, planes, query), N seconds each
   shaders       make the GLSL of static/draw/glsl.js from the WGSL
-  wasm          build the page's decoder, static/decode/decoder.wasm, from crates/decoder
+  wasm          build the page's decoder and its unpacker, static/decode/*.wasm, from crates/decoder and crates/unpacker
   fetch         fetch ONNX Runtime into .tmpi/onnxruntime where it is missing";
 
 fn main() -> ExitCode {

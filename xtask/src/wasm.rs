@@ -1,4 +1,4 @@
-//! The page's decoder as WebAssembly.
+//! The page's decoder, and its unpacker, as WebAssembly.
 
 use std::path::Path;
 use std::process::Command;
@@ -9,11 +9,23 @@ const TARGET: &str = "wasm32-unknown-unknown";
 /// What every browser of the last years has; vectors that are the same on every machine alone.
 const FLAGS: &str = "-C target-feature=+simd128,+bulk-memory";
 
-/// Builds `static/decode/decoder.wasm`, and writes down what it was built from.
+/// Packages, and what they are called below `static/decode`. Each is built alone: together the decoder would have the unpacker's zstd.
+const MODULES: [(&str, &str); 2] = [("tmpi-decoder", "decoder.wasm"), ("tmpi-unpacker", "unpacker.wasm")];
+
+/// Builds the modules of `static/decode`, and writes down what they were built from.
 pub fn build() -> Result<(), Fault> {
-    let args = ["build", "--profile", "wasm", "--target", TARGET, "--package", "tmpi-decoder", "--lib"];
     let sysroot = output("rustc", &["--print", "sysroot"]).ok_or_else(|| Fault::new("there is no rustc"))?;
-    let mut build = if Path::new(&sysroot).join("lib/rustlib").join(TARGET).is_dir() {
+    for (package, name) in MODULES {
+        module(&sysroot, package, name)?;
+    }
+    let mut written = cargo(&["test", "--release", "--package", "tmpi-decoder", "--test", "built"]);
+    written.env("TMPI_BLESS", "wasm");
+    run(written)
+}
+
+fn module(sysroot: &str, package: &str, name: &str) -> Result<(), Fault> {
+    let args = ["build", "--profile", "wasm", "--target", TARGET, "--package", package, "--lib"];
+    let mut build = if Path::new(sysroot).join("lib/rustlib").join(TARGET).is_dir() {
         cargo(&args)
     } else if output("apt-get", &["--version"]).is_some() {
         let mut script = Command::new(root().join("crates/decoder/wasm32-std.sh"));
@@ -24,14 +36,18 @@ pub fn build() -> Result<(), Fault> {
     };
     // no path of this machine in what is committed
     let home = std::env::var("CARGO_HOME").or_else(|_| std::env::var("HOME").map(|home| format!("{home}/.cargo"))).unwrap_or_default();
-    build.env("RUSTFLAGS", format!("{FLAGS} --remap-path-prefix={home}=cargo --remap-path-prefix={sysroot}=rust"));
+    let mut flags = format!("{FLAGS} --remap-path-prefix={home}=cargo --remap-path-prefix={sysroot}=rust");
+    // nor where its crates come from
+    for registry in std::fs::read_dir(Path::new(&home).join("registry/src")).into_iter().flatten().flatten() {
+        flags += &format!(" --remap-path-prefix={}=crates", registry.path().display());
+    }
+    build.env("RUSTFLAGS", flags);
     let target = root().join("target");
     build.env("CARGO_TARGET_DIR", &target);
     run(build)?;
-    let (from, to) = (target.join(TARGET).join("wasm/tmpi_decoder.wasm"), root().join("static/decode/decoder.wasm"));
+    let from = target.join(TARGET).join("wasm").join(package.replace('-', "_")).with_extension("wasm");
+    let to = root().join("static/decode").join(name);
     let bytes = std::fs::copy(&from, &to).map_err(|e| Fault::new(format!("{}: {e}", from.display())))?;
     println!("{}: {bytes} bytes", to.display());
-    let mut written = cargo(&["test", "--release", "--package", "tmpi-decoder", "--test", "built"]);
-    written.env("TMPI_BLESS", "wasm");
-    run(written)
+    Ok(())
 }

@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use tmpi_core::container::{Part, PhotoRows, decode_rows};
-use tmpi_core::{Class, Photo};
+use tmpi_core::{Class, Photo, Texels};
 
 use crate::strip::{Piece, strip};
 
@@ -27,8 +27,10 @@ pub enum Output {
     Strip = 6,
 }
 
+/// Numbers of a layer.
+const COLUMNS: usize = 10;
+
 /// One container, or one band of its tiles.
-#[derive(Default)]
 pub struct Decoder {
     input: Vec<u8>,
     container: Vec<u8>,
@@ -42,6 +44,23 @@ pub struct Decoder {
 }
 
 impl Decoder {
+    /// Without a container.
+    #[must_use]
+    pub const fn new() -> Self {
+        let photo = PhotoRows { width: 0, height: 0, top: 0, rgb: Vec::new() };
+        let texels = Texels { class: Vec::new(), alpha: Vec::new(), hidden: Vec::new() };
+        Self {
+            input: Vec::new(),
+            container: Vec::new(),
+            photo,
+            hidden: None,
+            part: Part { layers: Vec::new(), texels },
+            numbers: Vec::new(),
+            strip: Vec::new(),
+            text: String::new(),
+        }
+    }
+
     /// A buffer of so many bytes for the next call.
     pub fn room(&mut self, length: usize) -> &mut [u8] {
         self.input.resize(length, 0);
@@ -78,19 +97,19 @@ impl Decoder {
         self.part = decode_rows(&self.container, &rows, &self.photo, hidden).map_err(|e| e.to_string())?;
         (self.container, self.input, self.hidden) = (Vec::new(), Vec::new(), None);
         let (layers, texels) = (&self.part.layers, &self.part.texels);
-        let rows: Vec<[f64; 10]> = layers
-            .iter()
-            .map(|l| {
-                let own = l.first_texel..l.first_texel + l.rect.area();
-                let visible = texels.class[own.clone()].iter().filter(|&&c| c == Class::Photo as u8).count();
-                let soft = texels.alpha[own].iter().any(|&a| a < u8::MAX);
-                let [x, y, w, h] = [l.rect.x, l.rect.y, l.rect.w, l.rect.h].map(f64::from);
-                let (p, soft) = (l.plane, f64::from(u8::from(soft)));
-                [p.a, p.b, p.c, x, y, w, h, f64::from(l.tile), visible as f64, soft]
-            })
-            .collect();
-        let columns: Vec<f64> = (0..10).flat_map(|column| rows.iter().map(move |row| row[column])).collect();
-        self.put(&columns);
+        self.numbers = vec![0; layers.len() * COLUMNS * size_of::<f64>()];
+        let (numbers, _) = self.numbers.as_chunks_mut();
+        for (i, l) in layers.iter().enumerate() {
+            let own = l.first_texel..l.first_texel + l.rect.area();
+            let visible = texels.class[own.clone()].iter().filter(|&&c| c == Class::Photo as u8).count();
+            let soft = texels.alpha[own].iter().any(|&a| a < u8::MAX);
+            let [x, y, w, h] = [l.rect.x, l.rect.y, l.rect.w, l.rect.h].map(f64::from);
+            let (p, soft) = (l.plane, f64::from(u8::from(soft)));
+            let row: [f64; COLUMNS] = [p.a, p.b, p.c, x, y, w, h, f64::from(l.tile), visible as f64, soft];
+            for (column, value) in row.into_iter().enumerate() {
+                numbers[column * layers.len() + i] = value.to_le_bytes();
+            }
+        }
         Ok(1)
     }
 
@@ -118,9 +137,5 @@ impl Decoder {
             Some(Output::Strip) => self.strip.as_flattened(),
             Some(Output::Panic) | None => &[],
         }
-    }
-
-    fn put(&mut self, numbers: &[f64]) {
-        self.numbers = numbers.iter().flat_map(|n| n.to_le_bytes()).collect();
     }
 }

@@ -12,7 +12,7 @@ use std::cell::RefCell;
 pub use decoder::{Decoder, Output};
 
 thread_local! {
-    static DECODER: RefCell<Decoder> = RefCell::new(Decoder::default());
+    static DECODER: RefCell<Decoder> = const { RefCell::new(Decoder::new()) };
 }
 
 /// What a call gives where it failed.

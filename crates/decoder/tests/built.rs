@@ -1,22 +1,25 @@
-//! The built module is that of these sources: `crates/decoder/built.txt` has their hash and the module's. `cargo xtask wasm` writes both.
+//! The built modules are those of these sources: `crates/decoder/built.txt` has their hash and the modules'. `cargo xtask wasm` writes
+//! all of them.
 #![allow(clippy::unwrap_used, reason = "a test")]
 
 use std::path::{Path, PathBuf};
 
 use sha2::{Digest, Sha256};
 
-/// What the module is built from, but for what only tests have.
-const SOURCES: [&str; 7] = [
+/// What the modules are built from, but for what only tests have.
+const SOURCES: [&str; 9] = [
     "crates/core/Cargo.toml",
     "crates/core/build.rs",
     "crates/core/src",
     "crates/decoder/Cargo.toml",
     "crates/decoder/src",
     "crates/decoder/wasm32-std.sh",
+    "crates/unpacker/Cargo.toml",
+    "crates/unpacker/src",
     "proto/tmpi.proto",
 ];
 const TESTS: [&str; 3] = ["tests.rs", "fixtures.rs", "fuzzing.rs"];
-/// Packages whose code is in it.
+/// Packages whose code is in them.
 const PACKAGES: [&str; 3] = ["prost", "ruzstd", "thiserror"];
 
 fn files(path: &Path, found: &mut Vec<PathBuf>) {
@@ -34,7 +37,7 @@ fn hex(hash: Sha256) -> String {
 }
 
 #[test]
-fn the_built_module_is_of_these_sources() {
+fn the_built_modules_are_of_these_sources() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
     let mut found = Vec::new();
     for name in SOURCES {
@@ -52,12 +55,12 @@ fn the_built_module_is_of_these_sources() {
         let named = format!("name = \"{package}\"\n");
         hash.update(lock.split("[[package]]\n").find(|p| p.starts_with(&named)).unwrap());
     }
-    let module = std::fs::read(root.join("static/decode/decoder.wasm")).unwrap();
-    let now = format!("sources {}\nmodule {}\n", hex(hash), hex(Sha256::new_with_prefix(module)));
+    let module = |name: &str| hex(Sha256::new_with_prefix(std::fs::read(root.join("static/decode").join(name)).unwrap()));
+    let now = format!("sources {}\ndecoder {}\nunpacker {}\n", hex(hash), module("decoder.wasm"), module("unpacker.wasm"));
     let kept = root.join("crates/decoder/built.txt");
     if std::env::var("TMPI_BLESS").is_ok_and(|v| v == "wasm") {
         std::fs::write(&kept, &now).unwrap();
     }
     let then = std::fs::read_to_string(&kept).unwrap();
-    assert_eq!(now, then, "static/decode/decoder.wasm is stale: `cargo xtask wasm` builds it");
+    assert_eq!(now, then, "static/decode/*.wasm are stale: `cargo xtask wasm` builds them");
 }

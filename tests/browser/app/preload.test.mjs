@@ -43,6 +43,7 @@ describe('modules', () => {
       'element/photo-addresses.js',
       'view/viewer.js',
       'decode/worker.js',
+      'decode/unpack.js',
     ];
     const needed = new Set(roots.flatMap((root) => [...graph(root)]));
     assert.deepEqual(

@@ -5,7 +5,7 @@ import { describe, test } from 'node:test';
 import { readHead } from '../../../static/decode/head.js';
 import { pieces } from '../../../static/draw/border.js';
 import { INSTANCE_FLOATS } from '../../../static/draw/instances.js';
-import { checkFit, pack } from '../../../static/draw/texture-atlas.js';
+import { checkFit, pack, upload } from '../../../static/draw/texture-atlas.js';
 import { scene as decoded, texels } from '../support/decoder.mjs';
 
 /** Sizes from a generator with a fixed seed. */
@@ -20,10 +20,12 @@ function sizes(count, most) {
 
 describe('texture atlas', () => {
   test('pieces lie on their pages without overlap, those of two groups in strips of their own', () => {
-    for (const groups of [undefined, Array.from({ length: 3000 }, (_, i) => Number(i > 1700))]) {
+    const two = Array.from({ length: 3000 }, (_, i) => Number(i > 1700));
+    for (const [groups, most] of [[undefined], [two], [two, 2048], [undefined, 1000]]) {
       const all = sizes(3000, 170);
-      const { page, atlasX, atlasY, width, height, pages, bands } = pack(all, groups);
-      assert.ok(pages > 1 && width <= 4096 && height <= 4096, `${pages} pages of ${width} × ${height}`);
+      const { page, atlasX, atlasY, width, height, pages, bands } = pack(all, groups, most);
+      const side = most ?? 4096;
+      assert.ok(pages > 1 && width <= side && height <= side, `${pages} pages of ${width} × ${height}`);
       const rows = new Map();
       all.forEach(({ w, h }, i) => {
         assert.ok(page[i] < pages && atlasX[i] + w <= width && atlasY[i] + h <= height, `piece ${i}`);
@@ -53,6 +55,29 @@ describe('texture atlas', () => {
     ]) {
       assert.throws(() => checkFit(atlas, most), /do not fit/);
     }
+  });
+
+  test('strips are uploaded whole, in parts of a moment, and never so many that the queue is full', async () => {
+    const width = 2048;
+    const strip = (page, y, h) => ({ page, y, h, data: Uint8Array.from({ length: width * 4 * h }, (_, i) => (i + page * 3 + y) & 255) });
+    // one taller than a part, and one that ends within one
+    const strips = [strip(0, 0, 1500), strip(0, 1500, 64), strip(1, 0, 257)];
+    const seen = strips.map(() => []);
+    let [queued, most, parts] = [0, 0, 0];
+    const write = ({ page, y, h, data }) => {
+      assert.ok(data.byteLength === width * 4 * h && data.byteLength <= 2 << 20, `${data.byteLength} bytes at once`);
+      const own = strips.findIndex((s) => s.page === page && s.y <= y && y + h <= s.y + s.h);
+      seen[own].push(data);
+      queued += data.byteLength;
+      most = Math.max(most, queued);
+      parts++;
+    };
+    const settle = async () => {
+      queued = 0;
+    };
+    await upload({ width, height: 1564, pages: 2, wide: false, strips }, write, settle);
+    strips.forEach(({ data }, i) => assert.ok(Buffer.concat(seen[i]).equals(Buffer.from(data)), `strip ${i}`));
+    assert.ok(parts > strips.length && most <= 10 << 20, `${parts} parts, ${most} bytes queued`);
   });
 
   for (const count of [1, 2]) {

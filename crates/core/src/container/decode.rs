@@ -3,7 +3,6 @@
 use std::ops::Range;
 
 use prost::Message;
-use ruzstd::decoding::{BlockDecodingStrategy, FrameDecoder};
 
 use super::part::Part;
 use super::wire::{Codec, Index, Kind, Section};
@@ -16,12 +15,6 @@ use crate::{Class, Geometry, Grid, Inpainter, Intrinsics, Layer, Photo, Scene, T
 const ALL_ROWS: Range<u32> = 0..u32::MAX;
 /// Decodes a picture of at most so many pixels right and down.
 pub type Pictures<'a> = &'a (dyn Fn(PhotoFormat, &[u8], (u32, u32)) -> Result<Photo, ContainerError> + Sync);
-
-/// A zstd block has at least 4 bytes and holds at most 128 KiB.
-const ZSTD_LEAST_BLOCK: usize = 4;
-const ZSTD_MOST_CONTENT: usize = 128 << 10;
-/// A frame's window may be larger than its content by this: writers round it up.
-const ZSTD_SLACK: usize = 1 << 20;
 
 /// One section as the index names it.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -260,43 +253,16 @@ fn unpack(index: &Index, body: &[u8], kind: Kind, want: usize) -> Result<Vec<u8>
     }
     let raw = match s.codec() {
         Codec::Raw => data.to_vec(),
-        Codec::Zstd => {
-            if want > (data.len() / ZSTD_LEAST_BLOCK).saturating_mul(ZSTD_MOST_CONTENT) {
-                return Err(ContainerError::broken(format!("section {} cannot unpack to {want} bytes", s.kind)));
-            }
-            decompress(data, want)?
-        }
+        #[cfg(feature = "unpack")]
+        Codec::Zstd => super::unpack::section(s, data, want)?,
+        #[cfg(not(feature = "unpack"))]
+        Codec::Zstd => return Err(ContainerError::broken(format!("section {} is packed", s.kind))),
         _ => return Err(ContainerError::broken(format!("section {} has a picture codec", s.kind))),
     };
     if raw.len() != want {
         return Err(ContainerError::broken(format!("section {} is of the wrong length", s.kind)));
     }
     Ok(raw)
-}
-
-/// A single zstd frame of exactly `want` bytes. Its window is bounded before it is reserved, what comes out while it is unpacked.
-fn decompress(mut data: &[u8], want: usize) -> Result<Vec<u8>, ContainerError> {
-    // its own errors' texts would be a tenth of the wasm
-    let damaged = || ContainerError::broken("a zstd frame is damaged");
-    if zstd_window(data).is_some_and(|window| window > (want + ZSTD_SLACK) as u64) {
-        return Err(ContainerError::broken("a zstd frame has a window larger than what it holds"));
-    }
-    let mut decoder = FrameDecoder::new();
-    decoder.init(&mut data).map_err(|_| damaged())?;
-    while !decoder.is_finished() {
-        decoder.decode_blocks(&mut data, BlockDecodingStrategy::UptoBlocks(1)).map_err(|_| damaged())?;
-        if decoder.can_collect() > want {
-            return Err(ContainerError::broken("a zstd frame holds more than it says"));
-        }
-    }
-    Ok(decoder.collect().unwrap_or_default())
-}
-
-/// Window that a zstd frame names; none where it is a single segment, as large as its content.
-fn zstd_window(frame: &[u8]) -> Option<u64> {
-    let (flags, window) = (frame.get(4)?, u64::from(*frame.get(5)?));
-    let base = 1u64 << (10 + (window >> 3));
-    (flags & 0x20 == 0).then_some(base + base / 8 * (window & 7))
 }
 
 /// Bytes of the section of `count` planes as [`columns`] lays them out.

@@ -25,6 +25,8 @@ mod range;
 #[cfg(feature = "write")]
 mod region;
 mod select;
+#[cfg(feature = "unpack")]
+mod unpack;
 #[doc(hidden)]
 pub mod wire;
 
@@ -46,6 +48,8 @@ pub use picture::{encode_jpeg, encode_lossless};
 #[cfg(feature = "write")]
 pub use region::{RegionPhoto, Tiles, region};
 pub use select::{SECTIONS, select, with_section};
+#[cfg(feature = "unpack")]
+pub use unpack::unpacked;
 
 /// First bytes of a container.
 pub const MAGIC: [u8; 4] = *b"TMPI";

@@ -182,6 +182,36 @@ fn planes_take_the_codec_that_makes_less_of_them() {
 }
 
 #[test]
+fn a_container_with_its_sections_unpacked_is_the_same_scene() {
+    let codecs = |bytes: &[u8]| sections(bytes).unwrap().into_iter().map(|s| (s.kind, s.codec)).collect::<Vec<_>>();
+    let packed = container(&scene(150, 300));
+    assert!([("planes", "zstd"), ("alpha", "zstd")].iter().all(|s| codecs(&packed).contains(s)));
+    let plain = unpacked(&packed).unwrap();
+    assert!(codecs(&plain).iter().all(|(_, codec)| *codec != "zstd"), "{:?}", codecs(&plain));
+    assert_eq!(decode(&plain).unwrap(), decode(&packed).unwrap());
+    // where nothing is packed
+    let range = bare(&rough(scene(150, 100)));
+    assert_eq!(unpacked(&range).unwrap(), range);
+}
+
+#[test]
+fn what_a_section_unpacks_to_is_bounded_by_the_planes() {
+    use prost::Message;
+    let packed = container(&scene(150, 300));
+    let (index, body) = decode::split(&packed).unwrap();
+    let (planes, tiles) = (u64::from(index.planes), u64::from(Grid::new(150, 300, 64).tiles()));
+    for (kind, most) in [(wire::Kind::Planes, tiles + 6 * planes), (wire::Kind::Alpha, 64 * 64 * planes)] {
+        let with_length = |length| {
+            let mut index = index.clone();
+            index.sections.iter_mut().find(|s| s.kind() == kind).unwrap().raw_length = length;
+            unpacked(&[select::header(&packed[4..8], &index.encode_to_vec()), body.to_vec()].concat()).map(drop)
+        };
+        assert!(with_length(most).is_ok(), "{kind:?}");
+        assert!(with_length(most + 1).unwrap_err().to_string().ends_with("is of the wrong length"), "{kind:?}");
+    }
+}
+
+#[test]
 fn bands_hold_the_same_labels_as_one_stream() {
     let made = scene(150, 300);
     let (one, bands) = (bare(&made), bare_in(Some(2), &made));

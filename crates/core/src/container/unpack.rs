@@ -1,0 +1,78 @@
+//! Sections packed by zstd: planes that repeat from tile to tile, alpha that a network refined, all planes before minor version 3.
+
+use prost::Message;
+use ruzstd::decoding::{BlockDecodingStrategy, FrameDecoder};
+
+use super::select::header;
+use super::wire::{Codec, Kind, Section};
+use super::{ContainerError, bounds, columns, decode};
+
+/// A zstd block has at least 4 bytes and holds at most 128 KiB.
+const LEAST_BLOCK: usize = 4;
+const MOST_CONTENT: usize = 128 << 10;
+/// A frame's window may be larger than its content by this: writers round it up.
+const SLACK: usize = 1 << 20;
+
+/// The container with its zstd sections unpacked, for a reader that was built without zstd: their bytes lie at its end, and what its
+/// readers do not look at stays packed.
+///
+/// # Errors
+/// [`ContainerError::Broken`], [`ContainerError::Bound`] or [`ContainerError::Newer`].
+pub fn unpacked(container: &[u8]) -> Result<Vec<u8>, ContainerError> {
+    let (mut index, body) = decode::split(container)?;
+    let (grid, ..) = decode::cameras(&index)?;
+    let planes = index.planes as usize;
+    bounds::planes(&grid, planes)?;
+    let tile = u64::from(grid.size.min(grid.width)) * u64::from(grid.size.min(grid.height));
+    // of alpha, a byte for each texel that can be
+    let most = |kind| if kind == Kind::Planes { columns::bytes(grid.tiles() as usize, planes) as u64 } else { planes as u64 * tile };
+    let mut added = Vec::new();
+    for kind in [Kind::Planes, Kind::Alpha] {
+        // readers take the first of a kind
+        let Some(s) = index.sections.iter_mut().find(|s| s.kind() == kind).filter(|s| s.codec() == Codec::Zstd) else { continue };
+        if s.raw_length > most(kind) {
+            return Err(ContainerError::broken(format!("section {} is of the wrong length", s.kind)));
+        }
+        let raw = section(s, decode::range(s, body)?, s.raw_length as usize)?;
+        s.set_codec(Codec::Raw);
+        (s.offset, s.length) = ((body.len() + added.len()) as u64, raw.len() as u64);
+        added.extend(raw);
+    }
+    let mut out = header(&container[4..8], &index.encode_to_vec());
+    out.extend(body);
+    out.extend(added);
+    Ok(out)
+}
+
+/// The `want` bytes of a section, or fewer, from its packed ones.
+pub(super) fn section(s: &Section, data: &[u8], want: usize) -> Result<Vec<u8>, ContainerError> {
+    if want > (data.len() / LEAST_BLOCK).saturating_mul(MOST_CONTENT) {
+        return Err(ContainerError::broken(format!("section {} cannot unpack to {want} bytes", s.kind)));
+    }
+    decompress(data, want)
+}
+
+/// A single zstd frame of at most `want` bytes. Its window is bounded before it is reserved, what comes out while it is unpacked.
+fn decompress(mut data: &[u8], want: usize) -> Result<Vec<u8>, ContainerError> {
+    // its own errors' texts would be a tenth of the wasm
+    let damaged = || ContainerError::broken("a zstd frame is damaged");
+    if window(data).is_some_and(|window| window > (want + SLACK) as u64) {
+        return Err(ContainerError::broken("a zstd frame has a window larger than what it holds"));
+    }
+    let mut decoder = FrameDecoder::new();
+    decoder.init(&mut data).map_err(|_| damaged())?;
+    while !decoder.is_finished() {
+        decoder.decode_blocks(&mut data, BlockDecodingStrategy::UptoBlocks(1)).map_err(|_| damaged())?;
+        if decoder.can_collect() > want {
+            return Err(ContainerError::broken("a zstd frame holds more than it says"));
+        }
+    }
+    Ok(decoder.collect().unwrap_or_default())
+}
+
+/// Window that a zstd frame names; none where it is a single segment, as large as its content.
+fn window(frame: &[u8]) -> Option<u64> {
+    let (flags, window) = (frame.get(4)?, u64::from(*frame.get(5)?));
+    let base = 1u64 << (10 + (window >> 3));
+    (flags & 0x20 == 0).then_some(base + base / 8 * (window & 7))
+}

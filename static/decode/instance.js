@@ -1,0 +1,68 @@
+// An instance of a module of crates/decoder or crates/unpacker, and how it is talked to.
+
+import { ContainerError } from './head.js';
+
+/** Outputs that every module has. */
+const [TEXT, PANIC] = [0, 1];
+
+/** @typedef {Record<string, (...args: number[]) => number> & {memory: WebAssembly.Memory}} Exports */
+
+export class Instance {
+  #exports;
+
+  /** @param {WebAssembly.Module} module */
+  static async of(module) {
+    return new Instance(await WebAssembly.instantiate(module, {}));
+  }
+
+  /** @param {WebAssembly.Instance} instance not used before */
+  constructor(instance) {
+    this.#exports = /** @type {Exports} */ (/** @type {unknown} */ (instance.exports));
+  }
+
+  /** Bytes of its memory. */
+  get memory() {
+    return this.#exports.memory.buffer.byteLength;
+  }
+
+  /**
+   * Hands bytes to the next call.
+   * @param {Uint8Array | Uint8ClampedArray} bytes
+   */
+  hand(bytes) {
+    const at = this.#guarded('tmpi_room', [bytes.length]);
+    new Uint8Array(this.#exports.memory.buffer).set(bytes, at >>> 0);
+  }
+
+  /**
+   * @param {string} name
+   * @param {number[]} args
+   * @throws {ContainerError} where the call says why it failed
+   */
+  call(name, ...args) {
+    if (this.#guarded(name, args) < 0) throw new ContainerError(new TextDecoder().decode(this.output(TEXT)));
+  }
+
+  /**
+   * A result, seen until the next call.
+   * @param {number} what
+   */
+  output(what) {
+    const { tmpi_output, tmpi_output_length, memory } = this.#exports;
+    return new Uint8Array(memory.buffer, tmpi_output(what) >>> 0, tmpi_output_length(what) >>> 0);
+  }
+
+  /**
+   * A panic ends the instance, and memory that is not to be had too: it says why.
+   * @param {string} name
+   * @param {number[]} args
+   */
+  #guarded(name, args) {
+    try {
+      return this.#exports[name](...args);
+    } catch (error) {
+      const text = new TextDecoder().decode(this.output(PANIC));
+      throw new Error(`the decoder failed: ${text || error.message}`);
+    }
+  }
+}
