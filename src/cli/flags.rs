@@ -31,7 +31,7 @@ pub(super) struct MakeFlags {
     /// Snapping of blurred depth edges to colour edges
     #[arg(long, value_enum, default_value_t, value_name = "SWITCH")]
     pub snap: Switch,
-    /// Refinement of layers by a network
+    /// Refinement of layers by the network psi.onnx in the folder of networks (`TMPI_MODELS`); auto: none
     #[arg(long, value_enum, default_value_t, value_name = "SWITCH")]
     pub refine: Switch,
     /// Cleaning of the depth map
@@ -110,7 +110,7 @@ impl ModelFlags {
         let onnx = Config { threads: self.threads.into(), providers: self.provider.clone(), ..Config::default() };
         let DepthModel { adapter, file } = &self.depth_model;
         let Self { depth_pixels, depth_smoothing, flip, .. } = *self;
-        Settings { depth: adapter, depth_file: file.clone(), depth_pixels, depth_smoothing, flip, onnx }
+        Settings { depth: adapter, depth_file: file.clone(), depth_pixels, depth_smoothing, flip, onnx, ..Settings::default() }
     }
 }
 

@@ -154,8 +154,17 @@ fn identity(settings: &models::Settings) -> anyhow::Result<String> {
     // an embedded network is a part of the program
     let file = settings.depth_file.as_deref().map(|f| std::fs::read(f).with_context(|| f.display().to_string())).transpose()?;
     let digest = file.map(|bytes| hex(&Sha256::digest(bytes)));
-    let models::Settings { depth, depth_pixels, depth_smoothing, flip, .. } = settings;
-    Ok(format!("{} {digest:?} {depth_pixels:?} {depth_smoothing:?} {flip}", depth.name))
+    let models::Settings { depth, depth_pixels, depth_smoothing, flip, folder, .. } = settings;
+    let mut text = format!("{} {digest:?} {depth_pixels:?} {depth_smoothing:?} {flip}", depth.name);
+    // networks that an option may ask for
+    for name in [models::THETA, models::PSI] {
+        match std::fs::read(folder.join(name)) {
+            Ok(bytes) => text += &format!(" {name} {}", hex(&Sha256::digest(bytes))),
+            Err(e) if e.kind() == std::io::ErrorKind::NotFound => {}
+            Err(e) => return Err(e).with_context(|| folder.join(name).display().to_string()),
+        }
+    }
+    Ok(text)
 }
 
 #[cfg(test)]

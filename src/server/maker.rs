@@ -85,6 +85,7 @@ impl Maker for PipelineMaker {
 
     fn check(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options) -> Result<(), MakeError> {
         options.validate()?;
+        self.models.check(options)?;
         let (_, size) = photo::check(photo, &self.limits)?;
         if let Some(depth) = depth {
             tmpi_pipeline::depth::check(depth, &self.limits)?;

@@ -26,6 +26,7 @@ mod maker;
 mod middleware;
 mod options;
 mod pages;
+mod part;
 mod pool;
 mod problem;
 mod records;

@@ -164,9 +164,9 @@ impl From<&MakeError> for Problem {
             MakeError::Depth(DepthError::Map(_)) => {
                 Self::new(StatusCode::UNPROCESSABLE_ENTITY, "broken-depth-map", error.to_string()).field("depth")
             }
-            MakeError::Generate(e @ (StageError::Option { field, .. } | StageError::Bound { field, .. })) => {
-                Self::new(StatusCode::BAD_REQUEST, "parameter", e.to_string()).field(*field)
-            }
+            MakeError::Generate(
+                e @ (StageError::Option { field, .. } | StageError::Bound { field, .. } | StageError::Network { field, .. }),
+            ) => Self::new(StatusCode::BAD_REQUEST, "parameter", e.to_string()).field(*field),
             MakeError::Atlas(e @ ContainerError::Bound(_)) => e.into(),
             MakeError::Cancelled => Self::new(StatusCode::SERVICE_UNAVAILABLE, "cancelled", "the job was cancelled"),
             MakeError::Late { .. } => Self::new(StatusCode::SERVICE_UNAVAILABLE, "late", error.to_string()),

@@ -27,6 +27,7 @@ use sha2::{Digest, Sha256};
 use super::files::{Disk, Files};
 use super::id::{PhotoId, hex};
 use super::options;
+pub use super::part::Part;
 pub use super::records::{Accepted, Done, End, Failed, Found, State};
 use super::settings::Settings;
 use super::time::now_ms;
@@ -37,47 +38,6 @@ const RESERVE_SHARE: u64 = 20;
 /// Reads of a record that fails to be read, as where no file descriptor is left.
 const READS: u32 = 3;
 const PAUSE: Duration = Duration::from_millis(20);
-
-/// A file of a photo.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
-pub enum Part {
-    /// The photo as uploaded.
-    Upload,
-    /// The user's depth map.
-    Depth,
-    /// What was accepted.
-    Options,
-    /// What became of it.
-    State,
-    /// What its owner wants of viewers.
-    Settings,
-    /// Report of the way, JSON.
-    Report,
-    /// The container.
-    Atlas,
-    /// Disparity as used, 16-bit grey PNG.
-    Disparity,
-    /// Small JPEG.
-    Thumbnail,
-}
-
-impl Part {
-    /// File name.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Upload => "upload",
-            Self::Depth => "depth",
-            Self::Options => "options.json",
-            Self::State => "state.json",
-            Self::Settings => "settings.json",
-            Self::Report => "report.json",
-            Self::Atlas => "atlas.tmpi",
-            Self::Disparity => "depth.png",
-            Self::Thumbnail => "thumbnail.jpg",
-        }
-    }
-}
 
 /// The data directory.
 #[derive(Debug)]

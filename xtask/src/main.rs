@@ -6,7 +6,9 @@ mod command;
 mod fuzz;
 mod runtime;
 mod shaders;
+mod spelling;
 mod wasm;
+mod wheel;
 
 use std::process::ExitCode;
 use std::time::Instant;
@@ -17,12 +19,16 @@ const HELP: &str = "\
 usage: cargo xtask <task>
 
   serve [ARGS]  fetch ONNX Runtime where it is missing, build, and run `tmpi serve ARGS`
-  test          formatting, lints, types of the pages' scripts, all tests, browser tests; installs what these need where it may
+  test          formatting, spelling, lints, types of the pages' scripts, all tests, browser tests; installs what these need where it may
   fuzz [--seconds N] [TARGET…]
                 run the fuzzer on what reads foreign bytes (container, labels, planes, query), N seconds each
   shaders       make the GLSL of static/draw/glsl.js from the WGSL
   wasm          build the page's decoder and its unpacker, static/decode/*.wasm, from crates/decoder and crates/unpacker
   fetch         fetch ONNX Runtime into .tmpi/onnxruntime where it is missing";
+
+/// Variable that says what tests must not be skipped without, and what it is here (`crates/testing`).
+const REQUIRE: &str = "TMPI_REQUIRE";
+const REQUIRED: &str = "gpu,onnx";
 
 fn main() -> ExitCode {
     let mut args = std::env::args().skip(1);
@@ -63,18 +69,28 @@ fn serve(args: &[String]) -> Result<(), Fault> {
     command::become_it(server).map_err(|e| e.in_step("serve"))
 }
 
+/// The tests; what the steps before them have fetched or installed must be found, so that no test is skipped for it.
+fn tests() -> Result<(), Fault> {
+    let mut command = cargo(&["test", "--workspace", "--release"]);
+    if std::env::var_os(REQUIRE).is_none() {
+        command.env(REQUIRE, REQUIRED);
+    }
+    run(command)
+}
+
 /// A named step of the tests.
 type Step = (&'static str, fn() -> Result<(), Fault>);
 
 /// Runs every step in order, stops at the first that fails, and tells how long each took.
 fn test() -> Result<(), Fault> {
-    let steps: [Step; 7] = [
+    let steps: [Step; 8] = [
         ("format", || run(cargo(&["fmt", "--all", "--check"]))),
+        ("spelling", spelling::check),
         ("lint", || run(cargo(&["clippy", "--workspace", "--release", "--all-targets", "--all-features", "--", "-D", "warnings"]))),
         ("ONNX Runtime", runtime::fetch),
         ("tools", browser::tools),
         ("pages", browser::check),
-        ("tests", || run(cargo(&["test", "--workspace", "--release"]))),
+        ("tests", tests),
         ("browser", browser::test),
     ];
     let mut times = Vec::new();

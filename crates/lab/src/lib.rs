@@ -5,6 +5,7 @@
 
 pub mod bench;
 pub mod eval;
+pub mod fixed;
 pub mod metrics;
 pub mod scenes;
 pub mod stress;

@@ -10,10 +10,11 @@ use std::sync::Arc;
 use image::{ExtendedColorType, ImageEncoder};
 use serde::{Deserialize, Serialize};
 use tmpi_core::container::decode;
-use tmpi_core::{Camera, DisparityMap, Photo, Pose, ViewBox};
+use tmpi_core::{Camera, DisparityMap, Pose, ViewBox};
+use tmpi_lab::fixed::Fixed;
 use tmpi_lab::metrics::psnr;
 use tmpi_lab::scenes::Scene;
-use tmpi_pipeline::depth::{DepthError, Estimator, halved};
+use tmpi_pipeline::depth::halved;
 use tmpi_pipeline::photo::Limits;
 use tmpi_pipeline::{Made, Models, Options, Silent, make};
 use tmpi_render::{Cpu, Renderer};
@@ -46,19 +47,6 @@ struct Figures {
     /// Mean over views from the side, from above and from nearer, dB.
     views_psnr: f64,
     identity_psnr: f64,
-}
-
-/// Hands out a map as if a network had estimated it.
-struct Fixed(DisparityMap);
-
-impl Estimator for Fixed {
-    fn name(&self) -> &'static str {
-        "fixed"
-    }
-
-    fn estimate(&self, _: &Photo) -> Result<DisparityMap, DepthError> {
-        Ok(self.0.clone())
-    }
 }
 
 /// Sum of twelve even numbers: normal enough, and the same everywhere.

@@ -21,6 +21,16 @@ pub enum StageError {
         /// What is asked for, and the most that can be.
         detail: String,
     },
+    /// An option wants a network whose file is not there; the text names both.
+    #[error("{field} {value} wants the network {file}, which is not in the folder of networks (TMPI_MODELS)")]
+    Network {
+        /// Name of the option.
+        field: &'static str,
+        /// What was given.
+        value: &'static str,
+        /// Name of the file.
+        file: &'static str,
+    },
     /// A network failed.
     #[error(transparent)]
     Onnx(#[from] crate::networks::OnnxError),

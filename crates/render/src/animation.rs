@@ -257,15 +257,17 @@ mod tests {
         assert!(turned.tx.abs() < 1e-9 && (turned.tz + 1.0).abs() < 1e-9, "right of a camera that looks right is back");
     }
 
+    /// None where there is no ffmpeg.
+    fn started(animation: Result<Animation, AnimationError>) -> Option<Animation> {
+        let missing = animation.map_err(|e| if matches!(e, AnimationError::Missing) { e } else { panic!("{e}") });
+        tmpi_testing::Need::Ffmpeg.or_skip(missing)
+    }
+
     #[test]
     fn frames_become_a_file_or_the_reason_is_told() {
         let view = |level: u8| View { width: 33, height: 21, rgba: vec![[level, 90, 200, 255]; 33 * 21] };
         for (format, magic, at) in [(AnimationFormat::WebP, b"WEBP", 8), (AnimationFormat::Mp4, b"ftyp", 4)] {
-            let mut animation = match Animation::start(format, (33, 21), 80) {
-                Ok(animation) => animation,
-                Err(AnimationError::Missing) => return eprintln!("skipped: {}", AnimationError::Missing),
-                Err(e) => panic!("{e}"),
-            };
+            let Some(mut animation) = started(Animation::start(format, (33, 21), 80)) else { return };
             let file = animation.file.clone();
             assert!(matches!(animation.push(&View { width: 1, ..view(0) }), Err(AnimationError::Size(33, 21))));
             for level in [0, 80, 160, 240] {
@@ -280,11 +282,7 @@ mod tests {
     #[test]
     fn one_that_takes_too_long_is_stopped_and_leaves_nothing() {
         let time = Duration::from_millis(50);
-        let mut animation = match Animation::start_for(time, AnimationFormat::Mp4, (64, 64), 80) {
-            Ok(animation) => animation,
-            Err(AnimationError::Missing) => return eprintln!("skipped: {}", AnimationError::Missing),
-            Err(e) => panic!("{e}"),
-        };
+        let Some(mut animation) = started(Animation::start_for(time, AnimationFormat::Mp4, (64, 64), 80)) else { return };
         let folder = animation.file.parent().unwrap().to_owned();
         let view = View { width: 64, height: 64, rgba: vec![[9, 90, 200, 255]; 64 * 64] };
         animation.push(&view).unwrap();

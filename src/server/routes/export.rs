@@ -4,16 +4,16 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use axum::extract::{Extension, Path, State};
-use axum::http::{HeaderMap, HeaderName, StatusCode, Uri, header};
+use axum::http::{HeaderMap, StatusCode, Uri, header};
 use axum::response::Response;
 use tokio_util::sync::CancellationToken;
 
+use super::derived::Derived;
 use super::query::Pairs;
 use crate::export::{self, ExportError, ExportFormat};
 use crate::server::app::{App, Export, Shared, Stored, scene_bytes};
 use crate::server::clock::Clock;
-use crate::server::conditional::{Entity, insert, kept, known_as, not_modified, respond};
-use crate::server::identity;
+use crate::server::conditional::insert;
 use crate::server::pool::Class;
 use crate::server::problem::Problem;
 
@@ -82,21 +82,19 @@ pub async fn export(
     let entry = app.photo(&id)?;
     let ExportQuery { format, version: asked } = ExportQuery::read(&uri)?;
     let (version, done) = Shared::done(&entry)?;
-    let results = app.version(&done);
-    let cache_control = kept(asked.as_deref(), &results);
-    let made = identity::short(&format!("export {results} {format:?}"));
-    if let Some(etag) = known_as(&headers, &made) {
-        return Ok(not_modified(etag, cache_control));
+    let derived = Derived::new(&app, &done, asked.as_deref(), |results| format!("export {results} {format:?}"));
+    if let Some(response) = derived.known(&headers) {
+        return Ok(response);
     }
     clock.allow(app.limits.export);
-    let mut took = None;
+    let mut timing = Vec::new();
     let write = async {
         let gone = CancellationToken::new();
         let _guard = gone.clone().drop_guard();
         let slot = app.pool.enter(Class::Export, scene_bytes(&done)).await?;
         // a page carries the container as it is
         let scene = if format == ExportFormat::Html { None } else { Some(app.scene(version, &slot).await?.0) };
-        let (read, name, shared) = (app.reading(version), made.clone(), Arc::clone(&app));
+        let (read, name, shared) = (app.reading(version), derived.made.clone(), Arc::clone(&app));
         let written = slot.run(move || {
             let (start, container) = (Instant::now(), read()?);
             let bytes = match scene {
@@ -111,18 +109,13 @@ pub async fn export(
             Ok::<_, Problem>((Export(stored), start.elapsed()))
         });
         let (export, elapsed) = written.await??;
-        took = Some(elapsed);
+        timing.push(("export", elapsed));
         Ok::<_, Problem>(export)
     };
-    let Export(stored) = app.exports.get((version, made.clone()), write).await?;
-    let entity = Entity { source: stored.source, etag: &stored.etag, content_type: format.media_type(), cache_control };
-    let mut response = respond(&headers, entity);
+    let Export(stored) = app.exports.get((version, derived.made.clone()), write).await?;
+    let mut response = derived.answer(&headers, stored, format.media_type(), &timing);
     let name = format!("attachment; filename=\"{}.{}\"", entry.id, format.extension());
     insert(&mut response, header::CONTENT_DISPOSITION, &name);
-    if let Some(took) = took {
-        let timing = format!("export;dur={:.2}", took.as_secs_f64() * 1e3);
-        insert(&mut response, HeaderName::from_static("server-timing"), &timing);
-    }
     Ok(response)
 }
 

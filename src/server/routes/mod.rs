@@ -1,5 +1,6 @@
 //! All routes, and the `OpenAPI` document that is generated from their handlers.
 
+mod derived;
 mod events;
 mod export;
 mod photos;

@@ -4,21 +4,21 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use axum::extract::{Extension, Path, State};
-use axum::http::{HeaderMap, HeaderName, Uri, header};
+use axum::http::{HeaderMap, Uri, header};
 use axum::response::Response;
 use futures_util::TryFutureExt as _;
 use tokio_util::sync::CancellationToken;
 
 use crate::server::app::{App, Export, Shared, Stored, Version, scene_bytes};
 use crate::server::clock::Clock;
-use crate::server::conditional::{Entity, insert, kept, known_as, not_modified, respond};
-use crate::server::identity;
+use crate::server::conditional::insert;
 use crate::server::pool::Class;
 use crate::server::problem::Problem;
 use crate::server::store::Done;
 use tmpi_core::{Camera, Scene};
 use tmpi_render::{Animation, DEFAULT_QUALITY, PictureFormat, RenderError, Renderer, View, draw_several, encode};
 
+use super::derived::Derived;
 use super::view_query::{Moving, ViewQuery};
 
 /// The format that a client likes best; PNG where it has no preference. None where it takes none of them.
@@ -83,11 +83,9 @@ pub async fn view(
         let status = axum::http::StatusCode::NOT_ACCEPTABLE;
         Problem::new(status, "not-acceptable", "views are image/png, image/jpeg or image/webp").field("Accept")
     })?;
-    let results = app.version(&done);
-    let cache_control = kept(query.version.as_deref(), &results);
-    let made = identity::short(&format!("{results} {size:?} {format:?} {:?}", query.canonical()));
-    if let Some(etag) = known_as(&headers, &made) {
-        let mut response = not_modified(etag, cache_control);
+    let name = |results: &str| format!("{results} {size:?} {format:?} {:?}", query.canonical());
+    let derived = Derived::new(&app, &done, query.version.as_deref(), name);
+    if let Some(mut response) = derived.known(&headers) {
         insert(&mut response, header::VARY, "Accept");
         return Ok(response);
     }
@@ -96,11 +94,11 @@ pub async fn view(
     let drawn = async {
         let (bytes, took) = draw(&app, version, &done, &query, size, format).await?;
         timing = took;
-        let (name, shared) = (made.clone(), Arc::clone(&app));
+        let (name, shared) = (derived.made.clone(), Arc::clone(&app));
         let keep = tokio::task::spawn_blocking(move || Stored::derived(Some(&name), bytes, &shared.scratch));
         keep.await.map_err(|e| Problem::internal("keeping a view", &e))?
     };
-    let key = (version, made.clone());
+    let key = (version, derived.made.clone());
     let stored = if query.moving.is_some() {
         clock.allow(app.limits.export);
         app.exports.get(key, drawn.map_ok(Export)).await?.0
@@ -112,12 +110,8 @@ pub async fn view(
         app.telemetry.view(phase, *took);
     }
     let content_type = query.moving.map_or(format.media_type(), |moving| moving.format.media_type());
-    let entity = Entity { source: stored.source, etag: &stored.etag, content_type, cache_control };
-    let mut response = respond(&headers, entity);
+    let mut response = derived.answer(&headers, stored, content_type, &timing);
     insert(&mut response, header::VARY, "Accept");
-    if !timing.is_empty() {
-        insert(&mut response, HeaderName::from_static("server-timing"), &server_timing(&timing));
-    }
     Ok(response)
 }
 
@@ -201,11 +195,6 @@ impl Renderer for Unless {
     fn render(&self, scene: &Arc<Scene>, camera: &Camera) -> Result<View, RenderError> {
         if self.gone.is_cancelled() { Err(RenderError::Cancelled) } else { self.renderer.render(scene, camera) }
     }
-}
-
-fn server_timing(phases: &[(&str, Duration)]) -> String {
-    let all: Vec<String> = phases.iter().map(|(name, d)| format!("{name};dur={:.2}", d.as_secs_f64() * 1e3)).collect();
-    all.join(", ")
 }
 
 #[cfg(test)]

@@ -1,13 +1,17 @@
 //! Layers from planes and labels: which texels each has ([`Geometry::masks`]), and the colours of those that something hides
 //! ([`Inpainter`]). Writer and readers run the same steps on the same values, so a container need not carry them.
 
+mod colour_rows;
+mod dilation;
 mod inpaint;
+mod prune;
 mod rows;
 mod surface;
 mod texture;
 mod visibility;
 
 pub use inpaint::{Inpainter, Pyramid};
+pub use prune::work_of;
 pub use surface::Surface;
 pub use texture::{TexturedLayer, compose, texture};
-pub use visibility::{Geometry, LayerMask, LayerMasks, Tile, TileFrame, grown, work_of};
+pub use visibility::{Geometry, LayerMask, LayerMasks, Tile, TileFrame, grown};

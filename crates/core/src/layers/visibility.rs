@@ -6,16 +6,10 @@
 use std::ops::Range;
 
 use super::Surface;
-use super::rows::{self, Columns, Dilation, dilate};
+use super::prune::{Behind, Pruning, extent};
+use super::rows::{self, Columns};
 use crate::parallel;
 use crate::scene::{Class, Grid, Intrinsics, Plane, Rect, ViewBox};
-
-/// Widest search for the edge that uncovers a hidden texel, in pixels.
-const MAX_REACH: f64 = 96.0;
-/// Pixels added to the parallax: bilinear footprint and rounding.
-const MARGIN: f64 = 1.5;
-/// A surface counts as open for a layer that lies at most this far in front of it, in δ.
-const UNOCCLUDED: f64 = 0.004;
 
 /// A layer whose rim lies in front of its neighbour by at most this many pixels of parallax is one surface with it.
 const SEAM: f64 = 1.0;
@@ -89,17 +83,6 @@ pub struct LayerMasks {
     pub never_seen: usize,
 }
 
-impl ViewBox {
-    /// Parallax in pixels, right and down, that a unit of disparity has within `rect` between the photo and the farthest
-    /// camera of the box.
-    #[must_use]
-    pub fn parallax(&self, k: &Intrinsics, rect: Rect) -> (f64, f64) {
-        // forward motion moves a pixel by its distance from the principal point
-        let reach = |from: u32, len: u32, c: f64| (f64::from(from) - c).abs().max((f64::from(from + len) - c).abs());
-        (k.fx * self.x + reach(rect.x, rect.w, k.cx) * self.z, k.fy * self.y + reach(rect.y, rect.h, k.cy) * self.z)
-    }
-}
-
 /// Where `(u, v)` of a tile lies in the photo.
 #[derive(Clone, Copy, Debug)]
 pub struct TileFrame {
@@ -142,13 +125,6 @@ pub fn grown(r: Rect, x: u32, y: u32, grid: &Grid) -> Rect {
     Rect { x: x0, y: y0, w: (r.x + r.w + x).min(grid.width) - x0, h: (r.y + r.h + y).min(grid.height) - y0 }
 }
 
-/// Pixels that [`Geometry::masks`] looks at, at most, where the tiles of a grid have so many planes: a reader's bound on its work.
-pub fn work_of(grid: &Grid, planes: impl Iterator<Item = u64>) -> u64 {
-    let reach = MAX_REACH as u32;
-    let window = |i: u32| grown(grid.rect(i), reach, reach, grid).area() as u64;
-    (0..grid.tiles()).zip(planes).map(|(i, n)| window(i) * (n + 1)).sum()
-}
-
 impl Geometry {
     /// Count of all planes, backgrounds included.
     #[must_use]
@@ -189,13 +165,6 @@ impl Geometry {
         Surface::of(self, rows)
     }
 
-    /// Rows of pixels that the texels of some rows of tiles, and their colours, follow from.
-    pub(crate) fn reach(grid: &Grid, rows: &Range<u32>) -> Range<u32> {
-        let last = grid.rect((rows.end - 1) * grid.columns());
-        let reach = MAX_REACH as u32;
-        (rows.start * grid.stride).saturating_sub(reach)..(last.y + last.h + reach).min(grid.height)
-    }
-
     #[inline(never)]
     fn masks_of_tile(&self, index: u32, surface: &Surface, s: &mut Scratch) -> LayerMasks {
         let (tile, r, place) = (&self.tiles[index as usize], self.grid.rect(index), TileFrame::of(&self.grid, index));
@@ -224,7 +193,11 @@ impl Geometry {
             for (y, own) in s.own.chunks_mut(w).enumerate() {
                 rows::disparities(&us, place.v(r.y + y as u32), &plane, own);
             }
-            out.never_seen += self.mark_hidden(r, place, tile, label, &plane, surface, s);
+            let (behind, depth) = rows::behind(&s.own, &s.visible, &tile.labels, label, &mut s.hidden);
+            if behind > 0 && !s.all {
+                let layer = Behind { r, place, plane: &plane, depth };
+                out.never_seen += behind - self.keep_seen(&layer, surface, &mut s.hidden, &mut s.pruning);
+            }
             let Some(layer) = mask(r, place, tile, label, plane, parallax, s) else { continue };
             // a background is the farthest at most places, but the order is by the tile's centre for all alike; a sort of so few would
             // be a twentieth of the wasm
@@ -234,80 +207,25 @@ impl Geometry {
         s.us = us;
         out
     }
-
-    /// Marks the texels of a layer that lie behind the visible surface and that a camera in the view box can look at; gives
-    /// the count of those that lie behind it but are never seen.
-    #[allow(clippy::too_many_arguments, reason = "the parts of one tile")]
-    #[inline(never)]
-    fn mark_hidden(
-        &self,
-        r: Rect,
-        place: TileFrame,
-        tile: &Tile,
-        label: Option<u8>,
-        plane: &Plane,
-        surface: &Surface,
-        s: &mut Scratch,
-    ) -> usize {
-        let (behind, step) = rows::behind(&s.own, &s.visible, &tile.labels, label, &mut s.hidden);
-        let Some(hidden) = extent(&s.hidden, r.w as usize).filter(|_| !s.all) else { return 0 };
-        let parallax = self.view_box.parallax(&self.intrinsics, r);
-        let reach = |parallax: f64, step: f64| (step * parallax + MARGIN).min(MAX_REACH).ceil() as u32;
-        let win = grown(r, reach(parallax.0, step), reach(parallax.1, step), &self.grid);
-        // an occluder of the neighbourhood may be nearer still, and its edge uncovers more
-        let nearest = (win.y..win.y + win.h).map(|y| rows::nearest(surface.row(win.x, y, win.w))).fold(0.0, f32::max);
-        // the plane is nowhere farther than at a corner
-        let corner = |x: u32, y: u32| place.disparity(plane, x, y);
-        let (right, lower) = (win.x + win.w - 1, win.y + win.h - 1);
-        let least = corner(win.x, win.y).min(corner(right, win.y)).min(corner(win.x, lower)).min(corner(right, lower));
-        let step = (f64::from(nearest) - f64::from(least).max(0.0)).max(step);
-        let radius = (reach(parallax.0, step), reach(parallax.1, step));
-        // what lies farther from every hidden texel uncovers none
-        let inner = Rect { x: r.x + hidden.x, y: r.y + hidden.y, ..hidden };
-        let near = common(win, grown(inner, radius.0, radius.1, &self.grid));
-        place.columns(near.x, near.w, &mut s.window);
-        s.open.resize(near.area(), 0);
-        for (y, open) in (near.y..).zip(s.open.chunks_mut(near.w as usize)) {
-            rows::open(&s.window, place.v(y), plane, surface.row(near.x, y, near.w), UNOCCLUDED, open);
-        }
-        dilate(&s.open, near.w, Rect { x: inner.x - near.x, y: inner.y - near.y, ..inner }, radius, &mut s.reach);
-        let mut seen = 0;
-        for (y, reach) in (hidden.y as usize..).zip(s.reach.out.chunks(hidden.w as usize)) {
-            for (h, reach) in s.hidden[y * r.w as usize + hidden.x as usize..].iter_mut().zip(reach) {
-                *h &= reach;
-                seen += usize::from(*h);
-            }
-        }
-        behind - seen
-    }
-}
-
-/// The rectangle that both have in common, where they overlap.
-fn common(a: Rect, b: Rect) -> Rect {
-    let (x, y) = (a.x.max(b.x), a.y.max(b.y));
-    Rect { x, y, w: (a.x + a.w).min(b.x + b.w) - x, h: (a.y + a.h).min(b.y + b.h) - y }
 }
 
 #[derive(Default)]
 struct Scratch {
     /// Nothing is left out.
     all: bool,
-    /// Horizontal places of the tile's columns, and of the window's.
+    /// Horizontal places of the tile's columns.
     us: Vec<f64>,
-    window: Vec<f64>,
     /// δ of each plane in the row at hand but for its share in `u`.
     planes: Vec<[f64; 2]>,
     /// δ of the visible surface and of the layer at hand.
     visible: Vec<f32>,
     own: Vec<f32>,
-    /// Masks of 0 and 1: hidden texels of the tile, pixels of the window that nothing covers.
+    /// Mask of 0 and 1: hidden texels of the tile.
     hidden: Vec<u8>,
-    open: Vec<u8>,
     /// The layer at hand: classes and alpha over the whole tile.
     class: Vec<u8>,
     alpha: Vec<u8>,
-    /// What the open pixels reach within the tile.
-    reach: Dilation,
+    pruning: Pruning,
     /// Opaque texels among three of a row.
     sums: Vec<u8>,
     /// Empty texels of a row that touch an opaque one.
@@ -391,20 +309,6 @@ fn soften(edge: &SoftEdge, s: &mut Scratch) {
     }
 }
 
-/// Bounds of what is not 0 in a mask `w` pixels wide; none where all is.
-pub(super) fn extent(mask: &[u8], w: usize) -> Option<Rect> {
-    let full = |c: &u8| *c != 0;
-    let y0 = mask.iter().position(full)? / w;
-    let y1 = mask.iter().rposition(full)? / w + 1;
-    let (mut x0, mut x1) = (w, 0);
-    for row in mask[y0 * w..y1 * w].chunks(w) {
-        // only what lies outside of the bounds so far can widen them
-        x0 = row[..x0].iter().position(full).unwrap_or(x0);
-        x1 = row[x1..].iter().rposition(full).map_or(x1, |x| x1 + x + 1);
-    }
-    Some(Rect { x: x0 as u32, y: y0 as u32, w: (x1 - x0) as u32, h: (y1 - y0) as u32 })
-}
-
 /// Bounds of what is not empty, with one empty pixel around where the tile has it, so that bilinear samples fade out; none where
 /// all is empty.
 fn bounds(class: &[u8], w: u32, h: u32) -> Option<Rect> {
@@ -416,28 +320,7 @@ fn bounds(class: &[u8], w: u32, h: u32) -> Option<Rect> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    #[test]
-    fn background_is_hidden_only_near_the_edge_that_uncovers_it() {
-        // a near square in the middle of a far wall
-        let grid = Grid::new(64, 64, 64);
-        let labels = (0..4096u32).map(|i| u8::from((16..48).contains(&(i % 64)) && (16..48).contains(&(i / 64)))).collect();
-        let tile = Tile { planes: vec![Plane::fronto_parallel(0.25), Plane::fronto_parallel(1.0)], labels, background: None };
-        let b = Geometry {
-            grid,
-            intrinsics: Intrinsics::centred(64, 64, 100.0),
-            view_box: ViewBox { x: 0.04, y: 0.0, z: 0.0 },
-            tiles: vec![tile],
-        };
-        let shapes = &b.masks()[0];
-        let far = &shapes.layers[0];
-        let hidden = |x: u32, y: u32| far.class[((y - far.rect.y) * far.rect.w + x - far.rect.x) as usize] == Class::Hidden as u8;
-        // parallax 4 px times a step of 0.75, and the margin: 5 px from the left and right edges, 2 from the others
-        assert!(hidden(20, 32) && !hidden(21, 32) && hidden(43, 32) && !hidden(42, 32));
-        assert!(hidden(32, 17) && !hidden(32, 18));
-        assert_eq!(shapes.never_seen, 22 * 28);
-        let near = &shapes.layers[1];
-        assert!(near.alpha.iter().any(|a| (1..255).contains(a)), "the near layer has a soft rim");
-    }
+    use crate::{Intrinsics, ViewBox};
 
     #[test]
     fn rims_are_opaque_where_the_surface_is_bent_and_soft_at_a_small_step() {

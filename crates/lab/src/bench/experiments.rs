@@ -131,8 +131,8 @@ pub(super) fn box_blurred(map: &DisparityMap, r: usize) -> DisparityMap {
     DisparityMap { delta: (0..w * h).map(mean).collect(), ..*map }
 }
 
-/// Each step off, one at a time.
-fn steps() -> Plan {
+/// Each step off, one at a time. `refined`: whether there is a network for it.
+fn steps(refined: bool) -> Plan {
     let on = |setting: &str, change: &dyn Fn(&mut Options)| {
         let mut o = Options::default();
         change(&mut o);
@@ -147,7 +147,10 @@ fn steps() -> Plan {
         on("--plane-method optimal", &|o| o.plane_method = PlaneMethod::Optimal),
         on("--plane-method lloyd --planes 4", &|o| (o.plane_method, o.planes) = (PlaneMethod::Lloyd, PlaneCount::Fixed(4))),
     ];
-    let of = |depth: &Depth| all.iter().map(|(s, o)| (s.clone(), o.clone(), depth.clone())).collect::<Vec<Set>>();
+    let of = |depth: &Depth| {
+        let there = all.iter().filter(|(_, o)| refined || o.refine != Switch::On);
+        there.map(|(s, o)| (s.clone(), o.clone(), depth.clone())).collect::<Vec<Set>>()
+    };
     Plan {
         id: "steps",
         title: "Steps on and off",
@@ -157,11 +160,14 @@ fn steps() -> Plan {
     }
 }
 
-fn denoise() -> Plan {
+/// `theta`: whether that network is there.
+fn denoise(theta: bool) -> Plan {
     let of = |depth: &Depth| {
         [("off", Denoise::Off), ("classic", Denoise::Classic), ("auto", Denoise::Auto), ("theta", Denoise::Theta)]
+            .into_iter()
+            .filter(|(_, d)| theta || *d != Denoise::Theta)
             .map(|(name, d)| (format!("--denoise {name}"), Options { denoise: d, ..Options::default() }, depth.clone()))
-            .into()
+            .collect()
     };
     Plan {
         id: "denoise",
@@ -231,13 +237,11 @@ pub(super) fn on_scenes(
     let quick = settings.quick;
     // the first run of a process pays for its threads and its memory
     bench.point(&scenes[..scenes.len().min(1)], &Depth::Known, &Options::default(), String::new(), ("", ""))?;
-    let mut plans = vec![planes(quick, (MS, VIEW)), tiles(quick), steps(), quality(quick), prune(quick)];
+    let mut plans = vec![planes(quick, (MS, VIEW)), tiles(quick), steps(bench.psi().is_some()), quality(quick), prune(quick)];
     if let Err(reason) = networks::available() {
         skipped.push(format!("depth and denoise networks: {}", brief(&reason)));
-    } else if bench.models.theta.is_none() {
-        skipped.push("depth and denoise networks: they are not embedded".into());
     } else {
-        plans.extend([denoise(), depth()]);
+        plans.extend([denoise(bench.models.theta.is_some()), depth()]);
     }
     let mut all = Vec::new();
     for plan in plans.into_iter().filter(|p| settings.wants(p.id)) {

@@ -6,11 +6,11 @@ use rayon::prelude::*;
 
 use super::subject::Subject;
 use super::{BenchError, Point};
+use crate::fixed::Fixed;
 use crate::metrics::{self, ssim_map};
 use tmpi_core::container;
 use tmpi_core::{DisparityMap, Photo, Scene, ViewBox};
 use tmpi_pipeline::Silent;
-use tmpi_pipeline::depth::{DepthError, Estimator};
 use tmpi_pipeline::networks::{self, Network};
 use tmpi_pipeline::photo::Limits;
 use tmpi_pipeline::{self, Made, Models, Options};
@@ -38,19 +38,6 @@ pub(super) enum Depth {
     Spoilt(fn(&DisparityMap) -> DisparityMap),
     /// What is known, spoilt, and given as a file.
     Given(fn(&DisparityMap) -> DisparityMap),
-}
-
-/// Hands out a map as if a network had estimated it, so that the way treats it as estimated.
-struct Fixed(DisparityMap);
-
-impl Estimator for Fixed {
-    fn name(&self) -> &'static str {
-        "fixed"
-    }
-
-    fn estimate(&self, _: &Photo) -> Result<DisparityMap, DepthError> {
-        Ok(self.0.clone())
-    }
 }
 
 /// Median; 0 of nothing.

@@ -342,8 +342,7 @@ mod tests {
 
     #[test]
     fn a_real_file_is_loaded_and_run() {
-        if let Err(e) = crate::networks::available() {
-            eprintln!("skipped: {e}");
+        if tmpi_testing::Need::Onnx.or_skip(crate::networks::available()).is_none() {
             return;
         }
         let mean = include_bytes!("../../../../tests/onnx/mean.onnx");

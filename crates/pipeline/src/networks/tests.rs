@@ -5,9 +5,9 @@ use super::*;
 const SUM_DIFFERENCE: &[u8] = include_bytes!("../../../../tests/onnx/sum_difference.onnx");
 const INTEGERS: &[u8] = include_bytes!("../../../../tests/onnx/integers.onnx");
 
-/// True where ONNX Runtime is there; a machine without it says so and goes on.
+/// True where ONNX Runtime is there.
 fn there() -> bool {
-    available().inspect_err(|e| eprintln!("skipped: {e}")).is_ok()
+    tmpi_testing::Need::Onnx.or_skip(available()).is_some()
 }
 
 fn rows(n: usize, f: impl Fn(usize) -> f32) -> Tensor {

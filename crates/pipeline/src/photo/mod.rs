@@ -23,6 +23,8 @@ mod webp;
 mod hostile;
 #[cfg(test)]
 mod tests;
+#[cfg(test)]
+mod wild;
 
 use std::io::Cursor;
 use std::panic::{AssertUnwindSafe, catch_unwind};

@@ -17,6 +17,7 @@ pub fn make(
     sink: &dyn Sink,
 ) -> Result<Made, MakeError> {
     options.validate()?;
+    models.check(options)?;
     let mut job = Context::new(models, limits, options, sink);
     let mut prepared = job.run(&mut Prepare, (photo, depth.is_none()))?;
     let map = job.run(&mut Depth, (&prepared.photo, depth))?;

@@ -19,6 +19,7 @@ use tmpi_core::DisparityMap;
 use crate::StageError;
 use crate::depth::{DepthError, Estimator};
 use crate::networks::Network;
+use crate::networks::models::{PSI, THETA};
 use crate::photo::PhotoError;
 
 pub use make::make;
@@ -33,10 +34,26 @@ pub use stages::STAGES;
 pub struct Models {
     /// Monocular depth.
     pub depth: Arc<dyn Estimator>,
-    /// Θ: confidence and denoised disparity; none: no confidence.
+    /// Θ: confidence and denoised disparity, where its file is there.
     pub theta: Option<Arc<dyn Network>>,
-    /// Ψ: soft alpha and hidden colour; none: no refinement.
+    /// Ψ: soft alpha and hidden colour, where its file is there.
     pub psi: Option<Arc<dyn Network>>,
+}
+
+impl Models {
+    /// Refuses options that want a network that is not there.
+    ///
+    /// # Errors
+    /// [`StageError::Network`].
+    pub fn check(&self, options: &Options) -> Result<(), StageError> {
+        if options.denoise == Denoise::Theta && self.theta.is_none() {
+            return Err(StageError::Network { field: "denoise", value: "theta", file: THETA });
+        }
+        if options.refine == Switch::On && self.psi.is_none() {
+            return Err(StageError::Network { field: "refine", value: "on", file: PSI });
+        }
+        Ok(())
+    }
 }
 
 /// A made photo.

@@ -67,7 +67,7 @@ pub enum Denoise {
     /// Planes fitted around each pixel where noise is measured; a map without noise or outliers stays as it is.
     #[default]
     Auto,
-    /// The network Θ, whatever the map is like.
+    /// The network Θ on maps with noise, outliers or blurred edges; its file must be there.
     Theta,
     /// 5-pixel median and guided filter.
     Classic,
@@ -91,7 +91,7 @@ pub struct Options {
     pub tile: TileSize,
     /// Snapping of depth ramps to colour edges.
     pub snap: Switch,
-    /// Refinement by Ψ.
+    /// Refinement by Ψ; its file must be there where it is on.
     pub refine: Switch,
     /// Cleaning of the disparity map.
     pub denoise: Denoise,

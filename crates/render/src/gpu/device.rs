@@ -224,11 +224,11 @@ fn pipelines(
     [pipeline("fs_opaque", None, true), pipeline("fs_soft", Some(wgpu::BlendState::PREMULTIPLIED_ALPHA_BLENDING), false)]
 }
 
-/// The pipeline that rounds a wide picture, texel by texel.
+/// The pipeline that copies a picture of 16-bit floats to one of 8 bits, which rounds it once.
 fn rounding(device: &wgpu::Device) -> wgpu::RenderPipeline {
     let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
-        label: Some("round.wgsl"),
-        source: wgpu::ShaderSource::Wgsl(include_str!("round.wgsl").into()),
+        label: Some("copy.wgsl"),
+        source: wgpu::ShaderSource::Wgsl(include_str!("../../../../static/draw/copy.wgsl").into()),
     });
     device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
         label: Some("round"),

@@ -167,13 +167,11 @@ mod tests {
     use super::super::testing;
     use super::*;
     use tmpi_core::Pose;
+    use tmpi_testing::Need;
 
     #[test]
     fn a_lost_device_is_an_error_once_and_then_rebuilt() {
-        let gpu = match Gpu::new(true) {
-            Ok(gpu) => gpu,
-            Err(reason) => return eprintln!("skipped: {reason}"),
-        };
+        let Some(gpu) = Need::Gpu.or_skip(Gpu::new(true)) else { return };
         let scene = Arc::new(testing::flat(8, 8, 0.5));
         let camera = Camera { pose: Pose::default(), intrinsics: scene.intrinsics, width: 8, height: 8 };
         let before = gpu.render(&scene, &camera).unwrap();
@@ -187,10 +185,7 @@ mod tests {
 
     #[test]
     fn a_scene_beyond_the_pool_is_refused_with_its_size() {
-        let gpu = match Gpu::new(true) {
-            Ok(gpu) => gpu,
-            Err(reason) => return eprintln!("skipped: {reason}"),
-        };
+        let Some(gpu) = Need::Gpu.or_skip(Gpu::new(true)) else { return };
         let count = Gpu::POOL_BYTES / (2048 * 2048 * 4) + 1;
         let mut scene = testing::flat(2048, 2048, 0.5);
         let texels = 2048 * 2048;

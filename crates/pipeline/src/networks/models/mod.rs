@@ -18,14 +18,11 @@ use tmpi_core::{DisparityMap, Photo};
 const DEPTH: Option<&[u8]> = Some(include_bytes!("../../../../../models/depth.onnx"));
 #[cfg(not(embedded = "depth"))]
 const DEPTH: Option<&[u8]> = None;
-#[cfg(embedded = "theta")]
-const THETA: Option<&[u8]> = Some(include_bytes!("../../../../../models/theta.onnx"));
-#[cfg(not(embedded = "theta"))]
-const THETA: Option<&[u8]> = None;
-#[cfg(embedded = "psi")]
-const PSI: Option<&[u8]> = Some(include_bytes!("../../../../../models/psi.onnx"));
-#[cfg(not(embedded = "psi"))]
-const PSI: Option<&[u8]> = None;
+
+/// Files of Θ and Ψ in the folder of networks: no default wants them, so no program carries them.
+pub const THETA: &str = "theta.onnx";
+/// See [`THETA`].
+pub const PSI: &str = "psi.onnx";
 
 /// Which networks to use, and how.
 #[derive(Clone, Debug)]
@@ -40,13 +37,23 @@ pub struct Settings {
     pub depth_smoothing: Option<f64>,
     /// Run depth twice, the second time mirrored, and take the mean.
     pub flip: bool,
+    /// Where [`THETA`] and [`PSI`] are, if they are there.
+    pub folder: PathBuf,
     /// How networks are run.
     pub onnx: Config,
 }
 
 impl Default for Settings {
     fn default() -> Self {
-        Self { depth: &ADAPTERS[0], depth_file: None, depth_pixels: None, depth_smoothing: None, flip: false, onnx: Config::default() }
+        Self {
+            depth: &ADAPTERS[0],
+            depth_file: None,
+            depth_pixels: None,
+            depth_smoothing: None,
+            flip: false,
+            folder: registry::folder(),
+            onnx: Config::default(),
+        }
     }
 }
 
@@ -61,19 +68,18 @@ pub struct ModelFileError {
 }
 
 /// The networks by `settings`. A model file is read at once, networks and ONNX Runtime are loaded at their first run: a photo with
-/// a depth map needs neither. Θ and Ψ are there only where they are embedded.
+/// a depth map needs neither. Θ and Ψ are there only where their files are.
 ///
 /// # Errors
 /// [`ModelFileError`].
 pub fn load(settings: &Settings) -> Result<Models, ModelFileError> {
     let model = settings.depth_file.as_deref().map(read).transpose()?;
     let depth = Depth { settings: settings.clone(), model, loaded: Once::new() };
-    let lazily = |name: &'static str, model: Option<&'static [u8]>| {
-        let config = settings.onnx.clone();
-        let network = move |model| Arc::new(Lazy { name, model, config, loaded: Once::new() }) as Arc<dyn Network>;
-        model.map(network)
+    let lazily = |name: &'static str| {
+        let (file, config) = (settings.folder.join(name), settings.onnx.clone());
+        file.is_file().then(|| Arc::new(Lazy { name, file, config, loaded: Once::new() }) as Arc<dyn Network>)
     };
-    Ok(Models { depth: Arc::new(depth), theta: lazily("theta", THETA), psi: lazily("psi", PSI) })
+    Ok(Models { depth: Arc::new(depth), theta: lazily(THETA), psi: lazily(PSI) })
 }
 
 fn read(file: &Path) -> Result<Vec<u8>, ModelFileError> {
@@ -83,14 +89,18 @@ fn read(file: &Path) -> Result<Vec<u8>, ModelFileError> {
 /// A network that is loaded at its first run.
 struct Lazy {
     name: &'static str,
-    model: &'static [u8],
+    file: PathBuf,
     config: Config,
     loaded: Once<Session>,
 }
 
 impl Network for Lazy {
     fn run(&self, inputs: Vec<Tensor>) -> Result<Vec<Tensor>, OnnxError> {
-        self.loaded.get(|| Session::load(self.name, self.model, &self.config))?.run(inputs)
+        let load = || {
+            let model = read(&self.file).map_err(|e| OnnxError::Model { name: self.name.to_owned(), reason: e.to_string() })?;
+            Session::load(self.name, &model, &self.config)
+        };
+        self.loaded.get(load)?.run(inputs)
     }
 }
 
@@ -145,6 +155,26 @@ mod tests {
         assert_eq!(models.depth.name(), "tmpi");
         let photo = Photo { width: 2, height: 2, rgb: vec![[0; 3]; 4] };
         assert!(matches!(models.depth.estimate(&photo), Err(DepthError::Onnx(_))));
+    }
+
+    #[test]
+    fn options_that_want_a_network_need_its_file() {
+        use crate::{Denoise, Options, StageError, Switch};
+        let folder = tempfile::tempdir().unwrap();
+        let settings = Settings { folder: folder.path().to_owned(), ..Settings::default() };
+        let wanting = [
+            (Options { denoise: Denoise::Theta, ..Options::default() }, "denoise", THETA),
+            (Options { refine: Switch::On, ..Options::default() }, "refine", PSI),
+        ];
+        for (options, option, file) in wanting {
+            let models = load(&settings).unwrap();
+            let error = models.check(&options).unwrap_err();
+            assert!(matches!(error, StageError::Network { field, .. } if field == option), "{error}");
+            assert!(error.to_string().contains(file), "{error}");
+            assert!(models.check(&Options::default()).is_ok());
+            std::fs::write(folder.path().join(file), b"").unwrap();
+            assert!(load(&settings).unwrap().check(&options).is_ok());
+        }
     }
 
     #[test]

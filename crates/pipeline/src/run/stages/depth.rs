@@ -3,7 +3,7 @@
 use tmpi_core::{DisparityMap, Photo};
 
 use crate::run::{self, Context, MakeError, Switch};
-use crate::{StageError, denoise, depth, edges};
+use crate::{denoise, depth, edges};
 
 /// Photo, and the user's own map as a PNG file if there is one → disparity.
 #[derive(Debug, Default)]
@@ -49,20 +49,18 @@ impl run::Stage for Denoise {
     type Output = Estimated;
 
     fn run(&mut self, (photo, mut map): (&Photo, Estimated), context: &mut Context) -> Result<Estimated, MakeError> {
-        match (context.options.denoise, &context.models.theta) {
-            (run::Denoise::Theta, Some(_)) if !denoise::confidence::wanted(&map.delta) => {}
-            (run::Denoise::Theta, Some(theta)) => {
-                let (clean, confidence) = denoise::confidence::run(theta.as_ref(), photo, &map.delta)?;
-                (map.delta, map.confidence) = (clean, Some(confidence));
-            }
-            (run::Denoise::Theta, None) => {
-                let range = "other than theta where ONNX Runtime or the network is missing";
-                return Err(StageError::Option { field: "denoise", range, value: "theta".into() }.into());
+        match context.options.denoise {
+            run::Denoise::Theta => {
+                // Without Θ the options were refused before
+                if let Some(theta) = context.models.theta.as_ref().filter(|_| denoise::confidence::wanted(&map.delta)) {
+                    let (clean, confidence) = denoise::confidence::run(theta.as_ref(), photo, &map.delta)?;
+                    (map.delta, map.confidence) = (clean, Some(confidence));
+                }
             }
             // It looks for degradation first
-            (run::Denoise::Auto, _) => map.delta = denoise::local_planes::denoise(&map.delta),
-            (run::Denoise::Classic, _) => map.delta = denoise::median_guided::denoise(photo, &map.delta),
-            (run::Denoise::Off, _) => {}
+            run::Denoise::Auto => map.delta = denoise::local_planes::denoise(&map.delta),
+            run::Denoise::Classic => map.delta = denoise::median_guided::denoise(photo, &map.delta),
+            run::Denoise::Off => {}
         }
         Ok(map)
     }

@@ -1,0 +1,222 @@
+//! What inpainting does along rows of pixels, in forms that vectorise; the same bits come out on every processor.
+#![allow(clippy::float_cmp, reason = "weights that are exactly 0 or 1 take a shorter way")]
+
+use std::ops::Range;
+
+use crate::scene::{Class, Plane};
+use crate::simd::dispatch;
+
+/// How far in front of the layer a source may lie, in δ.
+const IN_FRONT: f64 = 0.015;
+/// Distance behind the layer, in δ, at which a source's weight has fallen to a half.
+const BEHIND: f64 = 0.06;
+
+/// Pixels of a row that may be sources of hidden colour.
+#[derive(Clone, Copy)]
+pub struct Sources<'a> {
+    /// Place of the row.
+    pub v: f64,
+    /// δ of the visible surface, infinite where a pixel is no source.
+    pub surface: &'a [f32],
+    /// The photo's colours.
+    pub rgb: &'a [[u8; 3]],
+}
+
+impl Sources<'_> {
+    /// No pixel.
+    pub const NONE: Self = Self { v: 0.0, surface: &[], rgb: &[] };
+}
+
+/// Columns whose weights are found at once; even.
+const BLOCK: usize = 32;
+
+/// Weight of a source that lies `behind` the layer by so much in δ.
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
+fn weight(behind: f64) -> f64 {
+    let far = if behind > 0.0 { behind } else { 0.0 } / BEHIND;
+    let weight = 1.0 / (1.0 + far * far);
+    if behind < -IN_FRONT { 0.0 } else { weight }
+}
+
+/// Weights of the sources in a row, at most a block of them, for a layer on `plane`; 0 where there is none.
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
+fn weigh(us: &[f64], v: f64, plane: &Plane, surface: &[f32], weights: &mut [f64; BLOCK]) {
+    let (a, b, cv) = (plane.a, plane.b, plane.c * v);
+    let mut any_behind = false;
+    for ((w, u), &d) in weights.iter_mut().zip(us).zip(surface) {
+        *w = f64::from((a + b * u + cv) as f32) - f64::from(d);
+        any_behind |= *w > 0.0;
+    }
+    let (weights, past) = weights.split_at_mut(surface.len().min(BLOCK));
+    past.fill(0.0);
+    if any_behind {
+        for w in weights {
+            *w = weight(*w);
+        }
+    } else {
+        // nothing lies behind: no division
+        for w in weights {
+            *w = if *w < -IN_FRONT { 0.0 } else { 1.0 };
+        }
+    }
+}
+
+/// Colour times weight, and weight.
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
+fn weighted(c: [u8; 3], w: f64) -> [f32; 4] {
+    [f64::from(c[0]), f64::from(c[1]), f64::from(c[2]), 1.0].map(|c| (c * w) as f32)
+}
+
+dispatch!(
+    /// Sums of 2×2 sources of one or two rows for a layer on `plane`, as [`pull`] has them: colour times weight, and weight.
+    pub gather, gather_body, gather_avx2, (us: &[f64], plane: &Plane, rows: [Sources; 2], out: &mut [[f32; 4]])
+);
+
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "the loop must be compiled anew with the caller's target features")]
+fn gather_body(us: &[f64], plane: &Plane, [first, second]: [Sources; 2], out: &mut [[f32; 4]]) {
+    let (mut upper, mut lower) = ([0f64; BLOCK], [0f64; BLOCK]);
+    // a block of each row, so that its length is known
+    let (mut colours, mut below) = ([[0u8; 3]; BLOCK], [[0u8; 3]; BLOCK]);
+    let part = |row: Sources, at: usize| -> Range<usize> { at.min(row.surface.len())..(at + BLOCK).min(row.surface.len()) };
+    for (i, (out, us)) in out.chunks_mut(BLOCK / 2).zip(us.chunks(BLOCK)).enumerate() {
+        for (row, weights, colours) in [(first, &mut upper, &mut colours), (second, &mut lower, &mut below)] {
+            let part = part(row, i * BLOCK);
+            colours[..part.len()].copy_from_slice(&row.rgb[part.clone()]);
+            weigh(us, row.v, plane, &row.surface[part], weights);
+        }
+        let pairs = colours.as_chunks::<2>().0.iter().zip(below.as_chunks::<2>().0);
+        let weights = upper.as_chunks::<2>().0.iter().zip(lower.as_chunks::<2>().0);
+        for ((o, ([a, b], [c, d])), ([wa, wb], [wc, wd])) in out.iter_mut().zip(pairs).zip(weights) {
+            let sum = (wa + wb) + (wc + wd);
+            *o = if sum == 4.0 {
+                let mean = |k: usize| (u32::from(a[k]) + u32::from(b[k]) + u32::from(c[k]) + u32::from(d[k])) as f32 * 0.25;
+                [mean(0), mean(1), mean(2), 1.0]
+            } else if sum == 0.0 {
+                [0.0; 4]
+            } else {
+                saturated(add(&add(&add(&weighted(*a, *wa), &weighted(*b, *wb)), &weighted(*c, *wc)), &weighted(*d, *wd)))
+            };
+        }
+    }
+}
+
+/// Sum of two texels.
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
+fn add(a: &[f32; 4], b: &[f32; 4]) -> [f32; 4] {
+    std::array::from_fn(|i| a[i] + b[i])
+}
+
+/// A texel of weight at most 1, so that one source suffices where there is no other.
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
+fn saturated(t: [f32; 4]) -> [f32; 4] {
+    if t[3] > 1.0 {
+        let s = 1.0 / f64::from(t[3]);
+        t.map(|v| (f64::from(v) * s) as f32)
+    } else {
+        t
+    }
+}
+
+dispatch!(
+    /// Sums of 2×2 texels of one or two rows of a finer level; weights beyond 1 are saturated.
+    pub pull, pull_body, pull_avx2, (first: &[[f32; 4]], second: Option<&[[f32; 4]]>, out: &mut [[f32; 4]])
+);
+
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "the loop must be compiled anew with the caller's target features")]
+fn pull_body(first: &[[f32; 4]], second: Option<&[[f32; 4]]>, out: &mut [[f32; 4]]) {
+    let (firsts, last) = first.as_chunks::<2>();
+    if let Some(second) = second {
+        for ((o, [a, b]), [c, d]) in out.iter_mut().zip(firsts).zip(second.as_chunks::<2>().0) {
+            *o = saturated(add(&add(&add(a, b), c), d));
+        }
+    } else {
+        for (o, [a, b]) in out.iter_mut().zip(firsts) {
+            *o = saturated(add(a, b));
+        }
+    }
+    // of an odd count the last stands alone
+    if let ([t], Some(o)) = (last, out.get_mut(firsts.len())) {
+        *o = saturated(second.and_then(<[_]>::last).map_or(*t, |below| add(t, below)));
+    }
+}
+
+/// Two rows of the next coarser level: the one that a texel lies in, and the one beside it that is nearer; empty where there is no
+/// coarser level.
+#[derive(Clone, Copy)]
+pub struct Coarser<'a> {
+    /// Three quarters of the colour.
+    pub near: &'a [[f32; 4]],
+    /// One quarter.
+    pub other: &'a [[f32; 4]],
+}
+
+/// Full colour of texel `x` of a row: its own where the weight is 1, the coarser level's, bilinear between texel centres, where it
+/// is 0.
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
+fn full(t: &[f32; 4], x: usize, Coarser { near, other }: Coarser) -> [f32; 4] {
+    let weight = f64::from(t[3]);
+    if weight < 1.0 && !near.is_empty() {
+        let last = near.len() - 1;
+        let beside = if x.is_multiple_of(2) { (x / 2).saturating_sub(1) } else { x / 2 + 1 };
+        let (x0, x1) = ((x / 2).min(last), beside.min(last));
+        let (a, b, c, d) = (&near[x0], &near[x1], &other[x0], &other[x1]);
+        let mut out: [f32; 4] = std::array::from_fn(|i| {
+            let up = 0.5625 * f64::from(a[i]) + 0.1875 * (f64::from(b[i]) + f64::from(c[i])) + 0.0625 * f64::from(d[i]);
+            (f64::from(t[i]) + (1.0 - weight) * up) as f32
+        });
+        out[3] = 1.0;
+        out
+    } else if weight > 0.0 {
+        t.map(|v| (f64::from(v) / weight) as f32)
+    } else {
+        *t
+    }
+}
+
+dispatch!(
+    /// Full colours of the texels of a row from column `x` on.
+    pub push, push_body, push_avx2, (coarser: Coarser, x: usize, texels: &mut [[f32; 4]])
+);
+
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "the loop must be compiled anew with the caller's target features")]
+fn push_body(coarser: Coarser, x: usize, texels: &mut [[f32; 4]]) {
+    for (x, t) in (x..).zip(texels) {
+        // a colour of weight 1 is full
+        if t[3] != 1.0 {
+            *t = full(t, x, coarser);
+        }
+    }
+}
+
+dispatch!(
+    /// Appends the colours of the hidden texels of a row, whose classes are `class`, to `out`. `us` and `row` begin with the first of
+    /// them, which lies in column `x` of the window that `coarser` is of.
+    pub colours, colours_body, colours_avx2,
+    (us: &[f64], plane: &Plane, row: Sources, coarser: Coarser, x: usize, class: &[u8], out: &mut Vec<[u8; 3]>)
+);
+
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "the loop must be compiled anew with the caller's target features")]
+fn colours_body(us: &[f64], plane: &Plane, row: Sources, coarser: Coarser, x: usize, class: &[u8], out: &mut Vec<[u8; 3]>) {
+    let (a, b, cv) = (plane.a, plane.b, plane.c * row.v);
+    let pixels = class.iter().zip(us).zip(row.surface).zip(row.rgb);
+    for (x, (((_, u), &d), rgb)) in (x..).zip(pixels).filter(|(_, (((c, _), _), _))| **c == Class::Hidden as u8) {
+        let weight = weight(f64::from((a + b * u + cv) as f32) - f64::from(d));
+        out.push(if weight == 1.0 {
+            *rgb
+        } else {
+            let [r, g, b, _] = full(&weighted(*rgb, weight), x, coarser);
+            // rounded; the cast takes what lies outside to 0 and 255
+            [r, g, b].map(|v| (f64::from(v) + 0.5) as u8)
+        });
+    }
+}

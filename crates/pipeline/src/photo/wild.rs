@@ -1,0 +1,74 @@
+//! Files as cameras and programs wrote them, where the data are there (`TMPI_DATA`).
+
+use std::path::{Path, PathBuf};
+
+use super::tests::ok;
+use super::*;
+
+fn data(folder: &str) -> Option<PathBuf> {
+    let root = std::env::var_os("TMPI_DATA").map_or_else(|| PathBuf::from("../shared/data"), PathBuf::from).join(folder);
+    if !root.is_dir() {
+        eprintln!("{} is not there: skipped (TMPI_DATA)", root.display());
+        return None;
+    }
+    Some(root)
+}
+
+fn files(folder: &Path, out: &mut Vec<PathBuf>) {
+    let mut entries: Vec<_> = std::fs::read_dir(folder).unwrap().map(|e| e.unwrap().path()).collect();
+    entries.sort();
+    for path in entries {
+        if path.is_dir() { files(&path, out) } else { out.push(path) }
+    }
+}
+
+#[test]
+fn odd_and_broken_files_of_the_wild() {
+    let Some(root) = data("torture") else { return };
+    let mut all = Vec::new();
+    files(&root, &mut all);
+    let (mut read, mut refused, mut carried) = (0, 0, 0);
+    for path in all {
+        let bytes = std::fs::read(&path).unwrap();
+        let name = path.strip_prefix(&root).unwrap().display();
+        match decode(&bytes, &Limits::default(), None) {
+            Ok(got) => {
+                read += 1;
+                assert_eq!(got.photo.rgb.len(), got.photo.width as usize * got.photo.height as usize);
+                assert!(got.intrinsics.is_valid());
+                if let Some(file) = got.carried {
+                    carried += 1;
+                    assert_eq!(ok(&file).photo, got.photo, "{name} changes when stripped");
+                    assert!(file.len() <= bytes.len() + 18, "{name} grew");
+                }
+            }
+            Err(e) => {
+                assert!(!e.to_string().contains("the decoder failed"), "{name}: a decoder panicked");
+                if PhotoFormat::sniff(&bytes).is_some() {
+                    refused += 1;
+                    eprintln!("refused {name}: {e}");
+                }
+            }
+        }
+    }
+    eprintln!("{read} read, {refused} refused, {carried} carried");
+    assert!(read > 100);
+}
+
+#[test]
+fn orientations_of_the_wild_agree() {
+    let Some(root) = data("torture/exif_orientation") else { return };
+    for kind in ["Landscape", "Portrait"] {
+        let thumb = |n: u32| {
+            let bytes = std::fs::read(root.join(format!("{kind}_{n}.jpg"))).unwrap();
+            decode(&bytes, &Limits::default(), Some(64)).unwrap().photo
+        };
+        let base = thumb(1);
+        for n in 2..=8 {
+            let got = thumb(n);
+            assert_eq!((got.width, got.height), (base.width, base.height), "{kind}_{n}");
+            let off: f64 = got.rgb.iter().flatten().zip(base.rgb.iter().flatten()).map(|(a, b)| f64::from(a.abs_diff(*b))).sum();
+            assert!(off / (got.rgb.len() as f64 * 3.0) < 10.0, "{kind}_{n} is turned the wrong way");
+        }
+    }
+}

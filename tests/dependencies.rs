@@ -1,0 +1,135 @@
+//! Dependencies keep to the lists of deny.toml: licences, versions, sources. `cargo deny` reads the same lists and knows advisories
+//! besides, for which it needs the network.
+#![allow(clippy::unwrap_used, clippy::expect_used, reason = "test")]
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+use std::process::Command;
+
+use serde_json::Value;
+use spdx::{Expression, LicenseReq, ParseMode};
+
+/// deny.toml.
+fn lists() -> toml::Table {
+    std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("deny.toml")).unwrap().parse().unwrap()
+}
+
+/// All packages of the workspace for all platforms and features, as `Cargo.lock` has them.
+fn packages() -> Vec<Value> {
+    let cargo = std::env::var("CARGO").unwrap_or_else(|_| "cargo".into());
+    let mut command = Command::new(cargo);
+    // what other platforms need may not be here yet
+    command.args(["metadata", "--locked", "--all-features", "--format-version", "1"]).current_dir(env!("CARGO_MANIFEST_DIR"));
+    let out = command.output().expect("cargo runs");
+    assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+    let metadata: Value = serde_json::from_slice(&out.stdout).expect("metadata is JSON");
+    metadata["packages"].as_array().expect("a list of packages").clone()
+}
+
+/// Those of others.
+fn foreign() -> Vec<Value> {
+    packages().into_iter().filter(|p| !p["source"].is_null()).collect()
+}
+
+fn text<'a>(value: &'a Value, field: &str) -> &'a str {
+    value[field].as_str().unwrap_or_default()
+}
+
+/// Words of a list of deny.toml.
+fn words(list: &toml::Value) -> Vec<&str> {
+    list.as_array().unwrap().iter().map(|w| w.as_str().unwrap()).collect()
+}
+
+/// Whether a licence is among those `allowed`; `A/B` is the old way to write `A OR B`.
+fn permitted(licence: &str, allowed: &[Expression]) -> bool {
+    let of = |req: &LicenseReq| allowed.iter().any(|a| a.requirements().any(|r| r.req == *req));
+    Expression::parse_mode(licence, ParseMode::LAX).is_ok_and(|e| e.evaluate(of))
+}
+
+/// Names that are there in several versions, and which.
+fn duplicates(packages: &[Value]) -> BTreeMap<&str, BTreeSet<&str>> {
+    let mut all = BTreeMap::<&str, BTreeSet<&str>>::new();
+    for p in packages {
+        all.entry(text(p, "name")).or_default().insert(text(p, "version"));
+    }
+    all.retain(|_, versions| versions.len() > 1);
+    all
+}
+
+fn expressions(list: &toml::Value) -> Vec<Expression> {
+    words(list).into_iter().map(|l| Expression::parse(l).unwrap()).collect()
+}
+
+#[test]
+fn licences_are_those_allowed_and_each_is_needed() {
+    let (lists, packages) = (lists(), foreign());
+    let allowed = expressions(&lists["licenses"]["allow"]);
+    assert!(packages.len() > 200, "{}", packages.len());
+    let bad: Vec<_> =
+        packages.iter().filter(|p| !permitted(text(p, "license"), &allowed)).map(|p| (text(p, "name"), text(p, "license"))).collect();
+    assert!(bad.is_empty(), "{bad:?}");
+    // a list that allows more than there is hides what comes later
+    for word in words(&lists["licenses"]["allow"]) {
+        let named = |p: &&Value| text(p, "license").contains(word);
+        assert!(packages.iter().any(|p| named(&p)), "no dependency has the licence {word}");
+    }
+}
+
+#[test]
+fn licences_are_judged_as_expressions() {
+    let allowed = expressions(&toml::Value::from(vec!["MIT", "ISC"]));
+    for (licence, want) in [
+        ("MIT", true),
+        ("GPL-3.0-only", false),
+        ("MIT OR GPL-3.0-only", true),
+        ("MIT AND GPL-3.0-only", false),
+        ("(MIT OR Apache-2.0) AND ISC", true),
+        ("Apache-2.0/MIT", true),
+        ("", false),
+        ("mine", false),
+    ] {
+        assert_eq!(permitted(licence, &allowed), want, "{licence:?}");
+    }
+}
+
+#[test]
+fn versions_are_single_but_for_those_listed() {
+    let (lists, packages) = (lists(), foreign());
+    let listed: BTreeSet<&str> = lists["bans"]["skip"].as_array().unwrap().iter().map(|s| s["crate"].as_str().unwrap()).collect();
+    let (mut more, mut used) = (Vec::new(), BTreeSet::new());
+    for (name, versions) in duplicates(&packages) {
+        let all = versions.iter().map(|v| format!("{name}@{v}"));
+        let (skipped, rest): (Vec<_>, Vec<_>) = all.partition(|v| listed.contains(v.as_str()));
+        used.extend(skipped);
+        if rest.len() > 1 {
+            more.push(rest);
+        }
+    }
+    assert!(more.is_empty(), "in several versions: {more:?}");
+    let idle: Vec<_> = listed.iter().filter(|s| !used.contains(**s)).collect();
+    assert!(idle.is_empty(), "listed, but there in one version: {idle:?}");
+}
+
+#[test]
+fn sources_are_the_registry_alone_and_versions_are_asked_for() {
+    let lists = lists();
+    assert_eq!(lists["sources"]["unknown-registry"].as_str(), Some("deny"));
+    for p in foreign() {
+        assert_eq!(text(&p, "source"), "registry+https://github.com/rust-lang/crates.io-index", "{}", text(&p, "name"));
+    }
+    assert_eq!(lists["bans"]["wildcards"].as_str(), Some("deny"));
+    for p in packages().iter().filter(|p| p["source"].is_null()) {
+        for d in p["dependencies"].as_array().unwrap().iter().filter(|d| d["path"].is_null()) {
+            assert_ne!(text(d, "req"), "*", "{} of {}", text(d, "name"), text(p, "name"));
+        }
+    }
+}
+
+#[test]
+fn banned_crates_are_not_there() {
+    let (lists, packages) = (lists(), foreign());
+    for banned in lists["bans"]["deny"].as_array().unwrap() {
+        let name = banned["crate"].as_str().unwrap();
+        assert!(packages.iter().all(|p| text(p, "name") != name), "{name}: {}", banned["reason"]);
+    }
+}

