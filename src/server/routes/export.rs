@@ -12,7 +12,7 @@ use super::query::Pairs;
 use crate::export::{self, ExportError, ExportFormat};
 use crate::server::app::{App, Export, Shared, Stored, scene_bytes};
 use crate::server::clock::Clock;
-use crate::server::conditional::{Entity, insert, kept, known_as, not_modified, respond};
+use crate::server::conditional::{Coding, Entity, insert, kept, known_as, not_modified, respond};
 use crate::server::identity;
 use crate::server::pool::Class;
 use crate::server::problem::Problem;
@@ -115,7 +115,8 @@ pub async fn export(
         Ok::<_, Problem>(export)
     };
     let Export(stored) = app.exports.get((version, made.clone()), write).await?;
-    let entity = Entity { source: stored.source, etag: &stored.etag, content_type: format.media_type(), cache_control };
+    let content_type = format.media_type();
+    let entity = Entity { source: stored.source, etag: &stored.etag, content_type, cache_control, coding: Coding::Plain };
     let mut response = respond(&headers, entity);
     let name = format!("attachment; filename=\"{}.{}\"", entry.id, format.extension());
     insert(&mut response, header::CONTENT_DISPOSITION, &name);

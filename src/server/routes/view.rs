@@ -11,7 +11,7 @@ use tokio_util::sync::CancellationToken;
 
 use crate::server::app::{App, Export, Shared, Stored, Version, scene_bytes};
 use crate::server::clock::Clock;
-use crate::server::conditional::{Entity, insert, kept, known_as, not_modified, respond};
+use crate::server::conditional::{Coding, Entity, insert, kept, known_as, not_modified, respond};
 use crate::server::identity;
 use crate::server::pool::Class;
 use crate::server::problem::Problem;
@@ -112,7 +112,7 @@ pub async fn view(
         app.telemetry.view(phase, *took);
     }
     let content_type = query.moving.map_or(format.media_type(), |moving| moving.format.media_type());
-    let entity = Entity { source: stored.source, etag: &stored.etag, content_type, cache_control };
+    let entity = Entity { source: stored.source, etag: &stored.etag, content_type, cache_control, coding: Coding::Plain };
     let mut response = respond(&headers, entity);
     insert(&mut response, header::VARY, "Accept");
     if !timing.is_empty() {
