@@ -87,8 +87,13 @@ fn query(data: &[u8]) -> usize {
 }
 
 /// Limits under which a photo is decoded here: a larger one would be slow, not wrong.
-const PHOTO: photo::Limits =
-    photo::Limits { bytes: 64 << 20, pixels: SLOW, side: photo::Limits::SIDE, decoder_memory: photo::Limits::DECODER_MEMORY };
+const PHOTO: photo::Limits = photo::Limits {
+    bytes: 64 << 20,
+    pixels: SLOW,
+    side: photo::Limits::SIDE,
+    decoder_memory: photo::Limits::DECODER_MEMORY,
+    memory: u64::MAX,
+};
 /// What a decoder may take for tables, rows and an unpacked profile, whatever it is given.
 const DECODER: usize = 24 << 20;
 
@@ -147,4 +152,19 @@ fn multipart(data: &[u8]) -> usize {
 fn patch(data: &[u8]) -> usize {
     server::fuzzing::patch(data);
     LEAST + 64 * data.len()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_task_that_fuzzes_knows_every_target() {
+        let task = include_str!("../xtask/src/fuzz.rs");
+        let list = task.split("const TARGETS").nth(1).and_then(|t| t.split(';').nth(1)).unwrap();
+        for (name, _) in TARGETS {
+            assert!(list.contains(&format!("\"{name}\"")), "{name} is missing in {list}");
+        }
+        assert_eq!(list.matches('"').count(), 2 * TARGETS.len());
+    }
 }

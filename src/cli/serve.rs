@@ -75,10 +75,13 @@ pub(super) struct ServeArgs {
     /// Seconds that making a photo of up to 12 megapixels may take; larger ones have as much more
     #[arg(long, default_value_t = Limits::JOB.as_secs() as u32, value_parser = clap::value_parser!(u32).range(1..), value_name = "S")]
     job_timeout: u32,
-    /// Memory that making a photo may take, in MiB
+    /// Memory that making photos may take, in MiB: one that needs more is refused, and side by side are made as many as fit
     #[arg(long, default_value_t = (Limits::JOB_MEMORY >> 20) as u32, value_parser = clap::value_parser!(u32).range(256..), value_name = "MIB")]
     job_memory: u32,
-    /// Seconds that requests and jobs under way have left after SIGTERM
+    /// Seconds after SIGTERM for which everything is still served but /readyz says 503, so that proxies look elsewhere; 5, on loopback 0
+    #[arg(long, value_parser = clap::value_parser!(u32).range(0..=3600), value_name = "S")]
+    lame_duck: Option<u32>,
+    /// Seconds that requests and jobs under way have left after that
     #[arg(long, default_value_t = Limits::DRAIN.as_secs() as u32, value_name = "S")]
     drain: u32,
     #[command(flatten)]
@@ -89,7 +92,9 @@ impl ServeArgs {
     /// The limits that the arguments give.
     fn limits(&self) -> Limits {
         let body = (self.max_body as usize) << 20;
-        let photo = tmpi_pipeline::photo::Limits { bytes: body, pixels: u64::from(self.max_pixels) * 1_000_000, ..Default::default() };
+        let job_memory = u64::from(self.job_memory) << 20;
+        let pixels = u64::from(self.max_pixels) * 1_000_000;
+        let photo = tmpi_pipeline::photo::Limits { bytes: body, pixels, memory: job_memory, ..Default::default() };
         Limits {
             photo,
             body,
@@ -98,12 +103,17 @@ impl ServeArgs {
             views: usize::from(self.views),
             scene_cache: (self.scene_cache as usize) << 20,
             job: Duration::from_secs(u64::from(self.job_timeout)),
-            job_memory: u64::from(self.job_memory) << 20,
+            job_memory,
             connections: self.connections as usize,
             connections_per_address: self.connections_per_address as usize,
             work_memory: (self.work_memory as usize) << 20,
             export_cache: (self.export_cache as usize) << 20,
             request: Duration::from_secs(u64::from(self.request_timeout)),
+            lame_duck: match self.lame_duck {
+                Some(seconds) => Duration::from_secs(u64::from(seconds)),
+                None if self.addr.ip().is_loopback() => Duration::ZERO,
+                None => Limits::LAME_DUCK,
+            },
             drain: Duration::from_secs(u64::from(self.drain)),
             ..Limits::default()
         }
@@ -191,6 +201,13 @@ mod tests {
     fn zero_workers_are_refused() {
         assert!(Cli::try_parse_from(["serve", "--workers", "0"]).is_err());
         assert!(Cli::try_parse_from(["serve", "--addr", "nowhere"]).is_err());
+    }
+
+    #[test]
+    fn a_server_for_others_says_goodbye_before_it_goes() {
+        let of = |args: &[&str]| Cli::try_parse_from([&["serve"], args].concat()).unwrap().serve.limits().lame_duck;
+        assert_eq!((of(&[]), of(&["--addr", "0.0.0.0:80"])), (Duration::ZERO, Limits::LAME_DUCK));
+        assert_eq!(of(&["--lame-duck", "9"]), Duration::from_secs(9));
     }
 
     #[test]

@@ -55,7 +55,7 @@ pub async fn serve(listener: TcpListener, router: Router, limits: &Limits, telem
             tracing::debug!(%peer, "an address has as many connections as it may");
             continue;
         };
-        let io = TokioIo::new(Timed::new(stream, limits.write));
+        let io = TokioIo::new(Timed::new(stream, limits.write, limits.write_rate));
         let inner = TowerToHyperService::new(router.clone());
         let service = service_fn(move |mut request: Request<Incoming>| {
             request.extensions_mut().insert(Peer(peer));
@@ -146,23 +146,40 @@ async fn next(listener: &TcpListener, room: &Arc<Semaphore>) -> io::Result<(TcpS
     Ok((stream, peer.ip(), permit))
 }
 
-/// A stream of which a write fails once the other side takes nothing for too long.
+/// A stream of which a write fails once the other side takes nothing for too long, or too little in all the time that was waited for it.
 struct Timed<S> {
     stream: S,
     limit: Duration,
+    /// Bytes a second that are taken at least, while there are any to take.
+    rate: u64,
     timer: Option<Pin<Box<Sleep>>>,
+    /// Since when the other side is waited for.
+    since: Option<Instant>,
+    /// How long it was waited for, and what it took.
+    waited: Duration,
+    taken: usize,
 }
 
 impl<S> Timed<S> {
-    fn new(stream: S, limit: Duration) -> Self {
-        Self { stream, limit, timer: None }
+    fn new(stream: S, limit: Duration, rate: u64) -> Self {
+        Self { stream, limit, rate, timer: None, since: None, waited: Duration::ZERO, taken: 0 }
     }
 
-    fn check<T>(&mut self, cx: &mut Context<'_>, result: Poll<io::Result<T>>) -> Poll<io::Result<T>> {
-        if result.is_ready() {
+    fn check<T>(&mut self, cx: &mut Context<'_>, result: Poll<io::Result<T>>, bytes: impl Fn(&T) -> usize) -> Poll<io::Result<T>> {
+        if let Poll::Ready(done) = &result {
             self.timer = None;
+            self.taken += done.as_ref().map_or(0, bytes);
+            self.waited += self.since.take().map_or(Duration::ZERO, |since| since.elapsed());
+            if self.waited >= self.limit {
+                let slow = (self.taken as f64) < self.waited.as_secs_f64() * self.rate as f64;
+                (self.waited, self.taken) = (Duration::ZERO, 0);
+                if slow {
+                    return Poll::Ready(Err(io::Error::new(io::ErrorKind::TimedOut, "the client takes data too slowly")));
+                }
+            }
             return result;
         }
+        self.since.get_or_insert_with(Instant::now);
         let limit = self.limit;
         let timer = self.timer.get_or_insert_with(|| Box::pin(tokio::time::sleep_until(Instant::now() + limit)));
         match timer.as_mut().poll(cx) {
@@ -181,22 +198,22 @@ impl<S: AsyncRead + Unpin> AsyncRead for Timed<S> {
 impl<S: AsyncWrite + Unpin> AsyncWrite for Timed<S> {
     fn poll_write(mut self: Pin<&mut Self>, cx: &mut Context<'_>, buf: &[u8]) -> Poll<io::Result<usize>> {
         let result = Pin::new(&mut self.stream).poll_write(cx, buf);
-        self.check(cx, result)
+        self.check(cx, result, |n| *n)
     }
 
     fn poll_flush(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
         let result = Pin::new(&mut self.stream).poll_flush(cx);
-        self.check(cx, result)
+        self.check(cx, result, |()| 0)
     }
 
     fn poll_shutdown(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
         let result = Pin::new(&mut self.stream).poll_shutdown(cx);
-        self.check(cx, result)
+        self.check(cx, result, |()| 0)
     }
 
     fn poll_write_vectored(mut self: Pin<&mut Self>, cx: &mut Context<'_>, bufs: &[io::IoSlice<'_>]) -> Poll<io::Result<usize>> {
         let result = Pin::new(&mut self.stream).poll_write_vectored(cx, bufs);
-        self.check(cx, result)
+        self.check(cx, result, |n| *n)
     }
 
     fn is_write_vectored(&self) -> bool {
@@ -227,7 +244,7 @@ mod tests {
     #[tokio::test]
     async fn a_client_that_takes_nothing_is_cut_off_and_a_slow_one_is_not() {
         let (ours, mut theirs) = tokio::io::duplex(10);
-        let mut timed = Timed::new(ours, Duration::from_millis(200));
+        let mut timed = Timed::new(ours, Duration::from_millis(200), 1);
         let slow = tokio::spawn(async move {
             let mut one = [0; 1];
             for _ in 0..40 {
@@ -242,5 +259,27 @@ mod tests {
         let error = timed.write_all(&[0; 50]).await.unwrap_err();
         assert_eq!(error.kind(), io::ErrorKind::TimedOut);
         assert!(before.elapsed() >= Duration::from_millis(200));
+    }
+
+    #[tokio::test]
+    async fn a_client_that_takes_a_byte_now_and_then_is_cut_off() {
+        let (ours, mut theirs) = tokio::io::duplex(10);
+        let mut timed = Timed::new(ours, Duration::from_millis(200), 10_000);
+        tokio::spawn(async move {
+            let mut one = [0; 1];
+            // never long without a byte
+            while theirs.read_exact(&mut one).await.is_ok() {
+                tokio::time::sleep(Duration::from_millis(10)).await;
+            }
+        });
+        let error = timed.write_all(&vec![0; 100_000]).await.unwrap_err();
+        assert_eq!(error.kind(), io::ErrorKind::TimedOut);
+        assert!(error.to_string().contains("too slowly"), "{error}");
+    }
+
+    #[test]
+    fn what_a_client_did_is_no_reason_to_pause() {
+        assert!(is_of_the_client(&io::ErrorKind::ConnectionAborted.into()) && is_of_the_client(&io::ErrorKind::ConnectionReset.into()));
+        assert!(!is_of_the_client(&io::Error::from_raw_os_error(24)), "no descriptor is left");
     }
 }

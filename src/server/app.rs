@@ -3,7 +3,7 @@
 use std::fs::File;
 use std::io::{Read as _, Write as _};
 use std::path::{Path, PathBuf};
-use std::sync::atomic::AtomicUsize;
+use std::sync::atomic::{AtomicBool, AtomicUsize};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
@@ -22,7 +22,7 @@ use super::limits::Limits;
 use super::pool::{Class, Pool, Slot};
 use super::problem::Problem;
 use super::source::Source;
-use super::store::{Done, Part};
+use super::store::{Done, Part, damage_of, lost};
 use super::telemetry::Telemetry;
 use tmpi_core::container::{self, RegionPhoto, Tiles};
 use tmpi_core::{Rect, Scene};
@@ -60,6 +60,13 @@ impl Stored {
         Self { source: Source::Memory(bytes.into()), etag }
     }
 
+    /// Bytes tagged by themselves and, before a dash, by what is part of them.
+    #[must_use]
+    pub fn derived_in_memory(made: &str, bytes: Vec<u8>) -> Self {
+        let Self { source, etag } = Self::new(bytes);
+        Self { source, etag: format!("\"{made}-{}\"", etag.get(1..17).unwrap_or_default()).into() }
+    }
+
     /// Derived bytes, tagged by themselves and, where that tells them, by what they were made of: then
     /// [`super::conditional::known_as`] knows them before they are made again. Large ones go into a file below `dir` that no name
     /// leads to, so that slow readers hold no memory; it goes with the last who reads it. Blocks.
@@ -67,12 +74,11 @@ impl Stored {
     /// # Errors
     /// 507 where the disk is full, 500.
     pub fn derived(made: Option<&str>, bytes: Vec<u8>, dir: &Path) -> Result<Self, Problem> {
-        let plain = Self::new(bytes);
-        let etag = match made {
-            Some(made) => format!("\"{made}-{}\"", plain.etag.get(1..17).unwrap_or_default()).into(),
-            None => plain.etag,
+        let Self { source, etag } = match made {
+            Some(made) => Self::derived_in_memory(made, bytes),
+            None => Self::new(bytes),
         };
-        let source = match plain.source {
+        let source = match source {
             Source::Memory(bytes) if bytes.len() > LARGE => {
                 let write = |mut file: File| file.write_all(&bytes).map(|()| file);
                 let file = tempfile::tempfile_in(dir).and_then(write).map_err(|e| Problem::store(&e))?;
@@ -191,6 +197,8 @@ pub struct Shared {
     pub pages: Option<PathBuf>,
     /// The `OpenAPI` document.
     pub openapi: Bytes,
+    /// Set at the signal to stop, when everything is still served.
+    pub leaving: AtomicBool,
     /// Set when the server stops.
     pub stop: CancellationToken,
 }
@@ -224,7 +232,7 @@ impl Shared {
     pub fn done(entry: &Entry) -> Result<(Version, Done), Problem> {
         match entry.status() {
             Status::Done(done) => Ok(((entry.id, done.at_ms), done)),
-            Status::Failed(failed) => Err(failed.problem),
+            Status::Failed(failed) | Status::Damaged(failed) => Err(failed.problem),
             Status::Deleted => Err(Problem::not_found("the photo was deleted")),
             Status::Queued | Status::Working => {
                 Err(Problem::new(axum::http::StatusCode::CONFLICT, "not-ready", "the photo is not finished yet").retry_after(1))
@@ -241,13 +249,17 @@ impl Shared {
     /// A file of a made photo.
     ///
     /// # Errors
-    /// 404 where it was deleted meanwhile, 500 also where it is not what was made.
+    /// 404 where it was deleted meanwhile, 500 also where it is not what was made: it is taken out of service then.
     pub async fn file(&self, version: Version, done: &Done, part: Part) -> Result<Stored, Problem> {
         let jobs = Arc::clone(&self.jobs);
-        let whole = (part == Part::Atlas).then(|| (done.atlas_bytes, done.atlas_hash.clone()));
+        let whole = (part == Part::Atlas).then(|| done.clone());
         let open = async move {
-            let open = tokio::task::spawn_blocking(move || open(&jobs.store.path(version.0, part), whole));
-            open.await.map_err(|e| Problem::internal("opening a file", &e))?.map_err(|e| stored_problem(&e))
+            let open = tokio::task::spawn_blocking(move || match open(&jobs.store.path(version.0, part), whole.as_ref()) {
+                Ok(Ok(stored)) => Ok(stored),
+                Ok(Err(damage)) => Err(damaged(&jobs, version, &damage)),
+                Err(error) => Err(unread(&jobs, version, part, &error)),
+            });
+            open.await.map_err(|e| Problem::internal("opening a file", &e))?
         };
         self.files.get((version, part), open).await
     }
@@ -306,10 +318,20 @@ impl Shared {
         tiles.ok_or_else(|| Problem::parameter("region", "must hold a pixel and lie within the photo"))
     }
 
-    /// What reads the container of a photo, blocking.
+    /// What reads the container of a photo, blocking. Where that is not what was made, the photo is taken out of service.
     pub fn reading(&self, version: Version) -> impl Fn() -> Result<Vec<u8>, Problem> + Send + 'static {
         let jobs = Arc::clone(&self.jobs);
-        move || jobs.store.read(version.0, Part::Atlas).map_err(|e| stored_problem(&e))
+        move || {
+            let bytes = jobs.store.read(version.0, Part::Atlas).map_err(|e| unread(&jobs, version, Part::Atlas, &e))?;
+            match jobs.get(version.0).map(|entry| entry.status()) {
+                Some(Status::Done(done)) if done.at_ms == version.1 => match damage_of(&bytes, &done) {
+                    None => Ok(bytes),
+                    Some(damage) => Err(damaged(&jobs, version, &damage)),
+                },
+                // made again or deleted meanwhile
+                _ => Err(Problem::not_found("the photo is being made again, or was deleted")),
+            }
+        }
     }
 
     /// The decoded scene of a made photo, and how long decoding took if it was not at hand. `slot` was entered with
@@ -346,40 +368,45 @@ pub fn scene_bytes(done: &Done) -> u64 {
     SCENE_BYTES * u64::from(done.width) * u64::from(done.height) + done.atlas_bytes
 }
 
-fn stored_problem(error: &std::io::Error) -> Problem {
-    match error.kind() {
-        std::io::ErrorKind::NotFound => Problem::not_found("the photo was deleted"),
-        _ => Problem::store(error),
+/// Takes a photo out of service.
+fn damaged(jobs: &Jobs, version: Version, damage: &str) -> Problem {
+    jobs.take_out(version.0, version.1, damage);
+    Problem::new(axum::http::StatusCode::INTERNAL_SERVER_ERROR, "damaged", format!("{damage}: upload the photo again, and it is made anew"))
+}
+
+/// The answer where a file of a photo cannot be read.
+fn unread(jobs: &Jobs, version: Version, part: Part, error: &std::io::Error) -> Problem {
+    match lost(part, error) {
+        Some(_) if jobs.get(version.0).is_none() => Problem::not_found("the photo was deleted"),
+        Some(damage) => damaged(jobs, version, &damage),
+        None => Problem::store(error),
     }
 }
 
-/// Opens a file: small ones are read. `whole`: its length and digest where they are on record.
-fn open(path: &Path, whole: Option<(u64, String)>) -> std::io::Result<Stored> {
+/// Opens a file, or says how it is damaged; small ones are read. `whole`: what is on record of it.
+fn open(path: &Path, whole: Option<&Done>) -> std::io::Result<Result<Stored, String>> {
     let mut file = File::open(path)?;
     let length = file.metadata()?.len();
-    if let Some((bytes, _)) = &whole
-        && *bytes != length
-    {
-        return Err(std::io::Error::other(format!("{} has {length} bytes, {bytes} were written", path.display())));
-    }
     if length <= SMALL as u64 {
         let mut bytes = Vec::with_capacity(length as usize);
         file.read_to_end(&mut bytes)?;
-        return Ok(Stored::new(bytes));
+        return Ok(match whole.and_then(|done| damage_of(&bytes, done)) {
+            Some(damage) => Err(damage),
+            None => Ok(Stored::new(bytes)),
+        });
     }
-    let digest = if let Some((_, digest)) = whole {
-        digest
-    } else {
-        let mut hash = Sha256::new();
-        let mut piece = vec![0; SMALL];
-        loop {
-            let n = file.read(&mut piece)?;
-            if n == 0 {
-                break;
-            }
-            hash.update(&piece[..n]);
+    let mut hash = Sha256::new();
+    let mut piece = vec![0; SMALL];
+    loop {
+        let n = file.read(&mut piece)?;
+        if n == 0 {
+            break;
         }
-        hex(&hash.finalize()[..16])
-    };
-    Ok(Stored { source: Source::File(Arc::new(file), length as usize), etag: format!("\"{digest}\"").into() })
+        hash.update(&piece[..n]);
+    }
+    let digest = hex(&hash.finalize()[..16]);
+    if whole.is_some_and(|done| (done.atlas_bytes, &done.atlas_hash) != (length, &digest)) {
+        return Ok(Err(format!("{} is not what was written", Part::Atlas.name())));
+    }
+    Ok(Ok(Stored { source: Source::File(Arc::new(file), length as usize), etag: format!("\"{digest}\"").into() }))
 }

@@ -165,7 +165,16 @@ impl Maker for ProcessMaker {
         self.checks.check(photo, depth, options)
     }
 
+    fn memory(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options) -> u64 {
+        self.checks.memory(photo, depth, options)
+    }
+
     fn make(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options, sink: &dyn Sink) -> Result<Product, Fault> {
+        // what earlier photos left in a process must not be what is missing for this one
+        let large = self.memory(photo, depth, options) > self.checks.most_memory() / 2;
+        if large {
+            self.idle.lock().unwrap_or_else(PoisonError::into_inner).clear();
+        }
         let mut worker = self.take()?;
         let options = serde_json::to_vec(&options::to_text(options)).map_err(|e| Fault::Server(e.to_string()))?;
         let (outcome, keep) = std::thread::scope(|scope| {

@@ -2,10 +2,14 @@
 
 use std::ops::Range;
 
+use super::compress;
 use super::problem::Problem;
 use super::source::Source;
+use axum::body::Body;
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
+use bytes::Bytes;
+use flate2::Compression;
 
 /// A year, and never asked for again: only under an address that names the version.
 const IMMUTABLE: &str = "public, max-age=31536000, immutable";
@@ -28,6 +32,34 @@ pub struct Entity<'a> {
     pub content_type: &'a str,
     /// `Cache-Control`.
     pub cache_control: &'a str,
+    /// Whether it may be sent in gzip, too.
+    pub coding: Coding,
+}
+
+/// Whether an answer may be sent in gzip, too.
+#[derive(Clone, Debug)]
+pub enum Coding {
+    /// It is compressed as it is.
+    Plain,
+    /// It may; coded when it is asked for.
+    Gzip,
+    /// It may; coded already, or not worth it.
+    Coded(Option<Bytes>),
+}
+
+impl Coding {
+    /// The coded bytes, where the client takes them.
+    fn for_client(self, headers: &HeaderMap, source: &Source) -> Option<Bytes> {
+        // ranges are of the plain answer
+        if matches!(self, Self::Plain) || headers.contains_key(header::RANGE) || !compress::accepted(headers) {
+            return None;
+        }
+        match (self, source) {
+            (Self::Coded(coded), _) => coded,
+            (Self::Gzip, Source::Memory(bytes)) => compress::gzip(bytes, Compression::default()),
+            _ => None,
+        }
+    }
 }
 
 /// Which bytes a request wants.
@@ -99,13 +131,35 @@ pub fn wanted(headers: &HeaderMap, etag: &str, length: usize) -> Wanted {
     if start >= length { Wanted::Unsatisfiable } else { Wanted::Part(start..end) }
 }
 
-/// Answers a GET or HEAD: 200, 206, 304 or 416.
+/// False where the client wants other versions only (`If-Match`, strong comparison). Nothing here has a date, so `If-Unmodified-Since`
+/// means nothing (RFC 9110, section 13.1.4).
+fn is_wanted(headers: &HeaderMap, etag: &str) -> bool {
+    let mut tags = headers.get_all(header::IF_MATCH).iter().peekable();
+    tags.peek().is_none() || tags.filter_map(|v| v.to_str().ok()).flat_map(|v| v.split(',')).any(|v| v.trim() == "*" || v.trim() == etag)
+}
+
+/// Answers a GET or HEAD: 200, 206, 304, 412 or 416.
 #[must_use]
 pub fn respond(headers: &HeaderMap, entity: Entity<'_>) -> Response {
-    let Entity { source, etag, content_type, cache_control } = entity;
+    let Entity { source, etag, content_type, cache_control, coding } = entity;
     let length = source.len();
-    if is_known(headers, etag) {
-        return not_modified(etag, cache_control);
+    let coded_tag = compress::tag(etag);
+    let coded = !matches!(coding, Coding::Plain);
+    if !(is_wanted(headers, etag) || coded && is_wanted(headers, &coded_tag)) {
+        let detail = format!("it is {etag} now");
+        return Problem::new(StatusCode::PRECONDITION_FAILED, "changed", detail).field("If-Match").into_response();
+    }
+    // what was got in one coding is known in the other
+    if let Some(known) = [etag, &coded_tag].into_iter().take(1 + usize::from(coded)).find(|tag| is_known(headers, tag)) {
+        return vary(not_modified(known, cache_control), coded);
+    }
+    if let Some(bytes) = coding.for_client(headers, &source) {
+        let mut response = Response::new(Body::from(bytes));
+        insert(&mut response, header::CONTENT_ENCODING, "gzip");
+        insert(&mut response, header::CONTENT_TYPE, content_type);
+        insert(&mut response, header::ETAG, &coded_tag);
+        insert(&mut response, header::CACHE_CONTROL, cache_control);
+        return vary(response, true);
     }
     let (status, range) = match wanted(headers, etag, length) {
         Wanted::All => (StatusCode::OK, 0..length),
@@ -127,6 +181,29 @@ pub fn respond(headers: &HeaderMap, entity: Entity<'_>) -> Response {
     insert(&mut response, header::ACCEPT_RANGES, "bytes");
     insert(&mut response, header::ETAG, etag);
     insert(&mut response, header::CACHE_CONTROL, cache_control);
+    vary(response, coded)
+}
+
+/// Answers with text that has no entity tag, in gzip where the client takes that.
+#[must_use]
+pub fn respond_once(headers: &HeaderMap, bytes: Bytes, content_type: &str) -> Response {
+    let source = Source::Memory(bytes);
+    let coded = Coding::Gzip.for_client(headers, &source);
+    let mut response = Response::default();
+    if coded.is_some() {
+        insert(&mut response, header::CONTENT_ENCODING, "gzip");
+    }
+    insert(&mut response, header::CONTENT_TYPE, content_type);
+    let length = source.len();
+    *response.body_mut() = coded.map_or_else(|| source.body(0..length), Body::from);
+    vary(response, true)
+}
+
+/// Tells caches that an answer depends on the codings that a client takes.
+fn vary(mut response: Response, coded: bool) -> Response {
+    if coded {
+        response.headers_mut().append(header::VARY, HeaderValue::from_static("accept-encoding"));
+    }
     response
 }
 
@@ -139,8 +216,6 @@ pub fn insert(response: &mut Response, name: header::HeaderName, value: &str) {
 
 #[cfg(test)]
 mod tests {
-    use bytes::Bytes;
-
     use super::*;
     use proptest::prelude::*;
 
@@ -189,6 +264,53 @@ mod tests {
     }
 
     #[test]
+    fn another_version_than_the_one_that_is_wanted_is_not_sent() {
+        let with = |tag| {
+            let entity = Entity {
+                source: Bytes::from_static(b"abc").into(),
+                etag: "\"e\"",
+                content_type: "a/b",
+                cache_control: REVALIDATE,
+                coding: Coding::Plain,
+            };
+            respond(&headers(&[(header::IF_MATCH, tag), (header::RANGE, "bytes=0-1")]), entity).status().as_u16()
+        };
+        assert_eq!((with("\"e\""), with("*"), with("\"a\", \"e\"")), (206, 206, 206));
+        assert_eq!((with("\"a\""), with("W/\"e\""), with("")), (412, 412, 412));
+    }
+
+    #[test]
+    fn one_thing_in_two_codings() {
+        let plain = Bytes::from(b"text and more text, ".repeat(100));
+        let get = |pairs: &[(header::HeaderName, &str)], coding| {
+            respond(
+                &headers(pairs),
+                Entity { source: plain.clone().into(), etag: "\"e\"", content_type: "text/plain", cache_control: REVALIDATE, coding },
+            )
+        };
+        let shown = |response: &Response, name: header::HeaderName| response.headers().get(name).map(|v| v.to_str().unwrap().to_owned());
+        let gzip = (header::ACCEPT_ENCODING, "gzip");
+        let coded = get(std::slice::from_ref(&gzip), Coding::Gzip);
+        let expected = [("gzip", header::CONTENT_ENCODING), ("\"e-gzip\"", header::ETAG), ("accept-encoding", header::VARY)];
+        for (value, name) in expected {
+            assert_eq!(shown(&coded, name).as_deref(), Some(value));
+        }
+        assert_eq!(shown(&coded, header::ACCEPT_RANGES), None);
+        for (takes, coding) in [(false, Coding::Gzip), (true, Coding::Plain), (true, Coding::Coded(None))] {
+            let got = get(std::slice::from_ref(&gzip).get(..usize::from(takes)).unwrap(), coding);
+            assert_eq!((shown(&got, header::CONTENT_ENCODING), shown(&got, header::ETAG).as_deref()), (None, Some("\"e\"")));
+        }
+        let part = get(&[gzip.clone(), (header::RANGE, "bytes=0-1")], Coding::Gzip);
+        assert_eq!((part.status().as_u16(), shown(&part, header::CONTENT_ENCODING)), (206, None));
+        for tag in ["\"e\"", "\"e-gzip\"", "W/\"e-gzip\""] {
+            let known = get(&[gzip.clone(), (header::IF_NONE_MATCH, tag)], Coding::Gzip);
+            assert_eq!((known.status().as_u16(), shown(&known, header::VARY).is_some()), (304, true), "{tag}");
+            assert!(tag.ends_with(&shown(&known, header::ETAG).unwrap()));
+        }
+        assert_eq!(get(&[(header::IF_NONE_MATCH, "\"e-gzip\"")], Coding::Plain).status().as_u16(), 200);
+    }
+
+    #[test]
     fn tags_that_tell_how_the_bytes_were_made() {
         let with = |tags: &str| known_as(&headers(&[(header::IF_NONE_MATCH, tags)]), "cafe").map(str::to_owned);
         assert_eq!(with("\"a\", W/\"cafe-0123456789abcdef\"").as_deref(), Some("\"cafe-0123456789abcdef\""));
@@ -213,7 +335,7 @@ mod tests {
         fn no_header_panics(text in "\\PC{0,30}", length in 0usize..100) {
             if let Ok(value) = HeaderValue::from_str(&text) {
                 let map: HeaderMap = [(header::RANGE, value)].into_iter().collect();
-                let _ = respond(&map, Entity { source: Bytes::from(vec![0; length]).into(), etag: "\"e\"", content_type: "a/b", cache_control: REVALIDATE });
+                let _ = respond(&map, Entity { source: Bytes::from(vec![0; length]).into(), etag: "\"e\"", content_type: "a/b", cache_control: REVALIDATE, coding: Coding::Plain });
             }
         }
     }

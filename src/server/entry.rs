@@ -21,6 +21,8 @@ pub enum Status {
     Done(Done),
     /// Could not be made.
     Failed(Failed),
+    /// What was made of it is no longer on disk as it was.
+    Damaged(Failed),
     /// Deleted; nothing follows.
     Deleted,
 }
@@ -29,7 +31,7 @@ impl Status {
     /// True where nothing follows.
     #[must_use]
     pub const fn is_final(&self) -> bool {
-        matches!(self, Self::Done(_) | Self::Failed(_) | Self::Deleted)
+        matches!(self, Self::Done(_) | Self::Failed(_) | Self::Damaged(_) | Self::Deleted)
     }
 }
 
@@ -42,24 +44,26 @@ pub struct Live {
     pub stages: Vec<Progress>,
 }
 
-/// Counts of finished photos and of those that could not be made, kept as they change: asking for them looks at no photo.
+/// Counts of finished photos, of those that could not be made and of damaged ones, kept as they change: asking for them looks at no photo.
 #[derive(Debug, Default)]
 pub struct Tally {
     done: AtomicUsize,
     failed: AtomicUsize,
+    damaged: AtomicUsize,
 }
 
 impl Tally {
-    /// Finished photos, and those that could not be made.
+    /// Finished photos, those that could not be made, and damaged ones.
     #[must_use]
-    pub fn counts(&self) -> (usize, usize) {
-        (self.done.load(Ordering::Relaxed), self.failed.load(Ordering::Relaxed))
+    pub fn counts(&self) -> [usize; 3] {
+        [&self.done, &self.failed, &self.damaged].map(|n| n.load(Ordering::Relaxed))
     }
 
     fn of(&self, status: &Status) -> Option<&AtomicUsize> {
         match status {
             Status::Done(_) => Some(&self.done),
             Status::Failed(_) => Some(&self.failed),
+            Status::Damaged(_) => Some(&self.damaged),
             Status::Queued | Status::Working | Status::Deleted => None,
         }
     }

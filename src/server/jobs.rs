@@ -15,9 +15,11 @@ use super::entry::{Entry, Status, Tally};
 use super::id::PhotoId;
 use super::limits::Limits;
 use super::maker::Maker;
+use super::memory::Memory;
 use super::problem::Problem;
-use super::store::{Accepted, Found, Incoming, State, Store};
+use super::store::{Accepted, Failed, Found, Incoming, State, Store};
 use super::telemetry::Telemetry;
+use super::time::now_ms;
 use super::worker;
 
 /// Guess of a job's duration before one was measured, in seconds.
@@ -41,6 +43,8 @@ pub struct Jobs {
     wake: Condvar,
     idle: Condvar,
     abort: AtomicBool,
+    /// Memory of running jobs.
+    pub(super) memory: Memory,
 }
 
 #[derive(Default)]
@@ -76,6 +80,8 @@ pub struct Counts {
     pub done: usize,
     /// Photos that could not be made.
     pub failed: usize,
+    /// Photos of which the results are damaged.
+    pub damaged: usize,
 }
 
 /// A page of the list.
@@ -108,7 +114,7 @@ impl Jobs {
         limits: Arc<Limits>,
         telemetry: Arc<Telemetry>,
     ) -> std::io::Result<Arc<Self>> {
-        let workers = limits.workers;
+        let (workers, memory) = (limits.workers, Memory::new(limits.job_memory));
         let jobs = Arc::new(Self {
             store,
             maker,
@@ -119,6 +125,7 @@ impl Jobs {
             wake: Condvar::new(),
             idle: Condvar::new(),
             abort: AtomicBool::new(false),
+            memory,
         });
         jobs.take_up(found);
         {
@@ -148,13 +155,13 @@ impl Jobs {
     /// 429 where the queue is full, 503 while the server stops, 500 and 507 where the disk fails.
     pub fn submit(&self, incoming: Incoming, id: PhotoId, accepted: Accepted) -> Result<Submitted, Problem> {
         // read before the lock is taken: others need not wait for it
-        let spoilt = |entry: &Entry| matches!(entry.status(), Status::Done(done) if !self.store.is_whole(id, &done));
-        let healed = self.get(id).is_some_and(|entry| spoilt(&entry));
+        let spoilt = |entry: &Entry| matches!(entry.status(), Status::Done(done) if self.store.damage(id, &done).is_some());
+        let healed = self.get(id).is_some_and(|entry| matches!(entry.status(), Status::Damaged(_)) || spoilt(&entry));
         let _membership = self.membership();
         let known = self.get(id);
         if let Some(entry) = &known {
             let again = match entry.status() {
-                Status::Failed(_) => true,
+                Status::Failed(_) | Status::Damaged(_) => true,
                 Status::Done(_) => healed,
                 _ => false,
             };
@@ -258,13 +265,43 @@ impl Jobs {
         Ok(true)
     }
 
+    /// Takes a finished photo out of service, as `damage` says what of it is no longer as it was made at `at_ms`: until it is uploaded
+    /// again, whoever asks is told. Nothing happens where it was made again or deleted meanwhile.
+    pub fn take_out(&self, id: PhotoId, at_ms: u64, damage: &str) {
+        let Some(entry) = self.get(id) else { return };
+        let _gate = entry.gate();
+        if entry.is_deleted() || !matches!(entry.status(), Status::Done(done) if done.at_ms == at_ms) {
+            return;
+        }
+        tracing::error!(%id, damage, "a result is damaged on disk; the same upload makes it again");
+        let detail = format!("{damage}: upload the photo again, and it is made anew");
+        let problem = Problem::new(StatusCode::INTERNAL_SERVER_ERROR, "damaged", detail);
+        entry.set(Status::Damaged(Failed { at_ms: now_ms(), problem }));
+    }
+
+    /// Looks whether what was made of a photo is on disk as it was, and takes it out of service where it is not; blocks. Gives the bytes
+    /// that were read.
+    pub fn look_over(&self, entry: &Entry) -> u64 {
+        let Status::Done(done) = entry.status() else { return 0 };
+        if let Some(damage) = self.store.damage(entry.id, &done) {
+            self.take_out(entry.id, done.at_ms, &damage);
+        }
+        done.atlas_bytes
+    }
+
+    /// True where nobody waits for work.
+    #[must_use]
+    pub fn is_idle(&self) -> bool {
+        let inner = self.lock();
+        inner.queue.is_empty() && inner.running.is_empty()
+    }
+
     /// Counts of photos.
     #[must_use]
-    #[allow(clippy::iter_over_hash_type, reason = "counts are the same in any order")]
     pub fn counts(&self) -> Counts {
         let inner = self.lock();
-        let (done, failed) = inner.tally.counts();
-        Counts { queued: inner.queue.len(), working: inner.running.len(), done, failed }
+        let [done, failed, damaged] = inner.tally.counts();
+        Counts { queued: inner.queue.len(), working: inner.running.len(), done, failed, damaged }
     }
 
     /// The next photo to be made; blocks; none once the server stops.
@@ -297,6 +334,9 @@ impl Jobs {
 
     /// Takes up photos that were found on disk.
     fn take_up(&self, found: Vec<Found>) {
+        let latest = found.iter().map(|f| f.accepted.at_ms.max(f.state.at_ms().unwrap_or_default())).max();
+        // a clock that was put back would hide new photos behind old ones
+        super::time::not_before(latest.unwrap_or_default());
         let _membership = self.membership();
         let mut inner = self.lock();
         for photo in found.into_iter().filter(|f| !inner.by_id.contains_key(&f.id)).collect::<Vec<_>>() {
@@ -395,5 +435,53 @@ impl Inner {
         entry.count_in(&self.tally);
         self.by_id.insert(entry.id, Arc::clone(entry));
         self.by_age.insert(entry.key(), Arc::clone(entry));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeMap;
+
+    use super::*;
+
+    struct Never;
+
+    impl Maker for Never {
+        fn check(&self, _: &[u8], _: Option<&[u8]>, _: &tmpi_pipeline::Options) -> Result<(), tmpi_pipeline::MakeError> {
+            Ok(())
+        }
+
+        fn make(
+            &self,
+            _: &[u8],
+            _: Option<&[u8]>,
+            _: &tmpi_pipeline::Options,
+            _: &dyn tmpi_pipeline::Sink,
+        ) -> Result<crate::server::Product, crate::server::Fault> {
+            Err(crate::server::Fault::Cancelled)
+        }
+    }
+
+    #[test]
+    fn a_photo_that_runs_twice_is_waited_for_twice() {
+        let dir = tempfile::tempdir().unwrap();
+        let (store, _) = Store::open(dir.path(), "").unwrap();
+        // nobody else takes anything
+        let limits = Arc::new(Limits { workers: 0, ..Limits::default() });
+        let jobs = Jobs::start(store, Vec::new(), Arc::new(Never), limits, Arc::default()).unwrap();
+        let accepted = Accepted { version: 1, at_ms: 1, photo_bytes: 1, depth_bytes: None, options: BTreeMap::new() };
+        let entry = Arc::new(Entry::new(PhotoId::of(&[1; 32], None, "", ""), accepted));
+        for _ in 0..2 {
+            // it failed and was uploaded again before the first worker let it go
+            jobs.queue_again(&entry);
+            assert!(jobs.take().is_some());
+        }
+        jobs.release(&entry, Duration::ZERO);
+        assert_eq!(jobs.counts().working, 1);
+        let began = Instant::now();
+        jobs.drain(began + Duration::from_millis(50));
+        assert!(began.elapsed() >= Duration::from_millis(50) && jobs.aborted(), "one still runs");
+        jobs.release(&entry, Duration::ZERO);
+        assert_eq!(jobs.counts().working, 0);
     }
 }

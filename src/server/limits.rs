@@ -25,7 +25,12 @@ pub struct Limits {
     pub uploads_beyond: usize,
     /// Longest time that a client may take no byte of a response.
     pub write: Duration,
-    /// Time that requests and the jobs under way have left after the signal to stop.
+    /// Bytes a second that a client takes at least of a response, over [`Limits::write`] of waiting for it.
+    pub write_rate: u64,
+    /// Time from the signal to stop for which everything is still served but `/readyz` says that the server goes, so that proxies send
+    /// nobody here any more.
+    pub lame_duck: Duration,
+    /// Time that requests and the jobs under way have left after that.
     pub drain: Duration,
     /// Jobs that wait; one more is answered 429.
     pub queue: usize,
@@ -35,7 +40,7 @@ pub struct Limits {
     pub attempts: u32,
     /// Time that a job may take for a photo of up to [`Self::JOB_PIXELS`]; larger ones have as much more.
     pub job: Duration,
-    /// Memory that a job may take, in bytes, where photos are made in a process of their own.
+    /// Memory that jobs may take, in bytes: each of them, and all that run side by side.
     pub job_memory: u64,
     /// Connections at a time; more wait in the kernel's queue.
     pub connections: usize,
@@ -67,6 +72,12 @@ pub struct Limits {
     pub view_cache: usize,
     /// Disk for files to download, in bytes; they are written anew when they were displaced.
     pub export_cache: usize,
+    /// Time from the start to the first reading of everything that was made, and from the end of one to the next.
+    pub look_over_first: Duration,
+    /// See [`Limits::look_over_first`].
+    pub look_over: Duration,
+    /// Bytes a second that are read for it at most.
+    pub look_over_rate: u64,
     /// Photos on one page of the list.
     pub page: usize,
     /// Pause between two keep-alive comments of an event stream.
@@ -104,6 +115,10 @@ impl Limits {
     pub const BODY_READ: Duration = Duration::from_secs(30);
     /// 10 s.
     pub const WRITE: Duration = Duration::from_secs(10);
+    /// 1 KiB/s.
+    pub const WRITE_RATE: u64 = 1 << 10;
+    /// 5 s where the server is bound beyond loopback; on loopback, where nobody asks, none.
+    pub const LAME_DUCK: Duration = Duration::from_secs(5);
     /// 20 s.
     pub const DRAIN: Duration = Duration::from_secs(20);
     /// 64 jobs.
@@ -134,6 +149,12 @@ impl Limits {
     pub const FILE_CACHE: usize = 64 << 20;
     /// 64 MiB.
     pub const VIEW_CACHE: usize = 64 << 20;
+    /// A minute.
+    pub const LOOK_OVER_FIRST: Duration = Duration::from_mins(1);
+    /// A day.
+    pub const LOOK_OVER: Duration = Duration::from_hours(24);
+    /// 32 MiB/s: 100 000 photos of 500 KB in half an hour.
+    pub const LOOK_OVER_RATE: u64 = 32 << 20;
     /// 200 photos.
     pub const PAGE: usize = 200;
     /// 15 s.
@@ -156,7 +177,7 @@ impl Limits {
 impl Default for Limits {
     fn default() -> Self {
         Self {
-            photo: photo::Limits::default(),
+            photo: photo::Limits { memory: Self::JOB_MEMORY, ..photo::Limits::default() },
             body: Self::BODY,
             header_read: Self::HEADER_READ,
             request: Self::REQUEST,
@@ -165,6 +186,8 @@ impl Default for Limits {
             body_rate: Self::BODY_RATE,
             uploads_beyond: Self::UPLOADS_BEYOND,
             write: Self::WRITE,
+            write_rate: Self::WRITE_RATE,
+            lame_duck: Duration::ZERO,
             drain: Self::DRAIN,
             queue: Self::QUEUE,
             workers: Self::WORKERS,
@@ -186,6 +209,9 @@ impl Default for Limits {
             file_cache: Self::FILE_CACHE,
             view_cache: Self::VIEW_CACHE,
             export_cache: Self::EXPORT_CACHE,
+            look_over_first: Self::LOOK_OVER_FIRST,
+            look_over: Self::LOOK_OVER,
+            look_over_rate: Self::LOOK_OVER_RATE,
             page: Self::PAGE,
             keep_alive: Self::KEEP_ALIVE,
         }

@@ -50,6 +50,11 @@ pub trait Maker: Send + Sync + 'static {
     /// [`MakeError`].
     fn check(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options) -> Result<(), MakeError>;
 
+    /// Memory that making a photo takes at most, in bytes; it is asked only of what was checked.
+    fn memory(&self, _photo: &[u8], _depth: Option<&[u8]>, _options: &Options) -> u64 {
+        0
+    }
+
     /// Makes a photo; blocks.
     ///
     /// # Errors
@@ -71,6 +76,12 @@ impl PipelineMaker {
         Self { models, limits: limits.photo, identity: identity::PIPELINE.into() }
     }
 
+    /// Memory that photos may take, in bytes.
+    #[must_use]
+    pub fn most_memory(&self) -> u64 {
+        self.limits.memory
+    }
+
     /// With networks that `text` tells from others.
     #[must_use]
     pub fn identified(self, text: &str) -> Self {
@@ -87,12 +98,17 @@ impl Maker for PipelineMaker {
         options.validate()?;
         self.models.check(options)?;
         let (_, size) = photo::check(photo, &self.limits)?;
-        if let Some(depth) = depth {
-            tmpi_pipeline::depth::check(depth, &self.limits)?;
-        }
+        let map = depth.map(|depth| tmpi_pipeline::depth::check(depth, &self.limits)).transpose()?;
         let (width, height) = photo::reduced_size(size, options.max_size);
         options.check_readable(width, height)?;
-        Ok(())
+        options.check_memory(size, map, &self.limits)
+    }
+
+    fn memory(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options) -> u64 {
+        let size = photo::check(photo, &self.limits).map(|(_, size)| size);
+        let map = depth.and_then(|depth| tmpi_pipeline::depth::check(depth, &self.limits).ok());
+        // what cannot be read takes nothing
+        size.map_or(0, |size| options.memory(size, map))
     }
 
     fn make(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options, sink: &dyn Sink) -> Result<Product, Fault> {

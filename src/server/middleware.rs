@@ -76,9 +76,9 @@ async fn answer(app: &App, request: Request, next: Next) -> Response {
     }
     request.extensions_mut().insert(clock.clone());
     let handled = async {
-        match app.hosts.check(&request) {
+        match app.hosts.check(&request).and_then(|()| only_chunked(request.headers())) {
             Ok(()) => next.run(request).await,
-            Err(foreign) => foreign.into_response(),
+            Err(refused) => refused.into_response(),
         }
     };
     let mut response = tokio::select! {
@@ -97,6 +97,16 @@ async fn answer(app: &App, request: Request, next: Next) -> Response {
         response.headers_mut().insert(header::CONNECTION, HeaderValue::from_static("close"));
     }
     response
+}
+
+/// Refuses bodies that are coded in more ways than in chunks: they would be taken for what they are not (RFC 9112, section 6.1).
+fn only_chunked(headers: &HeaderMap) -> Result<(), Problem> {
+    let mut all = headers.get_all(header::TRANSFER_ENCODING).iter();
+    if all.all(|v| v.as_bytes().eq_ignore_ascii_case(b"chunked")) {
+        return Ok(());
+    }
+    let detail = "bodies are sent as they are or in chunks, not in another transfer coding";
+    Err(Problem::new(StatusCode::NOT_IMPLEMENTED, "transfer-coding", detail).field("Transfer-Encoding"))
 }
 
 /// Makes a problem of every error, and gives it the request's id.

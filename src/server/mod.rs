@@ -10,6 +10,7 @@ mod body;
 mod cache;
 mod child;
 mod clock;
+mod compress;
 mod conditional;
 mod entry;
 mod files;
@@ -23,6 +24,7 @@ mod identity;
 mod jobs;
 mod limits;
 mod maker;
+mod memory;
 mod middleware;
 mod options;
 mod pages;
@@ -41,7 +43,7 @@ mod worker;
 
 use std::net::SocketAddr;
 use std::path::PathBuf;
-use std::sync::atomic::AtomicUsize;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
@@ -68,6 +70,8 @@ use tmpi_render::Renderer;
 
 /// Pause between two looks at the data directory.
 const PROBE: Duration = Duration::from_secs(2);
+/// Pause before it is looked again whether nobody waits for work.
+const LOOK_LATER: Duration = Duration::from_secs(1);
 
 /// Where the server listens and keeps its photos.
 #[derive(Clone, Debug)]
@@ -90,7 +94,7 @@ pub struct Config {
 #[derive(Debug, thiserror::Error)]
 pub enum ServerError {
     /// The address cannot be listened on.
-    #[error("cannot listen on {addr}: {source}")]
+    #[error("cannot listen on {addr}")]
     Listen {
         /// The address.
         addr: SocketAddr,
@@ -98,7 +102,7 @@ pub enum ServerError {
         source: std::io::Error,
     },
     /// The data directory cannot be used.
-    #[error("data directory {dir}: {source}")]
+    #[error("data directory {dir}")]
     Data {
         /// The directory.
         dir: PathBuf,
@@ -106,10 +110,10 @@ pub enum ServerError {
         source: std::io::Error,
     },
     /// No worker can be started.
-    #[error("starting a worker: {0}")]
-    Worker(std::io::Error),
+    #[error("starting a worker")]
+    Worker(#[source] std::io::Error),
     /// The `OpenAPI` document cannot be written.
-    #[error("OpenAPI document: {0}")]
+    #[error("OpenAPI document")]
     OpenApi(#[from] serde_json::Error),
 }
 
@@ -155,6 +159,7 @@ impl Server {
             public_list,
             pages,
             openapi,
+            leaving: AtomicBool::new(false),
             stop: CancellationToken::new(),
         });
         Ok(Self { listener, addr, app })
@@ -166,26 +171,30 @@ impl Server {
         self.addr
     }
 
-    /// Serves until `stop` is ready; then takes no more connections and gives requests and jobs under way
-    /// [`Limits::drain`] to end. Jobs that do not end by then are taken up at the next start.
+    /// Serves until `stop` is ready, and for [`Limits::lame_duck`] more; then takes no more connections and gives requests and jobs under
+    /// way [`Limits::drain`] to end. Jobs that do not end by then are taken up at the next start.
     pub async fn run(self, stop: impl Future<Output = ()> + Send + 'static) {
         let Self { listener, addr: _, app } = self;
         let token = app.stop.clone();
         let jobs = Arc::clone(&app.jobs);
         let signal = tokio::spawn({
-            let (token, limits) = (token.clone(), Arc::clone(&app.limits));
+            let (token, app) = (token.clone(), Arc::clone(&app));
             async move {
                 stop.await;
                 tracing::info!("stopping");
-                let deadline = Instant::now() + limits.drain;
+                app.leaving.store(true, Ordering::Release);
+                tokio::time::sleep(app.limits.lame_duck).await;
+                let deadline = Instant::now() + app.limits.drain;
                 jobs.stop();
                 token.cancel();
                 tokio::task::spawn_blocking(move || jobs.drain(deadline)).await
             }
         });
         let probe = tokio::spawn(probe(Arc::clone(&app)));
+        let look_over = tokio::spawn(look_over(Arc::clone(&app)));
         accept::serve(listener, routes::router(Arc::clone(&app)), &app.limits, &app.telemetry, &token).await;
         probe.abort();
+        look_over.abort();
         if let Err(error) = signal.await {
             tracing::error!(%error, "draining jobs");
         }
@@ -204,6 +213,33 @@ async fn probe(app: App) {
             _ => "the data directory cannot be written",
         }));
         tokio::time::sleep(PROBE).await;
+    }
+}
+
+/// Reads what was made of each photo now and then, while nobody waits for work, so that damage is known before somebody asks for it.
+async fn look_over(app: App) {
+    /// Photos that are taken from the list at a time.
+    const PAGE: usize = 64;
+    let mut pause = app.limits.look_over_first;
+    loop {
+        tokio::time::sleep(pause).await;
+        pause = app.limits.look_over;
+        let mut after = None;
+        loop {
+            let page = app.jobs.list(after, PAGE);
+            for entry in &page.photos {
+                while !app.jobs.is_idle() || app.pool.bytes() > 0 {
+                    tokio::time::sleep(LOOK_LATER).await;
+                }
+                let (shared, looked) = (Arc::clone(&app), Arc::clone(entry));
+                let read = tokio::task::spawn_blocking(move || shared.jobs.look_over(&looked)).await.unwrap_or_default();
+                tokio::time::sleep(Duration::from_secs_f64(read as f64 / app.limits.look_over_rate as f64)).await;
+            }
+            after = page.photos.last().filter(|_| page.more).map(|entry| entry.key());
+            if after.is_none() {
+                break;
+            }
+        }
     }
 }
 

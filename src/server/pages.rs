@@ -10,7 +10,8 @@ use bytes::Bytes;
 use sha2::{Digest, Sha256};
 
 use super::app::App;
-use super::conditional::{Entity, REVALIDATE, respond};
+use super::compress;
+use super::conditional::{Coding, Entity, REVALIDATE, respond};
 use super::id::hex;
 use super::problem::Problem;
 use crate::assets::{FILES, content_type};
@@ -65,17 +66,17 @@ pub async fn script(State(app): State<App>, headers: HeaderMap) -> Result<Respon
 }
 
 async fn page(app: &App, headers: &HeaderMap, name: &str, frames: Frames) -> Result<Response, Problem> {
-    let (bytes, etag) = if let Some(dir) = &app.pages {
+    let (bytes, etag, coding) = if let Some(dir) = &app.pages {
         let path = within(dir, name).ok_or_else(|| missing(name))?;
         let bytes = tokio::fs::read(path).await.map_err(|_| missing(name))?;
         let etag = tag(&bytes);
-        (Bytes::from(bytes), etag)
+        (Bytes::from(bytes), etag, if is_text(name) { Coding::Gzip } else { Coding::Plain })
     } else {
         let at = FILES.binary_search_by_key(&name, |f| f.0).map_err(|_| missing(name))?;
-        (Bytes::from_static(FILES[at].1), tags()[at].clone())
+        (Bytes::from_static(FILES[at].1), tags()[at].clone(), if is_text(name) { Coding::Coded(coded(at)) } else { Coding::Plain })
     };
     let content_type = content_type(name);
-    let mut response = respond(headers, Entity { source: bytes.into(), etag: &etag, content_type, cache_control: REVALIDATE });
+    let mut response = respond(headers, Entity { source: bytes.into(), etag: &etag, content_type, cache_control: REVALIDATE, coding });
     let (ancestors, takers) = match frames {
         Frames::Own => ("'self'", "same-origin"),
         Frames::Anybody => ("*", "cross-origin"),
@@ -101,6 +102,19 @@ fn within(dir: &Path, name: &str) -> Option<PathBuf> {
 
 fn tag(bytes: &[u8]) -> String {
     format!("\"{}\"", hex(&Sha256::digest(bytes)[..16]))
+}
+
+/// True where gzip makes something of a file.
+fn is_text(name: &str) -> bool {
+    let kind = content_type(name);
+    kind.starts_with("text/") || matches!(kind, "application/json" | "application/wasm" | "image/svg+xml")
+}
+
+/// An embedded file in gzip, coded when it is first asked for.
+fn coded(at: usize) -> Option<Bytes> {
+    static CODED: OnceLock<Vec<OnceLock<Option<Bytes>>>> = OnceLock::new();
+    let all = CODED.get_or_init(|| FILES.iter().map(|_| OnceLock::new()).collect());
+    all[at].get_or_init(|| compress::gzip(FILES[at].1, flate2::Compression::best())).clone()
 }
 
 fn tags() -> &'static [String] {

@@ -150,7 +150,8 @@ impl From<&PhotoError> for Problem {
             PhotoError::TooManyBytes { .. }
             | PhotoError::TooManyPixels { .. }
             | PhotoError::SideTooLong { .. }
-            | PhotoError::TooMuchMemory { .. } => (StatusCode::PAYLOAD_TOO_LARGE, "photo-too-large"),
+            | PhotoError::TooMuchMemory { .. }
+            | PhotoError::TooMuchWork { .. } => (StatusCode::PAYLOAD_TOO_LARGE, "photo-too-large"),
             PhotoError::Broken(_) => (StatusCode::UNPROCESSABLE_ENTITY, "broken-photo"),
         };
         Self::new(status, kind, error.to_string()).field("photo")

@@ -51,6 +51,15 @@ impl State {
     pub const fn new(attempts: u32, end: Option<End>) -> Self {
         Self { version: VERSION, attempts, end }
     }
+
+    /// When it ended, milliseconds since 1970.
+    #[must_use]
+    pub fn at_ms(&self) -> Option<u64> {
+        self.end.as_ref().map(|end| match end {
+            End::Done(done) => done.at_ms,
+            End::Failed(failed) => failed.at_ms,
+        })
+    }
 }
 
 impl Default for State {

@@ -33,7 +33,7 @@ pub struct Offset {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Settings {
     /// 1.
-    #[schema(example = 1)]
+    #[schema(example = 1, required = false)]
     pub version: u32,
     /// What to call the photo, 1 to 200 characters.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -161,14 +161,20 @@ fn offset(name: &str, value: &Value, old: Option<Offset>, usual: f64, least: f64
 /// Answers a change to something that is not what the client saw (RFC 9110, section 13.1.1).
 ///
 /// # Errors
-/// 412 where `If-Match` names other versions than `etag`.
+/// 412 where `If-Match` names other versions than `etag`. Of a tag in two halves with a dash between only the first counts: it names what
+/// may be changed, the second what changes by itself.
 pub fn still_as_seen(headers: &axum::http::HeaderMap, etag: &str) -> Result<(), Problem> {
     let mut seen = headers.get_all(axum::http::header::IF_MATCH).iter().peekable();
     if seen.peek().is_none() {
         return Ok(());
     }
+    let part =
+        |tag: &str| tag.strip_prefix('"').and_then(|t| t.strip_suffix('"')).map(|t| t.split('-').next().unwrap_or_default().to_owned());
     // strong comparison: a weak tag matches nothing
-    let matches = seen.filter_map(|v| v.to_str().ok()).flat_map(|v| v.split(',')).any(|v| matches!(v.trim(), "*") || v.trim() == etag);
+    let matches = seen
+        .filter_map(|v| v.to_str().ok())
+        .flat_map(|v| v.split(','))
+        .any(|v| v.trim() == "*" || part(v.trim()).is_some_and(|p| Some(p) == part(etag)));
     if matches {
         return Ok(());
     }
@@ -229,8 +235,9 @@ mod tests {
         let with = |v: &str| [(header::IF_MATCH, HeaderValue::from_str(v).unwrap())].into_iter().collect::<HeaderMap>();
         assert!(still_as_seen(&HeaderMap::new(), "\"a\"").is_ok());
         assert!(still_as_seen(&with("\"b\", \"a\""), "\"a\"").is_ok() && still_as_seen(&with("*"), "\"a\"").is_ok());
-        for other in ["\"b\"", "W/\"a\""] {
-            assert_eq!(still_as_seen(&with(other), "\"a\"").unwrap_err().status, 412);
+        assert!(still_as_seen(&with("\"a-1\""), "\"a-2\"").is_ok(), "only what changes by itself has changed");
+        for other in ["\"b\"", "W/\"a\"", "a", "\"a", "\"b-1\""] {
+            assert_eq!(still_as_seen(&with(other), "\"a-1\"").unwrap_err().status, 412, "{other}");
         }
     }
 }

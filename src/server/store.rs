@@ -35,6 +35,8 @@ use super::time::now_ms;
 /// Room that is kept free for what must be written of photos accepted already, and its share of a small disk.
 const RESERVE: u64 = 64 << 20;
 const RESERVE_SHARE: u64 = 20;
+/// Threads that read records at start.
+const READERS: usize = 32;
 /// Reads of a record that fails to be read, as where no file descriptor is left.
 const READS: u32 = 3;
 const PAUSE: Duration = Duration::from_millis(20);
@@ -96,7 +98,7 @@ impl Store {
         let (next, unread) = (AtomicU64::new(0), Mutex::default());
         let store = Self { files, photos, incoming, pipeline: pipeline.into(), next, unread, _lock: lock };
         let ids = store.ids()?;
-        let found = store.look_at(ids);
+        let found = store.look_at(&ids);
         Ok((store, found))
     }
 
@@ -112,8 +114,13 @@ impl Store {
     }
 
     /// Photos, oldest first; those that cannot be read now are remembered.
-    fn look_at(&self, ids: Vec<PhotoId>) -> Vec<Found> {
-        let looked: Vec<_> = ids.into_par_iter().map(|id| self.look(id).map_err(|e| (id, e))).collect();
+    fn look_at(&self, ids: &[PhotoId]) -> Vec<Found> {
+        let look = || ids.par_iter().map(|id| self.look(*id).map_err(|e| (*id, e))).collect::<Vec<_>>();
+        // a disk answers many at a time, and each waits for several answers
+        let looked = match rayon::ThreadPoolBuilder::new().num_threads(READERS.min(ids.len().max(1))).build() {
+            Ok(readers) => readers.install(look),
+            Err(_) => look(),
+        };
         let mut found = Vec::with_capacity(looked.len());
         for photo in looked {
             match photo {
@@ -131,7 +138,7 @@ impl Store {
     /// Photos that could not be read before and can be now.
     pub fn look_again(&self) -> Vec<Found> {
         let ids = std::mem::take(&mut *self.unread());
-        self.look_at(ids)
+        self.look_at(&ids)
     }
 
     /// Count of photos that cannot be read.
@@ -309,12 +316,16 @@ impl Store {
         self.files.read(&self.path(id, part))
     }
 
-    /// True where the container is, byte by byte, the one that was made.
+    /// What of a finished photo is not as it was made; none where all is, or it cannot be told now.
     #[must_use]
-    pub fn is_whole(&self, id: PhotoId, done: &Done) -> bool {
+    pub fn damage(&self, id: PhotoId, done: &Done) -> Option<String> {
         let rest = [Part::Disparity, Part::Thumbnail, Part::Report];
-        self.read(id, Part::Atlas).is_ok_and(|bytes| digest(&bytes) == done.atlas_hash)
-            && rest.into_iter().all(|part| self.read(id, part).is_ok_and(|bytes| !bytes.is_empty()))
+        [Part::Atlas].into_iter().chain(rest).find_map(|part| match self.read(id, part) {
+            Ok(bytes) if part == Part::Atlas => damage_of(&bytes, done),
+            Ok(bytes) if bytes.is_empty() => Some(format!("{} is empty", part.name())),
+            Ok(_) => None,
+            Err(error) => lost(part, &error),
+        })
     }
 
     /// Writes files of a photo, each whole or not at all; all are on disk when this returns.
@@ -382,6 +393,28 @@ impl Store {
 const TEMPORARY: &str = ".tmp";
 /// Settings that this program does not understand.
 const KEPT_SETTINGS: &str = "settings.json.kept";
+
+/// What of a container is not as it was made.
+#[must_use]
+pub fn damage_of(container: &[u8], done: &Done) -> Option<String> {
+    let (name, length) = (Part::Atlas.name(), container.len() as u64);
+    if length != done.atlas_bytes {
+        return Some(format!("{name} has {length} bytes, {} were written", done.atlas_bytes));
+    }
+    (digest(container) != done.atlas_hash).then(|| format!("{name} is not what was written"))
+}
+
+/// What an error of reading says of the file itself; none where it may be another's fault, as where no file descriptor is left.
+#[must_use]
+pub fn lost(part: Part, error: &io::Error) -> Option<String> {
+    /// A device that cannot read what lies there.
+    const EIO: i32 = 5;
+    match error.kind() {
+        io::ErrorKind::NotFound => Some(format!("{} is missing", part.name())),
+        _ if cfg!(unix) && error.raw_os_error() == Some(EIO) => Some(format!("{} cannot be read from the disk", part.name())),
+        _ => None,
+    }
+}
 
 /// First 128 bits of a SHA-256 in hex, as [`Done`] names a container.
 #[must_use]

@@ -116,7 +116,7 @@ fn what_became_of_a_photo_is_found_out_anew_where_its_record_or_a_result_is_gone
     };
     store.write(id, &results.map(|part| (part, b"a".as_slice()))).unwrap();
     store.write_state(id, &state).unwrap();
-    assert!(store.is_whole(id, &done));
+    assert_eq!(store.damage(id, &done), None);
     let (store, found) = open(store);
     assert_eq!(found.state, state);
     fs::write(store.path(id, Part::State), b"{\"att").unwrap();
@@ -124,7 +124,7 @@ fn what_became_of_a_photo_is_found_out_anew_where_its_record_or_a_result_is_gone
     assert_eq!(found.state, State::default());
     store.write_state(id, &state).unwrap();
     fs::remove_file(store.path(id, Part::Atlas)).unwrap();
-    assert!(!store.is_whole(id, &done));
+    assert_eq!(store.damage(id, &done).as_deref(), Some("atlas.tmpi is missing"));
     let (store, found) = open(store);
     assert_eq!(found.state, State::default());
     // settings of a later version are used as far as they go, and kept

@@ -3,11 +3,18 @@
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{SystemTime, UNIX_EPOCH};
 
+/// The latest time that was told.
+static LATEST: AtomicU64 = AtomicU64::new(0);
+
 /// Milliseconds since 1970, UTC; never earlier than it said before, as the list and versions of photos go by it.
 pub fn now_ms() -> u64 {
-    static LATEST: AtomicU64 = AtomicU64::new(0);
     let now = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_millis() as u64);
     LATEST.fetch_max(now, Ordering::AcqRel).max(now)
+}
+
+/// From now on no time is told before `ms`, which is one that was told before a restart.
+pub fn not_before(ms: u64) {
+    LATEST.fetch_max(ms, Ordering::AcqRel);
 }
 
 /// `2026-01-31T12:00:00.000Z` (RFC 3339).
@@ -28,7 +35,16 @@ pub fn rfc3339(ms: u64) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::rfc3339;
+    use super::{not_before, now_ms, rfc3339};
+
+    #[test]
+    fn time_goes_on_from_what_was_told_before_a_restart() {
+        let later = now_ms() + 200;
+        not_before(later);
+        assert!(now_ms() >= later);
+        not_before(1);
+        assert!(now_ms() >= later);
+    }
 
     #[test]
     fn known_dates() {

@@ -62,7 +62,6 @@ fn run(jobs: &Jobs, entry: &Arc<Entry>) -> &'static str {
         let detail = format!("making this photo took down what made it {} times", entry.attempts());
         return fail(jobs, entry, Problem::new(StatusCode::UNPROCESSABLE_ENTITY, "gave-up", detail));
     }
-    entry.set(Status::Working);
     match make(jobs, entry) {
         Ok(product) => keep(jobs, entry, &product),
         Err(Fault::Photo(problem)) => fail(jobs, entry, problem),
@@ -85,6 +84,10 @@ fn make(jobs: &Jobs, entry: &Arc<Entry>) -> Result<Product, Fault> {
     let options = options::from_text(&entry.accepted.options).map_err(Fault::Photo)?;
     let photo = read(Part::Upload)?;
     let depth = entry.accepted.depth_bytes.map(|_| read(Part::Depth)).transpose()?;
+    let unwanted = || jobs.aborted() || entry.is_deleted() || !jobs.is_accepting();
+    let memory = jobs.maker.memory(&photo, depth.as_deref(), &options);
+    let Some(_memory) = jobs.memory.wait_for(memory, unwanted) else { return Err(Fault::Cancelled) };
+    entry.set(Status::Working);
     let sink = JobSink { jobs, entry, deadline: Instant::now() + jobs.limits.time_for(&photo) };
     caught(|| jobs.maker.make(&photo, depth.as_deref(), &options, &sink))
 }

@@ -8,7 +8,7 @@ import { problemOf, problemText } from '../decode/problem.js';
  * @typedef {object} Photo
  * @property {string} [version] names the bytes of all that is made of it, once it is done
  * @property {string} id
- * @property {'queued' | 'working' | 'done' | 'failed'} state
+ * @property {'queued' | 'working' | 'done' | 'failed' | 'damaged'} state
  * @property {string} created
  * @property {number} width
  * @property {number} height

@@ -50,7 +50,7 @@ export function followPhoto(id, on) {
     try {
       const photo = await getPhoto(id);
       if (photo.state === 'done') settle(on.done);
-      else if (photo.state === 'failed') settle(() => on.failed(reasonOf(photo)));
+      else if (photo.state === 'failed' || photo.state === 'damaged') settle(() => on.failed(reasonOf(photo)));
       else if (!ended && photo.progress) on.stage(photo.progress);
     } catch (error) {
       settle(() => on.failed(error.message));
@@ -61,7 +61,9 @@ export function followPhoto(id, on) {
   source.addEventListener('queued', (event) => on.queued(JSON.parse(event.data).position));
   source.addEventListener('stage', (event) => on.stage(JSON.parse(event.data)));
   source.addEventListener('done', () => settle(on.done));
-  source.addEventListener('failed', (event) => settle(() => on.failed(reasonOf({ problem: JSON.parse(event.data) }))));
+  for (const name of ['failed', 'damaged']) {
+    source.addEventListener(name, (event) => settle(() => on.failed(reasonOf({ problem: JSON.parse(event.data) }))));
+  }
   source.addEventListener('deleted', () => settle(on.deleted));
   source.onerror = () => {
     // the browser tries again by itself unless the server refused

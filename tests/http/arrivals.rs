@@ -142,3 +142,20 @@ fn an_answer_does_not_wait_for_a_body_that_nobody_wants() {
     assert_eq!(connection.receive("GET").unwrap().status, 200);
     assert!(began.elapsed() < Duration::from_secs(1), "{:?}", began.elapsed());
 }
+
+#[test]
+fn a_body_in_a_coding_that_nobody_undoes_is_refused() {
+    let (dir, server) = start(Limits::default(), Arc::new(pipeline()));
+    for coding in ["gzip, chunked", "x, chunked"] {
+        let mut connection = Connection::open(server.addr);
+        let head = format!("POST /v1/photos HTTP/1.1\r\nhost: localhost\r\ntransfer-encoding: {coding}\r\n\r\n3\r\nabc\r\n0\r\n\r\n");
+        connection.raw().write_all(head.as_bytes()).unwrap();
+        assert_eq!(connection.receive("POST").unwrap().problem(501)["field"], "Transfer-Encoding", "{coding}");
+    }
+    let mut connection = Connection::open(server.addr);
+    let photo = jpeg(1);
+    let head = format!("POST /v1/photos HTTP/1.1\r\nhost: localhost\r\nTransfer-Encoding: Chunked\r\n\r\n{:x}\r\n", photo.len());
+    connection.raw().write_all(&[head.as_bytes(), &photo, b"\r\n0\r\n\r\n"].concat()).unwrap();
+    assert_eq!(connection.receive("POST").unwrap().status, 202);
+    wait_until("nothing else is left", || incoming(&dir) == 0);
+}

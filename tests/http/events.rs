@@ -66,6 +66,23 @@ fn queued_stages_done_and_the_end() {
 }
 
 #[test]
+fn whoever_waits_is_told_when_the_queue_moves() {
+    let dir = tempfile::tempdir().unwrap();
+    let gate = Gate::new(0);
+    let server = Running::start(dir.path(), Limits::default(), gate.clone());
+    let ids: Vec<String> = (0..3).map(|seed| server.upload(&jpeg(seed))).collect();
+    gate.wait_started(1);
+    let mut events = Events::open(&server, &ids[2]);
+    for position in [1, 0] {
+        assert_eq!(events.next().unwrap(), ("queued".into(), serde_json::json!({"position": position})));
+        gate.open(1);
+    }
+    gate.open(1);
+    let names: Vec<String> = std::iter::from_fn(|| events.next()).map(|(name, _)| name).collect();
+    assert_eq!(names.last().map(String::as_str), Some("done"), "{names:?}");
+}
+
+#[test]
 fn late_listeners_hear_the_last_stage_first() {
     let dir = tempfile::tempdir().unwrap();
     let gate = Gate::new(0);
@@ -103,7 +120,12 @@ fn silence_is_filled_and_a_stop_ends_the_stream() {
     let mut events = Events::open(&server, &id);
     assert_eq!(events.next().unwrap().0, "queued");
     assert_eq!(events.next().unwrap(), (String::new(), Value::Null), "a comment");
+    assert_eq!(events.next().unwrap(), (String::new(), Value::Null), "and another, as nothing happens");
     server.signal();
-    assert!(std::iter::from_fn(|| events.next()).all(|(name, _)| name.is_empty()));
+    // it ends, in time, and with nothing but comments
+    let began = std::time::Instant::now();
+    let rest: Vec<_> = std::iter::from_fn(|| events.next()).collect();
+    assert!(began.elapsed() < Duration::from_secs(20), "{:?}", began.elapsed());
+    assert!(rest.iter().all(|(name, _)| name.is_empty()), "{rest:?}");
     server.stop();
 }

@@ -6,11 +6,11 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use tmpi::server::Limits;
+use tmpi::server::{Limits, Maker};
 use tmpi_render::{PictureFormat, View, encode};
 
 use crate::client::{Connection, get, request};
-use crate::fixture::{Running, SlowDrawing, jpeg, pipeline, wait_until};
+use crate::fixture::{Gate, Running, SlowDrawing, jpeg, pipeline, wait_until};
 
 const HELD: u32 = SlowDrawing::HELD;
 
@@ -204,4 +204,25 @@ fn event_streams_have_their_own_places() {
         std::thread::sleep(Duration::from_millis(20));
         ask(&server, &path).head().unwrap().status == 200
     });
+}
+
+#[test]
+fn jobs_side_by_side_are_as_many_as_there_is_memory_for() {
+    let dir = tempfile::tempdir().unwrap();
+    let one = pipeline().memory(&jpeg(1), None, &tmpi_pipeline::Options::default());
+    let gate = Gate::new(0);
+    let limits = Limits { workers: 4, job_memory: 2 * one + one / 2, ..Limits::default() };
+    let server = Running::start(dir.path(), limits, gate.clone());
+    let ids: Vec<String> = (0..4).map(|seed| server.upload(&jpeg(seed))).collect();
+    gate.wait_started(2);
+    std::thread::sleep(Duration::from_millis(200));
+    assert_eq!(gate.started.load(Ordering::SeqCst), 2, "there is memory for two");
+    let metrics = String::from_utf8(get(server.addr, "/metrics").body).unwrap();
+    assert!(metrics.contains(&format!("tmpi_job_memory_bytes {:?}", (2 * one) as f64)), "{metrics}");
+    gate.open(1);
+    gate.wait_started(3);
+    gate.open(3);
+    for id in &ids {
+        server.wait(id, "done");
+    }
 }

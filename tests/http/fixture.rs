@@ -78,6 +78,10 @@ impl Maker for Gate {
         self.inner.check(photo, depth, options)
     }
 
+    fn memory(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options) -> u64 {
+        self.inner.memory(photo, depth, options)
+    }
+
     fn make(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options, sink: &dyn Sink) -> Result<Product, Fault> {
         self.started.fetch_add(1, Ordering::SeqCst);
         sink.progress(&Progress { stage: "photo", step: 1, steps: 9, elapsed_ms: 0.0 });

@@ -3,6 +3,7 @@
 
 mod arrivals;
 mod client;
+mod damage;
 mod fixture;
 
 mod events;

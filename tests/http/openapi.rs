@@ -72,8 +72,11 @@ fn every_schema_and_parameter_is_described() {
             assert!(described(property) || property["$ref"].is_string() || property["oneOf"].is_array(), "{name}.{field}");
         }
     }
+    assert_eq!((&document["servers"][0]["url"], document["security"].as_array().map(Vec::len)), (&"/".into(), Some(1)));
+    assert!(!schemas["Settings"]["required"].as_array().is_some_and(|r| r.contains(&"version".into())), "a patch needs no version");
     for (path, item) in document["paths"].as_object().unwrap() {
         for (method, operation) in item.as_object().unwrap() {
+            assert!(operation["responses"].as_object().unwrap().keys().any(|s| s.starts_with('4')), "{method} {path} refuses nothing");
             for parameter in operation["parameters"].as_array().into_iter().flatten() {
                 assert!(described(parameter), "{method} {path}: {}", parameter["name"]);
             }

@@ -332,16 +332,19 @@ fn a_job_that_takes_too_long_is_given_up_and_the_next_one_is_made() {
     wait_until("the next one is done", || state(server.addr, &next)["state"] == "done");
 }
 
-#[cfg(target_os = "linux")]
 #[test]
-fn memory_of_a_job_is_bounded() {
+fn what_takes_more_memory_than_there_is_for_it_is_refused_with_limit_and_need() {
     let dir = tempfile::tempdir().unwrap();
-    let server = Process::start_with(dir.path(), &["--job-memory", "256"]);
-    let long = upload_with(server.addr, &sized(6, 4000, 3000), &[]);
-    wait_until("it is given up", || state(server.addr, &long)["state"] == "failed");
-    assert_eq!(state(server.addr, &long)["problem"]["type"], "urn:tmpi:problem:gave-up");
-    let small = upload(server.addr, &large(7)).unwrap();
-    wait_until("a small one is done", || state(server.addr, &small)["state"] == "done");
+    let server = Process::start_with(dir.path(), &["--job-memory", "512"]);
+    let (large, depth) = (sized(6, 4000, 3000), depth_map());
+    let (content_type, body) = form(&[("photo", &large), ("depth", &depth)]);
+    let refused = request(server.addr, "POST", "/v1/photos", &[("content-type", &content_type)], &body).problem(413);
+    let detail = refused["detail"].as_str().unwrap();
+    let figures: Vec<u64> = detail.split(' ').filter_map(|word| word.parse().ok()).collect();
+    assert!(figures.len() == 2 && figures[0] > figures[1] && figures[1] == 512 << 20, "{detail}");
+    // reduced it fits
+    let reduced = upload_with(server.addr, &large, &[("max-size", b"800")]);
+    wait_until("it is done", || state(server.addr, &reduced)["state"] == "done");
 }
 
 #[cfg(target_os = "linux")]

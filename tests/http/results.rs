@@ -8,6 +8,7 @@ use tmpi_render::PictureFormat;
 
 use crate::client::{get, request};
 use crate::fixture::{Gate, Running, jpeg, picture, pipeline};
+use crate::process::large;
 
 /// A server with one finished photo.
 fn with_photo() -> (tempfile::TempDir, Running, String) {
@@ -336,4 +337,45 @@ fn health_and_metrics() {
     assert_eq!(value("tmpi_view_seconds_count{phase=\"render\"}"), 1.0);
     assert!(value("tmpi_scene_cache_bytes ") > 0.0 && value("tmpi_uploaded_bytes_total ") > 0.0);
     assert!(text.contains("route=\"/v1/photos/{id}/view\""), "routes are counted by their pattern");
+}
+
+#[test]
+fn text_is_sent_in_gzip_to_who_takes_it_and_pictures_and_containers_never_are() {
+    use std::io::Read as _;
+    let dir = tempfile::tempdir().unwrap();
+    let server = Running::start(dir.path(), Limits::default(), Arc::new(pipeline()));
+    // a report of some size, and a list
+    let ids: Vec<String> = [large(1), jpeg(1), jpeg(2)].iter().map(|photo| server.upload(photo)).collect();
+    for id in &ids {
+        server.wait(id, "done");
+    }
+    let photo = format!("/v1/photos/{}", ids[0]);
+    let ask = |path: &str, coding: &str| request(server.addr, "GET", path, &[("accept-encoding", coding)], &[]);
+    let report = format!("{photo}/report");
+    let texts =
+        ["/", "/tmpi-viewer.js", "/static/view/viewer.js", "/static/decode/decoder.wasm", "/openapi.json", "/v1/photos", &photo, &report];
+    for path in texts.into_iter().chain(["/metrics"]) {
+        let (plain, coded) = (ask(path, "identity"), ask(path, "br, gzip"));
+        assert_eq!((coded.status, coded.header("content-encoding"), plain.header("content-encoding")), (200, Some("gzip"), None), "{path}");
+        assert_eq!(coded.header("content-type"), plain.header("content-type"), "{path}");
+        assert!(coded.all("vary").contains("accept-encoding") && plain.all("vary").contains("accept-encoding"), "{path}");
+        let mut text = Vec::new();
+        flate2::read::GzDecoder::new(coded.body.as_slice()).read_to_end(&mut text).unwrap();
+        // figures of the server itself change from one answer to the next
+        assert!(path == "/metrics" || text == plain.body, "{path}");
+        assert!(coded.body.len() < plain.body.len(), "{path}: {} of {} bytes", coded.body.len(), plain.body.len());
+        if let Some(tag) = coded.header("etag") {
+            assert_ne!(Some(tag), plain.header("etag"), "{path}");
+            let known = request(server.addr, "GET", path, &[("accept-encoding", "gzip"), ("if-none-match", tag)], &[]);
+            assert_eq!(known.status, 304, "{path}");
+        }
+    }
+    for part in ["atlas", "thumbnail", "depth", "view?w=400&format=png", "export?format=html"] {
+        let answer = ask(&format!("{photo}/{part}"), "gzip");
+        assert_eq!((answer.status, answer.header("content-encoding")), (200, None), "{part}");
+    }
+    // a tag that came with a coded answer names the settings that may be changed
+    let seen = ask(&photo, "gzip").header("etag").unwrap().to_owned();
+    let patch = [("content-type", "application/json"), ("if-match", &seen)];
+    assert_eq!(request(server.addr, "PATCH", &photo, &patch, br#"{"title": "A"}"#).status, 200);
 }

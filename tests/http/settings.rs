@@ -7,7 +7,7 @@ use tmpi::server::Limits;
 use tmpi_render::PictureFormat;
 
 use crate::client::{Connection, Response, get, request};
-use crate::fixture::{Running, picture, pipeline, wait_until};
+use crate::fixture::{Gate, Running, jpeg, picture, pipeline, wait_until};
 
 const JSON: (&str, &str) = ("content-type", "application/merge-patch+json");
 
@@ -126,4 +126,20 @@ fn views_that_nobody_waits_for_are_not_drawn() {
     assert_eq!(view.status, 200, "the slots are free: {}", String::from_utf8_lossy(&view.body));
     let drawn = metric(&server, "tmpi_view_seconds_count{phase=\"render\"}");
     assert!((1.0..CLIENTS as f64).contains(&drawn), "{drawn} views were drawn to the end");
+}
+
+#[test]
+fn a_change_goes_by_the_settings_and_not_by_how_the_photo_fares() {
+    let dir = tempfile::tempdir().unwrap();
+    let gate = Gate::new(0);
+    let server = Running::start(dir.path(), Limits::default(), gate.clone());
+    let id = server.upload(&jpeg(1));
+    gate.wait_started(1);
+    let photo = format!("/v1/photos/{id}");
+    let seen = get(server.addr, &photo).header("etag").unwrap().to_owned();
+    gate.open(1);
+    server.wait(&id, "done");
+    assert_ne!(get(server.addr, &photo).header("etag"), Some(seen.as_str()), "it is another answer");
+    assert_eq!(patch(&server, &photo, &[("if-match", &seen)], &json!({ "title": "A" })).status, 200);
+    patch(&server, &photo, &[("if-match", &seen)], &json!({ "title": "B" })).problem(412);
 }

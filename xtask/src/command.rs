@@ -54,6 +54,7 @@ pub fn cargo(args: &[&str]) -> Command {
     let mut command = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
     command.args(args).current_dir(root());
     command.env("TMPI_DATA", data());
+    crate::runtime::name_to(&mut command);
     command
 }
 

@@ -21,7 +21,7 @@ usage: cargo xtask <task>
   serve [ARGS]  fetch ONNX Runtime where it is missing, build, and run `tmpi serve ARGS`
   test          formatting, spelling, lints, types of the pages' scripts, all tests, browser tests; installs what these need where it may
   fuzz [--seconds N] [TARGET…]
-                run the fuzzer on what reads foreign bytes (container, labels, planes, query), N seconds each
+                run the fuzzer on what reads foreign bytes (containers, photos, depth maps, forms, queries), N seconds each
   shaders       make the GLSL of static/draw/glsl.js from the WGSL
   wasm          build the page's decoder and its unpacker, static/decode/*.wasm, from crates/decoder and crates/unpacker
   fetch         fetch ONNX Runtime into .tmpi/onnxruntime where it is missing";
@@ -66,6 +66,7 @@ fn serve(args: &[String]) -> Result<(), Fault> {
     // The server prints its URL itself, once it listens
     let mut server = std::process::Command::new(command::program());
     server.arg("serve").args(args);
+    runtime::name_to(&mut server);
     command::become_it(server).map_err(|e| e.in_step("serve"))
 }
 

@@ -43,6 +43,18 @@ const RUNTIME: Package = Package {
     advice: "set ORT_DYLIB_PATH to a library file of version 1.22 or newer",
 };
 
+/// Names the library to a program that is built elsewhere than in the workspace and would not find it.
+pub fn name_to(command: &mut Command) {
+    if std::env::var_os("CARGO_TARGET_DIR").is_none() || std::env::var_os("ORT_DYLIB_PATH").is_some_and(|v| !v.is_empty()) {
+        return;
+    }
+    let (os, arch) = (std::env::consts::OS, std::env::consts::ARCH);
+    let wheel = WHEELS.iter().find(|w| w.os == os && w.arch == arch);
+    if let Some(file) = wheel.map(|w| root().join(FOLDER).join(w.file)).filter(|f| f.is_file()) {
+        command.env("ORT_DYLIB_PATH", file);
+    }
+}
+
 /// Makes sure that the library is there; says nothing where it is.
 pub fn fetch() -> Result<(), Fault> {
     // The program takes this file and looks nowhere else

@@ -84,6 +84,10 @@ impl Listener {
                 events.push(event("failed", &failed.problem));
                 self.ended = true;
             }
+            Status::Damaged(damaged) => {
+                events.push(event("damaged", &damaged.problem));
+                self.ended = true;
+            }
             Status::Deleted => {
                 events.push(event("deleted", &serde_json::json!({})));
                 self.ended = true;
@@ -101,8 +105,8 @@ fn event<T: Serialize>(name: &'static str, data: &T) -> Event {
 
 /// Progress of a photo as server-sent events.
 ///
-/// Events: `queued` (`{"position": N}`, again when it moves up), `stage` (a `Progress`), and at the end one of `done` (a `PhotoState`), `failed` (a
-/// `Problem`) or `deleted`; then the stream ends. A client that connects late is told the last event first.
+/// Events: `queued` (`{"position": N}`, again when it moves up), `stage` (a `Progress`), and at the end one of `done` (a `PhotoState`), `failed` or
+/// `damaged` (a `Problem`) or `deleted`; then the stream ends. A client that connects late is told the last event first.
 #[utoipa::path(
     get, path = "/v1/photos/{id}/events", tag = "photos", params(("id" = String, Path, description = "Id of the photo")),
     responses(

@@ -39,6 +39,9 @@ use super::problem::Problem;
                        On every route: a request has one Host (else 400) that is the server's own (else 421); parameters are known and given \
                        once (else 400); changes by pages of other sites are refused (403)."
     ),
+    servers((url = "/", description = "This server")),
+    // there are no users yet: who may come in is a proxy's to say
+    security(()),
     tags(
         (name = "photos", description = "Photos and what is made of them"),
         (name = "system", description = "Health, metrics and this document")

@@ -13,9 +13,10 @@ use super::state::{PhotoList, PhotoState};
 use crate::server::app::{App, Stored};
 use crate::server::body;
 use crate::server::clock::Clock;
-use crate::server::conditional::{Entity, REVALIDATE, insert, respond};
+use crate::server::conditional::{Coding, Entity, REVALIDATE, insert, respond, respond_once};
 use crate::server::entry::{Entry, Status};
 use crate::server::id::PhotoId;
+use crate::server::identity::short;
 use crate::server::problem::Problem;
 use crate::server::settings::{PATCH_BYTES, Settings, still_as_seen};
 use crate::server::upload;
@@ -105,7 +106,7 @@ pub async fn upload(State(app): State<App>, Extension(clock): Extension<Clock>, 
         let until = tokio::time::Instant::now() + left.saturating_sub(ANSWER).min(Duration::from_secs(seconds));
         ready = wait_for(&app, &entry, until).await;
     }
-    if let (true, Status::Failed(failed)) = (ready, entry.status()) {
+    if let (true, Status::Failed(failed) | Status::Damaged(failed)) = (ready, entry.status()) {
         let mut response = failed.problem.into_response();
         insert(&mut response, header::LOCATION, &format!("/v1/photos/{}", entry.id));
         return Ok(response);
@@ -165,7 +166,7 @@ pub struct ListQuery {
         (status = 403, description = "The list is closed", body = Problem, content_type = "application/problem+json"),
     )
 )]
-pub async fn list(State(app): State<App>, request: Request) -> Result<Json<PhotoList>, Problem> {
+pub async fn list(State(app): State<App>, request: Request) -> Result<Response, Problem> {
     if !app.public_list && !app.hosts.is_own(request.headers()) {
         let detail =
             "photos are listed to this machine's own user alone, at a loopback address; tmpi serve --public-list opens the list to all";
@@ -187,7 +188,8 @@ pub async fn list(State(app): State<App>, request: Request) -> Result<Json<Photo
     let last = page.photos.last().filter(|_| page.more).map(|e| e.key());
     let next = last.map(|(at_ms, id)| format!("/v1/photos?limit={limit}&after={at_ms}-{id}"));
     let photos = page.photos.iter().filter_map(|entry| PhotoState::of(&app, entry)).collect();
-    Ok(Json(PhotoList { photos, next }))
+    let list = serde_json::to_vec(&PhotoList { photos, next }).map_err(|e| Problem::internal("writing the list", &e))?;
+    Ok(respond_once(request.headers(), list.into(), "application/json"))
 }
 
 fn cursor(app: &App, text: &str) -> Option<(u64, PhotoId)> {
@@ -202,7 +204,7 @@ fn cursor(app: &App, text: &str) -> Option<(u64, PhotoId)> {
     get, path = "/v1/photos/{id}", tag = "photos", params(("id" = String, Path, description = "Id of the photo")),
     responses(
         (status = 200, description = "State, sizes and settings", body = PhotoState,
-            headers(("ETag" = String, description = "Version of all this, for `If-Match`"))),
+            headers(("ETag" = String, description = "Version of all this; `If-Match` goes by its first half, that of the settings"))),
         (status = 304, description = "The client has it"),
         (status = 404, description = "There is no such photo", body = Problem, content_type = "application/problem+json"),
     )
@@ -210,7 +212,16 @@ fn cursor(app: &App, text: &str) -> Option<(u64, PhotoId)> {
 pub async fn state(State(app): State<App>, Path(id): Path<String>, _: NoQuery, headers: HeaderMap) -> Result<Response, Problem> {
     let entry = app.photo(&id)?;
     let state = state_now(&app, &entry)?;
-    Ok(respond(&headers, Entity { source: state.source, etag: &state.etag, content_type: "application/json", cache_control: REVALIDATE }))
+    Ok(respond(
+        &headers,
+        Entity {
+            source: state.source,
+            etag: &state.etag,
+            content_type: "application/json",
+            cache_control: REVALIDATE,
+            coding: Coding::Gzip,
+        },
+    ))
 }
 
 /// What the owner of a photo wants of its viewers.
@@ -229,15 +240,17 @@ pub async fn settings(State(app): State<App>, Path(id): Path<String>, _: NoQuery
     let settings = app.photo(&id)?.settings();
     let bytes = serde_json::to_vec(&settings).map_err(|e| Problem::internal("writing a photo's settings", &e))?;
     let file = Stored::new(bytes);
-    let entity = Entity { source: file.source, etag: &file.etag, content_type: "application/json", cache_control: REVALIDATE };
+    let entity =
+        Entity { source: file.source, etag: &file.etag, content_type: "application/json", cache_control: REVALIDATE, coding: Coding::Gzip };
     Ok(respond(&headers, entity))
 }
 
-/// The state as it is sent, with its version.
+/// The state as it is sent. The first half of its tag names the settings, which alone can be changed, the second half all of it.
 fn state_now(app: &App, entry: &Entry) -> Result<Stored, Problem> {
     let state = PhotoState::of(app, entry).ok_or_else(|| Problem::not_found("the photo was deleted"))?;
-    let bytes = serde_json::to_vec(&state).map_err(|e| Problem::internal("writing a photo's state", &e))?;
-    Ok(Stored::new(bytes))
+    let wrong = |e| Problem::internal("writing a photo's state", &e);
+    let (settings, all) = (serde_json::to_string(&state.settings).map_err(wrong)?, serde_json::to_vec(&state).map_err(wrong)?);
+    Ok(Stored::derived_in_memory(&short(&settings), all))
 }
 
 /// Change the settings of a photo.
@@ -248,7 +261,7 @@ fn state_now(app: &App, entry: &Entry) -> Result<Stored, Problem> {
     patch, path = "/v1/photos/{id}", tag = "photos",
     params(
         ("id" = String, Path, description = "Id of the photo"),
-        ("If-Match" = Option<String>, Header, description = "Change only this version"),
+        ("If-Match" = Option<String>, Header, description = "Change only these settings, by the tag of a state"),
     ),
     request_body(content((Settings = "application/merge-patch+json"), (Settings = "application/json"))),
     responses(

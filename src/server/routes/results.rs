@@ -6,7 +6,7 @@ use axum::response::Response;
 
 use super::query::{OnlyVersion, Pairs};
 use crate::server::app::{App, Shared};
-use crate::server::conditional::{Entity, kept, respond};
+use crate::server::conditional::{Coding, Entity, kept, respond};
 use crate::server::problem::Problem;
 use crate::server::store::Part;
 use tmpi_core::Rect;
@@ -60,7 +60,7 @@ pub async fn atlas(State(app): State<App>, Path(id): Path<String>, uri: Uri, hea
     let level = wanted_level(&pairs, side)?;
     let cache_control = kept(pairs.get("v"), &app.version(&done));
     let file = app.container(version, &done, (level, region), sections.as_deref()).await?;
-    Ok(respond(&headers, Entity { source: file.source, etag: &file.etag, content_type: MEDIA_TYPE, cache_control }))
+    Ok(respond(&headers, Entity { source: file.source, etag: &file.etag, content_type: MEDIA_TYPE, cache_control, coding: Coding::Plain }))
 }
 
 /// Names of the sections that a query asks for; none where it does not say.
@@ -152,5 +152,6 @@ async fn stored(app: &App, id: &str, v: &OnlyVersion, headers: &HeaderMap, part:
     let (version, done) = Shared::done(&entry)?;
     let cache_control = kept(v.0.as_deref(), &app.version(&done));
     let file = app.file(version, &done, part).await?;
-    Ok(respond(headers, Entity { source: file.source, etag: &file.etag, content_type, cache_control }))
+    let coding = if part == Part::Report { Coding::Gzip } else { Coding::Plain };
+    Ok(respond(headers, Entity { source: file.source, etag: &file.etag, content_type, cache_control, coding }))
 }

@@ -23,6 +23,8 @@ pub enum StateName {
     Done,
     /// Could not be made; `problem` says why. Another upload of the same photo tries again.
     Failed,
+    /// Was finished, but is no longer on disk as it was; `problem` says what of it. Another upload of the same photo makes it again.
+    Damaged,
 }
 
 /// Stage that a photo is at.
@@ -86,7 +88,7 @@ pub struct PhotoState {
     /// When it was accepted (RFC 3339, UTC).
     #[schema(format = DateTime)]
     pub created: String,
-    /// When it was done or failed.
+    /// When it was done or failed, or was found damaged.
     #[schema(format = DateTime)]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub finished: Option<String>,
@@ -99,7 +101,7 @@ pub struct PhotoState {
     /// Stage that it is at; only while it is being made.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub progress: Option<Progress>,
-    /// Why it could not be made; only if it failed.
+    /// Why it could not be made, or what of it is damaged; only if it failed or is damaged.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub problem: Option<Problem>,
     /// Size of the uploaded photo in bytes.
@@ -156,6 +158,7 @@ impl PhotoState {
             Some(v) => at(&format!("{part}{}v={v}", if part.contains('?') { '&' } else { '?' })),
             None => at(part),
         };
+        let damaged = matches!(live.status, Status::Damaged(_));
         let mut state = Self {
             id: entry.id.to_string(),
             state: StateName::Queued,
@@ -200,8 +203,8 @@ impl PhotoState {
                 state.atlas_bytes = Some(done.atlas_bytes);
                 (state.width, state.height) = (Some(done.width), Some(done.height));
             }
-            Status::Failed(failed) => {
-                state.state = StateName::Failed;
+            Status::Failed(failed) | Status::Damaged(failed) => {
+                state.state = if damaged { StateName::Damaged } else { StateName::Failed };
                 state.finished = Some(rfc3339(failed.at_ms));
                 state.problem = Some(failed.problem);
             }

@@ -1,15 +1,17 @@
 //! Health, metrics, and the `OpenAPI` document.
 
+use std::sync::atomic::Ordering;
+
 use axum::Json;
 use axum::extract::State;
-use axum::http::{HeaderMap, StatusCode, header};
+use axum::http::{HeaderMap, StatusCode};
 use axum::response::{IntoResponse, Response};
 use serde::Serialize;
 use sha2::{Digest, Sha256};
 
 use super::query::NoQuery;
 use crate::server::app::App;
-use crate::server::conditional::{Entity, REVALIDATE, respond};
+use crate::server::conditional::{Coding, Entity, REVALIDATE, respond, respond_once};
 use crate::server::id::hex;
 use crate::server::pool::Class;
 use crate::server::problem::Problem;
@@ -27,23 +29,30 @@ pub struct Health {
 const HEALTHY: Health = Health { status: "ok", version: env!("CARGO_PKG_VERSION") };
 
 /// The process is alive.
-#[utoipa::path(get, path = "/healthz", tag = "system", responses((status = 200, description = "Alive", body = Health)))]
+#[utoipa::path(
+    get, path = "/healthz", tag = "system",
+    responses(
+        (status = 200, description = "Alive", body = Health),
+        (status = 400, description = "There are no parameters here", body = Problem, content_type = "application/problem+json"),
+    )
+)]
 pub async fn healthz(_: NoQuery) -> Json<Health> {
     Json(HEALTHY)
 }
 
-/// The server takes uploads: it is not stopping, the queue has room, the data directory can be written, nothing of the server keeps
+/// The server takes uploads: it was not told to stop, the queue has room, the data directory can be written, nothing of the server keeps
 /// photos from being made.
 #[utoipa::path(
     get, path = "/readyz", tag = "system",
     responses(
         (status = 200, description = "Ready", body = Health),
+        (status = 400, description = "There are no parameters here", body = Problem, content_type = "application/problem+json"),
         (status = 503, description = "Not ready; `detail` says why", body = Problem, content_type = "application/problem+json"),
     )
 )]
 pub async fn readyz(State(app): State<App>, _: NoQuery) -> Result<Json<Health>, Problem> {
     let (storage, trouble) = (app.storage(), app.jobs.trouble());
-    let why = if app.stop.is_cancelled() || !app.jobs.is_accepting() {
+    let why = if app.leaving.load(Ordering::Acquire) || !app.jobs.is_accepting() {
         "the server is stopping"
     } else if app.jobs.free_places() == 0 {
         "the queue is full"
@@ -60,9 +69,12 @@ pub async fn readyz(State(app): State<App>, _: NoQuery) -> Result<Json<Health>, 
 /// Counters and durations for Prometheus.
 #[utoipa::path(
     get, path = "/metrics", tag = "system",
-    responses((status = 200, description = "OpenMetrics text 1.0.0, which Prometheus reads", body = String, content_type = "application/openmetrics-text"))
+    responses(
+        (status = 200, description = "OpenMetrics text 1.0.0, which Prometheus reads", body = String, content_type = "application/openmetrics-text"),
+        (status = 400, description = "There are no parameters here", body = Problem, content_type = "application/problem+json"),
+    )
 )]
-pub async fn metrics(State(app): State<App>, _: NoQuery) -> Response {
+pub async fn metrics(State(app): State<App>, _: NoQuery, headers: HeaderMap) -> Response {
     let counts = app.jobs.counts();
     let waiting = |class| app.pool.waiting(class) as f64;
     let text = app.telemetry.text(&[
@@ -71,6 +83,7 @@ pub async fn metrics(State(app): State<App>, _: NoQuery) -> Response {
         ("tmpi_jobs_running", "Photos that are being made", counts.working as f64),
         ("tmpi_photos_done", "Finished photos", counts.done as f64),
         ("tmpi_photos_failed", "Photos that could not be made", counts.failed as f64),
+        ("tmpi_photos_damaged", "Finished photos that are damaged on disk", counts.damaged as f64),
         ("tmpi_photos_unreadable", "Photos whose records cannot be read", app.jobs.store.unreadable() as f64),
         ("tmpi_scene_cache_bytes", "Memory of decoded scenes", app.scenes.bytes() as f64),
         ("tmpi_file_cache_bytes", "Memory of cached files", app.files.bytes() as f64),
@@ -78,13 +91,14 @@ pub async fn metrics(State(app): State<App>, _: NoQuery) -> Response {
         ("tmpi_export_cache_bytes", "Disk of files to download", app.exports.bytes() as f64),
         ("tmpi_level_cache_bytes", "Memory of smaller levels and parts of containers", app.levels.bytes() as f64),
         ("tmpi_work_memory_bytes", "Memory given out to work on scenes", app.pool.bytes() as f64),
+        ("tmpi_job_memory_bytes", "Memory that photos under way may take", app.jobs.memory.taken() as f64),
         ("tmpi_views_waiting", "Views that wait to be drawn", waiting(Class::Interactive)),
         ("tmpi_derived_waiting", "Levels and parts that wait to be made", waiting(Class::Derived)),
         ("tmpi_exports_waiting", "Films and files that wait to be written", waiting(Class::Export)),
         ("tmpi_peak_rss_bytes", "Peak resident memory of the process", tmpi_pipeline::clock::peak_rss_bytes() as f64),
     ]);
     match text {
-        Ok(text) => ([(header::CONTENT_TYPE, MEDIA_TYPE)], text).into_response(),
+        Ok(text) => respond_once(&headers, text.into(), MEDIA_TYPE),
         Err(error) => Problem::internal("writing metrics", &error).into_response(),
     }
 }
@@ -92,12 +106,21 @@ pub async fn metrics(State(app): State<App>, _: NoQuery) -> Response {
 /// This document.
 #[utoipa::path(
     get, path = "/openapi.json", tag = "system",
-    responses((status = 200, description = "OpenAPI document", body = Object))
+    responses(
+        (status = 200, description = "OpenAPI document", body = Object),
+        (status = 400, description = "There are no parameters here", body = Problem, content_type = "application/problem+json"),
+    )
 )]
 pub async fn openapi(State(app): State<App>, _: NoQuery, headers: HeaderMap) -> Response {
     let etag = format!("\"{}\"", hex(&Sha256::digest(&app.openapi)[..16]));
     respond(
         &headers,
-        Entity { source: app.openapi.clone().into(), etag: &etag, content_type: "application/json", cache_control: REVALIDATE },
+        Entity {
+            source: app.openapi.clone().into(),
+            etag: &etag,
+            content_type: "application/json",
+            cache_control: REVALIDATE,
+            coding: Coding::Gzip,
+        },
     )
 }

@@ -15,12 +15,12 @@ const EDGE: f32 = 0.03;
 /// Share of metric values that may be nearer than δ = 1: a sensor's outliers must not push everything else to infinity.
 const OUTLIERS: f64 = 1e-3;
 
-/// Refuses by its headers alone what [`from_png`] would refuse: another format, colour, or a map over the limits.
+/// Width and height of a map. Refuses by its headers alone what [`from_png`] would refuse: another format, colour, or a map over the limits.
 ///
 /// # Errors
 /// [`DepthError::Map`] says what is wrong with the file.
-pub fn check(bytes: &[u8], limits: &Limits) -> Result<(), DepthError> {
-    scan(bytes, limits).map(drop)
+pub fn check(bytes: &[u8], limits: &Limits) -> Result<(u32, u32), DepthError> {
+    scan(bytes, limits).map(|map| (map.width, map.height))
 }
 
 fn scan<'a>(bytes: &'a [u8], limits: &Limits) -> Result<Png<'a>, DepthError> {
@@ -219,7 +219,7 @@ mod tests {
     #[test]
     fn the_limits_given_hold_before_anything_is_decoded() {
         let map = wide(20, 10, |x, _| x as u16);
-        let limits = Limits { pixels: 200, side: 20, bytes: map.len(), decoder_memory: 400 };
+        let limits = Limits { pixels: 200, side: 20, bytes: map.len(), decoder_memory: 400, ..Limits::default() };
         assert!(check(&map, &limits).is_ok());
         assert!(super::from_png(&map, DepthKind::Disparity, &limits, 20, 10).is_ok());
         for over in [

@@ -72,7 +72,7 @@ impl<T> Once<T> {
 fn load() -> Result<Environment, OnnxError> {
     let named = std::env::var_os(VARIABLE).filter(|v| !v.is_empty()).map(PathBuf::from);
     let exe = std::env::current_exe().ok();
-    let places = places(named.as_deref(), std::env::current_dir().ok().as_deref(), exe.as_deref());
+    let places = places(named.as_deref(), exe.as_deref());
     let mut tried = Vec::new();
     for place in &places {
         // A path that is not there needs no loader to say so; a bare name is the system's to resolve
@@ -99,11 +99,12 @@ fn load() -> Result<Environment, OnnxError> {
     Err(OnnxError::Library(format!("looked for {}. {advice}", tried.join(", "))))
 }
 
-/// Places to try in order: the named file alone, or the local folder, beside the executable, the system's own search.
-fn places(named: Option<&Path>, current: Option<&Path>, exe: Option<&Path>) -> Vec<PathBuf> {
+/// Places to try in order: the named file alone, or the workspace's local folder where the executable was built in one, beside the
+/// executable, the system's own search. Never the current directory: whoever can write there could have their code loaded.
+fn places(named: Option<&Path>, exe: Option<&Path>) -> Vec<PathBuf> {
     if let Some(named) = named {
         // Absolute, or the loader would search its own path for a name without a slash
-        return vec![current.map_or_else(|| named.to_owned(), |c| c.join(named))];
+        return vec![std::path::absolute(named).unwrap_or_else(|_| named.to_owned())];
     }
     let mut places: Vec<PathBuf> = Vec::new();
     let mut push = |p: PathBuf| {
@@ -111,12 +112,13 @@ fn places(named: Option<&Path>, current: Option<&Path>, exe: Option<&Path>) -> V
             places.push(p);
         }
     };
-    if let Some(current) = current {
-        push(current.join(LOCAL).join(FILE));
-    }
     if let Some(folder) = exe.and_then(Path::parent) {
         // Up from target/release/deps to the workspace
-        folder.ancestors().take(4).for_each(|f| push(f.join(LOCAL).join(FILE)));
+        let built = folder.ancestors().take(3).find(|f| f.file_name().is_some_and(|name| name == "target"));
+        if let Some(workspace) = built.and_then(Path::parent) {
+            push(workspace.join(LOCAL).join(FILE));
+        }
+        push(folder.join(LOCAL).join(FILE));
         push(folder.join(FILE));
         if let Some(up) = folder.parent() {
             push(up.join("lib").join(FILE));
@@ -141,18 +143,31 @@ mod tests {
     #[test]
     fn a_named_file_is_the_only_place() {
         let cwd = std::env::current_dir().unwrap();
-        assert_eq!(places(Some(Path::new("lib/x.so")), Some(&cwd), None), [cwd.join("lib/x.so")]);
+        assert_eq!(places(Some(Path::new("lib/x.so")), None), [cwd.join("lib/x.so")]);
         let absolute = cwd.join("y.so");
-        assert_eq!(places(Some(&absolute), Some(&cwd), None), [absolute]);
+        assert_eq!(places(Some(&absolute), None), [absolute]);
     }
 
     #[test]
-    fn the_local_folder_comes_first_and_the_system_last() {
-        let root = std::env::current_dir().unwrap();
-        let got = places(None, Some(&root), Some(&root.join("target/release/tmpi")));
-        assert_eq!(got.first().unwrap(), &root.join(LOCAL).join(FILE));
-        assert!(got.contains(&root.join("target/release").join(FILE)));
-        assert_eq!(got.last().unwrap(), Path::new(FILE));
-        assert_eq!(got.iter().filter(|p| **p == root.join(LOCAL).join(FILE)).count(), 1);
+    fn the_workspaces_folder_comes_first_and_the_system_last() {
+        let root = Path::new("/work space");
+        for exe in ["target/release/tmpi", "target/release/deps/tmpi-0123"] {
+            let got = places(None, Some(&root.join(exe)));
+            assert_eq!(got.first(), Some(&root.join(LOCAL).join(FILE)), "{exe}");
+            assert!(got.contains(&root.join(exe).with_file_name(FILE)));
+            assert_eq!(got.last(), Some(&PathBuf::from(FILE)));
+        }
+    }
+
+    #[test]
+    fn nothing_is_loaded_from_where_the_program_happens_to_be_called() {
+        let here = std::env::current_dir().unwrap();
+        for exe in [None, Some(Path::new("/opt/tmpi/bin/tmpi"))] {
+            for place in places(None, exe) {
+                assert!(!place.starts_with(&here) && (place.is_absolute() || place == Path::new(FILE)), "{}", place.display());
+            }
+        }
+        // nor from folders above an installed program, some of which are anybody's to write
+        assert!(!places(None, Some(Path::new("/tmp/a/tmpi"))).contains(&Path::new("/tmp").join(LOCAL).join(FILE)));
     }
 }

@@ -42,6 +42,14 @@ pub enum PhotoError {
         /// Bytes allowed.
         limit: u64,
     },
+    /// Making it would take more memory than allowed.
+    #[error("making this photo takes up to {bytes} bytes of memory, over the limit of {limit} bytes")]
+    TooMuchWork {
+        /// Bytes that it would take.
+        bytes: u64,
+        /// Bytes allowed.
+        limit: u64,
+    },
     /// The file is damaged, or of a kind within its format that is not read.
     #[error("the picture cannot be decoded: {0}")]
     Broken(String),

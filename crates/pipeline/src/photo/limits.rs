@@ -13,6 +13,8 @@ pub struct Limits {
     pub side: u32,
     /// Memory that a decoder may take, in bytes: its coefficients, planes and output in the file's own sample format.
     pub decoder_memory: u64,
+    /// Memory that making the photo may take in all, in bytes (`Options::memory` tells how much that is).
+    pub memory: u64,
 }
 
 impl Limits {
@@ -54,6 +56,6 @@ impl Limits {
 
 impl Default for Limits {
     fn default() -> Self {
-        Self { bytes: Self::BYTES, pixels: Self::PIXELS, side: Self::SIDE, decoder_memory: Self::DECODER_MEMORY }
+        Self { bytes: Self::BYTES, pixels: Self::PIXELS, side: Self::SIDE, decoder_memory: Self::DECODER_MEMORY, memory: u64::MAX }
     }
 }

@@ -49,7 +49,7 @@ use tmpi_core::{Intrinsics, Photo};
 /// A decoded photo with what was learnt on the way.
 #[derive(Clone, Debug)]
 pub struct Decoded {
-    /// Upright pixels; alpha blended over black.
+    /// Upright pixels; alpha blended over white.
     pub photo: Photo,
     /// Size as uploaded, upright, before any reduction.
     pub original: (u32, u32),

@@ -6,13 +6,14 @@ use rayon::prelude::*;
 use super::PhotoError;
 use tmpi_core::Photo;
 
-/// RGB of 8 bits, alpha blended over black, and whether any pixel was not opaque.
+/// RGB of 8 bits, alpha blended over white, and whether any pixel was not opaque.
 pub(super) fn to_rgb(samples: &[u8], colour: ColorType) -> Result<(Vec<[u8; 3]>, bool), PhotoError> {
     let grey = |v: u8| [v; 3];
     let wide = |b: &[u8]| u16::from_ne_bytes([b[0], b[1]]);
     // 65 535 = 255 · 257, so this rounds to nearest
     let narrow = |v: u16| ((u32::from(v) + 128) / 257) as u8;
-    let over = |c: [u8; 3], a: u8| c.map(|v| ((u16::from(v) * u16::from(a) + 127) / 255) as u8);
+    // what is see-through is paper more often than night
+    let over = |c: [u8; 3], a: u8| c.map(|v| ((u16::from(v) * u16::from(a) + 255 * (255 - u16::from(a)) + 127) / 255) as u8);
     let clear = |n: usize| samples.par_chunks_exact(n).any(|p| p[n - 1] != u8::MAX);
     let map = |n: usize, f: &(dyn Fn(&[u8]) -> [u8; 3] + Sync)| -> Vec<[u8; 3]> { samples.par_chunks_exact(n).map(f).collect() };
     Ok(match colour {

@@ -177,11 +177,11 @@ fn every_kind_of_png() {
     let grey = file(ImageBuffer::from_fn(5, 3, |x, _| Luma([(x * 50) as u8])), ImageFormat::Png);
     assert_eq!(ok(&grey).photo.at(4, 0), [200; 3]);
     let grey_alpha = file(ImageBuffer::from_fn(5, 3, |_, _| LumaA([200u8, 128])), ImageFormat::Png);
-    assert_eq!(ok(&grey_alpha).photo.at(0, 0), [100; 3]);
+    assert_eq!(ok(&grey_alpha).photo.at(0, 0), [227; 3]);
     let wide = file(ImageBuffer::from_fn(5, 3, |_, _| Rgb([0xFFFFu16, 0x8080, 0x0101])), ImageFormat::Png);
     assert_eq!(ok(&wide).photo.at(0, 0), [255, 128, 1]);
     let wide_alpha = file(ImageBuffer::from_fn(5, 3, |_, _| Rgba([0xFFFFu16, 0x8080, 0, 0])), ImageFormat::Png);
-    assert_eq!(ok(&wide_alpha).photo.at(0, 0), [0; 3]);
+    assert_eq!(ok(&wide_alpha).photo.at(0, 0), [255; 3], "nothing is there: paper");
     let wide_grey = file(ImageBuffer::from_fn(5, 3, |_, _| Luma([0x1234u16])), ImageFormat::Png);
     assert_eq!(ok(&wide_grey).photo.at(0, 0), [0x12; 3]);
     for got in [grey, grey_alpha, wide, wide_alpha, wide_grey].map(|f| ok(&f)) {
@@ -239,7 +239,7 @@ fn cut_short_is_an_error_at_every_length() {
 #[test]
 fn limits_hold_at_the_limit_and_one_over() {
     let png = |w, h| file(ImageBuffer::<Luma<u8>, _>::new(w, h), ImageFormat::Png);
-    let limits = Limits { pixels: 64 * 32, side: 64, bytes: 1 << 16, decoder_memory: 64 * 32 };
+    let limits = Limits { pixels: 64 * 32, side: 64, bytes: 1 << 16, decoder_memory: 64 * 32, ..Limits::default() };
     let size = |w, h| decode(&png(w, h), &limits, None);
     assert!(size(64, 32).is_ok());
     assert!(matches!(size(65, 1), Err(PhotoError::SideTooLong { width: 65, height: 1, limit: 64 })));

@@ -4,6 +4,7 @@
 
 pub mod budget;
 mod make;
+pub mod memory;
 mod options;
 mod progress;
 mod prune;

@@ -4,13 +4,14 @@ use std::fs::{File, OpenOptions};
 use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
+use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
 use std::time::Duration;
 
 use sha2::{Digest as _, Sha256};
 
 /// Largest file that is fetched where the size is not known.
 const MOST: u64 = 4 << 30;
-/// How long a server may take to answer.
+/// How long a server may take to answer, and to send the next piece.
 const PATIENCE: Duration = Duration::from_secs(30);
 
 /// A SHA-256 digest; written and read as 64 hexadecimal digits.
@@ -108,7 +109,16 @@ pub enum DownloadError {
 ///
 /// # Errors
 /// [`DownloadError`]; the file `to` is then as it was.
-pub fn fetch(wanted: &Wanted<'_>, to: &Path, mut progress: impl FnMut(u64, Option<u64>)) -> Result<bool, DownloadError> {
+pub fn fetch(wanted: &Wanted<'_>, to: &Path, progress: impl FnMut(u64, Option<u64>)) -> Result<bool, DownloadError> {
+    fetch_within(PATIENCE, wanted, to, progress)
+}
+
+fn fetch_within(
+    patience: Duration,
+    wanted: &Wanted<'_>,
+    to: &Path,
+    mut progress: impl FnMut(u64, Option<u64>),
+) -> Result<bool, DownloadError> {
     let on = |file: &Path| {
         let file = file.to_owned();
         move |source| DownloadError::File { file, source }
@@ -127,7 +137,7 @@ pub fn fetch(wanted: &Wanted<'_>, to: &Path, mut progress: impl FnMut(u64, Optio
         have = 0;
     }
     if have == 0 || Some(have) != wanted.bytes {
-        transfer(wanted, &part, have, &mut progress)?;
+        transfer(patience, wanted, &part, have, &mut progress)?;
     }
     let got = digest(&part).map_err(on(&part))?;
     if got != wanted.sha256 {
@@ -135,16 +145,27 @@ pub fn fetch(wanted: &Wanted<'_>, to: &Path, mut progress: impl FnMut(u64, Optio
         return Err(DownloadError::Corrupt { want: wanted.sha256, got });
     }
     std::fs::rename(&part, to).map_err(on(to))?;
+    // a name is durable once its folder is; elsewhere folders cannot be opened as files
+    if cfg!(unix) {
+        let folder = to.parent().filter(|f| !f.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        File::open(folder).and_then(|f| f.sync_all()).map_err(on(folder))?;
+    }
     Ok(true)
 }
 
 /// Appends to `part`, which has `have` bytes, what is still missing.
-fn transfer(wanted: &Wanted<'_>, part: &Path, have: u64, progress: &mut impl FnMut(u64, Option<u64>)) -> Result<(), DownloadError> {
+fn transfer(
+    patience: Duration,
+    wanted: &Wanted<'_>,
+    part: &Path,
+    have: u64,
+    progress: &mut impl FnMut(u64, Option<u64>),
+) -> Result<(), DownloadError> {
     let broken = |reason: String| DownloadError::Http { url: wanted.url.to_owned(), reason };
     let on = |source| DownloadError::File { file: part.to_owned(), source };
     let agent: ureq::Agent = ureq::Agent::config_builder()
-        .timeout_connect(Some(PATIENCE))
-        .timeout_recv_response(Some(PATIENCE))
+        .timeout_connect(Some(patience))
+        .timeout_recv_response(Some(patience))
         .http_status_as_error(false)
         .user_agent(concat!("tmpi/", env!("CARGO_PKG_VERSION")))
         .build()
@@ -175,23 +196,25 @@ fn transfer(wanted: &Wanted<'_>, part: &Path, have: u64, progress: &mut impl FnM
         return Err(DownloadError::Size { want, got });
     }
     let mut file = OpenOptions::new().create(true).append(goes_on).write(true).truncate(!goes_on).open(part).map_err(on)?;
-    let mut body = response.into_body().into_with_config().limit(u64::MAX).reader();
-    let (mut at, mut buffer) = (have, vec![0; 1 << 16]);
+    let pieces = pieces(response.into_body().into_with_config().limit(u64::MAX).reader()).map_err(|e| broken(e.to_string()))?;
+    let mut at = have;
     let cut = loop {
         progress(at, wanted.bytes.or(total));
-        match body.read(&mut buffer) {
-            Ok(0) => break None,
-            Ok(n) => {
-                at += n as u64;
+        match pieces.recv_timeout(patience) {
+            Err(RecvTimeoutError::Disconnected) => break None,
+            Err(RecvTimeoutError::Timeout) => {
+                break Some(io::Error::new(io::ErrorKind::TimedOut, format!("nothing came for {patience:?}")));
+            }
+            Ok(Ok(piece)) => {
+                at += piece.len() as u64;
                 if at > most {
                     drop(file);
                     std::fs::remove_file(part).map_err(on)?;
                     return Err(DownloadError::Size { want: most, got: at });
                 }
-                file.write_all(&buffer[..n]).map_err(on)?;
+                file.write_all(&piece).map_err(on)?;
             }
-            Err(e) if e.kind() == io::ErrorKind::Interrupted => {}
-            Err(e) => break Some(e),
+            Ok(Err(e)) => break Some(e),
         }
     };
     file.sync_all().map_err(on)?;
@@ -200,6 +223,28 @@ fn transfer(wanted: &Wanted<'_>, part: &Path, have: u64, progress: &mut impl FnM
         (Some(e), None) => Err(broken(e.to_string())),
         _ => Ok(()),
     }
+}
+
+/// What comes, piece by piece, and an error at the end where there is one. A thread reads it: a read cannot be given up, but waiting for
+/// it can, and it ends with the process.
+fn pieces(mut body: impl Read + Send + 'static) -> io::Result<Receiver<io::Result<Vec<u8>>>> {
+    let (send, pieces) = sync_channel(4);
+    std::thread::Builder::new().name("tmpi-download".into()).spawn(move || {
+        let mut buffer = vec![0; 1 << 16];
+        loop {
+            let piece = match body.read(&mut buffer) {
+                Ok(0) => return,
+                Ok(n) => Ok(buffer[..n].to_vec()),
+                Err(e) if e.kind() == io::ErrorKind::Interrupted => continue,
+                Err(e) => Err(e),
+            };
+            let last = piece.is_err();
+            if send.send(piece).is_err() || last {
+                return;
+            }
+        }
+    })?;
+    Ok(pieces)
 }
 
 /// Digest of a file's contents.
@@ -230,6 +275,8 @@ mod tests {
         Spoils,
         /// Takes no notice of ranges.
         Whole,
+        /// Announces everything, sends half of it, and then neither sends nor closes.
+        Stalls,
         /// Sends what is not the file.
         Longer,
         Refuses,
@@ -247,6 +294,7 @@ mod tests {
         let (mood, asked) = (Arc::new(Mutex::new(Mood::Well)), Arc::new(Mutex::new(Vec::new())));
         let (m, a) = (Arc::clone(&mood), Arc::clone(&asked));
         std::thread::spawn(move || {
+            let mut stalled = Vec::new();
             for stream in listener.incoming() {
                 let mut stream = stream.unwrap();
                 let mut from = None;
@@ -271,9 +319,12 @@ mod tests {
                     _ if at > 0 => format!("206 Partial Content\r\nContent-Range: bytes {at}-{}/{}", content.len() - 1, content.len()),
                     _ => "200 OK".to_owned(),
                 };
-                let sent = if mood == Mood::Cuts { body.len() / 2 } else { body.len() };
+                let sent = if matches!(mood, Mood::Cuts | Mood::Stalls) { body.len() / 2 } else { body.len() };
                 let head = format!("HTTP/1.1 {head}\r\nContent-Length: {}\r\nConnection: close\r\n\r\n", body.len());
                 let _ = stream.write_all(head.as_bytes()).and_then(|()| stream.write_all(&body[..sent]));
+                if mood == Mood::Stalls {
+                    stalled.push(stream);
+                }
             }
         });
         Server { url, mood, asked }
@@ -329,6 +380,19 @@ mod tests {
         assert!(!c.file().exists() && c.part().exists());
         assert!(c.fetch(Mood::Well, Some(300_000)).unwrap());
         assert_eq!(std::fs::read(c.file()).unwrap(), c.content);
+        assert_eq!(*c.server.asked.lock().unwrap(), [None, Some(150_000)]);
+    }
+
+    #[test]
+    fn a_server_that_falls_silent_is_not_waited_for_and_what_came_is_kept() {
+        let c = case();
+        *c.server.mood.lock().unwrap() = Mood::Stalls;
+        let wanted = Wanted { url: &c.server.url, bytes: Some(300_000), sha256: c.sha256 };
+        let began = std::time::Instant::now();
+        let silent = fetch_within(Duration::from_millis(300), &wanted, &c.file(), |_, _| {}).unwrap_err();
+        assert!(matches!(silent, DownloadError::Truncated { have: 150_000, want: 300_000 }), "{silent}");
+        assert!(began.elapsed() < Duration::from_secs(20));
+        assert!(c.fetch(Mood::Well, Some(300_000)).unwrap());
         assert_eq!(*c.server.asked.lock().unwrap(), [None, Some(150_000)]);
     }
 

@@ -6,7 +6,7 @@ use super::{Estimated, Prepared};
 use crate::planes::{Placement, busy_share, discretisation_error, place};
 use crate::run::budget::Costs;
 use crate::run::tile_error::tile_errors;
-use crate::run::{Budget, Context, ErrorFigures, MakeError, Stage};
+use crate::run::{Budget, Context, ErrorFigures, MakeError, PlaneCount, Stage, memory};
 use tmpi_core::container::{most_planes, readable};
 
 /// Disparity → planes and labels of every tile.
@@ -43,6 +43,14 @@ impl Stage for Planes {
         if most < placement.most && !readable(&grid, &tiles) {
             // small tiles on a large photo: fewer planes, which readers take whatever the photo
             placement.most = most;
+            tiles = place(delta, map.confidence.as_deref(), &grid, &placement);
+        }
+        let (pixels, count) = (u64::from(w) * u64::from(h), tiles.len() as u64);
+        let placed: usize = tiles.iter().map(|t| t.planes.len()).sum();
+        let room = memory::most_planes(pixels, count, context.limits.memory);
+        if options.planes == PlaneCount::Auto && placed as u64 > count * u64::from(room) {
+            // a large photo of which nearly every tile is busy: fewer planes, so that it is made at all
+            placement.most = room;
             tiles = place(delta, map.confidence.as_deref(), &grid, &placement);
         }
         let (depth_mae, depth_mse, depth_q25) = discretisation_error(delta, &grid, &tiles);

@@ -1,0 +1,90 @@
+//! Answers in gzip: pages, scripts and JSON. Containers and pictures are compressed as they are.
+//!
+//! Not a layer around the service: a coded answer is another representation with an entity tag of its own (RFC 9110, section 8.8.3.3),
+//! ranges are of the plain one, and what is embedded in the program is coded once.
+
+use std::io::Write as _;
+
+use axum::http::{HeaderMap, header};
+use bytes::Bytes;
+use flate2::Compression;
+use flate2::write::GzEncoder;
+
+/// What is smaller than this fits in one packet anyway.
+const LEAST: usize = 1200;
+/// End of the entity tag of a coded answer.
+const SUFFIX: &str = "-gzip";
+
+/// True where the client takes gzip (RFC 9110, section 12.5.3).
+#[must_use]
+pub fn accepted(headers: &HeaderMap) -> bool {
+    let (mut named, mut any) = (None, false);
+    let codings = headers.get_all(header::ACCEPT_ENCODING).iter().filter_map(|v| v.to_str().ok()).flat_map(|v| v.split(','));
+    for coding in codings {
+        let mut parts = coding.split(';').map(str::trim);
+        let name = parts.next().unwrap_or_default();
+        let weight = parts.find_map(|p| p.strip_prefix("q=")).map_or(1.0, |q| q.parse::<f32>().unwrap_or(0.0));
+        match name {
+            _ if name.eq_ignore_ascii_case("gzip") || name.eq_ignore_ascii_case("x-gzip") => named = Some(weight > 0.0),
+            "*" => any = weight > 0.0,
+            _ => {}
+        }
+    }
+    named.unwrap_or(any)
+}
+
+/// `bytes` in gzip; none where that is not worth it.
+#[must_use]
+pub fn gzip(bytes: &[u8], level: Compression) -> Option<Bytes> {
+    if bytes.len() < LEAST {
+        return None;
+    }
+    let mut coder = GzEncoder::new(Vec::with_capacity(bytes.len() / 2), level);
+    coder.write_all(bytes).ok()?;
+    let coded = coder.finish().ok()?;
+    (coded.len() + 64 < bytes.len()).then(|| coded.into())
+}
+
+/// The entity tag of the coded answer to that of the plain one.
+#[must_use]
+pub fn tag(etag: &str) -> String {
+    format!("{}{SUFFIX}\"", etag.strip_suffix('"').unwrap_or(etag))
+}
+
+#[cfg(test)]
+mod tests {
+    use axum::http::HeaderValue;
+
+    use super::*;
+
+    #[test]
+    fn who_takes_gzip() {
+        let with = |value: &'static str| accepted(&[(header::ACCEPT_ENCODING, HeaderValue::from_static(value))].into_iter().collect());
+        for yes in ["gzip", "br, GZIP;q=0.5", "*", "deflate, *;q=0.1", "gzip;q=1, *;q=0"] {
+            assert!(with(yes), "{yes}");
+        }
+        for no in ["", "br", "identity", "gzip;q=0", "*, gzip;q=0", "*;q=0", "gzip;q=none", "gzipped"] {
+            assert!(!with(no), "{no}");
+        }
+        assert!(!accepted(&HeaderMap::new()), "who does not say gets it plain");
+    }
+
+    #[test]
+    fn only_what_gets_smaller_is_coded() {
+        assert!(gzip(&[7; LEAST], Compression::default()).is_some());
+        assert!(gzip(&[7; LEAST - 1], Compression::default()).is_none());
+        let mut seed = 7u32;
+        let noise: Vec<u8> = std::iter::repeat_with(|| {
+            seed = seed.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            (seed >> 24) as u8
+        })
+        .take(5000)
+        .collect();
+        assert!(gzip(&noise, Compression::best()).is_none());
+    }
+
+    #[test]
+    fn a_coded_answer_has_a_tag_of_its_own() {
+        assert_eq!(tag("\"a-b\""), "\"a-b-gzip\"");
+    }
+}

@@ -1,0 +1,122 @@
+//! Damage on disk: noticed by whoever reads, at the latest by the reading of everything now and then; told; healed by the same upload.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Duration;
+
+use tmpi::server::Limits;
+use tmpi_render::PictureFormat;
+
+use crate::client::get;
+use crate::fixture::{Running, jpeg, picture, pipeline, wait_until};
+
+/// A photo that was made, the path of its container, and that as it was.
+struct Made {
+    _dir: tempfile::TempDir,
+    server: Running,
+    photo: Vec<u8>,
+    id: String,
+    atlas: PathBuf,
+    whole: Vec<u8>,
+}
+
+fn made(limits: Limits, photo: Vec<u8>) -> Made {
+    let dir = tempfile::tempdir().unwrap();
+    let server = Running::start(dir.path(), limits, Arc::new(pipeline()));
+    let id = server.upload(&photo);
+    server.wait(&id, "done");
+    let atlas = dir.path().join("photos").join(&id).join("atlas.tmpi");
+    let whole = std::fs::read(&atlas).unwrap();
+    Made { _dir: dir, server, photo, id, atlas, whole }
+}
+
+impl Made {
+    /// Every kind of damage: one bit in the middle, half of it gone, all of it.
+    fn kinds(&self) -> [(&str, Option<Vec<u8>>); 3] {
+        let mut flipped = self.whole.clone();
+        flipped[self.whole.len() / 2] ^= 1;
+        [("flipped", Some(flipped)), ("cut", Some(self.whole[..self.whole.len() / 2].to_vec())), ("missing", None)]
+    }
+
+    fn spoil(&self, damage: Option<&Vec<u8>>) {
+        match damage {
+            Some(bytes) => std::fs::write(&self.atlas, bytes).unwrap(),
+            None => std::fs::remove_file(&self.atlas).unwrap(),
+        }
+    }
+
+    /// Uploads the photo again and holds what comes of it against what was there.
+    fn heal(&self, context: &str) {
+        self.server.upload(&self.photo);
+        self.server.wait(&self.id, "done");
+        assert_eq!(std::fs::read(&self.atlas).unwrap(), self.whole, "{context}");
+        assert_eq!(get(self.server.addr, &format!("/v1/photos/{}/atlas", self.id)).body, self.whole, "{context}");
+        assert_eq!(get(self.server.addr, &format!("/v1/photos/{}/view?w=32", self.id)).status, 200, "{context}");
+    }
+}
+
+#[test]
+fn damage_that_nobody_met_is_healed_by_the_same_upload() {
+    let made = made(Limits::default(), jpeg(1));
+    for (kind, damage) in made.kinds() {
+        made.spoil(damage.as_ref());
+        made.heal(kind);
+    }
+}
+
+#[test]
+fn whoever_asks_for_a_damaged_photo_is_told() {
+    // a container that is read while it is sent, and one that is kept in memory
+    let noise: Vec<u8> = {
+        let mut seed = 7u32;
+        let mut next = || {
+            seed = seed.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            (seed >> 24) as u8
+        };
+        let rgb: Vec<u8> = (0..600 * 500 * 3).map(|_| next()).collect();
+        tmpi_core::container::encode_jpeg(600, 500, &rgb, 90).unwrap()
+    };
+    for (photo, large) in [(picture(1, PictureFormat::Jpeg), false), (noise, true)] {
+        // nothing stays open or at hand
+        let made = made(Limits { file_cache: 0, scene_cache: 0, view_cache: 0, ..Limits::default() }, photo);
+        assert_eq!(made.whole.len() > 256 << 10, large);
+        for ask in ["atlas", "view?w=40", "atlas?level=1", "atlas?sections=photo", "export?format=zip", "atlas?region=0,0,40,40"] {
+            for (kind, damage) in made.kinds() {
+                let context = format!("{kind}, {ask}, {} bytes", made.whole.len());
+                made.spoil(damage.as_ref());
+                let path = format!("/v1/photos/{}/{ask}", made.id);
+                assert_eq!(get(made.server.addr, &path).problem(500)["type"], "urn:tmpi:problem:damaged", "{context}");
+                let state = made.server.state(&made.id);
+                assert_eq!(
+                    (&state["state"], &state["problem"]["type"]),
+                    (&"damaged".into(), &"urn:tmpi:problem:damaged".into()),
+                    "{context}"
+                );
+                assert!(state["problem"]["detail"].as_str().unwrap().contains("atlas.tmpi"), "{state}");
+                // nor anything else of it
+                get(made.server.addr, &format!("/v1/photos/{}/thumbnail", made.id)).problem(500);
+                let metrics = String::from_utf8(get(made.server.addr, "/metrics").body).unwrap();
+                assert!(metrics.contains("tmpi_photos_damaged 1"), "{context}");
+                made.heal(&context);
+            }
+        }
+    }
+}
+
+#[test]
+fn damage_is_found_though_nobody_asks() {
+    let soon = Duration::from_millis(20);
+    let made = made(Limits { look_over_first: soon, look_over: soon, ..Limits::default() }, jpeg(1));
+    for (kind, damage) in made.kinds() {
+        // what is kept open or in memory does not hide it
+        assert_eq!(get(made.server.addr, &format!("/v1/photos/{}/atlas", made.id)).status, 200);
+        made.spoil(damage.as_ref());
+        wait_until(&format!("{kind} is noticed"), || made.server.state(&made.id)["state"] == "damaged");
+        made.heal(kind);
+    }
+    let thumbnail = made.atlas.with_file_name("thumbnail.jpg");
+    std::fs::remove_file(&thumbnail).unwrap();
+    wait_until("it is noticed", || made.server.state(&made.id)["state"] == "damaged");
+    made.heal("thumbnail");
+    assert!(thumbnail.exists());
+}

@@ -1,0 +1,110 @@
+#!/usr/bin/env python3
+"""Small uploads that want much: answer, time, peak memory, and other clients' latency meanwhile."""
+import argparse, base64, struct, time, zlib
+from common import Server, Table, Watch, check, chunk, end, noise, png, ramp, size_of, small
+
+
+def segment(marker, data):
+    return bytes([0xFF, marker]) + struct.pack(">H", len(data) + 2) + data
+
+
+def scans(side, count):
+    """A progressive JPEG of one grey component with `count` scans of no data."""
+    head = b"\xff\xd8" + segment(0xDB, b"\0" + b"\x10" * 64)
+    head += segment(0xC2, struct.pack(">BHHB", 8, side, side, 1) + b"\x01\x11\x00")
+    head += segment(0xC4, b"\x00\x01" + bytes(15) + b"\x00") + segment(0xC4, b"\x10\x01" + bytes(15) + b"\x00")
+    return head + segment(0xDA, b"\x01\x01\x00\x00\x00\x00") * count + b"\xff\xd9"
+
+
+def claims(width, height):
+    """A baseline JPEG that claims a size and ends after a few blocks."""
+    head = b"\xff\xd8" + segment(0xDB, b"\0" + b"\x10" * 64)
+    head += segment(0xC0, struct.pack(">BHHB", 8, height, width, 1) + b"\x01\x11\x00")
+    head += segment(0xC4, b"\x00\x01" + bytes(15) + b"\x00") + segment(0xC4, b"\x10\x01" + bytes(15) + b"\x00")
+    return head + segment(0xDA, b"\x01\x01\x00\x00\x3f\x00") + bytes(9000) + b"\xff\xd9"
+
+
+def zeros(mebibytes):
+    coder = zlib.compressobj(9)
+    return b"".join(coder.compress(bytes(1 << 20)) for _ in range(mebibytes)) + coder.flush()
+
+
+def one_colour(width, height):
+    return png(width, height, 3, (b"\x7f" * (3 * width) for _ in range(height)))
+
+
+def with_chunks(extra):
+    return png(64, 64, 3, (bytes([90]) * 192 for _ in range(64)), extra)
+
+
+def exif(bytes_):
+    """An orientation that is so many empty texts."""
+    return b"II*\0" + struct.pack("<IHHHIII", 8, 1, 0x0112, 2, bytes_, 26, 0) + bytes(bytes_)
+
+
+def frames(count):
+    """An animated WebP of one-pixel frames."""
+    file = base64.b64decode("UklGRh4AAABXRUJQVlA4TBEAAAAvAAAAAAfQ//73v/+BiOh/AAA=")
+    picture = file[12:]
+    picture += b"\0" * (len(picture) % 2)
+    frame = bytes(16)[:12] + b"\x0a\0\0\0" + picture
+    block = b"ANMF" + struct.pack("<I", len(frame)) + frame
+    body = b"WEBP" + b"VP8X" + struct.pack("<I", 10) + b"\x02\0\0\0" + bytes(6) + b"ANIM" + struct.pack("<I", 6) + bytes(6) + block * count
+    return b"RIFF" + struct.pack("<I", len(body)) + body
+
+
+def main():
+    args = argparse.ArgumentParser(description=__doc__)
+    args.add_argument("--full", action="store_true")
+    full = args.parse_args().full
+    body = 31 << 20
+    profile = zeros(1024 if full else 64)
+    cases = [
+        ("scan bomb, 10 kB", lambda: (scans(4096, 1000), "")),
+        ("scan bomb, 10 kB, reduced", lambda: (scans(4096, 1000), "?max-size=64")),
+        (f"scan bomb, {body >> 20} MiB", lambda: (scans(4096, body // 10), "?max-size=64")),
+        ("9 kB that claim 16384×3000", lambda: (claims(16384, 3000), "")),
+        (f"ICC of {1024 if full else 64} MiB", lambda: (with_chunks(chunk(b"iCCP", b"p\0\0" + profile)), "")),
+        (f"zTXt of {1024 if full else 64} MiB", lambda: (with_chunks(chunk(b"zTXt", b"t\0\0" + profile)), "")),
+        ("1.2 million chunks of text", lambda: (with_chunks(chunk(b"tEXt", b"a\0bcdefgh") * 1_200_000), "")),
+        ("31 MB of EXIF", lambda: (with_chunks(chunk(b"eXIf", exif(31_000_000))), "")),
+        ("90 000 frames", lambda: (frames(90_000), "")),
+        ("20 000×20 000 of one colour", lambda: (one_colour(20_000, 20_000), "")),
+        ("50 MP of one colour" if full else "12 MP of one colour", lambda: (one_colour(*size_of(49.9 if full else 12)), "")),
+        ("12 MP, planes=64", lambda: (noise(12), "?planes=64")),
+        ("tile=8&planes=48", lambda: (noise(0.5), "?tile=8&planes=48")),
+    ]
+    table = Table("upload", "bytes", "answer", "after", "ended as", "after ", "others median", "worst", "not 200", "server", "maker")
+    for name, make in cases:
+        photo, query = make()
+        server = Server()
+        with Watch(server) as watch:
+            time.sleep(0.5)
+            began = time.monotonic()
+            # with a map of its own no network is needed; raw where the query has the options
+            depth = None if query else ramp()
+            status, answer = server.upload(photo, depth, query, timeout=300)
+            answered = time.monotonic() - began
+            ended, took = "", ""
+            if status in (201, 202):
+                state = server.wait(answer["id"], 900)
+                ended, took = state["state"], f"{time.monotonic() - began:.2f} s"
+                if state["state"] == "failed":
+                    ended += " " + state["problem"]["type"].rsplit(":", 1)[1]
+                check(state["state"] in ("done", "failed"), f"{name}: ends in 15 minutes")
+            else:
+                ended = answer.get("type", "").rsplit(":", 1)[-1] + " " + answer.get("detail", "")[:70]
+            check(status in (201, 202) or 400 <= status < 500, f"{name}: answered {status}")
+            # whoever comes next is served
+            status_next, after = server.upload(small(1, 96, 72), ramp())
+            check(status_next in (201, 202) and server.wait(after["id"], 120)["state"] == "done", f"after {name} the next photo is made")
+            time.sleep(0.2)
+        row = watch.row()
+        check(watch.failed == 0, f"{name}: health answers meanwhile")
+        check(watch.peak < 1024, f"{name}: the server itself stays below 1 GiB, not {watch.peak:.0f} MiB")
+        table.row(name, len(photo), status, f"{answered:.2f} s", ended, took, **row)
+        server.remove()
+    end()
+
+
+main()

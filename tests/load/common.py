@@ -1,0 +1,262 @@
+"""A server of its own on a free port with data in a temporary folder, pictures, a client, and tables. Python's standard library alone.
+
+Programs: `target/release/tmpi`, or what `TMPI` names. Every script starts its servers itself and asks nobody else.
+"""
+import atexit, http.client, json, os, shutil, signal, socket, struct, subprocess, sys, tempfile, threading, time, zlib
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+PROGRAM = os.environ.get("TMPI", str(ROOT / "target/release/tmpi"))
+
+
+def status_kib(pid, field):
+    try:
+        for line in open(f"/proc/{pid}/status"):
+            if line.startswith(field + ":"):
+                return int(line.split()[1])
+    except (OSError, ValueError):
+        pass
+    return 0
+
+
+def children(pid):
+    found = []
+    for name in os.listdir("/proc"):
+        if name.isdigit():
+            try:
+                stat = open(f"/proc/{name}/stat").read()
+            except OSError:
+                continue
+            if int(stat.rsplit(")", 1)[1].split()[1]) == pid:
+                found.append(int(name))
+    return found
+
+
+class Server:
+    """`tmpi serve` in a folder of its own."""
+
+    def __init__(self, *args, data=None, env=None, ready=60):
+        self.own = data is None
+        self.data = Path(data or tempfile.mkdtemp(prefix="tmpi-load-"))
+        self.log = open(self.data.parent / (self.data.name + ".log"), "a")
+        self.args, self.env = args, {**os.environ, "RUST_LOG": "warn", **(env or {})}
+        if self.own:
+            atexit.register(self.remove)
+        self.start(ready)
+
+    def start(self, ready=60):
+        command = [PROGRAM, "serve", "--addr", "127.0.0.1:0", "--data", str(self.data / "data"), *self.args]
+        began = time.monotonic()
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=self.log, env=self.env, text=True)
+        line = self.process.stdout.readline().strip()
+        if not line.startswith("http://"):
+            raise SystemExit(f"the server does not start: see {self.log.name}")
+        host, port = line.removeprefix("http://").rsplit(":", 1)
+        self.address = (host, int(port))
+        while self.get("/healthz", timeout=ready)[0] != 200:
+            time.sleep(0.01)
+        self.started_in = time.monotonic() - began
+
+    def connect(self, timeout=60):
+        return http.client.HTTPConnection(*self.address, timeout=timeout)
+
+    def request(self, method, path, body=None, headers=None, timeout=120):
+        """Status, headers and body; status 0 where there is no answer."""
+        connection = self.connect(timeout)
+        try:
+            connection.request(method, path, body, headers or {})
+            answer = connection.getresponse()
+            return answer.status, {k.lower(): v for k, v in answer.getheaders()}, answer.read()
+        except (OSError, http.client.HTTPException) as error:
+            return 0, {}, str(error).encode()
+        finally:
+            connection.close()
+
+    def get(self, path, timeout=120):
+        return self.request("GET", path, timeout=timeout)
+
+    def state(self, photo):
+        status, _, body = self.get(f"/v1/photos/{photo}")
+        return json.loads(body) if status == 200 else {"state": f"answer {status}"}
+
+    def upload(self, photo, depth=None, query="", timeout=120, **options):
+        """Status and JSON of the answer."""
+        if depth is None and not options:
+            status, _, body = self.request("POST", "/v1/photos" + query, photo, timeout=timeout)
+        else:
+            parts = {"photo": photo, **({"depth": depth} if depth else {}), **{k: str(v).encode() for k, v in options.items()}}
+            kind, body = form(parts)
+            status, _, body = self.request("POST", "/v1/photos" + query, body, {"content-type": kind}, timeout)
+        try:
+            return status, json.loads(body)
+        except ValueError:
+            return status, {"detail": body[:200].decode(errors="replace")}
+
+    def wait(self, photo, seconds=600, wanted=("done", "failed", "damaged")):
+        end = time.monotonic() + seconds
+        while True:
+            state = self.state(photo)
+            if state["state"] in wanted or time.monotonic() > end:
+                return state
+            time.sleep(0.02)
+
+    def metric(self, name):
+        for line in self.get("/metrics")[2].decode().splitlines():
+            if line.startswith(name + " "):
+                return float(line.split()[1])
+        return 0.0
+
+    def peak_mib(self):
+        """Peak resident memory of the server, and of the process that makes photos now."""
+        own = status_kib(self.process.pid, "VmHWM") / 1024
+        makers = [status_kib(child, "VmHWM") / 1024 for child in children(self.process.pid)]
+        return own, max(makers, default=0.0)
+
+    def resident_mib(self):
+        return status_kib(self.process.pid, "VmRSS") / 1024
+
+    def stop(self):
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGTERM)
+            try:
+                self.process.wait(60)
+            except subprocess.TimeoutExpired:
+                self.process.kill()
+                self.process.wait()
+
+    def kill(self):
+        self.process.kill()
+        self.process.wait()
+
+    def remove(self):
+        self.stop()
+        shutil.rmtree(self.data, ignore_errors=True)
+        Path(self.log.name).unlink(missing_ok=True)
+
+
+def form(parts):
+    boundary, body = "a-boundary-that-is-in-no-part", b""
+    for name, value in parts.items():
+        body += f'--{boundary}\r\ncontent-disposition: form-data; name="{name}"; filename="f"\r\n\r\n'.encode() + value + b"\r\n"
+    return f"multipart/form-data; boundary={boundary}", body + f"--{boundary}--\r\n".encode()
+
+
+class Watch:
+    """Another client that asks for something light all the time, and the peaks of the processes meanwhile."""
+
+    def __init__(self, server, path="/healthz", every=0.05):
+        self.server, self.path, self.every = server, path, every
+        self.times, self.failed, self.peak, self.maker = [], 0, 0.0, 0.0
+        self.running = True
+        self.thread = threading.Thread(target=self.run, daemon=True)
+
+    def run(self):
+        while self.running:
+            began = time.monotonic()
+            status = self.server.get(self.path, timeout=20)[0]
+            self.times.append(time.monotonic() - began)
+            self.failed += status != 200
+            own, maker = self.server.peak_mib()
+            self.peak, self.maker = max(self.peak, own), max(self.maker, maker)
+            time.sleep(self.every)
+
+    def __enter__(self):
+        self.thread.start()
+        return self
+
+    def __exit__(self, *_):
+        self.running = False
+        self.thread.join()
+
+    def row(self):
+        times = sorted(self.times) or [0.0]
+        return {
+            "others median": f"{times[len(times) // 2] * 1e3:.0f} ms",
+            "worst": f"{times[-1] * 1e3:.0f} ms",
+            "not 200": f"{self.failed} of {len(self.times)}",
+            "server": f"{self.peak:.0f} MiB",
+            "maker": f"{self.maker:.0f} MiB",
+        }
+
+
+class Table:
+    """Rows as they come, as markdown."""
+
+    def __init__(self, *columns):
+        self.columns = columns
+        print("| " + " | ".join(columns) + " |\n|" + " --- |" * len(columns), flush=True)
+
+    def row(self, *cells, **named):
+        cells = [str(c) for c in cells] + [str(named.get(c, "")) for c in self.columns[len(cells):]]
+        print("| " + " | ".join(cells) + " |", flush=True)
+
+
+failures = []
+
+
+def check(holds, what):
+    """Remembers what does not hold; see `end`."""
+    if not holds:
+        failures.append(what)
+        print(f"**does not hold: {what}**", flush=True)
+    return holds
+
+
+def end():
+    """Status 1 where something did not hold."""
+    print(f"\n{len(failures)} of the checks do not hold" if failures else "\nall checks hold")
+    sys.exit(1 if failures else 0)
+
+
+def chunk(kind, data):
+    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+
+def png(width, height, channels, rows, extra=b""):
+    """A PNG of 8 bits, grey (1) or RGB (3), of rows of bytes; `extra`: chunks before the pixels."""
+    coder, body = zlib.compressobj(1), []
+    for row in rows:
+        body.append(coder.compress(b"\0" + row))
+    body.append(coder.flush())
+    head = struct.pack(">IIBBBBB", width, height, 8, {1: 0, 3: 2}[channels], 0, 0, 0)
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + extra + chunk(b"IDAT", b"".join(body)) + chunk(b"IEND", b"")
+
+
+def size_of(megapixels):
+    width = int((megapixels * 1e6 * 4 / 3) ** 0.5)
+    return width, int(megapixels * 1e6 / width)
+
+
+def noise(megapixels, channels=3, levels=2):
+    """Every pixel of its own."""
+    width, height = size_of(megapixels)
+    table = bytes((i % levels) * (255 // max(1, levels - 1)) for i in range(256))
+    return png(width, height, channels, (os.urandom(width * channels).translate(table) for _ in range(height)))
+
+
+def smooth(megapixels, channels=3, seed=0):
+    """A ramp to the right; another picture for each seed."""
+    width, height = size_of(megapixels)
+    row = bytes((x * 255 // width + seed) % 256 for x in range(width) for _ in range(channels))
+    return png(width, height, channels, (row for _ in range(height)))
+
+
+def small(seed, width=480, height=360):
+    """A picture with edges; another one for each seed."""
+    rows = (
+        bytes(v for x in range(width) for v in (40 if (x // 60 + y // 45 + seed) % 2 else 200, x * 255 // width, (y + 7 * seed) % 256))
+        for y in range(height)
+    )
+    return png(width, height, 3, rows)
+
+
+def ramp(width=80, height=60):
+    """A depth map of two steps: no network is needed."""
+    return png(width, height, 1, (bytes(64 if x < width // 2 else 192 for x in range(width)) for _ in range(height)))
+
+
+def raw(server, request, timeout=20):
+    """Sends bytes and gives the open socket."""
+    connection = socket.create_connection(server.address, timeout)
+    connection.sendall(request)
+    return connection

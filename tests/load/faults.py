@@ -1,0 +1,119 @@
+#!/usr/bin/env python3
+"""Faults of the machine: a full disk, a missing runtime library, damaged records. Nothing is lost, and it works again by itself."""
+import argparse, json, os, shutil, subprocess, tempfile, time
+from pathlib import Path
+from common import ROOT, Server, Table, check, end, ramp, small
+
+
+def full_disk(table, uploads):
+    folder = tempfile.mkdtemp(prefix="tmpi-load-")
+    if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=20m", "tmpfs", folder], capture_output=True).returncode:
+        table.row("full disk", "skipped: only root mounts a small disk here", "")
+        return
+    server = None
+    try:
+        server = Server("--queue", "200", data=folder)
+        server.log.close()
+        server.log = open("/dev/null", "a")
+        filler = Path(folder, "filler")
+        depth = ramp()
+        accepted, refused = [], {}
+        for seed in range(uploads):
+            if seed == uploads // 3:
+                with open(filler, "wb") as file:
+                    try:
+                        while True:
+                            file.write(bytes(1 << 16))
+                            file.flush()
+                    except OSError:
+                        pass
+            status, answer = server.upload(small(seed), depth)
+            if status in (201, 202):
+                accepted.append(answer["id"])
+            else:
+                refused[status] = refused.get(status, 0) + 1
+        time.sleep(3)
+        states = [server.state(photo)["state"] for photo in accepted]
+        ready = server.get("/readyz")
+        check(ready[0] == 503, f"a full disk is told by /readyz: {ready[0]}")
+        check("failed" not in states, f"no photo fails: {states}")
+        check(set(refused) <= {507}, f"uploads are refused with 507: {refused}")
+        filler.unlink()
+        began = time.monotonic()
+        states = [server.wait(photo, 120)["state"] for photo in accepted]
+        took = time.monotonic() - began
+        check(all(state == "done" for state in states), f"all are made once there is room: {states}")
+        status, answer = server.upload(small(1000), depth)
+        check(status in (201, 202), f"and uploads are taken again: {status}")
+        table.row(f"full disk, {uploads} uploads", f"{len(accepted)} accepted, refused {refused}", f"all done {took:.1f} s after there was room")
+    finally:
+        if server:
+            server.stop()
+        subprocess.run(["umount", folder], capture_output=True)
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def library(table):
+    known = [Path(os.environ.get("ORT_DYLIB_PATH", "")), ROOT / ".tmpi/onnxruntime/libonnxruntime.so"]
+    found = next((path for path in known if path.is_file()), None)
+    if not found:
+        table.row("missing library", "skipped: there is no library (cargo xtask fetch)", "")
+        return
+    folder = tempfile.mkdtemp(prefix="tmpi-load-")
+    link = Path(folder, "libonnxruntime.so")
+    server = Server(env={"ORT_DYLIB_PATH": str(link)})
+    estimated = [server.upload(small(seed))[1]["id"] for seed in range(3)]
+    given = server.upload(small(9), ramp())[1]["id"]
+    check(server.wait(given, 60)["state"] == "done", "a photo with a map of its own is made meanwhile")
+    time.sleep(1)
+    states = [server.state(photo) for photo in estimated]
+    check(all(state["state"] in ("queued", "working") for state in states), f"photos wait: {[s['state'] for s in states]}")
+    ready = server.get("/readyz")
+    check(ready[0] == 503, f"/readyz tells: {ready[0]}")
+    link.symlink_to(found)
+    began = time.monotonic()
+    states = [server.wait(photo, 180)["state"] for photo in estimated]
+    took = time.monotonic() - began
+    check(all(state == "done" for state in states), f"all are made once it is there: {states}")
+    check(server.get("/readyz")[0] == 200, "ready again")
+    reason = json.loads(ready[2]).get("detail", "")[:60] if ready[0] == 503 else ""
+    table.row("missing library", f"3 wait, /readyz {ready[0]}: {reason}…", f"all done {took:.1f} s after it was there")
+    server.remove()
+    shutil.rmtree(folder, ignore_errors=True)
+
+
+def records(table):
+    server = Server()
+    depth = ramp()
+    ids = [server.upload(small(seed), depth)[1]["id"] for seed in range(6)]
+    for photo in ids:
+        server.wait(photo)
+    folder = server.data / "data/photos"
+    server.stop()
+    (folder / ids[0] / "state.json").write_bytes(b'{"att')
+    (folder / ids[1] / "options.json").write_bytes(b"")
+    (folder / ids[2] / "settings.json").write_bytes(b'{"version": 9, "title": "A", "halo": 1}')
+    (folder / ids[3] / "thumbnail.jpg").unlink()
+    (folder / ids[4] / "atlas.tmpi.tmp").write_bytes(b"half")
+    os.mkdir(folder / "not-a-photo")
+    server.start()
+    states = [server.wait(photo, 60)["state"] for photo in ids]
+    check(states == ["done"] * 6, f"all are there: {states}")
+    check(server.state(ids[2])["settings"].get("title") == "A", "settings of a later version are understood as far as they go")
+    check(not (folder / ids[4] / "atlas.tmpi.tmp").exists(), "leftovers are gone")
+    table.row("damaged records, 5 kinds of 6 photos", " ".join(states), "")
+    server.remove()
+
+
+def main():
+    args = argparse.ArgumentParser(description=__doc__)
+    args.add_argument("--full", action="store_true")
+    full = args.parse_args().full
+    table = Table("what", "outcome", "then")
+    full_disk(table, 60 if full else 30)
+    library(table)
+    records(table)
+    end()
+
+
+main()

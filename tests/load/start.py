@@ -1,0 +1,52 @@
+#!/usr/bin/env python3
+"""Start with many photos: time to the first answer, memory, the list; with the system's caches, and without where root may drop them."""
+import argparse, os, shutil, subprocess, time
+from common import Server, Table, check, end, ramp, small
+
+
+def main():
+    args = argparse.ArgumentParser(description=__doc__)
+    args.add_argument("--photos", type=int)
+    args.add_argument("--full", action="store_true")
+    args = args.parse_args()
+    count = args.photos or (100_000 if args.full else 5_000)
+    server = Server()
+    status, answer = server.upload(small(1, 80, 60), ramp())
+    check(server.wait(answer["id"])["state"] == "done", "a photo is made")
+    server.stop()
+    folder = server.data / "data/photos"
+    first = folder / answer["id"]
+    files = {name: (first / name).read_bytes() for name in os.listdir(first)}
+    for n in range(1, count):
+        to = folder / f"{n:032x}"
+        os.mkdir(to, 0o700)
+        for name, bytes_ in files.items():
+            if name in ("options.json", "state.json"):
+                (to / name).write_bytes(bytes_)
+            elif n % 30_000:
+                os.link(folder / f"{n // 30_000 * 30_000:032x}" / name if n >= 30_000 else first / name, to / name)
+            else:
+                shutil.copy(first / name, to / name)
+    subprocess.run(["sync"])
+    table = Table("caches", "photos", "start", "resident", "list of 50", "list of 200")
+    for kind in ("cold", "warm", "warm"):
+        if kind == "cold":
+            try:
+                with open("/proc/sys/vm/drop_caches", "w") as drop:
+                    drop.write("3")
+            except OSError:
+                kind = "as they are"
+        server.start(600)
+        lists = []
+        for limit in (50, 200):
+            began = time.monotonic()
+            status = server.get(f"/v1/photos?limit={limit}")[0]
+            check(status == 200, f"the list: {status}")
+            lists.append(f"{(time.monotonic() - began) * 1e3:.1f} ms")
+        check(server.metric("tmpi_photos_done") == count, f"all are there: {server.metric('tmpi_photos_done')}")
+        table.row(kind, count, f"{server.started_in:.2f} s", f"{server.resident_mib():.0f} MiB", *lists)
+        server.stop()
+    end()
+
+
+main()
