@@ -13,7 +13,7 @@ use crate::server;
 pub type Run = fn(&[u8]) -> usize;
 
 /// All targets by name.
-pub const TARGETS: [(&str, Run); 12] = [
+pub const TARGETS: [(&str, Run); 13] = [
     ("container", container),
     ("labels", labels),
     ("planes", planes),
@@ -24,6 +24,7 @@ pub const TARGETS: [(&str, Run); 12] = [
     ("exif", exif),
     ("icc", icc),
     ("depth", depth),
+    ("carried", carried),
     ("multipart", multipart),
     ("patch", patch),
 ];
@@ -134,12 +135,23 @@ fn icc(data: &[u8]) -> usize {
 /// A user's depth map, for a photo of another size. Promised: finite values, one for each pixel; what is read was not refused before.
 fn depth(data: &[u8]) -> usize {
     let kind = if data.last().is_some_and(|b| b % 2 == 1) { DepthKind::Metric } else { DepthKind::Disparity };
-    if let Ok(map) = maps::from_png(data, kind, &PHOTO, 21, 13) {
+    if let Ok((map, _)) = maps::from_map(data, kind, &PHOTO, 21, 13) {
         assert!(maps::check(data, &PHOTO).is_ok(), "a map was read that the check refuses");
         assert_eq!(map.delta.len(), 21 * 13);
         assert!(map.delta.iter().all(|v| (0.0..=1.0).contains(v)));
     }
     LEAST + DECODER + 8 * data.len() + 64 * SLOW as usize
+}
+
+/// A photo with depth of its own. Promised: as for a user's depth map.
+fn carried(data: &[u8]) -> usize {
+    if let Ok(Some(found)) = maps::carried(data)
+        && let Ok((map, _)) = found.read(&PHOTO, 21, 13)
+    {
+        assert_eq!(map.delta.len(), 21 * 13);
+        assert!(map.delta.iter().all(|v| (0.0..=1.0).contains(v)));
+    }
+    LEAST + DECODER + 16 * data.len() + 64 * SLOW as usize
 }
 
 /// The body of a form whose boundary is `x`. Promised: an error of the request, or its options.

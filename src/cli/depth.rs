@@ -102,15 +102,15 @@ fn pfm(map: &DisparityMap, _: bool) -> anyhow::Result<Vec<u8>> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use tmpi_pipeline::depth::{DepthKind, from_png};
+    use tmpi_pipeline::depth::{DepthKind, from_map};
 
     #[test]
     fn a_png_reads_back_as_written() {
         let map = DisparityMap { width: 3, height: 2, delta: vec![0.0, 0.25, 1.0, 0.5, 0.125, 0.75] };
-        let back = from_png(&png(&map, false).unwrap(), DepthKind::Disparity, &Limits::default(), 3, 2).unwrap();
+        let (back, _) = from_map(&png(&map, false).unwrap(), DepthKind::Disparity, &Limits::default(), 3, 2).unwrap();
         assert!(back.delta.iter().zip(&map.delta).all(|(a, b)| (a - b).abs() < 1e-5));
         let wide = DisparityMap { width: 2, height: 1, delta: vec![-40.0, 60.0] };
-        let back = from_png(&png(&wide, true).unwrap(), DepthKind::Disparity, &Limits::default(), 2, 1).unwrap();
+        let (back, _) = from_map(&png(&wide, true).unwrap(), DepthKind::Disparity, &Limits::default(), 2, 1).unwrap();
         assert!(back.delta[0] < 1e-5 && back.delta[1] > 0.9999);
         let flat = DisparityMap { width: 1, height: 1, delta: vec![7.0] };
         assert!(png(&flat, true).is_ok());

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use tmpi_core::ViewBox;
 use tmpi_pipeline::depth::{ADAPTERS, Adapter, DepthKind, adapter, detect};
 use tmpi_pipeline::networks::models::Settings;
-use tmpi_pipeline::networks::models::registry::{PUBLISHED, Published, published};
+use tmpi_pipeline::networks::models::registry::{PUBLISHED, Published, best, folder, published};
 use tmpi_pipeline::networks::{Config, Provider};
 use tmpi_pipeline::{Denoise, Options, PlaneCount, PlaneMethod, Switch, TileSize};
 
@@ -16,6 +16,9 @@ pub(super) struct MakeFlags {
     /// How the values of the depth map are meant
     #[arg(long, value_enum, default_value_t, value_name = "KIND")]
     pub depth_kind: DepthKind,
+    /// Depth that the photo brings along (Google's depth map metadata, Dynamic Depth, portraits of iPhones sent as JPEG); on: fail without
+    #[arg(long, value_enum, default_value_t, value_name = "SWITCH")]
+    pub photo_depth: Switch,
     /// Horizontal field of view of the photo in degrees; without it EXIF, else 81.5
     #[arg(long, value_parser = fov_x, value_name = "DEG")]
     pub fov_x: Option<f64>,
@@ -63,6 +66,7 @@ impl MakeFlags {
     pub(super) fn options(&self) -> Options {
         Options {
             depth_kind: self.depth_kind,
+            photo_depth: self.photo_depth,
             fov_x: self.fov_x,
             planes: self.planes,
             plane_method: self.plane_method,
@@ -83,9 +87,9 @@ impl MakeFlags {
 /// Which networks are used, and how.
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct ModelFlags {
-    /// Depth network: its name, and its ONNX file unless it is embedded or was fetched by `tmpi models get`; a file alone
-    /// where its name or its graph tells the network
-    #[arg(long, value_parser = depth_model, default_value = "tmpi", value_name = "NAME[=FILE]|FILE", env = "TMPI_DEPTH_MODEL")]
+    /// Depth network: auto for the best in the folder of networks (`tmpi models list`), else the embedded one, which is tmpi; or its name,
+    /// and its ONNX file unless it is embedded or was fetched by `tmpi models get`; a file alone where its name or its graph tells the network
+    #[arg(long, value_parser = depth_model, default_value = "auto", value_name = "auto|NAME[=FILE]|FILE", env = "TMPI_DEPTH_MODEL")]
     pub depth_model: DepthModel,
     /// Pixels at which the depth network sees a photo, if not those that it is best at: its time grows with them
     #[arg(long, value_parser = clap::value_parser!(u32).range(1024..=2_000_000), value_name = "PIXELS")]
@@ -122,10 +126,14 @@ pub(super) struct DepthModel {
 }
 
 fn depth_model(text: &str) -> Result<DepthModel, String> {
+    if text == "auto" {
+        let (adapter, file) = best(&folder()).map_or((&ADAPTERS[0], None), |(adapter, file)| (adapter, Some(file)));
+        return Ok(DepthModel { adapter, file });
+    }
     let (name, file) = text.split_once('=').map_or((text, None), |(n, f)| (n, Some(PathBuf::from(f))));
     let fetched = published(name);
     let known = || {
-        let names = ADAPTERS.iter().map(|a| a.name).chain(PUBLISHED.iter().map(|p| p.name)).collect::<BTreeSet<_>>();
+        let names = ["auto"].into_iter().chain(ADAPTERS.iter().map(|a| a.name)).chain(PUBLISHED.iter().map(|p| p.name)).collect::<BTreeSet<_>>();
         names.into_iter().collect::<Vec<_>>().join(", ")
     };
     let Some(adapter) = adapter(name).or_else(|| fetched?.adapter()) else {

@@ -8,7 +8,7 @@ use serde_json::json;
 
 use super::{Usage, result};
 use tmpi_pipeline::networks::models::download::{Digest, Wanted, fetch};
-use tmpi_pipeline::networks::models::registry::{PUBLISHED, folder, published};
+use tmpi_pipeline::networks::models::registry::{BETTER, PUBLISHED, best, folder, published};
 
 /// List and fetch depth networks that others have published
 #[derive(Clone, Debug, clap::Args)]
@@ -27,7 +27,8 @@ enum Command {
     },
     /// Fetch a network; a download that broke off goes on where it was
     Get {
-        /// Its name; any name for an address of your own
+        /// Its name; any name for an address of your own; auto for the one that is worth fetching where there is none yet, which is no error
+        /// where it cannot be fetched: the embedded network is used then
         #[arg(value_name = "NAME")]
         name: String,
         /// Address of an ONNX file that is not in the list
@@ -48,6 +49,16 @@ enum Command {
 pub(super) fn run(args: &ModelsArgs) -> anyhow::Result<()> {
     match &args.command {
         Command::List { json } => list(*json),
+        Command::Get { name, url, sha256, output, quiet } if name == "auto" => {
+            if let Some((_, file)) = best(&folder()).filter(|_| output.is_none()) {
+                return result(&file.display().to_string());
+            }
+            let got = get(BETTER, url.as_deref().zip(*sha256), output.clone(), *quiet);
+            if let Err(error) = got {
+                eprintln!("no better depth network, the embedded one is used: {error:#}");
+            }
+            Ok(())
+        }
         Command::Get { name, url, sha256, output, quiet } => get(name, url.as_deref().zip(*sha256), output.clone(), *quiet),
     }
 }

@@ -10,13 +10,14 @@ use tmpi_pipeline::depth::DepthKind;
 use tmpi_pipeline::{Denoise, Options, PlaneCount, PlaneMethod, Switch, TileSize};
 
 /// Names of all options.
-pub const NAMES: [&str; 13] = [
+pub const NAMES: [&str; 14] = [
     "budget-ms",
     "denoise",
     "depth-kind",
     "fov-x",
     "max-error",
     "max-size",
+    "photo-depth",
     "plane-method",
     "planes",
     "quality",
@@ -40,6 +41,7 @@ pub fn set(options: &mut Options, name: &str, value: &str) -> Result<bool, Probl
         "fov-x" => options.fov_x = Some(number(&name, value)?),
         "max-error" => options.max_error = number(&name, value)?,
         "max-size" => options.max_size = Some(whole(&name, value)?),
+        "photo-depth" => options.photo_depth = choice::<Switch>(&name, value)?,
         "plane-method" => options.plane_method = choice::<PlaneMethod>(&name, value)?,
         "planes" => options.planes = if value == "auto" { PlaneCount::Auto } else { PlaneCount::Fixed(whole(&name, value)?) },
         "quality" => options.quality = whole(&name, value)?,
@@ -67,6 +69,7 @@ pub fn to_text(options: &Options) -> BTreeMap<String, String> {
     put("denoise", chosen(&o.denoise));
     put("depth-kind", chosen(&o.depth_kind));
     put("max-error", o.max_error.to_string());
+    put("photo-depth", chosen(&o.photo_depth));
     put("plane-method", chosen(&o.plane_method));
     put(
         "planes",
@@ -164,7 +167,7 @@ mod tests {
     fn every_name_is_known_with_either_dash() {
         for name in NAMES {
             let value = match name {
-                "denoise" | "refine" | "snap" => "off",
+                "denoise" | "refine" | "snap" | "photo-depth" => "off",
                 "depth-kind" => "metric",
                 "plane-method" => "lloyd",
                 "view-box" => "0.1, 0.2,0.3",

@@ -146,7 +146,7 @@ impl IntoResponse for Problem {
 impl From<&PhotoError> for Problem {
     fn from(error: &PhotoError) -> Self {
         let (status, kind) = match error {
-            PhotoError::Unsupported => (StatusCode::UNSUPPORTED_MEDIA_TYPE, "unsupported-photo"),
+            PhotoError::Unsupported | PhotoError::Heic => (StatusCode::UNSUPPORTED_MEDIA_TYPE, "unsupported-photo"),
             PhotoError::TooManyBytes { .. }
             | PhotoError::TooManyPixels { .. }
             | PhotoError::SideTooLong { .. }
@@ -162,7 +162,7 @@ impl From<&MakeError> for Problem {
     fn from(error: &MakeError) -> Self {
         match error {
             MakeError::Photo(e) => e.into(),
-            MakeError::Depth(DepthError::Map(_)) => {
+            MakeError::Depth(DepthError::Map(_) | DepthError::Carried(_) | DepthError::NotCarried) => {
                 Self::new(StatusCode::UNPROCESSABLE_ENTITY, "broken-depth-map", error.to_string()).field("depth")
             }
             MakeError::Generate(

@@ -6,6 +6,7 @@ import { deletePhoto, listPhotos, photoUrl, uploadPhoto } from './api.js';
 import { $, element, icon } from './dom.js';
 import { filesOf } from './drop.js';
 import { followPhoto, isUnderWay, reasonOf } from './follow-photo.js';
+import { pairs } from './pairs.js';
 import { forgetName, photoName, rememberName } from './photo-name.js';
 import { deleteLater, isGoing } from './undo.js';
 import { Row, say } from './upload-row.js';
@@ -37,11 +38,15 @@ let running = 0;
 /** @param {File[]} files */
 function take(files) {
   const map = $('depth-map', HTMLInputElement);
-  // a map belongs to one photo
-  const depth = files.length === 1 ? (map.files?.[0] ?? null) : null;
-  if (depth) map.value = '';
+  const photos = pairs(files);
+  // a map that was chosen belongs to one photo
+  const chosen = photos.length === 1 ? map.files?.[0] : undefined;
+  if (chosen) {
+    photos[0].depth = chosen;
+    map.value = '';
+  }
   const options = QUALITIES[$('quality', HTMLSelectElement).value];
-  for (const file of files) {
+  for (const { file, depth } of photos) {
     const row = new Row(file.name || t('Pasted photo'), file);
     row.show(t('Waiting to be sent'));
     const job = { file, depth, options, row };

@@ -8,6 +8,7 @@ import { formatPose, parsePose } from '../view/camera.js';
 import { settingsOf } from '../view/settings.js';
 import { Viewer } from '../view/viewer.js';
 import { getPhoto, photoUrl } from './api.js';
+import { depthSource } from './depth-source.js';
 import { $ } from './dom.js';
 import { followPhoto, isUnderWay } from './follow-photo.js';
 import { photoName } from './photo-name.js';
@@ -230,7 +231,19 @@ async function savePicture() {
   setTimeout(() => URL.revokeObjectURL(link.href), NOTE_MS);
 }
 
+/** Says once, where the menu is opened, what made the depth. */
+async function showDepthSource() {
+  const line = $('depth-source');
+  if (line.textContent) return;
+  const version = (await known)?.state.version;
+  const answer = await fetch(photoUrl(id, version ? `/report?v=${version}` : '/report')).catch(() => null);
+  if (!answer?.ok) return;
+  line.textContent = depthSource(await answer.json());
+  line.hidden = false;
+}
+
 const container = $('download', HTMLAnchorElement);
+$('show-menu').addEventListener('beforetoggle', () => showDepthSource());
 $('show-menu').addEventListener('change', applyMenu);
 $('picture').addEventListener('click', () => savePicture().catch((error) => toast(error.message)));
 $('tilt-label').hidden = !hasGyroscope();

@@ -41,6 +41,8 @@ impl Folder {
         if std::env::var_os("ORT_DYLIB_PATH").is_none() && library.is_file() {
             command.env("ORT_DYLIB_PATH", library);
         }
+        // Networks that the user of this machine has fetched are none of the tests'
+        command.env("TMPI_MODELS", self.path("models")).env_remove("TMPI_DEPTH_MODEL");
         Run::from(command.current_dir(self.0.path()).env_remove("RUST_LOG").args(args).output().unwrap())
     }
 

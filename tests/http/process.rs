@@ -28,7 +28,7 @@ impl Process {
         // a file: a pipe that nobody empties would stop the server
         let log = tempfile::NamedTempFile::new().unwrap();
         let mut child = Command::new(env!("CARGO_BIN_EXE_tmpi"))
-            .args(["serve", "--addr", "127.0.0.1:0"])
+            .args(["serve", "--addr", "127.0.0.1:0", "--depth-model", "tmpi"])
             .args(arguments)
             .arg("--data")
             .arg(data)

@@ -28,6 +28,9 @@ write(
 )
 # A network whose input is not of 32-bit floats
 write("integers", [helper.make_node("Neg", ["a"], ["b"])], [value("a", 2, kind=TensorProto.INT64)], [value("b", 2, kind=TensorProto.INT64)])
+# A network of half precision at both ends
+H = TensorProto.FLOAT16
+write("half", [helper.make_node("Add", ["a", "a"], ["b"])], [value("a", "n", 3, kind=H)], [value("b", "n", 3, kind=H)])
 # Mean of the three channels of an image: stands in for a depth network
 write(
     "mean",

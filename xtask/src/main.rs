@@ -18,7 +18,9 @@ use command::{Fault, cargo, run};
 const HELP: &str = "\
 usage: cargo xtask <task>
 
-  serve [ARGS]  fetch ONNX Runtime where it is missing, build, and run `tmpi serve ARGS`
+  serve [--offline] [ARGS]
+                fetch ONNX Runtime where it is missing, build, fetch a depth network that is better than the embedded one (50 MB, once;
+                not with --offline, nor where another one is named), and run `tmpi serve ARGS`
   test          formatting, spelling, lints, types of the pages' scripts, all tests, browser tests; installs what these need where it may
   fuzz [--seconds N] [TARGET…]
                 run the fuzzer on what reads foreign bytes (containers, photos, depth maps, forms, queries), N seconds each
@@ -59,13 +61,23 @@ fn main() -> ExitCode {
     }
 }
 
+/// Flag of `serve`: nothing is fetched but what cannot be done without.
+const OFFLINE: &str = "--offline";
+
 fn serve(args: &[String]) -> Result<(), Fault> {
     runtime::fetch().map_err(|e| e.in_step("ONNX Runtime"))?;
     // all of it, as the tests do: alone the program would be built a second time, with other features of what it shares with this one
     run(cargo(&["build", "--release", "--workspace"])).map_err(|e| e.in_step("build"))?;
+    let chosen = |a: &String| a.starts_with("--depth-model") || a == OFFLINE;
+    if !args.iter().any(chosen) && std::env::var_os("TMPI_DEPTH_MODEL").is_none() {
+        let mut models = std::process::Command::new(command::program());
+        // where there is no network it says so in a line, and the embedded one is used
+        models.args(["models", "get", "auto"]).stdout(std::process::Stdio::null());
+        run(models).map_err(|e| e.in_step("depth network"))?;
+    }
     // The server prints its URL itself, once it listens
     let mut server = std::process::Command::new(command::program());
-    server.arg("serve").args(args);
+    server.arg("serve").args(args.iter().filter(|a| *a != OFFLINE));
     runtime::name_to(&mut server);
     command::become_it(server).map_err(|e| e.in_step("serve"))
 }

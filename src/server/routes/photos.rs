@@ -33,11 +33,13 @@ pub struct UploadForm {
     /// JPEG, PNG or WebP; recognised by its content.
     #[schema(value_type = String, format = Binary)]
     photo: Vec<u8>,
-    /// Depth map, grey PNG of 8 or 16 bits; replaces the estimated depth.
+    /// Depth map, a grey picture (PNG of 8 or 16 bits, JPEG, WebP; or in colour with channels that are alike); replaces the estimated depth.
     #[schema(value_type = Option<String>, format = Binary)]
     depth: Option<Vec<u8>>,
     /// How the depth map is meant: `disparity` or `metric`.
     depth_kind: Option<String>,
+    /// Depth that the photo brings along within its file: `auto`, `off`, or `on` to fail without.
+    photo_depth: Option<String>,
     /// Horizontal field of view in degrees.
     fov_x: Option<f64>,
     /// Planes a tile: `auto` or a number.

@@ -13,7 +13,7 @@ const START_MS = 30_000;
 export async function startServer() {
   if (!existsSync(program)) throw new Error(`no program at ${program}: build it with cargo build --release, or set TMPI_BIN`);
   const data = mkdtempSync(join(tmpdir(), 'tmpi-browser-'));
-  const args = ['serve', '--addr', '127.0.0.1:0', '--data', data];
+  const args = ['serve', '--addr', '127.0.0.1:0', '--depth-model', 'tmpi', '--data', data];
   // for work on the pages without building anew
   if (process.env.TMPI_STATIC) args.push('--static', resolve(process.env.TMPI_STATIC));
   const child = spawn(program, args, { cwd: root, stdio: ['ignore', 'pipe', 'pipe'] });

@@ -97,7 +97,7 @@ fn beside(photo: &Path, file: &[u8]) -> Result<Option<DisparityMap>, BenchError>
     let Ok(png) = std::fs::read(&map) else { return Ok(None) };
     let bad = |e: &dyn std::fmt::Display| BenchError::File { path: map.clone(), reason: e.to_string() };
     let (width, height) = tmpi_pipeline::photo::check(file, &Limits::default()).map_err(|e| bad(&e))?.1;
-    depth::from_png(&png, DepthKind::Disparity, &Limits::default(), width, height).map(Some).map_err(|e| bad(&e))
+    depth::from_map(&png, DepthKind::Disparity, &Limits::default(), width, height).map(|(map, _)| Some(map)).map_err(|e| bad(&e))
 }
 
 /// End of the name of a disparity map beside a photo.

@@ -6,7 +6,7 @@ use super::Checked;
 use super::photos::{Brightness, identity, made, rgb_png};
 use tmpi_core::{DisparityMap, Plane, ViewBox};
 use tmpi_pipeline;
-use tmpi_pipeline::depth::{DepthKind, from_png, to_png};
+use tmpi_pipeline::depth::{DepthKind, from_map, to_png};
 use tmpi_pipeline::photo::Limits;
 use tmpi_pipeline::{Models, Options, PlaneCount, PlaneMethod, TileSize};
 use tmpi_render::Cpu;
@@ -70,8 +70,8 @@ fn rounding(checked: &mut Checked) {
     checked.case("quantisation", "disparity as 16 bits and back", "depth map", "δ", 0.501 / 65_535.0, || {
         let delta: Vec<f32> = (0..4096).map(|i| (i as f32 / 4095.0).powi(3)).collect();
         let map = DisparityMap { width: 64, height: 64, delta };
-        let back = to_png(&map).ok().and_then(|png| from_png(&png, DepthKind::Disparity, &Limits::default(), 64, 64).ok());
-        back.map_or(f64::INFINITY, |b| b.delta.iter().zip(&map.delta).map(|(a, b)| f64::from((a - b).abs())).fold(0.0, f64::max))
+        let back = to_png(&map).ok().and_then(|png| from_map(&png, DepthKind::Disparity, &Limits::default(), 64, 64).ok());
+        back.map_or(f64::INFINITY, |(b, _)| b.delta.iter().zip(&map.delta).map(|(a, b)| f64::from((a - b).abs())).fold(0.0, f64::max))
     });
 }
 

@@ -1,6 +1,7 @@
 //! Disparity of a photo: by a monocular depth network, or a map that the user gives.
 
 mod adapter;
+mod carried;
 mod detect;
 
 mod map;
@@ -11,7 +12,8 @@ mod upsample;
 
 pub use adapter::{ADAPTERS, Adapter, Kind, Layout, Sampling, SizeRule, adapter, margin};
 pub use detect::detect;
-pub use map::{check, from_png};
+pub use carried::{Carried, carried};
+pub use map::{check, from_map};
 pub use monocular::Monocular;
 pub use png::to_png;
 pub use upsample::{halved, upsample};
@@ -33,9 +35,15 @@ pub enum DepthKind {
 /// Why there is no disparity map.
 #[derive(Clone, Debug, thiserror::Error)]
 pub enum DepthError {
-    /// The depth map is not a grey PNG.
-    #[error("the depth map must be a grey PNG of 8 or 16 bits: {0}")]
+    /// The depth map is not a grey picture that can be read.
+    #[error("the depth map cannot be taken: {0}")]
     Map(String),
+    /// The depth that the photo brings along cannot be read.
+    #[error("the depth map within the photo cannot be read: {0}")]
+    Carried(String),
+    /// The photo brings no depth along, and none but that was wanted.
+    #[error("there is no depth map within the photo, and photo-depth is on")]
+    NotCarried,
     /// The map cannot be written as a file.
     #[error("the depth map cannot be written: {0}")]
     Write(String),

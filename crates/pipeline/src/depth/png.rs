@@ -24,14 +24,14 @@ pub fn to_png(map: &DisparityMap) -> Result<Vec<u8>, DepthError> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::depth::{DepthKind, from_png};
+    use crate::depth::{DepthKind, from_map};
     use crate::photo::Limits;
 
     #[test]
     fn what_is_written_is_read_back_to_half_a_step() {
         let delta: Vec<f32> = (0..35).map(|i| i as f32 / 34.0).collect();
         let map = DisparityMap { width: 7, height: 5, delta };
-        let back = from_png(&to_png(&map).unwrap(), DepthKind::Disparity, &Limits::default(), 7, 5).unwrap();
+        let (back, _) = from_map(&to_png(&map).unwrap(), DepthKind::Disparity, &Limits::default(), 7, 5).unwrap();
         for (a, b) in map.delta.iter().zip(&back.delta) {
             assert!((a - b).abs() <= 0.5 / 65_535.0 + f32::EPSILON, "{a} {b}");
         }
@@ -40,7 +40,7 @@ mod tests {
     #[test]
     fn no_value_is_out_of_range() {
         let map = DisparityMap { width: 4, height: 1, delta: vec![-1.0, 2.0, f32::NAN, f32::INFINITY] };
-        let back = from_png(&to_png(&map).unwrap(), DepthKind::Disparity, &Limits::default(), 4, 1).unwrap();
+        let (back, _) = from_map(&to_png(&map).unwrap(), DepthKind::Disparity, &Limits::default(), 4, 1).unwrap();
         assert_eq!(back.delta, [0.0, 1.0, 0.0, 1.0]);
     }
 }

@@ -4,6 +4,8 @@ use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::thread;
 
 use ort::ep::{self, ExecutionProviderDispatch};
+use half::f16;
+use ort::session::SessionInputValue;
 use ort::session::builder::GraphOptimizationLevel;
 use ort::value::{TensorElementType, TensorRef, ValueType};
 
@@ -77,6 +79,14 @@ pub struct Port {
     pub shape: Vec<i64>,
 }
 
+/// A port as the session wants it.
+#[derive(Clone)]
+struct Wanted {
+    port: Port,
+    /// Its numbers are 16-bit floats: networks of half precision that were not given 32-bit ends.
+    half: bool,
+}
+
 struct Job {
     inputs: Vec<Tensor>,
     reply: SyncSender<Result<Vec<Tensor>, OnnxError>>,
@@ -104,11 +114,12 @@ impl Session {
         let (inputs, outputs) = (ports(session.inputs()).map_err(reason)?, ports(session.outputs()).map_err(reason)?);
         let (queue, jobs) = sync_channel(config.queue.max(1));
         let worker = Worker { name: name.to_owned(), session, inputs: inputs.clone() };
+        let plain = |ports: Vec<Wanted>| ports.into_iter().map(|w| w.port).collect();
         thread::Builder::new()
             .name(format!("onnx-{name}"))
             .spawn(move || worker.serve(&jobs))
             .map_err(|e| reason(format!("no thread for it: {e}")))?;
-        Ok(Self { name: name.to_owned(), inputs, outputs, queue })
+        Ok(Self { name: name.to_owned(), inputs: plain(inputs), outputs: plain(outputs), queue })
     }
 
     /// Inputs in the graph's order.
@@ -168,14 +179,14 @@ fn build(model: &[u8], config: &Config) -> Result<ort::session::Session, Fault> 
         .commit_from_memory(model)?)
 }
 
-fn ports(outlets: &[ort::value::Outlet]) -> Result<Vec<Port>, String> {
+fn ports(outlets: &[ort::value::Outlet]) -> Result<Vec<Wanted>, String> {
     outlets
         .iter()
         .map(|o| match o.dtype() {
-            ValueType::Tensor { ty: TensorElementType::Float32, shape, .. } => {
-                Ok(Port { name: o.name().to_owned(), shape: shape.to_vec() })
+            ValueType::Tensor { ty: ty @ (TensorElementType::Float32 | TensorElementType::Float16), shape, .. } => {
+                Ok(Wanted { port: Port { name: o.name().to_owned(), shape: shape.to_vec() }, half: *ty == TensorElementType::Float16 })
             }
-            other => Err(format!("{} is {other:?}, not a tensor of 32-bit floats", o.name())),
+            other => Err(format!("{} is {other:?}, not a tensor of 32-bit or 16-bit floats", o.name())),
         })
         .collect()
 }
@@ -183,7 +194,7 @@ fn ports(outlets: &[ort::value::Outlet]) -> Result<Vec<Port>, String> {
 struct Worker {
     name: String,
     session: ort::session::Session,
-    inputs: Vec<Port>,
+    inputs: Vec<Wanted>,
 }
 
 impl Worker {
@@ -199,18 +210,29 @@ impl Worker {
             return Err(format!("{} inputs given, {} wanted", inputs.len(), self.inputs.len()));
         }
         let mut values = Vec::with_capacity(inputs.len());
-        for (tensor, port) in inputs.iter().zip(&self.inputs) {
+        for (tensor, Wanted { port, half }) in inputs.iter().zip(&self.inputs) {
             check(tensor, port)?;
-            let value = TensorRef::from_array_view((tensor.shape.as_slice(), tensor.data.as_slice())).map_err(|e| e.to_string())?;
-            values.push(ort::session::SessionInputValue::from(value));
+            values.push(if *half {
+                let data: Vec<f16> = tensor.data.iter().map(|v| f16::from_f32(*v)).collect();
+                SessionInputValue::from(ort::value::Tensor::from_array((tensor.shape.as_slice(), data)).map_err(|e| e.to_string())?)
+            } else {
+                let value = TensorRef::from_array_view((tensor.shape.as_slice(), tensor.data.as_slice())).map_err(|e| e.to_string())?;
+                SessionInputValue::from(value)
+            });
         }
         let outputs = self.session.run(values.as_slice()).map_err(|e| e.message().to_owned())?;
         outputs
             .values()
             .map(|value| {
-                let (shape, data) = value.try_extract_tensor::<f32>().map_err(|e| e.to_string())?;
+                let (shape, data) = if *value.data_type() == TensorElementType::Float16 {
+                    let (shape, data) = value.try_extract_tensor::<f16>().map_err(|e| e.to_string())?;
+                    (shape, data.iter().map(|v| v.to_f32()).collect())
+                } else {
+                    let (shape, data) = value.try_extract_tensor::<f32>().map_err(|e| e.to_string())?;
+                    (shape, data.to_vec())
+                };
                 let shape = shape.iter().map(|&n| usize::try_from(n).map_err(|_| format!("an output extent of {n}")));
-                Ok(Tensor { shape: shape.collect::<Result<_, String>>()?, data: data.to_vec() })
+                Ok(Tensor { shape: shape.collect::<Result<_, String>>()?, data })
             })
             .collect()
     }

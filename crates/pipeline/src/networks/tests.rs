@@ -3,6 +3,7 @@ use std::sync::Arc;
 use super::*;
 
 const SUM_DIFFERENCE: &[u8] = include_bytes!("../../../../tests/onnx/sum_difference.onnx");
+const HALF: &[u8] = include_bytes!("../../../../tests/onnx/half.onnx");
 const INTEGERS: &[u8] = include_bytes!("../../../../tests/onnx/integers.onnx");
 
 /// True where ONNX Runtime is there.
@@ -38,6 +39,19 @@ fn nan_and_infinity_pass_through_unharmed() {
     }
     let out = load().run(vec![rows(1, |i| [f32::NAN, f32::INFINITY, 1.0][i]), rows(1, |_| 1.0)]).unwrap();
     assert!(out[0].data[0].is_nan() && out[0].data[1].is_infinite() && (out[0].data[2] - 2.0).abs() < f32::EPSILON);
+}
+
+#[test]
+fn networks_of_half_precision_take_and_give_32_bits() {
+    if !there() {
+        return;
+    }
+    let session = Session::load("half", HALF, &Config::default()).unwrap();
+    assert_eq!(session.inputs(), [Port { name: "a".into(), shape: vec![-1, 3] }]);
+    // a tenth is rounded to 11 bits, 1e6 is beyond 16-bit floats
+    let out = session.run(vec![rows(1, |i| [0.1, 1e6, -2.0][i])]).unwrap();
+    assert!((out[0].data[0] - 0.2).abs() < 1e-4 && (out[0].data[0] - 0.2).abs() > 1e-6, "{:?}", out[0]);
+    assert!(out[0].data[1].is_infinite() && (out[0].data[2] + 4.0).abs() < f32::EPSILON);
 }
 
 #[test]

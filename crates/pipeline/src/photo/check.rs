@@ -12,7 +12,7 @@ use super::{Limits, PhotoError, jpeg, png, webp};
 /// [`PhotoError`], as [`super::decode`] would; damage within the pixels is not seen here.
 pub fn check(bytes: &[u8], limits: &Limits) -> Result<(PhotoFormat, (u32, u32)), PhotoError> {
     limits.check_bytes(bytes.len())?;
-    let format = PhotoFormat::sniff(bytes).ok_or(PhotoError::Unsupported)?;
+    let format = super::sniff(bytes)?;
     let size = match format {
         PhotoFormat::Jpeg => jpeg(bytes, limits).map(|j| (j.width, j.height))?,
         PhotoFormat::WebP => webp(bytes, limits).map(|w| (w.width, w.height))?,

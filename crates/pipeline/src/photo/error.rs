@@ -6,6 +6,12 @@ pub enum PhotoError {
     /// The first bytes are of no format that is read.
     #[error("not a JPEG, PNG or WebP picture")]
     Unsupported,
+    /// A HEIC or AVIF file, as phones take them.
+    #[error(
+        "HEIC and AVIF pictures are not read: on an iPhone, Settings > Camera > Formats > Most Compatible takes JPEG from now on, and \
+         Photos > Share > Options > Most Compatible sends this one as JPEG; elsewhere export it as JPEG"
+    )]
+    Heic,
     /// The file is larger than allowed.
     #[error("file of {bytes} bytes is over the limit of {limit} bytes")]
     TooManyBytes {

@@ -33,13 +33,13 @@ impl Facts {
 }
 
 /// A TIFF structure.
-struct Tiff<'a> {
+pub(crate) struct Tiff<'a> {
     bytes: &'a [u8],
     little: bool,
 }
 
 impl<'a> Tiff<'a> {
-    fn new(bytes: &'a [u8]) -> Option<Self> {
+    pub(crate) fn new(bytes: &'a [u8]) -> Option<Self> {
         match bytes.first_chunk()? {
             b"II*\0" => Some(Self { bytes, little: true }),
             b"MM\0*" => Some(Self { bytes, little: false }),
@@ -55,20 +55,32 @@ impl<'a> Tiff<'a> {
         Some(raw)
     }
 
-    fn short(&self, at: usize) -> Option<u16> {
+    pub(crate) fn short(&self, at: usize) -> Option<u16> {
         self.raw(at).map(u16::from_be_bytes)
     }
 
-    fn long(&self, at: usize) -> Option<u32> {
+    pub(crate) fn long(&self, at: usize) -> Option<u32> {
         self.raw(at).map(u32::from_be_bytes)
+    }
+
+    /// Place of the entry `tag` in the directory at `directory`.
+    fn entry(&self, directory: u32, tag: u16) -> Option<usize> {
+        let start = directory as usize;
+        let count = usize::from(self.short(start)?);
+        (0..count).map(|i| start + 2 + 12 * i).find(|&at| self.short(at) == Some(tag))
+    }
+
+    /// Place and length of the bytes of the entry `tag` of kind UNDEFINED, where they are more than four.
+    pub(crate) fn bytes(&self, directory: u32, tag: u16) -> Option<(usize, usize)> {
+        let entry = self.entry(directory, tag)?;
+        let length = self.long(entry + 4)? as usize;
+        (self.short(entry + 2) == Some(7) && length > 4).then_some((self.long(entry + 8)? as usize, length))
     }
 
     /// First number of the entry `tag` in the directory at `directory`. The standard says SHORT for both facts, writers also use
     /// other types; text is no number.
-    fn number(&self, directory: u32, tag: u16) -> Option<f64> {
-        let start = directory as usize;
-        let count = usize::from(self.short(start)?);
-        let entry = (0..count).map(|i| start + 2 + 12 * i).find(|&at| self.short(at) == Some(tag))?;
+    pub(crate) fn number(&self, directory: u32, tag: u16) -> Option<f64> {
+        let entry = self.entry(directory, tag)?;
         let (kind, values) = (self.short(entry + 2)?, self.long(entry + 4)?);
         let bytes = match kind {
             1 | 6 => 1,

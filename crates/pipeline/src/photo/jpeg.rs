@@ -1,6 +1,7 @@
 //! Walks the segments of a JPEG file: size, metadata, and the file again without metadata.
 
 use super::PhotoError;
+use super::segments::{broken, entropy_end, next_marker, segment};
 
 /// What the segments of a JPEG file say, and the file without what nobody needs to decode it.
 #[derive(Debug)]
@@ -83,10 +84,6 @@ const READ_AHEAD: usize = 16;
 
 /// Share of the rows, as a fraction, that must decode without a fault.
 const MOST: (u64, u64) = (3, 4);
-
-fn broken(what: &str) -> PhotoError {
-    PhotoError::Broken(what.to_owned())
-}
 
 /// Reads all segments up to the end marker, which must be there: a file without it was cut short.
 pub(super) fn scan(bytes: &[u8]) -> Result<Jpeg, PhotoError> {
@@ -175,44 +172,6 @@ pub(super) fn scan(bytes: &[u8]) -> Result<Jpeg, PhotoError> {
     jpeg.least_data = (frame.blocks * if frame.progressive { 1 } else { 2 }) / 8;
     jpeg.stripped = out;
     Ok(jpeg)
-}
-
-/// The marker at or after `at`, and the place behind it. Bytes between segments are skipped, as libjpeg does.
-fn next_marker(bytes: &[u8], mut at: usize) -> Result<(u8, usize), PhotoError> {
-    let cut = || broken("the file is cut short");
-    loop {
-        at += bytes.get(at..).and_then(|rest| rest.iter().position(|&b| b == 0xFF)).ok_or_else(cut)?;
-        while *bytes.get(at).ok_or_else(cut)? == 0xFF {
-            at += 1;
-        }
-        let marker = bytes[at];
-        at += 1;
-        if marker != 0 {
-            return Ok((marker, at));
-        }
-    }
-}
-
-/// Contents of the segment whose length field is at `at`.
-fn segment(bytes: &[u8], at: usize) -> Result<&[u8], PhotoError> {
-    let length = bytes.get(at..at + 2).map(|b| usize::from(u16::from_be_bytes([b[0], b[1]])));
-    match length {
-        Some(n) if n >= 2 => bytes.get(at + 2..at + n).ok_or_else(|| broken("the file is cut short")),
-        Some(_) => Err(broken("a segment of impossible length")),
-        None => Err(broken("the file is cut short")),
-    }
-}
-
-/// Place of the marker that ends the entropy-coded data from `at` on, or the end of the file.
-fn entropy_end(bytes: &[u8], mut at: usize) -> usize {
-    while at + 1 < bytes.len() {
-        // Stuffed zeros, restart markers and fill bytes belong to the data
-        if bytes[at] == 0xFF && !matches!(bytes[at + 1], 0 | 0xD0..=0xD7 | 0xFF) {
-            return at;
-        }
-        at += 1;
-    }
-    bytes.len()
 }
 
 fn push(out: &mut Vec<u8>, marker: u8, body: &[u8]) {

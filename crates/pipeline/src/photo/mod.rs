@@ -7,15 +7,16 @@
 mod check;
 mod colour;
 mod error;
-mod exif;
+pub(crate) mod exif;
 #[doc(hidden)]
 pub mod fuzzing;
 mod jpeg;
 mod limits;
-mod pixels;
+pub(crate) mod pixels;
 pub(crate) mod png;
 mod resample;
 mod resample_bytes;
+pub(crate) mod segments;
 mod taps;
 mod webp;
 
@@ -78,10 +79,25 @@ const MAX_PROFILE: usize = 4 << 20;
 /// [`PhotoError`] names the limit or the fault.
 pub fn decode(bytes: &[u8], limits: &Limits, max_size: Option<u32>) -> Result<Decoded, PhotoError> {
     limits.check_bytes(bytes.len())?;
-    let format = PhotoFormat::sniff(bytes).ok_or(PhotoError::Unsupported)?;
+    let format = sniff(bytes)?;
     // The last resort: a decoder's own bug must not take the process down
     catch_unwind(AssertUnwindSafe(|| read(bytes, format, limits, max_size).map(|raw| finish(raw, format, max_size))))
         .unwrap_or_else(|_| Err(PhotoError::Broken("the decoder failed on this file".into())))
+}
+
+/// Format by the first bytes.
+fn sniff(bytes: &[u8]) -> Result<PhotoFormat, PhotoError> {
+    // brands of ISO base media files that hold pictures
+    let heic = bytes.get(4..8) == Some(b"ftyp")
+        && bytes.get(8..12).is_some_and(|brand| matches!(brand, b"heic" | b"heix" | b"heim" | b"heis" | b"hevc" | b"mif1" | b"msf1" | b"avif"));
+    PhotoFormat::sniff(bytes).ok_or(if heic { PhotoError::Heic } else { PhotoError::Unsupported })
+}
+
+/// EXIF orientation of a JPEG, 1 to 8; 1 where it says none.
+pub(crate) fn orientation(jpeg: &[u8]) -> u8 {
+    let segments = segments::applications(jpeg);
+    let tiff = segments.iter().find(|s| s.number == 1).and_then(|s| s.body.strip_prefix(b"Exif\0\0"));
+    Facts::read(tiff).orientation
 }
 
 /// A picture as its decoder gave it.

@@ -31,9 +31,13 @@ pub(super) fn to_rgb(samples: &[u8], colour: ColorType) -> Result<(Vec<[u8; 3]>,
 
 /// Turns a photo upright, as its EXIF orientation (1 to 8) says.
 pub(super) fn upright(photo: Photo, orientation: u8) -> Photo {
-    let (w, h) = (photo.width as usize, photo.height as usize);
-    let swapped = orientation >= 5;
-    let (width, height) = if swapped { (photo.height, photo.width) } else { (photo.width, photo.height) };
+    let (rgb, (width, height)) = turned(photo.rgb, (photo.width, photo.height), orientation);
+    Photo { width, height, rgb }
+}
+
+/// Turns pixels of a picture of `size` (width, height) upright, and gives its size then; any `orientation` but 2 to 8 leaves them.
+pub(crate) fn turned<P: Copy + Default + Send + Sync>(pixels: Vec<P>, size: (u32, u32), orientation: u8) -> (Vec<P>, (u32, u32)) {
+    let (w, h) = (size.0 as usize, size.1 as usize);
     // Source pixel of an upright pixel
     let from = move |x: usize, y: usize| match orientation {
         2 => (w - 1 - x, y),
@@ -46,14 +50,15 @@ pub(super) fn upright(photo: Photo, orientation: u8) -> Photo {
         _ => (x, y),
     };
     if !(2..=8).contains(&orientation) {
-        return photo;
+        return (pixels, size);
     }
-    let mut rgb = vec![[0; 3]; photo.rgb.len()];
-    rgb.par_chunks_exact_mut(width as usize).enumerate().for_each(|(y, row)| {
+    let (width, height) = if orientation >= 5 { (size.1, size.0) } else { size };
+    let mut out = vec![P::default(); pixels.len()];
+    out.par_chunks_exact_mut(width as usize).enumerate().for_each(|(y, row)| {
         for (x, p) in row.iter_mut().enumerate() {
             let (sx, sy) = from(x, y);
-            *p = photo.rgb[sy * w + sx];
+            *p = pixels[sy * w + sx];
         }
     });
-    Photo { width, height, rgb }
+    (out, (width, height))
 }

@@ -21,8 +21,6 @@ pub(crate) struct Png<'a> {
     pub height: u32,
     /// Bytes a pixel as decoded.
     pub bytes_per_pixel: u64,
-    /// Grey, with or without alpha.
-    pub grey: bool,
 }
 
 /// Size of a PNG: its header chunk comes first and has a fixed length.
@@ -44,8 +42,7 @@ pub(crate) fn scan<'a>(bytes: &'a [u8], limits: &Limits) -> Result<Png<'a>, Phot
         6 => 4,
         _ => return Err(broken("an unknown kind of colour")),
     };
-    let mut png =
-        Png { stripped: Vec::with_capacity(bytes.len()), exif: None, width, height, bytes_per_pixel: 0, grey: matches!(colour, 0 | 4) };
+    let mut png = Png { stripped: Vec::with_capacity(bytes.len()), exif: None, width, height, bytes_per_pixel: 0 };
     png.stripped.extend_from_slice(&bytes[..SIGNATURE]);
     let (mut at, mut pictures) = (SIGNATURE, false);
     while at < bytes.len() {

@@ -1,10 +1,10 @@
 //! The driver of a photo.
 
-use super::stages::{Denoise, Depth, Encode, Layers, Planes, Prepare, Refine, Snap, Verify};
+use super::stages::{Denoise, Depth, Encode, Layers, Planes, Prepare, Refine, Snap, Source, Verify};
 use super::{Context, Made, MakeError, Models, Options, Sink};
 use crate::photo::Limits;
 
-/// Runs a photo through all stages. `depth` is the user's own depth map as a PNG file, if there is one.
+/// Runs a photo through all stages. `depth` is the user's own depth map as a picture file, if there is one.
 ///
 /// # Errors
 /// [`MakeError`]: the photo, the depth map, an option, or a network is at fault, or the caller has given up.
@@ -19,8 +19,9 @@ pub fn make(
     options.validate()?;
     models.check(options)?;
     let mut job = Context::new(models, limits, options, sink);
-    let mut prepared = job.run(&mut Prepare, (photo, depth.is_none()))?;
-    let map = job.run(&mut Depth, (&prepared.photo, depth))?;
+    let source = Source::choose(photo, depth, &mut job)?;
+    let mut prepared = job.run(&mut Prepare, (photo, matches!(source, Source::Network)))?;
+    let map = job.run(&mut Depth, (&prepared.photo, source))?;
     let map = job.run(&mut Denoise, (&prepared.photo, map))?;
     let map = job.run(&mut Snap, (&prepared.photo, map))?;
     let placed = job.run(&mut Planes, (&prepared, &map))?;

@@ -26,7 +26,7 @@ use crate::photo::PhotoError;
 pub use make::make;
 pub use options::{Denoise, Options, PlaneCount, PlaneMethod, Switch, TileSize};
 pub use progress::{Progress, Silent, Sink};
-pub use report::{Budget, Bytes, ErrorFigures, Input, LeftOut, Report, StageTime};
+pub use report::{Budget, Bytes, ErrorFigures, Input, InputDepth, LeftOut, Report, StageTime};
 pub use stage::{Context, Stage};
 pub use stages::STAGES;
 

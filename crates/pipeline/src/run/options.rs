@@ -81,6 +81,8 @@ pub enum Denoise {
 pub struct Options {
     /// How the user's own depth map is meant.
     pub depth_kind: DepthKind,
+    /// Depth that a photo brings along within its file, where the user gives none: used where it can be read; on: nothing else will do.
+    pub photo_depth: Switch,
     /// Horizontal field of view in degrees; none: EXIF, else 0.58 × width.
     pub fov_x: Option<f64>,
     /// Planes a tile.
@@ -113,6 +115,7 @@ impl Default for Options {
     fn default() -> Self {
         Self {
             depth_kind: DepthKind::default(),
+            photo_depth: Switch::default(),
             fov_x: None,
             planes: PlaneCount::default(),
             plane_method: PlaneMethod::default(),

@@ -16,6 +16,26 @@ pub struct Input {
     /// The file is damaged or cut short, and a part of the picture is grey or coarse.
     #[serde(default)]
     pub damaged: bool,
+    /// The depth map that came with it; none where depth was estimated.
+    #[serde(default)]
+    pub depth: Option<InputDepth>,
+    /// Why depth that the photo brings along was not used.
+    #[serde(default)]
+    pub depth_problem: Option<String>,
+}
+
+/// A depth map that came with a photo.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
+pub struct InputDepth {
+    /// Where it was: `given` beside the photo, or within its file as `gdepth`, `dynamic-depth` or `multi-picture`.
+    pub source: String,
+    /// Width in pixels.
+    pub width: u32,
+    /// Height in pixels.
+    pub height: u32,
+    /// Its shape is not the photo's: it was stretched by more than 3 %, and may not fit.
+    pub stretched: bool,
 }
 
 /// What one stage took.
@@ -119,7 +139,7 @@ pub struct Report {
     pub width: u32,
     /// Size of the scene in pixels.
     pub height: u32,
-    /// Depth model, or `given`.
+    /// Depth network, or `given` (a map beside the photo) or `carried` (one within its file).
     pub depth_model: String,
     /// All stages in order.
     pub stages: Vec<StageTime>,

@@ -11,6 +11,8 @@ use sha2::{Digest as _, Sha256};
 
 /// Largest file that is fetched where the size is not known.
 const MOST: u64 = 4 << 30;
+/// How long connecting may take: where there is no network, nobody wants to wait for it.
+const CONNECT: Duration = Duration::from_secs(3);
 /// How long a server may take to answer, and to send the next piece.
 const PATIENCE: Duration = Duration::from_secs(30);
 
@@ -164,7 +166,7 @@ fn transfer(
     let broken = |reason: String| DownloadError::Http { url: wanted.url.to_owned(), reason };
     let on = |source| DownloadError::File { file: part.to_owned(), source };
     let agent: ureq::Agent = ureq::Agent::config_builder()
-        .timeout_connect(Some(patience))
+        .timeout_connect(Some(CONNECT.min(patience)))
         .timeout_recv_response(Some(patience))
         .http_status_as_error(false)
         .user_agent(concat!("tmpi/", env!("CARGO_PKG_VERSION")))

@@ -43,6 +43,15 @@ pub struct Settings {
     pub onnx: Config,
 }
 
+impl Settings {
+    /// Name of the depth network as reports tell it: that of its file where this says more than the adapter's.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        let stem = self.depth_file.as_deref().and_then(Path::file_stem).and_then(|s| s.to_str());
+        stem.filter(|s| s.starts_with(self.depth.name)).unwrap_or(self.depth.name)
+    }
+}
+
 impl Default for Settings {
     fn default() -> Self {
         Self {
@@ -130,7 +139,7 @@ impl Depth {
 
 impl Estimator for Depth {
     fn name(&self) -> &str {
-        self.settings.depth.name
+        self.settings.name()
     }
 
     fn estimate(&self, photo: &Photo) -> Result<DisparityMap, DepthError> {

@@ -5,9 +5,50 @@ use tmpi_core::{DisparityMap, Photo};
 use crate::run::{self, Context, MakeError, Switch};
 use crate::{denoise, depth, edges};
 
-/// Photo, and the user's own map as a PNG file if there is one → disparity.
+/// Photo, and where its disparity is to come from → disparity.
 #[derive(Debug, Default)]
 pub struct Depth;
+
+/// Where disparity comes from.
+#[derive(Clone, Debug)]
+pub enum Source<'a> {
+    /// The network.
+    Network,
+    /// A map that the user gives: a grey picture's file.
+    Given(&'a [u8]),
+    /// The map that the photo brings along.
+    Carried(depth::Carried),
+}
+
+impl<'a> Source<'a> {
+    /// The user's own map if there is one, else what the photo brings along as far as `wanted`, else the network. Depth within the photo that cannot
+    /// be read is told in the report, and only fails where nothing else is wanted.
+    ///
+    /// # Errors
+    /// [`MakeError::Depth`] where the photo's own depth is wanted and is not there or not readable.
+    pub fn choose(photo: &[u8], given: Option<&'a [u8]>, context: &mut Context) -> Result<Self, MakeError> {
+        let wanted = context.options.photo_depth;
+        if let Some(given) = given {
+            return Ok(Self::Given(given));
+        }
+        if wanted == Switch::Off {
+            return Ok(Self::Network);
+        }
+        match depth::carried(photo) {
+            Ok(Some(carried)) => Ok(Self::Carried(carried)),
+            Ok(None) if wanted == Switch::On => Err(depth::DepthError::NotCarried.into()),
+            Ok(None) => Ok(Self::Network),
+            Err(error) if wanted == Switch::On => Err(error.into()),
+            Err(error) => {
+                context.report.input.depth_problem = Some(error.to_string());
+                Ok(Self::Network)
+            }
+        }
+    }
+}
+
+/// Difference in shape above which a map was not made for its photo.
+const STRETCHED: f64 = 0.03;
 
 /// Disparity of a photo on its way to the planes.
 #[derive(Clone, Debug)]
@@ -22,20 +63,42 @@ pub struct Estimated {
 
 impl run::Stage for Depth {
     const NAME: &'static str = "depth";
-    type Input<'a> = (&'a Photo, Option<&'a [u8]>);
+    type Input<'a> = (&'a Photo, Source<'a>);
     type Output = Estimated;
 
-    fn run(&mut self, (photo, given): (&Photo, Option<&[u8]>), context: &mut Context) -> Result<Estimated, MakeError> {
-        let mut delta = match given {
-            Some(png) => depth::from_png(png, context.options.depth_kind, context.limits, photo.width, photo.height)?,
-            None => context.models.depth.estimate(photo)?,
+    fn run(&mut self, (photo, source): (&Photo, Source), context: &mut Context) -> Result<Estimated, MakeError> {
+        let (width, height) = (photo.width, photo.height);
+        let read = match &source {
+            Source::Network => None,
+            Source::Given(file) => {
+                let (map, size) = depth::from_map(file, context.options.depth_kind, context.limits, width, height)?;
+                Some(("given", "given", map, size))
+            }
+            Source::Carried(carried) => match carried.read(context.limits, width, height) {
+                Ok((map, size)) => Some(("carried", carried.format, map, size)),
+                Err(error) if context.options.photo_depth == Switch::On => return Err(error.into()),
+                Err(error) => {
+                    context.report.input.depth_problem = Some(error.to_string());
+                    None
+                }
+            },
         };
-        context.report.depth_model = if given.is_some() { "given".into() } else { context.models.depth.name().into() };
+        let given = read.is_some();
+        let mut delta = if let Some((name, format, map, (w, h))) = read {
+            context.report.depth_model = name.into();
+            let shape = (f64::from(w) * f64::from(height)) / (f64::from(h) * f64::from(width));
+            let stretched = (shape - 1.0).abs() > STRETCHED;
+            context.report.input.depth = Some(run::InputDepth { source: format.into(), width: w, height: h, stretched });
+            map
+        } else {
+            context.report.depth_model = context.models.depth.name().into();
+            context.models.depth.estimate(photo)?
+        };
         // anything that is no disparity lies at infinity: no input may give NaN further on
         for d in &mut delta.delta {
             *d = if d.is_finite() { d.clamp(0.0, 1.0) } else { 0.0 };
         }
-        Ok(Estimated { delta, confidence: None, given: given.is_some() })
+        Ok(Estimated { delta, confidence: None, given })
     }
 }
 

@@ -7,7 +7,7 @@ mod photo;
 mod planes;
 mod verify;
 
-pub use depth::{Denoise, Depth, Estimated, Snap};
+pub use depth::{Denoise, Depth, Estimated, Snap, Source};
 pub use encode::{Encode, Encoded};
 pub use layers::{Layered, Layers, Refine};
 pub use photo::{Prepare, Prepared};

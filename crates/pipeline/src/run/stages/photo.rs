@@ -47,7 +47,7 @@ impl Stage for Prepare {
         if let Some(fov) = options.fov_x {
             intrinsics = Intrinsics::from_fov_x(photo.width, photo.height, fov);
         }
-        context.report.input = Input { width: original.0, height: original.1, bytes: file.len(), damaged };
+        context.report.input = Input { width: original.0, height: original.1, bytes: file.len(), damaged, ..context.report.input.clone() };
         (context.report.width, context.report.height) = (photo.width, photo.height);
         Ok(Prepared { photo, intrinsics, format, uploaded, reduced })
     }

@@ -1,0 +1,251 @@
+//! Photos with depth of their own, written as phones write them.
+
+use std::io::Cursor;
+
+use base64::Engine as _;
+use image::{DynamicImage, GrayImage, ImageFormat, Luma, Rgb, RgbImage};
+use proptest::prelude::*;
+
+use super::*;
+use crate::{Models, Options, Switch};
+use tmpi_core::Photo;
+
+const W: u32 = 64;
+const H: u32 = 48;
+
+fn encoded(image: impl Into<DynamicImage>, format: ImageFormat) -> Vec<u8> {
+    let mut out = Cursor::new(Vec::new());
+    image.into().write_to(&mut out, format).unwrap();
+    out.into_inner()
+}
+
+fn photo() -> Vec<u8> {
+    encoded(RgbImage::from_fn(W, H, |x, y| Rgb([(x * 3) as u8, (y * 4) as u8, 90])), ImageFormat::Jpeg)
+}
+
+/// Values of a quarter of the photo's pixels: a step from 51 to 204 in the middle, columns.
+fn map() -> GrayImage {
+    GrayImage::from_fn(W / 2, H / 2, |x, _| Luma([if x < W / 4 { 51 } else { 204 }]))
+}
+
+fn segment(marker: u8, body: &[&[u8]]) -> Vec<u8> {
+    let body = body.concat();
+    [&[0xFF, marker], ((body.len() + 2) as u16).to_be_bytes().as_slice(), &body].concat()
+}
+
+/// The file with segments behind its first marker.
+fn with(file: &[u8], segments: &[Vec<u8>]) -> Vec<u8> {
+    [&file[..2], &segments.concat(), &file[2..]].concat()
+}
+
+fn packet(description: &str) -> String {
+    format!(
+        "<?xpacket begin='\u{feff}' id='W5M0MpCehiHzreSzNTczkc9d'?><x:xmpmeta xmlns:x='adobe:ns:meta/'>\
+         <rdf:RDF xmlns:rdf='http://www.w3.org/1999/02/22-rdf-syntax-ns#'>{description}</rdf:RDF></x:xmpmeta><?xpacket end='w'?>"
+    )
+}
+
+fn main(description: &str) -> Vec<u8> {
+    segment(0xE1, &[b"http://ns.adobe.com/xap/1.0/\0", packet(description).as_bytes()])
+}
+
+/// An extended packet in segments of 200 bytes.
+fn extended(description: &str) -> Vec<Vec<u8>> {
+    let whole = packet(description);
+    let part = |(i, bytes): (usize, &[u8])| {
+        let (length, at) = (whole.len() as u32, (i * 200) as u32);
+        segment(0xE1, &[b"http://ns.adobe.com/xmp/extension/\0", &[b'7'; 32], &length.to_be_bytes(), &at.to_be_bytes(), bytes])
+    };
+    whole.as_bytes().chunks(200).enumerate().map(part).collect()
+}
+
+fn gdepth(format: &str, near: &str, far: &str) -> Vec<u8> {
+    let properties = format!(
+        "<rdf:Description xmlns:GDepth='http://ns.google.com/photos/1.0/depthmap/' GDepth:Format='{format}' GDepth:Near='{near}' \
+         GDepth:Far='{far}' GDepth:Mime='image/png'/>"
+    );
+    let data = base64::engine::general_purpose::STANDARD_NO_PAD.encode(encoded(map(), ImageFormat::Png));
+    let data = format!("<rdf:Description xmlns:GDepth='http://ns.google.com/photos/1.0/depthmap/' GDepth:Data='{data}'/>");
+    with(&photo(), &[vec![main(&properties)], extended(&data)].concat())
+}
+
+fn dynamic(address: &str) -> Vec<u8> {
+    let (confidence, map) = (vec![7; 99], encoded(map(), ImageFormat::Jpeg));
+    let item = |address: &str, length: usize| {
+        format!(
+            "<rdf:li><rdf:Description><Container:Item Item:Mime='image/jpeg' Item:Length='{length}' Item:DataURI='{address}'/></rdf:Description></rdf:li>"
+        )
+    };
+    let list = [item("primary_image", 0), item("android/depthmap", map.len()), item("android/confidencemap", confidence.len())].concat();
+    let description = format!(
+        "<rdf:Description xmlns:Container='http://ns.google.com/photos/dd/1.0/container/' xmlns:Item='http://ns.google.com/photos/dd/1.0/item/' \
+         xmlns:DepthMap='http://ns.google.com/photos/dd/1.0/depthmap/'><Container:Directory><rdf:Seq>{list}</rdf:Seq></Container:Directory>\
+         <DepthMap:Format>RangeLinear</DepthMap:Format><DepthMap:Near>1</DepthMap:Near><DepthMap:Far>5</DepthMap:Far>\
+         <DepthMap:DepthURI>{address}</DepthMap:DepthURI></rdf:Description>"
+    );
+    [with(&photo(), &[main(&description)]), map, confidence].concat()
+}
+
+fn apple(fields: &[(&str, &str)]) -> String {
+    let fields: String = fields.iter().map(|(name, value)| format!("<apdi:{name}>{value}</apdi:{name}>")).collect();
+    format!("<rdf:Description xmlns:apdi='http://ns.apple.com/pixeldatainfo/1.0/'>{fields}</rdf:Description>")
+}
+
+const PORTRAIT: [(&str, &str); 4] =
+    [("AuxiliaryImageType", "disparity"), ("FloatMinValue", "0.5"), ("FloatMaxValue", "2"), ("NativeFormat", "1751411059")];
+
+/// A photo with a matte and a map behind it.
+fn multi(fields: &[(&str, &str)]) -> Vec<u8> {
+    let behind = |d: &str| with(&encoded(map(), ImageFormat::Jpeg), &[main(d)]);
+    let matte = behind(&apple(&[("AuxiliaryImageType", "depth"), ("AuxiliaryImageSubType", "portraiteffectsmatte")]));
+    let map = behind(&apple(fields));
+    let photo = photo();
+    let index = |photo: u32| {
+        // places count from the byte order on, which lies behind two markers, a length and "MPF\0"
+        let entry = |length: usize, at: u32| [0u32, length as u32, at, 0].map(u32::to_be_bytes).concat();
+        let head = [b"MM\0*\0\0\0\x08\0\x01\xB0\x02\0\x07\0\0\0\x30\0\0\0\x1A".as_slice(), &[0; 4]].concat();
+        let entries = [entry(photo as usize, 0), entry(matte.len(), photo - 10), entry(map.len(), photo - 10 + matte.len() as u32)];
+        segment(0xE2, &[b"MPF\0", &head, &entries.concat()])
+    };
+    let length = with(&photo, &[index(1000)]).len() as u32;
+    [with(&photo, &[index(length)]), matte, map].concat()
+}
+
+/// δ at the left and at the right of a photo's map, once for PNG and within what a JPEG leaves.
+fn ends(file: &[u8]) -> (f32, f32) {
+    let found = carried(file).unwrap().unwrap();
+    let (map, size) = found.read(&Limits::default(), W, H).unwrap();
+    assert_eq!((map.width, map.height, size), (W, H, (W / 2, H / 2)));
+    assert!(map.delta.iter().all(|d| (0.0..=1.0).contains(d)));
+    (map.delta[(H / 2 * W + 3) as usize], map.delta[(H / 2 * W + W - 4) as usize])
+}
+
+fn near(got: (f32, f32), want: (f64, f64)) {
+    assert!((f64::from(got.0) - want.0).abs() < 0.01 && (f64::from(got.1) - want.1).abs() < 0.01, "{got:?}, {want:?} wanted");
+}
+
+#[test]
+fn values_mean_what_each_format_says() {
+    // v is .2 and .8; distances 1 to 5: 1/z from 1 to .2 in even steps, or z in even steps
+    near(ends(&gdepth("RangeInverse", "1", "5")), (1.0 - 0.2 * 0.8, 1.0 - 0.8 * 0.8));
+    near(ends(&gdepth("RangeLinear", "1.0", "5.0")), (1.0 / 1.8, 1.0 / 4.2));
+    near(ends(&gdepth("RangeInverse", "0.5", "inf")), (0.8, 0.2));
+    near(ends(&dynamic("android/depthmap")), (1.0 / 1.8, 1.0 / 4.2));
+    near(ends(&multi(&PORTRAIT)), (0.8 / 2.0, 1.7 / 2.0));
+    let depth = [("AuxiliaryImageType", "depth"), ("FloatMinValue", "1"), ("FloatMaxValue", "5"), ("NativeFormat", "1751410032")];
+    near(ends(&multi(&depth)), (1.0 / 1.8, 1.0 / 4.2));
+    assert_eq!(carried(&gdepth("RangeLinear", "1", "5")).unwrap().unwrap().format, "gdepth");
+    assert_eq!(carried(&dynamic("android/depthmap")).unwrap().unwrap().format, "dynamic-depth");
+    assert_eq!(carried(&multi(&PORTRAIT)).unwrap().unwrap().format, "multi-picture");
+}
+
+#[test]
+fn what_cannot_be_read_is_told_and_what_is_no_depth_is_passed_over() {
+    assert_eq!(carried(&photo()).unwrap(), None);
+    assert_eq!(carried(&encoded(map(), ImageFormat::Png)).unwrap(), None);
+    assert_eq!(carried(b"").unwrap(), None);
+    let matte = [("AuxiliaryImageType", "depth"), ("AuxiliaryImageSubType", "portraiteffectsmatte"), ("FloatMinValue", "0"), ("FloatMaxValue", "1")];
+    assert_eq!(carried(&multi(&matte)).unwrap(), None);
+    let fault = |file: &[u8]| carried(file).unwrap_err().to_string();
+    assert!(fault(&gdepth("Sideways", "1", "5")).contains("Sideways"));
+    for (near, far) in [("0", "5"), ("5", "1"), ("nan", "5"), ("1", "x"), ("-1", "5")] {
+        assert!(!fault(&gdepth("RangeLinear", near, far)).is_empty(), "{near} to {far}");
+    }
+    assert!(fault(&gdepth("RangeLinear", "1", "inf")).contains("no range"));
+    assert!(fault(&dynamic("android/other")).contains("android/other"));
+    assert!(fault(&multi(&[("AuxiliaryImageType", "disparity")])).contains("ends"));
+    // listed pictures that are longer than the file
+    assert!(fault(&cut_list()).contains("longer"));
+}
+
+/// A photo that lists a picture which was cut off.
+fn cut_list() -> Vec<u8> {
+    let description = "<rdf:Description xmlns:Item='http://ns.google.com/photos/dd/1.0/item/' \
+         xmlns:DepthMap='http://ns.google.com/photos/dd/1.0/depthmap/' DepthMap:Format='RangeLinear' DepthMap:Near='1' DepthMap:Far='5' \
+         DepthMap:DepthURI='d'><rdf:li Item:Mime='image/jpeg'/><rdf:li Item:Mime='image/jpeg' Item:Length='99999999' Item:DataURI='d'/></rdf:Description>";
+    with(&photo(), &[main(description)])
+}
+
+#[test]
+fn a_photo_on_its_side_has_its_map_turned_with_it() {
+    // orientation 6: the stored top is the upright right
+    let exif = [b"Exif\0\0MM\0*\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0\x06\0\0".as_slice(), &[0; 4]].concat();
+    let file = with(&gdepth("RangeInverse", "1", "5"), &[segment(0xE1, &[&exif])]);
+    let found = carried(&file).unwrap().unwrap();
+    let (map, size) = found.read(&Limits::default(), H, W).unwrap();
+    assert_eq!(size, (H / 2, W / 2));
+    let at = |x: u32, y: u32| map.delta[(y * H + x) as usize];
+    // columns of the stored map are rows now, its left at the top
+    near((at(H / 2, 3), at(H / 2, W - 4)), (1.0 - 0.2 * 0.8, 1.0 - 0.8 * 0.8));
+    near((at(3, 3), at(H - 4, 3)), (1.0 - 0.2 * 0.8, 1.0 - 0.2 * 0.8));
+}
+
+struct Flat;
+
+impl crate::depth::Estimator for Flat {
+    fn name(&self) -> &'static str {
+        "flat"
+    }
+
+    fn estimate(&self, photo: &Photo) -> Result<DisparityMap, DepthError> {
+        Ok(DisparityMap { width: photo.width, height: photo.height, delta: vec![0.5; photo.rgb.len()] })
+    }
+}
+
+#[test]
+fn the_photos_own_depth_is_used_unless_another_is_given_or_it_is_off() {
+    let models = Models { depth: std::sync::Arc::new(Flat), theta: None, psi: None };
+    let make = |file: &[u8], given: Option<&[u8]>, photo_depth| {
+        let options = Options { photo_depth, ..Options::default() };
+        crate::make(&models, &Limits::default(), file, given, &options, &crate::Silent).map(|made| made.report)
+    };
+    let file = gdepth("RangeInverse", "1", "5");
+    let report = make(&file, None, Switch::Auto).unwrap();
+    let depth = report.input.depth.unwrap();
+    assert_eq!((report.depth_model.as_str(), depth.source.as_str(), depth.width, depth.stretched), ("carried", "gdepth", W / 2, false));
+    assert_eq!(make(&file, None, Switch::Off).unwrap().depth_model, "flat");
+    let square = encoded(GrayImage::from_pixel(8, 8, Luma([9])), ImageFormat::Png);
+    let report = make(&file, Some(&square), Switch::Auto).unwrap();
+    assert!(report.depth_model == "given" && report.input.depth.unwrap().stretched);
+    // what cannot be read is told, and fails only where nothing else will do
+    let broken = gdepth("RangeInverse", "5", "1");
+    let report = make(&broken, None, Switch::Auto).unwrap();
+    assert!(report.depth_model == "flat" && report.input.depth_problem.unwrap().contains("no range"));
+    assert!(make(&broken, None, Switch::On).is_err() && make(&photo(), None, Switch::On).is_err());
+}
+
+proptest! {
+    #[test]
+    fn damage_is_an_error_or_passed_over(at in 0usize..4000, value: u8, which in 0u8..3, cut in 0usize..9000) {
+        let mut file = match which { 0 => gdepth("RangeInverse", "1", "5"), 1 => dynamic("android/depthmap"), _ => multi(&PORTRAIT) };
+        let at = at % file.len();
+        file[at] = value;
+        file.truncate(cut.max(2));
+        if let Ok(Some(found)) = carried(&file)
+            && let Ok((map, _)) = found.read(&Limits::default(), W, H)
+        {
+            prop_assert!(map.delta.len() == (W * H) as usize && map.delta.iter().all(|d| (0.0..=1.0).contains(d)));
+        }
+    }
+}
+
+/// The photos that are kept as files, for fuzzing and for whoever wants to try them; `TMPI_BLESS=carried` writes them anew.
+#[test]
+fn the_kept_files_mean_the_same_as_those_written_here() {
+    let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fuzz/seeds/carried");
+    let files = [
+        ("gdepth.jpg", gdepth("RangeInverse", "1", "5")),
+        ("dynamic-depth.jpg", dynamic("android/depthmap")),
+        ("multi-picture.jpg", multi(&PORTRAIT)),
+    ];
+    for (name, file) in files {
+        let path = folder.join(name);
+        if std::env::var("TMPI_BLESS").is_ok_and(|b| b == "carried") {
+            std::fs::create_dir_all(&folder).unwrap();
+            std::fs::write(&path, &file).unwrap();
+        }
+        let kept = ends(&std::fs::read(&path).unwrap());
+        let want = ends(&file);
+        near(kept, (want.0.into(), want.1.into()));
+    }
+}

@@ -1,0 +1,79 @@
+//! XMP of a JPEG file: its packet, and the packet that goes on in further segments (XMP specification, part 3, 1.1.3).
+
+use roxmltree::{Document, Node, ParsingOptions};
+
+use crate::photo::segments::applications;
+
+const MAIN: &[u8] = b"http://ns.adobe.com/xap/1.0/\0";
+const EXTENSION: &[u8] = b"http://ns.adobe.com/xmp/extension/\0";
+/// Bytes of the name of an extended packet.
+const NAME: usize = 32;
+/// Elements and texts of a packet, at most: those of photos have a few hundred.
+const NODES: u32 = 20_000;
+
+/// The packets of a JPEG as text, the main one first.
+pub(super) fn packets(jpeg: &[u8]) -> Vec<String> {
+    let segments = applications(jpeg);
+    let bodies = || segments.iter().filter(|s| s.number == 1).map(|s| s.body);
+    let mut found: Vec<String> = bodies().find_map(|b| text(b.strip_prefix(MAIN)?)).into_iter().collect();
+    let parts: Vec<Part> = bodies().filter_map(|b| Part::read(b.strip_prefix(EXTENSION)?)).collect();
+    if let Some(first) = parts.first() {
+        found.extend(joined(first, &parts));
+    }
+    found
+}
+
+fn text(bytes: &[u8]) -> Option<String> {
+    let text = std::str::from_utf8(bytes).ok()?;
+    Some(text.trim_matches(['\0', '\u{feff}']).to_owned())
+}
+
+/// A part of an extended packet.
+struct Part<'a> {
+    name: &'a [u8],
+    /// Bytes of the whole packet.
+    whole: usize,
+    /// Place of this part.
+    at: usize,
+    bytes: &'a [u8],
+}
+
+impl<'a> Part<'a> {
+    fn read(body: &'a [u8]) -> Option<Self> {
+        let (name, rest) = body.split_at_checked(NAME)?;
+        let (whole, rest) = rest.split_first_chunk()?;
+        let (at, bytes) = rest.split_first_chunk()?;
+        Some(Self { name, whole: u32::from_be_bytes(*whole) as usize, at: u32::from_be_bytes(*at) as usize, bytes })
+    }
+}
+
+/// The packet that `first` is a part of, where all of it is there.
+fn joined(first: &Part, parts: &[Part]) -> Option<String> {
+    let mut own: Vec<&Part> = parts.iter().filter(|p| p.name == first.name).collect();
+    own.sort_by_key(|p| p.at);
+    let mut bytes = Vec::new();
+    for part in own {
+        // one after the other, none twice: no more memory than the file
+        if part.at == bytes.len() {
+            bytes.extend_from_slice(part.bytes);
+        }
+    }
+    if bytes.len() == first.whole { text(&bytes) } else { None }
+}
+
+/// A packet's elements; none where it is no XML.
+pub(super) fn document(packet: &str) -> Option<Document<'_>> {
+    let options = ParsingOptions { allow_dtd: false, nodes_limit: NODES, ..ParsingOptions::default() };
+    Document::parse_with_options(packet, options).ok()
+}
+
+/// Property `name` of namespace `space` of an element: an attribute, or the text of a child.
+pub(super) fn property<'a>(element: Node<'a, '_>, space: &str, name: &str) -> Option<&'a str> {
+    let child = || element.children().find(|c| c.has_tag_name((space, name))).and_then(|c| c.text());
+    element.attribute((space, name)).or_else(child)
+}
+
+/// The first property of that name anywhere in the document.
+pub(super) fn anywhere<'a>(document: &'a Document, space: &str, name: &str) -> Option<&'a str> {
+    document.descendants().find_map(|node| property(node, space, name))
+}

@@ -1,0 +1,78 @@
+//! The segments of a JPEG file, one after the other.
+
+use super::PhotoError;
+
+pub(super) fn broken(what: &str) -> PhotoError {
+    PhotoError::Broken(what.to_owned())
+}
+
+/// The marker at or after `at`, and the place behind it. Bytes between segments are skipped, as libjpeg does.
+pub(super) fn next_marker(bytes: &[u8], mut at: usize) -> Result<(u8, usize), PhotoError> {
+    let cut = || broken("the file is cut short");
+    loop {
+        at += bytes.get(at..).and_then(|rest| rest.iter().position(|&b| b == 0xFF)).ok_or_else(cut)?;
+        while *bytes.get(at).ok_or_else(cut)? == 0xFF {
+            at += 1;
+        }
+        let marker = bytes[at];
+        at += 1;
+        if marker != 0 {
+            return Ok((marker, at));
+        }
+    }
+}
+
+/// Contents of the segment whose length field is at `at`.
+pub(super) fn segment(bytes: &[u8], at: usize) -> Result<&[u8], PhotoError> {
+    let length = bytes.get(at..at + 2).map(|b| usize::from(u16::from_be_bytes([b[0], b[1]])));
+    match length {
+        Some(n) if n >= 2 => bytes.get(at + 2..at + n).ok_or_else(|| broken("the file is cut short")),
+        Some(_) => Err(broken("a segment of impossible length")),
+        None => Err(broken("the file is cut short")),
+    }
+}
+
+/// Place of the marker that ends the entropy-coded data from `at` on, or the end of the file.
+pub(super) fn entropy_end(bytes: &[u8], mut at: usize) -> usize {
+    while at + 1 < bytes.len() {
+        // Stuffed zeros, restart markers and fill bytes belong to the data
+        if bytes[at] == 0xFF && !matches!(bytes[at + 1], 0 | 0xD0..=0xD7 | 0xFF) {
+            return at;
+        }
+        at += 1;
+    }
+    bytes.len()
+}
+
+/// An `APPn` segment.
+pub(crate) struct Application<'a> {
+    /// n, 0 to 15.
+    pub number: u8,
+    /// Its contents, without the length.
+    pub body: &'a [u8],
+    /// Place of the contents in the file.
+    pub at: usize,
+}
+
+/// The `APPn` segments before the picture data of a JPEG, as far as they can be read; nothing is copied.
+pub(crate) fn applications(jpeg: &[u8]) -> Vec<Application<'_>> {
+    let mut found = Vec::new();
+    if !jpeg.starts_with(&[0xFF, 0xD8]) {
+        return found;
+    }
+    let mut at = 2;
+    while let Ok((marker, next)) = next_marker(jpeg, at) {
+        at = next;
+        match marker {
+            0x01 | 0xD0..=0xD8 => continue,
+            0xD9 | 0xDA => break,
+            _ => {}
+        }
+        let Ok(body) = segment(jpeg, at) else { break };
+        if let number @ 0..=15 = marker.wrapping_sub(0xE0) {
+            found.push(Application { number, body, at: at + 2 });
+        }
+        at += body.len() + 2;
+    }
+    found
+}

@@ -1,0 +1,37 @@
+// Where the depth of a photo comes from, in words.
+
+import { t } from '../i18n/messages.js';
+
+/** @typedef {{depth_model: string, stages: {name: string, ms: number}[], input: {depth?: {stretched: boolean} | null, depth_problem?: string | null}}} Report */
+
+/** Names of networks as people know them; others are shown as they are. */
+/** @type {[RegExp, string][]} */
+const NETWORKS = [
+  [/^tmpi$/, 'the built-in network'],
+  [/^depth-anything-v2-small/, 'Depth Anything V2 Small'],
+  [/^depth-anything-v2-metric/, 'Depth Anything V2, metric'],
+  [/^depth-anything-v2/, 'Depth Anything V2'],
+  [/^midas-v2\.1/, 'MiDaS 2.1'],
+  [/^dpt-large/, 'DPT Large'],
+  [/^dpt-hybrid/, 'DPT Hybrid'],
+  [/^zoedepth/, 'ZoeDepth'],
+];
+
+/**
+ * One or two sentences for the menu.
+ * @param {Report} report
+ */
+export function depthSource(report) {
+  const { depth_model: model, input, stages } = report;
+  const parts = [];
+  if (model === 'given') parts.push(t('Depth: a map of your own.'));
+  else if (model === 'carried') parts.push(t('Depth: as the photo brought it along.'));
+  else {
+    const name = NETWORKS.find(([pattern]) => pattern.test(model))?.[1] ?? model;
+    const ms = stages.find((stage) => stage.name === 'depth')?.ms ?? 0;
+    parts.push(t('Depth: estimated by {0} in {1} s.', t(name), (ms / 1000).toFixed(ms < 995 ? 2 : 1)));
+  }
+  if (input.depth?.stretched) parts.push(t('The map has another shape than the photo and was stretched.'));
+  if (input.depth_problem) parts.push(t('The photo’s own depth was left out: {0}', input.depth_problem));
+  return parts.join(' ');
+}

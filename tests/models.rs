@@ -1,0 +1,138 @@
+//! Depth networks that are fetched: from a server that cuts, spoils and refuses; and which one is used then.
+
+use std::io::{BufRead, BufReader, Write};
+use std::net::TcpListener;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::{Arc, Mutex};
+
+use sha2::{Digest, Sha256};
+use tmpi_render::{PictureFormat, View, encode};
+
+/// Stands in for a depth network: the mean of a picture's channels.
+const NETWORK: &[u8] = include_bytes!("onnx/mean.onnx");
+/// Name of the file that is worth fetching.
+const NAME: &str = "depth-anything-v2-small-fp16";
+
+#[derive(Clone, Copy, PartialEq)]
+enum Mood {
+    Well,
+    Cuts,
+    Spoils,
+}
+
+struct Standin {
+    url: String,
+    mood: Arc<Mutex<Mood>>,
+    /// First bytes that were asked for.
+    asked: Arc<Mutex<Vec<usize>>>,
+}
+
+/// A server on loopback with one file.
+fn standin() -> Standin {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let url = format!("http://{}/model.onnx", listener.local_addr().unwrap());
+    let (mood, asked) = (Arc::new(Mutex::new(Mood::Well)), Arc::new(Mutex::new(Vec::new())));
+    let (m, a) = (Arc::clone(&mood), Arc::clone(&asked));
+    std::thread::spawn(move || {
+        for mut stream in listener.incoming().map_while(Result::ok) {
+            let lines = BufReader::new(&stream).lines().map_while(Result::ok).take_while(|l| !l.is_empty());
+            let from = lines.fold(0, |from, l| {
+                let range = l.to_ascii_lowercase();
+                range.strip_prefix("range: bytes=").and_then(|r| r.trim_end_matches('-').parse().ok()).unwrap_or(from)
+            });
+            a.lock().unwrap().push(from);
+            let mood = *m.lock().unwrap();
+            let mut body = NETWORK[from..].to_vec();
+            if mood == Mood::Spoils {
+                body[10] ^= 1;
+            }
+            let status = if from > 0 { format!("206 Partial Content\r\nContent-Range: bytes {from}-{0}/{0}", NETWORK.len()) } else { "200 OK".into() };
+            let head = format!("HTTP/1.1 {status}\r\nContent-Length: {}\r\nConnection: close\r\n\r\n", body.len());
+            let sent = if mood == Mood::Cuts { body.len() / 2 } else { body.len() };
+            let _ = stream.write_all(head.as_bytes()).and_then(|()| stream.write_all(&body[..sent]));
+        }
+    });
+    Standin { url, mood, asked }
+}
+
+struct Place(tempfile::TempDir);
+
+impl Place {
+    fn new() -> Self {
+        let place = Self(tempfile::tempdir().unwrap());
+        let rgba = (0..64 * 48u32).map(|i| [(i % 64 * 4) as u8, (i / 64 * 5) as u8, 99, 255]).collect();
+        let photo = encode(&View { width: 64, height: 48, rgba }, PictureFormat::Png, 90).unwrap();
+        std::fs::write(place.0.path().join("photo.png"), photo).unwrap();
+        place
+    }
+
+    fn models(&self) -> PathBuf {
+        self.0.path().join("models")
+    }
+
+    /// Standard output and standard error of a run that succeeds.
+    fn run(&self, args: &[&str]) -> (String, String) {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_tmpi"));
+        let library = Path::new(env!("CARGO_MANIFEST_DIR")).join(".tmpi/onnxruntime/libonnxruntime.so");
+        if std::env::var_os("ORT_DYLIB_PATH").is_none() && library.is_file() {
+            command.env("ORT_DYLIB_PATH", library);
+        }
+        command.env("TMPI_MODELS", self.models()).env_remove("TMPI_DEPTH_MODEL").env_remove("RUST_LOG");
+        let output = command.current_dir(self.0.path()).args(args).output().unwrap();
+        let text = |b| String::from_utf8(b).unwrap();
+        let (out, err) = (text(output.stdout), text(output.stderr));
+        assert!(output.status.success(), "{args:?}: {err}");
+        (out, err)
+    }
+
+    fn get(&self, server: &Standin, mood: Mood, sha256: &str) -> (String, String) {
+        *server.mood.lock().unwrap() = mood;
+        self.run(&["models", "get", "auto", "--url", &server.url, "--sha256", sha256, "-q"])
+    }
+
+    /// The network that a report names.
+    fn used(&self, more: &[&str]) -> String {
+        self.run(&[&["make", "photo.png", "-o", "photo.tmpi", "-q", "--report", "report.json"], more].concat());
+        let report: serde_json::Value = serde_json::from_slice(&std::fs::read(self.0.path().join("report.json")).unwrap()).unwrap();
+        report["depth_model"].as_str().unwrap().to_owned()
+    }
+}
+
+#[test]
+fn auto_takes_the_best_network_that_is_there_and_goes_on_without() {
+    let (place, server) = (Place::new(), standin());
+    let digest = Sha256::digest(NETWORK).iter().map(|b| format!("{b:02x}")).collect::<String>();
+    let there = tmpi_testing::Need::Onnx.or_skip(tmpi_pipeline::networks::available()).is_some();
+
+    // nobody answers: told in one line, and the embedded network is used
+    let nobody = "http://127.0.0.1:1/model.onnx";
+    let (out, err) = place.run(&["models", "get", "auto", "--url", nobody, "--sha256", &digest, "-q"]);
+    assert!(out.is_empty() && err.lines().count() == 1 && err.contains("embedded") && err.contains(nobody), "{err}");
+    if there {
+        assert_eq!(place.used(&[]), "tmpi");
+    }
+
+    // another file than was wanted leaves nothing
+    let (_, err) = place.get(&server, Mood::Spoils, &digest);
+    assert!(err.contains("digest") && err.contains("embedded"), "{err}");
+    assert_eq!(std::fs::read_dir(place.models()).unwrap().count(), 0);
+
+    // cut off in the middle: what came is kept, and the rest is asked for
+    let (_, err) = place.get(&server, Mood::Cuts, &digest);
+    assert!(err.contains("broke off"), "{err}");
+    let file = place.models().join(format!("{NAME}.onnx"));
+    assert!(!file.exists());
+    let (out, err) = place.get(&server, Mood::Well, &digest);
+    assert_eq!((Path::new(out.trim()), err.as_str()), (file.as_path(), ""));
+    assert_eq!(*server.asked.lock().unwrap(), [0, 0, NETWORK.len() / 2]);
+    assert_eq!(std::fs::read(&file).unwrap(), NETWORK);
+
+    // it is there: nobody is asked again
+    let (out, _) = place.get(&server, Mood::Well, &digest);
+    assert_eq!((Path::new(out.trim()), server.asked.lock().unwrap().len()), (file.as_path(), 3));
+    if there {
+        assert_eq!(place.used(&[]), NAME);
+        assert_eq!(place.used(&["--depth-model", "tmpi"]), "tmpi");
+    }
+}
