@@ -15,6 +15,7 @@ use tmpi_lab::scenes;
 use tmpi_pipeline::Silent;
 use tmpi_pipeline::networks::models;
 use tmpi_render::{Cpu, Gpu, PictureFormat, Reference, Renderer, View, corners, encode};
+use tmpi_testing::Need;
 
 /// Seeds of scenes of twelve families; nothing that a network was trained on.
 const SEEDS: std::ops::Range<u64> = 910_000..910_400;
@@ -148,8 +149,7 @@ fn cpu_draws_what_the_reference_draws() {
 
 #[test]
 fn gpu_draws_what_the_reference_draws() {
-    match Gpu::new(true) {
-        Ok(gpu) => compare(&gpu),
-        Err(reason) => eprintln!("skipped: {reason}"),
+    if let Some(gpu) = Need::Gpu.or_skip(Gpu::new(true)) {
+        compare(&gpu);
     }
 }

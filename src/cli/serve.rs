@@ -169,7 +169,7 @@ fn identity(settings: &models::Settings) -> anyhow::Result<String> {
     // networks that an option may ask for
     for name in [models::THETA, models::PSI] {
         match std::fs::read(folder.join(name)) {
-            Ok(bytes) => text += &format!(" {name} {}", hex(&Sha256::digest(bytes))),
+            Ok(bytes) => text = format!("{text} {name} {}", hex(&Sha256::digest(bytes))),
             Err(e) if e.kind() == std::io::ErrorKind::NotFound => {}
             Err(e) => return Err(e).with_context(|| folder.join(name).display().to_string()),
         }

@@ -176,12 +176,17 @@ mod tests {
             for (m, b) in &bits { prop_assert_eq!(d.get(&mut models[*m]), *b ^ flip); }
         }
 
+        /// Any bytes are bits, and what an encoder makes of these bits is read as the same ones.
         #[test]
         fn any_bytes_can_be_read(data in prop::collection::vec(any::<u8>(), 0..200)) {
-            let mut d = Decoder::new(&data);
-            let mut m = Bit::default();
-            let ones = (0..5000).filter(|_| d.get(&mut m)).count();
-            prop_assert!(ones <= 5000);
+            let read = |data: &[u8]| {
+                let (mut d, mut models) = (Decoder::new(data), [Bit::default(); 3]);
+                (0..5000).map(|i| d.get(&mut models[i % 3])).collect::<Vec<_>>()
+            };
+            let bits = read(&data);
+            let (mut e, mut models) = (Encoder::new(), [Bit::default(); 3]);
+            for (i, bit) in bits.iter().enumerate() { e.put(&mut models[i % 3], *bit); }
+            prop_assert_eq!(read(&e.finish()), bits);
         }
     }
 }

@@ -72,7 +72,7 @@ fn weighted(c: [u8; 3], w: f64) -> [f32; 4] {
 
 dispatch!(
     /// Sums of 2×2 sources of one or two rows for a layer on `plane`, as [`pull`] has them: colour times weight, and weight.
-    pub gather, gather_body, gather_avx2, (us: &[f64], plane: &Plane, rows: [Sources; 2], out: &mut [[f32; 4]])
+    pub gather, gather_body, (us: &[f64], plane: &Plane, rows: [Sources; 2], out: &mut [[f32; 4]])
 );
 
 #[inline(always)]
@@ -125,7 +125,7 @@ fn saturated(t: [f32; 4]) -> [f32; 4] {
 
 dispatch!(
     /// Sums of 2×2 texels of one or two rows of a finer level; weights beyond 1 are saturated.
-    pub pull, pull_body, pull_avx2, (first: &[[f32; 4]], second: Option<&[[f32; 4]]>, out: &mut [[f32; 4]])
+    pub pull, pull_body, (first: &[[f32; 4]], second: Option<&[[f32; 4]]>, out: &mut [[f32; 4]])
 );
 
 #[inline(always)]
@@ -183,7 +183,7 @@ fn full(t: &[f32; 4], x: usize, Coarser { near, other }: Coarser) -> [f32; 4] {
 
 dispatch!(
     /// Full colours of the texels of a row from column `x` on.
-    pub push, push_body, push_avx2, (coarser: Coarser, x: usize, texels: &mut [[f32; 4]])
+    pub push, push_body, (coarser: Coarser, x: usize, texels: &mut [[f32; 4]])
 );
 
 #[inline(always)]
@@ -200,7 +200,7 @@ fn push_body(coarser: Coarser, x: usize, texels: &mut [[f32; 4]]) {
 dispatch!(
     /// Appends the colours of the hidden texels of a row, whose classes are `class`, to `out`. `us` and `row` begin with the first of
     /// them, which lies in column `x` of the window that `coarser` is of.
-    pub colours, colours_body, colours_avx2,
+    pub colours, colours_body,
     (us: &[f64], plane: &Plane, row: Sources, coarser: Coarser, x: usize, class: &[u8], out: &mut Vec<[u8; 3]>)
 );
 

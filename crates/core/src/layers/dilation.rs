@@ -53,7 +53,7 @@ fn spread(values: &mut [u8], stride: usize, count: usize) {
 
 dispatch!(
     /// Adds to each of the first `n` values the one `by` places later.
-    or_from, or_from_body, or_from_avx2, (values: &mut [u8], by: usize, n: usize)
+    or_from, or_from_body, (values: &mut [u8], by: usize, n: usize)
 );
 
 #[inline(always)]

@@ -35,7 +35,7 @@ impl Columns<'_> {
 
 dispatch!(
     /// δ of `plane` at places `us` of the row `v`.
-    pub disparities, disparities_body, disparities_avx2, (us: &[f64], v: f64, plane: &Plane, out: &mut [f32])
+    pub disparities, disparities_body, (us: &[f64], v: f64, plane: &Plane, out: &mut [f32])
 );
 
 #[inline(always)]
@@ -53,7 +53,7 @@ const LANES: usize = 8;
 dispatch!(
     /// Marks with 1 what lies behind the visible surface: δ of a layer `own`, of the surface `visible`, the labels of the pixels
     /// and the layer's. Gives the count of marks and the greatest distance in δ.
-    pub behind, behind_body, behind_avx2, (own: &[f32], visible: &[f32], labels: &[u8], label: Option<u8>, mask: &mut [u8]) -> (usize, f64)
+    pub behind, behind_body, (own: &[f32], visible: &[f32], labels: &[u8], label: Option<u8>, mask: &mut [u8]) -> (usize, f64)
 );
 
 #[inline(always)]
@@ -81,7 +81,7 @@ fn behind_body(own: &[f32], visible: &[f32], labels: &[u8], label: Option<u8>, m
 
 dispatch!(
     /// Classes and alpha of texels: the photo's where a pixel's label is the layer's, else hidden or empty by the mask.
-    pub classify, classify_body, classify_avx2, (labels: &[u8], label: Option<u8>, hidden: &[u8], class: &mut [u8], alpha: &mut [u8])
+    pub classify, classify_body, (labels: &[u8], label: Option<u8>, hidden: &[u8], class: &mut [u8], alpha: &mut [u8])
 );
 
 #[inline(always)]
@@ -130,7 +130,7 @@ pub fn ring(class: &[u8], sums: [&[u8]; 3], ring: &mut [u8]) -> bool {
 
 dispatch!(
     /// Marks with 1 the pixels of a row where `surface` lies behind `plane`, or in front of it by at most `slack`.
-    pub open, open_body, open_avx2, (us: &[f64], v: f64, plane: &Plane, surface: &[f32], slack: f64, mask: &mut [u8])
+    pub open, open_body, (us: &[f64], v: f64, plane: &Plane, surface: &[f32], slack: f64, mask: &mut [u8])
 );
 
 #[inline(always)]
@@ -144,7 +144,7 @@ fn open_body(us: &[f64], v: f64, plane: &Plane, surface: &[f32], slack: f64, mas
 
 dispatch!(
     /// The greatest of some values, at least 0.
-    pub nearest, nearest_body, nearest_avx2, (surface: &[f32]) -> f32
+    pub nearest, nearest_body, (surface: &[f32]) -> f32
 );
 
 #[inline(always)]

@@ -150,7 +150,7 @@ struct Drawn {
 /// A scene made in one way, ready to be drawn.
 enum Model {
     Mesh(Box<(Photo, DisparityMap)>),
-    Layers(Arc<tmpi_core::Scene>),
+    Layers(Arc<tmpi_core::Scene>, Cpu),
 }
 
 struct Made {
@@ -181,7 +181,10 @@ pub fn run(models: &Models, folders: &[PathBuf], settings: &Settings, progress: 
     if let Some(unknown) = only.iter().find(|o| !names().contains(&o.as_str())) {
         return Err(EvalError::Way { way: unknown.clone() });
     }
-    let chosen: Vec<_> = ways().into_iter().filter(|(name, _)| only.is_empty() || only.iter().any(|o| o == name)).collect();
+    // of all ways those that every network is there for; what is asked for by name fails without it
+    let possible = |options: &Option<Options>| options.as_ref().is_none_or(|o| models.check(o).is_ok());
+    let wanted = |name: &str, options: &Option<Options>| if only.is_empty() { possible(options) } else { only.iter().any(|o| o == name) };
+    let chosen: Vec<_> = ways().into_iter().filter(|(name, options)| wanted(name, options)).collect();
     let mut rows: Vec<Row> = chosen.iter().map(|(way, _)| Row { way, ..Row::default() }).collect();
     let mut scores: Vec<Vec<Score>> = vec![Vec::new(); rows.len()];
     let (mut blank, mut views, mut depth_scores, mut cases) = (0, 0, Vec::new(), 0.0);
@@ -272,7 +275,10 @@ fn made(models: &Models, case: &Case, way: &'static str, options: Option<&Option
     row.make_ms = done.report.total_ms;
     row.bytes = done.container.len() as f64;
     row.texels_m = scene.texels.class.len() as f64 / 1e6;
-    Ok(Made { model: Model::Layers(scene), row, disparity: done.disparity })
+    // what a viewer prepares once a scene is no part of a view's time
+    let cpu = Cpu::default();
+    cpu.render(&scene, &Camera { pose: Pose::default(), intrinsics: scene.intrinsics, width: 1, height: 1 })?;
+    Ok(Made { model: Model::Layers(scene, cpu), row, disparity: done.disparity })
 }
 
 fn draw(made: &Made, reference: &Intrinsics, camera: &Camera) -> Result<Drawn, EvalError> {
@@ -282,8 +288,8 @@ fn draw(made: &Made, reference: &Intrinsics, camera: &Camera) -> Result<Drawn, E
             let warp = mesh::warp(&parts.0, &parts.1, reference, camera, f64::INFINITY);
             Drawn { rgb: warp.rgb, blank: warp.covered.iter().map(|c| !c).collect() }
         }
-        Model::Layers(scene) => {
-            let view = Cpu::default().render(scene, camera)?;
+        Model::Layers(scene, cpu) => {
+            let view = cpu.render(scene, camera)?;
             Drawn { rgb: view.rgba.iter().map(|p| [p[0], p[1], p[2]]).collect(), blank: view.rgba.iter().map(|p| p[3] < 128).collect() }
         }
     })

@@ -2,6 +2,7 @@
 
 use std::ops::Range;
 
+use fearless_simd::{Simd, f32x8, prelude::*};
 use tmpi_core::{DisparityMap, Photo};
 
 /// Columns that are read at once; a window has at most one less.
@@ -85,37 +86,45 @@ impl Band {
 }
 
 /// Added to a small number, it leaves its whole part in the lowest bits.
-pub(super) const ROUND: f32 = 12_582_912.0;
+const ROUND: f32 = 12_582_912.0;
 /// Of the series of `2^f`, the highest power first.
-pub(super) const SERIES: [f32; 7] = [1.540_353e-4, 1.333_355_8e-3, 9.618_129e-3, 5.550_411e-2, 0.240_226_5, std::f32::consts::LN_2, 1.0];
+const SERIES: [f32; 7] = [1.540_353e-4, 1.333_355_8e-3, 9.618_129e-3, 5.550_411e-2, 0.240_226_5, std::f32::consts::LN_2, 1.0];
 
 /// `2^x` for `x` in −126 to 0, to a relative 2e-7; about `2^−126` below, to −1e6.
 ///
 /// The polynomial is the Taylor series of `2^f` about 0, with `f` in −½ to ½.
 #[inline(always)]
 #[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
-pub(super) fn exp2(x: f32) -> f32 {
+pub(super) fn exp2<S: Simd>(x: f32x8<S>) -> f32x8<S> {
     const LEAST: u32 = (ROUND - 126.0).to_bits();
     let whole = x + ROUND;
     let f = x - (whole - ROUND);
-    let p = SERIES[1..].iter().fold(SERIES[0], |p, c| p * f + c);
-    // numbers above 0 are in the order of their bits; a comparison of floats may become a branch for each lane
-    f32::from_bits(p.to_bits().wrapping_add(whole.to_bits().max(LEAST) << 23))
+    let p = SERIES[2..].iter().fold(f * SERIES[0] + SERIES[1], |p, &c| p * f + c);
+    // numbers above 0 are in the order of their bits
+    f32x8::from_bits(p.to_bits() + (whole.to_bits().max(LEAST) << 23))
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
+
+    /// [`exp2`] of one number.
+    pub(crate) fn exp2_of(x: f32) -> f32 {
+        let whole = x + ROUND;
+        let f = x - (whole - ROUND);
+        let p = SERIES[1..].iter().fold(SERIES[0], |p, c| p * f + c);
+        f32::from_bits(p.to_bits().wrapping_add(whole.to_bits().max((ROUND - 126.0).to_bits()) << 23))
+    }
 
     #[test]
     fn powers_of_two_agree_with_the_standard_library() {
         for i in 0..=126_000 {
             let x = -f64::from(i) / 1000.0;
-            let (got, want) = (f64::from(exp2(x as f32)), (f64::from(x as f32)).exp2());
+            let (got, want) = (f64::from(exp2_of(x as f32)), (f64::from(x as f32)).exp2());
             assert!((got / want - 1.0).abs() < 3e-7, "{x}: {got} {want}");
         }
         for x in [-126.6f32, -217.0, -1e6] {
-            assert!((0.7..1.5).contains(&(f64::from(exp2(x)) / (-126f64).exp2())), "{x}");
+            assert!((0.7..1.5).contains(&(f64::from(exp2_of(x)) / (-126f64).exp2())), "{x}");
         }
     }
 

@@ -1,8 +1,10 @@
 //! What is done about each pixel, row by row.
 
-use super::band::{Band, LANES, Lanes, REACH, ROUND, SERIES, exp2};
-use super::{EDGE, JOIN, MEDIAN, OWN, RADIUS, RAMP, SIDE, SIGMA_COLOUR, SIGMA_PLACE};
+use fearless_simd::{Level, Simd, f32x8, prelude::*};
 use tmpi_core::simd::dispatch;
+
+use super::band::{Band, LANES, Lanes, REACH, exp2};
+use super::{EDGE, JOIN, MEDIAN, OWN, RADIUS, RAMP, SIDE, SIGMA_COLOUR, SIGMA_PLACE};
 
 /// Added to each weight of a side, so that sides far from a colour can still be told apart.
 const TINY: f32 = 1e-20;
@@ -64,109 +66,25 @@ fn total(lanes: &Lanes) -> f32 {
 /// exp(−dc²/2σ²) by colour distance.
 #[inline(always)]
 #[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
-fn likeness(own: [f32; 3], colour: &[Lanes; 3]) -> Lanes {
-    std::array::from_fn(|k| {
-        let d: [f32; 3] = std::array::from_fn(|c| colour[c][k] - own[c]);
-        exp2((d[0] * d[0] + d[1] * d[1] + d[2] * d[2]) * FALL)
-    })
+fn likeness<S: Simd>(simd: S, own: [f32; 3], colour: &[Lanes; 3]) -> f32x8<S> {
+    let square = |c: usize| {
+        let d = f32x8::load_array_ref(simd, &colour[c]) - f32x8::splat(simd, own[c]);
+        d * d
+    };
+    exp2((square(0) + square(1) + square(2)) * FALL)
 }
 
 /// Of the pixels around one that are on the near and on the far side of a ramp: weight, weighted δ, count.
 type Side = [f32; 3];
 
 /// Gives the pixels of row `y` that lie on ramps the δ of the side that they belong to; `lo`, `hi`: extremes of their windows.
-pub(super) fn sides(band: &Band, tables: &Tables, y: usize, lo: &[f32], hi: &[f32], out: &mut [f32]) {
-    #[cfg(target_arch = "x86_64")]
-    if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
-        // SAFETY: both features were just found.
-        #[allow(unsafe_code, reason = "the call is guarded by the test for the features that it needs")]
-        return unsafe { sides_avx2(band, tables, y, lo, hi, out) };
-    }
-    sides_portable(band, tables, y, lo, hi, out);
-}
-
-/// The same by lanes that the compiler makes of it what it can.
-fn sides_portable(band: &Band, tables: &Tables, y: usize, lo: &[f32], hi: &[f32], out: &mut [f32]) {
-    sides_body(band, y, lo, hi, out, |x, own, low_to, high_from| gathered(band, tables, (x, y), own, low_to, high_from));
-}
-
-fn gathered(band: &Band, tables: &Tables, (x, y): (usize, usize), own: [f32; 3], low_to: f32, high_from: f32) -> (Side, Side) {
-    let mut low = [[0f32; LANES]; 3];
-    let mut high = [[0f32; LANES]; 3];
-    for row in band.near(y, RADIUS) {
-        let s = band.strip(x, row);
-        let like = likeness(own, &s.colour);
-        let place = &tables.place[row + RADIUS - y];
-        let weight: Lanes = std::array::from_fn(|k| like[k] * place[k] + tables.tiny[k]);
-        let product: Lanes = std::array::from_fn(|k| weight[k] * s.delta[k]);
-        let is_low = mask(|k| s.delta[k] <= low_to);
-        let is_high = mask(|k| s.delta[k] >= high_from);
-        for (i, values) in [&weight, &product, &tables.within].into_iter().enumerate() {
-            add(&mut low[i], values, &is_low);
-            add(&mut high[i], values, &is_high);
-        }
-    }
-    (low.map(|l| total(&l)), high.map(|l| total(&l)))
-}
-
-// whether the compiler makes vectors of the lanes changes from build to build; these are, and give the same bits
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2,fma")]
-fn sides_avx2(band: &Band, tables: &Tables, y: usize, lo: &[f32], hi: &[f32], out: &mut [f32]) {
-    use std::arch::x86_64::{
-        _CMP_GE_OQ, _CMP_LE_OQ, _mm256_add_ps, _mm256_and_ps, _mm256_cmp_ps, _mm256_mul_ps, _mm256_set1_ps, _mm256_setzero_ps,
-        _mm256_sub_ps,
-    };
-    sides_body(band, y, lo, hi, out, |x, own, low_to, high_from| {
-        let [red, green, blue] = own.map(|c| _mm256_set1_ps(c));
-        let (low_to, high_from, fall) = (_mm256_set1_ps(low_to), _mm256_set1_ps(high_from), _mm256_set1_ps(FALL));
-        let (tiny, within) = (lanes_avx2(&tables.tiny), lanes_avx2(&tables.within));
-        let mut low = [_mm256_setzero_ps(); 3];
-        let mut high = [_mm256_setzero_ps(); 3];
-        for row in band.near(y, RADIUS) {
-            let s = band.strip(x, row);
-            let square = |of: &Lanes, own| {
-                let d = _mm256_sub_ps(lanes_avx2(of), own);
-                _mm256_mul_ps(d, d)
-            };
-            let distance = _mm256_add_ps(_mm256_add_ps(square(&s.colour[0], red), square(&s.colour[1], green)), square(&s.colour[2], blue));
-            let like = exp2_avx2(_mm256_mul_ps(distance, fall));
-            let weight = _mm256_add_ps(_mm256_mul_ps(like, lanes_avx2(&tables.place[row + RADIUS - y])), tiny);
-            let delta = lanes_avx2(&s.delta);
-            let product = _mm256_mul_ps(weight, delta);
-            let (is_low, is_high) = (_mm256_cmp_ps::<_CMP_LE_OQ>(delta, low_to), _mm256_cmp_ps::<_CMP_GE_OQ>(delta, high_from));
-            for (i, values) in [weight, product, within].into_iter().enumerate() {
-                low[i] = _mm256_add_ps(low[i], _mm256_and_ps(values, is_low));
-                high[i] = _mm256_add_ps(high[i], _mm256_and_ps(values, is_high));
-            }
-        }
-        (low.map(|l| total(&from_lanes_avx2(l))), high.map(|l| total(&from_lanes_avx2(l))))
-    });
-}
-
-/// [`super::band::exp2`] of eight values, the same bits.
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2")]
-fn exp2_avx2(x: std::arch::x86_64::__m256) -> std::arch::x86_64::__m256 {
-    use std::arch::x86_64::{
-        _mm256_add_epi32, _mm256_add_ps, _mm256_castps_si256, _mm256_castsi256_ps, _mm256_max_epu32, _mm256_mul_ps, _mm256_set1_epi32,
-        _mm256_set1_ps, _mm256_slli_epi32, _mm256_sub_ps,
-    };
-    let round = _mm256_set1_ps(ROUND);
-    let whole = _mm256_add_ps(x, round);
-    let f = _mm256_sub_ps(x, _mm256_sub_ps(whole, round));
-    let mut p = _mm256_set1_ps(SERIES[0]);
-    for c in &SERIES[1..] {
-        p = _mm256_add_ps(_mm256_mul_ps(p, f), _mm256_set1_ps(*c));
-    }
-    let least = _mm256_set1_epi32((ROUND - 126.0).to_bits().cast_signed());
-    let power = _mm256_slli_epi32::<23>(_mm256_max_epu32(_mm256_castps_si256(whole), least));
-    _mm256_castsi256_ps(_mm256_add_epi32(_mm256_castps_si256(p), power))
+pub(super) fn sides(level: Level, band: &Band, tables: &Tables, y: usize, lo: &[f32], hi: &[f32], out: &mut [f32]) {
+    fearless_simd::dispatch!(level, simd => sides_body(simd, band, tables, y, lo, hi, out));
 }
 
 #[inline(always)]
 #[allow(clippy::inline_always, reason = "the loop must be compiled anew with the caller's target features")]
-fn sides_body(band: &Band, y: usize, lo: &[f32], hi: &[f32], out: &mut [f32], gather: impl Fn(usize, [f32; 3], f32, f32) -> (Side, Side)) {
+fn sides_body<S: Simd>(simd: S, band: &Band, tables: &Tables, y: usize, lo: &[f32], hi: &[f32], out: &mut [f32]) {
     for (x, ((o, &lo), &hi)) in out.iter_mut().zip(lo).zip(hi).enumerate() {
         let step = hi - lo;
         if step <= RAMP {
@@ -176,8 +94,7 @@ fn sides_body(band: &Band, y: usize, lo: &[f32], hi: &[f32], out: &mut [f32], ga
         if t <= 0.1 || t >= 0.9 {
             continue;
         }
-        let own = band.colour(x, y);
-        let (low, high) = gather(x, own, lo + 0.2 * step, lo + 0.8 * step);
+        let (low, high) = gathered(simd, band, tables, (x, y), lo + 0.2 * step, lo + 0.8 * step);
         let score = |s: &Side| if s[2] > 0.0 { (s[0] / s[2]).ln() } else { f32::NEG_INFINITY };
         let side = if score(&low) + OWN * (1.0 - 2.0 * t) > score(&high) { low } else { high };
         if side[2] > 0.0 {
@@ -186,55 +103,36 @@ fn sides_body(band: &Band, y: usize, lo: &[f32], hi: &[f32], out: &mut [f32], ga
     }
 }
 
-/// Colour-weighted median of the pixels of row `y` where δ has an edge, but for those that have more than `kept` of the weight on their side.
-pub(super) fn medians(band: &Band, kept: f32, y: usize, lo: &[f32], hi: &[f32], out: &mut [f32]) {
-    #[cfg(target_arch = "x86_64")]
-    if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
-        // SAFETY: both features were just found.
-        #[allow(unsafe_code, reason = "the call is guarded by the test for the features that it needs")]
-        return unsafe { medians_avx2(band, kept, y, lo, hi, out) };
-    }
-    medians_body(band, kept, y, lo, hi, out, up_to);
-}
-
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2,fma")]
-fn medians_avx2(band: &Band, kept: f32, y: usize, lo: &[f32], hi: &[f32], out: &mut [f32]) {
-    // left to the compiler, the sums are drawn together in half registers: three times the time
-    medians_body(band, kept, y, lo, hi, out, |values, weights, of| {
-        use std::arch::x86_64::{_CMP_LE_OQ, _mm256_add_ps, _mm256_and_ps, _mm256_cmp_ps, _mm256_set1_ps, _mm256_setzero_ps};
-        let of = of.map(|of| lanes_avx2(&of));
-        let mut sums = [_mm256_setzero_ps(); ROOM / LANES];
-        for (&v, &w) in values.iter().zip(weights) {
-            let (v, w) = (_mm256_set1_ps(v), _mm256_set1_ps(w));
-            for (sum, of) in sums.iter_mut().zip(of) {
-                *sum = _mm256_add_ps(*sum, _mm256_and_ps(_mm256_cmp_ps::<_CMP_LE_OQ>(v, of), w));
-            }
+/// The sides of the window of a pixel: at most `low_to`, at least `high_from`.
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
+fn gathered<S: Simd>(simd: S, band: &Band, tables: &Tables, (x, y): (usize, usize), low_to: f32, high_from: f32) -> (Side, Side) {
+    let own = band.colour(x, y);
+    let lanes = |of: &Lanes| f32x8::load_array_ref(simd, of);
+    let (tiny, within, zero) = (lanes(&tables.tiny), lanes(&tables.within), f32x8::splat(simd, 0.0));
+    let (mut low, mut high) = ([zero; 3], [zero; 3]);
+    for row in band.near(y, RADIUS) {
+        let s = band.strip(x, row);
+        let weight = likeness(simd, own, &s.colour) * lanes(&tables.place[row + RADIUS - y]) + tiny;
+        let delta = lanes(&s.delta);
+        let product = weight * delta;
+        let (is_low, is_high) = (delta.simd_le(low_to), delta.simd_ge(high_from));
+        for (i, values) in [weight, product, within].into_iter().enumerate() {
+            low[i] += is_low.select(values, zero);
+            high[i] += is_high.select(values, zero);
         }
-        sums.map(|sum| from_lanes_avx2(sum))
-    });
+    }
+    (low.map(|l| total(&l.to_array())), high.map(|l| total(&l.to_array())))
 }
 
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2")]
-fn lanes_avx2(of: &Lanes) -> std::arch::x86_64::__m256 {
-    let [a, b, c, d, e, f, g, h] = *of;
-    std::arch::x86_64::_mm256_setr_ps(a, b, c, d, e, f, g, h)
-}
-
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2")]
-#[allow(unsafe_code, reason = "a store has no safe form")]
-fn from_lanes_avx2(sum: std::arch::x86_64::__m256) -> Lanes {
-    let mut out = [0f32; LANES];
-    // SAFETY: eight values have room there.
-    unsafe { std::arch::x86_64::_mm256_storeu_ps(out.as_mut_ptr(), sum) };
-    out
+/// Colour-weighted median of the pixels of row `y` where δ has an edge, but for those that have more than `kept` of the weight on their side.
+pub(super) fn medians(level: Level, band: &Band, kept: f32, y: usize, lo: &[f32], hi: &[f32], out: &mut [f32]) {
+    fearless_simd::dispatch!(level, simd => medians_body(simd, band, kept, y, lo, hi, out));
 }
 
 #[inline(always)]
 #[allow(clippy::inline_always, reason = "the loop must be compiled anew with the caller's target features")]
-fn medians_body(band: &Band, kept: f32, y: usize, lo: &[f32], hi: &[f32], out: &mut [f32], up_to: impl Fn(&[f32], &[f32], &Sums) -> Sums) {
+fn medians_body<S: Simd>(simd: S, band: &Band, kept: f32, y: usize, lo: &[f32], hi: &[f32], out: &mut [f32]) {
     for (x, ((o, &lo), &hi)) in out.iter_mut().zip(lo).zip(hi).enumerate() {
         if hi - lo <= EDGE {
             continue;
@@ -244,7 +142,7 @@ fn medians_body(band: &Band, kept: f32, y: usize, lo: &[f32], hi: &[f32], out: &
         let mut n = 0;
         for row in band.near(y, MEDIAN) {
             let s = band.strip(x, row);
-            let like = likeness(own, &s.colour);
+            let like = likeness(simd, own, &s.colour).to_array();
             for k in REACH - MEDIAN..=REACH + MEDIAN {
                 let there = !s.delta[k].is_nan();
                 let to = n + k + MEDIAN - REACH;
@@ -260,21 +158,18 @@ fn medians_body(band: &Band, kept: f32, y: usize, lo: &[f32], hi: &[f32], out: &
             own += if (v - *o).abs() <= near { *w } else { 0.0 };
         }
         if own <= kept * weights.iter().sum::<f32>() {
-            *o = weighted_median(values, weights, &up_to);
+            *o = weighted_median(simd, values, weights);
         }
     }
 }
 
-/// A figure for each of [`ROOM`] values.
-pub(super) type Sums = [Lanes; ROOM / LANES];
-
 /// The least value that, with all that are no greater, has half of the weight; at most [`ROOM`] values.
 #[inline(always)]
 #[allow(clippy::inline_always, reason = "the loop must be compiled anew with the caller's target features")]
-pub(super) fn weighted_median(values: &[f32], weights: &[f32], up_to: &impl Fn(&[f32], &[f32], &Sums) -> Sums) -> f32 {
+pub(super) fn weighted_median<S: Simd>(simd: S, values: &[f32], weights: &[f32]) -> f32 {
     let mut of = [[f32::INFINITY; LANES]; ROOM / LANES];
     of.as_flattened_mut()[..values.len()].copy_from_slice(values);
-    let up_to = up_to(values, weights, &of);
+    let up_to = up_to(simd, values, weights, &of);
     let (up_to, of) = (up_to.as_flattened(), of.as_flattened());
     let half = 0.5 * up_to.iter().copied().fold(0.0, |a, b| if b > a { b } else { a });
     up_to.iter().zip(of).fold(f32::INFINITY, |least, (sum, &v)| if *sum >= half && v < least { v } else { least })
@@ -282,22 +177,23 @@ pub(super) fn weighted_median(values: &[f32], weights: &[f32], up_to: &impl Fn(&
 
 /// Weight of all `values` that are no greater than each of `of`: for a few dozen values, to compare all with all vectorises, which
 /// sorting them does not.
-pub(super) fn up_to(values: &[f32], weights: &[f32], of: &Sums) -> Sums {
-    of.map(|of| {
-        let mut sum = [0f32; LANES];
-        for (v, &w) in values.iter().zip(weights) {
-            for k in 0..LANES {
-                let more = sum[k] + w;
-                sum[k] = if *v <= of[k] { more } else { sum[k] };
-            }
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
+fn up_to<S: Simd>(simd: S, values: &[f32], weights: &[f32], of: &[Lanes; ROOM / LANES]) -> [Lanes; ROOM / LANES] {
+    let (of, zero) = (of.map(|of| f32x8::load_array(simd, of)), f32x8::splat(simd, 0.0));
+    let mut sums = [zero; ROOM / LANES];
+    for (&v, &w) in values.iter().zip(weights) {
+        let (v, w) = (f32x8::splat(simd, v), f32x8::splat(simd, w));
+        for (sum, of) in sums.iter_mut().zip(of) {
+            *sum += v.simd_le(of).select(w, zero);
         }
-        sum
-    })
+    }
+    sums.map(f32x8::to_array)
 }
 
 dispatch!(
     /// Gives far pixels of row `y` that touch the near side, and whose colour is mixed with it, the near side's δ.
-    pub(super) joins, joins_body, joins_avx2, (band: &Band, tables: &Tables, y: usize, lo: &[f32], hi: &[f32], out: &mut [f32])
+    pub(super) joins, joins_body, (band: &Band, tables: &Tables, y: usize, lo: &[f32], hi: &[f32], out: &mut [f32])
 );
 
 #[inline(always)]
@@ -348,11 +244,31 @@ fn joins_body(band: &Band, tables: &Tables, y: usize, lo: &[f32], hi: &[f32], ou
 
 #[cfg(test)]
 mod tests {
+    use super::super::NONE;
     use super::*;
     use tmpi_core::{DisparityMap, Photo};
 
+    /// [`gathered`] with a loop for lanes and `f32`s, in the same order.
+    fn sides_of(band: &Band, tables: &Tables, (x, y): (usize, usize), low_to: f32, high_from: f32) -> (Side, Side) {
+        let own = band.colour(x, y);
+        let (mut low, mut high) = ([[0f32; LANES]; 3], [[0f32; LANES]; 3]);
+        for row in band.near(y, RADIUS) {
+            let s = band.strip(x, row);
+            for k in 0..LANES {
+                let d: [f32; 3] = std::array::from_fn(|c| s.colour[c][k] - own[c]);
+                let like = super::super::band::tests::exp2_of((d[0] * d[0] + d[1] * d[1] + d[2] * d[2]) * FALL);
+                let weight = like * tables.place[row + RADIUS - y][k] + tables.tiny[k];
+                for (i, value) in [weight, weight * s.delta[k], tables.within[k]].into_iter().enumerate() {
+                    low[i][k] += if s.delta[k] <= low_to { value } else { 0.0 };
+                    high[i][k] += if s.delta[k] >= high_from { value } else { 0.0 };
+                }
+            }
+        }
+        (low.map(|l| total(&l)), high.map(|l| total(&l)))
+    }
+
     #[test]
-    fn sides_are_the_same_bits_with_and_without_vectors() {
+    fn vectors_of_every_kind_give_the_bits_of_single_pixels() {
         let (w, h) = (61u32, 23u32);
         let mut state = 7u64;
         let mut next = || {
@@ -363,15 +279,40 @@ mod tests {
         let delta = DisparityMap { width: w, height: h, delta: (0..w * h).map(|_| next()).collect() };
         let (mut band, tables) = (Band::default(), Tables::new());
         band.load(&photo, &delta, 0..h as usize);
-        let (lo, hi) = (vec![0.1; w as usize], vec![0.9; w as usize]);
-        let mut moved = 0;
-        for (y, row) in delta.delta.chunks(w as usize).enumerate() {
-            let (mut one, mut other) = (row.to_vec(), row.to_vec());
-            sides(&band, &tables, y, &lo, &hi, &mut one);
-            sides_portable(&band, &tables, y, &lo, &hi, &mut other);
-            assert!(one.iter().zip(&other).all(|(a, b)| a.to_bits() == b.to_bits()), "row {y}");
-            moved += one.iter().zip(row).filter(|(a, b)| a.to_bits() != b.to_bits()).count();
+        for level in levels() {
+            for (x, y) in (0..w as usize).flat_map(|x| (0..h as usize).map(move |y| (x, y))) {
+                let bits = |(low, high): (Side, Side)| [low.map(f32::to_bits), high.map(f32::to_bits)];
+                let got = fearless_simd::dispatch!(level, simd => gathered(simd, &band, &tables, (x, y), 0.3, 0.6));
+                assert_eq!(bits(got), bits(sides_of(&band, &tables, (x, y), 0.3, 0.6)), "{level:?} {x} {y}");
+            }
         }
-        assert!(moved > 500, "{moved}");
+        // whole rows, by the plainest vectors and by all others
+        let (lo, hi) = (vec![0.1; w as usize], vec![0.9; w as usize]);
+        let mut moved = [0; 2];
+        for (y, row) in delta.delta.chunks(w as usize).enumerate() {
+            let by = |level: Level| {
+                let (mut sided, mut filtered) = (row.to_vec(), row.to_vec());
+                sides(level, &band, &tables, y, &lo, &hi, &mut sided);
+                medians(level, &band, NONE, y, &lo, &hi, &mut filtered);
+                [sided, filtered].map(|r| r.into_iter().map(f32::to_bits).collect::<Vec<_>>())
+            };
+            let want = by(Level::baseline());
+            for level in levels() {
+                assert!(by(level) == want, "{level:?}, row {y}");
+            }
+            for (moved, want) in moved.iter_mut().zip(want) {
+                *moved += want.iter().zip(row).filter(|(a, b)| **a != b.to_bits()).count();
+            }
+        }
+        // of rough colours most medians are a pixel's own
+        assert!(moved[0] > 500 && moved[1] > 20, "{moved:?}");
+    }
+
+    /// All kinds of vectors that this processor has.
+    fn levels() -> Vec<Level> {
+        let mut all = vec![Level::baseline(), Level::new()];
+        #[cfg(target_arch = "x86_64")]
+        all.extend([Level::new().as_sse4_2().map(Level::Sse4_2), Level::new().as_avx2().map(Level::Avx2)].into_iter().flatten());
+        all
     }
 }

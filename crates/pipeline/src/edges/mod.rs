@@ -6,6 +6,8 @@ mod kernel;
 
 use rayon::prelude::*;
 
+use fearless_simd::Level;
+
 use self::band::Band;
 use self::kernel::Tables;
 use tmpi_core::{DisparityMap, Photo};
@@ -41,8 +43,8 @@ const ROWS: usize = 16;
 /// Gives the pixels of ramps to the near or the far side, then runs [`full_median`], then joins rim pixels to the near side.
 #[must_use]
 pub fn snap(photo: &Photo, delta: &DisparityMap) -> DisparityMap {
-    let tables = Tables::new();
-    let snapped = each(photo, delta, RADIUS, |band, y, lo, hi, out| kernel::sides(band, &tables, y, lo, hi, out));
+    let (level, tables) = (Level::new(), Tables::new());
+    let snapped = each(photo, delta, RADIUS, |band, y, lo, hi, out| kernel::sides(level, band, &tables, y, lo, hi, out));
     let filtered = full_median(photo, &snapped);
     each(photo, &filtered, RADIUS, |band, y, lo, hi, out| kernel::joins(band, &tables, y, lo, hi, out))
 }
@@ -74,13 +76,15 @@ pub const BLURRED: f64 = 0.15;
 /// doing on measured depth, and nearly harmless on exact depth.
 #[must_use]
 pub fn median(photo: &Photo, delta: &DisparityMap) -> DisparityMap {
-    each(photo, delta, MEDIAN, |band, y, lo, hi, out| kernel::medians(band, KEPT, y, lo, hi, out))
+    let level = Level::new();
+    each(photo, delta, MEDIAN, |band, y, lo, hi, out| kernel::medians(level, band, KEPT, y, lo, hi, out))
 }
 
 /// The same of all pixels where δ has an edge (RECIPE, step 1).
 #[must_use]
 pub fn full_median(photo: &Photo, delta: &DisparityMap) -> DisparityMap {
-    each(photo, delta, MEDIAN, |band, y, lo, hi, out| kernel::medians(band, NONE, y, lo, hi, out))
+    let level = Level::new();
+    each(photo, delta, MEDIAN, |band, y, lo, hi, out| kernel::medians(level, band, NONE, y, lo, hi, out))
 }
 
 /// Runs `f` over each row with the extremes of δ within `radius` of its pixels; it begins with the row as it is.
@@ -202,7 +206,8 @@ mod tests {
                 sum += f64::from(v.1);
                 sum >= 0.5 * total
             });
-            assert_eq!(Some(kernel::weighted_median(&values, &weights, &kernel::up_to)), want.map(|v| v.0));
+            let got = fearless_simd::dispatch!(Level::new(), simd => kernel::weighted_median(simd, &values, &weights));
+            assert_eq!(Some(got), want.map(|v| v.0));
         }
     }
 
@@ -310,8 +315,8 @@ mod tests {
         let ramp = |i: u32, rough: f64| (0.2 + 0.6 * (near(i) / 5.0 + 0.5).clamp(0.0, 1.0) + rough * (noise(i, 9) - 0.5)) as f32;
         for rough in [0.0, 0.02, 0.4] {
             let map = DisparityMap { width: w, height: h, delta: (0..w * h).map(|i| ramp(i, rough)).collect() };
-            let tables = Tables::new();
-            let sides = each(&photo, &map, RADIUS, |band, y, lo, hi, out| kernel::sides(band, &tables, y, lo, hi, out));
+            let (level, tables) = (Level::new(), Tables::new());
+            let sides = each(&photo, &map, RADIUS, |band, y, lo, hi, out| kernel::sides(level, band, &tables, y, lo, hi, out));
             let (medians, full) = (median(&photo, &map), full_median(&photo, &map));
             let joins = each(&photo, &map, RADIUS, |band, y, lo, hi, out| kernel::joins(band, &tables, y, lo, hi, out));
             let compare = |name: &str, got: &DisparityMap, radius: i64, want: &dyn Fn(&Window) -> f64| {

@@ -25,13 +25,13 @@ dispatch!(
     /// Labels every sample with its nearest plane `(a, b, c)`, the first of equals, and leaves its absolute error in `error`;
     /// `error` and `label` are as long as the columns. Samples whose label changed are added to `moved` with their old label.
     /// Gives the weighted sum of squared errors.
-    pub nearest, nearest_body, nearest_avx2,
+    pub nearest, nearest_body,
     (planes: &[[f32; 3]], s: Columns, error: &mut [f32], label: &mut [u32], moved: &mut Vec<(u32, u32)>) -> f64
 );
 
 dispatch!(
     /// Sums of the samples of label `j`.
-    pub sums, sums_body, sums_avx2, (s: Columns, label: &[u32], j: u32) -> Sums
+    pub sums, sums_body, (s: Columns, label: &[u32], j: u32) -> Sums
 );
 
 #[inline(always)]

@@ -11,7 +11,8 @@ const ROUNDS: usize = 20;
 const THIN: [usize; 2] = [4, 2];
 /// A start is given up when even so many rounds as good as its last would leave it behind the best one.
 const PATIENCE: f64 = 6.0;
-/// Ridge on the slopes, as a share of a cluster's weight and as pixels, so that thin clusters stay fronto-parallel.
+/// Ridge on the slopes, as a share of a cluster's weight and as a second moment (weight in pixels times half tiles squared), so that thin
+/// clusters stay fronto-parallel.
 const RIDGE: (f64, f64) = (1e-4, 0.02);
 /// Steepest slope in δ per half tile (0.008 δ a pixel on 64-pixel tiles).
 const MAX_SLOPE: f64 = 0.256;

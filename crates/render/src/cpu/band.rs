@@ -1,9 +1,10 @@
 //! A band of rows: depth, opaque colour, and per pixel the soft samples before it.
 
-#[cfg(target_arch = "x86_64")]
-use super::avx2;
-use super::lanes::{LANES, Pixels, Run, Soften, neighbours, portable, weights};
+use fearless_simd::{Level, Simd};
+
+use super::lanes::{LANES, Pixels, Run, Soften, neighbours, weights};
 use super::span::Draw;
+use super::vector::opaque;
 use crate::OPAQUE;
 
 /// A sample between transparent and opaque.
@@ -50,34 +51,14 @@ impl Band {
         self.soft.shrink_to(MOST_KEPT);
     }
 
-    #[allow(unsafe_code, reason = "the call is guarded by the test for the feature that it needs")]
+    /// Every draw, with the vectors that this processor has.
     fn walk_all(&mut self, draws: &[Draw], texels: &[[u8; 4]], first_row: u32, width: usize, out: &mut [[u8; 4]]) {
-        #[cfg(target_arch = "x86_64")]
-        if std::arch::is_x86_feature_detected!("avx2") {
-            // SAFETY: the feature was just found.
-            return unsafe { self.walk_avx2(draws, texels, first_row, width, out) };
-        }
-        self.walk_with(draws, texels, first_row, width, out, portable);
+        fearless_simd::dispatch!(Level::new(), simd => self.walk(simd, draws, texels, first_row, width, out));
     }
 
-    #[cfg(target_arch = "x86_64")]
-    #[target_feature(enable = "avx2")]
-    fn walk_avx2(&mut self, draws: &[Draw], texels: &[[u8; 4]], first_row: u32, width: usize, out: &mut [[u8; 4]]) {
-        self.walk_with(draws, texels, first_row, width, out, |run, pixels| avx2::opaque(run, pixels));
-    }
-
-    /// Every draw by `kernel`, which draws eight pixels where they are opaque and tells which of the others are soft.
     #[inline(always)]
     #[allow(clippy::inline_always, reason = "the loop must be compiled anew with the caller's target features")]
-    fn walk_with(
-        &mut self,
-        draws: &[Draw],
-        texels: &[[u8; 4]],
-        first_row: u32,
-        width: usize,
-        out: &mut [[u8; 4]],
-        kernel: impl Fn(&Run, Pixels) -> Soften,
-    ) {
+    fn walk<S: Simd>(&mut self, simd: S, draws: &[Draw], texels: &[[u8; 4]], first_row: u32, width: usize, out: &mut [[u8; 4]]) {
         let rows = (out.len() / width) as u32;
         for draw in draws {
             let (from, to) = (draw.footprint.y0.max(first_row), draw.footprint.y1.min(first_row + rows));
@@ -92,7 +73,7 @@ impl Band {
                 let (outs, out_rest) = out.as_chunks_mut::<LANES>();
                 let full = depths.len() * LANES;
                 for (depth, out) in depths.iter_mut().zip(outs) {
-                    let soft = kernel(&run, Pixels { depth, out });
+                    let soft = opaque(simd, &run, Pixels { depth, out });
                     if soft.lanes != 0 {
                         soften(&soft, layer, run.stride, &mut self.head[first + run.at..], &mut self.soft, depth, out);
                     }
@@ -103,7 +84,7 @@ impl Band {
                     let (mut depth, mut out) = ([f32::INFINITY; LANES], [[0; 4]; LANES]);
                     depth[..depth_rest.len()].copy_from_slice(depth_rest);
                     out[..out_rest.len()].copy_from_slice(out_rest);
-                    let soft = kernel(&run, Pixels { depth: &mut depth, out: &mut out });
+                    let soft = opaque(simd, &run, Pixels { depth: &mut depth, out: &mut out });
                     if soft.lanes != 0 {
                         soften(&soft, layer, run.stride, &mut self.head[first + full..], &mut self.soft, &mut depth, &mut out);
                     }

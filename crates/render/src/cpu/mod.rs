@@ -1,11 +1,10 @@
 //! The backend without a graphics adapter: row bands in parallel, nearest layer first, nothing sampled behind an opaque texel.
 
-#[cfg(target_arch = "x86_64")]
-mod avx2;
 mod band;
 mod lanes;
 mod reference_view;
 mod span;
+mod vector;
 
 use std::cell::RefCell;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
