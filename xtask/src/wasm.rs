@@ -38,9 +38,8 @@ fn module(sysroot: &str, package: &str, name: &str) -> Result<(), Fault> {
     let home = std::env::var("CARGO_HOME").or_else(|_| std::env::var("HOME").map(|home| format!("{home}/.cargo"))).unwrap_or_default();
     let mut flags = format!("{FLAGS} --remap-path-prefix={home}=cargo --remap-path-prefix={sysroot}=rust");
     // nor where its crates come from
-    for registry in std::fs::read_dir(Path::new(&home).join("registry/src")).into_iter().flatten().flatten() {
-        flags += &format!(" --remap-path-prefix={}=crates", registry.path().display());
-    }
+    let registries = std::fs::read_dir(Path::new(&home).join("registry/src")).into_iter().flatten().flatten();
+    flags.extend(registries.map(|registry| format!(" --remap-path-prefix={}=crates", registry.path().display())));
     build.env("RUSTFLAGS", flags);
     let target = root().join("target");
     build.env("CARGO_TARGET_DIR", &target);

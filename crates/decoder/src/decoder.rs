@@ -139,3 +139,9 @@ impl Decoder {
         }
     }
 }
+
+impl Default for Decoder {
+    fn default() -> Self {
+        Self::new()
+    }
+}
