@@ -18,6 +18,10 @@ use tmpi_render::{self, Backend};
 /// More than readers of a container take would be made and never shown.
 const MOST_MEGAPIXELS: i64 = (tmpi_core::container::MAX_PIXELS / 1_000_000) as i64;
 
+/// Open files besides connections.
+#[cfg(unix)]
+const SPARE_FILES: u64 = 512;
+
 /// Take photos over HTTP and serve what is made of them
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct ServeArgs {
@@ -132,6 +136,8 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
         make_for_a_server(&maker, limits.job_memory);
         return Ok(());
     }
+    #[cfg(unix)]
+    open_files(u64::from(args.connections) + SPARE_FILES);
     let renderer = tmpi_render::select(args.backend).context("renderer")?;
     let maker = ProcessMaker::new(maker);
     let config = Config { addr: args.addr, data: args.data, pages: args.pages, hosts: args.hosts, public_list: args.public_list, limits };
@@ -157,6 +163,27 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
     // a job that outlived the drain time is taken up at the next start
     runtime.shutdown_background();
     Ok(())
+}
+
+/// Has the process open as many files as it may need, as far as the system lets it: each connection is one.
+#[cfg(unix)]
+#[allow(unsafe_code, reason = "two calls of libc on a struct of ours")]
+#[allow(clippy::unnecessary_cast, clippy::useless_conversion, reason = "the width differs by system")]
+fn open_files(wanted: u64) {
+    let mut limit = libc::rlimit { rlim_cur: 0, rlim_max: 0 };
+    // SAFETY: the struct outlives the call, which only writes it
+    if unsafe { libc::getrlimit(libc::RLIMIT_NOFILE, &raw mut limit) } != 0 {
+        return;
+    }
+    let most = (limit.rlim_max as u64).min(wanted);
+    if (limit.rlim_cur as u64) < most {
+        limit.rlim_cur = most as libc::rlim_t;
+        // SAFETY: the struct outlives the call, which only reads it
+        let _ = unsafe { libc::setrlimit(libc::RLIMIT_NOFILE, &raw const limit) };
+    }
+    if most < wanted {
+        tracing::warn!(most, wanted, "the system lets this process open fewer files than it may need: raise it, or lower --connections");
+    }
 }
 
 /// What photos depend on besides the program: a better network makes them anew.

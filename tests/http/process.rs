@@ -238,8 +238,31 @@ fn a_port_in_use_is_an_error_that_names_it() {
     let dir = tempfile::tempdir().unwrap();
     let output = Command::new(env!("CARGO_BIN_EXE_tmpi")).args(["serve", "--addr", &addr, "--data"]).arg(dir.path()).output().unwrap();
     assert_eq!(output.status.code(), Some(1));
-    assert!(String::from_utf8_lossy(&output.stderr).contains(&addr));
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(said.contains(&addr) && said.matches("in use").count() == 1, "{said}");
     assert!(output.stdout.is_empty());
+}
+
+#[cfg(unix)]
+#[test]
+fn a_low_limit_of_open_files_is_raised_as_far_as_the_system_lets() {
+    let dir = tempfile::tempdir().unwrap();
+    let log = tempfile::NamedTempFile::new().unwrap();
+    let script = "ulimit -Sn 64 && exec \"$0\" serve --addr 127.0.0.1:0 --data \"$1\"";
+    let mut child = Command::new("sh")
+        .args(["-c", script, env!("CARGO_BIN_EXE_tmpi")])
+        .arg(dir.path())
+        .stdout(Stdio::piped())
+        .stderr(log.reopen().unwrap())
+        .spawn()
+        .unwrap();
+    let mut line = String::new();
+    BufReader::new(child.stdout.as_mut().unwrap()).read_line(&mut line).unwrap();
+    let server = Process { addr: line.trim().strip_prefix("http://").unwrap().parse().unwrap(), child, log };
+    let mut open: Vec<Connection> = (0..150).map(|_| Connection::open(server.addr)).collect();
+    for connection in &mut open {
+        assert_eq!(connection.request("GET", "/healthz", &[], &[]).status, 200);
+    }
 }
 
 /// A picture that takes a while to make, and more bytes than a pipe holds.
