@@ -1,5 +1,7 @@
 //! Fetches the ONNX Runtime library: it is taken out of the Python package, whose contents are the same for every Python.
 
+use std::process::Command;
+
 use crate::command::Fault;
 use crate::wheel::{Package, Wheel};
 
@@ -48,9 +50,7 @@ pub fn name_to(command: &mut Command) {
     if std::env::var_os("CARGO_TARGET_DIR").is_none() || std::env::var_os("ORT_DYLIB_PATH").is_some_and(|v| !v.is_empty()) {
         return;
     }
-    let (os, arch) = (std::env::consts::OS, std::env::consts::ARCH);
-    let wheel = WHEELS.iter().find(|w| w.os == os && w.arch == arch);
-    if let Some(file) = wheel.map(|w| root().join(FOLDER).join(w.file)).filter(|f| f.is_file()) {
+    if let Some(file) = RUNTIME.last().filter(|f| f.is_file()) {
         command.env("ORT_DYLIB_PATH", file);
     }
 }

