@@ -47,7 +47,11 @@ fn standin() -> Standin {
             if mood == Mood::Spoils {
                 body[10] ^= 1;
             }
-            let status = if from > 0 { format!("206 Partial Content\r\nContent-Range: bytes {from}-{0}/{0}", NETWORK.len()) } else { "200 OK".into() };
+            let status = if from > 0 {
+                format!("206 Partial Content\r\nContent-Range: bytes {from}-{0}/{0}", NETWORK.len())
+            } else {
+                "200 OK".into()
+            };
             let head = format!("HTTP/1.1 {status}\r\nContent-Length: {}\r\nConnection: close\r\n\r\n", body.len());
             let sent = if mood == Mood::Cuts { body.len() / 2 } else { body.len() };
             let _ = stream.write_all(head.as_bytes()).and_then(|()| stream.write_all(&body[..sent]));

@@ -133,7 +133,8 @@ fn depth_model(text: &str) -> Result<DepthModel, String> {
     let (name, file) = text.split_once('=').map_or((text, None), |(n, f)| (n, Some(PathBuf::from(f))));
     let fetched = published(name);
     let known = || {
-        let names = ["auto"].into_iter().chain(ADAPTERS.iter().map(|a| a.name)).chain(PUBLISHED.iter().map(|p| p.name)).collect::<BTreeSet<_>>();
+        let names =
+            ["auto"].into_iter().chain(ADAPTERS.iter().map(|a| a.name)).chain(PUBLISHED.iter().map(|p| p.name)).collect::<BTreeSet<_>>();
         names.into_iter().collect::<Vec<_>>().join(", ")
     };
     let Some(adapter) = adapter(name).or_else(|| fetched?.adapter()) else {

@@ -14,6 +14,6 @@ pub mod run;
 
 pub use error::StageError;
 pub use run::{
-    Budget, Bytes, Denoise, ErrorFigures, Input, InputDepth, LeftOut, Made, MakeError, Models, Options, PlaneCount, PlaneMethod, Progress, Report,
-    STAGES, Silent, Sink, StageTime, Switch, TileSize, make,
+    Budget, Bytes, Denoise, ErrorFigures, Input, InputDepth, LeftOut, Made, MakeError, Models, Options, PlaneCount, PlaneMethod, Progress,
+    Report, STAGES, Silent, Sink, StageTime, Switch, TileSize, make,
 };

@@ -31,7 +31,8 @@ impl Derived {
 
     /// The answer, with what each phase of making it took, if it was made for this request.
     pub fn answer(&self, headers: &HeaderMap, stored: Stored, content_type: &str, timing: &[(&str, Duration)]) -> Response {
-        let entity = Entity { source: stored.source, etag: &stored.etag, content_type, cache_control: self.cache_control, coding: Coding::Plain };
+        let entity =
+            Entity { source: stored.source, etag: &stored.etag, content_type, cache_control: self.cache_control, coding: Coding::Plain };
         let mut response = respond(headers, entity);
         if !timing.is_empty() {
             let all: Vec<String> = timing.iter().map(|(name, d)| format!("{name};dur={:.2}", d.as_secs_f64() * 1e3)).collect();

@@ -283,7 +283,8 @@ mod tests {
             out.into_inner()
         };
         let luma = DynamicImage::from(rgb.clone()).to_luma8();
-        let files = [(png(rgb.clone()), 0.0), (png(rgb16), 0.0), (jpeg(rgb.clone().into()), 2.01 / 255.0), (jpeg(luma.into()), 2.01 / 255.0)];
+        let files =
+            [(png(rgb.clone()), 0.0), (png(rgb16), 0.0), (jpeg(rgb.clone().into()), 2.01 / 255.0), (jpeg(luma.into()), 2.01 / 255.0)];
         for (i, (file, tolerance)) in files.iter().enumerate() {
             let got = from_map(file, DepthKind::Disparity, 40, 30).unwrap();
             for (at, got) in got.delta.iter().enumerate() {

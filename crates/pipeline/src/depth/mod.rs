@@ -11,8 +11,8 @@ mod smooth;
 mod upsample;
 
 pub use adapter::{ADAPTERS, Adapter, Kind, Layout, Sampling, SizeRule, adapter, margin};
-pub use detect::detect;
 pub use carried::{Carried, carried};
+pub use detect::detect;
 pub use map::{check, from_map};
 pub use monocular::Monocular;
 pub use png::to_png;

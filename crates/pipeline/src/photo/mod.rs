@@ -89,7 +89,9 @@ pub fn decode(bytes: &[u8], limits: &Limits, max_size: Option<u32>) -> Result<De
 fn sniff(bytes: &[u8]) -> Result<PhotoFormat, PhotoError> {
     // brands of ISO base media files that hold pictures
     let heic = bytes.get(4..8) == Some(b"ftyp")
-        && bytes.get(8..12).is_some_and(|brand| matches!(brand, b"heic" | b"heix" | b"heim" | b"heis" | b"hevc" | b"mif1" | b"msf1" | b"avif"));
+        && bytes
+            .get(8..12)
+            .is_some_and(|brand| matches!(brand, b"heic" | b"heix" | b"heim" | b"heis" | b"hevc" | b"mif1" | b"msf1" | b"avif"));
     PhotoFormat::sniff(bytes).ok_or(if heic { PhotoError::Heic } else { PhotoError::Unsupported })
 }
 

@@ -18,7 +18,8 @@ pub(super) fn find(packets: &[String]) -> Option<Found> {
     };
     let read = || {
         let scale = google(Some(format), get("Near"), get("Far"))?;
-        let lenient = GeneralPurposeConfig::new().with_decode_padding_mode(DecodePaddingMode::Indifferent).with_decode_allow_trailing_bits(true);
+        let lenient =
+            GeneralPurposeConfig::new().with_decode_padding_mode(DecodePaddingMode::Indifferent).with_decode_allow_trailing_bits(true);
         let data: Vec<u8> = data.bytes().filter(|b| !b.is_ascii_whitespace()).collect();
         let picture = GeneralPurpose::new(&base64::alphabet::STANDARD, lenient).decode(data).map_err(|e| e.to_string())?;
         Ok(("gdepth", picture, scale))

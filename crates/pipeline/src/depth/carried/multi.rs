@@ -32,7 +32,12 @@ pub(super) fn find(photo: &[u8]) -> Option<Found> {
         };
         let (Some(low), Some(high)) = ends else { return Some(Err("the ends of its values are not told".into())) };
         let scale = if distance { Scale::Distance { near: low, far: high } } else { Scale::Disparity { low, high } };
-        Some(scale.checked().map(|scale| ("multi-picture", picture.to_vec(), scale)).ok_or_else(|| format!("values from {low} to {high} are no range")))
+        Some(
+            scale
+                .checked()
+                .map(|scale| ("multi-picture", picture.to_vec(), scale))
+                .ok_or_else(|| format!("values from {low} to {high} are no range")),
+        )
     })
 }
 

@@ -144,7 +144,12 @@ fn what_cannot_be_read_is_told_and_what_is_no_depth_is_passed_over() {
     assert_eq!(carried(&photo()).unwrap(), None);
     assert_eq!(carried(&encoded(map(), ImageFormat::Png)).unwrap(), None);
     assert_eq!(carried(b"").unwrap(), None);
-    let matte = [("AuxiliaryImageType", "depth"), ("AuxiliaryImageSubType", "portraiteffectsmatte"), ("FloatMinValue", "0"), ("FloatMaxValue", "1")];
+    let matte = [
+        ("AuxiliaryImageType", "depth"),
+        ("AuxiliaryImageSubType", "portraiteffectsmatte"),
+        ("FloatMinValue", "0"),
+        ("FloatMaxValue", "1"),
+    ];
     assert_eq!(carried(&multi(&matte)).unwrap(), None);
     let fault = |file: &[u8]| carried(file).unwrap_err().to_string();
     assert!(fault(&gdepth("Sideways", "1", "5")).contains("Sideways"));
