@@ -1,9 +1,11 @@
 //! The fuzzer: the targets of `src/fuzzing.rs` on what libFuzzer finds, from the seeds on.
 
 use std::fs;
+use std::path::Path;
 use std::process::Command;
+use std::sync::Mutex;
 
-use crate::command::{Fault, cargo, output, root, run};
+use crate::command::{Fault, cargo, output, root, run, run_quietly};
 
 /// Those of `src/fuzzing.rs`; a test there holds this list against them.
 const TARGETS: [&str; 13] =
@@ -13,7 +15,8 @@ const SECONDS: u32 = 60;
 const TIMEOUT: &str = "-timeout=20";
 const MEMORY: &str = "-rss_limit_mb=2048";
 /// What cargo-fuzz passes, but for the sanitizer of addresses: it needs a nightly compiler.
-const COVERAGE: [&str; 6] = [
+const COVERAGE: [&str; 7] = [
+    "-Coverflow-checks=on",
     "-Cpasses=sancov-module",
     "-Cllvm-args=-sanitizer-coverage-level=4",
     "-Cllvm-args=-sanitizer-coverage-inline-8bit-counters",
@@ -47,17 +50,33 @@ pub fn fuzz(args: &[String]) -> Result<(), Fault> {
     build.env("RUSTFLAGS", COVERAGE.join(" "));
     run(build)?;
     let program = root().join("target/fuzz").join(&triple).join("release/fuzz");
-    for name in targets {
-        println!("── {name}, {seconds} s");
-        let (found, crashes) = (root().join("target/fuzz/corpus").join(name), root().join("target/fuzz/crashes").join(name));
-        for folder in [&found, &crashes] {
-            fs::create_dir_all(folder).map_err(|e| Fault::new(format!("{}: {e}", folder.display())))?;
-        }
-        let mut command = Command::new(&program);
-        command.env("TMPI_FUZZ", name).current_dir(root()).args([TIMEOUT, MEMORY, "-print_final_stats=1", "-verbosity=0"]);
-        command.arg(format!("-max_total_time={seconds}")).arg(format!("-artifact_prefix={}/", crashes.display()));
-        command.arg(&found).arg(root().join("fuzz/seeds").join(name));
-        run(command)?;
+    // as many side by side as there are cores
+    let all = Mutex::new(targets.into_iter());
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    std::thread::scope(|scope| {
+        let next = || all.lock().map_or(None, |mut all| all.next());
+        let worker = || {
+            while let Some(name) = next() {
+                one(&program, name, seconds)?;
+            }
+            Ok(())
+        };
+        let workers: Vec<_> = (0..cores).map(|_| scope.spawn(worker)).collect();
+        workers.into_iter().try_for_each(|w| w.join().unwrap_or_else(|_| Err(Fault::new("a thread that fuzzes has ended"))))
+    })
+}
+
+/// One target for so many seconds; what it says is shown where it finds something.
+fn one(program: &Path, name: &str, seconds: u32) -> Result<(), Fault> {
+    let (found, crashes) = (root().join("target/fuzz/corpus").join(name), root().join("target/fuzz/crashes").join(name));
+    for folder in [&found, &crashes] {
+        fs::create_dir_all(folder).map_err(|e| Fault::new(format!("{}: {e}", folder.display())))?;
     }
+    let mut command = Command::new(program);
+    command.env("TMPI_FUZZ", name).current_dir(root()).args([TIMEOUT, MEMORY, "-print_final_stats=1", "-verbosity=0"]);
+    command.arg(format!("-max_total_time={seconds}")).arg(format!("-artifact_prefix={}/", crashes.display()));
+    command.arg(&found).arg(root().join("fuzz/seeds").join(name));
+    run_quietly(command)?;
+    println!("{name}: {seconds} s, nothing found");
     Ok(())
 }

@@ -21,7 +21,8 @@ usage: cargo xtask <task>
   serve [--offline] [ARGS]
                 fetch ONNX Runtime where it is missing, build, fetch a depth network that is better than the embedded one (50 MB, once;
                 not with --offline, nor where another one is named), and run `tmpi serve ARGS`
-  test          formatting, spelling, lints, types of the pages' scripts, all tests, browser tests; installs what these need where it may
+  test [--full] formatting, spelling, lints, types of the pages' scripts, all tests, browser tests; installs what these need where it may;
+                --full: also the fuzzer, a minute for each target
   fuzz [--seconds N] [TARGET…]
                 run the fuzzer on what reads foreign bytes (containers, photos, depth maps, forms, queries), N seconds each
   shaders       make the GLSL of static/draw/glsl.js from the WGSL
@@ -39,7 +40,8 @@ fn main() -> ExitCode {
     let done = match task.as_deref() {
         Some("serve") => serve(&rest),
         Some("fuzz") => fuzz::fuzz(&rest),
-        Some("test") if rest.is_empty() => test(),
+        Some("test") if rest.is_empty() => test(&STEPS),
+        Some("test") if rest == ["--full"] => test(&[&STEPS[..], &FULL].concat()),
         Some("shaders") if rest.is_empty() => shaders::write(),
         Some("wasm") if rest.is_empty() => wasm::build(),
         Some("fetch") if rest.is_empty() => runtime::fetch().map_err(|e| e.in_step("ONNX Runtime")),
@@ -94,18 +96,22 @@ fn tests() -> Result<(), Fault> {
 /// A named step of the tests.
 type Step = (&'static str, fn() -> Result<(), Fault>);
 
+/// What every change is held against.
+const STEPS: [Step; 8] = [
+    ("format", || run(cargo(&["fmt", "--all", "--check"]))),
+    ("spelling", spelling::check),
+    ("lint", || run(cargo(&["clippy", "--workspace", "--release", "--all-targets", "--all-features", "--", "-D", "warnings"]))),
+    ("ONNX Runtime", runtime::fetch),
+    ("tools", browser::tools),
+    ("pages", browser::check),
+    ("tests", tests),
+    ("browser", browser::test),
+];
+/// What takes longer.
+const FULL: [Step; 1] = [("fuzz", || fuzz::fuzz(&[]))];
+
 /// Runs every step in order, stops at the first that fails, and tells how long each took.
-fn test() -> Result<(), Fault> {
-    let steps: [Step; 8] = [
-        ("format", || run(cargo(&["fmt", "--all", "--check"]))),
-        ("spelling", spelling::check),
-        ("lint", || run(cargo(&["clippy", "--workspace", "--release", "--all-targets", "--all-features", "--", "-D", "warnings"]))),
-        ("ONNX Runtime", runtime::fetch),
-        ("tools", browser::tools),
-        ("pages", browser::check),
-        ("tests", tests),
-        ("browser", browser::test),
-    ];
+fn test(steps: &[Step]) -> Result<(), Fault> {
     let mut times = Vec::new();
     let mut failed = None;
     for (name, step) in steps {

@@ -62,7 +62,7 @@ pub(super) fn grey(bytes: &[u8], limits: &Limits) -> Result<Grey, DepthError> {
     let wide = |b: &[u8]| u16::from_ne_bytes([b[0], b[1]]);
     // Alpha says nothing about depth
     let alike = |n: usize, of: &(dyn Fn(&[u8]) -> [u16; 3] + Sync), most: f32| {
-        let values = samples.par_chunks_exact(n).map(|p| of(p)).map(|[r, g, b]| (r == g && g == b).then(|| f32::from(r) / most));
+        let values = samples.par_chunks_exact(n).map(of).map(|[r, g, b]| (r == g && g == b).then(|| f32::from(r) / most));
         values.collect::<Option<Vec<f32>>>().ok_or_else(in_colour)
     };
     let byte = |b: &[u8]| u16::from(b[0]);

@@ -105,7 +105,9 @@ impl Carried {
     /// [`DepthError::Carried`] says what is wrong with the picture.
     pub fn read(&self, limits: &Limits, width: u32, height: u32) -> Result<(DisparityMap, (u32, u32)), DepthError> {
         let Grey { width: w, height: h, mut values } = grey(&self.picture, limits).map_err(|e| DepthError::Carried(e.to_string()))?;
-        values.iter_mut().for_each(|v| *v = self.scale.delta(*v));
+        for v in &mut values {
+            *v = self.scale.delta(*v);
+        }
         // one that has an orientation of its own is upright already; so is one of the upright photo's shape
         let shape = |w: u32, h: u32| (f64::from(w) / f64::from(h)).ln();
         let turned_fits = (shape(h, w) - shape(width, height)).abs() < (shape(w, h) - shape(width, height)).abs();
