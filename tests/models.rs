@@ -1,4 +1,5 @@
 //! Depth networks that are fetched: from a server that cuts, spoils and refuses; and which one is used then.
+#![allow(clippy::unwrap_used, reason = "test")]
 
 use std::io::{BufRead, BufReader, Write};
 use std::net::TcpListener;
@@ -106,7 +107,7 @@ impl Place {
 #[test]
 fn auto_takes_the_best_network_that_is_there_and_goes_on_without() {
     let (place, server) = (Place::new(), standin());
-    let digest = Sha256::digest(NETWORK).iter().map(|b| format!("{b:02x}")).collect::<String>();
+    let digest = Sha256::digest(NETWORK).iter().fold(String::new(), |text, byte| text + &format!("{byte:02x}"));
     let there = tmpi_testing::Need::Onnx.or_skip(tmpi_pipeline::networks::available()).is_some();
 
     // nobody answers: told in one line, and the embedded network is used

@@ -53,14 +53,13 @@ pub fn fuzz(args: &[String]) -> Result<(), Fault> {
     // as many side by side as there are cores
     let all = Mutex::new(targets.into_iter());
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let worker = || {
+        loop {
+            let Some(name) = all.lock().map_or(None, |mut all| all.next()) else { return Ok(()) };
+            one(&program, name, seconds)?;
+        }
+    };
     std::thread::scope(|scope| {
-        let next = || all.lock().map_or(None, |mut all| all.next());
-        let worker = || {
-            while let Some(name) = next() {
-                one(&program, name, seconds)?;
-            }
-            Ok(())
-        };
         let workers: Vec<_> = (0..cores).map(|_| scope.spawn(worker)).collect();
         workers.into_iter().try_for_each(|w| w.join().unwrap_or_else(|_| Err(Fault::new("a thread that fuzzes has ended"))))
     })

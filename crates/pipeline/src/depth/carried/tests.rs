@@ -87,7 +87,7 @@ fn dynamic(address: &str) -> Vec<u8> {
 }
 
 fn apple(fields: &[(&str, &str)]) -> String {
-    let fields: String = fields.iter().map(|(name, value)| format!("<apdi:{name}>{value}</apdi:{name}>")).collect();
+    let fields = fields.iter().fold(String::new(), |all, (name, value)| all + &format!("<apdi:{name}>{value}</apdi:{name}>"));
     format!("<rdf:Description xmlns:apdi='http://ns.apple.com/pixeldatainfo/1.0/'>{fields}</rdf:Description>")
 }
 
