@@ -234,16 +234,15 @@ async function savePicture() {
 /** Says once, where the menu is opened, what made the depth. */
 async function showDepthSource() {
   const line = $('depth-source');
-  if (line.textContent) return;
   const version = (await known)?.state.version;
   const answer = await fetch(photoUrl(id, version ? `/report?v=${version}` : '/report')).catch(() => null);
   if (!answer?.ok) return;
   line.textContent = depthSource(await answer.json());
-  line.hidden = false;
+  line.hidden = !line.textContent;
 }
 
 const container = $('download', HTMLAnchorElement);
-$('show-menu').addEventListener('beforetoggle', () => showDepthSource());
+$('show-menu').addEventListener('beforetoggle', showDepthSource, { once: true });
 $('show-menu').addEventListener('change', applyMenu);
 $('picture').addEventListener('click', () => savePicture().catch((error) => toast(error.message)));
 $('tilt-label').hidden = !hasGyroscope();

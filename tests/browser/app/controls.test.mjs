@@ -314,7 +314,7 @@ describe('every control', () => {
         assert.match(body, /name="quality"\r\n\r\n75\r\n/);
         assert.match(body, /name="max-error"\r\n\r\n1.15\r\n/);
       },
-      'input: Depth map of your own (16-bit PNG, near is bright), for one photo': async () => {
+      'input: Depth map of your own (a grey picture, near is bright; best a PNG of 16 bits), for one photo': async () => {
         await $('depth-map').setInputFiles([file('map.png')]);
         refuse = true;
         await $('picker').setInputFiles([file('three.png')]);

@@ -36,5 +36,6 @@ test('what made the depth is told in words', () => {
   assert.equal(depthSource(report('other-net')), 'Depth: estimated by other-net in 0.03 s.');
   assert.equal(depthSource(report('carried', { depth: { stretched: false } })), 'Depth: as the photo brought it along.');
   assert.ok(depthSource(report('given', { depth: { stretched: true } })).includes('stretched'));
+  assert.equal(depthSource({}), '');
   assert.ok(depthSource(report('tmpi', { depth_problem: 'it is torn' })).endsWith('it is torn'));
 });

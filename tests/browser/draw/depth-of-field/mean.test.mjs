@@ -58,7 +58,10 @@ describe('mean of pictures', () => {
       const canvas = document.createElement('canvas');
       canvas.width = canvas.height = 4;
       const gl = canvas.getContext('webgl2', { preserveDrawingBuffer: true });
-      const mean = new WebGlMean(gl, copier(gl), gl.RGBA8);
+      const { begin, built } = await import('/static/draw/webgl-program.js');
+      const { COPY_VERTEX, COPY_FRAGMENT } = await import('/static/draw/glsl.js');
+      const copy = copier(gl, await built(gl, begin(gl, COPY_VERTEX, COPY_FRAGMENT)));
+      const mean = new WebGlMean(gl, copy, gl.RGBA8);
       levels.forEach((level, i) => {
         gl.bindFramebuffer(gl.FRAMEBUFFER, mean.part(4, 4));
         gl.clearColor(level / 255, level / 255, level / 255, 1);
