@@ -22,7 +22,7 @@ usage: cargo xtask <task>
                 fetch ONNX Runtime where it is missing, build, fetch a depth network that is better than the embedded one (50 MB, once;
                 not with --offline, nor where another one is named), and run `tmpi serve ARGS`
   test [--full] formatting, spelling, lints, types of the pages' scripts, all tests, browser tests; installs what these need where it may;
-                --full: also the fuzzer, a minute for each target
+                --full: also unit tests with overflow checks, and the fuzzer, a minute for each target
   fuzz [--seconds N] [TARGET…]
                 run the fuzzer on what reads foreign bytes (containers, photos, depth maps, forms, queries), N seconds each
   shaders       make the GLSL of static/draw/glsl.js from the WGSL
@@ -108,7 +108,14 @@ const STEPS: [Step; 8] = [
     ("browser", browser::test),
 ];
 /// What takes longer.
-const FULL: [Step; 1] = [("fuzz", || fuzz::fuzz(&[]))];
+const FULL: [Step; 2] = [("overflow", overflow), ("fuzz", || fuzz::fuzz(&[]))];
+
+/// Unit tests of a program in which a sum that wraps is a fault.
+fn overflow() -> Result<(), Fault> {
+    let mut tests = cargo(&["test", "--workspace", "--release", "--lib"]);
+    tests.env("CARGO_PROFILE_RELEASE_OVERFLOW_CHECKS", "true");
+    run(tests)
+}
 
 /// Runs every step in order, stops at the first that fails, and tells how long each took.
 fn test(steps: &[Step]) -> Result<(), Fault> {
