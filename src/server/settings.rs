@@ -202,6 +202,12 @@ mod tests {
     }
 
     #[test]
+    fn numbers_are_read_back_as_they_were_written() {
+        let one = Settings::default().patched(br#"{"motion": {"x": 0.4, "y": 0}, "focus": 0.4444444444441444444}"#).unwrap();
+        assert_eq!(Settings::read(&serde_json::to_vec(&one).unwrap()).unwrap(), one);
+    }
+
+    #[test]
     fn what_is_wrong_is_named() {
         for (patch, field) in [
             (r#"{"titel": "x"}"#, Some("titel")),
