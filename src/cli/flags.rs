@@ -8,6 +8,7 @@ use tmpi_pipeline::depth::{ADAPTERS, Adapter, DepthKind, adapter, detect};
 use tmpi_pipeline::networks::models::Settings;
 use tmpi_pipeline::networks::models::registry::{PUBLISHED, Published, best, folder, published};
 use tmpi_pipeline::networks::{Config, Provider};
+use tmpi_pipeline::strokes::Stroke;
 use tmpi_pipeline::{Denoise, Options, PlaneCount, PlaneMethod, Switch, TileSize};
 
 /// How a photo is made.
@@ -59,7 +60,14 @@ pub(super) struct MakeFlags {
     /// Measure what leaving out texels that are never seen changes at the corners of the view box; takes about as long as making
     #[arg(long)]
     pub verify_prune: bool,
+    /// Strokes that put the depth of the photo right, a JSON file as the server's /v1/photos/ID/strokes gives it
+    #[arg(long, value_parser = strokes, value_name = "FILE.json")]
+    pub strokes: Option<Strokes>,
 }
+
+/// Strokes of a file.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Strokes(Vec<Stroke>);
 
 impl MakeFlags {
     /// The options that the flags stand for.
@@ -80,6 +88,7 @@ impl MakeFlags {
             view_box: self.view_box,
             budget_ms: self.budget_ms,
             verify_prune: self.verify_prune,
+            strokes: self.strokes.clone().unwrap_or_default().0,
         }
     }
 }
@@ -206,6 +215,11 @@ pub(super) fn quality(text: &str) -> Result<u8, String> {
 
 fn max_error(text: &str) -> Result<f64, String> {
     checked(number(text)?, |o, v| o.max_error = v)
+}
+
+fn strokes(file: &str) -> Result<Strokes, String> {
+    let bytes = std::fs::read(file).map_err(|e| e.to_string())?;
+    tmpi_pipeline::strokes::read(&bytes).map(Strokes).map_err(|e| e.to_string())
 }
 
 fn budget_ms(text: &str) -> Result<f64, String> {

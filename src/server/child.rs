@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 use super::maker::{Fault, Maker, PipelineMaker, Product};
 use super::options;
 use super::problem::Problem;
-use tmpi_pipeline::{MakeError, Options, Progress, Report, STAGES, Sink};
+use tmpi_pipeline::{MakeError, Options, Progress, Report, STAGES, Sink, strokes};
 
 /// Set in the environment of a process that makes photos for a server.
 pub const VARIABLE: &str = "TMPI_MAKES_PHOTOS";
@@ -41,6 +41,7 @@ mod kind {
     pub const THUMBNAIL: u8 = 8;
     pub const REPORT: u8 = 9;
     pub const FAULT: u8 = 10;
+    pub const STROKES: u8 = 11;
 }
 
 fn write(to: &mut impl Write, kind: u8, bytes: &[u8]) -> io::Result<()> {
@@ -176,11 +177,14 @@ impl Maker for ProcessMaker {
             self.idle.lock().unwrap_or_else(PoisonError::into_inner).clear();
         }
         let mut worker = self.take()?;
+        let strokes = strokes::write(&options.strokes);
         let options = serde_json::to_vec(&options::to_text(options)).map_err(|e| Fault::Server(e.to_string()))?;
         let (outcome, keep) = std::thread::scope(|scope| {
             let Worker { child, input, output } = &mut worker;
             // a process that does not read would hold up whoever writes to it, past deadline and cancellation
-            let sending = std::thread::Builder::new().name("tmpi-sends".into()).spawn_scoped(scope, || send(input, &options, photo, depth));
+            let sending = std::thread::Builder::new()
+                .name("tmpi-sends".into())
+                .spawn_scoped(scope, || send(input, (&options, &strokes), photo, depth));
             if let Err(error) = sending {
                 return (Err(Fault::Server(format!("no thread can be started: {error}"))), false);
             }
@@ -205,9 +209,10 @@ impl Maker for ProcessMaker {
 }
 
 /// Sends a photo to be made.
-fn send(input: &mut ChildStdin, options: &[u8], photo: &[u8], depth: Option<&[u8]>) {
+fn send(input: &mut ChildStdin, (options, strokes): (&[u8], &[u8]), photo: &[u8], depth: Option<&[u8]>) {
     // where the process has ended, the end of its output tells
     let _ = write(input, kind::OPTIONS, options)
+        .and_then(|()| write(input, kind::STROKES, strokes))
         .and_then(|()| write(input, kind::PHOTO, photo))
         .and_then(|()| depth.map_or(Ok(()), |depth| write(input, kind::DEPTH, depth)))
         .and_then(|()| write(input, kind::MAKE, &[]))
@@ -321,23 +326,31 @@ pub fn serve(maker: &PipelineMaker, memory: u64) {
         return;
     }
     let output = Tells(Mutex::new(io::stdout()));
-    let (mut chosen, mut photo, mut depth) = (Vec::new(), Vec::new(), None);
+    let (mut chosen, mut strokes, mut photo, mut depth) = (Vec::new(), Vec::new(), Vec::new(), None);
     for (kind, bytes) in frames {
         match kind {
             kind::OPTIONS => chosen = bytes,
+            kind::STROKES => strokes = bytes,
             kind::PHOTO => photo = bytes,
             kind::DEPTH => depth = Some(bytes),
             kind::MAKE => {
-                answer(&output, one(maker, &chosen, &std::mem::take(&mut photo), depth.take().as_deref(), &output));
+                answer(&output, one(maker, (&chosen, &strokes), &std::mem::take(&mut photo), depth.take().as_deref(), &output));
             }
             _ => return,
         }
     }
 }
 
-fn one(maker: &PipelineMaker, options: &[u8], photo: &[u8], depth: Option<&[u8]>, sink: &dyn Sink) -> Result<Product, Fault> {
+fn one(
+    maker: &PipelineMaker,
+    (options, strokes): (&[u8], &[u8]),
+    photo: &[u8],
+    depth: Option<&[u8]>,
+    sink: &dyn Sink,
+) -> Result<Product, Fault> {
     let text: BTreeMap<String, String> = serde_json::from_slice(options).map_err(|e| Fault::Server(e.to_string()))?;
-    let options = options::from_text(&text).map_err(Fault::Photo)?;
+    let mut options = options::from_text(&text).map_err(Fault::Photo)?;
+    options.strokes = strokes::read(strokes).map_err(|e| Fault::Server(e.to_string()))?;
     super::worker::caught(|| maker.make(photo, depth, &options, sink))
 }
 

@@ -36,6 +36,7 @@ mod routes;
 mod settings;
 mod source;
 mod store;
+mod strokes;
 mod telemetry;
 mod time;
 mod upload;

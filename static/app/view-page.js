@@ -231,7 +231,28 @@ async function savePicture() {
   setTimeout(() => URL.revokeObjectURL(link.href), NOTE_MS);
 }
 
-/** Says once, where the menu is opened, what made the depth. */
+/** Opens the touch-up of the depth; once the photo was made again, shows it anew. */
+async function touchUp() {
+  $('settings-menu').hidePopover();
+  try {
+    const { openTouchUp } = await import('./touch-up.js');
+    await openTouchUp({ id, photo: viewer.poster, saved: showAgain, say: toast });
+  } catch (error) {
+    toast(error.message);
+  }
+}
+
+/** Shows the photo as it is now. */
+async function showAgain() {
+  known = photoWithVersion(id).catch(() => null);
+  showLoading(t('Loading…'));
+  await start();
+  const answer = await known;
+  if (answer) menu.read(answer);
+  showDepthSource();
+}
+
+/** Says, where the menu is opened, what made the depth. */
 async function showDepthSource() {
   const line = $('depth-source');
   const version = (await known)?.state.version;
@@ -244,6 +265,7 @@ async function showDepthSource() {
 const container = $('download', HTMLAnchorElement);
 $('show-menu').addEventListener('beforetoggle', showDepthSource, { once: true });
 $('show-menu').addEventListener('change', applyMenu);
+$('touch-up').addEventListener('click', touchUp);
 $('picture').addEventListener('click', () => savePicture().catch((error) => toast(error.message)));
 $('tilt-label').hidden = !hasGyroscope();
 const tilt = $('tilt', HTMLInputElement);
@@ -288,7 +310,7 @@ function showName(photo) {
 
 translatePage();
 // the viewer says what is wrong with the photo
-const known = photoWithVersion(id).catch(() => null);
+let known = photoWithVersion(id).catch(() => null);
 const menu = settingsMenu({ id, viewer: () => viewer, named: showName, say: toast });
 start();
 known.then((answer) => {
