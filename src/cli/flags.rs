@@ -121,15 +121,24 @@ impl ModelFlags {
     /// The settings that the flags stand for.
     pub(super) fn settings(&self) -> Settings {
         let onnx = Config { threads: self.threads.into(), providers: self.provider.clone(), ..Config::default() };
-        let DepthModel { adapter, file } = &self.depth_model;
+        let DepthModel { adapter, file, .. } = &self.depth_model;
         let Self { depth_pixels, depth_smoothing, flip, .. } = *self;
         Settings { depth: adapter, depth_file: file.clone(), depth_pixels, depth_smoothing, flip, onnx, ..Settings::default() }
+    }
+}
+
+impl ModelFlags {
+    /// The settings with another network.
+    pub(super) fn with_network(&self, depth: &'static Adapter, file: PathBuf) -> Settings {
+        Settings { depth, depth_file: Some(file), ..self.settings() }
     }
 }
 
 /// A depth network as chosen on the command line.
 #[derive(Clone, Debug)]
 pub(super) struct DepthModel {
+    /// It was left to the program.
+    pub auto: bool,
     adapter: &'static Adapter,
     file: Option<PathBuf>,
 }
@@ -137,7 +146,7 @@ pub(super) struct DepthModel {
 fn depth_model(text: &str) -> Result<DepthModel, String> {
     if text == "auto" {
         let (adapter, file) = best(&folder()).map_or((&ADAPTERS[0], None), |(adapter, file)| (adapter, Some(file)));
-        return Ok(DepthModel { adapter, file });
+        return Ok(DepthModel { auto: true, adapter, file });
     }
     let (name, file) = text.split_once('=').map_or((text, None), |(n, f)| (n, Some(PathBuf::from(f))));
     let fetched = published(name);
@@ -152,14 +161,14 @@ fn depth_model(text: &str) -> Result<DepthModel, String> {
             return Err(format!("the name must be one of {}", known()));
         }
         let adapter = detect(path).ok_or_else(|| format!("{text} does not tell its network: write NAME={text} with one of {}", known()))?;
-        return Ok(DepthModel { adapter, file: Some(path.to_owned()) });
+        return Ok(DepthModel { auto: false, adapter, file: Some(path.to_owned()) });
     };
     let file = file.or_else(|| fetched.map(Published::file).filter(|f| f.is_file()));
     if file.is_none() && adapter.name != ADAPTERS[0].name {
         let how = fetched.map_or_else(String::new, |p| format!(", or run tmpi models get {}", p.name));
         return Err(format!("{name} is not embedded: write {name}=FILE with its ONNX file{how}"));
     }
-    Ok(DepthModel { adapter, file })
+    Ok(DepthModel { auto: false, adapter, file })
 }
 
 /// `set` on default options, refused where the value is out of range.

@@ -19,6 +19,7 @@ use super::id::{PhotoId, hex};
 use super::identity;
 use super::jobs::Jobs;
 use super::limits::Limits;
+use super::network::Download;
 use super::pool::{Class, Pool, Slot};
 use super::problem::Problem;
 use super::source::Source;
@@ -167,6 +168,8 @@ pub struct Shared {
     pub telemetry: Arc<Telemetry>,
     /// Decoded scenes.
     pub scenes: Cache<Version, Arc<Scene>>,
+    /// The better depth network on its way here.
+    pub download: Download,
     /// Small files, and those that are open.
     pub files: Cache<(Version, Part), Stored>,
     /// Smaller levels and parts of containers.

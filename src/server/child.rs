@@ -8,12 +8,13 @@ use std::collections::BTreeMap;
 use std::io::{self, Read, Write};
 use std::process::{Child, ChildStdin, Command, Stdio};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Mutex, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
 
 use serde::{Deserialize, Serialize};
 
 use super::maker::{Fault, Maker, PipelineMaker, Product};
+use super::network::{Better, Offer, Renewed};
 use super::options;
 use super::problem::Problem;
 use tmpi_pipeline::{MakeError, Options, Progress, Report, STAGES, Sink, strokes};
@@ -78,12 +79,18 @@ pub struct ProcessMaker {
     /// Processes that wait for a photo.
     idle: Mutex<Vec<Worker>>,
     command: fn() -> io::Result<Command>,
+    /// What fetches a better network; processes that start after it was fetched use it.
+    better: Option<Box<dyn Better>>,
+    /// What this is with it, once it is here.
+    renewed: OnceLock<Renewed>,
 }
 
 /// What a process answers, frame by frame, until it ends.
 type Frames = Receiver<io::Result<(u8, Vec<u8>)>>;
 
 struct Worker {
+    /// Whether it began with the better network.
+    renewed: bool,
     child: Child,
     input: ChildStdin,
     output: Frames,
@@ -110,7 +117,7 @@ impl ProcessMaker {
     /// A maker that checks photos itself, and starts a process at once so that the first photo need not wait for it.
     #[must_use]
     pub fn new(checks: PipelineMaker) -> Self {
-        let maker = Self { checks, idle: Mutex::default(), command: this_program };
+        let maker = Self { checks, idle: Mutex::default(), command: this_program, better: None, renewed: OnceLock::new() };
         match maker.start() {
             Ok(worker) => maker.keep(worker),
             // it is tried again, and told, with the first photo
@@ -119,7 +126,15 @@ impl ProcessMaker {
         maker
     }
 
+    /// The same with a network that may be fetched while it runs.
+    #[must_use]
+    pub fn with_better(self, better: Option<Box<dyn Better>>) -> Self {
+        Self { better, ..self }
+    }
+
     fn start(&self) -> io::Result<Worker> {
+        // before it looks for its network
+        let renewed = self.renewed.get().is_some();
         let mut command = (self.command)()?;
         // a Ctrl-C in a terminal is for the server
         #[cfg(unix)]
@@ -138,7 +153,7 @@ impl ProcessMaker {
                 }
             }
         })?;
-        Ok(Worker { child, input, output: told })
+        Ok(Worker { renewed, child, input, output: told })
     }
 
     fn keep(&self, worker: Worker) {
@@ -148,7 +163,7 @@ impl ProcessMaker {
     fn take(&self) -> Result<Worker, Fault> {
         let mut idle = self.idle.lock().unwrap_or_else(PoisonError::into_inner);
         while let Some(mut worker) = idle.pop() {
-            if matches!(worker.child.try_wait(), Ok(None)) {
+            if worker.renewed == self.renewed.get().is_some() && matches!(worker.child.try_wait(), Ok(None)) {
                 return Ok(worker);
             }
         }
@@ -159,7 +174,23 @@ impl ProcessMaker {
 
 impl Maker for ProcessMaker {
     fn identity(&self) -> &str {
-        self.checks.identity()
+        self.renewed.get().map_or_else(|| self.checks.identity(), |renewed| &renewed.identity)
+    }
+
+    fn network(&self) -> &str {
+        self.renewed.get().map_or_else(|| self.checks.network(), |renewed| &renewed.network)
+    }
+
+    fn better(&self) -> Option<Offer> {
+        self.better.as_ref().filter(|_| self.renewed.get().is_none()).map(|better| better.offer())
+    }
+
+    fn fetch_better(&self, progress: &mut dyn FnMut(u64)) -> Result<(), String> {
+        let better = self.better.as_ref().ok_or("there is no better network")?;
+        let renewed = better.fetch(progress)?;
+        // one download runs at a time
+        let _ = self.renewed.set(renewed);
+        Ok(())
     }
 
     fn check(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options) -> Result<(), MakeError> {
@@ -180,7 +211,7 @@ impl Maker for ProcessMaker {
         let strokes = strokes::write(&options.strokes);
         let options = serde_json::to_vec(&options::to_text(options)).map_err(|e| Fault::Server(e.to_string()))?;
         let (outcome, keep) = std::thread::scope(|scope| {
-            let Worker { child, input, output } = &mut worker;
+            let Worker { child, input, output, .. } = &mut worker;
             // a process that does not read would hold up whoever writes to it, past deadline and cancellation
             let sending = std::thread::Builder::new()
                 .name("tmpi-sends".into())

@@ -53,9 +53,40 @@ impl Jobs {
         if before == strokes {
             return Ok(false);
         }
+        let put = |strokes: &[Stroke]| self.store.write(entry.id, &[(Part::Strokes, &write(strokes))]);
+        self.put_again(entry, || put(strokes), || put(&before))?;
+        drop(gate);
+        self.queue_again(entry);
+        Ok(true)
+    }
+
+    /// Has a photo made again with the program and the network of now; blocks until that is on disk.
+    ///
+    /// # Errors
+    /// As [`Jobs::touch_up`].
+    pub fn make_again(&self, entry: &Arc<Entry>) -> Result<(), Problem> {
+        let _membership = self.membership();
+        let gate = entry.gate();
+        if entry.is_deleted() {
+            return Err(Problem::not_found("the photo was deleted"));
+        }
+        self.put_again(entry, || Ok(()), || Ok(()))?;
+        drop(gate);
+        self.queue_again(entry);
+        Ok(())
+    }
+
+    /// Sets a photo back to its beginning, on disk and here, with what `change` writes and, where the disk fails, `undo` puts back; membership
+    /// and gate are held.
+    fn put_again(
+        &self,
+        entry: &Entry,
+        change: impl FnOnce() -> io::Result<()>,
+        undo: impl FnOnce() -> io::Result<()>,
+    ) -> Result<(), Problem> {
         let now = match entry.status() {
             Status::Queued | Status::Working => {
-                let detail = "the photo is being made; it can be touched up once it is done";
+                let detail = "the photo is being made; it can be made again once it is done";
                 return Err(Problem::new(StatusCode::CONFLICT, "not-ready", detail).retry_after(1));
             }
             Status::Done(done) => Some(End::Done(done)),
@@ -65,20 +96,14 @@ impl Jobs {
         };
         self.room()?;
         // first of all it is no longer done: a crash must not leave results of other strokes than those beside them
-        let written = self
-            .store
-            .write_state(entry.id, &State::default())
-            .and_then(|()| self.store.write(entry.id, &[(Part::Strokes, &write(strokes))]));
-        if let Err(error) = written {
+        if let Err(error) = self.store.write_state(entry.id, &State::default()).and_then(|()| change()) {
             // where that fails as well, it is made again at the next start, as it was
-            let _ = self.store.write_state(entry.id, &State::new(entry.attempts(), now));
+            let _ = undo().and_then(|()| self.store.write_state(entry.id, &State::new(entry.attempts(), now)));
             return Err(Problem::store(&error));
         }
         entry.set_attempts(0);
         entry.set(Status::Queued);
-        drop(gate);
-        self.queue_again(entry);
-        Ok(true)
+        Ok(())
     }
 }
 
@@ -158,7 +183,7 @@ mod tests {
 
     #[test]
     fn what_the_disk_refuses_changes_nothing() {
-        for failing in 0..5 {
+        for failing in 0..6 {
             let files = Arc::new(Forgetful::new());
             let id = photo(&started(&files), &files);
             let jobs = started(&files);

@@ -94,6 +94,30 @@ export async function changeStrokes(id, strokes, etag) {
 }
 
 /**
+ * The server's depth network, and the better one that it may fetch.
+ * @typedef {{name: string, better?: {name: string, bytes?: number}, fetched_bytes?: number, problem?: string}} Network
+ */
+
+/** @returns {Promise<Network>} */
+export async function getNetwork() {
+  return (await request('/v1/network')).json();
+}
+
+/** @returns {Promise<Network>} */
+export async function fetchNetwork() {
+  return (await request('/v1/network', { method: 'POST' })).json();
+}
+
+/**
+ * Has a photo made again: done or under way then.
+ * @param {string} id
+ * @returns {Promise<Photo>}
+ */
+export async function makeAgain(id) {
+  return (await request(photoUrl(id, '/again'), { method: 'POST', headers: { prefer: `wait=${WAIT_S}` } })).json();
+}
+
+/**
  * `options.keepalive`: goes on when the page is left.
  * @param {string} id
  * @param {RequestInit} [options]

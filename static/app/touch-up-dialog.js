@@ -111,7 +111,7 @@ export async function touchUpDialog() {
         'buttons',
         button('touch-undo', t('Undo')),
         button('touch-redo', t('Redo')),
-        button('touch-clear', t('Without any')),
+        button('touch-clear', t('Remove all')),
         button('touch-cancel', t('Cancel')),
         button('touch-save', t('Save with the photo'), 'button primary'),
       ),

@@ -3,7 +3,7 @@
 import { t } from '../i18n/messages.js';
 import { changeStrokes, getPhoto, photoUrl, strokesOf } from './api.js';
 import { $, element } from './dom.js';
-import { followPhoto } from './follow-photo.js';
+import { untilMade } from './follow-photo.js';
 import { Outlines, SIDE, touchedUp } from './outline.js';
 import { touchUpDialog } from './touch-up-dialog.js';
 import { TouchUpView } from './touch-up-view.js';
@@ -73,7 +73,11 @@ export async function openTouchUp({ id, photo, saved, say }) {
     if (waiting) return tell(t('Now choose the place that it is to be as near as.'));
     const last = now.drawn.at(-1);
     if (!now.kept && !last) return tell(t('What was painted before goes when you save.'));
-    tell(last ? t('Slide until the depth is right, or paint on.') : t('Paint over what lies at the wrong depth; edges hold the outline.'));
+    tell(
+      last?.stroke.by !== undefined
+        ? t('Slide until the depth is right, or paint on.')
+        : t('Paint over what lies at the wrong depth; edges hold the outline.'),
+    );
   }
 
   function show() {
@@ -184,7 +188,7 @@ export async function openTouchUp({ id, photo, saved, say }) {
     try {
       const strokes = [...(now.kept ? before.strokes : []), ...now.drawn.map(({ stroke }) => stroke)];
       const answer = await changeStrokes(id, strokes, before.etag);
-      if (answer.state !== 'done') await made(id);
+      if (answer.state !== 'done') await untilMade(id);
       dialog.close();
       saved();
       say(t('Saved'));
@@ -231,7 +235,8 @@ export async function openTouchUp({ id, photo, saved, say }) {
   });
   on(view.canvas, 'focus', show);
   on(view.canvas, 'blur', show);
-  on(dialog, 'keydown', (event) => {
+  // not the dialog: a button that is disabled under the focus hears no keys
+  on(window, 'keydown', (event) => {
     if (!(event.ctrlKey || event.metaKey) || event.key.toLowerCase() !== 'z') return;
     event.preventDefault();
     if (event.shiftKey) redo();
@@ -269,17 +274,6 @@ function abortable() {
   const controller = new AbortController();
   return { signal: controller.signal, abort: () => controller.abort() };
 }
-
-/**
- * Waits until a photo is made.
- * @param {string} id
- * @returns {Promise<void>}
- */
-const made = (id) =>
-  new Promise((resolve, reject) => {
-    const failed = (/** @type {string} */ reason) => reject(new Error(reason));
-    followPhoto(id, { queued: () => {}, stage: () => {}, done: resolve, failed, deleted: () => failed(t('The photo was deleted.')) });
-  });
 
 /**
  * Pixels of a picture at a size.

@@ -8,6 +8,7 @@ import { formatPose, parsePose } from '../view/camera.js';
 import { settingsOf } from '../view/settings.js';
 import { Viewer } from '../view/viewer.js';
 import { getPhoto, photoUrl } from './api.js';
+import { offerBetterDepth } from './better-depth.js';
 import { depthSource } from './depth-source.js';
 import { $ } from './dom.js';
 import { followPhoto, isUnderWay } from './follow-photo.js';
@@ -258,8 +259,10 @@ async function showDepthSource() {
   const version = (await known)?.state.version;
   const answer = await fetch(photoUrl(id, version ? `/report?v=${version}` : '/report')).catch(() => null);
   if (!answer?.ok) return;
-  line.textContent = depthSource(await answer.json());
+  const report = await answer.json();
+  line.textContent = depthSource(report);
   line.hidden = !line.textContent;
+  offerBetterDepth($('better-depth'), { id, model: report.depth_model, made: showAgain });
 }
 
 const container = $('download', HTMLAnchorElement);

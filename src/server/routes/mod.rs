@@ -4,6 +4,7 @@ mod again;
 mod derived;
 mod events;
 mod export;
+mod network;
 mod photos;
 mod query;
 mod results;
@@ -69,6 +70,8 @@ fn own_api() -> OpenApiRouter<App> {
         .routes(routes!(photos::upload, photos::list))
         .routes(routes!(photos::state, photos::change, photos::delete))
         .routes(routes!(strokes::strokes, strokes::touch_up))
+        .routes(routes!(network::again))
+        .routes(routes!(network::network, network::fetch))
         .routes(routes!(events::events))
         .routes(routes!(results::depth))
         .routes(routes!(system::healthz))

@@ -132,7 +132,7 @@ describe('touch-up', () => {
     await context.close();
   });
 
-  test('undo, redo, cancel, and without any', async () => {
+  test('undo, redo, cancel, and remove all', async () => {
     const { page, context, errors, id, depth } = await opened(0.02);
     const untouched = await depth();
     await start(page);

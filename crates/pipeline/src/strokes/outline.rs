@@ -14,7 +14,7 @@ use super::Stroke;
 use crate::photo::{reduced_size, resize};
 
 /// Longest side of the picture in which outlines are found: finer than a hand draws, and a bound on time.
-pub const SIDE: u32 = 640;
+const SIDE: u32 = 640;
 /// Cost of a pixel's step along an edge from black to white, in radii.
 const EDGE: f32 = 36.0;
 /// What an edge of the disparity map counts against one of the photo: it may be what is wrong.
@@ -22,6 +22,8 @@ const DEPTH: f32 = 0.5;
 /// Edges are counted above so many medians of those around: texture has them everywhere.
 const TEXTURE: f32 = 2.0;
 
+/// Scharr's smoothing across a derivative.
+const SMOOTH: [f32; 3] = [3.0 / 16.0, 10.0 / 16.0, 3.0 / 16.0];
 /// Pixels whose middle is this near are on a line: half a diagonal, so that it has no gaps.
 const LINE: f32 = 0.71;
 
@@ -126,7 +128,7 @@ impl Region {
     pub fn each(&self, width: u32, height: u32, mut f: impl FnMut(usize)) {
         let (w, h) = (width as usize, height as usize);
         let scale = (self.whole.0 as f64 / w as f64, self.whole.1 as f64 / h as f64);
-        let first = |low: usize, s: f64| (((low as f64 - 1.0) / s).max(0.0)) as usize;
+        let first = |low: usize, s: f64| ((low as f64 - 1.0) / s).max(0.0) as usize;
         let last = |high: usize, s: f64, n: usize| (((high as f64 + 1.0) / s).ceil() as usize).min(n);
         for y in first(self.y0, scale.1)..last(self.y0 + self.height, scale.1, h) {
             for x in first(self.x0, scale.0)..last(self.x0 + self.width, scale.0, w) {
@@ -191,7 +193,6 @@ fn cell((width, height): (usize, usize), away: &[f32], step: &[f32], radius: f64
 /// Squared strength of the edge at a pixel: Scharr's kernels, scaled so that a step of 1 between two halves of a picture has 1 beside it.
 fn slope((width, height): (usize, usize), (x, y): (usize, usize), value: impl Fn(usize, usize) -> f32) -> f32 {
     let (xs, ys) = ([x.saturating_sub(1), x, (x + 1).min(width - 1)], [y.saturating_sub(1), y, (y + 1).min(height - 1)]);
-    const SMOOTH: [f32; 3] = [3.0 / 16.0, 10.0 / 16.0, 3.0 / 16.0];
     let across = |k: usize| value(xs[2], ys[k]) - value(xs[0], ys[k]);
     let down = |k: usize| value(xs[k], ys[2]) - value(xs[k], ys[0]);
     let (mut gx, mut gy) = (0.0, 0.0);

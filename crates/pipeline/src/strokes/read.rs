@@ -6,12 +6,17 @@ use super::{Ask, BYTES, Stroke, VERSION, check};
 
 /// What is wrong with strokes.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{}{}{detail}", field.as_deref().unwrap_or_default(), if field.is_some() { ": " } else { "" })]
+#[error("{}{detail}", before(.field.as_deref()))]
 pub struct StrokeError {
     /// The field at fault as a path, like `strokes[2].points[0]`; none where the whole is no JSON.
     pub field: Option<String>,
     /// What is allowed, and what was given.
     pub detail: String,
+}
+
+/// What a message begins with.
+fn before(field: Option<&str>) -> String {
+    field.map_or_else(String::new, |field| format!("{field}: "))
 }
 
 impl StrokeError {

@@ -148,8 +148,8 @@ fn any_photo() -> impl Strategy<Value = Photo> {
 }
 
 fn any_stroke() -> impl Strategy<Value = Stroke> {
-    let place = || [0.0..=1.0, 0.0..=1.0];
-    let ask = prop_oneof![(-1.0..=1.0).prop_map(Ask::By), (0.0..=1.0).prop_map(Ask::To), place().prop_map(Ask::Like)];
+    let place = || [0.0_f64..=1.0, 0.0_f64..=1.0];
+    let ask = prop_oneof![(-1.0_f64..=1.0).prop_map(Ask::By), (0.0_f64..=1.0).prop_map(Ask::To), place().prop_map(Ask::Like)];
     (proptest::collection::vec(place(), 1..6), RADII, ask).prop_map(|(points, radius, ask)| Stroke { points, radius, ask })
 }
 
@@ -177,7 +177,7 @@ proptest! {
         let reach = 2.0 * (stroke.radius * longer).max(1.0) + 1.0;
         let line = &stroke.points;
         for (i, v) in map.delta.iter().enumerate() {
-            let (x, y) = ((i as u32 % photo.width) as f64 + 0.5, (i as u32 / photo.width) as f64 + 0.5);
+            let (x, y) = (f64::from(i as u32 % photo.width) + 0.5, f64::from(i as u32 / photo.width) + 0.5);
             let box_of = |axis: usize, n: u32| {
                 let all = line.iter().map(|p| p[axis] * f64::from(n));
                 (all.clone().fold(f64::MAX, f64::min) - reach, all.fold(f64::MIN, f64::max) + reach)
@@ -257,7 +257,7 @@ fn counts_are_bounded() {
     assert_eq!(check(&vec![one.clone(); STROKES + 1]).unwrap_err().field.as_deref(), Some("strokes"));
     let long = |n: usize| Stroke { points: vec![[0.123_456_789_012_345_68, 0.5]; n], ..one.clone() };
     assert_eq!(check(&[long(POINTS)]), Ok(()));
-    assert_eq!(check(&[long(POINTS), one]).unwrap_err().field.as_deref(), Some("strokes"));
+    assert_eq!(check(&[long(POINTS), one.clone()]).unwrap_err().field.as_deref(), Some("strokes"));
     let file = write(&[long(POINTS)]);
     assert!(file.len() <= BYTES && read(&file).is_ok(), "{} bytes", file.len());
     let spaces = |n: usize| format!("{{{}}}", " ".repeat(n - 2));
