@@ -43,6 +43,9 @@ pub(super) fn run(args: &MakeArgs) -> anyhow::Result<()> {
     if args.depth.is_some() && args.photos.len() > 1 {
         return Err(Usage("--depth takes the map of one photo; several photos were given".into()).into());
     }
+    if args.flags.strokes.is_some() && args.photos.len() > 1 {
+        return Err(Usage("--strokes takes those of one photo; several photos were given".into()).into());
+    }
     let outputs = outputs(&args.photos, &args.output)?;
     let depth = args.depth.as_deref().map(files::read).transpose()?;
     let (options, models) = (args.flags.options(), models::load(&args.models.settings())?);

@@ -8,11 +8,12 @@ use std::time::Duration;
 
 use anyhow::Context as _;
 
+use super::better::BetterNetwork;
 use super::flags::ModelFlags;
 use sha2::{Digest as _, Sha256};
 
-use crate::server::{Config, Limits, PipelineMaker, ProcessMaker, Server, VARIABLE, hex, make_for_a_server, stop_signal};
-use tmpi_pipeline::networks::models;
+use crate::server::{Better, Config, Limits, PipelineMaker, ProcessMaker, Server, VARIABLE, hex, make_for_a_server, stop_signal};
+use tmpi_pipeline::networks::models::{self, download::Digest};
 use tmpi_render::{self, Backend};
 
 /// More than readers of a container take would be made and never shown.
@@ -88,6 +89,12 @@ pub(super) struct ServeArgs {
     /// Seconds that requests and jobs under way have left after that
     #[arg(long, default_value_t = Limits::DRAIN.as_secs() as u32, value_name = "S")]
     drain: u32,
+    /// Address of the better depth network that the page offers to fetch, in place of its publisher's; the digest stays
+    #[arg(long, value_name = "URL")]
+    network_url: Option<String>,
+    /// Digest of that file where it is another, 64 hexadecimal digits
+    #[arg(long, requires = "network_url", value_name = "HEX")]
+    network_sha256: Option<Digest>,
     #[command(flatten)]
     models: ModelFlags,
 }
@@ -139,7 +146,8 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
     #[cfg(unix)]
     open_files(u64::from(args.connections) + SPARE_FILES);
     let renderer = tmpi_render::select(args.backend).context("renderer")?;
-    let maker = ProcessMaker::new(maker);
+    let better = BetterNetwork::of(&args.models, args.network_url, args.network_sha256);
+    let maker = ProcessMaker::new(maker).with_better(better.map(|b| Box::new(b) as Box<dyn Better>));
     let config = Config { addr: args.addr, data: args.data, pages: args.pages, hosts: args.hosts, public_list: args.public_list, limits };
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().thread_name("tmpi-http").build()?;
     runtime.block_on(async {
@@ -187,7 +195,7 @@ fn open_files(wanted: u64) {
 }
 
 /// What photos depend on besides the program: a better network makes them anew.
-fn identity(settings: &models::Settings) -> anyhow::Result<String> {
+pub(super) fn identity(settings: &models::Settings) -> anyhow::Result<String> {
     // an embedded network is a part of the program
     let file = settings.depth_file.as_deref().map(|f| std::fs::read(f).with_context(|| f.display().to_string())).transpose()?;
     let digest = file.map(|bytes| hex(&Sha256::digest(bytes)));

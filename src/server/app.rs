@@ -19,6 +19,7 @@ use super::id::{PhotoId, hex};
 use super::identity;
 use super::jobs::Jobs;
 use super::limits::Limits;
+use super::network::Download;
 use super::pool::{Class, Pool, Slot};
 use super::problem::Problem;
 use super::source::Source;
@@ -167,6 +168,8 @@ pub struct Shared {
     pub telemetry: Arc<Telemetry>,
     /// Decoded scenes.
     pub scenes: Cache<Version, Arc<Scene>>,
+    /// The better depth network on its way here.
+    pub download: Download,
     /// Small files, and those that are open.
     pub files: Cache<(Version, Part), Stored>,
     /// Smaller levels and parts of containers.
@@ -255,7 +258,9 @@ impl Shared {
         let whole = (part == Part::Atlas).then(|| done.clone());
         let open = async move {
             let open = tokio::task::spawn_blocking(move || match open(&jobs.store.path(version.0, part), whole.as_ref()) {
-                Ok(Ok(stored)) => Ok(stored),
+                Ok(Ok(stored)) if is_made(&jobs, version) => Ok(stored),
+                // what was opened may be of the next making
+                Ok(Ok(_)) => Err(Problem::not_found("the photo is being made again, or was deleted")),
                 Ok(Err(damage)) => Err(damaged(&jobs, version, &damage)),
                 Err(error) => Err(unread(&jobs, version, part, &error)),
             });
@@ -366,6 +371,11 @@ impl Shared {
 #[must_use]
 pub fn scene_bytes(done: &Done) -> u64 {
     SCENE_BYTES * u64::from(done.width) * u64::from(done.height) + done.atlas_bytes
+}
+
+/// Whether a making of a photo is still the one in service; its files are overwritten only after it is not.
+fn is_made(jobs: &Jobs, version: Version) -> bool {
+    matches!(jobs.get(version.0).map(|entry| entry.status()), Some(Status::Done(done)) if done.at_ms == version.1)
 }
 
 /// Takes a photo out of service.

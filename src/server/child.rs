@@ -8,15 +8,16 @@ use std::collections::BTreeMap;
 use std::io::{self, Read, Write};
 use std::process::{Child, ChildStdin, Command, Stdio};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Mutex, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
 
 use serde::{Deserialize, Serialize};
 
 use super::maker::{Fault, Maker, PipelineMaker, Product};
+use super::network::{Better, Offer, Renewed};
 use super::options;
 use super::problem::Problem;
-use tmpi_pipeline::{MakeError, Options, Progress, Report, STAGES, Sink};
+use tmpi_pipeline::{MakeError, Options, Progress, Report, STAGES, Sink, strokes};
 
 /// Set in the environment of a process that makes photos for a server.
 pub const VARIABLE: &str = "TMPI_MAKES_PHOTOS";
@@ -41,6 +42,7 @@ mod kind {
     pub const THUMBNAIL: u8 = 8;
     pub const REPORT: u8 = 9;
     pub const FAULT: u8 = 10;
+    pub const STROKES: u8 = 11;
 }
 
 fn write(to: &mut impl Write, kind: u8, bytes: &[u8]) -> io::Result<()> {
@@ -77,12 +79,18 @@ pub struct ProcessMaker {
     /// Processes that wait for a photo.
     idle: Mutex<Vec<Worker>>,
     command: fn() -> io::Result<Command>,
+    /// What fetches a better network; processes that start after it was fetched use it.
+    better: Option<Box<dyn Better>>,
+    /// What this is with it, once it is here.
+    renewed: OnceLock<Renewed>,
 }
 
 /// What a process answers, frame by frame, until it ends.
 type Frames = Receiver<io::Result<(u8, Vec<u8>)>>;
 
 struct Worker {
+    /// Whether it began with the better network.
+    renewed: bool,
     child: Child,
     input: ChildStdin,
     output: Frames,
@@ -109,7 +117,7 @@ impl ProcessMaker {
     /// A maker that checks photos itself, and starts a process at once so that the first photo need not wait for it.
     #[must_use]
     pub fn new(checks: PipelineMaker) -> Self {
-        let maker = Self { checks, idle: Mutex::default(), command: this_program };
+        let maker = Self { checks, idle: Mutex::default(), command: this_program, better: None, renewed: OnceLock::new() };
         match maker.start() {
             Ok(worker) => maker.keep(worker),
             // it is tried again, and told, with the first photo
@@ -118,7 +126,15 @@ impl ProcessMaker {
         maker
     }
 
+    /// The same with a network that may be fetched while it runs.
+    #[must_use]
+    pub fn with_better(self, better: Option<Box<dyn Better>>) -> Self {
+        Self { better, ..self }
+    }
+
     fn start(&self) -> io::Result<Worker> {
+        // before it looks for its network
+        let renewed = self.renewed.get().is_some();
         let mut command = (self.command)()?;
         // a Ctrl-C in a terminal is for the server
         #[cfg(unix)]
@@ -137,7 +153,7 @@ impl ProcessMaker {
                 }
             }
         })?;
-        Ok(Worker { child, input, output: told })
+        Ok(Worker { renewed, child, input, output: told })
     }
 
     fn keep(&self, worker: Worker) {
@@ -147,7 +163,7 @@ impl ProcessMaker {
     fn take(&self) -> Result<Worker, Fault> {
         let mut idle = self.idle.lock().unwrap_or_else(PoisonError::into_inner);
         while let Some(mut worker) = idle.pop() {
-            if matches!(worker.child.try_wait(), Ok(None)) {
+            if worker.renewed == self.renewed.get().is_some() && matches!(worker.child.try_wait(), Ok(None)) {
                 return Ok(worker);
             }
         }
@@ -158,7 +174,23 @@ impl ProcessMaker {
 
 impl Maker for ProcessMaker {
     fn identity(&self) -> &str {
-        self.checks.identity()
+        self.renewed.get().map_or_else(|| self.checks.identity(), |renewed| &renewed.identity)
+    }
+
+    fn network(&self) -> &str {
+        self.renewed.get().map_or_else(|| self.checks.network(), |renewed| &renewed.network)
+    }
+
+    fn better(&self) -> Option<Offer> {
+        self.better.as_ref().filter(|_| self.renewed.get().is_none()).map(|better| better.offer())
+    }
+
+    fn fetch_better(&self, progress: &mut dyn FnMut(u64)) -> Result<(), String> {
+        let better = self.better.as_ref().ok_or("there is no better network")?;
+        let renewed = better.fetch(progress)?;
+        // one download runs at a time
+        let _ = self.renewed.set(renewed);
+        Ok(())
     }
 
     fn check(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options) -> Result<(), MakeError> {
@@ -176,11 +208,14 @@ impl Maker for ProcessMaker {
             self.idle.lock().unwrap_or_else(PoisonError::into_inner).clear();
         }
         let mut worker = self.take()?;
+        let strokes = strokes::write(&options.strokes);
         let options = serde_json::to_vec(&options::to_text(options)).map_err(|e| Fault::Server(e.to_string()))?;
         let (outcome, keep) = std::thread::scope(|scope| {
-            let Worker { child, input, output } = &mut worker;
+            let Worker { child, input, output, .. } = &mut worker;
             // a process that does not read would hold up whoever writes to it, past deadline and cancellation
-            let sending = std::thread::Builder::new().name("tmpi-sends".into()).spawn_scoped(scope, || send(input, &options, photo, depth));
+            let sending = std::thread::Builder::new()
+                .name("tmpi-sends".into())
+                .spawn_scoped(scope, || send(input, (&options, &strokes), photo, depth));
             if let Err(error) = sending {
                 return (Err(Fault::Server(format!("no thread can be started: {error}"))), false);
             }
@@ -205,9 +240,10 @@ impl Maker for ProcessMaker {
 }
 
 /// Sends a photo to be made.
-fn send(input: &mut ChildStdin, options: &[u8], photo: &[u8], depth: Option<&[u8]>) {
+fn send(input: &mut ChildStdin, (options, strokes): (&[u8], &[u8]), photo: &[u8], depth: Option<&[u8]>) {
     // where the process has ended, the end of its output tells
     let _ = write(input, kind::OPTIONS, options)
+        .and_then(|()| write(input, kind::STROKES, strokes))
         .and_then(|()| write(input, kind::PHOTO, photo))
         .and_then(|()| depth.map_or(Ok(()), |depth| write(input, kind::DEPTH, depth)))
         .and_then(|()| write(input, kind::MAKE, &[]))
@@ -321,23 +357,31 @@ pub fn serve(maker: &PipelineMaker, memory: u64) {
         return;
     }
     let output = Tells(Mutex::new(io::stdout()));
-    let (mut chosen, mut photo, mut depth) = (Vec::new(), Vec::new(), None);
+    let (mut chosen, mut strokes, mut photo, mut depth) = (Vec::new(), Vec::new(), Vec::new(), None);
     for (kind, bytes) in frames {
         match kind {
             kind::OPTIONS => chosen = bytes,
+            kind::STROKES => strokes = bytes,
             kind::PHOTO => photo = bytes,
             kind::DEPTH => depth = Some(bytes),
             kind::MAKE => {
-                answer(&output, one(maker, &chosen, &std::mem::take(&mut photo), depth.take().as_deref(), &output));
+                answer(&output, one(maker, (&chosen, &strokes), &std::mem::take(&mut photo), depth.take().as_deref(), &output));
             }
             _ => return,
         }
     }
 }
 
-fn one(maker: &PipelineMaker, options: &[u8], photo: &[u8], depth: Option<&[u8]>, sink: &dyn Sink) -> Result<Product, Fault> {
+fn one(
+    maker: &PipelineMaker,
+    (options, strokes): (&[u8], &[u8]),
+    photo: &[u8],
+    depth: Option<&[u8]>,
+    sink: &dyn Sink,
+) -> Result<Product, Fault> {
     let text: BTreeMap<String, String> = serde_json::from_slice(options).map_err(|e| Fault::Server(e.to_string()))?;
-    let options = options::from_text(&text).map_err(Fault::Photo)?;
+    let mut options = options::from_text(&text).map_err(Fault::Photo)?;
+    options.strokes = strokes::read(strokes).map_err(|e| Fault::Server(e.to_string()))?;
     super::worker::caught(|| maker.make(photo, depth, &options, sink))
 }
 

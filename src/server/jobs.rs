@@ -144,7 +144,7 @@ impl Jobs {
         self.inner.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn membership(&self) -> MutexGuard<'_, ()> {
+    pub(super) fn membership(&self) -> MutexGuard<'_, ()> {
         self.membership.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -196,7 +196,7 @@ impl Jobs {
     }
 
     /// Room in the queue; with `membership` held it stays until the caller has used it.
-    fn room(&self) -> Result<(), Problem> {
+    pub(super) fn room(&self) -> Result<(), Problem> {
         let inner = self.lock();
         if inner.stopping {
             return Err(Problem::new(StatusCode::SERVICE_UNAVAILABLE, "stopping", "the server is stopping").retry_after(10));

@@ -26,6 +26,7 @@ mod limits;
 mod maker;
 mod memory;
 mod middleware;
+mod network;
 mod options;
 mod pages;
 mod part;
@@ -36,6 +37,7 @@ mod routes;
 mod settings;
 mod source;
 mod store;
+mod strokes;
 mod telemetry;
 mod time;
 mod upload;
@@ -55,6 +57,7 @@ pub use child::{ProcessMaker, VARIABLE, serve as make_for_a_server};
 pub use id::{PhotoId, hex};
 pub use limits::Limits;
 pub use maker::{Fault, Maker, PipelineMaker, Product};
+pub use network::{Better, Offer, Renewed};
 pub use problem::Problem;
 pub use routes::openapi;
 
@@ -62,6 +65,7 @@ use app::{App, Shared};
 use cache::Cache;
 use hosts::Hosts;
 use jobs::Jobs;
+use network::Download;
 use pool::Pool;
 use store::Store;
 use telemetry::Telemetry;
@@ -141,6 +145,7 @@ impl Server {
         let jobs = Jobs::start(store, found, maker, Arc::clone(&limits), Arc::clone(&telemetry)).map_err(ServerError::Worker)?;
         let app = Arc::new(Shared {
             jobs,
+            download: Download::default(),
             scenes: Cache::new(limits.scene_cache),
             files: Cache::new(limits.file_cache),
             levels: Cache::new(limits.file_cache / 4),

@@ -8,6 +8,7 @@
 //!               options.json   what was accepted: Accepted
 //!               state.json     what became of it: State; missing until the first start of the job
 //!               settings.json  what its owner wants of viewers: Settings; missing until something is set
+//!               strokes.json   what a person put right of the depth; missing until something is
 //!               report.json atlas.tmpi depth.png thumbnail.jpg     once done
 //! ```
 //! A photo appears by one rename of a synced folder, so what is there is whole. Each file in it changes by a synced

@@ -81,7 +81,8 @@ fn make(jobs: &Jobs, entry: &Arc<Entry>) -> Result<Product, Fault> {
             _ => Fault::Server(format!("the data directory cannot be read: {e}")),
         })
     };
-    let options = options::from_text(&entry.accepted.options).map_err(Fault::Photo)?;
+    let mut options = options::from_text(&entry.accepted.options).map_err(Fault::Photo)?;
+    options.strokes = jobs.strokes(entry.id).map_err(|e| Fault::Server(format!("the data directory cannot be read: {e}")))?;
     let photo = read(Part::Upload)?;
     let depth = entry.accepted.depth_bytes.map(|_| read(Part::Depth)).transpose()?;
     let unwanted = || jobs.aborted() || entry.is_deleted() || !jobs.is_accepting();

@@ -8,6 +8,7 @@ import { formatPose, parsePose } from '../view/camera.js';
 import { settingsOf } from '../view/settings.js';
 import { Viewer } from '../view/viewer.js';
 import { getPhoto, photoUrl } from './api.js';
+import { offerBetterDepth } from './better-depth.js';
 import { depthSource } from './depth-source.js';
 import { $ } from './dom.js';
 import { followPhoto, isUnderWay } from './follow-photo.js';
@@ -231,19 +232,43 @@ async function savePicture() {
   setTimeout(() => URL.revokeObjectURL(link.href), NOTE_MS);
 }
 
-/** Says once, where the menu is opened, what made the depth. */
+/** Opens the touch-up of the depth; once the photo was made again, shows it anew. */
+async function touchUp() {
+  $('settings-menu').hidePopover();
+  try {
+    const { openTouchUp } = await import('./touch-up.js');
+    await openTouchUp({ id, photo: viewer.poster, saved: showAgain, say: toast });
+  } catch (error) {
+    toast(error.message);
+  }
+}
+
+/** Shows the photo as it is now. */
+async function showAgain() {
+  known = photoWithVersion(id).catch(() => null);
+  showLoading(t('Loading…'));
+  await start();
+  const answer = await known;
+  if (answer) menu.read(answer);
+  showDepthSource();
+}
+
+/** Says, where the menu is opened, what made the depth. */
 async function showDepthSource() {
   const line = $('depth-source');
   const version = (await known)?.state.version;
   const answer = await fetch(photoUrl(id, version ? `/report?v=${version}` : '/report')).catch(() => null);
   if (!answer?.ok) return;
-  line.textContent = depthSource(await answer.json());
+  const report = await answer.json();
+  line.textContent = depthSource(report);
   line.hidden = !line.textContent;
+  offerBetterDepth($('better-depth'), { id, model: report.depth_model, made: showAgain });
 }
 
 const container = $('download', HTMLAnchorElement);
 $('show-menu').addEventListener('beforetoggle', showDepthSource, { once: true });
 $('show-menu').addEventListener('change', applyMenu);
+$('touch-up').addEventListener('click', touchUp);
 $('picture').addEventListener('click', () => savePicture().catch((error) => toast(error.message)));
 $('tilt-label').hidden = !hasGyroscope();
 const tilt = $('tilt', HTMLInputElement);
@@ -288,7 +313,7 @@ function showName(photo) {
 
 translatePage();
 // the viewer says what is wrong with the photo
-const known = photoWithVersion(id).catch(() => null);
+let known = photoWithVersion(id).catch(() => null);
 const menu = settingsMenu({ id, viewer: () => viewer, named: showName, say: toast });
 start();
 known.then((answer) => {

@@ -15,5 +15,6 @@ mod origins;
 mod process;
 mod results;
 mod settings;
+mod strokes;
 mod uploads;
 mod versions;

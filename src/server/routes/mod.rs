@@ -1,12 +1,15 @@
 //! All routes, and the `OpenAPI` document that is generated from their handlers.
 
+mod again;
 mod derived;
 mod events;
 mod export;
+mod network;
 mod photos;
 mod query;
 mod results;
 mod state;
+mod strokes;
 mod system;
 mod view;
 mod view_query;
@@ -66,6 +69,9 @@ fn own_api() -> OpenApiRouter<App> {
     OpenApiRouter::with_openapi(Document::openapi())
         .routes(routes!(photos::upload, photos::list))
         .routes(routes!(photos::state, photos::change, photos::delete))
+        .routes(routes!(strokes::strokes, strokes::touch_up))
+        .routes(routes!(network::again))
+        .routes(routes!(network::network, network::fetch))
         .routes(routes!(events::events))
         .routes(routes!(results::depth))
         .routes(routes!(system::healthz))

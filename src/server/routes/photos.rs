@@ -7,6 +7,7 @@ use axum::Json;
 use axum::extract::{Extension, Path, Query, Request, State};
 use axum::http::{HeaderMap, HeaderName, StatusCode, header};
 use axum::response::{IntoResponse, Response};
+use bytes::Bytes;
 
 use super::query::{NoQuery, Pairs};
 use super::state::{PhotoList, PhotoState};
@@ -22,7 +23,7 @@ use crate::server::settings::{PATCH_BYTES, Settings, still_as_seen};
 use crate::server::upload;
 
 /// Part of the time limit of a request that is left to answer it.
-const ANSWER: Duration = Duration::from_millis(500);
+pub(super) const ANSWER: Duration = Duration::from_millis(500);
 /// Photos on a page of the list, if the client does not say.
 const DEFAULT_PAGE: usize = 50;
 
@@ -125,7 +126,7 @@ pub async fn upload(State(app): State<App>, Extension(clock): Extension<Clock>, 
 }
 
 /// Waits until nothing follows, `until`, or the server stops; true where nothing follows.
-async fn wait_for(app: &App, entry: &Arc<Entry>, until: tokio::time::Instant) -> bool {
+pub(super) async fn wait_for(app: &App, entry: &Arc<Entry>, until: tokio::time::Instant) -> bool {
     let mut watch = entry.watch();
     tokio::select! {
         seen = watch.wait_for(|live| live.status.is_final()) => seen.is_ok(),
@@ -135,7 +136,7 @@ async fn wait_for(app: &App, entry: &Arc<Entry>, until: tokio::time::Instant) ->
 }
 
 /// Seconds of `Prefer: wait=SECONDS` (RFC 7240).
-fn prefer_wait(headers: &HeaderMap) -> Option<u64> {
+pub(super) fn prefer_wait(headers: &HeaderMap) -> Option<u64> {
     let mut all = headers.get_all("prefer").iter().filter_map(|v| v.to_str().ok()).flat_map(|v| v.split(','));
     all.find_map(|preference| {
         let (name, value) = preference.split(';').next()?.split_once('=')?;
@@ -277,19 +278,7 @@ fn state_now(app: &App, entry: &Entry) -> Result<Stored, Problem> {
 )]
 pub async fn change(State(app): State<App>, Path(id): Path<String>, _: NoQuery, request: Request) -> Result<Response, Problem> {
     let entry = app.photo(&id)?;
-    let (parts, body) = request.into_parts();
-    let kind = parts.headers.get(header::CONTENT_TYPE).and_then(|v| v.to_str().ok()).unwrap_or_default();
-    let kind = kind.split(';').next().unwrap_or_default().trim().to_ascii_lowercase();
-    if !matches!(kind.as_str(), "application/json" | "application/merge-patch+json") {
-        let detail = "settings are application/merge-patch+json or application/json";
-        return Err(Problem::new(StatusCode::UNSUPPORTED_MEDIA_TYPE, "unsupported-patch", detail).field("Content-Type"));
-    }
-    let body = http_body_util::Limited::new(body, PATCH_BYTES);
-    let patch = http_body_util::BodyExt::collect(body).await.map_err(|e| {
-        let large = e.downcast_ref::<http_body_util::LengthLimitError>().is_some();
-        if large { Problem::too_large(PATCH_BYTES) } else { body::problem(&*e) }
-    })?;
-    let patch = patch.to_bytes();
+    let (headers, patch) = merge_patch(request, PATCH_BYTES, "settings").await?;
     let shared = Arc::clone(&app);
     let changed = tokio::task::spawn_blocking(move || {
         // one change at a time, and none into a folder that goes
@@ -297,7 +286,7 @@ pub async fn change(State(app): State<App>, Path(id): Path<String>, _: NoQuery, 
         if entry.is_deleted() {
             return Err(Problem::not_found("the photo was deleted"));
         }
-        still_as_seen(&parts.headers, &state_now(&shared, &entry)?.etag)?;
+        still_as_seen(&headers, &state_now(&shared, &entry)?.etag)?;
         let settings = entry.settings().patched(&patch)?;
         shared.jobs.store.write_settings(entry.id, &settings).map_err(|e| Problem::store(&e))?;
         entry.set_settings(settings);
@@ -309,6 +298,23 @@ pub async fn change(State(app): State<App>, Path(id): Path<String>, _: NoQuery, 
     insert(&mut response, header::CONTENT_TYPE, "application/json");
     insert(&mut response, header::ETAG, &state.etag);
     Ok(response)
+}
+
+/// The headers and the body of a request that is a merge patch of `what`, in at most `most` bytes.
+pub(super) async fn merge_patch(request: Request, most: usize, what: &str) -> Result<(HeaderMap, Bytes), Problem> {
+    let (parts, body) = request.into_parts();
+    let kind = parts.headers.get(header::CONTENT_TYPE).and_then(|v| v.to_str().ok()).unwrap_or_default();
+    let kind = kind.split(';').next().unwrap_or_default().trim().to_ascii_lowercase();
+    if !matches!(kind.as_str(), "application/json" | "application/merge-patch+json") {
+        let detail = format!("{what} are application/merge-patch+json or application/json");
+        return Err(Problem::new(StatusCode::UNSUPPORTED_MEDIA_TYPE, "unsupported-patch", detail).field("Content-Type"));
+    }
+    let body = http_body_util::Limited::new(body, most);
+    let patch = http_body_util::BodyExt::collect(body).await.map_err(|e| {
+        let large = e.downcast_ref::<http_body_util::LengthLimitError>().is_some();
+        if large { Problem::too_large(most) } else { body::problem(&*e) }
+    })?;
+    Ok((parts.headers, patch.to_bytes()))
 }
 
 /// Delete a photo and everything that was made of it.

@@ -169,6 +169,13 @@ describe('every control', () => {
         assert.deepEqual(await viewer((v) => v.settings), { version: 1 });
         await page.keyboard.press('Escape');
       },
+      'button: Touch up the depth…': async () => {
+        await $('settings').click();
+        await $('touch-up').click();
+        await page.getByRole('dialog', { name: 'Touch up the depth' }).waitFor();
+        await $('touch-cancel').click();
+        assert.equal(await page.locator('dialog.touch-up').count(), 0);
+      },
       'button: Download': opens(page.locator('[popovertarget=download-menu]'), 'download-menu'),
       'a: The 3D photo (.tmpi)': answers($('download'), '/v1/photos/box/atlas'),
       'a: A page for any browser (.html)': answers(page.locator('[data-export=html]'), '/v1/photos/box/export?format=html'),

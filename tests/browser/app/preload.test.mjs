@@ -37,6 +37,8 @@ describe('modules', () => {
     const roots = [
       'app/upload-page.js',
       'app/view-page.js',
+      // when it is asked for
+      'app/touch-up.js',
       'app/demo-page.js',
       'app/embed-page.js',
       'element/tmpi-viewer.js',

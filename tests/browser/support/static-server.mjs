@@ -2,7 +2,7 @@
 import { readFile } from 'node:fs/promises';
 import { createServer } from 'node:http';
 import { extname, normalize } from 'node:path';
-import { boxPhoto } from './pictures.mjs';
+import { boxDepth, boxPhoto } from './pictures.mjs';
 
 const STATIC = new URL('../../../static/', import.meta.url);
 const TYPES = {
@@ -56,6 +56,8 @@ export async function serve({ atlas, delayMs = 0, wasm = true }) {
       return send(200, 'application/json', JSON.stringify(state));
     }
     if (url.pathname === '/v1/photos/box/settings') return send(200, 'application/json', JSON.stringify(state.settings ?? {}));
+    if (url.pathname === '/v1/photos/box/strokes') return send(200, 'application/json', JSON.stringify({ version: 1, strokes: [] }));
+    if (url.pathname === '/v1/photos/box/depth') return send(200, 'image/png', boxDepth(200, 120));
     if (url.pathname === '/v1/photos/box/report') return send(200, 'application/json', JSON.stringify({ error: { tile_px: TILE_PX } }));
     if (url.pathname === '/v1/photos/box/atlas') return sendSlowly(response, atlas, delayMs);
     if (url.pathname === '/embed/blank')

@@ -7,6 +7,7 @@ use crate::StageError;
 use crate::depth::DepthKind;
 use crate::photo::Limits;
 use crate::planes::{MAX_AUTO_PLANES, MAX_PLANES, Method, Placement};
+use crate::strokes::{self, Stroke};
 
 /// How planes are placed in a tile.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -109,6 +110,8 @@ pub struct Options {
     pub budget_ms: Option<f64>,
     /// Whether to measure what leaving out unseen texels changes; it takes about as long as making the scene.
     pub verify_prune: bool,
+    /// What a person puts right of the disparity map.
+    pub strokes: Vec<Stroke>,
 }
 
 impl Default for Options {
@@ -129,6 +132,7 @@ impl Default for Options {
             view_box: ViewBox::default(),
             budget_ms: None,
             verify_prune: false,
+            strokes: Vec::new(),
         }
     }
 }
@@ -177,6 +181,7 @@ impl Options {
         for e in [self.view_box.x, self.view_box.y, self.view_box.z] {
             check((0.0..=10.0).contains(&e), "view-box", "three numbers of 0 to 10", &e)?;
         }
+        strokes::check(&self.strokes)?;
         Ok(())
     }
 }
