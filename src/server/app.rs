@@ -1,7 +1,7 @@
 //! What all handlers share.
 
 use std::fs::File;
-use std::io::{Read as _, Write as _};
+use std::io::Read as _;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicUsize};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -12,12 +12,13 @@ use sha2::{Digest, Sha256};
 use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 
-use super::cache::{Cache, Key, Value};
+use super::cache::Cache;
 use super::entry::{Entry, Status};
 use super::hosts::Hosts;
 use super::id::{PhotoId, hex};
 use super::identity;
 use super::jobs::Jobs;
+pub use super::kept::{Derived, Export, Stored, Version};
 use super::limits::Limits;
 use super::pool::{Class, Pool, Slot};
 use super::problem::Problem;
@@ -28,134 +29,13 @@ use tmpi_core::container::{self, RegionPhoto, Tiles};
 use tmpi_core::{Rect, Scene};
 use tmpi_render::Renderer;
 
-/// A made photo: its id and when it was made, so that nothing of a deleted one is taken for the next of the same id.
-pub type Version = (PhotoId, u64);
-
 /// Shared state; cheap to clone.
 pub type App = Arc<Shared>;
 
 /// Files up to this many bytes are kept in memory; larger ones are read while they are sent.
 const SMALL: usize = 256 << 10;
-/// Derived files of more bytes are kept on disk.
-const LARGE: usize = 1 << 20;
-/// What an open file counts in a cache of files: their number is bounded, too.
-const OPEN_FILE: usize = 1 << 20;
 /// Memory of a decoded scene in bytes a pixel, measured on photographs and rounded up.
 const SCENE_BYTES: u64 = 13;
-
-/// A file of a made photo, or what was derived of one.
-#[derive(Clone, Debug)]
-pub struct Stored {
-    /// Its bytes.
-    pub source: Source,
-    /// Strong entity tag with its quotes.
-    pub etag: Arc<str>,
-}
-
-impl Stored {
-    /// Tagged by its bytes.
-    #[must_use]
-    pub fn new(bytes: Vec<u8>) -> Self {
-        let etag = format!("\"{}\"", hex(&Sha256::digest(&bytes)[..16])).into();
-        Self { source: Source::Memory(bytes.into()), etag }
-    }
-
-    /// Bytes tagged by themselves and, before a dash, by what is part of them.
-    #[must_use]
-    pub fn derived_in_memory(made: &str, bytes: Vec<u8>) -> Self {
-        let Self { source, etag } = Self::new(bytes);
-        Self { source, etag: format!("\"{made}-{}\"", etag.get(1..17).unwrap_or_default()).into() }
-    }
-
-    /// Derived bytes, tagged by themselves and, where that tells them, by what they were made of: then
-    /// [`super::conditional::known_as`] knows them before they are made again. Large ones go into a file below `dir` that no name
-    /// leads to, so that slow readers hold no memory; it goes with the last who reads it. Blocks.
-    ///
-    /// # Errors
-    /// 507 where the disk is full, 500.
-    pub fn derived(made: Option<&str>, bytes: Vec<u8>, dir: &Path) -> Result<Self, Problem> {
-        let Self { source, etag } = match made {
-            Some(made) => Self::derived_in_memory(made, bytes),
-            None => Self::new(bytes),
-        };
-        let source = match source {
-            Source::Memory(bytes) if bytes.len() > LARGE => {
-                let write = |mut file: File| file.write_all(&bytes).map(|()| file);
-                let file = tempfile::tempfile_in(dir).and_then(write).map_err(|e| Problem::store(&e))?;
-                Source::File(Arc::new(file), bytes.len())
-            }
-            source => source,
-        };
-        Ok(Self { source, etag })
-    }
-}
-
-impl Value for Stored {
-    fn weight(&self) -> usize {
-        match &self.source {
-            Source::Memory(bytes) => bytes.len(),
-            Source::File(..) => OPEN_FILE,
-        }
-    }
-}
-
-/// What a file for download counts at least: the number of those that are open is bounded, too.
-const LEAST_EXPORT: usize = 4 << 20;
-
-/// A file for download; what it weighs is disk.
-#[derive(Clone, Debug)]
-pub struct Export(pub Stored);
-
-impl Value for Export {
-    fn weight(&self) -> usize {
-        self.0.source.len().max(LEAST_EXPORT)
-    }
-}
-
-impl Value for Arc<Scene> {
-    fn weight(&self) -> usize {
-        self.memory()
-    }
-}
-
-impl Key for Version {
-    fn photo(&self) -> PhotoId {
-        self.0
-    }
-}
-
-impl Key for (Version, Part) {
-    fn photo(&self) -> PhotoId {
-        self.0.0
-    }
-}
-
-impl Key for (Version, String) {
-    fn photo(&self) -> PhotoId {
-        self.0.0
-    }
-
-    fn weight(&self) -> usize {
-        self.1.len()
-    }
-}
-
-impl Key for (Version, Derived) {
-    fn photo(&self) -> PhotoId {
-        self.0.0
-    }
-}
-
-/// A container that is made of a photo's own.
-#[derive(Clone, Debug, PartialEq, Eq, Hash)]
-pub struct Derived {
-    /// `1 / 2^level` of the size.
-    pub level: u8,
-    /// These tiles alone.
-    pub tiles: Option<Tiles>,
-    /// These sections alone, by their place among [`container::SECTIONS`].
-    pub sections: Option<Vec<u8>>,
-}
 
 /// State of the server.
 pub struct Shared {

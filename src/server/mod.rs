@@ -22,6 +22,7 @@ mod hosts;
 mod id;
 mod identity;
 mod jobs;
+mod kept;
 mod limits;
 mod maker;
 mod memory;
