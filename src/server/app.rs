@@ -2,8 +2,9 @@
 
 use std::fs::File;
 use std::io::Read as _;
+use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicBool, AtomicUsize};
+use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
@@ -12,19 +13,22 @@ use sha2::{Digest, Sha256};
 use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 
+use super::Config;
 use super::cache::Cache;
 use super::entry::{Entry, Status};
 use super::hosts::Hosts;
 use super::id::{PhotoId, hex};
 use super::identity;
 use super::jobs::Jobs;
-pub use super::kept::{Derived, Export, Stored, Version};
+pub use super::kept::{Derived, Export, Full, Stored, Version};
 use super::limits::Limits;
 use super::pool::{Class, Pool, Slot};
 use super::problem::Problem;
+use super::share::Places;
 use super::source::Source;
 use super::store::{Done, Part, damage_of, lost};
 use super::telemetry::Telemetry;
+use super::upload::Coming;
 use tmpi_core::container::{self, RegionPhoto, Tiles};
 use tmpi_core::{Rect, Scene};
 use tmpi_render::Renderer;
@@ -55,14 +59,14 @@ pub struct Shared {
     pub views: Cache<(Version, String), Stored>,
     /// Files to download and films, on disk.
     pub exports: Cache<(Version, String), Export>,
-    /// Where these are written.
-    pub scratch: PathBuf,
     /// Where views are drawn.
     pub pool: Pool,
     /// Uploads that come in.
-    pub uploads: AtomicUsize,
+    pub uploads: Coming,
+    /// Leave to change what is on disk.
+    pub changes: Arc<Semaphore>,
     /// Places for event streams.
-    pub streams: Arc<Semaphore>,
+    pub streams: Places,
     /// Why the data directory could not be written when that was last tried.
     pub storage: Mutex<Option<&'static str>>,
     /// What draws them.
@@ -84,6 +88,36 @@ pub struct Shared {
 }
 
 impl Shared {
+    /// Of a server that listens at `addr`.
+    #[must_use]
+    pub fn new(config: Config, addr: SocketAddr, jobs: Arc<Jobs>, renderer: Arc<dyn Renderer>, openapi: Bytes) -> Self {
+        let Config { addr: _, data: _, pages, hosts, public_list, limits: _ } = config;
+        let (limits, telemetry) = (Arc::clone(&jobs.limits), Arc::clone(&jobs.telemetry));
+        Self {
+            jobs,
+            scenes: Cache::new(limits.scene_cache),
+            files: Cache::new(limits.file_cache),
+            levels: Cache::new(limits.file_cache / 4),
+            views: Cache::new(limits.view_cache),
+            exports: Cache::new(limits.export_cache),
+            pool: Pool::new(&limits),
+            uploads: Coming::new(&limits),
+            changes: Arc::new(Semaphore::new(limits.changes)),
+            streams: Places::new(limits.streams),
+            storage: Mutex::new(None),
+            limits,
+            telemetry,
+            build: identity::of_server(renderer.name()),
+            renderer,
+            hosts: Hosts::new(addr, &hosts),
+            public_list,
+            pages,
+            openapi,
+            leaving: AtomicBool::new(false),
+            stop: CancellationToken::new(),
+        }
+    }
+
     /// Why the data directory could not be written when that was last tried.
     #[must_use]
     pub fn storage(&self) -> Option<&'static str> {
@@ -93,6 +127,20 @@ impl Shared {
     /// Keeps the outcome of a try.
     pub fn set_storage(&self, trouble: Option<&'static str>) {
         *self.storage.lock().unwrap_or_else(PoisonError::into_inner) = trouble;
+    }
+
+    /// Runs what changes the data directory, where it may have to wait for others that do: it holds a thread only once it is its turn.
+    ///
+    /// # Errors
+    /// 500 where `work` panicked.
+    pub async fn change<T: Send + 'static>(&self, work: impl FnOnce() -> T + Send + 'static) -> Result<T, Problem> {
+        let turn = Arc::clone(&self.changes).acquire_owned().await.map_err(|e| Problem::internal("changing a photo", &e))?;
+        let changed = tokio::task::spawn_blocking(move || {
+            let changed = work();
+            drop(turn);
+            changed
+        });
+        changed.await.map_err(|e| Problem::internal("changing a photo", &e))
     }
 
     /// The photo of a path.
@@ -172,7 +220,7 @@ impl Shared {
         let names = sections.map(<[_]>::to_vec);
         let make = async {
             let slot = self.pool.enter(Class::Derived, scene_bytes(done)).await?;
-            let (read, scratch) = (self.reading(version), self.scratch.clone());
+            let (read, jobs) = (self.reading(version), Arc::clone(&self.jobs));
             let make = move || {
                 let mut bytes = read()?;
                 if let Some(tiles) = &made.tiles {
@@ -183,7 +231,7 @@ impl Shared {
                 if let Some(names) = names {
                     bytes = container::select(&bytes, &names).map_err(|e| Problem::from(&e))?;
                 }
-                Stored::derived(None, bytes, &scratch)
+                Stored::derived(None, bytes, &jobs.store, Full::Memory)
             };
             slot.run(make).await?
         };
@@ -230,6 +278,13 @@ impl Shared {
         };
         let scene = self.scenes.get(version, decode).await?;
         Ok((scene, took))
+    }
+
+    /// Frees the disk that is taken by what can be made again.
+    pub async fn free_disk(&self) {
+        self.exports.clear().await;
+        self.views.clear().await;
+        self.levels.clear().await;
     }
 
     /// Frees what is kept of a deleted photo.

@@ -188,7 +188,8 @@ impl Answer {
 fn listen(child: &mut Child, output: &Frames, sink: &dyn Sink) -> Result<Product, Answer> {
     let mut product = Product { container: Vec::new(), report: Report::default(), disparity: Vec::new(), thumbnail: Vec::new() };
     let mut stage = STAGES[0];
-    let lost = |problem: String| Answer::Lost(Fault::Server(format!("a process that makes photos answered what it should not: {problem}")));
+    // the photo may have brought it about, and must not hold up the others for ever
+    let lost = |problem: String| Answer::Lost(Fault::Crashed(format!("the process that made it answered what it should not: {problem}")));
     loop {
         if sink.cancelled() {
             return Err(Answer::Lost(Fault::Cancelled));
@@ -244,5 +245,59 @@ impl From<MakeError> for Fault {
             },
             _ => Self::Photo(Problem::from(&error)),
         }
+    }
+}
+
+#[cfg(all(test, unix))]
+mod tests {
+    use std::sync::Arc;
+
+    use super::*;
+    use crate::server::Limits;
+    use tmpi_core::{DisparityMap, Photo};
+    use tmpi_pipeline::depth::{DepthError, Estimator};
+    use tmpi_pipeline::{Models, Silent};
+
+    struct Flat;
+
+    impl Estimator for Flat {
+        fn name(&self) -> &'static str {
+            "flat"
+        }
+
+        fn estimate(&self, photo: &Photo) -> Result<DisparityMap, DepthError> {
+            Ok(DisparityMap { width: photo.width, height: photo.height, delta: vec![0.5; photo.rgb.len()] })
+        }
+    }
+
+    fn fault(command: fn() -> io::Result<Command>) -> Fault {
+        let checks = PipelineMaker::new(Models { depth: Arc::new(Flat), theta: None, psi: None }, &Limits::default());
+        let maker = ProcessMaker { checks, idle: Mutex::default(), command };
+        let fault = maker.make(b"a photo", None, &Options::default(), &Silent).unwrap_err();
+        assert!(maker.idle.lock().unwrap().is_empty(), "such a process is not kept");
+        fault
+    }
+
+    fn shell(script: &str) -> io::Result<Command> {
+        let mut command = Command::new("sh");
+        command.args(["-c", script]);
+        Ok(command)
+    }
+
+    #[test]
+    fn nonsense_from_a_process_counts_against_its_photo_alone() {
+        // a report that is none, an unknown frame, a frame of no end, and an end without a word
+        let all: [fn() -> io::Result<Command>; 4] = [
+            || shell(r"printf '\011\004\0\0\0\0\0\0\0null'; cat > /dev/null"),
+            || shell(r"printf '\143\0\0\0\0\0\0\0\0'; cat > /dev/null"),
+            || shell("echo a frame of some length; cat > /dev/null"),
+            || shell("exit 0"),
+        ];
+        for command in all {
+            let fault = fault(command);
+            assert!(matches!(fault, Fault::Crashed(_)), "{fault:?}");
+        }
+        let none = fault(|| Err(io::Error::other("no program")));
+        assert!(matches!(none, Fault::Server(_)), "{none:?}");
     }
 }

@@ -143,6 +143,7 @@ impl Jobs {
     pub fn submit(&self, incoming: Incoming, id: PhotoId, accepted: Accepted) -> Result<Submitted, Problem> {
         // read before the lock is taken: others need not wait for it
         let spoilt = |entry: &Entry| matches!(entry.status(), Status::Done(done) if self.store.damage(id, &done).is_some());
+        self.store.settle(&incoming).map_err(|e| Problem::store(&e))?;
         let healed = self.get(id).is_some_and(|entry| matches!(entry.status(), Status::Damaged(_)) || spoilt(&entry));
         let _membership = self.membership();
         let known = self.get(id);

@@ -1,8 +1,7 @@
 //! What is kept of made photos for the next who asks, and what it weighs.
 
 use std::fs::File;
-use std::io::Write as _;
-use std::path::Path;
+use std::io::{ErrorKind, Write as _};
 use std::sync::Arc;
 
 use sha2::{Digest, Sha256};
@@ -11,7 +10,7 @@ use super::cache::{Key, Value};
 use super::id::{PhotoId, hex};
 use super::problem::Problem;
 use super::source::Source;
-use super::store::Part;
+use super::store::{Part, Store};
 use tmpi_core::Scene;
 use tmpi_core::container::Tiles;
 
@@ -31,6 +30,15 @@ pub struct Stored {
     pub etag: Arc<str>,
 }
 
+/// What becomes of large derived bytes where the disk is full.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Full {
+    /// They stay in memory: views and levels, of which the cache counts the bytes.
+    Memory,
+    /// They are refused: files to download, of which the cache is as large as a disk's.
+    Refuse,
+}
+
 impl Stored {
     /// Tagged by its bytes.
     #[must_use]
@@ -47,21 +55,23 @@ impl Stored {
     }
 
     /// Derived bytes, tagged by themselves and, where that tells them, by what they were made of: then
-    /// [`super::conditional::known_as`] knows them before they are made again. Large ones go into a file below `dir` that no name
-    /// leads to, so that slow readers hold no memory; it goes with the last who reads it. Blocks.
+    /// [`super::conditional::known_as`] knows them before they are made again. Large ones go into a file of `store` that no name leads
+    /// to, so that slow readers hold no memory; it goes with the last who reads it. Blocks.
     ///
     /// # Errors
-    /// 507 where the disk is full, 500.
-    pub fn derived(made: Option<&str>, bytes: Vec<u8>, dir: &Path) -> Result<Self, Problem> {
+    /// 507 where the disk has no room beyond its reserve, unless they may stay in memory, 500.
+    pub fn derived(made: Option<&str>, bytes: Vec<u8>, store: &Store, full: Full) -> Result<Self, Problem> {
         let Self { source, etag } = match made {
             Some(made) => Self::derived_in_memory(made, bytes),
             None => Self::new(bytes),
         };
         let source = match source {
             Source::Memory(bytes) if bytes.len() > LARGE => {
-                let write = |mut file: File| file.write_all(&bytes).map(|()| file);
-                let file = tempfile::tempfile_in(dir).and_then(write).map_err(|e| Problem::store(&e))?;
-                Source::File(Arc::new(file), bytes.len())
+                match store.scratch().and_then(|mut file: File| file.write_all(&bytes).map(|()| file)) {
+                    Ok(file) => Source::File(Arc::new(file), bytes.len()),
+                    Err(e) if full == Full::Memory && e.kind() == ErrorKind::StorageFull => Source::Memory(bytes),
+                    Err(e) => return Err(Problem::store(&e)),
+                }
             }
             source => source,
         };
@@ -134,4 +144,27 @@ pub struct Derived {
     pub tiles: Option<Tiles>,
     /// These sections alone, by their place among [`tmpi_core::container::SECTIONS`].
     pub sections: Option<Vec<u8>>,
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::super::forgetful::Forgetful;
+    use super::*;
+
+    #[test]
+    fn what_is_derived_leaves_the_reserve_of_the_disk_alone() {
+        let dir = tempfile::tempdir().unwrap();
+        let (disk, _) = Store::open(dir.path(), "").unwrap();
+        let derive = |bytes, store: &Store, full| Stored::derived(None, vec![7; bytes], store, full);
+        assert!(matches!(derive(LARGE + 1, &disk, Full::Refuse).unwrap().source, Source::File(..)));
+        assert!(matches!(derive(LARGE, &disk, Full::Refuse).unwrap().source, Source::Memory(_)));
+        let files = Arc::new(Forgetful::new());
+        let (store, _) = Store::open_in(files.clone(), Path::new("/data"), "", None).unwrap();
+        files.fill(true);
+        assert_eq!(derive(LARGE + 1, &store, Full::Refuse).unwrap_err().status, 507);
+        let view = derive(LARGE + 1, &store, Full::Memory).unwrap();
+        assert!(matches!(view.source, Source::Memory(_)) && view.weight() == LARGE + 1, "counted as what it takes");
+    }
 }

@@ -121,6 +121,26 @@ impl Store {
         Ok(Incoming { files: Arc::clone(&self.files), folder, accepted: false })
     }
 
+    /// A file for what is derived of photos: no name leads to it, and it goes when it is closed.
+    ///
+    /// # Errors
+    /// As [`Store::begin`].
+    pub fn scratch(&self) -> io::Result<File> {
+        self.room()?;
+        tempfile::tempfile_in(&self.incoming)
+    }
+
+    /// Makes the files of an upload durable, as they were written while they came in; blocks.
+    ///
+    /// # Errors
+    /// The system cannot.
+    pub fn settle(&self, incoming: &Incoming) -> io::Result<()> {
+        [Part::Upload, Part::Depth].into_iter().try_for_each(|part| match self.files.sync(&incoming.path(part)) {
+            Err(e) if e.kind() != io::ErrorKind::NotFound => Err(e),
+            _ => Ok(()),
+        })
+    }
+
     /// Refuses where no more than the reserve is left.
     fn room(&self) -> io::Result<()> {
         match self.files.room(&self.photos) {
@@ -129,7 +149,7 @@ impl Store {
         }
     }
 
-    /// Accepts an upload: when this returns, the photo is on disk and survives a crash. Its files must be synced already.
+    /// Accepts an upload: when this returns, the photo is on disk and survives a crash. Its files must be [settled](Store::settle).
     ///
     /// # Errors
     /// The data directory cannot be written; nothing was accepted then.

@@ -129,28 +129,14 @@ impl Jobs {
 #[cfg(test)]
 mod tests {
     use std::collections::BTreeMap;
+    use std::path::Path;
 
-    use super::super::{Limits, Maker, PhotoId};
+    use super::super::{Limits, PhotoId};
     use super::*;
-    use crate::server::store::{Accepted, Store};
-
-    struct Never;
-
-    impl Maker for Never {
-        fn check(&self, _: &[u8], _: Option<&[u8]>, _: &tmpi_pipeline::Options) -> Result<(), tmpi_pipeline::MakeError> {
-            Ok(())
-        }
-
-        fn make(
-            &self,
-            _: &[u8],
-            _: Option<&[u8]>,
-            _: &tmpi_pipeline::Options,
-            _: &dyn tmpi_pipeline::Sink,
-        ) -> Result<crate::server::Product, crate::server::Fault> {
-            Err(crate::server::Fault::Cancelled)
-        }
-    }
+    use crate::server::files::Files as _;
+    use crate::server::forgetful::Forgetful;
+    use crate::server::maker::Never;
+    use crate::server::store::{Accepted, Part, Store};
 
     #[test]
     fn a_photo_that_runs_twice_is_waited_for_twice() {
@@ -173,5 +159,28 @@ mod tests {
         assert!(began.elapsed() >= Duration::from_millis(50) && jobs.aborted(), "one still runs");
         jobs.release(&entry, Duration::ZERO);
         assert_eq!(jobs.counts().working, 0);
+    }
+
+    #[test]
+    fn what_was_answered_is_on_disk_whole_though_the_machine_stops_at_once() {
+        let (files, dir) = (Arc::new(Forgetful::new()), Path::new("/data"));
+        let (store, _) = Store::open_in(files.clone(), dir, "", None).unwrap();
+        files.sync_dir(Path::new("/")).unwrap();
+        let limits = Arc::new(Limits { workers: 0, ..Limits::default() });
+        let jobs = Jobs::start(store, Vec::new(), Arc::new(Never), limits, Arc::default()).unwrap();
+        let incoming = jobs.store.begin().unwrap();
+        for part in [Part::Upload, Part::Depth] {
+            // as a stream leaves it
+            files.write_unsynced(&incoming.path(part), b"photo");
+        }
+        let id = PhotoId::of(&[1; 32], None, "", "");
+        let accepted = Accepted { version: 1, at_ms: 1, photo_bytes: 5, depth_bytes: Some(5), options: BTreeMap::new() };
+        assert!(jobs.submit(incoming, id, accepted).unwrap().new);
+        files.crash();
+        let (store, found) = Store::open_in(files, dir, "", None).unwrap();
+        assert_eq!(found.len(), 1);
+        for part in [Part::Upload, Part::Depth] {
+            assert_eq!(store.read(id, part).unwrap(), b"photo", "{}", part.name());
+        }
     }
 }
