@@ -135,7 +135,7 @@ fn every_route_answers_every_caller_as_it_should() {
     assert_eq!(server.state(&id)["state"], "done", "nothing was changed");
     if std::env::var("TMPI_SHOW").is_ok_and(|what| what == "matrix") {
         println!("*: pages of any site may read the answer\n");
-        println!("| |{}\n|-|{}", callers.iter().map(|c| format!(" {} |", c.what)).collect::<String>(), "-|".repeat(callers.len()));
+        println!("| |{}\n|-|{}", callers.iter().map(|c| format!(" {} |", c.what)).collect::<Vec<_>>().concat(), "-|".repeat(callers.len()));
         println!("{table}");
     }
 }
