@@ -68,7 +68,7 @@ pub(super) struct ServeArgs {
     /// Connections at a time from one address; a proxy is one
     #[arg(long, default_value_t = Limits::CONNECTIONS_PER_ADDRESS as u32, value_parser = clap::value_parser!(u32).range(1..), value_name = "N")]
     connections_per_address: u32,
-    /// Memory for work on scenes that are not kept, in MiB; one that needs more is worked on alone
+    /// Memory for work on scenes that are not kept, in MiB, and as much again for films and files; one that needs more is worked on alone
     #[arg(long, default_value_t = (Limits::WORK_MEMORY >> 20) as u32, value_parser = clap::value_parser!(u32).range(1..), value_name = "MIB")]
     work_memory: u32,
     /// Disk for files to download that were written already, in MiB

@@ -12,7 +12,7 @@ use axum::http::{HeaderMap, StatusCode, header};
 use super::problem::Problem;
 
 /// Headers by which proxies say that a request is not their own.
-const PROXIED: [&str; 4] = ["forwarded", "x-forwarded-for", "x-forwarded-host", "via"];
+const PROXIED: [&str; 6] = ["forwarded", "x-forwarded-for", "x-forwarded-host", "x-forwarded-proto", "x-real-ip", "via"];
 
 /// The names that count.
 #[derive(Clone, Debug)]
@@ -136,7 +136,9 @@ mod tests {
         let loopback = Hosts::new(([127, 0, 0, 1], 8080).into(), &["photos.example".into()]);
         assert!(loopback.is_own(&headers(&[("host", "localhost:8080")])) && loopback.is_own(&headers(&[("host", "[::1]")])));
         assert!(!loopback.is_own(&headers(&[("host", "photos.example")])));
-        assert!(!loopback.is_own(&headers(&[("host", "localhost"), ("x-forwarded-for", "203.0.113.1")])));
+        for proxy in PROXIED {
+            assert!(!loopback.is_own(&headers(&[("host", "localhost"), (proxy, "203.0.113.1")])), "{proxy}");
+        }
         let all = Hosts::new(([0, 0, 0, 0], 8080).into(), &[]);
         assert!(!all.is_own(&headers(&[("host", "localhost")])));
     }

@@ -155,3 +155,18 @@ impl PipelineMaker {
         })
     }
 }
+
+/// Makes nothing.
+#[cfg(test)]
+pub struct Never;
+
+#[cfg(test)]
+impl Maker for Never {
+    fn check(&self, _: &[u8], _: Option<&[u8]>, _: &Options) -> Result<(), MakeError> {
+        Ok(())
+    }
+
+    fn make(&self, _: &[u8], _: Option<&[u8]>, _: &Options, _: &dyn Sink) -> Result<Product, Fault> {
+        Err(Fault::Cancelled)
+    }
+}

@@ -49,11 +49,11 @@ pub struct UploadForm {
     plane_method: Option<String>,
     /// Tile size in pixels, or `full`.
     tile: Option<String>,
-    /// `auto` or `off`.
+    /// Blurred edges of the depth: `auto` snaps them where there are any.
     snap: Option<String>,
-    /// `auto` or `off`.
+    /// Edges of the network's depth drawn to the photo's.
     refine: Option<String>,
-    /// `auto`, `classic` or `off`.
+    /// Noise of the depth: `auto` takes it away where there is any, `theta` by a network, `classic` without.
     denoise: Option<String>,
     /// Longest side in pixels; larger photos are reduced.
     max_size: Option<u32>,
@@ -63,6 +63,8 @@ pub struct UploadForm {
     max_error: Option<f64>,
     /// Half extents of the view box, `X,Y,Z`.
     view_box: Option<String>,
+    /// Milliseconds that making the photo may take: size and parallax error are chosen for it.
+    budget_ms: Option<f64>,
 }
 
 /// Upload a photo.
@@ -280,7 +282,7 @@ pub async fn change(State(app): State<App>, Path(id): Path<String>, _: NoQuery, 
     let entry = app.photo(&id)?;
     let (headers, patch) = merge_patch(request, PATCH_BYTES, "settings").await?;
     let shared = Arc::clone(&app);
-    let changed = tokio::task::spawn_blocking(move || {
+    let changed = app.change(move || {
         // one change at a time, and none into a folder that goes
         let _gate = entry.gate();
         if entry.is_deleted() {
@@ -292,7 +294,7 @@ pub async fn change(State(app): State<App>, Path(id): Path<String>, _: NoQuery, 
         entry.set_settings(settings);
         state_now(&shared, &entry)
     });
-    let state = changed.await.map_err(|e| Problem::internal("changing settings", &e))??;
+    let state = changed.await??;
     let length = state.source.len();
     let mut response = Response::new(state.source.body(0..length));
     insert(&mut response, header::CONTENT_TYPE, "application/json");
@@ -330,8 +332,7 @@ pub(super) async fn merge_patch(request: Request, most: usize, what: &str) -> Re
 pub async fn delete(State(app): State<App>, Path(id): Path<String>, _: NoQuery) -> Result<StatusCode, Problem> {
     let photo = app.photo(&id)?.id;
     let shared = Arc::clone(&app);
-    let deleted = tokio::task::spawn_blocking(move || shared.jobs.delete(photo));
-    let deleted = deleted.await.map_err(|e| Problem::internal("deleting a photo", &e))??;
+    let deleted = app.change(move || shared.jobs.delete(photo)).await??;
     app.forget(photo).await;
     if deleted { Ok(StatusCode::NO_CONTENT) } else { Err(Problem::not_found("the photo was deleted already")) }
 }

@@ -9,7 +9,7 @@ use axum::response::Response;
 use futures_util::TryFutureExt as _;
 use tokio_util::sync::CancellationToken;
 
-use crate::server::app::{App, Export, Shared, Stored, Version, scene_bytes};
+use crate::server::app::{App, Export, Full, Shared, Stored, Version, scene_bytes};
 use crate::server::clock::Clock;
 use crate::server::conditional::insert;
 use crate::server::pool::Class;
@@ -90,12 +90,13 @@ pub async fn view(
         return Ok(response);
     }
     let mut timing = Vec::new();
+    let full = if query.moving.is_some() { Full::Refuse } else { Full::Memory };
     // whoever asks for the same view meanwhile waits for this one
     let drawn = async {
         let (bytes, took) = draw(&app, version, &done, &query, size, format).await?;
         timing = took;
         let (name, shared) = (derived.made.clone(), Arc::clone(&app));
-        let keep = tokio::task::spawn_blocking(move || Stored::derived(Some(&name), bytes, &shared.scratch));
+        let keep = tokio::task::spawn_blocking(move || Stored::derived(Some(&name), bytes, &shared.jobs.store, full));
         keep.await.map_err(|e| Problem::internal("keeping a view", &e))?
     };
     let key = (version, derived.made.clone());

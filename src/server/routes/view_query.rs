@@ -82,10 +82,10 @@ pub struct ViewQuery {
     #[param(value_type = Option<String>)]
     pub format: Option<PictureFormat>,
     /// Two views in one picture: `sbs` side by side, `anaglyph` for red and cyan glasses.
-    #[param(value_type = Option<String>, example = "sbs")]
+    #[param(value_type = Option<String>)]
     pub stereo: Option<StereoKind>,
     /// `COLUMNSxROWS` views from left to right, from the lower left on, as light-field displays take them; at most 100.
-    #[param(value_type = Option<String>, example = "8x6")]
+    #[param(value_type = Option<String>)]
     pub quilt: Option<Arrangement>,
     /// From the first camera to the last, in units of the nearest distance; 1/30 for stereo and the width of the view box for a
     /// quilt if it is not given.
@@ -96,7 +96,7 @@ pub struct ViewQuery {
     pub focus: Option<f64>,
     /// `orbit`, `swing` or `dolly`: an animation of the camera's way through the view box, 30 frames a second; no more than 640
     /// pixels a side if the size is not given. Needs ffmpeg on the server.
-    #[param(value_type = Option<String>, example = "orbit", rename = "path")]
+    #[param(value_type = Option<String>, rename = "path")]
     pub moving: Option<Moving>,
     /// Frames of an animation, 60 if it is not given.
     #[param(minimum = 2, maximum = 240)]

@@ -2,7 +2,7 @@
 
 use super::{ContainerError, columns};
 use crate::layers::work_of;
-use crate::{Geometry, Grid, Intrinsics, Tile, ViewBox};
+use crate::{Grid, Intrinsics, Tile, ViewBox};
 
 /// Pixels of the photo.
 pub const PIXELS: u64 = super::MAX_PIXELS;
@@ -65,7 +65,8 @@ pub fn work(grid: &Grid, tiles: &[Tile]) -> Result<(), ContainerError> {
 }
 
 /// Checks what is to be written.
-pub fn geometry(g: &Geometry) -> Result<(), ContainerError> {
+#[cfg(feature = "write")]
+pub fn geometry(g: &crate::Geometry) -> Result<(), ContainerError> {
     frame(&g.grid, &g.intrinsics, &g.view_box)?;
     planes(&g.grid, g.planes())?;
     work(&g.grid, &g.tiles)
