@@ -17,6 +17,7 @@ use super::limits::Limits;
 use super::maker::Maker;
 use super::memory::Memory;
 use super::problem::Problem;
+use super::settings::Settings;
 use super::store::{Accepted, Failed, Found, Incoming, State, Store};
 use super::telemetry::Telemetry;
 use super::time::now_ms;
@@ -153,7 +154,7 @@ impl Jobs {
     ///
     /// # Errors
     /// 429 where the queue is full, 503 while the server stops, 500 and 507 where the disk fails.
-    pub fn submit(&self, incoming: Incoming, id: PhotoId, accepted: Accepted) -> Result<Submitted, Problem> {
+    pub fn submit(&self, incoming: Incoming, id: PhotoId, accepted: Accepted, settings: Settings) -> Result<Submitted, Problem> {
         // read before the lock is taken: others need not wait for it
         let spoilt = |entry: &Entry| matches!(entry.status(), Status::Done(done) if self.store.damage(id, &done).is_some());
         let healed = self.get(id).is_some_and(|entry| matches!(entry.status(), Status::Damaged(_)) || spoilt(&entry));
@@ -184,8 +185,9 @@ impl Jobs {
             drop(gate);
             (entry, false)
         } else {
-            self.store.accept(incoming, id, &accepted).map_err(|e| Problem::store(&e))?;
-            (Arc::new(Entry::new(id, accepted)), true)
+            let kept = if settings == Settings::default() { Ok(()) } else { incoming.write_settings(&settings) };
+            kept.and_then(|()| self.store.accept(incoming, id, &accepted)).map_err(|e| Problem::store(&e))?;
+            (Arc::new(Entry::new(id, accepted, settings)), true)
         };
         let mut inner = self.lock();
         inner.insert(&entry);
@@ -470,7 +472,7 @@ mod tests {
         let limits = Arc::new(Limits { workers: 0, ..Limits::default() });
         let jobs = Jobs::start(store, Vec::new(), Arc::new(Never), limits, Arc::default()).unwrap();
         let accepted = Accepted { version: 1, at_ms: 1, photo_bytes: 1, depth_bytes: None, options: BTreeMap::new() };
-        let entry = Arc::new(Entry::new(PhotoId::of(&[1; 32], None, "", ""), accepted));
+        let entry = Arc::new(Entry::new(PhotoId::of(&[1; 32], None, "", ""), accepted, Settings::default()));
         for _ in 0..2 {
             // it failed and was uploaded again before the first worker let it go
             jobs.queue_again(&entry);

@@ -21,14 +21,15 @@ use super::jobs::Submitted;
 use super::options;
 use super::problem::Problem;
 use super::records::VERSION;
+use super::settings::{Settings, title_of_file};
 use super::store::{Accepted, Incoming, Part};
 use super::time::now_ms;
 use tmpi_pipeline::Options;
 
 /// Longest name of a field in bytes.
 const MAX_NAME: usize = 64;
-/// Longest text of an option.
-const MAX_OPTION: usize = 256;
+/// Longest text of an option or a title, bytes.
+const MAX_OPTION: usize = 1024;
 /// Bytes that are gathered before they are written.
 const BUFFER: usize = 256 << 10;
 
@@ -80,6 +81,38 @@ struct Parts {
     photo: Option<Written>,
     depth: Option<Written>,
     options: Options,
+    /// With the title that the upload names.
+    settings: Settings,
+    /// Title by the photo's file name, where the upload names none.
+    of_file: Option<String>,
+}
+
+impl Parts {
+    /// Takes a field or parameter that is text.
+    ///
+    /// # Errors
+    /// 400 that names it: it is wrong, or the title is given twice.
+    fn set(&mut self, name: &str, value: &str) -> Result<(), Problem> {
+        if name != TITLE {
+            return options::set(&mut self.options, name, value).map(drop);
+        }
+        if self.settings.title.is_some() {
+            return Err(Problem::parameter(name, "is given twice"));
+        }
+        self.settings = std::mem::take(&mut self.settings).titled(value)?;
+        Ok(())
+    }
+}
+
+/// Name of the field of the title.
+const TITLE: &str = "title";
+
+/// Refuses what is neither the title nor an option, before its value is read.
+fn known(name: &str, kinds: &str) -> Result<(), Problem> {
+    if name == TITLE || options::NAMES.contains(&name.replace('_', "-").as_str()) {
+        return Ok(());
+    }
+    Err(Problem::parameter(name, format!("there is no such {kinds}, {}", options::NAMES.join(", "))))
 }
 
 /// Takes an upload; when this returns, it is on disk.
@@ -87,18 +120,18 @@ struct Parts {
 /// # Errors
 /// 400 that names a wrong field, 408, 413, 415, 429, 500, 507.
 pub async fn take(app: &App, query: Vec<(String, String)>, request: Request) -> Result<Submitted, Problem> {
-    let mut options = Options::default();
+    let incoming = Folder(None);
+    let (options, settings) = (Options::default(), Settings::default());
+    let mut parts = Parts { incoming, photo: None, depth: None, options, settings, of_file: None };
     for (name, value) in query {
-        if !options::set(&mut options, &name, &value)? {
-            return Err(Problem::parameter(&name, format!("there is no such option; there are {}", options::NAMES.join(", "))));
-        }
+        known(&name, "option; there are title")?;
+        parts.set(&name, &value)?;
     }
     let _ticket = Ticket::take(app)?;
     let jobs = Arc::clone(&app.jobs);
     let incoming =
         tokio::task::spawn_blocking(move || jobs.store.begin()).await.map_err(|e| Problem::internal("beginning an upload", &e))?;
-    let incoming = Folder(Some(incoming.map_err(|e| Problem::store(&e))?));
-    let mut parts = Parts { incoming, photo: None, depth: None, options };
+    parts.incoming = Folder(Some(incoming.map_err(|e| Problem::store(&e))?));
     if is_multipart(request.headers()) {
         read_multipart(&mut parts, request).await?;
     } else {
@@ -116,7 +149,8 @@ pub async fn take(app: &App, query: Vec<(String, String)>, request: Request) -> 
 
 /// The part of taking an upload that blocks: checks it and makes it durable.
 fn accept(app: &App, parts: Parts) -> Result<Submitted, Problem> {
-    let Parts { mut incoming, photo, depth, options } = parts;
+    let Parts { mut incoming, photo, depth, options, mut settings, of_file } = parts;
+    settings.title = settings.title.or(of_file);
     let photo = photo.filter(|p| p.bytes > 0).ok_or_else(|| Problem::parameter("photo", "is missing"))?;
     if depth.as_ref().is_some_and(|d| d.bytes == 0) {
         return Err(Problem::parameter("depth", "is empty"));
@@ -136,7 +170,7 @@ fn accept(app: &App, parts: Parts) -> Result<Submitted, Problem> {
         options: text,
     };
     let folder = incoming.0.take().ok_or_else(gone)?;
-    let submitted = app.jobs.submit(folder, id, accepted)?;
+    let submitted = app.jobs.submit(folder, id, accepted, settings)?;
     if submitted.new {
         app.telemetry.uploaded(photo.bytes + depth.map_or(0, |d| d.bytes));
     }
@@ -171,16 +205,17 @@ async fn read_multipart(parts: &mut Parts, request: Request) -> Result<(), Probl
             "photo" => (Part::Upload, &mut parts.photo),
             "depth" => (Part::Depth, &mut parts.depth),
             _ => {
+                known(&name, "field; there are photo, depth, title")?;
                 let value = text(&name, field).await?;
-                if !options::set(&mut parts.options, &name, &value)? {
-                    let detail = format!("there is no such field; there are photo, depth, {}", options::NAMES.join(", "));
-                    return Err(Problem::parameter(&name, detail));
-                }
+                parts.set(&name, &value)?;
                 continue;
             }
         };
         if slot.is_some() {
             return Err(Problem::parameter(&name, "is given twice"));
+        }
+        if part == Part::Upload {
+            parts.of_file = field.file_name().and_then(title_of_file);
         }
         *slot = Some(write(&parts.incoming, part, field, |e| body::problem(&e)).await?);
     }
