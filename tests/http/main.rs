@@ -15,5 +15,6 @@ mod origins;
 mod process;
 mod results;
 mod settings;
+mod sharing;
 mod uploads;
 mod versions;

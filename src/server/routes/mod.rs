@@ -3,6 +3,7 @@
 mod derived;
 mod events;
 mod export;
+mod oembed;
 mod photos;
 mod query;
 mod results;
@@ -59,6 +60,7 @@ fn open_api() -> OpenApiRouter<App> {
         .routes(routes!(results::thumbnail))
         .routes(routes!(view::view))
         .routes(routes!(export::export))
+        .routes(routes!(oembed::oembed))
 }
 
 /// What is for this server's own pages and for programs.
