@@ -44,7 +44,9 @@ impl Hosts {
         Ok(())
     }
 
-    fn allows(&self, host: &str) -> bool {
+    /// True where the server answers under that name.
+    #[must_use]
+    pub fn allows(&self, host: &str) -> bool {
         let host = plain(host);
         if is_loopback_name(&host) || self.names.contains(&host) {
             return true;
@@ -64,6 +66,22 @@ impl Hosts {
         };
         self.bound.is_loopback() && host.is_some_and(local) && !PROXIED.iter().any(|name| headers.contains_key(*name))
     }
+}
+
+/// `scheme://host` as whoever sent a request knows this server: by its `Host`, which [`Hosts::check`] has seen, and by what a proxy
+/// says of the scheme (`Forwarded`, RFC 7239, or `X-Forwarded-Proto`). None where there is no `Host` that is one.
+#[must_use]
+pub fn origin(headers: &HeaderMap) -> Option<String> {
+    let host: Authority = headers.get(header::HOST)?.to_str().ok()?.parse().ok()?;
+    let text = |name: &str| headers.get(name).and_then(|v| v.to_str().ok());
+    // the first is the proxy that the browser talks to
+    let first = |value: &'static str| text(value).and_then(|v| v.split(',').next());
+    let forwarded = first("forwarded").into_iter().flat_map(|hop| hop.split(';')).filter_map(|pair| pair.split_once('='));
+    let proto = forwarded.filter(|(name, _)| name.trim().eq_ignore_ascii_case("proto")).map(|(_, value)| value).next();
+    let proto = proto.or_else(|| first("x-forwarded-proto")).map(|v| v.trim().trim_matches('"'));
+    let scheme = if proto.is_some_and(|p| p.eq_ignore_ascii_case("https")) { "https" } else { "http" };
+    let port = host.port_u16().map(|port| format!(":{port}")).unwrap_or_default();
+    Some(format!("{scheme}://{}{port}", host.host()))
 }
 
 /// The one `Host` of a request.
@@ -126,6 +144,27 @@ mod tests {
         assert_eq!((status(&one, "/", &["192.168.1.5"]), status(&one, "/", &["192.168.1.6"])), (200, 421));
         let all = Hosts::new(([0, 0, 0, 0], 80).into(), &[]);
         assert_eq!((status(&all, "/", &["192.168.1.6:80"]), status(&all, "/", &["evil.example"])), (200, 421));
+    }
+
+    #[test]
+    fn addresses_are_as_the_browser_knows_them() {
+        let of = |pairs: &[(&'static str, &'static str)]| {
+            origin(&pairs.iter().map(|(k, v)| (header::HeaderName::from_static(k), header::HeaderValue::from_static(v))).collect())
+        };
+        assert_eq!(of(&[("host", "localhost:8080")]).as_deref(), Some("http://localhost:8080"));
+        assert_eq!(of(&[("host", "[::1]:80")]).as_deref(), Some("http://[::1]:80"));
+        let behind = |name, value| of(&[("host", "photos.example"), (name, value)]).unwrap();
+        for (name, value, scheme) in [
+            ("x-forwarded-proto", "https", "https"),
+            ("x-forwarded-proto", "HTTPS, http", "https"),
+            ("x-forwarded-proto", "javascript", "http"),
+            ("forwarded", "for=192.0.2.1;Proto=\"https\";host=evil.example, proto=http", "https"),
+            ("forwarded", "for=192.0.2.1", "http"),
+            ("x-forwarded-host", "evil.example", "http"),
+        ] {
+            assert_eq!(behind(name, value), format!("{scheme}://photos.example"), "{name}: {value}");
+        }
+        assert_eq!((of(&[]), of(&[("host", "a b")])), (None, None));
     }
 
     #[test]

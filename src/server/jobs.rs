@@ -18,6 +18,7 @@ use super::limits::Limits;
 use super::maker::Maker;
 use super::memory::Memory;
 use super::problem::Problem;
+use super::settings::Settings;
 use super::store::{Accepted, Failed, Found, Incoming, State, Store};
 use super::telemetry::Telemetry;
 use super::time::now_ms;
@@ -140,7 +141,7 @@ impl Jobs {
     ///
     /// # Errors
     /// 429 where the queue is full, 503 while the server stops, 500 and 507 where the disk fails.
-    pub fn submit(&self, incoming: Incoming, id: PhotoId, accepted: Accepted) -> Result<Submitted, Problem> {
+    pub fn submit(&self, incoming: Incoming, id: PhotoId, accepted: Accepted, settings: Settings) -> Result<Submitted, Problem> {
         // read before the lock is taken: others need not wait for it
         let spoilt = |entry: &Entry| matches!(entry.status(), Status::Done(done) if self.store.damage(id, &done).is_some());
         self.store.settle(&incoming).map_err(|e| Problem::store(&e))?;
@@ -172,8 +173,9 @@ impl Jobs {
             drop(gate);
             (entry, false)
         } else {
-            self.store.accept(incoming, id, &accepted).map_err(|e| Problem::store(&e))?;
-            (Arc::new(Entry::new(id, accepted)), true)
+            let kept = if settings == Settings::default() { Ok(()) } else { incoming.write_settings(&settings) };
+            kept.and_then(|()| self.store.accept(incoming, id, &accepted)).map_err(|e| Problem::store(&e))?;
+            (Arc::new(Entry::new(id, accepted, settings)), true)
         };
         let mut inner = self.lock();
         inner.insert(&entry);

@@ -8,6 +8,7 @@ mod accept;
 mod app;
 mod body;
 mod cache;
+mod card;
 mod child;
 mod clock;
 mod compress;

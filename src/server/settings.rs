@@ -13,6 +13,8 @@ use tmpi_render::looking_at;
 const VERSION: u32 = 1;
 /// Longest title, in characters.
 const TITLE: usize = 200;
+/// What programs call a photo that has no name of its own.
+const NAMELESS: [&str; 6] = ["photo", "image", "picture", "blob", "file", "upload"];
 /// Bytes of a patch, at most.
 pub const PATCH_BYTES: usize = 16 << 10;
 /// Disparity that views turn about where the settings do not say.
@@ -104,14 +106,28 @@ impl Settings {
         Ok(new)
     }
 
+    /// These settings with a title, as an upload names it.
+    ///
+    /// # Errors
+    /// [`Problem`] 400: not 1 to 200 characters, or a control character.
+    pub fn titled(self, text: &str) -> Result<Self, Problem> {
+        Ok(Self { title: Some(title("title", &Value::from(text))?), ..self })
+    }
+
     /// Query of the view that stands for the photo; none where that is the photo itself.
     #[must_use]
     pub fn poster_query(&self, view_box: &ViewBox) -> Option<String> {
+        self.poster_pose(view_box).map(|pose| format!("{pose}w=640&format=jpeg"))
+    }
+
+    /// The camera of that view, as the begin of a query; none where it is the photo's own.
+    #[must_use]
+    pub fn poster_pose(&self, view_box: &ViewBox) -> Option<String> {
         let at = self.poster?;
         let pose = looking_at(self.focus.unwrap_or(PIVOT), at.x * view_box.x, at.y * view_box.y, at.z * view_box.z);
         let number = |v: f64| v + 0.0;
         Some(format!(
-            "tx={:.5}&ty={:.5}&tz={:.5}&yaw={:.3}&pitch={:.3}&w=640&format=jpeg",
+            "tx={:.5}&ty={:.5}&tz={:.5}&yaw={:.3}&pitch={:.3}&",
             number(pose.tx),
             number(pose.ty),
             number(pose.tz),
@@ -119,6 +135,19 @@ impl Settings {
             number(pose.pitch)
         ))
     }
+}
+
+/// What the name of a file says of its photo: the name without folders and ending; none where programs gave it.
+#[must_use]
+pub fn title_of_file(name: &str) -> Option<String> {
+    // some browsers sent whole paths, with either kind of slash
+    let name = name.rsplit(['/', '\\']).next().unwrap_or_default();
+    let is_ending = |end: &str| (2..=5).contains(&end.len()) && end.bytes().all(|b| b.is_ascii_alphanumeric());
+    let stem = name.rsplit_once('.').filter(|(_, end)| is_ending(end)).map_or(name, |(stem, _)| stem);
+    let clean: String = stem.chars().filter(|c| !c.is_control()).take(TITLE).collect();
+    let clean = clean.trim();
+    let nameless = clean.is_empty() || NAMELESS.iter().any(|n| clean.eq_ignore_ascii_case(n));
+    (!nameless).then(|| clean.to_owned())
 }
 
 fn optional<T>(value: &Value, read: impl FnOnce(&Value) -> Result<T, Problem>) -> Result<Option<T>, Problem> {
@@ -233,6 +262,28 @@ mod tests {
         assert!(Settings::default().patched(long.as_bytes()).is_err());
         let fits = format!(r#"{{"title": "{}"}}"#, "é".repeat(TITLE));
         assert!(Settings::default().patched(fits.as_bytes()).is_ok());
+    }
+
+    #[test]
+    fn files_name_their_photos() {
+        for (file, title) in [
+            ("By the sea.jpg", Some("By the sea")),
+            ("IMG_2041.HEIC", Some("IMG_2041")),
+            ("C:\\fakepath\\Söhne.jpeg", Some("Söhne")),
+            ("../../etc/a.b.png", Some("a.b")),
+            ("v1.2 final", Some("v1.2 final")),
+            ("a\u{0}b\n<script>.webp", Some("ab<script>")),
+            ("image.jpg", None),
+            ("Blob", None),
+            (".jpg", None),
+            (" \t.png", None),
+            ("", None),
+        ] {
+            assert_eq!(title_of_file(file).as_deref(), title, "{file:?}");
+        }
+        let long = title_of_file(&"é".repeat(TITLE + 50)).unwrap();
+        assert!(Settings::default().titled(&long).is_ok());
+        assert_eq!(Settings::default().titled("a\u{7}").unwrap_err().field.as_deref(), Some("title"));
     }
 
     #[test]

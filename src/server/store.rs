@@ -291,6 +291,14 @@ impl Incoming {
     pub fn path(&self, part: Part) -> PathBuf {
         self.folder.join(part.name())
     }
+
+    /// Writes the settings that an upload brings along; they are accepted with it.
+    ///
+    /// # Errors
+    /// The data directory cannot be written.
+    pub fn write_settings(&self, settings: &Settings) -> io::Result<()> {
+        self.files.write(&self.path(Part::Settings), &serde_json::to_vec_pretty(settings)?)
+    }
 }
 
 impl Drop for Incoming {

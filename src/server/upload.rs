@@ -23,6 +23,7 @@ use super::limits::Limits;
 use super::options;
 use super::problem::Problem;
 use super::records::VERSION;
+use super::settings::{Settings, title_of_file};
 use super::share::{Share, Shares, asker};
 use super::store::{Accepted, Incoming, Part};
 use super::time::now_ms;
@@ -30,8 +31,8 @@ use tmpi_pipeline::Options;
 
 /// Longest name of a field in bytes.
 const MAX_NAME: usize = 64;
-/// Longest text of an option.
-const MAX_OPTION: usize = 256;
+/// Longest text of an option or a title, bytes.
+const MAX_OPTION: usize = 1024;
 /// Bytes that are gathered before they are written.
 const BUFFER: usize = 256 << 10;
 
@@ -118,20 +119,36 @@ struct Parts {
 struct Chosen {
     options: Options,
     given: BTreeSet<String>,
+    /// With the title that the upload names.
+    settings: Settings,
+    /// Title by the photo's file name, where the upload names none.
+    of_file: Option<String>,
 }
 
 impl Chosen {
-    /// As [`options::set`].
+    /// Takes a field or parameter that is text.
     ///
     /// # Errors
-    /// 400 also where it is given a second time, in whatever spelling.
-    fn set(&mut self, name: &str, value: &str) -> Result<bool, Problem> {
-        let known = options::set(&mut self.options, name, value)?;
-        if known && !self.given.insert(name.replace('_', "-")) {
-            return Err(Problem::parameter(name, "is given twice"));
+    /// 400 that names it: it is wrong, or given a second time, in whatever spelling.
+    fn set(&mut self, name: &str, value: &str) -> Result<(), Problem> {
+        if name == TITLE {
+            self.settings = std::mem::take(&mut self.settings).titled(value)?;
+        } else {
+            options::set(&mut self.options, name, value)?;
         }
-        Ok(known)
+        if self.given.insert(name.replace('_', "-")) { Ok(()) } else { Err(Problem::parameter(name, "is given twice")) }
     }
+}
+
+/// Name of the field of the title.
+const TITLE: &str = "title";
+
+/// Refuses what is neither the title nor an option, before its value is read.
+fn known(name: &str, kinds: &str) -> Result<(), Problem> {
+    if name == TITLE || options::NAMES.contains(&name.replace('_', "-").as_str()) {
+        return Ok(());
+    }
+    Err(Problem::parameter(name, format!("there is no such {kinds}, {}", options::NAMES.join(", "))))
 }
 
 /// Takes an upload; when this returns, it is on disk.
@@ -141,9 +158,8 @@ impl Chosen {
 pub async fn take(app: &App, query: Vec<(String, String)>, request: Request) -> Result<Submitted, Problem> {
     let mut chosen = Chosen::default();
     for (name, value) in query {
-        if !chosen.set(&name, &value)? {
-            return Err(Problem::parameter(&name, format!("there is no such option; there are {}", options::NAMES.join(", "))));
-        }
+        known(&name, "option; there are title")?;
+        chosen.set(&name, &value)?;
     }
     let _ticket = Ticket::take(app)?;
     let jobs = Arc::clone(&app.jobs);
@@ -168,7 +184,9 @@ pub async fn take(app: &App, query: Vec<(String, String)>, request: Request) -> 
 
 /// The part of taking an upload that blocks: checks it and makes it durable.
 fn accept(app: &App, parts: Parts) -> Result<Submitted, Problem> {
-    let Parts { mut incoming, photo, depth, chosen: Chosen { options, .. } } = parts;
+    let Parts { mut incoming, photo, depth, chosen } = parts;
+    let Chosen { options, mut settings, of_file, .. } = chosen;
+    settings.title = settings.title.or(of_file);
     let photo = photo.filter(|p| p.bytes > 0).ok_or_else(|| Problem::parameter("photo", "is missing"))?;
     if depth.as_ref().is_some_and(|d| d.bytes == 0) {
         return Err(Problem::parameter("depth", "is empty"));
@@ -188,7 +206,7 @@ fn accept(app: &App, parts: Parts) -> Result<Submitted, Problem> {
         options: text,
     };
     let folder = incoming.0.take().ok_or_else(gone)?;
-    let submitted = app.jobs.submit(folder, id, accepted)?;
+    let submitted = app.jobs.submit(folder, id, accepted, settings)?;
     if submitted.new {
         app.telemetry.uploaded(photo.bytes + depth.map_or(0, |d| d.bytes));
     }
@@ -223,16 +241,17 @@ async fn read_multipart(parts: &mut Parts, request: Request) -> Result<(), Probl
             "photo" => (Part::Upload, &mut parts.photo),
             "depth" => (Part::Depth, &mut parts.depth),
             _ => {
+                known(&name, "field; there are photo, depth, title")?;
                 let value = text(&name, field).await?;
-                if !parts.chosen.set(&name, &value)? {
-                    let detail = format!("there is no such field; there are photo, depth, {}", options::NAMES.join(", "));
-                    return Err(Problem::parameter(&name, detail));
-                }
+                parts.chosen.set(&name, &value)?;
                 continue;
             }
         };
         if slot.is_some() {
             return Err(Problem::parameter(&name, "is given twice"));
+        }
+        if part == Part::Upload {
+            parts.chosen.of_file = field.file_name().and_then(title_of_file);
         }
         *slot = Some(write(&parts.incoming, part, field, |e| body::problem(&e)).await?);
     }

@@ -87,7 +87,7 @@ export function settingsMenu({ id, viewer, named, say }) {
   focus.addEventListener('input', () => change({ focus: Number(focus.value) }));
   $('set-start').addEventListener('click', () => change({ start: now().start ? null : place() }));
   $('set-poster').addEventListener('click', () => change({ poster: now().poster ? null : place() }));
-  $('set-clear').addEventListener('click', () => change({ title: null, motion: null, focus: null, start: null, poster: null }));
+  $('set-clear').addEventListener('click', () => change({ motion: null, focus: null, start: null, poster: null }));
   $('set-form').addEventListener('submit', save);
   $('settings-menu').addEventListener('toggle', show);
   return { read, settings: () => settings };

@@ -253,6 +253,27 @@ async function showAgain() {
   showDepthSource();
 }
 
+/** Pictures that the server draws: what stays in place lies in the screen. */
+const PICTURES = /** @type {Record<string, {query: string, ending: string}>} */ ({
+  anaglyph: { query: 'stereo=anaglyph&format=jpeg', ending: '-anaglyph.jpg' },
+  sbs: { query: 'stereo=sbs&format=jpeg', ending: '-sbs.jpg' },
+  // its columns, rows and aspect are in its name, as the displays' programs read them
+  quilt: { query: 'quilt=8x6&w=420&h=560&format=png', ending: '_qs8x6a0.75.png' },
+});
+
+/** Their addresses and names, as the photo is now. */
+function showPictures() {
+  const stem = container.download.replace(/\.tmpi$/, '');
+  for (const link of document.querySelectorAll(/** @type {'a'} */ ('[data-view]'))) {
+    const { query, ending } = PICTURES[link.dataset.view ?? ''];
+    link.href = photoUrl(id, `/view?${query}&focus=${viewer.pivot.toFixed(3)}`);
+    link.download = stem + ending;
+  }
+  const depth = $('depth-download', HTMLAnchorElement);
+  depth.href = photoUrl(id, '/depth');
+  depth.download = `${stem}_depth.png`;
+}
+
 /** Says, where the menu is opened, what made the depth. */
 async function showDepthSource() {
   const line = $('depth-source');
@@ -287,12 +308,27 @@ $('headset').addEventListener('click', () => viewer.enterHeadset().catch(() => t
 navigator.xr?.addEventListener?.('devicechange', offerHeadset);
 $('reset').addEventListener('click', () => viewer.reset());
 $('idle').addEventListener('click', () => viewer.setIdle(!viewer.idle));
-$('share').addEventListener('click', share);
+$('share-link').addEventListener('click', () => {
+  $('share-menu').hidePopover();
+  share();
+});
+for (const name of /** @type {const} */ (['film', 'embed'])) {
+  $(`share-${name}`).addEventListener('click', async () => {
+    $('share-menu').hidePopover();
+    try {
+      const { open } = name === 'film' ? await import('./film-dialog.js') : await import('./embed-dialog.js');
+      open({ id, viewer, name: $('title').textContent ?? '', file: container.download.replace(/\.tmpi$/, '') });
+    } catch (error) {
+      toast(error.message);
+    }
+  });
+}
 $('retry').addEventListener('click', () => location.reload());
 container.href = photoUrl(id, '/atlas');
 container.download = `${id}.tmpi`;
 for (const link of document.querySelectorAll(/** @type {'a'} */ ('[data-export]')))
   link.href = photoUrl(id, `/export?format=${link.dataset.export}`);
+$('download-menu').addEventListener('beforetoggle', showPictures);
 $('fullscreen').hidden = !document.fullscreenEnabled;
 $('fullscreen').addEventListener('click', toggleFullscreen);
 document.addEventListener('fullscreenchange', () =>

@@ -17,5 +17,6 @@ mod process;
 mod results;
 mod settings;
 mod strokes;
+mod sharing;
 mod uploads;
 mod versions;

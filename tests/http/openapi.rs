@@ -24,6 +24,7 @@ fn every_route_of_the_document_answers_as_it_says() {
     let mut count = 0;
     for (path, item) in document["paths"].as_object().unwrap() {
         for (method, operation) in item.as_object().unwrap() {
+            let path = if path == "/oembed" { "/oembed?url=http://localhost/view/{id}" } else { path };
             let call = (method.to_uppercase(), path.replace("{id}", &photo), operation);
             if method == "delete" {
                 deletions.push(call);

@@ -146,7 +146,7 @@ mod tests {
         let limits = Arc::new(Limits { workers: 0, ..Limits::default() });
         let jobs = Jobs::start(store, Vec::new(), Arc::new(Never), limits, Arc::default()).unwrap();
         let accepted = Accepted { version: 1, at_ms: 1, photo_bytes: 1, depth_bytes: None, options: BTreeMap::new() };
-        let entry = Arc::new(Entry::new(PhotoId::of(&[1; 32], None, "", ""), accepted));
+        let entry = Arc::new(Entry::new(PhotoId::of(&[1; 32], None, "", ""), accepted, Settings::default()));
         for _ in 0..2 {
             // it failed and was uploaded again before the first worker let it go
             jobs.queue_again(&entry);

@@ -5,6 +5,7 @@ mod derived;
 mod events;
 mod export;
 mod network;
+mod oembed;
 mod photos;
 mod query;
 mod results;
@@ -63,6 +64,7 @@ fn open_api() -> OpenApiRouter<App> {
         .routes(routes!(results::thumbnail))
         .routes(routes!(view::view))
         .routes(routes!(export::export))
+        .routes(routes!(oembed::oembed))
 }
 
 /// What is for this server's own pages and for programs.

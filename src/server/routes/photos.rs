@@ -37,6 +37,9 @@ pub struct UploadForm {
     /// Depth map, a grey picture (PNG of 8 or 16 bits, JPEG, WebP; or in colour with channels that are alike); replaces the estimated depth.
     #[schema(value_type = Option<String>, format = Binary)]
     depth: Option<Vec<u8>>,
+    /// What to call the photo, 1 to 200 characters; else the name of the photo's file without its ending. A photo that is there already
+    /// keeps its title.
+    title: Option<String>,
     /// How the depth map is meant: `disparity` or `metric`.
     depth_kind: Option<String>,
     /// Depth that the photo brings along within its file: `auto`, `off`, or `on` to fail without.
@@ -76,6 +79,7 @@ pub struct UploadForm {
     post, path = "/v1/photos", tag = "photos",
     params(
         ("Prefer" = Option<String>, Header, description = "`wait=SECONDS`: answer once the photo is done, or after that time"),
+        ("title" = Option<String>, Query, description = "What to call the photo, 1 to 200 characters"),
         ("planes" = Option<String>, Query, description = "As in the form; so are all other options"),
     ),
     request_body(description = "The photo", content(

@@ -46,6 +46,10 @@ describe('modules', () => {
       'view/viewer.js',
       'decode/worker.js',
       'decode/unpack.js',
+      // fetched when they are asked for
+      'app/embed-dialog.js',
+      'app/film-dialog.js',
+      'film/gif.js',
     ];
     const needed = new Set(roots.flatMap((root) => [...graph(root)]));
     assert.deepEqual(
