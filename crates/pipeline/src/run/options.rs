@@ -101,7 +101,7 @@ pub struct Options {
     pub max_size: Option<u32>,
     /// Picture quality, 1 to 100.
     pub quality: u8,
-    /// Parallax error that planes may leave over the view box, in pixels.
+    /// Parallax error that planes may leave over the view box as far as it is judged ([`ViewBox::judged`]), in pixels.
     pub max_error: f64,
     /// Camera positions to make the scene for.
     pub view_box: ViewBox,
