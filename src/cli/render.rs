@@ -10,7 +10,7 @@ use serde_json::json;
 use super::flags::{fov_x, numbers, quality, size};
 use super::{Usage, files, result};
 use tmpi_core::container;
-use tmpi_core::{Camera, Intrinsics, Pose, Scene, ViewBox};
+use tmpi_core::{Camera, Intrinsics, Pose, Scene};
 use tmpi_render::{self, Animation, AnimationFormat, Arrangement, Backend, MAX_PIXELS, MAX_SIDE, Outlook, PictureFormat, Rig};
 
 /// Draw a container from another place
@@ -153,7 +153,7 @@ fn focus(text: &str) -> Result<f64, String> {
 /// The cameras where several are asked for.
 fn rig(args: &RenderArgs, scene: &Scene) -> Option<Rig> {
     let (arrangement, baseline) = match (args.quilt, args.stereo) {
-        (Some(quilt), _) => (quilt, (2.0 * scene.view_box.x).min(ViewBox::TRAVEL)),
+        (Some(quilt), _) => (quilt, (2.0 * scene.view_box.x).min(Outlook::TRAVEL)),
         (None, Some(ipd)) => (if args.anaglyph { Arrangement::Anaglyph } else { Arrangement::SideBySide }, ipd),
         (None, None) => return None,
     };

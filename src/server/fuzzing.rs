@@ -27,7 +27,7 @@ pub fn view(uri: &Uri) {
     let scene = Scene {
         grid: Grid::new(width, height, 64),
         intrinsics: Intrinsics::centred(width, height, 30.0),
-        view_box: ViewBox { x: 0.03, y: 0.03, z: 0.03 },
+        view_box: ViewBox::default(),
         photo: Photo { width, height, rgb: vec![[0; 3]; 2400] },
         layers: Vec::new(),
         texels: Texels::default(),

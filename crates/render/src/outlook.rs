@@ -30,6 +30,9 @@ pub struct Outlook {
 }
 
 impl Outlook {
+    /// Half extent of the travel, at most, in units of the nearest distance.
+    pub const TRAVEL: f64 = 0.06;
+
     /// Looks over a scene.
     #[must_use]
     pub fn of(scene: &Scene) -> Self {
@@ -82,7 +85,7 @@ fn travel(scene: &Scene, spread: f64) -> ViewBox {
     let a_tile = scene.layers.len() as f64 / f64::from(scene.grid.tiles()).max(1.0);
     let calm = (1.0 - CALMER * (a_tile - BROKEN).max(0.0)).max(CALMEST);
     let wanted = SHARE * f64::from(scene.grid.width) / (2.0 * scene.intrinsics.fx * spread.max(1e-3)) * calm;
-    let extent = wanted.min(ViewBox::TRAVEL).max(LEAST);
+    let extent = wanted.min(Outlook::TRAVEL).max(LEAST);
     ViewBox { x: x.min(extent), y: y.min(extent), z: z.min(2.0 * extent) }
 }
 
@@ -101,7 +104,7 @@ mod tests {
     #[test]
     fn a_flat_photo_goes_as_far_as_viewers_go_and_a_small_box_is_its_own() {
         let seen = Outlook::of(&scene(0.12));
-        assert_eq!(seen.travel, ViewBox { x: ViewBox::TRAVEL, y: ViewBox::TRAVEL, z: 0.12 });
+        assert_eq!(seen.travel, ViewBox { x: Outlook::TRAVEL, y: Outlook::TRAVEL, z: 0.12 });
         assert!((seen.pivot - 0.5).abs() < 0.01 && seen.nearest == [0.5, 0.5], "{seen:?}");
         assert_eq!(Outlook::of(&scene(0.03)).travel, ViewBox { x: 0.03, y: 0.03, z: 0.03 });
     }
@@ -117,7 +120,7 @@ mod tests {
         // a long lens moves it more
         deep.intrinsics.fx = 200.0;
         let long = Outlook::of(&deep).travel.x;
-        assert!(long < ViewBox::TRAVEL && long >= LEAST, "{long}");
+        assert!(long < Outlook::TRAVEL && long >= LEAST, "{long}");
         let way = 2.0 * long * deep.intrinsics.fx * 0.85 / 100.0;
         assert!((way - SHARE).abs() < 0.006, "{way}");
         deep.layers.extend([near; 5]);

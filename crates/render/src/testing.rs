@@ -15,7 +15,7 @@ pub(super) fn flat(width: u32, height: u32, delta: f64) -> Scene {
     Scene {
         grid,
         intrinsics: Intrinsics::centred(width, height, f64::from(width)),
-        view_box: ViewBox { x: 0.03, y: 0.03, z: 0.03 },
+        view_box: ViewBox::default(),
         photo: Photo { width, height, rgb },
         layers: vec![layer(grid.rect(0))],
         texels,

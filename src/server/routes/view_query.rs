@@ -5,8 +5,8 @@ use axum::http::Uri;
 use super::query::Pairs;
 use crate::server::limits::Limits;
 use crate::server::problem::Problem;
-use tmpi_core::{Camera, Intrinsics, Pose, Scene, ViewBox};
-use tmpi_render::{AnimationFormat, Arrangement, EYES, Path, PictureFormat, Rig};
+use tmpi_core::{Camera, Intrinsics, Pose, Scene};
+use tmpi_render::{AnimationFormat, Arrangement, EYES, Outlook, Path, PictureFormat, Rig};
 
 /// Fields of view that are drawn, in degrees.
 const FOV: std::ops::RangeInclusive<f64> = 0.1..=179.0;
@@ -270,7 +270,7 @@ impl ViewQuery {
     #[must_use]
     pub fn rig(&self, scene: &Scene) -> Option<Rig> {
         let arrangement = self.arrangement()?;
-        let usual = if self.quilt.is_some() { (2.0 * scene.view_box.x).min(ViewBox::TRAVEL) } else { EYES };
+        let usual = if self.quilt.is_some() { (2.0 * scene.view_box.x).min(Outlook::TRAVEL) } else { EYES };
         Some(Rig { arrangement, baseline: self.ipd.unwrap_or(usual), focus: self.focus.unwrap_or(0.0) })
     }
 

@@ -25,8 +25,7 @@ pub fn discs(width: u32, height: u32) -> (Geometry, Scene) {
             }
         })
         .collect();
-    let geometry =
-        Geometry { grid, intrinsics: Intrinsics::centred(width, height, 300.0), view_box: ViewBox { x: 0.03, y: 0.03, z: 0.03 }, tiles };
+    let geometry = Geometry { grid, intrinsics: Intrinsics::centred(width, height, 300.0), view_box: ViewBox::default(), tiles };
     let coloured = geometry
         .masks()
         .into_iter()

@@ -218,12 +218,7 @@ mod tests {
 
     fn geometry(grid: Grid, planes: Vec<Plane>, labels: Vec<u8>) -> Geometry {
         let tiles = vec![Tile { planes, labels, background: None }];
-        Geometry {
-            grid,
-            intrinsics: Intrinsics::centred(grid.width, grid.height, 50.0),
-            view_box: ViewBox { x: 0.03, y: 0.03, z: 0.03 },
-            tiles,
-        }
+        Geometry { grid, intrinsics: Intrinsics::centred(grid.width, grid.height, 50.0), view_box: ViewBox::default(), tiles }
     }
 
     #[test]

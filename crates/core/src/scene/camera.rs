@@ -158,24 +158,9 @@ pub struct ViewBox {
     pub z: f64,
 }
 
-impl ViewBox {
-    /// Half extent that viewers use by themselves, at most: half of the usual box, so that whoever wants more can turn it up.
-    pub const TRAVEL: f64 = 0.06;
-
-    /// The box over which planes are judged: all of one that somebody asked for, of the usual one half of what viewers use by
-    /// themselves. Their error grows with the way: judged farther out, containers are an eighth larger for what is below a pixel of
-    /// a screen.
-    #[must_use]
-    pub fn judged(&self) -> Self {
-        let extent = Self::TRAVEL / 2.0;
-        if *self == Self::default() { Self { x: extent, y: extent, z: extent } } else { *self }
-    }
-}
-
 impl Default for ViewBox {
     fn default() -> Self {
-        // forward a little does much
-        Self { x: 2.0 * Self::TRAVEL, y: 2.0 * Self::TRAVEL, z: Self::TRAVEL }
+        Self { x: 0.03, y: 0.03, z: 0.03 }
     }
 }
 

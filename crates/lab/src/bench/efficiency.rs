@@ -103,7 +103,7 @@ pub(super) fn clustering(repeats: usize, progress: &dyn Fn(&str)) -> Experiment 
                 times.push((clock.cpu_ms(), clock.ms()));
             }
             let mae = discretisation_error(map, &grid, &tiles).0;
-            let parallax = ViewBox::default().judged().parallax(k, whole);
+            let parallax = ViewBox::default().parallax(k, whole);
             cpu += median(times.iter().map(|t| t.0).collect()) / maps.len() as f64;
             wall += median(times.iter().map(|t| t.1).collect()) / maps.len() as f64;
             error += mae * 1e3 / maps.len() as f64;

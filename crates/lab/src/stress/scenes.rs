@@ -30,7 +30,7 @@ impl Builder {
         Self(Scene {
             grid,
             intrinsics,
-            view_box: ViewBox { x: 0.03, y: 0.03, z: 0.03 },
+            view_box: ViewBox::default(),
             photo: Photo { width: w, height: h, rgb: (0..w * h).map(pixel).collect() },
             layers: Vec::new(),
             texels: Texels::default(),
