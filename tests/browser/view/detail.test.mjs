@@ -2,9 +2,6 @@
 import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
 import { partAddress, wantedPart } from '../../../static/view/detail.js';
-import { openPage, takeGraphics, waitForMode } from '../support/browser.mjs';
-import { boxContainer } from '../support/container.mjs';
-import { boxSuite, STILL } from '../support/suite.mjs';
 
 const PHOTO = { width: 6000, height: 4000 };
 const LOADED = { width: 1500 };
@@ -44,56 +41,5 @@ describe('the part that is wanted', () => {
     const part = { level: 0, rect: { x: 512, y: 0, w: 900, h: 800 } };
     assert.equal(partAddress('/v1/photos/a/atlas?fit=1500&v=7', part), '/v1/photos/a/atlas?v=7&level=0&region=512,0,900,800');
     assert.equal(partAddress('data:application/vnd.tmpi;base64,AAAA', part), null);
-  });
-});
-
-describe('finer parts', () => {
-  const suite = boxSuite();
-
-  for (const mode of ['gpu', 'webgl']) {
-    test(`${mode}: one who comes close sees the photo’s own pixels, drawn over the level at hand`, async () => {
-      const { page, context, errors } = await openPage(suite.browser, { ...STILL, viewport: { width: 500, height: 420 } });
-      if (mode === 'webgl') await takeGraphics(page, { webgl: true });
-      // the page has half of the photo's size
-      Object.assign(suite.server.state, { width: 400, height: 240 });
-      const parts = [];
-      await page.route(/region=/, (route) => {
-        parts.push(new URL(route.request().url()).search);
-        route.fulfill({ contentType: 'application/vnd.tmpi', body: boxContainer(400, 240) });
-      });
-      await page.goto(`${suite.server.url}/view/box`);
-      await waitForMode(page, mode);
-      assert.equal(await page.locator('.tmpi-canvas').count(), 1);
-      await page.evaluate(() => window.viewer.zoomBy(1.5));
-      await page.waitForFunction(() => document.querySelectorAll('.tmpi-canvas').length === 2);
-      assert.ok(parts.length >= 1 && parts.every((search) => search.includes('level=0')), parts.join(' '));
-      const boxes = await page
-        .locator('.tmpi-canvas')
-        .evaluateAll((all) => all.map((c) => [c.width, c.height, c.clientWidth, c.clientHeight]));
-      assert.deepEqual(boxes[0], boxes[1]);
-      await page.locator('#reset').click();
-      await page.waitForFunction(() => document.querySelectorAll('.tmpi-canvas').length === 1);
-      assert.deepEqual(errors, []);
-      await context.close();
-    });
-  }
-
-  test('a part that cannot be had is not asked for again', async () => {
-    const { page, context } = await openPage(suite.browser, { ...STILL, viewport: { width: 500, height: 420 } });
-    Object.assign(suite.server.state, { width: 400, height: 240 });
-    let asked = 0;
-    await page.route(/region=/, (route) => {
-      asked++;
-      route.fulfill({ status: 500, body: 'no' });
-    });
-    await page.goto(`${suite.server.url}/view/box`);
-    await waitForMode(page, 'gpu');
-    await page.evaluate(() => window.viewer.zoomBy(1.5));
-    await page.waitForTimeout(1500);
-    await page.evaluate(() => window.viewer.zoomBy(1.2));
-    await page.waitForTimeout(1000);
-    assert.equal(asked, 1);
-    assert.equal(await page.locator('.tmpi-canvas').count(), 1);
-    await context.close();
   });
 });
