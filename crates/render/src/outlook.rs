@@ -85,7 +85,7 @@ fn travel(scene: &Scene, spread: f64) -> ViewBox {
     let a_tile = scene.layers.len() as f64 / f64::from(scene.grid.tiles()).max(1.0);
     let calm = (1.0 - CALMER * (a_tile - BROKEN).max(0.0)).max(CALMEST);
     let wanted = SHARE * f64::from(scene.grid.width) / (2.0 * scene.intrinsics.fx * spread.max(1e-3)) * calm;
-    let extent = wanted.min(Outlook::TRAVEL).max(LEAST);
+    let extent = wanted.clamp(LEAST, Outlook::TRAVEL);
     ViewBox { x: x.min(extent), y: y.min(extent), z: z.min(2.0 * extent) }
 }
 
