@@ -47,11 +47,12 @@ pub(super) struct MakeFlags {
     /// Picture quality, 1 to 100
     #[arg(long, value_parser = quality, default_value = "90", value_name = "1-100")]
     pub quality: u8,
-    /// Parallax error that planes may leave over the view box, in pixels
+    /// Parallax error that planes may leave, in pixels: over a view box that is given, else over one of 0.03
     #[arg(long, value_parser = max_error, default_value = "0.5", value_name = "PX")]
     pub max_error: f64,
-    /// Half extents of the box of camera positions, in units of the nearest distance
-    #[arg(long, value_parser = view_box, default_value = "0.03,0.03,0.03", value_name = "X,Y,Z")]
+    /// Half extents of the box of camera positions, in units of the nearest distance; viewers go half as far as the usual one by
+    /// themselves
+    #[arg(long, value_parser = view_box, default_value = "0.12,0.12,0.06", value_name = "X,Y,Z")]
     pub view_box: ViewBox,
     /// Milliseconds that making may take: the size and a parallax error of --max-error or more are chosen for it, by the costs
     /// that `tmpi bench` found on this machine (a file named by `TMPI_COSTS`)

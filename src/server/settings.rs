@@ -7,7 +7,7 @@ use serde_json::{Map, Value};
 
 use super::problem::Problem;
 use tmpi_core::ViewBox;
-use tmpi_render::looking_at;
+use tmpi_render::{Path, looking_at};
 
 /// Version of the settings that this program writes and reads.
 const VERSION: u32 = 1;
@@ -17,6 +17,8 @@ const TITLE: usize = 200;
 const NAMELESS: [&str; 6] = ["photo", "image", "picture", "blob", "file", "upload"];
 /// Bytes of a patch, at most.
 pub const PATCH_BYTES: usize = 16 << 10;
+/// Times the usual speed.
+const SPEED: [f64; 2] = [0.25, 4.0];
 /// Disparity that views turn about where the settings do not say.
 const PIVOT: f64 = 0.35;
 
@@ -29,6 +31,33 @@ pub struct Offset {
     pub y: f64,
     /// Forward.
     pub z: f64,
+}
+
+/// How a photo moves by itself.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
+pub struct Idle(String);
+
+impl Idle {
+    /// Name of what does not move.
+    const NONE: &'static str = "none";
+}
+
+impl TryFrom<String> for Idle {
+    type Error = String;
+
+    fn try_from(name: String) -> Result<Self, String> {
+        if name == Self::NONE || Path::from_name(&name).is_some() {
+            return Ok(Self(name));
+        }
+        Err(format!("must be one of {}, {}, not {name:?}", Path::NAMES.join(", "), Self::NONE))
+    }
+}
+
+impl From<Idle> for String {
+    fn from(Idle(name): Idle) -> Self {
+        name
+    }
 }
 
 /// Settings of a photo; what is missing is left to the viewer.
@@ -49,6 +78,13 @@ pub struct Settings {
     /// Where the camera starts, each −1 to 1 of the view box.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub start: Option<Offset>,
+    /// How it moves by itself; nothing moves with `none`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(value_type = Option<String>, example = "orbit")]
+    pub idle: Option<Idle>,
+    /// How fast that is, 0.25 to 4 times the usual.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub speed: Option<f64>,
     /// From where the view is drawn that stands for the photo, each −1 to 1 of the view box.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub poster: Option<Offset>,
@@ -56,7 +92,7 @@ pub struct Settings {
 
 impl Default for Settings {
     fn default() -> Self {
-        Self { version: VERSION, title: None, motion: None, focus: None, start: None, poster: None }
+        Self { version: VERSION, title: None, motion: None, focus: None, start: None, idle: None, speed: None, poster: None }
     }
 }
 
@@ -96,9 +132,11 @@ impl Settings {
                 "motion" => new.motion = optional(&value, |v| offset(&name, v, self.motion, 1.0, 0.0))?,
                 "focus" => new.focus = optional(&value, |v| number(&name, v, 0.0))?,
                 "start" => new.start = optional(&value, |v| offset(&name, v, self.start, 0.0, -1.0))?,
+                "idle" => new.idle = optional(&value, |v| idle(&name, v))?,
+                "speed" => new.speed = optional(&value, |v| within(&name, v, SPEED))?,
                 "poster" => new.poster = optional(&value, |v| offset(&name, v, self.poster, 0.0, -1.0))?,
                 _ => {
-                    let detail = "there is no such setting; there are version, title, motion, focus, start, poster";
+                    let detail = "there is no such setting; there are version, title, motion, focus, start, idle, speed, poster";
                     return Err(Problem::parameter(name, detail));
                 }
             }
@@ -163,10 +201,19 @@ fn title(name: &str, value: &Value) -> Result<String, Problem> {
     Ok(text.to_owned())
 }
 
+fn idle(name: &str, value: &Value) -> Result<Idle, Problem> {
+    let text = value.as_str().ok_or_else(|| format!("must be text, not {value}"));
+    text.and_then(|text| Idle::try_from(text.to_owned())).map_err(|detail| Problem::parameter(name, detail))
+}
+
 /// A number of `least` to 1.
 fn number(name: &str, value: &Value, least: f64) -> Result<f64, Problem> {
-    let found = value.as_f64().filter(|v| (least..=1.0).contains(v));
-    found.ok_or_else(|| Problem::parameter(name, format!("must be a number from {least} to 1, not {value}")))
+    within(name, value, [least, 1.0])
+}
+
+fn within(name: &str, value: &Value, [least, most]: [f64; 2]) -> Result<f64, Problem> {
+    let found = value.as_f64().filter(|v| (least..=most).contains(v));
+    found.ok_or_else(|| Problem::parameter(name, format!("must be a number from {least} to {most}, not {value}")))
 }
 
 /// Axes of `least` to 1; what is missing stays, or is `usual`.
@@ -231,6 +278,16 @@ mod tests {
     }
 
     #[test]
+    fn ways_of_moving_have_the_names_of_films() {
+        for name in Path::NAMES.into_iter().chain(["none"]) {
+            let one = Settings::default().patched(format!(r#"{{"idle": "{name}", "speed": 4}}"#).as_bytes()).unwrap();
+            assert_eq!((String::from(one.idle.clone().unwrap()).as_str(), one.speed), (name, Some(4.0)));
+            assert_eq!(Settings::read(&serde_json::to_vec(&one).unwrap()).unwrap(), one);
+            assert_eq!(one.patched(br#"{"idle": null, "speed": null}"#).unwrap(), Settings::default());
+        }
+    }
+
+    #[test]
     fn numbers_are_read_back_as_they_were_written() {
         let one = Settings::default().patched(br#"{"motion": {"x": 0.4, "y": 0}, "focus": 0.4444444444441444444}"#).unwrap();
         assert_eq!(Settings::read(&serde_json::to_vec(&one).unwrap()).unwrap(), one);
@@ -251,6 +308,10 @@ mod tests {
             (r#"{"start": {"z": 1e999}}"#, None),
             (r#"{"start": {"z": 2}}"#, Some("start.z")),
             (r#"{"poster": {"y": -1.5}}"#, Some("poster.y")),
+            (r#"{"idle": "spiral"}"#, Some("idle")),
+            (r#"{"idle": 1}"#, Some("idle")),
+            (r#"{"speed": 0.2}"#, Some("speed")),
+            (r#"{"speed": 5}"#, Some("speed")),
             (r#"{"version": 2}"#, Some("version")),
             ("[1]", None),
             ("{", None),

@@ -20,6 +20,8 @@ import { photoWithVersion, settingsMenu } from './settings-menu.js';
 const TOAST_MS = 2500;
 const NOTE_MS = 7000;
 const HASH_KEY = 'pose';
+/** Where it is kept that this browser was told how to move. */
+const HINTED = 'tmpi-hinted';
 const BACKDROP = [12, 9];
 /** How far a pointer may go between press and release and still have clicked. */
 const CLICK_PX = 5;
@@ -55,6 +57,8 @@ function toast(text) {
 
 function readout() {
   const parts = [];
+  const { scale, own } = viewer.zoom;
+  if (scale > 1.01) parts.push(`${Math.round((scale / own) * 100)} %`);
   if (state.bytes) parts.push(formatBytes(state.bytes));
   if (viewer.mode === 'served') parts.push(t('drawn by the server'));
   if (state.ms !== null) parts.push(`${state.ms < 9.95 ? state.ms.toFixed(1) : Math.round(state.ms)} ms`);
@@ -114,6 +118,7 @@ async function start() {
     report: photoUrl(id, version ? `/report?v=${version}` : '/report'),
     offset: offsetOfHash(),
     settings: known.then((answer) => settingsOf(answer?.state)),
+    full: known.then((answer) => answer?.state),
   });
   applyMenu();
   // for tests, and for people at the console
@@ -133,21 +138,21 @@ async function start() {
     stage.dataset.mode = detail.mode;
     $('show').hidden = $('picture').hidden = !viewer.renderer;
     offerHeadset();
+    hint();
   });
   viewer.addEventListener('mode', ({ detail }) => {
     stage.dataset.mode = detail.mode;
     if (detail.mode !== 'served') return;
     $('show').hidden = $('picture').hidden = true;
     state.ms = null;
-    $('served-note').textContent = t('The server draws this view. {0}', detail.reason);
-    $('served-note').classList.add('on');
-    setTimeout(() => $('served-note').classList.remove('on'), NOTE_MS);
+    note(t('The server draws this view. {0}', detail.reason));
     readout();
   });
   viewer.addEventListener('frame', ({ detail }) => {
     state.ms = detail.ms;
     readout();
   });
+  viewer.addEventListener('pose', readout);
   viewer.addEventListener('idle', ({ detail }) => showIdle(detail.on));
   viewer.addEventListener('error', ({ detail }) => {
     if (viewer.mode !== 'failed') toast(detail.message);
@@ -193,7 +198,7 @@ async function share() {
 async function toggleFullscreen() {
   try {
     if (document.fullscreenElement) await document.exitFullscreen();
-    else await $('frame').requestFullscreen();
+    else await document.documentElement.requestFullscreen();
   } catch {
     toast(t('This browser does not allow full screen'));
   }
@@ -217,6 +222,44 @@ function focusOnClick() {
     const box = viewer.canvas.getBoundingClientRect();
     viewer.focusAt((clientX - box.x) / box.width, (clientY - box.y) / box.height).catch((error) => toast(error.message));
   });
+}
+
+/** @param {string} text */
+function note(text) {
+  $('served-note').textContent = text;
+  $('served-note').classList.add('on');
+  setTimeout(() => $('served-note').classList.remove('on'), NOTE_MS);
+}
+
+/** Says once in this browser how one moves it. */
+function hint() {
+  if (viewer.mode === 'served' || localStorage.getItem(HINTED)) return;
+  localStorage.setItem(HINTED, '1');
+  note(t('Drag or point to look around; scroll, pinch or tap twice to come closer.'));
+}
+
+/** Tilting is what phones are good at: offered at the first touch, since browsers ask for leave only then. */
+function offerTilt() {
+  const offer = $('tilt-offer');
+  const asked = ({ pointerType = '' }) => {
+    if (pointerType !== 'touch' || !viewer.renderer) return;
+    stage.removeEventListener('pointerup', asked);
+    if (viewer.tilting) return;
+    offer.hidden = false;
+    setTimeout(() => (offer.hidden = true), NOTE_MS);
+  };
+  if (hasGyroscope()) stage.addEventListener('pointerup', asked);
+  offer.addEventListener('click', () => {
+    offer.hidden = true;
+    tilt.click();
+  });
+}
+
+/** @param {KeyboardEvent} event */
+function onKey({ key, target, ctrlKey, metaKey, altKey }) {
+  if (ctrlKey || metaKey || altKey || (target instanceof HTMLElement && target.matches('input, select'))) return;
+  if (key === 'f' && document.fullscreenEnabled) toggleFullscreen();
+  if (key === '?') note($('keys').textContent?.trim().replace(/\s+/g, ' ') ?? '');
 }
 
 /** Only where the browser draws and has something to look into. */
@@ -302,6 +345,8 @@ tilt.addEventListener('change', async () => {
     toast(t('This browser does not allow it'));
   }
 });
+offerTilt();
+document.addEventListener('keydown', onKey);
 $('blur').addEventListener('input', applyMenu);
 focusOnClick();
 $('headset').addEventListener('click', () => viewer.enterHeadset().catch(() => toast(t('This browser does not allow it'))));

@@ -10,6 +10,9 @@
 //   reveal           `auto` (as if it were not there), or `interaction`: fetched when somebody points at it, touches or focuses it
 //   camera-controls  `off` or `false`: takes no input
 //   auto-rotate      `off` or `false`: does not move by itself; so does `still`, without a value
+//   motion           how it moves by itself: `swing`, `orbit`, `dolly`, `dolly-zoom`, `zoom` (into the nearest thing), or `none`; without
+//                    it, what the photo's owner wants, else `swing`
+//   speed            how fast, 0.25 to 4 times the usual
 //   settings         `off`: does not ask the server what the photo's owner wants of the camera (how far it goes, where it starts)
 //
 // Names, properties (`loaded`), methods (`toBlob`, `resetView`) and events are those of <model-viewer> where there are such. One
@@ -81,13 +84,17 @@ const MODULES = [
   'draw/webgpu.js',
   'element/photo-addresses.js',
   'input/camera-control.js',
+  'input/gestures.js',
   'input/gyroscope.js',
   'input/motion.js',
+  'input/zoom.js',
   'view/camera.js',
   'view/canvas-size.js',
+  'view/detail.js',
   'view/display.js',
   'view/frame-pacing.js',
   'view/limits.js',
+  'view/outlook.js',
   'view/settings.js',
   'view/stage.js',
   'view/viewer.js',
@@ -120,6 +127,8 @@ class TmpiViewer extends HTMLElement {
     'camera-controls',
     'auto-rotate',
     'still',
+    'motion',
+    'speed',
   ];
   /** @type {Viewer | null} */
   #viewer = null;
@@ -237,6 +246,7 @@ class TmpiViewer extends HTMLElement {
     if (!this.isConnected) return;
     this.#describe();
     if (name === 'still' || name === 'auto-rotate') this.#viewer?.setIdle(this.#movesByItself);
+    if ((name === 'motion' || name === 'speed') && this.#viewer) this.#viewer.settings = { ...this.#viewer.settings, ...this.#wander };
     if ((name === 'src' || name === 'view') && this.#viewer) {
       this.#stop();
       this.#start();
@@ -244,8 +254,14 @@ class TmpiViewer extends HTMLElement {
   }
 
   get #movesByItself() {
-    const off = this.hasAttribute('still') || OFF.has(this.getAttribute('auto-rotate') ?? '');
+    const off = this.hasAttribute('still') || this.getAttribute('motion') === 'none' || OFF.has(this.getAttribute('auto-rotate') ?? '');
     return !off && !matchMedia('(prefers-reduced-motion: reduce)').matches;
+  }
+
+  /** What the page says of moving by itself: settings (view/settings.js). */
+  get #wander() {
+    const [idle, speed] = [this.getAttribute('motion'), Number(this.getAttribute('speed'))];
+    return { ...(idle ? { idle } : {}), ...(speed > 0 ? { speed } : {}) };
   }
 
   /** @param {boolean} visible */
@@ -291,7 +307,7 @@ class TmpiViewer extends HTMLElement {
       atlas,
       view: given ? new URL(given, document.baseURI).href : beside(atlas, '/view'),
       report: beside(atlas, '/report'),
-      settings: state ? fetchSettings(state) : undefined,
+      settings: Promise.resolve(state ? fetchSettings(state) : {}).then((settings) => ({ ...settings, ...this.#wander })),
       embedded: true,
     });
     this.#viewer = viewer;

@@ -44,8 +44,8 @@ const GERMAN = {
   Motion: 'Wiegen',
   'Move by tilting the device': 'Durch Neigen bewegen',
   'Move gently by itself (space)': 'Bewegt sich von selbst (Leertaste)',
-  'Move with a drag or the arrow keys, closer and farther with plus and minus, back with 0, motion on and off with the space bar.':
-    'Ziehen oder Pfeiltasten bewegen, Plus und Minus gehen näher und weiter, 0 geht zurück, die Leertaste schaltet die Bewegung.',
+  'Move with a drag or the arrow keys, closer and farther with plus and minus, back with 0, motion on and off with the space bar, full screen with F.':
+    'Ziehen oder Pfeiltasten bewegen, Plus und Minus gehen näher und weiter, 0 geht zurück, die Leertaste schaltet die Bewegung, F das Vollbild.',
   'No photo yet. The first one takes a few seconds.': 'Noch kein Foto. Das erste braucht ein paar Sekunden.',
   'No picture': 'Kein Bild',
   'Not made': 'Nicht erstellt',
@@ -99,6 +99,17 @@ const GERMAN = {
   'As it came': 'Wie am Anfang',
   'Error: red is a pixel of parallax or more': 'Fehler: Rot ist ein Pixel Parallaxe oder mehr',
   'How far it moves': 'Wie weit es sich bewegt',
+  'How it moves by itself': 'Wie es sich von selbst bewegt',
+  'How fast': 'Wie schnell',
+  'Not at all': 'Gar nicht',
+  'From side to side': 'Hin und her',
+  'In a circle': 'Im Kreis',
+  'Forward and back': 'Vor und zurück',
+  'Back, with the lens': 'Zurück, mit dem Objektiv',
+  'Into the nearest thing': 'Ins Nächste hinein',
+  'Tilt to look around': 'Neigen und umsehen',
+  'Drag or point to look around; scroll, pinch or tap twice to come closer.':
+    'Ziehen oder zeigen, um sich umzusehen; scrollen, spreizen oder doppelt tippen, um näher zu kommen.',
   'Picture of the list from here': 'Bild der Liste von hier',
   'Save with the photo': 'Beim Foto speichern',
   Saved: 'Gespeichert',

@@ -16,7 +16,7 @@ use crate::server::pool::Class;
 use crate::server::problem::Problem;
 use crate::server::store::Done;
 use tmpi_core::{Camera, Scene};
-use tmpi_render::{Animation, DEFAULT_QUALITY, PictureFormat, RenderError, Renderer, View, draw_several, encode};
+use tmpi_render::{Animation, DEFAULT_QUALITY, Outlook, PictureFormat, RenderError, Renderer, View, draw_several, encode};
 
 use super::derived::Derived;
 use super::view_query::{Moving, ViewQuery};
@@ -165,10 +165,11 @@ fn film(
     draw: impl Fn(&Camera) -> Result<View, RenderError>,
 ) -> Result<(Vec<u8>, Duration), Problem> {
     let (mut animation, mut rendering) = (None, Duration::ZERO);
+    let outlook = Outlook::of(scene);
     for frame in 0..moving.frames {
-        let pose = moving.path.pose(&camera.pose, frame, moving.frames, &scene.view_box);
+        let camera = moving.path.camera(camera, frame, moving.frames, &outlook);
         let start = Instant::now();
-        let view = draw(&Camera { pose, ..*camera }).map_err(|e| Problem::from(&e))?;
+        let view = draw(&camera).map_err(|e| Problem::from(&e))?;
         rendering += start.elapsed();
         let size = (view.width, view.height);
         if animation.is_none() {

@@ -145,6 +145,16 @@ describe('every control', () => {
         await $('set-motion').fill('0.5');
         assert.ok(Math.abs((await viewer((v) => v.limits.x)) - 0.015) < 1e-4);
       },
+      'select: How it moves by itself': async () => {
+        await $('set-idle').selectOption('orbit');
+        assert.ok(await viewer((v) => v.idle && v.motion.style === 'orbit' && v.settings.idle === 'orbit'));
+        await $('set-idle').selectOption('none');
+        assert.ok(await viewer((v) => !v.idle));
+      },
+      'input: How fast': async () => {
+        await $('set-speed').fill('2');
+        assert.deepEqual(await viewer((v) => [v.motion.rate, v.settings.speed]), [2, 2]);
+      },
       'input: What stays in place: far to near': async () => {
         await $('set-focus').fill('0.7');
         assert.equal(await viewer((v) => v.pivot), 0.7);
@@ -241,9 +251,16 @@ describe('every control', () => {
         assert.ok(await $('link-dialog').isHidden());
       },
       // last: where a screen is only emulated, clicks go astray afterwards
+      'button: Tilt to look around': async () => {
+        assert.ok(await $('tilt-offer').isHidden());
+        await $('stage').tap();
+        await $('tilt-offer').click();
+        await until((v) => v.tilting);
+        await viewer((v) => v.setTilt(false));
+      },
       'button: Full screen': async () => {
         await $('fullscreen').click();
-        await page.waitForFunction(() => document.fullscreenElement?.id === 'frame');
+        await page.waitForFunction(() => document.fullscreenElement === document.documentElement);
         await page.evaluate(() => document.exitFullscreen());
         await page.waitForFunction(() => document.getElementById('fullscreen').getAttribute('aria-pressed') === 'false');
       },

@@ -102,7 +102,7 @@ pub struct Options {
     pub max_size: Option<u32>,
     /// Picture quality, 1 to 100.
     pub quality: u8,
-    /// Parallax error that planes may leave over the view box, in pixels.
+    /// Parallax error that planes may leave over the view box as far as it is judged ([`Options::judged`]), in pixels.
     pub max_error: f64,
     /// Camera positions to make the scene for.
     pub view_box: ViewBox,
@@ -129,7 +129,7 @@ impl Default for Options {
             max_size: None,
             quality: 90,
             max_error: 0.5,
-            view_box: ViewBox::default(),
+            view_box: Self::VIEW_BOX,
             budget_ms: None,
             verify_prune: false,
             strokes: Vec::new(),
@@ -138,6 +138,17 @@ impl Default for Options {
 }
 
 impl Options {
+    /// The usual view box: twice as far to the sides as viewers go by themselves, so that whoever wants more can turn it up; forward a
+    /// little does much.
+    pub const VIEW_BOX: ViewBox = ViewBox { x: 0.12, y: 0.12, z: 0.06 };
+
+    /// The box over which planes are judged: all of one that somebody asked for, of the usual one that of [`ViewBox::default`], half of
+    /// what viewers use by themselves. Judged farther out, containers are an eighth larger for what is below a pixel of a screen.
+    #[must_use]
+    pub fn judged(&self) -> ViewBox {
+        if self.view_box == Self::VIEW_BOX { ViewBox::default() } else { self.view_box }
+    }
+
     /// How planes are to be placed for that error, in pixels, over a view box of that parallax.
     #[must_use]
     pub fn placement(&self, max_error: f64, parallax: (f64, f64)) -> Placement {
