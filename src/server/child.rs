@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 use super::maker::{Fault, Maker, PipelineMaker, Product};
 use super::options;
 use super::problem::Problem;
-use tmpi_pipeline::{MakeError, Options, Progress, Report, STAGES, Sink};
+use tmpi_pipeline::{MakeError, Options, Progress, Report, STAGES, Sink, networks};
 
 /// Set in the environment of a process that makes photos for a server.
 pub const VARIABLE: &str = "TMPI_MAKES_PHOTOS";
@@ -167,6 +167,11 @@ impl Maker for ProcessMaker {
 
     fn memory(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options) -> u64 {
         self.checks.memory(photo, depth, options)
+    }
+
+    fn lacks(&self) -> Option<&'static str> {
+        let missing = "ONNX Runtime is missing: photos without a depth map wait for it; the server's log says where it was looked for";
+        networks::available().is_err().then_some(missing)
     }
 
     fn make(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options, sink: &dyn Sink) -> Result<Product, Fault> {

@@ -202,15 +202,15 @@ impl Server {
     }
 }
 
-/// Looks now and then whether the data directory can be written, so that asking for it costs nothing.
+/// Looks now and then whether the data directory can be written and nothing is missing to make photos with, so that asking for it costs nothing.
 async fn probe(app: App) {
     loop {
         let shared = Arc::clone(&app);
-        let checked =
-            tokio::task::spawn_blocking(move || shared.jobs.store.check()).await.unwrap_or_else(|e| Err(std::io::Error::other(e)));
-        app.set_storage(checked.err().map(|error| match error.kind() {
-            std::io::ErrorKind::StorageFull => "the data directory has no room left",
-            _ => "the data directory cannot be written",
+        let checked = tokio::task::spawn_blocking(move || (shared.jobs.store.check(), shared.jobs.maker.lacks()));
+        let (written, lacks) = checked.await.unwrap_or_else(|e| (Err(std::io::Error::other(e)), None));
+        app.set_storage(written.err().map_or(lacks, |error| match error.kind() {
+            std::io::ErrorKind::StorageFull => Some("the data directory has no room left"),
+            _ => Some("the data directory cannot be written"),
         }));
         tokio::time::sleep(PROBE).await;
     }
