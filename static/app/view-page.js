@@ -268,6 +268,9 @@ container.href = photoUrl(id, '/atlas');
 container.download = `${id}.tmpi`;
 for (const link of document.querySelectorAll(/** @type {'a'} */ ('[data-export]')))
   link.href = photoUrl(id, `/export?format=${link.dataset.export}`);
+const depthMap = $('depth-map', HTMLAnchorElement);
+depthMap.href = photoUrl(id, '/depth');
+depthMap.download = `${id}-depth.png`;
 $('fullscreen').hidden = !document.fullscreenEnabled;
 $('fullscreen').addEventListener('click', toggleFullscreen);
 document.addEventListener('fullscreenchange', () =>

@@ -357,7 +357,7 @@ fn render_draws_in_every_format() {
 fn exports_are_files_that_others_open() {
     let f = Folder::new();
     f.container();
-    for (ending, first) in [("html", b"<!do"), ("glb", b"glTF"), ("zip", b"PK\x03\x04")] {
+    for (ending, first) in [("html", b"<!do"), ("glb", b"glTF"), ("ora", b"PK\x03\x04"), ("zip", b"PK\x03\x04")] {
         let name = format!("out/box.{ending}");
         let run = f.run(&["export", "box.tmpi", "-o", &name, "--json"]).succeeds();
         let about = run.json();
@@ -369,6 +369,9 @@ fn exports_are_files_that_others_open() {
         f.run(&["export", "box.tmpi", "-o", &again, "--json"]).succeeds();
         assert!(std::fs::read(f.path(&again)).unwrap() == bytes, "{ending}");
     }
+    f.run(&["export", "box.tmpi", "-o", "far.glb", "--metric"]).succeeds();
+    assert!(std::fs::read(f.path("far.glb")).unwrap() != std::fs::read(f.path("out/box.glb")).unwrap());
+    f.run(&["export", "box.tmpi", "-o", "x.ora", "--metric"]).fails(2, &["--metric", "Usage: tmpi export"]);
     f.run(&["export", "box.tmpi", "-o", "titled.html", "--title", "A <box>"]).succeeds();
     assert!(std::fs::read_to_string(f.path("titled.html")).unwrap().contains("<title>A &lt;box&gt;</title>"));
     f.run(&["export", "box.tmpi", "-o", "part.tmpi", "--region", "0,0,9,9", "--lossless"]).succeeds();
