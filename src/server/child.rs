@@ -312,7 +312,7 @@ mod tests {
 
     fn fault(command: fn() -> io::Result<Command>) -> Fault {
         let checks = PipelineMaker::new(Models { depth: Arc::new(Flat), theta: None, psi: None }, &Limits::default());
-        let maker = ProcessMaker { checks, idle: Mutex::default(), command };
+        let maker = ProcessMaker { checks, idle: Mutex::default(), command, better: None, renewed: OnceLock::new() };
         let fault = maker.make(b"a photo", None, &Options::default(), &Silent).unwrap_err();
         assert!(maker.idle.lock().unwrap().is_empty(), "such a process is not kept");
         fault

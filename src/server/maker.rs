@@ -46,6 +46,7 @@ pub trait Maker: Send + Sync + 'static {
     }
 
     /// Name of the network that estimates depth, as reports tell it.
+    #[allow(clippy::unnecessary_literal_bound, reason = "makers that have a network lend its name")]
     fn network(&self) -> &str {
         ""
     }

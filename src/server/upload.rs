@@ -314,10 +314,12 @@ mod tests {
     #[test]
     fn an_option_is_given_once_however_it_is_spelt() {
         let mut chosen = Chosen::default();
-        assert!(chosen.set("max-size", "90").unwrap() && !chosen.set("colour", "red").unwrap());
+        chosen.set("max-size", "90").unwrap();
+        chosen.set("title", "A title").unwrap();
         for name in ["max-size", "max_size"] {
             let p = chosen.set(name, "90").unwrap_err();
             assert_eq!((p.status, p.field.as_deref()), (400, Some(name)));
         }
+        assert_eq!(chosen.set("title", "A title").unwrap_err().field.as_deref(), Some("title"));
     }
 }

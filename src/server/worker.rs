@@ -210,6 +210,7 @@ mod tests {
     use super::super::store::{Accepted, Store};
     use super::*;
     use crate::server::Limits;
+    use crate::server::settings::Settings;
 
     #[test]
     fn a_photo_on_worn_sectors_fails_alone_and_is_made_where_it_is_uploaded_again() {
@@ -221,7 +222,7 @@ mod tests {
             let incoming = jobs.store.begin().unwrap();
             files.write(&incoming.path(Part::Upload), b"photo").unwrap();
             let accepted = Accepted { version: 1, at_ms: 1, photo_bytes: 5, depth_bytes: None, options: BTreeMap::new() };
-            jobs.submit(incoming, PhotoId::of(&[1; 32], None, "", ""), accepted).unwrap().entry
+            jobs.submit(incoming, PhotoId::of(&[1; 32], None, "", ""), accepted, Settings::default()).unwrap().entry
         };
         let entry = upload();
         files.wear_out(&jobs.store.path(entry.id, Part::Upload));

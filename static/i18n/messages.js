@@ -80,7 +80,6 @@ const GERMAN = {
   'A page for any browser (.html)': 'Eine Seite für jeden Browser (.html)',
   'A 3D model (.glb)': 'Ein 3D-Modell (.glb)',
   'Layers for Krita or GIMP (.ora)': 'Ebenen für Krita oder GIMP (.ora)',
-  'Depth map (.png)': 'Tiefenkarte (.png)',
   'The 3D photo (.tmpi)': 'Das 3D-Foto (.tmpi)',
   'Take a photo': 'Foto aufnehmen',
   'The photo was deleted.': 'Das Foto wurde gelöscht.',

@@ -136,6 +136,7 @@ mod tests {
     use crate::server::files::Files as _;
     use crate::server::forgetful::Forgetful;
     use crate::server::maker::Never;
+    use crate::server::settings::Settings;
     use crate::server::store::{Accepted, Part, Store};
 
     #[test]
@@ -175,7 +176,7 @@ mod tests {
         }
         let id = PhotoId::of(&[1; 32], None, "", "");
         let accepted = Accepted { version: 1, at_ms: 1, photo_bytes: 5, depth_bytes: Some(5), options: BTreeMap::new() };
-        assert!(jobs.submit(incoming, id, accepted).unwrap().new);
+        assert!(jobs.submit(incoming, id, accepted, Settings::default()).unwrap().new);
         files.crash();
         let (store, found) = Store::open_in(files, dir, "", None).unwrap();
         assert_eq!(found.len(), 1);
