@@ -52,8 +52,13 @@ describe('films', () => {
       await seeked;
       const size = { width: video.videoWidth, height: video.videoHeight };
       const context = new OffscreenCanvas(size.width, size.height).getContext('2d');
-      context.drawImage(video, 0, 0);
-      const { data } = context.getImageData(0, 0, size.width, size.height);
+      // the first video of a page is black until its decoder has started
+      let data;
+      for (const end = performance.now() + 5000; performance.now() < end; await new Promise((resume) => setTimeout(resume, 50))) {
+        context.drawImage(video, 0, 0);
+        ({ data } = context.getImageData(0, 0, size.width, size.height));
+        if (data.some((v, i) => i % 4 < 3 && v > 0)) break;
+      }
       const [same, other] = [await window.seenAt(way, 0.25, size), await window.seenAt(way, 0.75, size)];
       return { ...size, duration: video.duration, same: window.off(data, same), other: window.off(data, other) };
     }, style);
