@@ -17,7 +17,7 @@ pub(super) struct ExportArgs {
     /// The container
     #[arg(value_name = "IN.tmpi")]
     input: PathBuf,
-    /// File to write: a page that opens from disk, a binary glTF model, OpenRaster (3 to 8 layers as large as the photo, and the depth
+    /// File to write: a page that opens from disk, a binary glTF model, layers for editors of pictures (.ora: 3 to 8 as large as the photo, and the depth
     /// map), photo, tiles and planes in an archive, or a container
     #[arg(short, long, value_name = "OUT.{html,glb,ora,zip,tmpi}")]
     output: PathBuf,

@@ -17,6 +17,7 @@ use tmpi_pipeline::{self, Made, Models, Options};
 
 /// Make tiled multiplane images of photos
 #[derive(Clone, Debug, clap::Args)]
+#[allow(clippy::struct_excessive_bools, reason = "flags of a command")]
 pub(super) struct MakeArgs {
     /// JPEG, PNG or WebP files, or folders of them with all folders below
     #[arg(required = true, value_name = "PHOTO|DIR")]

@@ -1,6 +1,8 @@
 //! Origin × Sec-Fetch-Site × Host × method × route: every route that the service has, for every kind of caller. With `TMPI_SHOW=matrix`
 //! and `--nocapture` the test prints the table.
 
+use std::fmt::Write as _;
+
 use tmpi::server::{Access, Route, routes};
 
 use crate::client::{Response, request};
@@ -106,7 +108,7 @@ fn every_route_answers_every_caller_as_it_should() {
         let own = route.methods.iter().flat_map(|m| if m == "GET" { vec!["GET", "HEAD"] } else { vec![m.as_str()] });
         for method in own.chain(MORE) {
             let path = target(route, method, &id);
-            table += &format!("| {method} {} |", route.path);
+            let _ = write!(table, "| {method} {} |", route.path);
             for caller in &callers {
                 let what = format!("{}: {method} {path}", caller.what);
                 let answer = call(&server, caller, method, &path);
@@ -127,7 +129,7 @@ fn every_route_answers_every_caller_as_it_should() {
                 if method == "OPTIONS" && status == 200 {
                     assert_eq!(answer.all("access-control-allow-methods"), "GET,HEAD", "{what}");
                 }
-                table += &format!(" {status}{} |", if read { "*" } else { "" });
+                let _ = write!(table, " {status}{} |", if read { "*" } else { "" });
             }
             table.push('\n');
         }

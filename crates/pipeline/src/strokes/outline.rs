@@ -107,6 +107,7 @@ impl Outlines {
 
     /// What [`Outlines::region`] goes by: mask, steps, distances, radius and size.
     #[cfg(test)]
+    #[allow(clippy::type_complexity, reason = "one test asks")]
     pub(super) fn traced(&self, stroke: &Stroke) -> (Vec<u8>, Vec<f32>, Vec<f32>, f64, (usize, usize)) {
         let near = self.near(stroke);
         let step = self.steps(near.corner, near.size, &near.away, near.radius);

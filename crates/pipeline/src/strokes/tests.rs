@@ -1,4 +1,5 @@
 //! Strokes against a plain reference, on plain photos, and on photos made to break them.
+#![allow(clippy::float_cmp, reason = "what is not touched keeps its bits")]
 
 use proptest::prelude::*;
 
