@@ -169,7 +169,6 @@ const GERMAN = {
     'Filme brauchen einen neueren Browser und eine Adresse mit https; ein GIF geht auch hier.',
   'For a light-field display (.png)': 'Für Lichtfeld-Bildschirme (.png)',
   'For red and cyan glasses (.jpg)': 'Für Rot-Cyan-Brillen (.jpg)',
-  'Forward and back': 'Vor und zurück',
   'In a frame': 'In einem Rahmen',
   Kind: 'Art',
   Length: 'Länge',
