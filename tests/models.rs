@@ -1,5 +1,5 @@
 //! Depth networks that are fetched: from a server that cuts, spoils and refuses; and which one is used then.
-#![allow(clippy::unwrap_used, reason = "test")]
+#![allow(clippy::unwrap_used, clippy::expect_used, reason = "test")]
 
 use std::io::{BufRead, BufReader, Write};
 use std::net::{SocketAddr, TcpListener};
