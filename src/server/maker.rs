@@ -45,10 +45,9 @@ pub trait Maker: Send + Sync + 'static {
         identity::PIPELINE
     }
 
-    /// Name of the network that estimates depth, as reports tell it.
-    #[allow(clippy::unnecessary_literal_bound, reason = "makers that have a network lend its name")]
+    /// Name of the network that estimates depth, as reports tell it; a maker that has no other name for it gives its identity.
     fn network(&self) -> &str {
-        ""
+        self.identity()
     }
 
     /// A better network that may be fetched; none where there is none, or it is here.

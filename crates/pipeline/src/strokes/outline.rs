@@ -50,13 +50,13 @@ pub struct Region {
 }
 
 /// The pixels around a stroke: a rectangle of the reduced photo.
-struct Near {
+pub(super) struct Near {
     corner: (usize, usize),
-    size: (usize, usize),
+    pub(super) size: (usize, usize),
     /// How far each is off the middle line, in pixels.
-    away: Vec<f32>,
+    pub(super) away: Vec<f32>,
     /// Of the brush, in pixels.
-    radius: f64,
+    pub(super) radius: f64,
 }
 
 impl Outlines {
@@ -105,13 +105,12 @@ impl Outlines {
         Near { corner: (x0, y0), size, away: distances(&line, (x0, y0), size, reach), radius }
     }
 
-    /// What [`Outlines::region`] goes by: mask, steps, distances, radius and size.
+    /// What [`Outlines::region`] finds, the steps' costs, and the pixels that it goes by.
     #[cfg(test)]
-    #[allow(clippy::type_complexity, reason = "one test asks")]
-    pub(super) fn traced(&self, stroke: &Stroke) -> (Vec<u8>, Vec<f32>, Vec<f32>, f64, (usize, usize)) {
+    pub(super) fn traced(&self, stroke: &Stroke) -> (Vec<u8>, Vec<f32>, Near) {
         let near = self.near(stroke);
         let step = self.steps(near.corner, near.size, &near.away, near.radius);
-        (self.region(stroke).mask, step, near.away, near.radius, near.size)
+        (self.region(stroke).mask, step, near)
     }
 
     /// Cost of a step through each pixel of a rectangle, in radii.
