@@ -1,46 +1,9 @@
-//! Progress on standard error: a bar a photo on a terminal, plain lines elsewhere.
+//! Progress on standard error: a bar on a terminal, plain lines elsewhere.
 
-use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
+use indicatif::{ProgressBar, ProgressStyle};
 use std::io::IsTerminal;
 
-use super::{note, result};
 use tmpi_pipeline::{Progress, Sink};
-
-/// Bars of photos that are worked on side by side.
-pub(super) struct Bars {
-    all: MultiProgress,
-    quiet: bool,
-}
-
-impl Bars {
-    /// Without a bar yet; `quiet` shows none.
-    pub(super) fn new(quiet: bool) -> Self {
-        Self { all: MultiProgress::new(), quiet }
-    }
-
-    /// Starts one for the photo `name`.
-    pub(super) fn bar(&self, name: &str) -> Bar {
-        let line = (!self.quiet && std::io::stderr().is_terminal()).then(|| {
-            let bar = self.all.add(ProgressBar::new(1));
-            if let Ok(style) = ProgressStyle::with_template("{prefix} [{bar:20}] {msg} {elapsed}") {
-                bar.set_style(style);
-            }
-            bar.set_prefix(name.to_owned());
-            bar
-        });
-        Bar { name: name.to_owned(), line, quiet: self.quiet }
-    }
-
-    /// Writes one line of results, not into a bar.
-    pub(super) fn result(&self, line: &str) -> anyhow::Result<()> {
-        self.all.suspend(|| result(line))
-    }
-
-    /// Writes one line to standard error, not into a bar.
-    pub(super) fn note(&self, line: &str) {
-        self.all.suspend(|| note(line));
-    }
-}
 
 /// Progress of one photo.
 pub(super) struct Bar {
@@ -49,19 +12,18 @@ pub(super) struct Bar {
     quiet: bool,
 }
 
-/// A stage in plain words.
-fn words(stage: &'static str) -> &'static str {
-    match stage {
-        "photo" => "reading the photo",
-        "depth" => "finding depth",
-        "denoise" => "cleaning the depth map",
-        "snap" => "fitting depth to edges",
-        "planes" => "placing planes",
-        "layers" => "filling what is hidden",
-        "refine" => "refining layers",
-        "encode" => "packing",
-        "verify" => "checking",
-        other => other,
+impl Bar {
+    /// Starts for the photo `name`; `quiet` shows nothing.
+    pub(super) fn new(name: &str, quiet: bool) -> Self {
+        let bar = (!quiet && std::io::stderr().is_terminal()).then(|| {
+            let bar = ProgressBar::new(1);
+            if let Ok(style) = ProgressStyle::with_template("{prefix} [{bar:20}] {msg} {elapsed}") {
+                bar.set_style(style);
+            }
+            bar.set_prefix(name.to_owned());
+            bar
+        });
+        Self { name: name.to_owned(), line: bar, quiet }
     }
 }
 
@@ -71,9 +33,9 @@ impl Sink for Bar {
         if let Some(bar) = &self.line {
             bar.set_length((*steps).into());
             bar.set_position(step.saturating_sub(1).into());
-            bar.set_message(words(stage));
+            bar.set_message(*stage);
         } else if !self.quiet {
-            note(&format!("{}: {} ({step}/{steps}, {:.1} s)", self.name, words(stage), elapsed_ms / 1e3));
+            eprintln!("{}: {stage} ({step}/{steps}, {elapsed_ms:.0} ms)", self.name);
         }
     }
 }
