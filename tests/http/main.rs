@@ -16,7 +16,7 @@ mod origins;
 mod process;
 mod results;
 mod settings;
-mod strokes;
 mod sharing;
+mod strokes;
 mod uploads;
 mod versions;

@@ -53,6 +53,7 @@ pub fn put(document: &mut Value) {
         ("/v1/photos/{id}/view", "format", Text::Words([&stills[..], &["mp4".to_owned()]].concat())),
         ("/v1/photos/{id}/view", "stereo", Text::Words(["sbs", "anaglyph"].map(str::to_owned).into())),
         ("/v1/photos/{id}/view", "quilt", Text::Pattern("^[0-9]+x[0-9]+$")),
+        ("/v1/photos/{id}/view", "crop", Text::Pattern("^[^,]+,[^,]+,[^,]+,[^,]+$")),
         ("/v1/photos/{id}/view", "path", Text::Words(words::<Path>())),
         ("/v1/photos/{id}/export", "format", Text::Words(exports.into())),
         ("/v1/photos/{id}/atlas", "region", Text::Pattern("^[0-9]+,[0-9]+,[0-9]+,[0-9]+$")),
