@@ -57,6 +57,7 @@ fn target(route: &Route, method: &str, id: &str) -> String {
     let query = match route.path.as_str() {
         "/v1/photos/{id}/view" => "?w=8",
         "/v1/photos/{id}/export" => "?format=glb",
+        "/oembed" => &format!("?url=http://localhost/view/{id}"),
         _ => "",
     };
     let path = route

@@ -118,7 +118,7 @@ mod tests {
         near.first_texel = 0;
         deep.layers.push(near);
         // a long lens moves it more
-        deep.intrinsics.fx = 200.0;
+        deep.intrinsics.fx = 150.0;
         let long = Outlook::of(&deep).travel.x;
         assert!((LEAST..Outlook::TRAVEL).contains(&long), "{long}");
         let way = 2.0 * long * deep.intrinsics.fx * 0.85 / 100.0;
