@@ -2,7 +2,7 @@
 
 import { DepthOfField } from '../draw/depth-of-field/aperture.js';
 import { TileErrors } from '../draw/tile-errors.js';
-import { eyes, framed, WHOLE } from './camera.js';
+import { eyes, framed } from './camera.js';
 
 /** @import { SceneHead } from '../decode/scene.js' */
 /** @import { WebGlRenderer } from '../draw/webgl.js' */
@@ -68,7 +68,7 @@ export class Display {
    */
   async picture(renderer, { pose, head, pivot, frame }, closer, detail) {
     const { width, height } = closer ?? head;
-    const k = framed(head, { width, height }, closer ? frame : WHOLE);
+    const k = framed(head, { width, height }, frame);
     const pixels = this.depthOfField.on
       ? await this.depthOfField.pixels(renderer, { pose, k, x: 0, width, height }, pivot)
       : await renderer.readPixels(pose, k, width, height);

@@ -69,6 +69,8 @@ describe('depth of field', () => {
       const settled = () => page.waitForFunction(() => !window.viewer.moving);
       /** The picture that is saved, and how far the canvas is from it, levels in the mean. */
       const picture = async () => {
+        // the pointer has moved the camera
+        await page.evaluate(() => window.viewer.setPose({}));
         await settled();
         const saved = await decoded(
           page,
