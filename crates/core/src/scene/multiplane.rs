@@ -205,15 +205,17 @@ mod tests {
         }
     }
 
+    type Change = fn(&mut Scene);
+
     #[test]
     fn each_part_that_does_not_fit_is_named() {
         assert_eq!(scene().validate(), Ok(()));
-        let wrong = |change: fn(&mut Scene)| {
+        let wrong = |change: Change| {
             let mut scene = scene();
             change(&mut scene);
             scene.validate().unwrap_err()
         };
-        let all: [(&str, fn(&mut Scene)); 22] = [
+        let all: [(&str, Change); 22] = [
             ("grid", |s| s.grid.width = 0),
             ("grid", |s| s.grid.height = 0),
             ("grid", |s| s.grid.size = 0),
