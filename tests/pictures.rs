@@ -114,6 +114,7 @@ fn the_reference_draws_its_goldens() {
         }
         let golden = std::fs::read(&path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
         let golden = of_jpeg(&golden);
+        assert_eq!(golden.len(), sheet.rgba.len(), "{family}");
         let width = sheet.width as usize;
         let seen = |views: &View| flip(&golden, &of_jpeg(&encode(views, PictureFormat::Jpeg, QUALITY).unwrap()), width);
         assert!(seen(&sheet) <= MOST_GOLDEN, "{family}: FLIP {:.5}", seen(&sheet));
