@@ -236,6 +236,10 @@ function hint() {
   if (viewer.mode === 'served' || localStorage.getItem(HINTED)) return;
   localStorage.setItem(HINTED, '1');
   note(t('Drag or point to look around; scroll, pinch or tap twice to come closer.'));
+  // whoever does it knows it
+  for (const type of ['pointerdown', 'wheel']) {
+    stage.addEventListener(type, () => $('served-note').classList.remove('on'), { once: true, passive: true });
+  }
 }
 
 /** Tilting is what phones are good at: offered at the first touch, since browsers ask for leave only then. */
