@@ -52,7 +52,7 @@ pub(super) struct MakeFlags {
     pub max_error: f64,
     /// Half extents of the box of camera positions, in units of the nearest distance; viewers go half as far as the usual one by
     /// themselves
-    #[arg(long, value_parser = view_box, default_value = "0.03,0.03,0.03", value_name = "X,Y,Z")]
+    #[arg(long, value_parser = view_box, default_value = "0.12,0.12,0.06", value_name = "X,Y,Z")]
     pub view_box: ViewBox,
     /// Milliseconds that making may take: the size and a parallax error of --max-error or more are chosen for it, by the costs
     /// that `tmpi bench` found on this machine (a file named by `TMPI_COSTS`)

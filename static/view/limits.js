@@ -4,7 +4,7 @@ import { extrinsics, lookingAt } from './camera.js';
 /** @import { SceneHead } from '../decode/scene.js' */
 
 /** The widest margin, as a share of the photo's longer side. */
-const WIDEST = 1 / 8;
+const WIDEST = 1 / 4;
 
 /**
  * Pixels by which the corners of the view box see past the photo's borders, and the share of the box that the widest margin allows.

@@ -6,7 +6,7 @@
 use tmpi_core::{Camera, Mat3, Plane, Pose, Scene, ViewBox, homography, mat3_vec};
 
 /// The widest margin, as a share of the photo's longer side. A view box that needs more sees past it at its corners.
-const WIDEST: f64 = 1.0 / 8.0;
+const WIDEST: f64 = 1.0 / 4.0;
 
 /// A part of a layer at its own place, or mirrored beyond a border.
 #[derive(Clone, Copy, Debug, PartialEq)]

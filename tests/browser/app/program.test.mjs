@@ -220,7 +220,7 @@ describe('the whole way', () => {
       window.viewer.moveTo({ x: 0.8, y: 0, z: 0 });
       return { placed: window.viewer.pose.tx, most: window.viewer.limits.x, box: window.viewer.head.viewBox.x };
     });
-    assert.ok(Math.abs(placed - 0.8 * most) < 1e-4 && most <= box + 1e-9 && most > 0.02, `${placed} of ${most} of ${box}`);
+    assert.ok(Math.abs(placed - 0.8 * most) < 1e-4 && most <= box / 2 + 1e-9 && most > 0.02, `${placed} of ${most} of ${box}`);
     await page.locator('#settings').click();
     await page.getByLabel('Title').fill('A box');
     for (const name of ['Start from here', 'Picture of the list from here']) await page.getByRole('button', { name }).click();

@@ -138,8 +138,9 @@ impl Default for Options {
 }
 
 impl Options {
-    /// The usual view box: as far as `check --photos` finds no holes with planes judged over it.
-    pub const VIEW_BOX: ViewBox = ViewBox { x: 0.03, y: 0.03, z: 0.03 };
+    /// The usual view box: twice as far to the sides as viewers go by themselves, so that whoever wants more can turn it up; forward a
+    /// little does much. `check --photos` tells what is uncovered at its corners, and half-way there.
+    pub const VIEW_BOX: ViewBox = ViewBox { x: 0.12, y: 0.12, z: 0.06 };
 
     /// The box over which planes are judged: all of one that somebody asked for, of the usual one that of [`ViewBox::default`], half of
     /// what viewers use by themselves. Judged farther out, containers are an eighth larger for what is below a pixel of a screen.
