@@ -111,7 +111,7 @@ impl Place {
 
     /// The network that a report names.
     fn used(&self, more: &[&str]) -> String {
-        self.run(&[&["make", "photo.png", "-o", "photo.tmpi", "-q", "--report", "report.json"], more].concat());
+        self.run(&[&["make", "photo.png", "-o", "photo.tmpi", "-qf", "--report", "report.json"], more].concat());
         let report: serde_json::Value = serde_json::from_slice(&std::fs::read(self.0.path().join("report.json")).unwrap()).unwrap();
         report["depth_model"].as_str().unwrap().to_owned()
     }

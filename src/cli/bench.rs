@@ -5,7 +5,7 @@ use std::path::PathBuf;
 #[cfg(feature = "codecs")]
 use super::bench_codec::{self, CodecArgs};
 use super::flags::ModelFlags;
-use super::{Usage, files, result};
+use super::{Usage, files, note, result};
 use tmpi_lab::bench::serve::{Load, Target};
 use tmpi_lab::bench::{self, Settings};
 use tmpi_pipeline::networks::models;
@@ -70,7 +70,7 @@ fn serve(args: &ServeArgs) -> anyhow::Result<()> {
         (None, None) => return Err(Usage("bench serve needs a URL or --photo".into()).into()),
     };
     let load = Load { views: args.views, memory_views: args.memory_views, width: args.width };
-    let results = bench::serve::run(&target, &load, &|what| eprintln!("tmpi bench serve: {what}"))?;
+    let results = bench::serve::run(&target, &load, &|what| note(&format!("tmpi bench serve: {what}")))?;
     result(&if args.json { serde_json::to_string_pretty(&results)? } else { results.table() })
 }
 
@@ -83,7 +83,7 @@ pub(super) fn run(args: &BenchArgs) -> anyhow::Result<()> {
     }
     let models = models::load(&args.models.settings())?;
     let settings = Settings { quick: args.quick, photos: args.photos.clone(), only: args.only.clone(), models };
-    let results = bench::run(&settings, &|what| eprintln!("tmpi bench: {what}"))?;
+    let results = bench::run(&settings, &|what| note(&format!("tmpi bench: {what}")))?;
     files::write(&args.output.join("results.json"), &serde_json::to_vec_pretty(&results)?)?;
     files::write(&args.output.join("results.csv"), results.csv().as_bytes())?;
     if let Some(costs) = &results.costs {
@@ -92,7 +92,7 @@ pub(super) fn run(args: &BenchArgs) -> anyhow::Result<()> {
     let page = args.output.join("index.html");
     files::write(&page, bench::html(&results).as_bytes())?;
     for s in &results.skipped {
-        eprintln!("left out: {s}");
+        note(&format!("left out: {s}"));
     }
     result(&format!("{}: {} experiments in {:.0} s", page.display(), results.experiments.len(), results.seconds))
 }

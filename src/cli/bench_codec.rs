@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use super::flags::{MakeFlags, ModelFlags};
-use super::{Usage, files, result};
+use super::{Usage, files, note, result};
 use tmpi_lab::bench::BenchError;
 use tmpi_lab::bench::codec::{self, Settings};
 use tmpi_pipeline::networks::models;
@@ -59,7 +59,7 @@ pub(super) fn run(args: &CodecArgs) -> anyhow::Result<()> {
         let kept = if args.files { files::write(&path, bytes) } else { Ok(()) };
         kept.map_err(|e| BenchError::File { path, reason: e.to_string() })
     };
-    let results = codec::run(&settings, &|what| eprintln!("tmpi bench codec: {what}"), &keep)?;
+    let results = codec::run(&settings, &|what| note(&format!("tmpi bench codec: {what}")), &keep)?;
     files::write(&args.output.join("codec.json"), &serde_json::to_vec_pretty(&results)?)?;
     files::write(&args.output.join("codec.csv"), results.csv().as_bytes())?;
     result(results.table().trim_end())

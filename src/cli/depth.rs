@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 use serde_json::json;
 
-use super::flags::{MakeFlags, ModelFlags};
-use super::progress::Bar;
+use super::flags::{DepthFlags, ModelFlags};
+use super::progress::Bars;
 use super::{Usage, files, result};
 use tmpi_core::DisparityMap;
 use tmpi_pipeline::depth::to_png;
@@ -33,7 +33,7 @@ pub(super) struct DepthArgs {
     #[arg(short, long)]
     quiet: bool,
     #[command(flatten)]
-    flags: MakeFlags,
+    flags: DepthFlags,
     #[command(flatten)]
     models: ModelFlags,
 }
@@ -52,7 +52,7 @@ pub(super) fn run(args: &DepthArgs) -> anyhow::Result<()> {
         let photo = photo::decode(&bytes, &limits, args.flags.max_size).with_context(|| name.clone())?.photo;
         models.depth.raw(&photo).with_context(|| name.clone())?
     } else {
-        let bar = Bar::new(&name, args.quiet);
+        let bar = Bars::new(args.quiet).bar(&name);
         // Planes come after disparity and have no part in it: as few and as plain as can be
         let options = Options {
             planes: PlaneCount::Fixed(1),

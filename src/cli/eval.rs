@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use super::flags::ModelFlags;
-use super::result;
+use super::{note, result};
 use tmpi_lab::eval::{self, Depth, Settings};
 use tmpi_pipeline::networks::models;
 
@@ -32,6 +32,6 @@ pub(super) struct EvalArgs {
 pub(super) fn run(args: &EvalArgs) -> anyhow::Result<()> {
     let models = models::load(&args.models.settings())?;
     let settings = Settings { depth: args.depth, only: args.only.clone(), lpips: args.lpips.clone() };
-    let results = eval::run(&models, &args.folders, &settings, &|scene| eprintln!("tmpi eval: {scene}"))?;
+    let results = eval::run(&models, &args.folders, &settings, &|scene| note(&format!("tmpi eval: {scene}")))?;
     result(&if args.json { serde_json::to_string_pretty(&results)? } else { results.table() })
 }

@@ -7,18 +7,19 @@ use anyhow::Context;
 use serde_json::json;
 
 use super::{Usage, files, result};
-use crate::export::{ExportFormat, export};
+use crate::export::{ExportFormat, ExportOptions, ModelShape, export};
 use tmpi_core::Rect;
 use tmpi_core::container::{self, LEVELS, RegionPhoto, Tiles};
 
-/// Write a container, or a part of it, as a page, a glTF model, an archive of its parts or a container
+/// Write a container, or a part of it, as a page, a glTF model, layers for editors of pictures, an archive of its parts or a container
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct ExportArgs {
     /// The container
     #[arg(value_name = "IN.tmpi")]
     input: PathBuf,
-    /// File to write: a page that opens from disk, a binary glTF model, photo, layers and planes in an archive, or a container
-    #[arg(short, long, value_name = "OUT.{html,glb,zip,tmpi}")]
+    /// File to write: a page that opens from disk, a binary glTF model, layers for editors of pictures (.ora: 3 to 8 as large as the photo, and the depth
+    /// map), photo, tiles and planes in an archive, or a container
+    #[arg(short, long, value_name = "OUT.{html,glb,ora,zip,tmpi}")]
     output: PathBuf,
     /// Only the tiles over this rectangle, in pixels of the photo; its part of the photo is coded anew
     #[arg(long, value_name = "X,Y,W,H")]
@@ -29,6 +30,9 @@ pub(super) struct ExportArgs {
     /// Code the region's photo without loss
     #[arg(long, requires = "region")]
     lossless: bool,
+    /// A glTF model in the photo's own space, with far things far away, instead of a relief that fits into a viewer's frame
+    #[arg(long)]
+    metric: bool,
     /// Title of the page; without it the container's name
     #[arg(long, value_name = "TEXT")]
     title: Option<String>,
@@ -51,10 +55,13 @@ pub(super) fn run(args: &ExportArgs) -> anyhow::Result<()> {
     let extension = files::extension(&args.output);
     let format = ExportFormat::from_extension(&extension);
     if format.is_none() && extension != "tmpi" {
-        return Err(Usage(format!("--output {} must end in .html, .glb, .zip or .tmpi", args.output.display())).into());
+        return Err(Usage(format!("--output {} must end in .html, .glb, .ora, .zip or .tmpi", args.output.display())).into());
     }
     if args.title.is_some() && format != Some(ExportFormat::Html) {
         return Err(Usage("--title is only for .html".into()).into());
+    }
+    if args.metric && format != Some(ExportFormat::Glb) {
+        return Err(Usage("--metric is only for .glb".into()).into());
     }
     let start = Instant::now();
     let whole = files::read(&args.input)?;
@@ -63,7 +70,9 @@ pub(super) fn run(args: &ExportArgs) -> anyhow::Result<()> {
     // a container that cannot be read must not become a page that cannot be shown
     let scene = container::decode(&container).with_context(context)?;
     let stem = args.input.file_stem().unwrap_or_default().to_string_lossy();
-    let written = format.map(|f| export(f, &container, &scene, args.title.as_deref().unwrap_or(&stem), &|| false)).transpose();
+    let shape = if args.metric { ModelShape::Metric } else { ModelShape::Relief };
+    let options = ExportOptions { title: args.title.as_deref().unwrap_or(&stem), shape };
+    let written = format.map(|f| export(f, &container, &scene, &options, &|| false)).transpose();
     let bytes = written.with_context(context)?.unwrap_or_else(|| container.clone());
     let ms = start.elapsed().as_secs_f64() * 1e3;
     files::write(&args.output, &bytes)?;

@@ -6,20 +6,44 @@ use std::path::{Path, PathBuf};
 use tmpi_core::ViewBox;
 use tmpi_pipeline::depth::{ADAPTERS, Adapter, DepthKind, adapter, detect};
 use tmpi_pipeline::networks::models::Settings;
-use tmpi_pipeline::networks::models::registry::{PUBLISHED, Published, best, folder, published};
+use tmpi_pipeline::networks::models::registry::{PUBLISHED, Published, published, usual};
 use tmpi_pipeline::networks::{Config, Provider};
 use tmpi_pipeline::strokes::Stroke;
 use tmpi_pipeline::{Denoise, Options, PlaneCount, PlaneMethod, Switch, TileSize};
 
-/// How a photo is made.
+/// How a photo is read and its depth found.
 #[derive(Clone, Debug, clap::Args)]
-pub(super) struct MakeFlags {
-    /// How the values of the depth map are meant
-    #[arg(long, value_enum, default_value_t, value_name = "KIND")]
-    pub depth_kind: DepthKind,
+pub(super) struct DepthFlags {
     /// Depth that the photo brings along (Google's depth map metadata, Dynamic Depth, portraits of iPhones sent as JPEG); on: fail without
     #[arg(long, value_enum, default_value_t, value_name = "SWITCH")]
     pub photo_depth: Switch,
+    /// Cleaning of the depth map
+    #[arg(long, value_enum, default_value_t, value_name = "METHOD")]
+    pub denoise: Denoise,
+    /// Snapping of blurred depth edges to colour edges
+    #[arg(long, value_enum, default_value_t, value_name = "SWITCH")]
+    pub snap: Switch,
+    /// Longest side in pixels; larger photos are reduced
+    #[arg(long, value_parser = max_size, value_name = "PX")]
+    pub max_size: Option<u32>,
+}
+
+impl DepthFlags {
+    /// The options that the flags stand for; all others are the usual ones.
+    pub(super) fn options(&self) -> Options {
+        let Self { photo_depth, snap, denoise, max_size } = *self;
+        Options { photo_depth, snap, denoise, max_size, ..Options::default() }
+    }
+}
+
+/// How a photo is made.
+#[derive(Clone, Debug, clap::Args)]
+pub(super) struct MakeFlags {
+    #[command(flatten)]
+    pub depth: DepthFlags,
+    /// How the values of the depth map are meant
+    #[arg(long, value_enum, default_value_t, value_name = "KIND")]
+    pub depth_kind: DepthKind,
     /// Horizontal field of view of the photo in degrees; without it EXIF, else 81.5
     #[arg(long, value_parser = fov_x, value_name = "DEG")]
     pub fov_x: Option<f64>,
@@ -32,18 +56,9 @@ pub(super) struct MakeFlags {
     /// Tile size in pixels, or one tile for the whole photo
     #[arg(long, value_parser = tile, default_value = "64", value_name = "H|full")]
     pub tile: TileSize,
-    /// Snapping of blurred depth edges to colour edges
-    #[arg(long, value_enum, default_value_t, value_name = "SWITCH")]
-    pub snap: Switch,
     /// Refinement of layers by the network psi.onnx in the folder of networks (`TMPI_MODELS`); auto: none
     #[arg(long, value_enum, default_value_t, value_name = "SWITCH")]
     pub refine: Switch,
-    /// Cleaning of the depth map
-    #[arg(long, value_enum, default_value_t, value_name = "METHOD")]
-    pub denoise: Denoise,
-    /// Longest side in pixels; larger photos are reduced
-    #[arg(long, value_parser = max_size, value_name = "PX")]
-    pub max_size: Option<u32>,
     /// Picture quality, 1 to 100
     #[arg(long, value_parser = quality, default_value = "90", value_name = "1-100")]
     pub quality: u8,
@@ -75,21 +90,18 @@ impl MakeFlags {
     pub(super) fn options(&self) -> Options {
         Options {
             depth_kind: self.depth_kind,
-            photo_depth: self.photo_depth,
             fov_x: self.fov_x,
             planes: self.planes,
             plane_method: self.plane_method,
             tile: self.tile,
-            snap: self.snap,
             refine: self.refine,
-            denoise: self.denoise,
-            max_size: self.max_size,
             quality: self.quality,
             max_error: self.max_error,
             view_box: self.view_box,
             budget_ms: self.budget_ms,
             verify_prune: self.verify_prune,
             strokes: self.strokes.clone().unwrap_or_default().0,
+            ..self.depth.options()
         }
     }
 }
@@ -146,7 +158,7 @@ pub(super) struct DepthModel {
 
 fn depth_model(text: &str) -> Result<DepthModel, String> {
     if text == "auto" {
-        let (adapter, file) = best(&folder()).map_or((&ADAPTERS[0], None), |(adapter, file)| (adapter, Some(file)));
+        let (adapter, file) = usual().map_or((&ADAPTERS[0], None), |(adapter, file)| (adapter, Some(file)));
         return Ok(DepthModel { auto: true, adapter, file });
     }
     let (name, file) = text.split_once('=').map_or((text, None), |(n, f)| (n, Some(PathBuf::from(f))));
@@ -219,7 +231,8 @@ fn max_size(text: &str) -> Result<u32, String> {
 }
 
 pub(super) fn quality(text: &str) -> Result<u8, String> {
-    let quality = u8::try_from(whole(text)?).unwrap_or(u8::MAX);
+    let number = whole(text)?;
+    let quality = u8::try_from(number).map_err(|_| format!("quality must be 1 to 100, not {number}"))?;
     checked(quality, |o, v| o.quality = v)
 }
 
@@ -271,9 +284,11 @@ mod tests {
     fn ranges_hold_at_their_ends_and_nan_is_refused() {
         assert!(planes("1").is_ok() && planes("64").is_ok() && planes("0").is_err() && planes("65").is_err());
         assert!(tile("8").is_ok() && tile("1024").is_ok() && tile("7").is_err() && tile("1025").is_err() && tile("full").is_ok());
-        assert!(
-            quality("1").is_ok() && quality("100").is_ok() && quality("0").is_err() && quality("101").is_err() && quality("300").is_err()
-        );
+        assert!(quality("1").is_ok() && quality("100").is_ok() && quality("0").is_err() && quality("101").is_err());
+        for (over, told) in [("101", "not 101"), ("300", "not 300"), ("4294967295", "not 4294967295")] {
+            let error = quality(over).unwrap_err();
+            assert!(error.contains("1 to 100") && error.contains(told), "{error}");
+        }
         assert!(max_size("1").is_ok() && max_size("16384").is_ok() && max_size("0").is_err() && max_size("16385").is_err());
         assert!(fov_x("0.1").is_ok() && fov_x("179").is_ok() && fov_x("0").is_err() && fov_x("180").is_err());
         assert!(budget_ms("1").is_ok() && budget_ms("1e7").is_ok() && budget_ms("0.9").is_err() && budget_ms("1.1e7").is_err());

@@ -1,12 +1,15 @@
 //! `tmpi make`.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::mpsc;
 
 use serde_json::json;
 
+use super::batch::{Batch, Item};
 use super::flags::{MakeFlags, ModelFlags};
-use super::progress::Bar;
-use super::{Usage, files, result};
+use super::progress::Bars;
+use super::{Usage, files, is_broken_pipe, reasons};
 use tmpi_pipeline::Report;
 use tmpi_pipeline::networks::models;
 use tmpi_pipeline::photo::Limits;
@@ -16,12 +19,21 @@ use tmpi_pipeline::{self, Made, Models, Options};
 #[derive(Clone, Debug, clap::Args)]
 #[allow(clippy::struct_excessive_bools, reason = "flags of a command")]
 pub(super) struct MakeArgs {
-    /// JPEG, PNG or WebP files
-    #[arg(required = true, value_name = "PHOTO")]
+    /// JPEG, PNG or WebP files, or folders of them with all folders below
+    #[arg(required = true, value_name = "PHOTO|DIR")]
     photos: Vec<PathBuf>,
-    /// Container to write; with several photos, or where it is a folder, the folder for them
+    /// Container to write; with several photos, or where it is a folder, the folder for them. Missing folders are made
     #[arg(short, long, value_name = "OUT.tmpi|DIR")]
     output: PathBuf,
+    /// Make again what is there already. Without it a container that is there is left in a folder, and is an error where it alone is named
+    #[arg(short, long)]
+    force: bool,
+    /// Leave what is there already, also where it alone is named
+    #[arg(long, conflicts_with = "force")]
+    skip_existing: bool,
+    /// Photos that are made side by side; each uses several cores already
+    #[arg(short, long, value_parser = clap::value_parser!(u16).range(1..=256), default_value_t = 1, value_name = "N")]
+    jobs: u16,
     /// Depth map of the one photo, a grey PNG of 8 or 16 bits
     #[arg(long, value_name = "FILE")]
     depth: Option<PathBuf>,
@@ -31,7 +43,7 @@ pub(super) struct MakeArgs {
     /// A line of JSON on standard output for each photo
     #[arg(long)]
     json: bool,
-    /// No progress
+    /// No progress, and nothing on standard output but what --json asks for
     #[arg(short, long)]
     quiet: bool,
     #[command(flatten)]
@@ -41,118 +53,129 @@ pub(super) struct MakeArgs {
 }
 
 pub(super) fn run(args: &MakeArgs) -> anyhow::Result<()> {
+    let one_map = || Usage("--depth takes the map of one photo; several photos were given".into());
     if args.depth.is_some() && args.photos.len() > 1 {
-        return Err(Usage("--depth takes the map of one photo; several photos were given".into()).into());
+        return Err(one_map().into());
     }
-    if args.flags.strokes.is_some() && args.photos.len() > 1 {
+    let Batch { items, folder } = Batch::of(&args.photos, &args.output)?;
+    if args.depth.is_some() && items.len() > 1 {
+        return Err(one_map().into());
+    }
+    if args.flags.strokes.is_some() && items.len() > 1 {
         return Err(Usage("--strokes takes those of one photo; several photos were given".into()).into());
     }
-    let outputs = outputs(&args.photos, &args.output)?;
+    let total = items.len();
+    let items: Vec<Item> = if args.force { items } else { items.into_iter().filter(|i| !i.output.exists()).collect() };
+    let left = total - items.len();
+    let bars = Bars::new(args.quiet);
+    let named = args.output.display();
+    anyhow::ensure!(
+        left == 0 || folder || args.skip_existing,
+        "{named} is there already: --force makes it again, --skip-existing leaves it"
+    );
+    if left > 0 && !args.quiet {
+        let what = if folder { format!("{left} of {total} are") } else { format!("{named} is") };
+        bars.note(&format!("{what} there already and left so; --force makes them again"));
+    }
+    if items.is_empty() {
+        return Ok(());
+    }
     let depth = args.depth.as_deref().map(files::read).transpose()?;
-    let (options, models) = (args.flags.options(), models::load(&args.models.settings())?);
-    let mut reports = Vec::new();
-    let mut failed = 0;
-    for (photo, output) in args.photos.iter().zip(&outputs) {
-        match one(&models, photo, depth.as_deref(), &options, output, args.quiet) {
+    let models = models::load(&args.models.settings())?;
+    let work = Work { models: &models, depth: depth.as_deref(), options: &args.flags.options(), bars: &bars, total: items.len() };
+    let (mut made, mut failed) = (Vec::new(), 0);
+    let mut telling = true;
+    work.all(&items, args.jobs, |index, result| {
+        match result {
             Ok(report) => {
-                tell(photo, output, &report, args.json)?;
-                reports.push((photo, output, report));
+                if telling && let Err(error) = tell(&bars, &items[index], &report, args) {
+                    anyhow::ensure!(is_broken_pipe(&error), error);
+                    // the containers are what was asked for, whether or not somebody reads about them
+                    telling = false;
+                }
+                made.push((index, report));
             }
-            Err(error) if args.photos.len() == 1 => return Err(error),
+            Err(error) if !folder => return Err(error),
             Err(error) => {
                 failed += 1;
-                eprintln!("tmpi: {error:#}");
+                bars.note(&format!("tmpi: {}", reasons(&error)));
             }
         }
-    }
+        Ok(())
+    })?;
     if let Some(file) = &args.report {
-        let text = match reports.as_slice() {
-            [(_, _, report)] if args.photos.len() == 1 => serde_json::to_vec_pretty(report)?,
-            all => {
-                let list: Vec<_> = all.iter().map(|(p, o, r)| json!({ "photo": p, "output": o, "report": r })).collect();
-                serde_json::to_vec_pretty(&list)?
-            }
+        made.sort_by_key(|(index, _)| *index);
+        let about = |(i, report): &(usize, Report)| json!({ "photo": items[*i].photo, "output": items[*i].output, "report": report });
+        let text = match made.as_slice() {
+            [(_, report)] if total == 1 => serde_json::to_vec_pretty(report)?,
+            all => serde_json::to_vec_pretty(&all.iter().map(about).collect::<Vec<_>>())?,
         };
         files::write(file, &text)?;
     }
-    anyhow::ensure!(failed == 0, "{failed} of {} photos failed", args.photos.len());
+    anyhow::ensure!(failed == 0, "{failed} of {} photos failed", items.len());
     Ok(())
 }
 
-fn one(models: &Models, photo: &Path, depth: Option<&[u8]>, options: &Options, output: &Path, quiet: bool) -> anyhow::Result<Report> {
-    let bytes = files::read(photo)?;
-    let bar = Bar::new(&photo.display().to_string(), quiet);
-    let made = tmpi_pipeline::make(models, &Limits::default(), &bytes, depth, options, &bar);
-    drop(bar);
-    let Made { container, report, .. } = made.map_err(|e| anyhow::Error::new(e).context(photo.display().to_string()))?;
-    files::write(output, &container)?;
-    Ok(report)
+/// What all photos are made with.
+struct Work<'a> {
+    models: &'a Models,
+    depth: Option<&'a [u8]>,
+    options: &'a Options,
+    bars: &'a Bars,
+    total: usize,
 }
 
-fn tell(photo: &Path, output: &Path, report: &Report, json: bool) -> anyhow::Result<()> {
-    if json {
-        return result(&json!({ "photo": photo, "output": output, "bytes": report.bytes.total, "report": report }).to_string());
+impl Work<'_> {
+    /// Makes all photos, `jobs` side by side; `done` is called for each as it ends, here, and ends it all by an error.
+    fn all(
+        &self,
+        items: &[Item],
+        jobs: u16,
+        mut done: impl FnMut(usize, anyhow::Result<Report>) -> anyhow::Result<()>,
+    ) -> anyhow::Result<()> {
+        let next = AtomicUsize::new(0);
+        std::thread::scope(|scope| {
+            let (send, receive) = mpsc::channel();
+            for _ in 0..usize::from(jobs).min(items.len()) {
+                let (send, next) = (send.clone(), &next);
+                scope.spawn(move || {
+                    loop {
+                        let index = next.fetch_add(1, Ordering::Relaxed);
+                        let Some(item) = items.get(index) else { break };
+                        if send.send((index, self.one(index, item))).is_err() {
+                            break;
+                        }
+                    }
+                });
+            }
+            drop(send);
+            receive.into_iter().try_for_each(|(index, result)| done(index, result))
+        })
+    }
+
+    fn one(&self, index: usize, item: &Item) -> anyhow::Result<Report> {
+        let bytes = files::read(&item.photo)?;
+        let name = item.photo.display().to_string();
+        let bar = self.bars.bar(&if self.total > 1 { format!("[{}/{}] {name}", index + 1, self.total) } else { name.clone() });
+        let made = tmpi_pipeline::make(self.models, &Limits::default(), &bytes, self.depth, self.options, &bar);
+        drop(bar);
+        let Made { container, report, .. } = made.map_err(|e| anyhow::Error::new(e).context(name))?;
+        files::write(&item.output, &container)?;
+        Ok(report)
+    }
+}
+
+fn tell(bars: &Bars, item: &Item, report: &Report, args: &MakeArgs) -> anyhow::Result<()> {
+    let Item { photo, output, .. } = item;
+    if args.json {
+        return bars.result(&json!({ "photo": photo, "output": output, "bytes": report.bytes.total, "report": report }).to_string());
+    }
+    if args.quiet {
+        return Ok(());
     }
     let kb = |n: usize| n as f64 / 1000.0;
     let b = &report.bytes;
-    result(&format!(
-        "{}: {}×{}, {:.1} KB (photo {:.1}, alpha {:.1}, hidden {:.1}), {} planes in {} tiles, {:.0} ms",
-        output.display(),
-        report.width,
-        report.height,
-        kb(b.total),
-        kb(b.photo),
-        kb(b.alpha),
-        kb(b.hidden),
-        report.planes,
-        report.tiles,
-        report.total_ms
-    ))
-}
-
-/// Where each photo's container goes.
-fn outputs(photos: &[PathBuf], output: &Path) -> Result<Vec<PathBuf>, Usage> {
-    let text = output.as_os_str().to_string_lossy();
-    let folder = photos.len() > 1 || output.is_dir() || text.ends_with(['/', std::path::MAIN_SEPARATOR]);
-    let all: Vec<PathBuf> = if folder {
-        if output.is_file() {
-            return Err(Usage(format!("--output {text} must be a folder for several photos; it is a file")));
-        }
-        photos.iter().map(|p| output.join(p.file_stem().unwrap_or_default()).with_added_extension("tmpi")).collect()
-    } else {
-        vec![output.to_owned()]
-    };
-    for (i, path) in all.iter().enumerate() {
-        if let Some(j) = all[..i].iter().position(|p| p == path) {
-            let (a, b) = (photos[j].display(), photos[i].display());
-            return Err(Usage(format!("{a} and {b} would both be written to {}", path.display())));
-        }
-        if photos.contains(path) {
-            return Err(Usage(format!("{} is a photo and would be overwritten", path.display())));
-        }
-    }
-    Ok(all)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn paths(names: &[&str]) -> Vec<PathBuf> {
-        names.iter().map(PathBuf::from).collect()
-    }
-
-    #[test]
-    fn one_photo_to_a_file_several_to_a_folder() {
-        assert_eq!(outputs(&paths(&["a.jpg"]), Path::new("x.tmpi")).unwrap(), paths(&["x.tmpi"]));
-        assert_eq!(outputs(&paths(&["in/a.b.jpg", "c.png"]), Path::new("out")).unwrap(), paths(&["out/a.b.tmpi", "out/c.tmpi"]));
-        assert_eq!(outputs(&paths(&["a.jpg"]), Path::new("new/")).unwrap(), paths(&["new/a.tmpi"]));
-    }
-
-    #[test]
-    fn nothing_is_overwritten_unawares() {
-        assert!(outputs(&paths(&["a/x.jpg", "b/x.png"]), Path::new("out")).unwrap_err().to_string().contains("out/x.tmpi"));
-        assert!(outputs(&paths(&["a.jpg"]), Path::new("a.jpg")).unwrap_err().to_string().contains("overwritten"));
-        assert!(outputs(&paths(&["a.jpg", "b.jpg"]), Path::new("Cargo.toml")).unwrap_err().to_string().contains("folder"));
-    }
+    let (width, height, seconds) = (report.width, report.height, report.total_ms / 1e3);
+    let share = format!("the photo {:.1}, its depth {:.1}", kb(b.photo), kb(b.total - b.photo));
+    bars.result(&format!("{}: {width}×{height}, {:.1} KB ({share}), {seconds:.1} s", output.display(), kb(b.total)))
 }

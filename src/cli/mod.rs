@@ -1,5 +1,6 @@
 //! The command line: results on standard output, progress and logs on standard error, exit code 0, 1 (failed) or 2 (usage).
 
+mod batch;
 mod bench;
 #[cfg(feature = "codecs")]
 mod bench_codec;
@@ -24,7 +25,7 @@ use std::io::{IsTerminal, Write};
 use std::process::ExitCode;
 
 use clap::error::ErrorKind;
-use clap::{CommandFactory, Parser, Subcommand};
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use tracing_subscriber::EnvFilter;
 
 /// Turns a photo into a tiled multiplane image and shows it from other places.
@@ -43,17 +44,29 @@ enum Command {
     Depth(depth::DepthArgs),
     Export(export::ExportArgs),
     Serve(serve::ServeArgs),
-    Synth(synth::SynthArgs),
-    Check(check::CheckArgs),
-    Compare(compare::CompareArgs),
     Models(models::ModelsArgs),
-    Bench(bench::BenchArgs),
-    Eval(eval::EvalArgs),
     /// Write a completion script for a shell
     Completions {
         /// The shell
         shell: clap_complete::Shell,
     },
+    Compare(compare::CompareArgs),
+    Check(check::CheckArgs),
+    Bench(bench::BenchArgs),
+    Eval(eval::EvalArgs),
+    Synth(synth::SynthArgs),
+}
+
+/// Commands that measure; whoever has photos needs none of them, and help lists them apart.
+const INSTRUMENTS: [&str; 5] = ["compare", "check", "bench", "eval", "synth"];
+
+/// The definition as it is read and shown.
+fn command() -> clap::Command {
+    let all = Cli::command();
+    let about = |name: &str| all.find_subcommand(name).and_then(clap::Command::get_about).map_or_else(String::new, ToString::to_string);
+    let lines: Vec<String> = INSTRUMENTS.iter().map(|name| format!("  {name:<12} {}", about(name))).collect();
+    let listed = format!("Instruments, to measure what the program does:\n{}", lines.join("\n"));
+    INSTRUMENTS.iter().fold(all, |all, name| all.mut_subcommand(name, |c| c.hide(true))).after_help(listed)
 }
 
 /// A command line that cannot be meant; exit code 2.
@@ -68,9 +81,11 @@ pub fn main() -> ExitCode {
     #[allow(unsafe_code, reason = "the one call before all others")]
     unsafe {
         tmpi_pipeline::networks::keep_to_yourself();
+        tmpi_render::without_a_display();
     };
-    let cli = match Cli::try_parse() {
-        Ok(cli) => cli,
+    let parsed = command().try_get_matches().and_then(|all| Ok((all.subcommand_name().map(str::to_owned), Cli::from_arg_matches(&all)?)));
+    let (name, cli) = match parsed {
+        Ok(parsed) => parsed,
         Err(error) => {
             // Nothing is left to do where even this cannot be written
             let _ = error.print();
@@ -81,15 +96,16 @@ pub fn main() -> ExitCode {
     match run(cli.command) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) if error.is::<Usage>() => {
-            let _ = Cli::command().error(ErrorKind::ValueValidation, error).print();
+            let mut all = command();
+            // usage and advice are those of the command that was called
+            all.build();
+            let called = name.as_deref().and_then(|name| all.find_subcommand(name)).cloned();
+            let _ = called.unwrap_or(all).error(ErrorKind::ValueValidation, error).print();
             ExitCode::from(2)
         }
-        // Whoever reads the results has had enough
-        Err(error) if error.downcast_ref::<std::io::Error>().is_some_and(|e| e.kind() == std::io::ErrorKind::BrokenPipe) => {
-            ExitCode::SUCCESS
-        }
+        Err(error) if is_broken_pipe(&error) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("tmpi: {error:#}");
+            fault(&error);
             ExitCode::FAILURE
         }
     }
@@ -123,7 +139,37 @@ fn log_to_stderr(level: &str) {
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(level));
     // A second call, as in tests, changes nothing
     let ansi = std::io::stderr().is_terminal();
-    let _ = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).with_ansi(ansi).try_init();
+    let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).with_ansi(ansi);
+    // where nobody reads, telling that would end the program
+    let _ = log.log_internal_errors(false).try_init();
+}
+
+/// Writes one line to standard error, where somebody reads it.
+fn note(line: &str) {
+    let _ = writeln!(std::io::stderr(), "{line}");
+}
+
+/// Tells a failure.
+fn fault(error: &anyhow::Error) {
+    note(&format!("tmpi: {}", reasons(error)));
+}
+
+/// An error and what it comes from, each reason once: some texts hold those below them.
+fn reasons(error: &anyhow::Error) -> String {
+    let mut all = String::new();
+    for reason in error.chain().map(ToString::to_string) {
+        if all.is_empty() {
+            all = reason;
+        } else if !all.contains(&reason) {
+            all = format!("{all}: {reason}");
+        }
+    }
+    all
+}
+
+/// Whoever reads the results has had enough.
+fn is_broken_pipe(error: &anyhow::Error) -> bool {
+    error.downcast_ref::<std::io::Error>().is_some_and(|e| e.kind() == std::io::ErrorKind::BrokenPipe)
 }
 
 /// Writes one line of results.
@@ -139,5 +185,26 @@ mod tests {
     #[test]
     fn the_definition_is_sound() {
         Cli::command().debug_assert();
+        command().debug_assert();
+    }
+
+    #[test]
+    fn instruments_are_listed_once_and_apart() {
+        let help = command().render_help().to_string();
+        let (users, instruments) = help.split_once("Instruments").unwrap();
+        for name in INSTRUMENTS {
+            let line = format!("\n  {name} ");
+            assert!(!users.contains(&line) && instruments.contains(&line), "{name}:\n{help}");
+        }
+        assert!(users.contains("\n  make ") && !instruments.contains("\n  make "));
+    }
+
+    #[test]
+    fn each_reason_is_told_once() {
+        let io = || std::io::Error::other("in use");
+        let once = anyhow::Error::new(io()).context("cannot listen");
+        assert_eq!(reasons(&once), "cannot listen: in use");
+        let twice = anyhow::Error::new(io()).context("cannot listen: in use").context("server");
+        assert_eq!(reasons(&twice), "server: cannot listen: in use");
     }
 }

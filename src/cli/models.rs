@@ -6,9 +6,9 @@ use std::path::PathBuf;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
 
-use super::{Usage, result};
+use super::{Usage, note, reasons, result};
 use tmpi_pipeline::networks::models::download::{Digest, Wanted, fetch};
-use tmpi_pipeline::networks::models::registry::{BETTER, PUBLISHED, best, folder, published};
+use tmpi_pipeline::networks::models::registry::{BETTER, PUBLISHED, folder, published, usual};
 
 /// List and fetch depth networks that others have published
 #[derive(Clone, Debug, clap::Args)]
@@ -50,12 +50,12 @@ pub(super) fn run(args: &ModelsArgs) -> anyhow::Result<()> {
     match &args.command {
         Command::List { json } => list(*json),
         Command::Get { name, url, sha256, output, quiet } if name == "auto" => {
-            if let Some((_, file)) = best(&folder()).filter(|_| output.is_none()) {
+            if let Some((_, file)) = usual().filter(|_| output.is_none()) {
                 return result(&file.display().to_string());
             }
             let got = get(BETTER, url.as_deref().zip(*sha256), output.clone(), *quiet);
             if let Err(error) = got {
-                eprintln!("no better depth network, the embedded one is used: {error:#}");
+                note(&format!("no better depth network, the embedded one is used: {}", reasons(&error)));
             }
             Ok(())
         }
@@ -95,7 +95,7 @@ fn get(name: &str, own: Option<(&str, Digest)>, output: Option<PathBuf>, quiet: 
     }
     let file = output.unwrap_or_else(|| folder().join(format!("{name}.onnx")));
     if !quiet {
-        eprintln!("{url}\n{}", known.filter(|_| own.is_none()).map_or_else(String::new, |p| format!("licence: {}", p.licence)));
+        note(&format!("{url}\n{}", known.filter(|_| own.is_none()).map_or_else(String::new, |p| format!("licence: {}", p.licence))));
     }
     let bar = (!quiet && std::io::stderr().is_terminal()).then(|| ProgressBar::new(0));
     if let (Some(bar), Ok(style)) = (&bar, ProgressStyle::with_template("[{bar:30}] {bytes}/{total_bytes} {bytes_per_sec} {eta}")) {
@@ -111,7 +111,7 @@ fn get(name: &str, own: Option<(&str, Digest)>, output: Option<PathBuf>, quiet: 
         bar.finish_and_clear();
     }
     if !fetched? && !quiet {
-        eprintln!("it was here already");
+        note("it was here already");
     }
     result(&file.display().to_string())
 }

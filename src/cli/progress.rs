@@ -1,9 +1,46 @@
-//! Progress on standard error: a bar on a terminal, plain lines elsewhere.
+//! Progress on standard error: a bar a photo on a terminal, plain lines elsewhere.
 
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
 use std::io::IsTerminal;
 
+use super::{note, result};
 use tmpi_pipeline::{Progress, Sink};
+
+/// Bars of photos that are worked on side by side.
+pub(super) struct Bars {
+    all: MultiProgress,
+    quiet: bool,
+}
+
+impl Bars {
+    /// Without a bar yet; `quiet` shows none.
+    pub(super) fn new(quiet: bool) -> Self {
+        Self { all: MultiProgress::new(), quiet }
+    }
+
+    /// Starts one for the photo `name`.
+    pub(super) fn bar(&self, name: &str) -> Bar {
+        let line = (!self.quiet && std::io::stderr().is_terminal()).then(|| {
+            let bar = self.all.add(ProgressBar::new(1));
+            if let Ok(style) = ProgressStyle::with_template("{prefix} [{bar:20}] {msg} {elapsed}") {
+                bar.set_style(style);
+            }
+            bar.set_prefix(name.to_owned());
+            bar
+        });
+        Bar { name: name.to_owned(), line, quiet: self.quiet }
+    }
+
+    /// Writes one line of results, not into a bar.
+    pub(super) fn result(&self, line: &str) -> anyhow::Result<()> {
+        self.all.suspend(|| result(line))
+    }
+
+    /// Writes one line to standard error, not into a bar.
+    pub(super) fn note(&self, line: &str) {
+        self.all.suspend(|| note(line));
+    }
+}
 
 /// Progress of one photo.
 pub(super) struct Bar {
@@ -12,18 +49,19 @@ pub(super) struct Bar {
     quiet: bool,
 }
 
-impl Bar {
-    /// Starts for the photo `name`; `quiet` shows nothing.
-    pub(super) fn new(name: &str, quiet: bool) -> Self {
-        let bar = (!quiet && std::io::stderr().is_terminal()).then(|| {
-            let bar = ProgressBar::new(1);
-            if let Ok(style) = ProgressStyle::with_template("{prefix} [{bar:20}] {msg} {elapsed}") {
-                bar.set_style(style);
-            }
-            bar.set_prefix(name.to_owned());
-            bar
-        });
-        Self { name: name.to_owned(), line: bar, quiet }
+/// A stage in plain words.
+fn words(stage: &'static str) -> &'static str {
+    match stage {
+        "photo" => "reading the photo",
+        "depth" => "finding depth",
+        "denoise" => "cleaning the depth map",
+        "snap" => "fitting depth to edges",
+        "planes" => "placing planes",
+        "layers" => "filling what is hidden",
+        "refine" => "refining layers",
+        "encode" => "packing",
+        "verify" => "checking",
+        other => other,
     }
 }
 
@@ -33,9 +71,9 @@ impl Sink for Bar {
         if let Some(bar) = &self.line {
             bar.set_length((*steps).into());
             bar.set_position(step.saturating_sub(1).into());
-            bar.set_message(*stage);
+            bar.set_message(words(stage));
         } else if !self.quiet {
-            eprintln!("{}: {stage} ({step}/{steps}, {elapsed_ms:.0} ms)", self.name);
+            note(&format!("{}: {} ({step}/{steps}, {:.1} s)", self.name, words(stage), elapsed_ms / 1e3));
         }
     }
 }

@@ -8,9 +8,9 @@ use anyhow::Context;
 use serde_json::json;
 
 use super::flags::{fov_x, numbers, quality, size};
-use super::{Usage, files, result};
+use super::{Usage, files, note, result};
 use tmpi_core::container;
-use tmpi_core::{Camera, Intrinsics, Pose, Scene};
+use tmpi_core::{Camera, Intrinsics, Pose, Scene, ViewBox};
 use tmpi_render::{self, Animation, AnimationFormat, Arrangement, Backend, MAX_PIXELS, MAX_SIDE, Outlook, PictureFormat, Rig};
 
 /// Draw a container from another place
@@ -44,9 +44,10 @@ pub(super) struct RenderArgs {
     /// Views from left to right over the width of the view box, at most 0.06, as light-field displays take them; --size is that of each
     #[arg(long, value_parser = Arrangement::quilt, conflicts_with = "stereo", value_name = "COLUMNSxROWS")]
     quilt: Option<Arrangement>,
-    /// With --stereo or --quilt: disparity that lies in the screen; what is nearer stands before it
-    #[arg(long, value_parser = focus, default_value = "0", value_name = "DISPARITY")]
-    focus: f64,
+    /// With --stereo or --quilt: disparity that lies in the screen; what is nearer stands before it. Without it that of the middle of
+    /// the photo's area, as in the viewer
+    #[arg(long, value_parser = focus, value_name = "DISPARITY")]
+    focus: Option<f64>,
     /// Move the camera once around, as far as viewers move the photo by themselves
     #[arg(long, value_enum, value_name = "PATH")]
     path: Option<tmpi_render::Path>,
@@ -103,14 +104,17 @@ pub(super) fn run(args: &RenderArgs) -> anyhow::Result<()> {
     let outlook = Outlook::of(&scene);
     let mut film = film.map(|format| Animation::start(format, (whole_width, whole_height), args.quality)).transpose()?;
     let begun = Instant::now();
+    let camera_of = |frame: u32| args.path.map_or(camera, |path| path.camera(&camera, frame, frames, &outlook));
+    let is_outside = |frame: u32| is_outside(&scene.view_box, &camera_of(frame).pose, rig.as_ref());
+    if (0..frames).any(is_outside) {
+        let ViewBox { x, y, z } = scene.view_box;
+        let what = "the picture may have holes and torn edges";
+        note(&format!("tmpi: the camera is outside the view box, ±{x} right, ±{y} down, ±{z} forward: {what}"));
+    }
     for frame in 0..frames {
         let start = Instant::now();
-        let mut camera = camera;
-        let mut output = args.output.clone();
-        if let Some(path) = args.path {
-            camera = path.camera(&camera, frame, frames, &outlook);
-            output = numbered(&args.output, frame + 1, frames);
-        }
+        let camera = camera_of(frame);
+        let output = args.path.map_or_else(|| args.output.clone(), |_| numbered(&args.output, frame + 1, frames));
         let view = match &rig {
             Some(rig) => tmpi_render::draw_several(renderer.as_ref(), &scene, &camera, rig)?,
             None => renderer.render(&scene, &camera)?,
@@ -123,7 +127,10 @@ pub(super) fn run(args: &RenderArgs) -> anyhow::Result<()> {
         files::write(&output, &tmpi_render::encode(&view, format, args.quality)?)?;
         if args.json {
             let (w, h) = (view.width, view.height);
-            let about = json!({ "output": output, "width": w, "height": h, "backend": renderer.name(), "pose": camera.pose, "ms": ms });
+            let outside = is_outside(frame);
+            let about = json!({
+                "output": output, "width": w, "height": h, "backend": renderer.name(), "pose": camera.pose, "outside_view_box": outside, "ms": ms,
+            });
             result(&about.to_string())?;
         } else {
             result(&format!("{}: {}×{}, {} in {ms:.1} ms", output.display(), view.width, view.height, renderer.name()))?;
@@ -150,6 +157,12 @@ fn focus(text: &str) -> Result<f64, String> {
     }
 }
 
+/// True where one of the cameras stands outside the view box.
+fn is_outside(view_box: &ViewBox, pose: &Pose, rig: Option<&Rig>) -> bool {
+    let reach = rig.map_or(0.0, |rig| rig.baseline / 2.0);
+    [-reach, reach].iter().any(|&shift| !tmpi_render::holds(view_box, &pose.shifted([shift, 0.0, 0.0])))
+}
+
 /// The cameras where several are asked for.
 fn rig(args: &RenderArgs, scene: &Scene) -> Option<Rig> {
     let (arrangement, baseline) = match (args.quilt, args.stereo) {
@@ -157,7 +170,7 @@ fn rig(args: &RenderArgs, scene: &Scene) -> Option<Rig> {
         (None, Some(ipd)) => (if args.anaglyph { Arrangement::Anaglyph } else { Arrangement::SideBySide }, ipd),
         (None, None) => return None,
     };
-    Some(Rig { arrangement, baseline, focus: args.focus })
+    Some(Rig { arrangement, baseline, focus: args.focus.unwrap_or_else(|| tmpi_render::pivot(scene)) })
 }
 
 /// `name-0001.png`, with as many digits as all frames need, at least four.

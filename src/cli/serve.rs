@@ -1,7 +1,7 @@
 //! `tmpi serve`.
 
 use std::io::Write as _;
-use std::net::SocketAddr;
+use std::net::{Ipv4Addr, SocketAddr};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
@@ -26,8 +26,8 @@ const SPARE_FILES: u64 = 512;
 /// Take photos over HTTP and serve what is made of them
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct ServeArgs {
-    /// Address and port to listen on; port 0 takes a free one
-    #[arg(long, default_value = "127.0.0.1:8080", value_name = "ADDR")]
+    /// Address and port to listen on, or the port alone for this machine; port 0 takes a free one, 0.0.0.0:8080 lets others in
+    #[arg(long, default_value = "127.0.0.1:8080", value_parser = address, value_name = "ADDR")]
     addr: SocketAddr,
     /// Directory that keeps photos and what is made of them
     #[arg(long, default_value = "tmpi-data", value_name = "DIR")]
@@ -131,17 +131,27 @@ impl ServeArgs {
     }
 }
 
+/// An address with its port; a port alone, or that of `localhost`, is this machine's own.
+fn address(text: &str) -> Result<SocketAddr, String> {
+    let port = text.strip_prefix("localhost:").or_else(|| text.strip_prefix(':')).unwrap_or(text);
+    match (text.parse(), port.parse()) {
+        (Ok(whole), _) => Ok(whole),
+        (_, Ok(port)) => Ok(SocketAddr::from((Ipv4Addr::LOCALHOST, port))),
+        _ => Err("an address and a port are wanted, as 127.0.0.1:8080, 0.0.0.0:8080 or [::1]:8080; 8080 alone is this machine's".into()),
+    }
+}
+
 /// Serves until SIGTERM or SIGINT; prints the server's URL on stdout once it listens.
 pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
-    if let Err(error) = tmpi_pipeline::networks::available() {
-        tracing::warn!(%error, "photos without a depth map of their own cannot be made");
-    }
     let limits = args.limits();
     let settings = args.models.settings();
     let maker = PipelineMaker::new(models::load(&settings)?, &limits).identified(&identity(&settings)?);
     if std::env::var_os(VARIABLE).is_some() {
         make_for_a_server(&maker, limits.job_memory);
         return Ok(());
+    }
+    if let Err(error) = tmpi_pipeline::networks::available() {
+        tracing::error!("photos without a depth map of their own wait until ONNX Runtime is there. {error}");
     }
     #[cfg(unix)]
     open_files(u64::from(args.connections) + SPARE_FILES);
@@ -236,6 +246,18 @@ mod tests {
     fn zero_workers_are_refused() {
         assert!(Cli::try_parse_from(["serve", "--workers", "0"]).is_err());
         assert!(Cli::try_parse_from(["serve", "--addr", "nowhere"]).is_err());
+    }
+
+    #[test]
+    fn addresses_are_written_as_people_write_them() {
+        for text in ["8080", ":8080", "localhost:8080", "127.0.0.1:8080"] {
+            assert_eq!(address(text).unwrap().to_string(), "127.0.0.1:8080", "{text}");
+        }
+        assert_eq!(address("[::1]:80").unwrap().to_string(), "[::1]:80");
+        assert_eq!(address("0").unwrap().port(), 0);
+        for text in ["", ":", "nowhere", "localhost", "70000", ":70000", "127.0.0.1", "example.org:80"] {
+            assert!(address(text).unwrap_err().contains("127.0.0.1:8080"), "{text}");
+        }
     }
 
     #[test]

@@ -9,6 +9,7 @@ use image::{ExtendedColorType, ImageEncoder};
 use rayon::prelude::*;
 use serde_json::json;
 
+use super::note;
 use tmpi_core::{Camera, Photo, Pose};
 use tmpi_lab::scenes::{Picture, Pictures, Scene};
 
@@ -101,7 +102,7 @@ pub fn run(args: &SynthArgs) -> anyhow::Result<()> {
         })
         .collect::<anyhow::Result<Vec<()>>>()?;
     let s = start.elapsed().as_secs_f64();
-    eprintln!("{} scenes in {s:.1} s, {:.2} a second", families.len(), families.len() as f64 / s.max(1e-9));
+    note(&format!("{} scenes in {s:.1} s, {:.2} a second", families.len(), families.len() as f64 / s.max(1e-9)));
     Ok(())
 }
 

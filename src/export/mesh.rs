@@ -1,4 +1,4 @@
-//! A layer's rectangle as polygons in space.
+//! A layer's rectangle as polygons in space, which is the photo's own or a flatter one.
 //!
 //! A texture follows a triangle linearly in space, but a layer's texels follow the photo linearly, and on a slanted plane these are
 //! not the same. In a triangle with δ between δ₀ and δ₁ the weights of its corners differ by at most
@@ -7,10 +7,60 @@
 
 use tmpi_core::Intrinsics;
 
-/// What is farther than this is put here, in units of the photo's nearest distance.
+/// What is farther than this is put here, in units of the photo's nearest distance, where the space is the photo's own.
 ///
 /// A thing at infinity then moves by `f·t / FAR` pixels instead of none: 0.2 at a focal length of 600 and the usual view box.
 pub(super) const FAR: f64 = 100.0;
+
+/// Angle that the longer side of a relief takes up where it looks like the photo: viewers that frame a model look from about there.
+const RELIEF_VIEW: f64 = 30.0;
+/// Depth of a relief from δ = 0 to δ = 1, in units of its longer side.
+const RELIEF_DEPTH: f64 = 0.25;
+
+/// How the photo's space is put into that of a file. Disparity becomes `gain · δ + offset`, and the focal length another one: a plane
+/// stays a plane, and the photo's camera still sees the photo. With an offset all depth lies between two distances; what a camera
+/// sees that moves sideways is the same but for a shift of the whole picture.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Space {
+    /// Focal lengths and principal point, in pixels of the photo.
+    pub intrinsics: Intrinsics,
+    pub gain: f64,
+    pub offset: f64,
+    /// Least disparity in the file: what is farther is put there.
+    pub least: f64,
+    /// How far the middle of the depth lies from the camera; none where the space is the photo's own.
+    pub middle: Option<f64>,
+}
+
+impl Space {
+    /// The photo's own: the unit is the distance to its nearest thing.
+    pub fn metric(intrinsics: &Intrinsics) -> Self {
+        Self { intrinsics: *intrinsics, gain: 1.0, offset: 0.0, least: 1.0 / FAR, middle: None }
+    }
+
+    /// A relief of the photo, whose longer side is the unit.
+    pub fn relief(intrinsics: &Intrinsics, width: u32, height: u32) -> Self {
+        let longer = f64::from(width.max(height));
+        let middle = 0.5 / (RELIEF_VIEW.to_radians() / 2.0).tan();
+        let (near, far) = (1.0 / (middle - RELIEF_DEPTH / 2.0), 1.0 / (middle + RELIEF_DEPTH / 2.0));
+        // pixels stay as square as they were
+        let scale = longer * middle / intrinsics.fx;
+        let intrinsics = Intrinsics { fx: intrinsics.fx * scale, fy: intrinsics.fy * scale, ..*intrinsics };
+        Self { intrinsics, gain: near - far, offset: far, least: far, middle: Some(middle) }
+    }
+
+    /// δ of a layer in this space.
+    pub fn of(&self, delta: &Disparity) -> Disparity {
+        let slope = delta.slope.map(|s| s * self.gain);
+        Disparity { at: delta.at * self.gain + self.offset, slope, ..*delta }
+    }
+
+    /// Place in space of a pixel at a disparity of this space.
+    pub fn position(&self, [x, y]: [f64; 2], delta: f64) -> [f32; 3] {
+        let k = &self.intrinsics;
+        [(x - k.cx) / k.fx / delta, -(y - k.cy) / k.fy / delta, -1.0 / delta].map(|v| v as f32)
+    }
+}
 
 /// Largest error of the texture's place in a strip, in pixels of the photo.
 pub(super) const OFF: f64 = 0.2;
@@ -42,17 +92,18 @@ impl Disparity {
 }
 
 /// The convex polygons that stand for the part of the photo from one corner to the other, in space and in the photo, front side towards
-/// the camera.
-pub(super) fn polygons([x0, y0]: [f64; 2], [x1, y1]: [f64; 2], delta: &Disparity, k: &Intrinsics) -> Vec<Vec<Corner>> {
+/// the camera. `delta` is the photo's own.
+pub(super) fn polygons([x0, y0]: [f64; 2], [x1, y1]: [f64; 2], delta: &Disparity, space: &Space) -> Vec<Vec<Corner>> {
+    let delta = space.of(delta);
     // anticlockwise for a camera that has y upwards
     let corners = [[x0, y0], [x0, y1], [x1, y1], [x1, y0]];
     let all = corners.map(|c| delta.of(c));
     let (least, most) = all.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), &d| (a.min(d), b.max(d)));
-    let far = 1.0 / FAR;
+    let far = space.least;
     let mut out = Vec::new();
     let mut add = |polygon: &[[f64; 2]], delta_at: &dyn Fn([f64; 2]) -> f64| {
         if polygon.len() >= 3 {
-            out.push(polygon.iter().map(|&p| Corner { position: position(p, delta_at(p), k), pixel: p }).collect());
+            out.push(polygon.iter().map(|&p| Corner { position: space.position(p, delta_at(p)), pixel: p }).collect());
         }
     };
     if least < far {
@@ -74,10 +125,6 @@ pub(super) fn polygons([x0, y0]: [f64; 2], [x1, y1]: [f64; 2], delta: &Disparity
         add(&rest, &|p| delta.of(p).max(far));
     }
     out
-}
-
-fn position([x, y]: [f64; 2], delta: f64, k: &Intrinsics) -> [f32; 3] {
-    [(x - k.cx) / k.fx / delta, -(y - k.cy) / k.fy / delta, -1.0 / delta].map(|v| v as f32)
 }
 
 /// The part of a convex polygon on which the linear function `inside` is not negative.
@@ -125,17 +172,20 @@ mod tests {
         #[test]
         fn polygons_tile_the_rectangle_and_the_texture_stays_in_place(
             x in 0u32..600, y in 0u32..300, w in 1u32..65, h in 1u32..65, a in -0.5f64..2.0, b in -2.0f64..2.0, c in -2.0f64..2.0, flat in 0u8..4,
+            relief in any::<bool>(),
         ) {
             let (b, c) = if flat == 0 { (0.0, 0.0) } else { (b, c) };
             let k = Intrinsics { fx: 380.0, fy: 370.0, cx: 310.0, cy: 170.0 };
             let delta = Disparity { origin: [f64::from(x) + 20.0, f64::from(y) + 30.0], at: a, slope: [b / 32.0, c / 32.0] };
-            let all = polygons([x, y].map(f64::from), [x + w, y + h].map(f64::from), &delta, &k);
+            let space = if relief { Space::relief(&k, 620, 340) } else { Space::metric(&k) };
+            let all = polygons([x, y].map(f64::from), [x + w, y + h].map(f64::from), &delta, &space);
+            let k = space.intrinsics;
             let total: f64 = all.iter().map(|p| area(p)).sum();
             // anticlockwise with y upwards is negative with y downwards
             prop_assert!((total + f64::from(w * h)).abs() < 1e-3 * f64::from(w * h), "{total}");
             for p in &all {
                 for corner in p {
-                    let d = delta.of(corner.pixel).max(1.0 / FAR);
+                    let d = space.of(&delta).of(corner.pixel).max(space.least);
                     let at = corner.position.map(f64::from);
                     prop_assert!((-1.0 / at[2] - d).abs() < 1e-4 * d.max(0.01), "{at:?} {d}");
                     let seen = [k.cx - k.fx * at[0] / at[2], k.cy + k.fy * at[1] / at[2]];
@@ -159,9 +209,29 @@ mod tests {
         let k = Intrinsics::centred(100, 80, 60.0);
         let flat = |at| Disparity { origin: [0.0, 0.0], at, slope: [0.0, 0.0] };
         for (at, distance) in [(0.5, 2.0), (0.0, FAR), (-1.0, FAR)] {
-            let all = polygons([8.0, 4.0], [28.0, 14.0], &flat(at), &k);
+            let all = polygons([8.0, 4.0], [28.0, 14.0], &flat(at), &Space::metric(&k));
             assert_eq!((all.len(), all[0].len()), (1, 4), "{at}");
             assert!(all[0].iter().all(|c| (f64::from(c.position[2]) + distance).abs() < 1e-6));
         }
+    }
+
+    #[test]
+    fn a_relief_is_flat_and_cut_seldom() {
+        let k = Intrinsics::centred(1200, 800, 81.5);
+        let space = Space::relief(&k, 1200, 800);
+        let middle = space.middle.unwrap();
+        let at = |pixel, delta: f64| space.position(pixel, space.gain * delta + space.offset).map(f64::from);
+        let (near, far) = (at([600.0, 400.0], 1.0)[2] + middle, at([600.0, 400.0], 0.0)[2] + middle);
+        assert!((near - RELIEF_DEPTH / 2.0).abs() < 1e-6 && (far + RELIEF_DEPTH / 2.0).abs() < 1e-6, "{near} {far}");
+        // the longer side is the unit, where the middle is
+        let halfway = (1.0 / middle - space.offset) / space.gain;
+        assert!((at([1200.0, 400.0], halfway)[0] - at([0.0, 400.0], halfway)[0] - 1.0).abs() < 1e-6);
+        // a camera that moves sideways sees what the photo's would, but for a shift of all
+        let seen = |delta: f64, step: f64| space.intrinsics.fx * step * (space.gain * delta + space.offset);
+        let step = 0.05 * k.fx / (space.intrinsics.fx * space.gain);
+        assert!((seen(0.9, step) - seen(0.2, step) - 0.05 * k.fx * 0.7).abs() < 1e-9);
+        let slope = Disparity { origin: [620.0, 420.0], at: 0.4, slope: [0.3 / 32.0, 0.1 / 32.0] };
+        let count = |space: &Space| polygons([600.0, 400.0], [664.0, 464.0], &slope, space).len();
+        assert!(count(&space) * 4 <= count(&Space::metric(&k)), "{} {}", count(&space), count(&Space::metric(&k)));
     }
 }

@@ -1,16 +1,23 @@
-//! A scene in forms that need no program of ours: a page that opens from disk, a glTF model, an archive of the parts.
+//! A scene in forms that need no program of ours: a page that opens from disk, a glTF model, layers for editors of pictures, an archive
+//! of the parts.
 
+mod backdrop;
+mod bands;
 mod glb;
+mod gltf;
 mod html;
 mod mesh;
+mod ora;
 mod pages;
 mod script;
+mod surface;
 #[cfg(test)]
 mod testing;
 mod zip;
 
-pub use glb::glb;
+pub use glb::{ModelShape, glb};
 pub use html::html;
+pub use ora::{ORA_BYTES, ora};
 pub use script::ScriptError;
 pub use zip::zip;
 
@@ -27,20 +34,20 @@ pub enum ExportFormat {
     Html,
     /// glTF 2.0, binary: textured polygons for any 3D program.
     Glb,
+    /// `OpenRaster`: a few layers of the photo's size, for editors of pictures.
+    Ora,
     /// Archive of the photo, all layers as PNG, disparity, planes.
     Zip,
 }
 
 impl ExportFormat {
-    /// The format that a file name ending stands for: `html`, `glb` or `zip`, in any case.
+    /// All of them.
+    pub const ALL: [Self; 4] = [Self::Html, Self::Glb, Self::Ora, Self::Zip];
+
+    /// The format that a file name ending stands for: `html`, `glb`, `ora` or `zip`, in any case.
     #[must_use]
     pub fn from_extension(extension: &str) -> Option<Self> {
-        match extension.to_ascii_lowercase().as_str() {
-            "html" => Some(Self::Html),
-            "glb" => Some(Self::Glb),
-            "zip" => Some(Self::Zip),
-            _ => None,
-        }
+        Self::ALL.into_iter().find(|format| extension.eq_ignore_ascii_case(format.extension()))
     }
 
     /// File name ending.
@@ -49,6 +56,7 @@ impl ExportFormat {
         match self {
             Self::Html => "html",
             Self::Glb => "glb",
+            Self::Ora => "ora",
             Self::Zip => "zip",
         }
     }
@@ -59,6 +67,7 @@ impl ExportFormat {
         match self {
             Self::Html => "text/html; charset=utf-8",
             Self::Glb => "model/gltf-binary",
+            Self::Ora => "image/openraster",
             Self::Zip => "application/zip",
         }
     }
@@ -76,6 +85,9 @@ pub enum ExportError {
     /// A picture cannot be written.
     #[error("writing a picture: {0}")]
     Picture(#[from] image::ImageError),
+    /// A texture cannot be written.
+    #[error("writing a texture: {0}")]
+    WebP(String),
     /// The disparity cannot be written.
     #[error(transparent)]
     Disparity(#[from] DepthError),
@@ -96,8 +108,16 @@ pub enum ExportError {
     TooLarge(&'static str),
 }
 
-/// Writes `scene`, which is what `container` decodes to, in `format`. `title` names it for people. `cancelled` is asked before each
-/// layer or page of them.
+/// What some formats ask for.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct ExportOptions<'a> {
+    /// Names a page for people.
+    pub title: &'a str,
+    /// Space of a model.
+    pub shape: ModelShape,
+}
+
+/// Writes `scene`, which is what `container` decodes to, in `format`. `cancelled` is asked before each layer or page of them.
 ///
 /// # Errors
 /// [`ExportError`].
@@ -105,12 +125,13 @@ pub fn export(
     format: ExportFormat,
     container: &[u8],
     scene: &Scene,
-    title: &str,
+    options: &ExportOptions<'_>,
     cancelled: &dyn Fn() -> bool,
 ) -> Result<Vec<u8>, ExportError> {
     match format {
-        ExportFormat::Html => html(container, title),
-        ExportFormat::Glb => glb(container, scene, cancelled),
+        ExportFormat::Html => html(container, options.title),
+        ExportFormat::Glb => glb(container, scene, options.shape, cancelled),
+        ExportFormat::Ora => ora(scene, cancelled),
         ExportFormat::Zip => zip(container, scene, cancelled),
     }
 }
@@ -156,7 +177,7 @@ mod tests {
 
     #[test]
     fn endings_and_formats_are_one_to_one() {
-        for format in [ExportFormat::Html, ExportFormat::Glb, ExportFormat::Zip] {
+        for format in ExportFormat::ALL {
             assert_eq!(ExportFormat::from_extension(&format.extension().to_uppercase()), Some(format));
         }
         assert_eq!(ExportFormat::from_extension("gltf"), None);

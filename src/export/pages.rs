@@ -65,8 +65,8 @@ fn shelves(scene: &Scene, layers: &[usize]) -> Option<Page> {
     (lower <= SIDE || layers.len() == 1).then_some(Page { width, height: lower, places })
 }
 
-/// A page as a PNG with straight alpha. What is transparent beside a layer's texels has their colour.
-pub(super) fn paint(scene: &Scene, page: &Page) -> Result<Vec<u8>, ExportError> {
+/// RGBA of a page with straight alpha. What is transparent beside a layer's texels has their colour.
+pub(super) fn paint(scene: &Scene, page: &Page) -> Vec<[u8; 4]> {
     let width = page.width as usize;
     let mut rgba = vec![[0u8; 4]; width * page.height as usize];
     let mut own = Vec::new();
@@ -84,7 +84,7 @@ pub(super) fn paint(scene: &Scene, page: &Page) -> Result<Vec<u8>, ExportError> 
             rgba[at + w + 1] = row[w - 1];
         }
     }
-    png(page.width, page.height, &rgba)
+    rgba
 }
 
 /// RGBA as PNG.
@@ -137,7 +137,7 @@ mod tests {
         let pages = pack(scene, &layers);
         let mut seen = Vec::new();
         for page in &pages {
-            let picture = image::load_from_memory(&paint(scene, page).unwrap()).unwrap().to_rgba8();
+            let picture = image::RgbaImage::from_raw(page.width, page.height, paint(scene, page).as_flattened().to_vec()).unwrap();
             assert_eq!(picture.dimensions(), (page.width, page.height));
             let mut taken = vec![false; (page.width * page.height) as usize];
             for place in &page.places {

@@ -6,8 +6,9 @@ use ::zip::write::SimpleFileOptions;
 use ::zip::{CompressionMethod, ZipWriter};
 use serde_json::json;
 
+use super::surface::visible_disparity;
 use super::{ExportError, pages, photo_file};
-use tmpi_core::{Class, DisparityMap, Scene};
+use tmpi_core::Scene;
 use tmpi_pipeline::depth::to_png;
 
 const README: &str = include_str!("README.txt");
@@ -77,25 +78,6 @@ fn planes(scene: &Scene, photo_name: &str) -> serde_json::Value {
         "tiles": tiles,
         "layers": layers,
     })
-}
-
-/// δ of what the photo's camera sees: at each pixel, of the nearest opaque texel.
-fn visible_disparity(scene: &Scene) -> DisparityMap {
-    let g = &scene.grid;
-    let mut delta = vec![0f32; scene.photo.rgb.len()];
-    for l in &scene.layers {
-        let (centre, half) = (g.centre(l.tile), g.half());
-        for i in 0..l.rect.area() {
-            let (x, y) = (l.rect.x + i as u32 % l.rect.w, l.rect.y + i as u32 / l.rect.w);
-            let at = l.first_texel + i;
-            if scene.texels.class[at] == Class::Photo as u8 && scene.texels.alpha[at] == u8::MAX {
-                let d = l.plane.disparity((f64::from(x) + 0.5 - centre.0) / half, (f64::from(y) + 0.5 - centre.1) / half);
-                let best = &mut delta[y as usize * g.width as usize + x as usize];
-                *best = best.max(d as f32);
-            }
-        }
-    }
-    DisparityMap { width: g.width, height: g.height, delta }
 }
 
 #[cfg(test)]

@@ -70,7 +70,7 @@ pub struct Shared {
     pub changes: Arc<Semaphore>,
     /// Places for event streams.
     pub streams: Places,
-    /// Why the data directory could not be written when that was last tried.
+    /// Why the data directory could not be written, or what was missing to make photos with, when that was last tried.
     pub storage: Mutex<Option<&'static str>>,
     /// What draws them.
     pub renderer: Arc<dyn Renderer>,
@@ -122,7 +122,7 @@ impl Shared {
         }
     }
 
-    /// Why the data directory could not be written when that was last tried.
+    /// Why the data directory could not be written, or what was missing to make photos with, when that was last tried.
     #[must_use]
     pub fn storage(&self) -> Option<&'static str> {
         *self.storage.lock().unwrap_or_else(PoisonError::into_inner)

@@ -18,7 +18,7 @@ use super::options;
 use super::problem::Problem;
 use frames::{Told, kind, read, write};
 pub use inside::serve;
-use tmpi_pipeline::{MakeError, Options, Progress, Report, STAGES, Sink, strokes};
+use tmpi_pipeline::{MakeError, Options, Progress, Report, STAGES, Sink, networks, strokes};
 
 /// Set in the environment of a process that makes photos for a server.
 pub const VARIABLE: &str = "TMPI_MAKES_PHOTOS";
@@ -153,6 +153,11 @@ impl Maker for ProcessMaker {
 
     fn memory(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options) -> u64 {
         self.checks.memory(photo, depth, options)
+    }
+
+    fn lacks(&self) -> Option<&'static str> {
+        let missing = "ONNX Runtime is missing: photos without a depth map wait for it; the server's log says where it was looked for";
+        networks::available().is_err().then_some(missing)
     }
 
     fn make(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options, sink: &dyn Sink) -> Result<Product, Fault> {

@@ -74,6 +74,11 @@ pub trait Maker: Send + Sync + 'static {
         0
     }
 
+    /// What is missing without which photos wait, for people; it is asked now and then.
+    fn lacks(&self) -> Option<&'static str> {
+        None
+    }
+
     /// Makes a photo; blocks.
     ///
     /// # Errors

@@ -179,7 +179,7 @@ impl Server {
     }
 }
 
-/// Looks now and then whether the data directory can be written, so that asking for it costs nothing.
+/// Looks now and then whether the data directory can be written and nothing is missing to make photos with, so that asking for it costs nothing.
 async fn probe(app: App) {
     loop {
         look_at_disk(&app).await;
@@ -187,16 +187,17 @@ async fn probe(app: App) {
     }
 }
 
-/// Looks whether the data directory can be written. Where it is full, what is kept there of derived files goes first.
+/// Looks whether the data directory can be written and nothing is missing to make photos with. Where it is full, what is kept there of derived files goes first.
 async fn look_at_disk(app: &App) {
     let shared = Arc::clone(app);
-    let checked = tokio::task::spawn_blocking(move || shared.jobs.store.check()).await.unwrap_or_else(|e| Err(std::io::Error::other(e)));
-    let full = checked.as_ref().is_err_and(|error| error.kind() == std::io::ErrorKind::StorageFull);
+    let looked = tokio::task::spawn_blocking(move || (shared.jobs.store.check(), shared.jobs.maker.lacks()));
+    let (written, lacks) = looked.await.unwrap_or_else(|e| (Err(std::io::Error::other(e)), None));
+    let full = written.as_ref().is_err_and(|error| error.kind() == std::io::ErrorKind::StorageFull);
     if full {
         app.free_disk().await;
     }
     let trouble = if full { "the data directory has no room left" } else { "the data directory cannot be written" };
-    app.set_storage(checked.err().map(|_| trouble));
+    app.set_storage(written.err().map_or(lacks, |_| Some(trouble)));
 }
 
 /// Reads what was made of each photo now and then, while nobody waits for work, so that damage is known before somebody asks for it.

@@ -79,7 +79,7 @@ const GERMAN = {
   'Size of the file · time to draw a frame': 'Größe der Datei · Zeit für ein Bild',
   'A page for any browser (.html)': 'Eine Seite für jeden Browser (.html)',
   'A 3D model (.glb)': 'Ein 3D-Modell (.glb)',
-  'The parts (.zip)': 'Die Teile (.zip)',
+  'Layers for Krita or GIMP (.ora)': 'Ebenen für Krita oder GIMP (.ora)',
   'The 3D photo (.tmpi)': 'Das 3D-Foto (.tmpi)',
   'Take a photo': 'Foto aufnehmen',
   'The photo was deleted.': 'Das Foto wurde gelöscht.',

@@ -21,6 +21,13 @@ fn help_and_version_are_results() {
         assert!(!run.out.is_empty() && run.err.is_empty());
     }
     assert!(folder.run(&["completions", "bash"]).succeeds().out.contains("_tmpi"));
+    // each command lists what it takes, and nothing else
+    let depth = folder.run(&["depth", "--help"]).succeeds().out;
+    for flag in ["--planes", "--tile", "--verify-prune", "--budget-ms", "--view-box", "--quality"] {
+        assert!(!depth.contains(flag), "{flag} has no part in a depth map: {depth}");
+        folder.run(&["depth", "box.png", "-o", "x.png", flag, "1"]).fails(2, &[flag]);
+    }
+    assert!(depth.contains("--photo-depth") && depth.contains("--max-size"));
 }
 
 #[test]
@@ -33,7 +40,7 @@ fn usage_errors_name_flag_and_range() {
     make(&["--fov-x", "nan"]).fails(2, &["--fov-x", "180"]);
     make(&["--fov-x", "180"]).fails(2, &["--fov-x"]);
     make(&["--quality", "0"]).fails(2, &["--quality", "1 to 100"]);
-    make(&["--quality", "1000"]).fails(2, &["--quality"]);
+    make(&["--quality", "1000"]).fails(2, &["--quality", "not 1000"]);
     make(&["--max-size", "16385"]).fails(2, &["--max-size", "16384"]);
     make(&["--max-error", "nan"]).fails(2, &["--max-error"]);
     make(&["--view-box", "1,1"]).fails(2, &["--view-box"]);
@@ -42,7 +49,11 @@ fn usage_errors_name_flag_and_range() {
     make(&["--depth-model", "nosuch"]).fails(2, &["--depth-model", "tmpi"]);
     make(&["box.jpg", "--depth", "depth.png"]).fails(2, &["--depth"]);
     f.run(&["make", "box.png"]).fails(2, &["--output"]);
-    f.run(&["make", "box.png", "-o", "box.png"]).fails(2, &["overwritten"]);
+    f.run(&["make", "box.png", "-o", "box.png"]).fails(2, &[".tmpi"]);
+    f.run(&["make", "box.png", "-o", "out.jpg"]).fails(2, &["out.tmpi", "Usage: tmpi make"]);
+    f.run(&["make", "box.png", "box.jpg", "-o", "all.tmpi"]).fails(2, &["folder"]);
+    f.run(&["make", "box.png", "-o", "x.tmpi", "--force", "--skip-existing"]).fails(2, &["--skip-existing"]);
+    f.run(&["serve", "--addr", "nowhere"]).fails(2, &["--addr", "127.0.0.1:8080"]);
     f.run(&["make", "box.png", "box.jpg", "-o", "out"]).fails(2, &["out/box.tmpi"]);
     f.run(&["depth", "box.png", "-o", "x.tif"]).fails(2, &[".png or .pfm"]);
     let render = |extra: &[&str]| f.run(&[&["render", "box.tmpi", "-o", "x.png"], extra].concat());
@@ -54,7 +65,7 @@ fn usage_errors_name_flag_and_range() {
     render(&["--anaglyph"]).fails(2, &["--stereo"]);
     render(&["--quilt", "11x10"]).fails(2, &["--quilt"]);
     render(&["--frames", "5"]).fails(2, &["--path"]);
-    f.run(&["render", "box.tmpi", "-o", "x.gif"]).fails(2, &[".webp"]);
+    f.run(&["render", "box.tmpi", "-o", "x.gif"]).fails(2, &[".webp", "Usage: tmpi render"]);
     f.run(&["export", "box.tmpi", "-o", "x.gltf"]).fails(2, &["x.gltf", ".glb"]);
     f.run(&["export", "box.tmpi", "-o", "x.glb", "--title", "x"]).fails(2, &["--title"]);
     f.run(&["nonsense"]).fails(2, &["nonsense"]);
@@ -84,7 +95,7 @@ fn make_writes_a_container_and_a_report() {
     let f = Folder::new();
     let args = ["make", "box.png", "--depth", "depth.png", "-o", "new/box.tmpi", "--json", "--report", "report.json"];
     let run = f.run(&args).succeeds();
-    assert!(run.err.contains("planes"), "progress is on standard error: {}", run.err);
+    assert!(run.err.contains("placing planes"), "progress is on standard error: {}", run.err);
     assert_eq!(run.out.lines().count(), 1);
     let line = run.json();
     has(&line, &["photo", "output", "bytes", "report.tiles"]);
@@ -100,8 +111,9 @@ fn make_writes_a_container_and_a_report() {
     }
     assert_eq!((report["input"]["width"].as_u64(), report["input"]["height"].as_u64()), (Some(150), Some(100)));
     let quiet = f.run(&["make", "box.jpg", "--depth", "depth.png", "-o", "b.tmpi", "--quiet"]).succeeds();
-    assert_eq!(quiet.err, "");
-    assert!(quiet.out.starts_with("b.tmpi: 150×100"));
+    assert_eq!((quiet.out.as_str(), quiet.err.as_str()), ("", ""));
+    let told = f.run(&["make", "box.jpg", "--depth", "depth.png", "-o", "c.tmpi"]).succeeds();
+    assert!(told.out.starts_with("c.tmpi: 150×100") && told.out.lines().count() == 1, "{}", told.out);
     assert!(!f.names().iter().any(|n| Path::new(n).extension().is_some_and(|e| e == "part")));
 }
 
@@ -157,6 +169,93 @@ fn several_photos_go_to_a_folder_and_one_failure_spares_the_rest() {
     let all: Value = serde_json::from_slice(&std::fs::read(f.path("all.json")).unwrap()).unwrap();
     assert_eq!(all.as_array().unwrap().len(), 2);
     has(&all[0], &["photo", "output", "report.tiles"]);
+}
+
+#[test]
+fn nothing_is_made_again_unasked() {
+    let f = Folder::new();
+    f.container();
+    let first = std::fs::read(f.path("box.tmpi")).unwrap();
+    let make = |extra: &[&str]| f.run(&[&["make", "box.jpg", "--depth", "depth.png", "-o", "box.tmpi"], extra].concat());
+    make(&[]).fails(1, &["box.tmpi is there already", "--force"]);
+    let left = make(&["--skip-existing"]).succeeds();
+    assert!(left.out.is_empty() && left.err.contains("box.tmpi"), "{}{}", left.out, left.err);
+    assert!(std::fs::read(f.path("box.tmpi")).unwrap() == first);
+    make(&["--force"]).succeeds();
+    assert!(std::fs::read(f.path("box.tmpi")).unwrap() != first, "another photo file gives another container");
+}
+
+#[test]
+fn a_folder_of_photos_is_made_and_gone_on_with() {
+    let f = Folder::new();
+    for name in ["in/a.png", "in/sub/b.png", "in/sub/deep/c.png"] {
+        std::fs::create_dir_all(f.path(name).parent().unwrap()).unwrap();
+        std::fs::copy(f.path("box.png"), f.path(name)).unwrap();
+    }
+    f.write("in/notes.txt", b"no photo");
+    f.write("in/x.heic", b"unread");
+    std::fs::create_dir(f.path("empty")).unwrap();
+    f.run(&["make", "empty", "-o", "out"]).fails(1, &["empty", "no JPEG"]);
+    f.run(&["make", "in", "-o", "out", "--depth", "depth.png"]).fails(2, &["--depth"]);
+    if !f.has_depth() {
+        return;
+    }
+    let first = f.run(&["make", "in", "-o", "out", "--jobs", "2"]).succeeds();
+    assert_eq!(first.out.lines().count(), 3, "{}", first.out);
+    assert!(first.err.contains("1 .heic") && !first.err.contains("notes.txt"), "{}", first.err);
+    let times = || ["a", "sub/b", "sub/deep/c"].map(|n| std::fs::metadata(f.path(&format!("out/{n}.tmpi"))).unwrap().modified().unwrap());
+    let before = times();
+    std::fs::remove_file(f.path("out/sub/b.tmpi")).unwrap();
+    let second = f.run(&["make", "in", "-o", "out"]).succeeds();
+    assert!(second.err.contains("2 of 3 are there already") && second.out.lines().count() == 1, "{}{}", second.out, second.err);
+    let after = times();
+    assert!(after[0] == before[0] && after[1] > before[1] && after[2] == before[2]);
+    f.run(&["make", "in", "-o", "out", "--force", "-q"]).succeeds();
+    assert!(times().iter().zip(&after).all(|(new, old)| new > old));
+}
+
+/// `tmpi make … 2>&1 | head`: who reads has gone, who writes goes on.
+#[cfg(unix)]
+#[test]
+fn a_reader_that_goes_away_ends_nothing() {
+    let f = Folder::new();
+    for json in [&[][..], &["--json"]] {
+        let (reader, writer) = std::io::pipe().unwrap();
+        let mut command = Command::new(env!("CARGO_BIN_EXE_tmpi"));
+        command.current_dir(f.path("")).args(["make", "box.png", "--depth", "depth.png", "--force", "-o", "box.tmpi"]).args(json);
+        command.stdout(writer.try_clone().unwrap()).stderr(writer);
+        let mut child = command.spawn().unwrap();
+        // the command holds the writing end, too
+        drop((reader, command));
+        assert_eq!(child.wait().unwrap().code(), Some(0));
+        std::fs::remove_file(f.path("box.tmpi")).unwrap();
+    }
+    f.container();
+    let (reader, writer) = std::io::pipe().unwrap();
+    drop(reader);
+    let mut command = Command::new(env!("CARGO_BIN_EXE_tmpi"));
+    command.current_dir(f.path("")).args(["info", "box.tmpi"]).stdout(writer).stderr(std::process::Stdio::piped());
+    let run = Run::from(command.output().unwrap());
+    assert_eq!((run.code, run.err.as_str()), (0, ""));
+}
+
+/// Without a display, without a library in its place, with a port that is taken: each is told once.
+#[test]
+fn what_is_wrong_is_told_once() {
+    let f = Folder::new();
+    f.container();
+    let plain = |args: &[&str]| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_tmpi"));
+        command.current_dir(f.path("")).env_remove("XDG_RUNTIME_DIR").env_remove("RUST_LOG").args(args);
+        Run::from(command.output().unwrap())
+    };
+    let drawn = plain(&["render", "box.tmpi", "-o", "v.png"]);
+    assert_eq!((drawn.code, drawn.err.as_str()), (0, ""));
+    let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let run = plain(&["serve", "--addr", &taken.local_addr().unwrap().to_string()]);
+    assert_eq!((run.code, run.err.matches("in use").count()), (1, 1), "{}", run.err);
+    let run = plain(&["make", "nosuch.jpg", "-o", "x.tmpi"]);
+    assert_eq!((run.code, run.err.matches("o such file").count()), (1, 1), "{}", run.err);
 }
 
 #[test]
@@ -223,8 +322,10 @@ fn render_draws_in_every_format() {
     f.container();
     let render = |out: &str, extra: &[&str]| {
         let run = f.run(&[&["render", "box.tmpi", "-o", out, "--backend", "cpu", "--json"], extra].concat()).succeeds();
-        assert_eq!(run.err, "");
-        (run.out.lines().map(|l| serde_json::from_str(l).unwrap()).collect::<Vec<Value>>(), f.path(out))
+        let lines: Vec<Value> = run.out.lines().map(|l| serde_json::from_str(l).unwrap()).collect();
+        let outside = lines.iter().any(|l| l["outside_view_box"] == true);
+        assert_eq!((run.err.matches("view box").count(), run.err.lines().count()), (outside.into(), outside.into()), "{}", run.err);
+        (lines, f.path(out))
     };
     let (lines, path) = render("same.png", &[]);
     has(&lines[0], &["output", "width", "height", "backend", "pose.tx", "ms"]);
@@ -235,13 +336,24 @@ fn render_draws_in_every_format() {
     assert!(same.as_raw() == scene.photo.rgb.as_flattened(), "the photo's own view is the photo as it is carried");
     // Far to the side the frame is not covered: transparent in PNG and WebP, black in JPEG
     for (name, alpha) in [("side.png", true), ("side.webp", true), ("side.jpg", false)] {
-        let (_, path) = render(name, &["--pose=1.5,0,0", "--size", "90x60"]);
+        let (lines, path) = render(name, &["--pose=1.5,0,0", "--size", "90x60"]);
+        assert_eq!(lines[0]["outside_view_box"], true);
         let image = image::open(path).unwrap();
         assert_eq!((image.width(), image.height(), image.color().has_alpha()), (90, 60, alpha));
         let corner = image.to_rgba8().get_pixel(89, 30).0;
         assert!(if alpha { corner[3] < 255 } else { corner[0] < 16 }, "{name}: {corner:?}");
     }
-    let (_, path) = render("pair.png", &["--stereo", "0.1"]);
+    assert_eq!(render("within.png", &["--pose=0.02,0.03,-0.03"]).0[0]["outside_view_box"], false);
+    let box_moves = |name: &str, focus: &[&str]| {
+        let (_, path) = render(name, &[&["--stereo", "0.05"], focus].concat());
+        let pair = image::open(path).unwrap().to_rgb8();
+        let edge = |x0: u32| i64::from((x0..x0 + 150).find(|&x| pair.get_pixel(x, 50).0[0] > 150).unwrap() - x0);
+        edge(0) - edge(150)
+    };
+    // the wall takes most of the photo: it lies in the screen, and the box stands before it by their difference in disparity
+    let (usual, none, near) = (box_moves("u.png", &[]), box_moves("n.png", &["--focus", "0"]), box_moves("f.png", &["--focus", "0.915"]));
+    assert!(near.abs() <= 1 && none >= usual && usual > near, "{none} {usual} {near}");
+    let (_, path) = render("pair.png", &["--stereo", "0.1", "--focus", "0"]);
     let pair = image::open(path).unwrap().to_rgb8();
     assert_eq!(pair.dimensions(), (300, 100));
     let left_edge = |x0: u32| (x0..x0 + 150).find(|&x| pair.get_pixel(x, 50).0[0] > 150).unwrap() - x0;
@@ -264,7 +376,7 @@ fn render_draws_in_every_format() {
 fn exports_are_files_that_others_open() {
     let f = Folder::new();
     f.container();
-    for (ending, first) in [("html", b"<!do"), ("glb", b"glTF"), ("zip", b"PK\x03\x04")] {
+    for (ending, first) in [("html", b"<!do"), ("glb", b"glTF"), ("ora", b"PK\x03\x04"), ("zip", b"PK\x03\x04")] {
         let name = format!("out/box.{ending}");
         let run = f.run(&["export", "box.tmpi", "-o", &name, "--json"]).succeeds();
         let about = run.json();
@@ -276,6 +388,9 @@ fn exports_are_files_that_others_open() {
         f.run(&["export", "box.tmpi", "-o", &again, "--json"]).succeeds();
         assert!(std::fs::read(f.path(&again)).unwrap() == bytes, "{ending}");
     }
+    f.run(&["export", "box.tmpi", "-o", "far.glb", "--metric"]).succeeds();
+    assert!(std::fs::read(f.path("far.glb")).unwrap() != std::fs::read(f.path("out/box.glb")).unwrap());
+    f.run(&["export", "box.tmpi", "-o", "x.ora", "--metric"]).fails(2, &["--metric", "Usage: tmpi export"]);
     f.run(&["export", "box.tmpi", "-o", "titled.html", "--title", "A <box>"]).succeeds();
     assert!(std::fs::read_to_string(f.path("titled.html")).unwrap().contains("<title>A &lt;box&gt;</title>"));
     f.run(&["export", "box.tmpi", "-o", "part.tmpi", "--region", "0,0,9,9", "--lossless"]).succeeds();

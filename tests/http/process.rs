@@ -25,6 +25,11 @@ impl Process {
     }
 
     fn start_with(data: &Path, arguments: &[&str]) -> Self {
+        Self::start_in(data, arguments, &[])
+    }
+
+    /// With these variables of the environment.
+    fn start_in(data: &Path, arguments: &[&str], environment: &[(&str, &str)]) -> Self {
         // a file: a pipe that nobody empties would stop the server
         let log = tempfile::NamedTempFile::new().unwrap();
         let mut child = Command::new(env!("CARGO_BIN_EXE_tmpi"))
@@ -32,6 +37,7 @@ impl Process {
             .args(arguments)
             .arg("--data")
             .arg(data)
+            .envs(environment.iter().copied())
             .stdout(Stdio::piped())
             .stderr(log.reopen().unwrap())
             .spawn()
@@ -173,6 +179,18 @@ pub fn upload(addr: SocketAddr, photo: &[u8]) -> Option<String> {
 fn ids(addr: SocketAddr) -> Vec<String> {
     let list = get(addr, "/v1/photos?limit=200").json();
     list["photos"].as_array().unwrap().iter().map(|p| p["id"].as_str().unwrap().to_owned()).collect()
+}
+
+#[test]
+fn without_its_library_the_server_says_so_before_anybody_uploads() {
+    let data = tempfile::tempdir().unwrap();
+    let server = Process::start_in(data.path(), &[], &[("ORT_DYLIB_PATH", "/nowhere/libonnxruntime.so")]);
+    wait_until("it is not ready", || get(server.addr, "/readyz").status == 503);
+    let detail = get(server.addr, "/readyz").problem(503)["detail"].as_str().unwrap().to_owned();
+    assert!(detail.contains("ONNX Runtime is missing") && !detail.contains("/nowhere"), "paths are for the log: {detail}");
+    let log = std::fs::read_to_string(server.log.path()).unwrap();
+    assert_eq!(log.matches("/nowhere/libonnxruntime.so").count(), 1, "{log}");
+    assert!(log.contains("ORT_DYLIB_PATH"), "and what to do: {log}");
 }
 
 #[test]

@@ -251,6 +251,7 @@ fn exports_to_download() {
     for (query, media_type, ending, first) in [
         ("", "text/html; charset=utf-8", "html", b"<!do"),
         ("?format=glb", "model/gltf-binary", "glb", b"glTF"),
+        ("?format=ora", "image/openraster", "ora", b"PK\x03\x04"),
         ("?format=zip", "application/zip", "zip", b"PK\x03\x04"),
     ] {
         let answer = fetch(query, &[]);
@@ -266,7 +267,7 @@ fn exports_to_download() {
     }
     tags.sort();
     tags.dedup();
-    assert_eq!(tags.len(), 3, "each form has its own tag");
+    assert_eq!(tags.len(), 4, "each form has its own tag");
     assert_eq!(fetch("?format=gltf", &[]).problem(400)["field"], "format");
     assert_eq!(fetch("?size=3", &[]).problem(400)["field"], "size");
 }

@@ -32,7 +32,7 @@ def main():
         folder = Path(folder)
         for mp, kind, depth, options in cases:
             (folder / "photo.png").write_bytes(noise(mp) if kind == "noise" else smooth(mp))
-            command = [PROGRAM, "make", str(folder / "photo.png"), "-o", str(folder / "out.tmpi"), "--report", str(folder / "r.json"), *options]
+            command = [PROGRAM, "make", "--force", str(folder / "photo.png"), "-o", str(folder / "out.tmpi"), "--report", str(folder / "r.json"), *options]
             if depth:
                 levels = 16 if mp < 30 else 8
                 made = smooth(mp, 1) if depth == "smooth" else noise(mp, 1, levels) if depth == "noise" else blocks(mp, depth)

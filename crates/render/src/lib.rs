@@ -15,13 +15,13 @@ mod several;
 mod testing;
 
 pub use animation::{Animation, AnimationError, AnimationFormat, Path, RATE};
-pub use border::{corners, looking_at, margin as border_margin};
+pub use border::{corners, holds, looking_at, margin as border_margin};
 pub use cpu::{Cpu, draw_reference_view};
 pub use encode::{DEFAULT_QUALITY, EncodeError, PictureFormat, encode};
-pub use gpu::Gpu;
+pub use gpu::{Gpu, without_a_display};
 pub use outlook::Outlook;
 pub use reference::Reference;
-pub use several::{Arrangement, EYES, MAX_QUILT, Rig, draw_several};
+pub use several::{Arrangement, EYES, MAX_QUILT, Rig, draw_several, pivot};
 
 use std::sync::Arc;
 

@@ -10,7 +10,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::derived::Derived;
 use super::query::Pairs;
-use crate::export::{self, ExportError, ExportFormat};
+use crate::export::{self, ExportError, ExportFormat, ExportOptions, ModelShape};
 use crate::server::app::{App, Export, Full, Shared, Stored, scene_bytes};
 use crate::server::clock::Clock;
 use crate::server::conditional::insert;
@@ -24,9 +24,13 @@ const TITLE: &str = "3D photo";
 #[derive(Clone, Debug, Default, PartialEq, utoipa::IntoParams)]
 #[into_params(parameter_in = Query)]
 pub struct ExportQuery {
-    /// `html`, `glb` or `zip`; `html` if it is not given.
+    /// `html`, `glb`, `ora` or `zip`; `html` if it is not given.
     #[param(value_type = Option<String>)]
     pub format: ExportFormat,
+    /// Space of a `glb`: `relief`, which fits into the frame that viewers put around a model, or `metric`, with far things far away;
+    /// `relief` if it is not given.
+    #[param(value_type = Option<String>)]
+    pub shape: ModelShape,
     /// Version as in the photo's `links`: the file is kept for a year then.
     #[param(rename = "v")]
     pub version: Option<String>,
@@ -38,19 +42,27 @@ impl ExportQuery {
     /// # Errors
     /// 400 that names the first parameter that is unknown, given twice or wrong.
     pub fn read(uri: &Uri) -> Result<Self, Problem> {
-        let mut pairs = Pairs::read(uri, &["format", "v"])?;
+        let mut pairs = Pairs::read(uri, &["format", "shape", "v"])?;
         let format = pairs.get("format").map_or(Ok(ExportFormat::default()), |value| {
             let known = ExportFormat::from_extension(value);
-            known.ok_or_else(|| Problem::parameter("format", format!("must be html, glb or zip, not {value:?}")))
+            known.ok_or_else(|| Problem::parameter("format", format!("must be html, glb, ora or zip, not {value:?}")))
         })?;
-        Ok(Self { format, version: pairs.take("v") })
+        let shape = pairs.get("shape").map(|value| match value {
+            _ if format != ExportFormat::Glb => Err(Problem::parameter("shape", "goes with format=glb")),
+            "relief" => Ok(ModelShape::Relief),
+            "metric" => Ok(ModelShape::Metric),
+            _ => Err(Problem::parameter("shape", format!("must be relief or metric, not {value:?}"))),
+        });
+        let shape = shape.transpose()?.unwrap_or_default();
+        Ok(Self { format, shape, version: pairs.take("v") })
     }
 }
 
-/// The photo as a page, a model or an archive, to download.
+/// The photo as a page, a model, layers or an archive, to download.
 ///
 /// `html` is one page that carries viewer and photo in itself and opens from disk without a network; `glb` is a glTF 2.0 model of
-/// textured, unlit polygons; `zip` holds the photo, every layer as a PNG, the disparity, and the planes as JSON.
+/// textured, unlit polygons; `ora` is an `OpenRaster` file of 3 to 8 layers of the photo's size, as Krita and GIMP read it, with the depth
+/// map; `zip` holds the photo, every layer as a PNG, the disparity, and the planes as JSON.
 #[utoipa::path(
     get, path = "/v1/photos/{id}/export", tag = "photos",
     params(
@@ -60,10 +72,10 @@ impl ExportQuery {
     ),
     responses(
         (status = 200, description = "The file", content(
-            (String = "text/html"), (String = "model/gltf-binary"), (String = "application/zip")),
+            (String = "text/html"), (String = "model/gltf-binary"), (String = "image/openraster"), (String = "application/zip")),
             headers(("ETag" = String, description = "Strong entity tag"), ("Content-Disposition" = String, description = "Name of the file"))),
         (status = 206, description = "The range", content(
-            (String = "text/html"), (String = "model/gltf-binary"), (String = "application/zip"))),
+            (String = "text/html"), (String = "model/gltf-binary"), (String = "image/openraster"), (String = "application/zip"))),
         (status = 304, description = "The client has it"),
         (status = 400, description = "A parameter is wrong; `field` names it", body = Problem, content_type = "application/problem+json"),
         (status = 404, description = "There is no such photo", body = Problem, content_type = "application/problem+json"),
@@ -80,9 +92,9 @@ pub async fn export(
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
     let entry = app.photo(&id)?;
-    let ExportQuery { format, version: asked } = ExportQuery::read(&uri)?;
+    let ExportQuery { format, shape, version: asked } = ExportQuery::read(&uri)?;
     let (version, done) = Shared::done(&entry)?;
-    let derived = Derived::new(&app, &done, asked.as_deref(), |results| format!("export {results} {format:?}"));
+    let derived = Derived::new(&app, &done, asked.as_deref(), |results| format!("export {results} {format:?} {shape:?}"));
     if let Some(response) = derived.known(&headers) {
         return Ok(response);
     }
@@ -91,7 +103,9 @@ pub async fn export(
     let write = async {
         let gone = CancellationToken::new();
         let _guard = gone.clone().drop_guard();
-        let slot = app.pool.enter(Class::Export, scene_bytes(&done)).await?;
+        let pixels = u64::from(done.width) * u64::from(done.height);
+        let own = if format == ExportFormat::Ora { export::ORA_BYTES * pixels } else { 0 };
+        let slot = app.pool.enter(Class::Export, scene_bytes(&done) + own).await?;
         // a page carries the container as it is
         let scene = if format == ExportFormat::Html { None } else { Some(app.scene(version, &slot).await?.0) };
         let (read, name, shared) = (app.reading(version), derived.made.clone(), Arc::clone(&app));
@@ -99,7 +113,7 @@ pub async fn export(
             let (start, container) = (Instant::now(), read()?);
             let bytes = match scene {
                 None => export::html(&container, TITLE),
-                Some(scene) => export::export(format, &container, &scene, TITLE, &|| gone.is_cancelled()),
+                Some(scene) => export::export(format, &container, &scene, &ExportOptions { title: TITLE, shape }, &|| gone.is_cancelled()),
             };
             let bytes = bytes.map_err(|e| match e {
                 ExportError::Cancelled => Problem::new(StatusCode::SERVICE_UNAVAILABLE, "cancelled", e.to_string()).retry_after(1),
@@ -128,7 +142,15 @@ mod tests {
         let read = |query: &str| ExportQuery::read(&format!("/export?{query}").parse().unwrap());
         assert_eq!(read("").unwrap().format, ExportFormat::Html);
         assert_eq!(read("format=GLB").unwrap().format, ExportFormat::Glb);
-        for (query, field) in [("format=gltf", "format"), ("format=", "format"), ("format=zip&format=zip", "format"), ("w=3", "w")] {
+        assert_eq!(read("format=glb&shape=metric").unwrap().shape, ModelShape::Metric);
+        for (query, field) in [
+            ("format=gltf", "format"),
+            ("format=", "format"),
+            ("format=zip&format=zip", "format"),
+            ("w=3", "w"),
+            ("shape=metric", "shape"),
+            ("format=glb&shape=flat", "shape"),
+        ] {
             let p = read(query).unwrap_err();
             assert_eq!((p.status, p.field.as_deref()), (400, Some(field)), "{query}");
         }

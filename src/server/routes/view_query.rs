@@ -6,7 +6,7 @@ use super::query::Pairs;
 use crate::server::limits::Limits;
 use crate::server::problem::Problem;
 use tmpi_core::{Camera, Intrinsics, Pose, Scene};
-use tmpi_render::{AnimationFormat, Arrangement, EYES, Outlook, Path, PictureFormat, Rig};
+use tmpi_render::{AnimationFormat, Arrangement, EYES, Outlook, Path, PictureFormat, Rig, pivot};
 
 /// Fields of view that are drawn, in degrees.
 const FOV: std::ops::RangeInclusive<f64> = 0.1..=179.0;
@@ -120,7 +120,7 @@ pub struct ViewQuery {
     /// if it is not given.
     #[param(minimum = 0.0001, maximum = 10.0)]
     pub ipd: Option<f64>,
-    /// Disparity that lies in the screen, 0 (infinity) if it is not given: what is nearer stands before it.
+    /// Disparity that lies in the screen, that of the middle of the area if it is not given: what is nearer stands before it.
     #[param(minimum = 0.0, maximum = 2.0)]
     pub focus: Option<f64>,
     /// `orbit`, `swing`, `dolly`, `dolly-zoom` or `zoom` (into the nearest thing): an animation of the camera's way, 30 frames a second; no more than 640
@@ -271,7 +271,7 @@ impl ViewQuery {
     pub fn rig(&self, scene: &Scene) -> Option<Rig> {
         let arrangement = self.arrangement()?;
         let usual = if self.quilt.is_some() { (2.0 * scene.view_box.x).min(Outlook::TRAVEL) } else { EYES };
-        Some(Rig { arrangement, baseline: self.ipd.unwrap_or(usual), focus: self.focus.unwrap_or(0.0) })
+        Some(Rig { arrangement, baseline: self.ipd.unwrap_or(usual), focus: self.focus.unwrap_or_else(|| pivot(scene)) })
     }
 
     /// The same view said in the same words: without what is told by its size and format.

@@ -190,7 +190,7 @@ describe('every control', () => {
       'a: The 3D photo (.tmpi)': answers($('download'), '/v1/photos/box/atlas'),
       'a: A page for any browser (.html)': answers(page.locator('[data-export=html]'), '/v1/photos/box/export?format=html'),
       'a: A 3D model (.glb)': answers(page.locator('[data-export=glb]'), '/v1/photos/box/export?format=glb'),
-      'a: The parts (.zip)': answers(page.locator('[data-export=zip]'), '/v1/photos/box/export?format=zip'),
+      'a: Layers for Krita or GIMP (.ora)': answers(page.locator('[data-export=ora]'), '/v1/photos/box/export?format=ora'),
       'button: This view (.png)': async () => {
         const [download] = await Promise.all([page.waitForEvent('download'), $('picture').click()]);
         assert.equal(download.suggestedFilename(), 'Another.png');

@@ -34,10 +34,10 @@ describe('exports', () => {
     browser = await launch();
     folder = mkdtempSync(join(tmpdir(), 'tmpi-export-'));
     made = await makePhoto(server.url, boxPhoto(WIDTH, HEIGHT), depth());
-    for (const format of ['html', 'glb', 'zip']) {
+    for (const format of ['html', 'glb', 'ora', 'zip', 'glb&shape=metric']) {
       const response = await fetch(`${server.url}${made.links.export}?format=${format}`);
       assert.equal(response.status, 200);
-      assert.equal(response.headers.get('content-disposition'), `attachment; filename="${made.id}.${format}"`);
+      assert.equal(response.headers.get('content-disposition'), `attachment; filename="${made.id}.${format.split('&')[0]}"`);
       files[format] = Buffer.from(await response.arrayBuffer());
     }
     writeFileSync(join(folder, 'photo.html'), files.html);
@@ -109,22 +109,52 @@ describe('exports', () => {
     await plain.close();
   });
 
-  test('the model is valid glTF, and another renderer draws the same views from it', async (t) => {
-    const report = await validate(files.glb);
-    assert.deepEqual([report.errors, report.warnings], [0, 0], JSON.stringify(report.messages));
-    const { page, context, errors } = await openPage(browser);
+  for (const format of ['glb', 'glb&shape=metric']) {
+    test(`the model (${format}) is valid glTF, and another renderer draws the same views from it`, async (t) => {
+      const report = await validate(files[format]);
+      assert.deepEqual([report.errors, report.warnings], [0, 0], JSON.stringify(report.messages));
+      const { page, context, errors } = await openPage(browser);
+      const model = await openModel(page, files[format]);
+      for (const name of ['photo', 'opaque_0', 'soft_0', 'camera']) assert.ok(model.names.includes(name), `${name}: ${model.names}`);
+      const still = await model.draw({}, WIDTH, HEIGHT);
+      const shares = [];
+      // a relief has the photo's views from cameras beside each other; those that turn or step forward are other views
+      const poses = format === 'glb' ? POSES.map(({ tx, ty }) => ({ tx, ty })) : POSES;
+      for (const pose of [{}, ...poses]) {
+        const want = await served(pose);
+        shares.push(shareDifferent(await model.draw(pose, WIDTH, HEIGHT), want, WIDTH, HEIGHT, INNER));
+        if (pose.tx) assert.ok(shareDifferent(still, want, WIDTH, HEIGHT, INNER) > 3 * MAX_SHARE, 'a model that stands still would pass');
+      }
+      t.diagnostic(`share off by more than 8 levels: ${shares.map((s) => s.toFixed(5)).join(', ')}`);
+      for (const share of shares) assert.ok(share < MAX_SHARE, `${share}`);
+      assert.deepEqual(errors, []);
+      await context.close();
+    });
+  }
+
+  test('the model fills the frame that a viewer puts around it, without holes', async (t) => {
+    const { page, context } = await openPage(browser);
     const model = await openModel(page, files.glb);
-    for (const name of ['photo', 'opaque_0', 'soft_0', 'camera']) assert.ok(model.names.includes(name), `${name}: ${model.names}`);
-    const still = await model.draw({}, WIDTH, HEIGHT);
-    const shares = [];
-    for (const pose of [{}, ...POSES]) {
-      const want = await served(pose);
-      shares.push(shareDifferent(await model.draw(pose, WIDTH, HEIGHT), want, WIDTH, HEIGHT, INNER));
-      if (pose.tx) assert.ok(shareDifferent(still, want, WIDTH, HEIGHT, INNER) > 3 * MAX_SHARE, 'a model that stands still would pass');
+    const [w, h] = [640, 480];
+    for (const above of [0, 15]) {
+      const { size, pixels } = await model.frame(above, w, h);
+      if (process.env.TMPI_PICTURES) {
+        await page.evaluate(() => document.querySelector('canvas').scrollIntoView());
+        await page.locator('canvas').screenshot({ path: join(process.env.TMPI_PICTURES, `framed-${above}.png`) });
+      }
+      assert.ok(size[2] < 0.4 * size[0] && size[0] < 1.3, `as deep as wide, or not a unit wide: ${size}`);
+      let [covered, holes] = [0, 0];
+      for (let y = 0; y < h; y++) {
+        const row = Array.from({ length: w }, (_, x) => pixels[(y * w + x) * 4 + 3] > 200);
+        const [first, last] = [row.indexOf(true), row.lastIndexOf(true)];
+        const inside = first < 0 ? [] : row.slice(first, last + 1);
+        covered += inside.length;
+        holes += inside.filter((seen) => !seen).length;
+      }
+      t.diagnostic(`${above}° above: ${((100 * covered) / (w * h)).toFixed(1)} % of the frame, ${holes} pixels of holes`);
+      assert.ok(covered > 0.35 * w * h, `${covered} pixels`);
+      assert.ok(holes < 0.002 * covered, `${holes} of ${covered}`);
     }
-    t.diagnostic(`share off by more than 8 levels: ${shares.map((s) => s.toFixed(5)).join(', ')}`);
-    for (const share of shares) assert.ok(share < MAX_SHARE, `${share}`);
-    assert.deepEqual(errors, []);
     await context.close();
   });
 });

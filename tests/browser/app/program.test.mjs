@@ -97,7 +97,7 @@ describe('the whole way', () => {
     for (const [format, start] of [
       ['html', '<!doctype html>'],
       ['glb', 'glTF'],
-      ['zip', 'PK'],
+      ['ora', 'PK'],
     ]) {
       const [file] = await Promise.all([
         page.waitForEvent('download'),

@@ -23,13 +23,36 @@ renderer.setClearColor(0, 0);
 document.body.append(renderer.domElement);
 window.names = [];
 model.scene.traverse((o) => window.names.push(o.name));
+const { disparity, intrinsics, photo } = model.scene.userData;
 window.draw = (pose, width, height) => {
-  renderer.setSize(width, height, false);
   const camera = model.cameras[0];
   const degrees = Math.PI / 180;
-  camera.position.set(pose.tx ?? 0, -(pose.ty ?? 0), -(pose.tz ?? 0));
+  camera.updateProjectionMatrix();
+  // a step in the file's space that moves things against each other as one in the photo's, and how far it moves all, in halves of the view
+  const focal = camera.projectionMatrix.elements;
+  const step = ((intrinsics.fx / photo.width) * 2) / (focal[0] * disparity.gain);
+  const [tx, ty, tz] = [(pose.tx ?? 0) * step, -(pose.ty ?? 0) * step, -(pose.tz ?? 0) * step];
+  camera.position.set(tx, ty, tz);
+  focal[8] -= focal[0] * tx * disparity.offset;
+  focal[9] -= focal[5] * ty * disparity.offset;
+  camera.projectionMatrixInverse.copy(camera.projectionMatrix).invert();
   // to the right, up and clockwise are positive in tmpi
   camera.rotation.set((pose.pitch ?? 0) * degrees, -(pose.yaw ?? 0) * degrees, -(pose.roll ?? 0) * degrees, 'YXZ');
+  return pixels(camera, width, height);
+};
+// as model-viewer frames a model by its bounding box: from the front, from so many degrees above
+window.frame = (above, width, height) => {
+  const box = new THREE.Box3().setFromObject(model.scene);
+  const { center, radius } = box.getBoundingSphere(new THREE.Sphere());
+  const camera = new THREE.PerspectiveCamera(30, width / height, radius / 100, radius * 100);
+  const distance = (1.05 * radius) / Math.sin((15 * Math.PI) / 180);
+  const angle = (above * Math.PI) / 180;
+  camera.position.set(0, Math.sin(angle), Math.cos(angle)).multiplyScalar(distance).add(center);
+  camera.lookAt(center);
+  return { size: box.getSize(new THREE.Vector3()).toArray(), pixels: pixels(camera, width, height) };
+};
+function pixels(camera, width, height) {
+  renderer.setSize(width, height, false);
   renderer.render(model.scene, camera);
   const gl = renderer.getContext();
   const data = new Uint8Array(width * height * 4);
@@ -37,7 +60,7 @@ window.draw = (pose, width, height) => {
   let text = '';
   for (let y = height - 1; y >= 0; y--) text += String.fromCharCode(...data.subarray(y * width * 4, (y + 1) * width * 4));
   return btoa(text);
-};
+}
 window.ready = true;
 </script>`;
 
@@ -47,7 +70,10 @@ export async function validate(glb) {
   return { errors: issues.numErrors, warnings: issues.numWarnings, messages: issues.messages };
 }
 
-/** Opens a model in three.js; `draw(pose, width, height)` gives RGBA. */
+/**
+ * Opens a model in three.js; `draw(pose, width, height)` gives RGBA as the photo's camera sees it, `frame(above, width, height)` size and
+ * RGBA as a viewer shows it that frames the model by its bounding box.
+ */
 export async function openModel(page, glb) {
   await page.route(`${HOST}/**`, async (route) => {
     const path = new URL(route.request().url()).pathname;
@@ -62,6 +88,10 @@ export async function openModel(page, glb) {
     draw: async (pose, width, height) => {
       const text = await page.evaluate(([p, w, h]) => window.draw(p, w, h), [pose, width, height]);
       return new Uint8ClampedArray(Buffer.from(text, 'base64'));
+    },
+    frame: async (above, width, height) => {
+      const { size, pixels } = await page.evaluate(([a, w, h]) => window.frame(a, w, h), [above, width, height]);
+      return { size, pixels: new Uint8ClampedArray(Buffer.from(pixels, 'base64')) };
     },
   };
 }

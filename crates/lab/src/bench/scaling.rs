@@ -97,7 +97,16 @@ impl Workshop {
     pub fn make(&self, arguments: &[&str]) -> Result<Report, BenchError> {
         let [photo, depth, out, report] = ["p.jpg", "d.png", "o.tmpi", "r.json"].map(|name| self.folder.join(name));
         let mut command = Command::new(&self.program);
-        command.arg("make").arg(photo).arg("--depth").arg(depth).arg("-o").arg(out).arg("--report").arg(&report).args(arguments);
+        command
+            .args(["make", "--force"])
+            .arg(photo)
+            .arg("--depth")
+            .arg(depth)
+            .arg("-o")
+            .arg(out)
+            .arg("--report")
+            .arg(&report)
+            .args(arguments);
         let status = command.arg("--quiet").stdout(Stdio::null()).status().map_err(|e| self.bad(&e))?;
         if !status.success() {
             return Err(self.bad(&format!("making with {arguments:?} ended with {status}")));

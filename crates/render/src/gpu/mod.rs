@@ -26,6 +26,20 @@ pub struct Gpu {
     thread: Option<std::thread::JoinHandle<()>>,
 }
 
+/// Has Mesa's layer that chooses among adapters not look for a Wayland display where there is none: it complains on standard error, and
+/// this program chooses for itself. A choice that the user has made by `MESA_VK_DEVICE_SELECT` stays.
+///
+/// # Safety
+/// As [`std::env::set_var`]: no other thread may be running.
+#[allow(unsafe_code, clippy::disallowed_methods, reason = "the layer reads it from the environment alone; called before any thread")]
+pub unsafe fn without_a_display() {
+    let named = |name: &str| std::env::var_os(name).is_some();
+    if !named("XDG_RUNTIME_DIR") && !named("MESA_VK_DEVICE_SELECT") {
+        // SAFETY: by the condition above
+        unsafe { std::env::set_var("NODEVICE_SELECT", "1") };
+    }
+}
+
 type Reply<T> = mpsc::SyncSender<Result<T, RenderError>>;
 
 enum Job {
@@ -126,8 +140,10 @@ impl Worker {
         }));
         let result = caught.unwrap_or_else(|_| Err(RenderError::Adapter("the graphics library panicked".into())));
         if let Err(error @ RenderError::Adapter(_)) = &result {
-            tracing::warn!(%error, "the graphics device is dropped");
-            self.state = None;
+            // one that could not be opened is none that is dropped
+            if self.state.take().is_some() {
+                tracing::warn!(%error, "the graphics device is dropped");
+            }
         }
         result
     }

@@ -98,6 +98,17 @@ pub fn folder() -> PathBuf {
     set("TMPI_MODELS").or_else(|| data().map(|d| d.join("tmpi/models"))).unwrap_or_else(|| "models".into())
 }
 
+/// Folder that comes with the program: `models` beside it.
+fn shipped() -> Option<PathBuf> {
+    Some(std::env::current_exe().ok()?.parent()?.join("models"))
+}
+
+/// The best network in [`folder`], else of those that came with the program.
+#[must_use]
+pub fn usual() -> Option<(&'static Adapter, PathBuf)> {
+    best(&folder()).or_else(|| best(&shipped()?))
+}
+
 /// The best network among the ONNX files of `folder`: by kind, then the larger file, then by name. Files that do not tell their network are passed
 /// over; none where nothing is left.
 #[must_use]

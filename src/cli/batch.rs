@@ -1,0 +1,200 @@
+//! Which photos a command is to work on, and where what is made of each goes.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+use anyhow::Context;
+
+use super::files::extension;
+use super::{Usage, note};
+
+/// Endings of the files of a folder that are taken as photos.
+const PHOTOS: [&str; 4] = ["jpg", "jpeg", "png", "webp"];
+/// Endings of pictures that are not read; whoever names a folder of them should know.
+const OTHERS: [&str; 9] = ["heic", "heif", "avif", "gif", "tif", "tiff", "bmp", "jxl", "dng"];
+/// Ending of a container.
+const CONTAINER: &str = "tmpi";
+
+/// A photo, and the container to make of it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Item {
+    pub photo: PathBuf,
+    pub output: PathBuf,
+    /// Found in a folder, not named.
+    found: bool,
+}
+
+/// What is to be made.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Batch {
+    pub items: Vec<Item>,
+    /// The output is a folder.
+    pub folder: bool,
+}
+
+impl Batch {
+    /// The photos that `named` stands for – files, and folders with all that is below them – and where their containers go: to the
+    /// file `output`, or into the folder of that name, below which the folders of photos come again.
+    ///
+    /// # Errors
+    /// [`Usage`] where `output` does not fit, two photos would go to one file, or a photo would be overwritten; a folder that cannot be
+    /// read, or holds no photo.
+    pub fn of(named: &[PathBuf], output: &Path) -> anyhow::Result<Self> {
+        let text = output.as_os_str().to_string_lossy();
+        let slash = text.ends_with(['/', std::path::MAIN_SEPARATOR]);
+        let several = named.len() > 1 || named.iter().any(|p| p.is_dir());
+        let ending = extension(output);
+        if !several && !slash && !output.is_dir() {
+            if ending != CONTAINER {
+                let advice = format!("write {} for a container, or {text}/ for a folder", output.with_extension(CONTAINER).display());
+                return Err(Usage(format!("--output {text} must end in .{CONTAINER}: {advice}")).into());
+            }
+            let item = Item { photo: named.first().cloned().unwrap_or_default(), output: output.to_owned(), found: false };
+            return Ok(Self { items: checked(vec![item])?, folder: false });
+        }
+        if output.is_file() {
+            return Err(Usage(format!("--output {text} must be a folder for several photos; it is a file")).into());
+        }
+        if !slash && !output.is_dir() && (ending == CONTAINER || PHOTOS.contains(&ending.as_str())) {
+            return Err(Usage(format!("--output {text} must be a folder for several photos; write {text}/ if that is its name")).into());
+        }
+        let mut items = Vec::new();
+        for path in named {
+            if path.is_dir() {
+                let mut others = BTreeMap::new();
+                let photos = below(path, &mut others)?;
+                for (ending, n) in &others {
+                    note(&format!("{}: {n} .{ending} left out, only JPEG, PNG and WebP are read", path.display()));
+                }
+                anyhow::ensure!(!photos.is_empty(), "{} holds no JPEG, PNG or WebP photo", path.display());
+                for photo in photos {
+                    let place = photo.strip_prefix(path).unwrap_or(&photo).with_extension("");
+                    items.push(Item { output: output.join(place).with_added_extension(CONTAINER), photo, found: true });
+                }
+            } else {
+                let stem = path.file_stem().unwrap_or_default();
+                items.push(Item { photo: path.clone(), output: output.join(stem).with_added_extension(CONTAINER), found: false });
+            }
+        }
+        Ok(Self { items: checked(apart(items))?, folder: true })
+    }
+}
+
+/// Photos of a folder that have one name but for their ending keep the ending: `a.jpg.tmpi`, `a.png.tmpi`.
+fn apart(mut items: Vec<Item>) -> Vec<Item> {
+    let mut count: BTreeMap<PathBuf, usize> = BTreeMap::new();
+    for item in &items {
+        *count.entry(item.output.clone()).or_default() += 1;
+    }
+    for item in items.iter_mut().filter(|i| i.found) {
+        if count.get(&item.output).is_some_and(|&n| n > 1) {
+            let name = item.photo.file_name().unwrap_or_default();
+            item.output = item.output.with_file_name(name).with_added_extension(CONTAINER);
+        }
+    }
+    items
+}
+
+/// The items, where each has a file of its own and none is a photo's.
+fn checked(items: Vec<Item>) -> Result<Vec<Item>, Usage> {
+    let photos: BTreeSet<&Path> = items.iter().map(|i| i.photo.as_path()).collect();
+    let mut taken: BTreeMap<&Path, &Path> = BTreeMap::new();
+    for Item { photo, output, .. } in &items {
+        if let Some(other) = taken.insert(output, photo) {
+            return Err(Usage(format!("{} and {} would both be written to {}", other.display(), photo.display(), output.display())));
+        }
+        if photos.contains(output.as_path()) {
+            return Err(Usage(format!("{} is a photo and would be overwritten", output.display())));
+        }
+    }
+    Ok(items)
+}
+
+/// Photos in a folder and in those below it, by name; hidden ones and links to folders are passed over. `others` counts pictures of
+/// other kinds by their endings.
+fn below(folder: &Path, others: &mut BTreeMap<String, usize>) -> anyhow::Result<Vec<PathBuf>> {
+    let context = || format!("reading {}", folder.display());
+    let listing = std::fs::read_dir(folder).with_context(context)?;
+    let mut entries = listing.collect::<Result<Vec<_>, _>>().with_context(context)?;
+    entries.sort_by_key(std::fs::DirEntry::file_name);
+    let mut photos = Vec::new();
+    for entry in entries {
+        if entry.file_name().as_encoded_bytes().starts_with(b".") {
+            continue;
+        }
+        let path = entry.path();
+        if entry.file_type().with_context(context)?.is_dir() {
+            photos.extend(below(&path, others)?);
+            continue;
+        }
+        let ending = extension(&path);
+        if PHOTOS.contains(&ending.as_str()) && path.is_file() {
+            photos.push(path);
+        } else if OTHERS.contains(&ending.as_str()) {
+            *others.entry(ending).or_default() += 1;
+        }
+    }
+    Ok(photos)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn paths(names: &[&str]) -> Vec<PathBuf> {
+        names.iter().map(PathBuf::from).collect()
+    }
+
+    fn outputs(photos: &[&str], output: &str) -> anyhow::Result<Vec<PathBuf>> {
+        Ok(Batch::of(&paths(photos), Path::new(output))?.items.into_iter().map(|i| i.output).collect())
+    }
+
+    fn refused(photos: &[&str], output: &str) -> String {
+        outputs(photos, output).unwrap_err().downcast::<Usage>().unwrap().to_string()
+    }
+
+    #[test]
+    fn one_photo_to_a_file_several_to_a_folder() {
+        assert_eq!(outputs(&["a.jpg"], "x.tmpi").unwrap(), paths(&["x.tmpi"]));
+        assert_eq!(outputs(&["in/a.b.jpg", "c.png"], "out").unwrap(), paths(&["out/a.b.tmpi", "out/c.tmpi"]));
+        assert_eq!(outputs(&["a.jpg"], "new/").unwrap(), paths(&["new/a.tmpi"]));
+    }
+
+    #[test]
+    fn nothing_is_overwritten_unawares() {
+        assert!(refused(&["a/x.jpg", "b/x.png"], "out").contains("out/x.tmpi"));
+        assert!(refused(&["a.tmpi"], "a.tmpi").contains("overwritten"));
+        assert!(refused(&["a.jpg", "b.jpg"], "Cargo.toml").contains("folder"));
+    }
+
+    #[test]
+    fn a_name_that_is_no_containers_is_refused_with_what_to_write() {
+        assert!(refused(&["a.jpg"], "out.jpg").contains("out.tmpi"));
+        assert!(refused(&["a.jpg"], "out").contains("out/"));
+        assert!(refused(&["a.jpg", "b.jpg"], "all.tmpi").contains("folder"));
+        assert!(outputs(&["a.jpg"], "OUT.TMPI").is_ok());
+    }
+
+    #[test]
+    fn a_folder_stands_for_all_photos_below_it_and_keeps_its_shape() {
+        let place = tempfile::tempdir().unwrap();
+        let root = place.path().join("photos");
+        std::fs::create_dir_all(root.join("2020/.cache")).unwrap();
+        for name in ["b.jpg", "a.JPEG", "same.png", "same.jpg", "notes.txt", ".hidden.jpg", "x.heic", "2020/b.webp", "2020/.cache/t.jpg"] {
+            std::fs::write(root.join(name), b"x").unwrap();
+        }
+        let out = place.path().join("out");
+        let items = Batch::of(std::slice::from_ref(&root), &out).unwrap().items;
+        let got: Vec<_> = items.iter().map(|i| (i.photo.strip_prefix(&root).unwrap(), i.output.strip_prefix(&out).unwrap())).collect();
+        let want = [
+            ("2020/b.webp", "2020/b.tmpi"),
+            ("a.JPEG", "a.tmpi"),
+            ("b.jpg", "b.tmpi"),
+            ("same.jpg", "same.jpg.tmpi"),
+            ("same.png", "same.png.tmpi"),
+        ];
+        assert_eq!(got, want.map(|(a, b)| (Path::new(a), Path::new(b))));
+        std::fs::create_dir(place.path().join("empty")).unwrap();
+        assert!(Batch::of(&[place.path().join("empty")], &out).unwrap_err().to_string().contains("no JPEG"));
+    }
+}

@@ -1,0 +1,209 @@
+//! A scene as a few whole pictures one over the other, for programs that edit pictures: `OpenRaster`, which Krita, GIMP, `MyPaint` and
+//! others read.
+
+use std::io::{Cursor, Write};
+
+use ::zip::write::SimpleFileOptions;
+use ::zip::{CompressionMethod, ZipWriter};
+use image::codecs::png::PngEncoder;
+use image::{ExtendedColorType, ImageEncoder};
+
+use super::surface::{filled, visible_disparity};
+use super::{ExportError, bands, pages};
+use tmpi_core::{DisparityMap, Photo, Scene};
+use tmpi_pipeline::depth::to_png;
+use tmpi_pipeline::photo::{reduced_size, resize};
+
+/// Alpha of a nearer layer beyond its edge, a pixel and two away. Its colour there is the photo's own: layers that lie where they lay
+/// show the photo.
+const SOFT: [u8; 2] = [170, 85];
+/// How far a layer goes on behind what stands before it, as a share of the longer side; on the second half it fades.
+const BEHIND: f64 = 0.06;
+/// Memory that writing takes besides the scene, in bytes a pixel: maps and a layer under work 25, the archive up to 3 a layer.
+pub const ORA_BYTES: u64 = 48;
+/// Longest side of the preview, as the format has it.
+const THUMBNAIL: u32 = 256;
+
+/// Writes `scene` as an `OpenRaster` archive: 3 to 8 layers of the photo's size, fewer where it has fewer distances, each of what lies in
+/// a band of disparity. The farthest covers everything; all others go on a little behind what stands before them. Seen one over the
+/// other they are the photo, to one level of 255. The depth map is a layer that is not shown, and with 16 bits `depth.png`.
+///
+/// # Errors
+/// [`ExportError`].
+pub fn ora(scene: &Scene, cancelled: &dyn Fn() -> bool) -> Result<Vec<u8>, ExportError> {
+    let (photo, map) = (&scene.photo, visible_disparity(scene));
+    let (width, height) = (photo.width, photo.height);
+    let bounds = bands::bounds(&map.delta);
+    let band: Vec<u8> = map.delta.iter().map(|d| bounds.iter().filter(|&b| d >= b).count() as u8).collect();
+    let mut archive = ZipWriter::new(Cursor::new(Vec::new()));
+    // pictures are compressed already, and the type must lie open at the head of the file
+    let stored = SimpleFileOptions::default().compression_method(CompressionMethod::Stored);
+    let mut add = |name: &str, bytes: &[u8]| -> Result<(), ExportError> {
+        archive.start_file(name, stored)?;
+        archive.write_all(bytes)?;
+        Ok(())
+    };
+    add("mimetype", b"image/openraster")?;
+    let mut layers = Vec::new();
+    for index in 0..=bounds.len() {
+        if cancelled() {
+            return Err(ExportError::Cancelled);
+        }
+        let file = format!("data/layer{index}.png");
+        let limit = bounds.get(index).copied().unwrap_or(f32::INFINITY);
+        add(&file, &pages::png(width, height, &layer(photo, &map.delta, &band, index as u8, limit))?)?;
+        let word = if index == 0 {
+            ", farthest"
+        } else if index == bounds.len() {
+            ", nearest"
+        } else {
+            ""
+        };
+        layers.push(element(&format!("Layer {}{word}", index + 1), &file, true));
+    }
+    add("data/depth.png", &grey(&map)?)?;
+    layers.push(element("Depth map, near is white", "data/depth.png", false));
+    // the topmost comes first
+    let stack: String = layers.iter().rev().map(String::as_str).collect();
+    let head = format!("<image version=\"0.0.3\" w=\"{width}\" h=\"{height}\" xres=\"72\" yres=\"72\">");
+    add("stack.xml", format!("<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n{head}\n<stack>\n{stack}</stack>\n</image>\n").as_bytes())?;
+    add("depth.png", &to_png(&map)?)?;
+    add("mergedimage.png", &rgb(photo)?)?;
+    let (w, h) = reduced_size((width, height), Some(THUMBNAIL));
+    add("Thumbnails/thumbnail.png", &rgb(&resize(photo, w, h))?)?;
+    Ok(archive.finish()?.into_inner())
+}
+
+fn element(name: &str, file: &str, shown: bool) -> String {
+    let visibility = if shown { "visible" } else { "hidden" };
+    let place = "x=\"0\" y=\"0\" opacity=\"1.0\" composite-op=\"svg:src-over\"";
+    format!("<layer name=\"{name}\" src=\"{file}\" visibility=\"{visibility}\" {place}/>\n")
+}
+
+/// The picture of one band, whose δ is below `limit`; straight alpha.
+fn layer(photo: &Photo, delta: &[f32], band: &[u8], own: u8, limit: f32) -> Vec<[u8; 4]> {
+    let reach = (BEHIND * f64::from(photo.width.max(photo.height))).round().max(4.0) as u16;
+    let away = distances(photo.width as usize, band, own, reach);
+    let alpha: Vec<u8> = (band.iter().zip(&away))
+        .map(|(b, &d)| match (b.cmp(&own), d) {
+            (std::cmp::Ordering::Equal, _) => u8::MAX,
+            (std::cmp::Ordering::Less, d) => d.checked_sub(1).and_then(|d| SOFT.get(usize::from(d)).copied()).unwrap_or(0),
+            (std::cmp::Ordering::Greater, _) if own == 0 => u8::MAX,
+            (std::cmp::Ordering::Greater, d) => {
+                (f64::from(reach - d) / (f64::from(reach) / 2.0) * f64::from(u8::MAX)).min(f64::from(u8::MAX)) as u8
+            }
+        })
+        .collect();
+    let hidden = |i: usize| band[i] > own && alpha[i] > 0;
+    let filled = if (0..band.len()).any(hidden) { &filled(photo, delta, limit, hidden) } else { photo };
+    filled.rgb.iter().zip(alpha).map(|(&[r, g, b], a)| if a > 0 { [r, g, b, a] } else { [0; 4] }).collect()
+}
+
+/// How far each pixel is from the nearest one of the band `own`, in steps to the side, up or down; `most` at most.
+fn distances(width: usize, band: &[u8], own: u8, most: u16) -> Vec<u16> {
+    let mut away: Vec<u16> = band.iter().map(|&b| if b == own { 0 } else { most }).collect();
+    let nearer = |away: &mut [u16], i: usize, other: usize| away[i] = away[i].min(away[other] + 1);
+    for i in 0..away.len() {
+        if i % width > 0 {
+            nearer(&mut away, i, i - 1);
+        }
+        if i >= width {
+            nearer(&mut away, i, i - width);
+        }
+    }
+    for i in (0..away.len()).rev() {
+        if i % width + 1 < width {
+            nearer(&mut away, i, i + 1);
+        }
+        if i + width < away.len() {
+            nearer(&mut away, i, i + width);
+        }
+    }
+    away
+}
+
+/// δ from 0 to 1 as 8 bits, as editors of pictures take it.
+fn grey(map: &DisparityMap) -> Result<Vec<u8>, ExportError> {
+    let values: Vec<u8> = map.delta.iter().map(|d| (d * 255.0).round() as u8).collect();
+    let mut out = Vec::new();
+    PngEncoder::new(&mut out).write_image(&values, map.width, map.height, ExtendedColorType::L8)?;
+    Ok(out)
+}
+
+fn rgb(photo: &Photo) -> Result<Vec<u8>, ExportError> {
+    let mut out = Vec::new();
+    PngEncoder::new(&mut out).write_image(photo.rgb.as_flattened(), photo.width, photo.height, ExtendedColorType::Rgb8)?;
+    Ok(out)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::Read;
+
+    use super::super::testing;
+    use super::*;
+
+    /// Files of an archive by name, in its order.
+    fn files(bytes: &[u8]) -> Vec<(String, Vec<u8>)> {
+        let mut archive = ::zip::ZipArchive::new(Cursor::new(bytes)).unwrap();
+        let count = archive.len();
+        let read = |i| {
+            let mut file = archive.by_index(i).unwrap();
+            let mut out = Vec::new();
+            file.read_to_end(&mut out).unwrap();
+            (file.name().unwrap().into_owned(), out)
+        };
+        (0..count).map(read).collect()
+    }
+
+    #[test]
+    fn the_layers_one_over_the_other_are_the_photo() {
+        let scene = &testing::made().1;
+        let bytes = ora(scene, &|| false).unwrap();
+        let files = files(&bytes);
+        assert_eq!((files[0].0.as_str(), files[0].1.as_slice()), ("mimetype", b"image/openraster".as_slice()));
+        assert_eq!(&bytes[30..54], b"mimetypeimage/openraster", "where the format wants it");
+        let file = |name: &str| &files.iter().find(|f| f.0 == name).unwrap_or_else(|| panic!("{name}")).1;
+        let stack = String::from_utf8(file("stack.xml").clone()).unwrap();
+        let shown: Vec<&str> = stack.lines().filter(|l| l.contains("visibility=\"visible\"")).collect();
+        assert!(bands::COUNT.contains(&shown.len()), "{stack}");
+        assert!(shown[0].contains("nearest") && shown[shown.len() - 1].contains("farthest"), "{stack}");
+        let mut over = vec![[0f64; 3]; scene.photo.rgb.len()];
+        for (i, line) in shown.iter().rev().enumerate() {
+            let name = line.split("src=\"").nth(1).unwrap().split('"').next().unwrap();
+            let picture = image::load_from_memory(file(name)).unwrap().to_rgba8();
+            assert_eq!(picture.dimensions(), (scene.photo.width, scene.photo.height), "whole pictures");
+            assert!(i > 0 || picture.pixels().all(|p| p.0[3] == 255), "the farthest has no hole");
+            assert!(picture.pixels().any(|p| p.0[3] == 255), "{name} shows something");
+            for (to, from) in over.iter_mut().zip(picture.pixels()) {
+                let a = f64::from(from.0[3]) / 255.0;
+                *to = std::array::from_fn(|c| (f64::from(from.0[c]) * a + to[c] * (1.0 - a)).round());
+            }
+        }
+        for (got, want) in over.iter().zip(&scene.photo.rgb) {
+            assert!(got.iter().zip(want).all(|(g, w)| (g - f64::from(*w)).abs() <= 1.0), "{got:?} {want:?}");
+        }
+        // the box is the nearest thing, and taken away it leaves ground behind
+        let nearest = image::load_from_memory(file(&format!("data/layer{}.png", shown.len() - 1))).unwrap().to_rgba8();
+        assert_eq!(nearest.get_pixel(70, 60).0[3], 255);
+        assert_eq!((nearest.get_pixel(20, 60).0[3], nearest.get_pixel(70, 10).0[3]), (0, 0));
+        let farthest = image::load_from_memory(file("data/layer0.png")).unwrap().to_rgba8();
+        assert!(farthest.get_pixel(70, 60).0[0] < 180, "the box is gone: {:?}", farthest.get_pixel(70, 60));
+        for name in ["depth.png", "mergedimage.png", "Thumbnails/thumbnail.png", "data/depth.png"] {
+            assert!(image::load_from_memory(file(name)).is_ok(), "{name}");
+        }
+        assert!(matches!(ora(scene, &|| true), Err(ExportError::Cancelled)));
+    }
+
+    #[test]
+    fn a_flat_photo_is_one_layer() {
+        let photo = Photo { width: 4, height: 3, rgb: vec![[9, 8, 7]; 12] };
+        assert_eq!(layer(&photo, &[0.5; 12], &[0; 12], 0, f32::INFINITY), vec![[9, 8, 7, 255]; 12]);
+    }
+
+    #[test]
+    fn distances_are_counted_in_steps_and_end_somewhere() {
+        assert_eq!(distances(4, &[1, 0, 0, 0, 0, 0, 0, 0], 1, 3), [0, 1, 2, 3, 1, 2, 3, 3]);
+        assert_eq!(distances(2, &[0; 4], 1, 5), [5; 4]);
+    }
+}
