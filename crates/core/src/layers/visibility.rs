@@ -11,7 +11,8 @@ use super::rows::{self, Columns};
 use crate::parallel;
 use crate::scene::{Class, Grid, Intrinsics, Plane, Rect, ViewBox};
 
-/// A layer whose rim lies in front of its neighbour by at most this many pixels of parallax is one surface with it.
+/// A layer whose rim lies in front of its neighbour by at most this many pixels of parallax over [`ViewBox::default`] is one surface with
+/// it, however far cameras go.
 const SEAM: f64 = 1.0;
 
 /// The planes of one tile and which of them each pixel lies on.
@@ -185,8 +186,11 @@ impl Geometry {
         for (y, out) in s.visible.chunks_mut(w).enumerate() {
             columns.visible(y, place.v(r.y + y as u32), &mut s.planes, out);
         }
-        let parallax = self.view_box.parallax(&self.intrinsics, r);
-        let parallax = parallax.0.max(parallax.1);
+        let parallax = |view_box: ViewBox| {
+            let (x, y) = view_box.parallax(&self.intrinsics, r);
+            x.max(y)
+        };
+        let (parallax, usual) = (parallax(self.view_box), parallax(ViewBox::default()));
         let mut out = LayerMasks::default();
         let labelled = tile.planes.iter().enumerate().map(|(j, q)| (Some(j as u8), *q));
         for (label, plane) in labelled.chain(tile.background.map(|q| (None, q))) {
@@ -198,7 +202,7 @@ impl Geometry {
                 let layer = Behind { r, place, plane: &plane, depth };
                 out.never_seen += behind - self.keep_seen(&layer, surface, &mut s.hidden, &mut s.pruning);
             }
-            let Some(layer) = mask(r, place, tile, label, plane, parallax, s) else { continue };
+            let Some(layer) = mask(r, place, tile, label, plane, [parallax, usual], s) else { continue };
             // a background is the farthest at most places, but the order is by the tile's centre for all alike; a sort of so few would
             // be a twentieth of the wasm
             let farther = out.layers.partition_point(|l| l.plane.a.total_cmp(&layer.plane.a).is_le());
@@ -234,7 +238,7 @@ struct Scratch {
 
 /// Joins visible, hidden and soft texels into a layer cut to its bounds; none where nothing is left.
 #[inline(never)]
-fn mask(r: Rect, place: TileFrame, tile: &Tile, label: Option<u8>, plane: Plane, parallax: f64, s: &mut Scratch) -> Option<LayerMask> {
+fn mask(r: Rect, place: TileFrame, tile: &Tile, label: Option<u8>, plane: Plane, parallax: [f64; 2], s: &mut Scratch) -> Option<LayerMask> {
     rows::classify(&tile.labels, label, &s.hidden, &mut s.class, &mut s.alpha);
     if let Some(label) = label {
         soften(&SoftEdge { r, place, tile, label, parallax }, s);
@@ -256,7 +260,8 @@ struct SoftEdge<'a> {
     place: TileFrame,
     tile: &'a Tile,
     label: u8,
-    parallax: f64,
+    /// Pixels that a unit of disparity has over the scene's view box, and over the usual one.
+    parallax: [f64; 2],
 }
 
 impl SoftEdge<'_> {
@@ -298,12 +303,12 @@ fn soften(edge: &SoftEdge, s: &mut Scratch) {
             if set == 0 {
                 continue;
             }
-            let front = (f64::from(own[at]) - f64::from(visible[at])) * edge.parallax;
+            let [front, step] = edge.parallax.map(|p| (f64::from(own[at]) - f64::from(visible[at])) * p);
             if front > 0.0 {
                 let all = (lines * (1 + usize::from(x > 0) + usize::from(x + 1 < w))) as u32;
                 class[at] = Class::Photo as u8;
                 let soft = ((255 * set + all / 2) / all) as u8;
-                alpha[at] = if front <= SEAM && edge.folds(x, y, own) { 255 } else { soft };
+                alpha[at] = if step <= SEAM && edge.folds(x, y, own) { 255 } else { soft };
             }
         }
     }

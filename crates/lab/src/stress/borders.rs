@@ -21,7 +21,7 @@ const HOLE: u8 = 128;
 const SEAM: u8 = 250;
 /// Share of the way to the corners, and percent of pixels that may be holes and seams there: half-way is as far as viewers go by
 /// themselves.
-const PLACES: [(f64, f64, f64); 2] = [(0.5, 0.002, 0.1), (1.0, 0.02, 0.15)];
+const PLACES: [(f64, f64, f64); 2] = [(0.5, 0.001, 0.05), (1.0, 0.005, 0.1)];
 
 /// Pixels that are holes, and those that are seams, so far on the way to the eight corners, whether cameras look straight ahead or at the
 /// nearest things, in percent of all.
