@@ -1,9 +1,10 @@
 //! Tasks around the program: `cargo xtask serve`, `cargo xtask test`, `cargo xtask fetch`, `cargo xtask shaders`, `cargo xtask wasm`,
-//! `cargo xtask fuzz`.
+//! `cargo xtask fuzz`, `cargo xtask release`.
 
 mod browser;
 mod command;
 mod fuzz;
+mod release;
 mod runtime;
 mod shaders;
 mod spelling;
@@ -27,6 +28,9 @@ usage: cargo xtask <task>
                 run the fuzzer on what reads foreign bytes (containers, photos, depth maps, forms, queries), N seconds each
   shaders       make the GLSL of static/draw/glsl.js from the WGSL
   wasm          build the page's decoder and its unpacker, static/decode/*.wasm, from crates/decoder and crates/unpacker
+  release [--offline]
+                an archive with the program, ONNX Runtime, the depth network that is worth fetching, and licences, in target/archive; unpacked
+                and tried without anything else of this machine
   fetch         fetch ONNX Runtime into .tmpi/onnxruntime where it is missing";
 
 /// Variable that says what tests must not be skipped without, and what it is here (`crates/testing`).
@@ -39,6 +43,7 @@ fn main() -> ExitCode {
     let rest: Vec<String> = args.collect();
     let done = match task.as_deref() {
         Some("serve") => serve(&rest),
+        Some("release") if rest.iter().all(|a| a == OFFLINE) => release::release(&rest),
         Some("fuzz") => fuzz::fuzz(&rest),
         Some("test") if rest.is_empty() => test(&STEPS),
         Some("test") if rest == ["--full"] => test(&[&STEPS[..], &FULL].concat()),
@@ -63,7 +68,7 @@ fn main() -> ExitCode {
     }
 }
 
-/// Flag of `serve`: nothing is fetched but what cannot be done without.
+/// Flag of `serve` and `release`: nothing is fetched but what cannot be done without.
 const OFFLINE: &str = "--offline";
 
 fn serve(args: &[String]) -> Result<(), Fault> {

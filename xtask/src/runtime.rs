@@ -63,3 +63,10 @@ pub fn fetch() -> Result<(), Fault> {
     }
     RUNTIME.fetch()
 }
+
+/// The library for this platform, where it is there.
+pub fn library() -> Option<std::path::PathBuf> {
+    let named = std::env::var_os("ORT_DYLIB_PATH").filter(|v| !v.is_empty()).map(std::path::PathBuf::from);
+    // one that the user names has no licences beside it
+    named.is_none().then(|| RUNTIME.last()).flatten().filter(|f| f.is_file())
+}

@@ -1,0 +1,163 @@
+//! One archive with all that the program needs: itself, its library, a depth network, licences. It is tried where nothing else is.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use crate::OFFLINE;
+use crate::command::{Fault, cargo, output, program, root, run, run_quietly};
+use crate::runtime;
+
+/// Files of the workspace that go along, and where to.
+const FILES: [(&str, &str); 5] = [
+    ("README.md", "README.md"),
+    ("LICENSE-MIT", "LICENSE-MIT"),
+    ("LICENSE-APACHE", "LICENSE-APACHE"),
+    ("models/depth.md", "licences/embedded depth network.md"),
+    ("docs/sample.jpg", "sample.jpg"),
+];
+/// Beginnings of names of files that hold a licence, or what it asks to pass on.
+const LICENCES: [&str; 5] = ["license", "licence", "copying", "notice", "copyright"];
+
+/// Builds, packs and tries; the archive is in `target/archive`.
+pub fn release(args: &[String]) -> Result<(), Fault> {
+    let step = |step: &'static str| move |fault: Fault| fault.in_step(step);
+    runtime::fetch().map_err(step("ONNX Runtime"))?;
+    run(cargo(&["build", "--release", "--workspace", "--locked"])).map_err(step("build"))?;
+    let version = output(&program().to_string_lossy(), &["--version"]).unwrap_or_default();
+    let version = version.split_whitespace().nth(1).ok_or_else(|| Fault::new("the program does not tell its version"))?;
+    let name = format!("tmpi-{version}-{}-{}", std::env::consts::OS, std::env::consts::ARCH);
+    let folder = root().join("target/archive");
+    let stage = folder.join(&name);
+    if stage.exists() {
+        fs::remove_dir_all(&stage).map_err(|e| at(&stage, &e))?;
+    }
+    fill(&stage, args.iter().any(|a| a == OFFLINE)).map_err(step("files"))?;
+    let archive = format!("{name}.tar.gz");
+    let mut tar = Command::new("tar");
+    tar.arg("-czf").arg(&archive).arg(&name).current_dir(&folder);
+    run_quietly(tar).map_err(step("archive"))?;
+    let tried = tempfile(&folder)?;
+    let done = try_out(&folder.join(&archive), &tried, &name).map_err(step("trial"));
+    let _ = fs::remove_dir_all(&tried);
+    done?;
+    let bytes = fs::metadata(folder.join(&archive)).map_or(0, |m| m.len());
+    println!("{}: {:.1} MB", folder.join(&archive).display(), bytes as f64 / 1e6);
+    Ok(())
+}
+
+fn at(path: &Path, error: &std::io::Error) -> Fault {
+    Fault::new(format!("{}: {error}", path.display()))
+}
+
+/// Copies a file to a place whose folder may not be there yet.
+fn copy(from: &Path, to: &Path) -> Result<(), Fault> {
+    let folder = to.parent().unwrap_or(to);
+    fs::create_dir_all(folder).map_err(|e| at(folder, &e))?;
+    fs::copy(from, to).map(|_| ()).map_err(|e| at(from, &e))
+}
+
+/// Puts everything into the folder `stage`.
+fn fill(stage: &Path, offline: bool) -> Result<(), Fault> {
+    copy(&program(), &stage.join(program().file_name().unwrap_or_default()))?;
+    for (from, to) in FILES {
+        copy(&root().join(from), &stage.join(to))?;
+    }
+    let library = runtime::library().ok_or_else(|| Fault::new("there is no ONNX Runtime for this platform"))?;
+    // beside the program is one of the places where it looks
+    copy(&library, &stage.join(library.file_name().unwrap_or_default()))?;
+    for name in ["LICENSE", "ThirdPartyNotices.txt"] {
+        copy(&library.with_file_name(name), &stage.join("licences/onnxruntime").join(name))?;
+    }
+    if let Some(network) = if offline { None } else { network(&root().join("target/archive/models")) } {
+        copy(&network, &stage.join("models").join(network.file_name().unwrap_or_default()))?;
+        let list = output(&program().to_string_lossy(), &["models", "list"]).unwrap_or_default();
+        fs::write(stage.join("models/README.txt"), list).map_err(|e| at(stage, &e))?;
+    }
+    let list = stage.join("licences/crates.txt");
+    fs::write(&list, crates()?).map_err(|e| at(&list, &e))
+}
+
+/// The depth network that is worth fetching; none where it cannot be, as the program then says.
+fn network(folder: &Path) -> Option<PathBuf> {
+    let mut get = Command::new(program());
+    get.args(["models", "get", "auto"]).env("TMPI_MODELS", folder);
+    let told = get.stderr(std::process::Stdio::inherit()).output().ok()?;
+    let path = PathBuf::from(String::from_utf8_lossy(&told.stdout).trim());
+    path.is_file().then_some(path)
+}
+
+/// What the program is built of, with licences; each text once.
+fn crates() -> Result<String, Fault> {
+    let words = ["tree", "--locked", "-p", "tmpi", "-e", "normal", "--prefix", "none", "--no-dedupe", "-f", "{p}|{l}|{r}"];
+    let listed = cargo(&words).output().map_err(|e| Fault::new(format!("cargo tree: {e}")))?;
+    if !listed.status.success() {
+        return Err(Fault::new(String::from_utf8_lossy(&listed.stderr).trim()));
+    }
+    let mut all = String::from("tmpi is made of these crates. Their licences, and what these ask to pass on, follow.\n\n");
+    let mut texts: BTreeMap<String, Vec<String>> = BTreeMap::new();
+    let mut lines: Vec<String> = String::from_utf8_lossy(&listed.stdout).lines().map(str::to_owned).collect();
+    lines.sort();
+    lines.dedup();
+    for line in &lines {
+        let mut parts = line.split('|');
+        let package = parts.next().unwrap_or_default();
+        let mut words = package.split_whitespace();
+        let (name, version) = (words.next().unwrap_or_default(), words.next().unwrap_or_default().trim_start_matches('v'));
+        // with a folder behind it, it is of this workspace
+        if name.is_empty() || package.contains(&*root().to_string_lossy()) {
+            continue;
+        }
+        let (licence, repository) = (parts.next().unwrap_or_default(), parts.next().unwrap_or_default());
+        all += &format!("{name} {version}: {licence} {repository}\n");
+        for text in licence_texts(&format!("{name}-{version}")) {
+            texts.entry(text).or_default().push(format!("{name} {version}"));
+        }
+    }
+    for (text, of) in texts {
+        all += &format!("\n{}\n{}\n\n{}\n", "-".repeat(100), of.join(", "), text.trim());
+    }
+    Ok(all)
+}
+
+/// Texts of licences in the sources of a crate, as cargo keeps them.
+fn licence_texts(package: &str) -> Vec<String> {
+    let home = std::env::var_os("CARGO_HOME").map(PathBuf::from);
+    let home = home.or_else(|| Some(PathBuf::from(std::env::var_os("HOME").or_else(|| std::env::var_os("USERPROFILE"))?).join(".cargo")));
+    let files = |folder: PathBuf| fs::read_dir(folder).into_iter().flatten().flatten().map(|e| e.path());
+    let sources = home.into_iter().flat_map(|home| files(home.join("registry/src")));
+    let wanted = |path: &PathBuf| {
+        let name = path.file_name().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
+        path.is_file() && LICENCES.iter().any(|start| name.starts_with(start))
+    };
+    let mut found: Vec<PathBuf> = sources.flat_map(|index| files(index.join(package))).filter(wanted).collect();
+    found.sort();
+    found.iter().filter_map(|path| fs::read_to_string(path).ok()).collect()
+}
+
+/// A new folder.
+fn tempfile(folder: &Path) -> Result<PathBuf, Fault> {
+    let path = folder.join(format!("try-{}", std::process::id()));
+    fs::create_dir_all(&path).map_err(|e| at(&path, &e))?;
+    Ok(path)
+}
+
+/// Unpacks the archive and makes and draws a photo with what is in it, without a variable of this environment.
+fn try_out(archive: &Path, place: &Path, name: &str) -> Result<(), Fault> {
+    let mut tar = Command::new("tar");
+    tar.arg("-xzf").arg(archive).arg("-C").arg(place);
+    run_quietly(tar)?;
+    let folder = place.join(name);
+    let tmpi = |args: &[&str]| {
+        let mut command = Command::new(folder.join(program().file_name().unwrap_or_default()));
+        command.env_clear().env("HOME", place).current_dir(place).args(args);
+        run_quietly(command)
+    };
+    let sample = folder.join("sample.jpg");
+    tmpi(&["make", &sample.to_string_lossy(), "-o", "sample.tmpi", "--max-size", "256", "-q"])?;
+    tmpi(&["render", "sample.tmpi", "-o", "view.png", "--pose", "0.02,0,0"])?;
+    tmpi(&["export", "sample.tmpi", "-o", "sample.html"])?;
+    println!("tried: made, drawn and exported from {name} alone");
+    Ok(())
+}
