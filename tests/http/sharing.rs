@@ -71,7 +71,7 @@ fn a_link_has_a_title_and_a_picture() {
     assert_eq!((tag("og:title"), tag("og:type"), tag("twitter:card")), (Some("By the sea"), Some("website"), Some("summary_large_image")));
     assert_eq!(tag("og:url"), Some(format!("{base}/view/{id}").as_str()));
     let picture = tag("og:image").unwrap().strip_prefix(&base).expect("an absolute address");
-    assert!(picture.contains("tx=0.0"), "from where the owner says: {picture}");
+    assert!(picture.contains("tx=0.12"), "from where the owner says: {picture}");
     let drawn = get(server.addr, picture);
     assert_eq!((drawn.status, drawn.header("content-type")), (200, tag("og:image:type")));
     assert!(drawn.header("cache-control").unwrap().contains("immutable"));
