@@ -218,7 +218,8 @@ fn thinned(stroke: &Stroke, (width, height): (usize, usize), least: f64) -> Vec<
 
 /// How far each pixel of a rectangle is off a line, in pixels; `f32::MAX` beyond `reach`.
 fn distances(line: &[[f64; 2]], (x0, y0): (usize, usize), (width, height): (usize, usize), reach: f64) -> Vec<f32> {
-    let mut away = vec![f32::MAX; width * height];
+    // squares until the end: lines of thousands of points over the whole picture are a second so
+    let mut squares = vec![f64::INFINITY; width * height];
     let ends = line.windows(2).map(|p| (p[0], p[1])).chain(line.first().map(|&p| (p, p)));
     for (a, b) in ends {
         let span = |axis: usize, from: usize, n: usize| {
@@ -228,15 +229,19 @@ fn distances(line: &[[f64; 2]], (x0, y0): (usize, usize), (width, height): (usiz
         };
         let (dx, dy) = (b[0] - a[0], b[1] - a[1]);
         let square = dx * dx + dy * dy;
+        let (tx, ty) = if square > 0.0 { (dx / square, dy / square) } else { (0.0, 0.0) };
+        let columns = span(0, x0, width);
+        let left = (x0 + columns.start) as f64 + 0.5 - a[0];
         for y in span(1, y0, height) {
-            for x in span(0, x0, width) {
-                let (px, py) = ((x0 + x) as f64 + 0.5 - a[0], (y0 + y) as f64 + 0.5 - a[1]);
-                let t = if square > 0.0 { ((px * dx + py * dy) / square).clamp(0.0, 1.0) } else { 0.0 };
-                let d = (px - t * dx).hypot(py - t * dy) as f32;
-                let here = &mut away[y * width + x];
-                *here = here.min(d);
+            let py = (y0 + y) as f64 + 0.5 - a[1];
+            for (x, here) in squares[y * width..][columns.clone()].iter_mut().enumerate() {
+                let px = left + x as f64;
+                let t = (px * tx + py * ty).clamp(0.0, 1.0);
+                let (ex, ey) = (px - t * dx, py - t * dy);
+                let d = ex * ex + ey * ey;
+                *here = if d < *here { d } else { *here };
             }
         }
     }
-    away
+    squares.into_iter().map(|d| if d.is_finite() { d.sqrt() as f32 } else { f32::MAX }).collect()
 }
