@@ -284,6 +284,8 @@ async function touchUp() {
   $('settings-menu').hidePopover();
   try {
     const { openTouchUp } = await import('./touch-up.js');
+    // of a photo that was just made again, the picture may be on its way
+    if (!viewer.poster.naturalWidth) await new Promise((there) => viewer.addEventListener('photo', there, { once: true }));
     await openTouchUp({ id, photo: viewer.poster, saved: showAgain, say: toast });
   } catch (error) {
     toast(error.message);
