@@ -15,8 +15,13 @@ const BACKGROUND_STEP: f32 = 0.05;
 
 /// Adds a background to every tile whose neighbourhood shows background that the tile does not.
 pub fn add_backgrounds(geometry: &mut Geometry, delta: &DisparityMap) {
+    add_backgrounds_to(geometry, delta, |_| true);
+}
+
+/// The same for the tiles that are `wanted` alone; others stay as they are.
+pub fn add_backgrounds_to(geometry: &mut Geometry, delta: &DisparityMap, wanted: impl Fn(u32) -> bool + Sync) {
     let grid = geometry.grid;
-    geometry.tiles.par_iter_mut().enumerate().for_each_init(Vec::new, |points, (i, t)| {
+    geometry.tiles.par_iter_mut().enumerate().filter(|(i, _)| wanted(*i as u32)).for_each_init(Vec::new, |points, (i, t)| {
         let (r, place) = (grid.rect(i as u32), TileFrame::of(&grid, i as u32));
         t.background = background(delta, &grid, r, place, t.farthest(&grid, i as u32), points);
     });
