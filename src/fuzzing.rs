@@ -4,6 +4,7 @@
 use axum::http::{HeaderMap, HeaderValue, Uri, header};
 
 use tmpi_core::container;
+use tmpi_live::units::Splitter;
 use tmpi_pipeline::depth::{self as maps, DepthKind};
 use tmpi_pipeline::photo;
 
@@ -13,10 +14,12 @@ use crate::server;
 pub type Run = fn(&[u8]) -> usize;
 
 /// All targets by name.
-pub const TARGETS: [(&str, Run); 13] = [
+pub const TARGETS: [(&str, Run); 15] = [
     ("container", container),
     ("labels", labels),
     ("planes", planes),
+    ("message", message),
+    ("units", units),
     ("query", query),
     ("jpeg", photo),
     ("png", photo),
@@ -31,6 +34,8 @@ pub const TARGETS: [(&str, Run); 13] = [
 
 /// What a reader may take for whatever it is given: threads, tables, messages.
 const LEAST: usize = 4 << 20;
+/// Memory for the tiles of the largest room, and for the chunks of a message.
+const ROOM: usize = 8 << 20;
 /// Pixels above which a container is not decoded here: it would be slow, not wrong.
 const SLOW: u64 = 128 * 128;
 
@@ -164,6 +169,27 @@ fn multipart(data: &[u8]) -> usize {
 fn patch(data: &[u8]) -> usize {
     server::fuzzing::patch(data);
     LEAST + 64 * data.len()
+}
+
+/// A message of a room. Promised: an error, or tiles that hold together; memory by bytes and by the most that a room can be.
+fn message(data: &[u8]) -> usize {
+    tmpi_core::live::fuzz_message(data);
+    LEAST + ROOM + 64 * data.len()
+}
+
+/// A stream of H.264, in pieces. Promised: what is split is what came, whatever the pieces.
+fn units(data: &[u8]) -> usize {
+    let Some((size, stream)) = data.split_first() else { return LEAST };
+    let split = |size: usize| {
+        let (mut splitter, mut units) = (Splitter::default(), Vec::new());
+        for piece in stream.chunks(size.max(1)) {
+            units.extend(splitter.push(piece).ok()?);
+        }
+        units.extend(splitter.finish());
+        Some(units)
+    };
+    assert_eq!(split(usize::from(*size)), split(stream.len()));
+    LEAST + 16 * data.len()
 }
 
 #[cfg(test)]

@@ -11,6 +11,8 @@ mod export;
 mod files;
 mod flags;
 mod info;
+mod live;
+mod live_client;
 mod make;
 mod models;
 mod progress;
@@ -48,6 +50,7 @@ enum Command {
     Models(models::ModelsArgs),
     Bench(bench::BenchArgs),
     Eval(eval::EvalArgs),
+    Live(live::LiveArgs),
     /// Write a completion script for a shell
     Completions {
         /// The shell
@@ -108,6 +111,7 @@ fn run(command: Command) -> anyhow::Result<()> {
         Command::Models(args) => models::run(&args),
         Command::Bench(args) => bench::run(&args),
         Command::Eval(args) => eval::run(&args),
+        Command::Live(args) => live::run(&args),
         Command::Completions { shell } => {
             let mut script = Vec::new();
             clap_complete::generate(shell, &mut Cli::command(), "tmpi", &mut script);

@@ -47,10 +47,12 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
+use axum::http::HeaderMap;
 use tokio::net::TcpListener;
 use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 
+pub use accept::Held;
 pub use child::{ProcessMaker, VARIABLE, serve as make_for_a_server};
 pub use id::{PhotoId, hex};
 pub use limits::Limits;
@@ -67,6 +69,8 @@ use store::Store;
 use telemetry::Telemetry;
 
 use tmpi_render::Renderer;
+
+use crate::live::{self, Rooms};
 
 /// Pause between two looks at the data directory.
 const PROBE: Duration = Duration::from_secs(2);
@@ -122,6 +126,7 @@ pub struct Server {
     listener: TcpListener,
     addr: SocketAddr,
     app: App,
+    rooms: Option<Arc<Rooms>>,
 }
 
 impl Server {
@@ -162,7 +167,14 @@ impl Server {
             leaving: AtomicBool::new(false),
             stop: CancellationToken::new(),
         });
-        Ok(Self { listener, addr, app })
+        Ok(Self { listener, addr, app, rooms: None })
+    }
+
+    /// Has rooms, too.
+    #[must_use]
+    pub fn with_rooms(mut self, rooms: Rooms) -> Self {
+        self.rooms = Some(Arc::new(rooms));
+        self
     }
 
     /// Address that the server listens on.
@@ -174,7 +186,7 @@ impl Server {
     /// Serves until `stop` is ready, and for [`Limits::lame_duck`] more; then takes no more connections and gives requests and jobs under
     /// way [`Limits::drain`] to end. Jobs that do not end by then are taken up at the next start.
     pub async fn run(self, stop: impl Future<Output = ()> + Send + 'static) {
-        let Self { listener, addr: _, app } = self;
+        let Self { listener, addr: _, app, rooms } = self;
         let token = app.stop.clone();
         let jobs = Arc::clone(&app.jobs);
         let signal = tokio::spawn({
@@ -192,7 +204,11 @@ impl Server {
         });
         let probe = tokio::spawn(probe(Arc::clone(&app)));
         let look_over = tokio::spawn(look_over(Arc::clone(&app)));
-        accept::serve(listener, routes::router(Arc::clone(&app)), &app.limits, &app.telemetry, &token).await;
+        let rooms = rooms.map(|rooms| {
+            let of = Arc::clone(&app);
+            live::routes::router(rooms, token.clone(), Arc::new(move |headers: &HeaderMap| of.hosts.is_own(headers)))
+        });
+        accept::serve(listener, routes::router(Arc::clone(&app), rooms), &app.limits, &app.telemetry, &token).await;
         probe.abort();
         look_over.abort();
         if let Err(error) = signal.await {

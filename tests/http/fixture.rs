@@ -166,8 +166,6 @@ impl Running {
 
     /// A server whose views `renderer` draws.
     pub fn drawing(data: &Path, limits: Limits, maker: Arc<dyn Maker>, renderer: Arc<dyn Renderer>) -> Self {
-        let (stop, stopped) = tokio::sync::oneshot::channel();
-        let (tell, told) = std::sync::mpsc::channel();
         let config = Config {
             addr: ([127, 0, 0, 1], 0).into(),
             data: data.to_owned(),
@@ -176,10 +174,17 @@ impl Running {
             public_list: false,
             limits,
         };
+        Self::of(async move { Server::bind(config, maker, renderer).await.unwrap() })
+    }
+
+    /// Whatever server that is.
+    pub fn of(bound: impl Future<Output = Server> + Send + 'static) -> Self {
+        let (stop, stopped) = tokio::sync::oneshot::channel();
+        let (tell, told) = std::sync::mpsc::channel();
         let thread = std::thread::spawn(move || {
             let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build().unwrap();
             runtime.block_on(async {
-                let server = Server::bind(config, maker, renderer).await.unwrap();
+                let server = bound.await;
                 tell.send(server.addr()).unwrap();
                 server.run(async { drop(stopped.await) }).await;
             });

@@ -9,6 +9,7 @@ mod fixture;
 mod events;
 mod fair;
 mod limits;
+mod live;
 mod measure;
 mod openapi;
 mod origins;

@@ -105,8 +105,8 @@ pub fn openapi() -> serde_json::Result<Bytes> {
     own_api().merge(open_api()).into_openapi().to_pretty_json().map(Bytes::from)
 }
 
-/// The whole service.
-pub fn router(app: App) -> Router {
+/// The whole service, with rooms where there are any.
+pub fn router(app: App, rooms: Option<Router>) -> Router {
     let (router, _) = own_api().split_for_parts();
     let (open, _) = open_api().split_for_parts();
     // before the layers, so that these see every method: questions before a request (preflights) are OPTIONS
@@ -122,6 +122,7 @@ pub fn router(app: App) -> Router {
         .route("/demo", get(pages::demo))
         .route("/view/{id}", get(pages::view))
         .route("/embed/{id}", get(pages::embed))
+        .merge(rooms.unwrap_or_default().with_state(()))
         .fallback(async || Problem::not_found("there is nothing at this address"))
         .method_not_allowed_fallback(no_method)
         .layer(DefaultBodyLimit::disable())

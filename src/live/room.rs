@@ -1,0 +1,229 @@
+//! What the sockets and threads of a room share.
+
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Instant;
+
+use bytes::Bytes;
+use tokio::sync::{Notify, watch};
+
+use tmpi_core::live::chunk::{self, Area};
+use tmpi_core::live::wire::message::Kind;
+use tmpi_core::live::wire::{self, Hello, Statistics};
+use tmpi_core::live::{LiveError, write};
+use tmpi_core::{Geometry, Photo};
+
+use super::ring::{Place, Ring, Step, What};
+use super::{KEYS, VIEWERS};
+
+/// A room.
+pub struct Room {
+    state: Mutex<State>,
+    /// Counts changes, for whoever waits for one.
+    changes: watch::Sender<u64>,
+    /// A key frame is wanted.
+    pub keys: Notify,
+}
+
+#[derive(Default)]
+struct State {
+    ring: Ring,
+    /// Of the publisher that is there or was last; none: there was none yet.
+    hello: Option<Arc<Hello>>,
+    epoch: u64,
+    publishing: bool,
+    closed: bool,
+    viewers: usize,
+    still: Option<Arc<Still>>,
+    snapshot: Option<(u64, Bytes)>,
+    asked: Option<Instant>,
+    statistics: Statistics,
+}
+
+/// The last frame whose geometry is done.
+pub struct Still {
+    /// Its number.
+    pub frame: u64,
+    /// Its picture.
+    pub photo: Photo,
+    /// Its tiles.
+    pub geometry: Geometry,
+}
+
+/// What a viewer does next.
+pub enum Next {
+    /// Send this.
+    Send(Bytes),
+    /// Say this, then send all tiles: there is another publisher.
+    Hello(Arc<Hello>),
+    /// Send all tiles: frames were skipped.
+    Tiles,
+    /// Wait for a change.
+    Wait,
+    /// The room is no more.
+    Closed,
+}
+
+/// A viewer's place in a room.
+pub struct Viewer {
+    place: Place,
+    epoch: u64,
+}
+
+impl Room {
+    /// A room without anyone.
+    pub fn new() -> Self {
+        Self { state: Mutex::default(), changes: watch::Sender::new(0), keys: Notify::new() }
+    }
+
+    fn lock(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn changed(&self) {
+        self.changes.send_modify(|n| *n = n.wrapping_add(1));
+    }
+
+    /// Told of every change.
+    pub fn watch(&self) -> watch::Receiver<u64> {
+        self.changes.subscribe()
+    }
+
+    /// True where there is no publisher.
+    pub fn is_empty(&self) -> bool {
+        !self.lock().publishing
+    }
+
+    /// Sends everybody away.
+    pub fn close(&self) {
+        self.lock().closed = true;
+        self.changed();
+    }
+
+    /// Takes the room for a publisher that says `hello`; gives its epoch. None where there is one already.
+    pub fn publish(&self, mut hello: Hello, clock: u64) -> Option<u64> {
+        let mut state = self.lock();
+        if state.publishing || state.closed {
+            return None;
+        }
+        state.publishing = true;
+        state.epoch += 1;
+        (hello.epoch, hello.clock) = (state.epoch, clock);
+        state.hello = Some(Arc::new(hello));
+        state.ring.clear();
+        (state.still, state.snapshot, state.statistics) = (None, None, Statistics::default());
+        let epoch = state.epoch;
+        drop(state);
+        self.changed();
+        Some(epoch)
+    }
+
+    /// The publisher has gone.
+    pub fn unpublish(&self) {
+        self.lock().publishing = false;
+        self.changed();
+    }
+
+    /// Hands a message on.
+    pub fn push(&self, what: What, bytes: Bytes) {
+        let mut state = self.lock();
+        match what {
+            What::Key | What::Frame { .. } => {
+                state.statistics.frames += 1;
+                state.statistics.video_bytes += bytes.len() as u64;
+            }
+            What::Geometry => state.statistics.geometry_bytes += bytes.len() as u64,
+            What::Sound => {}
+        }
+        state.ring.push(what, bytes, Instant::now());
+        drop(state);
+        self.changed();
+    }
+
+    /// Keeps the tiles of a frame; `count` counts it.
+    pub fn keep(&self, still: Still, count: impl FnOnce(&mut Statistics)) {
+        let mut state = self.lock();
+        state.statistics.frame = still.frame;
+        count(&mut state.statistics);
+        state.still = Some(Arc::new(still));
+    }
+
+    /// Counts something.
+    pub fn count(&self, count: impl FnOnce(&mut Statistics)) {
+        count(&mut self.lock().statistics);
+    }
+
+    /// The last frame whose geometry is done.
+    pub fn still(&self) -> Option<Arc<Still>> {
+        self.lock().still.clone()
+    }
+
+    /// What is counted, for a viewer.
+    pub fn statistics(&self, viewer: &Viewer) -> Statistics {
+        let state = self.lock();
+        Statistics { viewers: state.viewers as u32, skipped: viewer.place.skipped, ..state.statistics }
+    }
+
+    /// All tiles as a message, coded once a frame; none before there are any.
+    ///
+    /// # Errors
+    /// [`LiveError`].
+    pub fn snapshot(&self) -> Result<Option<Bytes>, LiveError> {
+        let (still, known) = {
+            let state = self.lock();
+            let Some(still) = state.still.clone() else { return Ok(None) };
+            (still, state.snapshot.clone())
+        };
+        if let Some((_, bytes)) = known.filter(|(frame, _)| *frame == still.frame) {
+            return Ok(Some(bytes));
+        }
+        let g = &still.geometry;
+        let chunk = chunk::encode(&g.grid, Area::all(&g.grid), &g.tiles, still.frame)?;
+        let bytes = write(Kind::Snapshot(wire::Geometry { frame: still.frame, chunks: vec![chunk] }));
+        self.lock().snapshot = Some((still.frame, bytes.clone()));
+        Ok(Some(bytes))
+    }
+
+    /// Lets a viewer in; none where there are as many as may be, or the room is no more.
+    pub fn join(&self) -> Option<Viewer> {
+        let mut state = self.lock();
+        if state.viewers >= VIEWERS || state.closed {
+            return None;
+        }
+        state.viewers += 1;
+        // an epoch that is none: everything is to be told first
+        Some(Viewer { place: state.ring.begin(Instant::now()), epoch: 0 })
+    }
+
+    /// A viewer has gone.
+    pub fn part(&self) {
+        let mut state = self.lock();
+        state.viewers = state.viewers.saturating_sub(1);
+    }
+
+    /// What comes next for a viewer.
+    pub fn next(&self, viewer: &mut Viewer) -> Next {
+        let mut state = self.lock();
+        let now = Instant::now();
+        if state.closed {
+            return Next::Closed;
+        }
+        let Some(hello) = state.hello.clone() else { return Next::Wait };
+        if viewer.epoch != state.epoch {
+            viewer.epoch = state.epoch;
+            let skipped = std::mem::replace(&mut viewer.place, state.ring.begin(now)).skipped;
+            viewer.place.skipped = skipped;
+            return Next::Hello(hello);
+        }
+        match state.ring.step(&mut viewer.place, now) {
+            Step::Send(bytes) => Next::Send(bytes),
+            Step::Wait => Next::Wait,
+            Step::Skipped { wants_key } => {
+                if wants_key && state.asked.is_none_or(|at| now.saturating_duration_since(at) >= KEYS) {
+                    state.asked = Some(now);
+                    self.keys.notify_one();
+                }
+                Next::Tiles
+            }
+        }
+    }
+}
