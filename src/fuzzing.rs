@@ -3,10 +3,10 @@
 
 use axum::http::{HeaderMap, HeaderValue, Uri, header};
 
-use tmpi_core::container;
+use tmpi_core::{DisparityMap, Photo, container};
 use tmpi_live::units::Splitter;
 use tmpi_pipeline::depth::{self as maps, DepthKind};
-use tmpi_pipeline::photo;
+use tmpi_pipeline::{photo, strokes};
 
 use crate::server;
 
@@ -14,7 +14,7 @@ use crate::server;
 pub type Run = fn(&[u8]) -> usize;
 
 /// All targets by name.
-pub const TARGETS: [(&str, Run); 15] = [
+pub const TARGETS: [(&str, Run); 16] = [
     ("container", container),
     ("labels", labels),
     ("planes", planes),
@@ -30,6 +30,7 @@ pub const TARGETS: [(&str, Run); 15] = [
     ("carried", carried),
     ("multipart", multipart),
     ("patch", patch),
+    ("strokes", touch_up),
 ];
 
 /// What a reader may take for whatever it is given: threads, tables, messages.
@@ -190,6 +191,25 @@ fn units(data: &[u8]) -> usize {
     };
     assert_eq!(split(usize::from(*size)), split(stream.len()));
     LEAST + 16 * data.len()
+}
+
+/// A merge patch of strokes, applied to a small photo. Promised: an error with a field where it is JSON, or strokes that are read again as they
+/// were written and leave a map finite and within 0 to 1; memory by its bytes.
+fn touch_up(data: &[u8]) -> usize {
+    let most = LEAST + 128 * data.len();
+    let strokes = match strokes::patch(data) {
+        Ok(strokes) => strokes.unwrap_or_default(),
+        Err(error) => {
+            assert!(!error.detail.is_empty());
+            return most;
+        }
+    };
+    assert_eq!(strokes::read(&strokes::write(&strokes)).as_ref(), Ok(&strokes));
+    let photo = Photo { width: 21, height: 13, rgb: (0..21 * 13).map(|i| [i as u8; 3]).collect() };
+    let mut map = DisparityMap { width: 21, height: 13, delta: vec![0.5; 21 * 13] };
+    strokes::apply(&photo, &mut map, None, &strokes);
+    assert!(map.delta.iter().all(|v| (0.0..=1.0).contains(v)));
+    most
 }
 
 #[cfg(test)]

@@ -1,14 +1,22 @@
 //! Depth networks that are fetched: from a server that cuts, spoils and refuses; and which one is used then.
-#![allow(clippy::unwrap_used, reason = "test")]
+#![allow(clippy::unwrap_used, clippy::expect_used, reason = "test")]
 
 use std::io::{BufRead, BufReader, Write};
-use std::net::TcpListener;
+use std::net::{SocketAddr, TcpListener};
 use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::process::{Child, Command, Stdio};
 use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
 
+use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
 use tmpi_render::{PictureFormat, View, encode};
+
+#[path = "http/client.rs"]
+#[allow(dead_code, reason = "the tests of the HTTP interface use more of it")]
+mod client;
+
+use client::{get, request};
 
 /// Stands in for a depth network: the mean of a picture's channels.
 const NETWORK: &[u8] = include_bytes!("onnx/mean.onnx");
@@ -76,15 +84,20 @@ impl Place {
         self.0.path().join("models")
     }
 
-    /// Standard output and standard error of a run that succeeds.
-    fn run(&self, args: &[&str]) -> (String, String) {
+    /// The built program, in this place and with its networks alone.
+    fn command(&self) -> Command {
         let mut command = Command::new(env!("CARGO_BIN_EXE_tmpi"));
         let library = Path::new(env!("CARGO_MANIFEST_DIR")).join(".tmpi/onnxruntime/libonnxruntime.so");
         if std::env::var_os("ORT_DYLIB_PATH").is_none() && library.is_file() {
             command.env("ORT_DYLIB_PATH", library);
         }
-        command.env("TMPI_MODELS", self.models()).env_remove("TMPI_DEPTH_MODEL").env_remove("RUST_LOG");
-        let output = command.current_dir(self.0.path()).args(args).output().unwrap();
+        command.env("TMPI_MODELS", self.models()).env_remove("TMPI_DEPTH_MODEL").env_remove("RUST_LOG").current_dir(self.0.path());
+        command
+    }
+
+    /// Standard output and standard error of a run that succeeds.
+    fn run(&self, args: &[&str]) -> (String, String) {
+        let output = self.command().args(args).output().unwrap();
         let text = |b| String::from_utf8(b).unwrap();
         let (out, err) = (text(output.stdout), text(output.stderr));
         assert!(output.status.success(), "{args:?}: {err}");
@@ -102,6 +115,104 @@ impl Place {
         let report: serde_json::Value = serde_json::from_slice(&std::fs::read(self.0.path().join("report.json")).unwrap()).unwrap();
         report["depth_model"].as_str().unwrap().to_owned()
     }
+}
+
+/// A server that may fetch its network from a stand-in.
+struct Serving {
+    child: Child,
+    addr: SocketAddr,
+}
+
+impl Serving {
+    fn start(place: &Place, url: &str, sha256: &str) -> Self {
+        let mut command = place.command();
+        command.args(["serve", "--addr", "127.0.0.1:0", "--data", "data", "--network-url", url, "--network-sha256", sha256]);
+        let mut child = command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
+        let mut line = String::new();
+        BufReader::new(child.stdout.as_mut().unwrap()).read_line(&mut line).unwrap();
+        let addr = line.trim().strip_prefix("http://").and_then(|a| a.parse().ok());
+        Self { child, addr: addr.unwrap_or_else(|| panic!("no address: {line:?}")) }
+    }
+
+    fn network(&self) -> Value {
+        let answer = get(self.addr, "/v1/network");
+        assert_eq!(answer.status, 200);
+        answer.json()
+    }
+
+    /// Has the network fetched, and waits for the end of that.
+    fn fetch(&self) -> Value {
+        assert_eq!(request(self.addr, "POST", "/v1/network", &[], &[]).status, 202);
+        let end = Instant::now() + Duration::from_mins(1);
+        loop {
+            let now = self.network();
+            if now.get("fetched_bytes").is_none() {
+                return now;
+            }
+            assert!(Instant::now() < end, "{now}");
+            std::thread::sleep(Duration::from_millis(5));
+        }
+    }
+
+    /// A request that waits for its photo; the photo's id, its version, and the network of its report.
+    fn made(&self, path: &str, body: &[u8]) -> [String; 3] {
+        let answer = request(self.addr, "POST", path, &[("prefer", "wait=25")], body);
+        assert!(matches!(answer.status, 200 | 201), "{}", String::from_utf8_lossy(&answer.body));
+        let state = answer.json();
+        let text = |value: &Value| value.as_str().unwrap().to_owned();
+        let report = get(self.addr, &text(&state["links"]["report"])).json();
+        [text(&state["id"]), text(&state["version"]), text(&report["depth_model"])]
+    }
+}
+
+impl Drop for Serving {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+#[test]
+fn a_server_fetches_a_better_network_while_it_runs() {
+    let (place, standin) = (Place::new(), standin());
+    let digest = Sha256::digest(NETWORK).iter().fold(String::new(), |text, byte| text + &format!("{byte:02x}"));
+    let photo = std::fs::read(place.0.path().join("photo.png")).unwrap();
+    let there = tmpi_testing::Need::Onnx.or_skip(tmpi_pipeline::networks::available()).is_some();
+    let server = Serving::start(&place, &standin.url, &digest);
+    let before = server.network();
+    assert_eq!((&before["name"], &before["better"]["name"], before.get("problem")), (&json!("tmpi"), &json!(NAME), None));
+    let old = there.then(|| server.made("/v1/photos", &photo));
+
+    // strangers: by way of a proxy, and pages of other sites
+    let proxied = ("x-forwarded-for", "203.0.113.1");
+    assert_eq!(request(server.addr, "GET", "/v1/network", &[proxied], &[]).status, 403);
+    assert_eq!(request(server.addr, "POST", "/v1/network", &[proxied], &[]).status, 403);
+    assert_eq!(request(server.addr, "POST", "/v1/network", &[("sec-fetch-site", "cross-site")], &[]).status, 403);
+    assert!(standin.asked.lock().unwrap().is_empty(), "nobody who may has asked");
+
+    // cut off in the middle: told, and gone on with
+    *standin.mood.lock().unwrap() = Mood::Cuts;
+    let cut = server.fetch();
+    assert!(cut["problem"].as_str().unwrap().contains("broke off") && cut["better"]["name"] == NAME, "{cut}");
+    *standin.mood.lock().unwrap() = Mood::Well;
+    let after = server.fetch();
+    assert_eq!((&after["name"], after.get("better"), after.get("problem")), (&json!(NAME), None, None));
+    assert_eq!(*standin.asked.lock().unwrap(), [0, NETWORK.len() / 2]);
+    assert_eq!(request(server.addr, "POST", "/v1/network", &[], &[]).status, 200, "there is nothing more to fetch");
+
+    if let Some([id, version, network]) = old {
+        assert_eq!(network, "tmpi");
+        let [same, newer, network] = server.made(&format!("/v1/photos/{id}/again"), &[]);
+        assert_eq!((&same, network.as_str()), (&id, NAME));
+        assert_ne!(newer, version);
+        let [other, _, network] = server.made("/v1/photos", &photo);
+        assert_eq!((other != id, network.as_str()), (true, NAME), "an upload is another photo with another network");
+    }
+
+    // one that is here is used from the start, and nothing is offered
+    drop(server);
+    let server = Serving::start(&place, &standin.url, &digest);
+    assert_eq!((&server.network()["name"], server.network().get("better")), (&json!(NAME), None));
 }
 
 #[test]

@@ -8,6 +8,7 @@ use tmpi_pipeline::depth::{ADAPTERS, Adapter, DepthKind, adapter, detect};
 use tmpi_pipeline::networks::models::Settings;
 use tmpi_pipeline::networks::models::registry::{PUBLISHED, Published, best, folder, published};
 use tmpi_pipeline::networks::{Config, Provider};
+use tmpi_pipeline::strokes::Stroke;
 use tmpi_pipeline::{Denoise, Options, PlaneCount, PlaneMethod, Switch, TileSize};
 
 /// How a photo is made.
@@ -46,10 +47,11 @@ pub(super) struct MakeFlags {
     /// Picture quality, 1 to 100
     #[arg(long, value_parser = quality, default_value = "90", value_name = "1-100")]
     pub quality: u8,
-    /// Parallax error that planes may leave over the view box, in pixels
+    /// Parallax error that planes may leave, in pixels: over a view box that is given, else over one of 0.03
     #[arg(long, value_parser = max_error, default_value = "0.5", value_name = "PX")]
     pub max_error: f64,
-    /// Half extents of the box of camera positions, in units of the nearest distance
+    /// Half extents of the box of camera positions, in units of the nearest distance; viewers go half as far as the usual one by
+    /// themselves
     #[arg(long, value_parser = view_box, default_value = "0.03,0.03,0.03", value_name = "X,Y,Z")]
     pub view_box: ViewBox,
     /// Milliseconds that making may take: the size and a parallax error of --max-error or more are chosen for it, by the costs
@@ -59,7 +61,14 @@ pub(super) struct MakeFlags {
     /// Measure what leaving out texels that are never seen changes at the corners of the view box; takes about as long as making
     #[arg(long)]
     pub verify_prune: bool,
+    /// Strokes that put the depth of the photo right, a JSON file as the server's /v1/photos/ID/strokes gives it
+    #[arg(long, value_parser = strokes, value_name = "FILE.json")]
+    pub strokes: Option<Strokes>,
 }
+
+/// Strokes of a file.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Strokes(Vec<Stroke>);
 
 impl MakeFlags {
     /// The options that the flags stand for.
@@ -80,6 +89,7 @@ impl MakeFlags {
             view_box: self.view_box,
             budget_ms: self.budget_ms,
             verify_prune: self.verify_prune,
+            strokes: self.strokes.clone().unwrap_or_default().0,
         }
     }
 }
@@ -112,15 +122,24 @@ impl ModelFlags {
     /// The settings that the flags stand for.
     pub(super) fn settings(&self) -> Settings {
         let onnx = Config { threads: self.threads.into(), providers: self.provider.clone(), ..Config::default() };
-        let DepthModel { adapter, file } = &self.depth_model;
+        let DepthModel { adapter, file, .. } = &self.depth_model;
         let Self { depth_pixels, depth_smoothing, flip, .. } = *self;
         Settings { depth: adapter, depth_file: file.clone(), depth_pixels, depth_smoothing, flip, onnx, ..Settings::default() }
+    }
+}
+
+impl ModelFlags {
+    /// The settings with another network.
+    pub(super) fn with_network(&self, depth: &'static Adapter, file: PathBuf) -> Settings {
+        Settings { depth, depth_file: Some(file), ..self.settings() }
     }
 }
 
 /// A depth network as chosen on the command line.
 #[derive(Clone, Debug)]
 pub(super) struct DepthModel {
+    /// It was left to the program.
+    pub auto: bool,
     adapter: &'static Adapter,
     file: Option<PathBuf>,
 }
@@ -128,7 +147,7 @@ pub(super) struct DepthModel {
 fn depth_model(text: &str) -> Result<DepthModel, String> {
     if text == "auto" {
         let (adapter, file) = best(&folder()).map_or((&ADAPTERS[0], None), |(adapter, file)| (adapter, Some(file)));
-        return Ok(DepthModel { adapter, file });
+        return Ok(DepthModel { auto: true, adapter, file });
     }
     let (name, file) = text.split_once('=').map_or((text, None), |(n, f)| (n, Some(PathBuf::from(f))));
     let fetched = published(name);
@@ -143,14 +162,14 @@ fn depth_model(text: &str) -> Result<DepthModel, String> {
             return Err(format!("the name must be one of {}", known()));
         }
         let adapter = detect(path).ok_or_else(|| format!("{text} does not tell its network: write NAME={text} with one of {}", known()))?;
-        return Ok(DepthModel { adapter, file: Some(path.to_owned()) });
+        return Ok(DepthModel { auto: false, adapter, file: Some(path.to_owned()) });
     };
     let file = file.or_else(|| fetched.map(Published::file).filter(|f| f.is_file()));
     if file.is_none() && adapter.name != ADAPTERS[0].name {
         let how = fetched.map_or_else(String::new, |p| format!(", or run tmpi models get {}", p.name));
         return Err(format!("{name} is not embedded: write {name}=FILE with its ONNX file{how}"));
     }
-    Ok(DepthModel { adapter, file })
+    Ok(DepthModel { auto: false, adapter, file })
 }
 
 /// `set` on default options, refused where the value is out of range.
@@ -206,6 +225,11 @@ pub(super) fn quality(text: &str) -> Result<u8, String> {
 
 fn max_error(text: &str) -> Result<f64, String> {
     checked(number(text)?, |o, v| o.max_error = v)
+}
+
+fn strokes(file: &str) -> Result<Strokes, String> {
+    let bytes = std::fs::read(file).map_err(|e| e.to_string())?;
+    tmpi_pipeline::strokes::read(&bytes).map(Strokes).map_err(|e| e.to_string())
 }
 
 fn budget_ms(text: &str) -> Result<f64, String> {

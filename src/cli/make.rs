@@ -14,6 +14,7 @@ use tmpi_pipeline::{self, Made, Models, Options};
 
 /// Make tiled multiplane images of photos
 #[derive(Clone, Debug, clap::Args)]
+#[allow(clippy::struct_excessive_bools, reason = "flags of a command")]
 pub(super) struct MakeArgs {
     /// JPEG, PNG or WebP files
     #[arg(required = true, value_name = "PHOTO")]
@@ -42,6 +43,9 @@ pub(super) struct MakeArgs {
 pub(super) fn run(args: &MakeArgs) -> anyhow::Result<()> {
     if args.depth.is_some() && args.photos.len() > 1 {
         return Err(Usage("--depth takes the map of one photo; several photos were given".into()).into());
+    }
+    if args.flags.strokes.is_some() && args.photos.len() > 1 {
+        return Err(Usage("--strokes takes those of one photo; several photos were given".into()).into());
     }
     let outputs = outputs(&args.photos, &args.output)?;
     let depth = args.depth.as_deref().map(files::read).transpose()?;

@@ -3,6 +3,7 @@
 mod bench;
 #[cfg(feature = "codecs")]
 mod bench_codec;
+mod better;
 mod check;
 mod compare;
 mod depth;

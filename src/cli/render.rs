@@ -11,7 +11,7 @@ use super::flags::{fov_x, numbers, quality, size};
 use super::{Usage, files, result};
 use tmpi_core::container;
 use tmpi_core::{Camera, Intrinsics, Pose, Scene};
-use tmpi_render::{self, Animation, AnimationFormat, Arrangement, Backend, MAX_PIXELS, MAX_SIDE, PictureFormat, Rig};
+use tmpi_render::{self, Animation, AnimationFormat, Arrangement, Backend, MAX_PIXELS, MAX_SIDE, Outlook, PictureFormat, Rig};
 
 /// Draw a container from another place
 #[derive(Clone, Debug, clap::Args)]
@@ -41,13 +41,13 @@ pub(super) struct RenderArgs {
     /// With --stereo: one picture for red and cyan glasses
     #[arg(long, requires = "stereo")]
     anaglyph: bool,
-    /// Views from left to right over the width of the view box, as light-field displays take them; --size is that of each
+    /// Views from left to right over the width of the view box, at most 0.06, as light-field displays take them; --size is that of each
     #[arg(long, value_parser = Arrangement::quilt, conflicts_with = "stereo", value_name = "COLUMNSxROWS")]
     quilt: Option<Arrangement>,
     /// With --stereo or --quilt: disparity that lies in the screen; what is nearer stands before it
     #[arg(long, value_parser = focus, default_value = "0", value_name = "DISPARITY")]
     focus: f64,
-    /// Move the camera through the view box, once around
+    /// Move the camera once around, as far as viewers move the photo by themselves
     #[arg(long, value_enum, value_name = "PATH")]
     path: Option<tmpi_render::Path>,
     /// How many frames; a film has 30 a second
@@ -100,6 +100,7 @@ pub(super) fn run(args: &RenderArgs) -> anyhow::Result<()> {
     let camera = Camera { pose: args.pose, intrinsics, width, height };
     let renderer = tmpi_render::select(args.backend)?;
     let frames = args.path.map_or(1, |_| args.frames);
+    let outlook = Outlook::of(&scene);
     let mut film = film.map(|format| Animation::start(format, (whole_width, whole_height), args.quality)).transpose()?;
     let begun = Instant::now();
     for frame in 0..frames {
@@ -107,7 +108,7 @@ pub(super) fn run(args: &RenderArgs) -> anyhow::Result<()> {
         let mut camera = camera;
         let mut output = args.output.clone();
         if let Some(path) = args.path {
-            camera.pose = path.pose(&args.pose, frame, frames, &scene.view_box);
+            camera = path.camera(&camera, frame, frames, &outlook);
             output = numbered(&args.output, frame + 1, frames);
         }
         let view = match &rig {
@@ -152,7 +153,7 @@ fn focus(text: &str) -> Result<f64, String> {
 /// The cameras where several are asked for.
 fn rig(args: &RenderArgs, scene: &Scene) -> Option<Rig> {
     let (arrangement, baseline) = match (args.quilt, args.stereo) {
-        (Some(quilt), _) => (quilt, 2.0 * scene.view_box.x),
+        (Some(quilt), _) => (quilt, (2.0 * scene.view_box.x).min(Outlook::TRAVEL)),
         (None, Some(ipd)) => (if args.anaglyph { Arrangement::Anaglyph } else { Arrangement::SideBySide }, ipd),
         (None, None) => return None,
     };

@@ -8,14 +8,15 @@ use std::time::Duration;
 
 use anyhow::Context as _;
 
+use super::better::BetterNetwork;
 use super::flags::ModelFlags;
 use super::{Usage, files};
 use sha2::{Digest as _, Sha256};
 
 use crate::live::{self, Rooms};
-use crate::server::{Config, Limits, PipelineMaker, ProcessMaker, Server, VARIABLE, hex, make_for_a_server, stop_signal};
+use crate::server::{Better, Config, Limits, PipelineMaker, ProcessMaker, Server, VARIABLE, hex, make_for_a_server, stop_signal};
 use tmpi_pipeline::Models;
-use tmpi_pipeline::networks::models;
+use tmpi_pipeline::networks::models::{self, download::Digest};
 use tmpi_render::{self, Backend};
 
 /// More than readers of a container take would be made and never shown.
@@ -70,7 +71,7 @@ pub(super) struct ServeArgs {
     /// Connections at a time from one address; a proxy is one
     #[arg(long, default_value_t = Limits::CONNECTIONS_PER_ADDRESS as u32, value_parser = clap::value_parser!(u32).range(1..), value_name = "N")]
     connections_per_address: u32,
-    /// Memory for work on scenes that are not kept, in MiB; one that needs more is worked on alone
+    /// Memory for work on scenes that are not kept, in MiB, and as much again for films and files; one that needs more is worked on alone
     #[arg(long, default_value_t = (Limits::WORK_MEMORY >> 20) as u32, value_parser = clap::value_parser!(u32).range(1..), value_name = "MIB")]
     work_memory: u32,
     /// Disk for files to download that were written already, in MiB
@@ -100,6 +101,12 @@ pub(super) struct ServeArgs {
     /// Milliseconds that the geometry of a room's frame may take
     #[arg(long, default_value_t = 30.0, value_name = "MS")]
     live_budget_ms: f64,
+    /// Address of the better depth network that the page offers to fetch, in place of its publisher's; the digest stays
+    #[arg(long, value_name = "URL")]
+    network_url: Option<String>,
+    /// Digest of that file where it is another, 64 hexadecimal digits
+    #[arg(long, requires = "network_url", value_name = "HEX")]
+    network_sha256: Option<Digest>,
     #[command(flatten)]
     models: ModelFlags,
 }
@@ -168,7 +175,8 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
     #[cfg(unix)]
     open_files(u64::from(args.connections) + SPARE_FILES);
     let renderer = tmpi_render::select(args.backend).context("renderer")?;
-    let maker = ProcessMaker::new(maker);
+    let better = BetterNetwork::of(&args.models, args.network_url, args.network_sha256);
+    let maker = ProcessMaker::new(maker).with_better(better.map(|b| Box::new(b) as Box<dyn Better>));
     let config = Config { addr: args.addr, data: args.data, pages: args.pages, hosts: args.hosts, public_list: args.public_list, limits };
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().thread_name("tmpi-http").build()?;
     runtime.block_on(async {
@@ -219,7 +227,7 @@ fn open_files(wanted: u64) {
 }
 
 /// What photos depend on besides the program: a better network makes them anew.
-fn identity(settings: &models::Settings) -> anyhow::Result<String> {
+pub(super) fn identity(settings: &models::Settings) -> anyhow::Result<String> {
     // an embedded network is a part of the program
     let file = settings.depth_file.as_deref().map(|f| std::fs::read(f).with_context(|| f.display().to_string())).transpose()?;
     let digest = file.map(|bytes| hex(&Sha256::digest(bytes)));

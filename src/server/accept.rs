@@ -1,10 +1,9 @@
 //! The accept loop: `axum::serve` sets no timer for the header of a request and none for writing, this one does.
 
-use std::collections::HashMap;
 use std::io;
 use std::net::IpAddr;
 use std::pin::{Pin, pin};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
 use std::task::{Context, Poll};
 use std::time::Duration;
 
@@ -24,6 +23,7 @@ use tokio_util::task::TaskTracker;
 use tokio_util::task::task_tracker::TaskTrackerToken;
 
 use super::limits::Limits;
+use super::share::{Share, Shares};
 use super::telemetry::{Present, Telemetry};
 
 /// Pause after the system has refused a connection, for example because no file descriptor is left.
@@ -52,7 +52,7 @@ pub async fn serve(listener: TcpListener, router: Router, limits: &Limits, telem
                 continue;
             }
         };
-        let Some(share) = shares.take(peer) else {
+        let Some(share) = shares.take(Some(peer)) else {
             tracing::debug!(%peer, "an address has as many connections as it may");
             continue;
         };
@@ -96,56 +96,6 @@ pub struct Peer(pub IpAddr);
 #[derive(Clone)]
 pub struct Held(#[expect(dead_code, reason = "held until it is dropped")] Arc<(OwnedSemaphorePermit, Share, Present, TaskTrackerToken)>);
 
-/// Connections of each address.
-#[derive(Clone)]
-struct Shares {
-    most: usize,
-    open: Arc<Mutex<HashMap<IpAddr, usize>>>,
-}
-
-/// A connection of an address, as long as it lives.
-struct Share {
-    shares: Shares,
-    of: IpAddr,
-}
-
-impl Shares {
-    fn new(most: usize) -> Self {
-        Self { most, open: Arc::default() }
-    }
-
-    fn lock(&self) -> MutexGuard<'_, HashMap<IpAddr, usize>> {
-        self.open.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// One more of `peer`; none where it has as many as it may.
-    fn take(&self, peer: IpAddr) -> Option<Share> {
-        let of = match peer.to_canonical() {
-            // one customer has a whole network of these
-            IpAddr::V6(v6) => IpAddr::V6((u128::from(v6) >> 64 << 64).into()),
-            v4 @ IpAddr::V4(_) => v4,
-        };
-        let mut open = self.lock();
-        let count = open.entry(of).or_default();
-        (*count < self.most).then(|| {
-            *count += 1;
-            Share { shares: self.clone(), of }
-        })
-    }
-}
-
-impl Drop for Share {
-    fn drop(&mut self) {
-        let mut open = self.shares.lock();
-        if let Some(count) = open.get_mut(&self.of) {
-            *count -= 1;
-            if *count == 0 {
-                open.remove(&self.of);
-            }
-        }
-    }
-}
-
 /// Errors of one connection, not of the system.
 fn is_of_the_client(error: &io::Error) -> bool {
     use io::ErrorKind::{ConnectionAborted, ConnectionRefused, ConnectionReset, NotConnected};
@@ -156,7 +106,8 @@ async fn next(listener: &TcpListener, room: &Arc<Semaphore>) -> io::Result<(TcpS
     let permit = Arc::clone(room).acquire_owned().await.map_err(io::Error::other)?;
     let (stream, peer) = listener.accept().await?;
     // answers are written in one go: waiting for more to send only adds delay
-    stream.set_nodelay(true)?;
+    // where that is not to be had, the client has gone: no reason to keep the next one waiting
+    let _ = stream.set_nodelay(true);
     Ok((stream, peer.ip(), permit))
 }
 
@@ -240,20 +191,6 @@ mod tests {
     use tokio::io::{AsyncReadExt, AsyncWriteExt};
 
     use super::*;
-
-    #[test]
-    fn an_address_has_its_share_and_gives_it_back() {
-        let shares = Shares::new(2);
-        let [a, b]: [IpAddr; 2] = ["192.0.2.1".parse().unwrap(), "2001:db8::1".parse().unwrap()];
-        let first = (shares.take(a).unwrap(), shares.take(a).unwrap());
-        assert!(shares.take(a).is_none() && shares.take("192.0.2.2".parse().unwrap()).is_some());
-        assert!(shares.take("::ffff:192.0.2.1".parse().unwrap()).is_none(), "the same written otherwise");
-        let net = (shares.take(b).unwrap(), shares.take("2001:db8::2".parse().unwrap()).unwrap());
-        assert!(shares.take("2001:db8::3".parse().unwrap()).is_none() && shares.take("2001:db8:0:1::1".parse().unwrap()).is_some());
-        drop((first, net));
-        assert!(shares.take(a).is_some());
-        assert!(shares.lock().is_empty(), "nothing is kept of who has gone");
-    }
 
     #[tokio::test]
     async fn a_client_that_takes_nothing_is_cut_off_and_a_slow_one_is_not() {

@@ -1,9 +1,10 @@
 //! What all handlers share.
 
 use std::fs::File;
-use std::io::{Read as _, Write as _};
+use std::io::Read as _;
+use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicBool, AtomicUsize};
+use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
@@ -12,150 +13,34 @@ use sha2::{Digest, Sha256};
 use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 
-use super::cache::{Cache, Key, Value};
+use super::Config;
+use super::cache::Cache;
 use super::entry::{Entry, Status};
 use super::hosts::Hosts;
 use super::id::{PhotoId, hex};
 use super::identity;
 use super::jobs::Jobs;
+pub use super::kept::{Derived, Export, Full, Stored, Version};
 use super::limits::Limits;
+use super::network::Download;
 use super::pool::{Class, Pool, Slot};
 use super::problem::Problem;
+use super::share::Places;
 use super::source::Source;
 use super::store::{Done, Part, damage_of, lost};
 use super::telemetry::Telemetry;
+use super::upload::Coming;
 use tmpi_core::container::{self, RegionPhoto, Tiles};
 use tmpi_core::{Rect, Scene};
 use tmpi_render::Renderer;
-
-/// A made photo: its id and when it was made, so that nothing of a deleted one is taken for the next of the same id.
-pub type Version = (PhotoId, u64);
 
 /// Shared state; cheap to clone.
 pub type App = Arc<Shared>;
 
 /// Files up to this many bytes are kept in memory; larger ones are read while they are sent.
 const SMALL: usize = 256 << 10;
-/// Derived files of more bytes are kept on disk.
-const LARGE: usize = 1 << 20;
-/// What an open file counts in a cache of files: their number is bounded, too.
-const OPEN_FILE: usize = 1 << 20;
 /// Memory of a decoded scene in bytes a pixel, measured on photographs and rounded up.
 const SCENE_BYTES: u64 = 13;
-
-/// A file of a made photo, or what was derived of one.
-#[derive(Clone, Debug)]
-pub struct Stored {
-    /// Its bytes.
-    pub source: Source,
-    /// Strong entity tag with its quotes.
-    pub etag: Arc<str>,
-}
-
-impl Stored {
-    /// Tagged by its bytes.
-    #[must_use]
-    pub fn new(bytes: Vec<u8>) -> Self {
-        let etag = format!("\"{}\"", hex(&Sha256::digest(&bytes)[..16])).into();
-        Self { source: Source::Memory(bytes.into()), etag }
-    }
-
-    /// Bytes tagged by themselves and, before a dash, by what is part of them.
-    #[must_use]
-    pub fn derived_in_memory(made: &str, bytes: Vec<u8>) -> Self {
-        let Self { source, etag } = Self::new(bytes);
-        Self { source, etag: format!("\"{made}-{}\"", etag.get(1..17).unwrap_or_default()).into() }
-    }
-
-    /// Derived bytes, tagged by themselves and, where that tells them, by what they were made of: then
-    /// [`super::conditional::known_as`] knows them before they are made again. Large ones go into a file below `dir` that no name
-    /// leads to, so that slow readers hold no memory; it goes with the last who reads it. Blocks.
-    ///
-    /// # Errors
-    /// 507 where the disk is full, 500.
-    pub fn derived(made: Option<&str>, bytes: Vec<u8>, dir: &Path) -> Result<Self, Problem> {
-        let Self { source, etag } = match made {
-            Some(made) => Self::derived_in_memory(made, bytes),
-            None => Self::new(bytes),
-        };
-        let source = match source {
-            Source::Memory(bytes) if bytes.len() > LARGE => {
-                let write = |mut file: File| file.write_all(&bytes).map(|()| file);
-                let file = tempfile::tempfile_in(dir).and_then(write).map_err(|e| Problem::store(&e))?;
-                Source::File(Arc::new(file), bytes.len())
-            }
-            source => source,
-        };
-        Ok(Self { source, etag })
-    }
-}
-
-impl Value for Stored {
-    fn weight(&self) -> usize {
-        match &self.source {
-            Source::Memory(bytes) => bytes.len(),
-            Source::File(..) => OPEN_FILE,
-        }
-    }
-}
-
-/// What a file for download counts at least: the number of those that are open is bounded, too.
-const LEAST_EXPORT: usize = 4 << 20;
-
-/// A file for download; what it weighs is disk.
-#[derive(Clone, Debug)]
-pub struct Export(pub Stored);
-
-impl Value for Export {
-    fn weight(&self) -> usize {
-        self.0.source.len().max(LEAST_EXPORT)
-    }
-}
-
-impl Value for Arc<Scene> {
-    fn weight(&self) -> usize {
-        self.memory()
-    }
-}
-
-impl Key for Version {
-    fn photo(&self) -> PhotoId {
-        self.0
-    }
-}
-
-impl Key for (Version, Part) {
-    fn photo(&self) -> PhotoId {
-        self.0.0
-    }
-}
-
-impl Key for (Version, String) {
-    fn photo(&self) -> PhotoId {
-        self.0.0
-    }
-
-    fn weight(&self) -> usize {
-        self.1.len()
-    }
-}
-
-impl Key for (Version, Derived) {
-    fn photo(&self) -> PhotoId {
-        self.0.0
-    }
-}
-
-/// A container that is made of a photo's own.
-#[derive(Clone, Debug, PartialEq, Eq, Hash)]
-pub struct Derived {
-    /// `1 / 2^level` of the size.
-    pub level: u8,
-    /// These tiles alone.
-    pub tiles: Option<Tiles>,
-    /// These sections alone, by their place among [`container::SECTIONS`].
-    pub sections: Option<Vec<u8>>,
-}
 
 /// State of the server.
 pub struct Shared {
@@ -167,6 +52,8 @@ pub struct Shared {
     pub telemetry: Arc<Telemetry>,
     /// Decoded scenes.
     pub scenes: Cache<Version, Arc<Scene>>,
+    /// The better depth network on its way here.
+    pub download: Download,
     /// Small files, and those that are open.
     pub files: Cache<(Version, Part), Stored>,
     /// Smaller levels and parts of containers.
@@ -175,14 +62,14 @@ pub struct Shared {
     pub views: Cache<(Version, String), Stored>,
     /// Files to download and films, on disk.
     pub exports: Cache<(Version, String), Export>,
-    /// Where these are written.
-    pub scratch: PathBuf,
     /// Where views are drawn.
     pub pool: Pool,
     /// Uploads that come in.
-    pub uploads: AtomicUsize,
+    pub uploads: Coming,
+    /// Leave to change what is on disk.
+    pub changes: Arc<Semaphore>,
     /// Places for event streams.
-    pub streams: Arc<Semaphore>,
+    pub streams: Places,
     /// Why the data directory could not be written when that was last tried.
     pub storage: Mutex<Option<&'static str>>,
     /// What draws them.
@@ -204,6 +91,37 @@ pub struct Shared {
 }
 
 impl Shared {
+    /// Of a server that listens at `addr`.
+    #[must_use]
+    pub fn new(config: Config, addr: SocketAddr, jobs: Arc<Jobs>, renderer: Arc<dyn Renderer>, openapi: Bytes) -> Self {
+        let Config { addr: _, data: _, pages, hosts, public_list, limits: _ } = config;
+        let (limits, telemetry) = (Arc::clone(&jobs.limits), Arc::clone(&jobs.telemetry));
+        Self {
+            jobs,
+            download: Download::default(),
+            scenes: Cache::new(limits.scene_cache),
+            files: Cache::new(limits.file_cache),
+            levels: Cache::new(limits.file_cache / 4),
+            views: Cache::new(limits.view_cache),
+            exports: Cache::new(limits.export_cache),
+            pool: Pool::new(&limits),
+            uploads: Coming::new(&limits),
+            changes: Arc::new(Semaphore::new(limits.changes)),
+            streams: Places::new(limits.streams),
+            storage: Mutex::new(None),
+            limits,
+            telemetry,
+            build: identity::of_server(renderer.name()),
+            renderer,
+            hosts: Hosts::new(addr, &hosts),
+            public_list,
+            pages,
+            openapi,
+            leaving: AtomicBool::new(false),
+            stop: CancellationToken::new(),
+        }
+    }
+
     /// Why the data directory could not be written when that was last tried.
     #[must_use]
     pub fn storage(&self) -> Option<&'static str> {
@@ -213,6 +131,20 @@ impl Shared {
     /// Keeps the outcome of a try.
     pub fn set_storage(&self, trouble: Option<&'static str>) {
         *self.storage.lock().unwrap_or_else(PoisonError::into_inner) = trouble;
+    }
+
+    /// Runs what changes the data directory, where it may have to wait for others that do: it holds a thread only once it is its turn.
+    ///
+    /// # Errors
+    /// 500 where `work` panicked.
+    pub async fn change<T: Send + 'static>(&self, work: impl FnOnce() -> T + Send + 'static) -> Result<T, Problem> {
+        let turn = Arc::clone(&self.changes).acquire_owned().await.map_err(|e| Problem::internal("changing a photo", &e))?;
+        let changed = tokio::task::spawn_blocking(move || {
+            let changed = work();
+            drop(turn);
+            changed
+        });
+        changed.await.map_err(|e| Problem::internal("changing a photo", &e))
     }
 
     /// The photo of a path.
@@ -255,7 +187,9 @@ impl Shared {
         let whole = (part == Part::Atlas).then(|| done.clone());
         let open = async move {
             let open = tokio::task::spawn_blocking(move || match open(&jobs.store.path(version.0, part), whole.as_ref()) {
-                Ok(Ok(stored)) => Ok(stored),
+                Ok(Ok(stored)) if is_made(&jobs, version) => Ok(stored),
+                // what was opened may be of the next making
+                Ok(Ok(_)) => Err(Problem::not_found("the photo is being made again, or was deleted")),
                 Ok(Err(damage)) => Err(damaged(&jobs, version, &damage)),
                 Err(error) => Err(unread(&jobs, version, part, &error)),
             });
@@ -292,7 +226,7 @@ impl Shared {
         let names = sections.map(<[_]>::to_vec);
         let make = async {
             let slot = self.pool.enter(Class::Derived, scene_bytes(done)).await?;
-            let (read, scratch) = (self.reading(version), self.scratch.clone());
+            let (read, jobs) = (self.reading(version), Arc::clone(&self.jobs));
             let make = move || {
                 let mut bytes = read()?;
                 if let Some(tiles) = &made.tiles {
@@ -303,7 +237,7 @@ impl Shared {
                 if let Some(names) = names {
                     bytes = container::select(&bytes, &names).map_err(|e| Problem::from(&e))?;
                 }
-                Stored::derived(None, bytes, &scratch)
+                Stored::derived(None, bytes, &jobs.store, Full::Memory)
             };
             slot.run(make).await?
         };
@@ -352,6 +286,13 @@ impl Shared {
         Ok((scene, took))
     }
 
+    /// Frees the disk that is taken by what can be made again.
+    pub async fn free_disk(&self) {
+        self.exports.clear().await;
+        self.views.clear().await;
+        self.levels.clear().await;
+    }
+
     /// Frees what is kept of a deleted photo.
     pub async fn forget(&self, photo: PhotoId) {
         self.scenes.forget(photo).await;
@@ -366,6 +307,11 @@ impl Shared {
 #[must_use]
 pub fn scene_bytes(done: &Done) -> u64 {
     SCENE_BYTES * u64::from(done.width) * u64::from(done.height) + done.atlas_bytes
+}
+
+/// Whether a making of a photo is still the one in service; its files are overwritten only after it is not.
+fn is_made(jobs: &Jobs, version: Version) -> bool {
+    matches!(jobs.get(version.0).map(|entry| entry.status()), Some(Status::Done(done)) if done.at_ms == version.1)
 }
 
 /// Takes a photo out of service.

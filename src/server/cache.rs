@@ -75,6 +75,12 @@ impl<K: Key, V: Value> Cache<K, V> {
         self.kept.run_pending_tasks().await;
     }
 
+    /// Removes everything.
+    pub async fn clear(&self) {
+        self.kept.invalidate_all();
+        self.kept.run_pending_tasks().await;
+    }
+
     /// Bytes of all entries.
     #[must_use]
     pub fn bytes(&self) -> u64 {

@@ -1,22 +1,24 @@
 //! Photos made in a process of their own, which can be stopped at any moment and takes nothing down with it.
 //!
 //! What decodes foreign pictures or runs networks cannot be asked to stop, and what takes too much memory ends its process. So the
-//! server runs its own program once more, with the same arguments and [`VARIABLE`] set, and keeps it for the next photo. Frames go
-//! both ways through pipes: a kind of one byte, a length of eight (little-endian), and so many bytes.
+//! server runs its own program once more, with the same arguments and [`VARIABLE`] set, and keeps it for the next photo.
 
-use std::collections::BTreeMap;
-use std::io::{self, Read, Write};
+mod frames;
+mod inside;
+
+use std::io::{self, Write};
 use std::process::{Child, ChildStdin, Command, Stdio};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Mutex, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
 
-use serde::{Deserialize, Serialize};
-
 use super::maker::{Fault, Maker, PipelineMaker, Product};
+use super::network::{Better, Offer, Renewed};
 use super::options;
 use super::problem::Problem;
-use tmpi_pipeline::{MakeError, Options, Progress, Report, STAGES, Sink};
+use frames::{Told, kind, read, write};
+pub use inside::serve;
+use tmpi_pipeline::{MakeError, Options, Progress, Report, STAGES, Sink, strokes};
 
 /// Set in the environment of a process that makes photos for a server.
 pub const VARIABLE: &str = "TMPI_MAKES_PHOTOS";
@@ -24,52 +26,6 @@ pub const VARIABLE: &str = "TMPI_MAKES_PHOTOS";
 const TICK: Duration = Duration::from_millis(10);
 /// Peak memory above which a process is not kept: allocators do not give all of it back.
 const KEPT_BYTES: u64 = 768 << 20;
-/// Longest frame.
-const FRAME: u64 = 1 << 30;
-/// Linux ends the process with the highest score first where memory is short: never the server for a photo's sake.
-const SCORE: &str = "500";
-
-/// Kinds of frames.
-mod kind {
-    pub const OPTIONS: u8 = 1;
-    pub const PHOTO: u8 = 2;
-    pub const DEPTH: u8 = 3;
-    pub const MAKE: u8 = 4;
-    pub const PROGRESS: u8 = 5;
-    pub const CONTAINER: u8 = 6;
-    pub const DISPARITY: u8 = 7;
-    pub const THUMBNAIL: u8 = 8;
-    pub const REPORT: u8 = 9;
-    pub const FAULT: u8 = 10;
-}
-
-fn write(to: &mut impl Write, kind: u8, bytes: &[u8]) -> io::Result<()> {
-    to.write_all(&[kind])?;
-    to.write_all(&(bytes.len() as u64).to_le_bytes())?;
-    to.write_all(bytes)
-}
-
-fn read(from: &mut impl Read) -> io::Result<(u8, Vec<u8>)> {
-    let mut head = [0; 9];
-    from.read_exact(&mut head)?;
-    let [kind, length @ ..] = head;
-    let length = u64::from_le_bytes(length);
-    if length > FRAME {
-        return Err(io::Error::new(io::ErrorKind::InvalidData, "a frame that is too long"));
-    }
-    let mut bytes = Vec::new();
-    from.take(length).read_to_end(&mut bytes)?;
-    if bytes.len() as u64 == length { Ok((kind, bytes)) } else { Err(io::ErrorKind::UnexpectedEof.into()) }
-}
-
-/// A stage as it is told.
-#[derive(Serialize, Deserialize)]
-struct Told {
-    stage: String,
-    step: u32,
-    steps: u32,
-    elapsed_ms: f64,
-}
 
 /// Makes photos in processes of their own.
 pub struct ProcessMaker {
@@ -77,12 +33,18 @@ pub struct ProcessMaker {
     /// Processes that wait for a photo.
     idle: Mutex<Vec<Worker>>,
     command: fn() -> io::Result<Command>,
+    /// What fetches a better network; processes that start after it was fetched use it.
+    better: Option<Box<dyn Better>>,
+    /// What this is with it, once it is here.
+    renewed: OnceLock<Renewed>,
 }
 
 /// What a process answers, frame by frame, until it ends.
 type Frames = Receiver<io::Result<(u8, Vec<u8>)>>;
 
 struct Worker {
+    /// Whether it began with the better network.
+    renewed: bool,
     child: Child,
     input: ChildStdin,
     output: Frames,
@@ -109,7 +71,7 @@ impl ProcessMaker {
     /// A maker that checks photos itself, and starts a process at once so that the first photo need not wait for it.
     #[must_use]
     pub fn new(checks: PipelineMaker) -> Self {
-        let maker = Self { checks, idle: Mutex::default(), command: this_program };
+        let maker = Self { checks, idle: Mutex::default(), command: this_program, better: None, renewed: OnceLock::new() };
         match maker.start() {
             Ok(worker) => maker.keep(worker),
             // it is tried again, and told, with the first photo
@@ -118,7 +80,15 @@ impl ProcessMaker {
         maker
     }
 
+    /// The same with a network that may be fetched while it runs.
+    #[must_use]
+    pub fn with_better(self, better: Option<Box<dyn Better>>) -> Self {
+        Self { better, ..self }
+    }
+
     fn start(&self) -> io::Result<Worker> {
+        // before it looks for its network
+        let renewed = self.renewed.get().is_some();
         let mut command = (self.command)()?;
         // a Ctrl-C in a terminal is for the server
         #[cfg(unix)]
@@ -137,7 +107,7 @@ impl ProcessMaker {
                 }
             }
         })?;
-        Ok(Worker { child, input, output: told })
+        Ok(Worker { renewed, child, input, output: told })
     }
 
     fn keep(&self, worker: Worker) {
@@ -147,7 +117,7 @@ impl ProcessMaker {
     fn take(&self) -> Result<Worker, Fault> {
         let mut idle = self.idle.lock().unwrap_or_else(PoisonError::into_inner);
         while let Some(mut worker) = idle.pop() {
-            if matches!(worker.child.try_wait(), Ok(None)) {
+            if worker.renewed == self.renewed.get().is_some() && matches!(worker.child.try_wait(), Ok(None)) {
                 return Ok(worker);
             }
         }
@@ -158,7 +128,23 @@ impl ProcessMaker {
 
 impl Maker for ProcessMaker {
     fn identity(&self) -> &str {
-        self.checks.identity()
+        self.renewed.get().map_or_else(|| self.checks.identity(), |renewed| &renewed.identity)
+    }
+
+    fn network(&self) -> &str {
+        self.renewed.get().map_or_else(|| self.checks.network(), |renewed| &renewed.network)
+    }
+
+    fn better(&self) -> Option<Offer> {
+        self.better.as_ref().filter(|_| self.renewed.get().is_none()).map(|better| better.offer())
+    }
+
+    fn fetch_better(&self, progress: &mut dyn FnMut(u64)) -> Result<(), String> {
+        let better = self.better.as_ref().ok_or("there is no better network")?;
+        let renewed = better.fetch(progress)?;
+        // one download runs at a time
+        let _ = self.renewed.set(renewed);
+        Ok(())
     }
 
     fn check(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options) -> Result<(), MakeError> {
@@ -176,11 +162,14 @@ impl Maker for ProcessMaker {
             self.idle.lock().unwrap_or_else(PoisonError::into_inner).clear();
         }
         let mut worker = self.take()?;
+        let strokes = strokes::write(&options.strokes);
         let options = serde_json::to_vec(&options::to_text(options)).map_err(|e| Fault::Server(e.to_string()))?;
         let (outcome, keep) = std::thread::scope(|scope| {
-            let Worker { child, input, output } = &mut worker;
+            let Worker { child, input, output, .. } = &mut worker;
             // a process that does not read would hold up whoever writes to it, past deadline and cancellation
-            let sending = std::thread::Builder::new().name("tmpi-sends".into()).spawn_scoped(scope, || send(input, &options, photo, depth));
+            let sending = std::thread::Builder::new()
+                .name("tmpi-sends".into())
+                .spawn_scoped(scope, || send(input, (&options, &strokes), photo, depth));
             if let Err(error) = sending {
                 return (Err(Fault::Server(format!("no thread can be started: {error}"))), false);
             }
@@ -205,9 +194,10 @@ impl Maker for ProcessMaker {
 }
 
 /// Sends a photo to be made.
-fn send(input: &mut ChildStdin, options: &[u8], photo: &[u8], depth: Option<&[u8]>) {
+fn send(input: &mut ChildStdin, (options, strokes): (&[u8], &[u8]), photo: &[u8], depth: Option<&[u8]>) {
     // where the process has ended, the end of its output tells
     let _ = write(input, kind::OPTIONS, options)
+        .and_then(|()| write(input, kind::STROKES, strokes))
         .and_then(|()| write(input, kind::PHOTO, photo))
         .and_then(|()| depth.map_or(Ok(()), |depth| write(input, kind::DEPTH, depth)))
         .and_then(|()| write(input, kind::MAKE, &[]))
@@ -233,7 +223,8 @@ impl Answer {
 fn listen(child: &mut Child, output: &Frames, sink: &dyn Sink) -> Result<Product, Answer> {
     let mut product = Product { container: Vec::new(), report: Report::default(), disparity: Vec::new(), thumbnail: Vec::new() };
     let mut stage = STAGES[0];
-    let lost = |problem: String| Answer::Lost(Fault::Server(format!("a process that makes photos answered what it should not: {problem}")));
+    // the photo may have brought it about, and must not hold up the others for ever
+    let lost = |problem: String| Answer::Lost(Fault::Crashed(format!("the process that made it answered what it should not: {problem}")));
     loop {
         if sink.cancelled() {
             return Err(Answer::Lost(Fault::Cancelled));
@@ -275,112 +266,6 @@ fn ending(child: &mut Child) -> String {
     }
 }
 
-/// Writes progress as frames.
-struct Tells<W>(Mutex<W>);
-
-impl<W: Write + Send> Tells<W> {
-    fn tell(&self, kind: u8, bytes: &[u8]) {
-        let mut output = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        // where nobody listens any more, the end of the input says so
-        let _ = write(&mut *output, kind, bytes).and_then(|()| output.flush());
-    }
-}
-
-impl<W: Write + Send> Sink for Tells<W> {
-    fn progress(&self, p: &Progress) {
-        let told = Told { stage: p.stage.to_owned(), step: p.step, steps: p.steps, elapsed_ms: p.elapsed_ms };
-        self.tell(kind::PROGRESS, &serde_json::to_vec(&told).unwrap_or_default());
-    }
-}
-
-/// Makes photos for the server that started this process, until it closes the pipe; `memory` bounds what this process may take, in
-/// bytes.
-pub fn serve(maker: &PipelineMaker, memory: u64) {
-    if cfg!(target_os = "linux") {
-        // where that is not allowed, the kernel chooses as it likes
-        let _ = std::fs::write("/proc/self/oom_score_adj", SCORE);
-    }
-    outlive_signals();
-    if let Err(error) = bound_memory(memory) {
-        tracing::warn!(%error, "memory cannot be bounded");
-    }
-    let (tell, frames) = channel();
-    let reader = std::thread::Builder::new().name("tmpi-frames".into()).spawn(move || {
-        let mut input = io::stdin().lock();
-        loop {
-            let passed_on = read(&mut input).is_ok_and(|frame| tell.send(frame).is_ok());
-            if !passed_on {
-                // the server has gone: nobody wants what is being made
-                #[allow(clippy::disallowed_methods, reason = "what runs cannot be stopped otherwise, and owns nothing")]
-                std::process::exit(0);
-            }
-        }
-    });
-    if let Err(error) = reader {
-        tracing::error!(%error, "no thread can be started");
-        return;
-    }
-    let output = Tells(Mutex::new(io::stdout()));
-    let (mut chosen, mut photo, mut depth) = (Vec::new(), Vec::new(), None);
-    for (kind, bytes) in frames {
-        match kind {
-            kind::OPTIONS => chosen = bytes,
-            kind::PHOTO => photo = bytes,
-            kind::DEPTH => depth = Some(bytes),
-            kind::MAKE => {
-                answer(&output, one(maker, &chosen, &std::mem::take(&mut photo), depth.take().as_deref(), &output));
-            }
-            _ => return,
-        }
-    }
-}
-
-fn one(maker: &PipelineMaker, options: &[u8], photo: &[u8], depth: Option<&[u8]>, sink: &dyn Sink) -> Result<Product, Fault> {
-    let text: BTreeMap<String, String> = serde_json::from_slice(options).map_err(|e| Fault::Server(e.to_string()))?;
-    let options = options::from_text(&text).map_err(Fault::Photo)?;
-    super::worker::caught(|| maker.make(photo, depth, &options, sink))
-}
-
-fn answer(output: &Tells<impl Write + Send>, outcome: Result<Product, Fault>) {
-    let text = |value: serde_json::Result<Vec<u8>>| value.unwrap_or_default();
-    match outcome {
-        Ok(product) => {
-            output.tell(kind::CONTAINER, &product.container);
-            output.tell(kind::DISPARITY, &product.disparity);
-            output.tell(kind::THUMBNAIL, &product.thumbnail);
-            output.tell(kind::REPORT, &text(serde_json::to_vec(&product.report)));
-        }
-        Err(fault) => output.tell(kind::FAULT, &text(serde_json::to_vec(&fault))),
-    }
-}
-
-/// Signals to stop go to all processes of a service at once; the server decides what becomes of the photo that is being made.
-#[cfg(unix)]
-#[allow(unsafe_code, reason = "two calls of libc that run no code of ours later")]
-fn outlive_signals() {
-    for signal in [libc::SIGTERM, libc::SIGINT] {
-        // SAFETY: ignoring a signal installs no handler
-        unsafe { libc::signal(signal, libc::SIG_IGN) };
-    }
-}
-
-#[cfg(not(unix))]
-fn outlive_signals() {}
-
-#[cfg(target_os = "linux")]
-#[allow(unsafe_code, reason = "a call of libc that only reads the struct it is handed")]
-fn bound_memory(bytes: u64) -> io::Result<()> {
-    let limit = libc::rlimit { rlim_cur: bytes, rlim_max: bytes };
-    // SAFETY: the struct outlives the call
-    if unsafe { libc::setrlimit(libc::RLIMIT_DATA, &raw const limit) } == 0 { Ok(()) } else { Err(io::Error::last_os_error()) }
-}
-
-#[cfg(not(target_os = "linux"))]
-fn bound_memory(_: u64) -> io::Result<()> {
-    // other systems have no limit that counts what a process takes for itself
-    Ok(())
-}
-
 impl From<MakeError> for Fault {
     fn from(error: MakeError) -> Self {
         use tmpi_pipeline::StageError;
@@ -399,21 +284,56 @@ impl From<MakeError> for Fault {
 }
 
 #[cfg(test)]
+#[cfg(unix)]
 mod tests {
+    use std::sync::Arc;
+
     use super::*;
+    use crate::server::Limits;
+    use tmpi_core::{DisparityMap, Photo};
+    use tmpi_pipeline::depth::{DepthError, Estimator};
+    use tmpi_pipeline::{Models, Silent};
+
+    struct Flat;
+
+    impl Estimator for Flat {
+        fn name(&self) -> &'static str {
+            "flat"
+        }
+
+        fn estimate(&self, photo: &Photo) -> Result<DisparityMap, DepthError> {
+            Ok(DisparityMap { width: photo.width, height: photo.height, delta: vec![0.5; photo.rgb.len()] })
+        }
+    }
+
+    fn fault(command: fn() -> io::Result<Command>) -> Fault {
+        let checks = PipelineMaker::new(Models { depth: Arc::new(Flat), theta: None, psi: None }, &Limits::default());
+        let maker = ProcessMaker { checks, idle: Mutex::default(), command, better: None, renewed: OnceLock::new() };
+        let fault = maker.make(b"a photo", None, &Options::default(), &Silent).unwrap_err();
+        assert!(maker.idle.lock().unwrap().is_empty(), "such a process is not kept");
+        fault
+    }
+
+    fn shell(script: &str) -> Command {
+        let mut command = Command::new("sh");
+        command.args(["-c", script]);
+        command
+    }
 
     #[test]
-    fn frames_are_read_as_they_were_written_and_cut_ones_are_not() {
-        let mut bytes = Vec::new();
-        write(&mut bytes, kind::PHOTO, b"abc").unwrap();
-        write(&mut bytes, kind::MAKE, b"").unwrap();
-        let mut from = bytes.as_slice();
-        assert_eq!(read(&mut from).unwrap(), (kind::PHOTO, b"abc".to_vec()));
-        assert_eq!(read(&mut from).unwrap(), (kind::MAKE, Vec::new()));
-        assert!(read(&mut from).is_err());
-        for end in 0..12 {
-            assert!(read(&mut &bytes[..end]).is_err(), "cut to {end}");
+    fn nonsense_from_a_process_counts_against_its_photo_alone() {
+        // a report that is none, an unknown frame, a frame of no end, and an end without a word
+        let all: [fn() -> io::Result<Command>; 4] = [
+            || Ok(shell(r"printf '\011\004\0\0\0\0\0\0\0null'; cat > /dev/null")),
+            || Ok(shell(r"printf '\143\0\0\0\0\0\0\0\0'; cat > /dev/null")),
+            || Ok(shell("echo a frame of some length; cat > /dev/null")),
+            || Ok(shell("exit 0")),
+        ];
+        for command in all {
+            let fault = fault(command);
+            assert!(matches!(fault, Fault::Crashed(_)), "{fault:?}");
         }
-        assert!(read(&mut [[1].as_slice(), &(FRAME + 1).to_le_bytes()].concat().as_slice()).is_err());
+        let none = fault(|| Err(io::Error::other("no program")));
+        assert!(matches!(none, Fault::Server(_)), "{none:?}");
     }
 }

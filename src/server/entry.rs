@@ -94,10 +94,10 @@ pub struct Entry {
 }
 
 impl Entry {
-    /// A fresh upload.
+    /// A fresh upload with the settings that it names.
     #[must_use]
-    pub fn new(id: PhotoId, accepted: Accepted) -> Self {
-        Self::found(Found { id, accepted, state: super::store::State::default(), settings: Settings::default() })
+    pub fn new(id: PhotoId, accepted: Accepted, settings: Settings) -> Self {
+        Self::found(Found { id, accepted, state: super::store::State::default(), settings })
     }
 
     /// A photo found on disk.

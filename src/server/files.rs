@@ -19,6 +19,12 @@ pub trait Files: Debug + Send + Sync + 'static {
     /// As [`fs::write`].
     fn write(&self, path: &Path, bytes: &[u8]) -> io::Result<()>;
 
+    /// Makes the bytes of a file durable.
+    ///
+    /// # Errors
+    /// There is none, or the system cannot.
+    fn sync(&self, path: &Path) -> io::Result<()>;
+
     /// The bytes of a file.
     ///
     /// # Errors
@@ -70,6 +76,11 @@ impl Files for Disk {
         let mut file = private().create(true).truncate(true).write(true).open(path)?;
         file.write_all(bytes)?;
         file.sync_all()
+    }
+
+    fn sync(&self, path: &Path) -> io::Result<()> {
+        // for writing, as some systems want it
+        OpenOptions::new().write(true).open(path)?.sync_all()
     }
 
     fn read(&self, path: &Path) -> io::Result<Vec<u8>> {

@@ -11,8 +11,16 @@ type Entries = BTreeMap<String, usize>;
 
 #[derive(Clone, Debug)]
 enum Node {
-    File { now: Vec<u8>, synced: Option<Vec<u8>> },
-    Folder { now: Entries, synced: Entries },
+    File {
+        now: Vec<u8>,
+        synced: Option<Vec<u8>>,
+    },
+    Folder {
+        now: Entries,
+        synced: Entries,
+    },
+    /// A file on sectors that have gone.
+    Worn,
 }
 
 impl Node {
@@ -71,8 +79,21 @@ impl Forgetful {
             match node {
                 Node::File { now, synced } => *now = synced.clone().unwrap_or_default(),
                 Node::Folder { now, synced } => now.clone_from(synced),
+                Node::Worn => {}
             }
         }
+    }
+
+    /// Writes a file that is not synced.
+    pub fn write_unsynced(&self, path: &Path, bytes: &[u8]) {
+        self.lock().put(path, Node::File { now: bytes.to_vec(), synced: None }).unwrap();
+    }
+
+    /// From now on a file cannot be read from the disk.
+    pub fn wear_out(&self, path: &Path) {
+        let mut inner = self.lock();
+        let at = inner.find(path).unwrap();
+        inner.nodes[at] = Node::Worn;
     }
 
     pub fn exists(&self, path: &Path) -> bool {
@@ -104,7 +125,7 @@ impl Inner {
     fn find(&self, path: &Path) -> io::Result<usize> {
         parts(path).iter().try_fold(0, |at, name| match &self.nodes[at] {
             Node::Folder { now, .. } => now.get(name).copied().ok_or_else(missing),
-            Node::File { .. } => Err(missing()),
+            Node::File { .. } | Node::Worn => Err(missing()),
         })
     }
 
@@ -128,7 +149,7 @@ impl Inner {
         let at = self.find(folder)?;
         match &mut self.nodes[at] {
             Node::Folder { now, .. } => Ok((now, name.to_string_lossy().into_owned())),
-            Node::File { .. } => Err(missing()),
+            Node::File { .. } | Node::Worn => Err(missing()),
         }
     }
 
@@ -167,11 +188,23 @@ impl Files for Forgetful {
         Ok(())
     }
 
+    fn sync(&self, path: &Path) -> io::Result<()> {
+        let mut inner = self.lock();
+        let at = inner.find(path)?;
+        inner.change(true)?;
+        if let Node::File { now, synced } = &mut inner.nodes[at] {
+            *synced = Some(now.clone());
+        }
+        Ok(())
+    }
+
     fn read(&self, path: &Path) -> io::Result<Vec<u8>> {
         let inner = self.lock();
         match &inner.nodes[inner.find(path)?] {
             Node::File { now, .. } => Ok(now.clone()),
             Node::Folder { .. } => Err(missing()),
+            // EIO
+            Node::Worn => Err(io::Error::from_raw_os_error(5)),
         }
     }
 
@@ -179,7 +212,7 @@ impl Files for Forgetful {
         let inner = self.lock();
         match &inner.nodes[inner.find(path)?] {
             Node::Folder { now, .. } => Ok(now.keys().cloned().collect()),
-            Node::File { .. } => Err(missing()),
+            Node::File { .. } | Node::Worn => Err(missing()),
         }
     }
 

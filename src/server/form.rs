@@ -16,11 +16,15 @@ const HEADER: usize = 8 << 10;
 #[error("the header of a part of the form is over the limit of {HEADER} bytes")]
 pub struct HeaderTooLong;
 
-/// Where in a form the bytes are.
-#[derive(Clone, Copy, Debug)]
+/// Where in a form the bytes are, as the reader of forms sees it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum At {
-    /// In a header, with so many bytes of it seen.
-    Header(usize),
+    /// Before the first delimiter.
+    Preamble,
+    /// In the rest of a delimiter's line: its end is no part of the header that follows.
+    Line,
+    /// In a header.
+    Header,
     /// In the bytes of a part.
     Data,
 }
@@ -28,9 +32,14 @@ enum At {
 /// The bytes of a form as they come, up to a header that is too long.
 pub struct Bounded<S> {
     stream: S,
+    /// The first delimiter: wherever it stands, the reader of forms takes it for one.
+    first: Finder<'static>,
     delimiter: Finder<'static>,
+    line_end: Finder<'static>,
     header_end: Finder<'static>,
     at: At,
+    /// Bytes since the last part, which the reader of forms holds.
+    held: usize,
     /// The last bytes that came, as far as they may begin what is looked for.
     tail: Vec<u8>,
 }
@@ -39,9 +48,17 @@ impl<S> Bounded<S> {
     /// Of a form of which the parts are told apart by `boundary`.
     #[must_use]
     pub fn new(stream: S, boundary: &str) -> Self {
-        let delimiter = Finder::new(&format!("\r\n--{boundary}")).into_owned();
-        let header_end = Finder::new("\r\n\r\n").into_owned();
-        Self { stream, delimiter, header_end, at: At::Header(0), tail: Vec::new() }
+        let finder = |text: &str| Finder::new(text).into_owned();
+        Self {
+            stream,
+            first: finder(&format!("--{boundary}")),
+            delimiter: finder(&format!("\r\n--{boundary}")),
+            line_end: finder("\r\n"),
+            header_end: finder("\r\n\r\n"),
+            at: At::Preamble,
+            held: 0,
+            tail: Vec::new(),
+        }
     }
 
     /// Follows the form over `piece`.
@@ -52,13 +69,20 @@ impl<S> Bounded<S> {
         let (mut from, mut fresh) = (0, carried);
         loop {
             let rest = &bytes[from..];
-            let finder = if matches!(self.at, At::Data) { &self.delimiter } else { &self.header_end };
+            let (finder, next) = match self.at {
+                At::Preamble => (&self.first, At::Line),
+                At::Line => (&self.line_end, At::Header),
+                At::Header => (&self.header_end, At::Data),
+                At::Data => (&self.delimiter, At::Line),
+            };
             let length = finder.needle().len();
             let found = finder.find(rest).map(|at| from + at + length);
             let end = found.unwrap_or(bytes.len());
-            if let At::Header(seen) = &mut self.at {
-                *seen += end.saturating_sub(fresh.max(from));
-                if *seen > HEADER {
+            if self.at == At::Data {
+                self.held = 0;
+            } else {
+                self.held += end.saturating_sub(fresh.max(from));
+                if self.held > HEADER {
                     return Err(HeaderTooLong);
                 }
             }
@@ -67,7 +91,7 @@ impl<S> Bounded<S> {
                 self.tail = bytes.split_off(kept);
                 return Ok(());
             };
-            self.at = if matches!(self.at, At::Data) { At::Header(0) } else { At::Data };
+            self.at = next;
             (from, fresh) = (end, end);
         }
     }
@@ -122,6 +146,20 @@ mod tests {
             assert!(!passes(&form(&[10, HEADER + 1], 5), pieces), "{pieces}");
             assert!(!passes(&form(&[HEADER + 1], 5), pieces), "{pieces}");
         }
+    }
+
+    #[test]
+    fn a_header_is_bounded_wherever_the_reader_of_forms_sees_one() {
+        let long = vec![b'h'; HEADER + 1];
+        // an empty line before the first delimiter, and one right behind it, end no header
+        for before in [b"\r\n\r\n--b\r\n".as_slice(), b"--b\r\n\r\n", b"x--b\r\n", b"--b \t\r\n\r\n"] {
+            for pieces in [1, 3, 1000, 1 << 20] {
+                let form = [before, &long, b"\r\n\r\n"].concat();
+                assert!(!passes(&form, pieces), "{:?} in pieces of {pieces}", String::from_utf8_lossy(before));
+                assert!(passes(&[before, &long[..HEADER - 20], b"\r\n\r\n", &long, &long].concat(), pieces));
+            }
+        }
+        assert!(!passes(&[b"\r\n\r\n".as_slice(), &long].concat(), 1000), "nor does it before any delimiter");
     }
 
     proptest! {

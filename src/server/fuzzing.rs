@@ -6,6 +6,7 @@ use axum::http::{HeaderMap, HeaderValue, Uri, header};
 
 use super::Limits;
 use super::conditional::{Wanted, wanted};
+use super::form::Bounded;
 use super::options;
 use super::routes::ViewQuery;
 use super::settings::Settings;
@@ -48,7 +49,10 @@ pub fn range(headers: &HeaderMap, length: usize) {
 
 /// Reads the options of a form whose boundary is `x`.
 pub fn multipart(body: &[u8]) {
-    let mut request = Request::new(Body::from(body.to_vec()));
+    // in pieces, as they come
+    let pieces: Vec<_> = body.chunks(7).map(|piece| Ok::<_, std::io::Error>(bytes::Bytes::copy_from_slice(piece))).collect();
+    let bounded = Bounded::new(futures_util::stream::iter(pieces), "x");
+    let mut request = Request::new(Body::from_stream(bounded));
     request.headers_mut().insert(header::CONTENT_TYPE, HeaderValue::from_static("multipart/form-data; boundary=x"));
     let Ok(runtime) = tokio::runtime::Builder::new_current_thread().build() else { return };
     runtime.block_on(async {

@@ -12,7 +12,7 @@ use axum::http::{HeaderMap, StatusCode, header};
 use super::problem::Problem;
 
 /// Headers by which proxies say that a request is not their own.
-const PROXIED: [&str; 4] = ["forwarded", "x-forwarded-for", "x-forwarded-host", "via"];
+const PROXIED: [&str; 6] = ["forwarded", "x-forwarded-for", "x-forwarded-host", "x-forwarded-proto", "x-real-ip", "via"];
 
 /// The names that count.
 #[derive(Clone, Debug)]
@@ -44,7 +44,9 @@ impl Hosts {
         Ok(())
     }
 
-    fn allows(&self, host: &str) -> bool {
+    /// True where the server answers under that name.
+    #[must_use]
+    pub fn allows(&self, host: &str) -> bool {
         let host = plain(host);
         if is_loopback_name(&host) || self.names.contains(&host) {
             return true;
@@ -64,6 +66,22 @@ impl Hosts {
         };
         self.bound.is_loopback() && host.is_some_and(local) && !PROXIED.iter().any(|name| headers.contains_key(*name))
     }
+}
+
+/// `scheme://host` as whoever sent a request knows this server: by its `Host`, which [`Hosts::check`] has seen, and by what a proxy
+/// says of the scheme (`Forwarded`, RFC 7239, or `X-Forwarded-Proto`). None where there is no `Host` that is one.
+#[must_use]
+pub fn origin(headers: &HeaderMap) -> Option<String> {
+    let host: Authority = headers.get(header::HOST)?.to_str().ok()?.parse().ok()?;
+    let text = |name: &str| headers.get(name).and_then(|v| v.to_str().ok());
+    // the first is the proxy that the browser talks to
+    let first = |value: &'static str| text(value).and_then(|v| v.split(',').next());
+    let forwarded = first("forwarded").into_iter().flat_map(|hop| hop.split(';')).filter_map(|pair| pair.split_once('='));
+    let proto = forwarded.filter(|(name, _)| name.trim().eq_ignore_ascii_case("proto")).map(|(_, value)| value).next();
+    let proto = proto.or_else(|| first("x-forwarded-proto")).map(|v| v.trim().trim_matches('"'));
+    let scheme = if proto.is_some_and(|p| p.eq_ignore_ascii_case("https")) { "https" } else { "http" };
+    let port = host.port_u16().map(|port| format!(":{port}")).unwrap_or_default();
+    Some(format!("{scheme}://{}{port}", host.host()))
 }
 
 /// The one `Host` of a request.
@@ -129,6 +147,27 @@ mod tests {
     }
 
     #[test]
+    fn addresses_are_as_the_browser_knows_them() {
+        let of = |pairs: &[(&'static str, &'static str)]| {
+            origin(&pairs.iter().map(|(k, v)| (header::HeaderName::from_static(k), header::HeaderValue::from_static(v))).collect())
+        };
+        assert_eq!(of(&[("host", "localhost:8080")]).as_deref(), Some("http://localhost:8080"));
+        assert_eq!(of(&[("host", "[::1]:80")]).as_deref(), Some("http://[::1]:80"));
+        let behind = |name, value| of(&[("host", "photos.example"), (name, value)]).unwrap();
+        for (name, value, scheme) in [
+            ("x-forwarded-proto", "https", "https"),
+            ("x-forwarded-proto", "HTTPS, http", "https"),
+            ("x-forwarded-proto", "javascript", "http"),
+            ("forwarded", "for=192.0.2.1;Proto=\"https\";host=evil.example, proto=http", "https"),
+            ("forwarded", "for=192.0.2.1", "http"),
+            ("x-forwarded-host", "evil.example", "http"),
+        ] {
+            assert_eq!(behind(name, value), format!("{scheme}://photos.example"), "{name}: {value}");
+        }
+        assert_eq!((of(&[]), of(&[("host", "a b")])), (None, None));
+    }
+
+    #[test]
     fn strangers_are_whoever_does_not_come_by_loopback() {
         let headers = |pairs: &[(&'static str, &'static str)]| {
             pairs.iter().map(|(k, v)| (header::HeaderName::from_static(k), header::HeaderValue::from_static(v))).collect::<HeaderMap>()
@@ -136,7 +175,9 @@ mod tests {
         let loopback = Hosts::new(([127, 0, 0, 1], 8080).into(), &["photos.example".into()]);
         assert!(loopback.is_own(&headers(&[("host", "localhost:8080")])) && loopback.is_own(&headers(&[("host", "[::1]")])));
         assert!(!loopback.is_own(&headers(&[("host", "photos.example")])));
-        assert!(!loopback.is_own(&headers(&[("host", "localhost"), ("x-forwarded-for", "203.0.113.1")])));
+        for proxy in PROXIED {
+            assert!(!loopback.is_own(&headers(&[("host", "localhost"), (proxy, "203.0.113.1")])), "{proxy}");
+        }
         let all = Hosts::new(([0, 0, 0, 0], 8080).into(), &[]);
         assert!(!all.is_own(&headers(&[("host", "localhost")])));
     }

@@ -3,11 +3,12 @@
 //! A photo is in the index exactly while its folder is on disk. Whoever changes the index holds `membership`, so that an
 //! upload, its twin and a deletion come one after the other; readers only take the short lock on `inner`.
 
+mod queue;
+
 use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::ops::Bound;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
-use std::time::{Duration, Instant};
 
 use axum::http::StatusCode;
 
@@ -17,18 +18,15 @@ use super::limits::Limits;
 use super::maker::Maker;
 use super::memory::Memory;
 use super::problem::Problem;
+use super::settings::Settings;
 use super::store::{Accepted, Failed, Found, Incoming, State, Store};
 use super::telemetry::Telemetry;
 use super::time::now_ms;
 use super::worker;
+use queue::Trouble;
 
 /// Guess of a job's duration before one was measured, in seconds.
 const FIRST_GUESS: f64 = 5.0;
-/// Pause after a fault of the server, doubled with each further one, and its longest.
-const REPAIR: Duration = Duration::from_millis(500);
-const MOST_REPAIR: Duration = Duration::from_mins(1);
-/// How often photos that could not be read are looked at again.
-const LOOK_AGAIN: Duration = Duration::from_secs(10);
 /// Longest `Retry-After` in seconds.
 const MAX_RETRY_AFTER: u64 = 120;
 
@@ -57,16 +55,6 @@ struct Inner {
     stopping: bool,
     mean_seconds: Option<f64>,
     trouble: Option<Trouble>,
-}
-
-/// A fault of the server that keeps photos from being made.
-#[derive(Debug)]
-struct Trouble {
-    reason: String,
-    /// No photo is tried before.
-    until: Instant,
-    /// Tries so far.
-    tries: u32,
 }
 
 /// Counts for health and metrics.
@@ -144,7 +132,7 @@ impl Jobs {
         self.inner.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn membership(&self) -> MutexGuard<'_, ()> {
+    pub(super) fn membership(&self) -> MutexGuard<'_, ()> {
         self.membership.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -153,9 +141,10 @@ impl Jobs {
     ///
     /// # Errors
     /// 429 where the queue is full, 503 while the server stops, 500 and 507 where the disk fails.
-    pub fn submit(&self, incoming: Incoming, id: PhotoId, accepted: Accepted) -> Result<Submitted, Problem> {
+    pub fn submit(&self, incoming: Incoming, id: PhotoId, accepted: Accepted, settings: Settings) -> Result<Submitted, Problem> {
         // read before the lock is taken: others need not wait for it
         let spoilt = |entry: &Entry| matches!(entry.status(), Status::Done(done) if self.store.damage(id, &done).is_some());
+        self.store.settle(&incoming).map_err(|e| Problem::store(&e))?;
         let healed = self.get(id).is_some_and(|entry| matches!(entry.status(), Status::Damaged(_)) || spoilt(&entry));
         let _membership = self.membership();
         let known = self.get(id);
@@ -184,8 +173,9 @@ impl Jobs {
             drop(gate);
             (entry, false)
         } else {
-            self.store.accept(incoming, id, &accepted).map_err(|e| Problem::store(&e))?;
-            (Arc::new(Entry::new(id, accepted)), true)
+            let kept = if settings == Settings::default() { Ok(()) } else { incoming.write_settings(&settings) };
+            kept.and_then(|()| self.store.accept(incoming, id, &accepted)).map_err(|e| Problem::store(&e))?;
+            (Arc::new(Entry::new(id, accepted, settings)), true)
         };
         let mut inner = self.lock();
         inner.insert(&entry);
@@ -196,7 +186,7 @@ impl Jobs {
     }
 
     /// Room in the queue; with `membership` held it stays until the caller has used it.
-    fn room(&self) -> Result<(), Problem> {
+    pub(super) fn room(&self) -> Result<(), Problem> {
         let inner = self.lock();
         if inner.stopping {
             return Err(Problem::new(StatusCode::SERVICE_UNAVAILABLE, "stopping", "the server is stopping").retry_after(10));
@@ -304,34 +294,6 @@ impl Jobs {
         Counts { queued: inner.queue.len(), working: inner.running.len(), done, failed, damaged }
     }
 
-    /// The next photo to be made; blocks; none once the server stops.
-    pub(super) fn take(&self) -> Option<Arc<Entry>> {
-        let mut inner = self.lock();
-        loop {
-            if inner.stopping {
-                return None;
-            }
-            let pause = inner.trouble.as_ref().map(|t| t.until.saturating_duration_since(Instant::now()));
-            if pause.is_none_or(|p| p.is_zero())
-                && let Some(entry) = inner.queue.pop_front()
-            {
-                inner.running.push(Arc::clone(&entry));
-                return Some(entry);
-            }
-            let pause = pause.filter(|p| !p.is_zero() && !inner.queue.is_empty());
-            let unread = self.store.unreadable() > 0;
-            inner = match pause.or(unread.then_some(LOOK_AGAIN)) {
-                Some(pause) => self.wake.wait_timeout(inner, pause).unwrap_or_else(PoisonError::into_inner).0,
-                None => self.wake.wait(inner).unwrap_or_else(PoisonError::into_inner),
-            };
-            if unread && inner.queue.is_empty() && !inner.stopping {
-                drop(inner);
-                self.take_up(self.store.look_again());
-                inner = self.lock();
-            }
-        }
-    }
-
     /// Takes up photos that were found on disk.
     fn take_up(&self, found: Vec<Found>) {
         let latest = found.iter().map(|f| f.accepted.at_ms.max(f.state.at_ms().unwrap_or_default())).max();
@@ -348,80 +310,6 @@ impl Jobs {
             inner.insert(&entry);
         }
     }
-
-    /// Puts a photo behind those that wait.
-    pub(super) fn queue_again(&self, entry: &Arc<Entry>) {
-        self.lock().queue.push_back(Arc::clone(entry));
-        self.wake.notify_one();
-    }
-
-    /// Puts a photo back behind the others, which may need nothing of what is amiss; none is tried for a while, the longer the more
-    /// often that happened.
-    pub(super) fn wait_for_repair(&self, entry: &Arc<Entry>, reason: String) {
-        let mut inner = self.lock();
-        let tries = inner.trouble.as_ref().map_or(0, |t| t.tries);
-        let pause = REPAIR.saturating_mul(1 << tries.min(16)).min(MOST_REPAIR);
-        inner.trouble = Some(Trouble { reason, until: Instant::now() + pause, tries: tries + 1 });
-        inner.queue.push_back(Arc::clone(entry));
-    }
-
-    /// A photo was made: whatever kept others from it is over.
-    pub(super) fn mended(&self) {
-        self.lock().trouble = None;
-        self.wake.notify_all();
-    }
-
-    /// The fault of the server that keeps photos from being made, if there is one.
-    #[must_use]
-    pub fn trouble(&self) -> Option<String> {
-        self.lock().trouble.as_ref().map(|t| t.reason.clone())
-    }
-
-    /// The counterpart of [`Jobs::take`].
-    pub(super) fn release(&self, entry: &Arc<Entry>, took: Duration) {
-        let mut inner = self.lock();
-        // a photo that failed and was uploaded again at once may be there twice
-        if let Some(at) = inner.running.iter().position(|e| Arc::ptr_eq(e, entry)) {
-            inner.running.swap_remove(at);
-        }
-        let mean = inner.mean_seconds.map_or(took.as_secs_f64(), |m| 0.8 * m + 0.2 * took.as_secs_f64());
-        inner.mean_seconds = Some(mean);
-        drop(inner);
-        self.idle.notify_all();
-    }
-
-    /// True once running jobs are to give up.
-    pub(super) fn aborted(&self) -> bool {
-        self.abort.load(Ordering::Acquire)
-    }
-
-    /// No further job starts, and no further upload is taken.
-    pub fn stop(&self) {
-        self.lock().stopping = true;
-        self.wake.notify_all();
-    }
-
-    /// True while jobs are taken.
-    #[must_use]
-    pub fn is_accepting(&self) -> bool {
-        !self.lock().stopping
-    }
-
-    /// Waits for the jobs under way, until `deadline`; those that are not finished by then are left for the next start.
-    pub fn drain(&self, deadline: Instant) {
-        self.stop();
-        let wait = |until: Instant| {
-            let left = until.saturating_duration_since(Instant::now());
-            let inner = self.idle.wait_timeout_while(self.lock(), left, |inner| !inner.running.is_empty());
-            inner.unwrap_or_else(PoisonError::into_inner).0.running.is_empty()
-        };
-        if wait(deadline) {
-            return;
-        }
-        self.abort.store(true, Ordering::Release);
-        // what is cut off was never counted: there is nothing to put right
-        wait(Instant::now() + Duration::from_millis(500));
-    }
 }
 
 impl Inner {
@@ -435,53 +323,5 @@ impl Inner {
         entry.count_in(&self.tally);
         self.by_id.insert(entry.id, Arc::clone(entry));
         self.by_age.insert(entry.key(), Arc::clone(entry));
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use std::collections::BTreeMap;
-
-    use super::*;
-
-    struct Never;
-
-    impl Maker for Never {
-        fn check(&self, _: &[u8], _: Option<&[u8]>, _: &tmpi_pipeline::Options) -> Result<(), tmpi_pipeline::MakeError> {
-            Ok(())
-        }
-
-        fn make(
-            &self,
-            _: &[u8],
-            _: Option<&[u8]>,
-            _: &tmpi_pipeline::Options,
-            _: &dyn tmpi_pipeline::Sink,
-        ) -> Result<crate::server::Product, crate::server::Fault> {
-            Err(crate::server::Fault::Cancelled)
-        }
-    }
-
-    #[test]
-    fn a_photo_that_runs_twice_is_waited_for_twice() {
-        let dir = tempfile::tempdir().unwrap();
-        let (store, _) = Store::open(dir.path(), "").unwrap();
-        // nobody else takes anything
-        let limits = Arc::new(Limits { workers: 0, ..Limits::default() });
-        let jobs = Jobs::start(store, Vec::new(), Arc::new(Never), limits, Arc::default()).unwrap();
-        let accepted = Accepted { version: 1, at_ms: 1, photo_bytes: 1, depth_bytes: None, options: BTreeMap::new() };
-        let entry = Arc::new(Entry::new(PhotoId::of(&[1; 32], None, "", ""), accepted));
-        for _ in 0..2 {
-            // it failed and was uploaded again before the first worker let it go
-            jobs.queue_again(&entry);
-            assert!(jobs.take().is_some());
-        }
-        jobs.release(&entry, Duration::ZERO);
-        assert_eq!(jobs.counts().working, 1);
-        let began = Instant::now();
-        jobs.drain(began + Duration::from_millis(50));
-        assert!(began.elapsed() >= Duration::from_millis(50) && jobs.aborted(), "one still runs");
-        jobs.release(&entry, Duration::ZERO);
-        assert_eq!(jobs.counts().working, 0);
     }
 }

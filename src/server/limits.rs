@@ -21,6 +21,8 @@ pub struct Limits {
     pub body_read: Duration,
     /// Bytes a second that a request's body comes at least with, once it has come for [`Limits::body_read`].
     pub body_rate: u64,
+    /// Changes of what is on disk at a time: uploads that are checked, settings, deletions. More wait.
+    pub changes: usize,
     /// Uploads that may come in beyond the places that are free in the queue: they may be of photos that are known.
     pub uploads_beyond: usize,
     /// Longest time that a client may take no byte of a response.
@@ -46,7 +48,7 @@ pub struct Limits {
     pub connections: usize,
     /// Connections at a time from one address (IPv6: one network of 64 bits); more are closed.
     pub connections_per_address: usize,
-    /// Event streams at a time; one more is answered 503.
+    /// Event streams at a time, half of them from one address; one more is answered 503.
     pub streams: usize,
     /// Views drawn at a time, and, apart from them, levels and parts of containers.
     pub views: usize,
@@ -58,7 +60,8 @@ pub struct Limits {
     pub exports_waiting: usize,
     /// Pictures drawn for one request: views times frames.
     pub renders: u32,
-    /// Memory for scenes under work, in bytes, besides those kept; what needs more is worked on alone.
+    /// Memory for scenes under work, in bytes, besides those kept, for views and levels, and as much again for films and files; what
+    /// needs more is worked on alone.
     pub work_memory: usize,
     /// Pixels of a view.
     pub view_pixels: u64,
@@ -95,6 +98,8 @@ impl Limits {
     pub const EXPORT: Duration = Duration::from_mins(10);
     /// 8 KiB/s: 32 MiB in a little more than an hour.
     pub const BODY_RATE: u64 = 8 << 10;
+    /// 8 changes.
+    pub const CHANGES: usize = 8;
     /// 4 uploads.
     pub const UPLOADS_BEYOND: usize = 4;
     /// 512 connections.
@@ -184,6 +189,7 @@ impl Default for Limits {
             export: Self::EXPORT,
             body_read: Self::BODY_READ,
             body_rate: Self::BODY_RATE,
+            changes: Self::CHANGES,
             uploads_beyond: Self::UPLOADS_BEYOND,
             write: Self::WRITE,
             write_rate: Self::WRITE_RATE,

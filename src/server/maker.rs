@@ -9,6 +9,7 @@ use tmpi_render::{DEFAULT_QUALITY, PictureFormat, View, encode};
 
 use super::identity;
 use super::limits::Limits;
+use super::network::Offer;
 use super::problem::Problem;
 
 /// Everything that is kept of a made photo.
@@ -42,6 +43,24 @@ pub trait Maker: Send + Sync + 'static {
     /// What its products depend on besides what is uploaded: part of a photo's id, so that a better maker makes a photo anew.
     fn identity(&self) -> &str {
         identity::PIPELINE
+    }
+
+    /// Name of the network that estimates depth, as reports tell it; a maker that has no other name for it gives its identity.
+    fn network(&self) -> &str {
+        self.identity()
+    }
+
+    /// A better network that may be fetched; none where there is none, or it is here.
+    fn better(&self) -> Option<Offer> {
+        None
+    }
+
+    /// Fetches it, and has photos made with it from then on; blocks. `progress` is told the bytes that are here.
+    ///
+    /// # Errors
+    /// Why it is not here, in words.
+    fn fetch_better(&self, _progress: &mut dyn FnMut(u64)) -> Result<(), String> {
+        Err("there is no better network".into())
     }
 
     /// Refuses early, before any work, what [`Maker::make`] would refuse for its format, its size, its depth map or its options.
@@ -94,6 +113,10 @@ impl Maker for PipelineMaker {
         &self.identity
     }
 
+    fn network(&self) -> &str {
+        self.models.depth.name()
+    }
+
     fn check(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options) -> Result<(), MakeError> {
         options.validate()?;
         self.models.check(options)?;
@@ -130,5 +153,20 @@ impl PipelineMaker {
             container: made.container,
             report: made.report,
         })
+    }
+}
+
+/// Makes nothing.
+#[cfg(test)]
+pub struct Never;
+
+#[cfg(test)]
+impl Maker for Never {
+    fn check(&self, _: &[u8], _: Option<&[u8]>, _: &Options) -> Result<(), MakeError> {
+        Ok(())
+    }
+
+    fn make(&self, _: &[u8], _: Option<&[u8]>, _: &Options, _: &dyn Sink) -> Result<Product, Fault> {
+        Err(Fault::Cancelled)
     }
 }

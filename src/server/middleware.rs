@@ -19,8 +19,8 @@ use super::body::Guarded;
 use super::clock::Clock;
 use super::conditional::insert;
 use super::pages::RESOURCE_POLICY;
-use super::pool::ASKER;
 use super::problem::Problem;
+use super::share::ASKER;
 
 /// Header of the id of a request.
 pub const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");

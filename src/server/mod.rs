@@ -8,6 +8,7 @@ mod accept;
 mod app;
 mod body;
 mod cache;
+mod card;
 mod child;
 mod clock;
 mod compress;
@@ -22,10 +23,12 @@ mod hosts;
 mod id;
 mod identity;
 mod jobs;
+mod kept;
 mod limits;
 mod maker;
 mod memory;
 mod middleware;
+mod network;
 mod options;
 mod pages;
 mod part;
@@ -34,8 +37,10 @@ mod problem;
 mod records;
 mod routes;
 mod settings;
+mod share;
 mod source;
 mod store;
+mod strokes;
 mod telemetry;
 mod time;
 mod upload;
@@ -43,30 +48,25 @@ mod worker;
 
 use std::net::SocketAddr;
 use std::path::PathBuf;
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 use axum::http::HeaderMap;
 use tokio::net::TcpListener;
-use tokio::sync::Semaphore;
-use tokio_util::sync::CancellationToken;
 
 pub use accept::Held;
 pub use child::{ProcessMaker, VARIABLE, serve as make_for_a_server};
 pub use id::{PhotoId, hex};
 pub use limits::Limits;
 pub use maker::{Fault, Maker, PipelineMaker, Product};
+pub use network::{Better, Offer, Renewed};
 pub use problem::Problem;
-pub use routes::openapi;
+pub use routes::{Access, Route, openapi, routes};
 
 use app::{App, Shared};
-use cache::Cache;
-use hosts::Hosts;
 use jobs::Jobs;
-use pool::Pool;
 use store::Store;
-use telemetry::Telemetry;
 
 use tmpi_render::Renderer;
 
@@ -135,38 +135,15 @@ impl Server {
     /// # Errors
     /// [`ServerError`].
     pub async fn bind(config: Config, maker: Arc<dyn Maker>, renderer: Arc<dyn Renderer>) -> Result<Self, ServerError> {
-        let Config { addr, data, pages, hosts, public_list, limits } = config;
+        let (addr, data) = (config.addr, config.data.clone());
         let openapi = openapi()?;
         let listener = TcpListener::bind(addr).await.map_err(|source| ServerError::Listen { addr, source })?;
         let addr = listener.local_addr().map_err(|source| ServerError::Listen { addr, source })?;
         // done once before any request is served
-        let (store, found) = Store::open(&data, maker.identity()).map_err(|source| ServerError::Data { dir: data.clone(), source })?;
-        let (limits, scratch) = (Arc::new(limits), data.join("incoming"));
-        let telemetry = Arc::new(Telemetry::default());
-        let jobs = Jobs::start(store, found, maker, Arc::clone(&limits), Arc::clone(&telemetry)).map_err(ServerError::Worker)?;
-        let app = Arc::new(Shared {
-            jobs,
-            scenes: Cache::new(limits.scene_cache),
-            files: Cache::new(limits.file_cache),
-            levels: Cache::new(limits.file_cache / 4),
-            views: Cache::new(limits.view_cache),
-            exports: Cache::new(limits.export_cache),
-            scratch,
-            pool: Pool::new(&limits),
-            uploads: AtomicUsize::new(0),
-            streams: Arc::new(Semaphore::new(limits.streams)),
-            storage: Mutex::new(None),
-            limits,
-            telemetry,
-            build: identity::of_server(renderer.name()),
-            renderer,
-            hosts: Hosts::new(addr, &hosts),
-            public_list,
-            pages,
-            openapi,
-            leaving: AtomicBool::new(false),
-            stop: CancellationToken::new(),
-        });
+        let (store, found) = Store::open(&data, maker.identity()).map_err(|source| ServerError::Data { dir: data, source })?;
+        let limits = Arc::new(config.limits.clone());
+        let jobs = Jobs::start(store, found, maker, limits, Arc::default()).map_err(ServerError::Worker)?;
+        let app = Arc::new(Shared::new(config, addr, jobs, renderer, openapi));
         Ok(Self { listener, addr, app, rooms: None })
     }
 
@@ -221,15 +198,21 @@ impl Server {
 /// Looks now and then whether the data directory can be written, so that asking for it costs nothing.
 async fn probe(app: App) {
     loop {
-        let shared = Arc::clone(&app);
-        let checked =
-            tokio::task::spawn_blocking(move || shared.jobs.store.check()).await.unwrap_or_else(|e| Err(std::io::Error::other(e)));
-        app.set_storage(checked.err().map(|error| match error.kind() {
-            std::io::ErrorKind::StorageFull => "the data directory has no room left",
-            _ => "the data directory cannot be written",
-        }));
+        look_at_disk(&app).await;
         tokio::time::sleep(PROBE).await;
     }
+}
+
+/// Looks whether the data directory can be written. Where it is full, what is kept there of derived files goes first.
+async fn look_at_disk(app: &App) {
+    let shared = Arc::clone(app);
+    let checked = tokio::task::spawn_blocking(move || shared.jobs.store.check()).await.unwrap_or_else(|e| Err(std::io::Error::other(e)));
+    let full = checked.as_ref().is_err_and(|error| error.kind() == std::io::ErrorKind::StorageFull);
+    if full {
+        app.free_disk().await;
+    }
+    let trouble = if full { "the data directory has no room left" } else { "the data directory cannot be written" };
+    app.set_storage(checked.err().map(|_| trouble));
 }
 
 /// Reads what was made of each photo now and then, while nobody waits for work, so that damage is known before somebody asks for it.
@@ -277,5 +260,38 @@ pub async fn stop_signal() {
     if let Err(error) = tokio::signal::ctrl_c().await {
         tracing::error!(%error, "signals cannot be caught");
         std::future::pending().await
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::app::{Export, Stored};
+    use super::*;
+
+    #[tokio::test]
+    async fn a_full_disk_frees_what_can_be_made_again() {
+        let files = Arc::new(forgetful::Forgetful::new());
+        let (store, _) = Store::open_in(files.clone(), Path::new("/data"), "", None).unwrap();
+        let limits = Limits { workers: 0, ..Limits::default() };
+        let jobs = Jobs::start(store, Vec::new(), Arc::new(maker::Never), Arc::new(limits.clone()), Arc::default()).unwrap();
+        let addr = ([127, 0, 0, 1], 0).into();
+        let config = Config { addr, data: PathBuf::new(), pages: None, hosts: Vec::new(), public_list: false, limits };
+        let renderer = tmpi_render::select(tmpi_render::Backend::Cpu).unwrap();
+        let app = Arc::new(Shared::new(config, addr, jobs, renderer, bytes::Bytes::new()));
+        let key = ((PhotoId::of(&[1; 32], None, "", ""), 1), String::new());
+        let put = async || app.exports.get(key.clone(), async { Ok::<_, Problem>(Export(Stored::new(vec![7; 99]))) }).await.unwrap();
+        put().await;
+        look_at_disk(&app).await;
+        assert!(app.storage().is_none() && app.exports.bytes() > 0);
+        files.fill(true);
+        look_at_disk(&app).await;
+        assert_eq!((app.storage(), app.exports.bytes()), (Some("the data directory has no room left"), 0));
+        files.fill(false);
+        look_at_disk(&app).await;
+        assert!(app.storage().is_none());
+        put().await;
+        assert!(app.exports.bytes() > 0, "what is made later is kept");
     }
 }

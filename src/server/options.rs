@@ -121,7 +121,8 @@ pub fn from_text(text: &BTreeMap<String, String>) -> Result<Options, Problem> {
     Ok(options)
 }
 
-fn chosen<T: ValueEnum>(value: &T) -> String {
+/// The word for a choice.
+pub fn chosen<T: ValueEnum>(value: &T) -> String {
     value.to_possible_value().map(|v| v.get_name().to_owned()).unwrap_or_default()
 }
 

@@ -10,20 +10,22 @@ use bytes::Bytes;
 use sha2::{Digest, Sha256};
 
 use super::app::App;
+use super::card::Card;
 use super::compress;
 use super::conditional::{Coding, Entity, REVALIDATE, respond};
+use super::hosts::origin;
 use super::id::hex;
 use super::problem::Problem;
 use crate::assets::{FILES, content_type};
 
 /// Scripts and pictures of this server alone; the viewer's decoder needs blobs.
-const POLICY: &str = "default-src 'self'; script-src 'self' 'wasm-unsafe-eval'; img-src 'self' blob: data:; connect-src 'self' blob: data:; style-src 'self' 'unsafe-inline'; \
+const POLICY: &str = "default-src 'self'; script-src 'self' 'wasm-unsafe-eval'; img-src 'self' blob: data:; media-src 'self' blob:; connect-src 'self' blob: data:; style-src 'self' 'unsafe-inline'; \
                       worker-src 'self' blob:; object-src 'none'; base-uri 'none'; form-action 'self'";
 /// Which sites may take an answer in as a picture or a script (Fetch standard, section 3.7).
 pub const RESOURCE_POLICY: HeaderName = HeaderName::from_static("cross-origin-resource-policy");
 
 /// The same where photos of other servers are shown.
-const OPEN_POLICY: &str = "default-src 'self'; script-src 'self' 'wasm-unsafe-eval'; img-src * blob: data:; connect-src * blob: data:; style-src 'self' 'unsafe-inline'; \
+const OPEN_POLICY: &str = "default-src 'self'; script-src 'self' 'wasm-unsafe-eval'; img-src * blob: data:; media-src 'self' blob:; connect-src * blob: data:; style-src 'self' 'unsafe-inline'; \
                            worker-src 'self' blob:; object-src 'none'; base-uri 'none'; form-action 'self'";
 
 /// Who may show a page in a frame, or take a file in.
@@ -40,9 +42,16 @@ pub async fn index(State(app): State<App>, headers: HeaderMap) -> Result<Respons
     page(&app, &headers, "app/upload-page.html", Frames::Own).await
 }
 
-/// `GET /view/{id}`; the page itself says where there is no such photo.
-pub async fn view(State(app): State<App>, headers: HeaderMap) -> Result<Response, Problem> {
-    page(&app, &headers, "app/view-page.html", Frames::Own).await
+/// `GET /view/{id}`: with what others show of a link to it; the page itself says where there is no such photo.
+pub async fn view(State(app): State<App>, extract::Path(id): extract::Path<String>, headers: HeaderMap) -> Result<Response, Problem> {
+    let name = "app/view-page.html";
+    let mut file = load(&app, name).await?;
+    let card = app.photo(&id).ok().zip(origin(&headers)).map(|(entry, base)| Card::of(&app, &entry, base));
+    if let Some(card) = card {
+        let page = card.introduce(&String::from_utf8_lossy(&file.bytes));
+        file = File { etag: tag(page.as_bytes()), bytes: page.into(), coding: Coding::Gzip };
+    }
+    Ok(send(file, &headers, name, Frames::Own))
 }
 
 /// `GET /embed/{id}`: the photo alone, for frames of other sites; it can change nothing.
@@ -66,15 +75,29 @@ pub async fn script(State(app): State<App>, headers: HeaderMap) -> Result<Respon
 }
 
 async fn page(app: &App, headers: &HeaderMap, name: &str, frames: Frames) -> Result<Response, Problem> {
-    let (bytes, etag, coding) = if let Some(dir) = &app.pages {
+    Ok(send(load(app, name).await?, headers, name, frames))
+}
+
+/// A file to send.
+struct File {
+    bytes: Bytes,
+    etag: String,
+    coding: Coding,
+}
+
+async fn load(app: &App, name: &str) -> Result<File, Problem> {
+    if let Some(dir) = &app.pages {
         let path = within(dir, name).ok_or_else(|| missing(name))?;
         let bytes = tokio::fs::read(path).await.map_err(|_| missing(name))?;
         let etag = tag(&bytes);
-        (Bytes::from(bytes), etag, if is_text(name) { Coding::Gzip } else { Coding::Plain })
-    } else {
-        let at = FILES.binary_search_by_key(&name, |f| f.0).map_err(|_| missing(name))?;
-        (Bytes::from_static(FILES[at].1), tags()[at].clone(), if is_text(name) { Coding::Coded(coded(at)) } else { Coding::Plain })
-    };
+        return Ok(File { bytes: bytes.into(), etag, coding: if is_text(name) { Coding::Gzip } else { Coding::Plain } });
+    }
+    let at = FILES.binary_search_by_key(&name, |f| f.0).map_err(|_| missing(name))?;
+    let coding = if is_text(name) { Coding::Coded(coded(at)) } else { Coding::Plain };
+    Ok(File { bytes: Bytes::from_static(FILES[at].1), etag: tags()[at].clone(), coding })
+}
+
+fn send(File { bytes, etag, coding }: File, headers: &HeaderMap, name: &str, frames: Frames) -> Response {
     let content_type = content_type(name);
     let mut response = respond(headers, Entity { source: bytes.into(), etag: &etag, content_type, cache_control: REVALIDATE, coding });
     let (ancestors, takers) = match frames {
@@ -87,7 +110,7 @@ async fn page(app: &App, headers: &HeaderMap, name: &str, frames: Frames) -> Res
         response.headers_mut().insert(header::CONTENT_SECURITY_POLICY, policy);
     }
     response.headers_mut().insert(RESOURCE_POLICY, HeaderValue::from_static(takers));
-    Ok(response)
+    response
 }
 
 fn missing(name: &str) -> Problem {

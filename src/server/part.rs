@@ -13,6 +13,8 @@ pub enum Part {
     State,
     /// What its owner wants of viewers.
     Settings,
+    /// What a person put right of its depth.
+    Strokes,
     /// Report of the way, JSON.
     Report,
     /// The container.
@@ -33,6 +35,7 @@ impl Part {
             Self::Options => "options.json",
             Self::State => "state.json",
             Self::Settings => "settings.json",
+            Self::Strokes => "strokes.json",
             Self::Report => "report.json",
             Self::Atlas => "atlas.tmpi",
             Self::Disparity => "depth.png",

@@ -1,15 +1,14 @@
 //! Blocking work on behalf of requests: a lane for each class, so that a film holds up no view, and memory by bytes.
 
-use std::collections::HashMap;
-use std::net::IpAddr;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use axum::http::StatusCode;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
 use super::limits::Limits;
 use super::problem::Problem;
+use super::share::{Share, Shares, asker};
 
 /// Bytes of the unit in which memory is given out.
 const UNIT: u64 = 1 << 20;
@@ -44,7 +43,8 @@ impl Class {
 /// Gives out slots and memory.
 pub struct Pool {
     lanes: [Lane; 3],
-    memory: Arc<Semaphore>,
+    /// Of views and levels, and of films and files: one of these takes minutes, and what waits for memory does so one behind the other.
+    memory: [Arc<Semaphore>; 2],
     most: u32,
 }
 
@@ -52,55 +52,33 @@ struct Lane {
     slots: Arc<Semaphore>,
     waiting: AtomicUsize,
     most_waiting: usize,
-    /// Of those that wait, how many each address has.
-    of: Mutex<HashMap<IpAddr, usize>>,
+    /// Of those that wait.
+    shares: Shares,
     count: usize,
     /// Guess of how long one takes, in seconds, for `Retry-After`.
     seconds: u64,
 }
 
-tokio::task_local! {
-    /// Who asks, where that tells clients apart: loopback is also the address of all who come by a proxy.
-    pub static ASKER: Option<IpAddr>;
-}
-
 /// A place among those that wait.
 struct Waits<'a> {
     lane: &'a Lane,
-    asker: Option<IpAddr>,
+    _share: Share,
 }
 
 impl Drop for Waits<'_> {
     fn drop(&mut self) {
         self.lane.waiting.fetch_sub(1, Ordering::AcqRel);
-        if let Some(asker) = self.asker {
-            let mut of = self.lane.of();
-            if let Some(count) = of.get_mut(&asker) {
-                *count -= 1;
-                if *count == 0 {
-                    of.remove(&asker);
-                }
-            }
-        }
     }
 }
 
 impl Lane {
-    fn of(&self) -> MutexGuard<'_, HashMap<IpAddr, usize>> {
-        self.of.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     /// A place to wait; none where all are taken, or the asker has half of them.
     fn wait(&self) -> Option<Waits<'_>> {
-        let asker = ASKER.try_with(|asker| *asker).ok().flatten();
-        if let Some(asker) = asker {
-            *self.of().entry(asker).or_default() += 1;
-        }
+        let share = self.shares.take(asker())?;
         let before = self.waiting.fetch_add(1, Ordering::AcqRel);
         // dropped where it is refused
-        let waits = Waits { lane: self, asker };
-        let own = asker.map_or(0, |asker| self.of().get(&asker).copied().unwrap_or_default());
-        (before < self.most_waiting && own <= self.most_waiting.div_ceil(2)).then_some(waits)
+        let waits = Waits { lane: self, _share: share };
+        (before < self.most_waiting).then_some(waits)
     }
 }
 
@@ -118,7 +96,7 @@ impl Pool {
             slots: Arc::new(Semaphore::new(slots.max(1))),
             waiting: AtomicUsize::new(0),
             most_waiting,
-            of: Mutex::default(),
+            shares: Shares::half_of(most_waiting),
             count: slots.max(1),
             seconds,
         };
@@ -129,13 +107,17 @@ impl Pool {
                 lane(limits.views, limits.views_waiting, 1),
                 lane(limits.exports, limits.exports_waiting, 10),
             ],
-            memory: Arc::new(Semaphore::new(most as usize)),
+            memory: [(); 2].map(|()| Arc::new(Semaphore::new(most as usize))),
             most,
         }
     }
 
     const fn lane(&self, class: Class) -> &Lane {
         &self.lanes[class as usize]
+    }
+
+    const fn memory(&self, class: Class) -> &Arc<Semaphore> {
+        &self.memory[matches!(class, Class::Export) as usize]
     }
 
     /// Waits for a slot and for `bytes` of memory; what needs more than there is gets all of it, alone.
@@ -148,7 +130,7 @@ impl Pool {
         let wanted = u32::try_from(bytes.div_ceil(UNIT)).unwrap_or(u32::MAX).clamp(1, self.most);
         let at_once = Arc::clone(&lane.slots).try_acquire_owned().ok();
         if let Some(slot) = at_once {
-            if let Ok(memory) = Arc::clone(&self.memory).try_acquire_many_owned(wanted) {
+            if let Ok(memory) = Arc::clone(self.memory(class)).try_acquire_many_owned(wanted) {
                 return Ok(Slot { _held: Arc::new((slot, memory)) });
             }
             drop(slot);
@@ -159,7 +141,7 @@ impl Pool {
             return Err(Problem::new(StatusCode::SERVICE_UNAVAILABLE, "busy", detail).retry_after((rounds * lane.seconds / 8).clamp(1, 60)));
         };
         let slot = Arc::clone(&lane.slots).acquire_owned().await.map_err(broken)?;
-        let memory = Arc::clone(&self.memory).acquire_many_owned(wanted).await.map_err(broken)?;
+        let memory = Arc::clone(self.memory(class)).acquire_many_owned(wanted).await.map_err(broken)?;
         drop(waits);
         Ok(Slot { _held: Arc::new((slot, memory)) })
     }
@@ -173,7 +155,7 @@ impl Pool {
     /// Bytes of memory that are given out.
     #[must_use]
     pub fn bytes(&self) -> u64 {
-        u64::from(self.most).saturating_sub(self.memory.available_permits() as u64) * UNIT
+        self.memory.iter().map(|m| u64::from(self.most).saturating_sub(m.available_permits() as u64) * UNIT).sum()
     }
 }
 
@@ -197,6 +179,7 @@ impl Slot {
 mod tests {
     use std::time::Duration;
 
+    use super::super::share::ASKER;
     use super::*;
 
     fn pool(slots: usize, waiting: usize, memory: u64) -> Arc<Pool> {
@@ -246,6 +229,18 @@ mod tests {
     }
 
     #[tokio::test]
+    async fn a_film_of_a_large_photo_holds_up_no_view() {
+        let pool = pool(1, 9, 10);
+        let film = pool.enter(Class::Export, 8 * UNIT).await.unwrap();
+        let large = pool.enter(Class::Interactive, 8 * UNIT).await.unwrap();
+        assert!(waits(pool.enter(Class::Derived, 3 * UNIT)).await, "memory of views and levels is one");
+        assert!(!waits(pool.enter(Class::Derived, 2 * UNIT)).await);
+        assert_eq!(pool.bytes(), 16 * UNIT);
+        drop((film, large));
+        assert_eq!(pool.bytes(), 0);
+    }
+
+    #[tokio::test]
     async fn one_address_has_half_of_the_places_to_wait() {
         let pool = pool(1, 4, 9);
         let _busy = pool.enter(Class::Interactive, 1).await.unwrap();
@@ -270,7 +265,7 @@ mod tests {
         while pool.waiting(Class::Interactive) > 0 {
             tokio::task::yield_now().await;
         }
-        assert!(pool.lane(Class::Interactive).of().is_empty());
+        assert!(pool.lane(Class::Interactive).shares.is_empty());
     }
 
     #[tokio::test]

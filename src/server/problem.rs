@@ -10,6 +10,7 @@ use tmpi_pipeline::MakeError;
 use tmpi_pipeline::StageError;
 use tmpi_pipeline::depth::DepthError;
 use tmpi_pipeline::photo::PhotoError;
+use tmpi_pipeline::strokes::StrokeError;
 use tmpi_render::{AnimationError, EncodeError, RenderError};
 
 /// Media type of a problem.
@@ -168,12 +169,22 @@ impl From<&MakeError> for Problem {
             MakeError::Generate(
                 e @ (StageError::Option { field, .. } | StageError::Bound { field, .. } | StageError::Network { field, .. }),
             ) => Self::new(StatusCode::BAD_REQUEST, "parameter", e.to_string()).field(*field),
+            MakeError::Generate(StageError::Stroke(e)) => e.into(),
             MakeError::Atlas(e @ ContainerError::Bound(_)) => e.into(),
             MakeError::Cancelled => Self::new(StatusCode::SERVICE_UNAVAILABLE, "cancelled", "the job was cancelled"),
             MakeError::Late { .. } => Self::new(StatusCode::SERVICE_UNAVAILABLE, "late", error.to_string()),
             MakeError::Depth(_) | MakeError::Generate(_) | MakeError::Atlas(_) | MakeError::Render(_) => {
                 Self::internal("making the photo", error)
             }
+        }
+    }
+}
+
+impl From<&StrokeError> for Problem {
+    fn from(error: &StrokeError) -> Self {
+        match &error.field {
+            Some(field) => Self::parameter(field, &error.detail),
+            None => Self::bad_request(error.to_string()),
         }
     }
 }

@@ -7,14 +7,18 @@ use serde_json::{Map, Value};
 
 use super::problem::Problem;
 use tmpi_core::ViewBox;
-use tmpi_render::looking_at;
+use tmpi_render::{Path, looking_at};
 
 /// Version of the settings that this program writes and reads.
 const VERSION: u32 = 1;
 /// Longest title, in characters.
 const TITLE: usize = 200;
+/// What programs call a photo that has no name of its own.
+const NAMELESS: [&str; 6] = ["photo", "image", "picture", "blob", "file", "upload"];
 /// Bytes of a patch, at most.
 pub const PATCH_BYTES: usize = 16 << 10;
+/// Times the usual speed.
+const SPEED: [f64; 2] = [0.25, 4.0];
 /// Disparity that views turn about where the settings do not say.
 const PIVOT: f64 = 0.35;
 
@@ -27,6 +31,33 @@ pub struct Offset {
     pub y: f64,
     /// Forward.
     pub z: f64,
+}
+
+/// How a photo moves by itself.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
+pub struct Idle(String);
+
+impl Idle {
+    /// Name of what does not move.
+    const NONE: &'static str = "none";
+}
+
+impl TryFrom<String> for Idle {
+    type Error = String;
+
+    fn try_from(name: String) -> Result<Self, String> {
+        if name == Self::NONE || Path::from_name(&name).is_some() {
+            return Ok(Self(name));
+        }
+        Err(format!("must be one of {}, {}, not {name:?}", Path::NAMES.join(", "), Self::NONE))
+    }
+}
+
+impl From<Idle> for String {
+    fn from(Idle(name): Idle) -> Self {
+        name
+    }
 }
 
 /// Settings of a photo; what is missing is left to the viewer.
@@ -47,6 +78,13 @@ pub struct Settings {
     /// Where the camera starts, each −1 to 1 of the view box.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub start: Option<Offset>,
+    /// How it moves by itself; nothing moves with `none`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(value_type = Option<String>, example = "orbit")]
+    pub idle: Option<Idle>,
+    /// How fast that is, 0.25 to 4 times the usual.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub speed: Option<f64>,
     /// From where the view is drawn that stands for the photo, each −1 to 1 of the view box.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub poster: Option<Offset>,
@@ -54,7 +92,7 @@ pub struct Settings {
 
 impl Default for Settings {
     fn default() -> Self {
-        Self { version: VERSION, title: None, motion: None, focus: None, start: None, poster: None }
+        Self { version: VERSION, title: None, motion: None, focus: None, start: None, idle: None, speed: None, poster: None }
     }
 }
 
@@ -94,9 +132,11 @@ impl Settings {
                 "motion" => new.motion = optional(&value, |v| offset(&name, v, self.motion, 1.0, 0.0))?,
                 "focus" => new.focus = optional(&value, |v| number(&name, v, 0.0))?,
                 "start" => new.start = optional(&value, |v| offset(&name, v, self.start, 0.0, -1.0))?,
+                "idle" => new.idle = optional(&value, |v| idle(&name, v))?,
+                "speed" => new.speed = optional(&value, |v| within(&name, v, SPEED))?,
                 "poster" => new.poster = optional(&value, |v| offset(&name, v, self.poster, 0.0, -1.0))?,
                 _ => {
-                    let detail = "there is no such setting; there are version, title, motion, focus, start, poster";
+                    let detail = "there is no such setting; there are version, title, motion, focus, start, idle, speed, poster";
                     return Err(Problem::parameter(name, detail));
                 }
             }
@@ -104,14 +144,28 @@ impl Settings {
         Ok(new)
     }
 
+    /// These settings with a title, as an upload names it.
+    ///
+    /// # Errors
+    /// [`Problem`] 400: not 1 to 200 characters, or a control character.
+    pub fn titled(self, text: &str) -> Result<Self, Problem> {
+        Ok(Self { title: Some(title("title", &Value::from(text))?), ..self })
+    }
+
     /// Query of the view that stands for the photo; none where that is the photo itself.
     #[must_use]
     pub fn poster_query(&self, view_box: &ViewBox) -> Option<String> {
+        self.poster_pose(view_box).map(|pose| format!("{pose}w=640&format=jpeg"))
+    }
+
+    /// The camera of that view, as the begin of a query; none where it is the photo's own.
+    #[must_use]
+    pub fn poster_pose(&self, view_box: &ViewBox) -> Option<String> {
         let at = self.poster?;
         let pose = looking_at(self.focus.unwrap_or(PIVOT), at.x * view_box.x, at.y * view_box.y, at.z * view_box.z);
         let number = |v: f64| v + 0.0;
         Some(format!(
-            "tx={:.5}&ty={:.5}&tz={:.5}&yaw={:.3}&pitch={:.3}&w=640&format=jpeg",
+            "tx={:.5}&ty={:.5}&tz={:.5}&yaw={:.3}&pitch={:.3}&",
             number(pose.tx),
             number(pose.ty),
             number(pose.tz),
@@ -119,6 +173,19 @@ impl Settings {
             number(pose.pitch)
         ))
     }
+}
+
+/// What the name of a file says of its photo: the name without folders and ending; none where programs gave it.
+#[must_use]
+pub fn title_of_file(name: &str) -> Option<String> {
+    // some browsers sent whole paths, with either kind of slash
+    let name = name.rsplit(['/', '\\']).next().unwrap_or_default();
+    let is_ending = |end: &str| (2..=5).contains(&end.len()) && end.bytes().all(|b| b.is_ascii_alphanumeric());
+    let stem = name.rsplit_once('.').filter(|(_, end)| is_ending(end)).map_or(name, |(stem, _)| stem);
+    let clean: String = stem.chars().filter(|c| !c.is_control()).take(TITLE).collect();
+    let clean = clean.trim();
+    let nameless = clean.is_empty() || NAMELESS.iter().any(|n| clean.eq_ignore_ascii_case(n));
+    (!nameless).then(|| clean.to_owned())
 }
 
 fn optional<T>(value: &Value, read: impl FnOnce(&Value) -> Result<T, Problem>) -> Result<Option<T>, Problem> {
@@ -134,10 +201,19 @@ fn title(name: &str, value: &Value) -> Result<String, Problem> {
     Ok(text.to_owned())
 }
 
+fn idle(name: &str, value: &Value) -> Result<Idle, Problem> {
+    let text = value.as_str().ok_or_else(|| format!("must be text, not {value}"));
+    text.and_then(|text| Idle::try_from(text.to_owned())).map_err(|detail| Problem::parameter(name, detail))
+}
+
 /// A number of `least` to 1.
 fn number(name: &str, value: &Value, least: f64) -> Result<f64, Problem> {
-    let found = value.as_f64().filter(|v| (least..=1.0).contains(v));
-    found.ok_or_else(|| Problem::parameter(name, format!("must be a number from {least} to 1, not {value}")))
+    within(name, value, [least, 1.0])
+}
+
+fn within(name: &str, value: &Value, [least, most]: [f64; 2]) -> Result<f64, Problem> {
+    let found = value.as_f64().filter(|v| (least..=most).contains(v));
+    found.ok_or_else(|| Problem::parameter(name, format!("must be a number from {least} to {most}, not {value}")))
 }
 
 /// Axes of `least` to 1; what is missing stays, or is `usual`.
@@ -202,6 +278,16 @@ mod tests {
     }
 
     #[test]
+    fn ways_of_moving_have_the_names_of_films() {
+        for name in Path::NAMES.into_iter().chain(["none"]) {
+            let one = Settings::default().patched(format!(r#"{{"idle": "{name}", "speed": 4}}"#).as_bytes()).unwrap();
+            assert_eq!((String::from(one.idle.clone().unwrap()).as_str(), one.speed), (name, Some(4.0)));
+            assert_eq!(Settings::read(&serde_json::to_vec(&one).unwrap()).unwrap(), one);
+            assert_eq!(one.patched(br#"{"idle": null, "speed": null}"#).unwrap(), Settings::default());
+        }
+    }
+
+    #[test]
     fn numbers_are_read_back_as_they_were_written() {
         let one = Settings::default().patched(br#"{"motion": {"x": 0.4, "y": 0}, "focus": 0.4444444444441444444}"#).unwrap();
         assert_eq!(Settings::read(&serde_json::to_vec(&one).unwrap()).unwrap(), one);
@@ -222,6 +308,10 @@ mod tests {
             (r#"{"start": {"z": 1e999}}"#, None),
             (r#"{"start": {"z": 2}}"#, Some("start.z")),
             (r#"{"poster": {"y": -1.5}}"#, Some("poster.y")),
+            (r#"{"idle": "spiral"}"#, Some("idle")),
+            (r#"{"idle": 1}"#, Some("idle")),
+            (r#"{"speed": 0.2}"#, Some("speed")),
+            (r#"{"speed": 5}"#, Some("speed")),
             (r#"{"version": 2}"#, Some("version")),
             ("[1]", None),
             ("{", None),
@@ -233,6 +323,28 @@ mod tests {
         assert!(Settings::default().patched(long.as_bytes()).is_err());
         let fits = format!(r#"{{"title": "{}"}}"#, "é".repeat(TITLE));
         assert!(Settings::default().patched(fits.as_bytes()).is_ok());
+    }
+
+    #[test]
+    fn files_name_their_photos() {
+        for (file, title) in [
+            ("By the sea.jpg", Some("By the sea")),
+            ("IMG_2041.HEIC", Some("IMG_2041")),
+            ("C:\\fakepath\\Söhne.jpeg", Some("Söhne")),
+            ("../../etc/a.b.png", Some("a.b")),
+            ("v1.2 final", Some("v1.2 final")),
+            ("a\u{0}b\n<script>.webp", Some("ab<script>")),
+            ("image.jpg", None),
+            ("Blob", None),
+            (".jpg", None),
+            (" \t.png", None),
+            ("", None),
+        ] {
+            assert_eq!(title_of_file(file).as_deref(), title, "{file:?}");
+        }
+        let long = title_of_file(&"é".repeat(TITLE + 50)).unwrap();
+        assert!(Settings::default().titled(&long).is_ok());
+        assert_eq!(Settings::default().titled("a\u{7}").unwrap_err().field.as_deref(), Some("title"));
     }
 
     #[test]

@@ -8,37 +8,32 @@
 //!               options.json   what was accepted: Accepted
 //!               state.json     what became of it: State; missing until the first start of the job
 //!               settings.json  what its owner wants of viewers: Settings; missing until something is set
+//!               strokes.json   what a person put right of the depth; missing until something is
 //!               report.json atlas.tmpi depth.png thumbnail.jpg     once done
 //! ```
 //! A photo appears by one rename of a synced folder, so what is there is whole. Each file in it changes by a synced
 //! temporary file and a rename; `state.json` says `done` only after everything else is on disk. All of it is its owner's alone to read.
 
+mod damage;
+mod found;
+
 use std::fs::{self, File};
 use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use rayon::prelude::*;
-use serde::de::DeserializeOwned;
-use sha2::{Digest, Sha256};
-
 use super::files::{Disk, Files};
-use super::id::{PhotoId, hex};
-use super::options;
+use super::id::PhotoId;
 pub use super::part::Part;
 pub use super::records::{Accepted, Done, End, Failed, Found, State};
 use super::settings::Settings;
-use super::time::now_ms;
+pub use damage::{damage_of, digest, lost};
 
 /// Room that is kept free for what must be written of photos accepted already, and its share of a small disk.
 const RESERVE: u64 = 64 << 20;
 const RESERVE_SHARE: u64 = 20;
-/// Threads that read records at start.
-const READERS: usize = 32;
-/// Reads of a record that fails to be read, as where no file descriptor is left.
-const READS: u32 = 3;
 const PAUSE: Duration = Duration::from_millis(20);
 
 /// The data directory.
@@ -102,126 +97,6 @@ impl Store {
         Ok((store, found))
     }
 
-    fn ids(&self) -> io::Result<Vec<PhotoId>> {
-        let name = |name: String| {
-            let id = name.parse().ok();
-            if id.is_none() {
-                tracing::warn!(name, "not a photo, left alone");
-            }
-            id
-        };
-        Ok(self.files.names(&self.photos)?.into_iter().filter_map(name).collect())
-    }
-
-    /// Photos, oldest first; those that cannot be read now are remembered.
-    fn look_at(&self, ids: &[PhotoId]) -> Vec<Found> {
-        let look = || ids.par_iter().map(|id| self.look(*id).map_err(|e| (*id, e))).collect::<Vec<_>>();
-        // a disk answers many at a time, and each waits for several answers
-        let looked = match rayon::ThreadPoolBuilder::new().num_threads(READERS.min(ids.len().max(1))).build() {
-            Ok(readers) => readers.install(look),
-            Err(_) => look(),
-        };
-        let mut found = Vec::with_capacity(looked.len());
-        for photo in looked {
-            match photo {
-                Ok(photo) => found.push(photo),
-                Err((id, error)) => {
-                    tracing::error!(%id, %error, "cannot be read, left alone");
-                    self.unread().push(id);
-                }
-            }
-        }
-        found.sort_by_key(|f| (f.accepted.at_ms, f.id));
-        found
-    }
-
-    /// Photos that could not be read before and can be now.
-    pub fn look_again(&self) -> Vec<Found> {
-        let ids = std::mem::take(&mut *self.unread());
-        self.look_at(&ids)
-    }
-
-    /// Count of photos that cannot be read.
-    #[must_use]
-    pub fn unreadable(&self) -> usize {
-        self.unread().len()
-    }
-
-    fn unread(&self) -> std::sync::MutexGuard<'_, Vec<PhotoId>> {
-        self.unread.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// A record; none where it is missing or damaged, which is logged.
-    fn record<T: DeserializeOwned>(&self, id: PhotoId, part: Part) -> io::Result<Option<T>> {
-        let mut reads = 0;
-        let bytes = loop {
-            reads += 1;
-            match self.read(id, part) {
-                Ok(bytes) => break bytes,
-                Err(e) if e.kind() == io::ErrorKind::NotFound => return Ok(None),
-                Err(e) if reads == READS => return Err(e),
-                Err(_) => std::thread::sleep(PAUSE),
-            }
-        };
-        let record = serde_json::from_slice(&bytes);
-        if let Err(error) = &record {
-            tracing::error!(%id, part = part.name(), %error, "a damaged record");
-        }
-        Ok(record.ok())
-    }
-
-    fn look(&self, id: PhotoId) -> io::Result<Found> {
-        let folder = self.folder(id);
-        let names = self.files.names(&folder)?;
-        let has = |part: Part| names.iter().any(|n| n == part.name());
-        for name in names.iter().filter(|n| n.strip_suffix(TEMPORARY).is_some()) {
-            self.files.remove(&folder.join(name))?;
-        }
-        let accepted = match self.record(id, Part::Options)? {
-            Some(accepted) => accepted,
-            None => self.by_default(id)?,
-        };
-        // what cannot be told to be done is made again
-        let mut state: State = if has(Part::State) { self.record(id, Part::State)?.unwrap_or_default() } else { State::default() };
-        let results = [Part::Atlas, Part::Disparity, Part::Thumbnail, Part::Report];
-        if matches!(state.end, Some(End::Done(_))) && !results.into_iter().all(has) {
-            tracing::error!(%id, "a result is missing; it is made again");
-            state = State::default();
-        }
-        let settings = if has(Part::Settings) { self.settings(id)? } else { Settings::default() };
-        Ok(Found { id, accepted, state, settings })
-    }
-
-    /// What was accepted, where its record is damaged but the id tells that it was an upload without options.
-    fn by_default(&self, id: PhotoId) -> io::Result<Accepted> {
-        let photo = self.read(id, Part::Upload)?;
-        let depth = match self.read(id, Part::Depth) {
-            Ok(depth) => Some(depth),
-            Err(e) if e.kind() == io::ErrorKind::NotFound => None,
-            Err(e) => return Err(e),
-        };
-        let options = options::to_text(&tmpi_pipeline::Options::default());
-        let hash = |bytes: &Vec<u8>| <[u8; 32]>::from(Sha256::digest(bytes));
-        if PhotoId::of(&hash(&photo), depth.as_ref().map(hash).as_ref(), &options::canonical(&options), &self.pipeline) != id {
-            return Err(io::Error::new(io::ErrorKind::InvalidData, "its options are lost: upload the photo again"));
-        }
-        let depth_bytes = depth.map(|d| d.len() as u64);
-        Ok(Accepted { version: super::records::VERSION, at_ms: now_ms(), photo_bytes: photo.len() as u64, depth_bytes, options })
-    }
-
-    /// Settings as far as they are understood; those of a later version, or damaged ones, are kept beside what is written here.
-    fn settings(&self, id: PhotoId) -> io::Result<Settings> {
-        let bytes = self.read(id, Part::Settings)?;
-        Settings::read(&bytes).or_else(|error| {
-            tracing::error!(%id, error, "settings; what is understood of them is used");
-            let kept = self.folder(id).join(KEPT_SETTINGS);
-            if self.files.read(&kept).is_err() {
-                self.files.write(&kept, &bytes)?;
-            }
-            Ok(Settings::understood(&bytes))
-        })
-    }
-
     fn folder(&self, id: PhotoId) -> PathBuf {
         self.photos.join(id.to_string())
     }
@@ -247,6 +122,26 @@ impl Store {
         Ok(Incoming { files: Arc::clone(&self.files), folder, accepted: false })
     }
 
+    /// A file for what is derived of photos: no name leads to it, and it goes when it is closed.
+    ///
+    /// # Errors
+    /// As [`Store::begin`].
+    pub fn scratch(&self) -> io::Result<File> {
+        self.room()?;
+        tempfile::tempfile_in(&self.incoming)
+    }
+
+    /// Makes the files of an upload durable, as they were written while they came in; blocks.
+    ///
+    /// # Errors
+    /// The system cannot.
+    pub fn settle(&self, incoming: &Incoming) -> io::Result<()> {
+        [Part::Upload, Part::Depth].into_iter().try_for_each(|part| match self.files.sync(&incoming.path(part)) {
+            Err(e) if e.kind() != io::ErrorKind::NotFound => Err(e),
+            _ => Ok(()),
+        })
+    }
+
     /// Refuses where no more than the reserve is left.
     fn room(&self) -> io::Result<()> {
         match self.files.room(&self.photos) {
@@ -255,7 +150,7 @@ impl Store {
         }
     }
 
-    /// Accepts an upload: when this returns, the photo is on disk and survives a crash. Its files must be synced already.
+    /// Accepts an upload: when this returns, the photo is on disk and survives a crash. Its files must be [settled](Store::settle).
     ///
     /// # Errors
     /// The data directory cannot be written; nothing was accepted then.
@@ -314,18 +209,6 @@ impl Store {
     /// As [`fs::read`].
     pub fn read(&self, id: PhotoId, part: Part) -> io::Result<Vec<u8>> {
         self.files.read(&self.path(id, part))
-    }
-
-    /// What of a finished photo is not as it was made; none where all is, or it cannot be told now.
-    #[must_use]
-    pub fn damage(&self, id: PhotoId, done: &Done) -> Option<String> {
-        let rest = [Part::Disparity, Part::Thumbnail, Part::Report];
-        [Part::Atlas].into_iter().chain(rest).find_map(|part| match self.read(id, part) {
-            Ok(bytes) if part == Part::Atlas => damage_of(&bytes, done),
-            Ok(bytes) if bytes.is_empty() => Some(format!("{} is empty", part.name())),
-            Ok(_) => None,
-            Err(error) => lost(part, &error),
-        })
     }
 
     /// Writes files of a photo, each whole or not at all; all are on disk when this returns.
@@ -394,34 +277,6 @@ const TEMPORARY: &str = ".tmp";
 /// Settings that this program does not understand.
 const KEPT_SETTINGS: &str = "settings.json.kept";
 
-/// What of a container is not as it was made.
-#[must_use]
-pub fn damage_of(container: &[u8], done: &Done) -> Option<String> {
-    let (name, length) = (Part::Atlas.name(), container.len() as u64);
-    if length != done.atlas_bytes {
-        return Some(format!("{name} has {length} bytes, {} were written", done.atlas_bytes));
-    }
-    (digest(container) != done.atlas_hash).then(|| format!("{name} is not what was written"))
-}
-
-/// What an error of reading says of the file itself; none where it may be another's fault, as where no file descriptor is left.
-#[must_use]
-pub fn lost(part: Part, error: &io::Error) -> Option<String> {
-    /// A device that cannot read what lies there.
-    const EIO: i32 = 5;
-    match error.kind() {
-        io::ErrorKind::NotFound => Some(format!("{} is missing", part.name())),
-        _ if cfg!(unix) && error.raw_os_error() == Some(EIO) => Some(format!("{} cannot be read from the disk", part.name())),
-        _ => None,
-    }
-}
-
-/// First 128 bits of a SHA-256 in hex, as [`Done`] names a container.
-#[must_use]
-pub fn digest(bytes: &[u8]) -> String {
-    hex(&Sha256::digest(bytes)[..16])
-}
-
 /// A folder for an upload on its way in; removed when dropped before [`Store::accept`].
 #[derive(Debug)]
 pub struct Incoming {
@@ -435,6 +290,14 @@ impl Incoming {
     #[must_use]
     pub fn path(&self, part: Part) -> PathBuf {
         self.folder.join(part.name())
+    }
+
+    /// Writes the settings that an upload brings along; they are accepted with it.
+    ///
+    /// # Errors
+    /// The data directory cannot be written.
+    pub fn write_settings(&self, settings: &Settings) -> io::Result<()> {
+        self.files.write(&self.path(Part::Settings), &serde_json::to_vec_pretty(settings)?)
     }
 }
 

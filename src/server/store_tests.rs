@@ -1,6 +1,9 @@
 use std::collections::BTreeMap;
 
+use sha2::{Digest, Sha256};
+
 use super::super::forgetful::Forgetful;
+use super::super::options;
 use super::*;
 
 fn accepted(at_ms: u64) -> Accepted {

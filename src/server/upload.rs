@@ -1,5 +1,6 @@
 //! Reads an upload, multipart or raw, onto disk while it comes in.
 
+use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -18,17 +19,20 @@ use super::body;
 use super::form::Bounded;
 use super::id::PhotoId;
 use super::jobs::Submitted;
+use super::limits::Limits;
 use super::options;
 use super::problem::Problem;
 use super::records::VERSION;
+use super::settings::{Settings, title_of_file};
+use super::share::{Share, Shares, asker};
 use super::store::{Accepted, Incoming, Part};
 use super::time::now_ms;
 use tmpi_pipeline::Options;
 
 /// Longest name of a field in bytes.
 const MAX_NAME: usize = 64;
-/// Longest text of an option.
-const MAX_OPTION: usize = 256;
+/// Longest text of an option or a title, bytes.
+const MAX_OPTION: usize = 1024;
 /// Bytes that are gathered before they are written.
 const BUFFER: usize = 256 << 10;
 
@@ -50,27 +54,55 @@ impl Drop for Folder {
     }
 }
 
+/// Uploads that come in.
+#[derive(Debug)]
+pub struct Coming {
+    count: AtomicUsize,
+    beyond: usize,
+    shares: Shares,
+}
+
 /// Leave for an upload to come in.
-struct Ticket<'a>(&'a AtomicUsize);
+struct Ticket<'a> {
+    of: &'a Coming,
+    _share: Share,
+}
 
 impl Drop for Ticket<'_> {
     fn drop(&mut self) {
-        self.0.fetch_sub(1, Ordering::AcqRel);
+        self.of.count.fetch_sub(1, Ordering::AcqRel);
+    }
+}
+
+impl Coming {
+    /// By the limits of a server.
+    #[must_use]
+    pub fn new(limits: &Limits) -> Self {
+        let beyond = limits.uploads_beyond;
+        Self { count: AtomicUsize::new(0), beyond, shares: Shares::half_of(limits.queue.saturating_add(beyond)) }
+    }
+
+    /// Leave for one more where the queue has `free` places. A few come in though it is full: they may be of photos that are known. None
+    /// where as many come in already as may, or half of them from this address: an upload may take an hour.
+    fn take(&self, free: usize) -> Option<Ticket<'_>> {
+        let share = self.shares.take(asker())?;
+        let before = self.count.fetch_add(1, Ordering::AcqRel);
+        // dropped where it is refused
+        let ticket = Ticket { of: self, _share: share };
+        (before < free.saturating_add(self.beyond)).then_some(ticket)
     }
 }
 
 impl<'a> Ticket<'a> {
-    /// Before a byte of the body is taken. A few come in though the queue is full: they may be of photos that are known.
+    /// Before a byte of the body is taken.
     ///
     /// # Errors
     /// 429 where as many come in already as may, 503 while the server stops.
     fn take(app: &'a App) -> Result<Self, Problem> {
-        let ticket = Self(&app.uploads);
-        let before = app.uploads.fetch_add(1, Ordering::AcqRel);
         if !app.jobs.is_accepting() {
             return Err(Problem::new(StatusCode::SERVICE_UNAVAILABLE, "stopping", "the server is stopping").retry_after(10));
         }
-        if before >= app.jobs.free_places() + app.limits.uploads_beyond { Err(app.jobs.refusal()) } else { Ok(ticket) }
+        app.uploads.take(app.jobs.free_places()).ok_or_else(|| app.jobs.refusal())
     }
 }
 
@@ -79,7 +111,44 @@ struct Parts {
     incoming: Folder,
     photo: Option<Written>,
     depth: Option<Written>,
+    chosen: Chosen,
+}
+
+/// Options, each given once.
+#[derive(Default)]
+struct Chosen {
     options: Options,
+    given: BTreeSet<String>,
+    /// With the title that the upload names.
+    settings: Settings,
+    /// Title by the photo's file name, where the upload names none.
+    of_file: Option<String>,
+}
+
+impl Chosen {
+    /// Takes a field or parameter that is text.
+    ///
+    /// # Errors
+    /// 400 that names it: it is wrong, or given a second time, in whatever spelling.
+    fn set(&mut self, name: &str, value: &str) -> Result<(), Problem> {
+        if name == TITLE {
+            self.settings = std::mem::take(&mut self.settings).titled(value)?;
+        } else {
+            options::set(&mut self.options, name, value)?;
+        }
+        if self.given.insert(name.replace('_', "-")) { Ok(()) } else { Err(Problem::parameter(name, "is given twice")) }
+    }
+}
+
+/// Name of the field of the title.
+const TITLE: &str = "title";
+
+/// Refuses what is neither the title nor an option, before its value is read.
+fn known(name: &str, kinds: &str) -> Result<(), Problem> {
+    if name == TITLE || options::NAMES.contains(&name.replace('_', "-").as_str()) {
+        return Ok(());
+    }
+    Err(Problem::parameter(name, format!("there is no such {kinds}, {}", options::NAMES.join(", "))))
 }
 
 /// Takes an upload; when this returns, it is on disk.
@@ -87,18 +156,17 @@ struct Parts {
 /// # Errors
 /// 400 that names a wrong field, 408, 413, 415, 429, 500, 507.
 pub async fn take(app: &App, query: Vec<(String, String)>, request: Request) -> Result<Submitted, Problem> {
-    let mut options = Options::default();
+    let mut chosen = Chosen::default();
     for (name, value) in query {
-        if !options::set(&mut options, &name, &value)? {
-            return Err(Problem::parameter(&name, format!("there is no such option; there are {}", options::NAMES.join(", "))));
-        }
+        known(&name, "option; there are title")?;
+        chosen.set(&name, &value)?;
     }
     let _ticket = Ticket::take(app)?;
     let jobs = Arc::clone(&app.jobs);
     let incoming =
         tokio::task::spawn_blocking(move || jobs.store.begin()).await.map_err(|e| Problem::internal("beginning an upload", &e))?;
     let incoming = Folder(Some(incoming.map_err(|e| Problem::store(&e))?));
-    let mut parts = Parts { incoming, photo: None, depth: None, options };
+    let mut parts = Parts { incoming, photo: None, depth: None, chosen };
     if is_multipart(request.headers()) {
         read_multipart(&mut parts, request).await?;
     } else {
@@ -106,8 +174,8 @@ pub async fn take(app: &App, query: Vec<(String, String)>, request: Request) -> 
         parts.photo = Some(write(&parts.incoming, Part::Upload, stream, |e| body::problem(&e)).await?);
     }
     let shared = Arc::clone(app);
-    let accept = tokio::task::spawn_blocking(move || accept(&shared, parts));
-    let submitted = accept.await.map_err(|e| Problem::internal("accepting an upload", &e))??;
+    // checking it reads it whole: a few at a time
+    let submitted = app.change(move || accept(&shared, parts)).await??;
     if submitted.healed {
         app.forget(submitted.entry.id).await;
     }
@@ -116,7 +184,9 @@ pub async fn take(app: &App, query: Vec<(String, String)>, request: Request) -> 
 
 /// The part of taking an upload that blocks: checks it and makes it durable.
 fn accept(app: &App, parts: Parts) -> Result<Submitted, Problem> {
-    let Parts { mut incoming, photo, depth, options } = parts;
+    let Parts { mut incoming, photo, depth, chosen } = parts;
+    let Chosen { options, mut settings, of_file, .. } = chosen;
+    settings.title = settings.title.or(of_file);
     let photo = photo.filter(|p| p.bytes > 0).ok_or_else(|| Problem::parameter("photo", "is missing"))?;
     if depth.as_ref().is_some_and(|d| d.bytes == 0) {
         return Err(Problem::parameter("depth", "is empty"));
@@ -136,7 +206,7 @@ fn accept(app: &App, parts: Parts) -> Result<Submitted, Problem> {
         options: text,
     };
     let folder = incoming.0.take().ok_or_else(gone)?;
-    let submitted = app.jobs.submit(folder, id, accepted)?;
+    let submitted = app.jobs.submit(folder, id, accepted, settings)?;
     if submitted.new {
         app.telemetry.uploaded(photo.bytes + depth.map_or(0, |d| d.bytes));
     }
@@ -171,16 +241,17 @@ async fn read_multipart(parts: &mut Parts, request: Request) -> Result<(), Probl
             "photo" => (Part::Upload, &mut parts.photo),
             "depth" => (Part::Depth, &mut parts.depth),
             _ => {
+                known(&name, "field; there are photo, depth, title")?;
                 let value = text(&name, field).await?;
-                if !options::set(&mut parts.options, &name, &value)? {
-                    let detail = format!("there is no such field; there are photo, depth, {}", options::NAMES.join(", "));
-                    return Err(Problem::parameter(&name, detail));
-                }
+                parts.chosen.set(&name, &value)?;
                 continue;
             }
         };
         if slot.is_some() {
             return Err(Problem::parameter(&name, "is given twice"));
+        }
+        if part == Part::Upload {
+            parts.chosen.of_file = field.file_name().and_then(title_of_file);
         }
         *slot = Some(write(&parts.incoming, part, field, |e| body::problem(&e)).await?);
     }
@@ -204,7 +275,7 @@ async fn create(path: std::path::PathBuf) -> std::io::Result<File> {
     options.create(true).truncate(true).write(true).open(path).await
 }
 
-/// Writes a stream to its file, synced.
+/// Writes a stream to its file.
 async fn write<S, E>(incoming: &Folder, part: Part, mut stream: S, problem: impl Fn(E) -> Problem) -> Result<Written, Problem>
 where
     S: Stream<Item = Result<Bytes, E>> + Unpin,
@@ -220,6 +291,35 @@ where
         file.write_all(&chunk).await.map_err(disk)?;
     }
     file.flush().await.map_err(disk)?;
-    file.get_ref().sync_all().await.map_err(disk)?;
     Ok(Written { hash: hash.finalize().into(), bytes })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::share::ASKER;
+    use super::*;
+
+    #[test]
+    fn an_address_has_half_of_the_places_to_come_in() {
+        let coming = Coming::new(&Limits { queue: 3, uploads_beyond: 1, ..Limits::default() });
+        let ask = |address: Option<&str>| ASKER.sync_scope(address.map(|a| a.parse().unwrap()), || coming.take(3));
+        let slow = (ask(Some("192.0.2.1")), ask(Some("192.0.2.1")));
+        assert!(slow.0.is_some() && slow.1.is_some() && ask(Some("192.0.2.1")).is_none(), "a third");
+        let others = (ask(Some("192.0.2.2")), ask(None));
+        assert!(others.0.is_some() && others.1.is_some() && ask(Some("192.0.2.3")).is_none(), "a fifth");
+        drop(others);
+        assert!(coming.take(0).is_none() && coming.take(1).is_none() && coming.take(2).is_some());
+    }
+
+    #[test]
+    fn an_option_is_given_once_however_it_is_spelt() {
+        let mut chosen = Chosen::default();
+        chosen.set("max-size", "90").unwrap();
+        chosen.set("title", "A title").unwrap();
+        for name in ["max-size", "max_size"] {
+            let p = chosen.set(name, "90").unwrap_err();
+            assert_eq!((p.status, p.field.as_deref()), (400, Some(name)));
+        }
+        assert_eq!(chosen.set("title", "A title").unwrap_err().field.as_deref(), Some("title"));
+    }
 }

@@ -11,7 +11,7 @@ use super::jobs::Jobs;
 use super::maker::{Fault, Product};
 use super::options;
 use super::problem::Problem;
-use super::store::{Done, End, Failed, Part, State, digest};
+use super::store::{Done, End, Failed, Part, State, digest, lost};
 use super::time::now_ms;
 use tmpi_pipeline::{Progress, Sink};
 
@@ -73,15 +73,14 @@ fn run(jobs: &Jobs, entry: &Arc<Entry>) -> &'static str {
 
 fn make(jobs: &Jobs, entry: &Arc<Entry>) -> Result<Product, Fault> {
     let read = |part: Part| {
-        jobs.store.read(entry.id, part).map_err(|e| match e.kind() {
-            std::io::ErrorKind::NotFound => {
-                let detail = format!("the file {} is no longer on disk: upload the photo again", part.name());
-                Fault::Photo(Problem::new(StatusCode::INTERNAL_SERVER_ERROR, "lost", detail))
-            }
-            _ => Fault::Server(format!("the data directory cannot be read: {e}")),
+        jobs.store.read(entry.id, part).map_err(|e| match lost(part, &e) {
+            // its own sectors or name: others can be made
+            Some(what) => Fault::Photo(Problem::new(StatusCode::INTERNAL_SERVER_ERROR, "lost", format!("{what}: upload the photo again"))),
+            None => Fault::Server(format!("the data directory cannot be read: {e}")),
         })
     };
-    let options = options::from_text(&entry.accepted.options).map_err(Fault::Photo)?;
+    let mut options = options::from_text(&entry.accepted.options).map_err(Fault::Photo)?;
+    options.strokes = jobs.strokes(entry.id).map_err(|e| Fault::Server(format!("the data directory cannot be read: {e}")))?;
     let photo = read(Part::Upload)?;
     let depth = entry.accepted.depth_bytes.map(|_| read(Part::Depth)).transpose()?;
     let unwanted = || jobs.aborted() || entry.is_deleted() || !jobs.is_accepting();
@@ -197,4 +196,41 @@ fn give_back(entry: &Arc<Entry>) -> &'static str {
     }
     entry.set(Status::Queued);
     "cancelled"
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeMap;
+    use std::path::Path;
+
+    use super::super::files::Files as _;
+    use super::super::forgetful::Forgetful;
+    use super::super::id::PhotoId;
+    use super::super::maker::Never;
+    use super::super::store::{Accepted, Store};
+    use super::*;
+    use crate::server::Limits;
+    use crate::server::settings::Settings;
+
+    #[test]
+    fn a_photo_on_worn_sectors_fails_alone_and_is_made_where_it_is_uploaded_again() {
+        let files = Arc::new(Forgetful::new());
+        let (store, _) = Store::open_in(files.clone(), Path::new("/data"), "", None).unwrap();
+        let limits = Arc::new(Limits { workers: 0, ..Limits::default() });
+        let jobs = Jobs::start(store, Vec::new(), Arc::new(Never), limits, Arc::default()).unwrap();
+        let upload = || {
+            let incoming = jobs.store.begin().unwrap();
+            files.write(&incoming.path(Part::Upload), b"photo").unwrap();
+            let accepted = Accepted { version: 1, at_ms: 1, photo_bytes: 5, depth_bytes: None, options: BTreeMap::new() };
+            jobs.submit(incoming, PhotoId::of(&[1; 32], None, "", ""), accepted, Settings::default()).unwrap().entry
+        };
+        let entry = upload();
+        files.wear_out(&jobs.store.path(entry.id, Part::Upload));
+        assert_eq!(run(&jobs, &jobs.take().unwrap()), "failed");
+        assert!(matches!(entry.status(), Status::Failed(f) if f.problem.kind.ends_with("lost")));
+        assert_eq!(jobs.trouble(), None, "no reason to keep others waiting");
+        upload();
+        // it is read, and nobody makes it here
+        assert_eq!(run(&jobs, &jobs.take().unwrap()), "cancelled");
+    }
 }

@@ -2,6 +2,7 @@
 import { problemOf, problemText } from '../decode/problem.js';
 
 /** @import { Settings } from '../view/settings.js' */
+/** @import { Stroke } from './outline.js' */
 
 /**
  * State of a photo as the server tells it.
@@ -65,6 +66,55 @@ export async function changeSettings(id, patch, etag) {
   const headers = { 'content-type': 'application/merge-patch+json', ...(etag && { 'if-match': etag }) };
   const response = await request(photoUrl(id), { method: 'PATCH', headers, body: JSON.stringify(patch) });
   return { state: await response.json(), etag: response.headers.get('etag') };
+}
+
+/** Longest that the server is asked to wait for a photo that it makes again; then its events are followed. */
+const WAIT_S = 20;
+
+/**
+ * The strokes of a photo's touch-up, and their version.
+ * @param {string} id
+ * @returns {Promise<{strokes: Stroke[], etag: string | null}>}
+ */
+export async function strokesOf(id) {
+  const response = await request(photoUrl(id, '/strokes'));
+  return { strokes: (await response.json()).strokes, etag: response.headers.get('etag') };
+}
+
+/**
+ * Gives a photo other strokes, if it still has those of version `etag`: it is made again, and done or under way then.
+ * @param {string} id
+ * @param {Stroke[]} strokes
+ * @param {string | null} etag
+ * @returns {Promise<Photo>}
+ */
+export async function changeStrokes(id, strokes, etag) {
+  const headers = { 'content-type': 'application/merge-patch+json', prefer: `wait=${WAIT_S}`, ...(etag && { 'if-match': etag }) };
+  return (await request(photoUrl(id, '/strokes'), { method: 'PATCH', headers, body: JSON.stringify({ strokes }) })).json();
+}
+
+/**
+ * The server's depth network, and the better one that it may fetch.
+ * @typedef {{name: string, better?: {name: string, bytes?: number}, fetched_bytes?: number, problem?: string}} Network
+ */
+
+/** @returns {Promise<Network>} */
+export async function getNetwork() {
+  return (await request('/v1/network')).json();
+}
+
+/** @returns {Promise<Network>} */
+export async function fetchNetwork() {
+  return (await request('/v1/network', { method: 'POST' })).json();
+}
+
+/**
+ * Has a photo made again: done or under way then.
+ * @param {string} id
+ * @returns {Promise<Photo>}
+ */
+export async function makeAgain(id) {
+  return (await request(photoUrl(id, '/again'), { method: 'POST', headers: { prefer: `wait=${WAIT_S}` } })).json();
 }
 
 /**

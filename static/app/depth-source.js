@@ -18,6 +18,12 @@ const NETWORKS = [
 ];
 
 /**
+ * A network as people know it, in English.
+ * @param {string} model
+ */
+export const networkName = (model) => NETWORKS.find(([pattern]) => pattern.test(model))?.[1] ?? model;
+
+/**
  * One or two sentences for the menu; nothing where the report, which an older program may have written, does not tell.
  * @param {Partial<Report>} report
  */
@@ -28,9 +34,8 @@ export function depthSource(report) {
   if (model === 'given') parts.push(t('Depth: a map of your own.'));
   else if (model === 'carried') parts.push(t('Depth: as the photo brought it along.'));
   else {
-    const name = NETWORKS.find(([pattern]) => pattern.test(model))?.[1] ?? model;
     const ms = stages?.find((stage) => stage.name === 'depth')?.ms ?? 0;
-    parts.push(t('Depth: estimated by {0} in {1} s.', t(name), (ms / 1000).toFixed(ms < 995 ? 2 : 1)));
+    parts.push(t('Depth: estimated by {0} in {1} s.', t(networkName(model)), (ms / 1000).toFixed(ms < 995 ? 2 : 1)));
   }
   if (input?.depth?.stretched) parts.push(t('The map has another shape than the photo and was stretched.'));
   if (input?.depth_problem) parts.push(t('The photo’s own depth was left out: {0}', input.depth_problem));

@@ -4,15 +4,13 @@ import { $ } from './dom.js';
 const id = location.pathname.split('/').pop();
 const photo = `/v1/photos/${id}`;
 const viewer = $('viewer');
-const failure = $('failure');
 
-viewer.addEventListener('error', (/** @type {Event} */ event) => {
-  failure.textContent = /** @type {CustomEvent<{message: string}>} */ (event).detail.message;
-  failure.hidden = false;
-});
-viewer.addEventListener('load', () => {
-  failure.hidden = true;
-});
+// what the frame's address says of the element
+const asked = new URLSearchParams(location.search);
+for (const name of ['fit', 'auto-rotate', 'camera-controls', 'fullscreen']) {
+  const value = asked.get(name);
+  if (value !== null) viewer.setAttribute(name, value);
+}
 viewer.setAttribute('poster', `${photo}/thumbnail`);
 viewer.setAttribute('src', `${photo}/atlas`);
 

@@ -1,4 +1,5 @@
 // Follows a photo on its way by the server's events, and by asking where these cannot be had.
+import { t } from '../i18n/messages.js';
 import { getPhoto, photoUrl } from './api.js';
 
 /** @import { Photo } from './api.js' */
@@ -20,6 +21,18 @@ export function reasonOf(photo) {
  */
 export function isUnderWay(photo) {
   return photo.state === 'queued' || photo.state === 'working';
+}
+
+/**
+ * Resolves once a photo is made, rejects where it cannot be.
+ * @param {string} id
+ * @returns {Promise<void>}
+ */
+export function untilMade(id) {
+  return new Promise((resolve, reject) => {
+    const failed = (/** @type {string} */ reason) => reject(new Error(reason));
+    followPhoto(id, { queued: () => {}, stage: () => {}, done: resolve, failed, deleted: () => failed(t('The photo was deleted.')) });
+  });
 }
 
 /**

@@ -3,32 +3,20 @@ import { t } from '../i18n/messages.js';
 
 /** @import { Photo } from './api.js' */
 
+/** Names of files that browsers kept before servers did. */
 const NAME_KEY = 'tmpi:name:';
-
-/**
- * The name of the file that a photo came from is known only to the browser that sent it.
- * @param {string} id
- * @param {string} name
- */
-export function rememberName(id, name) {
-  try {
-    localStorage.setItem(NAME_KEY + id, name);
-  } catch {
-    // storage is full or forbidden: the date has to do
-  }
-}
 
 /** @param {string} id */
 export function forgetName(id) {
   try {
     localStorage.removeItem(NAME_KEY + id);
   } catch {
-    // as above
+    // storage is forbidden: the date has to do
   }
 }
 
 /**
- * What to call a photo: its title, its file's name without the ending, or when it was made.
+ * What to call a photo: its title, which is its file's name at first, or when it was made.
  * @param {Photo} photo
  */
 export function photoName(photo) {

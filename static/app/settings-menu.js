@@ -1,7 +1,8 @@
 // The menu in which a photo's owner says how viewers move: shows what is set, tries it at once, and saves it with the photo.
 
 import { t } from '../i18n/messages.js';
-import { placeOf, settingsOf } from '../view/settings.js';
+import { STYLES } from '../input/motion.js';
+import { settingsOf } from '../view/settings.js';
 import { changeSettings, photoUrl } from './api.js';
 import { $ } from './dom.js';
 
@@ -15,7 +16,8 @@ import { $ } from './dom.js';
  *   as it is now, what to do with a saved state, and how to tell something
  */
 export function settingsMenu({ id, viewer, named, say }) {
-  const [title, motion, focus] = ['set-title', 'set-motion', 'set-focus'].map((name) => $(name, HTMLInputElement));
+  const [title, motion, focus, speed] = ['set-title', 'set-motion', 'set-focus', 'set-speed'].map((name) => $(name, HTMLInputElement));
+  const idle = $('set-idle', HTMLSelectElement);
   /** @type {string | null} */
   let etag = null;
   /** @type {Settings} */
@@ -34,7 +36,10 @@ export function settingsMenu({ id, viewer, named, say }) {
     const all = now();
     // what is being typed is nobody else's
     if (document.activeElement !== title) title.value = all.title ?? '';
-    motion.value = String(all.motion?.x ?? 1);
+    // 1 is as far as the photo goes by itself
+    motion.value = String(all.motion ? all.motion.x / viewer().usual.x : 1);
+    idle.value = all.idle ?? STYLES[0];
+    speed.value = String(all.speed ?? 1);
     focus.value = String(all.focus ?? viewer().pivot ?? 0.35);
     $('set-start').setAttribute('aria-pressed', String(Boolean(all.start)));
     $('set-poster').setAttribute('aria-pressed', String(Boolean(all.poster)));
@@ -50,7 +55,7 @@ export function settingsMenu({ id, viewer, named, say }) {
 
   /** Where the camera is, in the view box. */
   const place = () => {
-    const { x, y, z } = placeOf(viewer().motion.now, viewer().settings);
+    const { x, y, z } = viewer().place;
     const short = (/** @type {number} */ v) => Math.round(Math.max(-1, Math.min(1, v)) * 1e3) / 1e3;
     return { x: short(x), y: short(y), z: short(z) };
   };
@@ -81,13 +86,20 @@ export function settingsMenu({ id, viewer, named, say }) {
 
   title.addEventListener('change', () => change({ title: title.value.trim() || null }));
   motion.addEventListener('input', () => {
-    const share = Number(motion.value);
-    change({ motion: share < 1 ? { x: share, y: share, z: share } : null });
+    const by = Number(motion.value);
+    const { x, y, z } = viewer().usual;
+    const share = (/** @type {number} */ v) => Math.min(1, Math.round(v * by * 1e4) / 1e4);
+    change({ motion: by === 1 ? null : { x: share(x), y: share(y), z: share(z) } });
   });
+  idle.addEventListener('change', () => {
+    change({ idle: idle.value === STYLES[0] ? null : idle.value });
+    viewer().setIdle(idle.value !== 'none');
+  });
+  speed.addEventListener('input', () => change({ speed: Number(speed.value) === 1 ? null : Number(speed.value) }));
   focus.addEventListener('input', () => change({ focus: Number(focus.value) }));
   $('set-start').addEventListener('click', () => change({ start: now().start ? null : place() }));
   $('set-poster').addEventListener('click', () => change({ poster: now().poster ? null : place() }));
-  $('set-clear').addEventListener('click', () => change({ title: null, motion: null, focus: null, start: null, poster: null }));
+  $('set-clear').addEventListener('click', () => change({ motion: null, focus: null, start: null, idle: null, speed: null, poster: null }));
   $('set-form').addEventListener('submit', save);
   $('settings-menu').addEventListener('toggle', show);
   return { read, settings: () => settings };

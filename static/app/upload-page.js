@@ -7,7 +7,7 @@ import { $, element, icon } from './dom.js';
 import { filesOf } from './drop.js';
 import { followPhoto, isUnderWay, reasonOf } from './follow-photo.js';
 import { pairs } from './pairs.js';
-import { forgetName, photoName, rememberName } from './photo-name.js';
+import { forgetName, photoName } from './photo-name.js';
 import { deleteLater, isGoing } from './undo.js';
 import { Row, say } from './upload-row.js';
 
@@ -74,7 +74,6 @@ function sendNext() {
 async function send({ file, depth, options, row }) {
   try {
     const photo = await post(file, depth, options, row);
-    rememberName(photo.id, row.name);
     // making it goes on without holding up the next upload
     follow(photo, row);
   } catch (error) {

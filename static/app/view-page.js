@@ -8,6 +8,7 @@ import { formatPose, parsePose } from '../view/camera.js';
 import { settingsOf } from '../view/settings.js';
 import { Viewer } from '../view/viewer.js';
 import { getPhoto, photoUrl } from './api.js';
+import { offerBetterDepth } from './better-depth.js';
 import { depthSource } from './depth-source.js';
 import { $ } from './dom.js';
 import { followPhoto, isUnderWay } from './follow-photo.js';
@@ -19,6 +20,8 @@ import { photoWithVersion, settingsMenu } from './settings-menu.js';
 const TOAST_MS = 2500;
 const NOTE_MS = 7000;
 const HASH_KEY = 'pose';
+/** Where it is kept that this browser was told how to move. */
+const HINTED = 'tmpi-hinted';
 const BACKDROP = [12, 9];
 /** How far a pointer may go between press and release and still have clicked. */
 const CLICK_PX = 5;
@@ -54,6 +57,8 @@ function toast(text) {
 
 function readout() {
   const parts = [];
+  const { scale, own } = viewer.zoom;
+  if (scale > 1.01) parts.push(`${Math.round((scale / own) * 100)} %`);
   if (state.bytes) parts.push(formatBytes(state.bytes));
   if (viewer.mode === 'served') parts.push(t('drawn by the server'));
   if (state.ms !== null) parts.push(`${state.ms < 9.95 ? state.ms.toFixed(1) : Math.round(state.ms)} ms`);
@@ -113,6 +118,7 @@ async function start() {
     report: photoUrl(id, version ? `/report?v=${version}` : '/report'),
     offset: offsetOfHash(),
     settings: known.then((answer) => settingsOf(answer?.state)),
+    full: known.then((answer) => answer?.state),
   });
   applyMenu();
   // for tests, and for people at the console
@@ -132,21 +138,21 @@ async function start() {
     stage.dataset.mode = detail.mode;
     $('show').hidden = $('picture').hidden = !viewer.renderer;
     offerHeadset();
+    hint();
   });
   viewer.addEventListener('mode', ({ detail }) => {
     stage.dataset.mode = detail.mode;
     if (detail.mode !== 'served') return;
     $('show').hidden = $('picture').hidden = true;
     state.ms = null;
-    $('served-note').textContent = t('The server draws this view. {0}', detail.reason);
-    $('served-note').classList.add('on');
-    setTimeout(() => $('served-note').classList.remove('on'), NOTE_MS);
+    note(t('The server draws this view. {0}', detail.reason));
     readout();
   });
   viewer.addEventListener('frame', ({ detail }) => {
     state.ms = detail.ms;
     readout();
   });
+  viewer.addEventListener('pose', readout);
   viewer.addEventListener('idle', ({ detail }) => showIdle(detail.on));
   viewer.addEventListener('error', ({ detail }) => {
     if (viewer.mode !== 'failed') toast(detail.message);
@@ -192,7 +198,7 @@ async function share() {
 async function toggleFullscreen() {
   try {
     if (document.fullscreenElement) await document.exitFullscreen();
-    else await $('frame').requestFullscreen();
+    else await document.documentElement.requestFullscreen();
   } catch {
     toast(t('This browser does not allow full screen'));
   }
@@ -218,6 +224,48 @@ function focusOnClick() {
   });
 }
 
+/** @param {string} text */
+function note(text) {
+  $('served-note').textContent = text;
+  $('served-note').classList.add('on');
+  setTimeout(() => $('served-note').classList.remove('on'), NOTE_MS);
+}
+
+/** Says once in this browser how one moves it. */
+function hint() {
+  if (viewer.mode === 'served' || localStorage.getItem(HINTED)) return;
+  localStorage.setItem(HINTED, '1');
+  note(t('Drag or point to look around; scroll, pinch or tap twice to come closer.'));
+  // whoever does it knows it
+  for (const type of ['pointerdown', 'wheel']) {
+    stage.addEventListener(type, () => $('served-note').classList.remove('on'), { once: true, passive: true });
+  }
+}
+
+/** Tilting is what phones are good at: offered at the first touch, since browsers ask for leave only then. */
+function offerTilt() {
+  const offer = $('tilt-offer');
+  const asked = ({ pointerType = '' }) => {
+    if (pointerType !== 'touch' || !viewer.renderer) return;
+    stage.removeEventListener('pointerup', asked);
+    if (viewer.tilting) return;
+    offer.hidden = false;
+    setTimeout(() => (offer.hidden = true), NOTE_MS);
+  };
+  if (hasGyroscope()) stage.addEventListener('pointerup', asked);
+  offer.addEventListener('click', () => {
+    offer.hidden = true;
+    tilt.click();
+  });
+}
+
+/** @param {KeyboardEvent} event */
+function onKey({ key, target, ctrlKey, metaKey, altKey }) {
+  if (ctrlKey || metaKey || altKey || (target instanceof HTMLElement && target.matches('input, select'))) return;
+  if (key === 'f' && document.fullscreenEnabled) toggleFullscreen();
+  if (key === '?') note($('keys').textContent?.trim().replace(/\s+/g, ' ') ?? '');
+}
+
 /** Only where the browser draws and has something to look into. */
 async function offerHeadset() {
   $('headset').hidden = !viewer.renderer || !(await hasHeadset());
@@ -231,19 +279,64 @@ async function savePicture() {
   setTimeout(() => URL.revokeObjectURL(link.href), NOTE_MS);
 }
 
-/** Says once, where the menu is opened, what made the depth. */
+/** Opens the touch-up of the depth; once the photo was made again, shows it anew. */
+async function touchUp() {
+  $('settings-menu').hidePopover();
+  try {
+    const { openTouchUp } = await import('./touch-up.js');
+    await openTouchUp({ id, photo: viewer.poster, saved: showAgain, say: toast });
+  } catch (error) {
+    toast(error.message);
+  }
+}
+
+/** Shows the photo as it is now. */
+async function showAgain() {
+  known = photoWithVersion(id).catch(() => null);
+  showLoading(t('Loading…'));
+  await start();
+  const answer = await known;
+  if (answer) menu.read(answer);
+  showDepthSource();
+}
+
+/** Pictures that the server draws: what stays in place lies in the screen. */
+const PICTURES = /** @type {Record<string, {query: string, ending: string}>} */ ({
+  anaglyph: { query: 'stereo=anaglyph&format=jpeg', ending: '-anaglyph.jpg' },
+  sbs: { query: 'stereo=sbs&format=jpeg', ending: '-sbs.jpg' },
+  // its columns, rows and aspect are in its name, as the displays' programs read them
+  quilt: { query: 'quilt=8x6&w=420&h=560&format=png', ending: '_qs8x6a0.75.png' },
+});
+
+/** Their addresses and names, as the photo is now. */
+function showPictures() {
+  const stem = container.download.replace(/\.tmpi$/, '');
+  for (const link of document.querySelectorAll(/** @type {'a'} */ ('[data-view]'))) {
+    const { query, ending } = PICTURES[link.dataset.view ?? ''];
+    link.href = photoUrl(id, `/view?${query}&focus=${viewer.pivot.toFixed(3)}`);
+    link.download = stem + ending;
+  }
+  const depth = $('depth-download', HTMLAnchorElement);
+  depth.href = photoUrl(id, '/depth');
+  depth.download = `${stem}_depth.png`;
+}
+
+/** Says, where the menu is opened, what made the depth. */
 async function showDepthSource() {
   const line = $('depth-source');
   const version = (await known)?.state.version;
   const answer = await fetch(photoUrl(id, version ? `/report?v=${version}` : '/report')).catch(() => null);
   if (!answer?.ok) return;
-  line.textContent = depthSource(await answer.json());
+  const report = await answer.json();
+  line.textContent = depthSource(report);
   line.hidden = !line.textContent;
+  offerBetterDepth($('better-depth'), { id, model: report.depth_model, made: showAgain });
 }
 
 const container = $('download', HTMLAnchorElement);
 $('show-menu').addEventListener('beforetoggle', showDepthSource, { once: true });
 $('show-menu').addEventListener('change', applyMenu);
+$('touch-up').addEventListener('click', touchUp);
 $('picture').addEventListener('click', () => savePicture().catch((error) => toast(error.message)));
 $('tilt-label').hidden = !hasGyroscope();
 const tilt = $('tilt', HTMLInputElement);
@@ -256,18 +349,35 @@ tilt.addEventListener('change', async () => {
     toast(t('This browser does not allow it'));
   }
 });
+offerTilt();
+document.addEventListener('keydown', onKey);
 $('blur').addEventListener('input', applyMenu);
 focusOnClick();
 $('headset').addEventListener('click', () => viewer.enterHeadset().catch(() => toast(t('This browser does not allow it'))));
 navigator.xr?.addEventListener?.('devicechange', offerHeadset);
 $('reset').addEventListener('click', () => viewer.reset());
 $('idle').addEventListener('click', () => viewer.setIdle(!viewer.idle));
-$('share').addEventListener('click', share);
+$('share-link').addEventListener('click', () => {
+  $('share-menu').hidePopover();
+  share();
+});
+for (const name of /** @type {const} */ (['film', 'embed'])) {
+  $(`share-${name}`).addEventListener('click', async () => {
+    $('share-menu').hidePopover();
+    try {
+      const { open } = name === 'film' ? await import('./film-dialog.js') : await import('./embed-dialog.js');
+      open({ id, viewer, name: $('title').textContent ?? '', file: container.download.replace(/\.tmpi$/, '') });
+    } catch (error) {
+      toast(error.message);
+    }
+  });
+}
 $('retry').addEventListener('click', () => location.reload());
 container.href = photoUrl(id, '/atlas');
 container.download = `${id}.tmpi`;
 for (const link of document.querySelectorAll(/** @type {'a'} */ ('[data-export]')))
   link.href = photoUrl(id, `/export?format=${link.dataset.export}`);
+$('download-menu').addEventListener('beforetoggle', showPictures);
 $('fullscreen').hidden = !document.fullscreenEnabled;
 $('fullscreen').addEventListener('click', toggleFullscreen);
 document.addEventListener('fullscreenchange', () =>
@@ -288,7 +398,7 @@ function showName(photo) {
 
 translatePage();
 // the viewer says what is wrong with the photo
-const known = photoWithVersion(id).catch(() => null);
+let known = photoWithVersion(id).catch(() => null);
 const menu = settingsMenu({ id, viewer: () => viewer, named: showName, say: toast });
 start();
 known.then((answer) => {

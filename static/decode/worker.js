@@ -1,5 +1,6 @@
 // Fetches and decodes a container off the page's thread.
-// In: {url, photoOnly, side}: with photoOnly it stops once the photo is there; side of the largest texture. Out: {type: 'progress', received, total}, {type: 'head', …},
+// In: {url, photoOnly, side, bare}: with photoOnly it stops once the photo is there; side of the largest texture; bare: the scene is a
+// part of another and not continued beyond its borders. Out: {type: 'progress', received, total}, {type: 'head', …},
 // {type: 'photo', blob}, {type: 'scene', scene}, {type: 'error', message}.
 // In: {band}, then {deep} and {strips}, from another of these workers. Out: {type: 'done', value}.
 
@@ -25,7 +26,7 @@ import '../view/limits.js';
 /** @import { Head, PictureFile } from './head.js' */
 /** @import { Layers, Picture } from './scene.js' */
 
-/** @typedef {{url: string, photoOnly?: boolean, side?: number}} Wanted a container to load */
+/** @typedef {{url: string, photoOnly?: boolean, side?: number, bare?: boolean}} Wanted a container to load */
 /** @typedef {Parameters<Band['deep']>[0]} DeepJob */
 /** @typedef {Parameters<Band['strips']>[0]} StripsJob */
 /** @typedef {{band: BandJob & {module: WebAssembly.Module}} | {deep: DeepJob} | {strips: StripsJob}} Asked what one of these workers asks of another */
@@ -164,7 +165,7 @@ async function unpackerFor() {
 }
 
 /** @param {Wanted} wanted */
-async function load({ url, photoOnly, side }) {
+async function load({ url, photoOnly, side, bare }) {
   const module = photoOnly ? null : compiled();
   // reported when it is awaited
   module?.catch(() => {});
@@ -187,6 +188,7 @@ async function load({ url, photoOnly, side }) {
     download.push(value);
     if (!head) {
       head = readHead(download.bytes);
+      if (head && bare) head.scene.viewBox = { x: 0, y: 0, z: 0 };
       if (head) postMessage({ type: 'head', head: { ...head.scene, total: head.bytes } });
       if (head?.packed && !photoOnly) unpack = unpackerFor();
       // reported when it is awaited

@@ -1,6 +1,6 @@
 // What may draw in this browser, best first: WebGPU, then WebGL2. Each is tried a second time after it was lost, then given up.
 import { findAdapter } from './device.js';
-import { WebGlRenderer, webGlSide } from './webgl.js';
+import { contextOf, WebGlRenderer, webGlSide } from './webgl.js';
 import { WebGpuRenderer } from './webgpu.js';
 
 /** @import { Scene } from '../decode/scene.js' */
@@ -68,4 +68,18 @@ export class Backends {
     }
     return null;
   }
+}
+
+/**
+ * Another scene on a canvas of its own, to lie over one that is drawn by `mode`: it is see-through where nothing is drawn.
+ * @param {Mode} mode
+ * @param {Scene} scene
+ * @param {() => void} onLost
+ */
+export async function drawnOver(mode, scene, onLost) {
+  const canvas = document.createElement('canvas');
+  if (mode === 'webgl') contextOf(canvas, true);
+  const renderer = await (mode === 'gpu' ? WebGpuRenderer.create(scene, onLost) : WebGlRenderer.create(canvas, scene, onLost));
+  renderer.attach(canvas, true);
+  return { renderer, canvas };
 }

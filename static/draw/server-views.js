@@ -3,7 +3,7 @@ import { problemOf } from '../decode/problem.js';
 import { POSE_KEYS } from '../view/camera.js';
 
 const KEPT = 64;
-/** @import { Pose } from '../view/camera.js' */
+/** @import { Frame, Pose } from '../view/camera.js' */
 
 /** Longest side asked for, pixels. */
 const MAX_SIDE = 1280;
@@ -34,29 +34,33 @@ export class ServerViews {
   /**
    * Asks for a view; the latest wins and at most one request is under way.
    * @param {Pose} pose
-   * @param {number} fov horizontal, degrees
-   * @param {number} width wanted, device pixels
+   * @param {number} fov horizontal, of the whole photo, degrees
+   * @param {{width: number, height: number}} size wanted, device pixels
+   * @param {Frame} frame
    */
-  show(pose, fov, width) {
-    this.wanted = this.#address(pose, fov, width);
+  show(pose, fov, size, frame) {
+    this.wanted = this.#address(pose, fov, size, frame);
     if (!this.busy) this.#next();
   }
 
   /**
    * @param {Pose} pose
    * @param {number} fov
-   * @param {number} wanted
+   * @param {{width: number, height: number}} wanted
+   * @param {Frame} frame
    */
-  #address(pose, fov, wanted) {
-    const aspect = this.size.height / this.size.width;
+  #address(pose, fov, wanted, frame) {
+    const aspect = frame.scale > 1 ? wanted.height / wanted.width : this.size.height / this.size.width;
     const limit = Math.min(MAX_SIDE, MAX_SIDE / aspect);
-    const width = Math.max(1, Math.round(Math.min(limit, Math.ceil(wanted / SIZE_STEP) * SIZE_STEP)));
+    const width = Math.max(1, Math.round(Math.min(limit, Math.ceil(wanted.width / SIZE_STEP) * SIZE_STEP)));
     const height = Math.max(1, Math.round(width * aspect));
     const query = new URLSearchParams();
     for (const key of POSE_KEYS) if (pose[key]) query.set(key, pose[key].toFixed(5));
     query.set('w', String(width));
     query.set('h', String(height));
     query.set('fov', fov.toFixed(4));
+    const crop = cropOf(frame, (width * this.size.height) / (height * this.size.width));
+    if (crop) query.set('crop', crop);
     query.set('format', 'jpeg');
     return `${this.url}${this.url.includes('?') ? '&' : '?'}${query}`;
   }
@@ -103,6 +107,18 @@ export class ServerViews {
     for (const source of this.kept.values()) URL.revokeObjectURL(source);
     this.kept.clear();
   }
+}
+
+/**
+ * The part of the photo that a frame shows, as the server takes it, or '' for all of it.
+ * @param {Frame} frame
+ * @param {number} wider aspect of the picture over that of the photo
+ */
+function cropOf({ scale, x, y }, wider) {
+  const [w, h] = [Math.min(1, 1 / scale), Math.min(1, 1 / scale / wider)];
+  if (w > 0.999 && h > 0.999) return '';
+  const corner = (/** @type {number} */ middle, /** @type {number} */ side) => Math.max(0, Math.min(1 - side, middle - side / 2));
+  return [corner(x, w), corner(y, h), w, h].map((v) => v.toFixed(4)).join(',');
 }
 
 /** @param {string} address */

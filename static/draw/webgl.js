@@ -22,8 +22,13 @@ import { hasHalfFloatTargets, WebGlTarget } from './webgl-target.js';
 const POLL_MS = 4;
 const CONTEXT = { alpha: false, antialias: false, depth: true, powerPreference: 'high-performance' };
 
-/** @param {HTMLCanvasElement} canvas */
-const contextOf = (canvas) => /** @type {WebGL2RenderingContext | null} */ (canvas.getContext('webgl2', CONTEXT));
+/**
+ * A canvas keeps what it was first asked for.
+ * @param {HTMLCanvasElement} canvas
+ * @param {boolean} [over] whether what lies below is seen where nothing is drawn
+ */
+export const contextOf = (canvas, over = false) =>
+  /** @type {WebGL2RenderingContext | null} */ (canvas.getContext('webgl2', { ...CONTEXT, alpha: over }));
 
 /** Side of the largest texture of the browser's WebGL2, 0 where it has none. */
 export function webGlSide() {

@@ -100,11 +100,12 @@ export class WebGpuRenderer {
   /**
    * Makes `canvas` show what `draw` draws.
    * @param {HTMLCanvasElement} canvas
+   * @param {boolean} [over] whether what lies below is seen where nothing is drawn
    */
-  attach(canvas) {
+  attach(canvas, over = false) {
     const context = canvas.getContext('webgpu');
     if (!context) throw new Error('the canvas has no WebGPU context');
-    context.configure({ device: this.device, format: this.#loaded.format, alphaMode: 'opaque' });
+    context.configure({ device: this.device, format: this.#loaded.format, alphaMode: over ? 'premultiplied' : 'opaque' });
     this.context = context;
   }
 

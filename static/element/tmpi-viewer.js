@@ -4,30 +4,62 @@
 //   view             address of these views, where it is another
 //   alt              what the photo shows
 //   poster           picture until the photo is there
+//   fit              `contain` (as if it were not there): all of the photo; `cover`: as large as fills the element, the rest cut away
+//   fullscreen       `off`: no button for full screen
 //   loading          `lazy` (as if it were not there): fetched when it comes near the screen; `eager`: at once
 //   reveal           `auto` (as if it were not there), or `interaction`: fetched when somebody points at it, touches or focuses it
 //   camera-controls  `off` or `false`: takes no input
 //   auto-rotate      `off` or `false`: does not move by itself; so does `still`, without a value
+//   motion           how it moves by itself: `swing`, `orbit`, `dolly`, `dolly-zoom`, `zoom` (into the nearest thing), or `none`; without
+//                    it, what the photo's owner wants, else `swing`
+//   speed            how fast, 0.25 to 4 times the usual
 //   settings         `off`: does not ask the server what the photo's owner wants of the camera (how far it goes, where it starts)
 //
 // Names, properties (`loaded`), methods (`toBlob`, `resetView`) and events are those of <model-viewer> where there are such. One
 // thing differs: `camera-controls` and `auto-rotate` are on as if they were there, because a 3D photo that stands still is a photo.
 //
+// Slots: `poster` takes a picture of the page's own in place of `poster` (`<img slot="poster" …>`, which browsers show without a script,
+// too), `error` what is to be seen where the photo cannot be shown; else that is `alt` and the reason. Parts for CSS: `fullscreen`, `error`.
+//
 // Fires `progress` {received, total, totalProgress}, `load` {mode}, `camera-change` {pose} and `error` {message}. It is as wide as its
-// place and keeps the shape given by CSS (16 / 10 if none). All elements of a page share one graphics device; those out of sight sleep.
+// place and has the photo's shape once that is known (16 / 10 before), unless CSS says `aspect-ratio` or `height`. All elements of a page
+// share one graphics device; those out of sight sleep.
 
 /** @import { Viewer } from '../view/viewer.js' */
 
 const STYLE = `
-  :host { display: block; position: relative; overflow: hidden; aspect-ratio: 16 / 10; }
-  :host([hidden]) { display: none; }
+  :host { display: block; position: relative; overflow: hidden; aspect-ratio: var(--tmpi-shape, 16 / 10); }
+  :host([hidden]), [hidden] { display: none !important; }
+  :host(:fullscreen) { background: #000; }
+  .room { position: absolute; inset: 0; container-type: size; overflow: hidden; }
   .stage { position: absolute; inset: 0; cursor: grab; touch-action: pan-y; user-select: none; }
   .stage:active { cursor: grabbing; }
   .stage:focus-visible { outline: 3px solid Highlight; outline-offset: -3px; }
-  img, canvas { position: absolute; inset: 0; margin: auto; pointer-events: none; }
+  .stage :is(img, canvas) { position: absolute; inset: 0; margin: auto; pointer-events: none; }
   img:not([src]) { visibility: hidden; }
-  .poster { width: 100%; height: 100%; object-fit: contain; }
+  .poster, ::slotted([slot='poster']) { position: absolute; inset: 0; width: 100%; height: 100%; object-fit: contain; }
+  :host([fit='cover']) .poster, :host([fit='cover']) ::slotted([slot='poster']) { object-fit: cover; }
+  :host([fit='cover']) .stage {
+    inset: auto; left: 50%; top: 50%; translate: -50% -50%;
+    width: max(100cqw, 100cqh * (var(--tmpi-shape, 16 / 10))); height: max(100cqh, 100cqw / (var(--tmpi-shape, 16 / 10)));
+  }
+  :host([fit='cover']) .stage:focus-visible { outline: 0; }
+  :host([fit='cover']) .room:has(.stage:focus-visible) { outline: 3px solid Highlight; outline-offset: -3px; }
+  button {
+    position: absolute; right: 8px; bottom: 8px; width: 40px; height: 40px; padding: 8px; border: 0; border-radius: 8px;
+    background: rgb(0 0 0 / 55%); color: #fff; cursor: pointer; opacity: 0; transition: opacity 0.2s;
+  }
+  :host(:hover) button, button:focus-visible { opacity: 1; }
+  @media (hover: none) { button { opacity: 0.75; } }
+  button svg { display: block; width: 100%; height: 100%; fill: none; stroke: currentColor; stroke-width: 2; }
+  .error {
+    position: absolute; inset: 0; display: grid; place-content: center; gap: 4px; padding: 16px; box-sizing: border-box; overflow: auto;
+    background: #ececea; color: #333; font: 15px/1.45 system-ui, sans-serif; text-align: center;
+  }
+  .error p { margin: 0; }
+  .error .reason { color: #5c5c5c; font-size: 0.9em; }
 `;
+const CORNERS = 'M3 9V3h6M15 3h6v6M21 15v6h-6M9 21H3v-6';
 /** All that the viewer is made of: fetched at once, not as each names the next. */
 const MODULES = [
   'decode/grid.js',
@@ -52,13 +84,17 @@ const MODULES = [
   'draw/webgpu.js',
   'element/photo-addresses.js',
   'input/camera-control.js',
+  'input/gestures.js',
   'input/gyroscope.js',
   'input/motion.js',
+  'input/zoom.js',
   'view/camera.js',
   'view/canvas-size.js',
+  'view/detail.js',
   'view/display.js',
   'view/frame-pacing.js',
   'view/limits.js',
+  'view/outlook.js',
   'view/settings.js',
   'view/stage.js',
   'view/viewer.js',
@@ -80,31 +116,94 @@ function preload() {
 }
 
 class TmpiViewer extends HTMLElement {
-  static observedAttributes = ['src', 'view', 'alt', 'poster', 'loading', 'reveal', 'camera-controls', 'auto-rotate', 'still'];
+  static observedAttributes = [
+    'src',
+    'view',
+    'alt',
+    'poster',
+    'fullscreen',
+    'loading',
+    'reveal',
+    'camera-controls',
+    'auto-rotate',
+    'still',
+    'motion',
+    'speed',
+  ];
   /** @type {Viewer | null} */
   #viewer = null;
   /** @type {IntersectionObserver | null} */
   #seen = null;
   #loaded = false;
+  #sheet;
   #stage;
   #poster;
+  #posterSlot;
+  #error;
+  #full;
 
   constructor() {
     super();
     const sheet = new CSSStyleSheet();
     sheet.replaceSync(STYLE);
+    this.#sheet = new CSSStyleSheet();
     const shadow = this.attachShadow({ mode: 'open' });
-    shadow.adoptedStyleSheets = [sheet];
-    this.#poster = document.createElement('img');
-    this.#poster.className = 'poster';
+    shadow.adoptedStyleSheets = [sheet, this.#sheet];
+    this.#poster = make('img', 'poster');
     this.#poster.alt = '';
-    this.#stage = document.createElement('div');
-    this.#stage.className = 'stage';
+    this.#poster.loading = 'lazy';
+    this.#posterSlot = make('slot', '', this.#poster);
+    this.#posterSlot.name = 'poster';
+    // whichever picture there is tells the photo's shape before the photo comes
+    this.#posterSlot.addEventListener('load', ({ target }) => this.#shapeOf(target), true);
+    this.addEventListener('load', ({ target }) => this.#shapeOf(target), true);
+    this.#error = errorBox();
+    this.#full = fullscreenButton(() => this.#toggleFullscreen());
+    this.#stage = make('div', 'stage');
     this.#stage.tabIndex = 0;
     this.#stage.setAttribute('role', 'application');
     this.#stage.setAttribute('aria-roledescription', '3D photo');
     for (const type of ['pointerenter', 'pointerdown', 'focus']) this.#stage.addEventListener(type, () => this.#start());
-    shadow.append(this.#poster, this.#stage);
+    shadow.append(make('div', 'room', this.#posterSlot, this.#stage), this.#error, this.#full);
+  }
+
+  /**
+   * Takes over the shape of a picture of the photo.
+   * @param {EventTarget | null} picture
+   */
+  #shapeOf(picture) {
+    if (picture instanceof HTMLImageElement && !this.#viewer?.head) this.#shape(picture.naturalWidth, picture.naturalHeight);
+  }
+
+  /**
+   * The element's shape where CSS does not say another.
+   * @param {number} width
+   * @param {number} height
+   */
+  #shape(width, height) {
+    if (width > 0 && height > 0) this.#sheet.replaceSync(`:host { --tmpi-shape: ${width} / ${height}; }`);
+  }
+
+  async #toggleFullscreen() {
+    try {
+      if (document.fullscreenElement === this) await document.exitFullscreen();
+      else await this.requestFullscreen();
+    } catch {
+      // the page, or the frame that it is in, does not allow it
+      this.#full.hidden = true;
+    }
+  }
+
+  /**
+   * Says what the photo shows where it cannot be shown, and why.
+   * @param {string} reason
+   */
+  #fail(reason) {
+    const [alt, why] = this.#error.querySelectorAll('p');
+    alt.textContent = this.getAttribute('alt');
+    alt.hidden = !alt.textContent;
+    why.textContent = reason;
+    this.#error.hidden = false;
   }
 
   /** The viewer, once it has started; else null. */
@@ -130,6 +229,8 @@ class TmpiViewer extends HTMLElement {
 
   connectedCallback() {
     this.#describe();
+    // one that the page brought along may be there already
+    this.#shapeOf(this.querySelector('[slot=poster]'));
     this.#seen = new IntersectionObserver((entries) => this.#onSeen(entries[entries.length - 1].isIntersecting), { rootMargin: '200px' });
     this.#seen.observe(this);
     this.#maybeStart(false);
@@ -145,6 +246,7 @@ class TmpiViewer extends HTMLElement {
     if (!this.isConnected) return;
     this.#describe();
     if (name === 'still' || name === 'auto-rotate') this.#viewer?.setIdle(this.#movesByItself);
+    if ((name === 'motion' || name === 'speed') && this.#viewer) this.#viewer.settings = { ...this.#viewer.settings, ...this.#wander };
     if ((name === 'src' || name === 'view') && this.#viewer) {
       this.#stop();
       this.#start();
@@ -152,8 +254,14 @@ class TmpiViewer extends HTMLElement {
   }
 
   get #movesByItself() {
-    const off = this.hasAttribute('still') || OFF.has(this.getAttribute('auto-rotate') ?? '');
+    const off = this.hasAttribute('still') || this.getAttribute('motion') === 'none' || OFF.has(this.getAttribute('auto-rotate') ?? '');
     return !off && !matchMedia('(prefers-reduced-motion: reduce)').matches;
+  }
+
+  /** What the page says of moving by itself: settings (view/settings.js). */
+  get #wander() {
+    const [idle, speed] = [this.getAttribute('motion'), Number(this.getAttribute('speed'))];
+    return { ...(idle ? { idle } : {}), ...(speed > 0 ? { speed } : {}) };
   }
 
   /** @param {boolean} visible */
@@ -175,6 +283,7 @@ class TmpiViewer extends HTMLElement {
     this.#stage.setAttribute('aria-label', this.getAttribute('alt') ?? '3D photo');
     // the stage takes the input; without it the page scrolls and clicks as if a picture were there
     this.#stage.inert = OFF.has(this.getAttribute('camera-controls') ?? '');
+    this.#full.hidden = !document.fullscreenEnabled || OFF.has(this.getAttribute('fullscreen') ?? '');
     const poster = this.getAttribute('poster');
     if (poster) this.#poster.src = poster;
     else this.#poster.removeAttribute('src');
@@ -198,13 +307,17 @@ class TmpiViewer extends HTMLElement {
       atlas,
       view: given ? new URL(given, document.baseURI).href : beside(atlas, '/view'),
       report: beside(atlas, '/report'),
-      settings: state ? fetchSettings(state) : undefined,
+      settings: Promise.resolve(state ? fetchSettings(state) : {}).then((settings) => ({ ...settings, ...this.#wander })),
       embedded: true,
     });
     this.#viewer = viewer;
     if (!this.#movesByItself) viewer.setIdle(false);
     const fire = (/** @type {string} */ type, /** @type {object} */ detail) => this.dispatchEvent(new CustomEvent(type, { detail }));
-    viewer.addEventListener('photo', () => (this.#poster.hidden = true));
+    const known = () => viewer.head && this.#shape(viewer.head.width, viewer.head.height);
+    viewer.addEventListener('photo', () => {
+      known();
+      this.#posterSlot.hidden = true;
+    });
     viewer.addEventListener('progress', ({ detail }) =>
       fire('progress', { ...detail, totalProgress: detail.total ? detail.received / detail.total : 0 }),
     );
@@ -213,15 +326,60 @@ class TmpiViewer extends HTMLElement {
       fire('load', detail);
     });
     viewer.addEventListener('pose', () => fire('camera-change', { pose: viewer.pose }));
-    viewer.addEventListener('error', ({ detail }) => fire('error', detail));
+    viewer.addEventListener('error', ({ detail }) => {
+      // what cannot be had while the photo is shown needs no words over it
+      if (viewer.mode === 'failed') this.#fail(detail.message);
+      fire('error', detail);
+    });
   }
 
   #stop() {
     this.#viewer?.dispose();
     this.#viewer = null;
     this.#loaded = false;
-    this.#poster.hidden = false;
+    this.#posterSlot.hidden = false;
+    this.#error.hidden = true;
   }
+}
+
+/**
+ * @template {keyof HTMLElementTagNameMap} K
+ * @param {K} tag
+ * @param {string} className
+ * @param {Node[]} content
+ */
+function make(tag, className, ...content) {
+  const out = document.createElement(tag);
+  out.className = className;
+  out.append(...content);
+  return out;
+}
+
+/** What is seen where the photo cannot be shown: the page's own, or what the photo shows and why it does not. */
+function errorBox() {
+  const slot = make('slot', '', make('p', ''), make('p', 'reason'));
+  slot.name = 'error';
+  const box = make('div', 'error', slot);
+  box.part.add('error');
+  box.setAttribute('role', 'alert');
+  box.hidden = true;
+  return box;
+}
+
+/** @param {() => void} onClick */
+function fullscreenButton(onClick) {
+  const svg = document.createElementNS('http://www.w3.org/2000/svg', 'svg');
+  const path = document.createElementNS('http://www.w3.org/2000/svg', 'path');
+  path.setAttribute('d', CORNERS);
+  svg.setAttribute('viewBox', '0 0 24 24');
+  svg.setAttribute('aria-hidden', 'true');
+  svg.append(path);
+  const button = make('button', '', svg);
+  button.type = 'button';
+  button.part.add('fullscreen');
+  button.setAttribute('aria-label', 'Full screen');
+  button.addEventListener('click', onClick);
+  return button;
 }
 
 if (!customElements.get('tmpi-viewer')) customElements.define('tmpi-viewer', TmpiViewer);

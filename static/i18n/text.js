@@ -30,6 +30,7 @@ const STAGES = {
   photo: 'Reading the photo',
   depth: 'Estimating depth',
   denoise: 'Cleaning the depth',
+  strokes: 'Touching up the depth',
   snap: 'Sharpening depth edges',
   planes: 'Placing planes',
   layers: 'Building layers',

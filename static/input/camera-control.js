@@ -1,11 +1,14 @@
 // Where the camera is: how far it was moved, within what the photo allows and its owner wants.
-import { HOME, lookingAt, POSE_KEYS, pivotOf, UNKNOWN_PIVOT } from '../view/camera.js';
+import { HOME, lookingAt, magnified, POSE_KEYS, WHOLE } from '../view/camera.js';
 import { limitsOf } from '../view/limits.js';
-import { limited, offsetOf } from '../view/settings.js';
+import { outlookOf, overscan } from '../view/outlook.js';
+import { offsetOf, placeOf, sharesOf } from '../view/settings.js';
+import { STYLES } from './motion.js';
 
 /** @import { Offset, Scene, SceneHead } from '../decode/scene.js' */
 /** @import { Motion } from './motion.js' */
-/** @import { Pose } from '../view/camera.js' */
+/** @import { Frame, Pose } from '../view/camera.js' */
+/** @import { Outlook } from '../view/outlook.js' */
 /** @import { Settings } from '../view/settings.js' */
 
 /** Offsets for the server are rounded to this many steps over half the view box, so that its pictures can be kept. */
@@ -21,7 +24,11 @@ export class CameraControl {
    * Disparity that views turn about.
    * @type {number}
    */
-  pivot = UNKNOWN_PIVOT;
+  pivot = 0.35;
+  /** What the photo itself goes of the view box where its owner does not say: shares. */
+  usual = { x: 1, y: 1, z: 1 };
+  /** Of its way, what the camera goes: less where one looks closer, since everything moves as much farther. */
+  damping = 1;
   /**
    * What the photo's owner wants (view/settings.js).
    * @type {Settings}
@@ -33,6 +40,10 @@ export class CameraControl {
   #head = null;
   /** @type {Scene | null} */
   #scene = null;
+  /** @type {Outlook} */
+  #outlook = { travel: { x: 0, y: 0, z: 0 }, pivot: 0.35, nearest: { x: 0.5, y: 0.5 } };
+  /** @type {Scene | SceneHead | null} */
+  #looked = null;
   /** @type {Pose | null} */
   #exact = null;
 
@@ -55,14 +66,49 @@ export class CameraControl {
   /** @param {Settings} settings */
   obey(settings) {
     this.settings = settings;
-    if (!this.touched && settings.start) this.motion.jump(offsetOf(settings.start, settings));
-    this.#update();
+    this.motion.wander(settings.idle ?? STYLES[0], settings.speed ?? 1);
+    this.#update(true);
   }
 
-  #update() {
+  /** What the camera goes of the view box now. */
+  get shares() {
+    return sharesOf(this.settings, this.usual);
+  }
+
+  /** Where it is in the view box. */
+  get place() {
+    return placeOf(this.motion.now, this.shares);
+  }
+
+  #update(start = false) {
     if (!this.#head) return;
-    this.limits = limited(limitsOf(this.#head), this.settings);
-    this.pivot = this.settings.focus ?? pivotOf(this.#scene ?? this.#head);
+    const most = limitsOf(this.#head);
+    const known = this.#scene ?? this.#head;
+    // it does not change once the scene is there
+    if (this.#looked !== known) this.#outlook = outlookOf(known);
+    const fresh = start || this.#looked !== known;
+    this.#looked = known;
+    const { travel, pivot } = this.#outlook;
+    const share = (/** @type {'x' | 'y' | 'z'} */ axis) => (most[axis] > 0 ? Math.min(1, travel[axis] / most[axis]) : 1);
+    this.usual = { x: share('x'), y: share('y'), z: share('z') };
+    this.limits = placeOf(most, this.shares);
+    this.pivot = this.settings.focus ?? pivot;
+    if (fresh && !this.touched && this.settings.start) this.motion.jump(offsetOf(this.settings.start, this.shares));
+  }
+
+  /**
+   * The part of the photo that `frame` shows, as the camera moves: a little less where it is away from its place, and what the ways of
+   * moving by itself do with the lens.
+   * @param {Frame} frame
+   */
+  framed(frame) {
+    if (this.held || !this.#head || !this.limits) return frame;
+    const { motion, pivot } = this;
+    const most = overscan(this.#head, this.limits, pivot);
+    const over = 1 + (most - 1) * motion.away;
+    const back = 1 - motion.compensated * this.pose.tz * pivot;
+    const about = magnified(frame, over * back, WHOLE);
+    return magnified(about, motion.magnified, this.#outlook.nearest);
   }
 
   /** Somebody moved it. */
@@ -99,8 +145,8 @@ export class CameraControl {
   /** @param {Offset} offset */
   #at(offset) {
     if (!this.limits) return { ...HOME };
-    const { x, y, z } = this.limits;
-    return lookingAt(this.pivot, offset.x * x, offset.y * y, offset.z * z);
+    const { x, y, z } = placeOf(this.limits, offset);
+    return lookingAt(this.pivot, x * this.damping, y * this.damping, z * this.damping);
   }
 }
 

@@ -1,5 +1,5 @@
-// Where the camera should be: takes pointer, touch, wheel and keys, keeps to the view box, and eases there.
-// All offsets are in units of the view box's half extents: -1 to 1 on each axis.
+// Where the camera should be: takes what moves it, or moves it by itself, keeps to the limits, and eases there.
+// All offsets are in units of the limits' half extents: -1 to 1 on each axis.
 
 /** @import { Offset } from '../decode/scene.js' */
 
@@ -9,13 +9,18 @@ const EASE_S = 0.11;
 /** Longest step that the spring takes at once, so that a pause does not make it jump. */
 const MAX_STEP_S = 0.05;
 const REST = 1e-4;
-/** Idle motion: period, extents, and how long after the last input it starts and how long it takes to swell. */
-const SWING = { period: 8, x: 0.75, y: 0.3, delay: 1.6, swell: 2.5 };
+/** Idle motion: period, how far it goes, and how long after the last input it starts and how long it takes to swell. */
+const IDLE = { period: 8, far: 0.75, delay: 1.6, swell: 2.5 };
+/** Ways of moving by itself; films have the same (crates/render/src/animation.rs). */
+export const STYLES = Object.freeze(['swing', 'orbit', 'dolly', 'dolly-zoom', 'zoom']);
+/** How much narrower the lens looks at the end of `zoom`. */
+const ZOOM = 1.3;
+/** Time constant with which the frame gets a little closer where the camera leaves its place, seconds, and from which offset it does. */
+const FRAME_S = 0.5;
+const AWAY = 0.02;
 /** Beyond the limits a drag goes on with less and less effect; this is how sharp the knee is. */
 const KNEE = 3;
 const MAX_RAW = 2.5;
-const KEY_STEP = 0.2;
-const WHEEL_STEP = 1 / 600;
 
 /**
  * Smooth clamp of any number to (-1, 1); close to the identity around 0.
@@ -42,9 +47,43 @@ export class Motion {
     this.idle = false;
     /** True while something else than the pointer aims: a mouse that only hovers must not fight it. */
     this.steered = false;
-    this.quiet = SWING.delay;
+    this.quiet = IDLE.delay;
     this.phase = 0;
     this.level = 0;
+    /** How it moves by itself, one of `STYLES`, and how fast: times the usual. */
+    this.style = STYLES[0];
+    this.rate = 1;
+    /** From 0, at the photo's own place, to 1, away from it. */
+    this.away = 0;
+    /** True while it waits at a turn of idle motion. */
+    this.paused = false;
+  }
+
+  /** Where idle motion has the camera now. */
+  get #wander() {
+    const [sin, cos] = [Math.sin(this.phase) * IDLE.far, Math.cos(this.phase) * IDLE.far];
+    const way = (1 - Math.cos(this.phase)) / 2;
+    if (this.style === 'orbit') return { x: sin, y: cos, z: 0 };
+    if (this.style === 'dolly') return { x: 0, y: 0, z: sin };
+    if (this.style === 'dolly-zoom') return { x: 0, y: 0, z: -way };
+    if (this.style === 'zoom') return { x: 0, y: 0, z: way };
+    return { x: sin, y: 0.4 * IDLE.far * Math.sin(this.phase * 2), z: 0 };
+  }
+
+  /** How often it has turned back. */
+  get #turns() {
+    const sideways = this.style === 'swing' || this.style === 'dolly';
+    return Math.floor(this.phase / Math.PI + (sideways ? 0.5 : 0));
+  }
+
+  /** How much larger the lens shows the photo now than where the camera stands does, about the nearest things. */
+  get magnified() {
+    return this.style === 'zoom' ? 1 + ((ZOOM - 1) * this.level * (1 - Math.cos(this.phase))) / 2 : 1;
+  }
+
+  /** How much of a step forward or back the lens makes up for: 0 to 1. */
+  get compensated() {
+    return this.style === 'dolly-zoom' ? this.level : 0;
   }
 
   /**
@@ -96,7 +135,17 @@ export class Motion {
   /** @param {boolean} on */
   setIdle(on) {
     this.idle = on;
-    this.quiet = on ? SWING.delay : 0;
+    this.quiet = on ? IDLE.delay : 0;
+  }
+
+  /**
+   * Changes how it moves by itself; a style that is not known is left as it is.
+   * @param {string | undefined} style
+   * @param {number | undefined} rate times the usual speed
+   */
+  wander(style, rate) {
+    if (style && STYLES.includes(style)) this.style = style;
+    if (rate && rate > 0) this.rate = Math.min(4, Math.max(0.25, rate));
   }
 
   /**
@@ -105,21 +154,38 @@ export class Motion {
    */
   step(dt) {
     this.quiet += dt;
-    const swinging = this.idle && this.quiet > SWING.delay;
-    this.level = Math.max(0, Math.min(1, this.level + (swinging ? dt : -dt * 4) / SWING.swell));
-    if (this.level > 0) this.phase += (dt * 2 * Math.PI) / SWING.period;
-    // where the pointer left the camera fades out as the swing fades in
+    const swinging = this.idle && this.quiet > IDLE.delay;
+    this.level = Math.max(0, Math.min(1, this.level + (swinging ? dt : -dt * 4) / IDLE.swell));
+    const turns = this.#turns;
+    if (this.level > 0) this.phase += (dt * 2 * Math.PI * this.rate) / IDLE.period;
+    else this.phase = 0;
+    this.paused = swinging && this.#turns !== turns;
+    // where the pointer left the camera fades out as idle motion fades in
     const rest = 1 - this.level;
+    const wander = this.#wander;
     const target = {
-      x: softLimit(this.raw.x) * rest + Math.sin(this.phase) * SWING.x * this.level,
-      y: softLimit(this.raw.y) * rest + Math.sin(this.phase * 2) * SWING.y * this.level,
-      z: softLimit(this.raw.z),
+      x: softLimit(this.raw.x) * rest + wander.x * this.level,
+      y: softLimit(this.raw.y) * rest + wander.y * this.level,
+      z: softLimit(this.raw.z) * rest + wander.z * this.level,
     };
     let moving = this.idle || this.level > 0;
     for (let left = Math.min(dt, 4 * MAX_STEP_S); left > 0; left -= MAX_STEP_S) {
       for (const axis of AXES) moving = this.#spring(axis, target[axis], Math.min(left, MAX_STEP_S)) || moving;
     }
-    return moving;
+    return this.#leave(dt) || moving;
+  }
+
+  /**
+   * Follows with `away`; true while it changes.
+   * @param {number} dt
+   */
+  #leave(dt) {
+    const gone = this.level > 0 || AXES.some((axis) => Math.abs(this.now[axis]) > AWAY || Math.abs(this.raw[axis]) > AWAY);
+    const target = gone ? 1 : 0;
+    this.away = target + (this.away - target) * Math.exp(-dt / FRAME_S);
+    if (Math.abs(this.away - target) > 1e-3) return true;
+    this.away = target;
+    return false;
   }
 
   /**
@@ -139,112 +205,4 @@ export class Motion {
     this.speed[axis] = 0;
     return false;
   }
-}
-
-/**
- * Listens on `element` and drives `motion`. `wake` is called after every input; `toggleIdle` on the space bar. `embedded`: the
- * wheel scrolls the page unless the element has the focus.
- * @param {HTMLElement} element
- * @param {Motion} motion
- * @param {{wake: () => void, toggleIdle: () => void, embedded?: boolean}} on
- * @returns {() => void} stops listening
- */
-export function listen(element, motion, { wake, toggleIdle, embedded }) {
-  const stop = new AbortController();
-  /**
-   * @template {keyof HTMLElementEventMap} K
-   * @param {K} type
-   * @param {(event: HTMLElementEventMap[K]) => void} handler
-   * @param {AddEventListenerOptions} [options]
-   */
-  const on = (type, handler, options) => element.addEventListener(type, handler, { signal: stop.signal, ...options });
-  /** @type {Map<number, {x: number, y: number}>} */
-  const pointers = new Map();
-  // after a drag the camera stays where it was put until the pointer comes back
-  let hovering = true;
-
-  on('pointerdown', (event) => {
-    if (event.button !== 0) return;
-    element.setPointerCapture(event.pointerId);
-    pointers.set(event.pointerId, { x: event.clientX, y: event.clientY });
-    hovering = false;
-  });
-  on('pointermove', (event) => {
-    const box = element.getBoundingClientRect();
-    const last = pointers.get(event.pointerId);
-    if (last) drag(event, last, box);
-    else if (event.pointerType === 'mouse' && hovering && !motion.steered) {
-      // as in a drag, near things follow the pointer
-      motion.aim(1 - ((event.clientX - box.left) / box.width) * 2, 1 - ((event.clientY - box.top) / box.height) * 2);
-      wake();
-    }
-  });
-  const release = (/** @type {PointerEvent} */ event) => pointers.delete(event.pointerId);
-  on('pointerup', release);
-  on('pointercancel', release);
-  on('pointerenter', () => (hovering = pointers.size === 0));
-  on('pointerleave', (event) => {
-    if (event.pointerType === 'mouse' && hovering && !motion.steered) {
-      motion.aim(0, 0);
-      wake();
-    }
-  });
-
-  /**
-   * @param {PointerEvent} event
-   * @param {{x: number, y: number}} last
-   * @param {DOMRect} box
-   */
-  function drag(event, last, box) {
-    const before = spread();
-    const share = pointers.size;
-    // near things follow the pointer, so the camera goes the other way
-    const dx = (-4 * (event.clientX - last.x)) / box.width / share;
-    const dy = (-4 * (event.clientY - last.y)) / box.width / share;
-    pointers.set(event.pointerId, { x: event.clientX, y: event.clientY });
-    const dz = before ? (spread() - before) / (box.width / 3) : 0;
-    motion.nudge(dx, dy, dz);
-    wake();
-  }
-
-  /** Distance of two touching fingers, or 0. */
-  function spread() {
-    if (pointers.size !== 2) return 0;
-    const [a, b] = [...pointers.values()];
-    return Math.hypot(a.x - b.x, a.y - b.y);
-  }
-
-  on(
-    'wheel',
-    (event) => {
-      if (embedded && !element.matches(':focus')) return;
-      event.preventDefault();
-      const lines = event.deltaMode === WheelEvent.DOM_DELTA_LINE ? 16 : 1;
-      motion.nudge(0, 0, -event.deltaY * lines * WHEEL_STEP);
-      wake();
-    },
-    { passive: false },
-  );
-
-  /** @type {Record<string, () => void>} */
-  const keys = {
-    ArrowLeft: () => motion.nudge(-KEY_STEP, 0, 0),
-    ArrowRight: () => motion.nudge(KEY_STEP, 0, 0),
-    ArrowUp: () => motion.nudge(0, -KEY_STEP, 0),
-    ArrowDown: () => motion.nudge(0, KEY_STEP, 0),
-    '+': () => motion.nudge(0, 0, KEY_STEP),
-    '=': () => motion.nudge(0, 0, KEY_STEP),
-    '-': () => motion.nudge(0, 0, -KEY_STEP),
-    0: () => motion.home(),
-    Home: () => motion.home(),
-    ' ': toggleIdle,
-  };
-  on('keydown', (event) => {
-    const action = keys[event.key];
-    if (!action || event.ctrlKey || event.metaKey || event.altKey) return;
-    event.preventDefault();
-    action();
-    wake();
-  });
-  return () => stop.abort();
 }

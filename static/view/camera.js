@@ -61,6 +61,38 @@ export function resized(k, from, to) {
 }
 
 /**
+ * Which part of a photo a picture shows: the photo's width in units of the picture's, and the place in the picture's middle, in shares
+ * of the photo's width and height.
+ * @typedef {{scale: number, x: number, y: number}} Frame
+ */
+
+/** @type {Readonly<Frame>} */
+export const WHOLE = Object.freeze({ scale: 1, x: 0.5, y: 0.5 });
+
+/**
+ * The camera of a picture of size `to` that shows a part of the photo.
+ * @param {SceneHead} head
+ * @param {{width: number, height: number}} to
+ * @param {Frame} frame
+ * @returns {Intrinsics}
+ */
+export function framed({ intrinsics: k, width, height }, to, { scale, x, y }) {
+  const s = (to.width * scale) / width;
+  return { fx: k.fx * s, fy: k.fy * s, cx: (k.cx - x * width) * s + to.width / 2, cy: (k.cy - y * height) * s + to.height / 2 };
+}
+
+/**
+ * A frame over a picture that is itself `by` times as large, while `place` stays where it is.
+ * @param {Frame} frame
+ * @param {number} by
+ * @param {{x: number, y: number}} place
+ * @returns {Frame}
+ */
+export function magnified({ scale, x, y }, by, place) {
+  return { scale: scale * by, x: place.x + (x - place.x) / by, y: place.y + (y - place.y) / by };
+}
+
+/**
  * Horizontal field of view in degrees.
  * @param {Intrinsics} k
  * @param {number} width
@@ -99,32 +131,6 @@ export function lookingAt(pivot, tx, ty, tz) {
   return { tx, ty, tz, yaw, pitch, roll: 0 };
 }
 
-/** Pivot where only the head of a scene is known. */
-export const UNKNOWN_PIVOT = 0.35;
-/**
- * The disparity that views turn about: that at the middle of the picture's area.
- * @param {Scene | SceneHead} scene
- */
-export function pivotOf(scene) {
-  if (!('layers' in scene)) return UNKNOWN_PIVOT;
-  const { layers } = scene;
-  const BINS = 256;
-  const area = new Float64Array(BINS);
-  let total = 0;
-  for (let i = 0; i < layers.count; i++) {
-    const delta = deltaAt(scene, i, layers.x[i] + layers.w[i] / 2, layers.y[i] + layers.h[i] / 2);
-    area[Math.min(BINS - 1, Math.max(0, Math.floor(delta * BINS)))] += layers.visible[i];
-    total += layers.visible[i];
-  }
-  if (total === 0) return UNKNOWN_PIVOT;
-  let sum = 0;
-  for (let bin = 0; bin < BINS; bin++) {
-    sum += area[bin];
-    if (sum >= total / 2) return (bin + 0.5) / BINS;
-  }
-  return 1;
-}
-
 /**
  * δ of layer `i` at a reference pixel.
  * @param {Pick<Scene, 'layers' | 'tileSize'>} scene
@@ -146,10 +152,11 @@ export const EYES = 1 / 30;
  * @param {SceneHead} head
  * @param {{width: number, height: number}} size
  * @param {number} focus
+ * @param {Frame} [frame]
  */
-export function eyes(pose, head, size, focus) {
+export function eyes(pose, head, size, focus, frame = WHOLE) {
   const [width, height] = [Math.floor(size.width / 2), size.height];
-  const k = resized(head.intrinsics, head, { width, height });
+  const k = framed(head, { width, height }, frame);
   return [-EYES / 2, EYES / 2].map((shift, i) => shifted({ pose, k, x: i * width, width, height }, [shift, 0], focus));
 }
 

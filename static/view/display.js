@@ -2,16 +2,16 @@
 
 import { DepthOfField } from '../draw/depth-of-field/aperture.js';
 import { TileErrors } from '../draw/tile-errors.js';
-import { eyes, resized } from './camera.js';
+import { eyes, framed } from './camera.js';
 
 /** @import { SceneHead } from '../decode/scene.js' */
 /** @import { WebGlRenderer } from '../draw/webgl.js' */
 /** @import { WebGpuRenderer } from '../draw/webgpu.js' */
-/** @import { Pose } from './camera.js' */
+/** @import { Frame, Pose } from './camera.js' */
 
 /**
- * What is seen: a pose, the head of the scene, the disparity that views turn about.
- * @typedef {{pose: Pose, head: SceneHead, pivot: number}} Seen
+ * What is seen: a pose, the head of the scene, the disparity that views turn about, and which part of the photo the picture shows.
+ * @typedef {{pose: Pose, head: SceneHead, pivot: number, frame: Frame}} Seen
  */
 /** @typedef {WebGpuRenderer | WebGlRenderer} Renderer */
 
@@ -46,45 +46,54 @@ export class Display {
    * @param {Renderer} renderer
    * @param {Seen & {canvas: {width: number, height: number}, moving: boolean}} seen
    */
-  draw(renderer, { pose, head, canvas, pivot, moving }) {
+  draw(renderer, { pose, head, canvas, pivot, moving, frame }) {
     const { width, height } = canvas;
-    const views = this.stereo
-      ? eyes(pose, head, canvas, pivot)
-      : [{ pose, k: resized(head.intrinsics, head, canvas), x: 0, width, height }];
+    const views = this.stereo ? eyes(pose, head, canvas, pivot, frame) : [{ pose, k: framed(head, canvas, frame), x: 0, width, height }];
     if (this.depthOfField.on) return this.depthOfField.draw(renderer, views, pivot, moving);
     renderer.draw(views);
     return 1;
   }
 
+  /** True where nothing but the photo as it is is drawn, through a pinhole and for one eye: then finer parts may lie over it. */
+  get plain() {
+    return !this.stereo && !this.depthOfField.on && this.overlay === OVERLAYS[0];
+  }
+
   /**
-   * The view in the photo's size as a PNG file, as it is drawn for one eye.
+   * The view as a PNG file, as it is drawn for one eye: in the photo's size where all of it is seen, else in that of the screen.
    * @param {Renderer} renderer
    * @param {Seen} seen
+   * @param {{width: number, height: number} | null} closer size of the picture where only a part is seen
+   * @param {Renderer} [detail] what draws finer parts over it
    */
-  async picture(renderer, { pose, head, pivot }) {
-    const { width, height, intrinsics: k } = head;
+  async picture(renderer, { pose, head, pivot, frame }, closer, detail) {
+    const { width, height } = closer ?? head;
+    const k = framed(head, { width, height }, frame);
     const pixels = this.depthOfField.on
       ? await this.depthOfField.pixels(renderer, { pose, k, x: 0, width, height }, pivot)
       : await renderer.readPixels(pose, k, width, height);
     const canvas = new OffscreenCanvas(width, height);
-    canvas.getContext('2d')?.putImageData(new ImageData(pixels, width, height), 0, 0);
+    const context = canvas.getContext('2d');
+    context?.putImageData(new ImageData(pixels, width, height), 0, 0);
+    if (detail)
+      context?.drawImage(await createImageBitmap(new ImageData(await detail.readPixels(pose, k, width, height), width, height)), 0, 0);
     return canvas.convertToBlob({ type: 'image/png' });
   }
 
   /**
    * Disparity of what is seen at a place of the view, shares of its width and height from the upper left.
    * @param {Renderer} renderer
-   * @param {Seen} seen
+   * @param {Seen & {canvas: {width: number, height: number}}} seen
    * @param {number} x
    * @param {number} y
    */
-  async disparityAt(renderer, { pose, head }, x, y) {
+  async disparityAt(renderer, { pose, head, frame, canvas }, x, y) {
     // as coarse as a finger
     const width = Math.min(head.width, 256);
-    const height = Math.max(1, Math.round((head.height * width) / head.width));
+    const height = Math.max(1, Math.round((canvas.height * width) / canvas.width));
     const { overlay } = renderer;
     renderer.overlay = OVERLAYS.indexOf('depth');
-    const depth = renderer.readPixels(pose, resized(head.intrinsics, head, { width, height }), width, height);
+    const depth = renderer.readPixels(pose, framed(head, { width, height }, frame), width, height);
     // it is drawn by now, and only not read yet
     renderer.overlay = overlay;
     const at = (/** @type {number} */ v, /** @type {number} */ side) => Math.max(0, Math.min(side - 1, Math.floor(v * side)));

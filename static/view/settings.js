@@ -9,6 +9,8 @@
  * @property {Offset} [motion] shares of the view box that the camera goes
  * @property {number} [focus] disparity that views turn about
  * @property {Offset} [start] where the camera starts, in the view box
+ * @property {string} [idle] how it moves by itself, one of `STYLES` (input/motion.js), or `none`
+ * @property {number} [speed] times the usual
  * @property {Offset} [poster] where the picture of the list is taken from
  */
 
@@ -24,29 +26,30 @@ export function settingsOf(state) {
 }
 
 /**
- * The camera's limits, less where the settings say so.
- * @param {Offset} limits
+ * What the camera goes of a view box: what the settings say, else what the photo itself does.
  * @param {Settings} settings
+ * @param {Offset} usual shares of the view box
+ * @returns {Offset}
  */
-export function limited({ x, y, z }, { motion }) {
-  return motion ? { x: x * motion.x, y: y * motion.y, z: z * motion.z } : { x, y, z };
+export function sharesOf({ motion }, usual) {
+  return motion ? { ...motion } : usual;
 }
 
 /**
- * A place in the view box as an offset within the limits that `motion` leaves of it.
+ * A place in the view box as an offset within the limits that `shares` leave of it.
  * @param {Offset} place
- * @param {Settings} settings
+ * @param {Offset} shares
  */
-export function offsetOf(place, { motion }) {
+export function offsetOf(place, shares) {
   const within = (/** @type {number} */ v, /** @type {number} */ most) => (most > 0 ? Math.max(-1, Math.min(1, v / most)) : 0);
-  return motion ? { x: within(place.x, motion.x), y: within(place.y, motion.y), z: within(place.z, motion.z) } : { ...place };
+  return { x: within(place.x, shares.x), y: within(place.y, shares.y), z: within(place.z, shares.z) };
 }
 
 /**
  * The reverse: where in the view box an offset is.
  * @param {Offset} offset
- * @param {Settings} settings
+ * @param {Offset} shares
  */
-export function placeOf(offset, { motion }) {
-  return motion ? { x: offset.x * motion.x, y: offset.y * motion.y, z: offset.z * motion.z } : { ...offset };
+export function placeOf(offset, shares) {
+  return { x: offset.x * shares.x, y: offset.y * shares.y, z: offset.z * shares.z };
 }

@@ -1,10 +1,14 @@
 // What lies in the viewer's element: the photo, and over it the canvas that the scene is drawn on.
 import { fitted } from './canvas-size.js';
 
+/** @import { Frame } from './camera.js' */
+
 export class Stage {
   #root;
   /** @type {HTMLCanvasElement | null} */
   #canvas = null;
+  /** @type {HTMLCanvasElement | null} */
+  #detail = null;
   #address = '';
 
   /** @param {HTMLElement} root that the pictures are put into */
@@ -28,30 +32,62 @@ export class Stage {
     this.#adopt(canvas, 'tmpi-canvas');
   }
 
+  /** What finer parts of the scene are drawn on, over it, or null. */
+  get detail() {
+    return this.#detail;
+  }
+
+  set detail(canvas) {
+    if (this.#detail !== canvas) this.#detail?.remove();
+    this.#detail = canvas;
+    if (!canvas || canvas.parentElement) return;
+    canvas.setAttribute('aria-hidden', 'true');
+    // the next layout has it too
+    if (this.#canvas) [canvas.style.width, canvas.style.height] = [this.#canvas.style.width, this.#canvas.style.height];
+    this.#adopt(canvas, 'tmpi-canvas');
+  }
+
   /** @param {Blob} file of the photo */
   showPhoto(file) {
     this.#address = URL.createObjectURL(file);
     this.poster.src = this.#address;
   }
 
+  /** Size of the root, CSS pixels. */
+  get room() {
+    return { width: this.#root.clientWidth, height: this.#root.clientHeight };
+  }
+
   /**
-   * Fits the pictures into the root, whole.
+   * CSS pixels of a picture of that aspect that is shown whole, or null where the root has no area.
    * @param {number} aspect
-   * @returns {{width: number, height: number} | null} their size in CSS pixels, or null where the root has no area
    */
   fit(aspect) {
-    const size = fitted(this.#root, aspect);
-    for (const element of size ? [this.poster, this.#canvas] : []) {
+    return fitted(this.#root, aspect);
+  }
+
+  /**
+   * Lays the pictures out: what is drawn in its size, the photo as large as the frame asks for; all CSS pixels.
+   * @param {{width: number, height: number}} size of the pictures
+   * @param {{width: number, height: number}} fit of the whole photo
+   * @param {Frame} frame of the photo in the pictures
+   * @param {boolean} drawn whether the photo's element shows views that are drawn already
+   */
+  lay(size, fit, frame, drawn) {
+    for (const element of [this.poster, this.#canvas, this.#detail]) {
       if (!element) continue;
-      element.style.width = `${size?.width}px`;
-      element.style.height = `${size?.height}px`;
+      const own = element === this.poster && !drawn ? fit : size;
+      element.style.width = `${own.width}px`;
+      element.style.height = `${own.height}px`;
     }
-    return size;
+    const scale = (frame.scale * size.width) / fit.width;
+    const still = drawn || scale === 1;
+    this.poster.style.transform = still ? '' : `scale(${scale}) translate(${(0.5 - frame.x) * 100}%, ${(0.5 - frame.y) * 100}%)`;
   }
 
   dispose() {
     this.poster.remove();
-    this.canvas = null;
+    this.canvas = this.detail = null;
     if (this.#address) URL.revokeObjectURL(this.#address);
   }
 

@@ -11,10 +11,13 @@ import { startDecoder } from '../decode/start.js';
 import { Backends } from '../draw/backends.js';
 import { ServerViews } from '../draw/server-views.js';
 import { CameraControl } from '../input/camera-control.js';
+import { listen } from '../input/gestures.js';
 import { Tilt } from '../input/gyroscope.js';
-import { listen, Motion } from '../input/motion.js';
+import { Motion } from '../input/motion.js';
+import { Zoom } from '../input/zoom.js';
 import { fovX, resized } from './camera.js';
 import { pixelRatio, setPixels } from './canvas-size.js';
+import { Detail } from './detail.js';
 import { Display } from './display.js';
 import { FramePacing } from './frame-pacing.js';
 import { Stage } from './stage.js';
@@ -25,6 +28,9 @@ import { Stage } from './stage.js';
 /** @import { Headset } from '../input/xr.js' */
 /** @import { Pose } from './camera.js' */
 /** @import { Settings } from './settings.js' */
+
+/** How long idle motion rests at a turn where the machine is too slow to draw all pixels while it moves, ms. */
+const REST_MS = 1500;
 
 export class Viewer extends EventTarget {
   /** @type {Worker | null} */
@@ -39,6 +45,13 @@ export class Viewer extends EventTarget {
   #tilt;
   #asleep = false;
   #pacing = new FramePacing();
+  #zoom = new Zoom();
+  /** @type {Detail | null} */
+  #detail = null;
+  /** @type {{width: number, height: number} | null} */
+  #full = null;
+  /** @type {ReturnType<typeof setTimeout> | undefined} */
+  #rest;
   #disposed = false;
   #stopListening;
   #resizes;
@@ -47,9 +60,10 @@ export class Viewer extends EventTarget {
   /**
    * @param {HTMLElement} root focusable element that takes the input and holds the pictures
    * @param {{atlas: string, view?: string, report?: string, offset?: {x: number, y: number, z: number}, embedded?: boolean,
-   *   settings?: object | Promise<object>}} options addresses of the container, of the views that the server draws and of the photo's
+   *   settings?: object | Promise<object>, full?: Promise<{width?: number, height?: number} | undefined>}} options addresses of the container, of the views that the server draws and of the photo's
    *   report; where the camera starts, in units of the view box; whether the viewer is a part of a page that scrolls; what the photo's
-   *   owner wants (settings.js), which the camera's start given here overrules
+   *   owner wants (settings.js), which the camera's start given here overrules; the photo's own size, where the container is a smaller
+   *   level of it
    */
   constructor(root, options) {
     super();
@@ -71,7 +85,8 @@ export class Viewer extends EventTarget {
     if (options.offset) this.motion.jump(options.offset);
     this.#camera.touched = Boolean(options.offset);
     Promise.resolve(options.settings ?? {}).then((settings) => this.#obey(settings));
-    this.#stopListening = listen(root, this.motion, {
+    options.full?.then((size) => this.#knowFull(size));
+    this.#stopListening = listen(root, this.motion, this.#zoom, {
       wake: () => this.#moved(),
       toggleIdle: () => this.setIdle(!this.idle),
       embedded: options.embedded,
@@ -133,8 +148,35 @@ export class Viewer extends EventTarget {
   #obey(settings) {
     if (this.#disposed) return;
     this.#camera.obey(settings);
+    if (settings.idle === 'none') this.setIdle(false);
     this.render();
     this.#emit('pose');
+  }
+
+  /** What the photo itself goes of the view box where its owner does not say: shares. */
+  get usual() {
+    return this.#camera.usual;
+  }
+
+  /** Where the camera is in the view box. */
+  get place() {
+    return this.#camera.place;
+  }
+
+  /** How large the photo is shown: 1 where all of it is seen, `own` where its pixels are those of the screen, `most` at the closest. */
+  get zoom() {
+    const { now, own, most } = this.#zoom;
+    return { ...now, own, most };
+  }
+
+  /**
+   * Comes closer by a factor, about a place given in CSS pixels from the middle.
+   * @param {number} by
+   * @param {{x: number, y: number}} [at]
+   */
+  zoomBy(by, at = { x: 0, y: 0 }) {
+    this.#zoom.by(by, at);
+    this.#wake();
   }
 
   /** Half extents of where the camera goes, in units of the nearest distance, or null before that is known. */
@@ -205,9 +247,10 @@ export class Viewer extends EventTarget {
    * @param {number} y
    */
   async focusAt(x, y) {
+    const { canvas } = this;
     const seen = this.#seen;
-    if (!this.renderer || !seen || this.stereo) return;
-    this.#display.depthOfField.focus = await this.#display.disparityAt(this.renderer, seen, x, y);
+    if (!this.renderer || !seen || !canvas || this.stereo) return;
+    this.#display.depthOfField.focus = await this.#display.disparityAt(this.renderer, { ...seen, canvas }, x, y);
     this.render();
   }
 
@@ -236,17 +279,20 @@ export class Viewer extends EventTarget {
     return this.#tilt.on;
   }
 
-  /** The view at the present pose as a PNG file, in the photo's size. */
+  /** The view at the present pose as a PNG file, in the photo's size; where only a part is seen, in that of the screen. */
   async picture() {
     const seen = this.#seen;
     if (!this.renderer || !seen) throw new Error('a picture can be taken only where the browser draws');
-    return this.#display.picture(this.renderer, seen);
+    const { width, height } = this.#zoom.size;
+    const ratio = pixelRatio();
+    const closer = this.#zoom.close ? { width: Math.round(width * ratio), height: Math.round(height * ratio) } : null;
+    return this.#display.picture(this.renderer, seen, closer, closer ? this.#detailed : undefined);
   }
 
   /** What is seen now, or null before the head of the scene is known. */
   get #seen() {
     const { pose, head, pivot, moving } = this;
-    return head && { pose, head, pivot, moving };
+    return head && { pose, head, pivot, moving, frame: this.#camera.framed(this.#zoom.frame) };
   }
 
   /** True while nobody sees it: it draws nothing then. */
@@ -265,6 +311,7 @@ export class Viewer extends EventTarget {
   /** Eases back to where the photo was taken. */
   reset() {
     this.motion.home();
+    this.#zoom.home();
     this.#moved();
   }
 
@@ -307,6 +354,7 @@ export class Viewer extends EventTarget {
     if (this.renderer?.context && this.canvas) {
       const { depthOfField } = this.#display;
       const times = this.#display.draw(this.renderer, { ...seen, canvas: this.canvas });
+      this.#drawDetail({ ...seen, canvas: this.canvas });
       if (depthOfField.unfinished) this.#wake();
       if (!times) return;
       this.#pacing
@@ -317,7 +365,9 @@ export class Viewer extends EventTarget {
           this.#emit('frame', { ms: this.#pacing.ms });
         });
     } else if (this.mode === 'served') {
-      this.serverViews?.show(this.#camera.coarsePose, fovX(this.head.intrinsics, this.head.width), this.poster.clientWidth * pixelRatio());
+      const ratio = pixelRatio();
+      const size = { width: this.poster.clientWidth * ratio, height: this.poster.clientHeight * ratio };
+      this.serverViews?.show(this.#camera.coarsePose, fovX(this.head.intrinsics, this.head.width), size, this.#zoom.frame);
     }
   }
 
@@ -333,6 +383,8 @@ export class Viewer extends EventTarget {
   dispose() {
     this.#disposed = true;
     cancelAnimationFrame(this.#frameRequest);
+    clearTimeout(this.#rest);
+    this.#detail?.dispose();
     this.#worker?.terminate();
     this.#stopListening();
     this.#tilt.set(false);
@@ -392,6 +444,8 @@ export class Viewer extends EventTarget {
     const backend = await this.#backends.next(this.scene, (reason) => this.#onLost(reason));
     if (this.#disposed) return backend?.renderer.dispose();
     if (!backend) return this.#serve(this.#backends.reason);
+    this.#detail?.dispose();
+    this.#detail = null;
     this.#stage.canvas = backend.canvas;
     this.renderer = backend.renderer;
     this.mode = backend.mode;
@@ -437,8 +491,11 @@ export class Viewer extends EventTarget {
   /** Fits the pictures into the root, whole, in the photo's own shape. */
   #layout() {
     if (!this.head || this.#disposed) return;
-    const size = this.#stage.fit((this.head.width / this.head.height) * (this.stereo && this.renderer ? 2 : 1));
-    if (!size) return;
+    const fit = this.#stage.fit((this.head.width / this.head.height) * (this.stereo && this.renderer ? 2 : 1));
+    if (!fit) return;
+    this.#zoom.measure(this.#stage.room, fit, (this.#full ?? this.head).width / (fit.width * (devicePixelRatio || 1)));
+    const { size, frame } = this.#zoom;
+    this.#stage.lay(size, fit, frame, this.mode === 'served');
     if (this.canvas && this.renderer) {
       setPixels(this.canvas, size, this.moving ? this.#pacing.detail : 1, this.renderer.maxSide);
       if (!this.renderer.context) return;
@@ -446,8 +503,43 @@ export class Viewer extends EventTarget {
     this.render();
   }
 
+  /** @param {{width?: number, height?: number} | undefined} size */
+  #knowFull(size) {
+    if (!size?.width || !size.height) return;
+    this.#full = { width: size.width, height: size.height };
+    this.#layout();
+  }
+
+  /** What draws a finer part of what is in sight, where one does. */
+  get #detailed() {
+    return this.#display.plain ? this.#detail?.shown?.renderer : undefined;
+  }
+
+  /**
+   * Draws finer parts over the scene, and sees to those that are missing.
+   * @param {Parameters<Display['draw']>[1]} seen
+   */
+  #drawDetail(seen) {
+    const { canvas, head } = this;
+    if (!canvas || !head || !this.#full || !this.#backends) return;
+    if (!this.#detail && this.#zoom.close && (this.mode === 'gpu' || this.mode === 'webgl')) {
+      const { mode } = this;
+      const changed = () => this.render();
+      this.#detail = new Detail({ atlas: this.options.atlas, mode, side: this.#backends.side, photo: this.#full, loaded: head, changed });
+    }
+    if (this.#display.plain)
+      this.#detail?.look(this.#zoom.frame, { width: this.#zoom.size.width * pixelRatio(), height: this.#zoom.size.height * pixelRatio() });
+    const shown = this.#detailed && this.#detail?.shown;
+    this.#stage.detail = shown ? shown.canvas : null;
+    if (!shown) return;
+    const { width, height } = canvas;
+    if (shown.canvas.width !== width || shown.canvas.height !== height) [shown.canvas.width, shown.canvas.height] = [width, height];
+    this.#display.draw(shown.renderer, { ...seen, canvas: shown.canvas });
+  }
+
   #wake() {
-    if (this.#frameRequest || this.#asleep || this.#disposed || this.mode === 'failed' || this.mode === 'still') return;
+    clearTimeout(this.#rest);
+    if (this.#frameRequest || this.#asleep || this.#disposed || this.mode === 'failed') return;
     this.#lastFrame = 0;
     this.#frameRequest = requestAnimationFrame((now) => this.#frame(now));
   }
@@ -457,8 +549,12 @@ export class Viewer extends EventTarget {
     this.#frameRequest = 0;
     const dt = this.#lastFrame ? (now - this.#lastFrame) / 1000 : 1 / 60;
     if (this.mode === 'loading') return;
-    const moving = !this.#camera.held && this.motion.step(dt);
-    if (moving) {
+    const closing = this.#zoom.step(dt);
+    // what is shown larger moves as much farther
+    this.#camera.damping = this.#zoom.now.scale ** -0.5;
+    const moving = (!this.#camera.held && this.motion.step(dt)) || closing;
+    if (moving && !closing && this.motion.paused && this.#pacing.detail < 1) this.#rest = setTimeout(() => this.#wake(), REST_MS);
+    else if (moving) {
       this.#lastFrame = now;
       this.#frameRequest = requestAnimationFrame((next) => this.#frame(next));
     }

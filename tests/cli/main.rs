@@ -121,6 +121,25 @@ fn options_of_make_take_effect() {
 }
 
 #[test]
+fn strokes_put_the_depth_right() {
+    let f = Folder::new();
+    f.write("strokes.json", br#"{"version": 1, "strokes": [{"points": [[0.46, 0.5]], "radius": 0.12, "to": 0.1}]}"#);
+    f.write("wrong.json", br#"{"strokes": [{"points": [[0.46, 1.5]], "radius": 0.12, "to": 0.1}]}"#);
+    let make = |extra: &[&str]| f.run(&[&["make", "box.png", "--depth", "depth.png", "-q", "--json", "-o", "x.tmpi"], extra].concat());
+    let report = |run: Run| run.succeeds().json()["report"].clone();
+    let (before, after) = (report(make(&[])), report(make(&["--strokes", "strokes.json"])));
+    assert_eq!((&before["input"]["strokes"], &after["input"]["strokes"]), (&0.into(), &1.into()));
+    let steps = |report: &Value| report["stages"].as_array().unwrap().iter().filter(|s| s["name"] == "strokes").count();
+    assert_eq!((steps(&before), steps(&after)), (0, 1));
+    // the box is nearly as far as the wall now, and hides little
+    let hidden = |report: &Value| report["bytes"]["hidden"].as_u64().unwrap();
+    assert!(hidden(&after) <= hidden(&before) && after["planes"] != before["planes"], "{after}");
+    make(&["--strokes", "wrong.json"]).fails(2, &["--strokes", "strokes[0].points[0]"]);
+    make(&["--strokes", "nowhere.json"]).fails(2, &["--strokes"]);
+    f.run(&["make", "box.png", "box.jpg", "-o", "out/", "--strokes", "strokes.json"]).fails(2, &["--strokes", "one photo"]);
+}
+
+#[test]
 fn several_photos_go_to_a_folder_and_one_failure_spares_the_rest() {
     let f = Folder::new();
     f.write("other.png", &std::fs::read(f.path("box.png")).unwrap());

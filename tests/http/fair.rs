@@ -3,13 +3,16 @@
 
 use std::io::Read as _;
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
-use tmpi::server::{Limits, Maker};
+use tmpi::server::{Fault, Limits, Maker, Product};
+use tmpi_pipeline::{MakeError, Options, Sink};
 use tmpi_render::{PictureFormat, View, encode};
 
 use crate::client::{Connection, get, request};
+#[cfg(unix)]
+use crate::fixture::pipe;
 use crate::fixture::{Gate, Running, SlowDrawing, jpeg, pipeline, wait_until};
 
 const HELD: u32 = SlowDrawing::HELD;
@@ -209,7 +212,7 @@ fn event_streams_have_their_own_places() {
 #[test]
 fn jobs_side_by_side_are_as_many_as_there_is_memory_for() {
     let dir = tempfile::tempdir().unwrap();
-    let one = pipeline().memory(&jpeg(1), None, &tmpi_pipeline::Options::default());
+    let one = pipeline().memory(&jpeg(1), None, &Options::default());
     let gate = Gate::new(0);
     let limits = Limits { workers: 4, job_memory: 2 * one + one / 2, ..Limits::default() };
     let server = Running::start(dir.path(), limits, gate.clone());
@@ -225,4 +228,70 @@ fn jobs_side_by_side_are_as_many_as_there_is_memory_for() {
     for id in &ids {
         server.wait(id, "done");
     }
+}
+
+/// Checks photos slowly, and counts how many at a time.
+#[derive(Default)]
+struct Checks {
+    now: AtomicUsize,
+    most: AtomicUsize,
+}
+
+impl Maker for Checks {
+    fn check(&self, _: &[u8], _: Option<&[u8]>, _: &Options) -> Result<(), MakeError> {
+        self.most.fetch_max(self.now.fetch_add(1, Ordering::SeqCst) + 1, Ordering::SeqCst);
+        std::thread::sleep(Duration::from_millis(50));
+        self.now.fetch_sub(1, Ordering::SeqCst);
+        Ok(())
+    }
+
+    fn make(&self, _: &[u8], _: Option<&[u8]>, _: &Options, _: &dyn Sink) -> Result<Product, Fault> {
+        Err(Fault::Cancelled)
+    }
+}
+
+#[test]
+fn uploads_are_read_whole_a_few_at_a_time() {
+    let dir = tempfile::tempdir().unwrap();
+    let checks = Arc::new(Checks::default());
+    let server = Running::start(dir.path(), Limits { changes: 3, ..Limits::default() }, checks.clone());
+    std::thread::scope(|scope| {
+        for seed in 0..12 {
+            let server = &server;
+            scope.spawn(move || server.upload(&jpeg(seed)));
+        }
+    });
+    assert_eq!(checks.most.load(Ordering::SeqCst), 3);
+}
+
+#[cfg(unix)]
+#[test]
+fn changes_of_a_photo_that_wait_hold_no_thread_that_others_need() {
+    let (dir, server, photos, _) = start(Limits::default(), 2);
+    // whoever writes the settings of the first photo waits until somebody reads them
+    let id = photos[0].rsplit('/').next().unwrap();
+    let file = dir.path().join("photos").join(id).join("settings.json.tmp");
+    pipe(&file);
+    let clients: Vec<_> = (0..40)
+        .map(|_| {
+            let mut client = Connection::open(server.addr);
+            client.send("PATCH", &photos[0], &[("content-type", "application/json"), ("content-length", "2")], b"");
+            std::io::Write::write_all(client.raw(), b"{}").unwrap();
+            client
+        })
+        .collect();
+    wait_until("all wait", || metric(&server, "tmpi_requests_in_flight") >= 41.0);
+    let mut other = ask(&server, &format!("{}/thumbnail", photos[1]));
+    other.raw().set_read_timeout(Some(Duration::from_secs(10))).unwrap();
+    let answer = other.receive("GET");
+    // let them go before anything is said of it
+    let reader = std::fs::OpenOptions::new().read(true).write(true).open(&file).unwrap();
+    assert_eq!(answer.expect("another photo is served meanwhile").status, 200);
+    for mut client in clients {
+        // a pipe cannot be synced
+        let status = client.receive("PATCH").unwrap().status;
+        assert!(matches!(status, 200 | 500), "{status}");
+    }
+    drop(reader);
+    assert_eq!(request(server.addr, "PATCH", &photos[0], &[("content-type", "application/json")], b"{}").status, 200);
 }

@@ -152,6 +152,23 @@ impl Renderer for SlowDrawing {
     }
 }
 
+/// Panics of requests: they are answered, and a test that does not look at the answer would not see them.
+static PANICS: AtomicUsize = AtomicUsize::new(0);
+
+/// Counts panics on the threads that serve requests; those of makers are some tests' own.
+fn count_panics() {
+    static ONCE: std::sync::Once = std::sync::Once::new();
+    ONCE.call_once(|| {
+        let before = std::panic::take_hook();
+        std::panic::set_hook(Box::new(move |panic| {
+            if std::thread::current().name().is_some_and(|name| name.starts_with("tokio")) {
+                PANICS.fetch_add(1, Ordering::SeqCst);
+            }
+            before(panic);
+        }));
+    });
+}
+
 /// A running server.
 pub struct Running {
     pub addr: SocketAddr,
@@ -179,10 +196,13 @@ impl Running {
 
     /// Whatever server that is.
     pub fn of(bound: impl Future<Output = Server> + Send + 'static) -> Self {
+        count_panics();
         let (stop, stopped) = tokio::sync::oneshot::channel();
         let (tell, told) = std::sync::mpsc::channel();
         let thread = std::thread::spawn(move || {
-            let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build().unwrap();
+            // few that block, so that a test sees what holds one while it waits
+            let runtime =
+                tokio::runtime::Builder::new_multi_thread().worker_threads(2).max_blocking_threads(24).enable_all().build().unwrap();
             runtime.block_on(async {
                 let server = bound.await;
                 tell.send(server.addr()).unwrap();
@@ -228,7 +248,19 @@ impl Running {
 impl Drop for Running {
     fn drop(&mut self) {
         self.signal();
+        if !std::thread::panicking() {
+            assert_eq!(PANICS.load(Ordering::SeqCst), 0, "a request panicked, of this test or another");
+        }
     }
+}
+
+/// A pipe with a name: whoever opens it to write waits until somebody reads it.
+#[cfg(unix)]
+#[allow(unsafe_code, reason = "the standard library makes no named pipes")]
+pub fn pipe(path: &Path) {
+    let path = std::ffi::CString::new(path.to_str().unwrap()).unwrap();
+    // SAFETY: the path ends with a zero and outlives the call
+    assert_eq!(unsafe { libc::mkfifo(path.as_ptr(), 0o600) }, 0);
 }
 
 /// Fails after a minute.
@@ -256,7 +288,6 @@ pub fn jpeg(seed: u8) -> Vec<u8> {
     picture(seed, PictureFormat::Jpeg)
 }
 
-/// A depth map of two steps.
 /// A depth map of which the pixels are damaged, which nobody sees by its headers.
 pub fn spoilt_map() -> Vec<u8> {
     let mut map = depth_map();
@@ -266,6 +297,7 @@ pub fn spoilt_map() -> Vec<u8> {
     map
 }
 
+/// A depth map of two steps.
 pub fn depth_map() -> Vec<u8> {
     let (width, height) = (80, 60);
     let delta = (0..height).flat_map(|_| (0..width).map(|x| if x < 40 { 0.25 } else { 0.75 })).collect();

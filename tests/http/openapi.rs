@@ -3,10 +3,10 @@
 use std::sync::Arc;
 
 use serde_json::Value;
-use tmpi::server::Limits;
+use tmpi::server::{Limits, routes};
 
-use crate::client::{get, request};
-use crate::fixture::{Running, jpeg, pipeline};
+use crate::client::{Response, get, post_form, request};
+use crate::fixture::{Gate, Running, jpeg, pipeline};
 
 fn start() -> (tempfile::TempDir, Running) {
     let dir = tempfile::tempdir().unwrap();
@@ -24,11 +24,14 @@ fn every_route_of_the_document_answers_as_it_says() {
     let mut count = 0;
     for (path, item) in document["paths"].as_object().unwrap() {
         for (method, operation) in item.as_object().unwrap() {
+            let path = if path == "/oembed" { "/oembed?url=http://localhost/view/{id}" } else { path };
             let call = (method.to_uppercase(), path.replace("{id}", &photo), operation);
             if method == "delete" {
                 deletions.push(call);
             } else {
                 check(&server, &call);
+                // it may be on its way again
+                server.wait(&photo, "done");
             }
             count += 1;
         }
@@ -36,7 +39,10 @@ fn every_route_of_the_document_answers_as_it_says() {
     for call in deletions {
         check(&server, &call);
     }
-    assert_eq!(count, 17, "a route without a place in the document, or a new one");
+    // the others are pages and their files
+    let (documented, pages): (Vec<_>, Vec<_>) = routes().into_iter().partition(|r| document["paths"][&r.path].is_object());
+    assert_eq!(count, documented.iter().map(|r| r.methods.len()).sum::<usize>());
+    assert!(pages.iter().all(|r| !r.path.starts_with("/v1/") && r.methods == ["GET"]), "{pages:?}");
 }
 
 fn check(server: &Running, (method, path, operation): &(String, String, &Value)) {
@@ -88,4 +94,66 @@ fn every_schema_and_parameter_is_described() {
         let name = reference.split('"').next().unwrap();
         assert!(schemas.contains_key(name), "{name}");
     }
+}
+
+/// True where the value of a field is refused.
+fn is_refused(answer: &Response, field: &str) -> bool {
+    answer.status == 400 && answer.json()["field"] == field
+}
+
+/// True where it is refused for being no word of a choice, not for a network that is not there.
+fn is_no_word(answer: &Response, field: &str) -> bool {
+    is_refused(answer, field) && answer.json()["detail"].as_str().unwrap().contains("must be one of")
+}
+
+#[test]
+fn words_of_the_document_are_those_that_are_taken() {
+    let dir = tempfile::tempdir().unwrap();
+    // nobody makes what is uploaded here but the first
+    let server = Running::start(dir.path(), Limits::default(), Gate::new(1));
+    let id = server.upload(&jpeg(1));
+    server.wait(&id, "done");
+    let document = get(server.addr, "/openapi.json").json();
+    let fields = document["components"]["schemas"]["UploadForm"]["properties"].as_object().unwrap();
+    let upload = |field: &str, value: &str| post_form(server.addr, &[], &[("photo", &jpeg(1)), (field, value.as_bytes())]);
+    let unknown = upload("no-such-option", "1").problem(400)["detail"].as_str().unwrap().to_owned();
+    let known = unknown.rsplit("there are ").next().unwrap();
+    let mut described: Vec<&str> = fields.keys().map(String::as_str).collect();
+    described.sort_unstable();
+    let mut taken: Vec<String> = known.split(", ").map(|name| name.replace('-', "_")).collect();
+    taken.sort_unstable();
+    assert_eq!(described, taken, "every field is described, and no other");
+    let mut choices = 0;
+    for (field, schema) in fields.iter().filter(|(name, schema)| !matches!(name.as_str(), "photo" | "depth") && schema["type"] == "string")
+    {
+        assert!(is_refused(&upload(field, "nonsense"), &field.replace('_', "-")), "{field}");
+        for word in schema["enum"].as_array().into_iter().flatten() {
+            assert!(!is_no_word(&upload(field, word.as_str().unwrap()), &field.replace('_', "-")), "{field}: {word}");
+            choices += 1;
+        }
+        assert!(schema["enum"].is_array() || schema["pattern"].is_string(), "{field}: any text");
+    }
+    assert!(choices > 10, "{choices}");
+    for part in ["view", "export"] {
+        let parameters = document["paths"][format!("/v1/photos/{{id}}/{part}")]["get"]["parameters"].as_array().unwrap();
+        // any version may be asked for
+        for parameter in parameters.iter().filter(|p| p["in"] == "query" && p["schema"]["type"] == "string" && p["name"] != "v") {
+            let name = parameter["name"].as_str().unwrap();
+            let ask = |value: &str| {
+                let film = if value == "mp4" { "path=orbit&" } else { "" };
+                let frames = if name == "path" || value == "mp4" { "frames=2&" } else { "" };
+                let small = if part == "view" { "w=8&" } else { "" };
+                get(server.addr, &format!("/v1/photos/{id}/{part}?{small}{film}{frames}{name}={value}"))
+            };
+            assert!(is_refused(&ask("nonsense"), name), "{part} {name}");
+            for word in parameter["schema"]["enum"].as_array().into_iter().flatten() {
+                let answer = ask(word.as_str().unwrap());
+                // a film needs a program that may not be there
+                assert!(matches!(answer.status, 200 | 501), "{part} {name}={word}: {}", answer.status);
+                choices += 1;
+            }
+            assert!(parameter["schema"]["enum"].is_array() || parameter["schema"]["pattern"].is_string(), "{part} {name}: any text");
+        }
+    }
+    assert!(choices > 20, "{choices}");
 }

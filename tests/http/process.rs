@@ -113,6 +113,22 @@ impl Held {
         let _ = unsafe { libc::kill(self.0, signal) };
     }
 
+    /// A figure of `/proc` in bytes: the words behind `name`, of which the first is a number in `unit` bytes.
+    fn figure(&self, file: &str, name: &str, unit: u64) -> Option<u64> {
+        let text = std::fs::read_to_string(format!("/proc/{}/{file}", self.0)).ok()?;
+        let line = text.lines().find_map(|l| l.strip_prefix(name))?;
+        Some(line.split_whitespace().next()?.parse::<u64>().ok()? * unit)
+    }
+
+    /// Bounds what it may take of memory from now on, in bytes.
+    #[allow(unsafe_code, reason = "the standard library has no call that bounds another process")]
+    fn bound_data(&self, bytes: u64) {
+        let limit = libc::rlimit { rlim_cur: bytes, rlim_max: bytes };
+        // SAFETY: the struct outlives the call, which only reads it
+        let done = unsafe { libc::prlimit(self.0, libc::RLIMIT_DATA, &raw const limit, std::ptr::null_mut()) };
+        assert_eq!(done, 0, "{}", std::io::Error::last_os_error());
+    }
+
     fn has_ended(&self) -> bool {
         !Path::new(&format!("/proc/{}", self.0)).exists()
     }
@@ -353,6 +369,27 @@ fn a_job_that_takes_too_long_is_given_up_and_the_next_one_is_made() {
     wait_until("what made it has ended", || maker.has_ended());
     let next = upload(server.addr, &large(6)).unwrap();
     wait_until("the next one is done", || state(server.addr, &next)["state"] == "done");
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn a_photo_that_takes_more_memory_than_it_may_ends_its_process_alone() {
+    let dir = tempfile::tempdir().unwrap();
+    let server = Process::start_with(dir.path(), &["--job-memory", "777"]);
+    wait_until("the process is bounded to what jobs may take", || {
+        server.maker().and_then(|pid| Held(pid).figure("limits", "Max data size", 1)) == Some(777 << 20)
+    });
+    let maker = server.hold();
+    // room for its threads and no more: as if the photo took more than was reckoned
+    maker.bound_data(maker.figure("status", "VmData:", 1024).unwrap() + (24 << 20));
+    let id = upload_with(server.addr, &slow(9), &[]);
+    server.wait_for_photo();
+    maker.signal(libc::SIGCONT);
+    wait_until("the limit has ended it", || maker.has_ended());
+    // the server lives, and another process makes the photo
+    wait_until("it is done", || state(server.addr, &id)["state"] == "done");
+    let log = std::fs::read_to_string(server.log.path()).unwrap();
+    assert!(log.contains("took down what made it") && !log.contains("panicked"), "{log}");
 }
 
 #[test]

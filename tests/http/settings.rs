@@ -143,3 +143,35 @@ fn a_change_goes_by_the_settings_and_not_by_how_the_photo_fares() {
     assert_eq!(patch(&server, &photo, &[("if-match", &seen)], &json!({ "title": "A" })).status, 200);
     patch(&server, &photo, &[("if-match", &seen)], &json!({ "title": "B" })).problem(412);
 }
+
+#[cfg(unix)]
+#[test]
+fn a_change_that_waits_while_the_photo_is_deleted_finds_none() {
+    let (dir, server, photo) = with_photo(Limits::default());
+    // the first change waits until somebody reads what it writes, and all others wait for it
+    let file = dir.path().join("photos").join(photo.rsplit('/').next().unwrap()).join("settings.json.tmp");
+    crate::fixture::pipe(&file);
+    let mut sent = 0;
+    let mut send = |method: &str| {
+        let mut client = Connection::open(server.addr);
+        client.send(method, &photo, &[JSON, ("content-length", if method == "PATCH" { "2" } else { "0" })], b"");
+        if method == "PATCH" {
+            std::io::Write::write_all(client.raw(), b"{}").unwrap();
+        }
+        sent += 1;
+        // the request for the figure is one itself
+        wait_until("it is under way", || metric(&server, "tmpi_requests_in_flight") >= f64::from(sent + 1));
+        client
+    };
+    let (mut first, mut delete) = (send("PATCH"), send("DELETE"));
+    let later: Vec<Connection> = (0..5).map(|_| send("PATCH")).collect();
+    let _reader = std::fs::OpenOptions::new().read(true).write(true).open(&file).unwrap();
+    // a pipe cannot be synced
+    assert!(matches!(first.receive("PATCH").unwrap().status, 200 | 500));
+    assert_eq!(delete.receive("DELETE").unwrap().status, 204);
+    for mut client in later {
+        let status = client.receive("PATCH").unwrap().status;
+        assert!(matches!(status, 200 | 404), "{status}");
+    }
+    assert_eq!(request(server.addr, "PATCH", &photo, &[JSON], b"{}").status, 404);
+}

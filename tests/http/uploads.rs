@@ -238,3 +238,47 @@ fn what_was_made_and_what_was_not_survives_a_restart() {
     assert_eq!((atlas.header("etag"), &atlas.body), (again.header("etag"), &again.body));
     assert_eq!(server.state(&failed)["problem"]["status"], 422);
 }
+
+/// A form of a photo with the name of its file, and fields before it.
+fn named_form(server: &Running, fields: &[(&str, &str)], file: &str, photo: &[u8]) -> crate::client::Response {
+    let mut body = Vec::new();
+    for (name, value) in fields {
+        body.extend(format!("--x\r\ncontent-disposition: form-data; name=\"{name}\"\r\n\r\n{value}\r\n").bytes());
+    }
+    body.extend(format!("--x\r\ncontent-disposition: form-data; name=\"photo\"; filename=\"{file}\"\r\n\r\n").bytes());
+    body.extend(photo);
+    body.extend(b"\r\n--x--\r\n");
+    request(server.addr, "POST", "/v1/photos", &[("content-type", "multipart/form-data; boundary=x")], &body)
+}
+
+#[test]
+fn a_photo_is_called_by_its_file_or_as_the_upload_says() {
+    let (dir, server) = start(Arc::new(pipeline()));
+    let title = |state: &serde_json::Value| state["settings"]["title"].as_str().map(str::to_owned);
+    let by_file = named_form(&server, &[], "Söhne am Meer.jpeg", &jpeg(1)).json();
+    assert_eq!(title(&by_file).as_deref(), Some("Söhne am Meer"));
+    let said = named_form(&server, &[("title", " Zwei & <drei> ")], "IMG_1.jpg", &jpeg(2)).json();
+    assert_eq!(title(&said).as_deref(), Some("Zwei & <drei>"));
+    let raw = request(server.addr, "POST", "/v1/photos?title=By%20the%20sea", &[], &jpeg(3)).json();
+    assert_eq!(title(&raw).as_deref(), Some("By the sea"));
+    let nameless = named_form(&server, &[], "image.jpg", &jpeg(4)).json();
+    assert_eq!(title(&nameless), None);
+
+    // a name is no part of what a photo is, and who sends it again does not rename it
+    let again = named_form(&server, &[("title", "Mine")], "mine.jpg", &jpeg(1)).json();
+    assert_eq!((&again["id"], title(&again).as_deref()), (&by_file["id"], Some("Söhne am Meer")));
+
+    for (fields, field) in [(&[("title", "")][..], "title"), (&[("title", "a"), ("title", "b")], "title"), (&[("file", "x")], "file")] {
+        assert_eq!(named_form(&server, fields, "a.jpg", &jpeg(5)).problem(400)["field"], field);
+    }
+    // what is no field is said before it is read
+    let large = "x".repeat(100_000);
+    let detail = named_form(&server, &[("picture", &large)], "a.jpg", &jpeg(5)).problem(400)["detail"].to_string();
+    assert!(detail.contains("no such field"), "{detail}");
+    let long = "é".repeat(201);
+    assert_eq!(named_form(&server, &[("title", &long)], "a.jpg", &jpeg(5)).problem(400)["field"], "title");
+
+    server.stop();
+    let server = Running::start(dir.path(), Limits::default(), Arc::new(pipeline()));
+    assert_eq!(title(&server.state(by_file["id"].as_str().unwrap())).as_deref(), Some("Söhne am Meer"), "after a restart");
+}

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use tmpi::server::{Limits, Maker};
 use tmpi_render::PictureFormat;
 
-use crate::client::{get, request};
+use crate::client::{form, get, post_form, request};
 use crate::fixture::{Running, jpeg, picture, pipeline};
 
 fn start(maker: Arc<dyn Maker>) -> (tempfile::TempDir, Running) {
@@ -129,6 +129,15 @@ fn names_of_queries_are_known_and_given_once_on_every_route() {
     for path in ["/v1/photos", "/healthz", "/readyz", "/metrics", "/openapi.json"] {
         assert_eq!(get(server.addr, &format!("{path}?zz=1")).problem(400)["field"], "zz", "{path}");
     }
+    for (query, field) in [("zz=1", "zz"), ("tile=64&tile=64", "tile"), ("max-size=50&max_size=60", "max_size")] {
+        let path = format!("/v1/photos?{query}");
+        assert_eq!(request(server.addr, "POST", &path, &[], &jpeg(1)).problem(400)["field"], field, "{query}");
+    }
+    let twice = [("quality", b"80".as_slice()), ("photo", &jpeg(1)), ("quality", b"90")];
+    assert_eq!(post_form(server.addr, &[], &twice).problem(400)["field"], "quality");
+    let (content_type, body) = form(&[("photo", &jpeg(1)), ("quality", b"90")]);
+    let both = request(server.addr, "POST", "/v1/photos?quality=80", &[("content-type", &content_type)], &body);
+    assert_eq!(both.problem(400)["field"], "quality", "in the query and in the form");
     for method in ["DELETE", "PATCH"] {
         assert_eq!(request(server.addr, method, &format!("{photo}?zz=1"), &[], &[]).problem(400)["field"], "zz");
     }

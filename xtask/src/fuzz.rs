@@ -8,7 +8,7 @@ use std::sync::Mutex;
 use crate::command::{Fault, cargo, output, root, run, run_quietly};
 
 /// Those of `src/fuzzing.rs`; a test there holds this list against them.
-const TARGETS: [&str; 15] = [
+const TARGETS: [&str; 16] = [
     "container",
     "labels",
     "planes",
@@ -24,6 +24,7 @@ const TARGETS: [&str; 15] = [
     "carried",
     "multipart",
     "patch",
+    "strokes",
 ];
 const SECONDS: u32 = 60;
 /// An input that takes longer is a finding.

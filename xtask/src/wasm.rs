@@ -18,7 +18,8 @@ pub fn build() -> Result<(), Fault> {
     for (package, name) in MODULES {
         module(&sysroot, package, name)?;
     }
-    let mut written = cargo(&["test", "--release", "--package", "tmpi-decoder", "--test", "built"]);
+    // as all tests are built: alone the core would be built a second time, with other features
+    let mut written = cargo(&["test", "--workspace", "--release", "--test", "built"]);
     written.env("TMPI_BLESS", "wasm");
     run(written)
 }

@@ -13,6 +13,9 @@ pub enum StageError {
         /// What was given.
         value: String,
     },
+    /// A stroke is not as strokes are; the text names its field.
+    #[error(transparent)]
+    Stroke(#[from] crate::strokes::StrokeError),
     /// An option asks for more than readers of a container take of a photo of this size; the text names the bound.
     #[error("{field}: {detail}")]
     Bound {

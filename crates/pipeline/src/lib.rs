@@ -11,6 +11,7 @@ pub mod networks;
 pub mod photo;
 pub mod planes;
 pub mod run;
+pub mod strokes;
 
 pub use error::StageError;
 pub use run::{

@@ -8,8 +8,8 @@ use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-use super::View;
-use tmpi_core::{Pose, ViewBox};
+use super::{Outlook, View, looking_at};
+use tmpi_core::{Camera, Intrinsics};
 
 /// Longest time that `ffmpeg` may run: the longest film of the largest frames takes about a minute of one core.
 const MOST_TIME: Duration = Duration::from_mins(5);
@@ -31,35 +31,58 @@ pub enum Path {
     Swing,
     /// Forward and back
     Dolly,
+    /// Back and forward, while the lens keeps the middle of the scene as large as it is
+    DollyZoom,
+    /// Into the nearest thing, and out again
+    Zoom,
 }
 
+/// How much narrower a lens looks at the end of [`Path::Zoom`].
+const ZOOM: f64 = 1.3;
+
 impl Path {
-    /// The way of that name: `orbit`, `swing` or `dolly`.
+    /// Names of all ways; viewers and settings have the same.
+    pub const NAMES: [&'static str; 5] = ["orbit", "swing", "dolly", "dolly-zoom", "zoom"];
+
+    /// The way of that name, one of [`Path::NAMES`].
     #[must_use]
     pub fn from_name(name: &str) -> Option<Self> {
-        match name {
-            "orbit" => Some(Self::Orbit),
-            "swing" => Some(Self::Swing),
-            "dolly" => Some(Self::Dolly),
-            _ => None,
-        }
+        let ways = [Self::Orbit, Self::Swing, Self::Dolly, Self::DollyZoom, Self::Zoom];
+        Self::NAMES.iter().position(|n| *n == name).map(|i| ways[i])
     }
 
-    /// The pose of frame `frame` of `frames` around `pose`, within the view box.
+    /// The camera of frame `frame` of `frames` around `camera`, as far as the scene moves by itself.
     #[must_use]
-    pub fn pose(self, pose: &Pose, frame: u32, frames: u32, view_box: &ViewBox) -> Pose {
-        pose.shifted(self.at(f64::from(frame) / f64::from(frames.max(1)), view_box))
-    }
-
-    /// Camera position at `turn` (0 to 1) of the way.
-    fn at(self, turn: f64, v: &ViewBox) -> [f64; 3] {
+    pub fn camera(self, camera: &Camera, frame: u32, frames: u32, outlook: &Outlook) -> Camera {
+        let (turn, v) = (f64::from(frame) / f64::from(frames.max(1)), &outlook.travel);
         let (sin, cos) = (turn * std::f64::consts::TAU).sin_cos();
-        match self {
+        // there and back: 0 to 1 to 0
+        let way = (1.0 - cos) / 2.0;
+        let [x, y, z] = match self {
             Self::Orbit => [v.x * cos, v.y * sin, 0.0],
             Self::Swing => [v.x * sin, 0.0, 0.0],
             Self::Dolly => [0.0, 0.0, v.z * sin],
-        }
+            Self::DollyZoom => [0.0, 0.0, -v.z * way],
+            Self::Zoom => [0.0, 0.0, v.z * way],
+        };
+        let turned = looking_at(outlook.pivot, x, y, z);
+        let mut pose = camera.pose.shifted([x, y, z]);
+        (pose.yaw, pose.pitch) = (pose.yaw + turned.yaw, pose.pitch + turned.pitch);
+        let intrinsics = match self {
+            Self::DollyZoom => magnified(camera, 1.0 - z * outlook.pivot, [0.5, 0.5]),
+            Self::Zoom => magnified(camera, 1.0 + (ZOOM - 1.0) * way, outlook.nearest),
+            _ => camera.intrinsics,
+        };
+        Camera { pose, intrinsics, ..*camera }
     }
+}
+
+/// The lens that shows everything `by` times as large, while what is at `place` (shares of width and height) stays there.
+fn magnified(camera: &Camera, by: f64, place: [f64; 2]) -> Intrinsics {
+    let k = &camera.intrinsics;
+    let about = |c: f64, share: f64, side: u32| share * f64::from(side) * (1.0 - by) + c * by;
+    let (cx, cy) = (about(k.cx, place[0], camera.width), about(k.cy, place[1], camera.height));
+    Intrinsics { fx: k.fx * by, fy: k.fy * by, cx, cy }
 }
 
 /// What frames become.
@@ -240,21 +263,49 @@ impl Drop for Animation {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use tmpi_core::{Pose, ViewBox};
 
     #[test]
-    fn ways_stay_in_the_view_box_and_close() {
-        let v = ViewBox { x: 0.1, y: 0.05, z: 0.2 };
-        for path in ["orbit", "swing", "dolly"].map(|name| Path::from_name(name).unwrap()) {
+    fn ways_stay_in_what_the_scene_travels_and_close() {
+        let travel = ViewBox { x: 0.1, y: 0.05, z: 0.2 };
+        let outlook = Outlook { travel, pivot: 0.4, nearest: [0.25, 0.75] };
+        let own = Camera { pose: Pose::default(), intrinsics: Intrinsics::centred(60, 40, 50.0), width: 60, height: 40 };
+        for name in Path::NAMES {
+            let path = Path::from_name(name).unwrap();
             for i in 0..=24 {
-                let p = path.pose(&Pose::default(), i, 24, &v);
-                assert!(p.tx.abs() <= v.x + 1e-9 && p.ty.abs() <= v.y + 1e-9 && p.tz.abs() <= v.z + 1e-9);
+                let Camera { pose: p, intrinsics: k, .. } = path.camera(&own, i, 24, &outlook);
+                assert!(p.tx.abs() <= 0.1 + 1e-9 && p.ty.abs() <= 0.05 + 1e-9 && p.tz.abs() <= 0.2 + 1e-9, "{name} {i}: {p:?}");
+                // views do not look past the borders more than a camera that moves does
+                assert!(k.fx >= own.intrinsics.fx - 1e-9, "{name} {i}: {k:?}");
             }
-            let (a, b) = (path.at(0.0, &v), path.at(1.0, &v));
-            assert!((0..3).all(|k| (a[k] - b[k]).abs() < 1e-9));
+            let (a, b) = (path.camera(&own, 0, 24, &outlook).pose, path.camera(&own, 24, 24, &outlook).pose);
+            assert!((a.tx - b.tx).abs() + (a.ty - b.ty).abs() + (a.tz - b.tz).abs() < 1e-9, "{name}");
         }
         assert!(Path::from_name("spiral").is_none());
         let turned = Pose { yaw: 90.0, ..Pose::default() }.shifted([1.0, 0.0, 0.0]);
         assert!(turned.tx.abs() < 1e-9 && (turned.tz + 1.0).abs() < 1e-9, "right of a camera that looks right is back");
+    }
+
+    #[test]
+    fn what_a_way_is_about_stays_in_its_place() {
+        let outlook = Outlook { travel: ViewBox { x: 0.1, y: 0.1, z: 0.2 }, pivot: 0.4, nearest: [0.25, 0.75] };
+        let own = Camera { pose: Pose::default(), intrinsics: Intrinsics::centred(60, 40, 50.0), width: 60, height: 40 };
+        // half of the way, a point at the pivot is as large and as far from the middle as before
+        let at = path_place(Path::DollyZoom, &own, &outlook, [48.0, 30.0], 0.4);
+        assert!((at[0] - 48.0).abs() < 1e-9 && (at[1] - 30.0).abs() < 1e-9, "{at:?}");
+        let far = path_place(Path::DollyZoom, &own, &outlook, [48.0, 30.0], 0.0);
+        assert!(far[0] > 48.1, "what is far grows: {far:?}");
+        // the lens stays on the nearest thing, which infinity tells from the step forward
+        let at = path_place(Path::Zoom, &own, &outlook, [15.0, 30.0], 0.0);
+        assert!((at[0] - 15.0).abs() < 1e-9 && (at[1] - 30.0).abs() < 1e-9, "{at:?}");
+    }
+
+    /// Where a pixel of disparity `delta` is half of the way.
+    fn path_place(path: Path, own: &Camera, outlook: &Outlook, pixel: [f64; 2], delta: f64) -> [f64; 2] {
+        let camera = path.camera(own, 1, 2, outlook);
+        let h = tmpi_core::homography([0.0, 0.0, delta], &own.intrinsics, &camera);
+        let [x, y, w] = tmpi_core::mat3_vec(&h, [pixel[0], pixel[1], 1.0]);
+        [x / w, y / w]
     }
 
     /// None where there is no ffmpeg.

@@ -7,6 +7,7 @@ pub mod difference;
 mod encode;
 mod footprint;
 mod gpu;
+mod outlook;
 mod prepared;
 mod reference;
 mod several;
@@ -18,6 +19,7 @@ pub use border::{corners, looking_at, margin as border_margin};
 pub use cpu::{Cpu, draw_reference_view};
 pub use encode::{DEFAULT_QUALITY, EncodeError, PictureFormat, encode};
 pub use gpu::Gpu;
+pub use outlook::Outlook;
 pub use reference::Reference;
 pub use several::{Arrangement, EYES, MAX_QUILT, Rig, draw_several};
 

@@ -10,7 +10,7 @@ use axum::response::sse::{Event, KeepAlive, Sse};
 use axum::response::{IntoResponse, Response};
 use futures_util::stream;
 use serde::Serialize;
-use tokio::sync::{OwnedSemaphorePermit, watch};
+use tokio::sync::watch;
 
 use super::query::NoQuery;
 use super::state::{PhotoState, Progress};
@@ -18,6 +18,7 @@ use crate::server::app::App;
 use crate::server::conditional::insert;
 use crate::server::entry::{Entry, Live, Status};
 use crate::server::problem::Problem;
+use crate::server::share::{Place, asker};
 
 /// Pause between two looks at the queue.
 const QUEUE_LOOK: Duration = Duration::from_secs(1);
@@ -38,7 +39,7 @@ struct Listener {
     /// Place in the queue that was told last, and nothing since.
     queued: Option<usize>,
     ended: bool,
-    _place: OwnedSemaphorePermit,
+    _place: Place,
 }
 
 impl Listener {
@@ -118,8 +119,8 @@ fn event<T: Serialize>(name: &'static str, data: &T) -> Event {
 )]
 pub async fn events(State(app): State<App>, Path(id): Path<String>, _: NoQuery) -> Result<Response, Problem> {
     let entry = app.photo(&id)?;
-    let Ok(place) = Arc::clone(&app.streams).try_acquire_owned() else {
-        let detail = "as many event streams are open as may";
+    let Some(place) = app.streams.take(asker()) else {
+        let detail = "as many event streams are open as may, or as one address may have";
         return Err(Problem::new(StatusCode::SERVICE_UNAVAILABLE, "busy", detail).retry_after(5));
     };
     let watch = entry.watch();

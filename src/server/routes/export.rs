@@ -11,7 +11,7 @@ use tokio_util::sync::CancellationToken;
 use super::derived::Derived;
 use super::query::Pairs;
 use crate::export::{self, ExportError, ExportFormat};
-use crate::server::app::{App, Export, Shared, Stored, scene_bytes};
+use crate::server::app::{App, Export, Full, Shared, Stored, scene_bytes};
 use crate::server::clock::Clock;
 use crate::server::conditional::insert;
 use crate::server::pool::Class;
@@ -105,7 +105,7 @@ pub async fn export(
                 ExportError::Cancelled => Problem::new(StatusCode::SERVICE_UNAVAILABLE, "cancelled", e.to_string()).retry_after(1),
                 e => Problem::internal("exporting a photo", &e),
             })?;
-            let stored = Stored::derived(Some(&name), bytes, &shared.scratch)?;
+            let stored = Stored::derived(Some(&name), bytes, &shared.jobs.store, Full::Refuse)?;
             Ok::<_, Problem>((Export(stored), start.elapsed()))
         });
         let (export, elapsed) = written.await??;

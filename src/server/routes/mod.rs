@@ -1,22 +1,27 @@
 //! All routes, and the `OpenAPI` document that is generated from their handlers.
 
+mod again;
 mod derived;
 mod events;
 mod export;
+mod network;
+mod oembed;
 mod photos;
 mod query;
 mod results;
 mod state;
+mod strokes;
 mod system;
 mod view;
 mod view_query;
+mod words;
 
 use axum::Router;
 use axum::extract::DefaultBodyLimit;
 use axum::http::{HeaderName, HeaderValue, Method, StatusCode, header};
 use axum::middleware::{from_fn_with_state, map_response};
 use axum::response::{IntoResponse, Response};
-use axum::routing::get;
+use axum::routing::{MethodRouter, get};
 use bytes::Bytes;
 use tower_http::cors::{AllowOrigin, CorsLayer};
 use tower_http::csrf::{CsrfLayer, ProtectionError};
@@ -59,6 +64,7 @@ fn open_api() -> OpenApiRouter<App> {
         .routes(routes!(results::thumbnail))
         .routes(routes!(view::view))
         .routes(routes!(export::export))
+        .routes(routes!(oembed::oembed))
 }
 
 /// What is for this server's own pages and for programs.
@@ -66,6 +72,9 @@ fn own_api() -> OpenApiRouter<App> {
     OpenApiRouter::with_openapi(Document::openapi())
         .routes(routes!(photos::upload, photos::list))
         .routes(routes!(photos::state, photos::change, photos::delete))
+        .routes(routes!(strokes::strokes, strokes::touch_up))
+        .routes(routes!(network::again))
+        .routes(routes!(network::network, network::fetch))
         .routes(routes!(events::events))
         .routes(routes!(results::depth))
         .routes(routes!(system::healthz))
@@ -102,7 +111,66 @@ fn cors() -> CorsLayer {
 /// # Errors
 /// It cannot be written as JSON.
 pub fn openapi() -> serde_json::Result<Bytes> {
-    own_api().merge(open_api()).into_openapi().to_pretty_json().map(Bytes::from)
+    let mut document = serde_json::to_value(own_api().merge(open_api()).into_openapi())?;
+    words::put(&mut document);
+    serde_json::to_vec_pretty(&document).map(Bytes::from)
+}
+
+/// Who may have what lies at an address.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Access {
+    /// Pages of any site may read it.
+    Open,
+    /// Frames of any site may show it; their pages cannot read it.
+    Framed,
+    /// Pages of this server, and programs.
+    Own,
+}
+
+/// An address of the service.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Route {
+    /// Path with names for what varies: `/v1/photos/{id}`.
+    pub path: String,
+    /// Methods, HEAD left out: it goes with GET.
+    pub methods: Vec<Method>,
+    /// Who may have it.
+    pub access: Access,
+}
+
+/// Scripts and pictures that any site may take in.
+fn files() -> [(&'static str, MethodRouter<App>); 2] {
+    [("/static/{*name}", get(pages::file)), ("/tmpi-viewer.js", get(pages::script))]
+}
+
+/// Pages.
+fn own_pages() -> [(&'static str, MethodRouter<App>, Access); 4] {
+    [
+        ("/", get(pages::index), Access::Own),
+        ("/demo", get(pages::demo), Access::Own),
+        ("/view/{id}", get(pages::view), Access::Own),
+        ("/embed/{id}", get(pages::embed), Access::Framed),
+    ]
+}
+
+/// All addresses, as [`router`] answers them: it has no others.
+#[must_use]
+pub fn routes() -> Vec<Route> {
+    let described = |api: OpenApiRouter<App>, access| {
+        let paths = api.into_openapi().paths.paths;
+        paths.into_iter().map(move |(path, item)| {
+            let all = [(item.get, Method::GET), (item.post, Method::POST), (item.patch, Method::PATCH), (item.delete, Method::DELETE)];
+            let others = [(item.put, Method::PUT), (item.head, Method::HEAD), (item.options, Method::OPTIONS), (item.trace, Method::TRACE)];
+            let methods = all.into_iter().chain(others).filter_map(|(operation, method)| operation.map(|_| method)).collect();
+            Route { path, methods, access }
+        })
+    };
+    let page = |path: &str, access| Route { path: path.to_owned(), methods: vec![Method::GET], access };
+    described(own_api(), Access::Own)
+        .chain(described(open_api(), Access::Open))
+        .chain(own_pages().map(|(path, _, access)| page(path, access)))
+        .chain(files().map(|(path, _)| page(path, Access::Open)))
+        .collect()
 }
 
 /// The whole service, with rooms where there are any.
@@ -111,18 +179,15 @@ pub fn router(app: App, rooms: Option<Router>) -> Router {
     let (open, _) = open_api().split_for_parts();
     // before the layers, so that these see every method: questions before a request (preflights) are OPTIONS
     let open = open.method_not_allowed_fallback(no_method).layer(map_response(open_to_all));
-    let scripts = Router::new().route("/static/{*name}", get(pages::file)).route("/tmpi-viewer.js", get(pages::script));
-    let scripts = scripts.method_not_allowed_fallback(no_method);
+    let files = files().into_iter().fold(Router::new(), |router, (path, handler)| router.route(path, handler));
+    let files = files.method_not_allowed_fallback(no_method);
     let foreign = |_: ProtectionError| {
         Problem::new(StatusCode::FORBIDDEN, "cross-site", "a page of another site may not change anything here").into_response()
     };
-    router
-        .merge(open.merge(scripts).layer(cors()))
-        .route("/", get(pages::index))
-        .route("/demo", get(pages::demo))
-        .route("/view/{id}", get(pages::view))
-        .route("/embed/{id}", get(pages::embed))
-        .merge(rooms.unwrap_or_default().with_state(()))
+    let router = router.merge(open.merge(files).layer(cors())).merge(rooms.unwrap_or_default().with_state(()));
+    own_pages()
+        .into_iter()
+        .fold(router, |router, (path, handler, _)| router.route(path, handler))
         .fallback(async || Problem::not_found("there is nothing at this address"))
         .method_not_allowed_fallback(no_method)
         .layer(DefaultBodyLimit::disable())

@@ -7,6 +7,7 @@ use axum::Json;
 use axum::extract::{Extension, Path, Query, Request, State};
 use axum::http::{HeaderMap, HeaderName, StatusCode, header};
 use axum::response::{IntoResponse, Response};
+use bytes::Bytes;
 
 use super::query::{NoQuery, Pairs};
 use super::state::{PhotoList, PhotoState};
@@ -22,7 +23,7 @@ use crate::server::settings::{PATCH_BYTES, Settings, still_as_seen};
 use crate::server::upload;
 
 /// Part of the time limit of a request that is left to answer it.
-const ANSWER: Duration = Duration::from_millis(500);
+pub(super) const ANSWER: Duration = Duration::from_millis(500);
 /// Photos on a page of the list, if the client does not say.
 const DEFAULT_PAGE: usize = 50;
 
@@ -36,6 +37,9 @@ pub struct UploadForm {
     /// Depth map, a grey picture (PNG of 8 or 16 bits, JPEG, WebP; or in colour with channels that are alike); replaces the estimated depth.
     #[schema(value_type = Option<String>, format = Binary)]
     depth: Option<Vec<u8>>,
+    /// What to call the photo, 1 to 200 characters; else the name of the photo's file without its ending. A photo that is there already
+    /// keeps its title.
+    title: Option<String>,
     /// How the depth map is meant: `disparity` or `metric`.
     depth_kind: Option<String>,
     /// Depth that the photo brings along within its file: `auto`, `off`, or `on` to fail without.
@@ -48,11 +52,11 @@ pub struct UploadForm {
     plane_method: Option<String>,
     /// Tile size in pixels, or `full`.
     tile: Option<String>,
-    /// `auto` or `off`.
+    /// Blurred edges of the depth: `auto` snaps them where there are any.
     snap: Option<String>,
-    /// `auto` or `off`.
+    /// Edges of the network's depth drawn to the photo's.
     refine: Option<String>,
-    /// `auto`, `classic` or `off`.
+    /// Noise of the depth: `auto` takes it away where there is any, `theta` by a network, `classic` without.
     denoise: Option<String>,
     /// Longest side in pixels; larger photos are reduced.
     max_size: Option<u32>,
@@ -62,6 +66,8 @@ pub struct UploadForm {
     max_error: Option<f64>,
     /// Half extents of the view box, `X,Y,Z`.
     view_box: Option<String>,
+    /// Milliseconds that making the photo may take: size and parallax error are chosen for it.
+    budget_ms: Option<f64>,
 }
 
 /// Upload a photo.
@@ -73,6 +79,7 @@ pub struct UploadForm {
     post, path = "/v1/photos", tag = "photos",
     params(
         ("Prefer" = Option<String>, Header, description = "`wait=SECONDS`: answer once the photo is done, or after that time"),
+        ("title" = Option<String>, Query, description = "What to call the photo, 1 to 200 characters"),
         ("planes" = Option<String>, Query, description = "As in the form; so are all other options"),
     ),
     request_body(description = "The photo", content(
@@ -125,7 +132,7 @@ pub async fn upload(State(app): State<App>, Extension(clock): Extension<Clock>, 
 }
 
 /// Waits until nothing follows, `until`, or the server stops; true where nothing follows.
-async fn wait_for(app: &App, entry: &Arc<Entry>, until: tokio::time::Instant) -> bool {
+pub(super) async fn wait_for(app: &App, entry: &Arc<Entry>, until: tokio::time::Instant) -> bool {
     let mut watch = entry.watch();
     tokio::select! {
         seen = watch.wait_for(|live| live.status.is_final()) => seen.is_ok(),
@@ -135,7 +142,7 @@ async fn wait_for(app: &App, entry: &Arc<Entry>, until: tokio::time::Instant) ->
 }
 
 /// Seconds of `Prefer: wait=SECONDS` (RFC 7240).
-fn prefer_wait(headers: &HeaderMap) -> Option<u64> {
+pub(super) fn prefer_wait(headers: &HeaderMap) -> Option<u64> {
     let mut all = headers.get_all("prefer").iter().filter_map(|v| v.to_str().ok()).flat_map(|v| v.split(','));
     all.find_map(|preference| {
         let (name, value) = preference.split(';').next()?.split_once('=')?;
@@ -277,38 +284,43 @@ fn state_now(app: &App, entry: &Entry) -> Result<Stored, Problem> {
 )]
 pub async fn change(State(app): State<App>, Path(id): Path<String>, _: NoQuery, request: Request) -> Result<Response, Problem> {
     let entry = app.photo(&id)?;
-    let (parts, body) = request.into_parts();
-    let kind = parts.headers.get(header::CONTENT_TYPE).and_then(|v| v.to_str().ok()).unwrap_or_default();
-    let kind = kind.split(';').next().unwrap_or_default().trim().to_ascii_lowercase();
-    if !matches!(kind.as_str(), "application/json" | "application/merge-patch+json") {
-        let detail = "settings are application/merge-patch+json or application/json";
-        return Err(Problem::new(StatusCode::UNSUPPORTED_MEDIA_TYPE, "unsupported-patch", detail).field("Content-Type"));
-    }
-    let body = http_body_util::Limited::new(body, PATCH_BYTES);
-    let patch = http_body_util::BodyExt::collect(body).await.map_err(|e| {
-        let large = e.downcast_ref::<http_body_util::LengthLimitError>().is_some();
-        if large { Problem::too_large(PATCH_BYTES) } else { body::problem(&*e) }
-    })?;
-    let patch = patch.to_bytes();
+    let (headers, patch) = merge_patch(request, PATCH_BYTES, "settings").await?;
     let shared = Arc::clone(&app);
-    let changed = tokio::task::spawn_blocking(move || {
+    let changed = app.change(move || {
         // one change at a time, and none into a folder that goes
         let _gate = entry.gate();
         if entry.is_deleted() {
             return Err(Problem::not_found("the photo was deleted"));
         }
-        still_as_seen(&parts.headers, &state_now(&shared, &entry)?.etag)?;
+        still_as_seen(&headers, &state_now(&shared, &entry)?.etag)?;
         let settings = entry.settings().patched(&patch)?;
         shared.jobs.store.write_settings(entry.id, &settings).map_err(|e| Problem::store(&e))?;
         entry.set_settings(settings);
         state_now(&shared, &entry)
     });
-    let state = changed.await.map_err(|e| Problem::internal("changing settings", &e))??;
+    let state = changed.await??;
     let length = state.source.len();
     let mut response = Response::new(state.source.body(0..length));
     insert(&mut response, header::CONTENT_TYPE, "application/json");
     insert(&mut response, header::ETAG, &state.etag);
     Ok(response)
+}
+
+/// The headers and the body of a request that is a merge patch of `what`, in at most `most` bytes.
+pub(super) async fn merge_patch(request: Request, most: usize, what: &str) -> Result<(HeaderMap, Bytes), Problem> {
+    let (parts, body) = request.into_parts();
+    let kind = parts.headers.get(header::CONTENT_TYPE).and_then(|v| v.to_str().ok()).unwrap_or_default();
+    let kind = kind.split(';').next().unwrap_or_default().trim().to_ascii_lowercase();
+    if !matches!(kind.as_str(), "application/json" | "application/merge-patch+json") {
+        let detail = format!("{what} are application/merge-patch+json or application/json");
+        return Err(Problem::new(StatusCode::UNSUPPORTED_MEDIA_TYPE, "unsupported-patch", detail).field("Content-Type"));
+    }
+    let body = http_body_util::Limited::new(body, most);
+    let patch = http_body_util::BodyExt::collect(body).await.map_err(|e| {
+        let large = e.downcast_ref::<http_body_util::LengthLimitError>().is_some();
+        if large { Problem::too_large(most) } else { body::problem(&*e) }
+    })?;
+    Ok((parts.headers, patch.to_bytes()))
 }
 
 /// Delete a photo and everything that was made of it.
@@ -324,8 +336,7 @@ pub async fn change(State(app): State<App>, Path(id): Path<String>, _: NoQuery, 
 pub async fn delete(State(app): State<App>, Path(id): Path<String>, _: NoQuery) -> Result<StatusCode, Problem> {
     let photo = app.photo(&id)?.id;
     let shared = Arc::clone(&app);
-    let deleted = tokio::task::spawn_blocking(move || shared.jobs.delete(photo));
-    let deleted = deleted.await.map_err(|e| Problem::internal("deleting a photo", &e))??;
+    let deleted = app.change(move || shared.jobs.delete(photo)).await??;
     app.forget(photo).await;
     if deleted { Ok(StatusCode::NO_CONTENT) } else { Err(Problem::not_found("the photo was deleted already")) }
 }

@@ -18,10 +18,25 @@ impl Pairs {
     /// # Errors
     /// 400 that names the first parameter that is unknown or given twice.
     pub fn read(uri: &Uri, names: &[&str]) -> Result<Self, Problem> {
+        Self::reading(uri, names, true)
+    }
+
+    /// The same where parameters of other names are somebody else's, and ignored.
+    ///
+    /// # Errors
+    /// 400 that names the first parameter that is given twice.
+    pub fn read_some(uri: &Uri, names: &[&str]) -> Result<Self, Problem> {
+        Self::reading(uri, names, false)
+    }
+
+    fn reading(uri: &Uri, names: &[&str], strict: bool) -> Result<Self, Problem> {
         let Query(pairs) = Query::<Vec<(String, String)>>::try_from_uri(uri).map_err(|e| Problem::bad_request(e.body_text()))?;
         let mut given = BTreeMap::new();
         for (name, value) in pairs {
             if !names.contains(&name.as_str()) {
+                if !strict {
+                    continue;
+                }
                 let known = if names.is_empty() { "none here".into() } else { names.join(", ") };
                 return Err(Problem::parameter(name, format!("there is no such parameter; there are {known}")));
             }

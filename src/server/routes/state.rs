@@ -65,6 +65,8 @@ pub struct Links {
     pub depth: String,
     /// What was done, left out, and at what error and cost.
     pub report: String,
+    /// Strokes that the depth is touched up with.
+    pub strokes: String,
     /// Small picture.
     pub thumbnail: String,
     /// The view that stands for the photo: the one that its settings name, else the thumbnail.
@@ -184,6 +186,7 @@ impl PhotoState {
                 view: at("/view"),
                 depth: fixed("/depth"),
                 report: fixed("/report"),
+                strokes: at("/strokes"),
                 thumbnail: fixed("/thumbnail"),
                 poster: fixed(poster.as_deref().unwrap_or("/thumbnail")),
                 export: at("/export"),

@@ -9,14 +9,14 @@ use axum::response::Response;
 use futures_util::TryFutureExt as _;
 use tokio_util::sync::CancellationToken;
 
-use crate::server::app::{App, Export, Shared, Stored, Version, scene_bytes};
+use crate::server::app::{App, Export, Full, Shared, Stored, Version, scene_bytes};
 use crate::server::clock::Clock;
 use crate::server::conditional::insert;
 use crate::server::pool::Class;
 use crate::server::problem::Problem;
 use crate::server::store::Done;
 use tmpi_core::{Camera, Scene};
-use tmpi_render::{Animation, DEFAULT_QUALITY, PictureFormat, RenderError, Renderer, View, draw_several, encode};
+use tmpi_render::{Animation, DEFAULT_QUALITY, Outlook, PictureFormat, RenderError, Renderer, View, draw_several, encode};
 
 use super::derived::Derived;
 use super::view_query::{Moving, ViewQuery};
@@ -90,12 +90,13 @@ pub async fn view(
         return Ok(response);
     }
     let mut timing = Vec::new();
+    let full = if query.moving.is_some() { Full::Refuse } else { Full::Memory };
     // whoever asks for the same view meanwhile waits for this one
     let drawn = async {
         let (bytes, took) = draw(&app, version, &done, &query, size, format).await?;
         timing = took;
         let (name, shared) = (derived.made.clone(), Arc::clone(&app));
-        let keep = tokio::task::spawn_blocking(move || Stored::derived(Some(&name), bytes, &shared.scratch));
+        let keep = tokio::task::spawn_blocking(move || Stored::derived(Some(&name), bytes, &shared.jobs.store, full));
         keep.await.map_err(|e| Problem::internal("keeping a view", &e))?
     };
     let key = (version, derived.made.clone());
@@ -164,10 +165,11 @@ fn film(
     draw: impl Fn(&Camera) -> Result<View, RenderError>,
 ) -> Result<(Vec<u8>, Duration), Problem> {
     let (mut animation, mut rendering) = (None, Duration::ZERO);
+    let outlook = Outlook::of(scene);
     for frame in 0..moving.frames {
-        let pose = moving.path.pose(&camera.pose, frame, moving.frames, &scene.view_box);
+        let camera = moving.path.camera(camera, frame, moving.frames, &outlook);
         let start = Instant::now();
-        let view = draw(&Camera { pose, ..*camera }).map_err(|e| Problem::from(&e))?;
+        let view = draw(&camera).map_err(|e| Problem::from(&e))?;
         rendering += start.elapsed();
         let size = (view.width, view.height);
         if animation.is_none() {

@@ -6,7 +6,7 @@ use super::query::Pairs;
 use crate::server::limits::Limits;
 use crate::server::problem::Problem;
 use tmpi_core::{Camera, Intrinsics, Pose, Scene};
-use tmpi_render::{AnimationFormat, Arrangement, EYES, Path, PictureFormat, Rig};
+use tmpi_render::{AnimationFormat, Arrangement, EYES, Outlook, Path, PictureFormat, Rig};
 
 /// Fields of view that are drawn, in degrees.
 const FOV: std::ops::RangeInclusive<f64> = 0.1..=179.0;
@@ -20,8 +20,8 @@ const LENGTH_STEP: f64 = 1e-5;
 /// Degrees.
 const ANGLE_STEP: f64 = 1e-3;
 
-const NAMES: [&str; 17] =
-    ["tx", "ty", "tz", "yaw", "pitch", "roll", "w", "h", "fov", "format", "stereo", "quilt", "ipd", "focus", "path", "frames", "v"];
+const NAMES: [&str; 18] =
+    ["tx", "ty", "tz", "yaw", "pitch", "roll", "w", "h", "fov", "crop", "format", "stereo", "quilt", "ipd", "focus", "path", "frames", "v"];
 /// Frames of an animation.
 const FRAMES: std::ops::RangeInclusive<u32> = 2..=240;
 /// Frames where the query does not say: two seconds.
@@ -53,6 +53,31 @@ pub enum StereoKind {
     Anaglyph,
 }
 
+/// A part of a picture, in shares of its width and height.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Crop {
+    /// Left and upper border.
+    pub corner: [f64; 2],
+    /// Width and height, above 0.
+    pub size: [f64; 2],
+}
+
+/// Least side of a part, as a share: a pixel of the largest photo is about that.
+const LEAST_CROP: f64 = 1e-4;
+
+impl std::str::FromStr for Crop {
+    type Err = &'static str;
+
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        const WRONG: &str = "must be x,y,w,h, all from 0 to 1 and within the picture, w and h at least 0.0001";
+        let numbers: Vec<f64> = text.split(',').map(|v| v.trim().parse().map_err(|_| WRONG)).collect::<Result<_, _>>()?;
+        let &[x, y, w, h] = numbers.as_slice() else { return Err(WRONG) };
+        // what was rounded may be a hair too wide
+        let within = |from: f64, length: f64| from >= 0.0 && length >= LEAST_CROP && from + length <= 1.0 + LEAST_CROP;
+        if within(x, w) && within(y, h) { Ok(Self { corner: [x, y], size: [w, h] }) } else { Err(WRONG) }
+    }
+}
+
 /// Camera and format of a view.
 #[derive(Clone, Debug, Default, PartialEq, utoipa::IntoParams)]
 #[into_params(parameter_in = Query)]
@@ -78,25 +103,29 @@ pub struct ViewQuery {
     /// Horizontal field of view in degrees; that of the photo if it is not given.
     #[param(minimum = 0.1, maximum = 179.0)]
     pub fov: Option<f64>,
+    /// `x,y,w,h`: only this part of the picture, in shares of the whole one's width and height, as if one looked closer; `w`, `h` and
+    /// `fov` are as without it, but that `w` and `h` are the part's.
+    #[param(value_type = Option<String>, example = "0.25,0.25,0.5,0.5")]
+    pub crop: Option<Crop>,
     /// `png`, `jpeg` or `webp`; by `Accept` if it is not given. With `path` `webp`, which is the default then, or `mp4`.
     #[param(value_type = Option<String>)]
     pub format: Option<PictureFormat>,
     /// Two views in one picture: `sbs` side by side, `anaglyph` for red and cyan glasses.
-    #[param(value_type = Option<String>, example = "sbs")]
+    #[param(value_type = Option<String>)]
     pub stereo: Option<StereoKind>,
     /// `COLUMNSxROWS` views from left to right, from the lower left on, as light-field displays take them; at most 100.
-    #[param(value_type = Option<String>, example = "8x6")]
+    #[param(value_type = Option<String>)]
     pub quilt: Option<Arrangement>,
-    /// From the first camera to the last, in units of the nearest distance; 1/30 for stereo and the width of the view box for a
-    /// quilt if it is not given.
+    /// From the first camera to the last, in units of the nearest distance; 1/30 for stereo, and for a quilt the width of the view box, at most 0.06,
+    /// if it is not given.
     #[param(minimum = 0.0001, maximum = 10.0)]
     pub ipd: Option<f64>,
     /// Disparity that lies in the screen, 0 (infinity) if it is not given: what is nearer stands before it.
     #[param(minimum = 0.0, maximum = 2.0)]
     pub focus: Option<f64>,
-    /// `orbit`, `swing` or `dolly`: an animation of the camera's way through the view box, 30 frames a second; no more than 640
+    /// `orbit`, `swing`, `dolly`, `dolly-zoom` or `zoom` (into the nearest thing): an animation of the camera's way, 30 frames a second; no more than 640
     /// pixels a side if the size is not given. Needs ffmpeg on the server.
-    #[param(value_type = Option<String>, example = "orbit", rename = "path")]
+    #[param(value_type = Option<String>, rename = "path")]
     pub moving: Option<Moving>,
     /// Frames of an animation, 60 if it is not given.
     #[param(minimum = 2, maximum = 240)]
@@ -128,6 +157,7 @@ impl ViewQuery {
         };
         let fov = within("fov", &FOV)?;
         let (ipd, focus) = (within("ipd", &BASELINE)?, within("focus", &FOCUS)?);
+        let crop = given.take("crop").map(|text| text.parse().map_err(|e| Problem::parameter("crop", e))).transpose()?;
         let mut side = |name: &str| -> Result<Option<u32>, Problem> {
             let Some(text) = given.take(name) else { return Ok(None) };
             let value = text.parse().ok().filter(|v| (1..=limits.view_side).contains(v));
@@ -135,7 +165,8 @@ impl ViewQuery {
         };
         let (w, h) = (side("w")?, side("h")?);
         let path = given.take("path").map(|text| {
-            Path::from_name(&text).ok_or_else(|| Problem::parameter("path", format!("must be orbit, swing or dolly, not {text:?}")))
+            Path::from_name(&text)
+                .ok_or_else(|| Problem::parameter("path", format!("must be one of {}, not {text:?}", Path::NAMES.join(", "))))
         });
         let path = path.transpose()?;
         let frames = given.take("frames").map(|text| {
@@ -171,7 +202,7 @@ impl ViewQuery {
                 return Err(Problem::parameter(name, "goes with stereo or quilt"));
             }
         }
-        Ok(Self { tx, ty, tz, yaw, pitch, roll, w, h, fov, format, stereo, quilt, ipd, focus, moving, frames, version })
+        Ok(Self { tx, ty, tz, yaw, pitch, roll, w, h, fov, crop, format, stereo, quilt, ipd, focus, moving, frames, version })
     }
 
     /// Size of each view of a photo of `photo` pixels.
@@ -184,7 +215,8 @@ impl ViewQuery {
         let (most_wide, most_high) = (limits.view_side / columns, limits.view_side / rows);
         let frames = self.moving.map_or(1, |m| u64::from(m.frames));
         let most = limits.view_pixels / (u64::from(columns) * u64::from(rows)) * FILM / frames.max(FILM);
-        let (pw, ph) = (f64::from(photo.0), f64::from(photo.1));
+        let [cw, ch] = self.crop.map_or([1.0; 2], |c| c.size);
+        let (pw, ph) = (f64::from(photo.0) * cw, f64::from(photo.1) * ch);
         let side = |v: f64| (v.round() as u32).clamp(1, limits.view_side);
         let (w, h) = match (self.w, self.h) {
             (Some(w), Some(h)) => (w, h),
@@ -238,7 +270,7 @@ impl ViewQuery {
     #[must_use]
     pub fn rig(&self, scene: &Scene) -> Option<Rig> {
         let arrangement = self.arrangement()?;
-        let usual = if self.quilt.is_some() { 2.0 * scene.view_box.x } else { EYES };
+        let usual = if self.quilt.is_some() { (2.0 * scene.view_box.x).min(Outlook::TRAVEL) } else { EYES };
         Some(Rig { arrangement, baseline: self.ipd.unwrap_or(usual), focus: self.focus.unwrap_or(0.0) })
     }
 
@@ -254,12 +286,26 @@ impl ViewQuery {
         let of = |v: Option<f64>| v.unwrap_or(0.0);
         let pose =
             Pose { tx: of(self.tx), ty: of(self.ty), tz: of(self.tz), yaw: of(self.yaw), pitch: of(self.pitch), roll: of(self.roll) };
-        let intrinsics = match self.fov {
-            Some(fov) => Intrinsics::from_fov_x(width, height, fov),
-            None => scene.intrinsics.resized((scene.grid.width, scene.grid.height), (width, height)),
+        let photo = (scene.grid.width, scene.grid.height);
+        let intrinsics = match (self.fov, &self.crop) {
+            (Some(fov), None) => Intrinsics::from_fov_x(width, height, fov),
+            (None, None) => scene.intrinsics.resized(photo, (width, height)),
+            (fov, Some(crop)) => {
+                let whole = fov.map_or(scene.intrinsics, |fov| Intrinsics::from_fov_x(photo.0, photo.1, fov));
+                part(&whole, photo, crop, (width, height))
+            }
         };
         Camera { pose, intrinsics, width, height }
     }
+}
+
+/// The lens of a picture of `size` that shows a part of one of a photo.
+fn part(k: &Intrinsics, photo: (u32, u32), crop: &Crop, size: (u32, u32)) -> Intrinsics {
+    let scale = f64::from(size.0) / (crop.size[0] * f64::from(photo.0));
+    let centre = |c: f64, axis: usize, photo: u32, size: u32| {
+        (c - (crop.corner[axis] + crop.size[axis] / 2.0) * f64::from(photo)) * scale + f64::from(size) / 2.0
+    };
+    Intrinsics { fx: k.fx * scale, fy: k.fy * scale, cx: centre(k.cx, 0, photo.0, size.0), cy: centre(k.cy, 1, photo.1, size.1) }
 }
 
 /// `v` rounded to whole multiples of `step`; as it is where it is too large for that.
@@ -278,6 +324,18 @@ mod tests {
     }
 
     #[test]
+    fn a_crop_is_a_part_of_the_whole_picture() {
+        let crop: Crop = "0.25,0.5,0.5,0.25".parse().unwrap();
+        let k = Intrinsics { fx: 300.0, fy: 310.0, cx: 190.0, cy: 110.0 };
+        let own = part(&k, (400, 200), &crop, (400, 100));
+        // twice as large, and the corner of the part is the corner of the picture
+        assert!((own.fx - 600.0).abs() < 1e-9 && (own.fy - 620.0).abs() < 1e-9, "{own:?}");
+        assert!((own.cx - (190.0 - 100.0) * 2.0).abs() < 1e-9 && (own.cy - (110.0 - 100.0) * 2.0).abs() < 1e-9, "{own:?}");
+        let all: Crop = "0,0,1,1".parse().unwrap();
+        assert_eq!(part(&k, (400, 200), &all, (400, 200)), k);
+    }
+
+    #[test]
     fn wrong_parameters_are_named() {
         for (query, field) in [
             ("tx=NaN", "tx"),
@@ -293,6 +351,11 @@ mod tests {
             ("fov=0.09", "fov"),
             ("fov=179.1", "fov"),
             ("fov=NaN", "fov"),
+            ("crop=0,0,1", "crop"),
+            ("crop=0,0,1,0", "crop"),
+            ("crop=0.6,0,0.5,1", "crop"),
+            ("crop=-0.1,0,0.5,1", "crop"),
+            ("crop=0,0,NaN,1", "crop"),
             ("format=gif", "format"),
             ("yew=3", "yew"),
             ("stereo=both", "stereo"),

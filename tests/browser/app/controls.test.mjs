@@ -145,6 +145,16 @@ describe('every control', () => {
         await $('set-motion').fill('0.5');
         assert.ok(Math.abs((await viewer((v) => v.limits.x)) - 0.015) < 1e-4);
       },
+      'select: How it moves by itself': async () => {
+        await $('set-idle').selectOption('orbit');
+        assert.ok(await viewer((v) => v.idle && v.motion.style === 'orbit' && v.settings.idle === 'orbit'));
+        await $('set-idle').selectOption('none');
+        assert.ok(await viewer((v) => !v.idle));
+      },
+      'input: How fast': async () => {
+        await $('set-speed').fill('2');
+        assert.deepEqual(await viewer((v) => [v.motion.rate, v.settings.speed]), [2, 2]);
+      },
       'input: What stays in place: far to near': async () => {
         await $('set-focus').fill('0.7');
         assert.equal(await viewer((v) => v.pivot), 0.7);
@@ -165,9 +175,16 @@ describe('every control', () => {
       },
       'button: As it came': async () => {
         await $('set-clear').click();
-        assert.equal(await $('set-title').inputValue(), '');
-        assert.deepEqual(await viewer((v) => v.settings), { version: 1 });
+        assert.equal(await $('set-title').inputValue(), 'Another', 'what a photo is called is not how it moves');
+        assert.deepEqual(await viewer((v) => v.settings), { version: 1, title: 'Another' });
         await page.keyboard.press('Escape');
+      },
+      'button: Touch up the depth…': async () => {
+        await $('settings').click();
+        await $('touch-up').click();
+        await page.getByRole('dialog', { name: 'Touch up the depth' }).waitFor();
+        await $('touch-cancel').click();
+        assert.equal(await page.locator('dialog.touch-up').count(), 0);
       },
       'button: Download': opens(page.locator('[popovertarget=download-menu]'), 'download-menu'),
       'a: The 3D photo (.tmpi)': answers($('download'), '/v1/photos/box/atlas'),
@@ -179,8 +196,45 @@ describe('every control', () => {
         assert.equal(download.suggestedFilename(), 'Another.png');
         await page.keyboard.press('Escape');
       },
-      'button: Share': async () => {
+      'a: For red and cyan glasses (.jpg)': async () => {
+        await page.locator('[popovertarget=download-menu]').click();
+        const pivot = await viewer((v) => v.pivot.toFixed(3));
+        await answers(page.locator('[data-view=anaglyph]'), `/v1/photos/box/view?stereo=anaglyph&format=jpeg&focus=${pivot}`)();
+        assert.equal(await page.locator('[data-view=anaglyph]').getAttribute('download'), 'Another-anaglyph.jpg');
+      },
+      'a: Two views side by side (.jpg)': async () => {
+        assert.match(await page.locator('[data-view=sbs]').getAttribute('href'), /\/v1\/photos\/box\/view\?stereo=sbs&/);
+      },
+      'a: For a light-field display (.png)': async () => {
+        assert.match(await page.locator('[data-view=quilt]').getAttribute('href'), /\?quilt=8x6&w=420&h=560&format=png&/);
+        assert.match(await page.locator('[data-view=quilt]').getAttribute('download'), /_qs8x6a0\.75\.png$/);
+      },
+      'a: The depth map (.png)': async () => {
+        await answers($('depth-download'), '/v1/photos/box/depth')();
+        await page.keyboard.press('Escape');
+      },
+      'button: Share': opens($('share'), 'share-menu'),
+      'button: A film or GIF…': async () => {
+        await $('share-film').click();
+        const dialog = page.getByRole('dialog', { name: 'A film or GIF' });
+        await dialog.getByRole('button', { name: 'Make it' }).waitFor();
+        await dialog.getByRole('button', { name: 'Close' }).click();
+        await dialog.waitFor({ state: 'detached' });
+      },
+      'button: Put it on a page…': async () => {
         await $('share').click();
+        await $('share-embed').click();
+        const dialog = page.getByRole('dialog', { name: 'Put it on a page' });
+        assert.match(
+          await dialog.getByLabel('In a frame', { exact: true }).inputValue(),
+          /<iframe src="[^"]*\/embed\/box" title="Another"/,
+        );
+        await dialog.getByRole('button', { name: 'Close' }).click();
+        await dialog.waitFor({ state: 'detached' });
+      },
+      'button: Link to this very view': async () => {
+        await $('share').click();
+        await $('share-link').click();
         await page.waitForFunction(() => window.sharing?.url === location.href.split('#')[0]);
       },
       'input: Link to this view': async () => {
@@ -189,6 +243,7 @@ describe('every control', () => {
           Object.defineProperty(navigator, 'clipboard', { value: undefined });
         });
         await $('share').click();
+        await $('share-link').click();
         assert.equal(await $('link').inputValue(), `${server.url}/view/box`);
       },
       'button: Close': async () => {
@@ -196,9 +251,16 @@ describe('every control', () => {
         assert.ok(await $('link-dialog').isHidden());
       },
       // last: where a screen is only emulated, clicks go astray afterwards
+      'button: Tilt to look around': async () => {
+        assert.ok(await $('tilt-offer').isHidden());
+        await $('stage').tap();
+        await $('tilt-offer').click();
+        await until((v) => v.tilting);
+        await viewer((v) => v.setTilt(false));
+      },
       'button: Full screen': async () => {
         await $('fullscreen').click();
-        await page.waitForFunction(() => document.fullscreenElement?.id === 'frame');
+        await page.waitForFunction(() => document.fullscreenElement === document.documentElement);
         await page.evaluate(() => document.exitFullscreen());
         await page.waitForFunction(() => document.getElementById('fullscreen').getAttribute('aria-pressed') === 'false');
       },

@@ -37,6 +37,8 @@ describe('modules', () => {
     const roots = [
       'app/upload-page.js',
       'app/view-page.js',
+      // when it is asked for
+      'app/touch-up.js',
       'app/demo-page.js',
       'app/embed-page.js',
       'element/tmpi-viewer.js',
@@ -44,6 +46,10 @@ describe('modules', () => {
       'view/viewer.js',
       'decode/worker.js',
       'decode/unpack.js',
+      // fetched when they are asked for
+      'app/embed-dialog.js',
+      'app/film-dialog.js',
+      'film/gif.js',
     ];
     const needed = new Set(roots.flatMap((root) => [...graph(root)]));
     assert.deepEqual(

@@ -216,7 +216,11 @@ describe('the whole way', () => {
     const other = await makePhoto(server.url, boxPhoto(240, 150), boxDepth(240, 150));
     await page.goto(`${server.url}/view/${other.id}`);
     await waitForMode(page, 'gpu');
-    await page.evaluate(() => window.viewer.moveTo({ x: 0.8, y: 0, z: 0 }));
+    const { placed, most, box } = await page.evaluate(() => {
+      window.viewer.moveTo({ x: 0.8, y: 0, z: 0 });
+      return { placed: window.viewer.pose.tx, most: window.viewer.limits.x, box: window.viewer.head.viewBox.x };
+    });
+    assert.ok(Math.abs(placed - 0.8 * most) < 1e-4 && most <= box + 1e-9 && most > 0.02, `${placed} of ${most} of ${box}`);
     await page.locator('#settings').click();
     await page.getByLabel('Title').fill('A box');
     for (const name of ['Start from here', 'Picture of the list from here']) await page.getByRole('button', { name }).click();
@@ -225,13 +229,14 @@ describe('the whole way', () => {
     await page.reload();
     await waitForMode(page, 'gpu');
     assert.equal(await page.locator('#title').textContent(), 'A box');
-    await page.waitForFunction(() => Math.abs(window.viewer.pose.tx - 0.024) < 2e-3);
+    await page.waitForFunction((tx) => Math.abs(window.viewer.pose.tx - tx) < 1e-3, placed);
     await page.goto(server.url);
     const picture = page.locator('.card').filter({ hasText: 'A box' }).locator('img');
     await page.waitForFunction(() =>
       [...document.querySelectorAll('.card img')].some((image) => image.src.includes('/view?tx=') && image.naturalWidth > 0),
     );
-    assert.match(await picture.getAttribute('src'), /\/view\?tx=0\.024/);
+    const [, shown] = (await picture.getAttribute('src')).match(/\/view\?tx=([\d.]+)/);
+    assert.ok(Math.abs(Number(shown) - placed) < 1e-3, shown);
     assert.deepEqual(errors, []);
     await context.close();
   });

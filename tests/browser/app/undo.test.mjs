@@ -7,7 +7,8 @@ describe('undo', () => {
   const suite = uploadSuite();
 
   test('a photo deleted while its row is shown takes the row with it', async () => {
-    const { page, context } = await suite.open({ pages: [{ photos: [photo('a')] }], posts: [{ status: 202, json: photo('a') }] });
+    const one = { ...photo('a'), settings: { version: 1, title: 'one' } };
+    const { page, context } = await suite.open({ pages: [{ photos: [one] }], posts: [{ status: 202, json: one }] });
     await page.route('**/v1/photos/a', (route) => route.fulfill({ status: 204 }));
     await page.setInputFiles('#picker', { name: 'one.png', mimeType: 'image/png', buffer: Buffer.from('x') });
     await page.getByRole('link', { name: 'Open one.png' }).waitFor();

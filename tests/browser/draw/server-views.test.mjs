@@ -23,6 +23,15 @@ describe('views of the server', () => {
     const last = new URLSearchParams(suite.server.views.at(-1));
     assert.equal(last.get('tx'), '-0.03000');
     assert.ok(Number(last.get('fov')) > 60 && Number(last.get('fov')) < 82, last.get('fov'));
+    assert.equal(last.get('crop'), null, 'all of the photo');
+    for (let i = 0; i < 4; i++) await page.keyboard.press('+');
+    await page.waitForFunction(() => !window.viewer.moving && window.viewer.serverViews.shown === window.viewer.serverViews.wanted);
+    const close = new URLSearchParams(suite.server.views.at(-1));
+    const [x, y, w, h] = close.get('crop').split(',').map(Number);
+    assert.ok(w < 0.5 && w > 0.3 && h < 0.7 && Math.abs(x + w / 2 - 0.5) < 1e-3 && Math.abs(y + h / 2 - 0.5) < 1e-3, close.get('crop'));
+    assert.equal(close.get('fov'), last.get('fov'));
+    // as wide for its height as what is seen of the photo is
+    assert.ok(Math.abs(Number(close.get('w')) / Number(close.get('h')) - (w * 200) / (h * 120)) < 0.02, close.toString());
     assert.deepEqual(errors, []);
     await context.close();
   });

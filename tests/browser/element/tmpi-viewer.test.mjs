@@ -30,6 +30,27 @@ describe('element', () => {
     await other.close();
   });
 
+  test('a page says how its element moves, and how fast', async () => {
+    const { page, context } = await openPage(suite.browser);
+    await page.goto(`${suite.server.url}/embed?host=${encodeURIComponent(suite.server.url)}`);
+    await page.waitForFunction(() => document.querySelector('tmpi-viewer').viewer?.mode === 'gpu');
+    const told = (motion, speed) =>
+      page.evaluate(
+        ([m, s]) => {
+          const element = document.querySelector('tmpi-viewer');
+          element.removeAttribute('still');
+          element.setAttribute('motion', m);
+          element.setAttribute('speed', s);
+          const { style, rate } = element.viewer.motion;
+          return [style, rate, element.viewer.idle];
+        },
+        [motion, speed],
+      );
+    assert.deepEqual(await told('orbit', '2'), ['orbit', 2, true]);
+    assert.deepEqual((await told('none', '1'))[2], false);
+    await context.close();
+  });
+
   test('three elements share a device, sleep out of sight and leave nothing behind', async () => {
     const { page, context, errors } = await openPage(suite.browser);
     await page.goto(`${suite.server.url}/embed/three`);

@@ -2,11 +2,12 @@
 import { readFile } from 'node:fs/promises';
 import { createServer } from 'node:http';
 import { extname, normalize } from 'node:path';
-import { boxPhoto } from './pictures.mjs';
+import { boxDepth, boxPhoto } from './pictures.mjs';
 
 const STATIC = new URL('../../../static/', import.meta.url);
 const TYPES = {
   '.js': 'text/javascript',
+  '.mjs': 'text/javascript',
   '.css': 'text/css',
   '.html': 'text/html; charset=utf-8',
   '.svg': 'image/svg+xml',
@@ -16,7 +17,7 @@ const TYPES = {
 /** What the server has at addresses of its own. */
 const PAGES = { '/': 'app/upload-page.html', '/tmpi-viewer.js': 'element/tmpi-viewer.js' };
 const POLICY =
-  "default-src 'self'; script-src 'self' 'wasm-unsafe-eval'; img-src 'self' blob: data:; object-src 'none'; base-uri 'none'; frame-ancestors 'self'";
+  "default-src 'self'; script-src 'self' 'wasm-unsafe-eval'; img-src 'self' blob: data:; media-src 'self' blob:; object-src 'none'; base-uri 'none'; frame-ancestors 'self'";
 
 /** Errors of the box's tiles: none, but a pixel in the last. */
 const TILE_PX = [0, 0, 0, 0, 0, 0, 0, 1];
@@ -36,7 +37,9 @@ export async function serve({ atlas, delayMs = 0, wasm = true }) {
     const url = new URL(request.url, 'http://localhost');
     const send = (status, type, body) => {
       const headers = { 'content-type': type, 'content-length': Buffer.byteLength(body), 'access-control-allow-origin': '*' };
-      if (!url.pathname.startsWith('/embed'))
+      const policy = url.searchParams.get('policy');
+      if (policy) headers['content-security-policy'] = policy;
+      else if (!url.pathname.startsWith('/embed'))
         headers['content-security-policy'] = wasm ? POLICY : POLICY.replace(" 'wasm-unsafe-eval'", '');
       response.writeHead(status, headers);
       response.end(body);
@@ -56,12 +59,19 @@ export async function serve({ atlas, delayMs = 0, wasm = true }) {
       return send(200, 'application/json', JSON.stringify(state));
     }
     if (url.pathname === '/v1/photos/box/settings') return send(200, 'application/json', JSON.stringify(state.settings ?? {}));
+    if (url.pathname === '/v1/photos/box/strokes') return send(200, 'application/json', JSON.stringify({ version: 1, strokes: [] }));
+    if (url.pathname === '/v1/photos/box/depth') return send(200, 'image/png', boxDepth(200, 120));
     if (url.pathname === '/v1/photos/box/report') return send(200, 'application/json', JSON.stringify({ error: { tile_px: TILE_PX } }));
     if (url.pathname === '/v1/photos/box/atlas') return sendSlowly(response, atlas, delayMs);
     if (url.pathname === '/embed/blank')
       return send(200, TYPES['.html'], '<!doctype html><title>blank</title><link rel="icon" href="data:,">');
     if (url.pathname === '/embed/three') return send(200, TYPES['.html'], three());
-    if (url.pathname === '/embed') return send(200, TYPES['.html'], embed(url.searchParams.get('host')));
+    if (url.pathname === '/embed')
+      return send(
+        200,
+        TYPES['.html'],
+        embed(url.searchParams.get('host'), url.searchParams.get('more') ?? 'still', url.searchParams.get('in')),
+      );
     if (url.pathname === '/v1/photos/box/view') {
       views.push(url.search);
       most = Math.max(most, ++atOnce);
@@ -110,8 +120,8 @@ function three() {
     ${one('auto-rotate="off"')}${one('camera-controls="off"')}<div style="height: 4000px"></div>${one('still')}`;
 }
 
-/** A page of somebody else with the element on it. */
-function embed(host) {
-  return `<!doctype html><title>embed</title><script type="module" src="${host}/tmpi-viewer.js"></script>
-    <p>text</p><tmpi-viewer src="${host}/v1/photos/box/atlas" alt="A box before a wall" still></tmpi-viewer>`;
+/** A page of somebody else with the element on it; `more`: further attributes, `within`: what is in it. */
+function embed(host, more, within) {
+  return `<!doctype html><title>embed</title><link rel="icon" href="data:,"><script type="module" src="${host}/tmpi-viewer.js"></script>
+    <p>text</p><tmpi-viewer src="${host}/v1/photos/box/atlas" alt="A box before a wall" ${more}>${within ?? ''}</tmpi-viewer>`;
 }

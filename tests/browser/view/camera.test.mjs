@@ -1,16 +1,16 @@
 // Poses and angles.
 import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
-import { anglesOf, extrinsics, HOME, lookingAt, pivotOf } from '../../../static/view/camera.js';
-import { boxContainer } from '../support/container.mjs';
-import { scene as decoded } from '../support/decoder.mjs';
-import { BOX, readPng } from '../support/pictures.mjs';
+import { anglesOf, extrinsics, framed, HOME, lookingAt, magnified, resized, WHOLE } from '../../../static/view/camera.js';
+import { BOX_HEAD } from '../support/container.mjs';
 
 describe('camera', () => {
-  test('turns about the middle', async () => {
-    const scene = await decoded(new Uint8Array(boxContainer()), readPng);
-    const pivot = pivotOf(scene);
-    assert.ok(Math.abs(pivot - BOX.far) < 0.01, `most of the picture is wall: ${pivot}`);
+  test('a frame over all of the photo is its own camera, and one over a part looks there', () => {
+    const size = { width: 400, height: 240 };
+    assert.deepEqual(framed(BOX_HEAD, size, WHOLE), resized(BOX_HEAD.intrinsics, BOX_HEAD, size));
+    // twice as large, about the upper left corner
+    const k = framed(BOX_HEAD, size, magnified(WHOLE, 2, { x: 0, y: 0 }));
+    assert.deepEqual([k.fx, k.cx, k.cy], [4 * BOX_HEAD.intrinsics.fx, 4 * BOX_HEAD.intrinsics.cx, 4 * BOX_HEAD.intrinsics.cy]);
   });
 
   test('what lies at the pivot stays in place', () => {

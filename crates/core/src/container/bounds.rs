@@ -2,7 +2,7 @@
 
 use super::{ContainerError, columns};
 use crate::layers::work_of;
-use crate::{Geometry, Grid, Intrinsics, Tile, ViewBox};
+use crate::{Grid, Intrinsics, Tile, ViewBox};
 
 /// Pixels of the photo.
 pub const PIXELS: u64 = super::MAX_PIXELS;
@@ -65,7 +65,8 @@ pub fn work(grid: &Grid, tiles: &[Tile]) -> Result<(), ContainerError> {
 }
 
 /// Checks what is to be written.
-pub fn geometry(g: &Geometry) -> Result<(), ContainerError> {
+#[cfg(feature = "write")]
+pub fn geometry(g: &crate::Geometry) -> Result<(), ContainerError> {
     frame(&g.grid, &g.intrinsics, &g.view_box)?;
     planes(&g.grid, g.planes())?;
     work(&g.grid, &g.tiles)
@@ -112,5 +113,33 @@ mod tests {
         }
         assert_eq!(most_planes(&Grid::new(8192, 6000, 8)), 0);
         assert_eq!(most_planes(&Grid::full(4000, 3000)) as usize, columns::MOST_PLANES - 1);
+    }
+
+    #[test]
+    fn the_largest_photo_is_taken_and_one_pixel_more_is_not() {
+        let at = |width, height, size, stride| {
+            let grid = Grid { width, height, size, stride };
+            frame(&grid, &Intrinsics::centred(width.max(1), height.max(1), 50.0), &ViewBox::default()).is_ok()
+        };
+        let (wide, high) = (10_000, (PIXELS / 10_000) as u32);
+        assert_eq!(u64::from(wide) * u64::from(high), PIXELS);
+        assert!(at(wide, high, 64, 56) && !at(wide, high + 1, 64, 56));
+        assert!(at(SIDE, 1, 64, 56) && !at(SIDE + 1, 1, 64, 56) && at(1, SIDE, 64, 56) && !at(1, SIDE + 1, 64, 56));
+        assert!(!at(0, 1, 64, 56) && !at(1, 0, 64, 56));
+        assert!(at(100, 100, 64, 32) && !at(100, 100, 64, 31) && at(100, 100, 64, 64) && !at(100, 100, 64, 65));
+        assert!(at(100, 100, SIDE, SIDE) && !at(100, 100, SIDE + 1, SIDE + 1) && !at(100, 100, 0, 0));
+    }
+
+    #[test]
+    fn cameras_that_are_none_are_refused() {
+        let grid = Grid::new(100, 80, 64);
+        let k = Intrinsics::centred(100, 80, 50.0);
+        let seen = |k: Intrinsics, v: ViewBox| frame(&grid, &k, &v).is_ok();
+        let none = ViewBox { x: 0.0, y: 0.0, z: 0.0 };
+        assert!(seen(k, none));
+        for bad in [f64::NAN, f64::INFINITY, -0.01] {
+            assert!(!seen(k, ViewBox { x: bad, ..none }) && !seen(k, ViewBox { y: bad, ..none }) && !seen(k, ViewBox { z: bad, ..none }));
+            assert!(!seen(Intrinsics { fx: bad, ..k }, none), "{bad}");
+        }
     }
 }

@@ -63,3 +63,26 @@ pub fn read(grid: &Grid, count: usize, data: &[u8]) -> Result<Vec<Tile>, Contain
         })
         .collect())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Two tiles with these counts, and as many planes as `count` says.
+    fn section(counts: [u8; 2], count: usize) -> Vec<u8> {
+        [counts.to_vec(), vec![0; count * COLUMNS * 2]].concat()
+    }
+
+    #[test]
+    fn counts_of_tiles_make_up_the_count_of_planes_and_each_is_in_bounds() {
+        let grid = Grid { width: 16, height: 8, size: 8, stride: 8 };
+        let read = |counts, count| read(&grid, count, &section(counts, count));
+        assert_eq!(read([1, 2 | BACKGROUND], 4).unwrap().iter().map(|t| t.planes.len()).collect::<Vec<_>>(), [1, 2]);
+        assert!(read([MOST, MOST | BACKGROUND], 2 * MOST as usize + 1).is_ok());
+        // each in bounds, and too many or too few together
+        assert!(read([1, 2], 4).is_err() && read([1, 2], 2).is_err());
+        // as many together as there should be, and one of them out of bounds
+        assert!(read([0, 2], 2).is_err() && read([BACKGROUND, 2], 3).is_err() && read([MOST + 1, 1], MOST as usize + 2).is_err());
+        assert!(super::read(&grid, 2, &section([1, 1], 3)).is_err());
+    }
+}

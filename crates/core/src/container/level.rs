@@ -110,3 +110,43 @@ fn halved_photo(p: &Photo) -> Photo {
     }
     Photo { width, height, rgb }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Plane, ViewBox};
+
+    #[test]
+    fn a_level_has_half_the_camera_and_the_planes_that_are_left_in_their_order() {
+        let planes: Vec<Plane> = [0.1, 0.4, 0.6, 0.9].map(Plane::fronto_parallel).to_vec();
+        // the second plane is one pixel of four everywhere: it goes; two pixels each: the nearer stays
+        let labels = (0..64u8).map(|i| match (i % 8 / 4, i % 2 + i / 8 % 2 * 2) {
+            (0, 0) => 1,
+            (0, _) => 0,
+            (_, 0 | 3) => 2,
+            _ => 3,
+        });
+        let grid = Grid { width: 8, height: 8, size: 8, stride: 8 };
+        let intrinsics = Intrinsics { fx: 7.0, fy: 9.0, cx: 3.0, cy: 5.0 };
+        let tile = Tile { planes: planes.clone(), labels: labels.collect(), background: Some(planes[0]) };
+        let whole = Geometry { grid, intrinsics, view_box: ViewBox { x: 0.1, y: 0.2, z: 0.3 }, tiles: vec![tile] };
+        let half = halved(&whole).unwrap();
+        assert_eq!(half.grid, Grid { width: 4, height: 4, size: 4, stride: 4 });
+        assert_eq!(half.intrinsics, Intrinsics { fx: 3.5, fy: 4.5, cx: 1.5, cy: 2.5 });
+        assert_eq!(half.view_box, whole.view_box);
+        let labels = [0, 0, 1, 1].repeat(4);
+        assert_eq!(half.tiles, [Tile { planes: vec![planes[0], planes[3]], labels, background: Some(planes[0]) }]);
+        for odd in [Grid { size: 7, ..grid }, Grid { stride: 7, ..grid }] {
+            assert!(halved(&Geometry { grid: odd, ..whole.clone() }).is_none());
+        }
+    }
+
+    #[test]
+    fn a_photo_is_halved_by_means_and_its_odd_border_stands_twice() {
+        let photo = Photo { width: 3, height: 3, rgb: (0..9).map(|i| [i * 10, 255, i]).collect() };
+        let half = halved_photo(&photo);
+        assert_eq!((half.width, half.height), (2, 2));
+        // the mean of 0, 1, 3 and 4 is 2, that of 2, 2, 5 and 5 3.5, rounded up
+        assert_eq!(half.rgb, [[20, 255, 2], [35, 255, 4], [65, 255, 7], [80, 255, 8]]);
+    }
+}

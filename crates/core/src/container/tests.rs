@@ -170,6 +170,25 @@ fn a_section_past_the_end_is_an_error_though_nobody_reads_it() {
 }
 
 #[test]
+fn an_index_has_a_longest_length() {
+    use prost::Message;
+    let whole = bare(&scene(70, 40));
+    let (index, body) = decode::split(&whole).unwrap();
+    let index = index.encode_to_vec();
+    // filled up with a field that no reader knows: number 2 047, bytes
+    let of_length = |length: usize| {
+        let mut filled = index.clone();
+        let room = length - index.len() - 2 - 3;
+        assert!((1 << 14..1 << 21).contains(&room), "three bytes for its length");
+        filled.extend([0xfa, 0x7f, room as u8 | 0x80, (room >> 7) as u8 | 0x80, (room >> 14) as u8]);
+        filled.resize(length, 0);
+        super::decode(&[select::header(&whole[4..8], &filled), body.to_vec()].concat())
+    };
+    assert_eq!(of_length(bounds::INDEX).unwrap(), decode(&whole).unwrap());
+    assert!(of_length(bounds::INDEX + 1).unwrap_err().to_string().contains("too long"));
+}
+
+#[test]
 fn planes_take_the_codec_that_makes_less_of_them() {
     let codec = |made: &(Geometry, Scene)| sections(&bare(made)).unwrap().iter().find(|s| s.kind == "planes").unwrap().codec;
     let made = scene(150, 300);

@@ -76,3 +76,21 @@ fn window(frame: &[u8]) -> Option<u64> {
     let base = 1u64 << (10 + (window >> 3));
     (flags & 0x20 == 0).then_some(base + base / 8 * (window & 7))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_window_of_a_frame_is_read_before_it_is_reserved() {
+        let frame = |flags: u8, window: u8| [0x28, 0xb5, 0x2f, 0xfd, flags, window];
+        assert_eq!(window(&frame(0, 0)), Some(1024));
+        // 2¹⁰⁺³ and five eighths of it
+        assert_eq!(window(&frame(0, 3 << 3 | 5)), Some(13_312));
+        assert_eq!(window(&frame(0x20, 3 << 3 | 5)), None);
+        assert_eq!(window(&frame(0, 0)[..5]), None);
+        let refused = |want| decompress(&frame(0, 20 << 3), want).unwrap_err().to_string().contains("window larger");
+        let most = (1 << 30) - SLACK;
+        assert!(refused(most - 1) && refused(0) && !refused(most));
+    }
+}

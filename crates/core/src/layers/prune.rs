@@ -147,4 +147,23 @@ mod tests {
         let near = &shapes.layers[1];
         assert!(near.alpha.iter().any(|a| (1..255).contains(a)), "the near layer has a soft rim");
     }
+
+    #[test]
+    fn rows_of_tiles_follow_from_the_rows_of_pixels_within_the_farthest_reach() {
+        let grid = Grid { width: 100, height: 3000, size: 64, stride: 56 };
+        let reach = MAX_REACH as u32;
+        assert_eq!(Geometry::reach(&grid, &(20..22)), 20 * 56 - reach..21 * 56 + 64 + reach);
+        assert_eq!(Geometry::reach(&grid, &(0..1)), 0..64 + reach);
+        let rows = grid.tiles() / grid.columns();
+        assert_eq!(Geometry::reach(&grid, &(rows - 1..rows)), (rows - 1) * 56 - reach..3000);
+    }
+
+    #[test]
+    fn work_counts_every_plane_and_the_window_once_more() {
+        let grid = Grid { width: 300, height: 64, size: 64, stride: 64 };
+        let reach = MAX_REACH as u32;
+        let window = |i: u32| u64::from((i * 64 + 64 + reach).min(300) - (i * 64).saturating_sub(reach)) * 64;
+        let want: u64 = [3u64, 0, 1, 2, 5].iter().zip(0..).map(|(n, i)| window(i).min(300 * 64) * (n + 1)).sum();
+        assert_eq!(work_of(&grid, [3, 0, 1, 2, 5].into_iter()), want);
+    }
 }

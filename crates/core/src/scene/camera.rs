@@ -222,6 +222,29 @@ mod tests {
     }
 
     #[test]
+    fn each_angle_turns_the_axes_as_its_matrix_says() {
+        let (s, c) = 30f64.to_radians().sin_cos();
+        let turned = |pose: Pose| pose.orientation();
+        let close = |a: Mat3, b: Mat3| a.as_flattened().iter().zip(b.as_flattened()).all(|(a, b)| (a - b).abs() < 1e-12);
+        assert!(close(turned(Pose { yaw: 30.0, ..Pose::default() }), [[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]]));
+        assert!(close(turned(Pose { pitch: 30.0, ..Pose::default() }), [[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]]));
+        assert!(close(turned(Pose { roll: 30.0, ..Pose::default() }), [[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]));
+        // a turn in any order keeps lengths and angles
+        let r = turned(Pose { yaw: 20.0, pitch: -50.0, roll: 70.0, ..Pose::default() });
+        let transposed: Mat3 = std::array::from_fn(|i| std::array::from_fn(|j| r[j][i]));
+        assert!(close(mat3_mul(&r, &transposed), [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]));
+    }
+
+    #[test]
+    fn a_resized_camera_sees_as_wide_and_keeps_its_centre_off_the_middle() {
+        let k = Intrinsics { fx: 400.0, fy: 390.0, cx: 330.0, cy: 170.0 };
+        assert_eq!(k.resized((640, 350), (320, 175)), Intrinsics { fx: 200.0, fy: 195.0, cx: 165.0, cy: 85.0 });
+        // another shape: as wide, and the middle stays the middle
+        assert_eq!(k.resized((640, 350), (960, 200)), Intrinsics { fx: 600.0, fy: 585.0, cx: 495.0, cy: 92.5 });
+        assert!((k.fov_x(640) - k.resized((640, 350), (960, 200)).fov_x(960)).abs() < 1e-12);
+    }
+
+    #[test]
     fn homography_agrees_with_projection() {
         let k = Intrinsics::centred(640, 350, 371.0);
         let cam = Camera {

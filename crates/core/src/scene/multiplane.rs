@@ -178,3 +178,76 @@ impl Scene {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Two tiles of two texels; a photo texel, a hidden one, an empty one, a hidden one.
+    fn scene() -> Scene {
+        let grid = Grid { width: 4, height: 1, size: 2, stride: 2 };
+        let plane = Plane::fronto_parallel(0.5);
+        let layer = |tile: u32, first: usize| Layer {
+            tile,
+            plane,
+            rect: Rect { x: 2 * tile, y: 0, w: 2, h: 1 },
+            first_texel: 2 * first,
+            first_hidden: first,
+        };
+        let class = [Class::Photo, Class::Hidden, Class::Empty, Class::Hidden].map(|c| c as u8).to_vec();
+        Scene {
+            grid,
+            intrinsics: Intrinsics::centred(4, 1, 50.0),
+            view_box: ViewBox::default(),
+            photo: Photo { width: 4, height: 1, rgb: vec![[9; 3]; 4] },
+            layers: vec![layer(0, 0), layer(1, 1)],
+            texels: Texels { class, alpha: vec![255, 1, 0, 7], hidden: vec![[1; 3], [2; 3]] },
+        }
+    }
+
+    type Change = fn(&mut Scene);
+
+    #[test]
+    fn each_part_that_does_not_fit_is_named() {
+        assert_eq!(scene().validate(), Ok(()));
+        let wrong = |change: Change| {
+            let mut scene = scene();
+            change(&mut scene);
+            scene.validate().unwrap_err()
+        };
+        let all: [(&str, Change); 22] = [
+            ("grid", |s| s.grid.width = 0),
+            ("grid", |s| s.grid.height = 0),
+            ("grid", |s| s.grid.size = 0),
+            ("grid", |s| s.grid.stride = 0),
+            ("grid", |s| s.grid.stride = 3),
+            ("photo size", |s| s.photo.width = 3),
+            ("photo size", |s| s.photo.height = 2),
+            ("photo size", |s| s.photo.rgb.truncate(3)),
+            ("intrinsics", |s| s.intrinsics.fx = f64::NAN),
+            ("tile order", |s| s.layers[1].tile = 2),
+            ("tile order", |s| (s.layers[0].tile, s.layers[0].rect.x, s.layers[1].tile) = (1, 2, 0)),
+            ("layer rectangle", |s| s.layers[0].rect.w = 0),
+            ("layer rectangle", |s| s.layers[0].rect.x = 1),
+            ("plane", |s| s.layers[1].plane.c = f64::INFINITY),
+            ("texel offsets", |s| s.layers[1].first_texel = 1),
+            ("texel offsets", |s| s.layers[1].first_hidden = 0),
+            ("texel count", |s| s.texels.class.truncate(3)),
+            ("texel count", |s| s.texels.class.push(0)),
+            ("texel count", |s| s.texels.alpha.push(0)),
+            ("texel count", |s| s.texels.hidden.truncate(1)),
+            ("texel class", |s| s.texels.alpha[2] = 1),
+            ("texel class", |s| s.texels.alpha[0] = 0),
+        ];
+        for (i, (what, change)) in all.into_iter().enumerate() {
+            assert_eq!(wrong(change), SceneError::Inconsistent(what), "case {i}");
+        }
+    }
+
+    #[test]
+    fn memory_counts_every_part() {
+        let scene = scene();
+        let parts = 4 * 3 + 2 * size_of::<Layer>() + 4 + 4 + 2 * 3;
+        assert_eq!(scene.memory(), size_of::<Scene>() + parts);
+    }
+}

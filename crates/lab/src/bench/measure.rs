@@ -9,7 +9,7 @@ use super::{BenchError, Point};
 use crate::fixed::Fixed;
 use crate::metrics::{self, ssim_map};
 use tmpi_core::container;
-use tmpi_core::{DisparityMap, Photo, Scene, ViewBox};
+use tmpi_core::{DisparityMap, Photo, Scene};
 use tmpi_pipeline::Silent;
 use tmpi_pipeline::networks::{self, Network};
 use tmpi_pipeline::photo::Limits;
@@ -91,7 +91,7 @@ impl Bench<'_> {
 
     /// Makes a subject as often as repeats are asked for.
     pub fn runs(&self, s: &Subject, depth: &Depth, options: &Options) -> Result<Vec<Made>, BenchError> {
-        let own = options.view_box == ViewBox::default();
+        let own = options.view_box == Options::VIEW_BOX;
         let view_box = if own { s.view_box } else { options.view_box };
         let options = Options { fov_x: options.fov_x.or(s.fov_x), view_box, ..options.clone() };
         let mut models = self.models.clone();
@@ -133,7 +133,7 @@ impl Bench<'_> {
             ("depth Q25, 1e-3", r.error.depth_q25 * 1e3),
             ("identity, dB", r.error.identity_psnr),
         ];
-        all.push(("view box, ±", if options.view_box == ViewBox::default() { s.view_box.x } else { options.view_box.x }));
+        all.push(("view box, ±", if options.view_box == Options::VIEW_BOX { s.view_box.x } else { options.view_box.x }));
         all.extend(r.error.prune_max_abs.map(|v| ("largest difference, levels", v)));
         all.extend(r.error.prune_share_off.map(|v| ("left out wrongly, % of pixels", v * 100.0)));
         all.push(("verifying, ms", stages(&|n| n == "verify", false)));

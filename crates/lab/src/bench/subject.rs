@@ -10,6 +10,7 @@ use super::BenchError;
 use crate::scenes;
 use tmpi_core::container::PhotoFormat;
 use tmpi_core::{Camera, DisparityMap, Photo, Pose, ViewBox};
+use tmpi_pipeline::Options;
 use tmpi_pipeline::depth::{self, DepthKind};
 use tmpi_pipeline::photo::Limits;
 
@@ -121,7 +122,7 @@ pub(super) fn photos(folders: &[PathBuf], quick: bool) -> Result<Vec<Subject>, B
             found += 1;
             let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
             let disparity = beside(&path, &file)?.map(Arc::new);
-            all.push(Subject { name, file, disparity, seed: None, fov_x: None, view_box: ViewBox::default(), views: Vec::new() });
+            all.push(Subject { name, file, disparity, seed: None, fov_x: None, view_box: Options::VIEW_BOX, views: Vec::new() });
         }
         if found == 0 {
             return Err(BenchError::File { path: folder.clone(), reason: "holds no photo".into() });

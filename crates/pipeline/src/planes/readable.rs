@@ -38,6 +38,10 @@ impl Options {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::depth::DepthKind;
+    use crate::photo::Limits;
+    use crate::run::{Denoise, MakeError, Models, PlaneMethod, Report, Silent, Switch, make};
+    use tmpi_core::{ViewBox, container};
 
     #[test]
     fn planes_at_the_bound_pass_and_one_more_are_refused_by_name() {
@@ -64,30 +68,38 @@ mod tests {
         (photo, crate::depth::to_png(&tmpi_core::DisparityMap { width: w, height: h, delta }).unwrap())
     }
 
-    /// Makes photos at the corners of the options and reads them; what cannot be read must have been refused by name.
-    fn corners(w: u32, h: u32, refusals: usize) {
-        use crate::photo::Limits;
-        use crate::run::{MakeError, Silent, make};
-        use tmpi_core::ViewBox;
-        let models = crate::networks::models::load(&crate::networks::models::Settings::default()).unwrap();
-        let (photo, depth) = noise(w, h);
-        let (mut made, mut refused) = (0, 0);
-        let mut one = |options: &Options| match make(&models, &Limits::default(), &photo, Some(&depth), options, &Silent) {
+    /// Makes a photo of noise and reads it; what cannot be read must have been refused by name: false then.
+    fn is_made(models: &Models, (w, h): (u32, u32), files: &(Vec<u8>, Vec<u8>), options: &Options) -> bool {
+        match make(models, &Limits::default(), &files.0, Some(&files.1), options, &Silent) {
             Ok(got) => {
-                made += 1;
-                let scene = tmpi_core::container::decode(&got.container);
+                let scene = container::decode(&got.container);
                 assert!(scene.is_ok(), "{options:?}: {:?}", scene.err());
-                for level in 1..=tmpi_core::container::LEVELS {
-                    let small = tmpi_core::container::level(&got.container, level).unwrap();
-                    assert!(tmpi_core::container::decode(&small).is_ok(), "level {level} of {options:?}");
+                for level in 1..=container::LEVELS {
+                    let small = container::level(&got.container, level).unwrap();
+                    assert!(container::decode(&small).is_ok(), "level {level} of {options:?}");
                 }
+                // a number that is none would be no number of JSON
+                let report = serde_json::to_vec(&got.report).unwrap();
+                assert_eq!(serde_json::from_slice::<Report>(&report).unwrap(), got.report, "{options:?}");
+                true
             }
             Err(MakeError::Generate(StageError::Bound { .. })) => {
-                refused += 1;
                 assert!(options.check_readable(w, h).is_err(), "{options:?} was refused late");
+                false
             }
             Err(e) => panic!("{options:?}: {e}"),
-        };
+        }
+    }
+
+    fn models() -> Models {
+        crate::networks::models::load(&crate::networks::models::Settings::default()).unwrap()
+    }
+
+    /// Makes photos where tiles, planes, error and view box are at their ends, and reads them.
+    fn corners(w: u32, h: u32, refusals: usize) {
+        let (models, files) = (models(), noise(w, h));
+        let (mut made, mut refused) = (0, 0);
+        let mut one = |options: &Options| if is_made(&models, (w, h), &files, options) { made += 1 } else { refused += 1 };
         let wide = ViewBox { x: 10.0, y: 10.0, z: 10.0 };
         for tile in [8, 16, 1024].map(TileSize::Pixels).into_iter().chain([TileSize::Full]) {
             let most = most_planes(&Options { tile, ..Options::default() }.grid(w, h)).clamp(1, 64);
@@ -102,6 +114,58 @@ mod tests {
         one(&Options { max_size: Some(1), ..Options::default() });
         eprintln!("{made} made, {refused} refused");
         assert_eq!((made + refused, refused), (20, refusals));
+    }
+
+    #[test]
+    fn every_choice_with_both_ends_of_every_number_is_made_and_read() {
+        let (w, h) = (64, 48);
+        let (models, files) = (models(), noise(w, h));
+        let mut count = 0;
+        let mut one = |options: &Options| {
+            assert!(is_made(&models, (w, h), &files, options), "{options:?} was refused");
+            count += 1;
+        };
+        let number = |x: f64| ViewBox { x, y: x, z: x };
+        let low = |options: &Options| Options {
+            fov_x: Some(1e-3),
+            planes: PlaneCount::Fixed(1),
+            max_size: Some(1),
+            quality: 1,
+            max_error: 0.0,
+            view_box: number(0.0),
+            budget_ms: Some(1.0),
+            ..options.clone()
+        };
+        let high = |options: &Options| Options {
+            fov_x: Some(179.999),
+            planes: PlaneCount::Fixed(64),
+            max_size: Some(Limits::SIDE),
+            quality: 100,
+            max_error: 1e3,
+            view_box: number(10.0),
+            budget_ms: Some(1e7),
+            ..options.clone()
+        };
+        for plane_method in [PlaneMethod::Linear, PlaneMethod::Lloyd, PlaneMethod::Optimal, PlaneMethod::Slanted] {
+            for tile in [TileSize::Pixels(8), TileSize::Pixels(1024), TileSize::Full] {
+                let options = Options { plane_method, tile, ..Options::default() };
+                for options in [options.clone(), low(&options), high(&options), Options { max_size: None, ..low(&options) }] {
+                    one(&options);
+                }
+            }
+        }
+        for depth_kind in [DepthKind::Disparity, DepthKind::Metric] {
+            // what needs a network's file is refused by name without it
+            for denoise in [Denoise::Auto, Denoise::Classic, Denoise::Off] {
+                for snap in [Switch::Auto, Switch::On, Switch::Off] {
+                    for refine in [Switch::Auto, Switch::Off] {
+                        let photo_depth = if refine == Switch::Auto { Switch::On } else { Switch::Off };
+                        one(&Options { depth_kind, denoise, snap, refine, photo_depth, verify_prune: true, ..Options::default() });
+                    }
+                }
+            }
+        }
+        assert_eq!(count, 4 * 3 * 4 + 2 * 3 * 3 * 2);
     }
 
     #[test]

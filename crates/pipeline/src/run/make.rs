@@ -1,6 +1,6 @@
 //! The driver of a photo.
 
-use super::stages::{Denoise, Depth, Encode, Layers, Planes, Prepare, Refine, Snap, Source, Verify};
+use super::stages::{Denoise, Depth, Encode, Layers, Planes, Prepare, Refine, Snap, Source, Strokes, Verify};
 use super::{Context, Made, MakeError, Models, Options, Sink};
 use crate::photo::Limits;
 
@@ -23,6 +23,7 @@ pub fn make(
     let mut prepared = job.run(&mut Prepare, (photo, matches!(source, Source::Network)))?;
     let map = job.run(&mut Depth, (&prepared.photo, source))?;
     let map = job.run(&mut Denoise, (&prepared.photo, map))?;
+    let map = if options.strokes.is_empty() { map } else { job.run(&mut Strokes, (&prepared.photo, map))? };
     let map = job.run(&mut Snap, (&prepared.photo, map))?;
     let placed = job.run(&mut Planes::default(), (&prepared, &map))?;
     let layered = job.run(&mut Layers, (&mut prepared, placed, &map.delta))?;

@@ -7,6 +7,7 @@ use crate::StageError;
 use crate::depth::DepthKind;
 use crate::photo::Limits;
 use crate::planes::{MAX_AUTO_PLANES, MAX_PLANES, Method, Placement};
+use crate::strokes::{self, Stroke};
 
 /// How planes are placed in a tile.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -101,7 +102,7 @@ pub struct Options {
     pub max_size: Option<u32>,
     /// Picture quality, 1 to 100.
     pub quality: u8,
-    /// Parallax error that planes may leave over the view box, in pixels.
+    /// Parallax error that planes may leave over the view box as far as it is judged ([`Options::judged`]), in pixels.
     pub max_error: f64,
     /// Camera positions to make the scene for.
     pub view_box: ViewBox,
@@ -109,6 +110,8 @@ pub struct Options {
     pub budget_ms: Option<f64>,
     /// Whether to measure what leaving out unseen texels changes; it takes about as long as making the scene.
     pub verify_prune: bool,
+    /// What a person puts right of the disparity map.
+    pub strokes: Vec<Stroke>,
 }
 
 impl Default for Options {
@@ -126,14 +129,25 @@ impl Default for Options {
             max_size: None,
             quality: 90,
             max_error: 0.5,
-            view_box: ViewBox::default(),
+            view_box: Self::VIEW_BOX,
             budget_ms: None,
             verify_prune: false,
+            strokes: Vec::new(),
         }
     }
 }
 
 impl Options {
+    /// The usual view box: as far as `check --photos` finds no holes with planes judged over it.
+    pub const VIEW_BOX: ViewBox = ViewBox { x: 0.03, y: 0.03, z: 0.03 };
+
+    /// The box over which planes are judged: all of one that somebody asked for, of the usual one that of [`ViewBox::default`], half of
+    /// what viewers use by themselves. Judged farther out, containers are an eighth larger for what is below a pixel of a screen.
+    #[must_use]
+    pub fn judged(&self) -> ViewBox {
+        if self.view_box == Self::VIEW_BOX { ViewBox::default() } else { self.view_box }
+    }
+
     /// How planes are to be placed for that error, in pixels, over a view box of that parallax.
     #[must_use]
     pub fn placement(&self, max_error: f64, parallax: (f64, f64)) -> Placement {
@@ -177,6 +191,7 @@ impl Options {
         for e in [self.view_box.x, self.view_box.y, self.view_box.z] {
             check((0.0..=10.0).contains(&e), "view-box", "three numbers of 0 to 10", &e)?;
         }
+        strokes::check(&self.strokes)?;
         Ok(())
     }
 }

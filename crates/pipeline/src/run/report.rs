@@ -22,6 +22,9 @@ pub struct Input {
     /// Why depth that the photo brings along was not used.
     #[serde(default)]
     pub depth_problem: Option<String>,
+    /// Strokes of a touch-up that were applied to the depth.
+    #[serde(default)]
+    pub strokes: usize,
 }
 
 /// A depth map that came with a photo.

@@ -58,6 +58,8 @@ describe('depth of field', () => {
   for (const mode of ['gpu', 'webgl']) {
     test(`what is out of focus blurs, what is in focus stays as it is (${mode})`, async (t) => {
       const { page, context, errors } = await openPage(suite.browser, SMALL);
+      // the hint of a first visit would lie over the picture
+      await page.addInitScript(() => localStorage.setItem('tmpi-hinted', '1'));
       if (mode === 'webgl') await takeGraphics(page, { webgl: true });
       await page.goto(`${suite.server.url}/view/box`);
       await waitForMode(page, mode);
@@ -69,6 +71,8 @@ describe('depth of field', () => {
       const settled = () => page.waitForFunction(() => !window.viewer.moving);
       /** The picture that is saved, and how far the canvas is from it, levels in the mean. */
       const picture = async () => {
+        // the pointer has moved the camera
+        await page.evaluate(() => window.viewer.setPose({}));
         await settled();
         const saved = await decoded(
           page,

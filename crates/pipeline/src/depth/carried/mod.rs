@@ -26,6 +26,8 @@ pub struct Carried {
     scale: Scale,
     /// EXIF orientation of the photo, 1 to 8.
     orientation: u8,
+    /// Pixels of the photo's file: its map has no more, so that reading it takes no more memory than the photo itself.
+    pixels: u64,
 }
 
 /// What values v of 0 to 1 mean.
@@ -76,7 +78,10 @@ pub fn carried(photo: &[u8]) -> Result<Option<Carried>, DepthError> {
     let found = gdepth::find(&packets).or_else(|| dynamic::find(photo, &packets)).or_else(|| multi::find(photo));
     let Some(found) = found else { return Ok(None) };
     let (format, picture, scale) = found.map_err(DepthError::Carried)?;
-    Ok(Some(Carried { format, picture, scale, orientation: photo::orientation(photo) }))
+    // what can be no photo has no map either
+    let unbounded = Limits { bytes: usize::MAX, pixels: u64::MAX, side: u32::MAX, decoder_memory: u64::MAX, memory: u64::MAX };
+    let pixels = photo::check(photo, &unbounded).map_or(0, |(_, (w, h))| u64::from(w) * u64::from(h));
+    Ok(Some(Carried { format, picture, scale, orientation: photo::orientation(photo), pixels }))
 }
 
 /// What one of the formats gives, or what is wrong with it.
@@ -104,19 +109,17 @@ impl Carried {
     /// # Errors
     /// [`DepthError::Carried`] says what is wrong with the picture.
     pub fn read(&self, limits: &Limits, width: u32, height: u32) -> Result<(DisparityMap, (u32, u32)), DepthError> {
-        let Grey { width: w, height: h, mut values } = grey(&self.picture, limits).map_err(|e| DepthError::Carried(e.to_string()))?;
+        let limits = Limits { pixels: limits.pixels.min(self.pixels), ..*limits };
+        let Grey { width: w, height: h, mut values } = grey(&self.picture, &limits).map_err(|e| DepthError::Carried(e.to_string()))?;
         for v in &mut values {
             *v = self.scale.delta(*v);
         }
-        // one that has an orientation of its own is upright already; so is one of the upright photo's shape
-        let shape = |w: u32, h: u32| (f64::from(w) / f64::from(h)).ln();
-        let turned_fits = (shape(h, w) - shape(width, height)).abs() < (shape(w, h) - shape(width, height)).abs();
+        // one that has an orientation of its own is upright already; so is one that lies or stands as the upright photo does. Where
+        // either is a square the shapes tell nothing: phones store both alike
+        let alike = (w < h && width < height) || (w > h && width > height);
         let orientation = match self.orientation {
             _ if photo::orientation(&self.picture) != 1 => 1,
-            turning @ 5..=8 if !turned_fits => {
-                // a square map of a square photo tells nothing: phones store both alike
-                if w == h { turning } else { 1 }
-            }
+            5..=8 if alike => 1,
             other => other,
         };
         let (values, (w, h)) = photo::pixels::turned(values, (w, h), orientation);

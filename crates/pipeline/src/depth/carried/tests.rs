@@ -60,13 +60,17 @@ fn extended(description: &str) -> Vec<Vec<u8>> {
 }
 
 fn gdepth(format: &str, near: &str, far: &str) -> Vec<u8> {
+    gdepth_with(&photo(), map(), format, near, far)
+}
+
+fn gdepth_with(photo: &[u8], map: GrayImage, format: &str, near: &str, far: &str) -> Vec<u8> {
     let properties = format!(
         "<rdf:Description xmlns:GDepth='http://ns.google.com/photos/1.0/depthmap/' GDepth:Format='{format}' GDepth:Near='{near}' \
          GDepth:Far='{far}' GDepth:Mime='image/png'/>"
     );
-    let data = base64::engine::general_purpose::STANDARD_NO_PAD.encode(encoded(map(), ImageFormat::Png));
+    let data = base64::engine::general_purpose::STANDARD_NO_PAD.encode(encoded(map, ImageFormat::Png));
     let data = format!("<rdf:Description xmlns:GDepth='http://ns.google.com/photos/1.0/depthmap/' GDepth:Data='{data}'/>");
-    with(&photo(), &[vec![main(&properties)], extended(&data)].concat())
+    with(photo, &[vec![main(&properties)], extended(&data)].concat())
 }
 
 fn dynamic(address: &str) -> Vec<u8> {
@@ -173,9 +177,7 @@ fn cut_list() -> Vec<u8> {
 
 #[test]
 fn a_photo_on_its_side_has_its_map_turned_with_it() {
-    // orientation 6: the stored top is the upright right
-    let exif = [b"Exif\0\0MM\0*\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0\x06\0\0".as_slice(), &[0; 4]].concat();
-    let file = with(&gdepth("RangeInverse", "1", "5"), &[segment(0xE1, &[&exif])]);
+    let file = on_its_side(&gdepth("RangeInverse", "1", "5"));
     let found = carried(&file).unwrap().unwrap();
     let (map, size) = found.read(&Limits::default(), H, W).unwrap();
     assert_eq!(size, (H / 2, W / 2));
@@ -183,6 +185,44 @@ fn a_photo_on_its_side_has_its_map_turned_with_it() {
     // columns of the stored map are rows now, its left at the top
     near((at(H / 2, 3), at(H / 2, W - 4)), (1.0 - 0.2 * 0.8, 1.0 - 0.8 * 0.8));
     near((at(3, 3), at(H - 4, 3)), (1.0 - 0.2 * 0.8, 1.0 - 0.2 * 0.8));
+}
+
+/// Orientation 6: the stored top is the upright right.
+fn on_its_side(file: &[u8]) -> Vec<u8> {
+    let exif = [b"Exif\0\0MM\0*\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0\x06\0\0".as_slice(), &[0; 4]].concat();
+    with(file, &[segment(0xE1, &[&exif])])
+}
+
+#[test]
+fn a_map_turns_with_its_photo_where_the_shapes_tell_nothing_and_not_where_it_is_upright() {
+    // stored columns: where it was turned, all of a row is alike
+    let columns = |w: u32, h: u32| GrayImage::from_fn(w, h, |x, _| Luma([if x < w / 2 { 51 } else { 204 }]));
+    let colours = |w: u32, h: u32| encoded(RgbImage::from_pixel(w, h, Rgb([9, 99, 50])), ImageFormat::Jpeg);
+    // stored size of the photo and of its map
+    for (photo, map, turns) in [
+        ((48, 48), (24, 24), true),
+        ((48, 48), (24, 18), true),
+        ((48, 48), (18, 24), true),
+        ((64, 48), (24, 24), true),
+        ((64, 48), (32, 24), true),
+        ((64, 48), (24, 32), false),
+    ] {
+        let file = on_its_side(&gdepth_with(&colours(photo.0, photo.1), columns(map.0, map.1), "RangeInverse", "1", "5"));
+        let found = carried(&file).unwrap().unwrap();
+        let (upright, _) = found.read(&Limits::default(), photo.1, photo.0).unwrap();
+        let (left, right) = (upright.delta[0], upright.delta[photo.1 as usize - 1]);
+        assert_eq!((left - right).abs() < 0.1, turns, "a photo of {photo:?} with a map of {map:?}: {left} and {right}");
+    }
+}
+
+#[test]
+fn a_map_of_more_pixels_than_its_photo_is_refused_before_it_is_decoded() {
+    let with = |w, h| gdepth_with(&photo(), GrayImage::from_pixel(w, h, Luma([51])), "RangeInverse", "1", "5");
+    assert!(carried(&with(W, H)).unwrap().unwrap().read(&Limits::default(), W, H).is_ok());
+    let fault = carried(&with(W, H + 1)).unwrap().unwrap().read(&Limits::default(), W, H).unwrap_err();
+    assert!(fault.to_string().contains(&(W * H).to_string()), "{fault}");
+    // reduced it is still the file's own size that counts
+    assert!(carried(&with(W, H)).unwrap().unwrap().read(&Limits::default(), 8, 6).is_ok());
 }
 
 struct Flat;

@@ -10,6 +10,10 @@ const EXTENSION: &[u8] = b"http://ns.adobe.com/xmp/extension/\0";
 const NAME: usize = 32;
 /// Elements and texts of a packet, at most: those of photos have a few hundred.
 const NODES: u32 = 20_000;
+/// Attributes and declarations of namespaces, at most: the reader holds each attribute of an element against all before it, and hands
+/// down all namespaces from element to element. Those of photos have a few thousand and a few dozen.
+const ATTRIBUTES: usize = 10_000;
+const NAMESPACES: usize = 256;
 
 /// The packets of a JPEG as text, the main one first.
 pub(super) fn packets(jpeg: &[u8]) -> Vec<String> {
@@ -61,8 +65,11 @@ fn joined(first: &Part, parts: &[Part]) -> Option<String> {
     if bytes.len() == first.whole { text(&bytes) } else { None }
 }
 
-/// A packet's elements; none where it is no XML.
+/// A packet's elements; none where it is no XML, or has more than those of photos have.
 pub(super) fn document(packet: &str) -> Option<Document<'_>> {
+    if packet.bytes().filter(|b| *b == b'=').count() > ATTRIBUTES || packet.matches("xmlns").count() > NAMESPACES {
+        return None;
+    }
     let options = ParsingOptions { allow_dtd: false, nodes_limit: NODES, ..ParsingOptions::default() };
     Document::parse_with_options(packet, options).ok()
 }
@@ -76,4 +83,23 @@ pub(super) fn property<'a>(element: Node<'a, '_>, space: &str, name: &str) -> Op
 /// The first property of that name anywhere in the document.
 pub(super) fn anywhere<'a>(document: &'a Document, space: &str, name: &str) -> Option<&'a str> {
     document.descendants().find_map(|node| property(node, space, name))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn packets_that_would_take_the_reader_minutes_are_not_read() {
+        let with = |attributes: usize, namespaces: usize| {
+            let attributes = (0..attributes).map(|i| format!(" a{i}=''")).collect::<Vec<_>>().concat();
+            let elements = (0..namespaces).map(|i| format!("<e xmlns:n{i}='u{i}'/>")).collect::<Vec<_>>().concat();
+            document(&format!("<x{attributes}>{elements}</x>")).is_some()
+        };
+        assert!(with(ATTRIBUTES - 1, 0) && !with(ATTRIBUTES + 1, 0));
+        assert!(with(9, NAMESPACES) && !with(9, NAMESPACES + 1));
+        let began = std::time::Instant::now();
+        assert!(!with(2_000_000, 0));
+        assert!(began.elapsed() < std::time::Duration::from_secs(20), "{:?}", began.elapsed());
+    }
 }

@@ -112,11 +112,18 @@ pub enum DownloadError {
 /// # Errors
 /// [`DownloadError`]; the file `to` is then as it was.
 pub fn fetch(wanted: &Wanted<'_>, to: &Path, progress: impl FnMut(u64, Option<u64>)) -> Result<bool, DownloadError> {
-    fetch_within(PATIENCE, wanted, to, progress)
+    fetch_within(PATIENCE, sync, wanted, to, progress)
+}
+
+/// Makes what was renamed within a folder durable.
+fn sync(folder: &Path) -> io::Result<()> {
+    // elsewhere folders cannot be opened as files
+    if cfg!(unix) { File::open(folder)?.sync_all() } else { Ok(()) }
 }
 
 fn fetch_within(
     patience: Duration,
+    sync: impl Fn(&Path) -> io::Result<()>,
     wanted: &Wanted<'_>,
     to: &Path,
     mut progress: impl FnMut(u64, Option<u64>),
@@ -147,11 +154,9 @@ fn fetch_within(
         return Err(DownloadError::Corrupt { want: wanted.sha256, got });
     }
     std::fs::rename(&part, to).map_err(on(to))?;
-    // a name is durable once its folder is; elsewhere folders cannot be opened as files
-    if cfg!(unix) {
-        let folder = to.parent().filter(|f| !f.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        File::open(folder).and_then(|f| f.sync_all()).map_err(on(folder))?;
-    }
+    // a name is durable once its folder is
+    let folder = to.parent().filter(|f| !f.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    sync(folder).map_err(on(folder))?;
     Ok(true)
 }
 
@@ -391,11 +396,29 @@ mod tests {
         *c.server.mood.lock().unwrap() = Mood::Stalls;
         let wanted = Wanted { url: &c.server.url, bytes: Some(300_000), sha256: c.sha256 };
         let began = std::time::Instant::now();
-        let silent = fetch_within(Duration::from_millis(300), &wanted, &c.file(), |_, _| {}).unwrap_err();
+        let silent = fetch_within(Duration::from_millis(300), sync, &wanted, &c.file(), |_, _| {}).unwrap_err();
         assert!(matches!(silent, DownloadError::Truncated { have: 150_000, want: 300_000 }), "{silent}");
         assert!(began.elapsed() < Duration::from_secs(20));
         assert!(c.fetch(Mood::Well, Some(300_000)).unwrap());
         assert_eq!(*c.server.asked.lock().unwrap(), [None, Some(150_000)]);
+    }
+
+    #[test]
+    fn the_folder_is_synced_once_the_file_has_its_name_and_an_error_of_that_is_told() {
+        let c = case();
+        let wanted = Wanted { url: &c.server.url, bytes: Some(300_000), sha256: c.sha256 };
+        let synced = std::cell::RefCell::new(Vec::new());
+        let seen = |folder: &Path| {
+            synced.borrow_mut().push((folder.to_owned(), c.file().exists(), c.part().exists()));
+            Ok(())
+        };
+        assert!(fetch_within(PATIENCE, seen, &wanted, &c.file(), |_, _| {}).unwrap());
+        assert_eq!(*synced.borrow(), [(c.folder.path().join("sub"), true, false)]);
+        std::fs::write(c.file(), b"older").unwrap();
+        let fails = |_: &Path| Err(io::Error::other("no"));
+        let told = fetch_within(PATIENCE, fails, &wanted, &c.file(), |_, _| {}).unwrap_err();
+        assert!(matches!(told, DownloadError::File { .. }), "{told}");
+        sync(c.folder.path()).unwrap();
     }
 
     #[test]

@@ -5,6 +5,7 @@ mod encode;
 mod layers;
 mod photo;
 mod planes;
+mod strokes;
 mod verify;
 
 pub use depth::{Denoise, Depth, Estimated, Snap, Source};
@@ -12,10 +13,21 @@ pub use encode::{Encode, Encoded};
 pub use layers::{Layered, Layers, Refine};
 pub use photo::{Prepare, Prepared};
 pub use planes::{Placed, Planes};
+pub use strokes::Strokes;
 pub use verify::Verify;
 
 use super::Stage;
 
 /// Names of all stages, in order.
-pub const STAGES: [&str; 9] =
-    [Prepare::NAME, Depth::NAME, Denoise::NAME, Snap::NAME, Planes::NAME, Layers::NAME, Refine::NAME, Encode::NAME, Verify::NAME];
+pub const STAGES: [&str; 10] = [
+    Prepare::NAME,
+    Depth::NAME,
+    Denoise::NAME,
+    Strokes::NAME,
+    Snap::NAME,
+    Planes::NAME,
+    Layers::NAME,
+    Refine::NAME,
+    Encode::NAME,
+    Verify::NAME,
+];

@@ -78,7 +78,7 @@ impl Stage for Planes {
         let (options, delta) = (context.options, &map.delta);
         let (w, h) = (delta.width, delta.height);
         let grid = options.grid(w, h);
-        let parallax = options.view_box.parallax(&prepared.intrinsics, Rect { x: 0, y: 0, w, h });
+        let parallax = options.judged().parallax(&prepared.intrinsics, Rect { x: 0, y: 0, w, h });
         let mut max_error = options.max_error;
         if let Some(asked) = options.budget_ms {
             let budget = fit(context, asked, (delta, &grid), parallax, prepared.reduced, &mut max_error);

@@ -1,0 +1,137 @@
+//! Touch-up: strokes that a person draws over what a depth network got wrong, and what they do to the disparity map.
+//!
+//! Strokes are kept in coordinates of the photo and ask for something of what they cover (nearer, as near as that place), so that they
+//! mean the same on the map of another network. What a stroke covers is found from the photo, see [`Outlines`].
+
+mod outline;
+mod read;
+#[cfg(test)]
+mod tests;
+
+use serde::{Deserialize, Serialize};
+use tmpi_core::{DisparityMap, Photo};
+
+pub use outline::{Outlines, Region};
+pub use read::{StrokeError, patch, read, write};
+
+/// Version of the file of strokes that this program writes and reads.
+pub const VERSION: u32 = 1;
+/// Strokes of a photo, at most.
+pub const STROKES: usize = 100;
+/// Points of all strokes of a photo, at most.
+pub const POINTS: usize = 8192;
+/// Bytes of strokes as JSON, at most: all points at full precision, and as much again.
+pub const BYTES: usize = 1 << 19;
+/// Radii, as shares of the photo's longer side.
+pub const RADII: std::ops::RangeInclusive<f64> = 0.002..=0.25;
+/// Radius around a place of which the disparity is taken over, as a share of the longer side: a pixel alone may be an outlier.
+const PROBE: f64 = 0.005;
+
+/// A stroke of a brush over the photo.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
+pub struct Stroke {
+    /// Its middle line, x and y in shares of the photo's width and height, each 0 to 1; one point is a dab.
+    #[cfg_attr(feature = "schema", schema(min_items = 1, example = json!([[0.4, 0.5], [0.45, 0.62]])))]
+    pub points: Vec<[f64; 2]>,
+    /// Radius of the brush as a share of the photo's longer side: .002 to .25. Edges of the photo up to twice as far away hold the outline.
+    #[cfg_attr(feature = "schema", schema(minimum = 0.002, maximum = 0.25, example = 0.03))]
+    pub radius: f64,
+    /// What it asks of the region.
+    #[serde(flatten)]
+    pub ask: Ask,
+}
+
+/// What a stroke asks of its region; exactly one of these.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
+#[serde(rename_all = "lowercase")]
+pub enum Ask {
+    /// Nearer by so much disparity, −1 to 1; less than 0 is farther. Relief within the region stays.
+    By(f64),
+    /// As near as this place of the photo, x and y of 0 to 1; the region becomes flat.
+    Like([f64; 2]),
+    /// This disparity, 0 (infinitely far) to 1 (the nearest thing); the region becomes flat.
+    To(f64),
+}
+
+impl Stroke {
+    /// Checks that every number is finite and in its range.
+    ///
+    /// # Errors
+    /// [`StrokeError`] that names the field, without the stroke's own place in a list.
+    pub fn check(&self) -> Result<(), StrokeError> {
+        if self.points.is_empty() {
+            return Err(StrokeError::at("points", "must hold at least one point"));
+        }
+        for (i, p) in self.points.iter().enumerate() {
+            place(p).map_err(|e| e.within(&format!("points[{i}]")))?;
+        }
+        if !RADII.contains(&self.radius) {
+            return Err(StrokeError::at("radius", format!("must be {} to {}, not {}", RADII.start(), RADII.end(), self.radius)));
+        }
+        match self.ask {
+            Ask::By(v) if !(-1.0..=1.0).contains(&v) => Err(StrokeError::at("by", format!("must be -1 to 1, not {v}"))),
+            Ask::To(v) if !(0.0..=1.0).contains(&v) => Err(StrokeError::at("to", format!("must be 0 to 1, not {v}"))),
+            Ask::Like(p) => place(&p).map_err(|e| e.within("like")),
+            _ => Ok(()),
+        }
+    }
+}
+
+fn place(p: &[f64; 2]) -> Result<(), StrokeError> {
+    let inside = p.iter().all(|v| (0.0..=1.0).contains(v));
+    if inside { Ok(()) } else { Err(StrokeError::at("", format!("must be x and y of 0 to 1, not {}, {}", p[0], p[1]))) }
+}
+
+/// Checks a photo's strokes: their numbers, their count, and the count of their points.
+///
+/// # Errors
+/// [`StrokeError`] that names the field.
+pub fn check(strokes: &[Stroke]) -> Result<(), StrokeError> {
+    if strokes.len() > STROKES {
+        return Err(StrokeError::at("strokes", format!("must be at most {STROKES}, not {}", strokes.len())));
+    }
+    let points: usize = strokes.iter().map(|s| s.points.len()).sum();
+    if points > POINTS {
+        return Err(StrokeError::at("strokes", format!("must have at most {POINTS} points together, not {points}")));
+    }
+    strokes.iter().enumerate().try_for_each(|(i, s)| s.check().map_err(|e| e.within(&format!("strokes[{i}]"))))
+}
+
+/// Does what the strokes ask, one after the other. Their regions follow from the photo and from `map` as it is given, so that an earlier stroke
+/// does not move the outline of a later one; the place that one is to be like is looked up in what the earlier ones left. `photo` and `map`
+/// (finite, 0 to 1) are of one size, and so is the map afterwards. What is touched has confidence 1 where there is a confidence.
+pub fn apply(photo: &Photo, map: &mut DisparityMap, mut confidence: Option<&mut Vec<f32>>, strokes: &[Stroke]) {
+    let outlines = Outlines::new(photo, map);
+    for stroke in strokes {
+        let region = outlines.region(stroke);
+        let flat = match stroke.ask {
+            Ask::By(_) => None,
+            Ask::Like(at) => Some(around(map, at)),
+            Ask::To(value) => Some(value as f32),
+        };
+        region.each(map.width, map.height, |i| {
+            map.delta[i] = match (flat, stroke.ask) {
+                (Some(value), _) => value,
+                (None, Ask::By(v)) => (map.delta[i] + v as f32).clamp(0.0, 1.0),
+                (None, _) => map.delta[i],
+            };
+            if let Some(c) = confidence.as_mut().and_then(|c| c.get_mut(i)) {
+                *c = 1.0;
+            }
+        });
+    }
+}
+
+/// The median disparity around a place.
+fn around(map: &DisparityMap, [x, y]: [f64; 2]) -> f32 {
+    let (w, h) = (map.width as usize, map.height as usize);
+    let reach = (PROBE * w.max(h) as f64) as usize;
+    let at = |v: f64, n: usize| ((v * n as f64) as usize).min(n - 1);
+    let span = |c: usize, n: usize| c.saturating_sub(reach)..(c + reach + 1).min(n);
+    let (cx, cy) = (at(x, w), at(y, h));
+    let mut all: Vec<f32> = span(cy, h).flat_map(|y| span(cx, w).map(move |x| y * w + x)).map(|i| map.delta[i]).collect();
+    let middle = all.len() / 2;
+    *all.select_nth_unstable_by(middle, f32::total_cmp).1
+}

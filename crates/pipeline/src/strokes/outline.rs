@@ -1,0 +1,242 @@
+//! What a stroke covers: the geodesic Voronoi cell of its middle line against everything farther than two radii from it.
+//!
+//! A path costs its length in radii and, more, the edges that it crosses, so both sides meet at the strongest edge between them, and without
+//! an edge midway, at the brush's own radius (geodesic segmentation: Bai and Sapiro, ICCV 2007; Criminisi, Sharp and Blake, ECCV 2008). Grown from
+//! a stroke without a bound on the other side, as by a random walker, regions leak through weak edges; between two radii they cannot. `static/app/outline.js`
+//! shows the same outline while it is drawn.
+
+use std::cmp::Reverse;
+use std::collections::BinaryHeap;
+
+use tmpi_core::{DisparityMap, Photo};
+
+use super::Stroke;
+use crate::photo::{reduced_size, resize};
+
+/// Longest side of the picture in which outlines are found: finer than a hand draws, and a bound on time.
+const SIDE: u32 = 640;
+/// Cost of a pixel's step along an edge from black to white, in radii.
+const EDGE: f32 = 36.0;
+/// What an edge of the disparity map counts against one of the photo: it may be what is wrong.
+const DEPTH: f32 = 0.5;
+/// Edges are counted above so many medians of those around: texture has them everywhere.
+const TEXTURE: f32 = 2.0;
+
+/// Scharr's smoothing across a derivative.
+const SMOOTH: [f32; 3] = [3.0 / 16.0, 10.0 / 16.0, 3.0 / 16.0];
+/// Pixels whose middle is this near are on a line: half a diagonal, so that it has no gaps.
+const LINE: f32 = 0.71;
+
+/// A photo prepared for finding outlines.
+#[derive(Clone, Debug)]
+pub struct Outlines {
+    width: usize,
+    height: usize,
+    /// Squared strength of the edge at each pixel, 0 to about 1.
+    edges: Vec<f32>,
+}
+
+/// The pixels of a region, in a rectangle of the reduced photo.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Region {
+    x0: usize,
+    y0: usize,
+    width: usize,
+    height: usize,
+    /// 1 inside.
+    mask: Vec<u8>,
+    /// Size of the reduced photo.
+    whole: (usize, usize),
+}
+
+/// The pixels around a stroke: a rectangle of the reduced photo.
+pub(super) struct Near {
+    corner: (usize, usize),
+    pub(super) size: (usize, usize),
+    /// How far each is off the middle line, in pixels.
+    pub(super) away: Vec<f32>,
+    /// Of the brush, in pixels.
+    pub(super) radius: f64,
+}
+
+impl Outlines {
+    /// Edges of a photo and its disparity map, both of one size.
+    #[must_use]
+    pub fn new(photo: &Photo, map: &DisparityMap) -> Self {
+        let (w, h) = reduced_size((photo.width, photo.height), Some(SIDE));
+        let small = if (w, h) == (photo.width, photo.height) { None } else { Some(resize(photo, w, h)) };
+        let rgb = &small.as_ref().unwrap_or(photo).rgb;
+        let (width, height) = (w as usize, h as usize);
+        let at = |v: usize, n: usize, all: u32| ((v as f64 + 0.5) / n as f64 * f64::from(all)) as usize;
+        let delta = |x: usize, y: usize| map.delta[at(y, height, map.height) * map.width as usize + at(x, width, map.width)];
+        let mut edges = vec![0.0; width * height];
+        for y in 0..height {
+            for x in 0..width {
+                let colour = |c: usize| move |x: usize, y: usize| f32::from(rgb[y * width + x][c]) / 255.0;
+                let squares: f32 = (0..3).map(|c| slope((width, height), (x, y), colour(c))).sum();
+                edges[y * width + x] = squares / 3.0 + DEPTH * slope((width, height), (x, y), delta);
+            }
+        }
+        Self { width, height, edges }
+    }
+
+    /// What a stroke (checked) covers.
+    #[must_use]
+    pub fn region(&self, stroke: &Stroke) -> Region {
+        let Near { corner: (x0, y0), size: (width, height), away, radius } = self.near(stroke);
+        let step = self.steps((x0, y0), (width, height), &away, radius);
+        let mask = cell((width, height), &away, &step, radius);
+        Region { x0, y0, width, height, mask, whole: (self.width, self.height) }
+    }
+
+    /// The pixels that a stroke may reach.
+    fn near(&self, stroke: &Stroke) -> Near {
+        let longer = self.width.max(self.height) as f64;
+        let radius = (stroke.radius * longer).max(1.0);
+        let line = thinned(stroke, (self.width, self.height), radius / 8.0);
+        let reach = 2.0 * radius + 2.0;
+        let span = |axis: usize, n: usize| {
+            let (low, high) = line.iter().fold((f64::MAX, f64::MIN), |(l, h), p| (l.min(p[axis]), h.max(p[axis])));
+            let low = ((low - reach).max(0.0) as usize).min(n - 1);
+            (low, ((high + reach).ceil() as usize).clamp(low + 1, n))
+        };
+        let ((x0, x1), (y0, y1)) = (span(0, self.width), span(1, self.height));
+        let size = (x1 - x0, y1 - y0);
+        Near { corner: (x0, y0), size, away: distances(&line, (x0, y0), size, reach), radius }
+    }
+
+    /// What [`Outlines::region`] finds, the steps' costs, and the pixels that it goes by.
+    #[cfg(test)]
+    pub(super) fn traced(&self, stroke: &Stroke) -> (Vec<u8>, Vec<f32>, Near) {
+        let near = self.near(stroke);
+        let step = self.steps(near.corner, near.size, &near.away, near.radius);
+        (self.region(stroke).mask, step, near)
+    }
+
+    /// Cost of a step through each pixel of a rectangle, in radii.
+    fn steps(&self, (x0, y0): (usize, usize), (width, height): (usize, usize), away: &[f32], radius: f64) -> Vec<f32> {
+        let edge = |i: usize| self.edges[(y0 + i / width) * self.width + x0 + i % width];
+        let mut near: Vec<f32> = (0..width * height).filter(|&i| f64::from(away[i]) < 2.0 * radius).map(edge).collect();
+        let middle = near.len() / 2;
+        let texture = if near.is_empty() { 0.0 } else { TEXTURE * *near.select_nth_unstable_by(middle, f32::total_cmp).1 };
+        (0..width * height).map(|i| 1.0 / radius as f32 + EDGE * (edge(i) - texture).max(0.0)).collect()
+    }
+}
+
+impl Region {
+    /// Calls `f` with the index of each pixel of the region in a picture of `width` × `height`, row by row.
+    pub fn each(&self, width: u32, height: u32, mut f: impl FnMut(usize)) {
+        let (w, h) = (width as usize, height as usize);
+        let scale = (self.whole.0 as f64 / w as f64, self.whole.1 as f64 / h as f64);
+        let first = |low: usize, s: f64| ((low as f64 - 1.0) / s).max(0.0) as usize;
+        let last = |high: usize, s: f64, n: usize| (((high as f64 + 1.0) / s).ceil() as usize).min(n);
+        for y in first(self.y0, scale.1)..last(self.y0 + self.height, scale.1, h) {
+            for x in first(self.x0, scale.0)..last(self.x0 + self.width, scale.0, w) {
+                if self.share((x as f64 + 0.5) * scale.0 - 0.5, (y as f64 + 0.5) * scale.1 - 0.5) >= 0.5 {
+                    f(y * w + x);
+                }
+            }
+        }
+    }
+
+    /// How much of a place between pixels of the reduced photo is inside, 0 to 1: bilinear, so that outlines on larger photos are smooth.
+    fn share(&self, x: f64, y: f64) -> f64 {
+        // clipped to the photo, as what lies beyond its border is like the border
+        let corner = |v: f64, n: usize| {
+            let v = v.clamp(0.0, (n - 1) as f64);
+            (v.floor() as usize, (v.floor() as usize + 1).min(n - 1), v - v.floor())
+        };
+        let ((xa, xb, fx), (ya, yb, fy)) = (corner(x, self.whole.0), corner(y, self.whole.1));
+        let inside = |x: usize, y: usize| match (x.checked_sub(self.x0), y.checked_sub(self.y0)) {
+            (Some(x), Some(y)) if x < self.width && y < self.height => f64::from(self.mask[y * self.width + x]),
+            _ => 0.0,
+        };
+        let row = |y| inside(xa, y) * (1.0 - fx) + inside(xb, y) * fx;
+        row(ya) * (1.0 - fy) + row(yb) * fy
+    }
+}
+
+/// The cell of a line, 1 within it, by Dijkstra's algorithm from both sides at once. `away`: how far each pixel is off the line; `step`: what a
+/// step through it costs.
+fn cell((width, height): (usize, usize), away: &[f32], step: &[f32], radius: f64) -> Vec<u8> {
+    let (mut least, mut inside) = (vec![f32::MAX; away.len()], vec![0; away.len()]);
+    let mut heap = BinaryHeap::new();
+    for (i, &d) in away.iter().enumerate() {
+        let on_line = d <= LINE;
+        if on_line || f64::from(d) >= 2.0 * radius {
+            (least[i], inside[i]) = (0.0, u8::from(on_line));
+            // costs are not negative: their bits are in their order
+            heap.push(Reverse((0_u32, i)));
+        }
+    }
+    while let Some(Reverse((bits, i))) = heap.pop() {
+        let cost = f32::from_bits(bits);
+        if cost > least[i] {
+            continue;
+        }
+        let (x, y) = (i % width, i / width);
+        for ny in y.saturating_sub(1)..(y + 2).min(height) {
+            for nx in x.saturating_sub(1)..(x + 2).min(width) {
+                let n = ny * width + nx;
+                let length = if nx != x && ny != y { std::f32::consts::SQRT_2 } else { 1.0 };
+                let there = cost + length * 0.5 * (step[i] + step[n]);
+                if there < least[n] {
+                    (least[n], inside[n]) = (there, inside[i]);
+                    heap.push(Reverse((there.to_bits(), n)));
+                }
+            }
+        }
+    }
+    inside
+}
+
+/// Squared strength of the edge at a pixel: Scharr's kernels, scaled so that a step of 1 between two halves of a picture has 1 beside it.
+fn slope((width, height): (usize, usize), (x, y): (usize, usize), value: impl Fn(usize, usize) -> f32) -> f32 {
+    let (xs, ys) = ([x.saturating_sub(1), x, (x + 1).min(width - 1)], [y.saturating_sub(1), y, (y + 1).min(height - 1)]);
+    let across = |k: usize| value(xs[2], ys[k]) - value(xs[0], ys[k]);
+    let down = |k: usize| value(xs[k], ys[2]) - value(xs[k], ys[0]);
+    let (mut gx, mut gy) = (0.0, 0.0);
+    for (k, w) in SMOOTH.into_iter().enumerate() {
+        gx += w * across(k);
+        gy += w * down(k);
+    }
+    gx * gx + gy * gy
+}
+
+/// The line of a stroke in pixels, without points that are closer than `least` to the one before.
+fn thinned(stroke: &Stroke, (width, height): (usize, usize), least: f64) -> Vec<[f64; 2]> {
+    let mut line: Vec<[f64; 2]> = Vec::with_capacity(stroke.points.len());
+    for (i, p) in stroke.points.iter().enumerate() {
+        let p = [p[0] * width as f64, p[1] * height as f64];
+        let far = line.last().is_none_or(|q| (p[0] - q[0]).hypot(p[1] - q[1]) >= least);
+        if far || i + 1 == stroke.points.len() {
+            line.push(p);
+        }
+    }
+    line
+}
+
+/// How far each pixel of a rectangle is off a line, in pixels; `f32::MAX` beyond `reach`.
+fn distances(line: &[[f64; 2]], (x0, y0): (usize, usize), (width, height): (usize, usize), reach: f64) -> Vec<f32> {
+    let mut away = vec![f32::MAX; width * height];
+    let ends = line.windows(2).map(|p| (p[0], p[1])).chain(line.first().map(|&p| (p, p)));
+    for (a, b) in ends {
+        let span = |axis: usize, from: usize, n: usize| {
+            let low = a[axis].min(b[axis]) - reach - from as f64;
+            let high = a[axis].max(b[axis]) + reach - from as f64;
+            (low.max(0.0) as usize).min(n)..(high.ceil().max(0.0) as usize).min(n)
+        };
+        let (dx, dy) = (b[0] - a[0], b[1] - a[1]);
+        let square = dx * dx + dy * dy;
+        for y in span(1, y0, height) {
+            for x in span(0, x0, width) {
+                let (px, py) = ((x0 + x) as f64 + 0.5 - a[0], (y0 + y) as f64 + 0.5 - a[1]);
+                let t = if square > 0.0 { ((px * dx + py * dy) / square).clamp(0.0, 1.0) } else { 0.0 };
+                let d = (px - t * dx).hypot(py - t * dy) as f32;
+                let here = &mut away[y * width + x];
+                *here = here.min(d);
+            }
+        }
+    }
+    away
+}

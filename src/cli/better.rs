@@ -1,0 +1,44 @@
+//! The better depth network that a server offers to fetch.
+
+use super::flags::ModelFlags;
+use super::serve::identity;
+use crate::server::{Better, Offer, Renewed};
+use tmpi_pipeline::networks::models::download::{Digest, Wanted, fetch};
+use tmpi_pipeline::networks::models::registry::{BETTER, Published, best, folder, published};
+
+/// The published network that is worth fetching, and what the server is started with.
+pub(super) struct BetterNetwork {
+    flags: ModelFlags,
+    published: &'static Published,
+    url: Option<String>,
+    sha256: Digest,
+    /// It is the file that was published.
+    pinned: bool,
+}
+
+impl BetterNetwork {
+    /// None where the network was chosen by hand, or one was fetched before. `url` and `sha256` stand for the publisher's.
+    pub(super) fn of(flags: &ModelFlags, url: Option<String>, sha256: Option<Digest>) -> Option<Self> {
+        let published = published(BETTER).filter(|_| flags.depth_model.auto && flags.settings().depth_file.is_none())?;
+        let pinned = sha256.is_none();
+        let sha256 = sha256.or_else(|| published.sha256.parse().ok())?;
+        Some(Self { flags: flags.clone(), published, url, sha256, pinned })
+    }
+}
+
+impl Better for BetterNetwork {
+    fn offer(&self) -> Offer {
+        let Published { name, bytes, licence, .. } = *self.published;
+        Offer { name: name.into(), bytes: self.pinned.then_some(bytes), licence: licence.into() }
+    }
+
+    fn fetch(&self, progress: &mut dyn FnMut(u64)) -> Result<Renewed, String> {
+        let url = self.url.as_deref().unwrap_or(self.published.url);
+        let wanted = Wanted { url, bytes: self.pinned.then_some(self.published.bytes), sha256: self.sha256 };
+        fetch(&wanted, &self.published.file(), |have, _| progress(have)).map_err(|e| e.to_string())?;
+        // as whoever starts now finds it
+        let (adapter, file) = best(&folder()).ok_or("it was fetched, and is gone")?;
+        let settings = self.flags.with_network(adapter, file);
+        Ok(Renewed { network: settings.name().to_owned(), identity: identity(&settings).map_err(|e| format!("{e:#}"))? })
+    }
+}

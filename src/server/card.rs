@@ -1,0 +1,181 @@
+//! What others show of a photo where somebody links to it: its title and a picture of it, as Open Graph, Twitter's cards and oEmbed say it.
+
+use std::fmt::Write as _;
+
+use super::app::Shared;
+use super::entry::{Entry, Status};
+use super::options;
+
+/// What a photo without a title is called.
+const UNTITLED: &str = "3D photo";
+const DESCRIPTION: &str = "A 3D photo: it moves as you look around.";
+/// Longest side of the picture of a link, in pixels: what sites ask for that show it large.
+const PICTURE: u32 = 1200;
+
+/// A picture of a photo.
+#[derive(Debug, PartialEq, Eq)]
+pub struct Picture {
+    /// Absolute address.
+    pub url: String,
+    /// Width in pixels.
+    pub width: u32,
+    /// Height in pixels.
+    pub height: u32,
+}
+
+/// What there is to show of a photo.
+#[derive(Debug)]
+pub struct Card {
+    /// `scheme://host` of the server, as it was asked.
+    base: String,
+    id: String,
+    title: String,
+    /// Address of views and the photo's size, once it is made.
+    view: Option<(String, (u32, u32))>,
+}
+
+impl Card {
+    /// Of a photo as it is now, for somebody who knows the server as `base`.
+    #[must_use]
+    pub fn of(app: &Shared, entry: &Entry, base: String) -> Self {
+        let settings = entry.settings();
+        let view = if let Status::Done(done) = entry.status() {
+            let pose = settings.poster_pose(&options::view_box_of(&entry.accepted.options)).unwrap_or_default();
+            let address = format!("{base}/v1/photos/{}/view?{pose}format=jpeg&v={}", entry.id, app.version(&done));
+            Some((address, (done.width, done.height)))
+        } else {
+            None
+        };
+        Self { base, id: entry.id.to_string(), title: settings.title.unwrap_or_else(|| UNTITLED.into()), view }
+    }
+
+    /// The title.
+    #[must_use]
+    pub fn title(&self) -> &str {
+        &self.title
+    }
+
+    /// The view that stands for the photo as a JPEG of its own shape, no larger than itself and within `most`; none before it is made.
+    #[must_use]
+    pub fn picture(&self, most: (u32, u32)) -> Option<Picture> {
+        let (address, size) = self.view.as_ref()?;
+        let (width, height) = within(*size, most);
+        Some(Picture { url: format!("{address}&w={width}&h={height}"), width, height })
+    }
+
+    /// A frame of the photo alone within `most`, in HTML, and its size.
+    #[must_use]
+    pub fn frame(&self, most: (u32, u32)) -> (String, u32, u32) {
+        let (width, height) = within(self.view.as_ref().map_or(most, |(_, size)| *size), most);
+        let html = format!(
+            "<iframe src=\"{}/embed/{}\" width=\"{width}\" height=\"{height}\" title=\"{}\" loading=\"lazy\" style=\"border:0\" \
+             allow=\"fullscreen; accelerometer; gyroscope; xr-spatial-tracking\"></iframe>",
+            escaped(&self.base),
+            self.id,
+            escaped(&self.title)
+        );
+        (html, width, height)
+    }
+
+    /// The viewer's page with the photo's title, and tags in its head that say the rest.
+    #[must_use]
+    pub fn introduce(&self, page: &str) -> String {
+        let title = escaped(&self.title);
+        let titled = match (page.find("<title>"), page.find("</title>")) {
+            (Some(from), Some(to)) if from < to => format!("{}<title>{title} – tmpi{}", &page[..from], &page[to..]),
+            _ => page.to_owned(),
+        };
+        titled.replacen("</head>", &(self.tags() + "  </head>"), 1)
+    }
+
+    fn tags(&self) -> String {
+        let url = format!("{}/view/{}", self.base, self.id);
+        let picture = self.picture((PICTURE, PICTURE));
+        let mut tags = Vec::from([
+            ("property", "og:type", "website".to_owned()),
+            ("property", "og:site_name", "tmpi".into()),
+            ("property", "og:title", self.title.clone()),
+            ("property", "og:description", DESCRIPTION.into()),
+            ("property", "og:url", url.clone()),
+            ("name", "twitter:card", if picture.is_some() { "summary_large_image" } else { "summary" }.into()),
+        ]);
+        if let Some(picture) = picture {
+            tags.extend([
+                ("property", "og:image", picture.url),
+                ("property", "og:image:type", "image/jpeg".into()),
+                ("property", "og:image:width", picture.width.to_string()),
+                ("property", "og:image:height", picture.height.to_string()),
+                ("property", "og:image:alt", self.title.clone()),
+            ]);
+        }
+        let mut html = String::new();
+        for (kind, name, content) in tags {
+            // writing to a String cannot fail
+            let _ = writeln!(html, "    <meta {kind}=\"{name}\" content=\"{}\" />", escaped(&content));
+        }
+        let query = form_urlencoded::Serializer::new(String::new()).append_pair("url", &url).append_pair("format", "json").finish();
+        let address = escaped(&format!("{}/oembed?{query}", self.base));
+        let title = escaped(&self.title);
+        let _ = writeln!(html, "    <link rel=\"alternate\" type=\"application/json+oembed\" href=\"{address}\" title=\"{title}\" />");
+        let _ = writeln!(html, "    <link rel=\"canonical\" href=\"{}\" />", escaped(&url));
+        html
+    }
+}
+
+/// `size` made smaller until it is within `most`, in its own shape.
+fn within((width, height): (u32, u32), most: (u32, u32)) -> (u32, u32) {
+    let scale = (f64::from(most.0) / f64::from(width)).min(f64::from(most.1) / f64::from(height)).min(1.0);
+    let side = |v: u32, most: u32| ((f64::from(v) * scale).round() as u32).clamp(1, most.max(1));
+    (side(width, most.0), side(height, most.1))
+}
+
+/// Text as it may stand in HTML, between tags and in quotes of either kind.
+fn escaped(text: &str) -> String {
+    text.chars().fold(String::with_capacity(text.len()), |mut out, c| {
+        match c {
+            '&' => out.push_str("&amp;"),
+            '<' => out.push_str("&lt;"),
+            '>' => out.push_str("&gt;"),
+            '"' => out.push_str("&quot;"),
+            '\'' => out.push_str("&#39;"),
+            c => out.push(c),
+        }
+        out
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn card(title: &str) -> Card {
+        Card { base: "https://h:1".into(), id: "0".repeat(32), title: title.into(), view: Some(("https://h:1/x?a=1".into(), (4000, 3000))) }
+    }
+
+    #[test]
+    fn pictures_keep_their_shape_and_are_not_enlarged() {
+        assert_eq!(within((4000, 3000), (1200, 1200)), (1200, 900));
+        assert_eq!(within((100, 50), (1200, 1200)), (100, 50));
+        assert_eq!(within((6000, 8), (1200, 1200)), (1200, 2));
+        assert_eq!(within((60_000, 8), (10, 10)), (10, 1));
+        assert_eq!(
+            card("").picture((1200, 1200)).unwrap(),
+            Picture { url: "https://h:1/x?a=1&w=1200&h=900".into(), width: 1200, height: 900 }
+        );
+    }
+
+    proptest! {
+        #[test]
+        fn no_title_leaves_its_place(title in any::<String>(), quote in prop::sample::select(vec!['"', '\'', '<', '>', '&'])) {
+            let plain = card("T");
+            let hostile = card(&format!("{title}{quote}{title}"));
+            // as many tags and quotes as with a harmless title: nothing was opened and nothing closed
+            let count = |html: &str| ['<', '>', '"'].map(|c| html.matches(c).count());
+            let page = "<head><title>x</title></head>";
+            prop_assert_eq!(count(&hostile.introduce(page)), count(&plain.introduce(page)));
+            prop_assert_eq!(count(&hostile.frame((800, 800)).0), count(&plain.frame((800, 800)).0));
+        }
+    }
+}

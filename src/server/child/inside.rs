@@ -1,0 +1,129 @@
+//! What a process does that makes photos for a server.
+
+use std::collections::BTreeMap;
+use std::io::{self, Write};
+use std::sync::mpsc::channel;
+use std::sync::{Mutex, PoisonError};
+
+use super::frames::{Told, kind, read, write};
+use crate::server::maker::{Fault, Maker, PipelineMaker, Product};
+use crate::server::options;
+use crate::server::worker::caught;
+use tmpi_pipeline::{Progress, Sink, strokes};
+
+/// Linux ends the process with the highest score first where memory is short: never the server for a photo's sake.
+const SCORE: &str = "500";
+
+/// Writes progress as frames.
+struct Tells<W>(Mutex<W>);
+
+impl<W: Write + Send> Tells<W> {
+    fn tell(&self, kind: u8, bytes: &[u8]) {
+        let mut output = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        // where nobody listens any more, the end of the input says so
+        let _ = write(&mut *output, kind, bytes).and_then(|()| output.flush());
+    }
+}
+
+impl<W: Write + Send> Sink for Tells<W> {
+    fn progress(&self, p: &Progress) {
+        let told = Told { stage: p.stage.to_owned(), step: p.step, steps: p.steps, elapsed_ms: p.elapsed_ms };
+        self.tell(kind::PROGRESS, &serde_json::to_vec(&told).unwrap_or_default());
+    }
+}
+
+/// Makes photos for the server that started this process, until it closes the pipe; `memory` bounds what this process may take, in
+/// bytes.
+pub fn serve(maker: &PipelineMaker, memory: u64) {
+    if cfg!(target_os = "linux") {
+        // where that is not allowed, the kernel chooses as it likes
+        let _ = std::fs::write("/proc/self/oom_score_adj", SCORE);
+    }
+    outlive_signals();
+    if let Err(error) = bound_memory(memory) {
+        tracing::warn!(%error, "memory cannot be bounded");
+    }
+    let (tell, frames) = channel();
+    let reader = std::thread::Builder::new().name("tmpi-frames".into()).spawn(move || {
+        let mut input = io::stdin().lock();
+        loop {
+            let passed_on = read(&mut input).is_ok_and(|frame| tell.send(frame).is_ok());
+            if !passed_on {
+                // the server has gone: nobody wants what is being made
+                #[allow(clippy::disallowed_methods, reason = "what runs cannot be stopped otherwise, and owns nothing")]
+                std::process::exit(0);
+            }
+        }
+    });
+    if let Err(error) = reader {
+        tracing::error!(%error, "no thread can be started");
+        return;
+    }
+    let output = Tells(Mutex::new(io::stdout()));
+    let (mut chosen, mut strokes, mut photo, mut depth) = (Vec::new(), Vec::new(), Vec::new(), None);
+    for (kind, bytes) in frames {
+        match kind {
+            kind::OPTIONS => chosen = bytes,
+            kind::STROKES => strokes = bytes,
+            kind::PHOTO => photo = bytes,
+            kind::DEPTH => depth = Some(bytes),
+            kind::MAKE => {
+                answer(&output, one(maker, (&chosen, &strokes), &std::mem::take(&mut photo), depth.take().as_deref(), &output));
+            }
+            _ => return,
+        }
+    }
+}
+
+fn one(
+    maker: &PipelineMaker,
+    (options, strokes): (&[u8], &[u8]),
+    photo: &[u8],
+    depth: Option<&[u8]>,
+    sink: &dyn Sink,
+) -> Result<Product, Fault> {
+    let text: BTreeMap<String, String> = serde_json::from_slice(options).map_err(|e| Fault::Server(e.to_string()))?;
+    let mut options = options::from_text(&text).map_err(Fault::Photo)?;
+    options.strokes = strokes::read(strokes).map_err(|e| Fault::Server(e.to_string()))?;
+    caught(|| maker.make(photo, depth, &options, sink))
+}
+
+fn answer(output: &Tells<impl Write + Send>, outcome: Result<Product, Fault>) {
+    let text = |value: serde_json::Result<Vec<u8>>| value.unwrap_or_default();
+    match outcome {
+        Ok(product) => {
+            output.tell(kind::CONTAINER, &product.container);
+            output.tell(kind::DISPARITY, &product.disparity);
+            output.tell(kind::THUMBNAIL, &product.thumbnail);
+            output.tell(kind::REPORT, &text(serde_json::to_vec(&product.report)));
+        }
+        Err(fault) => output.tell(kind::FAULT, &text(serde_json::to_vec(&fault))),
+    }
+}
+
+/// Signals to stop go to all processes of a service at once; the server decides what becomes of the photo that is being made.
+#[cfg(unix)]
+#[allow(unsafe_code, reason = "two calls of libc that run no code of ours later")]
+fn outlive_signals() {
+    for signal in [libc::SIGTERM, libc::SIGINT] {
+        // SAFETY: ignoring a signal installs no handler
+        unsafe { libc::signal(signal, libc::SIG_IGN) };
+    }
+}
+
+#[cfg(not(unix))]
+fn outlive_signals() {}
+
+#[cfg(target_os = "linux")]
+#[allow(unsafe_code, reason = "a call of libc that only reads the struct it is handed")]
+fn bound_memory(bytes: u64) -> io::Result<()> {
+    let limit = libc::rlimit { rlim_cur: bytes, rlim_max: bytes };
+    // SAFETY: the struct outlives the call
+    if unsafe { libc::setrlimit(libc::RLIMIT_DATA, &raw const limit) } == 0 { Ok(()) } else { Err(io::Error::last_os_error()) }
+}
+
+#[cfg(not(target_os = "linux"))]
+fn bound_memory(_: u64) -> io::Result<()> {
+    // other systems have no limit that counts what a process takes for itself
+    Ok(())
+}

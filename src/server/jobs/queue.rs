@@ -1,0 +1,187 @@
+//! The queue as the threads see that make photos: the next one, what becomes of it, and the end.
+
+use std::sync::atomic::Ordering;
+use std::sync::{Arc, PoisonError};
+use std::time::{Duration, Instant};
+
+use super::Jobs;
+use crate::server::entry::Entry;
+
+/// Pause after a fault of the server, doubled with each further one, and its longest.
+const REPAIR: Duration = Duration::from_millis(500);
+const MOST_REPAIR: Duration = Duration::from_mins(1);
+/// How often photos that could not be read are looked at again.
+const LOOK_AGAIN: Duration = Duration::from_secs(10);
+
+/// A fault of the server that keeps photos from being made.
+#[derive(Debug)]
+pub(super) struct Trouble {
+    reason: String,
+    /// No photo is tried before.
+    until: Instant,
+    /// Tries so far.
+    tries: u32,
+}
+
+impl Jobs {
+    /// The next photo to be made; blocks; none once the server stops.
+    pub(in crate::server) fn take(&self) -> Option<Arc<Entry>> {
+        let mut inner = self.lock();
+        loop {
+            if inner.stopping {
+                return None;
+            }
+            let pause = inner.trouble.as_ref().map(|t| t.until.saturating_duration_since(Instant::now()));
+            if pause.is_none_or(|p| p.is_zero())
+                && let Some(entry) = inner.queue.pop_front()
+            {
+                inner.running.push(Arc::clone(&entry));
+                return Some(entry);
+            }
+            let pause = pause.filter(|p| !p.is_zero() && !inner.queue.is_empty());
+            let unread = self.store.unreadable() > 0;
+            inner = match pause.or(unread.then_some(LOOK_AGAIN)) {
+                Some(pause) => self.wake.wait_timeout(inner, pause).unwrap_or_else(PoisonError::into_inner).0,
+                None => self.wake.wait(inner).unwrap_or_else(PoisonError::into_inner),
+            };
+            if unread && inner.queue.is_empty() && !inner.stopping {
+                drop(inner);
+                self.take_up(self.store.look_again());
+                inner = self.lock();
+            }
+        }
+    }
+    /// Puts a photo behind those that wait.
+    pub(in crate::server) fn queue_again(&self, entry: &Arc<Entry>) {
+        self.lock().queue.push_back(Arc::clone(entry));
+        self.wake.notify_one();
+    }
+
+    /// Puts a photo back behind the others, which may need nothing of what is amiss; none is tried for a while, the longer the more
+    /// often that happened.
+    pub(in crate::server) fn wait_for_repair(&self, entry: &Arc<Entry>, reason: String) {
+        let mut inner = self.lock();
+        let tries = inner.trouble.as_ref().map_or(0, |t| t.tries);
+        let pause = REPAIR.saturating_mul(1 << tries.min(16)).min(MOST_REPAIR);
+        inner.trouble = Some(Trouble { reason, until: Instant::now() + pause, tries: tries + 1 });
+        inner.queue.push_back(Arc::clone(entry));
+    }
+
+    /// A photo was made: whatever kept others from it is over.
+    pub(in crate::server) fn mended(&self) {
+        self.lock().trouble = None;
+        self.wake.notify_all();
+    }
+
+    /// The fault of the server that keeps photos from being made, if there is one.
+    #[must_use]
+    pub fn trouble(&self) -> Option<String> {
+        self.lock().trouble.as_ref().map(|t| t.reason.clone())
+    }
+
+    /// The counterpart of [`Jobs::take`].
+    pub(in crate::server) fn release(&self, entry: &Arc<Entry>, took: Duration) {
+        let mut inner = self.lock();
+        // a photo that failed and was uploaded again at once may be there twice
+        if let Some(at) = inner.running.iter().position(|e| Arc::ptr_eq(e, entry)) {
+            inner.running.swap_remove(at);
+        }
+        let mean = inner.mean_seconds.map_or(took.as_secs_f64(), |m| 0.8 * m + 0.2 * took.as_secs_f64());
+        inner.mean_seconds = Some(mean);
+        drop(inner);
+        self.idle.notify_all();
+    }
+
+    /// True once running jobs are to give up.
+    pub(in crate::server) fn aborted(&self) -> bool {
+        self.abort.load(Ordering::Acquire)
+    }
+
+    /// No further job starts, and no further upload is taken.
+    pub fn stop(&self) {
+        self.lock().stopping = true;
+        self.wake.notify_all();
+    }
+
+    /// True while jobs are taken.
+    #[must_use]
+    pub fn is_accepting(&self) -> bool {
+        !self.lock().stopping
+    }
+
+    /// Waits for the jobs under way, until `deadline`; those that are not finished by then are left for the next start.
+    pub fn drain(&self, deadline: Instant) {
+        self.stop();
+        let wait = |until: Instant| {
+            let left = until.saturating_duration_since(Instant::now());
+            let inner = self.idle.wait_timeout_while(self.lock(), left, |inner| !inner.running.is_empty());
+            inner.unwrap_or_else(PoisonError::into_inner).0.running.is_empty()
+        };
+        if wait(deadline) {
+            return;
+        }
+        self.abort.store(true, Ordering::Release);
+        // what is cut off was never counted: there is nothing to put right
+        wait(Instant::now() + Duration::from_millis(500));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeMap;
+    use std::path::Path;
+
+    use super::super::{Limits, PhotoId};
+    use super::*;
+    use crate::server::files::Files as _;
+    use crate::server::forgetful::Forgetful;
+    use crate::server::maker::Never;
+    use crate::server::settings::Settings;
+    use crate::server::store::{Accepted, Part, Store};
+
+    #[test]
+    fn a_photo_that_runs_twice_is_waited_for_twice() {
+        let dir = tempfile::tempdir().unwrap();
+        let (store, _) = Store::open(dir.path(), "").unwrap();
+        // nobody else takes anything
+        let limits = Arc::new(Limits { workers: 0, ..Limits::default() });
+        let jobs = Jobs::start(store, Vec::new(), Arc::new(Never), limits, Arc::default()).unwrap();
+        let accepted = Accepted { version: 1, at_ms: 1, photo_bytes: 1, depth_bytes: None, options: BTreeMap::new() };
+        let entry = Arc::new(Entry::new(PhotoId::of(&[1; 32], None, "", ""), accepted, Settings::default()));
+        for _ in 0..2 {
+            // it failed and was uploaded again before the first worker let it go
+            jobs.queue_again(&entry);
+            assert!(jobs.take().is_some());
+        }
+        jobs.release(&entry, Duration::ZERO);
+        assert_eq!(jobs.counts().working, 1);
+        let began = Instant::now();
+        jobs.drain(began + Duration::from_millis(50));
+        assert!(began.elapsed() >= Duration::from_millis(50) && jobs.aborted(), "one still runs");
+        jobs.release(&entry, Duration::ZERO);
+        assert_eq!(jobs.counts().working, 0);
+    }
+
+    #[test]
+    fn what_was_answered_is_on_disk_whole_though_the_machine_stops_at_once() {
+        let (files, dir) = (Arc::new(Forgetful::new()), Path::new("/data"));
+        let (store, _) = Store::open_in(files.clone(), dir, "", None).unwrap();
+        files.sync_dir(Path::new("/")).unwrap();
+        let limits = Arc::new(Limits { workers: 0, ..Limits::default() });
+        let jobs = Jobs::start(store, Vec::new(), Arc::new(Never), limits, Arc::default()).unwrap();
+        let incoming = jobs.store.begin().unwrap();
+        for part in [Part::Upload, Part::Depth] {
+            // as a stream leaves it
+            files.write_unsynced(&incoming.path(part), b"photo");
+        }
+        let id = PhotoId::of(&[1; 32], None, "", "");
+        let accepted = Accepted { version: 1, at_ms: 1, photo_bytes: 5, depth_bytes: Some(5), options: BTreeMap::new() };
+        assert!(jobs.submit(incoming, id, accepted, Settings::default()).unwrap().new);
+        files.crash();
+        let (store, found) = Store::open_in(files, dir, "", None).unwrap();
+        assert_eq!(found.len(), 1);
+        for part in [Part::Upload, Part::Depth] {
+            assert_eq!(store.read(id, part).unwrap(), b"photo", "{}", part.name());
+        }
+    }
+}

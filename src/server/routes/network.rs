@@ -1,0 +1,123 @@
+//! The depth network of the server, and photos made again with it.
+
+use std::sync::Arc;
+
+use axum::Json;
+use axum::extract::{Extension, Path, State};
+use axum::http::{HeaderMap, StatusCode};
+use axum::response::{IntoResponse, Response};
+use serde::Serialize;
+
+use super::again::answer;
+use super::query::NoQuery;
+use super::state::PhotoState;
+use crate::server::app::{App, Shared};
+use crate::server::clock::Clock;
+use crate::server::network::{Fetching, Offer};
+use crate::server::problem::Problem;
+
+/// The network that estimates depth, and the better one that can be had.
+#[derive(Serialize, utoipa::ToSchema)]
+pub struct Network {
+    /// Name of the network that photos are made with now, as in their reports.
+    #[schema(example = "tmpi")]
+    name: String,
+    /// A better one that may be fetched; missing where there is none, or it is here.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    better: Option<Offer>,
+    /// Bytes of it that are here; only while it is fetched.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    fetched_bytes: Option<u64>,
+    /// Why it could not be fetched; another try goes on from there.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    problem: Option<String>,
+}
+
+fn network_now(app: &Shared) -> Network {
+    let (maker, state) = (&app.jobs.maker, app.download.state());
+    let (fetched_bytes, problem) = match state {
+        Fetching::Idle => (None, None),
+        Fetching::UnderWay(bytes) => (Some(bytes), None),
+        Fetching::Failed(problem) => (None, Some(problem)),
+    };
+    Network { name: maker.network().to_owned(), better: maker.better(), fetched_bytes, problem }
+}
+
+/// Refuses strangers.
+fn own(app: &Shared, headers: &HeaderMap) -> Result<(), Problem> {
+    if app.hosts.is_own(headers) {
+        return Ok(());
+    }
+    let detail = "networks are this machine's own user's affair, at a loopback address";
+    Err(Problem::new(StatusCode::FORBIDDEN, "not-yours", detail))
+}
+
+/// The depth network of the server.
+///
+/// Only for this machine's own user, see the list of photos.
+#[utoipa::path(
+    get, path = "/v1/network", tag = "system",
+    responses(
+        (status = 200, description = "The network, and the better one that can be had", body = Network),
+        (status = 400, description = "There are no parameters here", body = Problem, content_type = "application/problem+json"),
+        (status = 403, description = "Not for strangers", body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub async fn network(State(app): State<App>, _: NoQuery, headers: HeaderMap) -> Result<Json<Network>, Problem> {
+    own(&app, &headers)?;
+    Ok(Json(network_now(&app)))
+}
+
+/// Fetch the better depth network.
+///
+/// Only for this machine's own user. It is fetched in the background, once, from an address and held to a digest that the program knows; photos
+/// that are made from then on have their depth from it.
+#[utoipa::path(
+    post, path = "/v1/network", tag = "system",
+    responses(
+        (status = 200, description = "There is nothing to fetch", body = Network),
+        (status = 202, description = "It is being fetched", body = Network),
+        (status = 400, description = "There are no parameters here", body = Problem, content_type = "application/problem+json"),
+        (status = 403, description = "Not for strangers", body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub async fn fetch(State(app): State<App>, _: NoQuery, headers: HeaderMap) -> Result<Response, Problem> {
+    own(&app, &headers)?;
+    app.download.start(&app.jobs).map_err(|e| Problem::internal("fetching a network", &e))?;
+    let now = network_now(&app);
+    let status = if now.fetched_bytes.is_some() { StatusCode::ACCEPTED } else { StatusCode::OK };
+    Ok((status, Json(now)).into_response())
+}
+
+/// Make a photo again.
+///
+/// With the program and the network of now; it keeps its id, its settings and its strokes, and has another version. Until it is done its results
+/// answer 409.
+#[utoipa::path(
+    post, path = "/v1/photos/{id}/again", tag = "photos",
+    params(
+        ("id" = String, Path, description = "Id of the photo"),
+        ("Prefer" = Option<String>, Header, description = "`wait=SECONDS`: answer once the photo is done, or after that time"),
+    ),
+    responses(
+        (status = 200, description = "Made, in the time that `Prefer: wait` gave", body = PhotoState),
+        (status = 202, description = "It is made again", body = PhotoState),
+        (status = 404, description = "There is no such photo", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "The photo is being made", body = Problem, content_type = "application/problem+json"),
+        (status = 429, description = "Too many photos wait; `Retry-After` says when to come back", body = Problem, content_type = "application/problem+json"),
+        (status = 507, description = "The disk is full", body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub async fn again(
+    State(app): State<App>,
+    Path(id): Path<String>,
+    Extension(clock): Extension<Clock>,
+    _: NoQuery,
+    headers: HeaderMap,
+) -> Result<Response, Problem> {
+    let entry = app.photo(&id)?;
+    let (shared, photo) = (Arc::clone(&app), Arc::clone(&entry));
+    let queued = tokio::task::spawn_blocking(move || shared.jobs.make_again(&photo));
+    queued.await.map_err(|e| Problem::internal("making a photo again", &e))??;
+    answer(&app, &entry, &headers, &clock).await
+}

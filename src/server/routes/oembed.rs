@@ -1,0 +1,124 @@
+//! How a site embeds a photo that somebody links to (oEmbed 1.0, <https://oembed.com>).
+
+use axum::Json;
+use axum::extract::{Request, State};
+use axum::http::{StatusCode, Uri};
+use serde::Serialize;
+
+use super::query::Pairs;
+use crate::server::app::App;
+use crate::server::card::Card;
+use crate::server::hosts;
+use crate::server::problem::Problem;
+
+/// Sides of a frame where the site does not say, in pixels.
+const USUAL: u32 = 800;
+/// Least and most that a site may say.
+const SIDES: std::ops::RangeInclusive<u32> = 1..=16_384;
+/// Seconds that an answer may be kept: titles change.
+const CACHE_AGE: u32 = 3600;
+
+/// Parameters; others, which sites add as they like, are ignored.
+#[derive(Debug, Default, utoipa::IntoParams)]
+#[into_params(parameter_in = Query)]
+#[allow(dead_code, reason = "describes the parameters in the OpenAPI document; they are read one by one so that errors name them")]
+pub struct OEmbedQuery {
+    /// Address of a photo's page (`/view/ID` or `/embed/ID`) on this server.
+    url: String,
+    /// Widest frame and picture in pixels; 800 if it is not given.
+    #[param(minimum = 1, maximum = 16384)]
+    maxwidth: Option<u32>,
+    /// Highest frame and picture in pixels; 800 if it is not given.
+    #[param(minimum = 1, maximum = 16384)]
+    maxheight: Option<u32>,
+    /// `json`.
+    format: Option<String>,
+}
+
+/// How to embed a photo.
+#[derive(Serialize, utoipa::ToSchema)]
+pub struct OEmbed {
+    /// `rich`: HTML to show.
+    #[serde(rename = "type")]
+    kind: &'static str,
+    /// `1.0`.
+    version: &'static str,
+    /// What the photo is called.
+    title: String,
+    /// `tmpi`.
+    provider_name: &'static str,
+    /// Address of this server.
+    provider_url: String,
+    /// Seconds that this may be kept.
+    cache_age: u32,
+    /// A frame with the photo.
+    html: String,
+    /// Width of the frame in pixels.
+    width: u32,
+    /// Height of the frame in pixels.
+    height: u32,
+    /// Address of a picture of it, a JPEG; missing until the photo is made.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    thumbnail_url: Option<String>,
+    /// Width of the picture in pixels.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    thumbnail_width: Option<u32>,
+    /// Height of the picture in pixels.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    thumbnail_height: Option<u32>,
+}
+
+/// How to embed the photo at an address (oEmbed).
+///
+/// Parameters of other names are ignored here: sites add their own.
+#[utoipa::path(
+    get, path = "/oembed", tag = "photos", params(OEmbedQuery),
+    responses(
+        (status = 200, description = "A frame and a picture", body = OEmbed),
+        (status = 400, description = "A parameter is wrong", body = Problem, content_type = "application/problem+json"),
+        (status = 404, description = "There is no such photo here", body = Problem, content_type = "application/problem+json"),
+        (status = 501, description = "Another format than JSON", body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub async fn oembed(State(app): State<App>, request: Request) -> Result<Json<OEmbed>, Problem> {
+    let pairs = Pairs::read_some(request.uri(), &["url", "maxwidth", "maxheight", "format"])?;
+    if let Some(other) = pairs.get("format").filter(|f| *f != "json") {
+        return Err(Problem::new(StatusCode::NOT_IMPLEMENTED, "format", format!("the answer is JSON, not {other:?}")).field("format"));
+    }
+    let side = |name: &str| {
+        let read = |text: &str| text.parse().ok().filter(|n| SIDES.contains(n));
+        let wrong = |text: &str| Problem::parameter(name, format!("must be from {} to {}, not {text:?}", SIDES.start(), SIDES.end()));
+        pairs.get(name).map_or(Ok(USUAL), |text| read(text).ok_or_else(|| wrong(text)))
+    };
+    let most = (side("maxwidth")?, side("maxheight")?);
+    let url = pairs.get("url").ok_or_else(|| Problem::parameter("url", "is missing"))?;
+    let id = photo_of(&app, url).ok_or_else(|| Problem::not_found("the address is no photo's page of this server").field("url"))?;
+    let entry = app.photo(&id)?;
+    let base = hosts::origin(request.headers()).ok_or_else(|| Problem::bad_request("the Host header is no host"))?;
+    let card = Card::of(&app, &entry, base.clone());
+    let (html, width, height) = card.frame(most);
+    let picture = card.picture(most);
+    let (thumbnail_width, thumbnail_height) = picture.as_ref().map(|p| (p.width, p.height)).unzip();
+    Ok(Json(OEmbed {
+        kind: "rich",
+        version: "1.0",
+        title: card.title().to_owned(),
+        provider_name: "tmpi",
+        provider_url: base,
+        cache_age: CACHE_AGE,
+        html,
+        width,
+        height,
+        thumbnail_url: picture.map(|p| p.url),
+        thumbnail_width,
+        thumbnail_height,
+    }))
+}
+
+/// Id of the photo whose page is at an address, where that is one of this server's names.
+fn photo_of(app: &App, url: &str) -> Option<String> {
+    let url: Uri = url.parse().ok()?;
+    let ours = matches!(url.scheme_str(), Some("http" | "https")) && app.hosts.allows(url.authority()?.host());
+    let id = url.path().strip_prefix("/view/").or_else(|| url.path().strip_prefix("/embed/"))?;
+    ours.then(|| id.trim_end_matches('/').to_owned())
+}

@@ -1,0 +1,102 @@
+//! Touch-up of a photo's depth.
+
+use std::sync::Arc;
+
+use axum::extract::{Extension, Path, Request, State};
+use axum::http::{HeaderMap, StatusCode, header};
+use axum::response::Response;
+
+use super::again;
+use super::photos::merge_patch;
+use super::query::NoQuery;
+use super::state::PhotoState;
+use crate::server::app::App;
+use crate::server::clock::Clock;
+use crate::server::conditional::{Coding, Entity, REVALIDATE, insert, respond};
+use crate::server::problem::Problem;
+use crate::server::strokes::stored;
+use tmpi_pipeline::strokes::{BYTES, Stroke, patch};
+
+/// Strokes over a photo.
+#[derive(utoipa::ToSchema)]
+#[allow(dead_code, reason = "describes the body in the OpenAPI document; strokes are read by hand so that errors name their field")]
+pub struct Strokes {
+    /// 1.
+    #[schema(example = 1, required = false)]
+    version: u32,
+    /// In their order, at most 100 with 8192 points together. Each asks one thing of its region: `by`, `like` or `to`.
+    strokes: Vec<Stroke>,
+}
+
+/// The strokes that a photo's depth is touched up with.
+#[utoipa::path(
+    get, path = "/v1/photos/{id}/strokes", tag = "photos", params(("id" = String, Path, description = "Id of the photo")),
+    responses(
+        (status = 200, description = "All strokes", body = Strokes, headers(("ETag" = String, description = "Version of the strokes"))),
+        (status = 304, description = "The client has it"),
+        (status = 404, description = "There is no such photo", body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub async fn strokes(State(app): State<App>, Path(id): Path<String>, _: NoQuery, headers: HeaderMap) -> Result<Response, Problem> {
+    let photo = app.photo(&id)?.id;
+    let read = tokio::task::spawn_blocking(move || app.jobs.strokes(photo)).await;
+    let file = stored(&read.map_err(|e| Problem::internal("reading strokes", &e))?.map_err(|e| Problem::store(&e))?);
+    let entity =
+        Entity { source: file.source, etag: &file.etag, content_type: "application/json", cache_control: REVALIDATE, coding: Coding::Gzip };
+    Ok(respond(&headers, entity))
+}
+
+/// Touch up a photo's depth.
+///
+/// A JSON merge patch (RFC 7396): `strokes` replaces all strokes, null removes them. The photo is made again with them and has the same id
+/// and another version; until it is done its results answer 409, and should it fail, other strokes try again. A stroke covers what its brush
+/// does, out to the edges of the photo around it: see `radius`.
+#[utoipa::path(
+    patch, path = "/v1/photos/{id}/strokes", tag = "photos",
+    params(
+        ("id" = String, Path, description = "Id of the photo"),
+        ("If-Match" = Option<String>, Header, description = "Change only these strokes, by their tag"),
+        ("Prefer" = Option<String>, Header, description = "`wait=SECONDS`: answer once the photo is done, or after that time"),
+    ),
+    request_body(content((Strokes = "application/merge-patch+json"), (Strokes = "application/json"))),
+    responses(
+        (status = 200, description = "Made with these strokes, in the time that `Prefer: wait` gave or long ago", body = PhotoState,
+            headers(("ETag" = String, description = "Version of the strokes"))),
+        (status = 202, description = "On disk; the photo is made again", body = PhotoState,
+            headers(("ETag" = String, description = "Version of the strokes"))),
+        (status = 400, description = "A stroke is wrong; `field` names it", body = Problem, content_type = "application/problem+json"),
+        (status = 404, description = "There is no such photo", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "The photo is being made", body = Problem, content_type = "application/problem+json"),
+        (status = 412, description = "It was changed meanwhile", body = Problem, content_type = "application/problem+json"),
+        (status = 413, description = "The patch is too large", body = Problem, content_type = "application/problem+json"),
+        (status = 415, description = "Not JSON", body = Problem, content_type = "application/problem+json"),
+        (status = 429, description = "Too many photos wait; `Retry-After` says when to come back", body = Problem, content_type = "application/problem+json"),
+        (status = 507, description = "The disk is full", body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub async fn touch_up(
+    State(app): State<App>,
+    Path(id): Path<String>,
+    Extension(clock): Extension<Clock>,
+    _: NoQuery,
+    request: Request,
+) -> Result<Response, Problem> {
+    let entry = app.photo(&id)?;
+    let (headers, body) = merge_patch(request, BYTES, "strokes").await?;
+    let (shared, photo, seen) = (Arc::clone(&app), Arc::clone(&entry), headers.clone());
+    let changed = tokio::task::spawn_blocking(move || {
+        let wanted = match patch(&body).map_err(|e| Problem::from(&e))? {
+            Some(strokes) => strokes,
+            None => shared.jobs.strokes(photo.id).map_err(|e| Problem::store(&e))?,
+        };
+        let changed = shared.jobs.touch_up(&photo, &seen, &wanted)?;
+        Ok::<_, Problem>((changed, stored(&wanted).etag))
+    });
+    let (changed, etag) = changed.await.map_err(|e| Problem::internal("changing strokes", &e))??;
+    let answer = if changed { again::answer(&app, &entry, &headers, &clock).await } else { again::state(&app, &entry, StatusCode::OK) };
+    let mut response = answer?;
+    if response.status().is_success() {
+        insert(&mut response, header::ETAG, &etag);
+    }
+    Ok(response)
+}

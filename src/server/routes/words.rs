@@ -1,0 +1,66 @@
+//! Words that fields and parameters may be, written into the `OpenAPI` document from where they are read: types of other crates describe
+//! themselves to the command line alone.
+
+use clap::ValueEnum;
+use serde_json::Value;
+
+use crate::export::ExportFormat;
+use crate::server::options::chosen;
+use tmpi_pipeline::depth::DepthKind;
+use tmpi_pipeline::{Denoise, PlaneMethod, Switch};
+use tmpi_render::{Path, PictureFormat};
+
+/// All words of a choice.
+fn words<T: ValueEnum>() -> Vec<String> {
+    T::value_variants().iter().map(chosen).collect()
+}
+
+/// What a text may be.
+enum Text {
+    Words(Vec<String>),
+    Pattern(&'static str),
+}
+
+impl Text {
+    fn put(self, schema: &mut Value) {
+        match self {
+            Self::Words(words) => schema["enum"] = words.into(),
+            Self::Pattern(pattern) => schema["pattern"] = pattern.into(),
+        }
+        schema["type"] = "string".into();
+    }
+}
+
+/// Writes them into `document`.
+pub fn put(document: &mut Value) {
+    let form = &mut document["components"]["schemas"]["UploadForm"]["properties"];
+    for (field, text) in [
+        ("denoise", Text::Words(words::<Denoise>())),
+        ("depth_kind", Text::Words(words::<DepthKind>())),
+        ("photo_depth", Text::Words(words::<Switch>())),
+        ("plane_method", Text::Words(words::<PlaneMethod>())),
+        ("planes", Text::Pattern("^(auto|[0-9]+)$")),
+        ("refine", Text::Words(words::<Switch>())),
+        ("snap", Text::Words(words::<Switch>())),
+        ("tile", Text::Pattern("^(full|[0-9]+)$")),
+        ("view_box", Text::Pattern("^[^,]+,[^,]+,[^,]+$")),
+    ] {
+        text.put(&mut form[field]);
+    }
+    let stills = PictureFormat::ALL.map(|f| chosen(&f));
+    let exports = [ExportFormat::Html, ExportFormat::Glb, ExportFormat::Zip].map(|f| f.extension().to_owned());
+    for (path, parameter, text) in [
+        ("/v1/photos/{id}/view", "format", Text::Words([&stills[..], &["mp4".to_owned()]].concat())),
+        ("/v1/photos/{id}/view", "stereo", Text::Words(["sbs", "anaglyph"].map(str::to_owned).into())),
+        ("/v1/photos/{id}/view", "quilt", Text::Pattern("^[0-9]+x[0-9]+$")),
+        ("/v1/photos/{id}/view", "crop", Text::Pattern("^[^,]+,[^,]+,[^,]+,[^,]+$")),
+        ("/v1/photos/{id}/view", "path", Text::Words(words::<Path>())),
+        ("/v1/photos/{id}/export", "format", Text::Words(exports.into())),
+        ("/v1/photos/{id}/atlas", "region", Text::Pattern("^[0-9]+,[0-9]+,[0-9]+,[0-9]+$")),
+    ] {
+        let parameters = document["paths"][path]["get"]["parameters"].as_array_mut();
+        if let Some(found) = parameters.into_iter().flatten().find(|p| p["name"] == parameter) {
+            text.put(&mut found["schema"]);
+        }
+    }
+}

@@ -1,0 +1,149 @@
+//! What one address may have of what there is for all, so that nobody keeps others out.
+
+use std::collections::HashMap;
+use std::net::{IpAddr, Ipv6Addr};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+
+tokio::task_local! {
+    /// Who asks, where that tells clients apart: loopback is also the address of all who come by a proxy.
+    pub static ASKER: Option<IpAddr>;
+}
+
+/// Who asks, as far as it is known.
+#[must_use]
+pub fn asker() -> Option<IpAddr> {
+    ASKER.try_with(|asker| *asker).ok().flatten()
+}
+
+/// How many each address has.
+#[derive(Clone, Debug)]
+pub struct Shares {
+    most: usize,
+    had: Arc<Mutex<HashMap<IpAddr, usize>>>,
+}
+
+/// One of an address, as long as it lives.
+#[derive(Debug)]
+pub struct Share(Option<(Shares, IpAddr)>);
+
+impl Shares {
+    /// At most so many for each address.
+    #[must_use]
+    pub fn new(most: usize) -> Self {
+        Self { most, had: Arc::default() }
+    }
+
+    /// Half of what there is for all.
+    #[must_use]
+    pub fn half_of(all: usize) -> Self {
+        Self::new(all.div_ceil(2))
+    }
+
+    fn lock(&self) -> MutexGuard<'_, HashMap<IpAddr, usize>> {
+        self.had.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// One more of `asker`; none where it has as many as it may. Those that cannot be told apart are not counted.
+    #[must_use]
+    pub fn take(&self, asker: Option<IpAddr>) -> Option<Share> {
+        let Some(asker) = asker.map(customer) else { return Some(Share(None)) };
+        let mut had = self.lock();
+        let count = had.get(&asker).copied().unwrap_or_default();
+        (count < self.most).then(|| {
+            had.insert(asker, count + 1);
+            Share(Some((self.clone(), asker)))
+        })
+    }
+
+    /// True where nobody has any.
+    #[cfg(test)]
+    pub fn is_empty(&self) -> bool {
+        self.lock().is_empty()
+    }
+}
+
+impl Drop for Share {
+    fn drop(&mut self) {
+        let Some((shares, of)) = self.0.take() else { return };
+        let mut had = shares.lock();
+        if let Some(count) = had.get_mut(&of) {
+            *count -= 1;
+            if *count == 0 {
+                had.remove(&of);
+            }
+        }
+    }
+}
+
+/// The address that stands for all of one customer: one has a whole network of 64 bits of IPv6.
+fn customer(address: IpAddr) -> IpAddr {
+    match address.to_canonical() {
+        IpAddr::V6(v6) => Ipv6Addr::from(u128::from(v6) >> 64 << 64).into(),
+        v4 @ IpAddr::V4(_) => v4,
+    }
+}
+
+/// So many places, of which an address has half.
+#[derive(Debug)]
+pub struct Places {
+    all: Arc<Semaphore>,
+    shares: Shares,
+}
+
+/// One of them, as long as it lives.
+#[derive(Debug)]
+pub struct Place {
+    _permit: OwnedSemaphorePermit,
+    _share: Share,
+}
+
+impl Places {
+    /// So many.
+    #[must_use]
+    pub fn new(all: usize) -> Self {
+        Self { all: Arc::new(Semaphore::new(all)), shares: Shares::half_of(all) }
+    }
+
+    /// One for `asker`; none where all are taken, or it has half of them.
+    #[must_use]
+    pub fn take(&self, asker: Option<IpAddr>) -> Option<Place> {
+        let share = self.shares.take(asker)?;
+        let permit = Arc::clone(&self.all).try_acquire_owned().ok()?;
+        Some(Place { _permit: permit, _share: share })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_address_has_its_share_and_gives_it_back() {
+        let shares = Shares::new(2);
+        let take = |address: &str| shares.take(Some(address.parse().unwrap()));
+        let first = (take("192.0.2.1").unwrap(), take("192.0.2.1").unwrap());
+        assert!(take("192.0.2.1").is_none() && take("192.0.2.2").is_some());
+        assert!(take("::ffff:192.0.2.1").is_none(), "the same written otherwise");
+        let net = (take("2001:db8::1").unwrap(), take("2001:db8::2").unwrap());
+        assert!(take("2001:db8::3").is_none() && take("2001:db8:0:1::1").is_some());
+        drop((first, net));
+        assert!(take("192.0.2.1").is_some());
+        assert!(shares.is_empty(), "nothing is kept of who has gone");
+        let unknown: Vec<_> = (0..9).map(|_| shares.take(None).unwrap()).collect();
+        assert!(shares.is_empty() && unknown.len() == 9);
+    }
+
+    #[test]
+    fn half_of_all_places_are_left_to_others() {
+        let places = Places::new(4);
+        let ask = |address: &str| places.take(Some(address.parse().unwrap()));
+        let greedy = (ask("192.0.2.1"), ask("192.0.2.1"));
+        assert!(greedy.0.is_some() && greedy.1.is_some() && ask("192.0.2.1").is_none());
+        let others = (ask("192.0.2.2"), places.take(None));
+        assert!(others.0.is_some() && others.1.is_some() && places.take(None).is_none(), "all are taken");
+        drop(greedy);
+        assert!(ask("192.0.2.1").is_some());
+    }
+}

@@ -1,0 +1,82 @@
+// Better depth: offers to fetch a better network, tells how that fares, and has photos of the one before made again.
+
+import { t } from '../i18n/messages.js';
+import { formatBytes } from '../i18n/text.js';
+import { fetchNetwork, getNetwork, makeAgain } from './api.js';
+import { networkName } from './depth-source.js';
+import { element } from './dom.js';
+import { untilMade } from './follow-photo.js';
+
+/** @import { Network } from './api.js' */
+
+const ASK_EVERY_MS = 500;
+/** Names of this machine: the server tells nobody else. */
+const OWN = /^(localhost|.*\.localhost|127\.[\d.]+|\[::1\])$/;
+
+/**
+ * Fills `place` with what can be had for a photo whose depth `model` estimated, as its report names it.
+ * @param {HTMLElement} place
+ * @param {{id: string, model?: string, made: () => void}} photo `made`: called once it was made again
+ */
+export async function offerBetterDepth(place, { id, model, made }) {
+  const estimated = model && model !== 'given' && model !== 'carried';
+  if (!estimated || !OWN.test(location.hostname)) return place.replaceChildren();
+  let asking = 0;
+
+  /** @param {Network} network */
+  function show(network) {
+    const { name, better, fetched_bytes: bytes, problem } = network;
+    if (better && bytes !== undefined) {
+      const bar = element('progress');
+      bar.setAttribute('aria-label', t('Fetching better depth'));
+      if (better.bytes) bar.value = bytes / better.bytes;
+      const text = better.bytes ? t('{0} of {1}', formatBytes(bytes), formatBytes(better.bytes)) : formatBytes(bytes);
+      place.replaceChildren(element('p', 'hint', `${t('Fetching better depth')}: ${text}`), bar);
+      clearTimeout(asking);
+      asking = setTimeout(ask, ASK_EVERY_MS);
+      return;
+    }
+    /** @type {HTMLElement[]} */
+    const parts = problem ? [element('p', 'hint', t('It could not be fetched: {0}', problem))] : [];
+    if (better) parts.push(button(t('Better depth: {0}, once', better.bytes ? formatBytes(better.bytes) : better.name), fetchIt));
+    else if (name !== model) parts.push(button(t('Make again with {0}', t(networkName(name))), again));
+    place.replaceChildren(...parts);
+  }
+
+  /** @param {() => Promise<Network>} request */
+  async function told(request) {
+    try {
+      show(await request());
+    } catch (error) {
+      place.replaceChildren(element('p', 'hint', error.message), button(t('Try again'), ask));
+    }
+  }
+
+  const ask = () => told(getNetwork);
+  const fetchIt = () => told(fetchNetwork);
+
+  async function again() {
+    place.replaceChildren(element('p', 'hint', t('Making the photo again…')));
+    try {
+      const photo = await makeAgain(id);
+      if (photo.state !== 'done') await untilMade(id);
+      place.replaceChildren();
+      made();
+    } catch (error) {
+      place.replaceChildren(element('p', 'hint', error.message), button(t('Try again'), ask));
+    }
+  }
+
+  await ask();
+}
+
+/**
+ * @param {string} text
+ * @param {() => void} run
+ */
+function button(text, run) {
+  const made = element('button', '', text);
+  made.type = 'button';
+  made.addEventListener('click', run);
+  return made;
+}

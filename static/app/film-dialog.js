@@ -1,0 +1,159 @@
+// Makes a film or a GIF of a photo, shows it, and gives it to the browser's downloads or to another program.
+
+import { makeFilm } from '../film/film.js';
+import { encoding } from '../film/video.js';
+import { STYLES } from '../film/way.js';
+import { t } from '../i18n/messages.js';
+import { formatBytes, sentence } from '../i18n/text.js';
+import { element } from './dom.js';
+import { button, showDialog } from './share-dialog.js';
+
+/** @import { Shared } from './share-dialog.js' */
+/** @import { Wish } from '../film/plan.js' */
+
+const SECONDS = [2, 4, 8];
+/** Longer sides, pixels: what is larger than the photo is not offered, but for the first. */
+const SIDES = [480, 720, 1280, 1920];
+/** What is chosen at first, by kind. */
+const USUAL_SIDE = { mp4: 1280, gif: 480 };
+const KINDS = /** @type {const} */ (['mp4', 'gif']);
+/** What the ways are called. */
+const NAMES = /** @type {Record<string, string>} */ ({
+  swing: 'Swing',
+  orbit: 'Circle',
+  dolly: 'Forward and back',
+  'dolly-zoom': 'Dolly zoom',
+  zoom: 'Zoom in',
+  wiggle: 'Wigglegram',
+});
+
+/**
+ * Shows the dialog.
+ * @param {Shared} photo
+ */
+export async function open({ viewer, file }) {
+  const { head } = viewer;
+  if (!viewer.renderer || !head) throw new Error(t('A film can be made only where the browser draws.'));
+  const longest = Math.max(head.width, head.height);
+  const small = { width: 640, height: 400, frameMs: 33 };
+  const able = await Promise.all(KINDS.map(async (kind) => kind === 'gif' || (await encoding(small)) !== null));
+  const kinds = KINDS.filter((_, i) => able[i]);
+  const kind = choice(
+    t('Kind'),
+    kinds.map((name) => [name, name === 'gif' ? 'GIF' : t('Film (.{0})', name)]),
+  );
+  const style = choice(
+    t('Movement'),
+    STYLES.map((name) => [name, t(NAMES[name] ?? name)]),
+  );
+  const seconds = choice(
+    t('Length'),
+    SECONDS.map((s) => [String(s), t('{0} seconds', s)]),
+    '4',
+  );
+  const sides = SIDES.filter((side, i) => i === 0 || side <= longest);
+  const side = choice(
+    t('Longer side'),
+    sides.map((s) => [String(s), t('{0} pixels', Math.min(s, longest))]),
+  );
+  const usual = () => {
+    const wanted = USUAL_SIDE[/** @type {Wish['kind']} */ (kind.select.value)];
+    side.select.value = String(sides.filter((s) => s <= wanted).pop() ?? sides[0]);
+  };
+  kind.select.addEventListener('change', usual);
+  usual();
+
+  const fields = element('fieldset', 'fields', kind.label, style.label, seconds.label, side.label);
+  const bar = element('progress');
+  bar.max = 1;
+  bar.setAttribute('aria-label', t('Progress of the film'));
+  const note = element('p');
+  note.setAttribute('role', 'status');
+  const shown = element('div');
+  const make = button(t('Make it'), run, 'primary');
+  const cancel = button(t('Cancel'), () => stop?.abort());
+  const save = element('a', 'button primary', t('Save'));
+  const send = button(t('Send…'), () => {}, '');
+  const work = element('div', 'row', make, bar, cancel, save, send);
+  bar.hidden = cancel.hidden = save.hidden = send.hidden = true;
+  /** @type {AbortController | null} */
+  let stop = null;
+  let address = '';
+
+  /** Forgets the film that is shown. */
+  function forget() {
+    shown.replaceChildren();
+    save.hidden = send.hidden = true;
+    if (address) URL.revokeObjectURL(address);
+    address = '';
+  }
+
+  async function run() {
+    forget();
+    stop = new AbortController();
+    /** @type {Wish} */
+    const wish = {
+      kind: /** @type {Wish['kind']} */ (kind.select.value),
+      style: style.select.value,
+      seconds: Number(seconds.select.value),
+      side: Number(side.select.value),
+    };
+    fields.disabled = true;
+    make.hidden = true;
+    bar.hidden = cancel.hidden = false;
+    bar.value = 0;
+    note.textContent = '';
+    cancel.focus();
+    try {
+      const blob = await makeFilm(viewer, wish, { signal: stop.signal, progress: (share) => (bar.value = share) });
+      show(new File([blob], `${file}-${wish.style}.${wish.kind}`, { type: blob.type }));
+    } catch (error) {
+      note.textContent = error.name === 'AbortError' ? t('Cancelled.') : sentence(t(error.message));
+    } finally {
+      stop = null;
+      fields.disabled = false;
+      make.hidden = false;
+      bar.hidden = cancel.hidden = true;
+      if (save.hidden) make.focus();
+      else save.focus();
+    }
+  }
+
+  /** @param {File} film */
+  function show(film) {
+    address = URL.createObjectURL(film);
+    const picture = film.type.startsWith('image/') ? element('img', 'film') : element('video', 'film');
+    if (picture instanceof HTMLVideoElement)
+      Object.assign(picture, { loop: true, muted: true, autoplay: true, playsInline: true, controls: true });
+    else picture.alt = t('The film');
+    picture.src = address;
+    shown.replaceChildren(picture);
+    save.href = address;
+    save.download = film.name;
+    save.hidden = false;
+    send.hidden = !navigator.canShare?.({ files: [film] });
+    send.onclick = () => navigator.share({ files: [film] }).catch(() => {});
+    note.textContent = formatBytes(film.size);
+  }
+
+  const hints =
+    kinds.length === 1 ? [element('p', '', t('Films need a newer browser, and an address with https; a GIF can be made here.'))] : [];
+  const dialog = await showDialog(t('A film or GIF'), ...hints, fields, work, note, shown);
+  dialog.addEventListener('close', () => {
+    stop?.abort();
+    forget();
+  });
+  return dialog;
+}
+
+/**
+ * A list to choose from.
+ * @param {string} title
+ * @param {string[][]} options values and what they are called
+ * @param {string} [chosen]
+ */
+function choice(title, options, chosen) {
+  const select = element('select');
+  for (const [value, text] of options) select.append(new Option(text, value, false, value === chosen));
+  return { select, label: element('label', '', title, select) };
+}

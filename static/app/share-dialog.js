@@ -1,0 +1,62 @@
+// What the dialogs of sharing have in common.
+
+import { t } from '../i18n/messages.js';
+import { element } from './dom.js';
+
+/** @import { Viewer } from '../view/viewer.js' */
+
+/**
+ * What is shared: the photo's id, its viewer as it is now, what it is called, and the begin of names of files.
+ * @typedef {{id: string, viewer: Viewer, name: string, file: string}} Shared
+ */
+
+let styled = false;
+
+/** Fetches the dialogs' style, once; they are shown with it. */
+async function style() {
+  if (styled) return;
+  styled = true;
+  const link = document.createElement('link');
+  link.rel = 'stylesheet';
+  link.href = new URL('./share.css', import.meta.url).href;
+  const there = new Promise((resume) => {
+    link.addEventListener('load', resume);
+    link.addEventListener('error', resume);
+  });
+  document.head.append(link);
+  await there;
+}
+
+/**
+ * Shows a dialog with a heading and a way out; it is gone once it is closed.
+ * @param {string} title
+ * @param {(Node | string)[]} content
+ */
+export async function showDialog(title, ...content) {
+  await style();
+  const heading = element('h2', '', title);
+  heading.id = 'share-title';
+  // not the first field: nobody has asked for a keyboard yet
+  heading.tabIndex = -1;
+  heading.autofocus = true;
+  const dialog = element('dialog', 'share-dialog', heading, ...content);
+  dialog.setAttribute('aria-labelledby', heading.id);
+  const close = button(t('Close'), () => dialog.close());
+  dialog.append(element('div', 'row', close));
+  dialog.addEventListener('close', () => dialog.remove());
+  document.body.append(dialog);
+  dialog.showModal();
+  return dialog;
+}
+
+/**
+ * @param {string} text
+ * @param {() => void} onClick
+ * @param {string} [kind] further classes
+ */
+export function button(text, onClick, kind = '') {
+  const out = element('button', `button ${kind}`.trim(), text);
+  out.type = 'button';
+  out.addEventListener('click', onClick);
+  return out;
+}

@@ -1,0 +1,306 @@
+// Touching up the depth of a photo: a person paints over what the network got wrong and says how near it is. Fetched when asked for.
+
+import { t } from '../i18n/messages.js';
+import { changeStrokes, getPhoto, photoUrl, strokesOf } from './api.js';
+import { $, element } from './dom.js';
+import { untilMade } from './follow-photo.js';
+import { Outlines, SIDE, touchedUp } from './outline.js';
+import { touchUpDialog } from './touch-up-dialog.js';
+import { TouchUpView } from './touch-up-view.js';
+
+/** @import { Photo } from './api.js' */
+/** @import { Region, Stroke } from './outline.js' */
+
+/** Points of a stroke that are nearer to each other than this share of the radius say nothing new. */
+const SPACING = 1 / 8;
+/** Most strokes that a photo has, as the server bounds them. */
+const STROKES = 100;
+/** A step of the keyboard's brush, as a share of the picture's longer side. */
+const STEP = 0.02;
+const FINE_STEP = 0.004;
+/** @type {Record<string, [number, number]>} */
+const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
+
+/** @typedef {{kept: boolean, drawn: {stroke: Stroke, region: Region}[]}} Edit whether the strokes of before stay, and those drawn here */
+
+/** Places to four decimals: finer than a pixel of any screen. */
+const place = (/** @type {number} */ v) => Math.round(Math.min(Math.max(v, 0), 1) * 1e4) / 1e4;
+
+/**
+ * Opens the editor.
+ * @param {{id: string, photo: HTMLImageElement, saved: () => void, say: (text: string) => void}} page the photo's id and picture, what to
+ *   do once the photo was made again, and how to tell something
+ */
+export async function openTouchUp({ id, photo, saved, say }) {
+  if (!photo.naturalWidth) throw new Error(t('The photo is not there yet.'));
+  const [state, before] = await Promise.all([getPhoto(id), strokesOf(id)]);
+  const scale = Math.min(1, SIDE / Math.max(photo.naturalWidth, photo.naturalHeight));
+  const width = Math.max(1, Math.round(photo.naturalWidth * scale));
+  const height = Math.max(1, Math.round(photo.naturalHeight * scale));
+  const rgba = pixels(photo, width, height);
+  const map = await depthOf(state, width, height);
+  const outlines = new Outlines(width, height, rgba, map);
+  const dialog = await touchUpDialog();
+  const view = new TouchUpView($('touch-photo', HTMLCanvasElement), $('touch-depth', HTMLCanvasElement), photo, width, height);
+  const size = $('touch-size', HTMLInputElement);
+  const amount = $('touch-amount', HTMLInputElement);
+
+  /** @type {Edit[]} */
+  const past = [];
+  /** @type {Edit[]} */
+  let future = [];
+  /** @type {Edit} */
+  let now = { kept: true, drawn: [] };
+  /** The stroke under the brush. @type {{points: [number, number][], region: Region | null} | null} */
+  let brush = null;
+  /** A stroke that waits for the place that it is to be like. @type {{points: [number, number][], radius: number, region: Region} | null} */
+  let waiting = null;
+  /** @type {[number, number]} */
+  let cursor = [0.5, 0.5];
+  let busy = false;
+  let frame = 0;
+
+  const wish = () => /** @type {string} */ (new FormData($('touch-form', HTMLFormElement)).get('touch-wish'));
+  const radius = () => Number(size.value);
+  const changed = () => !now.kept || now.drawn.length > 0;
+  const button = (/** @type {string} */ name) => $(name, HTMLButtonElement);
+
+  function tell(text = '') {
+    $('touch-status').textContent = text;
+  }
+
+  function hint() {
+    if (waiting) return tell(t('Now choose the place that it is to be as near as.'));
+    const last = now.drawn.at(-1);
+    if (!now.kept && !last) return tell(t('What was painted before goes when you save.'));
+    tell(
+      last?.stroke.by !== undefined
+        ? t('Slide until the depth is right, or paint on.')
+        : t('Paint over what lies at the wrong depth; edges hold the outline.'),
+    );
+  }
+
+  function show() {
+    const last = now.drawn.at(-1);
+    amount.disabled = busy || wish() !== 'by';
+    if (last?.stroke.by !== undefined) amount.value = String(last.stroke.by);
+    button('touch-undo').disabled = busy || !(past.length || waiting || brush);
+    button('touch-redo').disabled = busy || !future.length;
+    button('touch-clear').disabled = busy || !now.kept || !(before.strokes.length || now.drawn.length);
+    button('touch-save').disabled = busy || !changed() || Boolean(waiting);
+    button('touch-cancel').disabled = busy;
+    cancelAnimationFrame(frame);
+    frame = requestAnimationFrame(draw);
+  }
+
+  function draw() {
+    if (brush) brush.region = outlines.region({ points: brush.points, radius: radius() });
+    const current = brush?.region ?? waiting?.region ?? now.drawn.at(-1)?.region ?? null;
+    const keys = document.activeElement === view.canvas && view.canvas.matches(':focus-visible');
+    view.draw(current, keys ? { at: cursor, radius: radius() } : null);
+    const preview = brush?.region && wish() !== 'like' ? [{ stroke: asked(brush.points), region: brush.region }] : [];
+    view.drawDepth(touchedUp(outlines, map, [...now.drawn, ...preview]));
+  }
+
+  /** @param {Edit} edit */
+  function change(edit) {
+    past.push(now);
+    future = [];
+    now = edit;
+    hint();
+    show();
+  }
+
+  /**
+   * The stroke of these points with what is asked of it.
+   * @param {[number, number][]} points
+   * @returns {Stroke}
+   */
+  function asked(points) {
+    const stroke = { points, radius: radius() };
+    return wish() === 'far' ? { ...stroke, to: 0 } : { ...stroke, by: Number(amount.value) };
+  }
+
+  /** @param {[number, number]} at */
+  function press(at) {
+    if (busy) return;
+    if (waiting) {
+      const { points, radius: painted, region } = waiting;
+      waiting = null;
+      return change({ ...now, drawn: [...now.drawn, { stroke: { points, radius: painted, like: at }, region }] });
+    }
+    if (now.drawn.length + (now.kept ? before.strokes.length : 0) >= STROKES) return tell(t('A photo has at most {0} strokes.', STROKES));
+    brush = { points: [at], region: null };
+    show();
+  }
+
+  /** @param {[number, number]} at */
+  function move(at) {
+    const last = brush?.points.at(-1);
+    if (!brush || !last) return;
+    const longer = Math.max(width, height);
+    const far = Math.hypot(((at[0] - last[0]) * width) / longer, ((at[1] - last[1]) * height) / longer);
+    if (far < radius() * SPACING) return;
+    brush.points.push(at);
+    show();
+  }
+
+  function release() {
+    if (!brush) return;
+    const { points } = brush;
+    const region = outlines.region({ points, radius: radius() });
+    brush = null;
+    if (wish() === 'like') {
+      waiting = { points, radius: radius(), region };
+      hint();
+      return show();
+    }
+    change({ ...now, drawn: [...now.drawn, { stroke: asked(points), region }] });
+  }
+
+  function undo() {
+    if (busy) return;
+    if (brush || waiting) {
+      brush = waiting = null;
+    } else {
+      const earlier = past.pop();
+      if (!earlier) return;
+      future.push(now);
+      now = earlier;
+    }
+    hint();
+    show();
+  }
+
+  function redo() {
+    const later = busy ? undefined : future.pop();
+    if (!later) return;
+    past.push(now);
+    now = later;
+    hint();
+    show();
+  }
+
+  async function save() {
+    busy = true;
+    tell(t('Making the photo again…'));
+    show();
+    try {
+      const strokes = [...(now.kept ? before.strokes : []), ...now.drawn.map(({ stroke }) => stroke)];
+      const answer = await changeStrokes(id, strokes, before.etag);
+      if (answer.state !== 'done') await untilMade(id);
+      dialog.close();
+      saved();
+      say(t('Saved'));
+    } catch (error) {
+      tell(error.message);
+    } finally {
+      busy = false;
+      show();
+    }
+  }
+
+  const { signal, abort } = abortable();
+  const on = (/** @type {EventTarget} */ target, /** @type {string} */ name, /** @type {(event: any) => void} */ run) =>
+    target.addEventListener(name, run, { signal });
+  const at = (/** @type {PointerEvent} */ { clientX, clientY }) => {
+    const box = view.canvas.getBoundingClientRect();
+    return /** @type {[number, number]} */ ([place((clientX - box.x) / box.width), place((clientY - box.y) / box.height)]);
+  };
+  on(view.canvas, 'pointerdown', (event) => {
+    if (event.button !== 0 || !event.isPrimary) return;
+    view.canvas.setPointerCapture(event.pointerId);
+    cursor = at(event);
+    press(cursor);
+  });
+  on(view.canvas, 'pointermove', (event) => {
+    if (!event.isPrimary) return;
+    for (const part of event.getCoalescedEvents?.() ?? [event]) move(at(part));
+  });
+  on(view.canvas, 'pointerup', (event) => event.isPrimary && release());
+  on(view.canvas, 'pointercancel', () => brush && undo());
+  on(view.canvas, 'keydown', (event) => {
+    const direction = ARROWS[event.key];
+    if (direction) {
+      const step = (event.shiftKey ? FINE_STEP : STEP) * Math.max(width, height);
+      cursor = [place(cursor[0] + (direction[0] * step) / width), place(cursor[1] + (direction[1] * step) / height)];
+      move(cursor);
+    } else if (event.key === ' ' || event.key === 'Enter') {
+      // the brush goes down, and up at the next press
+      if (brush) release();
+      else press(cursor);
+    } else return;
+    event.preventDefault();
+    show();
+  });
+  on(view.canvas, 'focus', show);
+  on(view.canvas, 'blur', show);
+  // not the dialog: a button that is disabled under the focus hears no keys
+  on(window, 'keydown', (event) => {
+    if (!(event.ctrlKey || event.metaKey) || event.key.toLowerCase() !== 'z') return;
+    event.preventDefault();
+    if (event.shiftKey) redo();
+    else undo();
+  });
+  on(amount, 'input', () => {
+    // the stroke that was drawn last follows the slider; one step of undo takes the stroke back, not the slide
+    const last = now.drawn.at(-1);
+    if (last?.stroke.by !== undefined) {
+      const slid = { ...last, stroke: { ...last.stroke, by: Number(amount.value) } };
+      now = { ...now, drawn: [...now.drawn.slice(0, -1), slid] };
+    }
+    show();
+  });
+  on($('touch-form'), 'change', show);
+  on(size, 'input', show);
+  on(button('touch-undo'), 'click', undo);
+  on(button('touch-redo'), 'click', redo);
+  on(button('touch-clear'), 'click', () => change({ kept: false, drawn: [] }));
+  on(button('touch-save'), 'click', save);
+  on(button('touch-cancel'), 'click', () => dialog.close());
+  on(dialog, 'cancel', (event) => busy && event.preventDefault());
+  on(window, 'resize', show);
+  on(dialog, 'close', () => {
+    abort();
+    cancelAnimationFrame(frame);
+    dialog.remove();
+  });
+  dialog.showModal();
+  hint();
+  show();
+}
+
+function abortable() {
+  const controller = new AbortController();
+  return { signal: controller.signal, abort: () => controller.abort() };
+}
+
+/**
+ * Pixels of a picture at a size.
+ * @param {CanvasImageSource} picture
+ * @param {number} width
+ * @param {number} height
+ */
+function pixels(picture, width, height) {
+  const canvas = element('canvas');
+  [canvas.width, canvas.height] = [width, height];
+  const context = canvas.getContext('2d', { willReadFrequently: true });
+  if (!context) throw new Error(t('This browser does not allow it'));
+  context.imageSmoothingQuality = 'high';
+  context.drawImage(picture, 0, 0, width, height);
+  return context.getImageData(0, 0, width, height).data;
+}
+
+/**
+ * The disparity of a photo at a size, 0 to 1.
+ * @param {Photo} state
+ * @param {number} width
+ * @param {number} height
+ */
+async function depthOf({ id, version }, width, height) {
+  const response = await fetch(photoUrl(id, version ? `/depth?v=${version}` : '/depth'));
+  if (!response.ok) throw new Error(t('The depth cannot be loaded.'));
+  const bitmap = await createImageBitmap(await response.blob(), { colorSpaceConversion: 'none' });
+  const rgba = pixels(bitmap, width, height);
+  return new Float32Array(width * height).map((_, i) => rgba[4 * i] / 255);
+}

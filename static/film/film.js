@@ -1,0 +1,70 @@
+// Makes a film of a 3D photo in the browser: nothing is sent anywhere.
+//
+//   const blob = await makeFilm(viewer, { kind: 'mp4', style: 'swing', seconds: 4, side: 1280 }, { signal, progress: (share) => … });
+
+import { planOf } from './plan.js';
+import { cameraAt, wayAt } from './way.js';
+
+/** @import { Viewer } from '../view/viewer.js' */
+/** @import { Plan, Wish } from './plan.js' */
+
+/**
+ * What takes the frames of a film, one after another, and gives the file.
+ * @typedef {{add: (pixels: ImageData, atMs: number) => Promise<void>, finish: () => Promise<Blob>, close: () => void}} Writer
+ */
+
+/** @type {Record<string, (plan: Plan, sample: (share: number) => Promise<ImageData>) => Promise<Writer>>} */
+const WRITERS = {
+  mp4: async (plan) => (await import('./video.js')).videoWriter(plan),
+  gif: async (plan, sample) => (await import('./gif.js')).gifWriter(plan, sample),
+};
+
+/**
+ * Makes a film. Throws an AbortError where it is cancelled, and where the browser does not draw or has no encoder.
+ * @param {Viewer} viewer
+ * @param {Wish} wish
+ * @param {{signal?: AbortSignal, progress?: (share: number) => void}} [on] `progress`: 0 to 1
+ * @returns {Promise<Blob>}
+ */
+export async function makeFilm(viewer, wish, { signal, progress } = {}) {
+  const { head, limits, pivot } = viewer;
+  if (!viewer.renderer || !head || !limits) throw new Error('a film can be made only where the browser draws');
+  const plan = planOf(wish, head);
+  const frame = (/** @type {number} */ share) => draw(viewer, cameraAt({ head, limits, pivot }, wayAt(wish.style, share), plan), plan);
+  // nothing else is drawn meanwhile
+  const { asleep } = viewer;
+  viewer.asleep = true;
+  /** @type {Writer | null} */
+  let writer = null;
+  try {
+    writer = await WRITERS[wish.kind](plan, frame);
+    for (const [i, time] of plan.times.entries()) {
+      signal?.throwIfAborted();
+      await writer.add(await frame((time * plan.turns) % 1), i * plan.frameMs);
+      progress?.((i + 1) / plan.times.length);
+    }
+    signal?.throwIfAborted();
+    return await writer.finish();
+  } finally {
+    writer?.close();
+    viewer.asleep = asleep;
+  }
+}
+
+/**
+ * @param {Viewer} viewer
+ * @param {ReturnType<typeof cameraAt>} camera
+ * @param {Plan} plan
+ */
+async function draw({ renderer }, { pose, k }, { width, height }) {
+  if (!renderer || renderer.disposed) throw new Error('the graphics device is gone');
+  const { overlay } = renderer;
+  renderer.overlay = 0;
+  const drawn = renderer.readPixels(pose, k, width, height);
+  // it is drawn by now, and only not read yet
+  renderer.overlay = overlay;
+  const pixels = await drawn;
+  // colours are multiplied by what covers them: what nothing covers is black
+  for (let i = 3; i < pixels.length; i += 4) pixels[i] = 255;
+  return new ImageData(pixels, width, height);
+}

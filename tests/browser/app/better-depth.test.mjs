@@ -1,0 +1,76 @@
+// The offer of a better depth network, on a server that has one to fetch.
+import assert from 'node:assert/strict';
+import { describe, test } from 'node:test';
+import { waitForMode } from '../support/browser.mjs';
+import { boxSuite } from '../support/suite.mjs';
+
+const NAME = 'depth-anything-v2-small-fp16';
+const BETTER = { name: NAME, bytes: 49_642_442, licence: 'Apache-2.0' };
+
+describe('better depth', () => {
+  const suite = boxSuite();
+
+  /** The photo's page with a report that names `model` and a server whose network is in `states`, one after the other. */
+  async function opened(model, states) {
+    const all = await suite.open();
+    const { page } = all;
+    await waitForMode(page, 'gpu');
+    const asked = [];
+    const report = { depth_model: model, stages: [{ name: 'depth', ms: 90 }], error: { tile_px: [] } };
+    await page.route('**/v1/photos/box/report*', (route) => route.fulfill({ json: report }));
+    await page.route('**/v1/network', (route) => {
+      asked.push(route.request().method());
+      const [now] = states;
+      if (states.length > 1) states.shift();
+      return route.fulfill({ json: now });
+    });
+    await page.route('**/v1/photos/box/again', (route) => {
+      asked.push('again');
+      report.depth_model = states[0].name;
+      return route.fulfill({ json: suite.server.state });
+    });
+    const menu = page.locator('#show-menu');
+    await page.locator('#show').click();
+    return { ...all, asked, menu };
+  }
+
+  test('it is fetched, and the photo is made again with it', async () => {
+    const { context, errors, asked, menu } = await opened('tmpi', [
+      { name: 'tmpi', better: BETTER },
+      { name: 'tmpi', better: BETTER, fetched_bytes: 0 },
+      { name: 'tmpi', better: BETTER, fetched_bytes: 24_821_221 },
+      { name: NAME },
+    ]);
+    await menu.getByRole('button', { name: 'Better depth: 50 MB, once' }).click();
+    await menu.getByText('Fetching better depth: 25 MB of 50 MB').waitFor();
+    assert.equal(await menu.getByRole('progressbar').getAttribute('value'), '0.5');
+    await menu.getByRole('button', { name: 'Make again with Depth Anything V2 Small' }).click();
+    await menu.getByText('estimated by Depth Anything V2 Small').waitFor();
+    assert.equal(await menu.locator('#better-depth button').count(), 0);
+    assert.deepEqual(asked.slice(0, 5), ['GET', 'POST', 'GET', 'GET', 'again']);
+    assert.deepEqual(errors, []);
+    await context.close();
+  });
+
+  test('a download that failed is told and can be tried again', async () => {
+    const failed = { name: 'tmpi', better: BETTER, problem: 'the download broke off after 12 of 49642442 bytes' };
+    const { context, menu } = await opened('tmpi', [failed]);
+    await menu.getByText('It could not be fetched: the download broke off').waitFor();
+    await menu.getByRole('button', { name: 'Better depth: 50 MB, once' }).waitFor();
+    await context.close();
+  });
+
+  test('nothing is offered where no network estimated the depth, or the best has', async () => {
+    for (const [model, count] of [
+      ['given', 0],
+      [NAME, 1],
+    ]) {
+      const { page, context, asked, menu } = await opened(model, [{ name: NAME }]);
+      await menu.locator('#depth-source').waitFor();
+      await page.waitForTimeout(100);
+      assert.equal(await menu.locator('#better-depth > *').count(), 0, model);
+      assert.equal(asked.length, count, model);
+      await context.close();
+    }
+  });
+});

@@ -1,0 +1,136 @@
+// The dialogs of sharing: how to put a photo on a page, and films of it.
+import assert from 'node:assert/strict';
+import { readFileSync } from 'node:fs';
+import { describe, test } from 'node:test';
+import { escaped, snippets } from '../../../static/app/snippets.js';
+import { openPage, seriousViolations, waitForMode } from '../support/browser.mjs';
+import { boxSuite } from '../support/suite.mjs';
+
+const HOSTILE = `"><script>alert(1)</script>'&<b>`;
+const SIZES = [
+  { width: 1280, height: 800 },
+  { width: 390, height: 700 },
+  { width: 844, height: 390 },
+];
+
+describe('sharing', () => {
+  const suite = boxSuite();
+
+  async function open(viewport = SIZES[0], more = {}) {
+    const opened = await suite.open({ reducedMotion: 'reduce', viewport, acceptDownloads: true, ...more });
+    await waitForMode(opened.page, 'gpu');
+    return opened;
+  }
+  const dialogOf = async (page, entry, name) => {
+    await page.locator('#share').click();
+    await page.locator(entry).click();
+    const dialog = page.getByRole('dialog', { name });
+    await dialog.waitFor();
+    return dialog;
+  };
+
+  test('no name breaks out of the pieces of HTML', async () => {
+    assert.equal(escaped(HOSTILE), '&quot;&gt;&lt;script&gt;alert(1)&lt;/script&gt;&#39;&amp;&lt;b&gt;');
+    const photo = { origin: 'https://h', id: 'box', width: 4, height: 3 };
+    const [plain, hostile] = ['T', HOSTILE].map((name) => snippets({ ...photo, name }));
+    for (const kind of ['frame', 'element']) {
+      for (const c of '<>"') assert.equal(hostile[kind].split(c).length, plain[kind].split(c).length, `${kind} ${c}`);
+    }
+    const { page, context } = await openPage(suite.browser);
+    await page.goto(`${suite.server.url}/embed/blank`);
+    const read = await page.evaluate((html) => {
+      const doc = new DOMParser().parseFromString(html.frame + html.element, 'text/html');
+      return [
+        doc.querySelector('iframe').title,
+        doc.querySelector('tmpi-viewer').getAttribute('alt'),
+        doc.querySelectorAll('script').length,
+      ];
+    }, hostile);
+    assert.deepEqual(read, [HOSTILE, HOSTILE, 1]);
+    await context.close();
+  });
+
+  test('what is copied shows the photo on another page', async () => {
+    suite.server.state.settings = { version: 1, title: 'The box' };
+    const { page, context, errors } = await open();
+    await context.grantPermissions(['clipboard-read', 'clipboard-write']);
+    const dialog = await dialogOf(page, '#share-embed', 'Put it on a page');
+    await dialog.getByText('on this machine alone').waitFor();
+    await dialog.getByRole('button', { name: 'Copy: As an element' }).click();
+    await dialog.getByText('Copied').waitFor();
+    const html = await page.evaluate(() => navigator.clipboard.readText());
+    assert.equal(html, await dialog.getByLabel('As an element', { exact: true }).inputValue());
+    assert.deepEqual(await seriousViolations(page), []);
+    assert.match(await dialog.getByRole('link', { name: 'Download' }).getAttribute('href'), /\/export\?format=html$/);
+    await page.keyboard.press('Escape');
+    await dialog.waitFor({ state: 'detached' });
+    assert.deepEqual(errors, []);
+    const other = await context.newPage();
+    await other.goto(`${suite.server.url}/embed/blank`);
+    await other.setContent(`<!doctype html><body>${html}</body>`);
+    await other.waitForFunction(() => document.querySelector('tmpi-viewer').viewer?.mode === 'gpu');
+    await context.close();
+    suite.server.state.settings = undefined;
+  });
+
+  test('without a clipboard the text is ready for the keyboard’s', async () => {
+    const { page, context } = await open();
+    await page.evaluate(() => Object.defineProperty(navigator, 'clipboard', { value: undefined }));
+    const dialog = await dialogOf(page, '#share-embed', 'Put it on a page');
+    await dialog.getByRole('button', { name: 'Copy: In a frame' }).click();
+    const selected = await page.evaluate(() => {
+      const { value, selectionStart, selectionEnd } = document.activeElement;
+      return [selectionStart, selectionEnd - value.length, value.startsWith('<iframe')];
+    });
+    assert.deepEqual(selected, [0, 0, true]);
+    await context.close();
+  });
+
+  test('a GIF is made, shown and saved; what is cancelled leaves nothing', async () => {
+    const { page, context, errors } = await open();
+    const dialog = await dialogOf(page, '#share-film', 'A film or GIF');
+    await dialog.getByLabel('Kind').selectOption('gif');
+    await dialog.getByLabel('Movement').selectOption('wiggle');
+    await dialog.getByRole('button', { name: 'Make it' }).click();
+    await dialog.getByRole('img', { name: 'The film' }).waitFor();
+    assert.ok(await page.waitForFunction(() => document.querySelector('.share-dialog img').naturalWidth === 200));
+    const [download] = await Promise.all([page.waitForEvent('download'), dialog.getByRole('link', { name: 'Save' }).click()]);
+    assert.match(download.suggestedFilename(), /-wiggle\.gif$/);
+    assert.equal(readFileSync(await download.path()).toString('latin1', 0, 6), 'GIF89a');
+    assert.deepEqual(await seriousViolations(page), []);
+
+    await dialog.getByLabel('Movement').selectOption('orbit');
+    await dialog.getByLabel('Length').selectOption('8');
+    await dialog.getByRole('button', { name: 'Make it' }).click();
+    await dialog.getByRole('button', { name: 'Cancel' }).click();
+    await dialog.getByText('Cancelled.').waitFor();
+    assert.equal(await dialog.locator('img, video').count(), 0);
+    await dialog.getByRole('button', { name: 'Close' }).click();
+    await dialog.waitFor({ state: 'detached' });
+    assert.equal(await page.evaluate(() => window.viewer.asleep), false);
+    assert.deepEqual(errors, []);
+    await context.close();
+  });
+
+  test('both fit into every screen, in both languages', async () => {
+    for (const locale of ['en', 'de']) {
+      for (const viewport of SIZES) {
+        const { page, context } = await open(viewport, { locale });
+        for (const entry of ['#share-embed', '#share-film']) {
+          await page.locator('#share').click();
+          await page.locator(entry).click();
+          const dialog = page.locator('.share-dialog');
+          await dialog.waitFor();
+          const room = await dialog.evaluate((element) => {
+            const { left, right, top, bottom } = element.getBoundingClientRect();
+            return left >= 0 && right <= innerWidth && top >= 0 && bottom <= innerHeight && element.scrollWidth <= element.clientWidth;
+          });
+          assert.ok(room, `${entry} in ${locale} at ${viewport.width}×${viewport.height}`);
+          await dialog.locator('.row button').last().click();
+          await dialog.waitFor({ state: 'detached' });
+        }
+        await context.close();
+      }
+    }
+  });
+});

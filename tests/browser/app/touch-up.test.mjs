@@ -1,0 +1,236 @@
+// The touch-up of a photo's depth, on the built program: what is painted is what the server makes of it.
+import assert from 'node:assert/strict';
+import { after, before, describe, test } from 'node:test';
+import { launch, openPage, pixelsOf, seriousViolations, waitForMode } from '../support/browser.mjs';
+import { BOX, boxPhoto, inBox, png16 } from '../support/pictures.mjs';
+import { makePhoto, startServer } from '../support/program.mjs';
+
+const WIDTH = 320;
+const HEIGHT = 200;
+/** The wall, and wrongly the box before it as well. */
+const WALL = 0.3;
+const STILL = { reducedMotion: 'reduce' };
+
+describe('touch-up', () => {
+  let server;
+  let browser;
+  before(async () => {
+    server = await startServer();
+    browser = await launch();
+  });
+  after(async () => {
+    await browser?.close();
+    await server?.close();
+  });
+
+  /** A fresh photo in its page: `{page, context, errors, id, depth}`. */
+  async function opened(shade, options = STILL) {
+    const made = await makePhoto(
+      server.url,
+      boxPhoto(WIDTH, HEIGHT),
+      // another photo each time
+      png16(WIDTH, HEIGHT, (x, y) => WALL + (x === 0 && y === 0 ? shade : 0)),
+    );
+    const all = await openPage(browser, options);
+    await all.page.goto(`${server.url}/view/${made.id}`);
+    await waitForMode(all.page, 'gpu');
+    /** Disparity as the server has it, 0 to 255 a pixel. */
+    const depth = async () => (await pixelsOf(all.page, `/v1/photos/${made.id}/depth`)).filter((_, i) => i % 4 === 0);
+    return { ...all, id: made.id, depth };
+  }
+
+  async function start(page) {
+    await page.locator('#settings').click();
+    await page.getByRole('button', { name: 'Touch up the depth…' }).click();
+    await page.locator('dialog.touch-up').waitFor();
+  }
+
+  const strokes = async (page, id) => (await page.evaluate(async (url) => (await fetch(url)).json(), `/v1/photos/${id}/strokes`)).strokes;
+
+  /** Brings the brush over places of the photo, in shares of it. */
+  async function paint(page, places) {
+    const box = await page.locator('#touch-photo').boundingBox();
+    const to = ([x, y]) => [box.x + x * box.width, box.y + y * box.height];
+    await page.mouse.move(...to(places[0]));
+    await page.mouse.down();
+    for (const place of places.slice(1)) await page.mouse.move(...to(place), { steps: 8 });
+    await page.mouse.up();
+  }
+
+  const slide = (page, id, value) =>
+    page.locator(id).evaluate((input, v) => {
+      input.value = String(v);
+      input.dispatchEvent(new Event('input', { bubbles: true }));
+      input.dispatchEvent(new Event('change', { bubbles: true }));
+    }, value);
+
+  /** Brightness of the preview of the depth at a place. */
+  const previewed = (page, [x, y]) =>
+    page.locator('#touch-depth').evaluate(
+      async (canvas, [px, py]) => {
+        // what was asked for is drawn with the next frame
+        await new Promise((resume) => requestAnimationFrame(() => requestAnimationFrame(resume)));
+        return canvas.getContext('2d').getImageData(px * canvas.width, py * canvas.height, 1, 1).data[0];
+      },
+      [x, y],
+    );
+
+  const middle = [(BOX.x0 + BOX.x1) / 2, (BOX.y0 + BOX.y1) / 2];
+  const along = [
+    [BOX.x0 + 0.05, middle[1]],
+    [BOX.x1 - 0.05, middle[1]],
+  ];
+
+  test('a thing that was left at the wall is painted nearer, out to its edges', async () => {
+    const { page, context, errors, id, depth } = await opened(0.01);
+    const address = page.url();
+    const version = await page.evaluate(async (url) => (await (await fetch(url)).json()).version, `/v1/photos/${id}`);
+    await start(page);
+    assert.deepEqual(await seriousViolations(page), []);
+    assert.ok(await page.locator('#touch-save').isDisabled(), 'there is nothing to save');
+    await slide(page, '#touch-size', 0.16);
+    await paint(page, along);
+    await slide(page, '#touch-amount', 0.5);
+    assert.ok(Math.abs((await previewed(page, middle)) - 255 * (WALL + 0.5)) < 3, 'the preview follows the slider');
+    assert.ok(Math.abs((await previewed(page, [0.05, 0.05])) - 255 * WALL) < 3, 'and the wall stays');
+    const preview = await page.locator('#touch-depth').evaluate((canvas) => {
+      const { data } = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height);
+      return [...data.filter((_, i) => i % 4 === 0)];
+    });
+    await page.locator('#touch-save').click();
+    await page.locator('dialog.touch-up').waitFor({ state: 'detached' });
+    await page.locator('#toast.on').waitFor();
+    await waitForMode(page, 'gpu');
+    assert.equal(page.url(), address);
+    const after = await page.evaluate(async (url) => (await fetch(url)).json(), `/v1/photos/${id}`);
+    assert.ok(after.state === 'done' && after.version !== version);
+
+    const map = await depth();
+    const near = (value) => value > 255 * (WALL + 0.25);
+    const overlap = (a, b) => {
+      let both = 0;
+      let either = 0;
+      for (let i = 0; i < WIDTH * HEIGHT; i++) {
+        both += a(i) && b(i) ? 1 : 0;
+        either += a(i) || b(i) ? 1 : 0;
+      }
+      return both / either;
+    };
+    const box = overlap(
+      (i) => near(map[i]),
+      (i) => inBox(i % WIDTH, Math.floor(i / WIDTH), WIDTH, HEIGHT),
+    );
+    assert.ok(box > 0.95, `${box} of the box`);
+    const same = overlap(
+      (i) => near(map[i]),
+      (i) => near(preview[i]),
+    );
+    assert.ok(same > 0.97, `the server and the preview agree on ${same}`);
+    // what is shown now moves before the wall
+    await page.waitForFunction(() => window.viewer?.renderer);
+    assert.deepEqual(errors, []);
+    await context.close();
+  });
+
+  test('undo, redo, cancel, and remove all', async () => {
+    const { page, context, errors, id, depth } = await opened(0.02);
+    const untouched = await depth();
+    await start(page);
+    await slide(page, '#touch-amount', 0.4);
+    await paint(page, along);
+    const painted = await previewed(page, middle);
+    assert.ok(painted > 150);
+    await page.locator('#touch-undo').click();
+    assert.ok(Math.abs((await previewed(page, middle)) - 255 * WALL) < 3);
+    assert.ok(await page.locator('#touch-save').isDisabled());
+    await page.keyboard.press('Control+Shift+Z');
+    assert.equal(await previewed(page, middle), painted);
+    await page.keyboard.press('Control+Z');
+    await page.locator('#touch-redo').click();
+    assert.equal(await previewed(page, middle), painted);
+    // far away, and as near as a place: that of the stroke before
+    await page.getByLabel('Far away, like the sky').check();
+    await paint(page, [[0.1, 0.1]]);
+    assert.equal(await previewed(page, [0.1, 0.1]), 0);
+    await page.getByLabel('As near as a place').check();
+    await paint(page, [[0.9, 0.9]]);
+    assert.ok(await page.locator('#touch-save').isDisabled(), 'the place is missing');
+    assert.match(await page.locator('#touch-status').textContent(), /choose the place/);
+    await paint(page, [middle]);
+    assert.equal(await previewed(page, [0.9, 0.9]), painted);
+    await page.locator('#touch-cancel').click();
+    await page.locator('dialog.touch-up').waitFor({ state: 'detached' });
+    assert.deepEqual(await strokes(page, id), []);
+
+    await start(page);
+    await paint(page, along);
+    await page.locator('#touch-save').click();
+    await page.locator('dialog.touch-up').waitFor({ state: 'detached' });
+    assert.equal((await strokes(page, id)).length, 1);
+    await page.locator('#settings').waitFor();
+    await start(page);
+    await page.locator('#touch-clear').click();
+    await page.locator('#touch-save').click();
+    await page.locator('dialog.touch-up').waitFor({ state: 'detached' });
+    assert.deepEqual(await strokes(page, id), []);
+    assert.deepEqual(await depth(), untouched);
+    assert.deepEqual(errors, []);
+    await context.close();
+  });
+
+  test('by keyboard', async () => {
+    const { page, context, errors, id } = await opened(0.03);
+    await start(page);
+    await page.locator('#touch-photo').focus();
+    // down, a few steps to the right, up
+    await page.keyboard.press('Space');
+    for (let i = 0; i < 4; i++) await page.keyboard.press('ArrowRight');
+    await page.keyboard.press('Space');
+    for (const _ of [1, 2]) await page.keyboard.press('Shift+ArrowDown');
+    await page.keyboard.press('Enter');
+    await page.keyboard.press('Enter');
+    await page.locator('#touch-save').focus();
+    await page.keyboard.press('Enter');
+    await page.locator('dialog.touch-up').waitFor({ state: 'detached' });
+    const [line, dab] = await strokes(page, id);
+    assert.deepEqual([line.points[0], line.points.at(-1)[0] > 0.57, line.points.at(-1)[1]], [[0.5, 0.5], true, 0.5]);
+    assert.ok(dab.points.length === 1 && dab.points[0][1] > 0.51 && dab.points[0][1] < 0.52, `${dab.points}`);
+    await start(page);
+    await page.keyboard.press('Escape');
+    await page.locator('dialog.touch-up').waitFor({ state: 'detached' });
+    assert.deepEqual(errors, []);
+    await context.close();
+  });
+
+  test('by touch on a small screen, and told where another was faster', async () => {
+    const phone = { ...STILL, hasTouch: true, isMobile: true, viewport: { width: 360, height: 740 } };
+    const { page, context, errors, id } = await opened(0.04, phone);
+    await start(page);
+    const wide = await page.evaluate(() => document.querySelector('dialog.touch-up').scrollWidth);
+    assert.ok(wide <= 360, `${wide} pixels wide`);
+    const box = await page.locator('#touch-photo').boundingBox();
+    const client = await context.newCDPSession(page);
+    const at = ([x, y]) => [{ x: box.x + x * box.width, y: box.y + y * box.height }];
+    await client.send('Input.dispatchTouchEvent', { type: 'touchStart', touchPoints: at(along[0]) });
+    for (const share of [0.25, 0.5, 0.75, 1]) {
+      const x = along[0][0] + share * (along[1][0] - along[0][0]);
+      await client.send('Input.dispatchTouchEvent', { type: 'touchMove', touchPoints: at([x, middle[1]]) });
+    }
+    await client.send('Input.dispatchTouchEvent', { type: 'touchEnd', touchPoints: [] });
+    assert.ok((await previewed(page, middle)) > 255 * WALL + 20);
+    const other = await page.evaluate(async (url) => {
+      const headers = { 'content-type': 'application/json', prefer: 'wait=20' };
+      const body = JSON.stringify({ strokes: [{ points: [[0.1, 0.1]], radius: 0.1, to: 0 }] });
+      return (await fetch(url, { method: 'PATCH', headers, body })).status;
+    }, `/v1/photos/${id}/strokes`);
+    assert.equal(other, 200);
+    await page.locator('#touch-save').click();
+    await page.waitForFunction(() => /changed meanwhile/.test(document.getElementById('touch-status').textContent));
+    assert.ok(await page.locator('#touch-save').isEnabled(), 'what was painted is still there');
+    assert.deepEqual(
+      errors.filter((e) => !/412/.test(e)),
+      [],
+    );
+    await context.close();
+  });
+});

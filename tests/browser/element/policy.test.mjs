@@ -1,0 +1,64 @@
+// The content security policy that README.md tells is enough for the element, and no word of it is too many.
+import assert from 'node:assert/strict';
+import { readFileSync } from 'node:fs';
+import { describe, test } from 'node:test';
+import { openPage } from '../support/browser.mjs';
+import { serve } from '../support/static-server.mjs';
+import { boxSuite, STILL } from '../support/suite.mjs';
+
+const README = readFileSync(new URL('../../../README.md', import.meta.url), 'utf8');
+const RECIPE = README.match(/^ {4}Content-Security-Policy: (.*HOST.*)$/m)[1];
+
+describe('policy', () => {
+  const suite = boxSuite();
+
+  /** What the element comes to on a page with a policy: its mode, or why there is none. */
+  async function under(policy) {
+    const other = await serve({ atlas: Buffer.alloc(0) });
+    const { page, context, errors } = await openPage(suite.browser, STILL);
+    const host = suite.server.url;
+    const poster = `still poster="${host}/v1/photos/box/view?w=20&h=12"`;
+    await page.goto(`${other.url}/embed?${new URLSearchParams({ host, policy: policy.replaceAll('HOST', host), more: poster })}`);
+    const mode = await page
+      .waitForFunction(
+        () => {
+          const { viewer } = document.querySelector('tmpi-viewer');
+          return viewer && viewer.mode !== 'loading' && viewer.mode;
+        },
+        null,
+        { timeout: 8000 },
+      )
+      .then((found) => found.jsonValue())
+      .catch(() => 'nothing');
+    const picture = await page.evaluate(() => document.querySelector('tmpi-viewer').shadowRoot?.querySelector('.poster').naturalWidth ?? 0);
+    await context.close();
+    await other.close();
+    return { mode, picture, errors: errors.filter((e) => !e.includes('favicon') && !e.includes('data:,')) };
+  }
+
+  test('with it the element draws in WebGPU and shows its poster', async () => {
+    assert.deepEqual(await under(`default-src 'none'; ${RECIPE}`), { mode: 'gpu', picture: 20, errors: [] });
+  });
+
+  test('without any of its words something is missing', async () => {
+    const words = RECIPE.split('; ').flatMap((directive) => {
+      const [name, ...sources] = directive.split(' ');
+      return sources.map((source) => ({ name, source }));
+    });
+    assert.ok(words.length >= 6, RECIPE);
+    for (const { name, source } of words) {
+      const less = RECIPE.split('; ')
+        .map((directive) =>
+          directive.startsWith(`${name} `)
+            ? directive
+                .split(' ')
+                .filter((word) => word !== source)
+                .join(' ')
+            : directive,
+        )
+        .join('; ');
+      const { mode, picture, errors } = await under(`default-src 'none'; ${less}`);
+      assert.ok(mode !== 'gpu' || picture !== 20 || errors.length > 0, `${name} ${source} makes no difference`);
+    }
+  });
+});

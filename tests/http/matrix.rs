@@ -1,0 +1,151 @@
+//! Origin × Sec-Fetch-Site × Host × method × route: every route that the service has, for every kind of caller. With `TMPI_SHOW=matrix`
+//! and `--nocapture` the test prints the table.
+
+use std::fmt::Write as _;
+
+use tmpi::server::{Access, Route, routes};
+
+use crate::client::{Response, request};
+use crate::fixture::{Running, jpeg};
+use crate::origins::start;
+
+/// Who a request comes from, by the headers that tell.
+struct Caller {
+    what: &'static str,
+    host: Option<&'static str>,
+    headers: Vec<(&'static str, String)>,
+    /// May change things.
+    changes: u16,
+    /// May read the list.
+    lists: u16,
+}
+
+fn callers(server: &Running) -> Vec<Caller> {
+    let own = format!("http://{}", server.addr);
+    let site = |site: &str| ("sec-fetch-site", site.to_owned());
+    let origin = |origin: &str| ("origin", origin.to_owned());
+    let caller = |what, host, headers, changes, lists| Caller { what, host, headers, changes, lists };
+    vec![
+        caller("curl", None, vec![], 200, 200),
+        caller("curl under a loopback name", Some("localhost"), vec![], 200, 200),
+        caller("our page", None, vec![site("same-origin"), origin(&own)], 200, 200),
+        caller("our page, old browser", None, vec![origin(&own)], 200, 200),
+        caller("the address bar", None, vec![site("none")], 200, 200),
+        caller("another site", None, vec![site("cross-site"), origin("https://evil.example")], 403, 200),
+        caller("another site, no Origin", None, vec![site("cross-site")], 403, 200),
+        caller("another site, old browser or no TLS", None, vec![origin("https://evil.example")], 403, 200),
+        caller("another port of localhost", None, vec![site("same-site"), origin("http://localhost:3000")], 403, 200),
+        caller("another port, old browser", None, vec![origin("http://127.0.0.1:1")], 403, 200),
+        caller("a sandboxed frame", None, vec![origin("null")], 403, 200),
+        caller("a rebound name", Some("evil.example"), vec![site("same-origin"), origin("http://evil.example")], 421, 421),
+        caller("a rebound name, old browser", Some("evil.example:8080"), vec![origin("http://evil.example:8080")], 421, 421),
+        caller("an address that is not ours", Some("192.0.2.1"), vec![], 421, 421),
+        caller("a name that was given, by a proxy", Some("photos.example"), vec![("x-forwarded-for", "192.0.2.1".into())], 200, 403),
+        caller("a name that was given", Some("photos.example"), vec![origin("http://photos.example")], 200, 403),
+        caller("another site by a proxy", Some("photos.example"), vec![origin("http://evil.example")], 403, 403),
+        caller("a proxy that hides the name", None, vec![("x-forwarded-for", "192.0.2.1".into())], 200, 403),
+    ]
+}
+
+/// Methods that each route is asked with besides its own: what a browser asks before a request, and one that no route has.
+const MORE: [&str; 2] = ["OPTIONS", "PUT"];
+/// A photo that is not there.
+const NONE: &str = "00000000000000000000000000000000";
+
+/// What to ask of a route.
+fn target(route: &Route, method: &str, id: &str) -> String {
+    let query = match route.path.as_str() {
+        "/v1/photos/{id}/view" => "?w=8",
+        "/v1/photos/{id}/export" => "?format=glb",
+        "/oembed" => &format!("?url=http://localhost/view/{id}"),
+        _ => "",
+    };
+    let path = route
+        .path
+        .replace("{id}", if method == "DELETE" || route.path.ends_with("/again") { NONE } else { id })
+        .replace("{*name}", "view/viewer.js")
+        + query;
+    assert!(!path.contains('{'), "a new route: say here what to ask of {}", route.path);
+    path
+}
+
+/// Status and kind of problem.
+fn expected(route: &Route, method: &str, caller: &Caller) -> (u16, Option<&'static str>) {
+    let safe = matches!(method, "GET" | "HEAD" | "OPTIONS");
+    match method {
+        _ if caller.changes == 421 => (421, Some("host")),
+        _ if !safe && caller.changes == 403 => (403, Some("cross-site")),
+        "OPTIONS" if route.access == Access::Open => (200, None),
+        "OPTIONS" | "PUT" => (405, Some("method")),
+        "GET" | "HEAD" if route.path == "/v1/photos" && caller.lists == 403 => (403, Some("list-closed")),
+        "GET" | "HEAD" | "POST" if route.path == "/v1/network" && caller.lists == 403 => (403, Some("not-yours")),
+        "POST" if route.path == "/v1/network" => (200, None),
+        "POST" if route.path.ends_with("/again") => (404, Some("not-found")),
+        "GET" | "HEAD" | "PATCH" => (200, None),
+        "POST" => (202, None),
+        "DELETE" => (404, Some("not-found")),
+        other => panic!("a new method: say here what {other} {} answers", route.path),
+    }
+}
+
+fn call(server: &Running, caller: &Caller, method: &str, path: &str) -> Response {
+    let mut headers: Vec<(&str, &str)> = caller.headers.iter().map(|(n, v)| (*n, v.as_str())).collect();
+    headers.extend(caller.host.map(|host| ("host", host)));
+    let body = match method {
+        "POST" => jpeg(1),
+        "PATCH" => {
+            headers.push(("content-type", "application/json"));
+            b"{}".to_vec()
+        }
+        _ => Vec::new(),
+    };
+    if method == "OPTIONS" {
+        headers.push(("access-control-request-method", "GET"));
+    }
+    request(server.addr, method, path, &headers, &body)
+}
+
+#[test]
+fn every_route_answers_every_caller_as_it_should() {
+    let (_dir, server, id) = start();
+    let all = routes();
+    assert!(all.iter().any(|r| r.access == Access::Open) && all.iter().any(|r| r.access == Access::Own), "{all:?}");
+    let callers = callers(&server);
+    let mut table = String::new();
+    for route in &all {
+        let own = route.methods.iter().flat_map(|m| if m == "GET" { vec!["GET", "HEAD"] } else { vec![m.as_str()] });
+        for method in own.chain(MORE) {
+            let path = target(route, method, &id);
+            let _ = write!(table, "| {method} {} |", route.path);
+            for caller in &callers {
+                let what = format!("{}: {method} {path}", caller.what);
+                let answer = call(&server, caller, method, &path);
+                let (status, problem) = expected(route, method, caller);
+                assert_eq!(answer.status, status, "{what}: {}", String::from_utf8_lossy(&answer.body));
+                if let Some(kind) = problem.filter(|_| method != "HEAD") {
+                    assert_eq!(answer.problem(status)["type"], format!("urn:tmpi:problem:{kind}"), "{what}");
+                }
+                // a rebound name is an origin of its own: it may not even read the refusal. What no site may ask for is refused before
+                // it is seen what lies there
+                let read = route.access == Access::Open && !matches!(problem, Some("host" | "cross-site"));
+                assert_eq!(answer.header("access-control-allow-origin"), read.then_some("*"), "{what}");
+                let taken = matches!(route.access, Access::Open | Access::Framed) && status == 200 && method != "OPTIONS";
+                let policy = if taken { "cross-origin" } else { "same-origin" };
+                if taken || route.access == Access::Own {
+                    assert_eq!(answer.header("cross-origin-resource-policy"), Some(policy), "{what}");
+                }
+                if method == "OPTIONS" && status == 200 {
+                    assert_eq!(answer.all("access-control-allow-methods"), "GET,HEAD", "{what}");
+                }
+                let _ = write!(table, " {status}{} |", if read { "*" } else { "" });
+            }
+            table.push('\n');
+        }
+    }
+    assert_eq!(server.state(&id)["state"], "done", "nothing was changed");
+    if std::env::var("TMPI_SHOW").is_ok_and(|what| what == "matrix") {
+        println!("*: pages of any site may read the answer\n");
+        println!("| |{}\n|-|{}", callers.iter().map(|c| format!(" {} |", c.what)).collect::<Vec<_>>().concat(), "-|".repeat(callers.len()));
+        println!("{table}");
+    }
+}

@@ -1,0 +1,165 @@
+//! What others show of a photo where somebody links to it: tags in the page's head, oEmbed.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use serde_json::json;
+use tmpi::server::Limits;
+
+use crate::client::{Response, get, request};
+use crate::fixture::{Gate, Running, jpeg, pipeline};
+
+/// Breaks out of whatever does not escape it.
+const HOSTILE: &str = "</title><script>alert(1)</script>\"'><meta http-equiv=refresh content=0;//evil.example> & \u{202e}ü";
+
+fn start() -> (tempfile::TempDir, Running, String) {
+    let dir = tempfile::tempdir().unwrap();
+    let server = Running::start(dir.path(), Limits::default(), Arc::new(pipeline()));
+    let id = server.upload(&jpeg(1));
+    server.wait(&id, "done");
+    (dir, server, id)
+}
+
+fn call(server: &Running, path: &str, headers: &[(&str, &str)]) -> Response {
+    request(server.addr, "GET", path, headers, &[])
+}
+
+fn rename(server: &Running, id: &str, title: &str) {
+    let headers = [("content-type", "application/json")];
+    let body = json!({ "title": title, "poster": { "x": 1 } }).to_string();
+    let answer = request(server.addr, "PATCH", &format!("/v1/photos/{id}"), &headers, body.as_bytes());
+    assert_eq!(answer.status, 200, "{}", String::from_utf8_lossy(&answer.body));
+}
+
+fn unescaped(text: &str) -> String {
+    let mut text = text.to_owned();
+    for (entity, c) in [("&lt;", "<"), ("&gt;", ">"), ("&quot;", "\""), ("&#39;", "'"), ("&amp;", "&")] {
+        text = text.replace(entity, c);
+    }
+    text
+}
+
+/// Tags of a page by their names.
+fn tags(page: &str) -> BTreeMap<String, String> {
+    let head = page.split("</head>").next().unwrap();
+    head.split("<meta ")
+        .skip(1)
+        .filter_map(|tag| {
+            let mut quoted = tag.split('"').skip(1).step_by(2);
+            Some((quoted.next()?.to_owned(), unescaped(quoted.next()?)))
+        })
+        .collect()
+}
+
+/// Width and height by a JPEG's frame header.
+fn jpeg_size(bytes: &[u8]) -> (u32, u32) {
+    let at = bytes.windows(2).position(|w| w[0] == 0xff && matches!(w[1], 0xc0 | 0xc2)).expect("a frame header");
+    let number = |i: usize| u32::from(bytes[at + i]) << 8 | u32::from(bytes[at + i + 1]);
+    (number(7), number(5))
+}
+
+#[test]
+fn a_link_has_a_title_and_a_picture() {
+    let (_dir, server, id) = start();
+    rename(&server, &id, "By the sea");
+    let base = format!("http://{}", server.addr);
+    let answer = get(server.addr, &format!("/view/{id}"));
+    let page = String::from_utf8(answer.body.clone()).unwrap();
+    assert!(page.contains("<title>By the sea – tmpi</title>"), "{page}");
+    let tags = tags(&page);
+    let tag = |name: &str| tags.get(name).map(String::as_str);
+    assert_eq!((tag("og:title"), tag("og:type"), tag("twitter:card")), (Some("By the sea"), Some("website"), Some("summary_large_image")));
+    assert_eq!(tag("og:url"), Some(format!("{base}/view/{id}").as_str()));
+    let picture = tag("og:image").unwrap().strip_prefix(&base).expect("an absolute address");
+    assert!(picture.contains("tx=0.0"), "from where the owner says: {picture}");
+    let drawn = get(server.addr, picture);
+    assert_eq!((drawn.status, drawn.header("content-type")), (200, tag("og:image:type")));
+    assert!(drawn.header("cache-control").unwrap().contains("immutable"));
+    let size = (tag("og:image:width").unwrap().parse().unwrap(), tag("og:image:height").unwrap().parse().unwrap());
+    assert_eq!((jpeg_size(&drawn.body), size), ((80, 60), (80, 60)));
+
+    // what changes with the title has another tag, and is asked for again
+    let etag = answer.header("etag").unwrap().to_owned();
+    assert_eq!(call(&server, &format!("/view/{id}"), &[("if-none-match", &etag)]).status, 304);
+    rename(&server, &id, "By the lake");
+    assert_eq!(call(&server, &format!("/view/{id}"), &[("if-none-match", &etag)]).status, 200);
+    let none = String::from_utf8(get(server.addr, "/view/0123456789abcdef0123456789abcdef").body).unwrap();
+    assert!(none.contains("<title>3D photo – tmpi</title>") && !none.contains("og:"), "the page says itself what is not there");
+}
+
+#[test]
+fn a_photo_that_is_not_made_has_no_picture_yet() {
+    let dir = tempfile::tempdir().unwrap();
+    let gate = Gate::new(0);
+    let server = Running::start(dir.path(), Limits::default(), gate.clone());
+    let id = server.upload(&jpeg(1));
+    let tags = tags(&String::from_utf8(get(server.addr, &format!("/view/{id}")).body).unwrap());
+    assert_eq!((tags["twitter:card"].as_str(), tags["og:title"].as_str(), tags.get("og:image")), ("summary", "3D photo", None));
+    let answer = get(server.addr, &format!("/oembed?url=http://localhost/view/{id}")).json();
+    assert_eq!((&answer["type"], answer.get("thumbnail_url")), (&"rich".into(), None));
+    gate.open(1);
+}
+
+#[test]
+fn addresses_are_of_the_name_that_was_asked_and_the_scheme_that_the_proxy_says() {
+    let (_dir, server, id) = start();
+    let path = format!("/view/{id}");
+    let url = |headers: &[(&str, &str)]| tags(&String::from_utf8(call(&server, &path, headers).body).unwrap())["og:url"].clone();
+    assert_eq!(url(&[("host", "localhost:99")]), format!("http://localhost:99/view/{id}"));
+    assert_eq!(url(&[("host", "photos.example"), ("x-forwarded-proto", "https")]), format!("https://photos.example/view/{id}"));
+    assert_eq!(url(&[("host", "photos.example"), ("forwarded", "for=192.0.2.1;proto=https")]), format!("https://photos.example/view/{id}"));
+    assert_eq!(url(&[("host", "localhost"), ("x-forwarded-host", "evil.example")]), format!("http://localhost/view/{id}"));
+    call(&server, &path, &[("host", "evil.example")]).problem(421);
+}
+
+#[test]
+fn no_title_breaks_out() {
+    let (_dir, server, id) = start();
+    let plain = String::from_utf8(get(server.addr, &format!("/view/{id}")).body).unwrap();
+    rename(&server, &id, HOSTILE);
+    let page = String::from_utf8(get(server.addr, &format!("/view/{id}")).body).unwrap();
+    for tag in ["<script", "</title", "<meta", "<link", "</head"] {
+        assert_eq!(page.matches(tag).count(), plain.matches(tag).count(), "{tag}");
+    }
+    assert_eq!(tags(&page)["og:title"], HOSTILE);
+    let answer = get(server.addr, &format!("/oembed?url=http://localhost/view/{id}")).json();
+    assert_eq!(answer["title"], HOSTILE);
+    let html = answer["html"].as_str().unwrap();
+    assert_eq!((html.matches('<').count(), html.matches('>').count()), (2, 2), "{html}");
+    let title = html.split("title=\"").nth(1).unwrap().split('"').next().unwrap();
+    assert_eq!(unescaped(title), HOSTILE);
+}
+
+#[test]
+fn sites_are_told_how_to_embed_it() {
+    let (_dir, server, id) = start();
+    let base = format!("http://{}", server.addr);
+    let page = String::from_utf8(get(server.addr, &format!("/view/{id}")).body).unwrap();
+    let link = page.split("application/json+oembed\" href=\"").nth(1).unwrap().split('"').next().unwrap();
+    let found = unescaped(link);
+    let answer = get(server.addr, found.strip_prefix(&base).unwrap());
+    assert_eq!(answer.header("content-type"), Some("application/json"));
+    assert_eq!(answer.header("access-control-allow-origin"), Some("*"));
+    let all = answer.json();
+    assert_eq!((&all["version"], &all["width"], &all["height"]), (&json!("1.0"), &json!(80), &json!(60)));
+    assert!(all["html"].as_str().unwrap().starts_with(&format!("<iframe src=\"{base}/embed/{id}\" width=\"80\" height=\"60\"")));
+    let small = get(server.addr, &format!("/oembed?url={base}/embed/{id}&maxwidth=40&maxheight=1000&dnt=1")).json();
+    assert_eq!((&small["width"], &small["height"], &small["thumbnail_width"]), (&json!(40), &json!(30), &json!(40)));
+    let picture = get(server.addr, small["thumbnail_url"].as_str().unwrap().strip_prefix(&base).unwrap());
+    assert_eq!(jpeg_size(&picture.body), (40, 30));
+
+    let refused = |query: &str| get(server.addr, &format!("/oembed?{query}"));
+    assert_eq!(refused("").problem(400)["field"], "url");
+    assert_eq!(refused(&format!("url={base}/view/{id}&maxwidth=0")).problem(400)["field"], "maxwidth");
+    refused(&format!("url={base}/view/{id}&format=xml")).problem(501);
+    for url in [
+        format!("http://evil.example/view/{id}"),
+        format!("javascript://localhost/view/{id}"),
+        format!("/view/{id}"),
+        format!("{base}/v1/photos/{id}"),
+        format!("{base}/view/0123456789abcdef0123456789abcdef"),
+        "x y".into(),
+    ] {
+        refused(&format!("url={}", url.replace(' ', "%20"))).problem(404);
+    }
+}

@@ -1,0 +1,140 @@
+//! Touch-up: strokes that have a photo made again.
+
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+
+use serde_json::{Value, json};
+use tmpi::server::Limits;
+use tmpi_render::PictureFormat;
+
+use crate::client::{Response, get, request};
+use crate::fixture::{Gate, Running, jpeg, picture, pipeline};
+
+const JSON: (&str, &str) = ("content-type", "application/merge-patch+json");
+const WAIT: (&str, &str) = ("prefer", "wait=30");
+
+fn with_photo() -> (tempfile::TempDir, Running, String) {
+    let dir = tempfile::tempdir().unwrap();
+    let server = Running::start(dir.path(), Limits::default(), Arc::new(pipeline()));
+    let id = server.upload(&picture(1, PictureFormat::Png));
+    server.wait(&id, "done");
+    (dir, server, format!("/v1/photos/{id}"))
+}
+
+fn patch(server: &Running, photo: &str, headers: &[(&str, &str)], body: &Value) -> Response {
+    request(server.addr, "PATCH", &format!("{photo}/strokes"), &[&[JSON], headers].concat(), body.to_string().as_bytes())
+}
+
+fn sky() -> Value {
+    json!({ "points": [[0.2, 0.1], [0.8, 0.1]], "radius": 0.1, "to": 0.0 })
+}
+
+#[test]
+fn strokes_make_the_photo_again_and_stay_with_it() {
+    let (dir, server, photo) = with_photo();
+    let title = json!({ "title": "A box" });
+    assert_eq!(request(server.addr, "PATCH", &photo, &[JSON], title.to_string().as_bytes()).status, 200);
+    let before = get(server.addr, &photo).json();
+    let depth = |server: &Running| get(server.addr, &format!("{photo}/depth")).body;
+    let untouched = depth(&server);
+    let none = get(server.addr, before["links"]["strokes"].as_str().unwrap());
+    assert_eq!(none.json(), json!({ "version": 1, "strokes": [] }));
+
+    let seen = none.header("etag").unwrap();
+    let changed = patch(&server, &photo, &[WAIT, ("if-match", seen)], &json!({ "strokes": [sky()] }));
+    assert_eq!(
+        (changed.status, changed.header("preference-applied")),
+        (200, Some("wait=30")),
+        "{}",
+        String::from_utf8_lossy(&changed.body)
+    );
+    let after = changed.json();
+    assert_eq!((&after["state"], &after["id"], &after["settings"]["title"]), (&json!("done"), &before["id"], &json!("A box")));
+    assert_ne!(after["version"], before["version"]);
+    assert_ne!(depth(&server), untouched);
+    assert_eq!(get(server.addr, &format!("{photo}/report")).json()["input"]["strokes"], 1);
+
+    // what named the version of before may be kept for ever no more, and what names this one may
+    for part in ["atlas", "depth", "report", "thumbnail", "view?w=20", "export?format=glb"] {
+        let and = if part.contains('?') { '&' } else { '?' };
+        for (version, kept) in [(&before["version"], "no-cache"), (&after["version"], "public, max-age=31536000, immutable")] {
+            let answer = get(server.addr, &format!("{photo}/{part}{and}v={}", version.as_str().unwrap()));
+            assert_eq!((answer.status, answer.header("cache-control")), (200, Some(kept)), "{part}");
+        }
+    }
+
+    // whoever saw the strokes of before may not overwrite these
+    let late = patch(&server, &photo, &[("if-match", seen)], &json!({ "strokes": null }));
+    assert_eq!(late.problem(412)["field"], "If-Match");
+    let kept = get(server.addr, &format!("{photo}/strokes"));
+    assert_eq!((kept.json()["strokes"].clone(), kept.header("etag")), (json!([sky()]), changed.header("etag")));
+    // nothing new, and nothing made
+    for same in [json!({ "strokes": [sky()] }), json!({})] {
+        let same = patch(&server, &photo, &[], &same);
+        assert_eq!((same.status, &same.json()["version"]), (200, &after["version"]));
+    }
+
+    server.stop();
+    let server = Running::start(dir.path(), Limits::default(), Arc::new(pipeline()));
+    assert_eq!(get(server.addr, &format!("{photo}/strokes")).json()["strokes"], json!([sky()]), "after a restart");
+    assert_eq!(server.upload(&picture(1, PictureFormat::Png)), before["id"].as_str().unwrap(), "the same upload is the same photo");
+    let removed = patch(&server, &photo, &[WAIT], &json!({ "strokes": null }));
+    assert_eq!((removed.status, depth(&server) == untouched), (200, true), "the depth is as it was");
+}
+
+#[test]
+fn a_wrong_stroke_is_named_and_changes_nothing() {
+    let (_dir, server, photo) = with_photo();
+    let with = |field: &str, value: Value| {
+        let mut stroke = sky();
+        stroke[field] = value;
+        json!({ "strokes": [sky(), stroke] })
+    };
+    for (body, field) in [
+        (with("radius", json!(0.3)), "strokes[1].radius"),
+        (with("radius", json!(null)), "strokes[1].radius"),
+        (with("points", json!([])), "strokes[1].points"),
+        (with("points", json!([[0.5, 0.5], [-0.01, 0.5]])), "strokes[1].points[1]"),
+        (with("to", json!(1.5)), "strokes[1].to"),
+        (with("by", json!(0.1)), "strokes[1].to"),
+        (with("colour", json!(0)), "strokes[1].colour"),
+        (json!({ "strokes": vec![sky(); 101] }), "strokes"),
+        (json!({ "stroke": [] }), "stroke"),
+        (json!({ "version": 2 }), "version"),
+    ] {
+        assert_eq!(patch(&server, &photo, &[], &body).problem(400)["field"], field, "{body}");
+    }
+    patch(&server, &photo, &[], &json!([])).problem(400);
+    let raw = |headers: &[(&str, &str)], body: &str| request(server.addr, "PATCH", &format!("{photo}/strokes"), headers, body.as_bytes());
+    raw(&[JSON], r#"{"strokes": [{"points": [[1e999, 0]], "radius": 0.1, "by": 0.1}]}"#).problem(400);
+    raw(&[JSON], r#"{"strokes": [{"points": [[NaN, 0]], "radius": 0.1, "by": 0.1}]}"#).problem(400);
+    raw(&[("content-type", "text/plain")], "{}").problem(415);
+    let at_limit = format!("{{{}}}", " ".repeat((1 << 19) - 2));
+    assert_eq!(raw(&[JSON], &at_limit).status, 200);
+    raw(&[JSON], &format!("{at_limit} ")).problem(413);
+    assert_eq!(raw(&[JSON, ("sec-fetch-site", "cross-site")], "{}").problem(403)["type"], "urn:tmpi:problem:cross-site");
+    patch(&server, "/v1/photos/0123456789abcdef0123456789abcdef", &[], &json!({})).problem(404);
+    assert_eq!(get(server.addr, &format!("{photo}/strokes")).json()["strokes"], json!([]));
+}
+
+#[test]
+fn a_photo_on_its_way_is_not_touched() {
+    let dir = tempfile::tempdir().unwrap();
+    let gate = Gate::new(1);
+    let server = Running::start(dir.path(), Limits::default(), gate.clone());
+    let id = server.upload(&jpeg(1));
+    server.wait(&id, "done");
+    let photo = format!("/v1/photos/{id}");
+    let changed = patch(&server, &photo, &[], &json!({ "strokes": [sky()] }));
+    assert_eq!(changed.status, 202);
+    gate.wait_started(2);
+    let refused = patch(&server, &photo, &[], &json!({ "strokes": null })).problem(409);
+    assert_eq!((&refused["type"], &refused["retry_after"]), (&json!("urn:tmpi:problem:not-ready"), &json!(1)));
+    get(server.addr, &format!("{photo}/atlas")).problem(409);
+    gate.open(1);
+    server.wait(&id, "done");
+    assert_eq!(gate.finished.load(Ordering::SeqCst), 2);
+    assert_eq!(get(server.addr, &format!("{photo}/report")).json()["input"]["strokes"], 1);
+    assert_eq!(request(server.addr, "DELETE", &photo, &[], &[]).status, 204);
+    assert!(!dir.path().join("photos").join(&id).exists());
+}
