@@ -58,6 +58,26 @@ pub fn is_good(key: &[u8], role: Role, room: &str, token: &str, now: u64) -> boo
     now < expires && roles.iter().fold(false, |any, role| any | same(*role))
 }
 
+/// What a page puts before a token where it names the protocols that it speaks over a web socket, the one place where it may say anything.
+const AMONG_PROTOCOLS: &str = "token.";
+/// The protocol of a room's web sockets.
+pub const PROTOCOL: &str = "tmpi.live.v1";
+
+/// The token that comes with a request, where not by its address: as a bearer (RFC 6750), or among the protocols of a web socket.
+#[must_use]
+pub fn token_of(headers: &HeaderMap) -> Option<&str> {
+    let text = |name| headers.get(name).and_then(|v: &axum::http::HeaderValue| v.to_str().ok());
+    let bearer = text(header::AUTHORIZATION).and_then(|v| v.strip_prefix("Bearer "));
+    let among = || text(header::SEC_WEBSOCKET_PROTOCOL)?.split(',').find_map(|name| name.trim().strip_prefix(AMONG_PROTOCOLS));
+    bearer.or_else(among)
+}
+
+/// When a token that is good for publishing in a room ends, in seconds since 1970; none where it is no such token.
+#[must_use]
+pub fn end_of(key: &[u8], room: &str, token: &str, now: u64) -> Option<u64> {
+    is_good(key, Role::Publish, room, token, now).then(|| token.split_once('.').and_then(|(expires, _)| expires.parse().ok()))?
+}
+
 /// Refuses pages of other sites: a browser names the page's origin, and lets it open web sockets to anywhere.
 ///
 /// # Errors
@@ -90,6 +110,20 @@ mod tests {
         for wrong in ["", ".", "1000", "1000.", "x.y", &watch[..watch.len() - 1], &later] {
             assert!(!is_good(key, Role::Watch, "attic", wrong, 999), "{wrong}");
         }
+    }
+
+    #[test]
+    fn tokens_come_as_bearers_or_among_protocols() {
+        let of = |name, value| token_of(&[(name, axum::http::HeaderValue::from_static(value))].into_iter().collect()).map(str::to_owned);
+        assert_eq!(of(header::AUTHORIZATION, "Bearer 1000.ab").as_deref(), Some("1000.ab"));
+        assert_eq!(of(header::AUTHORIZATION, "Basic 1000.ab"), None);
+        assert_eq!(of(header::SEC_WEBSOCKET_PROTOCOL, "tmpi.live.v1, token.1000.ab").as_deref(), Some("1000.ab"));
+        assert_eq!(of(header::SEC_WEBSOCKET_PROTOCOL, "tmpi.live.v1"), None);
+        let key = b"a key";
+        let publish = token(key, Role::Publish, "attic", 1000).unwrap();
+        assert_eq!(end_of(key, "attic", &publish, 999), Some(1000));
+        assert_eq!((end_of(key, "attic", &publish, 1000), end_of(key, "cellar", &publish, 999)), (None, None));
+        assert_eq!(end_of(key, "attic", &token(key, Role::Watch, "attic", 1000).unwrap(), 999), None);
     }
 
     #[test]

@@ -194,6 +194,11 @@ impl Room {
         Some(Viewer { place: state.ring.begin(Instant::now()), epoch: 0 })
     }
 
+    /// How many watch.
+    pub fn viewers(&self) -> u32 {
+        self.lock().viewers as u32
+    }
+
     /// A viewer has gone.
     pub fn part(&self) {
         let mut state = self.lock();

@@ -8,15 +8,15 @@ use axum::extract::ws::rejection::WebSocketUpgradeRejection;
 use axum::extract::{Path, Query, State};
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
-use axum::routing::get;
-use axum::{Extension, Router};
-use serde::Deserialize;
+use axum::routing::{get, post};
+use axum::{Extension, Json, Router};
+use serde::{Deserialize, Serialize};
 use tokio_util::sync::CancellationToken;
 
 use tmpi_core::container::{self, Carried, Carries, MEDIA_TYPE};
 use tmpi_core::{Scene, Texels};
 
-use super::access::{Role, check_origin, is_good};
+use super::access::{PROTOCOL, Role, check_origin, end_of, is_good, token, token_of};
 use super::room::Still;
 use super::{FRAME_BYTES, Rooms, is_name, publisher, viewer};
 use crate::server::{Held, Problem};
@@ -27,6 +27,9 @@ const COME_BACK: Duration = Duration::from_secs(10);
 const WRITE_BUFFER: usize = 2 << 20;
 /// Quality of the picture of a frame that is asked for by itself.
 const QUALITY: u8 = 90;
+
+/// How long a link to watch is good where this machine's own user asks for it.
+const LINK: Duration = Duration::from_hours(24);
 
 /// What the handlers need of the server.
 #[derive(Clone)]
@@ -45,6 +48,8 @@ struct Asked {
 /// Routes of rooms. `own` tells this machine's own user.
 pub fn router(rooms: Arc<Rooms>, stop: CancellationToken, own: Arc<dyn Fn(&HeaderMap) -> bool + Send + Sync>) -> Router {
     Router::new()
+        .route("/v1/live/{room}", get(state))
+        .route("/v1/live/{room}/token", post(link))
         .route("/v1/live/{room}/publish", get(publish))
         .route("/v1/live/{room}/subscribe", get(subscribe))
         .route("/v1/live/{room}/frames/{frame}/atlas", get(atlas))
@@ -59,7 +64,7 @@ impl Here {
         }
         check_origin(headers)?;
         let now = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs());
-        let good = match (&self.rooms.config.key, &asked.token) {
+        let good = match (&self.rooms.config.key, asked.token.as_deref().or_else(|| token_of(headers))) {
             (Some(key), Some(token)) => is_good(key, role, room, token, now),
             _ => (self.own)(headers),
         };
@@ -72,7 +77,56 @@ type Upgrade = Result<WebSocketUpgrade, WebSocketUpgradeRejection>;
 /// The upgrade with its bounds.
 fn bounded(upgrade: Upgrade, most: usize) -> Result<WebSocketUpgrade, Problem> {
     let upgrade = upgrade.map_err(|e| Problem::new(StatusCode::UPGRADE_REQUIRED, "upgrade", e.to_string()))?;
-    Ok(upgrade.max_message_size(most).max_frame_size(most).max_write_buffer_size(WRITE_BUFFER))
+    Ok(upgrade.protocols([PROTOCOL]).max_message_size(most).max_frame_size(most).max_write_buffer_size(WRITE_BUFFER))
+}
+
+/// What is known of a room from outside.
+#[derive(Serialize)]
+struct RoomState {
+    /// Somebody publishes.
+    publishing: bool,
+    /// Those who watch.
+    viewers: u32,
+    /// Who asked may publish.
+    may_publish: bool,
+}
+
+/// `GET /v1/live/{room}`: for pages, which cannot see why a web socket is refused.
+async fn state(
+    State(here): State<Here>,
+    Path(name): Path<String>,
+    Query(asked): Query<Asked>,
+    headers: HeaderMap,
+) -> Result<Json<RoomState>, Problem> {
+    here.check(&name, Role::Watch, &asked, &headers)?;
+    let room = here.rooms.get(&name);
+    let may_publish = here.check(&name, Role::Publish, &asked, &headers).is_ok();
+    let (publishing, viewers) = room.map_or((false, 0), |room| (!room.is_empty(), room.viewers()));
+    Ok(Json(RoomState { publishing, viewers, may_publish }))
+}
+
+/// A token for who watches.
+#[derive(Serialize)]
+struct Link {
+    /// None where rooms are for this machine's own user.
+    token: Option<String>,
+}
+
+/// `POST /v1/live/{room}/token`: whoever may publish lets others watch, for as long.
+async fn link(
+    State(here): State<Here>,
+    Path(name): Path<String>,
+    Query(asked): Query<Asked>,
+    headers: HeaderMap,
+) -> Result<Json<Link>, Problem> {
+    here.check(&name, Role::Publish, &asked, &headers)?;
+    let now = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs());
+    let token = here.rooms.config.key.as_ref().and_then(|key| {
+        let given = asked.token.as_deref().or_else(|| token_of(&headers));
+        let end = given.and_then(|given| end_of(key, &name, given, now)).unwrap_or(now + LINK.as_secs());
+        token(key, Role::Watch, &name, end)
+    });
+    Ok(Json(Link { token }))
 }
 
 async fn publish(

@@ -144,11 +144,13 @@ fn files() -> [(&'static str, MethodRouter<App>); 2] {
 }
 
 /// Pages.
-fn own_pages() -> [(&'static str, MethodRouter<App>, Access); 4] {
+fn own_pages() -> [(&'static str, MethodRouter<App>, Access); 6] {
     [
         ("/", get(pages::index), Access::Own),
         ("/demo", get(pages::demo), Access::Own),
         ("/view/{id}", get(pages::view), Access::Own),
+        ("/live/{room}", get(pages::watch), Access::Own),
+        ("/live/{room}/publish", get(pages::publish), Access::Own),
         ("/embed/{id}", get(pages::embed), Access::Framed),
     ]
 }

@@ -25,6 +25,7 @@ pub(crate) mod range;
 #[cfg(feature = "write")]
 mod region;
 mod select;
+mod strip;
 #[cfg(feature = "unpack")]
 mod unpack;
 #[doc(hidden)]
@@ -48,6 +49,7 @@ pub use picture::{encode_jpeg, encode_lossless};
 #[cfg(feature = "write")]
 pub use region::{RegionPhoto, Tiles, region};
 pub use select::{SECTIONS, select, with_section};
+pub use strip::{Piece, cell, strip};
 #[cfg(feature = "unpack")]
 pub use unpack::unpacked;
 

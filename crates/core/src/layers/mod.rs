@@ -10,6 +10,7 @@ mod surface;
 mod texture;
 mod visibility;
 
+pub(crate) use inpaint::CONTEXT;
 pub use inpaint::{Inpainter, Pyramid};
 pub use prune::work_of;
 pub use surface::Surface;

@@ -1,10 +1,13 @@
 //! Messages of a room, in which a tiled multiplane image moves (schema in `proto/live.proto`).
 //!
 //! The picture travels as video, and its planes and labels beside it in [`chunk`]s of a few tiles. A chunk needs no other one, so that a
-//! reader may miss any; what it is sent is the chunks of tiles that it has not got. [`Model`] is what a reader knows of all tiles.
+//! reader may miss any; what it is sent is the chunks of tiles that it has not got. [`Model`] is what a reader knows of all tiles, and
+//! [`Layers`] what it shows of them.
 
 pub mod chunk;
+mod colour;
 mod fuzzing;
+mod layers;
 mod model;
 pub mod prior;
 #[doc(hidden)]
@@ -12,6 +15,8 @@ pub mod wire;
 
 #[doc(hidden)]
 pub use fuzzing::message as fuzz_message;
+pub use colour::{I420, to_rgb};
+pub use layers::{Changes, Layers};
 pub use model::Model;
 
 use prost::encoding::{DecodeContext, WireType, decode_key, decode_varint, skip_field};

@@ -57,6 +57,12 @@ impl Model {
         }
     }
 
+    /// Count of the tiles.
+    #[must_use]
+    pub fn tiles(&self) -> u32 {
+        self.geometry.grid.tiles()
+    }
+
     /// All tiles, once something is known of each.
     #[must_use]
     pub fn geometry(&self) -> Option<&Geometry> {

@@ -5,7 +5,7 @@ use proptest::prelude::*;
 use super::chunk::{self, Area};
 use super::wire::{self, Video};
 use super::*;
-use crate::{Geometry, Grid, Intrinsics, Plane, Tile, ViewBox};
+use crate::{Geometry, Grid, Intrinsics, Photo, Plane, Tile, ViewBox};
 
 /// Tiles that differ, with labels in patches; a background here and there.
 fn geometry(width: u32, height: u32, size: u32, seed: u32) -> Geometry {
@@ -54,6 +54,44 @@ proptest! {
         prop_assert_eq!(model.geometry(), Some(&whole));
         // older ones, and the same once more
         prop_assert_eq!(model.take(&wire::Geometry { frame: 1, chunks: chunks(&|_| true, 1) }).unwrap(), Vec::<u32>::new());
+    }
+
+    /// Whatever changes of tiles and pixels, one after the other: what is kept is what comes of the last tiles and frame alone, and what
+    /// is said to be as before is.
+    #[test]
+    fn layers_that_are_kept_are_those_of_a_fresh_start(
+        w in 40u32..260, h in 40u32..200,
+        steps in prop::collection::vec((any::<u64>(), any::<[u16; 4]>()), 1..5),
+    ) {
+        let mut now = geometry(w, h, 64, 0);
+        now.view_box = ViewBox { x: 0.05, y: 0.03, z: 0.04 };
+        let grid = now.grid;
+        let mut photo = Photo { width: w, height: h, rgb: (0..w * h).map(|i| [(i % 251) as u8, (i / w) as u8, (i * 7 / 3) as u8]).collect() };
+        let mut kept = Layers::default();
+        prop_assert_eq!(kept.update(&now, |_| false, photo.clone()).layers.len(), grid.tiles() as usize);
+        for (seed, (bits, [x, y, side, colour])) in (1u32..).zip(steps) {
+            let other = geometry(w, h, 64, seed);
+            let changed = |t: u32| bits >> (t % 64) & 7 == 7;
+            for t in (0..grid.tiles()).filter(|t| changed(*t)) {
+                now.tiles[t as usize] = other.tiles[t as usize].clone();
+            }
+            let (x, y, side) = (u32::from(x) % w, u32::from(y) % h, u32::from(side) % 40);
+            for at in (y..h.min(y + side)).flat_map(|y| (x..w.min(x + side)).map(move |x| y * w + x)) {
+                photo.rgb[at as usize] = colour.to_le_bytes().map(|c| c ^ at as u8).into_iter().chain([9]).collect::<Vec<_>>().try_into().unwrap();
+            }
+            let before: Vec<_> = (0..grid.tiles()).map(|t| kept.tile(t).cloned()).collect();
+            let changes = kept.update(&now, changed, photo.clone());
+            let mut fresh = Layers::default();
+            fresh.update(&now, |_| true, photo.clone());
+            for t in 0..grid.tiles() {
+                let (is, was, should) = (kept.tile(t).unwrap(), before[t as usize].as_ref().unwrap(), fresh.tile(t).unwrap());
+                prop_assert!(is.layers == should.layers && is.texels == should.texels, "tile {}", t);
+                prop_assert!(changes.texels.contains(&t) || is.texels == was.texels, "tile {}", t);
+                prop_assert!(changes.layers.contains(&t) || is.layers == was.layers, "tile {}", t);
+            }
+            // nothing changes twice
+            prop_assert_eq!(kept.update(&now, |_| false, photo.clone()), Changes::default());
+        }
     }
 
     #[test]
