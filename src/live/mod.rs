@@ -11,9 +11,11 @@
 //! | `publisher`, `viewer` | one socket each |
 //! | `room` | what sockets and threads of a room share |
 //! | `ring` | messages since the last key frame |
+//! | `gops` | the same as groups of pictures, for plain HTTP |
 //! | `worker` | the threads that decode and make geometry |
 
 mod access;
+mod gops;
 mod publisher;
 mod ring;
 mod room;
