@@ -64,6 +64,9 @@ struct BenchArgs {
     /// Draw the view from beside the camera for two frames of every so many
     #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u32).range(2..=100_000), value_name = "N")]
     views: u32,
+    /// Write the streams to this folder, and as pictures the frames, views and true views that are compared
+    #[arg(long, value_name = "DIR")]
+    files: Option<PathBuf>,
     /// The figures as JSON
     #[arg(long)]
     json: bool,
@@ -107,6 +110,7 @@ fn bench(args: &BenchArgs) -> anyhow::Result<()> {
         views: args.views,
         models: models::load(&args.models.settings())?,
         depth: networks::available().is_ok(),
+        files: args.files.clone(),
     };
     let told = |what: &str| eprintln!("tmpi live bench: {what}");
     if let Some(file) = &args.learn {

@@ -83,13 +83,18 @@ pub fn end_of(key: &[u8], room: &str, token: &str, now: u64) -> Option<u64> {
 /// # Errors
 /// 403.
 pub fn check_origin(headers: &HeaderMap) -> Result<(), Problem> {
+    let foreign = || Problem::new(StatusCode::FORBIDDEN, "cross-site", "a page of another site may not come into a room");
+    if let Some(site) = headers.get("sec-fetch-site") {
+        return if site == "same-origin" || site == "none" { Ok(()) } else { Err(foreign()) };
+    }
+    // no browser, or one that does not say
     let Some(origin) = headers.get(header::ORIGIN) else { return Ok(()) };
     let origin = origin.to_str().ok().and_then(|o| o.parse::<Uri>().ok()).and_then(|o| o.authority().cloned());
     let host = headers.get(header::HOST).and_then(|h| h.to_str().ok()).and_then(|h| h.parse::<Authority>().ok());
     if origin.is_some() && origin == host {
         return Ok(());
     }
-    Err(Problem::new(StatusCode::FORBIDDEN, "cross-site", "a page of another site may not come into a room"))
+    Err(foreign())
 }
 
 #[cfg(test)]
@@ -128,15 +133,18 @@ mod tests {
 
     #[test]
     fn pages_of_other_sites_stay_out() {
-        let headers = |origin: Option<&'static str>| {
-            let mut h = HeaderMap::new();
-            h.insert(header::HOST, header::HeaderValue::from_static("localhost:8080"));
-            if let Some(origin) = origin {
-                h.insert(header::ORIGIN, header::HeaderValue::from_static(origin));
-            }
-            check_origin(&h).is_ok()
+        let headers = |pairs: &[(&'static str, &'static str)]| {
+            let pairs = [&[("host", "localhost:8080")], pairs].concat();
+            let header = |(name, value)| (header::HeaderName::from_static(name), header::HeaderValue::from_static(value));
+            check_origin(&pairs.into_iter().map(header).collect()).is_ok()
         };
-        assert!(headers(None) && headers(Some("http://localhost:8080")));
-        assert!(!headers(Some("http://localhost:8081")) && !headers(Some("https://example.org")) && !headers(Some("null")));
+        assert!(headers(&[]) && headers(&[("origin", "http://localhost:8080")]));
+        for origin in ["http://localhost:8081", "https://example.org", "null"] {
+            assert!(!headers(&[("origin", origin)]), "{origin}");
+        }
+        for (site, good) in [("same-origin", true), ("none", true), ("same-site", false), ("cross-site", false), ("", false)] {
+            assert_eq!(headers(&[("sec-fetch-site", site)]), good, "{site}");
+        }
+        assert!(!headers(&[("sec-fetch-site", "cross-site"), ("origin", "http://localhost:8080")]));
     }
 }

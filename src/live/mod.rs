@@ -7,13 +7,17 @@
 //! | file | what |
 //! |---|---|
 //! | `access` | who may publish and watch |
+//! | `invite` | what pages ask of a room, and tokens for those who watch |
 //! | `routes` | the addresses, and the upgrade to web sockets |
 //! | `publisher`, `viewer` | one socket each |
 //! | `room` | what sockets and threads of a room share |
 //! | `ring` | messages since the last key frame |
+//! | `gops` | the same as groups of pictures, for plain HTTP |
 //! | `worker` | the threads that decode and make geometry |
 
 mod access;
+mod gops;
+mod invite;
 mod publisher;
 mod ring;
 mod room;

@@ -45,12 +45,12 @@ async fn session(socket: &mut WebSocket, room: &Arc<Room>, config: &Config, stop
     let size = (hello.width, hello.height);
     let decoder = video::decoder(&hello.codec, size).map_err(|e| e.to_string())?;
     let clock = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_micros() as u64);
-    room.publish(hello, clock).ok_or("someone publishes in this room")?;
+    let epoch = room.publish(hello, clock).ok_or("someone publishes in this room")?;
     // given back however this ends
     let _seat = Seat(room);
     let geometry = Geometry::new(config.models.clone(), settings);
     let (done, mut decoded) = mpsc::channel(16);
-    let worker = Worker::start(Arc::clone(room), decoder, geometry, done).map_err(|e| format!("starting a thread: {e}"))?;
+    let worker = Worker::start((Arc::clone(room), epoch), decoder, geometry, done).map_err(|e| format!("starting a thread: {e}"))?;
     let mut frames = Frames { next: None, allowed: 0, due: Instant::now(), broken: 0 };
     frames.credit(socket, CREDIT, false).await?;
     loop {
@@ -72,12 +72,12 @@ async fn session(socket: &mut WebSocket, room: &Arc<Room>, config: &Config, stop
                 frames.check(&video)?;
                 let (frame, data) = (video.frame, video.data.clone());
                 let what = if video.key { What::Key } else { What::Frame { layer: video.layer } };
-                room.push(what, write(Kind::Video(video)));
+                room.push(epoch, what, write(Kind::Video(video)));
                 if !worker.take(Coded { frame, data, at: std::time::Instant::now() }) {
                     return Err("more frames came than can be decoded".into());
                 }
             }
-            Some(Kind::Sound(sound)) if sound.data.len() <= SOUND_BYTES => room.push(What::Sound, write(Kind::Sound(sound))),
+            Some(Kind::Sound(sound)) if sound.data.len() <= SOUND_BYTES => room.push(epoch, What::Sound, write(Kind::Sound(sound))),
             Some(_) => return Err("a message that publishers do not send".into()),
         }
     }

@@ -1,10 +1,10 @@
 //! What the sockets and threads of a room share.
 
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::Instant;
 
 use bytes::Bytes;
-use tokio::sync::{Notify, watch};
+use tokio::sync::{Notify, OnceCell, watch};
 
 use tmpi_core::live::chunk::{self, Area};
 use tmpi_core::live::wire::message::Kind;
@@ -12,6 +12,7 @@ use tmpi_core::live::wire::{self, Hello, Statistics};
 use tmpi_core::live::{LiveError, write};
 use tmpi_core::{Geometry, Photo};
 
+use super::gops::{Group, Groups, Part};
 use super::ring::{Place, Ring, Step, What};
 use super::{KEYS, VIEWERS};
 
@@ -33,20 +34,54 @@ struct State {
     publishing: bool,
     closed: bool,
     viewers: usize,
+    groups: Groups,
     still: Option<Arc<Still>>,
-    snapshot: Option<(u64, Bytes)>,
     asked: Option<Instant>,
     statistics: Statistics,
 }
 
 /// The last frame whose geometry is done.
 pub struct Still {
-    /// Its number.
-    pub frame: u64,
     /// Its picture.
     pub photo: Photo,
     /// Its tiles.
+    pub tiles: Arc<Tiles>,
+    /// All of it as a container, made when it is first asked for.
+    pub atlas: OnceCell<Bytes>,
+}
+
+/// All tiles as of a frame.
+pub struct Tiles {
+    /// Its number.
+    pub frame: u64,
+    /// They themselves.
     pub geometry: Geometry,
+    /// As a message, coded when it is first wanted.
+    coded: OnceLock<Bytes>,
+}
+
+impl Still {
+    /// Of a frame.
+    pub fn new(frame: u64, photo: Photo, geometry: Geometry) -> Self {
+        Self { photo, tiles: Arc::new(Tiles { frame, geometry, coded: OnceLock::new() }), atlas: OnceCell::new() }
+    }
+}
+
+impl Tiles {
+    /// They as a message, coded once.
+    ///
+    /// # Errors
+    /// [`LiveError`].
+    pub fn snapshot(&self) -> Result<Bytes, LiveError> {
+        if let Some(known) = self.coded.get() {
+            return Ok(known.clone());
+        }
+        let g = &self.geometry;
+        let chunk = chunk::encode(&g.grid, Area::all(&g.grid), &g.tiles, self.frame)?;
+        let bytes = write(Kind::Snapshot(wire::Geometry { frame: self.frame, chunks: vec![chunk] }));
+        // two who come at once code the same
+        Ok(self.coded.get_or_init(|| bytes).clone())
+    }
 }
 
 /// What a viewer does next.
@@ -110,7 +145,7 @@ impl Room {
         (hello.epoch, hello.clock) = (state.epoch, clock);
         state.hello = Some(Arc::new(hello));
         state.ring.clear();
-        (state.still, state.snapshot, state.statistics) = (None, None, Statistics::default());
+        (state.groups, state.still, state.statistics) = (Groups::default(), None, Statistics::default());
         let epoch = state.epoch;
         drop(state);
         self.changed();
@@ -119,13 +154,20 @@ impl Room {
 
     /// The publisher has gone.
     pub fn unpublish(&self) {
-        self.lock().publishing = false;
+        let mut state = self.lock();
+        state.publishing = false;
+        state.groups.end();
+        drop(state);
         self.changed();
     }
 
-    /// Hands a message on.
-    pub fn push(&self, what: What, bytes: Bytes) {
-        let mut state = self.lock();
+    /// Hands a message on that comes of a publisher of `epoch`; what is left of one that has gone is dropped.
+    pub fn push(&self, epoch: u64, what: What, bytes: Bytes) {
+        let mut guard = self.lock();
+        let state = &mut *guard;
+        if state.epoch != epoch {
+            return;
+        }
         match what {
             What::Key | What::Frame { .. } => {
                 state.statistics.frames += 1;
@@ -134,15 +176,22 @@ impl Room {
             What::Geometry => state.statistics.geometry_bytes += bytes.len() as u64,
             What::Sound => {}
         }
-        state.ring.push(what, bytes, Instant::now());
-        drop(state);
+        let now = Instant::now();
+        if let Some(hello) = &state.hello {
+            state.groups.push(what, &bytes, now, hello, state.still.as_ref().map(|s| &s.tiles));
+        }
+        state.ring.push(what, bytes, now);
+        drop(guard);
         self.changed();
     }
 
-    /// Keeps the tiles of a frame; `count` counts it.
-    pub fn keep(&self, still: Still, count: impl FnOnce(&mut Statistics)) {
+    /// Keeps the tiles of a frame of a publisher of `epoch`, as [`Self::push`] does; `count` counts it.
+    pub fn keep(&self, epoch: u64, still: Still, count: impl FnOnce(&mut Statistics)) {
         let mut state = self.lock();
-        state.statistics.frame = still.frame;
+        if state.epoch != epoch {
+            return;
+        }
+        state.statistics.frame = still.tiles.frame;
         count(&mut state.statistics);
         state.still = Some(Arc::new(still));
     }
@@ -163,24 +212,31 @@ impl Room {
         Statistics { viewers: state.viewers as u32, skipped: viewer.place.skipped, ..state.statistics }
     }
 
-    /// All tiles as a message, coded once a frame; none before there are any.
-    ///
-    /// # Errors
-    /// [`LiveError`].
-    pub fn snapshot(&self) -> Result<Option<Bytes>, LiveError> {
-        let (still, known) = {
+    /// Message `at` of a group of pictures, HELLO and tiles counted.
+    pub fn group(&self, group: Group, at: usize) -> Part {
+        let part = {
             let state = self.lock();
-            let Some(still) = state.still.clone() else { return Ok(None) };
-            (still, state.snapshot.clone())
+            if state.closed || group.epoch != state.epoch {
+                return Part::Gone;
+            }
+            match state.groups.part(group.number, at) {
+                Ok(Part::NotYet) if !state.publishing => return Part::Gone,
+                part => part,
+            }
         };
-        if let Some((_, bytes)) = known.filter(|(frame, _)| *frame == still.frame) {
-            return Ok(Some(bytes));
-        }
-        let g = &still.geometry;
-        let chunk = chunk::encode(&g.grid, Area::all(&g.grid), &g.tiles, still.frame)?;
-        let bytes = write(Kind::Snapshot(wire::Geometry { frame: still.frame, chunks: vec![chunk] }));
-        self.lock().snapshot = Some((still.frame, bytes.clone()));
-        Ok(Some(bytes))
+        part.unwrap_or_else(|tiles| match tiles.snapshot() {
+            Ok(bytes) => Part::Message(bytes),
+            Err(error) => {
+                tracing::error!(%error, "coding the tiles of a room");
+                Part::Gone
+            }
+        })
+    }
+
+    /// The newest group of pictures.
+    pub fn last_group(&self) -> Option<Group> {
+        let state = self.lock();
+        state.groups.last().map(|number| Group { epoch: state.epoch, number })
     }
 
     /// Lets a viewer in; none where there are as many as may be, or the room is no more.

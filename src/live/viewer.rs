@@ -83,9 +83,9 @@ async fn watch(socket: &mut WebSocket, room: &Room, viewer: &mut Viewer, stop: &
 }
 
 async fn tiles(socket: &mut WebSocket, room: &Room) -> Result<(), axum::Error> {
-    match room.snapshot() {
-        Ok(Some(bytes)) => send(socket, bytes).await,
-        Ok(None) => Ok(()),
+    let Some(still) = room.still() else { return Ok(()) };
+    match still.tiles.snapshot() {
+        Ok(bytes) => send(socket, bytes).await,
         Err(error) => {
             tracing::error!(%error, "coding the tiles of a room");
             Ok(())

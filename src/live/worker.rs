@@ -60,21 +60,28 @@ struct Waiting {
 }
 
 impl Worker {
-    /// Starts the threads; `done` is told of each frame in order.
+    /// Starts the threads for the publisher of `epoch`; `done` is told of each frame in order.
     ///
     /// # Errors
     /// The system starts no thread.
-    pub fn start(room: Arc<Room>, mut decoder: Box<dyn Decoder>, geometry: Geometry, done: mpsc::Sender<Decoded>) -> std::io::Result<Self> {
+    pub fn start(
+        (room, epoch): (Arc<Room>, u64),
+        mut decoder: Box<dyn Decoder>,
+        geometry: Geometry,
+        done: mpsc::Sender<Decoded>,
+    ) -> std::io::Result<Self> {
         let (frames, coded): (_, Receiver<Coded>) = sync_channel(WAITING);
         let slot = Arc::new(Slot::default());
         let (to, from, counted) = (Arc::clone(&slot), slot, Arc::clone(&room));
-        thread::Builder::new().name("tmpi-geometry".into()).spawn(move || geometries(&room, geometry, &from))?;
+        thread::Builder::new().name("tmpi-geometry".into()).spawn(move || geometries((&room, epoch), geometry, &from))?;
         thread::Builder::new().name("tmpi-video".into()).spawn(move || {
+            // the other thread ends with this one, however it ends
+            let to = Filler(to);
             for Coded { frame, data, at } in coded {
                 let outcome = match decoder.decode(&data) {
                     Ok(photo) => {
                         if let Some(photo) = photo {
-                            to.put(Frame { number: frame, photo, depth: None }, at, &counted);
+                            to.0.put(Frame { number: frame, photo, depth: None }, at, &counted);
                         }
                         Decoded::Picture
                     }
@@ -87,7 +94,6 @@ impl Worker {
                     break;
                 }
             }
-            to.end();
         })?;
         Ok(Self { frames })
     }
@@ -95,6 +101,15 @@ impl Worker {
     /// Hands a frame over; false where too many wait.
     pub fn take(&self, coded: Coded) -> bool {
         !matches!(self.frames.try_send(coded), Err(TrySendError::Full(_) | TrySendError::Disconnected(_)))
+    }
+}
+
+/// Who fills a slot, as long as it does.
+struct Filler(Arc<Slot>);
+
+impl Drop for Filler {
+    fn drop(&mut self) {
+        self.0.end();
     }
 }
 
@@ -120,7 +135,7 @@ impl Slot {
 }
 
 /// Makes the geometry of frame after frame.
-fn geometries(room: &Room, mut driver: Geometry, slot: &Slot) {
+fn geometries((room, epoch): (&Room, u64), mut driver: Geometry, slot: &Slot) {
     while let Some((frame, at)) = slot.next() {
         let update = match driver.next(&frame) {
             Ok(update) => update,
@@ -133,13 +148,13 @@ fn geometries(room: &Room, mut driver: Geometry, slot: &Slot) {
         let tiles = geometry.tiles.len() as u64;
         let ms = at.elapsed().as_secs_f64() * 1e3;
         // the tiles are there before anyone is told: who joins now gets them all
-        room.keep(Still { frame: frame.number, photo: frame.photo, geometry: geometry.clone() }, |s| {
+        room.keep(epoch, Still::new(frame.number, frame.photo, geometry.clone()), |s| {
             s.tiles += tiles;
             s.tiles_left_out += tiles - update.sent.len() as u64;
             s.geometry_ms = ms;
         });
         if !update.chunks.is_empty() {
-            room.push(What::Geometry, write(Kind::Geometry(wire::Geometry { frame: frame.number, chunks: update.chunks })));
+            room.push(epoch, What::Geometry, write(Kind::Geometry(wire::Geometry { frame: frame.number, chunks: update.chunks })));
         }
     }
 }

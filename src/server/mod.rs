@@ -62,6 +62,7 @@ pub use limits::Limits;
 pub use maker::{Fault, Maker, PipelineMaker, Product};
 pub use network::{Better, Offer, Renewed};
 pub use problem::Problem;
+pub(crate) use routes::Pairs;
 pub use routes::{Access, Route, openapi, routes};
 
 use app::{App, Shared};
@@ -183,7 +184,8 @@ impl Server {
         let look_over = tokio::spawn(look_over(Arc::clone(&app)));
         let rooms = rooms.map(|rooms| {
             let of = Arc::clone(&app);
-            live::routes::router(rooms, token.clone(), Arc::new(move |headers: &HeaderMap| of.hosts.is_own(headers)))
+            let own = Arc::new(move |headers: &HeaderMap| of.hosts.is_own(headers));
+            live::routes::router(live::routes::Here { rooms, stop: token.clone(), own })
         });
         accept::serve(listener, routes::router(Arc::clone(&app), rooms), &app.limits, &app.telemetry, &token).await;
         probe.abort();

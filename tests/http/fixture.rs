@@ -7,6 +7,7 @@ use std::sync::{Arc, Condvar, Mutex};
 use std::time::{Duration, Instant};
 
 use serde_json::Value;
+use tmpi::live::{Config as RoomConfig, Rooms};
 use tmpi::server::{Config, Fault, Limits, Maker, PipelineMaker, Product, Server};
 use tmpi_core::{Camera, DisparityMap, Photo, Scene};
 use tmpi_pipeline::depth::{DepthError, Estimator};
@@ -191,7 +192,9 @@ impl Running {
             public_list: false,
             limits,
         };
-        Self::of(async move { Server::bind(config, maker, renderer).await.unwrap() })
+        let models = Models { depth: Arc::new(Ramp), theta: None, psi: None };
+        let rooms = Rooms::new(RoomConfig { models, frame_ms: 0.0, key: None });
+        Self::of(async move { Server::bind(config, maker, renderer).await.unwrap().with_rooms(rooms) })
     }
 
     /// Whatever server that is.

@@ -56,7 +56,7 @@ fn server(data: &Path) -> Running {
 const SIZE: (u32, u32) = (160, 120);
 
 /// A bright square at `x`.
-fn frame(x: u32) -> Vec<u8> {
+pub fn frame(x: u32) -> Vec<u8> {
     let (width, height) = SIZE;
     let pixel = |i: u32| if (x..x + 32).contains(&(i % width)) && (40..80).contains(&(i / width)) { 220 } else { 60 };
     let rgba = (0..width * height).map(|i| [pixel(i), pixel(i), pixel(i), 255]).collect();
@@ -112,20 +112,20 @@ impl Client {
     }
 }
 
-struct Publisher {
+pub struct Publisher {
     client: Client,
     credit: u32,
     number: u64,
 }
 
 impl Publisher {
-    fn new(addr: SocketAddr, room: &str) -> Self {
+    pub fn new(addr: SocketAddr, room: &str) -> Self {
         let mut client = Client::at(addr, &format!("/v1/live/{room}/publish"), &[]).unwrap_or_else(|status| panic!("{status}"));
         client.send(Kind::Hello(hello()));
         Self { client, credit: 0, number: 0 }
     }
 
-    fn publish(&mut self, data: Vec<u8>) {
+    pub fn publish(&mut self, data: Vec<u8>) {
         while self.credit == 0 {
             match self.client.next() {
                 Some(Kind::Credit(c)) => self.credit += c.frames,
@@ -194,6 +194,7 @@ fn frames_reach_viewers_as_they_are_and_geometry_follows() {
     assert!(scene.photo.at(10 + 4 * 19 + 16, 60)[0] > 150);
     assert_eq!(client::get(server.addr, "/v1/live/attic/frames/7/atlas").status, 404);
     assert_eq!(client::get(server.addr, "/v1/live/cellar/frames/latest/atlas").status, 404);
+    groups_are_the_same_for_whoever_asks(server.addr, &mut publisher);
     // the publisher goes and comes back
     drop(publisher);
     let mut publisher = Publisher::new(server.addr, "attic");
@@ -207,6 +208,55 @@ fn frames_reach_viewers_as_they_are_and_geometry_follows() {
             Kind::Bye(bye) => panic!("{}", bye.reason),
             _ => {}
         }
+    }
+}
+
+/// Messages of a group of pictures.
+fn messages(mut body: &[u8]) -> Vec<Kind> {
+    let mut messages = Vec::new();
+    while let Some((length, rest)) = body.split_first_chunk::<4>() {
+        let (message, rest) = rest.split_at(u32::from_le_bytes(*length) as usize);
+        messages.push(read(message.to_vec().into()).unwrap());
+        body = rest;
+    }
+    assert!(body.is_empty());
+    messages
+}
+
+fn groups_are_the_same_for_whoever_asks(addr: SocketAddr, publisher: &mut Publisher) {
+    let at = |group: &str| client::get(addr, &format!("/v1/live/attic/gops/{group}"));
+    // the next one is asked for before it begins
+    let waits = std::thread::spawn(move || client::get(addr, "/v1/live/attic/gops/1-1"));
+    for n in 20..24 {
+        std::thread::sleep(Duration::from_millis(600));
+        publisher.publish(frame(10 + 4 * (n % 20)));
+    }
+    let first = at("1-0");
+    assert_eq!((first.status, first.header("content-type")), (200, Some("application/vnd.tmpi.live")));
+    assert_eq!(first.header("cache-control"), Some("private, max-age=31536000, immutable"));
+    let token = tmpi::live::token(KEY, tmpi::live::Role::Watch, "attic", u64::MAX).unwrap();
+    let again = at(&format!("1-0?token={token}"));
+    assert_eq!(again.header("cache-control"), Some("public, max-age=31536000, immutable"));
+    assert_eq!(again.body, first.body);
+    let frames = |messages: &[Kind]| -> Vec<u64> {
+        messages.iter().filter_map(|m| if let Kind::Video(v) = m { Some(v.frame) } else { None }).collect()
+    };
+    let first = messages(&first.body);
+    assert!(matches!(&first[0], Kind::Hello(h) if h.epoch == 1));
+    assert_eq!(frames(&first), (0..frames(&first).len() as u64).collect::<Vec<_>>());
+    // a group begins with all that was known before it
+    let second = messages(&waits.join().unwrap().body);
+    let (Kind::Hello(hello), Kind::Snapshot(tiles)) = (&second[0], &second[1]) else { panic!("HELLO and the tiles come first") };
+    let mut model = Model::new(hello).unwrap();
+    model.take(tiles).unwrap();
+    assert!(model.geometry().is_some());
+    let (first, second) = (frames(&first), frames(&second));
+    assert_eq!((second[0], second.len() >= 2), (first[first.len() - 1] + 1, true));
+    let newest = at("latest");
+    assert_eq!(newest.status, 307);
+    assert!(newest.header("location").is_some_and(|l| l.starts_with("1-") && l > "1-1"));
+    for gone in ["1-9", "2-0", "0-0", "1-00", "one"] {
+        assert_eq!(at(gone).status, 404, "{gone}");
     }
 }
 

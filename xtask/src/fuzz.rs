@@ -8,12 +8,13 @@ use std::sync::Mutex;
 use crate::command::{Fault, cargo, output, root, run, run_quietly};
 
 /// Those of `src/fuzzing.rs`; a test there holds this list against them.
-const TARGETS: [&str; 16] = [
+const TARGETS: [&str; 17] = [
     "container",
     "labels",
     "planes",
     "message",
     "units",
+    "video",
     "query",
     "jpeg",
     "png",

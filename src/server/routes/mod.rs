@@ -31,10 +31,12 @@ use utoipa_axum::routes;
 
 use super::app::App;
 use super::middleware;
+pub(crate) use query::Pairs;
 pub(super) use view_query::ViewQuery;
 
 use super::pages;
 use super::problem::Problem;
+use crate::live;
 
 #[derive(OpenApi)]
 #[openapi(
@@ -49,6 +51,7 @@ use super::problem::Problem;
     security(()),
     tags(
         (name = "photos", description = "Photos and what is made of them"),
+        (name = "live", description = "Rooms, in which photos move"),
         (name = "system", description = "Health, metrics and this document")
     ),
     components(schemas(Problem))
@@ -111,7 +114,9 @@ fn cors() -> CorsLayer {
 /// # Errors
 /// It cannot be written as JSON.
 pub fn openapi() -> serde_json::Result<Bytes> {
-    let mut document = serde_json::to_value(own_api().merge(open_api()).into_openapi())?;
+    let mut document = own_api().merge(open_api()).into_openapi();
+    document.merge(live::routes::api().into_openapi());
+    let mut document = serde_json::to_value(document)?;
     words::put(&mut document);
     serde_json::to_vec_pretty(&document).map(Bytes::from)
 }
@@ -158,8 +163,8 @@ fn own_pages() -> [(&'static str, MethodRouter<App>, Access); 6] {
 /// All addresses, as [`router`] answers them: it has no others.
 #[must_use]
 pub fn routes() -> Vec<Route> {
-    let described = |api: OpenApiRouter<App>, access| {
-        let paths = api.into_openapi().paths.paths;
+    let described = |api: utoipa::openapi::OpenApi, access| {
+        let paths = api.paths.paths;
         paths.into_iter().map(move |(path, item)| {
             let all = [(item.get, Method::GET), (item.post, Method::POST), (item.patch, Method::PATCH), (item.delete, Method::DELETE)];
             let others = [(item.put, Method::PUT), (item.head, Method::HEAD), (item.options, Method::OPTIONS), (item.trace, Method::TRACE)];
@@ -168,8 +173,9 @@ pub fn routes() -> Vec<Route> {
         })
     };
     let page = |path: &str, access| Route { path: path.to_owned(), methods: vec![Method::GET], access };
-    described(own_api(), Access::Own)
-        .chain(described(open_api(), Access::Open))
+    described(own_api().into_openapi(), Access::Own)
+        .chain(described(open_api().into_openapi(), Access::Open))
+        .chain(described(live::routes::api().into_openapi(), Access::Own))
         .chain(own_pages().map(|(path, _, access)| page(path, access)))
         .chain(files().map(|(path, _)| page(path, Access::Open)))
         .collect()

@@ -13,9 +13,9 @@ pub mod prior;
 #[doc(hidden)]
 pub mod wire;
 
+pub use colour::{I420, to_rgb};
 #[doc(hidden)]
 pub use fuzzing::message as fuzz_message;
-pub use colour::{I420, to_rgb};
 pub use layers::{Changes, Layers};
 pub use model::Model;
 

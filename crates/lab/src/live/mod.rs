@@ -5,6 +5,7 @@ mod measure;
 pub mod sequence;
 
 use std::fmt::Write;
+use std::path::PathBuf;
 
 use serde::Serialize;
 
@@ -41,6 +42,9 @@ pub enum LiveBenchError {
     /// A view could not be drawn.
     #[error(transparent)]
     Render(#[from] tmpi_render::RenderError),
+    /// A file could not be written.
+    #[error("{0}")]
+    Write(PathBuf, #[source] std::io::Error),
 }
 
 /// What is measured.
@@ -60,6 +64,8 @@ pub struct Settings {
     pub models: Models,
     /// Depth can be estimated.
     pub depth: bool,
+    /// Where the streams and some of the pictures are written.
+    pub files: Option<PathBuf>,
 }
 
 /// Means over the frames of a sequence; bytes and milliseconds are a frame's.

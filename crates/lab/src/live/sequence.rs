@@ -41,6 +41,8 @@ const THING: f64 = 0.9;
 const SIZE: (f64, f64) = (0.26, 0.75);
 /// Frames in which it goes to and fro once.
 const PERIOD: f64 = 150.0;
+/// Disparity by which something lies behind something else.
+const BEHIND: f32 = 0.05;
 /// Samples a side of a pixel, for the share of it that the thing covers.
 const SAMPLES: u32 = 4;
 
@@ -55,6 +57,8 @@ pub struct Shot {
     pub delta: DisparityMap,
     /// What a camera beside it sees, without noise.
     pub beside: Photo,
+    /// Pixels of that which the camera itself does not see.
+    pub uncovered: Vec<bool>,
 }
 
 /// A sequence of frames.
@@ -123,7 +127,21 @@ impl Sequence {
         let mut noise = Noise::new(n);
         let rgb =
             clean.photo.rgb.iter().map(|p| p.map(|v| (f64::from(v) + NOISE * noise.next()).round().clamp(0.0, 255.0) as u8)).collect();
-        Shot { noisy: Photo { rgb, ..clean.photo }, clean: clean.photo, delta: clean.disparity, beside: view.photo }
+        let uncovered = self.uncovered(&clean.disparity, &view.disparity);
+        Shot { noisy: Photo { rgb, ..clean.photo }, clean: clean.photo, delta: clean.disparity, beside: view.photo, uncovered }
+    }
+
+    /// Pixels of the view from beside that lie behind something for the camera itself.
+    fn uncovered(&self, here: &DisparityMap, beside: &DisparityMap) -> Vec<bool> {
+        let (w, shift) = (beside.width as usize, self.camera.intrinsics.fx * self.aside);
+        let hidden = |(i, delta): (usize, &f32)| {
+            // where the same point lies in the frame; both of its neighbours, as it lies between two
+            let x = (i % w) as f64 + shift * f64::from(*delta);
+            let row = &here.delta[i / w * w..][..w];
+            let seen = |x: f64| row.get(x as usize).is_none_or(|d| d - delta < BEHIND);
+            !seen(x.floor()) && !seen(x.ceil())
+        };
+        beside.delta.iter().enumerate().map(hidden).collect()
     }
 
     /// Paints the thing, as a camera `at` to the right sees it, over what lies behind it.
