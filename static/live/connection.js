@@ -39,17 +39,17 @@ export function openSocket(address, what, token) {
  * What the server says of a room.
  * @param {string} address
  * @param {string} token
- * @returns {Promise<{state: State, mayPublish: boolean, publishing: boolean}>}
+ * @returns {Promise<{state: State, mayPublish: boolean, publishing: boolean, viewers: number}>}
  */
 export async function look(address, token) {
-  const found = { mayPublish: false, publishing: false };
+  const found = { mayPublish: false, publishing: false, viewers: 0 };
   try {
     const response = await fetch(address, { headers: headersOf(token) });
     if (response.status === 403 || response.status === 401) return { ...found, state: 'refused' };
     if (response.status === 404) return { ...found, state: 'none' };
     if (!response.ok) return { ...found, state: 'away' };
-    const { publishing, may_publish: mayPublish } = await response.json();
-    return { state: publishing ? 'open' : 'waiting', publishing, mayPublish };
+    const { publishing, viewers, may_publish: mayPublish } = await response.json();
+    return { state: publishing ? 'open' : 'waiting', publishing, viewers, mayPublish };
   } catch {
     return { ...found, state: 'away' };
   }
@@ -72,7 +72,8 @@ export class Connection {
    * @param {{message: (bytes: Uint8Array<ArrayBuffer>) => void, state: (state: State) => void}} on
    */
   constructor(room, on) {
-    [this.#room, this.#on] = [room, on];
+    this.#room = room;
+    this.#on = on;
   }
 
   /** Connects, now. */

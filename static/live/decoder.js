@@ -105,7 +105,10 @@ export class RoomDecoder {
       const count = tiles[i + 1];
       if (count === AS_BEFORE) out.push({ tile: tiles[i], layers: null });
       else {
-        out.push({ tile: tiles[i], layers: Array.from({ length: count }, (_, k) => rows.subarray(at + k * COLUMNS, at + (k + 1) * COLUMNS)) });
+        out.push({
+          tile: tiles[i],
+          layers: Array.from({ length: count }, (_, k) => rows.subarray(at + k * COLUMNS, at + (k + 1) * COLUMNS)),
+        });
         at += count * COLUMNS;
       }
     }

@@ -44,7 +44,9 @@ export class Pictures {
    * @param {(error: Error) => void} failed
    */
   constructor(codec, done, failed) {
-    [this.#codec, this.#done, this.#failed] = [codec, done, failed];
+    this.#codec = codec;
+    this.#done = done;
+    this.#failed = failed;
     if (codec === JPEG) return;
     this.#decoder = new VideoDecoder({
       output: (picture) => {

@@ -79,7 +79,8 @@ export class TileAtlas {
         this.#reserve(2 * need);
         for (const tile of this.#tiles) tile.cells = [];
       }
-      for (const tile of this.#tiles) while (tile.cells.length < tile.pieces.length) tile.cells.push(/** @type {number} */ (this.#free.pop()));
+      for (const tile of this.#tiles)
+        while (tile.cells.length < tile.pieces.length) tile.cells.push(/** @type {number} */ (this.#free.pop()));
     }
     const wanted = grown ? this.#tiles.map((_, tile) => tile) : changed.map(({ tile }) => tile);
     return { ...this.#fill(wanted), reshaped: reshaped.length > 0, grown };

@@ -1,6 +1,6 @@
 // A room as it is watched, off the page's thread.
 // In: {watch: {address, token, side, flat}} · {drawn} the last picture is shown · {again} the whole scene once more · {hidden} ·
-// {sound} whether sound is wanted. Out: {type: 'head', head} · {type: 'scene', scene, cells} · {type: 'update', instances, cells} ·
+// {sound} whether sound is wanted · {flat} nothing can draw the scene. Out: {type: 'head', head} · {type: 'scene', scene, cells} · {type: 'update', instances, cells} ·
 // {type: 'picture', picture} where it is to be flat · {type: 'state', state, reason} · {type: 'statistics', …} · {type: 'sound', …}.
 
 import { Connection } from './connection.js';
@@ -76,7 +76,8 @@ class Room {
    * @param {Watched} watched
    */
   constructor(decoder, watched) {
-    [this.#decoder, this.#watched] = [decoder, watched];
+    this.#decoder = decoder;
+    this.#watched = watched;
     this.#connection = new Connection(watched, {
       message: (bytes) => this.#take(bytes),
       state: (state) => this.#say(state === 'waiting' && this.#hello ? 'ended' : state),
@@ -106,6 +107,13 @@ class Room {
     this.#drawing = false;
     const { frame = -1, time = 0 } = this.#shown ?? {};
     if (frame >= 0) this.#measured.latency = clock() - time / 1000;
+    this.#pump();
+  }
+
+  /** Plain video from now on. */
+  flat() {
+    this.#watched.flat = true;
+    this.#drawing = false;
     this.#pump();
   }
 
@@ -334,6 +342,7 @@ self.onmessage = async ({ data }) => {
     if (!now) return;
     if (data.drawn) now.drawn();
     if (data.again) now.again();
+    if (data.flat) now.flat();
     if ('hidden' in data) now.hidden = data.hidden;
     if ('sound' in data) now.sound = data.sound;
   } catch (error) {

@@ -3,7 +3,7 @@
 
 use crate::container::{Part, PhotoRows};
 use crate::layers::{CONTEXT, Surface};
-use crate::{Class, Geometry, Grid, Inpainter, Layer, LayerMasks, Photo, Pyramid, Rect, Texels, grown};
+use crate::{Class, Geometry, Inpainter, Layer, LayerMasks, Photo, Pyramid, Rect, Texels, grown};
 
 /// A hidden colour follows from pixels so far off, and these from the surface beside them.
 const AROUND: u32 = CONTEXT + 1;
