@@ -4,6 +4,7 @@
 mod colour_rows;
 mod dilation;
 mod inpaint;
+mod memory;
 mod prune;
 mod rows;
 mod surface;
@@ -11,6 +12,7 @@ mod texture;
 mod visibility;
 
 pub use inpaint::{Inpainter, Pyramid};
+pub use memory::Memory;
 pub use prune::work_of;
 pub use surface::Surface;
 pub use texture::{TexturedLayer, compose, texture};
