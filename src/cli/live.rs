@@ -6,7 +6,8 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use anyhow::Context as _;
 
 use super::flags::{self, ModelFlags};
-use super::live_client::{self, PublishArgs, WatchArgs};
+use super::live_publish::{self, PublishArgs};
+use super::live_watch::{self, WatchArgs};
 use super::{Usage, files, result};
 use crate::live::{self as rooms, Role};
 use tmpi_lab::live;
@@ -49,8 +50,11 @@ struct BenchArgs {
     /// Size of the frames
     #[arg(long, default_value = "320x240", value_parser = flags::size, value_name = "WxH")]
     size: (u32, u32),
+    /// One sequence alone
+    #[arg(long, value_parser = live::NAMES, value_name = "NAME")]
+    only: Option<String>,
     /// Frames of each sequence
-    #[arg(long, default_value_t = 120, value_parser = clap::value_parser!(u32).range(2..=100_000), value_name = "N")]
+    #[arg(long, default_value_t = 240, value_parser = clap::value_parser!(u32).range(2..=100_000), value_name = "N")]
     frames: u32,
     /// How frames are sent; H.264 where the program was built with it
     #[arg(long, default_value = if cfg!(feature = "h264") { "h264" } else { "jpeg" }, value_parser = ["h264", "jpeg"], value_name = "CODEC")]
@@ -82,8 +86,8 @@ const RATE: f64 = 500_000.0 / (320.0 * 240.0);
 
 pub(super) fn run(args: &LiveArgs) -> anyhow::Result<()> {
     match &args.what {
-        What::Publish(args) => live_client::publish(args),
-        What::Watch(args) => live_client::watch(args),
+        What::Publish(args) => live_publish::publish(args),
+        What::Watch(args) => live_watch::watch(args),
         What::Bench(args) => bench(args),
         What::Token(args) => token(args),
     }
@@ -111,6 +115,7 @@ fn bench(args: &BenchArgs) -> anyhow::Result<()> {
         models: models::load(&args.models.settings())?,
         depth: networks::available().is_ok(),
         files: args.files.clone(),
+        only: args.only.clone(),
     };
     let told = |what: &str| eprintln!("tmpi live bench: {what}");
     if let Some(file) = &args.learn {

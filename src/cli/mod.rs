@@ -14,6 +14,8 @@ mod flags;
 mod info;
 mod live;
 mod live_client;
+mod live_publish;
+mod live_watch;
 mod make;
 mod models;
 mod progress;

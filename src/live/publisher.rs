@@ -10,7 +10,7 @@ use tokio::time::{Instant, sleep_until, timeout};
 use tokio_util::sync::CancellationToken;
 
 use tmpi_core::live::wire::message::Kind;
-use tmpi_core::live::wire::{Bye, Credit, Hello, Video};
+use tmpi_core::live::wire::{Bye, Credit, Depth, Hello, Video};
 use tmpi_core::live::{MAX_PIXELS, Model, VERSION, read, write};
 use tmpi_live::{Geometry, Settings, video};
 use tmpi_pipeline::Options;
@@ -52,6 +52,7 @@ async fn session(socket: &mut WebSocket, room: &Arc<Room>, config: &Config, stop
     let (done, mut decoded) = mpsc::channel(16);
     let worker = Worker::start((Arc::clone(room), epoch), decoder, geometry, done).map_err(|e| format!("starting a thread: {e}"))?;
     let mut frames = Frames { next: None, allowed: 0, due: Instant::now(), broken: 0 };
+    let mut depth = None;
     frames.credit(socket, CREDIT, false).await?;
     loop {
         let message = tokio::select! {
@@ -73,9 +74,13 @@ async fn session(socket: &mut WebSocket, room: &Arc<Room>, config: &Config, stop
                 let (frame, data) = (video.frame, video.data.clone());
                 let what = if video.key { What::Key } else { What::Frame { layer: video.layer } };
                 room.push(epoch, what, write(Kind::Video(video)));
-                if !worker.take(Coded { frame, data, at: std::time::Instant::now() }) {
+                if !worker.take(Coded { frame, data, depth: depth.take(), at: std::time::Instant::now() }) {
                     return Err("more frames came than can be decoded".into());
                 }
+            }
+            Some(Kind::Depth(measured)) => {
+                frames.check_depth(&measured, depth.is_some())?;
+                depth = Some(measured.data);
             }
             Some(Kind::Sound(sound)) if sound.data.len() <= SOUND_BYTES => room.push(epoch, What::Sound, write(Kind::Sound(sound))),
             Some(_) => return Err("a message that publishers do not send".into()),
@@ -160,6 +165,16 @@ impl Frames {
         }
         self.allowed -= 1;
         self.next = Some(video.frame.checked_add(1).ok_or("a frame number that none follows")?);
+        Ok(())
+    }
+
+    fn check_depth(&self, depth: &Depth, again: bool) -> Result<(), String> {
+        if depth.data.len() > FRAME_BYTES {
+            return Err(format!("depth of {} bytes, over {FRAME_BYTES}", depth.data.len()));
+        }
+        if again || self.next.is_some_and(|next| next != depth.frame) {
+            return Err(format!("depth of frame {} where that of another one was due", depth.frame));
+        }
         Ok(())
     }
 

@@ -13,8 +13,9 @@ use tokio::sync::mpsc;
 use tmpi_core::live::wire;
 use tmpi_core::live::wire::message::Kind;
 use tmpi_core::live::write;
+use tmpi_core::{DisparityMap, Photo};
 use tmpi_live::video::Decoder;
-use tmpi_live::{Frame, Geometry};
+use tmpi_live::{Frame, Geometry, depth};
 
 use super::ring::What;
 use super::room::{Room, Still};
@@ -28,6 +29,8 @@ pub struct Coded {
     pub frame: u64,
     /// Its bytes.
     pub data: Bytes,
+    /// Its depth as a camera measured it, packed.
+    pub depth: Option<Bytes>,
     /// When it came.
     pub at: Instant,
 }
@@ -77,16 +80,16 @@ impl Worker {
         thread::Builder::new().name("tmpi-video".into()).spawn(move || {
             // the other thread ends with this one, however it ends
             let to = Filler(to);
-            for Coded { frame, data, at } in coded {
-                let outcome = match decoder.decode(&data) {
-                    Ok(photo) => {
-                        if let Some(photo) = photo {
-                            to.0.put(Frame { number: frame, photo, depth: None }, at, &counted);
+            for Coded { frame, data, depth, at } in coded {
+                let outcome = match decoded(decoder.as_mut(), &data, depth.as_deref()) {
+                    Ok(picture) => {
+                        if let Some((photo, depth)) = picture {
+                            to.0.put(Frame { number: frame, photo, depth }, at, &counted);
                         }
                         Decoded::Picture
                     }
                     Err(error) => {
-                        tracing::debug!(%error, frame, "decoding a frame");
+                        tracing::debug!(error, frame, "decoding a frame");
                         Decoded::Broken
                     }
                 };
@@ -132,6 +135,13 @@ impl Slot {
         let mut waiting = self.filled.wait_while(waiting, |w| w.frame.is_none() && !w.ended).unwrap_or_else(PoisonError::into_inner);
         waiting.frame.take().filter(|_| !waiting.ended)
     }
+}
+
+/// A frame's picture and measured depth; none where it holds no picture.
+fn decoded(decoder: &mut dyn Decoder, data: &[u8], packed: Option<&[u8]>) -> Result<Option<(Photo, Option<DisparityMap>)>, String> {
+    let Some(photo) = decoder.decode(data).map_err(|e| e.to_string())? else { return Ok(None) };
+    let depth = packed.map(|packed| depth::unpack(packed, photo.width, photo.height)).transpose().map_err(|e| e.to_string())?;
+    Ok(Some((photo, depth)))
 }
 
 /// Makes the geometry of frame after frame.

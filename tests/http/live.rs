@@ -9,7 +9,7 @@ use tempfile::tempdir;
 use tmpi::live::{Config as RoomConfig, Rooms};
 use tmpi::server::{Config, Limits, Server};
 use tmpi_core::live::wire::message::Kind;
-use tmpi_core::live::wire::{Hello, Video};
+use tmpi_core::live::wire::{Depth, Hello, Sound, Video};
 use tmpi_core::live::{Model, VERSION, read, write};
 use tmpi_core::{DisparityMap, Photo, container};
 use tmpi_pipeline::Models;
@@ -258,6 +258,55 @@ fn groups_are_the_same_for_whoever_asks(addr: SocketAddr, publisher: &mut Publis
     for gone in ["1-9", "2-0", "0-0", "1-00", "one"] {
         assert_eq!(at(gone).status, 404, "{gone}");
     }
+}
+
+#[test]
+fn depth_that_was_measured_is_taken_and_sound_goes_on_as_it_came() {
+    let dir = tempdir().unwrap();
+    let server = server(dir.path());
+    let mut publisher = Publisher::new(server.addr, "attic");
+    // bright is not near here
+    let (width, height) = SIZE;
+    let map = DisparityMap { width, height, delta: (0..width * height).map(|i| if i % width < 80 { 0.25 } else { 0.75 }).collect() };
+    let data = tmpi_live::depth::pack(&map).unwrap();
+    let mut viewer = None;
+    for n in 0..4 {
+        publisher.client.send(Kind::Depth(Depth { frame: n, data: data.clone().into() }));
+        publisher.publish(frame(10 + n as u32));
+        viewer.get_or_insert_with(|| Client::watch(server.addr, "attic"));
+        publisher.client.send(Kind::Sound(Sound { time: n, data: vec![n as u8; 9].into() }));
+    }
+    let (mut model, mut sounds) = (None::<Model>, Vec::new());
+    while sounds.len() < 3 || model.as_ref().is_none_or(|m| m.geometry().is_none()) {
+        match viewer.as_mut().unwrap().next().unwrap() {
+            Kind::Hello(hello) => model = Some(Model::new(&hello).unwrap()),
+            Kind::Geometry(g) | Kind::Snapshot(g) => drop(model.as_mut().unwrap().take(&g).unwrap()),
+            Kind::Sound(s) => {
+                assert_eq!(s.data, vec![s.time as u8; 9]);
+                sounds.push(s.time);
+            }
+            Kind::Video(_) | Kind::Statistics(_) => {}
+            other => panic!("{other:?}"),
+        }
+    }
+    assert!(sounds.is_sorted());
+    let model = model.unwrap();
+    let geometry = model.geometry().unwrap();
+    let shown = geometry.tiles[0].shown(&geometry.grid, 0);
+    assert!(shown.iter().all(|d| (d - 0.25).abs() < 0.02), "{:?}", geometry.tiles[0].planes);
+    // of a frame that is not next, and none at all
+    let says = |mut publisher: Publisher, depth: Depth, words: &str| {
+        while publisher.credit == 0 {
+            let Some(Kind::Credit(c)) = publisher.client.next() else { panic!("credit comes") };
+            publisher.credit += c.frames;
+        }
+        publisher.client.send(Kind::Depth(depth));
+        let reason = publisher.client.bye();
+        assert!(reason.contains(words), "{reason}");
+    };
+    says(publisher, Depth { frame: 9, data: data.clone().into() }, "another one was due");
+    let publisher = Publisher::new(server.addr, "cellar");
+    says(publisher, Depth { frame: 0, data: vec![0; (1 << 20) + 1].into() }, "over 1048576");
 }
 
 #[test]

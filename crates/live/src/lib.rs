@@ -12,11 +12,12 @@
 //! 5. Chunks ([`tmpi_core::live::chunk`]) of the tiles that came out otherwise.
 //!
 //! [`Geometry`] drives all that under a budget of time: what does not fit waits for the next frame, what changed most goes first.
-//! [`video`] decodes what publishers send, [`units`] splits their streams. Nothing here knows of sockets or rooms, and nothing waits.
+//! [`video`] and [`depth`] decode what publishers send, [`units`] splits their streams. Nothing here knows of sockets or rooms, and nothing waits.
 
 pub mod align;
 mod budget;
 pub mod change;
+pub mod depth;
 mod geometry;
 pub mod units;
 pub mod video;

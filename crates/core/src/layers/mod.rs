@@ -4,6 +4,7 @@
 mod colour_rows;
 mod dilation;
 mod inpaint;
+mod memory;
 mod prune;
 mod rows;
 mod surface;
@@ -12,6 +13,7 @@ mod visibility;
 
 pub(crate) use inpaint::CONTEXT;
 pub use inpaint::{Inpainter, Pyramid};
+pub use memory::Memory;
 pub use prune::work_of;
 pub use surface::Surface;
 pub use texture::{TexturedLayer, compose, texture};

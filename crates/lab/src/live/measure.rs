@@ -1,55 +1,25 @@
 //! One sequence from the camera to a reader.
 
-use std::sync::Arc;
+use std::path::Path;
 use std::time::Instant;
 
 use tmpi_core::live::{Model, wire};
-use tmpi_core::{Camera, Geometry, Inpainter, Photo, TexturedLayer, compose};
+use tmpi_core::{Memory, Photo};
 use tmpi_live::{Frame, Geometry as Driver, video};
 use tmpi_render::difference::psnr;
-use tmpi_render::{Cpu, Renderer};
+use tmpi_render::{PictureFormat, View};
 
 use super::encode::{Encoder as _, Jpeg};
-use super::sequence::{Kind, Sequence, Shot};
+use super::reader::{Mean, Moment, Reader, ms};
+use super::sequence::{Kind, Sequence};
 use super::{Figures, LiveBenchError, Settings, encoder, room};
-use crate::metrics::ssim_map;
 
 /// How far beside the camera views are drawn: the border of the default view box.
 pub const ASIDE: f64 = 0.03;
 /// Quality of the JPEG files that video is compared with.
 pub const QUALITY: u8 = 90;
-/// Share of a view that is left out on each side, as in the paper.
-const CROP: f64 = 0.15;
-
-/// A reader, and what it shows.
-struct Reader {
-    model: Option<Model>,
-    renderer: Cpu,
-    /// The last view drawn, and the truth of it.
-    last: Option<(Photo, Photo)>,
-    psnr: Mean,
-    ssim: Mean,
-    flicker: Mean,
-    flicker_left_out: Mean,
-}
-
-#[derive(Clone, Copy, Default)]
-struct Mean(f64, f64);
-
-impl Mean {
-    fn add(&mut self, value: f64) {
-        self.0 += value;
-        self.1 += 1.0;
-    }
-
-    fn get(self) -> f64 {
-        if self.1 > 0.0 { self.0 / self.1 } else { 0.0 }
-    }
-}
-
-fn ms(since: Instant) -> f64 {
-    since.elapsed().as_secs_f64() * 1e3
-}
+/// Seconds after which what a reader has seen counts.
+const SETTLED: f64 = 5.0;
 
 /// Runs a sequence through a room that carries its geometry on, and through one that does not.
 pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Result<Figures, LiveBenchError> {
@@ -58,15 +28,17 @@ pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Resul
     let mut decoder = video::decoder(encoder.codec(), settings.size)?;
     let mut carried = Driver::new(settings.models.clone(), room(sequence, settings.frame_ms, false));
     let mut separate = Driver::new(settings.models.clone(), room(sequence, 0.0, true));
-    let (mut reader, mut other) = (Reader::new(), Reader::new());
-    let mut last: Option<Photo> = None;
+    let (mut reader, mut other) = (Reader::default(), Reader::default());
+    // the truth of the frame before, and of each tile the pixels that its geometry was made of
+    let (mut last, mut taken): (Option<Photo>, Option<Photo>) = (None, None);
+    let mut stream = Vec::new();
     let (mut tiles, mut still, mut found) = (0usize, 0usize, 0usize);
-    let (mut snapshots, mut video_psnr, mut jpeg_psnr, mut masks, mut fill) =
-        (Mean::default(), Mean::default(), Mean::default(), Mean::default(), Mean::default());
+    let (mut snapshots, mut video_psnr, mut jpeg_psnr, mut clocks) = (Mean::default(), Mean::default(), Mean::default(), Vec::new());
     for n in 0..settings.frames {
         let shot = sequence.shot(n);
         let (data, _) = encoder.encode(&shot.noisy)?;
         f.video_bytes += data.len() as f64;
+        stream.extend_from_slice(&data);
         let before = Instant::now();
         let Some(photo) = decoder.decode(&data)? else { continue };
         let decode_ms = ms(before);
@@ -85,7 +57,7 @@ pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Resul
         let update = carried.next(&frame)?;
         let server_ms = ms(before) + decode_ms;
         f.server_ms += server_ms;
-        f.server_ms_most = f.server_ms_most.max(server_ms);
+        clocks.push(server_ms);
         for s in &update.stages {
             add(&mut f.stages_ms, &s.name, s.ms);
         }
@@ -97,35 +69,65 @@ pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Resul
         }
         if let Some(g) = carried.geometry() {
             tiles += g.tiles.len();
+            let taken = taken.get_or_insert_with(|| frame.photo.clone());
             for t in 0..g.grid.tiles() {
                 let truly = last.as_ref().is_some_and(|l| same(l, &shot.clean, g.grid.rect(t)));
                 still += usize::from(truly);
                 found += usize::from(truly && !update.changed.contains(&t));
             }
+            update.changed.iter().for_each(|t| copy(&frame.photo, taken, g.grid.rect(*t)));
+            let off = taken.rgb.as_flattened().iter().zip(frame.photo.rgb.as_flattened()).map(|(a, b)| a.abs_diff(*b)).max();
+            f.left_out_off = f.left_out_off.max(off.unwrap_or_default());
             f.left_out += (g.tiles.len() - update.sent.len()) as f64;
             let before = Instant::now();
             let model = reader.model.get_or_insert(Model::new(&Model::hello(g))?);
             model.take(&message)?;
             f.read_ms += ms(before);
+            let memory = reader.memory.get_or_insert_with(|| Memory::new(g.grid));
+            if update.cut {
+                memory.forget();
+            }
+        }
+        let known = reader.model.as_ref().and_then(Model::geometry).cloned();
+        if let Some(g) = &known {
+            let before = Instant::now();
+            reader.see(g, &frame.photo);
+            f.memory_ms += ms(before);
         }
         if n % settings.views <= 1 {
             if let Some(snapshot) = carried.snapshot(n.into())? {
                 let geometry = wire::Geometry { frame: n.into(), chunks: vec![snapshot] };
                 snapshots.add(tmpi_core::live::write(wire::message::Kind::Snapshot(geometry)).len() as f64);
             }
-            let known = reader.model.as_ref().and_then(Model::geometry).cloned();
-            if let Some(g) = known {
-                let (mask_ms, fill_ms) = reader.show(&g, &frame.photo, sequence, &shot, n % settings.views == 1, &update.changed)?;
-                masks.add(mask_ms);
-                fill.add(fill_ms);
-            }
+            let moment = |geometry, changed| Moment {
+                geometry,
+                photo: &frame.photo,
+                shot: &shot,
+                beside: sequence.beside(),
+                follows: n % settings.views == 1,
+                changed,
+                settled: f64::from(n) >= SETTLED * 30.0,
+            };
+            let view = known.as_ref().map(|g| reader.show(moment(g, &update.changed))).transpose()?;
             separate.next(&frame)?;
-            if let Some(g) = separate.geometry().cloned() {
-                other.show(&g, &frame.photo, sequence, &shot, n % settings.views == 1, &[])?;
+            let by_itself = separate.geometry().map(|g| other.show(moment(g, &[]))).transpose()?;
+            if let Some(folder) = settings.files.as_deref().filter(|_| n % settings.views == 0) {
+                let pictures = [("frame", Some(&frame.photo)), ("beside", view.as_ref()), ("separate", by_itself.as_ref())];
+                for (what, picture) in pictures.into_iter().chain([("truth", Some(&shot.beside))]) {
+                    if let Some(picture) = picture {
+                        write(folder, &format!("{}-{n:04}-{what}.png", kind.slug()), &png(picture)?)?;
+                    }
+                }
             }
         }
         last = Some(shot.clean);
     }
+    if let Some(folder) = &settings.files {
+        write(folder, &format!("{}.{}", kind.slug(), if settings.bitrate.is_some() { "h264" } else { "mjpeg" }), &stream)?;
+    }
+    clocks.sort_by(f64::total_cmp);
+    f.server_ms_most = clocks.last().copied().unwrap_or_default();
+    f.server_ms_p95 = clocks.get(clocks.len() * 95 / 100).copied().unwrap_or_default();
     let frames = f64::from(settings.frames.max(1));
     for sum in [
         &mut f.video_bytes,
@@ -135,6 +137,7 @@ pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Resul
         &mut f.decode_ms,
         &mut f.server_ms,
         &mut f.read_ms,
+        &mut f.memory_ms,
     ] {
         *sum /= frames;
     }
@@ -143,7 +146,10 @@ pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Resul
     f.left_out /= tiles.max(1) as f64;
     f.unchanged_found = found as f64 / still.max(1) as f64;
     (f.snapshot_bytes, f.video_psnr, f.jpeg_psnr) = (snapshots.get(), video_psnr.get(), jpeg_psnr.get());
-    (f.masks_ms, f.fill_ms) = (masks.get(), fill.get());
+    (f.masks_ms, f.fill_ms) = (reader.masks.get(), reader.fill.get());
+    let decibels = |square: Mean| if square.get() > 0.0 { 10.0 * (255f64.powi(2) / square.get()).log10() } else { 0.0 };
+    (f.uncovered_psnr, f.uncovered_psnr_made_up) = (decibels(reader.remembered), decibels(reader.made_up));
+    f.own_view_off = reader.off;
     (f.psnr, f.ssim, f.flicker, f.flicker_left_out) =
         (reader.psnr.get(), reader.ssim.get(), reader.flicker.get(), reader.flicker_left_out.get());
     (f.psnr_separate, f.ssim_separate, f.flicker_separate) = (other.psnr.get(), other.ssim.get(), other.flicker.get());
@@ -165,80 +171,21 @@ fn same(a: &Photo, b: &Photo, r: tmpi_core::Rect) -> bool {
     })
 }
 
-impl Reader {
-    fn new() -> Self {
-        let none = Mean::default;
-        Self { model: None, renderer: Cpu::default(), last: None, psnr: none(), ssim: none(), flicker: none(), flicker_left_out: none() }
-    }
-
-    /// Draws the view from beside the camera and compares it with the truth, and with the frame before where it `follows` one. Gives the
-    /// milliseconds that masks and hidden colours took.
-    fn show(
-        &mut self,
-        g: &Geometry,
-        photo: &Photo,
-        sequence: &Sequence,
-        shot: &Shot,
-        follows: bool,
-        changed: &[u32],
-    ) -> Result<(f64, f64), LiveBenchError> {
-        let before = Instant::now();
-        let shapes = g.masks();
-        let masks_ms = ms(before);
-        let before = Instant::now();
-        let colours = Inpainter::new(photo, g).fill_all(&shapes);
-        let fill_ms = ms(before);
-        let tiles = shapes.into_iter().zip(colours);
-        let tiles = tiles.map(|(s, c)| s.layers.into_iter().zip(c).map(|(shape, hidden)| TexturedLayer { shape, hidden }).collect());
-        let scene = Arc::new(compose(photo.clone(), g, tiles.collect()));
-        let camera = Camera { pose: sequence.beside(), intrinsics: g.intrinsics, width: photo.width, height: photo.height };
-        let view = self.renderer.render(&scene, &camera)?;
-        let view = Photo { width: view.width, height: view.height, rgb: view.rgba.iter().map(|p| [p[0], p[1], p[2]]).collect() };
-        self.psnr.add(psnr(cropped(&view).as_flattened(), cropped(&shot.beside).as_flattened()));
-        let ssim = ssim_map(&cropped(&view), &cropped(&shot.beside), inner(view.width).len());
-        self.ssim.add(ssim.iter().map(|v| f64::from(*v)).sum::<f64>() / ssim.len().max(1) as f64);
-        if follows && let Some((last, truth)) = &self.last {
-            // where nothing that changed is near: tiles and what parallax brings to them
-            let calm: Vec<bool> = calm(g, changed);
-            let (mut all, mut left) = (Mean::default(), Mean::default());
-            let pixels = view.rgb.iter().zip(&last.rgb).zip(shot.beside.rgb.iter().zip(&truth.rgb)).zip(&calm);
-            for (((now, was), (true_now, true_was)), calm) in pixels {
-                if true_now == true_was {
-                    let change = now.iter().zip(was).map(|(a, b)| f64::from(a.abs_diff(*b))).sum::<f64>() / 3.0;
-                    all.add(change);
-                    if *calm {
-                        left.add(change);
-                    }
-                }
-            }
-            self.flicker.add(all.get());
-            if left.1 > 0.0 {
-                self.flicker_left_out.add(left.get());
-            }
-        }
-        self.last = Some((view, shot.beside.clone()));
-        Ok((masks_ms, fill_ms))
+/// Copies the pixels of a rectangle.
+fn copy(from: &Photo, to: &mut Photo, r: tmpi_core::Rect) {
+    for y in r.y..r.y + r.h {
+        let row = y as usize * from.width as usize + r.x as usize;
+        to.rgb[row..row + r.w as usize].copy_from_slice(&from.rgb[row..row + r.w as usize]);
     }
 }
 
-/// Pixels that no changed tile, nor one beside it, has.
-fn calm(g: &Geometry, changed: &[u32]) -> Vec<bool> {
-    let mut calm = vec![true; g.grid.width as usize * g.grid.height as usize];
-    for t in changed {
-        let r = tmpi_core::grown(g.grid.rect(*t), g.grid.size, g.grid.size, &g.grid);
-        for y in r.y..r.y + r.h {
-            let row = y as usize * g.grid.width as usize + r.x as usize;
-            calm[row..row + r.w as usize].fill(false);
-        }
-    }
-    calm
+fn png(photo: &Photo) -> Result<Vec<u8>, LiveBenchError> {
+    let rgba = photo.rgb.iter().map(|[r, g, b]| [*r, *g, *b, 255]).collect();
+    let view = View { width: photo.width, height: photo.height, rgba };
+    tmpi_render::encode(&view, PictureFormat::Png, 0).map_err(|e| LiveBenchError::Encode(e.to_string()))
 }
 
-fn inner(side: u32) -> std::ops::Range<u32> {
-    let crop = (f64::from(side) * CROP) as u32;
-    crop..side - crop
-}
-
-fn cropped(p: &Photo) -> Vec<[u8; 3]> {
-    inner(p.height).flat_map(|y| inner(p.width).map(move |x| p.at(x, y))).collect()
+fn write(folder: &Path, name: &str, bytes: &[u8]) -> Result<(), LiveBenchError> {
+    let path = folder.join(name);
+    std::fs::create_dir_all(folder).and_then(|()| std::fs::write(&path, bytes)).map_err(|e| LiveBenchError::Write(path, e))
 }

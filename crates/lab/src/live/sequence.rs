@@ -31,6 +31,17 @@ impl Kind {
             Self::Cut => "cut",
         }
     }
+
+    /// Its name in files.
+    #[must_use]
+    pub const fn slug(self) -> &'static str {
+        match self {
+            Self::Still => "still",
+            Self::Measured => "measured",
+            Self::Moving => "moving",
+            Self::Cut => "cut",
+        }
+    }
 }
 
 /// Deviation of the sensor's noise, in levels.
