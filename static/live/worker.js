@@ -63,7 +63,7 @@ class Room {
   #shown = null;
   /** @type {ReturnType<typeof setTimeout> | undefined} */
   #timer;
-  #measured = { made: 0, video: 0, latency: 0, lag: 0, frames: 0, bytes: 0 };
+  #measured = { made: 0, copy: 0, video: 0, latency: 0, lag: 0, frames: 0, bytes: 0 };
   /** Fastest way of a frame so far, ms between two clocks. */
   #fastest = Infinity;
   /** @type {Statistics | null} */
@@ -262,12 +262,14 @@ class Room {
     this.#busy = true;
     this.#late = false;
     const { head } = this.#hello;
-    const started = performance.now();
+    let started = performance.now();
     try {
       if (next) {
         this.#next = null;
         const { format, bytes } = await pixelsOf(next.picture, head).finally(() => next.picture.close());
         if (this.#hello.head !== head) return;
+        this.#measured.copy += (performance.now() - started - this.#measured.copy) * WEIGHT;
+        started = performance.now();
         this.#decoder.frame(format, bytes);
         this.#shown = next;
       }
@@ -322,13 +324,25 @@ class Room {
 
   #tell() {
     if (this.#state === 'live' && performance.now() - this.#lastFrame > STALLED_MS) this.#say('stalled');
-    const { made, video, latency, lag, frames, bytes } = this.#measured;
+    const { made, copy, video, latency, lag, frames, bytes } = this.#measured;
     [this.#measured.frames, this.#measured.bytes] = [0, 0];
     const seconds = TELL_MS / 1000;
     const rates = { frames: frames / seconds, kbits: (bytes * 8e-3) / seconds };
     const { viewers = 0, skipped = 0, geometryMs = 0 } = this.#statistics ?? {};
     const frame = this.#shown?.frame ?? -1;
-    postMessage({ type: 'statistics', frame, madeMs: made, videoMs: video, latency, lag, ...rates, viewers, skipped, geometryMs });
+    postMessage({
+      type: 'statistics',
+      frame,
+      madeMs: made,
+      copyMs: copy,
+      videoMs: video,
+      latency,
+      lag,
+      ...rates,
+      viewers,
+      skipped,
+      geometryMs,
+    });
   }
 }
 

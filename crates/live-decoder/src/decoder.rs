@@ -120,7 +120,7 @@ impl Decoder {
         let said = [width, height, size, stride, h.fx, h.fy, h.cx, h.cy, h.view_x, h.view_y, h.view_z];
         if self.said != said {
             (self.size, self.said) = ((h.width, h.height), said);
-            (self.frame, self.layers) = (None, Layers::default());
+            (self.frame, self.layers) = (None, Layers::remembering());
         }
         self.model = Some(model);
         self.data = format!("{}\n{}", h.codec, h.sound).into_bytes().into();

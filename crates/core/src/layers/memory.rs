@@ -4,7 +4,7 @@
 //! later has seen less and makes up more. What a texel is, and where, does not depend on it; its colour alone does.
 
 use super::{LayerMasks, Surface, TileFrame};
-use crate::scene::{Class, Grid, Photo, Rect};
+use crate::scene::{Class, Grid, Photo, Plane, Rect};
 
 /// δ by which something lies in front of what is remembered, or a layer apart from it: the noise of depth from frame to frame is less.
 const APART: f32 = 0.05;
@@ -90,19 +90,20 @@ impl Memory {
     pub fn recall(&self, first: u32, masks: &[LayerMasks], colours: &mut [Vec<Vec<[u8; 3]>>]) -> usize {
         let layers =
             masks.iter().zip(colours).zip(first..).flat_map(|((m, c), tile)| m.layers.iter().zip(c).map(move |(l, c)| (tile, l, c)));
-        layers.map(|(tile, layer, colours)| self.recall_layer(TileFrame::of(&self.grid, tile), layer, colours)).sum()
+        layers.map(|(tile, l, colours)| self.recall_layer(tile, &l.plane, l.rect, &l.class, colours)).sum()
     }
 
-    fn recall_layer(&self, place: TileFrame, layer: &super::LayerMask, colours: &mut [[u8; 3]]) -> usize {
-        let Rect { x, y, w, .. } = layer.rect;
-        let hidden = (0u32..).zip(&layer.class).filter(|(_, c)| **c == Class::Hidden as u8);
+    /// The same of one layer.
+    pub(crate) fn recall_layer(&self, tile: u32, plane: &Plane, rect: Rect, class: &[u8], colours: &mut [[u8; 3]]) -> usize {
+        let (place, Rect { x, y, w, .. }) = (TileFrame::of(&self.grid, tile), rect);
+        let hidden = (0u32..).zip(class).filter(|(_, c)| **c == Class::Hidden as u8);
         let mut count = 0;
         for ((i, _), colour) in hidden.zip(colours) {
             let (x, y) = (x + i % w, y + i / w);
             let at = y as usize * self.grid.width as usize + x as usize;
             let known = self.delta[at];
             // a layer may lie nearer than what was seen there, as its plane was guessed from beside; what was seen nearer is another one's
-            if !known.is_nan() && known <= place.disparity(&layer.plane, x, y) + APART {
+            if !known.is_nan() && known <= place.disparity(plane, x, y) + APART {
                 *colour = self.rgb[at];
                 count += 1;
             }
@@ -114,7 +115,7 @@ impl Memory {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Geometry, Inpainter, Intrinsics, Plane, Tile, ViewBox};
+    use crate::{Geometry, Inpainter, Intrinsics, Tile, ViewBox};
 
     const SIDE: u32 = 64;
 

@@ -1,9 +1,9 @@
-//! Layers of a room's tiles, kept from frame to frame: what neither a tile nor a pixel near it changed stays as it was. What comes out is
-//! what would come of tiles and frame alone, without those before.
+//! Layers of a room's tiles, kept from frame to frame: what neither a tile nor a pixel near it changed stays as it was. Without a memory
+//! what comes out is what would come of tiles and frame alone, without those before.
 
 use crate::container::{Part, PhotoRows};
 use crate::layers::{CONTEXT, Surface};
-use crate::{Class, Geometry, Inpainter, Layer, LayerMasks, Photo, Pyramid, Rect, Texels, grown};
+use crate::{Class, Geometry, Inpainter, Layer, LayerMasks, Memory, Photo, Pyramid, Rect, Texels, grown};
 
 /// A hidden colour follows from pixels so far off, and these from the surface beside them.
 const AROUND: u32 = CONTEXT + 1;
@@ -15,6 +15,8 @@ pub struct Layers {
     surface: Option<Surface>,
     parts: Vec<Part>,
     pyramid: Pyramid,
+    remembers: bool,
+    memory: Option<Memory>,
 }
 
 /// Numbers of the tiles that are others than before, in order.
@@ -27,6 +29,12 @@ pub struct Changes {
 }
 
 impl Layers {
+    /// The same that show what was seen before something came in front of it.
+    #[must_use]
+    pub fn remembering() -> Self {
+        Self { remembers: true, ..Self::default() }
+    }
+
     /// The frame that is shown.
     #[must_use]
     pub const fn photo(&self) -> &PhotoRows {
@@ -50,12 +58,16 @@ impl Layers {
         let changed: Vec<bool> = (0..grid.tiles()).map(|t| anew || changed(t)).collect();
         let pixels: Vec<Option<Rect>> =
             (0..grid.tiles()).map(|t| if anew { Some(grid.rect(t)) } else { difference(&self.photo.rgb, &photo, grid.rect(t)) }).collect();
-        self.photo = PhotoRows { width: photo.width, height: photo.height, top: 0, rgb: photo.rgb };
         let kept = self.surface.take().filter(|_| !changed.contains(&true));
         let surface = kept.unwrap_or_else(|| geometry.surface());
         if anew {
             self.parts = vec![Part::default(); grid.tiles() as usize];
+            self.memory = self.remembers.then(|| Memory::new(*grid));
         }
+        if let Some(memory) = &mut self.memory {
+            memory.take(&photo, surface.clone());
+        }
+        self.photo = PhotoRows { width: photo.width, height: photo.height, top: 0, rgb: photo.rgb };
         let changes = self.follow(geometry, &surface, &changed, &pixels);
         self.surface = Some(surface);
         changes
@@ -80,7 +92,7 @@ impl Layers {
             let mut other = reshaped || pixels[t as usize].is_some();
             if part.texels.class.contains(&(Class::Hidden as u8)) && (reshaped || near()) {
                 let inpainter = inpainter.get_or_insert_with(|| Inpainter::on(*grid, surface.clone(), &self.photo.rgb));
-                let hidden = coloured(inpainter, part, &mut self.pyramid);
+                let hidden = coloured(inpainter, self.memory.as_ref(), part, &mut self.pyramid);
                 other |= hidden != part.texels.hidden;
                 part.texels.hidden = hidden;
             }
@@ -128,11 +140,15 @@ fn shaped(tile: u32, masks: LayerMasks) -> Part {
     Part { layers, texels }
 }
 
-fn coloured(inpainter: &Inpainter, part: &Part, pyramid: &mut Pyramid) -> Vec<[u8; 3]> {
+fn coloured(inpainter: &Inpainter, memory: Option<&Memory>, part: &Part, pyramid: &mut Pyramid) -> Vec<[u8; 3]> {
     let mut out = Vec::with_capacity(part.texels.hidden.len());
     for l in &part.layers {
         let class = &part.texels.class[l.first_texel..l.first_texel + l.rect.area()];
-        out.extend(inpainter.fill(l.tile, &l.plane, l.rect, class, pyramid));
+        let mut colours = inpainter.fill(l.tile, &l.plane, l.rect, class, pyramid);
+        if let Some(memory) = memory {
+            memory.recall_layer(l.tile, &l.plane, l.rect, class, &mut colours);
+        }
+        out.extend(colours);
     }
     out
 }
