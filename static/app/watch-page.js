@@ -15,6 +15,7 @@ const NOTE_MS = 5000;
 const CREDIBLE_MS = 20_000;
 
 const room = roomOf();
+const narrow = matchMedia('(max-width: 640px)');
 const sound = new SoundPlayer();
 /** What is said where there is no picture yet. */
 const WAITING = {
@@ -75,8 +76,12 @@ function showStatistics(told) {
   if (!shown || document.body.dataset.state !== 'live') return;
   const behind = told.latency > 0 && told.latency < CREDIBLE_MS ? told.latency : told.lag;
   sound.late = behind / 1000;
-  const parts = [`${Math.round(behind)} ms`, t('{0} frames/s', String(Math.round(told.frames))), `${Math.round(told.kbits)} kbit/s`];
-  if (told.viewers) parts.push(t('{0} watching', String(told.viewers)));
+  const parts = [`${Math.round(behind)} ms`, t('{0} frames/s', String(Math.round(told.frames)))];
+  // a phone has room for the room's name beside that
+  if (!narrow.matches) {
+    parts.push(`${Math.round(told.kbits)} kbit/s`);
+    if (told.viewers) parts.push(t('{0} watching', String(told.viewers)));
+  }
   $('readout').textContent = parts.join(' · ');
 }
 

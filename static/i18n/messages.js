@@ -204,6 +204,7 @@ const GERMAN = {
   'Behind the camera · frames a second · data rate · who watch': 'Hinter der Kamera · Bilder je Sekunde · Datenrate · wie viele zusehen',
   'Connecting…': 'Verbindet …',
   'Go live': 'Live gehen',
+  'Go live with your camera': 'Mit der Kamera live gehen',
   'Go live: {0}': 'Live gehen: {0}',
   'Going live here needs a link with a token that is still good. Ask who sent you here for a new one.':
     'Um hier live zu gehen, braucht es einen Link mit gültiger Marke. Bitte um einen neuen bitten, wer ihn geschickt hat.',

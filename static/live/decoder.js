@@ -27,7 +27,8 @@ export const PIXELS = Object.freeze({ I420: 0, NV12: 1, RGBA: 2 });
  */
 /** @typedef {{kind: 'bye', reason: string, again: boolean}} Bye */
 /** @typedef {{kind: 'credit', frames: number, key: boolean}} Credit */
-/** @typedef {Hello | Video | Sound | Tiles | Statistics | Bye | Credit} Message */
+/** @typedef {{kind: 'other'}} Other is for nobody here */
+/** @typedef {Hello | Video | Sound | Tiles | Statistics | Bye | Credit | Other} Message */
 
 /** @typedef {{tile: number, layers: Float64Array[] | null}} ChangedTile its layers, nine numbers each (crates/live-decoder), or null where it has those of before */
 
@@ -78,7 +79,8 @@ export class RoomDecoder {
       return { kind: 'statistics', frame, viewers, frames, videoBytes, geometryBytes, tiles, leftOut, skipped, forwardMs, geometryMs };
     }
     if (kind === 7) return { kind: 'bye', reason: this.#text(DATA), again: n[0] === 1 };
-    return { kind: 'credit', frames: n[0], key: n[1] === 1 };
+    if (kind === 8) return { kind: 'credit', frames: n[0], key: n[1] === 1 };
+    return { kind: 'other' };
   }
 
   /**

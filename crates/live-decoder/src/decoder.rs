@@ -104,6 +104,8 @@ impl Decoder {
                 Ok(self.told(7, &[f64::from(u8::from(again))]))
             }
             Kind::Credit(c) => Ok(self.told(8, &[f64::from(c.frames), f64::from(u8::from(c.key))])),
+            // measured depth is the server's alone
+            Kind::Depth(_) => Ok(self.told(9, &[])),
         }
     }
 

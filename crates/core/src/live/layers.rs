@@ -1,5 +1,6 @@
 //! Layers of a room's tiles, kept from frame to frame: what neither a tile nor a pixel near it changed stays as it was. Without a memory
-//! what comes out is what would come of tiles and frame alone, without those before.
+//! what comes out is what would come of tiles and frame alone, without those before: at once but for hidden colours, which
+//! follow within a few frames where nothing but the picture changed.
 
 use crate::container::{Part, PhotoRows};
 use crate::layers::{CONTEXT, Surface};
@@ -7,6 +8,8 @@ use crate::{Class, Geometry, Inpainter, Layer, LayerMasks, Memory, Photo, Pyrami
 
 /// A hidden colour follows from pixels so far off, and these from the surface beside them.
 const AROUND: u32 = CONTEXT + 1;
+/// Of the tiles whose hidden colours alone are out of date, so many parts are made anew, one a frame: they show little, and cost the most.
+const TURNS: u32 = 8;
 
 /// Layers and texels of all tiles.
 #[derive(Default)]
@@ -14,6 +17,10 @@ pub struct Layers {
     photo: PhotoRows,
     surface: Option<Surface>,
     parts: Vec<Part>,
+    /// Whose hidden colours are out of date.
+    stale: Vec<bool>,
+    /// Which of the [`TURNS`] is next.
+    turn: u32,
     pyramid: Pyramid,
     remembers: bool,
     memory: Option<Memory>,
@@ -62,6 +69,7 @@ impl Layers {
         let surface = kept.unwrap_or_else(|| geometry.surface());
         if anew {
             self.parts = vec![Part::default(); grid.tiles() as usize];
+            self.stale = vec![false; grid.tiles() as usize];
             self.memory = self.remembers.then(|| Memory::new(*grid));
         }
         if let Some(memory) = &mut self.memory {
@@ -78,6 +86,7 @@ impl Layers {
         let tiles: Vec<Rect> = (0..).zip(changed).filter(|(_, c)| **c).map(|(t, _)| grid.rect(t)).collect();
         let mut inpainter = None;
         let mut out = Changes::default();
+        self.turn = (self.turn + 1) % TURNS;
         for t in 0..grid.tiles() {
             let (rect, part) = (grid.rect(t), &mut self.parts[t as usize]);
             let window = geometry.window(t);
@@ -90,7 +99,10 @@ impl Layers {
             let around = grown(rect, AROUND, AROUND, grid);
             let near = || pixels.iter().flatten().chain(&tiles).any(|c| overlap(c, &around));
             let mut other = reshaped || pixels[t as usize].is_some();
-            if part.texels.class.contains(&(Class::Hidden as u8)) && (reshaped || near()) {
+            let stale = &mut self.stale[t as usize];
+            *stale = part.texels.class.contains(&(Class::Hidden as u8)) && (reshaped || *stale || near());
+            if *stale && (reshaped || t % TURNS == self.turn) {
+                *stale = false;
                 let inpainter = inpainter.get_or_insert_with(|| Inpainter::on(*grid, surface.clone(), &self.photo.rgb));
                 let hidden = coloured(inpainter, self.memory.as_ref(), part, &mut self.pyramid);
                 other |= hidden != part.texels.hidden;

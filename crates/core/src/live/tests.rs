@@ -80,7 +80,11 @@ proptest! {
                 photo.rgb[at as usize] = colour.to_le_bytes().map(|c| c ^ at as u8).into_iter().chain([9]).collect::<Vec<_>>().try_into().unwrap();
             }
             let before: Vec<_> = (0..grid.tiles()).map(|t| kept.tile(t).cloned()).collect();
-            let changes = kept.update(&now, changed, photo.clone());
+            let mut changes = kept.update(&now, changed, photo.clone());
+            // hidden colours follow
+            for _ in 0..8 {
+                changes.texels.extend(kept.update(&now, |_| false, photo.clone()).texels);
+            }
             let mut fresh = Layers::default();
             fresh.update(&now, |_| true, photo.clone());
             for t in 0..grid.tiles() {
