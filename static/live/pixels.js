@@ -5,11 +5,12 @@ import { PIXELS } from './decoder.js';
 /**
  * @param {VideoFrame | ImageBitmap} picture of that size; closed by the caller
  * @param {{width: number, height: number}} size
+ * @param {boolean} copies whether samples may be copied as they are
  * @returns {Promise<{format: number, bytes: Uint8Array | Uint8ClampedArray}>} planes without gaps
  */
-export async function pixelsOf(picture, { width, height }) {
+export async function pixelsOf(picture, { width, height }, copies) {
   const format = 'format' in picture ? picture.format : null;
-  if ('copyTo' in picture && (format === 'I420' || format === 'NV12')) {
+  if (copies && 'copyTo' in picture && (format === 'I420' || format === 'NV12')) {
     const rect = picture.visibleRect ?? undefined;
     const across = Math.ceil(width / 2);
     const down = Math.ceil(height / 2);

@@ -30,6 +30,8 @@ import '../view/limits.js';
 const STALLED_MS = 3000;
 /** Pause between two messages of what is measured, ms. */
 const TELL_MS = 500;
+/** Longest that copying the samples of a frame may take, ms: a browser was seen that never ended it. */
+const COPY_MS = 500;
 /** Weight of the newest in what is smoothed. */
 const WEIGHT = 0.1;
 
@@ -53,6 +55,8 @@ class Room {
   #hold = new Hold();
   #busy = false;
   #drawing = false;
+  /** Samples are copied as they are; else by way of a canvas. */
+  #copies = true;
   #hidden = false;
   /** Tiles came after the frame that is shown. */
   #late = false;
@@ -266,8 +270,9 @@ class Room {
     try {
       if (next) {
         this.#next = null;
-        const { format, bytes } = await pixelsOf(next.picture, head).finally(() => next.picture.close());
-        if (this.#hello.head !== head) return;
+        const pixels = await this.#pixels(next, head);
+        if (!pixels || this.#hello.head !== head) return;
+        const { format, bytes } = pixels;
         this.#measured.copy += (performance.now() - started - this.#measured.copy) * WEIGHT;
         started = performance.now();
         this.#decoder.frame(format, bytes);
@@ -281,6 +286,18 @@ class Room {
       this.#busy = false;
     }
     if (this.#next) this.#pump();
+  }
+
+  /**
+   * Samples of a frame, or null where they cannot be had in time: the next one is taken in another way then.
+   * @param {Decoded} of
+   * @param {SceneHead} head
+   */
+  async #pixels({ picture }, head) {
+    const late = new Promise((resume) => setTimeout(() => resume(null), COPY_MS));
+    const pixels = await Promise.race([pixelsOf(picture, head, this.#copies), late]).finally(() => picture.close());
+    if (!pixels) this.#copies = false;
+    return pixels;
   }
 
   /**

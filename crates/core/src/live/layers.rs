@@ -10,6 +10,9 @@ use crate::{Class, Geometry, Inpainter, Layer, LayerMasks, Memory, Photo, Pyrami
 const AROUND: u32 = CONTEXT + 1;
 /// Of the tiles whose hidden colours alone are out of date, so many parts are made anew, one a frame: they show little, and cost the most.
 const TURNS: u32 = 8;
+/// Hidden texels so near to what their layer shows go on with its colours: what is remembered there is of before its edge moved, and would
+/// show as a hairline along it.
+const EDGE: usize = 2;
 
 /// Layers and texels of all tiles.
 #[derive(Default)]
@@ -158,9 +161,27 @@ fn coloured(inpainter: &Inpainter, memory: Option<&Memory>, part: &Part, pyramid
         let class = &part.texels.class[l.first_texel..l.first_texel + l.rect.area()];
         let mut colours = inpainter.fill(l.tile, &l.plane, l.rect, class, pyramid);
         if let Some(memory) = memory {
-            memory.recall_layer(l.tile, &l.plane, l.rect, class, &mut colours);
+            let mut seen = colours.clone();
+            memory.recall_layer(l.tile, &l.plane, l.rect, class, &mut seen);
+            let (w, hidden) = (l.rect.w as usize, (0..).zip(class).filter(|(_, c)| **c == Class::Hidden as u8));
+            for (((i, _), colour), seen) in hidden.zip(&mut colours).zip(seen) {
+                if !is_beside_shown(class, w, i) {
+                    *colour = seen;
+                }
+            }
         }
         out.extend(colours);
     }
     out
+}
+
+/// Whether texel `i` of a layer `w` texels wide lies within [`EDGE`] of one that shows the picture.
+fn is_beside_shown(class: &[u8], w: usize, i: usize) -> bool {
+    let (x, y) = (i % w, i / w);
+    let columns = x.saturating_sub(EDGE)..(x + EDGE + 1).min(w);
+    class
+        .chunks(w)
+        .skip(y.saturating_sub(EDGE))
+        .take((y + EDGE + 1) - y.saturating_sub(EDGE))
+        .any(|row| row[columns.clone()].contains(&(Class::Photo as u8)))
 }
