@@ -95,24 +95,24 @@ class Socket:
 
     def messages(self):
         """Whole messages among what has come; the last one is none where the other side has closed."""
-        buffer, at = self.buffer, 0
-        while len(buffer) - at >= 2:
-            length, head = buffer[at + 1] & 127, 2
-            if length == 126 and len(buffer) - at >= 4:
-                length, head = struct.unpack_from(">H", buffer, at + 2)[0], 4
-            elif length == 127 and len(buffer) - at >= 10:
-                length, head = struct.unpack_from(">Q", buffer, at + 2)[0], 10
+        buffer = self.buffer
+        while len(buffer) >= 2:
+            length, head = buffer[1] & 127, 2
+            if length == 126 and len(buffer) >= 4:
+                length, head = struct.unpack_from(">H", buffer, 2)[0], 4
+            elif length == 127 and len(buffer) >= 10:
+                length, head = struct.unpack_from(">Q", buffer, 2)[0], 10
             elif length >= 126:
                 break
-            if len(buffer) - at < head + length:
+            if len(buffer) < head + length:
                 break
-            opcode, payload = buffer[at] & 15, bytes(buffer[at + head:at + head + length])
-            at += head + length
+            opcode, payload = buffer[0] & 15, bytes(buffer[head:head + length])
+            # before it is handed out: whoever stops asking must not be given it again
+            del buffer[:head + length]
             if opcode == 8:
                 yield None
             elif opcode in (0, 2):
                 yield payload
-        del buffer[:at]
 
     def receive(self, seconds=30):
         """Messages as they come, until the other side closes."""

@@ -14,12 +14,25 @@ const CUT: f64 = 0.35;
 const CUT_BLOCKS: f64 = 0.8;
 
 /// How far a block may be from the frame that its geometry was made of and still count as unchanged.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Tolerance {
     /// Largest difference of a channel, in levels; 0: bit for bit.
     pub most: u8,
     /// Mean difference over a block, in levels.
     pub mean: f32,
+}
+
+impl Tolerance {
+    /// Bit for bit.
+    pub const NONE: Self = Self { most: 0, mean: 0.0 };
+}
+
+/// What noise of a deviation of 2 levels leaves between two frames, as it is or as an encoder codes it anew, with something to spare. An
+/// encoder that repeats what stands still needs none of it.
+impl Default for Tolerance {
+    fn default() -> Self {
+        Self { most: 24, mean: 4.0 }
+    }
 }
 
 /// What changed, as a stage that carries the frame that it compares with.
@@ -68,6 +81,12 @@ impl Compare {
     #[must_use]
     pub const fn new(tolerance: Tolerance) -> Self {
         Self { tolerance, reference: None, histogram: [0; BINS] }
+    }
+
+    /// Of each block the pixels when it changed last; none before the first frame.
+    #[must_use]
+    pub const fn reference(&self) -> Option<&Photo> {
+        self.reference.as_ref()
     }
 
     /// Compares with what is known, and knows the frame from then on. The first one, or one of another size, is a cut.
@@ -157,7 +176,7 @@ mod tests {
         #[test]
         fn every_change_is_found_where_it_is(w in 1u32..150, h in 1u32..150, at in any::<u32>(), by in 1u8..) {
             let first = photo(w, h, 1);
-            let mut compare = Compare::new(Tolerance::default());
+            let mut compare = Compare::new(Tolerance::NONE);
             prop_assert!(compare.next(&first).cut);
             prop_assert!(compare.next(&first).is_nothing());
             let mut second = first.clone();
@@ -195,8 +214,36 @@ mod tests {
     }
 
     #[test]
-    fn another_picture_is_a_cut_and_noise_is_none() {
+    fn noise_of_two_levels_changes_nothing_and_what_shows_through_it_does() {
+        let clean = photo(96, 64, 5);
+        let mut seed = 1u64;
+        // the sum of twelve uniform values has the deviation 1
+        let mut noise = || {
+            let mut unit = || {
+                seed = seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+                (seed >> 40) as f64 / f64::from(1u32 << 24)
+            };
+            2.0 * ((0..12).map(|_| unit()).sum::<f64>() - 6.0)
+        };
+        let mut noisy = |p: &Photo| {
+            let rgb = p.rgb.iter().map(|c| c.map(|v| (f64::from(v) + noise()).round().clamp(0.0, 255.0) as u8)).collect();
+            Photo { rgb, ..p.clone() }
+        };
         let mut compare = Compare::new(Tolerance::default());
+        compare.next(&noisy(&clean));
+        for frame in 0..100 {
+            assert!(compare.next(&noisy(&clean)).is_nothing(), "frame {frame}");
+        }
+        let mut other = clean.clone();
+        (0..64).for_each(|i| other.rgb[i / 8 * 96 + i % 8] = clean.rgb[i / 8 * 96 + i % 8].map(|v| v ^ 16));
+        let change = compare.next(&noisy(&other));
+        assert_eq!(change.blocks.iter().position(|b| *b > 0), Some(0));
+        assert_eq!(change.blocks.iter().filter(|b| **b > 0).count(), 1);
+    }
+
+    #[test]
+    fn another_picture_is_a_cut_and_noise_is_none() {
+        let mut compare = Compare::new(Tolerance::NONE);
         let dark = Photo { width: 64, height: 64, rgb: (0..4096).map(|i| [20 + (i % 40) as u8; 3]).collect() };
         compare.next(&dark);
         let noisy = Photo { rgb: dark.rgb.iter().map(|p| p.map(|v| v + 1)).collect(), ..dark.clone() };

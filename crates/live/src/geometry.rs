@@ -6,7 +6,7 @@ use tmpi_core::container::PhotoFormat;
 use tmpi_core::live::LiveError;
 use tmpi_core::live::chunk::{self, Area};
 use tmpi_core::live::wire::Chunk;
-use tmpi_core::{self as core, DisparityMap, Grid, Intrinsics, Photo, Tile};
+use tmpi_core::{self as core, DisparityMap, Grid, Intrinsics, Photo, Rect, Tile};
 use tmpi_pipeline::photo::Limits;
 use tmpi_pipeline::run::Context;
 use tmpi_pipeline::run::stages::{Denoise, Depth, Estimated, Planes, Prepared, Snap, Source};
@@ -18,6 +18,9 @@ use crate::change::{BLOCK, Change, Compare, Tolerance};
 
 /// Share of a tile's pixels whose measured depth must leave the known one for the tile to count as changed though its colours did not.
 const DEPTH_CHANGED: f64 = 0.02;
+
+/// Pixels about a pixel that snapping looks at, over its three passes.
+const SNAP_REACH: u32 = 8;
 
 /// What a room is made with.
 #[derive(Clone, Debug, Default)]
@@ -128,6 +131,12 @@ impl Geometry {
         self.state.as_ref().map(|s| &s.geometry).filter(|g| g.tiles.iter().all(|t| !t.planes.is_empty()))
     }
 
+    /// Of each pixel what it was when its block changed last, which is what its depth was told of.
+    #[must_use]
+    pub const fn reference(&self) -> Option<&Photo> {
+        self.compare.reference()
+    }
+
     /// All tiles as one chunk, as of frame `number`: what a reader that has none begins with.
     ///
     /// # Errors
@@ -167,7 +176,8 @@ impl Geometry {
         let known = state.known;
         if state.stale.contains(&true) && (frame.depth.is_some() || !known || self.budget.depth_is_due()) {
             let before = Instant::now();
-            let map = estimate(&mut job, frame)?;
+            let part = if known { state.stale_part(change.across) } else { None };
+            let map = estimate(&mut job, frame, part)?;
             if frame.depth.is_none() {
                 self.budget.depth_took(ms(before));
             }
@@ -201,8 +211,8 @@ fn target(g: &core::Geometry, options: &Options) -> f64 {
     options.max_error / parallax.0.max(parallax.1).max(1.0)
 }
 
-/// Disparity of a frame: measured and denoised, or estimated; its ramps snapped.
-fn estimate(job: &mut Context, frame: &Frame) -> Result<Estimated, MakeError> {
+/// Disparity of a frame: measured and denoised, or estimated; its ramps snapped, of an estimate those in a `part` alone.
+fn estimate(job: &mut Context, frame: &Frame, part: Option<Rect>) -> Result<Estimated, MakeError> {
     let map = match &frame.depth {
         Some(given) => {
             let map = Estimated { delta: given.clone(), confidence: None, given: true };
@@ -210,7 +220,29 @@ fn estimate(job: &mut Context, frame: &Frame) -> Result<Estimated, MakeError> {
         }
         None => job.run(&mut Depth, (&frame.photo, Source::Network))?,
     };
-    job.run(&mut Snap, (&frame.photo, map))
+    match part.filter(|_| frame.depth.is_none()) {
+        Some(part) => snap_part(job, &frame.photo, map, part),
+        None => job.run(&mut Snap, (&frame.photo, map)),
+    }
+}
+
+/// Snaps the ramps of a part of a map to what they would be snapped to with all of it.
+fn snap_part(job: &mut Context, photo: &Photo, mut map: Estimated, part: Rect) -> Result<Estimated, MakeError> {
+    let width = photo.width as usize;
+    let (x0, y0) = (part.x.saturating_sub(SNAP_REACH), part.y.saturating_sub(SNAP_REACH));
+    let (x1, y1) = ((part.x + part.w + SNAP_REACH).min(photo.width), (part.y + part.h + SNAP_REACH).min(photo.height));
+    let (w, h) = (x1 - x0, y1 - y0);
+    let rows = || (y0..y1).map(|y| y as usize * width + x0 as usize);
+    let rgb = rows().flat_map(|at| &photo.rgb[at..at + w as usize]).copied().collect();
+    let delta = rows().flat_map(|at| &map.delta.delta[at..at + w as usize]).copied().collect();
+    let cut = Estimated { delta: DisparityMap { width: w, height: h, delta }, confidence: None, given: map.given };
+    let snapped = job.run(&mut Snap, (&Photo { width: w, height: h, rgb }, cut))?;
+    for y in part.y..part.y + part.h {
+        let (to, from) = ((y as usize * width) + part.x as usize, ((y - y0) * w + part.x - x0) as usize);
+        let count = part.w as usize;
+        map.delta.delta[to..to + count].copy_from_slice(&snapped.delta.delta[from..from + count]);
+    }
+    Ok(map)
 }
 
 impl State {
@@ -225,6 +257,15 @@ impl State {
             stale: vec![false; blocks],
             known: false,
         }
+    }
+
+    /// The rectangle of all stale blocks, clipped to the picture; none where there is none.
+    fn stale_part(&self, across: usize) -> Option<Rect> {
+        let stale = || self.stale.iter().enumerate().filter(|(_, s)| **s).map(|(i, _)| (i % across, i / across));
+        let (x0, x1) = (stale().map(|b| b.0).min()? as u32 * BLOCK, (stale().map(|b| b.0).max()? as u32 + 1) * BLOCK);
+        let (y0, y1) = (stale().map(|b| b.1).min()? as u32 * BLOCK, (stale().map(|b| b.1).max()? as u32 + 1) * BLOCK);
+        let (x1, y1) = (x1.min(self.delta.width), y1.min(self.delta.height));
+        Some(Rect { x: x0, y: y0, w: x1 - x0, h: y1 - y0 })
     }
 
     /// Notes what changed.

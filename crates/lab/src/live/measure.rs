@@ -6,6 +6,7 @@ use std::time::Instant;
 use tmpi_core::live::{Model, wire};
 use tmpi_core::{Memory, Photo};
 use tmpi_live::{Frame, Geometry as Driver, video};
+use tmpi_pipeline::clock::Clock;
 use tmpi_render::difference::psnr;
 use tmpi_render::{PictureFormat, View};
 
@@ -29,8 +30,8 @@ pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Resul
     let mut carried = Driver::new(settings.models.clone(), room(sequence, settings.frame_ms, false));
     let mut separate = Driver::new(settings.models.clone(), room(sequence, 0.0, true));
     let (mut reader, mut other) = (Reader::default(), Reader::default());
-    // the truth of the frame before, and of each tile the pixels that its geometry was made of
-    let (mut last, mut taken): (Option<Photo>, Option<Photo>) = (None, None);
+    // the truth of the frame before
+    let mut last: Option<Photo> = None;
     let mut stream = Vec::new();
     let (mut tiles, mut still, mut found) = (0usize, 0usize, 0usize);
     let (mut snapshots, mut video_psnr, mut jpeg_psnr, mut clocks) = (Mean::default(), Mean::default(), Mean::default(), Vec::new());
@@ -39,10 +40,11 @@ pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Resul
         let (data, _) = encoder.encode(&shot.noisy)?;
         f.video_bytes += data.len() as f64;
         stream.extend_from_slice(&data);
-        let before = Instant::now();
+        let clock = Clock::start();
         let Some(photo) = decoder.decode(&data)? else { continue };
-        let decode_ms = ms(before);
+        let decode_ms = clock.ms();
         f.decode_ms += decode_ms;
+        f.server_cpu_ms += clock.cpu_ms();
         let (jpeg, _) = Jpeg { quality: QUALITY }.encode(&shot.noisy)?;
         f.jpeg_bytes += jpeg.len() as f64;
         if n % settings.views == 0 {
@@ -53,15 +55,16 @@ pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Resul
         }
         let depth = (kind == Kind::Measured).then(|| shot.delta.clone());
         let frame = Frame { number: n.into(), photo, depth };
-        let before = Instant::now();
+        let clock = Clock::start();
         let update = carried.next(&frame)?;
-        let server_ms = ms(before) + decode_ms;
+        let server_ms = clock.ms() + decode_ms;
+        f.server_cpu_ms += clock.cpu_ms();
         f.server_ms += server_ms;
         clocks.push(server_ms);
         for s in &update.stages {
-            add(&mut f.stages_ms, &s.name, s.ms);
+            add(&mut f.stages_ms, &s.name, (s.ms, s.cpu_ms));
         }
-        add(&mut f.stages_ms, "chunks", update.coding_ms);
+        add(&mut f.stages_ms, "chunks", (update.coding_ms, update.coding_ms));
         let message = wire::Geometry { frame: n.into(), chunks: update.chunks.clone() };
         if !message.chunks.is_empty() {
             f.plane_bytes += message.chunks.iter().map(|c| c.plane_data.len() as f64).sum::<f64>();
@@ -69,14 +72,13 @@ pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Resul
         }
         if let Some(g) = carried.geometry() {
             tiles += g.tiles.len();
-            let taken = taken.get_or_insert_with(|| frame.photo.clone());
             for t in 0..g.grid.tiles() {
                 let truly = last.as_ref().is_some_and(|l| same(l, &shot.clean, g.grid.rect(t)));
                 still += usize::from(truly);
                 found += usize::from(truly && !update.changed.contains(&t));
             }
-            update.changed.iter().for_each(|t| copy(&frame.photo, taken, g.grid.rect(*t)));
-            let off = taken.rgb.as_flattened().iter().zip(frame.photo.rgb.as_flattened()).map(|(a, b)| a.abs_diff(*b)).max();
+            let of = carried.reference().map_or(&[][..], |p| p.rgb.as_flattened());
+            let off = of.iter().zip(frame.photo.rgb.as_flattened()).map(|(a, b)| a.abs_diff(*b)).max();
             f.left_out_off = f.left_out_off.max(off.unwrap_or_default());
             f.left_out += (g.tiles.len() - update.sent.len()) as f64;
             let before = Instant::now();
@@ -136,12 +138,13 @@ pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Resul
         &mut f.jpeg_bytes,
         &mut f.decode_ms,
         &mut f.server_ms,
+        &mut f.server_cpu_ms,
         &mut f.read_ms,
         &mut f.memory_ms,
     ] {
         *sum /= frames;
     }
-    f.stages_ms.iter_mut().for_each(|(_, ms)| *ms /= frames);
+    f.stages_ms.iter_mut().for_each(|(_, ms, cpu)| (*ms, *cpu) = (*ms / frames, *cpu / frames));
     f.kbit_s = (f.video_bytes + f.geometry_bytes) * 30.0 * 8.0 / 1e3;
     f.left_out /= tiles.max(1) as f64;
     f.unchanged_found = found as f64 / still.max(1) as f64;
@@ -156,10 +159,10 @@ pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Resul
     Ok(f)
 }
 
-fn add(sums: &mut Vec<(String, f64)>, name: &str, value: f64) {
-    match sums.iter_mut().find(|(n, _)| n == name) {
-        Some((_, sum)) => *sum += value,
-        None => sums.push((name.to_owned(), value)),
+fn add(sums: &mut Vec<(String, f64, f64)>, name: &str, (ms, cpu): (f64, f64)) {
+    match sums.iter_mut().find(|(n, ..)| n == name) {
+        Some((_, sum, cpus)) => (*sum, *cpus) = (*sum + ms, *cpus + cpu),
+        None => sums.push((name.to_owned(), ms, cpu)),
     }
 }
 
@@ -169,14 +172,6 @@ fn same(a: &Photo, b: &Photo, r: tmpi_core::Rect) -> bool {
         let row = y as usize * a.width as usize + r.x as usize;
         a.rgb[row..row + r.w as usize] == b.rgb[row..row + r.w as usize]
     })
-}
-
-/// Copies the pixels of a rectangle.
-fn copy(from: &Photo, to: &mut Photo, r: tmpi_core::Rect) {
-    for y in r.y..r.y + r.h {
-        let row = y as usize * from.width as usize + r.x as usize;
-        to.rgb[row..row + r.w as usize].copy_from_slice(&from.rgb[row..row + r.w as usize]);
-    }
 }
 
 fn png(photo: &Photo) -> Result<Vec<u8>, LiveBenchError> {

@@ -100,7 +100,7 @@ pub struct Figures {
     pub left_out: f64,
     /// Share of the truly unchanged tiles that were found to be; 0 where no tile is.
     pub unchanged_found: f64,
-    /// Largest difference, in levels, of a pixel from that which the geometry of its tile was made of.
+    /// Largest difference, in levels, of a pixel from that of which its depth was told.
     pub left_out_off: u8,
     /// Pixels that the view from the camera's own place has otherwise than the frame, of all views.
     pub own_view_off: u64,
@@ -118,7 +118,8 @@ pub struct Figures {
     pub ssim: f64,
     /// The same, made frame by frame.
     pub ssim_separate: f64,
-    /// Mean change of the view from beside, in levels, from one frame to the next where the truth does not change.
+    /// Mean change of the view from beside, in levels, where the truth does not change, from the tiles of the frame before to its own: of one
+    /// and the same picture, so that the noise of the video is not in it.
     pub flicker: f64,
     /// The same, made frame by frame.
     pub flicker_separate: f64,
@@ -126,8 +127,10 @@ pub struct Figures {
     pub flicker_left_out: f64,
     /// Decoding on the server.
     pub decode_ms: f64,
-    /// Each stage of the server.
-    pub stages_ms: Vec<(String, f64)>,
+    /// Each stage of the server: milliseconds, and those of processor time.
+    pub stages_ms: Vec<(String, f64, f64)>,
+    /// Processor time of everything on the server.
+    pub server_cpu_ms: f64,
     /// Everything on the server.
     pub server_ms: f64,
     /// The longest of these.
@@ -251,10 +254,11 @@ impl Results {
         line("flicker / frame by frame, levels", &|f| format!("{:.3} / {:.3}", f.flicker, f.flicker_separate));
         line("flicker in left out tiles", &|f| format!("{:.3}", f.flicker_left_out));
         line("server: decode, ms", &|f| format!("{:.2}", f.decode_ms));
-        for name in self.rows.first().map(|r| r.stages_ms.clone()).unwrap_or_default().iter().map(|(n, _)| n) {
-            let of = |f: &Figures| f.stages_ms.iter().find(|(n, _)| n == name).map_or(0.0, |(_, ms)| *ms);
-            line(&format!("server: {name}, ms"), &|f| format!("{:.2}", of(f)));
+        for name in self.rows.first().map(|r| r.stages_ms.clone()).unwrap_or_default().iter().map(|(n, ..)| n) {
+            let of = |f: &Figures| f.stages_ms.iter().find(|(n, ..)| n == name).map_or((0.0, 0.0), |(_, ms, cpu)| (*ms, *cpu));
+            line(&format!("server: {name}, ms (CPU)"), &|f| format!("{:.2} ({:.2})", of(f).0, of(f).1));
         }
+        line("server: all, CPU ms", &|f| format!("{:.1}", f.server_cpu_ms));
         line("server: all, ms (p95, most)", &|f| format!("{:.1} ({:.1}, {:.1})", f.server_ms, f.server_ms_p95, f.server_ms_most));
         line("reader: chunks, ms", &|f| format!("{:.2}", f.read_ms));
         line("reader: memory, ms", &|f| format!("{:.2}", f.memory_ms));

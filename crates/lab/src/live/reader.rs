@@ -21,8 +21,8 @@ pub(super) struct Reader {
     /// What it has seen before, where it keeps that.
     pub memory: Option<Memory>,
     renderer: Cpu,
-    /// The last view drawn, and the truth of it.
-    last: Option<(Photo, Photo)>,
+    /// The tiles that were shown last, and the true view of them.
+    last: Option<(Geometry, Photo)>,
     pub psnr: Mean,
     pub ssim: Mean,
     pub flicker: Mean,
@@ -86,26 +86,30 @@ impl Reader {
         let shapes = g.masks();
         self.masks.add(ms(before));
         let before = Instant::now();
-        let mut colours = Inpainter::new(m.photo, g).fill_all(&shapes);
+        let colours = Inpainter::new(m.photo, g).fill_all(&shapes);
         self.fill.add(ms(before));
-        if let Some(memory) = self.memory.take() {
-            if m.settled {
-                let made_up = self.draw(m, &composed(m, shapes.clone(), colours.clone()), m.beside)?;
-                add_squares(&mut self.made_up, &made_up, m.shot);
-            }
-            memory.recall(0, &shapes, &mut colours);
-            self.memory = Some(memory);
+        if m.settled && self.memory.is_some() {
+            let made_up = self.draw(m, &composed(m, g, shapes.clone(), colours.clone()), m.beside)?;
+            add_squares(&mut self.made_up, &made_up, m.shot);
         }
-        let scene = composed(m, shapes, colours);
+        let scene = self.scene(m, g, shapes, colours);
         let view = self.draw(m, &scene, m.beside)?;
         let own = self.draw(m, &scene, Pose::default())?;
         self.off += own.rgb.iter().zip(&m.photo.rgb).filter(|(a, b)| a != b).count() as u64;
         if m.settled {
             add_squares(&mut self.remembered, &view, m.shot);
         }
-        self.compare(m, &view);
-        self.last = Some((view.clone(), m.shot.beside.clone()));
+        self.compare(m, &view)?;
+        self.last = Some((g.clone(), m.shot.beside.clone()));
         Ok(view)
+    }
+
+    /// The scene of a frame with some tiles, hidden texels as far as they were seen before.
+    fn scene(&self, m: Moment, g: &Geometry, shapes: Vec<LayerMasks>, mut colours: Vec<Vec<Vec<[u8; 3]>>>) -> Arc<Scene> {
+        if let Some(memory) = &self.memory {
+            memory.recall(0, &shapes, &mut colours);
+        }
+        composed(m, g, shapes, colours)
     }
 
     fn draw(&self, m: Moment, scene: &Arc<Scene>, pose: Pose) -> Result<Photo, RenderError> {
@@ -115,12 +119,16 @@ impl Reader {
         Ok(Photo { width, height, rgb: view.rgba.iter().map(|p| [p[0], p[1], p[2]]).collect() })
     }
 
-    fn compare(&mut self, m: Moment, view: &Photo) {
+    fn compare(&mut self, m: Moment, view: &Photo) -> Result<(), RenderError> {
         let shot = m.shot;
         self.psnr.add(psnr(cropped(view).as_flattened(), cropped(&shot.beside).as_flattened()));
         let ssim = ssim_map(&cropped(view), &cropped(&shot.beside), inner(view.width).len());
         self.ssim.add(ssim.iter().map(|v| f64::from(*v)).sum::<f64>() / ssim.len().max(1) as f64);
-        let Some((last, truth)) = self.last.as_ref().filter(|_| m.follows) else { return };
+        let Some((last, truth)) = self.last.take().filter(|_| m.follows) else { return Ok(()) };
+        // this frame with the last one's tiles: what differs then is not the video's noise
+        let shapes = last.masks();
+        let colours = Inpainter::new(m.photo, &last).fill_all(&shapes);
+        let last = self.draw(m, &self.scene(m, &last, shapes, colours), m.beside)?;
         // where nothing that changed is near: tiles and what parallax brings to them
         let calm = calm(m.geometry, m.changed);
         let (mut all, mut left) = (Mean::default(), Mean::default());
@@ -138,6 +146,7 @@ impl Reader {
         if left.1 > 0.0 {
             self.flicker_left_out.add(left.get());
         }
+        Ok(())
     }
 }
 
@@ -145,10 +154,10 @@ pub(super) fn ms(since: Instant) -> f64 {
     since.elapsed().as_secs_f64() * 1e3
 }
 
-fn composed(m: Moment, shapes: Vec<LayerMasks>, colours: Vec<Vec<Vec<[u8; 3]>>>) -> Arc<Scene> {
+fn composed(m: Moment, g: &Geometry, shapes: Vec<LayerMasks>, colours: Vec<Vec<Vec<[u8; 3]>>>) -> Arc<Scene> {
     let tiles = shapes.into_iter().zip(colours);
     let tiles = tiles.map(|(s, c)| s.layers.into_iter().zip(c).map(|(shape, hidden)| TexturedLayer { shape, hidden }).collect());
-    Arc::new(compose(m.photo.clone(), m.geometry, tiles.collect()))
+    Arc::new(compose(m.photo.clone(), g, tiles.collect()))
 }
 
 /// Adds the squared error of the channels where the camera sees nothing.

@@ -85,8 +85,8 @@ fn another_scale_of_the_network_does_not_move_what_moves_over_the_picture() {
     for n in 1..8 {
         room.next(&frame(n, 70 - n as u32)).unwrap();
         let now = shown(&room, 75);
-        // planes are kept while they are within 1.3 × .064; the network's own scale would take it .23 away
-        assert!((now - first).abs() < 0.09, "frame {n}: {now}, not {first}");
+        // planes are kept while they are within 1.5 × .064; the network's own scale would take it .23 away
+        assert!((now - first).abs() < 0.1, "frame {n}: {now}, not {first}");
     }
 }
 
@@ -133,4 +133,28 @@ fn measured_depth_that_changes_alone_is_taken() {
     let mut wrong = with(3, 0.9);
     wrong.depth.as_mut().unwrap().width = 120;
     assert!(matches!(room.next(&wrong), Err(GeometryError::Depth(120, 136, 240, 136))));
+}
+
+#[test]
+fn a_part_is_snapped_as_the_whole_is() {
+    let frame = frame(0, 60);
+    let (width, height) = (frame.photo.width, frame.photo.height);
+    // ramps of seven pixels where the photo has edges
+    let near = |x: u32| (f64::from(x.clamp(56, 63) - 56) / 7.0) as f32;
+    let delta: Vec<f32> = (0..width * height).map(|i| 0.2 + 0.6 * near(i % width)).collect();
+    let map = || Estimated { delta: DisparityMap { width, height, delta: delta.clone() }, confidence: None, given: false };
+    let (models, limits, options) =
+        (Models { depth: Arc::new(Bright::default()), theta: None, psi: None }, Limits::default(), Options::default());
+    let mut job = Context::new(&models, &limits, &options, &Silent);
+    let whole = job.run(&mut Snap, (&frame.photo, map())).unwrap().delta;
+    assert_ne!(whole.delta, delta);
+    for part in [Rect { x: 48, y: 0, w: 24, h: 136 }, Rect { x: 0, y: 40, w: 64, h: 16 }, Rect { x: 56, y: 120, w: 184, h: 16 }] {
+        let found = snap_part(&mut job, &frame.photo, map(), part).unwrap().delta;
+        for i in 0..width * height {
+            let (x, y) = (i % width, i / width);
+            let inside = (part.x..part.x + part.w).contains(&x) && (part.y..part.y + part.h).contains(&y);
+            let should = if inside { whole.delta[i as usize] } else { delta[i as usize] };
+            assert_eq!(found.delta[i as usize].to_bits(), should.to_bits(), "({x}, {y}) of {part:?}");
+        }
+    }
 }
