@@ -18,8 +18,9 @@ import { instances } from '../draw/instances.js';
 
 /** Side of a page at most. */
 const PAGE_SIDE = 2048;
-/** Squares that there are for each tile at first. */
+/** Squares that there are for each tile at first, and beside these: in small pictures most tiles lie at the border, and are continued beyond it. */
 const PER_TILE = 8;
+const MORE = 128;
 
 export class TileAtlas {
   #head;
@@ -41,7 +42,7 @@ export class TileAtlas {
     this.#columns = columns;
     this.#tiles = Array.from({ length: tiles }, () => ({ layers: [], pieces: [], cells: [] }));
     this.#most = Math.max(1, Math.floor(Math.min(PAGE_SIDE, side) / head.tileSize));
-    this.#reserve(tiles * PER_TILE);
+    this.#reserve(tiles * PER_TILE + MORE);
   }
 
   #most;

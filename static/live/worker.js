@@ -28,6 +28,8 @@ import '../view/limits.js';
 
 /** Time without a frame after which the picture stands still, ms. */
 const STALLED_MS = 3000;
+/** Time after which a page that does not say that it shows what it was sent is sent all of it anew, ms. */
+const UNSEEN_MS = 4000;
 /** Pause between two messages of what is measured, ms. */
 const TELL_MS = 500;
 /** Longest that copying the samples of a frame may take, ms: a browser was seen that never ended it. */
@@ -53,8 +55,12 @@ class Room {
   /** @type {Decoded | null} */
   #next = null;
   #hold = new Hold();
+  /** When a frame is shown at the latest: one that takes the place of another that waited does not begin to wait anew. */
+  #due = Infinity;
   #busy = false;
   #drawing = false;
+  /** When the page was sent something last. */
+  #sent = 0;
   /** Samples are copied as they are; else by way of a canvas. */
   #copies = true;
   #hidden = false;
@@ -169,6 +175,7 @@ class Room {
     this.#hello = hello;
     this.#waits = true;
     this.#hold = new Hold();
+    this.#due = Infinity;
     this.#fastest = Infinity;
     this.#pictures?.close();
     this.#pictures = null;
@@ -257,7 +264,9 @@ class Room {
     const next = this.#next;
     if (next && this.#watched.flat) return this.#flat(next);
     if (this.#watched.flat || (!next && !(this.#late && this.#shown))) return;
-    const wait = next ? this.#hold.left(next, performance.now()) : 0;
+    const now = performance.now();
+    if (next) this.#due = Math.min(this.#due, now + this.#hold.left(next, now));
+    const wait = next ? this.#due - now : 0;
     clearTimeout(this.#timer);
     if (wait > 0) {
       this.#timer = setTimeout(() => this.#pump(), wait);
@@ -265,6 +274,7 @@ class Room {
     }
     this.#busy = true;
     this.#late = false;
+    this.#due = Infinity;
     const { head } = this.#hello;
     let started = performance.now();
     try {
@@ -322,6 +332,7 @@ class Room {
     this.#measured.made += (made - this.#measured.made) * (this.#measured.frames ? WEIGHT : 1);
     this.#measured.frames++;
     this.#drawing = true;
+    this.#sent = performance.now();
     const transfer = [cells.data.buffer, cells.places.buffer];
     if (drawn && (grown || !this.#told)) {
       this.#told = true;
@@ -341,6 +352,7 @@ class Room {
 
   #tell() {
     if (this.#state === 'live' && performance.now() - this.#lastFrame > STALLED_MS) this.#say('stalled');
+    if (this.#drawing && !this.#hidden && !this.#watched.flat && performance.now() - this.#sent > UNSEEN_MS) this.again();
     const { made, copy, video, latency, lag, frames, bytes } = this.#measured;
     [this.#measured.frames, this.#measured.bytes] = [0, 0];
     const seconds = TELL_MS / 1000;

@@ -56,6 +56,8 @@ export class Viewer extends EventTarget {
   /** @type {ReturnType<typeof setTimeout> | undefined} */
   #rest;
   #disposed = false;
+  /** A room's scenes are drawn one after the other. */
+  #redrawn = Promise.resolve();
   #stopListening;
   #resizes;
   #reduced = matchMedia('(prefers-reduced-motion: reduce)');
@@ -447,13 +449,18 @@ export class Viewer extends EventTarget {
    * Draws a room's scene from its beginning.
    * @param {Cells} cells
    */
-  async #drawLive(cells) {
-    // what was drawn before was another scene
-    if (this.renderer) this.#backends = await Backends.find();
-    const before = this.renderer;
-    await this.#draw();
-    before?.dispose();
-    if (this.renderer) this.#follow({ instances: null, cells });
+  #drawLive(cells) {
+    const { scene } = this;
+    // one after the other, and only the newest
+    this.#redrawn = this.#redrawn.then(async () => {
+      if (this.#disposed || scene !== this.scene) return;
+      // what was drawn before was another scene
+      if (this.renderer) this.#backends = await Backends.find();
+      const before = this.renderer;
+      await this.#draw();
+      before?.dispose();
+      if (this.renderer) this.#follow({ instances: null, cells });
+    });
   }
 
   /**

@@ -65,7 +65,7 @@ describe('places of tiles', () => {
     const atlas = new TileAtlas(HEAD, 2048);
     atlas.change(all(1));
     const before = atlas.size.width * atlas.size.height * atlas.pages;
-    const change = atlas.change(all(16));
+    const change = atlas.change(all(48));
     assert.ok(change.grown && atlas.size.width * atlas.size.height * atlas.pages > before);
     assert.equal(squares(atlas).size, change.places.length / 5);
     assert.deepEqual(atlas.all().places, change.places);
