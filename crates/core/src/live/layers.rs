@@ -9,7 +9,7 @@ use crate::{Class, Geometry, Inpainter, Layer, LayerMasks, Memory, Photo, Pyrami
 /// A hidden colour follows from pixels so far off, and these from the surface beside them.
 const AROUND: u32 = CONTEXT + 1;
 /// Of the tiles whose hidden colours alone are out of date, so many parts are made anew, one a frame: they show little, and cost the most.
-const TURNS: u32 = 8;
+const TURNS: u32 = 4;
 /// Hidden texels so near to what their layer shows go on with its colours: what is remembered there is of before its edge moved, and would
 /// show as a hairline along it.
 const EDGE: usize = 2;
