@@ -156,7 +156,8 @@ class Viewer:
         self.began = time.monotonic()
         self.first, self.tiles, self.shown = None, False, False
         self.socket = Socket(self.server, f"/v1/live/{self.room}/subscribe", self.rcvbuf)
-        check(self.socket.status == 101, f"a viewer comes in: {self.socket.status}")
+        if self.socket.status != 101:
+            raise SystemExit(f"a viewer does not come in: {self.socket.status}")
         self.socket.socket.setblocking(False)
         self.take(b"")
 
@@ -484,8 +485,8 @@ def main():
     args.add_argument("--only", choices=["viewers", "hostile"])
     args = args.parse_args()
     folder = tempfile.TemporaryDirectory(prefix="tmpi-live-")
-    subprocess.run([PROGRAM, "live", "bench", "--only", "still", "--frames", "150", "--views", "100000", "--files", folder.name], check=True, stdout=subprocess.DEVNULL)
-    stream = str(Path(folder.name) / "still.h264")
+    subprocess.run([PROGRAM, "live", "bench", "--only", "measured", "--frames", "150", "--views", "100000", "--files", folder.name], check=True, stdout=subprocess.DEVNULL)
+    stream = str(Path(folder.name) / "measured.h264")
     if args.only != "hostile":
         server = Server("--connections", "4096", "--connections-per-address", "4096")
         seconds = args.seconds or (600 if args.full else 40)
