@@ -51,8 +51,8 @@ pub struct Decoder {
     model: Option<Model>,
     /// Size of the room's frames.
     size: (u32, u32),
-    /// Sizes, camera and view box that HELLO said.
-    said: [f64; 11],
+    /// Bits of the sizes, camera and view box that HELLO said.
+    said: [u64; 11],
     /// Tiles that came since the layers were made last.
     changed: Vec<bool>,
     frame: Option<Photo>,
@@ -82,7 +82,7 @@ impl Decoder {
         let kind = read(std::mem::take(&mut self.input).into()).map_err(|e| e.to_string())?;
         self.data = Bytes::new();
         match kind {
-            Kind::Hello(hello) => self.hello(hello),
+            Kind::Hello(hello) => self.hello(&hello),
             Kind::Video(Video { frame, time, key, layer, data }) => {
                 self.data = data;
                 Ok(self.told(2, &[frame as f64, time as f64, f64::from(u8::from(key)), f64::from(layer)]))
@@ -115,13 +115,14 @@ impl Decoder {
     }
 
     /// All tiles are to come anew; what is shown stays until they are there.
-    fn hello(&mut self, h: Hello) -> Result<i32, String> {
-        let model = Model::new(&h).map_err(|e| e.to_string())?;
+    fn hello(&mut self, h: &Hello) -> Result<i32, String> {
+        let model = Model::new(h).map_err(|e| e.to_string())?;
         self.changed = vec![false; model.tiles() as usize];
         let [width, height, size, stride] = [h.width, h.height, h.tile_size, h.tile_stride].map(f64::from);
         let said = [width, height, size, stride, h.fx, h.fy, h.cx, h.cy, h.view_x, h.view_y, h.view_z];
-        if self.said != said {
-            (self.size, self.said) = ((h.width, h.height), said);
+        let bits = said.map(f64::to_bits);
+        if self.said != bits {
+            (self.size, self.said) = ((h.width, h.height), bits);
             (self.frame, self.layers) = (None, Layers::remembering());
         }
         self.model = Some(model);
