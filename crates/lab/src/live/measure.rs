@@ -4,7 +4,7 @@ use std::path::Path;
 use std::time::Instant;
 
 use tmpi_core::live::{Model, wire};
-use tmpi_core::{Memory, Photo};
+use tmpi_core::{Geometry, Memory, Photo};
 use tmpi_live::{Frame, Geometry as Driver, video};
 use tmpi_pipeline::clock::Clock;
 use tmpi_render::difference::psnr;
@@ -33,8 +33,7 @@ pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Resul
     // the truth of the frame before
     let mut last: Option<Photo> = None;
     let mut stream = Vec::new();
-    let (mut tiles, mut still, mut found) = (0usize, 0usize, 0usize);
-    let (mut snapshots, mut video_psnr, mut jpeg_psnr, mut clocks) = (Mean::default(), Mean::default(), Mean::default(), Vec::new());
+    let mut sums = Sums::default();
     for n in 0..settings.frames {
         let shot = sequence.shot(n);
         let (data, _) = encoder.encode(&shot.noisy)?;
@@ -48,9 +47,9 @@ pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Resul
         let (jpeg, _) = Jpeg { quality: QUALITY }.encode(&shot.noisy)?;
         f.jpeg_bytes += jpeg.len() as f64;
         if n % settings.views == 0 {
-            video_psnr.add(psnr(photo.rgb.as_flattened(), shot.clean.rgb.as_flattened()));
+            sums.video_psnr.add(psnr(photo.rgb.as_flattened(), shot.clean.rgb.as_flattened()));
             if let Ok(Some(jpeg)) = video::decoder(video::JPEG, settings.size).and_then(|mut d| d.decode(&jpeg)) {
-                jpeg_psnr.add(psnr(jpeg.rgb.as_flattened(), shot.clean.rgb.as_flattened()));
+                sums.jpeg_psnr.add(psnr(jpeg.rgb.as_flattened(), shot.clean.rgb.as_flattened()));
             }
         }
         let depth = (kind == Kind::Measured).then(|| shot.delta.clone());
@@ -60,23 +59,13 @@ pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Resul
         let server_ms = clock.ms() + decode_ms;
         f.server_cpu_ms += clock.cpu_ms();
         f.server_ms += server_ms;
-        clocks.push(server_ms);
-        for s in &update.stages {
-            add(&mut f.stages_ms, &s.name, (s.ms, s.cpu_ms));
-        }
+        sums.clocks.push(server_ms);
+        update.stages.iter().for_each(|s| add(&mut f.stages_ms, &s.name, (s.ms, s.cpu_ms)));
         add(&mut f.stages_ms, "chunks", (update.coding_ms, update.coding_ms));
         let message = wire::Geometry { frame: n.into(), chunks: update.chunks.clone() };
-        if !message.chunks.is_empty() {
-            f.plane_bytes += message.chunks.iter().map(|c| c.plane_data.len() as f64).sum::<f64>();
-            f.geometry_bytes += tmpi_core::live::write(wire::message::Kind::Geometry(message.clone())).len() as f64;
-        }
+        add_bytes(&mut f, &message);
         if let Some(g) = carried.geometry() {
-            tiles += g.tiles.len();
-            for t in 0..g.grid.tiles() {
-                let truly = last.as_ref().is_some_and(|l| same(l, &shot.clean, g.grid.rect(t)));
-                still += usize::from(truly);
-                found += usize::from(truly && !update.changed.contains(&t));
-            }
+            sums.count(g, &update.changed, last.as_ref().map(|l| (l, &shot.clean)));
             let of = carried.reference().map_or(&[][..], |p| p.rgb.as_flattened());
             let off = of.iter().zip(frame.photo.rgb.as_flattened()).map(|(a, b)| a.abs_diff(*b)).max();
             f.left_out_off = f.left_out_off.max(off.unwrap_or_default());
@@ -99,7 +88,7 @@ pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Resul
         if n % settings.views <= 1 {
             if let Some(snapshot) = carried.snapshot(n.into())? {
                 let geometry = wire::Geometry { frame: n.into(), chunks: vec![snapshot] };
-                snapshots.add(tmpi_core::live::write(wire::message::Kind::Snapshot(geometry)).len() as f64);
+                sums.snapshots.add(tmpi_core::live::write(wire::message::Kind::Snapshot(geometry)).len() as f64);
             }
             let moment = |geometry, changed| Moment {
                 geometry,
@@ -116,9 +105,8 @@ pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Resul
             if let Some(folder) = settings.files.as_deref().filter(|_| n % settings.views == 0) {
                 let pictures = [("frame", Some(&frame.photo)), ("beside", view.as_ref()), ("separate", by_itself.as_ref())];
                 for (what, picture) in pictures.into_iter().chain([("truth", Some(&shot.beside))]) {
-                    if let Some(picture) = picture {
-                        write(folder, &format!("{}-{n:04}-{what}.png", kind.slug()), &png(picture)?)?;
-                    }
+                    let name = format!("{}-{n:04}-{what}.png", kind.slug());
+                    picture.map(|picture| write(folder, &name, &png(picture)?)).transpose()?;
                 }
             }
         }
@@ -127,28 +115,7 @@ pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Resul
     if let Some(folder) = &settings.files {
         write(folder, &format!("{}.{}", kind.slug(), if settings.bitrate.is_some() { "h264" } else { "mjpeg" }), &stream)?;
     }
-    clocks.sort_by(f64::total_cmp);
-    f.server_ms_most = clocks.last().copied().unwrap_or_default();
-    f.server_ms_p95 = clocks.get(clocks.len() * 95 / 100).copied().unwrap_or_default();
-    let frames = f64::from(settings.frames.max(1));
-    for sum in [
-        &mut f.video_bytes,
-        &mut f.geometry_bytes,
-        &mut f.plane_bytes,
-        &mut f.jpeg_bytes,
-        &mut f.decode_ms,
-        &mut f.server_ms,
-        &mut f.server_cpu_ms,
-        &mut f.read_ms,
-        &mut f.memory_ms,
-    ] {
-        *sum /= frames;
-    }
-    f.stages_ms.iter_mut().for_each(|(_, ms, cpu)| (*ms, *cpu) = (*ms / frames, *cpu / frames));
-    f.kbit_s = (f.video_bytes + f.geometry_bytes) * 30.0 * 8.0 / 1e3;
-    f.left_out /= tiles.max(1) as f64;
-    f.unchanged_found = found as f64 / still.max(1) as f64;
-    (f.snapshot_bytes, f.video_psnr, f.jpeg_psnr) = (snapshots.get(), video_psnr.get(), jpeg_psnr.get());
+    sums.finish(&mut f, settings.frames);
     (f.masks_ms, f.fill_ms) = (reader.masks.get(), reader.fill.get());
     let decibels = |square: Mean| if square.get() > 0.0 { 10.0 * (255f64.powi(2) / square.get()).log10() } else { 0.0 };
     (f.uncovered_psnr, f.uncovered_psnr_made_up) = (decibels(reader.remembered), decibels(reader.made_up));
@@ -157,6 +124,65 @@ pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Resul
         (reader.psnr.get(), reader.ssim.get(), reader.flicker.get(), reader.flicker_left_out.get());
     (f.psnr_separate, f.ssim_separate, f.flicker_separate) = (other.psnr.get(), other.ssim.get(), other.flicker.get());
     Ok(f)
+}
+
+/// What is counted over the frames.
+#[derive(Default)]
+struct Sums {
+    /// All tiles, those that are truly unchanged, and those of them that were found to be.
+    tiles: usize,
+    still: usize,
+    found: usize,
+    snapshots: Mean,
+    video_psnr: Mean,
+    jpeg_psnr: Mean,
+    /// What each frame took on the server, in milliseconds.
+    clocks: Vec<f64>,
+}
+
+impl Sums {
+    /// Counts the tiles of a frame; `truth` is that of the frame before and its own.
+    fn count(&mut self, g: &Geometry, changed: &[u32], truth: Option<(&Photo, &Photo)>) {
+        self.tiles += g.tiles.len();
+        for t in 0..g.grid.tiles() {
+            let truly = truth.is_some_and(|(before, now)| same(before, now, g.grid.rect(t)));
+            self.still += usize::from(truly);
+            self.found += usize::from(truly && !changed.contains(&t));
+        }
+    }
+
+    /// Makes means of the sums over the frames.
+    fn finish(mut self, f: &mut Figures, frames: u32) {
+        self.clocks.sort_by(f64::total_cmp);
+        f.server_ms_most = self.clocks.last().copied().unwrap_or_default();
+        f.server_ms_p95 = self.clocks.get(self.clocks.len() * 95 / 100).copied().unwrap_or_default();
+        let frames = f64::from(frames.max(1));
+        for sum in [
+            &mut f.video_bytes,
+            &mut f.geometry_bytes,
+            &mut f.plane_bytes,
+            &mut f.jpeg_bytes,
+            &mut f.decode_ms,
+            &mut f.server_ms,
+            &mut f.server_cpu_ms,
+            &mut f.read_ms,
+            &mut f.memory_ms,
+        ] {
+            *sum /= frames;
+        }
+        f.stages_ms.iter_mut().for_each(|(_, ms, cpu)| (*ms, *cpu) = (*ms / frames, *cpu / frames));
+        f.kbit_s = (f.video_bytes + f.geometry_bytes) * 30.0 * 8.0 / 1e3;
+        f.left_out /= self.tiles.max(1) as f64;
+        f.unchanged_found = self.found as f64 / self.still.max(1) as f64;
+        (f.snapshot_bytes, f.video_psnr, f.jpeg_psnr) = (self.snapshots.get(), self.video_psnr.get(), self.jpeg_psnr.get());
+    }
+}
+
+fn add_bytes(f: &mut Figures, message: &wire::Geometry) {
+    if !message.chunks.is_empty() {
+        f.plane_bytes += message.chunks.iter().map(|c| c.plane_data.len() as f64).sum::<f64>();
+        f.geometry_bytes += tmpi_core::live::write(wire::message::Kind::Geometry(message.clone())).len() as f64;
+    }
 }
 
 fn add(sums: &mut Vec<(String, f64, f64)>, name: &str, (ms, cpu): (f64, f64)) {
