@@ -4,6 +4,7 @@
 use axum::http::{HeaderMap, HeaderValue, Uri, header};
 
 use tmpi_core::{DisparityMap, Photo, container};
+use tmpi_live::units::Splitter;
 use tmpi_pipeline::depth::{self as maps, DepthKind};
 use tmpi_pipeline::{photo, strokes};
 
@@ -13,10 +14,13 @@ use crate::server;
 pub type Run = fn(&[u8]) -> usize;
 
 /// All targets by name.
-pub const TARGETS: [(&str, Run); 14] = [
+pub const TARGETS: [(&str, Run); 17] = [
     ("container", container),
     ("labels", labels),
     ("planes", planes),
+    ("message", message),
+    ("units", units),
+    ("video", video),
     ("query", query),
     ("jpeg", photo),
     ("png", photo),
@@ -32,6 +36,8 @@ pub const TARGETS: [(&str, Run); 14] = [
 
 /// What a reader may take for whatever it is given: threads, tables, messages.
 const LEAST: usize = 4 << 20;
+/// Memory for the tiles of the largest room, and for the chunks of a message.
+const ROOM: usize = 8 << 20;
 /// Pixels above which a container is not decoded here: it would be slow, not wrong.
 const SLOW: u64 = 128 * 128;
 
@@ -165,6 +171,44 @@ fn multipart(data: &[u8]) -> usize {
 fn patch(data: &[u8]) -> usize {
     server::fuzzing::patch(data);
     LEAST + 64 * data.len()
+}
+
+/// A message of a room. Promised: an error, or tiles that hold together; memory by bytes and by the most that a room can be.
+fn message(data: &[u8]) -> usize {
+    tmpi_core::live::fuzz_message(data);
+    LEAST + ROOM + 64 * data.len()
+}
+
+/// A stream of H.264, in pieces. Promised: what is split is what came, whatever the pieces.
+fn units(data: &[u8]) -> usize {
+    let Some((size, stream)) = data.split_first() else { return LEAST };
+    let split = |size: usize| {
+        let (mut splitter, mut units) = (Splitter::default(), Vec::new());
+        for piece in stream.chunks(size.max(1)) {
+            units.extend(splitter.push(piece).ok()?);
+        }
+        units.extend(splitter.finish());
+        Some(units)
+    };
+    assert_eq!(split(usize::from(*size)), split(stream.len()));
+    LEAST + 16 * data.len()
+}
+
+/// Frames of H.264 as a publisher sends them, of 64×48 pixels. Promised: an error or a picture of that size; memory by it.
+fn video(data: &[u8]) -> usize {
+    const SIZE: (u32, u32) = (64, 48);
+    let most = LEAST + ROOM + 16 * data.len();
+    // whoever built it without a decoder has nothing to break
+    let Ok(mut decoder) = tmpi_live::video::decoder("avc1.42e01e", SIZE) else { return most };
+    let mut splitter = Splitter::default();
+    let mut units = splitter.push(data).unwrap_or_default();
+    units.extend(splitter.finish());
+    for unit in units {
+        if let Ok(Some(photo)) = decoder.decode(&unit.data) {
+            assert_eq!((photo.width, photo.height, photo.rgb.len()), (SIZE.0, SIZE.1, (SIZE.0 * SIZE.1) as usize));
+        }
+    }
+    most
 }
 
 /// A merge patch of strokes, applied to a small photo. Promised: an error with a field where it is JSON, or strokes that are read again as they

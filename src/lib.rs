@@ -6,4 +6,5 @@ pub mod cli;
 pub mod export;
 #[doc(hidden)]
 pub mod fuzzing;
+pub mod live;
 pub mod server;

@@ -1,11 +1,14 @@
-//! Compiles the wire schema without an external protoc.
+//! Compiles the wire schemas without an external protoc.
 
 use std::path::Path;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let folder = Path::new(&std::env::var("CARGO_MANIFEST_DIR")?).join("../../proto");
-    let schema = folder.join("tmpi.proto");
-    println!("cargo:rerun-if-changed={}", schema.display());
-    prost_build::Config::new().compile_fds(protox::compile([schema], [folder])?)?;
+    let schemas = ["tmpi.proto", "live.proto"].map(|name| folder.join(name));
+    for schema in &schemas {
+        println!("cargo:rerun-if-changed={}", schema.display());
+    }
+    // shared, not copied: a frame goes to many viewers
+    prost_build::Config::new().bytes(["."]).compile_fds(protox::compile(schemas, [folder])?)?;
     Ok(())
 }

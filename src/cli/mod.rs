@@ -13,6 +13,10 @@ mod export;
 mod files;
 mod flags;
 mod info;
+mod live;
+mod live_client;
+mod live_publish;
+mod live_watch;
 mod make;
 mod models;
 mod progress;
@@ -45,6 +49,7 @@ enum Command {
     Export(export::ExportArgs),
     Serve(serve::ServeArgs),
     Models(models::ModelsArgs),
+    Live(live::LiveArgs),
     /// Write a completion script for a shell
     Completions {
         /// The shell
@@ -125,6 +130,7 @@ fn run(command: Command) -> anyhow::Result<()> {
         Command::Models(args) => models::run(&args),
         Command::Bench(args) => bench::run(&args),
         Command::Eval(args) => eval::run(&args),
+        Command::Live(args) => live::run(&args),
         Command::Completions { shell } => {
             let mut script = Vec::new();
             clap_complete::generate(shell, &mut Cli::command(), "tmpi", &mut script);

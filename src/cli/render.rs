@@ -62,7 +62,8 @@ pub(super) struct RenderArgs {
     json: bool,
 }
 
-fn pose(text: &str) -> Result<Pose, String> {
+/// Three to six numbers.
+pub(super) fn pose(text: &str) -> Result<Pose, String> {
     let all = numbers(text)?;
     if !(3..=6).contains(&all.len()) {
         return Err("three to six numbers are wanted".into());

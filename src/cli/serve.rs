@@ -10,9 +10,12 @@ use anyhow::Context as _;
 
 use super::better::BetterNetwork;
 use super::flags::ModelFlags;
+use super::{Usage, files};
 use sha2::{Digest as _, Sha256};
 
+use crate::live::{self, Rooms};
 use crate::server::{Better, Config, Limits, PipelineMaker, ProcessMaker, Server, VARIABLE, hex, make_for_a_server, stop_signal};
+use tmpi_pipeline::Models;
 use tmpi_pipeline::networks::models::{self, download::Digest};
 use tmpi_render::{self, Backend};
 
@@ -89,6 +92,15 @@ pub(super) struct ServeArgs {
     /// Seconds that requests and jobs under way have left after that
     #[arg(long, default_value_t = Limits::DRAIN.as_secs() as u32, value_name = "S")]
     drain: u32,
+    /// Have no rooms for moving photos
+    #[arg(long)]
+    no_live: bool,
+    /// File with a key of at least 32 bytes, by which `live token` lets others into rooms; without it they are for this machine's own user
+    #[arg(long, value_name = "FILE", conflicts_with = "no_live")]
+    live_key: Option<PathBuf>,
+    /// Milliseconds that the geometry of a room's frame may take
+    #[arg(long, default_value_t = 30.0, value_name = "MS")]
+    live_budget_ms: f64,
     /// Address of the better depth network that the page offers to fetch, in place of its publisher's; the digest stays
     #[arg(long, value_name = "URL")]
     network_url: Option<String>,
@@ -99,7 +111,22 @@ pub(super) struct ServeArgs {
     models: ModelFlags,
 }
 
+/// Bytes that the key of tokens has at least.
+const LEAST_KEY: usize = 32;
+
 impl ServeArgs {
+    /// What rooms are made with; none where there are to be none.
+    fn rooms(&self, models: &Models) -> anyhow::Result<Option<Rooms>> {
+        if self.no_live {
+            return Ok(None);
+        }
+        let key = self.live_key.as_deref().map(files::read).transpose()?;
+        if key.as_ref().is_some_and(|k| k.len() < LEAST_KEY) {
+            return Err(Usage(format!("--live-key: a key has {LEAST_KEY} bytes at least")).into());
+        }
+        Ok(Some(Rooms::new(live::Config { models: models.clone(), frame_ms: self.live_budget_ms, key })))
+    }
+
     /// The limits that the arguments give.
     fn limits(&self) -> Limits {
         let body = (self.max_body as usize) << 20;
@@ -145,7 +172,9 @@ fn address(text: &str) -> Result<SocketAddr, String> {
 pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
     let limits = args.limits();
     let settings = args.models.settings();
-    let maker = PipelineMaker::new(models::load(&settings)?, &limits).identified(&identity(&settings)?);
+    let models = models::load(&settings)?;
+    let rooms = args.rooms(&models)?;
+    let maker = PipelineMaker::new(models, &limits).identified(&identity(&settings)?);
     if std::env::var_os(VARIABLE).is_some() {
         make_for_a_server(&maker, limits.job_memory);
         return Ok(());
@@ -161,7 +190,10 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
     let config = Config { addr: args.addr, data: args.data, pages: args.pages, hosts: args.hosts, public_list: args.public_list, limits };
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().thread_name("tmpi-http").build()?;
     runtime.block_on(async {
-        let server = Server::bind(config, Arc::new(maker), renderer).await?;
+        let mut server = Server::bind(config, Arc::new(maker), renderer).await?;
+        if let Some(rooms) = rooms {
+            server = server.with_rooms(rooms);
+        }
         let mut stdout = std::io::stdout();
         // whoever waits for this line may have gone
         let _ = writeln!(stdout, "http://{}", server.addr()).and_then(|()| stdout.flush());

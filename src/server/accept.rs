@@ -2,7 +2,7 @@
 
 use std::io;
 use std::net::IpAddr;
-use std::pin::Pin;
+use std::pin::{Pin, pin};
 use std::sync::Arc;
 use std::task::{Context, Poll};
 use std::time::Duration;
@@ -13,17 +13,18 @@ use hyper::body::Incoming;
 use hyper::server::conn::http1;
 use hyper::service::{Service as _, service_fn};
 use hyper_util::rt::{TokioIo, TokioTimer};
-use hyper_util::server::graceful::GracefulShutdown;
 use hyper_util::service::TowerToHyperService;
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::{TcpListener, TcpStream};
-use tokio::sync::Semaphore;
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::time::{Instant, Sleep};
 use tokio_util::sync::CancellationToken;
+use tokio_util::task::TaskTracker;
+use tokio_util::task::task_tracker::TaskTrackerToken;
 
 use super::limits::Limits;
-use super::share::Shares;
-use super::telemetry::Telemetry;
+use super::share::{Share, Shares};
+use super::telemetry::{Present, Telemetry};
 
 /// Pause after the system has refused a connection, for example because no file descriptor is left.
 const BACK_OFF: Duration = Duration::from_millis(100);
@@ -34,7 +35,7 @@ pub async fn serve(listener: TcpListener, router: Router, limits: &Limits, telem
     http.timer(TokioTimer::new()).header_read_timeout(limits.header_read).max_header_size(Limits::HEADER_BYTES);
     let room = Arc::new(Semaphore::new(limits.connections));
     let shares = Shares::new(limits.connections_per_address);
-    let graceful = GracefulShutdown::new();
+    let open = TaskTracker::new();
     loop {
         let accepted = tokio::select! {
             biased;
@@ -57,30 +58,43 @@ pub async fn serve(listener: TcpListener, router: Router, limits: &Limits, telem
         };
         let io = TokioIo::new(Timed::new(stream, limits.write, limits.write_rate));
         let inner = TowerToHyperService::new(router.clone());
+        let held = Held(Arc::new((permit, share, telemetry.connection(), open.token())));
+        let given = held.clone();
         let service = service_fn(move |mut request: Request<Incoming>| {
             request.extensions_mut().insert(Peer(peer));
+            request.extensions_mut().insert(given.clone());
             inner.call(request)
         });
-        let connection = graceful.watch(http.serve_connection(io, service));
-        let telemetry = Arc::clone(telemetry);
+        let (connection, stop) = (http.serve_connection(io, service).with_upgrades(), stop.clone());
         tokio::spawn(async move {
-            let _present = telemetry.connection();
-            if let Err(error) = connection.await {
+            let mut connection = pin!(connection);
+            let ended = tokio::select! {
+                ended = connection.as_mut() => ended,
+                () = stop.cancelled() => {
+                    connection.as_mut().graceful_shutdown();
+                    connection.await
+                }
+            };
+            if let Err(error) = ended {
                 tracing::debug!(%error, "connection");
             }
-            drop((permit, share));
+            drop(held);
         });
     }
     drop(listener);
-    let open = graceful.count();
-    if tokio::time::timeout(limits.drain, graceful.shutdown()).await.is_err() {
-        tracing::warn!(open, "connections are still open at the end of the drain time");
+    open.close();
+    if tokio::time::timeout(limits.drain, open.wait()).await.is_err() {
+        tracing::warn!(open = open.len(), "connections are still open at the end of the drain time");
     }
 }
 
 /// Who sends a request: the address at the other end of the connection, which is a proxy's where there is one.
 #[derive(Clone, Copy, Debug)]
 pub struct Peer(pub IpAddr);
+
+/// What a connection holds of what there is a bounded number of: who goes on with it as a WebSocket holds this on.
+#[derive(Clone)]
+pub struct Held(#[expect(dead_code, reason = "held until it is dropped")] Arc<(OwnedSemaphorePermit, Share, Present, TaskTrackerToken)>);
 
 /// Errors of one connection, not of the system.
 fn is_of_the_client(error: &io::Error) -> bool {

@@ -52,14 +52,17 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
+use axum::http::HeaderMap;
 use tokio::net::TcpListener;
 
+pub use accept::Held;
 pub use child::{ProcessMaker, VARIABLE, serve as make_for_a_server};
 pub use id::{PhotoId, hex};
 pub use limits::Limits;
 pub use maker::{Fault, Maker, PipelineMaker, Product};
 pub use network::{Better, Offer, Renewed};
 pub use problem::Problem;
+pub(crate) use routes::Pairs;
 pub use routes::{Access, Route, openapi, routes};
 
 use app::{App, Shared};
@@ -67,6 +70,8 @@ use jobs::Jobs;
 use store::Store;
 
 use tmpi_render::Renderer;
+
+use crate::live::{self, Rooms};
 
 /// Pause between two looks at the data directory.
 const PROBE: Duration = Duration::from_secs(2);
@@ -122,6 +127,7 @@ pub struct Server {
     listener: TcpListener,
     addr: SocketAddr,
     app: App,
+    rooms: Option<Arc<Rooms>>,
 }
 
 impl Server {
@@ -139,7 +145,14 @@ impl Server {
         let limits = Arc::new(config.limits.clone());
         let jobs = Jobs::start(store, found, maker, limits, Arc::default()).map_err(ServerError::Worker)?;
         let app = Arc::new(Shared::new(config, addr, jobs, renderer, openapi));
-        Ok(Self { listener, addr, app })
+        Ok(Self { listener, addr, app, rooms: None })
+    }
+
+    /// Has rooms, too.
+    #[must_use]
+    pub fn with_rooms(mut self, rooms: Rooms) -> Self {
+        self.rooms = Some(Arc::new(rooms));
+        self
     }
 
     /// Address that the server listens on.
@@ -151,7 +164,7 @@ impl Server {
     /// Serves until `stop` is ready, and for [`Limits::lame_duck`] more; then takes no more connections and gives requests and jobs under
     /// way [`Limits::drain`] to end. Jobs that do not end by then are taken up at the next start.
     pub async fn run(self, stop: impl Future<Output = ()> + Send + 'static) {
-        let Self { listener, addr: _, app } = self;
+        let Self { listener, addr: _, app, rooms } = self;
         let token = app.stop.clone();
         let jobs = Arc::clone(&app.jobs);
         let signal = tokio::spawn({
@@ -169,7 +182,12 @@ impl Server {
         });
         let probe = tokio::spawn(probe(Arc::clone(&app)));
         let look_over = tokio::spawn(look_over(Arc::clone(&app)));
-        accept::serve(listener, routes::router(Arc::clone(&app)), &app.limits, &app.telemetry, &token).await;
+        let rooms = rooms.map(|rooms| {
+            let of = Arc::clone(&app);
+            let own = Arc::new(move |headers: &HeaderMap| of.hosts.is_own(headers));
+            live::routes::router(live::routes::Here { rooms, stop: token.clone(), own })
+        });
+        accept::serve(listener, routes::router(Arc::clone(&app), rooms), &app.limits, &app.telemetry, &token).await;
         probe.abort();
         look_over.abort();
         if let Err(error) = signal.await {

@@ -64,6 +64,16 @@ pub async fn demo(State(app): State<App>, headers: HeaderMap) -> Result<Response
     page(&app, &headers, "app/demo-page.html", Frames::Own).await
 }
 
+/// `GET /live/{room}`: the page itself says whether there is anybody.
+pub async fn watch(State(app): State<App>, headers: HeaderMap) -> Result<Response, Problem> {
+    page(&app, &headers, "app/watch-page.html", Frames::Own).await
+}
+
+/// `GET /live/{room}/publish`.
+pub async fn publish(State(app): State<App>, headers: HeaderMap) -> Result<Response, Problem> {
+    page(&app, &headers, "app/publish-page.html", Frames::Own).await
+}
+
 /// `GET /static/{name}`.
 pub async fn file(State(app): State<App>, extract::Path(name): extract::Path<String>, headers: HeaderMap) -> Result<Response, Problem> {
     page(&app, &headers, &name, Frames::Anybody).await

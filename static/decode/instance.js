@@ -37,10 +37,13 @@ export class Instance {
   /**
    * @param {string} name
    * @param {number[]} args
+   * @returns {number} what it gives
    * @throws {ContainerError} where the call says why it failed
    */
   call(name, ...args) {
-    if (this.#guarded(name, args) < 0) throw new ContainerError(new TextDecoder().decode(this.output(TEXT)));
+    const given = this.#guarded(name, args);
+    if (given < 0) throw new ContainerError(new TextDecoder().decode(this.output(TEXT)));
+    return given;
   }
 
   /**

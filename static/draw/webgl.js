@@ -10,6 +10,8 @@ import { hasHalfFloatTargets, WebGlTarget } from './webgl-target.js';
 
 /** @import { Intrinsics, Scene } from '../decode/scene.js' */
 /** @import { Pose, View } from '../view/camera.js' */
+/** @import { Cells } from '../live/tile-atlas.js' */
+/** @import { Instances } from './instances.js' */
 /** @import { Strip } from './texture-atlas.js' */
 
 /**
@@ -106,6 +108,25 @@ export class WebGlRenderer {
     const { data, opaque, soft } = withErrors(this.#scene.instances, errors);
     this.#counts = { opaque, soft };
     gl.bufferData(gl.ARRAY_BUFFER, data, gl.STATIC_DRAW);
+  }
+
+  /**
+   * As `WebGpuRenderer.update`.
+   * @param {{instances: Instances | null, cells: Cells}} change
+   */
+  update({ instances, cells: { side, data, places } }) {
+    if (this.disposed) return;
+    if (instances) {
+      this.#scene.instances = instances;
+      this.setTileErrors([]);
+    }
+    const { gl } = this;
+    gl.pixelStorei(gl.UNPACK_ROW_LENGTH, side);
+    for (let i = 0, offset = 0; i < places.length; i += 5, offset += side * side * 4) {
+      const [page, x, y, w, h] = places.subarray(i, i + 5);
+      gl.texSubImage3D(gl.TEXTURE_2D_ARRAY, 0, x, y, page, w, h, 1, gl.RGBA, gl.UNSIGNED_BYTE, data, offset);
+    }
+    gl.pixelStorei(gl.UNPACK_ROW_LENGTH, 0);
   }
 
   /** The canvas was given when the context was made. */

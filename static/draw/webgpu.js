@@ -8,7 +8,9 @@ import { copyPipeline, copyTexture } from './webgpu-copy.js';
 
 /** @import { Intrinsics, Scene } from '../decode/scene.js' */
 /** @import { Pose, View } from '../view/camera.js' */
+/** @import { Cells } from '../live/tile-atlas.js' */
 /** @import { Device } from './device.js' */
+/** @import { Instances } from './instances.js' */
 /** @import { Strip } from './texture-atlas.js' */
 
 const INSTANCE_BYTES = INSTANCE_FLOATS * 4;
@@ -92,9 +94,30 @@ export class WebGpuRenderer {
     if (this.disposed) return;
     const { data, opaque, soft } = withErrors(this.#scene.instances, errors);
     const size = Math.max(data.byteLength, INSTANCE_BYTES);
-    const buffer = this.#instances?.buffer ?? this.device.createBuffer({ size, usage: GPUBufferUsage.VERTEX | GPUBufferUsage.COPY_DST });
+    const old = this.#instances?.buffer;
+    const usage = GPUBufferUsage.VERTEX | GPUBufferUsage.COPY_DST;
+    const buffer = old && old.size >= size ? old : this.device.createBuffer({ size, usage });
+    if (buffer !== old) old?.destroy();
     this.#instances = { buffer, opaque, soft };
     this.device.queue.writeBuffer(buffer, 0, data);
+  }
+
+  /**
+   * Takes over texels that changed, and other instances where there are.
+   * @param {{instances: Instances | null, cells: Cells}} change
+   */
+  update({ instances, cells: { side, data, places } }) {
+    if (this.disposed) return;
+    if (instances) {
+      this.#scene.instances = instances;
+      this.setTileErrors([]);
+    }
+    const bytesPerRow = side * 4;
+    for (let i = 0, offset = 0; i < places.length; i += 5, offset += side * bytesPerRow) {
+      const [page, x, y, w, h] = places.subarray(i, i + 5);
+      const to = { texture: this.#loaded.atlas, origin: [x, y, page] };
+      this.device.queue.writeTexture(to, data, { offset, bytesPerRow }, [w, h, 1]);
+    }
   }
 
   /**
@@ -292,7 +315,7 @@ async function load(shared, scene) {
     ],
   });
   const round = copyPipeline(device, copy, format);
-  return { format, target, wide, uniforms, bindings, passes, copy, round, dispose };
+  return { format, target, wide, atlas, uniforms, bindings, passes, copy, round, dispose };
 }
 
 /** @param {URL} address */

@@ -4,8 +4,9 @@
 //   viewer.addEventListener('ready', …)
 //
 // Events (detail): `progress` {received, total} · `photo` · `ready` {mode} · `mode` {mode, reason} · `idle` {on} · `pose` ·
-// `frame` {ms} · `error` {message}. `mode` is `gpu` where the browser draws with WebGPU, `webgl` where it does with WebGL2,
-// `served` where the server draws, and `still` where nobody can and the photo is all there is.
+// `frame` {ms} · `error` {message} · `live` what a room's worker says (live/worker.js). `mode` is `gpu` where the browser draws with
+// WebGPU, `webgl` where it does with WebGL2, `served` where the server draws, `still` where nobody can and the photo is all there is,
+// and `flat` where a room is shown as plain video.
 
 import { startDecoder } from '../decode/start.js';
 import { Backends } from '../draw/backends.js';
@@ -23,6 +24,8 @@ import { FramePacing } from './frame-pacing.js';
 import { Stage } from './stage.js';
 
 /** @import { Offset, Scene, SceneHead } from '../decode/scene.js' */
+/** @import { Instances } from '../draw/instances.js' */
+/** @import { Cells } from '../live/tile-atlas.js' */
 /** @import { WebGlRenderer } from '../draw/webgl.js' */
 /** @import { WebGpuRenderer } from '../draw/webgpu.js' */
 /** @import { Headset } from '../input/xr.js' */
@@ -53,17 +56,19 @@ export class Viewer extends EventTarget {
   /** @type {ReturnType<typeof setTimeout> | undefined} */
   #rest;
   #disposed = false;
+  /** A room's scenes are drawn one after the other. */
+  #redrawn = Promise.resolve();
   #stopListening;
   #resizes;
   #reduced = matchMedia('(prefers-reduced-motion: reduce)');
 
   /**
    * @param {HTMLElement} root focusable element that takes the input and holds the pictures
-   * @param {{atlas: string, view?: string, report?: string, offset?: {x: number, y: number, z: number}, embedded?: boolean,
-   *   settings?: object | Promise<object>, full?: Promise<{width?: number, height?: number} | undefined>}} options addresses of the container, of the views that the server draws and of the photo's
+   * @param {{atlas?: string, view?: string, report?: string, offset?: {x: number, y: number, z: number}, embedded?: boolean,
+   *   live?: {start: () => Worker, address: string, token: string}, settings?: object | Promise<object>, full?: Promise<{width?: number, height?: number} | undefined>}} options addresses of the container, of the views that the server draws and of the photo's
    *   report; where the camera starts, in units of the view box; whether the viewer is a part of a page that scrolls; what the photo's
    *   owner wants (settings.js), which the camera's start given here overrules; the photo's own size, where the container is a smaller
-   *   level of it
+   *   level of it; `live`: a room to watch in place of a container, and what starts its worker
    */
   constructor(root, options) {
     super();
@@ -400,10 +405,13 @@ export class Viewer extends EventTarget {
   async #start() {
     this.#backends = await Backends.find();
     if (this.#disposed) return;
-    this.#worker = startDecoder();
+    const { live } = this.options;
+    this.#worker = live ? live.start() : startDecoder();
     this.#worker.onerror = (event) => this.#fail(event.message || 'The decoder could not be started.');
     this.#worker.onmessage = ({ data }) => this.#onWorker(data);
-    this.#worker.postMessage({ url: this.options.atlas, photoOnly: !this.#backends.any, side: this.#backends.side });
+    const { any, side } = this.#backends;
+    if (live) this.#worker.postMessage({ watch: { address: live.address, token: live.token, side, flat: !any } });
+    else this.#worker.postMessage({ url: this.options.atlas, photoOnly: !any, side });
   }
 
   /** @param {any} data posted by decode/worker.js */
@@ -420,9 +428,76 @@ export class Viewer extends EventTarget {
     } else if (data.type === 'scene') {
       this.scene = data.scene;
       if (this.head) this.#camera.know(this.head, this.scene);
+      if (this.options.live) return this.#drawLive(data.cells);
       this.#worker?.terminate();
       this.#draw();
-    } else this.#fail(data.message);
+    } else if (data.type === 'update') this.#follow(data);
+    else if (data.type === 'picture') this.#showFlat(data.picture);
+    else if (data.type === 'error') this.#fail(data.message);
+    else this.#emit('live', data);
+  }
+
+  /**
+   * Says something to a room's worker.
+   * @param {object} message
+   */
+  tell(message) {
+    this.#worker?.postMessage(message);
+  }
+
+  /**
+   * Draws a room's scene from its beginning.
+   * @param {Cells} cells
+   */
+  #drawLive(cells) {
+    const { scene } = this;
+    // one after the other, and only the newest
+    this.#redrawn = this.#redrawn.then(async () => {
+      if (this.#disposed || scene !== this.scene) return;
+      // what was drawn before was another scene
+      if (this.renderer) this.#backends = await Backends.find();
+      const before = this.renderer;
+      await this.#draw();
+      before?.dispose();
+      if (this.renderer) this.#follow({ instances: null, cells });
+    });
+  }
+
+  /**
+   * Shows the next frame of a room when the screen is refreshed; a page that nobody sees asks for no more.
+   * @param {{instances: Instances | null, cells: Cells}} change
+   */
+  #follow(change) {
+    if (this.#disposed) return;
+    requestAnimationFrame(() => {
+      if (this.#disposed || !this.renderer) return;
+      this.renderer.update(change);
+      this.render();
+      this.tell({ drawn: true });
+    });
+  }
+
+  /**
+   * Shows a frame of a room as it is, where nothing can draw its scene.
+   * @param {VideoFrame | ImageBitmap} picture
+   */
+  #showFlat(picture) {
+    const { head } = this;
+    if (!head || this.#disposed) return picture.close();
+    if (!this.canvas) {
+      const canvas = document.createElement('canvas');
+      [canvas.width, canvas.height] = [head.width, head.height];
+      this.#stage.canvas = canvas;
+      this.mode = 'flat';
+      this.setIdle(false);
+      this.#layout();
+      this.#emit('ready', { mode: 'flat' });
+    }
+    requestAnimationFrame(() => {
+      this.canvas?.getContext('2d')?.drawImage(picture, 0, 0, head.width, head.height);
+      picture.close();
+      this.tell({ drawn: true });
+    });
   }
 
   /**
@@ -463,7 +538,9 @@ export class Viewer extends EventTarget {
     this.renderer = null;
     this.mode = 'loading';
     this.#emit('mode', { mode: 'loading', reason });
-    this.#draw();
+    // what a room showed is gone with the device
+    if (this.options.live) this.tell({ again: true });
+    else this.#draw();
   }
 
   /** @param {string} reason */
@@ -472,6 +549,7 @@ export class Viewer extends EventTarget {
     this.#stage.canvas = null;
     // a swing would ask the server without end
     this.setIdle(false);
+    if (this.options.live) return this.tell({ flat: true });
     if (!this.options.view || !this.head) {
       this.mode = 'still';
       this.#emit('mode', { mode: 'still', reason });
@@ -521,11 +599,12 @@ export class Viewer extends EventTarget {
    */
   #drawDetail(seen) {
     const { canvas, head } = this;
-    if (!canvas || !head || !this.#full || !this.#backends) return;
+    const { atlas } = this.options;
+    if (!canvas || !head || !atlas || !this.#full || !this.#backends) return;
     if (!this.#detail && this.#zoom.close && (this.mode === 'gpu' || this.mode === 'webgl')) {
       const { mode } = this;
       const changed = () => this.render();
-      this.#detail = new Detail({ atlas: this.options.atlas, mode, side: this.#backends.side, photo: this.#full, loaded: head, changed });
+      this.#detail = new Detail({ atlas, mode, side: this.#backends.side, photo: this.#full, loaded: head, changed });
     }
     if (this.#display.plain)
       this.#detail?.look(this.#zoom.frame, { width: this.#zoom.size.width * pixelRatio(), height: this.#zoom.size.height * pixelRatio() });

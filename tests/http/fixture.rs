@@ -7,6 +7,7 @@ use std::sync::{Arc, Condvar, Mutex};
 use std::time::{Duration, Instant};
 
 use serde_json::Value;
+use tmpi::live::{Config as RoomConfig, Rooms};
 use tmpi::server::{Config, Fault, Limits, Maker, PipelineMaker, Product, Server};
 use tmpi_core::{Camera, DisparityMap, Photo, Scene};
 use tmpi_pipeline::depth::{DepthError, Estimator};
@@ -183,9 +184,6 @@ impl Running {
 
     /// A server whose views `renderer` draws.
     pub fn drawing(data: &Path, limits: Limits, maker: Arc<dyn Maker>, renderer: Arc<dyn Renderer>) -> Self {
-        count_panics();
-        let (stop, stopped) = tokio::sync::oneshot::channel();
-        let (tell, told) = std::sync::mpsc::channel();
         let config = Config {
             addr: ([127, 0, 0, 1], 0).into(),
             data: data.to_owned(),
@@ -194,12 +192,22 @@ impl Running {
             public_list: false,
             limits,
         };
+        let models = Models { depth: Arc::new(Ramp), theta: None, psi: None };
+        let rooms = Rooms::new(RoomConfig { models, frame_ms: 0.0, key: None });
+        Self::of(async move { Server::bind(config, maker, renderer).await.unwrap().with_rooms(rooms) })
+    }
+
+    /// Whatever server that is.
+    pub fn of(bound: impl Future<Output = Server> + Send + 'static) -> Self {
+        count_panics();
+        let (stop, stopped) = tokio::sync::oneshot::channel();
+        let (tell, told) = std::sync::mpsc::channel();
         let thread = std::thread::spawn(move || {
             // few that block, so that a test sees what holds one while it waits
             let runtime =
                 tokio::runtime::Builder::new_multi_thread().worker_threads(2).max_blocking_threads(24).enable_all().build().unwrap();
             runtime.block_on(async {
-                let server = Server::bind(config, maker, renderer).await.unwrap();
+                let server = bound.await;
                 tell.send(server.addr()).unwrap();
                 server.run(async { drop(stopped.await) }).await;
             });

@@ -9,6 +9,7 @@ mod fixture;
 mod events;
 mod fair;
 mod limits;
+mod live;
 mod matrix;
 mod measure;
 mod openapi;

@@ -64,6 +64,9 @@ fn target(route: &Route, method: &str, id: &str) -> String {
         .path
         .replace("{id}", if method == "DELETE" || route.path.ends_with("/again") { NONE } else { id })
         .replace("{*name}", "view/viewer.js")
+        .replace("{room}", "attic")
+        .replace("{frame}", "latest")
+        .replace("{group}", "1-0")
         + query;
     assert!(!path.contains('{'), "a new route: say here what to ask of {}", route.path);
     path
@@ -77,6 +80,16 @@ fn expected(route: &Route, method: &str, caller: &Caller) -> (u16, Option<&'stat
         _ if !safe && caller.changes == 403 => (403, Some("cross-site")),
         "OPTIONS" if route.access == Access::Open => (200, None),
         "OPTIONS" | "PUT" => (405, Some("method")),
+        "POST" if route.path == "/v1/live/{room}/token" && caller.lists == 403 => (403, Some("token")),
+        "POST" if route.path == "/v1/live/{room}/token" => (200, None),
+        // a page of another site may not even look: a browser opens sockets to anywhere
+        "GET" | "HEAD" if route.path.starts_with("/v1/live/") => match (caller.changes, caller.lists) {
+            (403, _) => (403, Some("cross-site")),
+            (_, 403) => (403, Some("token")),
+            _ if route.path == "/v1/live/{room}" => (200, None),
+            _ if route.path.ends_with("/publish") || route.path.ends_with("/subscribe") => (426, Some("upgrade")),
+            _ => (404, Some("not-found")),
+        },
         "GET" | "HEAD" if route.path == "/v1/photos" && caller.lists == 403 => (403, Some("list-closed")),
         "GET" | "HEAD" | "POST" if route.path == "/v1/network" && caller.lists == 403 => (403, Some("not-yours")),
         "POST" if route.path == "/v1/network" => (200, None),

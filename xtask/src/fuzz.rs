@@ -8,8 +8,25 @@ use std::sync::Mutex;
 use crate::command::{Fault, cargo, output, root, run, run_quietly};
 
 /// Those of `src/fuzzing.rs`; a test there holds this list against them.
-const TARGETS: [&str; 14] =
-    ["container", "labels", "planes", "query", "jpeg", "png", "webp", "exif", "icc", "depth", "carried", "multipart", "patch", "strokes"];
+const TARGETS: [&str; 17] = [
+    "container",
+    "labels",
+    "planes",
+    "message",
+    "units",
+    "video",
+    "query",
+    "jpeg",
+    "png",
+    "webp",
+    "exif",
+    "icc",
+    "depth",
+    "carried",
+    "multipart",
+    "patch",
+    "strokes",
+];
 const SECONDS: u32 = 60;
 /// An input that takes longer is a finding.
 const TIMEOUT: &str = "-timeout=20";

@@ -27,7 +27,7 @@ usage: cargo xtask <task>
   fuzz [--seconds N] [TARGET…]
                 run the fuzzer on what reads foreign bytes (containers, photos, depth maps, forms, queries), N seconds each
   shaders       make the GLSL of static/draw/glsl.js from the WGSL
-  wasm          build the page's decoder and its unpacker, static/decode/*.wasm, from crates/decoder and crates/unpacker
+  wasm          build the pages' decoders, static/*/*.wasm, from crates/decoder, crates/unpacker and crates/live-decoder
   release [--offline]
                 an archive with the program, ONNX Runtime, the depth network that is worth fetching, and licences, in target/archive; unpacked
                 and tried without anything else of this machine

@@ -9,10 +9,11 @@ const TARGET: &str = "wasm32-unknown-unknown";
 /// What every browser of the last years has; vectors that are the same on every machine alone.
 const FLAGS: &str = "-C target-feature=+simd128,+bulk-memory";
 
-/// Packages, and what they are called below `static/decode`. Each is built alone: together the decoder would have the unpacker's zstd.
-const MODULES: [(&str, &str); 2] = [("tmpi-decoder", "decoder.wasm"), ("tmpi-unpacker", "unpacker.wasm")];
+/// Packages, and what they are called below `static`. Each is built alone: together the decoder would have the unpacker's zstd.
+const MODULES: [(&str, &str); 3] =
+    [("tmpi-decoder", "decode/decoder.wasm"), ("tmpi-unpacker", "decode/unpacker.wasm"), ("tmpi-live-decoder", "live/decoder.wasm")];
 
-/// Builds the modules of `static/decode`, and writes down what they were built from.
+/// Builds the modules of `static`, and writes down what they were built from.
 pub fn build() -> Result<(), Fault> {
     let sysroot = output("rustc", &["--print", "sysroot"]).ok_or_else(|| Fault::new("there is no rustc"))?;
     for (package, name) in MODULES {
@@ -46,7 +47,7 @@ fn module(sysroot: &str, package: &str, name: &str) -> Result<(), Fault> {
     build.env("CARGO_TARGET_DIR", &target);
     run(build)?;
     let from = target.join(TARGET).join("wasm").join(package.replace('-', "_")).with_extension("wasm");
-    let to = root().join("static/decode").join(name);
+    let to = root().join("static").join(name);
     let bytes = std::fs::copy(&from, &to).map_err(|e| Fault::new(format!("{}: {e}", from.display())))?;
     println!("{}: {bytes} bytes", to.display());
     Ok(())

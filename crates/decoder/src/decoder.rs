@@ -2,10 +2,8 @@
 
 use std::ops::Range;
 
-use tmpi_core::container::{Part, PhotoRows, decode_rows};
+use tmpi_core::container::{Part, PhotoRows, Piece, decode_rows, strip};
 use tmpi_core::{Class, Photo, Texels};
-
-use crate::strip::{Piece, strip};
 
 /// What can be read out.
 #[derive(Clone, Copy, Debug)]

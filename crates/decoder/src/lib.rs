@@ -5,7 +5,6 @@
 //! is unsafe but the names. A call that fails gives −1 and leaves a text; so does a panic, which ends the instance.
 
 mod decoder;
-mod strip;
 
 use std::cell::RefCell;
 
@@ -61,7 +60,7 @@ pub extern "C" fn tmpi_decode(first: u32, end: u32) -> i32 {
     call(|decoder| decoder.decode(first..end))
 }
 
-/// Fills a strip of a texture page with the pieces that were handed over, seven numbers each (see `strip::Piece`): premultiplied RGBA, or
+/// Fills a strip of a texture page with the pieces that were handed over, seven numbers each (see [`tmpi_core::container::Piece`]): premultiplied RGBA, or
 /// straight where that is 1.
 #[allow(unsafe_code, reason = "a C name")]
 #[unsafe(no_mangle)]

@@ -7,15 +7,18 @@ use std::path::{Path, PathBuf};
 use sha2::{Digest, Sha256};
 
 /// What the modules are built from, but for what only tests have.
-const SOURCES: [&str; 9] = [
+const SOURCES: [&str; 12] = [
     "crates/core/Cargo.toml",
     "crates/core/build.rs",
     "crates/core/src",
     "crates/decoder/Cargo.toml",
     "crates/decoder/src",
     "crates/decoder/wasm32-std.sh",
+    "crates/live-decoder/Cargo.toml",
+    "crates/live-decoder/src",
     "crates/unpacker/Cargo.toml",
     "crates/unpacker/src",
+    "proto/live.proto",
     "proto/tmpi.proto",
 ];
 const TESTS: [&str; 3] = ["tests.rs", "fixtures.rs", "fuzzing.rs"];
@@ -55,12 +58,13 @@ fn the_built_modules_are_of_these_sources() {
         let named = format!("name = \"{package}\"\n");
         hash.update(lock.split("[[package]]\n").find(|p| p.starts_with(&named)).unwrap());
     }
-    let module = |name: &str| hex(Sha256::new_with_prefix(std::fs::read(root.join("static/decode").join(name)).unwrap()));
-    let now = format!("sources {}\ndecoder {}\nunpacker {}\n", hex(hash), module("decoder.wasm"), module("unpacker.wasm"));
+    let module = |name: &str| hex(Sha256::new_with_prefix(std::fs::read(root.join("static").join(name)).unwrap()));
+    let [decoder, unpacker, live] = ["decode/decoder.wasm", "decode/unpacker.wasm", "live/decoder.wasm"].map(module);
+    let now = format!("sources {}\ndecoder {decoder}\nunpacker {unpacker}\nlive {live}\n", hex(hash));
     let kept = root.join("crates/decoder/built.txt");
     if std::env::var("TMPI_BLESS").is_ok_and(|v| v == "wasm") {
         std::fs::write(&kept, &now).unwrap();
     }
     let then = std::fs::read_to_string(&kept).unwrap();
-    assert_eq!(now, then, "static/decode/*.wasm are stale: `cargo xtask wasm` builds them");
+    assert_eq!(now, then, "static/*/*.wasm are stale: `cargo xtask wasm` builds them");
 }

@@ -31,10 +31,12 @@ use utoipa_axum::routes;
 
 use super::app::App;
 use super::middleware;
+pub(crate) use query::Pairs;
 pub(super) use view_query::ViewQuery;
 
 use super::pages;
 use super::problem::Problem;
+use crate::live;
 
 #[derive(OpenApi)]
 #[openapi(
@@ -49,6 +51,7 @@ use super::problem::Problem;
     security(()),
     tags(
         (name = "photos", description = "Photos and what is made of them"),
+        (name = "live", description = "Rooms, in which photos move"),
         (name = "system", description = "Health, metrics and this document")
     ),
     components(schemas(Problem))
@@ -111,7 +114,9 @@ fn cors() -> CorsLayer {
 /// # Errors
 /// It cannot be written as JSON.
 pub fn openapi() -> serde_json::Result<Bytes> {
-    let mut document = serde_json::to_value(own_api().merge(open_api()).into_openapi())?;
+    let mut document = own_api().merge(open_api()).into_openapi();
+    document.merge(live::routes::api().into_openapi());
+    let mut document = serde_json::to_value(document)?;
     words::put(&mut document);
     serde_json::to_vec_pretty(&document).map(Bytes::from)
 }
@@ -144,11 +149,13 @@ fn files() -> [(&'static str, MethodRouter<App>); 2] {
 }
 
 /// Pages.
-fn own_pages() -> [(&'static str, MethodRouter<App>, Access); 4] {
+fn own_pages() -> [(&'static str, MethodRouter<App>, Access); 6] {
     [
         ("/", get(pages::index), Access::Own),
         ("/demo", get(pages::demo), Access::Own),
         ("/view/{id}", get(pages::view), Access::Own),
+        ("/live/{room}", get(pages::watch), Access::Own),
+        ("/live/{room}/publish", get(pages::publish), Access::Own),
         ("/embed/{id}", get(pages::embed), Access::Framed),
     ]
 }
@@ -156,8 +163,8 @@ fn own_pages() -> [(&'static str, MethodRouter<App>, Access); 4] {
 /// All addresses, as [`router`] answers them: it has no others.
 #[must_use]
 pub fn routes() -> Vec<Route> {
-    let described = |api: OpenApiRouter<App>, access| {
-        let paths = api.into_openapi().paths.paths;
+    let described = |api: utoipa::openapi::OpenApi, access| {
+        let paths = api.paths.paths;
         paths.into_iter().map(move |(path, item)| {
             let all = [(item.get, Method::GET), (item.post, Method::POST), (item.patch, Method::PATCH), (item.delete, Method::DELETE)];
             let others = [(item.put, Method::PUT), (item.head, Method::HEAD), (item.options, Method::OPTIONS), (item.trace, Method::TRACE)];
@@ -166,15 +173,16 @@ pub fn routes() -> Vec<Route> {
         })
     };
     let page = |path: &str, access| Route { path: path.to_owned(), methods: vec![Method::GET], access };
-    described(own_api(), Access::Own)
-        .chain(described(open_api(), Access::Open))
+    described(own_api().into_openapi(), Access::Own)
+        .chain(described(open_api().into_openapi(), Access::Open))
+        .chain(described(live::routes::api().into_openapi(), Access::Own))
         .chain(own_pages().map(|(path, _, access)| page(path, access)))
         .chain(files().map(|(path, _)| page(path, Access::Open)))
         .collect()
 }
 
-/// The whole service.
-pub fn router(app: App) -> Router {
+/// The whole service, with rooms where there are any.
+pub fn router(app: App, rooms: Option<Router>) -> Router {
     let (router, _) = own_api().split_for_parts();
     let (open, _) = open_api().split_for_parts();
     // before the layers, so that these see every method: questions before a request (preflights) are OPTIONS
@@ -184,7 +192,7 @@ pub fn router(app: App) -> Router {
     let foreign = |_: ProtectionError| {
         Problem::new(StatusCode::FORBIDDEN, "cross-site", "a page of another site may not change anything here").into_response()
     };
-    let router = router.merge(open.merge(files).layer(cors()));
+    let router = router.merge(open.merge(files).layer(cors())).merge(rooms.unwrap_or_default().with_state(()));
     own_pages()
         .into_iter()
         .fold(router, |router, (path, handler, _)| router.route(path, handler))

@@ -6,7 +6,7 @@ import { files, graph, imports, source } from '../support/modules.mjs';
 const sorted = (names) => [...names].toSorted();
 
 describe('modules', () => {
-  for (const page of ['upload', 'view', 'demo', 'embed']) {
+  for (const page of ['upload', 'view', 'demo', 'embed', 'watch', 'publish']) {
     test(`the ${page} page preloads all that its script imports`, () => {
       const links = [...source(`app/${page}-page.html`).matchAll(/<link rel="modulepreload" href="\/static\/([^"]+)" \/>/g)].map(
         ([, name]) => name,
@@ -17,11 +17,13 @@ describe('modules', () => {
     });
   }
 
-  test('the decoder’s worker imports all that it needs itself', () => {
-    const all = graph('decode/worker.js');
-    all.delete('decode/worker.js');
-    assert.deepEqual(sorted(imports('decode/worker.js')), sorted(all));
-  });
+  for (const worker of ['decode/worker.js', 'live/worker.js']) {
+    test(`${worker} imports all that it needs itself`, () => {
+      const all = graph(worker);
+      all.delete(worker);
+      assert.deepEqual(sorted(imports(worker)), sorted(all));
+    });
+  }
 
   test('the element preloads the viewer', () => {
     const [, list] = source('element/tmpi-viewer.js').match(/^const MODULES = \[([^\]]*)\];/m);
@@ -41,11 +43,15 @@ describe('modules', () => {
       'app/touch-up.js',
       'app/demo-page.js',
       'app/embed-page.js',
+      'app/watch-page.js',
+      'app/publish-page.js',
       'element/tmpi-viewer.js',
       'element/photo-addresses.js',
       'view/viewer.js',
       'decode/worker.js',
       'decode/unpack.js',
+      'live/worker.js',
+      'live/microphone-worklet.js',
       // fetched when they are asked for
       'app/embed-dialog.js',
       'app/film-dialog.js',

@@ -17,10 +17,10 @@ const WEBGPU = ['--enable-unsafe-webgpu', '--enable-features=Vulkan', '--use-vul
 /** Software drawing on a busy machine takes its time. */
 export const PATIENCE_MS = 60_000;
 
-/** A browser, with WebGPU or without. */
-export async function launch({ webgpu = true } = {}) {
+/** A browser, with WebGPU or without, and with further arguments. */
+export async function launch({ webgpu = true, more = [] } = {}) {
   if (!existsSync(executablePath)) throw new Error(`no Chromium at ${executablePath}: set CHROMIUM`);
-  const args = webgpu ? [...PLAIN, ...WEBGPU] : [...PLAIN, '--disable-features=WebGPU', '--disable-gpu'];
+  const args = [...PLAIN, ...(webgpu ? WEBGPU : ['--disable-features=WebGPU', '--disable-gpu']), ...more];
   return chromium.launch({ executablePath, headless: false, args });
 }
 

@@ -9,11 +9,11 @@ const root = fileURLToPath(new URL('../../../', import.meta.url));
 export const program = resolve(process.env.TMPI_BIN || join(root, 'target/release/tmpi'));
 const START_MS = 30_000;
 
-/** Starts `tmpi serve` on a free port: `{url, close}`. */
-export async function startServer() {
+/** Starts `tmpi serve` on a free port: `{url, close}`; `more`: further arguments. */
+export async function startServer(more = []) {
   if (!existsSync(program)) throw new Error(`no program at ${program}: build it with cargo build --release, or set TMPI_BIN`);
   const data = mkdtempSync(join(tmpdir(), 'tmpi-browser-'));
-  const args = ['serve', '--addr', '127.0.0.1:0', '--depth-model', 'tmpi', '--data', data];
+  const args = ['serve', '--addr', '127.0.0.1:0', '--depth-model', 'tmpi', '--data', data, ...more];
   // for work on the pages without building anew
   if (process.env.TMPI_STATIC) args.push('--static', resolve(process.env.TMPI_STATIC));
   const child = spawn(program, args, { cwd: root, stdio: ['ignore', 'pipe', 'pipe'] });

@@ -12,7 +12,8 @@ const CONTEXTS: usize = 32 * 3;
 /// Most labels a tile: the depth of the tree that a label without a neighbour is spelled with.
 const TREE: usize = 64;
 
-struct Models {
+/// What a coder knows of labels.
+pub struct Models {
     left: [Bit; CONTEXTS],
     above: [Bit; CONTEXTS],
     diagonal: [Bit; CONTEXTS],
@@ -20,7 +21,13 @@ struct Models {
 }
 
 impl Models {
-    fn new() -> Box<Self> {
+    /// All of them, in one order.
+    pub fn bits(&mut self) -> impl Iterator<Item = &mut Bit> {
+        self.left.iter_mut().chain(&mut self.above).chain(&mut self.diagonal).chain(&mut self.tree)
+    }
+
+    /// Models that know nothing.
+    pub fn new() -> Box<Self> {
         Box::new(Self {
             left: [Bit::default(); CONTEXTS],
             above: [Bit::default(); CONTEXTS],
@@ -46,9 +53,14 @@ impl Seen {
 
 /// Labels of all tiles (row-major within each tile, each below its tile's count) as bytes; a tile of one label takes none.
 pub fn encode(grid: &Grid, counts: &[u8], labels: &[u8]) -> Vec<u8> {
+    encode_by(&mut Models::new(), grid, counts, labels)
+}
+
+/// The same by models that go on learning.
+pub fn encode_by(models: &mut Models, grid: &Grid, counts: &[u8], labels: &[u8]) -> Vec<u8> {
     let mut coder = Encoder::new();
     let mut labels = labels.to_vec();
-    walk(grid, counts, &mut labels, &mut coder);
+    walk(models, grid, counts, &mut labels, &mut coder);
     coder.finish()
 }
 
@@ -62,23 +74,27 @@ pub fn decode(grid: &Grid, counts: &[u8], data: &[u8]) -> Result<Vec<u8>, Contai
 
 /// The same into zeros, one for each pixel of each tile.
 pub fn decode_into(grid: &Grid, counts: &[u8], data: &[u8], labels: &mut [u8]) -> Result<(), ContainerError> {
+    decode_by(&mut Models::new(), grid, counts, data, labels)
+}
+
+/// The same by models that go on learning.
+pub fn decode_by(models: &mut Models, grid: &Grid, counts: &[u8], data: &[u8], labels: &mut [u8]) -> Result<(), ContainerError> {
     if counts.len() != grid.tiles() as usize || counts.iter().any(|c| !(1..=TREE as u8).contains(c)) {
         return Err(ContainerError::broken("labels: a tile must have 1 to 64 of them"));
     }
-    walk(grid, counts, labels, &mut Decoder::new(data));
+    walk(models, grid, counts, labels, &mut Decoder::new(data));
     Ok(())
 }
 
-fn walk(grid: &Grid, counts: &[u8], labels: &mut [u8], coder: &mut impl Coder) {
+fn walk(models: &mut Models, grid: &Grid, counts: &[u8], labels: &mut [u8], coder: &mut impl Coder) {
     let width = grid.width as usize;
     let mut seen = Seen { width, tile: vec![0; width * grid.height as usize], label: vec![0; width * grid.height as usize] };
-    let mut models = Models::new();
     let mut first = 0;
     for tile in 0..grid.tiles() {
         let area = grid.rect(tile).area();
         let own = &mut labels[first..first + area];
         first += area;
-        tile_labels(grid, tile, counts[tile as usize], own, &mut seen, &mut models, coder);
+        tile_labels(grid, tile, counts[tile as usize], own, &mut seen, models, coder);
     }
 }
 

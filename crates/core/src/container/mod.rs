@@ -1,9 +1,9 @@
 //! The container: a scene as bytes (DESIGN, section 5; schema in `proto/tmpi.proto`).
 
 mod bands;
-mod bounds;
-mod columns;
-mod crc;
+pub(crate) mod bounds;
+pub(crate) mod columns;
+pub(crate) mod crc;
 mod decode;
 #[cfg(feature = "write")]
 mod encode;
@@ -13,18 +13,19 @@ pub mod fixtures;
 #[doc(hidden)]
 pub mod fuzzing;
 mod hidden;
-mod labels;
+pub(crate) mod labels;
 #[cfg(feature = "write")]
 mod level;
 mod part;
 mod photo;
 #[cfg(feature = "pictures")]
 mod picture;
-mod planes;
-mod range;
+pub(crate) mod planes;
+pub(crate) mod range;
 #[cfg(feature = "write")]
 mod region;
 mod select;
+mod strip;
 #[cfg(feature = "unpack")]
 mod unpack;
 #[doc(hidden)]
@@ -48,6 +49,7 @@ pub use picture::{encode_jpeg, encode_lossless};
 #[cfg(feature = "write")]
 pub use region::{RegionPhoto, Tiles, region};
 pub use select::{SECTIONS, select, with_section};
+pub use strip::{Piece, cell, strip};
 #[cfg(feature = "unpack")]
 pub use unpack::unpacked;
 

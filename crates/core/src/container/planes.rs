@@ -78,29 +78,67 @@ impl Layout {
     }
 }
 
+/// What a coder knows of planes.
+pub struct Models {
+    counts: [[Bit; 1 << COUNT_BITS]; COUNTS],
+    background: Bit,
+    a: [Number; PLACES],
+    b: Number,
+    c: [Number; SIZES],
+}
+
+impl Models {
+    /// Models that know nothing.
+    pub fn new() -> Box<Self> {
+        Box::new(Self {
+            counts: [[Bit::default(); 1 << COUNT_BITS]; COUNTS],
+            background: Bit::default(),
+            a: [Number::new(); PLACES],
+            b: Number::new(),
+            c: [Number::new(); SIZES],
+        })
+    }
+
+    /// All of them, in one order.
+    pub fn bits(&mut self) -> impl Iterator<Item = &mut Bit> {
+        let numbers = self.a.iter_mut().chain([&mut self.b]).chain(&mut self.c);
+        let numbers = numbers.flat_map(|n| n.length.iter_mut().chain([&mut n.sign]).chain(&mut n.second));
+        self.counts.iter_mut().flatten().chain([&mut self.background]).chain(numbers)
+    }
+}
+
 /// Codes the bytes of [`columns::write`].
 pub fn encode(layout: Layout, raw: &[u8]) -> Result<Vec<u8>, ContainerError> {
+    encode_by(&mut Models::new(), layout, raw)
+}
+
+/// The same by models that go on learning.
+pub fn encode_by(models: &mut Models, layout: Layout, raw: &[u8]) -> Result<Vec<u8>, ContainerError> {
     let mut coder = Encoder::new();
-    walk(layout, &mut raw.to_vec(), &mut coder)?;
+    walk(models, layout, &mut raw.to_vec(), &mut coder)?;
     Ok(coder.finish())
 }
 
 /// The bytes that were coded.
 pub fn decode(layout: Layout, data: &[u8]) -> Result<Vec<u8>, ContainerError> {
+    decode_by(&mut Models::new(), layout, data)
+}
+
+/// The same by models that go on learning.
+pub fn decode_by(models: &mut Models, layout: Layout, data: &[u8]) -> Result<Vec<u8>, ContainerError> {
     let mut raw = vec![0; columns::bytes(layout.tiles, layout.planes)];
-    walk(layout, &mut raw, &mut Decoder::new(data))?;
+    walk(models, layout, &mut raw, &mut Decoder::new(data))?;
     Ok(raw)
 }
 
 /// The walk over all planes, which is the same both ways; a reader gets `raw` filled.
-fn walk(layout: Layout, raw: &mut [u8], coder: &mut impl Coder) -> Result<(), ContainerError> {
+fn walk(models: &mut Models, layout: Layout, raw: &mut [u8], coder: &mut impl Coder) -> Result<(), ContainerError> {
     let Layout { columns, tiles, planes } = layout;
     let (counts, values) = raw.split_at_mut(tiles);
-    code_counts(columns, counts, coder);
+    code_counts(models, columns, counts, coder);
     if counts.iter().map(|&c| columns::planes_of(c)).sum::<usize>() != planes {
         return Err(ContainerError::broken("planes: wrong count in a tile"));
     }
-    let (mut a_models, mut b_models, mut c_models) = ([Number::new(); PLACES], Number::new(), [Number::new(); SIZES]);
     let mut firsts = vec![0i16; tiles];
     let mut at = 0;
     for (t, &count) in counts.iter().enumerate() {
@@ -112,10 +150,10 @@ fn walk(layout: Layout, raw: &mut [u8], coder: &mut impl Coder) -> Result<(), Co
         for i in 0..columns::planes_of(count) {
             let place = if i == usize::from(count & !BACKGROUND) { 2 } else { i.min(1) };
             let [a, b, c] = [0, 1, 2].map(|column| get(values, planes, column, at));
-            let a = last.wrapping_add(a_models[place].code(coder, a.wrapping_sub(last)));
-            let b = b_models.code(coder, b);
+            let a = last.wrapping_add(models.a[place].code(coder, a.wrapping_sub(last)));
+            let b = models.b.code(coder, b);
             let size = (u16::BITS - b.unsigned_abs().leading_zeros()).min(12) as usize / 3;
-            let c = c_models[size].code(coder, c);
+            let c = models.c[size].code(coder, c);
             for (column, value) in [a, b, c].into_iter().enumerate() {
                 put(values, planes, column, at, value);
             }
@@ -129,15 +167,13 @@ fn walk(layout: Layout, raw: &mut [u8], coder: &mut impl Coder) -> Result<(), Co
     Ok(())
 }
 
-fn code_counts(columns: usize, counts: &mut [u8], coder: &mut impl Coder) {
-    let mut models = [[Bit::default(); 1 << COUNT_BITS]; COUNTS];
-    let mut background = Bit::default();
+fn code_counts(models: &mut Models, columns: usize, counts: &mut [u8], coder: &mut impl Coder) {
     for t in 0..counts.len() {
         let left = if t % columns == 0 { 1 } else { counts[t - 1] & !BACKGROUND };
         let above = if t < columns { 1 } else { counts[t - columns] & !BACKGROUND };
-        let model = &mut models[usize::from(left + above).min(COUNTS - 1)];
+        let model = &mut models.counts[usize::from(left + above).min(COUNTS - 1)];
         let count = tree(model, COUNT_BITS, u32::from((counts[t] & !BACKGROUND).wrapping_sub(1)), coder) as u8 + 1;
-        let behind = coder.bit(&mut background, counts[t] & BACKGROUND != 0);
+        let behind = coder.bit(&mut models.background, counts[t] & BACKGROUND != 0);
         counts[t] = count | if behind { BACKGROUND } else { 0 };
     }
 }

@@ -21,6 +21,18 @@ const SLOW: u32 = 7;
 const BOTTOM: u32 = 1 << 24;
 
 impl Bit {
+    /// A bit that is 1 with a probability of `p` in 65 536.
+    #[must_use]
+    pub const fn of(p: u16) -> Self {
+        Self { quick: p, slow: p }
+    }
+
+    /// The slow estimate of the probability of a 1, in 65 536.
+    #[must_use]
+    pub const fn slow(self) -> u16 {
+        self.slow
+    }
+
     /// Share of the range that a 1 takes, in 1/4096, never 0 and never all.
     fn share(self) -> u32 {
         ((u32::from(self.quick) + u32::from(self.slow)) >> 5).clamp(1, 4095)

@@ -11,7 +11,7 @@ use crate::parallel;
 use crate::scene::{Class, Grid, Photo, Plane, Rect};
 
 /// Context around the hidden texels of a layer in pixels.
-const CONTEXT: u32 = 32;
+pub(crate) const CONTEXT: u32 = 32;
 /// A pixel that touches a surface nearer by this much is mixed with it, and no source.
 const TOUCH: f64 = 0.03;
 

@@ -4,13 +4,16 @@
 mod colour_rows;
 mod dilation;
 mod inpaint;
+mod memory;
 mod prune;
 mod rows;
 mod surface;
 mod texture;
 mod visibility;
 
+pub(crate) use inpaint::CONTEXT;
 pub use inpaint::{Inpainter, Pyramid};
+pub use memory::Memory;
 pub use prune::work_of;
 pub use surface::Surface;
 pub use texture::{TexturedLayer, compose, texture};

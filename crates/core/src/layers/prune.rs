@@ -63,6 +63,19 @@ impl Geometry {
         (rows.start * grid.stride).saturating_sub(reach)..(last.y + last.h + reach).min(grid.height)
     }
 
+    /// Pixels whose surface the masks of a tile follow from.
+    pub(crate) fn window(&self, index: u32) -> Rect {
+        let (tile, r, place) = (&self.tiles[index as usize], self.grid.rect(index), TileFrame::of(&self.grid, index));
+        let (right, lower) = (r.x + r.w - 1, r.y + r.h - 1);
+        let corners = [(r.x, r.y), (right, r.y), (r.x, lower), (right, lower)];
+        let all = tile.planes.iter().chain(&tile.background).flat_map(|p| corners.map(|(x, y)| f64::from(place.disparity(p, x, y))));
+        let (least, most) = all.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, m), d| (l.min(d), m.max(d)));
+        let parallax = self.view_box.parallax(&self.intrinsics, r);
+        // one more: between the corners it is rounded elsewhere
+        let reach = |parallax: f64| ((most - least) * parallax + MARGIN).min(MAX_REACH).ceil() as u32 + 1;
+        grown(r, reach(parallax.0), reach(parallax.1), &self.grid)
+    }
+
     /// Clears those texels of a layer in `hidden`, a mask of 0 and 1 over the tile, that no camera of the view box can look at; gives
     /// the count of those that stay.
     #[inline(never)]

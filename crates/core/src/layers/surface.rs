@@ -6,6 +6,7 @@ use super::rows::Columns;
 use super::{Geometry, TileFrame};
 
 /// δ of the visible surface per pixel, of some rows of the photo; where tiles overlap, of the tile that comes last.
+#[derive(Clone)]
 pub struct Surface {
     width: usize,
     /// The first row.

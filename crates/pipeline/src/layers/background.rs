@@ -17,12 +17,17 @@ const BACKGROUND_STEP: f32 = 0.05;
 
 /// Adds a background to every tile whose neighbourhood shows background that the tile does not.
 pub fn add_backgrounds(geometry: &mut Geometry, delta: &DisparityMap) {
+    add_backgrounds_to(geometry, delta, |_| true);
+}
+
+/// The same for the tiles that are `wanted` alone; others stay as they are.
+pub fn add_backgrounds_to(geometry: &mut Geometry, delta: &DisparityMap, wanted: impl Fn(u32) -> bool + Sync) {
     let grid = geometry.grid;
     let (x, y) = geometry.view_box.parallax(&geometry.intrinsics, Rect { x: 0, y: 0, w: grid.width, h: grid.height });
     // what the farthest camera uncovers, and no more than readers look for
     let wide = x.max(y).clamp(f64::from(BACKGROUND_REACH), f64::from(WIDEST_REACH)).ceil() as u32;
     let farthest: Vec<f32> = geometry.tiles.par_iter().enumerate().map(|(i, t)| t.farthest(&grid, i as u32)).collect();
-    geometry.tiles.par_iter_mut().enumerate().for_each_init(Vec::new, |points, (i, t)| {
+    geometry.tiles.par_iter_mut().enumerate().filter(|(i, _)| wanted(*i as u32)).for_each_init(Vec::new, |points, (i, t)| {
         let (r, place) = (grid.rect(i as u32), TileFrame::of(&grid, i as u32));
         let within = |reach: u32, points: &mut _| background(delta, grown(r, reach, reach, &grid), (r, place), farthest[i], points);
         t.background = within(BACKGROUND_REACH, points);

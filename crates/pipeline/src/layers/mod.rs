@@ -4,4 +4,4 @@
 mod background;
 pub mod refine;
 
-pub use background::add_backgrounds;
+pub use background::{add_backgrounds, add_backgrounds_to};

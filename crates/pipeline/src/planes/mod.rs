@@ -1,5 +1,6 @@
 //! Per-tile planes: weighted clustering of disparity into the fewest planes that meet an error target (paper, section 3.2).
 
+mod carried;
 mod kernel;
 mod linear;
 mod lloyd;
@@ -11,6 +12,7 @@ mod slanted;
 
 use rayon::prelude::*;
 
+pub use carried::{place_again, place_tile_from};
 use lloyd::Histogram;
 use optimal::Table;
 pub use potts::NEIGHBOUR;
@@ -127,7 +129,11 @@ fn finish(samples: &Samples, planes: Vec<Plane>, placement: &Placement) -> Tile 
     planes.dedup();
     let (mut nearest, mut error) = (Vec::new(), Vec::new());
     samples.assign(&planes, &mut nearest, &mut error);
-    let mut labels: Vec<u8> = nearest.iter().map(|&l| l as u8).collect();
+    finish_labelled(samples, planes, nearest.iter().map(|&l| l as u8).collect(), placement)
+}
+
+/// Smooths the labels of planes that are in order and on the container's grid, and drops the planes that no pixel lies on.
+fn finish_labelled(samples: &Samples, mut planes: Vec<Plane>, mut labels: Vec<u8>, placement: &Placement) -> Tile {
     if let Some(target) = placement.target {
         potts::smooth_labels(samples, &planes, &mut labels, target, placement.neighbour);
     }

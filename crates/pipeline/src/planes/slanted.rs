@@ -116,7 +116,7 @@ fn fit_all(s: &Samples) -> Plane {
 }
 
 /// Refits each plane to its pixels; a plane without pixels stays.
-fn refit(s: &Samples, labels: &[u32], planes: &mut [Plane]) {
+pub fn refit(s: &Samples, labels: &[u32], planes: &mut [Plane]) {
     for (j, p) in planes.iter_mut().enumerate() {
         if let Some(q) = Moments::from(kernel::sums(s.columns(), labels, j as u32)).plane() {
             *p = q;

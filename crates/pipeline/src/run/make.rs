@@ -25,7 +25,7 @@ pub fn make(
     let map = job.run(&mut Denoise, (&prepared.photo, map))?;
     let map = if options.strokes.is_empty() { map } else { job.run(&mut Strokes, (&prepared.photo, map))? };
     let map = job.run(&mut Snap, (&prepared.photo, map))?;
-    let placed = job.run(&mut Planes, (&prepared, &map))?;
+    let placed = job.run(&mut Planes::default(), (&prepared, &map))?;
     let layered = job.run(&mut Layers, (&mut prepared, placed, &map.delta))?;
     let layered = job.run(&mut Refine, (&prepared.photo, layered))?;
     let encoded = job.run(&mut Encode, (prepared.photo, layered))?;

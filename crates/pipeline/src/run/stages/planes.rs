@@ -1,17 +1,64 @@
 //! Planes of all tiles.
 
-use tmpi_core::{DisparityMap, Geometry, Grid, Rect};
+use tmpi_core::{DisparityMap, Geometry, Grid, Rect, Tile};
 
 use super::{Estimated, Prepared};
-use crate::planes::{Placement, busy_share, discretisation_error, place};
+use crate::planes::{Placement, busy_share, discretisation_error, place, place_again};
 use crate::run::budget::Costs;
 use crate::run::tile_error::tile_errors;
 use crate::run::{Budget, Context, ErrorFigures, MakeError, PlaneCount, Stage, memory};
 use tmpi_core::container::{most_planes, readable};
 
 /// Disparity → planes and labels of every tile.
+///
+/// The frames of a room [carry](Planes::carrying) planes on: only those of changed tiles are placed, starting from the last ones.
 #[derive(Debug, Default)]
-pub struct Planes;
+pub struct Planes {
+    carried: Option<CarriedTiles>,
+}
+
+/// Tiles of the frame before.
+#[derive(Debug, Default)]
+struct CarriedTiles {
+    tiles: Vec<Tile>,
+    /// Which of them to place again, by number.
+    changed: Vec<bool>,
+}
+
+impl Planes {
+    /// Planes that are carried from one frame to the next, all of one size. Budget, memory and error figures are those of a photo, and
+    /// are left to the room.
+    #[must_use]
+    pub fn carrying() -> Self {
+        Self { carried: Some(CarriedTiles::default()) }
+    }
+
+    /// Says which tiles the next frame changes; all of them, where their number is another than that of the tiles.
+    pub fn change(&mut self, changed: Vec<bool>) {
+        if let Some(carried) = &mut self.carried {
+            carried.changed = changed;
+        }
+    }
+
+    /// Forgets the tiles of the frame before: at a cut nothing goes on.
+    pub fn forget(&mut self) {
+        if let Some(carried) = &mut self.carried {
+            *carried = CarriedTiles::default();
+        }
+    }
+}
+
+impl CarriedTiles {
+    fn place(&mut self, map: &Estimated, grid: &Grid, placement: &Placement) -> Vec<Tile> {
+        let count = grid.tiles() as usize;
+        self.tiles.resize(count, Tile::default());
+        let changed = Some(&self.changed).filter(|c| c.len() == count);
+        let wanted = |i: u32| changed.is_none_or(|c| c[i as usize]);
+        place_again(&map.delta, map.confidence.as_deref(), grid, placement, &mut self.tiles, wanted);
+        self.changed.clear();
+        self.tiles.clone()
+    }
+}
 
 /// Tiles with their planes, without background planes yet.
 #[derive(Clone, Debug)]
@@ -38,6 +85,11 @@ impl Stage for Planes {
             context.report.budget = Some(budget);
         }
         let mut placement = options.placement(max_error, parallax);
+        let scene = |tiles| Geometry { grid, intrinsics: prepared.intrinsics, view_box: options.view_box, tiles };
+        if let Some(carried) = &mut self.carried {
+            placement.most = placement.most.min(most_planes(&grid));
+            return Ok(Placed { geometry: scene(carried.place(map, &grid, &placement)), placement });
+        }
         let mut tiles = place(delta, map.confidence.as_deref(), &grid, &placement);
         let most = most_planes(&grid);
         if most < placement.most && !readable(&grid, &tiles) {
@@ -56,7 +108,7 @@ impl Stage for Planes {
         let (depth_mae, depth_mse, depth_q25) = discretisation_error(delta, &grid, &tiles);
         let tile_px = tile_errors(delta, &grid, &tiles, parallax.0.max(parallax.1));
         context.report.error = ErrorFigures { depth_mae, depth_mse, depth_q25, tile_px, ..ErrorFigures::default() };
-        Ok(Placed { geometry: Geometry { grid, intrinsics: prepared.intrinsics, view_box: options.view_box, tiles }, placement })
+        Ok(Placed { geometry: scene(tiles), placement })
     }
 }
 

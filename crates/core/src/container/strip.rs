@@ -1,7 +1,7 @@
 //! Texels as the graphics device takes them: strips of texture pages.
 
-use tmpi_core::container::{Part, PhotoRows};
-use tmpi_core::{Class, Layer};
+use super::{Part, PhotoRows};
+use crate::{Class, Layer};
 
 /// A part of a layer in a strip.
 #[derive(Clone, Copy, Debug)]
@@ -57,6 +57,18 @@ pub fn strip(
         out.iter_mut().for_each(premultiply);
     }
     Some(out)
+}
+
+/// Fills `out`, `size` texels row by row, with a piece of a layer, premultiplied; what it does not reach stays as it is. False where the
+/// piece does not fit.
+#[must_use]
+pub fn cell(part: &Part, photo: &PhotoRows, piece: &Piece, out: &mut [[u8; 4]], size: (usize, usize)) -> bool {
+    let Some(layer) = part.layers.get(piece.layer).filter(|layer| piece.fits(layer, size)) else { return false };
+    expand(part, photo, layer, piece, out, size.0);
+    for row in out.chunks_mut(size.0).take(piece.size.1) {
+        row[piece.x..piece.x + piece.size.0].iter_mut().for_each(premultiply);
+    }
+    true
 }
 
 #[inline(never)]

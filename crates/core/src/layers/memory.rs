@@ -1,0 +1,188 @@
+//! What was seen of a surface before something came in front of it.
+//!
+//! A reader of a room keeps it, and shows it in place of the colours that [`super::Inpainter`] makes up. Nothing is sent for it: who came
+//! later has seen less and makes up more. What a texel is, and where, does not depend on it; its colour alone does.
+
+use super::{LayerMasks, Surface, TileFrame};
+use crate::scene::{Class, Grid, Photo, Plane, Rect};
+
+/// δ by which something lies in front of what is remembered, or a layer apart from it: the noise of depth from frame to frame is less.
+const APART: f32 = 0.05;
+/// A pixel that touches a surface nearer by this much is mixed with it, and not kept.
+const TOUCH: f64 = 0.03;
+/// Levels, summed over the channels, by which a surface that is seen all the time has become another.
+const OTHER: u32 = 48;
+/// Share of such pixels from which on the camera has moved, or the light has changed: nothing that was seen holds any more.
+const MOVED: f64 = 0.3;
+/// Pixels in a row of which one is looked at for that.
+const EVERY: usize = 7;
+
+/// For each pixel of the frames the farthest surface that was seen there.
+#[derive(Clone, Debug)]
+pub struct Memory {
+    grid: Grid,
+    rgb: Vec<[u8; 3]>,
+    /// δ of what is remembered, NaN where there is nothing.
+    delta: Vec<f32>,
+}
+
+impl Memory {
+    /// Knows nothing yet.
+    #[must_use]
+    pub fn new(grid: Grid) -> Self {
+        let count = grid.width as usize * grid.height as usize;
+        Self { grid, rgb: vec![[0; 3]; count], delta: vec![f32::NAN; count] }
+    }
+
+    /// Forgets everything: a new scene.
+    pub fn forget(&mut self) {
+        self.delta.fill(f32::NAN);
+    }
+
+    /// Pixels of which something is remembered.
+    #[must_use]
+    pub fn known(&self) -> usize {
+        self.delta.iter().filter(|d| !d.is_nan()).count()
+    }
+
+    /// Looks at a frame: what is as far as what is remembered, or farther, is kept; what is nearer stands in front of it. `surface` is the
+    /// frame's visible one, over all rows. A photo of another size is left alone.
+    pub fn take(&mut self, photo: &Photo, mut surface: Surface) {
+        if (photo.width, photo.height) != (self.grid.width, self.grid.height) || photo.rgb.len() != self.delta.len() {
+            return;
+        }
+        surface.put_away_mixed(TOUCH);
+        if self.has_moved(photo, &surface) {
+            self.forget();
+        }
+        let rows = photo.rgb.chunks(photo.width as usize).zip(0..);
+        for (new, y) in rows {
+            let from = y as usize * self.grid.width as usize;
+            let (colours, known) = (&mut self.rgb[from..][..new.len()], &mut self.delta[from..][..new.len()]);
+            for (((delta, rgb), colour), known) in surface.row(0, y, self.grid.width).iter().zip(new).zip(colours).zip(known) {
+                // infinite where it is mixed with something nearer
+                if delta.is_finite() && (known.is_nan() || *delta <= *known + APART) {
+                    (*colour, *known) = (*rgb, *delta);
+                }
+            }
+        }
+    }
+
+    /// Whether much of what is in sight as it was before looks otherwise.
+    fn has_moved(&self, photo: &Photo, surface: &Surface) -> bool {
+        let (mut seen, mut other) = (0usize, 0usize);
+        for (y, new) in (0..).zip(photo.rgb.chunks(photo.width as usize)) {
+            let from = y as usize * self.grid.width as usize;
+            let row = surface.row(0, y, self.grid.width).iter().zip(new).enumerate().skip(y as usize % EVERY).step_by(EVERY);
+            for (x, (delta, rgb)) in row {
+                if (delta - self.delta[from + x]).abs() <= APART {
+                    let by: u32 = rgb.iter().zip(self.rgb[from + x]).map(|(a, b)| u32::from(a.abs_diff(b))).sum();
+                    seen += 1;
+                    other += usize::from(by > OTHER);
+                }
+            }
+        }
+        other as f64 > MOVED * seen as f64
+    }
+
+    /// Puts what is remembered in place of the made-up `colours` of hidden texels: of all layers of the tiles from `first` on, in the order
+    /// of their classes. Gives how many it knew.
+    pub fn recall(&self, first: u32, masks: &[LayerMasks], colours: &mut [Vec<Vec<[u8; 3]>>]) -> usize {
+        let layers =
+            masks.iter().zip(colours).zip(first..).flat_map(|((m, c), tile)| m.layers.iter().zip(c).map(move |(l, c)| (tile, l, c)));
+        layers.map(|(tile, l, colours)| self.recall_layer(tile, &l.plane, l.rect, &l.class, colours)).sum()
+    }
+
+    /// The same of one layer.
+    pub(crate) fn recall_layer(&self, tile: u32, plane: &Plane, rect: Rect, class: &[u8], colours: &mut [[u8; 3]]) -> usize {
+        let (place, Rect { x, y, w, .. }) = (TileFrame::of(&self.grid, tile), rect);
+        let hidden = (0u32..).zip(class).filter(|(_, c)| **c == Class::Hidden as u8);
+        let mut count = 0;
+        for ((i, _), colour) in hidden.zip(colours) {
+            let (x, y) = (x + i % w, y + i / w);
+            let at = y as usize * self.grid.width as usize + x as usize;
+            let known = self.delta[at];
+            // a layer may lie nearer than what was seen there, as its plane was guessed from beside; what was seen nearer is another one's
+            if !known.is_nan() && known <= place.disparity(plane, x, y) + APART {
+                *colour = self.rgb[at];
+                count += 1;
+            }
+        }
+        count
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Geometry, Inpainter, Intrinsics, Tile, ViewBox};
+
+    const SIDE: u32 = 64;
+
+    /// A wall with stripes, and before it a red thing from column `from` to `to`.
+    fn frame(from: u32, to: u32, wall: impl Fn(u32) -> [u8; 3]) -> (Photo, Geometry) {
+        let inside = |i: u32| (from..to).contains(&(i % SIDE));
+        let rgb = (0..SIDE * SIDE).map(|i| if inside(i) { [200, 0, 0] } else { wall(i) }).collect();
+        let planes = vec![Plane::fronto_parallel(0.2), Plane::fronto_parallel(0.8)];
+        let tiles = vec![Tile { planes, labels: (0..SIDE * SIDE).map(|i| inside(i).into()).collect(), background: None }];
+        let (grid, intrinsics) = (Grid::new(SIDE, SIDE, 64), Intrinsics::centred(SIDE, SIDE, 50.0));
+        let view_box = ViewBox { x: 0.2, y: 0.2, z: 0.0 };
+        (Photo { width: SIDE, height: SIDE, rgb }, Geometry { grid, intrinsics, view_box, tiles })
+    }
+
+    fn stripes(i: u32) -> [u8; 3] {
+        [0, if (i % SIDE).is_multiple_of(2) { 250 } else { 10 }, (i / SIDE) as u8]
+    }
+
+    /// Hidden texels of the wall, with the column of each, and how many were remembered.
+    fn hidden(memory: &Memory, (photo, geometry): &(Photo, Geometry)) -> (Vec<(u32, [u8; 3])>, usize) {
+        let masks = geometry.masks();
+        let mut colours = Inpainter::new(photo, geometry).fill_all(&masks);
+        let known = memory.recall(0, &masks, &mut colours);
+        let wall = &masks[0].layers[0];
+        let columns = (0..).zip(&wall.class).filter(|(_, c)| **c == Class::Hidden as u8).map(|(i, _)| wall.rect.x + i % wall.rect.w);
+        (columns.zip(colours[0][0].clone()).collect(), known)
+    }
+
+    #[test]
+    fn what_was_seen_is_shown_where_something_stands_now_and_the_rest_is_made_up() {
+        let (before, now) = (frame(0, 12, stripes), frame(20, 50, stripes));
+        let mut memory = Memory::new(now.1.grid);
+        assert_eq!((hidden(&memory, &now).1, memory.known()), (0, 0));
+        memory.take(&before.0, before.1.surface());
+        memory.take(&now.0, now.1.surface());
+        let (texels, known) = hidden(&memory, &now);
+        assert!(!texels.is_empty() && known == texels.len(), "{known} of {}", texels.len());
+        assert!(texels.iter().all(|(x, c)| c[..2] == stripes(*x)[..2]));
+        // behind where the thing was all the time nothing was ever seen
+        let stays = frame(0, 30, stripes);
+        let mut memory = Memory::new(stays.1.grid);
+        memory.take(&stays.0, stays.1.surface());
+        assert_eq!(hidden(&memory, &stays).1, 0);
+    }
+
+    #[test]
+    fn a_wall_that_is_painted_is_remembered_as_it_was_seen_last() {
+        let plain = |level: u8| move |_| [level; 3];
+        let mut memory = Memory::new(frame(0, 1, plain(0)).1.grid);
+        for step in 0..20u8 {
+            let (photo, geometry) = frame(0, 12, plain(step * 4));
+            memory.take(&photo, geometry.surface());
+        }
+        let now = frame(20, 50, plain(76));
+        memory.take(&now.0, now.1.surface());
+        assert!(hidden(&memory, &now).0.iter().all(|(_, c)| *c == [76; 3]));
+    }
+
+    #[test]
+    fn nothing_holds_once_the_camera_has_moved() {
+        let mut memory = Memory::new(frame(0, 1, stripes).1.grid);
+        let (photo, geometry) = frame(0, 12, stripes);
+        memory.take(&photo, geometry.surface());
+        let moved = frame(20, 50, |i| stripes(i + 1));
+        memory.take(&moved.0, moved.1.surface());
+        assert_eq!(hidden(&memory, &moved).1, 0);
+        memory.forget();
+        assert_eq!(memory.known(), 0);
+    }
+}

@@ -1,0 +1,31 @@
+//! A door for fuzzing.
+
+use super::wire::message::Kind;
+use super::{Model, chunk, read};
+use crate::{Geometry, Grid, Intrinsics, ViewBox};
+
+/// Reads a message, and its tiles into a small room; what is read is written and read again.
+///
+/// # Panics
+/// It is not: a promise is broken.
+pub fn message(data: &[u8]) {
+    let Ok(kind) = read(data.to_vec().into()) else { return };
+    match kind {
+        Kind::Hello(hello) => drop(Model::new(&hello)),
+        Kind::Geometry(g) | Kind::Snapshot(g) => {
+            let grid = Grid::new(130, 100, 64);
+            let empty = Geometry { grid, intrinsics: Intrinsics::centred(130, 100, 75.0), view_box: ViewBox::default(), tiles: Vec::new() };
+            let Ok(mut model) = Model::new(&Model::hello(&empty)) else { return };
+            if model.take(&g).is_err() {
+                return;
+            }
+            let Some(geometry) = model.geometry() else { return };
+            for c in &g.chunks {
+                let again = chunk::encode(&grid, chunk::area(c), &geometry.tiles, 1).and_then(|c| chunk::decode(&grid, &c));
+                let same = |tiles: &Vec<_>| tiles.iter().all(|(i, t)| *t == geometry.tiles[*i as usize]);
+                assert!(again.as_ref().is_ok_and(same), "tiles that were read are written otherwise");
+            }
+        }
+        _ => {}
+    }
+}

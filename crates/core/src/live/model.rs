@@ -1,0 +1,96 @@
+//! What a reader of a room knows of its tiles.
+
+use super::wire::{self, Chunk, Hello};
+use super::{LEAST_TILE, LiveError, MAX_PIXELS, VERSION, chunk};
+use crate::container::bounds;
+use crate::{Geometry, Grid, Intrinsics, Tile, ViewBox};
+
+/// Planes and labels of all tiles, each as of the newest chunk that was taken.
+#[derive(Clone, Debug)]
+pub struct Model {
+    geometry: Geometry,
+    /// Number of the frame that each tile is as of; none: nothing is known of it yet.
+    versions: Vec<Option<u64>>,
+}
+
+impl Model {
+    /// Knows nothing of any tile.
+    ///
+    /// # Errors
+    /// [`LiveError::Newer`]; [`LiveError::Broken`] where grid or camera are none that readers take.
+    pub fn new(hello: &Hello) -> Result<Self, LiveError> {
+        if hello.version > VERSION {
+            return Err(LiveError::Newer { found: hello.version });
+        }
+        let grid = Grid { width: hello.width, height: hello.height, size: hello.tile_size, stride: hello.tile_stride };
+        let intrinsics = Intrinsics { fx: hello.fx, fy: hello.fy, cx: hello.cx, cy: hello.cy };
+        let view_box = ViewBox { x: hello.view_x, y: hello.view_y, z: hello.view_z };
+        bounds::frame(&grid, &intrinsics, &view_box)?;
+        if u64::from(grid.width) * u64::from(grid.height) > MAX_PIXELS {
+            return Err(LiveError::broken(format!("frames of {}×{}, over {MAX_PIXELS} pixels", grid.width, grid.height)));
+        }
+        if grid.size < LEAST_TILE {
+            return Err(LiveError::broken(format!("tiles of {} pixels, below {LEAST_TILE}", grid.size)));
+        }
+        let tiles = vec![Tile::default(); grid.tiles() as usize];
+        Ok(Self { versions: vec![None; tiles.len()], geometry: Geometry { grid, intrinsics, view_box, tiles } })
+    }
+
+    /// What is said of a room whose tiles are those of `geometry`.
+    #[must_use]
+    pub fn hello(geometry: &Geometry) -> Hello {
+        let Geometry { grid, intrinsics: k, view_box: v, .. } = geometry;
+        Hello {
+            version: VERSION,
+            width: grid.width,
+            height: grid.height,
+            tile_size: grid.size,
+            tile_stride: grid.stride,
+            fx: k.fx,
+            fy: k.fy,
+            cx: k.cx,
+            cy: k.cy,
+            view_x: v.x,
+            view_y: v.y,
+            view_z: v.z,
+            ..Hello::default()
+        }
+    }
+
+    /// Count of the tiles.
+    #[must_use]
+    pub fn tiles(&self) -> u32 {
+        self.geometry.grid.tiles()
+    }
+
+    /// All tiles, once something is known of each.
+    #[must_use]
+    pub fn geometry(&self) -> Option<&Geometry> {
+        self.versions.iter().all(Option::is_some).then_some(&self.geometry)
+    }
+
+    /// Takes the chunks of a message; gives the numbers of the tiles that are others now. A tile that is known from the same or a newer
+    /// frame stays as it is.
+    ///
+    /// # Errors
+    /// [`LiveError`] at the first chunk that cannot be read; those before it are taken.
+    pub fn take(&mut self, message: &wire::Geometry) -> Result<Vec<u32>, LiveError> {
+        let mut changed = Vec::new();
+        for chunk in &message.chunks {
+            self.take_chunk(chunk, &mut changed)?;
+        }
+        Ok(changed)
+    }
+
+    fn take_chunk(&mut self, chunk: &Chunk, changed: &mut Vec<u32>) -> Result<(), LiveError> {
+        for (index, tile) in chunk::decode(&self.geometry.grid, chunk)? {
+            let known = &mut self.versions[index as usize];
+            if known.is_none_or(|known| known < chunk.version) {
+                *known = Some(chunk.version);
+                self.geometry.tiles[index as usize] = tile;
+                changed.push(index);
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,118 @@
+//! Encoders of the publisher's side, for measuring.
+
+use image::codecs::jpeg::JpegEncoder;
+use image::{ExtendedColorType, ImageEncoder};
+use tmpi_core::Photo;
+
+use super::LiveBenchError;
+
+/// An encoder of frames, one after the other.
+pub trait Encoder {
+    /// Codec string, as publishers say it.
+    fn codec(&self) -> &'static str;
+
+    /// A frame's bytes, and whether it can be decoded without others.
+    ///
+    /// # Errors
+    /// [`LiveBenchError::Encode`].
+    fn encode(&mut self, photo: &Photo) -> Result<(Vec<u8>, bool), LiveBenchError>;
+}
+
+/// JPEG of each frame.
+#[derive(Clone, Copy, Debug)]
+pub struct Jpeg {
+    /// 1 to 100.
+    pub quality: u8,
+}
+
+impl Encoder for Jpeg {
+    fn codec(&self) -> &'static str {
+        tmpi_live::video::JPEG
+    }
+
+    fn encode(&mut self, photo: &Photo) -> Result<(Vec<u8>, bool), LiveBenchError> {
+        let mut out = Vec::new();
+        JpegEncoder::new_with_quality(&mut out, self.quality)
+            .write_image(photo.rgb.as_flattened(), photo.width, photo.height, ExtendedColorType::Rgb8)
+            .map_err(|e| LiveBenchError::Encode(e.to_string()))?;
+        Ok((out, true))
+    }
+}
+
+/// H.264, Constrained Baseline, one frame out for each in.
+#[cfg(feature = "h264")]
+pub struct H264 {
+    encoder: rusty_h264_encoder::Encoder,
+    frames: u32,
+}
+
+#[cfg(feature = "h264")]
+impl H264 {
+    /// Frames between key frames.
+    pub const GOP: u32 = 60;
+
+    /// Frames of that size, 30 a second, at `bitrate` bits a second.
+    ///
+    /// # Errors
+    /// [`LiveBenchError::Encode`] where a side is odd, or the size is beyond the encoder.
+    pub fn new((width, height): (u32, u32), bitrate: u32) -> Result<Self, LiveBenchError> {
+        let mut config = rusty_h264_encoder::EncoderConfig::baseline(width as usize, height as usize);
+        config.preset = rusty_h264_encoder::Preset::Balanced;
+        (config.gop_size, config.min_keyint, config.framerate, config.bitrate) = (Self::GOP, Self::GOP, 30.0, bitrate);
+        let encoder = rusty_h264_encoder::Encoder::new(config).map_err(|e| LiveBenchError::Encode(e.to_string()))?;
+        Ok(Self { encoder, frames: 0 })
+    }
+}
+
+#[cfg(feature = "h264")]
+impl Encoder for H264 {
+    fn codec(&self) -> &'static str {
+        "avc1.42e01e"
+    }
+
+    fn encode(&mut self, photo: &Photo) -> Result<(Vec<u8>, bool), LiveBenchError> {
+        let key = self.frames.is_multiple_of(Self::GOP);
+        self.frames += 1;
+        let [y, u, v] = to_i420(photo);
+        let frame = rusty_h264_common::YuvFrame { width: photo.width as usize, height: photo.height as usize, y, u, v };
+        Ok((self.encoder.try_encode(&frame).map_err(|e| LiveBenchError::Encode(e.to_string()))?, key))
+    }
+}
+
+/// BT.709, limited range; chroma as the mean of four pixels.
+#[cfg(any(test, feature = "h264"))]
+fn to_i420(photo: &Photo) -> [Vec<u8>; 3] {
+    let (w, h) = (photo.width, photo.height);
+    let (kr, kb) = (0.2126, 0.0722);
+    let luma = |[r, g, b]: [f64; 3]| kr * r + (1.0 - kr - kb) * g + kb * b;
+    let level = |v: f64| v.round().clamp(0.0, 255.0) as u8;
+    let y = photo.rgb.iter().map(|p| level(16.0 + 219.0 / 255.0 * luma(p.map(f64::from)))).collect();
+    let (mut u, mut v) = (Vec::new(), Vec::new());
+    for row in (0..h).step_by(2) {
+        for column in (0..w).step_by(2) {
+            let four = [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(dx, dy)| photo.at((column + dx).min(w - 1), (row + dy).min(h - 1)));
+            let mean: [f64; 3] = std::array::from_fn(|c| four.iter().map(|p| f64::from(p[c])).sum::<f64>() / 4.0);
+            let grey = luma(mean);
+            u.push(level(128.0 + 224.0 / 255.0 * (mean[2] - grey) / (2.0 * (1.0 - kb))));
+            v.push(level(128.0 + 224.0 / 255.0 * (mean[0] - grey) / (2.0 * (1.0 - kr))));
+        }
+    }
+    [y, u, v]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tmpi_live::video::{I420, to_rgb};
+
+    #[test]
+    fn the_conversion_is_undone_by_the_readers() {
+        // one colour for each four pixels, as chroma has it
+        let pixel = |x: u32, y: u32| [(x / 2 * 8) as u8, (y / 2 * 8) as u8, ((x / 2 + y / 2) * 4) as u8];
+        let photo = Photo { width: 64, height: 64, rgb: (0..4096).map(|i| pixel(i % 64, i / 64)).collect() };
+        let [y, u, v] = to_i420(&photo);
+        let back = to_rgb(&I420 { width: 64, height: 64, y: &y, u: &u, v: &v }).unwrap();
+        let off = photo.rgb.as_flattened().iter().zip(back.rgb.as_flattened()).map(|(a, b)| a.abs_diff(*b)).max();
+        assert!(off <= Some(3), "{off:?}");
+    }
+}

@@ -1,0 +1,268 @@
+//! `tmpi live bench`: rendered sequences, encoded, through the driver of a room to a reader, with error against time and bytes.
+
+pub mod encode;
+mod measure;
+mod reader;
+pub mod sequence;
+
+use std::fmt::Write;
+use std::path::PathBuf;
+
+use serde::Serialize;
+
+use tmpi_core::live::chunk::Area;
+use tmpi_core::live::prior::Learning;
+use tmpi_live::{Geometry, GeometryError, Settings as Room, video};
+use tmpi_pipeline::{Models, Options};
+
+use encode::Encoder;
+use sequence::{Kind, Sequence};
+
+/// Short names of the sequences.
+pub const NAMES: [&str; 4] = [Kind::ALL[0].slug(), Kind::ALL[1].slug(), Kind::ALL[2].slug(), Kind::ALL[3].slug()];
+/// Seeds of the scenes of the benchmark, far from those that anything was learnt from.
+const SEED: u64 = 900_100;
+/// Seeds of the scenes that the coders of chunks learn from.
+const LEARNT: u64 = 700_000;
+/// Scenes that they learn from, and frames of each.
+const LESSONS: (u64, u32) = (12, 40);
+
+/// Why nothing could be measured.
+#[derive(Debug, thiserror::Error)]
+pub enum LiveBenchError {
+    /// A frame could not be encoded.
+    #[error("encoding a frame: {0}")]
+    Encode(String),
+    /// A frame could not be decoded.
+    #[error(transparent)]
+    Video(#[from] video::VideoError),
+    /// A frame has no geometry.
+    #[error(transparent)]
+    Geometry(#[from] GeometryError),
+    /// A reader could not take what was sent.
+    #[error(transparent)]
+    Live(#[from] tmpi_core::live::LiveError),
+    /// A view could not be drawn.
+    #[error(transparent)]
+    Render(#[from] tmpi_render::RenderError),
+    /// A file could not be written.
+    #[error("{0}")]
+    Write(PathBuf, #[source] std::io::Error),
+}
+
+/// What is measured.
+#[derive(Clone)]
+pub struct Settings {
+    /// Size of the frames.
+    pub size: (u32, u32),
+    /// Frames of each sequence.
+    pub frames: u32,
+    /// Bits a second of H.264; none: JPEG frames.
+    pub bitrate: Option<u32>,
+    /// Milliseconds that the geometry of a frame may take; 0: as long as it takes.
+    pub frame_ms: f64,
+    /// Every so many frames the view from beside is drawn, and that of the frame after it.
+    pub views: u32,
+    /// The networks; without the depth network only depth that is measured can be used.
+    pub models: Models,
+    /// Depth can be estimated.
+    pub depth: bool,
+    /// Of the sequences the one of this name alone.
+    pub only: Option<String>,
+    /// Where the streams and some of the pictures are written.
+    pub files: Option<PathBuf>,
+}
+
+/// Means over the frames of a sequence; bytes and milliseconds are a frame's.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct Figures {
+    /// Name of the sequence.
+    pub sequence: &'static str,
+    /// `h264` or `jpeg`.
+    pub codec: &'static str,
+    /// Bytes of video.
+    pub video_bytes: f64,
+    /// Bytes of geometry.
+    pub geometry_bytes: f64,
+    /// Of these, bytes of planes.
+    pub plane_bytes: f64,
+    /// Bytes of all tiles of a frame as one chunk.
+    pub snapshot_bytes: f64,
+    /// Video and geometry at 30 frames a second, in kbit/s.
+    pub kbit_s: f64,
+    /// Bytes of each frame as JPEG of about equal PSNR, with the noise.
+    pub jpeg_bytes: f64,
+    /// PSNR of decoded frames against those without noise, and of the JPEG files, in dB.
+    pub video_psnr: f64,
+    /// The same of the JPEG files.
+    pub jpeg_psnr: f64,
+    /// Share of the tiles that nothing was sent of.
+    pub left_out: f64,
+    /// Share of the truly unchanged tiles that were found to be; 0 where no tile is.
+    pub unchanged_found: f64,
+    /// Largest difference, in levels, of a pixel from that of which its depth was told.
+    pub left_out_off: u8,
+    /// Pixels that the view from the camera's own place has otherwise than the frame, of all views.
+    pub own_view_off: u64,
+    /// PSNR where the camera itself sees nothing, from the fifth second on: what was seen before shown, in dB; 0 before.
+    pub uncovered_psnr: f64,
+    /// The same with all of it made up from what is beside it.
+    pub uncovered_psnr_made_up: f64,
+    /// A reader's time to keep what it sees.
+    pub memory_ms: f64,
+    /// PSNR of the view from beside, in dB, and of one whose every frame was made by itself.
+    pub psnr: f64,
+    /// The same, made frame by frame.
+    pub psnr_separate: f64,
+    /// SSIM of the view from beside.
+    pub ssim: f64,
+    /// The same, made frame by frame.
+    pub ssim_separate: f64,
+    /// Mean change of the view from beside, in levels, where the truth does not change, from the tiles of the frame before to its own: of one
+    /// and the same picture, so that the noise of the video is not in it.
+    pub flicker: f64,
+    /// The same, made frame by frame.
+    pub flicker_separate: f64,
+    /// The same within tiles of which nothing was sent and whose neighbours did not change.
+    pub flicker_left_out: f64,
+    /// Decoding on the server.
+    pub decode_ms: f64,
+    /// Each stage of the server: milliseconds, and those of processor time.
+    pub stages_ms: Vec<(String, f64, f64)>,
+    /// Processor time of everything on the server.
+    pub server_cpu_ms: f64,
+    /// Everything on the server.
+    pub server_ms: f64,
+    /// The longest of these.
+    pub server_ms_most: f64,
+    /// 95 of 100 take no longer.
+    pub server_ms_p95: f64,
+    /// A reader's decoding of chunks.
+    pub read_ms: f64,
+    /// A reader's masks of all layers, and their hidden colours: not only of what changed.
+    pub masks_ms: f64,
+    /// Colours of hidden texels.
+    pub fill_ms: f64,
+}
+
+/// Figures of all sequences.
+#[derive(Clone, Debug, Serialize)]
+pub struct Results {
+    /// Width and height.
+    pub size: (u32, u32),
+    /// Frames of each sequence.
+    pub frames: u32,
+    /// A row each.
+    pub rows: Vec<Figures>,
+    /// What was left out, and why.
+    pub skipped: Vec<String>,
+}
+
+/// Measures all sequences; `told` is told of each.
+///
+/// # Errors
+/// [`LiveBenchError`].
+pub fn run(settings: &Settings, told: &dyn Fn(&str)) -> Result<Results, LiveBenchError> {
+    let (mut rows, mut skipped) = (Vec::new(), Vec::new());
+    for kind in Kind::ALL {
+        if settings.only.as_ref().is_some_and(|name| name != kind.slug()) {
+            continue;
+        }
+        if !settings.depth && kind != Kind::Measured {
+            skipped.push(format!("{}: there is no depth network", kind.name()));
+            continue;
+        }
+        told(kind.name());
+        let sequence = Sequence::new(kind, SEED, settings.size, settings.frames, measure::ASIDE);
+        rows.push(measure::run(settings, kind, &sequence)?);
+    }
+    Ok(Results { size: settings.size, frames: settings.frames, rows, skipped })
+}
+
+/// What is made of a sequence.
+fn room(sequence: &Sequence, frame_ms: f64, separate: bool) -> Room {
+    let (k, width) = (sequence.intrinsics(), 2.0 * sequence.intrinsics().cx);
+    let options = Options { fov_x: Some(k.fov_x(width as u32)), ..Options::default() };
+    Room { options, frame_ms, separate, ..Room::default() }
+}
+
+/// The encoder that is wanted.
+fn encoder(settings: &Settings) -> Result<Box<dyn Encoder>, LiveBenchError> {
+    #[cfg(feature = "h264")]
+    if let Some(bitrate) = settings.bitrate {
+        return Ok(Box::new(encode::H264::new(settings.size, bitrate)?));
+    }
+    if settings.bitrate.is_some() {
+        return Err(LiveBenchError::Encode("this program was built without H.264".into()));
+    }
+    Ok(Box::new(encode::Jpeg { quality: measure::QUALITY }))
+}
+
+/// Learns what the coders of chunks begin with (`crates/core/src/live/prior.in`): from chunks of sequences whose depth is measured.
+///
+/// # Errors
+/// [`LiveBenchError`].
+pub fn learn(settings: &Settings, told: &dyn Fn(&str)) -> Result<String, LiveBenchError> {
+    let mut learning = Learning::default();
+    for lesson in 0..LESSONS.0 {
+        told(&format!("lesson {} of {}", lesson + 1, LESSONS.0));
+        let kind = if lesson % 3 == 2 { Kind::Moving } else { Kind::Still };
+        let sequence = Sequence::new(kind, LEARNT + 3 * lesson, settings.size, LESSONS.1, measure::ASIDE);
+        let (mut encoder, mut geometry) = (encoder(settings)?, Geometry::new(settings.models.clone(), room(&sequence, 0.0, false)));
+        let mut decoder = video::decoder(encoder.codec(), settings.size)?;
+        for n in 0..LESSONS.1 {
+            let shot = sequence.shot(n);
+            let Some(photo) = decoder.decode(&encoder.encode(&shot.noisy)?.0)? else { continue };
+            let depth = (!settings.depth || lesson % 2 == 0).then_some(shot.delta);
+            let update = geometry.next(&tmpi_live::Frame { number: n.into(), photo, depth })?;
+            let Some(g) = geometry.geometry() else { continue };
+            for area in Area::covering(&g.grid, |t| update.sent.contains(&t)) {
+                learning.take(&g.grid, area, &g.tiles)?;
+            }
+        }
+    }
+    Ok(learning.finish())
+}
+
+impl Results {
+    /// The figures as a table, a sequence in each column.
+    #[must_use]
+    pub fn table(&self) -> String {
+        let mut out = format!("{}×{}, {} frames\n", self.size.0, self.size.1, self.frames);
+        let mut line = |name: &str, of: &dyn Fn(&Figures) -> String| {
+            let _ = write!(out, "{name:<34}");
+            for row in &self.rows {
+                let _ = write!(out, "{:>22}", of(row));
+            }
+            out.push('\n');
+        };
+        line("", &|f| f.sequence.into());
+        line("video, bytes a frame", &|f| format!("{} {:.0}", f.codec, f.video_bytes));
+        line("geometry, bytes (planes)", &|f| format!("{:.0} ({:.0})", f.geometry_bytes, f.plane_bytes));
+        line("all tiles at once, bytes", &|f| format!("{:.0}", f.snapshot_bytes));
+        line("kbit/s at 30 frames/s", &|f| format!("{:.0}", f.kbit_s));
+        line("JPEG of every frame, bytes", &|f| format!("{:.0}", f.jpeg_bytes));
+        line("share of JPEG", &|f| format!("{:.1} %", 100.0 * (f.video_bytes + f.geometry_bytes) / f.jpeg_bytes.max(1.0)));
+        line("PSNR of video / JPEG, dB", &|f| format!("{:.1} / {:.1}", f.video_psnr, f.jpeg_psnr));
+        line("tiles left out", &|f| format!("{:.1} %", 100.0 * f.left_out));
+        line("unchanged tiles found", &|f| format!("{:.1} %", 100.0 * f.unchanged_found));
+        line("left out: most off, levels", &|f| f.left_out_off.to_string());
+        line("own view: pixels off", &|f| f.own_view_off.to_string());
+        line("uncovered: seen / made up, dB", &|f| format!("{:.2} / {:.2}", f.uncovered_psnr, f.uncovered_psnr_made_up));
+        line("PSNR beside / frame by frame", &|f| format!("{:.2} / {:.2}", f.psnr, f.psnr_separate));
+        line("SSIM beside / frame by frame", &|f| format!("{:.3} / {:.3}", f.ssim, f.ssim_separate));
+        line("flicker / frame by frame, levels", &|f| format!("{:.3} / {:.3}", f.flicker, f.flicker_separate));
+        line("flicker in left out tiles", &|f| format!("{:.3}", f.flicker_left_out));
+        line("server: decode, ms", &|f| format!("{:.2}", f.decode_ms));
+        for name in self.rows.first().map(|r| r.stages_ms.clone()).unwrap_or_default().iter().map(|(n, ..)| n) {
+            let of = |f: &Figures| f.stages_ms.iter().find(|(n, ..)| n == name).map_or((0.0, 0.0), |(_, ms, cpu)| (*ms, *cpu));
+            line(&format!("server: {name}, ms (CPU)"), &|f| format!("{:.2} ({:.2})", of(f).0, of(f).1));
+        }
+        line("server: all, CPU ms", &|f| format!("{:.1}", f.server_cpu_ms));
+        line("server: all, ms (p95, most)", &|f| format!("{:.1} ({:.1}, {:.1})", f.server_ms, f.server_ms_p95, f.server_ms_most));
+        line("reader: chunks, ms", &|f| format!("{:.2}", f.read_ms));
+        line("reader: memory, ms", &|f| format!("{:.2}", f.memory_ms));
+        line("reader: all masks / fill, ms", &|f| format!("{:.1} / {:.1}", f.masks_ms, f.fill_ms));
+        out
+    }
+}

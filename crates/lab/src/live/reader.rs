@@ -1,0 +1,191 @@
+//! A reader of a room: what it shows from beside the camera, against the truth.
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use tmpi_core::live::Model;
+use tmpi_core::{Camera, Geometry, Inpainter, LayerMasks, Memory, Photo, Pose, Scene, TexturedLayer, compose};
+use tmpi_render::difference::psnr;
+use tmpi_render::{Cpu, RenderError, Renderer};
+
+use super::sequence::Shot;
+use crate::metrics::ssim_map;
+
+/// Share of a view that is left out on each side, as in the paper.
+const CROP: f64 = 0.15;
+
+/// A reader, and how good what it shows is.
+#[derive(Default)]
+pub(super) struct Reader {
+    pub model: Option<Model>,
+    /// What it has seen before, where it keeps that.
+    pub memory: Option<Memory>,
+    renderer: Cpu,
+    /// The tiles that were shown last, and the true view of them.
+    last: Option<(Geometry, Photo)>,
+    pub psnr: Mean,
+    pub ssim: Mean,
+    pub flicker: Mean,
+    pub flicker_left_out: Mean,
+    /// Squared error of a channel where the camera itself sees nothing: all hidden texels made up, and those that were seen before shown.
+    pub made_up: Mean,
+    pub remembered: Mean,
+    /// Pixels of the view from the camera's own place that differ from the frame.
+    pub off: u64,
+    pub masks: Mean,
+    pub fill: Mean,
+}
+
+/// A mean of values as they come.
+#[derive(Clone, Copy, Default)]
+pub(super) struct Mean(f64, f64);
+
+impl Mean {
+    pub fn add(&mut self, value: f64) {
+        self.0 += value;
+        self.1 += 1.0;
+    }
+
+    pub fn get(self) -> f64 {
+        if self.1 > 0.0 { self.0 / self.1 } else { 0.0 }
+    }
+}
+
+/// What a view is drawn of and compared with.
+#[derive(Clone, Copy)]
+pub(super) struct Moment<'a> {
+    pub geometry: &'a Geometry,
+    /// The frame as it was decoded.
+    pub photo: &'a Photo,
+    pub shot: &'a Shot,
+    /// The pose of the view.
+    pub beside: Pose,
+    /// The frame before was shown, too.
+    pub follows: bool,
+    /// Tiles whose pixels changed.
+    pub changed: &'a [u32],
+    /// What was seen before counts by now.
+    pub settled: bool,
+}
+
+impl Reader {
+    /// Looks at a frame that it does not show.
+    pub fn see(&mut self, geometry: &Geometry, photo: &Photo) {
+        if let Some(memory) = &mut self.memory {
+            memory.take(photo, geometry.surface());
+        }
+    }
+
+    /// Draws the view from beside the camera and compares it with the truth, and with the frame before where that was shown. Gives it.
+    ///
+    /// # Errors
+    /// As the renderer gives them.
+    pub fn show(&mut self, m: Moment) -> Result<Photo, RenderError> {
+        let g = m.geometry;
+        let before = Instant::now();
+        let shapes = g.masks();
+        self.masks.add(ms(before));
+        let before = Instant::now();
+        let colours = Inpainter::new(m.photo, g).fill_all(&shapes);
+        self.fill.add(ms(before));
+        if m.settled && self.memory.is_some() {
+            let made_up = self.draw(m, &composed(m, g, shapes.clone(), colours.clone()), m.beside)?;
+            add_squares(&mut self.made_up, &made_up, m.shot);
+        }
+        let scene = self.scene(m, g, shapes, colours);
+        let view = self.draw(m, &scene, m.beside)?;
+        let own = self.draw(m, &scene, Pose::default())?;
+        self.off += own.rgb.iter().zip(&m.photo.rgb).filter(|(a, b)| a != b).count() as u64;
+        if m.settled {
+            add_squares(&mut self.remembered, &view, m.shot);
+        }
+        self.compare(m, &view)?;
+        self.last = Some((g.clone(), m.shot.beside.clone()));
+        Ok(view)
+    }
+
+    /// The scene of a frame with some tiles, hidden texels as far as they were seen before.
+    fn scene(&self, m: Moment, g: &Geometry, shapes: Vec<LayerMasks>, mut colours: Vec<Vec<Vec<[u8; 3]>>>) -> Arc<Scene> {
+        if let Some(memory) = &self.memory {
+            memory.recall(0, &shapes, &mut colours);
+        }
+        composed(m, g, shapes, colours)
+    }
+
+    fn draw(&self, m: Moment, scene: &Arc<Scene>, pose: Pose) -> Result<Photo, RenderError> {
+        let (width, height) = (m.photo.width, m.photo.height);
+        let camera = Camera { pose, intrinsics: m.geometry.intrinsics, width, height };
+        let view = self.renderer.render(scene, &camera)?;
+        Ok(Photo { width, height, rgb: view.rgba.iter().map(|p| [p[0], p[1], p[2]]).collect() })
+    }
+
+    fn compare(&mut self, m: Moment, view: &Photo) -> Result<(), RenderError> {
+        let shot = m.shot;
+        self.psnr.add(psnr(cropped(view).as_flattened(), cropped(&shot.beside).as_flattened()));
+        let ssim = ssim_map(&cropped(view), &cropped(&shot.beside), inner(view.width).len());
+        self.ssim.add(ssim.iter().map(|v| f64::from(*v)).sum::<f64>() / ssim.len().max(1) as f64);
+        let Some((last, truth)) = self.last.take().filter(|_| m.follows) else { return Ok(()) };
+        // this frame with the last one's tiles: what differs then is not the video's noise
+        let shapes = last.masks();
+        let colours = Inpainter::new(m.photo, &last).fill_all(&shapes);
+        let last = self.draw(m, &self.scene(m, &last, shapes, colours), m.beside)?;
+        // where nothing that changed is near: tiles and what parallax brings to them
+        let calm = calm(m.geometry, m.changed);
+        let (mut all, mut left) = (Mean::default(), Mean::default());
+        let pixels = view.rgb.iter().zip(&last.rgb).zip(shot.beside.rgb.iter().zip(&truth.rgb)).zip(&calm);
+        for (((now, was), (true_now, true_was)), calm) in pixels {
+            if true_now == true_was {
+                let change = now.iter().zip(was).map(|(a, b)| f64::from(a.abs_diff(*b))).sum::<f64>() / 3.0;
+                all.add(change);
+                if *calm {
+                    left.add(change);
+                }
+            }
+        }
+        self.flicker.add(all.get());
+        if left.1 > 0.0 {
+            self.flicker_left_out.add(left.get());
+        }
+        Ok(())
+    }
+}
+
+pub(super) fn ms(since: Instant) -> f64 {
+    since.elapsed().as_secs_f64() * 1e3
+}
+
+fn composed(m: Moment, g: &Geometry, shapes: Vec<LayerMasks>, colours: Vec<Vec<Vec<[u8; 3]>>>) -> Arc<Scene> {
+    let tiles = shapes.into_iter().zip(colours);
+    let tiles = tiles.map(|(s, c)| s.layers.into_iter().zip(c).map(|(shape, hidden)| TexturedLayer { shape, hidden }).collect());
+    Arc::new(compose(m.photo.clone(), g, tiles.collect()))
+}
+
+/// Adds the squared error of the channels where the camera sees nothing.
+fn add_squares(mean: &mut Mean, view: &Photo, shot: &Shot) {
+    let pixels = view.rgb.iter().zip(&shot.beside.rgb).zip(&shot.uncovered).filter(|(_, uncovered)| **uncovered);
+    for ((is, should), _) in pixels {
+        is.iter().zip(should).for_each(|(a, b)| mean.add(f64::from(a.abs_diff(*b)).powi(2)));
+    }
+}
+
+/// Pixels that no changed tile, nor one beside it, has.
+fn calm(g: &Geometry, changed: &[u32]) -> Vec<bool> {
+    let mut calm = vec![true; g.grid.width as usize * g.grid.height as usize];
+    for t in changed {
+        let r = tmpi_core::grown(g.grid.rect(*t), g.grid.size, g.grid.size, &g.grid);
+        for y in r.y..r.y + r.h {
+            let row = y as usize * g.grid.width as usize + r.x as usize;
+            calm[row..row + r.w as usize].fill(false);
+        }
+    }
+    calm
+}
+
+fn inner(side: u32) -> std::ops::Range<u32> {
+    let crop = (f64::from(side) * CROP) as u32;
+    crop..side - crop
+}
+
+fn cropped(p: &Photo) -> Vec<[u8; 3]> {
+    inner(p.height).flat_map(|y| inner(p.width).map(move |x| p.at(x, y))).collect()
+}

@@ -1,0 +1,267 @@
+//! What an instance holds, and what its functions do.
+
+use prost::bytes::Bytes;
+use tmpi_core::container::{Piece, cell};
+use tmpi_core::live::wire::message::Kind;
+use tmpi_core::live::wire::{self, Bye, Hello, Sound, Statistics, Video};
+use tmpi_core::live::{Changes, I420, Layers, Model, VERSION, read, to_rgb, write};
+use tmpi_core::{Class, Photo};
+
+/// What can be read out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u32)]
+pub enum Output {
+    /// Why the last call failed: text.
+    Text = 0,
+    /// Text of a panic.
+    Panic = 1,
+    /// Numbers of the last message, 64-bit floats, low byte first (see `Decoder::message`).
+    Numbers = 2,
+    /// Its bytes: of a frame or sound, or text.
+    Data = 3,
+    /// Tiles that changed last, 32-bit numbers: the tile, and how many layers it has now, or 2³² − 1 where it has those of before.
+    Tiles = 4,
+    /// Numbers of the layers of those that have others now, 64-bit floats, row by row (see `Decoder::layers`).
+    Layers = 5,
+    /// The last cells, premultiplied RGBA, one after the other.
+    Cells = 6,
+    /// The last message that was written.
+    Message = 7,
+}
+
+/// How a frame is handed over.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u32)]
+pub enum Pixels {
+    /// Luma, then two planes of chroma of half the size.
+    I420 = 0,
+    /// Luma, then pairs of chroma.
+    Nv12 = 1,
+    /// Four bytes a pixel.
+    Rgba = 2,
+}
+
+/// A tile that has the layers of before.
+const AS_BEFORE: u32 = u32::MAX;
+
+/// The messages of one connection, and the layers of one room.
+#[derive(Default)]
+pub struct Decoder {
+    input: Vec<u8>,
+    model: Option<Model>,
+    /// Size of the room's frames.
+    size: (u32, u32),
+    /// Bits of the sizes, camera and view box that HELLO said.
+    said: [u64; 11],
+    /// Tiles that came since the layers were made last.
+    changed: Vec<bool>,
+    frame: Option<Photo>,
+    layers: Layers,
+    numbers: Vec<u8>,
+    data: Bytes,
+    tiles: Vec<u8>,
+    rows: Vec<u8>,
+    cells: Vec<[u8; 4]>,
+    message: Bytes,
+    /// Why the last call failed.
+    pub text: String,
+}
+
+impl Decoder {
+    /// A buffer of so many bytes for the next call.
+    pub fn room(&mut self, length: usize) -> &mut [u8] {
+        self.input.resize(length, 0);
+        &mut self.input
+    }
+
+    /// Reads a message, and takes over what it says of the room; gives the number of its kind.
+    ///
+    /// # Errors
+    /// Where it cannot be read, or tiles come before HELLO.
+    pub fn message(&mut self) -> Result<i32, String> {
+        let kind = read(std::mem::take(&mut self.input).into()).map_err(|e| e.to_string())?;
+        self.data = Bytes::new();
+        match kind {
+            Kind::Hello(hello) => self.hello(&hello),
+            Kind::Video(Video { frame, time, key, layer, data }) => {
+                self.data = data;
+                Ok(self.told(2, &[frame as f64, time as f64, f64::from(u8::from(key)), f64::from(layer)]))
+            }
+            Kind::Geometry(tiles) => self.take(3, &tiles),
+            Kind::Snapshot(tiles) => self.take(4, &tiles),
+            Kind::Sound(Sound { time, data }) => {
+                self.data = data;
+                Ok(self.told(5, &[time as f64]))
+            }
+            Kind::Statistics(s) => {
+                let Statistics { frame, viewers, frames, video_bytes, geometry_bytes, tiles, tiles_left_out, .. } = s;
+                let counts = [frame, u64::from(viewers), frames, video_bytes, geometry_bytes, tiles, tiles_left_out, s.skipped];
+                let [a, b, c, d, e, f, g, h] = counts.map(|n| n as f64);
+                Ok(self.told(6, &[a, b, c, d, e, f, g, h, s.forward_ms, s.geometry_ms]))
+            }
+            Kind::Bye(Bye { reason, again }) => {
+                self.data = reason.into_bytes().into();
+                Ok(self.told(7, &[f64::from(u8::from(again))]))
+            }
+            Kind::Credit(c) => Ok(self.told(8, &[f64::from(c.frames), f64::from(u8::from(c.key))])),
+            // measured depth is the server's alone
+            Kind::Depth(_) => Ok(self.told(9, &[])),
+        }
+    }
+
+    fn told(&mut self, kind: i32, numbers: &[f64]) -> i32 {
+        self.numbers = numbers.iter().flat_map(|n| n.to_le_bytes()).collect();
+        kind
+    }
+
+    /// All tiles are to come anew; what is shown stays until they are there.
+    fn hello(&mut self, h: &Hello) -> Result<i32, String> {
+        let model = Model::new(h).map_err(|e| e.to_string())?;
+        self.changed = vec![false; model.tiles() as usize];
+        let [width, height, size, stride] = [h.width, h.height, h.tile_size, h.tile_stride].map(f64::from);
+        let said = [width, height, size, stride, h.fx, h.fy, h.cx, h.cy, h.view_x, h.view_y, h.view_z];
+        let bits = said.map(f64::to_bits);
+        if self.said != bits {
+            (self.size, self.said) = ((h.width, h.height), bits);
+            (self.frame, self.layers) = (None, Layers::remembering());
+        }
+        self.model = Some(model);
+        self.data = format!("{}\n{}", h.codec, h.sound).into_bytes().into();
+        Ok(self.told(1, &[&said[..], &[f64::from(h.sound_rate), f64::from(h.sound_channels), h.epoch as f64]].concat()))
+    }
+
+    fn take(&mut self, kind: i32, tiles: &wire::Geometry) -> Result<i32, String> {
+        let model = self.model.as_mut().ok_or("tiles before HELLO")?;
+        let taken = model.take(tiles).map_err(|e| e.to_string())?;
+        for t in &taken {
+            self.changed[*t as usize] = true;
+        }
+        Ok(self.told(kind, &[tiles.frame as f64, taken.len() as f64]))
+    }
+
+    /// Takes over a frame.
+    ///
+    /// # Errors
+    /// Where its bytes are not as many as the room's size asks for.
+    pub fn frame(&mut self, format: u32) -> Result<i32, String> {
+        let (width, height) = self.size;
+        let area = width as usize * height as usize;
+        let chroma = width.div_ceil(2) as usize * height.div_ceil(2) as usize;
+        let bytes = std::mem::take(&mut self.input);
+        let want = if format == Pixels::Rgba as u32 { 4 * area } else { area + 2 * chroma };
+        if bytes.len() != want {
+            return Err(format!("a frame of {} bytes where {want} make one", bytes.len()));
+        }
+        let (y, rest) = bytes.split_at(area);
+        let i420 = |u: &[u8], v: &[u8]| to_rgb(&I420 { width, height, y, u, v });
+        self.frame = match format {
+            f if f == Pixels::I420 as u32 => i420(&rest[..chroma], &rest[chroma..]),
+            f if f == Pixels::Nv12 as u32 => {
+                let (u, v): (Vec<u8>, Vec<u8>) = rest.as_chunks().0.iter().map(|&[u, v]| (u, v)).unzip();
+                i420(&u, &v)
+            }
+            _ => Some(Photo { width, height, rgb: bytes.as_chunks().0.iter().map(|&[r, g, b, _]| [r, g, b]).collect() }),
+        };
+        Ok(1)
+    }
+
+    /// Brings the layers up to the last frame and tiles; leaves the tiles that changed, and of those that have other layers a row for each
+    /// layer: a, b, c of the plane, x, y, w, h of the rectangle, count of visible texels, whether any texel is soft.
+    pub fn layers(&mut self) -> i32 {
+        (self.tiles, self.rows) = (Vec::new(), Vec::new());
+        let Some(geometry) = self.model.as_ref().and_then(Model::geometry) else { return 0 };
+        let shown = self.layers.photo();
+        let again = || (!shown.rgb.is_empty()).then(|| Photo { width: shown.width, height: shown.height, rgb: shown.rgb.clone() });
+        let Some(frame) = self.frame.take().or_else(again) else { return 0 };
+        let changed = std::mem::replace(&mut self.changed, vec![false; geometry.tiles.len()]);
+        let Changes { texels, layers } = self.layers.update(geometry, |t| changed[t as usize], frame);
+        for t in &texels {
+            let other = layers.binary_search(t).is_ok();
+            let part = self.layers.tile(*t).filter(|_| other);
+            let count = part.map_or(AS_BEFORE, |part| part.layers.len() as u32);
+            self.tiles.extend([*t, count].map(u32::to_le_bytes).as_flattened());
+            for l in part.map_or(&[][..], |part| &part.layers) {
+                let own = l.first_texel..l.first_texel + l.rect.area();
+                let texels = part.map(|part| (&part.texels.class[own.clone()], &part.texels.alpha[own]));
+                let (class, alpha) = texels.unwrap_or_default();
+                let visible = class.iter().filter(|&&c| c == Class::Photo as u8).count() as f64;
+                let soft = f64::from(u8::from(alpha.iter().any(|&a| a < u8::MAX)));
+                let [x, y, w, h] = [l.rect.x, l.rect.y, l.rect.w, l.rect.h].map(f64::from);
+                self.rows.extend([l.plane.a, l.plane.b, l.plane.c, x, y, w, h, visible, soft].map(f64::to_le_bytes).as_flattened());
+            }
+        }
+        texels.len() as i32
+    }
+
+    /// Fills a square for each piece that was handed over.
+    ///
+    /// # Errors
+    /// Where a piece does not lie in its layer or in the square.
+    pub fn cells(&mut self, side: usize) -> Result<i32, String> {
+        let numbers: Vec<u32> = self.input.as_chunks().0.iter().map(|n| u32::from_le_bytes(*n)).collect();
+        let (pieces, _) = numbers.as_chunks::<{ Piece::NUMBERS + 1 }>();
+        let area = side.checked_mul(side).filter(|area| *area > 0).ok_or("cells without a size")?;
+        self.cells.clear();
+        self.cells.resize(pieces.len().checked_mul(area).ok_or("too many pieces")?, [0; 4]);
+        for ([tile, piece @ ..], out) in pieces.iter().zip(self.cells.chunks_mut(area)) {
+            let part = self.layers.tile(*tile).ok_or("there is no such tile")?;
+            if !cell(part, self.layers.photo(), &Piece::of(piece), out, (side, side)) {
+                return Err("a piece does not fit".into());
+            }
+        }
+        Ok(1)
+    }
+
+    /// Writes HELLO of a publisher.
+    ///
+    /// # Errors
+    /// Where the codec strings are no text.
+    pub fn write_hello(&mut self, (width, height): (u32, u32), fov_x: f64, sound: (u32, u32)) -> Result<i32, String> {
+        let text = String::from_utf8(std::mem::take(&mut self.input)).map_err(|e| e.to_string())?;
+        let (codec, named) = text.split_once('\n').unwrap_or((&text, ""));
+        let (codec, sound_name) = (codec.to_owned(), named.to_owned());
+        let (sound_rate, sound_channels) = sound;
+        let hello =
+            Hello { version: VERSION, codec, width, height, fov_x, sound: sound_name, sound_rate, sound_channels, ..Hello::default() };
+        self.message = write(Kind::Hello(hello));
+        Ok(1)
+    }
+
+    /// Writes VIDEO.
+    pub fn write_video(&mut self, frame: u64, time: u64, key: bool) -> i32 {
+        let data = std::mem::take(&mut self.input).into();
+        self.message = write(Kind::Video(Video { frame, time, key, layer: 0, data }));
+        1
+    }
+
+    /// Writes SOUND.
+    pub fn write_sound(&mut self, time: u64) -> i32 {
+        let data = std::mem::take(&mut self.input).into();
+        self.message = write(Kind::Sound(Sound { time, data }));
+        1
+    }
+
+    /// Writes BYE.
+    pub fn write_bye(&mut self) -> i32 {
+        let reason = String::from_utf8_lossy(&std::mem::take(&mut self.input)).into_owned();
+        self.message = write(Kind::Bye(Bye { reason, again: false }));
+        1
+    }
+
+    /// The bytes of a result, by the number of an [`Output`].
+    #[must_use]
+    pub fn output(&self, what: u32) -> &[u8] {
+        const OUTPUTS: [Output; 7] =
+            [Output::Text, Output::Numbers, Output::Data, Output::Tiles, Output::Layers, Output::Cells, Output::Message];
+        match OUTPUTS.into_iter().find(|o| *o as u32 == what) {
+            Some(Output::Text) => self.text.as_bytes(),
+            Some(Output::Numbers) => &self.numbers,
+            Some(Output::Data) => &self.data,
+            Some(Output::Tiles) => &self.tiles,
+            Some(Output::Layers) => &self.rows,
+            Some(Output::Cells) => self.cells.as_flattened(),
+            Some(Output::Message) => &self.message,
+            Some(Output::Panic) | None => &[],
+        }
+    }
+}

@@ -1,0 +1,120 @@
+//! The decoder of a room's page: `tmpi-core` as WebAssembly, behind a few C functions that `static/live/decoder.js` calls. A module of its
+//! own, so that pages of photos need not load it.
+//!
+//! An instance reads and writes the messages of one connection and has the layers of one room. What is handed over lies in a buffer that
+//! [`tmpi_room`] makes; what comes out is read from the places that [`tmpi_output`] and [`tmpi_output_length`] name. No call takes a
+//! pointer, so nothing here is unsafe but the names. A call that fails gives −1 and leaves a text; so does a panic, which ends the
+//! instance.
+
+mod decoder;
+
+use std::cell::RefCell;
+
+pub use decoder::{Decoder, Output, Pixels};
+
+thread_local! {
+    static DECODER: RefCell<Decoder> = RefCell::new(Decoder::default());
+    static PANIC: RefCell<String> = const { RefCell::new(String::new()) };
+}
+
+/// What a call gives where it failed.
+const FAILED: i32 = -1;
+
+/// Makes room for so many bytes to be handed to the next call; gives where they are to be written.
+#[allow(unsafe_code, reason = "a C name")]
+#[unsafe(no_mangle)]
+pub extern "C" fn tmpi_room(length: usize) -> *mut u8 {
+    std::panic::set_hook(Box::new(|panic| {
+        // a panic within a call holds the decoder, so its text lies apart
+        PANIC.set(panic.to_string());
+    }));
+    DECODER.with_borrow_mut(|decoder| decoder.room(length).as_mut_ptr())
+}
+
+/// Reads the message that was handed over; gives the number of its kind as in `proto/live.proto`. Its numbers and bytes are outputs.
+#[allow(unsafe_code, reason = "a C name")]
+#[unsafe(no_mangle)]
+pub extern "C" fn tmpi_message() -> i32 {
+    call(Decoder::message)
+}
+
+/// Takes the picture that was handed over, of the size that HELLO said, as the next frame; `format` is one of [`Pixels`].
+#[allow(unsafe_code, reason = "a C name")]
+#[unsafe(no_mangle)]
+pub extern "C" fn tmpi_frame(format: u32) -> i32 {
+    call(|decoder| decoder.frame(format))
+}
+
+/// Makes the layers of the last frame and of all tiles that came; gives how many tiles changed. 0 as long as there is no frame or not
+/// every tile.
+#[allow(unsafe_code, reason = "a C name")]
+#[unsafe(no_mangle)]
+pub extern "C" fn tmpi_layers() -> i32 {
+    call(|decoder| Ok(decoder.layers()))
+}
+
+/// Fills squares of so many texels a side with the pieces that were handed over, eight numbers each: the tile, then as in
+/// [`tmpi_core::container::Piece`].
+#[allow(unsafe_code, reason = "a C name")]
+#[unsafe(no_mangle)]
+pub extern "C" fn tmpi_cells(side: u32) -> i32 {
+    call(|decoder| decoder.cells(side as usize))
+}
+
+/// Writes HELLO of a publisher: codec strings of video and sound, a line each, were handed over.
+#[allow(unsafe_code, reason = "a C name")]
+#[unsafe(no_mangle)]
+pub extern "C" fn tmpi_write_hello(width: u32, height: u32, fov_x: f64, sound_rate: u32, sound_channels: u32) -> i32 {
+    call(|decoder| decoder.write_hello((width, height), fov_x, (sound_rate, sound_channels)))
+}
+
+/// Writes VIDEO with the bytes that were handed over.
+#[allow(unsafe_code, reason = "a C name")]
+#[unsafe(no_mangle)]
+pub extern "C" fn tmpi_write_video(frame: f64, time: f64, key: u32) -> i32 {
+    call(|decoder| Ok(decoder.write_video(frame as u64, time as u64, key == 1)))
+}
+
+/// Writes SOUND with the bytes that were handed over.
+#[allow(unsafe_code, reason = "a C name")]
+#[unsafe(no_mangle)]
+pub extern "C" fn tmpi_write_sound(time: f64) -> i32 {
+    call(|decoder| Ok(decoder.write_sound(time as u64)))
+}
+
+/// Writes BYE with the reason that was handed over.
+#[allow(unsafe_code, reason = "a C name")]
+#[unsafe(no_mangle)]
+pub extern "C" fn tmpi_write_bye() -> i32 {
+    call(|decoder| Ok(decoder.write_bye()))
+}
+
+/// Where a result lies, by the number of an [`Output`]. It stays until the next call that makes or changes it.
+#[allow(unsafe_code, reason = "a C name")]
+#[unsafe(no_mangle)]
+pub extern "C" fn tmpi_output(what: u32) -> *const u8 {
+    output(what, <[u8]>::as_ptr)
+}
+
+/// Its length in bytes.
+#[allow(unsafe_code, reason = "a C name")]
+#[unsafe(no_mangle)]
+pub extern "C" fn tmpi_output_length(what: u32) -> usize {
+    output(what, <[u8]>::len)
+}
+
+fn call(f: impl FnOnce(&mut Decoder) -> Result<i32, String>) -> i32 {
+    DECODER.with_borrow_mut(|decoder| {
+        f(decoder).unwrap_or_else(|text| {
+            decoder.text = text;
+            FAILED
+        })
+    })
+}
+
+fn output<T>(what: u32, f: impl Fn(&[u8]) -> T) -> T {
+    if what == Output::Panic as u32 {
+        return PANIC.with_borrow(|text| f(text.as_bytes()));
+    }
+    DECODER.with_borrow(|decoder| f(decoder.output(what)))
+}

@@ -1,0 +1,255 @@
+//! Which parts of a frame differ from the one before.
+
+use tmpi_core::{Grid, Photo};
+use tmpi_pipeline::MakeError;
+use tmpi_pipeline::run::{Context, Stage};
+
+/// Side of a block in pixels: the stride of tiles is a multiple of it.
+pub const BLOCK: u32 = 8;
+/// Bins of the histogram of luma.
+const BINS: usize = 32;
+/// Share of the pixels that lie in other bins than before, from which on a frame begins a new scene.
+const CUT: f64 = 0.35;
+/// Share of the blocks that have to change for that: a light that is switched on changes all of them, a person passing by does not.
+const CUT_BLOCKS: f64 = 0.8;
+
+/// How far a block may be from the frame that its geometry was made of and still count as unchanged.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Tolerance {
+    /// Largest difference of a channel, in levels; 0: bit for bit.
+    pub most: u8,
+    /// Mean difference over a block, in levels.
+    pub mean: f32,
+}
+
+impl Tolerance {
+    /// Bit for bit.
+    pub const NONE: Self = Self { most: 0, mean: 0.0 };
+}
+
+/// What noise of a deviation of 2 levels leaves between two frames, as it is or as an encoder codes it anew, with something to spare. An
+/// encoder that repeats what stands still needs none of it.
+impl Default for Tolerance {
+    fn default() -> Self {
+        Self { most: 24, mean: 4.0 }
+    }
+}
+
+/// What changed, as a stage that carries the frame that it compares with.
+#[derive(Clone, Debug)]
+pub struct Compare {
+    tolerance: Tolerance,
+    /// Of each block the pixels when it changed last: what creeps is noticed in the end.
+    reference: Option<Photo>,
+    histogram: [u32; BINS],
+}
+
+/// What changed in a frame.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Change {
+    /// Sum of the differences of each block, row by row; 0 where it is unchanged.
+    pub blocks: Vec<u32>,
+    /// Blocks in a row.
+    pub across: usize,
+    /// Nothing of the frame before goes on.
+    pub cut: bool,
+}
+
+impl Change {
+    /// True where nothing changed.
+    #[must_use]
+    pub fn is_nothing(&self) -> bool {
+        self.blocks.iter().all(|b| *b == 0)
+    }
+
+    /// How much each tile of a grid changed: the sum of its blocks.
+    #[must_use]
+    pub fn tiles(&self, grid: &Grid) -> Vec<u64> {
+        let tile = |t| {
+            let r = grid.rect(t);
+            let (columns, rows) = (r.x / BLOCK..(r.x + r.w).div_ceil(BLOCK), r.y / BLOCK..(r.y + r.h).div_ceil(BLOCK));
+            rows.flat_map(|y| columns.clone().map(move |x| (x, y)))
+                .map(|(x, y)| u64::from(self.blocks[y as usize * self.across + x as usize]))
+                .sum()
+        };
+        (0..grid.tiles()).map(tile).collect()
+    }
+}
+
+impl Compare {
+    /// Knows no frame yet.
+    #[must_use]
+    pub const fn new(tolerance: Tolerance) -> Self {
+        Self { tolerance, reference: None, histogram: [0; BINS] }
+    }
+
+    /// Of each block the pixels when it changed last; none before the first frame.
+    #[must_use]
+    pub const fn reference(&self) -> Option<&Photo> {
+        self.reference.as_ref()
+    }
+
+    /// Compares with what is known, and knows the frame from then on. The first one, or one of another size, is a cut.
+    pub fn next(&mut self, photo: &Photo) -> Change {
+        let across = photo.width.div_ceil(BLOCK) as usize;
+        let count = across * photo.height.div_ceil(BLOCK) as usize;
+        let histogram = histogram(photo);
+        let before = std::mem::replace(&mut self.histogram, histogram);
+        let Some(reference) = self.reference.as_mut().filter(|r| (r.width, r.height) == (photo.width, photo.height)) else {
+            self.reference = Some(photo.clone());
+            return Change { blocks: vec![u32::MAX; count], across, cut: true };
+        };
+        let mut blocks = vec![0u32; count];
+        let width = photo.width as usize;
+        let band = width * BLOCK as usize;
+        for ((new, old), out) in photo.rgb.chunks(band).zip(reference.rgb.chunks_mut(band)).zip(blocks.chunks_mut(across)) {
+            // most rows of blocks stay as they are, and are told in one comparison
+            if new == &*old {
+                continue;
+            }
+            for (b, out) in out.iter_mut().enumerate() {
+                *out = compare(new, old, width, b * BLOCK as usize, self.tolerance);
+            }
+        }
+        let changed = blocks.iter().filter(|b| **b > 0).count();
+        let moved: u64 = before.iter().zip(&histogram).map(|(a, b)| u64::from(a.abs_diff(*b))).sum();
+        // each pixel that goes from one bin to another counts twice
+        let cut = changed as f64 > CUT_BLOCKS * count as f64 && moved as f64 > 2.0 * CUT * photo.rgb.len() as f64;
+        Change { blocks, across, cut }
+    }
+}
+
+/// Sum of differences of the block from column `x` on; where it is beyond the tolerance, the reference takes the new pixels, else 0.
+fn compare(new: &[[u8; 3]], old: &mut [[u8; 3]], width: usize, x: usize, tolerance: Tolerance) -> u32 {
+    let end = (x + BLOCK as usize).min(width);
+    let (mut sum, mut most) = (0u32, 0u8);
+    for (new, old) in new.chunks(width).zip(old.chunks(width)) {
+        for (a, b) in new[x..end].as_flattened().iter().zip(old[x..end].as_flattened()) {
+            let d = a.abs_diff(*b);
+            sum += u32::from(d);
+            most = most.max(d);
+        }
+    }
+    let values = (end - x) * new.len() / width * 3;
+    if most == 0 || (most <= tolerance.most && sum as f32 <= tolerance.mean * values as f32) {
+        return 0;
+    }
+    for (new, old) in new.chunks(width).zip(old.chunks_mut(width)) {
+        old[x..end].copy_from_slice(&new[x..end]);
+    }
+    sum
+}
+
+fn histogram(photo: &Photo) -> [u32; BINS] {
+    let mut bins = [0; BINS];
+    for [r, g, b] in &photo.rgb {
+        let luma = (u32::from(*r) * 54 + u32::from(*g) * 183 + u32::from(*b) * 19) >> 8;
+        bins[(luma as usize * BINS) >> 8] += 1;
+    }
+    bins
+}
+
+impl Stage for Compare {
+    const NAME: &'static str = "compare";
+    type Input<'a> = &'a Photo;
+    type Output = Change;
+
+    fn run(&mut self, photo: &Photo, _: &mut Context) -> Result<Change, MakeError> {
+        Ok(self.next(photo))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn photo(width: u32, height: u32, seed: u32) -> Photo {
+        let pixel = |i: u32| (i.wrapping_mul(2_654_435_761).wrapping_add(seed) >> 24) as u8;
+        Photo { width, height, rgb: (0..width * height).map(|i| [pixel(i), pixel(i + 7), pixel(i + 13)]).collect() }
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(48))]
+
+        /// Of a change anywhere, the blocks and tiles that hold it are told, and no other.
+        #[test]
+        fn every_change_is_found_where_it_is(w in 1u32..150, h in 1u32..150, at in any::<u32>(), by in 1u8..) {
+            let first = photo(w, h, 1);
+            let mut compare = Compare::new(Tolerance::NONE);
+            prop_assert!(compare.next(&first).cut);
+            prop_assert!(compare.next(&first).is_nothing());
+            let mut second = first.clone();
+            let at = at % (w * h);
+            second.rgb[at as usize][1] ^= by;
+            let change = compare.next(&second);
+            let (x, y) = (at % w, at / w);
+            let grid = Grid::new(w, h, 64);
+            for (t, changed) in (0..).zip(change.tiles(&grid)) {
+                // tiles end within a block where the picture does not end with one
+                let r = grid.rect(t);
+                let near = |from: u32, size: u32, p: u32| from / BLOCK <= p / BLOCK && p / BLOCK < (from + size).div_ceil(BLOCK);
+                prop_assert_eq!(changed > 0, near(r.x, r.w, x) && near(r.y, r.h, y));
+            }
+            prop_assert!(compare.next(&second).is_nothing());
+        }
+    }
+
+    #[test]
+    fn what_creeps_is_noticed_once_it_is_beyond_the_tolerance() {
+        let mut compare = Compare::new(Tolerance { most: 8, mean: 0.5 });
+        let mut now = photo(64, 64, 1);
+        now.rgb.iter_mut().for_each(|p| p[0] = 0);
+        compare.next(&now);
+        let mut steps = 0;
+        loop {
+            now.rgb.iter_mut().for_each(|p| p[0] += 1);
+            steps += 1;
+            if !compare.next(&now).is_nothing() {
+                break;
+            }
+        }
+        // a third of the channels: 1.5 levels of one are .5 of all
+        assert_eq!(steps, 2);
+    }
+
+    #[test]
+    fn noise_of_two_levels_changes_nothing_and_what_shows_through_it_does() {
+        let clean = photo(96, 64, 5);
+        let mut seed = 1u64;
+        // the sum of twelve uniform values has the deviation 1
+        let mut noise = || {
+            let mut unit = || {
+                seed = seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+                (seed >> 40) as f64 / f64::from(1u32 << 24)
+            };
+            2.0 * ((0..12).map(|_| unit()).sum::<f64>() - 6.0)
+        };
+        let mut noisy = |p: &Photo| {
+            let rgb = p.rgb.iter().map(|c| c.map(|v| (f64::from(v) + noise()).round().clamp(0.0, 255.0) as u8)).collect();
+            Photo { rgb, ..p.clone() }
+        };
+        let mut compare = Compare::new(Tolerance::default());
+        compare.next(&noisy(&clean));
+        for frame in 0..100 {
+            assert!(compare.next(&noisy(&clean)).is_nothing(), "frame {frame}");
+        }
+        let mut other = clean.clone();
+        (0..64).for_each(|i| other.rgb[i / 8 * 96 + i % 8] = clean.rgb[i / 8 * 96 + i % 8].map(|v| v ^ 16));
+        let change = compare.next(&noisy(&other));
+        assert_eq!(change.blocks.iter().position(|b| *b > 0), Some(0));
+        assert_eq!(change.blocks.iter().filter(|b| **b > 0).count(), 1);
+    }
+
+    #[test]
+    fn another_picture_is_a_cut_and_noise_is_none() {
+        let mut compare = Compare::new(Tolerance::NONE);
+        let dark = Photo { width: 64, height: 64, rgb: (0..4096).map(|i| [20 + (i % 40) as u8; 3]).collect() };
+        compare.next(&dark);
+        let noisy = Photo { rgb: dark.rgb.iter().map(|p| p.map(|v| v + 1)).collect(), ..dark.clone() };
+        let change = compare.next(&noisy);
+        assert!(!change.cut && change.blocks.iter().all(|b| *b > 0));
+        let bright = Photo { rgb: dark.rgb.iter().map(|p| p.map(|v| v + 150)).collect(), ..dark };
+        assert!(compare.next(&bright).cut);
+    }
+}

@@ -1,0 +1,371 @@
+//! The driver of a room's frames.
+
+use std::time::Instant;
+
+use tmpi_core::container::PhotoFormat;
+use tmpi_core::live::LiveError;
+use tmpi_core::live::chunk::{self, Area};
+use tmpi_core::live::wire::Chunk;
+use tmpi_core::{self as core, DisparityMap, Grid, Intrinsics, Photo, Rect, Tile};
+use tmpi_pipeline::photo::Limits;
+use tmpi_pipeline::run::Context;
+use tmpi_pipeline::run::stages::{Denoise, Depth, Estimated, Planes, Prepared, Snap, Source};
+use tmpi_pipeline::{MakeError, Models, Options, Silent, StageTime, layers};
+
+use crate::Budget;
+use crate::align;
+use crate::change::{BLOCK, Change, Compare, Tolerance};
+
+/// Share of a tile's pixels whose measured depth must leave the known one for the tile to count as changed though its colours did not.
+const DEPTH_CHANGED: f64 = 0.02;
+
+/// Pixels about a pixel that snapping looks at, over its three passes.
+const SNAP_REACH: u32 = 8;
+
+/// What a room is made with.
+#[derive(Clone, Debug, Default)]
+pub struct Settings {
+    /// As for a photo; sizes, quality and budget do not count here.
+    pub options: Options,
+    /// How far an unchanged block may be from what its geometry was made of.
+    pub tolerance: Tolerance,
+    /// Milliseconds that the geometry of a frame may take; 0: as long as it takes.
+    pub frame_ms: f64,
+    /// Nothing is carried from frame to frame: what a photo's driver would do, to compare with.
+    pub separate: bool,
+}
+
+impl Settings {
+    /// The tiles of frames of that size, and the camera, before anything is known of them.
+    #[must_use]
+    pub fn empty(&self, width: u32, height: u32) -> core::Geometry {
+        let grid = self.options.grid(width, height);
+        let intrinsics = match self.options.fov_x {
+            Some(fov) => Intrinsics::from_fov_x(width, height, fov),
+            None => Intrinsics::centred(width, height, Intrinsics::DEFAULT_FOCAL_PER_WIDTH * f64::from(width)),
+        };
+        let tiles = vec![Tile::default(); grid.tiles() as usize];
+        core::Geometry { grid, intrinsics, view_box: self.options.view_box, tiles }
+    }
+}
+
+/// A decoded frame.
+#[derive(Clone, Debug)]
+pub struct Frame {
+    /// Its number.
+    pub number: u64,
+    /// Its pixels.
+    pub photo: Photo,
+    /// Measured disparity at the frame's size, 0 to 1, where the camera gives it.
+    pub depth: Option<DisparityMap>,
+}
+
+/// What a frame changed.
+#[derive(Clone, Debug, Default)]
+pub struct Update {
+    /// A new scene begins with it.
+    pub cut: bool,
+    /// Tiles whose pixels changed, by number.
+    pub changed: Vec<u32>,
+    /// Tiles whose planes or labels changed.
+    pub sent: Vec<u32>,
+    /// These, coded.
+    pub chunks: Vec<Chunk>,
+    /// Changed tiles that wait for a later frame.
+    pub waiting: usize,
+    /// What the stages took.
+    pub stages: Vec<StageTime>,
+    /// What coding the chunks took, in milliseconds.
+    pub coding_ms: f64,
+}
+
+/// Geometry that goes on from frame to frame.
+pub struct Geometry {
+    models: Models,
+    settings: Settings,
+    limits: Limits,
+    budget: Budget,
+    compare: Compare,
+    planes: Planes,
+    state: Option<State>,
+}
+
+/// What is known of the last frame.
+struct State {
+    geometry: core::Geometry,
+    /// Depth has been looked at.
+    known: bool,
+    /// Disparity of each pixel as of the frame that last changed it.
+    delta: DisparityMap,
+    /// Changed blocks whose depth has not been looked at yet.
+    stale: Vec<bool>,
+    /// How much the tiles changed whose planes have not been placed yet; 0 for others.
+    waiting: Vec<u64>,
+}
+
+/// Why a frame has no geometry.
+#[derive(Debug, thiserror::Error)]
+pub enum GeometryError {
+    /// A stage failed.
+    #[error(transparent)]
+    Make(#[from] MakeError),
+    /// The tiles cannot be sent.
+    #[error(transparent)]
+    Live(#[from] LiveError),
+    /// The depth is not of the frame's size.
+    #[error("depth of {0}×{1} with a frame of {2}×{3}")]
+    Depth(u32, u32, u32, u32),
+}
+
+impl Geometry {
+    /// Knows no frame yet.
+    #[must_use]
+    pub fn new(models: Models, settings: Settings) -> Self {
+        let (budget, compare) = (Budget::new(settings.frame_ms), Compare::new(settings.tolerance));
+        Self { models, settings, limits: Limits::default(), budget, compare, planes: Planes::carrying(), state: None }
+    }
+
+    /// All tiles as they are now; none before each was placed once.
+    #[must_use]
+    pub fn geometry(&self) -> Option<&core::Geometry> {
+        self.state.as_ref().map(|s| &s.geometry).filter(|g| g.tiles.iter().all(|t| !t.planes.is_empty()))
+    }
+
+    /// Of each pixel what it was when its block changed last, which is what its depth was told of.
+    #[must_use]
+    pub const fn reference(&self) -> Option<&Photo> {
+        self.compare.reference()
+    }
+
+    /// All tiles as one chunk, as of frame `number`: what a reader that has none begins with.
+    ///
+    /// # Errors
+    /// [`LiveError`] where a tile cannot be coded.
+    pub fn snapshot(&self, number: u64) -> Result<Option<Chunk>, LiveError> {
+        let coded = |g: &core::Geometry| chunk::encode(&g.grid, Area::all(&g.grid), &g.tiles, number);
+        self.geometry().map(coded).transpose()
+    }
+
+    /// Takes a frame; gives what it changed.
+    ///
+    /// # Errors
+    /// [`GeometryError`]; what is known stays as it was, and the frame's changes are taken up with the next one.
+    pub fn next(&mut self, frame: &Frame) -> Result<Update, GeometryError> {
+        if let Some(d) = frame.depth.as_ref().filter(|d| (d.width, d.height) != (frame.photo.width, frame.photo.height)) {
+            return Err(GeometryError::Depth(d.width, d.height, frame.photo.width, frame.photo.height));
+        }
+        if self.settings.separate {
+            // the first frame of any is a cut
+            self.compare = Compare::new(self.settings.tolerance);
+        }
+        let models = self.models.clone();
+        let options = self.settings.options.clone();
+        let mut job = Context::new(&models, &self.limits, &options, &Silent);
+        let change = job.run(&mut self.compare, &frame.photo)?;
+        if change.cut {
+            self.state = None;
+            self.planes.forget();
+        }
+        let mut update = Update { cut: change.cut, ..Update::default() };
+        let state = self.state.get_or_insert_with(|| State::new(&frame.photo, &self.settings));
+        let grid = state.geometry.grid;
+        state.take(&change, &grid, &mut update.changed);
+        if let Some(depth) = &frame.depth {
+            state.take_depth(depth, &grid, target(&state.geometry, &options), change.across);
+        }
+        let known = state.known;
+        if state.stale.contains(&true) && (frame.depth.is_some() || !known || self.budget.depth_is_due()) {
+            let before = Instant::now();
+            let part = if known { state.stale_part(change.across) } else { None };
+            let map = estimate(&mut job, frame, part)?;
+            if frame.depth.is_none() {
+                self.budget.depth_took(ms(before));
+            }
+            state.join(map, known && frame.depth.is_none(), change.across);
+        }
+        let wanted = if state.stale.contains(&true) { Vec::new() } else { state.most_changed(self.budget.tiles()) };
+        if !wanted.is_empty() {
+            let before = Instant::now();
+            state.place(&mut job, &mut self.planes, frame, &wanted, &mut update.sent)?;
+            self.budget.tiles_took(wanted.len(), ms(before));
+        }
+        update.waiting = state.waiting.iter().filter(|w| **w > 0).count();
+        update.stages = job.finish().stages;
+        let before = Instant::now();
+        let sent = |t: u32| update.sent.binary_search(&t).is_ok();
+        let coded = |area| chunk::encode(&grid, area, &state.geometry.tiles, frame.number);
+        update.chunks = Area::covering(&grid, sent).into_iter().map(coded).collect::<Result<_, _>>()?;
+        update.coding_ms = ms(before);
+        Ok(update)
+    }
+}
+
+fn ms(since: Instant) -> f64 {
+    since.elapsed().as_secs_f64() * 1e3
+}
+
+/// Error in δ that planes may leave.
+fn target(g: &core::Geometry, options: &Options) -> f64 {
+    let all = core::Rect { x: 0, y: 0, w: g.grid.width, h: g.grid.height };
+    let parallax = g.view_box.parallax(&g.intrinsics, all);
+    options.max_error / parallax.0.max(parallax.1).max(1.0)
+}
+
+/// Disparity of a frame: measured and denoised, or estimated; its ramps snapped, of an estimate those in a `part` alone.
+fn estimate(job: &mut Context, frame: &Frame, part: Option<Rect>) -> Result<Estimated, MakeError> {
+    let map = match &frame.depth {
+        Some(given) => {
+            let map = Estimated { delta: given.clone(), confidence: None, given: true };
+            job.run(&mut Denoise, (&frame.photo, map))?
+        }
+        None => job.run(&mut Depth, (&frame.photo, Source::Network))?,
+    };
+    match part.filter(|_| frame.depth.is_none()) {
+        Some(part) => snap_part(job, &frame.photo, map, part),
+        None => job.run(&mut Snap, (&frame.photo, map)),
+    }
+}
+
+/// Snaps the ramps of a part of a map to what they would be snapped to with all of it.
+fn snap_part(job: &mut Context, photo: &Photo, mut map: Estimated, part: Rect) -> Result<Estimated, MakeError> {
+    let width = photo.width as usize;
+    let (x0, y0) = (part.x.saturating_sub(SNAP_REACH), part.y.saturating_sub(SNAP_REACH));
+    let (x1, y1) = ((part.x + part.w + SNAP_REACH).min(photo.width), (part.y + part.h + SNAP_REACH).min(photo.height));
+    let (w, h) = (x1 - x0, y1 - y0);
+    let rows = || (y0..y1).map(|y| y as usize * width + x0 as usize);
+    let rgb = rows().flat_map(|at| &photo.rgb[at..at + w as usize]).copied().collect();
+    let delta = rows().flat_map(|at| &map.delta.delta[at..at + w as usize]).copied().collect();
+    let cut = Estimated { delta: DisparityMap { width: w, height: h, delta }, confidence: None, given: map.given };
+    let snapped = job.run(&mut Snap, (&Photo { width: w, height: h, rgb }, cut))?;
+    for y in part.y..part.y + part.h {
+        let (to, from) = ((y as usize * width) + part.x as usize, ((y - y0) * w + part.x - x0) as usize);
+        let count = part.w as usize;
+        map.delta.delta[to..to + count].copy_from_slice(&snapped.delta.delta[from..from + count]);
+    }
+    Ok(map)
+}
+
+impl State {
+    fn new(photo: &Photo, settings: &Settings) -> Self {
+        let (width, height) = (photo.width, photo.height);
+        let geometry = settings.empty(width, height);
+        let blocks = width.div_ceil(BLOCK) as usize * height.div_ceil(BLOCK) as usize;
+        Self {
+            waiting: vec![0; geometry.tiles.len()],
+            geometry,
+            delta: DisparityMap { width, height, delta: vec![0.0; photo.rgb.len()] },
+            stale: vec![false; blocks],
+            known: false,
+        }
+    }
+
+    /// The rectangle of all stale blocks, clipped to the picture; none where there is none.
+    fn stale_part(&self, across: usize) -> Option<Rect> {
+        let stale = || self.stale.iter().enumerate().filter(|(_, s)| **s).map(|(i, _)| (i % across, i / across));
+        let (x0, x1) = (stale().map(|b| b.0).min()? as u32 * BLOCK, (stale().map(|b| b.0).max()? as u32 + 1) * BLOCK);
+        let (y0, y1) = (stale().map(|b| b.1).min()? as u32 * BLOCK, (stale().map(|b| b.1).max()? as u32 + 1) * BLOCK);
+        let (x1, y1) = (x1.min(self.delta.width), y1.min(self.delta.height));
+        Some(Rect { x: x0, y: y0, w: x1 - x0, h: y1 - y0 })
+    }
+
+    /// Notes what changed.
+    fn take(&mut self, change: &Change, grid: &Grid, changed: &mut Vec<u32>) {
+        for (stale, by) in self.stale.iter_mut().zip(&change.blocks) {
+            *stale |= *by > 0;
+        }
+        for (t, by) in (0..).zip(change.tiles(grid)) {
+            self.waiting[t as usize] += by;
+            if by > 0 {
+                changed.push(t);
+            }
+        }
+    }
+
+    /// Notes tiles whose measured depth has changed though their colours have not.
+    fn take_depth(&mut self, depth: &DisparityMap, grid: &Grid, target: f64, across: usize) {
+        for t in 0..grid.tiles() {
+            let r = grid.rect(t);
+            let off = |y: u32| {
+                let row = y as usize * grid.width as usize + r.x as usize;
+                let (new, old) = (&depth.delta[row..][..r.w as usize], &self.delta.delta[row..][..r.w as usize]);
+                new.iter().zip(old).filter(|(a, b)| f64::from((*a - *b).abs()) > target).count()
+            };
+            let count: usize = (r.y..r.y + r.h).map(off).sum();
+            if self.waiting[t as usize] == 0 && count as f64 > DEPTH_CHANGED * r.area() as f64 {
+                self.waiting[t as usize] = count as u64;
+                for y in r.y / BLOCK..(r.y + r.h).div_ceil(BLOCK) {
+                    let row = y as usize * across;
+                    self.stale[row + (r.x / BLOCK) as usize..row + (r.x + r.w).div_ceil(BLOCK) as usize].fill(true);
+                }
+            }
+        }
+    }
+
+    /// Takes a new map over where blocks are stale; with `align`, brought to the scale of the others first.
+    fn join(&mut self, mut map: Estimated, align: bool, across: usize) {
+        let width = self.delta.width as usize;
+        let block = |i: usize| i / width / BLOCK as usize * across + i % width / BLOCK as usize;
+        if align {
+            let steady: Vec<bool> = (0..self.delta.delta.len()).map(|i| !self.stale[block(i)]).collect();
+            align::fit(&map.delta, &self.delta, &steady).apply(&mut map.delta.delta);
+        }
+        for (i, (to, new)) in self.delta.delta.iter_mut().zip(&map.delta.delta).enumerate() {
+            if self.stale[block(i)] {
+                *to = *new;
+            }
+        }
+        self.stale.fill(false);
+        self.known = true;
+    }
+
+    /// The tiles that wait and changed most, `most` at most.
+    fn most_changed(&self, most: usize) -> Vec<u32> {
+        let mut tiles: Vec<u32> = (0..).zip(&self.waiting).filter(|(_, w)| **w > 0).map(|(t, _)| t).collect();
+        if tiles.len() > most {
+            tiles.sort_by_key(|t| std::cmp::Reverse(self.waiting[*t as usize]));
+            tiles.truncate(most);
+        }
+        tiles
+    }
+
+    /// Places the planes of some tiles; `sent` gets those that came out otherwise, in order.
+    fn place(
+        &mut self,
+        job: &mut Context,
+        planes: &mut Planes,
+        frame: &Frame,
+        wanted: &[u32],
+        sent: &mut Vec<u32>,
+    ) -> Result<(), MakeError> {
+        let mut chosen = vec![false; self.waiting.len()];
+        for t in wanted {
+            chosen[*t as usize] = true;
+        }
+        planes.change(chosen.clone());
+        let intrinsics = self.geometry.intrinsics;
+        // the stage looks at camera and map alone
+        let photo = Photo { width: frame.photo.width, height: frame.photo.height, rgb: Vec::new() };
+        let prepared = Prepared { photo, intrinsics, format: PhotoFormat::Jpeg, uploaded: None, reduced: None };
+        let map = Estimated {
+            delta: std::mem::replace(&mut self.delta, DisparityMap { width: 0, height: 0, delta: Vec::new() }),
+            confidence: None,
+            given: true,
+        };
+        let placed = job.run(planes, (&prepared, &map));
+        self.delta = map.delta;
+        let mut geometry = placed?.geometry;
+        layers::add_backgrounds_to(&mut geometry, &self.delta, |t| chosen[t as usize]);
+        for (t, new) in (0..).zip(geometry.tiles).filter(|(t, _)| chosen[*t as usize]) {
+            self.waiting[t as usize] = 0;
+            let known = &mut self.geometry.tiles[t as usize];
+            if *known != new {
+                *known = new;
+                sent.push(t);
+            }
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests;

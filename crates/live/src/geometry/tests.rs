@@ -1,0 +1,160 @@
+#![allow(clippy::unwrap_used, reason = "test")]
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
+
+use tmpi_core::live::{Model, wire};
+use tmpi_pipeline::depth::{DepthError, Estimator};
+
+use super::*;
+
+/// Disparity from brightness, by another scale and shift each time, as networks do.
+#[derive(Default)]
+struct Bright {
+    runs: AtomicU32,
+}
+
+impl Estimator for Bright {
+    fn name(&self) -> &'static str {
+        "bright"
+    }
+
+    fn estimate(&self, photo: &Photo) -> Result<DisparityMap, DepthError> {
+        let run = self.runs.fetch_add(1, Ordering::Relaxed);
+        let (scale, shift) = (1.0 - 0.1 * (run % 4) as f32, 0.05 * (run % 3) as f32);
+        let delta = photo.rgb.iter().map(|p| scale * f32::from(p[0]) / 255.0 + shift).collect();
+        Ok(DisparityMap { width: photo.width, height: photo.height, delta })
+    }
+}
+
+fn room(settings: Settings) -> (Arc<Bright>, Geometry) {
+    let depth = Arc::new(Bright::default());
+    (Arc::clone(&depth), Geometry::new(Models { depth, theta: None, psi: None }, settings))
+}
+
+/// A square at `x` before a wall that rises to the right.
+fn frame(number: u64, x: u32) -> Frame {
+    let (width, height) = (240, 136);
+    let pixel =
+        |i: u32| if (x..x + 40).contains(&(i % width)) && (40..100).contains(&(i / width)) { 200 } else { 40 + (i % width / 4) as u8 };
+    Frame { number, photo: Photo { width, height, rgb: (0..width * height).map(|i| [pixel(i); 3]).collect() }, depth: None }
+}
+
+#[test]
+fn what_stands_still_costs_nothing() {
+    let (depth, mut room) = room(Settings::default());
+    let first = room.next(&frame(0, 60)).unwrap();
+    assert!(first.cut && first.sent.len() == 15 && first.chunks.len() == 1 && first.waiting == 0);
+    for n in 1..5 {
+        let update = room.next(&frame(n, 60)).unwrap();
+        assert!(update.changed.is_empty() && update.chunks.is_empty());
+        assert_eq!(update.stages.len(), 1, "the comparison alone");
+    }
+    assert_eq!(depth.runs.load(Ordering::Relaxed), 1);
+}
+
+#[test]
+fn a_reader_of_all_chunks_has_the_room_and_unchanged_tiles_are_as_they_were() {
+    let (_, mut room) = room(Settings::default());
+    room.next(&frame(0, 20)).unwrap();
+    let mut reader = Model::new(&Model::hello(room.geometry().unwrap())).unwrap();
+    reader.take(&wire::Geometry { frame: 0, chunks: room.snapshot(0).unwrap().into_iter().collect() }).unwrap();
+    for n in 1..12 {
+        let before = room.geometry().unwrap().tiles.clone();
+        let update = room.next(&frame(n, 20 + 6 * n as u32)).unwrap();
+        assert!(!update.cut && update.changed.len() < 15);
+        for t in (0..15).filter(|t| !update.changed.contains(t)) {
+            assert_eq!(before[t as usize], room.geometry().unwrap().tiles[t as usize], "tile {t} of frame {n}");
+        }
+        assert!(update.sent.iter().all(|t| update.changed.contains(t)));
+        reader.take(&wire::Geometry { frame: n, chunks: update.chunks }).unwrap();
+        assert_eq!(reader.geometry(), room.geometry());
+    }
+}
+
+#[test]
+fn another_scale_of_the_network_does_not_move_what_moves_over_the_picture() {
+    let (_, mut room) = room(Settings::default());
+    let shown = |room: &Geometry, x: u32| {
+        let g = room.geometry().unwrap();
+        // tile 6 has its upper left corner at (56, 56)
+        g.tiles[6].shown(&g.grid, 6)[(70 - 56) * 64 + (x - 56) as usize]
+    };
+    room.next(&frame(0, 70)).unwrap();
+    let first = shown(&room, 75);
+    for n in 1..8 {
+        room.next(&frame(n, 70 - n as u32)).unwrap();
+        let now = shown(&room, 75);
+        // planes are kept while they are within 1.5 × .064; the network's own scale would take it .23 away
+        assert!((now - first).abs() < 0.1, "frame {n}: {now}, not {first}");
+    }
+}
+
+#[test]
+fn a_cut_carries_nothing_on() {
+    let (_, mut room) = room(Settings::default());
+    room.next(&frame(0, 60)).unwrap();
+    let mut other = frame(1, 60);
+    other.photo.rgb.iter_mut().for_each(|p| *p = p.map(|v| 255 - v));
+    let update = room.next(&other).unwrap();
+    assert!(update.cut && update.sent.len() == 15);
+}
+
+#[test]
+fn what_does_not_fit_the_budget_is_done_by_the_next_frames() {
+    let (_, mut room) = room(Settings { frame_ms: 1e-3, ..Settings::default() });
+    room.next(&frame(0, 60)).unwrap();
+    let mut moved = room.next(&frame(1, 100)).unwrap();
+    let (mut frames, mut sent) = (0, moved.sent.clone());
+    while moved.waiting > 0 {
+        frames += 1;
+        assert!(frames < 100_000, "{} tiles wait for ever", moved.waiting);
+        moved = room.next(&frame(1 + frames, 100)).unwrap();
+        assert!(moved.sent.len() <= 1);
+        sent.extend(&moved.sent);
+    }
+    assert!(frames > 1 && sent.len() > 1, "{frames} frames, {sent:?}");
+}
+
+#[test]
+fn measured_depth_that_changes_alone_is_taken() {
+    let (depth, mut room) = room(Settings::default());
+    let with = |number, near: f32| {
+        let mut f = frame(number, 60);
+        let delta = (0..f.photo.rgb.len()).map(|i| if i % 240 < 56 { near } else { 0.3 }).collect();
+        f.depth = Some(DisparityMap { width: 240, height: 136, delta });
+        f
+    };
+    room.next(&with(0, 0.3)).unwrap();
+    assert!(room.next(&with(1, 0.3)).unwrap().sent.is_empty());
+    let update = room.next(&with(2, 0.9)).unwrap();
+    assert!(update.changed.is_empty() && update.sent.contains(&0) && !update.sent.contains(&4), "{:?}", update.sent);
+    assert_eq!(depth.runs.load(Ordering::Relaxed), 0);
+    let mut wrong = with(3, 0.9);
+    wrong.depth.as_mut().unwrap().width = 120;
+    assert!(matches!(room.next(&wrong), Err(GeometryError::Depth(120, 136, 240, 136))));
+}
+
+#[test]
+fn a_part_is_snapped_as_the_whole_is() {
+    let frame = frame(0, 60);
+    let (width, height) = (frame.photo.width, frame.photo.height);
+    // ramps of seven pixels where the photo has edges
+    let near = |x: u32| (f64::from(x.clamp(56, 63) - 56) / 7.0) as f32;
+    let delta: Vec<f32> = (0..width * height).map(|i| 0.2 + 0.6 * near(i % width)).collect();
+    let map = || Estimated { delta: DisparityMap { width, height, delta: delta.clone() }, confidence: None, given: false };
+    let (models, limits, options) =
+        (Models { depth: Arc::new(Bright::default()), theta: None, psi: None }, Limits::default(), Options::default());
+    let mut job = Context::new(&models, &limits, &options, &Silent);
+    let whole = job.run(&mut Snap, (&frame.photo, map())).unwrap().delta;
+    assert_ne!(whole.delta, delta);
+    for part in [Rect { x: 48, y: 0, w: 24, h: 136 }, Rect { x: 0, y: 40, w: 64, h: 16 }, Rect { x: 56, y: 120, w: 184, h: 16 }] {
+        let found = snap_part(&mut job, &frame.photo, map(), part).unwrap().delta;
+        for i in 0..width * height {
+            let (x, y) = (i % width, i / width);
+            let inside = (part.x..part.x + part.w).contains(&x) && (part.y..part.y + part.h).contains(&y);
+            let should = if inside { whole.delta[i as usize] } else { delta[i as usize] };
+            assert_eq!(found.delta[i as usize].to_bits(), should.to_bits(), "({x}, {y}) of {part:?}");
+        }
+    }
+}

@@ -1,0 +1,27 @@
+//! The driver of a room: frames of a camera in, the planes and labels that changed out.
+//!
+//! It runs the same stages as the driver of a photo ([`tmpi_pipeline::run::stages`]), with what they carry from frame to frame:
+//!
+//! 1. [`change`]: which blocks of 8×8 pixels differ from the last frame. Video that was encoded repeats what stands still bit for bit,
+//!    sensor noise and all, so this is a test for equality; a tolerance is for frames that were not. What did not change costs nothing:
+//!    no depth, no planes, no bytes. A histogram of luma tells a cut, after which nothing is carried on.
+//! 2. Depth by the network, or as the camera gives it; snapped to edges as in a photo.
+//! 3. [`align`]: a network tells depth up to scale and shift, and each frame others. Both are fitted, robustly, to what is known of the
+//!    pixels that did not change; these keep their depth.
+//! 4. Planes of changed tiles, starting from the last ones ([`tmpi_pipeline::planes::place_again`]); labels change only where much is won.
+//! 5. Chunks ([`tmpi_core::live::chunk`]) of the tiles that came out otherwise.
+//!
+//! [`Geometry`] drives all that under a budget of time: what does not fit waits for the next frame, what changed most goes first.
+//! [`video`] and [`depth`] decode what publishers send, [`units`] splits their streams. Nothing here knows of sockets or rooms, and nothing waits.
+
+pub mod align;
+mod budget;
+pub mod change;
+pub mod depth;
+mod geometry;
+pub mod units;
+pub mod video;
+
+pub use budget::Budget;
+pub use change::Tolerance;
+pub use geometry::{Frame, Geometry, GeometryError, Settings, Update};

@@ -1,0 +1,128 @@
+//! Access units out of a stream of H.264 in Annex B, as it comes.
+
+/// Bytes of an access unit that is not at its end yet, at most.
+const MOST: usize = 4 << 20;
+
+/// NAL unit types (ITU-T H.264, table 7-1).
+const SLICE: u8 = 1;
+const KEY: u8 = 5;
+const SEI: u8 = 6;
+const PARAMETERS: u8 = 7;
+const DELIMITER: u8 = 9;
+
+/// One access unit.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Unit {
+    /// Its bytes, start codes included.
+    pub data: Vec<u8>,
+    /// It can be decoded without any other.
+    pub key: bool,
+}
+
+/// Splits a stream into access units.
+#[derive(Debug, Default)]
+pub struct Splitter {
+    bytes: Vec<u8>,
+    /// How far start codes were looked for.
+    looked: usize,
+    /// The unit at hand has a slice, or one of a key frame.
+    slice: bool,
+    key: bool,
+}
+
+/// The stream is none that can be split.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{MOST} bytes without the end of an access unit: not H.264 in Annex B")]
+pub struct NoUnits;
+
+impl Splitter {
+    /// Takes what came; gives the units that are complete.
+    ///
+    /// # Errors
+    /// [`NoUnits`].
+    pub fn push(&mut self, bytes: &[u8]) -> Result<Vec<Unit>, NoUnits> {
+        self.bytes.extend_from_slice(bytes);
+        let mut units = Vec::new();
+        // the byte after the NAL unit's head tells whether a slice is the first of its picture
+        while let Some(at) = (self.looked..self.bytes.len().saturating_sub(4)).find(|&i| self.bytes[i..i + 3] == [0, 0, 1]) {
+            let (kind, first) = (self.bytes[at + 3] & 31, self.bytes[at + 4] & 0x80 != 0);
+            let slice = matches!(kind, SLICE..=KEY);
+            let begins = self.slice && ((slice && first) || matches!(kind, SEI..=DELIMITER));
+            let mut next = at + 3;
+            if begins {
+                // a start code of four bytes begins with the zero
+                let end = if at > 0 && self.bytes[at - 1] == 0 { at - 1 } else { at };
+                let rest = self.bytes.split_off(end);
+                next -= end;
+                units.push(Unit { data: std::mem::replace(&mut self.bytes, rest), key: self.key });
+                (self.slice, self.key) = (false, false);
+            }
+            self.slice |= slice;
+            self.key |= kind == KEY;
+            self.looked = next;
+        }
+        self.looked = self.looked.max(self.bytes.len().saturating_sub(4));
+        if self.bytes.len() > MOST { Err(NoUnits) } else { Ok(units) }
+    }
+
+    /// The last unit, where the stream is at its end.
+    #[must_use]
+    pub fn finish(self) -> Option<Unit> {
+        self.slice.then_some(Unit { data: self.bytes, key: self.key })
+    }
+}
+
+/// Codec string of `WebCodecs` for a stream that begins with this unit; none where it has no sequence parameter set.
+#[must_use]
+pub fn codec(unit: &[u8]) -> Option<String> {
+    let at = unit.windows(4).position(|w| w[..3] == [0, 0, 1] && w[3] & 31 == PARAMETERS)?;
+    let [profile, constraints, level] = *unit.get(at + 4..)?.first_chunk::<3>()?;
+    Some(format!("avc1.{profile:02x}{constraints:02x}{level:02x}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    /// NAL units of three pictures, the first a key with parameter sets, the second of two slices.
+    fn pictures() -> Vec<Vec<u8>> {
+        let nal =
+            |long: bool, kind: u8, first: u8| [if long { &[0, 0, 0, 1][..] } else { &[0, 0, 1][..] }, &[kind, first, 7, 7, 7]].concat();
+        vec![
+            [nal(true, 0x67, 0x42), nal(true, 0x68, 0xCE), nal(false, 0x65, 0x88)].concat(),
+            [nal(true, 0x41, 0x9A), nal(false, 0x41, 0x12)].concat(),
+            [nal(true, 0x09, 0xF0), nal(true, 0x41, 0x9B)].concat(),
+        ]
+    }
+
+    proptest! {
+        /// In pieces of any size.
+        #[test]
+        fn units_come_back(sizes in prop::collection::vec(1usize..20, 1..40)) {
+            let stream = pictures().concat();
+            let (mut splitter, mut units, mut rest) = (Splitter::default(), Vec::new(), stream.as_slice());
+            for size in sizes.iter().cycle() {
+                if rest.is_empty() {
+                    break;
+                }
+                let (piece, after) = rest.split_at((*size).min(rest.len()));
+                rest = after;
+                units.extend(splitter.push(piece).unwrap());
+            }
+            units.extend(splitter.finish());
+            let (data, keys): (Vec<_>, Vec<_>) = units.into_iter().map(|u| (u.data, u.key)).unzip();
+            prop_assert_eq!(data, pictures());
+            prop_assert_eq!(keys, [true, false, false]);
+        }
+    }
+
+    #[test]
+    fn what_is_no_stream_is_refused_and_the_codec_is_read() {
+        let mut splitter = Splitter::default();
+        assert!(splitter.push(&vec![7; MOST]).is_ok());
+        assert_eq!(splitter.push(&[7]), Err(NoUnits));
+        assert_eq!(codec(&pictures()[0]).unwrap(), "avc1.420707");
+        assert_eq!(codec(&pictures()[1]), None);
+    }
+}

@@ -1,0 +1,142 @@
+//! Decoders of what publishers send.
+
+use tmpi_core::Photo;
+use tmpi_core::container::{PhotoFormat, decode_picture};
+pub use tmpi_core::live::{I420, to_rgb};
+
+/// Codec string of frames that are JPEG files.
+pub const JPEG: &str = "jpeg";
+
+/// Why a frame cannot be decoded.
+#[derive(Debug, thiserror::Error)]
+pub enum VideoError {
+    /// There is no decoder for the codec.
+    #[error("no decoder for the codec {0:?}")]
+    Codec(String),
+    /// The bytes are damaged, or use what the decoder does not know; it goes on with the next key frame.
+    #[error("video: {0}")]
+    Broken(String),
+    /// The frame is not of the size that the publisher said.
+    #[error("a frame of {0}×{1}, where the publisher said {2}×{3}")]
+    Size(u32, u32, u32, u32),
+}
+
+/// Decodes the frames of a room one after the other.
+pub trait Decoder: Send {
+    /// Decodes an access unit; none where it holds no picture.
+    ///
+    /// # Errors
+    /// [`VideoError::Broken`], [`VideoError::Size`].
+    fn decode(&mut self, data: &[u8]) -> Result<Option<Photo>, VideoError>;
+}
+
+/// The decoder for a codec string of `WebCodecs`, of frames of that size.
+///
+/// # Errors
+/// [`VideoError::Codec`].
+pub fn decoder(codec: &str, size: (u32, u32)) -> Result<Box<dyn Decoder>, VideoError> {
+    match codec {
+        JPEG => Ok(Box::new(Jpeg { size })),
+        #[cfg(feature = "h264")]
+        _ if codec.starts_with("avc1.") => Ok(Box::new(h264::H264::new(size))),
+        _ => Err(VideoError::Codec(codec.chars().take(32).collect())),
+    }
+}
+
+/// Size of a picture by its first access unit.
+///
+/// # Errors
+/// [`VideoError`] where it cannot be decoded by itself.
+pub fn size(codec: &str, data: &[u8]) -> Result<(u32, u32), VideoError> {
+    let most = (1 << 14, 1 << 14);
+    let decoded = decoder(codec, most).and_then(|mut d| d.decode(data));
+    match decoded {
+        Ok(Some(photo)) => Ok((photo.width, photo.height)),
+        Err(VideoError::Size(width, height, ..)) => Ok((width, height)),
+        Ok(None) => Err(VideoError::Broken("there is no picture in it".into())),
+        Err(error) => Err(error),
+    }
+}
+
+fn sized(photo: Photo, (width, height): (u32, u32)) -> Result<Option<Photo>, VideoError> {
+    if (photo.width, photo.height) == (width, height) {
+        Ok(Some(photo))
+    } else {
+        Err(VideoError::Size(photo.width, photo.height, width, height))
+    }
+}
+
+/// Frames that are JPEG files.
+struct Jpeg {
+    size: (u32, u32),
+}
+
+impl Decoder for Jpeg {
+    fn decode(&mut self, data: &[u8]) -> Result<Option<Photo>, VideoError> {
+        let photo = decode_picture(PhotoFormat::Jpeg, data, self.size).map_err(|e| VideoError::Broken(e.to_string()))?;
+        sized(photo, self.size)
+    }
+}
+
+#[cfg(feature = "h264")]
+mod h264 {
+    use rusty_h264_common::nal::{emulation_unprevent, split_annex_b};
+    use rusty_h264_decoder::Sps;
+
+    use super::{Decoder, I420, Photo, VideoError, sized, to_rgb};
+
+    /// H.264, access units in Annex B.
+    pub struct H264 {
+        decoder: rusty_h264_decoder::Decoder,
+        size: (u32, u32),
+    }
+
+    impl H264 {
+        pub fn new(size: (u32, u32)) -> Self {
+            Self { decoder: rusty_h264_decoder::Decoder::new(), size }
+        }
+    }
+
+    /// Type of a NAL unit that is a sequence parameter set.
+    const SPS: u8 = 7;
+
+    impl Decoder for H264 {
+        fn decode(&mut self, data: &[u8]) -> Result<Option<Photo>, VideoError> {
+            self.check(data)?;
+            let Some(frame) = self.decoder.decode(data).map_err(|e| VideoError::Broken(e.to_string()))? else { return Ok(None) };
+            let planes = I420 { width: frame.width as u32, height: frame.height as u32, y: &frame.y, u: &frame.u, v: &frame.v };
+            let short = || VideoError::Broken("a plane that is too short".into());
+            sized(to_rgb(&planes).ok_or_else(short)?, self.size)
+        }
+    }
+
+    impl H264 {
+        /// Refuses parameters of larger frames before the decoder takes memory for them.
+        fn check(&self, data: &[u8]) -> Result<(), VideoError> {
+            let (width, height) = self.size;
+            let fits = |coded: usize, side: u32| coded <= side.next_multiple_of(16) as usize;
+            for nal in split_annex_b(data).into_iter().filter(|n| n.first().is_some_and(|head| head & 31 == SPS)) {
+                let sps = Sps::parse(&emulation_unprevent(&nal[1..])).map_err(|e| VideoError::Broken(e.to_string()))?;
+                if !fits(sps.coded_width(), width) || !fits(sps.coded_height(), height) {
+                    return Err(VideoError::Size(sps.coded_width() as u32, sps.coded_height() as u32, width, height));
+                }
+            }
+            Ok(())
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_codec_that_nobody_knows_is_refused_and_so_is_another_size() {
+        assert!(matches!(decoder("av01.0", (8, 8)), Err(VideoError::Codec(_))));
+        let photo = Photo { width: 16, height: 8, rgb: vec![[90; 3]; 128] };
+        let jpeg = tmpi_core::container::Carried { format: PhotoFormat::Jpeg, bytes: vec![] };
+        assert!(jpeg.decode().is_err());
+        assert!(sized(photo.clone(), (16, 8)).is_ok_and(|p| p.is_some()) && sized(photo, (8, 16)).is_err());
+        assert!(matches!(decoder(JPEG, (16, 8)).unwrap().decode(b"no JPEG"), Err(VideoError::Broken(_))));
+    }
+}

@@ -1,0 +1,129 @@
+//! `tmpi live`.
+
+use std::path::PathBuf;
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use anyhow::Context as _;
+
+use super::flags::{self, ModelFlags};
+use super::live_publish::{self, PublishArgs};
+use super::live_watch::{self, WatchArgs};
+use super::{Usage, files, result};
+use crate::live::{self as rooms, Role};
+use tmpi_lab::live;
+use tmpi_pipeline::networks::{self, models};
+
+/// Publish, watch and measure moving 3D photos
+#[derive(Clone, Debug, clap::Args)]
+pub(super) struct LiveArgs {
+    #[command(subcommand)]
+    what: What,
+}
+
+#[derive(Clone, Debug, clap::Subcommand)]
+enum What {
+    Publish(PublishArgs),
+    Watch(WatchArgs),
+    Bench(Box<BenchArgs>),
+    Token(TokenArgs),
+}
+
+/// Print a token that lets into a room whoever has it
+#[derive(Clone, Debug, clap::Args)]
+struct TokenArgs {
+    /// Name of the room
+    room: String,
+    /// File with the server's key, as given to `serve --live-key`
+    #[arg(long, value_name = "FILE")]
+    key: PathBuf,
+    /// For who publishes; else for who watches
+    #[arg(long)]
+    publish: bool,
+    /// Hours for which it is good
+    #[arg(long, default_value_t = 24, value_parser = clap::value_parser!(u32).range(1..=100_000), value_name = "N")]
+    hours: u32,
+}
+
+/// Measure rendered sequences from camera to reader: error against time and bytes
+#[derive(Clone, Debug, clap::Args)]
+struct BenchArgs {
+    /// Size of the frames
+    #[arg(long, default_value = "320x240", value_parser = flags::size, value_name = "WxH")]
+    size: (u32, u32),
+    /// One sequence alone
+    #[arg(long, value_parser = live::NAMES, value_name = "NAME")]
+    only: Option<String>,
+    /// Frames of each sequence
+    #[arg(long, default_value_t = 240, value_parser = clap::value_parser!(u32).range(2..=100_000), value_name = "N")]
+    frames: u32,
+    /// How frames are sent; H.264 where the program was built with it
+    #[arg(long, default_value = if cfg!(feature = "h264") { "h264" } else { "jpeg" }, value_parser = ["h264", "jpeg"], value_name = "CODEC")]
+    codec: String,
+    /// Bits a second of H.264; 500 kbit/s for 320×240, more for larger frames, where nothing is said
+    #[arg(long, value_name = "N")]
+    bitrate: Option<u32>,
+    /// Milliseconds that the geometry of a frame may take; 0: as long as it takes
+    #[arg(long, default_value_t = 0.0, value_name = "MS")]
+    budget_ms: f64,
+    /// Draw the view from beside the camera for two frames of every so many
+    #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u32).range(2..=100_000), value_name = "N")]
+    views: u32,
+    /// Write the streams to this folder, and as pictures the frames, views and true views that are compared
+    #[arg(long, value_name = "DIR")]
+    files: Option<PathBuf>,
+    /// The figures as JSON
+    #[arg(long)]
+    json: bool,
+    /// Learn what the coders of chunks begin with, write it to this file and measure nothing
+    #[arg(long, value_name = "FILE")]
+    learn: Option<PathBuf>,
+    #[command(flatten)]
+    models: ModelFlags,
+}
+
+/// Bits a second and pixel that 500 kbit/s are at 320×240.
+const RATE: f64 = 500_000.0 / (320.0 * 240.0);
+
+pub(super) fn run(args: &LiveArgs) -> anyhow::Result<()> {
+    match &args.what {
+        What::Publish(args) => live_publish::publish(args),
+        What::Watch(args) => live_watch::watch(args),
+        What::Bench(args) => bench(args),
+        What::Token(args) => token(args),
+    }
+}
+
+fn token(args: &TokenArgs) -> anyhow::Result<()> {
+    let now = SystemTime::now().duration_since(UNIX_EPOCH)?.as_secs();
+    let role = if args.publish { Role::Publish } else { Role::Watch };
+    let token = rooms::token(&files::read(&args.key)?, role, &args.room, now + u64::from(args.hours) * 3600);
+    result(&token.context("the key is none")?)
+}
+
+fn bench(args: &BenchArgs) -> anyhow::Result<()> {
+    let (w, h) = args.size;
+    if u64::from(w) * u64::from(h) > tmpi_core::live::MAX_PIXELS {
+        return Err(Usage(format!("--size: frames have {} pixels at most", tmpi_core::live::MAX_PIXELS)).into());
+    }
+    let rate = || (RATE * f64::from(w) * f64::from(h)) as u32;
+    let settings = live::Settings {
+        size: args.size,
+        frames: args.frames,
+        bitrate: (args.codec == "h264").then(|| args.bitrate.unwrap_or_else(rate)),
+        frame_ms: args.budget_ms,
+        views: args.views,
+        models: models::load(&args.models.settings())?,
+        depth: networks::available().is_ok(),
+        files: args.files.clone(),
+        only: args.only.clone(),
+    };
+    let told = |what: &str| eprintln!("tmpi live bench: {what}");
+    if let Some(file) = &args.learn {
+        return files::write(file, live::learn(&settings, &told)?.as_bytes());
+    }
+    let results = live::run(&settings, &told)?;
+    for s in &results.skipped {
+        eprintln!("left out: {s}");
+    }
+    result(&if args.json { serde_json::to_string_pretty(&results)? } else { results.table() })
+}

@@ -1,0 +1,201 @@
+//! `tmpi live watch`.
+
+use std::io::Write as _;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use anyhow::Context as _;
+use futures_util::StreamExt as _;
+use tokio_tungstenite::tungstenite::Message;
+
+use tmpi_core::live::wire::message::Kind;
+use tmpi_core::live::wire::{Hello, Video};
+use tmpi_core::live::{Model, read};
+use tmpi_core::{Camera, Inpainter, Memory, Photo, Pose, TexturedLayer, compose};
+use tmpi_live::video::{self, Decoder};
+use tmpi_render::{Cpu, PictureFormat, Renderer as _, encode};
+
+use super::live_client::{connect, micros};
+use super::render::pose;
+use super::{files, result};
+
+/// Watch a room: print what comes, and keep it
+#[derive(Clone, Debug, clap::Args)]
+pub(super) struct WatchArgs {
+    /// The room's address
+    #[arg(default_value = "http://127.0.0.1:8080/live/room", value_name = "URL")]
+    room: String,
+    /// Token for the room
+    #[arg(long, value_name = "TOKEN")]
+    token: Option<String>,
+    /// End after so many seconds
+    #[arg(long, value_name = "S")]
+    seconds: Option<f64>,
+    /// Write every message to this file, each after its length in four bytes, little endian
+    #[arg(long, value_name = "FILE")]
+    record: Option<PathBuf>,
+    /// Draw what the camera at --pose sees into this folder, as numbered PNG files
+    #[arg(long, value_name = "DIR")]
+    render: Option<PathBuf>,
+    /// Where that camera is and looks, as for `render`
+    #[arg(long, requires = "render", value_parser = pose, allow_hyphen_values = true, default_value = "0,0,0", value_name = "TX,TY,TZ[,YAW,PITCH,ROLL]")]
+    pose: Pose,
+    /// Draw one of so many frames
+    #[arg(long, requires = "render", value_parser = clap::value_parser!(u64).range(1..), default_value_t = 30, value_name = "N")]
+    every: u64,
+    /// A line of JSON each second
+    #[arg(long)]
+    json: bool,
+}
+
+/// What came within a second.
+#[derive(Clone, Debug, Default, serde::Serialize)]
+struct Second {
+    frames: u64,
+    video_bytes: u64,
+    geometry_bytes: u64,
+    tiles: u64,
+    /// Views that were drawn.
+    drawn: u64,
+    /// Milliseconds from a frame's time until it was here, the longest; it is the publisher's clock.
+    latency_ms: f64,
+    /// Of the server.
+    viewers: u32,
+    skipped: u64,
+    geometry_ms: f64,
+    tiles_left_out: f64,
+}
+
+/// Watches until the room ends, or the time is over.
+pub(super) fn watch(args: &WatchArgs) -> anyhow::Result<()> {
+    tokio::runtime::Builder::new_current_thread().enable_all().build()?.block_on(watching(args))
+}
+
+async fn watching(args: &WatchArgs) -> anyhow::Result<()> {
+    let mut record =
+        args.record.as_ref().map(|file| std::fs::File::create(file).with_context(|| file.display().to_string())).transpose()?;
+    let begun = Instant::now();
+    let mut socket = connect(&args.room, "subscribe", args.token.as_deref()).await?;
+    let end = args.seconds.map(|s| tokio::time::Instant::now() + Duration::from_secs_f64(s.clamp(0.0, 1e9)));
+    let mut second = Second::default();
+    let mut shown: Option<Shown> = None;
+    let mut waits = true;
+    loop {
+        let over = async {
+            match end {
+                Some(end) => tokio::time::sleep_until(end).await,
+                None => std::future::pending().await,
+            }
+        };
+        let came = tokio::select! {
+            came = socket.next() => came,
+            () = over => return Ok(()),
+        };
+        let bytes = match came {
+            Some(Ok(Message::Binary(bytes))) => bytes,
+            Some(Ok(Message::Ping(_) | Message::Pong(_))) => continue,
+            Some(Err(error)) => return Err(error).context("the connection broke"),
+            _ => return Ok(()),
+        };
+        if let Some(file) = &mut record {
+            file.write_all(&(bytes.len() as u32).to_le_bytes()).and_then(|()| file.write_all(&bytes))?;
+        }
+        let length = bytes.len() as u64;
+        match read(bytes)? {
+            Kind::Hello(hello) => {
+                eprintln!("tmpi live watch: {}×{}, {}, epoch {}", hello.width, hello.height, hello.codec, hello.epoch);
+                shown = Some(Shown::new(&hello, args.render.is_some())?);
+            }
+            Kind::Video(video) => {
+                second.frames += 1;
+                second.video_bytes += length;
+                let shown = shown.as_mut().context("a frame before HELLO")?;
+                let drawn = shown.frame(&video, args)?;
+                second.drawn += u64::from(drawn);
+                second.latency_ms = second.latency_ms.max((micros() as f64 - video.time as f64) / 1e3);
+            }
+            Kind::Geometry(g) | Kind::Snapshot(g) => {
+                second.geometry_bytes += length;
+                let shown = shown.as_mut().context("tiles before HELLO")?;
+                second.tiles += shown.model.take(&g)?.len() as u64;
+                if waits && shown.model.geometry().is_some() {
+                    waits = false;
+                    eprintln!("tmpi live watch: the first tiles after {:.0} ms", begun.elapsed().as_secs_f64() * 1e3);
+                }
+            }
+            Kind::Statistics(s) => {
+                (second.viewers, second.skipped, second.geometry_ms) = (s.viewers, s.skipped, s.geometry_ms);
+                second.tiles_left_out = s.tiles_left_out as f64 / s.tiles.max(1) as f64;
+                result(&if args.json { serde_json::to_string(&second)? } else { second.line() })?;
+                second = Second::default();
+            }
+            Kind::Bye(bye) => {
+                eprintln!("tmpi live watch: the server says: {}", bye.reason);
+                return Ok(());
+            }
+            _ => {}
+        }
+    }
+}
+
+/// What is known of a room, and what is shown of it.
+struct Shown {
+    model: Model,
+    /// Of who draws.
+    pictures: Option<Pictures>,
+}
+
+struct Pictures {
+    decoder: Box<dyn Decoder>,
+    memory: Option<Memory>,
+    renderer: Cpu,
+}
+
+impl Shown {
+    fn new(hello: &Hello, draws: bool) -> anyhow::Result<Self> {
+        let decoder = || video::decoder(&hello.codec, (hello.width, hello.height));
+        let pictures = draws.then(decoder).transpose()?.map(|decoder| Pictures { decoder, memory: None, renderer: Cpu::default() });
+        Ok(Self { model: Model::new(hello)?, pictures })
+    }
+
+    /// Takes a frame, and draws it where it is its turn; true where it was.
+    fn frame(&mut self, video: &Video, args: &WatchArgs) -> anyhow::Result<bool> {
+        let (Some(pictures), Some(folder)) = (&mut self.pictures, &args.render) else { return Ok(false) };
+        // a frame that is damaged comes right with the next key
+        let Ok(Some(photo)) = pictures.decoder.decode(&video.data) else { return Ok(false) };
+        let Some(geometry) = self.model.geometry() else { return Ok(false) };
+        let memory = pictures.memory.get_or_insert_with(|| Memory::new(geometry.grid));
+        memory.take(&photo, geometry.surface());
+        if !video.frame.is_multiple_of(args.every) {
+            return Ok(false);
+        }
+        let masks = geometry.masks();
+        let mut colours = Inpainter::new(&photo, geometry).fill_all(&masks);
+        memory.recall(0, &masks, &mut colours);
+        let tiles = masks.into_iter().zip(colours);
+        let tiles = tiles.map(|(m, c)| m.layers.into_iter().zip(c).map(|(shape, hidden)| TexturedLayer { shape, hidden }).collect());
+        let Photo { width, height, .. } = photo;
+        let camera = Camera { pose: args.pose, intrinsics: geometry.intrinsics, width, height };
+        let view = pictures.renderer.render(&Arc::new(compose(photo, geometry, tiles.collect())), &camera)?;
+        files::write(&folder.join(format!("{:06}.png", video.frame)), &encode(&view, PictureFormat::Png, 0)?)?;
+        Ok(true)
+    }
+}
+
+impl Second {
+    fn line(&self) -> String {
+        format!(
+            "{} frames, {:.0} kbit/s of video, {:.0} of geometry, {} tiles, {:.0} % of all left out, latency {:.0} ms, geometry {:.0} ms, {} watch, {} skipped",
+            self.frames,
+            self.video_bytes as f64 * 8e-3,
+            self.geometry_bytes as f64 * 8e-3,
+            self.tiles,
+            100.0 * self.tiles_left_out,
+            self.latency_ms,
+            self.geometry_ms,
+            self.viewers,
+            self.skipped
+        )
+    }
+}

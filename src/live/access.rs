@@ -1,0 +1,150 @@
+//! Who may publish in a room and who may watch it: this machine's own user, and whoever has a token, which is checked here without
+//! asking anyone.
+//!
+//! A token is `EXPIRES.SIGNATURE`: seconds since 1970, and the first 16 bytes of HMAC-SHA-256 by the server's key over
+//! `ROLE ROOM EXPIRES`, as hexadecimal digits.
+
+use axum::http::uri::Authority;
+use axum::http::{HeaderMap, StatusCode, Uri, header};
+use hmac::{Hmac, KeyInit, Mac};
+use sha2::Sha256;
+
+use crate::server::{Problem, hex};
+
+/// What a token is for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Role {
+    /// Being seen.
+    Publish,
+    /// Watching.
+    Watch,
+}
+
+impl Role {
+    const fn name(self) -> &'static str {
+        match self {
+            Self::Publish => "publish",
+            Self::Watch => "watch",
+        }
+    }
+}
+
+/// Bytes of a signature.
+const SIGNATURE: usize = 16;
+
+fn signature(key: &[u8], role: Role, room: &str, expires: u64) -> Option<[u8; SIGNATURE]> {
+    let mut mac = Hmac::<Sha256>::new_from_slice(key).ok()?;
+    mac.update(format!("{} {room} {expires}", role.name()).as_bytes());
+    mac.finalize().into_bytes().first_chunk().copied()
+}
+
+/// A token for a room until `expires`, in seconds since 1970; none where the key is none.
+#[must_use]
+pub fn token(key: &[u8], role: Role, room: &str, expires: u64) -> Option<String> {
+    signature(key, role, room, expires).map(|s| format!("{expires}.{}", hex(&s)))
+}
+
+/// Whether a token is for this room and role and is still good. Who may publish may watch, too.
+#[must_use]
+pub fn is_good(key: &[u8], role: Role, room: &str, token: &str, now: u64) -> bool {
+    let Some((expires, signed)) = token.split_once('.') else { return false };
+    let Ok(expires) = expires.parse::<u64>() else { return false };
+    let same = |role| {
+        let Some(good) = signature(key, role, room, expires).map(|s| hex(&s)) else { return false };
+        // in the same time wherever they differ
+        good.len() == signed.len() && good.bytes().zip(signed.bytes()).fold(0, |all, (a, b)| all | (a ^ b)) == 0
+    };
+    let roles: &[Role] = if role == Role::Watch { &[Role::Watch, Role::Publish] } else { &[Role::Publish] };
+    now < expires && roles.iter().fold(false, |any, role| any | same(*role))
+}
+
+/// What a page puts before a token where it names the protocols that it speaks over a web socket, the one place where it may say anything.
+const AMONG_PROTOCOLS: &str = "token.";
+/// The protocol of a room's web sockets.
+pub const PROTOCOL: &str = "tmpi.live.v1";
+
+/// The token that comes with a request, where not by its address: as a bearer (RFC 6750), or among the protocols of a web socket.
+#[must_use]
+pub fn token_of(headers: &HeaderMap) -> Option<&str> {
+    let text = |name| headers.get(name).and_then(|v: &axum::http::HeaderValue| v.to_str().ok());
+    let bearer = text(header::AUTHORIZATION).and_then(|v| v.strip_prefix("Bearer "));
+    let among = || text(header::SEC_WEBSOCKET_PROTOCOL)?.split(',').find_map(|name| name.trim().strip_prefix(AMONG_PROTOCOLS));
+    bearer.or_else(among)
+}
+
+/// When a token that is good for publishing in a room ends, in seconds since 1970; none where it is no such token.
+#[must_use]
+pub fn end_of(key: &[u8], room: &str, token: &str, now: u64) -> Option<u64> {
+    is_good(key, Role::Publish, room, token, now).then(|| token.split_once('.').and_then(|(expires, _)| expires.parse().ok()))?
+}
+
+/// Refuses pages of other sites: a browser names the page's origin, and lets it open web sockets to anywhere.
+///
+/// # Errors
+/// 403.
+pub fn check_origin(headers: &HeaderMap) -> Result<(), Problem> {
+    let foreign = || Problem::new(StatusCode::FORBIDDEN, "cross-site", "a page of another site may not come into a room");
+    if let Some(site) = headers.get("sec-fetch-site") {
+        return if site == "same-origin" || site == "none" { Ok(()) } else { Err(foreign()) };
+    }
+    // no browser, or one that does not say
+    let Some(origin) = headers.get(header::ORIGIN) else { return Ok(()) };
+    let origin = origin.to_str().ok().and_then(|o| o.parse::<Uri>().ok()).and_then(|o| o.authority().cloned());
+    let host = headers.get(header::HOST).and_then(|h| h.to_str().ok()).and_then(|h| h.parse::<Authority>().ok());
+    if origin.is_some() && origin == host {
+        return Ok(());
+    }
+    Err(foreign())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_token_is_good_for_its_room_role_and_time_alone() {
+        let key = b"a key";
+        let watch = token(key, Role::Watch, "attic", 1000).unwrap();
+        let publish = token(key, Role::Publish, "attic", 1000).unwrap();
+        assert!(is_good(key, Role::Watch, "attic", &watch, 999) && is_good(key, Role::Publish, "attic", &publish, 999));
+        assert!(is_good(key, Role::Watch, "attic", &publish, 999), "a publisher may watch");
+        assert!(!is_good(key, Role::Publish, "attic", &watch, 999), "a viewer may not publish");
+        assert!(!is_good(key, Role::Watch, "attic", &watch, 1000), "too late");
+        assert!(!is_good(key, Role::Watch, "cellar", &watch, 999) && !is_good(b"another", Role::Watch, "attic", &watch, 999));
+        let later = watch.replace("1000.", "2000.");
+        for wrong in ["", ".", "1000", "1000.", "x.y", &watch[..watch.len() - 1], &later] {
+            assert!(!is_good(key, Role::Watch, "attic", wrong, 999), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn tokens_come_as_bearers_or_among_protocols() {
+        let of = |name, value| token_of(&[(name, axum::http::HeaderValue::from_static(value))].into_iter().collect()).map(str::to_owned);
+        assert_eq!(of(header::AUTHORIZATION, "Bearer 1000.ab").as_deref(), Some("1000.ab"));
+        assert_eq!(of(header::AUTHORIZATION, "Basic 1000.ab"), None);
+        assert_eq!(of(header::SEC_WEBSOCKET_PROTOCOL, "tmpi.live.v1, token.1000.ab").as_deref(), Some("1000.ab"));
+        assert_eq!(of(header::SEC_WEBSOCKET_PROTOCOL, "tmpi.live.v1"), None);
+        let key = b"a key";
+        let publish = token(key, Role::Publish, "attic", 1000).unwrap();
+        assert_eq!(end_of(key, "attic", &publish, 999), Some(1000));
+        assert_eq!((end_of(key, "attic", &publish, 1000), end_of(key, "cellar", &publish, 999)), (None, None));
+        assert_eq!(end_of(key, "attic", &token(key, Role::Watch, "attic", 1000).unwrap(), 999), None);
+    }
+
+    #[test]
+    fn pages_of_other_sites_stay_out() {
+        let headers = |pairs: &[(&'static str, &'static str)]| {
+            let pairs = [&[("host", "localhost:8080")], pairs].concat();
+            let header = |(name, value)| (header::HeaderName::from_static(name), header::HeaderValue::from_static(value));
+            check_origin(&pairs.into_iter().map(header).collect()).is_ok()
+        };
+        assert!(headers(&[]) && headers(&[("origin", "http://localhost:8080")]));
+        for origin in ["http://localhost:8081", "https://example.org", "null"] {
+            assert!(!headers(&[("origin", origin)]), "{origin}");
+        }
+        for (site, good) in [("same-origin", true), ("none", true), ("same-site", false), ("cross-site", false), ("", false)] {
+            assert_eq!(headers(&[("sec-fetch-site", site)]), good, "{site}");
+        }
+        assert!(!headers(&[("sec-fetch-site", "cross-site"), ("origin", "http://localhost:8080")]));
+    }
+}

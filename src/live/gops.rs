@@ -1,0 +1,208 @@
+//! Groups of pictures: what has come from one key frame to another, for caches and programs that have no sockets.
+//!
+//! They hold the messages of the ring again, which share their bytes, and go by their own bounds: a group that is whole never changes.
+
+use std::collections::VecDeque;
+use std::fmt;
+use std::str::FromStr;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use bytes::Bytes;
+
+use super::ring::What;
+use super::room::Tiles;
+use tmpi_core::live::wire::Hello;
+use tmpi_core::live::wire::message::Kind;
+use tmpi_core::live::write;
+
+/// Groups that are kept, with the one that grows.
+const KEPT: usize = 4;
+/// Bytes of all of them.
+const KEPT_BYTES: usize = 8 << 20;
+/// A group grows for so long at least: where every frame is a key, one of each would be none.
+const LEAST: Duration = Duration::from_secs(1);
+
+/// Address of a group.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Group {
+    /// As HELLO says it.
+    pub epoch: u64,
+    /// From 0 on.
+    pub number: u64,
+}
+
+impl fmt::Display for Group {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}-{}", self.epoch, self.number)
+    }
+}
+
+impl FromStr for Group {
+    type Err = ();
+
+    /// Each group has one address.
+    fn from_str(text: &str) -> Result<Self, ()> {
+        let (epoch, number) = text.split_once('-').ok_or(())?;
+        let group = Self { epoch: epoch.parse().map_err(|_| ())?, number: number.parse().map_err(|_| ())? };
+        if group.to_string() == text { Ok(group) } else { Err(()) }
+    }
+}
+
+/// A part of a group.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Part {
+    /// The message that was asked for.
+    Message(Bytes),
+    /// It has not come yet.
+    Wait,
+    /// The group ends before it.
+    End,
+    /// The group will be the next one to begin.
+    NotYet,
+    /// There is no such group any more, or never was.
+    Gone,
+}
+
+struct Kept {
+    number: u64,
+    hello: Arc<Hello>,
+    before: Option<Arc<Tiles>>,
+    messages: Vec<Bytes>,
+    bytes: usize,
+    began: Instant,
+    whole: bool,
+}
+
+/// The groups of a publisher.
+#[derive(Default)]
+pub struct Groups {
+    kept: VecDeque<Kept>,
+    next: u64,
+}
+
+impl Groups {
+    /// Adds a message of a publisher that said `hello`; `before` are the tiles as they are.
+    pub fn push(&mut self, what: What, bytes: &Bytes, at: Instant, hello: &Arc<Hello>, before: Option<&Arc<Tiles>>) {
+        let over = self.kept.back().is_none_or(|k| k.whole || at.saturating_duration_since(k.began) >= LEAST);
+        if what == What::Key && over {
+            self.end();
+            let (hello, before) = (Arc::clone(hello), before.cloned());
+            self.kept.push_back(Kept { number: self.next, hello, before, messages: Vec::new(), bytes: 0, began: at, whole: false });
+            self.next += 1;
+        }
+        if let Some(last) = self.kept.back_mut().filter(|k| !k.whole) {
+            last.bytes += bytes.len();
+            last.messages.push(bytes.clone());
+            // one that nothing else is kept beside is as long as it may be
+            last.whole = last.bytes > KEPT_BYTES / 2;
+        }
+        while self.kept.len() > KEPT || self.kept.iter().map(|k| k.bytes).sum::<usize>() > KEPT_BYTES {
+            self.kept.pop_front();
+        }
+    }
+
+    /// Nothing more comes to the last one.
+    pub fn end(&mut self) {
+        if let Some(last) = self.kept.back_mut() {
+            last.whole = true;
+        }
+    }
+
+    /// Number of the newest.
+    pub fn last(&self) -> Option<u64> {
+        self.kept.back().map(|k| k.number)
+    }
+
+    /// Message `at` of a group, HELLO and tiles counted; tiles, which may yet have to be coded, where it is their turn.
+    pub fn part(&self, number: u64, at: usize) -> Result<Part, Arc<Tiles>> {
+        let Some(group) = self.kept.iter().find(|k| k.number == number) else {
+            return Ok(if number == self.next { Part::NotYet } else { Part::Gone });
+        };
+        let before = usize::from(group.before.is_some());
+        Ok(match (at, &group.before) {
+            (0, _) => Part::Message(write(Kind::Hello((*group.hello).clone()))),
+            (1, Some(tiles)) => return Err(Arc::clone(tiles)),
+            _ => match group.messages.get(at - 1 - before) {
+                Some(bytes) => Part::Message(bytes.clone()),
+                None if group.whole => Part::End,
+                None => Part::Wait,
+            },
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn part(groups: &Groups, number: u64, at: usize) -> Part {
+        groups.part(number, at).unwrap_or_else(|_| panic!("there are no tiles"))
+    }
+
+    /// All that a group has after HELLO.
+    fn rest(groups: &Groups, number: u64) -> (Vec<Bytes>, Part) {
+        let mut messages = Vec::new();
+        loop {
+            match part(groups, number, 1 + messages.len()) {
+                Part::Message(bytes) => messages.push(bytes),
+                other => return (messages, other),
+            }
+        }
+    }
+
+    #[test]
+    fn a_group_goes_from_a_key_frame_to_another_and_lasts_a_second_at_least() {
+        let (mut groups, hello, start) = (Groups::default(), Arc::default(), Instant::now());
+        let mut push = |what, byte: u8, ms| groups.push(what, &Bytes::from(vec![byte]), start + Duration::from_millis(ms), &hello, None);
+        push(What::Sound, 0, 0);
+        push(What::Key, 1, 10);
+        push(What::Frame { layer: 0 }, 2, 500);
+        push(What::Key, 3, 900);
+        push(What::Geometry, 4, 1000);
+        push(What::Key, 5, 1010);
+        push(What::Sound, 6, 1020);
+        let bytes = |range: std::ops::RangeInclusive<u8>| range.map(|b| Bytes::from(vec![b])).collect::<Vec<_>>();
+        assert_eq!(rest(&groups, 0), (bytes(1..=4), Part::End));
+        assert_eq!(rest(&groups, 1), (bytes(5..=6), Part::Wait));
+        assert_eq!((part(&groups, 2, 0), part(&groups, 3, 0), groups.last()), (Part::NotYet, Part::Gone, Some(1)));
+        groups.end();
+        assert_eq!(rest(&groups, 1).1, Part::End);
+    }
+
+    #[test]
+    fn what_is_kept_is_bounded_and_what_was_told_never_changes() {
+        let (mut groups, hello, start) = (Groups::default(), Arc::default(), Instant::now());
+        let mut told: Vec<Option<(Vec<Bytes>, Part)>> = Vec::new();
+        for n in 0..400u64 {
+            let what = if n % 10 == 0 { What::Key } else { What::Frame { layer: 0 } };
+            let bytes = Bytes::from(vec![n as u8; 30_000 + 700 * n as usize]);
+            groups.push(what, &bytes, start + Duration::from_millis(200 * n), &hello, None);
+            assert!(groups.kept.len() <= KEPT && groups.kept.iter().map(|k| k.bytes).sum::<usize>() <= KEPT_BYTES);
+            for number in 0..groups.next {
+                told.resize(groups.next as usize, None);
+                let now = rest(&groups, number);
+                if now.1 == Part::End {
+                    assert!(told[number as usize].as_ref().is_none_or(|before| *before == now));
+                    told[number as usize] = Some(now);
+                }
+            }
+        }
+        assert!(groups.next > 30 && part(&groups, 0, 0) == Part::Gone);
+        // without another key frame
+        for n in 0..2000 {
+            groups.push(What::Frame { layer: 0 }, &Bytes::from(vec![0; 30_000]), start + Duration::from_secs(1000 + n), &hello, None);
+        }
+        assert!(groups.kept.iter().map(|k| k.bytes).sum::<usize>() <= KEPT_BYTES);
+        assert_eq!(rest(&groups, groups.next - 1).1, Part::End);
+    }
+
+    #[test]
+    fn each_group_has_one_address() {
+        let group = Group { epoch: 3, number: 12 };
+        assert_eq!((group.to_string().as_str(), "3-12".parse()), ("3-12", Ok(group)));
+        for wrong in ["", "3", "-", "3-", "+3-12", "03-12", "3-12-1", "3--12", "a-b", "99999999999999999999-1"] {
+            assert_eq!(wrong.parse::<Group>(), Err(()), "{wrong}");
+        }
+    }
+}

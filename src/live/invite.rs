@@ -1,0 +1,90 @@
+//! What a room's pages ask before they come in, and how others are let in.
+
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+use axum::Json;
+use axum::extract::{Path, State};
+use axum::http::{HeaderMap, Uri};
+use serde::Serialize;
+use utoipa::ToSchema;
+
+use super::access::{Role, end_of, token, token_of};
+use super::routes::Here;
+use crate::server::{Pairs, Problem};
+
+/// How long a token to watch is good where this machine's own user asks for it.
+const LINK: Duration = Duration::from_hours(24);
+
+/// What is known of a room from outside.
+#[derive(Serialize, ToSchema)]
+pub(super) struct RoomState {
+    /// Somebody publishes.
+    publishing: bool,
+    /// How many watch.
+    viewers: u32,
+    /// Whoever asked may publish.
+    may_publish: bool,
+}
+
+/// State of a room.
+///
+/// For pages, which cannot see why a WebSocket is refused. There need not be anybody in it.
+#[utoipa::path(
+    get, path = "/v1/live/{room}", tag = "live",
+    params(
+        ("room" = String, Path, description = "Name of the room: up to 64 letters, digits, - and _"),
+        ("token" = Option<String>, Query, description = "Token for who watches or publishes here, if not as a bearer; this machine's own user needs none"),
+    ),
+    responses(
+        (status = 200, description = "Whether anybody publishes", body = RoomState),
+        (status = 400, description = "A parameter is unknown", body = Problem, content_type = "application/problem+json"),
+        (status = 403, description = "A page of another site, or no token", body = Problem, content_type = "application/problem+json"),
+        (status = 404, description = "No room has such a name, or there are none here", body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn state(
+    State(here): State<Here>,
+    Path(name): Path<String>,
+    uri: Uri,
+    headers: HeaderMap,
+) -> Result<Json<RoomState>, Problem> {
+    here.check(&name, Role::Watch, &uri, &headers)?;
+    let may_publish = here.check(&name, Role::Publish, &uri, &headers).is_ok();
+    let (publishing, viewers) = here.rooms.get(&name).map_or((false, 0), |room| (!room.is_empty(), room.viewers()));
+    Ok(Json(RoomState { publishing, viewers, may_publish }))
+}
+
+/// A token for who watches.
+#[derive(Serialize, ToSchema)]
+pub(super) struct Link {
+    /// None where rooms are for this machine's own user.
+    token: Option<String>,
+}
+
+/// Let others watch.
+///
+/// Whoever may publish gets a token for those who watch, good for as long as their own; where they need none, for a day.
+#[utoipa::path(
+    post, path = "/v1/live/{room}/token", tag = "live",
+    params(
+        ("room" = String, Path, description = "Name of the room"),
+        ("token" = Option<String>, Query, description = "Token for who publishes here, if not as a bearer; this machine's own user needs none"),
+    ),
+    responses(
+        (status = 200, description = "The token", body = Link),
+        (status = 400, description = "A parameter is unknown", body = Problem, content_type = "application/problem+json"),
+        (status = 403, description = "A page of another site, or no token", body = Problem, content_type = "application/problem+json"),
+        (status = 404, description = "No room has such a name, or there are none here", body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn link(State(here): State<Here>, Path(name): Path<String>, uri: Uri, headers: HeaderMap) -> Result<Json<Link>, Problem> {
+    here.check(&name, Role::Publish, &uri, &headers)?;
+    let asked = Pairs::read(&uri, &["token"])?;
+    let now = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs());
+    let token = here.rooms.config.key.as_ref().and_then(|key| {
+        let given = asked.get("token").or_else(|| token_of(&headers));
+        let end = given.and_then(|given| end_of(key, &name, given, now)).unwrap_or(now + LINK.as_secs());
+        token(key, Role::Watch, &name, end)
+    });
+    Ok(Json(Link { token }))
+}

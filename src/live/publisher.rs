@@ -1,0 +1,199 @@
+//! The socket of a publisher: what it sends is checked, handed on, and given to the worker.
+
+use std::sync::Arc;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+use axum::extract::ws::{Message, WebSocket};
+use bytes::Bytes;
+use tokio::sync::mpsc;
+use tokio::time::{Instant, sleep_until, timeout};
+use tokio_util::sync::CancellationToken;
+
+use tmpi_core::live::wire::message::Kind;
+use tmpi_core::live::wire::{Bye, Credit, Depth, Hello, Video};
+use tmpi_core::live::{MAX_PIXELS, Model, VERSION, read, write};
+use tmpi_live::{Geometry, Settings, video};
+use tmpi_pipeline::Options;
+
+use super::ring::What;
+use super::room::Room;
+use super::worker::{Coded, Decoded, Worker};
+use super::{BROKEN, CREDIT, Config, FASTEST, FRAME_BYTES, SILENCE, SOUND_BYTES, send_away};
+
+/// Sides of a frame.
+const SIDES: std::ops::RangeInclusive<u32> = 16..=4096;
+/// Bytes of a codec string.
+const CODEC: usize = 64;
+
+/// Serves a publisher until it goes or has to.
+pub async fn serve(mut socket: WebSocket, room: Arc<Room>, config: Config, stop: CancellationToken) {
+    let reason = match session(&mut socket, &room, &config, &stop).await {
+        Ok(()) => return,
+        Err(reason) => reason,
+    };
+    tracing::info!(reason, "a publisher is sent away");
+    send_away(socket, Bye { again: reason == STOPS, reason }).await;
+}
+
+const STOPS: &str = "the server stops";
+
+/// Publishes; ends without a reason where the publisher has gone by itself.
+async fn session(socket: &mut WebSocket, room: &Arc<Room>, config: &Config, stop: &CancellationToken) -> Result<(), String> {
+    let Some(first) = next(socket).await? else { return Ok(()) };
+    let Kind::Hello(hello) = first else { return Err("the first message is HELLO".into()) };
+    let (settings, hello) = checked(hello, config)?;
+    let size = (hello.width, hello.height);
+    let decoder = video::decoder(&hello.codec, size).map_err(|e| e.to_string())?;
+    let clock = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_micros() as u64);
+    let epoch = room.publish(hello, clock).ok_or("someone publishes in this room")?;
+    // given back however this ends
+    let _seat = Seat(room);
+    let geometry = Geometry::new(config.models.clone(), settings);
+    let (done, mut decoded) = mpsc::channel(16);
+    let worker = Worker::start((Arc::clone(room), epoch), decoder, geometry, done).map_err(|e| format!("starting a thread: {e}"))?;
+    let mut frames = Frames { next: None, allowed: 0, due: Instant::now(), broken: 0 };
+    let mut depth = None;
+    frames.credit(socket, CREDIT, false).await?;
+    loop {
+        let message = tokio::select! {
+            message = next(socket) => message?,
+            outcome = decoded.recv() => {
+                frames.decoded(socket, outcome.ok_or("decoding has ended")?).await?;
+                continue;
+            }
+            () = room.keys.notified() => {
+                frames.credit(socket, 0, true).await?;
+                continue;
+            }
+            () = stop.cancelled() => return Err(STOPS.into()),
+        };
+        match message {
+            None | Some(Kind::Bye(_)) => return Ok(()),
+            Some(Kind::Video(video)) => {
+                frames.check(&video)?;
+                let (frame, data) = (video.frame, video.data.clone());
+                let what = if video.key { What::Key } else { What::Frame { layer: video.layer } };
+                room.push(epoch, what, write(Kind::Video(video)));
+                if !worker.take(Coded { frame, data, depth: depth.take(), at: std::time::Instant::now() }) {
+                    return Err("more frames came than can be decoded".into());
+                }
+            }
+            Some(Kind::Depth(measured)) => {
+                frames.check_depth(&measured, depth.is_some())?;
+                depth = Some(measured.data);
+            }
+            Some(Kind::Sound(sound)) if sound.data.len() <= SOUND_BYTES => room.push(epoch, What::Sound, write(Kind::Sound(sound))),
+            Some(_) => return Err("a message that publishers do not send".into()),
+        }
+    }
+}
+
+/// The room's place for a publisher.
+struct Seat<'a>(&'a Room);
+
+impl Drop for Seat<'_> {
+    fn drop(&mut self) {
+        self.0.unpublish();
+    }
+}
+
+/// The next message; none where the publisher has gone.
+async fn next(socket: &mut WebSocket) -> Result<Option<Kind>, String> {
+    loop {
+        let came = timeout(SILENCE, socket.recv()).await.map_err(|_| format!("nothing came for {} s", SILENCE.as_secs()))?;
+        return match came {
+            Some(Ok(Message::Binary(bytes))) => read(bytes).map(Some).map_err(|e| e.to_string()),
+            Some(Ok(Message::Ping(_) | Message::Pong(_))) => continue,
+            Some(Ok(Message::Text(_))) => Err("messages are binary".into()),
+            Some(Ok(Message::Close(_))) | None => Ok(None),
+            Some(Err(error)) => Err(format!("the connection broke: {error}")),
+        };
+    }
+}
+
+/// What is made of a publisher's frames, and what viewers are told of them.
+fn checked(hello: Hello, config: &Config) -> Result<(Settings, Hello), String> {
+    let Hello { version, codec, width, height, fov_x, sound, sound_rate, sound_channels, .. } = hello;
+    if version != VERSION {
+        return Err(format!("messages of version {version}; this server's are of version {VERSION}"));
+    }
+    if !SIDES.contains(&width) || !SIDES.contains(&height) || u64::from(width) * u64::from(height) > MAX_PIXELS {
+        return Err(format!(
+            "frames of {width}×{height}; sides are {} to {} pixels, all together {MAX_PIXELS} at most",
+            SIDES.start(),
+            SIDES.end()
+        ));
+    }
+    if codec.len() > CODEC || sound.len() > CODEC {
+        return Err("a codec string that is none".into());
+    }
+    let mut options = Options::default();
+    if fov_x != 0.0 {
+        options.fov_x = Some(fov_x);
+        options.validate().map_err(|e| e.to_string())?;
+    }
+    let settings = Settings { options, frame_ms: config.frame_ms, ..Settings::default() };
+    let told = Model::hello(&settings.empty(width, height));
+    Ok((settings, Hello { codec, fov_x, sound, sound_rate, sound_channels, ..told }))
+}
+
+/// What a publisher may send.
+struct Frames {
+    /// Number of the next frame; none before the first.
+    next: Option<u64>,
+    /// Frames that may still come.
+    allowed: u32,
+    /// When the next credit is due, so that frames come no faster than they may.
+    due: Instant,
+    /// Frames in a row that could not be decoded.
+    broken: u32,
+}
+
+impl Frames {
+    fn check(&mut self, video: &Video) -> Result<(), String> {
+        if video.data.len() > FRAME_BYTES {
+            return Err(format!("a frame of {} bytes, over {FRAME_BYTES}", video.data.len()));
+        }
+        if self.allowed == 0 {
+            return Err("more frames than there was credit for".into());
+        }
+        if self.next.is_some_and(|next| next != video.frame) {
+            return Err(format!("frame {} where {} was due", video.frame, self.next.unwrap_or_default()));
+        }
+        if self.next.is_none() && !video.key {
+            return Err("the first frame is no key frame".into());
+        }
+        self.allowed -= 1;
+        self.next = Some(video.frame.checked_add(1).ok_or("a frame number that none follows")?);
+        Ok(())
+    }
+
+    fn check_depth(&self, depth: &Depth, again: bool) -> Result<(), String> {
+        if depth.data.len() > FRAME_BYTES {
+            return Err(format!("depth of {} bytes, over {FRAME_BYTES}", depth.data.len()));
+        }
+        if again || self.next.is_some_and(|next| next != depth.frame) {
+            return Err(format!("depth of frame {} where that of another one was due", depth.frame));
+        }
+        Ok(())
+    }
+
+    async fn decoded(&mut self, socket: &mut WebSocket, outcome: Decoded) -> Result<(), String> {
+        self.broken = if outcome == Decoded::Broken { self.broken + 1 } else { 0 };
+        if self.broken >= BROKEN {
+            return Err(format!("{BROKEN} frames in a row cannot be decoded"));
+        }
+        // a few may come together, but not for long
+        self.due = (self.due + FASTEST).max(Instant::now().checked_sub(Duration::from_millis(100)).unwrap_or(self.due));
+        if self.due > Instant::now() {
+            sleep_until(self.due).await;
+        }
+        self.credit(socket, 1, self.broken > 0).await
+    }
+
+    async fn credit(&mut self, socket: &mut WebSocket, frames: u32, key: bool) -> Result<(), String> {
+        self.allowed += frames;
+        let bytes: Bytes = write(Kind::Credit(Credit { frames, key }));
+        socket.send(Message::Binary(bytes)).await.map_err(|e| format!("the connection broke: {e}"))
+    }
+}

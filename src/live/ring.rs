@@ -1,0 +1,294 @@
+//! Messages since the last key frame, and where in them a viewer is.
+//!
+//! Viewers hold no messages, only a place: what they have not read yet lies here once for all of them.
+
+use std::collections::VecDeque;
+use std::time::{Duration, Instant};
+
+use bytes::Bytes;
+
+/// Bytes that are kept, at most.
+const KEPT_BYTES: usize = 8 << 20;
+/// Messages that are kept, at most.
+const KEPT: usize = 4096;
+/// Bytes by which a viewer may be behind.
+pub const BEHIND_BYTES: u64 = 1 << 20;
+/// Time by which a viewer may be behind.
+pub const BEHIND: Duration = Duration::from_secs(1);
+
+/// Share of [`BEHIND_BYTES`] up to which a viewer that is behind gets the frames of a layer.
+const KEEPS: [f64; 3] = [f64::INFINITY, 0.5, 0.25];
+
+/// What a message holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum What {
+    /// A frame that needs no other.
+    Key,
+    /// A frame of a temporal layer; those of layers above 0 can be left out.
+    Frame {
+        /// The layer.
+        layer: u32,
+    },
+    /// Planes and labels.
+    Geometry,
+    /// Sound.
+    Sound,
+}
+
+#[derive(Clone, Debug)]
+struct Entry {
+    bytes: Bytes,
+    what: What,
+    at: Instant,
+    /// Bytes of all messages up to this one.
+    passed: u64,
+}
+
+/// The messages.
+#[derive(Debug, Default)]
+pub struct Ring {
+    entries: VecDeque<Entry>,
+    /// Number of the first of them.
+    first: u64,
+    /// Number of the last key frame.
+    key: Option<u64>,
+    /// Bytes of all messages so far, and of those that are kept.
+    passed: u64,
+    kept: usize,
+}
+
+/// Where a viewer is.
+#[derive(Clone, Debug)]
+pub struct Place {
+    /// Number of the next message.
+    next: u64,
+    /// Nothing can be decoded before the next key frame.
+    waits: bool,
+    /// When the viewer came or skipped: it is not behind by what came before.
+    since: Instant,
+    /// Frames that it was not given.
+    pub skipped: u64,
+}
+
+/// What a viewer is to do next.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Step {
+    /// Send this.
+    Send(Bytes),
+    /// Frames were left out: what is known of the tiles has to be sent anew.
+    Skipped {
+        /// There is no key frame to go on with.
+        wants_key: bool,
+    },
+    /// Wait for more.
+    Wait,
+}
+
+impl Ring {
+    /// Adds a message. What lies before a key frame is of no use to anyone who comes, and is kept for those behind as far as the bounds go.
+    pub fn push(&mut self, what: What, bytes: Bytes, at: Instant) {
+        self.passed += bytes.len() as u64;
+        self.kept += bytes.len();
+        if what == What::Key {
+            self.key = Some(self.end());
+        }
+        self.entries.push_back(Entry { bytes, what, at, passed: self.passed });
+        // a second is the most that anyone may be behind
+        while self.entries.front().is_some_and(|e| {
+            let past = self.key.is_some_and(|key| self.first < key) && at.saturating_duration_since(e.at) > BEHIND;
+            past || self.kept > KEPT_BYTES || self.entries.len() > KEPT
+        }) {
+            if let Some(gone) = self.entries.pop_front() {
+                self.kept -= gone.bytes.len();
+                self.first += 1;
+            }
+        }
+    }
+
+    /// Forgets everything: another publisher, or the same one anew.
+    pub fn clear(&mut self) {
+        self.first = self.end();
+        self.entries.clear();
+        (self.key, self.kept) = (None, 0);
+    }
+
+    /// Number that the next message will have.
+    fn end(&self) -> u64 {
+        self.first + self.entries.len() as u64
+    }
+
+    /// The last key frame that is still there.
+    fn last_key(&self) -> Option<u64> {
+        self.key.filter(|key| *key >= self.first)
+    }
+
+    /// Where one begins who comes now.
+    #[must_use]
+    pub fn begin(&self, now: Instant) -> Place {
+        let key = self.last_key();
+        Place { next: key.unwrap_or(self.end()), waits: key.is_none(), since: now, skipped: 0 }
+    }
+
+    /// What comes next for a viewer.
+    pub fn step(&self, place: &mut Place, now: Instant) -> Step {
+        loop {
+            if place.next < self.first || self.is_behind(place, now) {
+                return self.skip(place, now);
+            }
+            let Some(entry) = self.entries.get((place.next - self.first) as usize) else { return Step::Wait };
+            place.next += 1;
+            let share = (self.passed - entry.passed) as f64 / BEHIND_BYTES as f64;
+            let wanted = match entry.what {
+                What::Key => {
+                    place.waits = false;
+                    true
+                }
+                // the higher layers go first, before anything has to be skipped
+                What::Frame { layer } => !place.waits && share <= KEEPS[layer.min(2) as usize],
+                What::Geometry => !place.waits,
+                What::Sound => true,
+            };
+            if wanted {
+                return Step::Send(entry.bytes.clone());
+            }
+            place.skipped += u64::from(matches!(entry.what, What::Frame { .. }));
+        }
+    }
+
+    fn is_behind(&self, place: &Place, now: Instant) -> bool {
+        let Some(entry) = self.entries.get((place.next - self.first) as usize) else { return false };
+        let bytes = self.passed - entry.passed;
+        bytes > BEHIND_BYTES || now.saturating_duration_since(entry.at.max(place.since)) > BEHIND
+    }
+
+    fn skip(&self, place: &mut Place, now: Instant) -> Step {
+        let from = place.next;
+        let near = |key: &u64| {
+            *key > from && self.entries.get((key - self.first) as usize).is_some_and(|e| self.passed - e.passed <= BEHIND_BYTES)
+        };
+        let key = self.last_key().filter(near);
+        (place.next, place.waits, place.since) = (key.unwrap_or(self.end()), key.is_none(), now);
+        let passed = from.max(self.first)..place.next;
+        let frames = passed.filter(|i| {
+            let entry = self.entries.get((i - self.first) as usize);
+            entry.is_some_and(|e| matches!(e.what, What::Key | What::Frame { .. }))
+        });
+        place.skipped += frames.count() as u64 + self.first.saturating_sub(from);
+        Step::Skipped { wants_key: key.is_none() }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn message(n: u8, length: usize) -> Bytes {
+        vec![n; length].into()
+    }
+
+    /// Frames of 10 kB, a key every `gop`, 30 a second, from `start` on.
+    fn frames(ring: &mut Ring, numbers: std::ops::Range<u32>, gop: u32, start: Instant) {
+        for n in numbers {
+            let what = if n.is_multiple_of(gop) { What::Key } else { What::Frame { layer: 0 } };
+            ring.push(what, message(n as u8, 10_000), start + Duration::from_millis(u64::from(n) * 33));
+        }
+    }
+
+    fn read(ring: &Ring, place: &mut Place, now: Instant) -> Vec<u8> {
+        let mut read = Vec::new();
+        while let Step::Send(bytes) = ring.step(place, now) {
+            read.push(bytes[0]);
+        }
+        read
+    }
+
+    #[test]
+    fn who_comes_late_begins_with_the_last_key_frame() {
+        let (mut ring, start) = (Ring::default(), Instant::now());
+        frames(&mut ring, 0..100, 60, start);
+        let now = start + Duration::from_millis(100 * 33);
+        let mut place = ring.begin(now);
+        assert_eq!(read(&ring, &mut place, now), (60..100).collect::<Vec<u8>>());
+        assert_eq!((ring.step(&mut place, now), place.skipped), (Step::Wait, 0));
+    }
+
+    #[test]
+    fn who_comes_before_any_key_frame_waits_for_it() {
+        let (mut ring, now) = (Ring::default(), Instant::now());
+        let mut place = ring.begin(now);
+        ring.push(What::Frame { layer: 0 }, message(1, 10), now);
+        ring.push(What::Geometry, message(2, 10), now);
+        ring.push(What::Key, message(3, 10), now);
+        ring.push(What::Frame { layer: 0 }, message(4, 10), now);
+        assert_eq!(read(&ring, &mut place, now), [3, 4]);
+    }
+
+    #[test]
+    fn who_stops_reading_skips_to_a_key_frame_and_never_gets_half_a_group() {
+        let (mut ring, start) = (Ring::default(), Instant::now());
+        let mut place = ring.begin(start);
+        frames(&mut ring, 0..10, 60, start);
+        assert_eq!(read(&ring, &mut place, start + Duration::from_millis(330)).len(), 10);
+        frames(&mut ring, 10..130, 60, start);
+        let now = start + Duration::from_millis(130 * 33);
+        assert_eq!(ring.step(&mut place, now), Step::Skipped { wants_key: false });
+        assert_eq!(read(&ring, &mut place, now), (120..130).collect::<Vec<u8>>());
+        assert!(place.skipped > 50, "{}", place.skipped);
+        // past the key and behind again: the next one is waited for
+        frames(&mut ring, 130..175, 60, start);
+        let now = start + Duration::from_millis(175 * 33);
+        assert_eq!(ring.step(&mut place, now), Step::Skipped { wants_key: true });
+        frames(&mut ring, 175..182, 60, start);
+        assert_eq!(read(&ring, &mut place, start + Duration::from_millis(182 * 33)), [180, 181]);
+    }
+
+    #[test]
+    fn higher_layers_go_before_anything_is_skipped() {
+        let (mut ring, now) = (Ring::default(), Instant::now());
+        let mut place = ring.begin(now);
+        ring.push(What::Key, message(0, 100), now);
+        for n in 1..=60u8 {
+            let layer = [0, 2, 1, 2][usize::from(n % 4)];
+            ring.push(What::Frame { layer }, message(n, 15_000), now);
+        }
+        let got = read(&ring, &mut place, now);
+        let has = |layer: [u8; 2], range: std::ops::Range<u8>| range.filter(|n| layer.contains(&(n % 4))).all(|n| got.contains(&n));
+        assert!(has([0, 0], 1..61) && has([1, 3], 50..61) && !got.contains(&1) && !got.contains(&2));
+        assert!(got.is_sorted() && place.skipped > 20);
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(64))]
+
+        /// Whatever comes and however it is read: memory is bounded, order is kept, nothing is decoded without what it needs.
+        #[test]
+        fn any_reader_gets_whole_groups_in_order(steps in prop::collection::vec((0u8..12, 0u16..60_000, 0u64..200, 0u8..4), 1..400)) {
+            let (mut ring, mut now) = (Ring::default(), Instant::now());
+            let mut place = ring.begin(now);
+            let (mut sent, mut got, mut next): (Vec<(u32, What)>, Option<u32>, u32) = (Vec::new(), None, 0);
+            for (kind, length, ms, reads) in steps {
+                now += Duration::from_millis(ms);
+                let what = match kind { 0 => What::Key, 1 => What::Geometry, 2 => What::Sound, _ => What::Frame { layer: 0 } };
+                let mut bytes = next.to_le_bytes().to_vec();
+                bytes.resize(usize::from(length).max(4), 0);
+                ring.push(what, bytes.into(), now);
+                sent.push((next, what));
+                next += 1;
+                prop_assert!(ring.kept <= KEPT_BYTES);
+                for _ in 0..reads {
+                    if let Step::Send(bytes) = ring.step(&mut place, now) {
+                        let n = u32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]);
+                        prop_assert!(got.is_none_or(|g| g < n));
+                        if let What::Frame { .. } = sent[n as usize].1 {
+                            let before = sent[..n as usize].iter().rev().find(|(_, w)| matches!(w, What::Key | What::Frame { .. }));
+                            // the frame that it refers to was given, too
+                            prop_assert!(before.is_some_and(|(b, _)| got.is_some_and(|g| g >= *b)), "frame {n} after {got:?}");
+                        }
+                        got = Some(n);
+                    }
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,290 @@
+//! What the sockets and threads of a room share.
+
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::time::Instant;
+
+use bytes::Bytes;
+use tokio::sync::{Notify, OnceCell, watch};
+
+use tmpi_core::live::chunk::{self, Area};
+use tmpi_core::live::wire::message::Kind;
+use tmpi_core::live::wire::{self, Hello, Statistics};
+use tmpi_core::live::{LiveError, write};
+use tmpi_core::{Geometry, Photo};
+
+use super::gops::{Group, Groups, Part};
+use super::ring::{Place, Ring, Step, What};
+use super::{KEYS, VIEWERS};
+
+/// A room.
+pub struct Room {
+    state: Mutex<State>,
+    /// Counts changes, for whoever waits for one.
+    changes: watch::Sender<u64>,
+    /// A key frame is wanted.
+    pub keys: Notify,
+}
+
+#[derive(Default)]
+struct State {
+    ring: Ring,
+    /// Of the publisher that is there or was last; none: there was none yet.
+    hello: Option<Arc<Hello>>,
+    epoch: u64,
+    publishing: bool,
+    closed: bool,
+    viewers: usize,
+    groups: Groups,
+    still: Option<Arc<Still>>,
+    asked: Option<Instant>,
+    statistics: Statistics,
+}
+
+/// The last frame whose geometry is done.
+pub struct Still {
+    /// Its picture.
+    pub photo: Photo,
+    /// Its tiles.
+    pub tiles: Arc<Tiles>,
+    /// All of it as a container, made when it is first asked for.
+    pub atlas: OnceCell<Bytes>,
+}
+
+/// All tiles as of a frame.
+pub struct Tiles {
+    /// Its number.
+    pub frame: u64,
+    /// They themselves.
+    pub geometry: Geometry,
+    /// As a message, coded when it is first wanted.
+    coded: OnceLock<Bytes>,
+}
+
+impl Still {
+    /// Of a frame.
+    pub fn new(frame: u64, photo: Photo, geometry: Geometry) -> Self {
+        Self { photo, tiles: Arc::new(Tiles { frame, geometry, coded: OnceLock::new() }), atlas: OnceCell::new() }
+    }
+}
+
+impl Tiles {
+    /// They as a message, coded once.
+    ///
+    /// # Errors
+    /// [`LiveError`].
+    pub fn snapshot(&self) -> Result<Bytes, LiveError> {
+        if let Some(known) = self.coded.get() {
+            return Ok(known.clone());
+        }
+        let g = &self.geometry;
+        let chunk = chunk::encode(&g.grid, Area::all(&g.grid), &g.tiles, self.frame)?;
+        let bytes = write(Kind::Snapshot(wire::Geometry { frame: self.frame, chunks: vec![chunk] }));
+        // two who come at once code the same
+        Ok(self.coded.get_or_init(|| bytes).clone())
+    }
+}
+
+/// What a viewer does next.
+pub enum Next {
+    /// Send this.
+    Send(Bytes),
+    /// Say this, then send all tiles: there is another publisher.
+    Hello(Arc<Hello>),
+    /// Send all tiles: frames were skipped.
+    Tiles,
+    /// Wait for a change.
+    Wait,
+    /// The room is no more.
+    Closed,
+}
+
+/// A viewer's place in a room.
+pub struct Viewer {
+    place: Place,
+    epoch: u64,
+}
+
+impl Room {
+    /// A room without anyone.
+    pub fn new() -> Self {
+        Self { state: Mutex::default(), changes: watch::Sender::new(0), keys: Notify::new() }
+    }
+
+    fn lock(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn changed(&self) {
+        self.changes.send_modify(|n| *n = n.wrapping_add(1));
+    }
+
+    /// Told of every change.
+    pub fn watch(&self) -> watch::Receiver<u64> {
+        self.changes.subscribe()
+    }
+
+    /// True where there is no publisher.
+    pub fn is_empty(&self) -> bool {
+        !self.lock().publishing
+    }
+
+    /// Sends everybody away.
+    pub fn close(&self) {
+        self.lock().closed = true;
+        self.changed();
+    }
+
+    /// Takes the room for a publisher that says `hello`; gives its epoch. None where there is one already.
+    pub fn publish(&self, mut hello: Hello, clock: u64) -> Option<u64> {
+        let mut state = self.lock();
+        if state.publishing || state.closed {
+            return None;
+        }
+        state.publishing = true;
+        state.epoch += 1;
+        (hello.epoch, hello.clock) = (state.epoch, clock);
+        state.hello = Some(Arc::new(hello));
+        state.ring.clear();
+        (state.groups, state.still, state.statistics) = (Groups::default(), None, Statistics::default());
+        let epoch = state.epoch;
+        drop(state);
+        self.changed();
+        Some(epoch)
+    }
+
+    /// The publisher has gone.
+    pub fn unpublish(&self) {
+        let mut state = self.lock();
+        state.publishing = false;
+        state.groups.end();
+        drop(state);
+        self.changed();
+    }
+
+    /// Hands a message on that comes of a publisher of `epoch`; what is left of one that has gone is dropped.
+    pub fn push(&self, epoch: u64, what: What, bytes: Bytes) {
+        let mut guard = self.lock();
+        let state = &mut *guard;
+        if state.epoch != epoch {
+            return;
+        }
+        match what {
+            What::Key | What::Frame { .. } => {
+                state.statistics.frames += 1;
+                state.statistics.video_bytes += bytes.len() as u64;
+            }
+            What::Geometry => state.statistics.geometry_bytes += bytes.len() as u64,
+            What::Sound => {}
+        }
+        let now = Instant::now();
+        if let Some(hello) = &state.hello {
+            state.groups.push(what, &bytes, now, hello, state.still.as_ref().map(|s| &s.tiles));
+        }
+        state.ring.push(what, bytes, now);
+        drop(guard);
+        self.changed();
+    }
+
+    /// Keeps the tiles of a frame of a publisher of `epoch`, as [`Self::push`] does; `count` counts it.
+    pub fn keep(&self, epoch: u64, still: Still, count: impl FnOnce(&mut Statistics)) {
+        let mut state = self.lock();
+        if state.epoch != epoch {
+            return;
+        }
+        state.statistics.frame = still.tiles.frame;
+        count(&mut state.statistics);
+        state.still = Some(Arc::new(still));
+    }
+
+    /// Counts something.
+    pub fn count(&self, count: impl FnOnce(&mut Statistics)) {
+        count(&mut self.lock().statistics);
+    }
+
+    /// The last frame whose geometry is done.
+    pub fn still(&self) -> Option<Arc<Still>> {
+        self.lock().still.clone()
+    }
+
+    /// What is counted, for a viewer.
+    pub fn statistics(&self, viewer: &Viewer) -> Statistics {
+        let state = self.lock();
+        Statistics { viewers: state.viewers as u32, skipped: viewer.place.skipped, ..state.statistics }
+    }
+
+    /// Message `at` of a group of pictures, HELLO and tiles counted.
+    pub fn group(&self, group: Group, at: usize) -> Part {
+        let part = {
+            let state = self.lock();
+            if state.closed || group.epoch != state.epoch {
+                return Part::Gone;
+            }
+            match state.groups.part(group.number, at) {
+                Ok(Part::NotYet) if !state.publishing => return Part::Gone,
+                part => part,
+            }
+        };
+        part.unwrap_or_else(|tiles| match tiles.snapshot() {
+            Ok(bytes) => Part::Message(bytes),
+            Err(error) => {
+                tracing::error!(%error, "coding the tiles of a room");
+                Part::Gone
+            }
+        })
+    }
+
+    /// The newest group of pictures.
+    pub fn last_group(&self) -> Option<Group> {
+        let state = self.lock();
+        state.groups.last().map(|number| Group { epoch: state.epoch, number })
+    }
+
+    /// Lets a viewer in; none where there are as many as may be, or the room is no more.
+    pub fn join(&self) -> Option<Viewer> {
+        let mut state = self.lock();
+        if state.viewers >= VIEWERS || state.closed {
+            return None;
+        }
+        state.viewers += 1;
+        // an epoch that is none: everything is to be told first
+        Some(Viewer { place: state.ring.begin(Instant::now()), epoch: 0 })
+    }
+
+    /// How many watch.
+    pub fn viewers(&self) -> u32 {
+        self.lock().viewers as u32
+    }
+
+    /// A viewer has gone.
+    pub fn part(&self) {
+        let mut state = self.lock();
+        state.viewers = state.viewers.saturating_sub(1);
+    }
+
+    /// What comes next for a viewer.
+    pub fn next(&self, viewer: &mut Viewer) -> Next {
+        let mut state = self.lock();
+        let now = Instant::now();
+        if state.closed {
+            return Next::Closed;
+        }
+        let Some(hello) = state.hello.clone() else { return Next::Wait };
+        if viewer.epoch != state.epoch {
+            viewer.epoch = state.epoch;
+            let skipped = std::mem::replace(&mut viewer.place, state.ring.begin(now)).skipped;
+            viewer.place.skipped = skipped;
+            return Next::Hello(hello);
+        }
+        match state.ring.step(&mut viewer.place, now) {
+            Step::Send(bytes) => Next::Send(bytes),
+            Step::Wait => Next::Wait,
+            Step::Skipped { wants_key } => {
+                if wants_key && state.asked.is_none_or(|at| now.saturating_duration_since(at) >= KEYS) {
+                    state.asked = Some(now);
+                    self.keys.notify_one();
+                }
+                Next::Tiles
+            }
+        }
+    }
+}

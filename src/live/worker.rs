@@ -1,0 +1,170 @@
+//! The threads of a room: one decodes every frame, in order; the other makes the geometry of the newest one that is decoded.
+//!
+//! Between them is a place for one frame, not a queue: what is replaced there was shown with the geometry before it.
+
+use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
+use std::thread;
+use std::time::Instant;
+
+use bytes::Bytes;
+use tokio::sync::mpsc;
+
+use tmpi_core::live::wire;
+use tmpi_core::live::wire::message::Kind;
+use tmpi_core::live::write;
+use tmpi_core::{DisparityMap, Photo};
+use tmpi_live::video::Decoder;
+use tmpi_live::{Frame, Geometry, depth};
+
+use super::ring::What;
+use super::room::{Room, Still};
+
+/// Frames that wait to be decoded: those that the publisher has credit for, and as many more as are a sign of a fault.
+const WAITING: usize = 4;
+
+/// A frame as it came.
+pub struct Coded {
+    /// Its number.
+    pub frame: u64,
+    /// Its bytes.
+    pub data: Bytes,
+    /// Its depth as a camera measured it, packed.
+    pub depth: Option<Bytes>,
+    /// When it came.
+    pub at: Instant,
+}
+
+/// What became of a frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Decoded {
+    /// It was decoded.
+    Picture,
+    /// It was not: it is damaged, or what it refers to was.
+    Broken,
+}
+
+/// A room's threads; they end when this is dropped.
+pub struct Worker {
+    frames: SyncSender<Coded>,
+}
+
+/// One frame that waits for its geometry.
+#[derive(Default)]
+struct Slot {
+    frame: Mutex<Waiting>,
+    filled: Condvar,
+}
+
+#[derive(Default)]
+struct Waiting {
+    frame: Option<(Frame, Instant)>,
+    ended: bool,
+}
+
+impl Worker {
+    /// Starts the threads for the publisher of `epoch`; `done` is told of each frame in order.
+    ///
+    /// # Errors
+    /// The system starts no thread.
+    pub fn start(
+        (room, epoch): (Arc<Room>, u64),
+        mut decoder: Box<dyn Decoder>,
+        geometry: Geometry,
+        done: mpsc::Sender<Decoded>,
+    ) -> std::io::Result<Self> {
+        let (frames, coded): (_, Receiver<Coded>) = sync_channel(WAITING);
+        let slot = Arc::new(Slot::default());
+        let (to, from, counted) = (Arc::clone(&slot), slot, Arc::clone(&room));
+        thread::Builder::new().name("tmpi-geometry".into()).spawn(move || geometries((&room, epoch), geometry, &from))?;
+        thread::Builder::new().name("tmpi-video".into()).spawn(move || {
+            // the other thread ends with this one, however it ends
+            let to = Filler(to);
+            for Coded { frame, data, depth, at } in coded {
+                let outcome = match decoded(decoder.as_mut(), &data, depth.as_deref()) {
+                    Ok(picture) => {
+                        if let Some((photo, depth)) = picture {
+                            to.0.put(Frame { number: frame, photo, depth }, at, &counted);
+                        }
+                        Decoded::Picture
+                    }
+                    Err(error) => {
+                        tracing::debug!(error, frame, "decoding a frame");
+                        Decoded::Broken
+                    }
+                };
+                if done.blocking_send(outcome).is_err() {
+                    break;
+                }
+            }
+        })?;
+        Ok(Self { frames })
+    }
+
+    /// Hands a frame over; false where too many wait.
+    pub fn take(&self, coded: Coded) -> bool {
+        !matches!(self.frames.try_send(coded), Err(TrySendError::Full(_) | TrySendError::Disconnected(_)))
+    }
+}
+
+/// Who fills a slot, as long as it does.
+struct Filler(Arc<Slot>);
+
+impl Drop for Filler {
+    fn drop(&mut self) {
+        self.0.end();
+    }
+}
+
+impl Slot {
+    fn put(&self, frame: Frame, at: Instant, room: &Room) {
+        let mut waiting = self.frame.lock().unwrap_or_else(PoisonError::into_inner);
+        if waiting.frame.replace((frame, at)).is_some() {
+            room.count(|s| s.frames_without_geometry += 1);
+        }
+        self.filled.notify_one();
+    }
+
+    fn end(&self) {
+        self.frame.lock().unwrap_or_else(PoisonError::into_inner).ended = true;
+        self.filled.notify_one();
+    }
+
+    fn next(&self) -> Option<(Frame, Instant)> {
+        let waiting = self.frame.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut waiting = self.filled.wait_while(waiting, |w| w.frame.is_none() && !w.ended).unwrap_or_else(PoisonError::into_inner);
+        waiting.frame.take().filter(|_| !waiting.ended)
+    }
+}
+
+/// A frame's picture and measured depth; none where it holds no picture.
+fn decoded(decoder: &mut dyn Decoder, data: &[u8], packed: Option<&[u8]>) -> Result<Option<(Photo, Option<DisparityMap>)>, String> {
+    let Some(photo) = decoder.decode(data).map_err(|e| e.to_string())? else { return Ok(None) };
+    let depth = packed.map(|packed| depth::unpack(packed, photo.width, photo.height)).transpose().map_err(|e| e.to_string())?;
+    Ok(Some((photo, depth)))
+}
+
+/// Makes the geometry of frame after frame.
+fn geometries((room, epoch): (&Room, u64), mut driver: Geometry, slot: &Slot) {
+    while let Some((frame, at)) = slot.next() {
+        let update = match driver.next(&frame) {
+            Ok(update) => update,
+            Err(error) => {
+                tracing::warn!(%error, frame = frame.number, "geometry of a frame");
+                continue;
+            }
+        };
+        let Some(geometry) = driver.geometry() else { continue };
+        let tiles = geometry.tiles.len() as u64;
+        let ms = at.elapsed().as_secs_f64() * 1e3;
+        // the tiles are there before anyone is told: who joins now gets them all
+        room.keep(epoch, Still::new(frame.number, frame.photo, geometry.clone()), |s| {
+            s.tiles += tiles;
+            s.tiles_left_out += tiles - update.sent.len() as u64;
+            s.geometry_ms = ms;
+        });
+        if !update.chunks.is_empty() {
+            room.push(epoch, What::Geometry, write(Kind::Geometry(wire::Geometry { frame: frame.number, chunks: update.chunks })));
+        }
+    }
+}

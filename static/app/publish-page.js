@@ -1,0 +1,174 @@
+// The page of a room: who publishes.
+
+import { t, translatePage } from '../i18n/messages.js';
+import { sentence } from '../i18n/text.js';
+import { headersOf, look } from '../live/connection.js';
+import { hasOpus } from '../live/microphone.js';
+import { Publisher } from '../live/publisher.js';
+import { $, element } from './dom.js';
+import { linkTo, roomOf } from './room-name.js';
+
+/** Pause between two looks at who watches, ms. */
+const LOOK_MS = 2000;
+
+const room = roomOf();
+const preview = $('preview', HTMLVideoElement);
+const camera = $('camera', HTMLSelectElement);
+/** @type {Publisher | null} */
+let publisher = null;
+/** @type {MediaStream | null} */
+let stream = null;
+/** @type {WakeLockSentinel | null} */
+let awake = null;
+/** @type {ReturnType<typeof setInterval> | undefined} */
+let looking;
+
+/** @param {string} text */
+function say(text) {
+  $('state').textContent = text;
+}
+
+/** @param {string} state */
+function show(state) {
+  document.body.dataset.state = state;
+  const on = state === 'live' || state === 'again' || state === 'connecting';
+  $('go').hidden = on;
+  $('stop').hidden = !on;
+  $('on-air').hidden = state !== 'live';
+  for (const id of ['camera', 'size', 'with-sound']) $(id, /** @type {any} */ (HTMLElement)).toggleAttribute('disabled', on);
+}
+
+/** What a person can do about a camera that is not to be had. */
+function refusal(/** @type {Error} */ error) {
+  if (error.name === 'NotAllowedError') return t('The camera is not allowed for this page. Allow it in the browser and start again.');
+  if (error.name === 'NotFoundError' || error.name === 'OverconstrainedError') return t('There is no such camera.');
+  if (error.name === 'NotReadableError') return t('Another program uses the camera.');
+  return sentence(error.message);
+}
+
+/** Names of cameras are known once one was allowed. */
+async function listCameras() {
+  const devices = (await navigator.mediaDevices.enumerateDevices()).filter(({ kind }) => kind === 'videoinput');
+  const chosen = stream?.getVideoTracks()[0]?.getSettings().deviceId ?? camera.value;
+  const options = devices.map(({ deviceId, label }, i) => {
+    const option = element('option', '', label || t('Camera {0}', i + 1));
+    option.value = deviceId;
+    option.selected = deviceId === chosen;
+    return option;
+  });
+  camera.replaceChildren(...(options.length ? options : [element('option', '', t('Any camera'))]));
+}
+
+async function openCamera() {
+  const [width, height] = $('size', HTMLSelectElement).value.split('x').map(Number);
+  const deviceId = camera.value && camera.value !== t('Any camera') ? { exact: camera.value } : undefined;
+  const video = { width: { ideal: width }, height: { ideal: height }, frameRate: { ideal: 30 }, ...(deviceId && { deviceId }) };
+  const sound = $('with-sound', HTMLInputElement).checked && (await hasOpus());
+  const audio = sound ? { echoCancellation: true, noiseSuppression: true } : false;
+  try {
+    return await navigator.mediaDevices.getUserMedia({ video, audio });
+  } catch (error) {
+    // a machine without a microphone still has a picture
+    if (!audio || error.name === 'NotAllowedError') throw error;
+    return navigator.mediaDevices.getUserMedia({ video });
+  }
+}
+
+function closeCamera() {
+  for (const track of stream?.getTracks() ?? []) track.stop();
+  stream = null;
+  preview.srcObject = null;
+  awake?.release().catch(() => {});
+  awake = null;
+  clearInterval(looking);
+}
+
+/**
+ * @param {string} state
+ * @param {string} reason
+ */
+function onState(state, reason) {
+  show(state);
+  if (state === 'connecting') say(t('Connecting…'));
+  else if (state === 'live') say(t('You are live.'));
+  else if (state === 'again') say(t('The connection broke. Trying again…'));
+  else {
+    closeCamera();
+    say(reason ? t('It ended: {0}', t(reason)) : t('You are not live any more.'));
+    $('share').hidden = true;
+  }
+}
+
+async function start() {
+  show('connecting');
+  try {
+    stream = await openCamera();
+    preview.srcObject = stream;
+    await preview.play();
+    await listCameras();
+    publisher = new Publisher(room, stream, preview, onState);
+    Object.assign(window, { publisher });
+    await publisher.start();
+    awake = (await navigator.wakeLock?.request('screen').catch(() => null)) ?? null;
+    await share();
+    looking = setInterval(countViewers, LOOK_MS);
+  } catch (error) {
+    publisher?.stop();
+    closeCamera();
+    show('idle');
+    say(refusal(error));
+  }
+}
+
+/** A link for those who watch: with a token of theirs, not with this page's. */
+async function share() {
+  const response = await fetch(`${room.address}/token`, { method: 'POST', headers: headersOf(room.token) });
+  const { token } = response.ok ? await response.json() : { token: null };
+  $('link', HTMLInputElement).value = linkTo(room.name, token);
+  const own = ['localhost', '127.0.0.1', '[::1]'].includes(location.hostname);
+  $('link-note').textContent = own ? t('This address works on this machine alone; others need the server’s own name.') : '';
+  $('share').hidden = false;
+}
+
+async function countViewers() {
+  const { viewers, publishing } = await look(room.address, room.token);
+  if (document.body.dataset.state === 'live' && publishing) say(t('You are live. {0} watching.', String(viewers)));
+}
+
+/** Says beforehand what stands in the way. */
+async function check() {
+  const { state, mayPublish, publishing } = await look(room.address, room.token);
+  if (state === 'none') return stay(t('There is no such room on this server.'));
+  if (state === 'refused' || (state !== 'away' && !mayPublish))
+    return stay(t('Going live here needs a link with a token that is still good. Ask who sent you here for a new one.'));
+  if (!navigator.mediaDevices?.getUserMedia) return stay(t('The camera needs an address with https.'));
+  if (publishing) say(t('Somebody is live in this room already.'));
+  await listCameras();
+}
+
+/** @param {string} why nothing can be started */
+function stay(why) {
+  $('form').hidden = true;
+  document.body.dataset.state = 'refused';
+  say(why);
+}
+
+translatePage();
+$('title').textContent = t('Go live: {0}', room.name);
+document.title = `${room.name} – tmpi`;
+$('form').addEventListener('submit', (event) => {
+  event.preventDefault();
+  start();
+});
+$('stop').addEventListener('click', () => publisher?.stop());
+$('copy').addEventListener('click', async () => {
+  const link = $('link', HTMLInputElement);
+  try {
+    await navigator.clipboard.writeText(link.value);
+    $('link-note').textContent = t('Copied');
+  } catch {
+    link.select();
+  }
+});
+addEventListener('pagehide', () => publisher?.stop());
+check();

@@ -1,0 +1,150 @@
+// The page of a room: who watches.
+
+import { t, translatePage } from '../i18n/messages.js';
+import { sentence } from '../i18n/text.js';
+import { hasGyroscope } from '../input/gyroscope.js';
+import { SoundPlayer } from '../live/sound-player.js';
+import { startRoom } from '../live/start.js';
+import { Viewer } from '../view/viewer.js';
+import { $ } from './dom.js';
+import { roomOf } from './room-name.js';
+
+/** How long a hint is shown, ms. */
+const NOTE_MS = 5000;
+/** Most that two clocks may be apart for the time behind the camera to be told, ms. */
+const CREDIBLE_MS = 20_000;
+
+const room = roomOf();
+const narrow = matchMedia('(max-width: 640px)');
+const sound = new SoundPlayer();
+/** What is said where there is no picture yet. */
+const WAITING = {
+  connecting: 'Connecting…',
+  waiting: 'Nobody is live here yet. The picture starts by itself.',
+  ended: 'The live picture has ended. It goes on by itself when it is back.',
+  away: 'The server cannot be reached. Trying again…',
+  live: 'Loading…',
+  stalled: 'The picture is held up.',
+};
+/** What ends it. */
+const FAILURES = {
+  refused: 'This room needs a link with a token that is still good. Ask who sent you here for a new one.',
+  none: 'There is no such room on this server.',
+  unsupported: 'This browser cannot decode the video of this room.',
+};
+/** @type {ReturnType<typeof setTimeout> | undefined} */
+let fading;
+let shown = false;
+
+/**
+ * Says something over the picture.
+ * @param {string} text
+ * @param {boolean} [stays]
+ */
+function note(text, stays = false) {
+  const line = $('live-note');
+  line.textContent = text;
+  line.classList.toggle('on', text !== '');
+  clearTimeout(fading);
+  if (text && !stays) fading = setTimeout(() => line.classList.remove('on'), NOTE_MS);
+}
+
+/** @param {string} message */
+function fail(message) {
+  $('loading').hidden = true;
+  $('tools').hidden = true;
+  $('failure-text').textContent = sentence(message);
+  $('failure').hidden = false;
+}
+
+/** @param {{state: string, reason: string}} told */
+function showState({ state, reason }) {
+  document.body.dataset.state = state;
+  if (state in FAILURES) return fail(t(FAILURES[/** @type {keyof typeof FAILURES} */ (state)]));
+  if (reason) return fail(t('The server says: {0}', reason));
+  const text = t(WAITING[/** @type {keyof typeof WAITING} */ (state)] ?? '');
+  if (!shown) {
+    $('loading').hidden = false;
+    $('bar').hidden = state === 'waiting' || state === 'ended';
+    $('loading-text').textContent = text;
+  } else note(state === 'live' ? '' : text, true);
+}
+
+/** @param {{latency: number, lag: number, frames: number, kbits: number, viewers: number, madeMs: number, videoMs: number}} told */
+function showStatistics(told) {
+  Object.assign(window, { measured: told });
+  if (!shown || document.body.dataset.state !== 'live') return;
+  const behind = told.latency > 0 && told.latency < CREDIBLE_MS ? told.latency : told.lag;
+  sound.late = behind / 1000;
+  const parts = [`${Math.round(behind)} ms`, t('{0} frames/s', String(Math.round(told.frames)))];
+  // a phone has room for the room's name beside that
+  if (!narrow.matches) {
+    parts.push(`${Math.round(told.kbits)} kbit/s`);
+    if (told.viewers) parts.push(t('{0} watching', String(told.viewers)));
+  }
+  $('readout').textContent = parts.join(' · ');
+}
+
+/** @param {any} told by the room's worker */
+function onLive(told) {
+  if (told.type === 'state') showState(told);
+  else if (told.type === 'statistics') showStatistics(told);
+  else if (told.type === 'sound') sound.play(told);
+  else if (told.type === 'has-sound') $('sound').hidden = !told.on;
+}
+
+async function toggleSound() {
+  const on = $('sound').getAttribute('aria-pressed') !== 'true';
+  if (on) await sound.start();
+  else await sound.stop();
+  viewer.tell({ sound: on });
+  $('sound').setAttribute('aria-pressed', String(on));
+}
+
+/** @param {boolean} on */
+async function setTilt(on) {
+  try {
+    await viewer.setTilt(on);
+  } catch {
+    note(t('This browser does not allow it'));
+  }
+  $('tilt').setAttribute('aria-pressed', String(viewer.tilting));
+}
+
+async function toggleFullscreen() {
+  if (document.fullscreenElement) await document.exitFullscreen();
+  else await document.documentElement.requestFullscreen();
+}
+
+translatePage();
+$('title').textContent = room.name;
+document.title = `${room.name} – tmpi`;
+const viewer = new Viewer($('stage'), { live: { start: startRoom, address: room.address, token: room.token } });
+viewer.setIdle(false);
+Object.assign(window, { viewer, sound });
+viewer.addEventListener('live', ({ detail }) => onLive(detail));
+viewer.addEventListener('ready', ({ detail }) => {
+  const first = !shown;
+  shown = true;
+  $('stage').dataset.mode = detail.mode;
+  $('loading').hidden = true;
+  if (!first) return;
+  note(t(detail.mode === 'flat' ? 'This browser shows the video without depth.' : 'Move the pointer or drag to look around.'));
+});
+viewer.addEventListener('error', ({ detail }) => fail(t(detail.message)));
+$('reset').addEventListener('click', () => viewer.reset());
+$('sound').addEventListener('click', () => toggleSound().catch(() => note(t('This browser does not allow it'))));
+$('tilt').hidden = !hasGyroscope();
+$('tilt').addEventListener('click', () => setTilt(!viewer.tilting));
+$('retry').addEventListener('click', () => location.reload());
+$('fullscreen').hidden = !document.fullscreenEnabled;
+$('fullscreen').addEventListener('click', toggleFullscreen);
+document.addEventListener('fullscreenchange', () =>
+  $('fullscreen').setAttribute('aria-pressed', String(Boolean(document.fullscreenElement))),
+);
+document.addEventListener('visibilitychange', () => viewer.tell({ hidden: document.hidden }));
+document.addEventListener('keydown', (event) => {
+  if (event.key === 'f' && !event.ctrlKey && !event.metaKey && !event.altKey && document.fullscreenEnabled) toggleFullscreen();
+});
+// another token in the address
+addEventListener('hashchange', () => location.reload());

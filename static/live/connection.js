@@ -1,0 +1,137 @@
+// A page's way into a room: looks whether there is anybody, connects, and comes back where the connection breaks.
+
+/** Protocol of the web sockets, and what a token is put behind among protocols: they have no headers for it. */
+const PROTOCOL = 'tmpi.live.v1';
+const TOKEN = 'token.';
+/** Silence after which a connection is taken for dead: the server says something each second, ms. */
+const SILENCE_MS = 4000;
+/** Pauses before it is tried again, from the first on, ms. */
+const PAUSES_MS = [100, 300, 700, 1500];
+/** Pause between two looks whether somebody publishes, ms. */
+const LOOK_MS = 1000;
+
+/** @typedef {'connecting' | 'waiting' | 'refused' | 'away' | 'none' | 'open'} State `waiting` for a publisher, `refused` for want of a token, `none`: there are no rooms, `away`: the server cannot be reached */
+
+/**
+ * Headers of requests about a room.
+ * @param {string} token
+ * @returns {Record<string, string>}
+ */
+export function headersOf(token) {
+  return token ? { authorization: `Bearer ${token}` } : {};
+}
+
+/**
+ * Opens a web socket of a room.
+ * @param {string} address of the room, `http:` or `https:`
+ * @param {'publish' | 'subscribe'} what
+ * @param {string} token
+ */
+export function openSocket(address, what, token) {
+  const url = new URL(`${address}/${what}`);
+  url.protocol = url.protocol.replace('http', 'ws');
+  const socket = new WebSocket(url, token ? [PROTOCOL, TOKEN + token] : [PROTOCOL]);
+  socket.binaryType = 'arraybuffer';
+  return socket;
+}
+
+/**
+ * What the server says of a room.
+ * @param {string} address
+ * @param {string} token
+ * @returns {Promise<{state: State, mayPublish: boolean, publishing: boolean, viewers: number}>}
+ */
+export async function look(address, token) {
+  const found = { mayPublish: false, publishing: false, viewers: 0 };
+  try {
+    const response = await fetch(address, { headers: headersOf(token) });
+    if (response.status === 403 || response.status === 401) return { ...found, state: 'refused' };
+    if (response.status === 404) return { ...found, state: 'none' };
+    if (!response.ok) return { ...found, state: 'away' };
+    const { publishing, viewers, may_publish: mayPublish } = await response.json();
+    return { state: publishing ? 'open' : 'waiting', publishing, viewers, mayPublish };
+  } catch {
+    return { ...found, state: 'away' };
+  }
+}
+
+export class Connection {
+  #room;
+  #on;
+  /** @type {WebSocket | null} */
+  #socket = null;
+  /** @type {ReturnType<typeof setTimeout> | undefined} */
+  #timer;
+  /** @type {ReturnType<typeof setTimeout> | undefined} */
+  #silence;
+  #tries = 0;
+  #run = 0;
+
+  /**
+   * @param {{address: string, token: string}} room
+   * @param {{message: (bytes: Uint8Array<ArrayBuffer>) => void, state: (state: State) => void}} on
+   */
+  constructor(room, on) {
+    this.#room = room;
+    this.#on = on;
+  }
+
+  /** Connects, now. */
+  async start() {
+    this.stop();
+    const run = this.#run;
+    const { state } = await look(this.#room.address, this.#room.token);
+    if (run !== this.#run) return;
+    if (state !== 'open') {
+      this.#on.state(state);
+      if (state === 'waiting') this.#again(LOOK_MS);
+      else if (state === 'away') this.#later();
+      return;
+    }
+    const socket = openSocket(this.#room.address, 'subscribe', this.#room.token);
+    this.#socket = socket;
+    this.#listen();
+    socket.onmessage = ({ data }) => {
+      this.#listen();
+      this.#on.message(new Uint8Array(data));
+    };
+    socket.onclose = () => {
+      this.stop();
+      this.#later();
+    };
+  }
+
+  /** A message was as it should: the next try comes soon. */
+  well() {
+    this.#tries = 0;
+  }
+
+  stop() {
+    this.#run++;
+    clearTimeout(this.#timer);
+    clearTimeout(this.#silence);
+    if (!this.#socket) return;
+    this.#socket.onclose = this.#socket.onmessage = null;
+    this.#socket.close();
+    this.#socket = null;
+  }
+
+  /** Tries again after a pause that grows. */
+  #later() {
+    this.#again(PAUSES_MS[Math.min(this.#tries++, PAUSES_MS.length - 1)]);
+  }
+
+  /** @param {number} ms */
+  #again(ms) {
+    clearTimeout(this.#timer);
+    this.#timer = setTimeout(() => this.start(), ms);
+  }
+
+  #listen() {
+    clearTimeout(this.#silence);
+    this.#silence = setTimeout(() => {
+      this.stop();
+      this.#later();
+    }, SILENCE_MS);
+  }
+}

@@ -1,0 +1,182 @@
+// The messages of a room, and its layers, in an instance of decoder.wasm (crates/live-decoder). Pure: no page, no network; video and
+// sound are decoded by the browser.
+
+import { Instance } from '../decode/instance.js';
+import { compiledFrom } from '../decode/module.js';
+
+/** @import { SceneHead } from '../decode/scene.js' */
+
+/** Outputs, by the numbers of crates/live-decoder's `Output`. */
+const [NUMBERS, DATA, TILES, LAYERS, CELLS, MESSAGE] = [2, 3, 4, 5, 6, 7];
+/** Numbers of a layer, and count of layers of a tile that has those of before. */
+const COLUMNS = 9;
+const AS_BEFORE = 2 ** 32 - 1;
+/** How frames are handed over, by the numbers of `Pixels`. */
+export const PIXELS = Object.freeze({ I420: 0, NV12: 1, RGBA: 2 });
+
+/**
+ * What a publisher or the server says first: codec strings of WebCodecs, empty where there is no sound.
+ * @typedef {{kind: 'hello', head: SceneHead, codec: string, sound: string, rate: number, channels: number, epoch: number}} Hello
+ */
+/** @typedef {{kind: 'video', frame: number, time: number, key: boolean, data: Uint8Array<ArrayBuffer>}} Video time in µs by the publisher's clock */
+/** @typedef {{kind: 'sound', time: number, data: Uint8Array<ArrayBuffer>}} Sound */
+/** @typedef {{kind: 'tiles', frame: number, changed: number}} Tiles were taken over already */
+/**
+ * @typedef {{kind: 'statistics', frame: number, viewers: number, frames: number, videoBytes: number, geometryBytes: number, tiles: number,
+ *   leftOut: number, skipped: number, forwardMs: number, geometryMs: number}} Statistics
+ */
+/** @typedef {{kind: 'bye', reason: string, again: boolean}} Bye */
+/** @typedef {{kind: 'credit', frames: number, key: boolean}} Credit */
+/** @typedef {{kind: 'other'}} Other is for nobody here */
+/** @typedef {Hello | Video | Sound | Tiles | Statistics | Bye | Credit | Other} Message */
+
+/** @typedef {{tile: number, layers: Float64Array[] | null}} ChangedTile its layers, nine numbers each (crates/live-decoder), or null where it has those of before */
+
+/** The compiled module. */
+export function compiled() {
+  return compiledFrom(new URL('./decoder.wasm', import.meta.url));
+}
+
+export class RoomDecoder {
+  #instance;
+
+  /** @param {WebAssembly.Module} module of decoder.wasm */
+  static async of(module) {
+    return new RoomDecoder(await Instance.of(module));
+  }
+
+  /** @param {Instance} instance */
+  constructor(instance) {
+    this.#instance = instance;
+  }
+
+  /** Bytes of the instance's memory. */
+  get memory() {
+    return this.#instance.memory;
+  }
+
+  /**
+   * Reads a message, and takes over what it says of the room.
+   * @param {Uint8Array} bytes
+   * @returns {Message}
+   * @throws {ContainerError} where it cannot be read
+   */
+  read(bytes) {
+    this.#instance.hand(bytes);
+    const kind = this.#instance.call('tmpi_message');
+    const n = this.#floats(NUMBERS);
+    if (kind === 1) {
+      const [width, height, tileSize, tileStride, fx, fy, cx, cy, x, y, z, rate, channels, epoch] = n;
+      const [codec, sound] = this.#text(DATA).split('\n');
+      const head = { width, height, tileSize, tileStride, intrinsics: { fx, fy, cx, cy }, viewBox: { x, y, z } };
+      return { kind: 'hello', head, codec, sound, rate, channels, epoch };
+    }
+    if (kind === 2) return { kind: 'video', frame: n[0], time: n[1], key: n[2] === 1, data: this.#copy(DATA) };
+    if (kind === 3 || kind === 4) return { kind: 'tiles', frame: n[0], changed: n[1] };
+    if (kind === 5) return { kind: 'sound', time: n[0], data: this.#copy(DATA) };
+    if (kind === 6) {
+      const [frame, viewers, frames, videoBytes, geometryBytes, tiles, leftOut, skipped, forwardMs, geometryMs] = n;
+      return { kind: 'statistics', frame, viewers, frames, videoBytes, geometryBytes, tiles, leftOut, skipped, forwardMs, geometryMs };
+    }
+    if (kind === 7) return { kind: 'bye', reason: this.#text(DATA), again: n[0] === 1 };
+    if (kind === 8) return { kind: 'credit', frames: n[0], key: n[1] === 1 };
+    return { kind: 'other' };
+  }
+
+  /**
+   * Takes a picture of the room's size as the next frame.
+   * @param {number} format one of `PIXELS`
+   * @param {Uint8Array | Uint8ClampedArray} bytes planes without gaps
+   */
+  frame(format, bytes) {
+    this.#instance.hand(bytes);
+    this.#instance.call('tmpi_frame', format);
+  }
+
+  /**
+   * Brings the layers up to the last frame and tiles; gives the tiles that changed, in order, none as long as not all tiles came.
+   * @returns {ChangedTile[]}
+   */
+  layers() {
+    if (!this.#instance.call('tmpi_layers')) return [];
+    const tiles = new Uint32Array(this.#copy(TILES).buffer);
+    const rows = this.#floats(LAYERS);
+    const out = [];
+    let at = 0;
+    for (let i = 0; i < tiles.length; i += 2) {
+      const count = tiles[i + 1];
+      if (count === AS_BEFORE) out.push({ tile: tiles[i], layers: null });
+      else {
+        out.push({
+          tile: tiles[i],
+          layers: Array.from({ length: count }, (_, k) => rows.subarray(at + k * COLUMNS, at + (k + 1) * COLUMNS)),
+        });
+        at += count * COLUMNS;
+      }
+    }
+    return out;
+  }
+
+  /**
+   * Fills squares with pieces of layers.
+   * @param {Uint32Array} pieces eight numbers each: tile, layer, first column, first row, columns, rows, mirrored (1 columns, 2 rows), 0
+   * @param {number} side of a square
+   * @returns {Uint8Array<ArrayBuffer>} premultiplied RGBA, one square after the other, a buffer of its own
+   */
+  cells(pieces, side) {
+    this.#instance.hand(new Uint8Array(pieces.buffer, pieces.byteOffset, pieces.byteLength));
+    this.#instance.call('tmpi_cells', side);
+    return this.#copy(CELLS);
+  }
+
+  /**
+   * @param {{width: number, height: number, codec: string, sound?: string, rate?: number, channels?: number, fovX?: number}} hello
+   */
+  writeHello({ width, height, codec, sound = '', rate = 0, channels = 0, fovX = 0 }) {
+    this.#instance.hand(new TextEncoder().encode(`${codec}\n${sound}`));
+    return this.#written('tmpi_write_hello', width, height, fovX, rate, channels);
+  }
+
+  /** @param {{frame: number, time: number, key: boolean, data: Uint8Array}} video */
+  writeVideo({ frame, time, key, data }) {
+    this.#instance.hand(data);
+    return this.#written('tmpi_write_video', frame, time, Number(key));
+  }
+
+  /** @param {{time: number, data: Uint8Array}} sound */
+  writeSound({ time, data }) {
+    this.#instance.hand(data);
+    return this.#written('tmpi_write_sound', time);
+  }
+
+  /** @param {string} reason */
+  writeBye(reason) {
+    this.#instance.hand(new TextEncoder().encode(reason));
+    return this.#written('tmpi_write_bye');
+  }
+
+  /**
+   * @param {string} name
+   * @param {number[]} args
+   */
+  #written(name, ...args) {
+    this.#instance.call(name, ...args);
+    return this.#copy(MESSAGE);
+  }
+
+  /** @param {number} what */
+  #copy(what) {
+    return this.#instance.output(what).slice();
+  }
+
+  /** @param {number} what */
+  #text(what) {
+    return new TextDecoder().decode(this.#instance.output(what));
+  }
+
+  /** @param {number} what */
+  #floats(what) {
+    // copied, as it need not lie at a multiple of eight
+    return new Float64Array(this.#copy(what).buffer);
+  }
+}

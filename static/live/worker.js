@@ -1,0 +1,395 @@
+// A room as it is watched, off the page's thread.
+// In: {watch: {address, token, side, flat}} · {drawn} the last picture is shown · {again} the whole scene once more · {hidden} ·
+// {sound} whether sound is wanted · {flat} nothing can draw the scene. Out: {type: 'head', head} · {type: 'scene', scene, cells} · {type: 'update', instances, cells} ·
+// {type: 'picture', picture} where it is to be flat · {type: 'state', state, reason} · {type: 'statistics', …} · {type: 'sound', …}.
+
+import { Connection } from './connection.js';
+import { compiled, RoomDecoder } from './decoder.js';
+import { Hold } from './hold.js';
+import { NoDecoder, Pictures } from './pictures.js';
+import { pixelsOf } from './pixels.js';
+import { SoundDecoder } from './sound-decoder.js';
+import { TileAtlas } from './tile-atlas.js';
+// what those import, named here so that all of it is fetched at once
+import '../decode/grid.js';
+import '../decode/head.js';
+import '../decode/instance.js';
+import '../decode/module.js';
+import '../draw/border.js';
+import '../draw/instances.js';
+import '../view/camera.js';
+import '../view/limits.js';
+
+/** @import { SceneHead } from '../decode/scene.js' */
+/** @import { Hello, Message, Statistics, Video } from './decoder.js' */
+/** @import { Decoded } from './pictures.js' */
+
+/** @typedef {{address: string, token: string, side: number, flat: boolean}} Watched the room, side of the largest texture, and whether only video can be shown */
+
+/** Time without a frame after which the picture stands still, ms. */
+const STALLED_MS = 3000;
+/** Time after which a page that does not say that it shows what it was sent is sent all of it anew, ms. */
+const UNSEEN_MS = 4000;
+/** Pause between two messages of what is measured, ms. */
+const TELL_MS = 500;
+/** Longest that copying the samples of a frame may take, ms: a browser was seen that never ended it. */
+const COPY_MS = 500;
+/** Weight of the newest in what is smoothed. */
+const WEIGHT = 0.1;
+
+/** Now in ms, by a clock that others on the machine have, too. */
+const clock = () => performance.timeOrigin + performance.now();
+
+class Room {
+  #decoder;
+  #watched;
+  #connection;
+  /** @type {Hello | null} */
+  #hello = null;
+  /** @type {Pictures | null} */
+  #pictures = null;
+  /** @type {TileAtlas | null} */
+  #atlas = null;
+  /** The page has the scene that the atlas belongs to. */
+  #told = false;
+  /** @type {Decoded | null} */
+  #next = null;
+  #hold = new Hold();
+  /** When a frame is shown at the latest: one that takes the place of another that waited does not begin to wait anew. */
+  #due = Infinity;
+  #busy = false;
+  #drawing = false;
+  /** When the page was sent something last. */
+  #sent = 0;
+  /** Samples are copied as they are; else by way of a canvas. */
+  #copies = true;
+  #hidden = false;
+  /** Tiles came after the frame that is shown. */
+  #late = false;
+  /** Frames are left out up to the next one that needs no other. */
+  #waits = true;
+  #lastFrame = 0;
+  /** @type {Decoded | null} */
+  #shown = null;
+  /** @type {ReturnType<typeof setTimeout> | undefined} */
+  #timer;
+  #measured = { made: 0, copy: 0, video: 0, latency: 0, lag: 0, frames: 0, bytes: 0 };
+  /** Fastest way of a frame so far, ms between two clocks. */
+  #fastest = Infinity;
+  /** @type {Statistics | null} */
+  #statistics = null;
+  #state = '';
+  #sound = new SoundDecoder();
+
+  /**
+   * @param {RoomDecoder} decoder
+   * @param {Watched} watched
+   */
+  constructor(decoder, watched) {
+    this.#decoder = decoder;
+    this.#watched = watched;
+    this.#connection = new Connection(watched, {
+      message: (bytes) => this.#take(bytes),
+      state: (state) => this.#say(state === 'waiting' && this.#hello ? 'ended' : state),
+    });
+    this.#say('connecting');
+    this.#connection.start();
+    setInterval(() => this.#tell(), TELL_MS);
+  }
+
+  /** @param {boolean} wanted */
+  set sound(wanted) {
+    this.#sound.wanted = wanted;
+  }
+
+  /** @param {boolean} hidden */
+  set hidden(hidden) {
+    if (this.#hidden === hidden) return;
+    this.#hidden = hidden;
+    // the last group of frames comes anew, so nothing need be kept up meanwhile
+    if (!hidden) this.#connection.start();
+    else if (!this.#sound.wanted) this.#connection.stop();
+    this.#waits = true;
+  }
+
+  /** The page shows what it was sent last. */
+  drawn() {
+    this.#drawing = false;
+    const { frame = -1, time = 0 } = this.#shown ?? {};
+    if (frame >= 0) this.#measured.latency = clock() - time / 1000;
+    this.#pump();
+  }
+
+  /** Plain video from now on. */
+  flat() {
+    this.#watched.flat = true;
+    this.#drawing = false;
+    this.#pump();
+  }
+
+  /** The whole scene once more. */
+  again() {
+    this.#told = false;
+    this.#drawing = false;
+    this.#late = true;
+    this.#pump();
+  }
+
+  /**
+   * @param {string} state
+   * @param {string} [reason]
+   */
+  #say(state, reason = '') {
+    if (state === this.#state && !reason) return;
+    this.#state = state;
+    postMessage({ type: 'state', state, reason });
+  }
+
+  /** @param {Uint8Array<ArrayBuffer>} bytes */
+  #take(bytes) {
+    this.#measured.bytes += bytes.length;
+    /** @type {Message} */
+    let message;
+    try {
+      message = this.#decoder.read(bytes);
+    } catch (error) {
+      console.error(error.message);
+      // what was missed comes with the next connection
+      return this.#connection.start();
+    }
+    if (message.kind === 'hello') this.#begin(message);
+    else if (message.kind === 'video') this.#video(message);
+    else if (message.kind === 'tiles') this.#tiles(message.frame);
+    else if (message.kind === 'sound') this.#sound.decode(message);
+    else if (message.kind === 'statistics') this.#statistics = message;
+    else if (message.kind === 'bye') {
+      if (message.again) return this.#say('ended');
+      this.#connection.stop();
+      this.#say('away', message.reason);
+    }
+  }
+
+  /** @param {Hello} hello */
+  async #begin(hello) {
+    const before = this.#hello;
+    this.#hello = hello;
+    this.#waits = true;
+    this.#hold = new Hold();
+    this.#due = Infinity;
+    this.#fastest = Infinity;
+    this.#pictures?.close();
+    this.#pictures = null;
+    this.#drop();
+    this.#sound.begin(hello);
+    if (!before || JSON.stringify(before.head) !== JSON.stringify(hello.head)) {
+      [this.#atlas, this.#told, this.#shown] = [null, false, null];
+      postMessage({ type: 'head', head: hello.head });
+    }
+    const early = this.#early;
+    early.length = 0;
+    try {
+      const pictures = await Pictures.of(
+        hello.codec,
+        (decoded) => this.#decoded(decoded),
+        (error) => {
+          console.warn(error.message);
+          this.#connection.start();
+        },
+      );
+      if (this.#hello !== hello) return pictures.close();
+      this.#pictures = pictures;
+      this.#connection.well();
+      for (const { video, arrived } of early.splice(0)) this.#decode(video, arrived);
+    } catch (error) {
+      if (!(error instanceof NoDecoder)) throw error;
+      this.#connection.stop();
+      this.#say('unsupported');
+    }
+  }
+
+  /**
+   * Frames that came while the browser looked for a decoder.
+   * @type {{video: Video, arrived: number}[]}
+   */
+  #early = [];
+
+  /** @param {Video} video */
+  #video(video) {
+    const arrived = performance.now();
+    this.#lastFrame = arrived;
+    const way = performance.timeOrigin + arrived - video.time / 1000;
+    this.#fastest = Math.min(this.#fastest, way);
+    this.#measured.lag += (way - this.#fastest - this.#measured.lag) * WEIGHT;
+    this.#hold.arrived(video.frame, arrived);
+    this.#say('live');
+    if (this.#hidden) return;
+    if (this.#pictures) this.#decode(video, arrived);
+    else this.#early.push({ video, arrived });
+  }
+
+  /**
+   * @param {Video} video
+   * @param {number} arrived
+   */
+  #decode(video, arrived) {
+    if (this.#waits && !video.key) return;
+    this.#waits = false;
+    this.#pictures?.decode(video, arrived);
+  }
+
+  /** @param {number} frame that came last with its tiles */
+  #tiles(frame) {
+    this.#hold.tiles(frame, performance.now());
+    this.#late = true;
+    this.#pump();
+  }
+
+  /** @param {Decoded} decoded */
+  #decoded(decoded) {
+    this.#measured.video += (decoded.ms - this.#measured.video) * WEIGHT;
+    this.#drop();
+    this.#next = decoded;
+    this.#pump();
+  }
+
+  /** The newest frame wins. */
+  #drop() {
+    this.#next?.picture.close();
+    this.#next = null;
+  }
+
+  /** Shows the next frame once its tiles are there or have had their time, and tiles that came late. */
+  async #pump() {
+    if (this.#busy || this.#drawing || this.#hidden || !this.#hello) return;
+    const next = this.#next;
+    if (next && this.#watched.flat) return this.#flat(next);
+    if (this.#watched.flat || (!next && !(this.#late && this.#shown))) return;
+    const now = performance.now();
+    if (next) this.#due = Math.min(this.#due, now + this.#hold.left(next, now));
+    const wait = next ? this.#due - now : 0;
+    clearTimeout(this.#timer);
+    if (wait > 0) {
+      this.#timer = setTimeout(() => this.#pump(), wait);
+      return;
+    }
+    this.#busy = true;
+    this.#late = false;
+    this.#due = Infinity;
+    const { head } = this.#hello;
+    let started = performance.now();
+    try {
+      if (next) {
+        this.#next = null;
+        const pixels = await this.#pixels(next, head);
+        if (!pixels || this.#hello.head !== head) return;
+        const { format, bytes } = pixels;
+        this.#measured.copy += (performance.now() - started - this.#measured.copy) * WEIGHT;
+        started = performance.now();
+        this.#decoder.frame(format, bytes);
+        this.#shown = next;
+      }
+      this.#compose(head, started);
+    } catch (error) {
+      console.error(error.message);
+      this.#connection.start();
+    } finally {
+      this.#busy = false;
+    }
+    if (this.#next) this.#pump();
+  }
+
+  /**
+   * Samples of a frame, or null where they cannot be had in time: the next one is taken in another way then.
+   * @param {Decoded} of
+   * @param {SceneHead} head
+   */
+  async #pixels({ picture }, head) {
+    const late = new Promise((resume) => setTimeout(() => resume(null), COPY_MS));
+    const pixels = await Promise.race([pixelsOf(picture, head, this.#copies), late]).finally(() => picture.close());
+    if (!pixels) this.#copies = false;
+    return pixels;
+  }
+
+  /**
+   * @param {SceneHead} head
+   * @param {number} started
+   */
+  #compose(head, started) {
+    const changed = this.#decoder.layers();
+    if (!changed.length && this.#told) {
+      // nothing moves: the picture that is shown is this one
+      this.#measured.frames++;
+      if (this.#shown) this.#measured.latency = clock() - this.#shown.time / 1000;
+      return;
+    }
+    if (!changed.length && !this.#atlas) return;
+    this.#atlas ??= new TileAtlas(head, this.#watched.side);
+    let { numbers, places, reshaped, grown } = this.#atlas.change(changed);
+    if (!this.#told) ({ numbers, places } = this.#atlas.all());
+    const cells = { side: head.tileSize, places, data: this.#decoder.cells(numbers, head.tileSize) };
+    const drawn = reshaped || !this.#told ? this.#atlas.drawn() : null;
+    const made = performance.now() - started;
+    this.#measured.made += (made - this.#measured.made) * (this.#measured.frames ? WEIGHT : 1);
+    this.#measured.frames++;
+    this.#drawing = true;
+    this.#sent = performance.now();
+    const transfer = [cells.data.buffer, cells.places.buffer];
+    if (drawn && (grown || !this.#told)) {
+      this.#told = true;
+      const atlas = { ...this.#atlas.size, pages: this.#atlas.pages, wide: false, strips: [] };
+      self.postMessage({ type: 'scene', scene: { ...head, ...drawn, atlas, decodeMs: made }, cells }, { transfer });
+    } else self.postMessage({ type: 'update', instances: drawn?.instances ?? null, cells }, { transfer });
+  }
+
+  /** @param {Decoded} next */
+  #flat(next) {
+    this.#next = null;
+    this.#shown = next;
+    this.#drawing = true;
+    this.#measured.frames++;
+    self.postMessage({ type: 'picture', picture: next.picture }, { transfer: [next.picture] });
+  }
+
+  #tell() {
+    if (this.#state === 'live' && performance.now() - this.#lastFrame > STALLED_MS) this.#say('stalled');
+    if (this.#drawing && !this.#hidden && !this.#watched.flat && performance.now() - this.#sent > UNSEEN_MS) this.again();
+    const { made, copy, video, latency, lag, frames, bytes } = this.#measured;
+    [this.#measured.frames, this.#measured.bytes] = [0, 0];
+    const seconds = TELL_MS / 1000;
+    const rates = { frames: frames / seconds, kbits: (bytes * 8e-3) / seconds };
+    const { viewers = 0, skipped = 0, geometryMs = 0 } = this.#statistics ?? {};
+    const frame = this.#shown?.frame ?? -1;
+    postMessage({
+      type: 'statistics',
+      frame,
+      madeMs: made,
+      copyMs: copy,
+      videoMs: video,
+      latency,
+      lag,
+      ...rates,
+      viewers,
+      skipped,
+      geometryMs,
+    });
+  }
+}
+
+/** @type {Promise<Room> | null} */
+let room = null;
+
+self.onmessage = async ({ data }) => {
+  try {
+    if (data.watch) room = compiled().then(async (module) => new Room(await RoomDecoder.of(module), data.watch));
+    const now = await room;
+    if (!now) return;
+    if (data.drawn) now.drawn();
+    if (data.again) now.again();
+    if (data.flat) now.flat();
+    if ('hidden' in data) now.hidden = data.hidden;
+    if ('sound' in data) now.sound = data.sound;
+  } catch (error) {
+    console.error(error.message);
+    postMessage({ type: 'error', message: error.message });
+  }
+};

@@ -1,0 +1,110 @@
+// The decoder of rooms, by the messages that its fuzzer begins with.
+import assert from 'node:assert/strict';
+import { readFileSync } from 'node:fs';
+import { beforeEach, describe, test } from 'node:test';
+import { PIXELS, RoomDecoder } from '../../../static/live/decoder.js';
+import { TileAtlas } from '../../../static/live/tile-atlas.js';
+
+const file = (path) => readFileSync(new URL(`../../../${path}`, import.meta.url));
+const module = new WebAssembly.Module(file('static/live/decoder.wasm'));
+const seed = (name) => file(`fuzz/seeds/message/${name}`);
+
+describe('the decoder of rooms', () => {
+  /** @type {RoomDecoder} */
+  let decoder;
+  let head;
+  beforeEach(async () => {
+    decoder = await RoomDecoder.of(module);
+    ({ head } = decoder.read(seed('hello')));
+  });
+
+  /** A picture of the room's size in which no two pixels near each other are alike. */
+  const picture = () =>
+    Uint8Array.from({ length: head.width * head.height * 4 }, (_, i) => (i % 4 === 3 ? 255 : (i * 37 + Math.floor(i / 520) * 11) % 256));
+
+  test('shows nothing before all tiles came, and then every pixel as it is', () => {
+    const rgba = picture();
+    decoder.frame(PIXELS.RGBA, rgba);
+    assert.deepEqual(decoder.layers(), []);
+    assert.equal(decoder.read(seed('geometry')).kind, 'tiles');
+    assert.deepEqual(decoder.layers(), [], 'two tiles are missing');
+    decoder.read(seed('snapshot'));
+    const changed = decoder.layers();
+    assert.equal(changed.length, 6);
+    const atlas = new TileAtlas(head, 2048);
+    const { numbers } = atlas.change(changed);
+    const cells = decoder.cells(numbers, head.tileSize);
+    const same = new Uint8Array(head.width * head.height);
+    for (let k = 0; k < numbers.length / 8; k++) {
+      const [tile, layer, u, v, w, h, mirrored] = numbers.subarray(k * 8, k * 8 + 8);
+      if (mirrored) continue;
+      const [, , , x, y] = changed[tile].layers[layer];
+      for (let j = 0; j < h; j++) {
+        for (let i = 0; i < w; i++) {
+          const at = (k * head.tileSize * head.tileSize + j * head.tileSize + i) * 4;
+          const pixel = (y + v + j) * head.width + x + u + i;
+          if (cells[at + 3] === 255 && [0, 1, 2].every((c) => cells[at + c] === rgba[pixel * 4 + c])) same[pixel] = 1;
+        }
+      }
+    }
+    assert.ok(same.every(Boolean), `${same.filter((v) => !v).length} pixels are in no layer`);
+  });
+
+  test('tells which tiles a frame changed, and nothing where none is', () => {
+    decoder.read(seed('geometry'));
+    decoder.read(seed('snapshot'));
+    const rgba = picture();
+    decoder.frame(PIXELS.RGBA, rgba);
+    assert.equal(decoder.layers().length, 6);
+    decoder.frame(PIXELS.RGBA, rgba);
+    assert.deepEqual(decoder.layers(), []);
+    rgba[0] ^= 255;
+    decoder.frame(PIXELS.RGBA, rgba);
+    const changed = decoder.layers();
+    assert.ok(changed.some(({ tile }) => tile === 0) && !changed.some(({ tile }) => tile === 5), 'the first tile, and not the last');
+    assert.ok(
+      changed.every(({ layers }) => layers === null),
+      'with the layers of before',
+    );
+  });
+
+  test('planes of a camera are converted as the server does', () => {
+    decoder.read(seed('geometry'));
+    decoder.read(seed('snapshot'));
+    const { width, height } = head;
+    const bytes = new Uint8Array(width * height + 2 * Math.ceil(width / 2) * Math.ceil(height / 2)).fill(128);
+    bytes.fill(235, 0, width * height);
+    decoder.frame(PIXELS.I420, bytes);
+    assert.equal(decoder.layers().length, 6);
+    decoder.frame(PIXELS.NV12, bytes);
+    assert.deepEqual(decoder.layers(), [], 'grey is the same in either order');
+    const white = new Uint8Array(width * height * 4).fill(255);
+    decoder.frame(PIXELS.RGBA, white);
+    assert.deepEqual(decoder.layers(), [], '235 is white');
+  });
+
+  test('messages that it writes are read back', () => {
+    const data = Uint8Array.of(0, 0, 1, 0x65, 7);
+    const time = 1_790_000_000_123_456;
+    assert.deepEqual(decoder.read(decoder.writeVideo({ frame: 77, time, key: true, data })), {
+      kind: 'video',
+      frame: 77,
+      time,
+      key: true,
+      data,
+    });
+    assert.deepEqual(decoder.read(decoder.writeSound({ time, data })), { kind: 'sound', time, data });
+    assert.deepEqual(decoder.read(decoder.writeBye('enough')), { kind: 'bye', reason: 'enough', again: false });
+    const hello = decoder.writeHello({ width: 320, height: 240, codec: 'avc1.42e01f', sound: 'opus', rate: 48_000, channels: 1 });
+    assert.ok(Buffer.from(hello).includes('avc1.42e01f') && Buffer.from(hello).includes('opus'));
+  });
+
+  test('what is damaged is refused with the reason, and the next message is read', () => {
+    const broken = Uint8Array.from(seed('geometry'));
+    broken[broken.length - 3] ^= 1;
+    assert.throws(() => decoder.read(broken), /damaged|planes|range/);
+    assert.throws(() => decoder.read(Uint8Array.of(1, 2, 3)), /message/);
+    assert.throws(() => decoder.frame(PIXELS.I420, new Uint8Array(5)), /5 bytes/);
+    assert.equal(decoder.read(seed('bye')).reason, 'the end');
+  });
+});

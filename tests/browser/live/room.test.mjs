@@ -1,0 +1,144 @@
+// From a fake camera to the moving picture, on the built program: one page publishes, another watches.
+import assert from 'node:assert/strict';
+import { describe, test } from 'node:test';
+import { pixelsAt, seriousViolations, shareDifferent, takeGraphics, waitForMode } from '../support/browser.mjs';
+import { likenessOf, roomSuite, SAME_DB, shoot, shown } from '../support/room.mjs';
+import { FRAMES, HEIGHT, WIDTH } from '../support/video.mjs';
+
+/** What the page measures, in a line. */
+const line = (told) =>
+  `layers ${told.madeMs.toFixed(1)} ms, pixels ${told.copyMs.toFixed(1)} ms, video ${told.videoMs.toFixed(1)} ms, behind the camera ${told.latency.toFixed(0)} ms, ` +
+  `${told.frames.toFixed(0)} frames/s, ${told.kbits.toFixed(0)} kbit/s, tiles after ${told.geometryMs.toFixed(0)} ms`;
+
+describe('a room', () => {
+  const suite = roomSuite();
+
+  test('what a camera sees is what others see, and they look around in it', async (t) => {
+    const publisher = await suite.publish('attic');
+    t.diagnostic(`codec ${await publisher.page.evaluate(() => window.publisher.codec)}`);
+    const { page, context, errors } = await suite.watch('attic');
+    await waitForMode(page, 'gpu');
+    const numbers = new Set();
+    const likeness = [];
+    for (let i = 0; i < 8; i++) {
+      await page.waitForTimeout(150);
+      const { number, same, other } = await shown(page);
+      assert.ok(number < FRAMES && same > other + 3, `frame ${number}: ${same} dB, half a film away ${other} dB`);
+      numbers.add(number);
+      likeness.push(same);
+    }
+    t.diagnostic(`likeness to the source: ${likeness.map((v) => v.toFixed(1)).join(', ')} dB`);
+    assert.ok(Math.min(...likeness) > SAME_DB, `${likeness}`);
+    assert.ok(numbers.size > 3, `frames seen: ${[...numbers]}`);
+    await shoot(page, 'watch-home');
+    const home = await pixelsAt(page, {}, WIDTH, HEIGHT);
+    const moved = await pixelsAt(page, { tx: 0.05, yaw: -1 }, WIDTH, HEIGHT);
+    assert.ok(shareDifferent(home, moved, WIDTH, HEIGHT) > 0.1, 'a moved camera sees something else');
+    const empty = moved.filter((_, i) => i % 4 === 3).filter((a) => a < 250).length / (WIDTH * HEIGHT);
+    assert.ok(empty < 0.03, `${empty} of the moved picture is torn open`);
+    await page.waitForTimeout(500);
+    await shoot(page, 'watch-moved');
+    await page.getByRole('button', { name: 'Sound' }).click();
+    // the fake microphone beeps once a second
+    await page.waitForFunction(() => {
+      window.loudest = Math.max(window.loudest ?? 0, window.sound.level);
+      return window.sound.played > 1 && window.loudest > 0.01;
+    });
+    // it goes on: frames do not wait for each other
+    const { frame: before } = await page.evaluate(() => window.measured);
+    await page.waitForFunction((n) => window.measured.frame > n, before, { timeout: 5000 });
+    assert.match(await page.locator('#readout').textContent(), /\d+ ms · \d+ frames\/s · \d+ kbit\/s/);
+    t.diagnostic(line(await page.evaluate(() => window.measured)));
+    assert.deepEqual(await seriousViolations(page), []);
+    await publisher.page.waitForFunction(() => /1 watching/.test(document.getElementById('state').textContent));
+    await shoot(publisher.page, 'publish-live');
+    assert.equal(await publisher.page.locator('#link').inputValue(), `${suite.server.url}/live/attic`);
+    assert.deepEqual(await seriousViolations(publisher.page), []);
+    await publisher.page.getByRole('button', { name: 'Stop' }).click();
+    await publisher.page.getByText('You are not live any more.').waitFor();
+    await page.waitForFunction(() => ['ended', 'stalled'].includes(document.body.dataset.state));
+    await shoot(page, 'watch-stalled');
+    // the same camera anew: who watches need do nothing
+    await publisher.page.getByRole('button', { name: 'Start' }).click();
+    await page.waitForFunction(() => document.body.dataset.state === 'live');
+    const frame = await page.evaluate(() => window.measured.frame);
+    await page.waitForFunction((n) => window.measured.frame !== n && window.measured.frame > 5, frame);
+    const { same } = await shown(page);
+    assert.ok(same > SAME_DB, `${same}`);
+    assert.deepEqual([...errors, ...publisher.errors], []);
+    await context.close();
+    await publisher.context.close();
+  });
+
+  test('who comes first waits for the picture, by WebGL where there is no WebGPU', async () => {
+    const { page, context, errors } = await suite.watch('cellar', { prepare: (page) => takeGraphics(page, { webgl: true }) });
+    await page.getByText('Nobody is live here yet. The picture starts by itself.').waitFor();
+    await shoot(page, 'watch-waiting');
+    const publisher = await suite.publish('cellar');
+    await waitForMode(page, 'webgl');
+    await page.waitForTimeout(500);
+    const { same, other, pixels } = await shown(page);
+    assert.ok(same > SAME_DB && same > other + 3, `${same} dB, half a film away ${other} dB`);
+    const moved = await pixelsAt(page, { tx: -0.05, yaw: 1 }, WIDTH, HEIGHT);
+    assert.ok(shareDifferent(pixels, moved, WIDTH, HEIGHT) > 0.1);
+    assert.deepEqual(errors, []);
+    await context.close();
+    await publisher.context.close();
+  });
+
+  test('without either it is plain video; without an encoder the camera sends pictures', async (t) => {
+    const prepare = (page) =>
+      page.addInitScript(() => {
+        delete window.VideoEncoder;
+        delete window.MediaStreamTrackProcessor;
+      });
+    const publisher = await suite.publish('garden', { prepare });
+    assert.equal(await publisher.page.evaluate(() => window.publisher.codec), 'jpeg');
+    const { page, context, errors } = await suite.watch('garden', { prepare: (page) => takeGraphics(page, { webgl: false }) });
+    await waitForMode(page, 'flat');
+    await page.getByText('This browser shows the video without depth.').waitFor();
+    await page.waitForTimeout(500);
+    const text = await page.evaluate(
+      ([w, h]) => {
+        const { data } = window.viewer.canvas.getContext('2d').getImageData(0, 0, w, h);
+        let out = '';
+        for (let i = 0; i < data.length; i += 32_768) out += String.fromCharCode(...data.subarray(i, i + 32_768));
+        return btoa(out);
+      },
+      [WIDTH, HEIGHT],
+    );
+    const { same, other } = likenessOf(new Uint8ClampedArray(Buffer.from(text, 'base64')));
+    t.diagnostic(`${same.toFixed(1)} dB, half a film away ${other.toFixed(1)} dB`);
+    // the browser's own matrices of colour are others than ours
+    assert.ok(same > 22 && same > other + 3, `${same} dB, half a film away ${other} dB`);
+    await shoot(page, 'watch-flat');
+    assert.deepEqual(errors, []);
+    await context.close();
+    await publisher.context.close();
+  });
+
+  test('both pages fit a phone and speak German', async () => {
+    const phone = {
+      viewport: { width: 360, height: 740 },
+      deviceScaleFactor: 2,
+      hasTouch: true,
+      locale: 'de-DE',
+      ...{ reducedMotion: 'reduce' },
+    };
+    const publisher = await suite.publish('kitchen', { options: phone });
+    const watcher = await suite.watch('kitchen', { options: phone });
+    await waitForMode(watcher.page, 'gpu');
+    await watcher.page.waitForTimeout(700);
+    for (const [name, { page }] of Object.entries({ publisher, watcher })) {
+      const [wide, inner] = await page.evaluate(() => [document.documentElement.scrollWidth, innerWidth]);
+      assert.ok(wide <= inner, `the ${name}'s page is ${wide} pixels wide on ${inner}`);
+      const english = await page.evaluate(() =>
+        document.body.innerText.match(/\b(live picture|Camera|You|watching|Start|Stop|Sound|Reset|frames)\b/g),
+      );
+      assert.equal(english, null);
+      await shoot(page, `phone-${name}`);
+    }
+    await watcher.context.close();
+    await publisher.context.close();
+  });
+});

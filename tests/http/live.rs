@@ -1,0 +1,465 @@
+//! Rooms, end to end: real sockets, real threads; depth is brightness.
+
+use std::net::{SocketAddr, TcpStream};
+use std::path::Path;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use tempfile::tempdir;
+use tmpi::live::{Config as RoomConfig, Rooms};
+use tmpi::server::{Config, Limits, Server};
+use tmpi_core::live::wire::message::Kind;
+use tmpi_core::live::wire::{Depth, Hello, Sound, Video};
+use tmpi_core::live::{Model, VERSION, read, write};
+use tmpi_core::{DisparityMap, Photo, container};
+use tmpi_pipeline::Models;
+use tmpi_pipeline::depth::{DepthError, Estimator};
+use tmpi_render::{Backend, PictureFormat, View, encode};
+use tokio_tungstenite::tungstenite::{self, Message, WebSocket};
+
+use super::client;
+use super::fixture::{Does, Running, wait_until};
+
+struct Bright;
+
+impl Estimator for Bright {
+    fn name(&self) -> &'static str {
+        "bright"
+    }
+
+    fn estimate(&self, photo: &Photo) -> Result<DisparityMap, DepthError> {
+        let delta = photo.rgb.iter().map(|p| f32::from(p[0]) / 255.0).collect();
+        Ok(DisparityMap { width: photo.width, height: photo.height, delta })
+    }
+}
+
+const KEY: &[u8] = b"a key that is long enough for all";
+
+fn server(data: &Path) -> Running {
+    let models = Models { depth: Arc::new(Bright), theta: None, psi: None };
+    let rooms = Rooms::new(RoomConfig { models, frame_ms: 0.0, key: Some(KEY.to_vec()) });
+    let config = Config {
+        addr: ([127, 0, 0, 1], 0).into(),
+        data: data.to_owned(),
+        pages: None,
+        hosts: vec!["photos.example".into()],
+        public_list: false,
+        limits: Limits::default(),
+    };
+    let renderer = tmpi_render::select(Backend::Cpu).unwrap();
+    Running::of(async move {
+        let maker = Does(|_: &[u8], _: &dyn tmpi_pipeline::Sink| Err(tmpi::server::Fault::Cancelled));
+        Server::bind(config, Arc::new(maker), renderer).await.unwrap().with_rooms(rooms)
+    })
+}
+
+const SIZE: (u32, u32) = (160, 120);
+
+/// A bright square at `x`.
+pub fn frame(x: u32) -> Vec<u8> {
+    let (width, height) = SIZE;
+    let pixel = |i: u32| if (x..x + 32).contains(&(i % width)) && (40..80).contains(&(i / width)) { 220 } else { 60 };
+    let rgba = (0..width * height).map(|i| [pixel(i), pixel(i), pixel(i), 255]).collect();
+    encode(&View { width, height, rgba }, PictureFormat::Jpeg, 90).unwrap()
+}
+
+struct Client(WebSocket<TcpStream>);
+
+impl Client {
+    fn at(addr: SocketAddr, path: &str, headers: &[(&'static str, &str)]) -> Result<Self, u16> {
+        let stream = TcpStream::connect(addr).unwrap();
+        stream.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
+        stream.set_nodelay(true).unwrap();
+        let mut request = tungstenite::client::IntoClientRequest::into_client_request(format!("ws://{addr}{path}")).unwrap();
+        for (name, value) in headers {
+            request.headers_mut().insert(*name, value.parse().unwrap());
+        }
+        match tungstenite::client::client(request, stream) {
+            Ok((socket, _)) => Ok(Self(socket)),
+            Err(tungstenite::HandshakeError::Failure(tungstenite::Error::Http(answer))) => Err(answer.status().as_u16()),
+            Err(error) => panic!("{error}"),
+        }
+    }
+
+    fn watch(addr: SocketAddr, room: &str) -> Self {
+        Self::at(addr, &format!("/v1/live/{room}/subscribe"), &[]).unwrap_or_else(|status| panic!("{status}"))
+    }
+
+    fn send(&mut self, kind: Kind) {
+        // who is sent away while it talks learns of it by what it reads
+        let _ = self.0.send(Message::Binary(write(kind)));
+    }
+
+    fn next(&mut self) -> Option<Kind> {
+        loop {
+            match self.0.read() {
+                Ok(Message::Binary(bytes)) => return Some(read(bytes).unwrap()),
+                Ok(Message::Close(_)) | Err(tungstenite::Error::ConnectionClosed | tungstenite::Error::AlreadyClosed) => return None,
+                Ok(_) => {}
+                Err(error) => panic!("{error}"),
+            }
+        }
+    }
+
+    /// The reason that it is sent away with.
+    fn bye(mut self) -> String {
+        while let Some(kind) = self.next() {
+            if let Kind::Bye(bye) = kind {
+                return bye.reason;
+            }
+        }
+        panic!("it was closed without a reason");
+    }
+}
+
+pub struct Publisher {
+    client: Client,
+    credit: u32,
+    number: u64,
+}
+
+impl Publisher {
+    pub fn new(addr: SocketAddr, room: &str) -> Self {
+        let mut client = Client::at(addr, &format!("/v1/live/{room}/publish"), &[]).unwrap_or_else(|status| panic!("{status}"));
+        client.send(Kind::Hello(hello()));
+        Self { client, credit: 0, number: 0 }
+    }
+
+    pub fn publish(&mut self, data: Vec<u8>) {
+        while self.credit == 0 {
+            match self.client.next() {
+                Some(Kind::Credit(c)) => self.credit += c.frames,
+                other => panic!("{other:?}"),
+            }
+        }
+        self.credit -= 1;
+        self.client.send(Kind::Video(Video { frame: self.number, time: self.number, key: true, layer: 0, data: data.into() }));
+        self.number += 1;
+    }
+}
+
+fn hello() -> Hello {
+    Hello { version: VERSION, codec: "jpeg".into(), width: SIZE.0, height: SIZE.1, ..Hello::default() }
+}
+
+#[test]
+fn frames_reach_viewers_as_they_are_and_geometry_follows() {
+    let dir = tempdir().unwrap();
+    let server = server(dir.path());
+    let mut publisher = Publisher::new(server.addr, "attic");
+    publisher.publish(frame(10));
+    let mut viewer = Client::watch(server.addr, "attic");
+    let Some(Kind::Hello(hello)) = viewer.next() else { panic!("HELLO comes first") };
+    assert_eq!((hello.width, hello.height, hello.codec.as_str(), hello.epoch), (SIZE.0, SIZE.1, "jpeg", 1));
+    let mut model = Model::new(&hello).unwrap();
+    for n in 1..20 {
+        publisher.publish(frame(10 + 4 * n));
+    }
+    let (mut frames, mut newest) = (Vec::new(), 0);
+    while frames.len() < 20 || newest < 19 {
+        match viewer.next().expect("the room goes on") {
+            Kind::Video(v) => {
+                assert_eq!(v.data, frame(10 + 4 * v.frame as u32));
+                frames.push(v.frame);
+            }
+            Kind::Geometry(g) | Kind::Snapshot(g) => {
+                newest = g.frame;
+                model.take(&g).unwrap();
+            }
+            Kind::Statistics(s) => newest = newest.max(s.frame),
+            other => panic!("{other:?}"),
+        }
+    }
+    assert_eq!(frames, (0..20).collect::<Vec<_>>());
+    assert!(model.geometry().is_some());
+    // who comes late is told everything without asking the publisher
+    let mut late = Client::watch(server.addr, "attic");
+    let before = Instant::now();
+    let (mut told, mut shown) = (None, false);
+    while told.is_none() || !shown {
+        match late.next().unwrap() {
+            Kind::Hello(h) => assert_eq!(h.epoch, 1),
+            Kind::Snapshot(g) => told = Some(g),
+            Kind::Video(v) => shown = v.key,
+            _ => {}
+        }
+    }
+    assert!(before.elapsed() < Duration::from_secs(5));
+    model.take(&told.unwrap()).unwrap();
+    // the same frame by HTTP
+    let answer = client::get(server.addr, "/v1/live/attic/frames/latest/atlas");
+    assert_eq!((answer.status, answer.header("content-type")), (200, Some("application/vnd.tmpi")));
+    let scene = container::decode(&answer.body).unwrap();
+    assert_eq!(((scene.photo.width, scene.photo.height), answer.header("x-tmpi-frame")), (SIZE, Some("19")));
+    assert!(scene.photo.at(10 + 4 * 19 + 16, 60)[0] > 150);
+    assert_eq!(client::get(server.addr, "/v1/live/attic/frames/7/atlas").status, 404);
+    assert_eq!(client::get(server.addr, "/v1/live/cellar/frames/latest/atlas").status, 404);
+    groups_are_the_same_for_whoever_asks(server.addr, &mut publisher);
+    // the publisher goes and comes back
+    drop(publisher);
+    let mut publisher = Publisher::new(server.addr, "attic");
+    publisher.publish(frame(50));
+    loop {
+        match viewer.next().expect("the room waits for its publisher") {
+            Kind::Hello(h) => {
+                assert_eq!(h.epoch, 2);
+                break;
+            }
+            Kind::Bye(bye) => panic!("{}", bye.reason),
+            _ => {}
+        }
+    }
+}
+
+/// Messages of a group of pictures.
+fn messages(mut body: &[u8]) -> Vec<Kind> {
+    let mut messages = Vec::new();
+    while let Some((length, rest)) = body.split_first_chunk::<4>() {
+        let (message, rest) = rest.split_at(u32::from_le_bytes(*length) as usize);
+        messages.push(read(message.to_vec().into()).unwrap());
+        body = rest;
+    }
+    assert!(body.is_empty());
+    messages
+}
+
+fn groups_are_the_same_for_whoever_asks(addr: SocketAddr, publisher: &mut Publisher) {
+    let at = |group: &str| client::get(addr, &format!("/v1/live/attic/gops/{group}"));
+    // the next one is asked for before it begins
+    let waits = std::thread::spawn(move || client::get(addr, "/v1/live/attic/gops/1-1"));
+    for n in 20..24 {
+        std::thread::sleep(Duration::from_millis(600));
+        publisher.publish(frame(10 + 4 * (n % 20)));
+    }
+    let first = at("1-0");
+    assert_eq!((first.status, first.header("content-type")), (200, Some("application/vnd.tmpi.live")));
+    assert_eq!(first.header("cache-control"), Some("private, max-age=31536000, immutable"));
+    let token = tmpi::live::token(KEY, tmpi::live::Role::Watch, "attic", u64::MAX).unwrap();
+    let again = at(&format!("1-0?token={token}"));
+    assert_eq!(again.header("cache-control"), Some("public, max-age=31536000, immutable"));
+    assert_eq!(again.body, first.body);
+    let frames = |messages: &[Kind]| -> Vec<u64> {
+        messages.iter().filter_map(|m| if let Kind::Video(v) = m { Some(v.frame) } else { None }).collect()
+    };
+    let first = messages(&first.body);
+    assert!(matches!(&first[0], Kind::Hello(h) if h.epoch == 1));
+    assert_eq!(frames(&first), (0..frames(&first).len() as u64).collect::<Vec<_>>());
+    // a group begins with all that was known before it
+    let second = messages(&waits.join().unwrap().body);
+    let (Kind::Hello(hello), Kind::Snapshot(tiles)) = (&second[0], &second[1]) else { panic!("HELLO and the tiles come first") };
+    let mut model = Model::new(hello).unwrap();
+    model.take(tiles).unwrap();
+    assert!(model.geometry().is_some());
+    let (first, second) = (frames(&first), frames(&second));
+    assert_eq!((second[0], second.len() >= 2), (first[first.len() - 1] + 1, true));
+    let newest = at("latest");
+    assert_eq!(newest.status, 307);
+    assert!(newest.header("location").is_some_and(|l| l.starts_with("1-") && l > "1-1"));
+    for gone in ["1-9", "2-0", "0-0", "1-00", "one"] {
+        assert_eq!(at(gone).status, 404, "{gone}");
+    }
+}
+
+#[test]
+fn depth_that_was_measured_is_taken_and_sound_goes_on_as_it_came() {
+    let dir = tempdir().unwrap();
+    let server = server(dir.path());
+    let mut publisher = Publisher::new(server.addr, "attic");
+    // bright is not near here
+    let (width, height) = SIZE;
+    let map = DisparityMap { width, height, delta: (0..width * height).map(|i| if i % width < 80 { 0.25 } else { 0.75 }).collect() };
+    let data = tmpi_live::depth::pack(&map).unwrap();
+    let mut viewer = None;
+    for n in 0..4 {
+        publisher.client.send(Kind::Depth(Depth { frame: n, data: data.clone().into() }));
+        publisher.publish(frame(10 + n as u32));
+        viewer.get_or_insert_with(|| Client::watch(server.addr, "attic"));
+        publisher.client.send(Kind::Sound(Sound { time: n, data: vec![n as u8; 9].into() }));
+    }
+    let (mut model, mut sounds) = (None::<Model>, Vec::new());
+    while sounds.len() < 3 || model.as_ref().is_none_or(|m| m.geometry().is_none()) {
+        match viewer.as_mut().unwrap().next().unwrap() {
+            Kind::Hello(hello) => model = Some(Model::new(&hello).unwrap()),
+            Kind::Geometry(g) | Kind::Snapshot(g) => drop(model.as_mut().unwrap().take(&g).unwrap()),
+            Kind::Sound(s) => {
+                assert_eq!(s.data, vec![s.time as u8; 9]);
+                sounds.push(s.time);
+            }
+            Kind::Video(_) | Kind::Statistics(_) => {}
+            other => panic!("{other:?}"),
+        }
+    }
+    assert!(sounds.is_sorted());
+    let model = model.unwrap();
+    let geometry = model.geometry().unwrap();
+    let shown = geometry.tiles[0].shown(&geometry.grid, 0);
+    assert!(shown.iter().all(|d| (d - 0.25).abs() < 0.02), "{:?}", geometry.tiles[0].planes);
+    // of a frame that is not next, and none at all
+    let says = |mut publisher: Publisher, depth: Depth, words: &str| {
+        while publisher.credit == 0 {
+            let Some(Kind::Credit(c)) = publisher.client.next() else { panic!("credit comes") };
+            publisher.credit += c.frames;
+        }
+        publisher.client.send(Kind::Depth(depth));
+        let reason = publisher.client.bye();
+        assert!(reason.contains(words), "{reason}");
+    };
+    says(publisher, Depth { frame: 9, data: data.clone().into() }, "another one was due");
+    let publisher = Publisher::new(server.addr, "cellar");
+    says(publisher, Depth { frame: 0, data: vec![0; (1 << 20) + 1].into() }, "over 1048576");
+}
+
+#[test]
+fn strangers_need_a_token_and_pages_of_other_sites_stay_out() {
+    let dir = tempdir().unwrap();
+    let server = server(dir.path());
+    let mut publisher = Publisher::new(server.addr, "attic");
+    publisher.publish(frame(10));
+    let status = |path: &str, headers: &[(&'static str, &str)]| Client::at(server.addr, path, headers).err();
+    let watch = "/v1/live/attic/subscribe";
+    assert_eq!(status(watch, &[]), None);
+    let own = format!("http://{}", server.addr);
+    assert_eq!(status(watch, &[("origin", own.as_str())]), None);
+    assert_eq!(status(watch, &[("origin", "https://example.org")]), Some(403));
+    assert_eq!(status(watch, &[("host", "photos.example")]), Some(403));
+    assert_eq!(status("/v1/live/attic/publish", &[("host", "photos.example")]), Some(403));
+    assert_eq!(status(watch, &[("host", "elsewhere.example")]), Some(421));
+    assert_eq!(status("/v1/live/cellar/subscribe", &[]), Some(404));
+    assert_eq!(status("/v1/live/no%20room/publish", &[]), Some(404));
+    let token = |role, expires| tmpi::live::token(KEY, role, "attic", expires).unwrap();
+    let with = |token: String| status(&format!("{watch}?token={token}"), &[("host", "photos.example")]);
+    assert_eq!(with(token(tmpi::live::Role::Watch, u64::MAX)), None);
+    assert_eq!(with(token(tmpi::live::Role::Watch, 1)), Some(403));
+    assert_eq!(client::get(server.addr, watch).status, 426, "not without an upgrade");
+}
+
+#[test]
+fn hostile_publishers_are_sent_away_with_a_reason_and_the_room_goes_on() {
+    let dir = tempdir().unwrap();
+    let server = server(dir.path());
+    let mut good = Publisher::new(server.addr, "attic");
+    good.publish(frame(10));
+    let mut viewer = Client::watch(server.addr, "attic");
+    let raw = || Client::at(server.addr, "/v1/live/cellar/publish", &[]).unwrap_or_else(|status| panic!("{status}"));
+    let with = |messages: Vec<Kind>| {
+        wait_until("the room is free", || {
+            let mut client = raw();
+            client.send(Kind::Hello(hello()));
+            matches!(client.next(), Some(Kind::Credit(_)))
+        });
+        let mut client = loop {
+            let mut client = raw();
+            client.send(Kind::Hello(hello()));
+            if matches!(client.next(), Some(Kind::Credit(_))) {
+                break client;
+            }
+            std::thread::sleep(Duration::from_millis(5));
+        };
+        for m in messages {
+            client.send(m);
+        }
+        client.bye()
+    };
+    let video = |frame: u64, key: bool, data: Vec<u8>| Kind::Video(Video { frame, time: 0, key, layer: 0, data: data.into() });
+    let says = |reason: String, words: &str| assert!(reason.contains(words), "{reason:?} does not say {words:?}");
+    says(with(vec![video(0, false, frame(1))]), "no key frame");
+    says(with(vec![video(0, true, frame(1)), video(2, true, frame(1))]), "frame 2 where 1 was due");
+    says(with((0..20).map(|n| video(n, true, frame(1))).collect()), "credit");
+    says(with(vec![Kind::Hello(hello())]), "do not send");
+    good.publish(frame(20));
+    says(with(vec![video(0, true, vec![0; (1 << 20) + 512])]), "over 1048576");
+    let refused = |first: Message| {
+        let mut client = raw();
+        client.0.send(first).unwrap();
+        client.bye()
+    };
+    let hello_of = |hello: Hello| Message::Binary(write(Kind::Hello(hello)));
+    says(refused(Message::Text("hello".into())), "binary");
+    says(refused(Message::Binary(vec![0xFF; 40].into())), "not a message");
+    says(refused(Message::Binary(write(video(0, true, vec![])))), "HELLO");
+    says(refused(hello_of(Hello { version: VERSION + 1, ..hello() })), "version");
+    says(refused(hello_of(Hello { width: 5000, ..hello() })), "5000");
+    says(refused(hello_of(Hello { codec: "hevc".into(), ..hello() })), "hevc");
+    says(refused(hello_of(Hello { fov_x: f64::NAN, ..hello() })), "fov-x");
+    good.publish(frame(25));
+    let mut second = Client::at(server.addr, "/v1/live/attic/publish", &[]).unwrap_or_else(|status| panic!("{status}"));
+    second.send(Kind::Hello(hello()));
+    says(second.bye(), "someone publishes");
+    let mut talker = Client::watch(server.addr, "attic");
+    talker.send(Kind::Hello(hello()));
+    says(talker.bye(), "viewers send nothing");
+    // frames that are none
+    let mut broken = Publisher::new(server.addr, "garden");
+    let reason = loop {
+        match broken.client.next().unwrap() {
+            Kind::Credit(c) => {
+                for _ in 0..c.frames {
+                    broken.client.send(video(broken.number, true, vec![1, 2, 3]));
+                    broken.number += 1;
+                }
+            }
+            Kind::Bye(bye) => break bye.reason,
+            other => panic!("{other:?}"),
+        }
+    };
+    says(reason, "cannot be decoded");
+    assert!(broken.number < 40);
+    // nothing of that was felt here
+    good.publish(frame(30));
+    let mut last = 0;
+    while last < 3 {
+        if let Kind::Video(v) = viewer.next().unwrap() {
+            last = v.frame;
+        }
+    }
+}
+
+#[test]
+fn a_viewer_that_stops_reading_holds_up_nobody_and_goes_on_with_whole_frames() {
+    const FRAMES: u64 = 160;
+    let dir = tempdir().unwrap();
+    let server = server(dir.path());
+    let mut publisher = Publisher::new(server.addr, "attic");
+    let large = |n: u64| {
+        // behind its end, a JPEG may have anything
+        let mut data = frame(8 * (n % 10) as u32);
+        data.resize(100_000, n as u8);
+        data
+    };
+    publisher.publish(large(0));
+    let mut stalled = Client::watch(server.addr, "attic");
+    let mut healthy = Client::watch(server.addr, "attic");
+    let reader = std::thread::spawn(move || {
+        let mut frames = Vec::new();
+        while frames.last() != Some(&(FRAMES - 1)) {
+            if let Kind::Video(v) = healthy.next().unwrap() {
+                frames.push(v.frame);
+            }
+        }
+        frames
+    });
+    for n in 1..FRAMES {
+        std::thread::sleep(Duration::from_millis(20));
+        publisher.publish(large(n));
+    }
+    assert_eq!(reader.join().unwrap(), (0..FRAMES).collect::<Vec<_>>(), "the healthy one loses nothing");
+    // what lay in the sockets, then the newest
+    let (mut seen, mut skipped) = (Vec::new(), 0);
+    while seen.last() != Some(&(FRAMES - 1)) {
+        match stalled.next().unwrap() {
+            Kind::Video(v) => {
+                assert_eq!(v.data, large(v.frame));
+                seen.push(v.frame);
+            }
+            Kind::Statistics(s) => skipped = s.skipped,
+            _ => {}
+        }
+    }
+    assert!(seen.is_sorted() && (seen.len() as u64) < FRAMES, "{} frames of 100 kB came through sockets that nobody read", seen.len());
+    while skipped == 0 {
+        if let Kind::Statistics(s) = stalled.next().unwrap() {
+            skipped = s.skipped;
+        }
+    }
+    assert!(seen.len() as u64 + skipped >= FRAMES, "{} seen, {skipped} skipped", seen.len());
+}

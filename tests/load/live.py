@@ -1,0 +1,517 @@
+#!/usr/bin/env python3
+"""Hundreds of viewers of a room, some of which stop reading; then peers of every hostile kind. Memory, frames lost, time to be live again."""
+import argparse, base64, os, random, selectors, socket, struct, subprocess, tempfile, threading, time
+from pathlib import Path
+from common import PROGRAM, Server, Table, check, end, status_kib
+
+HELLO, VIDEO, GEOMETRY, SNAPSHOT, SOUND, STATISTICS, BYE, CREDIT = range(1, 9)
+SIZE = (320, 240)
+
+
+def varint(value):
+    out = bytearray()
+    while value > 127:
+        out.append(value & 127 | 128)
+        value >>= 7
+    return bytes(out) + bytes([value])
+
+
+def field(number, value):
+    if isinstance(value, int):
+        return varint(number << 3) + varint(value) if value else b""
+    value = value.encode() if isinstance(value, str) else value
+    return varint(number << 3 | 2) + varint(len(value)) + value
+
+
+def hello(codec="avc1.42e01e", size=SIZE, version=1):
+    return field(HELLO, field(1, version) + field(2, codec) + field(3, size[0]) + field(4, size[1]))
+
+
+def video(number, data, key=False):
+    return field(VIDEO, field(1, number) + field(2, time.time_ns() // 1000) + field(3, int(key)) + field(5, data))
+
+
+def fields(message):
+    """Numbers and values of a message's fields: bytes, or numbers."""
+    at, found = 0, {}
+
+    def number():
+        nonlocal at
+        value, shift = 0, 0
+        while True:
+            byte = message[at]
+            at += 1
+            value |= (byte & 127) << shift
+            shift += 7
+            if byte < 128:
+                return value
+
+    while at < len(message):
+        tag = number()
+        kind = tag & 7
+        if kind == 0:
+            value = number()
+        elif kind == 2:
+            length = number()
+            value = message[at:at + length]
+            at += length
+        else:
+            length = 8 if kind == 1 else 4
+            value, at = message[at:at + length], at + length
+        found[tag >> 3] = value
+    return found
+
+
+class Socket:
+    """A WebSocket of our own: it can stop reading, and say what no library would."""
+
+    def __init__(self, server, path, buffer=None):
+        self.socket = socket.socket()
+        if buffer:
+            self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, buffer)
+        self.socket.settimeout(30)
+        self.socket.connect(server.address)
+        key = base64.b64encode(os.urandom(16)).decode()
+        head = f"GET {path} HTTP/1.1\r\nhost: localhost\r\nconnection: upgrade\r\nupgrade: websocket\r\n"
+        self.socket.sendall(f"{head}sec-websocket-version: 13\r\nsec-websocket-key: {key}\r\n\r\n".encode())
+        answer = b""
+        while b"\r\n\r\n" not in answer:
+            some = self.socket.recv(4096)
+            if not some:
+                break
+            answer += some
+        head, _, rest = answer.partition(b"\r\n\r\n")
+        self.status = int(head.split(b" ")[1]) if head else 0
+        self.buffer, self.part = bytearray(rest), b""
+
+    def raw(self, opcode, payload, length=None):
+        """One frame, masked with zeros, of which the head may lie about the length."""
+        length = len(payload) if length is None else length
+        small = bytes([length]) if length < 126 else b"\x7e" + struct.pack(">H", length) if length < 65536 else b"\x7f" + struct.pack(">Q", length)
+        self.socket.sendall(bytes([opcode]) + bytes([small[0] | 128]) + small[1:] + bytes(4) + payload)
+
+    def send(self, message):
+        self.raw(0x82, message)
+
+    def messages(self):
+        """Whole messages among what has come; the last one is none where the other side has closed."""
+        buffer = self.buffer
+        while len(buffer) >= 2:
+            length, head = buffer[1] & 127, 2
+            if length == 126 and len(buffer) >= 4:
+                length, head = struct.unpack_from(">H", buffer, 2)[0], 4
+            elif length == 127 and len(buffer) >= 10:
+                length, head = struct.unpack_from(">Q", buffer, 2)[0], 10
+            elif length >= 126:
+                break
+            if len(buffer) < head + length:
+                break
+            opcode, payload = buffer[0] & 15, bytes(buffer[head:head + length])
+            # before it is handed out: whoever stops asking must not be given it again
+            del buffer[:head + length]
+            if opcode == 8:
+                yield None
+            elif opcode in (0, 2):
+                yield payload
+
+    def receive(self, seconds=30):
+        """Messages as they come, until the other side closes."""
+        deadline = time.monotonic() + seconds
+        while True:
+            for message in self.messages():
+                if message is None:
+                    return
+                yield message
+            self.socket.settimeout(max(0.01, deadline - time.monotonic()))
+            try:
+                some = self.socket.recv(1 << 16)
+            except OSError:
+                return
+            if not some:
+                return
+            self.buffer += some
+
+    def farewell(self, seconds=30):
+        """The reason that it is sent away with."""
+        for message in self.receive(seconds):
+            kinds = fields(message)
+            if BYE in kinds:
+                return fields(kinds[BYE]).get(1, b"").decode()
+        return ""
+
+    def close(self):
+        self.socket.close()
+
+
+class Viewer:
+    """What one viewer has got."""
+
+    def __init__(self, server, room, buffer=None):
+        self.server, self.room, self.rcvbuf = server, room, buffer
+        self.frames, self.lost, self.last, self.messages, self.bytes = 0, 0, None, 0, 0
+        self.reconnects = 0
+        self.open()
+
+    def open(self):
+        self.began = time.monotonic()
+        self.first, self.tiles, self.shown = None, False, False
+        self.socket = Socket(self.server, f"/v1/live/{self.room}/subscribe", self.rcvbuf)
+        if self.socket.status != 101:
+            raise SystemExit(f"a viewer does not come in: {self.socket.status}")
+        self.socket.socket.setblocking(False)
+        self.take(b"")
+
+    def read(self):
+        """False where the other side has closed."""
+        try:
+            some = self.socket.socket.recv(1 << 18)
+        except BlockingIOError:
+            return True
+        except OSError:
+            return False
+        return bool(some) and self.take(some)
+
+    def take(self, some):
+        self.bytes += len(some)
+        self.socket.buffer += some
+        for message in self.socket.messages():
+            if message is None:
+                return False
+            self.messages += 1
+            kind = message[0] >> 3
+            if kind == VIDEO:
+                number = fields(fields(message)[VIDEO]).get(1, 0)
+                if self.last is not None and number > self.last + 1:
+                    self.lost += number - self.last - 1
+                self.frames, self.last, self.shown = self.frames + 1, number, True
+            elif kind == SNAPSHOT:
+                self.tiles = True
+            elif kind == GEOMETRY and self.last is not None and not self.frames:
+                self.tiles = True
+            if self.first is None and self.shown and self.tiles:
+                self.first = time.monotonic() - self.began
+        return True
+
+
+class Readers:
+    """A thread that reads for many viewers."""
+
+    def __init__(self):
+        self.selector, self.viewers, self.running = selectors.DefaultSelector(), [], True
+        self.lock, self.closed = threading.Lock(), []
+        self.thread = threading.Thread(target=self.run, daemon=True)
+        self.thread.start()
+
+    def add(self, viewer):
+        with self.lock:
+            self.viewers.append(viewer)
+            self.selector.register(viewer.socket.socket, selectors.EVENT_READ, viewer)
+
+    def pause(self, viewer):
+        with self.lock:
+            self.selector.unregister(viewer.socket.socket)
+
+    def resume(self, viewer):
+        with self.lock:
+            self.selector.register(viewer.socket.socket, selectors.EVENT_READ, viewer)
+
+    def run(self):
+        while self.running:
+            with self.lock:
+                ready = self.selector.select(0) if self.viewers else []
+                for key, _ in ready:
+                    if not key.data.read():
+                        self.selector.unregister(key.fileobj)
+                        self.closed.append(key.data)
+            # many messages at once take less time than each by itself
+            time.sleep(0.01)
+
+    def stop(self):
+        self.running = False
+        self.thread.join()
+        for viewer in self.viewers:
+            viewer.socket.close()
+
+
+def cpu(process):
+    """Seconds of processor time."""
+    text = open(f"/proc/{process.pid}/stat").read().rsplit(")", 1)[1].split()
+    return (int(text[11]) + int(text[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def unsent(server):
+    """Bytes in the kernel that each of the server's connections has yet to take, the most."""
+    port, most = f"{server.address[1]:04X}", 0
+    for line in open("/proc/net/tcp").readlines()[1:]:
+        words = line.split()
+        if words[1].endswith(":" + port) and words[3] == "01":
+            most = max(most, int(words[4].split(":")[0], 16))
+    return most
+
+
+def publisher(server, room, stream):
+    address = f"http://{server.address[0]}:{server.address[1]}/live/{room}"
+    command = [PROGRAM, "live", "publish", stream, "--room", address, "--times", "100000"]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
+    until = time.monotonic() + 30
+    while server.get(f"/v1/live/{room}/frames/latest/atlas")[0] != 200 and time.monotonic() < until:
+        time.sleep(0.05)
+    return process
+
+
+def audience(server, stream, count, stalled, seconds, table):
+    room = f"room{count}"
+    sends = publisher(server, room, stream)
+    readers, viewers = Readers(), []
+    before = server.resident_mib()
+    for n in range(count):
+        # what a stalled one holds should lie on the server's side
+        viewers.append(Viewer(server, room, 65536 if n < stalled else None))
+        readers.add(viewers[-1])
+    time.sleep(3)
+    quiet, stops = server.resident_mib(), viewers[:stalled]
+    spent, began, highest, most = cpu(server.process), time.monotonic(), 0.0, 0
+    frames = viewers[-1].frames
+    samples, back = [], []
+    # half of them come back before the server gives them up, half after
+    naps = [min(8, seconds / 4), min(20, seconds / 2)]
+    asleep = {}
+    while time.monotonic() - began < seconds:
+        now = time.monotonic() - began
+        for n, viewer in enumerate(stops):
+            nap = naps[n % 2]
+            if id(viewer) not in asleep and now > 1 and now + nap + 3 < seconds:
+                readers.pause(viewer)
+                asleep[id(viewer)] = now
+            elif id(viewer) in asleep and asleep[id(viewer)] is not None and now - asleep[id(viewer)] > nap:
+                asleep[id(viewer)] = None
+                threading.Thread(target=wake, args=(viewer, viewers[-1], readers, back), daemon=True).start()
+        if all(v is None for v in asleep.values()) and len(back) == len(stops) and now + naps[1] + 3 < seconds:
+            asleep, done = {}, back
+        resident = server.resident_mib()
+        samples.append(resident)
+        highest, most = max(highest, resident), max(most, unsent(server))
+        time.sleep(0.5)
+    spent, took = cpu(server.process) - spent, time.monotonic() - began
+    healthy = viewers[stalled:]
+    rate = (viewers[-1].frames - frames) / took
+    lost = sum(v.lost for v in healthy)
+    first = sorted(v.first or 99 for v in viewers)
+    third = len(samples) // 3
+    flat = max(samples[-third:]) - max(samples[:third])
+    check(not readers.closed or stalled, f"{len(readers.closed)} viewers were sent away")
+    check(max(samples[-third:]) < max(samples[:third]) * 1.05 + 4, f"memory is flat: {max(samples[:third]):.0f}, then {max(samples[-third:]):.0f} MiB")
+    if stalled:
+        each = (highest - quiet) / stalled
+        check(each <= 1 and most <= 1 << 20, f"a stalled viewer holds 1 MiB at most: {each:.2f} MiB, {most} B in the kernel")
+        check(back and max(back) <= 1, f"live again within a second: {[round(b, 2) for b in back]}")
+    table.row(count, stalled, f"{took:.0f} s", f"{rate:.1f}", lost, f"{first[len(first) // 2] * 1e3:.0f} ms", f"{first[-1] * 1e3:.0f} ms",
+              f"{before:.0f} / {quiet:.0f} / {highest:.0f} MiB", f"{flat:+.1f} MiB", f"{most >> 10} KiB", f"{max(back, default=0) * 1e3:.0f} ms",
+              f"{100 * spent / took:.0f} %", f"{1e6 * spent / took / max(1, count) / max(rate, 1):.1f} µs", f"{os.getloadavg()[0]:.1f}")
+    readers.stop()
+    sends.kill()
+    sends.wait()
+    return rate, lost
+
+
+def wake(viewer, other, readers, back):
+    """Reads on; notes how long it takes until the viewer is where another one is."""
+    began = time.monotonic()
+    try:
+        # what lay in the sockets may end in the news that the server gave up
+        alive, quiet = True, 0
+        while alive and quiet < 3:
+            before = viewer.bytes
+            alive = viewer.read()
+            quiet = quiet + 1 if viewer.bytes == before else 0
+            if other.last is not None and viewer.last is not None and viewer.last >= other.last - 3:
+                break
+        if not alive:
+            viewer.socket.close()
+            viewer.reconnects += 1
+            viewer.last = None
+            viewer.open()
+        viewer.lost = 0
+        while not (viewer.last is not None and other.last is not None and viewer.last >= other.last - 3) and time.monotonic() - began < 10:
+            if not viewer.read():
+                break
+            time.sleep(0.002)
+        back.append(time.monotonic() - began)
+        readers.resume(viewer)
+    except OSError as error:
+        check(False, f"a viewer that was asleep comes back: {error}")
+
+
+def units(stream):
+    """Access units of a stream that begins each with a delimiter, a parameter set or a slice of one picture."""
+    data, starts = Path(stream).read_bytes(), []
+    at = data.find(b"\0\0\1")
+    while at >= 0:
+        starts.append(at - 1 if at and data[at - 1] == 0 else at)
+        at = data.find(b"\0\0\1", at + 3)
+    units, unit = [], b""
+    for start, stop in zip(starts, starts[1:] + [len(data)]):
+        nal = data[start:stop]
+        kind = nal[nal.index(1) + 1] & 31
+        unit += nal
+        if kind in (1, 5):
+            units.append((unit, kind == 5))
+            unit = b""
+    return units
+
+
+def hostile(server, stream, table, full):
+    room = f"/v1/live/cellar/publish"
+    pictures = units(stream)
+
+    def opened(first=None):
+        # whoever was here before may not be gone yet
+        for _ in range(200):
+            client = Socket(server, room)
+            if first is None:
+                return client
+            client.send(first)
+            for message in client.receive(5):
+                if CREDIT in fields(message):
+                    return client
+                break
+            client.close()
+            time.sleep(0.05)
+        raise SystemExit("the room is not free")
+
+    def says(what):
+        def play():
+            client = opened()
+            what(client)
+            return client
+        return play
+
+    def after_hello(what, first=hello()):
+        def play():
+            client = opened(first)
+            what(client)
+            return client
+        return play
+
+    def flood(client):
+        began, number = time.monotonic(), 0
+        while number < 10_000 and time.monotonic() - began < 10:
+            client.send(video(number, pictures[number % len(pictures)][0], number == 0))
+            number += 1
+
+    def mutated(count):
+        def play(client):
+            rng, credit, number = random.Random(1), 2, 0
+            sent = 0
+            while sent < count:
+                while credit:
+                    unit, key = pictures[sent % len(pictures)]
+                    data = bytearray(unit)
+                    for _ in range(rng.randrange(1, 20)):
+                        data[rng.randrange(len(data))] = rng.randrange(256)
+                    client.send(video(number, bytes(data), key or number == 0))
+                    credit, number, sent = credit - 1, number + 1, sent + 1
+                for message in client.receive(10):
+                    kinds = fields(message)
+                    if CREDIT in kinds:
+                        credit += fields(kinds[CREDIT]).get(1, 0)
+                        break
+                    if BYE in kinds:
+                        mutated.reasons.append(fields(kinds[BYE]).get(1, b"").decode())
+                        client.close()
+                        fresh = opened(hello())
+                        client.socket, client.buffer = fresh.socket, fresh.buffer
+                        credit, number = 2, 0
+                        break
+                else:
+                    return
+            client.send(field(HELLO, b""))
+        return play
+
+    mutated.reasons = []
+    many = 200_000 if full else 3_000
+    cases = [
+        ("a text", says(lambda c: c.raw(0x81, b"hello")), "binary"),
+        ("nonsense", says(lambda c: c.send(b"\xff" * 60)), "not a message"),
+        ("an empty message", says(lambda c: c.send(b"")), "no known kind"),
+        ("video before HELLO", says(lambda c: c.send(video(0, b"x", True))), "HELLO"),
+        ("another version", says(lambda c: c.send(hello(version=9))), "version"),
+        ("frames of 100 000×9", says(lambda c: c.send(hello(size=(100_000, 9)))), "100000"),
+        ("a codec that nobody has", says(lambda c: c.send(hello("hev1.1"))), "hev1"),
+        ("a million empty chunks", says(lambda c: c.send(field(GEOMETRY, b"\x12\0" * 500_000))), "chunks"),
+        ("a message of 8 EiB", says(lambda c: c.raw(0x82, b"x", 1 << 62)), ""),
+        ("2 MiB of fragments", says(lambda c: [c.raw(0x02, bytes(4096))] + [c.raw(0x00, bytes(4096)) for _ in range(511)]), ""),
+        ("silence", says(lambda c: None), "nothing came"),
+        ("no key frame first", after_hello(lambda c: c.send(video(0, b"x"))), "key"),
+        ("out of order", after_hello(lambda c: [c.send(video(0, pictures[0][0], True)), c.send(video(5, b"x"))]), "was due"),
+        ("a frame of 1 MiB and a byte", after_hello(lambda c: c.send(video(0, bytes((1 << 20) + 1), True))), "over"),
+        ("what viewers are sent", after_hello(lambda c: c.send(field(SNAPSHOT, b""))), "do not send"),
+        ("10 000 frames at once", after_hello(flood), "credit"),
+        ("no video at all, 40 times", after_hello(lambda c: [c.send(video(0, b"\0\0\1\x65zzz", True)), c.send(video(1, b"", True))]), "nothing came"),
+        (f"{many} damaged frames", after_hello(mutated(many)), "do not send"),
+        ("silence after HELLO", after_hello(lambda c: None), "nothing came"),
+    ]
+    sends = publisher(server, "attic", stream)
+    watcher, readers = Viewer(server, "attic"), Readers()
+    readers.add(watcher)
+    for name, play, words in cases:
+        frames, began = watcher.frames, time.monotonic()
+        reason = ""
+        try:
+            client = play()
+            reason = client.farewell(20)
+            client.close()
+        except OSError as error:
+            reason = f"cut off ({error})" if not words or "credit" in words else f"no reason: {error}"
+        took = time.monotonic() - began
+        check(words in reason or reason.startswith("cut off"), f"{name}: sent away with {words!r}: {reason!r}")
+        rate = (watcher.frames - frames) / max(took, 0.1)
+        table.row(name, reason[:70], f"{took:.1f} s", f"{server.resident_mib():.0f} MiB", f"{rate:.0f}" if took > 1 else "", watcher.lost)
+    check(watcher.lost == 0 and not readers.closed, f"another room feels nothing of it: {watcher.lost} frames lost")
+    talker = Socket(server, "/v1/live/attic/subscribe")
+    talker.send(hello())
+    reason = talker.farewell(20)
+    check("viewers" in reason, f"a viewer that talks is sent away: {reason!r}")
+    readers.stop()
+    sends.kill()
+    sends.wait()
+    return mutated.reasons
+
+
+def main():
+    args = argparse.ArgumentParser(description=__doc__)
+    args.add_argument("--full", action="store_true")
+    args.add_argument("--seconds", type=int)
+    args.add_argument("--only", choices=["viewers", "hostile"])
+    args = args.parse_args()
+    folder = tempfile.TemporaryDirectory(prefix="tmpi-live-")
+    subprocess.run([PROGRAM, "live", "bench", "--only", "measured", "--frames", "150", "--views", "100000", "--files", folder.name], check=True, stdout=subprocess.DEVNULL)
+    stream = str(Path(folder.name) / "measured.h264")
+    if args.only != "hostile":
+        server = Server("--connections", "4096", "--connections-per-address", "4096")
+        seconds = args.seconds or (600 if args.full else 40)
+        table = Table("viewers", "stalled", "for", "frames/s", "lost by the others", "first view, median", "worst", "resident before / joined / most", "last third − first",
+                      "in a socket", "live again", "CPU of the server", "of it a viewer and frame", "load")
+        audience(server, stream, 20, 0, min(seconds, 10), table)
+        audience(server, stream, 200, 10, seconds, table)
+        count = 400
+        while count <= (1000 if args.full else 400):
+            rate, _ = audience(server, stream, count, 0, 10, table)
+            if rate < 25:
+                break
+            count += 200
+        server.stop()
+    if args.only != "viewers":
+        server = Server()
+        table = Table("peer", "sent away with", "after", "resident", "frames/s of another room", "lost there")
+        reasons = hostile(server, stream, table, args.full)
+        print(f"\ndamaged frames: sent away {len(reasons)} times: {sorted(set(reasons))[:5]}")
+        check(server.process.poll() is None, "the server is there")
+        log = Path(server.log.name).read_text()
+        check("panicked" not in log, f"nothing panicked: {log[-500:]}")
+        server.stop()
+    end()
+
+
+if __name__ == "__main__":
+    main()
