@@ -43,7 +43,7 @@ pub fn release(args: &[String]) -> Result<(), Fault> {
     let _ = fs::remove_dir_all(&tried);
     done?;
     let bytes = fs::metadata(folder.join(&archive)).map_or(0, |m| m.len());
-    println!("{}: {:.1} MB", folder.join(&archive).display(), bytes as f64 / 1e6);
+    println!("{}: {} MB", folder.join(&archive).display(), bytes.div_ceil(1_000_000));
     Ok(())
 }
 
@@ -110,13 +110,13 @@ fn crates() -> Result<String, Fault> {
             continue;
         }
         let (licence, repository) = (parts.next().unwrap_or_default(), parts.next().unwrap_or_default());
-        all += &format!("{name} {version}: {licence} {repository}\n");
+        all.extend([name, " ", version, ": ", licence, " ", repository, "\n"]);
         for text in licence_texts(&format!("{name}-{version}")) {
             texts.entry(text).or_default().push(format!("{name} {version}"));
         }
     }
     for (text, of) in texts {
-        all += &format!("\n{}\n{}\n\n{}\n", "-".repeat(100), of.join(", "), text.trim());
+        all.extend(["\n", &"-".repeat(100), "\n", &of.join(", "), "\n\n", text.trim(), "\n"]);
     }
     Ok(all)
 }
