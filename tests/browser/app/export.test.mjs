@@ -156,7 +156,9 @@ describe('exports', () => {
       }
       // what a flat picture of the photo's shape covers whose bounding sphere just fits in the frame: 28 % of it here
       const flat = ((h * Math.cos(Math.PI / 12)) / 1.05 / Math.hypot(WIDTH, HEIGHT)) ** 2 * WIDTH * HEIGHT;
-      t.diagnostic(`${above}° above: ${((100 * covered) / (w * h)).toFixed(1)} % of the frame (flat: ${((100 * flat) / (w * h)).toFixed(1)}), ${holes} pixels of holes`);
+      t.diagnostic(
+        `${above}° above: ${((100 * covered) / (w * h)).toFixed(1)} % of the frame (flat: ${((100 * flat) / (w * h)).toFixed(1)}), ${holes} pixels of holes`,
+      );
       assert.ok(covered > 0.85 * flat, `${covered} pixels of ${flat}`);
       assert.ok(holes < 0.002 * covered, `${holes} of ${covered}`);
     }
