@@ -153,8 +153,9 @@ fn words_of_the_document_are_those_that_are_taken() {
             let ask = |value: &str| {
                 let film = if value == "mp4" { "path=orbit&" } else { "" };
                 let frames = if name == "path" || value == "mp4" { "frames=2&" } else { "" };
-                let small = if part == "view" { "w=8&" } else { "" };
-                get(server.addr, &format!("/v1/photos/{id}/{part}?{small}{film}{frames}{name}={value}"))
+                let rest = if part == "view" { "w=8&" } else { "" };
+                let model = if name == "shape" { "format=glb&" } else { "" };
+                get(server.addr, &format!("/v1/photos/{id}/{part}?{rest}{model}{film}{frames}{name}={value}"))
             };
             assert!(is_refused(&ask("nonsense"), name), "{part} {name}");
             for word in parameter["schema"]["enum"].as_array().into_iter().flatten() {

@@ -245,7 +245,7 @@ mod tests {
     #[test]
     fn no_view_box_gives_no_margin_and_any_other_a_bounded_one() {
         let mut scene = testing::flat(100, 60, 0.5);
-        for (extent, want) in [(0.0, [0, 0]), (1e9, [14, 14]), (f64::NAN, [14, 14]), (f64::INFINITY, [14, 14])] {
+        for (extent, want) in [(0.0, [0, 0]), (1e9, [27, 27]), (f64::NAN, [27, 27]), (f64::INFINITY, [27, 27])] {
             scene.view_box = ViewBox { x: extent, y: extent, z: extent };
             let got = margin(&scene);
             assert!(got[0] <= want[0] && got[1] <= want[1], "{extent}: {got:?}");

@@ -48,7 +48,7 @@ pub fn put(document: &mut Value) {
         text.put(&mut form[field]);
     }
     let stills = PictureFormat::ALL.map(|f| chosen(&f));
-    let exports = [ExportFormat::Html, ExportFormat::Glb, ExportFormat::Zip].map(|f| f.extension().to_owned());
+    let exports = [ExportFormat::Html, ExportFormat::Glb, ExportFormat::Ora, ExportFormat::Zip].map(|f| f.extension().to_owned());
     for (path, parameter, text) in [
         ("/v1/photos/{id}/view", "format", Text::Words([&stills[..], &["mp4".to_owned()]].concat())),
         ("/v1/photos/{id}/view", "stereo", Text::Words(["sbs", "anaglyph"].map(str::to_owned).into())),
@@ -56,6 +56,7 @@ pub fn put(document: &mut Value) {
         ("/v1/photos/{id}/view", "crop", Text::Pattern("^[^,]+,[^,]+,[^,]+,[^,]+$")),
         ("/v1/photos/{id}/view", "path", Text::Words(words::<Path>())),
         ("/v1/photos/{id}/export", "format", Text::Words(exports.into())),
+        ("/v1/photos/{id}/export", "shape", Text::Words(["relief", "metric"].map(str::to_owned).into())),
         ("/v1/photos/{id}/atlas", "region", Text::Pattern("^[0-9]+,[0-9]+,[0-9]+,[0-9]+$")),
     ] {
         let parameters = document["paths"][path]["get"]["parameters"].as_array_mut();
