@@ -137,7 +137,8 @@ fn strokes_put_the_depth_right() {
     let f = Folder::new();
     f.write("strokes.json", br#"{"version": 1, "strokes": [{"points": [[0.46, 0.5]], "radius": 0.12, "to": 0.1}]}"#);
     f.write("wrong.json", br#"{"strokes": [{"points": [[0.46, 1.5]], "radius": 0.12, "to": 0.1}]}"#);
-    let make = |extra: &[&str]| f.run(&[&["make", "box.png", "--depth", "depth.png", "-q", "--json", "--force", "-o", "x.tmpi"], extra].concat());
+    let make =
+        |extra: &[&str]| f.run(&[&["make", "box.png", "--depth", "depth.png", "-q", "--json", "--force", "-o", "x.tmpi"], extra].concat());
     let report = |run: Run| run.succeeds().json()["report"].clone();
     let (before, after) = (report(make(&[])), report(make(&["--strokes", "strokes.json"])));
     assert_eq!((&before["input"]["strokes"], &after["input"]["strokes"]), (&0.into(), &1.into()));

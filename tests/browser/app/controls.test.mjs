@@ -184,7 +184,7 @@ describe('every control', () => {
         await $('touch-up').click();
         await page.getByRole('dialog', { name: 'Touch up the depth' }).waitFor();
         await $('touch-cancel').click();
-        assert.equal(await page.locator('dialog.touch-up').count(), 0);
+        await page.locator('dialog.touch-up').waitFor({ state: 'detached' });
       },
       'button: Download': opens(page.locator('[popovertarget=download-menu]'), 'download-menu'),
       'a: The 3D photo (.tmpi)': answers($('download'), '/v1/photos/box/atlas'),
@@ -397,6 +397,7 @@ describe('every control', () => {
         await page.getByRole('link', { name: 'Open older' }).waitFor();
         assert.ok(await $('more').isHidden());
       },
+      'a: Go live with your camera': async () => assert.equal(await page.locator('a[href="/live/room/publish"]').count(), 1),
       'a: 3D photos on a page': async () => assert.equal(await page.locator('a[href="/demo"]').count(), 1),
     });
     assert.deepEqual(

@@ -10,6 +10,8 @@ describe('where WebAssembly is forbidden', () => {
   test('the photo is shown, then the server’s views; the console names the word that is missing', async () => {
     const { page, context, errors } = await suite.open();
     await waitForMode(page, 'served');
+    // it is asked for within the next frames
+    for (let i = 0; i < 50 && suite.server.views.length === 0; i++) await page.waitForTimeout(100);
     assert.ok(suite.server.views.length > 0, 'no view was asked for');
     assert.ok(
       errors.some((text) => text.includes("'wasm-unsafe-eval'")),
