@@ -32,6 +32,8 @@ const stage = $('stage');
 const state = { bytes: 0, ms: null, toast: undefined };
 /** @type {Viewer} */
 let viewer;
+/** When the picture of the photo as it is now is there, or can't be had. */
+let pictured = Promise.resolve();
 
 /** Where the address asks the camera to start: offsets in units of the view box. */
 function offsetOfHash() {
@@ -107,6 +109,9 @@ async function showBackdrop(image) {
 
 /** Starts the viewer; where the photo is not made yet, waits for it first. */
 async function start() {
+  /** @type {() => void} */
+  let settle = () => {};
+  pictured = new Promise((resolve) => (settle = resolve));
   // with its version, browsers need not ask again for what never changes
   const version = (await known)?.state.version;
   viewer?.dispose();
@@ -132,7 +137,8 @@ async function start() {
     );
     readout();
   });
-  viewer.addEventListener('photo', () => showBackdrop(viewer.poster));
+  viewer.addEventListener('photo', () => showBackdrop(viewer.poster).then(settle));
+  viewer.addEventListener('error', settle);
   viewer.addEventListener('ready', ({ detail }) => {
     $('loading').hidden = true;
     stage.dataset.mode = detail.mode;
@@ -284,8 +290,7 @@ async function touchUp() {
   $('settings-menu').hidePopover();
   try {
     const { openTouchUp } = await import('./touch-up.js');
-    // of a photo that was just made again, the picture may be on its way
-    if (!viewer.poster.naturalWidth) await new Promise((there) => viewer.addEventListener('photo', there, { once: true }));
+    await pictured;
     await openTouchUp({ id, photo: viewer.poster, saved: showAgain, say: toast });
   } catch (error) {
     toast(error.message);
