@@ -134,6 +134,19 @@ fn words_of_the_document_are_those_that_are_taken() {
     let mut taken: Vec<String> = known.split(", ").map(|name| name.replace('-', "_")).collect();
     taken.sort_unstable();
     assert_eq!(described, taken, "every field is described, and no other");
+    let schemas = document["components"]["schemas"].as_object().unwrap();
+    let closed: Vec<&String> = schemas.iter().filter(|(_, s)| s["additionalProperties"] == false).map(|(name, _)| name).collect();
+    assert_eq!(closed, ["Offset", "Settings", "Stroke", "Strokes", "UploadForm"]);
+    let json: &[(&str, &str)] = &[("content-type", "application/merge-patch+json")];
+    for (path, body, field) in [
+        ("", r#"{"halo": 1}"#, "halo"),
+        ("", r#"{"start": {"x": 0, "halo": 1}}"#, "start.halo"),
+        ("/strokes", r#"{"halo": 1}"#, "halo"),
+        ("/strokes", r#"{"strokes": [{"points": [[0.5, 0.5]], "radius": 0.1, "to": 0, "halo": 1}]}"#, "strokes[0].halo"),
+    ] {
+        let answer = request(server.addr, "PATCH", &format!("/v1/photos/{id}{path}"), json, body.as_bytes());
+        assert!(is_refused(&answer, field), "{body}: {}", answer.json());
+    }
     let mut choices = 0;
     for (field, schema) in fields.iter().filter(|(name, schema)| !matches!(name.as_str(), "photo" | "depth") && schema["type"] == "string")
     {
