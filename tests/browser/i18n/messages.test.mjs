@@ -8,7 +8,7 @@ describe('messages', () => {
 
   test('the page speaks German where the browser does', async () => {
     const { page, context } = await suite.open({ pages: [{ photos: [photo('a')] }], options: { locale: 'de-DE' } });
-    await page.getByText('Fotos auswählen').waitFor();
+    await page.getByText('Fotos auswählen', { exact: true }).first().waitFor();
     await page.getByRole('button', { name: /löschen$/ }).waitFor();
     assert.equal(await page.locator('html').getAttribute('lang'), 'de');
     const english = await page.evaluate(() => document.body.innerText.match(/\b(Drop|Choose|Options|Photos|Undo|removed)\b/g));
