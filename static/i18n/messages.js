@@ -47,8 +47,18 @@ const GERMAN = {
   'Progress of all photos': 'Fortschritt aller Fotos',
   Select: 'Auswählen',
   Selection: 'Auswahl',
+  ': moves only when somebody moves it.': ': bewegt sich nur, wenn es jemand bewegt.',
+  'From another origin:': 'Von einer anderen Herkunft:',
+  ': it takes no input.': ': nimmt keine Eingaben.',
+  'A page with a content security policy has to allow this server:': 'Eine Seite mit Content Security Policy muss diesen Server erlauben:',
+  'Any origin may read photos; none but this one may change them.': 'Lesen darf Fotos jede Herkunft, ändern nur diese.',
+  'Stereo, blur, depth': 'Stereo, Unschärfe, Tiefe',
   'such files': 'solche Dateien',
   'The file has {0}; at most {1} can be sent.': 'Die Datei hat {0}; höchstens {1} lassen sich senden.',
+  'Somebody changed the photo meanwhile. Reload the page to see how it is now.':
+    'Jemand hat das Foto inzwischen geändert. Die Seite neu laden, um zu sehen, wie es jetzt ist.',
+  'The file is too large: at most {0} can be sent.': 'Die Datei ist zu groß: höchstens {0} lassen sich senden.',
+  'The photo has too many pixels: at most {0} million can be made.': 'Das Foto hat zu viele Pixel: höchstens {0} Millionen sind möglich.',
   'The file is empty.': 'Die Datei ist leer.',
   'This browser cannot read HEIC photos. On the iPhone choose Settings → Camera → Formats → Most Compatible, or save the photo as JPEG.':
     'Dieser Browser kann keine HEIC-Fotos lesen. Am iPhone Einstellungen → Kamera → Formate → Maximale Kompatibilität wählen oder das Foto als JPEG sichern.',
