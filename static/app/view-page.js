@@ -59,8 +59,9 @@ function toast(text) {
 }
 
 function readout() {
-  const { scale, own } = viewer.zoom;
-  const closer = scale > 1.01 ? [`${Math.round((scale / own) * 100)} %`] : [];
+  // where it goes, not where it has come to: a slow machine may be long on its way
+  const { goal, own } = viewer.zoom;
+  const closer = goal > 1.01 ? [`${Math.round((goal / own) * 100)} %`] : [];
   const served = viewer.mode === 'served' ? [t('drawn by the server')] : [];
   $('readout').textContent = [...closer, ...served].join(' · ');
   const { head } = viewer;

@@ -45,7 +45,7 @@ describe('page of all photos', () => {
     const { page, context } = await suite.open({ posts });
     for (const words of ['at most 34 MB', 'at most 50 million', 'Reload the page', 'This is no picture.']) {
       await page.setInputFiles('#picker', { name: 'one.png', mimeType: 'image/png', buffer: Buffer.from('x') });
-      await page.getByText(words).waitFor();
+      await page.locator('.upload-state').getByText(words).waitFor();
     }
     await context.close();
   });

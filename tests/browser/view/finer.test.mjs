@@ -46,7 +46,11 @@ describe('finer tiles', () => {
       await waitForMode(page, mode);
       assert.ok((await page.evaluate(() => window.viewer.head.width)) < WIDTH, 'a smaller level is loaded');
       const before = await contrast(page);
-      await page.evaluate(() => window.viewer.zoomBy(100));
+      const told = await page.evaluate(() => {
+        window.viewer.zoomBy(100);
+        return document.getElementById('readout').textContent;
+      });
+      assert.equal(told, '200 %', 'twice the photo’s own pixels, said at once');
       await page.waitForFunction(() => document.querySelectorAll('.tmpi-canvas').length === 2);
       const own = await contrast(page);
       await page.evaluate(() => window.viewer.moveTo({ x: 0.8, y: 0.3, z: 0 }));
