@@ -264,7 +264,7 @@ function arrange() {
     ...(failed.length > 1 ? [element('span', 'bad', t('{0} failed', failed.length))] : []),
   );
   $('uploads-more').hidden = !more;
-  $('uploads-more-text').textContent = t('{0} more wait', more);
+  $('uploads-more-text').textContent = t('and {0} more', more);
   $('uploads-dismiss').hidden = failed.length < 2;
   document.title = open.length && all > 1 ? `${t('{0} of {1}', ready, all)} – tmpi` : pageTitle;
 }

@@ -66,7 +66,7 @@ const GERMAN = {
     'Dieser Browser kann {0} nicht lesen. Das Foto als JPEG, PNG oder WebP sichern.',
   'This is a film, not a photo.': 'Das ist ein Film, kein Foto.',
   '{0} failed': '{0} gescheitert',
-  '{0} more wait': '{0} weitere warten',
+  'and {0} more': 'und {0} weitere',
   '{0} of {1} chosen': '{0} von {1} gewählt',
   '{0} of {1} ready': '{0} von {1} fertig',
   '{0} photos deleted': '{0} Fotos gelöscht',

@@ -45,7 +45,7 @@ describe('many uploads', () => {
     const { page, context, sent, finish, most } = await open(COUNT);
     await page.getByText(`0 of ${COUNT} ready`).waitFor();
     assert.deepEqual(await names(page), ['photo 0.png', 'photo 1.png', 'photo 2.png']);
-    assert.equal(await page.locator('#uploads-more-text').textContent(), `${COUNT - 3} more wait`);
+    assert.equal(await page.locator('#uploads-more-text').textContent(), `and ${COUNT - 3} more`);
     const top = (await page.locator('#gallery .card').first().boundingBox()).y;
     assert.ok(top < 1100, `the photos begin at ${top}`);
     while (sent.length < COUNT) await page.waitForTimeout(50);
