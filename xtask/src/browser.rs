@@ -63,6 +63,13 @@ pub fn tools() -> Result<(), Fault> {
     packages()
 }
 
+/// Packs the element for npm; the archive is in `target/npm`.
+pub fn pack_element() -> Result<(), Fault> {
+    let mut node = Command::new("node");
+    node.arg("npm/pack.mjs").current_dir(root());
+    run(node).map_err(|e| e.in_step("npm"))
+}
+
 /// Installs Debian packages as root; else names the command.
 pub fn install(packages: &[&str]) -> Result<(), Fault> {
     let list = packages.join(" ");
