@@ -30,20 +30,23 @@ class Nats:
 class Epochs:
     """When each epoch of a room was first seen, by what a viewer is told."""
 
-    def __init__(self, viewer, fields):
-        self.viewer, self.fields, self.epoch, self.seen = viewer, fields, 0, {}
+    def __init__(self, socket, fields):
+        self.socket, self.fields, self.epoch, self.seen = socket, fields, 0, {}
+        if socket.status != 101:
+            raise SystemExit(f"a viewer does not come in: {socket.status}")
+        socket.socket.setblocking(False)
 
     def read(self, kinds):
         alive = True
         try:
-            some = self.viewer.socket.socket.recv(1 << 18)
+            some = self.socket.socket.recv(1 << 18)
             alive = bool(some)
         except BlockingIOError:
             some = b""
         except OSError:
             return False
-        self.viewer.socket.buffer += some
-        for message in self.viewer.socket.messages():
+        self.socket.buffer += some
+        for message in self.socket.messages():
             if message is None:
                 return False
             if message[0] >> 3 == kinds[0]:
@@ -62,11 +65,11 @@ def nodes(stream, full):
     if not NATS:
         print("skipped, no nats-server")
         return
-    from live import HELLO, VIDEO, Viewer, fields
+    from live import HELLO, VIDEO, Socket, fields
     kinds, nats = (HELLO, VIDEO), Nats()
     url = f"nats://127.0.0.1:{nats.port}"
     node = lambda name: Server("--nats", url, "--node", name)
-    ready = lambda server: wait(lambda: server.get("/readyz")[0] == 200, "a node is ready")
+    ready = lambda server: wait(lambda: server.metric("tmpi_live_nats_connected") == 1, "a node hears the others")
     rounds = 20 if full else 5
     table = Table("round", "join at another node", "sent on after, median", "worst", "frames missing there", "viewer of another node goes on after", "viewer of the killed node after", "epochs")
     ends, backs = [], []
@@ -79,8 +82,8 @@ def nodes(stream, full):
         publisher = subprocess.Popen([PROGRAM, "live", "publish", stream, "--to", addresses, "--times", "100000"], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         wait(lambda: b.get(f"/v1/live/{room}")[2].find(b'"publishing":true') > 0, "the other node knows the room")
         time.sleep(2)
-        began = time.monotonic()
-        here, there = Epochs(Viewer(a, room), fields), Epochs(Viewer(b, room), fields)
+        began, path = time.monotonic(), f"/v1/live/{room}/subscribe"
+        here, there = Epochs(Socket(a, path), fields), Epochs(Socket(b, path), fields)
         while not there.seen and time.monotonic() - began < 10:
             there.read(kinds)
         joined = time.monotonic() - began
@@ -111,7 +114,7 @@ def nodes(stream, full):
                 back = time.monotonic() - killed
             time.sleep(0.01)
         other.kill(), other.wait(), publisher.kill(), publisher.wait()
-        here.viewer.socket.close(), there.viewer.socket.close()
+        here.socket.close(), there.socket.close()
         check(missing == 0, f"all frames come to the other node: {missing} are missing")
         check(went_on is not None and went_on <= 2, f"viewers of another node go on within 2 s: {went_on}")
         check(back is not None, "the viewer of the killed node comes back")

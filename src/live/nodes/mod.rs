@@ -141,7 +141,7 @@ impl Nodes {
             .ping_interval(PING)
             .connection_timeout(PING)
             .reconnect_delay_callback(|attempts| AGAIN.min(Duration::from_millis(50 * attempts as u64)))
-            .event_callback(async |event| tracing::info!(%event, "NATS"));
+            .event_callback(|event| async move { tracing::info!(%event, "NATS") });
         let client = options.connect(config.servers.clone()).await?;
         let me = format!("{}-{:08x}", config.name, random());
         let nodes = Arc::new(Self {
@@ -223,7 +223,9 @@ impl Nodes {
         let watched = followed.map(|(name, room)| Watched { room: name, viewers: room.viewers() }).filter(|w| w.viewers > 0).collect();
         let presence = self.table().presence(watched, leaving);
         match serde_json::to_vec(&presence) {
-            Ok(bytes) => drop(self.publish(PRESENCE.to_owned(), bytes.into()).await),
+            Ok(bytes) => {
+                self.publish(PRESENCE.to_owned(), bytes.into()).await;
+            }
             Err(error) => tracing::error!(%error, "what this node is"),
         }
     }

@@ -31,20 +31,15 @@ const NOBODY: Duration = Duration::from_secs(2);
 /// Follows a room's owners, one after the other, until nobody watches, the publisher comes here, or there is none for [`COME_BACK`].
 pub async fn run(nodes: Arc<Nodes>, rooms: Arc<Rooms>, name: String, room: Arc<Room>) {
     let mut heard = nodes.heard.subscribe();
-    let (mut alone_since, mut nobody_since) = (None, None);
-    let mut reached = Reached::default();
-    while room.is_followed() && !nodes.stop.is_cancelled() {
+    let (mut alone_since, mut nobody, mut reached) = (None, None, Reached::default());
+    while room.is_followed() && !nodes.stop.is_cancelled() && !is_left(&room, &mut nobody) {
         let now = Instant::now();
-        nobody_since = (room.viewers() == 0).then(|| nobody_since.unwrap_or(now));
-        if nobody_since.is_some_and(|since| now.saturating_duration_since(since) > NOBODY) {
-            break;
-        }
         if let Some(owner) = nodes.owner(&name) {
             alone_since = None;
             if reached.epoch != owner.epoch {
                 reached = Reached { epoch: owner.epoch, ..Reached::default() };
             }
-            Session { nodes: &nodes, name: &name, room: &room, owner, reached: &mut reached }.run().await;
+            Session { nodes: &nodes, name: &name, room: &room, owner, reached: &mut reached, nobody: &mut nobody }.run().await;
             // one that cannot be followed is not asked without end
             tokio::time::sleep(Duration::from_millis(20)).await;
             continue;
@@ -79,6 +74,13 @@ struct Session<'a> {
     room: &'a Arc<Room>,
     owner: Owner,
     reached: &'a mut Reached,
+    nobody: &'a mut Option<Instant>,
+}
+
+/// Whether nobody has watched a room for a while; `since` is when that was first seen.
+fn is_left(room: &Room, since: &mut Option<Instant>) -> bool {
+    *since = (room.viewers() == 0).then(|| since.unwrap_or_else(Instant::now));
+    since.is_some_and(|since| since.elapsed() > NOBODY)
 }
 
 impl Session<'_> {
@@ -116,7 +118,7 @@ impl Session<'_> {
                     }
                 }
                 _ = look.tick() => {
-                    if !self.goes_on() || self.room.viewers() == 0 && asked.is_some_and(|at| at.elapsed() > NOBODY) {
+                    if !self.goes_on() || is_left(self.room, self.nobody) {
                         return;
                     }
                 }
