@@ -241,7 +241,8 @@ mod tests {
             let mut joiner = Joiner::default();
             for mut payload in payloads {
                 if payload.len() > 4 && payload[0] < 128 {
-                    payload[..4].copy_from_slice(&[b'T', VERSION, payload[2] % 4, 0]);
+                    let sort = payload[2] % 4;
+                    payload[..4].copy_from_slice(&[b'T', VERSION, sort, 0]);
                 }
                 let payload = Bytes::from(payload);
                 if let Joined::Whole(packet) = joiner.push(&payload) {
