@@ -123,8 +123,8 @@ mod tests {
         }
         // what comes late changes nothing
         send(&mut chunks, &message(&geometry(0.9), all, 3));
-        // all tiles as of the version that some have already: the others are taken
-        send(&mut chunks, &message(&geometry(0.7), all, 59));
+        // all tiles as of the version that one has already: the others are taken
+        send(&mut chunks, &message(&geometry(0.3 + 0.01 * 59.0), all, 59));
         assert_eq!(send(&mut chunks, &message(&geometry(0.2), all, 60)), 1);
     }
 
