@@ -70,6 +70,14 @@ pub struct Place {
     pub skipped: u64,
 }
 
+impl Place {
+    /// Number of the message that comes next.
+    #[must_use]
+    pub const fn number(&self) -> u64 {
+        self.next
+    }
+}
+
 /// What a viewer is to do next.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Step {
@@ -127,6 +135,20 @@ impl Ring {
     pub fn begin(&self, now: Instant) -> Place {
         let key = self.last_key();
         Place { next: key.unwrap_or(self.end()), waits: key.is_none(), since: now, skipped: 0 }
+    }
+
+    /// Where one begins who has been told everything so far.
+    #[must_use]
+    pub fn at_end(&self, now: Instant) -> Place {
+        Place { next: self.end(), waits: false, since: now, skipped: 0 }
+    }
+
+    /// Number that the next message will have, and all since the last key frame with theirs.
+    #[must_use]
+    pub fn since_key(&self) -> (u64, Vec<(u64, Bytes)>) {
+        let from = self.last_key().unwrap_or(self.end());
+        let entries = self.entries.iter().zip(self.first..).filter(|(_, n)| *n >= from);
+        (self.end(), entries.map(|(e, n)| (n, e.bytes.clone())).collect())
     }
 
     /// What comes next for a viewer.

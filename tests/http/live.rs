@@ -36,8 +36,13 @@ impl Estimator for Bright {
 const KEY: &[u8] = b"a key that is long enough for all";
 
 fn server(data: &Path) -> Running {
+    server_with(data, |rooms| rooms)
+}
+
+/// With other rooms.
+pub fn server_with(data: &Path, change: impl FnOnce(Rooms) -> Rooms) -> Running {
     let models = Models { depth: Arc::new(Bright), theta: None, psi: None };
-    let rooms = Rooms::new(RoomConfig { models, frame_ms: 0.0, key: Some(KEY.to_vec()) });
+    let rooms = change(Rooms::new(RoomConfig { models, frame_ms: 0.0, key: Some(KEY.to_vec()) }));
     let config = Config {
         addr: ([127, 0, 0, 1], 0).into(),
         data: data.to_owned(),
@@ -63,10 +68,10 @@ pub fn frame(x: u32) -> Vec<u8> {
     encode(&View { width, height, rgba }, PictureFormat::Jpeg, 90).unwrap()
 }
 
-struct Client(WebSocket<TcpStream>);
+pub struct Client(WebSocket<TcpStream>);
 
 impl Client {
-    fn at(addr: SocketAddr, path: &str, headers: &[(&'static str, &str)]) -> Result<Self, u16> {
+    pub fn at(addr: SocketAddr, path: &str, headers: &[(&'static str, &str)]) -> Result<Self, u16> {
         let stream = TcpStream::connect(addr).unwrap();
         stream.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
         stream.set_nodelay(true).unwrap();
@@ -81,7 +86,7 @@ impl Client {
         }
     }
 
-    fn watch(addr: SocketAddr, room: &str) -> Self {
+    pub fn watch(addr: SocketAddr, room: &str) -> Self {
         Self::at(addr, &format!("/v1/live/{room}/subscribe"), &[]).unwrap_or_else(|status| panic!("{status}"))
     }
 
@@ -90,10 +95,15 @@ impl Client {
         let _ = self.0.send(Message::Binary(write(kind)));
     }
 
-    fn next(&mut self) -> Option<Kind> {
+    pub fn next(&mut self) -> Option<Kind> {
+        self.bytes().map(|bytes| read(bytes).unwrap())
+    }
+
+    /// The bytes of the next message.
+    pub fn bytes(&mut self) -> Option<bytes::Bytes> {
         loop {
             match self.0.read() {
-                Ok(Message::Binary(bytes)) => return Some(read(bytes).unwrap()),
+                Ok(Message::Binary(bytes)) => return Some(bytes),
                 Ok(Message::Close(_)) | Err(tungstenite::Error::ConnectionClosed | tungstenite::Error::AlreadyClosed) => return None,
                 Ok(_) => {}
                 Err(error) => panic!("{error}"),
@@ -102,7 +112,7 @@ impl Client {
     }
 
     /// The reason that it is sent away with.
-    fn bye(mut self) -> String {
+    pub fn bye(mut self) -> String {
         while let Some(kind) = self.next() {
             if let Kind::Bye(bye) = kind {
                 return bye.reason;
@@ -113,7 +123,7 @@ impl Client {
 }
 
 pub struct Publisher {
-    client: Client,
+    pub client: Client,
     credit: u32,
     number: u64,
 }

@@ -24,7 +24,7 @@ impl Process {
         Self::start_with(data, &["--drain", "5"])
     }
 
-    fn start_with(data: &Path, arguments: &[&str]) -> Self {
+    pub fn start_with(data: &Path, arguments: &[&str]) -> Self {
         Self::start_in(data, arguments, &[])
     }
 
@@ -56,7 +56,7 @@ impl Process {
     }
 
     /// No chance to put anything right.
-    fn crash(&mut self) {
+    pub fn crash(&mut self) {
         self.child.kill().unwrap();
         self.child.wait().unwrap();
     }

@@ -53,6 +53,10 @@ pub fn tools() -> Result<(), Fault> {
     if which("npm").is_none() && output("npm", &["--version"]).is_none() {
         missing.push("npm");
     }
+    // the tests of rooms that several servers share
+    if cfg!(target_os = "linux") && output("nats-server", &["--version"]).is_none() && !Path::new("/usr/sbin/nats-server").exists() {
+        missing.push("nats-server");
+    }
     if !missing.is_empty() {
         install(&missing)?;
     }

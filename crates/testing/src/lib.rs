@@ -14,16 +14,19 @@ pub enum Need {
     Onnx,
     /// `ffmpeg`: the program.
     Ffmpeg,
+    /// `nats`: the program `nats-server`.
+    Nats,
 }
 
 impl Need {
-    const ALL: [Self; 3] = [Self::Gpu, Self::Onnx, Self::Ffmpeg];
+    const ALL: [Self; 4] = [Self::Gpu, Self::Onnx, Self::Ffmpeg, Self::Nats];
 
     const fn name(self) -> &'static str {
         match self {
             Self::Gpu => "gpu",
             Self::Onnx => "onnx",
             Self::Ffmpeg => "ffmpeg",
+            Self::Nats => "nats",
         }
     }
 
@@ -73,6 +76,6 @@ mod tests {
     #[test]
     fn an_unknown_word_fails_even_where_everything_is_there() {
         let error = Need::Onnx.judged("gpu,onxx", Ok::<_, &str>(7)).unwrap_err();
-        assert!(error.contains("\"onxx\"") && error.contains("gpu, onnx, ffmpeg"), "{error}");
+        assert!(error.contains("\"onxx\"") && error.contains("gpu, onnx, ffmpeg, nats"), "{error}");
     }
 }
