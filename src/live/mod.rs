@@ -84,7 +84,7 @@ pub struct Config {
 /// All rooms of a server.
 pub struct Rooms {
     config: Config,
-    rooms: Mutex<HashMap<String, Arc<Room>>>,
+    named: Mutex<HashMap<String, Arc<Room>>>,
     shared: Option<NodeConfig>,
     nodes: OnceLock<Arc<Nodes>>,
 }
@@ -93,7 +93,7 @@ impl Rooms {
     /// No room yet.
     #[must_use]
     pub fn new(config: Config) -> Self {
-        Self { config, rooms: Mutex::default(), shared: None, nodes: OnceLock::new() }
+        Self { config, named: Mutex::default(), shared: None, nodes: OnceLock::new() }
     }
 
     /// Shares them with other nodes.
@@ -169,7 +169,7 @@ impl Rooms {
     }
 
     fn lock(&self) -> std::sync::MutexGuard<'_, HashMap<String, Arc<Room>>> {
-        self.rooms.lock().unwrap_or_else(PoisonError::into_inner)
+        self.named.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// A room that is there.

@@ -61,7 +61,8 @@ async fn session(
         Refused::Taken => TAKEN,
         Refused::Unknown => UNKNOWN,
     })?;
-    let epoch = room.publish(hello, clock, claim.as_ref().map_or(0, |c| c.epoch));
+    // by the clock: addresses of groups of pictures are no others' after a restart
+    let epoch = room.publish(hello, clock, claim.as_ref().map_or(clock / 1000, |c| c.epoch));
     let evicted = claim.as_ref().map(|c| c.evicted.clone()).unwrap_or_default();
     let _forwarded = claim.map(|mut claim| {
         claim.forward(room);

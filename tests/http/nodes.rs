@@ -90,7 +90,7 @@ impl Drop for Nats {
     }
 }
 
-fn dropped(addr: SocketAddr) -> f64 {
+fn dropped(addr: SocketAddr) -> u64 {
     let text = String::from_utf8(get(addr, "/metrics").body).unwrap();
     let line = text.lines().find_map(|l| l.strip_prefix("tmpi_live_nats_dropped "));
     line.unwrap_or_else(|| panic!("no count in\n{text}")).parse().unwrap()
@@ -170,7 +170,7 @@ fn viewers_at_another_node_get_the_very_bytes() {
         assert_eq!(get(b.addr, &format!("/v1/live/attic/{path}")).problem(421)["type"], "urn:tmpi:problem:elsewhere", "{path}");
     }
     assert_eq!(get(a.addr, "/v1/live/attic/frames/latest/atlas").status, 200);
-    assert_eq!((dropped(a.addr), dropped(b.addr)), (0.0, 0.0));
+    assert_eq!((dropped(a.addr), dropped(b.addr)), (0, 0));
 }
 
 #[test]
@@ -361,7 +361,7 @@ fn garbage_older_epochs_and_too_much_are_left_out_and_counted() {
         ("tmpi.nodes", held("no.node", hello.epoch).into()),
         ("tmpi.nodes", held("mallory", ahead).into()),
     ];
-    let many = garbage.len() as f64;
+    let many = garbage.len() as u64;
     for (subject, payload) in garbage {
         nats.say(subject, &payload);
     }

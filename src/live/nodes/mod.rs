@@ -3,7 +3,7 @@
 //! A room has one owner at a time, the node that its publisher came to. Who that is every node says of itself each 300 ms (`table`): a claim
 //! is made known, stands where nobody objects for 150 ms and whoever had the room has been silent for 1.2 s, and has a higher epoch than all
 //! before. Where a cut of the network lets two have a room, each goes on for its own viewers, and the lower epoch yields as soon as they hear
-//! each other. A key-value bucket would need JetStream with a majority of its servers to say the same, and that rule besides.
+//! each other. A key-value bucket would need `JetStream` with a majority of its servers to say the same, and that rule besides.
 //!
 //! | subject | payload |
 //! |---|---|

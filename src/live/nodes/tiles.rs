@@ -14,7 +14,7 @@ use tmpi_core::live::{MAX_MESSAGE, Model, write};
 pub struct Chunks {
     grid: Grid,
     tiles: Vec<Option<Key>>,
-    chunks: BTreeMap<Key, (Chunk, u32)>,
+    kept: BTreeMap<Key, (Chunk, u32)>,
     coded: Option<Bytes>,
 }
 
@@ -26,7 +26,7 @@ impl Chunks {
     pub fn new(hello: &Hello) -> Option<Self> {
         let tiles = Model::new(hello).ok()?.tiles();
         let grid = Grid { width: hello.width, height: hello.height, size: hello.tile_size, stride: hello.tile_stride };
-        Some(Self { grid, tiles: vec![None; tiles as usize], chunks: BTreeMap::new(), coded: None })
+        Some(Self { grid, tiles: vec![None; tiles as usize], kept: BTreeMap::new(), coded: None })
     }
 
     /// Takes the chunks of a message; false where one is not within the grid.
@@ -42,7 +42,7 @@ impl Chunks {
             return false;
         }
         let key = (chunk.version, area.row, area.column, area.rows, area.columns);
-        if self.chunks.contains_key(&key) {
+        if self.kept.contains_key(&key) {
             return true;
         }
         let mut newest = 0;
@@ -53,25 +53,25 @@ impl Chunks {
             }
             newest += 1;
             if let Some(before) = tile.replace(key)
-                && let Some(kept) = self.chunks.get_mut(&before)
+                && let Some(counted) = self.kept.get_mut(&before)
             {
-                kept.1 -= 1;
-                if kept.1 == 0 {
-                    self.chunks.remove(&before);
+                counted.1 -= 1;
+                if counted.1 == 0 {
+                    self.kept.remove(&before);
                 }
             }
         }
         if newest > 0 {
-            self.chunks.insert(key, (chunk.clone(), newest));
+            self.kept.insert(key, (chunk.clone(), newest));
         }
         true
     }
 
     /// SNAPSHOT with all that is needed of them, oldest first; none as long as something is known of none, or where it would be too long.
     pub fn snapshot(&mut self) -> Option<Bytes> {
-        if self.coded.is_none() && !self.chunks.is_empty() {
-            let chunks = self.chunks.values().map(|(chunk, _)| chunk.clone()).collect();
-            let frame = self.chunks.keys().next_back().map_or(0, |key| key.0);
+        if self.coded.is_none() && !self.kept.is_empty() {
+            let chunks = self.kept.values().map(|(chunk, _)| chunk.clone()).collect();
+            let frame = self.kept.keys().next_back().map_or(0, |key| key.0);
             self.coded = Some(write(Kind::Snapshot(wire::Geometry { frame, chunks })));
         }
         self.coded.clone().filter(|bytes| bytes.len() <= MAX_MESSAGE)
