@@ -93,7 +93,7 @@ impl Drop for Nats {
 fn dropped(addr: SocketAddr) -> u64 {
     let text = String::from_utf8(get(addr, "/metrics").body).unwrap();
     let line = text.lines().find_map(|l| l.strip_prefix("tmpi_live_nats_dropped "));
-    line.unwrap_or_else(|| panic!("no count in\n{text}")).parse().unwrap()
+    line.unwrap_or_else(|| panic!("no count in\n{text}")).parse::<f64>().unwrap() as u64
 }
 
 /// Waits until somebody may watch a room here.

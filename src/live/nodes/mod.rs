@@ -299,7 +299,7 @@ impl Nodes {
     /// [`Refused`].
     pub async fn claim(self: &Arc<Self>, rooms: &Arc<Rooms>, name: &str, floor: u64) -> Result<Claim, Refused> {
         let alone = !self.is_connected();
-        if alone && self.table().is_anothers(name) {
+        if alone && self.table().is_of_another(name) {
             return Err(Refused::Unknown);
         }
         let mut heard = self.heard.subscribe();

@@ -183,7 +183,7 @@ impl Table {
     }
 
     /// Whether a node was the last to have a room that could be heard of, however long it has been silent since.
-    pub fn is_anothers(&self, room: &str) -> bool {
+    pub fn is_of_another(&self, room: &str) -> bool {
         self.others.values().any(|o| o.held.contains_key(room))
     }
 
@@ -310,10 +310,10 @@ mod tests {
         b.hear(Presence { watched: vec![Watched { room: "cellar".into(), viewers: 3 }], ..says(&a) }, now, CLOCK).unwrap();
         assert_eq!((b.audience("cellar", now), b.audience("attic", now)), ((1, 3), (0, 0)));
         assert!(b.owner("attic", now + LOST.saturating_sub(BEAT)).is_some() && b.owner("attic", now + LOST).is_none());
-        assert!(b.is_anothers("attic"), "but who cannot ask remembers it");
+        assert!(b.is_of_another("attic"), "but who cannot ask remembers it");
         assert_eq!(b.audience("cellar", now + LOST), (0, 0));
         b.hear(a.presence(Vec::new(), true), now, CLOCK).unwrap();
-        assert!(b.owner("attic", now).is_none() && !b.is_anothers("attic"));
+        assert!(b.owner("attic", now).is_none() && !b.is_of_another("attic"));
     }
 
     #[test]
