@@ -17,7 +17,7 @@ use super::wire::{Joined, Joiner, Packet, Sort, Start};
 use super::{Ask, Nodes, subject};
 use crate::live::ring::What;
 use crate::live::room::Room;
-use crate::live::{COME_BACK, FRAME_BYTES, Rooms, SOUND_BYTES};
+use crate::live::{COME_BACK, FRAME_BYTES, HEARTBEAT, Rooms, SOUND_BYTES};
 
 /// Time for which an owner's answer is waited for.
 const ANSWER: Duration = Duration::from_secs(1);
@@ -25,6 +25,8 @@ const ANSWER: Duration = Duration::from_secs(1);
 const STARTS: Duration = Duration::from_millis(250);
 /// Entries that an owner may have sent since the last one that came; a thousand a second for a minute.
 const FARTHEST: u64 = 60_000;
+/// Time without a word after which an owner is asked anew, who speaks each second: it may have lost sight of this node, and of that alone.
+const SILENCE: Duration = HEARTBEAT.saturating_mul(2);
 /// Time for which a room without viewers is kept.
 const NOBODY: Duration = Duration::from_secs(2);
 
@@ -89,8 +91,11 @@ impl Session<'_> {
         let mut heard = self.nodes.heard.subscribe();
         let mut look = interval(BEAT);
         let mut joiner = Joiner::default();
-        let (mut missing, mut asked) = (true, None::<Instant>);
+        let (mut missing, mut asked, mut came) = (true, None::<Instant>, Instant::now());
         loop {
+            if came.elapsed() > SILENCE {
+                (missing, came) = (true, Instant::now());
+            }
             if missing && asked.is_none_or(|at| at.elapsed() >= STARTS) {
                 asked = Some(Instant::now());
                 missing = !self.catch_up().await;
@@ -105,7 +110,7 @@ impl Session<'_> {
                         Joined::More => {}
                         Joined::Wrong => self.nodes.drop_one(),
                         Joined::Whole(packet) => match self.take(packet) {
-                            Taken::Yes => {}
+                            Taken::Yes => came = Instant::now(),
                             Taken::Missing => missing = true,
                             Taken::No => self.nodes.drop_one(),
                         },
@@ -210,10 +215,12 @@ impl Session<'_> {
                 // the next one tells that it is missing
                 None => Taken::No,
             },
+            Sort::Aside if packet.after > next + FARTHEST => Taken::No,
             Sort::Aside => match read(packet.bytes.clone()) {
                 Ok(Kind::Statistics(told)) => {
                     self.room.take_statistics(self.owner.epoch, told);
-                    Taken::Yes
+                    // the last entry has none behind it that would tell
+                    if packet.after > next { Taken::Missing } else { Taken::Yes }
                 }
                 Ok(Kind::Snapshot(tiles)) if self.room.take_tiles(self.owner.epoch, &tiles) => {
                     self.room.push(self.owner.epoch, What::Geometry, packet.bytes);
