@@ -4,7 +4,7 @@ use std::path::{Component, Path, PathBuf};
 use std::sync::OnceLock;
 
 use axum::extract::{self, State};
-use axum::http::{HeaderMap, HeaderName, HeaderValue, header};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode, header};
 use axum::response::Response;
 use bytes::Bytes;
 use sha2::{Digest, Sha256};
@@ -72,6 +72,22 @@ pub async fn watch(State(app): State<App>, headers: HeaderMap) -> Result<Respons
 /// `GET /live/{room}/publish`.
 pub async fn publish(State(app): State<App>, headers: HeaderMap) -> Result<Response, Problem> {
     page(&app, &headers, "app/publish-page.html", Frames::Own).await
+}
+
+/// Whatever nobody else answers: a page for people, a problem for programs.
+pub async fn nothing(State(app): State<App>, method: Method, headers: HeaderMap) -> Result<Response, Problem> {
+    // a browser that goes there says so; others by what they would like best
+    let dest = headers.get("sec-fetch-dest").map(HeaderValue::as_bytes);
+    let accepts = headers.get(header::ACCEPT).and_then(|a| a.to_str().ok());
+    let person = dest.map_or_else(|| accepts.is_some_and(|a| a.trim_start().starts_with("text/html")), |d| d == b"document");
+    if !person || !matches!(method, Method::GET | Method::HEAD) {
+        return Err(Problem::not_found("there is nothing at this address"));
+    }
+    let mut response = page(&app, &headers, "app/missing-page.html", Frames::Own).await?;
+    if response.status().is_success() {
+        *response.status_mut() = StatusCode::NOT_FOUND;
+    }
+    Ok(response)
 }
 
 /// `GET /static/{name}`.

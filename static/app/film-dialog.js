@@ -12,7 +12,7 @@ import { button, showDialog } from './share-dialog.js';
 /** @import { Wish } from '../film/plan.js' */
 
 const SECONDS = [2, 4, 8];
-/** Longer sides, pixels: what is larger than the photo is not offered, but for the first. */
+/** Longer sides, pixels: those below the photo's own are offered, and that one up to the last. */
 const SIDES = [480, 720, 1280, 1920];
 /** What is chosen at first, by kind. */
 const USUAL_SIDE = { mp4: 1280, webm: 1280, gif: 480 };
@@ -53,10 +53,11 @@ export async function open({ viewer, file }) {
     SECONDS.map((s) => [String(s), t('{0} seconds', s)]),
     '4',
   );
-  const sides = SIDES.filter((side, i) => i === 0 || side <= longest);
+  const own = Math.min(longest, SIDES[SIDES.length - 1]);
+  const sides = [...SIDES.filter((s) => s < own), own];
   const side = choice(
     t('Longer side'),
-    sides.map((s) => [String(s), t('{0} pixels', Math.min(s, longest))]),
+    sides.map((s) => [String(s), t('{0} pixels', s)]),
   );
   const usual = () => {
     const wanted = USUAL_SIDE[/** @type {Wish['kind']} */ (kind.select.value)];

@@ -246,7 +246,11 @@ function note(text) {
 function hint() {
   if (viewer.mode === 'served' || localStorage.getItem(HINTED)) return;
   localStorage.setItem(HINTED, '1');
-  note(t('Drag or point to look around; scroll, pinch or tap twice to come closer.'));
+  note(
+    matchMedia('(pointer: coarse)').matches
+      ? t('Drag to look around; pinch or tap twice to come closer.')
+      : t('Drag or point to look around; scroll, pinch or tap twice to come closer.'),
+  );
   // whoever does it knows it
   for (const type of ['pointerdown', 'wheel']) {
     stage.addEventListener(type, () => $('served-note').classList.remove('on'), { once: true, passive: true });

@@ -286,6 +286,18 @@ fn what_is_not_there_yet_or_not_at_all() {
     }
     get(server.addr, "/v1/photos/..%2F..%2Fetc").problem(404);
     get(server.addr, "/nothing").problem(404);
+    // a browser that goes there is a person's
+    for (header, is_page) in [
+        (("sec-fetch-dest", "document"), true),
+        (("sec-fetch-dest", "empty"), false),
+        (("accept", "text/html,application/xhtml+xml,*/*;q=0.8"), true),
+        (("accept", "application/json"), false),
+    ] {
+        let answer = request(server.addr, "GET", "/nothing", &[header], b"");
+        let page = answer.header("content-type").is_some_and(|t| t.starts_with("text/html"));
+        assert_eq!((answer.status, page), (404, is_page), "{header:?}");
+    }
+    request(server.addr, "POST", "/nothing", &[("accept", "text/html")], b"").problem(404);
     get(server.addr, "/static/../Cargo.toml").problem(404);
     get(server.addr, "/static/%2e%2e/Cargo.toml").problem(404);
     let wrong = request(server.addr, "PUT", "/v1/photos", &[], &[]);

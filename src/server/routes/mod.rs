@@ -196,7 +196,7 @@ pub fn router(app: App, rooms: Option<Router>) -> Router {
     own_pages()
         .into_iter()
         .fold(router, |router, (path, handler, _)| router.route(path, handler))
-        .fallback(async || Problem::not_found("there is nothing at this address"))
+        .fallback(pages::nothing)
         .method_not_allowed_fallback(no_method)
         .layer(DefaultBodyLimit::disable())
         .layer(CsrfLayer::new().with_rejection_response(foreign))
