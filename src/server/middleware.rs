@@ -112,7 +112,9 @@ fn only_chunked(headers: &HeaderMap) -> Result<(), Problem> {
 /// Makes a problem of every error, and gives it the request's id.
 async fn finish(response: Response, id: String) -> Response {
     let status = response.status();
-    let mut response = if status.is_client_error() || status.is_server_error() {
+    // a page that says so to a person is one already
+    let is_page = response.headers().get(header::CONTENT_TYPE).is_some_and(|t| t.as_bytes().starts_with(b"text/html"));
+    let mut response = if !is_page && (status.is_client_error() || status.is_server_error()) {
         let (parts, body) = response.into_parts();
         let mut problem = if let Some(problem) = parts.extensions.get::<Problem>() {
             problem.clone()

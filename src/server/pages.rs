@@ -83,9 +83,11 @@ pub async fn nothing(State(app): State<App>, method: Method, headers: HeaderMap)
     if !person || !matches!(method, Method::GET | Method::HEAD) {
         return Err(Problem::not_found("there is nothing at this address"));
     }
-    let mut response = page(&app, &headers, "app/missing-page.html", Frames::Own).await?;
-    if response.status().is_success() {
-        *response.status_mut() = StatusCode::NOT_FOUND;
+    // neither a part of it nor a version is asked for, but of what is not here
+    let mut response = page(&app, &HeaderMap::new(), "app/missing-page.html", Frames::Own).await?;
+    *response.status_mut() = StatusCode::NOT_FOUND;
+    for name in [header::ETAG, header::ACCEPT_RANGES, header::CACHE_CONTROL] {
+        response.headers_mut().remove(name);
     }
     Ok(response)
 }

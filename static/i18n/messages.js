@@ -145,8 +145,7 @@ const GERMAN = {
   'Back, with the lens': 'Zurück, mit dem Objektiv',
   'Into the nearest thing': 'Ins Nächste hinein',
   'Tilt to look around': 'Neigen und umsehen',
-  'Drag to look around; pinch or tap twice to come closer.':
-    'Ziehen, um sich umzusehen; spreizen oder doppelt tippen, um näher zu kommen.',
+  'Drag to look around; pinch or tap twice to come closer.': 'Ziehen, um sich umzusehen; spreizen oder doppelt tippen, um näher zu kommen.',
   'Nothing here – tmpi': 'Hier ist nichts – tmpi',
   'There is nothing at this address': 'Unter dieser Adresse ist nichts',
   'Drag or point to look around; scroll, pinch or tap twice to come closer.':

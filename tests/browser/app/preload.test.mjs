@@ -45,6 +45,7 @@ describe('modules', () => {
       'app/embed-page.js',
       'app/watch-page.js',
       'app/publish-page.js',
+      'app/missing-page.js',
       'element/tmpi-viewer.js',
       'element/photo-addresses.js',
       'view/viewer.js',
