@@ -25,6 +25,8 @@ pub(super) enum Without {
     Nothing,
     /// The map as it is given.
     Median,
+    /// Pixels of mixed colours stay on the side that the map gives them.
+    Rims,
     /// The median also of pixels whose colour speaks for the side that they are on.
     FullMedian,
     /// Fronto-parallel planes under the same bound of error.
@@ -53,9 +55,10 @@ pub(super) enum Without {
     Known,
 }
 
-const ALL: [(&str, Without); 15] = [
+const ALL: [(&str, Without); 16] = [
     ("all steps", Without::Nothing),
     ("without the colour-weighted median", Without::Median),
+    ("without joining rims to the near side", Without::Rims),
     ("colour-weighted median of every pixel at edges", Without::FullMedian),
     ("without slant (optimal, same error)", Without::Slant),
     ("without label smoothing", Without::Smoothing),
@@ -91,7 +94,7 @@ impl<'a> Prepared<'a> {
             intrinsics = Intrinsics::from_fov_x(photo.width, photo.height, fov);
         }
         let given = DisparityMap::clone(map);
-        let snapped = edges::median(&photo, &given);
+        let snapped = edges::clean(&photo, &given);
         Ok(Some(Self { subject, photo, intrinsics, given, snapped, psi }))
     }
 
@@ -109,6 +112,7 @@ impl<'a> Prepared<'a> {
         };
         let map = match without {
             Without::Median => &self.given,
+            Without::Rims => &edges::median(&self.photo, &self.given),
             Without::FullMedian => &edges::full_median(&self.photo, &self.given),
             _ => &self.snapped,
         };

@@ -45,8 +45,20 @@ const ROWS: usize = 16;
 pub fn snap(photo: &Photo, delta: &DisparityMap) -> DisparityMap {
     let (level, tables) = (Level::new(), Tables::new());
     let snapped = each(photo, delta, RADIUS, |band, y, lo, hi, out| kernel::sides(level, band, &tables, y, lo, hi, out));
-    let filtered = full_median(photo, &snapped);
-    each(photo, &filtered, RADIUS, |band, y, lo, hi, out| kernel::joins(band, &tables, y, lo, hi, out))
+    join_rims(photo, &full_median(photo, &snapped))
+}
+
+/// What sharp maps need of it: [`median`], then the joining of rim pixels to the near side.
+#[must_use]
+pub fn clean(photo: &Photo, delta: &DisparityMap) -> DisparityMap {
+    join_rims(photo, &median(photo, delta))
+}
+
+/// Gives pixels on the far side of an edge whose colour is a quarter or more the near side's to that side: left where they are, they
+/// stay behind as a dotted contour wherever the near side moves away.
+fn join_rims(photo: &Photo, delta: &DisparityMap) -> DisparityMap {
+    let tables = Tables::new();
+    each(photo, delta, RADIUS, |band, y, lo, hi, out| kernel::joins(band, &tables, y, lo, hi, out))
 }
 
 /// Share of the pixels near strong depth edges that lie on a ramp between the two sides: between them over 7×7 and over 3×3 pixels,
@@ -173,6 +185,21 @@ mod tests {
         // three surfaces that meet within a window are no ramp
         let stairs = DisparityMap { width: 48, height: 24, delta: (0..48 * 24).map(|i| ((i % 48) / 2) as f32 / 24.0).collect() };
         assert!(ramp_share(&stairs) < 1e-9);
+    }
+
+    #[test]
+    fn a_rim_of_mixed_colours_joins_the_near_side_of_an_exact_map() {
+        let (far, near) = ([40u8, 60, 90], [200u8, 150, 60]);
+        for (share, joins) in [(0.1, false), (0.4, true)] {
+            let (mut photo, sharp) = step(1e-3);
+            let mixed: [u8; 3] = std::array::from_fn(|i| (f32::from(far[i]) + share * (f32::from(near[i]) - f32::from(far[i]))) as u8);
+            photo.rgb.iter_mut().enumerate().filter(|(i, _)| i % 48 == 23).for_each(|(_, c)| *c = mixed);
+            let cleaned = clean(&photo, &sharp);
+            let edge = if joins { 23 } else { 24 };
+            assert!(cleaned.delta.iter().enumerate().all(|(i, d)| (d - if i % 48 < edge { 0.2 } else { 0.8 }).abs() < 1e-6), "{share}");
+            // and none without a mixed colour
+            assert_eq!(clean(&step(1e-3).0, &sharp), sharp);
+        }
     }
 
     #[test]

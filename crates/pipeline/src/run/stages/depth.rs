@@ -143,7 +143,7 @@ impl run::Stage for Snap {
         if switch != Switch::Off {
             // snapping true depth costs quality, and a map that is given may be either
             let blurred = !map.given || switch == Switch::On || edges::ramp_share(&map.delta) > edges::BLURRED;
-            map.delta = if blurred { edges::snap(photo, &map.delta) } else { edges::median(photo, &map.delta) };
+            map.delta = if blurred { edges::snap(photo, &map.delta) } else { edges::clean(photo, &map.delta) };
         }
         Ok(map)
     }
