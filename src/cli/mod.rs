@@ -7,6 +7,7 @@ mod bench_codec;
 mod better;
 mod check;
 mod compare;
+mod config;
 mod depth;
 mod eval;
 mod export;
@@ -48,6 +49,7 @@ enum Command {
     Depth(depth::DepthArgs),
     Export(export::ExportArgs),
     Serve(serve::ServeArgs),
+    Config(config::ConfigArgs),
     Models(models::ModelsArgs),
     Live(live::LiveArgs),
     /// Write a completion script for a shell
@@ -71,6 +73,7 @@ fn command() -> clap::Command {
     let about = |name: &str| all.find_subcommand(name).and_then(clap::Command::get_about).map_or_else(String::new, ToString::to_string);
     let lines: Vec<String> = INSTRUMENTS.iter().map(|name| format!("  {name:<12} {}", about(name))).collect();
     let listed = format!("Instruments, to measure what the program does:\n{}", lines.join("\n"));
+    let all = config::with_environment(all);
     INSTRUMENTS.iter().fold(all, |all, name| all.mut_subcommand(name, |c| c.hide(true))).after_help(listed)
 }
 
@@ -78,6 +81,18 @@ fn command() -> clap::Command {
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
 struct Usage(String);
+
+/// The name of the command and what it is to do, by the command line with what a file of settings adds.
+fn parsed() -> Result<(Option<String>, Cli), clap::Error> {
+    let definition = command();
+    let (line, from_file) = config::with_file(&definition, std::env::args_os().collect())?;
+    let all = definition.clone().try_get_matches_from(line)?;
+    let mut cli = Cli::from_arg_matches(&all)?;
+    if let (Command::Config(args), Some((name, given))) = (&mut cli.command, all.subcommand()) {
+        args.shown = definition.find_subcommand(name).map(|c| config::shown(c, given, &from_file)).unwrap_or_default();
+    }
+    Ok((all.subcommand_name().map(str::to_owned), cli))
+}
 
 /// Runs the program; exit code 0, 1 (failed) or 2 (usage).
 #[must_use]
@@ -88,8 +103,7 @@ pub fn main() -> ExitCode {
         tmpi_pipeline::networks::keep_to_yourself();
         tmpi_render::without_a_display();
     };
-    let parsed = command().try_get_matches().and_then(|all| Ok((all.subcommand_name().map(str::to_owned), Cli::from_arg_matches(&all)?)));
-    let (name, cli) = match parsed {
+    let (name, cli) = match parsed() {
         Ok(parsed) => parsed,
         Err(error) => {
             // Nothing is left to do where even this cannot be written
@@ -97,7 +111,10 @@ pub fn main() -> ExitCode {
             return ExitCode::from(if error.use_stderr() { 2 } else { 0 });
         }
     };
-    log_to_stderr(if matches!(cli.command, Command::Serve(_)) { "info" } else { "error" });
+    match &cli.command {
+        Command::Serve(args) => log_to_stderr("info", args.log),
+        _ => log_to_stderr("error", Log::Text),
+    }
     match run(cli.command) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) if error.is::<Usage>() => {
@@ -124,6 +141,7 @@ fn run(command: Command) -> anyhow::Result<()> {
         Command::Depth(args) => depth::run(&args),
         Command::Export(args) => export::run(&args),
         Command::Serve(args) => serve::run(args),
+        Command::Config(args) => result(args.shown.trim_end()),
         Command::Synth(args) => synth::run(&args),
         Command::Check(args) => check::run(&args),
         Command::Compare(args) => compare::run(&args),
@@ -140,14 +158,28 @@ fn run(command: Command) -> anyhow::Result<()> {
     }
 }
 
+/// How logs are written.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
+enum Log {
+    /// Lines for people
+    #[default]
+    Text,
+    /// An object a line, for collectors
+    Json,
+}
+
 /// Logs to standard error; `RUST_LOG` overrides the level.
-fn log_to_stderr(level: &str) {
+fn log_to_stderr(level: &str, form: Log) {
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(level));
     // A second call, as in tests, changes nothing
     let ansi = std::io::stderr().is_terminal();
     let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).with_ansi(ansi);
     // where nobody reads, telling that would end the program
-    let _ = log.log_internal_errors(false).try_init();
+    let log = log.log_internal_errors(false);
+    let _ = match form {
+        Log::Text => log.try_init(),
+        Log::Json => log.json().flatten_event(true).with_span_list(false).try_init(),
+    };
 }
 
 /// Writes one line to standard error, where somebody reads it.

@@ -29,6 +29,14 @@ const SPARE_FILES: u64 = 512;
 /// Take photos over HTTP and serve what is made of them
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct ServeArgs {
+    #[arg(
+        long,
+        env = "TMPI_CONFIG",
+        value_name = "FILE",
+        help = "File of settings, TOML with the names of these options; what is said here, or by variables like TMPI_SERVE_QUEUE, counts more"
+    )]
+    #[allow(dead_code, reason = "read before all else, with what is in it")]
+    config: Option<PathBuf>,
     /// Address and port to listen on, or the port alone for this machine; port 0 takes a free one, 0.0.0.0:8080 lets others in
     #[arg(long, default_value = "127.0.0.1:8080", value_parser = address, value_name = "ADDR")]
     addr: SocketAddr,
@@ -92,6 +100,9 @@ pub(super) struct ServeArgs {
     /// Seconds that requests and jobs under way have left after that
     #[arg(long, default_value_t = Limits::DRAIN.as_secs() as u32, value_name = "S")]
     drain: u32,
+    /// How the log on standard error is written
+    #[arg(long, value_enum, default_value_t, value_name = "FORM")]
+    pub log: super::Log,
     /// Have no rooms for moving photos
     #[arg(long)]
     no_live: bool,

@@ -1,6 +1,7 @@
 //! The contract of the command line, on the built program: exit codes, what goes to which stream, shapes of JSON, files.
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "test")]
 
+mod config;
 mod fixture;
 
 use std::path::Path;

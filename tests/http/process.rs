@@ -182,6 +182,20 @@ fn ids(addr: SocketAddr) -> Vec<String> {
 }
 
 #[test]
+#[cfg(unix)]
+fn the_log_is_an_object_a_line_where_that_is_wanted() {
+    let dir = tempfile::tempdir().unwrap();
+    let server = Process::start_with(dir.path(), &["--log", "json", "--drain", "5"]);
+    let answer = request(server.addr, "GET", "/nothing\"}", &[("x-request-id", "mine-1")], b"");
+    assert_eq!(answer.status, 404);
+    let (_, log) = server.terminate();
+    let lines: Vec<serde_json::Value> = log.lines().map(|l| serde_json::from_str(l).unwrap_or_else(|e| panic!("{e}: {l}"))).collect();
+    let line = lines.iter().find(|l| l["span"]["id"] == "mine-1").unwrap_or_else(|| panic!("{log}"));
+    assert_eq!((&line["status"], &line["span"]["peer"], &line["span"]["method"]), (&404.into(), &"127.0.0.1".into(), &"GET".into()));
+    assert!(line["timestamp"].is_string() && line["ms"].is_number() && line["level"] == "INFO", "{line}");
+}
+
+#[test]
 fn without_its_library_the_server_says_so_before_anybody_uploads() {
     let data = tempfile::tempdir().unwrap();
     let server = Process::start_in(data.path(), &[], &[("ORT_DYLIB_PATH", "/nowhere/libonnxruntime.so")]);
