@@ -118,6 +118,10 @@ impl Problem {
             tracing::error!(%error, "data directory");
             return Self::new(StatusCode::INSUFFICIENT_STORAGE, "storage-full", "the data directory has no room left");
         }
+        if error.kind() == std::io::ErrorKind::HostUnreachable {
+            tracing::warn!(%error, "the store");
+            return Self::new(StatusCode::SERVICE_UNAVAILABLE, "store-unreachable", "the store cannot be reached now").retry_after(5);
+        }
         Self::internal("data directory", error)
     }
 

@@ -1,6 +1,10 @@
 //! What tests need of the machine: where it is missing a test says so and passes, unless `TMPI_REQUIRE` names it.
 
+mod engines;
+
 use std::fmt::Display;
+
+pub use engines::Engine;
 
 /// Environment variable: what must be there, by the names of [`Need`], separated by commas.
 pub const VARIABLE: &str = "TMPI_REQUIRE";
@@ -14,16 +18,19 @@ pub enum Need {
     Onnx,
     /// `ffmpeg`: the program.
     Ffmpeg,
+    /// `s3`: moto, an S3 server in Python.
+    S3,
 }
 
 impl Need {
-    const ALL: [Self; 3] = [Self::Gpu, Self::Onnx, Self::Ffmpeg];
+    const ALL: [Self; 4] = [Self::Gpu, Self::Onnx, Self::Ffmpeg, Self::S3];
 
     const fn name(self) -> &'static str {
         match self {
             Self::Gpu => "gpu",
             Self::Onnx => "onnx",
             Self::Ffmpeg => "ffmpeg",
+            Self::S3 => "s3",
         }
     }
 

@@ -67,6 +67,18 @@ impl Jobs {
         inner.queue.push_back(Arc::clone(entry));
     }
 
+    /// Remembers a fault of the server, until when nothing is made here.
+    pub(in crate::server) fn suffer(&self, reason: String, until: Instant) {
+        let mut inner = self.lock();
+        let tries = inner.trouble.as_ref().map_or(0, |t| t.tries);
+        inner.trouble = Some(Trouble { reason, until, tries: tries + 1 });
+    }
+
+    /// Until when nothing is made here, after a fault of the server.
+    pub(in crate::server) fn suffers_until(&self) -> Option<Instant> {
+        self.lock().trouble.as_ref().map(|t| t.until)
+    }
+
     /// A photo was made: whatever kept others from it is over.
     pub(in crate::server) fn mended(&self) {
         self.lock().trouble = None;

@@ -1,0 +1,134 @@
+//! Copies of what lies in a store of many nodes: fetched when they are asked for, and the ones that nobody asked for longest go first.
+
+use std::collections::HashMap;
+use std::fs::File;
+use std::io;
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Instant;
+
+use super::{Part, Store, TEMPORARY};
+use crate::server::id::PhotoId;
+
+/// Tries to open a copy that others may remove meanwhile.
+const TRIES: u32 = 4;
+
+/// Where the truth lies of which this store has copies.
+pub trait Origin: std::fmt::Debug + Send + Sync + 'static {
+    /// The bytes of a file of a photo as it is now; blocks.
+    ///
+    /// # Errors
+    /// There is none, or it cannot be reached.
+    fn fetch(&self, id: PhotoId, part: Part) -> io::Result<Vec<u8>>;
+
+    /// What tells one making of a photo from another.
+    fn version(&self, id: PhotoId) -> Option<String>;
+}
+
+/// Copies of files, and what they take.
+#[derive(Debug)]
+pub(super) struct Copies {
+    origin: Arc<dyn Origin>,
+    /// Bytes that they may take.
+    most: u64,
+    held: Mutex<Held>,
+}
+
+#[derive(Debug, Default)]
+struct Held {
+    /// Bytes of each photo's, and when they were asked for last.
+    photos: HashMap<PhotoId, (u64, Instant)>,
+    bytes: u64,
+}
+
+impl Store {
+    /// Has it keep copies of at most `most` bytes of what lies at `origin`.
+    #[must_use]
+    pub fn of_origin(self, origin: Arc<dyn Origin>, most: u64) -> Self {
+        Self { copies: Some(Copies { origin, most, held: Mutex::default() }), ..self }
+    }
+
+    /// Opens a file of a photo, which is fetched where it lies elsewhere.
+    ///
+    /// # Errors
+    /// As [`File::open`], and the origin's.
+    pub fn open_part(&self, id: PhotoId, part: Part) -> io::Result<File> {
+        self.fetched(id, part, |path| File::open(path))
+    }
+
+    /// Does something with the path of a file, which is fetched before where it lies elsewhere.
+    pub(super) fn fetched<T>(&self, id: PhotoId, part: Part, then: impl Fn(&PathBuf) -> io::Result<T>) -> io::Result<T> {
+        let path = self.path(id, part);
+        let Some(copies) = &self.copies else { return then(&path) };
+        let mut tries = 0;
+        loop {
+            tries += 1;
+            match then(&path) {
+                // those that are too many may go before they are read
+                Err(e) if e.kind() == io::ErrorKind::NotFound && tries < TRIES => copies.fetch(self, id, part)?,
+                done => {
+                    copies.used(id);
+                    return done;
+                }
+            }
+        }
+    }
+
+    /// Forgets the copies of a photo; where this is no store of copies, nothing happens.
+    pub fn forget(&self, id: PhotoId) {
+        if let Some(copies) = &self.copies {
+            let mut held = copies.held();
+            copies.remove(self, &mut held, id);
+        }
+    }
+
+    /// True where there are copies of a photo's files here.
+    #[must_use]
+    pub fn is_copied(&self, id: PhotoId) -> bool {
+        self.copies.as_ref().is_some_and(|copies| copies.held().photos.contains_key(&id))
+    }
+}
+
+impl Copies {
+    fn held(&self) -> std::sync::MutexGuard<'_, Held> {
+        self.held.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn used(&self, id: PhotoId) {
+        if let Some((_, at)) = self.held().photos.get_mut(&id) {
+            *at = Instant::now();
+        }
+    }
+
+    fn fetch(&self, store: &Store, id: PhotoId, part: Part) -> io::Result<()> {
+        let version = self.origin.version(id);
+        let bytes = self.origin.fetch(id, part)?;
+        let mut held = self.held();
+        // another making took its place: whoever asks tries again
+        if self.origin.version(id) != version {
+            return Ok(());
+        }
+        let (path, folder) = (store.path(id, part), store.folder(id));
+        store.files.create_dir(&folder, true)?;
+        let temporary = folder.join(format!("{}{TEMPORARY}", part.name()));
+        // a copy need not be durable, only whole
+        std::fs::write(&temporary, &bytes).and_then(|()| store.files.rename(&temporary, &path))?;
+        let entry = held.photos.entry(id).or_insert((0, Instant::now()));
+        *entry = (entry.0 + bytes.len() as u64, Instant::now());
+        held.bytes += bytes.len() as u64;
+        while held.bytes > self.most {
+            let oldest = held.photos.iter().filter(|(other, _)| **other != id).min_by_key(|(_, (_, at))| *at).map(|(other, _)| *other);
+            let Some(oldest) = oldest else { break };
+            self.remove(store, &mut held, oldest);
+        }
+        Ok(())
+    }
+
+    fn remove(&self, store: &Store, held: &mut Held, id: PhotoId) {
+        let Some((bytes, _)) = held.photos.remove(&id) else { return };
+        held.bytes = held.bytes.saturating_sub(bytes);
+        if let Err(error) = store.files.remove(&store.folder(id)) {
+            tracing::warn!(%id, %error, "copies cannot be removed now");
+        }
+    }
+}
