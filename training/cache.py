@@ -168,6 +168,7 @@ def main():
     a.add_argument("--variants", type=int, default=4, help="of each rendered scene")
     a.add_argument("--real", type=int, default=24, help="of each photograph with a map")
     a.add_argument("--without", nargs="*", default=[], help="leave out pictures whose names begin so, such as train2/pairs")
+    a.add_argument("--beside", type=Path, help="only pictures with a map that this finished cache does not have, such as labels made since")
     a.add_argument("--threads", type=int, default=1)
     a.add_argument("--seed", type=int, default=1)
     a = a.parse_args()
@@ -175,6 +176,9 @@ def main():
     cv2.setNumThreads(1)
     items = [*sources.scenes(a.scenes), *sources.labels(held=False), *sources.gathered()]
     items = [i for i in items if not i.name.startswith(tuple(a.without))] if a.without else items
+    if a.beside:
+        known = {r[0] for own in json.loads((a.beside / "cache.json").read_text())["records"].values() for r in own}
+        items = [i for i in items if i.space != "none" and i.name not in known]
     net = network.DepthNet().eval()
     a.out.mkdir(parents=True, exist_ok=True)
     net.use_runtime(a.out / "encoders.onnx", a.threads)

@@ -30,23 +30,30 @@ TRUST = {"scene": (0.0, 1.0), "label": (0.05, 1.0), "rgbd": (0.1, 0.3), "stereo"
 class Records:
     """Batches of the cache: what a step gets is a function of the seed and the step."""
 
-    def __init__(self, folder, seed, batch, shares=SHARES, both=True):
-        self.folder, self.seed, self.batch = common.Path(folder), seed, batch
-        if not (self.folder / "cache.json").exists():
-            raise SystemExit(f"{folder}: no finished cache; see cache.py")
-        self.about = json.loads((self.folder / "cache.json").read_text())
-        self.channels = self.about["channels"]
+    def __init__(self, folders, seed, batch, shares=SHARES, both=True):
+        self.folders, self.seed, self.batch = [common.Path(f) for f in folders], seed, batch
+        for folder in self.folders:
+            if not (folder / "cache.json").exists():
+                raise SystemExit(f"{folder}: no finished cache; see cache.py")
+        about = [json.loads((f / "cache.json").read_text()) for f in self.folders]
+        self.channels = about[0]["channels"]
         # MobileNetV2's channels stand before YOLOX's
         self.used = self.channels if both else MobileNetV2.CHANNELS
-        kept = {tuple(map(int, k.split("x"))): v for k, v in self.about["records"].items()}
-        counts = {}
+        # records of a shape: those of each cache in turn; `maps` are their files, and the row at which each begins
+        kept, self.maps, counts = {}, {}, {}
+        for folder, known in zip(self.folders, about):
+            for name, records in known["records"].items():
+                shape = tuple(map(int, name.split("x")))
+                own = cache.mapped(folder / cache.file_of(shape), cache.layout(shape, self.channels), len(records))
+                self.maps.setdefault(shape, []).append((len(kept.get(shape, [])), own))
+                kept[shape] = kept.get(shape, []) + records
         for _, group, _, _ in itertools.chain(*kept.values()):
             counts[group] = counts.get(group, 0) + 1
         weight = {g: self.share(g, counts, shares) / n for g, n in counts.items()}
         self.shapes, self.sums = list(kept), {s: list(itertools.accumulate(weight[r[1]] for r in v)) for s, v in kept.items()}
-        self.maps = {s: cache.mapped(self.folder / cache.file_of(s), cache.layout(s, self.channels), len(v)) for s, v in kept.items()}
         self.groups = {s: [(r[1].split(":")[0] if r[1].startswith("scene") else r[1], r[2]) for r in v] for s, v in kept.items()}
-        self.bank = cache.mapped(self.folder / "statistics.bin", cache.statistics_layout(self.channels), self.about["statistics"])
+        banks = (cache.mapped(f / "statistics.bin", cache.statistics_layout(self.channels), k["statistics"]) for f, k in zip(self.folders, about))
+        self.bank = np.concatenate([b for b in banks if b is not None])
 
     @staticmethod
     def share(group, counts, shares):
@@ -64,7 +71,8 @@ class Records:
         shape = rng.choices(self.shapes, [self.sums[s][-1] for s in self.shapes])[0]
         sums, count = self.sums[shape], max(4, round(self.batch * cache.AREA / (shape[0] * shape[1])))
         rows = sorted(min(bisect.bisect(sums, rng.random() * sums[-1]), len(sums) - 1) for _ in range(count))
-        got = self.maps[shape][rows]
+        own = [(m, [r - start for r in rows if start <= r < start + len(m)]) for start, m in self.maps[shape]]
+        got = np.concatenate([m[r] for m, r in own if r])
         features = [torch.from_numpy(got[f"f{i}"][..., :c].astype(np.float32)).permute(0, 3, 1, 2) for i, c in enumerate(self.used)]
         own = [torch.from_numpy(got[f"s{i}"][:, :, :c].copy()) for i, c in enumerate(self.used)]
         told = [torch.from_numpy(got[k].astype(t)) for k, t in (("value", np.float32), ("region", np.int64), ("kind", np.int64))]
@@ -75,7 +83,7 @@ class Records:
         return [torch.from_numpy(self.bank[f"s{i}"][:, :, :c].copy()) for i, c in enumerate(self.used)]
 
     def inputs(self):
-        return {"cache": [self.folder / "cache.json", self.folder / "inputs.sha256", *sorted(self.folder.glob("*.bin"))]}
+        return {"cache": [f for folder in self.folders for f in (folder / "cache.json", folder / "inputs.sha256", *sorted(folder.glob("*.bin")))]}
 
 
 def restyled(features, own, bank):
@@ -127,7 +135,7 @@ WEIGHTS = {"error": 1.0, "gradient": 1.0, "order": 1.0, "border": 1.0, "whole": 
 
 def main():
     a = argparse.ArgumentParser(description=__doc__)
-    a.add_argument("--cache", default=str(RUNS / "cache"))
+    a.add_argument("--cache", nargs="+", default=[str(RUNS / "cache")], help="folders of cache.py, the later ones built --beside the first")
     a.add_argument("--out", default=str(RUNS / "depth"))
     a.add_argument("--batch", type=int, default=16, help="pictures of 128 × 192; of larger ones fewer")
     a.add_argument("--lr", type=float, default=2e-3)
@@ -138,7 +146,9 @@ def main():
     a.add_argument("--ramp", type=float, default=0.2, help="share of the vertical ramp by which checkpoints are measured")
     a.add_argument("--drop", type=float, default=0.15, help="share of the encoders' channels that each sample goes without")
     a.add_argument("--ema", type=float, default=0.998, help="decay of the mean over weights")
-    a.add_argument("--init", help="checkpoint whose weights to begin with, their running mean")
+    a.add_argument("--init", help="checkpoint whose weights to begin with, their running mean, or an exported network")
+    a.add_argument("--decay", type=float, default=1e-2, help="weight decay of the decoder")
+    a.add_argument("--tune", type=float, default=0.0, metavar="GAIN", help="share of the rate at which MobileNetV2's later stages learn too; 0: they are frozen")
     loop.arguments(a, steps=20000, seed=1, every=1000)
     a = a.parse_args()
     import eval_depth  # here, because it reads real pictures
@@ -151,28 +161,36 @@ def main():
     net.decoder.to(memory_format=torch.channels_last)
     inputs = records.inputs() | {"encoders": cache.network.FILES}
     if a.init:
-        net.decoder.load_state_dict(torch.load(a.init, weights_only=False)["mean"])
         inputs["start"] = [a.init]
+        if a.init.endswith(".onnx"):
+            net.decoder.take(a.init, (records.at(-step)[0] for step in range(1, 17)))
+        else:
+            net.load(torch.load(a.init, weights_only=False))
+    slow = net.encoder.classifier.unfreeze() if a.tune else []
     out = common.Path(a.out)
     out.mkdir(parents=True, exist_ok=True)
-    net.use_runtime(out / "encoders.onnx", a.threads)
+    if not a.tune:
+        net.use_runtime(out / "encoders.onnx", a.threads)
     sets = eval_depth.load_sets("choose")
     inputs["chosen by"] = eval_depth.files("choose")
 
     def loss_at(step):
         features, own, value, region, kind, of = records.at(step)
         features = features if bank is None else restyled(features, own, bank)
+        features = net.retaken(features) if a.tune else features
         generator = torch.Generator().manual_seed(loop.stream(a.seed, "pairs", step).getrandbits(60))
         return loss_of(net.decoder.half(features)[:, 0], value, region, kind, of, generator, weights)
 
     def measure(mean):
-        live, net.decoder = net.decoder, mean
-        found = {k: v["net"] for k, v in eval_depth.evaluate(Shipped(net.eval(), a.ramp), sets).items()}
+        live = net.decoder
+        net.decoder = live if a.tune else mean
+        found = {k: v["net"] for k, v in eval_depth.evaluate(Shipped((mean if a.tune else net).eval(), a.ramp), sets).items()}
         net.decoder = live
         return found | ({"score": float(np.mean(list(found.values())))} if found else {})
 
-    plan = loop.Plan(steps=a.steps, lr=a.lr, weight_decay=1e-2, ema=a.ema, every=a.every, seed=a.seed, threads=a.threads)
-    loop.train(out, plan, net.decoder, loss_at, inputs, loop.remaining(a, "cache", "init") | {"init": bool(a.init)}, measure, a.stop)
+    plan = loop.Plan(steps=a.steps, lr=a.lr, weight_decay=a.decay, ema=a.ema, every=a.every, seed=a.seed, threads=a.threads)
+    options = loop.remaining(a, "cache", "init", "decay") | {"init": bool(a.init)}
+    loop.train(out, plan, net if a.tune else net.decoder, loss_at, inputs, options, measure, a.stop, slow=slow, gain=a.tune)
 
 
 if __name__ == "__main__":

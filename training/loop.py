@@ -109,12 +109,13 @@ def save(path, state):
     part.replace(path)
 
 
-def train(out, plan, net, loss_at, inputs, options=None, measure=None, stop=None, quiet=False):
+def train(out, plan, net, loss_at, inputs, options=None, measure=None, stop=None, quiet=False, slow=(), gain=1.0):
     """Trains `net`, goes on from `out`/last.pt where that is there, and returns the state at the end.
 
     `loss_at(step)` gives a dictionary of scalar tensors of which `loss` is descended; `measure(mean)` gives figures of the running mean of the
     weights, of which the smallest `score`, if there is one, makes best.pt. `inputs` is what the run reads, by name: lists of files. `options` are
-    whatever else decides what the run does. `stop` ends it early, after that many steps, to go on later. Raises [`Changed`].
+    whatever else decides what the run does. `stop` ends it early, after that many steps, to go on later. The parameters `slow` learn at the share
+    `gain` of the rate and are not drawn to 0: they were trained elsewhere. Raises [`Changed`].
     """
     out = Path(out)
     out.mkdir(parents=True, exist_ok=True)
@@ -122,7 +123,10 @@ def train(out, plan, net, loss_at, inputs, options=None, measure=None, stop=None
     torch.use_deterministic_algorithms(True)
     wanted = {"plan": asdict(plan), "options": options or {}}
     params = [p for p in net.parameters() if p.requires_grad]
-    optimiser = torch.optim.AdamW(params, plan.lr, weight_decay=plan.weight_decay)
+    groups, known = [], {id(p) for p in slow}
+    for own, of in (([p for p in params if id(p) not in known], {}), (list(slow), {"gain": gain, "weight_decay": 0.0})):
+        groups += [{"params": own, **of}] if own else []
+    optimiser = torch.optim.AdamW(groups, plan.lr, weight_decay=plan.weight_decay)
     mean = copy.deepcopy(net).eval()
     step, best, rows, seen = 0, math.inf, [], {}
     if (out / "last.pt").exists():
@@ -143,7 +147,7 @@ def train(out, plan, net, loss_at, inputs, options=None, measure=None, stop=None
     end, start = min(plan.steps, stop or plan.steps), time.time()
     while step < end:
         for group in optimiser.param_groups:
-            group["lr"] = rate(plan, step)
+            group["lr"] = rate(plan, step) * group.get("gain", 1.0)
         net.train()
         parts = loss_at(step)
         if not torch.isfinite(parts["loss"]):

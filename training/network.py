@@ -3,6 +3,7 @@
 import json
 
 import numpy as np
+import onnx
 import onnxruntime as ort
 import torch
 import torch.nn.functional as F
@@ -49,8 +50,29 @@ class MobileNetV2(nn.Module):
         return [last[s] for s in sorted(last, reverse=True)]
 
     def forward(self, x):
-        value = {self.ops[0]["i"]: x * self.scale + self.shift}
-        for op in self.ops:
+        return self.run(self.ops[0]["i"], x * self.scale + self.shift, self.ops, self.taps)
+
+    def split(self):
+        """Number of layers up to the map of stride 8, from which the later stages need nothing else."""
+        return next(n for n, op in enumerate(self.ops) if op["o"] == self.taps[2]) + 1
+
+    def later(self, f3):
+        """The maps of strides 16 and 32 from that of stride 8: nine tenths of the weights, a third of the work."""
+        return self.run(self.taps[2], f3, self.ops[self.split() :], self.taps[3:])
+
+    def unfreeze(self):
+        """Makes the weights of the later stages learnable, and returns them."""
+        names = [f"{n}{op['k']}" for op in self.ops[self.split() :] if op["op"] != "add" for n in "wb"]
+        for name in names:
+            value = getattr(self, name)
+            delattr(self, name)
+            self.register_parameter(name, nn.Parameter(value))
+        return [getattr(self, name) for name in names]
+
+    def run(self, start, x, ops, wanted):
+        """The maps `wanted` after `ops`, where `x` is the map that `start` names."""
+        value = {start: x}
+        for op in ops:
             i = value[op["i"]]
             if op["op"] == "add":
                 value[op["o"]] = i + value[op["i2"]]
@@ -65,7 +87,7 @@ class MobileNetV2(nn.Module):
                     pad = 1
             o = F.conv2d(i, w, b, op["stride"], pad, 1, groups)
             value[op["o"]] = o.clamp(0, 6) if op["act"] == "relu6" else o
-        return [value[t] for t in self.taps]
+        return [value[t] for t in wanted]
 
 
 def block(i, o):
@@ -108,6 +130,50 @@ class Decoder(nn.Module):
         return self.head(x)
 
 
+    def layers(self):
+        """Convolutions in the order in which `graph.decoder` writes them, each with the BatchNorm that is folded into it there, or None."""
+        joined = [(c, None) for c in (self.top[0], self.context[0], self.context[2])] + [tuple(self.mix[:2])]
+        for i in (3, 2, 1, 0):
+            joined += [(self.side[i], None), tuple(self.join[i][:2])]
+        return [*joined, (self.head, None)]
+
+    @torch.no_grad()
+    def take(self, path, batches):
+        """The weights of an exported network. What its BatchNorm was is not in the file: mean and deviation are measured on `batches` of feature maps."""
+        found = convolutions(path)[-len(self.layers()) :]
+        norms = {}
+        for (conv, norm), (weight, bias) in zip(self.layers(), found, strict=True):
+            conv.weight.copy_(weight)
+            if norm is None:
+                conv.bias.copy_(bias)
+                continue
+            norm.running_mean.zero_()
+            norm.running_var.fill_(1 - norm.eps)
+            norm.weight.fill_(1)
+            norm.bias.copy_(bias)
+            norms[norm] = []
+        hooks = [n.register_forward_pre_hook(lambda n, x: norms[n].append(torch.stack([x[0].mean((0, 2, 3)), x[0].square().mean((0, 2, 3))]))) for n in norms]
+        self.eval()
+        for features in batches:
+            self.half(features)
+        for norm, hook in zip(norms, hooks):
+            hook.remove()
+            mean, square = torch.stack(norms[norm]).mean(0)
+            norm.running_mean.copy_(mean)
+            norm.running_var.copy_((square - mean.square()).clamp_min(1e-6))
+            norm.weight.copy_((norm.running_var + norm.eps).sqrt())
+            norm.bias.add_(mean)
+
+
+def convolutions(path):
+    """Weights and biases of an exported network's convolutions, in its order."""
+    written = onnx.load(str(path)).graph
+    values = {i.name: onnx.numpy_helper.to_array(i).astype(np.float32) for i in written.initializer}
+    # large weights are stored as float16 and cast
+    values |= {n.output[0]: values[n.input[0]] for n in written.node if n.op_type == "Cast" and n.input[0] in values}
+    return [tuple(torch.from_numpy(values[i].copy()) for i in n.input[1:]) for n in written.node if n.op_type == "Conv"]
+
+
 class Encoders(nn.Module):
     """MobileNetV2, and beside it, where `both`, YOLOX-nano: its maps of strides 8, 16, 32 stand behind the other's channels."""
 
@@ -139,10 +205,22 @@ class DepthNet(nn.Module):
     @staticmethod
     def of(checkpoint):
         """The network of a checkpoint, by the running mean of its weights: its decoder tells which encoders it was trained behind."""
-        decoder = checkpoint["mean"]
-        net = DepthNet(decoder["top.0.weight"].shape[1] > MobileNetV2.CHANNELS[4] + 1)
-        net.decoder.load_state_dict(decoder)
+        mean = checkpoint["mean"]
+        top = mean.get("decoder.top.0.weight", mean.get("top.0.weight"))
+        net = DepthNet(top.shape[1] > MobileNetV2.CHANNELS[4] + 1)
+        net.load(checkpoint)
         return net
+
+    def load(self, checkpoint):
+        """Takes the running mean of a checkpoint's weights: of the decoder alone, or of the whole network where its encoder was trained too."""
+        mean = checkpoint["mean"]
+        (self if "decoder.top.0.weight" in mean else self.decoder).load_state_dict(mean)
+
+    def retaken(self, features):
+        """Feature maps whose part of MobileNetV2's later stages is taken again, by their weights as they are now, from the map of stride 8."""
+        c = MobileNetV2.CHANNELS
+        later = self.encoder.classifier.later(features[2][:, : c[2]])
+        return features[:3] + [torch.cat([new, old[:, new.shape[1] :]], 1) for new, old in zip(later, features[3:])]
 
     def forward(self, image):
         # channels last is a third faster on a CPU

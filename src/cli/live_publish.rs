@@ -18,7 +18,7 @@ use tmpi_live::units::{Splitter, Unit, codec};
 use tmpi_live::video::{self, JPEG};
 use tmpi_pipeline::depth::{self as maps, DepthKind};
 
-use super::live_client::{Socket, connect, micros};
+use super::live_client::{Addresses, Socket, Unreached, micros};
 use super::result;
 
 /// Time for which a frame waits for the server's leave to send it, before it is left out.
@@ -36,9 +36,9 @@ pub(super) struct PublishArgs {
     /// video is passed on as it is
     #[arg(value_name = "FOLDER|FILE|URL")]
     source: String,
-    /// The room's address
-    #[arg(long, default_value = "http://127.0.0.1:8080/live/room", value_name = "URL")]
-    room: String,
+    /// The room's address; several, separated by commas, where nodes share it: a lost one is left for the next
+    #[arg(long, visible_alias = "to", value_delimiter = ',', default_value = "http://127.0.0.1:8080/live/room", value_name = "URL[,URL…]")]
+    room: Vec<String>,
     /// Token for the room
     #[arg(long, value_name = "TOKEN")]
     token: Option<String>,
@@ -207,14 +207,14 @@ async fn publishing(args: &PublishArgs) -> anyhow::Result<()> {
         pause: Duration::from_secs_f64(1.0 / args.rate),
         sent: Sent::default(),
     };
-    let mut tries = 0;
+    let (mut tries, mut addresses) = (0, Addresses::new(&args.room, args.token.as_deref()));
     loop {
         let before = sender.sent.frames;
-        let ended = match connect(&args.room, "publish", args.token.as_deref()).await {
+        let ended = match addresses.connect("publish").await {
             Ok(socket) => sender.send(socket, &hello).await,
             // what was wrong from the start is no lost connection
-            Err(error) if before == 0 => return Err(error),
-            Err(error) => Err(End::Lost(error)),
+            Err(Unreached { error, .. }) if before == 0 => return Err(error),
+            Err(Unreached { error, .. }) => Err(End::Lost(error)),
         };
         match ended {
             Ok(()) => break,
@@ -225,7 +225,11 @@ async fn publishing(args: &PublishArgs) -> anyhow::Result<()> {
                     return Err(error);
                 }
                 eprintln!("tmpi live publish: {error:#}; again");
-                sleep(AGAIN).await;
+                addresses.go_on();
+                // another node may be asked at once, but not all of them in turn without end
+                if !addresses.are_several() || tries > 1 {
+                    sleep(AGAIN).await;
+                }
             }
         }
     }

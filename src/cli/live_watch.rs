@@ -6,7 +6,9 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use anyhow::Context as _;
+use bytes::Bytes;
 use futures_util::StreamExt as _;
+use tokio::time::timeout;
 use tokio_tungstenite::tungstenite::Message;
 
 use tmpi_core::live::wire::message::Kind;
@@ -16,16 +18,19 @@ use tmpi_core::{Camera, Inpainter, Memory, Photo, Pose, TexturedLayer, compose};
 use tmpi_live::video::{self, Decoder};
 use tmpi_render::{Cpu, PictureFormat, Renderer as _, encode};
 
-use super::live_client::{connect, micros};
+use super::live_client::{Addresses, Socket, micros};
 use super::render::pose;
 use super::{files, result};
+
+/// Silence after which a server is taken for lost: it says something each second.
+const SILENCE: Duration = Duration::from_secs(3);
 
 /// Watch a room: print what comes, and keep it
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct WatchArgs {
-    /// The room's address
-    #[arg(default_value = "http://127.0.0.1:8080/live/room", value_name = "URL")]
-    room: String,
+    /// The room's address; several, separated by commas, where nodes share it: a lost one is left for the next
+    #[arg(value_delimiter = ',', default_value = "http://127.0.0.1:8080/live/room", value_name = "URL[,URL…]")]
+    room: Vec<String>,
     /// Token for the room
     #[arg(long, value_name = "TOKEN")]
     token: Option<String>,
@@ -73,41 +78,119 @@ pub(super) fn watch(args: &WatchArgs) -> anyhow::Result<()> {
 }
 
 async fn watching(args: &WatchArgs) -> anyhow::Result<()> {
-    let mut record =
-        args.record.as_ref().map(|file| std::fs::File::create(file).with_context(|| file.display().to_string())).transpose()?;
-    let begun = Instant::now();
-    let mut socket = connect(&args.room, "subscribe", args.token.as_deref()).await?;
-    let end = args.seconds.map(|s| tokio::time::Instant::now() + Duration::from_secs_f64(s.clamp(0.0, 1e9)));
-    let mut second = Second::default();
-    let mut shown: Option<Shown> = None;
-    let mut waits = true;
+    let record = args.record.as_ref().map(|file| std::fs::File::create(file).with_context(|| file.display().to_string())).transpose()?;
+    let end = args.seconds.map(|s| Instant::now() + Duration::from_secs_f64(s.clamp(0.0, 1e9)));
+    let mut watcher = Watcher { args, end: end.map(Into::into), record, begun: Instant::now(), second: Second::default(), frames: 0 };
+    let mut addresses = Addresses::new(&args.room, args.token.as_deref());
+    // since when nothing has come, once something had
+    let mut lost: Option<(Instant, End)> = None;
     loop {
-        let over = async {
-            match end {
-                Some(end) => tokio::time::sleep_until(end).await,
-                None => std::future::pending().await,
+        watcher.begun = Instant::now();
+        let (before, ended) = match (addresses.connect("subscribe").await, &lost) {
+            (Ok(socket), _) => (watcher.frames, watcher.watch(socket).await?),
+            // what was wrong from the start is no lost connection
+            (Err(unreached), None) => return Err(unreached.error),
+            (Err(unreached), Some((since, end))) => {
+                // a room waits for its publisher, which may come to another node
+                let over = *end == End::Gone && !addresses.are_several() || since.elapsed() > COME_BACK;
+                if unreached.nobody && over {
+                    return Ok(());
+                }
+                if since.elapsed() > PATIENCE {
+                    return Err(unreached.error);
+                }
+                tokio::time::sleep(AGAIN).await;
+                if watcher.is_over() {
+                    return Ok(());
+                }
+                continue;
             }
         };
-        let came = tokio::select! {
-            came = socket.next() => came,
-            () = over => return Ok(()),
-        };
-        let bytes = match came {
-            Some(Ok(Message::Binary(bytes))) => bytes,
-            Some(Ok(Message::Ping(_) | Message::Pong(_))) => continue,
-            Some(Err(error)) => return Err(error).context("the connection broke"),
-            _ => return Ok(()),
-        };
-        if let Some(file) = &mut record {
-            file.write_all(&(bytes.len() as u32).to_le_bytes()).and_then(|()| file.write_all(&bytes))?;
+        if ended == End::Over {
+            return Ok(());
         }
-        let length = bytes.len() as u64;
+        lost = Some((lost.filter(|_| watcher.frames == before).map_or_else(Instant::now, |(since, _)| since), ended));
+        addresses.go_on();
+        tokio::time::sleep(AGAIN).await;
+    }
+}
+
+/// Pause before a lost room is looked for again, how long one that nobody publishes in is, and one that cannot be reached.
+const AGAIN: Duration = Duration::from_millis(100);
+const COME_BACK: Duration = Duration::from_secs(10);
+const PATIENCE: Duration = Duration::from_secs(30);
+
+/// How watching at one address ends.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum End {
+    /// For good.
+    Over,
+    /// The server says that one may come back.
+    Gone,
+    /// The connection broke.
+    Lost,
+}
+
+struct Watcher<'a> {
+    args: &'a WatchArgs,
+    end: Option<tokio::time::Instant>,
+    record: Option<std::fs::File>,
+    begun: Instant,
+    second: Second,
+    /// All that came.
+    frames: u64,
+}
+
+impl Watcher<'_> {
+    fn is_over(&self) -> bool {
+        self.end.is_some_and(|end| tokio::time::Instant::now() >= end)
+    }
+
+    async fn watch(&mut self, mut socket: Socket) -> anyhow::Result<End> {
+        let (mut shown, mut waits): (Option<Shown>, bool) = (None, true);
+        loop {
+            let over = async {
+                match self.end {
+                    Some(end) => tokio::time::sleep_until(end).await,
+                    None => std::future::pending().await,
+                }
+            };
+            let came = tokio::select! {
+                came = timeout(SILENCE, socket.next()) => came,
+                () = over => return Ok(End::Over),
+            };
+            let bytes = match came {
+                Ok(Some(Ok(Message::Binary(bytes)))) => bytes,
+                Ok(Some(Ok(Message::Ping(_) | Message::Pong(_)))) => continue,
+                Ok(Some(Err(error))) => {
+                    eprintln!("tmpi live watch: the connection broke: {error}");
+                    return Ok(End::Lost);
+                }
+                Ok(_) => return Ok(End::Lost),
+                Err(_) => {
+                    eprintln!("tmpi live watch: nothing came for {} s", SILENCE.as_secs());
+                    return Ok(End::Lost);
+                }
+            };
+            if let Some(file) = &mut self.record {
+                file.write_all(&(bytes.len() as u32).to_le_bytes()).and_then(|()| file.write_all(&bytes))?;
+            }
+            if let Some(end) = self.take(bytes, &mut shown, &mut waits)? {
+                return Ok(end);
+            }
+        }
+    }
+
+    /// Takes a message; gives how watching ends where it does.
+    fn take(&mut self, bytes: Bytes, shown: &mut Option<Shown>, waits: &mut bool) -> anyhow::Result<Option<End>> {
+        let (length, second, args) = (bytes.len() as u64, &mut self.second, self.args);
         match read(bytes)? {
             Kind::Hello(hello) => {
                 eprintln!("tmpi live watch: {}×{}, {}, epoch {}", hello.width, hello.height, hello.codec, hello.epoch);
-                shown = Some(Shown::new(&hello, args.render.is_some())?);
+                *shown = Some(Shown::new(&hello, args.render.is_some())?);
             }
             Kind::Video(video) => {
+                self.frames += 1;
                 second.frames += 1;
                 second.video_bytes += length;
                 let shown = shown.as_mut().context("a frame before HELLO")?;
@@ -119,23 +202,24 @@ async fn watching(args: &WatchArgs) -> anyhow::Result<()> {
                 second.geometry_bytes += length;
                 let shown = shown.as_mut().context("tiles before HELLO")?;
                 second.tiles += shown.model.take(&g)?.len() as u64;
-                if waits && shown.model.geometry().is_some() {
-                    waits = false;
-                    eprintln!("tmpi live watch: the first tiles after {:.0} ms", begun.elapsed().as_secs_f64() * 1e3);
+                if *waits && shown.model.geometry().is_some() {
+                    *waits = false;
+                    eprintln!("tmpi live watch: the first tiles after {:.0} ms", self.begun.elapsed().as_secs_f64() * 1e3);
                 }
             }
             Kind::Statistics(s) => {
                 (second.viewers, second.skipped, second.geometry_ms) = (s.viewers, s.skipped, s.geometry_ms);
                 second.tiles_left_out = s.tiles_left_out as f64 / s.tiles.max(1) as f64;
                 result(&if args.json { serde_json::to_string(&second)? } else { second.line() })?;
-                second = Second::default();
+                *second = Second::default();
             }
             Kind::Bye(bye) => {
                 eprintln!("tmpi live watch: the server says: {}", bye.reason);
-                return Ok(());
+                return Ok(Some(if bye.again { End::Gone } else { End::Over }));
             }
             _ => {}
         }
+        Ok(None)
     }
 }
 

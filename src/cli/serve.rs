@@ -13,7 +13,7 @@ use super::flags::ModelFlags;
 use super::{Usage, files};
 use sha2::{Digest as _, Sha256};
 
-use crate::live::{self, Rooms};
+use crate::live::{self, NatsAddress, Rooms};
 use crate::server::{
     Better, Config, Limits, PipelineMaker, ProcessMaker, Role, Server, Sharing, VARIABLE, hex, make_for_a_server, stop_signal,
 };
@@ -115,6 +115,15 @@ pub(super) struct ServeArgs {
     /// Milliseconds that the geometry of a room's frame may take
     #[arg(long, default_value_t = 30.0, value_name = "MS")]
     live_budget_ms: f64,
+    /// Share rooms with all nodes that are given the same NATS servers: nats://[USER:PASSWORD@]HOST:PORT, several separated by commas; tls:// for TLS
+    #[arg(long, value_delimiter = ',', conflicts_with = "no_live", value_name = "URL[,URL…]")]
+    nats: Vec<NatsAddress>,
+    /// File with USER:PASSWORD, or a token, for those servers
+    #[arg(long, requires = "nats", value_name = "FILE")]
+    nats_login: Option<PathBuf>,
+    /// Name of this node in their logs: letters, digits, - and _
+    #[arg(long, requires = "nats", default_value = "tmpi", value_parser = node, value_name = "NAME")]
+    node: String,
     /// Address of the better depth network that the page offers to fetch, in place of its publisher's; the digest stays
     #[arg(long, value_name = "URL")]
     network_url: Option<String>,
@@ -138,7 +147,12 @@ impl ServeArgs {
         if key.as_ref().is_some_and(|k| k.len() < LEAST_KEY) {
             return Err(Usage(format!("--live-key: a key has {LEAST_KEY} bytes at least")).into());
         }
-        Ok(Some(Rooms::new(live::Config { models: models.clone(), frame_ms: self.live_budget_ms, key })))
+        let rooms = Rooms::new(live::Config { models: models.clone(), frame_ms: self.live_budget_ms, key });
+        if self.nats.is_empty() {
+            return Ok(Some(rooms));
+        }
+        let login = self.nats_login.as_deref().map(|file| files::read(file).map(|text| String::from_utf8_lossy(&text).into_owned()));
+        Ok(Some(rooms.shared(live::NodeConfig { servers: self.nats.clone(), login: login.transpose()?, name: self.node.clone() })))
     }
 
     /// What the node shares with others; none where it is alone.
@@ -187,6 +201,12 @@ fn address(text: &str) -> Result<SocketAddr, String> {
         (_, Ok(port)) => Ok(SocketAddr::from((Ipv4Addr::LOCALHOST, port))),
         _ => Err("an address and a port are wanted, as 127.0.0.1:8080, 0.0.0.0:8080 or [::1]:8080; 8080 alone is this machine's".into()),
     }
+}
+
+/// The name of a node, to which a number of its run is added.
+fn node(text: &str) -> Result<String, String> {
+    let fits = !text.is_empty() && text.len() <= 32 && text.bytes().all(|b| b.is_ascii_alphanumeric() || b"-_".contains(&b));
+    if fits { Ok(text.to_owned()) } else { Err("up to 32 letters, digits, - and _".into()) }
 }
 
 /// Serves until SIGTERM or SIGINT; prints the server's URL on stdout once it listens.
@@ -311,6 +331,16 @@ mod tests {
         assert_eq!(address("0").unwrap().port(), 0);
         for text in ["", ":", "nowhere", "localhost", "70000", ":70000", "127.0.0.1", "example.org:80"] {
             assert!(address(text).unwrap_err().contains("127.0.0.1:8080"), "{text}");
+        }
+    }
+
+    #[test]
+    fn nats_servers_are_a_list() {
+        let of = |args: &[&str]| Cli::try_parse_from([&["serve"], args].concat()).map(|c| (c.serve.nats.len(), c.serve.node)).ok();
+        assert_eq!(of(&[]), Some((0, "tmpi".into())));
+        assert_eq!(of(&["--nats", "nats://a:4222,b,tls://u:p@c:4223", "--node", "attic-1"]), Some((3, "attic-1".into())));
+        for wrong in [&["--nats", "http://a"][..], &["--nats", "a", "--node", "a.b"], &["--node", "a"], &["--nats", "a", "--no-live"]] {
+            assert_eq!(of(wrong), None, "{wrong:?}");
         }
     }
 

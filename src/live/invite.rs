@@ -50,8 +50,8 @@ pub(super) async fn state(
 ) -> Result<Json<RoomState>, Problem> {
     here.check(&name, Role::Watch, &uri, &headers)?;
     let may_publish = here.check(&name, Role::Publish, &uri, &headers).is_ok();
-    let (publishing, viewers) = here.rooms.get(&name).map_or((false, 0), |room| (!room.is_empty(), room.viewers()));
-    Ok(Json(RoomState { publishing, viewers, may_publish }))
+    let (publishing, viewers) = here.rooms.get(&name).map_or((false, 0), |room| (room.is_publishing(), room.everyone()));
+    Ok(Json(RoomState { publishing: publishing || here.rooms.is_elsewhere(&name), viewers, may_publish }))
 }
 
 /// A token for who watches.

@@ -13,11 +13,13 @@
 //! | `room` | what sockets and threads of a room share |
 //! | `ring` | messages since the last key frame |
 //! | `gops` | the same as groups of pictures, for plain HTTP |
+//! | `nodes` | rooms that several servers share |
 //! | `worker` | the threads that decode and make geometry |
 
 mod access;
 mod gops;
 mod invite;
+mod nodes;
 mod publisher;
 mod ring;
 mod room;
@@ -26,18 +28,22 @@ mod viewer;
 mod worker;
 
 use std::collections::HashMap;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::Duration;
 
 use tmpi_pipeline::Models;
 
 pub use access::{Role, token};
+pub use async_nats::ServerAddr as NatsAddress;
 use axum::extract::ws::{Message, WebSocket};
+pub use nodes::Config as NodeConfig;
 use tmpi_core::live::wire::Bye;
 use tmpi_core::live::wire::message::Kind;
 use tmpi_core::live::write;
 
+use nodes::{Claim, Nodes, Refused};
 use room::Room;
+use tokio_util::sync::CancellationToken;
 
 /// Rooms at a time.
 const ROOMS: usize = 16;
@@ -61,6 +67,8 @@ const KEYS: Duration = Duration::from_secs(1);
 const BROKEN: u32 = 30;
 /// Bytes of a name.
 const NAME: usize = 64;
+/// Time that a room waits for its publisher to come back.
+const COME_BACK: Duration = Duration::from_secs(10);
 
 /// What rooms are made with.
 #[derive(Clone)]
@@ -76,18 +84,92 @@ pub struct Config {
 /// All rooms of a server.
 pub struct Rooms {
     config: Config,
-    rooms: Mutex<HashMap<String, Arc<Room>>>,
+    named: Mutex<HashMap<String, Arc<Room>>>,
+    shared: Option<NodeConfig>,
+    nodes: OnceLock<Arc<Nodes>>,
 }
 
 impl Rooms {
     /// No room yet.
     #[must_use]
     pub fn new(config: Config) -> Self {
-        Self { config, rooms: Mutex::default() }
+        Self { config, named: Mutex::default(), shared: None, nodes: OnceLock::new() }
+    }
+
+    /// Shares them with other nodes.
+    #[must_use]
+    pub fn shared(mut self, config: NodeConfig) -> Self {
+        self.shared = Some(config);
+        self
+    }
+
+    /// Joins the other nodes, where there are to be any, until the server stops.
+    pub(crate) async fn start(self: &Arc<Self>, stop: CancellationToken) {
+        let Some(config) = &self.shared else { return };
+        match Nodes::join(config, self, stop).await {
+            Ok(nodes) => drop(self.nodes.set(nodes)),
+            Err(error) => tracing::error!(%error, "rooms are not shared"),
+        }
+    }
+
+    /// Why rooms are not what they are to be, for whoever asks whether the server is ready.
+    pub(crate) fn trouble(&self) -> Option<&'static str> {
+        let alone = self.shared.is_some() && !self.nodes.get().is_some_and(|n| n.is_connected());
+        alone.then_some("NATS cannot be reached: rooms are not shared with other nodes")
+    }
+
+    /// Names, meanings and values of what is counted; nothing where rooms are not shared.
+    pub(crate) fn counts(&self) -> Vec<(&'static str, &'static str, f64)> {
+        let of = |n: &Arc<Nodes>| {
+            vec![
+                ("tmpi_live_nats_connected", "Whether other nodes can be heard", f64::from(u8::from(n.is_connected()))),
+                ("tmpi_live_nats_dropped", "Messages of other nodes that were none", n.dropped() as f64),
+            ]
+        };
+        self.nodes.get().map(of).unwrap_or_default()
+    }
+
+    /// All of them, by name.
+    fn all(&self) -> Vec<(String, Arc<Room>)> {
+        let mut rooms = self.lock();
+        // a room that nobody holds, of which others could not come to know
+        rooms.retain(|_, room| Arc::strong_count(room) > 1);
+        let mut all: Vec<_> = rooms.iter().map(|(name, room)| (name.clone(), Arc::clone(room))).collect();
+        all.sort_by(|a, b| a.0.cmp(&b.0));
+        all
+    }
+
+    /// Whether another node has the publisher of a room.
+    fn is_elsewhere(&self, name: &str) -> bool {
+        self.nodes.get().is_some_and(|nodes| nodes.owner(name).is_some())
+    }
+
+    /// A room to watch: one that is there, or that another node has.
+    fn visit(self: &Arc<Self>, name: &str) -> Option<Arc<Room>> {
+        let known = self.get(name);
+        let Some(nodes) = self.nodes.get().filter(|_| self.is_elsewhere(name)) else { return known };
+        let room = known.or_else(|| self.enter(name))?;
+        nodes.follow(self, name, &room);
+        Some(room)
+    }
+
+    /// Makes the room this node's, whose epoch here was `floor` last; nothing to hold where there are no other nodes.
+    async fn claim(self: &Arc<Self>, name: &str, floor: u64) -> Result<Option<Claim>, Refused> {
+        match self.nodes.get() {
+            Some(nodes) => nodes.claim(self, name, floor).await.map(Some),
+            None => Ok(None),
+        }
+    }
+
+    /// Ends to follow a room; where its publisher is nowhere any more, whoever watches is sent away.
+    fn leave_followed(&self, name: &str, room: &Arc<Room>, alone: bool) {
+        if alone {
+            self.leave(name, room);
+        }
     }
 
     fn lock(&self) -> std::sync::MutexGuard<'_, HashMap<String, Arc<Room>>> {
-        self.rooms.lock().unwrap_or_else(PoisonError::into_inner)
+        self.named.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// A room that is there.
@@ -107,7 +189,7 @@ impl Rooms {
     /// Takes a room away that no publisher has come back to.
     fn leave(&self, name: &str, room: &Arc<Room>) {
         let mut rooms = self.lock();
-        if rooms.get(name).is_some_and(|r| Arc::ptr_eq(r, room)) && room.is_empty() {
+        if rooms.get(name).is_some_and(|r| Arc::ptr_eq(r, room)) && room.is_empty() && !room.is_followed() {
             rooms.remove(name);
             room.close();
         }

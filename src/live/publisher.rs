@@ -15,10 +15,11 @@ use tmpi_core::live::{MAX_PIXELS, Model, VERSION, read, write};
 use tmpi_live::{Geometry, Settings, video};
 use tmpi_pipeline::Options;
 
+use super::nodes::Refused;
 use super::ring::What;
 use super::room::Room;
 use super::worker::{Coded, Decoded, Worker};
-use super::{BROKEN, CREDIT, Config, FASTEST, FRAME_BYTES, SILENCE, SOUND_BYTES, send_away};
+use super::{BROKEN, CREDIT, Config, FASTEST, FRAME_BYTES, Rooms, SILENCE, SOUND_BYTES, send_away};
 
 /// Sides of a frame.
 const SIDES: std::ops::RangeInclusive<u32> = 16..=4096;
@@ -26,28 +27,47 @@ const SIDES: std::ops::RangeInclusive<u32> = 16..=4096;
 const CODEC: usize = 64;
 
 /// Serves a publisher until it goes or has to.
-pub async fn serve(mut socket: WebSocket, room: Arc<Room>, config: Config, stop: CancellationToken) {
-    let reason = match session(&mut socket, &room, &config, &stop).await {
+pub async fn serve(mut socket: WebSocket, named: (&str, Arc<Room>), rooms: &Arc<Rooms>, stop: CancellationToken) {
+    let reason = match session(&mut socket, named, rooms, &stop).await {
         Ok(()) => return,
         Err(reason) => reason,
     };
     tracing::info!(reason, "a publisher is sent away");
-    send_away(socket, Bye { again: reason == STOPS, reason }).await;
+    send_away(socket, Bye { again: reason == STOPS || reason == UNKNOWN, reason }).await;
 }
 
 const STOPS: &str = "the server stops";
+const TAKEN: &str = "someone publishes in this room";
+const UNKNOWN: &str = "another node had this room when the others were last heard";
 
 /// Publishes; ends without a reason where the publisher has gone by itself.
-async fn session(socket: &mut WebSocket, room: &Arc<Room>, config: &Config, stop: &CancellationToken) -> Result<(), String> {
+async fn session(
+    socket: &mut WebSocket,
+    (name, room): (&str, Arc<Room>),
+    rooms: &Arc<Rooms>,
+    stop: &CancellationToken,
+) -> Result<(), String> {
+    let (room, config) = (&room, &rooms.config);
     let Some(first) = next(socket).await? else { return Ok(()) };
     let Kind::Hello(hello) = first else { return Err("the first message is HELLO".into()) };
     let (settings, hello) = checked(hello, config)?;
     let size = (hello.width, hello.height);
     let decoder = video::decoder(&hello.codec, size).map_err(|e| e.to_string())?;
     let clock = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_micros() as u64);
-    let epoch = room.publish(hello, clock).ok_or("someone publishes in this room")?;
+    let floor = room.take().ok_or(TAKEN)?;
     // given back however this ends
     let _seat = Seat(room);
+    let claim = rooms.claim(name, floor).await.map_err(|refused| match refused {
+        Refused::Taken => TAKEN,
+        Refused::Unknown => UNKNOWN,
+    })?;
+    // by the clock: addresses of groups of pictures are no others' after a restart
+    let epoch = room.publish(hello, clock, claim.as_ref().map_or(clock / 1000, |c| c.epoch));
+    let evicted = claim.as_ref().map(|c| c.evicted.clone()).unwrap_or_default();
+    let _forwarded = claim.map(|mut claim| {
+        claim.forward(room);
+        claim
+    });
     let geometry = Geometry::new(config.models.clone(), settings);
     let (done, mut decoded) = mpsc::channel(16);
     let worker = Worker::start((Arc::clone(room), epoch), decoder, geometry, done).map_err(|e| format!("starting a thread: {e}"))?;
@@ -65,6 +85,7 @@ async fn session(socket: &mut WebSocket, room: &Arc<Room>, config: &Config, stop
                 frames.credit(socket, 0, true).await?;
                 continue;
             }
+            () = evicted.cancelled() => return Err(TAKEN.into()),
             () = stop.cancelled() => return Err(STOPS.into()),
         };
         match message {

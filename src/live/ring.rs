@@ -64,10 +64,20 @@ pub struct Place {
     next: u64,
     /// Nothing can be decoded before the next key frame.
     waits: bool,
+    /// Tiles came meanwhile, and were left out.
+    stale: bool,
     /// When the viewer came or skipped: it is not behind by what came before.
     since: Instant,
     /// Frames that it was not given.
     pub skipped: u64,
+}
+
+impl Place {
+    /// Number of the message that comes next.
+    #[must_use]
+    pub const fn number(&self) -> u64 {
+        self.next
+    }
 }
 
 /// What a viewer is to do next.
@@ -126,7 +136,21 @@ impl Ring {
     #[must_use]
     pub fn begin(&self, now: Instant) -> Place {
         let key = self.last_key();
-        Place { next: key.unwrap_or(self.end()), waits: key.is_none(), since: now, skipped: 0 }
+        Place { next: key.unwrap_or(self.end()), waits: key.is_none(), stale: false, since: now, skipped: 0 }
+    }
+
+    /// Where one begins who has been told everything so far.
+    #[must_use]
+    pub fn at_end(&self, now: Instant) -> Place {
+        Place { next: self.end(), waits: false, stale: false, since: now, skipped: 0 }
+    }
+
+    /// Number that the next message will have, and all since the last key frame with theirs.
+    #[must_use]
+    pub fn since_key(&self) -> (u64, Vec<(u64, Bytes)>) {
+        let from = self.last_key().unwrap_or(self.end());
+        let entries = self.entries.iter().zip(self.first..).filter(|(_, n)| *n >= from);
+        (self.end(), entries.map(|(e, n)| (n, e.bytes.clone())).collect())
     }
 
     /// What comes next for a viewer.
@@ -136,6 +160,11 @@ impl Ring {
                 return self.skip(place, now);
             }
             let Some(entry) = self.entries.get((place.next - self.first) as usize) else { return Step::Wait };
+            if entry.what == What::Key && place.stale {
+                // what is known of the tiles goes before the frame that goes on
+                place.stale = false;
+                return Step::Skipped { wants_key: false };
+            }
             place.next += 1;
             let share = (self.passed - entry.passed) as f64 / BEHIND_BYTES as f64;
             let wanted = match entry.what {
@@ -152,6 +181,7 @@ impl Ring {
                 return Step::Send(entry.bytes.clone());
             }
             place.skipped += u64::from(matches!(entry.what, What::Frame { .. }));
+            place.stale |= entry.what == What::Geometry;
         }
     }
 
@@ -167,7 +197,7 @@ impl Ring {
             *key > from && self.entries.get((key - self.first) as usize).is_some_and(|e| self.passed - e.passed <= BEHIND_BYTES)
         };
         let key = self.last_key().filter(near);
-        (place.next, place.waits, place.since) = (key.unwrap_or(self.end()), key.is_none(), now);
+        (place.next, place.waits, place.stale, place.since) = (key.unwrap_or(self.end()), key.is_none(), false, now);
         let passed = from.max(self.first)..place.next;
         let frames = passed.filter(|i| {
             let entry = self.entries.get((i - self.first) as usize);
@@ -221,7 +251,9 @@ mod tests {
         ring.push(What::Geometry, message(2, 10), now);
         ring.push(What::Key, message(3, 10), now);
         ring.push(What::Frame { layer: 0 }, message(4, 10), now);
+        assert_eq!(ring.step(&mut place, now), Step::Skipped { wants_key: false }, "the tiles that were left out are told with all others");
         assert_eq!(read(&ring, &mut place, now), [3, 4]);
+        assert_eq!(ring.step(&mut place, now), Step::Wait);
     }
 
     #[test]

@@ -13,6 +13,7 @@ use tmpi_core::live::{LiveError, write};
 use tmpi_core::{Geometry, Photo};
 
 use super::gops::{Group, Groups, Part};
+use super::nodes::{Chunks, Start};
 use super::ring::{Place, Ring, Step, What};
 use super::{KEYS, VIEWERS};
 
@@ -26,14 +27,26 @@ pub struct Room {
 }
 
 #[derive(Default)]
+#[allow(
+    clippy::struct_excessive_bools,
+    reason = "each is by itself: a room that is followed may be taken before its publisher has said hello"
+)]
 struct State {
     ring: Ring,
     /// Of the publisher that is there or was last; none: there was none yet.
     hello: Option<Arc<Hello>>,
     epoch: u64,
+    /// Somebody is about to publish here, or does.
+    taken: bool,
     publishing: bool,
     closed: bool,
     viewers: usize,
+    /// Viewers that other nodes have.
+    elsewhere: u32,
+    /// What another node makes is handed on here.
+    followed: bool,
+    /// Its tiles.
+    chunks: Option<Chunks>,
     groups: Groups,
     still: Option<Arc<Still>>,
     asked: Option<Instant>,
@@ -123,9 +136,14 @@ impl Room {
         self.changes.subscribe()
     }
 
-    /// True where there is no publisher.
+    /// True where no publisher is here or about to be.
     pub fn is_empty(&self) -> bool {
-        !self.lock().publishing
+        !self.lock().taken
+    }
+
+    /// Whether a publisher is here.
+    pub fn is_publishing(&self) -> bool {
+        self.lock().publishing
     }
 
     /// Sends everybody away.
@@ -134,28 +152,33 @@ impl Room {
         self.changed();
     }
 
-    /// Takes the room for a publisher that says `hello`; gives its epoch. None where there is one already.
-    pub fn publish(&self, mut hello: Hello, clock: u64) -> Option<u64> {
+    /// Takes the place of the room's publisher; gives the room's epoch so far. None where there is one already.
+    pub fn take(&self) -> Option<u64> {
         let mut state = self.lock();
-        if state.publishing || state.closed {
+        if state.taken || state.closed {
             return None;
         }
-        state.publishing = true;
-        state.epoch += 1;
+        state.taken = true;
+        Some(state.epoch)
+    }
+
+    /// The publisher that took the room says `hello`; gives its epoch, `least` or more.
+    pub fn publish(&self, mut hello: Hello, clock: u64, least: u64) -> u64 {
+        let mut state = self.lock();
+        (state.publishing, state.followed) = (true, false);
+        state.epoch = least.max(state.epoch + 1);
         (hello.epoch, hello.clock) = (state.epoch, clock);
-        state.hello = Some(Arc::new(hello));
-        state.ring.clear();
-        (state.groups, state.still, state.statistics) = (Groups::default(), None, Statistics::default());
+        state.begin(hello, None);
         let epoch = state.epoch;
         drop(state);
         self.changed();
-        Some(epoch)
+        epoch
     }
 
     /// The publisher has gone.
     pub fn unpublish(&self) {
         let mut state = self.lock();
-        state.publishing = false;
+        (state.taken, state.publishing) = (false, false);
         state.groups.end();
         drop(state);
         self.changed();
@@ -177,7 +200,8 @@ impl Room {
             What::Sound => {}
         }
         let now = Instant::now();
-        if let Some(hello) = &state.hello {
+        // groups are for whoever asks the node that has the publisher
+        if let Some(hello) = state.hello.as_ref().filter(|_| state.chunks.is_none()) {
             state.groups.push(what, &bytes, now, hello, state.still.as_ref().map(|s| &s.tiles));
         }
         state.ring.push(what, bytes, now);
@@ -206,10 +230,22 @@ impl Room {
         self.lock().still.clone()
     }
 
+    /// SNAPSHOT of all tiles as they are; none as long as there are none.
+    pub fn snapshot(&self) -> Option<Result<Bytes, LiveError>> {
+        let still = {
+            let mut state = self.lock();
+            match &mut state.chunks {
+                Some(chunks) => return chunks.snapshot().map(Ok),
+                None => state.still.clone(),
+            }
+        };
+        still.map(|still| still.tiles.snapshot())
+    }
+
     /// What is counted, for a viewer.
     pub fn statistics(&self, viewer: &Viewer) -> Statistics {
         let state = self.lock();
-        Statistics { viewers: state.viewers as u32, skipped: viewer.place.skipped, ..state.statistics }
+        Statistics { viewers: state.everyone(), skipped: viewer.place.skipped, ..state.statistics }
     }
 
     /// Message `at` of a group of pictures, HELLO and tiles counted.
@@ -250,7 +286,12 @@ impl Room {
         Some(Viewer { place: state.ring.begin(Instant::now()), epoch: 0 })
     }
 
-    /// How many watch.
+    /// How many watch, at other nodes, too.
+    pub fn everyone(&self) -> u32 {
+        self.lock().everyone()
+    }
+
+    /// How many watch here.
     pub fn viewers(&self) -> u32 {
         self.lock().viewers as u32
     }
@@ -279,12 +320,121 @@ impl Room {
             Step::Send(bytes) => Next::Send(bytes),
             Step::Wait => Next::Wait,
             Step::Skipped { wants_key } => {
-                if wants_key && state.asked.is_none_or(|at| now.saturating_duration_since(at) >= KEYS) {
-                    state.asked = Some(now);
-                    self.keys.notify_one();
+                if wants_key {
+                    self.want_key(&mut state, now);
                 }
                 Next::Tiles
             }
         }
+    }
+
+    fn want_key(&self, state: &mut State, now: Instant) {
+        if state.asked.is_none_or(|at| now.saturating_duration_since(at) >= KEYS) {
+            state.asked = Some(now);
+            self.keys.notify_one();
+        }
+    }
+
+    /// Another node asks for a key frame.
+    pub fn ask_key(&self) {
+        self.want_key(&mut self.lock(), Instant::now());
+    }
+
+    /// Notes how many watch at other nodes.
+    pub fn set_elsewhere(&self, viewers: u32) {
+        self.lock().elsewhere = viewers;
+    }
+
+    /// Whether what another node makes is handed on here.
+    pub fn is_followed(&self) -> bool {
+        self.lock().followed
+    }
+
+    /// Begins to hand on here what another node makes; false where that is done already, or the publisher is here.
+    pub fn begin_to_follow(&self) -> bool {
+        let mut state = self.lock();
+        !state.publishing && !state.closed && !std::mem::replace(&mut state.followed, true)
+    }
+
+    /// Ends it; false where there was nothing to end, as the publisher is here now.
+    pub fn end_to_follow(&self) -> bool {
+        std::mem::take(&mut self.lock().followed)
+    }
+
+    /// Another node's publisher says `hello`, of which `chunks` are to be the tiles; false where the room is further already. The same epoch
+    /// anew changes nothing, but that what was left of it is forgotten where nothing is known any more of how far it went.
+    pub fn relay(&self, hello: Hello, chunks: Chunks, anew: bool) -> bool {
+        let mut state = self.lock();
+        if !state.followed || hello.epoch < state.epoch {
+            return false;
+        }
+        if hello.epoch > state.epoch {
+            state.epoch = hello.epoch;
+            state.begin(hello, Some(chunks));
+            drop(state);
+            self.changed();
+        } else if anew {
+            state.ring.clear();
+        }
+        true
+    }
+
+    /// Takes tiles that another node's publisher of `epoch` has; false where they are none of it.
+    pub fn take_tiles(&self, epoch: u64, tiles: &wire::Geometry) -> bool {
+        let mut state = self.lock();
+        state.epoch == epoch && state.chunks.as_mut().is_some_and(|chunks| chunks.take(tiles))
+    }
+
+    /// Takes what the node of the publisher of `epoch` has counted.
+    pub fn take_statistics(&self, epoch: u64, told: Statistics) {
+        let mut state = self.lock();
+        if state.epoch == epoch && state.chunks.is_some() {
+            state.elsewhere = told.viewers.saturating_sub(state.viewers as u32);
+            state.statistics = told;
+        }
+    }
+
+    /// A place at the end of the ring for who reads it for other nodes; none where `epoch` is past.
+    pub fn reader(&self, epoch: u64) -> Option<Viewer> {
+        let state = self.lock();
+        (state.epoch == epoch && !state.closed).then(|| Viewer { place: state.ring.at_end(Instant::now()), epoch })
+    }
+
+    /// What a node begins with that comes late; none where `epoch` is past.
+    pub fn start(&self, epoch: u64) -> Option<Start> {
+        let (hello, (next, entries)) = {
+            let state = self.lock();
+            let hello = state.hello.clone().filter(|_| state.epoch == epoch && !state.closed)?;
+            (hello, state.ring.since_key())
+        };
+        // tiles may be newer than the last entry: their versions say so
+        let tiles = self.snapshot().and_then(Result::ok).unwrap_or_default();
+        Some(Start { next, hello: write(Kind::Hello((*hello).clone())), tiles, entries })
+    }
+}
+
+impl State {
+    /// Forgets what was, for a publisher that says `hello`.
+    fn begin(&mut self, hello: Hello, chunks: Option<Chunks>) {
+        self.hello = Some(Arc::new(hello));
+        self.ring.clear();
+        (self.groups, self.still, self.statistics) = (Groups::default(), None, Statistics::default());
+        (self.chunks, self.elsewhere) = (chunks, 0);
+    }
+
+    fn everyone(&self) -> u32 {
+        (self.viewers as u32).saturating_add(self.elsewhere)
+    }
+}
+
+impl Viewer {
+    /// Number that the next message of the ring has.
+    pub const fn number(&self) -> u64 {
+        self.place.number()
+    }
+
+    /// The epoch that it was told of.
+    pub const fn epoch(&self) -> u64 {
+        self.epoch
     }
 }

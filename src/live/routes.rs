@@ -23,11 +23,9 @@ use tmpi_core::{Scene, Texels};
 use super::access::{PROTOCOL, Role, check_origin, is_good, token_of};
 use super::gops::{Group, Part};
 use super::room::{Room, Still};
-use super::{FRAME_BYTES, Rooms, invite, is_name, publisher, viewer};
+use super::{COME_BACK, FRAME_BYTES, Rooms, invite, is_name, publisher, viewer};
 use crate::server::{Held, Pairs, Problem};
 
-/// Time that a room waits for its publisher to come back.
-const COME_BACK: Duration = Duration::from_secs(10);
 /// Bytes that wait to be written for a viewer, at most: the largest message, and nothing beside it.
 const WRITE_BUFFER: usize = 2 << 20;
 /// Quality of the picture of a frame that is asked for by itself.
@@ -84,10 +82,19 @@ impl Here {
         Ok(())
     }
 
-    /// A room that is there.
+    /// A room whose publisher is here.
     fn room(&self, name: &str) -> Result<Arc<Room>, Problem> {
-        self.rooms.get(name).ok_or_else(|| Problem::not_found("nobody publishes in this room"))
+        let room = self.rooms.get(name);
+        if room.as_ref().is_none_or(|r| r.is_empty()) && self.rooms.is_elsewhere(name) {
+            let detail = "the room's publisher is at another node, which alone has this";
+            return Err(Problem::new(StatusCode::MISDIRECTED_REQUEST, "elsewhere", detail));
+        }
+        room.ok_or_else(none_publishes)
     }
+}
+
+fn none_publishes() -> Problem {
+    Problem::not_found("nobody publishes in this room")
 }
 
 type Upgrade = Result<WebSocketUpgrade, WebSocketUpgradeRejection>;
@@ -132,7 +139,7 @@ async fn publish(
     let room = here.rooms.enter(&name).ok_or_else(busy)?;
     Ok(upgrade.on_upgrade(async move |socket| {
         let _held = held;
-        publisher::serve(socket, Arc::clone(&room), here.rooms.config.clone(), here.stop.clone()).await;
+        publisher::serve(socket, (&name, Arc::clone(&room)), &here.rooms, here.stop.clone()).await;
         tokio::select! {
             () = tokio::time::sleep(COME_BACK) => {}
             () = here.stop.cancelled() => {}
@@ -169,7 +176,7 @@ async fn subscribe(
 ) -> Result<Response, Problem> {
     here.check(&name, Role::Watch, &uri, &headers)?;
     let upgrade = bounded(upgrade, 1024)?;
-    let room = here.room(&name)?;
+    let room = here.rooms.visit(&name).ok_or_else(none_publishes)?;
     Ok(upgrade.on_upgrade(async move |socket| {
         let _held = held;
         viewer::serve(socket, room, here.stop).await;
@@ -192,6 +199,7 @@ async fn subscribe(
         (status = 400, description = "A parameter is unknown", body = Problem, content_type = "application/problem+json"),
         (status = 403, description = "A page of another site, or no token", body = Problem, content_type = "application/problem+json"),
         (status = 404, description = "Nobody publishes there, or the frame is not kept", body = Problem, content_type = "application/problem+json"),
+        (status = 421, description = "The room's publisher is at another node", body = Problem, content_type = "application/problem+json"),
     )
 )]
 async fn frame(
@@ -233,6 +241,7 @@ async fn frame(
         (status = 400, description = "A parameter is unknown", body = Problem, content_type = "application/problem+json"),
         (status = 403, description = "A page of another site, or no token", body = Problem, content_type = "application/problem+json"),
         (status = 404, description = "Nobody publishes there, or nothing has come yet", body = Problem, content_type = "application/problem+json"),
+        (status = 421, description = "The room's publisher is at another node", body = Problem, content_type = "application/problem+json"),
     )
 )]
 async fn latest_group(State(here): State<Here>, Path(name): Path<String>, uri: Uri, headers: HeaderMap) -> Result<Response, Problem> {
@@ -260,6 +269,7 @@ async fn latest_group(State(here): State<Here>, Path(name): Path<String>, uri: U
         (status = 400, description = "A parameter is unknown", body = Problem, content_type = "application/problem+json"),
         (status = 403, description = "A page of another site, or no token", body = Problem, content_type = "application/problem+json"),
         (status = 404, description = "There is no such group, or none any more", body = Problem, content_type = "application/problem+json"),
+        (status = 421, description = "The room's publisher is at another node", body = Problem, content_type = "application/problem+json"),
     )
 )]
 async fn group(

@@ -83,13 +83,13 @@ async fn watch(socket: &mut WebSocket, room: &Room, viewer: &mut Viewer, stop: &
 }
 
 async fn tiles(socket: &mut WebSocket, room: &Room) -> Result<(), axum::Error> {
-    let Some(still) = room.still() else { return Ok(()) };
-    match still.tiles.snapshot() {
-        Ok(bytes) => send(socket, bytes).await,
-        Err(error) => {
+    match room.snapshot() {
+        Some(Ok(bytes)) => send(socket, bytes).await,
+        Some(Err(error)) => {
             tracing::error!(%error, "coding the tiles of a room");
             Ok(())
         }
+        None => Ok(()),
     }
 }
 

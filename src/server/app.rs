@@ -5,7 +5,7 @@ use std::io::Read as _;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::atomic::AtomicBool;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::Duration;
 
 use bytes::Bytes;
@@ -30,6 +30,7 @@ use super::source::Source;
 use super::store::{Done, Part, damage_of, lost};
 use super::telemetry::Telemetry;
 use super::upload::Coming;
+use crate::live::Rooms;
 use tmpi_core::container::{self, RegionPhoto, Tiles};
 use tmpi_core::{Rect, Scene};
 use tmpi_render::Renderer;
@@ -84,6 +85,8 @@ pub struct Shared {
     pub pages: Option<PathBuf>,
     /// The `OpenAPI` document.
     pub openapi: Bytes,
+    /// Rooms, once the server runs.
+    pub rooms: OnceLock<Arc<Rooms>>,
     /// Set at the signal to stop, when everything is still served.
     pub leaving: AtomicBool,
     /// Set when the server stops.
@@ -117,6 +120,7 @@ impl Shared {
             public_list,
             pages,
             openapi,
+            rooms: OnceLock::new(),
             leaving: AtomicBool::new(false),
             stop: CancellationToken::new(),
         }

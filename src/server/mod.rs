@@ -216,6 +216,11 @@ impl Server {
         });
         let probe = tokio::spawn(probe(Arc::clone(&app)));
         let look_over = tokio::spawn(look_over(Arc::clone(&app)));
+        if let Some(rooms) = &rooms {
+            rooms.start(token.clone()).await;
+            // set once, as a server runs once
+            let _ = app.rooms.set(Arc::clone(rooms));
+        }
         let rooms = rooms.map(|rooms| {
             let of = Arc::clone(&app);
             let own = Arc::new(move |headers: &HeaderMap| of.hosts.is_own(headers));

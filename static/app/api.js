@@ -1,5 +1,7 @@
 // The server's HTTP interface, as far as the pages need it.
-import { problemOf, problemText } from '../decode/problem.js';
+import { problemText } from '../decode/problem.js';
+import { t } from '../i18n/messages.js';
+import { formatBytes } from '../i18n/text.js';
 
 /** @import { Settings } from '../view/settings.js' */
 /** @import { Stroke } from './outline.js' */
@@ -21,6 +23,21 @@ import { problemOf, problemText } from '../decode/problem.js';
  */
 
 /**
+ * What a refusal says for people: what programs are told in numbers and tags, in words.
+ * @param {number} status
+ * @param {string} statusText
+ * @param {string} body
+ */
+function wordsOf(status, statusText, body) {
+  const text = problemText(status, statusText, body);
+  const limit = /over the limit of (\d+) (bytes|pixels)/.exec(text);
+  if (limit?.[2] === 'bytes') return t('The file is too large: at most {0} can be sent.', formatBytes(Number(limit[1])));
+  if (limit) return t('The photo has too many pixels: at most {0} million can be made.', Math.floor(Number(limit[1]) / 1e6));
+  if (status === 412) return t('Somebody changed the photo meanwhile. Reload the page to see how it is now.');
+  return text;
+}
+
+/**
  * @param {string} url
  * @param {RequestInit} [options]
  */
@@ -31,7 +48,7 @@ async function request(url, options) {
   } catch {
     throw new Error('The server cannot be reached.');
   }
-  if (!response.ok) throw new Error(await problemOf(response));
+  if (!response.ok) throw new Error(wordsOf(response.status, response.statusText, await response.text().catch(() => '')));
   return response;
 }
 
@@ -131,7 +148,7 @@ export async function deletePhoto(id, options = {}) {
  * @param {XMLHttpRequest} xhr
  */
 function refusal(xhr) {
-  const error = /** @type {Error & {retryAfter?: number}} */ (new Error(problemText(xhr.status, xhr.statusText, xhr.responseText)));
+  const error = /** @type {Error & {retryAfter?: number}} */ (new Error(wordsOf(xhr.status, xhr.statusText, xhr.responseText)));
   const seconds = Number(xhr.getResponseHeader('retry-after'));
   if ((xhr.status === 429 || xhr.status === 503) && seconds > 0) error.retryAfter = Math.ceil(seconds);
   return error;

@@ -15,8 +15,7 @@ const SECONDS = [2, 4, 8];
 /** Longer sides, pixels: what is larger than the photo is not offered, but for the first. */
 const SIDES = [480, 720, 1280, 1920];
 /** What is chosen at first, by kind. */
-const USUAL_SIDE = { mp4: 1280, gif: 480 };
-const KINDS = /** @type {const} */ (['mp4', 'gif']);
+const USUAL_SIDE = { mp4: 1280, webm: 1280, gif: 480 };
 /** What the ways are called. */
 const NAMES = /** @type {Record<string, string>} */ ({
   swing: 'Swing',
@@ -36,8 +35,11 @@ export async function open({ viewer, file }) {
   if (!viewer.renderer || !head) throw new Error(t('A film can be made only where the browser draws.'));
   const longest = Math.max(head.width, head.height);
   const small = { width: 640, height: 400, frameMs: 33 };
-  const able = await Promise.all(KINDS.map(async (kind) => kind === 'gif' || (await encoding(small)) !== null));
-  const kinds = KINDS.filter((_, i) => able[i]);
+  const film = /** @type {const} */ (['mp4', 'webm']);
+  const able = await Promise.all(film.map((kind) => encoding(small, kind)));
+  // one kind of film is enough, and MP4 goes everywhere
+  const best = film.find((_, i) => able[i]);
+  const kinds = [...(best ? [best] : []), 'gif'];
   const kind = choice(
     t('Kind'),
     kinds.map((name) => [name, name === 'gif' ? 'GIF' : t('Film (.{0})', name)]),

@@ -84,7 +84,7 @@ export function settingsMenu({ id, viewer, named, say }) {
     show();
   }
 
-  title.addEventListener('change', () => change({ title: title.value.trim() || null }));
+  title.addEventListener('input', () => change({ title: title.value.trim() || null }));
   motion.addEventListener('input', () => {
     const by = Number(motion.value);
     const { x, y, z } = viewer().usual;

@@ -1,77 +1,116 @@
-// Deletions that wait a little, so that they can be taken back.
+// Deletions that wait a little, so that they can be taken back: all that wait go together, and come back together.
 
 import { t } from '../i18n/messages.js';
 import { deletePhoto } from './api.js';
 import { element } from './dom.js';
 
-/** Time to change one's mind. */
-const WAIT_MS = 6000;
+/** Time to change one's mind, from the last deletion on. */
+const WAIT_MS = 8000;
+/** Where a page that is left for the list of photos says what it deleted. */
+const HANDED_KEY = 'tmpi:deleted';
 
-/** Deletions that wait, by photo. */
+/**
+ * A photo to be deleted: what it is called, and what to do when it is gone, or when it stays and why.
+ * @typedef {{id: string, name: string, gone: () => void, back: (reason?: string) => void}} Deletion
+ */
+
+/** @type {Map<string, Deletion>} */
 const waiting = new Map();
-/** @type {{id: string, bar: HTMLElement} | null} */
-let shown = null;
+/** Ids of those that the server is being told of. */
+const going = new Set();
+/** @type {ReturnType<typeof setTimeout> | undefined} */
+let timer;
+/** @type {HTMLElement | null} */
+let bar = null;
 
 /** True while the photo is to be deleted. */
-export const isGoing = (/** @type {string} */ id) => waiting.has(id);
+export const isGoing = (/** @type {string} */ id) => waiting.has(id) || going.has(id);
 
 /**
- * Deletes a photo after a while, unless it is undone.
- * @param {string} id
- * @param {string} name
- * @param {{gone: () => void, back: (reason?: string) => void}} then called when it is deleted, or when it stays
+ * Deletes photos after a while, unless it is undone.
+ * @param {Deletion[]} photos
  */
-export function deleteLater(id, name, then) {
-  const timer = setTimeout(() => run(id), WAIT_MS);
-  waiting.set(id, { timer, then });
-  show(id, name);
-}
-
-/**
- * @param {string} id
- * @param {RequestInit} [options]
- */
-async function run(id, options) {
-  const { timer, then } = waiting.get(id);
+export function deleteLater(photos) {
+  for (const photo of photos) waiting.set(photo.id, photo);
   clearTimeout(timer);
-  if (shown?.id === id) hide();
-  try {
-    await deletePhoto(id, options);
-    then.gone();
-  } catch (error) {
-    then.back(error.message);
-  } finally {
-    waiting.delete(id);
-  }
+  timer = setTimeout(() => run(), WAIT_MS);
+  show();
 }
 
-/**
- * @param {string} id
- * @param {string} name
- */
-function show(id, name) {
+/** @param {RequestInit} [options] */
+async function run(options) {
+  clearTimeout(timer);
+  hide();
+  const photos = [...waiting.values()];
+  waiting.clear();
+  for (const { id } of photos) going.add(id);
+  await Promise.all(
+    photos.map(async ({ id, gone, back }) => {
+      try {
+        await deletePhoto(id, options);
+        gone();
+      } catch (error) {
+        back(error.message);
+      } finally {
+        going.delete(id);
+      }
+    }),
+  );
+}
+
+function show() {
   hide();
   const button = element('button', '', t('Undo'));
   button.type = 'button';
-  const bar = element('div', 'toast undo on', element('span', '', t('{0} deleted', name)), button);
+  const [first] = waiting.values();
+  const text = waiting.size === 1 ? t('{0} deleted', first.name) : t('{0} photos deleted', waiting.size);
+  bar = element('div', 'toast undo on', element('span', '', text), button);
   bar.setAttribute('role', 'status');
-  shown = { id, bar };
   document.body.append(bar);
   button.addEventListener('click', () => {
-    const { timer, then } = waiting.get(id);
     clearTimeout(timer);
-    waiting.delete(id);
     hide();
-    then.back();
+    const photos = [...waiting.values()];
+    waiting.clear();
+    for (const { back } of photos) back();
   });
 }
 
 function hide() {
-  shown?.bar.remove();
-  shown = null;
+  bar?.remove();
+  bar = null;
 }
 
 // whoever leaves the page has not changed their mind
 addEventListener('pagehide', () => {
-  for (const id of waiting.keys()) run(id, { keepalive: true });
+  if (waiting.size) run({ keepalive: true });
 });
+
+/**
+ * Leaves the page of a photo for the list of photos, which deletes it there, unless it is undone.
+ * @param {string} id
+ * @param {string} name
+ */
+export function handOver(id, name) {
+  try {
+    sessionStorage.setItem(HANDED_KEY, JSON.stringify({ id, name }));
+    location.assign('/');
+  } catch {
+    // without storage there is no undo
+    deletePhoto(id).then(() => location.assign('/'));
+  }
+}
+
+/**
+ * What the page before this one deleted, once.
+ * @returns {{id: string, name: string} | null}
+ */
+export function handedOver() {
+  try {
+    const text = sessionStorage.getItem(HANDED_KEY);
+    sessionStorage.removeItem(HANDED_KEY);
+    return text ? JSON.parse(text) : null;
+  } catch {
+    return null;
+  }
+}

@@ -1,22 +1,17 @@
 // The page of all photos: takes new ones, shows how far they are, and lists those that are there.
 
-import { t, translatePage } from '../i18n/messages.js';
-import { formatBytes, queueText, sentence, stageText } from '../i18n/text.js';
-import { deletePhoto, listPhotos, photoUrl, uploadPhoto } from './api.js';
-import { $, element, icon } from './dom.js';
+import { translatePage } from '../i18n/messages.js';
+import { deletePhoto } from './api.js';
+import { $ } from './dom.js';
 import { filesOf } from './drop.js';
-import { followPhoto, isUnderWay, reasonOf } from './follow-photo.js';
+import { isUnderWay } from './follow-photo.js';
+import { refreshSoon, remove, startGallery } from './gallery.js';
+import { enliven } from './lively.js';
 import { pairs } from './pairs.js';
 import { forgetName, photoName } from './photo-name.js';
-import { deleteLater, isGoing } from './undo.js';
-import { Row, say } from './upload-row.js';
+import { deleteLater, handedOver } from './undo.js';
+import { forgetRow, resume, startUploads, upload } from './uploads.js';
 
-/** @import { Photo } from './api.js' */
-
-/** Uploads under way at the same time. */
-const PARALLEL = 2;
-/** Share of the bar that the upload itself takes. */
-const UPLOAD_SHARE = 0.25;
 /**
  * What the words for quality mean: options of the interface; what is not named stays as the server has it.
  * @type {Record<string, Record<string, number>>}
@@ -27,13 +22,11 @@ const QUALITIES = {
   best: { quality: 97, 'max-error': 0.25 },
 };
 
-/** @type {{file: File, depth: File | null, options: Record<string, number>, row: Row}[]} */
-const waiting = [];
-/** Rows by the ids of their photos. */
-const rows = new Map();
-let running = 0;
-
-// ---- uploads
+/** @param {string} id */
+function forget(id) {
+  forgetName(id);
+  forgetRow(id);
+}
 
 /** @param {File[]} files */
 function take(files) {
@@ -45,240 +38,8 @@ function take(files) {
     photos[0].depth = chosen;
     map.value = '';
   }
-  const options = QUALITIES[$('quality', HTMLSelectElement).value];
-  for (const { file, depth } of photos) {
-    const row = new Row(file.name || t('Pasted photo'), file);
-    row.show(t('Waiting to be sent'));
-    const job = { file, depth, options, row };
-    row.onClose = () => {
-      waiting.splice(waiting.indexOf(job), 1);
-      row.remove();
-    };
-    waiting.push(job);
-  }
-  sendNext();
+  upload(photos, QUALITIES[$('quality', HTMLSelectElement).value]);
 }
-
-function sendNext() {
-  while (running < PARALLEL && waiting.length) {
-    running++;
-    const [job] = waiting.splice(0, 1);
-    send(job).finally(() => {
-      running--;
-      sendNext();
-    });
-  }
-}
-
-/** @param {typeof waiting[number]} job */
-async function send({ file, depth, options, row }) {
-  try {
-    const photo = await post(file, depth, options, row);
-    // making it goes on without holding up the next upload
-    follow(photo, row);
-  } catch (error) {
-    if (error.name === 'AbortError') row.remove();
-    else row.fail(error.message);
-  }
-}
-
-/**
- * Sends the file; where the server is busy, waits as long as it asks.
- * @param {File} file
- * @param {File | null} depth
- * @param {Record<string, number>} options
- * @param {Row} row
- */
-async function post(file, depth, options, row) {
-  for (;;) {
-    const upload = uploadPhoto(file, depth, options, (share) =>
-      row.show(share < 1 ? t('Sending, {0} %', Math.round(share * 100)) : t('Sent'), share * UPLOAD_SHARE),
-    );
-    row.onClose = upload.abort;
-    try {
-      return await upload.done;
-    } catch (error) {
-      if (!error.retryAfter) throw error;
-      row.show(t('The server is busy; trying again in {0} s', error.retryAfter), 0);
-      await pause(error.retryAfter * 1000, row);
-    }
-  }
-}
-
-/**
- * @param {number} ms
- * @param {Row} row
- */
-function pause(ms, row) {
-  return new Promise((resolve, reject) => {
-    const timer = setTimeout(resolve, ms);
-    row.onClose = () => {
-      clearTimeout(timer);
-      reject(new DOMException('Cancelled.', 'AbortError'));
-    };
-  });
-}
-
-/**
- * @param {Photo} photo
- * @param {Row} row
- */
-function follow(photo, row) {
-  rows.set(photo.id, row);
-  const stop = followPhoto(photo.id, {
-    queued: (position) => row.show(queueText(position), UPLOAD_SHARE),
-    stage: ({ stage, step, steps }) => row.show(stageText(stage), UPLOAD_SHARE + (1 - UPLOAD_SHARE) * (steps ? (step - 1) / steps : 0)),
-    done: () => {
-      row.done(photo.id);
-      refresh();
-    },
-    failed: (message) => row.fail(message),
-    deleted: () => row.remove(),
-  });
-  row.onClose = async () => {
-    stop();
-    try {
-      await remove(photo.id);
-    } catch (error) {
-      row.fail(error.message);
-    }
-  };
-}
-
-// ---- gallery
-
-/** @param {string} id */
-async function remove(id) {
-  await deletePhoto(id);
-  forget(id);
-}
-
-/** @param {string} id */
-function forget(id) {
-  forgetName(id);
-  rows.get(id)?.remove();
-  rows.delete(id);
-}
-
-/** @param {Photo} photo */
-function card(photo) {
-  const name = photoName(photo);
-  const image = element('img', 'thumb');
-  image.src = photo.links?.poster ?? photoUrl(photo.id, '/thumbnail');
-  image.alt = '';
-  image.loading = 'lazy';
-  const link = element('a', '', image);
-  image.addEventListener('error', () => {
-    image.replaceWith(element('span', 'thumb', t('No picture')));
-    link.setAttribute('aria-label', `${t('Open {0}', name)} – ${t('No picture')}`);
-  });
-  link.href = `/view/${encodeURIComponent(photo.id)}`;
-  link.setAttribute('aria-label', t('Open {0}', name));
-  const size = element('span', 'card-size', `${photo.width} × ${photo.height} · `);
-  return frame(photo, name, link, element('p', 'card-facts', size, formatBytes(photo.atlas_bytes)));
-}
-
-/** @param {Photo} photo */
-function failedCard(photo) {
-  const thumb = element('span', 'thumb', t('Not made'));
-  return frame(photo, photoName(photo), thumb, element('p', 'card-facts bad', sentence(reasonOf(photo))));
-}
-
-/**
- * @param {Photo} photo
- * @param {string} name
- * @param {HTMLElement} top
- * @param {HTMLElement} facts
- */
-function frame(photo, name, top, facts) {
-  const bin = element('button', 'round', icon('bin'));
-  bin.type = 'button';
-  bin.setAttribute('aria-label', t('Delete {0}', name));
-  const text = element('div', 'card-text', element('p', 'card-name', name), facts);
-  const root = element('li', 'card', top, element('div', 'card-foot', text, bin));
-  bin.addEventListener('click', () => {
-    const next = root.nextElementSibling ?? root.previousElementSibling;
-    root.hidden = true;
-    (next?.querySelector(/** @type {'a'} */ ('a, button')) ?? $('picker')).focus();
-    deleteLater(photo.id, name, {
-      gone: () => {
-        forget(photo.id);
-        root.remove();
-        say(t('{0} was deleted.', name));
-        refresh();
-      },
-      back: (reason) => {
-        root.hidden = false;
-        bin.focus();
-        if (!reason) return;
-        facts.textContent = sentence(reason);
-        facts.classList.add('bad');
-        say(reason);
-      },
-    });
-  });
-  return root;
-}
-
-/**
- * Address of the next page of the list.
- * @type {string | null}
- */
-let next = null;
-
-/** @param {string | null} [address] */
-async function list(address) {
-  try {
-    return await listPhotos(address ?? undefined);
-  } catch (error) {
-    $('gallery-note').hidden = false;
-    $('gallery-note').textContent = sentence(error.message);
-    return null;
-  }
-}
-
-/**
- * @param {{photos: Photo[], next?: string}} page
- * @param {boolean} more
- */
-function show(page, more) {
-  const cards = page.photos
-    .filter((photo) => !isUnderWay(photo) && !isGoing(photo.id))
-    .map((photo) => (photo.state === 'done' ? card(photo) : failedCard(photo)));
-  if (more) $('gallery').append(...cards);
-  else $('gallery').replaceChildren(...cards);
-  $('gallery-note').hidden = $('gallery').children.length > 0;
-  $('gallery-note').textContent = t('No photo yet. The first one takes a few seconds.');
-  next = page.next ?? null;
-  $('more').hidden = !next;
-}
-
-async function refresh() {
-  const page = await list();
-  if (page) show(page, false);
-  return page;
-}
-
-/**
- * Photos that were on their way when the page was opened.
- * @param {Photo[]} photos
- */
-function resume(photos) {
-  for (const photo of photos) {
-    if (!isUnderWay(photo) || rows.has(photo.id)) continue;
-    follow(photo, new Row(photoName(photo), null));
-  }
-}
-
-const more = $('more', HTMLButtonElement);
-more.addEventListener('click', async () => {
-  more.disabled = true;
-  const page = await list(next);
-  if (page) show(page, true);
-  more.disabled = false;
-});
-
-// ---- picker, camera, drop, paste
 
 for (const picker of [$('picker', HTMLInputElement), $('camera', HTMLInputElement)]) {
   picker.addEventListener('change', () => {
@@ -286,6 +47,8 @@ for (const picker of [$('picker', HTMLInputElement), $('camera', HTMLInputElemen
     picker.value = '';
   });
 }
+// phones send a JPEG of their own where HEIC is not among what is asked for
+if (!matchMedia('(pointer: coarse)').matches) $('picker', HTMLInputElement).accept += ',.heic,.heif';
 
 let depth = 0;
 const carriesFiles = (/** @type {DragEvent} */ event) => event.dataTransfer?.types.includes('Files');
@@ -314,5 +77,32 @@ addEventListener('paste', (event) => {
   take(files);
 });
 
+/** Shows, where there is no photo yet, what one becomes. */
+async function showSample() {
+  const place = $('sample');
+  if (!place.hidden) return;
+  place.hidden = false;
+  await import(new URL('/tmpi-viewer.js', location.href).href);
+}
+
 translatePage();
-refresh().then((page) => page && resume(page.photos));
+enliven($('gallery'));
+$('gallery').addEventListener('shown', (event) => {
+  if (/** @type {CustomEvent} */ (event).detail.seen) $('sample').hidden = true;
+  else showSample();
+});
+startUploads({
+  made: refreshSoon,
+  remove: async (id) => {
+    await deletePhoto(id);
+    forget(id);
+  },
+});
+const deleted = handedOver();
+startGallery(forget).then((page) => {
+  for (const photo of page?.photos ?? []) if (isUnderWay(photo)) resume(photo, photoName(photo));
+  if (!deleted) return;
+  if (page?.photos.some(({ id }) => id === deleted.id)) return remove([deleted.id]);
+  // it is on a further page
+  deleteLater([{ ...deleted, gone: () => forget(deleted.id), back: () => {} }]);
+});

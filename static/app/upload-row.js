@@ -12,13 +12,23 @@ export function say(text) {
 }
 
 export class Row {
+  /** @type {'open' | 'done' | 'failed'} */
+  kind = 'open';
+  /** Share of the way, 0 to 1. */
+  share = 0;
+  #picture;
+  /** @type {string | null} */
+  #address = null;
+
   /**
    * @param {string} name
    * @param {File | null} preview
+   * @param {() => void} changed called when there is something else to see
    */
-  constructor(name, preview) {
+  constructor(name, preview, changed) {
     this.name = name;
-    this.preview = preview && URL.createObjectURL(preview);
+    this.preview = preview;
+    this.changed = changed;
     this.state = element('p', 'upload-state');
     this.bar = element('progress');
     this.bar.max = 1;
@@ -32,9 +42,30 @@ export class Row {
     this.close.addEventListener('click', () => this.onClose?.());
     this.actions = element('div', 'upload-actions', this.close);
     const body = element('div', 'upload-body', element('p', 'upload-name', name), this.bar, this.state);
-    this.root = element('li', 'upload', previewOf(this.preview), body, this.actions);
-    $('upload-list').prepend(this.root);
-    $('uploads').hidden = false;
+    this.#picture = element('span', 'upload-picture');
+    this.root = element('li', 'upload', this.#picture, body, this.actions);
+    this.root.hidden = true;
+    $('upload-list').append(this.root);
+  }
+
+  /** True where a pointer or the focus is on it: it does not go away then. */
+  get attended() {
+    return this.root.matches(':hover, :focus-within');
+  }
+
+  /**
+   * Whether it is seen among the others; its picture is read only then.
+   * @param {boolean} on
+   */
+  set shown(on) {
+    this.root.hidden = !on;
+    if (!on || !this.preview || this.#address) return;
+    this.#address = URL.createObjectURL(this.preview);
+    const image = element('img', 'upload-picture');
+    image.alt = '';
+    // what the browser cannot show keeps its empty frame
+    image.addEventListener('load', () => this.#picture.replaceWith(image));
+    image.src = this.#address;
   }
 
   /**
@@ -43,21 +74,25 @@ export class Row {
    */
   show(text, share) {
     this.state.textContent = text;
-    if (share !== undefined) this.bar.value = share;
+    if (share !== undefined) this.bar.value = this.share = share;
+    this.changed();
   }
 
   /** @param {string} message */
   fail(message) {
+    this.kind = 'failed';
     this.root.classList.add('failed');
     this.bar.hidden = true;
     this.state.textContent = sentence(message);
     this.close.setAttribute('aria-label', t('Dismiss {0}', this.name));
     this.onClose = () => this.remove();
     say(`${this.name}: ${message}`);
+    this.changed();
   }
 
   /** @param {string} id */
   done(id) {
+    this.kind = 'done';
     this.bar.hidden = true;
     this.state.textContent = t('Ready');
     const open = element('a', 'button primary', t('Open'));
@@ -65,25 +100,12 @@ export class Row {
     open.setAttribute('aria-label', t('Open {0}', this.name));
     this.actions.replaceChildren(open);
     say(t('{0} is ready.', this.name));
+    this.changed();
   }
 
   remove() {
     this.root.remove();
-    if (this.preview) URL.revokeObjectURL(this.preview);
-    $('uploads').hidden = !$('upload-list').children.length;
+    if (this.#address) URL.revokeObjectURL(this.#address);
+    this.changed();
   }
-}
-
-/**
- * A small picture, or an empty frame where there is none to show.
- * @param {string | null} address
- */
-function previewOf(address) {
-  const empty = element('span', 'upload-picture');
-  if (!address) return empty;
-  const image = element('img', 'upload-picture');
-  image.alt = '';
-  image.addEventListener('error', () => image.replaceWith(empty));
-  image.src = address;
-  return image;
 }

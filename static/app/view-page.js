@@ -14,6 +14,7 @@ import { $ } from './dom.js';
 import { followPhoto, isUnderWay } from './follow-photo.js';
 import { photoName } from './photo-name.js';
 import { photoWithVersion, settingsMenu } from './settings-menu.js';
+import { handOver } from './undo.js';
 
 /** @import { Photo } from './api.js' */
 
@@ -58,13 +59,17 @@ function toast(text) {
 }
 
 function readout() {
-  const parts = [];
-  const { scale, own } = viewer.zoom;
-  if (scale > 1.01) parts.push(`${Math.round((scale / own) * 100)} %`);
-  if (state.bytes) parts.push(formatBytes(state.bytes));
-  if (viewer.mode === 'served') parts.push(t('drawn by the server'));
-  if (state.ms !== null) parts.push(`${state.ms < 9.95 ? state.ms.toFixed(1) : Math.round(state.ms)} ms`);
-  $('readout').textContent = parts.join(' · ');
+  // where it goes, not where it has come to: a slow machine may be long on its way
+  const { goal, own } = viewer.zoom;
+  const closer = goal > 1.01 ? [`${Math.round((goal / own) * 100)} %`] : [];
+  const served = viewer.mode === 'served' ? [t('drawn by the server')] : [];
+  $('readout').textContent = [...closer, ...served].join(' · ');
+  const { head } = viewer;
+  $('facts').textContent = [
+    ...(head ? [`${head.width} × ${head.height}`] : []),
+    ...(state.bytes ? [formatBytes(state.bytes)] : []),
+    ...(state.ms === null ? [] : [`${state.ms < 9.95 ? state.ms.toFixed(1) : Math.round(state.ms)} ms`]),
+  ].join(' · ');
 }
 
 /**
@@ -344,6 +349,7 @@ const container = $('download', HTMLAnchorElement);
 $('show-menu').addEventListener('beforetoggle', showDepthSource, { once: true });
 $('show-menu').addEventListener('change', applyMenu);
 $('touch-up').addEventListener('click', touchUp);
+$('delete').addEventListener('click', () => handOver(id, $('title').textContent ?? ''));
 $('picture').addEventListener('click', () => savePicture().catch((error) => toast(error.message)));
 $('tilt-label').hidden = !hasGyroscope();
 const tilt = $('tilt', HTMLInputElement);

@@ -325,7 +325,7 @@ class TmpiViewer extends HTMLElement {
       this.#loaded = true;
       fire('load', detail);
     });
-    viewer.addEventListener('pose', () => fire('camera-change', { pose: viewer.pose }));
+    viewer.addEventListener('pose', () => this.#loaded && fire('camera-change', { pose: viewer.pose }));
     viewer.addEventListener('error', ({ detail }) => {
       // what cannot be had while the photo is shown needs no words over it
       if (viewer.mode === 'failed') this.#fail(detail.message);

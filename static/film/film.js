@@ -15,7 +15,8 @@ import { cameraAt, wayAt } from './way.js';
 
 /** @type {Record<string, (plan: Plan, sample: (share: number) => Promise<ImageData>) => Promise<Writer>>} */
 const WRITERS = {
-  mp4: async (plan) => (await import('./video.js')).videoWriter(plan),
+  mp4: async (plan) => (await import('./video.js')).videoWriter(plan, 'mp4'),
+  webm: async (plan) => (await import('./video.js')).videoWriter(plan, 'webm'),
   gif: async (plan, sample) => (await import('./gif.js')).gifWriter(plan, sample),
 };
 

@@ -2,7 +2,7 @@
 import { WIGGLE_S } from './way.js';
 
 /**
- * @typedef {{kind: 'mp4' | 'gif', style: string, seconds: number, side: number}} Wish `side`: of the longer side, pixels
+ * @typedef {{kind: 'mp4' | 'webm' | 'gif', style: string, seconds: number, side: number}} Wish `side`: of the longer side, pixels
  * @typedef {{width: number, height: number, times: number[], frameMs: number, turns: number}} Plan `times`: shares of all the way at which a
  *   frame is taken, each shown for `frameMs`; `turns`: how often the way is gone
  */

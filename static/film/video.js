@@ -1,6 +1,7 @@
-// Films by WebCodecs: H.264 in MP4.
+// Films by WebCodecs: H.264 in MP4, which every program plays; where the browser has no encoder for it, AV1 or VP9 in WebM.
 
 /** @import { Plan } from './plan.js' */
+/** @typedef {'mp4' | 'webm'} Container */
 /** @import { Writer } from './film.js' */
 
 /** Bits a pixel and frame: photos that move slowly need no more. */
@@ -21,43 +22,75 @@ const LEVELS = [
 const PROFILES = ['6400', '4d00', '4200'];
 
 /**
- * Names of the codec, the best first.
+ * Names of codecs of WebM, the best first, and what the muxer calls them: profile 0, 8 bits, levels for 1080 and for 2160 lines (VP9
+ * bitstream specification, annex A; AV1, annex A.3). VP9 first: encoders of AV1 in software take many times as long.
+ * @type {[string, string][]}
+ */
+const WEBM = [
+  ['vp09.00.40.08', 'V_VP9'],
+  ['vp09.00.51.08', 'V_VP9'],
+  ['av01.0.08M.08', 'V_AV1'],
+  ['av01.0.12M.08', 'V_AV1'],
+];
+
+/**
+ * Names of the codec, the best first, and what a muxer calls it.
  * @param {{width: number, height: number}} size
+ * @returns {[string, string][]}
  */
 function codecs({ width, height }) {
   const blocks = Math.ceil(width / 16) * Math.ceil(height / 16);
   const level = (LEVELS.find((l) => blocks <= l.blocks) ?? LEVELS[LEVELS.length - 1]).name;
-  return PROFILES.map((profile) => `avc1.${profile}${level}`);
+  return PROFILES.map((profile) => [`avc1.${profile}${level}`, 'avc']);
 }
 
 /**
- * The encoder's configuration, or null where this browser has none.
+ * The encoder's configuration and what the muxer calls its codec, or null where this browser has none.
  * @param {{width: number, height: number, frameMs: number}} film
+ * @param {Container} container
+ * @returns {Promise<{config: VideoEncoderConfig, name: string} | null>}
  */
-export async function encoding({ width, height, frameMs }) {
+export async function encoding({ width, height, frameMs }, container) {
   if (typeof VideoEncoder === 'undefined') return null;
   const framerate = 1000 / frameMs;
   const bitrate = Math.round(Math.max(LEAST_BITRATE, width * height * Math.max(framerate, 24) * BITS));
-  for (const codec of codecs({ width, height })) {
+  for (const [codec, name] of container === 'mp4' ? codecs({ width, height }) : WEBM) {
     /** @type {VideoEncoderConfig} */
-    const config = { codec, width, height, bitrate, framerate, latencyMode: 'quality', avc: { format: 'avc' } };
+    const config = { codec, width, height, bitrate, framerate, latencyMode: 'quality' };
+    if (container === 'mp4') config.avc = { format: 'avc' };
     const answer = await VideoEncoder.isConfigSupported(config).catch(() => null);
-    if (answer?.supported) return config;
+    if (answer?.supported) return { config, name };
   }
   return null;
 }
 
 /**
+ * The muxer of a kind of file; times are microseconds in both.
+ * @param {Container} container
+ * @param {{width: number, height: number, frameMs: number}} film
+ * @param {string} name of the codec
+ */
+async function muxerOf(container, { width, height, frameMs }, name) {
+  const { Muxer, ArrayBufferTarget } = await import(new URL(`../vendor/${container}-muxer.mjs`, import.meta.url).href);
+  const target = new ArrayBufferTarget();
+  const video = { codec: name, width, height };
+  const muxer =
+    container === 'mp4'
+      ? new Muxer({ target, video, fastStart: 'in-memory' })
+      : new Muxer({ target, video: { ...video, frameRate: 1000 / frameMs }, type: 'webm' });
+  return { muxer, target };
+}
+
+/**
  * @param {Plan} plan
+ * @param {Container} container
  * @returns {Promise<Writer>}
  */
-export async function videoWriter(plan) {
+export async function videoWriter(plan, container) {
   const { width, height, frameMs } = plan;
-  const config = await encoding(plan);
-  if (!config) throw new Error('This browser has no encoder for such films.');
-  const { Muxer, ArrayBufferTarget } = await import(new URL('../vendor/mp4-muxer.mjs', import.meta.url).href);
-  const target = new ArrayBufferTarget();
-  const muxer = new Muxer({ target, video: { codec: 'avc', width, height }, fastStart: 'in-memory' });
+  const able = await encoding(plan, container);
+  if (!able) throw new Error('This browser has no encoder for such films.');
+  const { muxer, target } = await muxerOf(container, plan, able.name);
   /** @type {Error | null} */
   let failed = null;
   let wake = () => {};
@@ -68,7 +101,7 @@ export async function videoWriter(plan) {
       wake();
     },
   });
-  encoder.configure(config);
+  encoder.configure(able.config);
   const canvas = new OffscreenCanvas(width, height);
   const context = canvas.getContext('2d');
   let count = 0;
@@ -90,7 +123,7 @@ export async function videoWriter(plan) {
       await encoder.flush();
       if (failed) throw failed;
       muxer.finalize();
-      return new Blob([target.buffer], { type: 'video/mp4' });
+      return new Blob([target.buffer], { type: `video/${container}` });
     },
     close() {
       if (encoder.state !== 'closed') encoder.close();

@@ -31,8 +31,45 @@ const GERMAN = {
   'Drop photos or a folder here, paste one, or': 'Fotos oder einen Ordner hierher ziehen, einfügen oder',
   Full: 'Vollbild',
   'Full screen': 'Vollbild',
-  'JPEG, PNG or WebP, up to 32 MB. Place and camera data are removed.':
-    'JPEG, PNG oder WebP, bis 32 MB. Orts- und Kameradaten werden entfernt.',
+  'JPEG, PNG, WebP, and what else your browser can show. Place and camera data are removed.':
+    'JPEG, PNG, WebP und was der Browser sonst zeigen kann. Orts- und Kameradaten werden entfernt.',
+  'A sample, to look around in: point at it, drag it, scroll to come closer.':
+    'Ein Beispiel zum Umsehen: darauf zeigen, ziehen, scrollen, um näher zu kommen.',
+  All: 'Alle',
+  'Cancel all': 'Alle abbrechen',
+  'Choose photos to delete': 'Fotos zum Löschen auswählen',
+  'Choose {0}': '{0} auswählen',
+  Converting: 'Wird umgewandelt',
+  'Delete the photo': 'Foto löschen',
+  'Dismiss failed': 'Fehler ausblenden',
+  Done: 'Fertig',
+  'How it is made': 'Wie es gemacht ist',
+  'Progress of all photos': 'Fortschritt aller Fotos',
+  Select: 'Auswählen',
+  Selection: 'Auswahl',
+  ': moves only when somebody moves it.': ': bewegt sich nur, wenn es jemand bewegt.',
+  'From another origin:': 'Von einer anderen Herkunft:',
+  ': it takes no input.': ': nimmt keine Eingaben.',
+  'A page with a content security policy has to allow this server:': 'Eine Seite mit Content Security Policy muss diesen Server erlauben:',
+  'Any origin may read photos; none but this one may change them.': 'Lesen darf Fotos jede Herkunft, ändern nur diese.',
+  'Stereo, blur, depth': 'Stereo, Unschärfe, Tiefe',
+  'such files': 'solche Dateien',
+  'The file has {0}; at most {1} can be sent.': 'Die Datei hat {0}; höchstens {1} lassen sich senden.',
+  'Somebody changed the photo meanwhile. Reload the page to see how it is now.':
+    'Jemand hat das Foto inzwischen geändert. Die Seite neu laden, um zu sehen, wie es jetzt ist.',
+  'The file is too large: at most {0} can be sent.': 'Die Datei ist zu groß: höchstens {0} lassen sich senden.',
+  'The photo has too many pixels: at most {0} million can be made.': 'Das Foto hat zu viele Pixel: höchstens {0} Millionen sind möglich.',
+  'The file is empty.': 'Die Datei ist leer.',
+  'This browser cannot read HEIC photos. On the iPhone choose Settings → Camera → Formats → Most Compatible, or save the photo as JPEG.':
+    'Dieser Browser kann keine HEIC-Fotos lesen. Am iPhone Einstellungen → Kamera → Formate → Maximale Kompatibilität wählen oder das Foto als JPEG sichern.',
+  'This browser cannot read {0}. Save the photo as JPEG, PNG or WebP.':
+    'Dieser Browser kann {0} nicht lesen. Das Foto als JPEG, PNG oder WebP sichern.',
+  'This is a film, not a photo.': 'Das ist ein Film, kein Foto.',
+  '{0} failed': '{0} gescheitert',
+  'and {0} more': 'und {0} weitere',
+  '{0} of {1} chosen': '{0} von {1} gewählt',
+  '{0} of {1} ready': '{0} von {1} fertig',
+  '{0} photos deleted': '{0} Fotos gelöscht',
   'Good: for screens of any size': 'Gut: für jeden Bildschirm',
   'Link to this very view': 'Link zu genau dieser Sicht',
   'Link to this view': 'Link zu dieser Sicht',
@@ -76,7 +113,7 @@ const GERMAN = {
   Show: 'Anzeige',
   'Show more': 'Mehr zeigen',
   'Side by side for stereo viewers': 'Zwei Bilder für Stereobrillen',
-  'Size of the file · time to draw a frame': 'Größe der Datei · Zeit für ein Bild',
+  'Size of the photo · of what was loaded · time to draw a frame': 'Größe des Fotos · des Geladenen · Zeit für ein Bild',
   'A page for any browser (.html)': 'Eine Seite für jeden Browser (.html)',
   'A 3D model (.glb)': 'Ein 3D-Modell (.glb)',
   'Layers for Krita or GIMP (.ora)': 'Ebenen für Krita oder GIMP (.ora)',
@@ -96,7 +133,7 @@ const GERMAN = {
   'To have one on yours': 'So kommt eines auf Ihre Seite',
   'Moves by itself, and as you drag it, tilt it or press the arrow keys.':
     'Bewegt sich von selbst, und wie Sie es ziehen, neigen oder mit Pfeiltasten schieben.',
-  'As it came': 'Wie am Anfang',
+  'Back to how it was': 'Wie am Anfang',
   'Error: red is a pixel of parallax or more': 'Fehler: Rot ist ein Pixel Parallaxe oder mehr',
   'How far it moves': 'Wie weit es sich bewegt',
   'How it moves by itself': 'Wie es sich von selbst bewegt',
@@ -110,14 +147,14 @@ const GERMAN = {
   'Tilt to look around': 'Neigen und umsehen',
   'Drag or point to look around; scroll, pinch or tap twice to come closer.':
     'Ziehen oder zeigen, um sich umzusehen; scrollen, spreizen oder doppelt tippen, um näher zu kommen.',
-  'Picture of the list from here': 'Bild der Liste von hier',
+  'Show this view in the list': 'Diese Sicht in der Liste zeigen',
   'Save with the photo': 'Beim Foto speichern',
   Saved: 'Gespeichert',
   Settings: 'Vorgaben',
   'Small: quick to load': 'Klein: schnell geladen',
-  'Start from here': 'Von hier beginnen',
+  'Begin with this view': 'Mit dieser Sicht beginnen',
   Title: 'Titel',
-  'What stays in place: far to near': 'Was stehen bleibt: fern bis nah',
+  'What stays still: far to near': 'Was stillsteht: fern bis nah',
   Tiles: 'Kacheln',
   'Try again': 'Nochmals versuchen',
   Undo: 'Rückgängig',
@@ -252,7 +289,7 @@ const GERMAN = {
   '{0} was deleted.': '{0} wurde gelöscht.',
 };
 
-const words = navigator.language?.toLowerCase().startsWith('de') ? GERMAN : {};
+const words = globalThis.navigator?.language?.toLowerCase().startsWith('de') ? GERMAN : {};
 
 /**
  * `text` in the page's language, `{0}`, `{1}` … replaced by `values`.

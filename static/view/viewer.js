@@ -168,10 +168,13 @@ export class Viewer extends EventTarget {
     return this.#camera.place;
   }
 
-  /** How large the photo is shown: 1 where all of it is seen, `own` where its pixels are those of the screen, `most` at the closest. */
+  /**
+   * How large the photo is shown: 1 where all of it is seen, `own` where its pixels are those of the screen, `most` at the closest; `goal`
+   * is what it is on its way to.
+   */
   get zoom() {
-    const { now, own, most } = this.#zoom;
-    return { ...now, own, most };
+    const { now, target, own, most } = this.#zoom;
+    return { ...now, goal: target.scale, own, most };
   }
 
   /**
@@ -181,7 +184,7 @@ export class Viewer extends EventTarget {
    */
   zoomBy(by, at = { x: 0, y: 0 }) {
     this.#zoom.by(by, at);
-    this.#wake();
+    this.#moved();
   }
 
   /** Half extents of where the camera goes, in units of the nearest distance, or null before that is known. */

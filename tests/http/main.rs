@@ -13,6 +13,7 @@ mod limits;
 mod live;
 mod matrix;
 mod measure;
+mod nodes;
 mod openapi;
 mod origins;
 mod process;

@@ -28,12 +28,14 @@ fn every_route_of_the_document_answers_as_it_says() {
     std::thread::sleep(Duration::from_millis(1100));
     publisher.publish(frame(20));
     wait_until("a frame is done", || get(server.addr, "/v1/live/attic/frames/latest/atlas").status == 200);
+    let newest = get(server.addr, "/v1/live/attic/gops/latest");
+    let first = format!("{}-0", newest.header("location").unwrap().split('-').next().unwrap());
     let mut deletions = Vec::new();
     let mut count = 0;
     for (path, item) in document["paths"].as_object().unwrap() {
         for (method, operation) in item.as_object().unwrap() {
             let path = if path == "/oembed" { "/oembed?url=http://localhost/view/{id}" } else { path };
-            let path = path.replace("{id}", &photo).replace("{room}", "attic").replace("{frame}", "latest").replace("{group}", "1-0");
+            let path = path.replace("{id}", &photo).replace("{room}", "attic").replace("{frame}", "latest").replace("{group}", &first);
             let call = (method.to_uppercase(), path, operation);
             if method == "delete" {
                 deletions.push(call);
@@ -134,6 +136,19 @@ fn words_of_the_document_are_those_that_are_taken() {
     let mut taken: Vec<String> = known.split(", ").map(|name| name.replace('-', "_")).collect();
     taken.sort_unstable();
     assert_eq!(described, taken, "every field is described, and no other");
+    let schemas = document["components"]["schemas"].as_object().unwrap();
+    let closed: Vec<&String> = schemas.iter().filter(|(_, s)| s["additionalProperties"] == false).map(|(name, _)| name).collect();
+    assert_eq!(closed, ["Offset", "Settings", "Stroke", "Strokes", "UploadForm"]);
+    let json: &[(&str, &str)] = &[("content-type", "application/merge-patch+json")];
+    for (path, body, field) in [
+        ("", r#"{"halo": 1}"#, "halo"),
+        ("", r#"{"start": {"x": 0, "halo": 1}}"#, "start.halo"),
+        ("/strokes", r#"{"halo": 1}"#, "halo"),
+        ("/strokes", r#"{"strokes": [{"points": [[0.5, 0.5]], "radius": 0.1, "to": 0, "halo": 1}]}"#, "strokes[0].halo"),
+    ] {
+        let answer = request(server.addr, "PATCH", &format!("/v1/photos/{id}{path}"), json, body.as_bytes());
+        assert!(is_refused(&answer, field), "{body}: {}", answer.json());
+    }
     let mut choices = 0;
     for (field, schema) in fields.iter().filter(|(name, schema)| !matches!(name.as_str(), "photo" | "depth") && schema["type"] == "string")
     {

@@ -24,7 +24,7 @@ impl Process {
         Self::start_with(data, &["--drain", "5"])
     }
 
-    fn start_with(data: &Path, arguments: &[&str]) -> Self {
+    pub fn start_with(data: &Path, arguments: &[&str]) -> Self {
         Self::start_in(data, arguments, &[])
     }
 

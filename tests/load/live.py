@@ -1,5 +1,6 @@
 #!/usr/bin/env python3
-"""Hundreds of viewers of a room, some of which stop reading; then peers of every hostile kind. Memory, frames lost, time to be live again."""
+"""Hundreds of viewers of a room, some of which stop reading; rooms of several nodes, one of which is killed; peers of every hostile kind. Memory,
+frames lost, time to be live again."""
 import argparse, base64, os, random, selectors, socket, struct, subprocess, tempfile, threading, time
 from pathlib import Path
 from common import PROGRAM, Server, Table, check, end, status_kib
@@ -482,12 +483,12 @@ def main():
     args = argparse.ArgumentParser(description=__doc__)
     args.add_argument("--full", action="store_true")
     args.add_argument("--seconds", type=int)
-    args.add_argument("--only", choices=["viewers", "hostile"])
+    args.add_argument("--only", choices=["viewers", "hostile", "nodes"])
     args = args.parse_args()
     folder = tempfile.TemporaryDirectory(prefix="tmpi-live-")
     subprocess.run([PROGRAM, "live", "bench", "--only", "measured", "--frames", "150", "--views", "100000", "--files", folder.name], check=True, stdout=subprocess.DEVNULL)
     stream = str(Path(folder.name) / "measured.h264")
-    if args.only != "hostile":
+    if args.only in (None, "viewers"):
         server = Server("--connections", "4096", "--connections-per-address", "4096")
         seconds = args.seconds or (600 if args.full else 40)
         table = Table("viewers", "stalled", "for", "frames/s", "lost by the others", "first view, median", "worst", "resident before / joined / most", "last third − first",
@@ -501,7 +502,11 @@ def main():
                 break
             count += 200
         server.stop()
-    if args.only != "viewers":
+    if args.only in (None, "nodes"):
+        # it needs what is above
+        from nodes import nodes
+        nodes(stream, args.full)
+    if args.only in (None, "hostile"):
         server = Server()
         table = Table("peer", "sent away with", "after", "resident", "frames/s of another room", "lost there")
         reasons = hostile(server, stream, table, args.full)

@@ -54,7 +54,7 @@ def small_cache(folder, seed=0, each=3):
 
 def depth_run(folder, out, steps=6, stop=None, seed=1, every=2):
     """The depth training on a small cache: the whole of it but the encoders."""
-    records = depth.Records(folder, seed, 4)
+    records = depth.Records([folder], seed, 4)
     loop.seed_all(seed)
     net = network.Decoder(CHANNELS, (4, 6, 8, 10, 12), 0.2)
 
@@ -168,18 +168,18 @@ class Resume(unittest.TestCase):
         folder = self.root / "cache"
         folder.mkdir()
         small_cache(folder)
-        first, second = depth.Records(folder, 5, 4), depth.Records(folder, 5, 4)
+        first, second = depth.Records([folder], 5, 4), depth.Records([folder], 5, 4)
         for step in (7, 3):
             second.at(step)
         self.assertEqual(loop.digest(first.at(3)), loop.digest(second.at(3)))
         self.assertNotEqual(loop.digest(first.at(3)), loop.digest(first.at(4)))
-        self.assertNotEqual(loop.digest(first.at(3)), loop.digest(depth.Records(folder, 6, 4).at(3)))
+        self.assertNotEqual(loop.digest(first.at(3)), loop.digest(depth.Records([folder], 6, 4).at(3)))
 
     def test_shares_hold(self):
         folder = self.root / "cache"
         folder.mkdir()
         small_cache(folder)
-        records = depth.Records(folder, 1, 16, {"scene": 0.5, "label": 0.5})
+        records = depth.Records([folder], 1, 16, {"scene": 0.5, "label": 0.5})
         drawn = [g for step in range(60) for g, _ in records.at(step)[-1]]
         self.assertEqual(set(drawn), {"scene", "label"})
         self.assertAlmostEqual(drawn.count("label") / len(drawn), 0.5, delta=0.06)

@@ -53,6 +53,10 @@ pub fn tools() -> Result<(), Fault> {
     if which("npm").is_none() && output("npm", &["--version"]).is_none() {
         missing.push("npm");
     }
+    // the tests of rooms that several servers share
+    if cfg!(target_os = "linux") && output("nats-server", &["--version"]).is_none() && !Path::new("/usr/sbin/nats-server").exists() {
+        missing.push("nats-server");
+    }
     if !missing.is_empty() {
         install(&missing)?;
     }
@@ -61,6 +65,13 @@ pub fn tools() -> Result<(), Fault> {
         return Err(Fault::new(format!("the browser tests need Node {NODE} or newer, not {version}")));
     }
     packages()
+}
+
+/// Packs the element for npm; the archive is in `target/npm`.
+pub fn pack_element() -> Result<(), Fault> {
+    let mut node = Command::new("node");
+    node.arg("npm/pack.mjs").current_dir(root());
+    run(node).map_err(|e| e.in_step("npm"))
 }
 
 /// Installs Debian packages as root; else names the command.

@@ -1,5 +1,5 @@
 //! Tasks around the program: `cargo xtask serve`, `cargo xtask test`, `cargo xtask fetch`, `cargo xtask shaders`, `cargo xtask wasm`,
-//! `cargo xtask fuzz`, `cargo xtask release`.
+//! `cargo xtask fuzz`, `cargo xtask release`, `cargo xtask npm`.
 
 mod browser;
 mod command;
@@ -31,6 +31,7 @@ usage: cargo xtask <task>
   release [--offline]
                 an archive with the program, ONNX Runtime, the depth network that is worth fetching, and licences, in target/archive; unpacked
                 and tried without anything else of this machine
+  npm           pack the element <tmpi-viewer> with all that it needs for npm, in target/npm
   fetch         fetch ONNX Runtime into .tmpi/onnxruntime where it is missing";
 
 /// Variable that says what tests must not be skipped without, and what it is here (`crates/testing`).
@@ -49,6 +50,7 @@ fn main() -> ExitCode {
         Some("test") if rest == ["--full"] => test(&[&STEPS[..], &FULL].concat()),
         Some("shaders") if rest.is_empty() => shaders::write(),
         Some("wasm") if rest.is_empty() => wasm::build(),
+        Some("npm") if rest.is_empty() => browser::pack_element(),
         Some("fetch") if rest.is_empty() => runtime::fetch().map_err(|e| e.in_step("ONNX Runtime")),
         Some("help" | "--help" | "-h") => {
             println!("{HELP}");

@@ -80,6 +80,8 @@ impl Decoder for Jpeg {
 
 #[cfg(feature = "h264")]
 mod h264 {
+    use std::panic::{AssertUnwindSafe, catch_unwind};
+
     use rusty_h264_common::nal::{emulation_unprevent, split_annex_b};
     use rusty_h264_decoder::Sps;
 
@@ -102,15 +104,22 @@ mod h264 {
 
     impl Decoder for H264 {
         fn decode(&mut self, data: &[u8]) -> Result<Option<Photo>, VideoError> {
+            // Damaged slices can make it panic, and leave it unable to read sound ones: the next key frame brings its own parameters
+            let decoded = catch_unwind(AssertUnwindSafe(|| self.picture(data)));
+            let decoded = decoded.unwrap_or_else(|_| Err(VideoError::Broken("the decoder failed on it".into())));
+            decoded.inspect_err(|_| self.decoder = rusty_h264_decoder::Decoder::new())
+        }
+    }
+
+    impl H264 {
+        fn picture(&mut self, data: &[u8]) -> Result<Option<Photo>, VideoError> {
             self.check(data)?;
             let Some(frame) = self.decoder.decode(data).map_err(|e| VideoError::Broken(e.to_string()))? else { return Ok(None) };
             let planes = I420 { width: frame.width as u32, height: frame.height as u32, y: &frame.y, u: &frame.u, v: &frame.v };
             let short = || VideoError::Broken("a plane that is too short".into());
             sized(to_rgb(&planes).ok_or_else(short)?, self.size)
         }
-    }
 
-    impl H264 {
         /// Refuses parameters of larger frames before the decoder takes memory for them.
         fn check(&self, data: &[u8]) -> Result<(), VideoError> {
             let (width, height) = self.size;
@@ -138,5 +147,24 @@ mod tests {
         assert!(jpeg.decode().is_err());
         assert!(sized(photo.clone(), (16, 8)).is_ok_and(|p| p.is_some()) && sized(photo, (8, 16)).is_err());
         assert!(matches!(decoder(JPEG, (16, 8)).unwrap().decode(b"no JPEG"), Err(VideoError::Broken(_))));
+    }
+
+    /// A decoder that goes on after the first error panics on this stream, and reads no sound one after it.
+    #[cfg(feature = "h264")]
+    #[test]
+    fn a_damaged_stream_is_an_error_and_the_next_sound_one_is_decoded_as_by_a_new_decoder() {
+        let outcomes = |h264: &mut dyn Decoder, stream: &[u8]| {
+            let mut splitter = crate::units::Splitter::default();
+            let mut units = splitter.push(stream).unwrap();
+            units.extend(splitter.finish());
+            units.iter().map(|u| h264.decode(&u.data).map_err(|e| e.to_string())).collect::<Vec<_>>()
+        };
+        let [mut used, mut fresh] = [(); 2].map(|()| decoder("avc1.42e01e", (64, 48)).unwrap());
+        let failed = outcomes(used.as_mut(), include_bytes!("../../../fuzz/seeds/video/failing.h264"));
+        assert!(failed.iter().any(Result::is_err));
+        let sound = include_bytes!("../../../fuzz/seeds/video/ten.h264");
+        let after = outcomes(used.as_mut(), sound);
+        assert!(after.iter().filter(|o| matches!(o, Ok(Some(_)))).count() > 1, "{after:?}");
+        assert_eq!(after, outcomes(fresh.as_mut(), sound));
     }
 }

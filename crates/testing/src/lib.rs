@@ -18,18 +18,21 @@ pub enum Need {
     Onnx,
     /// `ffmpeg`: the program.
     Ffmpeg,
+    /// `nats`: the program `nats-server`.
+    Nats,
     /// `s3`: moto, an S3 server in Python.
     S3,
 }
 
 impl Need {
-    const ALL: [Self; 4] = [Self::Gpu, Self::Onnx, Self::Ffmpeg, Self::S3];
+    const ALL: [Self; 5] = [Self::Gpu, Self::Onnx, Self::Ffmpeg, Self::Nats, Self::S3];
 
     const fn name(self) -> &'static str {
         match self {
             Self::Gpu => "gpu",
             Self::Onnx => "onnx",
             Self::Ffmpeg => "ffmpeg",
+            Self::Nats => "nats",
             Self::S3 => "s3",
         }
     }
@@ -80,6 +83,6 @@ mod tests {
     #[test]
     fn an_unknown_word_fails_even_where_everything_is_there() {
         let error = Need::Onnx.judged("gpu,onxx", Ok::<_, &str>(7)).unwrap_err();
-        assert!(error.contains("\"onxx\"") && error.contains("gpu, onnx, ffmpeg"), "{error}");
+        assert!(error.contains("\"onxx\"") && error.contains("gpu, onnx, ffmpeg, nats"), "{error}");
     }
 }

@@ -41,7 +41,7 @@ pub async fn healthz(_: NoQuery) -> Json<Health> {
 }
 
 /// The server takes uploads: it was not told to stop, the queue has room, the data directory can be written, nothing of the server keeps
-/// photos from being made.
+/// photos from being made, and NATS can be reached where rooms are shared.
 #[utoipa::path(
     get, path = "/readyz", tag = "system",
     responses(
@@ -52,6 +52,7 @@ pub async fn healthz(_: NoQuery) -> Json<Health> {
 )]
 pub async fn readyz(State(app): State<App>, _: NoQuery) -> Result<Json<Health>, Problem> {
     let (storage, trouble) = (app.storage(), app.jobs.trouble());
+    let alone = app.rooms.get().and_then(|rooms| rooms.trouble());
     let why = if app.leaving.load(Ordering::Acquire) || !app.jobs.is_accepting() {
         "the server is stopping"
     } else if app.jobs.free_places() == 0 {
@@ -60,6 +61,8 @@ pub async fn readyz(State(app): State<App>, _: NoQuery) -> Result<Json<Health>, 
         why
     } else if let Some(reason) = &trouble {
         reason
+    } else if let Some(why) = alone {
+        why
     } else {
         return Ok(Json(HEALTHY));
     };
@@ -77,7 +80,8 @@ pub async fn readyz(State(app): State<App>, _: NoQuery) -> Result<Json<Health>, 
 pub async fn metrics(State(app): State<App>, _: NoQuery, headers: HeaderMap) -> Response {
     let counts = app.jobs.counts();
     let waiting = |class| app.pool.waiting(class) as f64;
-    let text = app.telemetry.text(&[
+    let mut gauges = app.rooms.get().map(|rooms| rooms.counts()).unwrap_or_default();
+    gauges.extend([
         ("tmpi_queue_depth", "Photos that wait", counts.queued as f64),
         ("tmpi_queue_limit", "Photos that may wait", app.limits.queue as f64),
         ("tmpi_jobs_running", "Photos that are being made", counts.working as f64),
@@ -97,7 +101,7 @@ pub async fn metrics(State(app): State<App>, _: NoQuery, headers: HeaderMap) -> 
         ("tmpi_exports_waiting", "Films and files that wait to be written", waiting(Class::Export)),
         ("tmpi_peak_rss_bytes", "Peak resident memory of the process", tmpi_pipeline::clock::peak_rss_bytes() as f64),
     ]);
-    match text {
+    match app.telemetry.text(&gauges) {
         Ok(text) => respond_once(&headers, text.into(), MEDIA_TYPE),
         Err(error) => Problem::internal("writing metrics", &error).into_response(),
     }

@@ -31,8 +31,14 @@ impl Text {
     }
 }
 
-/// Writes them into `document`.
+/// What is read field by field, so that another field is an error.
+const CLOSED: [&str; 5] = ["Offset", "Settings", "Stroke", "Strokes", "UploadForm"];
+
+/// Writes them into `document`, and which schemas have no other fields than theirs.
 pub fn put(document: &mut Value) {
+    for name in CLOSED {
+        document["components"]["schemas"][name]["additionalProperties"] = false.into();
+    }
     let form = &mut document["components"]["schemas"]["UploadForm"]["properties"];
     for (field, text) in [
         ("denoise", Text::Words(words::<Denoise>())),

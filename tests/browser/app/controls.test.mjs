@@ -105,11 +105,6 @@ describe('every control', () => {
         assert.ok(!(await viewer((v) => v.idle)));
       },
       'button: Show': opens($('show'), 'show-menu'),
-      'input: Depth': overlay('depth'),
-      'input: Tiles': overlay('tiles'),
-      'input: Planes': overlay('planes'),
-      'input: Error: red is a pixel of parallax or more': overlay('error'),
-      'input: The photo': overlay('none'),
       'input: Side by side for stereo viewers': async () => {
         await $('stereo').check();
         assert.ok(await viewer((v) => v.stereo));
@@ -129,6 +124,16 @@ describe('every control', () => {
         assert.ok(await $('blur-hint').isVisible());
         await $('blur').fill('0');
       },
+      'input: Depth': overlay('depth'),
+      'summary: How it is made': async () => {
+        await page.locator('#inner summary').click();
+        assert.match(await $('facts').textContent(), /^200 × 120 · [\d.]+ kB · [\d.]+ ms$/);
+        assert.equal(await $('readout').textContent(), '', 'the title is nobody’s instrument');
+      },
+      'input: Tiles': overlay('tiles'),
+      'input: Planes': overlay('planes'),
+      'input: Error: red is a pixel of parallax or more': overlay('error'),
+      'input: The photo': overlay('none'),
       'button: Look around in a headset': async () => {
         await $('headset').click();
         await until((v) => v.headset?.frames > 0);
@@ -139,6 +144,7 @@ describe('every control', () => {
       'button: Settings': opens($('settings'), 'settings-menu'),
       'input: Title': async () => {
         await $('set-title').fill('Another');
+        assert.ok(await $('set-save').isEnabled(), 'while it is typed');
         await $('set-title').press('Tab');
       },
       'input: How far it moves': async () => {
@@ -155,15 +161,15 @@ describe('every control', () => {
         await $('set-speed').fill('2');
         assert.deepEqual(await viewer((v) => [v.motion.rate, v.settings.speed]), [2, 2]);
       },
-      'input: What stays in place: far to near': async () => {
+      'input: What stays still: far to near': async () => {
         await $('set-focus').fill('0.7');
         assert.equal(await viewer((v) => v.pivot), 0.7);
       },
-      'button: Start from here': async () => {
+      'button: Begin with this view': async () => {
         await $('set-start').click();
         assert.deepEqual(await viewer((v) => v.settings.start), { x: 0, y: 0, z: 0 });
       },
-      'button: Picture of the list from here': async () => {
+      'button: Show this view in the list': async () => {
         await $('set-poster').click();
         assert.deepEqual(await viewer((v) => v.settings.poster), { x: 0, y: 0, z: 0 });
       },
@@ -173,7 +179,7 @@ describe('every control', () => {
         saves(1)();
         assert.equal(await $('title').textContent(), 'Another');
       },
-      'button: As it came': async () => {
+      'button: Back to how it was': async () => {
         await $('set-clear').click();
         assert.equal(await $('set-title').inputValue(), 'Another', 'what a photo is called is not how it moves');
         assert.deepEqual(await viewer((v) => v.settings), { version: 1, title: 'Another' });
@@ -263,6 +269,17 @@ describe('every control', () => {
         await page.waitForFunction(() => document.fullscreenElement === document.documentElement);
         await page.evaluate(() => document.exitFullscreen());
         await page.waitForFunction(() => document.getElementById('fullscreen').getAttribute('aria-pressed') === 'false');
+      },
+      'button: Delete the photo': async () => {
+        const other = await context.newPage();
+        await other.goto(`${server.url}/view/box`);
+        await waitForMode(other, 'gpu');
+        await other.locator('#settings').click();
+        await other.locator('#delete').click();
+        await other.getByRole('button', { name: 'Undo' }).click();
+        assert.equal(new URL(other.url()).pathname, '/');
+        await other.close();
+        assert.deepEqual(server.deleted, [], 'what was undone is not deleted');
       },
       'button: Try again': async () => {
         const lost = await context.newPage();
@@ -397,6 +414,35 @@ describe('every control', () => {
         await page.getByRole('link', { name: 'Open older' }).waitFor();
         assert.ok(await $('more').isHidden());
       },
+      'button: Select': async () => {
+        await $('select').click();
+        assert.ok(await $('selection-delete').isDisabled());
+        await page.getByRole('checkbox', { name: 'Choose older' }).check();
+        await page.getByText('1 of 2 chosen').waitFor();
+        // a click on the picture marks it, and opens nothing
+        await card.click();
+        await page.getByText('2 of 2 chosen').waitFor();
+      },
+      'button: All': async () => {
+        await $('selection-all').click();
+        await page.getByText('Choose photos to delete').waitFor();
+        await $('selection-all').click();
+        await page.getByText('2 of 2 chosen').waitFor();
+      },
+      'button: Delete': async () => {
+        await $('selection-delete').click();
+        await page.getByText('2 photos deleted').waitFor();
+        await card.waitFor({ state: 'hidden' });
+        await page.getByRole('button', { name: 'Undo' }).click();
+        await card.waitFor();
+      },
+      'button: Done': async () => {
+        await $('select').click();
+        await $('selection-done').click();
+        assert.equal(await page.getByRole('checkbox').count(), 0);
+      },
+      'button: Cancel all': async () => assert.ok(await $('uploads-cancel').isHidden()),
+      'button: Dismiss failed': async () => assert.ok(await $('uploads-dismiss').isHidden()),
       'a: Go live with your camera': async () => assert.equal(await page.locator('a[href="/live/room/publish"]').count(), 1),
       'a: 3D photos on a page': async () => assert.equal(await page.locator('a[href="/demo"]').count(), 1),
     });

@@ -84,7 +84,7 @@ describe('the whole way', () => {
     assert.equal(await page.locator('#title').textContent(), 'garden');
     const first = await page.evaluate(() => window.viewer.pose.tx);
     await page.waitForFunction((tx) => Math.abs(window.viewer.pose.tx - tx) > 1e-3, first);
-    assert.match(await page.locator('#readout').textContent(), /\d kB · [\d.]+ ms/);
+    assert.match(await page.locator('#facts').textContent(), /\d kB · [\d.]+ ms/);
     const [download] = await Promise.all([
       page.waitForEvent('download'),
       page
@@ -223,7 +223,7 @@ describe('the whole way', () => {
     assert.ok(Math.abs(placed - 0.8 * most) < 1e-4 && most <= box / 2 + 1e-9 && most > 0.02, `${placed} of ${most} of ${box}`);
     await page.locator('#settings').click();
     await page.getByLabel('Title').fill('A box');
-    for (const name of ['Start from here', 'Picture of the list from here']) await page.getByRole('button', { name }).click();
+    for (const name of ['Begin with this view', 'Show this view in the list']) await page.getByRole('button', { name }).click();
     await page.getByRole('button', { name: 'Save with the photo' }).click();
     await page.getByText('Saved', { exact: true }).waitFor();
     await page.reload();

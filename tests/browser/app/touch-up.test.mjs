@@ -225,7 +225,7 @@ describe('touch-up', () => {
     }, `/v1/photos/${id}/strokes`);
     assert.equal(other, 200);
     await page.locator('#touch-save').click();
-    await page.waitForFunction(() => /changed meanwhile/.test(document.getElementById('touch-status').textContent));
+    await page.waitForFunction(() => /Somebody changed the photo meanwhile/.test(document.getElementById('touch-status').textContent));
     assert.ok(await page.locator('#touch-save').isEnabled(), 'what was painted is still there');
     assert.deepEqual(
       errors.filter((e) => !/412/.test(e)),

@@ -12,25 +12,51 @@ describe('undo', () => {
     await page.route('**/v1/photos/a', (route) => route.fulfill({ status: 204 }));
     await page.setInputFiles('#picker', { name: 'one.png', mimeType: 'image/png', buffer: Buffer.from('x') });
     await page.getByRole('link', { name: 'Open one.png' }).waitFor();
-    await page.getByRole('button', { name: 'Delete one' }).click();
+    // somebody is at it, so that it does not fold away by itself
+    await page.getByRole('link', { name: 'Open one.png' }).hover();
+    await page.getByRole('button', { name: 'Delete one' }).dispatchEvent('click');
     await page.locator('.upload').waitFor({ state: 'detached' });
     assert.ok(await page.locator('#uploads').isHidden());
     await context.close();
   });
 
-  test('a deletion can be undone; leaving the page carries it out', async () => {
-    const { page, context } = await suite.open({ pages: [{ photos: [photo('a'), photo('b')] }] });
+  test('one undo takes all deletions back that wait; leaving the page carries them out', async () => {
+    const { page, context } = await suite.open({ pages: [{ photos: [photo('a'), photo('b'), photo('c')] }] });
     const cards = page.locator('.card:visible');
-    await cards.nth(1).waitFor();
+    await cards.nth(2).waitFor();
     await cards.first().getByRole('button').click();
+    await page.locator('.undo').getByText('deleted').waitFor();
+    await cards.first().getByRole('button').click();
+    await page.getByText('2 photos deleted').waitFor();
     assert.equal(await cards.count(), 1);
     await page.getByRole('button', { name: 'Undo' }).click();
-    assert.equal(await cards.count(), 2);
+    assert.equal(await cards.count(), 3);
+    assert.equal(await page.locator('.undo').count(), 0);
     assert.deepEqual(suite.server.deleted, []);
     await cards.first().getByRole('button').click();
+    await cards.first().getByRole('button').click();
     await page.goto('about:blank');
-    for (let i = 0; i < 50 && !suite.server.deleted.length; i++) await page.waitForTimeout(100);
-    assert.deepEqual(suite.server.deleted, ['/v1/photos/a']);
+    for (let i = 0; i < 50 && suite.server.deleted.length < 2; i++) await page.waitForTimeout(100);
+    assert.deepEqual(suite.server.deleted.toSorted(), ['/v1/photos/a', '/v1/photos/b']);
+    await context.close();
+  });
+
+  test('what a photo’s own page deleted is deleted by the list, unless it is undone there', async () => {
+    const { page, context } = await suite.open({ pages: [{ photos: [photo('a'), photo('b')] }] });
+    await page.locator('.card').nth(1).waitFor();
+    const hand = (id) => page.evaluate((i) => import('/static/app/undo.js').then((m) => m.handOver(i, 'The one')), id);
+    await Promise.all([page.waitForEvent('load'), hand('b')]);
+    await page.getByRole('button', { name: 'Undo' }).waitFor();
+    assert.equal(await page.locator('.card:visible').count(), 1);
+    await page.getByRole('button', { name: 'Undo' }).click();
+    assert.equal(await page.locator('.card:visible').count(), 2);
+    // it is asked for once
+    await page.reload();
+    await page.locator('.card').nth(1).waitFor();
+    assert.equal(await page.locator('.undo').count(), 0);
+    // one that the first page of the list does not have
+    await Promise.all([page.waitForEvent('load'), hand('z')]);
+    await page.getByText('The one deleted').waitFor();
     await context.close();
   });
 });

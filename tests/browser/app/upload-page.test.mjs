@@ -34,6 +34,22 @@ describe('page of all photos', () => {
     await context.close();
   });
 
+  test('what the server says in numbers and tags is said in words', async () => {
+    const refused = (status, detail) => ({ status, contentType: 'application/problem+json', body: JSON.stringify({ detail }) });
+    const posts = [
+      refused(413, 'the request’s body is over the limit of 33554432 bytes'),
+      refused(400, 'photo: 9000×9000 is over the limit of 50000000 pixels'),
+      refused(412, 'the photo was changed meanwhile; it is "c377c1" now'),
+      refused(415, 'This is no picture.'),
+    ];
+    const { page, context } = await suite.open({ posts });
+    for (const words of ['at most 34 MB', 'at most 50 million', 'Reload the page', 'This is no picture.']) {
+      await page.setInputFiles('#picker', { name: 'one.png', mimeType: 'image/png', buffer: Buffer.from('x') });
+      await page.locator('.upload-state').getByText(words).waitFor();
+    }
+    await context.close();
+  });
+
   test('a depth map goes with one photo', async () => {
     const posts = [
       { status: 202, json: photo('a') },

@@ -24,6 +24,7 @@ describe('tile errors', () => {
         await waitForMode(page, 'webgl');
       } else {
         await page.locator('#show').click();
+        await page.getByText('How it is made').click();
         await page.getByLabel('Error').check();
       }
       const colours = () =>

@@ -107,9 +107,14 @@ describe('look of the element', () => {
   test('where the photo is missing, its alternative text and the reason are seen, or what the page has for it', async () => {
     const missing = `${suite.server.url}/nowhere`;
     const { page, close } = await open('loading="eager"', '', missing);
+    await page.evaluate(() => {
+      window.moved = 0;
+      document.querySelector('tmpi-viewer').addEventListener('camera-change', () => window.moved++);
+    });
     await page.addScriptTag({ type: 'module', url: `${suite.server.url}/tmpi-viewer.js` });
     const alert = page.getByRole('alert');
     await alert.getByText('A box before a wall').waitFor();
+    assert.equal(await page.evaluate(() => window.moved), 0, 'no camera moves before there is anything to see');
     assert.match(await alert.textContent(), /there is no \/nowhere/i);
     assert.ok((await box(page)).height > 100);
     assert.deepEqual(

@@ -24,6 +24,7 @@ function folder(name) {
 describe('vendor', () => {
   for (const [file, name, path] of [
     ['mp4-muxer.mjs', 'mp4-muxer', 'build/mp4-muxer.mjs'],
+    ['webm-muxer.mjs', 'webm-muxer', 'build/webm-muxer.mjs'],
     ['gifenc.mjs', 'gifenc', 'dist/gifenc.esm.js'],
   ]) {
     test(`${file} is that of its package, with its licence`, () => {

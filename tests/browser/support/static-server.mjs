@@ -13,6 +13,7 @@ const TYPES = {
   '.svg': 'image/svg+xml',
   '.wasm': 'application/wasm',
   '.wgsl': 'text/wgsl',
+  '.tmpi': 'application/vnd.tmpi',
 };
 /** What the server has at addresses of its own. */
 const PAGES = { '/': 'app/upload-page.html', '/tmpi-viewer.js': 'element/tmpi-viewer.js' };

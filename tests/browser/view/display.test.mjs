@@ -31,6 +31,7 @@ describe('display', () => {
     const depth = await pixelsAt(page, HOME, WIDTH, HEIGHT);
     assert.ok(Math.abs(mean(depth, true) - BOX.near * 255) < 12, `near is bright: ${mean(depth, true)}`);
     assert.ok(Math.abs(mean(depth, false) - BOX.far * 255) < 12, `far is dark: ${mean(depth, false)}`);
+    await page.getByText('How it is made').click();
     for (const name of ['Tiles', 'Planes']) {
       await page.getByLabel(name).check();
       const tinted = await pixelsAt(page, HOME, WIDTH, HEIGHT);

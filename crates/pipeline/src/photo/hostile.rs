@@ -127,3 +127,20 @@ fn a_png_cut_within_a_chunk_is_refused_by_the_check_and_its_memory_is_counted() 
         assert!(check(&file[..end], &Limits::default()).is_err(), "cut to {end}");
     }
 }
+
+#[test]
+fn a_palette_has_whole_colours() {
+    let chunk = |name: &[u8; 4], body: &[u8]| [&(body.len() as u32).to_be_bytes()[..], name, body, &[0; 4]].concat();
+    let head = [&24u32.to_be_bytes()[..], &18u32.to_be_bytes(), &[4, 3, 0, 0, 0]].concat();
+    let of = |bytes: usize| {
+        [b"\x89PNG\r\n\x1a\n".to_vec(), chunk(b"IHDR", &head), chunk(b"PLTE", &vec![7; bytes]), chunk(b"IDAT", &[0]), chunk(b"IEND", &[])]
+            .concat()
+    };
+    for bytes in [3, 48, 768] {
+        assert!(check(&of(bytes), &Limits::default()).is_ok(), "{bytes}");
+    }
+    for bytes in [0, 1, 2, 61, 767, 769, 771] {
+        let refused = check(&of(bytes), &Limits::default()).unwrap_err().to_string();
+        assert!(refused.contains("palette"), "{bytes}: {refused}");
+    }
+}

@@ -7,6 +7,8 @@ use image::codecs::png::PngDecoder;
 use super::{Limits, MAX_PROFILE, PhotoError, broken};
 
 const SIGNATURE: usize = 8;
+/// Most bytes of a palette: 256 colours.
+const MAX_PALETTE: usize = 3 * 256;
 /// Memory for an unpacked colour profile and for rows on their way, beyond the pixels.
 const WORKING: u64 = 2 * MAX_PROFILE as u64;
 
@@ -58,6 +60,10 @@ pub(crate) fn scan<'a>(bytes: &'a [u8], limits: &Limits) -> Result<Png<'a>, Phot
                 png.stripped.extend_from_slice(chunk);
             }
             b"iCCP" if length > MAX_PROFILE => {}
+            // The decoder reads colours of three bytes and panics where the last is short
+            b"PLTE" if length == 0 || length > MAX_PALETTE || !length.is_multiple_of(3) => {
+                return Err(broken("the palette is not 1 to 256 colours of three bytes"));
+            }
             b"IHDR" | b"PLTE" | b"iCCP" => png.stripped.extend_from_slice(chunk),
             b"IDAT" => {
                 pictures = true;

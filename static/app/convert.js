@@ -1,0 +1,129 @@
+// Photos as the server takes them: what the browser can show and the server does not read becomes a JPEG here, as does what is too large
+// to be sent. What neither reads is refused before it travels, with what to do about it.
+
+import { t } from '../i18n/messages.js';
+import { formatBytes } from '../i18n/text.js';
+
+/** What a server takes where nobody says otherwise (src/server/limits.rs). */
+const MOST_BYTES = 32 * 2 ** 20;
+const MOST_PIXELS = 50_000_000;
+const MOST_SIDE = 16_384;
+/** Bytes below which a file has no more pixels than that, as a rule, and below which asking the server costs nothing. */
+const SMALL_BYTES = 4 * 2 ** 20;
+/** Qualities of JPEG, tried in turn until the file is small enough. */
+const QUALITIES = [0.95, 0.88, 0.75];
+const HEAD_BYTES = 64;
+
+const TAKEN = new Set(['JPEG', 'PNG', 'WebP']);
+
+/**
+ * Kind of a file by its first bytes, whatever its name says; null where it is unknown.
+ * @param {Uint8Array} head
+ */
+export function kindOf(head) {
+  const text = String.fromCharCode(...head);
+  if (text.startsWith('\xff\xd8\xff')) return 'JPEG';
+  if (text.startsWith('\x89PNG')) return 'PNG';
+  if (text.startsWith('RIFF') && text.slice(8, 12) === 'WEBP') return 'WebP';
+  if (text.startsWith('GIF8')) return 'GIF';
+  if (text.startsWith('BM')) return 'BMP';
+  if (text.startsWith('II*\0') || text.startsWith('MM\0*')) return 'TIFF';
+  if (text.slice(4, 8) !== 'ftyp') return null;
+  // the brand of the file, and those that it is compatible with: `mif1` says nothing of the codec
+  const brands = text.slice(8);
+  if (/avi[fs]/.test(brands)) return 'AVIF';
+  return /hei[cxms]|hev[cx]|mif1|msf1/.test(brands) ? 'HEIC' : 'film';
+}
+
+/**
+ * Size to which a picture is reduced, its shape kept, or null where it is within the limits.
+ * @param {{width: number, height: number}} size
+ */
+export function reduced({ width, height }) {
+  const by = Math.min(1, Math.sqrt(MOST_PIXELS / (width * height)), MOST_SIDE / Math.max(width, height));
+  return by < 1 ? { width: Math.max(1, Math.floor(width * by)), height: Math.max(1, Math.floor(height * by)) } : null;
+}
+
+/**
+ * The file to send for a photo. Throws with a sentence for people where there is none.
+ * @param {File} file
+ * @param {() => void} converting called where it takes a moment
+ * @returns {Promise<File>}
+ */
+export async function prepared(file, converting) {
+  if (!file.size) throw new Error(t('The file is empty.'));
+  const kind = kindOf(new Uint8Array(await file.slice(0, HEAD_BYTES).arrayBuffer()));
+  if (kind && TAKEN.has(kind)) {
+    const size = file.size > SMALL_BYTES ? await sizeOf(file) : null;
+    if (file.size <= MOST_BYTES && !(size && reduced(size))) return file;
+  }
+  if (kind === 'film') throw new Error(t('This is a film, not a photo.'));
+  converting();
+  const bitmap = await createImageBitmap(file).catch(() => null);
+  // of what is small and unknown the server knows best what it is
+  if (!bitmap && !kind && file.size <= SMALL_BYTES) return file;
+  if (!bitmap) throw new Error(unreadable(kind, file));
+  try {
+    return await encoded(bitmap, file, kind);
+  } finally {
+    bitmap.close();
+  }
+}
+
+/**
+ * @param {string | null} kind
+ * @param {File} file
+ */
+function unreadable(kind, file) {
+  if (kind === 'HEIC')
+    return t(
+      'This browser cannot read HEIC photos. On the iPhone choose Settings → Camera → Formats → Most Compatible, or save the photo as JPEG.',
+    );
+  if (kind && TAKEN.has(kind)) return t('The file has {0}; at most {1} can be sent.', formatBytes(file.size), formatBytes(MOST_BYTES));
+  return t('This browser cannot read {0}. Save the photo as JPEG, PNG or WebP.', kind ?? t('such files'));
+}
+
+/**
+ * Size of a picture without its pixels, upright, or null.
+ * @param {File} file
+ */
+async function sizeOf(file) {
+  const image = new Image();
+  image.src = URL.createObjectURL(file);
+  try {
+    await new Promise((resolve, reject) => {
+      image.onload = resolve;
+      image.onerror = reject;
+    });
+    return { width: image.naturalWidth, height: image.naturalHeight };
+  } catch {
+    return null;
+  } finally {
+    URL.revokeObjectURL(image.src);
+  }
+}
+
+/**
+ * The picture, its first frame where it has several, as a JPEG; what is drawn with few colours as a PNG.
+ * @param {ImageBitmap} bitmap
+ * @param {File} file
+ * @param {string | null} kind
+ */
+async function encoded(bitmap, file, kind) {
+  const { width, height } = reduced(bitmap) ?? bitmap;
+  const canvas = new OffscreenCanvas(width, height);
+  const context = canvas.getContext('2d');
+  if (!context) throw new Error(unreadable(kind, file));
+  // what is see-through lies over white, as on the server
+  context.fillStyle = '#fff';
+  context.fillRect(0, 0, width, height);
+  context.imageSmoothingQuality = 'high';
+  context.drawImage(bitmap, 0, 0, width, height);
+  const stem = file.name.replace(/\.[^.]*$/, '') || 'photo';
+  if (kind === 'GIF') return new File([await canvas.convertToBlob({ type: 'image/png' })], `${stem}.png`, { type: 'image/png' });
+  for (const quality of QUALITIES) {
+    const blob = await canvas.convertToBlob({ type: 'image/jpeg', quality });
+    if (blob.size <= MOST_BYTES) return new File([blob], `${stem}.jpg`, { type: 'image/jpeg' });
+  }
+  throw new Error(t('The file has {0}; at most {1} can be sent.', formatBytes(file.size), formatBytes(MOST_BYTES)));
+}

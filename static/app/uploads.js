@@ -1,0 +1,279 @@
+// Photos on their way: a few at a time, those in work first, and how far all of them are.
+
+import { t } from '../i18n/messages.js';
+import { queueText, stageText } from '../i18n/text.js';
+import { uploadPhoto } from './api.js';
+import { prepared } from './convert.js';
+import { $, element } from './dom.js';
+import { followPhoto } from './follow-photo.js';
+import { Row } from './upload-row.js';
+
+/** @import { Photo } from './api.js' */
+
+/** Uploads under way at the same time. */
+const PARALLEL = 2;
+/** Photos whose events are followed at the same time: browsers have six connections for all that a page does. */
+const FOLLOWED = 3;
+/** Rows of photos on their way that are seen; the others are counted. */
+const SEEN = 3;
+/** How long the last row that is ready stays, ms. */
+const FOLD_MS = 12_000;
+/** Share of the bar that the upload itself takes. */
+const UPLOAD_SHARE = 0.25;
+
+/** @typedef {{file: File, depth: File | null, options: Record<string, number>, row: Row}} Job */
+
+/** Files that wait to be sent. @type {Job[]} */
+const waiting = [];
+/** Photos that are made and wait to be followed. @type {{photo: Photo, row: Row}[]} */
+const made = [];
+/** All rows, in their order. @type {Set<Row>} */
+const rows = new Set();
+/** Rows by the ids of their photos. @type {Map<string, Row>} */
+const byId = new Map();
+let sending = 0;
+let following = 0;
+/** Rows that have been ready since the page had nothing to do. */
+let ready = 0;
+/** @type {ReturnType<typeof setTimeout> | undefined} */
+let folding;
+const pageTitle = document.title;
+
+/**
+ * What the page does when a photo is there, and to have one deleted.
+ * @type {{made: () => void, remove: (id: string) => Promise<void>}}
+ */
+let page = { made: () => {}, remove: async () => {} };
+
+/** @param {typeof page} own */
+export function startUploads(own) {
+  page = own;
+  $('uploads-cancel').addEventListener('click', () => {
+    for (const row of [...rows].reverse()) if (row.kind === 'open') row.onClose?.();
+  });
+  $('uploads-dismiss').addEventListener('click', () => {
+    for (const row of rows) if (row.kind === 'failed') row.remove();
+  });
+}
+
+addEventListener('beforeunload', (event) => {
+  // what is sent goes on without the page
+  if (sending || waiting.length) event.preventDefault();
+});
+
+/**
+ * Sends photos.
+ * @param {{file: File, depth: File | null}[]} photos
+ * @param {Record<string, number>} options of the interface
+ */
+export function upload(photos, options) {
+  for (const { file, depth } of photos) {
+    const row = rowOf(file.name || t('Pasted photo'), file);
+    const job = { file, depth, options, row };
+    row.onClose = () => {
+      waiting.splice(waiting.indexOf(job), 1);
+      row.remove();
+    };
+    row.show(t('Waiting to be sent'));
+    waiting.push(job);
+  }
+  sendNext();
+}
+
+/**
+ * Shows a photo that was on its way when the page was opened.
+ * @param {Photo} photo
+ * @param {string} name
+ */
+export function resume(photo, name) {
+  if (!byId.has(photo.id)) follow(photo, rowOf(name, null));
+}
+
+/**
+ * A photo is no more: neither is its row.
+ * @param {string} id
+ */
+export function forgetRow(id) {
+  byId.get(id)?.remove();
+  byId.delete(id);
+}
+
+/**
+ * @param {string} name
+ * @param {File | null} file
+ */
+function rowOf(name, file) {
+  if (![...rows].some((row) => row.kind === 'open')) ready = 0;
+  const row = new Row(name, file, arrangeSoon);
+  rows.add(row);
+  return row;
+}
+
+function sendNext() {
+  while (sending < PARALLEL && waiting.length) {
+    sending++;
+    const [job] = waiting.splice(0, 1);
+    send(job).finally(() => {
+      sending--;
+      sendNext();
+    });
+  }
+}
+
+/** @param {Job} job */
+async function send({ file, depth, options, row }) {
+  try {
+    let cancelled = false;
+    row.onClose = () => {
+      cancelled = true;
+      row.remove();
+    };
+    const photo = await prepared(file, () => row.show(t('Converting')));
+    // making it goes on without holding up the next upload
+    if (!cancelled) follow(await post(photo, depth, options, row), row);
+  } catch (error) {
+    if (error.name === 'AbortError') row.remove();
+    else row.fail(error.message);
+  }
+}
+
+/**
+ * Sends the file; where the server is busy, waits as long as it asks.
+ * @param {File} file
+ * @param {File | null} depth
+ * @param {Record<string, number>} options
+ * @param {Row} row
+ */
+async function post(file, depth, options, row) {
+  for (;;) {
+    const going = uploadPhoto(file, depth, options, (share) =>
+      row.show(share < 1 ? t('Sending, {0} %', Math.round(share * 100)) : t('Sent'), share * UPLOAD_SHARE),
+    );
+    row.onClose = going.abort;
+    try {
+      return await going.done;
+    } catch (error) {
+      if (!error.retryAfter) throw error;
+      row.show(t('The server is busy; trying again in {0} s', error.retryAfter), 0);
+      await pause(error.retryAfter * 1000, row);
+    }
+  }
+}
+
+/**
+ * @param {number} ms
+ * @param {Row} row
+ */
+function pause(ms, row) {
+  return new Promise((resolve, reject) => {
+    const timer = setTimeout(resolve, ms);
+    row.onClose = () => {
+      clearTimeout(timer);
+      reject(new DOMException('Cancelled.', 'AbortError'));
+    };
+  });
+}
+
+/**
+ * @param {Photo} photo
+ * @param {Row} row
+ */
+function follow(photo, row) {
+  byId.set(photo.id, row);
+  const entry = { photo, row };
+  row.show(queueText(0), UPLOAD_SHARE);
+  row.onClose = () => {
+    if (made.includes(entry)) made.splice(made.indexOf(entry), 1);
+    remove(photo.id, row);
+  };
+  made.push(entry);
+  followNext();
+}
+
+function followNext() {
+  while (following < FOLLOWED && made.length) {
+    const [{ photo, row }] = made.splice(0, 1);
+    following++;
+    const then = (/** @type {() => void} */ call) => () => {
+      following--;
+      call();
+      followNext();
+    };
+    const stop = followPhoto(photo.id, {
+      queued: (position) => row.show(queueText(position), UPLOAD_SHARE),
+      stage: ({ stage, step, steps }) => row.show(stageText(stage), UPLOAD_SHARE + (1 - UPLOAD_SHARE) * (steps ? (step - 1) / steps : 0)),
+      done: then(() => {
+        ready++;
+        row.done(photo.id);
+        page.made();
+      }),
+      failed: (message) => then(() => row.fail(message))(),
+      deleted: then(() => row.remove()),
+    });
+    row.onClose = then(() => {
+      stop();
+      remove(photo.id, row);
+    });
+  }
+}
+
+/**
+ * @param {string} id
+ * @param {Row} row
+ */
+async function remove(id, row) {
+  try {
+    await page.remove(id);
+    row.remove();
+  } catch (error) {
+    row.fail(error.message);
+  }
+}
+
+let arranging = false;
+
+/** Once, however many rows change at a time. */
+function arrangeSoon() {
+  if (arranging) return;
+  arranging = true;
+  queueMicrotask(() => {
+    arranging = false;
+    arrange();
+  });
+}
+
+/** Shows what is to be seen of the rows, and how far all of them are. */
+function arrange() {
+  for (const row of rows) if (!row.root.isConnected) rows.delete(row);
+  const of = (/** @type {Row['kind']} */ kind) => [...rows].filter((row) => row.kind === kind);
+  const [open, done, failed] = [of('open'), of('done'), of('failed')];
+  // the newest that is ready stays a while, so that one sees it happen
+  for (const row of done.slice(0, -1)) if (!row.attended) row.remove();
+  clearTimeout(folding);
+  if (done.length) folding = setTimeout(fold, FOLD_MS);
+  open.forEach((row, i) => (row.shown = i < SEEN));
+  for (const row of [...done, ...failed]) row.shown = true;
+  const all = ready + open.length;
+  const more = Math.max(0, open.length - SEEN);
+  const share = all ? (ready + open.reduce((sum, row) => sum + row.share, 0)) / all : 0;
+  $('uploads').hidden = rows.size === 0;
+  $('uploads-bar', HTMLProgressElement).value = share;
+  $('uploads-bar').hidden = all < 2 || !open.length;
+  $('uploads-total').replaceChildren(
+    ...(all > 1 ? [t('{0} of {1} ready', ready, all)] : []),
+    ...(failed.length > 1 ? [element('span', 'bad', t('{0} failed', failed.length))] : []),
+  );
+  $('uploads-more').hidden = !more;
+  $('uploads-more-text').textContent = t('and {0} more', more);
+  $('uploads-dismiss').hidden = failed.length < 2;
+  document.title = open.length && all > 1 ? `${t('{0} of {1}', ready, all)} – tmpi` : pageTitle;
+}
+
+/** The last that was ready goes, unless somebody is at it. */
+function fold() {
+  for (const row of rows) {
+    if (row.kind !== 'done') continue;
+    if (row.attended) folding = setTimeout(fold, FOLD_MS);
+    else row.remove();
+  }
+}

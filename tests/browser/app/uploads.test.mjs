@@ -1,0 +1,84 @@
+// Many uploads at a time: those in work are seen, the others counted, and the list of photos stays in reach.
+import assert from 'node:assert/strict';
+import { describe, test } from 'node:test';
+import { seriousViolations } from '../support/browser.mjs';
+import { boxPhoto } from '../support/pictures.mjs';
+import { photo, uploadSuite } from '../support/upload-page.mjs';
+
+const COUNT = 40;
+
+describe('many uploads', () => {
+  const suite = uploadSuite();
+
+  /** Opens the page with so many uploads under way; `finish(n)` lets n photos be made, in their order. */
+  async function open(count, options = {}) {
+    const ids = Array.from({ length: count }, (_, i) => `p${i}`);
+    const { page, context, sent } = await suite.open({
+      posts: ids.map((id) => ({ status: 202, json: { ...photo(id), state: 'queued' } })),
+      pages: [{ photos: [photo('old')] }],
+      options,
+    });
+    let made = 0;
+    const events = 'event: stage\ndata: {"stage":"layers","step":3,"steps":4}\n\n';
+    let most = 0;
+    const followed = new Set();
+    await page.route('**/v1/photos/*/events', async (route) => {
+      const id = route
+        .request()
+        .url()
+        .match(/photos\/([^/]+)/)[1];
+      followed.add(id);
+      most = Math.max(most, [...followed].filter((f) => Number(f.slice(1)) >= made).length);
+      while (Number(id.slice(1)) >= made && !page.isClosed()) await new Promise((resume) => setTimeout(resume, 20));
+      await route.fulfill({ contentType: 'text/event-stream', body: `${events}event: done\ndata: {}\n\n` }).catch(() => {});
+    });
+    const buffer = boxPhoto(30, 20);
+    await page.setInputFiles(
+      '#picker',
+      ids.map((_, i) => ({ name: `photo ${i}.png`, mimeType: 'image/png', buffer })),
+    );
+    return { page, context, sent, finish: (n) => (made = n), most: () => most };
+  }
+  const names = (page) => page.locator('.upload:visible .upload-name').allTextContents();
+
+  test('those in work are seen, the total goes on, what is ready folds away', async () => {
+    const { page, context, sent, finish, most } = await open(COUNT);
+    await page.getByText(`0 of ${COUNT} ready`).waitFor();
+    assert.deepEqual(await names(page), ['photo 0.png', 'photo 1.png', 'photo 2.png']);
+    assert.equal(await page.locator('#uploads-more-text').textContent(), `and ${COUNT - 3} more`);
+    const top = (await page.locator('#gallery .card').first().boundingBox()).y;
+    assert.ok(top < 1100, `the photos begin at ${top}`);
+    while (sent.length < COUNT) await page.waitForTimeout(50);
+    finish(12);
+    await page.getByText(`12 of ${COUNT} ready`).waitFor();
+    // the newest that is ready, and three in work
+    assert.deepEqual(await names(page), ['photo 11.png', 'photo 12.png', 'photo 13.png', 'photo 14.png']);
+    assert.match(await page.title(), /^12 of 40/);
+    const share = await page.locator('#uploads-bar').evaluate((bar) => bar.value);
+    assert.ok(share > 12 / COUNT && share < 0.6, `${share}`);
+    assert.ok(most() <= 4, `${most()} connections are held by events`);
+    assert.deepEqual(await seriousViolations(page), []);
+    finish(COUNT);
+    await page.getByText(`${COUNT} of ${COUNT} ready`).waitFor();
+    assert.deepEqual(await names(page), [`photo ${COUNT - 1}.png`]);
+    assert.equal(await page.title(), 'tmpi – 3D photos');
+    await page.locator('#uploads').waitFor({ state: 'hidden', timeout: 20_000 });
+    await context.close();
+  });
+
+  test('all can be cancelled at once', async () => {
+    const { page, context } = await open(8);
+    await page.getByText('0 of 8 ready').waitFor();
+    await page.getByRole('button', { name: 'Cancel all' }).click();
+    await page.locator('#uploads').waitFor({ state: 'hidden' });
+    await context.close();
+  });
+
+  test('a phone has the same in sight', async () => {
+    const { page, context } = await open(8, { viewport: { width: 390, height: 844 } });
+    await page.getByText('0 of 8 ready').waitFor();
+    const { y, height } = await page.locator('#uploads').boundingBox();
+    assert.ok(height < 500, `${y} ${height}`);
+    await context.close();
+  });
+});

@@ -1,0 +1,118 @@
+// The package for npm: a page that is served nothing but its files and a container.
+import assert from 'node:assert/strict';
+import { execFileSync } from 'node:child_process';
+import { mkdtempSync, readFileSync, rmSync, statSync, writeFileSync } from 'node:fs';
+import { createServer } from 'node:http';
+import { createRequire } from 'node:module';
+import { tmpdir } from 'node:os';
+import { dirname, extname, join } from 'node:path';
+import { after, before, describe, test } from 'node:test';
+import { pack } from '../../../npm/pack.mjs';
+import { launch, openPage } from '../support/browser.mjs';
+import { boxContainer } from '../support/container.mjs';
+import { STILL } from '../support/suite.mjs';
+
+const TYPES = { '.js': 'text/javascript', '.wasm': 'application/wasm', '.wgsl': 'text/plain', '.html': 'text/html' };
+const POLICY =
+  "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; connect-src 'self'; worker-src 'self' blob:; img-src 'self' blob:";
+const PAGE = `<!doctype html><title>package</title><script type="module" src="/tmpi-viewer/tmpi-viewer.js"></script>
+  <tmpi-viewer src="/photo.tmpi" alt="A box"></tmpi-viewer>`;
+/** Uses of the types, two of them wrong. */
+const USE = `import 'tmpi-viewer';
+  const viewer = document.querySelector('tmpi-viewer')!;
+  viewer.addEventListener('load', ({ detail }) => detail.mode === 'webgl');
+  const file: Promise<Blob> = viewer.toBlob();
+  // @ts-expect-error no such mode
+  viewer.addEventListener('load', ({ detail }) => detail.mode === 'vulkan');
+  // @ts-expect-error not to be set
+  viewer.loaded = true;
+  export { file };`;
+
+describe('package', () => {
+  const folder = mkdtempSync(join(tmpdir(), 'tmpi-npm-'));
+  const root = join(folder, 'node_modules/tmpi-viewer');
+  let archive;
+  let server;
+  let missing;
+  before(async () => {
+    archive = pack(join(folder, 'packed'));
+    execFileSync('mkdir', ['-p', root]);
+    execFileSync('tar', ['-xzf', archive, '-C', root, '--strip-components=1']);
+    missing = [];
+    server = createServer((request, response) => {
+      const answer = (type, body) => {
+        response.writeHead(200, { 'content-type': type, 'content-security-policy': POLICY });
+        response.end(body);
+      };
+      if (request.url === '/') return answer('text/html', PAGE);
+      if (request.url === '/photo.tmpi') return answer('application/octet-stream', boxContainer());
+      try {
+        if (!request.url.startsWith('/tmpi-viewer/')) throw new Error('not of the package');
+        answer(
+          TYPES[extname(request.url)] ?? 'application/octet-stream',
+          readFileSync(join(root, request.url.slice('/tmpi-viewer/'.length))),
+        );
+      } catch {
+        missing.push(request.url);
+        response.writeHead(404).end();
+      }
+    });
+    await new Promise((resume) => server.listen(0, '127.0.0.1', resume));
+  });
+  after(() => {
+    server.closeAllConnections();
+    server.close();
+    rmSync(folder, { recursive: true, force: true });
+  });
+
+  test('has what it needs and no more', () => {
+    const files = execFileSync('tar', ['-tzf', archive], { encoding: 'utf8' }).trim().split('\n');
+    for (const name of ['README.md', 'LICENSE-MIT', 'LICENSE-APACHE', 'tmpi-viewer.js', 'tmpi-viewer.d.ts', 'static/decode/decoder.wasm'])
+      assert.ok(files.includes(`package/${name}`), name);
+    assert.deepEqual(
+      files.filter((name) => /\/(?:app|live|film|vendor|i18n|sample)\//.test(name)),
+      [],
+    );
+    const { version } = JSON.parse(readFileSync(join(root, 'package.json'), 'utf8'));
+    assert.match(version, /^[1-9]\d*\.|^0\.[1-9]/);
+    assert.ok(statSync(archive).size < 600_000, `${statSync(archive).size} bytes`);
+  });
+
+  for (const [mode, webgpu] of [
+    ['gpu', true],
+    ['webgl', false],
+  ]) {
+    test(`shows a photo and moves it, by ${mode}, under a strict policy`, async () => {
+      const browser = await launch({ webgpu: true });
+      const { page, errors } = await openPage(browser, STILL);
+      if (!webgpu) await page.addInitScript(() => Object.defineProperty(navigator, 'gpu', { value: undefined }));
+      await page.goto(`http://127.0.0.1:${server.address().port}/`);
+      await page.waitForFunction((wanted) => document.querySelector('tmpi-viewer').viewer?.mode === wanted, mode);
+      await page.locator('tmpi-viewer .stage').focus();
+      await page.keyboard.press('ArrowRight');
+      await page.waitForFunction(() => document.querySelector('tmpi-viewer').viewer.pose.tx > 0.002);
+      const bytes = await page.evaluate(async () => (await document.querySelector('tmpi-viewer').toBlob()).size);
+      assert.ok(bytes > 1000, `${bytes}`);
+      assert.deepEqual(
+        missing.filter((name) => name !== '/favicon.ico'),
+        [],
+      );
+      assert.deepEqual(
+        errors.filter((e) => !/favicon/.test(e)),
+        [],
+      );
+      await browser.close();
+    });
+  }
+
+  test('its types say what is right and what is wrong', () => {
+    writeFileSync(join(folder, 'use.ts'), USE);
+    const tsc = join(dirname(createRequire(import.meta.url).resolve('typescript/package.json')), 'bin/tsc');
+    const words = ['--noEmit', '--strict', '--module', 'esnext', '--moduleResolution', 'bundler', '--target', 'esnext', 'use.ts'];
+    try {
+      execFileSync(process.execPath, [tsc, ...words], { cwd: folder, encoding: 'utf8' });
+    } catch (error) {
+      assert.fail(error.stdout);
+    }
+  });
+});

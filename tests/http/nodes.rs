@@ -1,0 +1,389 @@
+//! Rooms that several servers share over NATS, end to end: a real `nats-server`, real sockets. Without that program these tests say so and pass.
+
+use std::collections::BTreeMap;
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::{SocketAddr, TcpListener, TcpStream};
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use bytes::Bytes;
+use tempfile::{TempDir, tempdir};
+use tmpi::live::NodeConfig;
+use tmpi_core::live::wire::Hello;
+use tmpi_core::live::wire::message::Kind;
+use tmpi_core::live::{Model, read};
+use tmpi_testing::Need;
+
+use super::client::get;
+use super::fixture::{Running, wait_until};
+use super::live::{Client, Publisher, frame, server_with};
+use super::process::Process;
+
+/// A NATS server of its own.
+struct Nats {
+    port: u16,
+    config: TempDir,
+    child: Option<Child>,
+}
+
+impl Nats {
+    /// One that takes payloads of `most` bytes; none, said aloud, where there is no such program.
+    fn start(most: usize) -> Option<Self> {
+        let found = Command::new(Self::program()).arg("--version").output().map(drop);
+        Need::Nats.or_skip(found)?;
+        let config = tempdir().unwrap();
+        std::fs::write(config.path().join("nats.conf"), format!("max_payload: {most}\n")).unwrap();
+        let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+        let mut nats = Self { port, config, child: None };
+        nats.restart();
+        Some(nats)
+    }
+
+    /// Debian keeps it where only root looks.
+    fn program() -> &'static str {
+        if Path::new("/usr/sbin/nats-server").exists() { "/usr/sbin/nats-server" } else { "nats-server" }
+    }
+
+    fn restart(&mut self) {
+        let (config, port) = (self.config.path().join("nats.conf"), self.port.to_string());
+        let mut command = Command::new(Self::program());
+        command.args(["-a", "127.0.0.1", "-p", &port, "-c"]).arg(config).stdout(Stdio::null()).stderr(Stdio::null());
+        self.child = Some(command.spawn().unwrap());
+        wait_until("NATS listens", || TcpStream::connect(("127.0.0.1", self.port)).is_ok());
+    }
+
+    fn kill(&mut self) {
+        if let Some(mut child) = self.child.take() {
+            child.kill().unwrap();
+            child.wait().unwrap();
+        }
+    }
+
+    fn url(&self) -> String {
+        format!("nats://127.0.0.1:{}", self.port)
+    }
+
+    /// A node that is ready.
+    fn node(&self, data: &Path, name: &str) -> Running {
+        let (url, name) = (self.url(), name.to_owned());
+        let config = NodeConfig { servers: vec![url.parse().unwrap()], login: None, name };
+        let node = server_with(data, |rooms| rooms.shared(config));
+        wait_until("the node hears the others", || get(node.addr, "/readyz").status == 200);
+        node
+    }
+
+    /// Says something on a subject, as anybody may who is let in.
+    fn say(&self, subject: &str, payload: &[u8]) {
+        let mut stream = TcpStream::connect(("127.0.0.1", self.port)).unwrap();
+        let mut lines = BufReader::new(stream.try_clone().unwrap()).lines();
+        assert!(lines.next().unwrap().unwrap().starts_with("INFO"));
+        write!(stream, "CONNECT {{\"verbose\":false}}\r\nPUB {subject} {}\r\n", payload.len()).unwrap();
+        stream.write_all(&[payload, b"\r\nPING\r\n"].concat()).unwrap();
+        assert!(lines.any(|line| line.unwrap() == "PONG"));
+    }
+}
+
+impl Drop for Nats {
+    fn drop(&mut self) {
+        self.kill();
+    }
+}
+
+fn dropped(addr: SocketAddr) -> u64 {
+    let text = String::from_utf8(get(addr, "/metrics").body).unwrap();
+    let line = text.lines().find_map(|l| l.strip_prefix("tmpi_live_nats_dropped "));
+    line.unwrap_or_else(|| panic!("no count in\n{text}")).parse::<f64>().unwrap() as u64
+}
+
+/// Waits until somebody may watch a room here.
+fn known(addr: SocketAddr, room: &str) {
+    wait_until("the room is known", || get(addr, &format!("/v1/live/{room}")).json()["publishing"] == true);
+}
+
+/// What a viewer got until frame `last` and its tiles: HELLO, frames by number, and chunks of tiles by their frame, as the bytes that came.
+#[derive(Default)]
+struct Got {
+    hello: Bytes,
+    frames: BTreeMap<u64, Bytes>,
+    tiles: BTreeMap<u64, Bytes>,
+    viewers: u32,
+}
+
+/// The viewer comes back with it: it is to be counted until the other one has all, too.
+fn watch(mut viewer: Client, last: u64) -> (Got, Client) {
+    let (mut got, mut model) = (Got::default(), None::<Model>);
+    loop {
+        let bytes = viewer.bytes().expect("the room goes on");
+        match read(bytes.clone()).unwrap() {
+            Kind::Hello(hello) => {
+                model = Some(Model::new(&hello).unwrap());
+                got.hello = bytes;
+            }
+            Kind::Video(video) => assert!(got.frames.insert(video.frame, bytes).is_none(), "frame {} twice", video.frame),
+            Kind::Snapshot(tiles) => drop(model.as_mut().unwrap().take(&tiles).unwrap()),
+            Kind::Geometry(tiles) => {
+                model.as_mut().unwrap().take(&tiles).unwrap();
+                got.tiles.insert(tiles.frame, bytes);
+            }
+            // nothing else is to be said, so all of it has come
+            Kind::Statistics(s) if s.frame >= last && s.viewers == 2 => {
+                got.viewers = s.viewers;
+                assert!(model.unwrap().geometry().is_some(), "something is known of each tile");
+                return (got, viewer);
+            }
+            Kind::Statistics(_) => {}
+            other => panic!("{other:?}"),
+        }
+    }
+}
+
+#[test]
+fn viewers_at_another_node_get_the_very_bytes() {
+    // so small that each frame comes in parts
+    let Some(nats) = Nats::start(1024) else { return };
+    let (one, two) = (tempdir().unwrap(), tempdir().unwrap());
+    let (a, b) = (nats.node(one.path(), "a"), nats.node(two.path(), "b"));
+    assert_eq!(Client::at(b.addr, "/v1/live/attic/subscribe", &[]).err(), Some(404));
+    let mut publisher = Publisher::new(a.addr, "attic");
+    publisher.publish(frame(10));
+    known(b.addr, "attic");
+    let began = Instant::now();
+    let (here, there) = (Client::watch(a.addr, "attic"), Client::watch(b.addr, "attic"));
+    let watching = [here, there].map(|viewer| std::thread::spawn(move || watch(viewer, 29)));
+    // the node that watches has the room before much has come
+    wait_until("both are counted", || get(a.addr, "/v1/live/attic").json()["viewers"] == 2);
+    for n in 1..30 {
+        publisher.publish(frame(10 + 3 * n));
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    let [(here, _a), (there, _b)] = watching.map(|thread| thread.join().unwrap());
+    assert!(began.elapsed() < Duration::from_secs(30));
+    assert_eq!((here.viewers, there.viewers), (2, 2));
+    assert!(frame(10).len() > 1024 && here.hello == there.hello);
+    assert_eq!(there.frames.keys().copied().collect::<Vec<_>>(), (0..30).collect::<Vec<_>>());
+    assert!(here.frames == there.frames, "the bytes of frames");
+    let both = there.tiles.iter().filter(|(n, _)| here.tiles.contains_key(*n)).collect::<Vec<_>>();
+    assert!(both.len() > 3 && both.iter().all(|(n, bytes)| here.tiles[*n] == **bytes), "the bytes of tiles");
+    // what only the node of the publisher has
+    for path in ["frames/latest/atlas", "gops/latest", "gops/1-0"] {
+        assert_eq!(get(b.addr, &format!("/v1/live/attic/{path}")).problem(421)["type"], "urn:tmpi:problem:elsewhere", "{path}");
+    }
+    assert_eq!(get(a.addr, "/v1/live/attic/frames/latest/atlas").status, 200);
+    assert_eq!((dropped(a.addr), dropped(b.addr)), (0, 0));
+}
+
+#[test]
+fn of_two_publishers_at_once_one_has_the_room() {
+    let Some(nats) = Nats::start(1 << 20) else { return };
+    let (one, two) = (tempdir().unwrap(), tempdir().unwrap());
+    let (a, b) = (nats.node(one.path(), "a"), nats.node(two.path(), "b"));
+    for round in 0..5 {
+        let room = format!("room{round}");
+        let come = |addr| {
+            let room = room.clone();
+            std::thread::spawn(move || {
+                let mut publisher = Publisher::new(addr, &room);
+                match publisher.client.next() {
+                    Some(Kind::Credit(_)) => Some(publisher),
+                    Some(Kind::Bye(bye)) => {
+                        assert_eq!((bye.reason.as_str(), bye.again), ("someone publishes in this room", false));
+                        None
+                    }
+                    other => panic!("{other:?}"),
+                }
+            })
+        };
+        let come = [come(a.addr), come(b.addr)].map(|thread| thread.join().unwrap());
+        assert_eq!(come.iter().flatten().count(), 1, "round {round}");
+        let other = if come[0].is_some() { b.addr } else { a.addr };
+        known(other, &room);
+        assert_eq!(Publisher::new(other, &room).client.bye(), "someone publishes in this room");
+        drop(come);
+        // who goes by itself leaves the room at once
+        wait_until("the room is free", || get(other, &format!("/v1/live/{room}")).json()["publishing"] == false);
+        assert!(matches!(Publisher::new(other, &room).client.next(), Some(Kind::Credit(_))));
+    }
+}
+
+/// HELLO; before it there may be statistics alone.
+fn hello(viewer: &mut Client) -> Hello {
+    loop {
+        match viewer.next() {
+            Some(Kind::Hello(hello)) => return hello,
+            Some(Kind::Statistics(_)) => {}
+            other => panic!("{other:?}"),
+        }
+    }
+}
+
+/// Reads until a frame of an epoch above `epoch` comes; gives that epoch.
+fn next_epoch(viewer: &mut Client, epoch: u64) -> u64 {
+    let mut now = 0;
+    loop {
+        match viewer.next().expect("the viewer stays") {
+            Kind::Hello(hello) => now = hello.epoch,
+            Kind::Video(_) if now > epoch => return now,
+            Kind::Bye(bye) => panic!("{}", bye.reason),
+            _ => {}
+        }
+    }
+}
+
+#[test]
+fn a_room_whose_node_is_killed_goes_on_at_another() {
+    let Some(nats) = Nats::start(1 << 20) else { return };
+    let (one, two, frames) = (tempdir().unwrap(), tempdir().unwrap(), tempdir().unwrap());
+    let url = nats.url();
+    let node = |data: &Path, name| Process::start_with(data, &["--nats", &url, "--node", name]);
+    let (mut a, b) = (node(one.path(), "a"), node(two.path(), "b"));
+    for n in 0..10 {
+        std::fs::write(frames.path().join(format!("{n}.jpg")), frame(10 + 5 * n)).unwrap();
+    }
+    let rooms = [a.addr, b.addr].map(|addr| format!("http://{addr}/live/attic")).join(",");
+    let mut command = Command::new(env!("CARGO_BIN_EXE_tmpi"));
+    command.args(["live", "publish", frames.path().to_str().unwrap(), "--room", &rooms, "--times", "1000000"]);
+    let mut publisher = Killed(command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap());
+    known(b.addr, "attic");
+    let mut viewer = Client::watch(b.addr, "attic");
+    let hello = hello(&mut viewer);
+    while !matches!(viewer.next(), Some(Kind::Video(_))) {}
+    // one that is served by the node that dies
+    let mut command = Command::new(env!("CARGO_BIN_EXE_tmpi"));
+    command.args(["live", "watch", &rooms, "--seconds", "60"]).stdout(Stdio::null()).stderr(Stdio::piped());
+    let mut other = Killed(command.spawn().unwrap());
+    let mut said = BufReader::new(other.0.stderr.take().unwrap()).lines().map(Result::unwrap);
+    assert!(said.any(|line| line.ends_with(&format!("epoch {}", hello.epoch))));
+    a.crash();
+    let killed = Instant::now();
+    let epoch = next_epoch(&mut viewer, hello.epoch);
+    // two seconds are what the load script measures on an idle machine
+    assert!(killed.elapsed() < Duration::from_secs(10), "{:?}", killed.elapsed());
+    assert!(said.any(|line| line.ends_with(&format!("epoch {epoch}"))), "the other viewer comes back");
+    assert_eq!(get(b.addr, "/v1/live/attic").json()["viewers"], 2);
+    publisher.0.kill().unwrap();
+    let mut words = String::new();
+    publisher.0.stderr.take().unwrap().read_to_string(&mut words).unwrap();
+    assert_eq!(words.matches("again").count(), 1, "it was never sent away: {words}");
+}
+
+/// A process that does not outlive its test.
+struct Killed(Child);
+
+impl Drop for Killed {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+#[test]
+fn without_nats_rooms_go_on_for_those_who_are_here() {
+    let Some(mut nats) = Nats::start(1 << 20) else { return };
+    let (one, two) = (tempdir().unwrap(), tempdir().unwrap());
+    let (a, b) = (nats.node(one.path(), "a"), nats.node(two.path(), "b"));
+    let mut publisher = Publisher::new(a.addr, "attic");
+    publisher.publish(frame(10));
+    known(b.addr, "attic");
+    let (mut here, mut there) = (Client::watch(a.addr, "attic"), Client::watch(b.addr, "attic"));
+    let until = |viewer: &mut Client, number: u64| loop {
+        match viewer.next().expect("the viewer stays") {
+            Kind::Video(video) if video.frame >= number => return video.frame,
+            Kind::Bye(bye) => panic!("{}", bye.reason),
+            _ => {}
+        }
+    };
+    assert_eq!((until(&mut here, 0), until(&mut there, 0)), (0, 0));
+    nats.kill();
+    wait_until("the nodes notice", || get(a.addr, "/readyz").status == 503 && get(b.addr, "/readyz").status == 503);
+    assert!(get(a.addr, "/readyz").problem(503)["detail"].as_str().unwrap().contains("NATS"));
+    assert_eq!(get(a.addr, "/healthz").status, 200);
+    for n in 1..20 {
+        publisher.publish(frame(10 + 3 * n));
+    }
+    assert_eq!(until(&mut here, 19), 19);
+    // a room that nobody else can have had is anybody's, the other's is not
+    assert!(matches!(Publisher::new(b.addr, "cellar").client.next(), Some(Kind::Credit(_))));
+    assert!(Publisher::new(b.addr, "attic").client.bye().contains("another node"));
+    nats.restart();
+    wait_until("the nodes are back", || get(a.addr, "/readyz").status == 200 && get(b.addr, "/readyz").status == 200);
+    // the same epoch goes on, with what was missed left out
+    for n in 20..40 {
+        publisher.publish(frame(10 + 2 * n));
+        std::thread::sleep(Duration::from_millis(50));
+    }
+    assert_eq!((until(&mut here, 39), until(&mut there, 39)), (39, 39));
+    // and whoever comes now is let in at both
+    known(b.addr, "attic");
+    assert!(hello(&mut Client::watch(b.addr, "attic")).epoch > 0);
+}
+
+#[test]
+fn garbage_older_epochs_and_too_much_are_left_out_and_counted() {
+    let Some(nats) = Nats::start(8 << 20) else { return };
+    let (one, two) = (tempdir().unwrap(), tempdir().unwrap());
+    let (a, b) = (nats.node(one.path(), "a"), nats.node(two.path(), "b"));
+    let mut publisher = Publisher::new(a.addr, "attic");
+    publisher.publish(frame(10));
+    known(b.addr, "attic");
+    let mut viewer = Client::watch(b.addr, "attic");
+    let hello = hello(&mut viewer);
+    while !matches!(viewer.next(), Some(Kind::Video(v)) if v.frame == 0) {}
+    let live = format!("tmpi.live.attic.{}", hello.epoch);
+    let head = |sort: u8, part: u16, parts: u16, number: u64, after: u64| {
+        let mut head = vec![b'T', 1, sort, 0];
+        head.extend(part.to_le_bytes());
+        head.extend(parts.to_le_bytes());
+        head.extend(number.to_le_bytes());
+        head.extend(after.to_le_bytes());
+        head
+    };
+    let fake = tmpi_core::live::write(Kind::Video(tmpi_core::live::wire::Video { frame: 7777, key: true, ..Default::default() }));
+    let held = |node: &str, epoch: u64| {
+        format!(r#"{{"version":1,"node":"{node}","rooms":[{{"room":"attic","epoch":{epoch},"open":true}}],"watched":[]}}"#)
+    };
+    let before = dropped(b.addr);
+    let ahead = hello.epoch + 1_000_000_000_000;
+    let garbage: [(&str, Vec<u8>); 12] = [
+        (&live, b"garbage".to_vec()),
+        (&live, Vec::new()),
+        (&live, vec![0xff; 100]),
+        (&live, head(9, 0, 1, 0, 0)),
+        // of a ring that nobody has
+        (&live, [head(0, 0, 1, 1 << 60, 0), fake.to_vec()].concat()),
+        // no message; one part of many that does not begin
+        (&live, [head(0, 0, 1, 9, 0), vec![0xff; 50]].concat()),
+        (&live, [head(0, 5, 9, 9, 0), fake.to_vec()].concat()),
+        // over what a message may have
+        (&live, [head(0, 0, 1, 9, 0), vec![0; (4 << 20) + 1]].concat()),
+        ("tmpi.nodes", b"{\"version\":1".to_vec()),
+        ("tmpi.nodes", vec![b' '; 100_000]),
+        ("tmpi.nodes", held("no.node", hello.epoch).into()),
+        ("tmpi.nodes", held("mallory", ahead).into()),
+    ];
+    let many = garbage.len() as u64;
+    for (subject, payload) in garbage {
+        nats.say(subject, &payload);
+    }
+    wait_until("all of it is counted", || dropped(b.addr) >= before + many);
+    assert_eq!(dropped(b.addr), before + many);
+    // an older epoch is nobody's: neither what is said of it nor what comes by it
+    nats.say("tmpi.nodes", held("mallory", hello.epoch - 1).as_bytes());
+    nats.say(&format!("tmpi.live.attic.{}", hello.epoch - 1), &[head(0, 0, 1, 2, 0), fake.to_vec()].concat());
+    for n in 1..20 {
+        publisher.publish(frame(10 + 3 * n));
+    }
+    let mut frames = Vec::new();
+    while frames.last() != Some(&19) {
+        match viewer.next().expect("the viewer stays") {
+            Kind::Video(video) => {
+                assert_eq!(video.data, frame(10 + 3 * video.frame as u32));
+                frames.push(video.frame);
+            }
+            Kind::Hello(_) => panic!("the room is not another one's"),
+            Kind::Bye(bye) => panic!("{}", bye.reason),
+            _ => {}
+        }
+    }
+    assert_eq!(frames, (1..20).collect::<Vec<_>>());
+}
