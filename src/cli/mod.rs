@@ -22,6 +22,7 @@ mod models;
 mod progress;
 mod render;
 mod serve;
+mod store;
 pub mod synth;
 mod synth_layers;
 
@@ -48,6 +49,8 @@ enum Command {
     Depth(depth::DepthArgs),
     Export(export::ExportArgs),
     Serve(serve::ServeArgs),
+    Fsck(store::FsckArgs),
+    Gc(store::GcArgs),
     Models(models::ModelsArgs),
     Live(live::LiveArgs),
     /// Write a completion script for a shell
@@ -124,6 +127,8 @@ fn run(command: Command) -> anyhow::Result<()> {
         Command::Depth(args) => depth::run(&args),
         Command::Export(args) => export::run(&args),
         Command::Serve(args) => serve::run(args),
+        Command::Fsck(args) => store::fsck(&args),
+        Command::Gc(args) => store::gc(&args),
         Command::Synth(args) => synth::run(&args),
         Command::Check(args) => check::run(&args),
         Command::Compare(args) => compare::run(&args),

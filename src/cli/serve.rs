@@ -37,8 +37,11 @@ pub(super) struct ServeArgs {
     /// Directory that keeps photos and what is made of them
     #[arg(long, default_value = "tmpi-data", value_name = "DIR")]
     data: PathBuf,
-    /// Store that several nodes share, s3://BUCKET/PREFIX (with the usual AWS_… variables) or file:///FOLDER; DIR holds copies then
-    #[arg(long, value_name = "URL")]
+    #[arg(
+        long,
+        value_name = "URL",
+        help = "Store that several nodes share, s3://BUCKET/PREFIX (with the usual AWS_… variables) or file:///FOLDER; DIR holds copies then"
+    )]
     store: Option<String>,
     /// What this node of a store does
     #[arg(long, value_enum, default_value_t, requires = "store")]

@@ -299,6 +299,9 @@ impl Jobs {
             return;
         }
         tracing::error!(%id, damage, "a result is damaged on disk; the same upload makes it again");
+        if let Some(cluster) = &self.cluster {
+            cluster.note_damage(id);
+        }
         let detail = format!("{damage}: upload the photo again, and it is made anew");
         let problem = Problem::new(StatusCode::INTERNAL_SERVER_ERROR, "damaged", detail);
         entry.set(Status::Damaged(Failed { at_ms: now_ms(), problem }));

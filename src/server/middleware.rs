@@ -76,10 +76,10 @@ async fn answer(app: &App, request: Request, next: Next) -> Response {
         request.headers_mut().remove(header::RANGE);
     }
     request.extensions_mut().insert(clock.clone());
-    let (reads, path) = (matches!(*request.method(), Method::GET | Method::HEAD), request.uri().path().to_owned());
+    let (reads, path) = (matches!(*request.method(), Method::GET | Method::HEAD), path_to_look_up(app, &request));
     let handled = async {
         match app.hosts.check(&request).and_then(|()| only_chunked(request.headers())) {
-            Ok(()) => match look_up(app, reads, &path).await {
+            Ok(()) => match look_up(app, reads, path).await {
                 Ok(()) => next.run(request).await,
                 Err(away) => away.into_response(),
             },
@@ -104,23 +104,31 @@ async fn answer(app: &App, request: Request, next: Next) -> Response {
     response
 }
 
+/// The path, where several nodes share a store.
+fn path_to_look_up(app: &App, request: &Request) -> Option<String> {
+    app.jobs.cluster.as_ref().map(|_| request.uri().path().to_owned())
+}
+
 /// Where several nodes share a store, brings the photo of the path up to date, or the list.
 ///
 /// # Errors
 /// 503 where the store cannot be reached and the photo is not known here.
-async fn look_up(app: &App, reads: bool, path: &str) -> Result<(), Problem> {
-    let Some(cluster) = app.jobs.cluster.clone() else { return Ok(()) };
+async fn look_up(app: &App, reads: bool, path: Option<String>) -> Result<(), Problem> {
+    let (Some(cluster), Some(path)) = (app.jobs.cluster.clone(), path) else { return Ok(()) };
     let photo: Option<PhotoId> = path.split('/').find_map(|segment| segment.parse().ok());
     let jobs = Arc::clone(&app.jobs);
     let looked = match photo {
         Some(id) if reads && cluster.is_fresh(id) => return Ok(()),
+        // whoever reads does not wait for a store that is away
+        Some(_) if reads && cluster.is_away() => return Err(Problem::away()),
         Some(id) => tokio::task::spawn_blocking(move || {
             let seen = jobs.refresh(&cluster, id).map(drop);
             // what was seen before goes on
-            seen.or_else(|e| if reads && jobs.get(id).is_some() { Ok(()) } else { Err(e) })
+            if reads && jobs.get(id).is_some() { Ok(()) } else { seen }
         }),
         None if path == "/v1/photos" && reads && !cluster.is_listed() => {
-            tokio::task::spawn_blocking(move || cluster.list(&jobs).or_else(|_| Ok(())))
+            tokio::task::spawn_blocking(move || // what is known here is listed
+            cluster.list(&jobs).or(Ok(())))
         }
         None => return Ok(()),
     };

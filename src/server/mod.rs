@@ -58,7 +58,7 @@ use tokio::net::TcpListener;
 
 pub use accept::Held;
 pub use child::{ProcessMaker, VARIABLE, serve as make_for_a_server};
-pub use cluster::{Role, Sharing};
+pub use cluster::{Audit, Role, Sharing, audit};
 pub use id::{PhotoId, hex};
 pub use limits::Limits;
 pub use maker::{Fault, Maker, PipelineMaker, Product};
@@ -216,6 +216,8 @@ impl Server {
         });
         let probe = tokio::spawn(probe(Arc::clone(&app)));
         let look_over = tokio::spawn(look_over(Arc::clone(&app)));
+        // who only makes photos has none
+        let rooms = rooms.filter(|_| role != Role::Work);
         if let Some(rooms) = &rooms {
             rooms.start(token.clone()).await;
             // set once, as a server runs once

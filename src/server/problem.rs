@@ -112,6 +112,12 @@ impl Problem {
         Self::new(StatusCode::INTERNAL_SERVER_ERROR, "internal", format!("{what}: the server's log says more"))
     }
 
+    /// The store of several nodes cannot be reached.
+    #[must_use]
+    pub fn away() -> Self {
+        Self::new(StatusCode::SERVICE_UNAVAILABLE, "store-unreachable", "the store cannot be reached now").retry_after(5)
+    }
+
     /// The data directory failed.
     pub fn store(error: &std::io::Error) -> Self {
         if matches!(error.kind(), std::io::ErrorKind::StorageFull | std::io::ErrorKind::QuotaExceeded) {
@@ -120,7 +126,7 @@ impl Problem {
         }
         if error.kind() == std::io::ErrorKind::HostUnreachable {
             tracing::warn!(%error, "the store");
-            return Self::new(StatusCode::SERVICE_UNAVAILABLE, "store-unreachable", "the store cannot be reached now").retry_after(5);
+            return Self::away();
         }
         Self::internal("data directory", error)
     }

@@ -3,9 +3,9 @@
 use std::io::{Read, Write};
 use std::net::{Shutdown, SocketAddr, TcpListener, TcpStream};
 use std::path::Path;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use tmpi::server::{Config, Limits, Role, Server, Sharing};
 use tmpi_render::{Backend, PictureFormat};
@@ -145,10 +145,19 @@ fn what_a_killed_worker_had_is_made_by_another() {
     wait_done(serve.addr, &id);
 }
 
-/// Passes connections on to a server, and answers 503 for a while.
+/// How a store is away.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Away {
+    /// It answers 503.
+    Busy,
+    /// It takes connections and says nothing.
+    Silent,
+}
+
+/// Passes connections on to a server that is away for a while.
 struct Faults {
     addr: SocketAddr,
-    failing: Arc<AtomicBool>,
+    away: Arc<Mutex<Option<Away>>>,
     open: Arc<Mutex<Vec<TcpStream>>>,
 }
 
@@ -156,22 +165,26 @@ impl Faults {
     fn before(server: SocketAddr) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let addr = listener.local_addr().unwrap();
-        let (failing, open) = (Arc::new(AtomicBool::new(false)), Arc::new(Mutex::new(Vec::<TcpStream>::new())));
-        let (fails, kept) = (failing.clone(), open.clone());
+        let (away, open) = (Arc::new(Mutex::new(None)), Arc::new(Mutex::new(Vec::<TcpStream>::new())));
+        let (fails, kept) = (away.clone(), open.clone());
         std::thread::spawn(move || {
             for client in listener.incoming().map_while(Result::ok) {
                 let (fails, kept) = (fails.clone(), kept.clone());
                 std::thread::spawn(move || Self::pass(client, server, &fails, &kept));
             }
         });
-        Self { addr, failing, open }
+        Self { addr, away, open }
     }
 
-    fn pass(mut client: TcpStream, server: SocketAddr, fails: &AtomicBool, kept: &Mutex<Vec<TcpStream>>) {
-        if fails.load(Ordering::SeqCst) {
-            let _ = client.read(&mut [0; 4096]);
-            let _ = client.write_all(b"HTTP/1.1 503 Slow Down\r\ncontent-length: 0\r\nconnection: close\r\n\r\n");
-            let _ = client.shutdown(Shutdown::Write);
+    fn pass(mut client: TcpStream, server: SocketAddr, fails: &Mutex<Option<Away>>, kept: &Mutex<Vec<TcpStream>>) {
+        let away = *fails.lock().unwrap();
+        if let Some(away) = away {
+            kept.lock().unwrap().push(client.try_clone().unwrap());
+            if away == Away::Busy {
+                let _ = client.read(&mut [0; 4096]);
+                let _ = client.write_all(b"HTTP/1.1 503 Slow Down\r\ncontent-length: 0\r\nconnection: close\r\n\r\n");
+                let _ = client.shutdown(Shutdown::Write);
+            }
             let _ = std::io::copy(&mut client, &mut std::io::sink());
             return;
         }
@@ -187,8 +200,8 @@ impl Faults {
         answers.join().unwrap();
     }
 
-    fn fail(&self, now: bool) {
-        self.failing.store(now, Ordering::SeqCst);
+    fn set(&self, away: Option<Away>) {
+        *self.away.lock().unwrap() = away;
         for stream in self.open.lock().unwrap().drain(..) {
             let _ = stream.shutdown(Shutdown::Both);
         }
@@ -209,22 +222,60 @@ fn nothing_is_lost_while_an_object_store_is_away_and_what_is_here_is_served() {
     let atlas = format!("/v1/photos/{first}/atlas");
     let before = get(serve.addr, &atlas);
     assert_eq!(before.status, 200);
-    let mut accepted: Vec<String> = (2..4).filter_map(|seed| upload(serve.addr, &picture(seed, PictureFormat::Jpeg))).collect();
-    assert_eq!(accepted.len(), 2);
-    faults.fail(true);
-    let refused = post_form(serve.addr, &[], &[("photo", &picture(7, PictureFormat::Jpeg)), ("depth", &depth_map())]);
-    refused.problem(503);
-    wait_until("it says that it is not ready", || get(serve.addr, "/readyz").status == 503);
-    for node in [&serve, &worker] {
-        assert_eq!(get(node.addr, "/healthz").status, 200);
+    for (seed, away) in [(10, Away::Busy), (20, Away::Silent)] {
+        let photo = |n: u8| picture(seed + n, PictureFormat::Jpeg);
+        let mut accepted: Vec<String> = (0..2).filter_map(|n| upload(serve.addr, &photo(n))).collect();
+        assert_eq!(accepted.len(), 2);
+        faults.set(Some(away));
+        let refused = post_form(serve.addr, &[], &[("photo", &photo(7)), ("depth", &depth_map())]);
+        refused.problem(503);
+        wait_until("it says that it is not ready", || get(serve.addr, "/readyz").status == 503);
+        let why = get(serve.addr, "/readyz").json()["detail"].to_string();
+        assert!(why.contains("the store cannot be reached"), "{why}");
+        for node in [&serve, &worker] {
+            assert_eq!(get(node.addr, "/healthz").status, 200);
+        }
+        let began = Instant::now();
+        assert_eq!(get(serve.addr, &atlas).body, before.body);
+        assert_eq!(get(serve.addr, &format!("/v1/photos/{first}")).json()["state"], "done");
+        get(serve.addr, &format!("/v1/photos/{}", "0".repeat(first.len()))).problem(503);
+        assert_eq!(get(serve.addr, "/v1/photos").status, 200);
+        assert!(began.elapsed() < Duration::from_secs(4), "{away:?}: what is here waits for nobody, {:?}", began.elapsed());
+        std::thread::sleep(Duration::from_secs(5));
+        faults.set(None);
+        wait_until("it is ready again", || get(serve.addr, "/readyz").status == 200);
+        accepted.extend(upload(serve.addr, &photo(7)));
+        assert_eq!(accepted.len(), 3);
+        for id in &accepted {
+            wait_done(serve.addr, id);
+        }
     }
-    assert_eq!(get(serve.addr, &atlas).body, before.body);
-    std::thread::sleep(Duration::from_secs(5));
-    faults.fail(false);
-    wait_until("it is ready again", || get(serve.addr, "/readyz").status == 200);
-    accepted.extend(upload(serve.addr, &picture(7, PictureFormat::Jpeg)));
-    assert_eq!(accepted.len(), 3);
-    for id in &accepted {
-        wait_done(serve.addr, id);
-    }
+}
+
+#[test]
+fn an_accepted_photo_that_lost_its_marker_is_made() {
+    let dir = tempfile::tempdir().unwrap();
+    let at = |name: &str| dir.path().join(name);
+    let serve = node(&at("store"), &at("a"), Role::Serve, Arc::new(pipeline()));
+    let id = serve.upload(&jpeg(1));
+    let markers: Vec<_> = std::fs::read_dir(at("store/pending")).unwrap().map(|entry| entry.unwrap().path()).collect();
+    assert_eq!(markers.len(), 1);
+    std::fs::remove_file(&markers[0]).unwrap();
+    let _worker = node(&at("store"), &at("w"), Role::Work, Arc::new(pipeline()));
+    serve.wait(&id, "done");
+}
+
+#[test]
+fn a_node_that_nobody_asks_does_not_take_what_others_made_for_waiting() {
+    let dir = tempfile::tempdir().unwrap();
+    let at = |name: &str| dir.path().join(name);
+    let serve = node(&at("store"), &at("a"), Role::Serve, Arc::new(pipeline()));
+    let _worker = node(&at("store"), &at("w"), Role::Work, Arc::new(pipeline()));
+    serve.upload(&jpeg(1));
+    let waiting = || {
+        let metrics = String::from_utf8(get(serve.addr, "/metrics").body).unwrap();
+        metrics.lines().find_map(|line| line.strip_prefix("tmpi_queue_depth ")).unwrap().parse::<f64>().unwrap()
+    };
+    assert!(waiting() <= 1.0);
+    wait_until("it is seen that it was made", || waiting() < 0.5);
 }

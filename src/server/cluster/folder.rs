@@ -1,11 +1,14 @@
 //! Blobs and ledger in a folder: for several processes of one machine, and for the tests of what the ports promise.
+//!
+//! A file gets its place by a rename or a second name, so that it is whole or not there.
 
 use std::fs::{self, File};
+use std::hash::{BuildHasher, RandomState};
 use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use super::ports::{Blobs, Ledger, Tag};
+use super::ports::{Blobs, Ledger, Tag, unreachable};
 use crate::server::files::{Disk, Files as _, private};
 use crate::server::store::digest;
 
@@ -13,6 +16,8 @@ use crate::server::store::digest;
 #[derive(Debug)]
 pub struct Folder {
     root: PathBuf,
+    /// Tells this process from others, which may have the same number in a namespace of their own.
+    own: u64,
     next: AtomicU64,
 }
 
@@ -23,33 +28,44 @@ impl Folder {
     /// It cannot be written.
     pub fn open(root: &Path) -> io::Result<Self> {
         Disk.create_dir(&root.join("coming"), true)?;
-        Ok(Self { root: root.to_owned(), next: AtomicU64::new(0) })
+        Ok(Self { root: root.to_owned(), own: RandomState::new().hash_one(std::process::id()), next: AtomicU64::new(0) })
+    }
+
+    /// What it means that there is no such file: nothing where the folder itself is gone, as a disk that is not mounted.
+    fn missing(&self, error: io::Error) -> io::Error {
+        if error.kind() == ErrorKind::NotFound && !self.root.join("coming").is_dir() { unreachable(error) } else { error }
     }
 
     /// Held by whoever changes or removes a record.
     fn lock(&self) -> io::Result<File> {
-        let lock = private().create(true).truncate(false).write(true).open(self.root.join("lock"))?;
+        let lock = private().create(true).truncate(false).write(true).open(self.root.join("lock")).map_err(|e| self.missing(e))?;
         lock.lock()?;
         Ok(lock)
     }
 
     /// A synced file that has no place yet.
     fn coming(&self, bytes: &[u8]) -> io::Result<PathBuf> {
-        let name = format!("{}-{}", std::process::id(), self.next.fetch_add(1, Ordering::Relaxed));
+        let name = format!("{:016x}-{}", self.own, self.next.fetch_add(1, Ordering::Relaxed));
         let path = self.root.join("coming").join(name);
-        Disk.write(&path, bytes)?;
-        Ok(path)
+        match Disk.write(&path, bytes) {
+            Ok(()) => Ok(path),
+            Err(e) => {
+                // what filled the disk must not keep it full
+                let _ = Disk.remove(&path);
+                Err(self.missing(e))
+            }
+        }
     }
 
     /// Gives a file its place by `place`, durably.
     fn placed<T>(&self, name: &str, bytes: &[u8], place: impl FnOnce(&Path, &Path) -> io::Result<T>) -> io::Result<T> {
         let to = self.root.join(name);
         let folder = to.parent().unwrap_or(&self.root);
+        let coming = self.coming(bytes)?;
         if !folder.is_dir() {
             Disk.create_dir(folder, true)?;
             Disk.sync_dir(folder.parent().unwrap_or(&self.root))?;
         }
-        let coming = self.coming(bytes)?;
         let outcome = place(&coming, &to);
         match Disk.remove(&coming) {
             Err(e) if e.kind() != ErrorKind::NotFound => tracing::warn!(path = %coming.display(), error = %e, "a leftover"),
@@ -58,6 +74,22 @@ impl Folder {
         let outcome = outcome?;
         Disk.sync_dir(folder)?;
         Ok(outcome)
+    }
+
+    /// Puts the names of all files within a folder, and within those in it, into `names`.
+    fn names(&self, folder: &str, names: &mut Vec<String>) -> io::Result<()> {
+        let entries = match fs::read_dir(self.root.join(folder)).map_err(|e| self.missing(e)) {
+            Ok(entries) => entries,
+            Err(e) if e.kind() == ErrorKind::NotFound => return Ok(()),
+            Err(e) => return Err(e),
+        };
+        for entry in entries {
+            let entry = entry?;
+            // a name that is no text is nobody's here
+            let name = format!("{folder}{}", entry.file_name().to_string_lossy());
+            if entry.file_type()?.is_dir() { self.names(&format!("{name}/"), names)? } else { names.push(name) }
+        }
+        Ok(())
     }
 
     fn gone(&self, name: &str) -> io::Result<()> {
@@ -76,7 +108,7 @@ impl Blobs for Folder {
     }
 
     fn read(&self, name: &str) -> io::Result<Vec<u8>> {
-        fs::read(self.root.join(name))
+        fs::read(self.root.join(name)).map_err(|e| self.missing(e))
     }
 
     fn discard(&self, name: &str) -> io::Result<()> {
@@ -95,20 +127,20 @@ impl Ledger for Folder {
     }
 
     fn get(&self, name: &str) -> io::Result<Option<(Vec<u8>, Tag)>> {
-        match fs::read(self.root.join(name)) {
+        match Blobs::read(self, name) {
             Ok(bytes) => Ok(Some((digest(&bytes), bytes)).map(|(tag, bytes)| (bytes, Tag(tag)))),
             Err(e) if e.kind() == ErrorKind::NotFound => Ok(None),
             Err(e) => Err(e),
         }
     }
 
-    fn swap(&self, name: &str, seen: &Tag, bytes: &[u8]) -> io::Result<bool> {
+    fn swap(&self, name: &str, seen: &Tag, bytes: &[u8]) -> io::Result<Option<Tag>> {
         let _lock = self.lock()?;
         if self.get(name)?.is_none_or(|(_, tag)| tag != *seen) {
-            return Ok(false);
+            return Ok(None);
         }
         self.placed(name, bytes, |from, to| Disk.rename(from, to))?;
-        Ok(true)
+        Ok(Some(Tag(digest(bytes))))
     }
 
     fn remove(&self, name: &str) -> io::Result<()> {
@@ -117,12 +149,8 @@ impl Ledger for Folder {
     }
 
     fn page(&self, folder: &str, after: Option<&str>, limit: usize) -> io::Result<Vec<String>> {
-        let mut names = match Disk.names(&self.root.join(folder)) {
-            Ok(names) => names,
-            Err(e) if e.kind() == ErrorKind::NotFound => Vec::new(),
-            Err(e) => return Err(e),
-        };
-        names.iter_mut().for_each(|name| name.insert_str(0, folder));
+        let mut names = Vec::new();
+        self.names(folder, &mut names)?;
         names.retain(|name| after.is_none_or(|after| name.as_str() > after));
         names.sort_unstable();
         names.truncate(limit);

@@ -39,6 +39,10 @@ impl Queue for LocalQueue {
         }
     }
 
+    fn has(&self, hint: &Hint) -> bool {
+        self.lock().known.contains(&hint.marker)
+    }
+
     fn lease(&self, wait: Duration) -> Option<Box<dyn Lease>> {
         let end = Instant::now() + wait;
         let mut waiting = self.lock();
@@ -88,6 +92,11 @@ pub struct Idle;
 impl Queue for Idle {
     fn push(&self, _: &Hint) {}
 
+    fn has(&self, _: &Hint) -> bool {
+        // nothing is taken up here
+        true
+    }
+
     fn lease(&self, wait: Duration) -> Option<Box<dyn Lease>> {
         std::thread::sleep(wait);
         None
@@ -109,8 +118,9 @@ mod tests {
         let (a, b) = (next().unwrap(), next().unwrap());
         assert_eq!((a.hint(), b.hint(), next().is_none()), (&hint("a"), &hint("b"), true));
         queue.push(&hint("a"));
-        assert!(next().is_none(), "it is worked on");
+        assert!(next().is_none() && queue.has(&hint("a")), "it is worked on");
         a.acknowledge();
+        assert!(!queue.has(&hint("a")));
         queue.push(&hint("a"));
         assert_eq!(next().unwrap().hint(), &hint("a"));
         b.give_back(Duration::from_millis(60));

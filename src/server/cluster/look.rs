@@ -5,14 +5,15 @@ use std::io;
 use std::sync::{Arc, Weak};
 use std::time::{Duration, Instant};
 
-use super::records::PHOTOS;
-use super::{Cluster, Known};
+use super::ports::unreachable;
+use super::records::{Marker, PHOTOS};
+use super::{Cluster, Known, lock};
 use crate::server::entry::Entry;
 use crate::server::id::PhotoId;
 use crate::server::jobs::Jobs;
 use crate::server::records::{Accepted, End};
 use crate::server::settings::Settings;
-use crate::server::store::Store;
+use crate::server::store::{Origin as _, Store};
 
 /// Pause between two looks at what is to be done.
 const TICK: Duration = Duration::from_millis(500);
@@ -27,12 +28,8 @@ pub struct Seen {
     pub settings: Settings,
     /// How the making that counts ended.
     pub end: Option<End>,
-}
-
-impl From<Known> for Seen {
-    fn from(known: Known) -> Self {
-        Self { accepted: known.photo.accepted, settings: known.photo.settings, end: known.end.map(|end| end.end) }
-    }
+    /// This node found that what was made is damaged in the store.
+    pub damaged: bool,
 }
 
 impl Cluster {
@@ -47,19 +44,30 @@ impl Cluster {
         take: impl FnOnce(Option<Seen>) -> Option<Arc<Entry>>,
         store: &Store,
     ) -> io::Result<Option<Arc<Entry>>> {
+        let began = Instant::now();
         let _looking = self.looking(id);
-        let before = self.known().get(&id).map(|known| known.end.clone());
-        let seen = self.look(id)?;
-        let new = seen.as_ref().map(|known| known.end.clone());
-        if before.is_some() && before != new {
+        // whoever had the lock before may have looked for all who waited
+        let looked = self.known().get(&id).filter(|known| known.looked >= began).cloned();
+        let seen = match looked {
+            Some(known) => Some(known),
+            None if lock(&self.away).is_some_and(|at| at >= began) => return Err(unreachable("it could not be reached just now")),
+            None => self.look(id)?,
+        };
+        let damaged = self.is_damaged(id);
+        if !store.is_copy_of(id, self.version(id).as_deref()) {
             store.forget(id);
         }
-        Ok(take(seen.map(Seen::from)))
+        Ok(take(seen.map(|Known { photo, end, .. }| Seen {
+            accepted: photo.accepted,
+            settings: photo.settings,
+            end: end.map(|end| end.outcome),
+            damaged,
+        })))
     }
 
     /// True where the list was read not long ago.
     pub fn is_listed(&self) -> bool {
-        self.rests() || self.listed.lock().is_ok_and(|at| at.is_some_and(|at| at.elapsed() < super::FRESH_ENDED))
+        self.is_away() || self.listed.lock().is_ok_and(|at| at.is_some_and(|at| at.elapsed() < super::FRESH_ENDED))
     }
 
     /// Reads the list of all photos: takes over those that are new here, and looks up those that are gone.
@@ -67,6 +75,11 @@ impl Cluster {
     /// # Errors
     /// The store cannot be reached.
     pub fn list(&self, jobs: &Jobs) -> io::Result<()> {
+        let began = Instant::now();
+        let _listing = lock(&self.listing);
+        if lock(&self.listed).is_some_and(|at| at >= began) {
+            return Ok(());
+        }
         let mut here: HashSet<PhotoId> = jobs.all().iter().map(|entry| entry.id).collect();
         let mut after: Option<String> = None;
         loop {
@@ -84,9 +97,38 @@ impl Cluster {
         let mut gone: Vec<PhotoId> = here.into_iter().collect();
         gone.sort_unstable();
         gone.into_iter().try_for_each(|id| self.refreshed(jobs, id))?;
-        if let Ok(mut listed) = self.listed.lock() {
-            *listed = Some(Instant::now());
+        *lock(&self.listed) = Some(Instant::now());
+        Ok(())
+    }
+
+    /// Looks up photos that are not known to have ended though they are no longer `pending`. What was accepted and has no marker, as
+    /// where an upload stood still for longer than one is kept without a photo, is marked again.
+    ///
+    /// # Errors
+    /// The store cannot be reached.
+    pub fn compare(&self, jobs: &Jobs, pending: &[String]) -> io::Result<()> {
+        let is_open = |known: &Known| known.end.is_none();
+        let is_marked = |id: PhotoId, making: &str| pending.binary_search(&Marker::name_of(id, making)).is_ok();
+        let mut open: Vec<(PhotoId, String)> =
+            self.known().iter().filter(|(_, known)| is_open(known)).map(|(id, known)| (*id, known.photo.making.clone())).collect();
+        open.retain(|(id, making)| !is_marked(*id, making));
+        open.sort_unstable();
+        let mut unmarked = HashSet::new();
+        for (id, making) in open {
+            self.refreshed(jobs, id)?;
+            let still = self.known().get(&id).is_some_and(|known| is_open(known) && known.photo.making == making);
+            if !still {
+                continue;
+            }
+            // what was accepted while the list was read has its marker by the next time
+            if lock(&self.unmarked).contains(&(id, making.clone())) {
+                tracing::error!(%id, "an accepted photo had no marker; it is marked again");
+                self.heard(self.mark(id, &making))?;
+            } else {
+                unmarked.insert((id, making));
+            }
         }
+        *lock(&self.unmarked) = unmarked;
         Ok(())
     }
 
@@ -111,6 +153,8 @@ pub fn keep_up(jobs: &Arc<Jobs>, cluster: &Arc<Cluster>) -> io::Result<()> {
     std::thread::Builder::new().name("tmpi-looks".into()).spawn(move || looks(&weak, &of))?;
     let (weak, of) = (Arc::downgrade(jobs), Arc::clone(cluster));
     std::thread::Builder::new().name("tmpi-sweeps".into()).spawn(move || sweeps(&weak, &of))?;
+    let (weak, of) = (Arc::downgrade(jobs), Arc::clone(cluster));
+    std::thread::Builder::new().name("tmpi-lists".into()).spawn(move || lists(&weak, &of))?;
     Ok(())
 }
 
@@ -129,16 +173,34 @@ fn looks(jobs: &Weak<Jobs>, cluster: &Cluster) {
     }
 }
 
-/// Sweeps what is pending, and reads the list.
+/// Sweeps what is pending.
 fn sweeps(jobs: &Weak<Jobs>, cluster: &Cluster) {
+    again_and_again(jobs, cluster, |jobs| {
+        let pending = cluster.pending()?;
+        cluster.sweep(&pending)?;
+        cluster.compare(jobs, &pending)
+    });
+}
+
+/// Reads the list of all photos.
+fn lists(jobs: &Weak<Jobs>, cluster: &Cluster) {
+    again_and_again(jobs, cluster, |jobs| cluster.list(jobs));
+}
+
+/// Does `what` until the server stops, at most a twentieth of the time where it takes long.
+fn again_and_again(jobs: &Weak<Jobs>, cluster: &Cluster, what: impl Fn(&Jobs) -> io::Result<()>) {
     let mut next = Instant::now();
     loop {
         let Some(jobs) = jobs.upgrade() else { return };
         if Instant::now() >= next {
-            next = Instant::now() + cluster.sweep_every();
-            if let Err(error) = cluster.sweep().and_then(|()| cluster.list(&jobs)) {
-                tracing::warn!(%error, "the store cannot be swept now");
+            let began = Instant::now();
+            let done = what(&jobs);
+            if let Err(error) = &done {
+                tracing::warn!(%error, "the store cannot be looked through now");
             }
+            // a store that was away is asked soon
+            let took = if done.is_ok() { began.elapsed() * 20 } else { Duration::ZERO };
+            next = Instant::now() + cluster.sweep_every().max(took);
         }
         drop(jobs);
         std::thread::sleep(TICK.min(cluster.sweep_every()));

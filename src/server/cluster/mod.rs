@@ -1,6 +1,7 @@
 //! Several nodes on one store: what was accepted and what was made lies in the store, which is the truth; a queue is a
 //! hint and may lose everything. What a node has on its own disk and in its index are copies.
 
+mod audit;
 mod claim;
 mod folder;
 mod local;
@@ -10,7 +11,7 @@ mod ports;
 mod records;
 mod work;
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::hash::{BuildHasher, RandomState};
 use std::io;
 use std::path::Path;
@@ -25,9 +26,11 @@ use super::records::Accepted;
 use super::settings::Settings;
 use super::store::{Origin, digest};
 use super::time::now_ms;
-use ports::{Blobs, Hint, Ledger, Queue, Tag};
+use claim::Sightings;
+use ports::{Blobs, Hint, Ledger, Queue, Tag, unreachable};
 use records::{End, Marker, Photo};
 
+pub use audit::{Audit, audit};
 pub use look::{Seen, keep_up};
 pub use work::work;
 
@@ -52,8 +55,6 @@ pub struct Sharing {
     pub role: Role,
 }
 
-/// Time for which a store that could not be reached is not asked about photos that are known.
-const REST: Duration = Duration::from_secs(30);
 /// Age at which what is known of a photo is looked up again, while it is being made and once it has ended.
 const FRESH: Duration = Duration::from_millis(500);
 const FRESH_ENDED: Duration = Duration::from_secs(5);
@@ -78,11 +79,20 @@ pub struct Cluster {
     node: String,
     next: AtomicU64,
     known: Mutex<HashMap<PhotoId, Known>>,
+    /// Versions of photos that are damaged in the store, as this node found.
+    damaged: Mutex<HashMap<PhotoId, String>>,
     /// Held while a photo is looked up, so that nothing older is taken for newer.
     looking: [Mutex<()>; LOCKS],
-    /// The store is not asked before, where that can wait.
-    rest: Mutex<Option<Instant>>,
+    /// When the store could not be reached last, until it answers.
+    away: Mutex<Option<Instant>>,
+    listing: Mutex<()>,
     listed: Mutex<Option<Instant>>,
+    sightings: Mutex<Sightings>,
+    /// The marker that was looked at last.
+    cursor: Mutex<String>,
+    /// Makings of which no marker was seen.
+    unmarked: Mutex<HashSet<(PhotoId, String)>>,
+    makes: bool,
     lease: Duration,
     sweep: Duration,
 }
@@ -93,22 +103,10 @@ impl Cluster {
     /// # Errors
     /// The addresses are not understood, or a folder cannot be made.
     pub fn open(sharing: &Sharing, limits: &Limits) -> io::Result<Self> {
-        let (blobs, ledger): (Arc<dyn Blobs>, Arc<dyn Ledger>) = match sharing.store.split_once("://") {
-            Some(("s3", place)) => {
-                let (bucket, prefix) = place.split_once('/').unwrap_or((place, ""));
-                let objects = Arc::new(objects::Objects::open(bucket, prefix)?);
-                (objects.clone(), objects)
-            }
-            Some(("file", path)) => {
-                let folder = Arc::new(folder::Folder::open(Path::new(path))?);
-                (folder.clone(), folder)
-            }
-            _ => return Err(io::Error::new(io::ErrorKind::InvalidInput, "a store is s3://BUCKET/PREFIX or file:///FOLDER")),
-        };
-        let random = || RandomState::new().hash_one(std::process::id());
-        let node = format!("{:016x}", random());
-        let queue: Arc<dyn Queue> =
-            if sharing.role == Role::Serve { Arc::new(local::Idle) } else { Arc::new(local::LocalQueue::default()) };
+        let (blobs, ledger) = ports_at(&sharing.store)?;
+        let node = format!("{:016x}", RandomState::new().hash_one(std::process::id()));
+        let makes = sharing.role != Role::Serve;
+        let queue: Arc<dyn Queue> = if makes { Arc::new(local::LocalQueue::default()) } else { Arc::new(local::Idle) };
         Ok(Self {
             blobs,
             ledger,
@@ -116,16 +114,23 @@ impl Cluster {
             node,
             next: AtomicU64::new(0),
             known: Mutex::default(),
+            damaged: Mutex::default(),
             looking: [const { Mutex::new(()) }; LOCKS],
-            rest: Mutex::default(),
+            away: Mutex::default(),
+            listing: Mutex::default(),
             listed: Mutex::default(),
+            sightings: Mutex::default(),
+            cursor: Mutex::default(),
+            unmarked: Mutex::default(),
+            makes,
             lease: limits.lease,
-            sweep: limits.sweep,
+            // often enough to see whether a lease is kept
+            sweep: limits.sweep.min(limits.lease / 4),
         })
     }
 
     fn known(&self) -> MutexGuard<'_, HashMap<PhotoId, Known>> {
-        self.known.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.known)
     }
 
     /// A name that no other making has; later ones are greater.
@@ -134,7 +139,7 @@ impl Cluster {
     }
 
     fn looking(&self, id: PhotoId) -> MutexGuard<'_, ()> {
-        self.looking[lock_of(id)].lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.looking[lock_of(id)])
     }
 
     /// Whether the store can be reached.
@@ -148,13 +153,13 @@ impl Cluster {
     /// Remembers whether the store answered.
     fn heard<T>(&self, answer: io::Result<T>) -> io::Result<T> {
         let away = answer.as_ref().is_err_and(|e| e.kind() == io::ErrorKind::HostUnreachable);
-        *self.rest.lock().unwrap_or_else(PoisonError::into_inner) = away.then(|| Instant::now() + REST);
+        *lock(&self.away) = away.then(Instant::now);
         answer
     }
 
-    /// True while the store, which could not be reached, is left alone where that can wait.
-    fn rests(&self) -> bool {
-        self.rest.lock().unwrap_or_else(PoisonError::into_inner).is_some_and(|until| Instant::now() < until)
+    /// True from when the store could not be reached until it answers: where that can wait it is not asked meanwhile. Sweeps ask it.
+    pub fn is_away(&self) -> bool {
+        lock(&self.away).is_some()
     }
 
     /// Reads what the store has of a photo.
@@ -170,13 +175,12 @@ impl Cluster {
         };
         let photo: Photo = records::read(&name, &bytes)?;
         let before = self.known().get(&id).filter(|known| known.photo.making == photo.making).and_then(|known| known.end.clone());
-        let end = match before {
+        let end = if before.is_some() {
             // it does not change any more
-            Some(end) => Some(end),
-            None => {
-                let name = End::name(id, &photo.making);
-                self.ledger.get(&name)?.map(|(bytes, _)| records::read(&name, &bytes)).transpose()?
-            }
+            before
+        } else {
+            let name = End::name(id, &photo.making);
+            self.ledger.get(&name)?.map(|(bytes, _)| records::read(&name, &bytes)).transpose()?
         };
         let known = Known { photo, tag, end, looked: Instant::now() };
         self.known().insert(id, known.clone());
@@ -185,10 +189,10 @@ impl Cluster {
 
     /// True where what is known of a photo need not be looked up again.
     pub fn is_fresh(&self, id: PhotoId) -> bool {
-        let rests = self.rests();
+        let away = self.is_away();
         self.known().get(&id).is_some_and(|known| {
             let most = if known.end.is_some() { FRESH_ENDED } else { FRESH };
-            rests || known.looked.elapsed() < most
+            away || known.looked.elapsed() < most
         })
     }
 
@@ -233,8 +237,7 @@ impl Cluster {
 
     /// Marks a making as pending.
     fn mark(&self, id: PhotoId, making: &str) -> io::Result<Hint> {
-        let (making, version) = (making.to_owned(), records::VERSION);
-        let marker = Marker { version, id, making, claims: 0, attempts: 0, faults: 0, due_ms: now_ms(), node: None };
+        let marker = Marker::new(id, making);
         let name = marker.name();
         self.ledger.create(&name, &serde_json::to_vec_pretty(&marker)?)?;
         Ok(Hint { marker: name })
@@ -274,9 +277,38 @@ impl Cluster {
     }
 
     fn swap(&self, id: PhotoId, seen: &Tag, photo: &Photo) -> io::Result<bool> {
-        let swapped = self.heard(self.ledger.swap(&Photo::name(id), seen, &serde_json::to_vec_pretty(photo)?))?;
+        let swapped = self.heard(self.write_over(&Photo::name(id), seen, &serde_json::to_vec_pretty(photo)?))?;
         self.stale(id);
-        Ok(swapped)
+        Ok(swapped.is_some())
+    }
+
+    /// Writes a record in place of what was seen, and gives its tag; none where it is another by now.
+    fn write_over(&self, name: &str, seen: &Tag, bytes: &[u8]) -> io::Result<Option<Tag>> {
+        if let Some(tag) = self.ledger.swap(name, seen, bytes)? {
+            return Ok(Some(tag));
+        }
+        // what is there tells: a write that was tried again may have met its own outcome
+        Ok(self.ledger.get(name)?.filter(|(now, _)| now == bytes).map(|(_, tag)| tag))
+    }
+
+    /// Keeps what was uploaded once more: what the store has of it may be damaged.
+    ///
+    /// # Errors
+    /// The store cannot be reached.
+    pub fn heal(&self, id: PhotoId, parts: Vec<(Part, Vec<u8>)>) -> io::Result<()> {
+        let Some(Known { photo, .. }) = self.known().get(&id).cloned() else { return Ok(()) };
+        parts.into_iter().try_for_each(|(part, bytes)| self.heard(self.blobs.put(&records::blob(id, &photo.source, part), bytes)))
+    }
+
+    /// Remembers that what was made of a photo is damaged in the store.
+    pub fn note_damage(&self, id: PhotoId) {
+        if let Some(version) = self.version(id) {
+            lock(&self.damaged).insert(id, version);
+        }
+    }
+
+    fn is_damaged(&self, id: PhotoId) -> bool {
+        self.version(id).is_some_and(|version| lock(&self.damaged).get(&id) == Some(&version))
     }
 
     /// Removes a photo from the store: its record first, so that it is gone when this returns, whatever is left of the rest.
@@ -287,11 +319,10 @@ impl Cluster {
         let known = self.look(id)?;
         self.heard(self.ledger.remove(&Photo::name(id)))?;
         self.known().remove(&id);
-        self.stale(id);
         let Some(Known { photo, .. }) = known else { return Ok(()) };
         let makings: Vec<String> = [Some(photo.source), Some(photo.making), photo.before].into_iter().flatten().collect();
         for making in &makings {
-            for record in [format!("{}{making}.{id}", records::PENDING), End::name(id, making)] {
+            for record in [Marker::name_of(id, making), End::name(id, making)] {
                 if let Err(error) = self.ledger.remove(&record) {
                     tracing::warn!(%id, record, %error, "left behind of a deleted photo");
                 }
@@ -307,7 +338,11 @@ impl Cluster {
     /// Removes the blobs of makings, without those to `keep`; what cannot be removed stays behind.
     fn discard(&self, id: PhotoId, makings: &[String], keep: &[&str]) {
         let folder = records::blobs(id);
-        let of = |name: &str| makings.iter().any(|m| name.strip_prefix(&folder).is_some_and(|rest| rest.starts_with(m)));
+        let is_of = |name: &str, making: &String| {
+            let rest = name.strip_prefix(&folder).and_then(|name| name.strip_prefix(making.as_str()));
+            rest.is_some_and(|rest| rest.starts_with(['.', '-']))
+        };
+        let of = |name: &str| makings.iter().any(|making| is_of(name, making));
         let removed = self.ledger.page(&folder, None, 1000).and_then(|names| {
             for name in names.iter().filter(|name| of(name) && !keep.contains(&name.as_str())) {
                 self.blobs.discard(name)?;
@@ -320,6 +355,26 @@ impl Cluster {
     }
 }
 
+/// Blobs and ledger of a store.
+fn ports_at(store: &str) -> io::Result<(Arc<dyn Blobs>, Arc<dyn Ledger>)> {
+    match store.split_once("://") {
+        Some(("s3", place)) => {
+            let (bucket, prefix) = place.split_once('/').unwrap_or((place, ""));
+            let objects = Arc::new(objects::Objects::open(bucket, prefix)?);
+            Ok((objects.clone(), objects))
+        }
+        Some(("file", path)) => {
+            let folder = Arc::new(folder::Folder::open(Path::new(path))?);
+            Ok((folder.clone(), folder))
+        }
+        _ => Err(io::Error::new(io::ErrorKind::InvalidInput, "a store is s3://BUCKET/PREFIX or file:///FOLDER")),
+    }
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
 /// Which lock is a photo's.
 fn lock_of(id: PhotoId) -> usize {
     id.to_string().bytes().fold(0, |sum: usize, byte| sum.wrapping_mul(31).wrapping_add(byte.into())) % LOCKS
@@ -328,6 +383,9 @@ fn lock_of(id: PhotoId) -> usize {
 impl Origin for Cluster {
     fn fetch(&self, id: PhotoId, part: Part) -> io::Result<Vec<u8>> {
         let none = || io::Error::from(io::ErrorKind::NotFound);
+        if self.is_away() {
+            return Err(unreachable("it could not be reached just now"));
+        }
         let known = self.known().get(&id).cloned().ok_or_else(none)?;
         let name = match part {
             Part::Upload | Part::Depth => records::blob(id, &known.photo.source, part),
@@ -338,7 +396,7 @@ impl Origin for Cluster {
             Part::Options | Part::State | Part::Settings => return Err(none()),
         };
         let bytes = self.heard(self.blobs.read(&name))?;
-        let whole = match known.end.map(|end| end.end) {
+        let whole = match known.end.map(|end| end.outcome) {
             Some(super::records::End::Done(done)) if part == Part::Atlas => digest(&bytes) == done.atlas_hash,
             _ => true,
         };

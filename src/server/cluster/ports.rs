@@ -45,11 +45,12 @@ pub trait Ledger: Debug + Send + Sync + 'static {
     /// The store cannot be reached.
     fn get(&self, name: &str) -> io::Result<Option<(Vec<u8>, Tag)>>;
 
-    /// Writes a record in place of what was read as `seen`; false where it is another by now, or gone.
+    /// Writes a record in place of what was read as `seen`, and gives its tag; none where it is another by now, or gone. A store that
+    /// lost its answer on the way may have written, and say none.
     ///
     /// # Errors
     /// As [`Ledger::create`].
-    fn swap(&self, name: &str, seen: &Tag, bytes: &[u8]) -> io::Result<bool>;
+    fn swap(&self, name: &str, seen: &Tag, bytes: &[u8]) -> io::Result<Option<Tag>>;
 
     /// Removes a record; one that is not there is removed already.
     ///
@@ -75,6 +76,9 @@ pub struct Hint {
 pub trait Queue: Debug + Send + Sync + 'static {
     /// Puts a photo behind the others.
     fn push(&self, hint: &Hint);
+
+    /// True where it waits here or is worked on already.
+    fn has(&self, hint: &Hint) -> bool;
 
     /// The next one; none where there is none within `wait`.
     fn lease(&self, wait: Duration) -> Option<Box<dyn Lease>>;

@@ -21,6 +21,10 @@ pub const VERSION: u32 = 1;
 
 /// Folder of the photos' records.
 pub const PHOTOS: &str = "photos/";
+/// Folder of how makings ended.
+pub const ENDS: &str = "ends/";
+/// Folder of what was uploaded and made.
+pub const BLOBS: &str = "blobs/";
 /// Folder of the markers.
 pub const PENDING: &str = "pending/";
 
@@ -66,7 +70,7 @@ pub struct End {
     /// [`VERSION`].
     pub version: u32,
     /// What became of it.
-    pub end: records::End,
+    pub outcome: records::End,
     /// Begin of the names of its blobs.
     pub blobs: String,
 }
@@ -87,17 +91,30 @@ pub struct Marker {
     pub attempts: u32,
     /// Faults of servers so far.
     pub faults: u32,
-    /// It is for whoever comes from then on, milliseconds since 1970.
-    pub due_ms: u64,
-    /// The node that works on it; past `due_ms` it is given up for lost.
+    /// Counts up while a node works on it, so that others see that it lives.
+    pub beats: u64,
+    /// It is for whoever has seen it unchanged for that long by a steady clock of its own, in milliseconds: a lease, or the pause
+    /// after a fault. No point in time is written: those of two machines are not the same.
+    pub rest_ms: u64,
+    /// The node that works on it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub node: Option<String>,
 }
 
 impl Marker {
+    /// One that is for whoever comes.
+    pub fn new(id: PhotoId, making: &str) -> Self {
+        Self { version: VERSION, id, making: making.to_owned(), claims: 0, attempts: 0, faults: 0, beats: 0, rest_ms: 0, node: None }
+    }
+
     /// Name of its record.
     pub fn name(&self) -> String {
-        format!("{PENDING}{}.{}", self.making, self.id)
+        Self::name_of(self.id, &self.making)
+    }
+
+    /// Name of the record of a making that has not ended.
+    pub fn name_of(id: PhotoId, making: &str) -> String {
+        format!("{PENDING}{making}.{id}")
     }
 }
 
@@ -111,13 +128,13 @@ impl Photo {
 impl End {
     /// Name of the record of the end of a making.
     pub fn name(id: PhotoId, making: &str) -> String {
-        format!("ends/{id}.{making}")
+        format!("{ENDS}{id}.{making}")
     }
 }
 
 /// Folder of a photo's blobs.
 pub fn blobs(id: PhotoId) -> String {
-    format!("blobs/{id}/")
+    format!("{BLOBS}{id}/")
 }
 
 /// Name of a blob.

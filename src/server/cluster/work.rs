@@ -31,6 +31,7 @@ const AGAIN: Duration = Duration::from_millis(250);
 const MOST_AGAIN: Duration = Duration::from_secs(5);
 /// Pause after a fault of the store.
 const LATER: Duration = Duration::from_secs(2);
+const MUCH_LATER: Duration = Duration::from_mins(1);
 
 /// What becomes of the hint.
 enum Then {
@@ -68,7 +69,8 @@ fn take(jobs: &Arc<Jobs>, cluster: &Arc<Cluster>, lease: &dyn Lease) -> Then {
         Ok(Claim::Later(delay)) => return Then::GiveBack(delay),
         Err(error) => {
             tracing::warn!(%error, "a photo cannot be taken up now");
-            return Then::GiveBack(LATER);
+            // a record that cannot be understood will not be soon
+            return Then::GiveBack(if error.kind() == io::ErrorKind::InvalidData { MUCH_LATER } else { LATER });
         }
     };
     let entry = match jobs.refresh(cluster, held.id) {
@@ -93,17 +95,19 @@ fn take(jobs: &Arc<Jobs>, cluster: &Arc<Cluster>, lease: &dyn Lease) -> Then {
     then
 }
 
+/// Tells that work has ended, also where it panics.
+struct Ends<'a>(&'a (Mutex<bool>, Condvar));
+
+impl Drop for Ends<'_> {
+    fn drop(&mut self) {
+        *self.0.0.lock().unwrap_or_else(PoisonError::into_inner) = true;
+        self.0.1.notify_all();
+    }
+}
+
 /// Runs `work` while the lease is kept; `lost` is set where it is another's.
 fn beating<T>(cluster: &Cluster, held: &Held, lease: &dyn Lease, work: impl FnOnce(&AtomicBool) -> T) -> T {
     let (lost, ended) = (AtomicBool::new(false), (Mutex::new(false), Condvar::new()));
-    // told also where `work` panics
-    struct Ends<'a>(&'a (Mutex<bool>, Condvar));
-    impl Drop for Ends<'_> {
-        fn drop(&mut self) {
-            *self.0.0.lock().unwrap_or_else(PoisonError::into_inner) = true;
-            self.0.1.notify_all();
-        }
-    }
     let (lost, ended) = (&lost, &ended);
     let beat = || {
         let mut now = ended.0.lock().unwrap_or_else(PoisonError::into_inner);
@@ -166,7 +170,8 @@ fn put_back(jobs: &Jobs, cluster: &Cluster, entry: &Entry, held: &Held, reason: 
     entry.set(Status::Queued);
     let pause = cluster.put_back(held).unwrap_or(LATER);
     jobs.suffer(reason, Instant::now() + pause);
-    ("put-back", Then::GiveBack(pause))
+    // what is amiss may be this node's alone: others see it before it comes round here
+    ("put-back", Then::GiveBack(pause + cluster.sweep_every() * 3))
 }
 
 fn keep(jobs: &Jobs, cluster: &Cluster, entry: &Entry, held: &Held, product: Product) -> (&'static str, Then) {
@@ -206,7 +211,7 @@ fn end(
     parts: &[(Part, Vec<u8>)],
 ) -> (&'static str, Then) {
     let of = cluster.name_of(held);
-    let record = End { version: records::VERSION, end, blobs: format!("{}{of}", records::blobs(held.id)) };
+    let record = End { version: records::VERSION, outcome: end, blobs: format!("{}{of}", records::blobs(held.id)) };
     let (until, mut pause) = (Instant::now() + COMMIT, AGAIN);
     loop {
         match cluster.end(held, &of, &record, parts) {
@@ -260,7 +265,7 @@ impl Cluster {
             self.discard(id, &[before], &keep);
         }
         self.stale(id);
-        Ok(match (&record.end, ours) {
+        Ok(match (&record.outcome, ours) {
             (_, false) => "second",
             (crate::server::records::End::Done(_), _) => "done",
             (crate::server::records::End::Failed(_), _) => "failed",

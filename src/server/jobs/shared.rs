@@ -18,7 +18,7 @@ impl Jobs {
     pub(in crate::server) fn take_over(&self, id: PhotoId, seen: Option<Seen>) -> Option<Arc<Entry>> {
         let _membership = self.membership();
         let known = self.get(id);
-        let Some(Seen { accepted, settings, end }) = seen else {
+        let Some(Seen { accepted, settings, end, damaged }) = seen else {
             if let Some(entry) = known {
                 self.vanish(&entry);
             }
@@ -45,14 +45,14 @@ impl Jobs {
             (Some(End::Done(done)), Status::Done(now)) if done == now => {}
             (Some(End::Failed(failed)), Status::Failed(now)) if failed == now => {}
             // what was made is the same, and this node could not read it
-            (Some(End::Done(done)), Status::Damaged(damaged)) if done.at_ms < damaged.at_ms => {}
+            (Some(End::Done(_)), Status::Damaged(_)) if damaged => {}
             (None, Status::Queued | Status::Working) => {}
             (Some(End::Done(done)), _) => entry.set(Status::Done(done)),
             (Some(End::Failed(failed)), _) => entry.set(Status::Failed(failed)),
             (None, _) => entry.set(Status::Queued),
         }
-        let waits = entry.status() == Status::Queued;
         let mut inner = self.lock();
+        let waits = entry.status() == Status::Queued && !inner.running.iter().any(|e| e.id == id);
         let at = inner.queue.iter().position(|e| e.id == id);
         match at {
             Some(at) if !waits => drop(inner.queue.remove(at)),
@@ -91,16 +91,14 @@ impl Jobs {
                 return Ok(Submitted { entry, new: false, healed });
             }
             self.room()?;
+            cluster.heal(id, uploaded(incoming, accepted).map_err(disk)?).map_err(disk)?;
             cluster.again(id, None).map_err(disk)?;
             entry.set(Status::Queued);
             self.refresh(cluster, id).map_err(disk)?;
             return Ok(Submitted { entry, new: false, healed });
         }
         self.room()?;
-        let mut parts = vec![(Part::Upload, std::fs::read(incoming.path(Part::Upload)).map_err(disk)?)];
-        if accepted.depth_bytes.is_some() {
-            parts.push((Part::Depth, std::fs::read(incoming.path(Part::Depth)).map_err(disk)?));
-        }
+        let parts = uploaded(incoming, accepted).map_err(disk)?;
         let new = cluster.accept(id, accepted, settings, parts).map_err(disk)?;
         let entry = self.refresh(cluster, id).map_err(disk)?;
         let entry = entry.ok_or_else(|| Problem::not_found("the photo was deleted meanwhile"))?;
@@ -150,6 +148,12 @@ impl Jobs {
     pub(in crate::server) fn all(&self) -> Vec<Arc<Entry>> {
         self.lock().by_age.values().cloned().collect()
     }
+}
+
+/// The files of an upload.
+fn uploaded(incoming: &Incoming, accepted: &Accepted) -> std::io::Result<Vec<(Part, Vec<u8>)>> {
+    let depth = accepted.depth_bytes.map(|_| Part::Depth);
+    [Part::Upload].into_iter().chain(depth).map(|part| Ok((part, std::fs::read(incoming.path(part))?))).collect()
 }
 
 /// The answer to who changes what another changed meanwhile.

@@ -36,9 +36,18 @@ pub(super) struct Copies {
 
 #[derive(Debug, Default)]
 struct Held {
-    /// Bytes of each photo's, and when they were asked for last.
-    photos: HashMap<PhotoId, (u64, Instant)>,
+    photos: HashMap<PhotoId, Copied>,
     bytes: u64,
+}
+
+/// Copies of a photo's files.
+#[derive(Debug)]
+struct Copied {
+    bytes: u64,
+    /// When they were asked for last.
+    used: Instant,
+    /// Of which making.
+    version: Option<String>,
 }
 
 impl Store {
@@ -60,6 +69,9 @@ impl Store {
     pub(super) fn fetched<T>(&self, id: PhotoId, part: Part, then: impl Fn(&PathBuf) -> io::Result<T>) -> io::Result<T> {
         let path = self.path(id, part);
         let Some(copies) = &self.copies else { return then(&path) };
+        if !self.is_copy_of(id, copies.origin.version(id).as_deref()) {
+            self.forget(id);
+        }
         let mut tries = 0;
         loop {
             tries += 1;
@@ -77,8 +89,7 @@ impl Store {
     /// Forgets the copies of a photo; where this is no store of copies, nothing happens.
     pub fn forget(&self, id: PhotoId) {
         if let Some(copies) = &self.copies {
-            let mut held = copies.held();
-            copies.remove(self, &mut held, id);
+            copies.held().remove(self, id);
         }
     }
 
@@ -86,6 +97,13 @@ impl Store {
     #[must_use]
     pub fn is_copied(&self, id: PhotoId) -> bool {
         self.copies.as_ref().is_some_and(|copies| copies.held().photos.contains_key(&id))
+    }
+
+    /// False where there are copies of another making of a photo here.
+    #[must_use]
+    pub fn is_copy_of(&self, id: PhotoId, version: Option<&str>) -> bool {
+        let of = |copies: &Copies| copies.held().photos.get(&id).is_none_or(|copied| copied.version.as_deref() == version);
+        self.copies.as_ref().is_none_or(of)
     }
 }
 
@@ -95,8 +113,8 @@ impl Copies {
     }
 
     fn used(&self, id: PhotoId) {
-        if let Some((_, at)) = self.held().photos.get_mut(&id) {
-            *at = Instant::now();
+        if let Some(copied) = self.held().photos.get_mut(&id) {
+            copied.used = Instant::now();
         }
     }
 
@@ -108,25 +126,44 @@ impl Copies {
         if self.origin.version(id) != version {
             return Ok(());
         }
-        let (path, folder) = (store.path(id, part), store.folder(id));
-        store.files.create_dir(&folder, true)?;
-        let temporary = folder.join(format!("{}{TEMPORARY}", part.name()));
-        // a copy need not be durable, only whole
-        std::fs::write(&temporary, &bytes).and_then(|()| store.files.rename(&temporary, &path))?;
-        let entry = held.photos.entry(id).or_insert((0, Instant::now()));
-        *entry = (entry.0 + bytes.len() as u64, Instant::now());
-        held.bytes += bytes.len() as u64;
-        while held.bytes > self.most {
-            let oldest = held.photos.iter().filter(|(other, _)| **other != id).min_by_key(|(_, (_, at))| *at).map(|(other, _)| *other);
-            let Some(oldest) = oldest else { break };
-            self.remove(store, &mut held, oldest);
+        if held.photos.get(&id).is_some_and(|copied| copied.version != version) {
+            held.remove(store, id);
         }
+        let (path, folder) = (store.path(id, part), store.folder(id));
+        if path.exists() {
+            // another thread fetched it
+            return Ok(());
+        }
+        let temporary = folder.join(format!("{}{TEMPORARY}", part.name()));
+        loop {
+            // a copy need not be durable, only whole
+            let written = store.files.create_dir(&folder, true).and_then(|()| std::fs::write(&temporary, &bytes));
+            let Err(error) = written.and_then(|()| store.files.rename(&temporary, &path)) else { break };
+            // what filled the disk must not keep it full
+            let _ = store.files.remove(&temporary);
+            if error.kind() != io::ErrorKind::StorageFull || !held.remove_oldest(store, id) {
+                return Err(error);
+            }
+        }
+        let copied = held.photos.entry(id).or_insert_with(|| Copied { bytes: 0, used: Instant::now(), version });
+        copied.bytes += bytes.len() as u64;
+        copied.used = Instant::now();
+        held.bytes += bytes.len() as u64;
+        while held.bytes > self.most && held.remove_oldest(store, id) {}
         Ok(())
     }
+}
 
-    fn remove(&self, store: &Store, held: &mut Held, id: PhotoId) {
-        let Some((bytes, _)) = held.photos.remove(&id) else { return };
-        held.bytes = held.bytes.saturating_sub(bytes);
+impl Held {
+    /// Removes the copies of the photo that nobody asked for longest, but for those of one; false where there are no others.
+    fn remove_oldest(&mut self, store: &Store, but: PhotoId) -> bool {
+        let oldest = self.photos.iter().filter(|(id, _)| **id != but).min_by_key(|(_, copied)| copied.used).map(|(id, _)| *id);
+        oldest.map(|id| self.remove(store, id)).is_some()
+    }
+
+    fn remove(&mut self, store: &Store, id: PhotoId) {
+        let Some(copied) = self.photos.remove(&id) else { return };
+        self.bytes = self.bytes.saturating_sub(copied.bytes);
         if let Err(error) = store.files.remove(&store.folder(id)) {
             tracing::warn!(%id, %error, "copies cannot be removed now");
         }
