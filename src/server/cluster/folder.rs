@@ -7,10 +7,14 @@ use std::hash::{BuildHasher, RandomState};
 use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
 
 use super::ports::{Blobs, Ledger, Tag, unreachable};
 use crate::server::files::{Disk, Files as _, private};
 use crate::server::store::digest;
+
+/// Age from which a file that has no place yet is nobody's.
+const LEFT: Duration = Duration::from_hours(24);
 
 /// A folder of synced files.
 #[derive(Debug)]
@@ -27,7 +31,14 @@ impl Folder {
     /// # Errors
     /// It cannot be written.
     pub fn open(root: &Path) -> io::Result<Self> {
-        Disk.create_dir(&root.join("coming"), true)?;
+        let coming = root.join("coming");
+        Disk.create_dir(&coming, true)?;
+        // of processes that ended before they gave them a place
+        for entry in fs::read_dir(&coming)?.flatten() {
+            if entry.metadata().and_then(|of| of.modified()).is_ok_and(|at| at.elapsed().is_ok_and(|age| age > LEFT)) {
+                let _ = Disk.remove(&entry.path());
+            }
+        }
         Ok(Self { root: root.to_owned(), own: RandomState::new().hash_one(std::process::id()), next: AtomicU64::new(0) })
     }
 

@@ -175,7 +175,7 @@ fn looks(jobs: &Weak<Jobs>, cluster: &Cluster) {
 
 /// Sweeps what is pending.
 fn sweeps(jobs: &Weak<Jobs>, cluster: &Cluster) {
-    again_and_again(jobs, cluster, |jobs| {
+    again_and_again(jobs, cluster, 1, |jobs| {
         let pending = cluster.pending()?;
         cluster.sweep(&pending)?;
         cluster.compare(jobs, &pending)
@@ -184,11 +184,12 @@ fn sweeps(jobs: &Weak<Jobs>, cluster: &Cluster) {
 
 /// Reads the list of all photos.
 fn lists(jobs: &Weak<Jobs>, cluster: &Cluster) {
-    again_and_again(jobs, cluster, |jobs| cluster.list(jobs));
+    again_and_again(jobs, cluster, 20, |jobs| cluster.list(jobs));
 }
 
-/// Does `what` until the server stops, at most a twentieth of the time where it takes long.
-fn again_and_again(jobs: &Weak<Jobs>, cluster: &Cluster, what: impl Fn(&Jobs) -> io::Result<()>) {
+/// Does `what` until the server stops; after one that took long it rests for `times` as long, up to a minute.
+fn again_and_again(jobs: &Weak<Jobs>, cluster: &Cluster, times: u32, what: impl Fn(&Jobs) -> io::Result<()>) {
+    const MOST: Duration = Duration::from_mins(1);
     let mut next = Instant::now();
     loop {
         let Some(jobs) = jobs.upgrade() else { return };
@@ -199,8 +200,8 @@ fn again_and_again(jobs: &Weak<Jobs>, cluster: &Cluster, what: impl Fn(&Jobs) ->
                 tracing::warn!(%error, "the store cannot be looked through now");
             }
             // a store that was away is asked soon
-            let took = if done.is_ok() { began.elapsed() * 20 } else { Duration::ZERO };
-            next = Instant::now() + cluster.sweep_every().max(took);
+            let rest = if done.is_ok() { began.elapsed().saturating_mul(times).min(MOST) } else { Duration::ZERO };
+            next = Instant::now() + cluster.sweep_every().max(rest);
         }
         drop(jobs);
         std::thread::sleep(TICK.min(cluster.sweep_every()));

@@ -395,7 +395,12 @@ impl Origin for Cluster {
             }
             Part::Options | Part::State | Part::Settings => return Err(none()),
         };
-        let bytes = self.heard(self.blobs.read(&name))?;
+        let bytes = self.heard(self.blobs.read(&name));
+        if bytes.as_ref().is_err_and(|error| error.kind() == io::ErrorKind::NotFound) {
+            // another node may have made it again
+            self.stale(id);
+        }
+        let bytes = bytes?;
         let whole = match known.end.map(|end| end.outcome) {
             Some(super::records::End::Done(done)) if part == Part::Atlas => digest(&bytes) == done.atlas_hash,
             _ => true,

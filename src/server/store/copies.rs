@@ -169,3 +169,54 @@ impl Held {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Gives `bytes` bytes of the version that is set, until it is away.
+    #[derive(Debug)]
+    struct Far {
+        bytes: usize,
+        version: Mutex<Option<u8>>,
+        fetched: Mutex<usize>,
+    }
+
+    impl Origin for Far {
+        fn fetch(&self, _: PhotoId, _: Part) -> io::Result<Vec<u8>> {
+            *self.fetched.lock().unwrap() += 1;
+            let version = self.version.lock().unwrap().ok_or(io::ErrorKind::HostUnreachable)?;
+            Ok(vec![version; self.bytes])
+        }
+
+        fn version(&self, _: PhotoId) -> Option<String> {
+            Some(self.version.lock().unwrap().unwrap_or(1).to_string())
+        }
+    }
+
+    #[test]
+    fn copies_are_of_the_making_that_counts_and_take_no_more_than_they_may() {
+        let dir = tempfile::tempdir().unwrap();
+        let far = Arc::new(Far { bytes: 100, version: Mutex::new(Some(1)), fetched: Mutex::default() });
+        let (store, _) = Store::open(dir.path(), "").unwrap();
+        let store = store.of_origin(Arc::clone(&far) as Arc<dyn Origin>, 250);
+        let ids = [1, 2, 3].map(|n| PhotoId::of(&[n; 32], None, "", ""));
+        let read = |n: usize| store.read(ids[n], Part::Atlas);
+        let fetched = || *far.fetched.lock().unwrap();
+        std::thread::scope(|scope| {
+            for _ in 0..8 {
+                scope.spawn(|| assert_eq!(read(0).unwrap(), vec![1; 100]));
+            }
+        });
+        let before = fetched();
+        assert_eq!((read(1).unwrap(), read(0).unwrap()), (vec![1; 100], vec![1; 100]));
+        assert_eq!(fetched(), before + 1, "what is here is not fetched");
+        read(2).unwrap();
+        assert_eq!(ids.map(|id| store.is_copied(id)), [true, false, true], "the one that nobody asked for longest went");
+        *far.version.lock().unwrap() = None;
+        assert_eq!(read(0).unwrap(), vec![1; 100], "it needs nobody");
+        assert_eq!(read(1).unwrap_err().kind(), io::ErrorKind::HostUnreachable);
+        *far.version.lock().unwrap() = Some(2);
+        assert_eq!(read(0).unwrap(), vec![2; 100], "another making took its place");
+    }
+}
