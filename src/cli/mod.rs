@@ -23,6 +23,7 @@ mod models;
 mod progress;
 mod render;
 mod serve;
+mod store;
 pub mod synth;
 mod synth_layers;
 
@@ -50,6 +51,8 @@ enum Command {
     Export(export::ExportArgs),
     Serve(serve::ServeArgs),
     Config(config::ConfigArgs),
+    Fsck(store::FsckArgs),
+    Gc(store::GcArgs),
     Models(models::ModelsArgs),
     Live(live::LiveArgs),
     /// Write a completion script for a shell
@@ -142,6 +145,8 @@ fn run(command: Command) -> anyhow::Result<()> {
         Command::Export(args) => export::run(&args),
         Command::Serve(args) => serve::run(args),
         Command::Config(args) => result(args.shown.trim_end()),
+        Command::Fsck(args) => store::fsck(&args),
+        Command::Gc(args) => store::gc(&args),
         Command::Synth(args) => synth::run(&args),
         Command::Check(args) => check::run(&args),
         Command::Compare(args) => compare::run(&args),

@@ -14,7 +14,9 @@ use super::{Usage, files};
 use sha2::{Digest as _, Sha256};
 
 use crate::live::{self, NatsAddress, Rooms};
-use crate::server::{Better, Config, Limits, PipelineMaker, ProcessMaker, Server, VARIABLE, hex, make_for_a_server, stop_signal};
+use crate::server::{
+    Better, Config, Limits, PipelineMaker, ProcessMaker, Role, Server, Sharing, VARIABLE, hex, make_for_a_server, stop_signal,
+};
 use tmpi_pipeline::Models;
 use tmpi_pipeline::networks::models::{self, download::Digest};
 use tmpi_render::{self, Backend};
@@ -43,6 +45,21 @@ pub(super) struct ServeArgs {
     /// Directory that keeps photos and what is made of them
     #[arg(long, default_value = "tmpi-data", value_name = "DIR")]
     data: PathBuf,
+    #[arg(
+        long,
+        value_name = "URL",
+        help = "Store that several nodes share, s3://BUCKET/PREFIX (with the usual AWS_… variables) or file:///FOLDER; DIR holds copies then"
+    )]
+    store: Option<String>,
+    /// What this node of a store does
+    #[arg(long, value_enum, default_value_t, requires = "store")]
+    role: Role,
+    /// Seconds after which a photo that a node worked on is taken up by another where nothing is heard of it
+    #[arg(long, default_value_t = Limits::LEASE.as_secs() as u32, value_parser = clap::value_parser!(u32).range(2..=3600), value_name = "S")]
+    lease: u32,
+    /// Disk for copies of what is in the store, in MiB
+    #[arg(long, default_value_t = (Limits::COPIES >> 20) as u32, value_parser = clap::value_parser!(u32).range(64..), value_name = "MIB")]
+    copies: u32,
     /// Read the pages from this directory instead of from the program
     #[arg(long = "static", value_name = "DIR")]
     pages: Option<PathBuf>,
@@ -152,6 +169,11 @@ impl ServeArgs {
         Ok(Some(rooms.shared(live::NodeConfig { servers: self.nats.clone(), login: login.transpose()?, name: self.node.clone() })))
     }
 
+    /// What the node shares with others; none where it is alone.
+    fn sharing(&self) -> Option<Sharing> {
+        self.store.clone().map(|store| Sharing { store, role: self.role })
+    }
+
     /// The limits that the arguments give.
     fn limits(&self) -> Limits {
         let body = (self.max_body as usize) << 20;
@@ -178,6 +200,8 @@ impl ServeArgs {
                 None => Limits::LAME_DUCK,
             },
             drain: Duration::from_secs(u64::from(self.drain)),
+            lease: Duration::from_secs(u64::from(self.lease)),
+            copies: u64::from(self.copies) << 20,
             ..Limits::default()
         }
     }
@@ -216,12 +240,13 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
     #[cfg(unix)]
     open_files(u64::from(args.connections) + SPARE_FILES);
     let renderer = tmpi_render::select(args.backend).context("renderer")?;
+    let sharing = args.sharing();
     let better = BetterNetwork::of(&args.models, args.network_url, args.network_sha256);
     let maker = ProcessMaker::new(maker).with_better(better.map(|b| Box::new(b) as Box<dyn Better>));
     let config = Config { addr: args.addr, data: args.data, pages: args.pages, hosts: args.hosts, public_list: args.public_list, limits };
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().thread_name("tmpi-http").build()?;
     runtime.block_on(async {
-        let mut server = Server::bind(config, Arc::new(maker), renderer).await?;
+        let mut server = Server::bind_among(sharing, config, Arc::new(maker), renderer).await?;
         if let Some(rooms) = rooms {
             server = server.with_rooms(rooms);
         }

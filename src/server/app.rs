@@ -3,7 +3,7 @@
 use std::fs::File;
 use std::io::Read as _;
 use std::net::SocketAddr;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::Duration;
@@ -190,12 +190,14 @@ impl Shared {
         let jobs = Arc::clone(&self.jobs);
         let whole = (part == Part::Atlas).then(|| done.clone());
         let open = async move {
-            let open = tokio::task::spawn_blocking(move || match open(&jobs.store.path(version.0, part), whole.as_ref()) {
-                Ok(Ok(stored)) if is_made(&jobs, version) => Ok(stored),
-                // what was opened may be of the next making
-                Ok(Ok(_)) => Err(Problem::not_found("the photo is being made again, or was deleted")),
-                Ok(Err(damage)) => Err(damaged(&jobs, version, &damage)),
-                Err(error) => Err(unread(&jobs, version, part, &error)),
+            let open = tokio::task::spawn_blocking(move || {
+                match jobs.store.open_part(version.0, part).and_then(|file| open(file, whole.as_ref())) {
+                    Ok(Ok(stored)) if is_made(&jobs, version) => Ok(stored),
+                    // what was opened may be of the next making
+                    Ok(Ok(_)) => Err(Problem::not_found("the photo is being made again, or was deleted")),
+                    Ok(Err(damage)) => Err(damaged(&jobs, version, &damage)),
+                    Err(error) => Err(unread(&jobs, version, part, &error)),
+                }
             });
             open.await.map_err(|e| Problem::internal("opening a file", &e))?
         };
@@ -320,6 +322,11 @@ fn is_made(jobs: &Jobs, version: Version) -> bool {
 
 /// Takes a photo out of service.
 fn damaged(jobs: &Jobs, version: Version, damage: &str) -> Problem {
+    if jobs.cluster.is_some() && jobs.store.is_copied(version.0) {
+        // a copy alone: it is fetched again
+        jobs.store.forget(version.0);
+        return Problem::new(axum::http::StatusCode::SERVICE_UNAVAILABLE, "damaged-copy", damage).retry_after(1);
+    }
     jobs.take_out(version.0, version.1, damage);
     Problem::new(axum::http::StatusCode::INTERNAL_SERVER_ERROR, "damaged", format!("{damage}: upload the photo again, and it is made anew"))
 }
@@ -334,8 +341,7 @@ fn unread(jobs: &Jobs, version: Version, part: Part, error: &std::io::Error) -> 
 }
 
 /// Opens a file, or says how it is damaged; small ones are read. `whole`: what is on record of it.
-fn open(path: &Path, whole: Option<&Done>) -> std::io::Result<Result<Stored, String>> {
-    let mut file = File::open(path)?;
+fn open(mut file: File, whole: Option<&Done>) -> std::io::Result<Result<Stored, String>> {
     let length = file.metadata()?.len();
     if length <= SMALL as u64 {
         let mut bytes = Vec::with_capacity(length as usize);

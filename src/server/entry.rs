@@ -144,6 +144,12 @@ impl Entry {
         self.live.subscribe()
     }
 
+    /// True where somebody follows it.
+    #[must_use]
+    pub fn is_followed(&self) -> bool {
+        self.live.receiver_count() > 0
+    }
+
     /// Tells listeners how it fares; a new run forgets the stages of the one before.
     pub fn set(&self, status: Status) {
         self.live.send_modify(|live| {

@@ -4,6 +4,7 @@
 //! upload, its twin and a deletion come one after the other; readers only take the short lock on `inner`.
 
 mod queue;
+mod shared;
 
 use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::ops::Bound;
@@ -12,6 +13,7 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 
 use axum::http::StatusCode;
 
+use super::cluster::{self, Cluster};
 use super::entry::{Entry, Status, Tally};
 use super::id::PhotoId;
 use super::limits::Limits;
@@ -36,6 +38,8 @@ pub struct Jobs {
     pub(super) maker: Arc<dyn Maker>,
     pub(super) limits: Arc<Limits>,
     pub(super) telemetry: Arc<Telemetry>,
+    /// The others, where several nodes share a store.
+    pub(super) cluster: Option<Arc<Cluster>>,
     membership: Mutex<()>,
     inner: Mutex<Inner>,
     wake: Condvar,
@@ -102,12 +106,28 @@ impl Jobs {
         limits: Arc<Limits>,
         telemetry: Arc<Telemetry>,
     ) -> std::io::Result<Arc<Self>> {
+        Self::start_among(None, store, found, maker, limits, telemetry)
+    }
+
+    /// The same as one node of several.
+    ///
+    /// # Errors
+    /// No thread can be started.
+    pub fn start_among(
+        cluster: Option<Arc<Cluster>>,
+        store: Store,
+        found: Vec<Found>,
+        maker: Arc<dyn Maker>,
+        limits: Arc<Limits>,
+        telemetry: Arc<Telemetry>,
+    ) -> std::io::Result<Arc<Self>> {
         let (workers, memory) = (limits.workers, Memory::new(limits.job_memory));
         let jobs = Arc::new(Self {
             store,
             maker,
             limits,
             telemetry,
+            cluster,
             membership: Mutex::new(()),
             inner: Mutex::default(),
             wake: Condvar::new(),
@@ -121,9 +141,16 @@ impl Jobs {
             let unreadable = jobs.store.unreadable();
             tracing::info!(photos = inner.by_id.len(), unfinished = inner.queue.len(), unreadable, "data directory");
         }
+        if let Some(cluster) = &jobs.cluster {
+            cluster::keep_up(&jobs, cluster)?;
+        }
         for n in 0..workers {
             let jobs = Arc::clone(&jobs);
-            std::thread::Builder::new().name(format!("tmpi-way-{n}")).spawn(move || worker::work(&jobs))?;
+            let work = move || match &jobs.cluster {
+                Some(cluster) => cluster::work(&jobs, cluster),
+                None => worker::work(&jobs),
+            };
+            std::thread::Builder::new().name(format!("tmpi-way-{n}")).spawn(work)?;
         }
         Ok(jobs)
     }
@@ -142,6 +169,9 @@ impl Jobs {
     /// # Errors
     /// 429 where the queue is full, 503 while the server stops, 500 and 507 where the disk fails.
     pub fn submit(&self, incoming: Incoming, id: PhotoId, accepted: Accepted, settings: Settings) -> Result<Submitted, Problem> {
+        if let Some(cluster) = &self.cluster {
+            return self.submit_shared(cluster, &incoming, id, &accepted, &settings);
+        }
         // read before the lock is taken: others need not wait for it
         let spoilt = |entry: &Entry| matches!(entry.status(), Status::Done(done) if self.store.damage(id, &done).is_some());
         self.store.settle(&incoming).map_err(|e| Problem::store(&e))?;
@@ -240,6 +270,11 @@ impl Jobs {
     /// # Errors
     /// [`Problem`] 500 where the disk fails; the photo is still there then.
     pub fn delete(&self, id: PhotoId) -> Result<bool, Problem> {
+        if let Some(cluster) = &self.cluster {
+            let known = self.get(id).is_some();
+            let gone = cluster.remove(id).and_then(|()| self.refresh(cluster, id));
+            return gone.map(|_| known).map_err(|e| Problem::store(&e));
+        }
         let _membership = self.membership();
         let Some(entry) = self.get(id) else { return Ok(false) };
         let gate = entry.gate();
@@ -264,6 +299,9 @@ impl Jobs {
             return;
         }
         tracing::error!(%id, damage, "a result is damaged on disk; the same upload makes it again");
+        if let Some(cluster) = &self.cluster {
+            cluster.note_damage(id);
+        }
         let detail = format!("{damage}: upload the photo again, and it is made anew");
         let problem = Problem::new(StatusCode::INTERNAL_SERVER_ERROR, "damaged", detail);
         entry.set(Status::Damaged(Failed { at_ms: now_ms(), problem }));

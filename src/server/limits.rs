@@ -81,6 +81,12 @@ pub struct Limits {
     pub look_over: Duration,
     /// Bytes a second that are read for it at most.
     pub look_over_rate: u64,
+    /// Time for which a photo that a node works on is left to it though nothing is heard of it, where several nodes share a store.
+    pub lease: Duration,
+    /// Time between two looks at what is pending in that store.
+    pub sweep: Duration,
+    /// Disk for copies of what is in that store, in bytes.
+    pub copies: u64,
     /// Photos on one page of the list.
     pub page: usize,
     /// Pause between two keep-alive comments of an event stream.
@@ -126,6 +132,12 @@ impl Limits {
     pub const LAME_DUCK: Duration = Duration::from_secs(5);
     /// 20 s.
     pub const DRAIN: Duration = Duration::from_secs(20);
+    /// 30 s: some of the heartbeats, one every third of it, may be lost.
+    pub const LEASE: Duration = Duration::from_secs(30);
+    /// 5 s.
+    pub const SWEEP: Duration = Duration::from_secs(5);
+    /// 4 GiB.
+    pub const COPIES: u64 = 4 << 30;
     /// 64 jobs.
     pub const QUEUE: usize = 64;
     /// One worker: a job keeps all cores busy by itself.
@@ -218,6 +230,9 @@ impl Default for Limits {
             look_over_first: Self::LOOK_OVER_FIRST,
             look_over: Self::LOOK_OVER,
             look_over_rate: Self::LOOK_OVER_RATE,
+            lease: Self::LEASE,
+            sweep: Self::SWEEP,
+            copies: Self::COPIES,
             page: Self::PAGE,
             keep_alive: Self::KEEP_ALIVE,
         }

@@ -18,6 +18,7 @@ use super::app::App;
 use super::body::Guarded;
 use super::clock::Clock;
 use super::conditional::insert;
+use super::id::PhotoId;
 use super::pages::RESOURCE_POLICY;
 use super::problem::Problem;
 use super::share::ASKER;
@@ -75,9 +76,13 @@ async fn answer(app: &App, request: Request, next: Next) -> Response {
         request.headers_mut().remove(header::RANGE);
     }
     request.extensions_mut().insert(clock.clone());
+    let (reads, path) = (matches!(*request.method(), Method::GET | Method::HEAD), path_to_look_up(app, &request));
     let handled = async {
         match app.hosts.check(&request).and_then(|()| only_chunked(request.headers())) {
-            Ok(()) => next.run(request).await,
+            Ok(()) => match look_up(app, reads, path).await {
+                Ok(()) => next.run(request).await,
+                Err(away) => away.into_response(),
+            },
             Err(refused) => refused.into_response(),
         }
     };
@@ -97,6 +102,37 @@ async fn answer(app: &App, request: Request, next: Next) -> Response {
         response.headers_mut().insert(header::CONNECTION, HeaderValue::from_static("close"));
     }
     response
+}
+
+/// The path, where several nodes share a store.
+fn path_to_look_up(app: &App, request: &Request) -> Option<String> {
+    app.jobs.cluster.as_ref().map(|_| request.uri().path().to_owned())
+}
+
+/// Where several nodes share a store, brings the photo of the path up to date, or the list.
+///
+/// # Errors
+/// 503 where the store cannot be reached and the photo is not known here.
+async fn look_up(app: &App, reads: bool, path: Option<String>) -> Result<(), Problem> {
+    let (Some(cluster), Some(path)) = (app.jobs.cluster.clone(), path) else { return Ok(()) };
+    let photo: Option<PhotoId> = path.split('/').find_map(|segment| segment.parse().ok());
+    let jobs = Arc::clone(&app.jobs);
+    let looked = match photo {
+        Some(id) if reads && cluster.is_fresh(id) => return Ok(()),
+        // whoever reads does not wait for a store that is away
+        Some(_) if reads && cluster.is_away() => return Err(Problem::away()),
+        Some(id) => tokio::task::spawn_blocking(move || {
+            let seen = jobs.refresh(&cluster, id).map(drop);
+            // what was seen before goes on
+            if reads && jobs.get(id).is_some() { Ok(()) } else { seen }
+        }),
+        None if path == "/v1/photos" && reads && !cluster.is_listed() => {
+            tokio::task::spawn_blocking(move || // what is known here is listed
+            cluster.list(&jobs).or(Ok(())))
+        }
+        None => return Ok(()),
+    };
+    looked.await.map_err(|e| Problem::internal("looking a photo up", &e))?.map_err(|e| Problem::store(&e))
 }
 
 /// Refuses bodies that are coded in more ways than in chunks: they would be taken for what they are not (RFC 9112, section 6.1).

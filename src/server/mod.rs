@@ -11,6 +11,7 @@ mod cache;
 mod card;
 mod child;
 mod clock;
+mod cluster;
 mod compress;
 mod conditional;
 mod entry;
@@ -47,7 +48,7 @@ mod upload;
 mod worker;
 
 use std::net::SocketAddr;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
@@ -57,6 +58,7 @@ use tokio::net::TcpListener;
 
 pub use accept::Held;
 pub use child::{ProcessMaker, VARIABLE, serve as make_for_a_server};
+pub use cluster::{Audit, Role, Sharing, audit};
 pub use id::{PhotoId, hex};
 pub use limits::Limits;
 pub use maker::{Fault, Maker, PipelineMaker, Product};
@@ -66,6 +68,7 @@ pub(crate) use routes::Pairs;
 pub use routes::{Access, Route, openapi, routes};
 
 use app::{App, Shared};
+use cluster::Cluster;
 use jobs::Jobs;
 use store::Store;
 
@@ -114,6 +117,14 @@ pub enum ServerError {
         /// What the system says.
         source: std::io::Error,
     },
+    /// The store of several nodes cannot be used.
+    #[error("store {store}")]
+    Store {
+        /// Its address.
+        store: String,
+        /// What is wrong.
+        source: std::io::Error,
+    },
     /// No worker can be started.
     #[error("starting a worker")]
     Worker(#[source] std::io::Error),
@@ -128,6 +139,7 @@ pub struct Server {
     addr: SocketAddr,
     app: App,
     rooms: Option<Arc<Rooms>>,
+    role: Role,
 }
 
 impl Server {
@@ -136,16 +148,38 @@ impl Server {
     /// # Errors
     /// [`ServerError`].
     pub async fn bind(config: Config, maker: Arc<dyn Maker>, renderer: Arc<dyn Renderer>) -> Result<Self, ServerError> {
+        Self::bind_among(None, config, maker, renderer).await
+    }
+
+    /// The same as one node of several, which share a store; what it has on its own disk are copies then.
+    ///
+    /// # Errors
+    /// [`ServerError`].
+    pub async fn bind_among(
+        sharing: Option<Sharing>,
+        mut config: Config,
+        maker: Arc<dyn Maker>,
+        renderer: Arc<dyn Renderer>,
+    ) -> Result<Self, ServerError> {
         let (addr, data) = (config.addr, config.data.clone());
         let openapi = openapi()?;
         let listener = TcpListener::bind(addr).await.map_err(|source| ServerError::Listen { addr, source })?;
         let addr = listener.local_addr().map_err(|source| ServerError::Listen { addr, source })?;
-        // done once before any request is served
-        let (store, found) = Store::open(&data, maker.identity()).map_err(|source| ServerError::Data { dir: data, source })?;
+        let role = sharing.as_ref().map(|s| s.role).unwrap_or_default();
+        if role == Role::Serve {
+            config.limits.workers = 0;
+        }
         let limits = Arc::new(config.limits.clone());
-        let jobs = Jobs::start(store, found, maker, limits, Arc::default()).map_err(ServerError::Worker)?;
+        // done once before any request is served
+        let jobs = if let Some(sharing) = sharing {
+            let open = tokio::task::spawn_blocking(move || among(&sharing, &data, maker, limits));
+            open.await.map_err(|e| ServerError::Worker(std::io::Error::other(e)))??
+        } else {
+            let (store, found) = Store::open(&data, maker.identity()).map_err(|source| ServerError::Data { dir: data, source })?;
+            Jobs::start(store, found, maker, limits, Arc::default()).map_err(ServerError::Worker)?
+        };
         let app = Arc::new(Shared::new(config, addr, jobs, renderer, openapi));
-        Ok(Self { listener, addr, app, rooms: None })
+        Ok(Self { listener, addr, app, rooms: None, role })
     }
 
     /// Has rooms, too.
@@ -164,7 +198,7 @@ impl Server {
     /// Serves until `stop` is ready, and for [`Limits::lame_duck`] more; then takes no more connections and gives requests and jobs under
     /// way [`Limits::drain`] to end. Jobs that do not end by then are taken up at the next start.
     pub async fn run(self, stop: impl Future<Output = ()> + Send + 'static) {
-        let Self { listener, addr: _, app, rooms } = self;
+        let Self { listener, addr: _, app, rooms, role } = self;
         let token = app.stop.clone();
         let jobs = Arc::clone(&app.jobs);
         let signal = tokio::spawn({
@@ -182,6 +216,8 @@ impl Server {
         });
         let probe = tokio::spawn(probe(Arc::clone(&app)));
         let look_over = tokio::spawn(look_over(Arc::clone(&app)));
+        // who only makes photos has none
+        let rooms = rooms.filter(|_| role != Role::Work);
         if let Some(rooms) = &rooms {
             rooms.start(token.clone()).await;
             // set once, as a server runs once
@@ -192,7 +228,11 @@ impl Server {
             let own = Arc::new(move |headers: &HeaderMap| of.hosts.is_own(headers));
             live::routes::router(live::routes::Here { rooms, stop: token.clone(), own })
         });
-        accept::serve(listener, routes::router(Arc::clone(&app), rooms), &app.limits, &app.telemetry, &token).await;
+        let router = match role {
+            Role::Work => routes::system_router(Arc::clone(&app)),
+            Role::All | Role::Serve => routes::router(Arc::clone(&app), rooms),
+        };
+        accept::serve(listener, router, &app.limits, &app.telemetry, &token).await;
         probe.abort();
         look_over.abort();
         if let Err(error) = signal.await {
@@ -200,6 +240,21 @@ impl Server {
         }
         tracing::info!("stopped");
     }
+}
+
+/// Takes its place among the nodes that share a store; blocks.
+fn among(sharing: &Sharing, data: &Path, maker: Arc<dyn Maker>, limits: Arc<Limits>) -> Result<Arc<Jobs>, ServerError> {
+    let wrong = |source| ServerError::Store { store: sharing.store.clone(), source };
+    let cluster = Arc::new(Cluster::open(sharing, &limits).map_err(wrong)?);
+    // copies of before may be of makings that are no more
+    let copies = data.join("copies");
+    match std::fs::remove_dir_all(copies.join("photos")) {
+        Err(source) if source.kind() != std::io::ErrorKind::NotFound => return Err(ServerError::Data { dir: copies, source }),
+        _ => {}
+    }
+    let (store, _) = Store::open(&copies, maker.identity()).map_err(|source| ServerError::Data { dir: copies, source })?;
+    let store = store.of_origin(Arc::clone(&cluster) as Arc<dyn store::Origin>, limits.copies);
+    Jobs::start_among(Some(cluster), store, Vec::new(), maker, limits, Arc::default()).map_err(ServerError::Worker)
 }
 
 /// Looks now and then whether the data directory can be written and nothing is missing to make photos with, so that asking for it costs nothing.
@@ -220,6 +275,11 @@ async fn look_at_disk(app: &App) {
         app.free_disk().await;
     }
     let trouble = if full { "the data directory has no room left" } else { "the data directory cannot be written" };
+    let away = match app.jobs.cluster.clone() {
+        Some(cluster) => tokio::task::spawn_blocking(move || cluster.check()).await.is_ok_and(|seen| seen.is_err()),
+        None => false,
+    };
+    let lacks = if away { Some("the store cannot be reached") } else { lacks };
     app.set_storage(written.err().map_or(lacks, |_| Some(trouble)));
 }
 
@@ -228,6 +288,10 @@ async fn look_over(app: App) {
     /// Photos that are taken from the list at a time.
     const PAGE: usize = 64;
     let mut pause = app.limits.look_over_first;
+    if app.jobs.cluster.is_some() {
+        // what lies in a store is its to look over
+        return;
+    }
     loop {
         tokio::time::sleep(pause).await;
         pause = app.limits.look_over;
@@ -273,8 +337,6 @@ pub async fn stop_signal() {
 
 #[cfg(test)]
 mod tests {
-    use std::path::Path;
-
     use super::app::{Export, Stored};
     use super::*;
 

@@ -112,11 +112,21 @@ impl Problem {
         Self::new(StatusCode::INTERNAL_SERVER_ERROR, "internal", format!("{what}: the server's log says more"))
     }
 
+    /// The store of several nodes cannot be reached.
+    #[must_use]
+    pub fn away() -> Self {
+        Self::new(StatusCode::SERVICE_UNAVAILABLE, "store-unreachable", "the store cannot be reached now").retry_after(5)
+    }
+
     /// The data directory failed.
     pub fn store(error: &std::io::Error) -> Self {
         if matches!(error.kind(), std::io::ErrorKind::StorageFull | std::io::ErrorKind::QuotaExceeded) {
             tracing::error!(%error, "data directory");
             return Self::new(StatusCode::INSUFFICIENT_STORAGE, "storage-full", "the data directory has no room left");
+        }
+        if error.kind() == std::io::ErrorKind::HostUnreachable {
+            tracing::warn!(%error, "the store");
+            return Self::away();
         }
         Self::internal("data directory", error)
     }

@@ -14,6 +14,7 @@
 //! A photo appears by one rename of a synced folder, so what is there is whole. Each file in it changes by a synced
 //! temporary file and a rename; `state.json` says `done` only after everything else is on disk. All of it is its owner's alone to read.
 
+mod copies;
 mod damage;
 mod found;
 
@@ -29,6 +30,7 @@ use super::id::PhotoId;
 pub use super::part::Part;
 pub use super::records::{Accepted, Done, End, Failed, Found, State};
 use super::settings::Settings;
+pub use copies::Origin;
 pub use damage::{damage_of, digest, lost};
 
 /// Room that is kept free for what must be written of photos accepted already, and its share of a small disk.
@@ -47,6 +49,8 @@ pub struct Store {
     next: AtomicU64,
     /// Photos that could not be read so far.
     unread: Mutex<Vec<PhotoId>>,
+    /// Where the truth lies elsewhere.
+    copies: Option<copies::Copies>,
     // unlocked when dropped
     _lock: Option<File>,
 }
@@ -91,7 +95,7 @@ impl Store {
         files.create_dir(&incoming, false)?;
         files.sync_dir(dir)?;
         let (next, unread) = (AtomicU64::new(0), Mutex::default());
-        let store = Self { files, photos, incoming, pipeline: pipeline.into(), next, unread, _lock: lock };
+        let store = Self { files, photos, incoming, pipeline: pipeline.into(), next, unread, copies: None, _lock: lock };
         let ids = store.ids()?;
         let found = store.look_at(&ids);
         Ok((store, found))
@@ -208,7 +212,7 @@ impl Store {
     /// # Errors
     /// As [`fs::read`].
     pub fn read(&self, id: PhotoId, part: Part) -> io::Result<Vec<u8>> {
-        self.files.read(&self.path(id, part))
+        self.fetched(id, part, |path| self.files.read(path))
     }
 
     /// Writes files of a photo, each whole or not at all; all are on disk when this returns.

@@ -43,7 +43,8 @@ impl Jobs {
     /// 404 where the photo is deleted, 412 where `headers` name other strokes than it has, 409 while it is being made, 429 where the queue is
     /// full, 503 while the server stops, 500 and 507 where the disk fails; nothing has changed then.
     pub fn touch_up(&self, entry: &Arc<Entry>, headers: &HeaderMap, strokes: &[Stroke]) -> Result<bool, Problem> {
-        let _membership = self.membership();
+        // in a store of many nodes of two who change a photo one succeeds
+        let _membership = self.cluster.is_none().then(|| self.membership());
         let gate = entry.gate();
         if entry.is_deleted() {
             return Err(Problem::not_found("the photo was deleted"));
@@ -52,6 +53,10 @@ impl Jobs {
         still_as_seen(headers, &stored(&before).etag)?;
         if before == strokes {
             return Ok(false);
+        }
+        if let Some(cluster) = &self.cluster {
+            drop(gate);
+            return self.again_shared(cluster, entry, Some(write(strokes))).map(|()| true);
         }
         let put = |strokes: &[Stroke]| self.store.write(entry.id, &[(Part::Strokes, &write(strokes))]);
         self.put_again(entry, || put(strokes), || put(&before))?;
@@ -65,10 +70,15 @@ impl Jobs {
     /// # Errors
     /// As [`Jobs::touch_up`].
     pub fn make_again(&self, entry: &Arc<Entry>) -> Result<(), Problem> {
-        let _membership = self.membership();
+        // in a store of many nodes of two who change a photo one succeeds
+        let _membership = self.cluster.is_none().then(|| self.membership());
         let gate = entry.gate();
         if entry.is_deleted() {
             return Err(Problem::not_found("the photo was deleted"));
+        }
+        if let Some(cluster) = &self.cluster {
+            drop(gate);
+            return self.again_shared(cluster, entry, None);
         }
         self.put_again(entry, || Ok(()), || Ok(()))?;
         drop(gate);
@@ -85,10 +95,7 @@ impl Jobs {
         undo: impl FnOnce() -> io::Result<()>,
     ) -> Result<(), Problem> {
         let now = match entry.status() {
-            Status::Queued | Status::Working => {
-                let detail = "the photo is being made; it can be made again once it is done";
-                return Err(Problem::new(StatusCode::CONFLICT, "not-ready", detail).retry_after(1));
-            }
+            Status::Queued | Status::Working => return Err(not_ready()),
             Status::Done(done) => Some(End::Done(done)),
             Status::Failed(failed) => Some(End::Failed(failed)),
             // on disk it is as it was before anybody looked
@@ -105,6 +112,12 @@ impl Jobs {
         entry.set(Status::Queued);
         Ok(())
     }
+}
+
+/// The answer to who wants to have made again what is being made.
+pub(super) fn not_ready() -> Problem {
+    let detail = "the photo is being made; it can be made again once it is done";
+    Problem::new(StatusCode::CONFLICT, "not-ready", detail).retry_after(1)
 }
 
 #[cfg(test)]

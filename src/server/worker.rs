@@ -2,6 +2,7 @@
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use axum::http::StatusCode;
@@ -11,7 +12,7 @@ use super::jobs::Jobs;
 use super::maker::{Fault, Product};
 use super::options;
 use super::problem::Problem;
-use super::store::{Done, End, Failed, Part, State, digest, lost};
+use super::store::{self, Done, End, Failed, Part, State, digest};
 use super::time::now_ms;
 use tmpi_pipeline::{Progress, Sink};
 
@@ -37,6 +38,7 @@ struct JobSink<'a> {
     jobs: &'a Jobs,
     entry: &'a Entry,
     deadline: Instant,
+    lost: &'a AtomicBool,
 }
 
 impl Sink for JobSink<'_> {
@@ -46,7 +48,7 @@ impl Sink for JobSink<'_> {
     }
 
     fn cancelled(&self) -> bool {
-        self.jobs.aborted() || self.entry.is_deleted()
+        self.jobs.aborted() || self.entry.is_deleted() || self.lost.load(Ordering::Acquire)
     }
 
     fn deadline(&self) -> Option<Instant> {
@@ -62,7 +64,7 @@ fn run(jobs: &Jobs, entry: &Arc<Entry>) -> &'static str {
         let detail = format!("making this photo took down what made it {} times", entry.attempts());
         return fail(jobs, entry, Problem::new(StatusCode::UNPROCESSABLE_ENTITY, "gave-up", detail));
     }
-    match make(jobs, entry) {
+    match make(jobs, entry, &AtomicBool::new(false)) {
         Ok(product) => keep(jobs, entry, &product),
         Err(Fault::Photo(problem)) => fail(jobs, entry, problem),
         Err(Fault::Crashed(reason)) => try_again(jobs, entry, &reason),
@@ -71,9 +73,10 @@ fn run(jobs: &Jobs, entry: &Arc<Entry>) -> &'static str {
     }
 }
 
-fn make(jobs: &Jobs, entry: &Arc<Entry>) -> Result<Product, Fault> {
+/// Makes a photo, until nobody wants it any more, or it is `lost` to another node.
+pub(super) fn make(jobs: &Jobs, entry: &Arc<Entry>, lost: &AtomicBool) -> Result<Product, Fault> {
     let read = |part: Part| {
-        jobs.store.read(entry.id, part).map_err(|e| match lost(part, &e) {
+        jobs.store.read(entry.id, part).map_err(|e| match store::lost(part, &e) {
             // its own sectors or name: others can be made
             Some(what) => Fault::Photo(Problem::new(StatusCode::INTERNAL_SERVER_ERROR, "lost", format!("{what}: upload the photo again"))),
             None => Fault::Server(format!("the data directory cannot be read: {e}")),
@@ -83,11 +86,11 @@ fn make(jobs: &Jobs, entry: &Arc<Entry>) -> Result<Product, Fault> {
     options.strokes = jobs.strokes(entry.id).map_err(|e| Fault::Server(format!("the data directory cannot be read: {e}")))?;
     let photo = read(Part::Upload)?;
     let depth = entry.accepted.depth_bytes.map(|_| read(Part::Depth)).transpose()?;
-    let unwanted = || jobs.aborted() || entry.is_deleted() || !jobs.is_accepting();
+    let unwanted = || jobs.aborted() || entry.is_deleted() || !jobs.is_accepting() || lost.load(Ordering::Acquire);
     let memory = jobs.maker.memory(&photo, depth.as_deref(), &options);
     let Some(_memory) = jobs.memory.wait_for(memory, unwanted) else { return Err(Fault::Cancelled) };
     entry.set(Status::Working);
-    let sink = JobSink { jobs, entry, deadline: Instant::now() + jobs.limits.time_for(&photo) };
+    let sink = JobSink { jobs, entry, deadline: Instant::now() + jobs.limits.time_for(&photo), lost };
     caught(|| jobs.maker.make(&photo, depth.as_deref(), &options, &sink))
 }
 
@@ -98,7 +101,7 @@ pub(super) fn caught(make: impl FnOnce() -> Result<Product, Fault>) -> Result<Pr
 }
 
 /// What a panic said.
-fn said(panic: &(dyn std::any::Any + Send)) -> String {
+pub(super) fn said(panic: &(dyn std::any::Any + Send)) -> String {
     let text = panic.downcast_ref::<&str>().map(ToString::to_string);
     text.or_else(|| panic.downcast_ref::<String>().cloned()).unwrap_or_default()
 }

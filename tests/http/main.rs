@@ -3,6 +3,7 @@
 
 mod arrivals;
 mod client;
+mod cluster;
 mod damage;
 mod fixture;
 

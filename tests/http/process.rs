@@ -29,7 +29,7 @@ impl Process {
     }
 
     /// With these variables of the environment.
-    fn start_in(data: &Path, arguments: &[&str], environment: &[(&str, &str)]) -> Self {
+    pub fn start_in(data: &Path, arguments: &[&str], environment: &[(&str, &str)]) -> Self {
         // a file: a pipe that nobody empties would stop the server
         let log = tempfile::NamedTempFile::new().unwrap();
         let mut child = Command::new(env!("CARGO_BIN_EXE_tmpi"))
@@ -74,7 +74,7 @@ impl Process {
 
     /// Stops the process that makes photos until the guard goes: what is uploaded meanwhile is not made, however fast the machine.
     #[cfg(target_os = "linux")]
-    fn hold(&self) -> Held {
+    pub fn hold(&self) -> Held {
         wait_until("there is a process that makes photos", || self.maker().is_some());
         let held = Held(self.maker().unwrap());
         held.signal(libc::SIGSTOP);
@@ -83,7 +83,7 @@ impl Process {
 
     /// Waits until a photo larger than a pipe is on its way to the stopped process that is to make it.
     #[cfg(target_os = "linux")]
-    fn wait_for_photo(&self) {
+    pub fn wait_for_photo(&self) {
         let tasks = format!("/proc/{}/task", self.child.id());
         let sends =
             |task: std::fs::DirEntry| std::fs::read_to_string(task.path().join("comm")).is_ok_and(|name| name.trim() == "tmpi-sends");
@@ -109,7 +109,7 @@ impl Process {
 
 /// A process that makes photos and is stopped.
 #[cfg(target_os = "linux")]
-struct Held(libc::pid_t);
+pub struct Held(libc::pid_t);
 
 #[cfg(target_os = "linux")]
 impl Held {

@@ -104,18 +104,29 @@ fn tests() -> Result<(), Fault> {
 type Step = (&'static str, fn() -> Result<(), Fault>);
 
 /// What every change is held against.
-const STEPS: [Step; 8] = [
+const STEPS: [Step; 9] = [
     ("format", || run(cargo(&["fmt", "--all", "--check"]))),
     ("spelling", spelling::check),
     ("lint", || run(cargo(&["clippy", "--workspace", "--release", "--all-targets", "--all-features", "--", "-D", "warnings"]))),
     ("ONNX Runtime", runtime::fetch),
     ("tools", browser::tools),
+    ("engines", || {
+        engines();
+        Ok(())
+    }),
     ("pages", browser::check),
     ("tests", tests),
     ("browser", browser::test),
 ];
 /// What takes longer.
 const FULL: [Step; 2] = [("overflow", overflow), ("fuzz", || fuzz::fuzz(&[]))];
+
+/// What the tests of several nodes start; where it cannot be installed they are skipped, as they say.
+fn engines() {
+    if command::output("python3", &["-c", "import moto.server"]).is_none() {
+        println!("no S3 server for tests: pip install 'moto[server]'");
+    }
+}
 
 /// Unit tests of a program in which a sum that wraps is a fault.
 fn overflow() -> Result<(), Fault> {

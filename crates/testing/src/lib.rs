@@ -1,6 +1,11 @@
 //! What tests need of the machine: where it is missing a test says so and passes, unless `TMPI_REQUIRE` names it.
 
+#[allow(clippy::expect_used, reason = "an engine that is installed and does not start fails the test")]
+mod engines;
+
 use std::fmt::Display;
+
+pub use engines::Engine;
 
 /// Environment variable: what must be there, by the names of [`Need`], separated by commas.
 pub const VARIABLE: &str = "TMPI_REQUIRE";
@@ -16,10 +21,12 @@ pub enum Need {
     Ffmpeg,
     /// `nats`: the program `nats-server`.
     Nats,
+    /// `s3`: moto, an S3 server in Python.
+    S3,
 }
 
 impl Need {
-    const ALL: [Self; 4] = [Self::Gpu, Self::Onnx, Self::Ffmpeg, Self::Nats];
+    const ALL: [Self; 5] = [Self::Gpu, Self::Onnx, Self::Ffmpeg, Self::Nats, Self::S3];
 
     const fn name(self) -> &'static str {
         match self {
@@ -27,6 +34,7 @@ impl Need {
             Self::Onnx => "onnx",
             Self::Ffmpeg => "ffmpeg",
             Self::Nats => "nats",
+            Self::S3 => "s3",
         }
     }
 
@@ -76,6 +84,6 @@ mod tests {
     #[test]
     fn an_unknown_word_fails_even_where_everything_is_there() {
         let error = Need::Onnx.judged("gpu,onxx", Ok::<_, &str>(7)).unwrap_err();
-        assert!(error.contains("\"onxx\"") && error.contains("gpu, onnx, ffmpeg, nats"), "{error}");
+        assert!(error.contains("\"onxx\"") && error.contains("gpu, onnx, ffmpeg, nats, s3"), "{error}");
     }
 }

@@ -67,6 +67,19 @@ impl Jobs {
         inner.queue.push_back(Arc::clone(entry));
     }
 
+    /// Remembers a fault of the server, until when nothing is made here.
+    pub(in crate::server) fn suffer(&self, reason: String, until: Instant) {
+        let mut inner = self.lock();
+        let tries = inner.trouble.as_ref().map_or(0, |t| t.tries);
+        let pause = REPAIR.saturating_mul(1 << tries.min(16)).min(MOST_REPAIR);
+        inner.trouble = Some(Trouble { reason, until: until.max(Instant::now() + pause), tries: tries + 1 });
+    }
+
+    /// Until when nothing is made here, after a fault of the server.
+    pub(in crate::server) fn suffers_until(&self) -> Option<Instant> {
+        self.lock().trouble.as_ref().map(|t| t.until)
+    }
+
     /// A photo was made: whatever kept others from it is over.
     pub(in crate::server) fn mended(&self) {
         self.lock().trouble = None;
@@ -76,7 +89,9 @@ impl Jobs {
     /// The fault of the server that keeps photos from being made, if there is one.
     #[must_use]
     pub fn trouble(&self) -> Option<String> {
-        self.lock().trouble.as_ref().map(|t| t.reason.clone())
+        // the photo that met it may have been made by another node
+        let is_over = |t: &Trouble| self.cluster.is_some() && Instant::now() > t.until + MOST_REPAIR;
+        self.lock().trouble.as_ref().filter(|t| !is_over(t)).map(|t| t.reason.clone())
     }
 
     /// The counterpart of [`Jobs::take`].

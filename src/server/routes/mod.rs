@@ -181,6 +181,22 @@ pub fn routes() -> Vec<Route> {
         .collect()
 }
 
+/// Health, metrics and the `OpenAPI` document alone, for a node that answers nobody else.
+pub fn system_router(app: App) -> Router {
+    let system = OpenApiRouter::<App>::new()
+        .routes(routes!(system::healthz))
+        .routes(routes!(system::readyz))
+        .routes(routes!(system::metrics))
+        .routes(routes!(system::openapi));
+    let (router, _) = system.split_for_parts();
+    router
+        .fallback(async || Problem::not_found("this node makes photos, and answers about its health alone"))
+        .method_not_allowed_fallback(no_method)
+        .layer(DefaultBodyLimit::disable())
+        .layer(from_fn_with_state(app.clone(), middleware::around))
+        .with_state(app)
+}
+
 /// The whole service, with rooms where there are any.
 pub fn router(app: App, rooms: Option<Router>) -> Router {
     let (router, _) = own_api().split_for_parts();

@@ -294,7 +294,7 @@ pub async fn change(State(app): State<App>, Path(id): Path<String>, _: NoQuery, 
         }
         still_as_seen(&headers, &state_now(&shared, &entry)?.etag)?;
         let settings = entry.settings().patched(&patch)?;
-        shared.jobs.store.write_settings(entry.id, &settings).map_err(|e| Problem::store(&e))?;
+        shared.jobs.write_settings(entry.id, &settings)?;
         entry.set_settings(settings);
         state_now(&shared, &entry)
     });

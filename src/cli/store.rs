@@ -1,0 +1,77 @@
+//! `tmpi fsck` and `tmpi gc`: the store of several nodes.
+
+use std::time::Duration;
+
+use anyhow::Context;
+
+use super::{note, result};
+use crate::server::{Audit, audit};
+
+/// Check the store that several nodes share: whether all that belongs to each photo is there; they may run meanwhile
+#[derive(Clone, Debug, clap::Args)]
+pub(super) struct FsckArgs {
+    #[command(flatten)]
+    which: Which,
+}
+
+/// Remove from the store that several nodes share what nothing leads to any more; they may run meanwhile
+#[derive(Clone, Debug, clap::Args)]
+pub(super) struct GcArgs {
+    #[command(flatten)]
+    which: Which,
+    /// Tell what would go, and remove nothing
+    #[arg(long)]
+    dry_run: bool,
+}
+
+#[derive(Clone, Debug, clap::Args)]
+struct Which {
+    #[arg(long, value_name = "URL", help = "The store, s3://BUCKET/PREFIX (with the usual AWS_… variables) or file:///FOLDER")]
+    store: String,
+    /// Age from which photos are overdue and leftovers are told; no upload may take as long
+    #[arg(long, default_value_t = 24, value_parser = clap::value_parser!(u32).range(1..), value_name = "HOURS")]
+    older_than: u32,
+    /// JSON on standard output
+    #[arg(long)]
+    json: bool,
+}
+
+pub(super) fn fsck(args: &FsckArgs) -> anyhow::Result<()> {
+    let audit = look(&args.which, false)?;
+    anyhow::ensure!(audit.is_sound(), "the store {} is not as it should be", args.which.store);
+    Ok(())
+}
+
+pub(super) fn gc(args: &GcArgs) -> anyhow::Result<()> {
+    look(&args.which, !args.dry_run).map(drop)
+}
+
+fn look(which: &Which, remove: bool) -> anyhow::Result<Audit> {
+    let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build()?;
+    let _within = runtime.enter();
+    let age = Duration::from_secs(3600 * u64::from(which.older_than));
+    let audit = audit(&which.store, age, remove).with_context(|| format!("store {}", which.store))?;
+    for (what, names) in [
+        ("overdue", &audit.overdue),
+        ("not understood", &audit.unread),
+        ("without a marker", &audit.unmarked),
+        ("missing", &audit.missing),
+        (if remove { "removed" } else { "left over" }, &audit.left_over),
+    ] {
+        for name in names {
+            note(&format!("{what}: {name}"));
+        }
+    }
+    let Audit { photos, done, failed, pending, removed, .. } = &audit;
+    let text = format!(
+        "{photos} photos: {done} done, {failed} failed, {pending} pending ({} overdue, {} without a marker)\n\
+         {} not understood, {} missing, {} left over, {removed} removed",
+        audit.overdue.len(),
+        audit.unmarked.len(),
+        audit.unread.len(),
+        audit.missing.len(),
+        audit.left_over.len(),
+    );
+    result(&if which.json { serde_json::to_string_pretty(&audit)? } else { text })?;
+    Ok(audit)
+}

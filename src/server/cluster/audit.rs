@@ -1,0 +1,233 @@
+//! Whether the records and blobs of a store fit together, and what is left over of what was deleted, broken off or made twice.
+
+use std::collections::HashSet;
+use std::io;
+use std::sync::Arc;
+use std::time::Duration;
+
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+
+use super::ports::{Blobs, Ledger};
+use super::records::{self, End, Marker, Photo};
+use crate::server::id::PhotoId;
+use crate::server::part::Part;
+use crate::server::records as outcome;
+use crate::server::time::now_ms;
+
+/// Names of a page of a list.
+const PAGE: usize = 1000;
+/// Digits of the time that begins the name of a making, in milliseconds since 1970.
+const TIME: usize = 13;
+
+/// What a store has, lacks and has left over. Lists are of names of records and blobs, in order.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Audit {
+    /// Accepted photos.
+    pub photos: usize,
+    /// Those that are made.
+    pub done: usize,
+    /// Those that cannot be made.
+    pub failed: usize,
+    /// Those that are to be made.
+    pub pending: usize,
+    /// Those of them that were accepted longer ago than was asked for.
+    pub overdue: Vec<String>,
+    /// What this program does not understand, and why; it is left alone, and what belongs to it.
+    pub unread: Vec<String>,
+    /// Accepted photos without a marker among what is pending; any node that runs marks them again.
+    pub unmarked: Vec<String>,
+    /// Blobs that should be there.
+    pub missing: Vec<String>,
+    /// Records and blobs that nothing leads to, older than was asked for.
+    pub left_over: Vec<String>,
+    /// Those of them that were removed.
+    pub removed: usize,
+}
+
+impl Audit {
+    /// True where nothing is lost and everything was understood.
+    #[must_use]
+    pub const fn is_sound(&self) -> bool {
+        self.unread.is_empty() && self.unmarked.is_empty() && self.missing.is_empty()
+    }
+}
+
+/// Looks through a store, and removes what is left over for longer than `age` where `remove`. Nodes may run meanwhile: uploads that take
+/// longer than `age` would lose their files. Blocks; called within a runtime.
+///
+/// # Errors
+/// The address is not understood, or the store cannot be reached.
+pub fn audit(store: &str, age: Duration, remove: bool) -> io::Result<Audit> {
+    if let Some(path) = store.strip_prefix("file://")
+        && !std::path::Path::new(path).is_dir()
+    {
+        return Err(io::Error::new(io::ErrorKind::NotFound, "there is no such folder"));
+    }
+    let (blobs, ledger) = super::ports_at(store)?;
+    Auditor { blobs, ledger, before_ms: now_ms().saturating_sub(age.as_millis() as u64), audit: Audit::default() }.run(remove)
+}
+
+struct Auditor {
+    blobs: Arc<dyn Blobs>,
+    ledger: Arc<dyn Ledger>,
+    before_ms: u64,
+    audit: Audit,
+}
+
+/// What is to be there.
+#[derive(Default)]
+struct Wanted {
+    names: HashSet<String>,
+    /// Begins of names that may come and go: of what is being made.
+    open: HashSet<(PhotoId, String)>,
+    /// Photos of which the record is not understood.
+    unknown: HashSet<PhotoId>,
+}
+
+impl Auditor {
+    fn run(mut self, remove: bool) -> io::Result<Audit> {
+        // what is there first, then what it is for: what comes meanwhile is not taken for left over
+        let mut there = Vec::new();
+        for folder in [records::ENDS, records::PENDING, records::BLOBS] {
+            there.extend(self.all(folder)?);
+        }
+        let names: HashSet<&str> = there.iter().map(String::as_str).collect();
+        let mut wanted = Wanted::default();
+        for name in self.all(records::PHOTOS)? {
+            self.photo(&name, &names, &mut wanted)?;
+        }
+        for name in there.iter().filter(|name| !wanted.names.contains(*name)) {
+            self.other(name, &wanted)?;
+        }
+        for list in [&mut self.audit.overdue, &mut self.audit.unread, &mut self.audit.unmarked, &mut self.audit.missing] {
+            list.sort_unstable();
+        }
+        self.audit.left_over.sort_unstable();
+        if remove {
+            for name in &self.audit.left_over {
+                if name.starts_with(records::BLOBS) { self.blobs.discard(name) } else { self.ledger.remove(name) }?;
+                self.audit.removed += 1;
+            }
+        }
+        Ok(self.audit)
+    }
+
+    fn all(&self, folder: &str) -> io::Result<Vec<String>> {
+        let mut names: Vec<String> = Vec::new();
+        loop {
+            let more = self.ledger.page(folder, names.last().map(String::as_str), PAGE)?;
+            let last = more.len() < PAGE;
+            names.extend(more);
+            if last {
+                return Ok(names);
+            }
+        }
+    }
+
+    /// A record; none where it is gone, or is not understood, which is told.
+    fn record<T: DeserializeOwned>(&mut self, name: &str) -> io::Result<Option<T>> {
+        let Some((bytes, _)) = self.ledger.get(name)? else { return Ok(None) };
+        match records::read(name, &bytes) {
+            Ok(record) => Ok(Some(record)),
+            Err(error) => {
+                self.audit.unread.push(error.to_string());
+                Ok(None)
+            }
+        }
+    }
+
+    /// Looks at a photo and what belongs to it.
+    fn photo(&mut self, name: &str, there: &HashSet<&str>, wanted: &mut Wanted) -> io::Result<()> {
+        let Some(id) = name.strip_prefix(records::PHOTOS).and_then(|id| id.parse::<PhotoId>().ok()) else {
+            self.audit.unread.push(format!("the record {name}: its name is no photo's"));
+            return Ok(());
+        };
+        let unread = self.audit.unread.len();
+        let Some(photo) = self.record::<Photo>(name)? else {
+            // one that was deleted meanwhile has nothing that is wanted
+            if self.audit.unread.len() > unread {
+                wanted.unknown.insert(id);
+            }
+            return Ok(());
+        };
+        self.audit.photos += 1;
+        let (end_name, marker) = (End::name(id, &photo.making), Marker::name_of(id, &photo.making));
+        let end = self.record::<End>(&end_name)?;
+        if self.audit.unread.len() > unread {
+            wanted.unknown.insert(id);
+            return Ok(());
+        }
+        let mut blobs = vec![records::blob(id, &photo.source, Part::Upload)];
+        blobs.extend(photo.accepted.depth_bytes.map(|_| records::blob(id, &photo.source, Part::Depth)));
+        blobs.extend(photo.strokes.clone());
+        match &end {
+            Some(End { outcome: outcome::End::Done(_), blobs: of, .. }) => {
+                self.audit.done += 1;
+                blobs.extend([Part::Atlas, Part::Disparity, Part::Thumbnail, Part::Report].map(|part| format!("{of}.{}", part.name())));
+            }
+            Some(_) => self.audit.failed += 1,
+            None => {
+                self.audit.pending += 1;
+                if self.is_old(&photo.making) {
+                    self.audit.overdue.push(name.to_owned());
+                }
+                self.record::<Marker>(&marker)?;
+                if !there.contains(marker.as_str()) && self.ledger.get(&marker)?.is_none() && self.ledger.get(&end_name)?.is_none() {
+                    self.audit.unmarked.push(name.to_owned());
+                }
+                wanted.open.insert((id, photo.making.clone()));
+                wanted.open.extend(photo.before.map(|before| (id, before)));
+                wanted.names.insert(marker);
+            }
+        }
+        wanted.names.insert(end_name);
+        for blob in blobs {
+            if !there.contains(blob.as_str()) && !self.ledger.page(&records::blobs(id), None, PAGE)?.contains(&blob) {
+                self.audit.missing.push(blob.clone());
+            }
+            wanted.names.insert(blob);
+        }
+        Ok(())
+    }
+
+    /// Looks at a record or blob that no photo leads to.
+    fn other(&mut self, name: &str, wanted: &Wanted) -> io::Result<()> {
+        let Some((id, making)) = owner(name) else {
+            self.audit.unread.push(format!("{name}: its name is none of this program's"));
+            return Ok(());
+        };
+        let is_open = wanted.open.iter().any(|(of, open)| *of == id && making.starts_with(open.as_str()));
+        if wanted.unknown.contains(&id) || is_open || !self.is_old(making) {
+            return Ok(());
+        }
+        let unread = self.audit.unread.len();
+        if name.starts_with(records::ENDS) {
+            self.record::<End>(name)?;
+        } else if name.starts_with(records::PENDING) {
+            self.record::<Marker>(name)?;
+        }
+        if self.audit.unread.len() == unread {
+            self.audit.left_over.push(name.to_owned());
+        }
+        Ok(())
+    }
+
+    fn is_old(&self, making: &str) -> bool {
+        making.get(..TIME).and_then(|ms| ms.parse::<u64>().ok()).is_some_and(|ms| ms < self.before_ms)
+    }
+}
+
+/// Photo and making of which a record or blob is; of a blob with who made it.
+fn owner(name: &str) -> Option<(PhotoId, &str)> {
+    let (folder, rest) = name.split_once('/')?;
+    let (id, making) = match folder {
+        "pending" => rest.rsplit_once('.').map(|(making, id)| (id, making))?,
+        "ends" => rest.split_once('.')?,
+        _ => {
+            let (id, rest) = rest.split_once('/')?;
+            (id, rest.split_once('.')?.0)
+        }
+    };
+    Some((id.parse().ok()?, making))
+}

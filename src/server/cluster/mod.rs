@@ -1,0 +1,420 @@
+//! Several nodes on one store: what was accepted and what was made lies in the store, which is the truth; a queue is a
+//! hint and may lose everything. What a node has on its own disk and in its index are copies.
+
+mod audit;
+mod claim;
+mod folder;
+mod local;
+mod look;
+mod objects;
+mod ports;
+mod records;
+mod work;
+
+use std::collections::{HashMap, HashSet};
+use std::hash::{BuildHasher, RandomState};
+use std::io;
+use std::path::Path;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use super::id::PhotoId;
+use super::limits::Limits;
+use super::part::Part;
+use super::records::Accepted;
+use super::settings::Settings;
+use super::store::{Origin, digest};
+use super::time::now_ms;
+use claim::Sightings;
+use ports::{Blobs, Hint, Ledger, Queue, Tag, unreachable};
+use records::{End, Marker, Photo};
+
+pub use audit::{Audit, audit};
+pub use look::{Seen, keep_up};
+pub use work::work;
+
+/// What a node does.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
+pub enum Role {
+    /// Answers requests and makes photos.
+    #[default]
+    All,
+    /// Answers requests; other nodes make photos.
+    Serve,
+    /// Makes photos; answers questions about its health alone.
+    Work,
+}
+
+/// What a node shares with others.
+#[derive(Clone, Debug)]
+pub struct Sharing {
+    /// `s3://BUCKET/PREFIX` or `file:///FOLDER`.
+    pub store: String,
+    /// What this node does.
+    pub role: Role,
+}
+
+/// Age at which what is known of a photo is looked up again, while it is being made and once it has ended.
+const FRESH: Duration = Duration::from_millis(500);
+const FRESH_ENDED: Duration = Duration::from_secs(5);
+/// Locks of photos.
+const LOCKS: usize = 64;
+
+/// What is known here of a photo.
+#[derive(Clone, Debug)]
+struct Known {
+    photo: Photo,
+    tag: Tag,
+    end: Option<End>,
+    looked: Instant,
+}
+
+/// A node among others.
+#[derive(Debug)]
+pub struct Cluster {
+    blobs: Arc<dyn Blobs>,
+    ledger: Arc<dyn Ledger>,
+    queue: Arc<dyn Queue>,
+    node: String,
+    next: AtomicU64,
+    known: Mutex<HashMap<PhotoId, Known>>,
+    /// Versions of photos that are damaged in the store, as this node found.
+    damaged: Mutex<HashMap<PhotoId, String>>,
+    /// Held while a photo is looked up, so that nothing older is taken for newer.
+    looking: [Mutex<()>; LOCKS],
+    /// When the store could not be reached last, until it answers.
+    away: Mutex<Option<Instant>>,
+    listing: Mutex<()>,
+    listed: Mutex<Option<Instant>>,
+    sightings: Mutex<Sightings>,
+    /// The marker that was looked at last.
+    cursor: Mutex<String>,
+    /// Makings of which no marker was seen.
+    unmarked: Mutex<HashSet<(PhotoId, String)>>,
+    makes: bool,
+    lease: Duration,
+    sweep: Duration,
+}
+
+impl Cluster {
+    /// Connects with the others; a store that cannot be reached now may come later. Called within a runtime.
+    ///
+    /// # Errors
+    /// The addresses are not understood, or a folder cannot be made.
+    pub fn open(sharing: &Sharing, limits: &Limits) -> io::Result<Self> {
+        let (blobs, ledger) = ports_at(&sharing.store)?;
+        let node = format!("{:016x}", RandomState::new().hash_one(std::process::id()));
+        let makes = sharing.role != Role::Serve;
+        let queue: Arc<dyn Queue> = if makes { Arc::new(local::LocalQueue::default()) } else { Arc::new(local::Idle) };
+        Ok(Self {
+            blobs,
+            ledger,
+            queue,
+            node,
+            next: AtomicU64::new(0),
+            known: Mutex::default(),
+            damaged: Mutex::default(),
+            looking: [const { Mutex::new(()) }; LOCKS],
+            away: Mutex::default(),
+            listing: Mutex::default(),
+            listed: Mutex::default(),
+            sightings: Mutex::default(),
+            cursor: Mutex::default(),
+            unmarked: Mutex::default(),
+            makes,
+            lease: limits.lease,
+            // often enough to see whether a lease is kept
+            sweep: limits.sweep.min(limits.lease / 4),
+        })
+    }
+
+    fn known(&self) -> MutexGuard<'_, HashMap<PhotoId, Known>> {
+        lock(&self.known)
+    }
+
+    /// A name that no other making has; later ones are greater.
+    fn making(&self) -> String {
+        format!("{:013}-{}-{}", now_ms(), self.node, self.next.fetch_add(1, Ordering::Relaxed))
+    }
+
+    fn looking(&self, id: PhotoId) -> MutexGuard<'_, ()> {
+        lock(&self.looking[lock_of(id)])
+    }
+
+    /// Whether the store can be reached.
+    ///
+    /// # Errors
+    /// Why not.
+    pub fn check(&self) -> io::Result<()> {
+        self.heard(self.ledger.page(records::PENDING, None, 1)).map(drop)
+    }
+
+    /// Remembers whether the store answered.
+    fn heard<T>(&self, answer: io::Result<T>) -> io::Result<T> {
+        let away = answer.as_ref().is_err_and(|e| e.kind() == io::ErrorKind::HostUnreachable);
+        *lock(&self.away) = away.then(Instant::now);
+        answer
+    }
+
+    /// True from when the store could not be reached until it answers: where that can wait it is not asked meanwhile. Sweeps ask it.
+    pub fn is_away(&self) -> bool {
+        lock(&self.away).is_some()
+    }
+
+    /// Reads what the store has of a photo.
+    fn look(&self, id: PhotoId) -> io::Result<Option<Known>> {
+        self.heard(self.look_up(id))
+    }
+
+    fn look_up(&self, id: PhotoId) -> io::Result<Option<Known>> {
+        let name = Photo::name(id);
+        let Some((bytes, tag)) = self.ledger.get(&name)? else {
+            self.known().remove(&id);
+            return Ok(None);
+        };
+        let photo: Photo = records::read(&name, &bytes)?;
+        let before = self.known().get(&id).filter(|known| known.photo.making == photo.making).and_then(|known| known.end.clone());
+        let end = if before.is_some() {
+            // it does not change any more
+            before
+        } else {
+            let name = End::name(id, &photo.making);
+            self.ledger.get(&name)?.map(|(bytes, _)| records::read(&name, &bytes)).transpose()?
+        };
+        let known = Known { photo, tag, end, looked: Instant::now() };
+        self.known().insert(id, known.clone());
+        Ok(Some(known))
+    }
+
+    /// True where what is known of a photo need not be looked up again.
+    pub fn is_fresh(&self, id: PhotoId) -> bool {
+        let away = self.is_away();
+        self.known().get(&id).is_some_and(|known| {
+            let most = if known.end.is_some() { FRESH_ENDED } else { FRESH };
+            away || known.looked.elapsed() < most
+        })
+    }
+
+    /// Has a photo looked up again when it is asked for next.
+    fn stale(&self, id: PhotoId) {
+        if let Some(known) = self.known().get_mut(&id)
+            && let Some(long_ago) = known.looked.checked_sub(FRESH_ENDED)
+        {
+            known.looked = long_ago;
+        }
+    }
+
+    /// Keeps an upload in the store; when this returns, it is accepted. False where the photo was there already.
+    ///
+    /// # Errors
+    /// The store cannot be reached: nothing was accepted, as far as is known.
+    pub fn accept(&self, id: PhotoId, accepted: &Accepted, settings: &Settings, parts: Vec<(Part, Vec<u8>)>) -> io::Result<bool> {
+        self.heard(self.accept_in(id, accepted, settings, parts))
+    }
+
+    fn accept_in(&self, id: PhotoId, accepted: &Accepted, settings: &Settings, parts: Vec<(Part, Vec<u8>)>) -> io::Result<bool> {
+        let making = self.making();
+        for (part, bytes) in parts {
+            self.blobs.put(&records::blob(id, &making, part), bytes)?;
+        }
+        let (accepted, settings, source) = (accepted.clone(), settings.clone(), making.clone());
+        let photo = Photo { version: records::VERSION, accepted, settings, source, making: making.clone(), before: None, strokes: None };
+        // the marker first: what is accepted without one nobody would make
+        let hint = self.mark(id, &making)?;
+        let created = self.ledger.create(&Photo::name(id), &serde_json::to_vec_pretty(&photo)?)?;
+        // an answer that was lost on its way may have been tried again, against its own outcome
+        let ours = created || self.look_up(id)?.is_some_and(|known| known.photo.making == making);
+        if ours {
+            self.queue.push(&hint);
+            self.stale(id);
+        } else {
+            self.discard(id, std::slice::from_ref(&making), &[]);
+            self.ledger.remove(&hint.marker)?;
+        }
+        Ok(ours)
+    }
+
+    /// Marks a making as pending.
+    fn mark(&self, id: PhotoId, making: &str) -> io::Result<Hint> {
+        let marker = Marker::new(id, making);
+        let name = marker.name();
+        self.ledger.create(&name, &serde_json::to_vec_pretty(&marker)?)?;
+        Ok(Hint { marker: name })
+    }
+
+    /// Has a photo made again, with other strokes where those are given; false where it was changed or deleted meanwhile.
+    ///
+    /// # Errors
+    /// The store cannot be reached.
+    pub fn again(&self, id: PhotoId, strokes: Option<Vec<u8>>) -> io::Result<bool> {
+        let Some(Known { mut photo, tag, .. }) = self.known().get(&id).cloned() else { return Ok(false) };
+        let making = self.making();
+        if let Some(bytes) = strokes {
+            let name = records::blob(id, &making, Part::Strokes);
+            self.blobs.put(&name, bytes)?;
+            photo.strokes = Some(name);
+        }
+        let hint = self.mark(id, &making)?;
+        photo.before = Some(std::mem::replace(&mut photo.making, making));
+        let swapped = self.swap(id, &tag, &photo)?;
+        if swapped {
+            self.queue.push(&hint);
+        } else {
+            self.ledger.remove(&hint.marker)?;
+        }
+        Ok(swapped)
+    }
+
+    /// Sets what a photo's owner wants of viewers; false where the photo was changed or deleted meanwhile.
+    ///
+    /// # Errors
+    /// The store cannot be reached.
+    pub fn set(&self, id: PhotoId, settings: &Settings) -> io::Result<bool> {
+        let Some(Known { mut photo, tag, .. }) = self.known().get(&id).cloned() else { return Ok(false) };
+        photo.settings = settings.clone();
+        self.swap(id, &tag, &photo)
+    }
+
+    fn swap(&self, id: PhotoId, seen: &Tag, photo: &Photo) -> io::Result<bool> {
+        let swapped = self.heard(self.write_over(&Photo::name(id), seen, &serde_json::to_vec_pretty(photo)?))?;
+        self.stale(id);
+        Ok(swapped.is_some())
+    }
+
+    /// Writes a record in place of what was seen, and gives its tag; none where it is another by now.
+    fn write_over(&self, name: &str, seen: &Tag, bytes: &[u8]) -> io::Result<Option<Tag>> {
+        if let Some(tag) = self.ledger.swap(name, seen, bytes)? {
+            return Ok(Some(tag));
+        }
+        // what is there tells: a write that was tried again may have met its own outcome
+        Ok(self.ledger.get(name)?.filter(|(now, _)| now == bytes).map(|(_, tag)| tag))
+    }
+
+    /// Keeps what was uploaded once more: what the store has of it may be damaged.
+    ///
+    /// # Errors
+    /// The store cannot be reached.
+    pub fn heal(&self, id: PhotoId, parts: Vec<(Part, Vec<u8>)>) -> io::Result<()> {
+        let Some(Known { photo, .. }) = self.known().get(&id).cloned() else { return Ok(()) };
+        parts.into_iter().try_for_each(|(part, bytes)| self.heard(self.blobs.put(&records::blob(id, &photo.source, part), bytes)))
+    }
+
+    /// Remembers that what was made of a photo is damaged in the store.
+    pub fn note_damage(&self, id: PhotoId) {
+        if let Some(version) = self.version(id) {
+            lock(&self.damaged).insert(id, version);
+        }
+    }
+
+    fn is_damaged(&self, id: PhotoId) -> bool {
+        self.version(id).is_some_and(|version| lock(&self.damaged).get(&id) == Some(&version))
+    }
+
+    /// Removes a photo from the store: its record first, so that it is gone when this returns, whatever is left of the rest.
+    ///
+    /// # Errors
+    /// The store cannot be reached.
+    pub fn remove(&self, id: PhotoId) -> io::Result<()> {
+        let known = self.look(id)?;
+        self.heard(self.ledger.remove(&Photo::name(id)))?;
+        self.known().remove(&id);
+        let Some(Known { photo, .. }) = known else { return Ok(()) };
+        let makings: Vec<String> = [Some(photo.source), Some(photo.making), photo.before].into_iter().flatten().collect();
+        for making in &makings {
+            for record in [Marker::name_of(id, making), End::name(id, making)] {
+                if let Err(error) = self.ledger.remove(&record) {
+                    tracing::warn!(%id, record, %error, "left behind of a deleted photo");
+                }
+            }
+        }
+        self.discard(id, &makings, &[]);
+        if let Some(strokes) = photo.strokes {
+            let _ = self.blobs.discard(&strokes);
+        }
+        Ok(())
+    }
+
+    /// Removes the blobs of makings, without those to `keep`; what cannot be removed stays behind.
+    fn discard(&self, id: PhotoId, makings: &[String], keep: &[&str]) {
+        let folder = records::blobs(id);
+        let is_of = |name: &str, making: &String| {
+            let rest = name.strip_prefix(&folder).and_then(|name| name.strip_prefix(making.as_str()));
+            rest.is_some_and(|rest| rest.starts_with(['.', '-']))
+        };
+        let of = |name: &str| makings.iter().any(|making| is_of(name, making));
+        let removed = self.ledger.page(&folder, None, 1000).and_then(|names| {
+            for name in names.iter().filter(|name| of(name) && !keep.contains(&name.as_str())) {
+                self.blobs.discard(name)?;
+            }
+            Ok(())
+        });
+        if let Err(error) = removed {
+            tracing::warn!(%id, %error, "blobs are left behind");
+        }
+    }
+}
+
+/// Blobs and ledger of a store.
+fn ports_at(store: &str) -> io::Result<(Arc<dyn Blobs>, Arc<dyn Ledger>)> {
+    match store.split_once("://") {
+        Some(("s3", place)) => {
+            let (bucket, prefix) = place.split_once('/').unwrap_or((place, ""));
+            let objects = Arc::new(objects::Objects::open(bucket, prefix)?);
+            Ok((objects.clone(), objects))
+        }
+        Some(("file", path)) => {
+            let folder = Arc::new(folder::Folder::open(Path::new(path))?);
+            Ok((folder.clone(), folder))
+        }
+        _ => Err(io::Error::new(io::ErrorKind::InvalidInput, "a store is s3://BUCKET/PREFIX or file:///FOLDER")),
+    }
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Which lock is a photo's.
+fn lock_of(id: PhotoId) -> usize {
+    id.to_string().bytes().fold(0, |sum: usize, byte| sum.wrapping_mul(31).wrapping_add(byte.into())) % LOCKS
+}
+
+impl Origin for Cluster {
+    fn fetch(&self, id: PhotoId, part: Part) -> io::Result<Vec<u8>> {
+        let none = || io::Error::from(io::ErrorKind::NotFound);
+        if self.is_away() {
+            return Err(unreachable("it could not be reached just now"));
+        }
+        let known = self.known().get(&id).cloned().ok_or_else(none)?;
+        let name = match part {
+            Part::Upload | Part::Depth => records::blob(id, &known.photo.source, part),
+            Part::Strokes => known.photo.strokes.ok_or_else(none)?,
+            Part::Report | Part::Atlas | Part::Disparity | Part::Thumbnail => {
+                format!("{}.{}", known.end.as_ref().ok_or_else(none)?.blobs, part.name())
+            }
+            Part::Options | Part::State | Part::Settings => return Err(none()),
+        };
+        let bytes = self.heard(self.blobs.read(&name));
+        if bytes.as_ref().is_err_and(|error| error.kind() == io::ErrorKind::NotFound) {
+            // another node may have made it again
+            self.stale(id);
+        }
+        let bytes = bytes?;
+        let whole = match known.end.map(|end| end.outcome) {
+            Some(super::records::End::Done(done)) if part == Part::Atlas => digest(&bytes) == done.atlas_hash,
+            _ => true,
+        };
+        // as good as none
+        if whole { Ok(bytes) } else { Err(none()) }
+    }
+
+    fn version(&self, id: PhotoId) -> Option<String> {
+        let known = self.known();
+        let known = known.get(&id)?;
+        Some(format!("{} {}", known.photo.making, known.end.as_ref().map_or("", |end| &end.blobs)))
+    }
+}
+
+#[cfg(test)]
+mod tests;

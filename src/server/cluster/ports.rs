@@ -1,0 +1,102 @@
+//! What several nodes share, as ports: blobs and a ledger, which are the truth, and a queue, which only says whose turn it is.
+//!
+//! All of it blocks and is called from threads that may. A store that cannot be reached is told as [`unreachable`].
+
+use std::fmt::Debug;
+use std::io;
+use std::time::Duration;
+
+/// Files by name, written once and whole.
+pub trait Blobs: Debug + Send + Sync + 'static {
+    /// Keeps a blob, in place of one of that name; it is durable when this returns.
+    ///
+    /// # Errors
+    /// The store cannot be reached, or refuses.
+    fn put(&self, name: &str, bytes: Vec<u8>) -> io::Result<()>;
+
+    /// The bytes of a blob.
+    ///
+    /// # Errors
+    /// There is none ([`io::ErrorKind::NotFound`]), or the store cannot be reached.
+    fn read(&self, name: &str) -> io::Result<Vec<u8>>;
+
+    /// Removes a blob; one that is not there is removed already.
+    ///
+    /// # Errors
+    /// The store cannot be reached.
+    fn discard(&self, name: &str) -> io::Result<()>;
+}
+
+/// Which content of a record was read.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Tag(pub String);
+
+/// Small records by name, each changed only by who has seen what it holds.
+pub trait Ledger: Debug + Send + Sync + 'static {
+    /// Writes a record where there is none; false where there is one. Of any number who try at a time one succeeds.
+    ///
+    /// # Errors
+    /// The store cannot be reached; whether the record is there then is unknown.
+    fn create(&self, name: &str, bytes: &[u8]) -> io::Result<bool>;
+
+    /// A record with its tag.
+    ///
+    /// # Errors
+    /// The store cannot be reached.
+    fn get(&self, name: &str) -> io::Result<Option<(Vec<u8>, Tag)>>;
+
+    /// Writes a record in place of what was read as `seen`, and gives its tag; none where it is another by now, or gone. A store that
+    /// lost its answer on the way may have written, and say none.
+    ///
+    /// # Errors
+    /// As [`Ledger::create`].
+    fn swap(&self, name: &str, seen: &Tag, bytes: &[u8]) -> io::Result<Option<Tag>>;
+
+    /// Removes a record; one that is not there is removed already.
+    ///
+    /// # Errors
+    /// The store cannot be reached.
+    fn remove(&self, name: &str) -> io::Result<()>;
+
+    /// At most `limit` names of records or blobs within a folder (`folder/`), in order of their bytes, those after `after`.
+    ///
+    /// # Errors
+    /// The store cannot be reached.
+    fn page(&self, folder: &str, after: Option<&str>, limit: usize) -> io::Result<Vec<String>>;
+}
+
+/// A photo that waits, as queues carry it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Hint {
+    /// Name of its marker among what is pending.
+    pub marker: String,
+}
+
+/// Whose turn it is. It may lose hints and give them twice.
+pub trait Queue: Debug + Send + Sync + 'static {
+    /// Puts a photo behind the others.
+    fn push(&self, hint: &Hint);
+
+    /// True where it waits here or is worked on already.
+    fn has(&self, hint: &Hint) -> bool;
+
+    /// The next one; none where there is none within `wait`.
+    fn lease(&self, wait: Duration) -> Option<Box<dyn Lease>>;
+}
+
+/// A hint that was taken from a queue, which gives it to others where nothing is heard of it.
+pub trait Lease: Send + Sync {
+    /// The photo.
+    fn hint(&self) -> &Hint;
+    /// It is still worked on.
+    fn extend(&self);
+    /// It is done.
+    fn acknowledge(self: Box<Self>);
+    /// It is for others, after a while.
+    fn give_back(self: Box<Self>, delay: Duration);
+}
+
+/// The error of a store that cannot be reached now.
+pub fn unreachable(why: impl Into<Box<dyn std::error::Error + Send + Sync>>) -> io::Error {
+    io::Error::new(io::ErrorKind::HostUnreachable, why)
+}
