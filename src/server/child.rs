@@ -6,6 +6,7 @@
 mod frames;
 mod inside;
 
+use std::ffi::OsStr;
 use std::io::{self, Write};
 use std::process::{Child, ChildStdin, Command, Stdio};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
@@ -64,7 +65,16 @@ fn this_program() -> io::Result<Command> {
     let program = if cfg!(target_os = "linux") { "/proc/self/exe".into() } else { std::env::current_exe()? };
     let mut command = Command::new(program);
     command.args(std::env::args_os().skip(1)).env(VARIABLE, "1");
+    // whoever breaks a decoder is not to have the store as well
+    for (name, _) in std::env::vars_os().filter(|(name, _)| is_of_the_store(name)) {
+        command.env_remove(name);
+    }
     Ok(command)
+}
+
+/// Whether a variable is one by which the store is reached.
+fn is_of_the_store(name: &OsStr) -> bool {
+    name.as_encoded_bytes().starts_with(b"AWS_")
 }
 
 impl ProcessMaker {

@@ -109,7 +109,8 @@ fn a_photo_that_is_deleted_elsewhere_is_no_longer_made_and_one_that_is_made_agai
         let now = a.state(&other);
         now["state"] == "done" && now["version"] != made["version"]
     });
-    assert_eq!(get(worker.addr, &format!("/v1/photos/{other}/atlas")).status, 200);
+    // the node that made it may hear of it after others
+    wait_until("the worker has it, too", || get(worker.addr, &format!("/v1/photos/{other}/atlas")).status == 200);
 }
 
 /// Uploads with a depth map, so that no network is needed.

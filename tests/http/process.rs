@@ -182,6 +182,18 @@ fn ids(addr: SocketAddr) -> Vec<String> {
 }
 
 #[test]
+#[cfg(target_os = "linux")]
+fn processes_that_make_photos_do_not_get_the_keys_of_the_store() {
+    let dir = tempfile::tempdir().unwrap();
+    let server = Process::start_in(dir.path(), &[], &[("AWS_SECRET_ACCESS_KEY", "of-the-store"), ("TMPI_SEEN", "of-all")]);
+    wait_until("there is a process that makes photos", || server.maker().is_some());
+    let environment = || std::fs::read(format!("/proc/{}/environ", server.maker().unwrap())).unwrap();
+    // until it has become this program, it has the environment of the server
+    wait_until("its environment is there", || String::from_utf8_lossy(&environment()).contains("TMPI_SEEN=of-all"));
+    wait_until("without the keys", || !String::from_utf8_lossy(&environment()).contains("of-the-store"));
+}
+
+#[test]
 #[cfg(unix)]
 fn the_log_is_an_object_a_line_where_that_is_wanted() {
     let dir = tempfile::tempdir().unwrap();
