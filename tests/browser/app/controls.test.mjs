@@ -166,6 +166,7 @@ describe('every control', () => {
         assert.equal(await viewer((v) => v.pivot), 0.7);
       },
       'button: Begin with this view': async () => {
+        await until((v) => !v.moving); // home from the orbit
         await $('set-start').click();
         assert.deepEqual(await viewer((v) => v.settings.start), { x: 0, y: 0, z: 0 });
       },
