@@ -3,8 +3,8 @@
 use super::Samples;
 use super::lloyd::Histogram;
 
-/// Bins, at least this many and so many for each cluster: values within a bin count as one. Means stay exact, and at a boundary
-/// both centres are equally far, so the cost is off by the square of a bin only.
+/// Bins, at least this many and so many for each cluster: values within a bin count as one. Means stay exact; a boundary may lie
+/// a bin beside the best one, where both centres are nearly as far.
 const BINS: (usize, usize) = (256, 16);
 
 /// Optimal clusters of a tile for every count up to a bound.
