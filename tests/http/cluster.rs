@@ -66,6 +66,7 @@ fn one_node_takes_a_photo_another_makes_it_and_a_third_serves_it() {
     get(worker.addr, "/v1/photos").problem(404);
     gate.open(1);
     b.wait(&id, "done");
+    a.wait(&id, "done");
     assert!(followed.join().unwrap().contains("event: done"), "who follows it elsewhere is told");
     let path = |what: &str| format!("/v1/photos/{id}{what}");
     assert_eq!(get(b.addr, &path("/atlas")).body, expected_atlas, "the same bytes as one server alone makes");
