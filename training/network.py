@@ -129,7 +129,6 @@ class Decoder(nn.Module):
                 x = part(x)
         return self.head(x)
 
-
     def layers(self):
         """Convolutions in the order in which `graph.decoder` writes them, each with the BatchNorm that is folded into it there, or None."""
         joined = [(c, None) for c in (self.top[0], self.context[0], self.context[2])] + [tuple(self.mix[:2])]

@@ -149,13 +149,8 @@ fn literal(value: &str, option: &Arg) -> String {
     if matches!(option.get_action(), ArgAction::SetTrue) || whole {
         return value.to_owned();
     }
-    let shown = match value.split_once("://") {
-        Some((scheme, rest)) => match rest.rsplit_once('@') {
-            Some((_, host)) => format!("{scheme}://…@{host}"),
-            None => value.to_owned(),
-        },
-        None => value.to_owned(),
-    };
+    let address = value.split_once("://").and_then(|(scheme, rest)| Some((scheme, rest.rsplit_once('@')?.1)));
+    let shown = address.map_or_else(|| value.to_owned(), |(scheme, host)| format!("{scheme}://…@{host}"));
     // texts of JSON are texts of TOML
     serde_json::Value::String(shown).to_string()
 }

@@ -127,8 +127,8 @@ async fn look_up(app: &App, reads: bool, path: Option<String>) -> Result<(), Pro
             if reads && jobs.get(id).is_some() { Ok(()) } else { seen }
         }),
         None if path == "/v1/photos" && reads && !cluster.is_listed() => {
-            tokio::task::spawn_blocking(move || // what is known here is listed
-            cluster.list(&jobs).or(Ok(())))
+            // where the store is away, what is known here is listed
+            tokio::task::spawn_blocking(move || cluster.list(&jobs).or(Ok(())))
         }
         None => return Ok(()),
     };

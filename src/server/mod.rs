@@ -76,8 +76,9 @@ use tmpi_render::Renderer;
 
 use crate::live::{self, Rooms};
 
-/// Pause between two looks at the data directory.
+/// Pause between two looks at the data directory, and while something is amiss: photos are made as soon as it is mended.
 const PROBE: Duration = Duration::from_secs(2);
+const PROBE_AMISS: Duration = Duration::from_millis(500);
 /// Pause before it is looked again whether nobody waits for work.
 const LOOK_LATER: Duration = Duration::from_secs(1);
 
@@ -261,7 +262,7 @@ fn among(sharing: &Sharing, data: &Path, maker: Arc<dyn Maker>, limits: Arc<Limi
 async fn probe(app: App) {
     loop {
         look_at_disk(&app).await;
-        tokio::time::sleep(PROBE).await;
+        tokio::time::sleep(if app.storage().is_some() { PROBE_AMISS } else { PROBE }).await;
     }
 }
 

@@ -12,7 +12,7 @@ use super::jobs::Jobs;
 use super::maker::{Fault, Product};
 use super::options;
 use super::problem::Problem;
-use super::store::{self, Done, End, Failed, Part, State, digest};
+use super::store::{self, End, Failed, Part, State};
 use super::time::now_ms;
 use tmpi_pipeline::{Progress, Sink};
 
@@ -61,8 +61,7 @@ fn run(jobs: &Jobs, entry: &Arc<Entry>) -> &'static str {
         return "deleted";
     }
     if entry.attempts() >= jobs.limits.attempts {
-        let detail = format!("making this photo took down what made it {} times", entry.attempts());
-        return fail(jobs, entry, Problem::new(StatusCode::UNPROCESSABLE_ENTITY, "gave-up", detail));
+        return fail(jobs, entry, gave_up(entry.attempts()));
     }
     match make(jobs, entry, &AtomicBool::new(false)) {
         Ok(product) => keep(jobs, entry, &product),
@@ -71,6 +70,12 @@ fn run(jobs: &Jobs, entry: &Arc<Entry>) -> &'static str {
         Err(Fault::Server(reason)) => put_back(jobs, entry, reason),
         Err(Fault::Cancelled) => give_back(entry),
     }
+}
+
+/// Why a photo is not tried any more.
+pub(super) fn gave_up(attempts: u32) -> Problem {
+    let detail = format!("making this photo took down what made it {attempts} times");
+    Problem::new(StatusCode::UNPROCESSABLE_ENTITY, "gave-up", detail)
 }
 
 /// Makes a photo, until nobody wants it any more, or it is `lost` to another node.
@@ -111,13 +116,7 @@ fn keep(jobs: &Jobs, entry: &Arc<Entry>, product: &Product) -> &'static str {
     if entry.is_deleted() {
         return "deleted";
     }
-    let done = Done {
-        at_ms: now_ms(),
-        width: product.report.width,
-        height: product.report.height,
-        atlas_bytes: product.container.len() as u64,
-        atlas_hash: digest(&product.container),
-    };
+    let done = product.done();
     let state = State::new(entry.attempts(), Some(End::Done(done.clone())));
     let written = serde_json::to_vec(&product.report).map_err(std::io::Error::from).and_then(|report| {
         jobs.store.write(

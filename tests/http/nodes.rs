@@ -150,6 +150,25 @@ fn watch(mut viewer: Client, last: u64) -> (Got, Client) {
     }
 }
 
+/// Two nodes, of which one has the room `attic` with a frame in it, and the other knows it.
+struct Pair {
+    publisher: Publisher,
+    a: Running,
+    b: Running,
+    _data: [TempDir; 2],
+}
+
+impl Pair {
+    fn start(nats: &Nats) -> Self {
+        let data = [tempdir().unwrap(), tempdir().unwrap()];
+        let (a, b) = (nats.node(data[0].path(), "a"), nats.node(data[1].path(), "b"));
+        let mut publisher = Publisher::new(a.addr, "attic");
+        publisher.publish(frame(10));
+        known(b.addr, "attic");
+        Self { publisher, a, b, _data: data }
+    }
+}
+
 #[test]
 fn viewers_at_another_node_get_the_very_bytes() {
     // so small that each frame comes in parts
@@ -192,11 +211,7 @@ fn viewers_at_another_node_get_the_very_bytes() {
 #[test]
 fn a_node_that_the_owner_lost_sight_of_goes_on() {
     let Some(nats) = Nats::start(1 << 20) else { return };
-    let (one, two) = (tempdir().unwrap(), tempdir().unwrap());
-    let (a, b) = (nats.node(one.path(), "a"), nats.node(two.path(), "b"));
-    let mut publisher = Publisher::new(a.addr, "attic");
-    publisher.publish(frame(10));
-    known(b.addr, "attic");
+    let Pair { mut publisher, a: _a, b, _data } = Pair::start(&nats);
     let mut viewer = Client::watch(b.addr, "attic");
     while !matches!(viewer.next(), Some(Kind::Video(v)) if v.frame == 0) {}
     let leaving = format!(r#"{{"version":1,"node":"{}","rooms":[],"watched":[],"leaving":true}}"#, nats.id("b"));
@@ -324,11 +339,7 @@ impl Drop for Killed {
 #[test]
 fn without_nats_rooms_go_on_for_those_who_are_here() {
     let Some(mut nats) = Nats::start(1 << 20) else { return };
-    let (one, two) = (tempdir().unwrap(), tempdir().unwrap());
-    let (a, b) = (nats.node(one.path(), "a"), nats.node(two.path(), "b"));
-    let mut publisher = Publisher::new(a.addr, "attic");
-    publisher.publish(frame(10));
-    known(b.addr, "attic");
+    let Pair { mut publisher, a, b, _data } = Pair::start(&nats);
     let (mut here, mut there) = (Client::watch(a.addr, "attic"), Client::watch(b.addr, "attic"));
     let until = |viewer: &mut Client, number: u64| loop {
         match viewer.next().expect("the viewer stays") {
@@ -365,11 +376,7 @@ fn without_nats_rooms_go_on_for_those_who_are_here() {
 #[test]
 fn garbage_older_epochs_and_too_much_are_left_out_and_counted() {
     let Some(nats) = Nats::start(8 << 20) else { return };
-    let (one, two) = (tempdir().unwrap(), tempdir().unwrap());
-    let (a, b) = (nats.node(one.path(), "a"), nats.node(two.path(), "b"));
-    let mut publisher = Publisher::new(a.addr, "attic");
-    publisher.publish(frame(10));
-    known(b.addr, "attic");
+    let Pair { mut publisher, a: _a, b, _data } = Pair::start(&nats);
     let mut viewer = Client::watch(b.addr, "attic");
     let hello = hello(&mut viewer);
     while !matches!(viewer.next(), Some(Kind::Video(v)) if v.frame == 0) {}

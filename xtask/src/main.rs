@@ -93,6 +93,10 @@ fn serve(args: &[String]) -> Result<(), Fault> {
 
 /// The tests; what the steps before them have fetched or installed must be found, so that no test is skipped for it.
 fn tests() -> Result<(), Fault> {
+    // theirs are skipped then, as they say
+    if command::output("python3", &["-c", "import moto.server"]).is_none() {
+        println!("no S3 server for tests: pip install 'moto[server]'");
+    }
     let mut command = cargo(&["test", "--workspace", "--release"]);
     if std::env::var_os(REQUIRE).is_none() {
         command.env(REQUIRE, REQUIRED);
@@ -104,29 +108,18 @@ fn tests() -> Result<(), Fault> {
 type Step = (&'static str, fn() -> Result<(), Fault>);
 
 /// What every change is held against.
-const STEPS: [Step; 9] = [
+const STEPS: [Step; 8] = [
     ("format", || run(cargo(&["fmt", "--all", "--check"]))),
     ("spelling", spelling::check),
     ("lint", || run(cargo(&["clippy", "--workspace", "--release", "--all-targets", "--all-features", "--", "-D", "warnings"]))),
     ("ONNX Runtime", runtime::fetch),
     ("tools", browser::tools),
-    ("engines", || {
-        engines();
-        Ok(())
-    }),
     ("pages", browser::check),
     ("tests", tests),
     ("browser", browser::test),
 ];
 /// What takes longer.
 const FULL: [Step; 2] = [("overflow", overflow), ("fuzz", || fuzz::fuzz(&[]))];
-
-/// What the tests of several nodes start; where it cannot be installed they are skipped, as they say.
-fn engines() {
-    if command::output("python3", &["-c", "import moto.server"]).is_none() {
-        println!("no S3 server for tests: pip install 'moto[server]'");
-    }
-}
 
 /// Unit tests of a program in which a sum that wraps is a fault.
 fn overflow() -> Result<(), Fault> {

@@ -15,8 +15,6 @@ use crate::server::part::Part;
 use crate::server::records as outcome;
 use crate::server::time::now_ms;
 
-/// Names of a page of a list.
-const PAGE: usize = 1000;
 /// Digits of the time that begins the name of a making, in milliseconds since 1970.
 const TIME: usize = 13;
 
@@ -90,11 +88,11 @@ impl Auditor {
         // what is there first, then what it is for: what comes meanwhile is not taken for left over
         let mut there = Vec::new();
         for folder in [records::ENDS, records::PENDING, records::BLOBS] {
-            there.extend(self.all(folder)?);
+            there.extend(self.ledger.all(folder)?);
         }
         let names: HashSet<&str> = there.iter().map(String::as_str).collect();
         let mut wanted = Wanted::default();
-        for name in self.all(records::PHOTOS)? {
+        for name in self.ledger.all(records::PHOTOS)? {
             self.photo(&name, &names, &mut wanted)?;
         }
         for name in there.iter().filter(|name| !wanted.names.contains(*name)) {
@@ -111,18 +109,6 @@ impl Auditor {
             }
         }
         Ok(self.audit)
-    }
-
-    fn all(&self, folder: &str) -> io::Result<Vec<String>> {
-        let mut names: Vec<String> = Vec::new();
-        loop {
-            let more = self.ledger.page(folder, names.last().map(String::as_str), PAGE)?;
-            let last = more.len() < PAGE;
-            names.extend(more);
-            if last {
-                return Ok(names);
-            }
-        }
     }
 
     /// A record; none where it is gone, or is not understood, which is told.
@@ -183,7 +169,7 @@ impl Auditor {
         }
         wanted.names.insert(end_name);
         for blob in blobs {
-            if !there.contains(blob.as_str()) && !self.ledger.page(&records::blobs(id), None, PAGE)?.contains(&blob) {
+            if !there.contains(blob.as_str()) && !self.ledger.all(&records::blobs(id))?.contains(&blob) {
                 self.audit.missing.push(blob.clone());
             }
             wanted.names.insert(blob);

@@ -15,8 +15,6 @@ const ORPHAN: Duration = Duration::from_hours(1);
 /// Pause after a fault of a server, doubled with each further one, and its longest.
 const REPAIR_MS: u64 = 500;
 const MOST_REPAIR_MS: u64 = 60_000;
-/// Names of a page of what is pending.
-const PAGE: usize = 1000;
 
 /// What a hint led to.
 pub enum Claim {
@@ -193,16 +191,7 @@ impl Cluster {
     /// # Errors
     /// The store cannot be reached.
     pub fn pending(&self) -> io::Result<Vec<String>> {
-        let mut names: Vec<String> = Vec::new();
-        loop {
-            let more = self.heard(self.ledger.page(records::PENDING, names.last().map(String::as_str), PAGE))?;
-            let last = more.len() < PAGE;
-            names.extend(more);
-            if last {
-                names.sort_unstable();
-                return Ok(names);
-            }
-        }
+        self.heard(self.ledger.all(records::PENDING))
     }
 
     /// Looks through what is `pending` and queues what is nobody's: the queue may have lost it, or the node that had it.

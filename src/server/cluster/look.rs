@@ -5,7 +5,7 @@ use std::io;
 use std::sync::{Arc, Weak};
 use std::time::{Duration, Instant};
 
-use super::ports::unreachable;
+use super::ports::{PAGE, unreachable};
 use super::records::{Marker, PHOTOS};
 use super::{Cluster, Known, lock};
 use crate::server::entry::Entry;
@@ -17,8 +17,6 @@ use crate::server::store::{Origin as _, Store};
 
 /// Pause between two looks at what is to be done.
 const TICK: Duration = Duration::from_millis(500);
-/// Names of a page of the list.
-const PAGE: usize = 1000;
 
 /// What the store says of a photo.
 pub struct Seen {

@@ -12,7 +12,7 @@ mod records;
 mod work;
 
 use std::collections::{HashMap, HashSet};
-use std::hash::{BuildHasher, RandomState};
+use std::hash::{BuildHasher, BuildHasherDefault, DefaultHasher, RandomState};
 use std::io;
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -343,7 +343,7 @@ impl Cluster {
             rest.is_some_and(|rest| rest.starts_with(['.', '-']))
         };
         let of = |name: &str| makings.iter().any(|making| is_of(name, making));
-        let removed = self.ledger.page(&folder, None, 1000).and_then(|names| {
+        let removed = self.ledger.all(&folder).and_then(|names| {
             for name in names.iter().filter(|name| of(name) && !keep.contains(&name.as_str())) {
                 self.blobs.discard(name)?;
             }
@@ -377,7 +377,7 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 
 /// Which lock is a photo's.
 fn lock_of(id: PhotoId) -> usize {
-    id.to_string().bytes().fold(0, |sum: usize, byte| sum.wrapping_mul(31).wrapping_add(byte.into())) % LOCKS
+    BuildHasherDefault::<DefaultHasher>::default().hash_one(id) as usize % LOCKS
 }
 
 impl Origin for Cluster {

@@ -6,6 +6,9 @@ use std::fmt::Debug;
 use std::io;
 use std::time::Duration;
 
+/// Names of a page of a list.
+pub const PAGE: usize = 1000;
+
 /// Files by name, written once and whole.
 pub trait Blobs: Debug + Send + Sync + 'static {
     /// Keeps a blob, in place of one of that name; it is durable when this returns.
@@ -63,6 +66,22 @@ pub trait Ledger: Debug + Send + Sync + 'static {
     /// # Errors
     /// The store cannot be reached.
     fn page(&self, folder: &str, after: Option<&str>, limit: usize) -> io::Result<Vec<String>>;
+
+    /// All names within a folder, in order of their bytes.
+    ///
+    /// # Errors
+    /// The store cannot be reached.
+    fn all(&self, folder: &str) -> io::Result<Vec<String>> {
+        let mut names: Vec<String> = Vec::new();
+        loop {
+            let more = self.page(folder, names.last().map(String::as_str), PAGE)?;
+            let last = more.len() < PAGE;
+            names.extend(more);
+            if last {
+                return Ok(names);
+            }
+        }
+    }
 }
 
 /// A photo that waits, as queues carry it.

@@ -6,8 +6,6 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use axum::http::StatusCode;
-
 use super::claim::{Claim, Held};
 use super::ports::Lease;
 use super::records::{self, End};
@@ -17,10 +15,9 @@ use crate::server::jobs::Jobs;
 use crate::server::maker::{Fault, Product};
 use crate::server::part::Part;
 use crate::server::problem::Problem;
-use crate::server::records::{Done, Failed};
-use crate::server::store::digest;
+use crate::server::records::Failed;
 use crate::server::time::now_ms;
-use crate::server::worker::{make, said};
+use crate::server::worker::{gave_up, make, said};
 
 /// Longest wait for a hint; then it is seen whether the server stops.
 const WAIT: Duration = Duration::from_secs(1);
@@ -135,8 +132,7 @@ fn beating<T>(cluster: &Cluster, held: &Held, lease: &dyn Lease, work: impl FnOn
 fn run(jobs: &Jobs, cluster: &Cluster, entry: &Arc<Entry>, held: &Held, lost: &AtomicBool) -> (&'static str, Then) {
     let attempts = held.marker().attempts;
     if attempts >= jobs.limits.attempts {
-        let detail = format!("making this photo took down what made it {attempts} times");
-        return fail(jobs, cluster, entry, held, Problem::new(StatusCode::UNPROCESSABLE_ENTITY, "gave-up", detail));
+        return fail(jobs, cluster, entry, held, gave_up(attempts));
     }
     match make(jobs, entry, lost) {
         Ok(product) => keep(jobs, cluster, entry, held, product),
@@ -175,13 +171,7 @@ fn put_back(jobs: &Jobs, cluster: &Cluster, entry: &Entry, held: &Held, reason: 
 }
 
 fn keep(jobs: &Jobs, cluster: &Cluster, entry: &Entry, held: &Held, product: Product) -> (&'static str, Then) {
-    let done = Done {
-        at_ms: now_ms(),
-        width: product.report.width,
-        height: product.report.height,
-        atlas_bytes: product.container.len() as u64,
-        atlas_hash: digest(&product.container),
-    };
+    let done = product.done();
     let report = match serde_json::to_vec(&product.report) {
         Ok(report) => report,
         Err(error) => return put_back(jobs, cluster, entry, held, format!("the report cannot be written: {error}")),
