@@ -7,4 +7,5 @@ pub mod export;
 #[doc(hidden)]
 pub mod fuzzing;
 pub mod live;
+mod nats;
 pub mod server;

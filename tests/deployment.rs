@@ -11,9 +11,9 @@ const CALLERS: [(&str, usize); 5] =
     [("Dockerfile", 1), ("compose.yaml", 1), ("compose.cluster.yaml", 2), ("tmpi.service", 1), ("kubernetes/deployment.yaml", 1)];
 /// Texts that name options in a sentence.
 const TEXTS: [&str; 3] = ["docker/README.md", "docker/prometheus/alerts.yaml", "docs/threat-model.md"];
-/// Options of cargo, kubectl, systemd-analyze and docker in them.
-const OF_OTHERS: [&str; 9] =
-    ["--release", "--workspace", "--test", "--offline", "--strict", "--build", "--build-arg", "--check", "--detach"];
+/// Options of `tmpi key`, cargo, kubectl, systemd-analyze and docker in them.
+const OF_OTHERS: [&str; 10] =
+    ["--scope", "--release", "--workspace", "--test", "--offline", "--strict", "--build", "--build-arg", "--check", "--detach"];
 /// Ends that a counter or a histogram has beside its name.
 const ENDS: [&str; 4] = ["_total", "_bucket", "_sum", "_count"];
 

@@ -79,10 +79,14 @@ impl From<anyhow::Error> for Unreached {
 /// Connects to a room by the address of its page or of the room itself. A token goes into a header: addresses are written into logs.
 async fn connect(room: &str, what: &str, token: Option<&str>) -> Result<Socket, Unreached> {
     let (room, own) = room.split_once(FRAGMENT).map_or((room, None), |(room, token)| (room, Some(token)));
-    let (host, path) = room.strip_prefix("http://").and_then(|r| r.split_once('/')).context("a room's address is http://HOST/live/ROOM")?;
+    let (socket, address) = match room.strip_prefix("https://") {
+        Some(address) => ("wss", Some(address)),
+        None => ("ws", room.strip_prefix("http://")),
+    };
+    let (host, path) = address.and_then(|a| a.split_once('/')).context("a room's address is https://HOST/live/ROOM, or http://")?;
     let path = path.trim_end_matches('/');
     let name = path.strip_suffix("/publish").unwrap_or(path).rsplit('/').next().unwrap_or_default();
-    let mut request = format!("ws://{host}/v1/live/{name}/{what}").into_client_request().context("a room's address")?;
+    let mut request = format!("{socket}://{host}/v1/live/{name}/{what}").into_client_request().context("a room's address")?;
     if let Some(token) = token.or(own) {
         request.headers_mut().insert(AUTHORIZATION, format!("Bearer {token}").parse().context("a token that is none")?);
     }

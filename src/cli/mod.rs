@@ -14,6 +14,7 @@ mod export;
 mod files;
 mod flags;
 mod info;
+mod key;
 mod live;
 mod live_client;
 mod live_publish;
@@ -55,6 +56,7 @@ enum Command {
     Gc(store::GcArgs),
     Models(models::ModelsArgs),
     Live(live::LiveArgs),
+    Key(key::KeyArgs),
     /// Write a completion script for a shell
     Completions {
         /// The shell
@@ -154,6 +156,7 @@ fn run(command: Command) -> anyhow::Result<()> {
         Command::Bench(args) => bench::run(&args),
         Command::Eval(args) => eval::run(&args),
         Command::Live(args) => live::run(&args),
+        Command::Key(args) => key::run(&args),
         Command::Completions { shell } => {
             let mut script = Vec::new();
             clap_complete::generate(shell, &mut Cli::command(), "tmpi", &mut script);

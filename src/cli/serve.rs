@@ -15,7 +15,7 @@ use sha2::{Digest as _, Sha256};
 
 use crate::live::{self, NatsAddress, Rooms};
 use crate::server::{
-    Better, Config, Limits, PipelineMaker, ProcessMaker, Role, Server, Sharing, VARIABLE, hex, make_for_a_server, stop_signal,
+    Better, Config, Limits, Nats, PipelineMaker, ProcessMaker, Role, Server, Sharing, Tls, VARIABLE, hex, make_for_a_server, stop_signal,
 };
 use tmpi_pipeline::Models;
 use tmpi_pipeline::networks::models::{self, download::Digest};
@@ -42,6 +42,12 @@ pub(super) struct ServeArgs {
     /// Address and port to listen on, or the port alone for this machine; port 0 takes a free one, 0.0.0.0:8080 lets others in
     #[arg(long, default_value = "127.0.0.1:8080", value_parser = address, value_name = "ADDR")]
     addr: SocketAddr,
+    /// Speak TLS: file of the certificate and those that signed it, in PEM; read again when it changes
+    #[arg(long, requires = "tls_key", value_name = "FILE")]
+    tls_cert: Option<PathBuf>,
+    /// File of its private key, in PEM
+    #[arg(long, requires = "tls_cert", value_name = "FILE")]
+    tls_key: Option<PathBuf>,
     /// Directory that keeps photos and what is made of them
     #[arg(long, default_value = "tmpi-data", value_name = "DIR")]
     data: PathBuf,
@@ -69,6 +75,12 @@ pub(super) struct ServeArgs {
     /// Let everybody who can reach the server list all photos, not only this machine's own user
     #[arg(long)]
     public_list: bool,
+    /// Whether to ask who comes: `open`, or `private`, where photos are their owners' alone (see `tmpi key`); private beyond loopback and with --host, else open
+    #[arg(long, value_enum, value_name = "WHO")]
+    access: Option<Access>,
+    /// Directory of the keys that `tmpi key` gives out, where it is not that of --data: of nodes that have the same keys
+    #[arg(long, value_name = "DIR")]
+    keys: Option<PathBuf>,
     /// What draws views
     #[arg(long, value_enum, default_value_t)]
     backend: Backend,
@@ -129,9 +141,17 @@ pub(super) struct ServeArgs {
     /// Milliseconds that the geometry of a room's frame may take
     #[arg(long, default_value_t = 30.0, value_name = "MS")]
     live_budget_ms: f64,
-    /// Share rooms with all nodes that are given the same NATS servers: nats://[USER:PASSWORD@]HOST:PORT, several separated by commas; tls:// for TLS
-    #[arg(long, value_delimiter = ',', conflicts_with = "no_live", value_name = "URL[,URL…]")]
+    #[arg(
+        long,
+        value_delimiter = ',',
+        value_name = "URL[,URL…]",
+        help = "Share rooms with all nodes that are given the same NATS servers, nats://[USER:PASSWORD@]HOST:PORT, or tls:// for TLS; \
+                nodes of a store begin photos at once by JetStream there, and see how others go on"
+    )]
     nats: Vec<NatsAddress>,
+    /// NATS servers that keep each word of a photo that waits; 3 where there are three, so that one may go
+    #[arg(long, requires = "nats", default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=5), value_name = "N")]
+    nats_replicas: u8,
     /// File with USER:PASSWORD, or a token, for those servers
     #[arg(long, requires = "nats", value_name = "FILE")]
     nats_login: Option<PathBuf>,
@@ -148,6 +168,15 @@ pub(super) struct ServeArgs {
     models: ModelFlags,
 }
 
+/// Whether to ask who comes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Access {
+    /// Nobody is asked.
+    Open,
+    /// Photos are their owners' alone.
+    Private,
+}
+
 /// Bytes that the key of tokens has at least.
 const LEAST_KEY: usize = 32;
 
@@ -162,16 +191,38 @@ impl ServeArgs {
             return Err(Usage(format!("--live-key: a key has {LEAST_KEY} bytes at least")).into());
         }
         let rooms = Rooms::new(live::Config { models: models.clone(), frame_ms: self.live_budget_ms, key });
+        Ok(Some(match self.nats()? {
+            Some(nats) => rooms.shared(nats),
+            None => rooms,
+        }))
+    }
+
+    /// How other nodes are reached; none where they are not.
+    fn nats(&self) -> anyhow::Result<Option<live::NodeConfig>> {
         if self.nats.is_empty() {
-            return Ok(Some(rooms));
+            return Ok(None);
         }
         let login = self.nats_login.as_deref().map(|file| files::read(file).map(|text| String::from_utf8_lossy(&text).into_owned()));
-        Ok(Some(rooms.shared(live::NodeConfig { servers: self.nats.clone(), login: login.transpose()?, name: self.node.clone() })))
+        Ok(Some(live::NodeConfig { servers: self.nats.clone(), login: login.transpose()?, name: self.node.clone() }))
+    }
+
+    /// Whether to ask who comes.
+    fn is_private(&self) -> bool {
+        // names are for those who come by a proxy
+        let usual = !self.addr.ip().is_loopback() || !self.hosts.is_empty();
+        self.access.map_or(usual, |access| access == Access::Private)
     }
 
     /// What the node shares with others; none where it is alone.
-    fn sharing(&self) -> Option<Sharing> {
-        self.store.clone().map(|store| Sharing { store, role: self.role })
+    fn sharing(&self) -> anyhow::Result<Option<Sharing>> {
+        let Some(store) = self.store.clone() else {
+            if self.no_live && !self.nats.is_empty() {
+                return Err(Usage("--nats: there is nothing to share with neither rooms nor a --store".into()).into());
+            }
+            return Ok(None);
+        };
+        let nats = self.nats()?.map(|at| Nats { at, replicas: usize::from(self.nats_replicas) });
+        Ok(Some(Sharing { store, role: self.role, nats }))
     }
 
     /// The limits that the arguments give.
@@ -225,7 +276,12 @@ fn node(text: &str) -> Result<String, String> {
 
 /// Serves until SIGTERM or SIGINT; prints the server's URL on stdout once it listens.
 pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
-    let limits = args.limits();
+    let (limits, private, sharing) = (args.limits(), args.is_private(), args.sharing()?);
+    if private && args.public_list {
+        let text = "--public-list is for --access open: with --access private, which is the default beyond loopback and with --host, \
+                    everybody is shown a list of their own photos";
+        return Err(Usage(text.into()).into());
+    }
     let settings = args.models.settings();
     let models = models::load(&settings)?;
     let rooms = args.rooms(&models)?;
@@ -240,19 +296,28 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
     #[cfg(unix)]
     open_files(u64::from(args.connections) + SPARE_FILES);
     let renderer = tmpi_render::select(args.backend).context("renderer")?;
-    let sharing = args.sharing();
     let better = BetterNetwork::of(&args.models, args.network_url, args.network_sha256);
     let maker = ProcessMaker::new(maker).with_better(better.map(|b| Box::new(b) as Box<dyn Better>));
-    let config = Config { addr: args.addr, data: args.data, pages: args.pages, hosts: args.hosts, public_list: args.public_list, limits };
+    if !private && !args.addr.ip().is_loopback() {
+        tracing::warn!(
+            "everybody who can reach the server may see and change every photo whose address they know; --access private asks who comes"
+        );
+    }
+    let ServeArgs { addr, data, pages, hosts, public_list, keys, tls_cert, tls_key, .. } = args;
+    let config = Config { addr, data, pages, hosts, public_list, private, keys, limits };
+    let tls = tls_cert.zip(tls_key).map(|(cert, key)| Tls::open(cert, key)).transpose().context("TLS")?;
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().thread_name("tmpi-http").build()?;
     runtime.block_on(async {
         let mut server = Server::bind_among(sharing, config, Arc::new(maker), renderer).await?;
         if let Some(rooms) = rooms {
             server = server.with_rooms(rooms);
         }
+        if let Some(tls) = tls {
+            server = server.with_tls(tls);
+        }
         let mut stdout = std::io::stdout();
         // whoever waits for this line may have gone
-        let _ = writeln!(stdout, "http://{}", server.addr()).and_then(|()| stdout.flush());
+        let _ = writeln!(stdout, "{}://{}", server.scheme(), server.addr()).and_then(|()| stdout.flush());
         let stop = async {
             stop_signal().await;
             // whoever asks twice does not want to wait
@@ -331,6 +396,14 @@ mod tests {
     }
 
     #[test]
+    fn who_comes_is_asked_beyond_loopback_and_under_another_name() {
+        let of = |args: &[&str]| Cli::try_parse_from([&["serve"], args].concat()).unwrap().serve.is_private();
+        assert!(!of(&[]) && !of(&["--addr", "[::1]:80"]), "on this machine all stays as it is");
+        assert!(of(&["--addr", "0.0.0.0:80"]) && of(&["--host", "photos.example"]) && of(&["--access", "private"]));
+        assert!(!of(&["--addr", "0.0.0.0:80", "--host", "photos.example", "--access", "open"]));
+    }
+
+    #[test]
     fn zero_workers_are_refused() {
         assert!(Cli::try_parse_from(["serve", "--workers", "0"]).is_err());
         assert!(Cli::try_parse_from(["serve", "--addr", "nowhere"]).is_err());
@@ -353,9 +426,19 @@ mod tests {
         let of = |args: &[&str]| Cli::try_parse_from([&["serve"], args].concat()).map(|c| (c.serve.nats.len(), c.serve.node)).ok();
         assert_eq!(of(&[]), Some((0, "tmpi".into())));
         assert_eq!(of(&["--nats", "nats://a:4222,b,tls://u:p@c:4223", "--node", "attic-1"]), Some((3, "attic-1".into())));
-        for wrong in [&["--nats", "http://a"][..], &["--nats", "a", "--node", "a.b"], &["--node", "a"], &["--nats", "a", "--no-live"]] {
+        let wrong = [&["--nats", "http://a"][..], &["--nats", "a", "--node", "a.b"], &["--node", "a"], &["--nats-replicas", "3"]];
+        for wrong in wrong.into_iter().chain([&["--nats", "a", "--nats-replicas", "6"][..]]) {
             assert_eq!(of(wrong), None, "{wrong:?}");
         }
+    }
+
+    #[test]
+    fn nats_is_for_rooms_and_for_what_is_in_a_store() {
+        let of = |args: &[&str]| Cli::try_parse_from([&["serve", "--nats", "a,b"], args].concat()).unwrap().serve.sharing();
+        assert!(of(&[]).unwrap().is_none());
+        assert!(of(&["--no-live"]).unwrap_err().is::<Usage>());
+        let shared = of(&["--no-live", "--store", "file:///s", "--nats-replicas", "3"]).unwrap().unwrap();
+        assert_eq!(shared.nats.map(|nats| (nats.at.servers.len(), nats.replicas)), Some((2, 3)));
     }
 
     #[test]

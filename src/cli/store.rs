@@ -5,13 +5,16 @@ use std::time::Duration;
 use anyhow::Context;
 
 use super::{note, result};
-use crate::server::{Audit, audit};
+use crate::server::{Audit, Remedy, audit};
 
 /// Check the store that several nodes share: whether all that belongs to each photo is there; they may run meanwhile
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct FsckArgs {
     #[command(flatten)]
     which: Which,
+    /// Mark again what waits and would never be made, as its marker is damaged or gone
+    #[arg(long)]
+    mend: bool,
 }
 
 /// Remove from the store that several nodes share what nothing leads to any more; they may run meanwhile
@@ -37,37 +40,39 @@ struct Which {
 }
 
 pub(super) fn fsck(args: &FsckArgs) -> anyhow::Result<()> {
-    let audit = look(&args.which, false)?;
+    let audit = look(&args.which, if args.mend { Remedy::Mend } else { Remedy::Tell })?;
     anyhow::ensure!(audit.is_sound(), "the store {} is not as it should be", args.which.store);
     Ok(())
 }
 
 pub(super) fn gc(args: &GcArgs) -> anyhow::Result<()> {
-    look(&args.which, !args.dry_run).map(drop)
+    look(&args.which, if args.dry_run { Remedy::Tell } else { Remedy::Remove }).map(drop)
 }
 
-fn look(which: &Which, remove: bool) -> anyhow::Result<Audit> {
+fn look(which: &Which, remedy: Remedy) -> anyhow::Result<Audit> {
     let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build()?;
     let _within = runtime.enter();
     let age = Duration::from_secs(3600 * u64::from(which.older_than));
-    let audit = audit(&which.store, age, remove).with_context(|| format!("store {}", which.store))?;
+    let audit = audit(&which.store, age, remedy).with_context(|| format!("store {}", which.store))?;
     for (what, names) in [
         ("overdue", &audit.overdue),
         ("not understood", &audit.unread),
         ("without a marker", &audit.unmarked),
+        ("with a damaged marker", &audit.damaged),
         ("missing", &audit.missing),
-        (if remove { "removed" } else { "left over" }, &audit.left_over),
+        (if remedy == Remedy::Remove { "removed" } else { "left over" }, &audit.left_over),
     ] {
         for name in names {
             note(&format!("{what}: {name}"));
         }
     }
-    let Audit { photos, done, failed, pending, removed, .. } = &audit;
+    let Audit { photos, done, failed, pending, removed, mended, folders, .. } = &audit;
     let text = format!(
-        "{photos} photos: {done} done, {failed} failed, {pending} pending ({} overdue, {} without a marker)\n\
-         {} not understood, {} missing, {} left over, {removed} removed",
+        "{photos} photos: {done} done, {failed} failed, {pending} pending ({} overdue, {} without a marker, {} with a damaged one, {mended} mended)\n\
+         {} not understood, {} missing, {} left over, {removed} and {folders} empty folders removed",
         audit.overdue.len(),
         audit.unmarked.len(),
+        audit.damaged.len(),
         audit.unread.len(),
         audit.missing.len(),
         audit.left_over.len(),

@@ -30,7 +30,7 @@ pub(super) struct RoomState {
 ///
 /// For pages, which cannot see why a WebSocket is refused. There need not be anybody in it.
 #[utoipa::path(
-    get, path = "/v1/live/{room}", tag = "live",
+    get, path = "/v1/live/{room}", tag = "live", operation_id = "room",
     params(
         ("room" = String, Path, description = "Name of the room: up to 64 letters, digits, - and _"),
         ("token" = Option<String>, Query, description = "Token for who watches or publishes here, if not as a bearer; this machine's own user needs none"),

@@ -33,6 +33,7 @@ use std::time::Duration;
 
 use tmpi_pipeline::Models;
 
+pub(crate) use access::check_origin;
 pub use access::{Role, token};
 pub use async_nats::ServerAddr as NatsAddress;
 use axum::extract::ws::{Message, WebSocket};

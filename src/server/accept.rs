@@ -10,29 +10,67 @@ use std::time::Duration;
 use axum::Router;
 use hyper::Request;
 use hyper::body::Incoming;
-use hyper::server::conn::http1;
+use hyper::header::{HOST, HeaderValue};
+use hyper::server::conn::{http1, http2};
 use hyper::service::{Service as _, service_fn};
-use hyper_util::rt::{TokioIo, TokioTimer};
+use hyper_util::rt::{TokioExecutor, TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
-use tokio::time::{Instant, Sleep};
+use tokio::time::{Instant, MissedTickBehavior, Sleep};
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
 use tokio_util::task::task_tracker::TaskTrackerToken;
 
 use super::limits::Limits;
 use super::share::{Share, Shares};
+use super::streams::{Look, PIECE, Streams, Watched};
 use super::telemetry::{Present, Telemetry};
+use super::tls::{self, Tls};
 
 /// Pause after the system has refused a connection, for example because no file descriptor is left.
 const BACK_OFF: Duration = Duration::from_millis(100);
 
+/// Streams of a connection of HTTP/2 at a time.
+const STREAMS: u32 = 64;
+/// Bytes of a body, and of all of a connection, that may come before they are read.
+const WINDOWS: (u32, u32) = (256 << 10, 1 << 20);
+/// Pause after which it is asked whether a silent client is there, and time that it has to say so.
+const PING: (Duration, Duration) = (Duration::from_secs(30), Duration::from_secs(20));
+/// Pause between two looks at the streams of a connection.
+const LOOK: Duration = Duration::from_secs(1);
+
+/// Where connections come in.
+pub struct Door {
+    /// What listens.
+    pub listener: TcpListener,
+    /// What is spoken there, if not plain HTTP.
+    pub tls: Option<Tls>,
+}
+
+/// How requests are read, by what was agreed on.
+#[derive(Clone)]
+struct Http {
+    one: http1::Builder,
+    two: http2::Builder<TokioExecutor>,
+}
+
+impl Http {
+    fn new(limits: &Limits) -> Self {
+        let (mut one, mut two) = (http1::Builder::new(), http2::Builder::new(TokioExecutor::new()));
+        one.timer(TokioTimer::new()).header_read_timeout(limits.header_read).max_header_size(Limits::HEADER_BYTES);
+        two.timer(TokioTimer::new()).max_header_list_size(Limits::HEADER_BYTES as u32).max_concurrent_streams(STREAMS);
+        two.initial_stream_window_size(WINDOWS.0).initial_connection_window_size(WINDOWS.1);
+        two.keep_alive_interval(PING.0).keep_alive_timeout(PING.1);
+        Self { one, two }
+    }
+}
+
 /// Serves connections until `stop`, then gives those that are open until `limits.drain` to end.
-pub async fn serve(listener: TcpListener, router: Router, limits: &Limits, telemetry: &Arc<Telemetry>, stop: &CancellationToken) {
-    let mut http = http1::Builder::new();
-    http.timer(TokioTimer::new()).header_read_timeout(limits.header_read).max_header_size(Limits::HEADER_BYTES);
+pub async fn serve(door: Door, router: Router, limits: &Arc<Limits>, telemetry: &Arc<Telemetry>, stop: &CancellationToken) {
+    let Door { listener, tls } = door;
+    let http = Http::new(limits);
     let room = Arc::new(Semaphore::new(limits.connections));
     let shares = Shares::new(limits.connections_per_address);
     let open = TaskTracker::new();
@@ -56,29 +94,19 @@ pub async fn serve(listener: TcpListener, router: Router, limits: &Limits, telem
             tracing::debug!(%peer, "an address has as many connections as it may");
             continue;
         };
-        let io = TokioIo::new(Timed::new(stream, limits.write, limits.write_rate));
-        let inner = TowerToHyperService::new(router.clone());
         let held = Held(Arc::new((permit, share, telemetry.connection(), open.token())));
-        let given = held.clone();
-        let service = service_fn(move |mut request: Request<Incoming>| {
-            request.extensions_mut().insert(Peer(peer));
-            request.extensions_mut().insert(given.clone());
-            inner.call(request)
-        });
-        let (connection, stop) = (http.serve_connection(io, service).with_upgrades(), stop.clone());
+        let stream = Timed::new(stream, limits.write, limits.write_rate);
+        let connection =
+            Connection { http: http.clone(), router: router.clone(), limits: Arc::clone(limits), peer, held, stop: stop.clone() };
+        let acceptor = tls.as_ref().map(Tls::acceptor);
         tokio::spawn(async move {
-            let mut connection = pin!(connection);
-            let ended = tokio::select! {
-                ended = connection.as_mut() => ended,
-                () = stop.cancelled() => {
-                    connection.as_mut().graceful_shutdown();
-                    connection.await
-                }
-            };
-            if let Err(error) = ended {
-                tracing::debug!(%error, "connection");
+            let Some(acceptor) = acceptor else { return connection.one(stream, None).await };
+            match tokio::time::timeout(connection.limits.header_read, acceptor.accept(stream)).await {
+                Ok(Ok(stream)) if stream.get_ref().1.alpn_protocol() == Some(tls::HTTP_2) => connection.two(stream).await,
+                Ok(Ok(stream)) => connection.one(stream, Some(Secure)).await,
+                Ok(Err(error)) => tracing::debug!(%error, %peer, "handshake"),
+                Err(_) => tracing::debug!(%peer, "a handshake takes too long"),
             }
-            drop(held);
         });
     }
     drop(listener);
@@ -88,6 +116,105 @@ pub async fn serve(listener: TcpListener, router: Router, limits: &Limits, telem
     }
 }
 
+/// A connection that was taken.
+struct Connection {
+    http: Http,
+    router: Router,
+    limits: Arc<Limits>,
+    peer: IpAddr,
+    held: Held,
+    stop: CancellationToken,
+}
+
+impl Connection {
+    /// Speaks HTTP/1.1.
+    async fn one<S: AsyncRead + AsyncWrite + Unpin + Send + 'static>(self, stream: S, secure: Option<Secure>) {
+        let inner = TowerToHyperService::new(self.router);
+        let (peer, given) = (self.peer, self.held.clone());
+        let service = service_fn(move |mut request: Request<Incoming>| {
+            request.extensions_mut().insert(Peer(peer));
+            request.extensions_mut().insert(given.clone());
+            if let Some(secure) = secure {
+                request.extensions_mut().insert(secure);
+            }
+            inner.call(request)
+        });
+        let mut connection = pin!(self.http.one.serve_connection(TokioIo::new(stream), service).with_upgrades());
+        let ended = tokio::select! {
+            ended = connection.as_mut() => ended,
+            () = self.stop.cancelled() => {
+                connection.as_mut().graceful_shutdown();
+                connection.await
+            }
+        };
+        if let Err(error) = ended {
+            tracing::debug!(%error, "connection");
+        }
+        drop(self.held);
+    }
+
+    /// Speaks HTTP/2, within TLS alone.
+    async fn two<S: AsyncRead + AsyncWrite + Unpin + Send + 'static>(self, stream: S) {
+        let streams = Streams::new();
+        let inner = TowerToHyperService::new(self.router);
+        let (peer, given, opened) = (self.peer, self.held.clone(), Arc::clone(&streams));
+        let service = service_fn(move |mut request: Request<Incoming>| {
+            let open = opened.open();
+            request.extensions_mut().insert(Peer(peer));
+            request.extensions_mut().insert(given.clone());
+            request.extensions_mut().insert(Secure);
+            name_host(&mut request);
+            let answer = inner.call(request);
+            async move { answer.await.map(|response| response.map(|body| Watched::new(body, open))) }
+        });
+        let mut connection = pin!(self.http.two.serve_connection(TokioIo::new(stream), service));
+        let mut look = tokio::time::interval(LOOK);
+        look.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        // what the transport may still have of answers that were given to it whole
+        let rest = Duration::from_secs_f64((2 * PIECE) as f64 / self.limits.write_rate.max(1) as f64);
+        let mut leaving = None;
+        let ended = loop {
+            tokio::select! {
+                ended = connection.as_mut() => break ended,
+                () = self.stop.cancelled(), if leaving.is_none() => {
+                    leaving = Some(Instant::now());
+                    connection.as_mut().graceful_shutdown();
+                }
+                _ = look.tick() => match (streams.look(std::time::Instant::now(), self.limits.write, self.limits.write_rate, self.limits.header_read), leaving) {
+                    (Look::Idle, None) => {
+                        leaving = Some(Instant::now());
+                        connection.as_mut().graceful_shutdown();
+                    }
+                    (Look::Idle, Some(since)) if since.elapsed() <= self.limits.write + rest => {}
+                    (Look::Stalled | Look::Idle, _) => {
+                        tracing::debug!(%peer, "the client does not take what it asked for");
+                        break Ok(());
+                    }
+                    (Look::Fine, _) => {}
+                }
+            }
+        };
+        if let Err(error) = ended {
+            tracing::debug!(%error, "connection");
+        }
+        drop(self.held);
+    }
+}
+
+/// Says the host of a request of HTTP/2 where those of HTTP/1.1 do.
+fn name_host(request: &mut Request<Incoming>) {
+    let named = request.uri().authority().and_then(|authority| HeaderValue::from_str(authority.as_str()).ok());
+    if let Some(named) = named
+        && !request.headers().contains_key(HOST)
+    {
+        request.headers_mut().insert(HOST, named);
+    }
+}
+
+/// A request that came by TLS.
+#[derive(Clone, Copy, Debug)]
+pub struct Secure;
+
 /// Who sends a request: the address at the other end of the connection, which is a proxy's where there is one.
 #[derive(Clone, Copy, Debug)]
 pub struct Peer(pub IpAddr);
@@ -95,6 +222,11 @@ pub struct Peer(pub IpAddr);
 /// What a connection holds of what there is a bounded number of: who goes on with it as a WebSocket holds this on.
 #[derive(Clone)]
 pub struct Held(#[expect(dead_code, reason = "held until it is dropped")] Arc<(OwnedSemaphorePermit, Share, Present, TaskTrackerToken)>);
+
+/// Bytes that the system keeps for a connection beyond what was sent: by itself it keeps up to 4 MB, which a viewer who stalls would be shown
+/// before what is live.
+#[cfg(target_os = "linux")]
+const UNSENT: u32 = 256 << 10;
 
 /// Errors of one connection, not of the system.
 fn is_of_the_client(error: &io::Error) -> bool {
@@ -108,6 +240,8 @@ async fn next(listener: &TcpListener, room: &Arc<Semaphore>) -> io::Result<(TcpS
     // answers are written in one go: waiting for more to send only adds delay
     // where that is not to be had, the client has gone: no reason to keep the next one waiting
     let _ = stream.set_nodelay(true);
+    #[cfg(target_os = "linux")]
+    let _ = socket2::SockRef::from(&stream).set_tcp_notsent_lowat(UNSENT);
     Ok((stream, peer.ip(), permit))
 }
 

@@ -14,12 +14,13 @@ use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 
 use super::Config;
+use super::access::Guard;
 use super::cache::Cache;
 use super::entry::{Entry, Status};
 use super::hosts::Hosts;
 use super::id::{PhotoId, hex};
 use super::identity;
-use super::jobs::Jobs;
+use super::jobs::{Jobs, Page};
 pub use super::kept::{Derived, Export, Full, Stored, Version};
 use super::limits::Limits;
 use super::network::Download;
@@ -40,6 +41,8 @@ pub type App = Arc<Shared>;
 
 /// Files up to this many bytes are kept in memory; larger ones are read while they are sent.
 const SMALL: usize = 256 << 10;
+/// Photos that are looked at at a time for whose they are.
+const LIST_PART: usize = 256;
 /// Memory of a decoded scene in bytes a pixel, measured on photographs and rounded up.
 const SCENE_BYTES: u64 = 13;
 
@@ -79,6 +82,8 @@ pub struct Shared {
     pub hosts: Hosts,
     /// Whether strangers may list photos.
     pub public_list: bool,
+    /// Who may have what; none where everybody may have everything.
+    pub guard: Option<Guard>,
     /// What the bytes of everything that is derived depend on besides the container: program and backend.
     pub build: String,
     /// Directory that replaces the embedded pages, for work on them.
@@ -97,7 +102,7 @@ impl Shared {
     /// Of a server that listens at `addr`.
     #[must_use]
     pub fn new(config: Config, addr: SocketAddr, jobs: Arc<Jobs>, renderer: Arc<dyn Renderer>, openapi: Bytes) -> Self {
-        let Config { addr: _, data: _, pages, hosts, public_list, limits: _ } = config;
+        let Config { addr: _, data: _, pages, hosts, public_list, private: _, keys: _, limits: _ } = config;
         let (limits, telemetry) = (Arc::clone(&jobs.limits), Arc::clone(&jobs.telemetry));
         Self {
             jobs,
@@ -118,6 +123,7 @@ impl Shared {
             renderer,
             hosts: Hosts::new(addr, &hosts),
             public_list,
+            guard: None,
             pages,
             openapi,
             rooms: OnceLock::new(),
@@ -151,13 +157,36 @@ impl Shared {
         changed.await.map_err(|e| Problem::internal("changing a photo", &e))
     }
 
-    /// The photo of a path.
+    /// The photo of a path, where whoever asks may have it.
     ///
     /// # Errors
     /// 404.
     pub fn photo(&self, id: &str) -> Result<Arc<Entry>, Problem> {
         let known = id.parse().ok().and_then(|id| self.jobs.get(id));
-        known.ok_or_else(|| Problem::not_found(format!("there is no photo {id:?}")))
+        let allowed = known.clone().filter(|entry| self.guard.as_ref().is_none_or(|guard| guard.allows(entry)));
+        // of what is not known here nothing can be said while the store is away; nor may more be said of what is another's
+        if allowed.is_none() && known.is_some() && self.jobs.cluster.as_ref().is_some_and(|cluster| cluster.is_away()) {
+            return Err(Problem::away());
+        }
+        allowed.ok_or_else(|| Problem::not_found(format!("there is no photo {id:?}")))
+    }
+
+    /// Photos behind `after`, newest first, that whoever asks may list; at most `limit`.
+    #[must_use]
+    pub fn list(&self, after: Option<(u64, PhotoId)>, limit: usize) -> Page {
+        let Some(guard) = &self.guard else { return self.jobs.list(after, limit) };
+        let (mut photos, mut after) = (Vec::new(), after);
+        loop {
+            // a part at a time, so that nobody waits for the list
+            let page = self.jobs.list(after, LIST_PART);
+            after = page.photos.last().map(|entry| entry.key());
+            photos.extend(page.photos.into_iter().filter(|entry| guard.allows(entry)));
+            if photos.len() > limit || !page.more {
+                let more = photos.len() > limit;
+                photos.truncate(limit);
+                return Page { photos, more };
+            }
+        }
     }
 
     /// What was made of a photo.

@@ -175,6 +175,19 @@ impl Entry {
         self.live.send_modify(|live| live.stages.push(stage));
     }
 
+    /// Tells listeners how another node goes on with it; nothing where it has ended.
+    pub fn follow(&self, stages: Vec<Progress>) {
+        self.live.send_if_modified(|live| {
+            let news = !live.status.is_final() && (live.status != Status::Working || live.stages != stages);
+            if news {
+                // neither of the two is counted
+                live.status = Status::Working;
+                live.stages = stages;
+            }
+            news
+        });
+    }
+
     /// Starts of the job so far.
     #[must_use]
     pub fn attempts(&self) -> u32 {

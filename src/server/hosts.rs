@@ -68,8 +68,13 @@ impl Hosts {
     }
 }
 
-/// `scheme://host` as whoever sent a request knows this server: by its `Host`, which [`Hosts::check`] has seen, and by what a proxy
-/// says of the scheme (`Forwarded`, RFC 7239, or `X-Forwarded-Proto`). None where there is no `Host` that is one.
+tokio::task_local! {
+    /// True where the request came by TLS.
+    pub static SECURE: bool;
+}
+
+/// `scheme://host` as whoever sent a request knows this server: by its `Host`, which [`Hosts::check`] has seen, by how the request
+/// came, and by what a proxy says of the scheme (`Forwarded`, RFC 7239, or `X-Forwarded-Proto`). None where there is no `Host` that is one.
 #[must_use]
 pub fn origin(headers: &HeaderMap) -> Option<String> {
     let host: Authority = headers.get(header::HOST)?.to_str().ok()?.parse().ok()?;
@@ -79,7 +84,8 @@ pub fn origin(headers: &HeaderMap) -> Option<String> {
     let forwarded = first("forwarded").into_iter().flat_map(|hop| hop.split(';')).filter_map(|pair| pair.split_once('='));
     let proto = forwarded.filter(|(name, _)| name.trim().eq_ignore_ascii_case("proto")).map(|(_, value)| value).next();
     let proto = proto.or_else(|| first("x-forwarded-proto")).map(|v| v.trim().trim_matches('"'));
-    let scheme = if proto.is_some_and(|p| p.eq_ignore_ascii_case("https")) { "https" } else { "http" };
+    let secure = proto.map_or_else(|| SECURE.try_with(|secure| *secure).unwrap_or(false), |p| p.eq_ignore_ascii_case("https"));
+    let scheme = if secure { "https" } else { "http" };
     let port = host.port_u16().map(|port| format!(":{port}")).unwrap_or_default();
     Some(format!("{scheme}://{}{port}", host.host()))
 }

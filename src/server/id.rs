@@ -12,6 +12,12 @@ use sha2::{Digest, Sha256};
 pub struct PhotoId([u8; 16]);
 
 impl PhotoId {
+    /// From its bytes.
+    #[must_use]
+    pub const fn from_bytes(bytes: [u8; 16]) -> Self {
+        Self(bytes)
+    }
+
     /// From the SHA-256 of the photo's bytes, of the depth map's bytes, the options in their canonical text, and the identity of the
     /// pipeline.
     #[must_use]

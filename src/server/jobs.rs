@@ -143,6 +143,7 @@ impl Jobs {
         }
         if let Some(cluster) = &jobs.cluster {
             cluster::keep_up(&jobs, cluster)?;
+            cluster::hear(&jobs, cluster)?;
         }
         for n in 0..workers {
             let jobs = Arc::clone(&jobs);

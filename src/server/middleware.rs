@@ -7,17 +7,18 @@ use std::time::Instant;
 
 use axum::body::Body;
 use axum::extract::{MatchedPath, Request, State};
-use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode, header};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode, Version, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use futures_util::FutureExt;
 use tracing::Instrument;
 
-use super::accept::Peer;
+use super::accept::{Peer, Secure};
 use super::app::App;
 use super::body::Guarded;
 use super::clock::Clock;
 use super::conditional::insert;
+use super::hosts::SECURE;
 use super::id::PhotoId;
 use super::pages::RESOURCE_POLICY;
 use super::problem::Problem;
@@ -41,7 +42,9 @@ pub async fn around(State(app): State<App>, request: Request, next: Next) -> Res
     let asker = peer.filter(|ip| !ip.to_canonical().is_loopback());
     let peer = peer.map(|ip| ip.to_string()).unwrap_or_default();
     let span = tracing::info_span!("request", id, peer, %method, path);
-    let mut response = ASKER.scope(asker, answer(&app, request, next).instrument(span.clone())).await;
+    let secure = request.extensions().get::<Secure>().is_some();
+    let answered = answer(&app, request, next).instrument(span.clone());
+    let mut response = ASKER.scope(asker, SECURE.scope(secure, answered)).await;
     let response_id = HeaderValue::from_str(&id);
     response = finish(response, id).await;
     let took = start.elapsed();
@@ -76,12 +79,15 @@ async fn answer(app: &App, request: Request, next: Next) -> Response {
         request.headers_mut().remove(header::RANGE);
     }
     request.extensions_mut().insert(clock.clone());
+    // streams of HTTP/2 end each by itself
+    let closes = request.version() < Version::HTTP_2;
     let (reads, path) = (matches!(*request.method(), Method::GET | Method::HEAD), path_to_look_up(app, &request));
     let handled = async {
         match app.hosts.check(&request).and_then(|()| only_chunked(request.headers())) {
-            Ok(()) => match look_up(app, reads, path).await {
-                Ok(()) => next.run(request).await,
-                Err(away) => away.into_response(),
+            Ok(()) => match (look_up(app, reads, path).await, &app.guard) {
+                (Ok(()), Some(guard)) => guard.around(&app.hosts, request, next).await,
+                (Ok(()), None) => next.run(request).await,
+                (Err(away), _) => away.into_response(),
             },
             Err(refused) => refused.into_response(),
         }
@@ -99,7 +105,9 @@ async fn answer(app: &App, request: Request, next: Next) -> Response {
     if let Some(rest) = rest.filter(|rest| !rest.ended()) {
         // beside the answer, not before it
         tokio::spawn(rest.drain(limits.body, awaited));
-        response.headers_mut().insert(header::CONNECTION, HeaderValue::from_static("close"));
+        if closes {
+            response.headers_mut().insert(header::CONNECTION, HeaderValue::from_static("close"));
+        }
     }
     response
 }

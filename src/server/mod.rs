@@ -5,6 +5,7 @@
 //! What was answered 202 is on disk, survives a crash, and is taken up again at the next start.
 
 mod accept;
+mod access;
 mod app;
 mod body;
 mod cache;
@@ -41,9 +42,11 @@ mod settings;
 mod share;
 mod source;
 mod store;
+mod streams;
 mod strokes;
 mod telemetry;
 mod time;
+mod tls;
 mod upload;
 mod worker;
 
@@ -57,8 +60,10 @@ use axum::http::HeaderMap;
 use tokio::net::TcpListener;
 
 pub use accept::Held;
+pub use access::keys;
+pub(crate) use access::same;
 pub use child::{ProcessMaker, VARIABLE, serve as make_for_a_server};
-pub use cluster::{Audit, Role, Sharing, audit};
+pub use cluster::{Audit, Nats, Remedy, Role, Sharing, audit};
 pub use id::{PhotoId, hex};
 pub use limits::Limits;
 pub use maker::{Fault, Maker, PipelineMaker, Product};
@@ -66,7 +71,9 @@ pub use network::{Better, Offer, Renewed};
 pub use problem::Problem;
 pub(crate) use routes::Pairs;
 pub use routes::{Access, Route, openapi, routes};
+pub use tls::{Tls, TlsError};
 
+use access::{Guard, Secret};
 use app::{App, Shared};
 use cluster::Cluster;
 use jobs::Jobs;
@@ -95,6 +102,10 @@ pub struct Config {
     pub hosts: Vec<String>,
     /// Lists all photos to everybody who can reach the server, not only to this machine's own user.
     pub public_list: bool,
+    /// Asks who comes: photos are their owners' alone, see [`access`].
+    pub private: bool,
+    /// Directory of the keys; that of the data where there is none.
+    pub keys: Option<PathBuf>,
     /// Limits.
     pub limits: Limits,
 }
@@ -141,6 +152,7 @@ pub struct Server {
     app: App,
     rooms: Option<Arc<Rooms>>,
     role: Role,
+    tls: Option<Tls>,
 }
 
 impl Server {
@@ -171,16 +183,21 @@ impl Server {
             config.limits.workers = 0;
         }
         let limits = Arc::new(config.limits.clone());
+        let keys = config.private.then(|| config.keys.clone().unwrap_or_else(|| data.clone()));
         // done once before any request is served
-        let jobs = if let Some(sharing) = sharing {
-            let open = tokio::task::spawn_blocking(move || among(&sharing, &data, maker, limits));
+        let (jobs, guard) = if let Some(sharing) = sharing {
+            let open = tokio::task::spawn_blocking(move || among(&sharing, &data, keys.as_deref(), maker, limits));
             open.await.map_err(|e| ServerError::Worker(std::io::Error::other(e)))??
         } else {
-            let (store, found) = Store::open(&data, maker.identity()).map_err(|source| ServerError::Data { dir: data, source })?;
-            Jobs::start(store, found, maker, limits, Arc::default()).map_err(ServerError::Worker)?
+            let wrong = |source| ServerError::Data { dir: data.clone(), source };
+            let (store, found) = Store::open(&data, maker.identity()).map_err(wrong)?;
+            // with the directory for this process alone
+            let secret = keys.is_some().then(|| Secret::of(&data)).transpose().map_err(wrong)?;
+            let guard = keys.zip(secret).map(|(keys, secret)| guard(&keys, secret)).transpose()?;
+            (Jobs::start(store, found, maker, limits, Arc::default()).map_err(ServerError::Worker)?, guard)
         };
-        let app = Arc::new(Shared::new(config, addr, jobs, renderer, openapi));
-        Ok(Self { listener, addr, app, rooms: None, role })
+        let app = Arc::new(Shared { guard, ..Shared::new(config, addr, jobs, renderer, openapi) });
+        Ok(Self { listener, addr, app, rooms: None, role, tls: None })
     }
 
     /// Has rooms, too.
@@ -188,6 +205,19 @@ impl Server {
     pub fn with_rooms(mut self, rooms: Rooms) -> Self {
         self.rooms = Some(Arc::new(rooms));
         self
+    }
+
+    /// Speaks TLS, and HTTP/2 with who can.
+    #[must_use]
+    pub fn with_tls(mut self, tls: Tls) -> Self {
+        self.tls = Some(tls);
+        self
+    }
+
+    /// `http` or `https`.
+    #[must_use]
+    pub const fn scheme(&self) -> &'static str {
+        if self.tls.is_some() { "https" } else { "http" }
     }
 
     /// Address that the server listens on.
@@ -199,7 +229,7 @@ impl Server {
     /// Serves until `stop` is ready, and for [`Limits::lame_duck`] more; then takes no more connections and gives requests and jobs under
     /// way [`Limits::drain`] to end. Jobs that do not end by then are taken up at the next start.
     pub async fn run(self, stop: impl Future<Output = ()> + Send + 'static) {
-        let Self { listener, addr: _, app, rooms, role } = self;
+        let Self { listener, addr: _, app, rooms, role, tls } = self;
         let token = app.stop.clone();
         let jobs = Arc::clone(&app.jobs);
         let signal = tokio::spawn({
@@ -233,7 +263,10 @@ impl Server {
             Role::Work => routes::system_router(Arc::clone(&app)),
             Role::All | Role::Serve => routes::router(Arc::clone(&app), rooms),
         };
-        accept::serve(listener, router, &app.limits, &app.telemetry, &token).await;
+        if let Some(tls) = tls.clone() {
+            tokio::spawn(tls.follow(token.clone()));
+        }
+        accept::serve(accept::Door { listener, tls }, router, &app.limits, &app.telemetry, &token).await;
         probe.abort();
         look_over.abort();
         if let Err(error) = signal.await {
@@ -243,8 +276,19 @@ impl Server {
     }
 }
 
+/// What asks who comes, by the keys of a directory.
+fn guard(keys: &Path, secret: Secret) -> Result<Guard, ServerError> {
+    Guard::open(keys, secret).map_err(|source| ServerError::Data { dir: keys.to_owned(), source })
+}
+
 /// Takes its place among the nodes that share a store; blocks.
-fn among(sharing: &Sharing, data: &Path, maker: Arc<dyn Maker>, limits: Arc<Limits>) -> Result<Arc<Jobs>, ServerError> {
+fn among(
+    sharing: &Sharing,
+    data: &Path,
+    keys: Option<&Path>,
+    maker: Arc<dyn Maker>,
+    limits: Arc<Limits>,
+) -> Result<(Arc<Jobs>, Option<Guard>), ServerError> {
     let wrong = |source| ServerError::Store { store: sharing.store.clone(), source };
     let cluster = Arc::new(Cluster::open(sharing, &limits).map_err(wrong)?);
     // copies of before may be of makings that are no more
@@ -255,7 +299,13 @@ fn among(sharing: &Sharing, data: &Path, maker: Arc<dyn Maker>, limits: Arc<Limi
     }
     let (store, _) = Store::open(&copies, maker.identity()).map_err(|source| ServerError::Data { dir: copies, source })?;
     let store = store.of_origin(Arc::clone(&cluster) as Arc<dyn store::Origin>, limits.copies);
-    Jobs::start_among(Some(cluster), store, Vec::new(), maker, limits, Arc::default()).map_err(ServerError::Worker)
+    // all nodes give a photo the same id, and take each other's links
+    let guard = match keys {
+        Some(keys) => Some(guard(keys, cluster.secret().map_err(wrong)?)?),
+        None => None,
+    };
+    let jobs = Jobs::start_among(Some(cluster), store, Vec::new(), maker, limits, Arc::default()).map_err(ServerError::Worker)?;
+    Ok((jobs, guard))
 }
 
 /// Looks now and then whether the data directory can be written and nothing is missing to make photos with, so that asking for it costs nothing.
@@ -348,7 +398,8 @@ mod tests {
         let limits = Limits { workers: 0, ..Limits::default() };
         let jobs = Jobs::start(store, Vec::new(), Arc::new(maker::Never), Arc::new(limits.clone()), Arc::default()).unwrap();
         let addr = ([127, 0, 0, 1], 0).into();
-        let config = Config { addr, data: PathBuf::new(), pages: None, hosts: Vec::new(), public_list: false, limits };
+        let config =
+            Config { addr, data: PathBuf::new(), pages: None, hosts: Vec::new(), public_list: false, private: false, keys: None, limits };
         let renderer = tmpi_render::select(tmpi_render::Backend::Cpu).unwrap();
         let app = Arc::new(Shared::new(config, addr, jobs, renderer, bytes::Bytes::new()));
         let key = ((PhotoId::of(&[1; 32], None, "", ""), 1), String::new());

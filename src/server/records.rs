@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
+use super::access::Owner;
 use super::id::PhotoId;
 use super::problem::Problem;
 use super::settings::Settings;
@@ -30,6 +31,9 @@ pub struct Accepted {
     pub depth_bytes: Option<u64>,
     /// Options as text, all of them.
     pub options: BTreeMap<String, String>,
+    /// Whose it is; none where nobody was asked who they are.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub owner: Option<Owner>,
 }
 
 /// What became of an accepted upload.

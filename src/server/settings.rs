@@ -60,6 +60,16 @@ impl From<Idle> for String {
     }
 }
 
+/// Who may see a photo where the server asks who comes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum Visibility {
+    /// Its owner alone.
+    Private,
+    /// Whoever has its address.
+    Link,
+}
+
 /// Settings of a photo; what is missing is left to the viewer.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Settings {
@@ -85,6 +95,10 @@ pub struct Settings {
     /// How fast that is, 0.25 to 4 times the usual.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub speed: Option<f64>,
+    /// Who may see the photo where the server asks who comes: `private`, its owner alone, or `link`, whoever has its address; `private` where it
+    /// is missing.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub visibility: Option<Visibility>,
     /// From where the view is drawn that stands for the photo, each −1 to 1 of the view box.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub poster: Option<Offset>,
@@ -92,7 +106,17 @@ pub struct Settings {
 
 impl Default for Settings {
     fn default() -> Self {
-        Self { version: VERSION, title: None, motion: None, focus: None, start: None, idle: None, speed: None, poster: None }
+        Self {
+            version: VERSION,
+            title: None,
+            motion: None,
+            focus: None,
+            start: None,
+            idle: None,
+            speed: None,
+            visibility: None,
+            poster: None,
+        }
     }
 }
 
@@ -134,9 +158,11 @@ impl Settings {
                 "start" => new.start = optional(&value, |v| offset(&name, v, self.start, 0.0, -1.0))?,
                 "idle" => new.idle = optional(&value, |v| idle(&name, v))?,
                 "speed" => new.speed = optional(&value, |v| within(&name, v, SPEED))?,
+                "visibility" => new.visibility = optional(&value, |v| visibility(&name, v))?,
                 "poster" => new.poster = optional(&value, |v| offset(&name, v, self.poster, 0.0, -1.0))?,
                 _ => {
-                    let detail = "there is no such setting; there are version, title, motion, focus, start, idle, speed, poster";
+                    let detail =
+                        "there is no such setting; there are version, title, motion, focus, start, idle, speed, visibility, poster";
                     return Err(Problem::parameter(name, detail));
                 }
             }
@@ -150,6 +176,14 @@ impl Settings {
     /// [`Problem`] 400: not 1 to 200 characters, or a control character.
     pub fn titled(self, text: &str) -> Result<Self, Problem> {
         Ok(Self { title: Some(title("title", &Value::from(text))?), ..self })
+    }
+
+    /// These settings with who may see the photo, as an upload names it.
+    ///
+    /// # Errors
+    /// [`Problem`] 400: neither `private` nor `link`.
+    pub fn seen_by(self, text: &str) -> Result<Self, Problem> {
+        Ok(Self { visibility: Some(visibility("visibility", &Value::from(text))?), ..self })
     }
 
     /// Query of the view that stands for the photo; none where that is the photo itself.
@@ -199,6 +233,14 @@ fn title(name: &str, value: &Value) -> Result<String, Problem> {
         return Err(Problem::parameter(name, format!("must have 1 to {TITLE} characters, none of them a control character")));
     }
     Ok(text.to_owned())
+}
+
+fn visibility(name: &str, value: &Value) -> Result<Visibility, Problem> {
+    match value.as_str() {
+        Some("private") => Ok(Visibility::Private),
+        Some("link") => Ok(Visibility::Link),
+        _ => Err(Problem::parameter(name, format!("must be one of private, link, not {value}"))),
+    }
 }
 
 fn idle(name: &str, value: &Value) -> Result<Idle, Problem> {
@@ -312,6 +354,7 @@ mod tests {
             (r#"{"idle": 1}"#, Some("idle")),
             (r#"{"speed": 0.2}"#, Some("speed")),
             (r#"{"speed": 5}"#, Some("speed")),
+            (r#"{"visibility": "all"}"#, Some("visibility")),
             (r#"{"version": 2}"#, Some("version")),
             ("[1]", None),
             ("{", None),

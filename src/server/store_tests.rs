@@ -7,7 +7,14 @@ use super::super::options;
 use super::*;
 
 fn accepted(at_ms: u64) -> Accepted {
-    Accepted { version: 1, at_ms, photo_bytes: 5, depth_bytes: None, options: BTreeMap::from([("quality".into(), "90".into())]) }
+    Accepted {
+        version: 1,
+        at_ms,
+        photo_bytes: 5,
+        depth_bytes: None,
+        options: BTreeMap::from([("quality".into(), "90".into())]),
+        owner: None,
+    }
 }
 
 fn put(store: &Store, n: u8, at_ms: u64) -> PhotoId {

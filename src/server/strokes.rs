@@ -160,7 +160,7 @@ mod tests {
     fn photo(jobs: &Jobs, files: &Forgetful) -> PhotoId {
         use super::super::files::Files as _;
         let id = PhotoId::of(&[1; 32], None, "", "");
-        let accepted = Accepted { version: 1, at_ms: 1, photo_bytes: 5, depth_bytes: None, options: BTreeMap::new() };
+        let accepted = Accepted { version: 1, at_ms: 1, photo_bytes: 5, depth_bytes: None, options: BTreeMap::new(), owner: None };
         let incoming = jobs.store.begin().unwrap();
         files.write(&incoming.path(Part::Upload), b"photo").unwrap();
         jobs.store.accept(incoming, id, &accepted).unwrap();

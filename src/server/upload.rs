@@ -14,6 +14,7 @@ use sha2::{Digest, Sha256};
 use tokio::fs::File;
 use tokio::io::AsyncWriteExt;
 
+use super::access::Owner;
 use super::app::App;
 use super::body;
 use super::form::Bounded;
@@ -131,7 +132,9 @@ impl Chosen {
     /// # Errors
     /// 400 that names it: it is wrong, or given a second time, in whatever spelling.
     fn set(&mut self, name: &str, value: &str) -> Result<(), Problem> {
-        if name == TITLE {
+        if name == VISIBILITY {
+            self.settings = std::mem::take(&mut self.settings).seen_by(value)?;
+        } else if name == TITLE {
             self.settings = std::mem::take(&mut self.settings).titled(value)?;
         } else {
             options::set(&mut self.options, name, value)?;
@@ -140,25 +143,26 @@ impl Chosen {
     }
 }
 
-/// Name of the field of the title.
+/// Names of the fields of the title, and of who may see the photo.
 const TITLE: &str = "title";
+const VISIBILITY: &str = "visibility";
 
 /// Refuses what is neither the title nor an option, before its value is read.
 fn known(name: &str, kinds: &str) -> Result<(), Problem> {
-    if name == TITLE || options::NAMES.contains(&name.replace('_', "-").as_str()) {
+    if matches!(name, TITLE | VISIBILITY) || options::NAMES.contains(&name.replace('_', "-").as_str()) {
         return Ok(());
     }
     Err(Problem::parameter(name, format!("there is no such {kinds}, {}", options::NAMES.join(", "))))
 }
 
-/// Takes an upload; when this returns, it is on disk.
+/// Takes an upload of `owner`, where there are such; when this returns, it is on disk.
 ///
 /// # Errors
 /// 400 that names a wrong field, 408, 413, 415, 429, 500, 507.
-pub async fn take(app: &App, query: Vec<(String, String)>, request: Request) -> Result<Submitted, Problem> {
+pub async fn take(app: &App, query: Vec<(String, String)>, request: Request, owner: Option<Owner>) -> Result<Submitted, Problem> {
     let mut chosen = Chosen::default();
     for (name, value) in query {
-        known(&name, "option; there are title")?;
+        known(&name, "option; there are title, visibility")?;
         chosen.set(&name, &value)?;
     }
     let _ticket = Ticket::take(app)?;
@@ -175,7 +179,7 @@ pub async fn take(app: &App, query: Vec<(String, String)>, request: Request) -> 
     }
     let shared = Arc::clone(app);
     // checking it reads it whole: a few at a time
-    let submitted = app.change(move || accept(&shared, parts)).await??;
+    let submitted = app.change(move || accept(&shared, parts, owner)).await??;
     if submitted.healed {
         app.forget(submitted.entry.id).await;
     }
@@ -183,7 +187,7 @@ pub async fn take(app: &App, query: Vec<(String, String)>, request: Request) -> 
 }
 
 /// The part of taking an upload that blocks: checks it and makes it durable.
-fn accept(app: &App, parts: Parts) -> Result<Submitted, Problem> {
+fn accept(app: &App, parts: Parts, owner: Option<Owner>) -> Result<Submitted, Problem> {
     let Parts { mut incoming, photo, depth, chosen } = parts;
     let Chosen { options, mut settings, of_file, .. } = chosen;
     settings.title = settings.title.or(of_file);
@@ -193,6 +197,7 @@ fn accept(app: &App, parts: Parts) -> Result<Submitted, Problem> {
     }
     let text = options::to_text(&options);
     let id = PhotoId::of(&photo.hash, depth.as_ref().map(|d| &d.hash), &options::canonical(&text), app.jobs.maker.identity());
+    let id = app.guard.as_ref().zip(owner.as_ref()).map_or(id, |(guard, owner)| guard.id(owner, id));
     if app.jobs.get(id).is_none() {
         let read = |part| std::fs::read(parts_path(&incoming, part)?).map_err(|e| Problem::store(&e));
         let (photo, map) = (read(Part::Upload)?, depth.as_ref().map(|_| read(Part::Depth)).transpose()?);
@@ -204,6 +209,7 @@ fn accept(app: &App, parts: Parts) -> Result<Submitted, Problem> {
         photo_bytes: photo.bytes,
         depth_bytes: depth.as_ref().map(|d| d.bytes),
         options: text,
+        owner,
     };
     let folder = incoming.0.take().ok_or_else(gone)?;
     let submitted = app.jobs.submit(folder, id, accepted, settings)?;
@@ -241,7 +247,7 @@ async fn read_multipart(parts: &mut Parts, request: Request) -> Result<(), Probl
             "photo" => (Part::Upload, &mut parts.photo),
             "depth" => (Part::Depth, &mut parts.depth),
             _ => {
-                known(&name, "field; there are photo, depth, title")?;
+                known(&name, "field; there are photo, depth, title, visibility")?;
                 let value = text(&name, field).await?;
                 parts.chosen.set(&name, &value)?;
                 continue;

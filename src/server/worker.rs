@@ -33,22 +33,31 @@ pub fn work(jobs: &Arc<Jobs>) {
     }
 }
 
+/// What a making has to do with other nodes.
+pub(super) struct Others<'a> {
+    /// Set where it is another's by now.
+    pub lost: &'a AtomicBool,
+    /// Tells them that it goes on.
+    pub tell: &'a (dyn Fn() + Sync),
+}
+
 /// Listeners and cancellation of one job.
 struct JobSink<'a> {
     jobs: &'a Jobs,
     entry: &'a Entry,
     deadline: Instant,
-    lost: &'a AtomicBool,
+    others: &'a Others<'a>,
 }
 
 impl Sink for JobSink<'_> {
     fn progress(&self, message: &Progress) {
         tracing::debug!(id = %self.entry.id, stage = message.stage, "{} of {}", message.step, message.steps);
         self.entry.enter(message.clone());
+        (self.others.tell)();
     }
 
     fn cancelled(&self) -> bool {
-        self.jobs.aborted() || self.entry.is_deleted() || self.lost.load(Ordering::Acquire)
+        self.jobs.aborted() || self.entry.is_deleted() || self.others.lost.load(Ordering::Acquire)
     }
 
     fn deadline(&self) -> Option<Instant> {
@@ -63,7 +72,7 @@ fn run(jobs: &Jobs, entry: &Arc<Entry>) -> &'static str {
     if entry.attempts() >= jobs.limits.attempts {
         return fail(jobs, entry, gave_up(entry.attempts()));
     }
-    match make(jobs, entry, &AtomicBool::new(false)) {
+    match make(jobs, entry, &Others { lost: &AtomicBool::new(false), tell: &|| {} }) {
         Ok(product) => keep(jobs, entry, &product),
         Err(Fault::Photo(problem)) => fail(jobs, entry, problem),
         Err(Fault::Crashed(reason)) => try_again(jobs, entry, &reason),
@@ -78,8 +87,8 @@ pub(super) fn gave_up(attempts: u32) -> Problem {
     Problem::new(StatusCode::UNPROCESSABLE_ENTITY, "gave-up", detail)
 }
 
-/// Makes a photo, until nobody wants it any more, or it is `lost` to another node.
-pub(super) fn make(jobs: &Jobs, entry: &Arc<Entry>, lost: &AtomicBool) -> Result<Product, Fault> {
+/// Makes a photo, until nobody wants it any more, or it is lost to another node.
+pub(super) fn make(jobs: &Jobs, entry: &Arc<Entry>, others: &Others<'_>) -> Result<Product, Fault> {
     let read = |part: Part| {
         jobs.store.read(entry.id, part).map_err(|e| match store::lost(part, &e) {
             // its own sectors or name: others can be made
@@ -91,11 +100,12 @@ pub(super) fn make(jobs: &Jobs, entry: &Arc<Entry>, lost: &AtomicBool) -> Result
     options.strokes = jobs.strokes(entry.id).map_err(|e| Fault::Server(format!("the data directory cannot be read: {e}")))?;
     let photo = read(Part::Upload)?;
     let depth = entry.accepted.depth_bytes.map(|_| read(Part::Depth)).transpose()?;
-    let unwanted = || jobs.aborted() || entry.is_deleted() || !jobs.is_accepting() || lost.load(Ordering::Acquire);
+    let unwanted = || jobs.aborted() || entry.is_deleted() || !jobs.is_accepting() || others.lost.load(Ordering::Acquire);
     let memory = jobs.maker.memory(&photo, depth.as_deref(), &options);
     let Some(_memory) = jobs.memory.wait_for(memory, unwanted) else { return Err(Fault::Cancelled) };
     entry.set(Status::Working);
-    let sink = JobSink { jobs, entry, deadline: Instant::now() + jobs.limits.time_for(&photo), lost };
+    (others.tell)();
+    let sink = JobSink { jobs, entry, deadline: Instant::now() + jobs.limits.time_for(&photo), others };
     caught(|| jobs.maker.make(&photo, depth.as_deref(), &options, &sink))
 }
 
@@ -223,7 +233,7 @@ mod tests {
         let upload = || {
             let incoming = jobs.store.begin().unwrap();
             files.write(&incoming.path(Part::Upload), b"photo").unwrap();
-            let accepted = Accepted { version: 1, at_ms: 1, photo_bytes: 5, depth_bytes: None, options: BTreeMap::new() };
+            let accepted = Accepted { version: 1, at_ms: 1, photo_bytes: 5, depth_bytes: None, options: BTreeMap::new(), owner: None };
             jobs.submit(incoming, PhotoId::of(&[1; 32], None, "", ""), accepted, Settings::default()).unwrap().entry
         };
         let entry = upload();

@@ -13,6 +13,7 @@ import { formatBytes } from '../i18n/text.js';
  * @property {string} id
  * @property {'queued' | 'working' | 'done' | 'failed' | 'damaged'} state
  * @property {string} created
+ * @property {'private' | 'link'} [visibility] who may see it, where the server asks who comes
  * @property {number} width
  * @property {number} height
  * @property {number} atlas_bytes size of the container
@@ -83,6 +84,16 @@ export async function changeSettings(id, patch, etag) {
   const headers = { 'content-type': 'application/merge-patch+json', ...(etag && { 'if-match': etag }) };
   const response = await request(photoUrl(id), { method: 'PATCH', headers, body: JSON.stringify(patch) });
   return { state: await response.json(), etag: response.headers.get('etag') };
+}
+
+/**
+ * Pages of a photo for others: `page` ends after `seconds`, `manage` makes a browser the owner and is there for who came with a secret.
+ * @param {string} id
+ * @param {number} seconds
+ * @returns {Promise<{page: string, manage?: string}>}
+ */
+export async function linksOf(id, seconds) {
+  return (await request(photoUrl(id, `/links?seconds=${seconds}`), { method: 'POST' })).json();
 }
 
 /** Longest that the server is asked to wait for a photo that it makes again; then its events are followed. */

@@ -84,6 +84,16 @@ export function settingsMenu({ id, viewer, named, say }) {
     show();
   }
 
+  /**
+   * The same where something else was changed: what is not saved yet stays.
+   * @param {{state: Photo, etag: string | null}} answer
+   */
+  function follow(answer) {
+    etag = answer.etag;
+    settings = settingsOf(answer.state);
+    show();
+  }
+
   title.addEventListener('input', () => change({ title: title.value.trim() || null }));
   motion.addEventListener('input', () => {
     const by = Number(motion.value);
@@ -102,7 +112,7 @@ export function settingsMenu({ id, viewer, named, say }) {
   $('set-clear').addEventListener('click', () => change({ motion: null, focus: null, start: null, idle: null, speed: null, poster: null }));
   $('set-form').addEventListener('submit', save);
   $('settings-menu').addEventListener('toggle', show);
-  return { read, settings: () => settings };
+  return { read, follow, settings: () => settings };
 }
 
 /**

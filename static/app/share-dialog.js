@@ -3,11 +3,16 @@
 import { t } from '../i18n/messages.js';
 import { element } from './dom.js';
 
+/** @import { Photo } from './api.js' */
 /** @import { Viewer } from '../view/viewer.js' */
 
+const COPIED_MS = 2000;
+
 /**
- * What is shared: the photo's id, its viewer as it is now, what it is called, and the begin of names of files.
- * @typedef {{id: string, viewer: Viewer, name: string, file: string}} Shared
+ * What is shared: the photo's id, its viewer as it is now, what it is called, the begin of names of files, who may see it where the server asks
+ * who comes, and what to do when that was changed.
+ * @typedef {{id: string, viewer: Viewer, name: string, file: string, visibility?: 'private' | 'link',
+ *   changed: (answer: {state: Photo, etag: string | null}) => void}} Shared
  */
 
 let styled = false;
@@ -59,4 +64,35 @@ export function button(text, onClick, kind = '') {
   out.type = 'button';
   out.addEventListener('click', onClick);
   return out;
+}
+
+/**
+ * Text to copy: a field that shows it, and a row with the button.
+ * @param {string} title what it is
+ * @param {string} value
+ */
+export function copied(title, value) {
+  const text = element('textarea');
+  text.readOnly = true;
+  text.spellcheck = false;
+  text.value = value;
+  text.setAttribute('aria-label', title);
+  const copy = button(t('Copy'), async () => {
+    try {
+      await navigator.clipboard.writeText(text.value);
+      say(t('Copied'));
+      setTimeout(() => say(t('Copy')), COPIED_MS);
+    } catch {
+      // no clipboard on a page without TLS: ready for the keyboard's
+      text.focus();
+      text.select();
+    }
+  });
+  /** @param {string} word */
+  function say(word) {
+    copy.textContent = word;
+    copy.setAttribute('aria-label', `${word}: ${title}`);
+  }
+  say(t('Copy'));
+  return { text, parts: [text, element('div', 'row', copy)] };
 }

@@ -7,6 +7,7 @@ import { hasHeadset } from '../input/xr.js';
 import { formatPose, parsePose } from '../view/camera.js';
 import { settingsOf } from '../view/settings.js';
 import { Viewer } from '../view/viewer.js';
+import './owner.js';
 import { getPhoto, photoUrl } from './api.js';
 import { offerBetterDepth } from './better-depth.js';
 import { depthSource } from './depth-source.js';
@@ -17,6 +18,7 @@ import { photoWithVersion, settingsMenu } from './settings-menu.js';
 import { handOver } from './undo.js';
 
 /** @import { Photo } from './api.js' */
+/** @import { Shared } from './share-dialog.js' */
 
 const TOAST_MS = 2500;
 const NOTE_MS = 7000;
@@ -33,6 +35,11 @@ const stage = $('stage');
 const state = { bytes: 0, ms: null, toast: undefined };
 /** @type {Viewer} */
 let viewer;
+/**
+ * Who may see the photo; nothing where the server asks nobody who they are.
+ * @type {Photo['visibility']}
+ */
+let visibility;
 /** When the picture of the photo as it is now is there, or can't be had. */
 let pictured = Promise.resolve();
 
@@ -378,12 +385,19 @@ $('share-link').addEventListener('click', () => {
   $('share-menu').hidePopover();
   share();
 });
-for (const name of /** @type {const} */ (['film', 'embed'])) {
+/** @type {Record<string, () => Promise<{open: (photo: Shared) => Promise<HTMLDialogElement>}>>} */
+const DIALOGS = {
+  film: () => import('./film-dialog.js'),
+  embed: () => import('./embed-dialog.js'),
+  access: () => import('./access-dialog.js'),
+};
+for (const [name, load] of Object.entries(DIALOGS)) {
   $(`share-${name}`).addEventListener('click', async () => {
     $('share-menu').hidePopover();
     try {
-      const { open } = name === 'film' ? await import('./film-dialog.js') : await import('./embed-dialog.js');
-      open({ id, viewer, name: $('title').textContent ?? '', file: container.download.replace(/\.tmpi$/, '') });
+      const { open } = await load();
+      const file = container.download.replace(/\.tmpi$/, '');
+      await open({ id, viewer, name: $('title').textContent ?? '', file, visibility, changed: showVisibility });
     } catch (error) {
       toast(error.message);
     }
@@ -405,6 +419,15 @@ addEventListener('hashchange', () => {
   if (offset) viewer.moveTo(offset);
 });
 
+/**
+ * Takes over who may see the photo, which is said beside the settings' menu.
+ * @param {{state: Photo, etag: string | null}} answer
+ */
+function showVisibility(answer) {
+  visibility = answer.state.visibility;
+  menu.follow(answer);
+}
+
 /** @param {Photo} photo */
 function showName(photo) {
   const name = photoName(photo);
@@ -423,4 +446,6 @@ known.then((answer) => {
   if (!answer) return;
   showName(answer.state);
   menu.read(answer);
+  visibility = answer.state.visibility;
+  $('share-access').hidden = !visibility;
 });

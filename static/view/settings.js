@@ -11,6 +11,7 @@
  * @property {Offset} [start] where the camera starts, in the view box
  * @property {string} [idle] how it moves by itself, one of `STYLES` (input/motion.js), or `none`
  * @property {number} [speed] times the usual
+ * @property {'private' | 'link'} [visibility] who may see it, where the server asks who comes
  * @property {Offset} [poster] where the picture of the list is taken from
  */
 

@@ -17,13 +17,15 @@ use crate::process::{Process, large};
 
 /// A node of the store in a folder, in this process.
 fn node(shared: &Path, data: &Path, role: Role, maker: Arc<dyn tmpi::server::Maker>) -> Running {
-    let sharing = Sharing { store: format!("file://{}", shared.display()), role };
+    let sharing = Sharing { store: format!("file://{}", shared.display()), role, nats: None };
     let config = Config {
         addr: ([127, 0, 0, 1], 0).into(),
         data: data.to_owned(),
         pages: None,
         hosts: Vec::new(),
         public_list: false,
+        private: false,
+        keys: None,
         limits: Limits { sweep: Duration::from_millis(100), ..Limits::default() },
     };
     let renderer = tmpi_render::select(Backend::Cpu).unwrap();
@@ -115,16 +117,16 @@ fn a_photo_that_is_deleted_elsewhere_is_no_longer_made_and_one_that_is_made_agai
 }
 
 /// Uploads with a depth map, so that no network is needed.
-fn upload(addr: SocketAddr, photo: &[u8]) -> Option<String> {
+pub fn upload(addr: SocketAddr, photo: &[u8]) -> Option<String> {
     let answer = post_form(addr, &[], &[("photo", photo), ("depth", &depth_map())]);
     (answer.status == 202 || answer.status == 200).then(|| answer.json()["id"].as_str().unwrap().to_owned())
 }
 
-fn wait_done(addr: SocketAddr, id: &str) {
+pub fn wait_done(addr: SocketAddr, id: &str) {
     wait_until(&format!("{id} is done"), || get(addr, &format!("/v1/photos/{id}")).json()["state"] == "done");
 }
 
-fn start(data: &Path, store: &str, more: &[&str], environment: &[(&str, String)]) -> Process {
+pub fn start(data: &Path, store: &str, more: &[&str], environment: &[(&str, String)]) -> Process {
     let environment: Vec<(&str, &str)> = environment.iter().map(|(name, value)| (*name, value.as_str())).collect();
     Process::start_in(data, &[&["--store", store, "--lease", "3", "--drain", "2"][..], more].concat(), &environment)
 }

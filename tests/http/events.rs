@@ -10,22 +10,27 @@ use crate::client::{Connection, get, request};
 use crate::fixture::{Gate, Running, jpeg, pipeline, spoilt_map};
 
 /// An open event stream.
-struct Events {
+pub struct Events {
     connection: Connection,
     buffer: String,
 }
 
 impl Events {
     fn open(server: &Running, id: &str) -> Self {
+        Self::open_as(server, id, "", &[])
+    }
+
+    /// As whoever the headers and the query say.
+    pub fn open_as(server: &Running, id: &str, query: &str, headers: &[(&str, &str)]) -> Self {
         let mut connection = Connection::open(server.addr);
-        connection.send("GET", &format!("/v1/photos/{id}/events"), &[], &[]);
+        connection.send("GET", &format!("/v1/photos/{id}/events{query}"), headers, &[]);
         let head = connection.head().unwrap();
         assert_eq!((head.status, head.header("content-type")), (200, Some("text/event-stream")));
         Self { connection, buffer: String::new() }
     }
 
     /// The next block: an event with its data, or a comment with none.
-    fn next(&mut self) -> Option<(String, Value)> {
+    pub fn next(&mut self) -> Option<(String, Value)> {
         while !self.buffer.contains("\n\n") {
             self.buffer += &String::from_utf8(self.connection.chunk()?).unwrap();
         }

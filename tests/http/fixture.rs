@@ -170,6 +170,11 @@ fn count_panics() {
     });
 }
 
+/// Rooms for this machine's own user.
+pub fn rooms() -> Rooms {
+    Rooms::new(RoomConfig { models: Models { depth: Arc::new(Ramp), theta: None, psi: None }, frame_ms: 0.0, key: None })
+}
+
 /// A running server.
 pub struct Running {
     pub addr: SocketAddr,
@@ -190,11 +195,11 @@ impl Running {
             pages: None,
             hosts: vec!["photos.example".into()],
             public_list: false,
+            private: false,
+            keys: None,
             limits,
         };
-        let models = Models { depth: Arc::new(Ramp), theta: None, psi: None };
-        let rooms = Rooms::new(RoomConfig { models, frame_ms: 0.0, key: None });
-        Self::of(async move { Server::bind(config, maker, renderer).await.unwrap().with_rooms(rooms) })
+        Self::of(async move { Server::bind(config, maker, renderer).await.unwrap().with_rooms(rooms()) })
     }
 
     /// Whatever server that is.

@@ -20,7 +20,7 @@ use tokio_tungstenite::tungstenite::{self, Message, WebSocket};
 use super::client;
 use super::fixture::{Does, Running, wait_until};
 
-struct Bright;
+pub struct Bright;
 
 impl Estimator for Bright {
     fn name(&self) -> &'static str {
@@ -49,6 +49,8 @@ pub fn server_with(data: &Path, change: impl FnOnce(Rooms) -> Rooms) -> Running 
         pages: None,
         hosts: vec!["photos.example".into()],
         public_list: false,
+        private: false,
+        keys: None,
         limits: Limits::default(),
     };
     let renderer = tmpi_render::select(Backend::Cpu).unwrap();

@@ -1,9 +1,14 @@
 //! The HTTP interface, end to end: real sockets, real disk, and where time allows the real way of a photo.
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "test")]
 
+mod access;
+mod access_changes;
+mod access_matrix;
 mod arrivals;
 mod client;
 mod cluster;
+mod cluster_audit;
+mod cluster_nats;
 mod damage;
 mod fixture;
 
@@ -13,6 +18,7 @@ mod limits;
 mod live;
 mod matrix;
 mod measure;
+mod nats;
 mod nodes;
 mod openapi;
 mod origins;
@@ -21,5 +27,6 @@ mod results;
 mod settings;
 mod sharing;
 mod strokes;
+mod tls;
 mod uploads;
 mod versions;

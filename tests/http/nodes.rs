@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::io::{BufRead, BufReader, Read, Write};
-use std::net::{SocketAddr, TcpListener, TcpStream};
+use std::net::{SocketAddr, TcpStream};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
@@ -13,57 +13,14 @@ use tmpi::live::NodeConfig;
 use tmpi_core::live::wire::Hello;
 use tmpi_core::live::wire::message::Kind;
 use tmpi_core::live::{Model, read};
-use tmpi_testing::Need;
 
 use super::client::get;
 use super::fixture::{Running, wait_until};
 use super::live::{Client, Publisher, frame, server_with};
+use super::nats::{Nats, figure};
 use super::process::Process;
 
-/// A NATS server of its own.
-struct Nats {
-    port: u16,
-    config: TempDir,
-    child: Option<Child>,
-}
-
 impl Nats {
-    /// One that takes payloads of `most` bytes; none, said aloud, where there is no such program.
-    fn start(most: usize) -> Option<Self> {
-        let found = Command::new(Self::program()).arg("--version").output().map(drop);
-        Need::Nats.or_skip(found)?;
-        let config = tempdir().unwrap();
-        std::fs::write(config.path().join("nats.conf"), format!("max_payload: {most}\n")).unwrap();
-        let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
-        let mut nats = Self { port, config, child: None };
-        nats.restart();
-        Some(nats)
-    }
-
-    /// Debian keeps it where only root looks.
-    fn program() -> &'static str {
-        if Path::new("/usr/sbin/nats-server").exists() { "/usr/sbin/nats-server" } else { "nats-server" }
-    }
-
-    fn restart(&mut self) {
-        let (config, port) = (self.config.path().join("nats.conf"), self.port.to_string());
-        let mut command = Command::new(Self::program());
-        command.args(["-a", "127.0.0.1", "-p", &port, "-c"]).arg(config).stdout(Stdio::null()).stderr(Stdio::null());
-        self.child = Some(command.spawn().unwrap());
-        wait_until("NATS listens", || TcpStream::connect(("127.0.0.1", self.port)).is_ok());
-    }
-
-    fn kill(&mut self) {
-        if let Some(mut child) = self.child.take() {
-            child.kill().unwrap();
-            child.wait().unwrap();
-        }
-    }
-
-    fn url(&self) -> String {
-        format!("nats://127.0.0.1:{}", self.port)
-    }
-
     /// A node that is ready.
     fn node(&self, data: &Path, name: &str) -> Running {
         let (url, name) = (self.url(), name.to_owned());
@@ -73,18 +30,6 @@ impl Nats {
         node
     }
 
-    /// Says something on a subject, as anybody may who is let in.
-    fn say(&self, subject: &str, payload: &[u8]) {
-        let mut stream = TcpStream::connect(("127.0.0.1", self.port)).unwrap();
-        let mut lines = BufReader::new(stream.try_clone().unwrap()).lines();
-        assert!(lines.next().unwrap().unwrap().starts_with("INFO"));
-        write!(stream, "CONNECT {{\"verbose\":false}}\r\nPUB {subject} {}\r\n", payload.len()).unwrap();
-        stream.write_all(&[payload, b"\r\nPING\r\n"].concat()).unwrap();
-        assert!(lines.any(|line| line.unwrap() == "PONG"));
-    }
-}
-
-impl Nats {
     /// The name that the node called `name` goes by among the others.
     fn id(&self, name: &str) -> String {
         let mut stream = TcpStream::connect(("127.0.0.1", self.port)).unwrap();
@@ -96,16 +41,8 @@ impl Nats {
     }
 }
 
-impl Drop for Nats {
-    fn drop(&mut self) {
-        self.kill();
-    }
-}
-
 fn dropped(addr: SocketAddr) -> u64 {
-    let text = String::from_utf8(get(addr, "/metrics").body).unwrap();
-    let line = text.lines().find_map(|l| l.strip_prefix("tmpi_live_nats_dropped "));
-    line.unwrap_or_else(|| panic!("no count in\n{text}")).parse::<f64>().unwrap() as u64
+    figure(addr, "tmpi_live_nats_dropped").expect("it is counted")
 }
 
 /// Waits until somebody may watch a room here.
@@ -327,7 +264,16 @@ fn a_room_whose_node_is_killed_goes_on_at_another() {
 }
 
 /// A process that does not outlive its test.
-struct Killed(Child);
+pub struct Killed(pub Child);
+
+impl Killed {
+    /// What it prints until its end.
+    pub fn printed(mut self) -> String {
+        let mut all = String::new();
+        self.0.stdout.take().unwrap().read_to_string(&mut all).unwrap();
+        all
+    }
+}
 
 impl Drop for Killed {
     fn drop(&mut self) {
@@ -421,19 +367,20 @@ fn garbage_older_epochs_and_too_much_are_left_out_and_counted() {
     // an older epoch is nobody's: neither what is said of it nor what comes by it
     nats.say("tmpi.nodes", held("mallory", hello.epoch - 1).as_bytes());
     nats.say(&format!("tmpi.live.attic.{}", hello.epoch - 1), &[head(0, 0, 1, 2, 0), fake.to_vec()].concat());
-    for n in 1..20 {
-        publisher.publish(frame(10 + 3 * n));
-    }
     let mut frames = Vec::new();
-    while frames.last() != Some(&19) {
-        match viewer.next().expect("the viewer stays") {
-            Kind::Video(video) => {
-                assert_eq!(video.data, frame(10 + 3 * video.frame as u32));
-                frames.push(video.frame);
+    for n in 1..20 {
+        publisher.publish(frame(10 + 3 * n as u32));
+        // one after the other: a viewer that is behind is sent the newest alone
+        while frames.last() != Some(&n) {
+            match viewer.next().expect("the viewer stays") {
+                Kind::Video(video) => {
+                    assert_eq!(video.data, frame(10 + 3 * video.frame as u32));
+                    frames.push(video.frame);
+                }
+                Kind::Hello(_) => panic!("the room is not another one's"),
+                Kind::Bye(bye) => panic!("{}", bye.reason),
+                _ => {}
             }
-            Kind::Hello(_) => panic!("the room is not another one's"),
-            Kind::Bye(bye) => panic!("{}", bye.reason),
-            _ => {}
         }
     }
     assert_eq!(frames, (1..20).collect::<Vec<_>>());

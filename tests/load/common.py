@@ -35,8 +35,8 @@ def children(pid):
 class Server:
     """`tmpi serve` in a folder of its own."""
 
-    def __init__(self, *args, data=None, env=None, ready=60):
-        self.own = data is None
+    def __init__(self, *args, data=None, env=None, ready=60, prefix=(), host="127.0.0.1"):
+        self.own, self.prefix, self.host = data is None, list(prefix), host
         self.data = Path(data or tempfile.mkdtemp(prefix="tmpi-load-"))
         self.log = open(self.data.parent / (self.data.name + ".log"), "a")
         self.args, self.env = args, {**os.environ, "RUST_LOG": "warn", **(env or {})}
@@ -45,7 +45,7 @@ class Server:
         self.start(ready)
 
     def start(self, ready=60):
-        command = [PROGRAM, "serve", "--addr", "127.0.0.1:0", "--data", str(self.data / "data"), *self.args]
+        command = [*self.prefix, PROGRAM, "serve", "--addr", f"{self.host}:0", "--data", str(self.data / "data"), *self.args]
         began = time.monotonic()
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=self.log, env=self.env, text=True)
         line = self.process.stdout.readline().strip()
@@ -243,10 +243,12 @@ def smooth(megapixels, channels=3, seed=0):
 
 def small(seed, width=480, height=360):
     """A picture with edges; another one for each seed."""
-    rows = (
+    rows = [
         bytes(v for x in range(width) for v in (40 if (x // 60 + y // 45 + seed) % 2 else 200, x * 255 // width, (y + 7 * seed) % 256))
         for y in range(height)
-    )
+    ]
+    # the rows repeat after 256 seeds
+    rows[0] = seed.to_bytes(3, "big") + rows[0][3:]
     return png(width, height, 3, rows)
 
 

@@ -1,134 +1,79 @@
 #!/usr/bin/env python3
-"""Several nodes on one store lose and double nothing under `kill -9` of each kind of node and while the store is away."""
-import argparse, json, os, queue, random, shutil, socket, socketserver, subprocess, sys, tempfile, threading, time
+"""Several nodes on one S3 store lose and double nothing under `kill -9` of each kind of node, full disks, clocks that jump, cuts of the network, and
+while the store is away.
+
+`--nats` has them tell each other over three `nats-server`s besides, of which one is killed, and then all with their disks wiped.
+`--gone` instead serves photos on while the store and NATS are gone. Cuts and small disks are for root alone, clocks need libfaketime."""
+import argparse, os, queue, random, re, shutil, subprocess, tempfile, threading, time, urllib.parse, urllib.request
 from pathlib import Path
 from common import Server, Table, check, end, ramp, small
+from engines import NATS, Clock, NatsServers, Network, Place, Proxy, s3_server
 
-
-def free_port():
-    with socket.socket() as s:
-        s.bind(("127.0.0.1", 0))
-        return s.getsockname()[1]
-
-
-def listening(port):
-    until = time.monotonic() + 30
-    while time.monotonic() < until:
-        try:
-            socket.create_connection(("127.0.0.1", port), 1).close()
-            return
-        except OSError:
-            time.sleep(0.02)
-    raise SystemExit(f"nothing listens on {port}")
-
-
-class Engine:
-    """A process on a port of its own."""
-
-    def __init__(self, command, port):
-        self.command, self.port = command, port
-        self.start()
-
-    def start(self):
-        self.process = subprocess.Popen(self.command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        listening(self.port)
-
-    def kill(self):
-        self.process.kill()
-        self.process.wait()
-
-
-class Proxy:
-    """Passes connections on, and answers 503 while `away`."""
-
-    def __init__(self, port):
-        proxy, self.away, self.open = self, False, set()
-
-        class Handler(socketserver.BaseRequestHandler):
-            def handle(self):
-                if proxy.away:
-                    self.request.recv(65536)
-                    self.request.sendall(b"HTTP/1.1 503 Slow Down\r\ncontent-length: 0\r\nconnection: close\r\n\r\n")
-                    return
-                there = socket.create_connection(("127.0.0.1", port))
-                pair = (self.request, there)
-                proxy.open.add(pair)
-                back = threading.Thread(target=copy, args=(there, self.request), daemon=True)
-                back.start()
-                copy(self.request, there)
-                back.join()
-                proxy.open.discard(pair)
-                there.close()
-
-        class Listener(socketserver.ThreadingTCPServer):
-            daemon_threads, allow_reuse_address, request_queue_size = True, True, 128
-
-        self.server = Listener(("127.0.0.1", 0), Handler)
-        self.port = self.server.server_address[1]
-        threading.Thread(target=self.server.serve_forever, daemon=True).start()
-
-    def set(self, away):
-        self.away = away
-        for pair in list(self.open) if away else []:
-            for s in pair:
-                shut(s)
-
-
-def shut(s):
-    try:
-        s.shutdown(socket.SHUT_RDWR)
-    except OSError:
-        pass
-
-
-def copy(source, target):
-    try:
-        while data := source.recv(65536):
-            target.sendall(data)
-    except OSError:
-        pass
-    shut(target)
+LEASE = 5
 
 
 class Nodes:
-    """Two nodes that serve and two that make photos, on one S3 store behind a proxy."""
+    """Two nodes that serve and two that make photos, on one S3 store: behind a proxy, or each in a place of its own that can be cut off."""
 
-    def __init__(self):
+    def __init__(self, nats=False, apart=False, clock=False):
         self.folder, self.small = Path(tempfile.mkdtemp(prefix="tmpi-scale-")), None
-        port = free_port()
-        self.s3 = Engine([sys.executable, "-m", "moto.server", "-H", "127.0.0.1", "-p", str(port)], port)
-        self.proxy = Proxy(port)
-        import urllib.request
-        urllib.request.urlopen(urllib.request.Request(f"http://127.0.0.1:{port}/photos", method="PUT"), timeout=10)
-        env = {"AWS_ENDPOINT_URL": f"http://127.0.0.1:{self.proxy.port}", "AWS_ACCESS_KEY_ID": "x", "AWS_SECRET_ACCESS_KEY": "x", "AWS_REGION": "us-east-1"}
-        common = ("--store", "s3://photos/tmpi", "--queue", "10000", "--lease", "5")
-        self.serve = [Server(*common, "--role", "serve", env=env) for _ in range(2)]
-        self.work = [Server(*common, "--role", "work", env=env) for _ in range(2)]
+        self.network = Network() if apart else None
+        places = [self.network.place() for _ in range(6)] if apart else [Place()] * 6
+        self.clock = Clock(self.folder) if clock else None
+        self.nats = NatsServers(self.folder, places[:3]) if nats else None
+        self.s3 = s3_server(places[3])
+        self.proxy = None if apart else Proxy(self.s3.port)
+        store = (self.s3.place.host, self.s3.port) if apart else ("127.0.0.1", self.proxy.port)
+        env = {"AWS_ENDPOINT_URL": f"http://{store[0]}:{store[1]}", "AWS_ACCESS_KEY_ID": "x", "AWS_SECRET_ACCESS_KEY": "x", "AWS_REGION": "us-east-1"}
+        jumping = {**env, **(self.clock.env if clock else {})}
+        common = ("--store", "s3://photos/tmpi", "--queue", "10000", "--lease", str(LEASE))
+        if self.nats:
+            common += ("--nats", self.nats.urls, "--nats-replicas", "3")
+        self.serve = [Server(*common, "--role", "serve", env=e) for e in (env, jumping)]
+        workers = zip(places[4:], (env, jumping))
+        self.work = [Server(*common, "--access", "open", "--role", "work", env=e, prefix=p.prefix, host=p.host) for p, e in workers]
+        until = time.monotonic() + 60
+        while self.nats and any(node.metric("tmpi_hints_queue") == 0 for node in self.serve + self.work):
+            if not check(time.monotonic() < until, "there is a queue of JetStream"):
+                break
+            time.sleep(0.1)
 
-    def fill_a_worker(self):
-        """Has another worker on a small disk of its own, which is full; false where only root mounts one here."""
+    def done(self):
+        return max(node.metric("tmpi_photos_done") for node in self.serve)
+
+    def hints(self):
+        """Hints sent, lost and given again, as the nodes that are there count them since they started."""
+        if not self.nats:
+            return "-"
+        count = lambda name: sum(int(node.metric(f"tmpi_hints_{name}")) for node in self.serve + self.work)
+        return f"{count('sent')}, {count('lost')}, {count('redelivered')}"
+
+    def small_disk(self, node, inodes):
+        """Has one of `node` on a small disk of its own, which is full of bytes or of files."""
         self.small = self.folder / "small"
         self.small.mkdir()
-        if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=20m", "tmpfs", self.small], capture_output=True).returncode:
-            self.small = None
-            return False
-        common = self.work[0].args
-        self.work[0].stop()
-        self.work[0] = Server(*common, data=self.small, env=self.work[0].env)
-        with open(self.small / "filler", "wb", buffering=0) as file:
-            try:
-                while True:
-                    file.write(bytes(1 << 12))
-            except OSError:
-                pass
-        return True
+        subprocess.run(["mount", "-t", "tmpfs", "-o", "nr_inodes=200" if inodes else "size=20m", "tmpfs", self.small], check=True)
+        before = node[0]
+        before.stop()
+        node[0] = Server(*before.args, data=self.small, env=before.env)
+        (self.small / "filler").mkdir()
+        try:
+            for n in range(1 << 16):
+                with open(self.small / "filler" / str(n if inodes else 0), "ab", buffering=0) as file:
+                    file.write(b"" if inodes else bytes(1 << 12))
+        except OSError:
+            pass
 
     def remove(self):
         for server in self.serve + self.work:
             server.remove()
         self.s3.kill()
+        if self.nats:
+            self.nats.kill()
         if self.small:
             subprocess.run(["umount", self.small], capture_output=True)
+        if self.network:
+            self.network.remove()
         shutil.rmtree(self.folder, ignore_errors=True)
 
 
@@ -137,14 +82,11 @@ def restart(server):
     server.start()
 
 
-def round_of(table, name, uploads, harm, seed, before=lambda nodes: True):
+def round_of(table, name, uploads, harm, seed, before=lambda nodes: None, **kind):
     """`uploads` photos while `harm` is done again and again; what became of each."""
-    nodes = Nodes()
-    if not before(nodes):
-        table.row(name, "skipped: only root mounts a small disk here", *[""] * 6)
-        nodes.remove()
-        return
-    photos, accepted, depth, stop = queue.Queue(), {}, ramp(), threading.Event()
+    nodes = Nodes(**kind)
+    before(nodes)
+    photos, accepted, refused, depth, stop, recoveries = queue.Queue(), {}, {}, ramp(), threading.Event(), []
     for n in range(uploads):
         photos.put(n)
 
@@ -159,12 +101,18 @@ def round_of(table, name, uploads, harm, seed, before=lambda nodes: True):
                 if status in (200, 201, 202):
                     accepted[n] = answer["id"]
                     break
+                refused[status] = refused.get(status, 0) + 1
                 k += 1
                 time.sleep(0.1)
 
     def trouble():
         while not stop.is_set():
             harm(nodes)
+            # until the next photo is made, where one waits
+            then, began = nodes.done(), time.monotonic()
+            while nodes.done() <= then < len(accepted) and time.monotonic() - began < 120:
+                time.sleep(0.1)
+            recoveries.append(time.monotonic() - began)
             stop.wait(1)
 
     began = time.monotonic()
@@ -176,27 +124,27 @@ def round_of(table, name, uploads, harm, seed, before=lambda nodes: True):
         thread.join()
     stop.set()
     hurts.join()
-    recovered = time.monotonic()
-    states = [nodes.serve[0].wait(photo, 300)["state"] for photo in accepted.values()]
-    recovery = time.monotonic() - recovered
+    states = [nodes.serve[0].wait(photo, 600)["state"] for photo in accepted.values()]
     lost = sum(state.startswith("answer") for state in states)
     finished = states.count("done")
     # of one making one result is kept: the names of all ends and atlases, as the store has them
-    names = listing(nodes.s3.port)
+    names = listing(nodes.s3)
     ends = [n for n in names if n.startswith("tmpi/ends/")]
     atlases = [n for n in names if n.endswith(".atlas.tmpi")]
     double = len(ends) - len(set(accepted.values()))
     check(len(accepted) == uploads and lost == 0 and finished == uploads and double == 0, f"{name}: {len(accepted)} accepted, {finished} finished, {lost} lost, {double} double")
-    table.row(name, len(accepted), finished, lost, double, len(atlases) - len(ends), f"{recovery:.1f} s", f"{time.monotonic() - began:.0f} s")
+    worst = max(recoveries)
+    check(worst <= 30, f"{name}: {worst:.1f} s until photos are made again")
+    told = ", ".join(f"{n} × {s}" for s, n in sorted(refused.items())) or "none"
+    table.row(name, len(recoveries), len(accepted), finished, lost, double, len(atlases) - len(ends), f"{worst:.1f} s", f"{time.monotonic() - began:.0f} s", told, nodes.hints())
     nodes.remove()
 
 
-def listing(port):
-    import re, urllib.parse, urllib.request
+def listing(s3):
     names, token = [], ""
     while True:
         query = f"list-type=2&prefix=tmpi/{'&continuation-token=' + urllib.parse.quote(token) if token else ''}"
-        text = urllib.request.urlopen(f"http://127.0.0.1:{port}/photos?{query}", timeout=30).read().decode()
+        text = urllib.request.urlopen(f"http://{s3.place.host}:{s3.port}/photos?{query}", timeout=30).read().decode()
         names += re.findall(r"<Key>([^<]*)</Key>", text)
         found = re.search(r"<NextContinuationToken>([^<]*)<", text)
         if not found:
@@ -213,25 +161,121 @@ def away_for(seconds):
             time.sleep(0.5)
         nodes.proxy.set(False)
         check(alive, "every node is alive while the store is away")
-        time.sleep(2)
     return harm
+
+
+def cut(which, seconds):
+    """Cuts places off, longer than a lease."""
+    def harm(nodes):
+        places = which(nodes)
+        nodes.network.set(places, True)
+        time.sleep(seconds)
+        nodes.network.set(places, False)
+    return harm
+
+
+def jump(rng):
+    def harm(nodes):
+        nodes.clock.set(rng.choice([-86400, -3600, 3600, 86400, 10 * 365 * 86400]))
+        time.sleep(3)
+    return harm
+
+
+def gone(table, seconds):
+    """The store and NATS are gone: nodes are alive, and what was read before is read on."""
+    nodes = Nodes(nats=bool(NATS))
+    ids = []
+    for n in range(8):
+        status, answer = nodes.serve[n % 2].upload(small(n, 96, 72), ramp())
+        check(status in (201, 202), f"an upload: {status}")
+        ids.append(answer["id"])
+    for node in nodes.serve:
+        for photo in ids:
+            check(node.wait(photo, 120)["state"] == "done" and node.get(f"/v1/photos/{photo}/atlas")[0] == 200, "photos are made and read")
+    nodes.proxy.set(True)
+    if nodes.nats:
+        nodes.nats.kill()
+    asked, wrong, worst, began, k = 0, {}, 0.0, time.monotonic(), 0
+    while time.monotonic() - began < seconds:
+        photo, k = ids[k % len(ids)], k + 1
+        for node in nodes.serve:
+            for path in ("/healthz", f"/v1/photos/{photo}", f"/v1/photos/{photo}/atlas", f"/v1/photos/{photo}/thumbnail", f"/v1/photos/{photo}/view?w=64&x={k % 50 / 1000}"):
+                then = time.monotonic()
+                status = node.get(path, timeout=30)[0]
+                worst, asked = max(worst, time.monotonic() - then), asked + 1
+                if status != 200:
+                    key = (path.rsplit("/", 1)[-1].split("?")[0] if path.count("/") > 2 else path, status)
+                    wrong[key] = wrong.get(key, 0) + 1
+        for node in nodes.work:
+            status, asked = node.get("/healthz", timeout=30)[0], asked + 1
+            if status != 200:
+                wrong["worker", status] = wrong.get(("worker", status), 0) + 1
+        time.sleep(0.2)
+    refused = nodes.serve[0].upload(small(1000, 96, 72), ramp())[0]
+    nodes.proxy.set(False)
+    if nodes.nats:
+        for server in nodes.nats.servers:
+            server.start()
+    back = time.monotonic()
+    while (answer := nodes.serve[0].upload(small(1001, 96, 72), ramp()))[0] not in (201, 202) and time.monotonic() - back < 60:
+        time.sleep(0.1)
+    made = check(answer[0] in (201, 202), "uploads are taken again") and nodes.serve[1].wait(answer[1]["id"], 60)["state"]
+    check(not wrong and refused == 503 and made == "done", f"gone: {wrong}, an upload {refused}, then {made}")
+    table.row(f"{seconds} s", asked, sum(wrong.values()), f"{worst * 1000:.0f} ms", refused, f"{time.monotonic() - back:.1f} s")
+    nodes.remove()
 
 
 def main():
     args = argparse.ArgumentParser(description=__doc__)
     args.add_argument("--full", action="store_true")
-    full = args.parse_args().full
-    uploads, rng = 100 if full else 16, random.Random(1)
-    table = Table("under", "accepted", "finished", "lost", "double", "thrown away", "recovery", "took")
+    args.add_argument("--nats", action="store_true", help="the rounds with NATS")
+    args.add_argument("--gone", action="store_true", help="store and NATS gone, for 10 minutes with --full")
+    args.add_argument("--uploads", type=int, help="photos of a round")
+    args.add_argument("--only", default="", help="rounds with this in their name")
+    args = args.parse_args()
+    if args.gone:
+        gone(Table("gone for", "requests", "not 200", "slowest", "an upload meanwhile", "made again after"), 600 if args.full else 20)
+        end()
+    if args.nats and not NATS:
+        raise SystemExit("there is no nats-server")
+    uploads, rng, root = args.uploads or (500 if args.full else 16), random.Random(1), os.geteuid() == 0
+    seconds = 60 if args.full else 5
+    table = Table("under", "times", "accepted", "finished", "lost", "double", "thrown away", "until the next is made", "took", "tried again", "hints sent, lost, again")
     rounds = [
-        ("nothing", lambda nodes: None),
-        ("kill -9 of a node that serves", lambda nodes: restart(rng.choice(nodes.serve))),
-        ("kill -9 of a node that makes", lambda nodes: restart(rng.choice(nodes.work))),
-        (f"store away for {60 if full else 5} s", away_for(60 if full else 5)),
+        ("nothing", lambda nodes: None, {}),
+        ("kill -9 of a node that serves", lambda nodes: restart(rng.choice(nodes.serve)), {}),
+        ("kill -9 of a node that makes", lambda nodes: restart(rng.choice(nodes.work)), {}),
+        (f"store away for {seconds} s", away_for(seconds), {}),
     ]
-    for n, (name, harm) in enumerate(rounds):
-        round_of(table, name, uploads, harm, 1000 * n)
-    round_of(table, "full disk of a node that makes", uploads, lambda nodes: None, 1000 * len(rounds), Nodes.fill_a_worker)
+    if Clock.LIBRARY:
+        rounds.append(("clocks of two nodes that jump", jump(rng), {"clock": True}))
+    if args.nats:
+        rounds += [
+            ("kill -9 of one of three NATS servers", lambda nodes: nodes.nats.kill_one(rng), {}),
+            ("kill -9 of all NATS servers, disks wiped", lambda nodes: nodes.nats.wipe(), {}),
+        ]
+    if root:
+        apart = {"apart": True}
+        rounds += [
+            ("a worker cut off", cut(lambda nodes: [rng.choice(nodes.network.places[4:])], 2 * LEASE), apart),
+            ("the store cut off", cut(lambda nodes: [nodes.network.places[3]], 2 * LEASE), apart),
+        ]
+        if args.nats:
+            rounds += [
+                ("one of three NATS servers cut off", cut(lambda nodes: [rng.choice(nodes.network.places[:3])], 2 * LEASE), apart),
+                ("everything cut off from everything", cut(lambda nodes: nodes.network.places, 2 * LEASE), apart),
+            ]
+        else:
+            full = lambda part, inodes: lambda nodes: nodes.small_disk(getattr(nodes, part), inodes)
+            rounds += [
+                ("full disk of a worker", lambda nodes: None, {"before": full("work", False)}),
+                ("no inodes left at a worker", lambda nodes: None, {"before": full("work", True)}),
+                ("full disk of a node that serves", lambda nodes: None, {"before": full("serve", False)}),
+                ("no inodes left at a node that serves", lambda nodes: None, {"before": full("serve", True)}),
+            ]
+    for n, (name, harm, kind) in enumerate(rounds):
+        if args.only in name:
+            round_of(table, name, uploads, harm, 1000 * n, nats=args.nats, **kind)
     end()
 
 

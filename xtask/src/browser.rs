@@ -38,6 +38,11 @@ fn has_software_vulkan() -> bool {
         .any(|entry| entry.file_name().to_string_lossy().starts_with("lvp_icd"))
 }
 
+/// Whether tests find a `nats-server`; Debian keeps it where only root looks.
+pub fn nats_is_there() -> bool {
+    output("nats-server", &["--version"]).is_some() || Path::new("/usr/sbin/nats-server").exists()
+}
+
 /// Makes sure that browser, driver and Node are there; installs them where it may.
 pub fn tools() -> Result<(), Fault> {
     let mut missing = Vec::new();
@@ -54,7 +59,7 @@ pub fn tools() -> Result<(), Fault> {
         missing.push("npm");
     }
     // the tests of rooms that several servers share
-    if cfg!(target_os = "linux") && output("nats-server", &["--version"]).is_none() && !Path::new("/usr/sbin/nats-server").exists() {
+    if cfg!(target_os = "linux") && !nats_is_there() {
         missing.push("nats-server");
     }
     if !missing.is_empty() {

@@ -3,6 +3,7 @@
 
 mod browser;
 mod command;
+mod engines;
 mod fuzz;
 mod release;
 mod runtime;
@@ -93,13 +94,11 @@ fn serve(args: &[String]) -> Result<(), Fault> {
 
 /// The tests; what the steps before them have fetched or installed must be found, so that no test is skipped for it.
 fn tests() -> Result<(), Fault> {
-    // theirs are skipped then, as they say
-    if command::output("python3", &["-c", "import moto.server"]).is_none() {
-        println!("no S3 server for tests: pip install 'moto[server]'");
-    }
+    engines::fetch();
     let mut command = cargo(&["test", "--workspace", "--release"]);
+    let required = engines::name_to(&mut command, REQUIRED);
     if std::env::var_os(REQUIRE).is_none() {
-        command.env(REQUIRE, REQUIRED);
+        command.env(REQUIRE, required);
     }
     run(command)
 }

@@ -28,7 +28,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use async_nats::connection::State;
-use async_nats::{Client, ConnectOptions, Message, Subscriber};
+use async_nats::{Client, Message, Subscriber};
 use bytes::Bytes;
 use futures_util::StreamExt as _;
 use serde::{Deserialize, Serialize};
@@ -38,6 +38,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::Rooms;
 use super::room::Room;
+pub use crate::nats::Config;
 use table::{BEAT, Owner, Presence, Table, Verdict, Watched};
 pub use tiles::Chunks;
 pub use wire::Start;
@@ -48,26 +49,11 @@ const WAITING: usize = 128;
 const SENDING: usize = 32;
 /// Requests to the owner of a room that wait.
 const ASKS: usize = 16;
-/// Longest pause before a lost NATS server is tried again.
-const AGAIN: Duration = Duration::from_millis(500);
-/// Pause between two looks whether the connection lives; the second that is not answered ends it.
-const PING: Duration = Duration::from_secs(2);
 /// Shortest pause between two answers to what others say.
 const ANSWERS: Duration = Duration::from_millis(50);
 /// Bytes of what a node says of itself, at most.
 const SAID: usize = 64 << 10;
 const PRESENCE: &str = "tmpi.nodes";
-
-/// How a node finds the others.
-#[derive(Clone)]
-pub struct Config {
-    /// Addresses of NATS servers, as `nats://HOST:PORT`; user and password, or a token as user, may stand in them.
-    pub servers: Vec<async_nats::ServerAddr>,
-    /// `USER:PASSWORD` or a token, for all of them.
-    pub login: Option<String>,
-    /// Name of this node, as those of rooms; it need not be its alone.
-    pub name: String,
-}
 
 /// What a node wants of the owner of a room.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -124,23 +110,10 @@ impl Nodes {
     /// # Errors
     /// An address that is none; no failure to reach it.
     pub async fn join(config: &Config, rooms: &Arc<Rooms>, stop: CancellationToken) -> Result<Arc<Self>, async_nats::Error> {
-        let mut options = ConnectOptions::new();
-        options = match config.login.as_deref().map(str::trim) {
-            None => options,
-            Some(login) => match login.split_once(':') {
-                Some((user, password)) => options.user_and_password(user.to_owned(), password.to_owned()),
-                None => options.token(login.to_owned()),
-            },
-        };
-        let options = options
-            .name(format!("tmpi {}", config.name))
-            .no_echo()
-            .retry_on_initial_connect()
+        let options = config
+            .options()
             .subscription_capacity(WAITING)
             .client_capacity(SENDING)
-            .ping_interval(PING)
-            .connection_timeout(PING)
-            .reconnect_delay_callback(|attempts| AGAIN.min(Duration::from_millis(50 * attempts as u64)))
             .event_callback(|event| async move { tracing::info!(%event, "NATS") });
         let client = options.connect(config.servers.clone()).await?;
         let me = format!("{}-{:08x}", config.name, random());

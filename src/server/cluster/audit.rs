@@ -35,41 +35,64 @@ pub struct Audit {
     pub unread: Vec<String>,
     /// Accepted photos without a marker among what is pending; any node that runs marks them again.
     pub unmarked: Vec<String>,
+    /// Markers of accepted photos that are damaged, so that no node takes them up.
+    pub damaged: Vec<String>,
+    /// Of these two, those that were marked again.
+    pub mended: usize,
     /// Blobs that should be there.
     pub missing: Vec<String>,
     /// Records and blobs that nothing leads to, older than was asked for.
     pub left_over: Vec<String>,
     /// Those of them that were removed.
     pub removed: usize,
+    /// Folders that were empty for as long, and were removed; an object store has none.
+    pub folders: usize,
+}
+
+/// What is done about what an audit finds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Remedy {
+    /// Nothing.
+    Tell,
+    /// What waits and no node would take up is marked again.
+    Mend,
+    /// What is left over is removed.
+    Remove,
 }
 
 impl Audit {
-    /// True where nothing is lost and everything was understood.
+    /// True where nothing is lost, everything was understood, and what was amiss with markers is mended.
     #[must_use]
     pub const fn is_sound(&self) -> bool {
-        self.unread.is_empty() && self.unmarked.is_empty() && self.missing.is_empty()
+        self.unread.is_empty() && self.missing.is_empty() && self.unmarked.len() + self.damaged.len() == self.mended
     }
 }
 
-/// Looks through a store, and removes what is left over for longer than `age` where `remove`. Nodes may run meanwhile: uploads that take
-/// longer than `age` would lose their files. Blocks; called within a runtime.
+/// Looks through a store, and puts right or removes what `remedy` says; what is left over for less than `age` stays. Nodes may run
+/// meanwhile: uploads that take longer than `age` would lose their files. Blocks; called within a runtime.
 ///
 /// # Errors
 /// The address is not understood, or the store cannot be reached.
-pub fn audit(store: &str, age: Duration, remove: bool) -> io::Result<Audit> {
+pub fn audit(store: &str, age: Duration, remedy: Remedy) -> io::Result<Audit> {
     if let Some(path) = store.strip_prefix("file://")
         && !std::path::Path::new(path).is_dir()
     {
         return Err(io::Error::new(io::ErrorKind::NotFound, "there is no such folder"));
     }
-    let (blobs, ledger) = super::ports_at(store)?;
-    Auditor { blobs, ledger, before_ms: now_ms().saturating_sub(age.as_millis() as u64), audit: Audit::default() }.run(remove)
+    let (blobs, ledger) = super::open::ports_at(store)?;
+    let before_ms = now_ms().saturating_sub(age.as_millis() as u64);
+    let mut audit = Auditor { blobs: Arc::clone(&blobs), ledger, before_ms, remedy, audit: Audit::default() }.run()?;
+    if remedy == Remedy::Remove {
+        audit.folders = blobs.tidy(age)?;
+    }
+    Ok(audit)
 }
 
 struct Auditor {
     blobs: Arc<dyn Blobs>,
     ledger: Arc<dyn Ledger>,
     before_ms: u64,
+    remedy: Remedy,
     audit: Audit,
 }
 
@@ -84,7 +107,7 @@ struct Wanted {
 }
 
 impl Auditor {
-    fn run(mut self, remove: bool) -> io::Result<Audit> {
+    fn run(mut self) -> io::Result<Audit> {
         // what is there first, then what it is for: what comes meanwhile is not taken for left over
         let mut there = Vec::new();
         for folder in [records::ENDS, records::PENDING, records::BLOBS] {
@@ -98,11 +121,11 @@ impl Auditor {
         for name in there.iter().filter(|name| !wanted.names.contains(*name)) {
             self.other(name, &wanted)?;
         }
-        for list in [&mut self.audit.overdue, &mut self.audit.unread, &mut self.audit.unmarked, &mut self.audit.missing] {
+        let Audit { overdue, unread, unmarked, damaged, missing, left_over, .. } = &mut self.audit;
+        for list in [overdue, unread, unmarked, damaged, missing, left_over] {
             list.sort_unstable();
         }
-        self.audit.left_over.sort_unstable();
-        if remove {
+        if self.remedy == Remedy::Remove {
             for name in &self.audit.left_over {
                 if name.starts_with(records::BLOBS) { self.blobs.discard(name) } else { self.ledger.remove(name) }?;
                 self.audit.removed += 1;
@@ -158,10 +181,7 @@ impl Auditor {
                 if self.is_old(&photo.making) {
                     self.audit.overdue.push(name.to_owned());
                 }
-                self.record::<Marker>(&marker)?;
-                if !there.contains(marker.as_str()) && self.ledger.get(&marker)?.is_none() && self.ledger.get(&end_name)?.is_none() {
-                    self.audit.unmarked.push(name.to_owned());
-                }
+                self.marker(name, id, &photo.making)?;
                 wanted.open.insert((id, photo.making.clone()));
                 wanted.open.extend(photo.before.map(|before| (id, before)));
                 wanted.names.insert(marker);
@@ -173,6 +193,29 @@ impl Auditor {
                 self.audit.missing.push(blob.clone());
             }
             wanted.names.insert(blob);
+        }
+        Ok(())
+    }
+
+    /// Looks at the marker of an accepted photo that has not ended.
+    fn marker(&mut self, photo: &str, id: PhotoId, making: &str) -> io::Result<()> {
+        let (name, fresh) = (Marker::name_of(id, making), serde_json::to_vec_pretty(&Marker::new(id, making))?);
+        let mends = self.remedy == Remedy::Mend;
+        let Some((bytes, seen)) = self.ledger.get(&name)? else {
+            // it may have ended meanwhile
+            if self.ledger.get(&End::name(id, making))?.is_none() {
+                self.audit.unmarked.push(photo.to_owned());
+                self.audit.mended += usize::from(mends && self.ledger.create(&name, &fresh)?);
+            }
+            return Ok(());
+        };
+        match records::read::<Marker>(&name, &bytes) {
+            Err(_) if records::is_damaged::<Marker>(&bytes) => {
+                self.audit.damaged.push(name.clone());
+                self.audit.mended += usize::from(mends && self.ledger.swap(&name, &seen, &fresh)?.is_some());
+            }
+            Err(error) => self.audit.unread.push(error.to_string()),
+            Ok(_) => {}
         }
         Ok(())
     }

@@ -194,16 +194,18 @@ impl Cluster {
         self.heard(self.ledger.all(records::PENDING))
     }
 
-    /// Looks through what is `pending` and queues what is nobody's: the queue may have lost it, or the node that had it.
+    /// Looks through what was `pending` when it was `listed` and queues what is nobody's: the queue may have lost it, or the node that
+    /// had it.
     ///
     /// # Errors
     /// The store cannot be reached.
-    pub fn sweep(&self, pending: &[String]) -> io::Result<()> {
+    pub fn sweep(&self, pending: &[String], listed: Instant) -> io::Result<()> {
         /// Markers that are read at a time; the next sweep goes on behind them.
         const MOST: usize = 512;
         if !self.makes {
             return Ok(());
         }
+        self.queue.keep(pending, listed);
         lock(&self.sightings).0.retain(|name, _| pending.binary_search(name).is_ok());
         let first = pending.partition_point(|name| *name <= *lock(&self.cursor));
         let mut read = 0;

@@ -10,6 +10,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use super::ports::{Blobs, Ledger, Tag, unreachable};
+use super::records::BLOBS;
 use crate::server::files::{Disk, Files as _, private};
 use crate::server::store::digest;
 
@@ -69,15 +70,22 @@ impl Folder {
     }
 
     /// Gives a file its place by `place`, durably.
-    fn placed<T>(&self, name: &str, bytes: &[u8], place: impl FnOnce(&Path, &Path) -> io::Result<T>) -> io::Result<T> {
+    fn placed<T>(&self, name: &str, bytes: &[u8], place: impl Fn(&Path, &Path) -> io::Result<T>) -> io::Result<T> {
         let to = self.root.join(name);
         let folder = to.parent().unwrap_or(&self.root);
         let coming = self.coming(bytes)?;
-        if !folder.is_dir() {
-            Disk.create_dir(folder, true)?;
-            Disk.sync_dir(folder.parent().unwrap_or(&self.root))?;
-        }
-        let outcome = place(&coming, &to);
+        let enter = || {
+            if !folder.is_dir() {
+                Disk.create_dir(folder, true)?;
+                Disk.sync_dir(folder.parent().unwrap_or(&self.root))?;
+            }
+            place(&coming, &to)
+        };
+        // an empty folder may be tidied away just before
+        let outcome = match enter() {
+            Err(e) if e.kind() == ErrorKind::NotFound && !folder.is_dir() => enter(),
+            outcome => outcome,
+        };
         match Disk.remove(&coming) {
             Err(e) if e.kind() != ErrorKind::NotFound => tracing::warn!(path = %coming.display(), error = %e, "a leftover"),
             _ => {}
@@ -124,6 +132,17 @@ impl Blobs for Folder {
 
     fn discard(&self, name: &str) -> io::Result<()> {
         self.gone(name)
+    }
+
+    fn tidy(&self, age: Duration) -> io::Result<usize> {
+        let folders = match fs::read_dir(self.root.join(BLOBS)) {
+            Err(e) if e.kind() == ErrorKind::NotFound => return Ok(0),
+            folders => folders?,
+        };
+        let is_old = |of: &fs::Metadata| of.modified().is_ok_and(|at| at.elapsed().is_ok_and(|since| since > age));
+        let old = folders.flatten().filter(|entry| entry.metadata().is_ok_and(|of| of.is_dir() && is_old(&of)));
+        // one that has something in it stays
+        Ok(old.filter(|entry| fs::remove_dir(entry.path()).is_ok()).count())
     }
 }
 

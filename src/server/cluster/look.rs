@@ -161,6 +161,7 @@ fn looks(jobs: &Weak<Jobs>, cluster: &Cluster) {
     loop {
         std::thread::sleep(TICK);
         let Some(jobs) = jobs.upgrade() else { return };
+        cluster.lapse(&jobs);
         for entry in jobs.all().iter().filter(|entry| entry.is_followed() && !entry.status().is_final()) {
             if !cluster.is_fresh(entry.id)
                 && let Err(error) = jobs.refresh(cluster, entry.id)
@@ -174,8 +175,9 @@ fn looks(jobs: &Weak<Jobs>, cluster: &Cluster) {
 /// Sweeps what is pending.
 fn sweeps(jobs: &Weak<Jobs>, cluster: &Cluster) {
     again_and_again(jobs, cluster, 1, |jobs| {
+        let listed = Instant::now();
         let pending = cluster.pending()?;
-        cluster.sweep(&pending)?;
+        cluster.sweep(&pending, listed)?;
         cluster.compare(jobs, &pending)
     });
 }

@@ -2,58 +2,44 @@
 //! hint and may lose everything. What a node has on its own disk and in its index are copies.
 
 mod audit;
+mod bus;
 mod claim;
 mod folder;
+mod hear;
+mod jetstream;
 mod local;
 mod look;
 mod objects;
+mod open;
 mod ports;
 mod records;
 mod work;
 
 use std::collections::{HashMap, HashSet};
-use std::hash::{BuildHasher, BuildHasherDefault, DefaultHasher, RandomState};
+use std::hash::{BuildHasher, BuildHasherDefault, DefaultHasher};
 use std::io;
-use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
+use super::access::Secret;
 use super::id::PhotoId;
-use super::limits::Limits;
 use super::part::Part;
 use super::records::Accepted;
 use super::settings::Settings;
 use super::store::{Origin, digest};
 use super::time::now_ms;
+use bus::Bus;
 use claim::Sightings;
-use ports::{Blobs, Hint, Ledger, Queue, Tag, unreachable};
+use hear::Elsewhere;
+use ports::{Blobs, Figure, Hint, Ledger, Queue, Tag, unreachable};
 use records::{End, Marker, Photo};
 
-pub use audit::{Audit, audit};
+pub use audit::{Audit, Remedy, audit};
+pub use hear::hear;
 pub use look::{Seen, keep_up};
+pub use open::{Nats, Role, Sharing};
 pub use work::work;
-
-/// What a node does.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
-pub enum Role {
-    /// Answers requests and makes photos.
-    #[default]
-    All,
-    /// Answers requests; other nodes make photos.
-    Serve,
-    /// Makes photos; answers questions about its health alone.
-    Work,
-}
-
-/// What a node shares with others.
-#[derive(Clone, Debug)]
-pub struct Sharing {
-    /// `s3://BUCKET/PREFIX` or `file:///FOLDER`.
-    pub store: String,
-    /// What this node does.
-    pub role: Role,
-}
 
 /// Age at which what is known of a photo is looked up again, while it is being made and once it has ended.
 const FRESH: Duration = Duration::from_millis(500);
@@ -76,6 +62,8 @@ pub struct Cluster {
     blobs: Arc<dyn Blobs>,
     ledger: Arc<dyn Ledger>,
     queue: Arc<dyn Queue>,
+    /// What the others tell at once, where there is NATS.
+    bus: Option<Bus>,
     node: String,
     next: AtomicU64,
     known: Mutex<HashMap<PhotoId, Known>>,
@@ -92,41 +80,19 @@ pub struct Cluster {
     cursor: Mutex<String>,
     /// Makings of which no marker was seen.
     unmarked: Mutex<HashSet<(PhotoId, String)>>,
+    elsewhere: Mutex<Elsewhere>,
     makes: bool,
+    serves: bool,
     lease: Duration,
     sweep: Duration,
 }
 
 impl Cluster {
-    /// Connects with the others; a store that cannot be reached now may come later. Called within a runtime.
-    ///
-    /// # Errors
-    /// The addresses are not understood, or a folder cannot be made.
-    pub fn open(sharing: &Sharing, limits: &Limits) -> io::Result<Self> {
-        let (blobs, ledger) = ports_at(&sharing.store)?;
-        let node = format!("{:016x}", RandomState::new().hash_one(std::process::id()));
-        let makes = sharing.role != Role::Serve;
-        let queue: Arc<dyn Queue> = if makes { Arc::new(local::LocalQueue::default()) } else { Arc::new(local::Idle) };
-        Ok(Self {
-            blobs,
-            ledger,
-            queue,
-            node,
-            next: AtomicU64::new(0),
-            known: Mutex::default(),
-            damaged: Mutex::default(),
-            looking: [const { Mutex::new(()) }; LOCKS],
-            away: Mutex::default(),
-            listing: Mutex::default(),
-            listed: Mutex::default(),
-            sightings: Mutex::default(),
-            cursor: Mutex::default(),
-            unmarked: Mutex::default(),
-            makes,
-            lease: limits.lease,
-            // often enough to see whether a lease is kept
-            sweep: limits.sweep.min(limits.lease / 4),
-        })
+    /// Names, meanings and values of what is counted where there is NATS; nothing elsewhere.
+    pub fn counts(&self) -> Vec<Figure> {
+        let mut counts = self.queue.counts();
+        counts.extend(self.bus.as_ref().map(Bus::counts).unwrap_or_default());
+        counts
     }
 
     fn known(&self) -> MutexGuard<'_, HashMap<PhotoId, Known>> {
@@ -148,6 +114,22 @@ impl Cluster {
     /// Why not.
     pub fn check(&self) -> io::Result<()> {
         self.heard(self.ledger.page(records::PENDING, None, 1)).map(drop)
+    }
+
+    /// The secret of all nodes of the store; made where there is none.
+    ///
+    /// # Errors
+    /// The store cannot be reached, or what it has is none.
+    pub fn secret(&self) -> io::Result<Secret> {
+        let wrong = || io::Error::new(io::ErrorKind::InvalidData, format!("the record {}: no secret", records::SECRET));
+        if self.ledger.get(records::SECRET)?.is_none() {
+            let fresh = records::Shared { version: records::VERSION, secret: Secret::fresh()?.text() };
+            // of any number who try at a time one succeeds, and what it wrote is read by all
+            self.ledger.create(records::SECRET, &serde_json::to_vec_pretty(&fresh)?)?;
+        }
+        let (bytes, _) = self.ledger.get(records::SECRET)?.ok_or_else(wrong)?;
+        let shared: records::Shared = records::read(records::SECRET, &bytes)?;
+        Secret::read(&shared.secret).ok_or_else(wrong)
     }
 
     /// Remembers whether the store answered.
@@ -226,7 +208,7 @@ impl Cluster {
         // an answer that was lost on its way may have been tried again, against its own outcome
         let ours = created || self.look_up(id)?.is_some_and(|known| known.photo.making == making);
         if ours {
-            self.queue.push(&hint);
+            self.queue.offer(&hint);
             self.stale(id);
         } else {
             self.discard(id, std::slice::from_ref(&making), &[]);
@@ -259,7 +241,8 @@ impl Cluster {
         photo.before = Some(std::mem::replace(&mut photo.making, making));
         let swapped = self.swap(id, &tag, &photo)?;
         if swapped {
-            self.queue.push(&hint);
+            self.queue.offer(&hint);
+            self.tell_changed(id, &photo.making);
         } else {
             self.ledger.remove(&hint.marker)?;
         }
@@ -273,7 +256,11 @@ impl Cluster {
     pub fn set(&self, id: PhotoId, settings: &Settings) -> io::Result<bool> {
         let Some(Known { mut photo, tag, .. }) = self.known().get(&id).cloned() else { return Ok(false) };
         photo.settings = settings.clone();
-        self.swap(id, &tag, &photo)
+        let swapped = self.swap(id, &tag, &photo)?;
+        if swapped {
+            self.tell_changed(id, &photo.making);
+        }
+        Ok(swapped)
     }
 
     fn swap(&self, id: PhotoId, seen: &Tag, photo: &Photo) -> io::Result<bool> {
@@ -320,6 +307,8 @@ impl Cluster {
         self.heard(self.ledger.remove(&Photo::name(id)))?;
         self.known().remove(&id);
         let Some(Known { photo, .. }) = known else { return Ok(()) };
+        // whoever makes it stops
+        self.tell_changed(id, &photo.making);
         let makings: Vec<String> = [Some(photo.source), Some(photo.making), photo.before].into_iter().flatten().collect();
         for making in &makings {
             for record in [Marker::name_of(id, making), End::name(id, making)] {
@@ -352,22 +341,6 @@ impl Cluster {
         if let Err(error) = removed {
             tracing::warn!(%id, %error, "blobs are left behind");
         }
-    }
-}
-
-/// Blobs and ledger of a store.
-fn ports_at(store: &str) -> io::Result<(Arc<dyn Blobs>, Arc<dyn Ledger>)> {
-    match store.split_once("://") {
-        Some(("s3", place)) => {
-            let (bucket, prefix) = place.split_once('/').unwrap_or((place, ""));
-            let objects = Arc::new(objects::Objects::open(bucket, prefix)?);
-            Ok((objects.clone(), objects))
-        }
-        Some(("file", path)) => {
-            let folder = Arc::new(folder::Folder::open(Path::new(path))?);
-            Ok((folder.clone(), folder))
-        }
-        _ => Err(io::Error::new(io::ErrorKind::InvalidInput, "a store is s3://BUCKET/PREFIX or file:///FOLDER")),
     }
 }
 

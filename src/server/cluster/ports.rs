@@ -4,7 +4,7 @@
 
 use std::fmt::Debug;
 use std::io;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// Names of a page of a list.
 pub const PAGE: usize = 1000;
@@ -28,6 +28,14 @@ pub trait Blobs: Debug + Send + Sync + 'static {
     /// # Errors
     /// The store cannot be reached.
     fn discard(&self, name: &str) -> io::Result<()>;
+
+    /// Removes folders that have been empty for longer than `age`, where the store has such, and gives their count.
+    ///
+    /// # Errors
+    /// The store cannot be reached.
+    fn tidy(&self, _age: Duration) -> io::Result<usize> {
+        Ok(0)
+    }
 }
 
 /// Which content of a record was read.
@@ -93,15 +101,29 @@ pub struct Hint {
 
 /// Whose turn it is. It may lose hints and give them twice.
 pub trait Queue: Debug + Send + Sync + 'static {
-    /// Puts a photo behind the others.
+    /// Tells of a photo that was accepted: it is for whichever node comes first.
+    fn offer(&self, hint: &Hint);
+
+    /// Puts a photo behind those that wait at this node.
     fn push(&self, hint: &Hint);
 
     /// True where it waits here or is worked on already.
     fn has(&self, hint: &Hint) -> bool;
 
+    /// Forgets what waited here before `listed` and is not among the sorted names of what was `pending` then.
+    fn keep(&self, pending: &[String], listed: Instant);
+
     /// The next one; none where there is none within `wait`.
     fn lease(&self, wait: Duration) -> Option<Box<dyn Lease>>;
+
+    /// Names, meanings and values of what is counted.
+    fn counts(&self) -> Vec<Figure> {
+        Vec::new()
+    }
 }
+
+/// Name, meaning and value of something that is counted.
+pub type Figure = (&'static str, &'static str, f64);
 
 /// A hint that was taken from a queue, which gives it to others where nothing is heard of it.
 pub trait Lease: Send + Sync {

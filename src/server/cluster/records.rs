@@ -4,6 +4,7 @@
 //! photos/ID                    the photo: Photo; created when it is accepted, changed by compare-and-set, removed when it is deleted
 //! ends/ID.MAKING               how a making of it ended: End; created once, so that one result counts
 //! pending/MAKING.ID            a making that has not ended: Marker; the oldest are listed first
+//! access/secret                what ids and links are made with where the nodes ask who comes: Shared; created once, by the first of them
 //! blobs/ID/MAKING.PART         what was uploaded, and strokes
 //! blobs/ID/MAKING-NODE-N.PART  what a node made
 //! ```
@@ -19,6 +20,8 @@ use crate::server::settings::Settings;
 /// Version of these records. Those of later ones are not touched.
 pub const VERSION: u32 = 1;
 
+/// Record of the nodes' secret.
+pub const SECRET: &str = "access/secret";
 /// Folder of the photos' records.
 pub const PHOTOS: &str = "photos/";
 /// Folder of how makings ended.
@@ -62,6 +65,15 @@ pub struct Photo {
     /// Blob of the strokes of a touch-up.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub strokes: Option<String>,
+}
+
+/// The secret of the nodes of a store.
+#[derive(Serialize, Deserialize)]
+pub struct Shared {
+    /// [`VERSION`].
+    pub version: u32,
+    /// Hexadecimal digits.
+    pub secret: String,
 }
 
 /// How a making ended.
@@ -132,6 +144,19 @@ impl End {
     }
 }
 
+/// True for names of records of makings that have not ended; what others say may be any text.
+pub fn is_marker(name: &str) -> bool {
+    let Some((making, id)) = name.strip_prefix(PENDING).and_then(|rest| rest.split_once('.')) else { return false };
+    is_making(making) && id.parse::<PhotoId>().is_ok()
+}
+
+/// True for names of makings.
+pub fn is_making(making: &str) -> bool {
+    /// Digits and dashes of the longest.
+    const MOST: usize = 64;
+    !making.is_empty() && making.len() <= MOST && making.bytes().all(|b| b.is_ascii_hexdigit() || b == b'-')
+}
+
 /// Folder of a photo's blobs.
 pub fn blobs(id: PhotoId) -> String {
     format!("{BLOBS}{id}/")
@@ -142,19 +167,26 @@ pub fn blob(id: PhotoId, of: &str, part: Part) -> String {
     format!("{}{of}.{}", blobs(id), part.name())
 }
 
+#[derive(Deserialize)]
+struct Versioned {
+    version: u32,
+}
+
 /// Reads a record of this version or an earlier one.
 ///
 /// # Errors
 /// It is of a later version, or damaged.
 pub fn read<T: DeserializeOwned>(name: &str, bytes: &[u8]) -> std::io::Result<T> {
-    #[derive(Deserialize)]
-    struct Versioned {
-        version: u32,
-    }
     let wrong = |why: String| std::io::Error::new(std::io::ErrorKind::InvalidData, format!("the record {name}: {why}"));
     let Versioned { version } = serde_json::from_slice(bytes).map_err(|e| wrong(e.to_string()))?;
     if version > VERSION {
         return Err(wrong(format!("version {version} is later than {VERSION}: update this node")));
     }
     serde_json::from_slice(bytes).map_err(|e| wrong(e.to_string()))
+}
+
+/// True for a record that no version of this program wrote, as far as this one knows.
+pub fn is_damaged<T: DeserializeOwned>(bytes: &[u8]) -> bool {
+    let is_later = serde_json::from_slice::<Versioned>(bytes).is_ok_and(|record| record.version > VERSION);
+    !is_later && serde_json::from_slice::<T>(bytes).is_err()
 }

@@ -1,6 +1,8 @@
+use std::path::Path;
 use std::sync::atomic::AtomicUsize;
 
 use super::*;
+use crate::server::limits::Limits;
 
 /// What the ports promise, on any store.
 fn keeps_its_promises(blobs: &dyn Blobs, ledger: &(dyn Ledger + Sync)) {
@@ -108,12 +110,13 @@ fn is_away(blobs: &dyn Blobs, ledger: &dyn Ledger) {
 fn node(dir: &Path, lease_ms: u64) -> Cluster {
     let store = format!("file://{}", dir.display());
     let limits = Limits { lease: Duration::from_millis(lease_ms), ..Limits::default() };
-    Cluster::open(&Sharing { store, role: Role::All }, &limits).unwrap()
+    Cluster::open(&Sharing { store, role: Role::All, nats: None }, &limits).unwrap()
 }
 
 fn accepted(cluster: &Cluster) -> PhotoId {
     let id = PhotoId::of(&[1; 32], None, "", "");
-    let accepted = Accepted { version: 1, at_ms: 1, photo_bytes: 5, depth_bytes: None, options: std::collections::BTreeMap::new() };
+    let accepted =
+        Accepted { version: 1, at_ms: 1, photo_bytes: 5, depth_bytes: None, options: std::collections::BTreeMap::new(), owner: None };
     let photo = || vec![(Part::Upload, b"photo".to_vec())];
     assert!(cluster.accept(id, &accepted, &Settings::default(), photo()).unwrap());
     assert!(!cluster.accept(id, &accepted, &Settings::default(), photo()).unwrap(), "it is there already");
@@ -266,7 +269,7 @@ fn records_that_cannot_be_read_hide_no_others_and_stay_as_they_are() {
     }
     accepted(&one);
     let two = node(dir.path(), 9000);
-    let swept = |cluster: &Cluster| cluster.sweep(&cluster.pending().unwrap()).unwrap();
+    let swept = |cluster: &Cluster| cluster.sweep(&cluster.pending().unwrap(), Instant::now()).unwrap();
     // more than a sweep reads: the next one goes on behind them
     swept(&two);
     swept(&two);
@@ -312,7 +315,7 @@ fn what_is_lost_from_the_queue_is_found_by_the_sweep() {
     // another node, of which the queue knows nothing
     let two = node(dir.path(), 9000);
     assert!(two.queue.lease(Duration::ZERO).is_none());
-    let swept = || two.sweep(&two.pending().unwrap()).unwrap();
+    let swept = || two.sweep(&two.pending().unwrap(), Instant::now()).unwrap();
     swept();
     let lease = two.queue.lease(Duration::ZERO).expect("the sweep queues it");
     assert_eq!(lease.hint(), &hint(&one));
@@ -343,7 +346,8 @@ fn what_is_left_over_is_removed_and_what_is_missing_or_foreign_is_told() {
     let one = node(dir.path(), 9000);
     let id = accepted(&one);
     let url = format!("file://{}", dir.path().display());
-    let looked = |remove: bool| audit(&url, Duration::from_hours(24), remove).unwrap();
+    let with = |remedy: Remedy| audit(&url, Duration::from_hours(24), remedy).unwrap();
+    let looked = |remove: bool| with(if remove { Remedy::Remove } else { Remedy::Tell });
     let sound = looked(true);
     assert_eq!(sound, Audit { photos: 1, pending: 1, ..Audit::default() });
     let old = |n: u32| format!("0000000000007-ab-{n}");
@@ -372,7 +376,42 @@ fn what_is_left_over_is_removed_and_what_is_missing_or_foreign_is_told() {
     one.ledger.remove(&Marker::name_of(id, &photo.making)).unwrap();
     one.blobs.discard(&records::blob(id, &photo.source, Part::Upload)).unwrap();
     let lost = looked(false);
-    assert_eq!((lost.unmarked, lost.missing), (vec![Photo::name(id)], vec![records::blob(id, &photo.source, Part::Upload)]));
+    assert_eq!((&lost.unmarked, lost.missing.as_slice()), (&vec![Photo::name(id)], &[records::blob(id, &photo.source, Part::Upload)][..]));
+    let mended = with(Remedy::Mend);
+    assert_eq!((mended.unmarked, mended.mended, looked(false).unmarked.len()), (lost.unmarked, 1, 0));
+    // half of a record, and one of a later version
+    let marker = Marker::name_of(id, &photo.making);
+    let damage = |bytes: &[u8]| {
+        one.ledger.remove(&marker).unwrap();
+        one.ledger.create(&marker, bytes).unwrap();
+    };
+    let whole = serde_json::to_vec(&Marker::new(id, &photo.making)).unwrap();
+    for (bytes, damaged) in [(&whole[..whole.len() / 2], 1), (&b"{\"version\": 1}"[..], 1), (&foreign[..], 0)] {
+        damage(bytes);
+        let told = with(Remedy::Tell);
+        assert_eq!((told.damaged.len(), told.unread.len()), (damaged, 3 - damaged), "{told:?}");
+        assert!(matches!(one.claim(&Hint { marker: marker.clone() }), Err(e) if e.kind() == io::ErrorKind::InvalidData));
+        assert_eq!(with(Remedy::Mend).mended, damaged);
+    }
+    assert_eq!(one.ledger.get(&marker).unwrap().unwrap().0, foreign, "what is of a later version is left alone");
+    damage(&whole[..9]);
+    with(Remedy::Mend);
+    assert!(matches!(one.claim(&Hint { marker }), Ok(claim::Claim::Ours(_))));
+}
+
+#[test]
+fn folders_that_are_empty_for_long_go_and_come_back_when_they_are_needed() {
+    let dir = tempfile::tempdir().unwrap();
+    let one = node(dir.path(), 9000);
+    let id = accepted(&one);
+    let folder = dir.path().join(records::blobs(id));
+    let tidied = || audit(&format!("file://{}", dir.path().display()), Duration::from_hours(24), Remedy::Remove).unwrap().folders;
+    one.remove(id).unwrap();
+    assert_eq!((tidied(), folder.is_dir()), (0, true), "it may be needed just now");
+    std::fs::File::open(&folder).unwrap().set_modified(std::time::SystemTime::now() - Duration::from_hours(25)).unwrap();
+    assert_eq!((tidied(), folder.is_dir()), (1, false));
+    accepted(&one);
+    assert_eq!((tidied(), folder.is_dir()), (0, true));
 }
 
 #[test]

@@ -17,7 +17,7 @@ use crate::server::part::Part;
 use crate::server::problem::Problem;
 use crate::server::records::Failed;
 use crate::server::time::now_ms;
-use crate::server::worker::{gave_up, make, said};
+use crate::server::worker::{Others, gave_up, make, said};
 
 /// Longest wait for a hint; then it is seen whether the server stops.
 const WAIT: Duration = Duration::from_secs(1);
@@ -80,7 +80,7 @@ fn take(jobs: &Arc<Jobs>, cluster: &Arc<Cluster>, lease: &dyn Lease) -> Then {
     };
     let start = Instant::now();
     jobs.begin(&entry);
-    let (outcome, then) = beating(cluster, &held, lease, |lost| run(jobs, cluster, &entry, &held, lost));
+    let (outcome, then) = beating(cluster, &entry, &held, lease, |lost| run(jobs, cluster, &entry, &held, lost));
     let took = start.elapsed();
     jobs.telemetry.job(outcome, took);
     tracing::info!(id = %entry.id, outcome, ms = took.as_millis() as u64, "job");
@@ -103,7 +103,7 @@ impl Drop for Ends<'_> {
 }
 
 /// Runs `work` while the lease is kept; `lost` is set where it is another's.
-fn beating<T>(cluster: &Cluster, held: &Held, lease: &dyn Lease, work: impl FnOnce(&AtomicBool) -> T) -> T {
+fn beating<T>(cluster: &Cluster, entry: &Entry, held: &Held, lease: &dyn Lease, work: impl FnOnce(&AtomicBool) -> T) -> T {
     let (lost, ended) = (AtomicBool::new(false), (Mutex::new(false), Condvar::new()));
     let (lost, ended) = (&lost, &ended);
     let beat = || {
@@ -114,6 +114,7 @@ fn beating<T>(cluster: &Cluster, held: &Held, lease: &dyn Lease, work: impl FnOn
                 return;
             }
             lease.extend();
+            cluster.tell_making(held, entry);
             // a store that is away decides nothing
             if matches!(cluster.extend(held), Ok(false)) {
                 lost.store(true, Ordering::Release);
@@ -134,13 +135,15 @@ fn run(jobs: &Jobs, cluster: &Cluster, entry: &Arc<Entry>, held: &Held, lost: &A
     if attempts >= jobs.limits.attempts {
         return fail(jobs, cluster, entry, held, gave_up(attempts));
     }
-    match make(jobs, entry, lost) {
+    let tell = || cluster.tell_making(held, entry);
+    match make(jobs, entry, &Others { lost, tell: &tell }) {
         Ok(product) => keep(jobs, cluster, entry, held, product),
         Err(Fault::Photo(problem)) => fail(jobs, cluster, entry, held, problem),
         Err(Fault::Crashed(reason)) => {
             tracing::warn!(id = %held.id, attempts = attempts + 1, reason, "the photo took down what made it");
             entry.set(Status::Queued);
             told(held, cluster.crashed(held));
+            cluster.tell_waiting(held);
             ("crashed", Then::GiveBack(Duration::ZERO))
         }
         Err(Fault::Server(reason)) => put_back(jobs, cluster, entry, held, reason),
@@ -149,6 +152,7 @@ fn run(jobs: &Jobs, cluster: &Cluster, entry: &Arc<Entry>, held: &Held, lost: &A
         Err(Fault::Cancelled) => {
             entry.set(Status::Queued);
             told(held, cluster.release(held));
+            cluster.tell_waiting(held);
             ("cancelled", Then::GiveBack(Duration::ZERO))
         }
     }
@@ -165,6 +169,7 @@ fn put_back(jobs: &Jobs, cluster: &Cluster, entry: &Entry, held: &Held, reason: 
     tracing::error!(id = %held.id, reason, "a fault of the server; the photo is tried again");
     entry.set(Status::Queued);
     let pause = cluster.put_back(held).unwrap_or(LATER);
+    cluster.tell_waiting(held);
     jobs.suffer(reason, Instant::now() + pause);
     // what is amiss may be this node's alone: others see it before it comes round here
     ("put-back", Then::GiveBack(pause + cluster.sweep_every() * 3))
@@ -255,6 +260,7 @@ impl Cluster {
             self.discard(id, &[before], &keep);
         }
         self.stale(id);
+        self.tell_changed(id, &held.making);
         Ok(match (&record.outcome, ours) {
             (_, false) => "second",
             (crate::server::records::End::Done(_), _) => "done",

@@ -161,7 +161,7 @@ mod tests {
         // nobody else takes anything
         let limits = Arc::new(Limits { workers: 0, ..Limits::default() });
         let jobs = Jobs::start(store, Vec::new(), Arc::new(Never), limits, Arc::default()).unwrap();
-        let accepted = Accepted { version: 1, at_ms: 1, photo_bytes: 1, depth_bytes: None, options: BTreeMap::new() };
+        let accepted = Accepted { version: 1, at_ms: 1, photo_bytes: 1, depth_bytes: None, options: BTreeMap::new(), owner: None };
         let entry = Arc::new(Entry::new(PhotoId::of(&[1; 32], None, "", ""), accepted, Settings::default()));
         for _ in 0..2 {
             // it failed and was uploaded again before the first worker let it go
@@ -190,7 +190,7 @@ mod tests {
             files.write_unsynced(&incoming.path(part), b"photo");
         }
         let id = PhotoId::of(&[1; 32], None, "", "");
-        let accepted = Accepted { version: 1, at_ms: 1, photo_bytes: 5, depth_bytes: Some(5), options: BTreeMap::new() };
+        let accepted = Accepted { version: 1, at_ms: 1, photo_bytes: 5, depth_bytes: Some(5), options: BTreeMap::new(), owner: None };
         assert!(jobs.submit(incoming, id, accepted, Settings::default()).unwrap().new);
         files.crash();
         let (store, found) = Store::open_in(files, dir, "", None).unwrap();

@@ -12,6 +12,7 @@ use crate::server::settings::Settings;
 use crate::server::store::{Incoming, Part};
 use crate::server::strokes::not_ready;
 use axum::http::StatusCode;
+use tmpi_pipeline::Progress;
 
 impl Jobs {
     /// Takes over what the store says of a photo, none where it has none.
@@ -51,16 +52,41 @@ impl Jobs {
             (Some(End::Failed(failed)), _) => entry.set(Status::Failed(failed)),
             (None, _) => entry.set(Status::Queued),
         }
+        self.line_up(&entry);
+        Some(entry)
+    }
+
+    /// Has a photo among those that wait where it waits.
+    fn line_up(&self, entry: &Arc<Entry>) {
         let mut inner = self.lock();
-        let waits = entry.status() == Status::Queued && !inner.running.iter().any(|e| e.id == id);
-        let at = inner.queue.iter().position(|e| e.id == id);
+        let waits = entry.status() == Status::Queued && !inner.running.iter().any(|e| e.id == entry.id);
+        let at = inner.queue.iter().position(|e| e.id == entry.id);
         match at {
             Some(at) if !waits => drop(inner.queue.remove(at)),
-            None if waits => inner.queue.push_back(Arc::clone(&entry)),
+            None if waits => inner.queue.push_back(Arc::clone(entry)),
             _ => {}
         }
-        drop(inner);
-        Some(entry)
+    }
+
+    /// Takes over how another node goes on with a photo.
+    pub(in crate::server) fn made_elsewhere(&self, entry: &Arc<Entry>, stages: Vec<Progress>) {
+        let _membership = self.membership();
+        entry.follow(stages);
+        self.line_up(entry);
+    }
+
+    /// A photo that another node was making waits again.
+    pub(in crate::server) fn waits_again(&self, entry: &Arc<Entry>) {
+        let _membership = self.membership();
+        if entry.status() == Status::Working {
+            entry.set(Status::Queued);
+        }
+        self.line_up(entry);
+    }
+
+    /// True where this node is making the photo.
+    pub(in crate::server) fn is_running(&self, id: PhotoId) -> bool {
+        self.lock().running.iter().any(|entry| entry.id == id)
     }
 
     /// Forgets a photo that is no longer in the store; with membership held.

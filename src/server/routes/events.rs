@@ -14,13 +14,14 @@ use tokio::sync::watch;
 
 use super::query::NoQuery;
 use super::state::{PhotoState, Progress};
+use crate::server::access::{Guard, Pass};
 use crate::server::app::App;
 use crate::server::conditional::insert;
 use crate::server::entry::{Entry, Live, Status};
 use crate::server::problem::Problem;
 use crate::server::share::{Place, asker};
 
-/// Pause between two looks at the queue.
+/// Pause between two looks at the queue, and at who may listen.
 const QUEUE_LOOK: Duration = Duration::from_secs(1);
 
 /// Where a photo stands in the queue.
@@ -39,6 +40,8 @@ struct Listener {
     /// Place in the queue that was told last, and nothing since.
     queued: Option<usize>,
     ended: bool,
+    /// What the listener was let in by, where the server asks who comes.
+    pass: Option<Pass>,
     _place: Place,
 }
 
@@ -46,6 +49,9 @@ impl Listener {
     /// The next events; none at the end.
     async fn next(&mut self) -> Option<Vec<Event>> {
         while !self.ended {
+            if !self.is_allowed() {
+                return None;
+            }
             let events = self.fresh();
             if !events.is_empty() {
                 return Some(events);
@@ -54,12 +60,17 @@ impl Listener {
             tokio::select! {
                 changed = self.watch.changed() => self.ended |= changed.is_err(),
                 // the queue moves without a word to those who wait in it
-                () = tokio::time::sleep(QUEUE_LOOK), if self.queued.is_some() => {}
+                () = tokio::time::sleep(QUEUE_LOOK), if self.queued.is_some() || self.pass.is_some() => {}
                 // the client comes back by itself
                 () = stop.cancelled() => self.ended = true,
             }
         }
         None
+    }
+
+    /// False once the listener would not be let in again.
+    fn is_allowed(&self) -> bool {
+        self.app.guard.as_ref().is_none_or(|guard| self.pass.as_ref().is_some_and(|pass| guard.still_allows(pass, &self.entry)))
     }
 
     fn fresh(&mut self) -> Vec<Event> {
@@ -107,7 +118,8 @@ fn event<T: Serialize>(name: &'static str, data: &T) -> Event {
 /// Progress of a photo as server-sent events.
 ///
 /// Events: `queued` (`{"position": N}`, again when it moves up), `stage` (a `Progress`), and at the end one of `done` (a `PhotoState`), `failed` or
-/// `damaged` (a `Problem`) or `deleted`; then the stream ends. A client that connects late is told the last event first.
+/// `damaged` (a `Problem`) or `deleted`; then the stream ends. A client that connects late is told the last event first. Whoever would no longer
+/// be let in is told nothing more: the stream ends.
 #[utoipa::path(
     get, path = "/v1/photos/{id}/events", tag = "photos", params(("id" = String, Path, description = "Id of the photo")),
     responses(
@@ -128,7 +140,7 @@ pub async fn events(State(app): State<App>, Path(id): Path<String>, _: NoQuery) 
     let seen = entry.live();
     let stages = if seen.status.is_final() { seen.stages.len() } else { seen.stages.len().saturating_sub(1) };
     let keep_alive = KeepAlive::new().interval(app.limits.keep_alive);
-    let listener = Listener { app, entry, watch, stages, queued: None, ended: false, _place: place };
+    let listener = Listener { app, entry, watch, stages, queued: None, ended: false, pass: Guard::pass(), _place: place };
     let batches = stream::unfold(listener, async |mut listener| listener.next().await.map(|events| (events, listener)));
     let events = futures_util::StreamExt::flat_map(batches, |events| stream::iter(events.into_iter().map(Ok::<_, Infallible>)));
     let mut response = Sse::new(events).keep_alive(keep_alive).into_response();

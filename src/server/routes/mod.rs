@@ -6,6 +6,7 @@ mod events;
 mod export;
 mod network;
 mod oembed;
+mod owner;
 mod photos;
 mod query;
 mod results;
@@ -47,8 +48,6 @@ use crate::live;
                        once (else 400); changes by pages of other sites are refused (403)."
     ),
     servers((url = "/", description = "This server")),
-    // there are no users yet: who may come in is a proxy's to say
-    security(()),
     tags(
         (name = "photos", description = "Photos and what is made of them"),
         (name = "live", description = "Rooms, in which photos move"),
@@ -77,6 +76,8 @@ fn own_api() -> OpenApiRouter<App> {
         .routes(routes!(photos::state, photos::change, photos::delete))
         .routes(routes!(strokes::strokes, strokes::touch_up))
         .routes(routes!(network::again))
+        .routes(routes!(owner::links))
+        .routes(routes!(owner::keep))
         .routes(routes!(network::network, network::fetch))
         .routes(routes!(events::events))
         .routes(routes!(results::depth))

@@ -11,6 +11,7 @@ use bytes::Bytes;
 
 use super::query::{NoQuery, Pairs};
 use super::state::{PhotoList, PhotoState};
+use crate::server::access::Guard;
 use crate::server::app::{App, Stored};
 use crate::server::body;
 use crate::server::clock::Clock;
@@ -40,6 +41,8 @@ pub struct UploadForm {
     /// What to call the photo, 1 to 200 characters; else the name of the photo's file without its ending. A photo that is there already
     /// keeps its title.
     title: Option<String>,
+    /// Who may see the photo where the server asks who comes: `private` or `link`.
+    visibility: Option<String>,
     /// How the depth map is meant: `disparity` or `metric`.
     depth_kind: Option<String>,
     /// Depth that the photo brings along within its file: `auto`, `off`, or `on` to fail without.
@@ -79,7 +82,7 @@ pub struct UploadForm {
     post, path = "/v1/photos", tag = "photos",
     params(
         ("Prefer" = Option<String>, Header, description = "`wait=SECONDS`: answer once the photo is done, or after that time"),
-        ("title" = Option<String>, Query, description = "What to call the photo, 1 to 200 characters"),
+        ("title" = Option<String>, Query, min_length = 1, max_length = 200, description = "What to call the photo, 1 to 200 characters"),
         ("planes" = Option<String>, Query, description = "As in the form; so are all other options"),
     ),
     request_body(description = "The photo", content(
@@ -107,7 +110,8 @@ pub struct UploadForm {
 pub async fn upload(State(app): State<App>, Extension(clock): Extension<Clock>, request: Request) -> Result<Response, Problem> {
     let wait = prefer_wait(request.headers());
     let Query(query) = Query::try_from_uri(request.uri()).map_err(|e| Problem::bad_request(e.body_text()))?;
-    let entry = upload::take(&app, query, request).await?.entry;
+    let (owner, fresh) = app.guard.as_ref().map(|_| Guard::uploader()).transpose()?.map(|u| (u.owner, u.fresh)).unzip();
+    let entry = upload::take(&app, query, request, owner).await?.entry;
     let mut ready = false;
     if let Some(seconds) = wait {
         // counted from the end of the body; the longest wait is what the request has left
@@ -120,7 +124,8 @@ pub async fn upload(State(app): State<App>, Extension(clock): Extension<Clock>, 
         insert(&mut response, header::LOCATION, &format!("/v1/photos/{}", entry.id));
         return Ok(response);
     }
-    let state = PhotoState::of(&app, &entry).ok_or_else(|| Problem::not_found("the photo was deleted meanwhile"))?;
+    let mut state = PhotoState::of(&app, &entry).ok_or_else(|| Problem::not_found("the photo was deleted meanwhile"))?;
+    state.links.manage = fresh.flatten().map(|secret| format!("/view/{}#owner={secret}", entry.id));
     let status = if ready { StatusCode::CREATED } else { StatusCode::ACCEPTED };
     let location = state.links.this.clone();
     let mut response = (status, Json(state)).into_response();
@@ -166,7 +171,7 @@ pub struct ListQuery {
 /// List photos, newest first.
 ///
 /// Only for this machine's own user: where the server is bound beyond loopback, is asked under another name than loopback's, or a proxy
-/// passes the request on, the list is closed unless the server was started with `--public-list`.
+/// passes the request on, the list is closed unless the server was started with `--public-list`. With `--access private` it shows one's own.
 #[utoipa::path(
     get, path = "/v1/photos", tag = "photos", params(ListQuery),
     responses(
@@ -176,7 +181,7 @@ pub struct ListQuery {
     )
 )]
 pub async fn list(State(app): State<App>, request: Request) -> Result<Response, Problem> {
-    if !app.public_list && !app.hosts.is_own(request.headers()) {
+    if app.guard.is_none() && !app.public_list && !app.hosts.is_own(request.headers()) {
         let detail =
             "photos are listed to this machine's own user alone, at a loopback address; tmpi serve --public-list opens the list to all";
         return Err(Problem::new(StatusCode::FORBIDDEN, "list-closed", detail));
@@ -192,7 +197,7 @@ pub async fn list(State(app): State<App>, request: Request) -> Result<Response, 
         known.ok_or_else(|| Problem::parameter("after", format!("there is no photo {text:?}")))
     });
     let after = after.transpose()?;
-    let page = app.jobs.list(after, limit);
+    let page = app.list(after, limit);
     // the next page is found by age as well, so that it is found even if the last photo of this one is deleted
     let last = page.photos.last().filter(|_| page.more).map(|e| e.key());
     let next = last.map(|(at_ms, id)| format!("/v1/photos?limit={limit}&after={at_ms}-{id}"));
@@ -205,7 +210,7 @@ fn cursor(app: &App, text: &str) -> Option<(u64, PhotoId)> {
     if let Some((at_ms, id)) = text.split_once('-') {
         return Some((at_ms.parse().ok()?, id.parse().ok()?));
     }
-    app.jobs.get(text.parse().ok()?).map(|entry| entry.key())
+    app.photo(text).ok().map(|entry| entry.key())
 }
 
 /// State, sizes and settings of a photo.

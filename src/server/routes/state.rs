@@ -8,7 +8,7 @@ use crate::server::app::Shared;
 use crate::server::entry::{Entry, Live, Status};
 use crate::server::options;
 use crate::server::problem::Problem;
-use crate::server::settings::Settings;
+use crate::server::settings::{Settings, Visibility};
 use crate::server::time::rfc3339;
 
 /// How a photo fares.
@@ -77,6 +77,9 @@ pub struct Links {
     pub page: String,
     /// The photo alone, for frames of other sites.
     pub embed: String,
+    /// Page by which to change it: a secret, told once to whoever uploads without one where the server asks who comes.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub manage: Option<String>,
 }
 
 /// State and sizes of a photo.
@@ -123,6 +126,9 @@ pub struct PhotoState {
     /// Version of everything that is made of it, once done: results at addresses with `v=VERSION` never change.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub version: Option<String>,
+    /// Who may see it; only where the server asks who comes.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub visibility: Option<Visibility>,
     /// What its owner wants of viewers.
     pub settings: Settings,
     /// Options that it is made with, all of them.
@@ -176,6 +182,7 @@ impl PhotoState {
             width: None,
             height: None,
             version: version.clone(),
+            visibility: app.guard.as_ref().map(|_| settings.visibility.unwrap_or(Visibility::Private)),
             settings,
             options: accepted.options.clone(),
             links: Links {
@@ -192,6 +199,7 @@ impl PhotoState {
                 export: at("/export"),
                 page: format!("/view/{}", entry.id),
                 embed: format!("/embed/{}", entry.id),
+                manage: None,
             },
         };
         match live.status {

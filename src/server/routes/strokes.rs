@@ -22,7 +22,7 @@ use tmpi_pipeline::strokes::{BYTES, Stroke, patch};
 #[allow(dead_code, reason = "describes the body in the OpenAPI document; strokes are read by hand so that errors name their field")]
 pub struct Strokes {
     /// 1.
-    #[schema(example = 1, required = false)]
+    #[schema(example = 1, minimum = 1, maximum = 1, required = false)]
     version: u32,
     /// In their order, at most 100 with 8192 points together. Each asks one thing of its region: `by`, `like` or `to`.
     strokes: Vec<Stroke>,

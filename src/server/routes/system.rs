@@ -41,7 +41,7 @@ pub async fn healthz(_: NoQuery) -> Json<Health> {
 }
 
 /// The server takes uploads: it was not told to stop, the queue has room, the data directory can be written, nothing of the server keeps
-/// photos from being made, and NATS can be reached where rooms are shared.
+/// photos from being made, and NATS can be reached where rooms alone are shared.
 #[utoipa::path(
     get, path = "/readyz", tag = "system",
     responses(
@@ -52,7 +52,8 @@ pub async fn healthz(_: NoQuery) -> Json<Health> {
 )]
 pub async fn readyz(State(app): State<App>, _: NoQuery) -> Result<Json<Health>, Problem> {
     let (storage, trouble) = (app.storage(), app.jobs.trouble());
-    let alone = app.rooms.get().and_then(|rooms| rooms.trouble());
+    // photos of a store are taken and made all the same
+    let alone = app.rooms.get().and_then(|rooms| rooms.trouble()).filter(|_| app.jobs.cluster.is_none());
     let why = if app.leaving.load(Ordering::Acquire) || !app.jobs.is_accepting() {
         "the server is stopping"
     } else if app.jobs.free_places() == 0 {
@@ -81,6 +82,7 @@ pub async fn metrics(State(app): State<App>, _: NoQuery, headers: HeaderMap) -> 
     let counts = app.jobs.counts();
     let waiting = |class| app.pool.waiting(class) as f64;
     let mut gauges = app.rooms.get().map(|rooms| rooms.counts()).unwrap_or_default();
+    gauges.extend(app.jobs.cluster.as_ref().map(|cluster| cluster.counts()).unwrap_or_default());
     gauges.extend([
         ("tmpi_queue_depth", "Photos that wait", counts.queued as f64),
         ("tmpi_queue_limit", "Photos that may wait", app.limits.queue as f64),

@@ -39,6 +39,13 @@ pub fn put(document: &mut Value) {
     for name in CLOSED {
         document["components"]["schemas"][name]["additionalProperties"] = false.into();
     }
+    document["components"]["securitySchemes"] = serde_json::json!({
+        "bearer": {"type": "http", "scheme": "bearer", "description": "An API key (`tmpi_k_…`, by `tmpi key add`), or an owner's own secret: \
+            `tmpi_o_` and 32 to 128 letters, digits, - and _ chosen at random. Asked for with `tmpi serve --access private` alone"},
+        "cookie": {"type": "apiKey", "in": "cookie", "name": "tmpi_owner", "description": "An owner's secret as a browser keeps it"},
+    });
+    // nothing is needed where the server asks nobody, and for what its owner lets everybody see
+    document["security"] = serde_json::json!([{}, {"bearer": []}, {"cookie": []}]);
     let form = &mut document["components"]["schemas"]["UploadForm"]["properties"];
     for (field, text) in [
         ("denoise", Text::Words(words::<Denoise>())),
@@ -49,6 +56,7 @@ pub fn put(document: &mut Value) {
         ("refine", Text::Words(words::<Switch>())),
         ("snap", Text::Words(words::<Switch>())),
         ("tile", Text::Pattern("^(full|[0-9]+)$")),
+        ("visibility", Text::Words(["private", "link"].map(str::to_owned).into())),
         ("view_box", Text::Pattern("^[^,]+,[^,]+,[^,]+$")),
     ] {
         text.put(&mut form[field]);

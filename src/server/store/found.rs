@@ -124,7 +124,7 @@ impl Store {
             return Err(io::Error::new(io::ErrorKind::InvalidData, "its options are lost: upload the photo again"));
         }
         let depth_bytes = depth.map(|d| d.len() as u64);
-        Ok(Accepted { version: VERSION, at_ms: now_ms(), photo_bytes: photo.len() as u64, depth_bytes, options })
+        Ok(Accepted { version: VERSION, at_ms: now_ms(), photo_bytes: photo.len() as u64, depth_bytes, options, owner: None })
     }
 
     /// Settings as far as they are understood; those of a later version, or damaged ones, are kept beside what is written here.

@@ -59,6 +59,7 @@ describe('every control', () => {
       window.sharing = null;
       navigator.share = async (what) => { window.sharing = what; };`);
     server.state.settings = { version: 1, title: 'The box' };
+    Object.assign(server.state, { visibility: 'private', links: {} });
     await page.goto(`${server.url}/view/box`);
     await waitForMode(page, 'gpu');
     await page.waitForFunction(() => document.title.startsWith('The box') && !document.getElementById('headset').hidden);
@@ -239,6 +240,14 @@ describe('every control', () => {
         await dialog.getByRole('button', { name: 'Close' }).click();
         await dialog.waitFor({ state: 'detached' });
       },
+      'button: Who may see it…': async () => {
+        await $('share').click();
+        await $('share-access').click();
+        const dialog = page.getByRole('dialog', { name: 'Who may see it' });
+        await dialog.getByLabel('A link that ends', { exact: true }).waitFor();
+        await dialog.getByRole('button', { name: 'Close' }).click();
+        await dialog.waitFor({ state: 'detached' });
+      },
       'button: Link to this very view': async () => {
         await $('share').click();
         await $('share-link').click();
@@ -292,7 +301,7 @@ describe('every control', () => {
     });
     assert.deepEqual(errors, []);
     await context.close();
-    server.state.settings = undefined;
+    Object.assign(server.state, { settings: undefined, visibility: undefined, links: undefined });
   });
 
   test('at no width the page is wider than the screen, in both languages', async () => {

@@ -54,6 +54,7 @@ describe('modules', () => {
       'live/worker.js',
       'live/microphone-worklet.js',
       // fetched when they are asked for
+      'app/access-dialog.js',
       'app/embed-dialog.js',
       'app/film-dialog.js',
       'film/gif.js',

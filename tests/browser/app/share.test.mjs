@@ -86,6 +86,51 @@ describe('sharing', () => {
     await context.close();
   });
 
+  test('who may see a photo is said where the server asks who comes, and nowhere else', async () => {
+    const plain = await open();
+    assert.ok(await plain.page.locator('#share-access').isHidden());
+    await plain.context.close();
+    const manage = '/view/box#owner=tmpi_o_0123456789abcdef0123456789abcdef';
+    Object.assign(suite.server.state, { visibility: 'private', links: { manage }, settings: { version: 1, title: 'The box' } });
+    const before = suite.server.patches.length;
+    const { page, context, errors } = await open();
+    await context.grantPermissions(['clipboard-read', 'clipboard-write']);
+    const dialog = await dialogOf(page, '#share-access', 'Who may see it');
+    const ending = dialog.getByLabel('A link that ends', { exact: true });
+    assert.equal(await ending.inputValue(), `${suite.server.url}/view/box?expires=86400&signature=5e`);
+    await dialog.getByLabel('How long it is good').selectOption('A week');
+    await page.waitForFunction(() => document.querySelector('.share-dialog textarea').value.includes('expires=604800&'));
+    await dialog.getByRole('button', { name: 'Copy: A link that ends' }).click();
+    await dialog.getByText('Copied').waitFor();
+    assert.equal(await page.evaluate(() => navigator.clipboard.readText()), await ending.inputValue());
+    const other = dialog.getByLabel('The link for your other browser', { exact: true });
+    assert.ok(await other.isHidden(), 'a secret is shown to who asks for it');
+    await dialog.getByText('For another browser of yours').click();
+    assert.equal(await other.inputValue(), suite.server.url + manage);
+    assert.deepEqual(await seriousViolations(page), []);
+    await dialog.getByLabel('Who may see it', { exact: true }).selectOption('Anyone with the link');
+    await dialog.getByText('Saved').waitFor();
+    assert.ok(await ending.isHidden(), 'nobody needs a link that ends');
+    assert.deepEqual(JSON.parse(suite.server.patches[before].body), { visibility: 'link' });
+    await page.keyboard.press('Escape');
+    await dialog.waitFor({ state: 'detached' });
+    // what is saved next is of the settings as they are now
+    await page.locator('#settings').click();
+    await page.locator('#set-title').fill('Another');
+    await page.locator('#set-save').click();
+    await page.getByText('Saved', { exact: true }).waitFor();
+    assert.equal(suite.server.patches[before + 1].headers['if-match'], `"${before + 2}"`);
+    // a photo of somebody else, which everybody with the link may see
+    suite.server.state.links = undefined;
+    await page.keyboard.press('Escape');
+    const none = await dialogOf(page, '#share-access', 'Who may see it');
+    await none.getByText('Only who uploaded the photo').waitFor();
+    assert.equal(await none.locator('select, textarea').count(), 0);
+    assert.equal(errors.length, 1, `the refusal alone: ${errors}`);
+    await context.close();
+    Object.assign(suite.server.state, { visibility: undefined, links: undefined, settings: undefined });
+  });
+
   test('a GIF is made, shown and saved; what is cancelled leaves nothing', async () => {
     const { page, context, errors } = await open();
     const dialog = await dialogOf(page, '#share-film', 'A film or GIF');
@@ -112,11 +157,12 @@ describe('sharing', () => {
     await context.close();
   });
 
-  test('both fit into every screen, in both languages', async () => {
+  test('all fit into every screen, in both languages', async () => {
+    Object.assign(suite.server.state, { visibility: 'private', links: { manage: `/view/box#owner=tmpi_o_${'a'.repeat(64)}` } });
     for (const locale of ['en', 'de']) {
       for (const viewport of SIZES) {
         const { page, context } = await open(viewport, { locale });
-        for (const entry of ['#share-embed', '#share-film']) {
+        for (const entry of ['#share-embed', '#share-film', '#share-access']) {
           await page.locator('#share').click();
           await page.locator(entry).click();
           const dialog = page.locator('.share-dialog');
@@ -132,5 +178,6 @@ describe('sharing', () => {
         await context.close();
       }
     }
+    Object.assign(suite.server.state, { visibility: undefined, links: undefined });
   });
 });

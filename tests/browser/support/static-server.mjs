@@ -55,9 +55,14 @@ export async function serve({ atlas, delayMs = 0, wasm = true }) {
         for await (const part of request) body += part;
         patches.push({ headers: request.headers, body });
         state.settings = Object.fromEntries(Object.entries({ ...state.settings, ...JSON.parse(body) }).filter(([, v]) => v !== null));
+        if (state.visibility) state.visibility = state.settings.visibility ?? 'private';
       }
       response.setHeader('etag', `"${patches.length + 1}"`);
       return send(200, 'application/json', JSON.stringify(state));
+    }
+    if (url.pathname === '/v1/photos/box/links' && state.links) {
+      const page = `/view/box?expires=${url.searchParams.get('seconds')}&signature=5e`;
+      return send(200, 'application/json', JSON.stringify({ page, ...state.links }));
     }
     if (url.pathname === '/v1/photos/box/settings') return send(200, 'application/json', JSON.stringify(state.settings ?? {}));
     if (url.pathname === '/v1/photos/box/strokes') return send(200, 'application/json', JSON.stringify({ version: 1, strokes: [] }));

@@ -1,0 +1,57 @@
+//! What a browser sends by itself, and how long it keeps what not everybody may see.
+
+use axum::http::{HeaderMap, HeaderValue, header};
+use axum::response::Response;
+
+use crate::server::conditional::insert;
+use crate::server::hosts::origin;
+
+/// Cookie of an owner's secret, and its name where the browser came by TLS: one that no other host of the same domain can have set
+/// (RFC 6265bis, section 4.1.3.2).
+const OWNER_COOKIE: &str = "tmpi_owner";
+const OWNER_COOKIE_TLS: &str = "__Host-tmpi_owner";
+/// Cookie of a link by which a photo was opened.
+pub const LINK_COOKIE: &str = "tmpi_link";
+/// Seconds that a browser keeps an owner's secret: as long as browsers keep any cookie.
+const KEPT: u64 = 400 * 86_400;
+
+/// The value of a cookie.
+pub fn cookie<'a>(headers: &'a HeaderMap, name: &str) -> Option<&'a str> {
+    let all = headers.get_all(header::COOKIE).iter().filter_map(|v| v.to_str().ok()).flat_map(|v| v.split(';'));
+    all.filter_map(|pair| pair.trim().split_once('=')).find(|(n, _)| *n == name).map(|(_, value)| value)
+}
+
+fn is_tls(headers: &HeaderMap) -> bool {
+    origin(headers).is_some_and(|o| o.starts_with("https:"))
+}
+
+/// The owner's secret that a browser keeps.
+pub fn owner_cookie(headers: &HeaderMap) -> Option<&str> {
+    cookie(headers, if is_tls(headers) { OWNER_COOKIE_TLS } else { OWNER_COOKIE })
+}
+
+/// Has the browser keep a cookie that no script reads and no other site's page sends.
+pub fn set_cookie(response: &mut Response, asked: &HeaderMap, pair: &str, path: &str, age: u64) {
+    let secure = if is_tls(asked) { "; Secure" } else { "" };
+    let text = format!("{pair}; Path={path}; Max-Age={age}; HttpOnly; SameSite=Lax{secure}");
+    if let Ok(mut value) = HeaderValue::from_str(&text) {
+        value.set_sensitive(true);
+        response.headers_mut().append(header::SET_COOKIE, value);
+        insert(response, header::CACHE_CONTROL, "private, no-store");
+    }
+}
+
+/// Has the browser keep an owner's secret.
+pub fn set_owner(response: &mut Response, asked: &HeaderMap, secret: &str) {
+    let name = if is_tls(asked) { OWNER_COOKIE_TLS } else { OWNER_COOKIE };
+    set_cookie(response, asked, &format!("{name}={secret}"), "/", KEPT);
+}
+
+/// What not everybody may see is kept by the asker's own browser alone, and asked for again each time.
+pub fn keep_private(response: &mut Response) {
+    let kept = response.headers().get(header::CACHE_CONTROL).and_then(|v| v.to_str().ok()).unwrap_or_default();
+    if kept != "no-store" {
+        insert(response, header::CACHE_CONTROL, "private, no-cache");
+    }
+    response.headers_mut().append(header::VARY, HeaderValue::from_static("authorization, cookie"));
+}

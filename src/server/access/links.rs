@@ -1,0 +1,70 @@
+//! The parameters of a link by which others may read a photo for a while, as they come in addresses and in a cookie.
+
+use axum::http::Uri;
+use axum::http::uri::PathAndQuery;
+
+/// A link's time and signature, as they came.
+#[derive(Clone)]
+pub struct Link {
+    /// Seconds since 1970.
+    pub expires: u64,
+    /// 64 hex digits, where it is good.
+    pub signature: String,
+}
+
+impl Link {
+    fn read(expires: &str, signature: &str) -> Option<Self> {
+        Some(Self { expires: expires.parse().ok()?, signature: signature.to_owned() })
+    }
+
+    /// As a cookie has it.
+    #[must_use]
+    pub fn of_cookie(text: &str) -> Option<Self> {
+        let (expires, signature) = text.split_once('.')?;
+        Self::read(expires, signature)
+    }
+}
+
+/// The link that a request's address had, if it had parameters of one.
+#[derive(Clone)]
+pub struct Asked(pub Option<Link>);
+
+/// The address without the parameters of a link, and the link, if these are one; none where there are no such parameters.
+#[must_use]
+pub fn take_link(uri: &Uri) -> Option<(Uri, Option<Link>)> {
+    let query = uri.query()?;
+    let of = |pair: &'_ str, name: &str| pair.split_once('=').map_or(pair, |(n, _)| n) == name;
+    let (ours, rest): (Vec<&str>, Vec<&str>) = query.split('&').partition(|pair| of(pair, "expires") || of(pair, "signature"));
+    if ours.is_empty() {
+        return None;
+    }
+    let value = |name: &str| {
+        let mut all = ours.iter().filter(|pair| of(pair, name));
+        // given twice is not given
+        all.next().filter(|_| all.next().is_none()).and_then(|pair| pair.split_once('=')).map(|(_, value)| value)
+    };
+    let link = value("expires").zip(value("signature")).and_then(|(expires, signature)| Link::read(expires, signature));
+    let path = if rest.is_empty() { uri.path().to_owned() } else { format!("{}?{}", uri.path(), rest.join("&")) };
+    let mut parts = uri.clone().into_parts();
+    parts.path_and_query = PathAndQuery::try_from(path).ok();
+    Uri::from_parts(parts).ok().map(|uri| (uri, link))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn links_are_taken_out_of_addresses_in_any_order() {
+        let take =
+            |uri: &str| take_link(&uri.parse().unwrap()).map(|(uri, link)| (uri.to_string(), link.map(|l| (l.expires, l.signature))));
+        let link = Some((12, "ab".to_owned()));
+        assert_eq!(take("/x?w=8"), None);
+        assert_eq!(take("/x?expires=12&signature=ab"), Some(("/x".into(), link.clone())));
+        assert_eq!(take("/x?signature=ab&w=8&expires=12"), Some(("/x?w=8".into(), link.clone())));
+        assert_eq!(take("http://a/x?w=8&expires=12&signature=ab&v=1"), Some(("http://a/x?w=8&v=1".into(), link)));
+        for wrong in ["expires=12", "signature=ab", "expires=1&expires=12&signature=ab", "expires=x&signature=ab", "expires&signature"] {
+            assert_eq!(take(&format!("/x?{wrong}")), Some(("/x".into(), None)), "{wrong}");
+        }
+    }
+}

@@ -1,0 +1,383 @@
+//! Who may do what where access is private: one place that every request goes through.
+//!
+//! Whoever uploads owns. An owner is known by a hash of a secret that they keep: an API key's name, or a secret of one's own, which a
+//! browser keeps in a cookie that no script reads, so that pictures, event streams and workers send it by themselves. What somebody may not
+//! have answers as what is not there.
+
+mod cookies;
+pub mod keys;
+mod links;
+mod needs;
+mod secret;
+
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use axum::extract::{MatchedPath, Request};
+use axum::http::{HeaderValue, Method, StatusCode, Version, header};
+use axum::middleware::Next;
+use axum::response::{IntoResponse, Response};
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+
+use super::entry::Entry;
+use super::hosts::Hosts;
+use super::id::{PhotoId, hex};
+use super::problem::Problem;
+use super::settings::Visibility;
+use super::time::now_ms;
+use crate::live::check_origin;
+pub use cookies::set_owner;
+use cookies::{LINK_COOKIE, cookie, keep_private, owner_cookie, set_cookie};
+use keys::{Key, Keys, KeysError, Scope};
+use links::{Asked, Link, take_link};
+use needs::{Need, need};
+pub use secret::{Secret, random, same};
+
+/// What an owner's secret begins with.
+const OWNER: &str = "tmpi_o_";
+/// Characters of an owner's secret after that: 128 bits at least where they are chosen at random.
+const CHARACTERS: std::ops::RangeInclusive<usize> = 32..=128;
+
+/// Whose a photo is: a hash, from which the secret does not follow.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct Owner(String);
+
+impl Owner {
+    fn of(kind: &str, text: &str) -> Self {
+        Self(hex(&Sha256::digest(format!("tmpi owner 1\0{kind}\0{text}"))))
+    }
+
+    /// By a secret of their own.
+    #[must_use]
+    pub fn of_secret(secret: &str) -> Self {
+        Self::of("secret", secret)
+    }
+
+    /// Whoever has a key of this name.
+    #[must_use]
+    pub fn of_keys(name: &str) -> Self {
+        Self::of("keys", name)
+    }
+
+    /// This machine's own user.
+    fn own() -> Self {
+        Self::of("own", "")
+    }
+
+    fn text(&self) -> &str {
+        &self.0
+    }
+}
+
+/// A fresh secret of an owner.
+///
+/// # Errors
+/// 500 where the system has no random bytes.
+fn fresh() -> Result<String, Problem> {
+    random().map(|bytes| format!("{OWNER}{}", hex(&bytes))).map_err(|e| Problem::internal("a fresh secret", &e))
+}
+
+/// What a bearer brings (RFC 6750); none for other schemes, and nothing where it cannot be read.
+fn bearer(value: &HeaderValue) -> Option<&str> {
+    let text = value.to_str().unwrap_or("bearer ");
+    let (scheme, rest) = text.split_once(' ').unwrap_or((text, ""));
+    scheme.eq_ignore_ascii_case("bearer").then(|| rest.trim())
+}
+
+fn is_secret(text: &str) -> bool {
+    let fits = |rest: &str| CHARACTERS.contains(&rest.len()) && rest.bytes().all(|b| b.is_ascii_alphanumeric() || b"-_".contains(&b));
+    text.strip_prefix(OWNER).is_some_and(fits)
+}
+
+/// Who asks.
+#[derive(Clone)]
+enum Who {
+    /// This machine's own user.
+    Own,
+    /// Whoever has a key.
+    Key(Key),
+    /// Whoever has a secret of their own.
+    Owner(String),
+    /// Anybody else.
+    Stranger,
+}
+
+impl Who {
+    fn is_admin(&self) -> bool {
+        self.is_told(Scope::Admin)
+    }
+
+    /// Whether it was said to them that they may what is nobody's by itself.
+    fn is_told(&self, scope: Scope) -> bool {
+        matches!(self, Self::Own) || matches!(self, Self::Key(key) if key.may(scope) || key.may(Scope::Admin))
+    }
+
+    fn owner(&self) -> Option<Owner> {
+        match self {
+            Self::Own => Some(Owner::own()),
+            Self::Key(key) => Some(key.owner()),
+            Self::Owner(secret) => Some(Owner::of_secret(secret)),
+            Self::Stranger => None,
+        }
+    }
+
+    /// Only keys are for less than everything with one's own.
+    fn may(&self, scope: Scope) -> bool {
+        self.is_admin() || !matches!(self, Self::Key(key) if !key.may(scope))
+    }
+}
+
+/// A request's caller, and what it may have.
+struct Caller {
+    who: Who,
+    owner: Option<Owner>,
+    link: Option<Link>,
+    need: Need,
+    /// Something that not everybody may see is answered.
+    private: AtomicBool,
+}
+
+tokio::task_local! {
+    static CALLER: Arc<Caller>;
+}
+
+fn caller() -> Option<Arc<Caller>> {
+    CALLER.try_with(Arc::clone).ok()
+}
+
+/// What a caller was let in by.
+pub struct Pass(Arc<Caller>);
+
+/// What decides.
+pub struct Guard {
+    secret: Secret,
+    keys: Keys,
+}
+
+/// Who uploads.
+pub struct Uploader {
+    /// Whose the photo will be.
+    pub owner: Owner,
+    /// Their secret, where they had none before.
+    pub fresh: Option<String>,
+}
+
+impl Guard {
+    /// By a secret and the keys of a data directory.
+    ///
+    /// # Errors
+    /// These cannot be read.
+    pub fn open(dir: &Path, secret: Secret) -> std::io::Result<Self> {
+        let keys = Keys::open(dir).map_err(|e| match e {
+            KeysError::Disk(e) => e,
+            e => std::io::Error::new(std::io::ErrorKind::InvalidData, e.to_string()),
+        })?;
+        Ok(Self { secret, keys })
+    }
+
+    /// Answers a request by `next` where its caller may ask it, with who that is at hand for the handlers.
+    pub async fn around(&self, hosts: &Hosts, mut request: Request, next: Next) -> Response {
+        let caller = match self.come_in(hosts, &mut request) {
+            Ok(caller) => Arc::new(caller),
+            Err(refused) => return refused.into_response(),
+        };
+        let path = request.uri().path().to_owned();
+        let headers = request.headers().clone();
+        let link = request.extensions().get::<Asked>().and_then(|asked| asked.0.clone());
+        let mut response = CALLER.scope(Arc::clone(&caller), next.run(request)).await;
+        // a list is of who asks, also where it has nothing
+        if caller.need == Need::List || caller.private.load(Ordering::Relaxed) {
+            keep_private(&mut response);
+        }
+        if path == "/" && response.status() != StatusCode::NOT_MODIFIED {
+            let secret = match &caller.who {
+                Who::Owner(secret) => Ok(secret.clone()),
+                // one that is there is not lost, though a link of another site led here
+                Who::Stranger if !owner_cookie(&headers).is_some_and(is_secret) => fresh(),
+                _ => return response,
+            };
+            match secret {
+                Ok(secret) => set_owner(&mut response, &headers, &secret),
+                Err(problem) => return problem.into_response(),
+            }
+        }
+        if let Some((id, link)) = opened(&path).zip(link).filter(|(id, link)| self.opens(link, *id)) {
+            let Link { expires, signature } = link;
+            let (age, at) = (expires.saturating_sub(now()), format!("/v1/photos/{id}"));
+            set_cookie(&mut response, &headers, &format!("{LINK_COOKIE}={expires}.{signature}"), &at, age);
+        }
+        response
+    }
+
+    /// Says who asks, and refuses what none of them may.
+    fn come_in(&self, hosts: &Hosts, request: &mut Request) -> Result<Caller, Problem> {
+        let nothing = || Problem::not_found("there is nothing at this address");
+        let need = match request.extensions().get::<MatchedPath>() {
+            // the answer that there is nothing, or to what a browser asks before a request
+            None => Need::Nothing,
+            Some(_) if *request.method() == Method::OPTIONS => Need::Nothing,
+            Some(path) => need(request.method(), path.as_str()).ok_or_else(nothing)?,
+        };
+        let asked = take_link(request.uri()).map(|(uri, link)| {
+            *request.uri_mut() = uri;
+            link
+        });
+        let who = if need == Need::Room { Who::Stranger } else { self.who(hosts, request)? };
+        let of_cookie = || cookie(request.headers(), LINK_COOKIE).and_then(Link::of_cookie);
+        let link = asked.clone().unwrap_or_else(|| of_cookie().filter(|_| check_origin(request.headers()).is_ok()));
+        request.extensions_mut().insert(Asked(asked.flatten()));
+        match need {
+            Need::Upload if !who.may(Scope::Upload) => Err(scope("upload")),
+            Need::List if !who.may(Scope::Read) => Err(scope("read")),
+            Need::Metrics if !who.is_told(Scope::Metrics) => {
+                let detail = "this is for this machine's own user, at a loopback address, and for keys with the scope metrics or admin";
+                Err(Problem::new(StatusCode::FORBIDDEN, "not-yours", detail))
+            }
+            Need::Admin if !who.is_admin() => {
+                let detail = "this is for this machine's own user, at a loopback address, and for keys with the scope admin";
+                Err(Problem::new(StatusCode::FORBIDDEN, "not-yours", detail))
+            }
+            need => Ok(Caller { owner: who.owner(), who, link, need, private: AtomicBool::new(false) }),
+        }
+    }
+
+    /// A key or secret that is sent counts alone; else what a browser sends by itself, where no other site's page made it do so.
+    fn who(&self, hosts: &Hosts, request: &Request) -> Result<Who, Problem> {
+        let headers = request.headers();
+        let unknown = || {
+            let detail = "the key is unknown or no longer good, or the secret is none";
+            Problem::new(StatusCode::UNAUTHORIZED, "key", detail).field("Authorization")
+        };
+        // other schemes are a proxy's affair, which passes on what it let in by
+        let mut given = headers.get_all(header::AUTHORIZATION).iter().filter_map(bearer);
+        if let Some(text) = given.next() {
+            if given.next().is_some() {
+                return Err(unknown());
+            }
+            if text.starts_with(keys::PREFIX) {
+                let found = self.keys.find(text).map_err(|e| {
+                    tracing::error!(error = %e, "keys cannot be read; none counts");
+                    Problem::new(StatusCode::SERVICE_UNAVAILABLE, "keys", "the server's keys cannot be read: its log says more")
+                })?;
+                return found.map(Who::Key).ok_or_else(unknown);
+            }
+            return if is_secret(text) { Ok(Who::Owner(text.to_owned())) } else { Err(unknown()) };
+        }
+        if check_origin(headers).is_err() {
+            return Ok(Who::Stranger);
+        }
+        // by HTTP/1.0 come proxies that were told nothing, who name neither the client nor the host that was asked for
+        if hosts.is_own(headers) && request.version() != Version::HTTP_10 {
+            return Ok(Who::Own);
+        }
+        Ok(owner_cookie(headers).filter(|text| is_secret(text)).map_or(Who::Stranger, |text| Who::Owner(text.to_owned())))
+    }
+
+    fn opens(&self, link: &Link, id: PhotoId) -> bool {
+        self.secret.is_good(id, link.expires, &link.signature, now())
+    }
+
+    /// Whether the caller of this request may have a photo as the request means to.
+    #[must_use]
+    pub fn allows(&self, entry: &Entry) -> bool {
+        // without a caller nobody was let in
+        caller().is_some_and(|caller| self.lets(&caller, entry))
+    }
+
+    fn lets(&self, caller: &Caller, entry: &Entry) -> bool {
+        let everybodys = || entry.settings().visibility == Some(Visibility::Link);
+        match caller.need {
+            Need::Read if everybodys() => return true,
+            Need::Read if caller.has(entry, Scope::Read) || caller.link.as_ref().is_some_and(|link| self.opens(link, entry.id)) => {}
+            Need::List if caller.has(entry, Scope::Read) => {}
+            Need::Change if caller.has(entry, Scope::Upload) => {}
+            _ => return false,
+        }
+        caller.private.store(true, Ordering::Relaxed);
+        true
+    }
+
+    /// What the caller of this request was let in by, for answers that go on; none where there is no caller.
+    #[must_use]
+    pub fn pass() -> Option<Pass> {
+        caller().map(Pass)
+    }
+
+    /// Whether a caller who was let in would be let in again: their key may be gone by now, the link's time over, or the photo no longer
+    /// everybody's.
+    #[must_use]
+    pub fn still_allows(&self, Pass(caller): &Pass, entry: &Entry) -> bool {
+        // keys that cannot be read let nobody in
+        let good = if let Who::Key(key) = &caller.who { self.keys.is_still(key).unwrap_or(false) } else { true };
+        good && self.lets(caller, entry)
+    }
+
+    /// Whose the photo will be that the caller of this request uploads.
+    ///
+    /// # Errors
+    /// 500 where the system has no random bytes.
+    pub fn uploader() -> Result<Uploader, Problem> {
+        if let Some(owner) = caller().and_then(|caller| caller.owner.clone()) {
+            return Ok(Uploader { owner, fresh: None });
+        }
+        let secret = fresh()?;
+        Ok(Uploader { owner: Owner::of_secret(&secret), fresh: Some(secret) })
+    }
+
+    /// Id of an owner's photo, where `content` names what it is made of.
+    #[must_use]
+    pub fn id(&self, owner: &Owner, content: PhotoId) -> PhotoId {
+        self.secret.id(owner, content)
+    }
+
+    /// The query of a link by which a photo can be read until `expires`, in seconds since 1970.
+    #[must_use]
+    pub fn query(&self, id: PhotoId, expires: u64) -> String {
+        format!("expires={expires}&signature={}", self.secret.link(id, expires))
+    }
+}
+
+impl Caller {
+    fn has(&self, entry: &Entry, scope: Scope) -> bool {
+        let own = entry.accepted.owner.as_ref().zip(self.owner.as_ref());
+        self.who.is_admin() || self.who.may(scope) && own.is_some_and(|(a, b)| same(a.0.as_bytes(), b.0.as_bytes()))
+    }
+}
+
+/// The secret of who asks, where that is what they came with.
+#[must_use]
+pub fn secret() -> Option<String> {
+    caller().and_then(|caller| if let Who::Owner(secret) = &caller.who { Some(secret.clone()) } else { None })
+}
+
+/// Seconds since 1970.
+#[must_use]
+pub fn now() -> u64 {
+    now_ms() / 1000
+}
+
+/// The photo whose page is at a path.
+fn opened(path: &str) -> Option<PhotoId> {
+    path.strip_prefix("/view/").or_else(|| path.strip_prefix("/embed/"))?.parse().ok()
+}
+
+fn scope(name: &str) -> Problem {
+    Problem::new(StatusCode::FORBIDDEN, "scope", format!("the key has not the scope {name}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn secrets_are_long_and_plain() {
+        assert!(is_secret(&fresh().unwrap()) && is_secret(&format!("{OWNER}{}", "aZ0-_678".repeat(4))));
+        for wrong in [OWNER.to_owned(), format!("{OWNER}short"), "a".repeat(40), format!("{OWNER}{}", "ä;= ".repeat(10))] {
+            assert!(!is_secret(&wrong), "{wrong}");
+        }
+        assert_ne!(Owner::of_secret("a"), Owner::of_keys("a"));
+    }
+}

@@ -1,0 +1,95 @@
+//! What each route asks of its caller, where access is private: the one table. A route that is not in it is nobody's.
+
+use axum::http::Method;
+
+/// What a request needs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Need {
+    /// Nothing: pages, their files, health.
+    Nothing,
+    /// A photo that the caller may see.
+    Read,
+    /// A photo of one's own.
+    Change,
+    /// Leave to upload.
+    Upload,
+    /// Leave to see one's list.
+    List,
+    /// Leave to read the server's counters.
+    Metrics,
+    /// This server's own affairs.
+    Admin,
+    /// A room, which asks for its own tokens.
+    Room,
+}
+
+use Need::{Admin, Change, List, Metrics, Nothing, Read, Room, Upload};
+
+const TABLE: &[(&str, &str, Need)] = &[
+    ("GET", "/", Nothing),
+    ("GET", "/demo", Nothing),
+    // the page itself says where there is no such photo; what it tells of one is read
+    ("GET", "/view/{id}", Read),
+    ("GET", "/embed/{id}", Read),
+    ("GET", "/live/{room}", Nothing),
+    ("GET", "/live/{room}/publish", Nothing),
+    ("GET", "/static/{*name}", Nothing),
+    ("GET", "/tmpi-viewer.js", Nothing),
+    ("GET", "/healthz", Nothing),
+    ("GET", "/readyz", Nothing),
+    ("GET", "/openapi.json", Nothing),
+    ("GET", "/metrics", Metrics),
+    ("GET", "/v1/network", Admin),
+    ("POST", "/v1/network", Admin),
+    ("POST", "/v1/owner", Nothing),
+    ("GET", "/v1/photos", List),
+    ("POST", "/v1/photos", Upload),
+    ("GET", "/v1/photos/{id}", Read),
+    ("PATCH", "/v1/photos/{id}", Change),
+    ("DELETE", "/v1/photos/{id}", Change),
+    ("POST", "/v1/photos/{id}/again", Change),
+    ("POST", "/v1/photos/{id}/links", Change),
+    ("GET", "/v1/photos/{id}/strokes", Read),
+    ("PATCH", "/v1/photos/{id}/strokes", Change),
+    ("GET", "/v1/photos/{id}/events", Read),
+    ("GET", "/v1/photos/{id}/depth", Read),
+    ("GET", "/v1/photos/{id}/settings", Read),
+    ("GET", "/v1/photos/{id}/atlas", Read),
+    ("GET", "/v1/photos/{id}/report", Read),
+    ("GET", "/v1/photos/{id}/thumbnail", Read),
+    ("GET", "/v1/photos/{id}/view", Read),
+    ("GET", "/v1/photos/{id}/export", Read),
+    ("GET", "/oembed", Read),
+    ("POST", "/v1/live/{room}/token", Room),
+];
+
+/// What a route needs by method and path with names for what varies; none where it is not known here.
+#[must_use]
+pub fn need(method: &Method, path: &str) -> Option<Need> {
+    let method = if *method == Method::HEAD { "GET" } else { method.as_str() };
+    if method == "GET" && (path.starts_with("/v1/live/{room}/") || path == "/v1/live/{room}") {
+        return Some(Room);
+    }
+    TABLE.iter().find(|(m, p, _)| *m == method && *p == path).map(|(_, _, need)| *need)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::server::routes;
+
+    #[test]
+    fn every_route_has_a_need_and_every_need_a_route() {
+        let all = routes::routes();
+        for route in &all {
+            for method in &route.methods {
+                assert!(need(method, &route.path).is_some(), "{method} {}: say in the table who may have it", route.path);
+            }
+        }
+        for (method, path, _) in TABLE {
+            assert!(all.iter().any(|r| r.path == *path && r.methods.iter().any(|m| m == method)), "{method} {path} is no route");
+        }
+        assert_eq!(need(&Method::PUT, "/v1/photos/{id}"), None);
+        assert_eq!(need(&Method::HEAD, "/v1/photos/{id}"), Some(Read));
+    }
+}

@@ -1,0 +1,208 @@
+//! What goes on in a connection of HTTP/2: the transport tells only of all its streams together, so that a client that answers pings
+//! could leave one open for ever.
+
+use std::collections::BTreeMap;
+use std::pin::Pin;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::task::{Context, Poll};
+use std::time::{Duration, Instant};
+
+use bytes::Bytes;
+use hyper::body::{Body, Frame, SizeHint};
+
+/// Requests of a connection.
+#[derive(Debug)]
+pub struct Streams(Mutex<State>);
+
+#[derive(Debug)]
+struct State {
+    next: u64,
+    /// Requests that are open; with what is waited for of their clients: since when, and how many bytes they have to take.
+    open: BTreeMap<u64, Option<(Instant, usize)>>,
+    /// Since when none is open.
+    idle: Instant,
+}
+
+/// What becomes of a connection.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Look {
+    /// It goes on.
+    Fine,
+    /// Nothing was asked for a while.
+    Idle,
+    /// A client does not take what it asked for.
+    Stalled,
+}
+
+/// A request that is open, as long as this lives.
+#[derive(Debug)]
+pub struct Open {
+    streams: Arc<Streams>,
+    id: u64,
+}
+
+impl Streams {
+    /// Those of a new connection.
+    #[must_use]
+    pub fn new() -> Arc<Self> {
+        Arc::new(Self(Mutex::new(State { next: 0, open: BTreeMap::new(), idle: Instant::now() })))
+    }
+
+    fn lock(&self) -> MutexGuard<'_, State> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// One more request.
+    #[must_use]
+    pub fn open(self: &Arc<Self>) -> Open {
+        let mut state = self.lock();
+        state.next += 1;
+        let id = state.next;
+        state.open.insert(id, None);
+        drop(state);
+        Open { streams: Arc::clone(self), id }
+    }
+
+    /// How it stands at `now`. A client may take nothing for `limit`, longer where it takes `rate` bytes a second; none is asked anything for `idle`.
+    #[must_use]
+    pub fn look(&self, now: Instant, limit: Duration, rate: u64, idle: Duration) -> Look {
+        let state = self.lock();
+        let for_longer_than = |since: &Instant, time| now.saturating_duration_since(*since) > time;
+        let at_rate = |bytes: &usize| Duration::from_secs_f64(*bytes as f64 / rate.max(1) as f64);
+        let stalled = |(since, bytes): &(Instant, usize)| for_longer_than(since, limit + at_rate(bytes));
+        if state.open.values().flatten().any(stalled) {
+            Look::Stalled
+        } else if state.open.is_empty() && for_longer_than(&state.idle, idle) {
+            Look::Idle
+        } else {
+            Look::Fine
+        }
+    }
+}
+
+impl Open {
+    /// The client has these to take; none: it waits for us.
+    fn turn(&self, bytes: Option<usize>) {
+        self.streams.lock().open.insert(self.id, bytes.map(|bytes| (Instant::now(), bytes)));
+    }
+}
+
+impl Drop for Open {
+    fn drop(&mut self) {
+        let mut state = self.streams.lock();
+        state.open.remove(&self.id);
+        state.idle = Instant::now();
+    }
+}
+
+/// Most bytes of a body that are given at a time. The transport asks for a piece ahead, and keeps what a client does not take.
+pub const PIECE: usize = 64 << 10;
+
+/// The body of a response whose client is looked after.
+#[derive(Debug)]
+pub struct Watched<B> {
+    body: B,
+    open: Open,
+    /// What is left of a piece that was too large.
+    left: Bytes,
+    /// A piece of it was given.
+    begun: bool,
+}
+
+impl<B> Watched<B> {
+    /// Wraps the body of the response to that request.
+    pub const fn new(body: B, open: Open) -> Self {
+        Self { body, open, left: Bytes::new(), begun: false }
+    }
+}
+
+impl<B: Body<Data = Bytes> + Unpin> Body for Watched<B> {
+    type Data = Bytes;
+    type Error = B::Error;
+
+    fn poll_frame(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Option<Result<Frame<Bytes>, Self::Error>>> {
+        let whole = if self.left.is_empty() {
+            Pin::new(&mut self.body).poll_frame(cx)
+        } else {
+            Poll::Ready(Some(Ok(Frame::data(std::mem::take(&mut self.left)))))
+        };
+        let polled = whole.map_ok(|frame| {
+            frame.map_data(|mut data| {
+                self.left = data.split_off(data.len().min(PIECE));
+                data
+            })
+        });
+        // asked for more: what was there before is taken, but for a piece
+        let waiting = match &polled {
+            Poll::Ready(Some(Ok(frame))) => frame.data_ref().map(Bytes::len),
+            _ => None,
+        };
+        self.open.turn(waiting);
+        self.begun |= polled.is_ready();
+        polled
+    }
+
+    fn is_end_stream(&self) -> bool {
+        // the last piece, too, is to be taken: its end is seen when more is asked for
+        !self.begun && self.body.is_end_stream()
+    }
+
+    fn size_hint(&self) -> SizeHint {
+        let (rest, left) = (self.body.size_hint(), self.left.len() as u64);
+        let mut hint = SizeHint::new();
+        hint.set_lower(rest.lower() + left);
+        if let Some(upper) = rest.upper() {
+            hint.set_upper(upper + left);
+        }
+        hint
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use axum::body::Body as Whole;
+    use futures_util::stream;
+    use http_body_util::BodyExt as _;
+
+    use super::*;
+
+    const LIMIT: Duration = Duration::from_secs(30);
+    const IDLE: Duration = Duration::from_secs(10);
+
+    #[tokio::test]
+    async fn who_does_not_take_what_is_there_is_seen_and_who_waits_for_us_is_not() {
+        let streams = Streams::new();
+        let look = |seconds| streams.look(Instant::now() + Duration::from_secs(seconds), LIMIT, 1000, IDLE);
+        let open = streams.open();
+        assert_eq!(look(1000), Look::Fine, "the answer is not there yet");
+        let pieces = stream::iter([Ok::<_, std::convert::Infallible>(Bytes::from(vec![0; 5000])), Ok(Bytes::new())]);
+        let mut body = Watched::new(Whole::from_stream(pieces), open);
+        body.frame().await.unwrap().unwrap();
+        assert_eq!(look(34), Look::Fine, "5 seconds at the least rate come on top");
+        assert_eq!(look(40), Look::Stalled);
+        body.frame().await.unwrap().unwrap();
+        assert!(body.frame().await.is_none());
+        assert_eq!(look(40), Look::Fine, "all was asked for");
+        drop(body);
+        assert_eq!(look(5), Look::Fine);
+        assert_eq!(look(20), Look::Idle);
+        let _open = streams.open();
+        assert_eq!(look(20), Look::Fine);
+    }
+
+    #[tokio::test]
+    async fn large_pieces_are_given_in_small_ones_and_none_is_lost() {
+        let all: Vec<u8> = (0..3 * PIECE + 5).map(|i| (i % 251) as u8).collect();
+        let mut body = Watched::new(Whole::from(all.clone()), Streams::new().open());
+        let mut came = Vec::new();
+        assert!(!body.is_end_stream());
+        while let Some(frame) = body.frame().await {
+            let data = frame.unwrap().into_data().unwrap();
+            assert!(data.len() <= PIECE);
+            came.extend_from_slice(&data);
+            assert_eq!(body.size_hint().exact(), Some((all.len() - came.len()) as u64));
+        }
+        assert_eq!(came, all);
+        assert!(Watched::new(Whole::empty(), Streams::new().open()).is_end_stream());
+    }
+}

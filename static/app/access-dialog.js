@@ -1,0 +1,99 @@
+// Who may see a photo, where the server asks who comes: everybody with the link, whoever has a link that ends, or another browser of its owner's.
+
+import { t } from '../i18n/messages.js';
+import { changeSettings, linksOf } from './api.js';
+import { element } from './dom.js';
+import { copied, showDialog } from './share-dialog.js';
+
+/** @import { Shared } from './share-dialog.js' */
+
+const HOUR = 3600;
+const DAY = 24 * HOUR;
+/**
+ * How long a link is good, in seconds, as it is offered.
+ * @type {[string, string][]}
+ */
+const TIMES = [
+  [String(HOUR), t('An hour')],
+  [String(DAY), t('A day')],
+  [String(7 * DAY), t('A week')],
+  [String(30 * DAY), t('30 days')],
+];
+
+/**
+ * Shows the dialog.
+ * @param {Shared} photo
+ */
+export async function open({ id, visibility, changed }) {
+  const links = await linksOf(id, DAY).catch(() => null);
+  if (!links) return showDialog(t('Who may see it'), element('p', '', t('Only who uploaded the photo says who may see it.')));
+  const seen = select([
+    ['private', t('Only me')],
+    ['link', t('Anyone with the link')],
+  ]);
+  // the heading says it to who sees it
+  seen.setAttribute('aria-label', t('Who may see it'));
+  const said = element('p');
+  said.setAttribute('role', 'status');
+  let now = visibility ?? 'private';
+  seen.value = now;
+  const time = select(TIMES);
+  time.value = String(DAY);
+  const link = copied(t('A link that ends'), absolute(links.page));
+  const ending = element(
+    'section',
+    '',
+    element('h3', '', t('A link that ends')),
+    element('p', '', t('Whoever has it sees this photo until then, and changes nothing.')),
+    element('div', 'fields', element('label', '', t('How long it is good'), time)),
+    ...link.parts,
+  );
+  ending.hidden = now !== 'private';
+  seen.addEventListener('change', async () => {
+    try {
+      changed(await changeSettings(id, { visibility: seen.value }, null));
+      now = seen.value === 'link' ? 'link' : 'private';
+      said.textContent = t('Saved');
+    } catch (error) {
+      seen.value = now;
+      said.textContent = error.message;
+    }
+    ending.hidden = now !== 'private';
+  });
+  time.addEventListener('change', async () => {
+    try {
+      link.text.value = absolute((await linksOf(id, Number(time.value))).page);
+    } catch (error) {
+      // what is shown is not what was asked for
+      link.text.value = error.message;
+    }
+  });
+  return showDialog(t('Who may see it'), element('section', '', seen, said), ending, ...otherBrowser(links.manage));
+}
+
+/**
+ * How another browser comes to own what this one owns; nothing where this one has no secret.
+ * @param {string} [manage]
+ */
+function otherBrowser(manage) {
+  if (!manage) return [];
+  const link = copied(t('The link for your other browser'), absolute(manage));
+  return [
+    element(
+      'details',
+      '',
+      element('summary', '', t('For another browser of yours')),
+      element('p', '', t('A secret: whoever opens this link can see, change and delete all your photos.')),
+      ...link.parts,
+    ),
+  ];
+}
+
+const absolute = (/** @type {string} */ path) => new URL(path, location.origin).href;
+
+/** @param {[string, string][]} options values with their words */
+function select(options) {
+  const box = element('select');
+  for (const [value, word] of options) box.add(new Option(word, value));
+  return box;
+}

@@ -1,0 +1,362 @@
+//! Who may do what on a server that asks who comes.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use serde_json::Value;
+use tmpi::server::keys::{self, Scope};
+use tmpi::server::{Config, Limits, Maker, Server};
+use tmpi_render::Backend;
+
+use crate::client::{Response, get, request};
+use crate::fixture::{Running, jpeg, pipeline, rooms};
+
+/// A name by which strangers come: on loopback, but not as this machine's own user.
+pub const HOST: (&str, &str) = ("host", "photos.example");
+
+/// A server that asks who comes.
+pub fn private(data: &Path) -> Running {
+    private_with(data, Arc::new(pipeline()))
+}
+
+/// The same, whose photos `maker` makes.
+pub fn private_with(data: &Path, maker: Arc<dyn Maker>) -> Running {
+    let config = Config {
+        addr: ([127, 0, 0, 1], 0).into(),
+        data: data.to_owned(),
+        pages: None,
+        hosts: vec!["photos.example".into()],
+        public_list: false,
+        private: true,
+        keys: None,
+        limits: Limits::default(),
+    };
+    let renderer = tmpi_render::select(Backend::Cpu).unwrap();
+    Running::of(async move { Server::bind(config, maker, renderer).await.unwrap().with_rooms(rooms()) })
+}
+
+pub fn secret(letter: &str) -> String {
+    format!("Bearer tmpi_o_{}", letter.repeat(40))
+}
+
+pub fn ask(server: &Running, method: &str, path: &str, headers: &[(&str, &str)], body: &[u8]) -> Response {
+    let mut all = vec![HOST];
+    all.extend(headers);
+    request(server.addr, method, path, &all, body)
+}
+
+/// Uploads as whoever `who` is; gives the state.
+pub fn upload(server: &Running, who: Option<&str>, photo: u8) -> Value {
+    let headers: Vec<_> = who.map(|who| ("authorization", who)).into_iter().chain([("prefer", "wait=60")]).collect();
+    let answer = ask(server, "POST", "/v1/photos", &headers, &jpeg(photo));
+    assert!(matches!(answer.status, 201 | 202), "{}", String::from_utf8_lossy(&answer.body));
+    answer.json()
+}
+
+fn ids(answer: &Response) -> Vec<String> {
+    assert_eq!(answer.status, 200, "{}", String::from_utf8_lossy(&answer.body));
+    answer.json()["photos"].as_array().unwrap().iter().map(|p| p["id"].as_str().unwrap().to_owned()).collect()
+}
+
+pub fn id(state: &Value) -> String {
+    state["id"].as_str().unwrap().to_owned()
+}
+
+/// An answer without what differs from request to request.
+fn plain(answer: &Response, id: &str) -> String {
+    let mut body = answer.json();
+    body["request_id"] = Value::Null;
+    let headers = ["content-type", "cache-control", "vary", "etag", "access-control-allow-origin", "content-security-policy", "set-cookie"];
+    let headers: Vec<_> = headers.iter().map(|name| answer.all(name)).collect();
+    format!("{} {headers:?} {body}", answer.status).replace(id, "ID")
+}
+
+#[test]
+fn photos_are_their_owners_alone() {
+    let dir = tempfile::tempdir().unwrap();
+    let server = private(dir.path());
+    let (ann, bob) = (secret("a"), secret("b"));
+    let (of_ann, of_bob) = (upload(&server, Some(&ann), 1), upload(&server, Some(&bob), 1));
+    let (a, b) = (id(&of_ann), id(&of_bob));
+    assert_ne!(a, b, "equal photos of two owners are two");
+    assert_eq!(id(&upload(&server, Some(&ann), 1)), a, "the same upload of one is one");
+    assert_eq!(of_ann["visibility"], "private");
+    let list = |who: &str| ids(&ask(&server, "GET", "/v1/photos", &[("authorization", who)], &[]));
+    assert_eq!((list(&ann), list(&bob)), (vec![a.clone()], vec![b.clone()]));
+    assert_eq!(ids(&ask(&server, "GET", "/v1/photos", &[], &[])).len(), 0, "a stranger has none");
+    let refused = ask(&server, "GET", &format!("/v1/photos?after={a}"), &[("authorization", &bob)], &[]);
+    assert_eq!(refused.status, 400, "not even as a place in the list");
+    // what is somebody else's is what is not there, to the byte
+    let none = "0".repeat(32);
+    for path in [
+        "",
+        "/settings",
+        "/atlas",
+        "/atlas?level=9",
+        "/report",
+        "/thumbnail",
+        "/depth",
+        "/view?w=8",
+        "/export?format=glb",
+        "/strokes",
+        "/events",
+    ] {
+        let of = |id: &str| plain(&ask(&server, "GET", &format!("/v1/photos/{id}{path}"), &[("authorization", &bob)], &[]), id);
+        assert!(of(&a).starts_with("404"), "{path}: {}", of(&a));
+        assert_eq!(of(&a), of(&none), "{path}");
+    }
+    let embed = |id: &str| plain(&ask(&server, "GET", &format!("/oembed?url=http://photos.example/view/{id}"), &[], &[]), id);
+    assert_eq!(embed(&a), embed(&none));
+    let page = |id: &str| String::from_utf8(ask(&server, "GET", &format!("/view/{id}"), &[], &[]).body).unwrap();
+    assert_eq!(page(&a), page(&none), "the page tells no title");
+    let json = ("content-type", "application/json");
+    for (method, path) in [("PATCH", ""), ("DELETE", ""), ("PATCH", "/strokes"), ("POST", "/again"), ("POST", "/links")] {
+        let of = |id: &str| plain(&ask(&server, method, &format!("/v1/photos/{id}{path}"), &[("authorization", &bob), json], b"{}"), id);
+        assert!(of(&a).starts_with("404"), "{method} {path}: {}", of(&a));
+        assert_eq!(of(&a), of(&none), "{method} {path}");
+    }
+    // for its owner it is kept in their own browser alone
+    let atlas = of_ann["links"]["atlas"].as_str().unwrap();
+    let own = ask(&server, "GET", atlas, &[("authorization", &ann)], &[]);
+    assert_eq!((own.status, own.header("cache-control")), (200, Some("private, no-cache")));
+    assert!(own.all("vary").contains("authorization"));
+    // anyone with the address, once its owner says so; to change it, still nobody else
+    let change = |body: &[u8]| ask(&server, "PATCH", &format!("/v1/photos/{a}"), &[("authorization", &ann), json], body).status;
+    assert_eq!(change(br#"{"visibility": "link"}"#), 200);
+    assert_eq!(ask(&server, "GET", atlas, &[], &[]).header("cache-control"), Some("public, max-age=31536000, immutable"));
+    assert_eq!(ask(&server, "DELETE", &format!("/v1/photos/{a}"), &[("authorization", &bob)], &[]).status, 404);
+    assert_eq!(list(&bob), vec![b], "but nobody else's list shows it");
+    assert_eq!((change(br#"{"visibility": null}"#), ask(&server, "GET", atlas, &[], &[]).status), (200, 404));
+    // and all that is still so after another start, and this machine's own user sees everything
+    server.stop();
+    let server = private(dir.path());
+    assert_eq!(ids(&get(server.addr, "/v1/photos")).len(), 2);
+    assert_eq!(ask(&server, "GET", atlas, &[("authorization", &bob)], &[]).status, 404);
+    assert_eq!(ask(&server, "GET", atlas, &[("authorization", &ann)], &[]).status, 200);
+}
+
+#[test]
+fn whoever_uploads_without_a_secret_is_told_one() {
+    let dir = tempfile::tempdir().unwrap();
+    let server = private(dir.path());
+    let state = upload(&server, None, 1);
+    let photo = id(&state);
+    let manage = state["links"]["manage"].as_str().unwrap();
+    let secret = manage.strip_prefix(&format!("/view/{photo}#owner=")).unwrap();
+    let address = format!("/v1/photos/{photo}");
+    let of = |secret: &str, headers: &[(&str, &str)]| {
+        let bearer = format!("Bearer {secret}");
+        let all: Vec<_> = [("authorization", bearer.as_str())].into_iter().chain(headers.iter().copied()).collect();
+        ask(&server, "GET", &address, &all, &[])
+    };
+    assert_eq!((of(secret, &[]).status, ask(&server, "GET", &address, &[], &[]).status), (200, 404));
+    assert!(of(secret, &[]).json()["links"]["manage"].is_null(), "told once");
+    for wrong in [&secret[..secret.len() - 1], "tmpi_o_short", "tmpi_o_", "tmpi_k_0", "1000.ab", ""] {
+        assert!(matches!(of(wrong, &[]).status, 401 | 404), "{wrong}");
+    }
+    // a browser keeps it as a cookie, which other sites' pages cannot make it send
+    let kept = ask(&server, "POST", "/v1/owner", &[("authorization", &format!("Bearer {secret}"))], &[]);
+    assert_eq!(kept.status, 204);
+    let cookie = kept.header("set-cookie").unwrap().to_owned();
+    assert!(cookie.contains("; HttpOnly; SameSite=Lax") && !cookie.contains("Secure"), "{cookie}");
+    let pair = cookie.split(';').next().unwrap();
+    let by_cookie = |headers: &[(&str, &str)]| {
+        let all: Vec<_> = [("cookie", pair)].into_iter().chain(headers.iter().copied()).collect();
+        ask(&server, "GET", &address, &all, &[]).status
+    };
+    assert_eq!(by_cookie(&[("sec-fetch-site", "same-origin")]), 200);
+    for site in ["cross-site", "same-site"] {
+        assert_eq!(by_cookie(&[("sec-fetch-site", site)]), 404, "{site}");
+    }
+    assert_eq!((by_cookie(&[("origin", "https://evil.example")]), by_cookie(&[("origin", "http://photos.example")])), (404, 200));
+    // pages of another site change nothing, whatever they send
+    let foreign = [("authorization", format!("Bearer {secret}")), ("origin", "https://evil.example".into())];
+    let foreign: Vec<_> = foreign.iter().map(|(n, v)| (*n, v.as_str())).collect();
+    ask(&server, "DELETE", &address, &foreign, &[]).problem(403);
+    // a rebound name is nobody's, with or without a secret
+    let rebound = [("host", "evil.example"), ("cookie", pair)];
+    request(server.addr, "GET", &address, &rebound, &[]).problem(421);
+    // the page gives a browser that has none a secret of its own
+    let page = ask(&server, "GET", "/", &[("x-forwarded-proto", "https")], &[]);
+    let set = page.header("set-cookie").unwrap().to_owned();
+    // a name that browsers take by TLS alone, for the whole host, and from itself
+    assert!(set.starts_with("__Host-tmpi_owner=tmpi_o_") && set.contains("; Path=/;"), "{set}");
+    assert!(set.ends_with("; HttpOnly; SameSite=Lax; Secure") && !set.contains("Domain"), "{set}");
+    let by_tls = |name: &str| {
+        let pair = format!("{name}={secret}");
+        ask(&server, "GET", &address, &[("cookie", &pair), ("x-forwarded-proto", "https")], &[]).status
+    };
+    assert_eq!((by_tls("__Host-tmpi_owner"), by_tls("tmpi_owner")), (200, 404), "what another host of the domain may have set counts not");
+    assert_eq!(page.header("cache-control"), Some("private, no-store"));
+}
+
+#[test]
+fn links_are_good_for_one_photo_and_a_while() {
+    let dir = tempfile::tempdir().unwrap();
+    let server = private(dir.path());
+    let ann = secret("a");
+    let (one, two) = (id(&upload(&server, Some(&ann), 1)), id(&upload(&server, Some(&ann), 2)));
+    let links = |query: &str| ask(&server, "POST", &format!("/v1/photos/{one}/links{query}"), &[("authorization", &ann)], &[]);
+    for wrong in ["?seconds=0", "?seconds=31622401", "?seconds=soon", "?minutes=1"] {
+        links(wrong).problem(400);
+    }
+    let link = links("?seconds=600").json();
+    let query = link["query"].as_str().unwrap();
+    assert!(link["manage"].as_str().unwrap().ends_with(&"a".repeat(40)));
+    let (expires, signature) = query.strip_prefix("expires=").unwrap().split_once("&signature=").unwrap();
+    let of = |photo: &str, path: &str, query: &str| ask(&server, "GET", &format!("/v1/photos/{photo}{path}{query}"), &[], &[]);
+    for path in ["?", "/atlas?", "/atlas?level=1&", "/view?w=8&", "/thumbnail?", "/settings?"] {
+        assert_eq!(of(&one, path, query).status, 200, "{path}");
+    }
+    let turned = format!("signature={signature}&expires={expires}");
+    let (a, b) = (of(&one, "/view?w=8&", query), of(&one, "/view?", &format!("{turned}&w=8")));
+    assert_eq!((a.status, a.header("etag")), (200, b.header("etag")), "the link is no part of what is kept");
+    assert_eq!(a.header("cache-control"), Some("private, no-cache"));
+    assert!(b.header("server-timing").is_some_and(|t| !t.contains("render")), "drawn once: {:?}", b.header("server-timing"));
+    let later = (expires.parse::<u64>().unwrap() + 1).to_string();
+    let forged = format!("{}{}", &signature[..63], if signature.ends_with('0') { '1' } else { '0' });
+    let none = plain(&of(&one, "?", ""), &one);
+    assert!(none.starts_with("404"));
+    for wrong in [
+        format!("expires={later}&signature={signature}"),
+        format!("expires=1&signature={signature}"),
+        format!("expires={expires}&signature={forged}"),
+        format!("expires={expires}&expires={expires}&signature={signature}"),
+        format!("expires={expires}"),
+        format!("signature={signature}"),
+    ] {
+        assert_eq!(plain(&of(&one, "?", &wrong), &one), none, "{wrong}");
+    }
+    assert_eq!(of(&two, "?", query).status, 404, "another photo's");
+    // it reads, and changes nothing
+    let stranger =
+        |method: &str| ask(&server, method, &format!("/v1/photos/{one}?{query}"), &[("content-type", "application/json")], b"{}");
+    assert_eq!((stranger("PATCH").status, stranger("DELETE").status), (404, 404));
+    // its time is really over
+    let short = links("?seconds=1").json();
+    std::thread::sleep(std::time::Duration::from_millis(2100));
+    assert_eq!(plain(&of(&one, "?", short["query"].as_str().unwrap()), &one), none);
+    // whoever opens the page by it has its pictures, too
+    let page = ask(&server, "GET", link["page"].as_str().unwrap(), &[], &[]);
+    let cookie = page.header("set-cookie").unwrap().to_owned();
+    assert!(cookie.contains(&format!("; Path=/v1/photos/{one}; Max-Age=")), "{cookie}");
+    let with =
+        |photo: &str| ask(&server, "GET", &format!("/v1/photos/{photo}"), &[("cookie", cookie.split(';').next().unwrap())], &[]).status;
+    assert_eq!((with(&one), with(&two)), (200, 404));
+    assert!(ask(&server, "GET", &format!("/view/{two}?{query}"), &[], &[]).header("set-cookie").is_none());
+}
+
+#[test]
+fn keys_have_scopes_and_are_replaced_while_the_server_runs() {
+    let dir = tempfile::tempdir().unwrap();
+    let server = private(dir.path());
+    let key = |name: &str, scopes: &[Scope]| format!("Bearer {}", keys::add(dir.path(), name, scopes, None).unwrap());
+    let (up, read) = (key("site", &[Scope::Upload]), key("site", &[Scope::Read]));
+    let (other, admin) = (key("other", &[Scope::Upload, Scope::Read]), key("boss", &[Scope::Admin]));
+    let photo = id(&upload(&server, Some(&up), 1));
+    let by = |who: &str, method: &str, path: &str| {
+        ask(
+            &server,
+            method,
+            path,
+            &[("authorization", who), ("content-type", "application/json")],
+            if method == "PATCH" { b"{}" } else { b"" },
+        )
+    };
+    let at = format!("/v1/photos/{photo}");
+    assert_eq!((by(&read, "GET", &at).status, by(&up, "GET", &at).status), (200, 404));
+    assert_eq!((by(&read, "PATCH", &at).status, by(&up, "PATCH", &at).status), (404, 200));
+    assert_eq!((by(&other, "GET", &at).status, by(&admin, "GET", &at).status), (404, 200));
+    assert_eq!(by(&up, "GET", "/v1/photos").problem(403)["type"], "urn:tmpi:problem:scope");
+    assert_eq!(ask(&server, "POST", "/v1/photos", &[("authorization", &read)], &jpeg(2)).problem(403)["type"], "urn:tmpi:problem:scope");
+    assert_eq!((ids(&by(&read, "GET", "/v1/photos")), ids(&by(&admin, "GET", "/v1/photos"))), (vec![photo.clone()], vec![photo]));
+    assert_eq!((by(&read, "GET", "/metrics").status, by(&admin, "GET", "/metrics").status), (403, 200));
+    let meter = key("meter", &[Scope::Metrics]);
+    assert_eq!(
+        (by(&meter, "GET", "/metrics").status, by(&meter, "GET", &at).status, by(&meter, "GET", "/v1/network").status),
+        (200, 404, 403)
+    );
+    // a new key, then the old one goes; photos stay
+    let new = key("site", &[Scope::Upload, Scope::Read]);
+    assert_eq!((by(&new, "GET", &at).status, by(&read, "GET", &at).status), (200, 200));
+    for old in keys::read(dir.path()).unwrap().iter().filter(|k| k.name == "site" && k.scopes.len() == 1) {
+        assert_eq!(keys::remove(dir.path(), "site", Some(old.id())).unwrap(), 1);
+    }
+    assert_eq!((by(&new, "GET", &at).status, by(&read, "GET", &at).status), (200, 401));
+    // a damaged file lets no key in, and says so
+    let path = dir.path().join("keys.json");
+    let good = std::fs::read(&path).unwrap();
+    std::fs::write(&path, &good[..good.len() / 2]).unwrap();
+    for who in [&new, &admin] {
+        assert_eq!(by(who, "GET", &at).problem(503)["type"], "urn:tmpi:problem:keys");
+    }
+    assert_eq!(ask(&server, "GET", &at, &[], &[]).status, 404);
+    server.stop();
+    let config = |data: &Path| Config {
+        addr: ([127, 0, 0, 1], 0).into(),
+        data: data.to_owned(),
+        pages: None,
+        hosts: Vec::new(),
+        public_list: false,
+        private: true,
+        keys: None,
+        limits: Limits::default(),
+    };
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+    let renderer = tmpi_render::select(Backend::Cpu).unwrap();
+    let refused = runtime.block_on(Server::bind(config(dir.path()), Arc::new(pipeline()), renderer)).err().unwrap();
+    let why = std::error::Error::source(&refused).unwrap().to_string();
+    assert!(why.contains("keys.json is damaged"), "{why}");
+}
+
+/// What the server logs while the tests of this program run.
+static LOG: std::sync::Mutex<Vec<u8>> = std::sync::Mutex::new(Vec::new());
+
+struct Log;
+
+impl std::io::Write for Log {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        LOG.lock().unwrap().extend(bytes);
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        Ok(())
+    }
+}
+
+#[test]
+fn no_secret_is_logged() {
+    tracing_subscriber::fmt().with_max_level(tracing_subscriber::filter::LevelFilter::DEBUG).with_writer(|| Log).try_init().unwrap();
+    let dir = tempfile::tempdir().unwrap();
+    let server = private(dir.path());
+    let ann = secret("z");
+    let photo = id(&upload(&server, Some(&ann), 1));
+    let key = format!("Bearer {}", keys::add(dir.path(), "site", &[Scope::Read], None).unwrap());
+    let manage = upload(&server, None, 2)["links"]["manage"].as_str().unwrap().to_owned();
+    let link = ask(&server, "POST", &format!("/v1/photos/{photo}/links"), &[("authorization", &ann)], &[]).json();
+    let query = link["query"].as_str().unwrap().to_owned();
+    for who in [&ann, &key] {
+        ask(&server, "GET", &format!("/v1/photos/{photo}?{query}"), &[("authorization", who)], &[]);
+        ask(&server, "GET", &format!("/v1/photos/{photo}?wrong=1&{query}"), &[("authorization", who)], &[]);
+        ask(&server, "GET", &format!("/v1/photos/{photo}"), &[("authorization", &format!("{who}x"))], &[]);
+        ask(&server, "GET", "/", &[("cookie", &who.replace("Bearer ", "tmpi_owner="))], &[]);
+    }
+    let files = ["keys.json", &format!("photos/{photo}/options.json"), &format!("photos/{photo}/state.json")];
+    let mut kept: Vec<(String, String)> =
+        files.map(|file| (file.to_owned(), std::fs::read_to_string(dir.path().join(file)).unwrap())).into();
+    let log = String::from_utf8_lossy(&LOG.lock().unwrap()).into_owned();
+    assert!(log.contains(&photo) && log.contains("request"), "the log has something: {log}");
+    kept.push(("the log".into(), log));
+    let secrets = [
+        &ann["Bearer tmpi_o_".len()..],
+        &key["Bearer tmpi_k_".len()..],
+        manage.split("tmpi_o_").nth(1).unwrap(),
+        query.split("signature=").nth(1).unwrap(),
+    ];
+    for (place, text) in kept {
+        for secret in secrets {
+            assert!(!text.contains(secret), "{place} has {secret}");
+        }
+    }
+}

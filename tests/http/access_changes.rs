@@ -1,0 +1,155 @@
+//! What becomes of those who were let in when keys, links and settings change.
+
+use std::path::Path;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use tmpi::server::keys::{self, Scope};
+use tmpi::server::{Config, Limits, Role, Server, Sharing};
+use tmpi_render::Backend;
+
+use crate::access::{HOST, ask, id, private, private_with, secret, upload};
+use crate::client::get;
+use crate::events::Events;
+use crate::fixture::{Gate, Running, jpeg, pipeline, wait_until};
+
+/// How soon a stream ends whose listener may listen no more: the pause between two looks, and some for a busy machine.
+const SOON: Duration = Duration::from_secs(20);
+
+/// True where a stream ends before its photo does.
+fn ends(mut events: Events) -> bool {
+    let start = Instant::now();
+    let mut last = String::new();
+    while let Some((name, _)) = events.next() {
+        last = name;
+    }
+    assert!(start.elapsed() < SOON, "{:?}", start.elapsed());
+    !matches!(last.as_str(), "done" | "failed" | "deleted")
+}
+
+#[test]
+fn streams_of_events_end_with_what_let_their_listeners_in() {
+    let dir = tempfile::tempdir().unwrap();
+    let gate = Gate::new(0);
+    let server = private_with(dir.path(), gate.clone());
+    let key = |scopes: &[Scope]| format!("Bearer {}", keys::add(dir.path(), "site", scopes, None).unwrap());
+    let (owner, reader) = (key(&[Scope::Upload, Scope::Read]), key(&[Scope::Read]));
+    let accepted = ask(&server, "POST", "/v1/photos", &[("authorization", &owner)], &jpeg(1));
+    assert_eq!(accepted.status, 202);
+    let photo = id(&accepted.json());
+    gate.wait_started(1);
+    let json = ("content-type", "application/json");
+    let show = |visibility: &str| {
+        let body = format!("{{\"visibility\": {visibility:?}}}");
+        let answer = ask(&server, "PATCH", &format!("/v1/photos/{photo}"), &[("authorization", &owner), json], body.as_bytes());
+        assert_eq!(answer.status, 200);
+    };
+    let open = |query: &str, who: Option<&str>| {
+        let headers: Vec<_> = [HOST].into_iter().chain(who.map(|who| ("authorization", who))).collect();
+        let mut events = Events::open_as(&server, &photo, query, &headers);
+        assert_eq!(events.next().unwrap().0, "stage", "it is told how far the photo is");
+        events
+    };
+    let (of_owner, of_reader) = (open("", Some(&owner)), open("", Some(&reader)));
+    // the reader's key goes, and the owner's stays
+    let all = keys::read(dir.path()).unwrap();
+    let gone = all.iter().find(|k| !k.may(Scope::Upload)).unwrap();
+    assert_eq!(keys::remove(dir.path(), "site", Some(gone.id())).unwrap(), 1);
+    assert!(ends(of_reader), "the key is gone");
+    // a link's time is over
+    let link = ask(&server, "POST", &format!("/v1/photos/{photo}/links?seconds=3"), &[("authorization", &owner)], &[]).json();
+    assert!(ends(open(&format!("?{}", link["query"].as_str().unwrap()), None)), "the link is over");
+    // what everybody saw is its owner's alone again
+    show("link");
+    let of_stranger = open("", None);
+    show("private");
+    assert!(ends(of_stranger), "it is private");
+    // who still may is told the end
+    gate.open(1);
+    assert!(!ends(of_owner), "the owner's key is good");
+}
+
+#[test]
+fn who_may_see_a_photo_is_a_setting_like_others() {
+    let dir = tempfile::tempdir().unwrap();
+    let server = private(dir.path());
+    let ann = secret("a");
+    let at = format!("/v1/photos/{}", id(&upload(&server, Some(&ann), 1)));
+    let own = |method: &str, path: &str, more: &[(&str, &str)], body: &[u8]| {
+        let headers: Vec<_> = [("authorization", ann.as_str())].into_iter().chain(more.iter().copied()).collect();
+        ask(&server, method, path, &headers, body)
+    };
+    let tag = |path: &str| own("GET", path, &[], &[]).header("etag").unwrap().to_owned();
+    let json = ("content-type", "application/json");
+    let state = tag(&at);
+    // by the tag that was seen, and by the tag that the change was answered with
+    let shown = own("PATCH", &at, &[json, ("if-match", &state)], br#"{"visibility": "link"}"#);
+    assert_eq!((shown.status, shown.json()["visibility"].as_str()), (200, Some("link")));
+    let answered = shown.header("etag").unwrap();
+    assert_eq!((tag(&at).as_str(), own("GET", &at, &[("if-none-match", answered)], &[]).status), (answered, 304));
+    assert_eq!(own("PATCH", &at, &[json, ("if-match", answered)], br#"{"title": "The attic"}"#).status, 200);
+    // the tags of before are of what is no more
+    assert_eq!(own("PATCH", &at, &[json, ("if-match", &state)], br#"{"title": "B"}"#).problem(412)["type"], "urn:tmpi:problem:changed");
+    assert_eq!(own("GET", &at, &[("if-none-match", &state)], &[]).status, 200);
+    // a stranger who knows a tag is not told that it is still the photo's
+    let (page, settings, atlas) = (at.replace("/v1/photos", "/view"), format!("{at}/settings"), format!("{at}/atlas"));
+    let seen = |path: &str| ask(&server, "GET", path, &[], &[]).header("etag").map(str::to_owned);
+    let known: Vec<_> = [&at, &page, &settings, &atlas].map(|path| (path.clone(), seen(path).unwrap())).into();
+    assert_eq!(own("PATCH", &at, &[json], br#"{"visibility": "private"}"#).status, 200);
+    for (path, tag) in &known {
+        let answer = ask(&server, "GET", path, &[("if-none-match", tag)], &[]);
+        assert_eq!(answer.status, if path == &page { 200 } else { 404 }, "{path}");
+        assert!(!String::from_utf8_lossy(&answer.body).contains("attic"), "{path} tells no title");
+    }
+    // a list is of who asks, whoever asked before, and has no tag
+    let bobs = ask(&server, "GET", "/v1/photos", &[("authorization", &secret("b")), ("if-none-match", "*")], &[]);
+    assert_eq!((bobs.status, bobs.header("cache-control"), bobs.header("etag")), (200, Some("private, no-cache"), None));
+    assert!(bobs.all("vary").contains("cookie") && get(server.addr, "/v1/photos").json()["photos"].as_array().unwrap().len() == 1);
+}
+
+/// A node that asks who comes, of the store in a folder, with the keys of another.
+fn node(dir: &Path, name: &str) -> Running {
+    let sharing = Sharing { store: format!("file://{}", dir.join("store").display()), role: Role::All, nats: None };
+    let config = Config {
+        addr: ([127, 0, 0, 1], 0).into(),
+        data: dir.join(name),
+        pages: None,
+        hosts: vec!["photos.example".into()],
+        public_list: false,
+        private: true,
+        keys: Some(dir.join("keys")),
+        limits: Limits { sweep: Duration::from_millis(100), ..Limits::default() },
+    };
+    let renderer = tmpi_render::select(Backend::Cpu).unwrap();
+    Running::of(async move { Server::bind_among(Some(sharing), config, Arc::new(pipeline()), renderer).await.unwrap() })
+}
+
+#[test]
+fn a_photo_is_its_owners_at_every_node_of_a_store() {
+    let dir = tempfile::tempdir().unwrap();
+    let key = |name: &str| format!("Bearer {}", keys::add(&dir.path().join("keys"), name, &[Scope::Upload, Scope::Read], None).unwrap());
+    let (ann, bob) = (key("ann"), key("bob"));
+    let (a, b) = (node(dir.path(), "a"), node(dir.path(), "b"));
+    let photo = id(&upload(&a, Some(&ann), 1));
+    let at = format!("/v1/photos/{photo}");
+    let of = |node: &Running, who: &str, path: &str| ask(node, "GET", path, &[("authorization", who)], &[]);
+    wait_until("the other node has it", || of(&b, &ann, &at).json()["state"] == "done");
+    assert_eq!(id(&upload(&b, Some(&ann), 1)), photo, "the same upload is the same photo at every node");
+    assert_ne!(id(&upload(&b, Some(&bob), 1)), photo);
+    for node in [&a, &b] {
+        assert_eq!((of(node, &bob, &at).status, ask(node, "GET", &at, &[], &[]).status, of(node, &ann, &at).status), (404, 404, 200));
+        let list = of(node, &ann, "/v1/photos").json();
+        assert_eq!(list["photos"].as_array().unwrap().iter().map(id).collect::<Vec<_>>(), [photo.as_str()]);
+    }
+    // a link of one node opens the photo at the other
+    let link = ask(&a, "POST", &format!("{at}/links"), &[("authorization", &ann)], &[]).json();
+    let by_link = ask(&b, "GET", &format!("{at}/atlas?{}", link["query"].as_str().unwrap()), &[], &[]);
+    assert_eq!((by_link.status, by_link.header("cache-control")), (200, Some("private, no-cache")));
+    // who may see it is known to all nodes soon
+    for (visibility, status) in [("link", 200), ("private", 404)] {
+        let body = format!("{{\"visibility\": {visibility:?}}}");
+        let headers = [("authorization", ann.as_str()), ("content-type", "application/json")];
+        assert_eq!(ask(&a, "PATCH", &at, &headers, body.as_bytes()).status, 200);
+        wait_until(visibility, || ask(&b, "GET", &at, &[], &[]).status == status);
+    }
+}

@@ -1,0 +1,218 @@
+//! Every route that the service has × everybody who may ask a server that asks who comes × who may see the photo. With
+//! `TMPI_SHOW=matrix` and `--nocapture` the test prints the tables.
+
+use std::fmt::Write as _;
+
+use tmpi::server::keys::{self, Scope};
+use tmpi::server::{Access, Route, routes};
+
+use crate::access::{HOST, id, private, secret, upload};
+use crate::client::{Response, request};
+use crate::fixture::{Running, jpeg};
+use crate::matrix::{MORE, target};
+
+/// What a caller may do with the photo that is asked for, and with the server.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum May {
+    /// Everything.
+    Everything,
+    /// Everything with the photo.
+    Own,
+    /// Upload, and change the photo, which is not shown.
+    Upload,
+    /// See the photo and list it.
+    Read,
+    /// See the photo.
+    See,
+    /// Nothing with the photo; read the counters.
+    Metrics,
+    /// Nothing with the photo.
+    Nothing,
+}
+
+impl May {
+    fn see(self) -> bool {
+        matches!(self, Self::Everything | Self::Own | Self::Read | Self::See)
+    }
+
+    fn change(self) -> bool {
+        matches!(self, Self::Everything | Self::Own | Self::Upload)
+    }
+}
+
+struct Caller {
+    what: &'static str,
+    headers: Vec<(&'static str, String)>,
+    may: May,
+    /// The photo that is asked for.
+    photo: String,
+    /// Parameters of a link.
+    link: Option<String>,
+    /// This machine's own user: rooms are theirs.
+    here: bool,
+    /// A page of another site.
+    foreign: bool,
+    /// Under a name that is not the server's.
+    rebound: bool,
+}
+
+impl Caller {
+    fn linked(self, link: &str) -> Self {
+        Self { link: Some(link.to_owned()), ..self }
+    }
+
+    fn asks_for(self, photo: &str) -> Self {
+        Self { photo: photo.to_owned(), ..self }
+    }
+
+    fn ask(&self, server: &Running, route: &Route, method: &str) -> Response {
+        let mut path = target(route, method, &self.photo);
+        // a link's parameters are none of a room's
+        if let Some(link) = self.link.as_ref().filter(|_| !route.path.starts_with("/v1/live/")) {
+            path = format!("{path}{}{link}", if path.contains('?') { '&' } else { '?' });
+        }
+        let mut headers: Vec<(&str, &str)> = self.headers.iter().map(|(n, v)| (*n, v.as_str())).collect();
+        if !self.here && !headers.iter().any(|(name, _)| *name == "host") {
+            headers.push(HOST);
+        }
+        let body = match method {
+            "POST" => jpeg(1),
+            "PATCH" => b"{}".to_vec(),
+            _ => Vec::new(),
+        };
+        if method == "PATCH" {
+            headers.push(("content-type", "application/json"));
+        }
+        if method == "OPTIONS" {
+            headers.push(("access-control-request-method", "GET"));
+        }
+        request(server.addr, method, &path, &headers, &body)
+    }
+}
+
+fn expected(route: &Route, method: &str, caller: &Caller, shown: bool) -> (u16, Option<&'static str>) {
+    let (path, may) = (route.path.as_str(), caller.may);
+    let safe = matches!(method, "GET" | "HEAD" | "OPTIONS");
+    let if_may = |may: bool, status| if may { (status, None) } else { (404, Some("not-found")) };
+    if caller.rebound {
+        return (421, Some("host"));
+    }
+    match (method, path) {
+        // no route is known here that has it
+        ("PUT", _) => (404, Some("not-found")),
+        ("OPTIONS", _) if route.access == Access::Open => (200, None),
+        ("OPTIONS", _) => (405, Some("method")),
+        (_, "/metrics") if may == May::Metrics => (200, None),
+        (_, "/metrics" | "/v1/network") if may != May::Everything => (403, Some("not-yours")),
+        ("POST", "/v1/photos") if matches!(may, May::Read | May::Metrics) => (403, Some("scope")),
+        ("GET" | "HEAD", "/v1/photos") if matches!(may, May::Upload | May::Metrics) => (403, Some("scope")),
+        _ if caller.foreign && !safe => (403, Some("cross-site")),
+        _ if path.starts_with("/v1/live/") && caller.foreign => (403, Some("cross-site")),
+        _ if path.starts_with("/v1/live/") && !caller.here => (403, Some("token")),
+        (_, "/v1/live/{room}" | "/v1/live/{room}/token") => (200, None),
+        (_, "/v1/live/{room}/publish" | "/v1/live/{room}/subscribe") => (426, Some("upgrade")),
+        _ if path.starts_with("/v1/live/") => (404, Some("not-found")),
+        ("POST", "/v1/owner") => (204, None),
+        ("POST", "/v1/photos") => (202, None),
+        ("GET" | "HEAD", "/v1/photos") => (200, None),
+        // asked of a photo that is not there
+        ("DELETE", _) | ("POST", "/v1/photos/{id}/again") => (404, Some("not-found")),
+        ("PATCH", _) | ("POST", "/v1/photos/{id}/links") => if_may(may.change(), 200),
+        ("GET" | "HEAD", _) if path.starts_with("/v1/photos/") || path == "/oembed" => if_may(shown || may.see(), 200),
+        _ => (200, None),
+    }
+}
+
+/// A link's parameters, good for `seconds`.
+fn link(server: &Running, owner: &str, photo: &str, seconds: u64) -> String {
+    let path = format!("/v1/photos/{photo}/links?seconds={seconds}");
+    request(server.addr, "POST", &path, &[HOST, ("authorization", owner)], &[]).json()["query"].as_str().unwrap().to_owned()
+}
+
+#[test]
+fn every_route_answers_everybody_as_it_should() {
+    let dir = tempfile::tempdir().unwrap();
+    let server = private(dir.path());
+    let ann = secret("a");
+    let key = |name: &str, scopes: &[Scope]| format!("Bearer {}", keys::add(dir.path(), name, scopes, None).unwrap());
+    let site = key("site", &[Scope::Upload, Scope::Read]);
+    let (of_ann, of_site) = (id(&upload(&server, Some(&ann), 1)), id(&upload(&server, Some(&site), 1)));
+    let [good, over, other] = [(&ann, &of_ann, 600), (&ann, &of_ann, 1), (&site, &of_site, 600)].map(|(o, p, s)| link(&server, o, p, s));
+    let bearer = |text: String| ("authorization", text);
+    let cookie = ("cookie", format!("tmpi_owner={}", &ann["Bearer ".len()..]));
+    let evil = [("origin", "https://evil.example".to_owned()), ("sec-fetch-site", "cross-site".to_owned())];
+    let caller = |what, headers: Vec<(&'static str, String)>, may| Caller {
+        what,
+        headers,
+        may,
+        photo: of_ann.clone(),
+        link: None,
+        here: false,
+        foreign: false,
+        rebound: false,
+    };
+    let foreign = |what, headers: Vec<_>, may| Caller { foreign: true, ..caller(what, [evil.to_vec(), headers].concat(), may) };
+    let rebound = |what, headers: Vec<_>| {
+        let headers = [vec![("host", "evil.example".to_owned())], headers].concat();
+        Caller { rebound: true, ..caller(what, headers, May::Nothing) }
+    };
+    let with_key = |what, scope, may| caller(what, vec![bearer(key("site", &[scope]))], may).asks_for(&of_site);
+    let callers = [
+        caller("a stranger", vec![], May::Nothing),
+        caller("a stranger with a link", vec![], May::See).linked(&good),
+        caller("a stranger with a link that is over", vec![], May::Nothing).linked(&over),
+        caller("a stranger with another photo's link", vec![], May::Nothing).linked(&other),
+        caller("another owner", vec![bearer(secret("b"))], May::Nothing),
+        caller("another's key", vec![bearer(key("other", &[Scope::Upload, Scope::Read]))], May::Nothing),
+        caller("the owner", vec![bearer(ann.clone())], May::Own),
+        caller("the owner's browser", vec![cookie.clone(), ("sec-fetch-site", "same-origin".into())], May::Own),
+        caller("the owner's key", vec![bearer(site.clone())], May::Own).asks_for(&of_site),
+        with_key("the owner's key to upload", Scope::Upload, May::Upload),
+        with_key("the owner's key to read", Scope::Read, May::Read),
+        with_key("the owner's key to metrics", Scope::Metrics, May::Metrics),
+        caller("an admin's key", vec![bearer(key("boss", &[Scope::Admin]))], May::Everything),
+        Caller { here: true, ..caller("this machine's own user", vec![], May::Everything) },
+        foreign("another site", vec![], May::Nothing),
+        foreign("another site, the owner's browser", vec![cookie.clone()], May::Nothing),
+        foreign("another site, own machine's browser", vec![("host", server.addr.to_string())], May::Nothing),
+        foreign("another site that has the secret", vec![bearer(ann.clone())], May::Own),
+        rebound("a rebound name", vec![]),
+        rebound("a rebound name, the owner's browser", vec![cookie]),
+    ];
+    // so that the link of a second is over
+    std::thread::sleep(std::time::Duration::from_millis(2100));
+    for visibility in ["private", "link"] {
+        let shown = visibility == "link";
+        for (who, photo) in [(&ann, &of_ann), (&site, &of_site)] {
+            let headers = [HOST, ("authorization", who), ("content-type", "application/json")];
+            let body = format!("{{\"visibility\": {visibility:?}}}");
+            assert_eq!(request(server.addr, "PATCH", &format!("/v1/photos/{photo}"), &headers, body.as_bytes()).status, 200);
+        }
+        let mut table = String::new();
+        for route in &routes() {
+            let own = route.methods.iter().flat_map(|m| if m == "GET" { vec!["GET", "HEAD"] } else { vec![m.as_str()] });
+            for method in own.chain(MORE) {
+                let _ = write!(table, "| {method} {} |", route.path);
+                for caller in &callers {
+                    let answer = caller.ask(&server, route, method);
+                    let (status, problem) = expected(route, method, caller, shown);
+                    let what = format!("{visibility}, {}: {method} {}", caller.what, route.path);
+                    assert_eq!(answer.status, status, "{what}: {}", String::from_utf8_lossy(&answer.body));
+                    if let Some(kind) = problem.filter(|_| method != "HEAD") {
+                        assert_eq!(answer.problem(status)["type"], format!("urn:tmpi:problem:{kind}"), "{what}");
+                    }
+                    let text = String::from_utf8_lossy(&answer.body);
+                    let blind = !shown && !caller.may.see() && !caller.may.change();
+                    assert!(!blind || !text.contains("\"links\":{\"self\"") || method == "POST", "{what}: {text}");
+                    assert!(shown || !answer.all("cache-control").contains("public"), "{what}");
+                    let _ = write!(table, " {status} |");
+                }
+                table.push('\n');
+            }
+        }
+        if std::env::var("TMPI_SHOW").is_ok_and(|what| what == "matrix") {
+            let names = callers.iter().map(|c| format!(" {} |", c.what)).collect::<Vec<_>>().concat();
+            println!("| {visibility} |{names}\n|-|{}\n{table}", "-|".repeat(callers.len()));
+        }
+    }
+}

@@ -1,0 +1,249 @@
+//! The server with a certificate of its own: HTTP/1.1 and HTTP/2 inside.
+
+use std::io::{Read as _, Write as _};
+use std::net::{SocketAddr, TcpStream};
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use bytes::Bytes;
+use h2::client::SendRequest;
+use hyper::{Request, Response};
+use rustls::pki_types::pem::PemObject as _;
+use rustls::pki_types::{CertificateDer, ServerName};
+use rustls::{ClientConfig, ClientConnection, RootCertStore, StreamOwned};
+use serde_json::Value;
+use tmpi::live::{Config as RoomConfig, Rooms};
+use tmpi::server::{Config, Limits, Server, Tls};
+use tmpi_pipeline::Models;
+use tmpi_render::Backend;
+
+use crate::client::get;
+use crate::fixture::{Running, jpeg, pipeline, wait_until};
+use crate::live;
+use crate::nodes::Killed;
+
+fn example(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/http/certificates").join(name)
+}
+
+/// A server with the example's certificate.
+fn start(data: &Path, limits: Limits) -> Running {
+    let models = Models { depth: Arc::new(live::Bright), theta: None, psi: None };
+    let rooms = Rooms::new(RoomConfig { models, frame_ms: 0.0, key: None });
+    let config = Config {
+        addr: ([127, 0, 0, 1], 0).into(),
+        data: data.to_owned(),
+        pages: None,
+        hosts: Vec::new(),
+        public_list: false,
+        private: false,
+        keys: None,
+        limits,
+    };
+    let tls = Tls::open(example("one.pem"), example("one.key")).unwrap();
+    let renderer = tmpi_render::select(Backend::Cpu).unwrap();
+    Running::of(async move { Server::bind(config, Arc::new(pipeline()), renderer).await.unwrap().with_rooms(rooms).with_tls(tls) })
+}
+
+/// A client that trusts the example's certificate and offers these protocols.
+fn trusting(protocols: &[&[u8]]) -> Arc<ClientConfig> {
+    let mut roots = RootCertStore::empty();
+    roots.add(CertificateDer::from_pem_file(example("one.pem")).unwrap()).unwrap();
+    let provider = Arc::new(rustls::crypto::ring::default_provider());
+    let client = ClientConfig::builder_with_provider(provider).with_safe_default_protocol_versions().unwrap();
+    let mut client = client.with_root_certificates(roots).with_no_client_auth();
+    client.alpn_protocols = protocols.iter().map(|p| p.to_vec()).collect();
+    Arc::new(client)
+}
+
+/// A photo that is made, in a folder that the servers of a test take up.
+fn made(data: &Path) -> (String, Vec<u8>) {
+    let plain = Running::start(data, Limits::default(), Arc::new(pipeline()));
+    let id = plain.upload(&jpeg(1));
+    plain.wait(&id, "done");
+    let atlas = get(plain.addr, &format!("/v1/photos/{id}/atlas")).body;
+    plain.stop();
+    (id, atlas)
+}
+
+/// A connection of HTTP/2, whose peer has the windows of `client`.
+async fn second(addr: SocketAddr, client: &mut h2::client::Builder) -> SendRequest<Bytes> {
+    let stream = tokio::net::TcpStream::connect(addr).await.unwrap();
+    let name = ServerName::try_from("localhost").unwrap();
+    let stream = tokio_rustls::TlsConnector::from(trusting(&[b"h2"])).connect(name, stream).await.unwrap();
+    assert_eq!(stream.get_ref().1.alpn_protocol(), Some(&b"h2"[..]));
+    let (sender, connection) = client.handshake(stream).await.unwrap();
+    tokio::spawn(async move { drop(connection.await) });
+    sender
+}
+
+fn asks(method: &str, path: &str, host: &str) -> Request<()> {
+    Request::builder().method(method).uri(format!("https://{host}{path}")).body(()).unwrap()
+}
+
+/// All of an answer.
+async fn whole(answer: h2::client::ResponseFuture) -> Result<(Response<()>, Vec<u8>), h2::Error> {
+    let (head, mut body) = answer.await?.into_parts();
+    let mut all = Vec::new();
+    while let Some(piece) = body.data().await {
+        let piece = piece?;
+        body.flow_control().release_capacity(piece.len())?;
+        all.extend_from_slice(&piece);
+    }
+    Ok((Response::from_parts(head, ()), all))
+}
+
+async fn fetch(sender: &SendRequest<Bytes>, request: Request<()>) -> (u16, Vec<u8>) {
+    let mut sender = sender.clone().ready().await.unwrap();
+    let (answer, _) = sender.send_request(request, true).unwrap();
+    let (head, body) = whole(answer).await.unwrap();
+    (head.status().as_u16(), body)
+}
+
+#[test]
+fn one_request_after_the_other_within_tls() {
+    let dir = tempfile::tempdir().unwrap();
+    let (id, atlas) = made(dir.path());
+    let server = start(dir.path(), Limits::default());
+    let name = ServerName::try_from("localhost").unwrap();
+    let session = ClientConnection::new(trusting(&[b"http/1.1"]), name).unwrap();
+    let mut stream = StreamOwned::new(session, TcpStream::connect(server.addr).unwrap());
+    let mut ask = |path: &str, more: &str| {
+        write!(stream, "GET {path} HTTP/1.1\r\nhost: localhost\r\n{more}\r\n").unwrap();
+        let mut head = Vec::new();
+        while !head.ends_with(b"\r\n\r\n") {
+            let mut byte = [0];
+            stream.read_exact(&mut byte).unwrap();
+            head.push(byte[0]);
+        }
+        let head = String::from_utf8(head).unwrap();
+        let length = head.lines().find_map(|line| line.strip_prefix("content-length: ")).unwrap().parse().unwrap();
+        let mut body = vec![0; length];
+        stream.read_exact(&mut body).unwrap();
+        (head, body)
+    };
+    let (head, body) = ask(&format!("/v1/photos/{id}/atlas"), "");
+    assert!(head.starts_with("HTTP/1.1 200 ") && body == atlas);
+    let (_, page) = ask(&format!("/view/{id}"), "");
+    let page = String::from_utf8(page).unwrap();
+    assert!(page.contains("https://localhost") && !page.contains("http://localhost"), "links name the scheme that is spoken");
+    let (_, page) = ask(&format!("/view/{id}"), "x-forwarded-proto: http\r\n");
+    assert!(String::from_utf8(page).unwrap().contains("http://localhost"), "a proxy knows better");
+}
+
+#[test]
+fn many_requests_at_a_time_over_http_2() {
+    let dir = tempfile::tempdir().unwrap();
+    let (id, atlas) = made(dir.path());
+    let server = start(dir.path(), Limits::default());
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+    runtime.block_on(async {
+        let sender = second(server.addr, &mut h2::client::Builder::new()).await;
+        let path = format!("/v1/photos/{id}/atlas");
+        let many = (0..40).map(|_| fetch(&sender, asks("GET", &path, "localhost")));
+        for (status, body) in futures_util::future::join_all(many).await {
+            assert!(status == 200 && body == atlas);
+        }
+        let (_, page) = fetch(&sender, asks("GET", &format!("/view/{id}"), "localhost")).await;
+        assert!(String::from_utf8(page).unwrap().contains("https://localhost"));
+        assert_eq!(fetch(&sender, asks("GET", &path, "elsewhere.example")).await.0, 421, "a host is looked at wherever it is named");
+        // an upload, and one whose body is refused beside it
+        let upload = async |photo: Bytes, path: &str| {
+            let mut sender = sender.clone().ready().await.unwrap();
+            let (answer, mut body) = sender.send_request(asks("POST", path, "localhost"), false).unwrap();
+            // what is refused is not taken to its end
+            let _ = body.send_data(photo, true);
+            whole(answer).await.map(|(head, body)| (head.status().as_u16(), body))
+        };
+        let (photo, large) = (Bytes::from(jpeg(2)), Bytes::from(vec![7; Limits::BODY + 1]));
+        let (taken, refused) = tokio::join!(upload(photo, "/v1/photos"), upload(large, "/v1/photos"));
+        let (status, body) = taken.unwrap();
+        assert_eq!(status, 202, "{}", String::from_utf8_lossy(&body));
+        assert_eq!(refused.map_or_else(|e| panic!("{e}"), |(status, _)| status), 413);
+        assert_eq!(fetch(&sender, asks("GET", "/healthz", "localhost")).await.0, 200, "the connection goes on");
+    });
+}
+
+#[test]
+fn a_room_behind_tls_is_published_into_and_watched_by_the_program() {
+    let (dir, frames) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let server = start(dir.path(), Limits::default());
+    for n in 0..10 {
+        std::fs::write(frames.path().join(format!("{n}.jpg")), live::frame(10 + 5 * n)).unwrap();
+    }
+    let room = format!("https://localhost:{}/live/attic", server.addr.port());
+    let program = |args: &[&str]| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_tmpi"));
+        command.arg("live").args(args).env("SSL_CERT_FILE", example("one.pem")).stdout(Stdio::piped()).stderr(Stdio::piped());
+        Killed(command.spawn().unwrap())
+    };
+    let _publisher = program(&["publish", frames.path().to_str().unwrap(), "--room", &room, "--times", "1000000"]);
+    let seconds = (0..100).find_map(|_| {
+        // nobody publishes at first
+        let lines = program(&["watch", &room, "--seconds", "2", "--json"]).printed();
+        (!lines.is_empty()).then_some(lines)
+    });
+    let frames: u64 = seconds
+        .expect("it can be watched")
+        .lines()
+        .map(|line| serde_json::from_str::<Value>(line).unwrap()["frames"].as_u64().unwrap())
+        .sum();
+    assert!(frames > 0);
+    let stranger = Command::new(env!("CARGO_BIN_EXE_tmpi")).args(["live", "watch", &room, "--seconds", "1"]).output().unwrap();
+    assert!(!stranger.status.success(), "a certificate that nobody vouches for is not trusted");
+    assert!(String::from_utf8(stranger.stderr).unwrap().contains("certificate"));
+}
+
+#[test]
+fn who_takes_nothing_says_nothing_or_speaks_no_tls_is_cut_off() {
+    let dir = tempfile::tempdir().unwrap();
+    let (id, atlas) = made(dir.path());
+    let short = Duration::from_millis(300);
+    let limits = Limits { write: short, write_rate: 1 << 30, header_read: Duration::from_secs(2), ..Limits::default() };
+    let server = start(dir.path(), limits);
+    // a handshake that never comes, and plain HTTP
+    let mut silent = TcpStream::connect(server.addr).unwrap();
+    let mut plain = TcpStream::connect(server.addr).unwrap();
+    write!(plain, "GET / HTTP/1.1\r\nhost: localhost\r\n\r\n").unwrap();
+    for stream in [&mut silent, &mut plain] {
+        stream.set_read_timeout(Some(Duration::from_mins(1))).unwrap();
+        // an alert at most, then the end
+        let ended = stream.read_to_end(&mut Vec::new());
+        assert!(ended.is_ok_and(|n| n < 100));
+    }
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+    runtime.block_on(async {
+        let small = atlas.len() as u32 / 4;
+        let mut sender = second(server.addr, h2::client::Builder::new().initial_window_size(small)).await.ready().await.unwrap();
+        let (answer, _) = sender.send_request(asks("GET", &format!("/v1/photos/{id}/atlas"), "localhost"), true).unwrap();
+        let mut body = answer.await.unwrap().into_body();
+        // takes no more than its window, and answers pings for as long as it is asked
+        let mut came = 0;
+        let cut = loop {
+            match tokio::time::timeout(Duration::from_mins(1), body.data()).await.expect("it is cut off") {
+                Some(Ok(piece)) => came += piece.len(),
+                other => break other,
+            }
+        };
+        assert!(matches!(cut, Some(Err(_))) && came <= small as usize, "{cut:?} after {came} of {}", atlas.len());
+        // one that asks nothing is told to go
+        let sender = second(server.addr, &mut h2::client::Builder::new()).await;
+        assert_eq!(fetch(&sender, asks("GET", "/healthz", "localhost")).await.0, 200);
+        let began = Instant::now();
+        while sender.clone().ready().await.is_ok() {
+            assert!(began.elapsed() < Duration::from_mins(1), "never");
+            tokio::time::sleep(Duration::from_millis(100)).await;
+        }
+    });
+    wait_until("no connection is left", || {
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+        let (_, metrics) = runtime.block_on(async {
+            let sender = second(server.addr, &mut h2::client::Builder::new()).await;
+            fetch(&sender, asks("GET", "/metrics", "localhost")).await
+        });
+        let metrics = String::from_utf8(metrics).unwrap();
+        metrics.lines().any(|line| line == "tmpi_connections 1")
+    });
+}

@@ -1,0 +1,133 @@
+#!/usr/bin/env python3
+"""The whole server within a bound of memory that the system holds it to (a cgroup; as root alone): 256 MB serves 2 MP photos and refuses 50 MP with the
+figure, 1 GB makes 50 MP. Afterwards resident memory is back near where it began, and stays flat over many jobs, views and abandoned requests."""
+import argparse, json, os, socket, time
+from pathlib import Path
+from common import Server, Table, check, children, end, noise, ramp, small, smooth, status_kib
+
+V1, V2 = Path("/sys/fs/cgroup/memory"), Path("/sys/fs/cgroup")
+
+
+class Group:
+    """A cgroup of `mib`, without swap."""
+
+    def __init__(self, mib):
+        self.v1 = V1.is_dir()
+        self.path = (V1 if self.v1 else V2) / f"tmpi-{os.getpid()}-{mib}"
+        self.path.mkdir()
+        (self.path / ("memory.limit_in_bytes" if self.v1 else "memory.max")).write_text(str(mib << 20))
+        if not self.v1:
+            (self.path / "memory.swap.max").write_text("0")
+
+    def peak_mib(self):
+        return int((self.path / ("memory.max_usage_in_bytes" if self.v1 else "memory.peak")).read_text()) / (1 << 20)
+
+    def killed(self):
+        text = (self.path / ("memory.oom_control" if self.v1 else "memory.events")).read_text()
+        return next(int(line.split()[1]) for line in text.splitlines() if line.startswith("oom_kill "))
+
+    def prefix(self):
+        # the shell is in the group before it becomes the server
+        return ["sh", "-c", f'echo $$ > {self.path}/cgroup.procs && exec "$0" "$@"']
+
+    def remove(self):
+        self.path.rmdir()
+
+
+def resident(server):
+    return sum(status_kib(pid, "VmRSS") for pid in [server.process.pid, *children(server.process.pid)]) / 1024
+
+
+def within(table, mib, arguments, megapixels, makes_large):
+    group = Group(mib)
+    server = Server(*arguments, prefix=group.prefix())
+    idle = resident(server)
+    took = []
+    for seed in range(5):
+        began = time.monotonic()
+        status, answer = server.upload(smooth(megapixels, seed=seed))
+        if not check(status in (201, 202), f"{mib} MiB: a photo of {megapixels} MP is taken: {status} {answer.get('detail')}"):
+            break
+        state = server.wait(answer["id"])
+        check(state["state"] == "done", f"{mib} MiB: a photo of {megapixels} MP is made: {state.get('error') or state['state']}")
+        took.append(time.monotonic() - began)
+        for path in ("atlas", "thumbnail", "view?w=640", "report"):
+            status = server.get(f"/v1/photos/{answer['id']}/{path}")[0]
+            check(status == 200, f"{mib} MiB: {path}: {status}")
+    status, answer = server.upload(smooth(50), timeout=600)
+    if makes_large:
+        made = status in (201, 202) and server.wait(answer["id"])["state"]
+        check(made == "done", f"{mib} MiB: 50 MP is made: {status} {answer.get('detail')} {made}")
+        told = made
+    else:
+        told = f"{status}: {answer.get('detail')}"
+        check(status == 413 and any(c.isdigit() for c in told[4:]), f"{mib} MiB: 50 MP is refused with the figure: {told}")
+    time.sleep(30)
+    after = resident(server)
+    check(after <= 1.1 * idle, f"{mib} MiB: resident {after:.0f} MiB 30 s after, {idle:.0f} before")
+    check(group.killed() == 0, f"{mib} MiB: the system killed {group.killed()}")
+    table.row(f"{mib} MiB", f"{sum(took) / max(1, len(took)):.1f} s", told, f"{group.peak_mib():.0f} MiB", f"{idle:.0f} / {after:.0f} MiB", group.killed())
+    server.remove()
+    time.sleep(0.5)
+    group.remove()
+
+
+def flat(table, jobs, views, abandoned):
+    """Resident memory after each fifth of all this."""
+    server = Server("--queue", "100000")
+    sizes, depth = [], ramp()
+    first = None
+    for part in range(6):
+        for n in range(jobs // 6):
+            status, answer = server.upload(small(part * jobs + n, 24, 16), depth)
+            if not check(status in (201, 202), f"job {n}: {status} {answer.get('detail')}"):
+                return
+            first = first or answer["id"]
+        server.wait(answer["id"])
+        while server.metric("tmpi_queue_depth") + server.metric("tmpi_jobs_running") > 0:
+            time.sleep(0.1)
+        for n in range(views // 6):
+            server_view(server, f"/v1/photos/{first}/view?w=16&x={(part * views + n) / (views * 12):.7f}")
+        for n in range(abandoned // 6):
+            with socket.create_connection(server.address) as s:
+                s.sendall(f"GET /v1/photos/{first}/view?w=64&y={(part * abandoned + n) / (abandoned * 12):.7f} HTTP/1.1\r\nhost: 127.0.0.1\r\n\r\n".encode())
+        time.sleep(2)
+        sizes.append(server.resident_mib())
+    # the first parts fill the caches, which have a bound
+    check(sizes[-1] <= 1.05 * sizes[2] + 4, f"memory grows: {sizes}")
+    table.row(jobs, views, abandoned, " / ".join(f"{s:.0f}" for s in sizes))
+    server.remove()
+
+
+connection = None
+
+
+def server_view(server, path):
+    """Over a connection that is kept."""
+    global connection
+    if connection is None or connection.port != server.address[1]:
+        connection = server.connect()
+    connection.request("GET", path)
+    answer = connection.getresponse()
+    answer.read()
+    check(answer.status == 200, f"{path}: {answer.status}")
+
+
+def main():
+    args = argparse.ArgumentParser(description=__doc__)
+    args.add_argument("--full", action="store_true")
+    args.add_argument("--only", choices=["bounds", "flat"])
+    args = args.parse_args()
+    if args.only != "flat":
+        if os.geteuid():
+            raise SystemExit("only root makes a cgroup here")
+        table = Table("bound", "a photo of 2 MP", "50 MP", "peak", "resident idle / 30 s after", "killed")
+        within(table, 256, ("--memory", "256"), 2, False)
+        within(table, 1024, ("--memory", "1024"), 2, True)
+    if args.only != "bounds":
+        table = Table("jobs", "views", "abandoned", "resident after each sixth, MiB")
+        flat(table, *((10_000, 100_000, 10_000) if args.full else (300, 3_000, 300)))
+    end()
+
+
+main()

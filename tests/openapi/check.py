@@ -1,0 +1,89 @@
+#!/usr/bin/env python3
+"""The description of the HTTP interface held against two linters, and the server against its description (schemathesis).
+
+    npm install --no-audit --no-fund && pip install -r requirements.txt && python3 check.py
+
+Starts its server itself; `TMPI` names another program than `target/release/tmpi`."""
+import argparse, shutil, subprocess, sys, tempfile
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+sys.path.insert(0, str(HERE.parent / "load"))
+from common import ROOT, Server, check, end
+
+# of sockets and of streams that do not end nothing comes that could be judged
+ENDLESS = "(publish|subscribe|events)$"
+
+# What a description cannot say: that a parameter goes with another one (`view`, `export`), lies within this very photo (`region`), or names
+# a photo that is there (`after`); that oEmbed wants 501 for another form.
+RULES = """
+request-timeout = 120
+[checks.positive_data_acceptance]
+expected-statuses = ["2xx", "3xx", "401", "403", "404", "409", "412", "413", "415", "422", "429", "503"]
+[checks.negative_data_rejection]
+expected-statuses = ["400", "401", "403", "404", "405", "406", "409", "412", "413", "415", "422", "428", "429", "501", "503"]
+""" + "".join(f"""
+[[operations]]
+include-path = "{path}"
+checks.{name}.enabled = false
+""" for path, name in [
+    ("/v1/photos/{id}/atlas", "positive_data_acceptance"),
+    ("/v1/photos/{id}/export", "positive_data_acceptance"),
+    ("/v1/photos/{id}/view", "positive_data_acceptance"),
+    ("/oembed", "not_a_server_error"),
+]) + """
+[[operations]]
+include-path = "/v1/photos"
+include-method = "GET"
+checks.positive_data_acceptance.enabled = false
+"""
+
+
+def lint(folder):
+    document = folder / "openapi.json"
+    for name, command in (
+        ("redocly", ["redocly", "lint", "--max-problems", "1000", "--config", HERE / "redocly.yaml", document]),
+        ("spectral", ["spectral", "lint", "--fail-severity", "warn", "--ruleset", HERE / "spectral.yaml", document]),
+    ):
+        done = subprocess.run(["npx", "--no-install", *command], cwd=HERE, capture_output=True, text=True)
+        check(done.returncode == 0, f"{name} accepts it:\n{done.stdout}{done.stderr}")
+        print(f"{name}: {'accepted' if done.returncode == 0 else 'refused'}", flush=True)
+
+
+def play(folder, server, name, config, *arguments):
+    """Requests that follow the description and such that do not."""
+    file = folder / f"{name}.toml"
+    file.write_text(RULES + config)
+    url = f"http://{server.address[0]}:{server.address[1]}"
+    program = shutil.which("schemathesis") or str(Path(sys.executable).parent / "schemathesis")
+    done = subprocess.run([program, "--config-file", file, "run", folder / "openapi.json", "--url", url, "--exclude-path-regex", ENDLESS, "--seed", "1",
+                           "--continue-on-failure", "--generation-database", "none", *arguments], cwd=folder, capture_output=True, text=True)
+    (folder / f"{name}.log").write_text(done.stdout + done.stderr)
+    summary = done.stdout[done.stdout.rfind("SUMMARY"):] if "SUMMARY" in done.stdout else done.stderr
+    print(f"## {name}\n{summary if done.returncode == 0 else done.stdout[-20000:]}", flush=True)
+    check(done.returncode == 0, f"schemathesis, {name}")
+    check(server.get("/healthz")[0] == 200, "the server is alive")
+
+
+def main():
+    args = argparse.ArgumentParser(description=__doc__)
+    args.add_argument("--full", action="store_true", help="200 requests of each kind, not 20")
+    args.add_argument("--only", choices=["lint", "play"])
+    args = args.parse_args()
+    many = "200" if args.full else "20"
+    server = Server("--queue", "100000")
+    with tempfile.TemporaryDirectory(prefix="tmpi-openapi-") as folder:
+        folder = Path(folder)
+        (folder / "openapi.json").write_bytes(server.get("/openapi.json")[2])
+        if args.only != "play":
+            lint(folder)
+        if args.only != "lint":
+            _, answer = server.upload((ROOT / "docs/sample.jpg").read_bytes())
+            check(server.wait(answer["id"])["state"] == "done", "a photo is made")
+            there = f'[parameters]\n"path.id" = "{answer["id"]}"\n'
+            play(folder, server, "a photo that is there", there, "-n", many, "--include-path-regex", "[{]id[}]", "--exclude-method", "DELETE")
+            play(folder, server, "everything else", "", "-n", many)
+    end()
+
+
+main()
