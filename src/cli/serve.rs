@@ -48,6 +48,9 @@ pub(super) struct ServeArgs {
     /// File of its private key, in PEM
     #[arg(long, requires = "tls_cert", value_name = "FILE")]
     tls_key: Option<PathBuf>,
+    /// Address and port for operators, who ask for /metrics, /healthz, /readyz, POST /drain and POST /purge/ID there: everybody who reaches it may
+    #[arg(long, value_parser = address, value_name = "ADDR")]
+    admin: Option<SocketAddr>,
     /// Directory that keeps photos and what is made of them
     #[arg(long, default_value = "tmpi-data", value_name = "DIR")]
     data: PathBuf,
@@ -99,18 +102,21 @@ pub(super) struct ServeArgs {
     /// Views that are drawn at a time
     #[arg(long, default_value_t = Limits::VIEWS as u16, value_parser = clap::value_parser!(u16).range(1..), value_name = "N")]
     views: u16,
-    /// Memory for decoded scenes, in MiB
-    #[arg(long, default_value_t = (Limits::SCENE_CACHE >> 20) as u32, value_name = "MIB")]
-    scene_cache: u32,
+    /// Memory of the machine for all of the server, in MiB: caches, work and making photos share it; what is said of one of them counts more
+    #[arg(long, value_parser = clap::value_parser!(u32).range(192..), value_name = "MIB")]
+    memory: Option<u32>,
+    /// Memory for decoded scenes, in MiB [default: 256]
+    #[arg(long, value_name = "MIB")]
+    scene_cache: Option<u32>,
     /// Connections at a time
     #[arg(long, default_value_t = Limits::CONNECTIONS as u32, value_parser = clap::value_parser!(u32).range(1..), value_name = "N")]
     connections: u32,
     /// Connections at a time from one address; a proxy is one
     #[arg(long, default_value_t = Limits::CONNECTIONS_PER_ADDRESS as u32, value_parser = clap::value_parser!(u32).range(1..), value_name = "N")]
     connections_per_address: u32,
-    /// Memory for work on scenes that are not kept, in MiB, and as much again for films and files; one that needs more is worked on alone
-    #[arg(long, default_value_t = (Limits::WORK_MEMORY >> 20) as u32, value_parser = clap::value_parser!(u32).range(1..), value_name = "MIB")]
-    work_memory: u32,
+    /// Memory for work on scenes that are not kept, in MiB, and as much again for films and files; one that needs more is worked on alone [default: 1024]
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..), value_name = "MIB")]
+    work_memory: Option<u32>,
     /// Disk for files to download that were written already, in MiB
     #[arg(long, default_value_t = (Limits::EXPORT_CACHE >> 20) as u32, value_name = "MIB")]
     export_cache: u32,
@@ -120,9 +126,12 @@ pub(super) struct ServeArgs {
     /// Seconds that making a photo of up to 12 megapixels may take; larger ones have as much more
     #[arg(long, default_value_t = Limits::JOB.as_secs() as u32, value_parser = clap::value_parser!(u32).range(1..), value_name = "S")]
     job_timeout: u32,
-    /// Memory that making photos may take, in MiB: one that needs more is refused, and side by side are made as many as fit
-    #[arg(long, default_value_t = (Limits::JOB_MEMORY >> 20) as u32, value_parser = clap::value_parser!(u32).range(256..), value_name = "MIB")]
-    job_memory: u32,
+    /// Memory that making photos may take, in MiB: larger ones are made smaller, or refused, and side by side are made as many as fit [default: 6144]
+    #[arg(long, value_parser = clap::value_parser!(u32).range(160..), value_name = "MIB")]
+    job_memory: Option<u32>,
+    /// Seconds after which memory that nobody asked for goes back to the system: scenes, files, processes that made photos
+    #[arg(long, default_value_t = Limits::REST.as_secs() as u32, value_parser = clap::value_parser!(u32).range(1..), value_name = "S")]
+    rest: u32,
     /// Seconds after SIGTERM for which everything is still served but /readyz says 503, so that proxies look elsewhere; 5, on loopback 0
     #[arg(long, value_parser = clap::value_parser!(u32).range(0..=3600), value_name = "S")]
     lame_duck: Option<u32>,
@@ -228,7 +237,9 @@ impl ServeArgs {
     /// The limits that the arguments give.
     fn limits(&self) -> Limits {
         let body = (self.max_body as usize) << 20;
-        let job_memory = u64::from(self.job_memory) << 20;
+        let shared = self.memory.map_or_else(Limits::default, |mib| Limits::of_memory(u64::from(mib) << 20));
+        let mib = |said: Option<u32>, usual: usize| said.map_or(usual, |mib| (mib as usize) << 20);
+        let job_memory = self.job_memory.map_or(shared.job_memory, |mib| u64::from(mib) << 20);
         let pixels = u64::from(self.max_pixels) * 1_000_000;
         let photo = tmpi_pipeline::photo::Limits { bytes: body, pixels, memory: job_memory, ..Default::default() };
         Limits {
@@ -237,12 +248,12 @@ impl ServeArgs {
             queue: self.queue,
             workers: usize::from(self.workers),
             views: usize::from(self.views),
-            scene_cache: (self.scene_cache as usize) << 20,
+            scene_cache: mib(self.scene_cache, shared.scene_cache),
             job: Duration::from_secs(u64::from(self.job_timeout)),
             job_memory,
             connections: self.connections as usize,
             connections_per_address: self.connections_per_address as usize,
-            work_memory: (self.work_memory as usize) << 20,
+            work_memory: mib(self.work_memory, shared.work_memory),
             export_cache: (self.export_cache as usize) << 20,
             request: Duration::from_secs(u64::from(self.request_timeout)),
             lame_duck: match self.lame_duck {
@@ -251,9 +262,10 @@ impl ServeArgs {
                 None => Limits::LAME_DUCK,
             },
             drain: Duration::from_secs(u64::from(self.drain)),
+            rest: Duration::from_secs(u64::from(self.rest)),
             lease: Duration::from_secs(u64::from(self.lease)),
             copies: u64::from(self.copies) << 20,
-            ..Limits::default()
+            ..shared
         }
     }
 }
@@ -303,8 +315,8 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
             "everybody who can reach the server may see and change every photo whose address they know; --access private asks who comes"
         );
     }
-    let ServeArgs { addr, data, pages, hosts, public_list, keys, tls_cert, tls_key, .. } = args;
-    let config = Config { addr, data, pages, hosts, public_list, private, keys, limits };
+    let ServeArgs { addr, admin, data, pages, hosts, public_list, keys, tls_cert, tls_key, .. } = args;
+    let config = Config { addr, admin, data, pages, hosts, public_list, private, keys, limits };
     let tls = tls_cert.zip(tls_key).map(|(cert, key)| Tls::open(cert, key)).transpose().context("TLS")?;
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().thread_name("tmpi-http").build()?;
     runtime.block_on(async {
@@ -316,6 +328,9 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
             server = server.with_tls(tls);
         }
         let mut stdout = std::io::stdout();
+        if let Some(admin) = server.admin_addr() {
+            tracing::info!("operators ask at http://{admin}");
+        }
         // whoever waits for this line may have gone
         let _ = writeln!(stdout, "{}://{}", server.scheme(), server.addr()).and_then(|()| stdout.flush());
         let stop = async {

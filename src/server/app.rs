@@ -96,21 +96,25 @@ pub struct Shared {
     pub leaving: AtomicBool,
     /// Set when the server stops.
     pub stop: CancellationToken,
+    /// Set when an operator asks it to.
+    pub asked_to_leave: CancellationToken,
+    /// Whether operators have a door of their own.
+    pub has_admin: bool,
 }
 
 impl Shared {
     /// Of a server that listens at `addr`.
     #[must_use]
     pub fn new(config: Config, addr: SocketAddr, jobs: Arc<Jobs>, renderer: Arc<dyn Renderer>, openapi: Bytes) -> Self {
-        let Config { addr: _, data: _, pages, hosts, public_list, private: _, keys: _, limits: _ } = config;
+        let Config { addr: _, admin, data: _, pages, hosts, public_list, private: _, keys: _, limits: _ } = config;
         let (limits, telemetry) = (Arc::clone(&jobs.limits), Arc::clone(&jobs.telemetry));
         Self {
             jobs,
             download: Download::default(),
-            scenes: Cache::new(limits.scene_cache),
-            files: Cache::new(limits.file_cache),
-            levels: Cache::new(limits.file_cache / 4),
-            views: Cache::new(limits.view_cache),
+            scenes: Cache::resting(limits.scene_cache, limits.rest),
+            files: Cache::resting(limits.file_cache, limits.rest),
+            levels: Cache::resting(limits.file_cache / 4, limits.rest),
+            views: Cache::resting(limits.view_cache, limits.rest),
             exports: Cache::new(limits.export_cache),
             pool: Pool::new(&limits),
             uploads: Coming::new(&limits),
@@ -129,6 +133,8 @@ impl Shared {
             rooms: OnceLock::new(),
             leaving: AtomicBool::new(false),
             stop: CancellationToken::new(),
+            asked_to_leave: CancellationToken::new(),
+            has_admin: admin.is_some(),
         }
     }
 
@@ -319,6 +325,14 @@ impl Shared {
         };
         let scene = self.scenes.get(version, decode).await?;
         Ok((scene, took))
+    }
+
+    /// Lets go of what nobody has asked for over [`Limits::rest`].
+    pub async fn settle(&self) {
+        self.scenes.settle().await;
+        self.files.settle().await;
+        self.levels.settle().await;
+        self.views.settle().await;
     }
 
     /// Frees the disk that is taken by what can be made again.

@@ -2,8 +2,9 @@
 
 use std::hash::Hash;
 use std::sync::Arc;
+use std::time::Duration;
 
-use moka::future::Cache as Kept;
+use moka::future::{Cache as Kept, CacheBuilder};
 use moka::policy::EvictionPolicy;
 
 use super::id::PhotoId;
@@ -11,6 +12,9 @@ use super::id::PhotoId;
 /// Bytes that an entry takes besides its key's and its value's own, measured on views of one pixel: slots, counts and lists of the
 /// cache, and what the allocator loses on small pieces.
 const OVERHEAD: usize = 1536;
+
+/// Epochs after which what was removed is freed, and one that may have begun already.
+const EPOCHS: usize = 3;
 
 /// What a cache is asked for.
 pub trait Key: Clone + Eq + Hash + Send + Sync + 'static {
@@ -38,8 +42,18 @@ impl<K: Key, V: Value> Cache<K, V> {
     /// An empty cache of `budget` bytes.
     #[must_use]
     pub fn new(budget: usize) -> Self {
+        Self::built(budget, Kept::builder())
+    }
+
+    /// The same of memory: what nobody asks for over `rest` goes, at the next [`Self::settle`] at the latest.
+    #[must_use]
+    pub fn resting(budget: usize, rest: Duration) -> Self {
+        Self::built(budget, Kept::builder().time_to_idle(rest))
+    }
+
+    fn built(budget: usize, builder: CacheBuilder<K, V, Kept<K, V>>) -> Self {
         let weigh = |key: &K, value: &V| u32::try_from(key.weight() + value.weight() + OVERHEAD).unwrap_or(u32::MAX);
-        let kept = Kept::builder()
+        let kept = builder
             .max_capacity(budget as u64)
             .weigher(weigh)
             .eviction_policy(EvictionPolicy::lru())
@@ -61,9 +75,19 @@ impl<K: Key, V: Value> Cache<K, V> {
         let entry = self.kept.entry(key).or_try_insert_with(make).await.map_err(|error: Arc<E>| E::clone(&error))?;
         if entry.is_fresh() {
             // at once, not when some entries have gathered: one may be half of the memory
-            self.kept.run_pending_tasks().await;
+            self.settle().await;
         }
         Ok(entry.into_value())
+    }
+
+    /// Removes what has rested long enough, and frees at once what was removed: otherwise it waits, whatever its size, until this thread
+    /// has removed some dozens more.
+    pub async fn settle(&self) {
+        self.kept.run_pending_tasks().await;
+        // what was removed in one epoch is freed two later
+        for _ in 0..EPOCHS {
+            crossbeam_epoch::pin().flush();
+        }
     }
 
     /// Removes what is kept of a photo.
@@ -72,13 +96,13 @@ impl<K: Key, V: Value> Cache<K, V> {
             // it goes as the least recently used: nobody has its key any more
             tracing::error!(%error, "forgetting a photo");
         }
-        self.kept.run_pending_tasks().await;
+        self.settle().await;
     }
 
     /// Removes everything.
     pub async fn clear(&self) {
         self.kept.invalidate_all();
-        self.kept.run_pending_tasks().await;
+        self.settle().await;
     }
 
     /// Bytes of all entries.
@@ -97,7 +121,6 @@ impl<K: Key, V: Value> Cache<K, V> {
 #[cfg(test)]
 mod tests {
     use std::sync::atomic::{AtomicUsize, Ordering};
-    use std::time::Duration;
 
     use super::*;
 
@@ -200,5 +223,52 @@ mod tests {
         for key in 0..10 {
             assert_eq!(put(&cache, key, 1).await, key % 2 == 1, "{key}");
         }
+    }
+
+    #[derive(Clone)]
+    struct Large(#[allow(dead_code, reason = "counted by who else holds it")] Arc<()>);
+
+    impl Value for Large {
+        fn weight(&self) -> usize {
+            40 * KIB
+        }
+    }
+
+    #[tokio::test]
+    async fn what_is_removed_is_freed_at_once() {
+        let cache = Cache::<u32, Large>::new(100 * KIB);
+        let values: Vec<_> = (0..4).map(|_| Arc::new(())).collect();
+        let held = |n: usize| Arc::strong_count(&values[n]) - 1;
+        for (key, value) in values.iter().enumerate() {
+            let _ = cache.get(key as u32, async { Ok::<_, ()>(Large(Arc::clone(value))) }).await;
+        }
+        // other threads of this test program, too, hold epochs up for moments
+        let freed = async |n: usize| {
+            for _ in 0..1000 {
+                cache.settle().await;
+                if held(n) == 0 {
+                    return true;
+                }
+                tokio::time::sleep(Duration::from_millis(1)).await;
+            }
+            false
+        };
+        assert!(freed(0).await && freed(1).await, "displaced");
+        assert_eq!((held(2), held(3)), (1, 1));
+        cache.forget(2_u32.photo()).await;
+        assert!(freed(2).await, "forgotten");
+        cache.clear().await;
+        assert!(freed(3).await, "cleared");
+    }
+
+    #[tokio::test]
+    async fn what_nobody_asks_for_goes() {
+        let cache = Cache::<u32, usize>::resting(100 * KIB, Duration::from_millis(20));
+        assert!(put(&cache, 1, KIB).await);
+        while cache.bytes() > 0 {
+            tokio::time::sleep(Duration::from_millis(5)).await;
+            cache.settle().await;
+        }
+        assert!(put(&cache, 1, KIB).await, "made anew");
     }
 }

@@ -44,6 +44,8 @@ pub struct ProcessMaker {
 type Frames = Receiver<io::Result<(u8, Vec<u8>)>>;
 
 struct Worker {
+    /// When it made its last photo; none where it has made none.
+    made: Option<Instant>,
     /// Whether it began with the better network.
     renewed: bool,
     child: Child,
@@ -82,12 +84,17 @@ impl ProcessMaker {
     #[must_use]
     pub fn new(checks: PipelineMaker) -> Self {
         let maker = Self { checks, idle: Mutex::default(), command: this_program, better: None, renewed: OnceLock::new() };
-        match maker.start() {
-            Ok(worker) => maker.keep(worker),
+        maker.prepare();
+        maker
+    }
+
+    /// Starts a process that waits for a photo.
+    fn prepare(&self) {
+        match self.start() {
+            Ok(worker) => self.keep(worker),
             // it is tried again, and told, with the first photo
             Err(error) => tracing::warn!(%error, "starting a process that makes photos"),
         }
-        maker
     }
 
     /// The same with a network that may be fetched while it runs.
@@ -117,7 +124,7 @@ impl ProcessMaker {
                 }
             }
         })?;
-        Ok(Worker { renewed, child, input, output: told })
+        Ok(Worker { made: None, renewed, child, input, output: told })
     }
 
     fn keep(&self, worker: Worker) {
@@ -170,6 +177,19 @@ impl Maker for ProcessMaker {
         networks::available().is_err().then_some(missing)
     }
 
+    fn rest(&self, rest: Duration) -> bool {
+        let mut idle = self.idle.lock().unwrap_or_else(PoisonError::into_inner);
+        let before = idle.len();
+        idle.retain(|worker| worker.made.is_none_or(|at| at.elapsed() < rest));
+        let (ended, none) = (before - idle.len(), idle.is_empty());
+        drop(idle);
+        if ended > 0 && none {
+            // the next photo need not wait for a process to begin, and one that has made none is small
+            self.prepare();
+        }
+        ended > 0
+    }
+
     fn make(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options, sink: &dyn Sink) -> Result<Product, Fault> {
         // what earlier photos left in a process must not be what is missing for this one
         let large = self.memory(photo, depth, options) > self.checks.most_memory() / 2;
@@ -202,6 +222,7 @@ impl Maker for ProcessMaker {
             (outcome.map_err(Answer::fault), keep)
         });
         if keep {
+            worker.made = Some(Instant::now());
             self.keep(worker);
         }
         outcome
@@ -350,5 +371,20 @@ mod tests {
         }
         let none = fault(|| Err(io::Error::other("no program")));
         assert!(matches!(none, Fault::Server(_)), "{none:?}");
+    }
+
+    #[test]
+    fn a_process_that_made_a_photo_ends_once_it_has_rested() {
+        let checks = PipelineMaker::new(Models { depth: Arc::new(Flat), theta: None, psi: None }, &Limits::default());
+        let command = || Ok(shell("cat > /dev/null"));
+        let maker = ProcessMaker { checks, idle: Mutex::default(), command, better: None, renewed: OnceLock::new() };
+        maker.prepare();
+        assert!(!maker.rest(Duration::ZERO), "one that has made none is small");
+        let ids = || maker.idle.lock().unwrap().iter().map(|worker| worker.child.id()).collect::<Vec<_>>();
+        let before = ids();
+        maker.idle.lock().unwrap()[0].made = Some(Instant::now());
+        assert!(!maker.rest(Duration::from_hours(1)) && ids() == before);
+        assert!(maker.rest(Duration::ZERO));
+        assert!(ids().len() == 1 && ids() != before, "another waits in its place");
     }
 }

@@ -75,6 +75,8 @@ pub struct Limits {
     pub view_cache: usize,
     /// Disk for files to download, in bytes; they are written anew when they were displaced.
     pub export_cache: usize,
+    /// Time after which memory goes back: what is kept in it and nobody asked for, and processes that made photos and have no more to make.
+    pub rest: Duration,
     /// Time from the start to the first reading of everything that was made, and from the end of one to the next.
     pub look_over_first: Duration,
     /// See [`Limits::look_over_first`].
@@ -166,6 +168,8 @@ impl Limits {
     pub const FILE_CACHE: usize = 64 << 20;
     /// 64 MiB.
     pub const VIEW_CACHE: usize = 64 << 20;
+    /// 20 s.
+    pub const REST: Duration = Duration::from_secs(20);
     /// A minute.
     pub const LOOK_OVER_FIRST: Duration = Duration::from_mins(1);
     /// A day.
@@ -183,6 +187,22 @@ impl Limits {
 }
 
 impl Limits {
+    /// Those of a server that has `memory` bytes for itself and for what makes photos: a sixteenth is for the program, as much for all
+    /// caches and half of that for work on scenes, which take turns with photos, whose own bound is above what they take.
+    #[must_use]
+    pub fn of_memory(memory: u64) -> Self {
+        let usual = Self::default();
+        let share = |of: u64, most: usize| ((memory / of) as usize).min(most);
+        Self {
+            scene_cache: share(32, usual.scene_cache),
+            file_cache: share(64, usual.file_cache),
+            view_cache: share(64, usual.view_cache),
+            work_memory: share(32, usual.work_memory),
+            job_memory: (memory - memory / 16).min(usual.job_memory),
+            ..usual
+        }
+    }
+
     /// Time that making a photo may take.
     #[must_use]
     pub fn time_for(&self, photo: &[u8]) -> Duration {
@@ -227,6 +247,7 @@ impl Default for Limits {
             file_cache: Self::FILE_CACHE,
             view_cache: Self::VIEW_CACHE,
             export_cache: Self::EXPORT_CACHE,
+            rest: Self::REST,
             look_over_first: Self::LOOK_OVER_FIRST,
             look_over: Self::LOOK_OVER,
             look_over_rate: Self::LOOK_OVER_RATE,

@@ -1,5 +1,7 @@
 //! What the server asks of the way of a photo, as a seam for tests.
 
+use std::time::Duration;
+
 use tmpi_core::container::{self, ContainerError};
 use tmpi_pipeline::Report;
 use tmpi_pipeline::Sink;
@@ -96,6 +98,11 @@ pub trait Maker: Send + Sync + 'static {
         None
     }
 
+    /// Gives memory back that was not used over `rest`; says whether there was some.
+    fn rest(&self, _rest: Duration) -> bool {
+        false
+    }
+
     /// Makes a photo; blocks.
     ///
     /// # Errors
@@ -142,18 +149,16 @@ impl Maker for PipelineMaker {
     fn check(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options) -> Result<(), MakeError> {
         options.validate()?;
         self.models.check(options)?;
-        let (_, size) = photo::check(photo, &self.limits)?;
-        let map = depth.map(|depth| tmpi_pipeline::depth::check(depth, &self.limits)).transpose()?;
+        let (size, map) = self.sizes(photo, depth)?;
+        let options = options.fitted(size, map, &self.limits)?;
         let (width, height) = photo::reduced_size(size, options.max_size);
-        options.check_readable(width, height)?;
-        options.check_memory(size, map, &self.limits)
+        Ok(options.check_readable(width, height)?)
     }
 
     fn memory(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options) -> u64 {
-        let size = photo::check(photo, &self.limits).map(|(_, size)| size);
-        let map = depth.and_then(|depth| tmpi_pipeline::depth::check(depth, &self.limits).ok());
-        // what cannot be read takes nothing
-        size.map_or(0, |size| options.memory(size, map))
+        let need = self.sizes(photo, depth).and_then(|(size, map)| Ok(options.fitted(size, map, &self.limits)?.memory(size, map)));
+        // what cannot be read, or is refused, takes nothing
+        need.unwrap_or(0)
     }
 
     fn make(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options, sink: &dyn Sink) -> Result<Product, Fault> {
@@ -161,9 +166,22 @@ impl Maker for PipelineMaker {
     }
 }
 
+/// Width and height of a photo as its file has them, and those of its depth map.
+type Sizes = ((u32, u32), Option<(u32, u32)>);
+
 impl PipelineMaker {
+    /// Sizes by the headers alone.
+    fn sizes(&self, photo: &[u8], depth: Option<&[u8]>) -> Result<Sizes, MakeError> {
+        let (_, size) = photo::check(photo, &self.limits)?;
+        let map = depth.map(|depth| tmpi_pipeline::depth::check(depth, &self.limits)).transpose()?;
+        Ok((size, map))
+    }
+
     fn product(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options, sink: &dyn Sink) -> Result<Product, MakeError> {
-        let made = tmpi_pipeline::make(&self.models, &self.limits, photo, depth, options, sink)?;
+        let (size, map) = self.sizes(photo, depth)?;
+        let fitted = options.fitted(size, map, &self.limits)?;
+        let mut made = tmpi_pipeline::make(&self.models, &self.limits, photo, depth, &fitted, sink)?;
+        made.report.input.fitted = fitted.max_size != options.max_size;
         // what cannot be read back is not published; layers follow from what is read here
         let (photo, _) = container::read(&made.container)?;
         let (width, height) = photo::reduced_size((photo.width, photo.height), Some(Limits::THUMBNAIL));

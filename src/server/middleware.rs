@@ -14,11 +14,12 @@ use futures_util::FutureExt;
 use tracing::Instrument;
 
 use super::accept::{Peer, Secure};
+use super::access::Guard;
 use super::app::App;
 use super::body::Guarded;
 use super::clock::Clock;
 use super::conditional::insert;
-use super::hosts::SECURE;
+use super::hosts::{Hosts, SECURE};
 use super::id::PhotoId;
 use super::pages::RESOURCE_POLICY;
 use super::problem::Problem;
@@ -32,6 +33,16 @@ const MAX_ID: usize = 64;
 
 /// Wraps a request.
 pub async fn around(State(app): State<App>, request: Request, next: Next) -> Response {
+    wrap(&app, (&app.hosts, app.guard.as_ref()), request, next).await
+}
+
+/// Wraps a request of an operator, who is not asked who it is.
+pub async fn around_admin(State((app, hosts)): State<(App, Arc<Hosts>)>, request: Request, next: Next) -> Response {
+    wrap(&app, (&hosts, None), request, next).await
+}
+
+/// Wraps a request by one of the names of `hosts`, of somebody whom `guard` lets in.
+async fn wrap(app: &App, door: (&Hosts, Option<&Guard>), request: Request, next: Next) -> Response {
     let start = Instant::now();
     let _in_flight = app.telemetry.in_flight();
     let id = request_id(request.headers());
@@ -43,7 +54,7 @@ pub async fn around(State(app): State<App>, request: Request, next: Next) -> Res
     let peer = peer.map(|ip| ip.to_string()).unwrap_or_default();
     let span = tracing::info_span!("request", id, peer, %method, path);
     let secure = request.extensions().get::<Secure>().is_some();
-    let answered = answer(&app, request, next).instrument(span.clone());
+    let answered = answer(app, door, request, next).instrument(span.clone());
     let mut response = ASKER.scope(asker, SECURE.scope(secure, answered)).await;
     let response_id = HeaderValue::from_str(&id);
     response = finish(response, id).await;
@@ -64,7 +75,7 @@ pub async fn around(State(app): State<App>, request: Request, next: Next) -> Res
 }
 
 /// The handler's answer, or that its time is over, or that it panicked.
-async fn answer(app: &App, request: Request, next: Next) -> Response {
+async fn answer(app: &App, (hosts, guard): (&Hosts, Option<&Guard>), request: Request, next: Next) -> Response {
     let limits = Arc::clone(&app.limits);
     let clock = Clock::new(limits.request);
     let awaited = request.headers().contains_key(header::EXPECT);
@@ -83,9 +94,9 @@ async fn answer(app: &App, request: Request, next: Next) -> Response {
     let closes = request.version() < Version::HTTP_2;
     let (reads, path) = (matches!(*request.method(), Method::GET | Method::HEAD), path_to_look_up(app, &request));
     let handled = async {
-        match app.hosts.check(&request).and_then(|()| only_chunked(request.headers())) {
-            Ok(()) => match (look_up(app, reads, path).await, &app.guard) {
-                (Ok(()), Some(guard)) => guard.around(&app.hosts, request, next).await,
+        match hosts.check(&request).and_then(|()| only_chunked(request.headers())) {
+            Ok(()) => match (look_up(app, reads, path).await, guard) {
+                (Ok(()), Some(guard)) => guard.around(hosts, request, next).await,
                 (Ok(()), None) => next.run(request).await,
                 (Err(away), _) => away.into_response(),
             },

@@ -37,6 +37,7 @@ mod part;
 mod pool;
 mod problem;
 mod records;
+mod rest;
 mod routes;
 mod settings;
 mod share;
@@ -63,7 +64,7 @@ pub use accept::Held;
 pub use access::keys;
 pub(crate) use access::same;
 pub use child::{ProcessMaker, VARIABLE, serve as make_for_a_server};
-pub use cluster::{Audit, Nats, Remedy, Role, Sharing, audit};
+pub use cluster::{Audit, Migration, Nats, Remedy, Role, Sharing, audit, migrate};
 pub use id::{PhotoId, hex};
 pub use limits::Limits;
 pub use maker::{Fault, Maker, PipelineMaker, Product};
@@ -94,6 +95,9 @@ const LOOK_LATER: Duration = Duration::from_secs(1);
 pub struct Config {
     /// Address and port; port 0 takes a free one.
     pub addr: SocketAddr,
+    /// Address and port at which operators ask for counters, draining and taking down; everybody who reaches it may. Without it counters
+    /// are at [`Config::addr`], and the rest is done by signals and by deleting with a key.
+    pub admin: Option<SocketAddr>,
     /// Data directory; made where it is missing.
     pub data: PathBuf,
     /// Directory that replaces the embedded pages.
@@ -153,6 +157,8 @@ pub struct Server {
     rooms: Option<Arc<Rooms>>,
     role: Role,
     tls: Option<Tls>,
+    /// The door of operators, with its address and the names that count there.
+    admin: Option<(TcpListener, SocketAddr, Vec<String>)>,
 }
 
 impl Server {
@@ -176,8 +182,11 @@ impl Server {
     ) -> Result<Self, ServerError> {
         let (addr, data) = (config.addr, config.data.clone());
         let openapi = openapi()?;
-        let listener = TcpListener::bind(addr).await.map_err(|source| ServerError::Listen { addr, source })?;
-        let addr = listener.local_addr().map_err(|source| ServerError::Listen { addr, source })?;
+        let (listener, addr) = listen(addr).await?;
+        let admin = match config.admin {
+            Some(addr) => Some(listen(addr).await?).map(|(listener, addr)| (listener, addr, config.hosts.clone())),
+            None => None,
+        };
         let role = sharing.as_ref().map(|s| s.role).unwrap_or_default();
         if role == Role::Serve {
             config.limits.workers = 0;
@@ -197,7 +206,7 @@ impl Server {
             (Jobs::start(store, found, maker, limits, Arc::default()).map_err(ServerError::Worker)?, guard)
         };
         let app = Arc::new(Shared { guard, ..Shared::new(config, addr, jobs, renderer, openapi) });
-        Ok(Self { listener, addr, app, rooms: None, role, tls: None })
+        Ok(Self { listener, addr, app, rooms: None, role, tls: None, admin })
     }
 
     /// Has rooms, too.
@@ -226,16 +235,25 @@ impl Server {
         self.addr
     }
 
-    /// Serves until `stop` is ready, and for [`Limits::lame_duck`] more; then takes no more connections and gives requests and jobs under
+    /// Address that operators ask at, where they have one of their own.
+    #[must_use]
+    pub fn admin_addr(&self) -> Option<SocketAddr> {
+        self.admin.as_ref().map(|(_, addr, _)| *addr)
+    }
+
+    /// Serves until `stop` is ready or an operator asks it to leave, and for [`Limits::lame_duck`] more; then takes no more connections and gives requests and jobs under
     /// way [`Limits::drain`] to end. Jobs that do not end by then are taken up at the next start.
     pub async fn run(self, stop: impl Future<Output = ()> + Send + 'static) {
-        let Self { listener, addr: _, app, rooms, role, tls } = self;
+        let Self { listener, addr: _, app, rooms, role, tls, admin } = self;
         let token = app.stop.clone();
         let jobs = Arc::clone(&app.jobs);
         let signal = tokio::spawn({
             let (token, app) = (token.clone(), Arc::clone(&app));
             async move {
-                stop.await;
+                tokio::select! {
+                    () = stop => {}
+                    () = app.asked_to_leave.cancelled() => {}
+                }
                 tracing::info!("stopping");
                 app.leaving.store(true, Ordering::Release);
                 tokio::time::sleep(app.limits.lame_duck).await;
@@ -247,6 +265,7 @@ impl Server {
         });
         let probe = tokio::spawn(probe(Arc::clone(&app)));
         let look_over = tokio::spawn(look_over(Arc::clone(&app)));
+        let rest = tokio::spawn(rest::rest(Arc::clone(&app)));
         // who only makes photos has none
         let rooms = rooms.filter(|_| role != Role::Work);
         if let Some(rooms) = &rooms {
@@ -266,14 +285,33 @@ impl Server {
         if let Some(tls) = tls.clone() {
             tokio::spawn(tls.follow(token.clone()));
         }
+        let admin = admin.map(|(listener, addr, names)| {
+            let (router, app, token) = (routes::admin_router(Arc::clone(&app), addr, &names), Arc::clone(&app), token.clone());
+            tokio::spawn(
+                async move { accept::serve(accept::Door { listener, tls: None }, router, &app.limits, &app.telemetry, &token).await },
+            )
+        });
         accept::serve(accept::Door { listener, tls }, router, &app.limits, &app.telemetry, &token).await;
+        if let Some(door) = admin
+            && let Err(error) = door.await
+        {
+            tracing::error!(%error, "the operators' door");
+        }
         probe.abort();
         look_over.abort();
+        rest.abort();
         if let Err(error) = signal.await {
             tracing::error!(%error, "draining jobs");
         }
         tracing::info!("stopped");
     }
+}
+
+/// Listens at an address, and says which it is.
+async fn listen(addr: SocketAddr) -> Result<(TcpListener, SocketAddr), ServerError> {
+    let listener = TcpListener::bind(addr).await.map_err(|source| ServerError::Listen { addr, source })?;
+    let addr = listener.local_addr().map_err(|source| ServerError::Listen { addr, source })?;
+    Ok((listener, addr))
 }
 
 /// What asks who comes, by the keys of a directory.
@@ -398,8 +436,17 @@ mod tests {
         let limits = Limits { workers: 0, ..Limits::default() };
         let jobs = Jobs::start(store, Vec::new(), Arc::new(maker::Never), Arc::new(limits.clone()), Arc::default()).unwrap();
         let addr = ([127, 0, 0, 1], 0).into();
-        let config =
-            Config { addr, data: PathBuf::new(), pages: None, hosts: Vec::new(), public_list: false, private: false, keys: None, limits };
+        let config = Config {
+            addr,
+            admin: None,
+            data: PathBuf::new(),
+            pages: None,
+            hosts: Vec::new(),
+            public_list: false,
+            private: false,
+            keys: None,
+            limits,
+        };
         let renderer = tmpi_render::select(tmpi_render::Backend::Cpu).unwrap();
         let app = Arc::new(Shared::new(config, addr, jobs, renderer, bytes::Bytes::new()));
         let key = ((PhotoId::of(&[1; 32], None, "", ""), 1), String::new());

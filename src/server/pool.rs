@@ -1,7 +1,7 @@
 //! Blocking work on behalf of requests: a lane for each class, so that a film holds up no view, and memory by bytes.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 
 use axum::http::StatusCode;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
@@ -46,6 +46,7 @@ pub struct Pool {
     /// Of views and levels, and of films and files: one of these takes minutes, and what waits for memory does so one behind the other.
     memory: [Arc<Semaphore>; 2],
     most: u32,
+    entered: AtomicU64,
 }
 
 struct Lane {
@@ -109,7 +110,14 @@ impl Pool {
             ],
             memory: [(); 2].map(|()| Arc::new(Semaphore::new(most as usize))),
             most,
+            entered: AtomicU64::new(0),
         }
+    }
+
+    /// How often leave was given.
+    #[must_use]
+    pub fn entered(&self) -> u64 {
+        self.entered.load(Ordering::Relaxed)
     }
 
     const fn lane(&self, class: Class) -> &Lane {
@@ -131,7 +139,7 @@ impl Pool {
         let at_once = Arc::clone(&lane.slots).try_acquire_owned().ok();
         if let Some(slot) = at_once {
             if let Ok(memory) = Arc::clone(self.memory(class)).try_acquire_many_owned(wanted) {
-                return Ok(Slot { _held: Arc::new((slot, memory)) });
+                return Ok(self.slot(slot, memory));
             }
             drop(slot);
         }
@@ -143,7 +151,12 @@ impl Pool {
         let slot = Arc::clone(&lane.slots).acquire_owned().await.map_err(broken)?;
         let memory = Arc::clone(self.memory(class)).acquire_many_owned(wanted).await.map_err(broken)?;
         drop(waits);
-        Ok(Slot { _held: Arc::new((slot, memory)) })
+        Ok(self.slot(slot, memory))
+    }
+
+    fn slot(&self, slot: OwnedSemaphorePermit, memory: OwnedSemaphorePermit) -> Slot {
+        self.entered.fetch_add(1, Ordering::Relaxed);
+        Slot { _held: Arc::new((slot, memory)) }
     }
 
     /// Requests of a class that wait.

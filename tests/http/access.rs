@@ -23,6 +23,7 @@ pub fn private(data: &Path) -> Running {
 pub fn private_with(data: &Path, maker: Arc<dyn Maker>) -> Running {
     let config = Config {
         addr: ([127, 0, 0, 1], 0).into(),
+        admin: None,
         data: data.to_owned(),
         pages: None,
         hosts: vec!["photos.example".into()],
@@ -294,6 +295,7 @@ fn keys_have_scopes_and_are_replaced_while_the_server_runs() {
     server.stop();
     let config = |data: &Path| Config {
         addr: ([127, 0, 0, 1], 0).into(),
+        admin: None,
         data: data.to_owned(),
         pages: None,
         hosts: Vec::new(),

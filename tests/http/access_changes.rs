@@ -112,6 +112,7 @@ fn node(dir: &Path, name: &str) -> Running {
     let sharing = Sharing { store: format!("file://{}", dir.join("store").display()), role: Role::All, nats: None };
     let config = Config {
         addr: ([127, 0, 0, 1], 0).into(),
+        admin: None,
         data: dir.join(name),
         pages: None,
         hosts: vec!["photos.example".into()],

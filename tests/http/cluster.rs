@@ -16,10 +16,11 @@ use crate::fixture::{Gate, Running, depth_map, jpeg, picture, pipeline, wait_unt
 use crate::process::{Process, large};
 
 /// A node of the store in a folder, in this process.
-fn node(shared: &Path, data: &Path, role: Role, maker: Arc<dyn tmpi::server::Maker>) -> Running {
+pub fn node(shared: &Path, data: &Path, role: Role, maker: Arc<dyn tmpi::server::Maker>) -> Running {
     let sharing = Sharing { store: format!("file://{}", shared.display()), role, nats: None };
     let config = Config {
         addr: ([127, 0, 0, 1], 0).into(),
+        admin: None,
         data: data.to_owned(),
         pages: None,
         hosts: Vec::new(),

@@ -45,6 +45,7 @@ impl Nodes<'_> {
         let sharing = Sharing { store: self.store(), role, nats };
         let config = Config {
             addr: ([127, 0, 0, 1], 0).into(),
+            admin: None,
             data: self.folder.join(name),
             pages: None,
             hosts: Vec::new(),

@@ -191,6 +191,7 @@ impl Running {
     pub fn drawing(data: &Path, limits: Limits, maker: Arc<dyn Maker>, renderer: Arc<dyn Renderer>) -> Self {
         let config = Config {
             addr: ([127, 0, 0, 1], 0).into(),
+            admin: None,
             data: data.to_owned(),
             pages: None,
             hosts: vec!["photos.example".into()],
@@ -228,6 +229,11 @@ impl Running {
     /// Stops it and waits for its end.
     pub fn stop(mut self) {
         self.signal();
+        self.thread.take().unwrap().join().expect("the server ends without a panic");
+    }
+
+    /// Waits for its end, which something else has brought about.
+    pub fn ended(mut self) {
         self.thread.take().unwrap().join().expect("the server ends without a panic");
     }
 

@@ -45,6 +45,7 @@ pub fn server_with(data: &Path, change: impl FnOnce(Rooms) -> Rooms) -> Running 
     let rooms = change(Rooms::new(RoomConfig { models, frame_ms: 0.0, key: Some(KEY.to_vec()) }));
     let config = Config {
         addr: ([127, 0, 0, 1], 0).into(),
+        admin: None,
         data: data.to_owned(),
         pages: None,
         hosts: vec!["photos.example".into()],

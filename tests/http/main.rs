@@ -4,6 +4,7 @@
 mod access;
 mod access_changes;
 mod access_matrix;
+mod admin;
 mod arrivals;
 mod client;
 mod cluster;
@@ -18,6 +19,7 @@ mod limits;
 mod live;
 mod matrix;
 mod measure;
+mod migrate;
 mod nats;
 mod nodes;
 mod openapi;

@@ -34,6 +34,7 @@ fn start(data: &Path, limits: Limits) -> Running {
     let rooms = Rooms::new(RoomConfig { models, frame_ms: 0.0, key: None });
     let config = Config {
         addr: ([127, 0, 0, 1], 0).into(),
+        admin: None,
         data: data.to_owned(),
         pages: None,
         hosts: Vec::new(),

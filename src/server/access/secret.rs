@@ -27,17 +27,25 @@ impl Secret {
     /// # Errors
     /// It cannot be read or written, or is not whole.
     pub fn of(dir: &Path) -> io::Result<Self> {
-        let path = dir.join(FILE);
-        match std::fs::read(&path) {
+        if let Some(there) = Self::of_existing(dir)? {
+            return Ok(there);
+        }
+        let new = Self::fresh()?;
+        replace(&dir.join(FILE), &new.0)?;
+        Ok(new)
+    }
+
+    /// That of a data directory, where there is one.
+    ///
+    /// # Errors
+    /// It cannot be read, or is not whole.
+    pub fn of_existing(dir: &Path) -> io::Result<Option<Self>> {
+        match std::fs::read(dir.join(FILE)) {
             Ok(bytes) => {
                 let wrong = || io::Error::new(ErrorKind::InvalidData, format!("{FILE} must have {BYTES} bytes"));
-                bytes.try_into().map(Self).map_err(|_| wrong())
+                bytes.try_into().map(|bytes| Some(Self(bytes))).map_err(|_| wrong())
             }
-            Err(e) if e.kind() == ErrorKind::NotFound => {
-                let new = Self::fresh()?;
-                replace(&path, &new.0)?;
-                Ok(new)
-            }
+            Err(e) if e.kind() == ErrorKind::NotFound => Ok(None),
             Err(e) => Err(e),
         }
     }

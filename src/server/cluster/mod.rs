@@ -9,6 +9,7 @@ mod hear;
 mod jetstream;
 mod local;
 mod look;
+mod migrate;
 mod objects;
 mod open;
 mod ports;
@@ -38,6 +39,7 @@ use records::{End, Marker, Photo};
 pub use audit::{Audit, Remedy, audit};
 pub use hear::hear;
 pub use look::{Seen, keep_up};
+pub use migrate::{Migration, migrate};
 pub use open::{Nats, Role, Sharing};
 pub use work::work;
 

@@ -1,5 +1,6 @@
 //! All routes, and the `OpenAPI` document that is generated from their handlers.
 
+mod admin;
 mod again;
 mod derived;
 mod events;
@@ -32,6 +33,7 @@ use utoipa_axum::routes;
 
 use super::app::App;
 use super::middleware;
+pub(super) use admin::router as admin_router;
 pub(crate) use query::Pairs;
 pub(super) use view_query::ViewQuery;
 
@@ -69,8 +71,8 @@ fn open_api() -> OpenApiRouter<App> {
         .routes(routes!(oembed::oembed))
 }
 
-/// What is for this server's own pages and for programs.
-fn own_api() -> OpenApiRouter<App> {
+/// What is for this server's own pages and for programs, besides its counters.
+fn pages_api() -> OpenApiRouter<App> {
     OpenApiRouter::with_openapi(Document::openapi())
         .routes(routes!(photos::upload, photos::list))
         .routes(routes!(photos::state, photos::change, photos::delete))
@@ -83,8 +85,12 @@ fn own_api() -> OpenApiRouter<App> {
         .routes(routes!(results::depth))
         .routes(routes!(system::healthz))
         .routes(routes!(system::readyz))
-        .routes(routes!(system::metrics))
         .routes(routes!(system::openapi))
+}
+
+/// What is for this server's own pages and for programs.
+fn own_api() -> OpenApiRouter<App> {
+    pages_api().routes(routes!(system::metrics))
 }
 
 /// The answer to a method that an address does not have.
@@ -184,11 +190,9 @@ pub fn routes() -> Vec<Route> {
 
 /// Health, metrics and the `OpenAPI` document alone, for a node that answers nobody else.
 pub fn system_router(app: App) -> Router {
-    let system = OpenApiRouter::<App>::new()
-        .routes(routes!(system::healthz))
-        .routes(routes!(system::readyz))
-        .routes(routes!(system::metrics))
-        .routes(routes!(system::openapi));
+    let system =
+        OpenApiRouter::<App>::new().routes(routes!(system::healthz)).routes(routes!(system::readyz)).routes(routes!(system::openapi));
+    let system = if app.has_admin { system } else { system.routes(routes!(system::metrics)) };
     let (router, _) = system.split_for_parts();
     router
         .fallback(async || Problem::not_found("this node makes photos, and answers about its health alone"))
@@ -198,17 +202,19 @@ pub fn system_router(app: App) -> Router {
         .with_state(app)
 }
 
-/// The whole service, with rooms where there are any.
+/// The answer to a page of another site that would change something.
+fn foreign(_: ProtectionError) -> Response {
+    Problem::new(StatusCode::FORBIDDEN, "cross-site", "a page of another site may not change anything here").into_response()
+}
+
+/// The whole service, with rooms where there are any; counters are for operators alone where these have a door of their own.
 pub fn router(app: App, rooms: Option<Router>) -> Router {
-    let (router, _) = own_api().split_for_parts();
+    let (router, _) = if app.has_admin { pages_api() } else { own_api() }.split_for_parts();
     let (open, _) = open_api().split_for_parts();
     // before the layers, so that these see every method: questions before a request (preflights) are OPTIONS
     let open = open.method_not_allowed_fallback(no_method).layer(map_response(open_to_all));
     let files = files().into_iter().fold(Router::new(), |router, (path, handler)| router.route(path, handler));
     let files = files.method_not_allowed_fallback(no_method);
-    let foreign = |_: ProtectionError| {
-        Problem::new(StatusCode::FORBIDDEN, "cross-site", "a page of another site may not change anything here").into_response()
-    };
     let router = router.merge(open.merge(files).layer(cors())).merge(rooms.unwrap_or_default().with_state(()));
     own_pages()
         .into_iter()

@@ -7,7 +7,7 @@ use super::{MakeError, Options, PlaneCount};
 use crate::photo::{Limits, PhotoError};
 
 /// What does not grow with the photo: program, networks, tables.
-const BASE: u64 = 96 << 20;
+const BASE: u64 = 80 << 20;
 /// Bytes a pixel of the photo, whatever its planes.
 const PIXEL: u64 = 32;
 /// Bytes a pixel for each plane that its tile has.
@@ -16,6 +16,10 @@ const PLANE: u64 = 14;
 const LAYER: u64 = 1200;
 /// Bytes a pixel of a file that is decoded before it is reduced, and of a depth map of another size.
 const DECODED: u64 = 16;
+/// Bytes a pixel of a photo that is kept beside that.
+const PHOTO: u64 = 3;
+/// Fewest pixels that a photo is brought to so that it fits: as many as a screen has.
+const LEAST_PIXELS: u64 = 2_000_000;
 /// Fewest planes a tile, without its background, for which there must be room: where it is up to the program, it takes more only as far
 /// as memory goes.
 const LEAST: u32 = 2;
@@ -41,25 +45,58 @@ impl Options {
     /// (width, height). Where planes are [`PlaneCount::Auto`], more are placed only as far as [`Limits::memory`] goes.
     #[must_use]
     pub fn memory(&self, file: (u32, u32), map: Option<(u32, u32)>) -> u64 {
-        let area = |(w, h): (u32, u32)| u64::from(w) * u64::from(h);
-        let (w, h) = crate::photo::reduced_size(file, self.max_size);
+        self.memory_at(file, map, self.max_size)
+    }
+
+    /// The same, with the longest side at most `side`.
+    fn memory_at(&self, file: (u32, u32), map: Option<(u32, u32)>, side: Option<u32>) -> u64 {
+        let (w, h) = crate::photo::reduced_size(file, side);
         let planes = match self.planes {
             PlaneCount::Fixed(n) => n,
             PlaneCount::Auto => LEAST,
         };
         let made = bytes(area((w, h)), u64::from(self.grid(w, h).tiles()), planes);
-        let other = |size: (u32, u32)| if size == (w, h) { 0 } else { area(size) * DECODED };
-        made + other(file).max(map.map_or(0, other))
+        // what is decoded is let go before planes are placed
+        let other = |size: (u32, u32)| if size == (w, h) { 0 } else { BASE + area(size) * DECODED + area((w, h)) * PHOTO };
+        made.max(other(file)).max(map.map_or(0, other))
     }
 
-    /// Refuses what takes more memory than `limits` allow, before anything is decoded.
+    /// The longest side, in pixels, to which a photo is brought so that making it takes no more memory than `limits` allow; none where it
+    /// fits as it is. It is not brought below 2 megapixels, nor where tiles or planes were asked for that take so much.
     ///
     /// # Errors
     /// [`PhotoError::TooMuchWork`] names the limit and the need.
-    pub fn check_memory(&self, file: (u32, u32), map: Option<(u32, u32)>, limits: &Limits) -> Result<(), MakeError> {
+    pub fn side_by_memory(&self, file: (u32, u32), map: Option<(u32, u32)>, limits: &Limits) -> Result<Option<u32>, MakeError> {
         let bytes = self.memory(file, map);
-        if bytes > limits.memory { Err(PhotoError::TooMuchWork { bytes, limit: limits.memory }.into()) } else { Ok(()) }
+        if bytes <= limits.memory {
+            return Ok(None);
+        }
+        let refused = PhotoError::TooMuchWork { bytes, limit: limits.memory };
+        let usual = Self::default();
+        if (self.planes, self.tile) != (usual.planes, usual.tile) {
+            return Err(refused.into());
+        }
+        let fits = |side: u32| self.memory_at(file, map, Some(side)) <= limits.memory;
+        let (mut most, mut too_large) = (0, file.0.max(file.1).min(self.max_size.unwrap_or(u32::MAX)));
+        while too_large - most > 1 {
+            let middle = most + (too_large - most) / 2;
+            *(if fits(middle) { &mut most } else { &mut too_large }) = middle;
+        }
+        if area(crate::photo::reduced_size(file, Some(most))) < LEAST_PIXELS { Err(refused.into()) } else { Ok(Some(most)) }
     }
+
+    /// These options, with a photo brought to the size at which it fits into memory, where it does not as it is.
+    ///
+    /// # Errors
+    /// As [`Options::side_by_memory`].
+    pub fn fitted(&self, file: (u32, u32), map: Option<(u32, u32)>, limits: &Limits) -> Result<Self, MakeError> {
+        let side = self.side_by_memory(file, map, limits)?;
+        Ok(Self { max_size: side.or(self.max_size), ..self.clone() })
+    }
+}
+
+fn area((w, h): (u32, u32)) -> u64 {
+    u64::from(w) * u64::from(h)
 }
 
 #[cfg(test)]
@@ -82,16 +119,36 @@ mod tests {
     fn fifty_megapixels_fit_by_default_and_what_is_asked_for_beyond_that_is_named() {
         let limits = Limits { memory: 6 << 30, ..Limits::default() };
         let largest = (8160, 6120);
-        assert!(Options::default().check_memory(largest, Some(largest), &limits).is_ok());
-        assert!(Options::default().check_memory(largest, Some((100, 100)), &limits).is_ok());
+        assert_eq!(Options::default().side_by_memory(largest, Some(largest), &limits).unwrap(), None);
+        assert_eq!(Options::default().side_by_memory(largest, Some((100, 100)), &limits).unwrap(), None);
         let planes = |n| Options { planes: PlaneCount::Fixed(n), ..Options::default() };
-        assert!(planes(16).check_memory((4000, 3000), None, &limits).is_ok());
-        let refused = planes(64).check_memory((4000, 3000), None, &limits).unwrap_err().to_string();
+        assert_eq!(planes(16).side_by_memory((4000, 3000), None, &limits).unwrap(), None);
+        let refused = planes(64).side_by_memory((4000, 3000), None, &limits).unwrap_err().to_string();
         let need = planes(64).memory((4000, 3000), None);
         assert!(refused.contains(&need.to_string()) && refused.contains(&limits.memory.to_string()), "{refused}");
         // a map that is much larger than its photo counts, too
         assert!(Options::default().memory((80, 60), Some((8000, 6000))) > 700 << 20);
         let small = Options { tile: TileSize::Pixels(8), ..Options::default() };
         assert!(small.memory((4000, 3000), None) > Options::default().memory((4000, 3000), None) + (500 << 20));
+    }
+
+    #[test]
+    fn a_photo_that_is_too_large_is_brought_to_what_fits_and_no_further_than_a_screen() {
+        let limits = |mib: u64| Limits { memory: mib << 20, ..Limits::default() };
+        let options = Options::default();
+        for (file, mib) in [((8160, 6120), 960), ((6120, 8160), 1500), ((6000, 4000), 600), ((12_000, 4000), 2000)] {
+            let limits = limits(mib);
+            let side = options.side_by_memory(file, None, &limits).unwrap().expect("it does not fit as it is");
+            let at = |side| Options { max_size: Some(side), ..options.clone() }.memory(file, None);
+            assert!(at(side) <= limits.memory && at(side + 8) > limits.memory, "{file:?}: {side}");
+            assert_eq!(options.fitted(file, None, &limits).unwrap().max_size, Some(side));
+        }
+        // decoding alone takes too much; what fits is too small
+        for (file, mib) in [((8160, 6120), 256), ((3000, 2000), 200)] {
+            let refused = options.side_by_memory(file, None, &limits(mib)).unwrap_err().to_string();
+            assert!(refused.contains(&options.memory(file, None).to_string()), "{refused}");
+        }
+        let smaller = Options { max_size: Some(2000), ..Options::default() };
+        assert_eq!(smaller.side_by_memory((8160, 6120), None, &limits(960)).unwrap(), None);
     }
 }

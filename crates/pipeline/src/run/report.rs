@@ -16,6 +16,9 @@ pub struct Input {
     /// The file is damaged or cut short, and a part of the picture is grey or coarse.
     #[serde(default)]
     pub damaged: bool,
+    /// It was made smaller, as more would have taken more memory than making a photo may.
+    #[serde(default)]
+    pub fitted: bool,
     /// The depth map that came with it; none where depth was estimated.
     #[serde(default)]
     pub depth: Option<InputDepth>,

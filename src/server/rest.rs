@@ -1,0 +1,55 @@
+//! Memory given back once nobody wants work: what is kept goes when it was not asked for a while ([`Limits::rest`]), processes that made
+//! photos end, and what the allocator holds beyond that returns to the system.
+
+use std::time::Duration;
+
+use super::app::App;
+
+/// Pause between two looks, as a share of [`Limits::rest`](super::Limits::rest).
+const LOOKS: u32 = 8;
+
+/// What has happened since memory was last given back.
+#[derive(Clone, Copy, Default, PartialEq, Eq)]
+struct Seen {
+    /// Work that was begun on scenes.
+    entered: u64,
+    /// Bytes that are kept.
+    kept: u64,
+}
+
+impl Seen {
+    fn of(app: &App) -> Self {
+        let kept = app.scenes.bytes() + app.files.bytes() + app.levels.bytes() + app.views.bytes();
+        Self { entered: app.pool.entered(), kept }
+    }
+}
+
+/// Looks now and then until the server ends.
+pub async fn rest(app: App) {
+    let mut given_back = Seen::default();
+    loop {
+        tokio::time::sleep((app.limits.rest / LOOKS).max(Duration::from_millis(10))).await;
+        app.settle().await;
+        let shared = App::clone(&app);
+        let ended = tokio::task::spawn_blocking(move || shared.jobs.maker.rest(shared.limits.rest)).await.unwrap_or_default();
+        let busy = app.pool.bytes() > 0 || !app.jobs.is_idle();
+        let seen = Seen::of(&app);
+        if !busy && (ended || seen != given_back) {
+            // some milliseconds, in which nobody else may allocate
+            let _ = tokio::task::spawn_blocking(give_back).await;
+            given_back = seen;
+        }
+    }
+}
+
+/// Returns to the system what the allocator holds and nobody uses.
+#[cfg(all(target_os = "linux", target_env = "gnu"))]
+#[allow(unsafe_code, reason = "a call of libc without memory of ours")]
+pub fn give_back() {
+    // SAFETY: it takes no pointer, and locks what it touches
+    unsafe { libc::malloc_trim(0) };
+}
+
+/// Other allocators do so by themselves.
+#[cfg(not(all(target_os = "linux", target_env = "gnu")))]
+pub fn give_back() {}

@@ -1,0 +1,103 @@
+//! What operators ask at a door of its own ([`Config::admin`](crate::server::Config::admin)): nobody is asked who they are there, so that it is
+//! bound where operators alone come in.
+
+use std::net::SocketAddr;
+use std::sync::Arc;
+
+use axum::Router;
+use axum::extract::{DefaultBodyLimit, Path, State};
+use axum::http::StatusCode;
+use axum::middleware::from_fn_with_state;
+use tower_http::csrf::CsrfLayer;
+use utoipa::OpenApi;
+use utoipa_axum::router::OpenApiRouter;
+use utoipa_axum::routes;
+
+use super::query::NoQuery;
+use super::{foreign, no_method, system};
+use crate::server::app::App;
+use crate::server::hosts::Hosts;
+use crate::server::id::PhotoId;
+use crate::server::middleware;
+use crate::server::problem::Problem;
+
+#[derive(OpenApi)]
+#[openapi(
+    info(title = "tmpi for operators", description = "What is asked at the address of `tmpi serve --admin`. Every error is a problem document (RFC 9457)."),
+    tags((name = "system", description = "Health, counters, draining and taking down")),
+    components(schemas(Problem))
+)]
+struct Document;
+
+/// Have the server end as SIGTERM does.
+///
+/// `/readyz` says 503 from now on; after the lame-duck time no more connections are taken, and requests and jobs under way have the drain
+/// time to end.
+#[utoipa::path(
+    post, path = "/drain", tag = "system",
+    responses(
+        (status = 202, description = "It leaves"),
+        (status = 400, description = "There are no parameters here", body = Problem, content_type = "application/problem+json"),
+        (status = 403, description = "A page of another site asks", body = Problem, content_type = "application/problem+json"),
+    )
+)]
+async fn drain(State(app): State<App>, _: NoQuery) -> StatusCode {
+    tracing::info!("asked to leave");
+    app.asked_to_leave.cancel();
+    StatusCode::ACCEPTED
+}
+
+/// Take a photo down, whoever owns it, with everything that was made of it and what is kept of that.
+#[utoipa::path(
+    post, path = "/purge/{id}", tag = "system", params(("id" = String, Path, description = "Id of the photo")),
+    responses(
+        (status = 204, description = "Gone"),
+        (status = 400, description = "There are no parameters here", body = Problem, content_type = "application/problem+json"),
+        (status = 403, description = "A page of another site asks", body = Problem, content_type = "application/problem+json"),
+        (status = 404, description = "There is no such photo", body = Problem, content_type = "application/problem+json"),
+        (status = 503, description = "The store cannot be reached", body = Problem, content_type = "application/problem+json"),
+    )
+)]
+async fn purge(State(app): State<App>, Path(id): Path<String>, _: NoQuery) -> Result<StatusCode, Problem> {
+    let nothing = || Problem::not_found(format!("there is no photo {id:?}"));
+    let photo: PhotoId = id.parse().map_err(|_| nothing())?;
+    let shared = Arc::clone(&app);
+    let known = app
+        .change(move || {
+            if let Some(cluster) = shared.jobs.cluster.clone() {
+                shared.jobs.refresh(&cluster, photo).map_err(|e| Problem::store(&e))?;
+            }
+            if shared.jobs.get(photo).is_some() { shared.jobs.delete(photo) } else { Ok(false) }
+        })
+        .await??;
+    app.forget(photo).await;
+    if !known {
+        return Err(nothing());
+    }
+    tracing::info!(%photo, "purged");
+    Ok(StatusCode::NO_CONTENT)
+}
+
+/// Routes with what is said of them.
+fn api() -> OpenApiRouter<App> {
+    OpenApiRouter::with_openapi(Document::openapi())
+        .routes(routes!(system::healthz))
+        .routes(routes!(system::readyz))
+        .routes(routes!(system::metrics))
+        .routes(routes!(drain))
+        .routes(routes!(purge))
+}
+
+/// The door of operators, bound to `addr`; `names` are those under which it is asked besides loopback's and its address.
+pub fn router(app: App, addr: SocketAddr, names: &[String]) -> Router {
+    let (router, document) = api().split_for_parts();
+    let state = (App::clone(&app), Arc::new(Hosts::new(addr, names)));
+    router
+        .route("/openapi.json", axum::routing::get(async move || axum::Json(document)))
+        .fallback(async || Problem::not_found("this address is for operators: /healthz, /readyz, /metrics, /drain, /purge/{id}"))
+        .method_not_allowed_fallback(no_method)
+        .layer(DefaultBodyLimit::disable())
+        .layer(CsrfLayer::new().with_rejection_response(foreign))
+        .layer(from_fn_with_state(state, middleware::around_admin))
+        .with_state(app)
+}

@@ -1,0 +1,104 @@
+//! The door of operators, and memory that goes back.
+
+use std::net::SocketAddr;
+use std::path::Path;
+use std::sync::Arc;
+use std::time::Duration;
+
+use tmpi::server::{Config, Limits, Server};
+use tmpi_render::Backend;
+
+use crate::client::{get, request};
+use crate::fixture::{Running, jpeg, pipeline, wait_until};
+use crate::nats::figure;
+
+/// A server that asks who comes, and the address of its operators.
+fn start(data: &Path) -> (Running, SocketAddr) {
+    let any = SocketAddr::from(([127, 0, 0, 1], 0));
+    let config = Config {
+        addr: any,
+        admin: Some(any),
+        data: data.to_owned(),
+        pages: None,
+        hosts: vec!["photos.example".into()],
+        public_list: false,
+        private: true,
+        keys: None,
+        limits: Limits::default(),
+    };
+    let (tell, told) = std::sync::mpsc::channel();
+    let renderer = tmpi_render::select(Backend::Cpu).unwrap();
+    let server = Running::of(async move {
+        let server = Server::bind(config, Arc::new(pipeline()), renderer).await.unwrap();
+        tell.send(server.admin_addr().unwrap()).unwrap();
+        server
+    });
+    (server, told.recv().unwrap())
+}
+
+#[test]
+fn operators_have_a_door_of_their_own() {
+    let dir = tempfile::tempdir().unwrap();
+    let (server, admin) = start(dir.path());
+    let id = server.upload(&jpeg(1));
+    server.wait(&id, "done");
+    get(server.addr, "/metrics").problem(404);
+    for path in ["/drain", &format!("/purge/{id}")] {
+        assert!(matches!(request(server.addr, "POST", path, &[], &[]).status, 404 | 405), "{path} is for operators alone");
+    }
+    assert_eq!((get(admin, "/healthz").status, get(admin, "/readyz").status), (200, 200));
+    assert_eq!(figure(admin, "tmpi_photos_done"), Some(1));
+    let described = get(admin, "/openapi.json").json();
+    let paths: Vec<_> = described["paths"].as_object().unwrap().keys().cloned().collect();
+    assert_eq!(paths, ["/drain", "/healthz", "/metrics", "/purge/{id}", "/readyz"]);
+    // nothing else is there
+    for path in ["/", "/v1/photos", &format!("/v1/photos/{id}/atlas")] {
+        get(admin, path).problem(404);
+    }
+    get(admin, "/drain").problem(405);
+    // pages of other sites and rebound names change nothing
+    let at = format!("/purge/{id}");
+    for path in ["/drain", &at] {
+        request(admin, "POST", path, &[("origin", "https://evil.example")], &[]).problem(403);
+        request(admin, "POST", path, &[("host", "evil.example")], &[]).problem(421);
+        request(admin, "POST", &format!("{path}?now=1"), &[], &[]).problem(400);
+    }
+    assert_eq!(server.state(&id)["state"], "done");
+    for wrong in ["/purge/nothing", "/purge/00000000000000000000000000000000"] {
+        request(admin, "POST", wrong, &[], &[]).problem(404);
+    }
+    // whoever owns it
+    assert_eq!(request(admin, "POST", &at, &[("host", "photos.example")], &[]).status, 204);
+    get(server.addr, &format!("/v1/photos/{id}")).problem(404);
+    get(server.addr, &format!("/v1/photos/{id}/atlas")).problem(404);
+    request(admin, "POST", &at, &[], &[]).problem(404);
+    assert_eq!(request(admin, "POST", "/drain", &[], &[]).status, 202);
+    server.ended();
+}
+
+#[test]
+fn memory_that_nobody_asks_for_goes_back() {
+    let dir = tempfile::tempdir().unwrap();
+    let limits = Limits { rest: Duration::from_millis(500), ..Limits::default() };
+    let server = Running::start(dir.path(), limits, Arc::new(pipeline()));
+    let id = server.upload(&jpeg(1));
+    server.wait(&id, "done");
+    let path = |what: &str| format!("/v1/photos/{id}/{what}");
+    let kept = || ["scene", "file", "view", "level"].map(|of| figure(server.addr, &format!("tmpi_{of}_cache_bytes")).unwrap());
+    let ask = || {
+        ["view?w=32", "atlas", "atlas?level=1"].map(|what| {
+            let answer = get(server.addr, &path(what));
+            assert_eq!(answer.status, 200);
+            answer.body
+        })
+    };
+    let (mut before, mut asked) = (None, false);
+    wait_until("all of it is kept", || {
+        let now = ask();
+        assert_eq!(before.get_or_insert_with(|| now.clone()), &now);
+        asked |= kept().iter().all(|bytes| *bytes > 0);
+        asked
+    });
+    wait_until("none of it is", || kept() == [0; 4]);
+    assert_eq!(before, Some(ask()), "made anew");
+}
