@@ -15,7 +15,8 @@ use sha2::{Digest as _, Sha256};
 
 use crate::live::{self, NatsAddress, Rooms};
 use crate::server::{
-    Better, Config, Limits, Nats, PipelineMaker, ProcessMaker, Role, Server, Sharing, Tls, VARIABLE, hex, make_for_a_server, stop_signal,
+    Better, Config, Limits, Nats, PipelineMaker, ProcessMaker, Role, Server, Sharing, Tls, VARIABLE, allocate_in_one_place, hex,
+    make_for_a_server, stop_signal,
 };
 use tmpi_pipeline::Models;
 use tmpi_pipeline::networks::models::{self, download::Digest};
@@ -105,7 +106,7 @@ pub(super) struct ServeArgs {
     /// Memory of the machine for all of the server, in MiB: caches, work and making photos share it; what is said of one of them counts more
     #[arg(long, value_parser = clap::value_parser!(u32).range(192..), value_name = "MIB")]
     memory: Option<u32>,
-    /// Memory for decoded scenes, in MiB [default: 256]
+    /// Memory for decoded scenes, in MiB, and as much again for what views are drawn from on the processor [default: 256]
     #[arg(long, value_name = "MIB")]
     scene_cache: Option<u32>,
     /// Connections at a time
@@ -302,12 +303,13 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
         make_for_a_server(&maker, limits.job_memory);
         return Ok(());
     }
+    allocate_in_one_place();
     if let Err(error) = tmpi_pipeline::networks::available() {
         tracing::error!("photos without a depth map of their own wait until ONNX Runtime is there. {error}");
     }
     #[cfg(unix)]
     open_files(u64::from(args.connections) + SPARE_FILES);
-    let renderer = tmpi_render::select(args.backend).context("renderer")?;
+    let renderer = tmpi_render::select_within(args.backend, limits.scene_cache).context("renderer")?;
     let better = BetterNetwork::of(&args.models, args.network_url, args.network_sha256);
     let maker = ProcessMaker::new(maker).with_better(better.map(|b| Box::new(b) as Box<dyn Better>));
     if !private && !args.addr.ip().is_loopback() {

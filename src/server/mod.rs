@@ -70,6 +70,7 @@ pub use limits::Limits;
 pub use maker::{Fault, Maker, PipelineMaker, Product};
 pub use network::{Better, Offer, Renewed};
 pub use problem::Problem;
+pub use rest::allocate_in_one_place;
 pub(crate) use routes::Pairs;
 pub use routes::{Access, Route, openapi, routes};
 pub use tls::{Tls, TlsError};

@@ -31,7 +31,11 @@ pub async fn rest(app: App) {
         tokio::time::sleep((app.limits.rest / LOOKS).max(Duration::from_millis(10))).await;
         app.settle().await;
         let shared = App::clone(&app);
-        let ended = tokio::task::spawn_blocking(move || shared.jobs.maker.rest(shared.limits.rest)).await.unwrap_or_default();
+        let settled = tokio::task::spawn_blocking(move || {
+            shared.renderer.settle();
+            shared.jobs.maker.rest(shared.limits.rest)
+        });
+        let ended = settled.await.unwrap_or_default();
         let busy = app.pool.bytes() > 0 || !app.jobs.is_idle();
         let seen = Seen::of(&app);
         if !busy && (ended || seen != given_back) {
@@ -41,6 +45,21 @@ pub async fn rest(app: App) {
         }
     }
 }
+
+/// Has all threads allocate from one place: what is free in others cannot be given back whole. A few threads of a server allocate at a
+/// time, and what is small each has for itself; `tests/load/allocators.py` compares. Who sets `MALLOC_ARENA_MAX` wants it otherwise.
+#[cfg(all(target_os = "linux", target_env = "gnu"))]
+#[allow(unsafe_code, reason = "a call of libc without memory of ours")]
+pub fn allocate_in_one_place() {
+    if std::env::var_os("MALLOC_ARENA_MAX").is_none() {
+        // SAFETY: it takes no pointer; where it is refused nothing changes
+        unsafe { libc::mallopt(libc::M_ARENA_MAX, 1) };
+    }
+}
+
+/// Other allocators are as they are.
+#[cfg(not(all(target_os = "linux", target_env = "gnu")))]
+pub fn allocate_in_one_place() {}
 
 /// Returns to the system what the allocator holds and nobody uses.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]

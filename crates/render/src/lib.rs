@@ -104,6 +104,9 @@ pub trait Renderer: Send + Sync {
     /// # Errors
     /// [`RenderError`].
     fn render(&self, scene: &Arc<Scene>, camera: &Camera) -> Result<View, RenderError>;
+
+    /// Frees what is kept of scenes that were dropped; without it that is freed with the next view. May wait for a view that is drawn.
+    fn settle(&self) {}
 }
 
 /// Checks what every backend relies on: a finite pose, valid intrinsics, a size within [`MAX_SIDE`] and [`MAX_PIXELS`].
@@ -126,15 +129,24 @@ fn check(camera: &Camera) -> Result<(), RenderError> {
 /// # Errors
 /// [`RenderError::Adapter`] where `gpu` is asked for and there is no adapter.
 pub fn select(backend: Backend) -> Result<Arc<dyn Renderer>, RenderError> {
+    select_within(backend, Cpu::CACHE_BYTES)
+}
+
+/// The same, with at most `cache_bytes` of expanded texels kept in the processor's memory.
+///
+/// # Errors
+/// As [`select`].
+pub fn select_within(backend: Backend, cache_bytes: usize) -> Result<Arc<dyn Renderer>, RenderError> {
+    let cpu = || Cpu::new(cache_bytes);
     match backend {
         Backend::Reference => Ok(Arc::new(Reference)),
-        Backend::Cpu => Ok(Arc::new(Cpu::default())),
+        Backend::Cpu => Ok(Arc::new(cpu())),
         Backend::Gpu => Ok(Arc::new(Gpu::new(true)?)),
         Backend::Auto => match Gpu::new(false) {
-            Ok(gpu) => Ok(Arc::new(GpuOrCpu { gpu, cpu: Cpu::default() })),
+            Ok(gpu) => Ok(Arc::new(GpuOrCpu { gpu, cpu: cpu() })),
             Err(reason) => {
                 tracing::info!(%reason, "drawing on the processor");
-                Ok(Arc::new(Cpu::default()))
+                Ok(Arc::new(cpu()))
             }
         },
     }
@@ -156,5 +168,10 @@ impl Renderer for GpuOrCpu {
             Err(RenderError::Adapter(_) | RenderError::TooLarge(_)) => self.cpu.render(scene, camera),
             result => result,
         }
+    }
+
+    fn settle(&self) {
+        self.gpu.settle();
+        self.cpu.settle();
     }
 }

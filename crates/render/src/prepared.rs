@@ -183,9 +183,14 @@ impl<T> SceneCache<T> {
         Self { budget, entries: Vec::new() }
     }
 
+    /// Lets go of the values of dropped scenes.
+    pub fn settle(&mut self) {
+        self.entries.retain(|(weak, ..)| weak.strong_count() > 0);
+    }
+
     /// The value of `scene`, which becomes the most recently used.
     pub fn get(&mut self, scene: &Arc<Scene>) -> Option<&mut T> {
-        self.entries.retain(|(weak, ..)| weak.strong_count() > 0);
+        self.settle();
         let at = self.entries.iter().position(|(weak, ..)| std::ptr::eq(weak.as_ptr(), Arc::as_ptr(scene)))?;
         self.entries[at..].rotate_left(1);
         self.entries.last_mut().map(|(.., value)| value)
@@ -231,6 +236,9 @@ mod tests {
         assert_eq!(cache.bytes(), 20);
         assert_eq!(get(&mut cache, &scenes[1]), 4, "the least recently used one was dropped");
         drop(scenes);
+        cache.settle();
+        assert_eq!((cache.entries.len(), cache.bytes()), (0, 0));
+        let mut get = |cache: &mut SceneCache<u32>, scene: &Arc<Scene>| *cache.insert(scene, 10, || 9);
         let other = Arc::new(testing::flat(8, 8, 0.5));
         get(&mut cache, &other);
         assert_eq!(cache.entries.len(), 1);

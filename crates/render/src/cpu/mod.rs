@@ -86,6 +86,10 @@ impl Renderer for Cpu {
         let reference = prepared.reference.view(scene, camera, |own| draw(scene, &prepared, own));
         Ok(reference.unwrap_or_else(|| draw(scene, &prepared, camera)))
     }
+
+    fn settle(&self) {
+        self.scenes.lock().unwrap_or_else(PoisonError::into_inner).settle();
+    }
 }
 
 fn draw(scene: &Scene, prepared: &Prepared, camera: &Camera) -> View {

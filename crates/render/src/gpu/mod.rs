@@ -45,6 +45,7 @@ type Reply<T> = mpsc::SyncSender<Result<T, RenderError>>;
 enum Job {
     Open(Reply<()>),
     Render(Arc<Scene>, Camera, Reply<View>),
+    Settle(Reply<()>),
     #[cfg(test)]
     Lose(Reply<()>),
 }
@@ -98,6 +99,11 @@ impl Renderer for Gpu {
         check(camera)?;
         self.ask(|reply| Job::Render(Arc::clone(scene), *camera, reply))
     }
+
+    fn settle(&self) {
+        // where its thread has ended nothing is kept
+        let _ = self.ask(Job::Settle);
+    }
 }
 
 struct State {
@@ -117,6 +123,14 @@ impl Worker {
             // a caller that has gone away does not want its answer
             match job {
                 Job::Open(reply) => drop(reply.send(self.guarded(|_| Ok(())))),
+                Job::Settle(reply) => {
+                    if let Some(State { scenes, device, .. }) = &mut self.state {
+                        scenes.settle();
+                        // what was dropped is freed when the device is looked at
+                        let _ = device.handle.poll(wgpu::PollType::Poll);
+                    }
+                    drop(reply.send(Ok(())));
+                }
                 Job::Render(scene, camera, reply) => drop(reply.send(self.guarded(|state| state.render(&scene, &camera)))),
                 #[cfg(test)]
                 Job::Lose(reply) => drop(reply.send(self.guarded(|state| {

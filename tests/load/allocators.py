@@ -1,0 +1,79 @@
+#!/usr/bin/env python3
+"""What allocators cost and keep: processor time of views that are drawn anew and of containers, the same from many connections at a time, and resident
+memory once all has rested. The system's own, by how many arenas it may have, and, where Debian's packages are there, jemalloc and mimalloc."""
+import argparse, glob, statistics, threading, time
+from common import Server, Table, check, end, smooth
+
+REST = 4
+
+
+def kinds():
+    yield "glibc, as the program sets it", {}
+    yield "glibc, 2 arenas", {"MALLOC_ARENA_MAX": "2"}
+    yield "glibc, its own choice of arenas", {"MALLOC_ARENA_MAX": "0"}
+    yield "glibc, freed from 1 MiB on", {"MALLOC_ARENA_MAX": "0", "MALLOC_TRIM_THRESHOLD_": str(1 << 20), "MALLOC_MMAP_THRESHOLD_": str(1 << 20)}
+    for name in ("jemalloc", "mimalloc"):
+        for path in sorted(glob.glob(f"/usr/lib/*/lib{name}.so.?*"))[:1]:
+            yield name, {"LD_PRELOAD": path}
+
+
+def seconds(pid):
+    fields = open(f"/proc/{pid}/stat").read().rsplit(")", 1)[1].split()
+    return (int(fields[11]) + int(fields[12])) / 100
+
+
+def fetch(server, path, times):
+    connection = server.connect()
+    for _ in range(times):
+        connection.request("GET", path)
+        answer = connection.getresponse()
+        answer.read()
+        check(answer.status == 200, f"{path}: {answer.status}")
+    connection.close()
+
+
+def together(server, paths, times):
+    threads = [threading.Thread(target=fetch, args=(server, path, times)) for path in paths]
+    for t in threads:
+        t.start()
+    for t in threads:
+        t.join()
+
+
+def main():
+    args = argparse.ArgumentParser(description=__doc__)
+    args.add_argument("--full", action="store_true")
+    rounds = 9 if args.parse_args().full else 3
+    running = {}
+    for name, env in kinds():
+        # a cache of one scene: every view of another photo decodes it anew
+        server = Server("--scene-cache", "1", "--rest", str(REST), env=env)
+        time.sleep(1)
+        idle, photos = server.resident_mib(), []
+        for seed in range(4):
+            status, answer = server.upload(smooth(2, seed=seed))
+            check(status in (201, 202) and server.wait(answer["id"])["state"] == "done", f"{name}: {status}")
+            photos.append(f"/v1/photos/{answer['id']}")
+        running[name] = server, photos, idle, ([], [], [])
+    # in turns, so that all meet the same neighbours
+    for r in range(rounds):
+        for server, photos, _, times in running.values():
+            works = (
+                lambda: [fetch(server, f"{photos[n % 4]}/view?w=640&h={400 + 12 * r + n}", 1) for n in range(12)],
+                lambda: fetch(server, f"{photos[0]}/atlas", 600),
+                lambda: together(server, [f"{photos[n % 4]}/atlas" for n in range(16)], 60),
+            )
+            for kept, work in zip(times, works):
+                before = seconds(server.process.pid)
+                work()
+                kept.append(1e3 * (seconds(server.process.pid) - before))
+    time.sleep(2.5 * REST)
+    table = Table("allocator", "12 views, ms", "600 containers, ms", "960 over 16 connections, ms", "resident idle / rested, MiB")
+    for name, (server, _, idle, times) in running.items():
+        table.row(name, *(f"{statistics.median(t):.0f}" for t in times), f"{idle:.0f} / {server.resident_mib():.0f}")
+    for server, *_ in running.values():
+        server.remove()
+    end()
+
+
+main()
