@@ -22,7 +22,8 @@ use super::hosts::SECURE;
 use super::id::PhotoId;
 use super::pages::RESOURCE_POLICY;
 use super::problem::Problem;
-use super::share::ASKER;
+use super::rates::Asker;
+use super::share::{ASKER, asker};
 
 /// Header of the id of a request.
 pub const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
@@ -85,8 +86,16 @@ async fn answer(app: &App, request: Request, next: Next) -> Response {
     let handled = async {
         match app.hosts.check(&request).and_then(|()| only_chunked(request.headers())) {
             Ok(()) => match (look_up(app, reads, path).await, &app.guard) {
-                (Ok(()), Some(guard)) => guard.around(&app.hosts, request, next).await,
-                (Ok(()), None) => next.run(request).await,
+                (Ok(()), Some(guard)) => guard.around(&app.hosts, &app.rates, request, next).await,
+                (Ok(()), None) => {
+                    let (told, taken) = app.rates.count(Asker::of(None, asker()), &request);
+                    let mut response = match taken {
+                        Ok(()) => next.run(request).await,
+                        Err(refused) => refused.into_response(),
+                    };
+                    told.put(&mut response);
+                    response
+                }
                 (Err(away), _) => away.into_response(),
             },
             Err(refused) => refused.into_response(),
@@ -167,7 +176,7 @@ async fn finish(response: Response, id: String) -> Response {
             let text = axum::body::to_bytes(body, 4096).await.unwrap_or_default();
             Problem::new(status, "request", String::from_utf8_lossy(&text))
         };
-        problem.request_id = Some(id);
+        problem.request_id = Some(id.into());
         let mut response = problem.into_response();
         for (name, value) in &parts.headers {
             if name != header::CONTENT_TYPE && name != header::CONTENT_LENGTH {
