@@ -114,7 +114,7 @@ pub(super) struct ServeArgs {
     /// Connections at a time from one address; a proxy is one
     #[arg(long, default_value_t = Limits::CONNECTIONS_PER_ADDRESS as u32, value_parser = clap::value_parser!(u32).range(1..), value_name = "N")]
     connections_per_address: u32,
-    /// Requests a minute for each key, and for each address without one; 0 for any number, which it is on loopback and with --host, else 6000
+    /// Requests a minute for each key, and for each address without one; 0 for any number, which it is on loopback and behind a proxy (--host without --tls-cert), else 6000
     #[arg(long, value_name = "N")]
     rate_requests: Option<u32>,
     /// Uploads a minute, the same way; else 60
@@ -254,7 +254,7 @@ impl ServeArgs {
 
     /// A rate as it is given; else `usual` where strangers come by themselves: all who come by a proxy have one address.
     fn rate(&self, given: Option<u32>, usual: u32) -> u32 {
-        let by_themselves = !self.addr.ip().is_loopback() && self.hosts.is_empty();
+        let by_themselves = !self.addr.ip().is_loopback() && (self.hosts.is_empty() || self.tls_cert.is_some());
         given.unwrap_or(if by_themselves { usual } else { 0 })
     }
 
@@ -460,6 +460,8 @@ mod tests {
         assert_eq!(of(&["--addr", "0.0.0.0:80"]), (Limits::RATE_REQUESTS, Limits::RATE_UPLOADS, Limits::RATE_VIEWS));
         assert_eq!(of(&["--addr", "0.0.0.0:80", "--rate-views", "0", "--rate-uploads", "7"]), (Limits::RATE_REQUESTS, 7, 0));
         assert_eq!(of(&["--rate-requests", "9"]), (9, 0, 0));
+        let direct = ["--addr", "0.0.0.0:443", "--host", "photos.example", "--tls-cert", "c", "--tls-key", "k"];
+        assert_eq!(of(&direct).0, Limits::RATE_REQUESTS, "no proxy is in between");
     }
 
     #[test]

@@ -74,8 +74,10 @@ describe('a large upload', () => {
   });
 
   test('waits while the server is busy, and gives up what it is refused', async () => {
-    const problem = (status, detail, headers = {}) => (route) =>
-      route.fulfill({ status, headers, contentType: 'application/problem+json', json: { status, detail, title: 'No' } });
+    const problem =
+      (status, detail, headers = {}) =>
+      (route) =>
+        route.fulfill({ status, headers, contentType: 'application/problem+json', json: { status, detail, title: 'No' } });
     const busy = problem(429, 'as many photos are waiting', { 'retry-after': '1' });
     const { page, context, of } = await send([busy, problem(422, 'the picture is damaged')], () => ({ offset: BYTES, complete: false }));
     await row(page, 'The server is busy; trying again in 1 s');
@@ -90,7 +92,10 @@ describe('a large upload', () => {
   test('that is cancelled is given up at the server, too', async () => {
     const { page, context, asked, of } = await send([() => {}]);
     while (!of('PATCH').length) await page.waitForTimeout(50);
-    await page.getByRole('button', { name: /^Cancel/ }).first().click();
+    await page
+      .getByRole('button', { name: /^Cancel/ })
+      .first()
+      .click();
     await page.locator('#uploads').waitFor({ state: 'hidden' });
     while (!of('DELETE').length) await page.waitForTimeout(50);
     assert.deepEqual(
