@@ -87,7 +87,7 @@ impl Buckets {
             all.insert(asker.clone(), now + after);
         }
         let left = (WINDOW.saturating_sub(after).as_nanos() / each.as_nanos().max(1)) as u32;
-        let wait = (!fits).then(|| seconds_up(missing + each - WINDOW));
+        let wait = (!fits).then(|| seconds_up((missing + each).saturating_sub(WINDOW)));
         Standing { name: self.name, most: self.most, left: left.min(self.most), reset: seconds_up(after), wait }
     }
 }

@@ -44,7 +44,7 @@ pub fn ends_ms(limits: &Limits, at_ms: u64) -> Option<u64> {
 
 /// A photo as a sweep sees it.
 #[derive(Clone, Copy, Debug)]
-struct Seen {
+struct Candidate {
     id: PhotoId,
     at_ms: u64,
     seen_ms: u64,
@@ -53,7 +53,7 @@ struct Seen {
     rests: bool,
 }
 
-impl Seen {
+impl Candidate {
     fn of(entry: &Entry) -> Self {
         let rests = entry.status().is_final();
         Self { id: entry.id, at_ms: entry.accepted.at_ms, seen_ms: entry.seen_ms(), bytes: entry.bytes(), rests }
@@ -61,7 +61,7 @@ impl Seen {
 }
 
 /// Which photos are to go, and why.
-fn overdue(mut all: Vec<Seen>, limits: &Limits, now_ms: u64) -> Vec<(PhotoId, Reason)> {
+fn overdue(mut all: Vec<Candidate>, limits: &Limits, now_ms: u64) -> Vec<(PhotoId, Reason)> {
     let mut going = Vec::new();
     all.retain(|photo| {
         let over = photo.rests && ends_ms(limits, photo.at_ms).is_some_and(|end| end <= now_ms);
@@ -106,7 +106,7 @@ async fn once(app: &App) -> Result<(), Problem> {
         if let Some(cluster) = &jobs.cluster {
             cluster.list(jobs).map_err(|e| Problem::store(&e))?;
         }
-        Ok::<_, Problem>(jobs.all().iter().map(|entry| Seen::of(entry)).collect::<Vec<_>>())
+        Ok::<_, Problem>(jobs.all().iter().map(|entry| Candidate::of(entry)).collect::<Vec<_>>())
     });
     let all = looked.await??;
     let bytes: BTreeMap<PhotoId, u64> = all.iter().map(|photo| (photo.id, photo.bytes)).collect();
@@ -129,7 +129,7 @@ async fn once(app: &App) -> Result<(), Problem> {
 }
 
 /// Keeps when photos were looked at, where that counts.
-async fn keep(app: &App, all: &[Seen]) -> Result<(), Problem> {
+async fn keep(app: &App, all: &[Candidate]) -> Result<(), Problem> {
     if app.limits.retain_bytes.is_none() {
         return Ok(());
     }
@@ -174,8 +174,8 @@ mod tests {
 
     const DAY_MS: u64 = 86_400_000;
 
-    fn photo(n: u8, at_ms: u64, seen_ms: u64, bytes: u64) -> Seen {
-        Seen { id: PhotoId::from_bytes([n; 16]), at_ms, seen_ms, bytes, rests: true }
+    fn photo(n: u8, at_ms: u64, seen_ms: u64, bytes: u64) -> Candidate {
+        Candidate { id: PhotoId::from_bytes([n; 16]), at_ms, seen_ms, bytes, rests: true }
     }
 
     fn names(going: &[(PhotoId, Reason)]) -> Vec<(String, Reason)> {
@@ -186,7 +186,7 @@ mod tests {
     fn the_old_go_and_then_those_that_nobody_looks_at() {
         let limits = Limits { retain: Some(Duration::from_hours(48)), retain_bytes: Some(100), ..Limits::default() };
         let now = 10 * DAY_MS;
-        let working = Seen { rests: false, ..photo(5, 0, 0, 10) };
+        let working = Candidate { rests: false, ..photo(5, 0, 0, 10) };
         let all = vec![
             photo(1, 7 * DAY_MS, now, 500),
             photo(2, 9 * DAY_MS, 5, 60),
@@ -206,7 +206,7 @@ mod tests {
             photos in prop::collection::vec((0..9_u64, 0..50_u64, any::<bool>()), 0..20),
             room in 0..300_u64,
         ) {
-            let all: Vec<_> = (0_u8..).zip(&photos).map(|(n, (seen, bytes, rests))| Seen { rests: *rests, ..photo(n, 0, *seen, *bytes) }).collect();
+            let all: Vec<_> = (0_u8..).zip(&photos).map(|(n, (seen, bytes, rests))| Candidate { rests: *rests, ..photo(n, 0, *seen, *bytes) }).collect();
             let limits = Limits { retain_bytes: Some(room), ..Limits::default() };
             let going: Vec<PhotoId> = overdue(all.clone(), &limits, DAY_MS).into_iter().map(|(id, _)| id).collect();
             let taken = |without: &[PhotoId]| all.iter().filter(|p| !without.contains(&p.id)).map(|p| p.bytes).sum::<u64>();

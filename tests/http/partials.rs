@@ -95,17 +95,25 @@ fn parts_make_the_photo_that_they_make_at_once() {
 
 #[test]
 fn what_came_of_a_part_that_was_interrupted_is_kept() {
-    let (_dir, server) = start(Limits::default());
-    let photo = jpeg(2);
+    let (dir, server) = start(Limits::default());
+    let photo = large();
     let at = begin(server.addr, "/v1/photos", photo.len(), &[]);
-    let half = photo.len() / 2;
-    // one connection is lost, the next hangs, and whoever asks ends it
-    drop(interrupted(server.addr, &at, 0, photo.len(), &photo[..half]));
-    wait_until("half of it is there", || offset(server.addr, &at) == half);
-    let mut stuck = interrupted(server.addr, &at, half, photo.len() - half, &photo[half..half + 100]);
-    wait_until("more of it is there", || offset(server.addr, &at) == half + 100);
+    let data = dir.path().join("uploads").join(at.rsplit('/').next().unwrap()).join("data");
+    // not by asking, which ends the part
+    let written = || std::fs::metadata(&data).unwrap().len() as usize;
+    let part = 1 << 20;
+    let lost = interrupted(server.addr, &at, 0, photo.len(), &photo[..part]);
+    wait_until("some of it is written", || written() > part / 2);
+    drop(lost);
+    let first = offset(server.addr, &at);
+    assert!((part / 2..=part).contains(&first), "{first}");
+    // one that hangs is ended by whoever asks
+    let mut stuck = interrupted(server.addr, &at, first, photo.len() - first, &photo[first..first + part]);
+    wait_until("more of it is written", || written() > first + part / 2);
+    let second = offset(server.addr, &at);
+    assert!((first + part / 2..=first + part).contains(&second), "{second}");
     assert_eq!(stuck.receive("PATCH").unwrap().problem(409)["type"], "urn:tmpi:problem:upload-superseded");
-    let made = id(&append(server.addr, &at, (half + 100, true), &photo[half + 100..]));
+    let made = id(&append(server.addr, &at, (second, true), &photo[second..]));
     assert_eq!(server.upload(&photo), made);
 }
 
@@ -208,7 +216,8 @@ fn uploads_have_places_and_a_time() {
     request(server.addr, "DELETE", &first, &[], &[]).problem(404);
     let third = begin(server.addr, "/v1/photos", 10, &[]);
     assert_eq!(append(server.addr, &third, (0, false), b"some").status, 204);
-    assert!(get(server.addr, "/metrics").body.windows(24).any(|text| text == b"\ntmpi_partial_uploads 2.0"));
+    let metrics = String::from_utf8(get(server.addr, "/metrics").body).unwrap();
+    assert!(metrics.contains("\ntmpi_partial_uploads 2.0\n"), "{metrics}");
     wait_until("their time is over", || uploads(&dir) == 0);
     request(server.addr, "HEAD", &third, &[], &[]);
     assert_eq!(request(server.addr, "GET", &third, &[], &[]).status, 404);
@@ -224,21 +233,18 @@ fn a_part_for_which_there_is_no_place_is_sent_again_later() {
     let server = Running::start(dir.path(), Limits { queue: 1, uploads_beyond: 0, ..Limits::default() }, gate.clone());
     let photo = jpeg(7);
     let at = begin(server.addr, "/v1/photos", photo.len(), &[]);
+    assert_eq!(append(server.addr, &at, (0, false), &photo[..9]).status, 204);
     let running = server.upload(&jpeg(1));
     gate.wait_started(1);
-    let mut late = interrupted(server.addr, &at, 0, photo.len(), &photo[..9]);
-    wait_until("it is taken in", || std::fs::metadata(dir.path().join("uploads").join(&at["/v1/uploads/".len()..])).is_ok());
-    drop(late);
     let waiting = server.upload(&jpeg(2));
-    let there = offset(server.addr, &at);
-    let refused = append(server.addr, &at, (there, true), &photo[there..]);
+    let refused = append(server.addr, &at, (9, true), &photo[9..]);
     assert!(refused.header("retry-after").is_some());
     assert_eq!(refused.problem(429)["type"], "urn:tmpi:problem:queue-full");
     gate.open(9);
     server.wait(&waiting, "done");
     server.wait(&running, "done");
-    late = interrupted(server.addr, &at, offset(server.addr, &at), photo.len() - there, &photo[there..]);
-    let made = id(&late.receive("PATCH").unwrap());
+    assert_eq!(offset(server.addr, &at), 9, "what was there still is");
+    let made = id(&append(server.addr, &at, (9, true), &photo[9..]));
     server.wait(&made, "done");
 }
 

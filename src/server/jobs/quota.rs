@@ -1,5 +1,7 @@
 //! How much one owner may have.
 
+use std::collections::HashMap;
+
 use axum::http::StatusCode;
 
 use super::Jobs;
@@ -21,7 +23,7 @@ impl Jobs {
         let (photos, taken) = {
             let inner = self.lock();
             let theirs = inner.by_owner.get(owner);
-            (theirs.map_or(0, |all| all.len()), theirs.map_or(0, |all| all.values().map(|entry| entry.bytes()).sum::<u64>()))
+            (theirs.map_or(0, HashMap::len), theirs.map_or(0, |all| all.values().map(|entry| entry.bytes()).sum::<u64>()))
         };
         let refused = |detail: String| Err(Problem::new(StatusCode::FORBIDDEN, "quota", detail));
         match (limits.quota_photos, limits.quota_bytes) {

@@ -78,7 +78,7 @@ pub struct Partial {
 pub struct Turn {
     of: Arc<Partial>,
     ended: CancellationToken,
-    _turn: OwnedMutexGuard<()>,
+    _alone: OwnedMutexGuard<()>,
 }
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
@@ -112,7 +112,7 @@ impl Partial {
         let ended = CancellationToken::new();
         std::mem::replace(&mut *lock(&self.ends), ended.clone()).cancel();
         match tokio::time::timeout(TURN, Arc::clone(&self.turn).lock_owned()).await {
-            Ok(turn) => Ok(Turn { of: Arc::clone(self), ended, _turn: turn }),
+            Ok(turn) => Ok(Turn { of: Arc::clone(self), ended, _alone: turn }),
             Err(_) => Err(Problem::new(StatusCode::LOCKED, "upload-locked", "another request is at this upload").retry_after(1)),
         }
     }
@@ -343,7 +343,7 @@ pub async fn expire(app: App) {
             if partial.is_over(time, now_ms()) {
                 let bytes = partial.record().extent.offset;
                 tracing::info!(bytes, "an upload in parts of which nothing came is removed");
-                let turn = Turn { of: Arc::clone(&partial), ended: CancellationToken::new(), _turn: turn };
+                let turn = Turn { of: Arc::clone(&partial), ended: CancellationToken::new(), _alone: turn };
                 turn.cancel(&app).await;
             }
         }
