@@ -121,6 +121,7 @@ fn rate(runtime: &tokio::runtime::Runtime, workers: usize, product: &Product) ->
         let sharing = Sharing { store: store.clone(), role, nats };
         let config = Config {
             addr: ([127, 0, 0, 1], 0).into(),
+            admin: None,
             data: folder.path().join(name),
             pages: None,
             hosts: Vec::new(),

@@ -24,12 +24,15 @@ use super::jobs::{Jobs, Page};
 pub use super::kept::{Derived, Export, Full, Stored, Version};
 use super::limits::Limits;
 use super::network::Download;
+use super::partial::Partials;
 use super::pool::{Class, Pool, Slot};
 use super::problem::Problem;
+use super::rates::Rates;
 use super::share::Places;
 use super::source::Source;
 use super::store::{Done, Part, damage_of, lost};
 use super::telemetry::Telemetry;
+use super::time::now_ms;
 use super::upload::Coming;
 use crate::live::Rooms;
 use tmpi_core::container::{self, RegionPhoto, Tiles};
@@ -70,6 +73,10 @@ pub struct Shared {
     pub pool: Pool,
     /// Uploads that come in.
     pub uploads: Coming,
+    /// Uploads in parts.
+    pub partials: Partials,
+    /// How often somebody may ask.
+    pub rates: Rates,
     /// Leave to change what is on disk.
     pub changes: Arc<Semaphore>,
     /// Places for event streams.
@@ -105,7 +112,7 @@ pub struct Shared {
 impl Shared {
     /// Of a server that listens at `addr`.
     #[must_use]
-    pub fn new(config: Config, addr: SocketAddr, jobs: Arc<Jobs>, renderer: Arc<dyn Renderer>, openapi: Bytes) -> Self {
+    pub fn new(config: Config, addr: SocketAddr, jobs: Arc<Jobs>, partials: Partials, renderer: Arc<dyn Renderer>, openapi: Bytes) -> Self {
         let Config { addr: _, admin, data: _, pages, hosts, public_list, private: _, keys: _, limits: _ } = config;
         let (limits, telemetry) = (Arc::clone(&jobs.limits), Arc::clone(&jobs.telemetry));
         Self {
@@ -118,6 +125,8 @@ impl Shared {
             exports: Cache::new(limits.export_cache),
             pool: Pool::new(&limits),
             uploads: Coming::new(&limits),
+            partials,
+            rates: Rates::new(&limits),
             changes: Arc::new(Semaphore::new(limits.changes)),
             streams: Places::new(limits.streams),
             storage: Mutex::new(None),
@@ -174,7 +183,9 @@ impl Shared {
         if allowed.is_none() && known.is_some() && self.jobs.cluster.as_ref().is_some_and(|cluster| cluster.is_away()) {
             return Err(Problem::away());
         }
-        allowed.ok_or_else(|| Problem::not_found(format!("there is no photo {id:?}")))
+        let photo = allowed.ok_or_else(|| Problem::not_found(format!("there is no photo {id:?}")))?;
+        photo.look(now_ms());
+        Ok(photo)
     }
 
     /// Photos behind `after`, newest first, that whoever asks may list; at most `limit`.

@@ -1,6 +1,6 @@
 //! One photo that the server knows, and how it fares.
 
-use std::sync::atomic::{AtomicBool, AtomicU32, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
 use tokio::sync::watch;
@@ -91,6 +91,7 @@ pub struct Entry {
     deleted: AtomicBool,
     gate: Mutex<()>,
     settings: Mutex<Settings>,
+    seen_ms: AtomicU64,
 }
 
 impl Entry {
@@ -108,6 +109,7 @@ impl Entry {
             Some(End::Done(done)) => Status::Done(done),
             Some(End::Failed(failed)) => Status::Failed(failed),
         };
+        let seen_ms = AtomicU64::new(found.accepted.at_ms);
         Self {
             id: found.id,
             accepted: found.accepted,
@@ -117,6 +119,7 @@ impl Entry {
             deleted: AtomicBool::new(false),
             gate: Mutex::new(()),
             settings: Mutex::new(found.settings),
+            seen_ms,
         }
     }
 
@@ -124,6 +127,24 @@ impl Entry {
     #[must_use]
     pub fn key(&self) -> (u64, PhotoId) {
         (self.accepted.at_ms, self.id)
+    }
+
+    /// Somebody looks at it, at so many milliseconds since 1970.
+    pub fn look(&self, at_ms: u64) {
+        self.seen_ms.fetch_max(at_ms, Ordering::Relaxed);
+    }
+
+    /// When somebody looked at it last, or uploaded it, milliseconds since 1970.
+    #[must_use]
+    pub fn seen_ms(&self) -> u64 {
+        self.seen_ms.load(Ordering::Relaxed)
+    }
+
+    /// Bytes that it takes: what was uploaded, and the container.
+    #[must_use]
+    pub fn bytes(&self) -> u64 {
+        let made = if let Status::Done(done) = &self.live.borrow().status { done.atlas_bytes } else { 0 };
+        self.accepted.bytes() + made
     }
 
     /// How it fares now.

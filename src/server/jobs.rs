@@ -4,6 +4,7 @@
 //! upload, its twin and a deletion come one after the other; readers only take the short lock on `inner`.
 
 mod queue;
+mod quota;
 mod shared;
 
 use std::collections::{BTreeMap, HashMap, VecDeque};
@@ -13,6 +14,7 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 
 use axum::http::StatusCode;
 
+use super::access::Owner;
 use super::cluster::{self, Cluster};
 use super::entry::{Entry, Status, Tally};
 use super::id::PhotoId;
@@ -53,6 +55,7 @@ pub struct Jobs {
 struct Inner {
     by_id: HashMap<PhotoId, Arc<Entry>>,
     by_age: BTreeMap<(u64, PhotoId), Arc<Entry>>,
+    by_owner: HashMap<Owner, HashMap<PhotoId, Arc<Entry>>>,
     queue: VecDeque<Arc<Entry>>,
     running: Vec<Arc<Entry>>,
     tally: Arc<Tally>,
@@ -204,6 +207,7 @@ impl Jobs {
             drop(gate);
             (entry, false)
         } else {
+            self.quota(accepted.owner.as_ref(), accepted.bytes())?;
             let kept = if settings == Settings::default() { Ok(()) } else { incoming.write_settings(&settings) };
             kept.and_then(|()| self.store.accept(incoming, id, &accepted)).map_err(|e| Problem::store(&e))?;
             (Arc::new(Entry::new(id, accepted, settings)), true)
@@ -283,8 +287,7 @@ impl Jobs {
         entry.mark_deleted();
         drop(gate);
         let mut inner = self.lock();
-        inner.by_id.remove(&id);
-        inner.by_age.remove(&entry.key());
+        inner.remove(&entry);
         inner.queue.retain(|e| e.id != id);
         drop(inner);
         entry.set(Status::Deleted);
@@ -362,5 +365,20 @@ impl Inner {
         entry.count_in(&self.tally);
         self.by_id.insert(entry.id, Arc::clone(entry));
         self.by_age.insert(entry.key(), Arc::clone(entry));
+        if let Some(owner) = &entry.accepted.owner {
+            self.by_owner.entry(owner.clone()).or_default().insert(entry.id, Arc::clone(entry));
+        }
+    }
+
+    fn remove(&mut self, entry: &Entry) {
+        self.by_id.remove(&entry.id);
+        self.by_age.remove(&entry.key());
+        let Some(owner) = &entry.accepted.owner else { return };
+        if let Some(theirs) = self.by_owner.get_mut(owner) {
+            theirs.remove(&entry.id);
+            if theirs.is_empty() {
+                self.by_owner.remove(owner);
+            }
+        }
     }
 }

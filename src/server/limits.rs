@@ -25,6 +25,26 @@ pub struct Limits {
     pub changes: usize,
     /// Uploads that may come in beyond the places that are free in the queue: they may be of photos that are known.
     pub uploads_beyond: usize,
+    /// Uploads in parts that are kept at a time, half of them of one address; none where there are to be none.
+    pub partials: usize,
+    /// Time for which one is kept of which no part comes.
+    pub partial_time: Duration,
+    /// Requests a minute for each key, and each address without one; 0 for any number.
+    pub rate_requests: u32,
+    /// Uploads, and photos made again, the same way.
+    pub rate_uploads: u32,
+    /// Views, films and files to download, the same way.
+    pub rate_views: u32,
+    /// Photos of one owner; any number where there is none.
+    pub quota_photos: Option<usize>,
+    /// Bytes of one owner's photos, uploaded and made; any number where there is none.
+    pub quota_bytes: Option<u64>,
+    /// Age at which photos go; never where there is none.
+    pub retain: Option<Duration>,
+    /// Bytes of all photos beyond which those go that were looked at least recently; any number where there is none.
+    pub retain_bytes: Option<u64>,
+    /// Time between two looks at what is to go.
+    pub retain_sweep: Duration,
     /// Longest time that a client may take no byte of a response.
     pub write: Duration,
     /// Bytes a second that a client takes at least of a response, over [`Limits::write`] of waiting for it.
@@ -110,6 +130,18 @@ impl Limits {
     pub const CHANGES: usize = 8;
     /// 4 uploads.
     pub const UPLOADS_BEYOND: usize = 4;
+    /// 64 uploads.
+    pub const PARTIALS: usize = 64;
+    /// A day.
+    pub const PARTIAL_TIME: Duration = Duration::from_hours(24);
+    /// 6 000 requests a minute, for a server that strangers reach without a proxy.
+    pub const RATE_REQUESTS: u32 = 6000;
+    /// 60 uploads a minute, for such a server.
+    pub const RATE_UPLOADS: u32 = 60;
+    /// 600 views a minute, for such a server.
+    pub const RATE_VIEWS: u32 = 600;
+    /// An hour.
+    pub const RETAIN_SWEEP: Duration = Duration::from_hours(1);
     /// 512 connections.
     pub const CONNECTIONS_PER_ADDRESS: usize = 512;
     /// 512 streams.
@@ -223,6 +255,16 @@ impl Default for Limits {
             body_rate: Self::BODY_RATE,
             changes: Self::CHANGES,
             uploads_beyond: Self::UPLOADS_BEYOND,
+            partials: Self::PARTIALS,
+            partial_time: Self::PARTIAL_TIME,
+            rate_requests: 0,
+            rate_uploads: 0,
+            rate_views: 0,
+            quota_photos: None,
+            quota_bytes: None,
+            retain: None,
+            retain_bytes: None,
+            retain_sweep: Self::RETAIN_SWEEP,
             write: Self::WRITE,
             write_rate: Self::WRITE_RATE,
             lame_duck: Duration::ZERO,

@@ -23,7 +23,8 @@ use super::hosts::{Hosts, SECURE};
 use super::id::PhotoId;
 use super::pages::RESOURCE_POLICY;
 use super::problem::Problem;
-use super::share::ASKER;
+use super::rates::{Asker, Rates};
+use super::share::{ASKER, asker};
 
 /// Header of the id of a request.
 pub const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
@@ -33,16 +34,27 @@ const MAX_ID: usize = 64;
 
 /// Wraps a request.
 pub async fn around(State(app): State<App>, request: Request, next: Next) -> Response {
-    wrap(&app, (&app.hosts, app.guard.as_ref()), request, next).await
+    wrap(&app, Door { hosts: &app.hosts, guard: app.guard.as_ref(), rates: Some(&app.rates) }, request, next).await
 }
 
 /// Wraps a request of an operator, who is not asked who it is.
 pub async fn around_admin(State((app, hosts)): State<(App, Arc<Hosts>)>, request: Request, next: Next) -> Response {
-    wrap(&app, (&hosts, None), request, next).await
+    wrap(&app, Door { hosts: &hosts, guard: None, rates: None }, request, next).await
 }
 
-/// Wraps a request by one of the names of `hosts`, of somebody whom `guard` lets in.
-async fn wrap(app: &App, door: (&Hosts, Option<&Guard>), request: Request, next: Next) -> Response {
+/// Where a request came in.
+#[derive(Clone, Copy)]
+struct Door<'a> {
+    /// Names that count there.
+    hosts: &'a Hosts,
+    /// Asks who comes.
+    guard: Option<&'a Guard>,
+    /// Counts how often they do.
+    rates: Option<&'a Rates>,
+}
+
+/// Wraps a request.
+async fn wrap(app: &App, door: Door<'_>, request: Request, next: Next) -> Response {
     let start = Instant::now();
     let _in_flight = app.telemetry.in_flight();
     let id = request_id(request.headers());
@@ -75,7 +87,7 @@ async fn wrap(app: &App, door: (&Hosts, Option<&Guard>), request: Request, next:
 }
 
 /// The handler's answer, or that its time is over, or that it panicked.
-async fn answer(app: &App, (hosts, guard): (&Hosts, Option<&Guard>), request: Request, next: Next) -> Response {
+async fn answer(app: &App, door: Door<'_>, request: Request, next: Next) -> Response {
     let limits = Arc::clone(&app.limits);
     let clock = Clock::new(limits.request);
     let awaited = request.headers().contains_key(header::EXPECT);
@@ -94,11 +106,20 @@ async fn answer(app: &App, (hosts, guard): (&Hosts, Option<&Guard>), request: Re
     let closes = request.version() < Version::HTTP_2;
     let (reads, path) = (matches!(*request.method(), Method::GET | Method::HEAD), path_to_look_up(app, &request));
     let handled = async {
-        match hosts.check(&request).and_then(|()| only_chunked(request.headers())) {
-            Ok(()) => match (look_up(app, reads, path).await, guard) {
-                (Ok(()), Some(guard)) => guard.around(hosts, request, next).await,
-                (Ok(()), None) => next.run(request).await,
-                (Err(away), _) => away.into_response(),
+        match door.hosts.check(&request).and_then(|()| only_chunked(request.headers())) {
+            Ok(()) => match (look_up(app, reads, path).await, door.guard, door.rates) {
+                (Ok(()), Some(guard), Some(rates)) => guard.around(door.hosts, rates, request, next).await,
+                (Ok(()), _, Some(rates)) => {
+                    let (told, taken) = rates.count(Asker::of(None, asker()), &request);
+                    let mut response = match taken {
+                        Ok(()) => next.run(request).await,
+                        Err(refused) => refused.into_response(),
+                    };
+                    told.put(&mut response);
+                    response
+                }
+                (Ok(()), _, None) => next.run(request).await,
+                (Err(away), ..) => away.into_response(),
             },
             Err(refused) => refused.into_response(),
         }
@@ -178,7 +199,7 @@ async fn finish(response: Response, id: String) -> Response {
             let text = axum::body::to_bytes(body, 4096).await.unwrap_or_default();
             Problem::new(status, "request", String::from_utf8_lossy(&text))
         };
-        problem.request_id = Some(id);
+        problem.request_id = Some(id.into());
         let mut response = problem.into_response();
         for (name, value) in &parts.headers {
             if name != header::CONTENT_TYPE && name != header::CONTENT_LENGTH {

@@ -34,10 +34,13 @@ mod network;
 mod options;
 mod pages;
 mod part;
+mod partial;
 mod pool;
 mod problem;
+mod rates;
 mod records;
 mod rest;
+mod retain;
 mod routes;
 mod settings;
 mod share;
@@ -79,6 +82,7 @@ use access::{Guard, Secret};
 use app::{App, Shared};
 use cluster::Cluster;
 use jobs::Jobs;
+use partial::Partials;
 use store::Store;
 
 use tmpi_render::Renderer;
@@ -206,7 +210,9 @@ impl Server {
             let guard = keys.zip(secret).map(|(keys, secret)| guard(&keys, secret)).transpose()?;
             (Jobs::start(store, found, maker, limits, Arc::default()).map_err(ServerError::Worker)?, guard)
         };
-        let app = Arc::new(Shared { guard, ..Shared::new(config, addr, jobs, renderer, openapi) });
+        let dir = config.data.clone();
+        let partials = Partials::open(&jobs.store, &jobs.limits).map_err(|source| ServerError::Data { dir, source })?;
+        let app = Arc::new(Shared { guard, ..Shared::new(config, addr, jobs, partials, renderer, openapi) });
         Ok(Self { listener, addr, app, rooms: None, role, tls: None, admin })
     }
 
@@ -267,6 +273,8 @@ impl Server {
         let probe = tokio::spawn(probe(Arc::clone(&app)));
         let look_over = tokio::spawn(look_over(Arc::clone(&app)));
         let rest = tokio::spawn(rest::rest(Arc::clone(&app)));
+        let expire = tokio::spawn(partial::expire(Arc::clone(&app)));
+        let sweep = tokio::spawn(retain::sweep(Arc::clone(&app)));
         // who only makes photos has none
         let rooms = rooms.filter(|_| role != Role::Work);
         if let Some(rooms) = &rooms {
@@ -301,6 +309,8 @@ impl Server {
         probe.abort();
         look_over.abort();
         rest.abort();
+        expire.abort();
+        sweep.abort();
         if let Err(error) = signal.await {
             tracing::error!(%error, "draining jobs");
         }
@@ -449,7 +459,8 @@ mod tests {
             limits,
         };
         let renderer = tmpi_render::select(tmpi_render::Backend::Cpu).unwrap();
-        let app = Arc::new(Shared::new(config, addr, jobs, renderer, bytes::Bytes::new()));
+        let partials = Partials::open(&jobs.store, &jobs.limits).unwrap();
+        let app = Arc::new(Shared::new(config, addr, jobs, partials, renderer, bytes::Bytes::new()));
         let key = ((PhotoId::of(&[1; 32], None, "", ""), 1), String::new());
         let put = async || app.exports.get(key.clone(), async { Ok::<_, Problem>(Export(Stored::new(vec![7; 99]))) }).await.unwrap();
         put().await;

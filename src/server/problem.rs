@@ -49,10 +49,25 @@ pub struct Problem {
     pub field: Option<String>,
     /// Id of the request, as in the response header `x-request-id` and in the server's log.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub request_id: Option<String>,
+    #[schema(value_type = Option<String>)]
+    pub request_id: Option<Box<str>>,
     /// Seconds after which another try may succeed; as in the header `Retry-After`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub retry_after: Option<u64>,
+    /// Where the part of an upload should have begun, and did.
+    #[serde(default, flatten, skip_serializing_if = "Option::is_none")]
+    #[schema(ignore)]
+    pub offsets: Option<Box<Offsets>>,
+}
+
+/// Where a part of an upload should have begun, and did.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub struct Offsets {
+    /// Bytes that are there.
+    pub expected_offset: u64,
+    /// What the request said.
+    pub provided_offset: u64,
 }
 
 impl Problem {
@@ -66,7 +81,20 @@ impl Problem {
             field: None,
             request_id: None,
             retry_after: None,
+            offsets: None,
         }
+    }
+
+    /// A problem of a kind that IANA keeps a list of, <https://www.iana.org/assignments/http-problem-types>.
+    pub fn registered(status: StatusCode, kind: &str, detail: impl Into<String>) -> Self {
+        Self { kind: format!("https://iana.org/assignments/http-problem-types#{kind}").into(), ..Self::new(status, "", detail) }
+    }
+
+    /// Says where the part of an upload should have begun.
+    #[must_use]
+    pub fn offsets(mut self, expected_offset: u64, provided_offset: u64) -> Self {
+        self.offsets = Some(Box::new(Offsets { expected_offset, provided_offset }));
+        self
     }
 
     /// Names the field at fault.

@@ -36,6 +36,14 @@ pub struct Accepted {
     pub owner: Option<Owner>,
 }
 
+impl Accepted {
+    /// Bytes of what was uploaded.
+    #[must_use]
+    pub fn bytes(&self) -> u64 {
+        self.photo_bytes + self.depth_bytes.unwrap_or_default()
+    }
+}
+
 /// What became of an accepted upload.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct State {

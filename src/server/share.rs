@@ -78,7 +78,8 @@ impl Drop for Share {
 }
 
 /// The address that stands for all of one customer: one has a whole network of 64 bits of IPv6.
-fn customer(address: IpAddr) -> IpAddr {
+#[must_use]
+pub fn customer(address: IpAddr) -> IpAddr {
     match address.to_canonical() {
         IpAddr::V6(v6) => Ipv6Addr::from(u128::from(v6) >> 64 << 64).into(),
         v4 @ IpAddr::V4(_) => v4,

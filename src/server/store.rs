@@ -3,6 +3,8 @@
 //! ```text
 //! DIR/lock                     held by the one process that works in DIR
 //! DIR/incoming/N/              an upload on its way in, or a photo on its way out; emptied at start
+//! DIR/looked.json              when photos were looked at, see retain.rs
+//! DIR/uploads/ID/              an upload in parts, see partial/kept.rs
 //! DIR/photos/ID/upload         the photo as uploaded
 //!               depth          the user's depth map, if any
 //!               options.json   what was accepted: Accepted
@@ -36,6 +38,8 @@ pub use damage::{damage_of, digest, lost};
 /// Room that is kept free for what must be written of photos accepted already, and its share of a small disk.
 const RESERVE: u64 = 64 << 20;
 const RESERVE_SHARE: u64 = 20;
+/// File of when photos were looked at.
+const LOOKED: &str = "looked.json";
 const PAUSE: Duration = Duration::from_millis(20);
 
 /// The data directory.
@@ -146,8 +150,34 @@ impl Store {
         })
     }
 
+    /// Where uploads in parts are kept, and what does so.
+    #[must_use]
+    pub fn uploads(&self) -> (Arc<dyn Files>, PathBuf) {
+        (Arc::clone(&self.files), self.photos.with_file_name("uploads"))
+    }
+
+    /// When photos were looked at, as it was kept.
+    ///
+    /// # Errors
+    /// It cannot be read, or was not kept.
+    pub fn read_looked(&self) -> io::Result<Vec<u8>> {
+        self.files.read(&self.photos.with_file_name(LOOKED))
+    }
+
+    /// Keeps when photos were looked at.
+    ///
+    /// # Errors
+    /// The data directory cannot be written.
+    pub fn write_looked(&self, text: &[u8]) -> io::Result<()> {
+        let (file, fresh) = (self.photos.with_file_name(LOOKED), self.photos.with_file_name(format!("{LOOKED}{TEMPORARY}")));
+        self.files.write(&fresh, text).and_then(|()| self.files.rename(&fresh, &file))
+    }
+
     /// Refuses where no more than the reserve is left.
-    fn room(&self) -> io::Result<()> {
+    ///
+    /// # Errors
+    /// That.
+    pub fn room(&self) -> io::Result<()> {
         match self.files.room(&self.photos) {
             Some((free, all)) if free < RESERVE.min(all / RESERVE_SHARE) => Err(io::ErrorKind::StorageFull.into()),
             _ => Ok(()),

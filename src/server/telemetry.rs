@@ -34,6 +34,11 @@ struct Outcome {
 }
 
 #[derive(Clone, Debug, Hash, PartialEq, Eq, EncodeLabelSet)]
+struct Reason {
+    reason: &'static str,
+}
+
+#[derive(Clone, Debug, Hash, PartialEq, Eq, EncodeLabelSet)]
 struct Phase {
     phase: &'static str,
 }
@@ -54,6 +59,8 @@ pub struct Telemetry {
     job_durations: Histogram,
     view_phases: Durations<Phase>,
     uploaded: Counter,
+    retired: Family<Reason, Counter>,
+    freed: Counter,
     connections: Gauge,
     in_flight: Gauge,
 }
@@ -69,6 +76,8 @@ impl Default for Telemetry {
             job_durations: histogram(),
             view_phases: Family::new_with_constructor(histogram),
             uploaded: Counter::default(),
+            retired: Family::default(),
+            freed: Counter::default(),
             connections: Gauge::default(),
             in_flight: Gauge::default(),
             registry: Registry::default(),
@@ -79,6 +88,8 @@ impl Default for Telemetry {
         registry.register("tmpi_job_seconds", "Duration of jobs", t.job_durations.clone());
         registry.register("tmpi_view_seconds", "Duration of the phases of drawing a view", t.view_phases.clone());
         registry.register("tmpi_uploaded_bytes", "Bytes of accepted uploads", t.uploaded.clone());
+        registry.register("tmpi_photos_retired", "Photos that went by themselves", t.retired.clone());
+        registry.register("tmpi_retired_bytes", "Bytes of photos that went by themselves", t.freed.clone());
         registry.register("tmpi_connections", "Open connections", t.connections.clone());
         registry.register("tmpi_requests_in_flight", "Requests under way", t.in_flight.clone());
         Self { registry, ..t }
@@ -122,6 +133,12 @@ impl Telemetry {
     /// Bytes of accepted uploads.
     pub fn uploaded(&self, bytes: u64) {
         self.uploaded.inc_by(bytes);
+    }
+
+    /// A photo went by itself for a `reason`.
+    pub fn retired(&self, reason: &'static str, bytes: u64) {
+        self.retired.get_or_create(&Reason { reason }).inc();
+        self.freed.inc_by(bytes);
     }
 
     /// A connection, as long as the result lives.

@@ -64,7 +64,7 @@ pub struct Coming {
 }
 
 /// Leave for an upload to come in.
-struct Ticket<'a> {
+pub struct Ticket<'a> {
     of: &'a Coming,
     _share: Share,
 }
@@ -99,7 +99,7 @@ impl<'a> Ticket<'a> {
     ///
     /// # Errors
     /// 429 where as many come in already as may, 503 while the server stops.
-    fn take(app: &'a App) -> Result<Self, Problem> {
+    pub fn take(app: &'a App) -> Result<Self, Problem> {
         if !app.jobs.is_accepting() {
             return Err(Problem::new(StatusCode::SERVICE_UNAVAILABLE, "stopping", "the server is stopping").retry_after(10));
         }
@@ -159,13 +159,45 @@ fn known(name: &str, kinds: &str) -> Result<(), Problem> {
 ///
 /// # Errors
 /// 400 that names a wrong field, 408, 413, 415, 429, 500, 507.
-pub async fn take(app: &App, query: Vec<(String, String)>, request: Request, owner: Option<Owner>) -> Result<Submitted, Problem> {
+pub async fn take(app: &App, query: &[(String, String)], request: Request, owner: Option<Owner>) -> Result<Submitted, Problem> {
+    // what is wrong is told first
+    let chosen = chosen(query)?;
+    let ticket = Ticket::take(app)?;
+    take_chosen(app, &ticket, chosen, request, owner).await
+}
+
+/// The same of an upload for which there is leave already.
+///
+/// # Errors
+/// As [`take`].
+pub async fn take_with(
+    app: &App,
+    ticket: &Ticket<'_>,
+    query: &[(String, String)],
+    request: Request,
+    owner: Option<Owner>,
+) -> Result<Submitted, Problem> {
+    take_chosen(app, ticket, chosen(query)?, request, owner).await
+}
+
+/// Looks whether a query is one of an upload.
+///
+/// # Errors
+/// 400 that names a wrong parameter.
+pub fn check(query: &[(String, String)]) -> Result<(), Problem> {
+    chosen(query).map(drop)
+}
+
+fn chosen(query: &[(String, String)]) -> Result<Chosen, Problem> {
     let mut chosen = Chosen::default();
     for (name, value) in query {
-        known(&name, "option; there are title, visibility")?;
-        chosen.set(&name, &value)?;
+        known(name, "option; there are title, visibility")?;
+        chosen.set(name, value)?;
     }
-    let _ticket = Ticket::take(app)?;
+    Ok(chosen)
+}
+
+async fn take_chosen(app: &App, _leave: &Ticket<'_>, chosen: Chosen, request: Request, owner: Option<Owner>) -> Result<Submitted, Problem> {
     let jobs = Arc::clone(&app.jobs);
     let incoming =
         tokio::task::spawn_blocking(move || jobs.store.begin()).await.map_err(|e| Problem::internal("beginning an upload", &e))?;

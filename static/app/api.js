@@ -29,7 +29,7 @@ import { formatBytes } from '../i18n/text.js';
  * @param {string} statusText
  * @param {string} body
  */
-function wordsOf(status, statusText, body) {
+export function wordsOf(status, statusText, body) {
   const text = problemText(status, statusText, body);
   const limit = /over the limit of (\d+) (bytes|pixels)/.exec(text);
   if (limit?.[2] === 'bytes') return t('The file is too large: at most {0} can be sent.', formatBytes(Number(limit[1])));
@@ -152,48 +152,4 @@ export async function makeAgain(id) {
  */
 export async function deletePhoto(id, options = {}) {
   await request(photoUrl(id), { method: 'DELETE', ...options });
-}
-
-/**
- * The error of a refused upload; `retryAfter` in seconds where the server is only busy.
- * @param {XMLHttpRequest} xhr
- */
-function refusal(xhr) {
-  const error = /** @type {Error & {retryAfter?: number}} */ (new Error(wordsOf(xhr.status, xhr.statusText, xhr.responseText)));
-  const seconds = Number(xhr.getResponseHeader('retry-after'));
-  if ((xhr.status === 429 || xhr.status === 503) && seconds > 0) error.retryAfter = Math.ceil(seconds);
-  return error;
-}
-
-/**
- * Uploads a file, with its depth map where there is one and options by name. `onProgress(fraction)` runs while bytes go out.
- * @param {File} file
- * @param {File | null} depth
- * @param {Record<string, number>} options
- * @param {(fraction: number) => void} onProgress
- * @returns {{done: Promise<Photo>, abort: () => void}} `done` gives the photo's JSON
- */
-export function uploadPhoto(file, depth, options, onProgress) {
-  const xhr = new XMLHttpRequest();
-  const done = new Promise((resolve, reject) => {
-    xhr.upload.onprogress = (event) => event.lengthComputable && onProgress(event.loaded / event.total);
-    xhr.onload = () => {
-      if (xhr.status < 200 || xhr.status > 299) return reject(refusal(xhr));
-      try {
-        resolve(JSON.parse(xhr.responseText));
-      } catch {
-        reject(new Error('The server gave an answer that is no JSON.'));
-      }
-    };
-    xhr.onerror = () => reject(new Error('The server cannot be reached.'));
-    xhr.onabort = () => reject(new DOMException('Cancelled.', 'AbortError'));
-  });
-  const form = new FormData();
-  for (const [name, value] of Object.entries(options)) form.append(name, String(value));
-  form.append('photo', file, file.name || 'photo');
-  if (depth) form.append('depth', depth, depth.name || 'depth');
-  xhr.open('POST', '/v1/photos');
-  xhr.setRequestHeader('Accept', 'application/json');
-  xhr.send(form);
-  return { done, abort: () => xhr.abort() };
 }

@@ -2,13 +2,14 @@
 
 import { t } from '../i18n/messages.js';
 import { queueText, stageText } from '../i18n/text.js';
-import { uploadPhoto } from './api.js';
 import { prepared } from './convert.js';
 import { $, element } from './dom.js';
 import { followPhoto } from './follow-photo.js';
+import { uploadPhoto } from './upload-photo.js';
 import { Row } from './upload-row.js';
 
 /** @import { Photo } from './api.js' */
+/** @import { Progress } from './parts.js' */
 
 /** Uploads under way at the same time. */
 const PARALLEL = 2;
@@ -146,9 +147,7 @@ async function send({ file, depth, options, row }) {
  */
 async function post(file, depth, options, row) {
   for (;;) {
-    const going = uploadPhoto(file, depth, options, (share) =>
-      row.show(share < 1 ? t('Sending, {0} %', Math.round(share * 100)) : t('Sent'), share * UPLOAD_SHARE),
-    );
+    const going = uploadPhoto(file, depth, options, (share, waits) => row.show(sendingText(share, waits), share * UPLOAD_SHARE));
     row.onClose = going.abort;
     try {
       return await going.done;
@@ -158,6 +157,13 @@ async function post(file, depth, options, row) {
       await pause(error.retryAfter * 1000, row);
     }
   }
+}
+
+/** @type {(...how: Parameters<Progress>) => string} */
+function sendingText(share, waits) {
+  if (waits?.lost) return t('The connection was lost at {0} %; trying again in {1} s', Math.floor(share * 100), waits.seconds);
+  if (waits) return t('The server is busy; trying again in {0} s', waits.seconds);
+  return share < 1 ? t('Sending, {0} %', Math.floor(share * 100)) : t('Sent');
 }
 
 /**

@@ -21,6 +21,11 @@ pub fn private(data: &Path) -> Running {
 
 /// The same, whose photos `maker` makes.
 pub fn private_with(data: &Path, maker: Arc<dyn Maker>) -> Running {
+    private_within(data, maker, Limits::default())
+}
+
+/// The same under other limits.
+pub fn private_within(data: &Path, maker: Arc<dyn Maker>, limits: Limits) -> Running {
     let config = Config {
         addr: ([127, 0, 0, 1], 0).into(),
         admin: None,
@@ -30,7 +35,7 @@ pub fn private_with(data: &Path, maker: Arc<dyn Maker>) -> Running {
         public_list: false,
         private: true,
         keys: None,
-        limits: Limits::default(),
+        limits,
     };
     let renderer = tmpi_render::select(Backend::Cpu).unwrap();
     Running::of(async move { Server::bind(config, maker, renderer).await.unwrap().with_rooms(rooms()) })

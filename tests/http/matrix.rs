@@ -63,6 +63,7 @@ pub fn target(route: &Route, method: &str, id: &str) -> String {
     let path = route
         .path
         .replace("{id}", if method == "DELETE" || route.path.ends_with("/again") { NONE } else { id })
+        .replace("{upload}", NONE)
         .replace("{*name}", "view/viewer.js")
         .replace("{room}", "attic")
         .replace("{frame}", "latest")
@@ -94,6 +95,7 @@ fn expected(route: &Route, method: &str, caller: &Caller) -> (u16, Option<&'stat
         "GET" | "HEAD" | "POST" if route.path == "/v1/network" && caller.lists == 403 => (403, Some("not-yours")),
         "POST" if route.path == "/v1/network" => (200, None),
         "POST" if route.path.ends_with("/again") => (404, Some("not-found")),
+        "GET" | "HEAD" | "PATCH" if route.path == "/v1/uploads/{upload}" => (404, Some("not-found")),
         "GET" | "HEAD" | "PATCH" => (200, None),
         "POST" if route.path.ends_with("/links") => (200, None),
         "POST" if route.path == "/v1/owner" => (204, None),

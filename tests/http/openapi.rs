@@ -30,12 +30,19 @@ fn every_route_of_the_document_answers_as_it_says() {
     wait_until("a frame is done", || get(server.addr, "/v1/live/attic/frames/latest/atlas").status == 200);
     let newest = get(server.addr, "/v1/live/attic/gops/latest");
     let first = format!("{}-0", newest.header("location").unwrap().split('-').next().unwrap());
+    let upload = request(server.addr, "POST", "/v1/photos", &[("upload-complete", "?0")], &[]);
+    let upload = upload.header("location").unwrap().rsplit('/').next().unwrap().to_owned();
     let mut deletions = Vec::new();
     let mut count = 0;
     for (path, item) in document["paths"].as_object().unwrap() {
         for (method, operation) in item.as_object().unwrap() {
             let path = if path == "/oembed" { "/oembed?url=http://localhost/view/{id}" } else { path };
-            let path = path.replace("{id}", &photo).replace("{room}", "attic").replace("{frame}", "latest").replace("{group}", &first);
+            let path = path
+                .replace("{id}", &photo)
+                .replace("{upload}", &upload)
+                .replace("{room}", "attic")
+                .replace("{frame}", "latest")
+                .replace("{group}", &first);
             let call = (method.to_uppercase(), path, operation);
             if method == "delete" {
                 deletions.push(call);
@@ -59,6 +66,9 @@ fn every_route_of_the_document_answers_as_it_says() {
 fn check(server: &Running, (method, path, operation): &(String, String, &Value)) {
     let (headers, body): (&[_], _) = match method.as_str() {
         "POST" => (&[], jpeg(2)),
+        "PATCH" if path.starts_with("/v1/uploads/") => {
+            (&[("content-type", "application/partial-upload"), ("upload-offset", "0"), ("upload-complete", "?0")], b"a part".to_vec())
+        }
         "PATCH" => (&[("content-type", "application/json")], b"{}".to_vec()),
         _ => (&[], Vec::new()),
     };
@@ -81,7 +91,7 @@ fn every_schema_and_parameter_is_described() {
     assert!(document["openapi"].as_str().unwrap().starts_with("3."));
     let described = |v: &Value| v["description"].as_str().is_some_and(|d| !d.is_empty());
     let schemas = document["components"]["schemas"].as_object().unwrap();
-    for name in ["Problem", "PhotoState", "PhotoList", "Report", "Progress", "Links", "UploadForm", "Settings"] {
+    for name in ["Problem", "PhotoState", "PhotoList", "Report", "Progress", "Links", "UploadForm", "UploadState", "Settings"] {
         assert!(schemas.contains_key(name), "{name} is missing");
     }
     for (name, schema) in schemas {

@@ -238,7 +238,7 @@ mod tests {
         drop(scenes);
         cache.settle();
         assert_eq!((cache.entries.len(), cache.bytes()), (0, 0));
-        let mut get = |cache: &mut SceneCache<u32>, scene: &Arc<Scene>| *cache.insert(scene, 10, || 9);
+        let get = |cache: &mut SceneCache<u32>, scene: &Arc<Scene>| *cache.insert(scene, 10, || 9);
         let other = Arc::new(testing::flat(8, 8, 0.5));
         get(&mut cache, &other);
         assert_eq!(cache.entries.len(), 1);

@@ -25,7 +25,9 @@ use super::entry::Entry;
 use super::hosts::Hosts;
 use super::id::{PhotoId, hex};
 use super::problem::Problem;
+use super::rates::{Asker, Rates};
 use super::settings::Visibility;
+use super::share::asker;
 use super::time::now_ms;
 use crate::live::check_origin;
 pub use cookies::set_owner;
@@ -41,7 +43,7 @@ const OWNER: &str = "tmpi_o_";
 const CHARACTERS: std::ops::RangeInclusive<usize> = 32..=128;
 
 /// Whose a photo is: a hash, from which the secret does not follow.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct Owner(String);
 
@@ -65,6 +67,12 @@ impl Owner {
     /// This machine's own user.
     fn own() -> Self {
         Self::of("own", "")
+    }
+
+    /// True for this machine's own user.
+    #[must_use]
+    pub fn is_own(&self) -> bool {
+        *self == Self::own()
     }
 
     fn text(&self) -> &str {
@@ -179,11 +187,20 @@ impl Guard {
     }
 
     /// Answers a request by `next` where its caller may ask it, with who that is at hand for the handlers.
-    pub async fn around(&self, hosts: &Hosts, mut request: Request, next: Next) -> Response {
-        let caller = match self.come_in(hosts, &mut request) {
-            Ok(caller) => Arc::new(caller),
-            Err(refused) => return refused.into_response(),
+    pub async fn around(&self, hosts: &Hosts, rates: &Rates, mut request: Request, next: Next) -> Response {
+        let come = self.come_in(hosts, &mut request);
+        // who is refused has asked, too
+        let key = come.as_ref().ok().and_then(|caller| if let Who::Key(key) = &caller.who { Some(key.name.clone()) } else { None });
+        let (told, taken) = rates.count(Asker::of(key, asker()), &request);
+        let mut response = match taken.and(come) {
+            Ok(caller) => self.answer(Arc::new(caller), request, next).await,
+            Err(refused) => refused.into_response(),
         };
+        told.put(&mut response);
+        response
+    }
+
+    async fn answer(&self, caller: Arc<Caller>, request: Request, next: Next) -> Response {
         let path = request.uri().path().to_owned();
         let headers = request.headers().clone();
         let link = request.extensions().get::<Asked>().and_then(|asked| asked.0.clone());
@@ -325,6 +342,22 @@ impl Guard {
         }
         let secret = fresh()?;
         Ok(Uploader { owner: Owner::of_secret(&secret), fresh: Some(secret) })
+    }
+
+    /// Who the caller of this request is known as; none where they have no secret.
+    #[must_use]
+    pub fn owner() -> Option<Owner> {
+        caller().and_then(|caller| caller.owner.clone())
+    }
+
+    /// Whether the caller of this request may go on with an upload that `owner` began; one that nobody known began is whoever's has its
+    /// address.
+    #[must_use]
+    pub fn continues(owner: Option<&Owner>) -> bool {
+        caller().is_some_and(|caller| {
+            let is = |owner: &Owner| caller.owner.as_ref().is_some_and(|own| same(own.0.as_bytes(), owner.0.as_bytes()));
+            caller.who.is_admin() || owner.is_none_or(is)
+        })
     }
 
     /// Id of an owner's photo, where `content` names what it is made of.

@@ -93,8 +93,7 @@ impl Jobs {
     fn vanish(&self, entry: &Arc<Entry>) {
         entry.mark_deleted();
         let mut inner = self.lock();
-        inner.by_id.remove(&entry.id);
-        inner.by_age.remove(&entry.key());
+        inner.remove(entry);
         inner.queue.retain(|e| e.id != entry.id);
         drop(inner);
         entry.set(Status::Deleted);
@@ -123,6 +122,7 @@ impl Jobs {
             self.refresh(cluster, id).map_err(disk)?;
             return Ok(Submitted { entry, new: false, healed });
         }
+        self.quota(accepted.owner.as_ref(), accepted.bytes())?;
         self.room()?;
         let parts = uploaded(incoming, accepted).map_err(disk)?;
         let new = cluster.accept(id, accepted, settings, parts).map_err(disk)?;

@@ -14,6 +14,7 @@ mod results;
 mod state;
 mod strokes;
 mod system;
+mod uploads;
 mod view;
 mod view_query;
 mod words;
@@ -47,7 +48,7 @@ use crate::live;
         title = "tmpi",
         description = "Turns an uploaded photo into a tiled multiplane image and serves it. Every error is a problem document (RFC 9457). \
                        On every route: a request has one Host (else 400) that is the server's own (else 421); parameters are known and given \
-                       once (else 400); changes by pages of other sites are refused (403)."
+                       once (else 400); changes by pages of other sites are refused (403); who asks too often is told when to come back (429)."
     ),
     servers((url = "/", description = "This server")),
     tags(
@@ -76,6 +77,7 @@ fn pages_api() -> OpenApiRouter<App> {
     OpenApiRouter::with_openapi(Document::openapi())
         .routes(routes!(photos::upload, photos::list))
         .routes(routes!(photos::state, photos::change, photos::delete))
+        .routes(routes!(uploads::progress, uploads::append, uploads::cancel))
         .routes(routes!(strokes::strokes, strokes::touch_up))
         .routes(routes!(network::again))
         .routes(routes!(owner::links))
@@ -106,8 +108,18 @@ async fn open_to_all(mut response: Response) -> Response {
 
 /// Leave for pages of any site to read an answer.
 fn cors() -> CorsLayer {
-    let exposed =
-        ["etag", "content-range", "accept-ranges", "content-length", "server-timing", "x-request-id", "retry-after", "content-disposition"];
+    let exposed = [
+        "etag",
+        "content-range",
+        "accept-ranges",
+        "content-length",
+        "server-timing",
+        "x-request-id",
+        "retry-after",
+        "content-disposition",
+        "ratelimit",
+        "ratelimit-policy",
+    ];
     CorsLayer::new()
         .allow_origin(AllowOrigin::any())
         .allow_methods([Method::GET, Method::HEAD])

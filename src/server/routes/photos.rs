@@ -5,13 +5,15 @@ use std::time::Duration;
 
 use axum::Json;
 use axum::extract::{Extension, Path, Query, Request, State};
-use axum::http::{HeaderMap, HeaderName, StatusCode, header};
+use axum::http::header::{CONTENT_LENGTH, CONTENT_TYPE, ETAG, LOCATION};
+use axum::http::{HeaderMap, HeaderName, StatusCode};
 use axum::response::{IntoResponse, Response};
 use bytes::Bytes;
 
 use super::query::{NoQuery, Pairs};
 use super::state::{PhotoList, PhotoState};
-use crate::server::access::Guard;
+use super::uploads;
+use crate::server::access::{Guard, Owner};
 use crate::server::app::{App, Stored};
 use crate::server::body;
 use crate::server::clock::Clock;
@@ -19,6 +21,7 @@ use crate::server::conditional::{Coding, Entity, REVALIDATE, insert, respond, re
 use crate::server::entry::{Entry, Status};
 use crate::server::id::PhotoId;
 use crate::server::identity::short;
+use crate::server::partial::{Extent, header};
 use crate::server::problem::Problem;
 use crate::server::settings::{PATCH_BYTES, Settings, still_as_seen};
 use crate::server::upload;
@@ -78,10 +81,15 @@ pub struct UploadForm {
 /// Multipart form, or the raw bytes of a picture with the options of the form as query parameters (names with `-` or `_`).
 /// Once this answers, the photo is on disk and is made even if the server is restarted. Photo, depth map and options give
 /// the id: the same upload again is the same photo and costs nothing; if it had failed, it is tried again.
+///
+/// With `Upload-Complete: ?0` this begins an upload in parts (draft-ietf-httpbis-resumable-upload): the answer is 201 with the address to
+/// which the other parts are sent, and what comes with this request is the first. The last of them is answered as an upload at once is.
 #[utoipa::path(
     post, path = "/v1/photos", tag = "photos",
     params(
         ("Prefer" = Option<String>, Header, description = "`wait=SECONDS`: answer once the photo is done, or after that time"),
+        ("Upload-Complete" = Option<String>, Header, description = "`?0` begins an upload in parts; `?1` says that this is all"),
+        ("Upload-Length" = Option<u64>, Header, description = "Bytes of the whole, where there are parts"),
         ("title" = Option<String>, Query, min_length = 1, max_length = 200, description = "What to call the photo, 1 to 200 characters"),
         ("planes" = Option<String>, Query, description = "As in the form; so are all other options"),
     ),
@@ -93,11 +101,13 @@ pub struct UploadForm {
         (String = "application/octet-stream"),
     )),
     responses(
-        (status = 201, description = "Done in the time that `Prefer: wait` gave", body = PhotoState,
-            headers(("Location" = String, description = "Address of the photo"), ("Preference-Applied" = String, description = "`wait=SECONDS`"))),
+        (status = 201, description = "Done in the time that `Prefer: wait` gave; or, without content, an upload in parts has begun", body = PhotoState,
+            headers(("Location" = String, description = "Address of the photo, or that for the other parts"), ("Preference-Applied" = String, description = "`wait=SECONDS`"))),
         (status = 202, description = "Accepted: it is on disk and waits, or is being made, or was done before", body = PhotoState,
             headers(("Location" = String, description = "Address of the photo"))),
         (status = 400, description = "A field or an option is wrong; `field` names it", body = Problem, content_type = "application/problem+json"),
+        (status = 403, description = "The owner has as many photos, or as many bytes, as one may have; or the key may not upload", body = Problem,
+            content_type = "application/problem+json"),
         (status = 408, description = "The body came too slowly", body = Problem, content_type = "application/problem+json"),
         (status = 413, description = "Body or photo is too large", body = Problem, content_type = "application/problem+json"),
         (status = 415, description = "Not a JPEG, PNG or WebP picture", body = Problem, content_type = "application/problem+json"),
@@ -109,27 +119,61 @@ pub struct UploadForm {
 )]
 pub async fn upload(State(app): State<App>, Extension(clock): Extension<Clock>, request: Request) -> Result<Response, Problem> {
     let wait = prefer_wait(request.headers());
-    let Query(query) = Query::try_from_uri(request.uri()).map_err(|e| Problem::bad_request(e.body_text()))?;
-    let (owner, fresh) = app.guard.as_ref().map(|_| Guard::uploader()).transpose()?.map(|u| (u.owner, u.fresh)).unzip();
-    let entry = upload::take(&app, query, request, owner).await?.entry;
+    let Query(query) = Query::<Vec<(String, String)>>::try_from_uri(request.uri()).map_err(|e| Problem::bad_request(e.body_text()))?;
+    let whole = header::complete(request.headers())?;
+    if whole == Some(false) {
+        return uploads::begin(&app, query, request).await;
+    }
+    let length = if whole.is_some() { header::length_at_once(request.headers())? } else { None };
+    let (owner, fresh) = uploader(&app)?;
+    // before the body comes
+    app.jobs.quota(owner.as_ref(), length_told(request.headers()))?;
+    let entry = upload::take(&app, &query, request, owner).await?.entry;
+    let mut response = accepted(&app, &entry, &clock, wait, fresh).await?;
+    // an upload in parts that came in one
+    if let Some(offset) = length {
+        header::tell(&mut response, &Extent { offset, length }, true);
+    }
+    Ok(response)
+}
+
+/// Bytes of the body, as far as that is told.
+fn length_told(headers: &HeaderMap) -> u64 {
+    headers.get(CONTENT_LENGTH).and_then(|v| v.to_str().ok()).and_then(|v| v.parse().ok()).unwrap_or_default()
+}
+
+/// Whose a photo will be, and the secret of who had none, where the server asks.
+pub(super) fn uploader(app: &App) -> Result<(Option<Owner>, Option<String>), Problem> {
+    let uploader = app.guard.as_ref().map(|_| Guard::uploader()).transpose()?;
+    Ok(uploader.map_or((None, None), |u| (Some(u.owner), u.fresh)))
+}
+
+/// The answer to an upload that was accepted.
+pub(super) async fn accepted(
+    app: &App,
+    entry: &Arc<Entry>,
+    clock: &Clock,
+    wait: Option<u64>,
+    fresh: Option<String>,
+) -> Result<Response, Problem> {
     let mut ready = false;
     if let Some(seconds) = wait {
         // counted from the end of the body; the longest wait is what the request has left
         let left = clock.deadline().map_or(Duration::ZERO, |at| at.saturating_duration_since(tokio::time::Instant::now()));
         let until = tokio::time::Instant::now() + left.saturating_sub(ANSWER).min(Duration::from_secs(seconds));
-        ready = wait_for(&app, &entry, until).await;
+        ready = wait_for(app, entry, until).await;
     }
     if let (true, Status::Failed(failed) | Status::Damaged(failed)) = (ready, entry.status()) {
         let mut response = failed.problem.into_response();
-        insert(&mut response, header::LOCATION, &format!("/v1/photos/{}", entry.id));
+        insert(&mut response, LOCATION, &format!("/v1/photos/{}", entry.id));
         return Ok(response);
     }
-    let mut state = PhotoState::of(&app, &entry).ok_or_else(|| Problem::not_found("the photo was deleted meanwhile"))?;
-    state.links.manage = fresh.flatten().map(|secret| format!("/view/{}#owner={secret}", entry.id));
+    let mut state = PhotoState::of(app, entry).ok_or_else(|| Problem::not_found("the photo was deleted meanwhile"))?;
+    state.links.manage = fresh.map(|secret| format!("/view/{}#owner={secret}", entry.id));
     let status = if ready { StatusCode::CREATED } else { StatusCode::ACCEPTED };
     let location = state.links.this.clone();
     let mut response = (status, Json(state)).into_response();
-    insert(&mut response, header::LOCATION, &location);
+    insert(&mut response, LOCATION, &location);
     if let Some(seconds) = wait {
         insert(&mut response, HeaderName::from_static("preference-applied"), &format!("wait={seconds}"));
     }
@@ -306,15 +350,15 @@ pub async fn change(State(app): State<App>, Path(id): Path<String>, _: NoQuery, 
     let state = changed.await??;
     let length = state.source.len();
     let mut response = Response::new(state.source.body(0..length));
-    insert(&mut response, header::CONTENT_TYPE, "application/json");
-    insert(&mut response, header::ETAG, &state.etag);
+    insert(&mut response, CONTENT_TYPE, "application/json");
+    insert(&mut response, ETAG, &state.etag);
     Ok(response)
 }
 
 /// The headers and the body of a request that is a merge patch of `what`, in at most `most` bytes.
 pub(super) async fn merge_patch(request: Request, most: usize, what: &str) -> Result<(HeaderMap, Bytes), Problem> {
     let (parts, body) = request.into_parts();
-    let kind = parts.headers.get(header::CONTENT_TYPE).and_then(|v| v.to_str().ok()).unwrap_or_default();
+    let kind = parts.headers.get(CONTENT_TYPE).and_then(|v| v.to_str().ok()).unwrap_or_default();
     let kind = kind.split(';').next().unwrap_or_default().trim().to_ascii_lowercase();
     if !matches!(kind.as_str(), "application/json" | "application/merge-patch+json") {
         let detail = format!("{what} are application/merge-patch+json or application/json");

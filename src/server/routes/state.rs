@@ -8,6 +8,7 @@ use crate::server::app::Shared;
 use crate::server::entry::{Entry, Live, Status};
 use crate::server::options;
 use crate::server::problem::Problem;
+use crate::server::retain;
 use crate::server::settings::{Settings, Visibility};
 use crate::server::time::rfc3339;
 
@@ -97,6 +98,10 @@ pub struct PhotoState {
     #[schema(format = DateTime)]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub finished: Option<String>,
+    /// When it goes by itself; only where photos do by their age.
+    #[schema(format = DateTime)]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub expires: Option<String>,
     /// Photos that are made before this one; only while it waits.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub position: Option<usize>,
@@ -172,6 +177,7 @@ impl PhotoState {
             state: StateName::Queued,
             created: rfc3339(accepted.at_ms),
             finished: None,
+            expires: retain::expires(&app.limits, accepted.at_ms),
             position: None,
             waits_for: None,
             progress: None,

@@ -91,6 +91,7 @@ pub async fn metrics(State(app): State<App>, _: NoQuery, headers: HeaderMap) -> 
         ("tmpi_photos_failed", "Photos that could not be made", counts.failed as f64),
         ("tmpi_photos_damaged", "Finished photos that are damaged on disk", counts.damaged as f64),
         ("tmpi_photos_unreadable", "Photos whose records cannot be read", app.jobs.store.unreadable() as f64),
+        ("tmpi_partial_uploads", "Uploads of which parts are there", app.partials.count() as f64),
         ("tmpi_scene_cache_bytes", "Memory of decoded scenes", app.scenes.bytes() as f64),
         ("tmpi_file_cache_bytes", "Memory of cached files", app.files.bytes() as f64),
         ("tmpi_view_cache_bytes", "Memory of encoded views", app.views.bytes() as f64),

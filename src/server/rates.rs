@@ -1,0 +1,252 @@
+//! How often somebody may ask: a bucket of tokens for each key and each address, which fills at a steady rate (GCRA).
+
+use std::collections::HashMap;
+use std::fmt::Write as _;
+use std::net::IpAddr;
+use std::sync::{Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use axum::extract::{MatchedPath, Request};
+use axum::http::{HeaderName, Method, StatusCode};
+use axum::response::Response;
+
+use super::conditional::insert;
+use super::limits::Limits;
+use super::problem::Problem;
+use super::share::customer;
+
+const RATE_LIMIT: HeaderName = HeaderName::from_static("ratelimit");
+const POLICY: HeaderName = HeaderName::from_static("ratelimit-policy");
+/// What rates are told for; a bucket holds as much.
+const WINDOW: Duration = Duration::from_mins(1);
+/// Whoever is known at a time; those whose buckets are full are forgotten first, then all.
+const MOST: usize = 100_000;
+
+/// Whom a bucket is of.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub enum Asker {
+    /// Whoever has a key of this name.
+    Key(String),
+    /// Whoever comes from there.
+    Address(IpAddr),
+}
+
+impl Asker {
+    /// By the name of a key, else by address; none where neither tells who it is.
+    #[must_use]
+    pub fn of(key: Option<String>, address: Option<IpAddr>) -> Option<Self> {
+        key.map(Self::Key).or_else(|| address.map(customer).map(Self::Address))
+    }
+}
+
+/// Something that is done so often.
+#[derive(Debug)]
+struct Buckets {
+    name: &'static str,
+    /// Tokens in a bucket, which come in [`WINDOW`].
+    most: u32,
+    /// When the bucket of each is full again.
+    full: Mutex<HashMap<Asker, Instant>>,
+}
+
+/// How one stands with a bucket.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Standing {
+    name: &'static str,
+    most: u32,
+    left: u32,
+    /// Seconds until it is full, rounded up.
+    reset: u64,
+    /// Seconds until there is a token, rounded up, where there was none.
+    wait: Option<u64>,
+}
+
+fn seconds_up(time: Duration) -> u64 {
+    time.as_secs() + u64::from(time.subsec_nanos() > 0)
+}
+
+impl Buckets {
+    fn new(name: &'static str, most: u32) -> Option<Self> {
+        (most > 0).then(|| Self { name, most, full: Mutex::default() })
+    }
+
+    /// Takes a token of `asker`'s bucket, where there is one.
+    fn take(&self, asker: &Asker, now: Instant) -> Standing {
+        let each = WINDOW / self.most;
+        let mut all = self.full.lock().unwrap_or_else(PoisonError::into_inner);
+        let missing = all.get(asker).map_or(Duration::ZERO, |full| full.saturating_duration_since(now));
+        let fits = missing + each <= WINDOW;
+        let after = if fits { missing + each } else { missing };
+        if fits {
+            if all.len() >= MOST && !all.contains_key(asker) {
+                all.retain(|_, full| *full > now);
+                if all.len() >= MOST {
+                    all.clear();
+                }
+            }
+            all.insert(asker.clone(), now + after);
+        }
+        let left = (WINDOW.saturating_sub(after).as_nanos() / each.as_nanos().max(1)) as u32;
+        let wait = (!fits).then(|| seconds_up((missing + each).saturating_sub(WINDOW)));
+        Standing { name: self.name, most: self.most, left: left.min(self.most), reset: seconds_up(after), wait }
+    }
+}
+
+/// All rates of a server.
+#[derive(Debug)]
+pub struct Rates {
+    requests: Option<Buckets>,
+    uploads: Option<Buckets>,
+    views: Option<Buckets>,
+}
+
+/// How an asker stands, to be told with the answer.
+#[derive(Debug, Default)]
+pub struct Told(Vec<Standing>);
+
+impl Rates {
+    /// Those of `limits`.
+    #[must_use]
+    pub fn new(limits: &Limits) -> Self {
+        Self {
+            requests: Buckets::new("requests", limits.rate_requests),
+            uploads: Buckets::new("uploads", limits.rate_uploads),
+            views: Buckets::new("views", limits.rate_views),
+        }
+    }
+
+    /// What a request counts as besides, by its method and the path of its route.
+    fn class(&self, method: &Method, path: &str) -> Option<&Buckets> {
+        match (method, path) {
+            (&Method::POST, "/v1/photos" | "/v1/photos/{id}/again") | (&Method::PATCH, "/v1/photos/{id}/strokes") => self.uploads.as_ref(),
+            (&Method::GET, "/v1/photos/{id}/view" | "/v1/photos/{id}/export") => self.views.as_ref(),
+            _ => None,
+        }
+    }
+
+    /// Counts a request.
+    ///
+    /// # Errors
+    /// As [`Rates::take`].
+    pub fn count(&self, asker: Option<Asker>, request: &Request) -> (Told, Result<(), Problem>) {
+        let path = request.extensions().get::<MatchedPath>().map_or("", MatchedPath::as_str);
+        self.take(asker, request.method(), path)
+    }
+
+    /// Takes what a request of a route costs.
+    ///
+    /// # Errors
+    /// 429 that names what is done too often, and says when to come back.
+    fn take(&self, asker: Option<Asker>, method: &Method, path: &str) -> (Told, Result<(), Problem>) {
+        let mut told = Told::default();
+        let Some(asker) = asker else { return (told, Ok(())) };
+        let now = Instant::now();
+        for buckets in self.requests.iter().chain(self.class(method, path)) {
+            let standing = buckets.take(&asker, now);
+            told.0.push(standing);
+            if let Some(seconds) = standing.wait {
+                let of = if matches!(asker, Asker::Key(_)) { "key" } else { "address" };
+                let detail = format!("{} are {} a minute at most for a {of}", standing.name, standing.most);
+                let problem = Problem::registered(StatusCode::TOO_MANY_REQUESTS, "quota-exceeded", detail).retry_after(seconds.max(1));
+                return (told, Err(problem));
+            }
+        }
+        (told, Ok(()))
+    }
+}
+
+impl Told {
+    /// Says it, by draft-ietf-httpapi-ratelimit-headers.
+    pub fn put(&self, response: &mut Response) {
+        if self.0.is_empty() {
+            return;
+        }
+        let (mut policy, mut limit) = (String::new(), String::new());
+        for Standing { name, most, left, reset, wait } in &self.0 {
+            let comma = if policy.is_empty() { "" } else { ", " };
+            let _ = write!(policy, "{comma}\"{name}\";q={most};w={}", WINDOW.as_secs());
+            let _ = write!(limit, "{comma}\"{name}\";r={left};t={}", wait.unwrap_or(*reset));
+        }
+        insert(response, POLICY, &policy);
+        insert(response, RATE_LIMIT, &limit);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn address(text: &str) -> Asker {
+        Asker::of(None, Some(text.parse().unwrap())).unwrap()
+    }
+
+    #[test]
+    fn a_bucket_empties_and_fills_for_each_by_itself() {
+        let (buckets, start) = (Buckets::new("uploads", 3).unwrap(), Instant::now());
+        let (ann, bob) = (address("192.0.2.1"), Asker::of(Some("site".into()), Some("192.0.2.1".parse().unwrap())).unwrap());
+        let left: Vec<_> = (0..3).map(|_| buckets.take(&ann, start).left).collect();
+        assert_eq!(left, [2, 1, 0]);
+        let refused = buckets.take(&ann, start);
+        assert_eq!((refused.wait, refused.left, refused.reset), (Some(20), 0, 60));
+        assert_eq!(buckets.take(&bob, start).wait, None, "a key has its own");
+        assert_eq!(buckets.take(&address("192.0.2.2"), start).left, 2);
+        let later = start + Duration::from_secs(19);
+        assert_eq!(buckets.take(&ann, later).wait, Some(1));
+        assert_eq!(buckets.take(&ann, start + Duration::from_secs(20)).wait, None);
+        assert_eq!(buckets.take(&ann, start + Duration::from_mins(9)).left, 2, "no fuller than full");
+    }
+
+    #[test]
+    fn a_network_of_64_bits_is_one_and_who_cannot_be_told_apart_is_not_counted() {
+        assert_eq!(address("2001:db8::1"), address("2001:db8::2"));
+        assert_ne!(address("2001:db8::1"), address("2001:db8:0:1::1"));
+        let rates = Rates::new(&Limits { rate_requests: 1, ..Limits::default() });
+        let take = |asker| rates.take(asker, &Method::GET, "/").1;
+        assert!((0..9).all(|_| take(Asker::of(None, None)).is_ok()));
+        let one = || Some(address("192.0.2.1"));
+        assert!(take(one()).is_ok());
+        let refused = take(one()).unwrap_err();
+        assert_eq!((refused.status, refused.retry_after), (429, Some(60)));
+    }
+
+    #[test]
+    fn buckets_that_are_full_are_forgotten_where_there_are_too_many() {
+        let (buckets, start) = (Buckets::new("requests", 1).unwrap(), Instant::now());
+        for n in 0..MOST {
+            buckets.take(&Asker::Key(n.to_string()), start);
+        }
+        buckets.take(&Asker::Key("late".into()), start + Duration::from_mins(2));
+        assert_eq!(buckets.full.lock().unwrap().len(), 1);
+    }
+
+    proptest! {
+        #[test]
+        fn never_more_than_a_bucket_and_what_came_since(most in 1..200_u32, pauses in prop::collection::vec(0..5000_u64, 1..300)) {
+            let (buckets, start) = (Buckets::new("requests", most).unwrap(), Instant::now());
+            let (mut now, mut let_in) = (start, Vec::new());
+            for pause in pauses {
+                now += Duration::from_millis(pause);
+                let standing = buckets.take(&Asker::Key(String::new()), now);
+                if standing.wait.is_none() {
+                    let_in.push(now);
+                }
+                prop_assert!(standing.left <= most && standing.reset <= WINDOW.as_secs());
+                // after the wait that was told there is one
+                if let Some(seconds) = standing.wait {
+                    let probe = Buckets::new("requests", most).unwrap();
+                    *probe.full.lock().unwrap() = buckets.full.lock().unwrap().clone();
+                    let later = probe.take(&Asker::Key(String::new()), now + Duration::from_secs(seconds));
+                    prop_assert!(later.wait.is_none());
+                }
+            }
+            for (i, from) in let_in.iter().enumerate() {
+                for (j, to) in let_in.iter().enumerate().skip(i) {
+                    let most = f64::from(most) * (1.0 + to.duration_since(*from).as_secs_f64() / WINDOW.as_secs_f64());
+                    prop_assert!((j - i + 1) as f64 <= most + 1e-6, "{} in {:?}", j - i + 1, to.duration_since(*from));
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,224 @@
+//! Photos that go by themselves: those that are too old, and, where all take too much room, those that were looked at least recently.
+//!
+//! When photos were looked at is kept in `DIR/looked.json` at each sweep, so that a restart forgets little.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::time::Duration;
+
+use super::app::App;
+use super::entry::Entry;
+use super::id::PhotoId;
+use super::limits::Limits;
+use super::problem::Problem;
+use super::time::{now_ms, rfc3339};
+
+/// The first sweep after a start.
+const FIRST: Duration = Duration::from_mins(1);
+
+/// Why a photo goes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Reason {
+    /// It is as old as photos may become.
+    Age,
+    /// All take more room than they may, and it was not looked at for longest.
+    Room,
+}
+
+impl Reason {
+    /// As it is counted.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Age => "age",
+            Self::Room => "room",
+        }
+    }
+}
+
+/// When a photo goes that was accepted at `at_ms`, milliseconds since 1970; none where none goes by its age.
+#[must_use]
+pub fn ends_ms(limits: &Limits, at_ms: u64) -> Option<u64> {
+    limits.retain.map(|time| at_ms.saturating_add(time.as_millis() as u64))
+}
+
+/// A photo as a sweep sees it.
+#[derive(Clone, Copy, Debug)]
+struct Candidate {
+    id: PhotoId,
+    at_ms: u64,
+    seen_ms: u64,
+    bytes: u64,
+    /// Nothing is being made of it.
+    rests: bool,
+}
+
+impl Candidate {
+    fn of(entry: &Entry) -> Self {
+        let rests = entry.status().is_final();
+        Self { id: entry.id, at_ms: entry.accepted.at_ms, seen_ms: entry.seen_ms(), bytes: entry.bytes(), rests }
+    }
+}
+
+/// Which photos are to go, and why.
+fn overdue(mut all: Vec<Candidate>, limits: &Limits, now_ms: u64) -> Vec<(PhotoId, Reason)> {
+    let mut going = Vec::new();
+    all.retain(|photo| {
+        let over = photo.rests && ends_ms(limits, photo.at_ms).is_some_and(|end| end <= now_ms);
+        if over {
+            going.push((photo.id, Reason::Age));
+        }
+        !over
+    });
+    let Some(room) = limits.retain_bytes else { return going };
+    let mut taken: u64 = all.iter().map(|photo| photo.bytes).sum();
+    all.sort_by_key(|photo| (photo.seen_ms, photo.id));
+    for photo in all.iter().filter(|photo| photo.rests) {
+        if taken <= room {
+            break;
+        }
+        taken -= photo.bytes;
+        going.push((photo.id, Reason::Room));
+    }
+    going
+}
+
+/// Sweeps now and then, where photos are to go.
+pub async fn sweep(app: App) {
+    if app.limits.retain.is_none() && app.limits.retain_bytes.is_none() {
+        return;
+    }
+    remember(&app).await;
+    let mut pause = FIRST.min(app.limits.retain_sweep);
+    loop {
+        tokio::time::sleep(pause).await;
+        pause = app.limits.retain_sweep;
+        if let Err(problem) = once(&app).await {
+            tracing::warn!(detail = %problem.detail, "photos that are to go stay until the next sweep");
+        }
+    }
+}
+
+async fn once(app: &App) -> Result<(), Problem> {
+    let shared = Arc::clone(app);
+    let looked = app.change(move || {
+        let jobs = &shared.jobs;
+        if let Some(cluster) = &jobs.cluster {
+            cluster.list(jobs).map_err(|e| Problem::store(&e))?;
+        }
+        Ok::<_, Problem>(jobs.all().iter().map(|entry| Candidate::of(entry)).collect::<Vec<_>>())
+    });
+    let all = looked.await??;
+    let bytes: BTreeMap<PhotoId, u64> = all.iter().map(|photo| (photo.id, photo.bytes)).collect();
+    let (mut count, mut freed) = (0_usize, 0);
+    for (id, reason) in overdue(all.clone(), &app.limits, now_ms()) {
+        let shared = Arc::clone(app);
+        if app.change(move || shared.jobs.delete(id)).await?? {
+            app.forget(id).await;
+            let bytes = bytes.get(&id).copied().unwrap_or_default();
+            tracing::info!(%id, reason = reason.name(), bytes, "a photo has gone by itself");
+            app.telemetry.retired(reason.name(), bytes);
+            (count, freed) = (count + 1, freed + bytes);
+        }
+    }
+    if count > 0 {
+        tracing::info!(count, freed, "sweep of photos");
+    }
+    // after them: a disk that is full takes nothing before
+    keep(app, &all).await
+}
+
+/// Keeps when photos were looked at, where that counts.
+async fn keep(app: &App, all: &[Candidate]) -> Result<(), Problem> {
+    if app.limits.retain_bytes.is_none() {
+        return Ok(());
+    }
+    let seen: BTreeMap<String, u64> = all.iter().map(|photo| (photo.id.to_string(), photo.seen_ms)).collect();
+    let text = serde_json::to_vec(&seen).map_err(|e| Problem::internal("when photos were looked at", &e))?;
+    let shared = Arc::clone(app);
+    app.change(move || shared.jobs.store.write_looked(&text)).await?.map_err(|e| Problem::store(&e))
+}
+
+/// Takes up when photos were looked at before the start.
+async fn remember(app: &App) {
+    let shared = Arc::clone(app);
+    let read = tokio::task::spawn_blocking(move || {
+        let bytes = shared.jobs.store.read_looked()?;
+        let seen: BTreeMap<String, u64> = serde_json::from_slice(&bytes)?;
+        for (id, ms) in seen {
+            if let Some(entry) = id.parse().ok().and_then(|id| shared.jobs.get(id)) {
+                entry.look(ms);
+            }
+        }
+        Ok::<_, std::io::Error>(())
+    });
+    match read.await {
+        Ok(Err(error)) if error.kind() != std::io::ErrorKind::NotFound => {
+            tracing::warn!(%error, "when photos were looked at is not known; it counts when they were made");
+        }
+        _ => {}
+    }
+}
+
+/// The date on which a photo goes, where photos go by their age.
+#[must_use]
+pub fn expires(limits: &Limits, at_ms: u64) -> Option<String> {
+    ends_ms(limits, at_ms).map(rfc3339)
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    const DAY_MS: u64 = 86_400_000;
+
+    fn photo(n: u8, at_ms: u64, seen_ms: u64, bytes: u64) -> Candidate {
+        Candidate { id: PhotoId::from_bytes([n; 16]), at_ms, seen_ms, bytes, rests: true }
+    }
+
+    fn names(going: &[(PhotoId, Reason)]) -> Vec<(String, Reason)> {
+        going.iter().map(|(id, reason)| (id.to_string()[..2].to_owned(), *reason)).collect()
+    }
+
+    #[test]
+    fn the_old_go_and_then_those_that_nobody_looks_at() {
+        let limits = Limits { retain: Some(Duration::from_hours(48)), retain_bytes: Some(100), ..Limits::default() };
+        let now = 10 * DAY_MS;
+        let working = Candidate { rests: false, ..photo(5, 0, 0, 10) };
+        let all = vec![
+            photo(1, 7 * DAY_MS, now, 500),
+            photo(2, 9 * DAY_MS, 5, 60),
+            photo(3, 9 * DAY_MS, 3, 50),
+            photo(4, 8 * DAY_MS + 1, 9, 40),
+            working,
+        ];
+        let going = overdue(all.clone(), &limits, now);
+        assert_eq!(names(&going), [("01".into(), Reason::Age), ("03".into(), Reason::Room), ("02".into(), Reason::Room)]);
+        assert!(overdue(all, &Limits::default(), now).is_empty(), "off where nobody asked for it");
+        assert_eq!(ends_ms(&limits, 7), Some(2 * DAY_MS + 7));
+    }
+
+    proptest! {
+        #[test]
+        fn no_more_goes_than_has_to(
+            photos in prop::collection::vec((0..9_u64, 0..50_u64, any::<bool>()), 0..20),
+            room in 0..300_u64,
+        ) {
+            let all: Vec<_> = (0_u8..).zip(&photos).map(|(n, (seen, bytes, rests))| Candidate { rests: *rests, ..photo(n, 0, *seen, *bytes) }).collect();
+            let limits = Limits { retain_bytes: Some(room), ..Limits::default() };
+            let going: Vec<PhotoId> = overdue(all.clone(), &limits, DAY_MS).into_iter().map(|(id, _)| id).collect();
+            let taken = |without: &[PhotoId]| all.iter().filter(|p| !without.contains(&p.id)).map(|p| p.bytes).sum::<u64>();
+            let of = |id: &PhotoId| all.iter().find(|p| p.id == *id).unwrap();
+            prop_assert!(going.iter().all(|id| of(id).rests));
+            // it is enough, or all that may go
+            prop_assert!(taken(&going) <= room || going.len() == all.iter().filter(|p| p.rests).count());
+            if let Some((last, before)) = going.split_last() {
+                prop_assert!(taken(before) > room);
+                let latest = of(last).seen_ms;
+                prop_assert!(all.iter().filter(|p| p.rests && !going.contains(&p.id)).all(|p| p.seen_ms >= latest));
+            }
+        }
+    }
+}

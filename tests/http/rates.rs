@@ -1,0 +1,57 @@
+//! How often one key may ask, and how often one address.
+
+use std::sync::Arc;
+
+use tmpi::server::Limits;
+use tmpi::server::keys::{self, Scope};
+
+use crate::access::{ask, private_within};
+use crate::client::{Response, request};
+use crate::fixture::{Running, jpeg, pipeline};
+
+/// The parameter of an item of a list of RFC 9651, as `r` of `"uploads"` in `"requests";r=1, "uploads";r=2`.
+fn parameter(answer: &Response, header: &str, item: &str, name: &str) -> u64 {
+    let all = answer.header(header).unwrap_or_else(|| panic!("{header} is missing"));
+    let item = all.split(", ").find_map(|one| one.strip_prefix(&format!("\"{item}\";"))).unwrap_or_else(|| panic!("{item} in {all}"));
+    item.split(';').find_map(|p| p.strip_prefix(name)?.strip_prefix('=')?.parse().ok()).unwrap()
+}
+
+#[test]
+fn a_key_that_asks_too_often_is_told_when_to_come_back_and_others_are_not() {
+    let dir = tempfile::tempdir().unwrap();
+    let limits = Limits { rate_requests: 1000, rate_uploads: 2, rate_views: 3, ..Limits::default() };
+    let server = private_within(dir.path(), Arc::new(pipeline()), limits);
+    let key = |name: &str| format!("Bearer {}", keys::add(dir.path(), name, &[Scope::Upload, Scope::Read], None).unwrap());
+    let (site, second_of_site, other) = (key("site"), key("site"), key("other"));
+    let upload = |key: &str, seed| ask(&server, "POST", "/v1/photos", &[("authorization", key), ("prefer", "wait=60")], &jpeg(seed));
+    let first = upload(&site, 1);
+    assert_eq!(first.status, 201);
+    assert_eq!(first.header("ratelimit-policy"), Some("\"requests\";q=1000;w=60, \"uploads\";q=2;w=60"));
+    assert_eq!((parameter(&first, "ratelimit", "uploads", "r"), parameter(&first, "ratelimit", "requests", "r")), (1, 999));
+    assert!(matches!(upload(&second_of_site, 2).status, 201 | 202));
+    let refused = upload(&site, 3);
+    let wait: u64 = refused.header("retry-after").unwrap().parse().unwrap();
+    assert!((1..=30).contains(&wait) && parameter(&refused, "ratelimit", "uploads", "t") == wait, "{wait}");
+    assert_eq!(parameter(&refused, "ratelimit", "uploads", "r"), 0);
+    let problem = refused.problem(429);
+    assert_eq!(problem["type"], "https://iana.org/assignments/http-problem-types#quota-exceeded");
+    assert!(problem["detail"].as_str().unwrap().contains("uploads are 2 a minute"), "{problem}");
+    assert!(matches!(upload(&other, 3).status, 201 | 202), "another has a bucket of their own");
+    // views have one, too, and looking at a photo is none
+    let id = first.json()["id"].as_str().unwrap().to_owned();
+    let see = |part: &str| ask(&server, "GET", &format!("/v1/photos/{id}{part}"), &[("authorization", &site)], &[]).status;
+    assert_eq!([see("/view?w=8"), see("/view?w=9"), see("/export?format=glb"), see("/view?w=8")], [200, 200, 200, 429]);
+    assert_eq!((see(""), see("/thumbnail")), (200, 200));
+}
+
+#[test]
+fn whoever_cannot_be_told_apart_is_not_counted() {
+    // all who come by a proxy on this machine have its address
+    let dir = tempfile::tempdir().unwrap();
+    let server =
+        Running::start(dir.path(), Limits { rate_requests: 1, rate_uploads: 1, rate_views: 1, ..Limits::default() }, Arc::new(pipeline()));
+    for _ in 0..4 {
+        let answer = request(server.addr, "GET", "/healthz", &[], &[]);
+        assert_eq!((answer.status, answer.header("ratelimit")), (200, None));
+    }
+}

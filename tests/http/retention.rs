@@ -1,0 +1,110 @@
+//! How much one owner may have, and photos that go by themselves.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use tmpi::server::Limits;
+
+use crate::access::{ask, private_within, secret};
+use crate::client::{Connection, get, request};
+use crate::fixture::{Running, jpeg, pipeline, wait_until};
+
+#[test]
+fn an_owner_has_so_many_photos_and_others_have_theirs() {
+    let dir = tempfile::tempdir().unwrap();
+    let server = private_within(dir.path(), Arc::new(pipeline()), Limits { quota_photos: Some(2), ..Limits::default() });
+    let (ann, bob) = (secret("a"), secret("b"));
+    let upload = |who: &str, seed| ask(&server, "POST", "/v1/photos", &[("authorization", who), ("prefer", "wait=60")], &jpeg(seed));
+    let first = upload(&ann, 1).json()["id"].as_str().unwrap().to_owned();
+    assert!(matches!(upload(&ann, 2).status, 201 | 202));
+    let refused = upload(&ann, 3).problem(403);
+    assert_eq!(refused["type"], "urn:tmpi:problem:quota");
+    assert!(refused["detail"].as_str().unwrap().contains("2 is the limit (--quota-photos)"), "{refused}");
+    // before a byte of the body is sent
+    let mut connection = Connection::open(server.addr);
+    let head = format!(
+        "POST /v1/photos HTTP/1.1\r\nhost: photos.example\r\nauthorization: {ann}\r\ncontent-length: 1000\r\nexpect: 100-continue\r\n\r\n"
+    );
+    std::io::Write::write_all(connection.raw(), head.as_bytes()).unwrap();
+    connection.receive("POST").unwrap().problem(403);
+    ask(&server, "POST", "/v1/photos", &[("authorization", &ann), ("upload-complete", "?0")], &[]).problem(403);
+    assert!(matches!(upload(&bob, 3).status, 201 | 202));
+    assert_eq!(ask(&server, "DELETE", &format!("/v1/photos/{first}"), &[("authorization", &ann)], &[]).status, 204);
+    assert!(matches!(upload(&ann, 3).status, 201 | 202), "there is room again");
+    // this machine's own user is not bound
+    for seed in 10..13 {
+        assert_eq!(request(server.addr, "POST", "/v1/photos", &[], &jpeg(seed)).status, 202);
+    }
+}
+
+#[test]
+fn an_owner_has_so_many_bytes_also_after_a_restart() {
+    let dir = tempfile::tempdir().unwrap();
+    let ann = secret("a");
+    let headers = [("authorization", ann.as_str()), ("prefer", "wait=60")];
+    let server = private_within(dir.path(), Arc::new(pipeline()), Limits::default());
+    let state = ask(&server, "POST", "/v1/photos", &headers, &jpeg(1)).json();
+    let taken = state["photo_bytes"].as_u64().unwrap() + state["atlas_bytes"].as_u64().unwrap();
+    server.stop();
+    let next = jpeg(2);
+    let within = |bytes: u64| private_within(dir.path(), Arc::new(pipeline()), Limits { quota_bytes: Some(bytes), ..Limits::default() });
+    let server = within(taken + next.len() as u64 - 1);
+    let refused = ask(&server, "POST", "/v1/photos", &headers, &next).problem(403);
+    assert!(refused["detail"].as_str().unwrap().contains("(--quota-mib)"), "{refused}");
+    server.stop();
+    let server = within(taken + next.len() as u64);
+    assert!(matches!(ask(&server, "POST", "/v1/photos", &headers, &next).status, 201 | 202));
+}
+
+#[test]
+fn photos_go_by_their_age_and_say_when() {
+    let dir = tempfile::tempdir().unwrap();
+    let limits = |retain: Option<Duration>| Limits { retain, retain_sweep: Duration::from_millis(200), ..Limits::default() };
+    let server = Running::start(dir.path(), limits(Some(Duration::from_hours(24))), Arc::new(pipeline()));
+    let id = server.upload(&jpeg(1));
+    let state = server.wait(&id, "done");
+    let (created, expires) = (state["created"].as_str().unwrap(), state["expires"].as_str().unwrap());
+    assert!(expires > created && expires[10..] == created[10..], "{created} {expires}");
+    std::thread::sleep(Duration::from_millis(600));
+    assert_eq!(server.state(&id)["state"], "done", "not before");
+    server.stop();
+    let server = Running::start(dir.path(), limits(Some(Duration::from_millis(1))), Arc::new(pipeline()));
+    wait_until("it is gone", || get(server.addr, &format!("/v1/photos/{id}")).status == 404);
+    assert!(!dir.path().join("photos").join(&id).exists());
+    let metrics = String::from_utf8(get(server.addr, "/metrics").body).unwrap();
+    assert!(metrics.contains("\ntmpi_photos_retired_total{reason=\"age\"} 1\n"), "{metrics}");
+    server.stop();
+    let server = Running::start(dir.path(), limits(None), Arc::new(pipeline()));
+    let id = server.upload(&jpeg(1));
+    assert!(server.wait(&id, "done")["expires"].is_null());
+}
+
+#[test]
+fn photos_that_nobody_looks_at_make_room_for_others() {
+    let dir = tempfile::tempdir().unwrap();
+    let limits = |room| Limits { retain_bytes: Some(room), retain_sweep: Duration::from_millis(200), ..Limits::default() };
+    let server = Running::start(dir.path(), limits(u64::MAX), Arc::new(pipeline()));
+    let size = |state: &serde_json::Value| state["photo_bytes"].as_u64().unwrap() + state["atlas_bytes"].as_u64().unwrap();
+    let ids: Vec<String> = (1..4).map(|seed| server.upload(&jpeg(seed))).collect();
+    let sizes: Vec<u64> = ids.iter().map(|id| size(&server.wait(id, "done"))).collect();
+    std::thread::sleep(Duration::from_millis(20));
+    // the oldest is looked at last
+    assert_eq!(get(server.addr, &format!("/v1/photos/{}/thumbnail", ids[0])).status, 200);
+    let looked = dir.path().join("looked.json");
+    let seen = || -> serde_json::Value { serde_json::from_slice(&std::fs::read(&looked).unwrap_or_default()).unwrap_or_default() };
+    wait_until("it is kept when they were looked at", || {
+        let seen = seen();
+        let of = |n: usize| seen[&ids[n]].as_u64().unwrap_or_default();
+        of(0) > of(1) && of(0) > of(2) && of(1) > 0
+    });
+    server.stop();
+    let server = Running::start(dir.path(), limits(sizes[0] + sizes[2]), Arc::new(pipeline()));
+    let there = || -> Vec<String> {
+        let list = get(server.addr, "/v1/photos").json();
+        list["photos"].as_array().unwrap().iter().map(|p| p["id"].as_str().unwrap().to_owned()).collect()
+    };
+    wait_until("one is gone", || there().len() == 2);
+    assert!(there().contains(&ids[0]) && !there().contains(&ids[1]), "{ids:?}: {:?}", there());
+    std::thread::sleep(Duration::from_millis(600));
+    assert_eq!(there().len(), 2, "no more than has to");
+}
