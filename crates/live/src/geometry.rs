@@ -15,6 +15,10 @@ use tmpi_pipeline::{MakeError, Models, Options, Silent, StageTime, layers};
 use crate::Budget;
 use crate::align;
 use crate::change::{BLOCK, Change, Compare, Tolerance};
+use crate::moved::moved;
+
+/// Pixels of parallax by which what readers hold of a tile may be off, where nothing else is said.
+pub const PARALLAX: f64 = 0.25;
 
 /// Share of a tile's pixels whose measured depth must leave the known one for the tile to count as changed though its colours did not.
 const DEPTH_CHANGED: f64 = 0.02;
@@ -23,16 +27,25 @@ const DEPTH_CHANGED: f64 = 0.02;
 const SNAP_REACH: u32 = 8;
 
 /// What a room is made with.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub struct Settings {
     /// As for a photo; sizes, quality and budget do not count here.
     pub options: Options,
     /// How far an unchanged block may be from what its geometry was made of.
     pub tolerance: Tolerance,
+    /// Pixels by which a tile that is not sent anew may show any point beside where its new planes would, from any camera of the view box
+    /// ([`moved`]); 0: what differs at all is sent.
+    pub parallax: f64,
     /// Milliseconds that the geometry of a frame may take; 0: as long as it takes.
     pub frame_ms: f64,
     /// Nothing is carried from frame to frame: what a photo's driver would do, to compare with.
     pub separate: bool,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self { options: Options::default(), tolerance: Tolerance::default(), parallax: PARALLAX, frame_ms: 0.0, separate: false }
+    }
 }
 
 impl Settings {
@@ -67,8 +80,12 @@ pub struct Update {
     pub cut: bool,
     /// Tiles whose pixels changed, by number.
     pub changed: Vec<u32>,
-    /// Tiles whose planes or labels changed.
+    /// Tiles whose planes or labels moved by more than the tolerance: readers get them.
     pub sent: Vec<u32>,
+    /// Tiles that were placed anew and are not sent: readers and this room go on with what was sent of them last.
+    pub kept: Vec<u32>,
+    /// Pixels by which these are off at the most: a bound, from any camera of the view box.
+    pub kept_off: f64,
     /// These, coded.
     pub chunks: Vec<Chunk>,
     /// Changed tiles that wait for a later frame.
@@ -92,6 +109,7 @@ pub struct Geometry {
 
 /// What is known of the last frame.
 struct State {
+    /// As it was sent last, tile by tile: what is not sent is not taken here either, so that errors never add up.
     geometry: core::Geometry,
     /// Depth has been looked at.
     known: bool,
@@ -186,7 +204,7 @@ impl Geometry {
         let wanted = if state.stale.contains(&true) { Vec::new() } else { state.most_changed(self.budget.tiles()) };
         if !wanted.is_empty() {
             let before = Instant::now();
-            state.place(&mut job, &mut self.planes, frame, &wanted, &mut update.sent)?;
+            state.place(&mut job, &mut self.planes, frame, (&wanted, self.settings.parallax), &mut update)?;
             self.budget.tiles_took(wanted.len(), ms(before));
         }
         update.waiting = state.waiting.iter().filter(|w| **w > 0).count();
@@ -328,14 +346,14 @@ impl State {
         tiles
     }
 
-    /// Places the planes of some tiles; `sent` gets those that came out otherwise, in order.
+    /// Places the planes of some tiles; `update` is told, in order, of those that moved by more than `parallax` pixels, and of the others.
     fn place(
         &mut self,
         job: &mut Context,
         planes: &mut Planes,
         frame: &Frame,
-        wanted: &[u32],
-        sent: &mut Vec<u32>,
+        (wanted, parallax): (&[u32], f64),
+        update: &mut Update,
     ) -> Result<(), MakeError> {
         let mut chosen = vec![false; self.waiting.len()];
         for t in wanted {
@@ -357,10 +375,19 @@ impl State {
         layers::add_backgrounds_to(&mut geometry, &self.delta, |t| chosen[t as usize]);
         for (t, new) in (0..).zip(geometry.tiles).filter(|(t, _)| chosen[*t as usize]) {
             self.waiting[t as usize] = 0;
-            let known = &mut self.geometry.tiles[t as usize];
-            if *known != new {
-                *known = new;
-                sent.push(t);
+            let held = &self.geometry.tiles[t as usize];
+            if *held == new {
+                continue;
+            }
+            let off = moved(&self.geometry, t, held, &new);
+            if off > parallax {
+                self.geometry.tiles[t as usize] = new;
+                update.sent.push(t);
+            } else {
+                // the next ones start from what readers have
+                planes.hold(t, held);
+                update.kept.push(t);
+                update.kept_off = update.kept_off.max(off);
             }
         }
         Ok(())
