@@ -6,8 +6,8 @@ pub mod equal;
 mod measure;
 mod reader;
 mod scale;
-mod sums;
 pub mod sequence;
+mod sums;
 
 use std::fmt::Write;
 use std::path::PathBuf;
@@ -230,7 +230,10 @@ pub fn learn(settings: &Settings, told: &dyn Fn(&str)) -> Result<String, LiveBen
         told(&format!("lesson {} of {}", lesson + 1, LESSONS.0));
         let kind = if lesson % 3 == 2 { Kind::Moving } else { Kind::Still };
         let sequence = Sequence::new(kind, LEARNT + 3 * lesson, settings.size, LESSONS.1, measure::ASIDE);
-        let (mut encoder, mut geometry) = (encoder(settings.size, settings.bitrate)?, Geometry::new(settings.models.clone(), room(&sequence, settings.parallax, 0.0, false)));
+        let (mut encoder, mut geometry) = (
+            encoder(settings.size, settings.bitrate)?,
+            Geometry::new(settings.models.clone(), room(&sequence, settings.parallax, 0.0, false)),
+        );
         let mut decoder = video::decoder(encoder.codec(), settings.size)?;
         for n in 0..LESSONS.1 {
             let shot = sequence.shot(n);

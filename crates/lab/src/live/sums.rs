@@ -4,9 +4,9 @@ use tmpi_core::live::wire;
 use tmpi_core::{Geometry, Photo};
 use tmpi_live::Update;
 
+use super::Figures;
 use super::equal::{AsJpeg, sound_bytes};
 use super::reader::Mean;
-use super::Figures;
 
 /// What is counted over the frames.
 #[derive(Default)]
@@ -98,4 +98,3 @@ fn same(a: &Photo, b: &Photo, r: tmpi_core::Rect) -> bool {
         a.rgb[row..row + r.w as usize] == b.rgb[row..row + r.w as usize]
     })
 }
-
