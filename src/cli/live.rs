@@ -68,6 +68,9 @@ struct BenchArgs {
     /// Pixels by which a tile that is not sent anew may show any point beside where its new planes would, from any camera of the view box
     #[arg(long, default_value_t = tmpi_live::PARALLAX, value_parser = parallax, value_name = "PX")]
     parallax: f64,
+    /// Frames that rest after one of which tiles were sent
+    #[arg(long, default_value_t = tmpi_live::REST, value_parser = clap::value_parser!(u32).range(0..=30), value_name = "N")]
+    rest: u32,
     /// Bring the network's disparity to the truth's scale before it is used: what is left is not the scale's
     #[arg(long)]
     true_scale: bool,
@@ -137,6 +140,7 @@ fn bench(args: &BenchArgs) -> anyhow::Result<()> {
         depth: networks::available().is_ok(),
         true_scale: args.true_scale,
         parallax: args.parallax,
+        rest: args.rest,
         files: args.files.clone(),
         only: args.only.clone(),
     };

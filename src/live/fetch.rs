@@ -242,7 +242,9 @@ impl Pieces {
                 }
                 (Part::Gone, _) => return Ok(None),
                 // the room is held by the source
-                (Part::Wait | Part::NotYet, Some(changes)) => drop(changes.changed().await),
+                (Part::Wait | Part::NotYet, Some(changes)) => {
+                    let _ = changes.changed().await;
+                }
                 // its owner has waited
                 (Part::Wait | Part::NotYet, None) => {}
             }

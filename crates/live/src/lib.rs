@@ -13,7 +13,8 @@
 //!    of the view box, are not sent, and the room goes on with what was: it has of each tile what its readers have.
 //! 6. Chunks ([`tmpi_core::live::chunk`]) of the others.
 //!
-//! [`Geometry`] drives all that under a budget of time: what does not fit waits for the next frame, what changed most goes first.
+//! [`Geometry`] drives all that under a budget of time: what does not fit waits for the next frame, what changed most goes first. After a frame of
+//! which tiles were sent the next one rests ([`Settings::rest`]): what changed in it is sent with the one after.
 //! [`video`] and [`depth`] decode what publishers send, [`units`] splits their streams. Nothing here knows of sockets or rooms, and nothing waits.
 
 pub mod align;
@@ -27,5 +28,5 @@ pub mod video;
 
 pub use budget::Budget;
 pub use change::Tolerance;
-pub use geometry::{Frame, Geometry, GeometryError, PARALLAX, Settings, Update};
+pub use geometry::{Frame, Geometry, GeometryError, PARALLAX, REST, Settings, Update};
 pub use moved::moved;

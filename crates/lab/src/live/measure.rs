@@ -29,13 +29,15 @@ pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Resul
     let mut decoder = video::decoder(encoder.codec(), settings.size)?;
     let truth = Truth::default();
     let models = if settings.true_scale { truth.scaled(&settings.models) } else { settings.models.clone() };
-    let mut carried = Driver::new(models.clone(), room(sequence, settings.parallax, settings.frame_ms, false));
-    let mut separate = Driver::new(models, room(sequence, settings.parallax, 0.0, true));
+    let mut carried = Driver::new(models.clone(), room(settings, sequence, settings.frame_ms, false));
+    let mut separate = Driver::new(models, room(settings, sequence, 0.0, true));
     let (mut reader, mut other) = (Reader::default(), Reader::default());
     // the truth of the frame before
     let mut last: Option<Photo> = None;
     let mut stream = Vec::new();
     let mut sums = Sums::default();
+    // every second frame may rest: views are of the one kind as often as of the other
+    let views = settings.views | 1;
     for n in 0..settings.frames {
         let shot = sequence.shot(n);
         truth.is(&shot.delta);
@@ -47,7 +49,7 @@ pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Resul
         let decode_ms = clock.ms();
         f.decode_ms += decode_ms;
         f.server_cpu_ms += clock.cpu_ms();
-        if n % settings.views == 0 {
+        if n % views == 0 {
             let off = psnr(photo.rgb.as_flattened(), shot.clean.rgb.as_flattened());
             sums.video_psnr.add(off);
             sums.jpeg(as_jpeg(&shot.noisy, &shot.clean, off)?);
@@ -85,7 +87,7 @@ pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Resul
             reader.see(g, &frame.photo);
             f.memory_ms += ms(before);
         }
-        if n % settings.views <= 1 {
+        if n % views <= 1 {
             if let Some(snapshot) = carried.snapshot(n.into())? {
                 let geometry = wire::Geometry { frame: n.into(), chunks: vec![snapshot] };
                 sums.snapshots.add(tmpi_core::live::write(wire::message::Kind::Snapshot(geometry)).len() as f64);
@@ -95,14 +97,14 @@ pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Resul
                 photo: &frame.photo,
                 shot: &shot,
                 beside: sequence.beside(),
-                follows: n % settings.views == 1,
+                follows: n % views == 1,
                 sent,
                 settled: f64::from(n) >= SETTLED * 30.0,
             };
             let view = known.as_ref().map(|g| reader.show(moment(g, &update.sent))).transpose()?;
             separate.next(&frame)?;
             let by_itself = separate.geometry().map(|g| other.show(moment(g, &[]))).transpose()?;
-            if let Some(folder) = settings.files.as_deref().filter(|_| n % settings.views == 0) {
+            if let Some(folder) = settings.files.as_deref().filter(|_| n % views == 0) {
                 let pictures = [("frame", Some(&frame.photo)), ("beside", view.as_ref()), ("separate", by_itself.as_ref())];
                 for (what, picture) in pictures.into_iter().chain([("truth", Some(&shot.beside))]) {
                     let name = format!("{}-{n:04}-{what}.png", kind.slug());

@@ -75,6 +75,8 @@ pub struct Settings {
     pub true_scale: bool,
     /// Pixels of parallax by which what readers hold of a tile may be off.
     pub parallax: f64,
+    /// Frames that rest after one of which tiles were sent.
+    pub rest: u32,
     /// Of the sequences the one of this name alone.
     pub only: Option<String>,
     /// Where the streams and some of the pictures are written.
@@ -202,10 +204,10 @@ pub fn run(settings: &Settings, told: &dyn Fn(&str)) -> Result<Results, LiveBenc
 }
 
 /// What is made of a sequence.
-fn room(sequence: &Sequence, parallax: f64, frame_ms: f64, separate: bool) -> Room {
+fn room(settings: &Settings, sequence: &Sequence, frame_ms: f64, separate: bool) -> Room {
     let (k, width) = (sequence.intrinsics(), 2.0 * sequence.intrinsics().cx);
     let options = Options { fov_x: Some(k.fov_x(width as u32)), ..Options::default() };
-    Room { options, parallax, frame_ms, separate, ..Room::default() }
+    Room { options, parallax: settings.parallax, rest: settings.rest, frame_ms, separate, ..Room::default() }
 }
 
 /// The encoder that is wanted.
@@ -230,10 +232,8 @@ pub fn learn(settings: &Settings, told: &dyn Fn(&str)) -> Result<String, LiveBen
         told(&format!("lesson {} of {}", lesson + 1, LESSONS.0));
         let kind = if lesson % 3 == 2 { Kind::Moving } else { Kind::Still };
         let sequence = Sequence::new(kind, LEARNT + 3 * lesson, settings.size, LESSONS.1, measure::ASIDE);
-        let (mut encoder, mut geometry) = (
-            encoder(settings.size, settings.bitrate)?,
-            Geometry::new(settings.models.clone(), room(&sequence, settings.parallax, 0.0, false)),
-        );
+        let (mut encoder, mut geometry) =
+            (encoder(settings.size, settings.bitrate)?, Geometry::new(settings.models.clone(), room(settings, &sequence, 0.0, false)));
         let mut decoder = video::decoder(encoder.codec(), settings.size)?;
         for n in 0..LESSONS.1 {
             let shot = sequence.shot(n);

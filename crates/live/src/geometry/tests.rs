@@ -27,6 +27,11 @@ impl Estimator for Bright {
     }
 }
 
+/// Frames never rest.
+fn restless() -> Settings {
+    Settings { rest: 0, ..Settings::default() }
+}
+
 fn room(settings: Settings) -> (Arc<Bright>, Geometry) {
     let depth = Arc::new(Bright::default());
     (Arc::clone(&depth), Geometry::new(Models { depth, theta: None, psi: None }, settings))
@@ -55,7 +60,7 @@ fn what_stands_still_costs_nothing() {
 
 #[test]
 fn a_reader_of_all_chunks_has_the_room_and_unchanged_tiles_are_as_they_were() {
-    let (_, mut room) = room(Settings::default());
+    let (_, mut room) = room(restless());
     room.next(&frame(0, 20)).unwrap();
     let mut reader = Model::new(&Model::hello(room.geometry().unwrap())).unwrap();
     reader.take(&wire::Geometry { frame: 0, chunks: room.snapshot(0).unwrap().into_iter().collect() }).unwrap();
@@ -74,7 +79,7 @@ fn a_reader_of_all_chunks_has_the_room_and_unchanged_tiles_are_as_they_were() {
 
 #[test]
 fn another_scale_of_the_network_does_not_move_what_moves_over_the_picture() {
-    let (_, mut room) = room(Settings::default());
+    let (_, mut room) = room(restless());
     let shown = |room: &Geometry, x: u32| {
         let g = room.geometry().unwrap();
         // tile 6 has its upper left corner at (56, 56)
@@ -166,9 +171,9 @@ proptest::proptest! {
     /// off by more than the tolerance from what was placed for this frame: what is left out never adds up.
     #[test]
     fn what_is_not_sent_is_within_the_tolerance(steps in proptest::collection::vec((-0.02f32..0.02, -0.02f32..0.02, 0u32..4), 2..14)) {
-        let (_, mut room) = room(Settings::default());
+        let (_, mut room) = room(restless());
         let (mut wall, mut slope, mut reader) = (0.3f32, 0.1f32, None::<Model>);
-        let (mut kept, mut before) = (0, None::<core::Geometry>);
+        let mut before = None::<core::Geometry>;
         for (n, (dw, ds, edge)) in (0u64..).zip(steps) {
             (wall, slope) = (wall + dw, slope + ds);
             // the picture changes with it, so that all tiles are placed anew
@@ -183,7 +188,6 @@ proptest::proptest! {
             proptest::prop_assert_eq!(model.geometry(), Some(now));
             proptest::prop_assert!(update.kept_off <= PARALLAX, "{} px", update.kept_off);
             if let Some(before) = before.take().filter(|_| !update.cut) {
-                kept += update.kept.len();
                 for t in 0..now.tiles.len() as u32 {
                     let same = now.tiles[t as usize] == before.tiles[t as usize];
                     proptest::prop_assert_eq!(same, !update.sent.contains(&t), "tile {}", t);
@@ -204,6 +208,50 @@ proptest::proptest! {
             }
             before = Some(now.clone());
         }
-        let _ = kept;
     }
+}
+
+/// A wall before another, both `by` nearer, and a picture that is another for each number.
+fn walls(number: u64, by: f32) -> Frame {
+    let mut f = frame(number, 60);
+    f.photo.rgb.iter_mut().for_each(|p| *p = [(number * 90 % 200) as u8; 3]);
+    let delta = |x: u32| if (50..120).contains(&x) { 0.8 } else { 0.3 + by };
+    f.depth = Some(DisparityMap { width: 240, height: 136, delta: (0..240 * 136).map(|i| delta(i % 240)).collect() });
+    f
+}
+
+#[test]
+fn what_moves_by_less_than_a_quarter_of_a_pixel_is_kept_until_it_adds_up() {
+    let (_, mut room) = room(restless());
+    room.next(&walls(0, 0.0)).unwrap();
+    let first = room.geometry().unwrap().clone();
+    let update = room.next(&walls(1, 0.004)).unwrap();
+    // the background behind the near wall follows at once, by a tenth of a pixel
+    assert!(update.sent.is_empty() && !update.kept.is_empty(), "{:?} sent, {:?} kept", update.sent, update.kept);
+    assert!(update.kept_off > 0.0 && update.kept_off <= PARALLAX && update.chunks.is_empty());
+    assert_eq!(room.geometry(), Some(&first));
+    let sent: usize = (2..40).map(|n| room.next(&walls(n, 0.004 * n as f32)).unwrap().sent.len()).sum();
+    assert!(sent > 0, "what creeps is sent in the end");
+    // without a tolerance it goes at once
+    let (_, mut room) = self::room(Settings { parallax: 0.0, ..restless() });
+    room.next(&walls(0, 0.0)).unwrap();
+    let update = room.next(&walls(1, 0.004)).unwrap();
+    assert!(!update.sent.is_empty() && update.kept.is_empty());
+}
+
+#[test]
+fn a_frame_rests_after_one_whose_tiles_were_sent_and_is_caught_up_with() {
+    let (depth, mut room) = room(Settings::default());
+    room.next(&frame(0, 60)).unwrap();
+    let runs = || depth.runs.load(Ordering::Relaxed);
+    assert_eq!(runs(), 1);
+    let rests = room.next(&frame(1, 90)).unwrap();
+    assert!(!rests.changed.is_empty() && rests.sent.is_empty() && rests.waiting == rests.changed.len() && runs() == 1);
+    let now = room.next(&frame(2, 90)).unwrap();
+    assert!(now.changed.is_empty() && !now.sent.is_empty() && now.waiting == 0 && runs() == 2);
+    assert!(now.sent.iter().all(|t| rests.changed.contains(t)));
+    // a cut does not wait
+    let mut other = frame(3, 90);
+    other.photo.rgb.iter_mut().for_each(|p| *p = p.map(|v| 255 - v));
+    assert_eq!(room.next(&other).unwrap().sent.len(), 15);
 }
