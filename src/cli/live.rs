@@ -65,6 +65,18 @@ struct BenchArgs {
     /// Milliseconds that the geometry of a frame may take; 0: as long as it takes
     #[arg(long, default_value_t = 0.0, value_name = "MS")]
     budget_ms: f64,
+    /// Pixels by which a tile that is not sent anew may show any point beside where its new planes would, from any camera of the view box
+    #[arg(long, default_value_t = tmpi_live::PARALLAX, value_parser = parallax, value_name = "PX")]
+    parallax: f64,
+    /// Frames that rest after one of which tiles were sent
+    #[arg(long, default_value_t = tmpi_live::REST, value_parser = clap::value_parser!(u32).range(0..=30), value_name = "N")]
+    rest: u32,
+    /// Bring the network's disparity to the truth's scale before it is used: what is left is not the scale's
+    #[arg(long)]
+    true_scale: bool,
+    /// Damage so many access units of a stream of that size, decode them and measure time and memory instead; 1 where these are not bounded
+    #[arg(long, value_parser = clap::value_parser!(u64).range(1..=100_000_000), value_name = "N")]
+    damaged: Option<u64>,
     /// Draw the view from beside the camera for two frames of every so many
     #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u32).range(2..=100_000), value_name = "N")]
     views: u32,
@@ -93,6 +105,10 @@ pub(super) fn run(args: &LiveArgs) -> anyhow::Result<()> {
     }
 }
 
+fn parallax(text: &str) -> Result<f64, String> {
+    text.parse().ok().filter(|px: &f64| px.is_finite() && *px >= 0.0).ok_or_else(|| "pixels, 0 or more".into())
+}
+
 fn token(args: &TokenArgs) -> anyhow::Result<()> {
     let now = SystemTime::now().duration_since(UNIX_EPOCH)?.as_secs();
     let role = if args.publish { Role::Publish } else { Role::Watch };
@@ -106,18 +122,28 @@ fn bench(args: &BenchArgs) -> anyhow::Result<()> {
         return Err(Usage(format!("--size: frames have {} pixels at most", tmpi_core::live::MAX_PIXELS)).into());
     }
     let rate = || (RATE * f64::from(w) * f64::from(h)) as u32;
+    let bitrate = (args.codec == "h264").then(|| args.bitrate.unwrap_or_else(rate));
+    let told = |what: &str| eprintln!("tmpi live bench: {what}");
+    if let Some(count) = args.damaged {
+        let found = live::damaged::run(args.size, bitrate, count, &told)?;
+        result(&if args.json { serde_json::to_string_pretty(&found)? } else { found.table() })?;
+        anyhow::ensure!(found.is_bounded(), "time or memory is beyond its bound");
+        return Ok(());
+    }
     let settings = live::Settings {
         size: args.size,
         frames: args.frames,
-        bitrate: (args.codec == "h264").then(|| args.bitrate.unwrap_or_else(rate)),
+        bitrate,
         frame_ms: args.budget_ms,
         views: args.views,
         models: models::load(&args.models.settings())?,
         depth: networks::available().is_ok(),
+        true_scale: args.true_scale,
+        parallax: args.parallax,
+        rest: args.rest,
         files: args.files.clone(),
         only: args.only.clone(),
     };
-    let told = |what: &str| eprintln!("tmpi live bench: {what}");
     if let Some(file) = &args.learn {
         return files::write(file, live::learn(&settings, &told)?.as_bytes());
     }

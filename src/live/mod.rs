@@ -13,10 +13,12 @@
 //! | `room` | what sockets and threads of a room share |
 //! | `ring` | messages since the last key frame |
 //! | `gops` | the same as groups of pictures, for plain HTTP |
+//! | `fetch` | frames and groups of pictures by plain HTTP, of whichever node has them |
 //! | `nodes` | rooms that several servers share |
 //! | `worker` | the threads that decode and make geometry |
 
 mod access;
+mod fetch;
 mod gops;
 mod invite;
 mod nodes;

@@ -4,6 +4,7 @@ use std::io;
 use std::net::IpAddr;
 use std::pin::{Pin, pin};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::task::{Context, Poll};
 use std::time::Duration;
 
@@ -94,8 +95,9 @@ pub async fn serve(door: Door, router: Router, limits: &Arc<Limits>, telemetry: 
             tracing::debug!(%peer, "an address has as many connections as it may");
             continue;
         };
-        let held = Held(Arc::new((permit, share, telemetry.connection(), open.token())));
-        let stream = Timed::new(stream, limits.write, limits.write_rate);
+        let little = Arc::new(AtomicBool::new(false));
+        let held = Held { little: Arc::clone(&little), all: Arc::new((permit, share, telemetry.connection(), open.token())) };
+        let stream = Timed::new(stream, limits.write, limits.write_rate, Little { wanted: little, keep: keep_little });
         let connection =
             Connection { http: http.clone(), router: router.clone(), limits: Arc::clone(limits), peer, held, stop: stop.clone() };
         let acceptor = tls.as_ref().map(Tls::acceptor);
@@ -221,7 +223,28 @@ pub struct Peer(pub IpAddr);
 
 /// What a connection holds of what there is a bounded number of: who goes on with it as a WebSocket holds this on.
 #[derive(Clone)]
-pub struct Held(#[expect(dead_code, reason = "held until it is dropped")] Arc<(OwnedSemaphorePermit, Share, Present, TaskTrackerToken)>);
+pub struct Held {
+    little: Arc<AtomicBool>,
+    #[expect(dead_code, reason = "held until it is dropped")]
+    all: Arc<(OwnedSemaphorePermit, Share, Present, TaskTrackerToken)>,
+}
+
+impl Held {
+    /// From the next write on the system keeps little of what is sent: what is live is of no use later.
+    pub fn keep_little(&self) {
+        self.little.store(true, Ordering::Relaxed);
+    }
+}
+
+/// Bytes that the system keeps of what is live until the other side has them, of which it takes as many again for itself: two seconds of video
+/// as the publishing page sends it, and 10 Mbit/s to whoever is 100 ms away.
+const LITTLE: usize = 128 << 10;
+
+fn keep_little(stream: &TcpStream) {
+    if let Err(error) = socket2::SockRef::from(stream).set_send_buffer_size(LITTLE) {
+        tracing::debug!(%error, "bounding what the system keeps for a connection");
+    }
+}
 
 /// Bytes that the system keeps for a connection beyond what was sent: by itself it keeps up to 4 MB, which a viewer who stalls would be shown
 /// before what is live.
@@ -257,11 +280,24 @@ struct Timed<S> {
     /// How long it was waited for, and what it took.
     waited: Duration,
     taken: usize,
+    little: Little<S>,
+}
+
+/// Whether the system is to keep little of what is written, and how it is told to.
+struct Little<S> {
+    wanted: Arc<AtomicBool>,
+    keep: fn(&S),
 }
 
 impl<S> Timed<S> {
-    fn new(stream: S, limit: Duration, rate: u64) -> Self {
-        Self { stream, limit, rate, timer: None, since: None, waited: Duration::ZERO, taken: 0 }
+    fn new(stream: S, limit: Duration, rate: u64, little: Little<S>) -> Self {
+        Self { stream, limit, rate, timer: None, since: None, waited: Duration::ZERO, taken: 0, little }
+    }
+
+    fn keep_little(&self) {
+        if self.little.wanted.swap(false, Ordering::Relaxed) {
+            (self.little.keep)(&self.stream);
+        }
     }
 
     fn check<T>(&mut self, cx: &mut Context<'_>, result: Poll<io::Result<T>>, bytes: impl Fn(&T) -> usize) -> Poll<io::Result<T>> {
@@ -296,6 +332,7 @@ impl<S: AsyncRead + Unpin> AsyncRead for Timed<S> {
 
 impl<S: AsyncWrite + Unpin> AsyncWrite for Timed<S> {
     fn poll_write(mut self: Pin<&mut Self>, cx: &mut Context<'_>, buf: &[u8]) -> Poll<io::Result<usize>> {
+        self.keep_little();
         let result = Pin::new(&mut self.stream).poll_write(cx, buf);
         self.check(cx, result, |n| *n)
     }
@@ -311,6 +348,7 @@ impl<S: AsyncWrite + Unpin> AsyncWrite for Timed<S> {
     }
 
     fn poll_write_vectored(mut self: Pin<&mut Self>, cx: &mut Context<'_>, bufs: &[io::IoSlice<'_>]) -> Poll<io::Result<usize>> {
+        self.keep_little();
         let result = Pin::new(&mut self.stream).poll_write_vectored(cx, bufs);
         self.check(cx, result, |n| *n)
     }
@@ -326,10 +364,37 @@ mod tests {
 
     use super::*;
 
+    fn usual<S>() -> Little<S> {
+        Little { wanted: Arc::default(), keep: |_| panic!("nobody asked for it") }
+    }
+
+    #[cfg(target_os = "linux")]
+    #[tokio::test]
+    async fn a_connection_keeps_little_from_the_next_write_on_once_that_is_wanted() {
+        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let theirs = TcpStream::connect(listener.local_addr().unwrap()).await.unwrap();
+        let (ours, _) = listener.accept().await.unwrap();
+        let wanted = Arc::<AtomicBool>::default();
+        let mut timed = Timed::new(ours, Duration::from_secs(30), 1, Little { wanted: Arc::clone(&wanted), keep: keep_little });
+        let size = |timed: &Timed<TcpStream>| socket2::SockRef::from(&timed.stream).send_buffer_size().unwrap();
+        timed.write_all(b"a").await.unwrap();
+        assert_ne!(size(&timed), 2 * LITTLE);
+        wanted.store(true, Ordering::Relaxed);
+        timed.write_all(b"b").await.unwrap();
+        assert_eq!(size(&timed), 2 * LITTLE);
+        // whoever reads nothing is sent no more than both sides keep
+        let mut sent = 0;
+        while let Ok(Ok(n)) = tokio::time::timeout(Duration::from_secs(1), timed.write(&[0; 4096])).await {
+            sent += n;
+        }
+        let kept = socket2::SockRef::from(&theirs).recv_buffer_size().unwrap();
+        assert!(sent <= 2 * LITTLE + kept, "{sent} bytes");
+    }
+
     #[tokio::test]
     async fn a_client_that_takes_nothing_is_cut_off_and_a_slow_one_is_not() {
         let (ours, mut theirs) = tokio::io::duplex(10);
-        let mut timed = Timed::new(ours, Duration::from_millis(200), 1);
+        let mut timed = Timed::new(ours, Duration::from_millis(200), 1, usual());
         let slow = tokio::spawn(async move {
             let mut one = [0; 1];
             for _ in 0..40 {
@@ -349,7 +414,7 @@ mod tests {
     #[tokio::test]
     async fn a_client_that_takes_a_byte_now_and_then_is_cut_off() {
         let (ours, mut theirs) = tokio::io::duplex(10);
-        let mut timed = Timed::new(ours, Duration::from_millis(200), 10_000);
+        let mut timed = Timed::new(ours, Duration::from_millis(200), 10_000, usual());
         tokio::spawn(async move {
             let mut one = [0; 1];
             // never long without a byte

@@ -137,11 +137,48 @@ fn viewers_at_another_node_get_the_very_bytes() {
     assert!(there.frames.iter().all(|(n, bytes)| here.frames.get(n).is_none_or(|b| b == bytes)), "the bytes of frames");
     let both = there.tiles.iter().filter(|(n, _)| here.tiles.contains_key(*n)).collect::<Vec<_>>();
     assert!(both.len() > 3 && both.iter().all(|(n, bytes)| here.tiles[*n] == **bytes), "the bytes of tiles");
-    // what only the node of the publisher has
-    for path in ["frames/latest/atlas", "gops/latest", "gops/1-0"] {
-        assert_eq!(get(b.addr, &format!("/v1/live/attic/{path}")).problem(421)["type"], "urn:tmpi:problem:elsewhere", "{path}");
-    }
     assert_eq!(get(a.addr, "/v1/live/attic/frames/latest/atlas").status, 200);
+    assert_eq!((dropped(a.addr), dropped(b.addr)), (0, 0));
+}
+
+#[test]
+fn frames_and_groups_are_the_same_at_any_node() {
+    // so small that each of them comes in parts
+    let Some(nats) = Nats::start(1024) else { return };
+    let Pair { mut publisher, a, b, _data } = Pair::start(&nats);
+    let of = |addr, path: &str| get(addr, &format!("/v1/live/attic/{path}"));
+    wait_until("a frame is done", || of(a.addr, "frames/latest/atlas").status == 200);
+    // nobody watches at the other node
+    let both = [a.addr, b.addr].map(|addr| of(addr, "frames/latest/atlas"));
+    for answer in &both {
+        assert_eq!((answer.status, answer.header("content-type")), (200, Some("application/vnd.tmpi")));
+        assert_eq!((answer.header("x-tmpi-frame"), &answer.body), (Some("0"), &both[0].body));
+    }
+    assert!(both[0].body.len() > 2048);
+    for (path, detail) in [("frames/7/atlas", "the frame that is kept is 0"), ("frames/x/atlas", "frames have numbers")] {
+        assert_eq!(of(b.addr, path).problem(404)["detail"], detail);
+    }
+    assert_eq!(of(b.addr, "frames/0/atlas").body, both[0].body);
+    let newest = of(b.addr, "gops/latest");
+    assert_eq!((newest.status, newest.header("location")), (307, of(a.addr, "gops/latest").header("location")));
+    let epoch: u64 = newest.header("location").unwrap().split_once('-').unwrap().0.parse().unwrap();
+    // the first while it grows, the second before it begins
+    let waits = [0, 1].map(|n| std::thread::spawn(move || get(b.addr, &format!("/v1/live/attic/gops/{epoch}-{n}"))));
+    for n in 1..5 {
+        std::thread::sleep(Duration::from_millis(600));
+        publisher.publish(frame(10 + 4 * n));
+    }
+    let [first, second] = waits.map(|thread| thread.join().unwrap());
+    for (n, there) in [first, second].into_iter().enumerate() {
+        let here = of(a.addr, &format!("gops/{epoch}-{n}"));
+        assert_eq!((there.status, there.header("content-type")), (200, Some("application/vnd.tmpi.live")));
+        assert_eq!(there.header("cache-control"), Some("private, max-age=31536000, immutable"));
+        assert!(here.status == 200 && here.body == there.body && here.body.len() > 2048, "group {n}");
+    }
+    for gone in [format!("{epoch}-9"), "1-0".into(), format!("{epoch}-00")] {
+        assert_eq!(of(b.addr, &format!("gops/{gone}")).status, 404, "{gone}");
+    }
+    assert_eq!(get(b.addr, "/v1/live/cellar/frames/latest/atlas").status, 404);
     assert_eq!((dropped(a.addr), dropped(b.addr)), (0, 0));
 }
 

@@ -15,6 +15,17 @@ use tmpi_pipeline::{MakeError, Models, Options, Silent, StageTime, layers};
 use crate::Budget;
 use crate::align;
 use crate::change::{BLOCK, Change, Compare, Tolerance};
+use crate::moved::moved;
+
+/// Pixels of parallax by which what readers hold of a tile may be off, where nothing else is said.
+pub const PARALLAX: f64 = 0.25;
+
+/// Frames that rest after one of which tiles were sent, where nothing else is said: what moves is sent half as often, with no loss that
+/// `tmpi live bench` would see, at half the work.
+pub const REST: u32 = 1;
+
+/// Pixels of parallax up to which a change of a pixel's estimated depth is mostly the network's own trembling, and the share of it that is taken.
+const TREMBLES: (f64, f32) = (1.5, 0.4);
 
 /// Share of a tile's pixels whose measured depth must leave the known one for the tile to count as changed though its colours did not.
 const DEPTH_CHANGED: f64 = 0.02;
@@ -23,16 +34,34 @@ const DEPTH_CHANGED: f64 = 0.02;
 const SNAP_REACH: u32 = 8;
 
 /// What a room is made with.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub struct Settings {
     /// As for a photo; sizes, quality and budget do not count here.
     pub options: Options,
     /// How far an unchanged block may be from what its geometry was made of.
     pub tolerance: Tolerance,
+    /// Pixels by which a tile that is not sent anew may show any point beside where its new planes would, from any camera of the view box
+    /// ([`moved`]); 0: what differs at all is sent.
+    pub parallax: f64,
+    /// Frames that rest after one of which tiles were sent: what changed in them waits for the next one.
+    pub rest: u32,
     /// Milliseconds that the geometry of a frame may take; 0: as long as it takes.
     pub frame_ms: f64,
     /// Nothing is carried from frame to frame: what a photo's driver would do, to compare with.
     pub separate: bool,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self {
+            options: Options::default(),
+            tolerance: Tolerance::default(),
+            parallax: PARALLAX,
+            rest: REST,
+            frame_ms: 0.0,
+            separate: false,
+        }
+    }
 }
 
 impl Settings {
@@ -67,8 +96,12 @@ pub struct Update {
     pub cut: bool,
     /// Tiles whose pixels changed, by number.
     pub changed: Vec<u32>,
-    /// Tiles whose planes or labels changed.
+    /// Tiles whose planes or labels moved by more than the tolerance: readers get them.
     pub sent: Vec<u32>,
+    /// Tiles that were placed anew and are not sent: readers and this room go on with what was sent of them last.
+    pub kept: Vec<u32>,
+    /// Pixels by which these are off at the most: a bound, from any camera of the view box.
+    pub kept_off: f64,
     /// These, coded.
     pub chunks: Vec<Chunk>,
     /// Changed tiles that wait for a later frame.
@@ -92,9 +125,12 @@ pub struct Geometry {
 
 /// What is known of the last frame.
 struct State {
+    /// As it was sent last, tile by tile: what is not sent is not taken here either, so that errors never add up.
     geometry: core::Geometry,
     /// Depth has been looked at.
     known: bool,
+    /// Frames that rest yet.
+    rests: u32,
     /// Disparity of each pixel as of the frame that last changed it.
     delta: DisparityMap,
     /// Changed blocks whose depth has not been looked at yet.
@@ -171,10 +207,12 @@ impl Geometry {
         let grid = state.geometry.grid;
         state.take(&change, &grid, &mut update.changed);
         if let Some(depth) = &frame.depth {
-            state.take_depth(depth, &grid, target(&state.geometry, &options), change.across);
+            state.take_depth(depth, &grid, target(&state.geometry, options.max_error), change.across);
         }
         let known = state.known;
-        if state.stale.contains(&true) && (frame.depth.is_some() || !known || self.budget.depth_is_due()) {
+        let rests = state.rests > 0;
+        state.rests = state.rests.saturating_sub(1);
+        if !rests && state.stale.contains(&true) && (frame.depth.is_some() || !known || self.budget.depth_is_due()) {
             let before = Instant::now();
             let part = if known { state.stale_part(change.across) } else { None };
             let map = estimate(&mut job, frame, part)?;
@@ -183,11 +221,12 @@ impl Geometry {
             }
             state.join(map, known && frame.depth.is_none(), change.across);
         }
-        let wanted = if state.stale.contains(&true) { Vec::new() } else { state.most_changed(self.budget.tiles()) };
+        let wanted = if rests || state.stale.contains(&true) { Vec::new() } else { state.most_changed(self.budget.tiles()) };
         if !wanted.is_empty() {
             let before = Instant::now();
-            state.place(&mut job, &mut self.planes, frame, &wanted, &mut update.sent)?;
+            state.place(&mut job, &mut self.planes, frame, (&wanted, self.settings.parallax), &mut update)?;
             self.budget.tiles_took(wanted.len(), ms(before));
+            state.rests = if update.sent.is_empty() { 0 } else { self.settings.rest };
         }
         update.waiting = state.waiting.iter().filter(|w| **w > 0).count();
         update.stages = job.finish().stages;
@@ -204,11 +243,11 @@ fn ms(since: Instant) -> f64 {
     since.elapsed().as_secs_f64() * 1e3
 }
 
-/// Error in δ that planes may leave.
-fn target(g: &core::Geometry, options: &Options) -> f64 {
+/// Error in δ that is so many pixels of parallax.
+fn target(g: &core::Geometry, pixels: f64) -> f64 {
     let all = core::Rect { x: 0, y: 0, w: g.grid.width, h: g.grid.height };
     let parallax = g.view_box.parallax(&g.intrinsics, all);
-    options.max_error / parallax.0.max(parallax.1).max(1.0)
+    pixels / parallax.0.max(parallax.1).max(1.0)
 }
 
 /// Disparity of a frame: measured and denoised, or estimated; its ramps snapped, of an estimate those in a `part` alone.
@@ -256,6 +295,7 @@ impl State {
             delta: DisparityMap { width, height, delta: vec![0.0; photo.rgb.len()] },
             stale: vec![false; blocks],
             known: false,
+            rests: 0,
         }
     }
 
@@ -301,17 +341,18 @@ impl State {
         }
     }
 
-    /// Takes a new map over where blocks are stale; with `align`, brought to the scale of the others first.
+    /// Takes a new map over where blocks are stale; with `align`, brought to the scale of the others first, and small changes in part.
     fn join(&mut self, mut map: Estimated, align: bool, across: usize) {
         let width = self.delta.width as usize;
         let block = |i: usize| i / width / BLOCK as usize * across + i % width / BLOCK as usize;
+        let trembles = if align { (TREMBLES.0 * target(&self.geometry, 1.0)) as f32 } else { 0.0 };
         if align {
             let steady: Vec<bool> = (0..self.delta.delta.len()).map(|i| !self.stale[block(i)]).collect();
             align::fit(&map.delta, &self.delta, &steady).apply(&mut map.delta.delta);
         }
         for (i, (to, new)) in self.delta.delta.iter_mut().zip(&map.delta.delta).enumerate() {
             if self.stale[block(i)] {
-                *to = *new;
+                *to = if (*new - *to).abs() < trembles { *to + TREMBLES.1 * (*new - *to) } else { *new };
             }
         }
         self.stale.fill(false);
@@ -328,14 +369,14 @@ impl State {
         tiles
     }
 
-    /// Places the planes of some tiles; `sent` gets those that came out otherwise, in order.
+    /// Places the planes of some tiles; `update` is told, in order, of those that moved by more than `parallax` pixels, and of the others.
     fn place(
         &mut self,
         job: &mut Context,
         planes: &mut Planes,
         frame: &Frame,
-        wanted: &[u32],
-        sent: &mut Vec<u32>,
+        (wanted, parallax): (&[u32], f64),
+        update: &mut Update,
     ) -> Result<(), MakeError> {
         let mut chosen = vec![false; self.waiting.len()];
         for t in wanted {
@@ -357,10 +398,19 @@ impl State {
         layers::add_backgrounds_to(&mut geometry, &self.delta, |t| chosen[t as usize]);
         for (t, new) in (0..).zip(geometry.tiles).filter(|(t, _)| chosen[*t as usize]) {
             self.waiting[t as usize] = 0;
-            let known = &mut self.geometry.tiles[t as usize];
-            if *known != new {
-                *known = new;
-                sent.push(t);
+            let held = &self.geometry.tiles[t as usize];
+            if *held == new {
+                continue;
+            }
+            let off = moved(&self.geometry, t, held, &new);
+            if off > parallax {
+                self.geometry.tiles[t as usize] = new;
+                update.sent.push(t);
+            } else {
+                // the next ones start from what readers have
+                planes.hold(t, held);
+                update.kept.push(t);
+                update.kept_off = update.kept_off.max(off);
             }
         }
         Ok(())

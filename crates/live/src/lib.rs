@@ -9,9 +9,12 @@
 //! 3. [`align`]: a network tells depth up to scale and shift, and each frame others. Both are fitted, robustly, to what is known of the
 //!    pixels that did not change; these keep their depth.
 //! 4. Planes of changed tiles, starting from the last ones ([`tmpi_pipeline::planes::place_again`]); labels change only where much is won.
-//! 5. Chunks ([`tmpi_core::live::chunk`]) of the tiles that came out otherwise.
+//! 5. [`moved()`]: tiles that would show nothing elsewhere than the ones that were sent last, by more than a quarter of a pixel from any camera
+//!    of the view box, are not sent, and the room goes on with what was: it has of each tile what its readers have.
+//! 6. Chunks ([`tmpi_core::live::chunk`]) of the others.
 //!
-//! [`Geometry`] drives all that under a budget of time: what does not fit waits for the next frame, what changed most goes first.
+//! [`Geometry`] drives all that under a budget of time: what does not fit waits for the next frame, what changed most goes first. After a frame of
+//! which tiles were sent the next one rests ([`Settings::rest`]): what changed in it is sent with the one after.
 //! [`video`] and [`depth`] decode what publishers send, [`units`] splits their streams. Nothing here knows of sockets or rooms, and nothing waits.
 
 pub mod align;
@@ -19,9 +22,11 @@ mod budget;
 pub mod change;
 pub mod depth;
 mod geometry;
+mod moved;
 pub mod units;
 pub mod video;
 
 pub use budget::Budget;
 pub use change::Tolerance;
-pub use geometry::{Frame, Geometry, GeometryError, Settings, Update};
+pub use geometry::{Frame, Geometry, GeometryError, PARALLAX, REST, Settings, Update};
+pub use moved::moved;

@@ -7,6 +7,9 @@ pub use tmpi_core::live::{I420, to_rgb};
 /// Codec string of frames that are JPEG files.
 pub const JPEG: &str = "jpeg";
 
+/// What [`VideoError::Broken`] says where the decoder gave up in the midst of a frame.
+pub const FAILED: &str = "the decoder failed on it";
+
 /// Why a frame cannot be decoded.
 #[derive(Debug, thiserror::Error)]
 pub enum VideoError {
@@ -85,7 +88,7 @@ mod h264 {
     use rusty_h264_common::nal::{emulation_unprevent, split_annex_b};
     use rusty_h264_decoder::Sps;
 
-    use super::{Decoder, I420, Photo, VideoError, sized, to_rgb};
+    use super::{Decoder, FAILED, I420, Photo, VideoError, sized, to_rgb};
 
     /// H.264, access units in Annex B.
     pub struct H264 {
@@ -106,7 +109,7 @@ mod h264 {
         fn decode(&mut self, data: &[u8]) -> Result<Option<Photo>, VideoError> {
             // Damaged slices can make it panic, and leave it unable to read sound ones: the next key frame brings its own parameters
             let decoded = catch_unwind(AssertUnwindSafe(|| self.picture(data)));
-            let decoded = decoded.unwrap_or_else(|_| Err(VideoError::Broken("the decoder failed on it".into())));
+            let decoded = decoded.unwrap_or_else(|_| Err(VideoError::Broken(FAILED.into())));
             decoded.inspect_err(|_| self.decoder = rusty_h264_decoder::Decoder::new())
         }
     }

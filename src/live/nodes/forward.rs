@@ -10,6 +10,7 @@ use tokio::time::{MissedTickBehavior, interval};
 use tmpi_core::live::wire::message::Kind;
 use tmpi_core::live::write;
 
+use super::lend::Lender;
 use super::wire::{Packet, Sort};
 use super::{Ask, Nodes, subject};
 use crate::live::HEARTBEAT;
@@ -18,6 +19,7 @@ use crate::live::room::{Next, Room, Viewer};
 /// Sends until the room is another one's, or has another epoch.
 pub async fn run(nodes: Arc<Nodes>, name: String, epoch: u64, room: Arc<Room>, mut asks: mpsc::Receiver<(Ask, async_nats::Subject)>) {
     let to = subject(&name, epoch);
+    let lender = Lender::new(Arc::clone(&room), epoch);
     let mut changes = room.watch();
     let mut beat = interval(HEARTBEAT);
     beat.set_missed_tick_behavior(MissedTickBehavior::Delay);
@@ -45,6 +47,10 @@ pub async fn run(nodes: Arc<Nodes>, name: String, epoch: u64, room: Arc<Room>, m
                 _ = changes.changed(), if reading.is_some() => {}
                 ask = asks.recv() => {
                     let Some((ask, reply)) = ask else { return };
+                    if let Some(get) = ask.get {
+                        lender.lend(&nodes, get, reply);
+                        continue;
+                    }
                     if ask.key {
                         room.ask_key();
                         continue;

@@ -8,7 +8,7 @@
 //! | subject | payload |
 //! |---|---|
 //! | `tmpi.nodes` | JSON of [`table::Presence`]: what a node has, claims and watches |
-//! | `tmpi.node.NODE` | JSON of [`Ask`]: a node that watches wants a [`Start`], sent to the inbox that it names, or a key frame |
+//! | `tmpi.node.NODE` | JSON of [`Ask`]: a node that watches wants a [`Start`], sent to the inbox that it names, or a key frame; any node a frame or a group of pictures (`lend`) |
 //! | `tmpi.live.ROOM.EPOCH` | parts of messages (`wire`), while some node watches |
 //!
 //! Names of rooms are letters, digits, `-` and `_`, and so are parts of subjects as they are. The owner sends what it reads of the room's ring
@@ -17,6 +17,7 @@
 //! start again and goes on from where it was. Without NATS each node goes on alone.
 
 mod forward;
+mod lend;
 mod relay;
 mod table;
 mod tiles;
@@ -33,15 +34,18 @@ use bytes::Bytes;
 use futures_util::StreamExt as _;
 use serde::{Deserialize, Serialize};
 use tokio::sync::{mpsc, watch};
-use tokio::time::{MissedTickBehavior, interval, timeout};
+use tokio::time::{MissedTickBehavior, interval, timeout, timeout_at};
 use tokio_util::sync::CancellationToken;
 
 use super::Rooms;
 use super::room::Room;
 pub use crate::nats::Config;
+use lend::Get;
+pub use lend::{Borrower, Lent, Silent};
 use table::{BEAT, Owner, Presence, Table, Verdict, Watched};
 pub use tiles::Chunks;
 pub use wire::Start;
+use wire::{Joined, Joiner, Packet, Sort};
 
 /// Messages of a subscription that wait to be read: a second of video, geometry and sound, as much as a viewer may be behind.
 const WAITING: usize = 128;
@@ -64,6 +68,9 @@ struct Ask {
     /// A key frame; else a [`Start`].
     #[serde(default)]
     key: bool,
+    /// Neither, but this.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    get: Option<Get>,
 }
 
 /// Why a room cannot be had.
@@ -239,7 +246,9 @@ impl Nodes {
         let ask = Some(&message.payload).filter(|p| p.len() <= SAID).and_then(|p| serde_json::from_slice::<Ask>(p).ok());
         let known = ask.filter(|ask| self.table().holds(&ask.room, ask.epoch));
         let (Some(ask), reply) = (known, message.reply) else { return self.drop_one() };
-        self.table().watches(&ask.node, &ask.room);
+        if ask.get.is_none() {
+            self.table().watches(&ask.node, &ask.room);
+        }
         if let (Some(handle), Some(reply)) = (self.claims().get(&ask.room), reply) {
             // whoever is not answered asks again
             let _ = handle.asks.try_send((ask, reply));
@@ -310,6 +319,32 @@ impl Nodes {
                 return;
             }
         }
+    }
+
+    /// Asks an owner, and waits for a packet of that sort; none where none came in time.
+    async fn request(&self, owner: &Owner, ask: &Ask, sort: Sort, within: Duration) -> Option<Packet> {
+        let inbox = self.client.new_inbox();
+        let mut answers = self.subscribe(inbox.clone()).await?;
+        self.ask(owner, ask, inbox).await;
+        let (end, mut joiner) = (tokio::time::Instant::now() + within, Joiner::default());
+        loop {
+            let message = timeout_at(end, answers.next()).await.ok()??;
+            if message.status.is_some() {
+                // nobody listens there
+                return None;
+            }
+            match joiner.push(&message.payload) {
+                Joined::More => {}
+                Joined::Whole(packet) if packet.sort == sort => return Some(packet),
+                Joined::Whole(_) | Joined::Wrong => self.drop_one(),
+            }
+        }
+    }
+
+    async fn ask(&self, owner: &Owner, ask: &Ask, reply: String) {
+        let Ok(bytes) = serde_json::to_vec(ask) else { return };
+        // whoever is not answered asks again
+        let _ = timeout(BEAT, self.client.publish_with_reply(format!("tmpi.node.{}", owner.node), reply, Bytes::from(bytes))).await;
     }
 
     async fn subscribe(&self, subject: String) -> Option<Subscriber> {

@@ -3,10 +3,9 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use async_nats::Subscriber;
 use bytes::Bytes;
 use futures_util::StreamExt as _;
-use tokio::time::{interval, timeout, timeout_at};
+use tokio::time::{interval, timeout};
 
 use tmpi_core::live::read;
 use tmpi_core::live::wire::message::Kind;
@@ -100,7 +99,7 @@ impl Session<'_> {
                 asked = Some(Instant::now());
                 missing = !self.catch_up().await;
                 if self.reached.waits {
-                    self.ask(true, None).await;
+                    self.ask_key().await;
                 }
             }
             tokio::select! {
@@ -116,7 +115,7 @@ impl Session<'_> {
                         },
                     }
                 }
-                () = self.room.keys.notified() => self.ask(true, None).await,
+                () = self.room.keys.notified() => self.ask_key().await,
                 _ = heard.changed() => {
                     if !self.goes_on() {
                         return;
@@ -136,42 +135,22 @@ impl Session<'_> {
         self.room.is_followed() && self.nodes.owner(self.name).as_ref() == Some(&self.owner)
     }
 
-    async fn ask(&self, key: bool, reply: Option<String>) {
-        let ask = Ask { node: self.nodes.me.clone(), room: self.name.to_owned(), epoch: self.owner.epoch, key };
-        let Ok(bytes) = serde_json::to_vec(&ask) else { return };
-        let to = format!("tmpi.node.{}", self.owner.node);
-        let reply = reply.unwrap_or_else(|| self.nodes.client.new_inbox());
-        // whoever is not answered asks again
-        let _ = timeout(BEAT, self.nodes.client.publish_with_reply(to, reply, Bytes::from(bytes))).await;
+    fn words(&self, key: bool) -> Ask {
+        Ask { node: self.nodes.me.clone(), room: self.name.to_owned(), epoch: self.owner.epoch, key, get: None }
+    }
+
+    async fn ask_key(&self) {
+        self.nodes.ask(&self.owner, &self.words(true), self.nodes.client.new_inbox()).await;
     }
 
     /// Asks for a start and takes of it what is not there yet; false where none came.
     async fn catch_up(&mut self) -> bool {
-        let inbox = self.nodes.client.new_inbox();
-        let Some(mut answers) = self.nodes.subscribe(inbox.clone()).await else { return false };
-        self.ask(false, Some(inbox)).await;
-        let Some(bytes) = self.answer(&mut answers).await else { return false };
-        let begun = Start::read(bytes).and_then(|start| self.begin(&start)).is_some();
+        let Some(packet) = self.nodes.request(&self.owner, &self.words(false), Sort::Start, ANSWER).await else { return false };
+        let begun = Start::read(packet.bytes).and_then(|start| self.begin(&start)).is_some();
         if !begun {
             self.nodes.drop_one();
         }
         begun
-    }
-
-    async fn answer(&self, answers: &mut Subscriber) -> Option<Bytes> {
-        let (end, mut joiner) = (tokio::time::Instant::now() + ANSWER, Joiner::default());
-        loop {
-            let message = timeout_at(end, answers.next()).await.ok()??;
-            if message.status.is_some() {
-                // nobody listens there
-                return None;
-            }
-            match joiner.push(&message.payload) {
-                Joined::More => {}
-                Joined::Whole(Packet { sort: Sort::Start, bytes, .. }) => return Some(bytes),
-                Joined::Whole(_) | Joined::Wrong => self.nodes.drop_one(),
-            }
-        }
     }
 
     /// Takes a start; none where it is none, or of another epoch.
@@ -228,7 +207,7 @@ impl Session<'_> {
                 }
                 _ => Taken::No,
             },
-            Sort::Start => Taken::No,
+            Sort::Start | Sort::Answer => Taken::No,
         }
     }
 

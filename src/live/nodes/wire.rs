@@ -1,7 +1,7 @@
 //! Bytes between nodes: messages in parts that a NATS server takes, and what a node that comes late is sent first.
 //!
 //! Each payload begins with 24 bytes, numbers in little endian: `T` and the version, what it is ([`Sort`], from 0 on), 0, part and parts (`u16`
-//! each), number and `after` (`u64` each). The rest of all parts together is one message of `proto/live.proto`, or a [`Start`].
+//! each), number and `after` (`u64` each). The rest of all parts together is one message of `proto/live.proto`, a [`Start`], or what was asked for (`lend`).
 
 use bytes::Bytes;
 
@@ -23,13 +23,15 @@ pub enum Sort {
     Aside,
     /// A [`Start`].
     Start,
+    /// What a node asked for, of which number and `after` say more.
+    Answer,
 }
 
 impl Sort {
     const fn most(self) -> usize {
         match self {
             Self::Entry | Self::Aside => MAX_MESSAGE,
-            Self::Start => MAX_START,
+            Self::Start | Self::Answer => MAX_START,
         }
     }
 }
@@ -94,7 +96,7 @@ impl Joiner {
         };
         let short = |at: usize| u16::from_le_bytes([head[at], head[at + 1]]);
         let long = |at: usize| u64::from_le_bytes(std::array::from_fn(|i| head[at + i]));
-        let sort = [Sort::Entry, Sort::Aside, Sort::Start].into_iter().find(|s| *s as u8 == head[2]);
+        let sort = [Sort::Entry, Sort::Aside, Sort::Start, Sort::Answer].into_iter().find(|s| *s as u8 == head[2]);
         let (part, parts, number, after) = (short(4), short(6), long(8), long(16));
         let begun = self.begun.take();
         let Some(sort) = sort.filter(|_| head[..2] == [b'T', VERSION] && head[3] == 0 && part < parts) else { return Joined::Wrong };
@@ -211,7 +213,7 @@ mod tests {
 
     #[test]
     fn nothing_grows_beyond_what_a_message_may_have() {
-        for (sort, most) in [(Sort::Entry, MAX_MESSAGE), (Sort::Start, MAX_START)] {
+        for (sort, most) in [(Sort::Entry, MAX_MESSAGE), (Sort::Start, MAX_START), (Sort::Answer, MAX_START)] {
             let mut joiner = Joiner::default();
             let last = |length: usize, joiner: &mut Joiner| {
                 let parts = packet(sort, length).split(1 << 20).unwrap();
@@ -241,7 +243,7 @@ mod tests {
             let mut joiner = Joiner::default();
             for mut payload in payloads {
                 if payload.len() > 4 && payload[0] < 128 {
-                    let sort = payload[2] % 4;
+                    let sort = payload[2] % 5;
                     payload[..4].copy_from_slice(&[b'T', VERSION, sort, 0]);
                 }
                 let payload = Bytes::from(payload);

@@ -18,6 +18,9 @@ pub trait Encoder {
     fn encode(&mut self, photo: &Photo) -> Result<(Vec<u8>, bool), LiveBenchError>;
 }
 
+/// Quality of the JPEG files of publishers that have no other encoder.
+pub const QUALITY: u8 = 90;
+
 /// JPEG of each frame.
 #[derive(Clone, Copy, Debug)]
 pub struct Jpeg {

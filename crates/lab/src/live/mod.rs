@@ -1,9 +1,13 @@
 //! `tmpi live bench`: rendered sequences, encoded, through the driver of a room to a reader, with error against time and bytes.
 
+pub mod damaged;
 pub mod encode;
+pub mod equal;
 mod measure;
 mod reader;
+mod scale;
 pub mod sequence;
+mod sums;
 
 use std::fmt::Write;
 use std::path::PathBuf;
@@ -67,6 +71,12 @@ pub struct Settings {
     pub models: Models,
     /// Depth can be estimated.
     pub depth: bool,
+    /// Estimated disparity is brought to the truth's scale before it is used.
+    pub true_scale: bool,
+    /// Pixels of parallax by which what readers hold of a tile may be off.
+    pub parallax: f64,
+    /// Frames that rest after one of which tiles were sent.
+    pub rest: u32,
     /// Of the sequences the one of this name alone.
     pub only: Option<String>,
     /// Where the streams and some of the pictures are written.
@@ -80,26 +90,40 @@ pub struct Figures {
     pub sequence: &'static str,
     /// `h264` or `jpeg`.
     pub codec: &'static str,
-    /// Bytes of video.
+    /// Bytes of video, messages and all.
     pub video_bytes: f64,
-    /// Bytes of geometry.
+    /// Bytes of geometry, as well.
     pub geometry_bytes: f64,
+    /// Bytes of sound, as well: Opus at the rate of the publishing page.
+    pub sound_bytes: f64,
     /// Of these, bytes of planes.
     pub plane_bytes: f64,
     /// Bytes of all tiles of a frame as one chunk.
     pub snapshot_bytes: f64,
-    /// Video and geometry at 30 frames a second, in kbit/s.
+    /// Video, geometry and sound at 30 frames a second, in kbit/s.
     pub kbit_s: f64,
-    /// Bytes of each frame as JPEG of about equal PSNR, with the noise.
+    /// Share of geometry in these.
+    pub geometry_share: f64,
+    /// Bytes of a frame, noise and all, as JPEG (4:4:4) of the PSNR that the video has of it: of the frames of which views are drawn.
     pub jpeg_bytes: f64,
-    /// PSNR of decoded frames against those without noise, and of the JPEG files, in dB.
+    /// All bytes as a share of these.
+    pub jpeg_share: f64,
+    /// PSNR of decoded frames against those without noise, in dB.
     pub video_psnr: f64,
-    /// The same of the JPEG files.
+    /// The same of the JPEG files, as far as they reach it.
     pub jpeg_psnr: f64,
+    /// Their quality.
+    pub jpeg_quality: f64,
     /// Share of the tiles that nothing was sent of.
     pub left_out: f64,
     /// Share of the truly unchanged tiles that were found to be; 0 where no tile is.
     pub unchanged_found: f64,
+    /// Share of the truly unchanged tiles that nothing was sent of; 0 where no tile is.
+    pub unchanged_left_out: f64,
+    /// Share of the tiles that were placed anew and not sent, as they moved by no more than the tolerance.
+    pub kept: f64,
+    /// Pixels by which these are off at the most, from any camera of the view box.
+    pub kept_off: f64,
     /// Largest difference, in levels, of a pixel from that of which its depth was told.
     pub left_out_off: u8,
     /// Pixels that the view from the camera's own place has otherwise than the frame, of all views.
@@ -123,7 +147,7 @@ pub struct Figures {
     pub flicker: f64,
     /// The same, made frame by frame.
     pub flicker_separate: f64,
-    /// The same within tiles of which nothing was sent and whose neighbours did not change.
+    /// The same where nothing was sent of any tile near.
     pub flicker_left_out: f64,
     /// Decoding on the server.
     pub decode_ms: f64,
@@ -180,22 +204,22 @@ pub fn run(settings: &Settings, told: &dyn Fn(&str)) -> Result<Results, LiveBenc
 }
 
 /// What is made of a sequence.
-fn room(sequence: &Sequence, frame_ms: f64, separate: bool) -> Room {
+fn room(settings: &Settings, sequence: &Sequence, frame_ms: f64, separate: bool) -> Room {
     let (k, width) = (sequence.intrinsics(), 2.0 * sequence.intrinsics().cx);
     let options = Options { fov_x: Some(k.fov_x(width as u32)), ..Options::default() };
-    Room { options, frame_ms, separate, ..Room::default() }
+    Room { options, parallax: settings.parallax, rest: settings.rest, frame_ms, separate, ..Room::default() }
 }
 
 /// The encoder that is wanted.
-fn encoder(settings: &Settings) -> Result<Box<dyn Encoder>, LiveBenchError> {
+fn encoder(size: (u32, u32), bitrate: Option<u32>) -> Result<Box<dyn Encoder>, LiveBenchError> {
     #[cfg(feature = "h264")]
-    if let Some(bitrate) = settings.bitrate {
-        return Ok(Box::new(encode::H264::new(settings.size, bitrate)?));
+    if let Some(bitrate) = bitrate {
+        return Ok(Box::new(encode::H264::new(size, bitrate)?));
     }
-    if settings.bitrate.is_some() {
+    if bitrate.is_some() {
         return Err(LiveBenchError::Encode("this program was built without H.264".into()));
     }
-    Ok(Box::new(encode::Jpeg { quality: measure::QUALITY }))
+    Ok(Box::new(encode::Jpeg { quality: encode::QUALITY }))
 }
 
 /// Learns what the coders of chunks begin with (`crates/core/src/live/prior.in`): from chunks of sequences whose depth is measured.
@@ -208,7 +232,8 @@ pub fn learn(settings: &Settings, told: &dyn Fn(&str)) -> Result<String, LiveBen
         told(&format!("lesson {} of {}", lesson + 1, LESSONS.0));
         let kind = if lesson % 3 == 2 { Kind::Moving } else { Kind::Still };
         let sequence = Sequence::new(kind, LEARNT + 3 * lesson, settings.size, LESSONS.1, measure::ASIDE);
-        let (mut encoder, mut geometry) = (encoder(settings)?, Geometry::new(settings.models.clone(), room(&sequence, 0.0, false)));
+        let (mut encoder, mut geometry) =
+            (encoder(settings.size, settings.bitrate)?, Geometry::new(settings.models.clone(), room(settings, &sequence, 0.0, false)));
         let mut decoder = video::decoder(encoder.codec(), settings.size)?;
         for n in 0..LESSONS.1 {
             let shot = sequence.shot(n);
@@ -240,12 +265,16 @@ impl Results {
         line("video, bytes a frame", &|f| format!("{} {:.0}", f.codec, f.video_bytes));
         line("geometry, bytes (planes)", &|f| format!("{:.0} ({:.0})", f.geometry_bytes, f.plane_bytes));
         line("all tiles at once, bytes", &|f| format!("{:.0}", f.snapshot_bytes));
-        line("kbit/s at 30 frames/s", &|f| format!("{:.0}", f.kbit_s));
-        line("JPEG of every frame, bytes", &|f| format!("{:.0}", f.jpeg_bytes));
-        line("share of JPEG", &|f| format!("{:.1} %", 100.0 * (f.video_bytes + f.geometry_bytes) / f.jpeg_bytes.max(1.0)));
+        line("sound, bytes", &|f| format!("{:.0}", f.sound_bytes));
+        line("all, kbit/s at 30 frames/s", &|f| format!("{:.0}", f.kbit_s));
+        line("of these geometry", &|f| format!("{:.1} %", 100.0 * f.geometry_share));
+        line("JPEG of every frame (quality)", &|f| format!("{:.0} ({:.1})", f.jpeg_bytes, f.jpeg_quality));
+        line("all as a share of JPEG", &|f| format!("{:.1} %", 100.0 * f.jpeg_share));
         line("PSNR of video / JPEG, dB", &|f| format!("{:.1} / {:.1}", f.video_psnr, f.jpeg_psnr));
         line("tiles left out", &|f| format!("{:.1} %", 100.0 * f.left_out));
-        line("unchanged tiles found", &|f| format!("{:.1} %", 100.0 * f.unchanged_found));
+        line("placed anew and left out", &|f| format!("{:.1} %", 100.0 * f.kept));
+        line("of these the most off, px", &|f| format!("{:.3}", f.kept_off));
+        line("unchanged tiles: found, left out", &|f| format!("{:.1} / {:.1} %", 100.0 * f.unchanged_found, 100.0 * f.unchanged_left_out));
         line("left out: most off, levels", &|f| f.left_out_off.to_string());
         line("own view: pixels off", &|f| f.own_view_off.to_string());
         line("uncovered: seen / made up, dB", &|f| format!("{:.2} / {:.2}", f.uncovered_psnr, f.uncovered_psnr_made_up));

@@ -62,8 +62,8 @@ pub(super) struct Moment<'a> {
     pub beside: Pose,
     /// The frame before was shown, too.
     pub follows: bool,
-    /// Tiles whose pixels changed.
-    pub changed: &'a [u32],
+    /// Tiles that were sent.
+    pub sent: &'a [u32],
     /// What was seen before counts by now.
     pub settled: bool,
 }
@@ -129,8 +129,8 @@ impl Reader {
         let shapes = last.masks();
         let colours = Inpainter::new(m.photo, &last).fill_all(&shapes);
         let last = self.draw(m, &self.scene(m, &last, shapes, colours), m.beside)?;
-        // where nothing that changed is near: tiles and what parallax brings to them
-        let calm = calm(m.geometry, m.changed);
+        // where nothing that was sent is near: tiles and what parallax brings to them
+        let calm = calm(m.geometry, m.sent);
         let (mut all, mut left) = (Mean::default(), Mean::default());
         let pixels = view.rgb.iter().zip(&last.rgb).zip(shot.beside.rgb.iter().zip(&truth.rgb)).zip(&calm);
         for (((now, was), (true_now, true_was)), calm) in pixels {
@@ -168,10 +168,10 @@ fn add_squares(mean: &mut Mean, view: &Photo, shot: &Shot) {
     }
 }
 
-/// Pixels that no changed tile, nor one beside it, has.
-fn calm(g: &Geometry, changed: &[u32]) -> Vec<bool> {
+/// Pixels that no tile that was sent, nor one beside it, has.
+fn calm(g: &Geometry, sent: &[u32]) -> Vec<bool> {
     let mut calm = vec![true; g.grid.width as usize * g.grid.height as usize];
-    for t in changed {
+    for t in sent {
         let r = tmpi_core::grown(g.grid.rect(*t), g.grid.size, g.grid.size, &g.grid);
         for y in r.y..r.y + r.h {
             let row = y as usize * g.grid.width as usize + r.x as usize;

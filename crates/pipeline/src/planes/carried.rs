@@ -12,7 +12,7 @@ const KEPT: f64 = 1.5;
 /// Rounds of refitting.
 const ROUNDS: usize = 2;
 /// How much less squared error, in units of the squared target, another plane must have before a pixel goes over to it.
-const MARGIN: f32 = 1.0;
+const MARGIN: f32 = 4.0;
 
 /// Places the planes of some tiles anew, starting from what they are. `tiles` are those of the whole grid, which stay as they are
 /// unless `wanted` is true for their number; a tile without planes has nothing to start from.

@@ -40,6 +40,13 @@ impl Planes {
         }
     }
 
+    /// Goes on with `tile` in place of what was placed for tile `index` of the grid.
+    pub fn hold(&mut self, index: u32, tile: &Tile) {
+        if let Some(held) = self.carried.as_mut().and_then(|c| c.tiles.get_mut(index as usize)) {
+            *held = Tile { background: None, ..tile.clone() };
+        }
+    }
+
     /// Forgets the tiles of the frame before: at a cut nothing goes on.
     pub fn forget(&mut self) {
         if let Some(carried) = &mut self.carried {

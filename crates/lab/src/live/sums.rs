@@ -1,0 +1,100 @@
+//! What is counted over the frames of a sequence.
+
+use tmpi_core::live::wire;
+use tmpi_core::{Geometry, Photo};
+use tmpi_live::Update;
+
+use super::Figures;
+use super::equal::{AsJpeg, sound_bytes};
+use super::reader::Mean;
+
+/// What is counted over the frames.
+#[derive(Default)]
+pub(super) struct Sums {
+    /// All tiles, those that are truly unchanged, those of them that were found to be, and those of them that nothing was sent of.
+    tiles: usize,
+    still: usize,
+    found: usize,
+    still_left_out: usize,
+    left_out: usize,
+    kept: usize,
+    pub snapshots: Mean,
+    pub video_psnr: Mean,
+    jpeg: [Mean; 3],
+    /// What each frame took on the server, in milliseconds.
+    pub clocks: Vec<f64>,
+}
+
+impl Sums {
+    /// Counts the tiles of a frame; `truth` is that of the frame before and its own.
+    pub fn count(&mut self, g: &Geometry, update: &Update, truth: Option<(&Photo, &Photo)>) {
+        self.tiles += g.tiles.len();
+        self.left_out += g.tiles.len() - update.sent.len();
+        self.kept += update.kept.len();
+        for t in 0..g.grid.tiles() {
+            let truly = truth.is_some_and(|(before, now)| same(before, now, g.grid.rect(t)));
+            self.still += usize::from(truly);
+            self.found += usize::from(truly && !update.changed.contains(&t));
+            self.still_left_out += usize::from(truly && !update.sent.contains(&t));
+        }
+    }
+
+    /// Counts a frame as JPEG.
+    pub fn jpeg(&mut self, jpeg: AsJpeg) {
+        let AsJpeg { quality, psnr, bytes } = jpeg;
+        self.jpeg.iter_mut().zip([quality, psnr, bytes]).for_each(|(mean, value)| mean.add(value));
+    }
+
+    /// Makes means of the sums over the frames.
+    pub fn finish(mut self, f: &mut Figures, frames: u32) {
+        self.clocks.sort_by(f64::total_cmp);
+        f.server_ms_most = self.clocks.last().copied().unwrap_or_default();
+        f.server_ms_p95 = self.clocks.get(self.clocks.len() * 95 / 100).copied().unwrap_or_default();
+        let frames = f64::from(frames.max(1));
+        for sum in [
+            &mut f.video_bytes,
+            &mut f.geometry_bytes,
+            &mut f.plane_bytes,
+            &mut f.decode_ms,
+            &mut f.server_ms,
+            &mut f.server_cpu_ms,
+            &mut f.read_ms,
+            &mut f.memory_ms,
+        ] {
+            *sum /= frames;
+        }
+        f.stages_ms.iter_mut().for_each(|(_, ms, cpu)| (*ms, *cpu) = (*ms / frames, *cpu / frames));
+        let share = |part: usize, of: usize| part as f64 / of.max(1) as f64;
+        (f.left_out, f.kept) = (share(self.left_out, self.tiles), share(self.kept, self.tiles));
+        (f.unchanged_found, f.unchanged_left_out) = (share(self.found, self.still), share(self.still_left_out, self.still));
+        [f.jpeg_quality, f.jpeg_psnr, f.jpeg_bytes] = self.jpeg.map(Mean::get);
+        (f.snapshot_bytes, f.video_psnr, f.sound_bytes) = (self.snapshots.get(), self.video_psnr.get(), sound_bytes());
+        let all = f.video_bytes + f.geometry_bytes + f.sound_bytes;
+        f.kbit_s = all * 30.0 * 8.0 / 1e3;
+        (f.geometry_share, f.jpeg_share) = (f.geometry_bytes / all, all / f.jpeg_bytes.max(1.0));
+    }
+}
+
+/// Counts what a message of geometry has.
+pub(super) fn add_bytes(f: &mut Figures, message: &wire::Geometry) {
+    if !message.chunks.is_empty() {
+        f.plane_bytes += message.chunks.iter().map(|c| c.plane_data.len() as f64).sum::<f64>();
+        f.geometry_bytes += tmpi_core::live::write(wire::message::Kind::Geometry(message.clone())).len() as f64;
+    }
+}
+
+/// Adds what a stage took.
+pub(super) fn add(sums: &mut Vec<(String, f64, f64)>, name: &str, (ms, cpu): (f64, f64)) {
+    match sums.iter_mut().find(|(n, ..)| n == name) {
+        Some((_, sum, cpus)) => (*sum, *cpus) = (*sum + ms, *cpus + cpu),
+        None => sums.push((name.to_owned(), ms, cpu)),
+    }
+}
+
+/// True where two pictures are the same within a rectangle.
+fn same(a: &Photo, b: &Photo, r: tmpi_core::Rect) -> bool {
+    (r.y..r.y + r.h).all(|y| {
+        let row = y as usize * a.width as usize + r.x as usize;
+        a.rgb[row..row + r.w as usize] == b.rgb[row..row + r.w as usize]
+    })
+}
