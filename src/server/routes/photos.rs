@@ -88,8 +88,8 @@ pub struct UploadForm {
     post, path = "/v1/photos", tag = "photos",
     params(
         ("Prefer" = Option<String>, Header, description = "`wait=SECONDS`: answer once the photo is done, or after that time"),
-        ("Upload-Complete" = Option<String>, Header, description = "`?0` begins an upload in parts; `?1` says that this is all"),
-        ("Upload-Length" = Option<u64>, Header, description = "Bytes of the whole, where there are parts"),
+        ("Upload-Complete" = Option<String>, Header, pattern = "^[?][01]$", description = "`?0` begins an upload in parts; `?1` says that this is all"),
+        ("Upload-Length" = Option<u64>, Header, maximum = 999_999_999_999_999_i64, description = "Bytes of the whole, where there are parts"),
         ("title" = Option<String>, Query, min_length = 1, max_length = 200, description = "What to call the photo, 1 to 200 characters"),
         ("planes" = Option<String>, Query, description = "As in the form; so are all other options"),
     ),

@@ -138,9 +138,9 @@ pub async fn progress(State(app): State<App>, Path(upload): Path<String>, _: NoQ
     patch, path = "/v1/uploads/{upload}", tag = "photos",
     params(
         ("upload" = String, Path, description = "Id of the upload"),
-        ("Upload-Offset" = u64, Header, description = "Byte of the whole at which the part begins"),
-        ("Upload-Complete" = String, Header, description = "`?1` where the whole ends with it, else `?0`"),
-        ("Upload-Length" = Option<u64>, Header, description = "Bytes of the whole"),
+        ("Upload-Offset" = u64, Header, maximum = 999_999_999_999_999_i64, description = "Byte of the whole at which the part begins"),
+        ("Upload-Complete" = String, Header, pattern = "^[?][01]$", description = "`?1` where the whole ends with it, else `?0`"),
+        ("Upload-Length" = Option<u64>, Header, maximum = 999_999_999_999_999_i64, description = "Bytes of the whole"),
         ("Prefer" = Option<String>, Header, description = "`wait=SECONDS`: answer the last part once the photo is done, or after that time"),
     ),
     request_body(content((String = "application/partial-upload"))),
