@@ -113,6 +113,7 @@ pub struct UploadForm {
         (status = 415, description = "Not a JPEG, PNG or WebP picture", body = Problem, content_type = "application/problem+json"),
         (status = 422, description = "The picture is damaged", body = Problem, content_type = "application/problem+json"),
         (status = 429, description = "Too many photos wait; `Retry-After` says when to come back", body = Problem, content_type = "application/problem+json"),
+        (status = 501, description = "There are no uploads in parts here", body = Problem, content_type = "application/problem+json"),
         (status = 503, description = "The server is stopping", body = Problem, content_type = "application/problem+json"),
         (status = 507, description = "The disk is full", body = Problem, content_type = "application/problem+json"),
     )

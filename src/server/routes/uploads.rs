@@ -71,6 +71,11 @@ fn refused(problem: Problem, partial: &Partial) -> Response {
 
 /// Begins an upload in parts with what `request` brings of it.
 pub(super) async fn begin(app: &App, query: Vec<(String, String)>, request: Request) -> Result<Response, Problem> {
+    if app.limits.partials == 0 {
+        return Err(
+            Problem::new(StatusCode::NOT_IMPLEMENTED, "no-parts", "photos are uploaded at once here").field(header::COMPLETE.as_str())
+        );
+    }
     upload::check(&query)?;
     let said = header::said(request.headers(), Some(0))?;
     let most = app.limits.body as u64;
