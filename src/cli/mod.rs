@@ -6,6 +6,7 @@ mod bench;
 mod bench_codec;
 mod better;
 mod check;
+mod clients;
 mod compare;
 mod config;
 mod depth;

@@ -9,6 +9,7 @@ use std::time::Duration;
 use anyhow::Context as _;
 
 use super::better::BetterNetwork;
+use super::clients::ClientArgs;
 use super::flags::ModelFlags;
 use super::{Usage, files};
 use sha2::{Digest as _, Sha256};
@@ -94,12 +95,6 @@ pub(super) struct ServeArgs {
     /// Photos that may wait; one more is answered 429
     #[arg(long, default_value_t = Limits::QUEUE, value_name = "N")]
     queue: usize,
-    /// Uploads in parts that are kept at a time, half of them of one address; 0 for none
-    #[arg(long, default_value_t = Limits::PARTIALS as u16, value_name = "N")]
-    partial_uploads: u16,
-    /// Hours for which an upload is kept of which no part comes
-    #[arg(long, default_value_t = (Limits::PARTIAL_TIME.as_secs() / 3600) as u16, value_parser = clap::value_parser!(u16).range(1..), value_name = "H")]
-    partial_hours: u16,
     /// Largest body of a request, in MiB
     #[arg(long, default_value_t = (Limits::BODY >> 20) as u32, value_parser = clap::value_parser!(u32).range(1..=4096), value_name = "MIB")]
     max_body: u32,
@@ -121,27 +116,8 @@ pub(super) struct ServeArgs {
     /// Connections at a time from one address; a proxy is one
     #[arg(long, default_value_t = Limits::CONNECTIONS_PER_ADDRESS as u32, value_parser = clap::value_parser!(u32).range(1..), value_name = "N")]
     connections_per_address: u32,
-    /// Requests a minute for each key, and for each address without one; 0 for any number, which it is on loopback and behind a proxy (--host without --tls-cert), else 6000
-    #[arg(long, value_name = "N")]
-    rate_requests: Option<u32>,
-    /// Uploads a minute, the same way; else 60
-    #[arg(long, value_name = "N")]
-    rate_uploads: Option<u32>,
-    /// Views, films and files to download a minute, the same way; else 600
-    #[arg(long, value_name = "N")]
-    rate_views: Option<u32>,
-    /// Photos of one owner, where the server asks who comes; any number without this
-    #[arg(long, value_parser = clap::value_parser!(u32).range(1..), value_name = "N")]
-    quota_photos: Option<u32>,
-    /// Room of one owner's photos, uploaded and made, in MiB, where the server asks who comes
-    #[arg(long, value_parser = clap::value_parser!(u32).range(1..), value_name = "MIB")]
-    quota_mib: Option<u32>,
-    /// Days after which a photo goes by itself; never without this
-    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=36_500), value_name = "DAYS")]
-    retain_days: Option<u32>,
-    /// Room of all photos, in MiB, beyond which those go by themselves that were looked at least recently; not with --store
-    #[arg(long, value_parser = clap::value_parser!(u32).range(1..), conflicts_with = "store", value_name = "MIB")]
-    retain_mib: Option<u32>,
+    #[command(flatten)]
+    clients: ClientArgs,
     /// Memory for work on scenes that are not kept, in MiB, and as much again for films and files; one that needs more is worked on alone [default: 1024]
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..), value_name = "MIB")]
     work_memory: Option<u32>,
@@ -262,12 +238,6 @@ impl ServeArgs {
         Ok(Some(Sharing { store, role: self.role, nats }))
     }
 
-    /// A rate as it is given; else `usual` where strangers come by themselves: all who come by a proxy have one address.
-    fn rate(&self, given: Option<u32>, usual: u32) -> u32 {
-        let by_themselves = !self.addr.ip().is_loopback() && (self.hosts.is_empty() || self.tls_cert.is_some());
-        given.unwrap_or(if by_themselves { usual } else { 0 })
-    }
-
     /// The limits that the arguments give.
     fn limits(&self) -> Limits {
         let body = (self.max_body as usize) << 20;
@@ -276,18 +246,9 @@ impl ServeArgs {
         let job_memory = self.job_memory.map_or(shared.job_memory, |mib| u64::from(mib) << 20);
         let pixels = u64::from(self.max_pixels) * 1_000_000;
         let photo = tmpi_pipeline::photo::Limits { bytes: body, pixels, memory: job_memory, ..Default::default() };
-        Limits {
+        let mut limits = Limits {
             photo,
             body,
-            partials: usize::from(self.partial_uploads),
-            partial_time: Duration::from_secs(u64::from(self.partial_hours) * 3600),
-            rate_requests: self.rate(self.rate_requests, Limits::RATE_REQUESTS),
-            rate_uploads: self.rate(self.rate_uploads, Limits::RATE_UPLOADS),
-            rate_views: self.rate(self.rate_views, Limits::RATE_VIEWS),
-            quota_photos: self.quota_photos.map(|n| n as usize),
-            quota_bytes: self.quota_mib.map(|mib| u64::from(mib) << 20),
-            retain: self.retain_days.map(|days| Duration::from_hours(24 * u64::from(days))),
-            retain_bytes: self.retain_mib.map(|mib| u64::from(mib) << 20),
             queue: self.queue,
             workers: usize::from(self.workers),
             views: usize::from(self.views),
@@ -309,7 +270,11 @@ impl ServeArgs {
             lease: Duration::from_secs(u64::from(self.lease)),
             copies: u64::from(self.copies) << 20,
             ..shared
-        }
+        };
+        // all who come by a proxy have one address
+        let by_themselves = !self.addr.ip().is_loopback() && (self.hosts.is_empty() || self.tls_cert.is_some());
+        self.clients.put(&mut limits, by_themselves);
+        limits
     }
 }
 
@@ -337,7 +302,7 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
                     everybody is shown a list of their own photos";
         return Err(Usage(text.into()).into());
     }
-    if !private && (args.quota_photos.is_some() || args.quota_mib.is_some()) {
+    if !private && args.clients.has_quota() {
         let text = "--quota-photos and --quota-mib are for --access private: with --access open, which is the default on loopback, \
                     photos are nobody's";
         return Err(Usage(text.into()).into());

@@ -11,6 +11,8 @@ const PATIENCE_MS = 10 * 60_000;
 
 /** The connection was lost, or somebody between here and the server says that it cannot be reached. */
 class Lost extends Error {}
+/** The server takes no parts. */
+export class NoParts extends Error {}
 
 /**
  * How an upload goes: `share` of its bytes that are sent; `waits`, in seconds, where it goes on only after a pause, because the connection was
@@ -123,6 +125,7 @@ export function sendInParts(form, refusal, onProgress) {
     if (xhr.status >= 200 && xhr.status < 300) return xhr;
     // another byte is next, or the request before is still at it; or a proxy that does not reach the server
     if ([408, 409, 423, 502, 504].includes(xhr.status)) throw new Lost();
+    if (xhr.status === 501) throw new NoParts();
     throw refusal(xhr);
   }
 

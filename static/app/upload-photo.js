@@ -1,7 +1,7 @@
 // Sends a photo to the server.
 
 import { wordsOf } from './api.js';
-import { LARGE_BYTES, sendInParts } from './parts.js';
+import { LARGE_BYTES, NoParts, sendInParts } from './parts.js';
 
 /** @import { Photo } from './api.js' */
 /** @import { Progress } from './parts.js' */
@@ -31,7 +31,22 @@ export function uploadPhoto(file, depth, options, onProgress) {
   for (const [name, value] of Object.entries(options)) form.append(name, String(value));
   form.append('photo', file, file.name || 'photo');
   if (depth) form.append('depth', depth, depth.name || 'depth');
-  if (file.size + (depth?.size ?? 0) >= LARGE_BYTES) return sendInParts(form, refusal, onProgress);
+  if (file.size + (depth?.size ?? 0) < LARGE_BYTES) return sendAtOnce(form, onProgress);
+  let going = sendInParts(form, refusal, onProgress);
+  const done = going.done.catch((error) => {
+    if (!(error instanceof NoParts)) throw error;
+    going = sendAtOnce(form, onProgress);
+    return going.done;
+  });
+  return { done, abort: () => going.abort() };
+}
+
+/**
+ * @param {FormData} form
+ * @param {Progress} onProgress
+ * @returns {{done: Promise<Photo>, abort: () => void}}
+ */
+function sendAtOnce(form, onProgress) {
   const xhr = new XMLHttpRequest();
   const done = new Promise((resolve, reject) => {
     xhr.upload.onprogress = (event) => event.lengthComputable && onProgress(event.loaded / event.total);

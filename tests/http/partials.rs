@@ -223,7 +223,7 @@ fn uploads_have_places_and_a_time() {
     assert_eq!(request(server.addr, "GET", &third, &[], &[]).status, 404);
     drop(server);
     let (_dir, none) = start(Limits { partials: 0, ..Limits::default() });
-    request(none.addr, "POST", "/v1/photos", &[("upload-complete", "?0")], &[]).problem(429);
+    request(none.addr, "POST", "/v1/photos", &[("upload-complete", "?0")], &[]).problem(501);
 }
 
 #[test]

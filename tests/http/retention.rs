@@ -71,8 +71,10 @@ fn photos_go_by_their_age_and_say_when() {
     let server = Running::start(dir.path(), limits(Some(Duration::from_millis(1))), Arc::new(pipeline()));
     wait_until("it is gone", || get(server.addr, &format!("/v1/photos/{id}")).status == 404);
     assert!(!dir.path().join("photos").join(&id).exists());
-    let metrics = String::from_utf8(get(server.addr, "/metrics").body).unwrap();
-    assert!(metrics.contains("\ntmpi_photos_retired_total{reason=\"age\"} 1\n"), "{metrics}");
+    wait_until("it is counted", || {
+        let metrics = String::from_utf8(get(server.addr, "/metrics").body).unwrap();
+        metrics.contains("\ntmpi_photos_retired_total{reason=\"age\"} 1\n")
+    });
     server.stop();
     let server = Running::start(dir.path(), limits(None), Arc::new(pipeline()));
     let id = server.upload(&jpeg(1));

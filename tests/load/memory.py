@@ -4,7 +4,7 @@ import argparse, json, os, random, subprocess, tempfile
 from pathlib import Path
 from common import PROGRAM, Table, check, end, noise, png, size_of, smooth
 
-BASE, PIXEL, PLANE, LAYER = 96 << 20, 32, 14, 1200
+BASE, PIXEL, PLANE, LAYER = 80 << 20, 32, 14, 1200
 
 
 def blocks(megapixels, size):

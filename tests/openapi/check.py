@@ -14,8 +14,8 @@ from common import ROOT, Server, check, end
 # of sockets and of streams that do not end nothing comes that could be judged
 ENDLESS = "(publish|subscribe|events)$"
 
-# What a description cannot say: that a parameter goes with another one (`view`, `export`), lies within this very photo (`region`), or names
-# a photo that is there (`after`); that oEmbed wants 501 for another form.
+# What a description cannot say: that a parameter goes with another one (`view`, `export`), lies within this very photo (`region`), names
+# a photo that is there (`after`), or agrees with the body (`Upload-Length`); that oEmbed wants 501 for another form.
 RULES = """
 request-timeout = 120
 [checks.positive_data_acceptance]
@@ -35,6 +35,10 @@ checks.{name}.enabled = false
 [[operations]]
 include-path = "/v1/photos"
 include-method = "GET"
+checks.positive_data_acceptance.enabled = false
+[[operations]]
+include-path = "/v1/photos"
+include-method = "POST"
 checks.positive_data_acceptance.enabled = false
 """
 

@@ -61,6 +61,9 @@ impl Kept {
     /// It cannot be read or written.
     pub fn open(files: Arc<dyn Files>, dir: PathBuf) -> io::Result<(Self, Vec<(String, Record)>)> {
         files.create_dir(&dir, true)?;
+        if let Some(above) = dir.parent() {
+            files.sync_dir(above)?;
+        }
         let kept = Self { files, dir };
         let mut all = Vec::new();
         for id in kept.files.names(&kept.dir)? {
@@ -172,7 +175,7 @@ mod tests {
             let open = || Kept::open(files.clone(), dir.to_owned()).unwrap();
             let (kept, none) = open();
             assert!(none.is_empty());
-            files.sync_dir(Path::new("/data")).unwrap();
+            files.sync_dir(Path::new("/")).unwrap();
             files.end_after(changes);
             let steps = [kept.begin("a", &record(0)), kept.write("a", &record(3)), kept.write("a", &record(6)), kept.remove("a")];
             let told = steps.iter().take_while(|step| step.is_ok()).count();

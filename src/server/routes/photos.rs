@@ -88,8 +88,8 @@ pub struct UploadForm {
     post, path = "/v1/photos", tag = "photos",
     params(
         ("Prefer" = Option<String>, Header, description = "`wait=SECONDS`: answer once the photo is done, or after that time"),
-        ("Upload-Complete" = Option<String>, Header, description = "`?0` begins an upload in parts; `?1` says that this is all"),
-        ("Upload-Length" = Option<u64>, Header, description = "Bytes of the whole, where there are parts"),
+        ("Upload-Complete" = Option<String>, Header, pattern = "^[?][01]$", description = "`?0` begins an upload in parts; `?1` says that this is all"),
+        ("Upload-Length" = Option<u64>, Header, maximum = 999_999_999_999_999_i64, description = "Bytes of the whole, where there are parts"),
         ("title" = Option<String>, Query, min_length = 1, max_length = 200, description = "What to call the photo, 1 to 200 characters"),
         ("planes" = Option<String>, Query, description = "As in the form; so are all other options"),
     ),
@@ -113,6 +113,7 @@ pub struct UploadForm {
         (status = 415, description = "Not a JPEG, PNG or WebP picture", body = Problem, content_type = "application/problem+json"),
         (status = 422, description = "The picture is damaged", body = Problem, content_type = "application/problem+json"),
         (status = 429, description = "Too many photos wait; `Retry-After` says when to come back", body = Problem, content_type = "application/problem+json"),
+        (status = 501, description = "There are no uploads in parts here", body = Problem, content_type = "application/problem+json"),
         (status = 503, description = "The server is stopping", body = Problem, content_type = "application/problem+json"),
         (status = 507, description = "The disk is full", body = Problem, content_type = "application/problem+json"),
     )

@@ -71,6 +71,11 @@ fn refused(problem: Problem, partial: &Partial) -> Response {
 
 /// Begins an upload in parts with what `request` brings of it.
 pub(super) async fn begin(app: &App, query: Vec<(String, String)>, request: Request) -> Result<Response, Problem> {
+    if app.limits.partials == 0 {
+        return Err(
+            Problem::new(StatusCode::NOT_IMPLEMENTED, "no-parts", "photos are uploaded at once here").field(header::COMPLETE.as_str())
+        );
+    }
     upload::check(&query)?;
     let said = header::said(request.headers(), Some(0))?;
     let most = app.limits.body as u64;
@@ -138,9 +143,9 @@ pub async fn progress(State(app): State<App>, Path(upload): Path<String>, _: NoQ
     patch, path = "/v1/uploads/{upload}", tag = "photos",
     params(
         ("upload" = String, Path, description = "Id of the upload"),
-        ("Upload-Offset" = u64, Header, description = "Byte of the whole at which the part begins"),
-        ("Upload-Complete" = String, Header, description = "`?1` where the whole ends with it, else `?0`"),
-        ("Upload-Length" = Option<u64>, Header, description = "Bytes of the whole"),
+        ("Upload-Offset" = u64, Header, maximum = 999_999_999_999_999_i64, description = "Byte of the whole at which the part begins"),
+        ("Upload-Complete" = String, Header, pattern = "^[?][01]$", description = "`?1` where the whole ends with it, else `?0`"),
+        ("Upload-Length" = Option<u64>, Header, maximum = 999_999_999_999_999_i64, description = "Bytes of the whole"),
         ("Prefer" = Option<String>, Header, description = "`wait=SECONDS`: answer the last part once the photo is done, or after that time"),
     ),
     request_body(content((String = "application/partial-upload"))),

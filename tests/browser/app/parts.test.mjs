@@ -89,6 +89,19 @@ describe('a large upload', () => {
     await context.close();
   });
 
+  test('goes at once where the server takes no parts', async () => {
+    const { page, context, sent } = await suite.open({
+      posts: [
+        { status: 501, contentType: 'application/problem+json', json: { status: 501, title: 'No', detail: 'at once' } },
+        { status: 202, json: { ...photo('p1'), state: 'queued' } },
+      ],
+    });
+    await page.setInputFiles('#picker', [{ name: 'large.png', mimeType: 'image/png', buffer: large }]);
+    while (sent.length < 2) await page.waitForTimeout(50);
+    await page.locator('.upload a, .upload.done, #gallery .card').first().waitFor();
+    await context.close();
+  });
+
   test('that is cancelled is given up at the server, too', async () => {
     const { page, context, asked, of } = await send([() => {}]);
     while (!of('PATCH').length) await page.waitForTimeout(50);

@@ -60,7 +60,7 @@ impl Damaged {
         let _ = writeln!(out, "decoded all the same              {pictures}, without a picture {without}");
         let _ = writeln!(out, "refused                           {refused}, of which the decoder gave up within its bounds {contained}");
         let _ = writeln!(out, "time                              {seconds:.0} s, the longest {longest_ms:.1} ms (bound {LONGEST:.0} ms)");
-        let _ = writeln!(out, "memory beyond a sound stream's    {:.1} MiB (bound {} MiB)", *memory as f64 / 1048576.0, MEMORY >> 20);
+        let _ = writeln!(out, "memory beyond a sound stream's    {:.1} MiB (bound {} MiB)", *memory as f64 / 1_048_576.0, MEMORY >> 20);
         out
     }
 }

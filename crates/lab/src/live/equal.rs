@@ -13,6 +13,7 @@ use super::encode::{Encoder as _, Jpeg};
 const SOUND: (usize, usize) = (32_000, 50);
 
 /// Bytes of sound that go with a frame, 30 a second, messages and all.
+#[must_use]
 pub fn sound_bytes() -> f64 {
     let data = vec![0; SOUND.0 / 8 / SOUND.1].into();
     // a time of two weeks in microseconds, as a clock that began at the start of a machine has

@@ -1,0 +1,59 @@
+//! What `tmpi serve` lets its clients do: uploads in parts, rates, quotas, and what goes by itself.
+
+use std::time::Duration;
+
+use crate::server::Limits;
+
+/// Bounds on clients.
+#[derive(Clone, Debug, clap::Args)]
+pub(super) struct ClientArgs {
+    /// Uploads in parts that are kept at a time, half of them of one address; 0 for none
+    #[arg(long, default_value_t = Limits::PARTIALS as u16, value_name = "N")]
+    partial_uploads: u16,
+    /// Hours for which an upload is kept of which no part comes
+    #[arg(long, default_value_t = (Limits::PARTIAL_TIME.as_secs() / 3600) as u16, value_parser = clap::value_parser!(u16).range(1..), value_name = "H")]
+    partial_hours: u16,
+    /// Requests a minute for each key, and for each address without one; 0 for any number, which it is on loopback and behind a proxy (--host without --tls-cert), else 6000
+    #[arg(long, value_name = "N")]
+    rate_requests: Option<u32>,
+    /// Uploads a minute, the same way; else 60
+    #[arg(long, value_name = "N")]
+    rate_uploads: Option<u32>,
+    /// Views, films and files to download a minute, the same way; else 600
+    #[arg(long, value_name = "N")]
+    rate_views: Option<u32>,
+    /// Photos of one owner, where the server asks who comes; any number without this
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..), value_name = "N")]
+    quota_photos: Option<u32>,
+    /// Room of one owner's photos, uploaded and made, in MiB, where the server asks who comes
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..), value_name = "MIB")]
+    quota_mib: Option<u32>,
+    /// Days after which a photo goes by itself; never without this
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=36_500), value_name = "DAYS")]
+    retain_days: Option<u32>,
+    /// Room of all photos, in MiB, beyond which those go by themselves that were looked at least recently; not with --store
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..), conflicts_with = "store", value_name = "MIB")]
+    retain_mib: Option<u32>,
+}
+
+impl ClientArgs {
+    /// Writes them into `limits`. Rates that are not given hold where strangers come `by_themselves`.
+    pub fn put(&self, limits: &mut Limits, by_themselves: bool) {
+        let rate = |given: Option<u32>, usual| given.unwrap_or(if by_themselves { usual } else { 0 });
+        let mib = |n: Option<u32>| n.map(|n| u64::from(n) << 20);
+        limits.partials = usize::from(self.partial_uploads);
+        limits.partial_time = Duration::from_hours(u64::from(self.partial_hours));
+        limits.rate_requests = rate(self.rate_requests, Limits::RATE_REQUESTS);
+        limits.rate_uploads = rate(self.rate_uploads, Limits::RATE_UPLOADS);
+        limits.rate_views = rate(self.rate_views, Limits::RATE_VIEWS);
+        limits.quota_photos = self.quota_photos.map(|n| n as usize);
+        limits.quota_bytes = mib(self.quota_mib);
+        limits.retain = self.retain_days.map(|days| Duration::from_hours(24 * u64::from(days)));
+        limits.retain_bytes = mib(self.retain_mib);
+    }
+
+    /// Whether an owner may have only so much.
+    pub const fn has_quota(&self) -> bool {
+        self.quota_photos.is_some() || self.quota_mib.is_some()
+    }
+}
