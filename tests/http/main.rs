@@ -27,6 +27,7 @@ mod origins;
 mod partials;
 mod process;
 mod rates;
+mod rest_client;
 mod results;
 mod retention;
 mod settings;

@@ -1,0 +1,134 @@
+//! One request: sent, sent again where that is safe, and its answer.
+
+use std::time::Duration;
+
+use bytes::{Bytes, BytesMut};
+use reqwest::header::{HeaderMap, HeaderName, HeaderValue, RETRY_AFTER};
+use reqwest::{Method, Response, StatusCode};
+use serde::de::DeserializeOwned;
+use tokio::time::{Instant, sleep};
+
+use crate::{Client, Error, MOST, Problem};
+
+/// First pause after a failure of the network, doubled each time up to the most.
+const PAUSE: Duration = Duration::from_millis(200);
+const MOST_PAUSE: Duration = Duration::from_secs(10);
+
+/// A request.
+pub(crate) struct Call {
+    pub method: Method,
+    pub path: String,
+    pub headers: Vec<(HeaderName, HeaderValue)>,
+    pub body: Bytes,
+    /// Whether it does no harm to do it twice.
+    pub again: bool,
+}
+
+impl Call {
+    /// Of a body without a content, which may be asked twice.
+    pub fn new(method: Method, path: impl Into<String>) -> Self {
+        Self { method, path: path.into(), headers: Vec::new(), body: Bytes::new(), again: true }
+    }
+
+    pub fn header(mut self, name: HeaderName, value: &str) -> Result<Self, Error> {
+        let value = HeaderValue::from_str(value).map_err(|_| Error::Answer(format!("{value:?} cannot be sent as {name}")))?;
+        self.headers.push((name, value));
+        Ok(self)
+    }
+
+    pub fn body(self, body: impl Into<Bytes>) -> Self {
+        Self { body: body.into(), ..self }
+    }
+}
+
+/// An answer that was taken whole.
+pub(crate) struct Answer {
+    pub status: StatusCode,
+    pub headers: HeaderMap,
+    pub body: Bytes,
+}
+
+impl Answer {
+    pub fn json<T: DeserializeOwned>(&self) -> Result<T, Error> {
+        serde_json::from_slice(&self.body).map_err(|e| Error::Answer(e.to_string()))
+    }
+
+    fn problem(&self) -> Error {
+        let plain = || Problem {
+            kind: "about:blank".into(),
+            title: self.status.canonical_reason().unwrap_or("Error").into(),
+            status: self.status.as_u16(),
+            // a proxy's page
+            detail: String::from_utf8_lossy(&self.body[..self.body.len().min(200)]).into_owned(),
+            field: None,
+            request_id: None,
+            retry_after: None,
+        };
+        Error::Problem(Box::new(serde_json::from_slice(&self.body).unwrap_or_else(|_| plain())))
+    }
+}
+
+impl Client {
+    /// Sends a call until it is answered, and takes the answer whole.
+    pub(crate) async fn ask(&self, call: Call) -> Result<Answer, Error> {
+        let until = Instant::now() + self.patience;
+        let mut pause = PAUSE;
+        loop {
+            let tried = match self.send(&call).await {
+                Ok(response) => take(response).await,
+                Err(error) => Err(error),
+            };
+            let wait = match &tried {
+                Ok(answer) if refused_for_now(answer.status) => retry_after(&answer.headers).unwrap_or(pause),
+                Ok(answer) if answer.status.is_client_error() || answer.status.is_server_error() => return Err(answer.problem()),
+                Ok(_) => return tried,
+                // what was not even connected was not done
+                Err(Error::Network(error)) if call.again || error.is_connect() => pause,
+                Err(_) => return tried,
+            };
+            if Instant::now() + wait > until {
+                return tried.and_then(|answer| Err(answer.problem()));
+            }
+            sleep(wait).await;
+            pause = (pause * 2).min(MOST_PAUSE);
+        }
+    }
+
+    /// Sends a call once; the answer's body is still to come.
+    pub(crate) async fn send(&self, call: &Call) -> Result<Response, Error> {
+        let mut request = self.http.request(call.method.clone(), self.address(&call.path)?).headers(self.headers.clone());
+        for (name, value) in &call.headers {
+            request = request.header(name, value);
+        }
+        if !call.body.is_empty() || call.method == Method::POST {
+            request = request.body(call.body.clone());
+        }
+        request.send().await.map_err(Error::Network)
+    }
+}
+
+/// Whether the server did nothing, for want of room or pace.
+fn refused_for_now(status: StatusCode) -> bool {
+    matches!(status, StatusCode::TOO_MANY_REQUESTS | StatusCode::SERVICE_UNAVAILABLE)
+}
+
+fn retry_after(headers: &HeaderMap) -> Option<Duration> {
+    headers.get(RETRY_AFTER)?.to_str().ok()?.parse().ok().map(Duration::from_secs)
+}
+
+/// Takes an answer whole.
+pub(crate) async fn take(mut response: Response) -> Result<Answer, Error> {
+    let too_large = || Error::Answer(format!("it has more than {MOST} bytes"));
+    let told = response.content_length().unwrap_or(0);
+    if told > MOST as u64 {
+        return Err(too_large());
+    }
+    let mut body = BytesMut::with_capacity(told as usize);
+    while let Some(piece) = response.chunk().await.map_err(Error::Network)? {
+        if body.len() + piece.len() > MOST {
+            return Err(too_large());
+        }
+        body.extend_from_slice(&piece);
+    }
+    Ok(Answer { status: response.status(), headers: response.headers().clone(), body: body.freeze() })
+}

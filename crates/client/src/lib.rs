@@ -1,0 +1,190 @@
+//! A client of the REST interface of tmpi: a photo goes up, a tiled multiplane image and views of it come down.
+//!
+//! ```no_run
+//! use tmpi_client::{Client, Upload, View};
+//!
+//! # async fn example() -> Result<(), tmpi_client::Error> {
+//! let client = Client::new("https://photos.example.org")?.with_key("tmpi_k_…")?;
+//! let photo = client.upload(Upload::of(std::fs::read("beach.jpg").expect("a photo")).title("Beach")).await?;
+//! let photo = client.finished(&photo.id, |stage| println!("{} of {}: {}", stage.step, stage.steps, stage.stage)).await?;
+//! let scene = client.scene(&photo.id).await?;
+//! let view = client.view(&photo.id, &View::new(1280, 720).at(0.02, 0.0, 0.0)).await?;
+//! println!("{} × {}, {} layers, a view of {} bytes", scene.photo.width, scene.photo.height, scene.layers.len(), view.len());
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! Every call that fails gives an [`Error`]; what the server says of it is [`Error::Problem`]. What is safe to ask again is asked again where the
+//! network failed, and whatever was refused for want of room or pace, once the time is over that the server names ([`Client::patience`]).
+//! Programs without an executor of their own block on a runtime of tokio:
+//!
+//! ```no_run
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+//! let client = tmpi_client::Client::new("http://127.0.0.1:8080")?;
+//! let photos = runtime.block_on(client.photos())?;
+//! # let _ = photos;
+//! # Ok(())
+//! # }
+//! ```
+
+mod answer;
+mod error;
+mod events;
+mod form;
+mod photos;
+mod results;
+mod types;
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use reqwest::Url;
+use reqwest::header::{AUTHORIZATION, HeaderMap, HeaderValue};
+
+pub use error::{Error, Problem};
+pub use photos::Upload;
+pub use results::{Fresh, View};
+pub use types::{Link, Links, Offset, PhotoState, Progress, Settings, State, Visibility};
+
+/// What an owner's secret begins with.
+const OWNER: &str = "tmpi_o_";
+/// Longest time without a byte from the server.
+const SILENCE: Duration = Duration::from_secs(60);
+/// Time to connect.
+const CONNECT: Duration = Duration::from_secs(10);
+/// Time that a call waits in all before it gives up, besides what answers take themselves.
+const PATIENCE: Duration = Duration::from_secs(60);
+/// Bytes of an answer that are taken: the largest container and a little more.
+const MOST: usize = 1 << 30;
+
+/// A server, and who asks it. Clones share their connections.
+#[derive(Clone)]
+pub struct Client {
+    base: Arc<Url>,
+    http: reqwest::Client,
+    headers: HeaderMap,
+    secret: Option<String>,
+    patience: Duration,
+}
+
+impl std::fmt::Debug for Client {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        // no secrets
+        f.debug_struct("Client").field("base", &self.base.as_str()).finish_non_exhaustive()
+    }
+}
+
+impl Client {
+    /// A client of the server at `base`, as `https://photos.example.org` or `http://127.0.0.1:8080`; a path is where a proxy has the server.
+    ///
+    /// # Errors
+    /// [`Error::Address`].
+    pub fn new(base: &str) -> Result<Self, Error> {
+        let wrong = |why: String| Error::Address { address: base.to_owned(), why };
+        let mut url = Url::parse(base).map_err(|e| wrong(e.to_string()))?;
+        if !matches!(url.scheme(), "http" | "https") {
+            return Err(wrong("http or https is wanted".into()));
+        }
+        if !url.path().ends_with('/') {
+            let path = format!("{}/", url.path());
+            url.set_path(&path);
+        }
+        // one that a program has chosen already stays
+        let _ = rustls::crypto::ring::default_provider().install_default();
+        let http = reqwest::Client::builder()
+            .connect_timeout(CONNECT)
+            .read_timeout(SILENCE)
+            .user_agent(concat!("tmpi-client/", env!("CARGO_PKG_VERSION")))
+            .redirect(reqwest::redirect::Policy::none())
+            .build()
+            .map_err(Error::Network)?;
+        Ok(Self { base: Arc::new(url), http, headers: HeaderMap::new(), secret: None, patience: PATIENCE })
+    }
+
+    /// Asks with an API key (`tmpi key add`), or with an owner's secret (`tmpi_o_…`).
+    ///
+    /// # Errors
+    /// [`Error::Key`] where it cannot be sent.
+    pub fn with_key(mut self, key: &str) -> Result<Self, Error> {
+        let mut value = HeaderValue::from_str(&format!("Bearer {key}")).map_err(|_| Error::Key)?;
+        value.set_sensitive(true);
+        self.headers.insert(AUTHORIZATION, value);
+        self.secret = key.starts_with(OWNER).then(|| key.to_owned());
+        Ok(self)
+    }
+
+    /// Asks as a fresh owner: whoever keeps [`Client::secret`] owns what is uploaded with it.
+    ///
+    /// # Errors
+    /// [`Error::Key`] where the system has no random bytes.
+    pub fn with_fresh_owner(self) -> Result<Self, Error> {
+        let mut bytes = [0; 32];
+        getrandom::fill(&mut bytes).map_err(|_| Error::Key)?;
+        let digits: String = bytes.iter().map(|b| format!("{b:02x}")).collect();
+        self.with_key(&format!("{OWNER}{digits}"))
+    }
+
+    /// The owner's secret, where the client has one; it is to be kept as a password is.
+    #[must_use]
+    pub fn secret(&self) -> Option<&str> {
+        self.secret.as_deref()
+    }
+
+    /// Waits for so long in all, at most, where the server has no room or the network fails; a minute if it is not said, and not at all with zero.
+    #[must_use]
+    pub fn patience(mut self, most: Duration) -> Self {
+        self.patience = most;
+        self
+    }
+
+    /// An address of the server; `path` is as the server's answers have it, from `/`.
+    ///
+    /// # Errors
+    /// [`Error::Address`].
+    pub fn address(&self, path: &str) -> Result<Url, Error> {
+        let wrong = |why: String| Error::Address { address: path.to_owned(), why };
+        let url = self.base.join(path.trim_start_matches('/')).map_err(|e| wrong(e.to_string()))?;
+        // what another server is to be asked is not asked with this one's key
+        if url.origin() == self.base.origin() { Ok(url) } else { Err(wrong("it is another server's".into())) }
+    }
+
+    /// HTML that shows a photo on another site's page; it has to be one that whoever has its address may see.
+    ///
+    /// # Errors
+    /// [`Error::Address`].
+    pub fn embedding(&self, photo: &PhotoState) -> Result<String, Error> {
+        let address = self.address(&photo.links.embed)?;
+        let (width, height) = (photo.width.unwrap_or(4), photo.height.unwrap_or(3));
+        let style = format!("width:100%;aspect-ratio:{width}/{height};border:0");
+        Ok(format!("<iframe src=\"{address}\" style=\"{style}\" loading=\"lazy\" allow=\"accelerometer; gyroscope; fullscreen\"></iframe>"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn addresses_are_the_servers_own() {
+        let client = Client::new("https://photos.example/sub").unwrap();
+        assert_eq!(client.address("/v1/photos").unwrap().as_str(), "https://photos.example/sub/v1/photos");
+        for other in ["https://evil.example/v1/photos", "http://photos.example/"] {
+            assert!(client.address(other).is_err(), "{other}");
+        }
+        for wrong in ["photos.example", "ftp://photos.example", "https://"] {
+            assert!(matches!(Client::new(wrong), Err(Error::Address { .. })), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn keys_are_sent_and_shown_to_nobody() {
+        let client = || Client::new("http://localhost").unwrap();
+        assert!(client().with_key("a\nb").is_err());
+        let (one, other) = (client().with_fresh_owner().unwrap(), client().with_fresh_owner().unwrap());
+        assert_ne!(one.secret(), other.secret());
+        assert_eq!(one.secret().map(str::len), Some(OWNER.len() + 64));
+        assert_eq!(client().with_key("tmpi_k_1").unwrap().secret(), None);
+        assert!(!format!("{one:?} {:?}", one.headers).contains(one.secret().unwrap()));
+    }
+}

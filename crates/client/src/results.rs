@@ -1,0 +1,134 @@
+//! What was made of a photo: container, scene, views, files.
+
+use bytes::Bytes;
+use reqwest::Method;
+use reqwest::StatusCode;
+use reqwest::header::{ETAG, IF_NONE_MATCH};
+use tmpi_core::Scene;
+use tmpi_core::container;
+
+use crate::answer::Call;
+use crate::photos::{part, query};
+use crate::{Client, Error};
+
+/// Bytes that the server gave before, or not again.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Fresh {
+    /// The bytes, and the tag to ask with next time.
+    New(Bytes, Option<String>),
+    /// They are those of the tag that was asked with.
+    Same,
+}
+
+/// A view that the server draws.
+#[derive(Clone, Debug, PartialEq)]
+pub struct View {
+    pairs: Vec<(String, String)>,
+}
+
+impl View {
+    /// From the photo's own place, in pixels.
+    #[must_use]
+    pub fn new(width: u32, height: u32) -> Self {
+        Self { pairs: Vec::new() }.with("w", width).with("h", height)
+    }
+
+    /// From another place: metres to the right, down and forward in a scene whose nearest thing is a metre away; within the photo's view box.
+    #[must_use]
+    pub fn at(self, x: f64, y: f64, z: f64) -> Self {
+        self.with("x", x).with("y", y).with("z", z)
+    }
+
+    /// `jpeg`, `png` or `webp`.
+    #[must_use]
+    pub fn format(self, name: &str) -> Self {
+        self.with("format", name)
+    }
+
+    /// Another parameter of the view by its name; the server's OpenAPI document has all of them.
+    #[must_use]
+    pub fn with(mut self, name: &str, value: impl ToString) -> Self {
+        self.pairs.push((name.to_owned(), value.to_string()));
+        self
+    }
+}
+
+impl Client {
+    /// The container of a photo.
+    ///
+    /// # Errors
+    /// [`Error`]; status 409 while the photo is not made yet.
+    pub async fn container(&self, id: &str) -> Result<Bytes, Error> {
+        self.result(id, "/atlas").await
+    }
+
+    /// The same where it is not that of `tag` any more.
+    ///
+    /// # Errors
+    /// As [`Client::container`].
+    pub async fn container_unless(&self, id: &str, tag: &str) -> Result<Fresh, Error> {
+        let answer = self.ask(Call::new(Method::GET, part(id, "/atlas")).header(IF_NONE_MATCH, tag)?).await?;
+        let now = answer.headers.get(ETAG).and_then(|v| v.to_str().ok()).map(str::to_owned);
+        Ok(if answer.status == StatusCode::NOT_MODIFIED { Fresh::Same } else { Fresh::New(answer.body, now) })
+    }
+
+    /// A smaller container of the same planes, at `1 / 2^level` of the size.
+    ///
+    /// # Errors
+    /// As [`Client::container`].
+    pub async fn level(&self, id: &str, level: u8) -> Result<Bytes, Error> {
+        self.result(id, &format!("/atlas?level={level}")).await
+    }
+
+    /// The decoded scene of a photo. Decoding keeps a core busy for some 50 ms a megapixel.
+    ///
+    /// # Errors
+    /// As [`Client::container`], and [`Error::Container`].
+    pub async fn scene(&self, id: &str) -> Result<Scene, Error> {
+        Ok(container::decode(&self.container(id).await?)?)
+    }
+
+    /// A view as a picture file.
+    ///
+    /// # Errors
+    /// [`Error`]; [`Error::Problem`] names the parameter.
+    pub async fn view(&self, id: &str, view: &View) -> Result<Bytes, Error> {
+        self.result(id, &query("/view", &view.pairs)?).await
+    }
+
+    /// What was done, at what error and cost.
+    ///
+    /// # Errors
+    /// As [`Client::container`].
+    pub async fn report(&self, id: &str) -> Result<serde_json::Value, Error> {
+        self.ask(Call::new(Method::GET, part(id, "/report"))).await?.json()
+    }
+
+    /// Disparity as used, a grey PNG of 16 bits.
+    ///
+    /// # Errors
+    /// As [`Client::container`].
+    pub async fn depth(&self, id: &str) -> Result<Bytes, Error> {
+        self.result(id, "/depth").await
+    }
+
+    /// A small JPEG.
+    ///
+    /// # Errors
+    /// As [`Client::container`].
+    pub async fn thumbnail(&self, id: &str) -> Result<Bytes, Error> {
+        self.result(id, "/thumbnail").await
+    }
+
+    /// A file to download: `html`, `glb`, `ora`, `zip` and what else the server's OpenAPI document names.
+    ///
+    /// # Errors
+    /// As [`Client::container`].
+    pub async fn export(&self, id: &str, format: &str) -> Result<Bytes, Error> {
+        self.result(id, &query("/export", &[("format".into(), format.into())])?).await
+    }
+
+    async fn result(&self, id: &str, rest: &str) -> Result<Bytes, Error> {
+        Ok(self.ask(Call::new(Method::GET, part(id, rest))).await?.body)
+    }
+}

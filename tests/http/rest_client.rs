@@ -1,0 +1,189 @@
+//! The Rust client against a running server.
+
+use std::io::{Read as _, Write as _};
+use std::net::TcpListener;
+use std::sync::Arc;
+use std::time::Duration;
+
+use tmpi::server::{Config, Limits, Server};
+use tmpi_client::{Client, Error, Fresh, Settings, State, Upload, View, Visibility};
+use tmpi_render::Backend;
+
+use crate::client::get;
+use crate::fixture::{Gate, Running, depth_map, jpeg, pipeline};
+
+fn block_on<T>(work: impl Future<Output = T>) -> T {
+    tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap().block_on(work)
+}
+
+fn client(server: &Running) -> Client {
+    Client::new(&format!("http://{}", server.addr)).unwrap()
+}
+
+fn kind(error: &Error) -> String {
+    let Error::Problem(problem) = error else { panic!("{error:?}") };
+    problem.kind.trim_start_matches("urn:tmpi:problem:").to_owned()
+}
+
+#[test]
+fn a_photo_goes_up_and_everything_comes_down() {
+    let dir = tempfile::tempdir().unwrap();
+    let server = Running::start(dir.path(), Limits::default(), Arc::new(pipeline()));
+    let client = client(&server);
+    block_on(async {
+        let upload = Upload::of(jpeg(1)).depth(depth_map()).title("a \"sea\" & more").option("quality", "80");
+        let accepted = client.upload(upload.clone()).await.unwrap();
+        let photo = client.finished(&accepted.id, |_| ()).await.unwrap();
+        assert_eq!((photo.state, photo.settings.title.as_deref()), (State::Done, Some("a \"sea\" & more")));
+        assert_eq!(photo.options["quality"], "80");
+        let again = client.upload(upload.wait(Duration::from_secs(20))).await.unwrap();
+        assert_eq!((&again.id, again.state), (&photo.id, State::Done));
+        let container = client.container(&photo.id).await.unwrap();
+        assert_eq!(container, get(server.addr, &format!("/v1/photos/{}/atlas", photo.id)).body);
+        let scene = client.scene(&photo.id).await.unwrap();
+        assert_eq!((Some(scene.photo.width), Some(scene.photo.height)), (photo.width, photo.height));
+        let Fresh::New(bytes, Some(tag)) = client.container_unless(&photo.id, "\"another\"").await.unwrap() else { panic!("it is new") };
+        assert_eq!(bytes, container);
+        assert_eq!(client.container_unless(&photo.id, &tag).await.unwrap(), Fresh::Same);
+        assert!(client.level(&photo.id, 1).await.unwrap().len() < container.len());
+        let view = client.view(&photo.id, &View::new(40, 30).at(0.01, 0.0, 0.0).format("png")).await.unwrap();
+        assert!(view.starts_with(b"\x89PNG"));
+        assert!(client.depth(&photo.id).await.unwrap().starts_with(b"\x89PNG"));
+        assert!(client.thumbnail(&photo.id).await.unwrap().starts_with(&[0xff, 0xd8]));
+        assert!(client.export(&photo.id, "glb").await.unwrap().starts_with(b"glTF"));
+        assert_eq!(client.report(&photo.id).await.unwrap()["width"], 80);
+        let named = client.change(&photo.id, &Settings { title: Some("Sea".into()), ..Settings::default() }).await.unwrap();
+        assert_eq!(named.settings.title.as_deref(), Some("Sea"));
+        assert_eq!(client.photos().await.unwrap().iter().map(|p| p.id.as_str()).collect::<Vec<_>>(), [photo.id.as_str()]);
+        let html = client.embedding(&photo).unwrap();
+        assert!(html.contains(&format!("http://{}/embed/{}", server.addr, photo.id)) && html.contains("aspect-ratio:80/60"), "{html}");
+        client.delete(&photo.id).await.unwrap();
+        assert_eq!(client.photo(&photo.id).await.unwrap_err().status(), Some(404));
+    });
+}
+
+#[test]
+fn what_is_wrong_is_told_by_kind_and_field() {
+    let dir = tempfile::tempdir().unwrap();
+    let server = Running::start(dir.path(), Limits::default(), Arc::new(pipeline()));
+    let client = client(&server);
+    block_on(async {
+        let refused = client.upload(Upload::of(jpeg(1)).option("planes", "many")).await.unwrap_err();
+        assert!(matches!(&refused, Error::Problem(p) if p.status == 400 && p.field.as_deref() == Some("planes")), "{refused:?}");
+        let refused = client.upload(Upload::of(&b"no picture"[..])).await.unwrap_err();
+        assert_eq!(refused.status(), Some(415), "{refused}");
+        for id in ["nothing", "../../healthz", "00000000000000000000000000000000"] {
+            assert_eq!(kind(&client.photo(id).await.unwrap_err()), "not-found", "{id}");
+        }
+        let photo = client.upload(Upload::of(jpeg(1)).wait(Duration::from_secs(20))).await.unwrap();
+        let wrong = client.view(&photo.id, &View::new(0, 30)).await.unwrap_err();
+        assert_eq!(wrong.status(), Some(400));
+        let nobody = Client::new("http://127.0.0.1:1").unwrap().patience(Duration::ZERO);
+        assert!(matches!(nobody.photo(&photo.id).await, Err(Error::Network(_))));
+    });
+}
+
+#[test]
+fn stages_are_told_until_it_is_made() {
+    let dir = tempfile::tempdir().unwrap();
+    let gate = Gate::new(0);
+    let server = Running::start(dir.path(), Limits::default(), gate.clone());
+    let client = client(&server);
+    block_on(async {
+        let id = client.upload(Upload::of(jpeg(1))).await.unwrap().id;
+        let early = client.container(&id).await.unwrap_err();
+        assert_eq!(early.status(), Some(409));
+        let mut stages = Vec::new();
+        let made = client.finished(&id, |stage| {
+            stages.push(stage.stage.clone());
+            // it is made once its first stage was told
+            if stages.len() == 1 {
+                gate.open(1);
+            }
+        });
+        assert_eq!(made.await.unwrap().state, State::Done);
+        assert!(stages.len() > 3 && stages[0] == "photo", "{stages:?}");
+    });
+}
+
+#[test]
+fn photos_are_their_owners_and_a_link_shows_one() {
+    let dir = tempfile::tempdir().unwrap();
+    let config = Config {
+        addr: ([127, 0, 0, 1], 0).into(),
+        admin: None,
+        data: dir.path().to_owned(),
+        pages: None,
+        hosts: vec!["photos.example".into()],
+        public_list: false,
+        private: true,
+        keys: None,
+        limits: Limits::default(),
+    };
+    let renderer = tmpi_render::select(Backend::Cpu).unwrap();
+    let server = Running::of(async move { Server::bind(config, Arc::new(pipeline()), renderer).await.unwrap() });
+    block_on(async {
+        let owner = client(&server).with_fresh_owner().unwrap();
+        let other = client(&server).with_fresh_owner().unwrap();
+        let photo = owner.upload(Upload::of(jpeg(1)).wait(Duration::from_secs(20))).await.unwrap();
+        assert_eq!(photo.visibility, Some(Visibility::Private));
+        assert_eq!(other.container(&photo.id).await.unwrap_err().status(), Some(404));
+        assert_eq!((owner.photos().await.unwrap().len(), other.photos().await.unwrap().len()), (1, 0));
+        let link = owner.link(&photo.id, 60).await.unwrap();
+        assert_eq!(get(server.addr, &link.atlas).status, 200);
+        let shown = Settings { visibility: Some(Visibility::Link), ..Settings::default() };
+        assert_eq!(owner.change(&photo.id, &shown).await.unwrap().visibility, Some(Visibility::Link));
+        assert!(other.container(&photo.id).await.is_ok());
+        assert_eq!(other.delete(&photo.id).await.unwrap_err().status(), Some(404));
+        let unknown = client(&server).with_key("tmpi_k_nobody").unwrap();
+        assert_eq!(unknown.photos().await.unwrap_err().status(), Some(401));
+    });
+}
+
+/// A server that answers each connection with the next of some texts, and tells how many came.
+fn answers(texts: Vec<&'static str>) -> (String, std::thread::JoinHandle<usize>) {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = format!("http://{}", listener.local_addr().unwrap());
+    let served = std::thread::spawn(move || {
+        for text in &texts {
+            let (mut stream, _) = listener.accept().unwrap();
+            let mut asked = Vec::new();
+            let mut piece = [0; 1024];
+            // a request without a body, or with a small one
+            while !asked.windows(4).any(|w| w == b"\r\n\r\n") {
+                let n = stream.read(&mut piece).unwrap();
+                asked.extend_from_slice(&piece[..n]);
+            }
+            stream.write_all(text.as_bytes()).unwrap();
+        }
+        texts.len()
+    });
+    (address, served)
+}
+
+#[test]
+fn what_is_refused_for_now_is_asked_again_and_what_may_have_been_done_is_not() {
+    const BUSY: &str = "HTTP/1.1 503 Service Unavailable\r\nretry-after: 0\r\ncontent-length: 0\r\nconnection: close\r\n\r\n";
+    const CUT: &str = "HTTP/1.1 200 OK\r\ncontent-length: 100\r\nconnection: close\r\n\r\nnot all";
+    const NONE: &str = "HTTP/1.1 404 Not Found\r\ncontent-length: 4\r\nconnection: close\r\n\r\nnone";
+    block_on(async {
+        let (address, served) = answers(vec![BUSY, CUT, NONE]);
+        let error = Client::new(&address).unwrap().photo("a").await.unwrap_err();
+        assert!(matches!(&error, Error::Problem(p) if p.status == 404 && p.detail == "none"), "{error:?}");
+        assert_eq!(served.join().unwrap(), 3);
+        // nobody's upload, once it may have come through
+        let (address, served) = answers(vec![BUSY, CUT]);
+        let error = Client::new(&address).unwrap().upload(Upload::of(&b"x"[..])).await.unwrap_err();
+        assert!(matches!(error, Error::Network(_)), "{error:?}");
+        served.join().unwrap();
+        // an owner's is the same photo
+        let (address, served) = answers(vec![CUT, NONE]);
+        let owner = Client::new(&address).unwrap().with_fresh_owner().unwrap();
+        assert_eq!(owner.upload(Upload::of(&b"x"[..])).await.unwrap_err().status(), Some(404));
+        served.join().unwrap();
+        let (address, served) = answers(vec![BUSY]);
+        let error = Client::new(&address).unwrap().patience(Duration::ZERO).photo("a").await.unwrap_err();
+        assert_eq!(error.status(), Some(503));
+        served.join().unwrap();
+    });
+}
