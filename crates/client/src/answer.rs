@@ -81,10 +81,9 @@ impl Client {
             let wait = match &tried {
                 Ok(answer) if refused_for_now(answer.status) => retry_after(&answer.headers).unwrap_or(pause),
                 Ok(answer) if answer.status.is_client_error() || answer.status.is_server_error() => return Err(answer.problem()),
-                Ok(_) => return tried,
                 // what was not even connected was not done
                 Err(Error::Network(error)) if call.again || error.is_connect() => pause,
-                Err(_) => return tried,
+                _ => return tried,
             };
             if Instant::now() + wait > until {
                 return tried.and_then(|answer| Err(answer.problem()));

@@ -2,14 +2,14 @@
 
 use bytes::{BufMut as _, Bytes, BytesMut};
 
-use crate::Error;
+use crate::{Error, hex};
 
 /// A form, and its media type.
 pub(crate) fn form(parts: &[(&str, &[u8])]) -> Result<(String, Bytes), Error> {
     let mut random = [0; 16];
     getrandom::fill(&mut random).map_err(|_| Error::Key)?;
     // 128 random bits are in no part
-    let boundary: String = random.iter().map(|b| format!("{b:02x}")).collect();
+    let boundary = hex(&random);
     let mut body = BytesMut::with_capacity(parts.iter().map(|(name, bytes)| name.len() + bytes.len() + 128).sum::<usize>() + 64);
     for (name, bytes) in parts {
         body.put_slice(format!("--{boundary}\r\ncontent-disposition: form-data; name=\"{name}\"\r\n\r\n").as_bytes());

@@ -50,11 +50,11 @@ pub use types::{Link, Links, Offset, PhotoState, Progress, Settings, State, Visi
 /// What an owner's secret begins with.
 const OWNER: &str = "tmpi_o_";
 /// Longest time without a byte from the server.
-const SILENCE: Duration = Duration::from_secs(60);
+const SILENCE: Duration = Duration::from_mins(1);
 /// Time to connect.
 const CONNECT: Duration = Duration::from_secs(10);
 /// Time that a call waits in all before it gives up, besides what answers take themselves.
-const PATIENCE: Duration = Duration::from_secs(60);
+const PATIENCE: Duration = Duration::from_mins(1);
 /// Bytes of an answer that are taken: the largest container and a little more.
 const MOST: usize = 1 << 30;
 
@@ -121,8 +121,7 @@ impl Client {
     pub fn with_fresh_owner(self) -> Result<Self, Error> {
         let mut bytes = [0; 32];
         getrandom::fill(&mut bytes).map_err(|_| Error::Key)?;
-        let digits: String = bytes.iter().map(|b| format!("{b:02x}")).collect();
-        self.with_key(&format!("{OWNER}{digits}"))
+        self.with_key(&format!("{OWNER}{}", hex(&bytes)))
     }
 
     /// The owner's secret, where the client has one; it is to be kept as a password is.
@@ -159,6 +158,11 @@ impl Client {
         let style = format!("width:100%;aspect-ratio:{width}/{height};border:0");
         Ok(format!("<iframe src=\"{address}\" style=\"{style}\" loading=\"lazy\" allow=\"accelerometer; gyroscope; fullscreen\"></iframe>"))
     }
+}
+
+/// Hexadecimal digits.
+fn hex(bytes: &[u8]) -> String {
+    bytes.iter().flat_map(|b| [b >> 4, b & 15]).filter_map(|digit| char::from_digit(digit.into(), 16)).collect()
 }
 
 #[cfg(test)]

@@ -48,7 +48,7 @@ impl Upload {
         self.option("visibility", if who == Visibility::Link { "link" } else { "private" })
     }
 
-    /// An option of the upload by its name, as `max_size` or `planes`; the server's OpenAPI document has all of them.
+    /// An option of the upload by its name, as `max_size` or `planes`; the server's `OpenAPI` document has all of them.
     #[must_use]
     pub fn option(mut self, name: &str, value: &str) -> Self {
         self.options.push((name.to_owned(), value.to_owned()));

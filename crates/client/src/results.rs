@@ -30,24 +30,24 @@ impl View {
     /// From the photo's own place, in pixels.
     #[must_use]
     pub fn new(width: u32, height: u32) -> Self {
-        Self { pairs: Vec::new() }.with("w", width).with("h", height)
+        Self { pairs: Vec::new() }.with("w", &width).with("h", &height)
     }
 
     /// From another place: metres to the right, down and forward in a scene whose nearest thing is a metre away; within the photo's view box.
     #[must_use]
     pub fn at(self, x: f64, y: f64, z: f64) -> Self {
-        self.with("x", x).with("y", y).with("z", z)
+        self.with("x", &x).with("y", &y).with("z", &z)
     }
 
     /// `jpeg`, `png` or `webp`.
     #[must_use]
     pub fn format(self, name: &str) -> Self {
-        self.with("format", name)
+        self.with("format", &name)
     }
 
-    /// Another parameter of the view by its name; the server's OpenAPI document has all of them.
+    /// Another parameter of the view by its name; the server's `OpenAPI` document has all of them.
     #[must_use]
-    pub fn with(mut self, name: &str, value: impl ToString) -> Self {
+    pub fn with(mut self, name: &str, value: &impl ToString) -> Self {
         self.pairs.push((name.to_owned(), value.to_string()));
         self
     }
@@ -120,7 +120,7 @@ impl Client {
         self.result(id, "/thumbnail").await
     }
 
-    /// A file to download: `html`, `glb`, `ora`, `zip` and what else the server's OpenAPI document names.
+    /// A file to download: `html`, `glb`, `ora`, `zip` and what else the server's `OpenAPI` document names.
     ///
     /// # Errors
     /// As [`Client::container`].
