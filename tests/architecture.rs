@@ -10,8 +10,8 @@ use std::process::Command;
 use serde_json::Value;
 
 /// The crates along the way of a photo: each may know those before it alone.
-const ORDER: [&str; 10] =
-    ["tmpi-core", "tmpi-client", "tmpi-decoder", "tmpi-live-decoder", "tmpi-unpacker", "tmpi-render", "tmpi-pipeline", "tmpi-live", "tmpi-lab", "tmpi"];
+const ORDER: [&str; 9] =
+    ["tmpi-core", "tmpi-decoder", "tmpi-live-decoder", "tmpi-unpacker", "tmpi-render", "tmpi-pipeline", "tmpi-live", "tmpi-lab", "tmpi"];
 const OPENS: &str = "```mermaid\ngraph LR\n";
 const CLOSES: &str = "```\n<!-- /crates -->";
 
