@@ -9,7 +9,7 @@ const ROOT = fileURLToPath(new URL('../', import.meta.url));
 /** Folders of static/ that the element is made of, and the kinds of files that a browser asks for. */
 const FOLDERS = ['decode', 'draw', 'element', 'input', 'view'];
 const KINDS = new Set(['.js', '.wasm', '.wgsl']);
-const OWN = ['README.md', 'tmpi-viewer.d.ts'];
+const OWN = ['README.md', 'tmpi-viewer.d.ts', 'rest.js', 'rest.d.ts', 'upload.html'];
 const LICENCES = ['LICENSE-MIT', 'LICENSE-APACHE'];
 
 /**

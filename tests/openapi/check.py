@@ -1,9 +1,11 @@
 #!/usr/bin/env python3
 """The description of the HTTP interface held against two linters, and the server against its description (schemathesis).
 
-    npm install --no-audit --no-fund && pip install -r requirements.txt && python3 check.py
+    npm install --no-audit --no-fund && python3 -m venv venv && venv/bin/pip install -r requirements.txt
+    cargo build --release && venv/bin/python check.py
 
-Starts its server itself; `TMPI` names another program than `target/release/tmpi`."""
+Starts its server itself; `TMPI` names another program than `target/release/tmpi`. A photo has to be made for it, so ONNX Runtime must be found:
+`ORT_DYLIB_PATH` names its library. `--only lint` takes seconds and needs neither schemathesis nor that."""
 import argparse, shutil, subprocess, sys, tempfile
 from pathlib import Path
 

@@ -26,7 +26,15 @@ const USE = `import 'tmpi-viewer';
   viewer.addEventListener('load', ({ detail }) => detail.mode === 'vulkan');
   // @ts-expect-error not to be set
   viewer.loaded = true;
-  export { file };`;
+  import { Tmpi } from 'tmpi-viewer/rest';
+  const tmpi = new Tmpi('https://photos.example');
+  const made = tmpi.wait('id', { onEvent: (event) => event.type === 'stage' && event.data.step });
+  const atlas: Promise<Uint8Array> = tmpi.atlas('id', { sections: ['photo'] }).then(({ bytes }) => bytes);
+  // @ts-expect-error with a tag there may be none
+  tmpi.atlas('id', {}, 'tag').then(({ bytes }) => bytes);
+  // @ts-expect-error no such setting
+  tmpi.change('id', { tilte: 'A box' });
+  export { file, made, atlas };`;
 
 describe('package', () => {
   const folder = mkdtempSync(join(tmpdir(), 'tmpi-npm-'));
@@ -67,7 +75,17 @@ describe('package', () => {
 
   test('has what it needs and no more', () => {
     const files = execFileSync('tar', ['-tzf', archive], { encoding: 'utf8' }).trim().split('\n');
-    for (const name of ['README.md', 'LICENSE-MIT', 'LICENSE-APACHE', 'tmpi-viewer.js', 'tmpi-viewer.d.ts', 'static/decode/decoder.wasm'])
+    for (const name of [
+      'README.md',
+      'LICENSE-MIT',
+      'LICENSE-APACHE',
+      'tmpi-viewer.js',
+      'tmpi-viewer.d.ts',
+      'rest.js',
+      'rest.d.ts',
+      'upload.html',
+      'static/decode/decoder.wasm',
+    ])
       assert.ok(files.includes(`package/${name}`), name);
     assert.deepEqual(
       files.filter((name) => /\/(?:app|live|film|vendor|i18n|sample)\//.test(name)),
