@@ -441,11 +441,17 @@ fn what_takes_more_memory_than_there_is_for_it_is_refused_with_limit_and_need() 
     let dir = tempfile::tempdir().unwrap();
     let server = Process::start_with(dir.path(), &["--job-memory", "512"]);
     let (large, depth) = (sized(6, 4000, 3000), depth_map());
-    let (content_type, body) = form(&[("photo", &large), ("depth", &depth)]);
+    let (content_type, body) = form(&[("photo", &large), ("depth", &depth), ("planes", b"8")]);
     let refused = request(server.addr, "POST", "/v1/photos", &[("content-type", &content_type)], &body).problem(413);
     let detail = refused["detail"].as_str().unwrap();
     let figures: Vec<u64> = detail.split(' ').filter_map(|word| word.parse().ok()).collect();
     assert!(figures.len() == 2 && figures[0] > figures[1] && figures[1] == 512 << 20, "{detail}");
+    // up to the program it is made as large as fits
+    let fitted = upload_with(server.addr, &large, &[("depth", &depth)]);
+    wait_until("it is made", || state(server.addr, &fitted)["state"] == "done");
+    let report = get(server.addr, &format!("/v1/photos/{fitted}/report")).json();
+    let pixels = report["width"].as_u64().unwrap() * report["height"].as_u64().unwrap();
+    assert!(report["input"]["fitted"] == true && (2_000_000..12_000_000).contains(&pixels), "{report}");
     // reduced it fits
     let reduced = upload_with(server.addr, &large, &[("max-size", b"800")]);
     wait_until("it is done", || state(server.addr, &reduced)["state"] == "done");

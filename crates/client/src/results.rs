@@ -36,7 +36,7 @@ impl View {
     /// From another place: metres to the right, down and forward in a scene whose nearest thing is a metre away; within the photo's view box.
     #[must_use]
     pub fn at(self, x: f64, y: f64, z: f64) -> Self {
-        self.with("x", &x).with("y", &y).with("z", &z)
+        self.with("tx", &x).with("ty", &y).with("tz", &z)
     }
 
     /// `jpeg`, `png` or `webp`.

@@ -14,7 +14,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use axum::body::{Body, BodyDataStream};
-use axum::extract::Request;
+use axum::extract::{DefaultBodyLimit, Request};
 use axum::http::StatusCode;
 use axum::http::header::{CONTENT_TYPE, HeaderValue};
 use futures_util::StreamExt as _;
@@ -298,6 +298,8 @@ impl Turn {
         }
         let bytes = ReaderStream::with_capacity(file.take(extent.offset), BUFFER);
         let mut request = Request::new(Body::from_stream(bytes));
+        // what it may have was seen to when its parts came
+        DefaultBodyLimit::disable().apply(&mut request);
         if let Some(kind) = content_type.and_then(|kind| HeaderValue::try_from(kind).ok()) {
             request.headers_mut().insert(CONTENT_TYPE, kind);
         }
