@@ -447,7 +447,7 @@ fn what_takes_more_memory_than_there_is_for_it_is_refused_with_limit_and_need() 
     let figures: Vec<u64> = detail.split(' ').filter_map(|word| word.parse().ok()).collect();
     assert!(figures.len() == 2 && figures[0] > figures[1] && figures[1] == 512 << 20, "{detail}");
     // up to the program it is made as large as fits
-    let fitted = upload_with(server.addr, &large, &[("depth", &depth)]);
+    let fitted = upload_with(server.addr, &large, &[]);
     wait_until("it is made", || state(server.addr, &fitted)["state"] == "done");
     let report = get(server.addr, &format!("/v1/photos/{fitted}/report")).json();
     let pixels = report["width"].as_u64().unwrap() * report["height"].as_u64().unwrap();
