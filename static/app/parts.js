@@ -39,9 +39,12 @@ export function sendInParts(form, refusal, onProgress) {
   return { done, abort };
 
   async function send() {
-    const body = await new Response(form).blob();
+    const whole = new Response(form);
+    // the type of a Blob is in small letters, and would name another boundary
+    const type = whole.headers.get('content-type') ?? '';
+    const body = await whole.blob();
     const begun = await answered(
-      ask('POST', '/v1/photos', { 'content-type': body.type, 'upload-complete': '?0', 'upload-length': String(body.size) }),
+      ask('POST', '/v1/photos', { 'content-type': type, 'upload-complete': '?0', 'upload-length': String(body.size) }),
     );
     address = begun.getResponseHeader('location') ?? '';
     if (begun.status !== 201 || !address) throw new Error('The server gave an answer that is none to a part.');

@@ -1,7 +1,9 @@
 // A large upload: it is sent in parts, and goes on by itself from what the server has.
 import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
+import { openPage } from '../support/browser.mjs';
 import { boxPhoto } from '../support/pictures.mjs';
+import { startServer } from '../support/program.mjs';
 import { photo, uploadSuite } from '../support/upload-page.mjs';
 
 const UPLOAD = '/v1/uploads/u1';
@@ -116,5 +118,29 @@ describe('a large upload', () => {
       ['POST', 'PATCH', 'DELETE'],
     );
     await context.close();
+  });
+
+  test('is taken by the program itself, also where the connection is lost on its way', async () => {
+    const server = await startServer();
+    try {
+      const { page, context } = await openPage(suite.browser);
+      await page.goto(`${server.url}/`);
+      let parts = 0;
+      await page.route('**/v1/uploads/*', (route) => {
+        const cut = route.request().method() === 'PATCH' && !parts++;
+        return cut ? route.abort('connectionreset') : route.continue();
+      });
+      await page.setInputFiles('#picker', [{ name: 'large.png', mimeType: 'image/png', buffer: large }]);
+      await page.locator('#gallery .card').first().waitFor();
+      assert.equal(parts, 2);
+      const { photos } = await (await fetch(`${server.url}/v1/photos`)).json();
+      assert.deepEqual(
+        photos.map((made) => [made.photo_bytes, made.settings.title]),
+        [[large.length, 'large']],
+      );
+      await context.close();
+    } finally {
+      await server.close();
+    }
   });
 });
