@@ -120,15 +120,8 @@ fn rate(runtime: &tokio::runtime::Runtime, workers: usize, product: &Product) ->
         let nats = (!servers.is_empty()).then_some(Nats { at, replicas: 1 });
         let sharing = Sharing { store: store.clone(), role, nats };
         let config = Config {
-            addr: ([127, 0, 0, 1], 0).into(),
-            admin: None,
-            data: folder.path().join(name),
-            pages: None,
-            hosts: Vec::new(),
-            public_list: false,
-            private: false,
-            keys: None,
             limits: Limits { workers: 1, queue: 10_000, ..Limits::default() },
+            ..Config::new(([127, 0, 0, 1], 0).into(), folder.path().join(name))
         };
         let renderer = tmpi_render::select(Backend::Cpu).unwrap();
         let server = runtime.block_on(Server::bind_among(Some(sharing), config, maker.clone(), renderer)).unwrap();

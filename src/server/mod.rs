@@ -119,6 +119,24 @@ pub struct Config {
     pub limits: Limits,
 }
 
+impl Config {
+    /// One that asks nobody who they are, with the limits as they are usual.
+    #[must_use]
+    pub fn new(addr: SocketAddr, data: PathBuf) -> Self {
+        Self {
+            addr,
+            admin: None,
+            data,
+            pages: None,
+            hosts: Vec::new(),
+            public_list: false,
+            private: false,
+            keys: None,
+            limits: Limits::default(),
+        }
+    }
+}
+
 /// Why the server does not run.
 #[derive(Debug, thiserror::Error)]
 pub enum ServerError {
@@ -447,17 +465,7 @@ mod tests {
         let limits = Limits { workers: 0, ..Limits::default() };
         let jobs = Jobs::start(store, Vec::new(), Arc::new(maker::Never), Arc::new(limits.clone()), Arc::default()).unwrap();
         let addr = ([127, 0, 0, 1], 0).into();
-        let config = Config {
-            addr,
-            admin: None,
-            data: PathBuf::new(),
-            pages: None,
-            hosts: Vec::new(),
-            public_list: false,
-            private: false,
-            keys: None,
-            limits,
-        };
+        let config = Config { limits, ..Config::new(addr, PathBuf::new()) };
         let renderer = tmpi_render::select(tmpi_render::Backend::Cpu).unwrap();
         let partials = Partials::open(&jobs.store, &jobs.limits).unwrap();
         let app = Arc::new(Shared::new(config, addr, jobs, partials, renderer, bytes::Bytes::new()));

@@ -26,17 +26,8 @@ pub fn private_with(data: &Path, maker: Arc<dyn Maker>) -> Running {
 
 /// The same under other limits.
 pub fn private_within(data: &Path, maker: Arc<dyn Maker>, limits: Limits) -> Running {
-    let config = Config {
-        addr: ([127, 0, 0, 1], 0).into(),
-        admin: None,
-        data: data.to_owned(),
-        pages: None,
-        hosts: vec!["photos.example".into()],
-        public_list: false,
-        private: true,
-        keys: None,
-        limits,
-    };
+    let config =
+        Config { hosts: vec!["photos.example".into()], private: true, limits, ..Config::new(([127, 0, 0, 1], 0).into(), data.to_owned()) };
     let renderer = tmpi_render::select(Backend::Cpu).unwrap();
     Running::of(async move { Server::bind(config, maker, renderer).await.unwrap().with_rooms(rooms()) })
 }
@@ -298,17 +289,7 @@ fn keys_have_scopes_and_are_replaced_while_the_server_runs() {
     }
     assert_eq!(ask(&server, "GET", &at, &[], &[]).status, 404);
     server.stop();
-    let config = |data: &Path| Config {
-        addr: ([127, 0, 0, 1], 0).into(),
-        admin: None,
-        data: data.to_owned(),
-        pages: None,
-        hosts: Vec::new(),
-        public_list: false,
-        private: true,
-        keys: None,
-        limits: Limits::default(),
-    };
+    let config = |data: &Path| Config { private: true, ..Config::new(([127, 0, 0, 1], 0).into(), data.to_owned()) };
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
     let renderer = tmpi_render::select(Backend::Cpu).unwrap();
     let refused = runtime.block_on(Server::bind(config(dir.path()), Arc::new(pipeline()), renderer)).err().unwrap();

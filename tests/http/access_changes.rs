@@ -111,15 +111,11 @@ fn who_may_see_a_photo_is_a_setting_like_others() {
 fn node(dir: &Path, name: &str) -> Running {
     let sharing = Sharing { store: format!("file://{}", dir.join("store").display()), role: Role::All, nats: None };
     let config = Config {
-        addr: ([127, 0, 0, 1], 0).into(),
-        admin: None,
-        data: dir.join(name),
-        pages: None,
         hosts: vec!["photos.example".into()],
-        public_list: false,
         private: true,
         keys: Some(dir.join("keys")),
         limits: Limits { sweep: Duration::from_millis(100), ..Limits::default() },
+        ..Config::new(([127, 0, 0, 1], 0).into(), dir.join(name))
     };
     let renderer = tmpi_render::select(Backend::Cpu).unwrap();
     Running::of(async move { Server::bind_among(Some(sharing), config, Arc::new(pipeline()), renderer).await.unwrap() })

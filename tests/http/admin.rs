@@ -15,17 +15,7 @@ use crate::nats::figure;
 /// A server that asks who comes, and the address of its operators.
 fn start(data: &Path) -> (Running, SocketAddr) {
     let any = SocketAddr::from(([127, 0, 0, 1], 0));
-    let config = Config {
-        addr: any,
-        admin: Some(any),
-        data: data.to_owned(),
-        pages: None,
-        hosts: vec!["photos.example".into()],
-        public_list: false,
-        private: true,
-        keys: None,
-        limits: Limits::default(),
-    };
+    let config = Config { admin: Some(any), hosts: vec!["photos.example".into()], private: true, ..Config::new(any, data.to_owned()) };
     let (tell, told) = std::sync::mpsc::channel();
     let renderer = tmpi_render::select(Backend::Cpu).unwrap();
     let server = Running::of(async move {

@@ -19,15 +19,8 @@ use crate::process::{Process, large};
 pub fn node(shared: &Path, data: &Path, role: Role, maker: Arc<dyn tmpi::server::Maker>) -> Running {
     let sharing = Sharing { store: format!("file://{}", shared.display()), role, nats: None };
     let config = Config {
-        addr: ([127, 0, 0, 1], 0).into(),
-        admin: None,
-        data: data.to_owned(),
-        pages: None,
-        hosts: Vec::new(),
-        public_list: false,
-        private: false,
-        keys: None,
         limits: Limits { sweep: Duration::from_millis(100), ..Limits::default() },
+        ..Config::new(([127, 0, 0, 1], 0).into(), data.to_owned())
     };
     let renderer = tmpi_render::select(Backend::Cpu).unwrap();
     Running::of(async move { Server::bind_among(Some(sharing), config, maker, renderer).await.unwrap() })

@@ -44,15 +44,8 @@ impl Nodes<'_> {
         let nats = Some(tmpi::server::Nats { at, replicas: self.servers.len() });
         let sharing = Sharing { store: self.store(), role, nats };
         let config = Config {
-            addr: ([127, 0, 0, 1], 0).into(),
-            admin: None,
-            data: self.folder.join(name),
-            pages: None,
-            hosts: Vec::new(),
-            public_list: false,
-            private: false,
-            keys: None,
             limits: Limits { sweep: self.sweep, lease: 4 * self.sweep, ..Limits::default() },
+            ..Config::new(([127, 0, 0, 1], 0).into(), self.folder.join(name))
         };
         let renderer = tmpi_render::select(Backend::Cpu).unwrap();
         let node = Running::of(async move { Server::bind_among(Some(sharing), config, maker, renderer).await.unwrap() });

@@ -189,17 +189,7 @@ impl Running {
 
     /// A server whose views `renderer` draws.
     pub fn drawing(data: &Path, limits: Limits, maker: Arc<dyn Maker>, renderer: Arc<dyn Renderer>) -> Self {
-        let config = Config {
-            addr: ([127, 0, 0, 1], 0).into(),
-            admin: None,
-            data: data.to_owned(),
-            pages: None,
-            hosts: vec!["photos.example".into()],
-            public_list: false,
-            private: false,
-            keys: None,
-            limits,
-        };
+        let config = Config { hosts: vec!["photos.example".into()], limits, ..Config::new(([127, 0, 0, 1], 0).into(), data.to_owned()) };
         Self::of(async move { Server::bind(config, maker, renderer).await.unwrap().with_rooms(rooms()) })
     }
 

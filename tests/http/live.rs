@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use tempfile::tempdir;
 use tmpi::live::{Config as RoomConfig, Rooms};
-use tmpi::server::{Config, Limits, Server};
+use tmpi::server::{Config, Server};
 use tmpi_core::live::wire::message::Kind;
 use tmpi_core::live::wire::{Depth, Hello, Sound, Video};
 use tmpi_core::live::{Model, VERSION, read, write};
@@ -43,17 +43,7 @@ fn server(data: &Path) -> Running {
 pub fn server_with(data: &Path, change: impl FnOnce(Rooms) -> Rooms) -> Running {
     let models = Models { depth: Arc::new(Bright), theta: None, psi: None };
     let rooms = change(Rooms::new(RoomConfig { models, frame_ms: 0.0, key: Some(KEY.to_vec()) }));
-    let config = Config {
-        addr: ([127, 0, 0, 1], 0).into(),
-        admin: None,
-        data: data.to_owned(),
-        pages: None,
-        hosts: vec!["photos.example".into()],
-        public_list: false,
-        private: false,
-        keys: None,
-        limits: Limits::default(),
-    };
+    let config = Config { hosts: vec!["photos.example".into()], ..Config::new(([127, 0, 0, 1], 0).into(), data.to_owned()) };
     let renderer = tmpi_render::select(Backend::Cpu).unwrap();
     Running::of(async move {
         let maker = Does(|_: &[u8], _: &dyn tmpi_pipeline::Sink| Err(tmpi::server::Fault::Cancelled));

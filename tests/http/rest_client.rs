@@ -109,17 +109,8 @@ fn stages_are_told_until_it_is_made() {
 #[test]
 fn photos_are_their_owners_and_a_link_shows_one() {
     let dir = tempfile::tempdir().unwrap();
-    let config = Config {
-        addr: ([127, 0, 0, 1], 0).into(),
-        admin: None,
-        data: dir.path().to_owned(),
-        pages: None,
-        hosts: vec!["photos.example".into()],
-        public_list: false,
-        private: true,
-        keys: None,
-        limits: Limits::default(),
-    };
+    let config =
+        Config { hosts: vec!["photos.example".into()], private: true, ..Config::new(([127, 0, 0, 1], 0).into(), dir.path().to_owned()) };
     let renderer = tmpi_render::select(Backend::Cpu).unwrap();
     let server = Running::of(async move { Server::bind(config, Arc::new(pipeline()), renderer).await.unwrap() });
     block_on(async {

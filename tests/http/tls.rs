@@ -32,17 +32,7 @@ fn example(name: &str) -> PathBuf {
 fn start(data: &Path, limits: Limits) -> Running {
     let models = Models { depth: Arc::new(live::Bright), theta: None, psi: None };
     let rooms = Rooms::new(RoomConfig { models, frame_ms: 0.0, key: None });
-    let config = Config {
-        addr: ([127, 0, 0, 1], 0).into(),
-        admin: None,
-        data: data.to_owned(),
-        pages: None,
-        hosts: Vec::new(),
-        public_list: false,
-        private: false,
-        keys: None,
-        limits,
-    };
+    let config = Config { limits, ..Config::new(([127, 0, 0, 1], 0).into(), data.to_owned()) };
     let tls = Tls::open(example("one.pem"), example("one.key")).unwrap();
     let renderer = tmpi_render::select(Backend::Cpu).unwrap();
     Running::of(async move { Server::bind(config, Arc::new(pipeline()), renderer).await.unwrap().with_rooms(rooms).with_tls(tls) })

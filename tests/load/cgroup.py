@@ -86,11 +86,12 @@ def flat(table, jobs, views, abandoned):
         server.wait(answer["id"])
         while server.metric("tmpi_queue_depth") + server.metric("tmpi_jobs_running") > 0:
             time.sleep(0.1)
+        connection = server.connect()
         for n in range(views // 6):
-            server_view(server, f"/v1/photos/{first}/view?w=16&x={(part * views + n) / (views * 12):.7f}")
+            view(connection, f"/v1/photos/{first}/view?w=16&tx={(part * views + n) / (views * 12):.7f}")
         for n in range(abandoned // 6):
             with socket.create_connection(server.address) as s:
-                s.sendall(f"GET /v1/photos/{first}/view?w=64&y={(part * abandoned + n) / (abandoned * 12):.7f} HTTP/1.1\r\nhost: 127.0.0.1\r\n\r\n".encode())
+                s.sendall(f"GET /v1/photos/{first}/view?w=64&ty={(part * abandoned + n) / (abandoned * 12):.7f} HTTP/1.1\r\nhost: 127.0.0.1\r\n\r\n".encode())
         time.sleep(2)
         sizes.append(server.resident_mib())
     # the first parts fill the caches, which have a bound
@@ -99,18 +100,13 @@ def flat(table, jobs, views, abandoned):
     server.remove()
 
 
-connection = None
-
-
-def server_view(server, path):
+def view(connection, path):
     """Over a connection that is kept."""
-    global connection
-    if connection is None or connection.port != server.address[1]:
-        connection = server.connect()
     connection.request("GET", path)
     answer = connection.getresponse()
     answer.read()
-    check(answer.status == 200, f"{path}: {answer.status}")
+    if not check(answer.status == 200, f"{path}: {answer.status}"):
+        raise SystemExit("no figure is worth anything")
 
 
 def main():

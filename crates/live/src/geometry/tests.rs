@@ -211,10 +211,11 @@ proptest::proptest! {
     }
 }
 
-/// A wall before another, both `by` nearer, and a picture that is another for each number.
+/// A wall before another, which is `by` nearer, and a picture that is another than that of the number before.
 fn walls(number: u64, by: f32) -> Frame {
     let mut f = frame(number, 60);
-    f.photo.rgb.iter_mut().for_each(|p| *p = [(number * 90 % 200) as u8; 3]);
+    // of the same colours, so that it is no cut
+    (0..).zip(&mut f.photo.rgb).for_each(|(i, p)| *p = [60 + 30 * ((i / 240 + i % 240 + number) % 2) as u8; 3]);
     let delta = |x: u32| if (50..120).contains(&x) { 0.8 } else { 0.3 + by };
     f.depth = Some(DisparityMap { width: 240, height: 136, delta: (0..240 * 136).map(|i| delta(i % 240)).collect() });
     f
