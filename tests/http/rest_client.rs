@@ -155,6 +155,7 @@ fn answers(texts: Vec<&'static str>) -> (String, std::thread::JoinHandle<usize>)
 #[test]
 fn what_is_refused_for_now_is_asked_again_and_what_may_have_been_done_is_not() {
     const BUSY: &str = "HTTP/1.1 503 Service Unavailable\r\nretry-after: 0\r\ncontent-length: 0\r\nconnection: close\r\n\r\n";
+    const OFTEN: &str = "HTTP/1.1 429 Too Many Requests\r\nretry-after: 0\r\ncontent-length: 0\r\nconnection: close\r\n\r\n";
     const CUT: &str = "HTTP/1.1 200 OK\r\ncontent-length: 100\r\nconnection: close\r\n\r\nnot all";
     const NONE: &str = "HTTP/1.1 404 Not Found\r\ncontent-length: 4\r\nconnection: close\r\n\r\nnone";
     block_on(async {
@@ -163,9 +164,12 @@ fn what_is_refused_for_now_is_asked_again_and_what_may_have_been_done_is_not() {
         assert!(matches!(&error, Error::Problem(p) if p.status == 404 && p.detail == "none"), "{error:?}");
         assert_eq!(served.join().unwrap(), 3);
         // nobody's upload, once it may have come through
-        let (address, served) = answers(vec![BUSY, CUT]);
+        let (address, served) = answers(vec![OFTEN, CUT]);
         let error = Client::new(&address).unwrap().upload(Upload::of(&b"x"[..])).await.unwrap_err();
         assert!(matches!(error, Error::Network(_)), "{error:?}");
+        served.join().unwrap();
+        let (address, served) = answers(vec![BUSY]);
+        assert_eq!(Client::new(&address).unwrap().upload(Upload::of(&b"x"[..])).await.unwrap_err().status(), Some(503));
         served.join().unwrap();
         // an owner's is the same photo
         let (address, served) = answers(vec![CUT, NONE]);

@@ -79,7 +79,7 @@ impl Client {
                 Err(error) => Err(error),
             };
             let wait = match &tried {
-                Ok(answer) if refused_for_now(answer.status) => retry_after(&answer.headers).unwrap_or(pause),
+                Ok(answer) if refused_for_now(answer.status, call.again) => retry_after(&answer.headers).unwrap_or(pause),
                 Ok(answer) if answer.status.is_client_error() || answer.status.is_server_error() => return Err(answer.problem()),
                 // what was not even connected was not done
                 Err(Error::Network(error)) if call.again || error.is_connect() => pause,
@@ -106,9 +106,9 @@ impl Client {
     }
 }
 
-/// Whether the server did nothing, for want of room or pace.
-fn refused_for_now(status: StatusCode) -> bool {
-    matches!(status, StatusCode::TOO_MANY_REQUESTS | StatusCode::SERVICE_UNAVAILABLE)
+/// Whether another try may succeed and do no harm: 429 is said before anything is done, 503 also by who waited for it in vain.
+fn refused_for_now(status: StatusCode, again: bool) -> bool {
+    status == StatusCode::TOO_MANY_REQUESTS || again && status == StatusCode::SERVICE_UNAVAILABLE
 }
 
 fn retry_after(headers: &HeaderMap) -> Option<Duration> {
