@@ -25,6 +25,7 @@ use tokio_util::task::TaskTracker;
 use tokio_util::task::task_tracker::TaskTrackerToken;
 
 use super::limits::Limits;
+use super::sendfile::{FileStream, InFile, Sending};
 use super::share::{Share, Shares};
 use super::streams::{Look, PIECE, Streams, Watched};
 use super::telemetry::{Present, Telemetry};
@@ -97,15 +98,18 @@ pub async fn serve(door: Door, router: Router, limits: &Arc<Limits>, telemetry: 
         };
         let little = Arc::new(AtomicBool::new(false));
         let held = Held { little: Arc::clone(&little), all: Arc::new((permit, share, telemetry.connection(), open.token())) };
-        let stream = Timed::new(stream, limits.write, limits.write_rate, Little { wanted: little, keep: keep_little });
+        let sending = Sending::default();
+        let keep = |stream: &FileStream| keep_little(&stream.stream);
+        let stream = FileStream::new(stream, sending.clone());
+        let stream = Timed::new(stream, limits.write, limits.write_rate, Little { wanted: little, keep });
         let connection =
             Connection { http: http.clone(), router: router.clone(), limits: Arc::clone(limits), peer, held, stop: stop.clone() };
         let acceptor = tls.as_ref().map(Tls::acceptor);
         tokio::spawn(async move {
-            let Some(acceptor) = acceptor else { return connection.one(stream, None).await };
+            let Some(acceptor) = acceptor else { return connection.one(stream, None, sending).await };
             match tokio::time::timeout(connection.limits.header_read, acceptor.accept(stream)).await {
                 Ok(Ok(stream)) if stream.get_ref().1.alpn_protocol() == Some(tls::HTTP_2) => connection.two(stream).await,
-                Ok(Ok(stream)) => connection.one(stream, Some(Secure)).await,
+                Ok(Ok(stream)) => connection.one(stream, Some(Secure), sending).await,
                 Ok(Err(error)) => tracing::debug!(%error, %peer, "handshake"),
                 Err(_) => tracing::debug!(%peer, "a handshake takes too long"),
             }
@@ -129,8 +133,8 @@ struct Connection {
 }
 
 impl Connection {
-    /// Speaks HTTP/1.1.
-    async fn one<S: AsyncRead + AsyncWrite + Unpin + Send + 'static>(self, stream: S, secure: Option<Secure>) {
+    /// Speaks HTTP/1.1; tells `sending` what is sent.
+    async fn one<S: AsyncRead + AsyncWrite + Unpin + Send + 'static>(self, stream: S, secure: Option<Secure>, sending: Sending) {
         let inner = TowerToHyperService::new(self.router);
         let (peer, given) = (self.peer, self.held.clone());
         let service = service_fn(move |mut request: Request<Incoming>| {
@@ -139,7 +143,13 @@ impl Connection {
             if let Some(secure) = secure {
                 request.extensions_mut().insert(secure);
             }
-            inner.call(request)
+            let (answer, sending) = (inner.call(request), sending.clone());
+            async move {
+                let mut answer = answer.await;
+                let in_file = answer.as_mut().ok().and_then(|response| response.extensions_mut().remove::<InFile>());
+                sending.set(in_file);
+                answer
+            }
         });
         let mut connection = pin!(self.http.one.serve_connection(TokioIo::new(stream), service).with_upgrades());
         let ended = tokio::select! {

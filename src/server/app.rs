@@ -44,6 +44,9 @@ pub type App = Arc<Shared>;
 
 /// Files up to this many bytes are kept in memory; larger ones are read while they are sent.
 const SMALL: usize = 256 << 10;
+/// Files of so many bytes stay open beside what was read of them, so that the system sends them by itself; a cache has no more open
+/// files than its bytes hold of these.
+const KEPT_OPEN: usize = 64 << 10;
 /// Photos that are looked at at a time for whose they are.
 const LIST_PART: usize = 256;
 /// Memory of a decoded scene in bytes a pixel, measured on photographs and rounded up.
@@ -402,7 +405,12 @@ fn open(mut file: File, whole: Option<&Done>) -> std::io::Result<Result<Stored, 
         file.read_to_end(&mut bytes)?;
         return Ok(match whole.and_then(|done| damage_of(&bytes, done)) {
             Some(damage) => Err(damage),
-            None => Ok(Stored::new(bytes)),
+            None if bytes.len() < KEPT_OPEN => Ok(Stored::new(bytes)),
+            None => {
+                let Stored { source, etag } = Stored::new(bytes);
+                let source = if let Source::Memory(bytes) = source { Source::Both(bytes, Arc::new(file)) } else { source };
+                Ok(Stored { source, etag })
+            }
         });
     }
     let mut hash = Sha256::new();

@@ -13,13 +13,15 @@ use flate2::Compression;
 
 /// A year, and never asked for again: only under an address that names the version.
 const IMMUTABLE: &str = "public, max-age=31536000, immutable";
+/// Headers of an answer, with those that others add: their table grows once.
+const HEADERS: usize = 20;
 /// Kept, but asked for again each time.
 pub const REVALIDATE: &str = "no-cache";
 
 /// How long the answer to a request for version `asked` may be kept, where `version` is what is sent.
 #[must_use]
-pub fn kept(asked: Option<&str>, version: &str) -> &'static str {
-    if asked == Some(version) { IMMUTABLE } else { REVALIDATE }
+pub fn kept(asked: Option<&str>, version: impl FnOnce() -> String) -> &'static str {
+    if asked.is_some_and(|asked| asked == version()) { IMMUTABLE } else { REVALIDATE }
 }
 
 /// What a response is about.
@@ -56,7 +58,7 @@ impl Coding {
         }
         match (self, source) {
             (Self::Coded(coded), _) => coded,
-            (Self::Gzip, Source::Memory(bytes)) => compress::gzip(bytes, Compression::default()),
+            (Self::Gzip, Source::Memory(bytes) | Source::Both(bytes, _)) => compress::gzip(bytes, Compression::default()),
             _ => None,
         }
     }
@@ -171,7 +173,12 @@ pub fn respond(headers: &HeaderMap, entity: Entity<'_>) -> Response {
             return response;
         }
     };
+    let in_file = source.in_file(range.clone());
     let mut response = Response::new(source.body(range.clone()));
+    response.headers_mut().reserve(HEADERS);
+    if let Some(in_file) = in_file {
+        response.extensions_mut().insert(in_file);
+    }
     *response.status_mut() = status;
     if status == StatusCode::PARTIAL_CONTENT {
         insert(&mut response, header::CONTENT_RANGE, &format!("bytes {}-{}/{length}", range.start, range.end - 1));
@@ -321,8 +328,8 @@ mod tests {
 
     #[test]
     fn only_the_version_that_was_asked_for_is_kept_for_ever() {
-        assert!(kept(Some("a"), "a").contains("immutable"));
-        assert!(!kept(Some("b"), "a").contains("immutable") && !kept(None, "a").contains("immutable"));
+        let kept = |asked| kept(asked, || "a".to_owned()).contains("immutable");
+        assert_eq!((kept(Some("a")), kept(Some("b")), kept(None)), (true, false, false));
     }
 
     proptest! {

@@ -82,7 +82,7 @@ impl Stored {
 impl Value for Stored {
     fn weight(&self) -> usize {
         match &self.source {
-            Source::Memory(bytes) => bytes.len(),
+            Source::Memory(bytes) | Source::Both(bytes, _) => bytes.len(),
             Source::File(..) => OPEN_FILE,
         }
     }

@@ -59,12 +59,10 @@ async fn wrap(app: &App, door: Door<'_>, request: Request, next: Next) -> Respon
     let _in_flight = app.telemetry.in_flight();
     let id = request_id(request.headers());
     let method = request.method().clone();
-    let path = request.uri().path().to_owned();
-    let route = request.extensions().get::<MatchedPath>().map_or("none", MatchedPath::as_str).to_owned();
+    let route = request.extensions().get::<MatchedPath>().cloned();
     let peer = request.extensions().get::<Peer>().map(|p| p.0);
     let asker = peer.filter(|ip| !ip.to_canonical().is_loopback());
-    let peer = peer.map(|ip| ip.to_string()).unwrap_or_default();
-    let span = tracing::info_span!("request", id, peer, %method, path);
+    let span = tracing::info_span!("request", id, peer = peer.map(tracing::field::display), %method, path = request.uri().path());
     let secure = request.extensions().get::<Secure>().is_some();
     let answered = answer(app, door, request, next).instrument(span.clone());
     let mut response = ASKER.scope(asker, SECURE.scope(secure, answered)).await;
@@ -74,11 +72,12 @@ async fn wrap(app: &App, door: Door<'_>, request: Request, next: Next) -> Respon
     if let Ok(id) = response_id {
         response.headers_mut().insert(REQUEST_ID, id);
     }
-    if let Ok(total) = HeaderValue::from_str(&format!("total;dur={:.2}", took.as_secs_f64() * 1e3)) {
+    let hundredths = took.as_micros() / 10;
+    if let Ok(total) = HeaderValue::try_from(format!("total;dur={}.{:02}", hundredths / 100, hundredths % 100)) {
         response.headers_mut().append(SERVER_TIMING, total);
     }
     let status = response.status().as_u16();
-    app.telemetry.request(known_method(&method), &route, status, took);
+    app.telemetry.request(known_method(&method), route.as_ref().map_or("none", MatchedPath::as_str), status, took);
     span.in_scope(|| {
         let ms = (took.as_secs_f64() * 1e5).round() / 1e2;
         if response.status().is_server_error() { tracing::warn!(status, ms) } else { tracing::info!(status, ms) }
@@ -125,6 +124,8 @@ async fn answer(app: &App, door: Door<'_>, request: Request, next: Next) -> Resp
         }
     };
     let mut response = tokio::select! {
+        // no timer for what is answered at once
+        biased;
         handled = AssertUnwindSafe(handled).catch_unwind() => match handled {
             Ok(response) => response,
             Err(_) => Problem::internal("the request's handler panicked", &"see above").into_response(),

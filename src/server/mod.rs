@@ -42,6 +42,7 @@ mod records;
 mod rest;
 mod retain;
 mod routes;
+mod sendfile;
 mod settings;
 mod share;
 mod source;

@@ -2,7 +2,7 @@
 
 Programs: `target/release/tmpi`, or what `TMPI` names. Every script starts its servers itself and asks nobody else.
 """
-import atexit, http.client, json, os, shutil, signal, socket, struct, subprocess, sys, tempfile, threading, time, zlib
+import atexit, http.client, json, os, shutil, signal, socket, ssl, struct, subprocess, sys, tempfile, threading, time, zlib
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -49,15 +49,19 @@ class Server:
         began = time.monotonic()
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=self.log, env=self.env, text=True)
         line = self.process.stdout.readline().strip()
-        if not line.startswith("http://"):
+        self.scheme, _, place = line.partition("://")
+        if self.scheme not in ("http", "https"):
             raise SystemExit(f"the server does not start: see {self.log.name}")
-        host, port = line.removeprefix("http://").rsplit(":", 1)
+        host, port = place.rsplit(":", 1)
         self.address = (host, int(port))
         while self.get("/healthz", timeout=ready)[0] != 200:
             time.sleep(0.01)
         self.started_in = time.monotonic() - began
 
     def connect(self, timeout=60):
+        if self.scheme == "https":
+            # its own certificate, which nobody vouches for
+            return http.client.HTTPSConnection(*self.address, timeout=timeout, context=ssl._create_unverified_context())
         return http.client.HTTPConnection(*self.address, timeout=timeout)
 
     def request(self, method, path, body=None, headers=None, timeout=120):

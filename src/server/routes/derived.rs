@@ -21,7 +21,7 @@ impl Derived {
     /// Of a finished photo; `asked`: the version in the query, `name`: what the answer follows from, by the photo's version.
     pub fn new(app: &Shared, done: &Done, asked: Option<&str>, name: impl FnOnce(&str) -> String) -> Self {
         let results = app.version(done);
-        Self { cache_control: kept(asked, &results), made: identity::short(&name(&results)) }
+        Self { cache_control: kept(asked, || results.clone()), made: identity::short(&name(&results)) }
     }
 
     /// The answer to a client that has it already.

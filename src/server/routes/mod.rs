@@ -224,17 +224,20 @@ pub fn router(app: App, rooms: Option<Router>) -> Router {
     let (router, _) = if app.has_admin { pages_api() } else { own_api() }.split_for_parts();
     let (open, _) = open_api().split_for_parts();
     // before the layers, so that these see every method: questions before a request (preflights) are OPTIONS
-    let open = open.method_not_allowed_fallback(no_method).layer(map_response(open_to_all));
+    // layers that go together are one: each alone costs every request a box and a copy of all within
+    let open = open.method_not_allowed_fallback(no_method).layer((cors(), map_response(open_to_all)));
     let files = files().into_iter().fold(Router::new(), |router, (path, handler)| router.route(path, handler));
-    let files = files.method_not_allowed_fallback(no_method);
-    let router = router.merge(open.merge(files).layer(cors())).merge(rooms.unwrap_or_default().with_state(()));
+    let files = files.method_not_allowed_fallback(no_method).layer(cors());
+    let router = router.merge(open).merge(files).merge(rooms.unwrap_or_default().with_state(()));
     own_pages()
         .into_iter()
         .fold(router, |router, (path, handler, _)| router.route(path, handler))
         .fallback(pages::nothing)
         .method_not_allowed_fallback(no_method)
-        .layer(DefaultBodyLimit::disable())
-        .layer(CsrfLayer::new().with_rejection_response(foreign))
-        .layer(from_fn_with_state(app.clone(), middleware::around))
+        .layer((
+            from_fn_with_state(app.clone(), middleware::around),
+            CsrfLayer::new().with_rejection_response(foreign),
+            DefaultBodyLimit::disable(),
+        ))
         .with_state(app)
 }

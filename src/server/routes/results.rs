@@ -58,7 +58,7 @@ pub async fn atlas(State(app): State<App>, Path(id): Path<String>, uri: Uri, hea
     let (version, done) = Shared::done(&entry)?;
     let side = region.map_or(done.width.max(done.height), |r| r.w.max(r.h));
     let level = wanted_level(&pairs, side)?;
-    let cache_control = kept(pairs.get("v"), &app.version(&done));
+    let cache_control = kept(pairs.get("v"), || app.version(&done));
     let file = app.container(version, &done, (level, region), sections.as_deref()).await?;
     Ok(respond(&headers, Entity { source: file.source, etag: &file.etag, content_type: MEDIA_TYPE, cache_control, coding: Coding::Plain }))
 }
@@ -150,7 +150,7 @@ pub async fn thumbnail(State(app): State<App>, Path(id): Path<String>, v: OnlyVe
 async fn stored(app: &App, id: &str, v: &OnlyVersion, headers: &HeaderMap, part: Part, content_type: &str) -> Result<Response, Problem> {
     let entry = app.photo(id)?;
     let (version, done) = Shared::done(&entry)?;
-    let cache_control = kept(v.0.as_deref(), &app.version(&done));
+    let cache_control = kept(v.0.as_deref(), || app.version(&done));
     let file = app.file(version, &done, part).await?;
     let coding = if part == Part::Report { Coding::Gzip } else { Coding::Plain };
     Ok(respond(headers, Entity { source: file.source, etag: &file.etag, content_type, cache_control, coding }))
