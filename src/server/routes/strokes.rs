@@ -28,6 +28,18 @@ pub struct Strokes {
     strokes: Vec<Stroke>,
 }
 
+/// A change of a photo's strokes.
+#[derive(utoipa::ToSchema)]
+#[allow(dead_code, reason = "describes the body in the OpenAPI document; strokes are read by hand so that errors name their field")]
+pub struct StrokesPatch {
+    /// 1.
+    #[schema(example = 1, minimum = 1, maximum = 1, required = false)]
+    version: u32,
+    /// All strokes in their order, at most 100 with 8192 points together. Null removes them; without this field they stay as they are.
+    #[schema(nullable)]
+    strokes: Option<Vec<Stroke>>,
+}
+
 /// The strokes that a photo's depth is touched up with.
 #[utoipa::path(
     get, path = "/v1/photos/{id}/strokes", tag = "photos", params(("id" = String, Path, description = "Id of the photo")),
@@ -48,7 +60,7 @@ pub async fn strokes(State(app): State<App>, Path(id): Path<String>, _: NoQuery,
 
 /// Touch up a photo's depth.
 ///
-/// A JSON merge patch (RFC 7396): `strokes` replaces all strokes, null removes them. The photo is made again with them and has the same id
+/// A JSON merge patch (RFC 7396): `strokes` replaces all strokes, null removes them, and without it nothing changes. The photo is made again with them and has the same id
 /// and another version; until it is done its results answer 409, and should it fail, other strokes try again. A stroke covers what its brush
 /// does, out to the edges of the photo around it: see `radius`.
 #[utoipa::path(
@@ -58,7 +70,7 @@ pub async fn strokes(State(app): State<App>, Path(id): Path<String>, _: NoQuery,
         ("If-Match" = Option<String>, Header, description = "Change only these strokes, by their tag"),
         ("Prefer" = Option<String>, Header, description = "`wait=SECONDS`: answer once the photo is done, or after that time"),
     ),
-    request_body(content((Strokes = "application/merge-patch+json"), (Strokes = "application/json"))),
+    request_body(content((StrokesPatch = "application/merge-patch+json"), (StrokesPatch = "application/json"))),
     responses(
         (status = 200, description = "Made with these strokes, in the time that `Prefer: wait` gave or long ago", body = PhotoState,
             headers(("ETag" = String, description = "Version of the strokes"))),
