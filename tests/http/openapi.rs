@@ -109,7 +109,10 @@ fn every_schema_and_parameter_is_described() {
     assert!(named.len() == schemes.len() && named.iter().all(|name| described(&schemes[*name])), "{named:?}");
     assert!(!schemas["Settings"]["required"].as_array().is_some_and(|r| r.contains(&"version".into())), "a patch needs no version");
     let of_strokes = &schemas["StrokesPatch"];
-    assert_eq!((&of_strokes["required"], &of_strokes["properties"]["strokes"]["type"]), (&Value::Null, &serde_json::json!(["array", "null"])));
+    assert_eq!(
+        (&of_strokes["required"], &of_strokes["properties"]["strokes"]["type"]),
+        (&Value::Null, &serde_json::json!(["array", "null"]))
+    );
     for (path, item) in document["paths"].as_object().unwrap() {
         for (method, operation) in item.as_object().unwrap() {
             assert!(operation["responses"].as_object().unwrap().keys().any(|s| s.starts_with('4')), "{method} {path} refuses nothing");

@@ -15,6 +15,7 @@ use crate::server::clock::Clock;
 use crate::server::conditional::{Coding, Entity, REVALIDATE, insert, respond};
 use crate::server::problem::Problem;
 use crate::server::strokes::stored;
+use crate::server::traces;
 use tmpi_pipeline::strokes::{BYTES, Stroke, patch};
 
 /// Strokes over a photo.
@@ -96,14 +97,16 @@ pub async fn touch_up(
     let entry = app.photo(&id)?;
     let (headers, body) = merge_patch(request, BYTES, "strokes").await?;
     let (shared, photo, seen) = (Arc::clone(&app), Arc::clone(&entry), headers.clone());
-    let changed = tokio::task::spawn_blocking(move || {
+    let trace = traces::current();
+    let change = move || {
         let wanted = match patch(&body).map_err(|e| Problem::from(&e))? {
             Some(strokes) => strokes,
             None => shared.jobs.strokes(photo.id).map_err(|e| Problem::store(&e))?,
         };
         let changed = shared.jobs.touch_up(&photo, &seen, &wanted)?;
         Ok::<_, Problem>((changed, stored(&wanted).etag))
-    });
+    };
+    let changed = tokio::task::spawn_blocking(move || traces::within(trace, change));
     let (changed, etag) = changed.await.map_err(|e| Problem::internal("changing strokes", &e))??;
     let answer = if changed { again::answer(&app, &entry, &headers, &clock).await } else { again::state(&app, &entry, StatusCode::OK) };
     let mut response = answer?;
