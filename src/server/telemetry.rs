@@ -12,6 +12,7 @@ use prometheus_client::metrics::histogram::Histogram;
 use prometheus_client::registry::Registry;
 
 use super::id::PhotoId;
+use super::retain::Reason;
 use super::traces::{Collector, CollectorError, Job, Parent, Traces};
 
 /// Media type of the text.
@@ -39,7 +40,7 @@ pub(super) struct Outcome {
 }
 
 #[derive(Clone, Debug, Hash, PartialEq, Eq, EncodeLabelSet)]
-struct Reason {
+struct Retired {
     reason: &'static str,
 }
 
@@ -64,7 +65,7 @@ pub struct Telemetry {
     job_durations: Histogram,
     view_phases: Durations<Phase>,
     uploaded: Counter,
-    retired: Family<Reason, Counter>,
+    retired: Family<Retired, Counter>,
     freed: Counter,
     connections: Gauge,
     in_flight: Gauge,
@@ -98,6 +99,10 @@ impl Default for Telemetry {
         registry.register("tmpi_view_seconds", "Duration of the phases of drawing a view", t.view_phases.clone());
         registry.register("tmpi_uploaded_bytes", "Bytes of accepted uploads", t.uploaded.clone());
         registry.register("tmpi_photos_retired", "Photos that went by themselves", t.retired.clone());
+        for reason in Reason::ALL {
+            // from the beginning: what is counted first would else not be seen to grow
+            drop(t.retired.get_or_create(&Retired { reason: reason.name() }));
+        }
         registry.register("tmpi_retired_bytes", "Bytes of photos that went by themselves", t.freed.clone());
         registry.register("tmpi_connections", "Open connections", t.connections.clone());
         registry.register("tmpi_requests_in_flight", "Requests under way", t.in_flight.clone());
@@ -169,7 +174,7 @@ impl Telemetry {
 
     /// A photo went by itself for a `reason`.
     pub fn retired(&self, reason: &'static str, bytes: u64) {
-        self.retired.get_or_create(&Reason { reason }).inc();
+        self.retired.get_or_create(&Retired { reason }).inc();
         self.freed.inc_by(bytes);
     }
 

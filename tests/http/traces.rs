@@ -9,7 +9,7 @@ use opentelemetry_proto::tonic::collector::trace::v1::ExportTraceServiceRequest;
 use opentelemetry_proto::tonic::common::v1::any_value::Value;
 use opentelemetry_proto::tonic::trace::v1::{Span, span::SpanKind, status::StatusCode};
 use prost::Message as _;
-use tmpi::server::{Collector, Config, Limits, Maker, Role, Server, Sharing};
+use tmpi::server::{Collector, Config, Limits, Maker, Role, Server, Sharing, hex};
 use tmpi_render::Backend;
 
 use crate::client::{Connection, get, request};
@@ -57,8 +57,8 @@ impl StandIn {
         named()
     }
 
-    fn traces(&self, ratio: f64) -> Option<Collector> {
-        Some(Collector { url: self.url.clone(), ratio })
+    fn traces(&self, ratio: f64) -> Collector {
+        Collector { url: self.url.clone(), ratio }
     }
 }
 
@@ -109,21 +109,17 @@ fn attribute(span: &Span, key: &str) -> String {
     }
 }
 
-fn hex(bytes: &[u8]) -> String {
-    bytes.iter().map(|b| format!("{b:02x}")).collect()
-}
-
-fn start(data: &Path, traces: Option<Collector>, maker: Arc<dyn Maker>) -> Running {
-    let config = Config { traces, ..Config::new(([127, 0, 0, 1], 0).into(), data.to_owned()) };
+fn start(data: &Path, traces: Collector, maker: Arc<dyn Maker>) -> Running {
+    let config = Config { traces: Some(traces), ..Config::new(([127, 0, 0, 1], 0).into(), data.to_owned()) };
     let renderer = tmpi_render::select(Backend::Cpu).unwrap();
     Running::of(async move { Server::bind(config, maker, renderer).await.unwrap() })
 }
 
 /// A node of the store in a folder.
-fn node(shared: &Path, data: &Path, role: Role, traces: Option<Collector>, maker: Arc<dyn Maker>) -> Running {
+fn node(shared: &Path, data: &Path, role: Role, traces: Collector, maker: Arc<dyn Maker>) -> Running {
     let sharing = Sharing { store: format!("file://{}", shared.display()), role, nats: None };
     let limits = Limits { sweep: std::time::Duration::from_millis(100), ..Limits::default() };
-    let config = Config { traces, limits, ..Config::new(([127, 0, 0, 1], 0).into(), data.to_owned()) };
+    let config = Config { traces: Some(traces), limits, ..Config::new(([127, 0, 0, 1], 0).into(), data.to_owned()) };
     let renderer = tmpi_render::select(Backend::Cpu).unwrap();
     Running::of(async move { Server::bind_among(Some(sharing), config, maker, renderer).await.unwrap() })
 }
@@ -214,7 +210,7 @@ fn a_trace_goes_on_that_a_client_began_and_on_the_node_that_makes_the_photo() {
 fn a_collector_that_is_away_or_refuses_changes_no_answer() {
     let dir = tempfile::tempdir().unwrap();
     let nobody = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
-    let away = Some(Collector { url: format!("http://{nobody}"), ratio: 1.0 });
+    let away = Collector { url: format!("http://{nobody}"), ratio: 1.0 };
     let refuses = StandIn::start(Mood::Refuses);
     for (name, traces) in [("away", away), ("refuses", refuses.traces(1.0))] {
         let server = start(&dir.path().join(name), traces, Arc::new(pipeline()));
@@ -256,7 +252,7 @@ fn a_fault_of_the_server_is_marked() {
     let (dir, collector) = (tempfile::tempdir().unwrap(), StandIn::start(Mood::Takes));
     // nothing is uploaded in parts here
     let limits = Limits { partials: 0, ..Limits::default() };
-    let config = Config { traces: collector.traces(1.0), limits, ..Config::new(([127, 0, 0, 1], 0).into(), dir.path().to_owned()) };
+    let config = Config { traces: Some(collector.traces(1.0)), limits, ..Config::new(([127, 0, 0, 1], 0).into(), dir.path().to_owned()) };
     let renderer = tmpi_render::select(Backend::Cpu).unwrap();
     let server = Running::of(async move { Server::bind(config, Gate::new(0), renderer).await.unwrap() });
     request(server.addr, "POST", "/v1/photos", &[("upload-complete", "?0")], &[]).problem(501);

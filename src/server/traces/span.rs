@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 use std::fmt;
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use opentelemetry::propagation::TextMapPropagator as _;
 use opentelemetry::trace::{SpanBuilder, Status, TraceContextExt as _, Tracer as _};
@@ -111,40 +111,51 @@ pub struct Work {
 
 /// A making that is traced, or not.
 #[derive(Debug, Default)]
-pub struct Job {
-    of: Option<(Current, Mutex<Option<(&'static str, Current)>>)>,
+pub struct Job(Option<Traced>);
+
+#[derive(Debug)]
+struct Traced {
+    job: Current,
+    /// The one that it is at.
+    stage: Mutex<Option<(&'static str, Current)>>,
+}
+
+impl Traced {
+    fn stage(&self) -> MutexGuard<'_, Option<(&'static str, Current)>> {
+        self.stage.lock().unwrap_or_else(PoisonError::into_inner)
+    }
 }
 
 impl Job {
     /// One whose span has begun.
     #[must_use]
-    pub fn new(span: Current) -> Self {
-        Self { of: Some((span, Mutex::default())) }
+    pub fn new(job: Current) -> Self {
+        Self(Some(Traced { job, stage: Mutex::default() }))
     }
 
     /// A stage begins, and the one before ends.
     pub fn stage(&self, name: &'static str) {
-        let Some((span, stage)) = &self.of else { return };
-        let mut stage = stage.lock().unwrap_or_else(PoisonError::into_inner);
+        let Some(traced) = &self.0 else { return };
+        let mut stage = traced.stage();
         if stage.as_ref().is_none_or(|(at, _)| *at != name) {
             // first of all the one before ends
             *stage = None;
-            *stage = Some((name, span.child(name, Vec::new())));
+            *stage = Some((name, traced.job.child(name, Vec::new())));
         }
     }
 
-    /// The stage that it is at ends, as what follows is the server's own work: keeping what was made.
+    /// The last stage ends; what follows is the server's own work: keeping what was made.
     pub fn made(&self) {
-        if let Some((_, stage)) = &self.of {
-            *stage.lock().unwrap_or_else(PoisonError::into_inner) = None;
+        if let Some(traced) = &self.0 {
+            *traced.stage() = None;
         }
     }
 
     /// Ends.
     pub fn end(self, outcome: &'static str) {
         self.made();
-        let Some((span, _)) = self.of else { return };
-        let span = span.context.span();
+        let Some(Traced { job, .. }) = self.0 else { return };
+        let span = job.context.span();
         span.set_attribute(KeyValue::new("tmpi.job.outcome", outcome));
         if !matches!(outcome, "done" | "second" | "deleted" | "cancelled") {
             span.set_status(Status::error(outcome));
