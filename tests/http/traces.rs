@@ -6,14 +6,14 @@ use std::path::Path;
 use std::sync::{Arc, Mutex};
 
 use opentelemetry_proto::tonic::collector::trace::v1::ExportTraceServiceRequest;
-use opentelemetry_proto::tonic::common::v1::any_value::Value;
+use opentelemetry_proto::tonic::common::v1::{KeyValue, any_value::Value};
 use opentelemetry_proto::tonic::trace::v1::{Span, span::SpanKind, status::StatusCode};
 use prost::Message as _;
 use tmpi::server::{Collector, Config, Limits, Maker, Role, Server, Sharing, hex};
 use tmpi_render::Backend;
 
-use crate::client::{Connection, get, request};
-use crate::fixture::{Gate, Running, jpeg, pipeline, wait_until};
+use crate::client::{Connection, get, post_form, request};
+use crate::fixture::{Gate, Running, depth_map, jpeg, pipeline, wait_until};
 use crate::process::Process;
 
 /// What a collector does with what comes.
@@ -27,23 +27,25 @@ enum Mood {
 /// Takes spans as a collector does.
 struct StandIn {
     url: String,
-    spans: Arc<Mutex<Vec<Span>>>,
-    mood: Arc<Mutex<Mood>>,
+    spans: Mutex<Vec<Span>>,
+    /// As the one that sent last calls itself.
+    service: Mutex<String>,
+    mood: Mutex<Mood>,
 }
 
 impl StandIn {
-    fn start(mood: Mood) -> Self {
+    fn start(mood: Mood) -> Arc<Self> {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let url = format!("http://{}", listener.local_addr().unwrap());
-        let (spans, mood) = (Arc::default(), Arc::new(Mutex::new(mood)));
-        let (all, now) = (Arc::clone(&spans), Arc::clone(&mood));
+        let made = Arc::new(Self { url, spans: Mutex::default(), service: Mutex::default(), mood: Mutex::new(mood) });
+        let of = Arc::clone(&made);
         std::thread::spawn(move || {
             for stream in listener.incoming() {
-                let (all, now) = (Arc::clone(&all), Arc::clone(&now));
-                std::thread::spawn(move || while take(stream.as_ref().unwrap(), &all, &now).is_some() {});
+                let of = Arc::clone(&of);
+                std::thread::spawn(move || while of.take(stream.as_ref().unwrap()).is_some() {});
             }
         });
-        Self { url, spans, mood }
+        made
     }
 
     fn spans(&self) -> Vec<Span> {
@@ -60,53 +62,57 @@ impl StandIn {
     fn traces(&self, ratio: f64) -> Collector {
         Collector { url: self.url.clone(), ratio }
     }
+
+    /// One request of a connection; none where it ends.
+    fn take(&self, stream: &TcpStream) -> Option<()> {
+        let mut reader = BufReader::new(stream);
+        let mut line = String::new();
+        reader.read_line(&mut line).ok().filter(|n| *n > 0)?;
+        assert_eq!(line.trim(), "POST /v1/traces HTTP/1.1");
+        let mut length = 0;
+        loop {
+            line.clear();
+            reader.read_line(&mut line).ok()?;
+            let Some((name, value)) = line.trim().split_once(':') else { break };
+            match name.to_ascii_lowercase().as_str() {
+                "content-length" => length = value.trim().parse().unwrap(),
+                "content-type" => assert_eq!(value.trim(), "application/x-protobuf"),
+                _ => {}
+            }
+        }
+        let mut body = vec![0; length];
+        reader.read_exact(&mut body).ok()?;
+        let mood = *self.mood.lock().unwrap();
+        let status = match mood {
+            Mood::Takes => "200 OK",
+            Mood::Refuses => "400 Bad Request",
+            // until the other side has enough
+            Mood::Hangs => return reader.read_to_end(&mut body).ok().and(None),
+        };
+        if matches!(mood, Mood::Takes) {
+            let export = ExportTraceServiceRequest::decode(body.as_slice()).unwrap();
+            for resource in export.resource_spans {
+                let of = resource.resource.unwrap();
+                *self.service.lock().unwrap() = text(&of.attributes, "service.name");
+                self.spans.lock().unwrap().extend(resource.scope_spans.into_iter().flat_map(|scope| scope.spans));
+            }
+        }
+        let mut stream = stream;
+        write!(stream, "HTTP/1.1 {status}\r\ncontent-length: 0\r\n\r\n").ok()
+    }
 }
 
-/// One request of a connection; none where it ends.
-fn take(stream: &TcpStream, all: &Mutex<Vec<Span>>, mood: &Mutex<Mood>) -> Option<()> {
-    let mut reader = BufReader::new(stream);
-    let mut line = String::new();
-    reader.read_line(&mut line).ok().filter(|n| *n > 0)?;
-    assert_eq!(line.trim(), "POST /v1/traces HTTP/1.1");
-    let mut length = 0;
-    loop {
-        line.clear();
-        reader.read_line(&mut line).ok()?;
-        let Some((name, value)) = line.trim().split_once(':') else { break };
-        match name.to_ascii_lowercase().as_str() {
-            "content-length" => length = value.trim().parse().unwrap(),
-            "content-type" => assert_eq!(value.trim(), "application/x-protobuf"),
-            _ => {}
-        }
-    }
-    let mut body = vec![0; length];
-    reader.read_exact(&mut body).ok()?;
-    let mood = *mood.lock().unwrap();
-    let status = match mood {
-        Mood::Takes => "200 OK",
-        Mood::Refuses => "400 Bad Request",
-        // until the other side has enough
-        Mood::Hangs => return reader.read_to_end(&mut body).ok().and(None),
-    };
-    if matches!(mood, Mood::Takes) {
-        let export = ExportTraceServiceRequest::decode(body.as_slice()).unwrap();
-        for resource in export.resource_spans {
-            let of = resource.resource.unwrap();
-            assert!(of.attributes.iter().any(|a| a.key == "service.name"), "{of:?}");
-            all.lock().unwrap().extend(resource.scope_spans.into_iter().flat_map(|scope| scope.spans));
-        }
-    }
-    let mut stream = stream;
-    write!(stream, "HTTP/1.1 {status}\r\ncontent-length: 0\r\n\r\n").ok()
-}
-
-fn attribute(span: &Span, key: &str) -> String {
-    let value = span.attributes.iter().find(|a| a.key == key).and_then(|a| a.value.clone()).and_then(|v| v.value);
+fn text(attributes: &[KeyValue], key: &str) -> String {
+    let value = attributes.iter().find(|a| a.key == key).and_then(|a| a.value.clone()).and_then(|v| v.value);
     match value {
         Some(Value::StringValue(text)) => text,
         Some(Value::IntValue(n)) => n.to_string(),
         other => panic!("{key}: {other:?}"),
     }
+}
+
+fn attribute(span: &Span, key: &str) -> String {
+    text(&span.attributes, key)
 }
 
 fn start(data: &Path, traces: Collector, maker: Arc<dyn Maker>) -> Running {
@@ -264,18 +270,30 @@ fn a_fault_of_the_server_is_marked() {
 
 #[cfg(unix)]
 #[test]
-fn the_last_spans_are_sent_when_the_program_stops() {
-    let collector = StandIn::start(Mood::Takes);
-    for (n, (arguments, environment)) in
-        [(vec!["--otlp", &collector.url], vec![]), (vec![], vec![("OTEL_EXPORTER_OTLP_ENDPOINT", collector.url.as_str())])]
-            .iter()
-            .enumerate()
-    {
-        let dir = tempfile::tempdir().unwrap();
-        let server = Process::start_in(dir.path(), arguments, environment);
+fn the_program_sends_stages_of_its_processes_and_the_last_spans_when_it_stops() {
+    for named in [true, false] {
+        let (dir, collector) = (tempfile::tempdir().unwrap(), StandIn::start(Mood::Takes));
+        let url = collector.url.as_str();
+        let (arguments, environment) = if named {
+            (vec!["--otlp", url], Vec::new())
+        } else {
+            (Vec::new(), vec![("OTEL_EXPORTER_OTLP_ENDPOINT", url), ("OTEL_SERVICE_NAME", "attic")])
+        };
+        let server = Process::start_in(dir.path(), &arguments, &environment);
+        let answer = post_form(server.addr, &[], &[("photo", &jpeg(1)), ("depth", &depth_map())]);
+        assert_eq!(answer.status, 202);
+        let photo = format!("/v1/photos/{}", answer.json()["id"].as_str().unwrap());
+        wait_until("it is made", || get(server.addr, &photo).json()["state"] == "done");
         assert_eq!(get(server.addr, "/v1/photos").status, 200);
         let (status, log) = server.terminate();
         assert!(status.success(), "{log}");
-        assert_eq!(collector.spans().len(), n + 1);
+        // nothing is waited for any more
+        let spans = collector.spans();
+        let of = |name: &str| spans.iter().find(|s| s.name == name).unwrap_or_else(|| panic!("{name}: {spans:?}"));
+        let (upload, job, _) = (of("POST /v1/photos"), of("job"), of("GET /v1/photos"));
+        assert_eq!(job.parent_span_id, upload.span_id);
+        assert!(spans.iter().filter(|s| s.parent_span_id == job.span_id).count() > 4, "{spans:?}");
+        assert!(log.contains(&hex(&upload.trace_id)), "the line of the request names its trace: {log}");
+        assert_eq!(*collector.service.lock().unwrap(), if named { "tmpi" } else { "attic" });
     }
 }
