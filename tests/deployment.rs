@@ -125,6 +125,18 @@ fn every_metric_of_alerts_and_dashboard_is_one_of_the_program() {
 }
 
 #[test]
+fn every_metric_of_the_program_is_on_the_dashboard() {
+    let (sources, dashboard) = (below("src"), words(&below("docker/grafana"), "tmpi_", '_'));
+    // as they are registered, or given with their help
+    let given = sources.match_indices("(\"tmpi_").filter_map(|(at, _)| sources[at + 2..].split_once("\", \"").map(|(name, _)| name));
+    let names: BTreeSet<&str> = given.filter(|name| name.chars().all(|c| c.is_ascii_lowercase() || c == '_')).collect();
+    assert!(names.len() > 30 && names.contains("tmpi_requests"), "{names:?}");
+    let shown = |name: &str| dashboard.contains(name) || ENDS.iter().any(|end| dashboard.contains(&format!("{name}{end}")));
+    let missing: Vec<&&str> = names.iter().filter(|name| !shown(name)).collect();
+    assert!(missing.is_empty(), "{missing:?}");
+}
+
+#[test]
 fn every_test_that_the_threat_model_names_is_there() {
     let sources = below("tests/http") + &below("src/live");
     let text = read("docs/threat-model.md");

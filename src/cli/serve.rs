@@ -16,7 +16,7 @@ use sha2::{Digest as _, Sha256};
 
 use crate::live::{self, NatsAddress, Rooms};
 use crate::server::{
-    Better, Config, Limits, Nats, PipelineMaker, ProcessMaker, Role, Server, Sharing, Tls, VARIABLE, allocate_in_one_place, hex,
+    Better, Collector, Config, Limits, Nats, PipelineMaker, ProcessMaker, Role, Server, Sharing, Tls, VARIABLE, allocate_in_one_place, hex,
     make_for_a_server, stop_signal,
 };
 use tmpi_pipeline::Models;
@@ -145,6 +145,16 @@ pub(super) struct ServeArgs {
     /// How the log on standard error is written
     #[arg(long, value_enum, default_value_t, value_name = "FORM")]
     pub log: super::Log,
+    #[arg(
+        long,
+        value_name = "URL",
+        help = "Send traces to the collector at this address by OTLP over HTTP, as http://127.0.0.1:4318; \
+                OTEL_EXPORTER_OTLP_ENDPOINT names it, too"
+    )]
+    otlp: Option<String>,
+    /// Share of the traces that begin here that are sent, 0 to 1; those that began elsewhere are sent where their traceparent says so
+    #[arg(long, default_value_t = 1.0, value_parser = share, value_name = "SHARE")]
+    otlp_ratio: f64,
     /// Have no rooms for moving photos
     #[arg(long)]
     no_live: bool,
@@ -238,6 +248,12 @@ impl ServeArgs {
         Ok(Some(Sharing { store, role: self.role, nats }))
     }
 
+    /// Where traces go; nowhere where nobody said so.
+    fn traces(&self) -> Option<Collector> {
+        let usual = || std::env::var("OTEL_EXPORTER_OTLP_ENDPOINT").ok().filter(|url| !url.is_empty());
+        self.otlp.clone().or_else(usual).map(|url| Collector { url, ratio: self.otlp_ratio })
+    }
+
     /// The limits that the arguments give.
     fn limits(&self) -> Limits {
         let body = (self.max_body as usize) << 20;
@@ -288,6 +304,11 @@ fn address(text: &str) -> Result<SocketAddr, String> {
     }
 }
 
+/// A share of a whole.
+fn share(text: &str) -> Result<f64, String> {
+    text.parse().ok().filter(|share| (0.0..=1.0).contains(share)).ok_or_else(|| "a number from 0 to 1 is wanted".into())
+}
+
 /// The name of a node, to which a number of its run is added.
 fn node(text: &str) -> Result<String, String> {
     let fits = !text.is_empty() && text.len() <= 32 && text.bytes().all(|b| b.is_ascii_alphanumeric() || b"-_".contains(&b));
@@ -307,7 +328,7 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
                     photos are nobody's";
         return Err(Usage(text.into()).into());
     }
-    let settings = args.models.settings();
+    let (settings, traces) = (args.models.settings(), args.traces());
     let models = models::load(&settings)?;
     let rooms = args.rooms(&models)?;
     let maker = PipelineMaker::new(models, &limits).identified(&identity(&settings)?);
@@ -330,7 +351,7 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
         );
     }
     let ServeArgs { addr, admin, data, pages, hosts, public_list, keys, tls_cert, tls_key, .. } = args;
-    let config = Config { addr, admin, data, pages, hosts, public_list, private, keys, limits };
+    let config = Config { addr, admin, data, pages, hosts, public_list, private, keys, traces, limits };
     let tls = tls_cert.zip(tls_key).map(|(cert, key)| Tls::open(cert, key)).transpose().context("TLS")?;
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().thread_name("tmpi-http").build()?;
     runtime.block_on(async {

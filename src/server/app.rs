@@ -33,6 +33,7 @@ use super::source::Source;
 use super::store::{Done, Part, damage_of, lost};
 use super::telemetry::Telemetry;
 use super::time::now_ms;
+use super::traces;
 use super::upload::Coming;
 use crate::live::Rooms;
 use tmpi_core::container::{self, RegionPhoto, Tiles};
@@ -116,7 +117,7 @@ impl Shared {
     /// Of a server that listens at `addr`.
     #[must_use]
     pub fn new(config: Config, addr: SocketAddr, jobs: Arc<Jobs>, partials: Partials, renderer: Arc<dyn Renderer>, openapi: Bytes) -> Self {
-        let Config { addr: _, admin, data: _, pages, hosts, public_list, private: _, keys: _, limits: _ } = config;
+        let Config { addr: _, admin, data: _, pages, hosts, public_list, private: _, keys: _, traces: _, limits: _ } = config;
         let (limits, telemetry) = (Arc::clone(&jobs.limits), Arc::clone(&jobs.telemetry));
         Self {
             jobs,
@@ -167,8 +168,9 @@ impl Shared {
     /// 500 where `work` panicked.
     pub async fn change<T: Send + 'static>(&self, work: impl FnOnce() -> T + Send + 'static) -> Result<T, Problem> {
         let turn = Arc::clone(&self.changes).acquire_owned().await.map_err(|e| Problem::internal("changing a photo", &e))?;
+        let trace = traces::current();
         let changed = tokio::task::spawn_blocking(move || {
-            let changed = work();
+            let changed = traces::within(trace, work);
             drop(turn);
             changed
         });

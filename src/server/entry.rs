@@ -8,6 +8,7 @@ use tokio::sync::watch;
 use super::id::PhotoId;
 use super::settings::Settings;
 use super::store::{Accepted, Done, End, Failed, Found};
+use super::traces::{self, Parent};
 use tmpi_pipeline::Progress;
 
 /// How a photo fares.
@@ -92,6 +93,7 @@ pub struct Entry {
     gate: Mutex<()>,
     settings: Mutex<Settings>,
     seen_ms: AtomicU64,
+    asked_by: Mutex<Option<Parent>>,
 }
 
 impl Entry {
@@ -120,7 +122,19 @@ impl Entry {
             gate: Mutex::new(()),
             settings: Mutex::new(found.settings),
             seen_ms,
+            asked_by: Mutex::default(),
         }
+    }
+
+    /// Keeps the request that works here as the one that asked for its next making, also where it is none.
+    pub fn ask(&self) {
+        *self.asked_by.lock().unwrap_or_else(PoisonError::into_inner) = traces::parent();
+    }
+
+    /// The request that asked for its making.
+    #[must_use]
+    pub fn asked_by(&self) -> Option<Parent> {
+        self.asked_by.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
     /// Place in the list, which shows the newest first.

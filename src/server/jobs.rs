@@ -212,6 +212,7 @@ impl Jobs {
             kept.and_then(|()| self.store.accept(incoming, id, &accepted)).map_err(|e| Problem::store(&e))?;
             (Arc::new(Entry::new(id, accepted, settings)), true)
         };
+        entry.ask();
         let mut inner = self.lock();
         inner.insert(&entry);
         inner.queue.push_back(Arc::clone(&entry));

@@ -25,6 +25,7 @@ use super::pages::RESOURCE_POLICY;
 use super::problem::Problem;
 use super::rates::{Asker, Rates};
 use super::share::{ASKER, asker};
+use super::traces::TRACE;
 
 /// Header of the id of a request.
 pub const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
@@ -59,13 +60,19 @@ async fn wrap(app: &App, door: Door<'_>, request: Request, next: Next) -> Respon
     let _in_flight = app.telemetry.in_flight();
     let id = request_id(request.headers());
     let method = request.method().clone();
-    let route = request.extensions().get::<MatchedPath>().cloned();
+    let matched = request.extensions().get::<MatchedPath>().cloned();
+    let route = matched.as_ref().map_or("none", MatchedPath::as_str);
     let peer = request.extensions().get::<Peer>().map(|p| p.0);
     let asker = peer.filter(|ip| !ip.to_canonical().is_loopback());
-    let span = tracing::info_span!("request", id, peer = peer.map(tracing::field::display), %method, path = request.uri().path());
+    let trace = app.telemetry.traces().and_then(|to| to.request(known_method(&method), route, request.headers(), peer));
+    let path = request.uri().path();
+    let span = tracing::info_span!("request", id, peer = peer.map(tracing::field::display), %method, path, trace = tracing::field::Empty);
+    if let Some(trace) = &trace {
+        span.record("trace", trace.trace());
+    }
     let secure = request.extensions().get::<Secure>().is_some();
     let answered = answer(app, door, request, next).instrument(span.clone());
-    let mut response = ASKER.scope(asker, SECURE.scope(secure, answered)).await;
+    let mut response = TRACE.scope(trace.clone(), ASKER.scope(asker, SECURE.scope(secure, answered))).await;
     let response_id = HeaderValue::from_str(&id);
     response = finish(response, id).await;
     let took = start.elapsed();
@@ -77,7 +84,10 @@ async fn wrap(app: &App, door: Door<'_>, request: Request, next: Next) -> Respon
         response.headers_mut().append(SERVER_TIMING, total);
     }
     let status = response.status().as_u16();
-    app.telemetry.request(known_method(&method), route.as_ref().map_or("none", MatchedPath::as_str), status, took);
+    app.telemetry.request(known_method(&method), route, status, took);
+    if let Some(trace) = trace {
+        trace.answered(status);
+    }
     span.in_scope(|| {
         let ms = (took.as_secs_f64() * 1e5).round() / 1e2;
         if response.status().is_server_error() { tracing::warn!(status, ms) } else { tracing::info!(status, ms) }

@@ -52,6 +52,7 @@ mod strokes;
 mod telemetry;
 mod time;
 mod tls;
+mod traces;
 mod upload;
 mod worker;
 
@@ -78,6 +79,7 @@ pub use rest::allocate_in_one_place;
 pub(crate) use routes::Pairs;
 pub use routes::{Access, Route, openapi, routes};
 pub use tls::{Tls, TlsError};
+pub use traces::{Collector, CollectorError};
 
 use access::{Guard, Secret};
 use app::{App, Shared};
@@ -85,6 +87,8 @@ use cluster::Cluster;
 use jobs::Jobs;
 use partial::Partials;
 use store::Store;
+use telemetry::Telemetry;
+use traces::Traces;
 
 use tmpi_render::Renderer;
 
@@ -116,6 +120,8 @@ pub struct Config {
     pub private: bool,
     /// Directory of the keys; that of the data where there is none.
     pub keys: Option<PathBuf>,
+    /// Where traces go; nowhere where there is none.
+    pub traces: Option<Collector>,
     /// Limits.
     pub limits: Limits,
 }
@@ -133,6 +139,7 @@ impl Config {
             public_list: false,
             private: false,
             keys: None,
+            traces: None,
             limits: Limits::default(),
         }
     }
@@ -168,6 +175,9 @@ pub enum ServerError {
     /// No worker can be started.
     #[error("starting a worker")]
     Worker(#[source] std::io::Error),
+    /// Traces cannot go where they are to.
+    #[error(transparent)]
+    Traces(#[from] CollectorError),
     /// The `OpenAPI` document cannot be written.
     #[error("OpenAPI document")]
     OpenApi(#[from] serde_json::Error),
@@ -217,9 +227,10 @@ impl Server {
         }
         let limits = Arc::new(config.limits.clone());
         let keys = config.private.then(|| config.keys.clone().unwrap_or_else(|| data.clone()));
+        let telemetry = Arc::new(Telemetry::of(config.traces.as_ref())?);
         // done once before any request is served
         let (jobs, guard) = if let Some(sharing) = sharing {
-            let open = tokio::task::spawn_blocking(move || among(&sharing, &data, keys.as_deref(), maker, limits));
+            let open = tokio::task::spawn_blocking(move || among(&sharing, &data, keys.as_deref(), maker, limits, telemetry));
             open.await.map_err(|e| ServerError::Worker(std::io::Error::other(e)))??
         } else {
             let wrong = |source| ServerError::Data { dir: data.clone(), source };
@@ -227,7 +238,7 @@ impl Server {
             // with the directory for this process alone
             let secret = keys.is_some().then(|| Secret::of(&data)).transpose().map_err(wrong)?;
             let guard = keys.zip(secret).map(|(keys, secret)| guard(&keys, secret)).transpose()?;
-            (Jobs::start(store, found, maker, limits, Arc::default()).map_err(ServerError::Worker)?, guard)
+            (Jobs::start(store, found, maker, limits, telemetry).map_err(ServerError::Worker)?, guard)
         };
         let dir = config.data.clone();
         let partials = Partials::open(&jobs.store, &jobs.limits).map_err(|source| ServerError::Data { dir, source })?;
@@ -333,6 +344,12 @@ impl Server {
         if let Err(error) = signal.await {
             tracing::error!(%error, "draining jobs");
         }
+        if app.telemetry.traces().is_some() {
+            let ended = tokio::task::spawn_blocking(move || app.telemetry.traces().map(Traces::end));
+            if let Err(error) = ended.await {
+                tracing::error!(%error, "sending the last traces");
+            }
+        }
         tracing::info!("stopped");
     }
 }
@@ -356,6 +373,7 @@ fn among(
     keys: Option<&Path>,
     maker: Arc<dyn Maker>,
     limits: Arc<Limits>,
+    telemetry: Arc<Telemetry>,
 ) -> Result<(Arc<Jobs>, Option<Guard>), ServerError> {
     let wrong = |source| ServerError::Store { store: sharing.store.clone(), source };
     let cluster = Arc::new(Cluster::open(sharing, &limits).map_err(wrong)?);
@@ -372,7 +390,7 @@ fn among(
         Some(keys) => Some(guard(keys, cluster.secret().map_err(wrong)?)?),
         None => None,
     };
-    let jobs = Jobs::start_among(Some(cluster), store, Vec::new(), maker, limits, Arc::default()).map_err(ServerError::Worker)?;
+    let jobs = Jobs::start_among(Some(cluster), store, Vec::new(), maker, limits, telemetry).map_err(ServerError::Worker)?;
     Ok((jobs, guard))
 }
 

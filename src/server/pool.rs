@@ -9,6 +9,7 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use super::limits::Limits;
 use super::problem::Problem;
 use super::share::{Share, Shares, asker};
+use super::traces::{self, Work};
 
 /// Bytes of the unit in which memory is given out.
 const UNIT: u64 = 1 << 20;
@@ -86,7 +87,7 @@ impl Lane {
 /// Leave to work, with the memory for it; given back when the last clone goes.
 #[derive(Clone)]
 pub struct Slot {
-    _held: Arc<(OwnedSemaphorePermit, OwnedSemaphorePermit)>,
+    _held: Arc<(OwnedSemaphorePermit, OwnedSemaphorePermit, Option<Work>)>,
 }
 
 impl Pool {
@@ -139,7 +140,7 @@ impl Pool {
         let at_once = Arc::clone(&lane.slots).try_acquire_owned().ok();
         if let Some(slot) = at_once {
             if let Ok(memory) = Arc::clone(self.memory(class)).try_acquire_many_owned(wanted) {
-                return Ok(self.slot(slot, memory));
+                return Ok(self.slot(class, slot, memory));
             }
             drop(slot);
         }
@@ -151,12 +152,13 @@ impl Pool {
         let slot = Arc::clone(&lane.slots).acquire_owned().await.map_err(broken)?;
         let memory = Arc::clone(self.memory(class)).acquire_many_owned(wanted).await.map_err(broken)?;
         drop(waits);
-        Ok(self.slot(slot, memory))
+        Ok(self.slot(class, slot, memory))
     }
 
-    fn slot(&self, slot: OwnedSemaphorePermit, memory: OwnedSemaphorePermit) -> Slot {
+    fn slot(&self, class: Class, slot: OwnedSemaphorePermit, memory: OwnedSemaphorePermit) -> Slot {
         self.entered.fetch_add(1, Ordering::Relaxed);
-        Slot { _held: Arc::new((slot, memory)) }
+        let span = traces::current().map(|request| request.work(class.name()));
+        Slot { _held: Arc::new((slot, memory, span)) }
     }
 
     /// Requests of a class that wait.

@@ -26,6 +26,9 @@ pub enum Reason {
 }
 
 impl Reason {
+    /// All of them.
+    pub const ALL: [Self; 2] = [Self::Age, Self::Room];
+
     /// As it is counted.
     #[must_use]
     pub const fn name(self) -> &'static str {

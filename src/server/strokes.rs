@@ -61,6 +61,7 @@ impl Jobs {
         let put = |strokes: &[Stroke]| self.store.write(entry.id, &[(Part::Strokes, &write(strokes))]);
         self.put_again(entry, || put(strokes), || put(&before))?;
         drop(gate);
+        entry.ask();
         self.queue_again(entry);
         Ok(true)
     }
@@ -82,6 +83,7 @@ impl Jobs {
         }
         self.put_again(entry, || Ok(()), || Ok(()))?;
         drop(gate);
+        entry.ask();
         self.queue_again(entry);
         Ok(())
     }

@@ -11,6 +11,10 @@ use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::metrics::histogram::Histogram;
 use prometheus_client::registry::Registry;
 
+use super::id::PhotoId;
+use super::retain::Reason;
+use super::traces::{Collector, CollectorError, Job, Parent, Traces};
+
 /// Media type of the text.
 pub const MEDIA_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
 /// Upper bounds of the buckets of every histogram, in seconds: jobs and films take minutes.
@@ -28,13 +32,15 @@ struct Route {
     route: String,
 }
 
+/// What became of something.
 #[derive(Clone, Debug, Hash, PartialEq, Eq, EncodeLabelSet)]
-struct Outcome {
-    outcome: &'static str,
+pub(super) struct Outcome {
+    /// In a word.
+    pub outcome: &'static str,
 }
 
 #[derive(Clone, Debug, Hash, PartialEq, Eq, EncodeLabelSet)]
-struct Reason {
+struct Retired {
     reason: &'static str,
 }
 
@@ -59,10 +65,12 @@ pub struct Telemetry {
     job_durations: Histogram,
     view_phases: Durations<Phase>,
     uploaded: Counter,
-    retired: Family<Reason, Counter>,
+    retired: Family<Retired, Counter>,
     freed: Counter,
     connections: Gauge,
     in_flight: Gauge,
+    spans: Family<Outcome, Counter>,
+    traces: Option<Traces>,
 }
 
 impl Default for Telemetry {
@@ -80,6 +88,8 @@ impl Default for Telemetry {
             freed: Counter::default(),
             connections: Gauge::default(),
             in_flight: Gauge::default(),
+            spans: Family::default(),
+            traces: None,
             registry: Registry::default(),
         };
         registry.register("tmpi_requests", "Requests answered", t.requests.clone());
@@ -89,9 +99,14 @@ impl Default for Telemetry {
         registry.register("tmpi_view_seconds", "Duration of the phases of drawing a view", t.view_phases.clone());
         registry.register("tmpi_uploaded_bytes", "Bytes of accepted uploads", t.uploaded.clone());
         registry.register("tmpi_photos_retired", "Photos that went by themselves", t.retired.clone());
+        for reason in Reason::ALL {
+            // from the beginning: what is counted first would else not be seen to grow
+            drop(t.retired.get_or_create(&Retired { reason: reason.name() }));
+        }
         registry.register("tmpi_retired_bytes", "Bytes of photos that went by themselves", t.freed.clone());
         registry.register("tmpi_connections", "Open connections", t.connections.clone());
         registry.register("tmpi_requests_in_flight", "Requests under way", t.in_flight.clone());
+        registry.register("tmpi_trace_spans", "Spans of traces, by what became of them", t.spans.clone());
         Self { registry, ..t }
     }
 }
@@ -113,6 +128,28 @@ impl Drop for Present {
 }
 
 impl Telemetry {
+    /// One that sends traces to a collector, where there is one; in the runtime of the caller.
+    ///
+    /// # Errors
+    /// [`CollectorError`].
+    pub fn of(collector: Option<&Collector>) -> Result<Self, CollectorError> {
+        let mut telemetry = Self::default();
+        telemetry.traces = collector.map(|to| Traces::open(to, telemetry.spans.clone())).transpose()?;
+        Ok(telemetry)
+    }
+
+    /// What makes spans, where they go somewhere.
+    #[must_use]
+    pub const fn traces(&self) -> Option<&Traces> {
+        self.traces.as_ref()
+    }
+
+    /// The making of a photo, for the `attempt`th time from 1, that `parent` asked for.
+    #[must_use]
+    pub fn begin_job(&self, parent: Option<&Parent>, id: PhotoId, attempt: u32) -> Job {
+        self.traces.as_ref().map_or_else(Job::default, |traces| Job::new(traces.job(parent, id, attempt)))
+    }
+
     /// A request was answered.
     pub fn request(&self, method: &'static str, route: &str, status: u16, took: Duration) {
         self.requests.get_or_create(&Answered { method, route: route.to_owned(), status }).inc();
@@ -137,7 +174,7 @@ impl Telemetry {
 
     /// A photo went by itself for a `reason`.
     pub fn retired(&self, reason: &'static str, bytes: u64) {
-        self.retired.get_or_create(&Reason { reason }).inc();
+        self.retired.get_or_create(&Retired { reason }).inc();
         self.freed.inc_by(bytes);
     }
 

@@ -14,18 +14,21 @@ use super::options;
 use super::problem::Problem;
 use super::store::{self, End, Failed, Part, State};
 use super::time::now_ms;
+use super::traces::Job;
 use tmpi_pipeline::{Progress, Sink};
 
 /// Makes photos until the server stops.
 pub fn work(jobs: &Arc<Jobs>) {
     while let Some(entry) = jobs.take() {
         let start = Instant::now();
+        let job = jobs.telemetry.begin_job(entry.asked_by().as_ref(), entry.id, entry.attempts() + 1);
         // whatever goes wrong, the next photo finds a worker
-        let outcome = catch_unwind(AssertUnwindSafe(|| run(jobs, &entry))).unwrap_or_else(|panic| {
+        let outcome = catch_unwind(AssertUnwindSafe(|| run(jobs, &entry, &job))).unwrap_or_else(|panic| {
             let text = said(panic.as_ref());
             tracing::error!(id = %entry.id, text, "a worker panicked");
             catch_unwind(AssertUnwindSafe(|| try_again(jobs, &entry, &text))).unwrap_or("panicked")
         });
+        job.end(outcome);
         let took = start.elapsed();
         jobs.telemetry.job(outcome, took);
         tracing::info!(id = %entry.id, outcome, ms = took.as_millis() as u64, "job");
@@ -47,11 +50,13 @@ struct JobSink<'a> {
     entry: &'a Entry,
     deadline: Instant,
     others: &'a Others<'a>,
+    job: &'a Job,
 }
 
 impl Sink for JobSink<'_> {
     fn progress(&self, message: &Progress) {
         tracing::debug!(id = %self.entry.id, stage = message.stage, "{} of {}", message.step, message.steps);
+        self.job.stage(message.stage);
         self.entry.enter(message.clone());
         (self.others.tell)();
     }
@@ -65,14 +70,14 @@ impl Sink for JobSink<'_> {
     }
 }
 
-fn run(jobs: &Jobs, entry: &Arc<Entry>) -> &'static str {
+fn run(jobs: &Jobs, entry: &Arc<Entry>, job: &Job) -> &'static str {
     if entry.is_deleted() {
         return "deleted";
     }
     if entry.attempts() >= jobs.limits.attempts {
         return fail(jobs, entry, gave_up(entry.attempts()));
     }
-    match make(jobs, entry, &Others { lost: &AtomicBool::new(false), tell: &|| {} }) {
+    match make(jobs, entry, job, &Others { lost: &AtomicBool::new(false), tell: &|| {} }) {
         Ok(product) => keep(jobs, entry, &product),
         Err(Fault::Photo(problem)) => fail(jobs, entry, problem),
         Err(Fault::Crashed(reason)) => try_again(jobs, entry, &reason),
@@ -88,7 +93,7 @@ pub(super) fn gave_up(attempts: u32) -> Problem {
 }
 
 /// Makes a photo, until nobody wants it any more, or it is lost to another node.
-pub(super) fn make(jobs: &Jobs, entry: &Arc<Entry>, others: &Others<'_>) -> Result<Product, Fault> {
+pub(super) fn make(jobs: &Jobs, entry: &Arc<Entry>, job: &Job, others: &Others<'_>) -> Result<Product, Fault> {
     let read = |part: Part| {
         jobs.store.read(entry.id, part).map_err(|e| match store::lost(part, &e) {
             // its own sectors or name: others can be made
@@ -105,8 +110,10 @@ pub(super) fn make(jobs: &Jobs, entry: &Arc<Entry>, others: &Others<'_>) -> Resu
     let Some(_memory) = jobs.memory.wait_for(memory, unwanted) else { return Err(Fault::Cancelled) };
     entry.set(Status::Working);
     (others.tell)();
-    let sink = JobSink { jobs, entry, deadline: Instant::now() + jobs.limits.time_for(&photo), others };
-    caught(|| jobs.maker.make(&photo, depth.as_deref(), &options, &sink))
+    let sink = JobSink { jobs, entry, deadline: Instant::now() + jobs.limits.time_for(&photo), others, job };
+    let made = caught(|| jobs.maker.make(&photo, depth.as_deref(), &options, &sink));
+    job.made();
+    made
 }
 
 /// Turns a panic into a failure of the photo. No state of ours is borrowed mutably by the maker, so none can be left half changed.
@@ -238,11 +245,11 @@ mod tests {
         };
         let entry = upload();
         files.wear_out(&jobs.store.path(entry.id, Part::Upload));
-        assert_eq!(run(&jobs, &jobs.take().unwrap()), "failed");
+        assert_eq!(run(&jobs, &jobs.take().unwrap(), &Job::default()), "failed");
         assert!(matches!(entry.status(), Status::Failed(f) if f.problem.kind.ends_with("lost")));
         assert_eq!(jobs.trouble(), None, "no reason to keep others waiting");
         upload();
         // it is read, and nobody makes it here
-        assert_eq!(run(&jobs, &jobs.take().unwrap()), "cancelled");
+        assert_eq!(run(&jobs, &jobs.take().unwrap(), &Job::default()), "cancelled");
     }
 }

@@ -34,5 +34,6 @@ mod settings;
 mod sharing;
 mod strokes;
 mod tls;
+mod traces;
 mod uploads;
 mod versions;

@@ -108,6 +108,11 @@ fn every_schema_and_parameter_is_described() {
     let named: Vec<&String> = security.iter().flat_map(|s| s.as_object().unwrap().keys()).collect();
     assert!(named.len() == schemes.len() && named.iter().all(|name| described(&schemes[*name])), "{named:?}");
     assert!(!schemas["Settings"]["required"].as_array().is_some_and(|r| r.contains(&"version".into())), "a patch needs no version");
+    let of_strokes = &schemas["StrokesPatch"];
+    assert_eq!(
+        (&of_strokes["required"], &of_strokes["properties"]["strokes"]["type"]),
+        (&Value::Null, &serde_json::json!(["array", "null"]))
+    );
     for (path, item) in document["paths"].as_object().unwrap() {
         for (method, operation) in item.as_object().unwrap() {
             assert!(operation["responses"].as_object().unwrap().keys().any(|s| s.starts_with('4')), "{method} {path} refuses nothing");
@@ -153,7 +158,7 @@ fn words_of_the_document_are_those_that_are_taken() {
     assert_eq!(described, taken, "every field is described, and no other");
     let schemas = document["components"]["schemas"].as_object().unwrap();
     let closed: Vec<&String> = schemas.iter().filter(|(_, s)| s["additionalProperties"] == false).map(|(name, _)| name).collect();
-    assert_eq!(closed, ["Offset", "Settings", "Stroke", "Strokes", "UploadForm"]);
+    assert_eq!(closed, ["Offset", "Settings", "Stroke", "Strokes", "StrokesPatch", "UploadForm"]);
     let json: &[(&str, &str)] = &[("content-type", "application/merge-patch+json")];
     for (path, body, field) in [
         ("", r#"{"halo": 1}"#, "halo"),

@@ -30,6 +30,11 @@ fn begin(addr: SocketAddr, path: &str, length: usize, more: &[(&str, &str)]) -> 
     let answer = request(addr, "POST", path, &headers, &[]);
     assert_eq!(answer.status, 201, "{}", String::from_utf8_lossy(&answer.body));
     assert_eq!((answer.header("upload-offset"), answer.header("upload-complete")), (Some("0"), Some("?0")));
+    let state = answer.json();
+    assert_eq!(
+        (&state["offset"], &state["length"], &state["complete"]),
+        (&0.into(), &length.parse::<usize>().unwrap().into(), &false.into())
+    );
     answer.header("location").unwrap().to_owned()
 }
 

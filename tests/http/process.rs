@@ -99,7 +99,7 @@ impl Process {
 
     #[cfg(unix)]
     #[allow(unsafe_code, reason = "a signal to a child of this test")]
-    fn terminate(mut self) -> (std::process::ExitStatus, String) {
+    pub fn terminate(mut self) -> (std::process::ExitStatus, String) {
         // SAFETY: the process is our child and was not waited for
         assert_eq!(unsafe { libc::kill(self.child.id() as libc::pid_t, libc::SIGTERM) }, 0);
         let status = self.child.wait().unwrap();

@@ -16,6 +16,7 @@ use crate::server::id::PhotoId;
 use crate::server::part::Part;
 use crate::server::records::{self, Accepted};
 use crate::server::settings::Settings;
+use crate::server::traces::{self, Parent};
 
 /// Version of these records. Those of later ones are not touched.
 pub const VERSION: u32 = 1;
@@ -111,12 +112,26 @@ pub struct Marker {
     /// The node that works on it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub node: Option<String>,
+    /// The request that asked for it, where that is traced.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub trace: Option<Parent>,
 }
 
 impl Marker {
-    /// One that is for whoever comes.
+    /// One that is for whoever comes, asked for by the request that works here.
     pub fn new(id: PhotoId, making: &str) -> Self {
-        Self { version: VERSION, id, making: making.to_owned(), claims: 0, attempts: 0, faults: 0, beats: 0, rest_ms: 0, node: None }
+        Self {
+            version: VERSION,
+            id,
+            making: making.to_owned(),
+            claims: 0,
+            attempts: 0,
+            faults: 0,
+            beats: 0,
+            rest_ms: 0,
+            node: None,
+            trace: traces::parent(),
+        }
     }
 
     /// Name of its record.

@@ -17,6 +17,7 @@ use crate::server::part::Part;
 use crate::server::problem::Problem;
 use crate::server::records::Failed;
 use crate::server::time::now_ms;
+use crate::server::traces::Job;
 use crate::server::worker::{Others, gave_up, make, said};
 
 /// Longest wait for a hint; then it is seen whether the server stops.
@@ -80,7 +81,10 @@ fn take(jobs: &Arc<Jobs>, cluster: &Arc<Cluster>, lease: &dyn Lease) -> Then {
     };
     let start = Instant::now();
     jobs.begin(&entry);
-    let (outcome, then) = beating(cluster, &entry, &held, lease, |lost| run(jobs, cluster, &entry, &held, lost));
+    let marker = held.marker();
+    let job = jobs.telemetry.begin_job(marker.trace.as_ref(), held.id, marker.attempts + 1);
+    let (outcome, then) = beating(cluster, &entry, &held, lease, |lost| run(jobs, cluster, &entry, &held, (lost, &job)));
+    job.end(outcome);
     let took = start.elapsed();
     jobs.telemetry.job(outcome, took);
     tracing::info!(id = %entry.id, outcome, ms = took.as_millis() as u64, "job");
@@ -130,13 +134,13 @@ fn beating<T>(cluster: &Cluster, entry: &Entry, held: &Held, lease: &dyn Lease, 
     })
 }
 
-fn run(jobs: &Jobs, cluster: &Cluster, entry: &Arc<Entry>, held: &Held, lost: &AtomicBool) -> (&'static str, Then) {
+fn run(jobs: &Jobs, cluster: &Cluster, entry: &Arc<Entry>, held: &Held, (lost, job): (&AtomicBool, &Job)) -> (&'static str, Then) {
     let attempts = held.marker().attempts;
     if attempts >= jobs.limits.attempts {
         return fail(jobs, cluster, entry, held, gave_up(attempts));
     }
     let tell = || cluster.tell_making(held, entry);
-    match make(jobs, entry, &Others { lost, tell: &tell }) {
+    match make(jobs, entry, job, &Others { lost, tell: &tell }) {
         Ok(product) => keep(jobs, cluster, entry, held, product),
         Err(Fault::Photo(problem)) => fail(jobs, cluster, entry, held, problem),
         Err(Fault::Crashed(reason)) => {

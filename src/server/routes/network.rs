@@ -15,6 +15,7 @@ use crate::server::app::{App, Shared};
 use crate::server::clock::Clock;
 use crate::server::network::{Fetching, Offer};
 use crate::server::problem::Problem;
+use crate::server::traces;
 
 /// The network that estimates depth, and the better one that can be had.
 #[derive(Serialize, utoipa::ToSchema)]
@@ -118,7 +119,8 @@ pub async fn again(
 ) -> Result<Response, Problem> {
     let entry = app.photo(&id)?;
     let (shared, photo) = (Arc::clone(&app), Arc::clone(&entry));
-    let queued = tokio::task::spawn_blocking(move || shared.jobs.make_again(&photo));
+    let trace = traces::current();
+    let queued = tokio::task::spawn_blocking(move || traces::within(trace, || shared.jobs.make_again(&photo)));
     queued.await.map_err(|e| Problem::internal("making a photo again", &e))??;
     answer(&app, &entry, &headers, &clock).await
 }

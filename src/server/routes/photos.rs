@@ -12,7 +12,7 @@ use bytes::Bytes;
 
 use super::query::{NoQuery, Pairs};
 use super::state::{PhotoList, PhotoState};
-use super::uploads;
+use super::uploads::{self, Created};
 use crate::server::access::{Guard, Owner};
 use crate::server::app::{App, Stored};
 use crate::server::body;
@@ -101,8 +101,10 @@ pub struct UploadForm {
         (String = "application/octet-stream"),
     )),
     responses(
-        (status = 201, description = "Done in the time that `Prefer: wait` gave; or, without content, an upload in parts has begun", body = PhotoState,
-            headers(("Location" = String, description = "Address of the photo, or that for the other parts"), ("Preference-Applied" = String, description = "`wait=SECONDS`"))),
+        (status = 201, description = "Done in the time that `Prefer: wait` gave; or an upload in parts has begun", body = Created, headers(
+            ("Location" = String, description = "Address of the photo, or that for the other parts"),
+            ("Preference-Applied" = String, description = "`wait=SECONDS`"),
+        )),
         (status = 202, description = "Accepted: it is on disk and waits, or is being made, or was done before", body = PhotoState,
             headers(("Location" = String, description = "Address of the photo"))),
         (status = 400, description = "A field or an option is wrong; `field` names it", body = Problem, content_type = "application/problem+json"),

@@ -15,6 +15,7 @@ use crate::server::clock::Clock;
 use crate::server::conditional::{Coding, Entity, REVALIDATE, insert, respond};
 use crate::server::problem::Problem;
 use crate::server::strokes::stored;
+use crate::server::traces;
 use tmpi_pipeline::strokes::{BYTES, Stroke, patch};
 
 /// Strokes over a photo.
@@ -26,6 +27,18 @@ pub struct Strokes {
     version: u32,
     /// In their order, at most 100 with 8192 points together. Each asks one thing of its region: `by`, `like` or `to`.
     strokes: Vec<Stroke>,
+}
+
+/// A change of a photo's strokes.
+#[derive(utoipa::ToSchema)]
+#[allow(dead_code, reason = "describes the body in the OpenAPI document; strokes are read by hand so that errors name their field")]
+pub struct StrokesPatch {
+    /// 1.
+    #[schema(example = 1, minimum = 1, maximum = 1, required = false)]
+    version: u32,
+    /// All strokes in their order, at most 100 with 8192 points together. Null removes them; without this field they stay as they are.
+    #[schema(nullable)]
+    strokes: Option<Vec<Stroke>>,
 }
 
 /// The strokes that a photo's depth is touched up with.
@@ -48,7 +61,7 @@ pub async fn strokes(State(app): State<App>, Path(id): Path<String>, _: NoQuery,
 
 /// Touch up a photo's depth.
 ///
-/// A JSON merge patch (RFC 7396): `strokes` replaces all strokes, null removes them. The photo is made again with them and has the same id
+/// A JSON merge patch (RFC 7396): `strokes` replaces all strokes, null removes them, and without it nothing changes. The photo is made again with them and has the same id
 /// and another version; until it is done its results answer 409, and should it fail, other strokes try again. A stroke covers what its brush
 /// does, out to the edges of the photo around it: see `radius`.
 #[utoipa::path(
@@ -58,7 +71,7 @@ pub async fn strokes(State(app): State<App>, Path(id): Path<String>, _: NoQuery,
         ("If-Match" = Option<String>, Header, description = "Change only these strokes, by their tag"),
         ("Prefer" = Option<String>, Header, description = "`wait=SECONDS`: answer once the photo is done, or after that time"),
     ),
-    request_body(content((Strokes = "application/merge-patch+json"), (Strokes = "application/json"))),
+    request_body(content((StrokesPatch = "application/merge-patch+json"), (StrokesPatch = "application/json"))),
     responses(
         (status = 200, description = "Made with these strokes, in the time that `Prefer: wait` gave or long ago", body = PhotoState,
             headers(("ETag" = String, description = "Version of the strokes"))),
@@ -84,14 +97,16 @@ pub async fn touch_up(
     let entry = app.photo(&id)?;
     let (headers, body) = merge_patch(request, BYTES, "strokes").await?;
     let (shared, photo, seen) = (Arc::clone(&app), Arc::clone(&entry), headers.clone());
-    let changed = tokio::task::spawn_blocking(move || {
+    let trace = traces::current();
+    let change = move || {
         let wanted = match patch(&body).map_err(|e| Problem::from(&e))? {
             Some(strokes) => strokes,
             None => shared.jobs.strokes(photo.id).map_err(|e| Problem::store(&e))?,
         };
         let changed = shared.jobs.touch_up(&photo, &seen, &wanted)?;
         Ok::<_, Problem>((changed, stored(&wanted).etag))
-    });
+    };
+    let changed = tokio::task::spawn_blocking(move || traces::within(trace, change));
     let (changed, etag) = changed.await.map_err(|e| Problem::internal("changing strokes", &e))??;
     let answer = if changed { again::answer(&app, &entry, &headers, &clock).await } else { again::state(&app, &entry, StatusCode::OK) };
     let mut response = answer?;

@@ -39,6 +39,29 @@ pub struct UploadState {
     photo: Option<String>,
 }
 
+impl UploadState {
+    fn of(app: &App, record: &Record) -> Self {
+        Self {
+            offset: record.extent.offset,
+            length: record.extent.length,
+            complete: record.photo.is_some(),
+            expires: rfc3339(app.partials.ends_ms(record)),
+            photo: record.photo.as_ref().map(|id| format!("/v1/photos/{id}")),
+        }
+    }
+}
+
+/// What an upload brought about: a photo, or one in parts.
+#[derive(Serialize, utoipa::ToSchema)]
+#[serde(untagged)]
+#[allow(dead_code, reason = "describes an answer in the OpenAPI document")]
+pub enum Created {
+    /// The photo, done.
+    Photo(Box<PhotoState>),
+    /// How far the upload in parts is.
+    Upload(UploadState),
+}
+
 /// The kind of a body that is a part of something, or nothing, says nothing of the whole.
 fn of_whole(headers: &HeaderMap) -> Option<String> {
     let kind = headers.get(CONTENT_TYPE)?.to_str().ok()?;
@@ -98,9 +121,10 @@ pub(super) async fn begin(app: &App, query: Vec<(String, String)>, request: Requ
         taken
     };
     let (turn, _) = tokio::spawn(first).await.map_err(|e| Problem::internal("beginning an upload", &e))??;
-    let mut response = StatusCode::CREATED.into_response();
+    let record = turn.partial().record();
+    let mut response = (StatusCode::CREATED, Json(UploadState::of(app, &record))).into_response();
     insert(&mut response, LOCATION, &format!("/v1/uploads/{}", turn.partial().id));
-    tell(app, &mut response, &turn.partial().record());
+    tell(app, &mut response, &record);
     Ok(response)
 }
 
@@ -123,14 +147,7 @@ pub(super) async fn begin(app: &App, query: Vec<(String, String)>, request: Requ
 pub async fn progress(State(app): State<App>, Path(upload): Path<String>, _: NoQuery) -> Result<Response, Problem> {
     let turn = find(&app, &upload)?.enter().await?;
     let record = turn.partial().record();
-    let state = UploadState {
-        offset: record.extent.offset,
-        length: record.extent.length,
-        complete: record.photo.is_some(),
-        expires: rfc3339(app.partials.ends_ms(&record)),
-        photo: record.photo.as_ref().map(|id| format!("/v1/photos/{id}")),
-    };
-    let mut response = Json(state).into_response();
+    let mut response = Json(UploadState::of(&app, &record)).into_response();
     tell(&app, &mut response, &record);
     Ok(response)
 }

@@ -32,7 +32,7 @@ impl Text {
 }
 
 /// What is read field by field, so that another field is an error.
-const CLOSED: [&str; 5] = ["Offset", "Settings", "Stroke", "Strokes", "UploadForm"];
+const CLOSED: [&str; 6] = ["Offset", "Settings", "Stroke", "Strokes", "StrokesPatch", "UploadForm"];
 
 /// Writes them into `document`, and which schemas have no other fields than theirs.
 pub fn put(document: &mut Value) {

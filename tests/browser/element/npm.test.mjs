@@ -2,14 +2,16 @@
 import assert from 'node:assert/strict';
 import { execFileSync } from 'node:child_process';
 import { mkdtempSync, readFileSync, rmSync, statSync, writeFileSync } from 'node:fs';
-import { createServer } from 'node:http';
+import { request as ask, createServer } from 'node:http';
 import { createRequire } from 'node:module';
 import { tmpdir } from 'node:os';
 import { dirname, extname, join } from 'node:path';
 import { after, before, describe, test } from 'node:test';
 import { pack } from '../../../npm/pack.mjs';
-import { launch, openPage } from '../support/browser.mjs';
+import { launch, openPage, seriousViolations } from '../support/browser.mjs';
 import { boxContainer } from '../support/container.mjs';
+import { boxPhoto } from '../support/pictures.mjs';
+import { startServer } from '../support/program.mjs';
 import { STILL } from '../support/suite.mjs';
 
 const TYPES = { '.js': 'text/javascript', '.wasm': 'application/wasm', '.wgsl': 'text/plain', '.html': 'text/html' };
@@ -122,6 +124,66 @@ describe('package', () => {
       await browser.close();
     });
   }
+
+  test('its example uploads a photo to the program, on the site of that, and shows it', async () => {
+    const program = await startServer();
+    // one site: the package's folder, and the program behind it
+    const site = createServer((request, response) => {
+      const { pathname } = new URL(request.url, 'http://localhost');
+      if (pathname.startsWith('/tmpi-viewer/')) {
+        response.writeHead(200, { 'content-type': TYPES[extname(pathname)] ?? 'application/octet-stream' });
+        return response.end(readFileSync(join(root, pathname.slice('/tmpi-viewer/'.length))));
+      }
+      const { method, headers } = request;
+      const onwards = ask(new URL(request.url, program.url), { method, headers }, (answer) => {
+        response.writeHead(answer.statusCode, answer.headers);
+        answer.pipe(response);
+      });
+      onwards.on('error', () => response.destroy());
+      response.on('close', () => onwards.destroy());
+      return request.pipe(onwards);
+    });
+    await new Promise((resume) => site.listen(0, '127.0.0.1', resume));
+    const url = `http://127.0.0.1:${site.address().port}`;
+    const browser = await launch({ webgpu: true });
+    try {
+      const { page, errors } = await openPage(browser, STILL);
+      await page.goto(`${url}/tmpi-viewer/upload.html`);
+      for (const [name, length] of [
+        ['a box.png', 0],
+        ['a large box.png', 5 * 2 ** 20],
+      ]) {
+        const buffer = Buffer.concat([boxPhoto(200, 120 + length / 2 ** 20), Buffer.alloc(length)]);
+        await page.locator('input[type=file]').setInputFiles([{ name, mimeType: 'image/png', buffer }]);
+        await page.getByRole('button', { name: 'Upload' }).click();
+        const viewer = page.locator(`tmpi-viewer[alt="${name.replace('.png', '')}"]`);
+        await viewer.waitFor();
+        await page.waitForFunction(() => document.querySelector('tmpi-viewer').viewer?.mode);
+        const src = await viewer.getAttribute('src');
+        const id = /photos\/([0-9a-f]{32})\/atlas/.exec(src)?.[1];
+        assert.ok(src.startsWith(url) && id, src);
+        assert.match(
+          await page.locator('#snippet').inputValue(),
+          new RegExp(`^<iframe src="${url}/embed/${id}" title="${name.replace('.png', '')}"`),
+        );
+        const words = await page.locator('[role=status]').textContent();
+        assert.match(words, /done|shown/i);
+      }
+      await page.locator('input[type=file]').setInputFiles([{ name: 'none.png', mimeType: 'image/png', buffer: Buffer.from('none') }]);
+      await page.getByRole('button', { name: 'Upload' }).click();
+      await page.getByRole('status').filter({ hasText: '415' }).waitFor();
+      assert.deepEqual(await seriousViolations(page), []);
+      assert.deepEqual(
+        errors.filter((e) => !/favicon|415/.test(e)),
+        [],
+      );
+    } finally {
+      await browser.close();
+      site.closeAllConnections();
+      site.close();
+      await program.close();
+    }
+  });
 
   test('its types say what is right and what is wrong', () => {
     writeFileSync(join(folder, 'use.ts'), USE);

@@ -1,0 +1,143 @@
+//! Traces: what a request led to, as spans that go to a collector by OTLP over HTTP.
+//!
+//! A request is a span; what is made of the photo that it brought is one within it, on whichever node that is made; each stage is one within
+//! that. Work of a request that waits for a slot (views, smaller levels, files) is one within the request, too. Where there is no collector
+//! nothing of this is done.
+
+mod send;
+mod span;
+
+use std::net::IpAddr;
+use std::time::Duration;
+
+use axum::http::HeaderMap;
+use opentelemetry::propagation::TextMapPropagator as _;
+use opentelemetry::trace::{SpanBuilder, SpanKind, Tracer as _, TracerProvider as _};
+use opentelemetry::{Context, KeyValue};
+use opentelemetry_http::HeaderExtractor;
+use opentelemetry_sdk::Resource;
+use opentelemetry_sdk::propagation::TraceContextPropagator;
+use opentelemetry_sdk::trace::{Sampler, SdkTracer, SdkTracerProvider};
+use prometheus_client::metrics::counter::Counter;
+use prometheus_client::metrics::family::Family;
+
+use super::id::PhotoId;
+use super::telemetry::Outcome;
+pub use span::{Current, Job, Parent, TRACE, Work, current, parent, within};
+
+/// Spans that wait for the collector at most, about 1 KB each; what comes beyond is dropped and counted.
+pub(super) const QUEUE: usize = 4096;
+/// Time that the collector has for what is left when the server stops.
+const FLUSH: Duration = Duration::from_secs(5);
+/// Asked every few seconds, about the server itself.
+const HEALTH: [&str; 3] = ["/healthz", "/readyz", "/metrics"];
+
+/// Where traces go.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Collector {
+    /// Its address, as `http://127.0.0.1:4318`; spans go to `v1/traces` below it.
+    pub url: String,
+    /// Share of the traces that begin here that are sent, 0 to 1. Those that began elsewhere are sent where their `traceparent` says so.
+    pub ratio: f64,
+}
+
+/// The collector cannot be one.
+#[derive(Debug, thiserror::Error)]
+#[error("collector of traces {url}: {why}")]
+pub struct CollectorError {
+    url: String,
+    why: String,
+}
+
+/// Spans that were `sent`, `refused` (or not taken in time), and `dropped` because too many waited.
+pub(super) type Counts = Family<Outcome, Counter>;
+
+/// Makes spans, and sends them.
+pub struct Traces {
+    provider: SdkTracerProvider,
+    tracer: SdkTracer,
+}
+
+impl Traces {
+    /// Sends spans to a collector, in the runtime of the caller.
+    ///
+    /// # Errors
+    /// The address is none.
+    pub(super) fn open(to: &Collector, counts: Counts) -> Result<Self, CollectorError> {
+        let processor = send::processor(&to.url, counts).map_err(|why| CollectorError { url: to.url.clone(), why })?;
+        let mut resource = Resource::builder().with_attribute(KeyValue::new("service.version", env!("CARGO_PKG_VERSION")));
+        // the standard variable is read where it is set
+        if std::env::var_os("OTEL_SERVICE_NAME").is_none() {
+            resource = resource.with_service_name("tmpi");
+        }
+        let sampler = Sampler::ParentBased(Box::new(Sampler::TraceIdRatioBased(to.ratio)));
+        let provider =
+            SdkTracerProvider::builder().with_resource(resource.build()).with_sampler(sampler).with_span_processor(processor).build();
+        Ok(Self { tracer: provider.tracer("tmpi"), provider })
+    }
+
+    /// Begins the span of a request, within the one that its `traceparent` names; none for who asks how the server fares.
+    #[must_use]
+    pub fn request(&self, method: &'static str, route: &str, headers: &HeaderMap, peer: Option<IpAddr>) -> Option<Current> {
+        if HEALTH.contains(&route) {
+            return None;
+        }
+        let mut attributes = vec![KeyValue::new("http.request.method", method), KeyValue::new("http.route", route.to_owned())];
+        attributes.extend(peer.map(|peer| KeyValue::new("tmpi.peer", class(peer))));
+        let builder = SpanBuilder::from_name(format!("{method} {route}")).with_kind(SpanKind::Server).with_attributes(attributes);
+        let outer = TraceContextPropagator::new().extract_with_context(&Context::new(), &HeaderExtractor(headers));
+        Some(Current::new(self.tracer.clone(), self.tracer.build_with_context(builder, &outer)))
+    }
+
+    /// Begins the span of a making, within the request that asked for it where that is known.
+    #[must_use]
+    pub fn job(&self, parent: Option<&Parent>, id: PhotoId, attempt: u32) -> Current {
+        let attributes = vec![
+            KeyValue::new("tmpi.photo", id.to_string()),
+            KeyValue::new("tmpi.job.class", "photo"),
+            KeyValue::new("tmpi.job.attempt", i64::from(attempt)),
+        ];
+        let builder = SpanBuilder::from_name("job").with_kind(SpanKind::Consumer).with_attributes(attributes);
+        let outer = parent.map_or_else(Context::new, Parent::context);
+        Current::new(self.tracer.clone(), self.tracer.build_with_context(builder, &outer))
+    }
+
+    /// Sends what is left, and no more after that; blocks for some seconds at most.
+    pub fn end(&self) {
+        if let Err(error) = self.provider.shutdown_with_timeout(FLUSH) {
+            tracing::warn!(%error, "not all traces were sent");
+        }
+    }
+}
+
+/// Where a client is, which is all that is told of its address.
+fn class(peer: IpAddr) -> &'static str {
+    match peer.to_canonical() {
+        ip if ip.is_loopback() => "loopback",
+        IpAddr::V4(ip) if ip.is_private() || ip.is_link_local() => "private",
+        IpAddr::V6(ip) if ip.is_unique_local() || ip.is_unicast_link_local() => "private",
+        _ => "public",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn addresses_are_told_by_their_class_alone() {
+        for (address, told) in [
+            ("127.0.0.1", "loopback"),
+            ("::1", "loopback"),
+            ("::ffff:127.0.0.1", "loopback"),
+            ("10.1.2.3", "private"),
+            ("169.254.0.1", "private"),
+            ("fd00::1", "private"),
+            ("fe80::1", "private"),
+            ("192.0.2.1", "public"),
+            ("2001:db8::1", "public"),
+        ] {
+            assert_eq!(class(address.parse().unwrap()), told, "{address}");
+        }
+    }
+}

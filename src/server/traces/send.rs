@@ -1,0 +1,169 @@
+//! The way to the collector: a queue that is bounded, a thread that empties it, and counts of what became of spans. Nobody waits for it.
+
+use std::future::Future;
+use std::pin::Pin;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::time::Duration;
+
+use axum::http::{Request, Response};
+use bytes::Bytes;
+use opentelemetry::Context;
+use opentelemetry_http::{HttpClient, HttpError};
+use opentelemetry_otlp::{Protocol, SpanExporter, WithExportConfig as _, WithHttpConfig as _};
+use opentelemetry_sdk::Resource;
+use opentelemetry_sdk::error::OTelSdkResult;
+use opentelemetry_sdk::trace::{BatchConfigBuilder, BatchSpanProcessor, Span, SpanData, SpanProcessor};
+use tokio::runtime::Handle;
+
+use super::{Counts, QUEUE};
+use crate::server::telemetry::Outcome;
+
+/// Spans that are sent at a time, and the longest wait of one.
+const BATCH: usize = 512;
+const DELAY: Duration = Duration::from_secs(1);
+/// Time that the collector has to take them.
+const PATIENCE: Duration = Duration::from_secs(5);
+/// Of an answer, bytes.
+const MOST: usize = 64 << 10;
+
+/// What takes spans that have ended, for the collector at `url`.
+pub fn processor(url: &str, counts: Counts) -> Result<impl SpanProcessor + use<>, String> {
+    let address: axum::http::Uri = url.parse().map_err(|e| format!("{e}"))?;
+    if !matches!(address.scheme_str(), Some("http" | "https")) || address.authority().is_none() {
+        return Err("an address as http://127.0.0.1:4318 is wanted".into());
+    }
+    // one that a program has chosen already stays
+    let _ = rustls::crypto::ring::default_provider().install_default();
+    let client = reqwest::Client::builder().timeout(PATIENCE).redirect(reqwest::redirect::Policy::none()).build();
+    let client = Client { client: client.map_err(|e| e.to_string())?, runtime: Handle::current() };
+    let exporter = SpanExporter::builder()
+        .with_http()
+        .with_http_client(client)
+        .with_protocol(Protocol::HttpBinary)
+        .with_timeout(PATIENCE)
+        .with_endpoint(format!("{}/v1/traces", url.trim_end_matches('/')))
+        .build()
+        .map_err(|e| e.to_string())?;
+    for outcome in ["sent", "refused", "dropped"] {
+        // told from the beginning
+        drop(counts.get_or_create(&Outcome { outcome }));
+    }
+    let waiting = Arc::new(AtomicUsize::new(0));
+    let exporter = Counted { exporter, waiting: Arc::clone(&waiting), counts: counts.clone(), fails: AtomicBool::new(false) };
+    let config =
+        BatchConfigBuilder::default().with_max_queue_size(QUEUE).with_max_export_batch_size(BATCH).with_scheduled_delay(DELAY).build();
+    Ok(Bounded { queue: BatchSpanProcessor::builder(exporter).with_batch_config(config).build(), waiting, counts })
+}
+
+/// Asks in the server's runtime, for a thread that has none.
+#[derive(Debug)]
+struct Client {
+    client: reqwest::Client,
+    runtime: Handle,
+}
+
+impl Client {
+    async fn ask(client: reqwest::Client, request: Request<Bytes>) -> Result<Response<Bytes>, HttpError> {
+        let mut answer = client.execute(request.try_into()?).await?;
+        let mut response = Response::builder().status(answer.status());
+        if let Some(headers) = response.headers_mut() {
+            *headers = std::mem::take(answer.headers_mut());
+        }
+        let mut body = Vec::new();
+        while let Some(chunk) = answer.chunk().await? {
+            if body.len() + chunk.len() > MOST {
+                return Err("the collector's answer is too long".into());
+            }
+            body.extend_from_slice(&chunk);
+        }
+        Ok(response.body(body.into())?)
+    }
+}
+
+impl HttpClient for Client {
+    fn send_bytes<'me, 'out>(
+        &'me self,
+        request: Request<Bytes>,
+    ) -> Pin<Box<dyn Future<Output = Result<Response<Bytes>, HttpError>> + Send + 'out>>
+    where
+        'me: 'out,
+        Self: 'out,
+    {
+        let asked = self.runtime.spawn(Self::ask(self.client.clone(), request));
+        Box::pin(async move { asked.await? })
+    }
+}
+
+/// Takes no more spans than fit, and counts those beyond.
+#[derive(Debug)]
+struct Bounded {
+    queue: BatchSpanProcessor,
+    /// Spans in the queue, and on their way.
+    waiting: Arc<AtomicUsize>,
+    counts: Counts,
+}
+
+impl SpanProcessor for Bounded {
+    fn on_start(&self, span: &mut Span, context: &Context) {
+        self.queue.on_start(span, context);
+    }
+
+    fn on_end(&self, span: SpanData) {
+        if !span.span_context.is_sampled() {
+            return;
+        }
+        let fits = |n| (n < QUEUE).then_some(n + 1);
+        if self.waiting.fetch_update(Ordering::AcqRel, Ordering::Acquire, fits).is_ok() {
+            self.queue.on_end(span);
+        } else {
+            self.counts.get_or_create(&Outcome { outcome: "dropped" }).inc();
+        }
+    }
+
+    fn force_flush(&self) -> OTelSdkResult {
+        self.queue.force_flush()
+    }
+
+    fn shutdown_with_timeout(&self, timeout: Duration) -> OTelSdkResult {
+        self.queue.shutdown_with_timeout(timeout)
+    }
+
+    fn set_resource(&mut self, resource: &Resource) {
+        self.queue.set_resource(resource);
+    }
+}
+
+/// Counts what the collector took.
+#[derive(Debug)]
+struct Counted {
+    exporter: SpanExporter,
+    waiting: Arc<AtomicUsize>,
+    counts: Counts,
+    fails: AtomicBool,
+}
+
+impl opentelemetry_sdk::trace::SpanExporter for Counted {
+    async fn export(&self, batch: Vec<SpanData>) -> OTelSdkResult {
+        let spans = batch.len();
+        let taken = self.exporter.export(batch).await;
+        self.waiting.fetch_sub(spans, Ordering::AcqRel);
+        let outcome = if taken.is_ok() { "sent" } else { "refused" };
+        self.counts.get_or_create(&Outcome { outcome }).inc_by(spans as u64);
+        // once when it begins and once when it ends
+        match (&taken, self.fails.swap(taken.is_err(), Ordering::AcqRel)) {
+            (Err(error), false) => tracing::warn!(%error, spans, "the collector takes no traces"),
+            (Ok(()), true) => tracing::info!("the collector takes traces again"),
+            _ => {}
+        }
+        taken
+    }
+
+    fn shutdown_with_timeout(&self, timeout: Duration) -> OTelSdkResult {
+        self.exporter.shutdown_with_timeout(timeout)
+    }
+
+    fn set_resource(&mut self, resource: &Resource) {
+        self.exporter.set_resource(resource);
+    }
+}

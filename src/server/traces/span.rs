@@ -1,0 +1,165 @@
+//! Spans as they are handed on: within a request, to the job that it begins, to the stages of that.
+
+use std::collections::HashMap;
+use std::fmt;
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use opentelemetry::propagation::TextMapPropagator as _;
+use opentelemetry::trace::{SpanBuilder, Status, TraceContextExt as _, Tracer as _};
+use opentelemetry::{Context, KeyValue};
+use opentelemetry_sdk::propagation::TraceContextPropagator;
+use opentelemetry_sdk::trace::{SdkTracer, Span};
+use serde::{Deserialize, Serialize};
+
+/// Name of the header, and of what it says.
+const PARENT: &str = "traceparent";
+
+tokio::task_local! {
+    /// The span of the request at which this task works.
+    pub static TRACE: Option<Current>;
+}
+
+/// The span of the request at which this task works; none where nothing is traced.
+#[must_use]
+pub fn current() -> Option<Current> {
+    TRACE.try_with(Clone::clone).ok().flatten()
+}
+
+/// What a job that begins now belongs to.
+#[must_use]
+pub fn parent() -> Option<Parent> {
+    current().and_then(|current| current.parent())
+}
+
+/// Does blocking `work` of a request on another thread, where tasks' own values are not.
+pub fn within<T>(trace: Option<Current>, work: impl FnOnce() -> T) -> T {
+    TRACE.sync_scope(trace, work)
+}
+
+/// A span that others may name as theirs: `traceparent` of W3C Trace Context.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct Parent(String);
+
+impl Parent {
+    /// Of what is no such text nothing follows: a trace of its own begins.
+    pub(super) fn context(&self) -> Context {
+        let carrier = HashMap::from([(PARENT.to_owned(), self.0.clone())]);
+        TraceContextPropagator::new().extract_with_context(&Context::new(), &carrier)
+    }
+}
+
+/// A span under way; it ends when the last clone goes.
+#[derive(Clone)]
+pub struct Current {
+    tracer: SdkTracer,
+    context: Context,
+}
+
+impl fmt::Debug for Current {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_tuple("Current").field(&self.trace()).finish()
+    }
+}
+
+impl Current {
+    pub(super) fn new(tracer: SdkTracer, span: Span) -> Self {
+        Self { tracer, context: Context::new().with_span(span) }
+    }
+
+    /// Id of the trace, 32 hex digits.
+    #[must_use]
+    pub fn trace(&self) -> String {
+        self.context.span().span_context().trace_id().to_string()
+    }
+
+    /// As what follows from it names it.
+    #[must_use]
+    pub fn parent(&self) -> Option<Parent> {
+        let mut carrier = HashMap::new();
+        TraceContextPropagator::new().inject_context(&self.context, &mut carrier);
+        carrier.remove(PARENT).map(Parent)
+    }
+
+    /// Ends the span of a request that was answered.
+    pub fn answered(self, status: u16) {
+        let span = self.context.span();
+        span.set_attribute(KeyValue::new("http.response.status_code", i64::from(status)));
+        if status >= 500 {
+            span.set_status(Status::error(""));
+        }
+        span.end();
+    }
+
+    fn child(&self, name: &'static str, attributes: Vec<KeyValue>) -> Self {
+        let span = self.tracer.build_with_context(SpanBuilder::from_name(name).with_attributes(attributes), &self.context);
+        Self::new(self.tracer.clone(), span)
+    }
+
+    /// Begins the span of work of a class within the request.
+    #[must_use]
+    pub fn work(&self, class: &'static str) -> Work {
+        Work { _span: self.child("work", vec![KeyValue::new("tmpi.job.class", class)]) }
+    }
+}
+
+/// The span of work within a request, to its end.
+#[derive(Debug)]
+pub struct Work {
+    _span: Current,
+}
+
+/// A making that is traced, or not.
+#[derive(Debug, Default)]
+pub struct Job(Option<Traced>);
+
+#[derive(Debug)]
+struct Traced {
+    job: Current,
+    /// The one that it is at.
+    stage: Mutex<Option<(&'static str, Current)>>,
+}
+
+impl Traced {
+    fn stage(&self) -> MutexGuard<'_, Option<(&'static str, Current)>> {
+        self.stage.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Job {
+    /// One whose span has begun.
+    #[must_use]
+    pub fn new(job: Current) -> Self {
+        Self(Some(Traced { job, stage: Mutex::default() }))
+    }
+
+    /// A stage begins, and the one before ends.
+    pub fn stage(&self, name: &'static str) {
+        let Some(traced) = &self.0 else { return };
+        let mut stage = traced.stage();
+        if stage.as_ref().is_none_or(|(at, _)| *at != name) {
+            // first of all the one before ends
+            *stage = None;
+            *stage = Some((name, traced.job.child(name, Vec::new())));
+        }
+    }
+
+    /// The last stage ends; what follows is the server's own work: keeping what was made.
+    pub fn made(&self) {
+        if let Some(traced) = &self.0 {
+            *traced.stage() = None;
+        }
+    }
+
+    /// Ends.
+    pub fn end(self, outcome: &'static str) {
+        self.made();
+        let Some(Traced { job, .. }) = self.0 else { return };
+        let span = job.context.span();
+        span.set_attribute(KeyValue::new("tmpi.job.outcome", outcome));
+        if !matches!(outcome, "done" | "second" | "deleted" | "cancelled") {
+            span.set_status(Status::error(outcome));
+        }
+        span.end();
+    }
+}
