@@ -129,7 +129,9 @@ impl AsyncWrite for FileStream {
             });
             match found {
                 // a file system that cannot
-                Some(Poll::Ready(Err(error))) if matches!(error.kind(), io::ErrorKind::InvalidInput | io::ErrorKind::Unsupported) => *answer = None,
+                Some(Poll::Ready(Err(error))) if matches!(error.kind(), io::ErrorKind::InvalidInput | io::ErrorKind::Unsupported) => {
+                    *answer = None;
+                }
                 Some(done) => return done,
                 None => {}
             }
@@ -142,7 +144,8 @@ impl AsyncWrite for FileStream {
     }
 }
 
-#[cfg(all(test, target_os = "linux"))]
+#[cfg(test)]
+#[cfg(target_os = "linux")]
 mod tests {
     use std::io::Write as _;
 
@@ -200,7 +203,7 @@ mod tests {
     #[tokio::test]
     async fn other_memory_is_sent_as_it_is() {
         let memory = vec![1; 100_000];
-        let (bytes, file) = pair(memory.clone(), &[2; 100_000]);
+        let (bytes, file) = pair(memory.clone(), &vec![2; 100_000]);
         let answer = InFile::new(bytes.slice(..50_000), file, 0);
         assert!(answer.find(&bytes[..50_000]).is_some() && answer.find(&bytes[10_000..50_000]) == Some(10_000));
         // beyond its end, before its beginning, elsewhere
