@@ -71,7 +71,7 @@ struct BenchArgs {
     /// Parallax error that planes may leave, in pixels
     #[arg(long, default_value_t = tmpi_live::MAX_ERROR, value_parser = parallax, value_name = "PX")]
     max_error: f64,
-    /// Frames that rest after one of which tiles were sent
+    /// Frames that rest after one of which tiles were sent, where depth is estimated
     #[arg(long, default_value_t = tmpi_live::REST, value_parser = clap::value_parser!(u32).range(0..=30), value_name = "N")]
     rest: u32,
     /// Bring the network's disparity to the truth's scale before it is used: what is left is not the scale's

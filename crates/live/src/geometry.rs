@@ -50,7 +50,8 @@ pub struct Settings {
     /// Pixels by which a tile that is not sent anew may show any point beside where its new planes would, from any camera of the view box
     /// ([`moved`]); 0: what differs at all is sent.
     pub parallax: f64,
-    /// Frames that rest after one of which tiles were sent: what changed in them waits for the next one.
+    /// Frames that rest after one of which tiles were sent: what changed in them waits for the next one. None does where depth is measured: tiles
+    /// are then few, and right enough for their being late to show.
     pub rest: u32,
     /// Milliseconds that the geometry of a frame may take; 0: as long as it takes.
     pub frame_ms: f64,
@@ -236,7 +237,7 @@ impl Geometry {
             let before = Instant::now();
             state.place(&mut job, &mut self.planes, frame, (&wanted, self.settings.parallax), &mut update)?;
             self.budget.tiles_took(wanted.len(), ms(before));
-            state.rests = if update.sent.is_empty() { 0 } else { self.settings.rest };
+            state.rests = if update.sent.is_empty() || frame.depth.is_some() { 0 } else { self.settings.rest };
         }
         update.waiting = state.waiting.iter().filter(|w| **w > 0).count();
         update.stages = job.finish().stages;
