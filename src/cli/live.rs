@@ -59,7 +59,7 @@ struct BenchArgs {
     /// How frames are sent; H.264 where the program was built with it
     #[arg(long, default_value = if cfg!(feature = "h264") { "h264" } else { "jpeg" }, value_parser = ["h264", "jpeg"], value_name = "CODEC")]
     codec: String,
-    /// Bits a second of H.264; 500 kbit/s for 320×240, more for larger frames, where nothing is said
+    /// Bits a second of H.264; 384 kbit/s for 320×240 as the publishing page has it, more for larger frames, where nothing is said
     #[arg(long, value_name = "N")]
     bitrate: Option<u32>,
     /// Milliseconds that the geometry of a frame may take; 0: as long as it takes
@@ -68,7 +68,10 @@ struct BenchArgs {
     /// Pixels by which a tile that is not sent anew may show any point beside where its new planes would, from any camera of the view box
     #[arg(long, default_value_t = tmpi_live::PARALLAX, value_parser = parallax, value_name = "PX")]
     parallax: f64,
-    /// Frames that rest after one of which tiles were sent
+    /// Parallax error that planes may leave, in pixels
+    #[arg(long, default_value_t = tmpi_live::MAX_ERROR, value_parser = parallax, value_name = "PX")]
+    max_error: f64,
+    /// Frames that rest after one of which tiles were sent, where depth is estimated
     #[arg(long, default_value_t = tmpi_live::REST, value_parser = clap::value_parser!(u32).range(0..=30), value_name = "N")]
     rest: u32,
     /// Bring the network's disparity to the truth's scale before it is used: what is left is not the scale's
@@ -93,8 +96,8 @@ struct BenchArgs {
     models: ModelFlags,
 }
 
-/// Bits a second and pixel that 500 kbit/s are at 320×240.
-const RATE: f64 = 500_000.0 / (320.0 * 240.0);
+/// Bits a second and pixel, as the publishing page has them (`static/live/encoders.js`): 384 kbit/s at 320×240.
+const RATE: f64 = 5.0;
 
 pub(super) fn run(args: &LiveArgs) -> anyhow::Result<()> {
     match &args.what {
@@ -140,6 +143,7 @@ fn bench(args: &BenchArgs) -> anyhow::Result<()> {
         depth: networks::available().is_ok(),
         true_scale: args.true_scale,
         parallax: args.parallax,
+        max_error: args.max_error,
         rest: args.rest,
         files: args.files.clone(),
         only: args.only.clone(),

@@ -13,7 +13,6 @@ use tmpi_core::live::wire::message::Kind;
 use tmpi_core::live::wire::{Bye, Credit, Depth, Hello, Video};
 use tmpi_core::live::{MAX_PIXELS, Model, VERSION, read, write};
 use tmpi_live::{Geometry, Settings, video};
-use tmpi_pipeline::Options;
 
 use super::nodes::Refused;
 use super::ring::What;
@@ -148,12 +147,11 @@ fn checked(hello: Hello, config: &Config) -> Result<(Settings, Hello), String> {
     if codec.len() > CODEC || sound.len() > CODEC {
         return Err("a codec string that is none".into());
     }
-    let mut options = Options::default();
+    let mut settings = Settings { frame_ms: config.frame_ms, ..Settings::default() };
     if fov_x != 0.0 {
-        options.fov_x = Some(fov_x);
-        options.validate().map_err(|e| e.to_string())?;
+        settings.options.fov_x = Some(fov_x);
+        settings.options.validate().map_err(|e| e.to_string())?;
     }
-    let settings = Settings { options, frame_ms: config.frame_ms, ..Settings::default() };
     let told = Model::hello(&settings.empty(width, height));
     Ok((settings, Hello { codec, fov_x, sound, sound_rate, sound_channels, ..told }))
 }

@@ -24,6 +24,13 @@ pub const PARALLAX: f64 = 0.25;
 /// `tmpi live bench` would see, at half the work.
 pub const REST: u32 = 1;
 
+/// Parallax error that planes of a room may leave, in pixels, where nothing else is said: twice a photo's. `tmpi live bench` compares: less than
+/// half the bytes and less flicker, and views of estimated depth are as good.
+pub const MAX_ERROR: f64 = 1.0;
+
+/// Share of that error where depth is measured: planes are then what views lose the most by, and few.
+const MEASURED: f64 = 0.5;
+
 /// Pixels of parallax up to which a change of a pixel's estimated depth is mostly the network's own trembling, and the share of it that is taken.
 const TREMBLES: (f64, f32) = (1.5, 0.4);
 
@@ -36,14 +43,15 @@ const SNAP_REACH: u32 = 8;
 /// What a room is made with.
 #[derive(Clone, Debug)]
 pub struct Settings {
-    /// As for a photo; sizes, quality and budget do not count here.
+    /// As for a photo, but for the error ([`MAX_ERROR`]), of which measured depth has half; sizes, quality and budget do not count here.
     pub options: Options,
     /// How far an unchanged block may be from what its geometry was made of.
     pub tolerance: Tolerance,
     /// Pixels by which a tile that is not sent anew may show any point beside where its new planes would, from any camera of the view box
     /// ([`moved`]); 0: what differs at all is sent.
     pub parallax: f64,
-    /// Frames that rest after one of which tiles were sent: what changed in them waits for the next one.
+    /// Frames that rest after one of which tiles were sent: what changed in them waits for the next one. None does where depth is measured: tiles
+    /// are then few, and right enough for their being late to show.
     pub rest: u32,
     /// Milliseconds that the geometry of a frame may take; 0: as long as it takes.
     pub frame_ms: f64,
@@ -54,7 +62,7 @@ pub struct Settings {
 impl Default for Settings {
     fn default() -> Self {
         Self {
-            options: Options::default(),
+            options: Options { max_error: MAX_ERROR, ..Options::default() },
             tolerance: Tolerance::default(),
             parallax: PARALLAX,
             rest: REST,
@@ -195,7 +203,10 @@ impl Geometry {
             self.compare = Compare::new(self.settings.tolerance);
         }
         let models = self.models.clone();
-        let options = self.settings.options.clone();
+        let mut options = self.settings.options.clone();
+        if frame.depth.is_some() && !self.settings.separate {
+            options.max_error *= MEASURED;
+        }
         let mut job = Context::new(&models, &self.limits, &options, &Silent);
         let change = job.run(&mut self.compare, &frame.photo)?;
         if change.cut {
@@ -226,7 +237,7 @@ impl Geometry {
             let before = Instant::now();
             state.place(&mut job, &mut self.planes, frame, (&wanted, self.settings.parallax), &mut update)?;
             self.budget.tiles_took(wanted.len(), ms(before));
-            state.rests = if update.sent.is_empty() { 0 } else { self.settings.rest };
+            state.rests = if update.sent.is_empty() || frame.depth.is_some() { 0 } else { self.settings.rest };
         }
         update.waiting = state.waiting.iter().filter(|w| **w > 0).count();
         update.stages = job.finish().stages;

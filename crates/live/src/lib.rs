@@ -28,5 +28,5 @@ pub mod video;
 
 pub use budget::Budget;
 pub use change::Tolerance;
-pub use geometry::{Frame, Geometry, GeometryError, PARALLAX, REST, Settings, Update};
+pub use geometry::{Frame, Geometry, GeometryError, MAX_ERROR, PARALLAX, REST, Settings, Update};
 pub use moved::moved;

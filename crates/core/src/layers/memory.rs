@@ -16,14 +16,29 @@ const OTHER: u32 = 48;
 const MOVED: f64 = 0.3;
 /// Pixels in a row of which one is looked at for that.
 const EVERY: usize = 7;
+/// Frames in which a pixel must go on as it was before it is kept: what moves is seen at its new place some frames before its labels say that it
+/// is there, and would be taken for what lies behind it.
+const STEADY: u8 = 6;
 
-/// For each pixel of the frames the farthest surface that was seen there.
+/// For each pixel of the frames the farthest surface that was seen there, and stayed for some frames.
 #[derive(Clone, Debug)]
 pub struct Memory {
     grid: Grid,
     rgb: Vec<[u8; 3]>,
     /// δ of what is remembered, NaN where there is nothing.
     delta: Vec<f32>,
+    /// The frame before.
+    last: Vec<Pixel>,
+}
+
+/// What a pixel showed in the frame before.
+#[derive(Clone, Copy, Debug)]
+struct Pixel {
+    rgb: [u8; 3],
+    /// Frames for which it has shown that, up to [`STEADY`].
+    steady: u8,
+    /// NaN before the first frame.
+    delta: f32,
 }
 
 impl Memory {
@@ -31,12 +46,14 @@ impl Memory {
     #[must_use]
     pub fn new(grid: Grid) -> Self {
         let count = grid.width as usize * grid.height as usize;
-        Self { grid, rgb: vec![[0; 3]; count], delta: vec![f32::NAN; count] }
+        let nothing = Pixel { rgb: [0; 3], steady: 0, delta: f32::NAN };
+        Self { grid, rgb: vec![[0; 3]; count], delta: vec![f32::NAN; count], last: vec![nothing; count] }
     }
 
     /// Forgets everything: a new scene.
     pub fn forget(&mut self) {
         self.delta.fill(f32::NAN);
+        self.last.iter_mut().for_each(|p| p.steady = 0);
     }
 
     /// Pixels of which something is remembered.
@@ -45,8 +62,8 @@ impl Memory {
         self.delta.iter().filter(|d| !d.is_nan()).count()
     }
 
-    /// Looks at a frame: what is as far as what is remembered, or farther, is kept; what is nearer stands in front of it. `surface` is the
-    /// frame's visible one, over all rows. A photo of another size is left alone.
+    /// Looks at the next frame: what is as far as what is remembered, or farther, and has stayed as it is for some frames, is kept; what is nearer
+    /// stands in front of it. `surface` is the frame's visible one, over all rows. A photo of another size is left alone.
     pub fn take(&mut self, photo: &Photo, mut surface: Surface) {
         if (photo.width, photo.height) != (self.grid.width, self.grid.height) || photo.rgb.len() != self.delta.len() {
             return;
@@ -59,9 +76,12 @@ impl Memory {
         for (new, y) in rows {
             let from = y as usize * self.grid.width as usize;
             let (colours, known) = (&mut self.rgb[from..][..new.len()], &mut self.delta[from..][..new.len()]);
-            for (((delta, rgb), colour), known) in surface.row(0, y, self.grid.width).iter().zip(new).zip(colours).zip(known) {
-                // infinite where it is mixed with something nearer
-                if delta.is_finite() && (known.is_nan() || *delta <= *known + APART) {
+            let pixels = surface.row(0, y, self.grid.width).iter().zip(new).zip(&mut self.last[from..][..new.len()]);
+            for (((delta, rgb), last), (colour, known)) in pixels.zip(colours.iter_mut().zip(known)) {
+                // infinite where it is mixed with something nearer, and then never within anything
+                let same = (*delta - last.delta).abs() <= APART && apart(*rgb, last.rgb) <= OTHER;
+                *last = Pixel { rgb: *rgb, steady: if same { (last.steady + 1).min(STEADY) } else { 0 }, delta: *delta };
+                if last.steady == STEADY && (known.is_nan() || *delta <= *known + APART) {
                     (*colour, *known) = (*rgb, *delta);
                 }
             }
@@ -76,9 +96,8 @@ impl Memory {
             let row = surface.row(0, y, self.grid.width).iter().zip(new).enumerate().skip(y as usize % EVERY).step_by(EVERY);
             for (x, (delta, rgb)) in row {
                 if (delta - self.delta[from + x]).abs() <= APART {
-                    let by: u32 = rgb.iter().zip(self.rgb[from + x]).map(|(a, b)| u32::from(a.abs_diff(b))).sum();
                     seen += 1;
-                    other += usize::from(by > OTHER);
+                    other += usize::from(apart(*rgb, self.rgb[from + x]) > OTHER);
                 }
             }
         }
@@ -112,6 +131,11 @@ impl Memory {
     }
 }
 
+/// Difference of two colours in levels, summed over the channels.
+fn apart(a: [u8; 3], b: [u8; 3]) -> u32 {
+    a.iter().zip(b).map(|(a, b)| u32::from(a.abs_diff(b))).sum()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -134,6 +158,11 @@ mod tests {
         [0, if (i % SIDE).is_multiple_of(2) { 250 } else { 10 }, (i / SIDE) as u8]
     }
 
+    /// Looks at a frame for as long as it takes to keep it.
+    fn look(memory: &mut Memory, (photo, geometry): &(Photo, Geometry)) {
+        (0..=STEADY).for_each(|_| memory.take(photo, geometry.surface()));
+    }
+
     /// Hidden texels of the wall, with the column of each, and how many were remembered.
     fn hidden(memory: &Memory, (photo, geometry): &(Photo, Geometry)) -> (Vec<(u32, [u8; 3])>, usize) {
         let masks = geometry.masks();
@@ -149,16 +178,29 @@ mod tests {
         let (before, now) = (frame(0, 12, stripes), frame(20, 50, stripes));
         let mut memory = Memory::new(now.1.grid);
         assert_eq!((hidden(&memory, &now).1, memory.known()), (0, 0));
-        memory.take(&before.0, before.1.surface());
-        memory.take(&now.0, now.1.surface());
+        look(&mut memory, &before);
+        look(&mut memory, &now);
         let (texels, known) = hidden(&memory, &now);
         assert!(!texels.is_empty() && known == texels.len(), "{known} of {}", texels.len());
         assert!(texels.iter().all(|(x, c)| c[..2] == stripes(*x)[..2]));
         // behind where the thing was all the time nothing was ever seen
         let stays = frame(0, 30, stripes);
         let mut memory = Memory::new(stays.1.grid);
-        memory.take(&stays.0, stays.1.surface());
+        look(&mut memory, &stays);
         assert_eq!(hidden(&memory, &stays).1, 0);
+    }
+
+    #[test]
+    fn what_moves_ahead_of_its_labels_is_not_taken_for_what_lies_behind_it() {
+        let thing = |step: u32| frame(2 * step, 12 + 2 * step, stripes);
+        let mut memory = Memory::new(thing(0).1.grid);
+        look(&mut memory, &thing(0));
+        for step in 1..=10 {
+            memory.take(&thing(step).0, thing(step.saturating_sub(3)).1.surface());
+        }
+        let (texels, known) = hidden(&memory, &thing(10));
+        assert!(texels.iter().any(|(x, _)| *x >= 28) && known == texels.len(), "{known} of {}", texels.len());
+        assert!(texels.iter().all(|(x, c)| c[..2] == stripes(*x)[..2]), "{texels:?}");
     }
 
     #[test]
@@ -177,8 +219,8 @@ mod tests {
     #[test]
     fn nothing_holds_once_the_camera_has_moved() {
         let mut memory = Memory::new(frame(0, 1, stripes).1.grid);
-        let (photo, geometry) = frame(0, 12, stripes);
-        memory.take(&photo, geometry.surface());
+        look(&mut memory, &frame(0, 12, stripes));
+        assert!(memory.known() > 0);
         let moved = frame(20, 50, |i| stripes(i + 1));
         memory.take(&moved.0, moved.1.surface());
         assert_eq!(hidden(&memory, &moved).1, 0);

@@ -6,9 +6,8 @@ use std::time::Instant;
 use serde::Serialize;
 
 use tmpi_live::video::{self, VideoError};
-use tmpi_pipeline::clock::peak_rss_bytes;
+use tmpi_pipeline::clock::{Clock, peak_rss_bytes};
 
-use super::reader::ms;
 use super::sequence::{Kind, Sequence};
 use super::{LiveBenchError, encoder};
 
@@ -18,7 +17,7 @@ const FRAMES: u32 = 120;
 const WARM: u64 = 1000;
 /// Bytes that damage may make the decoder take beyond that.
 const MEMORY: u64 = 64 << 20;
-/// Milliseconds that a unit may take: a room's frames wait so long at the most.
+/// Milliseconds of the processor that a unit may take: on a machine that does nothing else a room's frames wait so long at the most.
 const LONGEST: f64 = 1000.0;
 /// Changes of a unit, at most.
 const CHANGES: u64 = 16;
@@ -38,8 +37,10 @@ pub struct Damaged {
     pub contained: u64,
     /// Seconds in all.
     pub seconds: f64,
-    /// Milliseconds of the one that took longest.
+    /// Milliseconds of the one that took longest, by the clock: whatever else the machine does is in it.
     pub longest_ms: f64,
+    /// The most of the processor that one took, in milliseconds; by the clock where the system does not tell.
+    pub longest_cpu_ms: f64,
     /// Bytes of memory beyond what a sound stream takes, at the most.
     pub memory: u64,
 }
@@ -48,18 +49,19 @@ impl Damaged {
     /// Whether time and memory are within their bounds.
     #[must_use]
     pub fn is_bounded(&self) -> bool {
-        self.longest_ms <= LONGEST && self.memory <= MEMORY
+        self.longest_cpu_ms <= LONGEST && self.memory <= MEMORY
     }
 
     /// As lines.
     #[must_use]
     pub fn table(&self) -> String {
         let mut out = String::new();
-        let Self { units, pictures, without, refused, contained, seconds, longest_ms, memory } = self;
+        let Self { units, pictures, without, refused, contained, seconds, longest_ms, longest_cpu_ms, memory } = self;
         let _ = writeln!(out, "damaged access units              {units}");
         let _ = writeln!(out, "decoded all the same              {pictures}, without a picture {without}");
         let _ = writeln!(out, "refused                           {refused}, of which the decoder gave up within its bounds {contained}");
-        let _ = writeln!(out, "time                              {seconds:.0} s, the longest {longest_ms:.1} ms (bound {LONGEST:.0} ms)");
+        let _ = writeln!(out, "time                              {seconds:.0} s, the longest {longest_ms:.1} ms");
+        let _ = writeln!(out, "of the processor                  {longest_cpu_ms:.1} ms at the most (bound {LONGEST:.0} ms)");
         let _ = writeln!(out, "memory beyond a sound stream's    {:.1} MiB (bound {} MiB)", *memory as f64 / 1_048_576.0, MEMORY >> 20);
         out
     }
@@ -88,9 +90,11 @@ pub fn run(size: (u32, u32), bitrate: Option<u32>, count: u64, told: &dyn Fn(&st
     while out.units < count {
         let (unit, other) = (&units[out.units as usize % units.len()].0, &units[random.below(units.len())].0);
         let data = damage(unit, other, &mut random);
-        let start = Instant::now();
+        let clock = Clock::start();
         let decoded = decoder.decode(&data);
-        out.longest_ms = out.longest_ms.max(ms(start));
+        let (wall, cpu) = (clock.ms(), clock.cpu_ms());
+        out.longest_ms = out.longest_ms.max(wall);
+        out.longest_cpu_ms = out.longest_cpu_ms.max(if cpu > 0.0 { cpu } else { wall });
         out.units += 1;
         match decoded {
             Ok(Some(_)) => out.pictures += 1,
@@ -168,6 +172,7 @@ mod tests {
         let bitrate = cfg!(feature = "h264").then_some(100_000);
         let found = run((80, 64), bitrate, 300, &|_| {}).unwrap();
         assert_eq!((found.units, found.pictures + found.without + found.refused), (300, 300));
+        assert!(found.longest_cpu_ms > 0.0 && found.longest_ms > 0.0);
         assert!(found.pictures > 0 && found.refused > 0 && found.contained <= found.refused, "{found:?}");
     }
 

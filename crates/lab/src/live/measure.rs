@@ -13,7 +13,7 @@ use tmpi_render::{PictureFormat, View};
 use super::equal::as_jpeg;
 use super::reader::{Mean, Moment, Reader, ms};
 use super::scale::Truth;
-use super::sequence::{Kind, Sequence};
+use super::sequence::{Kind, Seen, Sequence};
 use super::sums::{Sums, add, add_bytes};
 use super::{Figures, LiveBenchError, Settings, encoder, room};
 
@@ -34,6 +34,7 @@ pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Resul
     let (mut reader, mut other) = (Reader::default(), Reader::default());
     // the truth of the frame before
     let mut last: Option<Photo> = None;
+    let mut seen = Seen::default();
     let mut stream = Vec::new();
     let mut sums = Sums::default();
     // every second frame may rest: views are of the one kind as often as of the other
@@ -41,6 +42,7 @@ pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Resul
     for n in 0..settings.frames {
         let shot = sequence.shot(n);
         truth.is(&shot.delta);
+        let seen_before = seen.take(sequence, n, &shot);
         let (data, key) = encoder.encode(&shot.noisy)?;
         f.video_bytes += video_bytes(n, key, &data);
         stream.extend_from_slice(&data);
@@ -65,7 +67,7 @@ pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Resul
         update.stages.iter().for_each(|s| add(&mut f.stages_ms, &s.name, (s.ms, s.cpu_ms)));
         add(&mut f.stages_ms, "chunks", (update.coding_ms, update.coding_ms));
         let message = wire::Geometry { frame: n.into(), chunks: update.chunks.clone() };
-        add_bytes(&mut f, &message);
+        add_bytes(&mut f, &mut sums.chunks, &message);
         if let Some(g) = carried.geometry() {
             sums.count(g, &update, last.as_ref().map(|l| (l, &shot.clean)));
             let of = carried.reference().map_or(&[][..], |p| p.rgb.as_flattened());
@@ -96,6 +98,8 @@ pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Resul
                 geometry,
                 photo: &frame.photo,
                 shot: &shot,
+                seen_before: &seen_before,
+                plate: sequence.plate(n),
                 beside: sequence.beside(),
                 follows: n % views == 1,
                 sent,
@@ -121,6 +125,9 @@ pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Resul
     (f.masks_ms, f.fill_ms) = (reader.masks.get(), reader.fill.get());
     let decibels = |square: Mean| if square.get() > 0.0 { 10.0 * (255f64.powi(2) / square.get()).log10() } else { 0.0 };
     (f.uncovered_psnr, f.uncovered_psnr_made_up) = (decibels(reader.remembered), decibels(reader.made_up));
+    (f.seen_before_psnr, f.seen_before_psnr_made_up) = (decibels(reader.seen_remembered), decibels(reader.seen_made_up));
+    (f.own_depth_psnr, f.own_depth_psnr_made_up) = (decibels(reader.own_remembered), decibels(reader.own_made_up));
+    f.seen_before = reader.seen_remembered.count() / reader.remembered.count().max(1.0);
     f.own_view_off = reader.off;
     (f.psnr, f.ssim, f.flicker, f.flicker_left_out) =
         (reader.psnr.get(), reader.ssim.get(), reader.flicker.get(), reader.flicker_left_out.get());

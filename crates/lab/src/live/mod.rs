@@ -73,6 +73,8 @@ pub struct Settings {
     pub depth: bool,
     /// Estimated disparity is brought to the truth's scale before it is used.
     pub true_scale: bool,
+    /// Parallax error that planes may leave, in pixels.
+    pub max_error: f64,
     /// Pixels of parallax by which what readers hold of a tile may be off.
     pub parallax: f64,
     /// Frames that rest after one of which tiles were sent.
@@ -98,6 +100,10 @@ pub struct Figures {
     pub sound_bytes: f64,
     /// Of these, bytes of planes.
     pub plane_bytes: f64,
+    /// Of these, bytes of labels; what is left are heads.
+    pub label_bytes: f64,
+    /// Chunks of a frame of which any was sent.
+    pub chunks: f64,
     /// Bytes of all tiles of a frame as one chunk.
     pub snapshot_bytes: f64,
     /// Video, geometry and sound at 30 frames a second, in kbit/s.
@@ -132,6 +138,17 @@ pub struct Figures {
     pub uncovered_psnr: f64,
     /// The same with all of it made up from what is beside it.
     pub uncovered_psnr_made_up: f64,
+    /// Share of these pixels that the camera saw at an earlier frame; the others it never sees, and nothing but making them up is left.
+    pub seen_before: f64,
+    /// PSNR of these, what was seen before shown.
+    pub seen_before_psnr: f64,
+    /// The same with all of it made up.
+    pub seen_before_psnr_made_up: f64,
+    /// PSNR of what hidden texels show of what the thing stands before, what was seen before shown, against the same layers with the true colours
+    /// on these texels: the truth by the depth that the reader has.
+    pub own_depth_psnr: f64,
+    /// The same with all of it made up.
+    pub own_depth_psnr_made_up: f64,
     /// A reader's time to keep what it sees.
     pub memory_ms: f64,
     /// PSNR of the view from beside, in dB, and of one whose every frame was made by itself.
@@ -206,7 +223,9 @@ pub fn run(settings: &Settings, told: &dyn Fn(&str)) -> Result<Results, LiveBenc
 /// What is made of a sequence.
 fn room(settings: &Settings, sequence: &Sequence, frame_ms: f64, separate: bool) -> Room {
     let (k, width) = (sequence.intrinsics(), 2.0 * sequence.intrinsics().cx);
-    let options = Options { fov_x: Some(k.fov_x(width as u32)), ..Options::default() };
+    // frame by frame it is the photo's pipeline, with the error that a photo's planes may leave
+    let max_error = if separate { Options::default().max_error } else { settings.max_error };
+    let options = Options { fov_x: Some(k.fov_x(width as u32)), max_error, ..Options::default() };
     Room { options, parallax: settings.parallax, rest: settings.rest, frame_ms, separate, ..Room::default() }
 }
 
@@ -263,7 +282,8 @@ impl Results {
         };
         line("", &|f| f.sequence.into());
         line("video, bytes a frame", &|f| format!("{} {:.0}", f.codec, f.video_bytes));
-        line("geometry, bytes (planes)", &|f| format!("{:.0} ({:.0})", f.geometry_bytes, f.plane_bytes));
+        line("geometry, bytes (planes, labels)", &|f| format!("{:.0} ({:.0}, {:.0})", f.geometry_bytes, f.plane_bytes, f.label_bytes));
+        line("chunks of a frame that has any", &|f| format!("{:.1}", f.chunks));
         line("all tiles at once, bytes", &|f| format!("{:.0}", f.snapshot_bytes));
         line("sound, bytes", &|f| format!("{:.0}", f.sound_bytes));
         line("all, kbit/s at 30 frames/s", &|f| format!("{:.0}", f.kbit_s));
@@ -278,6 +298,9 @@ impl Results {
         line("left out: most off, levels", &|f| f.left_out_off.to_string());
         line("own view: pixels off", &|f| f.own_view_off.to_string());
         line("uncovered: seen / made up, dB", &|f| format!("{:.2} / {:.2}", f.uncovered_psnr, f.uncovered_psnr_made_up));
+        line("of these seen earlier", &|f| format!("{:.1} %", 100.0 * f.seen_before));
+        line("seen earlier: seen / made up, dB", &|f| format!("{:.2} / {:.2}", f.seen_before_psnr, f.seen_before_psnr_made_up));
+        line("the same by the depth there is, dB", &|f| format!("{:.2} / {:.2}", f.own_depth_psnr, f.own_depth_psnr_made_up));
         line("PSNR beside / frame by frame", &|f| format!("{:.2} / {:.2}", f.psnr, f.psnr_separate));
         line("SSIM beside / frame by frame", &|f| format!("{:.3} / {:.3}", f.ssim, f.ssim_separate));
         line("flicker / frame by frame, levels", &|f| format!("{:.3} / {:.3}", f.flicker, f.flicker_separate));

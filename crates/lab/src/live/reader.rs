@@ -4,15 +4,19 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use tmpi_core::live::Model;
-use tmpi_core::{Camera, Geometry, Inpainter, LayerMasks, Memory, Photo, Pose, Scene, TexturedLayer, compose};
+use tmpi_core::{Camera, Class, Geometry, Inpainter, LayerMasks, Memory, Photo, Pose, Scene, TexturedLayer, compose};
 use tmpi_render::difference::psnr;
 use tmpi_render::{Cpu, RenderError, Renderer};
 
-use super::sequence::Shot;
+use super::sequence::{BEHIND, Shot};
 use crate::metrics::ssim_map;
+use crate::scenes::Picture;
 
 /// Share of a view that is left out on each side, as in the paper.
 const CROP: f64 = 0.15;
+
+/// Colours of the hidden texels of each layer of each tile.
+type Colours = Vec<Vec<Vec<[u8; 3]>>>;
 
 /// A reader, and how good what it shows is.
 #[derive(Default)]
@@ -30,6 +34,12 @@ pub(super) struct Reader {
     /// Squared error of a channel where the camera itself sees nothing: all hidden texels made up, and those that were seen before shown.
     pub made_up: Mean,
     pub remembered: Mean,
+    /// The same of what the camera saw at an earlier frame.
+    pub seen_made_up: Mean,
+    pub seen_remembered: Mean,
+    /// Against the same layers with the truth on their hidden texels, where these show what the thing stands before: the error of depth is in neither.
+    pub own_made_up: Mean,
+    pub own_remembered: Mean,
     /// Pixels of the view from the camera's own place that differ from the frame.
     pub off: u64,
     pub masks: Mean,
@@ -41,6 +51,10 @@ pub(super) struct Reader {
 pub(super) struct Mean(f64, f64);
 
 impl Mean {
+    pub const fn count(self) -> f64 {
+        self.1
+    }
+
     pub fn add(&mut self, value: f64) {
         self.0 += value;
         self.1 += 1.0;
@@ -58,6 +72,10 @@ pub(super) struct Moment<'a> {
     /// The frame as it was decoded.
     pub photo: &'a Photo,
     pub shot: &'a Shot,
+    /// Pixels of the view from beside that the camera does not see, and saw before.
+    pub seen_before: &'a [bool],
+    /// The frame without the thing, where that is known.
+    pub plate: Option<&'a Picture>,
     /// The pose of the view.
     pub beside: Pose,
     /// The frame before was shown, too.
@@ -88,16 +106,25 @@ impl Reader {
         let before = Instant::now();
         let colours = Inpainter::new(m.photo, g).fill_all(&shapes);
         self.fill.add(ms(before));
+        let mut compared = None;
         if m.settled && self.memory.is_some() {
             let made_up = self.draw(m, &composed(m, g, shapes.clone(), colours.clone()), m.beside)?;
-            add_squares(&mut self.made_up, &made_up, m.shot);
+            add_squares(&mut self.made_up, &made_up, m.shot, &m.shot.uncovered);
+            add_squares(&mut self.seen_made_up, &made_up, m.shot, m.seen_before);
+            let truth = m.plate.map(|plate| self.truth_by_own_depth(m, plate, &shapes, &colours)).transpose()?;
+            compared = truth.map(|truth| (made_up, truth));
         }
         let scene = self.scene(m, g, shapes, colours);
         let view = self.draw(m, &scene, m.beside)?;
         let own = self.draw(m, &scene, Pose::default())?;
         self.off += own.rgb.iter().zip(&m.photo.rgb).filter(|(a, b)| a != b).count() as u64;
         if m.settled {
-            add_squares(&mut self.remembered, &view, m.shot);
+            add_squares(&mut self.remembered, &view, m.shot, &m.shot.uncovered);
+            add_squares(&mut self.seen_remembered, &view, m.shot, m.seen_before);
+        }
+        if let Some((made_up, (truth, shown))) = compared {
+            add_squares_of(&mut self.own_made_up, &made_up, &truth, &shown);
+            add_squares_of(&mut self.own_remembered, &view, &truth, &shown);
         }
         self.compare(m, &view)?;
         self.last = Some((g.clone(), m.shot.beside.clone()));
@@ -105,11 +132,38 @@ impl Reader {
     }
 
     /// The scene of a frame with some tiles, hidden texels as far as they were seen before.
-    fn scene(&self, m: Moment, g: &Geometry, shapes: Vec<LayerMasks>, mut colours: Vec<Vec<Vec<[u8; 3]>>>) -> Arc<Scene> {
+    fn scene(&self, m: Moment, g: &Geometry, shapes: Vec<LayerMasks>, mut colours: Colours) -> Arc<Scene> {
         if let Some(memory) = &self.memory {
             memory.recall(0, &shapes, &mut colours);
         }
         composed(m, g, shapes, colours)
+    }
+
+    /// The view from beside with the truth on the hidden texels that lie behind the thing, and the pixels that mostly show those.
+    fn truth_by_own_depth(
+        &self,
+        m: Moment,
+        plate: &Picture,
+        shapes: &[LayerMasks],
+        colours: &Colours,
+    ) -> Result<(Photo, Vec<bool>), RenderError> {
+        let painted = |paint: &dyn Fn(usize) -> [u8; 3]| {
+            let mut colours = colours.clone();
+            for (layer, colours) in shapes.iter().zip(&mut colours).flat_map(|(s, c)| s.layers.iter().zip(c)) {
+                let hidden = (0u32..).zip(&layer.class).filter(|(_, c)| **c == Class::Hidden as u8).map(|(i, _)| i);
+                for (i, colour) in hidden.zip(colours) {
+                    let r = layer.rect;
+                    let at = ((r.y + i / r.w) * m.photo.width + r.x + i % r.w) as usize;
+                    if m.shot.delta.delta[at] - plate.disparity.delta[at] > BEHIND {
+                        *colour = paint(at);
+                    }
+                }
+            }
+            self.draw(m, &composed(m, m.geometry, shapes.to_vec(), colours), m.beside)
+        };
+        let (truth, dark, light) = (painted(&|at| plate.photo.rgb[at])?, painted(&|_| [0; 3])?, painted(&|_| [255; 3])?);
+        let shown = dark.rgb.iter().zip(&light.rgb).map(|(dark, light)| light[1].abs_diff(dark[1]) > 127).collect();
+        Ok((truth, shown))
     }
 
     fn draw(&self, m: Moment, scene: &Arc<Scene>, pose: Pose) -> Result<Photo, RenderError> {
@@ -154,15 +208,19 @@ pub(super) fn ms(since: Instant) -> f64 {
     since.elapsed().as_secs_f64() * 1e3
 }
 
-fn composed(m: Moment, g: &Geometry, shapes: Vec<LayerMasks>, colours: Vec<Vec<Vec<[u8; 3]>>>) -> Arc<Scene> {
+fn composed(m: Moment, g: &Geometry, shapes: Vec<LayerMasks>, colours: Colours) -> Arc<Scene> {
     let tiles = shapes.into_iter().zip(colours);
     let tiles = tiles.map(|(s, c)| s.layers.into_iter().zip(c).map(|(shape, hidden)| TexturedLayer { shape, hidden }).collect());
     Arc::new(compose(m.photo.clone(), g, tiles.collect()))
 }
 
-/// Adds the squared error of the channels where the camera sees nothing.
-fn add_squares(mean: &mut Mean, view: &Photo, shot: &Shot) {
-    let pixels = view.rgb.iter().zip(&shot.beside.rgb).zip(&shot.uncovered).filter(|(_, uncovered)| **uncovered);
+/// Adds the squared error of the channels of the pixels that are `counted`.
+fn add_squares(mean: &mut Mean, view: &Photo, shot: &Shot, counted: &[bool]) {
+    add_squares_of(mean, view, &shot.beside, counted);
+}
+
+fn add_squares_of(mean: &mut Mean, view: &Photo, truth: &Photo, counted: &[bool]) {
+    let pixels = view.rgb.iter().zip(&truth.rgb).zip(counted).filter(|(_, counted)| **counted);
     for ((is, should), _) in pixels {
         is.iter().zip(should).for_each(|(a, b)| mean.add(f64::from(a.abs_diff(*b)).powi(2)));
     }

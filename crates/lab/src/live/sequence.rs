@@ -53,7 +53,7 @@ const SIZE: (f64, f64) = (0.26, 0.75);
 /// Frames in which it goes to and fro once.
 const PERIOD: f64 = 150.0;
 /// Disparity by which something lies behind something else.
-const BEHIND: f32 = 0.05;
+pub const BEHIND: f32 = 0.05;
 /// Samples a side of a pixel, for the share of it that the thing covers.
 const SAMPLES: u32 = 4;
 
@@ -70,6 +70,8 @@ pub struct Shot {
     pub beside: Photo,
     /// Pixels of that which the camera itself does not see.
     pub uncovered: Vec<bool>,
+    /// Exact disparity of that view.
+    pub beside_delta: DisparityMap,
 }
 
 /// A sequence of frames.
@@ -128,7 +130,7 @@ impl Sequence {
             moved = self.seen(0, 0.15 * (f64::from(n) / PERIOD * std::f64::consts::TAU).sin());
             &moved
         } else {
-            &self.still[usize::from(self.kind == Kind::Cut && n >= self.frames / 2)]
+            &self.still[self.scene(n)]
         };
         let (mut clean, mut view) = (here.clone(), beside.clone());
         if self.kind != Kind::Moving {
@@ -139,11 +141,29 @@ impl Sequence {
         let rgb =
             clean.photo.rgb.iter().map(|p| p.map(|v| (f64::from(v) + NOISE * noise.next()).round().clamp(0.0, 255.0) as u8)).collect();
         let uncovered = self.uncovered(&clean.disparity, &view.disparity);
-        Shot { noisy: Photo { rgb, ..clean.photo }, clean: clean.photo, delta: clean.disparity, beside: view.photo, uncovered }
+        let (clean, delta, beside, beside_delta) = (clean.photo, clean.disparity, view.photo, view.disparity);
+        Shot { noisy: Photo { rgb, ..clean }, clean, delta, beside, uncovered, beside_delta }
     }
 
-    /// Pixels of the view from beside that lie behind something for the camera itself.
-    fn uncovered(&self, here: &DisparityMap, beside: &DisparityMap) -> Vec<bool> {
+    /// What a camera that stands still would see in frame `n` were the thing not there; none where it moves.
+    #[must_use]
+    pub fn plate(&self, n: u32) -> Option<&Picture> {
+        (self.kind != Kind::Moving).then(|| &self.still[self.scene(n)][0])
+    }
+
+    fn scene(&self, n: u32) -> usize {
+        usize::from(self.kind == Kind::Cut && n >= self.frames / 2)
+    }
+
+    /// The camera stands still from frame to frame up to `n`: what it saw at a pixel it would see there again.
+    #[must_use]
+    pub fn stands(&self, n: u32) -> bool {
+        self.kind != Kind::Moving && !(self.kind == Kind::Cut && n == self.frames / 2)
+    }
+
+    /// Pixels of the view from beside that lie behind something for the camera itself, by what it sees `here`.
+    #[must_use]
+    pub fn uncovered(&self, here: &DisparityMap, beside: &DisparityMap) -> Vec<bool> {
         let (w, shift) = (beside.width as usize, self.camera.intrinsics.fx * self.aside);
         let hidden = |(i, delta): (usize, &f32)| {
             // where the same point lies in the frame; both of its neighbours, as it lies between two
@@ -195,6 +215,27 @@ impl Sequence {
         let at = |dx: u32, dy: u32| p.at((x0 + dx).min(p.width - 1), (y0 + dy).min(p.height - 1)).map(f64::from);
         let (a, b, c, d) = (at(0, 0), at(1, 0), at(0, 1), at(1, 1));
         std::array::from_fn(|i| (a[i] * (1.0 - fx) + b[i] * fx) * (1.0 - fy) + (c[i] * (1.0 - fx) + d[i] * fx) * fy)
+    }
+}
+
+/// What the camera has seen of a sequence so far.
+#[derive(Debug, Default)]
+pub struct Seen {
+    /// Disparity of the farthest surface that was seen at each pixel.
+    farthest: Option<DisparityMap>,
+}
+
+impl Seen {
+    /// Takes frame `n`; gives the pixels of the view from beside that the camera does not see in it, and has seen before.
+    #[must_use]
+    pub fn take(&mut self, sequence: &Sequence, n: u32, shot: &Shot) -> Vec<bool> {
+        let Some(farthest) = self.farthest.as_mut().filter(|_| sequence.stands(n)) else {
+            self.farthest = Some(shot.delta.clone());
+            return vec![false; shot.uncovered.len()];
+        };
+        farthest.delta.iter_mut().zip(&shot.delta.delta).for_each(|(far, now)| *far = far.min(*now));
+        let never = sequence.uncovered(farthest, &shot.beside_delta);
+        shot.uncovered.iter().zip(never).map(|(uncovered, never)| *uncovered && !never).collect()
     }
 }
 
@@ -255,6 +296,26 @@ mod tests {
         let near = a.delta.delta.iter().filter(|d| (**d - THING as f32).abs() < 1e-6).count() as f64 / (160.0 * 120.0);
         assert!((0.08..0.2).contains(&near), "{near}");
         assert_ne!(a.clean, a.beside);
+    }
+
+    #[test]
+    fn what_the_thing_uncovers_was_mostly_seen_before_and_what_stands_still_hides_never_was() {
+        let s = Sequence::new(Kind::Still, 900_101, (160, 120), 150, 0.03);
+        let mut seen = Seen::default();
+        let counts: Vec<[usize; 2]> = (0..150)
+            .map(|n| {
+                let shot = s.shot(n);
+                let again = seen.take(&s, n, &shot);
+                assert!(again.iter().zip(&shot.uncovered).all(|(again, uncovered)| !again || *uncovered), "frame {n}");
+                [&again, &shot.uncovered].map(|of| of.iter().filter(|p| **p).count())
+            })
+            .collect();
+        assert_eq!(counts[0][0], 0, "nothing was seen before the first frame");
+        let last: [usize; 2] = std::array::from_fn(|i| counts[75..].iter().map(|c| c[i]).sum());
+        assert!(last[0] > 0 && last[0] < last[1], "{last:?}");
+        let moving = Sequence::new(Kind::Moving, 900_101, (64, 48), 4, 0.03);
+        let mut seen = Seen::default();
+        assert!((0..4).all(|n| !seen.take(&moving, n, &moving.shot(n)).contains(&true)));
     }
 
     #[test]

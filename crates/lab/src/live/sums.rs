@@ -19,6 +19,8 @@ pub(super) struct Sums {
     left_out: usize,
     kept: usize,
     pub snapshots: Mean,
+    /// Chunks of a frame of which any was sent.
+    pub chunks: Mean,
     pub video_psnr: Mean,
     jpeg: [Mean; 3],
     /// What each frame took on the server, in milliseconds.
@@ -55,6 +57,7 @@ impl Sums {
             &mut f.video_bytes,
             &mut f.geometry_bytes,
             &mut f.plane_bytes,
+            &mut f.label_bytes,
             &mut f.decode_ms,
             &mut f.server_ms,
             &mut f.server_cpu_ms,
@@ -68,6 +71,7 @@ impl Sums {
         (f.left_out, f.kept) = (share(self.left_out, self.tiles), share(self.kept, self.tiles));
         (f.unchanged_found, f.unchanged_left_out) = (share(self.found, self.still), share(self.still_left_out, self.still));
         [f.jpeg_quality, f.jpeg_psnr, f.jpeg_bytes] = self.jpeg.map(Mean::get);
+        f.chunks = self.chunks.get();
         (f.snapshot_bytes, f.video_psnr, f.sound_bytes) = (self.snapshots.get(), self.video_psnr.get(), sound_bytes());
         let all = f.video_bytes + f.geometry_bytes + f.sound_bytes;
         f.kbit_s = all * 30.0 * 8.0 / 1e3;
@@ -76,8 +80,10 @@ impl Sums {
 }
 
 /// Counts what a message of geometry has.
-pub(super) fn add_bytes(f: &mut Figures, message: &wire::Geometry) {
+pub(super) fn add_bytes(f: &mut Figures, chunks: &mut Mean, message: &wire::Geometry) {
     if !message.chunks.is_empty() {
+        chunks.add(message.chunks.len() as f64);
+        f.label_bytes += message.chunks.iter().map(|c| c.label_data.len() as f64).sum::<f64>();
         f.plane_bytes += message.chunks.iter().map(|c| c.plane_data.len() as f64).sum::<f64>();
         f.geometry_bytes += tmpi_core::live::write(wire::message::Kind::Geometry(message.clone())).len() as f64;
     }

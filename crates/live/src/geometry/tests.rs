@@ -241,6 +241,13 @@ fn what_moves_by_less_than_a_quarter_of_a_pixel_is_kept_until_it_adds_up() {
 }
 
 #[test]
+fn where_depth_is_measured_no_frame_rests() {
+    let (_, mut room) = room(Settings::default());
+    let sent: Vec<usize> = (0..4).map(|n| room.next(&walls(n, 0.1 * n as f32)).unwrap().sent.len()).collect();
+    assert!(sent.iter().all(|s| *s > 0), "{sent:?}");
+}
+
+#[test]
 fn a_frame_rests_after_one_whose_tiles_were_sent_and_is_caught_up_with() {
     let (depth, mut room) = room(Settings::default());
     room.next(&frame(0, 60)).unwrap();
