@@ -2,6 +2,7 @@
 
 import argparse
 import bisect
+import hashlib
 import itertools
 import json
 
@@ -27,10 +28,18 @@ FAMILIES = {
 TRUST = {"scene": (0.0, 1.0), "label": (0.05, 1.0), "rgbd": (0.1, 0.3), "stereo": (0.2, 0.1), "pairs:depth": (0.05, 0.5), "pairs:disparity": (0.1, 0.5)}
 
 
+def first_labels(records, count):
+    """Names of the labels of `count` photographs (none: of all), each choice within the larger ones: the order is that of digests."""
+    photo = lambda name: name.removesuffix(".b")  # labelled a second time
+    names = {name for name, group, _, _ in records if group == "label"}
+    some = set(sorted(set(map(photo, names)), key=lambda name: hashlib.sha256(name.encode()).digest())[:count])
+    return {name for name in names if photo(name) in some}
+
+
 class Records:
     """Batches of the cache: what a step gets is a function of the seed and the step."""
 
-    def __init__(self, folders, seed, batch, shares=SHARES, both=True):
+    def __init__(self, folders, seed, batch, shares=SHARES, both=True, labels=None):
         self.folders, self.seed, self.batch = [common.Path(f) for f in folders], seed, batch
         for folder in self.folders:
             if not (folder / "cache.json").exists():
@@ -41,16 +50,19 @@ class Records:
         self.used = self.channels if both else MobileNetV2.CHANNELS
         # records of a shape: those of each cache in turn; `maps` are their files, and the row at which each begins
         kept, self.maps, counts = {}, {}, {}
+        some = first_labels(itertools.chain(*(v for known in about for v in known["records"].values())), labels)
         for folder, known in zip(self.folders, about):
             for name, records in known["records"].items():
                 shape = tuple(map(int, name.split("x")))
                 own = cache.mapped(folder / cache.file_of(shape), cache.layout(shape, self.channels), len(records))
                 self.maps.setdefault(shape, []).append((len(kept.get(shape, [])), own))
                 kept[shape] = kept.get(shape, []) + records
-        for _, group, _, _ in itertools.chain(*kept.values()):
+        learnt = lambda r: r[1] != "label" or r[0] in some
+        for _, group, _, _ in filter(learnt, itertools.chain(*kept.values())):
             counts[group] = counts.get(group, 0) + 1
         weight = {g: self.share(g, counts, shares) / n for g, n in counts.items()}
-        self.shapes, self.sums = list(kept), {s: list(itertools.accumulate(weight[r[1]] for r in v)) for s, v in kept.items()}
+        self.shapes = list(kept)
+        self.sums = {s: list(itertools.accumulate(weight[r[1]] if learnt(r) else 0 for r in v)) for s, v in kept.items()}
         self.groups = {s: [(r[1].split(":")[0] if r[1].startswith("scene") else r[1], r[2]) for r in v] for s, v in kept.items()}
         banks = (cache.mapped(f / "statistics.bin", cache.statistics_layout(self.channels), k["statistics"]) for f, k in zip(self.folders, about))
         self.bank = np.concatenate([b for b in banks if b is not None])
@@ -141,6 +153,7 @@ def main():
     a.add_argument("--lr", type=float, default=2e-3)
     a.add_argument("--style", choices=["off", "photos"], default="photos", help="whether channel statistics of photographs are mixed in")
     a.add_argument("--shares", nargs="*", default=[], metavar="GROUP=SHARE", help="other shares of a batch than SHARES")
+    a.add_argument("--labels", type=int, metavar="N", help="only so many of the labelled photographs, to see what more of them are worth")
     a.add_argument("--weights", nargs="*", default=[], metavar="PART=WEIGHT", help="other weights of the loss than WEIGHTS")
     a.add_argument("--encoder", choices=["mobilenet", "both"], default="both", help="MobileNetV2, or with YOLOX-nano beside it")
     a.add_argument("--ramp", type=float, default=0.2, help="share of the vertical ramp by which checkpoints are measured")
@@ -154,7 +167,7 @@ def main():
     import eval_depth  # here, because it reads real pictures
 
     told = lambda given, known: {**known, **{k: float(v) for k, v in (g.split("=") for g in given)}}
-    records = Records(a.cache, a.seed, a.batch, told(a.shares, SHARES), a.encoder == "both")
+    records = Records(a.cache, a.seed, a.batch, told(a.shares, SHARES), a.encoder == "both", a.labels)
     weights, bank = told(a.weights, WEIGHTS), records.statistics() if a.style == "photos" else None
     loop.seed_all(a.seed)
     net = DepthNet(a.encoder == "both", a.drop)

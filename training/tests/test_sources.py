@@ -15,6 +15,7 @@ import torch.nn.functional as F
 
 import cache
 import common
+import depth
 import loop
 import network
 import sources
@@ -49,6 +50,13 @@ class Sources(unittest.TestCase):
 
     def test_only_what_may_be_trained_on(self):
         self.assertEqual(set(self.items), {"rgbd/a/x.jpg", "rgbd/a/l.jpg", "rgbd/b/z.jpg", "stereo/c/d", "pairs/e/m.jpg", "pairs/e/o.jpg", "pairs/e/d.jpg"})
+
+    def test_some_of_the_labels_are_within_more_of_them(self):
+        names = [f"label/{c}{b}" for c in "abcdefgh" for b in ("", ".b")]
+        records = [(name, "label", 0, 0) for name in names] + [("scene/1", "scene:room", 0, 0)]
+        some = [depth.first_labels(records, n) for n in (0, 2, 5, None)]
+        self.assertEqual([len(s) for s in some], [0, 4, 10, 16])
+        self.assertTrue(some[1] < some[2] < some[3] == set(names))
 
     def test_what_maps_mean(self):
         spaces = {k: (i.group, i.space, i.sparse) for k, i in self.items.items()}
