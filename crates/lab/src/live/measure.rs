@@ -122,6 +122,12 @@ pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Resul
         write(folder, &format!("{}.{}", kind.slug(), if settings.bitrate.is_some() { "h264" } else { "mjpeg" }), &stream)?;
     }
     sums.finish(&mut f, settings.frames);
+    compare(&mut f, &reader, &other);
+    Ok(f)
+}
+
+/// What readers saw of a room that carries its geometry on, beside one that does not.
+fn compare(f: &mut Figures, reader: &Reader, other: &Reader) {
     (f.masks_ms, f.fill_ms) = (reader.masks.get(), reader.fill.get());
     let decibels = |square: Mean| if square.get() > 0.0 { 10.0 * (255f64.powi(2) / square.get()).log10() } else { 0.0 };
     (f.uncovered_psnr, f.uncovered_psnr_made_up) = (decibels(reader.remembered), decibels(reader.made_up));
@@ -132,7 +138,6 @@ pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Resul
     (f.psnr, f.ssim, f.flicker, f.flicker_left_out) =
         (reader.psnr.get(), reader.ssim.get(), reader.flicker.get(), reader.flicker_left_out.get());
     (f.psnr_separate, f.ssim_separate, f.flicker_separate) = (other.psnr.get(), other.ssim.get(), other.flicker.get());
-    Ok(f)
 }
 
 /// Bytes of a frame's message.
