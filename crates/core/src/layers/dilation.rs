@@ -4,7 +4,7 @@ use crate::scene::Rect;
 use crate::simd::dispatch;
 
 /// A dilated mask, and what is needed to come to it.
-#[derive(Default)]
+#[derive(Clone, Debug, Default)]
 pub struct Dilation {
     line: Vec<u8>,
     column: Vec<u8>,

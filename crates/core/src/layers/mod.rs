@@ -3,6 +3,7 @@
 
 mod colour_rows;
 mod dilation;
+mod in_front;
 mod inpaint;
 mod memory;
 mod prune;
@@ -11,6 +12,7 @@ mod surface;
 mod texture;
 mod visibility;
 
+pub(crate) use dilation::{Dilation, dilate};
 pub(crate) use inpaint::CONTEXT;
 pub use inpaint::{Inpainter, Pyramid};
 pub use memory::Memory;

@@ -46,6 +46,11 @@ impl Surface {
         &self.delta[self.at(x, y)..][..count as usize]
     }
 
+    /// All pixels of its rows.
+    pub(crate) fn all(&self) -> &[f32] {
+        &self.delta
+    }
+
     /// Makes infinite what touches something nearer by more than `touch`: such a pixel's colour is mixed.
     pub(super) fn put_away_mixed(&mut self, touch: f64) {
         let width = self.width;

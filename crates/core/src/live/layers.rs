@@ -1,18 +1,19 @@
 //! Layers of a room's tiles, kept from frame to frame: what neither a tile nor a pixel near it changed stays as it was. Without a memory
 //! what comes out is what would come of tiles and frame alone, without those before: at once but for hidden colours, which
-//! follow within a few frames where nothing but the picture changed.
+//! follow within a few frames where nothing but the picture changed. With a memory labels also follow what moves, between frames for which any
+//! came.
 
+use super::motion::Motion;
 use crate::container::{Part, PhotoRows};
 use crate::layers::{CONTEXT, Surface};
-use crate::{Class, Geometry, Inpainter, Layer, LayerMasks, Memory, Photo, Pyramid, Rect, Texels, grown};
+use crate::{Class, Geometry, Inpainter, Layer, LayerMasks, Memory, Photo, Pyramid, Rect, Scene, Texels, grown};
 
 /// A hidden colour follows from pixels so far off, and these from the surface beside them.
 const AROUND: u32 = CONTEXT + 1;
 /// Of the tiles whose hidden colours alone are out of date, so many parts are made anew, one a frame: they show little, and cost the most.
 const TURNS: u32 = 4;
-/// Hidden texels so near to what their layer shows go on with its colours: what is remembered there is of before its edge moved, and would
-/// show as a hairline along it.
-const EDGE: usize = 2;
+/// Frames after one for which tiles came up to which labels follow what moves.
+const FOLLOWS: u32 = 3;
 
 /// Layers and texels of all tiles.
 #[derive(Default)]
@@ -27,6 +28,12 @@ pub struct Layers {
     pyramid: Pyramid,
     remembers: bool,
     memory: Option<Memory>,
+    /// The frame for which tiles came last, and how many came since.
+    told: (Vec<[u8; 3]>, u32),
+    /// Tiles whose labels have followed what moved.
+    moved: Vec<bool>,
+    /// All tiles with these labels, where there are such.
+    with_moved: Option<Geometry>,
 }
 
 /// Numbers of the tiles that are others than before, in order.
@@ -51,10 +58,38 @@ impl Layers {
         &self.photo
     }
 
+    /// What is remembered, where anything is.
+    #[must_use]
+    pub const fn memory(&self) -> Option<&Memory> {
+        self.memory.as_ref()
+    }
+
+    /// The tiles as they are shown, where labels of some have followed what moved; none where all are as they came.
+    #[must_use]
+    pub const fn with_moved(&self) -> Option<&Geometry> {
+        self.with_moved.as_ref()
+    }
+
     /// Layers of a tile, and their texels.
     #[must_use]
     pub fn tile(&self, index: u32) -> Option<&Part> {
         self.parts.get(index as usize)
+    }
+
+    /// All that is shown, of a room whose grid and camera are those of `geometry`; nothing before the first frame.
+    #[must_use]
+    pub fn scene(&self, geometry: &Geometry) -> Scene {
+        let (mut layers, mut texels) = (Vec::new(), Texels::default());
+        for part in &self.parts {
+            let (first_texel, first_hidden) = (texels.class.len(), texels.hidden.len());
+            let placed = |l: &Layer| Layer { first_texel: l.first_texel + first_texel, first_hidden: l.first_hidden + first_hidden, ..*l };
+            layers.extend(part.layers.iter().map(placed));
+            texels.class.extend_from_slice(&part.texels.class);
+            texels.alpha.extend_from_slice(&part.texels.alpha);
+            texels.hidden.extend_from_slice(&part.texels.hidden);
+        }
+        let photo = Photo { width: self.photo.width, height: self.photo.height, rgb: self.photo.rgb.clone() };
+        Scene { grid: geometry.grid, intrinsics: geometry.intrinsics, view_box: geometry.view_box, photo, layers, texels }
     }
 
     /// Takes the next frame, and the tiles, of which those are others for which `changed` is true. A frame that is not of the grid's size
@@ -65,23 +100,52 @@ impl Layers {
             return Changes::default();
         }
         let anew = (self.photo.width, self.photo.height, self.parts.len()) != (grid.width, grid.height, grid.tiles() as usize);
-        let changed: Vec<bool> = (0..grid.tiles()).map(|t| anew || changed(t)).collect();
+        let mut changed: Vec<bool> = (0..grid.tiles()).map(|t| anew || changed(t)).collect();
         let pixels: Vec<Option<Rect>> =
             (0..grid.tiles()).map(|t| if anew { Some(grid.rect(t)) } else { difference(&self.photo.rgb, &photo, grid.rect(t)) }).collect();
         let kept = self.surface.take().filter(|_| !changed.contains(&true));
         let surface = kept.unwrap_or_else(|| geometry.surface());
         if anew {
+            self.moved = vec![false; grid.tiles() as usize];
             self.parts = vec![Part::default(); grid.tiles() as usize];
             self.stale = vec![false; grid.tiles() as usize];
             self.memory = self.remembers.then(|| Memory::new(*grid));
         }
+        let with_moved = if self.remembers { self.move_labels(geometry, &surface, &mut changed, &photo.rgb) } else { None };
+        let of_moved = with_moved.as_ref().map(Geometry::surface);
+        let (geometry, shown) = (with_moved.as_ref().unwrap_or(geometry), of_moved.as_ref().unwrap_or(&surface));
         if let Some(memory) = &mut self.memory {
-            memory.take(&photo, surface.clone());
+            memory.take(&photo, shown.clone());
         }
         self.photo = PhotoRows { width: photo.width, height: photo.height, top: 0, rgb: photo.rgb };
-        let changes = self.follow(geometry, &surface, &changed, &pixels);
-        self.surface = Some(surface);
+        let changes = self.follow(geometry, shown, &changed, &pixels);
+        (self.surface, self.with_moved) = (Some(surface), with_moved);
         changes
+    }
+
+    /// The tiles with labels that have followed what moved since the frame for which any came, none where none have; adds those to `changed` that
+    /// have, or had in the frame before.
+    fn move_labels(&mut self, geometry: &Geometry, surface: &Surface, changed: &mut [bool], now: &[[u8; 3]]) -> Option<Geometry> {
+        let told = changed.contains(&true);
+        for (changed, moved) in changed.iter_mut().zip(&mut self.moved) {
+            *changed |= std::mem::take(moved);
+        }
+        if told {
+            self.told = (now.to_vec(), 0);
+            return None;
+        }
+        self.told.1 += 1;
+        if self.told.1 > FOLLOWS {
+            return None;
+        }
+        let motion = Motion::new(geometry, surface, &self.told.0, now);
+        let mut out = None;
+        for t in 0..geometry.grid.tiles() {
+            let Some(labels) = motion.labels(t) else { continue };
+            out.get_or_insert_with(|| geometry.clone()).tiles[t as usize].labels = labels;
+            (changed[t as usize], self.moved[t as usize]) = (true, true);
+        }
+        out
     }
 
     fn follow(&mut self, geometry: &Geometry, surface: &Surface, changed: &[bool], pixels: &[Option<Rect>]) -> Changes {
@@ -161,27 +225,9 @@ fn coloured(inpainter: &Inpainter, memory: Option<&Memory>, part: &Part, pyramid
         let class = &part.texels.class[l.first_texel..l.first_texel + l.rect.area()];
         let mut colours = inpainter.fill(l.tile, &l.plane, l.rect, class, pyramid);
         if let Some(memory) = memory {
-            let mut seen = colours.clone();
-            memory.recall_layer(l.tile, &l.plane, l.rect, class, &mut seen);
-            let (w, hidden) = (l.rect.w as usize, (0..).zip(class).filter(|(_, c)| **c == Class::Hidden as u8));
-            for (((i, _), colour), seen) in hidden.zip(&mut colours).zip(seen) {
-                if !is_beside_shown(class, w, i) {
-                    *colour = seen;
-                }
-            }
+            memory.recall_layer(l.tile, &l.plane, l.rect, class, &mut colours);
         }
         out.extend(colours);
     }
     out
-}
-
-/// Whether texel `i` of a layer `w` texels wide lies within [`EDGE`] of one that shows the picture.
-fn is_beside_shown(class: &[u8], w: usize, i: usize) -> bool {
-    let (x, y) = (i % w, i / w);
-    let columns = x.saturating_sub(EDGE)..(x + EDGE + 1).min(w);
-    class
-        .chunks(w)
-        .skip(y.saturating_sub(EDGE))
-        .take((y + EDGE + 1) - y.saturating_sub(EDGE))
-        .any(|row| row[columns.clone()].contains(&(Class::Photo as u8)))
 }

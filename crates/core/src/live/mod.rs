@@ -9,6 +9,7 @@ mod colour;
 mod fuzzing;
 mod layers;
 mod model;
+mod motion;
 pub mod prior;
 #[doc(hidden)]
 pub mod wire;

@@ -3,8 +3,8 @@
 use std::path::Path;
 use std::time::Instant;
 
+use tmpi_core::Photo;
 use tmpi_core::live::{Model, wire};
-use tmpi_core::{Memory, Photo};
 use tmpi_live::{Frame, Geometry as Driver, video};
 use tmpi_pipeline::clock::Clock;
 use tmpi_render::difference::psnr;
@@ -31,7 +31,7 @@ pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Resul
     let models = if settings.true_scale { truth.scaled(&settings.models) } else { settings.models.clone() };
     let mut carried = Driver::new(models.clone(), room(settings, sequence, settings.frame_ms, false));
     let mut separate = Driver::new(models, room(settings, sequence, 0.0, true));
-    let (mut reader, mut other) = (Reader::default(), Reader::default());
+    let (mut reader, mut other) = (Reader::remembering(), Reader::default());
     // the truth of the frame before
     let mut last: Option<Photo> = None;
     let mut seen = Seen::default();
@@ -67,6 +67,7 @@ pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Resul
         update.stages.iter().for_each(|s| add(&mut f.stages_ms, &s.name, (s.ms, s.cpu_ms)));
         add(&mut f.stages_ms, "chunks", (update.coding_ms, update.coding_ms));
         let message = wire::Geometry { frame: n.into(), chunks: update.chunks.clone() };
+        let mut came = Vec::new();
         add_bytes(&mut f, &mut sums.chunks, &message);
         if let Some(g) = carried.geometry() {
             sums.count(g, &update, last.as_ref().map(|l| (l, &shot.clean)));
@@ -76,18 +77,14 @@ pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Resul
             f.kept_off = f.kept_off.max(update.kept_off);
             let before = Instant::now();
             let model = reader.model.get_or_insert(Model::new(&Model::hello(g))?);
-            model.take(&message)?;
+            came = model.take(&message)?;
             f.read_ms += ms(before);
-            let memory = reader.memory.get_or_insert_with(|| Memory::new(g.grid));
-            if update.cut {
-                memory.forget();
-            }
         }
         let known = reader.model.as_ref().and_then(Model::geometry).cloned();
         if let Some(g) = &known {
             let before = Instant::now();
-            reader.see(g, &frame.photo);
-            f.memory_ms += ms(before);
+            reader.take(g, &came, &frame.photo);
+            sums.layers.push(ms(before));
         }
         if n % views <= 1 {
             if let Some(snapshot) = carried.snapshot(n.into())? {

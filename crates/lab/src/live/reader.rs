@@ -3,8 +3,8 @@
 use std::sync::Arc;
 use std::time::Instant;
 
-use tmpi_core::live::Model;
-use tmpi_core::{Camera, Class, Geometry, Inpainter, LayerMasks, Memory, Photo, Pose, Scene, TexturedLayer, compose};
+use tmpi_core::live::{Layers, Model};
+use tmpi_core::{Camera, Class, Geometry, Inpainter, LayerMasks, Photo, Pose, Scene, TexturedLayer, TileFrame, compose};
 use tmpi_render::difference::psnr;
 use tmpi_render::{Cpu, RenderError, Renderer};
 
@@ -15,6 +15,9 @@ use crate::scenes::Picture;
 /// Share of a view that is left out on each side, as in the paper.
 const CROP: f64 = 0.15;
 
+/// δ by which a layer lies behind what is shown.
+const APART: f64 = 0.05;
+
 /// Colours of the hidden texels of each layer of each tile.
 type Colours = Vec<Vec<Vec<[u8; 3]>>>;
 
@@ -22,8 +25,10 @@ type Colours = Vec<Vec<Vec<[u8; 3]>>>;
 #[derive(Default)]
 pub(super) struct Reader {
     pub model: Option<Model>,
-    /// What it has seen before, where it keeps that.
-    pub memory: Option<Memory>,
+    /// What it shows, as a page does; none: it makes every frame up anew.
+    pub layers: Option<Layers>,
+    /// Tiles whose layers are others than in the frame before.
+    other: Vec<u32>,
     renderer: Cpu,
     /// The tiles that were shown last, and the true view of them.
     last: Option<(Geometry, Photo)>,
@@ -87,10 +92,15 @@ pub(super) struct Moment<'a> {
 }
 
 impl Reader {
-    /// Looks at a frame that it does not show.
-    pub fn see(&mut self, geometry: &Geometry, photo: &Photo) {
-        if let Some(memory) = &mut self.memory {
-            memory.take(photo, geometry.surface());
+    /// One that shows what was seen before, as a page does.
+    pub fn remembering() -> Self {
+        Self { layers: Some(Layers::remembering()), ..Self::default() }
+    }
+
+    /// Takes a frame, and the numbers of the tiles that came with it.
+    pub fn take(&mut self, geometry: &Geometry, changed: &[u32], photo: &Photo) {
+        if let Some(layers) = &mut self.layers {
+            self.other = layers.update(geometry, |t| changed.contains(&t), photo.clone()).layers;
         }
     }
 
@@ -99,6 +109,8 @@ impl Reader {
     /// # Errors
     /// As the renderer gives them.
     pub fn show(&mut self, m: Moment) -> Result<Photo, RenderError> {
+        let shown = self.layers.as_ref().and_then(Layers::with_moved).cloned();
+        let m = Moment { geometry: shown.as_ref().unwrap_or(m.geometry), ..m };
         let g = m.geometry;
         let before = Instant::now();
         let shapes = g.masks();
@@ -107,14 +119,17 @@ impl Reader {
         let colours = Inpainter::new(m.photo, g).fill_all(&shapes);
         self.fill.add(ms(before));
         let mut compared = None;
-        if m.settled && self.memory.is_some() {
+        if m.settled && self.layers.is_some() {
             let made_up = self.draw(m, &composed(m, g, shapes.clone(), colours.clone()), m.beside)?;
             add_squares(&mut self.made_up, &made_up, m.shot, &m.shot.uncovered);
             add_squares(&mut self.seen_made_up, &made_up, m.shot, m.seen_before);
             let truth = m.plate.map(|plate| self.truth_by_own_depth(m, plate, &shapes, &colours)).transpose()?;
             compared = truth.map(|truth| (made_up, truth));
         }
-        let scene = self.scene(m, g, shapes, colours);
+        let scene = match &self.layers {
+            Some(layers) => Arc::new(layers.scene(g)),
+            None => composed(m, g, shapes, colours),
+        };
         let view = self.draw(m, &scene, m.beside)?;
         let own = self.draw(m, &scene, Pose::default())?;
         self.off += own.rgb.iter().zip(&m.photo.rgb).filter(|(a, b)| a != b).count() as u64;
@@ -133,7 +148,7 @@ impl Reader {
 
     /// The scene of a frame with some tiles, hidden texels as far as they were seen before.
     fn scene(&self, m: Moment, g: &Geometry, shapes: Vec<LayerMasks>, mut colours: Colours) -> Arc<Scene> {
-        if let Some(memory) = &self.memory {
+        if let Some(memory) = self.layers.as_ref().and_then(Layers::memory) {
             memory.recall(0, &shapes, &mut colours);
         }
         composed(m, g, shapes, colours)
@@ -147,14 +162,22 @@ impl Reader {
         shapes: &[LayerMasks],
         colours: &Colours,
     ) -> Result<(Photo, Vec<bool>), RenderError> {
+        let grid = m.geometry.grid;
+        let shown: Vec<Vec<f32>> = (0..).zip(&m.geometry.tiles).map(|(t, tile)| tile.shown(&grid, t)).collect();
         let painted = |paint: &dyn Fn(usize) -> [u8; 3]| {
             let mut colours = colours.clone();
-            for (layer, colours) in shapes.iter().zip(&mut colours).flat_map(|(s, c)| s.layers.iter().zip(c)) {
+            let layers = (0u32..).zip(shapes.iter().zip(&mut colours)).flat_map(|(t, (s, c))| s.layers.iter().zip(c).map(move |(l, c)| (t, l, c)));
+            for (tile, layer, colours) in layers {
+                let (all, place) = (grid.rect(tile), TileFrame::of(&grid, tile));
                 let hidden = (0u32..).zip(&layer.class).filter(|(_, c)| **c == Class::Hidden as u8).map(|(i, _)| i);
                 for (i, colour) in hidden.zip(colours) {
                     let r = layer.rect;
-                    let at = ((r.y + i / r.w) * m.photo.width + r.x + i % r.w) as usize;
-                    if m.shot.delta.delta[at] - plate.disparity.delta[at] > BEHIND {
+                    let (x, y) = (r.x + i % r.w, r.y + i / r.w);
+                    let at = (y * m.photo.width + x) as usize;
+                    let shown = shown[tile as usize][((y - all.y) * all.w + x - all.x) as usize];
+                    // of the thing itself there may be several planes, one behind the other
+                    let is_behind = f64::from(shown - place.disparity(&layer.plane, x, y)) > APART;
+                    if is_behind && m.shot.delta.delta[at] - plate.disparity.delta[at] > BEHIND {
                         *colour = paint(at);
                     }
                 }
@@ -180,11 +203,14 @@ impl Reader {
         self.ssim.add(ssim.iter().map(|v| f64::from(*v)).sum::<f64>() / ssim.len().max(1) as f64);
         let Some((last, truth)) = self.last.take().filter(|_| m.follows) else { return Ok(()) };
         // this frame with the last one's tiles: what differs then is not the video's noise
-        let shapes = last.masks();
-        let colours = Inpainter::new(m.photo, &last).fill_all(&shapes);
-        let last = self.draw(m, &self.scene(m, &last, shapes, colours), m.beside)?;
-        // where nothing that was sent is near: tiles and what parallax brings to them
-        let calm = calm(m.geometry, m.sent);
+        let drawn = |g: &Geometry| {
+            let shapes = g.masks();
+            let colours = Inpainter::new(m.photo, g).fill_all(&shapes);
+            self.draw(m, &self.scene(m, g, shapes, colours), m.beside)
+        };
+        let (view, last) = (drawn(m.geometry)?, drawn(&last)?);
+        // where nothing is near that was sent, or followed what moved: tiles and what parallax brings to them
+        let calm = calm(m.geometry, m.sent.iter().chain(&self.other));
         let (mut all, mut left) = (Mean::default(), Mean::default());
         let pixels = view.rgb.iter().zip(&last.rgb).zip(shot.beside.rgb.iter().zip(&truth.rgb)).zip(&calm);
         for (((now, was), (true_now, true_was)), calm) in pixels {
@@ -226,10 +252,10 @@ fn add_squares_of(mean: &mut Mean, view: &Photo, truth: &Photo, counted: &[bool]
     }
 }
 
-/// Pixels that no tile that was sent, nor one beside it, has.
-fn calm(g: &Geometry, sent: &[u32]) -> Vec<bool> {
+/// Pixels that none of some tiles, nor one beside them, has.
+fn calm<'a>(g: &Geometry, tiles: impl Iterator<Item = &'a u32>) -> Vec<bool> {
     let mut calm = vec![true; g.grid.width as usize * g.grid.height as usize];
-    for t in sent {
+    for t in tiles {
         let r = tmpi_core::grown(g.grid.rect(*t), g.grid.size, g.grid.size, &g.grid);
         for y in r.y..r.y + r.h {
             let row = y as usize * g.grid.width as usize + r.x as usize;

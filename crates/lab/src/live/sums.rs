@@ -25,6 +25,8 @@ pub(super) struct Sums {
     jpeg: [Mean; 3],
     /// What each frame took on the server, in milliseconds.
     pub clocks: Vec<f64>,
+    /// What each took a reader.
+    pub layers: Vec<f64>,
 }
 
 impl Sums {
@@ -52,6 +54,9 @@ impl Sums {
         self.clocks.sort_by(f64::total_cmp);
         f.server_ms_most = self.clocks.last().copied().unwrap_or_default();
         f.server_ms_p95 = self.clocks.get(self.clocks.len() * 95 / 100).copied().unwrap_or_default();
+        self.layers.sort_by(f64::total_cmp);
+        f.layers_ms = self.layers.iter().sum::<f64>() / self.layers.len().max(1) as f64;
+        f.layers_ms_p95 = self.layers.get(self.layers.len() * 95 / 100).copied().unwrap_or_default();
         let frames = f64::from(frames.max(1));
         for sum in [
             &mut f.video_bytes,
@@ -62,7 +67,6 @@ impl Sums {
             &mut f.server_ms,
             &mut f.server_cpu_ms,
             &mut f.read_ms,
-            &mut f.memory_ms,
         ] {
             *sum /= frames;
         }

@@ -1,0 +1,179 @@
+//! Labels that follow what moves, in the frames for which none came.
+//!
+//! A room sends tiles every second frame or so; in those between, a thing would have left its labels behind, and a view from beside would show its
+//! foremost edge at the depth of what lies behind it, torn off the rest. A reader looks for where the thing went, and moves its labels along.
+//! Nothing is sent for it, and nothing stays of it: labels that come are shown as they are.
+
+use crate::layers::{Dilation, Surface, dilate};
+use crate::{Geometry, Rect, TileFrame, grown};
+
+/// Pixels that a thing is looked for at, to each side.
+const REACH: i32 = 12;
+/// Levels, summed over the channels, by which a pixel is another; more than the noise of video.
+const OTHER: u32 = 30;
+/// Such a difference counts for no more than this: what is covered or comes in sight has no counterpart.
+const MOST: u32 = 120;
+/// δ by which one thing lies in front of another.
+const APART: f32 = 0.05;
+/// Pixels of a thing that say where it went, at most.
+const VOTERS: usize = 300;
+/// So many of them for all ways that it may have gone.
+const FIRST_VOTERS: usize = 60;
+/// Changed pixels of a thing below which it is left where it is.
+const LEAST: usize = 12;
+/// Share of what is left of the difference, by moving, from which on it did not move so.
+const BETTER: f64 = 0.7;
+
+/// Two frames, of which the tiles are as of the first.
+pub struct Motion<'a> {
+    geometry: &'a Geometry,
+    /// Of the visible surface, all pixels.
+    delta: &'a [f32],
+    was: &'a [[u8; 3]],
+    now: &'a [[u8; 3]],
+    /// 1 where a pixel is another, else 0.
+    changed: Vec<u8>,
+    /// The same of it and those that touch it.
+    near_change: Dilation,
+}
+
+impl<'a> Motion<'a> {
+    /// Both frames are of the geometry's size, and so is its visible `surface`.
+    pub fn new(geometry: &'a Geometry, surface: &'a Surface, was: &'a [[u8; 3]], now: &'a [[u8; 3]]) -> Self {
+        let changed: Vec<u8> = was.iter().zip(now).map(|(a, b)| u8::from(apart(*a, *b) > OTHER)).collect();
+        let (width, height) = (geometry.grid.width, geometry.grid.height);
+        let mut near_change = Dilation::default();
+        dilate(&changed, width, Rect { x: 0, y: 0, w: width, h: height }, (1, 1), &mut near_change);
+        Self { geometry, delta: surface.all(), was, now, changed, near_change }
+    }
+
+    /// Labels of a tile in the second frame; none where they are as before.
+    pub fn labels(&self, index: u32) -> Option<Vec<u8>> {
+        let (grid, tile) = (&self.geometry.grid, self.geometry.tiles.get(index as usize)?);
+        if tile.planes.len() < 2 {
+            return None;
+        }
+        let rect = grid.rect(index);
+        let (dx, dy) = self.way_in(grown(rect, REACH as u32, REACH as u32, grid))?;
+        let place = TileFrame::of(grid, index);
+        let mut labels = tile.labels.clone();
+        let pixels = (rect.y..rect.y + rect.h).flat_map(|y| (rect.x..rect.x + rect.w).map(move |x| (x, y)));
+        for ((x, y), label) in pixels.zip(&mut labels) {
+            let here = (y * grid.width + x) as usize;
+            if self.near_change.out[here] == 0 {
+                continue;
+            }
+            let Some(from) = self.at(x as i32 - dx, y as i32 - dy) else { continue };
+            let (shown, comes) = (self.delta[here], self.delta[from]);
+            if (comes - shown).abs() <= APART {
+                continue;
+            }
+            let off = |l: usize| (place.disparity(&tile.planes[l], x, y) - comes).abs();
+            let best = (0..tile.planes.len()).min_by(|a, b| off(*a).total_cmp(&off(*b))).unwrap_or_default();
+            if off(best) < 0.5 * (comes - shown).abs() {
+                *label = best as u8;
+            }
+        }
+        (labels != tile.labels).then_some(labels)
+    }
+
+    /// Place of a pixel in the frames; none beside them.
+    fn at(&self, x: i32, y: i32) -> Option<usize> {
+        let (w, h) = (self.geometry.grid.width as i32, self.geometry.grid.height as i32);
+        ((0..w).contains(&x) && (0..h).contains(&y)).then_some((y * w + x) as usize)
+    }
+
+    /// Pixels to the right and down by which the nearer things of a part of the frame have moved; none where they did not, or were not found.
+    fn way_in(&self, part: Rect) -> Option<(i32, i32)> {
+        let width = self.geometry.grid.width;
+        let mut changed = Vec::new();
+        for y in part.y..part.y + part.h {
+            let from = (y * width + part.x) as usize;
+            let row = (part.x..).zip(&self.changed[from..from + part.w as usize]).filter(|(_, c)| **c != 0);
+            changed.extend(row.map(|(x, _)| (x as i32, y as i32, self.delta[(y * width + x) as usize])));
+        }
+        let far = changed.iter().map(|p| p.2).fold(f32::INFINITY, f32::min);
+        changed.retain(|p| p.2 > far + APART);
+        if changed.len() < LEAST {
+            return None;
+        }
+        let some = |most: usize| changed.iter().step_by(changed.len().div_ceil(most)).copied().collect::<Vec<_>>();
+        let cost = |voters: &[(i32, i32, f32)], (dx, dy): (i32, i32)| -> u32 {
+            let left = |&(x, y, _): &(i32, i32, f32)| {
+                let to = self.at(x + dx, y + dy);
+                to.map_or(MOST, |to| apart(self.was[y as usize * width as usize + x as usize], self.now[to]).min(MOST))
+            };
+            // of two that are alike the shorter way
+            voters.iter().map(left).sum::<u32>() + (dx * dx + dy * dy) as u32
+        };
+        let square = |(x, y): (i32, i32), reach: i32, step: usize| {
+            let side = move || (-reach..=reach).step_by(step);
+            side().flat_map(move |dy| side().map(move |dx| (x + dx, y + dy)))
+        };
+        let least = |voters: &[(i32, i32, f32)], ways: &mut dyn Iterator<Item = (i32, i32)>| ways.min_by_key(|d| cost(voters, *d)).unwrap_or_default();
+        let about = least(&some(FIRST_VOTERS), &mut square((0, 0), REACH, 2).chain(square((0, 0), 3, 1)));
+        let voters = some(VOTERS);
+        let way = least(&voters, &mut square(about, 1, 1));
+        (way != (0, 0) && f64::from(cost(&voters, way)) < BETTER * f64::from(cost(&voters, (0, 0)))).then_some(way)
+    }
+}
+
+/// Difference of two colours in levels, summed over the channels.
+fn apart(a: [u8; 3], b: [u8; 3]) -> u32 {
+    a.iter().zip(b).map(|(a, b)| u32::from(a.abs_diff(b))).sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Grid, Intrinsics, Plane, Tile, ViewBox};
+
+    const W: u32 = 96;
+    const H: u32 = 64;
+
+    /// A wall, and before it a thing of 24 × 30 pixels whose corner is at `(x, y)`; labels as of there.
+    fn frame(x: u32, y: u32) -> (Geometry, Vec<[u8; 3]>) {
+        let inside = |i: u32| (x..x + 24).contains(&(i % W)) && (y..y + 30).contains(&(i / W));
+        let wave = |a: u32, b: u32| (127.0 + 100.0 * (f64::from(a) / 3.0).sin() * (f64::from(b) / 4.0).cos()) as u8;
+        let rgb = (0..W * H).map(|i| if inside(i) { [200, wave(i % W - x, i / W - y), 40] } else { [20, 40, wave(i % W, i / W) / 2] }).collect();
+        let grid = Grid::new(W, H, 64);
+        let planes = vec![Plane::fronto_parallel(0.2), Plane::fronto_parallel(0.7)];
+        let of = |t: u32| {
+            let r = grid.rect(t);
+            let labels = (0..r.area() as u32).map(|i| inside((r.y + i / r.w) * W + r.x + i % r.w).into()).collect();
+            Tile { planes: planes.clone(), labels, background: None }
+        };
+        let tiles = (0..grid.tiles()).map(of).collect();
+        (Geometry { grid, intrinsics: Intrinsics::centred(W, H, 50.0), view_box: ViewBox::default(), tiles }, rgb)
+    }
+
+    #[test]
+    fn labels_go_where_the_thing_went() {
+        // up to the border of two tiles
+        let (geometry, was) = frame(40, 16);
+        let surface = geometry.surface();
+        for (x, y) in [(45, 16), (36, 19), (48, 8), (40, 27)] {
+            let (other, now) = frame(x, y);
+            let motion = Motion::new(&geometry, &surface, &was, &now);
+            for (t, (tile, other)) in (0..).zip(geometry.tiles.iter().zip(&other.tiles)) {
+                let off = motion.labels(t).as_ref().unwrap_or(&tile.labels).iter().zip(&other.labels).filter(|(a, b)| a != b).count();
+                assert_eq!(off, 0, "pixels of tile {t}, to {x}, {y}");
+            }
+        }
+    }
+
+    #[test]
+    fn labels_stay_where_nothing_moved_or_nothing_is_found() {
+        let (geometry, was) = frame(30, 16);
+        let surface = geometry.surface();
+        let of = |now: &[[u8; 3]]| {
+            let motion = Motion::new(&geometry, &surface, &was, now);
+            (0..geometry.grid.tiles()).filter_map(|t| motion.labels(t)).count()
+        };
+        assert_eq!(of(&was), 0);
+        // noise, the light, and another picture
+        assert_eq!(of(&was.iter().enumerate().map(|(i, p)| p.map(|v| v.saturating_add((i * 7 % 8) as u8))).collect::<Vec<_>>()), 0);
+        assert_eq!(of(&was.iter().map(|p| p.map(|v| v / 2)).collect::<Vec<_>>()), 0);
+        assert_eq!(of(&(0..was.len()).map(|i| [(i * 31 % 251) as u8, (i * 17 % 241) as u8, (i * 13 % 239) as u8]).collect::<Vec<_>>()), 0);
+    }
+}
