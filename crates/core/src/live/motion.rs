@@ -110,7 +110,9 @@ impl<'a> Motion<'a> {
             let side = move || (-reach..=reach).step_by(step);
             side().flat_map(move |dy| side().map(move |dx| (x + dx, y + dy)))
         };
-        let least = |voters: &[(i32, i32, f32)], ways: &mut dyn Iterator<Item = (i32, i32)>| ways.min_by_key(|d| cost(voters, *d)).unwrap_or_default();
+        let least = |voters: &[(i32, i32, f32)], ways: &mut dyn Iterator<Item = (i32, i32)>| {
+            ways.min_by_key(|d| cost(voters, *d)).unwrap_or_default()
+        };
         let about = least(&some(FIRST_VOTERS), &mut square((0, 0), REACH, 2).chain(square((0, 0), 3, 1)));
         let voters = some(VOTERS);
         let way = least(&voters, &mut square(about, 1, 1));
@@ -135,7 +137,8 @@ mod tests {
     fn frame(x: u32, y: u32) -> (Geometry, Vec<[u8; 3]>) {
         let inside = |i: u32| (x..x + 24).contains(&(i % W)) && (y..y + 30).contains(&(i / W));
         let wave = |a: u32, b: u32| (127.0 + 100.0 * (f64::from(a) / 3.0).sin() * (f64::from(b) / 4.0).cos()) as u8;
-        let rgb = (0..W * H).map(|i| if inside(i) { [200, wave(i % W - x, i / W - y), 40] } else { [20, 40, wave(i % W, i / W) / 2] }).collect();
+        let rgb =
+            (0..W * H).map(|i| if inside(i) { [200, wave(i % W - x, i / W - y), 40] } else { [20, 40, wave(i % W, i / W) / 2] }).collect();
         let grid = Grid::new(W, H, 64);
         let planes = vec![Plane::fronto_parallel(0.2), Plane::fronto_parallel(0.7)];
         let of = |t: u32| {
