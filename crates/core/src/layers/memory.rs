@@ -3,7 +3,7 @@
 //! A reader of a room keeps it, and shows it in place of the colours that [`super::Inpainter`] makes up. Nothing is sent for it: who came
 //! later has seen less and makes up more. What a texel is, and where, does not depend on it; its colour alone does.
 
-use super::in_front::{InFront, Shown};
+use super::in_front::InFront;
 use super::{LayerMasks, Surface, TileFrame};
 use crate::scene::{Class, Grid, Photo, Plane, Rect};
 
@@ -95,12 +95,9 @@ impl Memory {
                 }
             }
         }
-        let pixels = self.last.iter().zip(self.rgb.iter().zip(&self.delta)).map(|(last, (colour, known))| Shown {
-            nearer: last.shown > known + APART,
-            other: last.shown <= known + APART && apart(last.rgb, *colour) > OTHER,
-            mixed: last.delta.is_infinite(),
-        });
-        self.in_front.look(self.grid.width, pixels);
+        let pixels = self.last.iter().zip(self.rgb.iter().zip(&self.delta));
+        self.in_front
+            .look(self.grid.width, pixels.map(|(last, (colour, known))| last.delta <= known + APART && apart(last.rgb, *colour) > OTHER));
     }
 
     /// Whether much of what is in sight as it was before looks otherwise.

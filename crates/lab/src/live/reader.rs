@@ -166,7 +166,8 @@ impl Reader {
         let shown: Vec<Vec<f32>> = (0..).zip(&m.geometry.tiles).map(|(t, tile)| tile.shown(&grid, t)).collect();
         let painted = |paint: &dyn Fn(usize) -> [u8; 3]| {
             let mut colours = colours.clone();
-            let layers = (0u32..).zip(shapes.iter().zip(&mut colours)).flat_map(|(t, (s, c))| s.layers.iter().zip(c).map(move |(l, c)| (t, l, c)));
+            let layers =
+                (0u32..).zip(shapes.iter().zip(&mut colours)).flat_map(|(t, (s, c))| s.layers.iter().zip(c).map(move |(l, c)| (t, l, c)));
             for (tile, layer, colours) in layers {
                 let (all, place) = (grid.rect(tile), TileFrame::of(&grid, tile));
                 let hidden = (0u32..).zip(&layer.class).filter(|(_, c)| **c == Class::Hidden as u8).map(|(i, _)| i);
