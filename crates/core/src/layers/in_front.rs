@@ -42,7 +42,9 @@ impl InFront {
         // opened, that seams go: what looks as it did grows over them
         mask.extend(others.map(|other| u8::from(!other)));
         grow(mask, THIN);
-        mask.iter_mut().for_each(|v| *v = 1 - *v);
+        for open in mask.iter_mut() {
+            *open = 1 - *open;
+        }
         grow(mask, THIN + GAP);
     }
 }
