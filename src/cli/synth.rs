@@ -11,7 +11,7 @@ use serde_json::json;
 
 use super::note;
 use tmpi_core::{Camera, Photo, Pose};
-use tmpi_lab::scenes::{Picture, Pictures, Scene};
+use tmpi_lab::scenes::{Assets, Model, Models, Picture, Pictures, Scene, Up};
 
 /// Render scenes with exact disparity, exact second views and the exact hidden surface
 #[derive(Clone, Debug, clap::Args)]
@@ -46,9 +46,25 @@ pub struct SynthArgs {
     /// Cut about half of all textures from the photos (PNG, JPEG, WebP) in this folder, in the order of their names
     #[arg(long, value_name = "DIR")]
     pub pictures: Option<PathBuf>,
+    /// Replace things by the textured models (binary glTF, in metres) in this folder, where one is of their size, and set some scenes within those
+    /// that are furnished
+    #[arg(long, value_name = "DIR")]
+    pub models: Option<PathBuf>,
+    /// Which axis of the models points up
+    #[arg(long, default_value = "y", value_name = "AXIS", requires = "models")]
+    pub models_up: UpAxis,
     /// Leave out scenes whose folder is complete
     #[arg(long)]
     pub resume: bool,
+}
+
+/// An axis that points up.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum UpAxis {
+    /// As glTF has it
+    Y,
+    /// As many exporters leave it
+    Z,
 }
 
 /// Most pixels in a scene's picture.
@@ -90,6 +106,9 @@ fn varied_size(seed: u64) -> (u32, u32) {
 pub fn run(args: &SynthArgs) -> anyhow::Result<()> {
     let start = Instant::now();
     let pictures = args.pictures.as_deref().map(read_pictures).transpose()?.unwrap_or_default();
+    let up = if args.models_up == UpAxis::Z { Up::Z } else { Up::Y };
+    let models = args.models.as_deref().map(|folder| read_models(folder, up)).transpose()?.unwrap_or_default();
+    let assets = Assets { pictures, models };
     let families = (0..u64::from(args.count))
         .into_par_iter()
         .map(|i| {
@@ -98,7 +117,7 @@ pub fn run(args: &SynthArgs) -> anyhow::Result<()> {
             if args.resume && folder.join("scene.json").exists() {
                 return Ok(());
             }
-            write_scene(args, &pictures, seed, &folder).with_context(|| format!("writing {}", folder.display()))
+            write_scene(args, &assets, seed, &folder).with_context(|| format!("writing {}", folder.display()))
         })
         .collect::<anyhow::Result<Vec<()>>>()?;
     let s = start.elapsed().as_secs_f64();
@@ -106,13 +125,31 @@ pub fn run(args: &SynthArgs) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// All photos of a folder, sorted by name; other files are passed over.
-fn read_pictures(folder: &Path) -> anyhow::Result<Pictures> {
+/// What is in a folder, sorted by name.
+fn files_of(folder: &Path) -> anyhow::Result<Vec<PathBuf>> {
     let listing = std::fs::read_dir(folder).with_context(|| format!("reading {}", folder.display()))?;
     let mut files = listing.map(|e| Ok(e?.path())).collect::<anyhow::Result<Vec<_>>>()?;
     files.sort();
+    Ok(files)
+}
+
+/// All models of a folder, sorted by name; those that cannot be read are named and left out.
+fn read_models(folder: &Path, up: Up) -> anyhow::Result<Models> {
+    let mut models = Vec::new();
+    for f in files_of(folder)?.iter().filter(|f| f.extension().is_some_and(|e| e.eq_ignore_ascii_case("glb"))) {
+        match Model::read(&std::fs::read(f).with_context(|| format!("reading {}", f.display()))?, up) {
+            Ok(model) => models.push(model),
+            Err(e) => note(&format!("left out {}: {e}", f.display())),
+        }
+    }
+    anyhow::ensure!(!models.is_empty(), "{} holds no model: a .glb file that can be read", folder.display());
+    Ok(Models::new(models))
+}
+
+/// All photos of a folder, sorted by name; other files are passed over.
+fn read_pictures(folder: &Path) -> anyhow::Result<Pictures> {
     let mut photos = Vec::new();
-    for f in files {
+    for f in files_of(folder)? {
         if let Ok(p) = image::open(&f) {
             let p = p.to_rgb8();
             photos.push(Photo { width: p.width(), height: p.height(), rgb: p.pixels().map(|p| p.0).collect() });
@@ -122,10 +159,10 @@ fn read_pictures(folder: &Path) -> anyhow::Result<Pictures> {
     Ok(Pictures::new(&photos))
 }
 
-fn write_scene(args: &SynthArgs, pictures: &Pictures, seed: u64, folder: &Path) -> anyhow::Result<()> {
+fn write_scene(args: &SynthArgs, assets: &Assets, seed: u64, folder: &Path) -> anyhow::Result<()> {
     std::fs::create_dir_all(folder)?;
     let (width, height) = args.size.unwrap_or_else(|| varied_size(seed));
-    let scene = Scene::textured(seed, width, height, pictures);
+    let scene = Scene::of(seed, width, height, assets);
     let camera = scene.camera();
     let picture = scene.render(&camera, args.supersampling);
     write_picture(folder, "", &picture)?;
@@ -222,6 +259,8 @@ mod tests {
             layers: true,
             supersampling: 1,
             pictures: None,
+            models: None,
+            models_up: UpAxis::Y,
             resume: false,
         };
         run(&args)?;

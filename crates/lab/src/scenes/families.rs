@@ -3,7 +3,7 @@
 use super::math::{Frame, Rng, V3};
 use super::things::Build;
 use super::world::World;
-use super::{close, indoor, outdoor, places};
+use super::{close, indoor, inside, outdoor, places};
 use tmpi_core::Pose;
 
 type Make = fn(&mut Build);
@@ -47,9 +47,15 @@ pub(super) fn compose(rng: &Rng) -> (&'static str, World) {
     }
     let mut w = World::new(rng);
     w.fov = rng.range(30.0, 85.0) + if rng.chance(0.15) { 15.0 } else { 0.0 };
-    chosen.2(&mut Build { w: &mut w, rng });
+    let mut build = Build { w: &mut w, rng };
+    let name = if inside::inside(&mut build) {
+        inside::NAME
+    } else {
+        chosen.2(&mut build);
+        chosen.0
+    };
     w.finish();
-    (chosen.0, w)
+    (name, w)
 }
 
 /// Places the reference camera; angles in degrees as in [`Pose`].

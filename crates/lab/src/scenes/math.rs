@@ -3,7 +3,9 @@
 use std::cell::Cell;
 use std::ops::{Add, Mul, Neg, Sub};
 
-use super::picture::{Patch, Pictures};
+use super::Assets;
+use super::model::Models;
+use super::picture::Patch;
 use tmpi_core::Mat3;
 
 /// A vector, a point or a linear RGB colour.
@@ -138,29 +140,33 @@ impl Frame {
 }
 
 /// `SplitMix64`: small, and the same on every machine. A cell inside, so that draws may nest in the arguments of a call.
-/// Carries the pictures that textures may be cut from, because every draw of a texture needs both.
+/// Carries what a scene may be made of, because every draw of a texture or a thing needs both.
 #[derive(Debug)]
 pub(super) struct Rng {
     state: Cell<u64>,
-    pictures: Pictures,
+    assets: Assets,
 }
 
 impl Rng {
     #[cfg(test)]
     pub fn new(seed: u64) -> Self {
-        Self::with(seed, &Pictures::default())
+        Self::with(seed, &Assets::default())
     }
 
-    pub fn with(seed: u64, pictures: &Pictures) -> Self {
-        let r = Self { state: Cell::new(seed ^ 0x5851_f42d_4c95_7f2d), pictures: pictures.clone() };
+    pub fn with(seed: u64, assets: &Assets) -> Self {
+        let r = Self { state: Cell::new(seed ^ 0x5851_f42d_4c95_7f2d), assets: assets.clone() };
         r.next();
         r
     }
 
     /// A piece of a picture, where there are pictures.
     pub fn patch(&self) -> Option<Patch> {
-        let of = &self.pictures.0;
+        let of = &self.assets.pictures.0;
         (!of.is_empty()).then(|| Patch::cut(&of[(self.next() % of.len() as u64) as usize], self))
+    }
+
+    pub const fn models(&self) -> &Models {
+        &self.assets.models
     }
 
     pub fn next(&self) -> u64 {

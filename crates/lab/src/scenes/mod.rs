@@ -8,7 +8,9 @@ mod bvh;
 mod close;
 mod families;
 mod indoor;
+mod inside;
 mod math;
+mod model;
 mod outdoor;
 mod outline;
 mod picture;
@@ -25,10 +27,20 @@ use tmpi_core::{Camera, DisparityMap, Intrinsics, Photo, Pose};
 use world::{Hit, World};
 
 pub use families::FAMILY_COUNT;
+pub use model::{FARTHEST, MAX_TEXELS, MAX_TRIANGLES, Model, ModelError, Models, Up};
 pub use picture::Pictures;
 
 /// Nothing nearer than this many metres is seen; families keep things farther away.
 const NEAR: f64 = 1e-4;
+
+/// What scenes may be made of beside what is drawn for them; nothing by default.
+#[derive(Clone, Debug, Default)]
+pub struct Assets {
+    /// About half of all textures are cut from these.
+    pub pictures: Pictures,
+    /// About half of the things that one of these is as large as are replaced by it, and now and then one is what the camera stands in.
+    pub models: Models,
+}
 
 /// A rendered scene.
 ///
@@ -79,16 +91,16 @@ impl Scene {
     /// least 1) has disparity 1.
     #[must_use]
     pub fn framed(seed: u64, width: u32, height: u32) -> Self {
-        Self::textured(seed, width, height, &Pictures::default())
+        Self::of(seed, width, height, &Assets::default())
     }
 
-    /// Like [`Self::framed`], with about half of all textures cut from pictures.
+    /// Like [`Self::framed`], made of pictures and models.
     #[must_use]
-    pub fn textured(seed: u64, width: u32, height: u32, pictures: &Pictures) -> Self {
+    pub fn of(seed: u64, width: u32, height: u32, assets: &Assets) -> Self {
         let size = (width.max(1), height.max(1));
         let mut last = None;
         for attempt in 0..24u64 {
-            let rng = Rng::with(seed.wrapping_mul(64).wrapping_add(attempt), pictures);
+            let rng = Rng::with(seed.wrapping_mul(64).wrapping_add(attempt), assets);
             let (family, world) = families::compose(&rng);
             let mut scene = Self { seed, family, world, unit: 1.0, size };
             let good = scene.expose(&rng);
@@ -100,7 +112,7 @@ impl Scene {
         }
         // never seen in practice: every attempt was an empty or a flat picture
         let mut scene =
-            last.unwrap_or_else(|| Self { seed, family: "empty", world: World::new(&Rng::with(seed, pictures)), unit: 1.0, size });
+            last.unwrap_or_else(|| Self { seed, family: "empty", world: World::new(&Rng::with(seed, assets)), unit: 1.0, size });
         scene.unit = scene.nearest();
         scene
     }
@@ -112,7 +124,7 @@ impl Scene {
     }
 
     /// The kind of scene: `room`, `corridor`, `lounge`, `kitchen`, `street`, `field`, `water`, `terrain`, `crowd`, `thin`, `foliage`, `shelf`, `heap`,
-    /// `table`, `closeup`, `drape`, `figures` or `floating`.
+    /// `table`, `closeup`, `drape`, `figures` or `floating`; with models also `inside`.
     #[must_use]
     pub fn family(&self) -> &'static str {
         self.family

@@ -89,6 +89,11 @@ pub(super) fn street(b: &mut Build) {
                 z += 6.0;
                 continue;
             }
+            let house = v3(side * (half + walk + 8.0 + deep), 0.0, z + long * 0.5);
+            if b.stand_in(house, long.max(tall), 0.0) {
+                z += long + 4.0;
+                continue;
+            }
             let pattern =
                 b.rng.pick(&[Pattern::Windows, Pattern::Windows, Pattern::Windows, Pattern::Bricks, Pattern::Noise, Pattern::Print]);
             let t = Texture::new(b.rng, pattern, b.rng.range(1.8, 3.8));

@@ -27,7 +27,7 @@ impl Pictures {
 }
 
 impl Levels {
-    fn new(photo: &Photo) -> Self {
+    pub(super) fn new(photo: &Photo) -> Self {
         let linear = |p: &[u8; 3]| p.map(|v| (f32::from(v) / 255.0).powf(2.2));
         let mut levels = vec![(photo.width as usize, photo.height as usize, photo.rgb.iter().map(linear).collect::<Vec<_>>())];
         while let Some((w, h, texels)) = levels.last().filter(|l| l.0 >= 4 && l.1 >= 4) {
@@ -40,6 +40,22 @@ impl Levels {
             levels.push(next);
         }
         Self { levels }
+    }
+
+    /// Linear colour at `(u, v)`, where the picture spans 1 and repeats itself; `width` is what one pixel covers.
+    pub(super) fn repeated(&self, u: f64, v: f64, width: f64) -> V3 {
+        let side = self.levels[0].0.max(self.levels[0].1) as f64;
+        let (w, h, texels) = &self.levels[((width * side).max(1.0).log2() as usize).min(self.levels.len() - 1)];
+        let place = |t: f64, n: usize| t.rem_euclid(1.0) * n as f64 - 0.5;
+        let (x, y) = (place(u, *w), place(v, *h));
+        let (s, t) = ((x - x.floor()) as f32, (y - y.floor()) as f32);
+        let around = |x: f64, n: usize| (x.floor().rem_euclid(n as f64) as usize, (x.floor() + 1.0).rem_euclid(n as f64) as usize);
+        let ((i, i1), (j, j1)) = (around(x, *w), around(y, *h));
+        let mix = |c: usize| {
+            let row = |j: usize| texels[j * w + i][c] * (1.0 - s) + texels[j * w + i1][c] * s;
+            f64::from(row(j) * (1.0 - t) + row(j1) * t)
+        };
+        v3(mix(0), mix(1), mix(2))
     }
 }
 

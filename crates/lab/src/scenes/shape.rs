@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use super::math::{V3, v3};
+use super::model::Mesh;
 use super::outline::Outline;
 
 #[derive(Clone, Debug)]
@@ -21,6 +22,8 @@ pub(super) enum Shape {
     Torus(f64, f64),
     /// Hills over the plane y = 0, up is −y.
     Field(Arc<Field>),
+    /// Triangles, and how many times their size.
+    Mesh(Arc<Mesh>, f64),
 }
 
 /// Heights on a square lattice, bilinear between its points; flat nowhere.
@@ -133,9 +136,18 @@ fn quadratic(a: f64, half_b: f64, c: f64) -> Option<[f64; 2]> {
 }
 
 impl Shape {
-    /// First hit with `near < t < far`: `t` and the outward unit normal.
+    /// First hit with `near < t < far`: `t`, the outward unit normal, and which triangle where it has any.
+    pub fn met(&self, o: V3, d: V3, near: f64, far: f64) -> Option<(f64, V3, u32)> {
+        match self {
+            Self::Mesh(mesh, scale) => mesh.hit(o * (1.0 / scale), d * (1.0 / scale), near, far).map(|m| (m.t, m.normal, m.triangle)),
+            other => other.hit(o, d, near, far).map(|(t, n)| (t, n, 0)),
+        }
+    }
+
+    /// The same without the triangle.
     pub fn hit(&self, o: V3, d: V3, near: f64, far: f64) -> Option<(f64, V3)> {
         match self {
+            Self::Mesh(..) => self.met(o, d, near, far).map(|(t, n, _)| (t, n)),
             Self::Plane => {
                 let t = -o.y / d.y;
                 (t > near && t < far).then_some((t, v3(0.0, -1.0, 0.0)))
@@ -189,6 +201,7 @@ impl Shape {
             Self::Cuboid(h) | Self::Ellipsoid(h) => Some((*h, zero)),
             Self::Cylinder(h, a, b) => Some((v3(a.max(*b), *h, a.max(*b)), zero)),
             Self::Torus(ring, tube) => Some((v3(ring + tube, ring + tube, *tube), zero)),
+            Self::Mesh(m, scale) => Some(((m.high() - m.low()) * (0.5 * scale), (m.high() + m.low()) * (0.5 * scale))),
             Self::Field(f) => Some((v3(f.half, 0.5 * (f.high - f.low) + 1e-6, f.half), v3(0.0, -0.5 * (f.high + f.low), 0.0))),
         }
     }

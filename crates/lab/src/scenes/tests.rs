@@ -80,7 +80,7 @@ fn every_primitive_is_hit_where_its_equation_says() {
             (p.x.hypot(p.z) - r).max(p.y.abs() - h)
         }
         Shape::Field(f) => -p.y - f.at(p.x, p.z),
-        Shape::Plane => p.y,
+        Shape::Plane | Shape::Mesh(..) => p.y,
         Shape::Card(..) => p.z,
     };
     let field = shape::Field::new(3.0, 33, |x, z| 0.3 * (x * 2.0).sin() * (z * 1.5).cos());
@@ -190,7 +190,7 @@ fn pictures_are_textures() {
     let ramp = |w: u32, h: u32| Photo { width: w, height: h, rgb: (0..w * h).map(|i| [(i % w * 255 / w) as u8, 40, 200]).collect() };
     let pictures = Pictures::new(&[ramp(97, 61), ramp(1, 1), Photo { width: 0, height: 0, rgb: Vec::new() }]);
     let draw = |seed, p: &Pictures| {
-        let s = Scene::textured(seed, 48, 32, p);
+        let s = Scene::of(seed, 48, 32, &Assets { pictures: p.clone(), ..Assets::default() });
         s.render(&s.camera(), 1)
     };
     for seed in 0..12 {

@@ -24,6 +24,18 @@ impl Build<'_> {
         self.w.add(g, frame, Shape::Cuboid(half), t.clone());
     }
 
+    /// A model about as large as a thing of `size` metres in its place, standing at `at`: sometimes, where there are models. False where the thing
+    /// is to be made.
+    pub fn stand_in(&mut self, at: V3, size: f64, yaw: f64) -> bool {
+        let Some(model) = self.rng.models().like(self.rng, size) else { return false };
+        let (g, turned) = (self.w.group(), yaw + f64::from(self.rng.int(0, 3)) * std::f64::consts::FRAC_PI_2);
+        let (scale, surface) = (self.rng.range(0.85, 1.15), Texture::plain(self.rng, v3(1.0, 1.0, 1.0)).glossy(0.1));
+        for part in model.parts.iter() {
+            self.w.add(g, Frame::yaw(at, turned), Shape::Mesh(part.clone(), scale), surface.clone());
+        }
+        true
+    }
+
     fn skin(&mut self) -> V3 {
         let v = self.rng.range(0.3, 0.95);
         let s = self.rng.range(0.25, 0.6);
@@ -42,6 +54,9 @@ impl Build<'_> {
 
     /// A person of ellipsoids and bars, feet at `at`.
     pub fn person(&mut self, at: V3, height: f64, yaw: f64) {
+        if self.stand_in(at, height, yaw) {
+            return;
+        }
         let g = self.w.group();
         let f = Frame::yaw(at, yaw);
         let s = height / 1.75;
@@ -141,6 +156,9 @@ impl Build<'_> {
     }
 
     pub fn table(&mut self, at: V3, yaw: f64) {
+        if self.stand_in(at, 1.2, yaw) {
+            return;
+        }
         let (f, g) = (Frame::yaw(at, yaw), self.w.group());
         let t = Texture::any(self.rng, 0.3);
         let (x, z, h) = (self.rng.range(0.3, 0.9), self.rng.range(0.3, 0.6), self.rng.range(0.4, 0.9));
@@ -235,6 +253,9 @@ impl Build<'_> {
 
     /// A cup, bottle, plate, bowl, box, fruit or lamp standing at `at`.
     pub fn vessel(&mut self, at: V3, s: f64) {
+        if self.stand_in(at, 0.2 * s, 0.0) {
+            return;
+        }
         let g = self.w.group();
         let scale = self.rng.log_range(0.02, 0.12) * s;
         let t = Texture::any(self.rng, scale);
@@ -289,6 +310,9 @@ impl Build<'_> {
     }
 
     pub fn car(&mut self, at: V3, yaw: f64) {
+        if self.stand_in(at, 4.4, yaw) {
+            return;
+        }
         let (f, g) = (Frame::yaw(at, yaw), self.w.group());
         let c = colour(self.rng);
         let body = Texture::plain(self.rng, c).glossy(0.5);

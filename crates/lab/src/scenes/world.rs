@@ -41,6 +41,8 @@ pub(super) struct Hit {
     pub group: u32,
     /// Local unit normal, outward.
     normal: V3,
+    /// Which triangle, of those that have some.
+    triangle: u32,
 }
 
 #[derive(Debug)]
@@ -120,9 +122,9 @@ impl World {
         self.tree = Bvh::new(&boxes);
     }
 
-    fn hit_object(&self, i: u32, o: V3, d: V3, near: f64, far: f64) -> Option<(f64, V3)> {
+    fn hit_object(&self, i: u32, o: V3, d: V3, near: f64, far: f64) -> Option<(f64, V3, u32)> {
         let object = &self.objects[i as usize];
-        object.shape.hit(object.frame.point_in(o), object.frame.dir_in(d), near, far)
+        object.shape.met(object.frame.point_in(o), object.frame.dir_in(d), near, far)
     }
 
     /// Nearest hit beyond `near`, of any group but `skip` (0 skips none).
@@ -134,8 +136,8 @@ impl World {
                 return far;
             }
             match self.hit_object(i, o, d, near, far) {
-                Some((t, normal)) => {
-                    best = Some(Hit { t, object: i, group, normal });
+                Some((t, normal, triangle)) => {
+                    best = Some(Hit { t, object: i, group, normal, triangle });
                     t
                 }
                 None => far,
@@ -174,7 +176,11 @@ impl World {
             n = -n;
         }
         let width = hit.t * pixel / facing.abs().max(0.15);
-        let albedo = object.texture.at(object.frame.point_in(p), hit.normal, width);
+        let place = object.frame.point_in(p);
+        let albedo = match &object.shape {
+            Shape::Mesh(mesh, scale) => mesh.colour(hit.triangle, place * (1.0 / scale), width / scale),
+            _ => object.texture.at(place, hit.normal, width),
+        };
         let mut light = self.ambient * (0.7 - 0.3 * n.y);
         let lift = p + n * (1e-5 * (1.0 + hit.t));
         let mut shine = 0.0;
