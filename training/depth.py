@@ -22,6 +22,7 @@ SHARES = {"scene": 0.5, "label": 0.22, "rgbd": 0.1, "stereo": 0.02, "pairs:depth
 FAMILIES = {
     "room": 0.14, "corridor": 0.03, "lounge": 0.09, "kitchen": 0.08, "street": 0.09, "field": 0.17, "water": 0.05, "terrain": 0.03, "crowd": 0.04,
     "thin": 0.02, "foliage": 0.02, "shelf": 0.06, "heap": 0.06, "table": 0.08, "closeup": 0.05, "drape": 0.03, "figures": 0.04, "floating": 0.01,
+    "inside": 0.05,
 }  # fmt: skip
 # share of a picture's worst pixels that counts for nothing: rendered disparity is exact, the rest is not; and the weight of its gradients, by how
 # well edges of the map lie on those of the photo

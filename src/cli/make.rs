@@ -167,6 +167,12 @@ impl Work<'_> {
 
 fn tell(bars: &Bars, item: &Item, report: &Report, args: &MakeArgs) -> anyhow::Result<()> {
     let Item { photo, output, .. } = item;
+    if !args.quiet
+        && let Some(depth) = report.input.depth.as_ref().filter(|d| d.stretched)
+    {
+        let (map, name) = (format!("{}×{}", depth.width, depth.height), photo.display());
+        bars.note(&format!("{name}: its depth map ({map}) has another shape than the photo and was stretched"));
+    }
     if args.json {
         return bars.result(&json!({ "photo": photo, "output": output, "bytes": report.bytes.total, "report": report }).to_string());
     }

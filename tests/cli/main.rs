@@ -116,6 +116,11 @@ fn make_writes_a_container_and_a_report() {
     assert_eq!((quiet.out.as_str(), quiet.err.as_str()), ("", ""));
     let told = f.run(&["make", "box.jpg", "--depth", "depth.png", "-o", "c.tmpi"]).succeeds();
     assert!(told.out.starts_with("c.tmpi: 150×100") && told.out.lines().count() == 1, "{}", told.out);
+    assert!(!told.err.contains("shape"), "{}", told.err);
+    // its own photo is 3:2 too, half of it is not
+    image::open(f.path("depth.png")).unwrap().crop_imm(0, 0, 75, 100).save(f.path("half.png")).unwrap();
+    let stretched = f.run(&["make", "box.jpg", "--depth", "half.png", "-o", "d.tmpi"]).succeeds();
+    assert!(stretched.err.contains("box.jpg: its depth map (75×100) has another shape than the photo"), "{}", stretched.err);
     assert!(!f.names().iter().any(|n| Path::new(n).extension().is_some_and(|e| e == "part")));
 }
 

@@ -80,10 +80,12 @@ impl Model {
     /// As [`ModelError`] has them.
     pub fn read(bytes: &[u8], up: Up) -> Result<Self, ModelError> {
         let mut parts = read::parts(bytes, up)?;
-        let low = parts.iter().map(|p| p.low()).reduce(V3::min).ok_or(ModelError::Nothing)?;
-        let high = parts.iter().map(|p| p.high()).reduce(V3::max).ok_or(ModelError::Nothing)?;
+        let low = parts.iter().map(Mesh::low).reduce(V3::min).ok_or(ModelError::Nothing)?;
+        let high = parts.iter().map(Mesh::high).reduce(V3::max).ok_or(ModelError::Nothing)?;
         let foot = v3(0.5 * (low.x + high.x), high.y, 0.5 * (low.z + high.z));
-        parts.iter_mut().for_each(|p| p.shift(-foot));
+        for part in &mut parts {
+            part.shift(-foot);
+        }
         Ok(Self { parts: parts.into_iter().map(Arc::new).collect(), low: low - foot, high: high - foot })
     }
 
