@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use crate::server::Limits;
+use crate::server::{ClientAddress, Limits, Network, Proxies};
 
 /// Bounds on clients.
 #[derive(Clone, Debug, clap::Args)]
@@ -13,7 +13,18 @@ pub(super) struct ClientArgs {
     /// Hours for which an upload is kept of which no part comes
     #[arg(long, default_value_t = (Limits::PARTIAL_TIME.as_secs() / 3600) as u16, value_parser = clap::value_parser!(u16).range(1..), value_name = "H")]
     partial_hours: u16,
-    /// Requests a minute for each key, and for each address without one; 0 for any number, which it is on loopback and behind a proxy (--host without --tls-cert), else 6000
+    #[arg(
+        long,
+        value_delimiter = ',',
+        value_name = "NETWORK[,NETWORK…]",
+        help = "Proxies in front, by address, by network as 10.0.0.0/8, or `private` for all private networks and this machine: \
+                what they say of who comes counts, so that clients are told apart"
+    )]
+    trusted_proxies: Vec<Network>,
+    /// How those say it; what others say counts for nothing
+    #[arg(long, value_enum, requires = "trusted_proxies", default_value_t, value_name = "HOW")]
+    client_address: ClientAddress,
+    /// Requests a minute for each key, and for each address without one; 0 for any number, which it is on loopback and behind a proxy that is not trusted (--host without --tls-cert), else 6000
     #[arg(long, value_name = "N")]
     rate_requests: Option<u32>,
     /// Uploads a minute, the same way; else 60
@@ -37,8 +48,14 @@ pub(super) struct ClientArgs {
 }
 
 impl ClientArgs {
-    /// Writes them into `limits`. Rates that are not given hold where strangers come `by_themselves`.
+    /// The proxies that are trusted.
+    pub fn proxies(&self) -> Proxies {
+        Proxies::new(&self.trusted_proxies, self.client_address)
+    }
+
+    /// Writes them into `limits`. Rates that are not given hold where strangers come `by_themselves`, or by a proxy that tells them apart.
     pub fn put(&self, limits: &mut Limits, by_themselves: bool) {
+        let by_themselves = by_themselves || !self.trusted_proxies.is_empty();
         let rate = |given: Option<u32>, usual| given.unwrap_or(if by_themselves { usual } else { 0 });
         let mib = |n: Option<u32>| n.map(|n| u64::from(n) << 20);
         limits.partials = usize::from(self.partial_uploads);

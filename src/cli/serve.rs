@@ -113,7 +113,7 @@ pub(super) struct ServeArgs {
     /// Connections at a time
     #[arg(long, default_value_t = Limits::CONNECTIONS as u32, value_parser = clap::value_parser!(u32).range(1..), value_name = "N")]
     connections: u32,
-    /// Connections at a time from one address; a proxy is one
+    /// Connections at a time from one address; a proxy is one, unless it is trusted
     #[arg(long, default_value_t = Limits::CONNECTIONS_PER_ADDRESS as u32, value_parser = clap::value_parser!(u32).range(1..), value_name = "N")]
     connections_per_address: u32,
     #[command(flatten)]
@@ -328,7 +328,7 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
                     photos are nobody's";
         return Err(Usage(text.into()).into());
     }
-    let (settings, traces) = (args.models.settings(), args.traces());
+    let (settings, traces, proxies) = (args.models.settings(), args.traces(), args.clients.proxies());
     let models = models::load(&settings)?;
     let rooms = args.rooms(&models)?;
     let maker = PipelineMaker::new(models, &limits).identified(&identity(&settings)?);
@@ -351,7 +351,7 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
         );
     }
     let ServeArgs { addr, admin, data, pages, hosts, public_list, keys, tls_cert, tls_key, .. } = args;
-    let config = Config { addr, admin, data, pages, hosts, public_list, private, keys, traces, limits };
+    let config = Config { addr, admin, data, pages, hosts, proxies, public_list, private, keys, traces, limits };
     let tls = tls_cert.zip(tls_key).map(|(cert, key)| Tls::open(cert, key)).transpose().context("TLS")?;
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().thread_name("tmpi-http").build()?;
     runtime.block_on(async {
@@ -465,6 +465,7 @@ mod tests {
         assert_eq!(of(&["--rate-requests", "9"]), (9, 0, 0));
         let direct = ["--addr", "0.0.0.0:443", "--host", "photos.example", "--tls-cert", "c", "--tls-key", "k"];
         assert_eq!(of(&direct).0, Limits::RATE_REQUESTS, "no proxy is in between");
+        assert_eq!(of(&["--host", "photos.example", "--trusted-proxies", "127.0.0.1"]).0, Limits::RATE_REQUESTS, "it tells clients apart");
     }
 
     #[test]

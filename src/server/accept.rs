@@ -25,6 +25,7 @@ use tokio_util::task::TaskTracker;
 use tokio_util::task::task_tracker::TaskTrackerToken;
 
 use super::limits::Limits;
+use super::proxies::{self, Proxies};
 use super::sendfile::{FileStream, InFile, Sending};
 use super::share::{Share, Shares};
 use super::streams::{Look, PIECE, Streams, Watched};
@@ -49,6 +50,8 @@ pub struct Door {
     pub listener: TcpListener,
     /// What is spoken there, if not plain HTTP.
     pub tls: Option<Tls>,
+    /// Proxies that say whose connections they pass on.
+    pub proxies: Proxies,
 }
 
 /// How requests are read, by what was agreed on.
@@ -71,7 +74,7 @@ impl Http {
 
 /// Serves connections until `stop`, then gives those that are open until `limits.drain` to end.
 pub async fn serve(door: Door, router: Router, limits: &Arc<Limits>, telemetry: &Arc<Telemetry>, stop: &CancellationToken) {
-    let Door { listener, tls } = door;
+    let Door { listener, tls, proxies } = door;
     let http = Http::new(limits);
     let room = Arc::new(Semaphore::new(limits.connections));
     let shares = Shares::new(limits.connections_per_address);
@@ -92,26 +95,35 @@ pub async fn serve(door: Door, router: Router, limits: &Arc<Limits>, telemetry: 
                 continue;
             }
         };
-        let Some(share) = shares.take(Some(peer)) else {
+        // a trusted proxy has those of all who come by it; whose they are it says itself
+        let Some(share) = shares.take((!proxies.trusts(peer)).then_some(peer)) else {
             tracing::debug!(%peer, "an address has as many connections as it may");
             continue;
         };
-        let little = Arc::new(AtomicBool::new(false));
-        let held = Held { little: Arc::clone(&little), all: Arc::new((permit, share, telemetry.connection(), open.token())) };
-        let sending = Sending::default();
-        let keep = |stream: &FileStream| keep_little(&stream.stream);
-        let stream = FileStream::new(stream, sending.clone());
-        let stream = Timed::new(stream, limits.write, limits.write_rate, Little { wanted: little, keep });
-        let connection =
-            Connection { http: http.clone(), router: router.clone(), limits: Arc::clone(limits), peer, held, stop: stop.clone() };
+        let says = proxies.announces(peer).then(|| shares.clone());
+        let taken = Taken { stream, from: Peer(peer), announced: false, permit, share };
+        let present = (telemetry.connection(), open.token());
+        let (http, router, limits, stop) = (http.clone(), router.clone(), Arc::clone(limits), stop.clone());
         let acceptor = tls.as_ref().map(Tls::acceptor);
         tokio::spawn(async move {
+            let taken = match says {
+                Some(shares) => taken.announced(&shares, limits.header_read).await,
+                None => Some(taken),
+            };
+            let Some(Taken { stream, from, announced, permit, share }) = taken else { return };
+            let little = Arc::new(AtomicBool::new(false));
+            let held = Held { little: Arc::clone(&little), all: Arc::new((permit, share, present)) };
+            let sending = Sending::default();
+            let keep = |stream: &FileStream| keep_little(&stream.stream);
+            let stream = FileStream::new(stream, sending.clone());
+            let stream = Timed::new(stream, limits.write, limits.write_rate, Little { wanted: little, keep });
+            let connection = Connection { http, router, limits, from, announced, held, stop };
             let Some(acceptor) = acceptor else { return connection.one(stream, None, sending).await };
             match tokio::time::timeout(connection.limits.header_read, acceptor.accept(stream)).await {
                 Ok(Ok(stream)) if stream.get_ref().1.alpn_protocol() == Some(tls::HTTP_2) => connection.two(stream).await,
                 Ok(Ok(stream)) => connection.one(stream, Some(Secure), sending).await,
-                Ok(Err(error)) => tracing::debug!(%error, %peer, "handshake"),
-                Err(_) => tracing::debug!(%peer, "a handshake takes too long"),
+                Ok(Err(error)) => tracing::debug!(%error, peer = %from.0, "handshake"),
+                Err(_) => tracing::debug!(peer = %from.0, "a handshake takes too long"),
             }
         });
     }
@@ -122,12 +134,37 @@ pub async fn serve(door: Door, router: Router, limits: &Arc<Limits>, telemetry: 
     }
 }
 
+/// A connection as it comes in.
+struct Taken {
+    stream: TcpStream,
+    from: Peer,
+    /// Whether a proxy said at its start whose it is.
+    announced: bool,
+    permit: OwnedSemaphorePermit,
+    share: Share,
+}
+
+impl Taken {
+    /// Whose it is by what a trusted proxy says at its start; none where it says nothing within `limit`, or its client has as many as it may.
+    async fn announced(mut self, shares: &Shares, limit: Duration) -> Option<Self> {
+        let said = tokio::time::timeout(limit, proxies::announced(&mut self.stream)).await;
+        let said = said.unwrap_or_else(|_| Err(io::ErrorKind::TimedOut.into()));
+        let client = said.inspect_err(|error| tracing::debug!(%error, proxy = %self.from.0, "no PROXY protocol")).ok()?;
+        if let Some(client) = client {
+            self.share = shares.take(Some(client))?;
+            (self.from, self.announced) = (Peer(client), true);
+        }
+        Some(self)
+    }
+}
+
 /// A connection that was taken.
 struct Connection {
     http: Http,
     router: Router,
     limits: Arc<Limits>,
-    peer: IpAddr,
+    from: Peer,
+    announced: bool,
     held: Held,
     stop: CancellationToken,
 }
@@ -136,9 +173,9 @@ impl Connection {
     /// Speaks HTTP/1.1; tells `sending` what is sent.
     async fn one<S: AsyncRead + AsyncWrite + Unpin + Send + 'static>(self, stream: S, secure: Option<Secure>, sending: Sending) {
         let inner = TowerToHyperService::new(self.router);
-        let (peer, given) = (self.peer, self.held.clone());
+        let (from, announced, given) = (self.from, self.announced, self.held.clone());
         let service = service_fn(move |mut request: Request<Incoming>| {
-            request.extensions_mut().insert(Peer(peer));
+            from.put(announced, &mut request);
             request.extensions_mut().insert(given.clone());
             if let Some(secure) = secure {
                 request.extensions_mut().insert(secure);
@@ -169,10 +206,10 @@ impl Connection {
     async fn two<S: AsyncRead + AsyncWrite + Unpin + Send + 'static>(self, stream: S) {
         let streams = Streams::new();
         let inner = TowerToHyperService::new(self.router);
-        let (peer, given, opened) = (self.peer, self.held.clone(), Arc::clone(&streams));
+        let (from, announced, given, opened) = (self.from, self.announced, self.held.clone(), Arc::clone(&streams));
         let service = service_fn(move |mut request: Request<Incoming>| {
             let open = opened.open();
-            request.extensions_mut().insert(Peer(peer));
+            from.put(announced, &mut request);
             request.extensions_mut().insert(given.clone());
             request.extensions_mut().insert(Secure);
             name_host(&mut request);
@@ -199,7 +236,7 @@ impl Connection {
                     }
                     (Look::Idle, Some(since)) if since.elapsed() <= self.limits.write + rest => {}
                     (Look::Stalled | Look::Idle, _) => {
-                        tracing::debug!(%peer, "the client does not take what it asked for");
+                        tracing::debug!(peer = %from.0, "the client does not take what it asked for");
                         break Ok(());
                     }
                     (Look::Fine, _) => {}
@@ -227,16 +264,26 @@ fn name_host(request: &mut Request<Incoming>) {
 #[derive(Clone, Copy, Debug)]
 pub struct Secure;
 
-/// Who sends a request: the address at the other end of the connection, which is a proxy's where there is one.
+/// Whose a connection is: the address at its other end, which is a proxy's where there is one that says nothing at its start.
 #[derive(Clone, Copy, Debug)]
 pub struct Peer(pub IpAddr);
+
+impl Peer {
+    /// Says so to whoever answers a request, and by a header where a proxy `announced` it.
+    fn put(self, announced: bool, request: &mut Request<Incoming>) {
+        request.extensions_mut().insert(self);
+        if announced {
+            proxies::say(request.headers_mut(), self.0);
+        }
+    }
+}
 
 /// What a connection holds of what there is a bounded number of: who goes on with it as a WebSocket holds this on.
 #[derive(Clone)]
 pub struct Held {
     little: Arc<AtomicBool>,
     #[expect(dead_code, reason = "held until it is dropped")]
-    all: Arc<(OwnedSemaphorePermit, Share, Present, TaskTrackerToken)>,
+    all: Arc<(OwnedSemaphorePermit, Share, (Present, TaskTrackerToken))>,
 }
 
 impl Held {

@@ -27,6 +27,7 @@ use super::network::Download;
 use super::partial::Partials;
 use super::pool::{Class, Pool, Slot};
 use super::problem::Problem;
+use super::proxies::Proxies;
 use super::rates::Rates;
 use super::share::Places;
 use super::source::Source;
@@ -91,6 +92,8 @@ pub struct Shared {
     pub renderer: Arc<dyn Renderer>,
     /// Names under which the server answers.
     pub hosts: Hosts,
+    /// Proxies that say whose requests they pass on.
+    pub proxies: Proxies,
     /// Whether strangers may list photos.
     pub public_list: bool,
     /// Who may have what; none where everybody may have everything.
@@ -117,7 +120,7 @@ impl Shared {
     /// Of a server that listens at `addr`.
     #[must_use]
     pub fn new(config: Config, addr: SocketAddr, jobs: Arc<Jobs>, partials: Partials, renderer: Arc<dyn Renderer>, openapi: Bytes) -> Self {
-        let Config { addr: _, admin, data: _, pages, hosts, public_list, private: _, keys: _, traces: _, limits: _ } = config;
+        let Config { addr: _, admin, data: _, pages, hosts, proxies, public_list, private: _, keys: _, traces: _, limits: _ } = config;
         let (limits, telemetry) = (Arc::clone(&jobs.limits), Arc::clone(&jobs.telemetry));
         Self {
             jobs,
@@ -139,6 +142,7 @@ impl Shared {
             build: identity::of_server(renderer.name()),
             renderer,
             hosts: Hosts::new(addr, &hosts),
+            proxies,
             public_list,
             guard: None,
             pages,

@@ -23,6 +23,7 @@ use super::hosts::{Hosts, SECURE};
 use super::id::PhotoId;
 use super::pages::RESOURCE_POLICY;
 use super::problem::Problem;
+use super::proxies::Proxies;
 use super::rates::{Asker, Rates};
 use super::share::{ASKER, asker};
 use super::traces::TRACE;
@@ -35,12 +36,13 @@ const MAX_ID: usize = 64;
 
 /// Wraps a request.
 pub async fn around(State(app): State<App>, request: Request, next: Next) -> Response {
-    wrap(&app, Door { hosts: &app.hosts, guard: app.guard.as_ref(), rates: Some(&app.rates) }, request, next).await
+    wrap(&app, Door { hosts: &app.hosts, proxies: Some(&app.proxies), guard: app.guard.as_ref(), rates: Some(&app.rates) }, request, next)
+        .await
 }
 
 /// Wraps a request of an operator, who is not asked who it is.
 pub async fn around_admin(State((app, hosts)): State<(App, Arc<Hosts>)>, request: Request, next: Next) -> Response {
-    wrap(&app, Door { hosts: &hosts, guard: None, rates: None }, request, next).await
+    wrap(&app, Door { hosts: &hosts, proxies: None, guard: None, rates: None }, request, next).await
 }
 
 /// Where a request came in.
@@ -48,6 +50,8 @@ pub async fn around_admin(State((app, hosts)): State<(App, Arc<Hosts>)>, request
 struct Door<'a> {
     /// Names that count there.
     hosts: &'a Hosts,
+    /// Proxies that say there who comes.
+    proxies: Option<&'a Proxies>,
     /// Asks who comes.
     guard: Option<&'a Guard>,
     /// Counts how often they do.
@@ -63,6 +67,7 @@ async fn wrap(app: &App, door: Door<'_>, request: Request, next: Next) -> Respon
     let matched = request.extensions().get::<MatchedPath>().cloned();
     let route = matched.as_ref().map_or("none", MatchedPath::as_str);
     let peer = request.extensions().get::<Peer>().map(|p| p.0);
+    let peer = peer.map(|peer| door.proxies.map_or(peer, |proxies| proxies.client(peer, request.headers())));
     let asker = peer.filter(|ip| !ip.to_canonical().is_loopback());
     let trace = app.telemetry.traces().and_then(|to| to.request(known_method(&method), route, request.headers(), peer));
     let path = request.uri().path();

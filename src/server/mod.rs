@@ -37,6 +37,7 @@ mod part;
 mod partial;
 mod pool;
 mod problem;
+mod proxies;
 mod rates;
 mod records;
 mod rest;
@@ -75,6 +76,7 @@ pub use limits::Limits;
 pub use maker::{Fault, Maker, PipelineMaker, Product};
 pub use network::{Better, Offer, Renewed};
 pub use problem::Problem;
+pub use proxies::{ClientAddress, Network, Proxies};
 pub use rest::allocate_in_one_place;
 pub(crate) use routes::Pairs;
 pub use routes::{Access, Route, openapi, routes};
@@ -114,6 +116,8 @@ pub struct Config {
     pub pages: Option<PathBuf>,
     /// Names under which the server answers besides loopback's and its address, without ports: those that proxies pass on.
     pub hosts: Vec<String>,
+    /// Proxies that say whose requests they pass on.
+    pub proxies: Proxies,
     /// Lists all photos to everybody who can reach the server, not only to this machine's own user.
     pub public_list: bool,
     /// Asks who comes: photos are their owners' alone, see [`access`].
@@ -136,6 +140,7 @@ impl Config {
             data,
             pages: None,
             hosts: Vec::new(),
+            proxies: Proxies::default(),
             public_list: false,
             private: false,
             keys: None,
@@ -326,13 +331,13 @@ impl Server {
         }
         let admin = admin.map(|(listener, addr, names)| {
             let (router, app, token) = (routes::admin_router(Arc::clone(&app), addr, &names), Arc::clone(&app), token.clone());
-            tokio::spawn(
-                async move { accept::serve(accept::Door { listener, tls: None }, router, &app.limits, &app.telemetry, &token).await },
-            )
+            let door = accept::Door { listener, tls: None, proxies: Proxies::default() };
+            tokio::spawn(async move { accept::serve(door, router, &app.limits, &app.telemetry, &token).await })
         });
-        accept::serve(accept::Door { listener, tls }, router, &app.limits, &app.telemetry, &token).await;
-        if let Some(door) = admin
-            && let Err(error) = door.await
+        let door = accept::Door { listener, tls, proxies: app.proxies.clone() };
+        accept::serve(door, router, &app.limits, &app.telemetry, &token).await;
+        if let Some(admin) = admin
+            && let Err(error) = admin.await
         {
             tracing::error!(%error, "the operators' door");
         }

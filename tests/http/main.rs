@@ -26,6 +26,7 @@ mod openapi;
 mod origins;
 mod partials;
 mod process;
+mod proxies;
 mod rates;
 mod rest_client;
 mod results;
