@@ -193,7 +193,7 @@ class Points(nn.Module):
         z = ((x[:, 0] - 2) / 2).exp()
         off = 1 + 0.02 * (x[:, 1:3] - 2)
         points = torch.stack([u * off[:, 0] * (z + 0.7), v[:, None] * off[:, 1] * (z + 0.7), z], -1)
-        return points, F.normalize(x[:, 3:6], dim=1).permute(0, 2, 3, 1), torch.sigmoid(x[:, 6] - 1.5), (x[:, 7].mean((1, 2)) / 4).exp()
+        return points, F.normalize(x[:, 3:6], dim=1).permute(0, 2, 3, 1), torch.sigmoid(x[:, 6] - 1.2), (x[:, 7].mean((1, 2)) / 4).exp()
 
 
 class Stem(nn.Module):
@@ -251,6 +251,11 @@ def zipdepth(image):
     return torch.from_numpy(x.transpose(2, 0, 1).astype(np.float32) / 255)[None]
 
 
+def either(disparity, above):
+    """Not compared where rounding decides on which side of a threshold a pixel is: here below a thousandth."""
+    return torch.where(above.abs() < 1e-3, torch.nan, disparity)
+
+
 def seen(points, _normal, mask, scale):
     """What MoGe makes of its points: the shift that brings each on its pixel, sought on 64 × 64 of them; nothing outside of the mask."""
     points, inside = points[0].numpy(), mask[0].numpy() > 0.5
@@ -268,7 +273,7 @@ def seen(points, _normal, mask, scale):
     shift = least_squares(off, 0, method="lm", ftol=1e-3).x[0]
     depth = np.where(inside & (points[..., 2] + shift > 0), (points[..., 2] + shift) * scale.item(), np.inf)
     print(f"    shift {shift:.4f}, {1 - inside.mean():.0%} outside of the mask")
-    return torch.from_numpy(1 / depth)
+    return either(torch.from_numpy(1 / depth), mask[0] - 0.5)
 
 
 def calmed(net):
@@ -309,7 +314,7 @@ def architectures():
         return net, (net.decoder if isinstance(net, Stem) else net.net)[-1]
 
     yield "depth-anything-3", "depth-anything-3", lambda: made(Views(True)), three(True), True, False, None, lambda depth, _: 1 / depth[0, 0]
-    sky = lambda depth, sky: torch.where(sky[0] < 0.3, 1 / depth[0], 0)  # noqa: E731
+    sky = lambda depth, sky: either(torch.where(sky[0] < 0.3, 1 / depth[0], 0), sky[0] - 0.3)  # noqa: E731
     yield "depth-anything-3 sky", "depth-anything-3", lambda: made(Views(False)), three(False), False, False, None, sky
     yield "moge-2", "moge-2", lambda: made(Points()), moge, True, False, None, seen
     yield "zipdepth", "zipdepth", lambda: made(Stem()), zipdepth, False, False, None, lambda depth: depth[0, 0]
@@ -418,8 +423,8 @@ def main():
                     if model:
                         Path(model).unlink()
                     # attention with interpolated positions does not trace for all sizes: one size a file. Those whose graph tells what they are
-                    # have no name
-                    model = f"{folder}/{'network' if after else name}{'' if any_size else f'-{w}x{h}'}.onnx"
+                    # have no name; a name that begins with the adapter's would be told instead of that
+                    model = f"{folder}/{'network' if after else f'of-{name}'}{'' if any_size else f'-{w}x{h}'}.onnx"
                     export(net, x, model, any_size and "dpt" not in name)
                 with torch.no_grad():
                     want = after(*listed(net(*x))) if after else net(*x)[:, 0]
@@ -439,8 +444,8 @@ def main():
                 note += "" if about["model"] == name else f" taken for {about['model']}"
                 if not note:
                     want = 1 / want if metric else want
-                    difference = np.abs(got - want) / np.ptp(want)
-                    off, mean = difference.max(), difference.mean()
+                    difference = np.abs(got - want) / (np.nanmax(want) - np.nanmin(want))
+                    off, mean = np.nanmax(difference), np.nanmean(difference)
                 worst = max(worst, off)
                 label = f"{shape} {image.size[0]}×{image.size[1]}"
                 print(f"{row:26} {label:25} {w:4}×{h:<4} worst {off:.1e} mean {mean:.1e}{note}", flush=True)
