@@ -9,7 +9,7 @@ use serde_json::json;
 use super::{Usage, note, reasons, result};
 use tmpi_pipeline::networks::models::beside;
 use tmpi_pipeline::networks::models::download::{Digest, Wanted, fetch};
-use tmpi_pipeline::networks::models::registry::{BETTER, PUBLISHED, folder, published, usual};
+use tmpi_pipeline::networks::models::registry::{BETTER, BY_FILE, PUBLISHED, folder, published, usual};
 
 /// List and fetch depth networks that others have published
 #[derive(Clone, Debug, clap::Args)]
@@ -80,6 +80,9 @@ fn list(json: bool) -> anyhow::Result<()> {
             let megabytes = p.total() as f64 / 1e6;
             result(&format!("{}\n  {megabytes:.1} MB, {}\n  {}\n  sha256 {}{weights}\n  {state}", p.name, p.licence, p.url, p.sha256))?;
         }
+    }
+    for (name, licence) in BY_FILE.iter().filter(|_| !json) {
+        result(&format!("{name}\n  {licence}\n  by file: --depth-model {name}=FILE.onnx"))?;
     }
     Ok(())
 }

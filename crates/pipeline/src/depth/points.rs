@@ -75,8 +75,7 @@ fn valley(f: impl Fn(f64) -> f64, reach: f64) -> f64 {
     loop {
         let next = (at + sign * step).clamp(-reach, reach);
         let ahead = f(next);
-        // NaN ends it, too
-        if !(ahead < value) || next.abs() >= reach {
+        if ahead.is_nan() || ahead >= value || next.abs() >= reach {
             return bottom(f, before, next);
         }
         (before, at, value, step) = (at, next, ahead, 2.0 * step);

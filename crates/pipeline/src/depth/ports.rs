@@ -114,8 +114,8 @@ impl Ports {
         let sky = match (self.sky.and_then(|i| outputs.get(i)), adapter.outputs.sky) {
             (Some(tensor), Some(rule)) => {
                 sized(tensor, 1).map_err(|e| format!("{e} as its {}", rule.name))?;
-                // NaN is sky by either rule
-                let is = |v: f32| if rule.inside { !(v > rule.threshold) } else { !(v < rule.threshold) };
+                // What is not a number is sky by either rule
+                let is = |v: f32| v.is_nan() || if rule.inside { v <= rule.threshold } else { v >= rule.threshold };
                 tensor.data.iter().map(|&v| is(v)).collect()
             }
             _ => Vec::new(),

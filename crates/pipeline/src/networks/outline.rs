@@ -75,7 +75,7 @@ fn read(file: &mut (impl BufRead + Seek)) -> io::Result<Outline> {
                 }
             }
             12 if length <= LONGEST => {
-                found.outputs.extend(all(&bytes(file, length)?, 1)?.first().map(|name| String::from_utf8_lossy(name).into_owned()))
+                found.outputs.extend(all(&bytes(file, length)?, 1)?.first().map(|name| String::from_utf8_lossy(name).into_owned()));
             }
             _ => skip(file, length)?,
         }

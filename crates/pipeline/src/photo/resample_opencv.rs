@@ -93,7 +93,9 @@ mod tests {
         picture.as_flattened().iter().zip(1..).map(|(&v, k)| u64::from(v) * k).sum()
     }
 
-    const OPENCV: [((u32, u32), (u32, u32), Interpolation, u64); 11] = [
+    /// From, to, how, and the sum.
+    type Row = ((u32, u32), (u32, u32), Interpolation, u64);
+    const OPENCV: [Row; 11] = [
         ((97, 61), (40, 50), Interpolation::Linear, 2_294_284_890),
         ((97, 61), (200, 130), Interpolation::Linear, 387_628_078_912),
         ((100, 60), (50, 30), Interpolation::Linear, 1_291_694_948),

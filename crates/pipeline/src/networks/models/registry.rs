@@ -41,7 +41,7 @@ pub const BETTER: &str = "depth-anything-v2-small-fp16";
 
 /// Adapters from the best to the worst: each line of papers reports smaller errors on unseen data than those after it. An adapter that stands
 /// for no published network has no rank. MoGe-2 comes first since it reports the sharper edges, which planes are cut along; Depth Anything 3
-/// reports less error than 2 on distances at fewer pixels; ZipDepth, smaller errors than small networks, of which MiDaS's is one.
+/// reports less error than 2 on distances at fewer pixels; `ZipDepth`, smaller errors than small networks, of which that of `MiDaS` is one.
 const RANKS: [&str; 13] = [
     "moge-2",
     "depth-anything-3",
@@ -56,6 +56,18 @@ const RANKS: [&str; 13] = [
     "midas-v2.1-small",
     "midas-v2.1-small-hub",
     "tmpi",
+];
+
+/// Networks that come by file alone, by their adapters, and the licences of their weights.
+pub const BY_FILE: [(&str, &str); 8] = [
+    ("midas-v2.1", "MIT, Intel ISL"),
+    ("midas-v2.1-hub", "MIT, Intel ISL"),
+    ("midas-v2.1-small-hub", "MIT, Intel ISL"),
+    ("dpt-large", "MIT, Intel ISL"),
+    ("dpt-hybrid", "MIT, Intel ISL"),
+    ("zoedepth", "MIT, Intel ISL"),
+    ("depth-anything-v2-metric", "small: Apache-2.0, larger ones: CC BY-NC 4.0, the Depth Anything V2 authors"),
+    ("zipdepth", "MIT, the ZipDepth authors"),
 ];
 
 /// All networks that `tmpi models get` knows.
@@ -198,6 +210,14 @@ mod tests {
     fn every_adapter_has_a_rank() {
         for a in &crate::depth::ADAPTERS {
             assert_eq!(RANKS.iter().filter(|r| **r == a.name).count(), usize::from(a.name != "log-depth"), "{}", a.name);
+        }
+    }
+
+    #[test]
+    fn every_ranked_network_tells_its_licence() {
+        for name in RANKS.iter().filter(|name| **name != "tmpi") {
+            let fetched = PUBLISHED.iter().any(|p| p.adapter == *name);
+            assert_eq!(BY_FILE.iter().filter(|(adapter, _)| adapter == name).count(), usize::from(!fetched), "{name}");
         }
     }
 
