@@ -3,7 +3,8 @@
     python adapters.py ../target/release/tmpi [photo …]
 
 Each architecture is built with few layers, exported to ONNX, and run twice: with the image processor of `transformers` (MiDaS: OpenCV,
-as its project does) in PyTorch, and by `tmpi depth --raw`. What is compared is the map at the network's size, without the margins that
+as its project does) in PyTorch, and by `tmpi depth --raw`. Of Depth Anything 3, MoGe-2 and ZipDepth, which `transformers` does not have,
+the published interface stands on few convolutions; what their projects' code does before and after it is written down here anew. What is compared is the map at the network's size, without the margins that
 ZoeDepth adds; enlarging it along the photo's edges is the program's own."""
 
 import argparse
@@ -17,10 +18,12 @@ import warnings
 
 import cv2
 import numpy as np
+import onnx
 import timm
 import torch
 import transformers as t
 from PIL import Image
+from scipy.optimize import least_squares
 from torch import nn
 from torch.nn import functional as F
 
@@ -141,6 +144,138 @@ def zoe():
     return Pixels(net), net.relative_head.conv3
 
 
+def trunk(channels, given):
+    """Convolutions at the picture's size: every pixel counts, and its neighbours."""
+    return nn.Sequential(nn.Conv2d(channels, 24, 3, 1, 1), nn.ReLU(), nn.Conv2d(24, 24, 3, 1, 1), nn.ReLU(), nn.Conv2d(24, given, 1))
+
+
+class Views(nn.Module):
+    """The interface of Depth Anything 3, on squares of 14 pixels as there: distances and how sure it is, of several pictures at once; or, of
+    one alone, sky."""
+
+    def __init__(self, several):
+        super().__init__()
+        self.net = nn.Sequential(nn.Conv2d(3, 96, 14, 14), nn.ReLU(), nn.Conv2d(96, 48, 3, 1, 1), nn.ReLU(), nn.Conv2d(48, 2, 3, 1, 1))
+        self.several = several
+        self.inputs, self.outputs = (["pixel_values"], ["predicted_depth", "confidence"]) if several else (["image"], ["depth", "sky"])
+
+    def forward(self, pixels):
+        x = F.interpolate(self.net(pixels.flatten(0, 1) if self.several else pixels), scale_factor=14, mode="bilinear")
+        first, second = x[:, 0], x[:, 1]
+        if self.several:
+            return tuple(v.unflatten(0, pixels.shape[:2]) for v in ((first / 2).exp(), second.exp() + 1))
+        # a tenth of the pixels or so
+        return (first / 2).exp(), torch.sigmoid(second - 4.2)
+
+
+class Points(nn.Module):
+    """The interface of MoGe-2: it brings the picture to its tokens by itself, and gives points that a camera could see from .7 behind them, off
+    by some percent; a mask, and the scale."""
+
+    inputs, outputs = ["image", "num_tokens"], ["points", "normal", "mask", "metric_scale"]
+
+    def __init__(self):
+        super().__init__()
+        self.net = trunk(3, 8)
+        self.register_buffer("mean", torch.tensor(IMAGENET[0])[:, None, None])
+        self.register_buffer("std", torch.tensor(IMAGENET[1])[:, None, None])
+
+    def forward(self, image, num_tokens):
+        h, w = image.shape[2:]
+        aspect = w / h
+        rows, columns = (num_tokens / aspect).sqrt().round().long(), (num_tokens * aspect).sqrt().round().long()
+        x = F.interpolate(image, (rows * 14, columns * 14), mode="bilinear", align_corners=False)
+        x = self.net((x - self.mean) / self.std)
+        x = F.interpolate(x, (h, w), mode="bilinear", align_corners=False)
+        diagonal = (1 + aspect**2) ** 0.5
+        u = ((2 * torch.arange(w) + 1) / w - 1) * aspect / diagonal
+        v = ((2 * torch.arange(h) + 1) / h - 1) / diagonal
+        z = ((x[:, 0] - 2) / 2).exp()
+        off = 1 + 0.02 * (x[:, 1:3] - 2)
+        points = torch.stack([u * off[:, 0] * (z + 0.7), v[:, None] * off[:, 1] * (z + 0.7), z], -1)
+        return points, F.normalize(x[:, 3:6], dim=1).permute(0, 2, 3, 1), torch.sigmoid(x[:, 6] - 1.2), (x[:, 7].mean((1, 2)) / 4).exp()
+
+
+class Stem(nn.Module):
+    """The interface of ZipDepth, with the name of its first convolution; it normalises by itself."""
+
+    inputs, outputs = ["image"], ["depth"]
+
+    def __init__(self):
+        super().__init__()
+        self.encoder = nn.Module()
+        self.encoder.stem_half = nn.Module()
+        self.encoder.stem_half.conv = nn.Conv2d(3, 24, 3, 1, 1)
+        self.decoder = trunk(24, 1)
+        self.register_buffer("mean", torch.tensor(IMAGENET[0])[:, None, None])
+        self.register_buffer("std", torch.tensor(IMAGENET[1])[:, None, None])
+
+    def forward(self, pixels):
+        x = self.encoder.stem_half.conv((pixels - self.mean) / self.std)
+        return self.decoder(x.relu()).relu()
+
+
+def three(several):
+    """Depth Anything 3's own: bytes of OpenCV, the longer side 504, then each side the nearest multiple of 14, of two the larger one."""
+
+    def to(x, w, h):
+        grows = w > x.shape[1] or h > x.shape[0]
+        return cv2.resize(x, (w, h), interpolation=cv2.INTER_CUBIC if grows else cv2.INTER_AREA)
+
+    def prepare(image):
+        x = np.asarray(image)
+        scale = 504 / max(image.size)
+        if scale != 1:
+            x = to(x, *(max(1, round(v * scale)) for v in image.size))
+        w, h = ((v + 7) // 14 * 14 for v in x.shape[1::-1])
+        x = to(x, w, h) / 255.0
+        x = torch.from_numpy(((x - IMAGENET[0]) / IMAGENET[1]).transpose(2, 0, 1).astype(np.float32))[None]
+        return x[None] if several else x
+
+    return prepare
+
+
+def moge(image):
+    """MoGe's own: what its encoder sees of a photo of any size, by PyTorch's antialiased lines, and 1800 tokens."""
+    aspect = image.size[0] / image.size[1]
+    rows, columns = round((1800 / aspect) ** 0.5), round((1800 * aspect) ** 0.5)
+    x = torch.from_numpy((np.asarray(image) / 255).transpose(2, 0, 1).astype(np.float32))[None]
+    return F.interpolate(x, (rows * 14, columns * 14), mode="bilinear", align_corners=False, antialias=True), torch.tensor(rows * columns)
+
+
+def zipdepth(image):
+    """ZipDepth's own: bytes of OpenCV, the shorter side 384, multiples of 32."""
+    scale = 384 / min(image.size)
+    size = [max(32, round(v * scale / 32) * 32) for v in image.size]
+    x = cv2.resize(np.asarray(image), size, interpolation=cv2.INTER_LINEAR)
+    return torch.from_numpy(x.transpose(2, 0, 1).astype(np.float32) / 255)[None]
+
+
+def either(disparity, above):
+    """Not compared where rounding decides on which side of a threshold a pixel is: here below a thousandth."""
+    return torch.where(above.abs() < 1e-3, torch.nan, disparity)
+
+
+def seen(points, _normal, mask, scale):
+    """What MoGe makes of its points: the shift that brings each on its pixel, sought on 64 × 64 of them; nothing outside of the mask."""
+    points, inside = points[0].numpy(), mask[0].numpy() > 0.5
+    h, w = inside.shape
+    diagonal = math.hypot(w, h)
+    uv = np.stack(np.meshgrid((2 * np.arange(w) + 1 - w) / diagonal, (2 * np.arange(h) + 1 - h) / diagonal), -1)
+    grid = np.ix_(np.arange(64) * h // 64, np.arange(64) * w // 64)
+    valid = inside[grid]
+    p, uv = points[grid][valid].astype(np.float64), uv[grid][valid]
+
+    def off(shift):
+        xy = p[:, :2] / (p[:, 2:] + shift)
+        return ((xy * uv).sum() / (xy**2).sum() * xy - uv).ravel()
+
+    shift = least_squares(off, 0, method="lm", ftol=1e-3).x[0]
+    depth = np.where(inside & (points[..., 2] + shift > 0), (points[..., 2] + shift) * scale.item(), np.inf)
+    print(f"    shift {shift:.4f}, {1 - inside.mean():.0%} outside of the mask")
+    return either(torch.from_numpy(1 / depth), mask[0] - 0.5)
+
+
 def calmed(net):
     """Attractors, whose force falls off within thousandths, tear the map of random weights to distances of 0: weaker weights there."""
     for m in net.net.metric_head.modules():
@@ -149,7 +284,8 @@ def calmed(net):
 
 
 def architectures():
-    """(row, adapter, what makes the network and names its last linear layer, what comes before it, any size in one file, metric, processor)."""
+    """(row, adapter, what makes the network and names its last linear layer, what comes before it, any size in one file, metric, processor, what
+    makes disparity of its outputs)."""
     for name, encoder, width, side in (("midas-v2.1-small", "tf_efficientnet_lite3", 64, 256), ("midas-v2.1", "resnext101_32x8d", 64, 384)):
         for end, size, norm in (("", lambda w, h, side=side: (side, side), False), ("-hub", within(side), True)):
 
@@ -157,25 +293,34 @@ def architectures():
                 net = Midas(encoder, width, not norm)
                 return net, net.last
 
-            yield name + end, name + end, make, opencv(size, *(IMAGENET if norm else ([0] * 3, [1] * 3))), True, False, None
+            yield name + end, name + end, make, opencv(size, *(IMAGENET if norm else ([0] * 3, [1] * 3))), True, False, None, None
 
     # as their preprocessor_config.json say: Pillow's linear filter, both sides 384
     for name in ("dpt-large", "dpt-hybrid"):
         processor = t.DPTImageProcessorPil(resample=Image.Resampling.BILINEAR, image_mean=HALF[0], image_std=HALF[1])
-        yield name, name, lambda name=name: dpt(name == "dpt-hybrid"), by(processor), True, False, None
+        yield name, name, lambda name=name: dpt(name == "dpt-hybrid"), by(processor), True, False, None, None
 
     near = {"size": {"height": 518, "width": 518}, "keep_aspect_ratio": True, "ensure_multiple_of": 14}
     processor = t.DPTImageProcessorPil(**near, resample=Image.Resampling.BICUBIC, image_mean=IMAGENET[0], image_std=IMAGENET[1])
     sizes = {"S": (384, 6, [48, 96, 192, 384], 64), "B": (768, 12, [96, 192, 384, 768], 128), "L": (1024, 16, [256, 512, 1024, 1024], 256)}
     for name, kind, which in (("depth-anything-v2", "relative", "SBL"), ("depth-anything-v2-metric", "metric", "S")):
         for letter in which:
-            yield f"{name} {letter}", name, lambda letter=letter, kind=kind: anything(*sizes[letter], kind), by(processor), False, kind == "metric", None
+            yield f"{name} {letter}", name, lambda letter=letter, kind=kind: anything(*sizes[letter], kind), by(processor), False, kind == "metric", None, None
 
     processor = t.ZoeDepthImageProcessor(ensure_multiple_of=32, image_mean=HALF[0], image_std=HALF[1])
-    yield "zoedepth", "zoedepth", zoe, by(processor), False, True, processor
+    yield "zoedepth", "zoedepth", zoe, by(processor), False, True, processor, None
+
+    def made(net):
+        return net, (net.decoder if isinstance(net, Stem) else net.net)[-1]
+
+    yield "depth-anything-3", "depth-anything-3", lambda: made(Views(True)), three(True), True, False, None, lambda depth, _: 1 / depth[0, 0]
+    sky = lambda depth, sky: either(torch.where(sky[0] < 0.3, 1 / depth[0], 0), sky[0] - 0.3)  # noqa: E731
+    yield "depth-anything-3 sky", "depth-anything-3", lambda: made(Views(False)), three(False), False, False, None, sky
+    yield "moge-2", "moge-2", lambda: made(Points()), moge, True, False, None, seen
+    yield "zipdepth", "zipdepth", lambda: made(Stem()), zipdepth, False, False, None, lambda depth: depth[0, 0]
 
 
-def enliven(net, last, x):
+def enliven(net, last, *x):
     """Random weights that carry the picture through to a map with relief: statistics of batches are those of `x`, and the last
     linear layer gives values about 2 ± 1, which is inside the range of what follows it."""
     for m in net.modules():
@@ -188,14 +333,15 @@ def enliven(net, last, x):
     with torch.no_grad():
         for m in net.modules():
             m.training = isinstance(m, nn.modules.batchnorm._BatchNorm)
-        net(x)
+        net(*x)
         net.eval()
         given = []
         hook = last.register_forward_hook(lambda _m, _i, out: given.append(out))
-        net(x)
+        net(*x)
         hook.remove()
-        mean, std = given[0].mean(), given[0].std()
-        last.weight /= std
+        # channel by channel
+        mean, std = given[0].mean((0, 2, 3)), given[0].std((0, 2, 3))
+        last.weight /= std[:, None, None, None]
         last.bias.copy_((last.bias - mean) / std + 2)
 
 
@@ -220,6 +366,26 @@ def shapes(photos):
     yield "middling", cut(photo(), 1.5).resize((600, 400))
 
 
+def listed(given):
+    return given if isinstance(given, tuple) else (given,)
+
+
+def export(net, x, model, any_size):
+    """Writes the network; with the weights in a file of their own, as large ones are published, where it takes several pictures."""
+    inputs, outputs = getattr(net, "inputs", ["image"]), getattr(net, "outputs", ["depth"])
+    axes = {}
+    if any_size:
+        if isinstance(net, Points):
+            axes = {inputs[0]: {2: "h", 3: "w"}}
+        elif isinstance(net, Views):
+            axes = {name: {0: "batch", 1: "views", x[0].dim() - 2 - (name in outputs): "h", x[0].dim() - 1 - (name in outputs): "w"} for name in inputs + outputs}
+        else:
+            axes = {name: {2: "h", 3: "w"} for name in inputs + outputs}
+    torch.onnx.export(net, x, model, input_names=inputs, output_names=outputs, dynamic_axes=axes, dynamo=False)
+    if isinstance(net, Views) and any_size:
+        onnx.save(onnx.load(model), model, save_as_external_data=True, location=f"{Path(model).name}_data", size_threshold=0)
+
+
 def main():
     a = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     a.add_argument("program")
@@ -236,7 +402,7 @@ def main():
         raise SystemExit("no photos: name some, or set TMPI_DATA")
     worst, rows, begun = 0.0, 0, time.time()
     with tempfile.TemporaryDirectory() as folder:
-        for row, name, make, prepare, any_size, metric, processor in architectures():
+        for row, name, make, prepare, any_size, metric, processor, after in architectures():
             if not row.startswith(a.only):
                 continue
             rows += 1
@@ -247,20 +413,21 @@ def main():
                 png = f"{folder}/photo.png"
                 image.save(png)
                 x = prepare(image)
+                x = x if isinstance(x, tuple) else (x,)
                 if model is None:
-                    enliven(net, last, x)
+                    enliven(net, last, *x)
                     if name == "zoedepth":
                         calmed(net)
-                size = f"{x.shape[3]}x{x.shape[2]}"
-                if model is None or not (any_size or size in model):
+                h, w = x[0].shape[-2:]
+                if model is None or not (any_size or f"{w}x{h}" in model):
                     if model:
                         Path(model).unlink()
-                    # attention with interpolated positions does not trace for all sizes: one size a file
-                    model = f"{folder}/{name}.onnx" if any_size else f"{folder}/{name}-{size}.onnx"
-                    extents = {"image": {2: "h", 3: "w"}, "depth": {2: "h", 3: "w"}} if any_size and "dpt" not in name else {}
-                    torch.onnx.export(net, (x,), model, input_names=["image"], output_names=["depth"], dynamic_axes=extents, dynamo=False)
+                    # attention with interpolated positions does not trace for all sizes: one size a file. Those whose graph tells what they are
+                    # have no name; a name that begins with the adapter's would be told instead of that
+                    model = f"{folder}/{'network' if after else f'of-{name}'}{'' if any_size else f'-{w}x{h}'}.onnx"
+                    export(net, x, model, any_size and "dpt" not in name)
                 with torch.no_grad():
-                    want = net(x)[:, 0]
+                    want = after(*listed(net(*x))) if after else net(*x)[:, 0]
                 out = f"{folder}/out.pfm"
                 command = [a.program, "depth", "--raw", "--quiet", "--json", "-o", out, png, "--depth-model"]
                 # by the file alone: the program must find the adapter too
@@ -277,12 +444,13 @@ def main():
                 note += "" if about["model"] == name else f" taken for {about['model']}"
                 if not note:
                     want = 1 / want if metric else want
-                    difference = np.abs(got - want) / np.ptp(want)
-                    off, mean = difference.max(), difference.mean()
+                    difference = np.abs(got - want) / (np.nanmax(want) - np.nanmin(want))
+                    off, mean = np.nanmax(difference), np.nanmean(difference)
                 worst = max(worst, off)
                 label = f"{shape} {image.size[0]}×{image.size[1]}"
-                print(f"{row:26} {label:25} {x.shape[3]:4}×{x.shape[2]:<4} worst {off:.1e} mean {mean:.1e}{note}", flush=True)
+                print(f"{row:26} {label:25} {w:4}×{h:<4} worst {off:.1e} mean {mean:.1e}{note}", flush=True)
             Path(model).unlink()
+            Path(f"{model}_data").unlink(missing_ok=True)
     if not rows:
         raise SystemExit(f"no row begins with {a.only}")
     print(f"worst {worst:.1e}, bound {a.bound:.0e}, {time.time() - begun:.0f} s")

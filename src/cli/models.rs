@@ -1,14 +1,15 @@
 //! `tmpi models`.
 
 use std::io::IsTerminal;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
 
 use super::{Usage, note, reasons, result};
+use tmpi_pipeline::networks::models::beside;
 use tmpi_pipeline::networks::models::download::{Digest, Wanted, fetch};
-use tmpi_pipeline::networks::models::registry::{BETTER, PUBLISHED, folder, published, usual};
+use tmpi_pipeline::networks::models::registry::{BETTER, BY_FILE, PUBLISHED, folder, published, usual};
 
 /// List and fetch depth networks that others have published
 #[derive(Clone, Debug, clap::Args)]
@@ -65,17 +66,23 @@ pub(super) fn run(args: &ModelsArgs) -> anyhow::Result<()> {
 
 fn list(json: bool) -> anyhow::Result<()> {
     for p in &PUBLISHED {
-        let here = p.file().is_file();
+        let here = p.file().is_file() && beside(&p.file()).is_ok();
         if json {
             let line = json!({
                 "name": p.name, "adapter": p.adapter, "url": p.url, "bytes": p.bytes, "sha256": p.sha256, "licence": p.licence,
+                "weights": p.weights.map(|w| json!({ "url": w.url, "bytes": w.bytes, "sha256": w.sha256 })),
                 "file": here.then(|| p.file()),
             });
             result(&line.to_string())?;
         } else {
             let state = if here { p.file().display().to_string() } else { format!("not here: tmpi models get {}", p.name) };
-            result(&format!("{}\n  {:.1} MB, {}\n  {}\n  sha256 {}\n  {state}", p.name, p.bytes as f64 / 1e6, p.licence, p.url, p.sha256))?;
+            let weights = p.weights.map_or_else(String::new, |w| format!("\n  {}\n  sha256 {}", w.url, w.sha256));
+            let megabytes = p.total() as f64 / 1e6;
+            result(&format!("{}\n  {megabytes:.1} MB, {}\n  {}\n  sha256 {}{weights}\n  {state}", p.name, p.licence, p.url, p.sha256))?;
         }
+    }
+    for (name, licence) in BY_FILE.iter().filter(|_| !json) {
+        result(&format!("{name}\n  {licence}\n  by file: --depth-model {name}=FILE.onnx"))?;
     }
     Ok(())
 }
@@ -97,11 +104,24 @@ fn get(name: &str, own: Option<(&str, Digest)>, output: Option<PathBuf>, quiet: 
     if !quiet {
         note(&format!("{url}\n{}", known.filter(|_| own.is_none()).map_or_else(String::new, |p| format!("licence: {}", p.licence))));
     }
+    // weights come before the file that names them: whoever starts meanwhile finds both or neither
+    if let Some(weights) = known.and_then(|p| p.weights).filter(|_| own.is_none()) {
+        let wanted = Wanted { url: weights.url, bytes: Some(weights.bytes), sha256: weights.sha256.parse().map_err(Usage)? };
+        fetch_shown(&wanted, &file.with_extension("onnx_data"), quiet)?;
+    }
+    if !fetch_shown(&Wanted { url, bytes, sha256 }, &file, quiet)? && !quiet {
+        note("it was here already");
+    }
+    result(&file.display().to_string())
+}
+
+/// [`fetch`] with a bar on a terminal.
+fn fetch_shown(wanted: &Wanted<'_>, file: &Path, quiet: bool) -> anyhow::Result<bool> {
     let bar = (!quiet && std::io::stderr().is_terminal()).then(|| ProgressBar::new(0));
     if let (Some(bar), Ok(style)) = (&bar, ProgressStyle::with_template("[{bar:30}] {bytes}/{total_bytes} {bytes_per_sec} {eta}")) {
         bar.set_style(style);
     }
-    let fetched = fetch(&Wanted { url, bytes, sha256 }, &file, |have, all| {
+    let fetched = fetch(wanted, file, |have, all| {
         if let Some(bar) = &bar {
             bar.set_length(all.unwrap_or(have));
             bar.set_position(have);
@@ -110,8 +130,5 @@ fn get(name: &str, own: Option<(&str, Digest)>, output: Option<PathBuf>, quiet: 
     if let Some(bar) = &bar {
         bar.finish_and_clear();
     }
-    if !fetched? && !quiet {
-        note("it was here already");
-    }
-    result(&file.display().to_string())
+    Ok(fetched?)
 }

@@ -410,8 +410,15 @@ fn open_files(wanted: u64) {
 /// What photos depend on besides the program: a better network makes them anew.
 pub(super) fn identity(settings: &models::Settings) -> anyhow::Result<String> {
     // an embedded network is a part of the program
-    let file = settings.depth_file.as_deref().map(|f| std::fs::read(f).with_context(|| f.display().to_string())).transpose()?;
-    let digest = file.map(|bytes| hex(&Sha256::digest(bytes)));
+    let mut digest: Option<String> = None;
+    if let Some(file) = &settings.depth_file {
+        let weights = models::beside(file)?.into_iter().map(|(_, file)| file);
+        for file in std::iter::once(file.clone()).chain(weights) {
+            let bytes = std::fs::read(&file).with_context(|| file.display().to_string())?;
+            // one digest of a file alone, as it always was; those of several one after another
+            digest = Some(digest.unwrap_or_default() + &hex(&Sha256::digest(bytes)));
+        }
+    }
     let models::Settings { depth, depth_pixels, depth_smoothing, flip, folder, .. } = settings;
     let mut text = format!("{} {digest:?} {depth_pixels:?} {depth_smoothing:?} {flip}", depth.name);
     // networks that an option may ask for

@@ -79,6 +79,10 @@ fn wrong_uploads_are_refused_at_once_and_leave_nothing() {
     let post = |path: &str, body: &[u8]| request(server.addr, "POST", path, &[], body);
     assert_eq!(post("/v1/photos", b"").problem(400)["field"], "photo");
     post("/v1/photos", b"GIF89a....").problem(415);
+    // of an iPhone's own format it is told what to do
+    let heic = post("/v1/photos", b"\0\0\0\x24ftypheic\0\0\0\0mif1heic").problem(415);
+    let told = heic["detail"].as_str().unwrap();
+    assert!(told.contains("Settings > Camera > Formats > Most Compatible") && told.contains("sends this one as JPEG"), "{told}");
     post("/v1/photos", &photo[..photo.len() / 2]).problem(422);
     assert_eq!(post("/v1/photos?quality=0", &photo).problem(400)["field"], "quality");
     assert_eq!(post("/v1/photos?quality=best", &photo).problem(400)["field"], "quality");

@@ -2,16 +2,20 @@
 
 from pathlib import Path
 
-from onnx import TensorProto, checker, helper, save
+import numpy as np
+from onnx import TensorProto, checker, external_data_helper, helper, numpy_helper, save
 
 F = TensorProto.FLOAT
 here = Path(__file__).parent
 
 
-def write(name, nodes, inputs, outputs):
-    graph = helper.make_graph(nodes, name, inputs, outputs)
+def write(name, nodes, inputs, outputs, weights=(), beside=None):
+    graph = helper.make_graph(nodes, name, inputs, outputs, list(weights))
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 13)], ir_version=8, producer_name="tmpi")
     checker.check_model(model)
+    if beside:
+        (here / beside).unlink(missing_ok=True)
+        external_data_helper.convert_model_to_external_data(model, location=beside, size_threshold=0)
     save(model, here / f"{name}.onnx")
 
 
@@ -48,4 +52,46 @@ write(
     ],
     [value("in0", 1, 3, "h", "w"), value("in1", 1, 3, "h", "w")],
     [value("distance", 1, 1, 1, 1)],
+)
+# The interface of MoGe-2, the picture's colours as points: dark pixels are outside of the mask, and the count of tokens is the scale
+write(
+    "points",
+    [
+        helper.make_node("Transpose", ["image"], ["points"], perm=[0, 2, 3, 1]),
+        helper.make_node("Neg", ["points"], ["normal"]),
+        helper.make_node("ReduceMax", ["image"], ["mask"], axes=[1], keepdims=0),
+        helper.make_node("Cast", ["num_tokens"], ["tokens"], to=F),
+        helper.make_node("Reshape", ["tokens", "one"], ["metric_scale"]),
+    ],
+    [value("image", 1, 3, "h", "w"), value("num_tokens", kind=TensorProto.INT64)],
+    [value("points", 1, "h", "w", 3), value("normal", 1, "h", "w", 3), value("mask", 1, "h", "w"), value("metric_scale", 1)],
+    [numpy_helper.from_array(np.array([1]), "one")],
+)
+# The interface of Depth Anything 3, its weights in a file of their own: twice the mean of a picture's channels, and 3 more
+write(
+    "views",
+    [
+        helper.make_node("ReduceMean", ["pixel_values"], ["mean"], axes=[2], keepdims=0),
+        helper.make_node("Mul", ["mean", "gain"], ["confidence"]),
+        helper.make_node("Add", ["confidence", "offset"], ["predicted_depth"]),
+    ],
+    [value("pixel_values", "batch", "views", 3, "h", "w")],
+    [value("predicted_depth", "batch", "views", "h", "w"), value("confidence", "batch", "views", "h", "w")],
+    [numpy_helper.from_array(np.array([v], np.float32), name) for name, v in (("gain", 2), ("offset", 3))],
+    beside="views.onnx_data",
+)
+# The interface of ZipDepth, and its first convolution's name
+write(
+    "stem",
+    [
+        helper.make_node("Sub", ["image", "mean"], ["centred"]),
+        helper.make_node("Conv", ["centred", "encoder.stem_half.conv.weight"], ["half"], "/encoder/stem_half/conv/Conv", kernel_shape=[1, 1]),
+        helper.make_node("Relu", ["half"], ["depth"]),
+    ],
+    [value("image", 1, 3, 32, 64)],
+    [value("depth", 1, 1, 32, 64)],
+    [
+        numpy_helper.from_array(np.full((1, 3, 1, 1), 0.25, np.float32), "mean"),
+        numpy_helper.from_array(np.ones((1, 3, 1, 1), np.float32), "encoder.stem_half.conv.weight"),
+    ],
 )

@@ -1,6 +1,6 @@
 //! What each depth network wants and gives, as data.
 
-use crate::photo::Filter;
+use crate::photo::{Filter, Interpolation};
 
 /// At which size a network is run.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -13,6 +13,12 @@ pub enum SizeRule {
     Near(u32, u32),
     /// The photo's aspect, neither side longer than this.
     Within(u32),
+    /// The photo's aspect, its shorter side this long.
+    Shortest(u32),
+    /// First the photo's aspect in whole pixels with the longer side this long, then the nearest multiples.
+    Longest(u32),
+    /// The photo's aspect at about this many squares of a multiple.
+    Squares(u32),
 }
 
 /// How the photo is brought to the network's size.
@@ -24,6 +30,8 @@ pub enum Sampling {
     Bytes(Filter),
     /// By a cubic over four pixels whatever the ratio, as `OpenCV`'s.
     Four,
+    /// By an interpolation of `OpenCV` with its rounding to bytes; by way of the size in whole pixels, where [`SizeRule::Longest`] has one.
+    OpenCv(Interpolation),
     /// First widened by mirrored margins of [`margin`], then by lines between the two nearest pixels, corner on corner; the
     /// margins are taken off the map again.
     Mirrored,
@@ -53,6 +61,41 @@ pub enum Kind {
     Metric,
     /// Logarithm of the distance.
     LogDepth,
+    /// A point before the camera, row by row x, y, z, whose distance is z and an unknown shift of all, see [`super::points`].
+    Points,
+}
+
+/// Where a network says that there is nothing to measure, as of sky: by an output of that name.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sky {
+    /// The output's name.
+    pub name: &'static str,
+    /// From this value on it is sky, or, where `inside` is set, above it is not.
+    pub threshold: f32,
+    /// The output tells what is not sky.
+    pub inside: bool,
+}
+
+/// Which of a graph's outputs are taken.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Outputs {
+    /// Names of the map, one of which must be there; none: the first output.
+    pub map: &'static [&'static str],
+    /// What tells sky, where the graph has it.
+    pub sky: Option<Sky>,
+    /// Names of a factor of all distances, where the graph has it.
+    pub scale: &'static [&'static str],
+}
+
+impl Outputs {
+    /// The first output, whatever its name.
+    pub const FIRST: Self = Self { map: &[], sky: None, scale: &[] };
+    /// Those of Depth Anything 3; the publishers take a score of .3 for sky.
+    pub const VIEWS: Self =
+        Self { map: &["predicted_depth", "depth"], sky: Some(Sky { name: "sky", threshold: 0.3, inside: false }), scale: &[] };
+    /// Those of `MoGe`.
+    pub const POINTS: Self =
+        Self { map: &["points"], sky: Some(Sky { name: "mask", threshold: 0.5, inside: true }), scale: &["metric_scale", "scale"] };
 }
 
 /// One depth network: what comes before and after it.
@@ -72,6 +115,10 @@ pub struct Adapter {
     pub layout: Layout,
     /// Meaning of the output.
     pub output: Kind,
+    /// Which outputs they are.
+    pub outputs: Outputs,
+    /// The graph may want several pictures of a scene in an extent after the batch's; it is given one.
+    pub views: bool,
     /// How the photo is brought to the network's size.
     pub sampling: Sampling,
     /// Strength of smoothing up to the photo's edges, for a network that leaves haloes; 0 for one with sharp edges.
@@ -87,14 +134,16 @@ const CUBIC: Sampling = Sampling::Bytes(Filter::Cubic);
 const LINEAR: Sampling = Sampling::Bytes(Filter::Triangle);
 
 const fn entry(name: &'static str, size: SizeRule, multiple: u32, norm: ([f32; 3], [f32; 3]), sampling: Sampling, output: Kind) -> Adapter {
-    Adapter { name, size, multiple, mean: norm.0, deviation: norm.1, layout: Layout::Nchw, output, sampling, smoothing: 0.0 }
+    let (layout, outputs) = (Layout::Nchw, Outputs::FIRST);
+    Adapter { name, size, multiple, mean: norm.0, deviation: norm.1, layout, output, outputs, views: false, sampling, smoothing: 0.0 }
 }
 
 /// All known networks; the first is the embedded one. The rest is prepared as its publishers do, to the rounding, and
 /// `training/adapters.py` holds them to it: DPT, Depth Anything and `ZoeDepth` by the image processors and the published
 /// settings of `transformers`; those that the `MiDaS` project publishes as ONNX are of one size and normalise by themselves,
-/// those exported from its torch hub do neither.
-pub const ADAPTERS: [Adapter; 11] = [
+/// those exported from its torch hub do neither. `MoGe` brings the photo to its tokens by itself, but in ONNX without antialiasing: it
+/// is given what its own code makes of the photo, for as many tokens as its ONNX documents take.
+pub const ADAPTERS: [Adapter; 14] = [
     Adapter {
         smoothing: 100.0,
         ..entry("tmpi", SizeRule::Area(128 * 192), 32, IMAGENET, Sampling::Unrounded(Filter::Lanczos3), Kind::Disparity)
@@ -108,6 +157,16 @@ pub const ADAPTERS: [Adapter; 11] = [
     entry("depth-anything-v2", SizeRule::Near(518, 518), 14, IMAGENET, CUBIC, Kind::Disparity),
     entry("depth-anything-v2-metric", SizeRule::Near(518, 518), 14, IMAGENET, CUBIC, Kind::Metric),
     entry("zoedepth", SizeRule::Near(512, 384), 32, HALF, Sampling::Mirrored, Kind::Metric),
+    Adapter {
+        outputs: Outputs::VIEWS,
+        views: true,
+        ..entry("depth-anything-3", SizeRule::Longest(504), 14, IMAGENET, Sampling::OpenCv(Interpolation::AreaOrCubic), Kind::Metric)
+    },
+    Adapter {
+        outputs: Outputs::POINTS,
+        ..entry("moge-2", SizeRule::Squares(1800), 14, PLAIN, Sampling::Unrounded(Filter::Triangle), Kind::Points)
+    },
+    entry("zipdepth", SizeRule::Shortest(384), 32, PLAIN, Sampling::OpenCv(Interpolation::Linear), Kind::Disparity),
     entry("log-depth", SizeRule::Area(384 * 512), 32, IMAGENET, Sampling::Unrounded(Filter::Cubic), Kind::LogDepth),
 ];
 
@@ -144,7 +203,34 @@ impl Adapter {
                 let scale = (f64::from(side) / width).min(f64::from(side) / height);
                 (self.rounded(scale * width, Some(side)), self.rounded(scale * height, Some(side)))
             }
+            SizeRule::Shortest(side) => {
+                let (width, height) = self.squeezed(width, height);
+                let scale = f64::from(side) / width.min(height);
+                (self.rounded(width * scale, None), self.rounded(height * scale, None))
+            }
+            SizeRule::Longest(_) => {
+                let (width, height) = self.on_the_way(width, height).unwrap_or((width, height));
+                // Of two as near the larger
+                let near = |v: u32| ((v + self.multiple / 2) / self.multiple).max(1) * self.multiple;
+                (near(width), near(height))
+            }
+            SizeRule::Squares(count) => {
+                let (width, height) = self.squeezed(width, height);
+                let aspect = width / height;
+                let side = |squares: f64| (squares.sqrt().round_ties_even().max(1.0) as u32) * self.multiple;
+                (side(f64::from(count) * aspect), side(f64::from(count) / aspect))
+            }
         }
+    }
+
+    /// Size in whole pixels that a photo of `width × height` is brought to before that of the network, where the rule has one.
+    #[must_use]
+    pub fn on_the_way(&self, width: u32, height: u32) -> Option<(u32, u32)> {
+        let SizeRule::Longest(side) = self.size else { return None };
+        let (width, height) = self.squeezed(width, height);
+        let scale = f64::from(side) / width.max(height);
+        let whole = |v: f64| (v * scale).round_ties_even().max(1.0) as u32;
+        Some((whole(width), whole(height)))
     }
 
     /// The photo's size with its margins, where it gets some, and its longer side cut to what is bearable.
@@ -203,6 +289,17 @@ mod tests {
         assert_eq!(size("zoedepth", 640, 480), (512, 384));
         assert_eq!(size("zoedepth", 1500, 1000), (576, 384));
         assert_eq!((margin(640), margin(480), margin(1)), (53, 46, 2));
+        assert_eq!(size("depth-anything-3", 1000, 750), (504, 378));
+        assert_eq!(size("depth-anything-3", 300, 301), (504, 504), "502 and 504");
+        assert_eq!(size("depth-anything-3", 1008, 686), (504, 350), "343 lies between 336 and 350: the larger one");
+        assert_eq!(size("depth-anything-3", 3000, 1000), (504, 168));
+        assert_eq!(size("depth-anything-3", 1, 16_384), (126, 504), "squeezed to 4:1");
+        assert_eq!(size("moge-2", 518, 518), (588, 588), "42² = 1764 tokens");
+        assert_eq!(size("moge-2", 4000, 3000), (686, 518), "49 × 37 = 1813");
+        assert_eq!(size("moge-2", 1000, 2000), (420, 840), "30 × 60 = 1800");
+        assert_eq!(size("zipdepth", 1000, 1000), (384, 384));
+        assert_eq!(size("zipdepth", 1920, 1080), (672, 384), "682.7 is 21.3 multiples");
+        assert_eq!(size("zipdepth", 300, 400), (384, 512));
     }
 
     proptest! {

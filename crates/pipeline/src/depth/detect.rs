@@ -8,7 +8,11 @@ use super::{ADAPTERS, Adapter, adapter};
 use crate::networks::{Outline, outline};
 
 /// Words of a file's name that tell a network, the more special ones first; the second is its adapter.
-const WORDS: [(&[&str], &str); 9] = [
+const WORDS: [(&[&str], &str); 13] = [
+    (&["depth-anything-v3"], "depth-anything-3"),
+    (&["depthanything3"], "depth-anything-3"),
+    (&["depthanythingv3"], "depth-anything-3"),
+    (&["moge2"], "moge-2"),
     (&["depth-anything", "metric"], "depth-anything-v2-metric"),
     (&["depth-anything"], "depth-anything-v2"),
     (&["zoe"], "zoedepth"),
@@ -21,8 +25,8 @@ const WORDS: [(&[&str], &str); 9] = [
     (&["model-f6b98070"], "midas-v2.1"),
 ];
 
-/// The adapter for an ONNX file: by words of its name, else of the folders that it lies in, else by the size that its graph is
-/// fixed to. None where nothing tells.
+/// The adapter for an ONNX file: by words of its name, else of the folders that it lies in, else by its graph: the names of what it takes
+/// and gives, else the size that it is fixed to. None where nothing tells.
 #[must_use]
 pub fn detect(file: &Path) -> Option<&'static Adapter> {
     let outline = File::open(file).ok().and_then(|f| outline(&mut BufReader::new(f)));
@@ -36,11 +40,26 @@ fn by_name(name: &str) -> Option<&'static Adapter> {
     // The embedded network's name is that of the whole program and tells nothing
     let named = ADAPTERS[1..].iter().filter(|a| name.contains(a.name)).max_by_key(|a| a.name.len());
     let worded = || WORDS.iter().find(|(words, _)| words.iter().all(|w| name.contains(w))).and_then(|w| adapter(w.1));
-    named.or_else(worded)
+    // As the project calls its networks: too short to be looked for within words
+    let da3 = |word: &str| word.strip_prefix("da3").is_some_and(|rest| ["", "small", "base", "large", "metric", "mono"].contains(&rest));
+    let short = || name.split(['-', '.']).any(da3).then(|| adapter("depth-anything-3")).flatten();
+    named.or_else(short).or_else(worded)
 }
 
 fn by_graph(outline: &Outline) -> Option<&'static Adapter> {
-    let [_, _, h, w] = outline.shape;
+    let gives = |name: &str| outline.outputs.iter().any(|o| o == name);
+    let depth = gives("depth") || gives("predicted_depth");
+    if gives("points") && gives("mask") && (gives("metric_scale") || gives("scale")) {
+        return adapter("moge-2");
+    }
+    // Besides depth it tells sky, or how sure it is, or, of several pictures, their cameras
+    if depth && (gives("sky") || gives("depth_conf") || outline.shape.len() == 5 && (gives("confidence") || gives("extrinsics"))) {
+        return adapter("depth-anything-3");
+    }
+    if depth && outline.convolution.contains("encoder.stem_half") {
+        return adapter("zipdepth");
+    }
+    let [_, _, h, w] = outline.shape[..] else { return None };
     let name = match (w, h) {
         (256, 256) => "midas-v2.1-small",
         // The name that `transformers` gives
@@ -78,6 +97,18 @@ mod tests {
             ("depth_anything_metric_depth_indoor.onnx", "depth-anything-v2-metric"),
             ("ZoeD_N.onnx", "zoedepth"),
             ("zoedepth-nyu-kitti/onnx/model.onnx", "zoedepth"),
+            ("depth-anything-3-small.onnx", "depth-anything-3"),
+            ("depth-anything-v3-small/onnx/model.onnx", "depth-anything-3"),
+            ("Depth-Anything-3-Onnx/da3metric-large_504.onnx", "depth-anything-3"),
+            ("DA3MONO-LARGE/model.onnx", "depth-anything-3"),
+            ("depth_anything_v2_5fda3c.onnx", "depth-anything-v2"),
+            ("da3f00/depth_anything_v2.onnx", "depth-anything-v2"),
+            ("da3.onnx", "depth-anything-3"),
+            ("DepthAnything3_ONNX/small.onnx", "depth-anything-3"),
+            ("moge-2-vits-normal-onnx/model.onnx", "moge-2"),
+            ("moge2-vitb-normal.onnx", "moge-2"),
+            ("zipdepth_base_384x384.onnx", "zipdepth"),
+            ("zipdepth_base_npu_512x384.onnx", "zipdepth"),
         ] {
             assert_eq!(detect(Path::new(file)).map(|a| a.name), Some(want), "{file}");
         }
@@ -86,8 +117,9 @@ mod tests {
 
     #[test]
     fn files_without_a_name_by_their_graph() {
-        let of =
-            |input: &str, w, h, normalises| by_graph(&Outline { input: input.into(), shape: [1, 3, h, w], normalises }).map(|a| a.name);
+        let of = |input: &str, w, h, normalises| {
+            by_graph(&Outline { input: input.into(), shape: vec![1, 3, h, w], normalises, ..Outline::default() }).map(|a| a.name)
+        };
         assert_eq!(of("0", 256, 256, true), Some("midas-v2.1-small"));
         assert_eq!(of("0", 384, 384, true), Some("midas-v2.1"));
         assert_eq!(of("0", 384, 384, false), Some("midas-v2.1-hub"));
@@ -100,9 +132,31 @@ mod tests {
     }
 
     #[test]
+    fn files_without_a_name_by_what_they_give() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("m.onnx");
+        let tests = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/onnx"));
+        for (fixture, want) in [("points", Some("moge-2")), ("views", Some("depth-anything-3")), ("stem", Some("zipdepth")), ("mean", None)]
+        {
+            std::fs::copy(tests.join(fixture).with_extension("onnx"), &file).unwrap();
+            assert_eq!(detect(&file).map(|a| a.name), want, "{fixture}");
+        }
+        let of = |shape: &[i64], outputs: &[&str]| {
+            let outputs = outputs.iter().map(|o| (*o).to_owned()).collect();
+            by_graph(&Outline { input: "image".into(), shape: shape.to_vec(), outputs, ..Outline::default() }).map(|a| a.name)
+        };
+        assert_eq!(of(&[1, 3, 504, 504], &["depth", "sky"]), Some("depth-anything-3"), "not disparity, as its size alone would say");
+        assert_eq!(of(&[1, -1, 3, 504, 504], &["depth", "depth_conf", "extrinsics", "intrinsics"]), Some("depth-anything-3"));
+        assert_eq!(of(&[1, 32, 3, 518, 518], &["depth"]), None, "a film of 32 pictures");
+        assert_eq!(of(&[1, 3, 518, 518], &["points", "normal", "mask", "scale"]), Some("moge-2"));
+        assert_eq!(of(&[-1, 3, -1, -1], &["points", "mask"]), None, "its first version has no scale");
+        assert_eq!(of(&[1, 3, 518, 518], &["depth"]), Some("depth-anything-v2"));
+    }
+
+    #[test]
     fn a_name_of_midas_is_held_against_the_graph() {
         let small = adapter("midas-v2.1-small").unwrap();
-        let outline = |normalises| Outline { input: "x".into(), shape: [1, 3, -1, -1], normalises };
+        let outline = |normalises| Outline { input: "x".into(), shape: vec![1, 3, -1, -1], normalises, ..Outline::default() };
         assert_eq!(normalised(small, Some(&outline(true))).name, "midas-v2.1-small");
         assert_eq!(normalised(small, Some(&outline(false))).name, "midas-v2.1-small-hub");
         assert_eq!(normalised(small, None).name, "midas-v2.1-small");

@@ -7,10 +7,12 @@ mod detect;
 mod map;
 mod monocular;
 mod png;
+pub mod points;
+mod ports;
 mod smooth;
 mod upsample;
 
-pub use adapter::{ADAPTERS, Adapter, Kind, Layout, Sampling, SizeRule, adapter, margin};
+pub use adapter::{ADAPTERS, Adapter, Kind, Layout, Outputs, Sampling, SizeRule, Sky, adapter, margin};
 pub use carried::{Carried, carried};
 pub use detect::detect;
 pub use map::{check, from_map};

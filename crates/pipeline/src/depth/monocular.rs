@@ -2,10 +2,11 @@
 
 use std::sync::Arc;
 
+use super::ports::{Ports, Values};
 use super::smooth::smooth;
 use super::{Adapter, DepthError, Estimator, Kind, Layout, Sampling, SizeRule, margin, upsample};
-use crate::networks::{Config, Network, OnnxError, Session, Tensor};
-use crate::photo::{Filter, Taps, resample, resample_by, resample_bytes};
+use crate::networks::{Beside, Config, Network, OnnxError, Session};
+use crate::photo::{Filter, Taps, resample, resample_by, resample_bytes, resize_opencv};
 use tmpi_core::{DisparityMap, Photo};
 
 /// Shares of pixels below and above which the normalised map saturates.
@@ -18,57 +19,55 @@ const NOISE: f64 = 0.25;
 /// Monocular depth by one network of [`super::ADAPTERS`].
 pub struct Monocular {
     adapter: Adapter,
+    /// Size rule before a file's fixed extents overrode it.
+    rule: SizeRule,
     network: Arc<dyn Network>,
+    ports: Ports,
     flip: bool,
 }
 
 impl Monocular {
-    /// Depth by `network`, which wants and gives what `adapter` says. With `flip` it runs a second time on the mirrored
-    /// photo and takes the mean: twice the time.
+    /// Depth by `network`, which wants one picture and gives, as its first output, what `adapter` says. With `flip` it runs a second time
+    /// on the mirrored photo and takes the mean: twice the time.
     #[must_use]
     pub fn new(adapter: &Adapter, network: Arc<dyn Network>, flip: bool) -> Self {
-        Self { adapter: *adapter, network, flip }
+        Self { adapter: *adapter, rule: adapter.size, network, ports: Ports::PLAIN, flip }
     }
 
-    /// Loads the network from the bytes of an ONNX file; fixed extents in the file override the adapter's size rule.
+    /// Loads the network from the bytes of an ONNX file and of the files of weights that it names; fixed extents in the file override the
+    /// adapter's size rule.
     ///
     /// # Errors
     /// [`OnnxError`]: no library, or the file does not fit the adapter.
-    pub fn load(adapter: &Adapter, model: &[u8], config: &Config, flip: bool) -> Result<Self, OnnxError> {
-        let session = Session::load(adapter.name, model, config)?;
+    pub fn load(adapter: &Adapter, model: &[u8], beside: &[Beside], config: &Config, flip: bool) -> Result<Self, OnnxError> {
+        let session = Session::load_with(adapter.name, model, beside, config)?;
         let bad = |reason: String| OnnxError::Model { name: adapter.name.to_owned(), reason };
-        let [input] = session.inputs() else {
-            return Err(bad(format!("it has {} inputs; a depth network has one", session.inputs().len())));
-        };
-        let &[_, a, b, c] = input.shape.as_slice() else { return Err(bad(format!("its input has extents {:?}", input.shape))) };
-        let (channels, rows, columns) = if adapter.layout == Layout::Nchw { (a, b, c) } else { (c, a, b) };
-        if channels != 3 && channels >= 0 {
-            return Err(bad(format!("its input has extents {:?}, not three channels", input.shape)));
-        }
-        let mut adapter = *adapter;
+        let (ports, rows, columns) = Ports::of(adapter, session.inputs(), session.outputs()).map_err(bad)?;
+        let (rule, mut adapter) = (adapter.size, *adapter);
         if let (Ok(w @ 1..), Ok(h @ 1..)) = (u32::try_from(columns), u32::try_from(rows)) {
             adapter.size = SizeRule::Fixed(w, h);
         }
-        Ok(Self::new(&adapter, Arc::new(session), flip))
+        Ok(Self { adapter, rule, network: Arc::new(session), ports, flip })
     }
 
     /// One run of the network: disparity at the network's size, less margins that the photo was given; every value finite.
     fn run(&self, photo: &Photo, (w, h): (u32, u32), mirrored: bool) -> Result<DisparityMap, DepthError> {
         let planar = self.input(photo, (w, h), mirrored);
         let (w, h) = (w as usize, h as usize);
-        let shape = if self.adapter.layout == Layout::Nchw { vec![1, 3, h, w] } else { vec![1, h, w, 3] };
-        let out = self.network.run(vec![Tensor { shape, data: planar }])?;
+        let out = self.network.run(self.ports.inputs(&self.adapter, planar, w, h))?;
         let fail = |reason: String| OnnxError::Run { name: self.adapter.name.to_owned(), reason };
-        let Some(out) = out.into_iter().next() else { return Err(fail("it gave nothing".into()).into()) };
-        if out.data.len() != w * h {
-            return Err(fail(format!("it gave {:?} for a picture of {w}×{h}", out.shape)).into());
+        let Values { data, sky } = self.ports.values(&self.adapter, out, w, h).map_err(fail)?;
+        if !data.iter().any(|v| v.is_finite()) {
+            return Err(fail("it gave no finite value".into()).into());
         }
-        let (data, w, h) = self.without_margins(out.data, photo, w, h);
+        let (data, w, h) = self.without_margins(data, photo, w, h);
         let mut delta: Vec<f32> = data.into_iter().map(|v| self.to_disparity(v)).collect();
+        // Sky is as far away as anything can be
+        delta.iter_mut().zip(sky).filter(|(_, sky)| *sky).for_each(|(v, _)| *v = 0.0);
         // What is not finite is taken as far away
         let far = delta.iter().copied().filter(|v| v.is_finite()).fold(f32::INFINITY, f32::min);
         if far == f32::INFINITY {
-            return Err(fail("it gave no finite value".into()).into());
+            return Err(fail("it gave no value that is a distance".into()).into());
         }
         for v in &mut delta {
             if !v.is_finite() {
@@ -111,6 +110,14 @@ impl Monocular {
         let mut small: Vec<[f32; 3]> = match sampling {
             Sampling::Unrounded(filter) => resample(&photo.rgb, from, size, filter, load, |p| normal(p.map(|v| v.clamp(0.0, 1.0)))),
             Sampling::Bytes(filter) => resample_bytes(&photo.rgb, from, size, filter).into_iter().map(|p| normal(load(p))).collect(),
+            Sampling::OpenCv(kind) => {
+                // By way of its size in whole pixels, where the rule leads to this size; bytes in between, as there
+                let ruled = Adapter { size: self.rule, ..self.adapter };
+                let first = ruled.on_the_way(from.0, from.1).filter(|_| ruled.network_size(from.0, from.1) == size);
+                let between = first.map(|between| resize_opencv(&photo.rgb, from, between, kind));
+                let (source, from) = (between.as_ref().unwrap_or(&photo.rgb), first.unwrap_or(from));
+                resize_opencv(source, from, size, kind).into_iter().map(|p| normal(load(p))).collect()
+            }
             Sampling::Four => by(&Taps::four(from_w, to_w), &Taps::four(from_h, to_h)),
             Sampling::Mirrored => {
                 let taps = |side: u32, to| Taps::mirrored(side as usize, margin(side) as usize, to);
@@ -130,8 +137,8 @@ impl Monocular {
         match self.adapter.output {
             Kind::Disparity => v,
             // A distance that is not positive is unknown
-            Kind::Metric if v > 0.0 => 1.0 / v,
-            Kind::Metric => f32::NAN,
+            Kind::Metric | Kind::Points if v > 0.0 => 1.0 / v,
+            Kind::Metric | Kind::Points => f32::NAN,
             Kind::LogDepth => (-v).exp(),
         }
     }
@@ -220,6 +227,7 @@ fn relief(lo: f64, hi: f64) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::networks::Tensor;
 
     /// Gives, for a picture, a plane of disparity that the test chose; remembers nothing.
     struct Stub(fn(usize, usize) -> f32);
@@ -297,6 +305,135 @@ mod tests {
         assert!(got.delta.iter().all(|v| (0.0..=1.0).contains(v)), "distances of 0 and below");
     }
 
+    /// Gives the outputs that a test chose.
+    struct Several(fn(usize, usize) -> Vec<Tensor>);
+
+    impl Network for Several {
+        fn run(&self, inputs: Vec<Tensor>) -> Result<Vec<Tensor>, OnnxError> {
+            let [.., h, w] = inputs[0].shape[..] else { panic!("{:?}", inputs[0].shape) };
+            Ok((self.0)(w, h))
+        }
+    }
+
+    fn several(name: &str, outputs: &[&str], f: fn(usize, usize) -> Vec<Tensor>) -> Monocular {
+        let adapter = super::super::adapter(name).unwrap();
+        let port = |name: &str, shape: &[i64]| crate::networks::Port { name: name.into(), shape: shape.to_vec() };
+        let outputs: Vec<_> = outputs.iter().map(|o| port(o, &[])).collect();
+        let (ports, ..) = Ports::of(adapter, &[port("image", &[1, 3, -1, -1])], &outputs).unwrap();
+        Monocular { ports, ..Monocular::new(adapter, Arc::new(Several(f)), false) }
+    }
+
+    fn map(w: usize, h: usize, f: impl Fn(usize, usize) -> f32) -> Tensor {
+        Tensor { shape: vec![1, h, w], data: (0..w * h).map(|i| f(i % w, i / w)).collect() }
+    }
+
+    /// Points of a plane that recedes to the right from 1 to 3, 0.5 nearer than they are; distances are those times 2.
+    fn plane(w: usize, h: usize, focal: f64) -> Vec<Tensor> {
+        let diagonal = (w as f64).hypot(h as f64);
+        let mut points = map(3 * w, h, |k, y| {
+            let z = 1.0 + 2.0 * (k / 3) as f64 / w as f64;
+            let [u, v] = [(2 * (k / 3) + 1) as f64 - w as f64, (2 * y + 1) as f64 - h as f64].map(|p| p * z / diagonal / focal);
+            [u, v, z - 0.5][k % 3] as f32
+        });
+        points.shape = vec![1, h, w, 3];
+        vec![points, map(w, h, |_, y| if y < h / 4 { 0.5 } else { 0.9 }), Tensor { shape: vec![1], data: vec![2.0] }]
+    }
+
+    #[test]
+    fn points_become_disparities_and_sky_is_infinitely_far() {
+        let names = ["points", "mask", "scale"];
+        for f in [(|w, h| plane(w, h, 0.7)) as fn(usize, usize) -> Vec<Tensor>, |w, h| plane(w, h, 3.0)] {
+            let got = several("moge-2", &names, f).raw(&photo(300, 200)).unwrap();
+            let (w, h) = (got.width as usize, got.height as usize);
+            assert_eq!((w, h), (52 * 14, 35 * 14));
+            for (k, delta) in got.delta.iter().enumerate() {
+                let want = if k / w < h / 4 { 0.0 } else { 0.5 / (1.0 + 2.0 * (k % w) as f64 / w as f64) };
+                assert!((f64::from(*delta) - want).abs() < 1e-4, "{delta} for {want}");
+            }
+        }
+        let got = several("moge-2", &names, |w, h| plane(w, h, 1.0)).estimate(&photo(300, 200)).unwrap();
+        assert!(got.delta[..300 * 40].iter().all(|d| *d < 0.01) && got.delta[300 * 150] > 0.95);
+    }
+
+    #[test]
+    fn a_photo_of_sky_alone_is_flat_and_no_numbers_are_an_error() {
+        let all_sky = several("moge-2", &["points", "mask"], |w, h| {
+            let mut outputs = plane(w, h, 1.0);
+            outputs[1].data.fill(0.0);
+            outputs
+        });
+        let got = all_sky.estimate(&photo(40, 30)).unwrap();
+        assert!(got.delta.iter().all(|v| (v - FLAT).abs() < 1e-5));
+        let sky = several("depth-anything-3", &["depth", "sky"], |w, h| vec![map(w, h, |x, _| x as f32 + 1.0), map(w, h, |_, _| 1.0)]);
+        assert!(sky.estimate(&photo(40, 30)).unwrap().delta.iter().all(|v| (v - FLAT).abs() < 1e-5));
+        let nothing = several("moge-2", &["points", "mask"], |w, h| {
+            plane(w, h, 1.0).into_iter().map(|t| Tensor { data: vec![f32::NAN; t.data.len()], ..t }).collect()
+        });
+        assert!(nothing.estimate(&photo(40, 30)).unwrap_err().to_string().contains("no finite value"));
+        let behind = several("depth-anything-3", &["depth"], |w, h| vec![map(w, h, |_, _| -1.0)]);
+        assert!(behind.estimate(&photo(40, 30)).unwrap_err().to_string().contains("no value that is a distance"));
+        let holes = several("moge-2", &["points", "mask"], |w, h| {
+            let mut outputs = plane(w, h, 1.0);
+            let wild = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY];
+            outputs[0].data.iter_mut().step_by(97).enumerate().for_each(|(i, v)| *v = wild[i % 3]);
+            outputs[1].data.iter_mut().step_by(89).for_each(|v| *v = f32::NAN);
+            outputs
+        });
+        let got = holes.estimate(&photo(40, 30)).unwrap();
+        assert!(got.delta.iter().all(|v| (0.0..=1.0).contains(v)) && got.delta[40 * 20] > got.delta[40 * 20 + 38]);
+        let wild = several("moge-2", &["points", "mask"], |w, h| {
+            let mut outputs = plane(w, h, 1.0);
+            outputs[0].data.iter_mut().step_by(97).enumerate().for_each(|(i, v)| *v = [-1e30, 1e30, -1.0, 0.0][i % 4]);
+            outputs
+        });
+        assert!(wild.estimate(&photo(40, 30)).unwrap().delta.iter().all(|v| (0.0..=1.0).contains(v)));
+        let small = several("moge-2", &["points", "mask"], |w, h| vec![plane(w, h, 1.0).swap_remove(0), map(0, 0, |_, _| 0.0)]);
+        assert!(small.estimate(&photo(40, 30)).unwrap_err().to_string().contains("as its mask"));
+    }
+
+    #[test]
+    fn every_shape_of_photo_goes_through_every_network() {
+        for (w, h) in [(1, 1), (1, 16_384), (16_384, 1), (63, 65), (1008, 686)] {
+            let p = photo(w, h);
+            let moge = several("moge-2", &["points", "mask", "scale"], |w, h| plane(w, h, 1.0)).estimate(&p).unwrap();
+            let three = several("depth-anything-3", &["depth"], |w, h| vec![map(w, h, |x, y| (x + y + 1) as f32)]).estimate(&p).unwrap();
+            let zip = several("zipdepth", &["depth"], |w, h| vec![map(w, h, |x, y| (x + y) as f32)]).estimate(&p).unwrap();
+            for got in [moge, three, zip] {
+                assert_eq!((got.width, got.height), (w, h));
+                assert!(got.delta.iter().all(|v| (0.0..=1.0).contains(v)), "{w}×{h}");
+            }
+        }
+    }
+
+    #[test]
+    fn files_of_several_inputs_outputs_and_parts_are_loaded_and_run() {
+        if tmpi_testing::Need::Onnx.or_skip(crate::networks::available()).is_none() {
+            return;
+        }
+        let load = |name: &str, model, beside: &[Beside]| {
+            Monocular::load(super::super::adapter(name).unwrap(), model, beside, &Config::default(), false)
+        };
+        // Left half black, outside of the mask; the right half's blue is its distance, up to the shift and 1813 tokens as the scale
+        let half = Photo { width: 40, height: 30, rgb: (0..1200).map(|i| if i % 40 < 20 { [0; 3] } else { [200, 200, 255] }).collect() };
+        let got = load("moge-2", include_bytes!("../../../../tests/onnx/points.onnx"), &[]).unwrap().raw(&half).unwrap();
+        assert_eq!((got.width, got.height), (49 * 14, 37 * 14));
+        let (left, right) = (got.delta[686 * 100], got.delta[686 * 100 + 600]);
+        assert!(left.abs() < 1e-9 && right > 0.0 && right < 1.0, "{left} {right}");
+        let views = include_bytes!("../../../../tests/onnx/views.onnx");
+        let weights = || ("views.onnx_data".to_owned(), Arc::from(include_bytes!("../../../../tests/onnx/views.onnx_data").as_slice()));
+        let grey = Photo { width: 40, height: 30, rgb: vec![[124, 116, 104]; 1200] };
+        let got = load("depth-anything-3", views, &[weights()]).unwrap().raw(&grey).unwrap();
+        assert_eq!((got.width, got.height), (504, 378));
+        // ImageNet's mean is a 0, and distances are 3
+        assert!(got.delta.iter().all(|d| (d - 1.0 / 3.0).abs() < 1e-2), "{}", got.delta[0]);
+        assert!(matches!(load("depth-anything-3", views, &[]), Err(OnnxError::Model { .. })), "weights are missing");
+        let stem = include_bytes!("../../../../tests/onnx/stem.onnx");
+        let got = load("zipdepth", stem, &[]).unwrap().raw(&grey).unwrap();
+        assert_eq!((got.width, got.height), (64, 32), "the file's extents");
+        let wrong = load("moge-2", stem, &[]).err().unwrap().to_string();
+        assert!(wrong.contains("gives depth, and none is called points"), "{wrong}");
+    }
+
     #[test]
     fn flipping_takes_the_mean_of_both_runs() {
         // A network that is blind to the picture sees the same ramp in the mirrored photo: the mean has no slope to the side
@@ -347,12 +484,12 @@ mod tests {
         }
         let mean = include_bytes!("../../../../tests/onnx/mean.onnx");
         let plain = Adapter { mean: [0.0; 3], deviation: [1.0; 3], ..super::super::ADAPTERS[0] };
-        let got = Monocular::load(&plain, mean, &Config::default(), false).unwrap();
+        let got = Monocular::load(&plain, mean, &[], &Config::default(), false).unwrap();
         let grey = Photo { width: 48, height: 32, rgb: (0..48 * 32).map(|i| [(i % 48 * 5) as u8; 3]).collect() };
         let raw = got.raw(&grey).unwrap();
         assert_eq!((raw.width, raw.height), (192, 128));
         assert!((raw.delta[64 * 192 + 96] - 0.46).abs() < 0.03, "{}", raw.delta[64 * 192 + 96]);
         let two = include_bytes!("../../../../tests/onnx/sum_difference.onnx");
-        assert!(matches!(Monocular::load(&plain, two, &Config::default(), false), Err(OnnxError::Model { .. })));
+        assert!(matches!(Monocular::load(&plain, two, &[], &Config::default(), false), Err(OnnxError::Model { .. })));
     }
 }

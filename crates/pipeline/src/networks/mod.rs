@@ -10,7 +10,7 @@ mod tests;
 
 pub use library::{available, keep_to_yourself};
 pub use outline::{Outline, outline};
-pub use session::{Config, Optimisation, Port, Provider, Session};
+pub use session::{Beside, Config, Optimisation, Port, Provider, Session};
 
 /// A dense `f32` tensor, row-major.
 #[derive(Clone, Debug, PartialEq)]

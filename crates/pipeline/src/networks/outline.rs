@@ -5,21 +5,27 @@ use std::io::{self, BufRead, Seek};
 /// Longest description of an input or a node that is read, in bytes.
 const LONGEST: u64 = 1 << 16;
 
-/// The picture input of a graph, and how the graph begins.
-#[derive(Clone, Debug, PartialEq, Eq)]
+/// The picture input of a graph, how the graph begins, and what it gives.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Outline {
-    /// Name of the first input with four extents.
+    /// Name of the first input with four or five extents.
     pub input: String,
     /// Its extents; −1 where any extent will do.
-    pub shape: [i64; 4],
+    pub shape: Vec<i64>,
+    /// Names of the outputs.
+    pub outputs: Vec<String>,
     /// The graph subtracts or divides before its first convolution: it normalises by itself.
     pub normalises: bool,
+    /// Name of the first convolution, and those of what it takes, separated by spaces.
+    pub convolution: String,
+    /// Files that hold weights outside of this one, as it calls them.
+    pub beside: Vec<String>,
 }
 
-/// Reads the outline of an ONNX file; none where it is not one, or has no input of four extents.
+/// Reads the outline of an ONNX file; none where it is not one, or has no input of four or five extents.
 #[must_use]
 pub fn outline(file: &mut (impl BufRead + Seek)) -> Option<Outline> {
-    read(file).ok().flatten()
+    read(file).ok().filter(|o| !o.shape.is_empty())
 }
 
 /// A value of the wire format: a number, or the length of what follows.
@@ -28,9 +34,10 @@ enum Field {
     Bytes(u64),
 }
 
-// Field numbers are those of onnx.proto: ModelProto.graph 7; GraphProto.node 1, input 11; NodeProto.op_type 4
-fn read(file: &mut (impl BufRead + Seek)) -> io::Result<Option<Outline>> {
-    let (mut port, mut normalises) = (None, None);
+// Field numbers are those of onnx.proto: ModelProto.graph 7; GraphProto.node 1, initializer 5, input 11, output 12; NodeProto.input 1,
+// name 3, op_type 4; ValueInfoProto.name 1; TensorProto.external_data 13, of StringStringEntryProto.key 1 and value 2
+fn read(file: &mut (impl BufRead + Seek)) -> io::Result<Outline> {
+    let (mut found, mut begun) = (Outline::default(), false);
     while let Some((number, field)) = next(file)? {
         match (number, field) {
             // The graph's fields follow
@@ -42,22 +49,54 @@ fn read(file: &mut (impl BufRead + Seek)) -> io::Result<Option<Outline>> {
     while let Some((number, field)) = next(file)? {
         let Field::Bytes(length) = field else { continue };
         match number {
-            1 if normalises.is_none() && length <= LONGEST => {
-                normalises = match operator(&bytes(file, length)?)?.as_deref() {
-                    Some("Sub" | "Div") => Some(true),
-                    Some("Conv") => Some(false),
-                    _ => None,
-                };
+            1 if found.convolution.is_empty() && length <= LONGEST => {
+                let node = bytes(file, length)?;
+                match operator(&node)?.as_deref() {
+                    Some("Sub" | "Div") if !begun => (begun, found.normalises) = (true, true),
+                    Some("Conv") => {
+                        begun = true;
+                        found.convolution = [all(&node, 3)?, all(&node, 1)?]
+                            .concat()
+                            .into_iter()
+                            .map(String::from_utf8_lossy)
+                            .collect::<Vec<_>>()
+                            .join(" ");
+                    }
+                    _ => {}
+                }
             }
-            11 if port.is_none() && length <= LONGEST => port = input(&bytes(file, length)?)?,
+            // Weights that are here are longer, or have no such entry
+            5 if length <= LONGEST => {
+                found.beside.extend(location(&bytes(file, length)?).ok().flatten());
+            }
+            11 if found.shape.is_empty() && length <= LONGEST => {
+                if let Some((name, shape)) = input(&bytes(file, length)?)? {
+                    (found.input, found.shape) = (name, shape);
+                }
+            }
+            12 if length <= LONGEST => {
+                found.outputs.extend(all(&bytes(file, length)?, 1)?.first().map(|name| String::from_utf8_lossy(name).into_owned()));
+            }
             _ => skip(file, length)?,
         }
     }
-    Ok(port.map(|(input, shape)| Outline { input, shape, normalises: normalises == Some(true) }))
+    found.beside.sort();
+    found.beside.dedup();
+    Ok(found)
 }
 
-/// Name and extents of a `ValueInfoProto` whose tensor has four extents.
-fn input(mut port: &[u8]) -> io::Result<Option<(String, [i64; 4])>> {
+/// File that a `TensorProto` says its numbers are in.
+fn location(tensor: &[u8]) -> io::Result<Option<String>> {
+    for entry in all(tensor, 13)? {
+        if all(entry, 1)?.first() == Some(&b"location".as_slice()) {
+            return Ok(all(entry, 2)?.first().map(|name| String::from_utf8_lossy(name).into_owned()));
+        }
+    }
+    Ok(None)
+}
+
+/// Name and extents of a `ValueInfoProto` whose tensor has four or five extents.
+fn input(mut port: &[u8]) -> io::Result<Option<(String, Vec<i64>)>> {
     let (mut name, mut shape) = (String::new(), Vec::new());
     while let Some((number, value)) = part(&mut port)? {
         match number {
@@ -72,7 +111,7 @@ fn input(mut port: &[u8]) -> io::Result<Option<(String, [i64; 4])>> {
             _ => {}
         }
     }
-    Ok(shape.try_into().ok().map(|shape| (name, shape)))
+    Ok(matches!(shape.len(), 4 | 5).then_some((name, shape)))
 }
 
 /// `dim_value` 1 of a dimension; −1 where it has a name or nothing.
@@ -172,7 +211,8 @@ mod tests {
     #[test]
     fn the_input_of_a_small_graph() {
         let got = outline(&mut Cursor::new(MEAN)).unwrap();
-        assert_eq!((got.shape[1], got.shape[2], got.shape[3], got.normalises), (3, -1, -1, false));
+        assert_eq!((got.shape, got.normalises, got.outputs), (vec![1, 3, -1, -1], false, vec!["disparity".to_owned()]));
+        assert!(got.beside.is_empty());
         assert!(!got.input.is_empty());
     }
 
@@ -187,15 +227,31 @@ mod tests {
         let dims = [field(1, &[8, 1]), field(1, &[8, 3]), field(1, &[8, 0x80, 3]), field(1, &field(2, b"w"))].concat();
         let port = field(11, &[field(1, b"image"), field(2, &field(1, &[vec![8, 1], field(2, &dims)].concat()))].concat());
         let file = |operators: &[&str]| {
-            let nodes = operators.iter().flat_map(|name| field(1, &[field(1, b"x"), field(4, name.as_bytes())].concat()));
+            let nodes =
+                operators.iter().flat_map(|name| field(1, &[field(1, b"x"), field(3, b"stem"), field(4, name.as_bytes())].concat()));
             // A version, weights, and what follows the graph
             let graph = [nodes.collect::<Vec<_>>(), field(5, &[7; 300]), port.clone()].concat();
             [vec![8, 7], field(2, b"test"), field(7, &graph), field(8, &[16, 13])].concat()
         };
         let of = |operators: &[&str]| outline(&mut Cursor::new(file(operators))).unwrap();
         let names = [["Identity"; 100].as_slice(), &["Sub", "Div", "Conv"]].concat();
-        assert_eq!(of(&names), Outline { input: "image".into(), shape: [1, 3, 384, -1], normalises: true });
+        let convolution = "stem x".into();
+        let want = Outline { input: "image".into(), shape: vec![1, 3, 384, -1], normalises: true, convolution, ..Outline::default() };
+        assert_eq!(of(&names), want);
         assert!(!of(&["Pad", "Conv", "Sub"]).normalises && !of(&[]).normalises);
+    }
+
+    #[test]
+    fn networks_of_several_inputs_outputs_and_files() {
+        let points = outline(&mut Cursor::new(include_bytes!("../../../../tests/onnx/points.onnx"))).unwrap();
+        assert_eq!((points.input.as_str(), points.shape), ("image", vec![1, 3, -1, -1]));
+        assert_eq!(points.outputs, ["points", "normal", "mask", "metric_scale"]);
+        let views = outline(&mut Cursor::new(include_bytes!("../../../../tests/onnx/views.onnx"))).unwrap();
+        assert_eq!(views.shape, [-1, -1, 3, -1, -1]);
+        assert_eq!(
+            (views.outputs.as_slice(), views.beside.as_slice()),
+            (["predicted_depth", "confidence"].map(str::to_owned).as_slice(), ["views.onnx_data".to_owned()].as_slice())
+        );
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! A network in a worker thread of its own.
 
+use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::thread;
 
@@ -70,7 +71,7 @@ impl Default for Config {
     }
 }
 
-/// An input or output of a network.
+/// An input or output of a network. A single 64-bit integer that is wanted is given as the float that it rounds.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Port {
     /// Its name in the graph.
@@ -79,13 +80,25 @@ pub struct Port {
     pub shape: Vec<i64>,
 }
 
+/// Kind of the numbers of a port.
+#[derive(Clone, Copy, PartialEq)]
+enum Number {
+    Single,
+    /// 16-bit floats: networks of half precision that were not given 32-bit ends.
+    Half,
+    /// A single 64-bit integer, of an input alone.
+    Whole,
+}
+
 /// A port as the session wants it.
 #[derive(Clone)]
 struct Wanted {
     port: Port,
-    /// Its numbers are 16-bit floats: networks of half precision that were not given 32-bit ends.
-    half: bool,
+    number: Number,
 }
+
+/// A file of weights that an ONNX file names, and its bytes.
+pub type Beside = (String, Arc<[u8]>);
 
 struct Job {
     inputs: Vec<Tensor>,
@@ -106,12 +119,20 @@ impl Session {
     /// # Errors
     /// [`OnnxError::Library`] without ONNX Runtime, [`OnnxError::Model`] where the file cannot be used.
     pub fn load(name: &str, model: &[u8], config: &Config) -> Result<Self, OnnxError> {
+        Self::load_with(name, model, &[], config)
+    }
+
+    /// As [`Self::load`], with the files of weights that the ONNX file names.
+    ///
+    /// # Errors
+    /// As [`Self::load`].
+    pub fn load_with(name: &str, model: &[u8], beside: &[Beside], config: &Config) -> Result<Self, OnnxError> {
         let reason = |reason: String| OnnxError::Model { name: name.to_owned(), reason };
-        let session = build(model, config).map_err(|e| match e {
+        let session = build(model, beside, config).map_err(|e| match e {
             Fault::Library(e) => e,
             Fault::Model(e) => reason(e),
         })?;
-        let (inputs, outputs) = (ports(session.inputs()).map_err(reason)?, ports(session.outputs()).map_err(reason)?);
+        let (inputs, outputs) = (ports(session.inputs(), true).map_err(reason)?, ports(session.outputs(), false).map_err(reason)?);
         let (queue, jobs) = sync_channel(config.queue.max(1));
         let worker = Worker { name: name.to_owned(), session, inputs: inputs.clone() };
         let plain = |ports: Vec<Wanted>| ports.into_iter().map(|w| w.port).collect();
@@ -155,7 +176,7 @@ impl<R> From<ort::Error<R>> for Fault {
     }
 }
 
-fn build(model: &[u8], config: &Config) -> Result<ort::session::Session, Fault> {
+fn build(model: &[u8], beside: &[Beside], config: &Config) -> Result<ort::session::Session, Fault> {
     let environment = library::environment().map_err(Fault::Library)?;
     let level = match config.optimisation {
         Optimisation::Off => GraphOptimizationLevel::Disable,
@@ -170,7 +191,11 @@ fn build(model: &[u8], config: &Config) -> Result<ort::session::Session, Fault> 
         .filter(|&&p| p != Provider::Cpu)
         .map(|p| if fall_back { p.dispatch() } else { p.dispatch().error_on_failure() })
         .collect();
-    Ok(ort::session::Session::builder(environment)?
+    let mut builder = ort::session::Session::builder(environment)?;
+    for (name, bytes) in beside {
+        builder = builder.with_external_initializer_file_in_memory(name, Arc::clone(bytes))?;
+    }
+    Ok(builder
         .with_optimization_level(level)?
         .with_intra_threads(config.threads)?
         // Idle threads that spin take the cores from the steps between two networks
@@ -179,16 +204,21 @@ fn build(model: &[u8], config: &Config) -> Result<ort::session::Session, Fault> 
         .commit_from_memory(model)?)
 }
 
-fn ports(outlets: &[ort::value::Outlet]) -> Result<Vec<Wanted>, String> {
-    outlets
+fn ports(outlets: &[ort::value::Outlet], inputs: bool) -> Result<Vec<Wanted>, String> {
+    let wanted = |o: &ort::value::Outlet| {
+        let ValueType::Tensor { ty, shape, .. } = o.dtype() else { return None };
+        let number = match ty {
+            TensorElementType::Float32 => Number::Single,
+            TensorElementType::Float16 => Number::Half,
+            TensorElementType::Int64 if inputs && shape.iter().all(|&n| n.abs() == 1) => Number::Whole,
+            _ => return None,
+        };
+        Some(Wanted { port: Port { name: o.name().to_owned(), shape: shape.to_vec() }, number })
+    };
+    let all = outlets
         .iter()
-        .map(|o| match o.dtype() {
-            ValueType::Tensor { ty: ty @ (TensorElementType::Float32 | TensorElementType::Float16), shape, .. } => {
-                Ok(Wanted { port: Port { name: o.name().to_owned(), shape: shape.to_vec() }, half: *ty == TensorElementType::Float16 })
-            }
-            other => Err(format!("{} is {other:?}, not a tensor of 32-bit or 16-bit floats", o.name())),
-        })
-        .collect()
+        .map(|o| wanted(o).ok_or_else(|| format!("{} is {:?}, not a tensor of 32-bit or 16-bit floats", o.name(), o.dtype())));
+    all.collect()
 }
 
 struct Worker {
@@ -210,14 +240,22 @@ impl Worker {
             return Err(format!("{} inputs given, {} wanted", inputs.len(), self.inputs.len()));
         }
         let mut values = Vec::with_capacity(inputs.len());
-        for (tensor, Wanted { port, half }) in inputs.iter().zip(&self.inputs) {
+        for (tensor, Wanted { port, number }) in inputs.iter().zip(&self.inputs) {
             check(tensor, port)?;
-            values.push(if *half {
-                let data: Vec<f16> = tensor.data.iter().map(|v| f16::from_f32(*v)).collect();
-                SessionInputValue::from(ort::value::Tensor::from_array((tensor.shape.as_slice(), data)).map_err(|e| e.to_string())?)
-            } else {
-                let value = TensorRef::from_array_view((tensor.shape.as_slice(), tensor.data.as_slice())).map_err(|e| e.to_string())?;
-                SessionInputValue::from(value)
+            let shape = tensor.shape.as_slice();
+            values.push(match number {
+                Number::Half => {
+                    let data: Vec<f16> = tensor.data.iter().map(|v| f16::from_f32(*v)).collect();
+                    SessionInputValue::from(ort::value::Tensor::from_array((shape, data)).map_err(|e| e.to_string())?)
+                }
+                Number::Whole => {
+                    let data: Vec<i64> = tensor.data.iter().map(|v| *v as i64).collect();
+                    SessionInputValue::from(ort::value::Tensor::from_array((shape, data)).map_err(|e| e.to_string())?)
+                }
+                Number::Single => {
+                    let value = TensorRef::from_array_view((shape, tensor.data.as_slice())).map_err(|e| e.to_string())?;
+                    SessionInputValue::from(value)
+                }
             });
         }
         let outputs = self.session.run(values.as_slice()).map_err(|e| e.message().to_owned())?;

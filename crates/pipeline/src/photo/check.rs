@@ -57,5 +57,10 @@ mod tests {
             assert!(check(&file[..12], &Limits::default()).is_err(), "{format:?} cut short");
         }
         assert!(matches!(check(b"hello", &Limits::default()), Err(PhotoError::Unsupported)));
+        for brand in ["heic", "heix", "mif1", "avif"] {
+            let file = format!("\0\0\0\u{18}ftyp{brand}\0\0\0\0mif1");
+            assert!(matches!(check(file.as_bytes(), &Limits::default()), Err(PhotoError::Heic)), "{brand}");
+        }
+        assert!(matches!(check(b"\0\0\0\x18ftypisom\0\0\0\0mp42", &Limits::default()), Err(PhotoError::Unsupported)), "a film");
     }
 }

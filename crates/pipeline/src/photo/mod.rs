@@ -16,6 +16,7 @@ pub(crate) mod pixels;
 pub(crate) mod png;
 mod resample;
 mod resample_bytes;
+mod resample_opencv;
 pub(crate) mod segments;
 mod taps;
 mod webp;
@@ -41,6 +42,7 @@ pub use error::PhotoError;
 pub use limits::Limits;
 pub use resample::{Filter, reduced_size, resample, resample_by, resize};
 pub use resample_bytes::resample_bytes;
+pub use resample_opencv::{Interpolation, resize_opencv};
 pub use taps::Taps;
 
 use self::exif::Facts;

@@ -5,13 +5,15 @@
 pub mod download;
 pub mod registry;
 
+use std::fs::File;
+use std::io::{self, BufReader};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use crate::Models;
 use crate::depth::{ADAPTERS, Adapter, DepthError, Estimator, Monocular, SizeRule};
 use crate::networks::library::Once;
-use crate::networks::{Config, Network, OnnxError, Session, Tensor};
+use crate::networks::{Beside, Config, Network, OnnxError, Session, Tensor, outline};
 use tmpi_core::{DisparityMap, Photo};
 
 #[cfg(embedded = "depth")]
@@ -82,13 +84,42 @@ pub struct ModelFileError {
 /// # Errors
 /// [`ModelFileError`].
 pub fn load(settings: &Settings) -> Result<Models, ModelFileError> {
-    let model = settings.depth_file.as_deref().map(read).transpose()?;
+    let whole = |file: &Path| Ok((read(file)?, weights(file)?));
+    let model = settings.depth_file.as_deref().map(whole).transpose()?;
     let depth = Depth { settings: settings.clone(), model, loaded: Once::new() };
     let lazily = |name: &'static str| {
         let (file, config) = (settings.folder.join(name), settings.onnx.clone());
         file.is_file().then(|| Arc::new(Lazy { name, file, config, loaded: Once::new() }) as Arc<dyn Network>)
     };
     Ok(Models { depth: Arc::new(depth), theta: lazily(THETA), psi: lazily(PSI) })
+}
+
+/// The files of weights that a model file names, by the names that it has for them. Each lies beside it, under that name or that of the model
+/// file with `_data` behind it, as `tmpi models get` keeps it; none of a file that is no ONNX file.
+///
+/// # Errors
+/// [`ModelFileError`] where one is missing, or is not to be in the same folder.
+pub fn beside(file: &Path) -> Result<Vec<(String, PathBuf)>, ModelFileError> {
+    let failed = |source| ModelFileError { file: file.to_owned(), source };
+    let names = outline(&mut BufReader::new(File::open(file).map_err(failed)?)).map_or_else(Vec::new, |o| o.beside);
+    let find = |name: String| {
+        let own = file.with_extension("onnx_data");
+        let plain = Path::new(&name).file_name().is_some_and(|n| n == name.as_str());
+        let found = [own, file.with_file_name(&name)].into_iter().find(|f| plain && f.is_file());
+        let missing = || {
+            failed(io::Error::new(
+                io::ErrorKind::NotFound,
+                format!("its weights are in a file of their own, {name}, which is not beside it"),
+            ))
+        };
+        let path = found.ok_or_else(missing)?;
+        Ok((name, path))
+    };
+    names.into_iter().map(find).collect()
+}
+
+fn weights(file: &Path) -> Result<Vec<Beside>, ModelFileError> {
+    beside(file)?.into_iter().map(|(name, file)| Ok((name, read(&file)?.into()))).collect()
 }
 
 fn read(file: &Path) -> Result<Vec<u8>, ModelFileError> {
@@ -116,7 +147,7 @@ impl Network for Lazy {
 /// A depth network that is loaded at its first run.
 struct Depth {
     settings: Settings,
-    model: Option<Vec<u8>>,
+    model: Option<(Vec<u8>, Vec<Beside>)>,
     loaded: Once<Monocular>,
 }
 
@@ -125,13 +156,14 @@ impl Depth {
         let Settings { depth, depth_pixels, depth_smoothing, flip, onnx, .. } = &self.settings;
         let loaded = self.loaded.get(|| {
             let embedded = DEPTH.filter(|_| *depth == &ADAPTERS[0]);
-            let model = self.model.as_deref().or(embedded).ok_or_else(|| OnnxError::Model {
+            let file = self.model.as_ref().map(|(model, beside)| (model.as_slice(), beside.as_slice()));
+            let (model, beside) = file.or(embedded.map(|model| (model, [].as_slice()))).ok_or_else(|| OnnxError::Model {
                 name: depth.name.to_owned(),
                 reason: "it is not embedded in this program: name its ONNX file, or give a depth map".into(),
             })?;
             let size = depth_pixels.map_or(depth.size, SizeRule::Area);
             let adapter = Adapter { size, smoothing: depth_smoothing.unwrap_or(depth.smoothing), ..**depth };
-            Monocular::load(&adapter, model, onnx, *flip)
+            Monocular::load(&adapter, model, beside, onnx, *flip)
         });
         loaded.map_err(|e: OnnxError| e.into())
     }
@@ -164,6 +196,28 @@ mod tests {
         assert_eq!(models.depth.name(), "tmpi");
         let photo = Photo { width: 2, height: 2, rgb: vec![[0; 3]; 4] };
         assert!(matches!(models.depth.estimate(&photo), Err(DepthError::Onnx(_))));
+    }
+
+    #[test]
+    fn weights_beside_a_model_are_found_by_its_name_for_them_or_their_own() {
+        let folder = tempfile::tempdir().unwrap();
+        let tests = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/onnx"));
+        let file = folder.path().join("depth-anything-3-small.onnx");
+        std::fs::copy(tests.join("views.onnx"), &file).unwrap();
+        let error = load(&Settings { depth_file: Some(file.clone()), ..Settings::default() }).err().unwrap().to_string();
+        assert!(error.contains("depth-anything-3-small.onnx") && error.contains("a file of their own, views.onnx_data"), "{error}");
+        let found = |name: &str| {
+            std::fs::copy(tests.join("views.onnx_data"), folder.path().join(name)).unwrap();
+            beside(&file).unwrap()
+        };
+        assert_eq!(found("views.onnx_data"), [("views.onnx_data".to_owned(), folder.path().join("views.onnx_data"))]);
+        assert_eq!(found("depth-anything-3-small.onnx_data")[0].1, folder.path().join("depth-anything-3-small.onnx_data"));
+        assert_eq!(beside(&tests.join("mean.onnx")).unwrap(), []);
+        let astray = std::fs::read(&file).unwrap().iter().map(|b| if *b == b'v' { b'/' } else { *b }).collect::<Vec<_>>();
+        let elsewhere = folder.path().join("elsewhere.onnx");
+        std::fs::write(&elsewhere, astray).unwrap();
+        std::fs::write(folder.path().join("elsewhere.onnx_data"), b"").unwrap();
+        assert!(beside(&elsewhere).is_err(), "a path, not a name");
     }
 
     #[test]

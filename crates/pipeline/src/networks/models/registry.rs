@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use super::beside;
 use crate::depth::{Adapter, adapter, detect};
 
 /// A published depth network. Size and digest are as several public projects that check them state; `tmpi models get` keeps
@@ -18,16 +19,32 @@ pub struct Published {
     pub bytes: u64,
     /// SHA-256 of the file, in hexadecimal.
     pub sha256: &'static str,
+    /// The file of weights beside it, where it has one.
+    pub weights: Option<Weights>,
     /// Licence of the weights, and whose they are.
     pub licence: &'static str,
 }
 
-/// The published network that is worth fetching where there is none: the smallest download of the best kind.
+/// A published file of weights that an ONNX file names.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Weights {
+    /// Where it is.
+    pub url: &'static str,
+    /// Size of the file in bytes.
+    pub bytes: u64,
+    /// SHA-256 of the file, in hexadecimal.
+    pub sha256: &'static str,
+}
+
+/// The published network that is worth fetching where there is none: of the kinds whose maps were looked at here, the smallest download of the best.
 pub const BETTER: &str = "depth-anything-v2-small-fp16";
 
 /// Adapters from the best to the worst: each line of papers reports smaller errors on unseen data than those after it. An adapter that stands
-/// for no published network has no rank.
-const RANKS: [&str; 10] = [
+/// for no published network has no rank. MoGe-2 comes first since it reports the sharper edges, which planes are cut along; Depth Anything 3
+/// reports less error than 2 on distances at fewer pixels; `ZipDepth`, smaller errors than small networks, of which that of `MiDaS` is one.
+const RANKS: [&str; 13] = [
+    "moge-2",
+    "depth-anything-3",
     "depth-anything-v2",
     "depth-anything-v2-metric",
     "zoedepth",
@@ -35,19 +52,33 @@ const RANKS: [&str; 10] = [
     "dpt-hybrid",
     "midas-v2.1",
     "midas-v2.1-hub",
+    "zipdepth",
     "midas-v2.1-small",
     "midas-v2.1-small-hub",
     "tmpi",
 ];
 
+/// Networks that come by file alone, by their adapters, and the licences of their weights.
+pub const BY_FILE: [(&str, &str); 8] = [
+    ("midas-v2.1", "MIT, Intel ISL"),
+    ("midas-v2.1-hub", "MIT, Intel ISL"),
+    ("midas-v2.1-small-hub", "MIT, Intel ISL"),
+    ("dpt-large", "MIT, Intel ISL"),
+    ("dpt-hybrid", "MIT, Intel ISL"),
+    ("zoedepth", "MIT, Intel ISL"),
+    ("depth-anything-v2-metric", "small: Apache-2.0, larger ones: CC BY-NC 4.0, the Depth Anything V2 authors"),
+    ("zipdepth", "MIT, the ZipDepth authors"),
+];
+
 /// All networks that `tmpi models get` knows.
-pub const PUBLISHED: [Published; 3] = [
+pub const PUBLISHED: [Published; 5] = [
     Published {
         name: BETTER,
         adapter: "depth-anything-v2",
         url: "https://huggingface.co/onnx-community/depth-anything-v2-small/resolve/4472b7362082ad9968fee890ca0f1e5aca36b93d/onnx/model_fp16.onnx",
         bytes: 49_642_442,
         sha256: "2df6223f206b5164e21f664ace61dabeb9bb6a49b8b5a3e00510b4807d0f5b04",
+        weights: None,
         licence: "Apache-2.0, the Depth Anything V2 authors",
     },
     Published {
@@ -56,6 +87,7 @@ pub const PUBLISHED: [Published; 3] = [
         url: "https://github.com/isl-org/MiDaS/releases/download/v2_1/model-small.onnx",
         bytes: 66_764_249,
         sha256: "2d8c6cb8f415229daf1eb041024208e2608c9f98e17c81cc7c6ecb449c56fd58",
+        weights: None,
         licence: "MIT, Intel ISL",
     },
     Published {
@@ -64,7 +96,30 @@ pub const PUBLISHED: [Published; 3] = [
         url: "https://huggingface.co/onnx-community/depth-anything-v2-small/resolve/4472b7362082ad9968fee890ca0f1e5aca36b93d/onnx/model.onnx",
         bytes: 99_060_839,
         sha256: "afb6a5c28f3b6bf1618c6e43f02073ef9dfdc70e937502d51603e57b0a1df10c",
+        weights: None,
         licence: "Apache-2.0, the Depth Anything V2 authors",
+    },
+    Published {
+        name: "depth-anything-3-small",
+        adapter: "depth-anything-3",
+        url: "https://huggingface.co/onnx-community/depth-anything-v3-small/resolve/0b6a7f3bf5595f9950b91389e0da3a0de130324c/onnx/model.onnx",
+        bytes: 640_691,
+        sha256: "396008798244a074297fd88e450433b1357fc687f534939375c804ded86e7b2a",
+        weights: Some(Weights {
+            url: "https://huggingface.co/onnx-community/depth-anything-v3-small/resolve/0b6a7f3bf5595f9950b91389e0da3a0de130324c/onnx/model.onnx_data",
+            bytes: 104_702_464,
+            sha256: "802bb24741e67f5bb2b369fc64d40afe11439cc895d676d658d65cfb75c9860f",
+        }),
+        licence: "Apache-2.0, ByteDance",
+    },
+    Published {
+        name: "moge-2-small",
+        adapter: "moge-2",
+        url: "https://huggingface.co/Ruicheng/moge-2-vits-normal-onnx/resolve/e50ffda41565591092adea54c6ac83d6212e1e23/model.onnx",
+        bytes: 140_852_051,
+        sha256: "24eacb5dc7a2c54c7bc98f7de085ffbed79ad006ea5b664c2c2cdc02ff3a52f0",
+        weights: None,
+        licence: "MIT, Microsoft; its encoder DINOv2 Apache-2.0, Meta AI",
     },
 ];
 
@@ -79,6 +134,12 @@ impl Published {
     #[must_use]
     pub fn file(&self) -> PathBuf {
         folder().join(format!("{}.onnx", self.name))
+    }
+
+    /// Bytes of all its files.
+    #[must_use]
+    pub fn total(&self) -> u64 {
+        self.bytes + self.weights.map_or(0, |w| w.bytes)
     }
 }
 
@@ -109,14 +170,14 @@ pub fn usual() -> Option<(&'static Adapter, PathBuf)> {
     best(&folder()).or_else(|| best(&shipped()?))
 }
 
-/// The best network among the ONNX files of `folder`: by kind, then the larger file, then by name. Files that do not tell their network are passed
-/// over; none where nothing is left.
+/// The best network among the ONNX files of `folder`: by kind, then the larger file, then by name. Files that do not tell their network, or
+/// whose weights are in another that is not there, are passed over; none where nothing is left.
 #[must_use]
 pub fn best(folder: &Path) -> Option<(&'static Adapter, PathBuf)> {
     let files = std::fs::read_dir(folder).ok()?.filter_map(|entry| {
         let (file, bytes) = entry.ok().and_then(|e| Some((e.path(), e.metadata().ok()?.len())))?;
         let onnx = file.extension().is_some_and(|e| e.eq_ignore_ascii_case("onnx")) && file.is_file();
-        let network = detect(&file).filter(|_| onnx)?;
+        let network = detect(&file).filter(|_| onnx && beside(&file).is_ok())?;
         let rank = RANKS.iter().position(|r| *r == network.name)?;
         Some((rank, std::cmp::Reverse(bytes), file, network))
     });
@@ -133,6 +194,12 @@ mod tests {
         for p in &PUBLISHED {
             assert!(p.adapter().is_some(), "{}", p.name);
             assert!(p.sha256.parse::<Digest>().is_ok() && p.bytes > 0 && p.url.starts_with("https://"), "{}", p.name);
+            assert!(
+                p.weights.is_none_or(|w| w.sha256.parse::<Digest>().is_ok() && w.bytes > 0 && w.url.starts_with("https://")),
+                "{}",
+                p.name
+            );
+            assert_eq!(detect(&p.file()).map(|a| a.name), Some(p.adapter), "its name tells its adapter");
             assert_eq!(published(p.name), Some(p));
         }
         assert_eq!(published("no such"), None);
@@ -143,6 +210,14 @@ mod tests {
     fn every_adapter_has_a_rank() {
         for a in &crate::depth::ADAPTERS {
             assert_eq!(RANKS.iter().filter(|r| **r == a.name).count(), usize::from(a.name != "log-depth"), "{}", a.name);
+        }
+    }
+
+    #[test]
+    fn every_ranked_network_tells_its_licence() {
+        for name in RANKS.iter().filter(|name| **name != "tmpi") {
+            let fetched = PUBLISHED.iter().any(|p| p.adapter == *name);
+            assert_eq!(BY_FILE.iter().filter(|(adapter, _)| adapter == name).count(), usize::from(!fetched), "{name}");
         }
     }
 
@@ -164,5 +239,12 @@ mod tests {
         assert_eq!(found(), Some(("depth-anything-v2", "depth-anything-v2-small-fp16.onnx".into())));
         put("depth_anything_v2_vitb.ONNX", 7);
         assert_eq!(found().unwrap().1, "depth_anything_v2_vitb.ONNX", "the larger one of a kind");
+        put("moge-2-small.onnx", 9);
+        assert_eq!(found().unwrap().0, "moge-2");
+        std::fs::remove_file(folder.path().join("moge-2-small.onnx")).unwrap();
+        std::fs::write(folder.path().join("depth-anything-3-small.onnx"), include_bytes!("../../../../../tests/onnx/views.onnx")).unwrap();
+        assert_eq!(found().unwrap().0, "depth-anything-v2", "without its weights it is none");
+        put("depth-anything-3-small.onnx_data", 8);
+        assert_eq!(found().unwrap().0, "depth-anything-3");
     }
 }
