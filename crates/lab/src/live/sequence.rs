@@ -107,7 +107,7 @@ impl Sequence {
     /// What a camera sees of frame `n`, without noise, from a place given against that frame's own.
     #[must_use]
     pub fn view(&self, n: u32, (tx, ty): (f64, f64)) -> Photo {
-        let mut picture = self.from(self.scene(n), (self.camera_at(n) + tx, ty));
+        let mut picture = self.picture_from(self.scene(n), (self.camera_at(n) + tx, ty));
         if self.kind != Kind::Moving {
             self.put_thing(n, (tx, ty), &mut picture);
         }
@@ -129,10 +129,10 @@ impl Sequence {
     /// A scene from a camera `at` to the right, and from the one beside it. Each scene has its own unit of length; that of the first
     /// camera is used for both, so that the second scene is seen by the same camera.
     fn seen(&self, scene: usize, at: f64) -> [Picture; 2] {
-        [at, at + self.aside].map(|tx| self.from(scene, (tx, 0.0)))
+        [at, at + self.aside].map(|tx| self.picture_from(scene, (tx, 0.0)))
     }
 
-    fn from(&self, scene: usize, (tx, ty): (f64, f64)) -> Picture {
+    fn picture_from(&self, scene: usize, (tx, ty): (f64, f64)) -> Picture {
         self.scenes[scene].render(&Camera { pose: Pose::at(tx, ty, 0.0), ..self.camera }, 2)
     }
 
