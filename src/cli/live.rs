@@ -53,6 +53,9 @@ struct BenchArgs {
     /// One sequence alone
     #[arg(long, value_parser = live::NAMES, value_name = "NAME")]
     only: Option<String>,
+    /// Number of the first scene; the next two are used, too
+    #[arg(long, default_value_t = live::SEED, value_name = "N")]
+    scene: u64,
     /// Frames of each sequence
     #[arg(long, default_value_t = 240, value_parser = clap::value_parser!(u32).range(2..=100_000), value_name = "N")]
     frames: u32,
@@ -135,6 +138,7 @@ fn bench(args: &BenchArgs) -> anyhow::Result<()> {
     }
     let settings = live::Settings {
         size: args.size,
+        seed: args.scene,
         frames: args.frames,
         bitrate,
         frame_ms: args.budget_ms,

@@ -12,9 +12,9 @@ use tokio::time::timeout;
 use tokio_tungstenite::tungstenite::Message;
 
 use tmpi_core::live::wire::message::Kind;
-use tmpi_core::live::wire::{Hello, Video};
-use tmpi_core::live::{Model, read};
-use tmpi_core::{Camera, Inpainter, Memory, Photo, Pose, TexturedLayer, compose};
+use tmpi_core::live::wire::{self, Hello, Video};
+use tmpi_core::live::{Layers, Model, read};
+use tmpi_core::{Camera, Photo, Pose};
 use tmpi_live::video::{self, Decoder};
 use tmpi_render::{Cpu, PictureFormat, Renderer as _, encode};
 
@@ -201,7 +201,9 @@ impl Watcher<'_> {
             Kind::Geometry(g) | Kind::Snapshot(g) => {
                 second.geometry_bytes += length;
                 let shown = shown.as_mut().context("tiles before HELLO")?;
-                second.tiles += shown.model.take(&g)?.len() as u64;
+                let (count, drawn) = shown.tiles(&g, args)?;
+                second.tiles += count as u64;
+                second.drawn += u64::from(drawn);
                 if *waits && shown.model.geometry().is_some() {
                     *waits = false;
                     eprintln!("tmpi live watch: the first tiles after {:.0} ms", self.begun.elapsed().as_secs_f64() * 1e3);
@@ -232,37 +234,58 @@ struct Shown {
 
 struct Pictures {
     decoder: Box<dyn Decoder>,
-    memory: Option<Memory>,
+    layers: Layers,
     renderer: Cpu,
+    /// The newest frame and its number, until its tiles or the next one come.
+    waits: Option<(u64, Photo)>,
+    /// Tiles that came since a frame was taken.
+    changed: Vec<u32>,
 }
 
 impl Shown {
     fn new(hello: &Hello, draws: bool) -> anyhow::Result<Self> {
         let decoder = || video::decoder(&hello.codec, (hello.width, hello.height));
-        let pictures = draws.then(decoder).transpose()?.map(|decoder| Pictures { decoder, memory: None, renderer: Cpu::default() });
-        Ok(Self { model: Model::new(hello)?, pictures })
+        let (layers, renderer) = (Layers::remembering(), Cpu::default());
+        let of = |decoder| Pictures { decoder, layers, renderer, waits: None, changed: Vec::new() };
+        Ok(Self { model: Model::new(hello)?, pictures: draws.then(decoder).transpose()?.map(of) })
     }
 
-    /// Takes a frame, and draws it where it is its turn; true where it was.
+    /// Takes a frame, and the one before it as it is, where its tiles have not come; true where that was drawn.
     fn frame(&mut self, video: &Video, args: &WatchArgs) -> anyhow::Result<bool> {
+        let drawn = self.settle(args)?;
+        if let Some(pictures) = &mut self.pictures {
+            // a frame that is damaged comes right with the next key
+            let decoded = pictures.decoder.decode(&video.data).ok().flatten();
+            pictures.waits = decoded.map(|photo| (video.frame, photo));
+        }
+        Ok(drawn)
+    }
+
+    /// Takes tiles; gives how many changed, and whether the frame that they are of was drawn.
+    fn tiles(&mut self, tiles: &wire::Geometry, args: &WatchArgs) -> anyhow::Result<(usize, bool)> {
+        let changed = self.model.take(tiles)?;
+        let count = changed.len();
+        let Some(pictures) = &mut self.pictures else { return Ok((count, false)) };
+        pictures.changed.extend(changed);
+        let of_it = pictures.waits.as_ref().is_some_and(|(frame, _)| tiles.frame >= *frame);
+        Ok((count, of_it && self.settle(args)?))
+    }
+
+    /// Shows the frame that waits, as pages do, and draws it where it is its turn; true where it was.
+    fn settle(&mut self, args: &WatchArgs) -> anyhow::Result<bool> {
         let (Some(pictures), Some(folder)) = (&mut self.pictures, &args.render) else { return Ok(false) };
-        // a frame that is damaged comes right with the next key
-        let Ok(Some(photo)) = pictures.decoder.decode(&video.data) else { return Ok(false) };
         let Some(geometry) = self.model.geometry() else { return Ok(false) };
-        let memory = pictures.memory.get_or_insert_with(|| Memory::new(geometry.grid));
-        memory.take(&photo, geometry.surface());
-        if !video.frame.is_multiple_of(args.every) {
+        let Some((frame, photo)) = pictures.waits.take() else { return Ok(false) };
+        let Photo { width, height, .. } = photo;
+        let changed = std::mem::take(&mut pictures.changed);
+        pictures.layers.update(geometry, |t| changed.contains(&t), photo);
+        if !frame.is_multiple_of(args.every) {
             return Ok(false);
         }
-        let masks = geometry.masks();
-        let mut colours = Inpainter::new(&photo, geometry).fill_all(&masks);
-        memory.recall(0, &masks, &mut colours);
-        let tiles = masks.into_iter().zip(colours);
-        let tiles = tiles.map(|(m, c)| m.layers.into_iter().zip(c).map(|(shape, hidden)| TexturedLayer { shape, hidden }).collect());
-        let Photo { width, height, .. } = photo;
+        let scene = pictures.layers.scene(geometry);
         let camera = Camera { pose: args.pose, intrinsics: geometry.intrinsics, width, height };
-        let view = pictures.renderer.render(&Arc::new(compose(photo, geometry, tiles.collect())), &camera)?;
-        files::write(&folder.join(format!("{:06}.png", video.frame)), &encode(&view, PictureFormat::Png, 0)?)?;
+        let view = pictures.renderer.render(&Arc::new(scene), &camera)?;
+        files::write(&folder.join(format!("{frame:06}.png")), &encode(&view, PictureFormat::Png, 0)?)?;
         Ok(true)
     }
 }

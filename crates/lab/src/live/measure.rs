@@ -3,9 +3,9 @@
 use std::path::Path;
 use std::time::Instant;
 
-use tmpi_core::Photo;
 use tmpi_core::live::{Model, wire};
-use tmpi_live::{Frame, Geometry as Driver, video};
+use tmpi_core::{Photo, Pose};
+use tmpi_live::{Frame, Geometry as Driver, video as codecs};
 use tmpi_pipeline::clock::Clock;
 use tmpi_render::difference::psnr;
 use tmpi_render::{PictureFormat, View};
@@ -19,6 +19,9 @@ use super::{Figures, LiveBenchError, Settings, encoder, room};
 
 /// How far beside the camera views are drawn: the border of the default view box.
 pub const ASIDE: f64 = 0.03;
+/// The corners of the view box that pictures are written of.
+const CORNERS: [(&str, (f64, f64)); 4] =
+    [("upper-left", (-1.0, -1.0)), ("upper-right", (1.0, -1.0)), ("lower-left", (-1.0, 1.0)), ("lower-right", (1.0, 1.0))];
 /// Seconds after which what a reader has seen counts.
 const SETTLED: f64 = 5.0;
 
@@ -26,7 +29,7 @@ const SETTLED: f64 = 5.0;
 pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Result<Figures, LiveBenchError> {
     let mut f = Figures { sequence: kind.name(), codec: if settings.bitrate.is_some() { "h264" } else { "jpeg" }, ..Figures::default() };
     let mut encoder = encoder(settings.size, settings.bitrate)?;
-    let mut decoder = video::decoder(encoder.codec(), settings.size)?;
+    let mut decoder = codecs::decoder(encoder.codec(), settings.size)?;
     let truth = Truth::default();
     let models = if settings.true_scale { truth.scaled(&settings.models) } else { settings.models.clone() };
     let mut carried = Driver::new(models.clone(), room(settings, sequence, settings.frame_ms, false));
@@ -35,7 +38,9 @@ pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Resul
     // the truth of the frame before
     let mut last: Option<Photo> = None;
     let mut seen = Seen::default();
-    let mut stream = Vec::new();
+    let (mut stream, mut messages) = (Vec::new(), Vec::new());
+    let empty = room(settings, sequence, settings.frame_ms, false).empty(settings.size.0, settings.size.1);
+    record(&mut messages, wire::message::Kind::Hello(wire::Hello { codec: encoder.codec().into(), ..Model::hello(&empty) }));
     let mut sums = Sums::default();
     // every second frame may rest: views are of the one kind as often as of the other
     let views = settings.views | 1;
@@ -44,7 +49,7 @@ pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Resul
         truth.is(&shot.delta);
         let seen_before = seen.take(sequence, n, &shot);
         let (data, key) = encoder.encode(&shot.noisy)?;
-        f.video_bytes += video_bytes(n, key, &data);
+        f.video_bytes += record(&mut messages, video(n, key, &data));
         stream.extend_from_slice(&data);
         let clock = Clock::start();
         let Some(photo) = decoder.decode(&data)? else { continue };
@@ -69,6 +74,7 @@ pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Resul
         let message = wire::Geometry { frame: n.into(), chunks: update.chunks.clone() };
         let mut came = Vec::new();
         add_bytes(&mut f, &mut sums.chunks, &message);
+        record(&mut messages, wire::message::Kind::Geometry(message.clone()));
         if let Some(g) = carried.geometry() {
             sums.count(g, &update, last.as_ref().map(|l| (l, &shot.clean)));
             let of = carried.reference().map_or(&[][..], |p| p.rgb.as_flattened());
@@ -111,12 +117,21 @@ pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Resul
                     let name = format!("{}-{n:04}-{what}.png", kind.slug());
                     picture.map(|picture| write(folder, &name, &png(picture)?)).transpose()?;
                 }
+                for (corner, (tx, ty)) in CORNERS {
+                    let at = (tx * ASIDE, ty * ASIDE);
+                    let view = known.as_ref().map(|g| reader.view(moment(g, &[]), Pose::at(at.0, at.1, 0.0))).transpose()?.flatten();
+                    for (what, picture) in [("", view.as_ref()), ("-truth", Some(&sequence.view(n, at)))] {
+                        let name = format!("{}-{n:04}-{corner}{what}.png", kind.slug());
+                        picture.map(|picture| write(folder, &name, &png(picture)?)).transpose()?;
+                    }
+                }
             }
         }
         last = Some(shot.clean);
     }
     if let Some(folder) = &settings.files {
         write(folder, &format!("{}.{}", kind.slug(), if settings.bitrate.is_some() { "h264" } else { "mjpeg" }), &stream)?;
+        write(folder, &format!("{}.room", kind.slug()), &messages)?;
     }
     sums.finish(&mut f, settings.frames);
     compare(&mut f, &reader, &other);
@@ -130,6 +145,7 @@ fn compare(f: &mut Figures, reader: &Reader, other: &Reader) {
     (f.uncovered_psnr, f.uncovered_psnr_made_up) = (decibels(reader.remembered), decibels(reader.made_up));
     (f.seen_before_psnr, f.seen_before_psnr_made_up) = (decibels(reader.seen_remembered), decibels(reader.seen_made_up));
     (f.own_depth_psnr, f.own_depth_psnr_made_up) = (decibels(reader.own_remembered), decibels(reader.own_made_up));
+    ([f.seam, f.seam_wide], [f.seam_separate, f.seam_wide_separate]) = (reader.seams.map(Mean::get), other.seams.map(Mean::get));
     f.seen_before = reader.seen_remembered.count() / reader.remembered.count().max(1.0);
     f.own_view_off = reader.off;
     (f.psnr, f.ssim, f.flicker, f.flicker_left_out) =
@@ -137,11 +153,18 @@ fn compare(f: &mut Figures, reader: &Reader, other: &Reader) {
     (f.psnr_separate, f.ssim_separate, f.flicker_separate) = (other.psnr.get(), other.ssim.get(), other.flicker.get());
 }
 
-/// Bytes of a frame's message.
-fn video_bytes(n: u32, key: bool, data: &[u8]) -> f64 {
+/// A frame as a message.
+fn video(n: u32, key: bool, data: &[u8]) -> wire::message::Kind {
     let time = u64::from(n) * 33_333;
-    let video = wire::Video { frame: n.into(), time, key, layer: 0, data: data.to_vec().into() };
-    tmpi_core::live::write(wire::message::Kind::Video(video)).len() as f64
+    wire::message::Kind::Video(wire::Video { frame: n.into(), time, key, layer: 0, data: data.to_vec().into() })
+}
+
+/// Adds a message as `tmpi live watch --record` has it, each after its length; gives its bytes.
+fn record(messages: &mut Vec<u8>, kind: wire::message::Kind) -> f64 {
+    let bytes = tmpi_core::live::write(kind);
+    messages.extend((bytes.len() as u32).to_le_bytes());
+    messages.extend_from_slice(&bytes);
+    bytes.len() as f64
 }
 
 fn png(photo: &Photo) -> Result<Vec<u8>, LiveBenchError> {

@@ -8,6 +8,7 @@ use tmpi_core::{Camera, Class, Geometry, Inpainter, LayerMasks, Photo, Pose, Sce
 use tmpi_render::difference::psnr;
 use tmpi_render::{Cpu, RenderError, Renderer};
 
+use super::seams::seams;
 use super::sequence::{BEHIND, Shot};
 use crate::metrics::ssim_map;
 use crate::scenes::Picture;
@@ -34,6 +35,8 @@ pub(super) struct Reader {
     last: Option<(Geometry, Photo)>,
     pub psnr: Mean,
     pub ssim: Mean,
+    /// Disagreement of neighbouring tiles: pixels, and the share of more than one.
+    pub seams: [Mean; 2],
     pub flicker: Mean,
     pub flicker_left_out: Mean,
     /// Squared error of a channel where the camera itself sees nothing: all hidden texels made up, and those that were seen before shown.
@@ -112,6 +115,8 @@ impl Reader {
         let shown = self.layers.as_ref().and_then(Layers::with_moved).cloned();
         let m = Moment { geometry: shown.as_ref().unwrap_or(m.geometry), ..m };
         let g = m.geometry;
+        let (mean, wide) = seams(g);
+        self.seams.iter_mut().zip([mean, wide]).for_each(|(sum, value)| sum.add(value));
         let before = Instant::now();
         let shapes = g.masks();
         self.masks.add(ms(before));
@@ -144,6 +149,16 @@ impl Reader {
         self.compare(m, &view)?;
         self.last = Some((g.clone(), m.shot.beside.clone()));
         Ok(view)
+    }
+
+    /// What it shows of the frame that was shown last, from another place.
+    ///
+    /// # Errors
+    /// As the renderer gives them.
+    pub fn view(&self, m: Moment, pose: Pose) -> Result<Option<Photo>, RenderError> {
+        let Some(layers) = &self.layers else { return Ok(None) };
+        let shown = layers.with_moved().unwrap_or(m.geometry);
+        self.draw(m, &Arc::new(layers.scene(shown)), pose).map(Some)
     }
 
     /// The scene of a frame with some tiles, hidden texels as far as they were seen before.

@@ -104,6 +104,16 @@ impl Sequence {
         sequence
     }
 
+    /// What a camera sees of frame `n`, without noise, from a place given against that frame's own.
+    #[must_use]
+    pub fn view(&self, n: u32, (tx, ty): (f64, f64)) -> Photo {
+        let mut picture = self.picture_from(self.scene(n), (self.camera_at(n) + tx, ty));
+        if self.kind != Kind::Moving {
+            self.put_thing(n, (tx, ty), &mut picture);
+        }
+        picture.photo
+    }
+
     /// The camera.
     #[must_use]
     pub const fn intrinsics(&self) -> Intrinsics {
@@ -119,7 +129,16 @@ impl Sequence {
     /// A scene from a camera `at` to the right, and from the one beside it. Each scene has its own unit of length; that of the first
     /// camera is used for both, so that the second scene is seen by the same camera.
     fn seen(&self, scene: usize, at: f64) -> [Picture; 2] {
-        [at, at + self.aside].map(|tx| self.scenes[scene].render(&Camera { pose: Pose::at(tx, 0.0, 0.0), ..self.camera }, 2))
+        [at, at + self.aside].map(|tx| self.picture_from(scene, (tx, 0.0)))
+    }
+
+    fn picture_from(&self, scene: usize, (tx, ty): (f64, f64)) -> Picture {
+        self.scenes[scene].render(&Camera { pose: Pose::at(tx, ty, 0.0), ..self.camera }, 2)
+    }
+
+    /// How far to the right the camera is in frame `n`.
+    fn camera_at(&self, n: u32) -> f64 {
+        if self.kind == Kind::Moving { 0.15 * (f64::from(n) / PERIOD * std::f64::consts::TAU).sin() } else { 0.0 }
     }
 
     /// Frame `n`.
@@ -127,15 +146,15 @@ impl Sequence {
     pub fn shot(&self, n: u32) -> Shot {
         let moved;
         let [here, beside] = if self.kind == Kind::Moving {
-            moved = self.seen(0, 0.15 * (f64::from(n) / PERIOD * std::f64::consts::TAU).sin());
+            moved = self.seen(0, self.camera_at(n));
             &moved
         } else {
             &self.still[self.scene(n)]
         };
         let (mut clean, mut view) = (here.clone(), beside.clone());
         if self.kind != Kind::Moving {
-            self.put_thing(n, 0.0, &mut clean);
-            self.put_thing(n, self.aside, &mut view);
+            self.put_thing(n, (0.0, 0.0), &mut clean);
+            self.put_thing(n, (self.aside, 0.0), &mut view);
         }
         let mut noise = Noise::new(n);
         let rgb =
@@ -175,13 +194,13 @@ impl Sequence {
         beside.delta.iter().enumerate().map(hidden).collect()
     }
 
-    /// Paints the thing, as a camera `at` to the right sees it, over what lies behind it.
-    fn put_thing(&self, n: u32, at: f64, picture: &mut Picture) {
+    /// Paints the thing, as a camera so far to the right and down sees it, over what lies behind it.
+    fn put_thing(&self, n: u32, (tx, ty): (f64, f64), picture: &mut Picture) {
         let (w, h) = (f64::from(self.camera.width), f64::from(self.camera.height));
         let turn = f64::from(n) / PERIOD * std::f64::consts::TAU;
         // it sways as it goes
-        let left = w * (0.5 + 0.22 * turn.sin() + 0.01 * (5.0 * turn).sin()) - w * SIZE.0 / 2.0 - self.camera.intrinsics.fx * at * THING;
-        let top = h * (1.0 - SIZE.1);
+        let left = w * (0.5 + 0.22 * turn.sin() + 0.01 * (5.0 * turn).sin()) - w * SIZE.0 / 2.0 - self.camera.intrinsics.fx * tx * THING;
+        let top = h * (1.0 - SIZE.1) - self.camera.intrinsics.fy * ty * THING;
         for y in 0..self.camera.height {
             for x in 0..self.camera.width {
                 let i = (y * self.camera.width + x) as usize;

@@ -1,0 +1,60 @@
+//! How far neighbouring tiles disagree where they overlap: a seam in views from beside.
+
+use tmpi_core::{Geometry, Rect};
+
+/// Of the pixels that two neighbours both have: how far apart they show the point there, in pixels, from the border of the view box, on the mean; and
+/// the share that they show more than a pixel apart.
+#[must_use]
+pub fn seams(g: &Geometry) -> (f64, f64) {
+    let (grid, columns) = (&g.grid, g.grid.columns());
+    let all = Rect { x: 0, y: 0, w: grid.width, h: grid.height };
+    let (x, y) = g.view_box.parallax(&g.intrinsics, all);
+    let parallax = x.max(y);
+    let shown: Vec<Vec<f32>> = (0..).zip(&g.tiles).map(|(t, tile)| tile.shown(grid, t)).collect();
+    let (mut sum, mut wide, mut count) = (0.0, 0usize, 0usize);
+    for t in 0..grid.tiles() {
+        let right = (t % columns + 1 < columns).then_some(t + 1);
+        let below = (t + columns < grid.tiles()).then_some(t + columns);
+        for other in [right, below].into_iter().flatten() {
+            let (a, b) = (grid.rect(t), grid.rect(other));
+            let at = |r: &Rect, x: u32, y: u32| ((y - r.y) * r.w + x - r.x) as usize;
+            for y in a.y.max(b.y)..(a.y + a.h).min(b.y + b.h) {
+                for x in a.x.max(b.x)..(a.x + a.w).min(b.x + b.w) {
+                    let apart = (shown[t as usize][at(&a, x, y)] - shown[other as usize][at(&b, x, y)]).abs();
+                    let pixels = f64::from(apart) * parallax;
+                    sum += pixels;
+                    wide += usize::from(pixels > 1.0);
+                    count += 1;
+                }
+            }
+        }
+    }
+    let count = count.max(1) as f64;
+    (sum / count, wide as f64 / count)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tmpi_core::{Grid, Intrinsics, Plane, Tile, ViewBox};
+
+    #[test]
+    fn tiles_that_agree_have_no_seam_and_others_as_many_pixels_as_they_are_apart() {
+        let grid = Grid::new(120, 64, 64);
+        let tile = |delta: f64, t: u32| Tile {
+            planes: vec![Plane::fronto_parallel(delta)],
+            labels: vec![0; grid.rect(t).area()],
+            background: None,
+        };
+        let of = |deltas: [f64; 2]| {
+            let tiles = vec![tile(deltas[0], 0), tile(deltas[1], 1)];
+            let view_box = ViewBox { x: 0.03, y: 0.03, z: 0.0 };
+            seams(&Geometry { grid, intrinsics: Intrinsics::centred(120, 64, 100.0), view_box, tiles })
+        };
+        assert_eq!(of([0.5, 0.5]), (0.0, 0.0));
+        let (mean, wide) = of([0.2, 0.7]);
+        assert!((mean - 1.5).abs() < 0.01 && (wide - 1.0).abs() < 1e-9, "{mean} {wide}");
+        let (mean, wide) = of([0.2, 0.3]);
+        assert!((mean - 0.3).abs() < 0.01 && wide < 1e-9, "{mean} {wide}");
+    }
+}

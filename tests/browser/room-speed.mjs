@@ -1,0 +1,38 @@
+// Time that the page's decoder of rooms takes for a frame of a recorded room, by itself: nothing is drawn. Not a test; run by hand on an idle
+// machine:
+//   tmpi live bench --only still --files out      (or: tmpi live watch ROOM --record FILE)
+//   node room-speed.mjs [--rounds 3] out/still.room…
+import { basename } from 'node:path';
+import { parseArgs } from 'node:util';
+import { roomTimes } from './speed/room.mjs';
+import { startSpeedServer } from './speed/server.mjs';
+
+const { values, positionals } = parseArgs({ allowPositionals: true, options: { rounds: { type: 'string', default: '3' } } });
+if (!positionals.length) {
+  console.error('usage: node room-speed.mjs [--rounds N] FILE…');
+  process.exit(2);
+}
+const PARTS = ['all', 'read', 'frame', 'layers', 'cells'];
+/** Frames that are not counted: what is compiled is not yet what is run from then on. */
+const WARM = 30;
+
+const at = (sorted, share) => sorted[Math.min(sorted.length - 1, Math.floor(sorted.length * share))];
+const server = await startSpeedServer(positionals, null);
+try {
+  for (const [file, name] of positionals.entries()) {
+    const all = [];
+    let result = null;
+    for (let round = 0; round < Number(values.rounds); round++) {
+      result = await roomTimes(server.address, file);
+      all.push(...result.times.slice(WARM));
+    }
+    console.log(`${basename(name)}: ${result.size.join('×')}, ${all.length} frames, memory ${(result.memory / 2 ** 20).toFixed(1)} MiB`);
+    for (const part of PARTS) {
+      const sorted = all.map((time) => time[part]).toSorted((a, b) => a - b);
+      const [p50, p95, most] = [at(sorted, 0.5), at(sorted, 0.95), sorted.at(-1)];
+      console.log(`  ${part.padEnd(7)} p50 ${p50.toFixed(2)} ms, p95 ${p95.toFixed(2)} ms, most ${most.toFixed(2)} ms`);
+    }
+  }
+} finally {
+  server.close();
+}
