@@ -36,6 +36,7 @@ mod pages;
 mod part;
 mod partial;
 mod pool;
+mod prepared;
 mod problem;
 mod rates;
 mod records;
@@ -86,6 +87,7 @@ use app::{App, Shared};
 use cluster::Cluster;
 use jobs::Jobs;
 use partial::Partials;
+use prepared::Prepared;
 use store::Store;
 use telemetry::Telemetry;
 use traces::Traces;
@@ -317,6 +319,7 @@ impl Server {
             let own = Arc::new(move |headers: &HeaderMap| of.hosts.is_own(headers));
             live::routes::router(live::routes::Here { rooms, stop: token.clone(), own })
         });
+        let prepared = (role != Role::Work).then(|| Prepared::new(Arc::clone(&app)));
         let router = match role {
             Role::Work => routes::system_router(Arc::clone(&app)),
             Role::All | Role::Serve => routes::router(Arc::clone(&app), rooms),
@@ -326,11 +329,11 @@ impl Server {
         }
         let admin = admin.map(|(listener, addr, names)| {
             let (router, app, token) = (routes::admin_router(Arc::clone(&app), addr, &names), Arc::clone(&app), token.clone());
-            tokio::spawn(
-                async move { accept::serve(accept::Door { listener, tls: None }, router, &app.limits, &app.telemetry, &token).await },
-            )
+            tokio::spawn(async move {
+                accept::serve(accept::Door { listener, tls: None, prepared: None }, router, &app.limits, &app.telemetry, &token).await
+            })
         });
-        accept::serve(accept::Door { listener, tls }, router, &app.limits, &app.telemetry, &token).await;
+        accept::serve(accept::Door { listener, tls, prepared }, router, &app.limits, &app.telemetry, &token).await;
         if let Some(door) = admin
             && let Err(error) = door.await
         {
