@@ -9,6 +9,7 @@ use std::task::{Context, Poll};
 use std::time::Duration;
 
 use axum::Router;
+use futures_util::future::{Either, ready};
 use hyper::Request;
 use hyper::body::Incoming;
 use hyper::header::{HOST, HeaderValue};
@@ -25,6 +26,7 @@ use tokio_util::task::TaskTracker;
 use tokio_util::task::task_tracker::TaskTrackerToken;
 
 use super::limits::Limits;
+use super::prepared::{Heads, Prepared, Question};
 use super::proxies::{self, Proxies};
 use super::sendfile::{FileStream, InFile, Sending};
 use super::share::{Share, Shares};
@@ -52,6 +54,8 @@ pub struct Door {
     pub tls: Option<Tls>,
     /// Proxies that say whose connections they pass on.
     pub proxies: Proxies,
+    /// What answers plain questions from what is kept.
+    pub prepared: Option<Prepared>,
 }
 
 /// How requests are read, by what was agreed on.
@@ -74,7 +78,7 @@ impl Http {
 
 /// Serves connections until `stop`, then gives those that are open until `limits.drain` to end.
 pub async fn serve(door: Door, router: Router, limits: &Arc<Limits>, telemetry: &Arc<Telemetry>, stop: &CancellationToken) {
-    let Door { listener, tls, proxies } = door;
+    let Door { listener, tls, proxies, prepared } = door;
     let http = Http::new(limits);
     let room = Arc::new(Semaphore::new(limits.connections));
     let shares = Shares::new(limits.connections_per_address);
@@ -103,7 +107,7 @@ pub async fn serve(door: Door, router: Router, limits: &Arc<Limits>, telemetry: 
         let says = proxies.announces(peer).then(|| shares.clone());
         let taken = Taken { stream, from: Peer(peer), announced: false, permit, share };
         let present = (telemetry.connection(), open.token());
-        let (http, router, limits, stop) = (http.clone(), router.clone(), Arc::clone(limits), stop.clone());
+        let (http, router, prepared, limits, stop) = (http.clone(), router.clone(), prepared.clone(), Arc::clone(limits), stop.clone());
         let acceptor = tls.as_ref().map(Tls::acceptor);
         tokio::spawn(async move {
             let taken = match says {
@@ -117,7 +121,7 @@ pub async fn serve(door: Door, router: Router, limits: &Arc<Limits>, telemetry: 
             let keep = |stream: &FileStream| keep_little(&stream.stream);
             let stream = FileStream::new(stream, sending.clone());
             let stream = Timed::new(stream, limits.write, limits.write_rate, Little { wanted: little, keep });
-            let connection = Connection { http, router, limits, from, announced, held, stop };
+            let connection = Connection { http, router, prepared, limits, from, announced, held, stop };
             let Some(acceptor) = acceptor else { return connection.one(stream, None, sending).await };
             match tokio::time::timeout(connection.limits.header_read, acceptor.accept(stream)).await {
                 Ok(Ok(stream)) if stream.get_ref().1.alpn_protocol() == Some(tls::HTTP_2) => connection.two(stream).await,
@@ -162,6 +166,7 @@ impl Taken {
 struct Connection {
     http: Http,
     router: Router,
+    prepared: Option<Prepared>,
     limits: Arc<Limits>,
     from: Peer,
     announced: bool,
@@ -173,20 +178,30 @@ impl Connection {
     /// Speaks HTTP/1.1; tells `sending` what is sent.
     async fn one<S: AsyncRead + AsyncWrite + Unpin + Send + 'static>(self, stream: S, secure: Option<Secure>, sending: Sending) {
         let inner = TowerToHyperService::new(self.router);
-        let (from, announced, given) = (self.from, self.announced, self.held.clone());
+        let (from, announced, given, prepared) = (self.from, self.announced, self.held.clone(), self.prepared);
         let service = service_fn(move |mut request: Request<Incoming>| {
             from.put(announced, &mut request);
+            let asked = prepared.as_ref().and_then(|prepared| Some((prepared, Question::of(&request)?)));
+            if let Some((answer, in_file)) = asked.as_ref().and_then(|(prepared, question)| prepared.answer(&request, question, from.0)) {
+                sending.set(in_file);
+                return Either::Left(ready(Ok(answer)));
+            }
+            let question = asked.map(|(_, question)| question);
             request.extensions_mut().insert(given.clone());
             if let Some(secure) = secure {
                 request.extensions_mut().insert(secure);
             }
             let (answer, sending) = (inner.call(request), sending.clone());
-            async move {
+            Either::Right(async move {
                 let mut answer = answer.await;
+                let heads = answer.as_mut().ok().and_then(|response| response.extensions_mut().remove::<Arc<Heads>>());
+                if let (Ok(response), Some(question), Some(heads)) = (&answer, question, heads) {
+                    heads.keep(question, response);
+                }
                 let in_file = answer.as_mut().ok().and_then(|response| response.extensions_mut().remove::<InFile>());
                 sending.set(in_file);
                 answer
-            }
+            })
         });
         let mut connection = pin!(self.http.one.serve_connection(TokioIo::new(stream), service).with_upgrades());
         let ended = tokio::select! {

@@ -413,9 +413,9 @@ fn open(mut file: File, whole: Option<&Done>) -> std::io::Result<Result<Stored, 
             Some(damage) => Err(damage),
             None if bytes.len() < KEPT_OPEN => Ok(Stored::new(bytes)),
             None => {
-                let Stored { source, etag } = Stored::new(bytes);
+                let Stored { source, etag, .. } = Stored::new(bytes);
                 let source = if let Source::Memory(bytes) = source { Source::Both(bytes, Arc::new(file)) } else { source };
-                Ok(Stored { source, etag })
+                Ok(Stored::of(source, etag))
             }
         });
     }
@@ -432,5 +432,5 @@ fn open(mut file: File, whole: Option<&Done>) -> std::io::Result<Result<Stored, 
     if whole.is_some_and(|done| (done.atlas_bytes, &done.atlas_hash) != (length, &digest)) {
         return Ok(Err(format!("{} is not what was written", Part::Atlas.name())));
     }
-    Ok(Ok(Stored { source: Source::File(Arc::new(file), length as usize), etag: format!("\"{digest}\"").into() }))
+    Ok(Ok(Stored::of(Source::File(Arc::new(file), length as usize), format!("\"{digest}\"").into())))
 }

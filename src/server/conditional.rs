@@ -12,7 +12,7 @@ use bytes::Bytes;
 use flate2::Compression;
 
 /// A year, and never asked for again: only under an address that names the version.
-const IMMUTABLE: &str = "public, max-age=31536000, immutable";
+pub const IMMUTABLE: &str = "public, max-age=31536000, immutable";
 /// Headers of an answer, with those that others add: their table grows once.
 const HEADERS: usize = 20;
 /// Kept, but asked for again each time.

@@ -167,6 +167,12 @@ impl Entry {
         self.live.borrow().status.clone()
     }
 
+    /// When it was made, in milliseconds since 1970; none where it is not finished.
+    #[must_use]
+    pub fn done_at(&self) -> Option<u64> {
+        if let Status::Done(done) = &self.live.borrow().status { Some(done.at_ms) } else { None }
+    }
+
     /// How it fares now, with the stages entered.
     #[must_use]
     pub fn live(&self) -> Live {

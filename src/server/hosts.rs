@@ -5,9 +5,8 @@
 
 use std::net::{IpAddr, SocketAddr};
 
-use axum::extract::Request;
 use axum::http::uri::Authority;
-use axum::http::{HeaderMap, StatusCode, header};
+use axum::http::{HeaderMap, Request, StatusCode, header};
 
 use super::problem::Problem;
 
@@ -32,7 +31,7 @@ impl Hosts {
     ///
     /// # Errors
     /// 400 where there is no `Host` or more than one, 421 where it is none of ours.
-    pub fn check(&self, request: &Request) -> Result<(), Problem> {
+    pub fn check<B>(&self, request: &Request<B>) -> Result<(), Problem> {
         let named = authority(request)?;
         // the target wins over the header (RFC 9112, section 3.2.2), but neither may be a stranger's
         for host in request.uri().authority().into_iter().chain([&named]) {
@@ -91,7 +90,7 @@ pub fn origin(headers: &HeaderMap) -> Option<String> {
 }
 
 /// The one `Host` of a request.
-fn authority(request: &Request) -> Result<Authority, Problem> {
+fn authority<B>(request: &Request<B>) -> Result<Authority, Problem> {
     let wrong = |detail: &str| Problem::bad_request(detail).field("Host");
     let mut all = request.headers().get_all(header::HOST).iter();
     let (Some(host), None) = (all.next(), all.next()) else { return Err(wrong("a request has one Host header (RFC 9112, section 3.2)")) };

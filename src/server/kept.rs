@@ -8,6 +8,7 @@ use sha2::{Digest, Sha256};
 
 use super::cache::{Key, Value};
 use super::id::{PhotoId, hex};
+use super::prepared::Heads;
 use super::problem::Problem;
 use super::source::Source;
 use super::store::{Part, Store};
@@ -28,6 +29,8 @@ pub struct Stored {
     pub source: Source,
     /// Strong entity tag with its quotes.
     pub etag: Arc<str>,
+    /// Heads of answers that hold it whole.
+    pub heads: Arc<Heads>,
 }
 
 /// What becomes of large derived bytes where the disk is full.
@@ -40,18 +43,24 @@ pub enum Full {
 }
 
 impl Stored {
+    /// Bytes with their tag.
+    #[must_use]
+    pub fn of(source: Source, etag: Arc<str>) -> Self {
+        Self { source, etag, heads: Arc::default() }
+    }
+
     /// Tagged by its bytes.
     #[must_use]
     pub fn new(bytes: Vec<u8>) -> Self {
         let etag = format!("\"{}\"", hex(&Sha256::digest(&bytes)[..16])).into();
-        Self { source: Source::Memory(bytes.into()), etag }
+        Self::of(Source::Memory(bytes.into()), etag)
     }
 
     /// Bytes tagged by themselves and, before a dash, by what is part of them.
     #[must_use]
     pub fn derived_in_memory(made: &str, bytes: Vec<u8>) -> Self {
-        let Self { source, etag } = Self::new(bytes);
-        Self { source, etag: format!("\"{made}-{}\"", etag.get(1..17).unwrap_or_default()).into() }
+        let Self { source, etag, .. } = Self::new(bytes);
+        Self::of(source, format!("\"{made}-{}\"", etag.get(1..17).unwrap_or_default()).into())
     }
 
     /// Derived bytes, tagged by themselves and, where that tells them, by what they were made of: then
@@ -61,7 +70,7 @@ impl Stored {
     /// # Errors
     /// 507 where the disk has no room beyond its reserve, unless they may stay in memory, 500.
     pub fn derived(made: Option<&str>, bytes: Vec<u8>, store: &Store, full: Full) -> Result<Self, Problem> {
-        let Self { source, etag } = match made {
+        let Self { source, etag, .. } = match made {
             Some(made) => Self::derived_in_memory(made, bytes),
             None => Self::new(bytes),
         };
@@ -75,7 +84,7 @@ impl Stored {
             }
             source => source,
         };
-        Ok(Self { source, etag })
+        Ok(Self::of(source, etag))
     }
 }
 

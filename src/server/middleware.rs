@@ -1,17 +1,18 @@
 //! Around every request: its id, its time limit, its line in the log, its counters, and the headers of every answer.
 
+use std::net::IpAddr;
 use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
-use axum::body::Body;
+use axum::body::{Body, HttpBody as _};
 use axum::extract::{MatchedPath, Request, State};
 use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode, Version, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use futures_util::FutureExt;
-use tracing::Instrument;
+use tracing::{Instrument, Span};
 
 use super::accept::{Peer, Secure};
 use super::access::Guard;
@@ -30,7 +31,8 @@ use super::traces::TRACE;
 
 /// Header of the id of a request.
 pub const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
-const SERVER_TIMING: HeaderName = HeaderName::from_static("server-timing");
+/// Header of what a request took.
+pub const SERVER_TIMING: HeaderName = HeaderName::from_static("server-timing");
 /// Longest id that is taken from a client.
 const MAX_ID: usize = 64;
 
@@ -70,34 +72,45 @@ async fn wrap(app: &App, door: Door<'_>, request: Request, next: Next) -> Respon
     let peer = peer.map(|peer| door.proxies.map_or(peer, |proxies| proxies.client(peer, request.headers())));
     let asker = peer.filter(|ip| !ip.to_canonical().is_loopback());
     let trace = app.telemetry.traces().and_then(|to| to.request(known_method(&method), route, request.headers(), peer));
-    let path = request.uri().path();
-    let span = tracing::info_span!("request", id, peer = peer.map(tracing::field::display), %method, path, trace = tracing::field::Empty);
+    let span = span(&id, peer, &method, request.uri().path());
     if let Some(trace) = &trace {
         span.record("trace", trace.trace());
     }
     let secure = request.extensions().get::<Secure>().is_some();
     let answered = answer(app, door, request, next).instrument(span.clone());
     let mut response = TRACE.scope(trace.clone(), ASKER.scope(asker, SECURE.scope(secure, answered))).await;
-    let response_id = HeaderValue::from_str(&id);
-    response = finish(response, id).await;
+    response = finish(response, &id).await;
     let took = start.elapsed();
-    if let Ok(id) = response_id {
-        response.headers_mut().insert(REQUEST_ID, id);
-    }
-    let hundredths = took.as_micros() / 10;
-    if let Ok(total) = HeaderValue::try_from(format!("total;dur={}.{:02}", hundredths / 100, hundredths % 100)) {
-        response.headers_mut().append(SERVER_TIMING, total);
-    }
+    put_own(&mut response, &id, took);
     let status = response.status().as_u16();
     app.telemetry.request(known_method(&method), route, status, took);
     if let Some(trace) = trace {
         trace.answered(status);
     }
-    span.in_scope(|| {
-        let ms = (took.as_secs_f64() * 1e5).round() / 1e2;
-        if response.status().is_server_error() { tracing::warn!(status, ms) } else { tracing::info!(status, ms) }
-    });
+    log(&span, response.status(), took);
     response
+}
+
+/// Around what the log says of a request.
+pub fn span(id: &str, peer: Option<IpAddr>, method: &Method, path: &str) -> Span {
+    tracing::info_span!("request", id, peer = peer.map(tracing::field::display), %method, path, trace = tracing::field::Empty)
+}
+
+/// A request's line in the log.
+pub fn log(span: &Span, status: StatusCode, took: Duration) {
+    span.in_scope(|| {
+        let (ms, is_ours, status) = ((took.as_secs_f64() * 1e5).round() / 1e2, status.is_server_error(), status.as_u16());
+        if is_ours { tracing::warn!(status, ms) } else { tracing::info!(status, ms) }
+    });
+}
+
+/// Puts what each answer has of its own: its request's id, and the time that it took besides what is told of that already.
+pub fn put_own(response: &mut Response, id: &str, took: Duration) {
+    insert(response, REQUEST_ID, id);
+    let hundredths = took.as_micros() / 10;
+    if let Ok(total) = HeaderValue::try_from(format!("total;dur={}.{:02}", hundredths / 100, hundredths % 100)) {
+        response.headers_mut().append(SERVER_TIMING, total);
+    }
 }
 
 /// The handler's answer, or that its time is over, or that it panicked.
@@ -106,11 +119,17 @@ async fn answer(app: &App, door: Door<'_>, request: Request, next: Next) -> Resp
     let clock = Clock::new(limits.request);
     let awaited = request.headers().contains_key(header::EXPECT);
     let mut rest = None;
-    let mut request = request.map(|body| {
-        let (guarded, left) = Guarded::new(body, &limits, clock.clone());
-        rest = Some(left);
-        Body::new(guarded)
-    });
+    let mut request = if request.body().is_end_stream() {
+        // nothing to be bounded
+        clock.start();
+        request
+    } else {
+        request.map(|body| {
+            let (guarded, left) = Guarded::new(body, &limits, clock.clone());
+            rest = Some(left);
+            Body::new(guarded)
+        })
+    };
     if *request.method() != Method::GET {
         // ranges are of GET alone (RFC 9110, section 14.2)
         request.headers_mut().remove(header::RANGE);
@@ -202,7 +221,7 @@ fn only_chunked(headers: &HeaderMap) -> Result<(), Problem> {
 }
 
 /// Makes a problem of every error, and gives it the request's id.
-async fn finish(response: Response, id: String) -> Response {
+async fn finish(response: Response, id: &str) -> Response {
     let status = response.status();
     // a page that says so to a person is one already
     let is_page = response.headers().get(header::CONTENT_TYPE).is_some_and(|t| t.as_bytes().starts_with(b"text/html"));
@@ -215,7 +234,7 @@ async fn finish(response: Response, id: String) -> Response {
             let text = axum::body::to_bytes(body, 4096).await.unwrap_or_default();
             Problem::new(status, "request", String::from_utf8_lossy(&text))
         };
-        problem.request_id = Some(id.into());
+        problem.request_id = Some(id.to_owned().into());
         let mut response = problem.into_response();
         for (name, value) in &parts.headers {
             if name != header::CONTENT_TYPE && name != header::CONTENT_LENGTH {
@@ -238,7 +257,7 @@ async fn finish(response: Response, id: String) -> Response {
 }
 
 /// The client's id of the request where it is harmless, else a fresh one.
-fn request_id(headers: &HeaderMap) -> String {
+pub fn request_id(headers: &HeaderMap) -> String {
     static NEXT: AtomicU64 = AtomicU64::new(0);
     let harmless = |v: &&str| !v.is_empty() && v.len() <= MAX_ID && v.bytes().all(|b| b.is_ascii_alphanumeric() || b"-_.".contains(&b));
     headers

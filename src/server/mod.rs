@@ -36,6 +36,7 @@ mod pages;
 mod part;
 mod partial;
 mod pool;
+mod prepared;
 mod problem;
 mod proxies;
 mod rates;
@@ -88,6 +89,7 @@ use app::{App, Shared};
 use cluster::Cluster;
 use jobs::Jobs;
 use partial::Partials;
+use prepared::Prepared;
 use store::Store;
 use telemetry::Telemetry;
 use traces::Traces;
@@ -322,6 +324,7 @@ impl Server {
             let own = Arc::new(move |headers: &HeaderMap| of.hosts.is_own(headers));
             live::routes::router(live::routes::Here { rooms, stop: token.clone(), own })
         });
+        let prepared = (role != Role::Work).then(|| Prepared::new(Arc::clone(&app)));
         let router = match role {
             Role::Work => routes::system_router(Arc::clone(&app)),
             Role::All | Role::Serve => routes::router(Arc::clone(&app), rooms),
@@ -331,10 +334,10 @@ impl Server {
         }
         let admin = admin.map(|(listener, addr, names)| {
             let (router, app, token) = (routes::admin_router(Arc::clone(&app), addr, &names), Arc::clone(&app), token.clone());
-            let door = accept::Door { listener, tls: None, proxies: Proxies::default() };
+            let door = accept::Door { listener, tls: None, proxies: Proxies::default(), prepared: None };
             tokio::spawn(async move { accept::serve(door, router, &app.limits, &app.telemetry, &token).await })
         });
-        let door = accept::Door { listener, tls, proxies: app.proxies.clone() };
+        let door = accept::Door { listener, tls, proxies: app.proxies.clone(), prepared };
         accept::serve(door, router, &app.limits, &app.telemetry, &token).await;
         if let Some(admin) = admin
             && let Err(error) = admin.await

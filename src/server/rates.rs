@@ -15,8 +15,10 @@ use super::limits::Limits;
 use super::problem::Problem;
 use super::share::customer;
 
-const RATE_LIMIT: HeaderName = HeaderName::from_static("ratelimit");
-const POLICY: HeaderName = HeaderName::from_static("ratelimit-policy");
+/// How an asker stands.
+pub const RATE_LIMIT: HeaderName = HeaderName::from_static("ratelimit");
+/// What they stand within.
+pub const POLICY: HeaderName = HeaderName::from_static("ratelimit-policy");
 /// What rates are told for; a bucket holds as much.
 const WINDOW: Duration = Duration::from_mins(1);
 /// Whoever is known at a time; those whose buckets are full are forgotten first, then all.
@@ -137,7 +139,7 @@ impl Rates {
     ///
     /// # Errors
     /// 429 that names what is done too often, and says when to come back.
-    fn take(&self, asker: Option<Asker>, method: &Method, path: &str) -> (Told, Result<(), Problem>) {
+    pub fn take(&self, asker: Option<Asker>, method: &Method, path: &str) -> (Told, Result<(), Problem>) {
         let mut told = Told::default();
         let Some(asker) = asker else { return (told, Ok(())) };
         let now = Instant::now();

@@ -25,6 +25,7 @@ mod nodes;
 mod openapi;
 mod origins;
 mod partials;
+mod prepared;
 mod process;
 mod proxies;
 mod rates;

@@ -181,6 +181,12 @@ def jump(rng):
     return harm
 
 
+def read_on(photo, k):
+    """What is asked of a node for the `k`th time."""
+    at = f"/v1/photos/{photo}"
+    return "/healthz", at, f"{at}/atlas", f"{at}/thumbnail", f"{at}/view?w=64&tx={k % 50 / 1000}"
+
+
 def gone(table, seconds):
     """The store and NATS are gone: nodes are alive, and what was read before is read on."""
     nodes = Nodes(nats=bool(NATS))
@@ -191,7 +197,9 @@ def gone(table, seconds):
         ids.append(answer["id"])
     for node in nodes.serve:
         for photo in ids:
-            check(node.wait(photo, 120)["state"] == "done" and node.get(f"/v1/photos/{photo}/atlas")[0] == 200, "photos are made and read")
+            check(node.wait(photo, 120)["state"] == "done", "photos are made")
+            for path in read_on(photo, 0):
+                check((status := node.get(path)[0]) == 200, f"{path} is read: {status}")
     nodes.proxy.set(True)
     if nodes.nats:
         nodes.nats.kill()
@@ -199,7 +207,7 @@ def gone(table, seconds):
     while time.monotonic() - began < seconds:
         photo, k = ids[k % len(ids)], k + 1
         for node in nodes.serve:
-            for path in ("/healthz", f"/v1/photos/{photo}", f"/v1/photos/{photo}/atlas", f"/v1/photos/{photo}/thumbnail", f"/v1/photos/{photo}/view?w=64&x={k % 50 / 1000}"):
+            for path in read_on(photo, k):
                 then = time.monotonic()
                 status = node.get(path, timeout=30)[0]
                 worst, asked = max(worst, time.monotonic() - then), asked + 1

@@ -5,7 +5,7 @@ use axum::http::{HeaderMap, Uri};
 use axum::response::Response;
 
 use super::query::{OnlyVersion, Pairs};
-use crate::server::app::{App, Shared};
+use crate::server::app::{App, Shared, Stored};
 use crate::server::conditional::{Coding, Entity, kept, respond};
 use crate::server::problem::Problem;
 use crate::server::store::Part;
@@ -60,7 +60,7 @@ pub async fn atlas(State(app): State<App>, Path(id): Path<String>, uri: Uri, hea
     let level = wanted_level(&pairs, side)?;
     let cache_control = kept(pairs.get("v"), || app.version(&done));
     let file = app.container(version, &done, (level, region), sections.as_deref()).await?;
-    Ok(respond(&headers, Entity { source: file.source, etag: &file.etag, content_type: MEDIA_TYPE, cache_control, coding: Coding::Plain }))
+    Ok(answer(file, &headers, MEDIA_TYPE, cache_control, Coding::Plain))
 }
 
 /// Names of the sections that a query asks for; none where it does not say.
@@ -153,5 +153,12 @@ async fn stored(app: &App, id: &str, v: &OnlyVersion, headers: &HeaderMap, part:
     let cache_control = kept(v.0.as_deref(), || app.version(&done));
     let file = app.file(version, &done, part).await?;
     let coding = if part == Part::Report { Coding::Gzip } else { Coding::Plain };
-    Ok(respond(headers, Entity { source: file.source, etag: &file.etag, content_type, cache_control, coding }))
+    Ok(answer(file, headers, content_type, cache_control, coding))
+}
+
+/// Answers with a file, and tells where the head of the answer may be kept.
+fn answer(file: Stored, headers: &HeaderMap, content_type: &str, cache_control: &str, coding: Coding) -> Response {
+    let mut response = respond(headers, Entity { source: file.source, etag: &file.etag, content_type, cache_control, coding });
+    response.extensions_mut().insert(file.heads);
+    response
 }
