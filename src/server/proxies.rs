@@ -122,8 +122,8 @@ fn hops<'a>(headers: &'a HeaderMap, name: &HeaderName) -> impl Iterator<Item = &
 
 /// What a hop of `Forwarded` says of who sent it.
 fn forwarded(hop: &str) -> &str {
-    let of = |pair: &'_ str| pair.split_once('=').filter(|(name, _)| name.trim().eq_ignore_ascii_case("for")).is_some();
-    hop.split(';').find(|pair| of(pair)).and_then(|pair| pair.split_once('=')).map_or("", |(_, value)| value)
+    let mut pairs = hop.split(';').filter_map(|pair| pair.split_once('='));
+    pairs.find(|(name, _)| name.trim().eq_ignore_ascii_case("for")).map_or("", |(_, value)| value)
 }
 
 /// An address as proxies write it: alone or with a port, in quotes or brackets or not.

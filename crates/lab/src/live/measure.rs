@@ -13,7 +13,7 @@ use tmpi_render::{PictureFormat, View};
 use super::equal::as_jpeg;
 use super::reader::{Mean, Moment, Reader, ms};
 use super::scale::Truth;
-use super::sequence::{Kind, Seen, Sequence};
+use super::sequence::{Kind, Seen, Sequence, Shot};
 use super::sums::{Sums, add, add_bytes};
 use super::{Figures, LiveBenchError, Settings, encoder, room};
 
@@ -57,9 +57,7 @@ pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Resul
         f.decode_ms += decode_ms;
         f.server_cpu_ms += clock.cpu_ms();
         if n % views == 0 {
-            let off = psnr(photo.rgb.as_flattened(), shot.clean.rgb.as_flattened());
-            sums.video_psnr.add(off);
-            sums.jpeg(as_jpeg(&shot.noisy, &shot.clean, off)?);
+            compare_video(&mut sums, &photo, &shot)?;
         }
         let depth = (kind == Kind::Measured).then(|| shot.delta.clone());
         let frame = Frame { number: n.into(), photo, depth };
@@ -93,9 +91,8 @@ pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Resul
             sums.layers.push(ms(before));
         }
         if n % views <= 1 {
-            if let Some(snapshot) = carried.snapshot(n.into())? {
-                let geometry = wire::Geometry { frame: n.into(), chunks: vec![snapshot] };
-                sums.snapshots.add(tmpi_core::live::write(wire::message::Kind::Snapshot(geometry)).len() as f64);
+            if let Some(bytes) = snapshot(&carried, n)? {
+                sums.snapshots.add(bytes);
             }
             let moment = |geometry, sent| Moment {
                 geometry,
@@ -112,26 +109,22 @@ pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Resul
             separate.next(&frame)?;
             let by_itself = separate.geometry().map(|g| other.show(moment(g, &[]))).transpose()?;
             if let Some(folder) = settings.files.as_deref().filter(|_| n % views == 0) {
-                let pictures = [("frame", Some(&frame.photo)), ("beside", view.as_ref()), ("separate", by_itself.as_ref())];
-                for (what, picture) in pictures.into_iter().chain([("truth", Some(&shot.beside))]) {
-                    let name = format!("{}-{n:04}-{what}.png", kind.slug());
-                    picture.map(|picture| write(folder, &name, &png(picture)?)).transpose()?;
+                let ours = [("frame", Some(&frame.photo)), ("beside", view.as_ref()), ("separate", by_itself.as_ref())];
+                for (what, picture) in ours.into_iter().chain([("truth", Some(&shot.beside))]) {
+                    keep(folder, kind, n, what, picture)?;
                 }
                 for (corner, (tx, ty)) in CORNERS {
                     let at = (tx * ASIDE, ty * ASIDE);
                     let view = known.as_ref().map(|g| reader.view(moment(g, &[]), Pose::at(at.0, at.1, 0.0))).transpose()?.flatten();
-                    for (what, picture) in [("", view.as_ref()), ("-truth", Some(&sequence.view(n, at)))] {
-                        let name = format!("{}-{n:04}-{corner}{what}.png", kind.slug());
-                        picture.map(|picture| write(folder, &name, &png(picture)?)).transpose()?;
-                    }
+                    keep(folder, kind, n, corner, view.as_ref())?;
+                    keep(folder, kind, n, &format!("{corner}-truth"), Some(&sequence.view(n, at)))?;
                 }
             }
         }
         last = Some(shot.clean);
     }
     if let Some(folder) = &settings.files {
-        write(folder, &format!("{}.{}", kind.slug(), if settings.bitrate.is_some() { "h264" } else { "mjpeg" }), &stream)?;
-        write(folder, &format!("{}.room", kind.slug()), &messages)?;
+        keep_streams(settings, folder, kind, (&stream, &messages))?;
     }
     sums.finish(&mut f, settings.frames);
     compare(&mut f, &reader, &other);
@@ -151,6 +144,31 @@ fn compare(f: &mut Figures, reader: &Reader, other: &Reader) {
     (f.psnr, f.ssim, f.flicker, f.flicker_left_out) =
         (reader.psnr.get(), reader.ssim.get(), reader.flicker.get(), reader.flicker_left_out.get());
     (f.psnr_separate, f.ssim_separate, f.flicker_separate) = (other.psnr.get(), other.ssim.get(), other.flicker.get());
+}
+
+/// Counts how far the video is from what the camera saw, and the JPEG file that is as far.
+fn compare_video(sums: &mut Sums, photo: &Photo, shot: &Shot) -> Result<(), LiveBenchError> {
+    let off = psnr(photo.rgb.as_flattened(), shot.clean.rgb.as_flattened());
+    sums.video_psnr.add(off);
+    sums.jpeg(as_jpeg(&shot.noisy, &shot.clean, off)?);
+    Ok(())
+}
+
+/// Bytes of a snapshot of what a room holds at a frame, where it holds anything.
+fn snapshot(room: &Driver, n: u32) -> Result<Option<f64>, LiveBenchError> {
+    let message = |chunk| wire::message::Kind::Snapshot(wire::Geometry { frame: n.into(), chunks: vec![chunk] });
+    Ok(room.snapshot(n.into())?.map(|chunk| tmpi_core::live::write(message(chunk)).len() as f64))
+}
+
+/// Writes the video, and all messages of the room.
+fn keep_streams(settings: &Settings, folder: &Path, kind: Kind, (video, messages): (&[u8], &[u8])) -> Result<(), LiveBenchError> {
+    write(folder, &format!("{}.{}", kind.slug(), if settings.bitrate.is_some() { "h264" } else { "mjpeg" }), video)?;
+    write(folder, &format!("{}.room", kind.slug()), messages)
+}
+
+/// Writes what is to be seen at a frame, where there is anything.
+fn keep(folder: &Path, kind: Kind, n: u32, what: &str, picture: Option<&Photo>) -> Result<(), LiveBenchError> {
+    picture.map_or(Ok(()), |picture| write(folder, &format!("{}-{n:04}-{what}.png", kind.slug()), &png(picture)?))
 }
 
 /// A frame as a message.
