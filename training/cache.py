@@ -163,7 +163,7 @@ def mapped(path, dtype, count, create=False):
 
 def main():
     a = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    a.add_argument("--scenes", nargs="+", default=[str(RUNS / "data" / "train")])
+    a.add_argument("--scenes", nargs="*", default=[str(RUNS / "data" / "train")])
     a.add_argument("--out", type=Path, default=RUNS / "cache")
     a.add_argument("--variants", type=int, default=4, help="of each rendered scene")
     a.add_argument("--real", type=int, default=24, help="of each photograph with a map")
@@ -174,7 +174,7 @@ def main():
     a = a.parse_args()
     torch.set_num_threads(a.threads)
     cv2.setNumThreads(1)
-    items = [*sources.scenes(a.scenes), *sources.labels(held=False), *sources.gathered()]
+    items = [*(sources.scenes(a.scenes) if a.scenes else ()), *sources.labels(held=False), *sources.gathered()]
     items = [i for i in items if not i.name.startswith(tuple(a.without))] if a.without else items
     if a.beside:
         known = {r[0] for own in json.loads((a.beside / "cache.json").read_text())["records"].values() for r in own}

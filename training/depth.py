@@ -40,7 +40,8 @@ def first_labels(records, count):
 class Records:
     """Batches of the cache: what a step gets is a function of the seed and the step."""
 
-    def __init__(self, folders, seed, batch, shares=SHARES, both=True, labels=None):
+    def __init__(self, folders, seed, batch, shares=SHARES, both=True, labels=None, families=FAMILIES):
+        self.families = families
         self.folders, self.seed, self.batch = [common.Path(f) for f in folders], seed, batch
         for folder in self.folders:
             if not (folder / "cache.json").exists():
@@ -68,13 +69,12 @@ class Records:
         banks = (cache.mapped(f / "statistics.bin", cache.statistics_layout(self.channels), k["statistics"]) for f, k in zip(self.folders, about))
         self.bank = np.concatenate([b for b in banks if b is not None])
 
-    @staticmethod
-    def share(group, counts, shares):
+    def share(self, group, counts, shares):
         """Share of a group, or of a family of scenes, in all batches."""
         name = group.split(":")[0] if group.startswith("scene") else group
         if not group.startswith("scene"):
             return shares.get(name, 0)
-        family = {k: v for k, v in FAMILIES.items() if f"scene:{k}" in counts}
+        family = {k: v for k, v in self.families.items() if f"scene:{k}" in counts}
         return shares.get("scene", 0) * family[group.split(":")[1]] / sum(family.values())
 
     def at(self, step):
@@ -154,6 +154,7 @@ def main():
     a.add_argument("--lr", type=float, default=2e-3)
     a.add_argument("--style", choices=["off", "photos"], default="photos", help="whether channel statistics of photographs are mixed in")
     a.add_argument("--shares", nargs="*", default=[], metavar="GROUP=SHARE", help="other shares of a batch than SHARES")
+    a.add_argument("--families", nargs="*", default=[], metavar="FAMILY=SHARE", help="other shares of the scenes than FAMILIES")
     a.add_argument("--labels", type=int, metavar="N", help="only so many of the labelled photographs, to see what more of them are worth")
     a.add_argument("--weights", nargs="*", default=[], metavar="PART=WEIGHT", help="other weights of the loss than WEIGHTS")
     a.add_argument("--encoder", choices=["mobilenet", "both"], default="both", help="MobileNetV2, or with YOLOX-nano beside it")
@@ -168,7 +169,7 @@ def main():
     import eval_depth  # here, because it reads real pictures
 
     told = lambda given, known: {**known, **{k: float(v) for k, v in (g.split("=") for g in given)}}
-    records = Records(a.cache, a.seed, a.batch, told(a.shares, SHARES), a.encoder == "both", a.labels)
+    records = Records(a.cache, a.seed, a.batch, told(a.shares, SHARES), a.encoder == "both", a.labels, told(a.families, FAMILIES))
     weights, bank = told(a.weights, WEIGHTS), records.statistics() if a.style == "photos" else None
     loop.seed_all(a.seed)
     net = DepthNet(a.encoder == "both", a.drop)
@@ -185,8 +186,8 @@ def main():
     out.mkdir(parents=True, exist_ok=True)
     if not a.tune:
         net.use_runtime(out / "encoders.onnx", a.threads)
-    sets = eval_depth.load_sets("choose")
-    inputs["chosen by"] = eval_depth.files("choose")
+    sets = eval_depth.load_sets("wide")
+    inputs["chosen by"] = eval_depth.files("wide")
 
     def loss_at(step):
         features, own, value, region, kind, of = records.at(step)

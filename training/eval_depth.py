@@ -27,7 +27,9 @@ def size_for(h, w, area=AREA):
 
 def listed(part):
     """Every picture to measure on: (set, photo, depth file, how it is stored). `part`: "choose" is what checkpoints are chosen by, "report" is the
-    rest, on which nothing is chosen, "all" is both."""
+    rest, on which nothing is chosen, "all" is both; "wide" is "choose" with further sets that are never reported: it is less a matter of luck."""
+    if part == "wide":
+        return listed("choose") + further()
     found = []
     for i, f in enumerate(sorted((DATA / "depth_pred" / "adampi").glob("*.jpg"))):
         found.append(("adampi", f, f.with_name(f.stem + "_disp16.png"), "disparity", i % 2 == 0))
@@ -42,6 +44,18 @@ def listed(part):
     found += [("redwood", p, single / "redwood" / "depth" / (p.stem + ".png"), "depth", False) for p in sorted((single / "redwood" / "color").glob("*"))]
     found += [("corridor", single / "sun_corridor" / "SUN_color.jpg", single / "sun_corridor" / "SUN_depth.png", "rotated depth", False)]
     return [f[:4] for f in found if f[2].exists() and (part == "all" or f[4] == (part == "choose"))]
+
+
+def further():
+    """Pictures that may not be trained on and are not reported: matched stereo, tables of objects, MPIs of others, sparse LiDAR."""
+    silver, single = DATA / "stereo_silver", DATA / "rgbd_single"
+    found = [("still lifes", f / "left.png", f / "silver_disp_left.png", "stereo") for f in sorted(silver.glob("mb_*"))]
+    found += [("eth3d", f / "left.png", f / "silver_disp_left.png", "stereo") for f in sorted(silver.glob("eth_*"))]
+    tables = sorted((DATA / "train2" / "rgbd" / "pcl_mosd").glob("*.jpg"))[::2]
+    found += [("tables", f, f.with_name(f"{f.stem}_depth_mm.png"), "depth") for f in tables]
+    found += [("svmpi", f / "input.png", f / "expected_disp16.png", "disparity") for f in sorted((DATA / "mpi_peers").glob("svmpi_*"))]
+    found += [("kitti", f, single / "kitti_demo" / "depth" / f.name, "depth") for f in sorted((single / "kitti_demo" / "rgb").glob("*.png"))]
+    return [f for f in found if f[2].exists()]
 
 
 def files(part):
@@ -198,7 +212,7 @@ class Onnx:
 def opened(model, flags):
     """The network of a file, or the program."""
     if model.endswith(".pt"):
-        return DepthNet.of(torch.load(model, weights_only=False)).eval()
+        return DepthNet.of(torch.load(model, weights_only=False))
     return Onnx(model) if model.endswith(".onnx") else Program(model, flags)
 
 
@@ -207,7 +221,7 @@ def main():
     a.add_argument("model", help="depth.onnx, a checkpoint .pt, or the program tmpi: the whole way of `tmpi depth`")
     a.add_argument("--flip", action="store_true")
     a.add_argument("--areas", type=int, nargs="+", default=[AREA])
-    a.add_argument("--part", choices=["all", "choose", "report"], default="report", help="the pictures that nothing is chosen by, those that checkpoints are chosen by, or both")
+    a.add_argument("--part", choices=["all", "choose", "wide", "report"], default="report", help="the pictures that nothing is chosen by, those that checkpoints are chosen by, these with further ones, or both")
     a.add_argument("--ramp", type=float, default=0.2, help="share of the vertical ramp that a checkpoint gets, as in export.py")
     a.add_argument("--json", action="store_true")
     a, flags = a.parse_known_args()  # what is left over goes to the program
@@ -221,7 +235,7 @@ def main():
     how = {"flip": a.flip, "areas": a.areas}
     result = evaluate(net, sets, **how)
     # held-out labels are never chosen by
-    objects = evaluate_things(net, sources.labels(held=True), **how) if a.part != "choose" else None
+    objects = evaluate_things(net, sources.labels(held=True), **how) if a.part in ("all", "report") else None
     if a.json:
         print(json.dumps({"sets": result, "things": objects}))
         return

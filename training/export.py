@@ -8,20 +8,24 @@ import torch
 import common
 import manifest
 from common import MODELS, RUNS
-from graph import Graph, check, decoder, halved, ramped
+from graph import Graph, check, halved, mean, mirrored, ramped
 
 LICENCE = "MIT OR Apache-2.0"
 
 
-def depth(path, checkpoint, ramp):
-    from network import DepthNet, Shipped
+def depth(path, files, ramp, mirror):
+    """One network of the decoders of all `files`; see `network.Mean`."""
+    from network import Mean, MobileNetV2, Shipped
 
-    net = DepthNet.of(checkpoint).eval()
+    net = Mean.of(files, mirror).eval()
     fold_into_half(net)
     g = Graph("tmpi depth")
     x = g.input("image", ["n", 3, "h", "w"])
-    g.output(ramped(g, decoder(g, net.encoder.written(g, x), net.decoder), ramp), "disparity", ["n", 1, "h", "w"])
-    g.save(path, {"licence": LICENCE + "; encoder: MobileNetV2, Apache-2.0", "step": str(checkpoint["step"]), "ramp": str(ramp)})
+    both = g.op("Concat", x, mirrored(g, x), axis=0) if mirror else x
+    p = mean(g, net.encoder.written(g, both), net.decoders, mirror, MobileNetV2.CHANNELS)
+    g.output(ramped(g, p, ramp), "disparity", ["n", 1, "h", "w"])
+    about = {"licence": LICENCE + "; encoders: MobileNetV2, YOLOX-nano, Apache-2.0", "decoders": str(len(net.decoders)), "mirrored": str(mirror), "ramp": str(ramp)}
+    g.save(path, about)
     inputs = [{"image": torch.randn(n, 3, h, w)} for n, h, w in ((1, 192, 288), (2, 96, 288), (1, 288, 96))]
     return [check(path, Shipped(net, ramp), i) for i in inputs]
 
@@ -30,8 +34,9 @@ def fold_into_half(net):
     """Folds BatchNorm into its convolution and rounds weights as they stand in the file."""
     from torch.nn.utils.fusion import fuse_conv_bn_eval
 
-    for join in [net.decoder.mix, *net.decoder.join]:
-        join[0], join[1] = fuse_conv_bn_eval(join[0], join[1]), torch.nn.Identity()
+    for d in net.decoders:
+        for join in [d.mix, *d.join]:
+            join[0], join[1] = fuse_conv_bn_eval(join[0], join[1]), torch.nn.Identity()
     halved(net)
 
 
@@ -49,7 +54,7 @@ def theta(path, checkpoint):
     def erode(v):
         return g.op("Neg", dilate(g.op("Neg", v)))
 
-    def mean(v, k):
+    def blurred(v, k):
         return g.op("AveragePool", v, kernel_shape=[k, k], pads=[k // 2] * 4, count_include_pad=0)
 
     def part(v, a, b):
@@ -63,8 +68,8 @@ def theta(path, checkpoint):
     clean = g.op("Mul", clean, g.constant(np.float32(0.5)))
     quarter = g.op("AveragePool", d, kernel_shape=[4, 4], strides=[4, 4])
     eighth = g.op("AveragePool", quarter, kernel_shape=[2, 2], strides=[2, 2])
-    wide = [g.stretched(mean(v, 5), k) for v, k in ((quarter, 4), (eighth, 8))]
-    others = g.op("Concat", clean, mean(clean, 5), mean(d, 5), mean(d, 9), *wide, axis=1)
+    wide = [g.stretched(blurred(v, 5), k) for v, k in ((quarter, 4), (eighth, 8))]
+    others = g.op("Concat", clean, blurred(clean, 5), blurred(d, 5), blurred(d, 9), *wide, axis=1)
     difference = g.op("Mul", g.op("Sub", others, d), g.constant(np.float32(8)))
     f0 = layer(g.op("Concat", x, difference, axis=1), net.e0)
     f1 = layer(f0, net.e1)
@@ -114,7 +119,8 @@ def psi(path, checkpoint):
 def main():
     a = argparse.ArgumentParser(description=__doc__)
     a.add_argument("model", choices=["depth", "theta", "psi"])
-    a.add_argument("--checkpoint")
+    a.add_argument("--checkpoint", nargs="+", type=common.Path, help="of depth also several, whose decoders become one network, and exported networks")
+    a.add_argument("--mirror", action="store_true", help="the depth network also sees the mirrored picture: the mean of both")
     a.add_argument("--out", help="another file than models/NAME.onnx, whose card is then left alone")
     a.add_argument("--ramp", type=float, default=0.2, help="share of the vertical ramp in the depth network's map")
     a = a.parse_args()
@@ -123,13 +129,16 @@ def main():
     name = {"depth": "depth/best.pt", "theta": "theta/last.pt", "psi": "psi/last.pt"}[a.model]
     path = common.Path(a.out or MODELS / f"{a.model}.onnx")
     path.parent.mkdir(parents=True, exist_ok=True)
-    source = common.Path(a.checkpoint or RUNS / name)
-    checkpoint = torch.load(source, weights_only=False, map_location="cpu")
-    worst = depth(path, checkpoint, a.ramp) if a.model == "depth" else theta(path, checkpoint) if a.model == "theta" else psi(path, checkpoint)
-    told = manifest.exported(source, path)
+    sources = a.checkpoint or [RUNS / name]
+    if a.model == "depth":
+        worst = depth(path, sources, a.ramp, a.mirror)
+    else:
+        checkpoint = torch.load(sources[0], weights_only=False, map_location="cpu")
+        worst = theta(path, checkpoint) if a.model == "theta" else psi(path, checkpoint)
+    told = [manifest.exported(s, path) for s in sources]
     if not a.out:
         manifest.into_card(path.with_suffix(".md"), manifest.block(path, told))
-    print(f"{path}: {path.stat().st_size} bytes, step {checkpoint['step']}, ONNX Runtime − PyTorch at most {max(worst):.1e}")
+    print(f"{path}: {path.stat().st_size} bytes, ONNX Runtime − PyTorch at most {max(worst):.1e}")
 
 
 if __name__ == "__main__":

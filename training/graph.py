@@ -137,7 +137,31 @@ def ramped(g, p, ramp):
     return g.op("Add", unit(g, p), g.op("Mul", unit(g, row), g.constant(np.float32(ramp))))
 
 
+def mirrored(g, x):
+    """A map [N,C,H,W] with left and right exchanged."""
+    return g.op("Slice", x, *(g.constant([i], np.int64) for i in (-1, np.iinfo(np.int64).min, 3, -1)))
+
+
+def mean(g, features, decoders, mirror, channels):
+    """The map of `network.Mean`: of decoders that see all channels of the feature maps, or the first `channels` alone. Where `mirror`, the second half
+    of the batch is of the mirrored pictures."""
+    total, some = None, None
+    for d in decoders:
+        seen = features
+        if not d.both():
+            some = some or [g.op("Slice", f, *(g.constant([i], np.int64) for i in (0, c, 1))) for f, c in zip(features, channels)]
+            seen = some
+        p = unit(g, decoder(g, seen, d))
+        total = p if total is None else g.op("Add", total, p)
+    if mirror:
+        straight, turned = g.fresh("split"), g.fresh("split")
+        g.nodes.append(helper.make_node("Split", [total], [straight, turned], axis=0))
+        total = g.op("Add", straight, mirrored(g, turned))
+    return g.double(total)
+
+
 def decoder(g, features, d):
+    """The map at half of the picture's size."""
     f5 = features[4]
     one = ones_of(g, f5)
     rows = g.op("CumSum", one, g.constant(np.int64(2), np.int64))
@@ -150,4 +174,4 @@ def decoder(g, features, d):
     for i in (3, 2, 1, 0):
         side = g.layer(features[i], d.side[i])
         x = g.layer(g.op("Concat", g.double(x), side, axis=1), d.join[i][0], d.join[i][1], relu=True)
-    return g.double(g.layer(x, d.head))
+    return g.layer(x, d.head)

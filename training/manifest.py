@@ -121,25 +121,37 @@ def finished(out, step, contents):
 
 
 def exported(checkpoint, model):
-    """Adds the digest of a network made from `checkpoint`; the manifest, or None where the checkpoint has none."""
-    told = read(Path(checkpoint).parent)
+    """Adds the digest of a network made from `checkpoint`; the manifest of its run, or of a network that was exported before, its digest alone."""
+    checkpoint = Path(checkpoint)
+    if checkpoint.suffix == ".onnx":
+        return {"network": sha256(checkpoint)}
+    told = read(checkpoint.parent)
     if told is not None:
-        told["exported"] = {"file": Path(model).name, "sha256": sha256(model), "checkpoint": Path(checkpoint).name, "checkpoint_sha256": sha256(checkpoint)}
-        write(Path(checkpoint).parent / "manifest.json", told)
+        told["exported"] = {"file": Path(model).name, "sha256": sha256(model), "checkpoint": checkpoint.name, "checkpoint_sha256": sha256(checkpoint)}
+        write(checkpoint.parent / "manifest.json", told)
     return told
 
 
-def block(model, told):
-    """Lines of a card about the file `model`, and about the run that it comes from where that kept a manifest."""
+def block(model, runs):
+    """Lines of a card about the file `model`, and about the run that each of its decoders comes from, where that kept a manifest."""
     lines = [f"- **File**: {Path(model).stat().st_size} bytes, SHA-256 `{sha256(model)}`."]
+    for told in runs:
+        lines += about_run(told)
+    return lines
+
+
+def about_run(told):
+    """Lines of a card about a run, or about a network whose decoder was taken."""
     if told is None:
-        return [*lines, "- **Run**: before manifests were kept; it cannot be repeated to the bit."]
-    of = told["exported"]
-    lines += [f"- **Checkpoint**: {of['checkpoint']} (SHA-256 `{of['checkpoint_sha256'][:16]}`…) of a run of {told['plan']['steps']} steps, seed {told['plan']['seed']}:", ""]
-    lines += [f"      {told['starts'][0]['command']}", ""]
+        return ["- **Run**: before manifests were kept; it cannot be repeated to the bit."]
+    if "network" in told:
+        return [f"- **Decoder** of the network with SHA-256 `{told['network']}`."]
+    of, starts = told["exported"], told["starts"]
+    lines = [f"- **Checkpoint**: {of['checkpoint']} (SHA-256 `{of['checkpoint_sha256'][:16]}`…) of a run of {told['plan']['steps']} steps, seed {told['plan']['seed']}:", ""]
+    lines += [f"      {starts[0]['command']}", ""]
     lines += ["- **Read**: " + "; ".join(f"{k}: {v['files']} files, `{v['sha256'][:16]}`…" for k, v in told["inputs"].items()) + "."]
-    for s in told["starts"]:
-        if s is told["starts"][0] or s["commit"] != told["starts"][0]["commit"] or s["versions"] != told["starts"][0]["versions"]:
+    for s in starts:
+        if s is starts[0] or s["commit"] != starts[0]["commit"] or s["versions"] != starts[0]["versions"]:
             what = ", ".join(f"{k} {v}" for k, v in s["versions"].items())
             lines += [f"- **From step {s['step']}**: commit {s['commit']}, {what}, {s['processor']['machine']} {s['processor']['vectors']}, {told['plan']['threads']} threads."]
     return lines
@@ -177,7 +189,7 @@ def main():
             if told_in(card) != sha256(model):
                 raise SystemExit(f"{card.name} tells {told_in(card)}, {model.name} is {sha256(model)}")
         else:
-            into_card(card, block(model, None))
+            into_card(card, block(model, [None]))
 
 
 if __name__ == "__main__":

@@ -136,9 +136,18 @@ class Decoder(nn.Module):
             joined += [(self.side[i], None), tuple(self.join[i][:2])]
         return [*joined, (self.head, None)]
 
+    def both(self):
+        """Whether this decoder was made for the maps of both encoders, not MobileNetV2's alone."""
+        return self.top[0].in_channels > MobileNetV2.CHANNELS[4] + 1
+
+    def seen(self, features):
+        """Of the encoders' feature maps those channels that this decoder was made for; MobileNetV2's stand first."""
+        return features if self.both() else [f[:, :c] for f, c in zip(features, MobileNetV2.CHANNELS)]
+
     @torch.no_grad()
-    def take(self, path, batches):
-        """The weights of an exported network. What its BatchNorm was is not in the file: mean and deviation are measured on `batches` of feature maps."""
+    def take(self, path, batches=()):
+        """The weights of an exported network, of its last decoder. What its BatchNorm was is not in the file: mean and deviation are measured on
+        `batches` of feature maps; without any the network is the same, but no start to learn from."""
         found = convolutions(path)[-len(self.layers()) :]
         norms = {}
         for (conv, norm), (weight, bias) in zip(self.layers(), found, strict=True):
@@ -157,6 +166,8 @@ class Decoder(nn.Module):
             self.half(features)
         for norm, hook in zip(norms, hooks):
             hook.remove()
+            if not norms[norm]:
+                continue
             mean, square = torch.stack(norms[norm]).mean(0)
             norm.running_mean.copy_(mean)
             norm.running_var.copy_((square - mean.square()).clamp_min(1e-6))
@@ -198,7 +209,7 @@ class Encoders(nn.Module):
 class DepthNet(nn.Module):
     def __init__(self, both=True, drop=0.1):
         super().__init__()
-        self.encoder, self.session = Encoders(both), None
+        self.encoder, self.session, self.tuned = Encoders(both), None, False
         self.decoder = Decoder(self.encoder.channels, drop=drop)
 
     @staticmethod
@@ -208,7 +219,17 @@ class DepthNet(nn.Module):
         top = mean.get("decoder.top.0.weight", mean.get("top.0.weight"))
         net = DepthNet(top.shape[1] > MobileNetV2.CHANNELS[4] + 1)
         net.load(checkpoint)
-        return net
+        net.tuned = "decoder.top.0.weight" in mean
+        return net.eval()
+
+    @staticmethod
+    def exported(path):
+        """The network of a file: its decoder, the last one where there are several, behind the encoders as they are published."""
+        net = DepthNet()
+        top = convolutions(path)[-len(net.decoder.layers())][0]
+        net = DepthNet(top.shape[1] > MobileNetV2.CHANNELS[4] + 1)
+        net.decoder.take(path)
+        return net.eval()
 
     def load(self, checkpoint):
         """Takes the running mean of a checkpoint's weights: of the decoder alone, or of the whole network where its encoder was trained too."""
@@ -240,6 +261,34 @@ class DepthNet(nn.Module):
         options = ort.SessionOptions()
         options.intra_op_num_threads = threads
         self.session = ort.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+
+
+class Mean(nn.Module):
+    """Several decoders behind the same frozen encoders: the mean of their maps, each with deviation 1, and of the mirrored picture's, where `mirrored`.
+
+    Decoders that learnt from other mixtures or seeds are wrong in other places."""
+
+    def __init__(self, nets, mirrored=False):
+        super().__init__()
+        self.encoder = max((n.encoder for n in nets), key=lambda e: e.channels)
+        self.decoders, self.mirrored = nn.ModuleList(n.decoder for n in nets), mirrored
+
+    @staticmethod
+    def of(files, mirrored=False):
+        """The mean of the networks of checkpoints and of exported networks."""
+        nets = [DepthNet.exported(f) if str(f).endswith(".onnx") else DepthNet.of(torch.load(f, weights_only=False, map_location="cpu")) for f in files]
+        if any(n.tuned for n in nets) and len(nets) > 1:
+            raise SystemExit("decoders of one network have the same encoders: none whose encoder was trained along")
+        return Mean(nets, mirrored)
+
+    def forward(self, image):
+        with torch.no_grad():
+            features = self.encoder(torch.cat([image, image.flip(3)]) if self.mirrored else image)
+        p = sum(unit(d.half(d.seen(features))) for d in self.decoders)
+        if self.mirrored:
+            p, q = p.chunk(2)
+            p = p + q.flip(3)
+        return F.interpolate(p, scale_factor=2, mode="bilinear", align_corners=False)
 
 
 class Shipped(nn.Module):

@@ -195,9 +195,9 @@ class Cards(unittest.TestCase):
             card, model = Path(t) / "x.md", Path(t) / "x.onnx"
             model.write_bytes(b"first")
             card.write_text("# x\n\nby hand\n")
-            manifest.into_card(card, manifest.block(model, None))
+            manifest.into_card(card, manifest.block(model, [None]))
             model.write_bytes(b"second")
-            manifest.into_card(card, manifest.block(model, None))
+            manifest.into_card(card, manifest.block(model, [None]))
             text = card.read_text()
             self.assertEqual(manifest.told_in(card), manifest.sha256(model))
             self.assertEqual((text.count(manifest.BEGIN), text.count("by hand")), (1, 1))
@@ -215,8 +215,8 @@ class Cards(unittest.TestCase):
             model = root / "y.onnx"
             model.write_bytes(b"network")
             told = manifest.exported(root / "run" / "best.pt", model)
-            text = "\n".join(manifest.block(model, told))
-            for part in (manifest.sha256(model), manifest.sha256(root / "run" / "best.pt")[:16], "6 steps, seed 1", "torch ", told["starts"][0]["commit"] or "commit"):
+            text = "\n".join(manifest.block(model, [told, {"network": "f" * 64}]))
+            for part in ("f" * 64, manifest.sha256(model), manifest.sha256(root / "run" / "best.pt")[:16], "6 steps, seed 1", "torch ", told["starts"][0]["commit"] or "commit"):
                 self.assertIn(part, text)
             self.assertNotIn(t, text)
             self.assertEqual(json.loads((root / "run" / "manifest.json").read_text())["exported"]["file"], "y.onnx")
