@@ -16,6 +16,7 @@ use crate::Budget;
 use crate::align;
 use crate::change::{BLOCK, Change, Compare, Tolerance};
 use crate::moved::moved;
+use crate::settle::Settle;
 
 /// Pixels of parallax by which what readers hold of a tile may be off, where nothing else is said.
 pub const PARALLAX: f64 = 0.25;
@@ -143,6 +144,8 @@ struct State {
     delta: DisparityMap,
     /// Changed blocks whose depth has not been looked at yet.
     stale: Vec<bool>,
+    /// Blocks whose estimated depth is to be looked at once more.
+    settle: Settle,
     /// How much the tiles changed whose planes have not been placed yet; 0 for others.
     waiting: Vec<u64>,
 }
@@ -217,6 +220,10 @@ impl Geometry {
         let state = self.state.get_or_insert_with(|| State::new(&frame.photo, &self.settings));
         let grid = state.geometry.grid;
         state.take(&change, &grid, &mut update.changed);
+        if frame.depth.is_none() && state.known {
+            let due = state.settle.next(&change);
+            state.take(&due, &grid, &mut Vec::new());
+        }
         if let Some(depth) = &frame.depth {
             state.take_depth(depth, &grid, target(&state.geometry, options.max_error), change.across);
         }
@@ -305,6 +312,7 @@ impl State {
             geometry,
             delta: DisparityMap { width, height, delta: vec![0.0; photo.rgb.len()] },
             stale: vec![false; blocks],
+            settle: Settle::new(blocks),
             known: false,
             rests: 0,
         }

@@ -23,6 +23,7 @@ pub mod change;
 pub mod depth;
 mod geometry;
 mod moved;
+mod settle;
 pub mod units;
 pub mod video;
 
