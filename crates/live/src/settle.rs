@@ -53,7 +53,9 @@ mod tests {
 
     fn changed(blocks: &[usize]) -> Change {
         let mut all = vec![0; ACROSS * 7];
-        blocks.iter().for_each(|i| all[*i] = 5);
+        for i in blocks {
+            all[*i] = 5;
+        }
         Change { blocks: all, across: ACROSS, cut: false }
     }
 
