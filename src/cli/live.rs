@@ -74,6 +74,12 @@ struct BenchArgs {
     /// Parallax error that planes may leave, in pixels
     #[arg(long, default_value_t = tmpi_live::MAX_ERROR, value_parser = parallax, value_name = "PX")]
     max_error: f64,
+    /// Frames after the last change near a block for which its estimated depth waits to be looked at once more; 0: it is not
+    #[arg(long, default_value_t = tmpi_live::SETTLES.frames, value_name = "N")]
+    settle: u8,
+    /// Blocks of 8 pixels that count as near
+    #[arg(long, default_value_t = tmpi_live::SETTLES.blocks, value_name = "N")]
+    settle_blocks: u8,
     /// Frames that rest after one of which tiles were sent, where depth is estimated
     #[arg(long, default_value_t = tmpi_live::REST, value_parser = clap::value_parser!(u32).range(0..=30), value_name = "N")]
     rest: u32,
@@ -149,6 +155,7 @@ fn bench(args: &BenchArgs) -> anyhow::Result<()> {
         parallax: args.parallax,
         max_error: args.max_error,
         rest: args.rest,
+        settles: tmpi_live::Settling { frames: args.settle, blocks: args.settle_blocks },
         files: args.files.clone(),
         only: args.only.clone(),
     };

@@ -53,6 +53,7 @@ mod streams;
 mod strokes;
 mod telemetry;
 mod time;
+mod timed;
 mod tls;
 mod traces;
 mod upload;

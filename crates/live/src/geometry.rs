@@ -16,7 +16,7 @@ use crate::Budget;
 use crate::align;
 use crate::change::{BLOCK, Change, Compare, Tolerance};
 use crate::moved::moved;
-use crate::settle::Settle;
+use crate::settle::{SETTLES, Settle, Settling};
 
 /// Pixels of parallax by which what readers hold of a tile may be off, where nothing else is said.
 pub const PARALLAX: f64 = 0.25;
@@ -54,6 +54,8 @@ pub struct Settings {
     /// Frames that rest after one of which tiles were sent: what changed in them waits for the next one. None does where depth is measured: tiles
     /// are then few, and right enough for their being late to show.
     pub rest: u32,
+    /// When estimated depth beside what moved is looked at once more.
+    pub settles: Settling,
     /// Milliseconds that the geometry of a frame may take; 0: as long as it takes.
     pub frame_ms: f64,
     /// Nothing is carried from frame to frame: what a photo's driver would do, to compare with.
@@ -67,6 +69,7 @@ impl Default for Settings {
             tolerance: Tolerance::default(),
             parallax: PARALLAX,
             rest: REST,
+            settles: SETTLES,
             frame_ms: 0.0,
             separate: false,
         }
@@ -312,7 +315,7 @@ impl State {
             geometry,
             delta: DisparityMap { width, height, delta: vec![0.0; photo.rgb.len()] },
             stale: vec![false; blocks],
-            settle: Settle::new(blocks),
+            settle: Settle::new(blocks, settings.settles),
             known: false,
             rests: 0,
         }

@@ -31,3 +31,4 @@ pub use budget::Budget;
 pub use change::Tolerance;
 pub use geometry::{Frame, Geometry, GeometryError, MAX_ERROR, PARALLAX, REST, Settings, Update};
 pub use moved::moved;
+pub use settle::{SETTLES, Settling};

@@ -82,6 +82,8 @@ pub struct Settings {
     pub parallax: f64,
     /// Frames that rest after one of which tiles were sent.
     pub rest: u32,
+    /// When estimated depth beside what moved is looked at once more.
+    pub settles: tmpi_live::Settling,
     /// Of the sequences the one of this name alone.
     pub only: Option<String>,
     /// Where the streams and some of the pictures are written.
@@ -239,7 +241,7 @@ fn room(settings: &Settings, sequence: &Sequence, frame_ms: f64, separate: bool)
     // frame by frame it is the photo's pipeline, with the error that a photo's planes may leave
     let max_error = if separate { Options::default().max_error } else { settings.max_error };
     let options = Options { fov_x: Some(k.fov_x(width as u32)), max_error, ..Options::default() };
-    Room { options, parallax: settings.parallax, rest: settings.rest, frame_ms, separate, ..Room::default() }
+    Room { options, parallax: settings.parallax, rest: settings.rest, settles: settings.settles, frame_ms, separate, ..Room::default() }
 }
 
 /// The encoder that is wanted.
