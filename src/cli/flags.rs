@@ -141,6 +141,15 @@ impl ModelFlags {
 }
 
 impl ModelFlags {
+    /// The settings of rooms, whose depth network is `live`; none where they are those of photos. What was said of pixels and smoothing was said of the photos'
+    /// network.
+    pub(super) fn for_rooms(&self, live: &DepthModel) -> Option<Settings> {
+        let photos = self.settings();
+        let same = photos.depth == live.adapter && photos.depth_file == live.file;
+        let (depth, depth_file) = (live.adapter, live.file.clone());
+        (!same).then_some(Settings { depth, depth_file, depth_pixels: None, depth_smoothing: None, ..photos })
+    }
+
     /// The settings with another network.
     pub(super) fn with_network(&self, depth: &'static Adapter, file: PathBuf) -> Settings {
         Settings { depth, depth_file: Some(file), ..self.settings() }
@@ -156,7 +165,8 @@ pub(super) struct DepthModel {
     file: Option<PathBuf>,
 }
 
-fn depth_model(text: &str) -> Result<DepthModel, String> {
+/// A depth network by its name, its file, or both.
+pub(super) fn depth_model(text: &str) -> Result<DepthModel, String> {
     if text == "auto" {
         let (adapter, file) = usual().map_or((&ADAPTERS[0], None), |(adapter, file)| (adapter, Some(file)));
         return Ok(DepthModel { auto: true, adapter, file });
@@ -312,5 +322,24 @@ mod tests {
         let alone = depth_model("nets/zoedepth-nyu/model.onnx").unwrap();
         assert_eq!((alone.adapter.name, alone.file.unwrap()), ("zoedepth", PathBuf::from("nets/zoedepth-nyu/model.onnx")));
         assert!(depth_model("nets/model.onnx").unwrap_err().contains("NAME=nets/model.onnx"));
+    }
+
+    #[test]
+    fn rooms_have_the_network_that_keeps_up_whatever_photos_have() {
+        #[derive(clap::Parser)]
+        struct Args {
+            #[command(flatten)]
+            models: ModelFlags,
+        }
+        let of = |args: &[&str]| <Args as clap::Parser>::try_parse_from([&["tmpi"], args].concat()).unwrap().models;
+        let embedded = depth_model("tmpi").unwrap();
+        let large = of(&["--depth-model", "depth-anything-v2=a.onnx", "--depth-pixels", "300000", "--flip"]);
+        let rooms = large.for_rooms(&embedded).unwrap();
+        assert_eq!((rooms.depth.name, rooms.depth_file, rooms.depth_pixels, rooms.flip), ("tmpi", None, None, true));
+        let other = large.for_rooms(&depth_model("midas-v2.1-small=b.onnx").unwrap()).unwrap();
+        assert_eq!((other.depth.name, other.depth_file), ("midas-v2.1-small", Some(PathBuf::from("b.onnx"))));
+        // one network is loaded once
+        assert!(large.for_rooms(&depth_model("depth-anything-v2=a.onnx").unwrap()).is_none());
+        assert!(of(&["--depth-model", "tmpi", "--depth-pixels", "9000"]).for_rooms(&embedded).is_none());
     }
 }

@@ -10,7 +10,7 @@ use anyhow::Context as _;
 
 use super::better::BetterNetwork;
 use super::clients::ClientArgs;
-use super::flags::ModelFlags;
+use super::flags::{DepthModel, ModelFlags, depth_model};
 use super::{Usage, files};
 use sha2::{Digest as _, Sha256};
 
@@ -161,6 +161,9 @@ pub(super) struct ServeArgs {
     /// File with a key of at least 32 bytes, by which `live token` lets others into rooms; without it they are for this machine's own user
     #[arg(long, value_name = "FILE", conflicts_with = "no_live")]
     live_key: Option<PathBuf>,
+    /// Depth network of rooms, named as for --depth-model; the embedded one keeps up with a camera, those that take seconds for a photo do not
+    #[arg(long, value_parser = depth_model, default_value = "tmpi", value_name = "auto|NAME[=FILE]|FILE", conflicts_with = "no_live")]
+    live_depth_model: DepthModel,
     /// Milliseconds that the geometry of a room's frame may take
     #[arg(long, default_value_t = 30.0, value_name = "MS")]
     live_budget_ms: f64,
@@ -205,7 +208,7 @@ const LEAST_KEY: usize = 32;
 
 impl ServeArgs {
     /// What rooms are made with; none where there are to be none.
-    fn rooms(&self, models: &Models) -> anyhow::Result<Option<Rooms>> {
+    fn rooms(&self, photos: &Models) -> anyhow::Result<Option<Rooms>> {
         if self.no_live {
             return Ok(None);
         }
@@ -213,7 +216,11 @@ impl ServeArgs {
         if key.as_ref().is_some_and(|k| k.len() < LEAST_KEY) {
             return Err(Usage(format!("--live-key: a key has {LEAST_KEY} bytes at least")).into());
         }
-        let rooms = Rooms::new(live::Config { models: models.clone(), frame_ms: self.live_budget_ms, key });
+        let models = match self.models.for_rooms(&self.live_depth_model) {
+            Some(settings) => models::load(&settings)?,
+            None => photos.clone(),
+        };
+        let rooms = Rooms::new(live::Config { models, frame_ms: self.live_budget_ms, key });
         Ok(Some(match self.nats()? {
             Some(nats) => rooms.shared(nats),
             None => rooms,

@@ -114,19 +114,18 @@ export class WebGlRenderer {
    * As `WebGpuRenderer.update`.
    * @param {{instances: Instances | null, cells: Cells}} change
    */
-  update({ instances, cells: { side, data, places } }) {
+  update({ instances, cells: { data, places } }) {
     if (this.disposed) return;
     if (instances) {
       this.#scene.instances = instances;
       this.setTileErrors([]);
     }
     const { gl } = this;
-    gl.pixelStorei(gl.UNPACK_ROW_LENGTH, side);
-    for (let i = 0, offset = 0; i < places.length; i += 5, offset += side * side * 4) {
+    for (let i = 0, offset = 0; i < places.length; i += 5) {
       const [page, x, y, w, h] = places.subarray(i, i + 5);
       gl.texSubImage3D(gl.TEXTURE_2D_ARRAY, 0, x, y, page, w, h, 1, gl.RGBA, gl.UNSIGNED_BYTE, data, offset);
+      offset += w * h * 4;
     }
-    gl.pixelStorei(gl.UNPACK_ROW_LENGTH, 0);
   }
 
   /** The canvas was given when the context was made. */

@@ -106,17 +106,17 @@ export class WebGpuRenderer {
    * Takes over texels that changed, and other instances where there are.
    * @param {{instances: Instances | null, cells: Cells}} change
    */
-  update({ instances, cells: { side, data, places } }) {
+  update({ instances, cells: { data, places } }) {
     if (this.disposed) return;
     if (instances) {
       this.#scene.instances = instances;
       this.setTileErrors([]);
     }
-    const bytesPerRow = side * 4;
-    for (let i = 0, offset = 0; i < places.length; i += 5, offset += side * bytesPerRow) {
+    for (let i = 0, offset = 0; i < places.length; i += 5) {
       const [page, x, y, w, h] = places.subarray(i, i + 5);
       const to = { texture: this.#loaded.atlas, origin: [x, y, page] };
-      this.device.queue.writeTexture(to, data, { offset, bytesPerRow }, [w, h, 1]);
+      this.device.queue.writeTexture(to, data, { offset, bytesPerRow: w * 4 }, [w, h, 1]);
+      offset += w * h * 4;
     }
   }
 

@@ -118,14 +118,13 @@ export class RoomDecoder {
   }
 
   /**
-   * Fills squares with pieces of layers.
+   * Texels of pieces of layers.
    * @param {Uint32Array} pieces eight numbers each: tile, layer, first column, first row, columns, rows, mirrored (1 columns, 2 rows), 0
-   * @param {number} side of a square
-   * @returns {Uint8Array<ArrayBuffer>} premultiplied RGBA, one square after the other, a buffer of its own
+   * @returns {Uint8Array<ArrayBuffer>} premultiplied RGBA, row by row, one piece after the other, a buffer of its own
    */
-  cells(pieces, side) {
+  cells(pieces) {
     this.#instance.hand(new Uint8Array(pieces.buffer, pieces.byteOffset, pieces.byteLength));
-    this.#instance.call('tmpi_cells', side);
+    this.#instance.call('tmpi_cells');
     return this.#copy(CELLS);
   }
 

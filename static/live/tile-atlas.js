@@ -11,8 +11,8 @@ import { instances } from '../draw/instances.js';
 /** @import { ChangedTile } from './decoder.js' */
 
 /**
- * Squares of texels, one after the other, and where they go on the pages: page, x, y, width and height of each, five numbers.
- * @typedef {{side: number, data: Uint8Array<ArrayBuffer>, places: Uint32Array<ArrayBuffer>}} Cells
+ * Texels of pieces, one after the other, and where they go on the pages: page, x, y, width and height of each, five numbers.
+ * @typedef {{data: Uint8Array<ArrayBuffer>, places: Uint32Array<ArrayBuffer>}} Cells
  */
 /** @typedef {{layers: Float64Array[], pieces: Piece[], cells: number[]}} Tile pieces count layers from the tile's first */
 

@@ -326,7 +326,7 @@ class Room {
     this.#atlas ??= new TileAtlas(head, this.#watched.side);
     let { numbers, places, reshaped, grown } = this.#atlas.change(changed);
     if (!this.#told) ({ numbers, places } = this.#atlas.all());
-    const cells = { side: head.tileSize, places, data: this.#decoder.cells(numbers, head.tileSize) };
+    const cells = { places, data: this.#decoder.cells(numbers) };
     const drawn = reshaped || !this.#told ? this.#atlas.drawn() : null;
     const made = performance.now() - started;
     this.#measured.made += (made - this.#measured.made) * (this.#measured.frames ? WEIGHT : 1);

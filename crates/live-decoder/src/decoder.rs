@@ -23,7 +23,7 @@ pub enum Output {
     Tiles = 4,
     /// Numbers of the layers of those that have others now, 64-bit floats, row by row (see `Decoder::layers`).
     Layers = 5,
-    /// The last cells, premultiplied RGBA, one after the other.
+    /// The last pieces, premultiplied RGBA, row by row, one after the other.
     Cells = 6,
     /// The last message that was written.
     Message = 7,
@@ -193,19 +193,17 @@ impl Decoder {
         texels.len() as i32
     }
 
-    /// Fills a square for each piece that was handed over.
+    /// Fills the texels of each piece that was handed over.
     ///
     /// # Errors
-    /// Where a piece does not lie in its layer or in the square.
-    pub fn cells(&mut self, side: usize) -> Result<i32, String> {
+    /// Where a piece does not lie in its layer.
+    pub fn cells(&mut self) -> Result<i32, String> {
         let numbers: Vec<u32> = self.input.as_chunks().0.iter().map(|n| u32::from_le_bytes(*n)).collect();
         let (pieces, _) = numbers.as_chunks::<{ Piece::NUMBERS + 1 }>();
-        let area = side.checked_mul(side).filter(|area| *area > 0).ok_or("cells without a size")?;
         self.cells.clear();
-        self.cells.resize(pieces.len().checked_mul(area).ok_or("too many pieces")?, [0; 4]);
-        for ([tile, piece @ ..], out) in pieces.iter().zip(self.cells.chunks_mut(area)) {
+        for [tile, piece @ ..] in pieces {
             let part = self.layers.tile(*tile).ok_or("there is no such tile")?;
-            if !cell(part, self.layers.photo(), &Piece::of(piece), out, (side, side)) {
+            if !cell(part, self.layers.photo(), &Piece::of(piece), &mut self.cells) {
                 return Err("a piece does not fit".into());
             }
         }

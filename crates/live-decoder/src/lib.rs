@@ -53,12 +53,12 @@ pub extern "C" fn tmpi_layers() -> i32 {
     call(|decoder| Ok(decoder.layers()))
 }
 
-/// Fills squares of so many texels a side with the pieces that were handed over, eight numbers each: the tile, then as in
-/// [`tmpi_core::container::Piece`].
+/// Fills the texels of the pieces that were handed over, eight numbers each: the tile, then as in [`tmpi_core::container::Piece`], without a place in
+/// a strip.
 #[allow(unsafe_code, reason = "a C name")]
 #[unsafe(no_mangle)]
-pub extern "C" fn tmpi_cells(side: u32) -> i32 {
-    call(|decoder| decoder.cells(side as usize))
+pub extern "C" fn tmpi_cells() -> i32 {
+    call(Decoder::cells)
 }
 
 /// Writes HELLO of a publisher: codec strings of video and sound, a line each, were handed over.

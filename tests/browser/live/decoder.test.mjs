@@ -33,20 +33,24 @@ describe('the decoder of rooms', () => {
     assert.equal(changed.length, 6);
     const atlas = new TileAtlas(head, 2048);
     const { numbers } = atlas.change(changed);
-    const cells = decoder.cells(numbers, head.tileSize);
+    const cells = decoder.cells(numbers);
     const same = new Uint8Array(head.width * head.height);
+    let end = 0;
     for (let k = 0; k < numbers.length / 8; k++) {
       const [tile, layer, u, v, w, h, mirrored] = numbers.subarray(k * 8, k * 8 + 8);
+      const first = end;
+      end += w * h * 4;
       if (mirrored) continue;
       const [, , , x, y] = changed[tile].layers[layer];
       for (let j = 0; j < h; j++) {
         for (let i = 0; i < w; i++) {
-          const at = (k * head.tileSize * head.tileSize + j * head.tileSize + i) * 4;
+          const at = first + (j * w + i) * 4;
           const pixel = (y + v + j) * head.width + x + u + i;
           if (cells[at + 3] === 255 && [0, 1, 2].every((c) => cells[at + c] === rgba[pixel * 4 + c])) same[pixel] = 1;
         }
       }
     }
+    assert.equal(end, cells.length);
     assert.ok(same.every(Boolean), `${same.filter((v) => !v).length} pixels are in no layer`);
   });
 

@@ -60,7 +60,7 @@ async function measured({ file }) {
     const layered = performance.now();
     if (changed.length) {
       atlas ??= new TileAtlas(hello.head, 4096);
-      decoder.cells(atlas.change(changed).numbers, hello.head.tileSize);
+      decoder.cells(atlas.change(changed).numbers);
     }
     const done = performance.now();
     times.push({

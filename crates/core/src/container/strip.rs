@@ -59,14 +59,18 @@ pub fn strip(
     Some(out)
 }
 
-/// Fills `out`, `size` texels row by row, with a piece of a layer, premultiplied; what it does not reach stays as it is. False where the
-/// piece does not fit.
+/// Adds the texels of a piece of a layer to `out`, row by row, premultiplied. False, and nothing is added, where the piece does not fit its layer, or
+/// has a place in a strip.
 #[must_use]
-pub fn cell(part: &Part, photo: &PhotoRows, piece: &Piece, out: &mut [[u8; 4]], size: (usize, usize)) -> bool {
-    let Some(layer) = part.layers.get(piece.layer).filter(|layer| piece.fits(layer, size)) else { return false };
-    expand(part, photo, layer, piece, out, size.0);
-    for row in out.chunks_mut(size.0).take(piece.size.1) {
-        row[piece.x..piece.x + piece.size.0].iter_mut().for_each(premultiply);
+pub fn cell(part: &Part, photo: &PhotoRows, piece: &Piece, out: &mut Vec<[u8; 4]>) -> bool {
+    let Some(layer) = part.layers.get(piece.layer).filter(|layer| piece.fits(layer, piece.size)) else { return false };
+    let from = out.len();
+    out.resize(from + piece.size.0 * piece.size.1, [0; 4]);
+    expand(part, photo, layer, piece, &mut out[from..], piece.size.0);
+    let texels = layer.first_texel..layer.first_texel + layer.rect.area();
+    // what is not there is 0 already
+    if part.texels.alpha[texels].iter().any(|a| (1..u8::MAX).contains(a)) {
+        out[from..].iter_mut().for_each(premultiply);
     }
     true
 }
@@ -96,27 +100,27 @@ fn expand(part: &Part, photo: &PhotoRows, l: &Layer, piece: &Piece, out: &mut [[
     }
 }
 
-/// Writes a row; gives the count of hidden colours that it took.
+/// Writes a row; gives the count of hidden colours that it took. Empty texels become 0.
 fn fill(class: &[u8], alpha: &[u8], photo: &[[u8; 3]], hidden: &[[u8; 3]], to: &mut [[u8; 4]]) -> usize {
-    let mut taken = 0;
-    for (((to, &class), &a), p) in to.iter_mut().zip(class).zip(alpha).zip(photo) {
-        let [r, g, b] = if class == Class::Photo as u8 {
-            *p
-        } else if class == Class::Hidden as u8 {
-            taken += 1;
-            hidden[taken - 1]
-        } else {
-            continue;
-        };
-        *to = [r, g, b, a];
+    let is_hidden = |c: &u8| *c == Class::Hidden as u8;
+    // without a branch: most rows have none that is hidden
+    for (((to, &class), &a), [r, g, b]) in to.iter_mut().zip(class).zip(alpha).zip(photo) {
+        let all = if class == Class::Photo as u8 { u32::MAX } else { 0 };
+        *to = (u32::from_le_bytes([*r, *g, *b, a]) & all).to_le_bytes();
     }
-    taken
+    if !class.contains(&(Class::Hidden as u8)) {
+        return 0;
+    }
+    let texels = to.iter_mut().zip(alpha).zip(class).filter(|(_, class)| is_hidden(class));
+    texels.zip(hidden).map(|(((to, a), _), [r, g, b])| *to = [*r, *g, *b, *a]).count()
 }
 
 /// Colour times alpha, rounded to nearest.
 fn premultiply(texel: &mut [u8; 4]) {
     let a = u32::from(texel[3]);
-    if a < 255 {
+    if a == 0 {
+        *texel = [0; 4];
+    } else if a < 255 {
         for v in &mut texel[..3] {
             *v = ((u32::from(*v) * a + 127) / 255) as u8;
         }

@@ -29,18 +29,22 @@ impl InFront {
         self.dilation.out.get(pixel).is_some_and(|v| *v != 0)
     }
 
-    /// Looks at the pixels of a frame, `width` to a row: whether each lies no nearer than what is remembered there, is not mixed with anything
-    /// nearer, and looks otherwise.
-    pub fn look(&mut self, width: u32, others: impl Iterator<Item = bool>) {
+    /// Room for what is known of as many pixels: 0 for one that lies no nearer than what is remembered there, is not mixed with anything nearer,
+    /// and looks otherwise; else 1. [`InFront::look`] follows.
+    pub fn pixels(&mut self, count: usize) -> &mut [u8] {
+        self.mask.resize(count, 1);
+        &mut self.mask
+    }
+
+    /// Looks at these pixels, `width` to a row.
+    pub fn look(&mut self, width: u32) {
         let Self { mask, dilation } = self;
         let mut grow = |mask: &mut Vec<u8>, by: u32| {
             let all = Rect { x: 0, y: 0, w: width, h: mask.len() as u32 / width.max(1) };
             dilate(mask, width, all, (by, by), dilation);
             mask.copy_from_slice(&dilation.out);
         };
-        mask.clear();
         // opened, that seams go: what looks as it did grows over them
-        mask.extend(others.map(|other| u8::from(!other)));
         grow(mask, THIN);
         for open in mask.iter_mut() {
             *open = 1 - *open;
@@ -58,7 +62,9 @@ mod tests {
     /// Of a picture of `W` columns, others at `o`: what is in front in its middle row.
     fn in_front(row: &str) -> String {
         let mut front = InFront::default();
-        front.look(W as u32, (0..W).flat_map(|_| row.chars().map(|c| c == 'o')));
+        let others = (0..W).flat_map(|_| row.chars().map(|c| c == 'o'));
+        front.pixels(W * W).iter_mut().zip(others).for_each(|(p, other)| *p = u8::from(!other));
+        front.look(W as u32);
         (0..W).map(|x| if front.at(W / 2 * W + x) { 'x' } else { '.' }).collect()
     }
 
@@ -75,7 +81,8 @@ mod tests {
     fn nothing_is_in_front_before_the_first_frame() {
         let mut front = InFront::default();
         assert!(!front.at(0));
-        front.look(3, std::iter::repeat_n(true, 9));
+        front.pixels(9).fill(0);
+        front.look(3);
         assert!(front.at(8) && !front.at(9));
         front.clear();
         assert!(!front.at(8));

@@ -12,8 +12,6 @@ use crate::scene::{Class, Grid, Photo, Plane, Rect};
 
 /// Context around the hidden texels of a layer in pixels.
 pub(crate) const CONTEXT: u32 = 32;
-/// A pixel that touches a surface nearer by this much is mixed with it, and no source.
-const TOUCH: f64 = 0.03;
 
 /// Sources of hidden colour, found once a photo.
 pub struct Inpainter<'a> {
@@ -48,8 +46,14 @@ impl<'a> Inpainter<'a> {
     /// The same where the surface is known already, of some rows of the photo; `rgb` has the pixels of the same rows.
     #[must_use]
     pub fn on(grid: Grid, mut surface: Surface, rgb: &'a [[u8; 3]]) -> Self {
-        surface.put_away_mixed(TOUCH);
-        Self { rgb, grid, sources: surface }
+        surface.put_away_mixed();
+        Self::among(grid, surface, rgb)
+    }
+
+    /// The same where `sources` is that surface without what is mixed.
+    #[must_use]
+    pub(crate) const fn among(grid: Grid, sources: Surface, rgb: &'a [[u8; 3]]) -> Self {
+        Self { rgb, grid, sources }
     }
 
     /// Colours of the hidden texels of a layer with [`Class`]es `class` over `rect`, in their order.

@@ -9,8 +9,6 @@ use crate::scene::{Class, Grid, Photo, Plane, Rect};
 
 /// δ by which something lies in front of what is remembered, or a layer apart from it: the noise of depth from frame to frame is less.
 const APART: f32 = 0.05;
-/// A pixel that touches a surface nearer by this much is mixed with it, and not kept.
-const TOUCH: f64 = 0.03;
 /// Levels, summed over the channels, by which a surface that is seen all the time has become another.
 const OTHER: u32 = 48;
 /// Share of such pixels from which on the camera has moved, or the light has changed: nothing that was seen holds any more.
@@ -28,7 +26,6 @@ pub struct Memory {
     rgb: Vec<[u8; 3]>,
     /// δ of what is remembered, NaN where there is nothing.
     delta: Vec<f32>,
-    /// The frame before.
     last: Vec<Pixel>,
     in_front: InFront,
 }
@@ -69,35 +66,32 @@ impl Memory {
 
     /// Looks at the next frame: what is as far as what is remembered, or farther, and has stayed as it is for some frames, is kept; what is nearer
     /// stands in front of it. `surface` is the frame's visible one, over all rows. A photo of another size is left alone.
-    pub fn take(&mut self, photo: &Photo, mut surface: Surface) {
+    pub fn take(&mut self, photo: &Photo, surface: &Surface) {
+        self.look(photo, surface, &surface.without_mixed());
+    }
+
+    /// The same where the surface without what is mixed is known already.
+    pub(crate) fn look(&mut self, photo: &Photo, shown: &Surface, surface: &Surface) {
         if (photo.width, photo.height) != (self.grid.width, self.grid.height) || photo.rgb.len() != self.delta.len() {
             return;
         }
-        for (y, last) in (0..).zip(self.last.chunks_mut(self.grid.width as usize)) {
-            last.iter_mut().zip(surface.row(0, y, self.grid.width)).for_each(|(last, delta)| last.shown = *delta);
-        }
-        surface.put_away_mixed(TOUCH);
-        if self.has_moved(photo, &surface) {
+        if self.has_moved(photo, surface) {
             self.forget();
         }
-        let rows = photo.rgb.chunks(photo.width as usize).zip(0..);
-        for (new, y) in rows {
-            let from = y as usize * self.grid.width as usize;
-            let (colours, known) = (&mut self.rgb[from..][..new.len()], &mut self.delta[from..][..new.len()]);
-            let pixels = surface.row(0, y, self.grid.width).iter().zip(new).zip(&mut self.last[from..][..new.len()]);
-            for (((delta, rgb), last), (colour, known)) in pixels.zip(colours.iter_mut().zip(known)) {
-                // infinite where it is mixed with something nearer, and then never within anything
-                let same = (*delta - last.delta).abs() <= APART && apart(*rgb, last.rgb) <= OTHER;
-                let steady = if same { (last.steady + 1).min(STEADY) } else { 0 };
-                *last = Pixel { rgb: *rgb, steady, delta: *delta, shown: last.shown };
-                if last.steady == STEADY && (known.is_nan() || *delta <= *known + APART) {
-                    (*colour, *known) = (*rgb, *delta);
-                }
+        let in_front = self.in_front.pixels(photo.rgb.len());
+        let before = self.last.iter_mut().zip(self.rgb.iter_mut().zip(&mut self.delta)).zip(in_front);
+        let now = photo.rgb.iter().zip(surface.all().iter().zip(shown.all()));
+        for (((last, (colour, known)), in_front), (rgb, (delta, shown))) in before.zip(now) {
+            // infinite where it is mixed with something nearer, and then never within anything
+            let same = (*delta - last.delta).abs() <= APART && apart(*rgb, last.rgb) <= OTHER;
+            let steady = if same { (last.steady + 1).min(STEADY) } else { 0 };
+            *last = Pixel { rgb: *rgb, steady, delta: *delta, shown: *shown };
+            if steady == STEADY && (known.is_nan() || *delta <= *known + APART) {
+                (*colour, *known) = (*rgb, *delta);
             }
+            *in_front = u8::from(!(*delta <= *known + APART && apart(*rgb, *colour) > OTHER));
         }
-        let pixels = self.last.iter().zip(self.rgb.iter().zip(&self.delta));
-        self.in_front
-            .look(self.grid.width, pixels.map(|(last, (colour, known))| last.delta <= known + APART && apart(last.rgb, *colour) > OTHER));
+        self.in_front.look(self.grid.width);
     }
 
     /// Whether much of what is in sight as it was before looks otherwise.
@@ -125,24 +119,30 @@ impl Memory {
     }
 
     /// The same of one layer.
-    pub(crate) fn recall_layer(&self, tile: u32, plane: &Plane, rect: Rect, class: &[u8], colours: &mut [[u8; 3]]) -> usize {
-        let (place, Rect { x, y, w, .. }) = (TileFrame::of(&self.grid, tile), rect);
-        let hidden = (0u32..).zip(class).filter(|(_, c)| **c == Class::Hidden as u8);
-        let mut count = 0;
-        for ((i, _), colour) in hidden.zip(colours) {
-            let (x, y) = (x + i % w, y + i / w);
-            let at = y as usize * self.grid.width as usize + x as usize;
-            let known = self.delta[at];
-            let delta = place.disparity(plane, x, y);
-            // a layer may lie nearer than what was seen there, as its plane was guessed from beside; what was seen nearer is another one's, and
-            // what lies nearer to the thing that stands there is a part of it
-            let behind = known <= delta + APART && (delta - known).abs() <= (delta - self.last[at].shown).abs();
-            if behind && !self.in_front.at(at) {
-                *colour = self.rgb[at];
-                count += 1;
-            }
-        }
-        count
+    fn recall_layer(&self, tile: u32, plane: &Plane, rect: Rect, class: &[u8], colours: &mut [[u8; 3]]) -> usize {
+        let hidden = (0..).zip(class).filter(|(_, c)| **c == Class::Hidden as u8);
+        let place = TileFrame::of(&self.grid, tile);
+        let known = hidden.zip(colours).filter_map(|((i, _), colour)| self.seen(place, plane, rect, i).map(|seen| *colour = seen));
+        known.count()
+    }
+
+    /// Colours of a layer's hidden texels that are remembered, in their order; the others alone stay hidden in `class`, the rest become empty.
+    pub(crate) fn recall_known(&self, tile: u32, plane: &Plane, rect: Rect, class: &mut [u8]) -> Vec<[u8; 3]> {
+        let place = TileFrame::of(&self.grid, tile);
+        let hidden = (0..).zip(class).filter(|(_, c)| **c == Class::Hidden as u8);
+        hidden.filter_map(|(i, class)| self.seen(place, plane, rect, i).inspect(|_| *class = Class::Empty as u8)).collect()
+    }
+
+    /// What is remembered of texel `i` of a layer; none where it has to be made up.
+    fn seen(&self, place: TileFrame, plane: &Plane, rect: Rect, i: u32) -> Option<[u8; 3]> {
+        let (x, y) = (rect.x + i % rect.w, rect.y + i / rect.w);
+        let at = y as usize * self.grid.width as usize + x as usize;
+        let known = self.delta[at];
+        let delta = place.disparity(plane, x, y);
+        // a layer may lie nearer than what was seen there, as its plane was guessed from beside; what was seen nearer is another one's, and
+        // what lies nearer to the thing that stands there is a part of it
+        let behind = known <= delta + APART && (delta - known).abs() <= (delta - self.last[at].shown).abs();
+        (behind && !self.in_front.at(at)).then(|| self.rgb[at])
     }
 }
 
@@ -176,7 +176,7 @@ mod tests {
 
     /// Looks at a frame for as long as it takes to keep it.
     fn look(memory: &mut Memory, (photo, geometry): &(Photo, Geometry)) {
-        (0..=STEADY).for_each(|_| memory.take(photo, geometry.surface()));
+        (0..=STEADY).for_each(|_| memory.take(photo, &geometry.surface()));
     }
 
     /// Hidden texels of the wall, with the column of each, and how many were remembered.
@@ -212,7 +212,7 @@ mod tests {
         let mut memory = Memory::new(thing(0).1.grid);
         look(&mut memory, &thing(0));
         for step in 1..=10 {
-            memory.take(&thing(step).0, thing(step.saturating_sub(3)).1.surface());
+            memory.take(&thing(step).0, &thing(step.saturating_sub(3)).1.surface());
         }
         let (texels, known) = hidden(&memory, &thing(10));
         // its foremost six columns were shown without labels: what opens about these, but for the first, must not show what lies behind both
@@ -242,10 +242,10 @@ mod tests {
         let mut memory = Memory::new(frame(0, 1, plain(0)).1.grid);
         for step in 0..20u8 {
             let (photo, geometry) = frame(0, 12, plain(step * 4));
-            memory.take(&photo, geometry.surface());
+            memory.take(&photo, &geometry.surface());
         }
         let now = frame(20, 50, plain(76));
-        memory.take(&now.0, now.1.surface());
+        memory.take(&now.0, &now.1.surface());
         assert!(hidden(&memory, &now).0.iter().all(|(_, c)| *c == [76; 3]));
     }
 
@@ -255,7 +255,7 @@ mod tests {
         look(&mut memory, &frame(0, 12, stripes));
         assert!(memory.known() > 0);
         let moved = frame(20, 50, |i| stripes(i + 1));
-        memory.take(&moved.0, moved.1.surface());
+        memory.take(&moved.0, &moved.1.surface());
         assert_eq!(hidden(&memory, &moved).1, 0);
         memory.forget();
         assert_eq!(memory.known(), 0);

@@ -5,6 +5,9 @@ use std::ops::Range;
 use super::rows::Columns;
 use super::{Geometry, TileFrame};
 
+/// A pixel that touches a surface nearer by this much is mixed with it.
+const TOUCH: f64 = 0.03;
+
 /// δ of the visible surface per pixel, of some rows of the photo; where tiles overlap, of the tile that comes last.
 #[derive(Clone)]
 pub struct Surface {
@@ -51,26 +54,34 @@ impl Surface {
         &self.delta
     }
 
-    /// Makes infinite what touches something nearer by more than `touch`: such a pixel's colour is mixed.
-    pub(super) fn put_away_mixed(&mut self, touch: f64) {
+    /// The same, infinite where a pixel touches something nearer by [`TOUCH`] or more: its colour is mixed.
+    pub(crate) fn without_mixed(&self) -> Self {
+        let mut surface = self.clone();
+        surface.put_away_mixed();
+        surface
+    }
+
+    /// Makes infinite what touches something nearer: such a pixel's colour is mixed.
+    pub(super) fn put_away_mixed(&mut self) {
         let width = self.width;
         let mut above = vec![f32::NEG_INFINITY; width];
-        let (mut here, mut nearest) = (above.clone(), above.clone());
+        // with one more at either end
+        let (mut here, mut nearest) = (above.clone(), vec![f32::NEG_INFINITY; width + 2]);
         let rows = self.delta.len() / width;
         for y in 0..rows {
             let (row, below) = self.delta[y * width..].split_at_mut(width);
             here.copy_from_slice(row);
-            nearest.copy_from_slice(row);
+            nearest[1..=width].copy_from_slice(row);
             for other in [&above[..], below.get(..width).unwrap_or_default()] {
-                for (n, &d) in nearest.iter_mut().zip(other) {
+                for (n, &d) in nearest[1..].iter_mut().zip(other) {
                     *n = if d > *n { d } else { *n };
                 }
             }
             let larger = |a: f32, b: f32| if b > a { b } else { a };
-            for (x, d) in row.iter_mut().enumerate() {
-                let (before, after) = (nearest[x.saturating_sub(1)], nearest[(x + 1).min(width - 1)]);
-                let most = larger(larger(nearest[x], before), after);
-                *d = if f64::from(most) - f64::from(*d) > touch { f32::INFINITY } else { *d };
+            let beside = nearest.iter().zip(&nearest[1..]).zip(&nearest[2..]);
+            for (d, ((before, at), after)) in row.iter_mut().zip(beside) {
+                let most = larger(larger(*at, *before), *after);
+                *d = if f64::from(most) - f64::from(*d) > TOUCH { f32::INFINITY } else { *d };
             }
             std::mem::swap(&mut above, &mut here);
         }

@@ -28,16 +28,16 @@ pub fn to_rgb(i: &I420) -> Option<Photo> {
     let across = w.div_ceil(2);
     let chroma = across * h.div_ceil(2);
     let (luma, u, v) = (i.y.get(..w * h)?, i.u.get(..chroma)?, i.v.get(..chroma)?);
-    let mut rgb = Vec::with_capacity(w * h);
-    for (y, row) in luma.chunks(w.max(1)).enumerate() {
+    let mut rgb = vec![[0; 3]; w * h];
+    for (y, (row, out)) in luma.chunks(w.max(1)).zip(rgb.chunks_mut(w.max(1))).enumerate() {
         let (u, v) = (&u[y / 2 * across..][..across], &v[y / 2 * across..][..across]);
-        for ((pair, u), v) in row.chunks(2).zip(u).zip(v) {
+        for (((pair, out), u), v) in row.chunks(2).zip(out.chunks_mut(2)).zip(u).zip(v) {
             let (u, v) = (i32::from(*u) - 128, i32::from(*v) - 128);
             let (red, green, blue) = (29_372 * v, -3_494 * u - 8_731 * v, 34_610 * u);
-            rgb.extend(pair.iter().map(|y| {
+            for (y, out) in pair.iter().zip(out) {
                 let luma = 19_077 * (i32::from(*y) - 16) + (1 << (BITS - 1));
-                [red, green, blue].map(|c| ((luma + c) >> BITS).clamp(0, 255) as u8)
-            }));
+                *out = [red, green, blue].map(|c| ((luma + c) >> BITS).clamp(0, 255) as u8);
+            }
         }
     }
     Some(Photo { width: i.width, height: i.height, rgb })

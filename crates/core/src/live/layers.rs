@@ -1,17 +1,20 @@
 //! Layers of a room's tiles, kept from frame to frame: what neither a tile nor a pixel near it changed stays as it was. Without a memory
 //! what comes out is what would come of tiles and frame alone, without those before: at once but for hidden colours, which
-//! follow within a few frames where nothing but the picture changed. With a memory labels also follow what moves, between frames for which any
+//! follow within a few frames. With a memory labels also follow what moves, between frames for which any
 //! came.
 
+use super::blocks::Blocks;
 use super::motion::Motion;
 use crate::container::{Part, PhotoRows};
 use crate::layers::{CONTEXT, Surface};
-use crate::{Class, Geometry, Inpainter, Layer, LayerMasks, Memory, Photo, Pyramid, Rect, Scene, Texels, grown};
+use crate::{Class, Geometry, Inpainter, Layer, LayerMasks, Memory, Photo, Pyramid, Scene, Texels, grown};
 
 /// A hidden colour follows from pixels so far off, and these from the surface beside them.
 const AROUND: u32 = CONTEXT + 1;
 /// Of the tiles whose hidden colours alone are out of date, so many parts are made anew, one a frame: they show little, and cost the most.
 const TURNS: u32 = 4;
+/// δ by which a layer may lie beside the one whose colours it takes over for these few frames.
+const APART: f64 = 0.05;
 /// Frames after one for which tiles came up to which labels follow what moves.
 const FOLLOWS: u32 = 3;
 
@@ -19,7 +22,10 @@ const FOLLOWS: u32 = 3;
 #[derive(Default)]
 pub struct Layers {
     photo: PhotoRows,
+    /// The tiles' visible surface as they came.
     surface: Option<Surface>,
+    /// The same with labels that have followed what moved, where there are such.
+    moved_surface: Option<Surface>,
     parts: Vec<Part>,
     /// Whose hidden colours are out of date.
     stale: Vec<bool>,
@@ -101,10 +107,10 @@ impl Layers {
         }
         let anew = (self.photo.width, self.photo.height, self.parts.len()) != (grid.width, grid.height, grid.tiles() as usize);
         let mut changed: Vec<bool> = (0..grid.tiles()).map(|t| anew || changed(t)).collect();
-        let pixels: Vec<Option<Rect>> =
-            (0..grid.tiles()).map(|t| if anew { Some(grid.rect(t)) } else { difference(&self.photo.rgb, &photo, grid.rect(t)) }).collect();
-        let kept = self.surface.take().filter(|_| !changed.contains(&true));
-        let surface = kept.unwrap_or_else(|| geometry.surface());
+        let before = if anew { &[][..] } else { &self.photo.rgb };
+        let pixels = Blocks::that_differ(grid.width, before, &photo.rgb);
+        let kept = self.surface.as_ref().filter(|_| !changed.contains(&true));
+        let surface = kept.cloned().unwrap_or_else(|| geometry.surface());
         if anew {
             self.moved = vec![false; grid.tiles() as usize];
             self.parts = vec![Part::default(); grid.tiles() as usize];
@@ -114,12 +120,15 @@ impl Layers {
         let with_moved = if self.remembers { self.move_labels(geometry, &surface, &mut changed, &photo.rgb) } else { None };
         let of_moved = with_moved.as_ref().map(Geometry::surface);
         let (geometry, shown) = (with_moved.as_ref().unwrap_or(geometry), of_moved.as_ref().unwrap_or(&surface));
+        let before = self.moved_surface.take().or_else(|| self.surface.take()).filter(|_| !anew);
+        let depth = Blocks::that_differ(grid.width, before.as_ref().map_or(&[], Surface::all), shown.all());
+        let unmixed = shown.without_mixed();
         if let Some(memory) = &mut self.memory {
-            memory.take(&photo, shown.clone());
+            memory.look(&photo, shown, &unmixed);
         }
         self.photo = PhotoRows { width: photo.width, height: photo.height, top: 0, rgb: photo.rgb };
-        let changes = self.follow(geometry, shown, &changed, &pixels);
-        (self.surface, self.with_moved) = (Some(surface), with_moved);
+        let changes = self.follow(geometry, (shown, unmixed), &changed, (&pixels, &depth));
+        (self.surface, self.moved_surface, self.with_moved) = (Some(surface), of_moved, with_moved);
         changes
     }
 
@@ -148,32 +157,39 @@ impl Layers {
         out
     }
 
-    fn follow(&mut self, geometry: &Geometry, surface: &Surface, changed: &[bool], pixels: &[Option<Rect>]) -> Changes {
+    /// Brings the tiles up to what is others than before: `changed` tiles, `pixels`, and `depth` of the visible surface, which is given with and without what
+    /// is mixed.
+    fn follow(
+        &mut self,
+        geometry: &Geometry,
+        (surface, unmixed): (&Surface, Surface),
+        changed: &[bool],
+        (pixels, depth): (&Blocks, &Blocks),
+    ) -> Changes {
         let grid = &geometry.grid;
-        let tiles: Vec<Rect> = (0..).zip(changed).filter(|(_, c)| **c).map(|(t, _)| grid.rect(t)).collect();
-        let mut inpainter = None;
+        let inpainter = Inpainter::among(*grid, unmixed, &self.photo.rgb);
         let mut out = Changes::default();
         self.turn = (self.turn + 1) % TURNS;
         for t in 0..grid.tiles() {
             let (rect, part) = (grid.rect(t), &mut self.parts[t as usize]);
-            let window = geometry.window(t);
-            let reshaped = changed[t as usize] || tiles.iter().any(|c| overlap(c, &window));
-            if reshaped {
-                let masks = geometry.masks_of(t..t + 1, surface, false).pop().unwrap_or_default();
-                *part = shaped(t, masks);
-                out.layers.push(t);
-            }
             let around = grown(rect, AROUND, AROUND, grid);
-            let near = || pixels.iter().flatten().chain(&tiles).any(|c| overlap(c, &around));
-            let mut other = reshaped || pixels[t as usize].is_some();
-            let stale = &mut self.stale[t as usize];
-            *stale = part.texels.class.contains(&(Class::Hidden as u8)) && (reshaped || *stale || near());
-            if *stale && (reshaped || t % TURNS == self.turn) {
-                *stale = false;
-                let inpainter = inpainter.get_or_insert_with(|| Inpainter::on(*grid, surface.clone(), &self.photo.rgb));
-                let hidden = coloured(inpainter, self.memory.as_ref(), part, &mut self.pyramid);
-                other |= hidden != part.texels.hidden;
+            let (stale, its_turn) = (&mut self.stale[t as usize], t % TURNS == self.turn);
+            let mut other = pixels.any(&rect);
+            *stale |= pixels.any(&around) || depth.any(&around);
+            let masks = (changed[t as usize] || depth.any(&geometry.window(t)))
+                .then(|| shaped(t, geometry.masks_of(t..t + 1, surface, false).pop().unwrap_or_default()))
+                .filter(|new| !alike(new, part));
+            let reshaped = masks.is_some();
+            let old = masks.map(|new| std::mem::replace(part, new));
+            *stale &= !part.texels.hidden.is_empty();
+            if reshaped || *stale && its_turn {
+                let old = old.filter(|_| !its_turn);
+                let (hidden, carried) = coloured(&inpainter, self.memory.as_ref(), part, old.as_ref(), &mut self.pyramid);
+                (other, *stale) = (other || reshaped || hidden != part.texels.hidden, carried);
                 part.texels.hidden = hidden;
+            }
+            if reshaped {
+                out.layers.push(t);
             }
             if other {
                 out.texels.push(t);
@@ -183,28 +199,9 @@ impl Layers {
     }
 }
 
-/// Bounds of the pixels of a rectangle that differ; none where none does.
-fn difference(old: &[[u8; 3]], new: &Photo, r: Rect) -> Option<Rect> {
-    let (mut x0, mut y0, mut x1, mut y1) = (r.w as usize, 0, 0, 0);
-    let mut any = false;
-    for y in 0..r.h {
-        let at = ((r.y + y) * new.width + r.x) as usize;
-        let (old, new) = (&old[at..at + r.w as usize], &new.rgb[at..at + r.w as usize]);
-        if old == new {
-            continue;
-        }
-        let differ = |(a, b): (&[u8; 3], &[u8; 3])| a != b;
-        let first = old.iter().zip(new).position(differ).unwrap_or(0);
-        let last = old.iter().zip(new).rposition(differ).unwrap_or(0);
-        (x0, x1) = (x0.min(first), x1.max(last + 1));
-        (y0, y1) = (if any { y0 } else { y }, y + 1);
-        any = true;
-    }
-    any.then(|| Rect { x: r.x + x0 as u32, y: r.y + y0, w: (x1 - x0) as u32, h: y1 - y0 })
-}
-
-fn overlap(a: &Rect, b: &Rect) -> bool {
-    a.x < b.x + b.w && b.x < a.x + a.w && a.y < b.y + b.h && b.y < a.y + a.h
+/// Whether two parts have the same layers and texels, whatever colours these have.
+fn alike(a: &Part, b: &Part) -> bool {
+    a.layers == b.layers && a.texels.class == b.texels.class && a.texels.alpha == b.texels.alpha
 }
 
 /// Layers of a tile without their hidden colours.
@@ -219,15 +216,56 @@ fn shaped(tile: u32, masks: LayerMasks) -> Part {
     Part { layers, texels }
 }
 
-fn coloured(inpainter: &Inpainter, memory: Option<&Memory>, part: &Part, pyramid: &mut Pyramid) -> Vec<[u8; 3]> {
-    let mut out = Vec::with_capacity(part.texels.hidden.len());
+/// Hidden colours of a tile: those that were seen, then those that texels of about the same place had in the `old` layers, and for the rest such as are made
+/// up, which costs the most by far; and whether any were taken from the old ones.
+fn coloured(
+    inpainter: &Inpainter,
+    memory: Option<&Memory>,
+    part: &Part,
+    old: Option<&Part>,
+    pyramid: &mut Pyramid,
+) -> (Vec<[u8; 3]>, bool) {
+    let (mut out, mut any_carried) = (Vec::with_capacity(part.texels.hidden.len()), false);
     for l in &part.layers {
         let class = &part.texels.class[l.first_texel..l.first_texel + l.rect.area()];
-        let mut colours = inpainter.fill(l.tile, &l.plane, l.rect, class, pyramid);
-        if let Some(memory) = memory {
-            memory.recall_layer(l.tile, &l.plane, l.rect, class, &mut colours);
+        if !class.contains(&(Class::Hidden as u8)) {
+            continue;
         }
-        out.extend(colours);
+        let mut unknown = class.to_vec();
+        let seen = memory.map_or_else(Vec::new, |m| m.recall_known(l.tile, &l.plane, l.rect, &mut unknown));
+        // what neither was seen nor is to be made up
+        let seen_class = unknown.clone();
+        let carried = old.map_or_else(Vec::new, |old| carried(old, l, &mut unknown));
+        any_carried |= !carried.is_empty();
+        let made_up = inpainter.fill(l.tile, &l.plane, l.rect, &unknown, pyramid);
+        let (mut seen, mut carried, mut made_up) = (seen.into_iter(), carried.into_iter(), made_up.into_iter());
+        let hidden = class.iter().zip(&seen_class).zip(&unknown).filter(|((class, _), _)| **class == Class::Hidden as u8);
+        out.extend(hidden.filter_map(|((class, seen_class), unknown)| match (seen_class == class, unknown == class) {
+            (false, _) => seen.next(),
+            (true, false) => carried.next(),
+            (true, true) => made_up.next(),
+        }));
     }
-    out
+    (out, any_carried)
+}
+
+/// Colours of those hidden texels of a layer that were hidden in the one of the old layers that is nearest to it, in their order; the others alone stay
+/// hidden in `class`, the rest become empty.
+fn carried(old: &Part, new: &Layer, class: &mut [u8]) -> Vec<[u8; 3]> {
+    let apart = |l: &Layer| (l.plane.a - new.plane.a).abs();
+    let Some(was) = old.layers.iter().filter(|l| apart(l) <= APART).min_by(|a, b| apart(a).total_cmp(&apart(b))) else { return Vec::new() };
+    let r = new.rect;
+    let mut colours = vec![None; r.area()];
+    let texels = old.texels.class[was.first_texel..].chunks(was.rect.w as usize).take(was.rect.h as usize);
+    let mut hidden = old.texels.hidden[was.first_hidden..].iter();
+    for (y, row) in (was.rect.y..).zip(texels) {
+        let hidden = (was.rect.x..).zip(row).filter(|(_, c)| **c == Class::Hidden as u8).zip(&mut hidden);
+        for ((x, _), colour) in hidden {
+            if (r.y..r.y + r.h).contains(&y) && (r.x..r.x + r.w).contains(&x) {
+                colours[((y - r.y) * r.w + x - r.x) as usize] = Some(*colour);
+            }
+        }
+    }
+    let hidden = class.iter_mut().zip(colours).filter(|(c, _)| **c == Class::Hidden as u8);
+    hidden.filter_map(|(class, colour)| colour.inspect(|_| *class = Class::Empty as u8)).collect()
 }

@@ -4,6 +4,7 @@
 //! reader may miss any; what it is sent is the chunks of tiles that it has not got. [`Model`] is what a reader knows of all tiles, and
 //! [`Layers`] what it shows of them.
 
+mod blocks;
 pub mod chunk;
 mod colour;
 mod fuzzing;

@@ -19,6 +19,8 @@ const APART: f32 = 0.05;
 const VOTERS: usize = 300;
 /// So many of them for all ways that it may have gone.
 const FIRST_VOTERS: usize = 60;
+/// Of them so many are asked before it is looked whether that is enough.
+const VOTERS_AT_ONCE: usize = 12;
 /// Changed pixels of a thing below which it is left where it is.
 const LEAST: usize = 12;
 /// Share of what is left of the difference, by moving, from which on it did not move so.
@@ -98,25 +100,39 @@ impl<'a> Motion<'a> {
             return None;
         }
         let some = |most: usize| changed.iter().step_by(changed.len().div_ceil(most)).copied().collect::<Vec<_>>();
-        let cost = |voters: &[(i32, i32, f32)], (dx, dy): (i32, i32)| -> u32 {
+        // of two that are alike the shorter way; from `enough` on it is not told by how much more
+        let cost = |voters: &[(i32, i32, f32)], (dx, dy): (i32, i32), enough: u32| -> u32 {
             let left = |&(x, y, _): &(i32, i32, f32)| {
                 let to = self.at(x + dx, y + dy);
                 to.map_or(MOST, |to| apart(self.was[y as usize * width as usize + x as usize], self.now[to]).min(MOST))
             };
-            // of two that are alike the shorter way
-            voters.iter().map(left).sum::<u32>() + (dx * dx + dy * dy) as u32
+            let mut sum = (dx * dx + dy * dy) as u32;
+            for some in voters.chunks(VOTERS_AT_ONCE) {
+                sum += some.iter().map(left).sum::<u32>();
+                if sum >= enough {
+                    break;
+                }
+            }
+            sum
         };
         let square = |(x, y): (i32, i32), reach: i32, step: usize| {
             let side = move || (-reach..=reach).step_by(step);
             side().flat_map(move |dy| side().map(move |dx| (x + dx, y + dy)))
         };
         let least = |voters: &[(i32, i32, f32)], ways: &mut dyn Iterator<Item = (i32, i32)>| {
-            ways.min_by_key(|d| cost(voters, *d)).unwrap_or_default()
+            let (mut best, mut of_best) = ((0, 0), u32::MAX);
+            for way in ways {
+                let of_it = cost(voters, way, of_best);
+                if of_it < of_best {
+                    (best, of_best) = (way, of_it);
+                }
+            }
+            best
         };
         let about = least(&some(FIRST_VOTERS), &mut square((0, 0), REACH, 2).chain(square((0, 0), 3, 1)));
         let voters = some(VOTERS);
         let way = least(&voters, &mut square(about, 1, 1));
-        (way != (0, 0) && f64::from(cost(&voters, way)) < BETTER * f64::from(cost(&voters, (0, 0)))).then_some(way)
+        (way != (0, 0) && f64::from(cost(&voters, way, u32::MAX)) < BETTER * f64::from(cost(&voters, (0, 0), u32::MAX))).then_some(way)
     }
 }
 

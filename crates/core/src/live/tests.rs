@@ -98,6 +98,48 @@ proptest! {
         }
     }
 
+    /// What was seen is shown, and all else is as it is made up, whatever changed before.
+    #[test]
+    fn layers_with_a_memory_show_what_is_remembered(
+        w in 40u32..200, h in 40u32..140,
+        steps in prop::collection::vec((any::<u64>(), any::<[u16; 4]>()), 1..4),
+    ) {
+        let mut now = geometry(w, h, 64, 0);
+        now.view_box = ViewBox { x: 0.05, y: 0.03, z: 0.04 };
+        let grid = now.grid;
+        let mut photo = Photo { width: w, height: h, rgb: (0..w * h).map(|i| [(i % 251) as u8, (i / w) as u8, (i * 7 / 3) as u8]).collect() };
+        let mut kept = Layers::remembering();
+        kept.update(&now, |_| false, photo.clone());
+        for (seed, (bits, [x, y, side, colour])) in (1u32..).zip(steps) {
+            // long enough for all that stays to be remembered
+            (0..9).for_each(|_| drop(kept.update(&now, |_| false, photo.clone())));
+            let other = geometry(w, h, 64, seed);
+            let changed = |t: u32| bits >> (t % 64) & 3 == 3;
+            for t in (0..grid.tiles()).filter(|t| changed(*t)) {
+                now.tiles[t as usize] = other.tiles[t as usize].clone();
+            }
+            let (x, y, side) = (u32::from(x) % w, u32::from(y) % h, u32::from(side) % 60);
+            for at in (y..h.min(y + side)).flat_map(|y| (x..w.min(x + side)).map(move |x| y * w + x)) {
+                photo.rgb[at as usize] = [colour as u8, (colour >> 8) as u8, at as u8];
+            }
+            kept.update(&now, changed, photo.clone());
+            (0..9).for_each(|_| drop(kept.update(&now, |_| false, photo.clone())));
+            // a little noise, upon which all that is hidden is looked at again within a few frames
+            photo.rgb.iter_mut().for_each(|p| p[1] ^= 1);
+            (0..5).for_each(|_| drop(kept.update(&now, |_| false, photo.clone())));
+            let masks = now.masks();
+            let shown: Vec<Vec<_>> = (0..grid.tiles()).map(|t| {
+                let part = kept.tile(t).unwrap();
+                let ends = part.layers.iter().skip(1).map(|l| l.first_hidden).chain([part.texels.hidden.len()]);
+                part.layers.iter().zip(ends).map(|(l, end)| part.texels.hidden[l.first_hidden..end].to_vec()).collect()
+            }).collect();
+            let mut recalled = shown.clone();
+            kept.memory().unwrap().recall(0, &masks, &mut recalled);
+            prop_assert!(recalled == shown);
+            prop_assert!(kept.tile(0).unwrap().layers.iter().zip(&masks[0].layers).all(|(l, m)| l.rect == m.rect && l.plane == m.plane));
+        }
+    }
+
     #[test]
     fn a_changed_byte_of_a_chunk_is_an_error(seed in 0u32..50, at in any::<u16>(), flip in 1u8..) {
         let whole = geometry(130, 100, 64, seed);
