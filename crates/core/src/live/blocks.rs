@@ -65,7 +65,9 @@ mod tests {
         ) {
             let old = vec![0u8; (width * height) as usize];
             let mut new = old.clone();
-            at.iter().for_each(|i| new[i.index(old.len())] = 1);
+            for i in &at {
+                new[i.index(old.len())] = 1;
+            }
             let blocks = Blocks::that_differ(width, &old, &new);
             let (x, y) = (x.min(width), y.min(height));
             let r = Rect { x, y, w: w.min(width - x), h: h.min(height - y) };

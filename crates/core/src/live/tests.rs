@@ -112,7 +112,9 @@ proptest! {
         kept.update(&now, |_| false, photo.clone());
         for (seed, (bits, [x, y, side, colour])) in (1u32..).zip(steps) {
             // long enough for all that stays to be remembered
-            (0..9).for_each(|_| drop(kept.update(&now, |_| false, photo.clone())));
+            for _ in 0..9 {
+                kept.update(&now, |_| false, photo.clone());
+            }
             let other = geometry(w, h, 64, seed);
             let changed = |t: u32| bits >> (t % 64) & 3 == 3;
             for t in (0..grid.tiles()).filter(|t| changed(*t)) {
@@ -123,10 +125,16 @@ proptest! {
                 photo.rgb[at as usize] = [colour as u8, (colour >> 8) as u8, at as u8];
             }
             kept.update(&now, changed, photo.clone());
-            (0..9).for_each(|_| drop(kept.update(&now, |_| false, photo.clone())));
+            for _ in 0..9 {
+                kept.update(&now, |_| false, photo.clone());
+            }
             // a little noise, upon which all that is hidden is looked at again within a few frames
-            photo.rgb.iter_mut().for_each(|p| p[1] ^= 1);
-            (0..5).for_each(|_| drop(kept.update(&now, |_| false, photo.clone())));
+            for p in &mut photo.rgb {
+                p[1] ^= 1;
+            }
+            for _ in 0..5 {
+                kept.update(&now, |_| false, photo.clone());
+            }
             let masks = now.masks();
             let shown: Vec<Vec<_>> = (0..grid.tiles()).map(|t| {
                 let part = kept.tile(t).unwrap();
