@@ -126,11 +126,11 @@ impl Memory {
         known.count()
     }
 
-    /// Colours of a layer's hidden texels that are remembered, in their order; the others alone stay hidden in `class`, the rest become empty.
-    pub(crate) fn recall_known(&self, tile: u32, plane: &Plane, rect: Rect, class: &mut [u8]) -> Vec<[u8; 3]> {
+    /// What is remembered of each of a layer's hidden texels, in their order.
+    pub(crate) fn seen_of(&self, tile: u32, plane: &Plane, rect: Rect, class: &[u8]) -> Vec<Option<[u8; 3]>> {
         let place = TileFrame::of(&self.grid, tile);
         let hidden = (0..).zip(class).filter(|(_, c)| **c == Class::Hidden as u8);
-        hidden.filter_map(|(i, class)| self.seen(place, plane, rect, i).inspect(|_| *class = Class::Empty as u8)).collect()
+        hidden.map(|(i, _)| self.seen(place, plane, rect, i)).collect()
     }
 
     /// What is remembered of texel `i` of a layer; none where it has to be made up.

@@ -1,6 +1,6 @@
 //! Layers of a room's tiles, kept from frame to frame: what neither a tile nor a pixel near it changed stays as it was. Without a memory
 //! what comes out is what would come of tiles and frame alone, without those before: at once but for hidden colours, which
-//! follow within a few frames. With a memory labels also follow what moves, between frames for which any
+//! follow within a few frames where nothing but the picture changed. With a memory labels also follow what moves, between frames for which any
 //! came.
 
 use super::blocks::Blocks;
@@ -13,8 +13,6 @@ use crate::{Class, Geometry, Inpainter, Layer, LayerMasks, Memory, Photo, Pyrami
 const AROUND: u32 = CONTEXT + 1;
 /// Of the tiles whose hidden colours alone are out of date, so many parts are made anew, one a frame: they show little, and cost the most.
 const TURNS: u32 = 4;
-/// δ by which a layer may lie beside the one whose colours it takes over for these few frames.
-const APART: f64 = 0.05;
 /// Frames after one for which tiles came up to which labels follow what moves.
 const FOLLOWS: u32 = 3;
 
@@ -180,12 +178,13 @@ impl Layers {
                 .then(|| shaped(t, geometry.masks_of(t..t + 1, surface, false).pop().unwrap_or_default()))
                 .filter(|new| !alike(new, part));
             let reshaped = masks.is_some();
-            let old = masks.map(|new| std::mem::replace(part, new));
+            if let Some(new) = masks {
+                *part = new;
+            }
             *stale &= !part.texels.hidden.is_empty();
             if reshaped || *stale && its_turn {
-                let old = old.filter(|_| !its_turn);
-                let (hidden, carried) = coloured(&inpainter, self.memory.as_ref(), part, old.as_ref(), &mut self.pyramid);
-                (other, *stale) = (other || reshaped || hidden != part.texels.hidden, carried);
+                let hidden = coloured(&inpainter, self.memory.as_ref(), part, &mut self.pyramid);
+                (other, *stale) = (other || reshaped || hidden != part.texels.hidden, false);
                 part.texels.hidden = hidden;
             }
             if reshaped {
@@ -216,56 +215,21 @@ fn shaped(tile: u32, masks: LayerMasks) -> Part {
     Part { layers, texels }
 }
 
-/// Hidden colours of a tile: those that were seen, then those that texels of about the same place had in the `old` layers, and for the rest such as are made
-/// up, which costs the most by far; and whether any were taken from the old ones.
-fn coloured(
-    inpainter: &Inpainter,
-    memory: Option<&Memory>,
-    part: &Part,
-    old: Option<&Part>,
-    pyramid: &mut Pyramid,
-) -> (Vec<[u8; 3]>, bool) {
-    let (mut out, mut any_carried) = (Vec::with_capacity(part.texels.hidden.len()), false);
+/// Hidden colours of a tile: those that were seen, and for the rest such as are made up, which costs the most by far.
+fn coloured(inpainter: &Inpainter, memory: Option<&Memory>, part: &Part, pyramid: &mut Pyramid) -> Vec<[u8; 3]> {
+    let mut out = Vec::with_capacity(part.texels.hidden.len());
     for l in &part.layers {
         let class = &part.texels.class[l.first_texel..l.first_texel + l.rect.area()];
-        if !class.contains(&(Class::Hidden as u8)) {
+        let seen = memory.map(|m| m.seen_of(l.tile, &l.plane, l.rect, class));
+        if let Some(all) = seen.as_ref().and_then(|seen| seen.iter().copied().collect::<Option<Vec<_>>>()) {
+            out.extend(all);
             continue;
         }
-        let mut unknown = class.to_vec();
-        let seen = memory.map_or_else(Vec::new, |m| m.recall_known(l.tile, &l.plane, l.rect, &mut unknown));
-        // what neither was seen nor is to be made up
-        let seen_class = unknown.clone();
-        let carried = old.map_or_else(Vec::new, |old| carried(old, l, &mut unknown));
-        any_carried |= !carried.is_empty();
-        let made_up = inpainter.fill(l.tile, &l.plane, l.rect, &unknown, pyramid);
-        let (mut seen, mut carried, mut made_up) = (seen.into_iter(), carried.into_iter(), made_up.into_iter());
-        let hidden = class.iter().zip(&seen_class).zip(&unknown).filter(|((class, _), _)| **class == Class::Hidden as u8);
-        out.extend(hidden.filter_map(|((class, seen_class), unknown)| match (seen_class == class, unknown == class) {
-            (false, _) => seen.next(),
-            (true, false) => carried.next(),
-            (true, true) => made_up.next(),
-        }));
-    }
-    (out, any_carried)
-}
-
-/// Colours of those hidden texels of a layer that were hidden in the one of the old layers that is nearest to it, in their order; the others alone stay
-/// hidden in `class`, the rest become empty.
-fn carried(old: &Part, new: &Layer, class: &mut [u8]) -> Vec<[u8; 3]> {
-    let apart = |l: &Layer| (l.plane.a - new.plane.a).abs();
-    let Some(was) = old.layers.iter().filter(|l| apart(l) <= APART).min_by(|a, b| apart(a).total_cmp(&apart(b))) else { return Vec::new() };
-    let r = new.rect;
-    let mut colours = vec![None; r.area()];
-    let texels = old.texels.class[was.first_texel..].chunks(was.rect.w as usize).take(was.rect.h as usize);
-    let mut hidden = old.texels.hidden[was.first_hidden..].iter();
-    for (y, row) in (was.rect.y..).zip(texels) {
-        let hidden = (was.rect.x..).zip(row).filter(|(_, c)| **c == Class::Hidden as u8).zip(&mut hidden);
-        for ((x, _), colour) in hidden {
-            if (r.y..r.y + r.h).contains(&y) && (r.x..r.x + r.w).contains(&x) {
-                colours[((y - r.y) * r.w + x - r.x) as usize] = Some(*colour);
-            }
+        let made_up = inpainter.fill(l.tile, &l.plane, l.rect, class, pyramid);
+        match seen {
+            Some(seen) => out.extend(seen.into_iter().zip(made_up).map(|(seen, made_up)| seen.unwrap_or(made_up))),
+            None => out.extend(made_up),
         }
     }
-    let hidden = class.iter_mut().zip(colours).filter(|(c, _)| **c == Class::Hidden as u8);
-    hidden.filter_map(|(class, colour)| colour.inspect(|_| *class = Class::Empty as u8)).collect()
+    out
 }
