@@ -41,6 +41,8 @@ describe('tokens', () => {
       page.on('websocket', (socket) => requests.push(socket.url()));
     };
     const publisher = await suite.publish('attic', { hash: `#token=${token('--publish')}`, prepare: note });
+    // it is asked of the server
+    await publisher.page.waitForFunction(() => document.querySelector('#link').value);
     const link = new URL(await publisher.page.locator('#link').inputValue());
     assert.match(link.hash, /^#token=\d+\.[0-9a-f]+$/);
     const { page, context, errors } = await suite.watch('attic', { hash: link.hash, prepare: note });
