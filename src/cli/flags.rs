@@ -141,13 +141,13 @@ impl ModelFlags {
 }
 
 impl ModelFlags {
-    /// The settings of rooms, whose depth network is `live`; none where they are those of photos. What was said of pixels and smoothing was said of the photos'
-    /// network.
+    /// The settings of rooms, whose depth network is `live`; none where they are those of photos. What was said of pixels, smoothing and
+    /// the mirrored photo was said of the photos' network.
     pub(super) fn for_rooms(&self, live: &DepthModel) -> Option<Settings> {
         let photos = self.settings();
         let same = photos.depth == live.adapter && photos.depth_file == live.file;
         let (depth, depth_file) = (live.adapter, live.file.clone());
-        (!same).then_some(Settings { depth, depth_file, depth_pixels: None, depth_smoothing: None, ..photos })
+        (!same).then_some(Settings { depth, depth_file, depth_pixels: None, depth_smoothing: None, flip: false, ..photos })
     }
 
     /// The settings with another network.
@@ -335,7 +335,7 @@ mod tests {
         let embedded = depth_model("tmpi").unwrap();
         let large = of(&["--depth-model", "depth-anything-v2=a.onnx", "--depth-pixels", "300000", "--flip"]);
         let rooms = large.for_rooms(&embedded).unwrap();
-        assert_eq!((rooms.depth.name, rooms.depth_file, rooms.depth_pixels, rooms.flip), ("tmpi", None, None, true));
+        assert_eq!((rooms.depth.name, rooms.depth_file, rooms.depth_pixels, rooms.flip), ("tmpi", None, None, false));
         let other = large.for_rooms(&depth_model("midas-v2.1-small=b.onnx").unwrap()).unwrap();
         assert_eq!((other.depth.name, other.depth_file), ("midas-v2.1-small", Some(PathBuf::from("b.onnx"))));
         // one network is loaded once

@@ -102,7 +102,6 @@ fn expand(part: &Part, photo: &PhotoRows, l: &Layer, piece: &Piece, out: &mut [[
 
 /// Writes a row; gives the count of hidden colours that it took. Empty texels become 0.
 fn fill(class: &[u8], alpha: &[u8], photo: &[[u8; 3]], hidden: &[[u8; 3]], to: &mut [[u8; 4]]) -> usize {
-    let is_hidden = |c: &u8| *c == Class::Hidden as u8;
     // without a branch: most rows have none that is hidden
     for (((to, &class), &a), [r, g, b]) in to.iter_mut().zip(class).zip(alpha).zip(photo) {
         let all = if class == Class::Photo as u8 { u32::MAX } else { 0 };
@@ -111,7 +110,7 @@ fn fill(class: &[u8], alpha: &[u8], photo: &[[u8; 3]], hidden: &[[u8; 3]], to: &
     if !class.contains(&(Class::Hidden as u8)) {
         return 0;
     }
-    let texels = to.iter_mut().zip(alpha).zip(class).filter(|(_, class)| is_hidden(class));
+    let texels = to.iter_mut().zip(alpha).zip(class).filter(|(_, class)| **class == Class::Hidden as u8);
     texels.zip(hidden).map(|(((to, a), _), [r, g, b])| *to = [*r, *g, *b, *a]).count()
 }
 

@@ -26,6 +26,7 @@ pub struct Memory {
     rgb: Vec<[u8; 3]>,
     /// δ of what is remembered, NaN where there is nothing.
     delta: Vec<f32>,
+    /// The frame before.
     last: Vec<Pixel>,
     in_front: InFront,
 }
@@ -65,13 +66,9 @@ impl Memory {
     }
 
     /// Looks at the next frame: what is as far as what is remembered, or farther, and has stayed as it is for some frames, is kept; what is nearer
-    /// stands in front of it. `surface` is the frame's visible one, over all rows. A photo of another size is left alone.
-    pub fn take(&mut self, photo: &Photo, surface: &Surface) {
-        self.look(photo, surface, &surface.without_mixed());
-    }
-
-    /// The same where the surface without what is mixed is known already.
-    pub(crate) fn look(&mut self, photo: &Photo, shown: &Surface, surface: &Surface) {
+    /// stands in front of it. `shown` is the frame's visible surface, over all rows, and `surface` the same without what is mixed. A photo of another
+    /// size is left alone.
+    pub(crate) fn take(&mut self, photo: &Photo, shown: &Surface, surface: &Surface) {
         if (photo.width, photo.height) != (self.grid.width, self.grid.height) || photo.rgb.len() != self.delta.len() {
             return;
         }
@@ -120,10 +117,8 @@ impl Memory {
 
     /// The same of one layer.
     fn recall_layer(&self, tile: u32, plane: &Plane, rect: Rect, class: &[u8], colours: &mut [[u8; 3]]) -> usize {
-        let hidden = (0..).zip(class).filter(|(_, c)| **c == Class::Hidden as u8);
-        let place = TileFrame::of(&self.grid, tile);
-        let known = hidden.zip(colours).filter_map(|((i, _), colour)| self.seen(place, plane, rect, i).map(|seen| *colour = seen));
-        known.count()
+        let seen = self.seen_of(tile, plane, rect, class).into_iter();
+        seen.zip(colours).filter_map(|(seen, colour)| seen.map(|seen| *colour = seen)).count()
     }
 
     /// What is remembered of each of a layer's hidden texels, in their order.
@@ -174,9 +169,15 @@ mod tests {
         [0, if (i % SIDE).is_multiple_of(2) { 250 } else { 10 }, (i / SIDE) as u8]
     }
 
+    /// Takes a photo with the labels of a geometry.
+    fn take(memory: &mut Memory, photo: &Photo, geometry: &Geometry) {
+        let shown = geometry.surface();
+        memory.take(photo, &shown, &shown.without_mixed());
+    }
+
     /// Looks at a frame for as long as it takes to keep it.
     fn look(memory: &mut Memory, (photo, geometry): &(Photo, Geometry)) {
-        (0..=STEADY).for_each(|_| memory.take(photo, &geometry.surface()));
+        (0..=STEADY).for_each(|_| take(memory, photo, geometry));
     }
 
     /// Hidden texels of the wall, with the column of each, and how many were remembered.
@@ -212,7 +213,7 @@ mod tests {
         let mut memory = Memory::new(thing(0).1.grid);
         look(&mut memory, &thing(0));
         for step in 1..=10 {
-            memory.take(&thing(step).0, &thing(step.saturating_sub(3)).1.surface());
+            take(&mut memory, &thing(step).0, &thing(step.saturating_sub(3)).1);
         }
         let (texels, known) = hidden(&memory, &thing(10));
         // its foremost six columns were shown without labels: what opens about these, but for the first, must not show what lies behind both
@@ -242,10 +243,10 @@ mod tests {
         let mut memory = Memory::new(frame(0, 1, plain(0)).1.grid);
         for step in 0..20u8 {
             let (photo, geometry) = frame(0, 12, plain(step * 4));
-            memory.take(&photo, &geometry.surface());
+            take(&mut memory, &photo, &geometry);
         }
         let now = frame(20, 50, plain(76));
-        memory.take(&now.0, &now.1.surface());
+        take(&mut memory, &now.0, &now.1);
         assert!(hidden(&memory, &now).0.iter().all(|(_, c)| *c == [76; 3]));
     }
 
@@ -255,7 +256,7 @@ mod tests {
         look(&mut memory, &frame(0, 12, stripes));
         assert!(memory.known() > 0);
         let moved = frame(20, 50, |i| stripes(i + 1));
-        memory.take(&moved.0, &moved.1.surface());
+        take(&mut memory, &moved.0, &moved.1);
         assert_eq!(hidden(&memory, &moved).1, 0);
         memory.forget();
         assert_eq!(memory.known(), 0);

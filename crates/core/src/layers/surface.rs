@@ -54,7 +54,7 @@ impl Surface {
         &self.delta
     }
 
-    /// The same, infinite where a pixel touches something nearer by [`TOUCH`] or more: its colour is mixed.
+    /// The same, infinite where a pixel touches something nearer by more than [`TOUCH`]: its colour is mixed.
     pub(crate) fn without_mixed(&self) -> Self {
         let mut surface = self.clone();
         surface.put_away_mixed();

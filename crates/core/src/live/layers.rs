@@ -118,11 +118,11 @@ impl Layers {
         let with_moved = if self.remembers { self.move_labels(geometry, &surface, &mut changed, &photo.rgb) } else { None };
         let of_moved = with_moved.as_ref().map(Geometry::surface);
         let (geometry, shown) = (with_moved.as_ref().unwrap_or(geometry), of_moved.as_ref().unwrap_or(&surface));
-        let before = self.moved_surface.take().or_else(|| self.surface.take()).filter(|_| !anew);
-        let depth = Blocks::that_differ(grid.width, before.as_ref().map_or(&[], Surface::all), shown.all());
+        let was = self.moved_surface.take().or_else(|| self.surface.take()).filter(|_| !anew);
+        let depth = Blocks::that_differ(grid.width, was.as_ref().map_or(&[], Surface::all), shown.all());
         let unmixed = shown.without_mixed();
         if let Some(memory) = &mut self.memory {
-            memory.look(&photo, shown, &unmixed);
+            memory.take(&photo, shown, &unmixed);
         }
         self.photo = PhotoRows { width: photo.width, height: photo.height, top: 0, rgb: photo.rgb };
         let changes = self.follow(geometry, (shown, unmixed), &changed, (&pixels, &depth));
