@@ -136,6 +136,7 @@ fn compare(f: &mut Figures, reader: &Reader, other: &Reader) {
     (f.masks_ms, f.fill_ms) = (reader.masks.get(), reader.fill.get());
     let decibels = |square: Mean| if square.get() > 0.0 { 10.0 * (255f64.powi(2) / square.get()).log10() } else { 0.0 };
     (f.uncovered_psnr, f.uncovered_psnr_made_up) = (decibels(reader.remembered), decibels(reader.made_up));
+    f.uncovered_psnr_most = decibels(reader.least);
     (f.seen_before_psnr, f.seen_before_psnr_made_up) = (decibels(reader.seen_remembered), decibels(reader.seen_made_up));
     (f.own_depth_psnr, f.own_depth_psnr_made_up) = (decibels(reader.own_remembered), decibels(reader.own_made_up));
     ([f.seam, f.seam_wide], [f.seam_separate, f.seam_wide_separate]) = (reader.seams.map(Mean::get), other.seams.map(Mean::get));

@@ -143,6 +143,9 @@ pub struct Figures {
     pub uncovered_psnr: f64,
     /// The same with all of it made up from what is beside it.
     pub uncovered_psnr_made_up: f64,
+    /// The same with the true colours on the hidden texels of what the thing stands before: what is missing then is the planes', not the colours';
+    /// 0 where the camera moves.
+    pub uncovered_psnr_most: f64,
     /// Share of these pixels that the camera saw at an earlier frame; the others it never sees, and nothing but making them up is left.
     pub seen_before: f64,
     /// PSNR of these, what was seen before shown.
@@ -312,7 +315,8 @@ impl Results {
         line("unchanged tiles: found, left out", &|f| format!("{:.1} / {:.1} %", 100.0 * f.unchanged_found, 100.0 * f.unchanged_left_out));
         line("left out: most off, levels", &|f| f.left_out_off.to_string());
         line("own view: pixels off", &|f| f.own_view_off.to_string());
-        line("uncovered: seen / made up, dB", &|f| format!("{:.2} / {:.2}", f.uncovered_psnr, f.uncovered_psnr_made_up));
+        let uncovered = |f: &Figures| format!("{:.2} / {:.2} / {:.2}", f.uncovered_psnr, f.uncovered_psnr_made_up, f.uncovered_psnr_most);
+        line("uncovered: seen / made up / true, dB", &uncovered);
         line("of these seen earlier", &|f| format!("{:.1} %", 100.0 * f.seen_before));
         line("seen earlier: seen / made up, dB", &|f| format!("{:.2} / {:.2}", f.seen_before_psnr, f.seen_before_psnr_made_up));
         line("the same by the depth there is, dB", &|f| format!("{:.2} / {:.2}", f.own_depth_psnr, f.own_depth_psnr_made_up));

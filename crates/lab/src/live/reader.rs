@@ -42,6 +42,8 @@ pub(super) struct Reader {
     /// Squared error of a channel where the camera itself sees nothing: all hidden texels made up, and those that were seen before shown.
     pub made_up: Mean,
     pub remembered: Mean,
+    /// With the truth on the hidden texels of what the thing stands before: the least that layers of these planes can leave.
+    pub least: Mean,
     /// The same of what the camera saw at an earlier frame.
     pub seen_made_up: Mean,
     pub seen_remembered: Mean,
@@ -143,6 +145,7 @@ impl Reader {
             add_squares(&mut self.seen_remembered, &view, m.shot, m.seen_before);
         }
         if let Some((made_up, (truth, shown))) = compared {
+            add_squares(&mut self.least, &truth, m.shot, &m.shot.uncovered);
             add_squares_of(&mut self.own_made_up, &made_up, &truth, &shown);
             add_squares_of(&mut self.own_remembered, &view, &truth, &shown);
         }
