@@ -27,7 +27,9 @@ pub(super) struct ConfigArgs {
 }
 
 /// Commands that take these settings.
-const COMMANDS: [&str; 2] = ["serve", "config"];
+const COMMANDS: [&str; 3] = ["serve", "work", "config"];
+/// What the variables of settings begin with.
+const PREFIX: &str = "TMPI_SERVE_";
 /// The option that names the file.
 const FILE: &str = "config";
 
@@ -49,7 +51,7 @@ pub(super) fn with_environment(all: Command) -> Command {
 /// The variable of an option that has none yet.
 fn variable(arg: &Arg) -> Option<String> {
     let long = arg.get_long().filter(|_| arg.get_env().is_none())?;
-    Some(format!("TMPI_SERVE_{}", long.replace('-', "_").to_uppercase()))
+    Some(format!("{PREFIX}{}", long.replace('-', "_").to_uppercase()))
 }
 
 /// The command line with what the file adds that it names, and the options that come from there.
@@ -60,9 +62,9 @@ pub(super) fn with_file(all: &Command, mut line: Vec<OsString>) -> Result<(Vec<O
     // what is wrong with the rest is told when it is read whole
     let Ok(given) = all.clone().ignore_errors(true).try_get_matches_from(&line) else { return Ok((line, Vec::new())) };
     let Some((name, given)) = given.subcommand().filter(|(name, _)| COMMANDS.contains(name)) else { return Ok((line, Vec::new())) };
-    let (Some(file), Some(command)) = (given.get_one::<std::path::PathBuf>(FILE), all.find_subcommand(name)) else {
-        return Ok((line, Vec::new()));
-    };
+    let Some(command) = all.find_subcommand(name) else { return Ok((line, Vec::new())) };
+    only_settings(command, std::env::vars_os().map(|(name, _)| name))?;
+    let Some(file) = given.get_one::<std::path::PathBuf>(FILE) else { return Ok((line, Vec::new())) };
     let refused = |why: String| command.clone().error(ErrorKind::ValueValidation, format!("{}: {why}", file.display()));
     let mut named = Vec::new();
     for (key, value) in read(file).map_err(refused)? {
@@ -81,6 +83,19 @@ pub(super) fn with_file(all: &Command, mut line: Vec<OsString>) -> Result<(Vec<O
         }
     }
     Ok((line, named))
+}
+
+/// # Errors
+/// A variable that begins as those of settings do, and is none: as a rule it is misspelt.
+fn only_settings(command: &Command, mut names: impl Iterator<Item = OsString>) -> Result<(), clap::Error> {
+    let known: Vec<&OsStr> = command.get_arguments().filter_map(Arg::get_env).collect();
+    match names.find(|name| name.to_str().is_some_and(|n| n.starts_with(PREFIX)) && !known.contains(&name.as_os_str())) {
+        Some(name) => {
+            let text = format!("the variable {} is no setting; `tmpi serve --help` lists them as options", name.display());
+            Err(command.clone().error(ErrorKind::ValueValidation, text))
+        }
+        None => Ok(()),
+    }
 }
 
 fn read(file: &Path) -> Result<Table, String> {

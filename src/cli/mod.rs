@@ -5,6 +5,7 @@ mod bench;
 #[cfg(feature = "codecs")]
 mod bench_codec;
 mod better;
+mod bounds;
 mod check;
 mod clients;
 mod compare;
@@ -52,6 +53,8 @@ enum Command {
     Depth(depth::DepthArgs),
     Export(export::ExportArgs),
     Serve(serve::ServeArgs),
+    /// Make photos of a store that other nodes serve, as `serve --role work` does
+    Work(WorkArgs),
     Config(config::ConfigArgs),
     Fsck(store::FsckArgs),
     Gc(store::GcArgs),
@@ -71,6 +74,13 @@ enum Command {
     Synth(synth::SynthArgs),
 }
 
+/// Those of `serve`, but for the role.
+#[derive(Debug, clap::Args)]
+struct WorkArgs {
+    #[command(flatten)]
+    serve: serve::ServeArgs,
+}
+
 /// Commands that measure; whoever has photos needs none of them, and help lists them apart.
 const INSTRUMENTS: [&str; 5] = ["compare", "check", "bench", "eval", "synth"];
 
@@ -80,6 +90,11 @@ fn command() -> clap::Command {
     let about = |name: &str| all.find_subcommand(name).and_then(clap::Command::get_about).map_or_else(String::new, ToString::to_string);
     let lines: Vec<String> = INSTRUMENTS.iter().map(|name| format!("  {name:<12} {}", about(name))).collect();
     let listed = format!("Instruments, to measure what the program does:\n{}", lines.join("\n"));
+    // what it does is said, and beside a node that serves it has a place and a folder of its own
+    let all = all.mut_subcommand("work", |c| {
+        let c = c.mut_arg("role", |a| a.hide(true)).mut_arg("addr", |a| a.default_value("127.0.0.1:0"));
+        c.mut_arg("data", |a| a.default_value("tmpi-work"))
+    });
     let all = config::with_environment(all);
     INSTRUMENTS.iter().fold(all, |all, name| all.mut_subcommand(name, |c| c.hide(true))).after_help(listed)
 }
@@ -119,7 +134,7 @@ pub fn main() -> ExitCode {
         }
     };
     match &cli.command {
-        Command::Serve(args) => log_to_stderr("info", args.log),
+        Command::Serve(args) | Command::Work(WorkArgs { serve: args }) => log_to_stderr("info", args.log),
         _ => log_to_stderr("error", Log::Text),
     }
     match run(cli.command) {
@@ -148,6 +163,7 @@ fn run(command: Command) -> anyhow::Result<()> {
         Command::Depth(args) => depth::run(&args),
         Command::Export(args) => export::run(&args),
         Command::Serve(args) => serve::run(args),
+        Command::Work(args) => serve::run(args.serve.at_work()?),
         Command::Config(args) => result(args.shown.trim_end()),
         Command::Fsck(args) => store::fsck(&args),
         Command::Gc(args) => store::gc(&args),

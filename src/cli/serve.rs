@@ -9,6 +9,7 @@ use std::time::Duration;
 use anyhow::Context as _;
 
 use super::better::BetterNetwork;
+use super::bounds::BoundArgs;
 use super::clients::ClientArgs;
 use super::flags::{DepthModel, ModelFlags, depth_model};
 use super::{Usage, files};
@@ -192,6 +193,8 @@ pub(super) struct ServeArgs {
     network_sha256: Option<Digest>,
     #[command(flatten)]
     models: ModelFlags,
+    #[command(flatten)]
+    bounds: BoundArgs,
 }
 
 /// Whether to ask who comes.
@@ -207,6 +210,14 @@ enum Access {
 const LEAST_KEY: usize = 32;
 
 impl ServeArgs {
+    /// The same of a node that makes photos alone.
+    pub(super) fn at_work(self) -> anyhow::Result<Self> {
+        if self.store.is_none() {
+            return Err(Usage("--store: a node that makes photos has to be told of the store that they are in".into()).into());
+        }
+        Ok(Self { role: Role::Work, ..self })
+    }
+
     /// What rooms are made with; none where there are to be none.
     fn rooms(&self, photos: &Models) -> anyhow::Result<Option<Rooms>> {
         if self.no_live {
@@ -297,6 +308,7 @@ impl ServeArgs {
         // all who come by a proxy have one address
         let by_themselves = !self.addr.ip().is_loopback() && (self.hosts.is_empty() || self.tls_cert.is_some());
         self.clients.put(&mut limits, by_themselves);
+        self.bounds.put(&mut limits);
         limits
     }
 }
@@ -457,6 +469,39 @@ mod tests {
         let photo = args.limits().photo;
         assert_eq!((photo.bytes, photo.pixels), (tmpi_pipeline::photo::Limits::BYTES, tmpi_pipeline::photo::Limits::PIXELS));
         assert_eq!(args.limits(), Limits::default());
+    }
+
+    #[test]
+    fn every_limit_can_be_set() {
+        let args = "--max-body 16 --max-pixels 20 --max-side 1000 --decoder-memory 100 --job-memory 1000 --header-timeout 11 --request-timeout 31 \
+            --export-timeout 601 --body-timeout 31 --body-rate 9000 --changes 9 --uploads-beyond 5 --partial-uploads 65 --partial-hours 25 \
+            --rate-requests 1 --rate-uploads 1 --rate-views 1 --quota-photos 1 --quota-mib 1 --retain-days 1 --retain-mib 1 --retain-sweep 9 \
+            --write-timeout 11 --write-rate 1025 --lame-duck 1 --drain 21 --queue 65 --workers 2 --attempts 4 --job-timeout 121 \
+            --connections 1025 --connections-per-address 513 --streams 513 --views 3 --views-waiting 65 --exports 2 --exports-waiting 9 \
+            --renders 481 --work-memory 1025 --view-pixels 9 --view-side 9 --scene-cache 257 --file-cache 65 --view-cache 65 --export-cache 1025 \
+            --rest 21 --look-over-first 61 --look-over 9 --look-over-rate 33 --lease 31 --sweep 6 --copies 4097 --page 201 --keep-alive 16";
+        let set = Cli::try_parse_from(["serve"].into_iter().chain(args.split_whitespace())).unwrap().serve.limits();
+        // names all fields, so that none is forgotten
+        macro_rules! all_differ {
+            ($of:ident, $set:expr, $usual:expr, $($field:ident)*) => {{
+                let ($of { $($field),* }, usual) = ($set, $usual);
+                $(assert_ne!($field, usual.$field, stringify!($field));)*
+            }};
+        }
+        type Photo = tmpi_pipeline::photo::Limits;
+        all_differ!(Photo, set.photo, Limits::default().photo, bytes pixels side decoder_memory memory);
+        all_differ!(Limits, set, Limits::default(), photo body header_read request export body_read body_rate changes uploads_beyond partials
+            partial_time rate_requests rate_uploads rate_views quota_photos quota_bytes retain retain_bytes retain_sweep write write_rate
+            lame_duck drain queue workers attempts job job_memory connections connections_per_address streams views views_waiting exports
+            exports_waiting renders work_memory view_pixels view_side scene_cache file_cache view_cache export_cache rest look_over_first
+            look_over look_over_rate lease sweep copies page keep_alive);
+    }
+
+    #[test]
+    fn a_node_that_works_has_a_store() {
+        let of = |args: &[&str]| Cli::try_parse_from([&["serve"], args].concat()).unwrap().serve.at_work();
+        assert!(of(&[]).unwrap_err().is::<Usage>());
+        assert_eq!(of(&["--store", "file:///s"]).unwrap().sharing().unwrap().unwrap().role, Role::Work);
     }
 
     #[test]

@@ -82,6 +82,7 @@ fn what_cannot_be_meant_is_refused_with_its_name() {
     }
     config(&f, &[], &["--config", "nowhere.toml"]).fails(2, &["nowhere.toml"]);
     config(&f, &[("TMPI_SERVE_QUEUE", "many")], &[]).fails(2, &["queue", "many"]);
+    config(&f, &[("TMPI_SERVE_QUUE", "3")], &[]).fails(2, &["TMPI_SERVE_QUUE", "--help"]);
     // other commands have nothing to do with it
     f.write("tmpi.toml", b"quue = 3");
     let mut command = Command::new(env!("CARGO_BIN_EXE_tmpi"));
@@ -93,4 +94,14 @@ fn passwords_in_addresses_are_not_told() {
     let f = Folder::new();
     let run = config(&f, &[], &["--nats", "nats://me:secret@127.0.0.1:4222,nats://127.0.0.1:4223"]).succeeds();
     assert!(!run.out.contains("secret") && run.out.contains("…@127.0.0.1:4222") && run.out.contains("127.0.0.1:4223"), "{}", run.out);
+}
+
+#[test]
+fn a_node_that_works_takes_the_same_settings_and_is_told_of_its_store() {
+    let f = Folder::new();
+    f.run(&["work"]).fails(2, &["--store"]);
+    f.write("tmpi.toml", b"quue = 3");
+    f.run(&["work", "--store", "file:///nowhere", "--config", "tmpi.toml"]).fails(2, &["quue"]);
+    let help = f.run(&["work", "--help"]).succeeds().out;
+    assert!(help.contains("--store") && !help.contains("--role") && help.contains("127.0.0.1:0"), "{help}");
 }
