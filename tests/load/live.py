@@ -308,6 +308,8 @@ def audience(server, stream, count, stalled, seconds, table):
         each = (highest - quiet) / stalled
         check(each <= 1 and most <= 1 << 20, f"a stalled viewer holds 1 MiB at most: {each:.2f} MiB, {most} B in the kernel")
         check(back and max(back) <= 1, f"live again within a second: {[round(b, 2) for b in back]}")
+        check(lost == 0, f"those that read lose no frame: {lost} lost")
+        check(first[-1] <= 0.3, f"the first picture with depth within 300 ms of coming in: {first[-1]:.3f} s")
     table.row(count, stalled, f"{took:.0f} s", f"{rate:.1f}", lost, f"{first[len(first) // 2] * 1e3:.0f} ms", f"{first[-1] * 1e3:.0f} ms",
               f"{before:.0f} / {quiet:.0f} / {highest:.0f} MiB", f"{flat:+.1f} MiB", f"{most >> 10} KiB", f"{max(back, default=0) * 1e3:.0f} ms",
               f"{100 * spent / took:.0f} %", f"{1e6 * spent / took / max(1, count) / max(rate, 1):.1f} µs", f"{os.getloadavg()[0]:.1f}")
