@@ -60,7 +60,8 @@ pub(super) struct ServeArgs {
     #[arg(
         long,
         value_name = "URL",
-        help = "Store that several nodes share, s3://BUCKET/PREFIX (with the usual AWS_… variables) or file:///FOLDER; DIR holds copies then"
+        help = "Store that several nodes share, s3://BUCKET/PREFIX, gs://BUCKET/PREFIX or az://CONTAINER/PREFIX (with the usual variables AWS_…, GOOGLE_… \
+                or AZURE_…) or file:///FOLDER; DIR holds copies then"
     )]
     store: Option<String>,
     /// What this node of a store does

@@ -30,7 +30,7 @@ pub(super) struct GcArgs {
 
 #[derive(Clone, Debug, clap::Args)]
 struct Which {
-    #[arg(long, value_name = "URL", help = "The store, s3://BUCKET/PREFIX (with the usual AWS_… variables) or file:///FOLDER")]
+    #[arg(long, value_name = "URL", help = "The store, as `serve --store` takes it")]
     store: String,
     /// Age from which photos are overdue and leftovers are told; no upload may take as long
     #[arg(long, default_value_t = 24, value_parser = clap::value_parser!(u32).range(1..), value_name = "HOURS")]
@@ -46,7 +46,7 @@ pub(super) struct MigrateArgs {
     /// Data directory of the node alone; nothing is removed there
     #[arg(long, default_value = "tmpi-data", value_name = "DIR")]
     data: PathBuf,
-    #[arg(long, value_name = "URL", help = "The store, s3://BUCKET/PREFIX (with the usual AWS_… variables) or file:///FOLDER")]
+    #[arg(long, value_name = "URL", help = "The store, as `serve --store` takes it")]
     store: String,
     /// Tell what would be brought, and write nothing
     #[arg(long)]

@@ -1,4 +1,4 @@
-//! Engines that tests start and stop: an S3 server (moto). Where one is not installed, a test says so in one line and ends.
+//! Engines that tests start and stop: an S3 server (moto), an Azure one (azurite). Where one is not installed, a test says so in one line and ends.
 
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream};
@@ -6,6 +6,14 @@ use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use crate::Need;
+
+/// The account that every such emulator has, and its key, which are no secret.
+pub const AZURE_ACCOUNT: &str = "devstoreaccount1";
+/// See [`AZURE_ACCOUNT`].
+pub const AZURE_KEY: &str = "Eby8vdM02xNOcqFlqUwJPLlmEtlCDXJ1OUzFT50uSRZ6IFsuFq2UVErCz4I6tq/K1SZFPTOtr/KBHBeksoGMGw==";
+/// Leave to do anything to its blobs until 2099, signed with that key.
+const AZURE_LEAVE: &str =
+    "sv=2019-12-12&ss=b&srt=sco&sp=rwdlac&se=2099-01-01T00%3A00%3A00Z&spr=https,http&sig=0inStVod1SiNNw%2FCJ4fRrpJIdRZAadbisT7bZCD4KQs%3D";
 
 /// A process on a port of its own, which ends with this.
 #[derive(Debug)]
@@ -68,6 +76,36 @@ impl Engine {
             ("AWS_SECRET_ACCESS_KEY", "test".into()),
             ("AWS_REGION", "us-east-1".into()),
         ]
+    }
+
+    /// An Azure server with an empty container `photos`, in memory; none where azurite is not installed.
+    ///
+    /// # Panics
+    /// It does not start.
+    #[must_use]
+    pub fn azure() -> Option<Self> {
+        let there = is_there("azurite-blob", &["--version"]).then_some(());
+        Need::Azure.or_skip(there.ok_or("npm install azurite, and its azurite-blob in the PATH"))?;
+        let port = free_port();
+        let mut command = Command::new("azurite-blob");
+        command.args([
+            "--inMemoryPersistence",
+            "--silent",
+            "--skipApiVersionCheck",
+            "--blobHost",
+            "127.0.0.1",
+            "--blobPort",
+            &port.to_string(),
+        ]);
+        let engine = Self::start(command, port);
+        let mut stream = TcpStream::connect(engine.addr).expect("the engine listens");
+        let target = format!("/{AZURE_ACCOUNT}/photos?restype=container&{AZURE_LEAVE}");
+        let request = format!("PUT {target} HTTP/1.1\r\nhost: 127.0.0.1:{port}\r\ncontent-length: 0\r\nconnection: close\r\n\r\n");
+        stream.write_all(request.as_bytes()).expect("a request");
+        let mut answer = String::new();
+        stream.read_to_string(&mut answer).expect("an answer");
+        assert!(answer.starts_with("HTTP/1.1 201"), "{answer}");
+        Some(engine)
     }
 
     /// Ends it without a chance to put anything right.

@@ -1,7 +1,7 @@
 //! What tests need of the machine: where it is missing a test says so and passes, unless `TMPI_REQUIRE` names it.
 
 #[allow(clippy::expect_used, reason = "an engine that is installed and does not start fails the test")]
-mod engines;
+pub mod engines;
 
 use std::fmt::Display;
 
@@ -23,10 +23,12 @@ pub enum Need {
     Nats,
     /// `s3`: moto, an S3 server in Python.
     S3,
+    /// `azure`: azurite, an Azure server in JavaScript.
+    Azure,
 }
 
 impl Need {
-    const ALL: [Self; 5] = [Self::Gpu, Self::Onnx, Self::Ffmpeg, Self::Nats, Self::S3];
+    const ALL: [Self; 6] = [Self::Gpu, Self::Onnx, Self::Ffmpeg, Self::Nats, Self::S3, Self::Azure];
 
     const fn name(self) -> &'static str {
         match self {
@@ -35,6 +37,7 @@ impl Need {
             Self::Ffmpeg => "ffmpeg",
             Self::Nats => "nats",
             Self::S3 => "s3",
+            Self::Azure => "azure",
         }
     }
 
@@ -84,6 +87,6 @@ mod tests {
     #[test]
     fn an_unknown_word_fails_even_where_everything_is_there() {
         let error = Need::Onnx.judged("gpu,onxx", Ok::<_, &str>(7)).unwrap_err();
-        assert!(error.contains("\"onxx\"") && error.contains("gpu, onnx, ffmpeg, nats, s3"), "{error}");
+        assert!(error.contains("\"onxx\"") && error.contains("gpu, onnx, ffmpeg, nats, s3, azure"), "{error}");
     }
 }

@@ -392,4 +392,6 @@ impl Origin for Cluster {
 }
 
 #[cfg(test)]
+mod google;
+#[cfg(test)]
 mod tests;

@@ -1,4 +1,4 @@
-//! Blobs and ledger in an object store: S3 and what speaks like it, with conditional writes.
+//! Blobs and ledger in an object store with conditional writes: S3 and what speaks like it, Google Cloud Storage, Azure.
 
 use std::io;
 use std::sync::Arc;
@@ -6,6 +6,8 @@ use std::time::Duration;
 
 use futures_util::{StreamExt, TryStreamExt};
 use object_store::aws::AmazonS3Builder;
+use object_store::azure::MicrosoftAzureBuilder;
+use object_store::gcp::GoogleCloudStorageBuilder;
 use object_store::path::Path;
 use object_store::{BackoffConfig, ClientOptions, Error, ObjectStore, ObjectStoreExt, PutMode, PutOptions, RetryConfig, UpdateVersion};
 use tokio::runtime::Handle;
@@ -27,35 +29,69 @@ pub struct Objects {
     records: Arc<dyn ObjectStore>,
     blobs: Arc<dyn ObjectStore>,
     prefix: String,
+    /// A record is known by the number of its version, not by its entity tag.
+    by_version: bool,
     runtime: Handle,
 }
 
+/// What makes a store of how it is asked.
+type Built = object_store::Result<Arc<dyn ObjectStore>>;
+
 impl Objects {
-    /// The bucket and the prefix of a URL, `s3://bucket/prefix`; endpoint, region and credentials by the usual `AWS_…` variables.
-    /// Called within a runtime, on which requests run.
+    /// The bucket and the prefix of a URL, `s3://bucket/prefix`, `gs://…` or `az://container/prefix`; endpoint, region and credentials by the
+    /// usual variables, `AWS_…`, `GOOGLE_…` or `AZURE_…`. Called within a runtime, on which requests run. None where the scheme is another.
     ///
     /// # Errors
     /// The URL or a variable is not understood.
-    pub fn open(bucket: &str, prefix: &str) -> io::Result<Self> {
-        let plain = std::env::var("AWS_ENDPOINT_URL").or_else(|_| std::env::var("AWS_ENDPOINT")).is_ok_and(|e| e.starts_with("http:"));
-        Self::of(&AmazonS3Builder::from_env().with_bucket_name(bucket), prefix, plain)
+    pub fn open(scheme: &str, bucket: &str, prefix: &str) -> Option<io::Result<Self>> {
+        let plain = |names: &[&str]| names.iter().find_map(|name| std::env::var(name).ok()).is_some_and(|e| e.starts_with("http:"));
+        Some(match scheme {
+            "s3" => Self::s3(&AmazonS3Builder::from_env().with_bucket_name(bucket), prefix, plain(&["AWS_ENDPOINT_URL", "AWS_ENDPOINT"])),
+            "gs" => {
+                let builder = GoogleCloudStorageBuilder::from_env().with_bucket_name(bucket);
+                Self::google(&builder, prefix, plain(&["GOOGLE_BASE_URL"]))
+            }
+            "az" => {
+                let builder = MicrosoftAzureBuilder::from_env().with_container_name(bucket);
+                Self::azure(&builder, prefix, plain(&["AZURE_STORAGE_ENDPOINT", "AZURE_ENDPOINT"]))
+            }
+            _ => return None,
+        })
     }
 
-    /// The same with whatever settings, without TLS where `plain`.
-    pub(super) fn of(builder: &AmazonS3Builder, prefix: &str, plain: bool) -> io::Result<Self> {
+    /// S3 with whatever settings, without TLS where `plain`.
+    pub(super) fn s3(builder: &AmazonS3Builder, prefix: &str, plain: bool) -> io::Result<Self> {
+        Self::of(prefix, plain, false, |client, retry| Ok(Arc::new(builder.clone().with_client_options(client).with_retry(retry).build()?)))
+    }
+
+    /// The same of Google's, which goes by the number of a version, not by its entity tag.
+    pub(super) fn google(builder: &GoogleCloudStorageBuilder, prefix: &str, plain: bool) -> io::Result<Self> {
+        Self::of(prefix, plain, true, |client, retry| Ok(Arc::new(builder.clone().with_client_options(client).with_retry(retry).build()?)))
+    }
+
+    /// The same of Azure's.
+    pub(super) fn azure(builder: &MicrosoftAzureBuilder, prefix: &str, plain: bool) -> io::Result<Self> {
+        Self::of(prefix, plain, false, |client, retry| Ok(Arc::new(builder.clone().with_client_options(client).with_retry(retry).build()?)))
+    }
+
+    fn of(prefix: &str, plain: bool, by_version: bool, build: impl Fn(ClientOptions, RetryConfig) -> Built) -> io::Result<Self> {
         // what else is built in may ask for another kind of TLS; a second call changes nothing
         let _ = rustls::crypto::ring::default_provider().install_default();
         let backoff = BackoffConfig { init_backoff: Duration::from_millis(100), max_backoff: Duration::from_secs(1), base: 2.0 };
         let retry = RetryConfig { backoff, max_retries: 5, retry_timeout: RETRY };
-        let store = |most| -> io::Result<Arc<dyn ObjectStore>> {
+        let store = |most| {
             let client = ClientOptions::new().with_timeout(most).with_connect_timeout(CONNECT).with_allow_http(plain);
-            let store = builder.clone().with_client_options(client).with_retry(retry.clone()).build();
-            Ok(Arc::new(store.map_err(|e| io::Error::new(io::ErrorKind::InvalidInput, e))?))
+            build(client, retry.clone()).map_err(|e| io::Error::new(io::ErrorKind::InvalidInput, e))
         };
         let (records, blobs) = (store(RECORD)?, store(BLOB)?);
         let prefix = prefix.trim_matches('/');
         let prefix = if prefix.is_empty() { String::new() } else { format!("{prefix}/") };
-        Ok(Self { records, blobs, prefix, runtime: Handle::current() })
+        Ok(Self { records, blobs, prefix, by_version, runtime: Handle::current() })
+    }
+
+    /// By what a record is known not to have changed.
+    fn tag(&self, e_tag: Option<String>, version: Option<String>) -> Option<Tag> {
+        if self.by_version { version.map(Tag) } else { e_tag.map(Tag) }
     }
 
     fn path(&self, name: &str) -> io::Result<Path> {
@@ -67,7 +103,7 @@ impl Objects {
         let path = self.path(name)?;
         let options = PutOptions { mode, ..PutOptions::default() };
         match self.runtime.block_on(self.records.put_opts(&path, bytes.to_vec().into(), options)) {
-            Ok(done) => done.e_tag.map(|tag| Some(Tag(tag))).ok_or_else(no_tags),
+            Ok(done) => self.tag(done.e_tag, done.version).map(Some).ok_or_else(no_tags),
             Err(e) => absent(e, is_refused),
         }
     }
@@ -93,7 +129,11 @@ fn absent<T>(error: Error, expected: impl Fn(&Error) -> bool) -> io::Result<Opti
 
 /// True where the bucket itself is missing.
 fn no_bucket(error: &Error) -> bool {
-    format!("{error:?}").contains("NoSuchBucket")
+    let told = format!("{error:?}");
+    // in Google's words and in Azure's, too
+    ["NoSuchBucket", "The specified bucket does not exist", "ContainerNotFound", "ContainerBeingDeleted"]
+        .iter()
+        .any(|word| told.contains(word))
 }
 
 fn no_tags() -> io::Error {
@@ -135,18 +175,19 @@ impl Ledger for Objects {
         let path = self.path(name)?;
         let got = self.runtime.block_on(async {
             let got = self.records.get(&path).await?;
-            let tag = got.meta.e_tag.clone();
+            let tag = self.tag(got.meta.e_tag.clone(), got.meta.version.clone());
             Ok::<_, Error>((got.bytes().await?, tag))
         });
         match got {
-            Ok((bytes, Some(tag))) => Ok(Some((bytes.into(), Tag(tag)))),
+            Ok((bytes, Some(tag))) => Ok(Some((bytes.into(), tag))),
             Ok((_, None)) => Err(no_tags()),
             Err(e) => absent(e, |e| matches!(e, Error::NotFound { .. })),
         }
     }
 
     fn swap(&self, name: &str, seen: &Tag, bytes: &[u8]) -> io::Result<Option<Tag>> {
-        let seen = UpdateVersion { e_tag: Some(seen.0.clone()), version: None };
+        // each kind of store looks at its own
+        let seen = UpdateVersion { e_tag: Some(seen.0.clone()), version: Some(seen.0.clone()) };
         self.write_if(name, bytes, PutMode::Update(seen))
     }
 

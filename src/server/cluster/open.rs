@@ -35,7 +35,7 @@ pub enum Role {
 /// What a node shares with others.
 #[derive(Clone, Debug)]
 pub struct Sharing {
-    /// `s3://BUCKET/PREFIX` or `file:///FOLDER`.
+    /// `s3://BUCKET/PREFIX`, `gs://BUCKET/PREFIX`, `az://CONTAINER/PREFIX` or `file:///FOLDER`.
     pub store: String,
     /// What this node does.
     pub role: Role,
@@ -121,16 +121,22 @@ fn connect(nats: &Nats, store: &str, limits: &Limits, here: Option<LocalQueue>) 
 
 /// Blobs and ledger of a store.
 pub(super) fn ports_at(store: &str) -> io::Result<(Arc<dyn Blobs>, Arc<dyn Ledger>)> {
+    let unknown = || {
+        io::Error::new(
+            io::ErrorKind::InvalidInput,
+            "a store is s3://BUCKET/PREFIX, gs://BUCKET/PREFIX, az://CONTAINER/PREFIX or file:///FOLDER",
+        )
+    };
     match store.split_once("://") {
-        Some(("s3", place)) => {
-            let (bucket, prefix) = place.split_once('/').unwrap_or((place, ""));
-            let objects = Arc::new(objects::Objects::open(bucket, prefix)?);
-            Ok((objects.clone(), objects))
-        }
         Some(("file", path)) => {
             let folder = Arc::new(folder::Folder::open(Path::new(path))?);
             Ok((folder.clone(), folder))
         }
-        _ => Err(io::Error::new(io::ErrorKind::InvalidInput, "a store is s3://BUCKET/PREFIX or file:///FOLDER")),
+        Some((scheme, place)) => {
+            let (bucket, prefix) = place.split_once('/').unwrap_or((place, ""));
+            let objects = Arc::new(objects::Objects::open(scheme, bucket, prefix).ok_or_else(unknown)??);
+            Ok((objects.clone(), objects))
+        }
+        None => Err(unknown()),
     }
 }

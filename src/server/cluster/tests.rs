@@ -74,7 +74,40 @@ fn objects_at(addr: std::net::SocketAddr, bucket: &str) -> objects::Objects {
     let [(_, endpoint), (_, key), (_, secret), (_, region)] = tmpi_testing::Engine::s3_variables(addr);
     let builder = object_store::aws::AmazonS3Builder::new().with_endpoint(endpoint).with_bucket_name(bucket).with_region(region);
     let builder = builder.with_access_key_id(key).with_secret_access_key(secret);
-    objects::Objects::of(&builder, "a/prefix", true).unwrap()
+    objects::Objects::s3(&builder, "a/prefix", true).unwrap()
+}
+
+#[test]
+fn azure_keeps_what_the_ports_promise() {
+    let Some(engine) = tmpi_testing::Engine::azure() else { return };
+    let runtime = tokio::runtime::Runtime::new().unwrap();
+    let _within = runtime.enter();
+    let objects = azure_at(engine.addr, "photos");
+    keeps_its_promises(&objects, &objects);
+    let gone = azure_at(engine.addr, "no-such-container");
+    is_away(&gone, &gone);
+}
+
+fn azure_at(addr: std::net::SocketAddr, container: &str) -> objects::Objects {
+    use tmpi_testing::engines::{AZURE_ACCOUNT, AZURE_KEY};
+    let builder = object_store::azure::MicrosoftAzureBuilder::new().with_account(AZURE_ACCOUNT).with_access_key(AZURE_KEY);
+    let builder = builder.with_endpoint(format!("http://{addr}/{AZURE_ACCOUNT}")).with_container_name(container);
+    objects::Objects::azure(&builder, "a/prefix", true).unwrap()
+}
+
+#[test]
+fn google_keeps_what_the_ports_promise() {
+    let runtime = tokio::runtime::Runtime::new().unwrap();
+    let _within = runtime.enter();
+    let at = google::start(&runtime);
+    let of = |bucket: &str| {
+        let builder = object_store::gcp::GoogleCloudStorageBuilder::new().with_base_url(&format!("http://{at}"));
+        objects::Objects::google(&builder.with_skip_signature(true).with_bucket_name(bucket), "a/prefix", true).unwrap()
+    };
+    let objects = of("photos");
+    keeps_its_promises(&objects, &objects);
+    let gone = of("no-such-bucket");
+    is_away(&gone, &gone);
 }
 
 #[test]
