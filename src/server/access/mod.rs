@@ -349,6 +349,12 @@ impl Guard {
         caller().and_then(|caller| caller.owner.clone())
     }
 
+    /// Whether the caller of this request has everybody's photos.
+    #[must_use]
+    pub fn has_all() -> bool {
+        caller().is_some_and(|caller| caller.who.is_admin())
+    }
+
     /// Whether the caller of this request may go on with an upload that `owner` began; one that nobody known began is whoever's has its
     /// address.
     #[must_use]
