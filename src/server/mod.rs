@@ -1,4 +1,4 @@
-//! The HTTP server (DESIGN, section 8): uploads in, containers, views and progress out.
+//! The HTTP server: uploads in, containers, views and progress out.
 //!
 //! It knows no pixels: it calls [`tmpi_pipeline::make`], [`tmpi_core::container::decode`] and a [`tmpi_render::Renderer`].
 //! Requests run on tokio; photos are made on named threads ([`Limits::workers`]); views are drawn on a bounded pool.
