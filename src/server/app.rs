@@ -201,10 +201,11 @@ impl Shared {
     #[must_use]
     pub fn list(&self, after: Option<(u64, PhotoId)>, limit: usize) -> Page {
         let Some(guard) = &self.guard else { return self.jobs.list(after, limit) };
-        let (mut photos, mut after) = (Vec::new(), after);
+        let (mut photos, mut after, owner) = (Vec::new(), after, Guard::owner());
+        let (part, has_all) = (LIST_PART.min(limit + 1), Guard::has_all());
         loop {
             // a part at a time, so that nobody waits for the list
-            let page = self.jobs.list(after, LIST_PART);
+            let page = if has_all { self.jobs.list(after, part) } else { self.jobs.list_of(owner.as_ref(), after, part) };
             after = page.photos.last().map(|entry| entry.key());
             photos.extend(page.photos.into_iter().filter(|entry| guard.allows(entry)));
             if photos.len() > limit || !page.more {

@@ -5,6 +5,13 @@ use std::fs::{self, File, OpenOptions};
 use std::io::{self, Write as _};
 use std::path::Path;
 
+/// Room that is kept free for what must be written of photos accepted already, and its share of a small disk.
+const RESERVE: u64 = 64 << 20;
+const RESERVE_SHARE: u64 = 20;
+/// The same of files: a photo has a dozen with those that are on their way.
+const RESERVE_FILES: u64 = 1024;
+const RESERVE_FILES_SHARE: u64 = 100;
+
 /// Files and folders of a data directory. All that is written is readable by its owner alone.
 pub trait Files: Debug + Send + Sync + 'static {
     /// Makes a folder, with those above it where `all`.
@@ -55,8 +62,30 @@ pub trait Files: Debug + Send + Sync + 'static {
     /// As [`fs::remove_file`] and [`fs::remove_dir_all`].
     fn remove(&self, path: &Path) -> io::Result<()>;
 
-    /// Free bytes and all bytes of the file system; none where it does not tell.
-    fn room(&self, path: &Path) -> Option<(u64, u64)>;
+    /// What the file system has left; none where it does not tell.
+    fn room(&self, path: &Path) -> Option<Room>;
+}
+
+/// What a file system has left, for who is no administrator.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Room {
+    /// Free bytes.
+    pub bytes: u64,
+    /// All bytes.
+    pub all_bytes: u64,
+    /// Files that can still be made.
+    pub files: u64,
+    /// All files that it has place for; 0 where their number has no limit of its own, as on btrfs.
+    pub all_files: u64,
+}
+
+impl Room {
+    /// True where no more is left than what must be written of photos accepted already.
+    #[must_use]
+    pub fn is_short(&self) -> bool {
+        let few = self.all_files > 0 && self.files < RESERVE_FILES.min(self.all_files / RESERVE_FILES_SHARE);
+        few || self.bytes < RESERVE.min(self.all_bytes / RESERVE_SHARE)
+    }
 }
 
 /// The file system.
@@ -110,19 +139,25 @@ impl Files for Disk {
 
     #[cfg(unix)]
     #[allow(unsafe_code, reason = "a call of libc that only writes the struct it is handed")]
-    fn room(&self, path: &Path) -> Option<(u64, u64)> {
+    fn room(&self, path: &Path) -> Option<Room> {
         let path = std::ffi::CString::new(std::os::unix::ffi::OsStrExt::as_bytes(path.as_os_str())).ok()?;
         // SAFETY: all zeros is a value of this struct of integers
         let mut room: libc::statvfs = unsafe { std::mem::zeroed() };
         // SAFETY: the path ends with a zero, and the struct outlives the call
         let answer = unsafe { libc::statvfs(path.as_ptr(), &raw mut room) };
         #[allow(clippy::useless_conversion, clippy::unnecessary_cast, reason = "the widths differ by system")]
-        let bytes = |blocks| u64::from(blocks).saturating_mul(room.f_frsize as u64);
-        (answer == 0).then(|| (bytes(room.f_bavail), bytes(room.f_blocks)))
+        let (block, blocks, files) = (
+            room.f_frsize as u64,
+            [u64::from(room.f_bavail), u64::from(room.f_blocks)],
+            [u64::from(room.f_favail), u64::from(room.f_files)],
+        );
+        let [bytes, all_bytes] = blocks.map(|blocks| blocks.saturating_mul(block));
+        let [files, all_files] = files;
+        (answer == 0).then_some(Room { bytes, all_bytes, files, all_files })
     }
 
     #[cfg(not(unix))]
-    fn room(&self, _: &Path) -> Option<(u64, u64)> {
+    fn room(&self, _: &Path) -> Option<Room> {
         None
     }
 }
@@ -133,4 +168,35 @@ pub fn private() -> OpenOptions {
     #[cfg(unix)]
     std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
     options
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_disk_is_short_of_bytes_or_of_files() {
+        const MUCH: u64 = 1 << 40;
+        let short = |bytes, all_bytes, files, all_files| Room { bytes, all_bytes, files, all_files }.is_short();
+        assert!(!short(RESERVE, MUCH, RESERVE_FILES, MUCH));
+        assert!(short(RESERVE - 1, MUCH, MUCH, MUCH), "bytes");
+        assert!(short(MUCH, MUCH, RESERVE_FILES - 1, MUCH) && short(MUCH, MUCH, 0, MUCH), "files");
+        // of a small disk less is kept
+        assert!(
+            !short(5 << 20, 100 << 20, 100, 10_000)
+                && short((5 << 20) - 1, 100 << 20, 100, 10_000)
+                && short(5 << 20, 100 << 20, 99, 10_000)
+        );
+        // files without a limit
+        assert!(!short(MUCH, MUCH, 0, 0) && short(0, MUCH, 0, 0));
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_disk_tells_what_it_has_left() {
+        let dir = tempfile::tempdir().unwrap();
+        let room = Disk.room(dir.path()).unwrap();
+        assert!(0 < room.bytes && room.bytes <= room.all_bytes, "{room:?}");
+        assert!(Disk.room(&dir.path().join("none")).is_none());
+    }
 }

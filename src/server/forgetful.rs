@@ -5,7 +5,7 @@ use std::io;
 use std::path::{Component, Path};
 use std::sync::{Mutex, PoisonError};
 
-use super::files::Files;
+use super::files::{Files, Room};
 
 type Entries = BTreeMap<String, usize>;
 
@@ -246,7 +246,8 @@ impl Files for Forgetful {
         Ok(())
     }
 
-    fn room(&self, _: &Path) -> Option<(u64, u64)> {
-        Some(if self.lock().full { (0, 1 << 30) } else { (1 << 30, 1 << 30) })
+    fn room(&self, _: &Path) -> Option<Room> {
+        let all = 1 << 30;
+        Some(Room { bytes: if self.lock().full { 0 } else { all }, all_bytes: all, files: all, all_files: all })
     }
 }

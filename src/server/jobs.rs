@@ -3,12 +3,12 @@
 //! A photo is in the index exactly while its folder is on disk. Whoever changes the index holds `membership`, so that an
 //! upload, its twin and a deletion come one after the other; readers only take the short lock on `inner`.
 
+mod list;
 mod queue;
 mod quota;
 mod shared;
 
-use std::collections::{BTreeMap, HashMap, VecDeque};
-use std::ops::Bound;
+use std::collections::{HashMap, VecDeque};
 use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 
@@ -27,7 +27,9 @@ use super::store::{Accepted, Failed, Found, Incoming, State, Store};
 use super::telemetry::Telemetry;
 use super::time::now_ms;
 use super::worker;
+use list::ByAge;
 use queue::Trouble;
+use quota::Coming;
 
 /// Guess of a job's duration before one was measured, in seconds.
 const FIRST_GUESS: f64 = 5.0;
@@ -54,8 +56,9 @@ pub struct Jobs {
 #[derive(Default)]
 struct Inner {
     by_id: HashMap<PhotoId, Arc<Entry>>,
-    by_age: BTreeMap<(u64, PhotoId), Arc<Entry>>,
-    by_owner: HashMap<Owner, HashMap<PhotoId, Arc<Entry>>>,
+    by_age: ByAge,
+    by_owner: HashMap<Owner, ByAge>,
+    coming: Vec<Coming>,
     queue: VecDeque<Arc<Entry>>,
     running: Vec<Arc<Entry>>,
     tally: Arc<Tally>,
@@ -255,16 +258,6 @@ impl Jobs {
         self.lock().by_id.get(&id).cloned()
     }
 
-    /// At most `limit` photos, newest first, older than `after` where that is given.
-    #[must_use]
-    pub fn list(&self, after: Option<(u64, PhotoId)>, limit: usize) -> Page {
-        let inner = self.lock();
-        let end = after.map_or(Bound::Unbounded, Bound::Excluded);
-        let mut older = inner.by_age.range((Bound::Unbounded, end)).rev().map(|(_, entry)| Arc::clone(entry));
-        let photos: Vec<_> = older.by_ref().take(limit).collect();
-        Page { photos, more: older.next().is_some() }
-    }
-
     /// Photos that wait before this one; none where it does not wait.
     #[must_use]
     pub fn position(&self, id: PhotoId) -> Option<usize> {
@@ -367,7 +360,7 @@ impl Inner {
         self.by_id.insert(entry.id, Arc::clone(entry));
         self.by_age.insert(entry.key(), Arc::clone(entry));
         if let Some(owner) = &entry.accepted.owner {
-            self.by_owner.entry(owner.clone()).or_default().insert(entry.id, Arc::clone(entry));
+            self.by_owner.entry(owner.clone()).or_default().insert(entry.key(), Arc::clone(entry));
         }
     }
 
@@ -376,7 +369,7 @@ impl Inner {
         self.by_age.remove(&entry.key());
         let Some(owner) = &entry.accepted.owner else { return };
         if let Some(theirs) = self.by_owner.get_mut(owner) {
-            theirs.remove(&entry.id);
+            theirs.remove(&entry.key());
             if theirs.is_empty() {
                 self.by_owner.remove(owner);
             }

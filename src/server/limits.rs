@@ -1,4 +1,4 @@
-//! Every limit of the server, as a named constant and as a value that can be set (DESIGN, section 8).
+//! Every limit of the server, as a named constant and as a value that can be set.
 
 use std::time::Duration;
 

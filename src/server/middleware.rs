@@ -25,7 +25,7 @@ use super::id::PhotoId;
 use super::pages::RESOURCE_POLICY;
 use super::problem::Problem;
 use super::proxies::Proxies;
-use super::rates::{Asker, Rates};
+use super::rates::{Asker, Rates, Told};
 use super::share::{ASKER, asker};
 use super::traces::TRACE;
 
@@ -137,23 +137,9 @@ async fn answer(app: &App, door: Door<'_>, request: Request, next: Next) -> Resp
     request.extensions_mut().insert(clock.clone());
     // streams of HTTP/2 end each by itself
     let closes = request.version() < Version::HTTP_2;
-    let (reads, path) = (matches!(*request.method(), Method::GET | Method::HEAD), path_to_look_up(app, &request));
     let handled = async {
         match door.hosts.check(&request).and_then(|()| only_chunked(request.headers())) {
-            Ok(()) => match (look_up(app, reads, path).await, door.guard, door.rates) {
-                (Ok(()), Some(guard), Some(rates)) => guard.around(door.hosts, rates, request, next).await,
-                (Ok(()), _, Some(rates)) => {
-                    let (told, taken) = rates.count(Asker::of(None, asker()), &request);
-                    let mut response = match taken {
-                        Ok(()) => next.run(request).await,
-                        Err(refused) => refused.into_response(),
-                    };
-                    told.put(&mut response);
-                    response
-                }
-                (Ok(()), _, None) => next.run(request).await,
-                (Err(away), ..) => away.into_response(),
-            },
+            Ok(()) => asked(app, door, request, next).await,
             Err(refused) => refused.into_response(),
         }
     };
@@ -176,6 +162,33 @@ async fn answer(app: &App, door: Door<'_>, request: Request, next: Next) -> Resp
             response.headers_mut().insert(header::CONNECTION, HeaderValue::from_static("close"));
         }
     }
+    response
+}
+
+/// The handler's answer to who may ask, and does not too often; only of theirs a store that is shared is asked.
+async fn asked(app: &App, door: Door<'_>, mut request: Request, next: Next) -> Response {
+    let (told, come) = match (door.guard, door.rates) {
+        (Some(guard), Some(rates)) => {
+            let (told, pass) = guard.admit(door.hosts, rates, &mut request);
+            (told, pass.map(|pass| Some((guard, pass))))
+        }
+        (None, Some(rates)) => {
+            let (told, taken) = rates.count(Asker::of(None, asker()), &request);
+            (told, taken.map(|()| None))
+        }
+        (_, None) => (Told::default(), Ok(None)),
+    };
+    let (reads, path) = (matches!(*request.method(), Method::GET | Method::HEAD), path_to_look_up(app, &request));
+    let looked = match come {
+        Ok(come) => look_up(app, reads, path).await.map(|()| come),
+        Err(refused) => Err(refused),
+    };
+    let mut response = match looked {
+        Ok(Some((guard, pass))) => guard.answer(pass, request, next).await,
+        Ok(None) => next.run(request).await,
+        Err(refused) => refused.into_response(),
+    };
+    told.put(&mut response);
     response
 }
 

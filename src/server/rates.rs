@@ -121,7 +121,8 @@ impl Rates {
     fn class(&self, method: &Method, path: &str) -> Option<&Buckets> {
         match (method, path) {
             (&Method::POST, "/v1/photos" | "/v1/photos/{id}/again") | (&Method::PATCH, "/v1/photos/{id}/strokes") => self.uploads.as_ref(),
-            (&Method::GET, "/v1/photos/{id}/view" | "/v1/photos/{id}/export") => self.views.as_ref(),
+            // HEAD draws what it tells the length of
+            (&Method::GET | &Method::HEAD, "/v1/photos/{id}/view" | "/v1/photos/{id}/export") => self.views.as_ref(),
             _ => None,
         }
     }
@@ -211,6 +212,20 @@ mod tests {
         assert!(take(one()).is_ok());
         let refused = take(one()).unwrap_err();
         assert_eq!((refused.status, refused.retry_after), (429, Some(60)));
+    }
+
+    #[test]
+    fn whoever_asks_for_the_head_of_a_view_alone_has_asked_for_a_view() {
+        let rates = Rates::new(&Limits { rate_views: 1, ..Limits::default() });
+        for (n, path) in ["/v1/photos/{id}/view", "/v1/photos/{id}/export"].into_iter().enumerate() {
+            let take = |method| rates.take(Some(Asker::Key(n.to_string())), &method, path).1;
+            assert!(take(Method::HEAD).is_ok() && take(Method::OPTIONS).is_ok(), "{path}");
+            for method in [Method::HEAD, Method::GET] {
+                assert_eq!(take(method).unwrap_err().status, 429, "{path}");
+            }
+        }
+        let atlas = || rates.take(Some(Asker::Key(String::new())), &Method::HEAD, "/v1/photos/{id}/atlas").1;
+        assert!((0..9).all(|_| atlas().is_ok()));
     }
 
     #[test]

@@ -35,9 +35,6 @@ use super::settings::Settings;
 pub use copies::Origin;
 pub use damage::{damage_of, digest, lost};
 
-/// Room that is kept free for what must be written of photos accepted already, and its share of a small disk.
-const RESERVE: u64 = 64 << 20;
-const RESERVE_SHARE: u64 = 20;
 /// File of when photos were looked at.
 const LOOKED: &str = "looked.json";
 const PAUSE: Duration = Duration::from_millis(20);
@@ -179,7 +176,7 @@ impl Store {
     /// That.
     pub fn room(&self) -> io::Result<()> {
         match self.files.room(&self.photos) {
-            Some((free, all)) if free < RESERVE.min(all / RESERVE_SHARE) => Err(io::ErrorKind::StorageFull.into()),
+            Some(room) if room.is_short() => Err(io::ErrorKind::StorageFull.into()),
             _ => Ok(()),
         }
     }

@@ -25,7 +25,7 @@ use super::entry::Entry;
 use super::hosts::Hosts;
 use super::id::{PhotoId, hex};
 use super::problem::Problem;
-use super::rates::{Asker, Rates};
+use super::rates::{Asker, Rates, Told};
 use super::settings::Visibility;
 use super::share::asker;
 use super::time::now_ms;
@@ -186,21 +186,20 @@ impl Guard {
         Ok(Self { secret, keys })
     }
 
-    /// Answers a request by `next` where its caller may ask it, with who that is at hand for the handlers.
-    pub async fn around(&self, hosts: &Hosts, rates: &Rates, mut request: Request, next: Next) -> Response {
-        let come = self.come_in(hosts, &mut request);
+    /// Lets in whoever may ask a request as often as they do, and takes a link off its address.
+    ///
+    /// # Errors
+    /// 401, 403 and 404 by who asks for what, 429 where they ask too often.
+    pub fn admit(&self, hosts: &Hosts, rates: &Rates, request: &mut Request) -> (Told, Result<Pass, Problem>) {
+        let come = self.come_in(hosts, request);
         // who is refused has asked, too
         let key = come.as_ref().ok().and_then(|caller| if let Who::Key(key) = &caller.who { Some(key.name.clone()) } else { None });
-        let (told, taken) = rates.count(Asker::of(key, asker()), &request);
-        let mut response = match taken.and(come) {
-            Ok(caller) => self.answer(Arc::new(caller), request, next).await,
-            Err(refused) => refused.into_response(),
-        };
-        told.put(&mut response);
-        response
+        let (told, taken) = rates.count(Asker::of(key, asker()), request);
+        (told, taken.and(come).map(|caller| Pass(Arc::new(caller))))
     }
 
-    async fn answer(&self, caller: Arc<Caller>, request: Request, next: Next) -> Response {
+    /// Answers a request by `next`, with who was let in at hand for the handlers.
+    pub async fn answer(&self, Pass(caller): Pass, request: Request, next: Next) -> Response {
         let path = request.uri().path().to_owned();
         let headers = request.headers().clone();
         let link = request.extensions().get::<Asked>().and_then(|asked| asked.0.clone());
@@ -348,6 +347,12 @@ impl Guard {
     #[must_use]
     pub fn owner() -> Option<Owner> {
         caller().and_then(|caller| caller.owner.clone())
+    }
+
+    /// Whether the caller of this request has everybody's photos.
+    #[must_use]
+    pub fn has_all() -> bool {
+        caller().is_some_and(|caller| caller.who.is_admin())
     }
 
     /// Whether the caller of this request may go on with an upload that `owner` began; one that nobody known began is whoever's has its

@@ -1,13 +1,13 @@
 //! The server's secret, what is derived of it, and how secrets are made and compared.
 
-use std::io::{self, ErrorKind, Write as _};
+use std::io::{self, ErrorKind};
 use std::path::Path;
 
 use hmac::{Hmac, KeyInit, Mac};
 use sha2::Sha256;
 
 use super::Owner;
-use crate::server::files;
+use crate::server::files::{Disk, Files};
 use crate::server::id::{PhotoId, hex};
 
 /// File of the secret within the data directory.
@@ -127,28 +127,31 @@ pub fn random() -> io::Result<[u8; BYTES]> {
     Ok(bytes)
 }
 
-/// Writes a file whole or not at all, for its owner alone to read.
+/// Writes a file whole or not at all, for its owner alone to read; it is durable when this returns.
 ///
 /// # Errors
 /// The directory cannot be written.
 pub fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
+    replace_in(&Disk, path, bytes)
+}
+
+/// The same on other files than the disk's.
+fn replace_in(files: &dyn Files, path: &Path, bytes: &[u8]) -> io::Result<()> {
     let part = path.with_extension(format!("{}.tmp", std::process::id()));
-    let written = (|| {
-        let mut file = files::private().create(true).truncate(true).write(true).open(&part)?;
-        file.write_all(bytes)?;
-        file.sync_all()?;
-        std::fs::rename(&part, path)
-    })();
+    let written = files.write(&part, bytes).and_then(|()| files.rename(&part, path));
     if written.is_err() {
         // what could not be finished is of no use
-        let _ = std::fs::remove_file(&part);
+        let _ = files.remove(&part);
     }
-    written
+    written?;
+    // a key that was taken back must not be good again once the power returns
+    path.parent().map_or(Ok(()), |dir| files.sync_dir(dir))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::server::forgetful::Forgetful;
 
     #[test]
     fn a_secret_stays_and_is_its_owners_alone() {
@@ -171,6 +174,24 @@ mod tests {
         }
         std::fs::write(dir.path().join(FILE), b"short").unwrap();
         assert!(Secret::of(dir.path()).is_err_and(|e| e.to_string().contains("32 bytes")));
+    }
+
+    #[test]
+    fn what_was_replaced_stays_so_when_the_power_goes_and_is_whole_wherever_it_goes() {
+        let (files, path) = (Forgetful::new(), Path::new("/keys.json"));
+        replace_in(&files, path, b"a key").unwrap();
+        files.crash();
+        assert_eq!(files.read(path).unwrap(), b"a key");
+        for changes in 0.. {
+            files.end_after(changes);
+            let done = replace_in(&files, path, b"none").is_ok();
+            files.crash();
+            let there = files.read(path).unwrap();
+            assert!(if done { there == b"none" } else { there == b"none" || there == b"a key" }, "{changes}: {there:?}");
+            if done {
+                break;
+            }
+        }
     }
 
     #[test]

@@ -186,4 +186,9 @@ impl Ledger for Folder {
         names.truncate(limit);
         Ok(names)
     }
+
+    fn all(&self, folder: &str) -> io::Result<Vec<String>> {
+        // read once: each page would read the whole folder again
+        self.page(folder, None, usize::MAX)
+    }
 }

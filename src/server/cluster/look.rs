@@ -5,7 +5,7 @@ use std::io;
 use std::sync::{Arc, Weak};
 use std::time::{Duration, Instant};
 
-use super::ports::{PAGE, unreachable};
+use super::ports::unreachable;
 use super::records::{Marker, PHOTOS};
 use super::{Cluster, Known, lock};
 use crate::server::entry::Entry;
@@ -79,17 +79,10 @@ impl Cluster {
             return Ok(());
         }
         let mut here: HashSet<PhotoId> = jobs.all().iter().map(|entry| entry.id).collect();
-        let mut after: Option<String> = None;
-        loop {
-            let names = self.heard(self.ledger.page(PHOTOS, after.as_deref(), PAGE))?;
-            for id in names.iter().filter_map(|name| name.strip_prefix(PHOTOS)?.parse::<PhotoId>().ok()) {
-                if !here.remove(&id) {
-                    self.refreshed(jobs, id)?;
-                }
-            }
-            after = names.last().filter(|_| names.len() == PAGE).cloned();
-            if after.is_none() {
-                break;
+        let names = self.heard(self.ledger.all(PHOTOS))?;
+        for id in names.iter().filter_map(|name| name.strip_prefix(PHOTOS)?.parse::<PhotoId>().ok()) {
+            if !here.remove(&id) {
+                self.refreshed(jobs, id)?;
             }
         }
         let mut gone: Vec<PhotoId> = here.into_iter().collect();

@@ -7,7 +7,7 @@ use std::io;
 use std::time::{Duration, Instant};
 
 /// Names of a page of a list.
-pub const PAGE: usize = 1000;
+const PAGE: usize = 1000;
 
 /// Files by name, written once and whole.
 pub trait Blobs: Debug + Send + Sync + 'static {

@@ -51,6 +51,8 @@ fn keeps_its_promises(blobs: &dyn Blobs, ledger: &(dyn Ledger + Sync)) {
     assert_eq!(ledger.page("pending/", None, 2).unwrap(), ["pending/1.x", "pending/2.x"]);
     assert_eq!(ledger.page("pending/", Some("pending/2.x"), 2).unwrap(), ["pending/3.x"]);
     assert!(ledger.page("nothing/", None, 2).unwrap().is_empty());
+    assert_eq!(ledger.all("pending/").unwrap(), ["pending/1.x", "pending/2.x", "pending/3.x"]);
+    assert!(ledger.all("nothing/").unwrap().is_empty());
 }
 
 #[test]

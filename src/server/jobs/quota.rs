@@ -4,9 +4,34 @@ use std::collections::HashMap;
 
 use axum::http::StatusCode;
 
-use super::Jobs;
+use super::{Inner, Jobs};
 use crate::server::access::Owner;
+use crate::server::id::PhotoId;
 use crate::server::problem::Problem;
+
+/// A photo that counts already though it is not in the index yet.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Coming {
+    owner: Owner,
+    id: PhotoId,
+    bytes: u64,
+}
+
+/// Room for a photo that is kept for it until this is dropped.
+pub(super) struct Reserved<'a> {
+    jobs: &'a Jobs,
+    coming: Coming,
+}
+
+impl Drop for Reserved<'_> {
+    fn drop(&mut self) {
+        let mut inner = self.jobs.lock();
+        // one of them alone: a twin may be on its way, too
+        if let Some(at) = inner.coming.iter().position(|coming| *coming == self.coming) {
+            inner.coming.swap_remove(at);
+        }
+    }
+}
 
 impl Jobs {
     /// Looks whether `owner` may have one more photo, of at least so many bytes. This machine's own user may, and who is not known is not
@@ -15,18 +40,38 @@ impl Jobs {
     /// # Errors
     /// 403 that names the limit.
     pub fn quota(&self, owner: Option<&Owner>, bytes: u64) -> Result<(), Problem> {
-        let limits = &self.limits;
-        if limits.quota_photos.is_none() && limits.quota_bytes.is_none() {
-            return Ok(());
-        }
-        let Some(owner) = owner.filter(|owner| !owner.is_own()) else { return Ok(()) };
-        let (photos, taken) = {
-            let inner = self.lock();
-            let theirs = inner.by_owner.get(owner);
-            (theirs.map_or(0, HashMap::len), theirs.map_or(0, |all| all.values().map(|entry| entry.bytes()).sum::<u64>()))
-        };
+        self.counted(owner).map_or(Ok(()), |owner| self.fits(&self.lock(), owner, None, bytes))
+    }
+
+    /// The same, and keeps the room for the photo `id` while it is taken into a store without `membership` held; a twin of it needs no other.
+    ///
+    /// # Errors
+    /// As [`Jobs::quota`].
+    pub(super) fn reserve(&self, owner: Option<&Owner>, id: PhotoId, bytes: u64) -> Result<Option<Reserved<'_>>, Problem> {
+        let Some(owner) = self.counted(owner) else { return Ok(None) };
+        let coming = Coming { owner: owner.clone(), id, bytes };
+        let mut inner = self.lock();
+        self.fits(&inner, owner, Some(id), bytes)?;
+        inner.coming.push(coming.clone());
+        drop(inner);
+        Ok(Some(Reserved { jobs: self, coming }))
+    }
+
+    /// An owner who may not have any number.
+    fn counted<'a>(&self, owner: Option<&'a Owner>) -> Option<&'a Owner> {
+        let limited = self.limits.quota_photos.is_some() || self.limits.quota_bytes.is_some();
+        owner.filter(|owner| limited && !owner.is_own())
+    }
+
+    /// Refuses a photo, `id` where that is known, that is too much beside what the owner has and what comes.
+    fn fits(&self, inner: &Inner, owner: &Owner, id: Option<PhotoId>, bytes: u64) -> Result<(), Problem> {
+        let coming = inner.coming.iter().filter(|coming| coming.owner == *owner).map(|coming| (coming.id, coming.bytes));
+        let there = inner.by_owner.get(owner).into_iter().flat_map(|all| all.values()).map(|entry| (entry.id, entry.bytes()));
+        // each once, as it is in the index where it is there
+        let theirs: HashMap<PhotoId, u64> = coming.chain(there).filter(|(of, _)| id != Some(*of)).collect();
+        let (photos, taken) = (theirs.len(), theirs.values().sum::<u64>());
         let refused = |detail: String| Err(Problem::new(StatusCode::FORBIDDEN, "quota", detail));
-        match (limits.quota_photos, limits.quota_bytes) {
+        match (self.limits.quota_photos, self.limits.quota_bytes) {
             (Some(most), _) if photos >= most => refused(format!(
                 "you have {photos} photos, and {most} is the limit (--quota-photos): delete one, and there is room for another"
             )),
@@ -35,5 +80,60 @@ impl Jobs {
             )),
             _ => Ok(()),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Barrier;
+
+    use super::super::list::tests::{index, put};
+    use super::*;
+    use crate::server::limits::Limits;
+
+    fn id(n: u8) -> PhotoId {
+        PhotoId::of(&[n; 32], None, "", "")
+    }
+
+    #[test]
+    fn of_uploads_that_come_at_a_time_no_more_get_in_than_may() {
+        for limits in [Limits { quota_photos: Some(5), ..Limits::default() }, Limits { quota_bytes: Some(25), ..Limits::default() }] {
+            let (jobs, owner, start) = (index(&limits), Owner::of_secret("a"), Barrier::new(16));
+            put(&jobs, 100, 1, Some(owner.clone()));
+            let taken = std::thread::scope(|scope| {
+                let uploads: Vec<_> = (0..16)
+                    .map(|n| {
+                        let (jobs, owner, start) = (&jobs, &owner, &start);
+                        scope.spawn(move || {
+                            start.wait();
+                            let reserved = jobs.reserve(Some(owner), id(n), 5);
+                            // as the store does, which takes its time
+                            std::thread::yield_now();
+                            reserved.is_ok_and(|_room| put(jobs, n, 2, Some(owner.clone())).id == id(n))
+                        })
+                    })
+                    .collect();
+                uploads.into_iter().map(|upload| upload.join().unwrap()).filter(|is_in| *is_in).count()
+            });
+            assert_eq!(taken, 4);
+            assert!(jobs.lock().coming.is_empty());
+        }
+    }
+
+    #[test]
+    fn what_comes_counts_once_until_it_has_come_or_has_failed() {
+        let jobs = index(&Limits { quota_photos: Some(1), ..Limits::default() });
+        let (a, b) = (Owner::of_secret("a"), Owner::of_secret("b"));
+        let first = jobs.reserve(Some(&a), id(1), 5).unwrap();
+        assert_eq!(jobs.reserve(Some(&a), id(2), 5).err().map(|e| e.status), Some(403));
+        assert_eq!(jobs.quota(Some(&a), 5).unwrap_err().status, 403);
+        let twin = jobs.reserve(Some(&a), id(1), 5).unwrap();
+        assert!(jobs.reserve(Some(&b), id(2), 5).is_ok() && jobs.reserve(None, id(3), 5).is_ok(), "others");
+        drop(first);
+        assert!(jobs.reserve(Some(&a), id(2), 5).is_err(), "its twin still comes");
+        drop(twin);
+        assert!(jobs.reserve(Some(&a), id(2), 5).is_ok());
+        put(&jobs, 1, 1, Some(a.clone()));
+        assert!(jobs.reserve(Some(&a), id(2), 5).is_err() && jobs.reserve(Some(&a), id(1), 5).is_ok());
     }
 }

@@ -122,7 +122,8 @@ impl Jobs {
             self.refresh(cluster, id).map_err(disk)?;
             return Ok(Submitted { entry, new: false, healed });
         }
-        self.quota(accepted.owner.as_ref(), accepted.bytes())?;
+        // until it is in the index: the store is not waited for with membership held
+        let _reserved = self.reserve(accepted.owner.as_ref(), id, accepted.bytes())?;
         self.room()?;
         let parts = uploaded(incoming, accepted).map_err(disk)?;
         let new = cluster.accept(id, accepted, settings, parts).map_err(disk)?;
