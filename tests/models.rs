@@ -223,8 +223,11 @@ fn auto_takes_the_best_network_that_is_there_and_goes_on_without() {
 
     // nobody answers: told in one line, and the embedded network is used
     let nobody = "http://127.0.0.1:1/model.onnx";
-    let (out, err) = place.run(&["models", "get", "auto", "--url", nobody, "--sha256", &digest, "-q"]);
-    assert!(out.is_empty() && err.lines().count() == 1 && err.contains("embedded") && err.contains(nobody), "{err}");
+    let auto = |more: &[&str]| place.run(&[&["models", "get", "auto", "--sha256", digest.as_str()], more].concat());
+    for more in [&["--url", nobody][..], &["--url", nobody, "-q"]] {
+        let (out, err) = auto(more);
+        assert!(out.is_empty() && err.lines().count() == 1 && err.contains("embedded") && err.contains(nobody), "{err}");
+    }
     if there {
         assert_eq!(place.used(&[]), "tmpi");
     }
@@ -244,6 +247,12 @@ fn auto_takes_the_best_network_that_is_there_and_goes_on_without() {
     assert_eq!(*server.asked.lock().unwrap(), [0, 0, NETWORK.len() / 2]);
     assert_eq!(std::fs::read(&file).unwrap(), NETWORK);
 
+    // where it comes from is told as it comes
+    std::fs::remove_file(&file).unwrap();
+    let (_, err) = auto(&["--url", &server.url]);
+    assert_eq!(err.trim(), server.url);
+    server.asked.lock().unwrap().pop();
+
     // it is there: nobody is asked again
     let (out, _) = place.get(&server, Mood::Well, &digest);
     assert_eq!((Path::new(out.trim()), server.asked.lock().unwrap().len()), (file.as_path(), 3));
@@ -251,4 +260,32 @@ fn auto_takes_the_best_network_that_is_there_and_goes_on_without() {
         assert_eq!(place.used(&[]), NAME);
         assert_eq!(place.used(&["--depth-model", "tmpi"]), "tmpi");
     }
+}
+
+#[test]
+fn a_worse_network_that_is_there_stops_nobody_from_a_better_one() {
+    let (place, standin) = (Place::new(), standin());
+    let digest = Sha256::digest(NETWORK).iter().fold(String::new(), |text, byte| text + &format!("{byte:02x}"));
+    let worse = place.models().join("dpt-large.onnx");
+    std::fs::create_dir_all(place.models()).unwrap();
+    std::fs::write(&worse, NETWORK).unwrap();
+
+    // a server offers it, and says what it is better than
+    let server = Serving::start(&place, &standin.url, &digest);
+    let now = server.network();
+    assert_eq!((&now["name"], &now["better"]["name"], &now["better_than"][0]), (&json!("dpt-large"), &json!(NAME), &json!("dpt-hybrid")));
+    drop(server);
+
+    // where it cannot be fetched the one that is there is used
+    let (out, err) = place.run(&["models", "get", "auto", "--url", "http://127.0.0.1:1/model.onnx", "--sha256", &digest]);
+    assert_eq!((Path::new(out.trim()), err.lines().count()), (worse.as_path(), 1), "{err}");
+    assert!(err.contains("dpt-large.onnx is used"), "{err}");
+    let (out, _) = place.get(&standin, Mood::Well, &digest);
+    assert_eq!(Path::new(out.trim()), place.models().join(format!("{NAME}.onnx")));
+
+    // one that is as good is enough
+    std::fs::rename(out.trim(), place.models().join("moge-2-small.onnx")).unwrap();
+    let (out, _) = place.get(&standin, Mood::Well, &digest);
+    assert_eq!((Path::new(out.trim()), standin.asked.lock().unwrap().len()), (place.models().join("moge-2-small.onnx").as_path(), 1));
+    assert_eq!(Serving::start(&place, &standin.url, &digest).network().get("better"), None);
 }

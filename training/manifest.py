@@ -1,6 +1,6 @@
 """What a run was made from, and what came of it: `manifest.json` beside its checkpoints, and the block about it in a model card.
 
-    python manifest.py depth theta psi [--check]     # writes the digests of the shipped files into their cards, or compares them
+    python manifest.py depth theta psi [--check]     # writes the digests of the shipped files into cards that tell no run, or compares them
 
 `manifest.json` holds the command line, versions, commit, SHA-256 of every input file (listed in `inputs.sha256`, as `sha256sum -c` reads it), and of
 the checkpoints and the exported network.
@@ -169,6 +169,15 @@ def into_card(card, lines):
     card.write_text(text)
 
 
+def origin_in(card):
+    """Lines of a card about where its network comes from, those of its file left out."""
+    text = Path(card).read_text() if Path(card).exists() else ""
+    if BEGIN not in text:
+        return []
+    lines = text.split(BEGIN, 1)[1].split(END, 1)[0].strip().splitlines()
+    return [line for line in lines if not line.startswith("- **File**")]
+
+
 def told_in(card):
     """The digest that a card tells, or None."""
     text = Path(card).read_text()
@@ -188,6 +197,9 @@ def main():
         if a.check:
             if told_in(card) != sha256(model):
                 raise SystemExit(f"{card.name} tells {told_in(card)}, {model.name} is {sha256(model)}")
+        elif origin_in(card) not in ([], about_run(None)):
+            # what is not known here would stand in the place of what is
+            raise SystemExit(f"{card.name} tells what {model.name} was made from, which only export.py knows: nothing is written")
         else:
             into_card(card, block(model, [None]))
 

@@ -4,7 +4,7 @@ use super::flags::ModelFlags;
 use super::serve::identity;
 use crate::server::{Better, Offer, Renewed};
 use tmpi_pipeline::networks::models::download::{Digest, Wanted, fetch};
-use tmpi_pipeline::networks::models::registry::{BETTER, Published, best, folder, published};
+use tmpi_pipeline::networks::models::registry::{Published, best, folder, worth_fetching};
 
 /// The published network that is worth fetching, and what the server is started with.
 pub(super) struct BetterNetwork {
@@ -17,9 +17,9 @@ pub(super) struct BetterNetwork {
 }
 
 impl BetterNetwork {
-    /// None where the network was chosen by hand, or one was fetched before. `url` and `sha256` stand for the publisher's.
+    /// None where the network was chosen by hand, or one as good is here. `url` and `sha256` stand for the publisher's.
     pub(super) fn of(flags: &ModelFlags, url: Option<String>, sha256: Option<Digest>) -> Option<Self> {
-        let published = published(BETTER).filter(|_| flags.depth_model.auto && flags.settings().depth_file.is_none())?;
+        let published = worth_fetching(flags.settings().depth.name).filter(|_| flags.depth_model.auto)?;
         let pinned = sha256.is_none();
         let sha256 = sha256.or_else(|| published.sha256.parse().ok())?;
         Some(Self { flags: flags.clone(), published, url, sha256, pinned })

@@ -9,7 +9,7 @@ use serde_json::json;
 use super::{Usage, note, reasons, result};
 use tmpi_pipeline::networks::models::beside;
 use tmpi_pipeline::networks::models::download::{Digest, Wanted, fetch};
-use tmpi_pipeline::networks::models::registry::{BETTER, BY_FILE, PUBLISHED, folder, published, usual};
+use tmpi_pipeline::networks::models::registry::{BETTER, BY_FILE, PUBLISHED, folder, published, usual, worth_fetching};
 
 /// List and fetch depth networks that others have published
 #[derive(Clone, Debug, clap::Args)]
@@ -28,8 +28,8 @@ enum Command {
     },
     /// Fetch a network; a download that broke off goes on where it was
     Get {
-        /// Its name; any name for an address of your own; auto for the one that is worth fetching where there is none yet, which is no error
-        /// where it cannot be fetched: the embedded network is used then
+        /// Its name; any name for an address of your own; auto for the one that is worth fetching where there is none as good yet, which is no
+        /// error where it cannot be fetched: the best that is there is used then, else the embedded one
         #[arg(value_name = "NAME")]
         name: String,
         /// Address of an ONNX file that is not in the list
@@ -51,14 +51,15 @@ pub(super) fn run(args: &ModelsArgs) -> anyhow::Result<()> {
     match &args.command {
         Command::List { json } => list(*json),
         Command::Get { name, url, sha256, output, quiet } if name == "auto" => {
-            if let Some((_, file)) = usual().filter(|_| output.is_none()) {
+            let here = usual().filter(|_| output.is_none());
+            let enough = here.as_ref().is_some_and(|(adapter, _)| worth_fetching(adapter.name).is_none());
+            if let Some((_, file)) = here.as_ref().filter(|_| enough) {
                 return result(&file.display().to_string());
             }
-            let got = get(BETTER, url.as_deref().zip(*sha256), output.clone(), *quiet);
-            if let Err(error) = got {
-                note(&format!("no better depth network, the embedded one is used: {}", reasons(&error)));
-            }
-            Ok(())
+            let Err(error) = get(BETTER, url.as_deref().zip(*sha256), output.clone(), *quiet) else { return Ok(()) };
+            let used = here.as_ref().map_or("the embedded one".into(), |(_, file)| file.display().to_string());
+            note(&format!("no better depth network, {used} is used: {}", reasons(&error)));
+            here.map_or(Ok(()), |(_, file)| result(&file.display().to_string()))
         }
         Command::Get { name, url, sha256, output, quiet } => get(name, url.as_deref().zip(*sha256), output.clone(), *quiet),
     }
@@ -101,27 +102,29 @@ fn get(name: &str, own: Option<(&str, Digest)>, output: Option<PathBuf>, quiet: 
         return Err(Usage(format!("{name:?} cannot be part of a file name")).into());
     }
     let file = output.unwrap_or_else(|| folder().join(format!("{name}.onnx")));
-    if !quiet {
-        note(&format!("{url}\n{}", known.filter(|_| own.is_none()).map_or_else(String::new, |p| format!("licence: {}", p.licence))));
-    }
+    let licence = known.filter(|_| own.is_none()).map_or_else(String::new, |p| format!("\nlicence: {}", p.licence));
+    let mut about = (!quiet).then(|| format!("{url}{licence}"));
     // weights come before the file that names them: whoever starts meanwhile finds both or neither
     if let Some(weights) = known.and_then(|p| p.weights).filter(|_| own.is_none()) {
         let wanted = Wanted { url: weights.url, bytes: Some(weights.bytes), sha256: weights.sha256.parse().map_err(Usage)? };
-        fetch_shown(&wanted, &file.with_extension("onnx_data"), quiet)?;
+        fetch_shown(&wanted, &file.with_extension("onnx_data"), quiet, &mut about)?;
     }
-    if !fetch_shown(&Wanted { url, bytes, sha256 }, &file, quiet)? && !quiet {
+    if !fetch_shown(&Wanted { url, bytes, sha256 }, &file, quiet, &mut about)? && !quiet {
         note("it was here already");
     }
     result(&file.display().to_string())
 }
 
-/// [`fetch`] with a bar on a terminal.
-fn fetch_shown(wanted: &Wanted<'_>, file: &Path, quiet: bool) -> anyhow::Result<bool> {
+/// [`fetch`] with a bar on a terminal; `about` is told once there is an answer, so that without a network the fault alone is.
+fn fetch_shown(wanted: &Wanted<'_>, file: &Path, quiet: bool, about: &mut Option<String>) -> anyhow::Result<bool> {
     let bar = (!quiet && std::io::stderr().is_terminal()).then(|| ProgressBar::new(0));
     if let (Some(bar), Ok(style)) = (&bar, ProgressStyle::with_template("[{bar:30}] {bytes}/{total_bytes} {bytes_per_sec} {eta}")) {
         bar.set_style(style);
     }
     let fetched = fetch(wanted, file, |have, all| {
+        if let Some(about) = about.take() {
+            note(&about);
+        }
         if let Some(bar) = &bar {
             bar.set_length(all.unwrap_or(have));
             bar.set_position(have);

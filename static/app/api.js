@@ -39,6 +39,7 @@ export function wordsOf(status, statusText, body) {
 }
 
 /**
+ * An answer of the server; an error has the `status` of a refusal.
  * @param {string} url
  * @param {RequestInit} [options]
  */
@@ -49,7 +50,10 @@ async function request(url, options) {
   } catch {
     throw new Error('The server cannot be reached.');
   }
-  if (!response.ok) throw new Error(wordsOf(response.status, response.statusText, await response.text().catch(() => '')));
+  if (!response.ok) {
+    const words = wordsOf(response.status, response.statusText, await response.text().catch(() => ''));
+    throw Object.assign(new Error(words), { status: response.status });
+  }
   return response;
 }
 
@@ -122,8 +126,8 @@ export async function changeStrokes(id, strokes, etag) {
 }
 
 /**
- * The server's depth network, and the better one that it may fetch.
- * @typedef {{name: string, better?: {name: string, bytes?: number}, fetched_bytes?: number, problem?: string}} Network
+ * The server's depth network, the kinds that it is better than, and the better one that it may fetch.
+ * @typedef {{name: string, better_than: string[], better?: {name: string, bytes?: number}, fetched_bytes?: number, problem?: string}} Network
  */
 
 /** @returns {Promise<Network>} */

@@ -47,7 +47,7 @@ export function reduced({ width, height }) {
 /**
  * The file to send for a photo. Throws with a sentence for people where there is none.
  * @param {File} file
- * @param {() => void} converting called where it takes a moment
+ * @param {(loss: string) => void} converting called where it takes a moment, with what is lost by it, if anything
  * @returns {Promise<File>}
  */
 export async function prepared(file, converting) {
@@ -58,7 +58,8 @@ export async function prepared(file, converting) {
     if (file.size <= MOST_BYTES && !(size && reduced(size))) return file;
   }
   if (kind === 'film') throw new Error(t('This is a film, not a photo.'));
-  converting();
+  // browsers draw the picture alone
+  converting(kind === 'HEIC' || kind === 'JPEG' ? t('If the photo brought depth along, it was lost in converting.') : '');
   const bitmap = await createImageBitmap(file).catch(() => null);
   // of what is small and unknown the server knows best what it is
   if (!bitmap && !kind && file.size <= SMALL_BYTES) return file;

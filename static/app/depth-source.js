@@ -8,6 +8,8 @@ import { t } from '../i18n/messages.js';
 /** @type {[RegExp, string][]} */
 const NETWORKS = [
   [/^tmpi$/, 'the built-in network'],
+  [/^moge-2/, 'MoGe-2'],
+  [/^depth-anything-3/, 'Depth Anything 3'],
   [/^depth-anything-v2-small/, 'Depth Anything V2 Small'],
   [/^depth-anything-v2-metric/, 'Depth Anything V2, metric'],
   [/^depth-anything-v2/, 'Depth Anything V2'],
@@ -15,6 +17,7 @@ const NETWORKS = [
   [/^dpt-large/, 'DPT Large'],
   [/^dpt-hybrid/, 'DPT Hybrid'],
   [/^zoedepth/, 'ZoeDepth'],
+  [/^zipdepth/, 'ZipDepth'],
 ];
 
 /**

@@ -1,33 +1,35 @@
 // Files of a drop, folders opened.
 
+/** @import { Found } from './pairs.js' */
+
 /** Most files taken from one drop. */
 const MOST = 500;
 
 /**
- * All files of a drop; of folders only the pictures. To be called while the event is handled.
+ * All files of a drop with their folders; of folders only the pictures. To be called while the event is handled.
  * @param {DataTransfer} transfer
  */
 export async function filesOf(transfer) {
   const entries = [...transfer.items].flatMap((item) => item.webkitGetAsEntry?.() ?? []);
-  if (!entries.some((entry) => entry.isDirectory)) return [...transfer.files];
-  /** @type {File[]} */
+  if (!entries.some((entry) => entry.isDirectory)) return [...transfer.files].map((file) => ({ file }));
+  /** @type {Found[]} */
   const out = [];
-  for (const entry of entries) await collect(entry, out, false);
+  for (const entry of entries) await collect(entry, out);
   return out;
 }
 
 /**
  * @param {FileSystemEntry} entry
- * @param {File[]} out
- * @param {boolean} inFolder
+ * @param {Found[]} out
+ * @param {FileSystemEntry} [folder]
  */
-async function collect(entry, out, inFolder) {
+async function collect(entry, out, folder) {
   if (out.length >= MOST) return;
   if (entry.isFile) {
     const own = /** @type {FileSystemFileEntry} */ (entry);
     /** @type {File} */
     const file = await new Promise((resolve, reject) => own.file(resolve, reject));
-    if (!inFolder || file.type.startsWith('image/')) out.push(file);
+    if (!folder || file.type.startsWith('image/')) out.push({ file, folder });
     return;
   }
   const reader = /** @type {FileSystemDirectoryEntry} */ (entry).createReader();
@@ -36,6 +38,6 @@ async function collect(entry, out, inFolder) {
     /** @type {FileSystemEntry[]} */
     const batch = await new Promise((resolve, reject) => reader.readEntries(resolve, reject));
     if (!batch.length) return;
-    for (const child of batch) await collect(child, out, true);
+    for (const child of batch) await collect(child, out, entry);
   }
 }

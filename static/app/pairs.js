@@ -6,21 +6,32 @@ const MAP = /^(?<photo>.+)[-_. ](?:depth[-_ ]?(?:map)?|disparity|disp)$/i;
 /** @param {File} file */
 const stem = (file) => file.name.replace(/\.[^.]*$/, '').toLowerCase();
 
+/** @typedef {{file: File, folder?: unknown}} Found a file, and what stands for the folder that it lay in, one and the same for all of them */
+
 /**
- * Each photo with its depth map, in the order of the photos; a map whose photo is not among the files is a photo like any other.
- * @param {File[]} files
+ * Each photo with its depth map, in the order of the photos; a map belongs to a photo of its own folder, and of those that are called alike to
+ * the first. A map without a photo is a photo like any other.
+ * @param {Found[]} found
  * @returns {{file: File, depth: File | null}[]}
  */
-export function pairs(files) {
-  const photos = new Map(files.map((file) => [stem(file), file]));
-  /** @type {Map<File, File>} */
-  const maps = new Map();
-  for (const map of files) {
-    const photo = photos.get(MAP.exec(stem(map))?.groups?.photo ?? '');
-    // of several maps of a photo the first is taken, the others are no photos either
-    if (photo && photo !== map) maps.set(map, photo);
+export function pairs(found) {
+  /** The first photo of each name in each folder. @type {Map<unknown, Map<string, File>>} */
+  const folders = new Map();
+  for (const { file, folder } of found) {
+    const photos = folders.get(folder) ?? new Map();
+    if (!photos.has(stem(file))) photos.set(stem(file), file);
+    folders.set(folder, photos);
   }
-  return files
-    .filter((file) => !maps.has(file))
-    .map((file) => ({ file, depth: [...maps].find(([, photo]) => photo === file)?.[0] ?? null }));
+  /** @type {Set<File>} */
+  const maps = new Set();
+  /** @type {Map<File, File>} */
+  const depths = new Map();
+  for (const { file: map, folder } of found) {
+    const photo = folders.get(folder)?.get(MAP.exec(stem(map))?.groups?.photo ?? '');
+    if (!photo) continue;
+    // of several maps of a photo the first is taken, the others are no photos either
+    maps.add(map);
+    if (!depths.has(photo)) depths.set(photo, map);
+  }
+  return found.filter(({ file }) => !maps.has(file)).map(({ file }) => ({ file, depth: depths.get(file) ?? null }));
 }

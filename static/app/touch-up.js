@@ -72,12 +72,14 @@ export async function openTouchUp({ id, photo, saved, say }) {
   function hint() {
     if (waiting) return tell(t('Now choose the place that it is to be as near as.'));
     const last = now.drawn.at(-1);
-    if (!now.kept && !last) return tell(t('What was painted before goes when you save.'));
-    tell(
+    // the preview still has it, see depthOf
+    const goes = now.kept || !before.strokes.length ? '' : t('What was painted before goes when you save.');
+    if (goes && !last) return tell(goes);
+    const next =
       last?.stroke.by !== undefined
         ? t('Slide until the depth is right, or paint on.')
-        : t('Paint over what lies at the wrong depth; edges hold the outline.'),
-    );
+        : t('Paint over what lies at the wrong depth; edges hold the outline.');
+    tell(goes ? `${goes} ${next}` : next);
   }
 
   function show() {
@@ -292,7 +294,9 @@ function pixels(picture, width, height) {
 }
 
 /**
- * The disparity of a photo at a size, 0 to 1.
+ * The disparity of a photo at a size, 0 to 1, as it was made last: with the strokes of before in it, which are therefore not applied here. The
+ * server applies all strokes to the map before any, which nobody keeps: outlines that follow depth more than colour may differ where an earlier
+ * stroke crosses, and what stands in the preview once earlier strokes are removed is still on theirs.
  * @param {Photo} state
  * @param {number} width
  * @param {number} height

@@ -12,6 +12,8 @@ import { forgetName, photoName } from './photo-name.js';
 import { deleteLater, handedOver } from './undo.js';
 import { forgetRow, resume, startUploads, upload } from './uploads.js';
 
+/** @import { Found } from './pairs.js' */
+
 /**
  * What the words for quality mean: options of the interface; what is not named stays as the server has it.
  * @type {Record<string, Record<string, number>>}
@@ -28,10 +30,10 @@ function forget(id) {
   forgetRow(id);
 }
 
-/** @param {File[]} files */
-function take(files) {
+/** @param {Found[]} found */
+function take(found) {
   const map = $('depth-map', HTMLInputElement);
-  const photos = pairs(files);
+  const photos = pairs(found);
   // a map that was chosen belongs to one photo
   const chosen = photos.length === 1 ? map.files?.[0] : undefined;
   if (chosen) {
@@ -43,7 +45,7 @@ function take(files) {
 
 for (const picker of [$('picker', HTMLInputElement), $('camera', HTMLInputElement)]) {
   picker.addEventListener('change', () => {
-    take([...(picker.files ?? [])]);
+    take([...(picker.files ?? [])].map((file) => ({ file })));
     picker.value = '';
   });
 }
@@ -71,10 +73,10 @@ addEventListener('drop', async (event) => {
   if (event.dataTransfer) take(await filesOf(event.dataTransfer));
 });
 addEventListener('paste', (event) => {
-  const files = [...(event.clipboardData?.files ?? [])];
-  if (!files.length) return;
+  const found = [...(event.clipboardData?.files ?? [])].map((file) => ({ file }));
+  if (!found.length) return;
   event.preventDefault();
-  take(files);
+  take(found);
 });
 
 /** Shows, where there is no photo yet, what one becomes. */

@@ -37,6 +37,8 @@ export class Row {
     this.close = element('button', 'round', icon('close'));
     this.close.type = 'button';
     this.close.setAttribute('aria-label', t('Cancel {0}', name));
+    /** What is to be said of the photo once it is ready. */
+    this.note = '';
     /** @type {(() => void) | undefined} */
     this.onClose = undefined;
     this.close.addEventListener('click', () => this.onClose?.());
@@ -94,7 +96,7 @@ export class Row {
   done(id) {
     this.kind = 'done';
     this.bar.hidden = true;
-    this.state.textContent = t('Ready');
+    this.state.textContent = this.note ? `${t('Ready')}. ${this.note}` : t('Ready');
     const open = element('a', 'button primary', t('Open'));
     open.href = `/view/${encodeURIComponent(id)}`;
     open.setAttribute('aria-label', t('Open {0}', this.name));

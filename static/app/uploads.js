@@ -129,7 +129,11 @@ async function send({ file, depth, options, row }) {
       cancelled = true;
       row.remove();
     };
-    const photo = await prepared(file, () => row.show(t('Converting')));
+    const photo = await prepared(file, (loss) => {
+      // a map that comes beside the photo stands for its own
+      if (!depth) row.note = loss;
+      row.show(t('Converting'));
+    });
     // making it goes on without holding up the next upload
     if (!cancelled) follow(await post(photo, depth, options, row), row);
   } catch (error) {

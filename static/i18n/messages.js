@@ -60,6 +60,7 @@ const GERMAN = {
   'Choose photos to delete': 'Fotos zum Löschen auswählen',
   'Choose {0}': '{0} auswählen',
   Converting: 'Wird umgewandelt',
+  'If the photo brought depth along, it was lost in converting.': 'Falls das Foto Tiefe mitbrachte, ging sie beim Umwandeln verloren.',
   'Delete the photo': 'Foto löschen',
   'Dismiss failed': 'Fehler ausblenden',
   Done: 'Fertig',

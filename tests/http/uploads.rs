@@ -83,6 +83,7 @@ fn wrong_uploads_are_refused_at_once_and_leave_nothing() {
     let heic = post("/v1/photos", b"\0\0\0\x24ftypheic\0\0\0\0mif1heic").problem(415);
     let told = heic["detail"].as_str().unwrap();
     assert!(told.contains("Settings > Camera > Formats > Most Compatible") && told.contains("sends this one as JPEG"), "{told}");
+    assert!(told.contains("a portrait may lose its depth"), "{told}");
     post("/v1/photos", &photo[..photo.len() / 2]).problem(422);
     assert_eq!(post("/v1/photos?quality=0", &photo).problem(400)["field"], "quality");
     assert_eq!(post("/v1/photos?quality=best", &photo).problem(400)["field"], "quality");

@@ -81,7 +81,7 @@ fn serve(args: &[String]) -> Result<(), Fault> {
     let chosen = |a: &String| a.starts_with("--depth-model") || a == OFFLINE;
     if !args.iter().any(chosen) && std::env::var_os("TMPI_DEPTH_MODEL").is_none() {
         let mut models = std::process::Command::new(command::program());
-        // where there is no network it says so in a line, and the embedded one is used
+        // where there is no network it says so in a line, and what is here is used
         models.args(["models", "get", "auto"]).stdout(std::process::Stdio::null());
         run(models).map_err(|e| e.in_step("depth network"))?;
     }

@@ -16,6 +16,7 @@ use crate::server::clock::Clock;
 use crate::server::network::{Fetching, Offer};
 use crate::server::problem::Problem;
 use crate::server::traces;
+use tmpi_pipeline::networks::models::registry::better_than;
 
 /// The network that estimates depth, and the better one that can be had.
 #[derive(Serialize, utoipa::ToSchema)]
@@ -23,6 +24,9 @@ pub struct Network {
     /// Name of the network that photos are made with now, as in their reports.
     #[schema(example = "tmpi")]
     name: String,
+    /// Kinds of networks that it is better than, from the best to the worst: that of a report is worse where its name begins with one of them.
+    #[schema(example = json!(["midas-v2.1-small", "tmpi"]))]
+    better_than: &'static [&'static str],
     /// A better one that may be fetched; missing where there is none, or it is here.
     #[serde(skip_serializing_if = "Option::is_none")]
     better: Option<Offer>,
@@ -41,7 +45,8 @@ fn network_now(app: &Shared) -> Network {
         Fetching::UnderWay(bytes) => (Some(bytes), None),
         Fetching::Failed(problem) => (None, Some(problem)),
     };
-    Network { name: maker.network().to_owned(), better: maker.better(), fetched_bytes, problem }
+    let name = maker.network().to_owned();
+    Network { better_than: better_than(&name), name, better: maker.better(), fetched_bytes, problem }
 }
 
 /// Refuses strangers.

@@ -5,6 +5,7 @@ import { waitForMode } from '../support/browser.mjs';
 import { boxSuite } from '../support/suite.mjs';
 
 const NAME = 'depth-anything-v2-small-fp16';
+const WORSE = ['depth-anything-v2-metric', 'midas-v2.1', 'midas-v2.1-small', 'tmpi'];
 const BETTER = { name: NAME, bytes: 49_642_442, licence: 'Apache-2.0' };
 
 describe('better depth', () => {
@@ -22,7 +23,7 @@ describe('better depth', () => {
       asked.push(route.request().method());
       const [now] = states;
       if (states.length > 1) states.shift();
-      return route.fulfill({ json: now });
+      return route.fulfill(typeof now === 'number' ? { status: now, json: { title: 'refused', status: now } } : { json: now });
     });
     await page.route('**/v1/photos/box/again', (route) => {
       asked.push('again');
@@ -36,10 +37,10 @@ describe('better depth', () => {
 
   test('it is fetched, and the photo is made again with it', async () => {
     const { context, errors, asked, menu } = await opened('tmpi', [
-      { name: 'tmpi', better: BETTER },
-      { name: 'tmpi', better: BETTER, fetched_bytes: 0 },
-      { name: 'tmpi', better: BETTER, fetched_bytes: 24_821_221 },
-      { name: NAME },
+      { name: 'tmpi', better_than: [], better: BETTER },
+      { name: 'tmpi', better_than: [], better: BETTER, fetched_bytes: 0 },
+      { name: 'tmpi', better_than: [], better: BETTER, fetched_bytes: 24_821_221 },
+      { name: NAME, better_than: WORSE },
     ]);
     await menu.getByRole('button', { name: 'Better depth: 50 MB, once' }).click();
     await menu.getByText('Fetching better depth: 25 MB of 50 MB').waitFor();
@@ -53,19 +54,25 @@ describe('better depth', () => {
   });
 
   test('a download that failed is told and can be tried again', async () => {
-    const failed = { name: 'tmpi', better: BETTER, problem: 'the download broke off after 12 of 49642442 bytes' };
+    const failed = { name: 'tmpi', better_than: [], better: BETTER, problem: 'the download broke off after 12 of 49642442 bytes' };
     const { context, menu } = await opened('tmpi', [failed]);
     await menu.getByText('It could not be fetched: the download broke off').waitFor();
     await menu.getByRole('button', { name: 'Better depth: 50 MB, once' }).waitFor();
     await context.close();
   });
 
-  test('nothing is offered where no network estimated the depth, or the best has', async () => {
-    for (const [model, count] of [
-      ['given', 0],
-      [NAME, 1],
+  test('nothing is offered where no network estimated the depth, or one as good has, nor to strangers', async () => {
+    for (const [model, count, now] of [
+      ['given', 0, { name: NAME, better_than: WORSE }],
+      [NAME, 1, { name: NAME, better_than: WORSE }],
+      // the server has a worse one now
+      [NAME, 1, { name: 'tmpi', better_than: [] }],
+      ['moge-2-small', 1, { name: NAME, better_than: WORSE }],
+      // whoever is refused has nothing to choose
+      ['tmpi', 1, 401],
+      ['tmpi', 1, 403],
     ]) {
-      const { page, context, asked, menu } = await opened(model, [{ name: NAME }]);
+      const { page, context, asked, menu } = await opened(model, [now]);
       await menu.locator('#depth-source').waitFor();
       await page.waitForTimeout(100);
       assert.equal(await menu.locator('#better-depth > *').count(), 0, model);

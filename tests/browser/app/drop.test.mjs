@@ -55,4 +55,29 @@ describe('drop', () => {
     assert.deepEqual(names(bodies), ['one.png', 'two.jpg']);
     await context.close();
   });
+
+  test('a depth map goes with the photo of its own folder', async () => {
+    const posts = [
+      { status: 202, json: photo('a') },
+      { status: 202, json: photo('b') },
+    ];
+    const { page, context, bodies } = await suite.open({ posts });
+    await page.evaluate(() => {
+      const file = (name, content) => ({ isFile: true, file: (done) => done(new File([content], name, { type: 'image/png' })) });
+      const folder = (...entries) => ({ isDirectory: true, createReader: () => ({ readEntries: (done) => done(entries.splice(0)) }) });
+      const two = (content) => folder(file('photo.png', content), file('photo_depth.png', `${content} depth`));
+      const tree = folder(two('here'), two('there'));
+      DataTransferItem.prototype.webkitGetAsEntry = () => tree;
+      const files = new DataTransfer();
+      files.items.add(new File([''], 'holiday'));
+      document.body.dispatchEvent(new DragEvent('drop', { bubbles: true, cancelable: true, dataTransfer: files }));
+    });
+    await page.getByText('2 of 2 ready').waitFor();
+    const sent = bodies.map((body) => [...body.matchAll(/\r\n\r\n((?:there|here)[^\r]*)\r\n/g)].map(([, content]) => content)).sort();
+    assert.deepEqual(sent, [
+      ['here', 'here depth'],
+      ['there', 'there depth'],
+    ]);
+    await context.close();
+  });
 });

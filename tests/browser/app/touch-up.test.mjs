@@ -11,6 +11,17 @@ const HEIGHT = 200;
 const WALL = 0.3;
 const STILL = { reducedMotion: 'reduce' };
 
+/** Share of the pixels of which either is true where both are. */
+function overlap(a, b) {
+  let both = 0;
+  let either = 0;
+  for (let i = 0; i < WIDTH * HEIGHT; i++) {
+    both += a(i) && b(i) ? 1 : 0;
+    either += a(i) || b(i) ? 1 : 0;
+  }
+  return both / either;
+}
+
 describe('touch-up', () => {
   let server;
   let browser;
@@ -75,6 +86,12 @@ describe('touch-up', () => {
       [x, y],
     );
 
+  const wholePreview = (page) =>
+    page.locator('#touch-depth').evaluate((canvas) => {
+      const { data } = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height);
+      return [...data.filter((_, i) => i % 4 === 0)];
+    });
+
   const middle = [(BOX.x0 + BOX.x1) / 2, (BOX.y0 + BOX.y1) / 2];
   const along = [
     [BOX.x0 + 0.05, middle[1]],
@@ -93,10 +110,7 @@ describe('touch-up', () => {
     await slide(page, '#touch-amount', 0.5);
     assert.ok(Math.abs((await previewed(page, middle)) - 255 * (WALL + 0.5)) < 3, 'the preview follows the slider');
     assert.ok(Math.abs((await previewed(page, [0.05, 0.05])) - 255 * WALL) < 3, 'and the wall stays');
-    const preview = await page.locator('#touch-depth').evaluate((canvas) => {
-      const { data } = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height);
-      return [...data.filter((_, i) => i % 4 === 0)];
-    });
+    const preview = await wholePreview(page);
     await page.locator('#touch-save').click();
     await page.locator('dialog.touch-up').waitFor({ state: 'detached' });
     await page.locator('#toast.on').waitFor();
@@ -107,15 +121,6 @@ describe('touch-up', () => {
 
     const map = await depth();
     const near = (value) => value > 255 * (WALL + 0.25);
-    const overlap = (a, b) => {
-      let both = 0;
-      let either = 0;
-      for (let i = 0; i < WIDTH * HEIGHT; i++) {
-        both += a(i) && b(i) ? 1 : 0;
-        either += a(i) || b(i) ? 1 : 0;
-      }
-      return both / either;
-    };
     const box = overlap(
       (i) => near(map[i]),
       (i) => inBox(i % WIDTH, Math.floor(i / WIDTH), WIDTH, HEIGHT),
@@ -128,6 +133,46 @@ describe('touch-up', () => {
     assert.ok(same > 0.97, `the server and the preview agree on ${same}`);
     // what is shown now moves before the wall
     await page.waitForFunction(() => window.viewer?.renderer);
+    assert.deepEqual(errors, []);
+    await context.close();
+  });
+
+  test('strokes go on from those of before, which are applied once', async () => {
+    const { page, context, errors, id, depth } = await opened(0.05);
+    const painted = async (by) => {
+      await slide(page, '#touch-size', 0.16);
+      await paint(page, along);
+      await slide(page, '#touch-amount', by);
+    };
+    const save = async () => {
+      await page.locator('#touch-save').click();
+      await page.locator('dialog.touch-up').waitFor({ state: 'detached' });
+      await page.locator('#settings').waitFor();
+    };
+    await start(page);
+    await painted(0.3);
+    await save();
+    await start(page);
+    assert.ok(Math.abs((await previewed(page, middle)) - 255 * (WALL + 0.3)) < 3, 'it begins with what is there');
+    await painted(0.2);
+    assert.ok(Math.abs((await previewed(page, middle)) - 255 * (WALL + 0.5)) < 3);
+    const preview = await wholePreview(page);
+    await save();
+    assert.equal((await strokes(page, id)).length, 2);
+    const map = await depth();
+    const near = (value) => value > 255 * (WALL + 0.4);
+    const same = overlap(
+      (i) => near(map[i]),
+      (i) => near(preview[i]),
+    );
+    assert.ok(same > 0.95, `the server and the preview agree on ${same}`);
+    // what goes is told for as long as it is seen
+    await start(page);
+    await page.locator('#touch-clear').click();
+    await paint(page, [[0.1, 0.1]]);
+    assert.match(await page.locator('#touch-status').textContent(), /^What was painted before goes when you save\. /);
+    await page.locator('#touch-cancel').click();
+    await page.locator('dialog.touch-up').waitFor({ state: 'detached' });
     assert.deepEqual(errors, []);
     await context.close();
   });

@@ -9,7 +9,8 @@ pub enum PhotoError {
     /// A HEIC or AVIF file, as phones take them.
     #[error(
         "HEIC and AVIF pictures are not read: on an iPhone, Settings > Camera > Formats > Most Compatible takes JPEG from now on, and \
-         Photos > Share > Options > Most Compatible sends this one as JPEG; elsewhere export it as JPEG"
+         Photos > Share > Options > Most Compatible sends this one as JPEG; elsewhere export it as JPEG, where a portrait may lose its depth, which \
+         is then estimated"
     )]
     Heic,
     /// The file is larger than allowed.

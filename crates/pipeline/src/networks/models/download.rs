@@ -11,7 +11,7 @@ use sha2::{Digest as _, Sha256};
 
 /// Largest file that is fetched where the size is not known.
 const MOST: u64 = 4 << 30;
-/// How long connecting may take: where there is no network, nobody wants to wait for it.
+/// How long a name may take to be resolved, and connecting may take: where there is no network, nobody wants to wait for it.
 const CONNECT: Duration = Duration::from_secs(3);
 /// How long a server may take to answer, and to send the next piece.
 const PATIENCE: Duration = Duration::from_secs(30);
@@ -171,6 +171,8 @@ fn transfer(
     let broken = |reason: String| DownloadError::Http { url: wanted.url.to_owned(), reason };
     let on = |source| DownloadError::File { file: part.to_owned(), source };
     let agent: ureq::Agent = ureq::Agent::config_builder()
+        // connecting begins once the name is resolved
+        .timeout_resolve(Some(CONNECT.min(patience)))
         .timeout_connect(Some(CONNECT.min(patience)))
         .timeout_recv_response(Some(patience))
         .http_status_as_error(false)

@@ -143,6 +143,27 @@ impl Published {
     }
 }
 
+/// Place in [`RANKS`] of the network that a report names; none where it has none.
+fn rank(network: &str) -> Option<usize> {
+    let known = RANKS.iter().enumerate().filter(|(_, kind)| network.starts_with(**kind));
+    // names of some kinds begin like those of others
+    known.max_by_key(|(_, kind)| kind.len()).map(|(at, _)| at)
+}
+
+/// Kinds that are worse than the network that a report names, from the best to the worst; the name of a network begins with its kind, and none
+/// that begins with a worse kind is of a better one. Empty where it has no rank.
+#[must_use]
+pub fn better_than(network: &str) -> &'static [&'static str] {
+    rank(network).map_or(&[], |at| &RANKS[at + 1..])
+}
+
+/// The published network that is worth fetching by who has `network`, as a report names it: none where that is as good or not known.
+#[must_use]
+pub fn worth_fetching(network: &str) -> Option<&'static Published> {
+    let better = published(BETTER)?;
+    (rank(network)? > rank(better.adapter)?).then_some(better)
+}
+
 /// The published network of that name.
 #[must_use]
 pub fn published(name: &str) -> Option<&'static Published> {
@@ -218,6 +239,28 @@ mod tests {
         for name in RANKS.iter().filter(|name| **name != "tmpi") {
             let fetched = PUBLISHED.iter().any(|p| p.adapter == *name);
             assert_eq!(BY_FILE.iter().filter(|(adapter, _)| adapter == name).count(), usize::from(!fetched), "{name}");
+        }
+    }
+
+    #[test]
+    fn no_name_of_a_better_kind_begins_with_a_worse_one() {
+        for (at, kind) in RANKS.iter().enumerate() {
+            assert_eq!(rank(kind), Some(at));
+            assert!(!better_than(kind).iter().any(|worse| kind.starts_with(worse)), "{kind}");
+            assert_eq!(better_than(kind).len(), RANKS.len() - 1 - at, "{kind}");
+        }
+        assert!(better_than("depth-anything-v2-small-fp16").contains(&"depth-anything-v2-metric"));
+        assert!(!better_than("depth-anything-v2-metric-indoor").contains(&"depth-anything-v2"));
+        assert_eq!((better_than("tmpi"), better_than("log-depth")), (&[][..], &[][..]));
+    }
+
+    #[test]
+    fn it_is_worth_fetching_unless_there_is_one_as_good() {
+        for worse in ["tmpi", "midas-v2.1-small", "dpt-large", "zoedepth", "depth-anything-v2-metric-small"] {
+            assert_eq!(worth_fetching(worse).map(|p| p.name), Some(BETTER), "{worse}");
+        }
+        for as_good in [BETTER, "depth-anything-v2-large", "depth-anything-3-small", "moge-2-small", "of-my-own"] {
+            assert_eq!(worth_fetching(as_good), None, "{as_good}");
         }
     }
 
