@@ -7,6 +7,7 @@ import { eachFrame } from './frames.js';
 import { eachPacket, SOUND } from './microphone.js';
 
 /** @import { Coded, Encoder } from './encoders.js' */
+/** @import { Frame } from './frames.js' */
 
 /** @typedef {'connecting' | 'live' | 'again' | 'ended'} State `again`: the connection broke and is tried again; `ended` with a reason, or without one where it was stopped */
 
@@ -109,7 +110,7 @@ export class Publisher {
     this.#socket = null;
   }
 
-  /** @param {VideoFrame} frame */
+  /** @param {Frame} frame */
   #take(frame) {
     const { displayWidth: width, displayHeight: height } = frame;
     if (width !== this.#size.width || height !== this.#size.height) {
