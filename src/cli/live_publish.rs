@@ -1,25 +1,23 @@
 //! `tmpi live publish`.
 
-use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
-use anyhow::{Context as _, bail};
-use bytes::Bytes;
+use anyhow::Context as _;
 use futures_util::{SinkExt as _, StreamExt as _};
-use tokio::time::{Instant, sleep, timeout_at};
+use tokio::time::{Instant, sleep, timeout, timeout_at};
 use tokio_tungstenite::tungstenite::Message;
 
 use tmpi_core::live::wire::message::Kind;
 use tmpi_core::live::wire::{Depth, Hello, Video};
 use tmpi_core::live::{VERSION, read, write};
-use tmpi_live::depth;
-use tmpi_live::units::{Splitter, Unit, codec};
+use tmpi_live::units::codec;
 use tmpi_live::video::{self, JPEG};
-use tmpi_pipeline::depth::{self as maps, DepthKind};
+use tmpi_pipeline::depth::DepthKind;
 
 use super::live_client::{Addresses, Socket, Unreached, micros};
+use super::live_source::{Frame, Source};
 use super::result;
+use crate::live::TAKEN;
 
 /// Time for which a frame waits for the server's leave to send it, before it is left out.
 const PATIENCE: Duration = Duration::from_millis(250);
@@ -28,12 +26,18 @@ const CATCH_UP: Duration = Duration::from_millis(100);
 /// Pause before a lost connection is tried again, and how often.
 const AGAIN: Duration = Duration::from_millis(500);
 const TRIES: u32 = 60;
+/// Time for which a room may be taken that this program published in before: the server has yet to notice that the link broke.
+const OWN_SEAT: Duration = Duration::from_secs(15);
+/// Silence after which a connection is taken for dead: the server says something each second.
+const SILENCE: Duration = Duration::from_secs(4);
+/// Time in which a frame has to go out.
+const STUCK: Duration = Duration::from_secs(10);
 
 /// Send frames into a room: a folder of JPEG files, a file of H.264, or whatever ffmpeg reads H.264 from
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct PublishArgs {
     /// Folder of JPEG files, which are sent in the order of their names, with the depth of a PNG of the same name if there is one; a stream of H.264 (.h264); or what `ffmpeg -i` takes, of which the
-    /// video is passed on as it is
+    /// video is passed on as it is, without B-frames, and the sound is left out
     #[arg(value_name = "FOLDER|FILE|URL")]
     source: String,
     /// The room's address; several, separated by commas, where nodes share it: a lost one is left for the next
@@ -54,126 +58,6 @@ pub(super) struct PublishArgs {
     /// Horizontal field of view of the camera in degrees
     #[arg(long, value_name = "DEG")]
     fov_x: Option<f64>,
-}
-
-/// What is sent of a frame.
-#[derive(Clone)]
-struct Frame {
-    data: Bytes,
-    key: bool,
-    depth: Option<Bytes>,
-}
-
-/// Frames of a file, a folder or a program.
-enum Source {
-    /// Files of a folder, the next of them, and what depth maps beside them hold.
-    Folder(Vec<PathBuf>, usize, DepthKind),
-    /// Units that were read, and the next of them.
-    Units(Vec<Unit>, usize),
-    /// Units that come when they come.
-    Program(tokio::sync::mpsc::Receiver<anyhow::Result<Unit>>, Child),
-}
-
-impl Source {
-    /// # Errors
-    /// There is no such file, or no frame in it.
-    fn open(source: &str, depth: DepthKind) -> anyhow::Result<Self> {
-        let path = Path::new(source);
-        if path.is_dir() {
-            let mut files: Vec<PathBuf> = std::fs::read_dir(path)?.map(|e| e.map(|e| e.path())).collect::<Result<_, _>>()?;
-            files.retain(|f| f.extension().is_some_and(|e| e.eq_ignore_ascii_case("jpg") || e.eq_ignore_ascii_case("jpeg")));
-            files.sort();
-            if files.is_empty() {
-                bail!("{source} holds no JPEG file");
-            }
-            return Ok(Self::Folder(files, 0, depth));
-        }
-        if path.extension().is_some_and(|e| e == "h264" || e == "264") {
-            let mut splitter = Splitter::default();
-            let mut units = Vec::new();
-            for piece in std::fs::read(path).with_context(|| source.to_owned())?.chunks(1 << 16) {
-                units.extend(splitter.push(piece)?);
-            }
-            units.extend(splitter.finish());
-            return Ok(Self::Units(units, 0));
-        }
-        let mut command = Command::new("ffmpeg");
-        command.args(["-loglevel", "error", "-re", "-i", source, "-an", "-c:v", "copy", "-bsf:v", "h264_mp4toannexb", "-f", "h264", "-"]);
-        let mut child = command.stdin(Stdio::null()).stdout(Stdio::piped()).spawn().context("starting ffmpeg")?;
-        let mut out = child.stdout.take().context("ffmpeg has no output")?;
-        let (give, units) = tokio::sync::mpsc::channel(2);
-        std::thread::spawn(move || {
-            let (mut splitter, mut buffer) = (Splitter::default(), vec![0; 1 << 16]);
-            loop {
-                let read = std::io::Read::read(&mut out, &mut buffer);
-                let split = match read {
-                    Ok(0) => break,
-                    Ok(n) => splitter.push(&buffer[..n]).map_err(anyhow::Error::from),
-                    Err(error) => Err(error.into()),
-                };
-                let (units, failed) = match split {
-                    Ok(units) => (units, None),
-                    Err(error) => (Vec::new(), Some(error)),
-                };
-                for unit in units.into_iter().map(Ok).chain(failed.map(Err)) {
-                    let ends = unit.is_err();
-                    if give.blocking_send(unit).is_err() || ends {
-                        return;
-                    }
-                }
-            }
-            if let Some(unit) = splitter.finish() {
-                // nobody may want it any more
-                let _ = give.blocking_send(Ok(unit));
-            }
-        });
-        Ok(Self::Program(units, child))
-    }
-
-    /// The next frame; none at the end.
-    async fn next(&mut self) -> anyhow::Result<Option<Frame>> {
-        let unit = match self {
-            Self::Folder(files, at, kind) => {
-                let Some(file) = files.get(*at) else { return Ok(None) };
-                *at += 1;
-                let data = tokio::fs::read(file).await.with_context(|| file.display().to_string())?;
-                let map = file.with_extension("png");
-                let depth = map.is_file().then(|| measured(&map, *kind, &data)).transpose()?;
-                return Ok(Some(Frame { data: data.into(), key: true, depth }));
-            }
-            Self::Units(units, at) => {
-                *at += 1;
-                units.get(*at - 1).cloned()
-            }
-            Self::Program(units, _) => units.recv().await.transpose()?,
-        };
-        Ok(unit.map(|unit| Frame { data: unit.data.into(), key: unit.key, depth: None }))
-    }
-
-    fn begin_again(&mut self) {
-        if let Self::Folder(_, at, _) | Self::Units(_, at) = self {
-            *at = 0;
-        }
-    }
-}
-
-impl Drop for Source {
-    fn drop(&mut self) {
-        if let Self::Program(_, child) = self {
-            // it may have ended by itself
-            let _ = child.kill();
-            let _ = child.wait();
-        }
-    }
-}
-
-/// Packs the depth map that lies beside a frame.
-fn measured(file: &Path, kind: DepthKind, frame: &[u8]) -> anyhow::Result<Bytes> {
-    let name = || file.display().to_string();
-    let (width, height) = video::size(JPEG, frame)?;
-    let limits = tmpi_pipeline::photo::Limits::default();
-    let (map, _) = maps::from_map(&std::fs::read(file).with_context(name)?, kind, &limits, width, height).with_context(name)?;
-    Ok(depth::pack(&map)?.into())
 }
 
 /// What is said of a source, by its first frame.
@@ -207,7 +91,7 @@ async fn publishing(args: &PublishArgs) -> anyhow::Result<()> {
         pause: Duration::from_secs_f64(1.0 / args.rate),
         sent: Sent::default(),
     };
-    let (mut tries, mut addresses) = (0, Addresses::new(&args.room, args.token.as_deref()));
+    let (mut again, mut addresses) = (Again::default(), Addresses::new(&args.room, args.token.as_deref()));
     loop {
         let before = sender.sent.frames;
         let ended = match addresses.connect("publish").await {
@@ -218,21 +102,18 @@ async fn publishing(args: &PublishArgs) -> anyhow::Result<()> {
         };
         match ended {
             Ok(()) => break,
-            Err(End::Refused(error)) => return Err(error),
-            Err(End::Lost(error)) => {
-                tries = if sender.sent.frames > before { 1 } else { tries + 1 };
-                if tries > TRIES {
-                    return Err(error);
-                }
+            Err(end) => {
+                let error = again.after(end, before, sender.sent.frames, Instant::now())?;
                 eprintln!("tmpi live publish: {error:#}; again");
                 addresses.go_on();
                 // another node may be asked at once, but not all of them in turn without end
-                if !addresses.are_several() || tries > 1 {
+                if !addresses.are_several() || again.tries > 1 {
                     sleep(AGAIN).await;
                 }
             }
         }
     }
+    sender.sent.left_out += sender.source.left_out();
     let (seconds, Sent { frames, bytes, left_out }) = (start.elapsed().as_secs_f64(), sender.sent);
     result(&format!("{frames} frames in {seconds:.1} s, {left_out} left out, {:.0} kbit/s", bytes as f64 * 8e-3 / seconds))
 }
@@ -243,6 +124,34 @@ enum End {
     Refused(anyhow::Error),
     /// The connection has broken, or the server stops.
     Lost(anyhow::Error),
+    /// The room has a publisher, which may be this one before its link broke.
+    Taken(anyhow::Error),
+}
+
+/// How often it was tried again.
+#[derive(Default)]
+struct Again {
+    tries: u32,
+    /// Since when the room is taken.
+    taken: Option<Instant>,
+}
+
+impl Again {
+    /// Why it is to be tried again after a connection by which the count of frames went from `before` to `frames`.
+    ///
+    /// # Errors
+    /// It is not.
+    fn after(&mut self, end: End, before: u64, frames: u64, now: Instant) -> anyhow::Result<anyhow::Error> {
+        if frames > before {
+            *self = Self::default();
+        }
+        self.tries += 1;
+        match end {
+            End::Lost(error) if self.tries <= TRIES => Ok(error),
+            End::Taken(error) if frames > 0 && now - *self.taken.get_or_insert(now) < OWN_SEAT => Ok(error),
+            End::Refused(error) | End::Lost(error) | End::Taken(error) => Err(error),
+        }
+    }
 }
 
 #[derive(Clone, Copy, Default)]
@@ -264,37 +173,42 @@ struct Sender {
 impl Sender {
     /// Sends frames until there is none left.
     async fn send(&mut self, mut socket: Socket, hello: &Hello) -> Result<(), End> {
-        let lost = |e: tokio_tungstenite::tungstenite::Error| End::Lost(anyhow::Error::from(e).context("the connection broke"));
-        socket.send(Message::Binary(write(Kind::Hello(hello.clone())))).await.map_err(lost)?;
-        let live = matches!(self.source, Source::Program(..));
-        let (mut number, mut credit, mut waits_for_key) = (0u64, 0u32, true);
+        send(&mut socket, Kind::Hello(hello.clone())).await?;
+        let live = self.source.is_paced();
+        let (mut number, mut waits_for_key) = (0u64, true);
+        let mut heard = Heard { credit: 0, at: Instant::now() };
         while let Some(frame) = self.next.clone() {
             if !live {
-                listen(&mut socket, &mut credit, self.due, false).await?;
+                heard.listen(&mut socket, self.due, false).await?;
                 self.due = (self.due + self.pause).max(Instant::now().checked_sub(CATCH_UP).unwrap_or(self.due));
             }
-            if credit == 0 && (frame.key || !waits_for_key) {
-                listen(&mut socket, &mut credit, Instant::now() + PATIENCE, true).await?;
+            if heard.credit == 0 && (frame.key || !waits_for_key) {
+                heard.listen(&mut socket, Instant::now() + PATIENCE, true).await?;
             }
             // the newest wins: what there is no leave for is left out, and what refers to it
-            waits_for_key |= credit == 0;
-            if credit > 0 && (!waits_for_key || frame.key) {
-                (credit, waits_for_key) = (credit - 1, false);
+            waits_for_key |= heard.credit == 0;
+            if heard.credit > 0 && (!waits_for_key || frame.key) {
+                (heard.credit, waits_for_key) = (heard.credit - 1, false);
                 self.sent.bytes += frame.data.len() as u64;
                 let depth = frame.depth.map(|data| Kind::Depth(Depth { frame: number, data }));
                 let video = Kind::Video(Video { frame: number, time: micros(), key: frame.key, layer: 0, data: frame.data });
                 for kind in depth.into_iter().chain([video]) {
-                    socket.send(Message::Binary(write(kind))).await.map_err(lost)?;
+                    send(&mut socket, kind).await?;
                 }
                 number += 1;
                 self.sent.frames += 1;
             } else {
                 self.sent.left_out += 1;
             }
-            self.advance().await.map_err(End::Refused)?;
+            // what the server says is heard while a frame is waited for
+            tokio::select! {
+                biased;
+                advanced = self.advance() => advanced.map_err(End::Refused)?,
+                Err(end) = heard.until_lost(&mut socket) => return Err(end),
+            }
         }
         // what is under way comes back as credit; the source is at its end whatever becomes of the rest
-        let _ = listen(&mut socket, &mut credit, Instant::now() + PATIENCE, false).await;
+        let _ = heard.listen(&mut socket, Instant::now() + PATIENCE, false).await;
         let _ = socket.close(None).await;
         Ok(())
     }
@@ -310,26 +224,84 @@ impl Sender {
     }
 }
 
-/// Takes what the server says until then, or `or_credit` until it lets a frame be sent.
-async fn listen(socket: &mut Socket, credit: &mut u32, until: Instant, or_credit: bool) -> Result<(), End> {
-    loop {
-        let Ok(came) = timeout_at(until, socket.next()).await else { return Ok(()) };
-        let message = match came {
-            Some(Ok(Message::Binary(message))) => message,
-            Some(Ok(Message::Ping(_) | Message::Pong(_))) => continue,
-            Some(Err(error)) => return Err(End::Lost(anyhow::Error::from(error).context("the connection broke"))),
-            _ => return Err(End::Lost(anyhow::anyhow!("the server has closed the connection"))),
-        };
-        match read(message).map_err(|e| End::Refused(e.into()))? {
-            Kind::Credit(c) => *credit = credit.saturating_add(c.frames),
-            Kind::Bye(bye) => {
-                let error = anyhow::anyhow!("the server says: {}", bye.reason);
-                return Err(if bye.again { End::Lost(error) } else { End::Refused(error) });
+/// Sends a message.
+async fn send(socket: &mut Socket, kind: Kind) -> Result<(), End> {
+    match timeout(STUCK, socket.send(Message::Binary(write(kind)))).await {
+        Ok(sent) => sent.map_err(|e| End::Lost(anyhow::Error::from(e).context("the connection broke"))),
+        Err(_) => Err(End::Lost(anyhow::anyhow!("nothing could be sent for {} s", STUCK.as_secs()))),
+    }
+}
+
+/// What the server has said.
+struct Heard {
+    /// Frames that it lets be sent.
+    credit: u32,
+    /// When it said something last.
+    at: Instant,
+}
+
+impl Heard {
+    /// Takes what it says until then, or `or_credit` until it lets a frame be sent.
+    async fn listen(&mut self, socket: &mut Socket, until: Instant, or_credit: bool) -> Result<(), End> {
+        loop {
+            let Ok(came) = timeout_at(until.min(self.at + SILENCE), socket.next()).await else {
+                if self.at.elapsed() < SILENCE {
+                    return Ok(());
+                }
+                return Err(End::Lost(anyhow::anyhow!("the server has said nothing for {} s", SILENCE.as_secs())));
+            };
+            self.at = Instant::now();
+            let message = match came {
+                Some(Ok(Message::Binary(message))) => message,
+                Some(Ok(Message::Ping(_) | Message::Pong(_))) => continue,
+                Some(Err(error)) => return Err(End::Lost(anyhow::Error::from(error).context("the connection broke"))),
+                _ => return Err(End::Lost(anyhow::anyhow!("the server has closed the connection"))),
+            };
+            match read(message).map_err(|e| End::Refused(e.into()))? {
+                Kind::Credit(c) => self.credit = self.credit.saturating_add(c.frames),
+                Kind::Bye(bye) => {
+                    let error = anyhow::anyhow!("the server says: {}", bye.reason);
+                    return Err(match bye.again {
+                        true => End::Lost(error),
+                        false if bye.reason == TAKEN => End::Taken(error),
+                        false => End::Refused(error),
+                    });
+                }
+                _ => {}
             }
-            _ => {}
+            if or_credit && self.credit > 0 {
+                return Ok(());
+            }
         }
-        if or_credit && *credit > 0 {
-            return Ok(());
+    }
+
+    /// Takes what it says until the connection breaks.
+    async fn until_lost(&mut self, socket: &mut Socket) -> Result<(), End> {
+        loop {
+            self.listen(socket, Instant::now() + SILENCE, false).await?;
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_taken_room_is_final_at_first_and_waited_for_where_it_was_published_in() {
+        let (start, error) = (Instant::now(), || anyhow::anyhow!("why"));
+        let taken = |again: &mut Again, seconds: u64, frames| {
+            again.after(End::Taken(error()), frames, frames, start + Duration::from_secs(seconds)).is_ok()
+        };
+        assert!(!taken(&mut Again::default(), 0, 0));
+        let mut again = Again::default();
+        assert!(again.after(End::Lost(error()), 0, 7, start).is_ok());
+        assert!(taken(&mut again, 1, 7) && taken(&mut again, 15, 7) && !taken(&mut again, 16, 7));
+        // it published since
+        assert!(again.after(End::Lost(error()), 7, 9, start).is_ok() && taken(&mut again, 20, 9));
+        assert!(again.after(End::Refused(error()), 9, 9, start).is_err());
+        let mut again = Again::default();
+        assert!((0..TRIES).all(|_| again.after(End::Lost(error()), 9, 9, start).is_ok()));
+        assert!(again.after(End::Lost(error()), 9, 9, start).is_err());
     }
 }

@@ -10,6 +10,7 @@
 //! | `invite` | what pages ask of a room, and tokens for those who watch |
 //! | `routes` | the addresses, and the upgrade to web sockets |
 //! | `publisher`, `viewer` | one socket each |
+//! | `sound` | how much sound may come |
 //! | `room` | what sockets and threads of a room share |
 //! | `ring` | messages since the last key frame |
 //! | `gops` | the same as groups of pictures, for plain HTTP |
@@ -26,6 +27,7 @@ mod publisher;
 mod ring;
 mod room;
 pub(crate) mod routes;
+mod sound;
 mod viewer;
 mod worker;
 
@@ -40,6 +42,7 @@ pub use access::{Role, token};
 pub use async_nats::ServerAddr as NatsAddress;
 use axum::extract::ws::{Message, WebSocket};
 pub use nodes::Config as NodeConfig;
+pub(crate) use publisher::TAKEN;
 use tmpi_core::live::wire::Bye;
 use tmpi_core::live::wire::message::Kind;
 use tmpi_core::live::write;
@@ -52,9 +55,9 @@ use tokio_util::sync::CancellationToken;
 const ROOMS: usize = 16;
 /// Viewers of a room.
 const VIEWERS: usize = 1024;
-/// Time for the first message, and longest silence of a publisher.
+/// Time for the first message, and longest time for which a publisher publishes nothing.
 const SILENCE: Duration = Duration::from_secs(10);
-/// Pause between two messages of statistics, which also tell that the room lives.
+/// Pause between two messages of statistics, or two of credit for publishers, which also tell that the room lives.
 const HEARTBEAT: Duration = Duration::from_secs(1);
 /// Frames of a publisher that may be under way.
 const CREDIT: u32 = 2;
@@ -68,6 +71,8 @@ const SOUND_BYTES: usize = 16 << 10;
 const KEYS: Duration = Duration::from_secs(1);
 /// Frames in a row that cannot be decoded before the publisher is sent away.
 const BROKEN: u32 = 30;
+/// Panics in a row of what makes geometry before the publisher is sent away.
+const PANICS: u32 = 10;
 /// Bytes of a name.
 const NAME: usize = 64;
 /// Time that a room waits for its publisher to come back.

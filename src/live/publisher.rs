@@ -6,19 +6,20 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use axum::extract::ws::{Message, WebSocket};
 use bytes::Bytes;
 use tokio::sync::mpsc;
-use tokio::time::{Instant, sleep_until, timeout};
+use tokio::time::{Instant, MissedTickBehavior, interval, sleep_until, timeout_at};
 use tokio_util::sync::CancellationToken;
 
 use tmpi_core::live::wire::message::Kind;
 use tmpi_core::live::wire::{Bye, Credit, Depth, Hello, Video};
 use tmpi_core::live::{MAX_PIXELS, Model, VERSION, read, write};
-use tmpi_live::{Geometry, Settings, video};
+use tmpi_live::{Geometry, Settings, units, video};
 
 use super::nodes::Refused;
 use super::ring::What;
 use super::room::Room;
+use super::sound::Allowance;
 use super::worker::{Coded, Decoded, Worker};
-use super::{BROKEN, CREDIT, Config, FASTEST, FRAME_BYTES, Rooms, SILENCE, SOUND_BYTES, send_away};
+use super::{BROKEN, CREDIT, Config, FASTEST, FRAME_BYTES, HEARTBEAT, PANICS, Rooms, SILENCE, SOUND_BYTES, send_away};
 
 /// Sides of a frame.
 const SIDES: std::ops::RangeInclusive<u32> = 16..=4096;
@@ -36,7 +37,10 @@ pub async fn serve(mut socket: WebSocket, named: (&str, Arc<Room>), rooms: &Arc<
 }
 
 const STOPS: &str = "the server stops";
-const TAKEN: &str = "someone publishes in this room";
+/// Why a second publisher is sent away.
+pub(crate) const TAKEN: &str = "someone publishes in this room";
+const BIDIRECTIONAL: &str =
+    "the stream has B-frames, which are shown in another order than they come in; encode it without: ffmpeg -bf 0, or baseline profile";
 const UNKNOWN: &str = "another node had this room when the others were last heard";
 
 /// Publishes; ends without a reason where the publisher has gone by itself.
@@ -47,10 +51,11 @@ async fn session(
     stop: &CancellationToken,
 ) -> Result<(), String> {
     let (room, config) = (&room, &rooms.config);
-    let Some(first) = next(socket).await? else { return Ok(()) };
+    let Some(first) = next(socket, Instant::now() + SILENCE).await? else { return Ok(()) };
     let Kind::Hello(hello) = first else { return Err("the first message is HELLO".into()) };
     let (settings, hello) = checked(hello, config)?;
     let size = (hello.width, hello.height);
+    let h264 = hello.codec.starts_with("avc1.");
     let decoder = video::decoder(&hello.codec, size).map_err(|e| e.to_string())?;
     let clock = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_micros() as u64);
     let floor = room.take().ok_or(TAKEN)?;
@@ -67,15 +72,19 @@ async fn session(
         claim.forward(room);
         claim
     });
-    let geometry = Geometry::new(config.models.clone(), settings);
+    let models = config.models.clone();
+    let geometry = move || Geometry::new(models.clone(), settings.clone());
     let (done, mut decoded) = mpsc::channel(16);
     let worker = Worker::start((Arc::clone(room), epoch), decoder, geometry, done).map_err(|e| format!("starting a thread: {e}"))?;
     let mut frames = Frames { next: None, allowed: 0, due: Instant::now(), broken: 0 };
-    let mut depth = None;
+    let (mut depth, mut sounds) = (None, Allowance::new(Instant::now()));
+    let mut heartbeat = interval(HEARTBEAT);
+    heartbeat.set_missed_tick_behavior(MissedTickBehavior::Delay);
     frames.credit(socket, CREDIT, false).await?;
+    let mut silent = Instant::now() + SILENCE;
     loop {
         let message = tokio::select! {
-            message = next(socket) => message?,
+            message = next(socket, silent) => message?,
             outcome = decoded.recv() => {
                 frames.decoded(socket, outcome.ok_or("decoding has ended")?).await?;
                 continue;
@@ -84,16 +93,27 @@ async fn session(
                 frames.credit(socket, 0, true).await?;
                 continue;
             }
+            // a publisher that hears nothing knows that its link is dead
+            _ = heartbeat.tick() => {
+                frames.credit(socket, 0, false).await?;
+                continue;
+            }
             () = evicted.cancelled() => return Err(TAKEN.into()),
             () = stop.cancelled() => return Err(STOPS.into()),
         };
+        let came = Instant::now();
+        silent = came + SILENCE;
         match message {
             None | Some(Kind::Bye(_)) => return Ok(()),
             Some(Kind::Video(video)) => {
                 frames.check(&video)?;
+                if h264 && units::is_bidirectional(&video.data) {
+                    return Err(BIDIRECTIONAL.into());
+                }
                 let (frame, data) = (video.frame, video.data.clone());
                 let what = if video.key { What::Key } else { What::Frame { layer: video.layer } };
                 room.push(epoch, what, write(Kind::Video(video)));
+                room.count(|s| s.forward_ms = came.elapsed().as_secs_f64() * 1e3);
                 if !worker.take(Coded { frame, data, depth: depth.take(), at: std::time::Instant::now() }) {
                     return Err("more frames came than can be decoded".into());
                 }
@@ -102,7 +122,10 @@ async fn session(
                 frames.check_depth(&measured, depth.is_some())?;
                 depth = Some(measured.data);
             }
-            Some(Kind::Sound(sound)) if sound.data.len() <= SOUND_BYTES => room.push(epoch, What::Sound, write(Kind::Sound(sound))),
+            Some(Kind::Sound(sound)) if sound.data.len() <= SOUND_BYTES => {
+                sounds.take(sound.data.len(), came)?;
+                room.push(epoch, What::Sound, write(Kind::Sound(sound)));
+            }
             Some(_) => return Err("a message that publishers do not send".into()),
         }
     }
@@ -117,10 +140,10 @@ impl Drop for Seat<'_> {
     }
 }
 
-/// The next message; none where the publisher has gone.
-async fn next(socket: &mut WebSocket) -> Result<Option<Kind>, String> {
+/// The next message; none where the publisher has gone. Pings are none: who sends nothing else publishes nothing.
+async fn next(socket: &mut WebSocket, until: Instant) -> Result<Option<Kind>, String> {
     loop {
-        let came = timeout(SILENCE, socket.recv()).await.map_err(|_| format!("nothing came for {} s", SILENCE.as_secs()))?;
+        let came = timeout_at(until, socket.recv()).await.map_err(|_| format!("nothing came for {} s", SILENCE.as_secs()))?;
         return match came {
             Some(Ok(Message::Binary(bytes))) => read(bytes).map(Some).map_err(|e| e.to_string()),
             Some(Ok(Message::Ping(_) | Message::Pong(_))) => continue,
@@ -198,6 +221,9 @@ impl Frames {
     }
 
     async fn decoded(&mut self, socket: &mut WebSocket, outcome: Decoded) -> Result<(), String> {
+        if outcome == Decoded::Panics {
+            return Err(format!("geometry failed {PANICS} times in a row"));
+        }
         self.broken = if outcome == Decoded::Broken { self.broken + 1 } else { 0 };
         if self.broken >= BROKEN {
             return Err(format!("{BROKEN} frames in a row cannot be decoded"));

@@ -2,6 +2,7 @@
 //!
 //! Between them is a place for one frame, not a queue: what is replaced there was shown with the geometry before it.
 
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::thread;
@@ -17,6 +18,7 @@ use tmpi_core::{DisparityMap, Photo};
 use tmpi_live::video::Decoder;
 use tmpi_live::{Frame, Geometry, depth};
 
+use super::PANICS;
 use super::ring::What;
 use super::room::{Room, Still};
 
@@ -42,6 +44,8 @@ pub enum Decoded {
     Picture,
     /// It was not: it is damaged, or what it refers to was.
     Broken,
+    /// Whichever it was: what makes geometry panics again and again.
+    Panics,
 }
 
 /// A room's threads; they end when this is dropped.
@@ -63,20 +67,27 @@ struct Waiting {
 }
 
 impl Worker {
-    /// Starts the threads for the publisher of `epoch`; `done` is told of each frame in order.
+    /// Starts the threads for the publisher of `epoch`, with a driver of geometry as `geometry` makes it, which makes another where one panics; `done` is told of each frame in order.
     ///
     /// # Errors
     /// The system starts no thread.
     pub fn start(
         (room, epoch): (Arc<Room>, u64),
         mut decoder: Box<dyn Decoder>,
-        geometry: Geometry,
+        geometry: impl Fn() -> Geometry + Send + 'static,
         done: mpsc::Sender<Decoded>,
     ) -> std::io::Result<Self> {
         let (frames, coded): (_, Receiver<Coded>) = sync_channel(WAITING);
         let slot = Arc::new(Slot::default());
         let (to, from, counted) = (Arc::clone(&slot), slot, Arc::clone(&room));
-        thread::Builder::new().name("tmpi-geometry".into()).spawn(move || geometries((&room, epoch), geometry, &from))?;
+        let panics = done.clone();
+        thread::Builder::new().name("tmpi-geometry".into()).spawn(move || {
+            geometries((&room, epoch), &geometry, &from);
+            if !from.ended() {
+                // who has gone need not be told
+                let _ = panics.blocking_send(Decoded::Panics);
+            }
+        })?;
         thread::Builder::new().name("tmpi-video".into()).spawn(move || {
             // the other thread ends with this one, however it ends
             let to = Filler(to);
@@ -130,6 +141,10 @@ impl Slot {
         self.filled.notify_one();
     }
 
+    fn ended(&self) -> bool {
+        self.frame.lock().unwrap_or_else(PoisonError::into_inner).ended
+    }
+
     fn next(&self) -> Option<(Frame, Instant)> {
         let waiting = self.frame.lock().unwrap_or_else(PoisonError::into_inner);
         let mut waiting = self.filled.wait_while(waiting, |w| w.frame.is_none() && !w.ended).unwrap_or_else(PoisonError::into_inner);
@@ -144,27 +159,45 @@ fn decoded(decoder: &mut dyn Decoder, data: &[u8], packed: Option<&[u8]>) -> Res
     Ok(Some((photo, depth)))
 }
 
-/// Makes the geometry of frame after frame.
-fn geometries((room, epoch): (&Room, u64), mut driver: Geometry, slot: &Slot) {
+/// Makes the geometry of frame after frame, until there is none left or too many in a row panic.
+fn geometries(place: (&Room, u64), make: &impl Fn() -> Geometry, slot: &Slot) {
+    let (mut driver, mut panics) = (make(), 0);
     while let Some((frame, at)) = slot.next() {
-        let update = match driver.next(&frame) {
-            Ok(update) => update,
-            Err(error) => {
-                tracing::warn!(%error, frame = frame.number, "geometry of a frame");
-                continue;
-            }
-        };
-        let Some(geometry) = driver.geometry() else { continue };
-        let tiles = geometry.tiles.len() as u64;
-        let ms = at.elapsed().as_secs_f64() * 1e3;
-        // the tiles are there before anyone is told: who joins now gets them all
-        room.keep(epoch, Still::new(frame.number, frame.photo, geometry.clone()), |s| {
-            s.tiles += tiles;
-            s.tiles_left_out += tiles - update.sent.len() as u64;
-            s.geometry_ms = ms;
-        });
-        if !update.chunks.is_empty() {
-            room.push(epoch, What::Geometry, write(Kind::Geometry(wire::Geometry { frame: frame.number, chunks: update.chunks })));
+        let number = frame.number;
+        if catch_unwind(AssertUnwindSafe(|| made(place, &mut driver, frame, at))).is_ok() {
+            panics = 0;
+            continue;
         }
+        panics += 1;
+        tracing::error!(frame = number, panics, "the geometry of a frame panicked");
+        place.0.count(|s| s.frames_without_geometry += 1);
+        if panics >= PANICS {
+            return;
+        }
+        // what it knew may be half of something; a new one tells all tiles
+        driver = make();
+    }
+}
+
+/// Makes the geometry of a frame and hands it on.
+fn made((room, epoch): (&Room, u64), driver: &mut Geometry, frame: Frame, at: Instant) {
+    let update = match driver.next(&frame) {
+        Ok(update) => update,
+        Err(error) => {
+            tracing::warn!(%error, frame = frame.number, "geometry of a frame");
+            return;
+        }
+    };
+    let Some(geometry) = driver.geometry() else { return };
+    let tiles = geometry.tiles.len() as u64;
+    let ms = at.elapsed().as_secs_f64() * 1e3;
+    // the tiles are there before anyone is told: who joins now gets them all
+    room.keep(epoch, Still::new(frame.number, frame.photo, geometry.clone()), |s| {
+        s.tiles += tiles;
+        s.tiles_left_out += tiles - update.sent.len() as u64;
+        s.geometry_ms = ms;
+    });
+    if !update.chunks.is_empty() {
+        room.push(epoch, What::Geometry, write(Kind::Geometry(wire::Geometry { frame: frame.number, chunks: update.chunks })));
     }
 }

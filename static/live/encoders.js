@@ -1,9 +1,12 @@
 // What makes video of frames: the browser's encoders, or JPEG files where it has none.
 
+import { pictureOf } from './frames.js';
 import { JPEG } from './pictures.js';
 
+/** @import { Frame } from './frames.js' */
+
 /** @typedef {{time: number, key: boolean, data: Uint8Array<ArrayBuffer>}} Coded a frame as it is sent; time in µs */
-/** @typedef {{codec: string, busy: number, encode: (frame: VideoFrame, time: number, key: boolean) => void, close: () => void}} Encoder `busy`: frames under way; `encode` closes the frame */
+/** @typedef {{codec: string, busy: number, encode: (frame: Frame, time: number, key: boolean) => void, close: () => void}} Encoder `busy`: frames under way; `encode` closes the frame */
 
 /** Codecs in the order in which they are tried; the server refuses those that it cannot decode. */
 const CODECS = [
@@ -73,12 +76,12 @@ class Browser {
   }
 
   /**
-   * @param {VideoFrame} frame
+   * @param {Frame} frame
    * @param {number} time
    * @param {boolean} key
    */
   encode(frame, time, key) {
-    const timed = new VideoFrame(frame, { timestamp: time });
+    const timed = new VideoFrame(pictureOf(frame), { timestamp: time });
     frame.close();
     this.#under.push(time);
     this.#encoder.encode(timed, { keyFrame: key });
@@ -109,14 +112,14 @@ class Jpeg {
   }
 
   /**
-   * @param {VideoFrame} frame
+   * @param {Frame} frame
    * @param {number} time
    */
   async encode(frame, time) {
     this.busy++;
     try {
       this.#canvas ??= new OffscreenCanvas(frame.displayWidth, frame.displayHeight);
-      this.#canvas.getContext('2d')?.drawImage(frame, 0, 0, this.#canvas.width, this.#canvas.height);
+      this.#canvas.getContext('2d')?.drawImage(pictureOf(frame), 0, 0, this.#canvas.width, this.#canvas.height);
       frame.close();
       const file = await this.#canvas.convertToBlob({ type: 'image/jpeg', quality: QUALITY });
       if (!this.#closed) this.#done({ time, key: true, data: new Uint8Array(await file.arrayBuffer()) });

@@ -1,10 +1,13 @@
 // Frames of a camera as they come: by a track processor where the browser has one, else from the preview.
 
+/** @typedef {{preview: HTMLVideoElement, displayWidth: number, displayHeight: number, close: () => void}} Shown what the preview shows now, where the browser knows no `VideoFrame` */
+/** @typedef {VideoFrame | Shown} Frame */
+
 /**
  * Hands every frame to `take`, which closes it, until stopped.
  * @param {MediaStreamTrack} track
  * @param {HTMLVideoElement} preview that shows the track
- * @param {(frame: VideoFrame) => void} take
+ * @param {(frame: Frame) => void} take
  * @returns {() => void} stops
  */
 export function eachFrame(track, preview, take) {
@@ -13,8 +16,17 @@ export function eachFrame(track, preview, take) {
 }
 
 /**
+ * What is drawn of a frame.
+ * @param {Frame} frame
+ * @returns {CanvasImageSource}
+ */
+export function pictureOf(frame) {
+  return 'preview' in frame ? frame.preview : frame;
+}
+
+/**
  * @param {{readable: ReadableStream<VideoFrame>}} processor
- * @param {(frame: VideoFrame) => void} take
+ * @param {(frame: Frame) => void} take
  */
 function processed({ readable }, take) {
   const reader = readable.getReader();
@@ -37,13 +49,22 @@ function processed({ readable }, take) {
 
 /**
  * @param {HTMLVideoElement} preview
- * @param {(frame: VideoFrame) => void} take
+ * @returns {Frame}
+ */
+function shown(preview) {
+  if (globalThis.VideoFrame) return new VideoFrame(preview, { timestamp: Math.round(performance.now() * 1000) });
+  return { preview, displayWidth: preview.videoWidth, displayHeight: preview.videoHeight, close: () => {} };
+}
+
+/**
+ * @param {HTMLVideoElement} preview
+ * @param {(frame: Frame) => void} take
  */
 function previewed(preview, take) {
   let stopped = false;
   const next = () => {
     if (stopped) return;
-    if (preview.videoWidth) take(new VideoFrame(preview, { timestamp: Math.round(performance.now() * 1000) }));
+    if (preview.videoWidth) take(shown(preview));
     preview.requestVideoFrameCallback(next);
   };
   preview.requestVideoFrameCallback(next);

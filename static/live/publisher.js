@@ -7,6 +7,7 @@ import { eachFrame } from './frames.js';
 import { eachPacket, SOUND } from './microphone.js';
 
 /** @import { Coded, Encoder } from './encoders.js' */
+/** @import { Frame } from './frames.js' */
 
 /** @typedef {'connecting' | 'live' | 'again' | 'ended'} State `again`: the connection broke and is tried again; `ended` with a reason, or without one where it was stopped */
 
@@ -16,6 +17,8 @@ const GROUP = 60;
 const PAUSES_MS = [300, 700, 1500, 3000];
 /** Bytes that may wait in the socket: beyond, the network is the bottleneck and frames are left out. */
 const MOST_WAITING = 256 << 10;
+/** Silence after which a connection is taken for dead: the server says something each second, ms. */
+const SILENCE_MS = 4000;
 /** What the server says to a codec that it has no decoder for, and where the room is taken. */
 const NO_DECODER = /no decoder for the codec/;
 const TAKEN = /someone publishes in this room/;
@@ -47,6 +50,8 @@ export class Publisher {
   #wasLive = false;
   /** @type {ReturnType<typeof setTimeout> | undefined} */
   #timer;
+  /** @type {ReturnType<typeof setTimeout> | undefined} */
+  #silence;
   /** Frames and bytes sent, and frames left out, since the start. */
   counts = { frames: 0, bytes: 0, leftOut: 0, sound: 0 };
 
@@ -101,6 +106,7 @@ export class Publisher {
   }
 
   #disconnect() {
+    clearTimeout(this.#silence);
     this.#encoder?.close();
     this.#encoder = null;
     if (!this.#socket) return;
@@ -109,7 +115,7 @@ export class Publisher {
     this.#socket = null;
   }
 
-  /** @param {VideoFrame} frame */
+  /** @param {Frame} frame */
   #take(frame) {
     const { displayWidth: width, displayHeight: height } = frame;
     if (width !== this.#size.width || height !== this.#size.height) {
@@ -152,8 +158,18 @@ export class Publisher {
         },
       );
     };
-    socket.onmessage = ({ data }) => this.#hear(new Uint8Array(data));
+    this.#listen();
+    socket.onmessage = ({ data }) => {
+      this.#listen();
+      this.#hear(new Uint8Array(data));
+    };
     socket.onclose = () => this.#again();
+  }
+
+  /** A link that is dead says nothing of it. */
+  #listen() {
+    clearTimeout(this.#silence);
+    this.#silence = setTimeout(() => this.#again(), SILENCE_MS);
   }
 
   /** @param {Uint8Array} bytes */

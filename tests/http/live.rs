@@ -83,7 +83,12 @@ impl Client {
         Self::at(addr, &format!("/v1/live/{room}/subscribe"), &[]).unwrap_or_else(|status| panic!("{status}"))
     }
 
-    fn send(&mut self, kind: Kind) {
+    /// The socket itself.
+    pub const fn raw(&mut self) -> &mut WebSocket<TcpStream> {
+        &mut self.0
+    }
+
+    pub fn send(&mut self, kind: Kind) {
         // who is sent away while it talks learns of it by what it reads
         let _ = self.0.send(Message::Binary(write(kind)));
     }
@@ -136,6 +141,11 @@ impl Publisher {
             }
         }
         self.credit -= 1;
+        self.frame(data);
+    }
+
+    /// Sends a frame whose credit is the caller's to count.
+    pub fn frame(&mut self, data: Vec<u8>) {
         self.client.send(Kind::Video(Video { frame: self.number, time: self.number, key: true, layer: 0, data: data.into() }));
         self.number += 1;
     }

@@ -17,6 +17,7 @@ mod events;
 mod fair;
 mod limits;
 mod live;
+mod live_faults;
 mod matrix;
 mod measure;
 mod migrate;

@@ -80,6 +80,33 @@ pub fn codec(unit: &[u8]) -> Option<String> {
     Some(format!("avc1.{profile:02x}{constraints:02x}{level:02x}"))
 }
 
+/// Whether a unit has a slice that refers to later pictures, too (a B slice): it is not shown in the order in which it comes.
+#[must_use]
+pub fn is_bidirectional(unit: &[u8]) -> bool {
+    let nals = unit.windows(4).enumerate().filter(|(_, w)| w[..3] == [0, 0, 1] && matches!(w[3] & 31, SLICE | KEY));
+    nals.filter_map(|(at, _)| unit.get(at + 4..)).any(|slice| matches!(slice_type(slice), Some(1 | 6)))
+}
+
+/// Type of a slice by its header (ITU-T H.264, 7.3.3).
+fn slice_type(slice: &[u8]) -> Option<u32> {
+    // two numbers of 33 bits at most, and what keeps start codes out
+    let (mut head, mut zeros) = (Vec::with_capacity(16), 0);
+    for &byte in slice.iter().take(16) {
+        if byte != 3 || zeros < 2 {
+            head.push(byte);
+        }
+        zeros = if byte == 0 { zeros + 1 } else { 0 };
+    }
+    let mut bits = head.iter().flat_map(|byte| (0..8).rev().map(move |i| u32::from(byte >> i & 1)));
+    let mut number = || {
+        let zeros = bits.by_ref().take_while(|&bit| bit == 0).count();
+        let value = (0..zeros.min(33)).try_fold(1u64, |value, _| Some(value << 1 | u64::from(bits.next()?)))?;
+        u32::try_from(value - 1).ok()
+    };
+    let _first_block = number()?;
+    number()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -124,5 +151,22 @@ mod tests {
         assert_eq!(splitter.push(&[7]), Err(NoUnits));
         assert_eq!(codec(&pictures()[0]).unwrap(), "avc1.420707");
         assert_eq!(codec(&pictures()[1]), None);
+    }
+
+    #[test]
+    fn b_slices_are_noticed_in_any_slice_of_a_unit_and_others_are_none() {
+        assert!(pictures().iter().all(|unit| !is_bidirectional(unit)));
+        let unit = |slices: &[&[u8]]| slices.iter().flat_map(|s| [&[0, 0, 1, 0x41][..], s].concat()).collect::<Vec<u8>>();
+        // first block 0; types 1 and 6 are B, 0 and 5 P, 2 and 7 I
+        for (head, is) in [(0xA0, true), (0x9E, true), (0xC0, false), (0x9A, false), (0xB0, false), (0x88, false)] {
+            assert_eq!(is_bidirectional(&unit(&[&[head, 7, 7]])), is, "{head:#x}");
+        }
+        assert!(is_bidirectional(&unit(&[&[0x9A, 7], &[0x49, 0x7F, 7]])), "first block 1, type 1, in the second slice");
+        // first block 65 535: sixteen zeros, a one, sixteen zeros, with a byte 3 behind each two of zero; then type 1
+        assert!(is_bidirectional(&unit(&[&[0, 0, 3, 0x80, 0, 0x28]])));
+        assert!(!is_bidirectional(&unit(&[&[0, 0, 3, 0x80, 0, 0x4C]])));
+        for cut in [&[][..], &[0], &[0; 16], &[0, 0, 3, 0, 0, 3]] {
+            assert!(!is_bidirectional(&unit(&[cut])));
+        }
     }
 }

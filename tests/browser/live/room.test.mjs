@@ -89,8 +89,8 @@ describe('a room', () => {
   test('without either it is plain video; without an encoder the camera sends pictures', async (t) => {
     const prepare = (page) =>
       page.addInitScript(() => {
-        delete window.VideoEncoder;
-        delete window.MediaStreamTrackProcessor;
+        // none of WebCodecs
+        for (const name of ['VideoEncoder', 'VideoDecoder', 'VideoFrame', 'EncodedVideoChunk', 'MediaStreamTrackProcessor']) delete window[name];
       });
     const publisher = await suite.publish('garden', { prepare });
     assert.equal(await publisher.page.evaluate(() => window.publisher.codec), 'jpeg');

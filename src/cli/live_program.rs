@@ -1,0 +1,260 @@
+//! A program whose H.264 `tmpi live publish` passes on.
+
+use std::collections::VecDeque;
+use std::io::{BufRead as _, BufReader, Read as _};
+use std::process::{Child, ChildStdout, Command, Stdio};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::thread::JoinHandle;
+
+use anyhow::{Context as _, bail};
+use tokio::sync::Notify;
+
+use tmpi_live::units::{Splitter, Unit};
+
+/// Units that wait to be sent; of a live source older ones are then left out.
+const WAITING: usize = 4;
+/// What addresses of sources begin with that go on whether anyone reads them or not, and whether these keep their own pace.
+const LIVE: [(&str, bool); 10] = [
+    ("rtsp://", true),
+    ("rtsps://", true),
+    ("rtmp://", true),
+    ("rtmps://", true),
+    ("srt://", true),
+    ("rtp://", true),
+    ("udp://", true),
+    ("/dev/", true),
+    // it may be a file
+    ("http://", false),
+    ("https://", false),
+];
+
+/// Whether a source goes on whether anyone reads it or not.
+pub(super) fn is_live(source: &str) -> bool {
+    LIVE.iter().any(|(start, _)| source.starts_with(start))
+}
+
+/// Reads the video of a source as it is.
+pub(super) fn ffmpeg(source: &str) -> Command {
+    let mut command = Command::new("ffmpeg");
+    command.args(["-loglevel", "error"]);
+    if !LIVE.iter().any(|&(start, paced)| paced && source.starts_with(start)) {
+        command.arg("-re");
+    }
+    command.args(["-i", source, "-an", "-c:v", "copy", "-bsf:v", "h264_mp4toannexb", "-f", "h264", "-"]);
+    command
+}
+
+/// A program that runs.
+pub(super) struct Program {
+    child: Child,
+    name: String,
+    units: Arc<Units>,
+    /// Gives the last line that it complained with.
+    complaints: Option<JoinHandle<String>>,
+}
+
+/// Units between the thread that reads them and who sends them.
+#[derive(Default)]
+struct Units {
+    queue: Mutex<Queue>,
+    /// For who sends.
+    filled: Notify,
+    /// For who reads, where nothing may be left out.
+    emptied: Condvar,
+}
+
+#[derive(Default)]
+struct Queue {
+    units: VecDeque<Unit>,
+    /// Something was left out to which the next units may refer.
+    waits_for_key: bool,
+    left_out: u64,
+    /// There is no more, or nobody wants any.
+    end: Option<anyhow::Result<()>>,
+}
+
+impl Queue {
+    /// Takes a unit of a live source: where too many wait the newest wins, but only a key frame can follow what is left out.
+    fn push_newest(&mut self, unit: Unit) {
+        if self.units.len() >= WAITING {
+            self.left_out += self.units.len() as u64;
+            self.units.clear();
+            self.waits_for_key = true;
+        }
+        self.waits_for_key &= !unit.key;
+        if self.waits_for_key {
+            self.left_out += 1;
+        } else {
+            self.units.push_back(unit);
+        }
+    }
+}
+
+impl Units {
+    fn lock(&self) -> MutexGuard<'_, Queue> {
+        self.queue.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Takes a unit; false where nobody wants any.
+    fn push(&self, unit: Unit, live: bool) -> bool {
+        let mut queue = self.lock();
+        if live {
+            queue.push_newest(unit);
+        } else {
+            let full = |q: &mut Queue| q.units.len() >= WAITING && q.end.is_none();
+            queue = self.emptied.wait_while(queue, full).unwrap_or_else(PoisonError::into_inner);
+            queue.units.push_back(unit);
+        }
+        self.filled.notify_one();
+        queue.end.is_none()
+    }
+
+    fn end(&self, end: anyhow::Result<()>) {
+        self.lock().end.get_or_insert(end);
+        self.filled.notify_one();
+        self.emptied.notify_one();
+    }
+
+    /// The next unit; none at the end.
+    async fn next(&self) -> anyhow::Result<Option<Unit>> {
+        loop {
+            {
+                let mut queue = self.lock();
+                if let Some(unit) = queue.units.pop_front() {
+                    self.emptied.notify_one();
+                    return Ok(Some(unit));
+                }
+                if let Some(end) = &mut queue.end {
+                    return std::mem::replace(end, Ok(())).map(|()| None);
+                }
+            }
+            self.filled.notified().await;
+        }
+    }
+}
+
+impl Program {
+    /// Starts it; of one that is `live`, units are left out that are not taken in time.
+    ///
+    /// # Errors
+    /// It cannot be started.
+    pub(super) fn start(command: &mut Command, live: bool) -> anyhow::Result<Self> {
+        let name = command.get_program().to_string_lossy().into_owned();
+        let piped = command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+        let mut child = piped.spawn().with_context(|| format!("starting {name}"))?;
+        let out = child.stdout.take().context("a program without output")?;
+        let complaints = child.stderr.take().map(|lines| {
+            std::thread::spawn(move || {
+                let mut last = String::new();
+                // what is no text is no reason to stop reading: the program would wait for ever
+                for line in BufReader::new(lines).split(b'\n').map_while(Result::ok) {
+                    let line = String::from_utf8_lossy(&line).trim().to_owned();
+                    eprintln!("{line}");
+                    last = if line.is_empty() { last } else { line };
+                }
+                last
+            })
+        });
+        let units = Arc::new(Units::default());
+        let to = Arc::clone(&units);
+        std::thread::spawn(move || to.end(read(out, &to, live)));
+        Ok(Self { child, name, units, complaints })
+    }
+
+    /// The next unit; none at the end.
+    ///
+    /// # Errors
+    /// The program has failed, or gives no H.264.
+    pub(super) async fn next(&mut self) -> anyhow::Result<Option<Unit>> {
+        let unit = self.units.next().await?;
+        if unit.is_none() {
+            // its output is at its end, so it ends
+            let status = self.child.wait()?;
+            let last = self.complaints.take().and_then(|lines| lines.join().ok()).unwrap_or_default();
+            if !status.success() {
+                bail!("{} has failed ({status}): {last}", self.name);
+            }
+        }
+        Ok(unit)
+    }
+
+    /// Units that were left out as newer ones came.
+    pub(super) fn left_out(&self) -> u64 {
+        self.units.lock().left_out
+    }
+}
+
+/// Reads units until there is none left, or nobody wants any.
+fn read(mut out: ChildStdout, to: &Units, live: bool) -> anyhow::Result<()> {
+    let (mut splitter, mut buffer) = (Splitter::default(), vec![0; 1 << 16]);
+    loop {
+        let n = out.read(&mut buffer)?;
+        if n == 0 {
+            break;
+        }
+        for unit in splitter.push(&buffer[..n])? {
+            if !to.push(unit, live) {
+                return Ok(());
+            }
+        }
+    }
+    if let Some(unit) = splitter.finish() {
+        to.push(unit, live);
+    }
+    Ok(())
+}
+
+impl Drop for Program {
+    fn drop(&mut self) {
+        self.units.end(Ok(()));
+        // it may have ended by itself
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn unit(n: u8, key: bool) -> Unit {
+        Unit { data: vec![n], key }
+    }
+
+    #[test]
+    fn of_a_live_source_the_newest_wins_but_nothing_follows_what_was_left_out_before_a_key_frame() {
+        let mut queue = Queue::default();
+        let waiting = |queue: &Queue| queue.units.iter().map(|u| u.data[0]).collect::<Vec<_>>();
+        (0..4).for_each(|n| queue.push_newest(unit(n, n == 0)));
+        assert_eq!((waiting(&queue), queue.left_out), (vec![0, 1, 2, 3], 0), "so many may wait");
+        queue.push_newest(unit(4, false));
+        queue.push_newest(unit(5, false));
+        assert_eq!((waiting(&queue), queue.left_out), (vec![], 6));
+        (6..10).for_each(|n| queue.push_newest(unit(n, n == 6)));
+        assert_eq!((waiting(&queue), queue.left_out), (vec![6, 7, 8, 9], 6));
+        queue.push_newest(unit(10, true));
+        assert_eq!((waiting(&queue), queue.left_out), (vec![10], 10));
+    }
+
+    #[test]
+    fn live_sources_are_told_from_files_and_only_what_has_no_pace_of_its_own_is_given_one() {
+        let paced = |source: &str| ffmpeg(source).get_args().any(|a| a == "-re");
+        assert!(is_live("rtsp://camera/1") && !paced("rtsp://camera/1"));
+        assert!(is_live("http://camera/1") && paced("http://camera/1"));
+        assert!(!is_live("film.mp4") && paced("film.mp4"));
+    }
+
+    #[cfg(unix)]
+    #[tokio::test]
+    async fn a_program_that_fails_is_an_error_with_its_last_words_after_its_last_frame() {
+        let run = |script: &str| Program::start(Command::new("sh").args(["-c", script]), false).unwrap();
+        let key = r"printf '\000\000\001\145\210\007\007'";
+        let mut failing = run(&format!("{key}; echo first >&2; echo no route to the camera >&2; exit 3"));
+        assert!(failing.next().await.unwrap().is_some_and(|u| u.key));
+        let error = failing.next().await.unwrap_err().to_string();
+        assert!(error.contains("no route to the camera") && error.contains('3'), "{error}");
+        let mut good = run(key);
+        assert!(good.next().await.unwrap().is_some());
+        assert!(good.next().await.unwrap().is_none());
+    }
+}

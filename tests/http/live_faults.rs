@@ -1,0 +1,103 @@
+//! Rooms whose publishers or drivers of geometry do what they should not.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
+use std::time::{Duration, Instant};
+
+use tempfile::tempdir;
+use tmpi::live::{Config as RoomConfig, Rooms};
+use tmpi_core::live::wire::message::Kind;
+use tmpi_core::live::wire::{Hello, Sound, Video};
+use tmpi_core::live::{Model, VERSION};
+use tmpi_core::{DisparityMap, Photo};
+use tmpi_pipeline::Models;
+use tmpi_pipeline::depth::{DepthError, Estimator};
+use tokio_tungstenite::tungstenite::Message;
+
+use super::live::{Bright, Client, Publisher, frame, server_with};
+
+/// Panics so many times, then is as [`Bright`].
+struct Panics(AtomicU32);
+
+impl Estimator for Panics {
+    fn name(&self) -> &'static str {
+        "panics"
+    }
+
+    fn estimate(&self, photo: &Photo) -> Result<DisparityMap, DepthError> {
+        assert!(self.0.fetch_update(Relaxed, Relaxed, |left| left.checked_sub(1)).is_err(), "as planned");
+        Bright.estimate(photo)
+    }
+}
+
+fn rooms(panics: u32) -> Rooms {
+    let depth = Arc::new(Panics(AtomicU32::new(panics)));
+    Rooms::new(RoomConfig { models: Models { depth, theta: None, psi: None }, frame_ms: 0.0, key: None })
+}
+
+#[test]
+fn geometry_goes_on_after_a_panic_and_one_that_always_panics_ends_the_room_with_a_reason() {
+    let dir = tempdir().unwrap();
+    let server = server_with(dir.path(), |_| rooms(2));
+    let mut publisher = Publisher::new(server.addr, "attic");
+    publisher.publish(frame(10));
+    let mut viewer = Client::watch(server.addr, "attic");
+    let mut model = None::<Model>;
+    let (mut n, mut without) = (0, 0);
+    while without < 2 || model.as_ref().is_none_or(|m| m.geometry().is_none()) {
+        n += 1;
+        assert!(n < 300, "no geometry came");
+        publisher.publish(frame(10 + 4 * (n % 20)));
+        match viewer.next().unwrap() {
+            Kind::Hello(hello) => model = Some(Model::new(&hello).unwrap()),
+            Kind::Geometry(g) | Kind::Snapshot(g) => drop(model.as_mut().unwrap().take(&g).unwrap()),
+            Kind::Statistics(s) => without = s.frames_without_geometry,
+            _ => std::thread::sleep(Duration::from_millis(20)),
+        }
+    }
+    let dir = tempdir().unwrap();
+    let server = server_with(dir.path(), |_| rooms(u32::MAX));
+    let mut publisher = Publisher::new(server.addr, "attic");
+    let reason = loop {
+        match publisher.client.next().expect("it is told why") {
+            Kind::Credit(c) => (0..c.frames).for_each(|_| publisher.frame(frame(10))),
+            Kind::Bye(bye) => break bye.reason,
+            other => panic!("{other:?}"),
+        }
+    };
+    assert!(reason.contains("geometry failed"), "{reason}");
+}
+
+#[test]
+fn who_only_pings_or_floods_with_sound_or_sends_b_frames_is_sent_away() {
+    let dir = tempdir().unwrap();
+    let server = server_with(dir.path(), |rooms| rooms);
+    let mut flood = Publisher::new(server.addr, "cellar");
+    // a burst at the limit is taken; what is over by far is not
+    for time in 0..2000 {
+        flood.client.send(Kind::Sound(Sound { time, data: vec![0; 9].into() }));
+    }
+    let reason = flood.client.bye();
+    assert!(reason.contains("200 packets"), "{reason}");
+    if cfg!(feature = "h264") {
+        let mut film = Client::at(server.addr, "/v1/live/garden/publish", &[]).unwrap_or_else(|status| panic!("{status}"));
+        film.send(Kind::Hello(Hello { version: VERSION, codec: "avc1.42e01e".into(), width: 64, height: 48, ..Hello::default() }));
+        // first block 0, slice type 1
+        let data = vec![0, 0, 1, 0x41, 0xA0, 7];
+        film.send(Kind::Video(Video { frame: 0, time: 0, key: true, layer: 0, data: data.into() }));
+        let reason = film.bye();
+        assert!(reason.contains("ffmpeg -bf 0"), "{reason}");
+    }
+    let mut idle = Publisher::new(server.addr, "attic");
+    let (start, mut heard) = (Instant::now(), 0);
+    let reason = loop {
+        let _ = idle.client.raw().send(Message::Ping(vec![1].into()));
+        match idle.client.next().expect("it is told why") {
+            // one of these each second is a sign of life
+            Kind::Credit(_) => heard += 1,
+            Kind::Bye(bye) => break bye.reason,
+            other => panic!("{other:?}"),
+        }
+    };
+    assert!(reason.contains("nothing came") && start.elapsed() < Duration::from_secs(15) && heard > 5, "{reason}: {heard}");
+}
