@@ -104,7 +104,7 @@ fn google_keeps_what_the_ports_promise() {
     let at = google::start(&runtime);
     let of = |bucket: &str| {
         let builder = object_store::gcp::GoogleCloudStorageBuilder::new().with_base_url(&format!("http://{at}"));
-        objects::Objects::google(&builder.with_skip_signature(true).with_bucket_name(bucket), "a/prefix", true).unwrap()
+        objects::Objects::google(&builder.with_bearer_token("a token").with_bucket_name(bucket), "a/prefix", true).unwrap()
     };
     let objects = of("photos");
     keeps_its_promises(&objects, &objects);
