@@ -489,7 +489,6 @@ mod tests {
                 $(assert_ne!($field, usual.$field, stringify!($field));)*
             }};
         }
-        type Photo = tmpi_pipeline::photo::Limits;
         all_differ!(Photo, set.photo, Limits::default().photo, bytes pixels side decoder_memory memory);
         all_differ!(Limits, set, Limits::default(), photo body header_read request export body_read body_rate changes uploads_beyond partials
             partial_time rate_requests rate_uploads rate_views quota_photos quota_bytes retain retain_bytes retain_sweep write write_rate
