@@ -455,6 +455,7 @@ pub(super) fn identity(settings: &models::Settings) -> anyhow::Result<String> {
 #[cfg(test)]
 mod tests {
     use clap::Parser;
+    use tmpi_pipeline::photo::Limits as Photo;
 
     use super::*;
 
