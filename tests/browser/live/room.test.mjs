@@ -90,7 +90,8 @@ describe('a room', () => {
     const prepare = (page) =>
       page.addInitScript(() => {
         // none of WebCodecs
-        for (const name of ['VideoEncoder', 'VideoDecoder', 'VideoFrame', 'EncodedVideoChunk', 'MediaStreamTrackProcessor']) delete window[name];
+        for (const name of ['VideoEncoder', 'VideoDecoder', 'VideoFrame', 'EncodedVideoChunk', 'MediaStreamTrackProcessor'])
+          delete window[name];
       });
     const publisher = await suite.publish('garden', { prepare });
     assert.equal(await publisher.page.evaluate(() => window.publisher.codec), 'jpeg');
