@@ -275,7 +275,10 @@ class Mean(nn.Module):
 
     @staticmethod
     def of(files, mirrored=False):
-        """The mean of the networks of checkpoints and of exported networks."""
+        """The mean of the networks of checkpoints and of exported networks; of these none that is a mean itself, as one decoder alone would be taken."""
+        for f in files:
+            if str(f).endswith(".onnx") and {p.key: p.value for p in onnx.load(str(f)).metadata_props}.get("decoders", "1") != "1":
+                raise SystemExit(f"{f} has several decoders: name the checkpoints and networks that it was made of")
         nets = [DepthNet.exported(f) if str(f).endswith(".onnx") else DepthNet.of(torch.load(f, weights_only=False, map_location="cpu")) for f in files]
         if any(n.tuned for n in nets) and len(nets) > 1:
             raise SystemExit("decoders of one network have the same encoders: none whose encoder was trained along")

@@ -96,5 +96,15 @@ class Several(unittest.TestCase):
             self.assertLess(float((other.eval().half(x) - net.decoders[0].half(x)).abs().max()), 1e-4)
 
 
+    def test_a_network_of_several_decoders_is_not_taken_for_one(self):
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "several.onnx"
+            g = graph.Graph("x", half=False)
+            g.output(g.op("Neg", g.input("image", ["n", 3, "h", "w"])), "disparity", ["n", 3, "h", "w"])
+            g.save(path, {"decoders": "3"})
+            with self.assertRaisesRegex(SystemExit, "several decoders"):
+                network.Mean.of([path])
+
+
 if __name__ == "__main__":
     unittest.main()
