@@ -7,8 +7,10 @@ import { fileURLToPath } from 'node:url';
 
 const ROOT = fileURLToPath(new URL('../', import.meta.url));
 /** Folders of static/ that the element is made of, and the kinds of files that a browser asks for. */
-const FOLDERS = ['decode', 'draw', 'element', 'input', 'view'];
+const FOLDERS = ['decode', 'draw', 'element', 'i18n', 'input', 'live', 'view'];
 const KINDS = new Set(['.js', '.wasm', '.wgsl']);
+/** What goes live is a page of the server's alone. */
+const PUBLISHING = ['encoders.js', 'frames.js', 'microphone.js', 'microphone-worklet.js', 'publisher.js'].map((name) => `live/${name}`);
 const OWN = ['README.md', 'tmpi-viewer.d.ts', 'rest.js', 'rest.d.ts', 'upload.html'];
 const LICENCES = ['LICENSE-MIT', 'LICENSE-APACHE'];
 
@@ -27,7 +29,9 @@ export function pack(folder) {
   for (const name of FOLDERS) {
     cpSync(join(ROOT, 'static', name), join(stage, 'static', name), {
       recursive: true,
-      filter: (path) => (extname(path) === '' || KINDS.has(extname(path))) && !path.endsWith('element/tmpi-viewer.js'),
+      filter: (path) =>
+        (extname(path) === '' || KINDS.has(extname(path))) &&
+        ![...PUBLISHING, 'element/tmpi-viewer.js'].some((name) => path.endsWith(name)),
     });
   }
   const [, version] = readFileSync(join(ROOT, 'Cargo.toml'), 'utf8').match(/\[workspace\.package\]\s+version = "([^"]+)"/);

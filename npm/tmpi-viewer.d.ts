@@ -8,8 +8,30 @@ export interface Pose {
   roll: number;
 }
 
-/** How the scene is shown: by WebGPU, by WebGL2, by views that a server draws, or as the photo alone. */
-export type Mode = 'gpu' | 'webgl' | 'served' | 'still';
+/** How the scene is shown: by WebGPU, by WebGL2, by views that a server draws, as the photo alone, or a room as plain video. */
+export type Mode = 'gpu' | 'webgl' | 'served' | 'still' | 'flat';
+
+/**
+ * How a room stands: `waiting` for somebody to go live, `stalled` without new frames, `ended` for now, `away` where the server cannot be
+ * reached, `refused` for want of a token, `none` where there is no such room, `unsupported` where the browser decodes no video of its kind.
+ */
+export type RoomState = 'connecting' | 'waiting' | 'live' | 'stalled' | 'ended' | 'away' | 'refused' | 'none' | 'unsupported';
+
+/** What is measured of a room, twice a second while it is live. */
+export interface RoomStatistics {
+  /** Number of the frame that is shown, -1 before the first. */
+  frame: number;
+  /** How far the picture is behind the camera, in ms. */
+  behind: number;
+  /** Frames a second. */
+  frames: number;
+  /** Data rate in kbit/s. */
+  kbits: number;
+  /** How many watch. */
+  viewers: number;
+  /** Frames that were skipped because this viewer reads too slowly. */
+  skipped: number;
+}
 
 /** What the element fires, by name: the type of each event's `detail`. */
 export interface TmpiViewerEvents {
@@ -17,9 +39,12 @@ export interface TmpiViewerEvents {
   load: { mode: Mode };
   'camera-change': { pose: Pose };
   error: { message: string };
+  state: { state: RoomState; reason: string };
+  statistics: RoomStatistics;
+  sound: { on: boolean };
 }
 
-/** `<tmpi-viewer src="photo.tmpi" alt="What it shows">`: a 3D photo. Attributes are listed at the head of tmpi-viewer.js. */
+/** `<tmpi-viewer src="photo.tmpi" alt="What it shows">`: a 3D photo, or a room in which it moves. Attributes are listed at the head of tmpi-viewer.js. */
 export interface TmpiViewerElement extends HTMLElement {
   /** True once the scene is shown. */
   readonly loaded: boolean;
@@ -27,6 +52,12 @@ export interface TmpiViewerElement extends HTMLElement {
   toBlob(): Promise<Blob>;
   /** Eases back to where the photo was taken. */
   resetView(): void;
+  /** How a room stands, or empty where none is shown. */
+  readonly state: RoomState | '';
+  /** True while a room's sound is played. */
+  readonly sound: boolean;
+  /** Plays a room's sound, or does not; on only from a tap. Rejects where the browser does not allow it, or no room is shown. */
+  setSound(on: boolean): Promise<void>;
   addEventListener<K extends keyof TmpiViewerEvents>(
     type: K,
     listener: (event: CustomEvent<TmpiViewerEvents[K]>) => void,

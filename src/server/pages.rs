@@ -132,8 +132,8 @@ fn send(File { bytes, etag, coding }: File, headers: &HeaderMap, name: &str, fra
         Frames::Own => ("'self'", "same-origin"),
         Frames::Anybody => ("*", "cross-origin"),
     };
-    // a worker has the policy of its own script, and reads containers of other servers too
-    let policy = if matches!(name, "app/demo-page.html" | "decode/worker.js") { OPEN_POLICY } else { POLICY };
+    // a worker has the policy of its own script, and reads containers and rooms of other servers too
+    let policy = if matches!(name, "app/demo-page.html" | "decode/worker.js" | "live/worker.js") { OPEN_POLICY } else { POLICY };
     if let Ok(policy) = HeaderValue::from_str(&format!("{policy}; frame-ancestors {ancestors}")) {
         response.headers_mut().insert(header::CONTENT_SECURITY_POLICY, policy);
     }

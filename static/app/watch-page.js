@@ -5,33 +5,17 @@ import { sentence } from '../i18n/text.js';
 import { hasGyroscope } from '../input/gyroscope.js';
 import { SoundPlayer } from '../live/sound-player.js';
 import { startRoom } from '../live/start.js';
+import { behind, saying } from '../live/states.js';
 import { Viewer } from '../view/viewer.js';
 import { $ } from './dom.js';
 import { roomOf } from './room-name.js';
 
 /** How long a hint is shown, ms. */
 const NOTE_MS = 5000;
-/** Most that two clocks may be apart for the time behind the camera to be told, ms. */
-const CREDIBLE_MS = 20_000;
 
 const room = roomOf();
 const narrow = matchMedia('(max-width: 640px)');
 const sound = new SoundPlayer();
-/** What is said where there is no picture yet. */
-const WAITING = {
-  connecting: 'Connecting…',
-  waiting: 'Nobody is live here yet. The picture starts by itself.',
-  ended: 'The live picture has ended. It goes on by itself when it is back.',
-  away: 'The server cannot be reached. Trying again…',
-  live: 'Loading…',
-  stalled: 'The picture is held up.',
-};
-/** What ends it. */
-const FAILURES = {
-  refused: 'This room needs a link with a token that is still good. Ask who sent you here for a new one.',
-  none: 'There is no such room on this server.',
-  unsupported: 'This browser cannot decode the video of this room.',
-};
 /** @type {ReturnType<typeof setTimeout> | undefined} */
 let fading;
 let shown = false;
@@ -60,9 +44,8 @@ function fail(message) {
 /** @param {{state: string, reason: string}} told */
 function showState({ state, reason }) {
   document.body.dataset.state = state;
-  if (state in FAILURES) return fail(t(FAILURES[/** @type {keyof typeof FAILURES} */ (state)]));
-  if (reason) return fail(t('The server says: {0}', reason));
-  const text = t(WAITING[/** @type {keyof typeof WAITING} */ (state)] ?? '');
+  const { over, text } = saying({ state, reason });
+  if (over) return fail(text);
   if (!shown) {
     $('loading').hidden = false;
     $('bar').hidden = state === 'waiting' || state === 'ended';
@@ -74,9 +57,9 @@ function showState({ state, reason }) {
 function showStatistics(told) {
   Object.assign(window, { measured: told });
   if (!shown || document.body.dataset.state !== 'live') return;
-  const behind = told.latency > 0 && told.latency < CREDIBLE_MS ? told.latency : told.lag;
-  sound.late = behind / 1000;
-  const parts = [`${Math.round(behind)} ms`, t('{0} frames/s', String(Math.round(told.frames)))];
+  const late = behind(told);
+  sound.late = late / 1000;
+  const parts = [`${Math.round(late)} ms`, t('{0} frames/s', String(Math.round(told.frames)))];
   // a phone has room for the room's name beside that
   if (!narrow.matches) {
     parts.push(`${Math.round(told.kbits)} kbit/s`);

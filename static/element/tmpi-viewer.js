@@ -1,4 +1,5 @@
 // <tmpi-viewer src="https://host/v1/photos/ID/atlas" alt="…" poster="…"></tmpi-viewer>: a 3D photo on any page.
+// <tmpi-viewer src="https://host/live/ROOM#token=…" alt="…"></tmpi-viewer>: a room, in which it moves.
 //
 //   src              address of a container; where it ends in /atlas, the server's views beside it serve browsers without a GPU
 //   view             address of these views, where it is another
@@ -11,21 +12,35 @@
 //   camera-controls  `off` or `false`: takes no input
 //   auto-rotate      `off` or `false`: does not move by itself; so does `still`, without a value
 //   motion           how it moves by itself: `swing`, `orbit`, `dolly`, `dolly-zoom`, `zoom` (into the nearest thing), or `none`; without
-//                    it, what the photo's owner wants, else `swing`
+//                    it, what the photo's owner wants, else `swing`; rooms move by themselves only where this or auto-rotate says so
 //   speed            how fast, 0.25 to 4 times the usual
 //   settings         `off`: does not ask the server what the photo's owner wants of the camera (how far it goes, where it starts)
+//
+// Of a room, whose address (of its page, or below /v1/) stands in `src`, besides:
+//
+//   room             its name in place of its address; `src` is the server's own address then, this page's without it
+//   token            token of who watches, where the address has none behind its # or as a parameter
+//   sound            `off`: no button for it; without a value it begins with the first tap or key. It never begins before one
 //
 // Names, properties (`loaded`), methods (`toBlob`, `resetView`) and events are those of <model-viewer> where there are such. One
 // thing differs: `camera-controls` and `auto-rotate` are on as if they were there, because a 3D photo that stands still is a photo.
 //
-// Slots: `poster` takes a picture of the page's own in place of `poster` (`<img slot="poster" …>`, which browsers show without a script,
-// too), `error` what is to be seen where the photo cannot be shown; else that is `alt` and the reason. Parts for CSS: `fullscreen`, `error`.
+// A room has the properties `state` and `sound`, and `setSound(on)`, which has to be called from a tap, and rejects where the browser does
+// not allow it. While nobody sees the element, nothing is fetched for it, unless somebody listens; a broken connection comes back by itself.
 //
-// Fires `progress` {received, total, totalProgress}, `load` {mode}, `camera-change` {pose} and `error` {message}. It is as wide as its
+// Slots: `poster` takes a picture of the page's own in place of `poster` (`<img slot="poster" …>`, which browsers show without a script,
+// too), `error` what is to be seen where the photo cannot be shown; else that is `alt` and the reason. Parts for CSS: `fullscreen`, `error`; of
+// rooms also `sound` and `note`, which says why there is no picture yet.
+//
+// Fires `progress` {received, total, totalProgress}, `load` {mode}, `camera-change` {pose} and `error` {message}; of rooms, which have no
+// progress, also `state` {state, reason}, `statistics` {behind, frames, kbits, viewers, …} twice a second, and `sound` {on}. A state is
+// `connecting`, `waiting` (nobody is live), `live`, `stalled`, `ended`, `away` (no server), `refused` (no token), `none` (no such room) or
+// `unsupported` (no decoder for its video). It is as wide as its
 // place and has the photo's shape once that is known (16 / 10 before), unless CSS says `aspect-ratio` or `height`. All elements of a page
 // share one graphics device; those out of sight sleep.
 
 /** @import { Viewer } from '../view/viewer.js' */
+/** @import { Room } from './room.js' */
 
 const STYLE = `
   :host { display: block; position: relative; overflow: hidden; aspect-ratio: var(--tmpi-shape, 16 / 10); }
@@ -99,15 +114,29 @@ const MODULES = [
   'view/stage.js',
   'view/viewer.js',
 ];
+/** What rooms need besides. */
+const ROOM_MODULES = [
+  'element/room.js',
+  'i18n/messages.js',
+  'live/room-address.js',
+  'live/sound-player.js',
+  'live/start.js',
+  'live/states.js',
+];
+/** Path of a room, or of its page. */
+const ROOM = /\/live\/[\w-]+\/?$/;
 const OFF = new Set(['off', 'false']);
 
-let preloaded = false;
+/** @type {Set<string>} */
+const preloaded = new Set();
 
-/** Asks for the modules, once a page. */
-function preload() {
-  if (preloaded) return;
-  preloaded = true;
-  for (const name of MODULES) {
+/**
+ * Asks for modules, once a page.
+ * @param {string[]} modules
+ */
+function preload(modules) {
+  for (const name of modules.filter((name) => !preloaded.has(name))) {
+    preloaded.add(name);
     const link = document.createElement('link');
     link.rel = 'modulepreload';
     link.href = new URL(`./static/${name}`, import.meta.url).href;
@@ -115,9 +144,17 @@ function preload() {
   }
 }
 
+/**
+ * A module below static/.
+ * @param {string} name
+ */
+const load = (name) => import(new URL(`./static/${name}`, import.meta.url).href);
+
 class TmpiViewer extends HTMLElement {
   static observedAttributes = [
     'src',
+    'room',
+    'token',
     'view',
     'alt',
     'poster',
@@ -132,8 +169,14 @@ class TmpiViewer extends HTMLElement {
   ];
   /** @type {Viewer | null} */
   #viewer = null;
+  /**
+   * What is shown, where that is a room.
+   * @type {Room | null}
+   */
+  #room = null;
   /** @type {IntersectionObserver | null} */
   #seen = null;
+  #visible = true;
   #loaded = false;
   #sheet;
   #stage;
@@ -162,7 +205,6 @@ class TmpiViewer extends HTMLElement {
     this.#stage = make('div', 'stage');
     this.#stage.tabIndex = 0;
     this.#stage.setAttribute('role', 'application');
-    this.#stage.setAttribute('aria-roledescription', '3D photo');
     for (const type of ['pointerenter', 'pointerdown', 'focus']) this.#stage.addEventListener(type, () => this.#start());
     shadow.append(make('div', 'room', this.#posterSlot, this.#stage), this.#error, this.#full);
   }
@@ -216,6 +258,25 @@ class TmpiViewer extends HTMLElement {
     return this.#loaded;
   }
 
+  /** How a room stands, or empty where none is shown. */
+  get state() {
+    return this.#room?.state ?? '';
+  }
+
+  /** True while a room's sound is played. */
+  get sound() {
+    return this.#room?.sound ?? false;
+  }
+
+  /**
+   * Plays a room's sound, or does not; on only from a tap.
+   * @param {boolean} on
+   */
+  async setSound(on) {
+    if (!this.#room) throw new Error('no room is shown');
+    await this.#room.setSound(on);
+  }
+
   /** The view at the present pose as a PNG file, in the photo's size. */
   async toBlob() {
     if (!this.#viewer) throw new Error('nothing is shown yet');
@@ -247,13 +308,24 @@ class TmpiViewer extends HTMLElement {
     this.#describe();
     if (name === 'still' || name === 'auto-rotate') this.#viewer?.setIdle(this.#movesByItself);
     if ((name === 'motion' || name === 'speed') && this.#viewer) this.#viewer.settings = { ...this.#viewer.settings, ...this.#wander };
-    if ((name === 'src' || name === 'view') && this.#viewer) {
+    if (['src', 'room', 'token', 'view'].includes(name) && this.#viewer) {
       this.#stop();
       this.#start();
     }
   }
 
+  /** Address of what is to be shown, and whether that is a room; null where nothing is named. */
+  get #named() {
+    const [src, room] = [this.getAttribute('src'), this.getAttribute('room')];
+    if (!(src || room) || !URL.canParse(src ?? '/', document.baseURI)) return null;
+    const url = new URL(src ?? '/', document.baseURI);
+    if (room) url.pathname = `/live/${encodeURIComponent(room)}`;
+    return { room: ROOM.test(url.pathname), address: url.href };
+  }
+
   get #movesByItself() {
+    // what is live moves without it
+    if (this.#room && !this.hasAttribute('auto-rotate') && !this.hasAttribute('motion')) return false;
     const off = this.hasAttribute('still') || this.getAttribute('motion') === 'none' || OFF.has(this.getAttribute('auto-rotate') ?? '');
     return !off && !matchMedia('(prefers-reduced-motion: reduce)').matches;
   }
@@ -266,6 +338,8 @@ class TmpiViewer extends HTMLElement {
 
   /** @param {boolean} visible */
   #onSeen(visible) {
+    this.#visible = visible;
+    if (this.#room) this.#room.visible = visible;
     if (this.#viewer) this.#viewer.asleep = !visible;
     else this.#maybeStart(visible);
   }
@@ -280,7 +354,9 @@ class TmpiViewer extends HTMLElement {
   }
 
   #describe() {
-    this.#stage.setAttribute('aria-label', this.getAttribute('alt') ?? '3D photo');
+    const kind = this.#named?.room ? '3D video' : '3D photo';
+    this.#stage.setAttribute('aria-label', this.getAttribute('alt') ?? kind);
+    this.#stage.setAttribute('aria-roledescription', kind);
     // the stage takes the input; without it the page scrolls and clicks as if a picture were there
     this.#stage.inert = OFF.has(this.getAttribute('camera-controls') ?? '');
     this.#full.hidden = !document.fullscreenEnabled || OFF.has(this.getAttribute('fullscreen') ?? '');
@@ -290,52 +366,99 @@ class TmpiViewer extends HTMLElement {
   }
 
   async #start() {
-    const src = this.getAttribute('src');
-    if (!src || this.#viewer) return;
-    preload();
+    const named = this.#named;
+    if (!named || this.#viewer) return;
+    const viewer = await (named.room ? this.#watch(named.address) : this.#show(named.address));
+    if (!viewer) return;
+    if (!this.#movesByItself) viewer.setIdle(false);
+    const known = () => viewer.head && this.#shape(viewer.head.width, viewer.head.height);
+    let mode = '';
+    viewer.addEventListener('photo', () => {
+      known();
+      this.#posterSlot.hidden = true;
+    });
+    viewer.addEventListener('progress', ({ detail }) =>
+      this.#fire('progress', { ...detail, totalProgress: detail.total ? detail.received / detail.total : 0 }),
+    );
+    viewer.addEventListener('ready', ({ detail }) => {
+      // a room's picture begins anew where its scene needs more room, which nobody need know
+      if (this.#room && mode === detail.mode) return;
+      mode = detail.mode;
+      this.#loaded = true;
+      known();
+      this.#posterSlot.hidden = true;
+      this.#fire('load', detail);
+    });
+    viewer.addEventListener('pose', () => this.#loaded && this.#fire('camera-change', { pose: viewer.pose }));
+    viewer.addEventListener('error', ({ detail }) => {
+      // what cannot be had while the photo is shown needs no words over it
+      if (viewer.mode === 'failed') this.#fail(detail.message);
+      this.#fire('error', detail);
+    });
+  }
+
+  /**
+   * @param {string} type
+   * @param {object} detail
+   */
+  #fire(type, detail) {
+    this.dispatchEvent(new CustomEvent(type, { detail }));
+  }
+
+  /**
+   * True where that is still to be shown, and nothing is.
+   * @param {string} address
+   */
+  #wants(address) {
+    return !this.#viewer && this.isConnected && this.#named?.address === address;
+  }
+
+  /**
+   * What shows a photo from now on; null where another is wanted by now.
+   * @param {string} atlas
+   */
+  async #show(atlas) {
+    preload(MODULES);
     const [{ Viewer }, { beside, fetchSettings }] = await Promise.all([
-      /** @type {Promise<typeof import('../view/viewer.js')>} */ (import(new URL('./static/view/viewer.js', import.meta.url).href)),
-      /** @type {Promise<typeof import('./photo-addresses.js')>} */ (
-        import(new URL('./static/element/photo-addresses.js', import.meta.url).href)
-      ),
+      /** @type {Promise<typeof import('../view/viewer.js')>} */ (load('view/viewer.js')),
+      /** @type {Promise<typeof import('./photo-addresses.js')>} */ (load('element/photo-addresses.js')),
     ]);
-    if (this.#viewer || !this.isConnected || this.getAttribute('src') !== src) return;
-    const atlas = new URL(src, document.baseURI).href;
+    if (!this.#wants(atlas)) return null;
     const given = this.getAttribute('view');
     const state = this.getAttribute('settings') === 'off' ? undefined : beside(atlas, '/settings');
-    const viewer = new Viewer(this.#stage, {
+    this.#viewer = new Viewer(this.#stage, {
       atlas,
       view: given ? new URL(given, document.baseURI).href : beside(atlas, '/view'),
       report: beside(atlas, '/report'),
       settings: Promise.resolve(state ? fetchSettings(state) : {}).then((settings) => ({ ...settings, ...this.#wander })),
       embedded: true,
     });
-    this.#viewer = viewer;
-    if (!this.#movesByItself) viewer.setIdle(false);
-    const fire = (/** @type {string} */ type, /** @type {object} */ detail) => this.dispatchEvent(new CustomEvent(type, { detail }));
-    const known = () => viewer.head && this.#shape(viewer.head.width, viewer.head.height);
-    viewer.addEventListener('photo', () => {
-      known();
-      this.#posterSlot.hidden = true;
+    return this.#viewer;
+  }
+
+  /**
+   * What shows a room from now on; null where another is wanted by now.
+   * @param {string} address
+   */
+  async #watch(address) {
+    preload([...MODULES, ...ROOM_MODULES]);
+    const { Room } = /** @type {typeof import('./room.js')} */ (await load('element/room.js'));
+    if (!this.#wants(address)) return null;
+    const attribute = (/** @type {string} */ name) => this.getAttribute(name);
+    const named = { address, token: attribute('token'), sound: attribute('sound'), settings: this.#wander };
+    const room = new Room(this.#stage, /** @type {ShadowRoot} */ (this.shadowRoot), named, {
+      fire: (type, detail) => this.#fire(type, detail),
+      fail: (message) => this.#fail(message),
     });
-    viewer.addEventListener('progress', ({ detail }) =>
-      fire('progress', { ...detail, totalProgress: detail.total ? detail.received / detail.total : 0 }),
-    );
-    viewer.addEventListener('ready', ({ detail }) => {
-      this.#loaded = true;
-      fire('load', detail);
-    });
-    viewer.addEventListener('pose', () => this.#loaded && fire('camera-change', { pose: viewer.pose }));
-    viewer.addEventListener('error', ({ detail }) => {
-      // what cannot be had while the photo is shown needs no words over it
-      if (viewer.mode === 'failed') this.#fail(detail.message);
-      fire('error', detail);
-    });
+    [this.#room, this.#viewer] = [room, room.viewer];
+    room.visible = this.#visible;
+    return room.viewer;
   }
 
   #stop() {
-    this.#viewer?.dispose();
-    this.#viewer = null;
+    if (this.#room) this.#room.dispose();
+    else this.#viewer?.dispose();
+    this.#room = this.#viewer = null;
     this.#loaded = false;
     this.#posterSlot.hidden = false;
     this.#error.hidden = true;

@@ -29,6 +29,13 @@ export class SoundPlayer {
     await this.#context?.suspend();
   }
 
+  /** For good. */
+  async close() {
+    const context = this.#context;
+    this.#context = null;
+    await context?.close();
+  }
+
   /**
    * @param {{time: number, rate: number, planes: Float32Array<ArrayBuffer>[]}} packet time in µs by the publisher's clock
    */

@@ -1,6 +1,7 @@
 // Starts watching a room off the page's thread.
+import { startWorker } from '../decode/start.js';
 
 /** A worker that runs worker.js. */
 export function startRoom() {
-  return new Worker(new URL('./worker.js', import.meta.url), { type: 'module' });
+  return startWorker(new URL('./worker.js', import.meta.url));
 }

@@ -25,13 +25,14 @@ describe('modules', () => {
     });
   }
 
-  test('the element preloads the viewer', () => {
-    const [, list] = source('element/tmpi-viewer.js').match(/^const MODULES = \[([^\]]*)\];/m);
-    const needed = new Set([...graph('view/viewer.js'), ...graph('element/photo-addresses.js')]);
-    assert.deepEqual(
-      [...list.matchAll(/'([^']+)'/g)].map(([, name]) => name),
-      sorted(needed),
-    );
+  test('the element preloads the viewer, and of rooms what they need besides', () => {
+    const listed = (name) => {
+      const [, list] = source('element/tmpi-viewer.js').match(new RegExp(`^const ${name} = \\[([^\\]]*)\\];`, 'm'));
+      return [...list.matchAll(/'([^']+)'/g)].map(([, module]) => module);
+    };
+    const photos = new Set([...graph('view/viewer.js'), ...graph('element/photo-addresses.js')]);
+    assert.deepEqual(listed('MODULES'), sorted(photos));
+    assert.deepEqual(listed('ROOM_MODULES'), sorted([...graph('element/room.js')].filter((name) => !photos.has(name))));
   });
 
   // decode/scene.js has types alone
@@ -48,6 +49,7 @@ describe('modules', () => {
       'app/missing-page.js',
       'element/tmpi-viewer.js',
       'element/photo-addresses.js',
+      'element/room.js',
       'view/viewer.js',
       'decode/worker.js',
       'decode/unpack.js',

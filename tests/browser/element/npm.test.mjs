@@ -19,11 +19,16 @@ const POLICY =
   "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; connect-src 'self'; worker-src 'self' blob:; img-src 'self' blob:";
 const PAGE = `<!doctype html><title>package</title><script type="module" src="/tmpi-viewer/tmpi-viewer.js"></script>
   <tmpi-viewer src="/photo.tmpi" alt="A box"></tmpi-viewer>`;
-/** Uses of the types, two of them wrong. */
+/** Uses of the types, some of them wrong. */
 const USE = `import 'tmpi-viewer';
   const viewer = document.querySelector('tmpi-viewer')!;
   viewer.addEventListener('load', ({ detail }) => detail.mode === 'webgl');
   const file: Promise<Blob> = viewer.toBlob();
+  viewer.addEventListener('state', ({ detail }) => detail.state === 'waiting');
+  viewer.addEventListener('statistics', ({ detail }) => detail.behind + detail.frames);
+  const heard: Promise<void> = viewer.setSound(true);
+  // @ts-expect-error no such state
+  viewer.addEventListener('state', ({ detail }) => detail.state === 'asleep');
   // @ts-expect-error no such mode
   viewer.addEventListener('load', ({ detail }) => detail.mode === 'vulkan');
   // @ts-expect-error not to be set
@@ -36,7 +41,7 @@ const USE = `import 'tmpi-viewer';
   tmpi.atlas('id', {}, 'tag').then(({ bytes }) => bytes);
   // @ts-expect-error no such setting
   tmpi.change('id', { tilte: 'A box' });
-  export { file, made, atlas };`;
+  export { file, heard, made, atlas };`;
 
 describe('package', () => {
   const folder = mkdtempSync(join(tmpdir(), 'tmpi-npm-'));
@@ -87,10 +92,14 @@ describe('package', () => {
       'rest.d.ts',
       'upload.html',
       'static/decode/decoder.wasm',
+      'static/element/room.js',
+      'static/i18n/messages.js',
+      'static/live/decoder.wasm',
+      'static/live/worker.js',
     ])
       assert.ok(files.includes(`package/${name}`), name);
     assert.deepEqual(
-      files.filter((name) => /\/(?:app|live|film|vendor|i18n|sample)\//.test(name)),
+      files.filter((name) => /\/(?:app|film|vendor|sample)\/|\/(?:publisher|encoders|frames|microphone.*)\.js$/.test(name)),
       [],
     );
     const { version } = JSON.parse(readFileSync(join(root, 'package.json'), 'utf8'));

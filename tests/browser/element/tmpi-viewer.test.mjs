@@ -11,6 +11,8 @@ describe('element', () => {
   test('the element shows a photo on a page of another origin', async () => {
     const other = await serve({ atlas: Buffer.alloc(0) });
     const { page, context, errors } = await openPage(suite.browser);
+    const asked = [];
+    page.on('request', (request) => asked.push(new URL(request.url()).pathname));
     await page.goto(`${other.url}/embed?host=${encodeURIComponent(suite.server.url)}`);
     await page.waitForFunction(() => document.querySelector('tmpi-viewer').viewer?.mode === 'gpu');
     const share = await page.evaluate(async () => {
@@ -20,6 +22,8 @@ describe('element', () => {
       return pixels.filter((v) => v > 0).length / pixels.length;
     });
     assert.ok(share > 0.95, `${share} of the samples are not black`);
+    const ofRooms = (path) => /^\/static\/(?:live|i18n)\/|\/element\/room\.js$/.test(path);
+    assert.ok(asked.includes('/static/view/viewer.js') && !asked.some(ofRooms), `what rooms need is not fetched: ${asked.filter(ofRooms)}`);
     assert.equal(await page.evaluate(() => document.querySelector('tmpi-viewer').viewer.idle), false);
     await page.evaluate(() => document.querySelector('tmpi-viewer').remove());
     assert.deepEqual(

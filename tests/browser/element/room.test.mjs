@@ -1,0 +1,154 @@
+// Rooms in the element, on pages of this server and of others.
+import assert from 'node:assert/strict';
+
+import { randomBytes } from 'node:crypto';
+import { writeFileSync } from 'node:fs';
+import { createServer } from 'node:http';
+import { join } from 'node:path';
+import { after, before, describe, test } from 'node:test';
+import { openPage } from '../support/browser.mjs';
+
+import { likenessOf, roomSuite, SAME_DB, STILL, shoot } from '../support/room.mjs';
+import { HEIGHT, WIDTH } from '../support/video.mjs';
+
+describe('rooms in the element', () => {
+  let key;
+  const suite = roomSuite((folder) => {
+    key = join(folder, 'key');
+    writeFileSync(key, randomBytes(32));
+    return ['--live-key', key];
+  });
+
+  /** Somebody else's site, whose pages have an element with the attributes in the query. */
+  let other;
+  before(async () => {
+    other = createServer((request, response) => {
+      const asked = new URL(request.url, 'http://localhost').searchParams;
+      response.writeHead(200, { 'content-type': 'text/html' });
+      response.end(pageOf(asked.get('attributes') ?? ''));
+    });
+    await new Promise((resume) => other.listen(0, '127.0.0.1', resume));
+  });
+  after(() => {
+    other.closeAllConnections();
+    other.close();
+  });
+
+  const pageOf = (attributes) => `<!doctype html><title>a room</title><link rel="icon" href="data:,">
+    <style>tmpi-viewer { width: 320px; height: 240px }</style>
+    <script type="module" src="${suite.server.url}/tmpi-viewer.js"></script><tmpi-viewer ${attributes} alt="The attic"></tmpi-viewer>`;
+
+  /** Opens a page with an element, on the site of the server itself or on another. */
+  async function open(attributes, { own = false, options = STILL } = {}) {
+    const opened = await openPage(suite.browser, options);
+    const { page } = opened;
+    await page.addInitScript(() => {
+      window.told = [];
+      addEventListener('DOMContentLoaded', () => {
+        for (const type of ['load', 'error', 'state', 'sound', 'statistics'])
+          document.querySelector('tmpi-viewer').addEventListener(type, ({ detail }) => window.told.push({ type, ...detail }));
+      });
+    });
+    if (own) {
+      await page.route('**/embed/page', (route) => route.fulfill({ contentType: 'text/html', body: pageOf(attributes) }));
+      await page.goto(`${suite.server.url}/embed/page`);
+    } else await page.goto(`http://127.0.0.1:${other.address().port}/?${new URLSearchParams({ attributes })}`);
+    return opened;
+  }
+  const mode = (page, wanted) => page.waitForFunction((m) => document.querySelector('tmpi-viewer').viewer?.mode === m, wanted);
+
+  /** Pixels of the element's scene at a pose. */
+  async function pixels(page, pose) {
+    const text = await page.evaluate(
+      async ([p, w, h]) => {
+        const { viewer } = document.querySelector('tmpi-viewer');
+        viewer.setPose(p);
+        const data = await viewer.readPixels(w, h);
+        let out = '';
+        for (let i = 0; i < data.length; i += 32_768) out += String.fromCharCode(...data.subarray(i, i + 32_768));
+        return btoa(out);
+      },
+      [pose, WIDTH, HEIGHT],
+    );
+    return new Uint8ClampedArray(Buffer.from(text, 'base64'));
+  }
+
+  /** Checks that the camera's frames are shown, one after the other. */
+  async function moves(page) {
+    await mode(page, 'gpu');
+    const numbers = new Set();
+    for (let i = 0; i < 20 && numbers.size < 3; i++) {
+      await page.waitForTimeout(100);
+      const { number, same, other } = likenessOf(await pixels(page, {}));
+      assert.ok(same > SAME_DB && same > other + 3, `frame ${number}: ${same} dB, half a film away ${other} dB`);
+      numbers.add(number);
+    }
+    assert.ok(numbers.size >= 3, `frames seen: ${[...numbers]}`);
+  }
+
+  test('who comes first waits, then sees and hears the room; nothing is left of it in the end', async () => {
+    const { page, context, errors } = await open(`src="${suite.server.url}/" room="attic" sound`, { own: true });
+    const note = page.locator('tmpi-viewer [role=status]');
+    await note.getByText('Nobody is live here yet. The picture starts by itself.').waitFor();
+    assert.equal(await page.evaluate(() => document.querySelector('tmpi-viewer').state), 'waiting');
+    const publisher = await suite.publish('attic');
+    await moves(page);
+    await page.waitForFunction(() => document.querySelector('tmpi-viewer').state === 'live');
+    assert.equal(await note.textContent(), '');
+    assert.equal(await page.locator('tmpi-viewer .stage').getAttribute('aria-roledescription'), '3D video');
+    // none before a tap, though the page asks for it
+    assert.equal(await page.evaluate(() => document.querySelector('tmpi-viewer').sound), false);
+    await page.locator('tmpi-viewer .stage').click();
+    await page.waitForFunction(() => document.querySelector('tmpi-viewer').sound);
+    const button = page.getByRole('button', { name: 'Sound' });
+    assert.equal(await button.getAttribute('aria-pressed'), 'true');
+    await button.click();
+    await page.waitForFunction(() => !document.querySelector('tmpi-viewer').sound);
+    await page.waitForFunction(() => window.told.some((t) => t.type === 'statistics' && t.frames > 0 && t.behind >= 0));
+    const told = await page.evaluate(() => window.told);
+    assert.deepEqual(
+      told.filter(({ type }) => type === 'sound').map(({ on }) => on),
+      [true, false],
+    );
+    assert.equal(told.filter(({ type }) => type === 'load').length, 1, 'loaded once, however often the scene grew');
+    const states = told.filter(({ type }) => type === 'state').map(({ state }) => state);
+    assert.deepEqual([states[0], states.includes('waiting'), states.at(-1)], ['connecting', true, 'live']);
+    const bytes = await page.evaluate(async () => (await document.querySelector('tmpi-viewer').toBlob()).size);
+    assert.ok(bytes > 1000, `${bytes}`);
+    await shoot(page, 'element-room');
+    // the publisher goes, and comes back
+    await publisher.page.getByRole('button', { name: 'Stop' }).click();
+    await page.waitForFunction(() => ['ended', 'stalled'].includes(document.querySelector('tmpi-viewer').state));
+    assert.notEqual(await note.textContent(), '');
+    await publisher.page.getByRole('button', { name: 'Start' }).click();
+    await page.waitForFunction(() => document.querySelector('tmpi-viewer').state === 'live');
+    // nobody watches any more once the element is gone
+    await publisher.page.waitForFunction(() => /1 watching/.test(document.getElementById('state').textContent));
+    const workers = page.workers().length;
+    await page.evaluate(() => document.querySelector('tmpi-viewer').remove());
+    await publisher.page.waitForFunction(() => !/1 watching/.test(document.getElementById('state').textContent));
+    assert.ok(workers === 1 && page.workers().length === 0, `${workers} workers, then ${page.workers().length}`);
+    assert.deepEqual(errors, []);
+    await context.close();
+    await publisher.context.close();
+  });
+
+  test('nothing is fetched for an element out of sight', async () => {
+    const publisher = await suite.publish('attic');
+    const { page, context } = await open(`src="${suite.server.url}/live/attic"`, { own: true });
+    await moves(page);
+    await publisher.page.waitForFunction(() => /1 watching/.test(document.getElementById('state').textContent));
+    await page.evaluate(() => {
+      document.querySelector('tmpi-viewer').style.marginTop = '5000px';
+    });
+    await page.waitForFunction(() => document.querySelector('tmpi-viewer').viewer.asleep);
+    await publisher.page.waitForFunction(() => !/1 watching/.test(document.getElementById('state').textContent));
+    await page.evaluate(() => {
+      document.querySelector('tmpi-viewer').style.marginTop = '';
+    });
+    await publisher.page.waitForFunction(() => /1 watching/.test(document.getElementById('state').textContent));
+    await moves(page);
+    await context.close();
+    await publisher.context.close();
+  });
+});
