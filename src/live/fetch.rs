@@ -71,7 +71,7 @@ impl From<Silent> for Problem {
         (status = 200, description = "The container, as that of a photo", body = String, content_type = "application/vnd.tmpi",
             headers(("x-tmpi-frame" = u64, description = "Number of the frame"))),
         (status = 400, description = "A parameter is unknown", body = Problem, content_type = "application/problem+json"),
-        (status = 403, description = "A page of another site, or no token", body = Problem, content_type = "application/problem+json"),
+        (status = 403, description = "No token that is good: a page of another site always needs one", body = Problem, content_type = "application/problem+json"),
         (status = 404, description = "Nobody publishes there, or the frame is not kept", body = Problem, content_type = "application/problem+json"),
         (status = 503, description = "The node that has the room's publisher does not answer", body = Problem, content_type = "application/problem+json"),
     )
@@ -122,7 +122,7 @@ pub async fn frame(
         (status = 307, description = "The group that is under way",
             headers(("Location" = String, description = "Its address, relative to this one"))),
         (status = 400, description = "A parameter is unknown", body = Problem, content_type = "application/problem+json"),
-        (status = 403, description = "A page of another site, or no token", body = Problem, content_type = "application/problem+json"),
+        (status = 403, description = "No token that is good: a page of another site always needs one", body = Problem, content_type = "application/problem+json"),
         (status = 404, description = "Nobody publishes there, or nothing has come yet", body = Problem, content_type = "application/problem+json"),
         (status = 503, description = "The node that has the room's publisher does not answer", body = Problem, content_type = "application/problem+json"),
     )
@@ -154,7 +154,7 @@ pub async fn latest_group(State(here): State<Here>, Path(name): Path<String>, ur
     responses(
         (status = 200, description = "Messages, as they come", body = String, content_type = "application/vnd.tmpi.live"),
         (status = 400, description = "A parameter is unknown", body = Problem, content_type = "application/problem+json"),
-        (status = 403, description = "A page of another site, or no token", body = Problem, content_type = "application/problem+json"),
+        (status = 403, description = "No token that is good: a page of another site always needs one", body = Problem, content_type = "application/problem+json"),
         (status = 404, description = "There is no such group, or none any more", body = Problem, content_type = "application/problem+json"),
         (status = 503, description = "The node that has the room's publisher does not answer", body = Problem, content_type = "application/problem+json"),
     )

@@ -38,7 +38,7 @@ pub(super) struct RoomState {
     responses(
         (status = 200, description = "Whether anybody publishes", body = RoomState),
         (status = 400, description = "A parameter is unknown", body = Problem, content_type = "application/problem+json"),
-        (status = 403, description = "A page of another site, or no token", body = Problem, content_type = "application/problem+json"),
+        (status = 403, description = "No token that is good: a page of another site always needs one", body = Problem, content_type = "application/problem+json"),
         (status = 404, description = "No room has such a name, or there are none here", body = Problem, content_type = "application/problem+json"),
     )
 )]

@@ -3,12 +3,12 @@
 use std::sync::Arc;
 use std::time::{SystemTime, UNIX_EPOCH};
 
+use axum::Extension;
 use axum::extract::ws::WebSocketUpgrade;
 use axum::extract::ws::rejection::WebSocketUpgradeRejection;
 use axum::extract::{Path, State};
 use axum::http::{HeaderMap, StatusCode, Uri};
 use axum::response::Response;
-use axum::{Extension, Router};
 use tokio_util::sync::CancellationToken;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
@@ -30,40 +30,55 @@ pub struct Here {
     pub own: Arc<dyn Fn(&HeaderMap) -> bool + Send + Sync>,
 }
 
-/// Addresses of rooms, and what is said of them.
-pub fn api() -> OpenApiRouter<Here> {
+/// What whoever watches asks for, on pages of other sites, too, where these have a token.
+pub fn watching_api() -> OpenApiRouter<Here> {
     OpenApiRouter::new()
         .routes(routes!(invite::state))
-        .routes(routes!(invite::link))
-        .routes(routes!(publish))
         .routes(routes!(subscribe))
         .routes(routes!(fetch::frame))
         .routes(routes!(fetch::latest_group))
         .routes(routes!(fetch::group))
 }
 
-/// Routes of rooms.
-pub fn router(here: Here) -> Router {
-    api().split_for_parts().0.with_state(here)
+/// What whoever publishes asks for.
+pub fn publishing_api() -> OpenApiRouter<Here> {
+    OpenApiRouter::new().routes(routes!(invite::link)).routes(routes!(publish))
+}
+
+/// What let somebody in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Leave {
+    /// A token.
+    Token,
+    /// That they are this machine's own user.
+    Own,
 }
 
 impl Here {
-    /// Checks name, origin, query and leave.
-    pub(super) fn check(&self, room: &str, role: Role, uri: &Uri, headers: &HeaderMap) -> Result<(), Problem> {
-        check_origin(headers)?;
+    /// Checks query, leave and name.
+    pub(super) fn check(&self, room: &str, role: Role, uri: &Uri, headers: &HeaderMap) -> Result<Leave, Problem> {
         let asked = Pairs::read(uri, &["token"])?;
-        let now = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs());
-        let good = match (&self.rooms.config.key, asked.get("token").or_else(|| token_of(headers))) {
-            (Some(key), Some(token)) => is_good(key, role, room, token, now),
-            _ => (self.own)(headers),
-        };
-        if !good {
-            return Err(Problem::new(StatusCode::FORBIDDEN, "token", "a token for this room is needed").field("token"));
+        self.admit(room, role, asked.get("token"), headers)
+    }
+
+    /// Checks leave and name; `given` is the token of the query. A token lets pages of other sites watch; without one they have no leave, as
+    /// what a browser sends by itself says nothing of who wants it, and none of them publishes.
+    pub(super) fn admit(&self, room: &str, role: Role, given: Option<&str>, headers: &HeaderMap) -> Result<Leave, Problem> {
+        let same_site = check_origin(headers);
+        if role == Role::Publish {
+            same_site.clone()?;
         }
+        let now = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs());
+        let leave = match (&self.rooms.config.key, given.or_else(|| token_of(headers))) {
+            (Some(key), Some(token)) => is_good(key, role, room, token, now).then_some(Leave::Token),
+            _ => (same_site.is_ok() && (self.own)(headers)).then_some(Leave::Own),
+        };
+        let none = || Problem::new(StatusCode::FORBIDDEN, "token", "a token for this room is needed").field("token");
+        let leave = leave.ok_or_else(none)?;
         if !is_name(room) {
             return Err(Problem::not_found("a room's name has letters, digits, - and _"));
         }
-        Ok(())
+        Ok(leave)
     }
 }
 
@@ -136,7 +151,7 @@ async fn publish(
     responses(
         (status = 101, description = "The socket is open"),
         (status = 400, description = "A parameter is unknown", body = Problem, content_type = "application/problem+json"),
-        (status = 403, description = "A page of another site, or no token", body = Problem, content_type = "application/problem+json"),
+        (status = 403, description = "No token that is good: a page of another site always needs one", body = Problem, content_type = "application/problem+json"),
         (status = 404, description = "Nobody publishes in such a room", body = Problem, content_type = "application/problem+json"),
         (status = 426, description = "This is a WebSocket", body = Problem, content_type = "application/problem+json"),
     )

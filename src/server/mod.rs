@@ -318,7 +318,7 @@ impl Server {
         let rooms = rooms.map(|rooms| {
             let of = Arc::clone(&app);
             let own = Arc::new(move |headers: &HeaderMap| of.hosts.is_own(headers));
-            live::routes::router(live::routes::Here { rooms, stop: token.clone(), own })
+            live::routes::Here { rooms, stop: token.clone(), own }
         });
         let prepared = (role != Role::Work).then(|| Prepared::new(Arc::clone(&app)));
         let router = match role {

@@ -128,13 +128,22 @@ fn cors() -> CorsLayer {
         .max_age(std::time::Duration::from_hours(24))
 }
 
+/// The same for rooms: a token goes with the request, by which alone a page of another site is let in.
+fn rooms_cors() -> CorsLayer {
+    let exposed = ["etag", "content-length", "location", "server-timing", "x-request-id", "x-tmpi-frame", "retry-after"];
+    cors()
+        .allow_headers([header::AUTHORIZATION, header::IF_NONE_MATCH, header::ACCEPT])
+        .expose_headers(exposed.map(HeaderName::from_static))
+}
+
 /// The `OpenAPI` document as JSON.
 ///
 /// # Errors
 /// It cannot be written as JSON.
 pub fn openapi() -> serde_json::Result<Bytes> {
     let mut document = own_api().merge(open_api()).into_openapi();
-    document.merge(live::routes::api().into_openapi());
+    document.merge(live::routes::watching_api().into_openapi());
+    document.merge(live::routes::publishing_api().into_openapi());
     let mut document = serde_json::to_value(document)?;
     words::put(&mut document);
     serde_json::to_vec_pretty(&document).map(Bytes::from)
@@ -145,6 +154,8 @@ pub fn openapi() -> serde_json::Result<Bytes> {
 pub enum Access {
     /// Pages of any site may read it.
     Open,
+    /// Pages of this server and programs, and pages of any site that have a token.
+    Token,
     /// Frames of any site may show it; their pages cannot read it.
     Framed,
     /// Pages of this server, and programs.
@@ -194,7 +205,8 @@ pub fn routes() -> Vec<Route> {
     let page = |path: &str, access| Route { path: path.to_owned(), methods: vec![Method::GET], access };
     described(own_api().into_openapi(), Access::Own)
         .chain(described(open_api().into_openapi(), Access::Open))
-        .chain(described(live::routes::api().into_openapi(), Access::Own))
+        .chain(described(live::routes::watching_api().into_openapi(), Access::Token))
+        .chain(described(live::routes::publishing_api().into_openapi(), Access::Own))
         .chain(own_pages().map(|(path, _, access)| page(path, access)))
         .chain(files().map(|(path, _)| page(path, Access::Open)))
         .collect()
@@ -219,8 +231,16 @@ fn foreign(_: ProtectionError) -> Response {
     Problem::new(StatusCode::FORBIDDEN, "cross-site", "a page of another site may not change anything here").into_response()
 }
 
+/// Rooms.
+fn rooms_router(here: live::routes::Here) -> Router {
+    let (watching, _) = live::routes::watching_api().split_for_parts();
+    let (publishing, _) = live::routes::publishing_api().split_for_parts();
+    let watching = watching.method_not_allowed_fallback(no_method).layer(rooms_cors());
+    watching.merge(publishing).with_state(here)
+}
+
 /// The whole service, with rooms where there are any; counters are for operators alone where these have a door of their own.
-pub fn router(app: App, rooms: Option<Router>) -> Router {
+pub fn router(app: App, rooms: Option<live::routes::Here>) -> Router {
     let (router, _) = if app.has_admin { pages_api() } else { own_api() }.split_for_parts();
     let (open, _) = open_api().split_for_parts();
     // before the layers, so that these see every method: questions before a request (preflights) are OPTIONS
@@ -228,7 +248,7 @@ pub fn router(app: App, rooms: Option<Router>) -> Router {
     let open = open.method_not_allowed_fallback(no_method).layer((cors(), map_response(open_to_all)));
     let files = files().into_iter().fold(Router::new(), |router, (path, handler)| router.route(path, handler));
     let files = files.method_not_allowed_fallback(no_method).layer(cors());
-    let router = router.merge(open).merge(files).merge(rooms.unwrap_or_default().with_state(()));
+    let router = router.merge(open).merge(files).merge(rooms.map(rooms_router).unwrap_or_default().with_state(()));
     own_pages()
         .into_iter()
         .fold(router, |router, (path, handler, _)| router.route(path, handler))

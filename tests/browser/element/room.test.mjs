@@ -1,12 +1,14 @@
 // Rooms in the element, on pages of this server and of others.
 import assert from 'node:assert/strict';
 
+import { execFileSync } from 'node:child_process';
 import { randomBytes } from 'node:crypto';
 import { writeFileSync } from 'node:fs';
 import { createServer } from 'node:http';
 import { join } from 'node:path';
 import { after, before, describe, test } from 'node:test';
-import { openPage } from '../support/browser.mjs';
+import { openPage, shareDifferent } from '../support/browser.mjs';
+import { program } from '../support/program.mjs';
 
 import { likenessOf, roomSuite, SAME_DB, STILL, shoot } from '../support/room.mjs';
 import { HEIGHT, WIDTH } from '../support/video.mjs';
@@ -18,6 +20,7 @@ describe('rooms in the element', () => {
     writeFileSync(key, randomBytes(32));
     return ['--live-key', key];
   });
+  const token = (room) => execFileSync(program, ['live', 'token', room, '--key', key], { encoding: 'utf8' }).trim();
 
   /** Somebody else's site, whose pages have an element with the attributes in the query. */
   let other;
@@ -149,6 +152,44 @@ describe('rooms in the element', () => {
     await publisher.page.waitForFunction(() => /1 watching/.test(document.getElementById('state').textContent));
     await moves(page);
     await context.close();
+    await publisher.context.close();
+  });
+
+  test('a page of another site shows it with a token for watching', async () => {
+    const publisher = await suite.publish('attic');
+    for (const attributes of [
+      `src="${suite.server.url}/live/attic#token=${token('attic')}"`,
+      `src="${suite.server.url}/v1/live/attic" token="${token('attic')}"`,
+    ]) {
+      const { page, context, errors } = await open(attributes);
+      const asked = [];
+      page.on('request', (request) => asked.push(request.url()));
+      await moves(page);
+      const [home, moved] = [await pixels(page, {}), await pixels(page, { tx: 0.05, yaw: -1 })];
+      assert.ok(shareDifferent(home, moved, WIDTH, HEIGHT) > 0.1, 'a moved camera sees something else');
+      assert.ok(!asked.some((url) => url.includes('token=')), `${asked}`);
+      assert.deepEqual(errors, []);
+      await context.close();
+    }
+    await publisher.context.close();
+  });
+
+  test('without a token, or with one for another room, it says what is missing, and another token helps', async () => {
+    const publisher = await suite.publish('attic');
+    for (const given of ['', ` token="${token('cellar')}"`]) {
+      const { page, context } = await open(`src="${suite.server.url}/live/attic"${given}`);
+      const alert = page.getByRole('alert');
+      await alert.getByText(/needs a link with a token/).waitFor();
+      await alert.getByText('The attic').waitFor();
+      assert.equal(await page.evaluate(() => document.querySelector('tmpi-viewer').state), 'refused');
+      await shoot(page, 'element-room-refused');
+      assert.deepEqual(await page.evaluate(() => window.told.filter(({ type }) => type === 'load')), []);
+      assert.equal(await page.evaluate(() => window.told.filter(({ type }) => type === 'error').length), 1);
+      await page.evaluate((good) => document.querySelector('tmpi-viewer').setAttribute('token', good), token('attic'));
+      await mode(page, 'gpu');
+      assert.ok(await alert.isHidden());
+      await context.close();
+    }
     await publisher.context.close();
   });
 });
