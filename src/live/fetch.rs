@@ -21,13 +21,15 @@ use super::access::Role;
 use super::gops::{Group, Part};
 use super::nodes::{Borrower, Lent, Silent};
 use super::room::{Room, Still};
-use super::routes::{Here, none_publishes};
-use crate::server::{Held, Problem};
+use super::routes::{Here, Leave, none_publishes};
+use crate::server::{Held, Problem, RoomViewQuery};
 
 /// Quality of the picture of a frame that is asked for by itself.
 const QUALITY: u8 = 90;
 /// Time for which the next group of pictures is waited for.
 const NEXT_GROUP: Duration = Duration::from_secs(5);
+/// Header of a frame's number.
+const FRAME: &str = "x-tmpi-frame";
 /// Messages of a room one after the other, each after its length in four bytes, little endian.
 const MESSAGES: &str = "application/vnd.tmpi.live";
 
@@ -83,7 +85,58 @@ pub async fn frame(
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
     here.check(&name, Role::Watch, &uri, &headers)?;
-    let wanted = match number.as_str() {
+    let (number, made) = wanted(&here, &name, &number).await?;
+    let mut response = made.into_response();
+    response.headers_mut().insert(header::CONTENT_TYPE, HeaderValue::from_static(MEDIA_TYPE));
+    response.headers_mut().insert(FRAME, HeaderValue::from(number));
+    Ok(response)
+}
+
+/// A view of a frame of a room for any camera.
+///
+/// As that of a photo, for clients that can draw nothing themselves: under the same bounds, and drawn once for all who ask for the same.
+/// `If-None-Match` with the tag of the last one asks for it only where there is a newer frame.
+#[utoipa::path(
+    get, path = "/v1/live/{room}/frames/{frame}/view", tag = "live", operation_id = "frame_view",
+    params(
+        ("room" = String, Path, description = "Name of the room"),
+        ("frame" = String, Path, description = "`latest`, or its number, as long as no newer one is kept"),
+        ("token" = Option<String>, Query, description = "Token for who watches or publishes here; this machine's own user needs none"),
+        RoomViewQuery,
+    ),
+    responses(
+        (status = 200, description = "The view; PNG and WebP are transparent where nothing is known",
+            content((String = "image/png"), (String = "image/jpeg"), (String = "image/webp")),
+            headers(("x-tmpi-frame" = u64, description = "Number of the frame"))),
+        (status = 304, description = "The client has it"),
+        (status = 400, description = "A parameter is wrong; `field` names it", body = Problem, content_type = "application/problem+json"),
+        (status = 403, description = "No token that is good: a page of another site always needs one", body = Problem, content_type = "application/problem+json"),
+        (status = 404, description = "Nobody publishes there, or the frame is not kept", body = Problem, content_type = "application/problem+json"),
+        (status = 406, description = "The client takes none of the formats", body = Problem, content_type = "application/problem+json"),
+        (status = 503, description = "Too much waits, or the node that has the room's publisher does not answer", body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub async fn view(
+    State(here): State<Here>,
+    Path((name, number)): Path<(String, String)>,
+    uri: Uri,
+    headers: HeaderMap,
+) -> Result<Response, Problem> {
+    let (asked, token) = here.views.read(&uri)?;
+    let leave = here.admit(&name, Role::Watch, token.as_deref(), &headers)?;
+    let (number, made) = wanted(&here, &name, &number).await?;
+    let mut response = here.views.answer(&asked, made, &headers).await?;
+    response.headers_mut().insert(FRAME, HeaderValue::from(number));
+    if leave == Leave::Token {
+        // a picture on a page of another site, whose address has the token
+        response.headers_mut().insert("cross-origin-resource-policy", HeaderValue::from_static("cross-origin"));
+    }
+    Ok(response)
+}
+
+/// Number and container of a frame: that of the number, or `latest`.
+async fn wanted(here: &Here, name: &str, number: &str) -> Result<(u64, Bytes), Problem> {
+    let wanted = match number {
         "latest" => None,
         number => Some(number.parse().map_err(|_| Problem::not_found("frames have numbers"))?),
     };
@@ -91,24 +144,20 @@ pub async fn frame(
         Some(kept) => Problem::not_found(format!("the frame that is kept is {kept}")),
         None => Problem::not_found("no frame is done yet"),
     };
-    let (number, made) = match Source::of(&here.rooms, &name)? {
+    match Source::of(&here.rooms, name)? {
         Source::Here(room) => {
             let still = room.still().ok_or_else(|| none(None))?;
             let kept = still.tiles.frame;
             if wanted.is_some_and(|n| n != kept) {
                 return Err(none(Some(kept)));
             }
-            (kept, container_of(&still).await.map_err(|e| Problem::internal("writing a container", &e))?)
+            Ok((kept, container_of(&still).await.map_err(|e| Problem::internal("writing a container", &e))?))
         }
         Source::There(owner) => match owner.frame(wanted).await? {
-            Lent::Frame(number, made) => (number, made),
-            Lent::Other(kept) => return Err(none(kept)),
+            Lent::Frame(number, made) => Ok((number, made)),
+            Lent::Other(kept) => Err(none(kept)),
         },
-    };
-    let mut response = made.into_response();
-    response.headers_mut().insert(header::CONTENT_TYPE, HeaderValue::from_static(MEDIA_TYPE));
-    response.headers_mut().insert("x-tmpi-frame", HeaderValue::from(number));
-    Ok(response)
+    }
 }
 
 /// Where the newest group of pictures lies.

@@ -15,7 +15,7 @@ use utoipa_axum::routes;
 
 use super::access::{PROTOCOL, Role, check_origin, is_good, token_of};
 use super::{COME_BACK, FRAME_BYTES, Rooms, fetch, invite, is_name, publisher, viewer};
-use crate::server::{Held, Pairs, Problem};
+use crate::server::{Held, Pairs, Problem, RoomViews};
 
 /// Bytes that wait to be written for a viewer, at most: the largest message, and nothing beside it.
 const WRITE_BUFFER: usize = 2 << 20;
@@ -28,6 +28,8 @@ pub struct Here {
     pub stop: CancellationToken,
     /// Whether a request comes from this machine's own user.
     pub own: Arc<dyn Fn(&HeaderMap) -> bool + Send + Sync>,
+    /// What draws views of frames.
+    pub views: RoomViews,
 }
 
 /// What whoever watches asks for, on pages of other sites, too, where these have a token.
@@ -36,6 +38,7 @@ pub fn watching_api() -> OpenApiRouter<Here> {
         .routes(routes!(invite::state))
         .routes(routes!(subscribe))
         .routes(routes!(fetch::frame))
+        .routes(routes!(fetch::view))
         .routes(routes!(fetch::latest_group))
         .routes(routes!(fetch::group))
 }

@@ -81,8 +81,8 @@ pub use network::{Better, Offer, Renewed};
 pub use problem::Problem;
 pub use proxies::{ClientAddress, Network, Proxies};
 pub use rest::allocate_in_one_place;
-pub(crate) use routes::Pairs;
 pub use routes::{Access, Route, openapi, routes};
+pub(crate) use routes::{Pairs, RoomViewQuery, RoomViews};
 pub use tls::{Tls, TlsError};
 pub use traces::{Collector, CollectorError};
 
@@ -318,7 +318,7 @@ impl Server {
         let rooms = rooms.map(|rooms| {
             let of = Arc::clone(&app);
             let own = Arc::new(move |headers: &HeaderMap| of.hosts.is_own(headers));
-            live::routes::Here { rooms, stop: token.clone(), own }
+            live::routes::Here { rooms, stop: token.clone(), own, views: RoomViews::new(Arc::clone(&app)) }
         });
         let prepared = (role != Role::Work).then(|| Prepared::new(Arc::clone(&app)));
         let router = match role {

@@ -122,7 +122,9 @@ impl Rates {
         match (method, path) {
             (&Method::POST, "/v1/photos" | "/v1/photos/{id}/again") | (&Method::PATCH, "/v1/photos/{id}/strokes") => self.uploads.as_ref(),
             // HEAD draws what it tells the length of
-            (&Method::GET | &Method::HEAD, "/v1/photos/{id}/view" | "/v1/photos/{id}/export") => self.views.as_ref(),
+            (&Method::GET | &Method::HEAD, "/v1/photos/{id}/view" | "/v1/photos/{id}/export" | "/v1/live/{room}/frames/{frame}/view") => {
+                self.views.as_ref()
+            }
             _ => None,
         }
     }
@@ -217,7 +219,7 @@ mod tests {
     #[test]
     fn whoever_asks_for_the_head_of_a_view_alone_has_asked_for_a_view() {
         let rates = Rates::new(&Limits { rate_views: 1, ..Limits::default() });
-        for (n, path) in ["/v1/photos/{id}/view", "/v1/photos/{id}/export"].into_iter().enumerate() {
+        for (n, path) in ["/v1/photos/{id}/view", "/v1/photos/{id}/export", "/v1/live/{room}/frames/{frame}/view"].into_iter().enumerate() {
             let take = |method| rates.take(Some(Asker::Key(n.to_string())), &method, path).1;
             assert!(take(Method::HEAD).is_ok() && take(Method::OPTIONS).is_ok(), "{path}");
             for method in [Method::HEAD, Method::GET] {

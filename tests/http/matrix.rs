@@ -55,7 +55,7 @@ const NONE: &str = "00000000000000000000000000000000";
 /// What to ask of a route.
 pub fn target(route: &Route, method: &str, id: &str) -> String {
     let query = match route.path.as_str() {
-        "/v1/photos/{id}/view" => "?w=8",
+        "/v1/photos/{id}/view" | "/v1/live/{room}/frames/{frame}/view" => "?w=8",
         "/v1/photos/{id}/export" => "?format=glb",
         "/oembed" => &format!("?url=http://localhost/view/{id}"),
         _ => "",

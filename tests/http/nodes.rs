@@ -156,6 +156,8 @@ fn frames_and_groups_are_the_same_at_any_node() {
         assert_eq!((answer.header("x-tmpi-frame"), &answer.body), (Some("0"), &both[0].body));
     }
     assert!(both[0].body.len() > 1024, "{}", both[0].body.len());
+    let views = [a.addr, b.addr].map(|addr| of(addr, "frames/latest/view?w=40&tx=0.02&format=png"));
+    assert!(views.iter().all(|v| v.status == 200 && v.header("x-tmpi-frame") == Some("0") && v.body == views[0].body));
     for (path, detail) in [("frames/7/atlas", "the frame that is kept is 0"), ("frames/x/atlas", "frames have numbers")] {
         assert_eq!(of(b.addr, path).problem(404)["detail"], detail);
     }

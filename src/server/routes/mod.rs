@@ -11,6 +11,7 @@ mod owner;
 mod photos;
 mod query;
 mod results;
+mod room_view;
 mod state;
 mod strokes;
 mod system;
@@ -36,6 +37,8 @@ use super::app::App;
 use super::middleware;
 pub(super) use admin::router as admin_router;
 pub(crate) use query::Pairs;
+pub(crate) use room_view::RoomViews;
+pub(crate) use view_query::RoomViewQuery;
 pub(super) use view_query::ViewQuery;
 
 use super::pages;

@@ -6,13 +6,14 @@ use std::time::{Duration, Instant};
 use axum::extract::{Extension, Path, State};
 use axum::http::{HeaderMap, Uri, header};
 use axum::response::Response;
+use bytes::Bytes;
 use futures_util::TryFutureExt as _;
 use tokio_util::sync::CancellationToken;
 
-use crate::server::app::{App, Export, Full, Shared, Stored, Version, scene_bytes};
+use crate::server::app::{App, Export, Full, Shared, Stored, Version, memory_of, scene_bytes};
 use crate::server::clock::Clock;
 use crate::server::conditional::insert;
-use crate::server::pool::Class;
+use crate::server::pool::{Class, Slot};
 use crate::server::problem::Problem;
 use crate::server::store::Done;
 use tmpi_core::{Camera, Scene};
@@ -48,6 +49,17 @@ fn negotiate(headers: &HeaderMap) -> Option<PictureFormat> {
     best.reduce(|a, b| if b.1 > a.1 { b } else { a }).map(|(f, _)| f)
 }
 
+/// The format that is asked for, else that which a client likes best.
+///
+/// # Errors
+/// 406 where it takes none of them.
+pub(super) fn picked(asked: Option<PictureFormat>, headers: &HeaderMap) -> Result<PictureFormat, Problem> {
+    asked.or_else(|| negotiate(headers)).ok_or_else(|| {
+        let status = axum::http::StatusCode::NOT_ACCEPTABLE;
+        Problem::new(status, "not-acceptable", "views are image/png, image/jpeg or image/webp").field("Accept")
+    })
+}
+
 /// A rendered view of a photo for any camera.
 ///
 /// The pose is rounded (lengths to 0.00001, angles to 0.001 degrees), so that views which look the same are drawn once and kept
@@ -79,10 +91,7 @@ pub async fn view(
     let (version, done) = Shared::done(&entry)?;
     let size = query.size((done.width, done.height), &app.limits)?;
     let still = query.moving.map(|_| PictureFormat::default());
-    let format = query.format.or(still).or_else(|| negotiate(&headers)).ok_or_else(|| {
-        let status = axum::http::StatusCode::NOT_ACCEPTABLE;
-        Problem::new(status, "not-acceptable", "views are image/png, image/jpeg or image/webp").field("Accept")
-    })?;
+    let format = picked(query.format.or(still), &headers)?;
     let name = |results: &str| format!("{results} {size:?} {format:?} {:?}", query.canonical());
     let derived = Derived::new(&app, &done, query.version.as_deref(), name);
     if let Some(mut response) = derived.known(&headers) {
@@ -93,7 +102,7 @@ pub async fn view(
     let full = if query.moving.is_some() { Full::Refuse } else { Full::Memory };
     // whoever asks for the same view meanwhile waits for this one
     let drawn = async {
-        let (bytes, took) = draw(&app, version, &done, &query, size, format).await?;
+        let (bytes, took) = draw(&app, Subject::Photo(version, &done), &query, size, format).await?;
         timing = took;
         let (name, shared) = (derived.made.clone(), Arc::clone(&app));
         let keep = tokio::task::spawn_blocking(move || Stored::derived(Some(&name), bytes, &shared.jobs.store, full));
@@ -106,21 +115,51 @@ pub async fn view(
     } else {
         app.views.get(key, drawn).await?
     };
-    // a scene that was at hand would make decoding look cheap
-    for (phase, took) in timing.iter().filter(|(_, took)| !took.is_zero()) {
-        app.telemetry.view(phase, *took);
-    }
+    count(&app, &timing);
     let content_type = query.moving.map_or(format.media_type(), |moving| moving.format.media_type());
     let mut response = derived.answer(&headers, stored, content_type, &timing);
     insert(&mut response, header::VARY, "Accept");
     Ok(response)
 }
 
+/// Counts what the phases of drawing took.
+pub(super) fn count(app: &App, timing: &[(&'static str, Duration)]) {
+    // a scene that was at hand would make decoding look cheap
+    for (phase, took) in timing.iter().filter(|(_, took)| !took.is_zero()) {
+        app.telemetry.view(phase, *took);
+    }
+}
+
+/// What is drawn.
+pub(super) enum Subject<'a> {
+    /// A made photo.
+    Photo(Version, &'a Done),
+    /// A frame of a room, by its container; and its width and height.
+    Frame(Version, Bytes, (u32, u32)),
+}
+
+impl Subject<'_> {
+    /// Memory that work on it takes, in bytes.
+    fn bytes(&self) -> u64 {
+        match self {
+            Self::Photo(_, done) => scene_bytes(done),
+            Self::Frame(_, container, size) => memory_of(*size, container.len() as u64),
+        }
+    }
+
+    /// Its scene, and how long decoding it took if it was not at hand.
+    async fn scene(self, app: &App, slot: &Slot) -> Result<(Arc<Scene>, Option<Duration>), Problem> {
+        match self {
+            Self::Photo(version, _) => app.scene(version, slot).await,
+            Self::Frame(frame, container, _) => app.frame_scene(frame, container, slot).await,
+        }
+    }
+}
+
 /// Draws and encodes; with what each phase took.
-async fn draw(
+pub(super) async fn draw(
     app: &App,
-    version: Version,
-    done: &Done,
+    subject: Subject<'_>,
     query: &ViewQuery,
     size: (u32, u32),
     format: PictureFormat,
@@ -132,9 +171,9 @@ async fn draw(
     let asked = Instant::now();
     let class = if query.moving.is_some() { Class::Export } else { Class::Interactive };
     // decoding is a part of the work: who waits holds no scene
-    let slot = app.pool.enter(class, scene_bytes(done)).await?;
+    let slot = app.pool.enter(class, subject.bytes()).await?;
     let waited = asked.elapsed();
-    let (scene, decoding) = app.scene(version, &slot).await?;
+    let (scene, decoding) = subject.scene(app, &slot).await?;
     let (camera, rig, moving) = (query.camera(&scene, size), query.rig(&scene), query.moving);
     let drawn = slot.run(move || {
         let start = Instant::now();
