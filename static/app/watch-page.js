@@ -3,6 +3,7 @@
 import { t, translatePage } from '../i18n/messages.js';
 import { sentence } from '../i18n/text.js';
 import { hasGyroscope } from '../input/gyroscope.js';
+import { ServedViews } from '../live/served-views.js';
 import { SoundPlayer } from '../live/sound-player.js';
 import { startRoom } from '../live/start.js';
 import { behind, saying } from '../live/states.js';
@@ -102,7 +103,7 @@ async function toggleFullscreen() {
 translatePage();
 $('title').textContent = room.name;
 document.title = `${room.name} – tmpi`;
-const viewer = new Viewer($('stage'), { live: { start: startRoom, address: room.address, token: room.token } });
+const viewer = new Viewer($('stage'), { live: { start: startRoom, address: room.address, token: room.token, Views: ServedViews } });
 viewer.setIdle(false);
 Object.assign(window, { viewer, sound });
 viewer.addEventListener('live', ({ detail }) => onLive(detail));
@@ -113,6 +114,11 @@ viewer.addEventListener('ready', ({ detail }) => {
   $('loading').hidden = true;
   if (!first) return;
   note(t(detail.mode === 'flat' ? 'This browser shows the video without depth.' : 'Move the pointer or drag to look around.'));
+});
+viewer.addEventListener('mode', ({ detail }) => {
+  if (detail.mode !== 'served' && detail.mode !== 'flat') return;
+  $('stage').dataset.mode = detail.mode;
+  note(detail.mode === 'served' ? t('The server draws this view.') : '');
 });
 viewer.addEventListener('error', ({ detail }) => fail(t(detail.message)));
 $('reset').addEventListener('click', () => viewer.reset());

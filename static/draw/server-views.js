@@ -39,30 +39,8 @@ export class ServerViews {
    * @param {Frame} frame
    */
   show(pose, fov, size, frame) {
-    this.wanted = this.#address(pose, fov, size, frame);
+    this.wanted = viewAddress(this.url, this.size, pose, fov, size, frame);
     if (!this.busy) this.#next();
-  }
-
-  /**
-   * @param {Pose} pose
-   * @param {number} fov
-   * @param {{width: number, height: number}} wanted
-   * @param {Frame} frame
-   */
-  #address(pose, fov, wanted, frame) {
-    const aspect = frame.scale > 1 ? wanted.height / wanted.width : this.size.height / this.size.width;
-    const limit = Math.min(MAX_SIDE, MAX_SIDE / aspect);
-    const width = Math.max(1, Math.round(Math.min(limit, Math.ceil(wanted.width / SIZE_STEP) * SIZE_STEP)));
-    const height = Math.max(1, Math.round(width * aspect));
-    const query = new URLSearchParams();
-    for (const key of POSE_KEYS) if (pose[key]) query.set(key, pose[key].toFixed(5));
-    query.set('w', String(width));
-    query.set('h', String(height));
-    query.set('fov', fov.toFixed(4));
-    const crop = cropOf(frame, (width * this.size.height) / (height * this.size.width));
-    if (crop) query.set('crop', crop);
-    query.set('format', 'jpeg');
-    return `${this.url}${this.url.includes('?') ? '&' : '?'}${query}`;
   }
 
   async #next() {
@@ -107,6 +85,31 @@ export class ServerViews {
     for (const source of this.kept.values()) URL.revokeObjectURL(source);
     this.kept.clear();
   }
+}
+
+/**
+ * Address of a view.
+ * @param {string} url the view resource
+ * @param {{width: number, height: number}} size of the photo
+ * @param {Pose} pose
+ * @param {number} fov horizontal, of the whole photo, degrees
+ * @param {{width: number, height: number}} wanted size, device pixels
+ * @param {Frame} frame
+ */
+export function viewAddress(url, size, pose, fov, wanted, frame) {
+  const aspect = frame.scale > 1 ? wanted.height / wanted.width : size.height / size.width;
+  const limit = Math.min(MAX_SIDE, MAX_SIDE / aspect);
+  const width = Math.max(1, Math.round(Math.min(limit, Math.ceil(wanted.width / SIZE_STEP) * SIZE_STEP)));
+  const height = Math.max(1, Math.round(width * aspect));
+  const query = new URLSearchParams();
+  for (const key of POSE_KEYS) if (pose[key]) query.set(key, pose[key].toFixed(5));
+  query.set('w', String(width));
+  query.set('h', String(height));
+  query.set('fov', fov.toFixed(4));
+  const crop = cropOf(frame, (width * size.height) / (height * size.width));
+  if (crop) query.set('crop', crop);
+  query.set('format', 'jpeg');
+  return `${url}${url.includes('?') ? '&' : '?'}${query}`;
 }
 
 /**

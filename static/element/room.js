@@ -1,6 +1,7 @@
 // A room in the element: its picture, what is said while there is none, and its sound.
 import { t } from '../i18n/messages.js';
 import { roomAt } from '../live/room-address.js';
+import { ServedViews } from '../live/served-views.js';
 import { SoundPlayer } from '../live/sound-player.js';
 import { startRoom } from '../live/start.js';
 import { behind, saying } from '../live/states.js';
@@ -50,7 +51,11 @@ export class Room {
     this.#shadow = shadow;
     this.#dress(named.sound === 'off');
     const { address, token } = roomAt(named.address, named.token);
-    this.viewer = new Viewer(stage, { live: { start: startRoom, address, token }, settings: named.settings, embedded: true });
+    this.viewer = new Viewer(stage, {
+      live: { start: startRoom, address, token, Views: ServedViews },
+      settings: named.settings,
+      embedded: true,
+    });
     this.viewer.addEventListener('live', ({ detail }) => this.#onLive(detail));
     this.viewer.addEventListener('ready', () => {
       this.#shown = true;

@@ -6,7 +6,8 @@
 // Events (detail): `progress` {received, total} · `photo` · `ready` {mode} · `mode` {mode, reason} · `idle` {on} · `pose` ·
 // `frame` {ms} · `error` {message} · `live` what a room's worker says (live/worker.js). `mode` is `gpu` where the browser draws with
 // WebGPU, `webgl` where it does with WebGL2, `served` where the server draws, `still` where nobody can and the photo is all there is,
-// and `flat` where a room is shown as plain video.
+// and `flat` where a room is shown as plain video. Where nothing here draws, a room is `flat` at the camera's own place, which the video
+// shows as it is, and `served` away from it, as long as the server draws; without a decoder for its video it is `served` everywhere.
 
 import { startDecoder } from '../decode/start.js';
 import { Backends } from '../draw/backends.js';
@@ -16,7 +17,7 @@ import { listen } from '../input/gestures.js';
 import { Tilt } from '../input/gyroscope.js';
 import { Motion } from '../input/motion.js';
 import { Zoom } from '../input/zoom.js';
-import { fovX, resized } from './camera.js';
+import { fovX, POSE_KEYS, resized } from './camera.js';
 import { pixelRatio, setPixels } from './canvas-size.js';
 import { Detail } from './detail.js';
 import { Display } from './display.js';
@@ -25,6 +26,7 @@ import { Stage } from './stage.js';
 
 /** @import { Offset, Scene, SceneHead } from '../decode/scene.js' */
 /** @import { Instances } from '../draw/instances.js' */
+/** @import { ServedViews } from '../live/served-views.js' */
 /** @import { Cells } from '../live/tile-atlas.js' */
 /** @import { WebGlRenderer } from '../draw/webgl.js' */
 /** @import { WebGpuRenderer } from '../draw/webgpu.js' */
@@ -56,6 +58,13 @@ export class Viewer extends EventTarget {
   /** @type {ReturnType<typeof setTimeout> | undefined} */
   #rest;
   #disposed = false;
+  /**
+   * Views of a room that the server draws, where nothing here does.
+   * @type {ServedViews | null}
+   */
+  #served = null;
+  /** Nothing here decodes a room's video. */
+  #undecoded = false;
   /** A room's scenes are drawn one after the other. */
   #redrawn = Promise.resolve();
   #stopListening;
@@ -65,10 +74,11 @@ export class Viewer extends EventTarget {
   /**
    * @param {HTMLElement} root focusable element that takes the input and holds the pictures
    * @param {{atlas?: string, view?: string, report?: string, offset?: {x: number, y: number, z: number}, embedded?: boolean,
-   *   live?: {start: () => Worker, address: string, token: string}, settings?: object | Promise<object>, full?: Promise<{width?: number, height?: number} | undefined>}} options addresses of the container, of the views that the server draws and of the photo's
+   *   live?: {start: () => Worker, address: string, token: string, Views: typeof ServedViews}, settings?: object | Promise<object>, full?: Promise<{width?: number, height?: number} | undefined>}} options addresses of the container, of the views that the server draws and of the photo's
    *   report; where the camera starts, in units of the view box; whether the viewer is a part of a page that scrolls; what the photo's
    *   owner wants (settings.js), which the camera's start given here overrules; the photo's own size, where the container is a smaller
-   *   level of it; `live`: a room to watch in place of a container, and what starts its worker
+   *   level of it; `live`: a room to watch in place of a container, what starts its worker, and
+   *   what shows views that the server draws of it
    */
   constructor(root, options) {
     super();
@@ -313,6 +323,7 @@ export class Viewer extends EventTarget {
     if (on) {
       cancelAnimationFrame(this.#frameRequest);
       this.#frameRequest = 0;
+      this.#served?.stop();
     } else this.#wake();
   }
 
@@ -372,11 +383,43 @@ export class Viewer extends EventTarget {
           depthOfField.cost = ms / times;
           this.#emit('frame', { ms: this.#pacing.ms });
         });
-    } else if (this.mode === 'served') {
-      const ratio = pixelRatio();
-      const size = { width: this.poster.clientWidth * ratio, height: this.poster.clientHeight * ratio };
-      this.serverViews?.show(this.#camera.coarsePose, fovX(this.head.intrinsics, this.head.width), size, this.#zoom.frame);
+    } else if (this.mode === 'served' || this.mode === 'flat') this.#ask(this.head);
+  }
+
+  /**
+   * Asks the server for what is seen now; of a room not where the video shows it.
+   * @param {SceneHead} head
+   */
+  #ask(head) {
+    const { coarsePose } = this.#camera;
+    const views = this.options.live ? this.#served : this.serverViews;
+    if (views === this.#served && !this.#wantsServed) {
+      this.#served?.stop();
+      this.#turn('flat');
+      return;
     }
+    const ratio = pixelRatio();
+    const { width, height } = this.#zoom.size;
+    views?.show(coarsePose, fovX(head.intrinsics, head.width), { width: width * ratio, height: height * ratio }, this.#zoom.frame);
+  }
+
+  /** Whether somebody sees what only the server can draw of a room. */
+  get #wantsServed() {
+    if (this.#asleep || document.hidden) return false;
+    const { coarsePose } = this.#camera;
+    return this.#undecoded || this.#zoom.close || POSE_KEYS.some((key) => coarsePose[key]);
+  }
+
+  /**
+   * Changes between a room's video and views that the server draws of it.
+   * @param {'flat' | 'served'} mode
+   */
+  #turn(mode) {
+    if (this.mode === mode || this.#undecoded || !this.canvas) return;
+    this.mode = mode;
+    this.canvas.style.visibility = mode === 'served' ? 'hidden' : '';
+    this.#emit('mode', { mode, reason: '' });
+    this.#layout();
   }
 
   /**
@@ -402,6 +445,7 @@ export class Viewer extends EventTarget {
     document.removeEventListener('visibilitychange', this.#onVisible);
     this.renderer?.dispose();
     this.serverViews?.dispose();
+    this.#served?.dispose();
     this.#stage.dispose();
   }
 
@@ -417,12 +461,21 @@ export class Viewer extends EventTarget {
     else this.#worker.postMessage({ url: this.options.atlas, photoOnly: !any, side });
   }
 
-  /** @param {any} data posted by decode/worker.js */
+  /** @param {any} data posted by decode/worker.js or live/worker.js */
   #onWorker(data) {
+    if (this.#undecoded && (data.type === 'scene' || data.type === 'picture')) {
+      // another publisher, of whose video there is a decoder
+      this.#undecoded = false;
+      this.#served?.dispose();
+      this.#served = null;
+    }
     if (data.type === 'progress') this.#emit('progress', { received: data.received, total: data.total || this.head?.total || 0 });
     else if (data.type === 'head') {
       this.head = data.head;
       this.#camera.know(data.head, null);
+      this.#served?.dispose();
+      this.#served = null;
+      if (this.#undecoded) this.#serveAlone(data.head);
       this.#layout();
     } else if (data.type === 'photo') {
       this.#stage.showPhoto(data.blob);
@@ -437,7 +490,45 @@ export class Viewer extends EventTarget {
     } else if (data.type === 'update') this.#follow(data);
     else if (data.type === 'picture') this.#showFlat(data.picture);
     else if (data.type === 'error') this.#fail(data.message);
+    else if (data.state === 'unsupported' && this.head) this.#serveAlone(this.head);
     else this.#emit('live', data);
+  }
+
+  /**
+   * Has the server draw a room all the time: nothing here decodes its video.
+   * @param {SceneHead} head
+   */
+  #serveAlone(head) {
+    if (this.#undecoded && this.#served) return;
+    this.#undecoded = true;
+    this.renderer?.dispose();
+    this.renderer = null;
+    this.#stage.canvas = null;
+    this.mode = 'served';
+    this.setIdle(false);
+    let [shown, said] = [false, ''];
+    const say = (/** @type {string} */ state) => {
+      if (state !== said) this.#emit('live', { type: 'state', state, reason: '' });
+      said = state;
+    };
+    this.#prepareServed(head, {
+      shown: (fresh) => {
+        if (!shown) this.#emit('ready', { mode: 'served' });
+        shown = true;
+        say(fresh ? 'live' : 'stalled');
+      },
+      refused: (state) => say(state === 'busy' ? 'stalled' : state === 'waiting' && shown ? 'ended' : state),
+    });
+    this.#layout();
+  }
+
+  /**
+   * @param {SceneHead} head
+   * @param {{shown: (fresh: boolean) => void, refused: (state: string) => void}} on
+   */
+  #prepareServed(head, on) {
+    const { live } = this.options;
+    if (live) this.#served = new live.Views(this.poster, live, head, on);
   }
 
   /**
@@ -487,6 +578,11 @@ export class Viewer extends EventTarget {
   #showFlat(picture) {
     const { head } = this;
     if (!head || this.#disposed) return picture.close();
+    // the video is there again where the server refuses
+    if (!this.#served) {
+      this.#prepareServed(head, { shown: () => this.#turn('served'), refused: () => this.#turn('flat') });
+      this.render();
+    }
     if (!this.canvas) {
       const canvas = document.createElement('canvas');
       [canvas.width, canvas.height] = [head.width, head.height];
@@ -649,6 +745,7 @@ export class Viewer extends EventTarget {
 
   #onVisible = () => {
     if (!document.hidden) this.#wake();
+    else this.#served?.stop();
   };
 
   /**
