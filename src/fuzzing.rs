@@ -105,10 +105,16 @@ const PHOTO: photo::Limits = photo::Limits {
 /// What a decoder may take for tables, rows and an unpacked profile, whatever it is given.
 const DECODER: usize = 24 << 20;
 
-/// A photo of any format, at its own size and reduced. Promised: what was checked without decoding is refused for its data alone;
-/// a photo that holds together; what is carried is the same photo; memory by bytes and pixels.
+/// A photo of any format, at its own size and reduced. Promised: its first bytes tell nothing else than the whole; what was checked without
+/// decoding is refused for its data alone; a photo that holds together; what is carried is the same photo; memory by bytes and pixels.
 fn photo(data: &[u8]) -> usize {
     let checked = photo::check(data, &PHOTO);
+    for end in [data.len().min(32), data.len() / 2] {
+        if let Err(early) = photo::head(&data[..end], &PHOTO) {
+            let late = checked.as_ref().map_err(ToString::to_string);
+            assert!(late == Err(early.to_string()), "what is refused by its first bytes is {late:?} as a whole");
+        }
+    }
     for most in [None, Some(5)] {
         match photo::decode(data, &PHOTO, most) {
             Ok(got) => {

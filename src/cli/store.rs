@@ -102,6 +102,7 @@ fn look(which: &Which, remedy: Remedy) -> anyhow::Result<Audit> {
         ("without a marker", &audit.unmarked),
         ("with a damaged marker", &audit.damaged),
         ("missing", &audit.missing),
+        ("of another length than it should be", &audit.cut),
         (if remedy == Remedy::Remove { "removed" } else { "left over" }, &audit.left_over),
     ] {
         for name in names {
@@ -111,12 +112,13 @@ fn look(which: &Which, remedy: Remedy) -> anyhow::Result<Audit> {
     let Audit { photos, done, failed, pending, removed, mended, folders, .. } = &audit;
     let text = format!(
         "{photos} photos: {done} done, {failed} failed, {pending} pending ({} overdue, {} without a marker, {} with a damaged one, {mended} mended)\n\
-         {} not understood, {} missing, {} left over, {removed} and {folders} empty folders removed",
+         {} not understood, {} missing, {} of another length, {} left over, {removed} and {folders} empty folders removed",
         audit.overdue.len(),
         audit.unmarked.len(),
         audit.damaged.len(),
         audit.unread.len(),
         audit.missing.len(),
+        audit.cut.len(),
         audit.left_over.len(),
     );
     result(&if which.json { serde_json::to_string_pretty(&audit)? } else { text })?;

@@ -13,7 +13,7 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::sync::{Mutex, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
 
-use super::maker::{Fault, Maker, PipelineMaker, Product};
+use super::maker::{Fault, HeadOf, Maker, PipelineMaker, Product};
 use super::network::{Better, Offer, Renewed};
 use super::options;
 use super::problem::Problem;
@@ -166,6 +166,10 @@ impl Maker for ProcessMaker {
 
     fn check(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options) -> Result<(), MakeError> {
         self.checks.check(photo, depth, options)
+    }
+
+    fn check_head(&self, of: HeadOf<'_>, head: &[u8]) -> Result<Option<usize>, MakeError> {
+        self.checks.check_head(of, head)
     }
 
     fn memory(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options) -> u64 {

@@ -50,6 +50,15 @@ pub trait Files: Debug + Send + Sync + 'static {
     /// As [`fs::rename`].
     fn rename(&self, from: &Path, to: &Path) -> io::Result<()>;
 
+    /// Gives a file a second name.
+    ///
+    /// # Errors
+    /// As [`fs::hard_link`]: [`io::ErrorKind::AlreadyExists`] where there is a file of that name.
+    fn link(&self, from: &Path, to: &Path) -> io::Result<()>;
+
+    /// True where there is a folder.
+    fn is_dir(&self, path: &Path) -> bool;
+
     /// Makes what was made, renamed and removed within a folder durable.
     ///
     /// # Errors
@@ -123,6 +132,14 @@ impl Files for Disk {
 
     fn rename(&self, from: &Path, to: &Path) -> io::Result<()> {
         fs::rename(from, to)
+    }
+
+    fn link(&self, from: &Path, to: &Path) -> io::Result<()> {
+        fs::hard_link(from, to)
+    }
+
+    fn is_dir(&self, path: &Path) -> bool {
+        path.is_dir()
     }
 
     fn sync_dir(&self, path: &Path) -> io::Result<()> {

@@ -227,6 +227,23 @@ impl Files for Forgetful {
         Ok(())
     }
 
+    fn link(&self, from: &Path, to: &Path) -> io::Result<()> {
+        let mut inner = self.lock();
+        let at = inner.find(from)?;
+        if inner.find(to).is_ok() {
+            return Err(io::ErrorKind::AlreadyExists.into());
+        }
+        inner.change(true)?;
+        let (entries, name) = inner.entries(to)?;
+        entries.insert(name, at);
+        Ok(())
+    }
+
+    fn is_dir(&self, path: &Path) -> bool {
+        let inner = self.lock();
+        inner.find(path).is_ok_and(|at| matches!(inner.nodes[at], Node::Folder { .. }))
+    }
+
     fn sync_dir(&self, path: &Path) -> io::Result<()> {
         let mut inner = self.lock();
         let at = inner.find(path)?;

@@ -5,7 +5,7 @@ use std::time::Duration;
 use tmpi_core::container::{self, ContainerError};
 use tmpi_pipeline::Report;
 use tmpi_pipeline::Sink;
-use tmpi_pipeline::photo;
+use tmpi_pipeline::photo::{self, Head};
 use tmpi_pipeline::{self, MakeError, Models, Options};
 use tmpi_render::{DEFAULT_QUALITY, PictureFormat, View, encode};
 
@@ -57,6 +57,17 @@ pub enum Fault {
     Cancelled,
 }
 
+/// What bytes are the first of.
+#[derive(Clone, Copy, Debug)]
+pub enum HeadOf<'a> {
+    /// A photo, with all options that it comes with.
+    Photo(&'a Options),
+    /// A photo, where other options than these may follow.
+    PhotoSoFar(&'a Options),
+    /// A depth map.
+    Depth,
+}
+
 /// Makes photos.
 pub trait Maker: Send + Sync + 'static {
     /// What its products depend on besides what is uploaded: part of a photo's id, so that a better maker makes a photo anew.
@@ -87,6 +98,15 @@ pub trait Maker: Send + Sync + 'static {
     /// # Errors
     /// [`MakeError`].
     fn check(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options) -> Result<(), MakeError>;
+
+    /// Refuses the same of a file of which the first bytes are `head`, while the rest is on its way. Gives how many bytes from the first it
+    /// needs to tell more, which are more than there are; none where only the whole tells more. It is asked on threads that may not block.
+    ///
+    /// # Errors
+    /// As [`Maker::check`].
+    fn check_head(&self, _of: HeadOf<'_>, _head: &[u8]) -> Result<Option<usize>, MakeError> {
+        Ok(None)
+    }
 
     /// Memory that making a photo takes at most, in bytes; it is asked only of what was checked.
     fn memory(&self, _photo: &[u8], _depth: Option<&[u8]>, _options: &Options) -> u64 {
@@ -147,12 +167,28 @@ impl Maker for PipelineMaker {
     }
 
     fn check(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options) -> Result<(), MakeError> {
-        options.validate()?;
-        self.models.check(options)?;
+        // first what is told while it comes in, so that it is told alike of one that is whole
+        self.check_head(HeadOf::Photo(options), photo)?;
         let (size, map) = self.sizes(photo, depth)?;
-        let options = options.fitted(size, map, &self.limits)?;
-        let (width, height) = photo::reduced_size(size, options.max_size);
-        Ok(options.check_readable(width, height)?)
+        self.check_size(size, map, options)
+    }
+
+    fn check_head(&self, of: HeadOf<'_>, head: &[u8]) -> Result<Option<usize>, MakeError> {
+        if let HeadOf::Photo(options) = of {
+            options.validate()?;
+            self.models.check(options)?;
+        }
+        let told = match of {
+            HeadOf::Photo(_) | HeadOf::PhotoSoFar(_) => photo::head(head, &self.limits)?,
+            HeadOf::Depth => tmpi_pipeline::depth::head(head, &self.limits)?,
+        };
+        match (of, told) {
+            (_, Head::Needs(bytes)) => return Ok(Some(bytes)),
+            (HeadOf::Photo(options), Head::Size(w, h)) => self.check_size((w, h), None, options)?,
+            (HeadOf::PhotoSoFar(options), Head::Size(w, h)) => options.check_decoded((w, h), &self.limits)?,
+            (HeadOf::Depth, Head::Size(..)) | (_, Head::Silent) => {}
+        }
+        Ok(None)
     }
 
     fn memory(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options) -> u64 {
@@ -175,6 +211,13 @@ impl PipelineMaker {
         let (_, size) = photo::check(photo, &self.limits)?;
         let map = depth.map(|depth| tmpi_pipeline::depth::check(depth, &self.limits)).transpose()?;
         Ok((size, map))
+    }
+
+    /// Refuses sizes that take too much with `options`, or lead to what no reader takes.
+    fn check_size(&self, size: (u32, u32), map: Option<(u32, u32)>, options: &Options) -> Result<(), MakeError> {
+        let options = options.fitted(size, map, &self.limits)?;
+        let (width, height) = photo::reduced_size(size, options.max_size);
+        Ok(options.check_readable(width, height)?)
     }
 
     fn product(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options, sink: &dyn Sink) -> Result<Product, MakeError> {

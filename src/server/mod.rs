@@ -6,6 +6,7 @@
 
 mod accept;
 mod access;
+mod admission;
 mod app;
 mod body;
 mod cache;
@@ -76,7 +77,7 @@ pub use child::{ProcessMaker, VARIABLE, serve as make_for_a_server};
 pub use cluster::{Audit, Migration, Nats, Remedy, Role, Sharing, audit, migrate};
 pub use id::{PhotoId, hex};
 pub use limits::Limits;
-pub use maker::{Fault, Maker, PipelineMaker, Product};
+pub use maker::{Fault, HeadOf, Maker, PipelineMaker, Product};
 pub use network::{Better, Offer, Renewed};
 pub use problem::Problem;
 pub use proxies::{ClientAddress, Network, Proxies};

@@ -15,12 +15,14 @@ use tokio::fs::File;
 use tokio::io::AsyncWriteExt;
 
 use super::access::Owner;
+use super::admission::Admission;
 use super::app::App;
 use super::body;
 use super::form::Bounded;
 use super::id::PhotoId;
 use super::jobs::Submitted;
 use super::limits::Limits;
+use super::maker::HeadOf;
 use super::options;
 use super::problem::Problem;
 use super::records::VERSION;
@@ -180,12 +182,12 @@ pub async fn take_with(
     take_chosen(app, ticket, chosen(query)?, request, owner).await
 }
 
-/// Looks whether a query is one of an upload.
+/// The options of a query of an upload.
 ///
 /// # Errors
 /// 400 that names a wrong parameter.
-pub fn check(query: &[(String, String)]) -> Result<(), Problem> {
-    chosen(query).map(drop)
+pub fn options_of(query: &[(String, String)]) -> Result<Options, Problem> {
+    chosen(query).map(|chosen| chosen.options)
 }
 
 fn chosen(query: &[(String, String)]) -> Result<Chosen, Problem> {
@@ -204,10 +206,12 @@ async fn take_chosen(app: &App, _leave: &Ticket<'_>, chosen: Chosen, request: Re
     let incoming = Folder(Some(incoming.map_err(|e| Problem::store(&e))?));
     let mut parts = Parts { incoming, photo: None, depth: None, chosen };
     if is_multipart(request.headers()) {
-        read_multipart(&mut parts, request).await?;
+        read_multipart(app, &mut parts, request).await?;
     } else {
         let stream = request.into_body().into_data_stream();
-        parts.photo = Some(write(&parts.incoming, Part::Upload, stream, |e| body::problem(&e)).await?);
+        let (mut admission, options) = (Admission::new(&app.jobs.maker), &parts.chosen.options);
+        let look = |bytes: &[u8]| admission.see(bytes, HeadOf::Photo(options));
+        parts.photo = Some(write(&parts.incoming, Part::Upload, stream, |e| body::problem(&e), look).await?);
     }
     let shared = Arc::clone(app);
     // checking it reads it whole: a few at a time
@@ -261,11 +265,16 @@ fn gone() -> Problem {
 }
 
 fn is_multipart(headers: &HeaderMap) -> bool {
-    let value = headers.get(header::CONTENT_TYPE).and_then(|v| v.to_str().ok()).unwrap_or_default();
-    value.split(';').next().is_some_and(|v| v.trim().eq_ignore_ascii_case("multipart/form-data"))
+    headers.get(header::CONTENT_TYPE).and_then(|v| v.to_str().ok()).is_some_and(is_form)
 }
 
-async fn read_multipart(parts: &mut Parts, request: Request) -> Result<(), Problem> {
+/// True for the media type of a form; what has another is the photo alone.
+#[must_use]
+pub fn is_form(content_type: &str) -> bool {
+    content_type.split(';').next().is_some_and(|v| v.trim().eq_ignore_ascii_case("multipart/form-data"))
+}
+
+async fn read_multipart(app: &App, parts: &mut Parts, request: Request) -> Result<(), Problem> {
     let content_type = request.headers().get(header::CONTENT_TYPE).and_then(|v| v.to_str().ok()).unwrap_or_default();
     let boundary = multer::parse_boundary(content_type).map_err(|e| Problem::bad_request(format!("the form's boundary: {e}")))?;
     let request = request.map(|body| Body::from_stream(Bounded::new(body.into_data_stream(), &boundary)));
@@ -291,7 +300,10 @@ async fn read_multipart(parts: &mut Parts, request: Request) -> Result<(), Probl
         if part == Part::Upload {
             parts.chosen.of_file = field.file_name().and_then(title_of_file);
         }
-        *slot = Some(write(&parts.incoming, part, field, |e| body::problem(&e)).await?);
+        let (mut admission, options) = (Admission::new(&app.jobs.maker), &parts.chosen.options);
+        let of = if part == Part::Depth { HeadOf::Depth } else { HeadOf::PhotoSoFar(options) };
+        let look = |bytes: &[u8]| admission.see(bytes, of);
+        *slot = Some(write(&parts.incoming, part, field, |e| body::problem(&e), look).await?);
     }
     Ok(())
 }
@@ -313,8 +325,14 @@ async fn create(path: std::path::PathBuf) -> std::io::Result<File> {
     options.create(true).truncate(true).write(true).open(path).await
 }
 
-/// Writes a stream to its file.
-async fn write<S, E>(incoming: &Folder, part: Part, mut stream: S, problem: impl Fn(E) -> Problem) -> Result<Written, Problem>
+/// Writes a stream to its file, each piece once `look` has seen it and refused nothing.
+async fn write<S, E>(
+    incoming: &Folder,
+    part: Part,
+    mut stream: S,
+    problem: impl Fn(E) -> Problem,
+    mut look: impl FnMut(&[u8]) -> Result<(), Problem>,
+) -> Result<Written, Problem>
 where
     S: Stream<Item = Result<Bytes, E>> + Unpin,
 {
@@ -324,6 +342,7 @@ where
     let mut bytes = 0;
     while let Some(chunk) = stream.next().await {
         let chunk = chunk.map_err(&problem)?;
+        look(&chunk)?;
         hash.update(&chunk);
         bytes += chunk.len() as u64;
         file.write_all(&chunk).await.map_err(disk)?;

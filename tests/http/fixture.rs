@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use serde_json::Value;
 use tmpi::live::{Config as RoomConfig, Rooms};
-use tmpi::server::{Config, Fault, Limits, Maker, PipelineMaker, Product, Server};
+use tmpi::server::{Config, Fault, HeadOf, Limits, Maker, PipelineMaker, Product, Server};
 use tmpi_core::{Camera, DisparityMap, Photo, Scene};
 use tmpi_pipeline::depth::{DepthError, Estimator};
 use tmpi_pipeline::{MakeError, Models, Options};
@@ -77,6 +77,10 @@ impl Gate {
 impl Maker for Gate {
     fn check(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options) -> Result<(), MakeError> {
         self.inner.check(photo, depth, options)
+    }
+
+    fn check_head(&self, of: HeadOf<'_>, head: &[u8]) -> Result<Option<usize>, MakeError> {
+        self.inner.check_head(of, head)
     }
 
     fn memory(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options) -> u64 {

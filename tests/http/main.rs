@@ -5,6 +5,7 @@ mod access;
 mod access_changes;
 mod access_matrix;
 mod admin;
+mod admission;
 mod arrivals;
 mod client;
 mod cluster;

@@ -3,6 +3,10 @@
 import argparse, base64, struct, time, zlib
 from common import Server, Table, Watch, check, chunk, end, noise, png, ramp, size_of, small
 
+# Seconds for the answer to an upload; peaks of resident memory in MiB: of the server, and of the process that makes photos, whose own bound
+# --job-memory is. 50 megapixels take up to 3.6 GiB.
+ANSWER, SERVER, MAKER, MAKER_FULL = 10, 1024, 2048, 6144
+
 
 def segment(marker, data):
     return bytes([0xFF, marker]) + struct.pack(">H", len(data) + 2) + data
@@ -74,10 +78,12 @@ def main():
         ("12 MP, planes=64", lambda: (noise(12), "?planes=64")),
         ("tile=8&planes=48", lambda: (noise(0.5), "?tile=8&planes=48")),
     ]
+    most = MAKER_FULL if full else MAKER
+    print(f"an answer within {ANSWER} s, server {SERVER} MiB, maker {most} MiB at most\n")
     table = Table("upload", "bytes", "answer", "after", "ended as", "after ", "others median", "worst", "not 200", "server", "maker")
     for name, make in cases:
         photo, query = make()
-        server = Server()
+        server = Server("--job-memory", str(most))
         with Watch(server) as watch:
             time.sleep(0.5)
             began = time.monotonic()
@@ -85,6 +91,7 @@ def main():
             depth = None if query else ramp()
             status, answer = server.upload(photo, depth, query, timeout=300)
             answered = time.monotonic() - began
+            check(answered <= ANSWER, f"{name}: answered after {answered:.1f} s, not {ANSWER} s")
             ended, took = "", ""
             if status in (201, 202):
                 state = server.wait(answer["id"], 900)
@@ -101,7 +108,8 @@ def main():
             time.sleep(0.2)
         row = watch.row()
         check(watch.failed == 0, f"{name}: health answers meanwhile")
-        check(watch.peak < 1024, f"{name}: the server itself stays below 1 GiB, not {watch.peak:.0f} MiB")
+        check(watch.peak <= SERVER, f"{name}: the server itself took {watch.peak:.0f} MiB, over {SERVER} MiB")
+        check(watch.maker <= most, f"{name}: making took {watch.maker:.0f} MiB, over {most} MiB")
         table.row(name, len(photo), status, f"{answered:.2f} s", ended, took, **row)
         server.remove()
     end()

@@ -68,7 +68,11 @@ class Server:
         """Status, headers and body; status 0 where there is no answer."""
         connection = self.connect(timeout)
         try:
-            connection.request(method, path, body, headers or {})
+            try:
+                connection.request(method, path, body, headers or {})
+            except (BrokenPipeError, ConnectionResetError):
+                # it may be refused before all of it is sent
+                pass
             answer = connection.getresponse()
             return answer.status, {k.lower(): v for k, v in answer.getheaders()}, answer.read()
         except (OSError, http.client.HTTPException) as error:

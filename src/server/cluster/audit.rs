@@ -41,6 +41,8 @@ pub struct Audit {
     pub mended: usize,
     /// Blobs that should be there.
     pub missing: Vec<String>,
+    /// Uploads and containers that are shorter or longer than their records say.
+    pub cut: Vec<String>,
     /// Records and blobs that nothing leads to, older than was asked for.
     pub left_over: Vec<String>,
     /// Those of them that were removed.
@@ -64,7 +66,7 @@ impl Audit {
     /// True where nothing is lost, everything was understood, and what was amiss with markers is mended.
     #[must_use]
     pub const fn is_sound(&self) -> bool {
-        self.unread.is_empty() && self.missing.is_empty() && self.unmarked.len() + self.damaged.len() == self.mended
+        self.unread.is_empty() && self.missing.is_empty() && self.cut.is_empty() && self.unmarked.len() + self.damaged.len() == self.mended
     }
 }
 
@@ -121,8 +123,8 @@ impl Auditor {
         for name in there.iter().filter(|name| !wanted.names.contains(*name)) {
             self.other(name, &wanted)?;
         }
-        let Audit { overdue, unread, unmarked, damaged, missing, left_over, .. } = &mut self.audit;
-        for list in [overdue, unread, unmarked, damaged, missing, left_over] {
+        let Audit { overdue, unread, unmarked, damaged, missing, cut, left_over, .. } = &mut self.audit;
+        for list in [overdue, unread, unmarked, damaged, missing, cut, left_over] {
             list.sort_unstable();
         }
         if self.remedy == Remedy::Remove {
@@ -170,6 +172,7 @@ impl Auditor {
         let mut blobs = vec![records::blob(id, &photo.source, Part::Upload)];
         blobs.extend(photo.accepted.depth_bytes.map(|_| records::blob(id, &photo.source, Part::Depth)));
         blobs.extend(photo.strokes.clone());
+        self.lengths(id, &photo, end.as_ref())?;
         match &end {
             Some(End { outcome: outcome::End::Done(_), blobs: of, .. }) => {
                 self.audit.done += 1;
@@ -193,6 +196,28 @@ impl Auditor {
                 self.audit.missing.push(blob.clone());
             }
             wanted.names.insert(blob);
+        }
+        Ok(())
+    }
+
+    /// Looks whether what was uploaded and the container are as long as their records say, without reading them: by the last byte of each.
+    fn lengths(&mut self, id: PhotoId, photo: &Photo, end: Option<&End>) -> io::Result<()> {
+        let uploaded = [(Part::Upload, Some(photo.accepted.photo_bytes)), (Part::Depth, photo.accepted.depth_bytes)];
+        let uploaded = uploaded.into_iter().filter_map(|(part, bytes)| Some((records::blob(id, &photo.source, part), bytes?)));
+        let made = end.and_then(|end| match &end.outcome {
+            outcome::End::Done(done) => Some((format!("{}.{}", end.blobs, Part::Atlas.name()), done.atlas_bytes)),
+            outcome::End::Failed(_) => None,
+        });
+        for (name, bytes) in uploaded.chain(made) {
+            let last = bytes.saturating_sub(1);
+            // and one more, which must not be there
+            match self.blobs.read_range(&name, last..bytes + 1) {
+                Ok(there) if there.len() as u64 == bytes - last => {}
+                Ok(_) => self.audit.cut.push(name),
+                // that is told of it, or it was deleted meanwhile
+                Err(e) if e.kind() == io::ErrorKind::NotFound => {}
+                Err(e) => return Err(e),
+            }
         }
         Ok(())
     }

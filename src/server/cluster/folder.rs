@@ -4,14 +4,16 @@
 
 use std::fs::{self, File};
 use std::hash::{BuildHasher, RandomState};
-use std::io::{self, ErrorKind};
+use std::io::{self, ErrorKind, Read as _, Seek as _, SeekFrom};
+use std::ops::Range;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use super::ports::{Blobs, Ledger, Tag, unreachable};
 use super::records::BLOBS;
-use crate::server::files::{Disk, Files as _, private};
+use crate::server::files::{Disk, Files, private};
 use crate::server::store::digest;
 
 /// Age from which a file that has no place yet is nobody's.
@@ -20,7 +22,10 @@ const LEFT: Duration = Duration::from_hours(24);
 /// A folder of synced files.
 #[derive(Debug)]
 pub struct Folder {
+    files: Arc<dyn Files>,
     root: PathBuf,
+    /// File that is held by whoever changes or removes a record; none where nobody else can.
+    lock: Option<PathBuf>,
     /// Tells this process from others, which may have the same number in a namespace of their own.
     own: u64,
     next: AtomicU64,
@@ -32,38 +37,49 @@ impl Folder {
     /// # Errors
     /// It cannot be written.
     pub fn open(root: &Path) -> io::Result<Self> {
-        let coming = root.join("coming");
-        Disk.create_dir(&coming, true)?;
+        let folder = Self::open_in(Arc::new(Disk), root, Some(root.join("lock")))?;
         // of processes that ended before they gave them a place
-        for entry in fs::read_dir(&coming)?.flatten() {
+        for entry in fs::read_dir(root.join("coming"))?.flatten() {
             if entry.metadata().and_then(|of| of.modified()).is_ok_and(|at| at.elapsed().is_ok_and(|age| age > LEFT)) {
                 let _ = Disk.remove(&entry.path());
             }
         }
-        Ok(Self { root: root.to_owned(), own: RandomState::new().hash_one(std::process::id()), next: AtomicU64::new(0) })
+        Ok(folder)
+    }
+
+    /// The same in whatever `files`.
+    fn open_in(files: Arc<dyn Files>, root: &Path, lock: Option<PathBuf>) -> io::Result<Self> {
+        let fresh = !files.is_dir(root);
+        files.create_dir(&root.join("coming"), true)?;
+        files.sync_dir(root)?;
+        if let Some(above) = root.parent().filter(|above| fresh && files.is_dir(above)) {
+            files.sync_dir(above)?;
+        }
+        Ok(Self { files, root: root.to_owned(), lock, own: RandomState::new().hash_one(std::process::id()), next: AtomicU64::new(0) })
     }
 
     /// What it means that there is no such file: nothing where the folder itself is gone, as a disk that is not mounted.
     fn missing(&self, error: io::Error) -> io::Error {
-        if error.kind() == ErrorKind::NotFound && !self.root.join("coming").is_dir() { unreachable(error) } else { error }
+        if error.kind() == ErrorKind::NotFound && !self.files.is_dir(&self.root.join("coming")) { unreachable(error) } else { error }
     }
 
     /// Held by whoever changes or removes a record.
-    fn lock(&self) -> io::Result<File> {
-        let lock = private().create(true).truncate(false).write(true).open(self.root.join("lock")).map_err(|e| self.missing(e))?;
+    fn lock(&self) -> io::Result<Option<File>> {
+        let Some(path) = &self.lock else { return Ok(None) };
+        let lock = private().create(true).truncate(false).write(true).open(path).map_err(|e| self.missing(e))?;
         lock.lock()?;
-        Ok(lock)
+        Ok(Some(lock))
     }
 
     /// A synced file that has no place yet.
     fn coming(&self, bytes: &[u8]) -> io::Result<PathBuf> {
         let name = format!("{:016x}-{}", self.own, self.next.fetch_add(1, Ordering::Relaxed));
         let path = self.root.join("coming").join(name);
-        match Disk.write(&path, bytes) {
+        match self.files.write(&path, bytes) {
             Ok(()) => Ok(path),
             Err(e) => {
                 // what filled the disk must not keep it full
-                let _ = Disk.remove(&path);
+                let _ = self.files.remove(&path);
                 Err(self.missing(e))
             }
         }
@@ -75,23 +91,25 @@ impl Folder {
         let folder = to.parent().unwrap_or(&self.root);
         let coming = self.coming(bytes)?;
         let enter = || {
-            if !folder.is_dir() {
-                Disk.create_dir(folder, true)?;
-                Disk.sync_dir(folder.parent().unwrap_or(&self.root))?;
+            if !self.files.is_dir(folder) {
+                self.files.create_dir(folder, true)?;
             }
             place(&coming, &to)
         };
         // an empty folder may be tidied away just before
         let outcome = match enter() {
-            Err(e) if e.kind() == ErrorKind::NotFound && !folder.is_dir() => enter(),
+            Err(e) if e.kind() == ErrorKind::NotFound && !self.files.is_dir(folder) => enter(),
             outcome => outcome,
         };
-        match Disk.remove(&coming) {
+        match self.files.remove(&coming) {
             Err(e) if e.kind() != ErrorKind::NotFound => tracing::warn!(path = %coming.display(), error = %e, "a leftover"),
             _ => {}
         }
         let outcome = outcome?;
-        Disk.sync_dir(folder)?;
+        // also those above it, which another may have made just now and not have synced yet
+        for above in folder.ancestors().take_while(|above| above.starts_with(&self.root)) {
+            self.files.sync_dir(above)?;
+        }
         Ok(outcome)
     }
 
@@ -113,8 +131,8 @@ impl Folder {
 
     fn gone(&self, name: &str) -> io::Result<()> {
         let path = self.root.join(name);
-        match Disk.remove(&path) {
-            Ok(()) => Disk.sync_dir(path.parent().unwrap_or(&self.root)),
+        match self.files.remove(&path) {
+            Ok(()) => self.files.sync_dir(path.parent().unwrap_or(&self.root)),
             Err(e) if e.kind() == ErrorKind::NotFound => Ok(()),
             Err(e) => Err(e),
         }
@@ -123,11 +141,19 @@ impl Folder {
 
 impl Blobs for Folder {
     fn put(&self, name: &str, bytes: Vec<u8>) -> io::Result<()> {
-        self.placed(name, &bytes, |from, to| Disk.rename(from, to))
+        self.placed(name, &bytes, |from, to| self.files.rename(from, to))
     }
 
     fn read(&self, name: &str) -> io::Result<Vec<u8>> {
-        fs::read(self.root.join(name)).map_err(|e| self.missing(e))
+        self.files.read(&self.root.join(name)).map_err(|e| self.missing(e))
+    }
+
+    fn read_range(&self, name: &str, range: Range<u64>) -> io::Result<Vec<u8>> {
+        let mut file = File::open(self.root.join(name)).map_err(|e| self.missing(e))?;
+        file.seek(SeekFrom::Start(range.start))?;
+        let mut bytes = Vec::new();
+        file.take(range.end.saturating_sub(range.start)).read_to_end(&mut bytes)?;
+        Ok(bytes)
     }
 
     fn discard(&self, name: &str) -> io::Result<()> {
@@ -149,7 +175,7 @@ impl Blobs for Folder {
 impl Ledger for Folder {
     fn create(&self, name: &str, bytes: &[u8]) -> io::Result<bool> {
         // a second name for a whole file: of all who try one succeeds
-        self.placed(name, bytes, |from, to| match fs::hard_link(from, to) {
+        self.placed(name, bytes, |from, to| match self.files.link(from, to) {
             Ok(()) => Ok(true),
             Err(e) if e.kind() == ErrorKind::AlreadyExists => Ok(false),
             Err(e) => Err(e),
@@ -169,7 +195,7 @@ impl Ledger for Folder {
         if self.get(name)?.is_none_or(|(_, tag)| tag != *seen) {
             return Ok(None);
         }
-        self.placed(name, bytes, |from, to| Disk.rename(from, to))?;
+        self.placed(name, bytes, |from, to| self.files.rename(from, to))?;
         Ok(Some(Tag(digest(bytes))))
     }
 
@@ -190,5 +216,110 @@ impl Ledger for Folder {
     fn all(&self, folder: &str) -> io::Result<Vec<String>> {
         // read once: each page would read the whole folder again
         self.page(folder, None, usize::MAX)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::server::forgetful::Forgetful;
+
+    const ROOT: &str = "/stores/one";
+
+    fn folder(files: &Arc<Forgetful>) -> Folder {
+        Folder::open_in(files.clone(), Path::new(ROOT), None).unwrap()
+    }
+
+    /// A record and a blob as they are kept.
+    type Kept = (Option<Vec<u8>>, Option<Vec<u8>>);
+
+    fn kept(folder: &Folder) -> Kept {
+        let blob = match folder.read("blobs/a/one") {
+            Err(e) if e.kind() == ErrorKind::NotFound => None,
+            blob => Some(blob.unwrap()),
+        };
+        (folder.get("photos/a").unwrap().map(|(bytes, _)| bytes), blob)
+    }
+
+    /// A record and a blob from their beginning to their end, as far as it goes: how many of the changes were promised.
+    fn life(folder: &Folder) -> usize {
+        let swap = |from: &str, to: &str| {
+            let (bytes, tag) = folder.get("photos/a")?.unwrap();
+            assert_eq!(bytes, from.as_bytes());
+            folder.swap("photos/a", &tag, to.as_bytes()).map(|tag| assert!(tag.is_some()))
+        };
+        let changes: [&dyn Fn() -> io::Result<()>; 7] = [
+            &|| folder.put("blobs/a/one", b"blob".to_vec()),
+            &|| folder.create("photos/a", b"1").map(|new| assert!(new)),
+            &|| swap("1", "22"),
+            &|| folder.put("blobs/a/one", b"another".to_vec()),
+            &|| swap("22", "333"),
+            &|| folder.remove("photos/a"),
+            &|| folder.discard("blobs/a/one"),
+        ];
+        changes.iter().take_while(|change| change().is_ok()).count()
+    }
+
+    /// What is kept once so many of them were promised.
+    fn promised(changes: usize) -> Kept {
+        let record = [None, None, Some("1"), Some("22"), Some("22"), Some("333"), None, None][changes];
+        let blob = [None, Some("blob"), Some("blob"), Some("blob"), Some("another"), Some("another"), Some("another"), None][changes];
+        (record.map(|text| text.as_bytes().to_vec()), blob.map(|text| text.as_bytes().to_vec()))
+    }
+
+    #[test]
+    fn what_was_promised_survives_the_machine_stopping_at_each_step() {
+        for steps in 0.. {
+            let files = Arc::new(Forgetful::new());
+            files.create_dir(Path::new("/stores"), true).unwrap();
+            files.sync_dir(Path::new("/")).unwrap();
+            let before = folder(&files);
+            files.end_after(steps);
+            let told = life(&before);
+            files.crash();
+            let found = kept(&folder(&files));
+            let next = promised((told + 1).min(7));
+            assert!(found == promised(told) || found == next, "after {steps} steps and {told} changes there is {found:?}");
+            if told == 7 {
+                // each of them is some changes of files
+                assert!(steps > 25, "{steps}");
+                return;
+            }
+        }
+    }
+
+    #[test]
+    fn a_change_that_fails_once_leaves_what_was_or_what_was_to_be() {
+        for step in 0..40 {
+            let files = Arc::new(Forgetful::new());
+            files.create_dir(Path::new("/stores"), true).unwrap();
+            let folder = folder(&files);
+            files.fail_once_after(step);
+            let told = life(&folder);
+            files.end_after(usize::MAX);
+            let found = kept(&folder);
+            assert!(found == promised(told) || found == promised((told + 1).min(7)), "{step}: {told} changes, {found:?}");
+        }
+    }
+
+    #[test]
+    fn a_full_disk_keeps_nothing_that_has_no_place() {
+        let files = Arc::new(Forgetful::new());
+        files.create_dir(Path::new("/stores"), true).unwrap();
+        let folder = folder(&files);
+        assert!(folder.create("photos/a", b"1").unwrap());
+        let (_, tag) = folder.get("photos/a").unwrap().unwrap();
+        files.fill(true);
+        let refused = [
+            folder.create("photos/b", b"2").err(),
+            folder.swap("photos/a", &tag, b"22").err(),
+            folder.put("blobs/a/one", vec![7; 100]).err(),
+        ];
+        assert!(refused.iter().all(|error| error.as_ref().is_some_and(|e| e.kind() == ErrorKind::StorageFull)), "{refused:?}");
+        assert_eq!(files.names(&Path::new(ROOT).join("coming")).unwrap(), [""; 0]);
+        assert_eq!(kept(&folder), (Some(b"1".to_vec()), None));
+        folder.remove("photos/a").unwrap();
+        files.fill(false);
+        assert!(folder.create("photos/a", b"1").unwrap());
     }
 }

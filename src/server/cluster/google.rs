@@ -52,7 +52,11 @@ async fn answer(State(all): State<Arc<Mutex<Objects>>>, method: Method, uri: Uri
             all.0.insert(name, (generation, body));
             told(generation, Bytes::new())
         }
-        Method::GET if is > 0 => told(is, all.0[&name].1.clone()),
+        Method::GET if is > 0 => part_of(is, all.0[&name].1.clone(), headers.get("range").and_then(|range| range.to_str().ok())),
+        Method::HEAD if is > 0 => {
+            let size = [("content-length", all.0[&name].1.len().to_string())];
+            (size, told(is, Bytes::new())).into_response()
+        }
         Method::DELETE if is > 0 => {
             all.0.remove(&name);
             StatusCode::NO_CONTENT.into_response()
@@ -69,6 +73,18 @@ fn told(generation: u64, body: Bytes) -> Response {
         ("last-modified", "Tue, 24 Nov 2026 00:00:00 GMT".into()),
     ];
     (headers, body).into_response()
+}
+
+/// The bytes of a range `bytes=A-B`, or all.
+fn part_of(generation: u64, body: Bytes, range: Option<&str>) -> Response {
+    let Some((from, to)) = range.and_then(|range| range.strip_prefix("bytes=")?.split_once('-')) else { return told(generation, body) };
+    let (from, to): (usize, usize) = (from.parse().unwrap(), to.parse().unwrap());
+    if from >= body.len() {
+        return (StatusCode::RANGE_NOT_SATISFIABLE, "<Error><Code>InvalidRange</Code></Error>").into_response();
+    }
+    let end = (to + 1).min(body.len());
+    let of = [("content-range", format!("bytes {from}-{}/{}", end - 1, body.len()))];
+    (StatusCode::PARTIAL_CONTENT, of, told(generation, body.slice(from..end))).into_response()
 }
 
 fn list(all: &Objects, query: &str) -> Response {

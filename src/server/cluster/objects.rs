@@ -1,6 +1,7 @@
 //! Blobs and ledger in an object store with conditional writes: S3 and what speaks like it, Google Cloud Storage, Azure.
 
 use std::io;
+use std::ops::Range;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -159,6 +160,24 @@ impl Blobs for Objects {
         let path = self.path(name)?;
         let bytes = self.runtime.block_on(async { self.blobs.get(&path).await?.bytes().await });
         bytes.map(Into::into).map_err(problem)
+    }
+
+    fn read_range(&self, name: &str, range: Range<u64>) -> io::Result<Vec<u8>> {
+        let path = self.path(name)?;
+        let read = async {
+            let mut refused = None;
+            if !range.is_empty() {
+                match self.blobs.get_range(&path, range.clone()).await {
+                    Ok(bytes) => return Ok(bytes.into()),
+                    // perhaps it begins behind the end, which stores refuse each in its own words
+                    Err(e @ Error::Generic { .. }) => refused = Some(e),
+                    Err(e) => return Err(e),
+                }
+            }
+            let size = self.blobs.head(&path).await?.size;
+            refused.filter(|_| range.start < size).map_or_else(|| Ok(Vec::new()), Err)
+        };
+        self.runtime.block_on(read).map_err(problem)
     }
 
     fn discard(&self, name: &str) -> io::Result<()> {

@@ -4,6 +4,7 @@
 
 use std::fmt::Debug;
 use std::io;
+use std::ops::Range;
 use std::time::{Duration, Instant};
 
 /// Names of a page of a list.
@@ -22,6 +23,18 @@ pub trait Blobs: Debug + Send + Sync + 'static {
     /// # Errors
     /// There is none ([`io::ErrorKind::NotFound`]), or the store cannot be reached.
     fn read(&self, name: &str) -> io::Result<Vec<u8>>;
+
+    /// The bytes of a blob within `range`, counted from its first: fewer where it ends before, none where it ends before the first of them.
+    ///
+    /// # Errors
+    /// As [`Blobs::read`].
+    fn read_range(&self, name: &str, range: Range<u64>) -> io::Result<Vec<u8>> {
+        let mut bytes = self.read(name)?;
+        let within = |at: u64| usize::try_from(at).unwrap_or(usize::MAX).min(bytes.len());
+        let (from, to) = (within(range.start), within(range.end));
+        bytes.truncate(to.max(from));
+        Ok(bytes.split_off(from))
+    }
 
     /// Removes a blob; one that is not there is removed already.
     ///

@@ -4,12 +4,26 @@ use std::sync::atomic::AtomicUsize;
 use super::*;
 use crate::server::limits::Limits;
 
+mod lengths;
+
 /// What the ports promise, on any store.
 fn keeps_its_promises(blobs: &dyn Blobs, ledger: &(dyn Ledger + Sync)) {
     blobs.put("blobs/a/one", vec![7; 300_000]).unwrap();
     blobs.put("blobs/a/one", b"new".to_vec()).unwrap();
     assert_eq!(blobs.read("blobs/a/one").unwrap(), b"new");
     assert_eq!(blobs.read("blobs/a/none").unwrap_err().kind(), io::ErrorKind::NotFound);
+    let long: Vec<u8> = (0..100_000_u32).map(|n| (n.wrapping_mul(2_654_435_761) >> 24) as u8).collect();
+    blobs.put("blobs/a/long", long.clone()).unwrap();
+    for (from, to) in [(0, 100_000), (0, 1), (99_999, 100_000), (5, 70_000), (99_990, 100_001), (1, 1 << 40), (7, 7), (100_000, 100_001)] {
+        let within = |at: u64| at.min(100_000) as usize;
+        assert_eq!(blobs.read_range("blobs/a/long", from..to).unwrap(), long[within(from)..within(to)], "{from}..{to}");
+    }
+    assert!(blobs.read_range("blobs/a/long", 100_000..100_009).unwrap().is_empty(), "behind the end");
+    assert!(blobs.read_range("blobs/a/long", 1 << 40..1 << 41).unwrap().is_empty(), "far behind it");
+    for range in [0..9, 7..7, 9..10] {
+        assert_eq!(blobs.read_range("blobs/a/none", range).unwrap_err().kind(), io::ErrorKind::NotFound);
+    }
+    blobs.discard("blobs/a/long").unwrap();
     blobs.discard("blobs/a/one").unwrap();
     blobs.discard("blobs/a/one").unwrap();
     assert_eq!(blobs.read("blobs/a/one").unwrap_err().kind(), io::ErrorKind::NotFound);
@@ -131,6 +145,7 @@ fn a_bucket_or_a_folder_that_is_gone_says_nothing_of_what_was_in_it() {
 fn is_away(blobs: &dyn Blobs, ledger: &dyn Ledger) {
     let answers = [
         blobs.read("blobs/a").err(),
+        blobs.read_range("blobs/a", 0..9).err(),
         blobs.put("blobs/a", vec![1]).err(),
         ledger.get("photos/a").err(),
         ledger.create("photos/b", b"{}").err(),

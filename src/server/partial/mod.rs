@@ -28,15 +28,18 @@ pub use extent::{Extent, Said};
 pub use kept::Record;
 
 use super::access::{Owner, random};
+use super::admission::{self, Admission};
 use super::app::App;
 use super::body;
 use super::files;
 use super::id::{PhotoId, hex};
 use super::limits::Limits;
+use super::maker::HeadOf;
 use super::problem::Problem;
 use super::share::{Share, Shares, asker};
 use super::store::Store;
 use super::time::now_ms;
+use super::upload;
 use kept::Kept;
 
 /// Bytes after which what came is made durable.
@@ -223,7 +226,7 @@ impl Turn {
     ///
     /// # Errors
     /// 400 and 409 where the part does not go with what is there, 413, 408 and 400 as with all bodies, 409 where another request had this
-    /// one end, 500 and 507 where the disk fails.
+    /// one end, 500 and 507 where the disk fails. 400, 413 and 415 where its first bytes tell that it becomes no photo here: it is removed.
     pub async fn append(self, app: &App, said: Said, body: Body) -> Result<(Self, bool), Problem> {
         let most = app.limits.body as u64;
         let mut extent = self.of.record().extent;
@@ -243,6 +246,10 @@ impl Turn {
         file.seek(io::SeekFrom::Start(extent.offset)).await.map_err(disk)?;
         let mut file = tokio::io::BufWriter::with_capacity(BUFFER, file);
         let mut counted = extent.offset;
+        let mut look = match self.look(app, extent.offset).await {
+            Ok(look) => look,
+            Err(refused) => return Err(self.refuse(app, refused).await),
+        };
         let ended = loop {
             let next = tokio::select! {
                 biased;
@@ -260,6 +267,9 @@ impl Turn {
             if let Err(refused) = extent.take(bytes.len() as u64, most) {
                 break Err(header::refusal(refused, &extent));
             }
+            if let Err(refused) = look(&bytes) {
+                return Err(self.refuse(app, refused).await);
+            }
             file.write_all(&bytes).await.map_err(disk)?;
             if extent.offset - counted >= STEP {
                 counted = extent.offset;
@@ -270,6 +280,31 @@ impl Turn {
         let whole = ended.and_then(|()| extent.end(complete).map_err(|refused| header::refusal(refused, &extent)));
         self.keep(app, &mut file, extent).await?;
         whole.map(|whole| (self, whole))
+    }
+
+    /// What looks at the bytes from `offset` on, and has seen those before them; a form is looked at once it is whole.
+    async fn look(&self, app: &App, offset: u64) -> Result<impl FnMut(&[u8]) -> Result<(), Problem> + use<>, Problem> {
+        let Record { query, content_type, .. } = self.of.record();
+        let options = upload::options_of(&query)?;
+        let photo_alone = !content_type.is_some_and(|kind| upload::is_form(&kind));
+        let mut admission = Some(Admission::new(&app.jobs.maker)).filter(|_| photo_alone && offset < admission::MOST as u64);
+        let mut look = move |bytes: &[u8]| admission.as_mut().map_or(Ok(()), |admission| admission.see(bytes, HeadOf::Photo(&options)));
+        if photo_alone && (1..admission::MOST as u64).contains(&offset) {
+            let disk = |e: io::Error| Problem::internal("an upload in parts", &e);
+            let file = tokio::fs::File::open(app.partials.kept.data(&self.of.id)).await.map_err(disk)?;
+            let mut before = Vec::new();
+            file.take(offset).read_to_end(&mut before).await.map_err(disk)?;
+            look(&before)?;
+        }
+        Ok(look)
+    }
+
+    /// Removes an upload that becomes no photo; a fault of the server's changes nothing.
+    async fn refuse(self, app: &App, refused: Problem) -> Problem {
+        if refused.status().is_client_error() {
+            self.cancel(app).await;
+        }
+        refused
     }
 
     /// Makes what came durable.

@@ -99,7 +99,7 @@ pub(super) async fn begin(app: &App, query: Vec<(String, String)>, request: Requ
             Problem::new(StatusCode::NOT_IMPLEMENTED, "no-parts", "photos are uploaded at once here").field(header::COMPLETE.as_str())
         );
     }
-    upload::check(&query)?;
+    upload::options_of(&query)?;
     let said = header::said(request.headers(), Some(0))?;
     let most = app.limits.body as u64;
     // before anything of it is kept
@@ -209,6 +209,8 @@ pub async fn append(
     let leave = Ticket::take(&app)?;
     let (turn, whole) = match turn.append(&app, said, request.into_body()).await {
         Ok(taken) => taken,
+        // no part that follows would make a photo of it
+        Err(problem) if app.partials.get(&id).is_none() => return Err(problem),
         Err(problem) => return Ok(refused(problem, &found)),
     };
     if whole {

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use super::{DepthError, DepthKind};
 use tmpi_core::container::PhotoFormat;
 
-use crate::photo::{self, Limits, PhotoError, png};
+use crate::photo::{self, Head, Limits, PhotoError, png};
 use tmpi_core::DisparityMap;
 
 /// Range of neighbouring disparities above which they lie on two surfaces and are not mixed.
@@ -24,6 +24,14 @@ const ALIKE: u8 = 2;
 /// [`DepthError::Map`] says what is wrong with the file.
 pub fn check(bytes: &[u8], limits: &Limits) -> Result<(u32, u32), DepthError> {
     photo::check(bytes, limits).map(|(_, size)| size).map_err(|e| not_a_map(&e))
+}
+
+/// What the first bytes of a map tell, while the rest of it is still on its way.
+///
+/// # Errors
+/// [`DepthError::Map`], as [`check`] of the whole would.
+pub fn head(bytes: &[u8], limits: &Limits) -> Result<Head, DepthError> {
+    photo::head(bytes, limits).map_err(|e| not_a_map(&e))
 }
 
 fn not_a_map(error: &PhotoError) -> DepthError {

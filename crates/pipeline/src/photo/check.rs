@@ -23,6 +23,8 @@ pub fn check(bytes: &[u8], limits: &Limits) -> Result<(PhotoFormat, (u32, u32)),
 
 /// The segments of a JPEG within the limits, with data for each of its blocks.
 pub(super) fn jpeg(bytes: &[u8], limits: &Limits) -> Result<Jpeg, PhotoError> {
+    // first what is told while the file comes in, so that it is told alike of one that is whole
+    jpeg::head(bytes, limits)?;
     let jpeg = jpeg::scan(bytes)?;
     limits.check_size(jpeg.width, jpeg.height)?;
     jpeg.check_data()?;
@@ -32,9 +34,10 @@ pub(super) fn jpeg(bytes: &[u8], limits: &Limits) -> Result<Jpeg, PhotoError> {
 
 /// The chunks of a WebP within the limits.
 pub(super) fn webp(bytes: &[u8], limits: &Limits) -> Result<WebP, PhotoError> {
+    webp::head(bytes, limits)?;
     let webp = webp::scan(bytes)?;
     limits.check_size(webp.width, webp.height)?;
-    limits.check_memory(u64::from(webp.width) * u64::from(webp.height) * webp.bytes_per_pixel())?;
+    limits.check_memory(webp.memory())?;
     Ok(webp)
 }
 

@@ -1,7 +1,7 @@
 //! Walks the segments of a JPEG file: size, metadata, and the file again without metadata.
 
-use super::PhotoError;
 use super::segments::{broken, entropy_end, next_marker, segment};
+use super::{Head, Limits, PhotoError};
 
 /// What the segments of a JPEG file say, and the file without what nobody needs to decode it.
 #[derive(Debug)]
@@ -79,6 +79,51 @@ impl Jpeg {
     }
 }
 
+/// Segments and bytes between them, before the frame header, that are looked at while the file is still on its way; more are left to the
+/// whole file, so that bytes which come one by one cost little each.
+const MAX_STEPS: usize = 1024;
+
+/// What the first bytes tell; they begin with the marker of JPEG.
+pub(super) fn head(bytes: &[u8], limits: &Limits) -> Result<Head, PhotoError> {
+    let mut at = 2;
+    for _ in 0..MAX_STEPS {
+        let Some(&[first, marker]) = bytes.get(at..at + 2) else { return Ok(Head::Needs(at + 2)) };
+        match (first, marker) {
+            (0xFF, 0xFF) => {
+                at += 1;
+                continue;
+            }
+            (0xFF, 0x01 | 0xD0..=0xD8) => {
+                at += 2;
+                continue;
+            }
+            (0xFF, 0x00 | 0xD9 | 0xDA) | (0..=0xFE, _) => return Ok(Head::Silent),
+            _ => {}
+        }
+        let Some(&[high, low]) = bytes.get(at + 2..at + 4) else { return Ok(Head::Needs(at + 4)) };
+        let end = at + 2 + usize::from(u16::from_be_bytes([high, low]));
+        if end < at + 4 {
+            return Ok(Head::Silent);
+        }
+        if is_frame(marker) {
+            let Some(body) = bytes.get(at + 4..end) else { return Ok(Head::Needs(end)) };
+            let frame = Frame::read(marker, body)?;
+            limits.check_size(frame.width, frame.height)?;
+            // whether a scan holds all components is told behind this
+            let coefficients = if frame.progressive { frame.coefficient_bytes } else { 0 };
+            limits.check_memory(coefficients.saturating_add(u64::from(frame.width) * u64::from(frame.height) * 3))?;
+            return Ok(Head::Size(frame.width, frame.height));
+        }
+        at = end;
+    }
+    Ok(Head::Silent)
+}
+
+/// True for the markers of frame headers.
+fn is_frame(marker: u8) -> bool {
+    matches!(marker, 0xC0..=0xC3 | 0xC5..=0xC7 | 0xC9..=0xCB | 0xCD..=0xCF)
+}
+
 /// Bytes that a decoder holds ahead of the block that it is at.
 const READ_AHEAD: usize = 16;
 
@@ -130,7 +175,7 @@ pub(super) fn scan(bytes: &[u8]) -> Result<Jpeg, PhotoError> {
             0xE1 if body.starts_with(b"Exif\0\0") && jpeg.exif.is_none() => jpeg.exif = Some(body[6..].to_vec()),
             0xE2 if body.starts_with(b"ICC_PROFILE\0") && body.len() > 14 => icc.push((body[12], &body[14..])),
             0xE0..=0xEF | 0xFE => {}
-            0xC0..=0xC3 | 0xC5..=0xC7 | 0xC9..=0xCB | 0xCD..=0xCF => {
+            frame_marker if is_frame(frame_marker) => {
                 if frame.is_some() {
                     return Err(broken("more than one frame header"));
                 }

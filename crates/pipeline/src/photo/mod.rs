@@ -10,6 +10,7 @@ mod error;
 pub(crate) mod exif;
 #[doc(hidden)]
 pub mod fuzzing;
+mod head;
 mod jpeg;
 mod limits;
 pub(crate) mod pixels;
@@ -39,6 +40,7 @@ use zune_jpeg::zune_core::options::DecoderOptions;
 
 pub use check::check;
 pub use error::PhotoError;
+pub use head::{Head, head};
 pub use limits::Limits;
 pub use resample::{Filter, reduced_size, resample, resample_by, resize};
 pub use resample_bytes::resample_bytes;

@@ -4,7 +4,7 @@ use std::io::Cursor;
 
 use image::codecs::png::PngDecoder;
 
-use super::{Limits, MAX_PROFILE, PhotoError, broken};
+use super::{Head, Limits, MAX_PROFILE, PhotoError, broken};
 
 const SIGNATURE: usize = 8;
 /// Most bytes of a palette: 256 colours.
@@ -32,18 +32,39 @@ pub(super) fn size(bytes: &[u8]) -> Result<(u32, u32), PhotoError> {
     Ok((side(8), side(12)))
 }
 
+/// Samples a pixel by the kind of colour, without a transparent colour of its own.
+fn channels_of(colour: u8) -> Result<u64, PhotoError> {
+    match colour {
+        0 => Ok(1),
+        4 => Ok(2),
+        2 | 3 => Ok(3),
+        6 => Ok(4),
+        _ => Err(broken("an unknown kind of colour")),
+    }
+}
+
+/// Bytes of a decoded picture.
+fn memory((width, height): (u32, u32), channels: u64, depth: u8) -> u64 {
+    let pixels = u64::from(width) * u64::from(height);
+    pixels.saturating_mul(channels * if depth == 16 { 2 } else { 1 })
+}
+
+/// What the first bytes tell; they begin with the signature of PNG.
+pub(super) fn head(bytes: &[u8], limits: &Limits) -> Result<Head, PhotoError> {
+    let Some(&[depth, colour]) = bytes.get(24..26) else { return Ok(Head::Needs(26)) };
+    let (width, height) = size(bytes)?;
+    limits.check_size(width, height)?;
+    limits.check_memory(memory((width, height), channels_of(colour)?, depth))?;
+    Ok(Head::Size(width, height))
+}
+
 /// Reads all chunks; a file that ends within one was cut short. Size and memory are held to the limits first.
 pub(crate) fn scan<'a>(bytes: &'a [u8], limits: &Limits) -> Result<Png<'a>, PhotoError> {
+    head(bytes, limits)?;
     let (width, height) = size(bytes)?;
     limits.check_size(width, height)?;
     let Some(&[depth, colour]) = bytes.get(24..26) else { return Err(broken("the file is cut short")) };
-    let mut channels = match colour {
-        0 => 1,
-        4 => 2,
-        2 | 3 => 3,
-        6 => 4,
-        _ => return Err(broken("an unknown kind of colour")),
-    };
+    let mut channels = channels_of(colour)?;
     let mut png = Png { stripped: Vec::with_capacity(bytes.len()), exif: None, width, height, bytes_per_pixel: 0 };
     png.stripped.extend_from_slice(&bytes[..SIGNATURE]);
     let (mut at, mut pictures) = (SIGNATURE, false);
@@ -81,7 +102,7 @@ pub(crate) fn scan<'a>(bytes: &'a [u8], limits: &Limits) -> Result<Png<'a>, Phot
         return Err(broken("no picture data"));
     }
     png.bytes_per_pixel = channels * if depth == 16 { 2 } else { 1 };
-    limits.check_memory(u64::from(width) * u64::from(height) * png.bytes_per_pixel)?;
+    limits.check_memory(memory((width, height), channels, depth))?;
     Ok(png)
 }
 

@@ -1,6 +1,6 @@
 //! Walks the chunks of a WebP file: size, metadata, and the file again without metadata.
 
-use super::PhotoError;
+use super::{Head, Limits, PhotoError};
 
 /// What the chunks of a WebP file say, and the file without what nobody needs to decode it.
 #[derive(Debug)]
@@ -17,8 +17,17 @@ pub(super) struct WebP {
 }
 
 impl WebP {
+    /// One of which nothing is known.
+    const NONE: Self =
+        Self { width: 0, height: 0, animated: false, alpha: false, lossless: false, stripped: Vec::new(), exif: None, icc: None };
+
+    /// Memory that decoding takes, result included.
+    pub(super) fn memory(&self) -> u64 {
+        (u64::from(self.width) * u64::from(self.height)).saturating_mul(self.bytes_per_pixel())
+    }
+
     /// Memory that decoding takes for a pixel, result included.
-    pub(super) fn bytes_per_pixel(&self) -> u64 {
+    fn bytes_per_pixel(&self) -> u64 {
         match (self.animated, self.lossless, self.alpha) {
             // Canvas, frame and result in RGBA
             (true, ..) => 12,
@@ -68,14 +77,36 @@ fn bitstream_size(name: [u8; 4], body: &[u8]) -> Result<(u32, u32), PhotoError> 
     }
 }
 
+/// Bytes of the first chunk's contents in which its size stands.
+const SIZE: usize = 10;
+
+/// What the first bytes tell; they start with `RIFF....WEBP`.
+pub(super) fn head(bytes: &[u8], limits: &Limits) -> Result<Head, PhotoError> {
+    let Some((&[a, b, c, d, l0, l1, l2, l3], content)) = bytes.get(12..20 + SIZE).and_then(|first| first.split_first_chunk()) else {
+        return Ok(Head::Needs(20 + SIZE));
+    };
+    let (name, length) = ([a, b, c, d], u32::from_le_bytes([l0, l1, l2, l3]) as usize);
+    let content = &content[..length.min(SIZE)];
+    let (flags, (width, height)) = match (&name, content) {
+        (b"VP8X", &[flags, _, _, _, w0, w1, w2, h0, h1, h2]) => (flags, (u24(&[w0, w1, w2]) + 1, u24(&[h0, h1, h2]) + 1)),
+        (b"VP8 " | b"VP8L", _) => (0, bitstream_size(name, content)?),
+        _ => return Ok(Head::Silent),
+    };
+    limits.check_size(width, height)?;
+    // of a canvas it is told only behind this whether its picture is lossless
+    let least =
+        WebP { width, height, animated: flags & ANIMATED != 0, alpha: flags & ALPHA != 0, lossless: &name == b"VP8L", ..WebP::NONE };
+    limits.check_memory(least.memory())?;
+    Ok(Head::Size(width, height))
+}
+
 /// Reads all chunks up to the length that the RIFF header tells; `bytes` starts with `RIFF....WEBP`.
 pub(super) fn scan(bytes: &[u8]) -> Result<WebP, PhotoError> {
     let riff = u32::from_le_bytes([bytes[4], bytes[5], bytes[6], bytes[7]]) as usize;
     // An odd length without padding is common
     let file = bytes.get(..riff.saturating_add(8)).or_else(|| (riff + 7 == bytes.len()).then_some(bytes));
     let Some(mut rest) = file.and_then(|f| f.get(12..)) else { return Err(broken("the file is cut short")) };
-    let mut webp =
-        WebP { width: 0, height: 0, animated: false, alpha: false, lossless: false, stripped: Vec::new(), exif: None, icc: None };
+    let mut webp = WebP::NONE;
     let mut body = Vec::with_capacity(rest.len());
     let (mut extended, mut pictures) = (false, 0);
     while rest.len() >= 8 {

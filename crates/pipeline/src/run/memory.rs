@@ -85,6 +85,17 @@ impl Options {
         if area(crate::photo::reduced_size(file, Some(most))) < LEAST_PIXELS { Err(refused.into()) } else { Ok(Some(most)) }
     }
 
+    /// Refuses a file of that size that does not fit into memory whatever other options are chosen: where it is decoded at all.
+    ///
+    /// # Errors
+    /// [`PhotoError::TooMuchWork`] names the limit and the need with these options.
+    pub fn check_decoded(&self, file: (u32, u32), limits: &Limits) -> Result<(), MakeError> {
+        if BASE + area(file) * DECODED <= limits.memory {
+            return Ok(());
+        }
+        Err(PhotoError::TooMuchWork { bytes: self.memory(file, None), limit: limits.memory }.into())
+    }
+
     /// These options, with a photo brought to the size at which it fits into memory, where it does not as it is.
     ///
     /// # Errors
@@ -130,6 +141,26 @@ mod tests {
         assert!(Options::default().memory((80, 60), Some((8000, 6000))) > 700 << 20);
         let small = Options { tile: TileSize::Pixels(8), ..Options::default() };
         assert!(small.memory((4000, 3000), None) > Options::default().memory((4000, 3000), None) + (500 << 20));
+    }
+
+    #[test]
+    fn what_is_refused_whatever_the_options_is_refused_with_each() {
+        let limits = |mib: u64| Limits { memory: mib << 20, ..Limits::default() };
+        let (file, options) = ((8160, 6120), Options::default());
+        // 80 MiB, and 50 megapixels of 16 bytes
+        let refused = options.check_decoded(file, &limits(841)).unwrap_err();
+        assert_eq!(refused.to_string(), options.side_by_memory(file, None, &limits(841)).unwrap_err().to_string());
+        assert!(options.check_decoded(file, &limits(843)).is_ok());
+        for planes in [PlaneCount::Auto, PlaneCount::Fixed(1)] {
+            for tile in [TileSize::Full, TileSize::Pixels(8)] {
+                for max_size in [None, Some(1), Some(2000)] {
+                    let options = Options { planes, tile, max_size, ..Options::default() };
+                    for map in [None, Some((80, 60)), Some(file)] {
+                        assert!(options.side_by_memory(file, map, &limits(841)).is_err(), "{options:?} {map:?}");
+                    }
+                }
+            }
+        }
     }
 
     #[test]
