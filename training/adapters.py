@@ -108,9 +108,10 @@ def by(processor):
     return lambda image: processor(images=image, return_tensors="pt")["pixel_values"]
 
 
-def anything(width, heads, neck, fusion, kind):
+def anything(width, heads, neck, fusion, kind, layers=4):
     backbone = t.Dinov2Config(
-        hidden_size=width, num_hidden_layers=4, num_attention_heads=heads, image_size=518, patch_size=14, out_indices=[1, 2, 3, 4],
+        hidden_size=width, num_hidden_layers=layers, num_attention_heads=heads, image_size=518, patch_size=14,
+        out_indices=[layers // 4 * i for i in (1, 2, 3, 4)],
         reshape_hidden_states=False, apply_layernorm=True,
     )  # fmt: skip
     config = t.DepthAnythingConfig(

@@ -158,7 +158,7 @@ def main():
     a.add_argument("--labels", type=int, metavar="N", help="only so many of the labelled photographs, to see what more of them are worth")
     a.add_argument("--weights", nargs="*", default=[], metavar="PART=WEIGHT", help="other weights of the loss than WEIGHTS")
     a.add_argument("--encoder", choices=["mobilenet", "both"], default="both", help="MobileNetV2, or with YOLOX-nano beside it")
-    a.add_argument("--ramp", type=float, default=0.2, help="share of the vertical ramp by which checkpoints are measured")
+    a.add_argument("--ramp", type=float, default=0.05, help="share of the vertical ramp by which checkpoints are measured: the program's for photos")
     a.add_argument("--drop", type=float, default=0.15, help="share of the encoders' channels that each sample goes without")
     a.add_argument("--ema", type=float, default=0.998, help="decay of the mean over weights")
     a.add_argument("--init", help="checkpoint whose weights to begin with, their running mean, or an exported network")

@@ -12,7 +12,7 @@ import torch
 import common
 import sources
 import things
-from network import MEAN, STD, DepthNet, Shipped
+from network import MEAN, STD, DepthNet, Shipped, told
 from paths import DATA
 
 # pixels at which the program runs the network
@@ -204,6 +204,7 @@ class Onnx:
         options = ort.SessionOptions()
         options.intra_op_num_threads = 1
         self.session = ort.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+        self.about = told(path)
 
     def __call__(self, x):
         return torch.from_numpy(self.session.run(None, {"image": x.numpy()})[0])
@@ -222,7 +223,7 @@ def main():
     a.add_argument("--flip", action="store_true")
     a.add_argument("--areas", type=int, nargs="+", default=[AREA])
     a.add_argument("--part", choices=["all", "choose", "wide", "report"], default="report", help="the pictures that nothing is chosen by, those that checkpoints are chosen by, these with further ones, or both")
-    a.add_argument("--ramp", type=float, default=0.2, help="share of the vertical ramp that a checkpoint gets, as in export.py")
+    a.add_argument("--ramp", type=float, default=0.05, help="share of the vertical ramp that a checkpoint or a file gets which has none, as from the program; the program has --depth-ramp")
     a.add_argument("--json", action="store_true")
     a, flags = a.parse_known_args()  # what is left over goes to the program
     torch.set_num_threads(1)
@@ -231,7 +232,9 @@ def main():
         print("TMPI_DATA is not there: nothing to measure")
         return
     net = opened(a.model, flags)
-    net = Shipped(net, a.ramp) if isinstance(net, DepthNet) else net
+    # files of before have a ramp in their graph, and those of after say that they have none
+    bare = isinstance(net, DepthNet) or isinstance(net, Onnx) and net.about.get("ramp") == "0"
+    net = Shipped(net, a.ramp) if bare else net
     how = {"flip": a.flip, "areas": a.areas}
     result = evaluate(net, sets, **how)
     # held-out labels are never chosen by

@@ -8,12 +8,12 @@ import torch
 import common
 import manifest
 from common import MODELS, RUNS
-from graph import Graph, check, halved, mean, mirrored, ramped
+from graph import Graph, check, halved, mean, mirrored, unit
 
 LICENCE = "MIT OR Apache-2.0"
 
 
-def depth(path, files, ramp, mirror):
+def depth(path, files, mirror):
     """One network of the decoders of all `files`; see `network.Mean`."""
     from network import Mean, MobileNetV2, Shipped
 
@@ -23,11 +23,11 @@ def depth(path, files, ramp, mirror):
     x = g.input("image", ["n", 3, "h", "w"])
     both = g.op("Concat", x, mirrored(g, x), axis=0) if mirror else x
     p = mean(g, net.encoder.written(g, both), net.decoders, mirror, MobileNetV2.CHANNELS)
-    g.output(ramped(g, p, ramp), "disparity", ["n", 1, "h", "w"])
-    about = {"licence": LICENCE + "; encoders: MobileNetV2, YOLOX-nano, Apache-2.0", "decoders": str(len(net.decoders)), "mirrored": str(mirror), "ramp": str(ramp)}
+    g.output(unit(g, p), "disparity", ["n", 1, "h", "w"])
+    about = {"licence": LICENCE + "; encoders: MobileNetV2, YOLOX-nano, Apache-2.0", "decoders": str(len(net.decoders)), "mirrored": str(mirror), "ramp": "0"}
     g.save(path, about)
     inputs = [{"image": torch.randn(n, 3, h, w)} for n, h, w in ((1, 192, 288), (2, 96, 288), (1, 288, 96))]
-    return [check(path, Shipped(net, ramp), i) for i in inputs]
+    return [check(path, Shipped(net), i) for i in inputs]
 
 
 def fold_into_half(net):
@@ -119,10 +119,9 @@ def psi(path, checkpoint):
 def main():
     a = argparse.ArgumentParser(description=__doc__)
     a.add_argument("model", choices=["depth", "theta", "psi"])
-    a.add_argument("--checkpoint", nargs="+", type=common.Path, help="of depth also several, whose decoders become one network, and exported networks")
+    a.add_argument("--checkpoint", nargs="+", type=common.Path, help="of depth also several, whose decoders become one network, and exported networks, of which all decoders are taken")
     a.add_argument("--mirror", action="store_true", help="the depth network also sees the mirrored picture: the mean of both")
     a.add_argument("--out", help="another file than models/NAME.onnx, whose card is then left alone")
-    a.add_argument("--ramp", type=float, default=0.2, help="share of the vertical ramp in the depth network's map")
     a = a.parse_args()
     torch.manual_seed(0)
     torch.set_num_threads(1)
@@ -131,7 +130,7 @@ def main():
     path.parent.mkdir(parents=True, exist_ok=True)
     sources = a.checkpoint or [RUNS / name]
     if a.model == "depth":
-        worst = depth(path, sources, a.ramp, a.mirror)
+        worst = depth(path, sources, a.mirror)
     else:
         checkpoint = torch.load(sources[0], weights_only=False, map_location="cpu")
         worst = theta(path, checkpoint) if a.model == "theta" else psi(path, checkpoint)

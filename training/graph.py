@@ -132,11 +132,6 @@ def unit(g, x):
     return g.op("Div", x, g.op("Sqrt", var))
 
 
-def ramped(g, p, ramp):
-    row = g.op("CumSum", ones_of(g, p), g.constant(np.int64(2), np.int64))
-    return g.op("Add", unit(g, p), g.op("Mul", unit(g, row), g.constant(np.float32(ramp))))
-
-
 def mirrored(g, x):
     """A map [N,C,H,W] with left and right exchanged."""
     return g.op("Slice", x, *(g.constant([i], np.int64) for i in (-1, np.iinfo(np.int64).min, 3, -1)))

@@ -145,10 +145,11 @@ class Decoder(nn.Module):
         return features if self.both() else [f[:, :c] for f, c in zip(features, MobileNetV2.CHANNELS)]
 
     @torch.no_grad()
-    def take(self, path, batches=()):
-        """The weights of an exported network, of its last decoder. What its BatchNorm was is not in the file: mean and deviation are measured on
+    def take(self, path, batches=(), nth=-1):
+        """The weights of an exported network, of its `nth` decoder, counted from the last, which is -1. What its BatchNorm was is not in the file: mean and deviation are measured on
         `batches` of feature maps; without any the network is the same, but no start to learn from."""
-        found = convolutions(path)[-len(self.layers()) :]
+        n = len(self.layers())
+        found = convolutions(path)[nth * n : (nth + 1) * n or None]
         norms = {}
         for (conv, norm), (weight, bias) in zip(self.layers(), found, strict=True):
             conv.weight.copy_(weight)
@@ -173,6 +174,16 @@ class Decoder(nn.Module):
             norm.running_var.copy_((square - mean.square()).clamp_min(1e-6))
             norm.weight.copy_((norm.running_var + norm.eps).sqrt())
             norm.bias.add_(mean)
+
+
+def told(path):
+    """What an exported network says of itself, by name."""
+    return {p.key: p.value for p in onnx.load(str(path), load_external_data=False).metadata_props}
+
+
+def decoders(path):
+    """How many decoders an exported network has."""
+    return int(told(path).get("decoders", 1))
 
 
 def convolutions(path):
@@ -223,12 +234,12 @@ class DepthNet(nn.Module):
         return net.eval()
 
     @staticmethod
-    def exported(path):
-        """The network of a file: its decoder, the last one where there are several, behind the encoders as they are published."""
+    def exported(path, nth=-1):
+        """The network of a file: its decoder, of several the `nth`, counted from the last, behind the encoders as they are published."""
         net = DepthNet()
-        top = convolutions(path)[-len(net.decoder.layers())][0]
+        top = convolutions(path)[nth * len(net.decoder.layers())][0]
         net = DepthNet(top.shape[1] > MobileNetV2.CHANNELS[4] + 1)
-        net.decoder.take(path)
+        net.decoder.take(path, nth=nth)
         return net.eval()
 
     def load(self, checkpoint):
@@ -275,11 +286,13 @@ class Mean(nn.Module):
 
     @staticmethod
     def of(files, mirrored=False):
-        """The mean of the networks of checkpoints and of exported networks; of these none that is a mean itself, as one decoder alone would be taken."""
+        """The mean of the networks of checkpoints and of exported networks; of one that is a mean itself all decoders are taken."""
+        nets = []
         for f in files:
-            if str(f).endswith(".onnx") and {p.key: p.value for p in onnx.load(str(f)).metadata_props}.get("decoders", "1") != "1":
-                raise SystemExit(f"{f} has several decoders: name the checkpoints and networks that it was made of")
-        nets = [DepthNet.exported(f) if str(f).endswith(".onnx") else DepthNet.of(torch.load(f, weights_only=False, map_location="cpu")) for f in files]
+            if str(f).endswith(".onnx"):
+                nets += [DepthNet.exported(f, nth) for nth in range(-decoders(f), 0)]
+            else:
+                nets.append(DepthNet.of(torch.load(f, weights_only=False, map_location="cpu")))
         if any(n.tuned for n in nets) and len(nets) > 1:
             raise SystemExit("decoders of one network have the same encoders: none whose encoder was trained along")
         return Mean(nets, mirrored)
@@ -295,11 +308,11 @@ class Mean(nn.Module):
 
 
 class Shipped(nn.Module):
-    """What is exported: the network's map with deviation 1, plus a ramp of deviation `ramp` that rises towards the lower border.
+    """What is exported, the network's map with deviation 1, plus a ramp of deviation `ramp` that rises towards the lower border, which the program adds.
 
     Photographs have more of a vertical trend than the rendered scenes; `ramp` is chosen on real pictures."""
 
-    def __init__(self, net, ramp):
+    def __init__(self, net, ramp=0.0):
         super().__init__()
         self.net, self.ramp = net, ramp
 

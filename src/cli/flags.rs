@@ -119,6 +119,9 @@ pub(super) struct ModelFlags {
     /// How strongly the map of the depth network is smoothed up to the photo's edges, against haloes, 0 to 1000000; 0: not at all
     #[arg(long, value_parser = strength, value_name = "N")]
     pub depth_smoothing: Option<f64>,
+    /// How much of a vertical ramp, nearer below, the map of the depth network gains, 0 to 10 times its deviation
+    #[arg(long, value_parser = share_of_ramp, value_name = "N")]
+    pub depth_ramp: Option<f64>,
     /// Run depth on the mirrored photo too and take the mean: twice the time
     #[arg(long)]
     pub flip: bool,
@@ -135,19 +138,29 @@ impl ModelFlags {
     pub(super) fn settings(&self) -> Settings {
         let onnx = Config { threads: self.threads.into(), providers: self.provider.clone(), ..Config::default() };
         let DepthModel { adapter, file, .. } = &self.depth_model;
-        let Self { depth_pixels, depth_smoothing, flip, .. } = *self;
-        Settings { depth: adapter, depth_file: file.clone(), depth_pixels, depth_smoothing, flip, onnx, ..Settings::default() }
+        let Self { depth_pixels, depth_smoothing, depth_ramp, flip, .. } = *self;
+        Settings { depth: adapter, depth_file: file.clone(), depth_pixels, depth_smoothing, depth_ramp, flip, onnx, ..Settings::default() }
     }
 }
 
 impl ModelFlags {
-    /// The settings of rooms, whose depth network is `live`; none where they are those of photos. What was said of pixels, smoothing and
-    /// the mirrored photo was said of the photos' network.
+    /// The settings of rooms, whose depth network is `live`; none where they are those of photos. What was said of pixels, smoothing, ramp and
+    /// the mirrored photo was said of the photos' network: it goes for rooms where they have the same.
     pub(super) fn for_rooms(&self, live: &DepthModel) -> Option<Settings> {
         let photos = self.settings();
-        let same = photos.depth == live.adapter && photos.depth_file == live.file;
         let (depth, depth_file) = (live.adapter, live.file.clone());
-        (!same).then_some(Settings { depth, depth_file, depth_pixels: None, depth_smoothing: None, flip: false, ..photos })
+        if photos.depth != depth || photos.depth_file != depth_file {
+            let depth_ramp = Some(depth.ramp_of_rooms);
+            return Some(Settings { depth, depth_file, depth_pixels: None, depth_smoothing: None, depth_ramp, flip: false, ..photos });
+        }
+        let rooms = self.settings_of_rooms();
+        (rooms.depth_ramp.unwrap_or(depth.ramp) != photos.depth_ramp.unwrap_or(depth.ramp)).then_some(rooms)
+    }
+
+    /// The settings that the flags stand for where it is rooms that they are of.
+    pub(super) fn settings_of_rooms(&self) -> Settings {
+        let settings = self.settings();
+        Settings { depth_ramp: Some(settings.depth_ramp.unwrap_or(settings.depth.ramp_of_rooms)), ..settings }
     }
 
     /// The settings with another network.
@@ -200,6 +213,12 @@ fn checked<T: Copy>(value: T, set: impl FnOnce(&mut Options, T)) -> Result<T, St
     set(&mut options, value);
     options.validate().map_err(|e| e.to_string())?;
     Ok(value)
+}
+
+/// A share of the ramp.
+fn share_of_ramp(text: &str) -> Result<f64, String> {
+    let value = number(text)?;
+    if (0.0..=10.0).contains(&value) { Ok(value) } else { Err(format!("{text} is not between 0 and 10")) }
 }
 
 /// A strength of smoothing.
@@ -340,6 +359,11 @@ mod tests {
         assert_eq!((other.depth.name, other.depth_file), ("midas-v2.1-small", Some(PathBuf::from("b.onnx"))));
         // one network is loaded once
         assert!(large.for_rooms(&depth_model("depth-anything-v2=a.onnx").unwrap()).is_none());
-        assert!(of(&["--depth-model", "tmpi", "--depth-pixels", "9000"]).for_rooms(&embedded).is_none());
+        assert!(of(&["--depth-model", "tmpi", "--depth-ramp", "0.1"]).for_rooms(&embedded).is_none());
+        // rooms have more of a ramp
+        let own = of(&["--depth-model", "tmpi", "--depth-pixels", "9000"]);
+        let rooms = own.for_rooms(&embedded).unwrap();
+        assert_eq!((rooms.depth.name, rooms.depth_pixels, rooms.depth_ramp), ("tmpi", Some(9000), Some(ADAPTERS[0].ramp_of_rooms)));
+        assert!(ADAPTERS[0].ramp_of_rooms > ADAPTERS[0].ramp && own.settings().depth_ramp.is_none());
     }
 }

@@ -149,7 +149,7 @@ fn bench(args: &BenchArgs) -> anyhow::Result<()> {
         bitrate,
         frame_ms: args.budget_ms,
         views: args.views,
-        models: models::load(&args.models.settings())?,
+        models: models::load(&args.models.settings_of_rooms())?,
         depth: networks::available().is_ok(),
         true_scale: args.true_scale,
         parallax: args.parallax,

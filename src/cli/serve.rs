@@ -439,8 +439,11 @@ pub(super) fn identity(settings: &models::Settings) -> anyhow::Result<String> {
             digest = Some(digest.unwrap_or_default() + &hex(&Sha256::digest(bytes)));
         }
     }
-    let models::Settings { depth, depth_pixels, depth_smoothing, flip, folder, .. } = settings;
+    let models::Settings { depth, depth_pixels, depth_smoothing, depth_ramp, flip, folder, .. } = settings;
     let mut text = format!("{} {digest:?} {depth_pixels:?} {depth_smoothing:?} {flip}", depth.name);
+    if let Some(ramp) = depth_ramp {
+        text = format!("{text} {ramp:?}");
+    }
     // networks that an option may ask for
     for name in [models::THETA, models::PSI] {
         match std::fs::read(folder.join(name)) {

@@ -43,7 +43,8 @@ pub struct SynthArgs {
     /// Colour samples in a pixel at edges, squared
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=16), value_name = "N")]
     pub supersampling: u32,
-    /// Cut about half of all textures from the photos (PNG, JPEG, WebP) in this folder, in the order of their names
+    /// Cut about half of all textures from the photos (PNG, JPEG, WebP) in this folder, in the order of their names, and set some figures before a
+    /// whole one
     #[arg(long, value_name = "DIR")]
     pub pictures: Option<PathBuf>,
     /// Replace things by the textured models (binary glTF, in metres) in this folder, where one is of their size, and set some scenes within those

@@ -331,6 +331,11 @@ pub(super) fn figures(b: &mut Build) {
     ]);
     let scale = far * b.rng.log_range(0.05, 1.0);
     let back = Texture::new(b.rng, pattern, scale);
+    // as wide as the view, or wider, at that distance
+    let back = b.rng.backdrop().map_or(back, |picture| {
+        let view = 2.0 * far * (b.w.fov.to_radians() * 0.5).tan();
+        Texture::picture(b.rng, picture, view * b.rng.range(1.0, 1.6))
+    });
     let turn: f64 = b.rng.range(-0.7, 0.7);
     if b.rng.chance(0.8) {
         b.w.card(g, v3(0.0, 0.0, far), v3(turn.cos(), 0.0, turn.sin()), DOWN, (wide, wide), Outline::Full, back);

@@ -165,6 +165,12 @@ impl Rng {
         (!of.is_empty()).then(|| Patch::cut(&of[(self.next() % of.len() as u64) as usize], self))
     }
 
+    /// All of a picture, for every other of those who ask where there are pictures; who asks where there are none draws nothing.
+    pub fn backdrop(&self) -> Option<Patch> {
+        let of = &self.assets.pictures.0;
+        (!of.is_empty() && self.chance(0.5)).then(|| Patch::whole(&of[(self.next() % of.len() as u64) as usize]))
+    }
+
     pub const fn models(&self) -> &Models {
         &self.assets.models
     }

@@ -36,7 +36,7 @@ const NEAR: f64 = 1e-4;
 /// What scenes may be made of beside what is drawn for them; nothing by default.
 #[derive(Clone, Debug, Default)]
 pub struct Assets {
-    /// About half of all textures are cut from these.
+    /// About half of all textures are cut from these, and every other scene of figures is set before a whole one.
     pub pictures: Pictures,
     /// About half of the things that one of these is as large as are replaced by it, and now and then one is what the camera stands in.
     pub models: Models,

@@ -59,14 +59,14 @@ impl Levels {
     }
 }
 
-/// A square piece of a picture, repeated in mirrors.
+/// A square piece of a picture, or all of one, repeated in mirrors.
 #[derive(Clone, Debug)]
 pub(super) struct Patch {
     picture: Arc<Levels>,
-    /// Left, top and side, in texels of the finest level.
+    /// Left, top, width, height, in texels of the finest level.
     x: f64,
     y: f64,
-    side: f64,
+    extent: (f64, f64),
     mean: V3,
 }
 
@@ -76,7 +76,17 @@ impl Patch {
         let (w, h) = (picture.levels[0].0 as f64, picture.levels[0].1 as f64);
         let side = w.min(h) * rng.range(0.25, 0.66);
         let (x, y) = (rng.range(0.0, w - side), rng.range(0.0, h - side));
-        let mut patch = Self { picture: Arc::clone(picture), x, y, side, mean: V3::default() };
+        Self::of(picture, (x, y), (side, side))
+    }
+
+    /// All of a picture.
+    pub fn whole(picture: &Arc<Levels>) -> Self {
+        let (w, h) = (picture.levels[0].0 as f64, picture.levels[0].1 as f64);
+        Self::of(picture, (0.0, 0.0), (w, h))
+    }
+
+    fn of(picture: &Arc<Levels>, (x, y): (f64, f64), extent: (f64, f64)) -> Self {
+        let mut patch = Self { picture: Arc::clone(picture), x, y, extent, mean: V3::default() };
         let sum = (0..64).fold(V3::default(), |s, i| s + patch.at((f64::from(i % 8) + 0.5) / 8.0, (f64::from(i / 8) + 0.5) / 8.0, 0.12));
         patch.mean = sum * (1.0 / 64.0);
         patch
@@ -86,14 +96,27 @@ impl Patch {
         self.mean
     }
 
-    /// Linear colour at `(u, v)`, where the piece spans 1; `width` is what one pixel covers.
+    /// Its middle, as [`Self::at`] has it.
+    pub fn middle(&self) -> (f64, f64) {
+        let side = self.side();
+        (0.5 * self.extent.0 / side, 0.5 * self.extent.1 / side)
+    }
+
+    fn side(&self) -> f64 {
+        self.extent.0.max(self.extent.1)
+    }
+
+    /// Linear colour at `(u, v)`, where the longer side of the piece spans 1; `width` is what one pixel covers.
     pub fn at(&self, u: f64, v: f64, width: f64) -> V3 {
         let fold = |t: f64| 1.0 - (t.rem_euclid(2.0) - 1.0).abs();
-        let level = ((width * self.side).max(1.0).log2() as usize).min(self.picture.levels.len() - 1);
+        let side = self.side();
+        let level = ((width * side).max(1.0).log2() as usize).min(self.picture.levels.len() - 1);
         let (w, h, texels) = &self.picture.levels[level];
         let shrink = 1.0 / (1u64 << level) as f64;
-        let place = |t: f64, from: f64, n: usize| ((from + fold(t) * self.side) * shrink - 0.5).min(n as f64 - 1.001).max(0.0);
-        let (x, y) = (place(u, self.x, *w), place(v, self.y, *h));
+        let place = |t: f64, from: f64, extent: f64, n: usize| {
+            ((from + fold(t * side / extent) * extent) * shrink - 0.5).min(n as f64 - 1.001).max(0.0)
+        };
+        let (x, y) = (place(u, self.x, self.extent.0, *w), place(v, self.y, self.extent.1, *h));
         let (i, j) = (x as usize, y as usize);
         let (i1, j1) = ((i + 1).min(w - 1), (j + 1).min(h - 1));
         let (s, t) = ((x - i as f64) as f32, (y - j as f64) as f32);

@@ -1,5 +1,7 @@
 use super::math::{Frame, hash3, v3};
+use super::picture::Patch;
 use super::shape::Shape;
+use super::texture::Texture;
 use super::*;
 use tmpi_core::mat3_vec;
 
@@ -183,6 +185,29 @@ fn noise_is_even_and_bounded() {
         let p = v3(f64::from(i) * 0.37, f64::from(i) * -0.73, 0.2);
         assert!((0.0..=1.0).contains(&math::fbm(p, 5, 0.01, 9)));
     }
+}
+
+#[test]
+fn a_picture_is_a_backdrop_as_a_whole() {
+    // four quarters of four colours, twice as wide as high
+    let colours = [[255, 0, 0], [0, 255, 0], [0, 0, 255], [255, 255, 0]];
+    let rgb = (0..64 * 32).map(|i| colours[i % 64 / 32 + 2 * (i / 64 / 16)]).collect();
+    let pictures = Pictures::new(&[Photo { width: 64, height: 32, rgb }]);
+    let rng = Rng::with(1, &Assets { pictures: pictures.clone(), ..Assets::default() });
+    let texture = Texture::picture(&rng, Patch::whole(&pictures.0[0]), 10.0);
+    let at = |x: f64, y: f64| texture.at(v3(x, y, 0.0), v3(0.0, 0.0, 1.0), 1e-3).map(|v| (v * 255.0).round()).array().map(|v| v as u8);
+    // it spans 10 by 5 about the middle
+    let corners = [(-4.9, -2.4), (4.9, -2.4), (-4.9, 2.4), (4.9, 2.4)];
+    assert_eq!(corners.map(|(x, y)| at(x, y)), colours);
+    let inner = [(-0.2, -0.2), (0.2, -0.2), (-0.2, 0.2), (0.2, 0.2)];
+    assert_eq!(inner.map(|(x, y)| at(x, y)), colours);
+    // and goes on in mirrors
+    assert_eq!([at(5.2, 0.3), at(14.0, 0.3), at(0.3, -2.7), at(0.3, -6.0)], [colours[3], colours[2], colours[1], colours[3]]);
+    // figures have one now and then; without pictures nothing was drawn for them
+    assert!((0..40).any(|seed| Rng::with(seed, &Assets { pictures: pictures.clone(), ..Assets::default() }).backdrop().is_some()));
+    let (with, without) = (Rng::new(3), Rng::new(3));
+    assert!(with.backdrop().is_none());
+    assert_eq!(with.next(), without.next());
 }
 
 #[test]

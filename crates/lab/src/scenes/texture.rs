@@ -29,6 +29,8 @@ impl Pattern {
     pub const QUIET: [Self; 6] = [Self::Plain, Self::Plain, Self::Noise, Self::Noise, Self::Speckle, Self::Gradient];
 }
 
+/// Periods that a patch spans, so that its detail is as large as the pattern's.
+const PERIODS: f64 = 4.0;
 const LUMA: V3 = v3(0.2126, 0.7152, 0.0722);
 
 /// A surface's look. Lengths are those of the object's own frame.
@@ -106,6 +108,13 @@ impl Texture {
         Self::of(rng, p, 0.2, [c, c * 0.75, c * 0.5])
     }
 
+    /// A picture, upright about the middle of a card, whose longer side has the length `span`.
+    pub fn picture(rng: &Rng, picture: Patch, span: f64) -> Self {
+        let plain = Self::of(rng, Pattern::Plain, span / PERIODS, [V3::default(); 3]);
+        let (u, v) = picture.middle();
+        Self { turn: (0.0, 1.0), shift: (u * PERIODS, v * PERIODS), gloss: 0.0, patch: Some((picture, 1.0)), ..plain }
+    }
+
     pub fn glowing(mut self, glow: f64) -> Self {
         self.patch = None;
         self.glow = glow;
@@ -132,8 +141,7 @@ impl Texture {
         let q = p * (1.0 / self.scale);
         let w = width / self.scale;
         if let Some((patch, hue)) = &self.patch {
-            // a patch spans several periods, so that its detail is as large as the pattern's
-            let c = patch.at(u / 4.0, v / 4.0, w / 4.0);
+            let c = patch.at(u / PERIODS, v / PERIODS, w / PERIODS);
             let m = patch.mean();
             let bright = c.dot(LUMA) / m.dot(LUMA).max(0.02);
             let own = self.colours[0] * bright.min(3.0);

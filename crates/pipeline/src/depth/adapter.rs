@@ -123,6 +123,10 @@ pub struct Adapter {
     pub sampling: Sampling,
     /// Strength of smoothing up to the photo's edges, for a network that leaves haloes; 0 for one with sharp edges.
     pub smoothing: f64,
+    /// Share of a vertical ramp of deviation 1, nearer below, that its map of deviation 1 gains for photos.
+    pub ramp: f64,
+    /// The same for rooms, whose depth is steadier with more of it.
+    pub ramp_of_rooms: f64,
 }
 
 const IMAGENET: ([f32; 3], [f32; 3]) = ([0.485, 0.456, 0.406], [0.229, 0.224, 0.225]);
@@ -135,7 +139,21 @@ const LINEAR: Sampling = Sampling::Bytes(Filter::Triangle);
 
 const fn entry(name: &'static str, size: SizeRule, multiple: u32, norm: ([f32; 3], [f32; 3]), sampling: Sampling, output: Kind) -> Adapter {
     let (layout, outputs) = (Layout::Nchw, Outputs::FIRST);
-    Adapter { name, size, multiple, mean: norm.0, deviation: norm.1, layout, output, outputs, views: false, sampling, smoothing: 0.0 }
+    Adapter {
+        name,
+        size,
+        multiple,
+        mean: norm.0,
+        deviation: norm.1,
+        layout,
+        output,
+        outputs,
+        views: false,
+        sampling,
+        smoothing: 0.0,
+        ramp: 0.0,
+        ramp_of_rooms: 0.0,
+    }
 }
 
 /// All known networks; the first is the embedded one. The rest is prepared as its publishers do, to the rounding, and
@@ -146,6 +164,8 @@ const fn entry(name: &'static str, size: SizeRule, multiple: u32, norm: ([f32; 3
 pub const ADAPTERS: [Adapter; 14] = [
     Adapter {
         smoothing: 100.0,
+        ramp: 0.05,
+        ramp_of_rooms: 0.2,
         ..entry("tmpi", SizeRule::Area(128 * 192), 32, IMAGENET, Sampling::Unrounded(Filter::Lanczos3), Kind::Disparity)
     },
     entry("midas-v2.1-small", SizeRule::Fixed(256, 256), 32, PLAIN, Sampling::Four, Kind::Disparity),

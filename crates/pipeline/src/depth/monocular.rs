@@ -169,8 +169,32 @@ impl Estimator for Monocular {
             align(&mut mirrored.delta, &map.delta);
             map.delta.iter_mut().zip(&mirrored.delta).for_each(|(d, m)| *d = f32::midpoint(*d, *m));
         }
+        lean(&mut map, self.adapter.ramp);
         Ok(map)
     }
+}
+
+/// Adds a ramp that rises towards the lower border, of mean 0 and `share` times the deviation of `map`; none to a map of one row or without
+/// relief.
+fn lean(map: &mut DisparityMap, share: f64) {
+    let rows = map.delta.len() / (map.width as usize).max(1);
+    if share == 0.0 || rows < 2 {
+        return;
+    }
+    // the deviation of 0, 1, …, rows − 1
+    let of_rows = ((rows * rows - 1) as f64 / 12.0).sqrt();
+    let step = share * deviation(&map.delta) / of_rows;
+    let middle = (rows - 1) as f64 / 2.0;
+    for (y, row) in map.delta.chunks_exact_mut(map.width as usize).enumerate() {
+        let up = step * (y as f64 - middle);
+        row.iter_mut().for_each(|v| *v = (f64::from(*v) + up) as f32);
+    }
+}
+
+fn deviation(values: &[f32]) -> f64 {
+    let of = |f: &dyn Fn(f64) -> f64| values.iter().map(|v| f(f64::from(*v))).sum::<f64>() / values.len() as f64;
+    let mean = of(&|v| v);
+    of(&|v| (v - mean).powi(2)).sqrt()
 }
 
 /// Scales and shifts `values` so that its tenth and ninetieth percentiles are those of `target`: two runs of a network agree only
@@ -247,6 +271,38 @@ mod tests {
 
     fn with(f: fn(usize, usize) -> f32) -> Monocular {
         Monocular::new(&super::super::ADAPTERS[0], Arc::new(Stub(f)), false)
+    }
+
+    #[test]
+    fn a_map_leans_by_its_share_of_a_ramp_alone() {
+        let leaning = |ramp: f64, f: fn(usize, usize) -> f32| {
+            let adapter = Adapter { ramp, ..super::super::ADAPTERS[0] };
+            Monocular::new(&adapter, Arc::new(Stub(f)), false).raw(&photo(96, 64)).unwrap()
+        };
+        let flat = leaning(0.0, |x, _| x as f32);
+        let (w, h) = (flat.width as usize, flat.height as usize);
+        for share in [0.05, 0.2, 3.0] {
+            let map = leaning(share, |x, _| x as f32);
+            let added: Vec<f64> = map.delta.iter().zip(&flat.delta).map(|(a, b)| f64::from(a - b)).collect();
+            // in f64, by the definition: row y − mean, over the deviation of the rows
+            let rows = || (0..h).map(|y| y as f64);
+            let mean = rows().sum::<f64>() / h as f64;
+            let of_rows = (rows().map(|y| (y - mean).powi(2)).sum::<f64>() / h as f64).sqrt();
+            let columns = (0..w).map(|x| (x as f64 - (w - 1) as f64 / 2.0).powi(2)).sum::<f64>() / w as f64;
+            for (i, got) in added.iter().enumerate() {
+                let want = share * columns.sqrt() * ((i / w) as f64 - mean) / of_rows;
+                assert!((got - want).abs() < 1e-4 * columns.sqrt(), "{share}: {got} for {want}");
+            }
+        }
+        // nothing to lean
+        assert!(leaning(0.2, |_, _| 7.0).delta.iter().all(|v| *v == 7.0));
+        let mut line = DisparityMap { width: 3, height: 1, delta: vec![1.0, 2.0, 4.0] };
+        lean(&mut line, 0.2);
+        assert_eq!(line.delta, [1.0, 2.0, 4.0]);
+        // finite at the ends of what is
+        let mut wild = DisparityMap { width: 1, height: 2, delta: vec![f32::MAX, -f32::MAX] };
+        lean(&mut wild, 10.0);
+        assert!(wild.delta.iter().all(|v| v.is_finite()), "{:?}", wild.delta);
     }
 
     #[test]

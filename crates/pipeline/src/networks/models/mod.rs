@@ -37,6 +37,8 @@ pub struct Settings {
     pub depth_pixels: Option<u32>,
     /// Strength of the smoothing of its map up to the photo's edges, other than its own; 0: none.
     pub depth_smoothing: Option<f64>,
+    /// Share of a vertical ramp that its map gains, other than its own.
+    pub depth_ramp: Option<f64>,
     /// Run depth twice, the second time mirrored, and take the mean.
     pub flip: bool,
     /// Where [`THETA`] and [`PSI`] are, if they are there.
@@ -61,6 +63,7 @@ impl Default for Settings {
             depth_file: None,
             depth_pixels: None,
             depth_smoothing: None,
+            depth_ramp: None,
             flip: false,
             folder: registry::folder(),
             onnx: Config::default(),
@@ -153,7 +156,7 @@ struct Depth {
 
 impl Depth {
     fn get(&self) -> Result<&Monocular, DepthError> {
-        let Settings { depth, depth_pixels, depth_smoothing, flip, onnx, .. } = &self.settings;
+        let Settings { depth, depth_pixels, depth_smoothing, depth_ramp, flip, onnx, .. } = &self.settings;
         let loaded = self.loaded.get(|| {
             let embedded = DEPTH.filter(|_| *depth == &ADAPTERS[0]);
             let file = self.model.as_ref().map(|(model, beside)| (model.as_slice(), beside.as_slice()));
@@ -162,7 +165,8 @@ impl Depth {
                 reason: "it is not embedded in this program: name its ONNX file, or give a depth map".into(),
             })?;
             let size = depth_pixels.map_or(depth.size, SizeRule::Area);
-            let adapter = Adapter { size, smoothing: depth_smoothing.unwrap_or(depth.smoothing), ..**depth };
+            let (smoothing, ramp) = (depth_smoothing.unwrap_or(depth.smoothing), depth_ramp.unwrap_or(depth.ramp));
+            let adapter = Adapter { size, smoothing, ramp, ..**depth };
             Monocular::load(&adapter, model, beside, onnx, *flip)
         });
         loaded.map_err(|e: OnnxError| e.into())
