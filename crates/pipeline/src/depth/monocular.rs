@@ -187,7 +187,9 @@ fn lean(map: &mut DisparityMap, share: f64) {
     let middle = (rows - 1) as f64 / 2.0;
     for (y, row) in map.delta.chunks_exact_mut(map.width as usize).enumerate() {
         let up = step * (y as f64 - middle);
-        row.iter_mut().for_each(|v| *v = (f64::from(*v) + up) as f32);
+        for v in row {
+            *v = (f64::from(*v) + up) as f32;
+        }
     }
 }
 
