@@ -14,6 +14,7 @@ mod damage;
 mod fixture;
 
 mod events;
+mod exports;
 mod fair;
 mod limits;
 mod live;

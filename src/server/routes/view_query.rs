@@ -141,7 +141,14 @@ impl ViewQuery {
     /// # Errors
     /// 400 that names the first parameter that is unknown, given twice, not finite or out of range.
     pub fn read(uri: &Uri, limits: &Limits) -> Result<Self, Problem> {
-        let mut given = Pairs::read(uri, &NAMES)?;
+        Self::of(Pairs::read(uri, &NAMES)?, limits)
+    }
+
+    /// The same of parameters that are known.
+    ///
+    /// # Errors
+    /// 400 that names the first parameter that is not finite or out of range.
+    pub fn of(mut given: Pairs, limits: &Limits) -> Result<Self, Problem> {
         let version = given.take("v");
         let mut number = |name: &str| -> Result<Option<f64>, Problem> {
             let Some(text) = given.take(name) else { return Ok(None) };
