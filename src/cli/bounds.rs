@@ -59,7 +59,13 @@ pub(super) struct BoundArgs {
     /// Films and files that wait for their turn; one more is answered 503
     #[arg(long, default_value_t = Limits::EXPORTS_WAITING as u16, value_name = "N")]
     exports_waiting: u16,
-    /// Seconds that one may take, as long as the client waits
+    /// Disk for files that were written as jobs (POST /v1/photos/ID/exports), in MiB; those that were not fetched for longest go first
+    #[arg(long, default_value_t = (Limits::EXPORTS_BYTES >> 20) as u32, value_parser = clap::value_parser!(u32).range(1..), value_name = "MIB")]
+    exports_mib: u32,
+    /// Seconds for which such a file is kept that nobody fetches
+    #[arg(long, default_value_t = seconds(Limits::EXPORTS_FOR), value_parser = clap::value_parser!(u32).range(1..), value_name = "S")]
+    exports_for: u32,
+    /// Seconds that one may take: as a job, or as long as the client waits
     #[arg(long, default_value_t = seconds(Limits::EXPORT), value_parser = clap::value_parser!(u32).range(1..), value_name = "S")]
     export_timeout: u32,
     /// Pictures drawn for one request: views times frames
@@ -118,6 +124,8 @@ impl BoundArgs {
         limits.view_side = self.view_side;
         limits.exports = usize::from(self.exports);
         limits.exports_waiting = usize::from(self.exports_waiting);
+        limits.exports_bytes = u64::from(self.exports_mib) << 20;
+        limits.exports_for = time(self.exports_for);
         limits.export = time(self.export_timeout);
         limits.renders = self.renders;
         limits.file_cache = mib(self.file_cache, limits.file_cache);

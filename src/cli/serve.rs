@@ -353,7 +353,8 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
     let rooms = args.rooms(&models)?;
     let maker = PipelineMaker::new(models, &limits).identified(&identity(&settings)?);
     if std::env::var_os(VARIABLE).is_some() {
-        make_for_a_server(&maker, limits.job_memory);
+        let drawing = || tmpi_render::select_within(args.backend, limits.scene_cache).map_err(|e| format!("renderer: {e}"));
+        make_for_a_server(&maker, &limits, &drawing);
         return Ok(());
     }
     allocate_in_one_place();

@@ -17,6 +17,7 @@ use super::Config;
 use super::access::Guard;
 use super::cache::Cache;
 use super::entry::{Entry, Status};
+use super::exports::{self, Ordered, Recipe, Standing, Wanted};
 use super::hosts::Hosts;
 use super::id::{PhotoId, hex};
 use super::identity;
@@ -373,6 +374,16 @@ impl Shared {
         Ok((scene, took))
     }
 
+    /// Writes a file for who waits for it until it is `gone`, in another process where the server's maker has such; blocks.
+    ///
+    /// # Errors
+    /// As [`exports::written`].
+    pub fn written(&self, recipe: &Recipe, of: (&[u8], &Done), gone: &CancellationToken) -> Result<Vec<u8>, Problem> {
+        let unwanted = || gone.is_cancelled();
+        let wanted = Wanted { unwanted: &unwanted, limit: self.limits.export, gives_way: false };
+        exports::written(&self.jobs, recipe, of, &self.renderer, &wanted)
+    }
+
     /// Lets go of what nobody has asked for over [`Limits::rest`].
     pub async fn settle(&self) {
         self.scenes.settle().await;
@@ -385,6 +396,7 @@ impl Shared {
 
     /// Frees the disk that is taken by what can be made again.
     pub async fn free_disk(&self) {
+        self.forget_files(|file| matches!(file.standing(), Standing::Done(_))).await;
         self.exports.clear().await;
         self.views.clear().await;
         self.levels.clear().await;
@@ -397,6 +409,14 @@ impl Shared {
         self.files.forget(photo).await;
         self.levels.forget(photo).await;
         self.exports.forget(photo).await;
+        self.forget_files(move |file| file.photo == photo).await;
+    }
+
+    async fn forget_files(&self, is_over: impl Fn(&Ordered) -> bool + Send + 'static) {
+        let jobs = Arc::clone(&self.jobs);
+        if let Err(error) = tokio::task::spawn_blocking(move || jobs.forget_files(is_over)).await {
+            tracing::error!(%error, "forgetting written files");
+        }
     }
 }
 

@@ -3,6 +3,7 @@
 //! What decodes foreign pictures or runs networks cannot be asked to stop, and what takes too much memory ends its process. So the
 //! server runs its own program once more, with the same arguments and [`VARIABLE`] set, and keeps it for the next photo.
 
+mod files;
 mod frames;
 mod inside;
 
@@ -13,6 +14,7 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::sync::{Mutex, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
 
+use super::exports::Work;
 use super::maker::{Fault, HeadOf, Maker, PipelineMaker, Product};
 use super::network::{Better, Offer, Renewed};
 use super::options;
@@ -23,6 +25,8 @@ use tmpi_pipeline::{MakeError, Options, Progress, Report, STAGES, Sink, networks
 
 /// Set in the environment of a process that makes photos for a server.
 pub const VARIABLE: &str = "TMPI_MAKES_PHOTOS";
+/// Its value for a process that gives way to all others.
+const GIVES_WAY: &str = "gives-way";
 /// How often cancellation and the deadline are looked at.
 const TICK: Duration = Duration::from_millis(10);
 /// Peak memory above which a process is not kept: allocators do not give all of it back.
@@ -48,6 +52,8 @@ struct Worker {
     made: Option<Instant>,
     /// Whether it began with the better network.
     renewed: bool,
+    /// Whether it gives way to all others.
+    gives_way: bool,
     child: Child,
     input: ChildStdin,
     output: Frames,
@@ -55,11 +61,27 @@ struct Worker {
 
 impl Drop for Worker {
     fn drop(&mut self) {
+        // what it started, as to write a film, is of its group; where it has ended already, the end of their input ends them
+        if matches!(self.child.try_wait(), Ok(None)) {
+            end_group(&self.child);
+        }
         // it may have ended already
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
 }
+
+/// Ends a process and those that it started.
+#[cfg(unix)]
+#[allow(unsafe_code, reason = "the standard library sends no signals to groups")]
+fn end_group(child: &Child) {
+    let group = child.id() as libc::pid_t;
+    // SAFETY: no memory is touched; the process was not waited for, so that the number is still its own
+    let _ = unsafe { libc::kill(-group, libc::SIGKILL) };
+}
+
+#[cfg(not(unix))]
+fn end_group(_: &Child) {}
 
 /// This program with its own arguments, as a process that makes photos.
 fn this_program() -> io::Result<Command> {
@@ -90,7 +112,7 @@ impl ProcessMaker {
 
     /// Starts a process that waits for a photo.
     fn prepare(&self) {
-        match self.start() {
+        match self.start(false) {
             Ok(worker) => self.keep(worker),
             // it is tried again, and told, with the first photo
             Err(error) => tracing::warn!(%error, "starting a process that makes photos"),
@@ -103,10 +125,13 @@ impl ProcessMaker {
         Self { better, ..self }
     }
 
-    fn start(&self) -> io::Result<Worker> {
+    fn start(&self, gives_way: bool) -> io::Result<Worker> {
         // before it looks for its network
         let renewed = self.renewed.get().is_some();
         let mut command = (self.command)()?;
+        if gives_way {
+            command.env(VARIABLE, GIVES_WAY);
+        }
         // a Ctrl-C in a terminal is for the server
         #[cfg(unix)]
         std::os::unix::process::CommandExt::process_group(&mut command, 0);
@@ -124,22 +149,24 @@ impl ProcessMaker {
                 }
             }
         })?;
-        Ok(Worker { made: None, renewed, child, input, output: told })
+        Ok(Worker { made: None, renewed, gives_way, child, input, output: told })
     }
 
     fn keep(&self, worker: Worker) {
         self.idle.lock().unwrap_or_else(PoisonError::into_inner).push(worker);
     }
 
-    fn take(&self) -> Result<Worker, Fault> {
+    /// A process that waits, or a fresh one; of those that give way to all others, or not.
+    fn take(&self, gives_way: bool) -> Result<Worker, Fault> {
         let mut idle = self.idle.lock().unwrap_or_else(PoisonError::into_inner);
-        while let Some(mut worker) = idle.pop() {
+        while let Some(at) = idle.iter().rposition(|worker| worker.gives_way == gives_way) {
+            let mut worker = idle.swap_remove(at);
             if worker.renewed == self.renewed.get().is_some() && matches!(worker.child.try_wait(), Ok(None)) {
                 return Ok(worker);
             }
         }
         drop(idle);
-        self.start().map_err(|e| Fault::Server(format!("no process to make photos in can be started: {e}")))
+        self.start(gives_way).map_err(|e| Fault::Server(format!("no process to make photos in can be started: {e}")))
     }
 }
 
@@ -185,7 +212,7 @@ impl Maker for ProcessMaker {
         let mut idle = self.idle.lock().unwrap_or_else(PoisonError::into_inner);
         let before = idle.len();
         idle.retain(|worker| worker.made.is_none_or(|at| at.elapsed() < rest));
-        let (ended, none) = (before - idle.len(), idle.is_empty());
+        let (ended, none) = (before - idle.len(), idle.iter().all(|worker| worker.gives_way));
         drop(idle);
         if ended > 0 && none {
             // the next photo need not wait for a process to begin, and one that has made none is small
@@ -194,13 +221,17 @@ impl Maker for ProcessMaker {
         ended > 0
     }
 
+    fn export(&self, work: &Work<'_>, sink: &dyn Sink) -> Result<Vec<u8>, Fault> {
+        self.write_file(work, sink)
+    }
+
     fn make(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options, sink: &dyn Sink) -> Result<Product, Fault> {
         // what earlier photos left in a process must not be what is missing for this one
         let large = self.memory(photo, depth, options) > self.checks.most_memory() / 2;
         if large {
             self.idle.lock().unwrap_or_else(PoisonError::into_inner).clear();
         }
-        let mut worker = self.take()?;
+        let mut worker = self.take(false)?;
         let strokes = strokes::write(&options.strokes);
         let options = serde_json::to_vec(&options::to_text(options)).map_err(|e| Fault::Server(e.to_string()))?;
         let (outcome, keep) = std::thread::scope(|scope| {

@@ -6,6 +6,7 @@ use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use tokio::sync::watch;
 
 use super::id::PhotoId;
+use super::jobs::Class;
 use super::settings::Settings;
 use super::store::{Accepted, Done, End, Failed, Found};
 use super::traces::{self, Parent};
@@ -94,6 +95,7 @@ pub struct Entry {
     settings: Mutex<Settings>,
     seen_ms: AtomicU64,
     asked_by: Mutex<Option<Parent>>,
+    class: Mutex<Class>,
 }
 
 impl Entry {
@@ -123,6 +125,7 @@ impl Entry {
             settings: Mutex::new(found.settings),
             seen_ms,
             asked_by: Mutex::default(),
+            class: Mutex::default(),
         }
     }
 
@@ -135,6 +138,17 @@ impl Entry {
     #[must_use]
     pub fn asked_by(&self) -> Option<Parent> {
         self.asked_by.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// How urgent its next making is.
+    #[must_use]
+    pub fn class(&self) -> Class {
+        *self.class.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Sets that, before it waits.
+    pub fn set_class(&self, class: Class) {
+        *self.class.lock().unwrap_or_else(PoisonError::into_inner) = class;
     }
 
     /// Place in the list, which shows the newest first.

@@ -3,12 +3,13 @@
 //! A photo is in the index exactly while its folder is on disk. Whoever changes the index holds `membership`, so that an
 //! upload, its twin and a deletion come one after the other; readers only take the short lock on `inner`.
 
+mod line;
 mod list;
 mod queue;
 mod quota;
 mod shared;
 
-use std::collections::{HashMap, VecDeque};
+use std::collections::HashMap;
 use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 
@@ -17,6 +18,7 @@ use axum::http::StatusCode;
 use super::access::Owner;
 use super::cluster::{self, Cluster};
 use super::entry::{Entry, Status, Tally};
+use super::exports::Exports;
 use super::id::PhotoId;
 use super::limits::Limits;
 use super::maker::Maker;
@@ -27,6 +29,8 @@ use super::store::{Accepted, Failed, Found, Incoming, State, Store};
 use super::telemetry::Telemetry;
 use super::time::now_ms;
 use super::worker;
+pub use line::Class;
+use line::Line;
 use list::ByAge;
 use queue::Trouble;
 use quota::Coming;
@@ -49,6 +53,8 @@ pub struct Jobs {
     wake: Condvar,
     idle: Condvar,
     abort: AtomicBool,
+    /// Files that were ordered.
+    pub(super) exports: Exports,
     /// Memory of running jobs.
     pub(super) memory: Memory,
 }
@@ -59,8 +65,10 @@ struct Inner {
     by_age: ByAge,
     by_owner: HashMap<Owner, ByAge>,
     coming: Vec<Coming>,
-    queue: VecDeque<Arc<Entry>>,
+    queue: Line,
     running: Vec<Arc<Entry>>,
+    /// Files that are being written.
+    writing: usize,
     tally: Arc<Tally>,
     stopping: bool,
     mean_seconds: Option<f64>,
@@ -129,6 +137,7 @@ impl Jobs {
     ) -> std::io::Result<Arc<Self>> {
         let (workers, memory) = (limits.workers, Memory::new(limits.job_memory));
         let jobs = Arc::new(Self {
+            exports: Exports::open(&store, &limits),
             store,
             maker,
             limits,
@@ -145,7 +154,7 @@ impl Jobs {
         {
             let inner = jobs.lock();
             let unreadable = jobs.store.unreadable();
-            tracing::info!(photos = inner.by_id.len(), unfinished = inner.queue.len(), unreadable, "data directory");
+            tracing::info!(photos = inner.by_id.len(), unfinished = inner.queue.count(), unreadable, "data directory");
         }
         if let Some(cluster) = &jobs.cluster {
             cluster::keep_up(&jobs, cluster)?;
@@ -170,12 +179,19 @@ impl Jobs {
         self.membership.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Takes an upload; blocks until it is on disk. A photo that is known already is not stored again; if it had failed,
+    /// Takes an upload of a class; blocks until it is on disk. A photo that is known already is not stored again; if it had failed,
     /// it gets another try.
     ///
     /// # Errors
     /// 429 where the queue is full, 503 while the server stops, 500 and 507 where the disk fails.
-    pub fn submit(&self, incoming: Incoming, id: PhotoId, accepted: Accepted, settings: Settings) -> Result<Submitted, Problem> {
+    pub fn submit_as(
+        &self,
+        class: Class,
+        incoming: Incoming,
+        id: PhotoId,
+        accepted: Accepted,
+        settings: Settings,
+    ) -> Result<Submitted, Problem> {
         if let Some(cluster) = &self.cluster {
             return self.submit_shared(cluster, &incoming, id, &accepted, &settings);
         }
@@ -212,16 +228,25 @@ impl Jobs {
         } else {
             self.quota(accepted.owner.as_ref(), accepted.bytes())?;
             let kept = if settings == Settings::default() { Ok(()) } else { incoming.write_settings(&settings) };
+            let kept = kept.and_then(|()| if class == Class::Batch { incoming.write_batch() } else { Ok(()) });
             kept.and_then(|()| self.store.accept(incoming, id, &accepted)).map_err(|e| Problem::store(&e))?;
             (Arc::new(Entry::new(id, accepted, settings)), true)
         };
         entry.ask();
+        entry.set_class(class);
         let mut inner = self.lock();
         inner.insert(&entry);
-        inner.queue.push_back(Arc::clone(&entry));
+        inner.queue.push_photo(&entry);
         drop(inner);
-        self.wake.notify_one();
+        // threads that wait differ in what they take
+        self.wake.notify_all();
         Ok(Submitted { entry, new, healed })
+    }
+
+    /// An upload that somebody waits for.
+    #[cfg(test)]
+    pub fn submit(&self, incoming: Incoming, id: PhotoId, accepted: Accepted, settings: Settings) -> Result<Submitted, Problem> {
+        self.submit_as(Class::default(), incoming, id, accepted, settings)
     }
 
     /// Room in the queue; with `membership` held it stays until the caller has used it.
@@ -230,18 +255,18 @@ impl Jobs {
         if inner.stopping {
             return Err(Problem::new(StatusCode::SERVICE_UNAVAILABLE, "stopping", "the server is stopping").retry_after(10));
         }
-        if inner.queue.len() < self.limits.queue {
+        if inner.queue.count() < self.limits.queue {
             return Ok(());
         }
         let seconds = inner.wait(self.limits.workers).ceil() as u64;
-        Err(Problem::new(StatusCode::TOO_MANY_REQUESTS, "queue-full", format!("{} photos are waiting already", inner.queue.len()))
+        Err(Problem::new(StatusCode::TOO_MANY_REQUESTS, "queue-full", format!("{} photos are waiting already", inner.queue.count()))
             .retry_after(seconds.clamp(1, MAX_RETRY_AFTER)))
     }
 
     /// Places in the queue that are free.
     #[must_use]
     pub fn free_places(&self) -> usize {
-        self.limits.queue.saturating_sub(self.lock().queue.len())
+        self.limits.queue.saturating_sub(self.lock().queue.count())
     }
 
     /// The answer to an upload for which there is no place, before its body is read.
@@ -261,7 +286,7 @@ impl Jobs {
     /// Photos that wait before this one; none where it does not wait.
     #[must_use]
     pub fn position(&self, id: PhotoId) -> Option<usize> {
-        self.lock().queue.iter().position(|e| e.id == id)
+        self.lock().queue.photos().position(|e| e.id == id)
     }
 
     /// Deletes a photo, whatever it is at; blocks until it is gone from disk. False where there is no such photo.
@@ -282,7 +307,7 @@ impl Jobs {
         drop(gate);
         let mut inner = self.lock();
         inner.remove(&entry);
-        inner.queue.retain(|e| e.id != id);
+        inner.queue.remove_photo(id);
         drop(inner);
         entry.set(Status::Deleted);
         Ok(true)
@@ -319,7 +344,7 @@ impl Jobs {
     #[must_use]
     pub fn is_idle(&self) -> bool {
         let inner = self.lock();
-        inner.queue.is_empty() && inner.running.is_empty()
+        inner.queue.is_empty() && inner.is_at_rest()
     }
 
     /// Counts of photos.
@@ -327,7 +352,13 @@ impl Jobs {
     pub fn counts(&self) -> Counts {
         let inner = self.lock();
         let [done, failed, damaged] = inner.tally.counts();
-        Counts { queued: inner.queue.len(), working: inner.running.len(), done, failed, damaged }
+        Counts { queued: inner.queue.count(), working: inner.running.len(), done, failed, damaged }
+    }
+
+    /// Jobs that wait, by the name of their class.
+    #[must_use]
+    pub fn waiting(&self) -> [(&'static str, usize); 3] {
+        self.lock().queue.waiting()
     }
 
     /// Takes up photos that were found on disk.
@@ -341,7 +372,8 @@ impl Jobs {
             let entry = Arc::new(Entry::found(photo));
             // what was accepted is taken up again, however long the queue is
             if entry.status() == Status::Queued {
-                inner.queue.push_back(Arc::clone(&entry));
+                entry.set_class(if self.store.is_batch(entry.id) { Class::Batch } else { Class::default() });
+                inner.queue.push_photo(&entry);
             }
             inner.insert(&entry);
         }
@@ -349,9 +381,14 @@ impl Jobs {
 }
 
 impl Inner {
+    /// True where nothing is being made or written.
+    fn is_at_rest(&self) -> bool {
+        self.running.is_empty() && self.writing == 0
+    }
+
     /// Seconds until what waits and runs now is done.
     fn wait(&self, workers: usize) -> f64 {
-        let jobs = (self.queue.len() + self.running.len()).div_ceil(workers.max(1));
+        let jobs = (self.queue.count() + self.running.len()).div_ceil(workers.max(1));
         self.mean_seconds.unwrap_or(FIRST_GUESS) * jobs.max(1) as f64
     }
 

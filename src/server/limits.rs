@@ -78,6 +78,10 @@ pub struct Limits {
     pub exports: usize,
     /// Films and files that wait for their turn; one more is answered 503.
     pub exports_waiting: usize,
+    /// Disk for files that are written as jobs, in bytes.
+    pub exports_bytes: u64,
+    /// Time for which one is kept that nobody fetches.
+    pub exports_for: Duration,
     /// Pictures drawn for one request: views times frames.
     pub renders: u32,
     /// Memory for scenes under work, in bytes, besides those kept, for views and levels, and as much again for films and files; what
@@ -150,6 +154,10 @@ impl Limits {
     pub const EXPORTS: usize = 1;
     /// 8 films or files.
     pub const EXPORTS_WAITING: usize = 8;
+    /// 1 GiB.
+    pub const EXPORTS_BYTES: u64 = 1 << 30;
+    /// A day.
+    pub const EXPORTS_FOR: Duration = Duration::from_hours(24);
     /// 480 pictures: the longest film for two eyes.
     pub const RENDERS: u32 = 480;
     /// 1 GiB: one scene of 50 megapixels, and small ones beside it.
@@ -281,6 +289,8 @@ impl Default for Limits {
             views_waiting: Self::VIEWS_WAITING,
             exports: Self::EXPORTS,
             exports_waiting: Self::EXPORTS_WAITING,
+            exports_bytes: Self::EXPORTS_BYTES,
+            exports_for: Self::EXPORTS_FOR,
             renders: Self::RENDERS,
             work_memory: Self::WORK_MEMORY,
             view_pixels: Self::VIEW_PIXELS,

@@ -9,6 +9,7 @@ use tmpi_pipeline::photo::{self, Head};
 use tmpi_pipeline::{self, MakeError, Models, Options};
 use tmpi_render::{DEFAULT_QUALITY, PictureFormat, View, encode};
 
+use super::exports::Work;
 use super::identity;
 use super::limits::Limits;
 use super::network::Offer;
@@ -121,6 +122,14 @@ pub trait Maker: Send + Sync + 'static {
     /// Gives memory back that was not used over `rest`; says whether there was some.
     fn rest(&self, _rest: Duration) -> bool {
         false
+    }
+
+    /// Writes a file of a made photo; blocks. This one does so in this process.
+    ///
+    /// # Errors
+    /// [`Fault`].
+    fn export(&self, work: &Work<'_>, sink: &dyn Sink) -> Result<Vec<u8>, Fault> {
+        work.here(sink)
     }
 
     /// Makes a photo; blocks.

@@ -17,6 +17,7 @@ mod cluster;
 mod compress;
 mod conditional;
 mod entry;
+mod exports;
 mod files;
 #[cfg(test)]
 mod forgetful;
@@ -244,6 +245,7 @@ impl Server {
             let guard = keys.zip(secret).map(|(keys, secret)| guard(&keys, secret)).transpose()?;
             (Jobs::start(store, found, maker, limits, telemetry).map_err(ServerError::Worker)?, guard)
         };
+        exports::start(&jobs, &renderer).map_err(ServerError::Worker)?;
         let dir = config.data.clone();
         let partials = Partials::open(&jobs.store, &jobs.limits).map_err(|source| ServerError::Data { dir, source })?;
         let app = Arc::new(Shared { guard, ..Shared::new(config, addr, jobs, partials, renderer, openapi) });
@@ -309,6 +311,7 @@ impl Server {
         let rest = tokio::spawn(rest::rest(Arc::clone(&app)));
         let expire = tokio::spawn(partial::expire(Arc::clone(&app)));
         let sweep = tokio::spawn(retain::sweep(Arc::clone(&app)));
+        let sweep_files = tokio::spawn(exports::sweep(Arc::clone(&app)));
         // who only makes photos has none
         let rooms = rooms.filter(|_| role != Role::Work);
         if let Some(rooms) = &rooms {
@@ -346,6 +349,7 @@ impl Server {
         rest.abort();
         expire.abort();
         sweep.abort();
+        sweep_files.abort();
         if let Err(error) = signal.await {
             tracing::error!(%error, "draining jobs");
         }

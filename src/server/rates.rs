@@ -122,9 +122,8 @@ impl Rates {
         match (method, path) {
             (&Method::POST, "/v1/photos" | "/v1/photos/{id}/again") | (&Method::PATCH, "/v1/photos/{id}/strokes") => self.uploads.as_ref(),
             // HEAD draws what it tells the length of
-            (&Method::GET | &Method::HEAD, "/v1/photos/{id}/view" | "/v1/photos/{id}/export" | "/v1/live/{room}/frames/{frame}/view") => {
-                self.views.as_ref()
-            }
+            (&Method::GET | &Method::HEAD, "/v1/photos/{id}/view" | "/v1/photos/{id}/export" | "/v1/live/{room}/frames/{frame}/view")
+            | (&Method::POST, "/v1/photos/{id}/exports") => self.views.as_ref(),
             _ => None,
         }
     }

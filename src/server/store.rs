@@ -5,11 +5,13 @@
 //! DIR/incoming/N/              an upload on its way in, or a photo on its way out; emptied at start
 //! DIR/looked.json              when photos were looked at, see retain.rs
 //! DIR/uploads/ID/              an upload in parts, see partial/kept.rs
+//! DIR/exports/                 files to download that were written as jobs, see exports/shelf.rs
 //! DIR/photos/ID/upload         the photo as uploaded
 //!               depth          the user's depth map, if any
 //!               options.json   what was accepted: Accepted
 //!               state.json     what became of it: State; missing until the first start of the job
 //!               settings.json  what its owner wants of viewers: Settings; missing until something is set
+//!               batch          there where it was uploaded as one of many
 //!               strokes.json   what a person put right of the depth; missing until something is
 //!               report.json atlas.tmpi depth.png thumbnail.jpg     once done
 //! ```
@@ -153,6 +155,12 @@ impl Store {
         (Arc::clone(&self.files), self.photos.with_file_name("uploads"))
     }
 
+    /// Where written files are kept, and what does so.
+    #[must_use]
+    pub fn written(&self) -> (Arc<dyn Files>, PathBuf) {
+        (Arc::clone(&self.files), self.photos.with_file_name("exports"))
+    }
+
     /// When photos were looked at, as it was kept.
     ///
     /// # Errors
@@ -168,6 +176,12 @@ impl Store {
     pub fn write_looked(&self, text: &[u8]) -> io::Result<()> {
         let (file, fresh) = (self.photos.with_file_name(LOOKED), self.photos.with_file_name(format!("{LOOKED}{TEMPORARY}")));
         self.files.write(&fresh, text).and_then(|()| self.files.rename(&fresh, &file))
+    }
+
+    /// Whether a photo was uploaded as one of many.
+    #[must_use]
+    pub fn is_batch(&self, id: PhotoId) -> bool {
+        self.files.read(&self.folder(id).join(BATCH)).is_ok()
     }
 
     /// Refuses where no more than the reserve is left.
@@ -305,6 +319,8 @@ impl Store {
 
 /// End of the name of a file that is being written.
 const TEMPORARY: &str = ".tmp";
+/// An empty file beside a photo that was uploaded as one of many.
+const BATCH: &str = "batch";
 /// Settings that this program does not understand.
 const KEPT_SETTINGS: &str = "settings.json.kept";
 
@@ -329,6 +345,16 @@ impl Incoming {
     /// The data directory cannot be written.
     pub fn write_settings(&self, settings: &Settings) -> io::Result<()> {
         self.files.write(&self.path(Part::Settings), &serde_json::to_vec_pretty(settings)?)
+    }
+}
+
+impl Incoming {
+    /// Says that the photo is one of many; that is accepted with it.
+    ///
+    /// # Errors
+    /// The data directory cannot be written.
+    pub fn write_batch(&self) -> io::Result<()> {
+        self.files.write(&self.folder.join(BATCH), b"")
     }
 }
 

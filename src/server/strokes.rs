@@ -8,7 +8,7 @@ use axum::http::{HeaderMap, StatusCode};
 use super::app::Stored;
 use super::entry::{Entry, Status};
 use super::id::PhotoId;
-use super::jobs::Jobs;
+use super::jobs::{Class, Jobs};
 use super::problem::Problem;
 use super::settings::still_as_seen;
 use super::store::{End, Part, State};
@@ -62,6 +62,7 @@ impl Jobs {
         self.put_again(entry, || put(strokes), || put(&before))?;
         drop(gate);
         entry.ask();
+        entry.set_class(Class::default());
         self.queue_again(entry);
         Ok(true)
     }
@@ -70,7 +71,7 @@ impl Jobs {
     ///
     /// # Errors
     /// As [`Jobs::touch_up`].
-    pub fn make_again(&self, entry: &Arc<Entry>) -> Result<(), Problem> {
+    pub fn make_again(&self, entry: &Arc<Entry>, class: Class) -> Result<(), Problem> {
         // in a store of many nodes of two who change a photo one succeeds
         let _membership = self.cluster.is_none().then(|| self.membership());
         let gate = entry.gate();
@@ -84,6 +85,7 @@ impl Jobs {
         self.put_again(entry, || Ok(()), || Ok(()))?;
         drop(gate);
         entry.ask();
+        entry.set_class(class);
         self.queue_again(entry);
         Ok(())
     }

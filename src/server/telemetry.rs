@@ -49,6 +49,17 @@ struct Phase {
     phase: &'static str,
 }
 
+#[derive(Clone, Debug, Hash, PartialEq, Eq, EncodeLabelSet)]
+struct Classed {
+    class: &'static str,
+    outcome: &'static str,
+}
+
+#[derive(Clone, Debug, Hash, PartialEq, Eq, EncodeLabelSet)]
+struct OfClass {
+    class: &'static str,
+}
+
 fn histogram() -> Histogram {
     Histogram::new(BUCKETS)
 }
@@ -63,6 +74,8 @@ pub struct Telemetry {
     durations: Durations<Route>,
     jobs: Family<Outcome, Counter>,
     job_durations: Histogram,
+    class_jobs: Family<Classed, Counter>,
+    class_durations: Durations<OfClass>,
     view_phases: Durations<Phase>,
     uploaded: Counter,
     retired: Family<Retired, Counter>,
@@ -82,6 +95,8 @@ impl Default for Telemetry {
             durations: Family::new_with_constructor(histogram),
             jobs: Family::default(),
             job_durations: histogram(),
+            class_jobs: Family::default(),
+            class_durations: Family::new_with_constructor(histogram),
             view_phases: Family::new_with_constructor(histogram),
             uploaded: Counter::default(),
             retired: Family::default(),
@@ -96,6 +111,8 @@ impl Default for Telemetry {
         registry.register("tmpi_request_seconds", "Time to the header of the response", t.durations.clone());
         registry.register("tmpi_jobs", "Jobs ended", t.jobs.clone());
         registry.register("tmpi_job_seconds", "Duration of jobs", t.job_durations.clone());
+        registry.register("tmpi_class_jobs", "Jobs ended, photos and files, by class", t.class_jobs.clone());
+        registry.register("tmpi_class_job_seconds", "Duration of jobs by class", t.class_durations.clone());
         registry.register("tmpi_view_seconds", "Duration of the phases of drawing a view", t.view_phases.clone());
         registry.register("tmpi_uploaded_bytes", "Bytes of accepted uploads", t.uploaded.clone());
         registry.register("tmpi_photos_retired", "Photos that went by themselves", t.retired.clone());
@@ -182,6 +199,12 @@ impl Telemetry {
     pub fn job(&self, outcome: &'static str, took: Duration) {
         self.jobs.get_or_create(&Outcome { outcome }).inc();
         self.job_durations.observe(took.as_secs_f64());
+    }
+
+    /// A job of a class ended as `outcome`: a photo, which is counted as a job besides, or a file.
+    pub fn class_job(&self, class: &'static str, outcome: &'static str, took: Duration) {
+        self.class_jobs.get_or_create(&Classed { class, outcome }).inc();
+        self.class_durations.get_or_create(&OfClass { class }).observe(took.as_secs_f64());
     }
 
     /// A phase of drawing a view: `decode`, `wait`, `render` or `encode`.

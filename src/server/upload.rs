@@ -20,7 +20,7 @@ use super::app::App;
 use super::body;
 use super::form::Bounded;
 use super::id::PhotoId;
-use super::jobs::Submitted;
+use super::jobs::{Class, Submitted};
 use super::limits::Limits;
 use super::maker::HeadOf;
 use super::options;
@@ -122,6 +122,8 @@ struct Parts {
 struct Chosen {
     options: Options,
     given: BTreeSet<String>,
+    /// How urgent making the photo is.
+    class: Class,
     /// With the title that the upload names.
     settings: Settings,
     /// Title by the photo's file name, where the upload names none.
@@ -136,6 +138,8 @@ impl Chosen {
     fn set(&mut self, name: &str, value: &str) -> Result<(), Problem> {
         if name == VISIBILITY {
             self.settings = std::mem::take(&mut self.settings).seen_by(value)?;
+        } else if name == CLASS {
+            self.class = Class::of_photo(value).ok_or_else(|| Problem::parameter(CLASS, "must be interactive or batch"))?;
         } else if name == TITLE {
             self.settings = std::mem::take(&mut self.settings).titled(value)?;
         } else {
@@ -148,10 +152,12 @@ impl Chosen {
 /// Names of the fields of the title, and of who may see the photo.
 const TITLE: &str = "title";
 const VISIBILITY: &str = "visibility";
+/// Name of the field of how urgent making the photo is.
+const CLASS: &str = "class";
 
-/// Refuses what is neither the title nor an option, before its value is read.
+/// Refuses what is neither one of these nor an option, before its value is read.
 fn known(name: &str, kinds: &str) -> Result<(), Problem> {
-    if matches!(name, TITLE | VISIBILITY) || options::NAMES.contains(&name.replace('_', "-").as_str()) {
+    if matches!(name, TITLE | VISIBILITY | CLASS) || options::NAMES.contains(&name.replace('_', "-").as_str()) {
         return Ok(());
     }
     Err(Problem::parameter(name, format!("there is no such {kinds}, {}", options::NAMES.join(", "))))
@@ -193,7 +199,7 @@ pub fn options_of(query: &[(String, String)]) -> Result<Options, Problem> {
 fn chosen(query: &[(String, String)]) -> Result<Chosen, Problem> {
     let mut chosen = Chosen::default();
     for (name, value) in query {
-        known(name, "option; there are title, visibility")?;
+        known(name, "option; there are title, visibility, class")?;
         chosen.set(name, value)?;
     }
     Ok(chosen)
@@ -225,7 +231,7 @@ async fn take_chosen(app: &App, _leave: &Ticket<'_>, chosen: Chosen, request: Re
 /// The part of taking an upload that blocks: checks it and makes it durable.
 fn accept(app: &App, parts: Parts, owner: Option<Owner>) -> Result<Submitted, Problem> {
     let Parts { mut incoming, photo, depth, chosen } = parts;
-    let Chosen { options, mut settings, of_file, .. } = chosen;
+    let Chosen { options, class, mut settings, of_file, .. } = chosen;
     settings.title = settings.title.or(of_file);
     let photo = photo.filter(|p| p.bytes > 0).ok_or_else(|| Problem::parameter("photo", "is missing"))?;
     if depth.as_ref().is_some_and(|d| d.bytes == 0) {
@@ -248,7 +254,7 @@ fn accept(app: &App, parts: Parts, owner: Option<Owner>) -> Result<Submitted, Pr
         owner,
     };
     let folder = incoming.0.take().ok_or_else(gone)?;
-    let submitted = app.jobs.submit(folder, id, accepted, settings)?;
+    let submitted = app.jobs.submit_as(class, folder, id, accepted, settings)?;
     if submitted.new {
         app.telemetry.uploaded(photo.bytes + depth.map_or(0, |d| d.bytes));
     }
@@ -288,7 +294,7 @@ async fn read_multipart(app: &App, parts: &mut Parts, request: Request) -> Resul
             "photo" => (Part::Upload, &mut parts.photo),
             "depth" => (Part::Depth, &mut parts.depth),
             _ => {
-                known(&name, "field; there are photo, depth, title, visibility")?;
+                known(&name, "field; there are photo, depth, title, visibility, class")?;
                 let value = text(&name, field).await?;
                 parts.chosen.set(&name, &value)?;
                 continue;

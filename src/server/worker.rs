@@ -31,6 +31,7 @@ pub fn work(jobs: &Arc<Jobs>) {
         job.end(outcome);
         let took = start.elapsed();
         jobs.telemetry.job(outcome, took);
+        jobs.telemetry.class_job(entry.class().name(), outcome, took);
         tracing::info!(id = %entry.id, outcome, ms = took.as_millis() as u64, "job");
         jobs.release(&entry, took);
     }

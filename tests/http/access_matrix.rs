@@ -121,7 +121,10 @@ fn expected(route: &Route, method: &str, caller: &Caller, shown: bool) -> (u16, 
         ("POST", "/v1/photos") => (202, None),
         ("GET" | "HEAD", "/v1/photos") => (200, None),
         // asked of a photo that is not there
-        ("DELETE", _) | ("POST", "/v1/photos/{id}/again") => (404, Some("not-found")),
+        ("DELETE", _)
+        | ("POST", "/v1/photos/{id}/again" | "/v1/photos/{id}/exports")
+        // of a file that nobody asked for
+        | ("GET" | "HEAD", "/v1/photos/{id}/exports/{key}" | "/v1/photos/{id}/exports/{key}/file") => (404, Some("not-found")),
         ("PATCH", _) | ("POST", "/v1/photos/{id}/links") => if_may(may.change(), 200),
         ("GET" | "HEAD", _) if path.starts_with("/v1/photos/") || path == "/oembed" => if_may(shown || may.see(), 200),
         _ => (200, None),

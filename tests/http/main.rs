@@ -15,6 +15,7 @@ mod damage;
 mod fixture;
 
 mod events;
+mod exports;
 mod fair;
 mod limits;
 mod live;

@@ -62,8 +62,9 @@ pub fn target(route: &Route, method: &str, id: &str) -> String {
     };
     let path = route
         .path
-        .replace("{id}", if method == "DELETE" || route.path.ends_with("/again") { NONE } else { id })
+        .replace("{id}", if method == "DELETE" || route.path.ends_with("/again") || route.path.ends_with("/exports") { NONE } else { id })
         .replace("{upload}", NONE)
+        .replace("{key}", &NONE[..16])
         .replace("{*name}", "view/viewer.js")
         .replace("{room}", "attic")
         .replace("{frame}", "latest")
@@ -94,7 +95,8 @@ fn expected(route: &Route, method: &str, caller: &Caller) -> (u16, Option<&'stat
         "GET" | "HEAD" if route.path == "/v1/photos" && caller.lists == 403 => (403, Some("list-closed")),
         "GET" | "HEAD" | "POST" if route.path == "/v1/network" && caller.lists == 403 => (403, Some("not-yours")),
         "POST" if route.path == "/v1/network" => (200, None),
-        "POST" if route.path.ends_with("/again") => (404, Some("not-found")),
+        "POST" if route.path.ends_with("/again") || route.path.ends_with("/exports") => (404, Some("not-found")),
+        "GET" | "HEAD" if route.path.starts_with("/v1/photos/{id}/exports/{key}") => (404, Some("not-found")),
         "GET" | "HEAD" | "PATCH" if route.path == "/v1/uploads/{upload}" => (404, Some("not-found")),
         "GET" | "HEAD" | "PATCH" => (200, None),
         "POST" if route.path.ends_with("/links") => (200, None),

@@ -64,12 +64,36 @@ impl Process {
     /// The process that makes photos for it.
     #[cfg(target_os = "linux")]
     fn maker(&self) -> Option<libc::pid_t> {
+        self.child_process(false)
+    }
+
+    /// Stops the process that writes files for it, until the guard goes.
+    #[cfg(target_os = "linux")]
+    pub fn hold_writer(&self) -> Held {
+        wait_until("there is a process that writes files", || self.child_process(true).is_some());
+        let held = Held(self.child_process(true).unwrap());
+        held.signal(libc::SIGSTOP);
+        held
+    }
+
+    /// A process that works for it, of those that give way to all others, or not.
+    #[cfg(target_os = "linux")]
+    fn child_process(&self, gives_way: bool) -> Option<libc::pid_t> {
         let ours = |pid: &str| {
             let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).ok()?;
             let mut rest = stat.rsplit_once(')')?.1.split_whitespace().skip(1);
             (rest.next()?.parse::<u32>().ok()? == self.child.id()).then(|| pid.parse().ok())?
         };
-        std::fs::read_dir("/proc").unwrap().find_map(|e| ours(e.ok()?.file_name().to_str()?))
+        let way = |pid: &libc::pid_t| {
+            let variables = std::fs::read(format!("/proc/{pid}/environ")).unwrap_or_default();
+            String::from_utf8_lossy(&variables).contains("TMPI_MAKES_PHOTOS=gives-way") == gives_way
+        };
+        std::fs::read_dir("/proc").unwrap().find_map(|e| ours(e.ok()?.file_name().to_str()?).filter(way))
+    }
+
+    /// What it has logged so far.
+    pub fn logged(&self) -> String {
+        std::fs::read_to_string(self.log.path()).unwrap()
     }
 
     /// Stops the process that makes photos until the guard goes: what is uploaded meanwhile is not made, however fast the machine.
@@ -114,13 +138,13 @@ pub struct Held(libc::pid_t);
 #[cfg(target_os = "linux")]
 impl Held {
     #[allow(unsafe_code, reason = "the standard library has no call that sends a signal to the child of a child")]
-    fn signal(&self, signal: libc::c_int) {
+    pub fn signal(&self, signal: libc::c_int) {
         // SAFETY: no memory is touched; where the process has ended meanwhile, the call says so
         let _ = unsafe { libc::kill(self.0, signal) };
     }
 
     /// A figure of `/proc` in bytes: the words behind `name`, of which the first is a number in `unit` bytes.
-    fn figure(&self, file: &str, name: &str, unit: u64) -> Option<u64> {
+    pub fn figure(&self, file: &str, name: &str, unit: u64) -> Option<u64> {
         let text = std::fs::read_to_string(format!("/proc/{}/{file}", self.0)).ok()?;
         let line = text.lines().find_map(|l| l.strip_prefix(name))?;
         Some(line.split_whitespace().next()?.parse::<u64>().ok()? * unit)
@@ -128,14 +152,14 @@ impl Held {
 
     /// Bounds what it may take of memory from now on, in bytes.
     #[allow(unsafe_code, reason = "the standard library has no call that bounds another process")]
-    fn bound_data(&self, bytes: u64) {
+    pub fn bound_data(&self, bytes: u64) {
         let limit = libc::rlimit { rlim_cur: bytes, rlim_max: bytes };
         // SAFETY: the struct outlives the call, which only reads it
         let done = unsafe { libc::prlimit(self.0, libc::RLIMIT_DATA, &raw const limit, std::ptr::null_mut()) };
         assert_eq!(done, 0, "{}", std::io::Error::last_os_error());
     }
 
-    fn has_ended(&self) -> bool {
+    pub fn has_ended(&self) -> bool {
         !Path::new(&format!("/proc/{}", self.0)).exists()
     }
 }
@@ -326,7 +350,7 @@ fn a_low_limit_of_open_files_is_raised_as_far_as_the_system_lets() {
 }
 
 /// A picture that takes a while to make, and more bytes than a pipe holds.
-fn slow(seed: u32) -> Vec<u8> {
+pub fn slow(seed: u32) -> Vec<u8> {
     sized(seed, 2000, 1500)
 }
 
@@ -336,7 +360,7 @@ fn sized(seed: u32, width: u32, height: u32) -> Vec<u8> {
     encode(&View { width, height, rgba }, PictureFormat::Jpeg, 90).unwrap()
 }
 
-fn upload_with(addr: SocketAddr, photo: &[u8], options: &[(&str, &[u8])]) -> String {
+pub fn upload_with(addr: SocketAddr, photo: &[u8], options: &[(&str, &[u8])]) -> String {
     let depth = depth_map();
     let (content_type, body) = form(&[&[("photo", photo), ("depth", &depth)], options].concat());
     let answer = request(addr, "POST", "/v1/photos", &[("content-type", &content_type)], &body);

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use tmpi::server::{Config, Limits, Server};
-use tmpi_client::{Client, Error, Fresh, Settings, State, Upload, View, Visibility};
+use tmpi_client::{Client, Error, Export, Fresh, Settings, State, Upload, View, Visibility};
 use tmpi_render::Backend;
 
 use crate::client::get;
@@ -51,6 +51,10 @@ fn a_photo_goes_up_and_everything_comes_down() {
         assert!(client.depth(&photo.id).await.unwrap().starts_with(b"\x89PNG"));
         assert!(client.thumbnail(&photo.id).await.unwrap().starts_with(&[0xff, 0xd8]));
         assert!(client.export(&photo.id, "glb").await.unwrap().starts_with(b"glTF"));
+        let metric = Export::new("glb").with("shape", &"metric");
+        assert_ne!(client.export(&photo.id, metric).await.unwrap(), client.export(&photo.id, "glb").await.unwrap());
+        let wrong = client.export(&photo.id, Export::new("glb").along("orbit", 2)).await.unwrap_err();
+        assert!(matches!(&wrong, Error::Problem(p) if p.field.as_deref() == Some("format")), "{wrong:?}");
         assert_eq!(client.report(&photo.id).await.unwrap()["width"], 80);
         let named = client.change(&photo.id, &Settings { title: Some("Sea".into()), ..Settings::default() }).await.unwrap();
         assert_eq!(named.settings.title.as_deref(), Some("Sea"));

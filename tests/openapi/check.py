@@ -16,7 +16,7 @@ from common import ROOT, Server, check, end
 # of sockets and of streams that do not end nothing comes that could be judged
 ENDLESS = "(publish|subscribe|events)$"
 
-# What a description cannot say: that a parameter goes with another one (`view`, `export`), lies within this very photo (`region`), names
+# What a description cannot say: that a parameter goes with another one (`view`, `export`, `exports`), lies within this very photo (`region`), names
 # a photo that is there (`after`), or agrees with the body (`Upload-Length`). Of faults of the server hooks.py tells 501, which a description may have.
 RULES = f"""
 request-timeout = 120
@@ -34,6 +34,7 @@ checks.{name}.enabled = false
 """ for path, name in [
     ("/v1/photos/{id}/atlas", "positive_data_acceptance"),
     ("/v1/photos/{id}/export", "positive_data_acceptance"),
+    ("/v1/photos/{id}/exports", "positive_data_acceptance"),
     ("/v1/photos/{id}/view", "positive_data_acceptance"),
 ]) + """
 [[operations]]

@@ -44,7 +44,7 @@ use reqwest::header::{AUTHORIZATION, HeaderMap, HeaderValue};
 
 pub use error::{Error, Problem};
 pub use photos::Upload;
-pub use results::{Fresh, View};
+pub use results::{Export, Fresh, View};
 pub use types::{Link, Links, Offset, PhotoState, Progress, Settings, State, Visibility};
 
 /// What an owner's secret begins with.

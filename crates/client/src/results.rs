@@ -1,5 +1,7 @@
 //! What was made of a photo: container, scene, views, files.
 
+use std::time::Duration;
+
 use bytes::Bytes;
 use reqwest::Method;
 use reqwest::StatusCode;
@@ -9,7 +11,10 @@ use tmpi_core::container;
 
 use crate::answer::Call;
 use crate::photos::{part, query};
-use crate::{Client, Error};
+use crate::{Client, Error, Problem};
+
+/// Pause between two looks at a file that is being written.
+const LOOK: Duration = Duration::from_millis(500);
 
 /// Bytes that the server gave before, or not again.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -51,6 +56,54 @@ impl View {
         self.pairs.push((name.to_owned(), value.to_string()));
         self
     }
+}
+
+/// A file to download, which the server writes as a job.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Export {
+    pairs: Vec<(String, String)>,
+}
+
+impl Export {
+    /// In this format: `html`, `glb`, `ora` or `zip`, or `webp` or `mp4` with [`Export::along`].
+    #[must_use]
+    pub fn new(format: &str) -> Self {
+        Self { pairs: vec![("format".to_owned(), format.to_owned())] }
+    }
+
+    /// A film of so many frames, 30 a second, along a way of the camera: `orbit`, `swing`, `dolly`, `dolly-zoom` or `zoom`.
+    #[must_use]
+    pub fn along(self, path: &str, frames: u32) -> Self {
+        self.with("path", &path).with("frames", &frames)
+    }
+
+    /// Another parameter by its name; the server's `OpenAPI` document has all of them.
+    #[must_use]
+    pub fn with(mut self, name: &str, value: &impl ToString) -> Self {
+        self.pairs.push((name.to_owned(), value.to_string()));
+        self
+    }
+}
+
+impl From<&str> for Export {
+    fn from(format: &str) -> Self {
+        Self::new(format)
+    }
+}
+
+/// How a file fares, as the server says.
+#[derive(serde::Deserialize)]
+struct ExportState {
+    state: String,
+    problem: Option<Problem>,
+    links: ExportLinks,
+}
+
+#[derive(serde::Deserialize)]
+struct ExportLinks {
+    #[serde(rename = "self")]
+    this: String,
+    file: String,
 }
 
 impl Client {
@@ -120,12 +173,26 @@ impl Client {
         self.result(id, "/thumbnail").await
     }
 
-    /// A file to download: `html`, `glb`, `ora`, `zip` and what else the server's `OpenAPI` document names.
+    /// Has a file to download written, waits for it and fetches it; a format alone is a file as well. Dropped, it is written all the same, and the
+    /// same call finds it.
     ///
     /// # Errors
-    /// As [`Client::container`].
-    pub async fn export(&self, id: &str, format: &str) -> Result<Bytes, Error> {
-        self.result(id, &query("/export", &[("format".into(), format.into())])?).await
+    /// As [`Client::container`], and [`Error::Problem`] with why it could not be written.
+    pub async fn export(&self, id: &str, what: impl Into<Export>) -> Result<Bytes, Error> {
+        let what = what.into();
+        // asked for again it is the same file
+        let order = Call::new(Method::POST, part(id, &query("/exports", &what.pairs)?));
+        let mut state: ExportState = self.ask(order).await?.json()?;
+        loop {
+            match (state.state.as_str(), state.problem) {
+                ("done", _) => return Ok(self.ask(Call::new(Method::GET, state.links.file)).await?.body),
+                ("failed", Some(problem)) => return Err(Error::Problem(Box::new(problem))),
+                ("queued" | "working", _) => {}
+                (other, _) => return Err(Error::Answer(format!("a file that is {other:?}"))),
+            }
+            tokio::time::sleep(LOOK).await;
+            state = self.ask(Call::new(Method::GET, state.links.this)).await?.json()?;
+        }
     }
 
     async fn result(&self, id: &str, rest: &str) -> Result<Bytes, Error> {

@@ -63,6 +63,11 @@ const TABLE: &[(&str, &str, Need)] = &[
     ("GET", "/v1/photos/{id}/thumbnail", Read),
     ("GET", "/v1/photos/{id}/view", Read),
     ("GET", "/v1/photos/{id}/export", Read),
+    ("POST", "/v1/photos/{id}/exports", Read),
+    ("GET", "/v1/photos/{id}/exports/{key}", Read),
+    ("GET", "/v1/photos/{id}/exports/{key}/file", Read),
+    // it is written for all who ask
+    ("DELETE", "/v1/photos/{id}/exports/{key}", Change),
     ("GET", "/oembed", Read),
     ("POST", "/v1/live/{room}/token", Room),
 ];

@@ -20,6 +20,10 @@ pub mod kind {
     pub const REPORT: u8 = 9;
     pub const FAULT: u8 = 10;
     pub const STROKES: u8 = 11;
+    pub const RECIPE: u8 = 12;
+    pub const WRITE: u8 = 13;
+    pub const PEAK: u8 = 14;
+    pub const FILE: u8 = 15;
 }
 
 pub fn write(to: &mut impl Write, kind: u8, bytes: &[u8]) -> io::Result<()> {

@@ -2,14 +2,19 @@
 
 use std::collections::BTreeMap;
 use std::io::{self, Write};
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::mpsc::channel;
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use super::frames::{Told, kind, read, write};
+use super::{GIVES_WAY, VARIABLE};
+use crate::server::exports::{Drawing, Recipe, Work};
+use crate::server::limits::Limits;
 use crate::server::maker::{Fault, Maker, PipelineMaker, Product};
 use crate::server::options;
-use crate::server::worker::caught;
-use tmpi_pipeline::{Progress, Sink, strokes};
+use crate::server::problem::Problem;
+use crate::server::worker::{caught, said};
+use tmpi_pipeline::{Progress, Silent, Sink, strokes};
 
 /// Linux ends the process with the highest score first where memory is short: never the server for a photo's sake.
 const SCORE: &str = "500";
@@ -32,9 +37,17 @@ impl<W: Write + Send> Sink for Tells<W> {
     }
 }
 
-/// Makes photos for the server that started this process, until it closes the pipe; `memory` bounds what this process may take, in
-/// bytes.
-pub fn serve(maker: &PipelineMaker, memory: u64) {
+/// Steps by which a process gives way that writes what nobody waits for at the moment.
+#[cfg(unix)]
+const NICE: i32 = 10;
+
+/// Makes photos, and writes files with what `drawing` gives, for the server that started this process, until it closes the pipe;
+/// [`Limits::job_memory`] bounds what this process may take.
+pub fn serve(maker: &PipelineMaker, limits: &Limits, drawing: Drawing<'_>) {
+    let memory = limits.job_memory;
+    if std::env::var_os(VARIABLE).is_some_and(|how| how == GIVES_WAY) {
+        give_way();
+    }
     if cfg!(target_os = "linux") {
         // where that is not allowed, the kernel chooses as it likes
         let _ = std::fs::write("/proc/self/oom_score_adj", SCORE);
@@ -60,6 +73,13 @@ pub fn serve(maker: &PipelineMaker, memory: u64) {
         return;
     }
     let output = Tells(Mutex::new(io::stdout()));
+    let mut recipe = Vec::new();
+    // the first film waits for it, the others find it
+    let renderer = OnceLock::new();
+    let drawn = || match renderer.get() {
+        Some(known) => Ok(Arc::clone(known)),
+        None => drawing().map(|fresh| Arc::clone(renderer.get_or_init(|| fresh))),
+    };
     let (mut chosen, mut strokes, mut photo, mut depth) = (Vec::new(), Vec::new(), Vec::new(), None);
     for (kind, bytes) in frames {
         match kind {
@@ -70,10 +90,41 @@ pub fn serve(maker: &PipelineMaker, memory: u64) {
             kind::MAKE => {
                 answer(&output, one(maker, (&chosen, &strokes), &std::mem::take(&mut photo), depth.take().as_deref(), &output));
             }
+            kind::RECIPE => recipe = bytes,
+            kind::WRITE => tell_file(&output, file(&recipe, &bytes, limits, &drawn)),
             _ => return,
         }
     }
 }
+
+fn file(recipe: &[u8], container: &[u8], limits: &Limits, drawing: Drawing<'_>) -> Result<Vec<u8>, Fault> {
+    let recipe = Recipe::parse(&String::from_utf8_lossy(recipe), limits).map_err(Fault::Photo)?;
+    let work = Work { recipe: &recipe, container, drawing, gives_way: false };
+    // whoever started this process ends it where nobody wants it any more
+    catch_unwind(AssertUnwindSafe(|| work.here(&Silent)))
+        .unwrap_or_else(|panic| Err(Fault::Photo(Problem::internal("writing a file panicked", &said(panic.as_ref())))))
+}
+
+fn tell_file(output: &Tells<impl Write + Send>, outcome: Result<Vec<u8>, Fault>) {
+    match outcome {
+        Ok(bytes) => {
+            output.tell(kind::PEAK, &tmpi_pipeline::clock::peak_rss_bytes().to_le_bytes());
+            output.tell(kind::FILE, &bytes);
+        }
+        Err(fault) => output.tell(kind::FAULT, &serde_json::to_vec(&fault).unwrap_or_default()),
+    }
+}
+
+/// Has the system give time to others first.
+#[cfg(unix)]
+#[allow(unsafe_code, reason = "a call of libc without memory of ours")]
+fn give_way() {
+    // SAFETY: it takes no pointer; where it is refused nothing changes
+    let _ = unsafe { libc::nice(NICE) };
+}
+
+#[cfg(not(unix))]
+fn give_way() {}
 
 fn one(
     maker: &PipelineMaker,

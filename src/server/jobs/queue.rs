@@ -5,7 +5,9 @@ use std::sync::{Arc, PoisonError};
 use std::time::{Duration, Instant};
 
 use super::Jobs;
+use super::line::{Class, Hand, Job, Next};
 use crate::server::entry::Entry;
+use crate::server::exports::Ordered;
 
 /// Pause after a fault of the server, doubled with each further one, and its longest.
 const REPAIR: Duration = Duration::from_millis(500);
@@ -32,29 +34,79 @@ impl Jobs {
                 return None;
             }
             let pause = inner.trouble.as_ref().map(|t| t.until.saturating_duration_since(Instant::now()));
-            if pause.is_none_or(|p| p.is_zero())
-                && let Some(entry) = inner.queue.pop_front()
-            {
-                inner.running.push(Arc::clone(&entry));
-                return Some(entry);
+            let mut pause = pause.filter(|p| !p.is_zero() && inner.queue.count() > 0);
+            if pause.is_none() {
+                match inner.queue.take(Hand::Maker, true, Instant::now()) {
+                    Next::Job(Job::Photo(entry)) => {
+                        inner.running.push(Arc::clone(&entry));
+                        // others may have given way to it
+                        self.wake.notify_all();
+                        return Some(entry);
+                    }
+                    Next::Later(until) => pause = Some(until.saturating_duration_since(Instant::now())),
+                    Next::Job(Job::File(_)) | Next::Nothing => {}
+                }
             }
-            let pause = pause.filter(|p| !p.is_zero() && !inner.queue.is_empty());
             let unread = self.store.unreadable() > 0;
             inner = match pause.or(unread.then_some(LOOK_AGAIN)) {
                 Some(pause) => self.wake.wait_timeout(inner, pause).unwrap_or_else(PoisonError::into_inner).0,
                 None => self.wake.wait(inner).unwrap_or_else(PoisonError::into_inner),
             };
-            if unread && inner.queue.is_empty() && !inner.stopping {
+            if unread && inner.queue.count() == 0 && !inner.stopping {
                 drop(inner);
                 self.take_up(self.store.look_again());
                 inner = self.lock();
             }
         }
     }
+
+    /// The next file to be written; blocks; none once the server stops.
+    pub(in crate::server) fn take_file(&self) -> Option<Arc<Ordered>> {
+        let mut inner = self.lock();
+        loop {
+            if inner.stopping {
+                return None;
+            }
+            // photos that wait for a repair are not begun, and those of a store by whichever node
+            let alone = self.cluster.is_none() && inner.trouble.is_none();
+            let next = inner.queue.take(Hand::Writer, alone, Instant::now());
+            inner = match next {
+                Next::Job(Job::File(file)) => {
+                    inner.writing += 1;
+                    self.wake.notify_all();
+                    return Some(file);
+                }
+                Next::Later(until) => {
+                    let pause = until.saturating_duration_since(Instant::now());
+                    self.wake.wait_timeout(inner, pause).unwrap_or_else(PoisonError::into_inner).0
+                }
+                Next::Job(Job::Photo(_)) | Next::Nothing => self.wake.wait(inner).unwrap_or_else(PoisonError::into_inner),
+            };
+        }
+    }
+
+    /// The counterpart of [`Jobs::take_file`].
+    pub(in crate::server) fn release_file(&self) {
+        self.lock().writing -= 1;
+        self.idle.notify_all();
+    }
+
+    /// Puts a file behind those that wait.
+    pub(in crate::server) fn push_file(&self, file: &Arc<Ordered>) {
+        self.lock().queue.push(Class::Export, Job::File(Arc::clone(file)));
+        self.wake.notify_all();
+    }
+
+    /// Takes a file from those that wait.
+    pub(in crate::server) fn drop_file(&self, file: &Arc<Ordered>) {
+        self.lock().queue.remove_file(file);
+        self.wake.notify_all();
+    }
+
     /// Puts a photo behind those that wait.
     pub(in crate::server) fn queue_again(&self, entry: &Arc<Entry>) {
-        self.lock().queue.push_back(Arc::clone(entry));
-        self.wake.notify_one();
+        self.lock().queue.push_photo(entry);
+        self.wake.notify_all();
     }
 
     /// Puts a photo back behind the others, which may need nothing of what is amiss; none is tried for a while, the longer the more
@@ -64,7 +116,7 @@ impl Jobs {
         let tries = inner.trouble.as_ref().map_or(0, |t| t.tries);
         let pause = REPAIR.saturating_mul(1 << tries.min(16)).min(MOST_REPAIR);
         inner.trouble = Some(Trouble { reason, until: Instant::now() + pause, tries: tries + 1 });
-        inner.queue.push_back(Arc::clone(entry));
+        inner.queue.push_photo(entry);
     }
 
     /// Remembers a fault of the server, until when nothing is made here.
@@ -129,8 +181,8 @@ impl Jobs {
         self.stop();
         let wait = |until: Instant| {
             let left = until.saturating_duration_since(Instant::now());
-            let inner = self.idle.wait_timeout_while(self.lock(), left, |inner| !inner.running.is_empty());
-            inner.unwrap_or_else(PoisonError::into_inner).0.running.is_empty()
+            let inner = self.idle.wait_timeout_while(self.lock(), left, |inner| !inner.is_at_rest());
+            inner.unwrap_or_else(PoisonError::into_inner).0.is_at_rest()
         };
         if wait(deadline) {
             return;

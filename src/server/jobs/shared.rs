@@ -60,10 +60,10 @@ impl Jobs {
     fn line_up(&self, entry: &Arc<Entry>) {
         let mut inner = self.lock();
         let waits = entry.status() == Status::Queued && !inner.running.iter().any(|e| e.id == entry.id);
-        let at = inner.queue.iter().position(|e| e.id == entry.id);
-        match at {
-            Some(at) if !waits => drop(inner.queue.remove(at)),
-            None if waits => inner.queue.push_back(Arc::clone(entry)),
+        let stands = inner.queue.photos().any(|e| e.id == entry.id);
+        match stands {
+            true if !waits => inner.queue.remove_photo(entry.id),
+            false if waits => inner.queue.push_photo(entry),
             _ => {}
         }
     }
@@ -94,7 +94,7 @@ impl Jobs {
         entry.mark_deleted();
         let mut inner = self.lock();
         inner.remove(entry);
-        inner.queue.retain(|e| e.id != entry.id);
+        inner.queue.remove_photo(entry.id);
         drop(inner);
         entry.set(Status::Deleted);
         self.store.forget(entry.id);
@@ -167,7 +167,7 @@ impl Jobs {
     /// Has the photo counted among those that are being made.
     pub(in crate::server) fn begin(&self, entry: &Arc<Entry>) {
         let mut inner = self.lock();
-        inner.queue.retain(|e| e.id != entry.id);
+        inner.queue.remove_photo(entry.id);
         inner.running.push(Arc::clone(entry));
     }
 

@@ -14,11 +14,9 @@ use crate::export::{self, ExportError, ExportFormat, ExportOptions, ModelShape};
 use crate::server::app::{App, Export, Full, Shared, Stored, scene_bytes};
 use crate::server::clock::Clock;
 use crate::server::conditional::insert;
+use crate::server::exports::{Recipe, TITLE};
 use crate::server::pool::Class;
 use crate::server::problem::Problem;
-
-/// Title of a page: the server knows no name of a photo.
-const TITLE: &str = "3D photo";
 
 /// Format of an export.
 #[derive(Clone, Debug, Default, PartialEq, utoipa::IntoParams)]
@@ -42,7 +40,14 @@ impl ExportQuery {
     /// # Errors
     /// 400 that names the first parameter that is unknown, given twice or wrong.
     pub fn read(uri: &Uri) -> Result<Self, Problem> {
-        let mut pairs = Pairs::read(uri, &["format", "shape", "v"])?;
+        Self::of(Pairs::read(uri, &["format", "shape", "v"])?)
+    }
+
+    /// The same of parameters that are known.
+    ///
+    /// # Errors
+    /// 400 that names the first parameter that is wrong.
+    pub fn of(mut pairs: Pairs) -> Result<Self, Problem> {
         let format = pairs.get("format").map_or(Ok(ExportFormat::default()), |value| {
             let known = ExportFormat::from_extension(value);
             known.ok_or_else(|| Problem::parameter("format", format!("must be html, glb, ora or zip, not {value:?}")))
@@ -100,26 +105,26 @@ pub async fn export(
     }
     clock.allow(app.limits.export);
     let mut timing = Vec::new();
+    let recipe = Recipe::File { format, shape };
     let write = async {
         let gone = CancellationToken::new();
         let _guard = gone.clone().drop_guard();
         let pixels = u64::from(done.width) * u64::from(done.height);
         let own = if format == ExportFormat::Ora { export::ORA_BYTES * pixels } else { 0 };
         let slot = app.pool.enter(Class::Export, scene_bytes(&done) + own).await?;
+        let cheap = recipe.is_cheap(&done);
         // a page carries the container as it is
-        let scene = if format == ExportFormat::Html { None } else { Some(app.scene(version, &slot).await?.0) };
+        let scene = if cheap && format != ExportFormat::Html { Some(app.scene(version, &slot).await?.0) } else { None };
         let (read, name, shared) = (app.reading(version), derived.made.clone(), Arc::clone(&app));
         let written = slot.run(move || {
             let (start, container) = (Instant::now(), read()?);
             let bytes = match scene {
-                None => export::html(&container, TITLE),
-                Some(scene) => export::export(format, &container, &scene, &ExportOptions { title: TITLE, shape }, &|| gone.is_cancelled()),
+                Some(scene) => export::export(format, &container, &scene, &ExportOptions { title: TITLE, shape }, &|| gone.is_cancelled())
+                    .map_err(problem),
+                None if cheap => export::html(&container, TITLE).map_err(problem),
+                None => shared.written(&recipe, (&container, &done), &gone),
             };
-            let bytes = bytes.map_err(|e| match e {
-                ExportError::Cancelled => Problem::new(StatusCode::SERVICE_UNAVAILABLE, "cancelled", e.to_string()).retry_after(1),
-                e => Problem::internal("exporting a photo", &e),
-            })?;
-            let stored = Stored::derived(Some(&name), bytes, &shared.jobs.store, Full::Refuse)?;
+            let stored = Stored::derived(Some(&name), bytes?, &shared.jobs.store, Full::Refuse)?;
             Ok::<_, Problem>((Export(stored), start.elapsed()))
         });
         let (export, elapsed) = written.await??;
@@ -131,6 +136,13 @@ pub async fn export(
     let name = format!("attachment; filename=\"{}.{}\"", entry.id, format.extension());
     insert(&mut response, header::CONTENT_DISPOSITION, &name);
     Ok(response)
+}
+
+fn problem(error: ExportError) -> Problem {
+    match error {
+        ExportError::Cancelled => Problem::new(StatusCode::SERVICE_UNAVAILABLE, "cancelled", error.to_string()).retry_after(1),
+        e => Problem::internal("exporting a photo", &e),
+    }
 }
 
 #[cfg(test)]

@@ -5,6 +5,7 @@ mod again;
 mod derived;
 mod events;
 mod export;
+mod exports;
 mod network;
 mod oembed;
 mod owner;
@@ -36,10 +37,11 @@ use utoipa_axum::routes;
 use super::app::App;
 use super::middleware;
 pub(super) use admin::router as admin_router;
+pub(super) use export::ExportQuery;
 pub(crate) use query::Pairs;
 pub(crate) use room_view::RoomViews;
 pub(crate) use view_query::RoomViewQuery;
-pub(super) use view_query::ViewQuery;
+pub(super) use view_query::{StereoKind, ViewQuery};
 
 use super::pages;
 use super::problem::Problem;
@@ -88,6 +90,9 @@ fn pages_api() -> OpenApiRouter<App> {
         .routes(routes!(network::network, network::fetch))
         .routes(routes!(events::events))
         .routes(routes!(results::depth))
+        .routes(routes!(exports::order))
+        .routes(routes!(exports::state, exports::cancel))
+        .routes(routes!(exports::file))
         .routes(routes!(system::healthz))
         .routes(routes!(system::readyz))
         .routes(routes!(system::openapi))

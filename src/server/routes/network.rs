@@ -4,15 +4,16 @@ use std::sync::Arc;
 
 use axum::Json;
 use axum::extract::{Extension, Path, State};
-use axum::http::{HeaderMap, StatusCode};
+use axum::http::{HeaderMap, StatusCode, Uri};
 use axum::response::{IntoResponse, Response};
 use serde::Serialize;
 
 use super::again::answer;
-use super::query::NoQuery;
+use super::query::{NoQuery, Pairs};
 use super::state::PhotoState;
 use crate::server::app::{App, Shared};
 use crate::server::clock::Clock;
+use crate::server::jobs::Class;
 use crate::server::network::{Fetching, Offer};
 use crate::server::problem::Problem;
 use crate::server::traces;
@@ -104,11 +105,13 @@ pub async fn fetch(State(app): State<App>, _: NoQuery, headers: HeaderMap) -> Re
     post, path = "/v1/photos/{id}/again", tag = "photos",
     params(
         ("id" = String, Path, description = "Id of the photo"),
+        ("class" = Option<String>, Query, pattern = "^(interactive|batch)$", description = "`batch` for one of many, which gives way; else `interactive`"),
         ("Prefer" = Option<String>, Header, description = "`wait=SECONDS`: answer once the photo is done, or after that time"),
     ),
     responses(
         (status = 200, description = "Made, in the time that `Prefer: wait` gave", body = PhotoState),
         (status = 202, description = "It is made again", body = PhotoState),
+        (status = 400, description = "A parameter is wrong", body = Problem, content_type = "application/problem+json"),
         (status = 404, description = "There is no such photo", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "The photo is being made", body = Problem, content_type = "application/problem+json"),
         (status = 429, description = "Too many photos wait; `Retry-After` says when to come back", body = Problem, content_type = "application/problem+json"),
@@ -119,13 +122,15 @@ pub async fn again(
     State(app): State<App>,
     Path(id): Path<String>,
     Extension(clock): Extension<Clock>,
-    _: NoQuery,
+    uri: Uri,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
+    let class = Pairs::read(&uri, &["class"])?.get("class").map_or(Some(Class::default()), Class::of_photo);
+    let class = class.ok_or_else(|| Problem::parameter("class", "must be interactive or batch"))?;
     let entry = app.photo(&id)?;
     let (shared, photo) = (Arc::clone(&app), Arc::clone(&entry));
     let trace = traces::current();
-    let queued = tokio::task::spawn_blocking(move || traces::within(trace, || shared.jobs.make_again(&photo)));
+    let queued = tokio::task::spawn_blocking(move || traces::within(trace, || shared.jobs.make_again(&photo, class)));
     queued.await.map_err(|e| Problem::internal("making a photo again", &e))??;
     answer(&app, &entry, &headers, &clock).await
 }

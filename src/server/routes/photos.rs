@@ -46,6 +46,9 @@ pub struct UploadForm {
     title: Option<String>,
     /// Who may see the photo where the server asks who comes: `private` or `link`.
     visibility: Option<String>,
+    /// `batch` for a photo of many, which gives way to those of others and to files that are written; else `interactive`. It is no part of what
+    /// makes the photo the same.
+    class: Option<String>,
     /// How the depth map is meant: `disparity` or `metric`.
     depth_kind: Option<String>,
     /// Depth that the photo brings along within its file: `auto`, `off`, or `on` to fail without.

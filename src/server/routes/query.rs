@@ -31,6 +31,18 @@ impl Pairs {
 
     fn reading(uri: &Uri, names: &[&str], strict: bool) -> Result<Self, Problem> {
         let Query(pairs) = Query::<Vec<(String, String)>>::try_from_uri(uri).map_err(|e| Problem::bad_request(e.body_text()))?;
+        Self::among(pairs, names, strict)
+    }
+
+    /// The same of parameters that came in another way.
+    ///
+    /// # Errors
+    /// As [`Pairs::read`].
+    pub fn of(pairs: Vec<(String, String)>, names: &[&str]) -> Result<Self, Problem> {
+        Self::among(pairs, names, true)
+    }
+
+    fn among(pairs: Vec<(String, String)>, names: &[&str], strict: bool) -> Result<Self, Problem> {
         let mut given = BTreeMap::new();
         for (name, value) in pairs {
             if !names.contains(&name.as_str()) {

@@ -81,6 +81,8 @@ pub async fn readyz(State(app): State<App>, _: NoQuery) -> Result<Json<Health>, 
 pub async fn metrics(State(app): State<App>, _: NoQuery, headers: HeaderMap) -> Response {
     let counts = app.jobs.counts();
     let waiting = |class| app.pool.waiting(class) as f64;
+    let queued = app.jobs.waiting();
+    let of_class = |name| queued.iter().find(|(class, _)| *class == name).map_or(0.0, |(_, n)| *n as f64);
     let mut gauges = app.rooms.get().map(|rooms| rooms.counts()).unwrap_or_default();
     gauges.extend(app.jobs.cluster.as_ref().map(|cluster| cluster.counts()).unwrap_or_default());
     gauges.extend([
@@ -102,6 +104,9 @@ pub async fn metrics(State(app): State<App>, _: NoQuery, headers: HeaderMap) -> 
         ("tmpi_views_waiting", "Views that wait to be drawn", waiting(Class::Interactive)),
         ("tmpi_derived_waiting", "Levels and parts that wait to be made", waiting(Class::Derived)),
         ("tmpi_exports_waiting", "Films and files that wait to be written", waiting(Class::Export)),
+        ("tmpi_exports_stored_bytes", "Disk of files that were written as jobs", app.jobs.exports.bytes() as f64),
+        ("tmpi_exports_queued", "Files that wait to be written as jobs", of_class("export")),
+        ("tmpi_batch_queued", "Photos of many that wait", of_class("batch")),
         ("tmpi_peak_rss_bytes", "Peak resident memory of the process", tmpi_pipeline::clock::peak_rss_bytes() as f64),
     ]);
     match app.telemetry.text(&gauges) {

@@ -13,14 +13,15 @@ use tokio_util::sync::CancellationToken;
 use crate::server::app::{App, Export, Full, Shared, Stored, Version, memory_of, scene_bytes};
 use crate::server::clock::Clock;
 use crate::server::conditional::insert;
+use crate::server::exports::Recipe;
 use crate::server::pool::{Class, Slot};
 use crate::server::problem::Problem;
 use crate::server::store::Done;
 use tmpi_core::{Camera, Scene};
-use tmpi_render::{Animation, DEFAULT_QUALITY, Outlook, PictureFormat, RenderError, Renderer, View, draw_several, encode};
+use tmpi_render::{DEFAULT_QUALITY, PictureFormat, RenderError, Renderer, View, draw_several, encode};
 
 use super::derived::Derived;
-use super::view_query::{Moving, ViewQuery};
+use super::view_query::ViewQuery;
 
 /// The format that a client likes best; PNG where it has no preference. None where it takes none of them.
 fn negotiate(headers: &HeaderMap) -> Option<PictureFormat> {
@@ -173,19 +174,26 @@ pub(super) async fn draw(
     // decoding is a part of the work: who waits holds no scene
     let slot = app.pool.enter(class, subject.bytes()).await?;
     let waited = asked.elapsed();
+    if let (Some(_), Subject::Photo(version, done)) = (query.moving, &subject) {
+        let recipe = Recipe::Film(Box::new(query.clone()), size);
+        let (read, shared, done) = (app.reading(*version), Arc::clone(app), Done::clone(done));
+        let written = slot.run(move || {
+            let start = Instant::now();
+            let bytes = shared.written(&recipe, (&read()?, &done), &renderer.gone)?;
+            Ok::<_, Problem>((bytes, start.elapsed()))
+        });
+        let (bytes, rendering) = written.await??;
+        return Ok((bytes, vec![("wait", waited), ("render", rendering)]));
+    }
     let (scene, decoding) = subject.scene(app, &slot).await?;
-    let (camera, rig, moving) = (query.camera(&scene, size), query.rig(&scene), query.moving);
+    let (camera, rig) = (query.camera(&scene, size), query.rig(&scene));
     let drawn = slot.run(move || {
         let start = Instant::now();
-        let draw = |camera: &Camera| match &rig {
-            Some(rig) => draw_several(&renderer, &scene, camera, rig),
-            None => renderer.render(&scene, camera),
+        let view = match &rig {
+            Some(rig) => draw_several(&renderer, &scene, &camera, rig),
+            None => renderer.render(&scene, &camera),
         };
-        if let Some(moving) = moving {
-            let (bytes, rendering) = film(moving, &scene, &camera, draw)?;
-            return Ok((bytes, rendering, start.elapsed().saturating_sub(rendering)));
-        }
-        let view = draw(&camera).map_err(|e| Problem::from(&e))?;
+        let view = view.map_err(|e| Problem::from(&e))?;
         let rendered = Instant::now();
         let bytes = encode(&view, format, DEFAULT_QUALITY).map_err(|e| Problem::from(&e))?;
         Ok::<_, Problem>((bytes, rendered - start, rendered.elapsed()))
@@ -194,32 +202,6 @@ pub(super) async fn draw(
     // a scene at hand took no decoding
     let timing = vec![("decode", decoding.unwrap_or_default()), ("wait", waited), ("render", rendering), ("encode", encoding)];
     Ok((bytes, timing))
-}
-
-/// An animation, and how long its frames took to draw.
-fn film(
-    moving: Moving,
-    scene: &Scene,
-    camera: &Camera,
-    draw: impl Fn(&Camera) -> Result<View, RenderError>,
-) -> Result<(Vec<u8>, Duration), Problem> {
-    let (mut animation, mut rendering) = (None, Duration::ZERO);
-    let outlook = Outlook::of(scene);
-    for frame in 0..moving.frames {
-        let camera = moving.path.camera(camera, frame, moving.frames, &outlook);
-        let start = Instant::now();
-        let view = draw(&camera).map_err(|e| Problem::from(&e))?;
-        rendering += start.elapsed();
-        let size = (view.width, view.height);
-        if animation.is_none() {
-            animation = Some(Animation::start(moving.format, size, DEFAULT_QUALITY).map_err(|e| Problem::from(&e))?);
-        }
-        if let Some(animation) = &mut animation {
-            animation.push(&view).map_err(|e| Problem::from(&e))?;
-        }
-    }
-    let bytes = animation.map_or(Ok(Vec::new()), Animation::finish).map_err(|e| Problem::from(&e))?;
-    Ok((bytes, rendering))
 }
 
 /// Draws unless the client has gone.

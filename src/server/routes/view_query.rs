@@ -158,7 +158,11 @@ impl ViewQuery {
         Ok((Self::of(given, limits)?, token))
     }
 
-    fn of(mut given: Pairs, limits: &Limits) -> Result<Self, Problem> {
+    /// The same of parameters that are known.
+    ///
+    /// # Errors
+    /// 400 that names the first parameter that is not finite or out of range.
+    pub fn of(mut given: Pairs, limits: &Limits) -> Result<Self, Problem> {
         let version = given.take("v");
         let mut number = |name: &str| -> Result<Option<f64>, Problem> {
             let Some(text) = given.take(name) else { return Ok(None) };

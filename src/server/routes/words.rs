@@ -48,6 +48,7 @@ pub fn put(document: &mut Value) {
     document["security"] = serde_json::json!([{}, {"bearer": []}, {"cookie": []}]);
     let form = &mut document["components"]["schemas"]["UploadForm"]["properties"];
     for (field, text) in [
+        ("class", Text::Words(["interactive", "batch"].map(str::to_owned).into())),
         ("denoise", Text::Words(words::<Denoise>())),
         ("depth_kind", Text::Words(words::<DepthKind>())),
         ("photo_depth", Text::Words(words::<Switch>())),
@@ -63,6 +64,10 @@ pub fn put(document: &mut Value) {
     }
     let stills = PictureFormat::ALL.map(|f| chosen(&f));
     let exports = [ExportFormat::Html, ExportFormat::Glb, ExportFormat::Ora, ExportFormat::Zip].map(|f| f.extension().to_owned());
+    let order = &mut document["components"]["schemas"]["ExportOrder"]["properties"];
+    Text::Words([&exports[..], &["webp".to_owned(), "mp4".to_owned()]].concat()).put(&mut order["format"]);
+    Text::Words(["relief", "metric"].map(str::to_owned).into()).put(&mut order["shape"]);
+    Text::Words(words::<Path>()).put(&mut order["path"]);
     for (path, parameter, text) in [
         ("/v1/photos/{id}/view", "format", Text::Words([&stills[..], &["mp4".to_owned()]].concat())),
         ("/v1/photos/{id}/view", "stereo", Text::Words(["sbs", "anaglyph"].map(str::to_owned).into())),

@@ -1,0 +1,253 @@
+//! What a file to download is made by: its format and parameters.
+
+use crate::export::{ExportFormat, ModelShape, ORA_BYTES};
+use crate::server::app::scene_bytes;
+use crate::server::limits::Limits;
+use crate::server::problem::Problem;
+use crate::server::routes::{ExportQuery, Pairs, StereoKind, ViewQuery};
+use crate::server::store::Done;
+use tmpi_render::{AnimationFormat, Arrangement, Path};
+
+/// Memory of a process that writes a file, in bytes, without the photo; like the other figures, above what was measured on 12 megapixels.
+const PROCESS: u64 = 48 << 20;
+/// Memory that textures and pictures under work take besides the scene, in bytes a pixel.
+const PICTURES: u64 = 20;
+/// Memory of what a film is drawn from besides the scene, in bytes a pixel, and of its frame.
+const DRAWN: u64 = 14;
+const FRAME: u64 = 16;
+/// A page holds the container, as it is and as text.
+const PAGE: u64 = 4;
+/// Work on a scene in the serving process takes no more bytes than this: a megapixel and some, which takes tenths of a second.
+const CHEAP: u64 = 16 << 20;
+
+/// Parameters of a film.
+const FILM: [&str; 17] =
+    ["tx", "ty", "tz", "yaw", "pitch", "roll", "w", "h", "fov", "crop", "format", "stereo", "quilt", "ipd", "focus", "path", "frames"];
+
+/// What a file is made by.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Recipe {
+    /// The photo in another format.
+    File {
+        /// Format.
+        format: ExportFormat,
+        /// Space of a model.
+        shape: ModelShape,
+    },
+    /// A film along a way of the camera, of frames of this size.
+    Film(Box<ViewQuery>, (u32, u32)),
+}
+
+impl Recipe {
+    /// What somebody asks for by these parameters, those of an export or, with `path`, of a view, for a photo of `size` pixels.
+    ///
+    /// # Errors
+    /// 400 that names the first parameter that is unknown, given twice, wrong or over the limits.
+    pub fn read(pairs: Vec<(String, String)>, size: (u32, u32), limits: &Limits) -> Result<Self, Problem> {
+        if pairs.iter().any(|(name, _)| name == "path") {
+            let query = ViewQuery::of(Pairs::of(pairs, &FILM)?, limits)?;
+            let size = query.size(size, limits)?;
+            return Ok(Self::Film(Box::new(query), size));
+        }
+        if let Some((_, film)) = pairs.iter().find(|(name, value)| name == "format" && AnimationFormat::from_extension(value).is_some()) {
+            return Err(Problem::parameter("path", format!("is wanted for {film}: one of {}", Path::NAMES.join(", "))));
+        }
+        let ExportQuery { format, shape, .. } = ExportQuery::of(Pairs::of(pairs, &["format", "shape"])?)?;
+        Ok(Self::File { format, shape })
+    }
+
+    /// The same from what [`Recipe::text`] gave.
+    ///
+    /// # Errors
+    /// As [`Recipe::read`].
+    pub fn parse(text: &str, limits: &Limits) -> Result<Self, Problem> {
+        let pair =
+            |part: &str| part.split_once('=').map_or_else(|| (part.to_owned(), String::new()), |(n, v)| (n.to_owned(), v.to_owned()));
+        Self::read(text.split('&').map(pair).collect(), (1, 1), limits)
+    }
+
+    /// All parameters, said in one way.
+    #[must_use]
+    pub fn pairs(&self) -> Vec<(&'static str, String)> {
+        match self {
+            Self::File { format, shape } => {
+                let shape = (*format == ExportFormat::Glb).then_some(match shape {
+                    ModelShape::Relief => "relief",
+                    ModelShape::Metric => "metric",
+                });
+                let format = ("format", format.extension().to_owned());
+                std::iter::once(format).chain(shape.map(|shape| ("shape", shape.to_owned()))).collect()
+            }
+            Self::Film(query, size) => film_pairs(query, *size),
+        }
+    }
+
+    /// The same as text, which names the file among those of one making of a photo.
+    #[must_use]
+    pub fn text(&self) -> String {
+        self.pairs().iter().map(|(name, value)| format!("{name}={value}")).collect::<Vec<_>>().join("&")
+    }
+
+    /// File name ending.
+    #[must_use]
+    pub fn extension(&self) -> &'static str {
+        match self {
+            Self::File { format, .. } => format.extension(),
+            Self::Film(query, _) => query.moving.map_or("webp", |moving| ending(moving.format)),
+        }
+    }
+
+    /// Media type.
+    #[must_use]
+    pub fn media_type(&self) -> &'static str {
+        match self {
+            Self::File { format, .. } => format.media_type(),
+            Self::Film(query, _) => query.moving.map_or(AnimationFormat::WebP, |moving| moving.format).media_type(),
+        }
+    }
+
+    /// Memory that work on the scene takes besides it, in bytes.
+    fn own(&self, done: &Done) -> u64 {
+        let pixels = u64::from(done.width) * u64::from(done.height);
+        match self {
+            Self::File { format: ExportFormat::Html, .. } => PAGE * done.atlas_bytes,
+            Self::File { format: ExportFormat::Ora, .. } => ORA_BYTES * pixels,
+            Self::File { .. } => PICTURES * pixels,
+            Self::Film(_, (width, height)) => DRAWN * pixels + FRAME * u64::from(*width) * u64::from(*height),
+        }
+    }
+
+    /// Memory of a process that writes it, in bytes.
+    #[must_use]
+    pub fn memory(&self, done: &Done) -> u64 {
+        let scene = if matches!(self, Self::File { format: ExportFormat::Html, .. }) { 0 } else { scene_bytes(done) };
+        PROCESS + scene + self.own(done)
+    }
+
+    /// True where it is written in the serving process for who waits for it: pages, which carry the container as it is, and other files of small
+    /// photos. Films never are.
+    #[must_use]
+    pub fn is_cheap(&self, done: &Done) -> bool {
+        match self {
+            Self::File { format: ExportFormat::Html, .. } => true,
+            Self::File { .. } => scene_bytes(done) <= CHEAP,
+            Self::Film(..) => false,
+        }
+    }
+}
+
+const fn ending(format: AnimationFormat) -> &'static str {
+    match format {
+        AnimationFormat::WebP => "webp",
+        AnimationFormat::Mp4 => "mp4",
+    }
+}
+
+fn way(path: Path) -> &'static str {
+    Path::NAMES.into_iter().find(|name| Path::from_name(name) == Some(path)).unwrap_or_default()
+}
+
+fn film_pairs(query: &ViewQuery, (width, height): (u32, u32)) -> Vec<(&'static str, String)> {
+    let q = query;
+    let number = |v: Option<f64>| v.map(|v| v.to_string());
+    // a pose that is not given is that of the photo
+    let pose = |v: Option<f64>| number(v.filter(|v| *v != 0.0));
+    let stereo = q.stereo.map(|kind| match kind {
+        StereoKind::Sbs => "sbs".to_owned(),
+        StereoKind::Anaglyph => "anaglyph".to_owned(),
+    });
+    let quilt = q.quilt.and_then(|quilt| match quilt {
+        Arrangement::Quilt { columns, rows } => Some(format!("{columns}x{rows}")),
+        Arrangement::SideBySide | Arrangement::Anaglyph => None,
+    });
+    let crop = q.crop.map(|c| format!("{},{},{},{}", c.corner[0], c.corner[1], c.size[0], c.size[1]));
+    let moving = q.moving.map(|m| (ending(m.format), way(m.path), m.frames));
+    let all = [
+        ("path", moving.map(|m| m.1.to_owned())),
+        ("format", moving.map(|m| m.0.to_owned())),
+        ("frames", moving.map(|m| m.2.to_string())),
+        ("w", Some(width.to_string())),
+        ("h", Some(height.to_string())),
+        ("tx", pose(q.tx)),
+        ("ty", pose(q.ty)),
+        ("tz", pose(q.tz)),
+        ("yaw", pose(q.yaw)),
+        ("pitch", pose(q.pitch)),
+        ("roll", pose(q.roll)),
+        ("fov", number(q.fov)),
+        ("crop", crop),
+        ("stereo", stereo),
+        ("quilt", quilt),
+        ("ipd", number(q.ipd)),
+        ("focus", number(q.focus)),
+    ];
+    all.into_iter().filter_map(|(name, value)| Some((name, value?))).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn read(text: &str) -> Result<Recipe, Problem> {
+        let pairs = text.split('&').filter_map(|p| p.split_once('=')).map(|(n, v)| (n.to_owned(), v.to_owned())).collect();
+        Recipe::read(pairs, (80, 60), &Limits::default())
+    }
+
+    #[test]
+    fn what_means_the_same_is_said_in_one_way_and_read_back() {
+        for (asked, text) in [
+            ("format=GLB", "format=glb&shape=relief"),
+            ("shape=metric&format=glb", "format=glb&shape=metric"),
+            ("format=zip", "format=zip"),
+            ("path=orbit", "path=orbit&format=webp&frames=60&w=80&h=60"),
+            ("frames=9&path=dolly-zoom&w=40&format=mp4&tx=0", "path=dolly-zoom&format=mp4&frames=9&w=40&h=30"),
+            (
+                "path=swing&w=20&h=10&tx=0.0300001&quilt=3x2&fov=60&focus=0.5&crop=0.25,0,0.5,1",
+                "path=swing&format=webp&frames=60&w=20&h=10&tx=0.03&fov=60&crop=0.25,0,0.5,1&quilt=3x2&focus=0.5",
+            ),
+            (
+                "path=zoom&w=8&stereo=anaglyph&ipd=0.05&yaw=-1.5",
+                "path=zoom&format=webp&frames=60&w=8&h=6&yaw=-1.5&stereo=anaglyph&ipd=0.05",
+            ),
+        ] {
+            let recipe = read(asked).unwrap();
+            assert_eq!(recipe.text(), text);
+            assert_eq!(Recipe::parse(text, &Limits::default()).unwrap().text(), text);
+        }
+    }
+
+    #[test]
+    fn wrong_parameters_are_named() {
+        for (asked, field) in [
+            ("format=gif", "format"),
+            ("format=mp4", "path"),
+            ("format=webp", "path"),
+            ("format=zip&w=3", "w"),
+            ("path=orbit&v=1", "v"),
+            ("path=orbit&format=zip", "format"),
+            ("path=orbit&frames=241", "frames"),
+            ("path=orbit&frames=240&w=2000&h=2000", "w"),
+            ("path=orbit&quilt=10x10", "frames"),
+            ("format=zip&shape=metric", "shape"),
+            ("format=glb&format=glb", "format"),
+        ] {
+            let p = read(asked).unwrap_err();
+            assert_eq!((p.status, p.field.as_deref()), (400, Some(field)), "{asked}: {}", p.detail);
+        }
+    }
+
+    #[test]
+    fn what_is_heavy_is_not_for_the_serving_process() {
+        let done = |width, height| Done { at_ms: 1, width, height, atlas_bytes: 400_000, atlas_hash: String::new() };
+        let (small, large) = (done(1000, 1000), done(4000, 3000));
+        for (asked, cheap) in [("format=html", [true, true]), ("format=glb", [true, false]), ("path=orbit", [false, false])] {
+            let recipe = read(asked).unwrap();
+            assert_eq!([recipe.is_cheap(&small), recipe.is_cheap(&large)], cheap, "{asked}");
+        }
+        // peaks of 12 megapixels as they were measured: 323, 262, 400 and 309 MiB
+        for (asked, peak) in [("format=glb", 323), ("format=zip", 262), ("format=ora", 400), ("path=orbit", 309)] {
+            let memory = read(asked).unwrap().memory(&large) >> 20;
+            assert!((peak..peak * 2).contains(&memory), "{asked}: {memory}");
+        }
+    }
+}

@@ -1,0 +1,115 @@
+//! Writes a file to download by its recipe, in whichever process that is.
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use super::recipe::Recipe;
+use crate::export::{self, ExportError, ExportOptions};
+use crate::server::maker::Fault;
+use crate::server::problem::Problem;
+use crate::server::routes::ViewQuery;
+use axum::http::StatusCode;
+use tmpi_core::container;
+use tmpi_core::{Camera, Scene};
+use tmpi_pipeline::Sink;
+use tmpi_render::{Animation, DEFAULT_QUALITY, Outlook, RenderError, Renderer, View, draw_several};
+
+/// Title of a page: the server knows no name of a photo.
+pub const TITLE: &str = "3D photo";
+
+/// What draws films, asked for where one is drawn; else why there is none.
+pub type Drawing<'a> = &'a (dyn Fn() -> Result<Arc<dyn Renderer>, String> + Sync);
+
+/// A file to be written.
+pub struct Work<'a> {
+    /// How.
+    pub recipe: &'a Recipe,
+    /// Of which container.
+    pub container: &'a [u8],
+    /// What draws films in this process.
+    pub drawing: Drawing<'a>,
+    /// Whether whoever writes it gives way to all others.
+    pub gives_way: bool,
+}
+
+impl Work<'_> {
+    /// Writes it in this process.
+    ///
+    /// # Errors
+    /// [`Fault::Cancelled`] once `sink` says so, [`Fault::Photo`] for anything else.
+    pub fn here(&self, sink: &dyn Sink) -> Result<Vec<u8>, Fault> {
+        let unread = |e| Fault::Photo(Problem::from(&e));
+        match self.recipe {
+            Recipe::File { format: export::ExportFormat::Html, .. } => export::html(self.container, TITLE).map_err(|e| fault(&e)),
+            Recipe::File { format, shape } => {
+                let scene = container::decode(self.container).map_err(unread)?;
+                let options = ExportOptions { title: TITLE, shape: *shape };
+                export::export(*format, self.container, &scene, &options, &|| is_over(sink)).map_err(|e| fault(&e))
+            }
+            Recipe::Film(query, size) => {
+                let scene = Arc::new(container::decode(self.container).map_err(unread)?);
+                let renderer = (self.drawing)().map_err(Fault::Server)?;
+                film(query, *size, &scene, &Unless { sink, renderer: &renderer })
+            }
+        }
+    }
+}
+
+fn is_over(sink: &dyn Sink) -> bool {
+    sink.cancelled() || sink.deadline().is_some_and(|deadline| Instant::now() >= deadline)
+}
+
+/// The answer to who wants what takes too long.
+#[must_use]
+pub fn late() -> Problem {
+    let detail = "writing the file takes longer than it may (--export-timeout): ask for fewer frames, a smaller size or another format";
+    Problem::new(StatusCode::SERVICE_UNAVAILABLE, "late", detail)
+}
+
+fn fault(error: &ExportError) -> Fault {
+    match error {
+        ExportError::Cancelled => Fault::Cancelled,
+        ExportError::TooLarge(_) => Fault::Photo(Problem::new(StatusCode::UNPROCESSABLE_ENTITY, "export-too-large", error.to_string())),
+        e => Fault::Photo(Problem::internal("exporting a photo", e)),
+    }
+}
+
+fn film(query: &ViewQuery, size: (u32, u32), scene: &Arc<Scene>, renderer: &Unless<'_>) -> Result<Vec<u8>, Fault> {
+    let Some(moving) = query.moving else { return Err(Fault::Photo(Problem::parameter("path", "is wanted for a film"))) };
+    let (camera, rig, outlook) = (query.camera(scene, size), query.rig(scene), Outlook::of(scene));
+    let photo = |problem: Problem| Fault::Photo(problem);
+    let draw = |camera: &Camera| match &rig {
+        Some(rig) => draw_several(renderer, scene, camera, rig),
+        None => renderer.render(scene, camera),
+    };
+    let mut animation = None;
+    for frame in 0..moving.frames {
+        let camera = moving.path.camera(&camera, frame, moving.frames, &outlook);
+        let view =
+            draw(&camera).map_err(|e| if matches!(e, RenderError::Cancelled) { Fault::Cancelled } else { photo(Problem::from(&e)) })?;
+        let size = (view.width, view.height);
+        if animation.is_none() {
+            animation = Some(Animation::start(moving.format, size, DEFAULT_QUALITY).map_err(|e| photo(Problem::from(&e)))?);
+        }
+        if let Some(animation) = &mut animation {
+            animation.push(&view).map_err(|e| photo(Problem::from(&e)))?;
+        }
+    }
+    animation.map_or(Ok(Vec::new()), Animation::finish).map_err(|e| photo(Problem::from(&e)))
+}
+
+/// Draws unless nobody waits any more.
+struct Unless<'a> {
+    sink: &'a dyn Sink,
+    renderer: &'a Arc<dyn Renderer>,
+}
+
+impl Renderer for Unless<'_> {
+    fn name(&self) -> &'static str {
+        self.renderer.name()
+    }
+
+    fn render(&self, scene: &Arc<Scene>, camera: &Camera) -> Result<View, RenderError> {
+        if is_over(self.sink) { Err(RenderError::Cancelled) } else { self.renderer.render(scene, camera) }
+    }
+}

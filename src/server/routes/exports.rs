@@ -1,0 +1,291 @@
+//! Files to download that are written as jobs.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use axum::Json;
+use axum::extract::{Path, Query, Request, State};
+use axum::http::header::{CONTENT_DISPOSITION, CONTENT_TYPE, LOCATION, RETRY_AFTER};
+use axum::http::{HeaderMap, StatusCode};
+use axum::response::{IntoResponse, Response};
+use serde::Serialize;
+
+use super::query::NoQuery;
+use crate::server::app::{App, Shared};
+use crate::server::body;
+use crate::server::conditional::{Coding, Entity, REVALIDATE, insert, respond};
+use crate::server::entry::Entry;
+use crate::server::exports::{Ordered, Recipe, Standing};
+use crate::server::problem::Problem;
+use crate::server::source::Source;
+use crate::server::time::rfc3339;
+
+/// Bytes of the parameters.
+const MOST: usize = 4 << 10;
+/// Seconds until it is worth asking again.
+const LATER: u64 = 1;
+
+/// Parameters of a file to download: those of an export, or with `path` those of a view, which becomes a film.
+#[derive(utoipa::ToSchema)]
+#[allow(dead_code, reason = "describes the body in the OpenAPI document; parameters are read by hand so that errors name them")]
+pub struct ExportOrder {
+    /// `html`, `glb`, `ora` or `zip`; `html` if it is not given. With `path` `webp`, which is the default then, or `mp4`.
+    format: Option<String>,
+    /// Space of a `glb`: `relief` or `metric`.
+    shape: Option<String>,
+    /// The camera's way, `orbit`, `swing`, `dolly`, `dolly-zoom` or `zoom`: the file is a film. All parameters of a view go with it.
+    path: Option<String>,
+    /// Frames of a film, 2 to 240.
+    frames: Option<u32>,
+    /// Width of a film in pixels.
+    w: Option<u32>,
+    /// Height of a film in pixels.
+    h: Option<u32>,
+}
+
+/// How a file fares.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, utoipa::ToSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum ExportStateName {
+    /// Waits for its turn.
+    Queued,
+    /// Is being written.
+    Working,
+    /// Written; `links.file` has it.
+    Done,
+    /// Could not be written; `problem` says why. Whoever asks for it again has it tried again.
+    Failed,
+}
+
+/// Addresses of a file.
+#[derive(Debug, Serialize, utoipa::ToSchema)]
+pub struct ExportLinks {
+    /// This state.
+    #[serde(rename = "self")]
+    this: String,
+    /// The bytes, once they are written.
+    file: String,
+    /// The photo.
+    photo: String,
+}
+
+/// A file to download that is written as a job.
+#[derive(Debug, Serialize, utoipa::ToSchema)]
+pub struct ExportState {
+    /// Its name among those of the photo.
+    key: String,
+    /// How it fares.
+    state: ExportStateName,
+    /// All its parameters, also those that were not given.
+    parameters: BTreeMap<String, String>,
+    /// Bytes, once it is written.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    bytes: Option<u64>,
+    /// Why it could not be written.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    problem: Option<Problem>,
+    /// When it goes if nobody fetches it (RFC 3339, UTC).
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(format = DateTime)]
+    expires: Option<String>,
+    /// Addresses.
+    links: ExportLinks,
+}
+
+impl ExportState {
+    fn of(app: &Shared, file: &Ordered) -> Self {
+        let (state, bytes, problem) = match file.standing() {
+            Standing::Queued => (ExportStateName::Queued, None, None),
+            Standing::Working => (ExportStateName::Working, None, None),
+            Standing::Done(record) => (ExportStateName::Done, Some(record.bytes), None),
+            Standing::Failed(problem) => (ExportStateName::Failed, None, Some(problem)),
+        };
+        let pair = |part: &str| part.split_once('=').map(|(name, value)| (name.to_owned(), value.to_owned()));
+        let photo = format!("/v1/photos/{}", file.photo);
+        let this = format!("{photo}/exports/{}", file.key);
+        Self {
+            key: file.key.clone(),
+            state,
+            parameters: file.recipe.split('&').filter_map(pair).collect(),
+            bytes,
+            problem,
+            expires: bytes.map(|_| rfc3339(file.ends_ms(&app.limits))),
+            links: ExportLinks { file: format!("{this}/file"), this, photo },
+        }
+    }
+
+    fn answer(self, ended: StatusCode) -> Response {
+        let waits = matches!(self.state, ExportStateName::Queued | ExportStateName::Working);
+        let location = self.links.this.clone();
+        let mut response = (if waits { StatusCode::ACCEPTED } else { ended }, Json(self)).into_response();
+        insert(&mut response, LOCATION, &location);
+        insert(&mut response, axum::http::header::CACHE_CONTROL, "no-store");
+        if waits {
+            insert(&mut response, RETRY_AFTER, &LATER.to_string());
+        }
+        response
+    }
+}
+
+/// The parameters of a request: a query, a form or an object, or several of these.
+async fn parameters(request: Request) -> Result<Vec<(String, String)>, Problem> {
+    let Query(mut pairs) = Query::<Vec<(String, String)>>::try_from_uri(request.uri()).map_err(|e| Problem::bad_request(e.body_text()))?;
+    let (parts, body) = request.into_parts();
+    let kind = parts.headers.get(CONTENT_TYPE).and_then(|v| v.to_str().ok()).unwrap_or_default();
+    let kind = kind.split(';').next().unwrap_or_default().trim().to_ascii_lowercase();
+    let body = http_body_util::BodyExt::collect(http_body_util::Limited::new(body, MOST)).await.map_err(|e| {
+        let large = e.downcast_ref::<http_body_util::LengthLimitError>().is_some();
+        if large { Problem::too_large(MOST) } else { body::problem(&*e) }
+    })?;
+    let body = body.to_bytes();
+    match kind.as_str() {
+        _ if body.is_empty() => {}
+        "application/x-www-form-urlencoded" => {
+            let text = String::from_utf8_lossy(&body);
+            let form = format!("/?{text}").parse().map_err(|_| Problem::bad_request("the form cannot be read"))?;
+            let Query(form) = Query::<Vec<(String, String)>>::try_from_uri(&form).map_err(|e| Problem::bad_request(e.body_text()))?;
+            pairs.extend(form);
+        }
+        "application/json" => {
+            let object: serde_json::Map<String, serde_json::Value> =
+                serde_json::from_slice(&body).map_err(|e| Problem::bad_request(format!("an object of parameters is wanted: {e}")))?;
+            for (name, value) in object {
+                let text = match value {
+                    serde_json::Value::Null => continue,
+                    serde_json::Value::String(text) => text,
+                    serde_json::Value::Number(number) => number.to_string(),
+                    _ => return Err(Problem::parameter(name, "must be a text or a number")),
+                };
+                pairs.push((name, text));
+            }
+        }
+        _ => {
+            let detail = "parameters are application/json, application/x-www-form-urlencoded or a query";
+            return Err(Problem::new(StatusCode::UNSUPPORTED_MEDIA_TYPE, "unsupported-parameters", detail).field("Content-Type"));
+        }
+    }
+    Ok(pairs)
+}
+
+/// Have a file to download written.
+///
+/// As a job, in a process of its own: a page, a model, layers, an archive, or a film along a way of the camera. The same of the same making of a photo
+/// has the same address, and is written once; what is asked for again once it failed is tried again. A written file is kept until nobody has
+/// fetched it for a while, others need the room, or the photo is deleted or made again. Where several nodes share a store, it is on the node that was asked.
+#[utoipa::path(
+    post, path = "/v1/photos/{id}/exports", tag = "photos", params(("id" = String, Path, description = "Id of the photo")),
+    request_body(description = "The parameters; they may stand in the query, too", content(
+        (ExportOrder = "application/json"), (ExportOrder = "application/x-www-form-urlencoded"))),
+    responses(
+        (status = 200, description = "It is written", body = ExportState, headers(("Location" = String, description = "Address of the file's state"))),
+        (status = 202, description = "It waits, or is being written", body = ExportState, headers(
+            ("Location" = String, description = "Address of the file's state"), ("Retry-After" = u64, description = "Seconds"))),
+        (status = 400, description = "A parameter is wrong; `field` names it", body = Problem, content_type = "application/problem+json"),
+        (status = 404, description = "There is no such photo", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "The photo is not finished yet", body = Problem, content_type = "application/problem+json"),
+        (status = 413, description = "The parameters are too large", body = Problem, content_type = "application/problem+json"),
+        (status = 415, description = "Neither a form nor JSON", body = Problem, content_type = "application/problem+json"),
+        (status = 503, description = "Too much waits; `Retry-After` says when to come back", body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub async fn order(State(app): State<App>, Path(id): Path<String>, request: Request) -> Result<Response, Problem> {
+    let entry = app.photo(&id)?;
+    let pairs = parameters(request).await?;
+    let (_, done) = Shared::done(&entry)?;
+    let recipe = Recipe::read(pairs, (done.width, done.height), &app.limits)?;
+    let (file, _) = app.jobs.order(&entry, &done, &app.version(&done), &recipe)?;
+    Ok(ExportState::of(&app, &file).answer(StatusCode::OK))
+}
+
+/// A file of a photo that was ordered.
+async fn find(app: &App, entry: &Arc<Entry>, key: String) -> Result<Arc<Ordered>, Problem> {
+    let none = || Problem::not_found("there is no such file of the photo: it was not asked for, or has gone; ask for it again");
+    // of a photo that is made again there will be others
+    let results = Shared::done(entry).map(|(_, done)| app.version(&done)).map_err(|_| none())?;
+    let (shared, photo) = (Arc::clone(app), Arc::clone(entry));
+    let found = tokio::task::spawn_blocking(move || shared.jobs.ordered(&photo, &results, &key)).await;
+    found.map_err(|e| Problem::internal("looking for a file", &e))?.ok_or_else(none)
+}
+
+/// How a file to download fares.
+#[utoipa::path(
+    get, path = "/v1/photos/{id}/exports/{key}", tag = "photos",
+    params(("id" = String, Path, description = "Id of the photo"), ("key" = String, Path, description = "Name of the file")),
+    responses(
+        (status = 200, description = "It is written, or could not be", body = ExportState),
+        (status = 202, description = "It waits, or is being written", body = ExportState,
+            headers(("Retry-After" = u64, description = "Seconds"))),
+        (status = 404, description = "There is no such file", body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub async fn state(State(app): State<App>, Path((id, key)): Path<(String, String)>, _: NoQuery) -> Result<Response, Problem> {
+    let entry = app.photo(&id)?;
+    let file = find(&app, &entry, key).await?;
+    Ok(ExportState::of(&app, &file).answer(StatusCode::OK))
+}
+
+/// The bytes of a written file.
+#[utoipa::path(
+    get, path = "/v1/photos/{id}/exports/{key}/file", tag = "photos",
+    params(
+        ("id" = String, Path, description = "Id of the photo"), ("key" = String, Path, description = "Name of the file"),
+        ("Range" = Option<String>, Header, description = "One range of bytes"),
+        ("If-None-Match" = Option<String>, Header, description = "Entity tags that the client has"),
+    ),
+    responses(
+        (status = 200, description = "The file", content(
+            (String = "text/html"), (String = "model/gltf-binary"), (String = "image/openraster"), (String = "application/zip"),
+            (String = "image/webp"), (String = "video/mp4")),
+            headers(("ETag" = String, description = "Strong entity tag"), ("Content-Disposition" = String, description = "Name of the file"))),
+        (status = 206, description = "The range", content(
+            (String = "text/html"), (String = "model/gltf-binary"), (String = "image/openraster"), (String = "application/zip"),
+            (String = "image/webp"), (String = "video/mp4"))),
+        (status = 304, description = "The client has it"),
+        (status = 404, description = "There is no such file", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "It is not written yet", body = Problem, content_type = "application/problem+json"),
+        (status = 416, description = "There are no such bytes", body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub async fn file(
+    State(app): State<App>,
+    Path((id, key)): Path<(String, String)>,
+    _: NoQuery,
+    headers: HeaderMap,
+) -> Result<Response, Problem> {
+    let entry = app.photo(&id)?;
+    let file = find(&app, &entry, key).await?;
+    match file.standing() {
+        Standing::Done(_) => {}
+        Standing::Failed(problem) => return Err(problem),
+        Standing::Queued | Standing::Working => {
+            return Err(Problem::new(StatusCode::CONFLICT, "not-ready", "the file is not written yet").retry_after(LATER));
+        }
+    }
+    let recipe = Recipe::parse(&file.recipe, &app.limits)?;
+    let (shared, wanted) = (Arc::clone(&app), Arc::clone(&file));
+    let opened = tokio::task::spawn_blocking(move || shared.jobs.fetch(&wanted)).await;
+    let opened = opened.map_err(|e| Problem::internal("opening a file", &e))?;
+    let (opened, record) = opened.ok_or_else(|| Problem::not_found("the file has gone; ask for it again"))?;
+    let source = Source::File(Arc::new(opened), record.bytes as usize);
+    let entity = Entity { source, etag: &record.etag, content_type: recipe.media_type(), cache_control: REVALIDATE, coding: Coding::Plain };
+    let mut response = respond(&headers, entity);
+    insert(&mut response, CONTENT_DISPOSITION, &format!("attachment; filename=\"{}.{}\"", file.photo, recipe.extension()));
+    Ok(response)
+}
+
+/// End a file that is being written, or forget one that is.
+#[utoipa::path(
+    delete, path = "/v1/photos/{id}/exports/{key}", tag = "photos",
+    params(("id" = String, Path, description = "Id of the photo"), ("key" = String, Path, description = "Name of the file")),
+    responses(
+        (status = 204, description = "Gone"),
+        (status = 404, description = "There is no such file", body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub async fn cancel(State(app): State<App>, Path((id, key)): Path<(String, String)>, _: NoQuery) -> Result<StatusCode, Problem> {
+    let entry = app.photo(&id)?;
+    let file = find(&app, &entry, key).await?;
+    let gone = tokio::task::spawn_blocking(move || app.jobs.forget_file(&file)).await;
+    gone.map_err(|e| Problem::internal("forgetting a file", &e))?;
+    Ok(StatusCode::NO_CONTENT)
+}

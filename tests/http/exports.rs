@@ -1,0 +1,338 @@
+//! Files to download that are written as jobs.
+
+use std::net::SocketAddr;
+use std::path::Path;
+use std::sync::Arc;
+use std::time::Duration;
+
+use serde_json::Value;
+use tmpi::server::Limits;
+
+use crate::access::{HOST, id, private, secret, upload as upload_as};
+use crate::client::{Response, get, post_form, request};
+use crate::fixture::{Gate, Running, jpeg, pipeline, wait_until};
+
+fn order(addr: SocketAddr, photo: &str, parameters: &str) -> Response {
+    request(addr, "POST", &format!("/v1/photos/{photo}/exports?{parameters}"), &[], &[])
+}
+
+/// Has a file written; gives its state.
+fn written(addr: SocketAddr, photo: &str, parameters: &str) -> Value {
+    let ordered = order(addr, photo, parameters);
+    assert!(matches!(ordered.status, 200 | 202), "{}", String::from_utf8_lossy(&ordered.body));
+    ended(addr, ordered.header("location").unwrap(), "done")
+}
+
+/// Waits until a file has ended as `state`.
+fn ended(addr: SocketAddr, location: &str, state: &str) -> Value {
+    let mut last = Value::Null;
+    wait_until(&format!("{location} is {state}"), || {
+        last = get(addr, location).json();
+        last["state"] == state
+    });
+    last
+}
+
+fn files(data: &Path) -> usize {
+    std::fs::read_dir(data.join("exports")).map_or(0, Iterator::count)
+}
+
+fn start(limits: Limits) -> (tempfile::TempDir, Running, String) {
+    let dir = tempfile::tempdir().unwrap();
+    let server = Running::start(dir.path(), limits, Arc::new(pipeline()));
+    let photo = server.upload(&jpeg(1));
+    server.wait(&photo, "done");
+    (dir, server, photo)
+}
+
+#[test]
+fn a_file_is_written_once_for_all_who_ask_and_stays_over_a_restart() {
+    let (dir, server, photo) = start(Limits::default());
+    let address = format!("/v1/photos/{photo}/exports");
+    let form = [("content-type", "application/x-www-form-urlencoded")];
+    let first = request(server.addr, "POST", &address, &form, b"format=glb");
+    assert!(matches!(first.status, 200 | 202) && first.header("location").unwrap().starts_with(&format!("{address}/")));
+    let location = first.header("location").unwrap().to_owned();
+    let state = ended(server.addr, &location, "done");
+    assert_eq!((&state["parameters"]["format"], &state["parameters"]["shape"]), (&"glb".into(), &"relief".into()));
+    let object = [("content-type", "application/json")];
+    let again = request(server.addr, "POST", &address, &object, br#"{"shape": "relief", "format": "GLB"}"#);
+    assert_eq!((again.status, again.header("location")), (200, Some(location.as_str())), "the same, said otherwise");
+    assert_ne!(written(server.addr, &photo, "format=glb&shape=metric")["key"], state["key"]);
+    // counted once it is seen to be done
+    for line in ["{class=\"export\",outcome=\"done\"} 2", "{class=\"interactive\",outcome=\"done\"} 1"] {
+        let counted = || String::from_utf8(get(server.addr, "/metrics").body).unwrap().contains(&format!("tmpi_class_jobs_total{line}"));
+        wait_until(line, counted);
+    }
+
+    let at = state["links"]["file"].as_str().unwrap();
+    let file = get(server.addr, at);
+    assert_eq!((file.status, file.header("content-type")), (200, Some("model/gltf-binary")));
+    assert_eq!(file.header("content-disposition"), Some(format!("attachment; filename=\"{photo}.glb\"").as_str()));
+    assert_eq!(file.body, get(server.addr, &format!("/v1/photos/{photo}/export?format=glb")).body, "as who waits gets it");
+    assert_eq!(state["bytes"], file.body.len());
+    let tag = file.header("etag").unwrap();
+    assert_eq!(request(server.addr, "GET", at, &[("if-none-match", tag)], &[]).status, 304);
+    let part = request(server.addr, "GET", at, &[("range", "bytes=2-9"), ("if-range", tag)], &[]);
+    assert_eq!((part.status, part.body.as_slice()), (206, &file.body[2..10]));
+    assert_eq!(request(server.addr, "GET", at, &[("range", "bytes=999999999-")], &[]).status, 416);
+
+    server.stop();
+    let server = Running::start(dir.path(), Limits::default(), Arc::new(pipeline()));
+    let later = get(server.addr, at);
+    assert!(later.status == 200 && later.body == file.body && later.header("etag") == Some(tag));
+    assert_eq!(request(server.addr, "DELETE", &location, &[], &[]).status, 204);
+    for gone in [location.as_str(), at] {
+        get(server.addr, gone).problem(404);
+    }
+    assert_eq!(files(dir.path()), 2, "the other one, with its record");
+}
+
+#[test]
+fn what_is_wrong_is_told_before_anything_waits() {
+    let (_dir, server, photo) = start(Limits::default());
+    for (parameters, field) in [
+        ("format=gif", "format"),
+        ("format=mp4", "path"),
+        ("size=3", "size"),
+        ("path=orbit&frames=1", "frames"),
+        ("format=zip&shape=metric", "shape"),
+    ] {
+        assert_eq!(order(server.addr, &photo, parameters).problem(400)["field"], field, "{parameters}");
+    }
+    let address = format!("/v1/photos/{photo}/exports");
+    request(server.addr, "POST", &address, &[("content-type", "image/jpeg")], b"a picture").problem(415);
+    request(server.addr, "POST", &address, &[("content-type", "application/json")], &vec![b' '; 5000]).problem(413);
+    request(server.addr, "POST", &address, &[("content-type", "application/json")], b"[]").problem(400);
+    get(server.addr, &format!("{address}/0123456789abcdef")).problem(404);
+    let dir = tempfile::tempdir().unwrap();
+    let server = Running::start(dir.path(), Limits::default(), Gate::new(0));
+    let early = order(server.addr, &server.upload(&jpeg(1)), "format=glb");
+    early.problem(409);
+}
+
+#[test]
+fn files_go_with_their_photo_and_with_its_making() {
+    let (dir, server, photo) = start(Limits::default());
+    let made = |parameters| written(server.addr, &photo, parameters)["links"]["self"].as_str().unwrap().to_owned();
+    let before = made("format=glb");
+    let again = request(server.addr, "POST", &format!("/v1/photos/{photo}/again?class=batch"), &[("prefer", "wait=20")], &[]);
+    assert_eq!(again.status, 200);
+    get(server.addr, &before).problem(404);
+    let after = made("format=glb");
+    assert_ne!(before, after);
+    wait_until("what is of the making before has gone", || files(dir.path()) == 2);
+    request(server.addr, "POST", &format!("/v1/photos/{photo}/again?class=never"), &[], &[]).problem(400);
+    assert_eq!(request(server.addr, "DELETE", &format!("/v1/photos/{photo}"), &[], &[]).status, 204);
+    get(server.addr, &after).problem(404);
+    assert_eq!(files(dir.path()), 0);
+}
+
+#[test]
+fn files_make_room_for_others_and_go_when_nobody_fetches_them() {
+    let (_dir, server, photo) = start(Limits::default());
+    let bytes = |parameters| written(server.addr, &photo, parameters)["bytes"].as_u64().unwrap();
+    let (glb, zip) = (bytes("format=glb"), bytes("format=zip"));
+    // room for either
+    let (dir, server, photo) = start(Limits { exports_bytes: glb + zip - 1, ..Limits::default() });
+    let first = written(server.addr, &photo, "format=glb");
+    written(server.addr, &photo, "format=zip");
+    get(server.addr, first["links"]["self"].as_str().unwrap()).problem(404);
+    assert_eq!(files(dir.path()), 2);
+    let (dir, server, photo) = start(Limits { exports_bytes: glb.min(zip) - 1, ..Limits::default() });
+    let ordered = order(server.addr, &photo, "format=glb");
+    let failed = ended(server.addr, ordered.header("location").unwrap(), "failed");
+    assert_eq!(failed["problem"]["type"], "urn:tmpi:problem:export-too-large");
+    get(server.addr, failed["links"]["file"].as_str().unwrap()).problem(422);
+    assert_eq!(files(dir.path()), 0);
+    let (dir, server, photo) = start(Limits { exports_for: Duration::from_millis(300), ..Limits::default() });
+    let ordered = order(server.addr, &photo, "format=glb");
+    wait_until("it has gone", || get(server.addr, ordered.header("location").unwrap()).status == 404);
+    assert_eq!(files(dir.path()), 0);
+}
+
+#[test]
+fn one_more_than_may_wait_is_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let drawing = Arc::new(crate::fixture::SlowDrawing::default());
+    let limits = Limits { exports_waiting: 1, ..Limits::default() };
+    let server = Running::drawing(dir.path(), limits, Arc::new(pipeline()), drawing.clone());
+    let photo = server.upload(&jpeg(1));
+    server.wait(&photo, "done");
+    let film = format!("path=orbit&frames=2&w={}", crate::fixture::SlowDrawing::HELD);
+    let held = order(server.addr, &photo, &film);
+    ended(server.addr, held.header("location").unwrap(), "working");
+    assert_eq!(order(server.addr, &photo, "format=glb").status, 202);
+    let waits = order(server.addr, &photo, "format=glb");
+    assert_eq!((waits.status, waits.header("retry-after")), (202, Some("1")), "it is the one that waits already");
+    let refused = order(server.addr, &photo, "format=zip");
+    assert!(refused.header("retry-after").is_some());
+    refused.problem(503);
+    // nobody wants the film any more: the next one is written
+    assert_eq!(request(server.addr, "DELETE", held.header("location").unwrap(), &[], &[]).status, 204);
+    drawing.open();
+    written(server.addr, &photo, "format=glb");
+    get(server.addr, held.header("location").unwrap()).problem(404);
+}
+
+#[test]
+fn whoever_sees_a_photo_may_have_files_of_it_and_its_owner_ends_them() {
+    let dir = tempfile::tempdir().unwrap();
+    let server = private(dir.path());
+    let (ann, bob) = (secret("a"), secret("b"));
+    let photo = id(&upload_as(&server, Some(&ann), 1));
+    let address = format!("/v1/photos/{photo}/exports?format=glb");
+    let ask = |method: &str, path: &str, who: Option<&str>| {
+        let headers: Vec<_> = std::iter::once(HOST).chain(who.map(|who| ("authorization", who))).collect();
+        request(server.addr, method, path, &headers, &[])
+    };
+    for stranger in [None, Some(bob.as_str())] {
+        ask("POST", &address, stranger).problem(404);
+    }
+    let ordered = ask("POST", &address, Some(&ann));
+    let location = ordered.header("location").unwrap().to_owned();
+    wait_until("it is written", || ask("GET", &location, Some(&ann)).json()["state"] == "done");
+    ask("GET", &location, Some(&bob)).problem(404);
+    ask("GET", &format!("{location}/file"), None).problem(404);
+    let shown = [HOST, ("authorization", ann.as_str()), ("content-type", "application/json")];
+    assert_eq!(request(server.addr, "PATCH", &format!("/v1/photos/{photo}"), &shown, br#"{"visibility": "link"}"#).status, 200);
+    assert_eq!(ask("POST", &address, Some(&bob)).status, 200);
+    assert_eq!(ask("GET", &format!("{location}/file"), None).status, 200);
+    ask("DELETE", &location, Some(&bob)).problem(404);
+    assert_eq!(ask("DELETE", &location, Some(&ann)).status, 204);
+}
+
+#[test]
+fn an_upload_of_many_waits_behind_others() {
+    let dir = tempfile::tempdir().unwrap();
+    let gate = Gate::new(0);
+    let server = Running::start(dir.path(), Limits { drain: Duration::from_millis(100), ..Limits::default() }, gate.clone());
+    let busy = server.upload(&jpeg(1));
+    gate.wait_started(1);
+    let batch = post_form(server.addr, &[], &[("photo", &jpeg(2)), ("class", b"batch")]).json()["id"].as_str().unwrap().to_owned();
+    let next = server.upload(&jpeg(3));
+    let wrong = post_form(server.addr, &[], &[("photo", &jpeg(4)), ("class", b"export")]);
+    assert_eq!(wrong.problem(400)["field"], "class");
+    gate.open(2);
+    for id in [&busy, &next] {
+        server.wait(id, "done");
+    }
+    assert_ne!(server.state(&batch)["state"], "done");
+    server.stop();
+    assert!(dir.path().join("photos").join(&batch).join("batch").exists(), "it is one of many after a restart, too");
+    let server = Running::start(dir.path(), Limits::default(), Arc::new(pipeline()));
+    server.wait(&batch, "done");
+}
+
+#[cfg(target_os = "linux")]
+mod processes {
+    use super::*;
+    use crate::client::Connection;
+    use crate::process::{Process, large, slow, upload, upload_with};
+
+    /// A server with a finished photo, and the process that wrote a page of it.
+    fn with_writer(data: &Path, arguments: &[&str], photo: &[u8]) -> (Process, String) {
+        let server = Process::start_with(data, &[&["--drain", "5", "--rest", "600"], arguments].concat());
+        let id = upload_with(server.addr, photo, &[]);
+        wait_until("it is done", || get(server.addr, &format!("/v1/photos/{id}")).json()["state"] == "done");
+        written(server.addr, &id, "format=html");
+        (server, id)
+    }
+
+    fn working(addr: SocketAddr, photo: &str, parameters: &str) -> String {
+        let ordered = order(addr, photo, parameters);
+        assert_eq!(ordered.status, 202, "{}", String::from_utf8_lossy(&ordered.body));
+        let location = ordered.header("location").unwrap().to_owned();
+        ended(addr, &location, "working");
+        location
+    }
+
+    #[test]
+    fn who_deletes_the_photo_or_the_file_ends_what_writes_it() {
+        let dir = tempfile::tempdir().unwrap();
+        let (server, photo) = with_writer(dir.path(), &[], &large(1));
+        let writer = server.hold_writer();
+        let zip = working(server.addr, &photo, "format=zip");
+        assert_eq!(request(server.addr, "DELETE", &zip, &[], &[]).status, 204);
+        wait_until("the file is no longer written", || writer.has_ended());
+        written(server.addr, &photo, "format=glb");
+        let writer = server.hold_writer();
+        working(server.addr, &photo, "format=zip");
+        assert_eq!(request(server.addr, "DELETE", &format!("/v1/photos/{photo}"), &[], &[]).status, 204);
+        wait_until("nor is that of a photo that has gone", || writer.has_ended());
+        assert_eq!(files(dir.path()), 0);
+        let next = upload(server.addr, &large(2)).unwrap();
+        wait_until("the next one is done", || get(server.addr, &format!("/v1/photos/{next}")).json()["state"] == "done");
+        written(server.addr, &next, "format=zip");
+    }
+
+    #[test]
+    fn a_file_that_takes_too_long_is_given_up_and_the_next_one_is_written() {
+        let dir = tempfile::tempdir().unwrap();
+        let (server, photo) = with_writer(dir.path(), &["--export-timeout", "8"], &large(1));
+        let writer = server.hold_writer();
+        let zip = working(server.addr, &photo, "format=zip");
+        let failed = ended(server.addr, &zip, "failed");
+        assert_eq!(failed["problem"]["type"], "urn:tmpi:problem:late");
+        wait_until("what wrote it has ended", || writer.has_ended());
+        written(server.addr, &photo, "format=zip");
+    }
+
+    #[test]
+    fn a_file_that_takes_more_memory_than_it_may_ends_its_process_alone() {
+        let dir = tempfile::tempdir().unwrap();
+        let (server, photo) = with_writer(dir.path(), &[], &slow(3));
+        // a small one has its threads begun
+        let small = upload(server.addr, &large(3)).unwrap();
+        wait_until("it is done", || get(server.addr, &format!("/v1/photos/{small}")).json()["state"] == "done");
+        written(server.addr, &small, "format=zip");
+        let writer = server.hold_writer();
+        // room for its threads and no more: as if the file took more than was reckoned
+        writer.bound_data(writer.figure("status", "VmData:", 1024).unwrap() + (24 << 20));
+        let zip = working(server.addr, &photo, "format=zip");
+        writer.signal(libc::SIGCONT);
+        wait_until("the limit has ended it", || writer.has_ended());
+        // the server lives, and another process writes the file
+        ended(server.addr, &zip, "done");
+        assert!(server.logged().contains("took down what wrote it") && !server.logged().contains("panicked"), "{}", server.logged());
+    }
+
+    #[test]
+    fn a_crash_in_the_middle_leaves_no_half_file_and_the_next_who_asks_has_it_written() {
+        let dir = tempfile::tempdir().unwrap();
+        let (mut server, photo) = with_writer(dir.path(), &[], &large(1));
+        let html = order(server.addr, &photo, "format=html").json()["links"]["file"].as_str().unwrap().to_owned();
+        let writer = server.hold_writer();
+        let zip = working(server.addr, &photo, "format=zip");
+        // as if it had been cut off while it was put on disk
+        std::fs::write(dir.path().join("exports").join(format!("{photo}-{}.file", zip.rsplit('/').next().unwrap())), b"half").unwrap();
+        server.crash();
+        drop(writer);
+        let server = Process::start(dir.path());
+        assert_eq!(files(dir.path()), 2, "the page and its record");
+        assert_eq!(get(server.addr, &html).status, 200);
+        get(server.addr, &zip).problem(404);
+        let state = written(server.addr, &photo, "format=zip");
+        assert_eq!(&state["links"]["self"], &zip, "under the same address");
+        assert_eq!(&get(server.addr, &format!("{zip}/file")).body[..4], b"PK\x03\x04");
+    }
+
+    #[test]
+    fn what_is_heavy_is_drawn_in_another_process_also_for_who_waits() {
+        let dir = tempfile::tempdir().unwrap();
+        let (server, photo) = with_writer(dir.path(), &[], &slow(4));
+        let maker = server.hold();
+        let mut client = Connection::open(server.addr);
+        client.send("GET", &format!("/v1/photos/{photo}/export?format=zip"), &[], &[]);
+        let busy = || String::from_utf8(get(server.addr, "/metrics").body).unwrap();
+        let held = |text: &str| text.lines().find_map(|l| l.strip_prefix("tmpi_job_memory_bytes ")?.parse::<f64>().ok()).unwrap_or(0.0);
+        wait_until("it is under way", || held(&busy()) > 0.0);
+        drop(client);
+        wait_until("it ends with who waits for it", || maker.has_ended());
+        wait_until("its memory is free", || held(&busy()) == 0.0);
+        let whole = get(server.addr, &format!("/v1/photos/{photo}/export?format=zip"));
+        assert_eq!((whole.status, &whole.body[..4]), (200, b"PK\x03\x04".as_slice()));
+        let state = written(server.addr, &photo, "format=zip");
+        assert!(get(server.addr, state["links"]["file"].as_str().unwrap()).body == whole.body, "by whichever way");
+    }
+}
