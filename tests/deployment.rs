@@ -18,9 +18,20 @@ const CALLERS: [(&str, usize); 7] = [
 ];
 /// Texts that name options in a sentence.
 const TEXTS: [&str; 3] = ["docker/README.md", "docker/prometheus/alerts.yaml", "docs/threat-model.md"];
-/// Options of `tmpi key`, cargo, kubectl, systemd-analyze and docker in them.
-const OF_OTHERS: [&str; 10] =
-    ["--scope", "--release", "--workspace", "--test", "--offline", "--strict", "--build", "--build-arg", "--check", "--detach"];
+/// Options of `tmpi key`, cargo, kubectl, systemd-analyze, docker and `docker/check.py` in them.
+const OF_OTHERS: [&str; 11] = [
+    "--scope",
+    "--release",
+    "--workspace",
+    "--test",
+    "--offline",
+    "--strict",
+    "--build",
+    "--build-arg",
+    "--check",
+    "--detach",
+    "--require",
+];
 /// Ends that a counter or a histogram has beside its name.
 const ENDS: [&str; 4] = ["_total", "_bucket", "_sum", "_count"];
 
