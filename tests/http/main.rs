@@ -31,6 +31,7 @@ mod process;
 mod proxies;
 mod rates;
 mod rest_client;
+mod rest_client_parts;
 mod results;
 mod retention;
 mod settings;
