@@ -7,13 +7,31 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 /// Files that call the server, and how often.
-const CALLERS: [(&str, usize); 5] =
-    [("Dockerfile", 1), ("compose.yaml", 1), ("compose.cluster.yaml", 2), ("tmpi.service", 1), ("kubernetes/deployment.yaml", 1)];
+const CALLERS: [(&str, usize); 7] = [
+    ("Dockerfile", 1),
+    ("compose.yaml", 1),
+    ("compose.cluster.yaml", 2),
+    ("tmpi.service", 1),
+    ("kubernetes/deployment.yaml", 1),
+    ("kubernetes/cluster/serve.yaml", 1),
+    ("kubernetes/cluster/work.yaml", 1),
+];
 /// Texts that name options in a sentence.
 const TEXTS: [&str; 3] = ["docker/README.md", "docker/prometheus/alerts.yaml", "docs/threat-model.md"];
-/// Options of `tmpi key`, cargo, kubectl, systemd-analyze and docker in them.
-const OF_OTHERS: [&str; 10] =
-    ["--scope", "--release", "--workspace", "--test", "--offline", "--strict", "--build", "--build-arg", "--check", "--detach"];
+/// Options of `tmpi key`, cargo, kubectl, systemd-analyze, docker and `docker/check.py` in them.
+const OF_OTHERS: [&str; 11] = [
+    "--scope",
+    "--release",
+    "--workspace",
+    "--test",
+    "--offline",
+    "--strict",
+    "--build",
+    "--build-arg",
+    "--check",
+    "--detach",
+    "--require",
+];
 /// Ends that a counter or a histogram has beside its name.
 const ENDS: [&str; 4] = ["_total", "_bucket", "_sum", "_count"];
 
@@ -49,7 +67,7 @@ fn words(text: &str, start: &str, also: char) -> BTreeSet<String> {
     text.match_indices(start).filter(|(at, _)| begins(*at) && goes_on(*at)).map(|(at, _)| whole(at)).collect()
 }
 
-/// The arguments behind `serve` of each call of the server in a file: a list of YAML, a line of a unit, the command of an image.
+/// `serve` or `work` and the arguments behind it, of each call of the server in a file: a list of YAML, a line of a unit, the command of an image.
 fn calls(text: &str) -> Vec<Vec<String>> {
     let owned = |words: Vec<&str>| words.into_iter().map(str::to_owned).collect::<Vec<String>>();
     let mut all: Vec<Vec<String>> = Vec::new();
@@ -59,12 +77,12 @@ fn calls(text: &str) -> Vec<Vec<String>> {
             continue;
         }
         if let Some(command) = line.strip_prefix("ExecStart=") {
-            all.push(owned(command.split_whitespace().skip_while(|word| *word != "serve").skip(1).collect()));
+            all.push(owned(command.split_whitespace().skip_while(|word| *word != "serve").collect()));
         } else if let Some(command) = line.strip_prefix("CMD [") {
             let quoted: Vec<&str> = command.split('"').skip(1).step_by(2).collect();
-            all.push(owned(quoted.into_iter().skip_while(|word| *word != "serve").skip(1).collect()));
-        } else if line == "- serve" {
-            all.extend(list.replace(Vec::new()));
+            all.push(owned(quoted.into_iter().skip_while(|word| *word != "serve").collect()));
+        } else if let Some(command @ ("serve" | "work")) = line.strip_prefix("- ") {
+            all.extend(list.replace(vec![command.to_owned()]));
         } else if let (Some(list), Some(argument)) = (&mut list, line.strip_prefix("- --")) {
             list.push(format!("--{argument}"));
         } else {
@@ -75,10 +93,10 @@ fn calls(text: &str) -> Vec<Vec<String>> {
     all
 }
 
-/// Whether the program takes these arguments of `serve`, and what it says; it starts nothing.
-fn asked(arguments: &[String]) -> (bool, String) {
+/// Whether the program takes this call, and what it says; it starts nothing.
+fn asked(call: &[String]) -> (bool, String) {
     // each argument is read, with its value, before the one that asks for help is
-    let out = Command::new(env!("CARGO_BIN_EXE_tmpi")).arg("serve").args(arguments).arg("--help").output().unwrap();
+    let out = Command::new(env!("CARGO_BIN_EXE_tmpi")).args(call).arg("--help").output().unwrap();
     let said = if out.status.success() { out.stdout } else { out.stderr };
     (out.status.success(), String::from_utf8_lossy(&said).into_owned())
 }
@@ -89,18 +107,26 @@ fn every_call_of_the_server_is_one_that_it_takes() {
         let calls = calls(&read(&format!("docker/{file}")));
         assert_eq!(calls.len(), count, "{file}: {calls:?}");
         for call in calls {
-            assert!(call.iter().any(|argument| argument.starts_with("--addr")), "{file}: {call:?}");
+            // nobody is sent to a node that only makes photos
+            let door = if call[0] == "work" { "--admin" } else { "--addr" };
+            assert!(call.iter().any(|argument| argument.starts_with(door)), "{file}: {call:?}");
             let (taken, said) = asked(&call);
             assert!(taken, "{file}: {said}");
         }
     }
-    let wrong = |argument: &str| !asked(&[argument.to_owned()]).0;
+    let wrong = |argument: &str| !asked(&["serve".to_owned(), argument.to_owned()]).0;
     assert!(wrong("--nonsense") && wrong("--max-pixels=0"), "wrong options and wrong values are noticed");
 }
 
 #[test]
+fn the_cluster_has_the_nats_servers_of_the_composition() {
+    // a file of its own, as kustomize reads none above its folder
+    assert_eq!(read("docker/kubernetes/cluster/nats.conf"), read("docker/nats/nats.conf"));
+}
+
+#[test]
 fn every_option_that_a_text_names_is_one_of_the_server() {
-    let known = words(&asked(&[]).1, "--", '-');
+    let known = words(&asked(&["serve".to_owned()]).1, "--", '-');
     assert!(known.contains("--data"), "{known:?}");
     for file in TEXTS {
         let unknown: Vec<String> =

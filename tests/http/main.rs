@@ -33,6 +33,7 @@ mod process;
 mod proxies;
 mod rates;
 mod rest_client;
+mod rest_client_parts;
 mod results;
 mod retention;
 mod settings;

@@ -12,11 +12,11 @@ use tmpi_render::Backend;
 use crate::client::get;
 use crate::fixture::{Gate, Running, depth_map, jpeg, pipeline};
 
-fn block_on<T>(work: impl Future<Output = T>) -> T {
+pub fn block_on<T>(work: impl Future<Output = T>) -> T {
     tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap().block_on(work)
 }
 
-fn client(server: &Running) -> Client {
+pub fn client(server: &Running) -> Client {
     Client::new(&format!("http://{}", server.addr)).unwrap()
 }
 

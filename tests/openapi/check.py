@@ -1,17 +1,18 @@
 #!/usr/bin/env python3
-"""The description of the HTTP interface held against two linters, and the server against its description (schemathesis).
+"""The descriptions of the HTTP interface and of the operators' own held against two linters, and the server against them (schemathesis).
 
     npm install --no-audit --no-fund && python3 -m venv venv && venv/bin/pip install -r requirements.txt
     cargo build --release && venv/bin/python check.py
 
 Starts its server itself; `TMPI` names another program than `target/release/tmpi`. A photo has to be made for it, so ONNX Runtime must be found:
 `ORT_DYLIB_PATH` names its library. `--only lint` takes seconds and needs neither schemathesis nor that."""
-import argparse, shutil, subprocess, sys, tempfile
+import argparse, shutil, subprocess, sys, tempfile, urllib.request
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent / "load"))
 from common import ROOT, Server, check, end
+from engines import free_port
 
 # of sockets and of streams that do not end nothing comes that could be judged
 ENDLESS = "(publish|subscribe|events)$"
@@ -48,24 +49,24 @@ checks.positive_data_acceptance.enabled = false
 """
 
 
-def lint(folder):
-    document = folder / "openapi.json"
+def lint(document):
     for name, command in (
         ("redocly", ["redocly", "lint", "--max-problems", "1000", "--config", HERE / "redocly.yaml", document]),
         ("spectral", ["spectral", "lint", "--fail-severity", "warn", "--ruleset", HERE / "spectral.yaml", document]),
     ):
         done = subprocess.run(["npx", "--no-install", *command], cwd=HERE, capture_output=True, text=True)
-        check(done.returncode == 0, f"{name} accepts it:\n{done.stdout}{done.stderr}")
-        print(f"{name}: {'accepted' if done.returncode == 0 else 'refused'}", flush=True)
+        check(done.returncode == 0, f"{name} accepts {document.name}:\n{done.stdout}{done.stderr}")
+        print(f"{name}, {document.name}: {'accepted' if done.returncode == 0 else 'refused'}", flush=True)
 
 
-def play(folder, server, name, config, *arguments):
+def play(document, address, server, name, config, *arguments):
     """Requests that follow the description and such that do not."""
+    folder = document.parent
     file = folder / f"{name}.toml"
     file.write_text(RULES + config)
-    url = f"http://{server.address[0]}:{server.address[1]}"
+    url = "http://{}:{}".format(*address)
     program = shutil.which("schemathesis") or str(Path(sys.executable).parent / "schemathesis")
-    done = subprocess.run([program, "--config-file", file, "run", folder / "openapi.json", "--url", url, "--exclude-path-regex", ENDLESS, "--seed", "1",
+    done = subprocess.run([program, "--config-file", file, "run", document, "--url", url, "--exclude-path-regex", ENDLESS, "--seed", "1",
                            "--continue-on-failure", "--generation-database", "none", *arguments], cwd=folder, capture_output=True, text=True)
     (folder / f"{name}.log").write_text(done.stdout + done.stderr)
     summary = done.stdout[done.stdout.rfind("SUMMARY"):] if "SUMMARY" in done.stdout else done.stderr
@@ -80,18 +81,23 @@ def main():
     args.add_argument("--only", choices=["lint", "play"])
     args = args.parse_args()
     many = "200" if args.full else "20"
-    server = Server("--queue", "100000")
+    door = ("127.0.0.1", free_port())
+    server = Server("--queue", "100000", "--admin", "{}:{}".format(*door))
     with tempfile.TemporaryDirectory(prefix="tmpi-openapi-") as folder:
-        folder = Path(folder)
-        (folder / "openapi.json").write_bytes(server.get("/openapi.json")[2])
+        public, admin = Path(folder) / "openapi.json", Path(folder) / "admin.json"
+        public.write_bytes(server.get("/openapi.json")[2])
+        admin.write_bytes(urllib.request.urlopen("http://{}:{}/openapi.json".format(*door), timeout=60).read())
         if args.only != "play":
-            lint(folder)
+            lint(public)
+            lint(admin)
         if args.only != "lint":
             _, answer = server.upload((ROOT / "docs/sample.jpg").read_bytes())
             check(server.wait(answer["id"])["state"] == "done", "a photo is made")
             there = f'[parameters]\n"path.id" = "{answer["id"]}"\n'
-            play(folder, server, "a photo that is there", there, "-n", many, "--include-path-regex", "[{]id[}]", "--exclude-method", "DELETE")
-            play(folder, server, "everything else", "", "-n", many)
+            play(public, server.address, server, "a photo that is there", there, "-n", many, "--include-path-regex", "[{]id[}]", "--exclude-method", "DELETE")
+            play(public, server.address, server, "everything else", "", "-n", many)
+            # that one tells the server to leave
+            play(admin, door, server, "operators", "", "-n", many, "--exclude-path", "/drain")
     end()
 
 

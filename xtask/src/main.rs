@@ -24,7 +24,8 @@ usage: cargo xtask <task>
                 fetch ONNX Runtime where it is missing, build, fetch a depth network that is better than the embedded one (50 MB, once;
                 not with --offline, nor where another one is named), and run `tmpi serve ARGS`
   test [--full] formatting, spelling, lints, types of the pages' scripts, all tests, browser tests; installs what these need where it may;
-                --full: also unit tests with overflow checks, and the fuzzer, a minute for each target
+                --full: also docker/ by the tools that read it, as far as they are here, unit tests with overflow checks, and the fuzzer, a
+                minute for each target
   fuzz [--seconds N] [TARGET…]
                 run the fuzzer on what reads foreign bytes (containers, photos, depth maps, forms, queries), N seconds each
   shaders       make the GLSL of static/draw/glsl.js from the WGSL
@@ -118,7 +119,14 @@ const STEPS: [Step; 8] = [
     ("browser", browser::test),
 ];
 /// What takes longer.
-const FULL: [Step; 2] = [("overflow", overflow), ("fuzz", || fuzz::fuzz(&[]))];
+const FULL: [Step; 3] = [("deployment", deployment), ("overflow", overflow), ("fuzz", || fuzz::fuzz(&[]))];
+
+/// What lies in docker/, by those of its tools that are here; it says which are not.
+fn deployment() -> Result<(), Fault> {
+    let mut check = std::process::Command::new("python3");
+    check.arg("docker/check.py").current_dir(command::root()).env("TMPI", command::program());
+    run(check)
+}
 
 /// Unit tests of a program in which a sum that wraps is a fault.
 fn overflow() -> Result<(), Fault> {

@@ -11,8 +11,8 @@ use tokio::time::{Instant, sleep};
 use crate::{Client, Error, MOST, Problem};
 
 /// First pause after a failure of the network, doubled each time up to the most.
-const PAUSE: Duration = Duration::from_millis(200);
-const MOST_PAUSE: Duration = Duration::from_secs(10);
+pub(crate) const PAUSE: Duration = Duration::from_millis(200);
+pub(crate) const MOST_PAUSE: Duration = Duration::from_secs(10);
 
 /// A request.
 pub(crate) struct Call {
@@ -53,7 +53,7 @@ impl Answer {
         serde_json::from_slice(&self.body).map_err(|e| Error::Answer(e.to_string()))
     }
 
-    fn problem(&self) -> Error {
+    pub fn problem(&self) -> Error {
         let plain = || Problem {
             kind: "about:blank".into(),
             title: self.status.canonical_reason().unwrap_or("Error").into(),
@@ -111,7 +111,7 @@ fn refused_for_now(status: StatusCode, again: bool) -> bool {
     status == StatusCode::TOO_MANY_REQUESTS || again && status == StatusCode::SERVICE_UNAVAILABLE
 }
 
-fn retry_after(headers: &HeaderMap) -> Option<Duration> {
+pub(crate) fn retry_after(headers: &HeaderMap) -> Option<Duration> {
     headers.get(RETRY_AFTER)?.to_str().ok()?.parse().ok().map(Duration::from_secs)
 }
 

@@ -32,8 +32,10 @@ mod answer;
 mod error;
 mod events;
 mod form;
+mod parts;
 mod photos;
 mod results;
+mod strokes;
 mod types;
 
 use std::sync::Arc;
@@ -45,6 +47,7 @@ use reqwest::header::{AUTHORIZATION, HeaderMap, HeaderValue};
 pub use error::{Error, Problem};
 pub use photos::Upload;
 pub use results::{Export, Fresh, View};
+pub use strokes::{Stroke, Strokes, Touch};
 pub use types::{Link, Links, Offset, PhotoState, Progress, Settings, State, Visibility};
 
 /// What an owner's secret begins with.

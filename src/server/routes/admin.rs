@@ -24,6 +24,9 @@ use crate::server::problem::Problem;
 #[derive(OpenApi)]
 #[openapi(
     info(title = "tmpi for operators", description = "What is asked at the address of `tmpi serve --admin`. Every error is a problem document (RFC 9457)."),
+    servers((url = "/", description = "This address")),
+    // whoever reaches it may
+    security(()),
     tags((name = "system", description = "Health, counters, draining and taking down")),
     components(schemas(Problem))
 )]

