@@ -6,6 +6,7 @@ mod access_changes;
 mod access_matrix;
 mod admin;
 mod arrivals;
+mod carried;
 mod client;
 mod cluster;
 mod cluster_audit;
