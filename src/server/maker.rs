@@ -5,8 +5,8 @@ use std::time::Duration;
 use tmpi_core::container::{self, ContainerError};
 use tmpi_pipeline::Report;
 use tmpi_pipeline::Sink;
-use tmpi_pipeline::photo;
 use tmpi_pipeline::{self, MakeError, Models, Options};
+use tmpi_pipeline::{photo, strokes};
 use tmpi_render::{DEFAULT_QUALITY, PictureFormat, View, encode};
 
 use super::identity;
@@ -23,7 +23,7 @@ pub struct Product {
     pub container: Vec<u8>,
     /// The report.
     pub report: Report,
-    /// Disparity as used, 16-bit grey PNG.
+    /// Disparity as used, 16-bit grey PNG; where strokes went over it with the map of before within, see [`tmpi_pipeline::strokes::keep`].
     pub disparity: Vec<u8>,
     /// Small JPEG.
     pub thumbnail: Vec<u8>,
@@ -186,10 +186,15 @@ impl PipelineMaker {
         let (photo, _) = container::read(&made.container)?;
         let (width, height) = photo::reduced_size((photo.width, photo.height), Some(Limits::THUMBNAIL));
         let small = photo::resize(&photo, width, height);
+        let disparity = tmpi_pipeline::depth::to_png(&made.disparity)?;
+        let disparity = match &made.before_strokes {
+            Some(before) => strokes::keep(&disparity, before)?,
+            None => disparity,
+        };
         Ok(Product {
             thumbnail: encode(&View::from(&small), PictureFormat::Jpeg, DEFAULT_QUALITY)
                 .map_err(|e| ContainerError::Encode(e.to_string()))?,
-            disparity: tmpi_pipeline::depth::to_png(&made.disparity)?,
+            disparity,
             container: made.container,
             report: made.report,
         })
