@@ -6,6 +6,7 @@ mod access_changes;
 mod access_matrix;
 mod admin;
 mod arrivals;
+mod better;
 mod carried;
 mod client;
 mod cluster;
