@@ -122,6 +122,8 @@ export interface PhotoState {
   width?: number;
   height?: number;
   version?: string;
+  /** A network that is at hand and better than the one that estimated its depth, for whoever may have it made again. */
+  better_depth?: string;
   visibility?: Visibility;
   settings: Settings;
   options: Record<string, string>;

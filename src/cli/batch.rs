@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 
 use super::files::extension;
+use super::pairs::pairs;
 use super::{Usage, note};
 
 /// Endings of the files of a folder that are taken as photos.
@@ -20,6 +21,8 @@ const CONTAINER: &str = "tmpi";
 pub(super) struct Item {
     pub photo: PathBuf,
     pub output: PathBuf,
+    /// The depth map that lies beside it, where it was found in a folder.
+    pub depth: Option<PathBuf>,
     /// Found in a folder, not named.
     found: bool,
 }
@@ -33,7 +36,7 @@ pub(super) struct Batch {
 }
 
 impl Batch {
-    /// The photos that `named` stands for – files, and folders with all that is below them – and where their containers go: to the
+    /// The photos that `named` stands for – files, and folders with all that is below them, with the depth maps beside their photos – and where their containers go: to the
     /// file `output`, or into the folder of that name, below which the folders of photos come again.
     ///
     /// # Errors
@@ -49,7 +52,7 @@ impl Batch {
                 let advice = format!("write {} for a container, or {text}/ for a folder", output.with_extension(CONTAINER).display());
                 return Err(Usage(format!("--output {text} must end in .{CONTAINER}: {advice}")).into());
             }
-            let item = Item { photo: named.first().cloned().unwrap_or_default(), output: output.to_owned(), found: false };
+            let item = Item { photo: named.first().cloned().unwrap_or_default(), output: output.to_owned(), depth: None, found: false };
             return Ok(Self { items: checked(vec![item])?, folder: false });
         }
         if output.is_file() {
@@ -67,13 +70,14 @@ impl Batch {
                     note(&format!("{}: {n} .{ending} left out, only JPEG, PNG and WebP are read", path.display()));
                 }
                 anyhow::ensure!(!photos.is_empty(), "{} holds no JPEG, PNG or WebP photo", path.display());
-                for photo in photos {
+                for (photo, depth) in pairs(photos) {
                     let place = photo.strip_prefix(path).unwrap_or(&photo).with_extension("");
-                    items.push(Item { output: output.join(place).with_added_extension(CONTAINER), photo, found: true });
+                    items.push(Item { output: output.join(place).with_added_extension(CONTAINER), photo, depth, found: true });
                 }
             } else {
                 let stem = path.file_stem().unwrap_or_default();
-                items.push(Item { photo: path.clone(), output: output.join(stem).with_added_extension(CONTAINER), found: false });
+                let output = output.join(stem).with_added_extension(CONTAINER);
+                items.push(Item { photo: path.clone(), output, depth: None, found: false });
             }
         }
         Ok(Self { items: checked(apart(items))?, folder: true })

@@ -19,7 +19,8 @@ use tmpi_pipeline::{self, Made, Models, Options};
 #[derive(Clone, Debug, clap::Args)]
 #[allow(clippy::struct_excessive_bools, reason = "flags of a command")]
 pub(super) struct MakeArgs {
-    /// JPEG, PNG or WebP files, or folders of them with all folders below
+    /// JPEG, PNG or WebP files, or folders of them with all folders below; there photo_depth.png (or -depth, _depthmap, _disparity, …; JPEG or WebP,
+    /// too) beside photo.jpg is that photo's depth map
     #[arg(required = true, value_name = "PHOTO|DIR")]
     photos: Vec<PathBuf>,
     /// Container to write; with several photos, or where it is a folder, the folder for them. Missing folders are made
@@ -34,7 +35,7 @@ pub(super) struct MakeArgs {
     /// Photos that are made side by side; each uses several cores already
     #[arg(short, long, value_parser = clap::value_parser!(u16).range(1..=256), default_value_t = 1, value_name = "N")]
     jobs: u16,
-    /// Depth map of the one photo, a grey PNG of 8 or 16 bits
+    /// Depth map of the one photo, a grey PNG of 8 or 16 bits; in place of one that lies beside it
     #[arg(long, value_name = "FILE")]
     depth: Option<PathBuf>,
     /// Also write the report: of one photo an object, of several a list
@@ -155,9 +156,11 @@ impl Work<'_> {
 
     fn one(&self, index: usize, item: &Item) -> anyhow::Result<Report> {
         let bytes = files::read(&item.photo)?;
+        // a map that was named goes before one that was found
+        let found = item.depth.as_deref().filter(|_| self.depth.is_none()).map(files::read).transpose()?;
         let name = item.photo.display().to_string();
         let bar = self.bars.bar(&if self.total > 1 { format!("[{}/{}] {name}", index + 1, self.total) } else { name.clone() });
-        let made = tmpi_pipeline::make(self.models, &Limits::default(), &bytes, self.depth, self.options, &bar);
+        let made = tmpi_pipeline::make(self.models, &Limits::default(), &bytes, self.depth.or(found.as_deref()), self.options, &bar);
         drop(bar);
         let Made { container, report, .. } = made.map_err(|e| anyhow::Error::new(e).context(name))?;
         files::write(&item.output, &container)?;
@@ -167,6 +170,7 @@ impl Work<'_> {
 
 fn tell(bars: &Bars, item: &Item, report: &Report, args: &MakeArgs) -> anyhow::Result<()> {
     let Item { photo, output, .. } = item;
+    let beside = item.depth.as_ref().filter(|_| args.depth.is_none());
     if !args.quiet
         && let Some(depth) = report.input.depth.as_ref().filter(|d| d.stretched)
     {
@@ -174,7 +178,9 @@ fn tell(bars: &Bars, item: &Item, report: &Report, args: &MakeArgs) -> anyhow::R
         bars.note(&format!("{name}: its depth map ({map}) has another shape than the photo and was stretched"));
     }
     if args.json {
-        return bars.result(&json!({ "photo": photo, "output": output, "bytes": report.bytes.total, "report": report }).to_string());
+        return bars.result(
+            &json!({ "photo": photo, "output": output, "depth": beside, "bytes": report.bytes.total, "report": report }).to_string(),
+        );
     }
     if args.quiet {
         return Ok(());
@@ -183,5 +189,6 @@ fn tell(bars: &Bars, item: &Item, report: &Report, args: &MakeArgs) -> anyhow::R
     let b = &report.bytes;
     let (width, height, seconds) = (report.width, report.height, report.total_ms / 1e3);
     let share = format!("the photo {:.1}, its depth {:.1}", kb(b.photo), kb(b.total - b.photo));
-    bars.result(&format!("{}: {width}×{height}, {:.1} KB ({share}), {seconds:.1} s", output.display(), kb(b.total)))
+    let from = beside.map_or_else(String::new, |map| format!(", depth from {}", map.display()));
+    bars.result(&format!("{}: {width}×{height}, {:.1} KB ({share}), {seconds:.1} s{from}", output.display(), kb(b.total)))
 }

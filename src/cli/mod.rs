@@ -25,6 +25,7 @@ mod live_source;
 mod live_watch;
 mod make;
 mod models;
+mod pairs;
 mod progress;
 mod render;
 mod serve;

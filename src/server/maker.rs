@@ -6,6 +6,7 @@ use tmpi_core::container::{self, ContainerError};
 use tmpi_pipeline::Report;
 use tmpi_pipeline::Sink;
 use tmpi_pipeline::photo::{self, Head};
+use tmpi_pipeline::strokes;
 use tmpi_pipeline::{self, MakeError, Models, Options};
 use tmpi_render::{DEFAULT_QUALITY, PictureFormat, View, encode};
 
@@ -24,7 +25,7 @@ pub struct Product {
     pub container: Vec<u8>,
     /// The report.
     pub report: Report,
-    /// Disparity as used, 16-bit grey PNG.
+    /// Disparity as used, 16-bit grey PNG; where strokes went over it with the map of before within, see [`tmpi_pipeline::strokes::keep`].
     pub disparity: Vec<u8>,
     /// Small JPEG.
     pub thumbnail: Vec<u8>,
@@ -238,10 +239,15 @@ impl PipelineMaker {
         let (photo, _) = container::read(&made.container)?;
         let (width, height) = photo::reduced_size((photo.width, photo.height), Some(Limits::THUMBNAIL));
         let small = photo::resize(&photo, width, height);
+        let disparity = tmpi_pipeline::depth::to_png(&made.disparity)?;
+        let disparity = match &made.before_strokes {
+            Some(before) => strokes::keep(&disparity, before)?,
+            None => disparity,
+        };
         Ok(Product {
             thumbnail: encode(&View::from(&small), PictureFormat::Jpeg, DEFAULT_QUALITY)
                 .map_err(|e| ContainerError::Encode(e.to_string()))?,
-            disparity: tmpi_pipeline::depth::to_png(&made.disparity)?,
+            disparity,
             container: made.container,
             report: made.report,
         })

@@ -35,6 +35,21 @@ impl Source {
         }
     }
 
+    /// Its first `most` bytes, all where it has no more.
+    ///
+    /// # Errors
+    /// The file cannot be read.
+    pub async fn head(&self, most: usize) -> io::Result<Bytes> {
+        let end = most.min(self.len());
+        match self {
+            Self::Memory(bytes) | Self::Both(bytes, _) => Ok(bytes.slice(..end)),
+            Self::File(file, _) => {
+                let file = Arc::clone(file);
+                tokio::task::spawn_blocking(move || read_at(&file, 0..end).map(Bytes::from)).await.map_err(io::Error::other)?
+            }
+        }
+    }
+
     /// `range` of it as it lies in a file and in memory.
     #[must_use]
     pub fn in_file(&self, range: Range<usize>) -> Option<InFile> {
@@ -112,6 +127,11 @@ mod tests {
         };
         assert_eq!(send(bytes.len(), 0..bytes.len()).await.unwrap(), bytes);
         assert_eq!(send(bytes.len(), 5..PIECE + 9).await.unwrap(), bytes[5..PIECE + 9]);
+        for most in [0, 9, bytes.len(), bytes.len() + 1] {
+            let whole = &bytes[..most.min(bytes.len())];
+            assert_eq!(Source::File(Arc::clone(&file), bytes.len()).head(most).await.unwrap(), whole);
+            assert_eq!(Source::from(Bytes::from(bytes.clone())).head(most).await.unwrap(), whole);
+        }
         assert_eq!(send(bytes.len(), 5..5).await.unwrap().len(), 0);
         assert!(send(bytes.len() + 1, 0..bytes.len() + 1).await.is_err());
     }

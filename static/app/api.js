@@ -13,6 +13,7 @@ import { formatBytes } from '../i18n/text.js';
  * @property {string} id
  * @property {'queued' | 'working' | 'done' | 'failed' | 'damaged'} state
  * @property {string} created
+ * @property {string} [better_depth] a network that is at hand and better than the one that estimated its depth, for whoever may have it made again
  * @property {'private' | 'link'} [visibility] who may see it, where the server asks who comes
  * @property {number} width
  * @property {number} height

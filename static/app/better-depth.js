@@ -2,7 +2,7 @@
 
 import { t } from '../i18n/messages.js';
 import { formatBytes } from '../i18n/text.js';
-import { fetchNetwork, getNetwork, makeAgain } from './api.js';
+import { fetchNetwork, getNetwork, getPhoto, makeAgain } from './api.js';
 import { networkName } from './depth-source.js';
 import { element } from './dom.js';
 import { untilMade } from './follow-photo.js';
@@ -14,7 +14,8 @@ const ASK_EVERY_MS = 500;
 const REFUSALS = [401, 403, 404];
 
 /**
- * Fills `place` with what can be had for a photo whose depth `model` estimated, as its report names it.
+ * Fills `place` with what can be had for a photo whose depth `model` estimated, as its report names it: the server says whether the caller may have it
+ * made again, and tells whom they concern of its networks.
  * @param {HTMLElement} place
  * @param {{id: string, model?: string, made: () => void}} photo `made`: called once it was made again
  */
@@ -23,9 +24,11 @@ export async function offerBetterDepth(place, { id, model, made }) {
   if (!estimated) return place.replaceChildren();
   let asking = 0;
 
-  /** @param {Network} network */
-  function show(network) {
-    const { name, better_than: worse, better, fetched_bytes: bytes, problem } = network;
+  /**
+   * @param {Pick<Network, 'better' | 'fetched_bytes' | 'problem'>} network
+   * @param {string} [atHand] a better network that the photo can be made again with
+   */
+  function show({ better, fetched_bytes: bytes, problem }, atHand) {
     if (better && bytes !== undefined) {
       const bar = element('progress');
       bar.setAttribute('aria-label', t('Fetching better depth'));
@@ -39,17 +42,21 @@ export async function offerBetterDepth(place, { id, model, made }) {
     /** @type {HTMLElement[]} */
     const parts = problem ? [element('p', 'hint', t('It could not be fetched: {0}', problem))] : [];
     if (better) parts.push(button(t('Better depth: {0}, once', better.bytes ? formatBytes(better.bytes) : better.name), fetchIt));
-    else if (worse.some((kind) => model?.startsWith(kind))) parts.push(button(t('Make again with {0}', t(networkName(name))), again));
+    else if (atHand) parts.push(button(t('Make again with {0}', t(networkName(atHand))), again));
     place.replaceChildren(...parts);
   }
 
   /** @param {() => Promise<Network>} request */
   async function told(request) {
     try {
-      show(await request());
+      /** @type {Pick<Network, 'better' | 'fetched_bytes' | 'problem'>} */
+      const network = await request().catch((error) => {
+        // only the server knows who may: this machine's own user, and keys for its affairs from anywhere
+        if (REFUSALS.includes(error.status)) return {};
+        throw error;
+      });
+      show(network, network.better ? undefined : (await getPhoto(id)).better_depth);
     } catch (error) {
-      // only the server knows who may: this machine's own user, and keys for its affairs from anywhere
-      if (REFUSALS.includes(error.status)) return place.replaceChildren();
       place.replaceChildren(element('p', 'hint', error.message), button(t('Try again'), ask));
     }
   }

@@ -21,7 +21,7 @@ const FINE_STEP = 0.004;
 /** @type {Record<string, [number, number]>} */
 const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 
-/** @typedef {{kept: boolean, drawn: {stroke: Stroke, region: Region}[]}} Edit whether the strokes of before stay, and those drawn here */
+/** @typedef {{kept: boolean, drawn: {stroke: Stroke, region: Region}[]}} Edit whether strokes that the map has in it stay, and those over it */
 
 /** Places to four decimals: finer than a pixel of any screen. */
 const place = (/** @type {number} */ v) => Math.round(Math.min(Math.max(v, 0), 1) * 1e4) / 1e4;
@@ -38,19 +38,23 @@ export async function openTouchUp({ id, photo, saved, say }) {
   const width = Math.max(1, Math.round(photo.naturalWidth * scale));
   const height = Math.max(1, Math.round(photo.naturalHeight * scale));
   const rgba = pixels(photo, width, height);
-  const map = await depthOf(state, width, height);
+  const { map, touched } = await depthOf(state, before.strokes.length > 0, width, height);
   const outlines = new Outlines(width, height, rgba, map);
+  /** Strokes that the map has in it: they stay or go together. */
+  const within = touched ? before.strokes : [];
+  const painted = touched ? [] : before.strokes.map((stroke) => ({ stroke, region: outlines.region(stroke) }));
   const dialog = await touchUpDialog();
   const view = new TouchUpView($('touch-photo', HTMLCanvasElement), $('touch-depth', HTMLCanvasElement), photo, width, height);
   const size = $('touch-size', HTMLInputElement);
   const amount = $('touch-amount', HTMLInputElement);
 
-  /** @type {Edit[]} */
-  const past = [];
+  /** The strokes of before can be undone one by one, too. @type {Edit[]} */
+  const past = painted.map((_, n) => ({ kept: true, drawn: painted.slice(0, n) }));
   /** @type {Edit[]} */
   let future = [];
-  /** @type {Edit} */
-  let now = { kept: true, drawn: [] };
+  /** As the server has it. @type {Edit} */
+  const begun = { kept: true, drawn: painted };
+  let now = begun;
   /** The stroke under the brush. @type {{points: [number, number][], region: Region | null} | null} */
   let brush = null;
   /** A stroke that waits for the place that it is to be like. @type {{points: [number, number][], radius: number, region: Region} | null} */
@@ -62,7 +66,8 @@ export async function openTouchUp({ id, photo, saved, say }) {
 
   const wish = () => /** @type {string} */ (new FormData($('touch-form', HTMLFormElement)).get('touch-wish'));
   const radius = () => Number(size.value);
-  const changed = () => !now.kept || now.drawn.length > 0;
+  const changed = () => now !== begun;
+  const count = () => now.drawn.length + (now.kept ? within.length : 0);
   const button = (/** @type {string} */ name) => $(name, HTMLButtonElement);
 
   function tell(text = '') {
@@ -73,7 +78,7 @@ export async function openTouchUp({ id, photo, saved, say }) {
     if (waiting) return tell(t('Now choose the place that it is to be as near as.'));
     const last = now.drawn.at(-1);
     // the preview still has it, see depthOf
-    const goes = now.kept || !before.strokes.length ? '' : t('What was painted before goes when you save.');
+    const goes = now.kept || !within.length ? '' : t('What was painted before goes when you save.');
     if (goes && !last) return tell(goes);
     const next =
       last?.stroke.by !== undefined
@@ -88,7 +93,7 @@ export async function openTouchUp({ id, photo, saved, say }) {
     if (last?.stroke.by !== undefined) amount.value = String(last.stroke.by);
     button('touch-undo').disabled = busy || !(past.length || waiting || brush);
     button('touch-redo').disabled = busy || !future.length;
-    button('touch-clear').disabled = busy || !now.kept || !(before.strokes.length || now.drawn.length);
+    button('touch-clear').disabled = busy || !count();
     button('touch-save').disabled = busy || !changed() || Boolean(waiting);
     button('touch-cancel').disabled = busy;
     cancelAnimationFrame(frame);
@@ -131,7 +136,7 @@ export async function openTouchUp({ id, photo, saved, say }) {
       waiting = null;
       return change({ ...now, drawn: [...now.drawn, { stroke: { points, radius: painted, like: at }, region }] });
     }
-    if (now.drawn.length + (now.kept ? before.strokes.length : 0) >= STROKES) return tell(t('A photo has at most {0} strokes.', STROKES));
+    if (count() >= STROKES) return tell(t('A photo has at most {0} strokes.', STROKES));
     brush = { points: [at], region: null };
     show();
   }
@@ -188,7 +193,7 @@ export async function openTouchUp({ id, photo, saved, say }) {
     tell(t('Making the photo again…'));
     show();
     try {
-      const strokes = [...(now.kept ? before.strokes : []), ...now.drawn.map(({ stroke }) => stroke)];
+      const strokes = [...(now.kept ? within : []), ...now.drawn.map(({ stroke }) => stroke)];
       const answer = await changeStrokes(id, strokes, before.etag);
       if (answer.state !== 'done') await untilMade(id);
       dialog.close();
@@ -294,17 +299,21 @@ function pixels(picture, width, height) {
 }
 
 /**
- * The disparity of a photo at a size, 0 to 1, as it was made last: with the strokes of before in it, which are therefore not applied here. The
- * server applies all strokes to the map before any, which nobody keeps: outlines that follow depth more than colour may differ where an earlier
- * stroke crosses, and what stands in the preview once earlier strokes are removed is still on theirs.
+ * The disparity of a photo at a size, 0 to 1, that strokes go over, and whether it is `touched`: of a photo that an older program made there is only
+ * the map with its strokes in it. Outlines that follow depth more than colour may differ from the server's then where such a stroke crosses.
  * @param {Photo} state
+ * @param {boolean} strokes whether it has any
  * @param {number} width
  * @param {number} height
  */
-async function depthOf({ id, version }, width, height) {
-  const response = await fetch(photoUrl(id, version ? `/depth?v=${version}` : '/depth'));
+async function depthOf({ id, version }, strokes, width, height) {
+  const get = (/** @type {Record<string, string>} */ query) =>
+    fetch(photoUrl(id, `/depth?${new URLSearchParams({ ...query, ...(version && { v: version }) })}`));
+  let response = strokes ? await get({ before: 'strokes' }) : await get({});
+  const touched = strokes && response.status === 404;
+  if (touched) response = await get({});
   if (!response.ok) throw new Error(t('The depth cannot be loaded.'));
   const bitmap = await createImageBitmap(await response.blob(), { colorSpaceConversion: 'none' });
   const rgba = pixels(bitmap, width, height);
-  return new Float32Array(width * height).map((_, i) => rgba[4 * i] / 255);
+  return { map: new Float32Array(width * height).map((_, i) => rgba[4 * i] / 255), touched };
 }

@@ -125,6 +125,36 @@ fn make_writes_a_container_and_a_report() {
 }
 
 #[test]
+fn a_map_beside_a_photo_of_a_folder_is_its_depth() {
+    let f = Folder::new();
+    std::fs::create_dir_all(f.path("photos/more")).unwrap();
+    for (from, to) in [("box.jpg", "a.jpg"), ("depth.png", "a_depth.png"), ("box.png", "more/b.png"), ("depth.png", "more/B-Disparity.png")]
+    {
+        std::fs::copy(f.path(from), f.path(&format!("photos/{to}"))).unwrap();
+    }
+    let told = f.run(&["make", "photos", "-o", "made", "--report", "all.json"]).succeeds();
+    let line = |of: &str| told.out.lines().find(|line| line.contains(of)).unwrap_or_default().to_owned();
+    assert_eq!(told.out.lines().count(), 2, "a map is no photo: {}", told.out);
+    assert!(line("a.tmpi").ends_with(", depth from photos/a_depth.png"), "{}", told.out);
+    assert!(line("b.tmpi").ends_with(", depth from photos/more/B-Disparity.png"), "{}", told.out);
+    let reports: Value = serde_json::from_slice(&std::fs::read(f.path("all.json")).unwrap()).unwrap();
+    for made in reports.as_array().unwrap() {
+        assert_eq!((&made["report"]["depth_model"], &made["report"]["input"]["depth"]["width"]), (&"given".into(), &150.into()));
+    }
+    // as if it had been named, byte for byte
+    f.run(&["make", "box.jpg", "--depth", "depth.png", "-o", "one.tmpi", "-q"]).succeeds();
+    assert_eq!(std::fs::read(f.path("made/a.tmpi")).unwrap(), std::fs::read(f.path("one.tmpi")).unwrap());
+    // what is named goes before what is found
+    std::fs::remove_dir_all(f.path("photos/more")).unwrap();
+    image::open(f.path("depth.png")).unwrap().crop_imm(0, 0, 75, 100).save(f.path("half.png")).unwrap();
+    let named = f.run(&["make", "photos", "--depth", "half.png", "-o", "other", "--json"]).succeeds().json();
+    assert_eq!((&named["report"]["input"]["depth"]["width"], &named["depth"]), (&75.into(), &Value::Null));
+    // a map that is none fails its photo alone, and is named
+    f.write("photos/a_depth.png", b"no picture");
+    f.run(&["make", "photos", "-o", "third"]).fails(1, &["a.jpg", "depth map"]);
+}
+
+#[test]
 fn options_of_make_take_effect() {
     let f = Folder::new();
     let make = |name: &str, extra: &[&str]| {

@@ -7,6 +7,8 @@ mod access_matrix;
 mod admin;
 mod admission;
 mod arrivals;
+mod better;
+mod carried;
 mod client;
 mod cluster;
 mod cluster_audit;

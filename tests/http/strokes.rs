@@ -5,6 +5,7 @@ use std::sync::atomic::Ordering;
 
 use serde_json::{Value, json};
 use tmpi::server::Limits;
+use tmpi_pipeline::depth::DepthKind;
 use tmpi_render::PictureFormat;
 
 use crate::client::{Response, get, request};
@@ -80,6 +81,52 @@ fn strokes_make_the_photo_again_and_stay_with_it() {
     assert_eq!(server.upload(&picture(1, PictureFormat::Png)), before["id"].as_str().unwrap(), "the same upload is the same photo");
     let removed = patch(&server, &photo, &[WAIT], &json!({ "strokes": null }));
     assert_eq!((removed.status, depth(&server) == untouched), (200, true), "the depth is as it was");
+}
+
+#[test]
+fn the_map_before_the_strokes_is_kept_with_the_one_that_came_of_them() {
+    let (dir, server, photo) = with_photo();
+    let limits = tmpi_pipeline::photo::Limits::default();
+    let read = |file: &[u8]| tmpi_pipeline::depth::from_map(file, DepthKind::Disparity, &limits, 80, 60).unwrap().0.delta;
+    let before = |server: &Running| get(server.addr, &format!("{photo}/depth?before=strokes"));
+    let used = |server: &Running| get(server.addr, &format!("{photo}/depth"));
+    let untouched = read(&used(&server).body);
+    before(&server).problem(404);
+    assert_eq!(get(server.addr, &format!("{photo}/depth?before=sky")).problem(400)["field"], "before");
+    assert_eq!(get(server.addr, &format!("{photo}/depth?after=strokes")).problem(400)["field"], "after");
+
+    let nearer = json!({ "points": [[0.3, 0.7], [0.7, 0.7]], "radius": 0.1, "by": -0.4 });
+    let mut all: Vec<Vec<f32>> = Vec::new();
+    for strokes in [json!([nearer]), json!([nearer, sky()]), json!([sky()])] {
+        let state = patch(&server, &photo, &[WAIT], &json!({ "strokes": strokes })).json();
+        let kept = before(&server);
+        assert_eq!((kept.status, kept.header("content-type")), (200, Some("image/png")));
+        let map = read(&kept.body);
+        // the network's own, which is nearer towards the bottom, whatever the strokes are
+        let off = map.iter().enumerate().map(|(i, d)| f64::from((d - (i / 80 + 1) as f32 / 60.0).abs())).sum::<f64>() / 4800.0;
+        assert!(off < 0.01, "{strokes}: {off} from what the network gave");
+        assert!(all.iter().all(|other| *other == map), "{strokes}: it depends on them");
+        all.push(map);
+        let now = used(&server);
+        assert_ne!(read(&now.body), untouched, "{strokes}: the strokes are in the map that is used");
+        assert!(kept.header("etag").is_some() && kept.header("etag") != now.header("etag"));
+        let version = state["version"].as_str().unwrap();
+        let lasting = get(server.addr, &format!("{photo}/depth?before=strokes&v={version}"));
+        assert_eq!((lasting.header("cache-control"), &lasting.body), (Some("public, max-age=31536000, immutable"), &kept.body));
+        let known =
+            request(server.addr, "GET", &format!("{photo}/depth?before=strokes"), &[("if-none-match", kept.header("etag").unwrap())], &[]);
+        assert_eq!(known.status, 304);
+        // what is downloaded is a picture like any other
+        assert_eq!(image::load_from_memory(&now.body).unwrap().into_luma16().dimensions(), (80, 60));
+    }
+
+    let kept = before(&server).body;
+    server.stop();
+    let server = Running::start(dir.path(), Limits::default(), Arc::new(pipeline()));
+    assert_eq!(before(&server).body, kept, "after a restart");
+    patch(&server, &photo, &[WAIT], &json!({ "strokes": null }));
+    before(&server).problem(404);
+    assert_eq!(read(&used(&server).body), untouched);
 }
 
 #[test]

@@ -51,6 +51,23 @@ class Sources(unittest.TestCase):
     def test_only_what_may_be_trained_on(self):
         self.assertEqual(set(self.items), {"rgbd/a/x.jpg", "rgbd/a/l.jpg", "rgbd/b/z.jpg", "stereo/c/d", "pairs/e/m.jpg", "pairs/e/o.jpg", "pairs/e/d.jpg"})
 
+    def test_what_is_left_out_is_not_trained_on_with_or_without_a_label(self):
+        folder = self.root / "labels"
+        folder.mkdir()
+        photos = [f"train2/photos/{f}/{n}.jpg" for f in ("elementary", "imaginary", "other") for n in range(40)]
+        for n, photo in enumerate(photos):
+            (folder / f"{n:03}.json").write_text(json.dumps({"photo": photo}))
+        (self.root / "INDEX.tsv").write_text(INDEX.split("\n")[0] + "".join(f"\n{p.removeprefix('train2/')}\ts\tper file\tphoto\t-\tyes\to" for p in photos))
+        self.assertEqual({i.name for i in sources.gathered(self.root)}, {p for p in photos if "/other/" in p and not sources.held_out(p)})
+        def read(held):
+            return {photos[int(i.name.removeprefix("label/"))] for i in sources.labels(held, folder)}
+
+        self.assertEqual(read(False), {p for p in photos if "/other/" in p and not sources.held_out(p)})
+        # measuring on them is no training
+        self.assertEqual(read(True), {p for p in photos if sources.held_out(p)})
+        for reason in sources.LEFT_OUT.values():
+            self.assertIn("Unsplash", reason)
+
     def test_some_of_the_labels_are_within_more_of_them(self):
         names = [f"label/{c}{b}" for c in "abcdefgh" for b in ("", ".b")]
         records = [(name, "label", 0, 0) for name in names] + [("scene/1", "scene:room", 0, 0)]
@@ -80,7 +97,8 @@ class Sources(unittest.TestCase):
         self.assertTrue(40 < len(held) < 120)
         train, kept = ({i.name for i in sources.labels(h)} for h in (False, True))
         self.assertFalse(train & kept)
-        self.assertEqual(len(train | kept), len(list((sources.HERE / "labels").glob("*.json"))))
+        files = [json.loads(f.read_text())["photo"] for f in (sources.HERE / "labels").glob("*.json")]
+        self.assertEqual(len(train | kept), len([p for p in files if sources.held_out(p) or not sources.is_left_out(p)]))
 
     def test_crops_do_not_spread_the_unknown(self):
         value = np.ones((40, 60), np.float32)

@@ -156,6 +156,10 @@ pub struct PhotoState {
     /// Version of what is made of it; once done.
     #[serde(default)]
     pub version: Option<String>,
+    /// A network that is at hand and better than the one that estimated its depth; only where the state alone was asked for, and only for whoever
+    /// may have it made again.
+    #[serde(default)]
+    pub better_depth: Option<String>,
     /// Who may see it; only where the server asks who comes.
     #[serde(default)]
     pub visibility: Option<Visibility>,

@@ -316,6 +316,16 @@ impl Guard {
         true
     }
 
+    /// Whether the caller of this request, whatever it asks, may change a photo. An answer that depends on it is theirs alone where it is so.
+    #[must_use]
+    pub fn may_change(&self, entry: &Entry) -> bool {
+        let caller = caller().filter(|caller| caller.has(entry, Scope::Upload));
+        if let Some(caller) = &caller {
+            caller.private.store(true, Ordering::Relaxed);
+        }
+        caller.is_some()
+    }
+
     /// What the caller of this request was let in by, for answers that go on; none where there is no caller.
     #[must_use]
     pub fn pass() -> Option<Pass> {

@@ -2,6 +2,7 @@
 
 mod admin;
 mod again;
+mod better;
 mod derived;
 mod events;
 mod export;

@@ -10,6 +10,7 @@ use axum::http::{HeaderMap, HeaderName, StatusCode};
 use axum::response::{IntoResponse, Response};
 use bytes::Bytes;
 
+use super::better::better_depth;
 use super::query::{NoQuery, Pairs};
 use super::state::{PhotoList, PhotoState};
 use super::uploads::{self, Created};
@@ -275,7 +276,9 @@ fn cursor(app: &App, text: &str) -> Option<(u64, PhotoId)> {
 )]
 pub async fn state(State(app): State<App>, Path(id): Path<String>, _: NoQuery, headers: HeaderMap) -> Result<Response, Problem> {
     let entry = app.photo(&id)?;
-    let state = state_now(&app, &entry)?;
+    // first: a report that is lost takes the photo out of service
+    let better = better_depth(&app, &entry).await;
+    let state = state_now(&app, &entry, better)?;
     Ok(respond(
         &headers,
         Entity {
@@ -310,8 +313,9 @@ pub async fn settings(State(app): State<App>, Path(id): Path<String>, _: NoQuery
 }
 
 /// The state as it is sent. The first half of its tag names the settings, which alone can be changed, the second half all of it.
-fn state_now(app: &App, entry: &Entry) -> Result<Stored, Problem> {
+fn state_now(app: &App, entry: &Entry, better_depth: Option<String>) -> Result<Stored, Problem> {
     let state = PhotoState::of(app, entry).ok_or_else(|| Problem::not_found("the photo was deleted"))?;
+    let state = PhotoState { better_depth, ..state };
     let wrong = |e| Problem::internal("writing a photo's state", &e);
     let (settings, all) = (serde_json::to_string(&state.settings).map_err(wrong)?, serde_json::to_vec(&state).map_err(wrong)?);
     Ok(Stored::derived_in_memory(&short(&settings), all))
@@ -347,11 +351,11 @@ pub async fn change(State(app): State<App>, Path(id): Path<String>, _: NoQuery, 
         if entry.is_deleted() {
             return Err(Problem::not_found("the photo was deleted"));
         }
-        still_as_seen(&headers, &state_now(&shared, &entry)?.etag)?;
+        still_as_seen(&headers, &state_now(&shared, &entry, None)?.etag)?;
         let settings = entry.settings().patched(&patch)?;
         shared.jobs.write_settings(entry.id, &settings)?;
         entry.set_settings(settings);
-        state_now(&shared, &entry)
+        state_now(&shared, &entry, None)
     });
     let state = changed.await??;
     let length = state.source.len();

@@ -11,6 +11,7 @@ use crate::server::problem::Problem;
 use crate::server::store::Part;
 use tmpi_core::Rect;
 use tmpi_core::container::{LEVELS, MEDIA_TYPE, SECTIONS};
+use tmpi_pipeline::strokes;
 
 /// The container of a photo.
 ///
@@ -91,22 +92,43 @@ fn wanted_level(pairs: &Pairs, side: u32) -> Result<u8, Problem> {
 }
 
 /// The disparity that the photo was made with.
+///
+/// Where strokes touched it up, `before=strokes` gives the map that they went over, to show what all of them, or others, would do.
 #[utoipa::path(
     get, path = "/v1/photos/{id}/depth", tag = "photos",
     params(
         ("id" = String, Path, description = "Id of the photo"),
+        ("before" = Option<String>, Query, pattern = "^strokes$", description = "`strokes`: the map before them, at most 640 pixels a side, and \
+            before its edges were drawn to the photo's"),
         ("v" = Option<String>, Query, description = "Version as in the photo's `links`"),
     ),
     responses(
         (status = 200, description = "Grey PNG of 16 bits, δ = v / 65535, larger is nearer", body = String, content_type = "image/png"),
         (status = 304, description = "The client has it"),
         (status = 400, description = "A parameter is unknown or given twice", body = Problem, content_type = "application/problem+json"),
-        (status = 404, description = "There is no such photo", body = Problem, content_type = "application/problem+json"),
+        (status = 404, description = "There is no such photo; or no map before strokes, as it has none or an older program made it", body = Problem,
+            content_type = "application/problem+json"),
         (status = 409, description = "Not finished yet", body = Problem, content_type = "application/problem+json"),
     )
 )]
-pub async fn depth(State(app): State<App>, Path(id): Path<String>, v: OnlyVersion, headers: HeaderMap) -> Result<Response, Problem> {
-    stored(&app, &id, &v, &headers, Part::Disparity, "image/png").await
+pub async fn depth(State(app): State<App>, Path(id): Path<String>, uri: Uri, headers: HeaderMap) -> Result<Response, Problem> {
+    let entry = app.photo(&id)?;
+    let mut pairs = Pairs::read(&uri, &["before", "v"])?;
+    let before = match pairs.get("before") {
+        None => false,
+        Some("strokes") => true,
+        Some(other) => return Err(Problem::parameter("before", format!("must be strokes, not {other:?}"))),
+    };
+    if !before {
+        return stored(&app, &id, &OnlyVersion(pairs.take("v")), &headers, Part::Disparity, "image/png").await;
+    }
+    let (version, done) = Shared::done(&entry)?;
+    let cache_control = kept(pairs.get("v"), || app.version(&done));
+    let file = app.file(version, &done, Part::Disparity).await?;
+    let head = file.source.head(strokes::HEAD).await.map_err(|e| Problem::store(&e))?;
+    let none = || Problem::not_found("no map of before the strokes is kept: the photo has none, or an older program made it");
+    let map = strokes::before(&head).ok_or_else(none)?;
+    Ok(answer(Stored::new(map.to_vec()), &headers, "image/png", cache_control, Coding::Plain))
 }
 
 /// What was done, what was left out, and at what error and cost.

@@ -131,6 +131,11 @@ pub struct PhotoState {
     /// Version of everything that is made of it, once done: results at addresses with `v=VERSION` never change.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub version: Option<String>,
+    /// Name of a network that is at hand and better than the one that estimated its depth; only in the answer to a `GET` of this state, and only to
+    /// whoever may have it made again (`POST …/again`). Where a store has several nodes it is that of the node that answers; another may make it.
+    #[schema(example = "depth-anything-v2-small-fp16")]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub better_depth: Option<String>,
     /// Who may see it; only where the server asks who comes.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub visibility: Option<Visibility>,
@@ -188,6 +193,7 @@ impl PhotoState {
             width: None,
             height: None,
             version: version.clone(),
+            better_depth: None,
             visibility: app.guard.as_ref().map(|_| settings.visibility.unwrap_or(Visibility::Private)),
             settings,
             options: accepted.options.clone(),

@@ -11,13 +11,22 @@ const BETTER = { name: NAME, bytes: 49_642_442, licence: 'Apache-2.0' };
 describe('better depth', () => {
   const suite = boxSuite();
 
-  /** The photo's page with a report that names `model` and a server whose network is in `states`, one after the other. */
-  async function opened(model, states) {
+  /**
+   * The photo's page with a report that names `model` and a server whose network is in `states`, one after the other; to whom that is no affair it
+   * has the network `name`.
+   */
+  async function opened(model, states, name) {
     const all = await suite.open();
     const { page } = all;
     await waitForMode(page, 'gpu');
     const asked = [];
     const report = { depth_model: model, stages: [{ name: 'depth', ms: 90 }], error: { tile_px: [] } };
+    // as the server tells whoever may have the photo made again
+    await page.route('**/v1/photos/box', (route) => {
+      const known = states[0].better_than ? states[0] : { name, better_than: WORSE };
+      const worse = known.better_than.some((kind) => report.depth_model.startsWith(kind));
+      return route.fulfill({ json: { ...suite.server.state, ...(worse && { better_depth: known.name }) } });
+    });
     await page.route('**/v1/photos/box/report*', (route) => route.fulfill({ json: report }));
     await page.route('**/v1/network', (route) => {
       asked.push(route.request().method());
@@ -27,7 +36,7 @@ describe('better depth', () => {
     });
     await page.route('**/v1/photos/box/again', (route) => {
       asked.push('again');
-      report.depth_model = states[0].name;
+      report.depth_model = states[0].name ?? name;
       return route.fulfill({ json: suite.server.state });
     });
     const menu = page.locator('#show-menu');
@@ -58,6 +67,15 @@ describe('better depth', () => {
     const { context, menu } = await opened('tmpi', [failed]);
     await menu.getByText('It could not be fetched: the download broke off').waitFor();
     await menu.getByRole('button', { name: 'Better depth: 50 MB, once' }).waitFor();
+    await context.close();
+  });
+
+  test('an owner whom the server’s networks are no affair of has the photo made again', async () => {
+    const { context, asked, menu } = await opened('tmpi', [403], NAME);
+    await menu.getByRole('button', { name: 'Make again with Depth Anything V2 Small' }).click();
+    await menu.getByText('estimated by Depth Anything V2 Small').waitFor();
+    assert.equal(await menu.locator('#better-depth > *').count(), 0);
+    assert.deepEqual(asked.slice(0, 2), ['GET', 'again']);
     await context.close();
   });
 

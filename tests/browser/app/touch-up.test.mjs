@@ -87,7 +87,8 @@ describe('touch-up', () => {
     );
 
   const wholePreview = (page) =>
-    page.locator('#touch-depth').evaluate((canvas) => {
+    page.locator('#touch-depth').evaluate(async (canvas) => {
+      await new Promise((resume) => requestAnimationFrame(() => requestAnimationFrame(resume)));
       const { data } = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height);
       return [...data.filter((_, i) => i % 4 === 0)];
     });
@@ -166,14 +167,106 @@ describe('touch-up', () => {
       (i) => near(preview[i]),
     );
     assert.ok(same > 0.95, `the server and the preview agree on ${same}`);
-    // what goes is told for as long as it is seen
+    assert.deepEqual(errors, []);
+    await context.close();
+  });
+
+  test('strokes of before are undone and slid one by one, and the preview is what the server makes', async () => {
+    const { page, context, errors, id, depth } = await opened(0.06);
+    const radius = 0.16;
+    const wide = { points: along, radius, by: 0.3 };
+    const [corner, sky] = [
+      { points: [[0.12, 0.15]], radius: 0.1, by: 0.25 },
+      { points: [[0.88, 0.15]], radius: 0.1, to: 0 },
+    ];
+    const status = await page.evaluate(
+      async ([url, all]) => {
+        const headers = { 'content-type': 'application/json', prefer: 'wait=20' };
+        return (await fetch(url, { method: 'PATCH', headers, body: JSON.stringify({ strokes: all }) })).status;
+      },
+      [`/v1/photos/${id}/strokes`, [wide, corner, sky]],
+    );
+    assert.equal(status, 200);
+    await page.reload();
+    await waitForMode(page, 'gpu');
+    const save = async () => {
+      await page.locator('#touch-save').click();
+      await page.locator('dialog.touch-up').waitFor({ state: 'detached' });
+      await page.locator('#settings').waitFor();
+    };
+    /** Holds the preview against the map that the server made of it: share of pixels within 4 levels. */
+    const agrees = async (preview) => {
+      const map = await depth();
+      return preview.filter((value, i) => Math.abs(value - map[i]) <= 4).length / map.length;
+    };
+    const near = async (place, value) => Math.abs((await previewed(page, place)) - 255 * value) < 3;
+
+    await start(page);
+    assert.ok(await page.locator('#touch-save').isDisabled(), 'nothing is new');
+    const begun = await wholePreview(page);
+    const same = await agrees(begun);
+    assert.ok(same > 0.98, `what it begins with is what is there: ${same}`);
+    assert.ok((await near(middle, WALL + 0.3)) && (await near([0.12, 0.15], WALL + 0.25)) && (await near([0.88, 0.15], 0)));
+    // the newest goes first
+    await page.locator('#touch-undo').click();
+    assert.ok(await near([0.88, 0.15], WALL), 'the wall under the sky is seen again');
+    // the one before it follows the slider now
+    await slide(page, '#touch-amount', 0.4);
+    assert.ok(await near([0.12, 0.15], WALL + 0.4));
+    await page.locator('#touch-undo').click();
+    await page.locator('#touch-undo').click();
+    assert.ok((await near([0.12, 0.15], WALL)) && (await near(middle, WALL)), 'all three are undone');
+    assert.ok(await page.locator('#touch-undo').isDisabled());
+    for (const _ of [1, 2, 3]) await page.locator('#touch-redo').click();
+    assert.deepEqual(await wholePreview(page), begun);
+    assert.ok(await page.locator('#touch-save').isDisabled(), 'it is as it was');
+    await page.locator('#touch-undo').click();
+    await page.locator('#touch-undo').click();
+    const preview = await wholePreview(page);
+    assert.ok((await near(middle, WALL + 0.3)) && (await near([0.12, 0.15], WALL)));
+    await save();
+    assert.deepEqual(await strokes(page, id), [wide]);
+    const share = await agrees(preview);
+    assert.ok(share > 0.98, `the preview is what the server made on ${share}`);
+
+    // all at once, and other strokes over what was there before any
     await start(page);
     await page.locator('#touch-clear').click();
+    assert.equal(await page.locator('#touch-status').textContent(), 'Paint over what lies at the wrong depth; edges hold the outline.');
+    assert.ok(await near(middle, WALL));
+    await slide(page, '#touch-size', radius);
+    await paint(page, along);
+    await slide(page, '#touch-amount', 0.5);
+    const other = await wholePreview(page);
+    await save();
+    assert.equal((await strokes(page, id))[0].by, 0.5);
+    const again = await agrees(other);
+    assert.ok(again > 0.98, `and again on ${again}`);
+    assert.deepEqual(errors, []);
+    await context.close();
+  });
+
+  test('of a photo that an older program made the strokes of before go together, and that is told', async () => {
+    const { page, context, id } = await opened(0.07);
+    // as such a server answers
+    await page.route('**/depth?*before=strokes*', (route) => route.fulfill({ status: 404, json: { title: 'Not Found', status: 404 } }));
+    await start(page);
+    await slide(page, '#touch-size', 0.16);
+    await paint(page, along);
+    await slide(page, '#touch-amount', 0.3);
+    await page.locator('#touch-save').click();
+    await page.locator('dialog.touch-up').waitFor({ state: 'detached' });
+    await page.locator('#settings').waitFor();
+    await start(page);
+    assert.ok(Math.abs((await previewed(page, middle)) - 255 * (WALL + 0.3)) < 3, 'it begins with what is there');
+    assert.ok(await page.locator('#touch-undo').isDisabled());
+    await page.locator('#touch-clear').click();
+    // what goes is told for as long as it is seen
     await paint(page, [[0.1, 0.1]]);
     assert.match(await page.locator('#touch-status').textContent(), /^What was painted before goes when you save\. /);
-    await page.locator('#touch-cancel').click();
+    await page.locator('#touch-save').click();
     await page.locator('dialog.touch-up').waitFor({ state: 'detached' });
-    assert.deepEqual(errors, []);
+    assert.equal((await strokes(page, id)).length, 1);
     await context.close();
   });
 

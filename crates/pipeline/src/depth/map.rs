@@ -192,6 +192,12 @@ pub(super) fn resize(source: &[f32], (w, h): (usize, usize), (width, height): (u
     DisparityMap { width, height, delta }
 }
 
+/// A map at another size, without mixing across edges.
+#[must_use]
+pub fn resized(map: &DisparityMap, width: u32, height: u32) -> DisparityMap {
+    resize(&map.delta, (map.width as usize, map.height as usize), (width, height))
+}
+
 /// First and last source sample that a place of the result stands on.
 fn covered(i: usize, ratio: f64, n: usize) -> (usize, usize) {
     let half = ratio.max(1.0) / 2.0;

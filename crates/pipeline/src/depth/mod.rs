@@ -15,7 +15,7 @@ mod upsample;
 pub use adapter::{ADAPTERS, Adapter, Kind, Layout, Outputs, Sampling, SizeRule, Sky, adapter, margin};
 pub use carried::{Carried, carried};
 pub use detect::detect;
-pub use map::{check, from_map, head};
+pub use map::{check, from_map, head, resized};
 pub use monocular::Monocular;
 pub use png::to_png;
 pub use upsample::{halved, upsample};

@@ -3,6 +3,7 @@
 use super::stages::{Denoise, Depth, Encode, Layers, Planes, Prepare, Refine, Snap, Source, Strokes, Verify};
 use super::{Context, Made, MakeError, Models, Options, Sink};
 use crate::photo::Limits;
+use crate::strokes;
 
 /// Runs a photo through all stages. `depth` is the user's own depth map as a picture file, if there is one.
 ///
@@ -23,6 +24,7 @@ pub fn make(
     let mut prepared = job.run(&mut Prepare, (photo, matches!(source, Source::Network)))?;
     let map = job.run(&mut Depth, (&prepared.photo, source))?;
     let map = job.run(&mut Denoise, (&prepared.photo, map))?;
+    let before_strokes = (!options.strokes.is_empty()).then(|| strokes::to_keep(&map.delta));
     let map = if options.strokes.is_empty() { map } else { job.run(&mut Strokes, (&prepared.photo, map))? };
     let map = job.run(&mut Snap, (&prepared.photo, map))?;
     let placed = job.run(&mut Planes::default(), (&prepared, &map))?;
@@ -30,5 +32,5 @@ pub fn make(
     let layered = job.run(&mut Refine, (&prepared.photo, layered))?;
     let encoded = job.run(&mut Encode, (prepared.photo, layered))?;
     job.run(&mut Verify, &encoded)?;
-    Ok(Made { container: encoded.container, report: job.finish(), disparity: map.delta })
+    Ok(Made { container: encoded.container, report: job.finish(), disparity: map.delta, before_strokes })
 }

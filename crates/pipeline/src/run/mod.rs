@@ -66,6 +66,8 @@ pub struct Made {
     pub report: Report,
     /// Disparity as used: the map that planes were fitted to, at the scene's size.
     pub disparity: DisparityMap,
+    /// What strokes went over, as [`crate::strokes::to_keep`] keeps it; none where there were none.
+    pub before_strokes: Option<DisparityMap>,
 }
 
 /// Why a photo could not be made.

@@ -14,7 +14,7 @@ use super::Stroke;
 use crate::photo::{reduced_size, resize};
 
 /// Longest side of the picture in which outlines are found: finer than a hand draws, and a bound on time.
-const SIDE: u32 = 640;
+pub(super) const SIDE: u32 = 640;
 /// Cost of a pixel's step along an edge from black to white, in radii.
 const EDGE: f32 = 36.0;
 /// What an edge of the disparity map counts against one of the photo: it may be what is wrong.

@@ -1,0 +1,141 @@
+//! Who is told that a photo can have better depth, and that it then has it.
+
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use serde_json::{Value, json};
+use tmpi::server::keys::{self, Scope};
+use tmpi::server::{Fault, Limits, Maker, PipelineMaker, Product};
+use tmpi_core::{DisparityMap, Photo};
+use tmpi_pipeline::depth::{DepthError, Estimator};
+use tmpi_pipeline::{MakeError, Models, Options, Sink};
+
+use crate::access::{HOST, ask, id, private_with, secret, upload};
+use crate::client::{get, post_form, request};
+use crate::fixture::{Running, depth_map, jpeg};
+
+const WORSE: &str = "tmpi";
+const BETTER: &str = "depth-anything-v2-small-fp16";
+
+/// A flat wall, by a network of this name.
+struct Called(&'static str);
+
+impl Estimator for Called {
+    fn name(&self) -> &'static str {
+        self.0
+    }
+
+    fn estimate(&self, photo: &Photo) -> Result<DisparityMap, DepthError> {
+        Ok(DisparityMap { width: photo.width, height: photo.height, delta: vec![0.5; photo.rgb.len()] })
+    }
+}
+
+/// Makes photos with a network until a better one is here.
+struct Renewing {
+    worse: PipelineMaker,
+    better: PipelineMaker,
+    is_here: AtomicBool,
+}
+
+impl Renewing {
+    fn new() -> Arc<Self> {
+        let with = |name| PipelineMaker::new(Models { depth: Arc::new(Called(name)), theta: None, psi: None }, &Limits::default());
+        Arc::new(Self { worse: with(WORSE), better: with(BETTER), is_here: AtomicBool::new(false) })
+    }
+
+    fn now(&self) -> &PipelineMaker {
+        if self.is_here.load(Ordering::SeqCst) { &self.better } else { &self.worse }
+    }
+
+    fn set(&self, is_here: bool) {
+        self.is_here.store(is_here, Ordering::SeqCst);
+    }
+}
+
+impl Maker for Renewing {
+    fn network(&self) -> &str {
+        self.now().network()
+    }
+
+    fn check(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options) -> Result<(), MakeError> {
+        self.now().check(photo, depth, options)
+    }
+
+    fn make(&self, photo: &[u8], depth: Option<&[u8]>, options: &Options, sink: &dyn Sink) -> Result<Product, Fault> {
+        self.now().make(photo, depth, options, sink)
+    }
+}
+
+#[test]
+fn whoever_may_have_a_photo_made_again_is_told_of_a_better_network() {
+    let dir = tempfile::tempdir().unwrap();
+    let maker = Renewing::new();
+    let server = private_with(dir.path(), maker.clone());
+    let (ann, bob) = (secret("a"), secret("b"));
+    let key = |name: &str, scope| format!("Bearer {}", keys::add(dir.path(), name, &[scope], None).unwrap());
+    let (reader, boss) = (key("reader", Scope::Read), key("boss", Scope::Admin));
+    let photo = format!("/v1/photos/{}", id(&upload(&server, Some(&ann), 1)));
+    let state = |who: &str| ask(&server, "GET", &photo, &[("authorization", who)], &[]);
+    let told = |who: &str| state(who).json()["better_depth"].clone();
+    assert_eq!((state(&ann).json()["state"].clone(), told(&ann)), (json!("done"), Value::Null), "it was made with what is at hand");
+
+    maker.set(true);
+    for who in [&ann, &boss] {
+        assert_eq!(told(who), BETTER);
+    }
+    assert_eq!(get(server.addr, &photo).json()["better_depth"], BETTER, "this machine's own user");
+    state(&bob).problem(404);
+    // whoever may see it alone is told nothing of what they may not have
+    let headers = [("authorization", ann.as_str()), ("content-type", "application/json")];
+    assert_eq!(ask(&server, "PATCH", &photo, &headers, br#"{"visibility": "link"}"#).status, 200);
+    let (owners, others) = (state(&ann), state(&bob));
+    assert_eq!((&owners.json()["better_depth"], &others.json()["better_depth"]), (&json!(BETTER), &Value::Null));
+    assert_eq!(ask(&server, "GET", &photo, &[], &[]).json()["better_depth"], Value::Null, "a stranger");
+    assert_eq!(told(&reader), Value::Null);
+    assert!(owners.all("cache-control").contains("private") && owners.header("etag") != others.header("etag"));
+    let seen = [("authorization", bob.as_str()), ("if-none-match", owners.header("etag").unwrap())];
+    assert_eq!(ask(&server, "GET", &photo, &seen, &[]).status, 200, "one's answer is not the other's");
+
+    // of a map of one's own there is no better network
+    let given =
+        post_form(server.addr, &[HOST, ("authorization", &ann), ("prefer", "wait=60")], &[("photo", &jpeg(2)), ("depth", &depth_map())]);
+    let given = ask(&server, "GET", &format!("/v1/photos/{}", id(&given.json())), &[("authorization", &ann)], &[]).json();
+    assert_eq!((&given["state"], &given["better_depth"]), (&json!("done"), &Value::Null));
+
+    let made = ask(&server, "POST", &format!("{photo}/again"), &[("authorization", &ann), ("prefer", "wait=60")], &[]);
+    assert_eq!((made.status, made.json()["state"].clone()), (200, json!("done")));
+    assert_eq!(ask(&server, "GET", &format!("{photo}/report"), &[("authorization", &ann)], &[]).json()["depth_model"], BETTER);
+    assert_eq!(told(&ann), Value::Null, "it has the best that is here");
+    // a worse one than made it is none to offer
+    maker.set(false);
+    assert_eq!(told(&ann), Value::Null);
+}
+
+#[test]
+fn where_nobody_is_asked_who_they_are_everybody_is_told() {
+    fn better(server: &Running, path: &str) -> Value {
+        request(server.addr, "GET", path, &[HOST], &[]).json()["better_depth"].clone()
+    }
+    fn start(data: &Path, maker: &Arc<Renewing>) -> Running {
+        Running::start(data, Limits::default(), maker.clone())
+    }
+    let dir = tempfile::tempdir().unwrap();
+    let maker = Renewing::new();
+    let server = start(dir.path(), &maker);
+    let id = server.upload(&jpeg(1));
+    server.wait(&id, "done");
+    let photo = format!("/v1/photos/{id}");
+    assert_eq!(better(&server, &photo), Value::Null);
+    server.stop();
+    maker.set(true);
+    let server = start(dir.path(), &maker);
+    assert_eq!(better(&server, &photo), BETTER, "after a restart");
+    let list = get(server.addr, "/v1/photos").json();
+    assert!(list["photos"][0]["id"] == id.as_str() && list["photos"][0].get("better_depth").is_none(), "{list}");
+    // the photo of a report that is gone is out of service, and there is nothing to offer
+    std::fs::remove_file(dir.path().join("photos").join(&id).join("report.json")).unwrap();
+    server.stop();
+    let server = start(dir.path(), &maker);
+    assert_eq!(better(&server, &photo), Value::Null);
+}
