@@ -1,15 +1,18 @@
 //! The photos that the server knows, the queue of those to be made, and the threads that make them.
 //!
 //! A photo is in the index exactly while its folder is on disk. Whoever changes the index holds `membership`, so that an
-//! upload, its twin and a deletion come one after the other; readers only take the short lock on `inner`.
+//! upload, its twin and a deletion come one after the other; readers only take the short lock on `inner`. Where several nodes share a store, the
+//! index has those of its photos that were asked for last and those that wait or are worked on.
 
+mod among;
+mod few;
 mod list;
 mod queue;
 mod quota;
 mod shared;
 
 use std::collections::{HashMap, VecDeque};
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 
 use axum::http::StatusCode;
@@ -28,6 +31,7 @@ use super::telemetry::Telemetry;
 use super::time::now_ms;
 use super::worker;
 use list::ByAge;
+pub use list::Whose;
 use queue::Trouble;
 use quota::Coming;
 
@@ -49,6 +53,8 @@ pub struct Jobs {
     wake: Condvar,
     idle: Condvar,
     abort: AtomicBool,
+    /// How often a photo was asked for: those that were so least recently go first where a store has more than are kept here.
+    asked: AtomicU64,
     /// Memory of running jobs.
     pub(super) memory: Memory,
 }
@@ -67,7 +73,7 @@ struct Inner {
     trouble: Option<Trouble>,
 }
 
-/// Counts for health and metrics.
+/// Counts for health and metrics. Where several nodes share a store, those that have ended are counted as far as the index has them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counts {
     /// Photos that wait.
@@ -80,6 +86,8 @@ pub struct Counts {
     pub failed: usize,
     /// Photos of which the results are damaged.
     pub damaged: usize,
+    /// Photos of the index.
+    pub known: usize,
 }
 
 /// A page of the list.
@@ -139,6 +147,7 @@ impl Jobs {
             wake: Condvar::new(),
             idle: Condvar::new(),
             abort: AtomicBool::new(false),
+            asked: AtomicU64::new(0),
             memory,
         });
         jobs.take_up(found);
@@ -255,7 +264,9 @@ impl Jobs {
     /// A photo.
     #[must_use]
     pub fn get(&self, id: PhotoId) -> Option<Arc<Entry>> {
-        self.lock().by_id.get(&id).cloned()
+        let entry = self.lock().by_id.get(&id).cloned()?;
+        entry.asked_for(self.asked.fetch_add(1, Ordering::Relaxed));
+        Some(entry)
     }
 
     /// Photos that wait before this one; none where it does not wait.
@@ -327,7 +338,8 @@ impl Jobs {
     pub fn counts(&self) -> Counts {
         let inner = self.lock();
         let [done, failed, damaged] = inner.tally.counts();
-        Counts { queued: inner.queue.len(), working: inner.running.len(), done, failed, damaged }
+        let beyond = self.cluster.as_ref().map_or(0, |cluster| cluster.beyond());
+        Counts { queued: inner.queue.len() + beyond, working: inner.running.len(), done, failed, damaged, known: inner.by_id.len() }
     }
 
     /// Takes up photos that were found on disk.
@@ -376,3 +388,6 @@ impl Inner {
         }
     }
 }
+
+#[cfg(test)]
+mod among_tests;

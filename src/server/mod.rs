@@ -7,6 +7,7 @@
 mod accept;
 mod access;
 mod app;
+mod asked;
 mod body;
 mod cache;
 mod card;
