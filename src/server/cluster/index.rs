@@ -79,13 +79,12 @@ pub struct Listed {
 impl Listed {
     /// What a name says; none where it is no entry's.
     pub fn read(name: &str) -> Option<Self> {
-        let (rest, bytes) = match name.strip_prefix(ALL) {
-            Some(rest) => (rest, 0),
-            None => {
-                let (_, rest) = name.strip_prefix(OWNERS)?.split_once('/')?;
-                let (rest, bytes) = rest.rsplit_once('.')?;
-                (rest, bytes.parse().ok()?)
-            }
+        let (rest, bytes) = if let Some(rest) = name.strip_prefix(ALL) {
+            (rest, 0)
+        } else {
+            let (_, rest) = name.strip_prefix(OWNERS)?.split_once('/')?;
+            let (rest, bytes) = rest.rsplit_once('.')?;
+            (rest, bytes.parse().ok()?)
         };
         let (left, id) = rest.split_once('.')?;
         let left: u64 = left.parse().ok().filter(|_| left.len() == 13)?;
@@ -176,11 +175,17 @@ impl Cluster {
                 match &mut last {
                     // what was made again, and not all of it is removed yet
                     Some(listed) if listed.place == next.place => listed.bytes = listed.bytes.max(next.bytes),
-                    _ => last.replace(next).into_iter().for_each(|listed| each(listed.place.1, listed.bytes)),
+                    _ => {
+                        if let Some(listed) = last.replace(next) {
+                            each(listed.place.1, listed.bytes);
+                        }
+                    }
                 }
             }
             if names.len() < PAGE {
-                last.into_iter().for_each(|listed| each(listed.place.1, listed.bytes));
+                if let Some(listed) = last {
+                    each(listed.place.1, listed.bytes);
+                }
                 return Ok(());
             }
             after = names.last().cloned();

@@ -15,14 +15,16 @@ use crate::server::store::digest;
 /// Bytes of what was made of each photo.
 pub const MADE: u64 = 100;
 
+/// Records and blobs with the number of their version.
+type There = BTreeMap<String, (Vec<u8>, u64)>;
+
 /// What is in it stays when a node that has it is gone.
 #[derive(Clone, Debug, Default)]
 pub struct Memory(Arc<Inner>);
 
 #[derive(Debug)]
 struct Inner {
-    /// Records and blobs with the number of their version.
-    there: Mutex<BTreeMap<String, (Vec<u8>, u64)>>,
+    there: Mutex<There>,
     /// Changes that are still made.
     left: AtomicUsize,
     away: AtomicBool,
@@ -66,11 +68,11 @@ impl Memory {
         names.into_iter().filter_map(|name| index::Listed::read(&name).map(|listed| (name, listed.place))).collect()
     }
 
-    fn there(&self) -> io::Result<MutexGuard<'_, BTreeMap<String, (Vec<u8>, u64)>>> {
+    fn there(&self) -> io::Result<MutexGuard<'_, There>> {
         if self.0.away.load(Ordering::SeqCst) { Err(unreachable("it is away")) } else { Ok(self.0.there.lock().unwrap()) }
     }
 
-    fn change<T>(&self, change: impl FnOnce(&mut BTreeMap<String, (Vec<u8>, u64)>) -> T) -> io::Result<T> {
+    fn change<T>(&self, change: impl FnOnce(&mut There) -> T) -> io::Result<T> {
         let mut there = self.there()?;
         let left =
             self.0.left.fetch_update(Ordering::SeqCst, Ordering::SeqCst, |n| if n == usize::MAX { Some(n) } else { n.checked_sub(1) });
@@ -133,7 +135,7 @@ impl Blobs for Memory {
 /// A node of the store, with nothing that works by itself; `dir` takes what it would have in a folder.
 pub fn cluster(store: &Memory, dir: &Path) -> Cluster {
     let sharing = Sharing { store: format!("file://{}", dir.join("unused").display()), role: Role::Serve, nats: None };
-    let limits = Limits { lease: Duration::from_secs(60), sweep: Duration::from_millis(50), ..Limits::default() };
+    let limits = Limits { lease: Duration::from_mins(1), sweep: Duration::from_millis(50), ..Limits::default() };
     let mut cluster = Cluster::open(&sharing, &limits).unwrap();
     (cluster.blobs, cluster.ledger) = (Arc::new(store.clone()), Arc::new(store.clone()));
     cluster

@@ -14,6 +14,9 @@ use crate::server::id::PhotoId;
 /// Entries that are read at a time.
 const PART: usize = 256;
 
+/// Places with the photos that are there, and whether those places were the last.
+type Read = (Vec<(Place, Option<Arc<Entry>>)>, bool);
+
 impl Jobs {
     /// At most `limit` photos, newest first, behind `after` where that is given; blocks where a store has them. Where that cannot be reached,
     /// those that are known here.
@@ -66,13 +69,7 @@ impl Jobs {
     ///
     /// # Errors
     /// The store cannot be reached.
-    pub(in crate::server) fn part(
-        &self,
-        cluster: &Cluster,
-        owner: Option<&Owner>,
-        after: Option<Place>,
-        limit: usize,
-    ) -> io::Result<(Vec<(Place, Option<Arc<Entry>>)>, bool)> {
+    pub(in crate::server) fn part(&self, cluster: &Cluster, owner: Option<&Owner>, after: Option<Place>, limit: usize) -> io::Result<Read> {
         let (listed, last) = cluster.listed(owner, after, limit)?;
         let looked = side_by_side(&listed, |listed| self.at(cluster, owner, listed.place));
         let looked = listed.iter().zip(looked).map(|(listed, entry)| Ok((listed.place, entry?)));
