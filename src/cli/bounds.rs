@@ -95,6 +95,9 @@ pub(super) struct BoundArgs {
     /// Seconds between two looks at what is pending in a store
     #[arg(long, default_value_t = seconds(Limits::SWEEP), value_parser = clap::value_parser!(u32).range(1..), value_name = "S")]
     sweep: u32,
+    /// Photos of a store that are known without asking it, at some 2.4 kB each [default: 20000]
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..), value_name = "N")]
+    known_photos: Option<u32>,
 }
 
 /// Whole seconds of a default.
@@ -136,5 +139,6 @@ impl BoundArgs {
         limits.look_over = time(self.look_over);
         limits.look_over_rate = u64::from(self.look_over_rate) << 20;
         limits.sweep = time(self.sweep);
+        limits.known_photos = self.known_photos.map_or(limits.known_photos, |n| n as usize);
     }
 }

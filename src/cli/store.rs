@@ -13,7 +13,7 @@ use crate::server::{self, Audit, Migration, Remedy, audit};
 pub(super) struct FsckArgs {
     #[command(flatten)]
     which: Which,
-    /// Mark again what waits and would never be made, as its marker is damaged or gone
+    /// Mark again what waits and would never be made, as its marker is damaged or gone, and enter what the index of photos lacks
     #[arg(long)]
     mend: bool,
 }
@@ -96,11 +96,14 @@ fn look(which: &Which, remedy: Remedy) -> anyhow::Result<Audit> {
     let _within = runtime.enter();
     let age = Duration::from_secs(3600 * u64::from(which.older_than));
     let audit = audit(&which.store, age, remedy).with_context(|| format!("store {}", which.store))?;
+    // of a store that a version before wrote that is all of them
+    let none = Vec::new();
     for (what, names) in [
         ("overdue", &audit.overdue),
         ("not understood", &audit.unread),
         ("without a marker", &audit.unmarked),
         ("with a damaged marker", &audit.damaged),
+        ("not in the index", if audit.built { &audit.unlisted } else { &none }),
         ("missing", &audit.missing),
         ("of another length than it should be", &audit.cut),
         (if remedy == Remedy::Remove { "removed" } else { "left over" }, &audit.left_over),
@@ -109,13 +112,16 @@ fn look(which: &Which, remedy: Remedy) -> anyhow::Result<Audit> {
             note(&format!("{what}: {name}"));
         }
     }
-    let Audit { photos, done, failed, pending, removed, mended, folders, .. } = &audit;
+    let Audit { photos, done, failed, pending, removed, mended, listed, folders, .. } = &audit;
     let text = format!(
         "{photos} photos: {done} done, {failed} failed, {pending} pending ({} overdue, {} without a marker, {} with a damaged one, {mended} mended)\n\
+         {} not in the index{}, {listed} entered\n\
          {} not understood, {} missing, {} of another length, {} left over, {removed} and {folders} empty folders removed",
         audit.overdue.len(),
         audit.unmarked.len(),
         audit.damaged.len(),
+        audit.unlisted.len(),
+        if audit.built { "" } else { ", which nodes build" },
         audit.unread.len(),
         audit.missing.len(),
         audit.cut.len(),

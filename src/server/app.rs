@@ -21,7 +21,7 @@ use super::exports::{self, Ordered, Recipe, Standing, Wanted};
 use super::hosts::Hosts;
 use super::id::{PhotoId, hex};
 use super::identity;
-use super::jobs::{Jobs, Page};
+use super::jobs::Jobs;
 pub use super::kept::{Derived, Export, Full, Stored, Version};
 use super::limits::Limits;
 use super::network::Download;
@@ -50,8 +50,6 @@ const SMALL: usize = 256 << 10;
 /// Files of so many bytes stay open beside what was read of them, so that the system sends them by itself; a cache has no more open
 /// files than its bytes hold of these.
 const KEPT_OPEN: usize = 64 << 10;
-/// Photos that are looked at at a time for whose they are.
-const LIST_PART: usize = 256;
 /// Memory of a decoded scene in bytes a pixel, measured on photographs and rounded up.
 const SCENE_BYTES: u64 = 13;
 
@@ -205,25 +203,6 @@ impl Shared {
         let photo = allowed.ok_or_else(|| Problem::not_found(format!("there is no photo {id:?}")))?;
         photo.look(now_ms());
         Ok(photo)
-    }
-
-    /// Photos behind `after`, newest first, that whoever asks may list; at most `limit`.
-    #[must_use]
-    pub fn list(&self, after: Option<(u64, PhotoId)>, limit: usize) -> Page {
-        let Some(guard) = &self.guard else { return self.jobs.list(after, limit) };
-        let (mut photos, mut after, owner) = (Vec::new(), after, Guard::owner());
-        let (part, has_all) = (LIST_PART.min(limit + 1), Guard::has_all());
-        loop {
-            // a part at a time, so that nobody waits for the list
-            let page = if has_all { self.jobs.list(after, part) } else { self.jobs.list_of(owner.as_ref(), after, part) };
-            after = page.photos.last().map(|entry| entry.key());
-            photos.extend(page.photos.into_iter().filter(|entry| guard.allows(entry)));
-            if photos.len() > limit || !page.more {
-                let more = photos.len() > limit;
-                photos.truncate(limit);
-                return Page { photos, more };
-            }
-        }
     }
 
     /// What was made of a photo.

@@ -94,6 +94,7 @@ pub struct Entry {
     gate: Mutex<()>,
     settings: Mutex<Settings>,
     seen_ms: AtomicU64,
+    used: AtomicU64,
     asked_by: Mutex<Option<Parent>>,
     class: Mutex<Class>,
 }
@@ -124,6 +125,7 @@ impl Entry {
             gate: Mutex::new(()),
             settings: Mutex::new(found.settings),
             seen_ms,
+            used: AtomicU64::new(0),
             asked_by: Mutex::default(),
             class: Mutex::default(),
         }
@@ -166,6 +168,17 @@ impl Entry {
     #[must_use]
     pub fn seen_ms(&self) -> u64 {
         self.seen_ms.load(Ordering::Relaxed)
+    }
+
+    /// It was asked for as the `nth` of all.
+    pub fn asked_for(&self, nth: u64) {
+        self.used.fetch_max(nth, Ordering::Relaxed);
+    }
+
+    /// As the how manyth of all it was asked for last.
+    #[must_use]
+    pub fn last_asked(&self) -> u64 {
+        self.used.load(Ordering::Relaxed)
     }
 
     /// Bytes that it takes: what was uploaded, and the container.
@@ -222,6 +235,13 @@ impl Entry {
     pub fn count_in(&self, tally: &Arc<Tally>) {
         if self.tally.set(Arc::clone(tally)).is_ok() {
             tally.moved(None, &self.live.borrow().status);
+        }
+    }
+
+    /// Counts it no longer; it must not change any more.
+    pub fn count_out(&self) {
+        if let Some(tally) = self.tally.get() {
+            tally.moved(Some(&self.live.borrow().status), &Status::Deleted);
         }
     }
 

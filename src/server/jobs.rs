@@ -1,8 +1,11 @@
 //! The photos that the server knows, the queue of those to be made, and the threads that make them.
 //!
 //! A photo is in the index exactly while its folder is on disk. Whoever changes the index holds `membership`, so that an
-//! upload, its twin and a deletion come one after the other; readers only take the short lock on `inner`.
+//! upload, its twin and a deletion come one after the other; readers only take the short lock on `inner`. Where several nodes share a store, the
+//! index has those of its photos that were asked for last and those that wait or are worked on.
 
+mod among;
+mod few;
 mod line;
 mod list;
 mod queue;
@@ -10,7 +13,7 @@ mod quota;
 mod shared;
 
 use std::collections::HashMap;
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 
 use axum::http::StatusCode;
@@ -32,6 +35,7 @@ use super::worker;
 pub use line::Class;
 use line::Line;
 use list::ByAge;
+pub use list::Whose;
 use queue::Trouble;
 use quota::Coming;
 
@@ -55,6 +59,8 @@ pub struct Jobs {
     abort: AtomicBool,
     /// Files that were ordered.
     pub(super) exports: Exports,
+    /// How often a photo was asked for: those that were so least recently go first where a store has more than are kept here.
+    asked: AtomicU64,
     /// Memory of running jobs.
     pub(super) memory: Memory,
 }
@@ -75,7 +81,7 @@ struct Inner {
     trouble: Option<Trouble>,
 }
 
-/// Counts for health and metrics.
+/// Counts for health and metrics. Where several nodes share a store, those that have ended are counted as far as the index has them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counts {
     /// Photos that wait.
@@ -88,6 +94,8 @@ pub struct Counts {
     pub failed: usize,
     /// Photos of which the results are damaged.
     pub damaged: usize,
+    /// Photos of the index.
+    pub known: usize,
 }
 
 /// A page of the list.
@@ -148,6 +156,7 @@ impl Jobs {
             wake: Condvar::new(),
             idle: Condvar::new(),
             abort: AtomicBool::new(false),
+            asked: AtomicU64::new(0),
             memory,
         });
         jobs.take_up(found);
@@ -280,7 +289,9 @@ impl Jobs {
     /// A photo.
     #[must_use]
     pub fn get(&self, id: PhotoId) -> Option<Arc<Entry>> {
-        self.lock().by_id.get(&id).cloned()
+        let entry = self.lock().by_id.get(&id).cloned()?;
+        entry.asked_for(self.asked.fetch_add(1, Ordering::Relaxed));
+        Some(entry)
     }
 
     /// Photos that wait before this one; none where it does not wait.
@@ -352,7 +363,8 @@ impl Jobs {
     pub fn counts(&self) -> Counts {
         let inner = self.lock();
         let [done, failed, damaged] = inner.tally.counts();
-        Counts { queued: inner.queue.count(), working: inner.running.len(), done, failed, damaged }
+        let beyond = self.cluster.as_ref().map_or(0, |cluster| cluster.beyond());
+        Counts { queued: inner.queue.count() + beyond, working: inner.running.len(), done, failed, damaged, known: inner.by_id.len() }
     }
 
     /// Jobs that wait, by the name of their class.
@@ -413,3 +425,6 @@ impl Inner {
         }
     }
 }
+
+#[cfg(test)]
+mod among_tests;

@@ -113,6 +113,8 @@ pub struct Limits {
     pub sweep: Duration,
     /// Disk for copies of what is in that store, in bytes.
     pub copies: u64,
+    /// Photos of that store that a node knows without asking it, besides those that wait or are in use just now.
+    pub known_photos: usize,
     /// Photos on one page of the list.
     pub page: usize,
     /// Pause between two keep-alive comments of an event stream.
@@ -180,6 +182,10 @@ impl Limits {
     pub const SWEEP: Duration = Duration::from_secs(5);
     /// 4 GiB.
     pub const COPIES: u64 = 4 << 30;
+    /// 20 000 photos: some 50 MB.
+    pub const KNOWN_PHOTOS: usize = 20_000;
+    /// Bytes of memory of each.
+    pub const KNOWN_BYTES: u64 = 2400;
     /// 64 jobs.
     pub const QUEUE: usize = 64;
     /// One worker: a job keeps all cores busy by itself.
@@ -238,6 +244,7 @@ impl Limits {
             file_cache: share(64, usual.file_cache),
             view_cache: share(64, usual.view_cache),
             work_memory: share(32, usual.work_memory),
+            known_photos: share(32 * Self::KNOWN_BYTES, usual.known_photos),
             job_memory: (memory - memory / 16).min(usual.job_memory),
             ..usual
         }
@@ -306,6 +313,7 @@ impl Default for Limits {
             lease: Self::LEASE,
             sweep: Self::SWEEP,
             copies: Self::COPIES,
+            known_photos: Self::KNOWN_PHOTOS,
             page: Self::PAGE,
             keep_alive: Self::KEEP_ALIVE,
         }

@@ -20,6 +20,7 @@ use super::app::App;
 use super::body::Guarded;
 use super::clock::Clock;
 use super::conditional::insert;
+use super::entry::Entry;
 use super::hosts::{Hosts, SECURE};
 use super::id::PhotoId;
 use super::pages::RESOURCE_POLICY;
@@ -180,12 +181,13 @@ async fn asked(app: &App, door: Door<'_>, mut request: Request, next: Next) -> R
     };
     let (reads, path) = (matches!(*request.method(), Method::GET | Method::HEAD), path_to_look_up(app, &request));
     let looked = match come {
-        Ok(come) => look_up(app, reads, path).await.map(|()| come),
+        // the photo is held until there is an answer
+        Ok(come) => look_up(app, reads, path).await.map(|photo| (come, photo)),
         Err(refused) => Err(refused),
     };
     let mut response = match looked {
-        Ok(Some((guard, pass))) => guard.answer(pass, request, next).await,
-        Ok(None) => next.run(request).await,
+        Ok((Some((guard, pass)), _photo)) => guard.answer(pass, request, next).await,
+        Ok((None, _photo)) => next.run(request).await,
         Err(refused) => refused.into_response(),
     };
     told.put(&mut response);
@@ -197,30 +199,13 @@ fn path_to_look_up(app: &App, request: &Request) -> Option<String> {
     app.jobs.cluster.as_ref().map(|_| request.uri().path().to_owned())
 }
 
-/// Where several nodes share a store, brings the photo of the path up to date, or the list.
+/// Where several nodes share a store, brings the photo of the path up to date; it stays known as long as what this gives is held.
 ///
 /// # Errors
 /// 503 where the store cannot be reached and the photo is not known here.
-async fn look_up(app: &App, reads: bool, path: Option<String>) -> Result<(), Problem> {
-    let (Some(cluster), Some(path)) = (app.jobs.cluster.clone(), path) else { return Ok(()) };
-    let photo: Option<PhotoId> = path.split('/').find_map(|segment| segment.parse().ok());
-    let jobs = Arc::clone(&app.jobs);
-    let looked = match photo {
-        Some(id) if reads && cluster.is_fresh(id) => return Ok(()),
-        // whoever reads does not wait for a store that is away
-        Some(_) if reads && cluster.is_away() => return Err(Problem::away()),
-        Some(id) => tokio::task::spawn_blocking(move || {
-            let seen = jobs.refresh(&cluster, id).map(drop);
-            // what was seen before goes on
-            if reads && jobs.get(id).is_some() { Ok(()) } else { seen }
-        }),
-        None if path == "/v1/photos" && reads && !cluster.is_listed() => {
-            // where the store is away, what is known here is listed
-            tokio::task::spawn_blocking(move || cluster.list(&jobs).or(Ok(())))
-        }
-        None => return Ok(()),
-    };
-    looked.await.map_err(|e| Problem::internal("looking a photo up", &e))?.map_err(|e| Problem::store(&e))
+async fn look_up(app: &App, reads: bool, path: Option<String>) -> Result<Option<Arc<Entry>>, Problem> {
+    let photo = path.and_then(|path| path.split('/').find_map(|segment| segment.parse::<PhotoId>().ok()));
+    if let Some(id) = photo { app.look_up(id, reads).await } else { Ok(None) }
 }
 
 /// Refuses bodies that are coded in more ways than in chunks: they would be taken for what they are not (RFC 9112, section 6.1).

@@ -8,6 +8,7 @@ mod accept;
 mod access;
 mod admission;
 mod app;
+mod asked;
 mod body;
 mod cache;
 mod card;

@@ -1,12 +1,14 @@
 //! Photos that go by themselves: those that are too old, and, where all take too much room, those that were looked at least recently.
 //!
-//! When photos were looked at is kept in `DIR/looked.json` at each sweep, so that a restart forgets little.
+//! When photos were looked at is kept in `DIR/looked.json` at each sweep, so that a restart forgets little. In a store of several nodes photos go
+//! by their age alone, and the index there says which: no node knows when all of them were looked at.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
 use super::app::App;
+use super::cluster::Cluster;
 use super::entry::Entry;
 use super::id::PhotoId;
 use super::limits::Limits;
@@ -91,7 +93,11 @@ pub async fn sweep(app: App) {
     if app.limits.retain.is_none() && app.limits.retain_bytes.is_none() {
         return;
     }
-    remember(&app).await;
+    if app.jobs.cluster.is_none() {
+        remember(&app).await;
+    } else if app.limits.retain_bytes.is_some() {
+        tracing::warn!("--retain-mib is for one node alone; photos of a store go by their age");
+    }
     let mut pause = FIRST.min(app.limits.retain_sweep);
     loop {
         tokio::time::sleep(pause).await;
@@ -103,18 +109,45 @@ pub async fn sweep(app: App) {
 }
 
 async fn once(app: &App) -> Result<(), Problem> {
+    if let Some(cluster) = app.jobs.cluster.clone() {
+        return once_there(app, &cluster).await;
+    }
     let shared = Arc::clone(app);
-    let looked = app.change(move || {
-        let jobs = &shared.jobs;
-        if let Some(cluster) = &jobs.cluster {
-            cluster.list(jobs).map_err(|e| Problem::store(&e))?;
+    let all = app.change(move || shared.jobs.all().iter().map(|entry| Candidate::of(entry)).collect::<Vec<_>>()).await?;
+    // after them: a disk that is full takes nothing before
+    go(app, &all).await?;
+    keep(app, &all).await
+}
+
+/// The same in a store of several nodes: what is behind the place of the youngest that is too old.
+async fn once_there(app: &App, cluster: &Arc<Cluster>) -> Result<(), Problem> {
+    /// Photos that are looked at at a time.
+    const PART: usize = 256;
+    let Some(time) = app.limits.retain else { return Ok(()) };
+    let young = now_ms().saturating_sub(time.as_millis() as u64).saturating_add(1);
+    // behind all of one millisecond
+    let mut after = Some((young, PhotoId::from_bytes([u8::MAX; 16])));
+    loop {
+        let (shared, cluster) = (Arc::clone(app), Arc::clone(cluster));
+        let part = tokio::task::spawn_blocking(move || shared.jobs.part(&cluster, None, after, PART));
+        let (part, last) = part.await.map_err(|e| Problem::internal("looking for old photos", &e))?.map_err(|e| Problem::store(&e))?;
+        after = part.last().map(|(place, _)| *place).or(after);
+        // as long as these are held they are found by their ids
+        let all: Vec<Candidate> = part.iter().filter_map(|(_, entry)| Some(Candidate::of(entry.as_ref()?))).collect();
+        go(app, &all).await?;
+        if last {
+            return Ok(());
         }
-        Ok::<_, Problem>(jobs.all().iter().map(|entry| Candidate::of(entry)).collect::<Vec<_>>())
-    });
-    let all = looked.await??;
+    }
+}
+
+/// Has those of some photos go that are to.
+async fn go(app: &App, all: &[Candidate]) -> Result<(), Problem> {
     let bytes: BTreeMap<PhotoId, u64> = all.iter().map(|photo| (photo.id, photo.bytes)).collect();
     let (mut count, mut freed) = (0_usize, 0);
-    for (id, reason) in overdue(all.clone(), &app.limits, now_ms()) {
+    // in a store those that are given here are not all that take room
+    let limits = Limits { retain_bytes: app.limits.retain_bytes.filter(|_| app.jobs.cluster.is_none()), ..app.limits.as_ref().clone() };
+    for (id, reason) in overdue(all.to_vec(), &limits, now_ms()) {
         let shared = Arc::clone(app);
         if app.change(move || shared.jobs.delete(id)).await?? {
             app.forget(id).await;
@@ -127,8 +160,7 @@ async fn once(app: &App) -> Result<(), Problem> {
     if count > 0 {
         tracing::info!(count, freed, "sweep of photos");
     }
-    // after them: a disk that is full takes nothing before
-    keep(app, &all).await
+    Ok(())
 }
 
 /// Keeps when photos were looked at, where that counts.

@@ -17,9 +17,14 @@ use crate::process::{Process, large};
 
 /// A node of the store in a folder, in this process.
 pub fn node(shared: &Path, data: &Path, role: Role, maker: Arc<dyn tmpi::server::Maker>) -> Running {
+    node_with(shared, data, role, maker, Limits::default())
+}
+
+/// The same with other limits.
+fn node_with(shared: &Path, data: &Path, role: Role, maker: Arc<dyn tmpi::server::Maker>, limits: Limits) -> Running {
     let sharing = Sharing { store: format!("file://{}", shared.display()), role, nats: None };
     let config = Config {
-        limits: Limits { sweep: Duration::from_millis(100), ..Limits::default() },
+        limits: Limits { sweep: Duration::from_millis(100), ..limits },
         ..Config::new(([127, 0, 0, 1], 0).into(), data.to_owned())
     };
     let renderer = tmpi_render::select(Backend::Cpu).unwrap();
@@ -79,6 +84,64 @@ fn one_node_takes_a_photo_another_makes_it_and_a_third_serves_it() {
     assert_eq!(request(b.addr, "DELETE", &path(""), &[], &[]).status, 204);
     wait_until("it is gone elsewhere", || get(a.addr, &path("")).status == 404);
     assert_eq!(get(b.addr, &path("/atlas")).status, 404);
+}
+
+#[test]
+fn a_node_that_knows_few_photos_lists_and_serves_all_of_them() {
+    let dir = tempfile::tempdir().unwrap();
+    let at = |name: &str| dir.path().join(name);
+    let maker = node(&at("store"), &at("a"), Role::All, Arc::new(pipeline()));
+    let ids: Vec<String> = (1..=6).map(|n| maker.upload(&jpeg(n))).collect();
+    for id in &ids {
+        maker.wait(id, "done");
+    }
+    let few = Limits { known_photos: 2, ..Limits::default() };
+    let serve = node_with(&at("store"), &at("b"), Role::Serve, Arc::new(pipeline()), few);
+    let listed = |query: &str| {
+        let list = get(serve.addr, &format!("/v1/photos?{query}")).json();
+        let ids: Vec<String> = list["photos"].as_array().unwrap().iter().map(|photo| photo["id"].as_str().unwrap().to_owned()).collect();
+        (ids, list["next"].as_str().map(str::to_owned))
+    };
+    let newest: Vec<String> = ids.iter().rev().cloned().collect();
+    assert_eq!(listed("limit=9"), (newest.clone(), None));
+    let (first, next) = listed("limit=4");
+    assert_eq!(first, newest[..4]);
+    assert_eq!(listed(next.unwrap().split_once('?').unwrap().1), (newest[4..].to_vec(), None));
+    // by an id that is known no longer
+    assert_eq!(listed(&format!("limit=9&after={}", newest[2])).0, newest[3..]);
+    for id in ids.iter().chain(&newest) {
+        assert_eq!(serve.state(id)["state"], "done");
+        let answer = get(serve.addr, &format!("/v1/photos/{id}/atlas"));
+        assert_eq!(answer.body, get(maker.addr, &format!("/v1/photos/{id}/atlas")).body);
+        let page = format!("http%3A%2F%2F{}%2Fview%2F{id}", serve.addr);
+        assert_eq!(get(serve.addr, &format!("/oembed?url={page}")).status, 200);
+    }
+    let known = || {
+        let metrics = String::from_utf8(get(serve.addr, "/metrics").body).unwrap();
+        assert!(!metrics.contains("tmpi_photos_done"), "it does not know");
+        metrics.lines().find_map(|line| line.strip_prefix("tmpi_photos_known ")).unwrap().parse::<f64>().unwrap()
+    };
+    wait_until("no more are known than may be", || known() < 2.5);
+    assert_eq!(request(serve.addr, "DELETE", &format!("/v1/photos/{}", newest[1]), &[], &[]).status, 204);
+    assert_eq!(listed("limit=9").0, [&newest[..1], &newest[2..]].concat());
+}
+
+#[test]
+fn photos_of_a_store_go_by_their_age_though_the_node_never_saw_them() {
+    let dir = tempfile::tempdir().unwrap();
+    let at = |name: &str| dir.path().join(name);
+    let maker = node(&at("store"), &at("a"), Role::All, Arc::new(pipeline()));
+    let ids: Vec<String> = (1..=3).map(|n| maker.upload(&jpeg(n))).collect();
+    for id in &ids {
+        maker.wait(id, "done");
+    }
+    let retain = Limits { retain: Some(Duration::from_millis(1)), retain_sweep: Duration::from_millis(200), ..Limits::default() };
+    let sweeps = node_with(&at("store"), &at("b"), Role::Serve, Arc::new(pipeline()), retain);
+    for id in &ids {
+        wait_until("it is gone", || get(sweeps.addr, &format!("/v1/photos/{id}")).status == 404);
+    }
+    let listed = get(maker.addr, "/v1/photos").json();
+    assert_eq!(listed["photos"].as_array().unwrap().len(), 0);
 }
 
 #[test]

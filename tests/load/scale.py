@@ -39,7 +39,8 @@ class Nodes:
             time.sleep(0.1)
 
     def done(self):
-        return max(node.metric("tmpi_photos_done") for node in self.serve)
+        # no node knows all photos
+        return sum(name.startswith("tmpi/ends/") for name in listing(self.s3))
 
     def hints(self):
         """Hints sent, lost and given again, as the nodes that are there count them since they started."""

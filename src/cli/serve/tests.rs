@@ -25,7 +25,7 @@ fn every_limit_can_be_set() {
         --write-timeout 11 --write-rate 1025 --lame-duck 1 --drain 21 --queue 65 --workers 2 --attempts 4 --job-timeout 121 \
         --connections 1025 --connections-per-address 513 --streams 513 --views 3 --views-waiting 65 --exports 2 --exports-waiting 9 --exports-mib 1025 --exports-for 9 \
         --renders 481 --work-memory 1025 --view-pixels 9 --view-side 9 --scene-cache 257 --file-cache 65 --view-cache 65 --export-cache 1025 \
-        --rest 21 --look-over-first 61 --look-over 9 --look-over-rate 33 --lease 31 --sweep 6 --copies 4097 --page 201 --keep-alive 16";
+        --rest 21 --look-over-first 61 --look-over 9 --look-over-rate 33 --lease 31 --sweep 6 --copies 4097 --known-photos 20001 --page 201 --keep-alive 16";
     let set = Cli::try_parse_from(["serve"].into_iter().chain(args.split_whitespace())).unwrap().serve.limits();
     // names all fields, so that none is forgotten
     macro_rules! all_differ {
@@ -39,7 +39,7 @@ fn every_limit_can_be_set() {
         partial_time rate_requests rate_uploads rate_views quota_photos quota_bytes retain retain_bytes retain_sweep write write_rate
         lame_duck drain queue workers attempts job job_memory connections connections_per_address streams views views_waiting exports
         exports_waiting exports_bytes exports_for renders work_memory view_pixels view_side scene_cache file_cache view_cache export_cache rest look_over_first
-        look_over look_over_rate lease sweep copies page keep_alive);
+        look_over look_over_rate lease sweep copies known_photos page keep_alive);
 }
 
 #[test]

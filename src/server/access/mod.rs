@@ -75,7 +75,8 @@ impl Owner {
         *self == Self::own()
     }
 
-    fn text(&self) -> &str {
+    /// As text: a hash in hex.
+    pub(super) fn text(&self) -> &str {
         &self.0
     }
 }

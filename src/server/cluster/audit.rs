@@ -8,6 +8,7 @@ use std::time::Duration;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
+use super::index::{self, Listed};
 use super::ports::{Blobs, Ledger};
 use super::records::{self, End, Marker, Photo};
 use crate::server::id::PhotoId;
@@ -39,6 +40,12 @@ pub struct Audit {
     pub damaged: Vec<String>,
     /// Of these two, those that were marked again.
     pub mended: usize,
+    /// The index is said to have all photos; before that nodes enter by and by those that a version before accepted.
+    pub built: bool,
+    /// Accepted photos that the index lacks, or of which it says other bytes than they have: no list shows them, or a quota counts them wrong.
+    pub unlisted: Vec<String>,
+    /// Those of them that were entered.
+    pub listed: usize,
     /// Blobs that should be there.
     pub missing: Vec<String>,
     /// Uploads and containers that are shorter or longer than their records say.
@@ -56,17 +63,22 @@ pub struct Audit {
 pub enum Remedy {
     /// Nothing.
     Tell,
-    /// What waits and no node would take up is marked again.
+    /// What waits and no node would take up is marked again, and what the index lacks is entered.
     Mend,
     /// What is left over is removed.
     Remove,
 }
 
 impl Audit {
-    /// True where nothing is lost, everything was understood, and what was amiss with markers is mended.
+    /// True where nothing is lost, everything was understood, and what was amiss with markers and a whole index is mended.
     #[must_use]
     pub const fn is_sound(&self) -> bool {
-        self.unread.is_empty() && self.missing.is_empty() && self.cut.is_empty() && self.unmarked.len() + self.damaged.len() == self.mended
+        let is_listed = !self.built || self.unlisted.len() == self.listed;
+        is_listed
+            && self.unread.is_empty()
+            && self.missing.is_empty()
+            && self.cut.is_empty()
+            && self.unmarked.len() + self.damaged.len() == self.mended
     }
 }
 
@@ -112,19 +124,21 @@ impl Auditor {
     fn run(mut self) -> io::Result<Audit> {
         // what is there first, then what it is for: what comes meanwhile is not taken for left over
         let mut there = Vec::new();
-        for folder in [records::ENDS, records::PENDING, records::BLOBS] {
+        for folder in [records::ENDS, records::PENDING, records::BLOBS, index::LISTS] {
             there.extend(self.ledger.all(folder)?);
         }
         let names: HashSet<&str> = there.iter().map(String::as_str).collect();
         let mut wanted = Wanted::default();
+        wanted.names.extend([index::BUILT, index::BUILDING].map(str::to_owned));
+        self.audit.built = names.contains(index::BUILT);
         for name in self.ledger.all(records::PHOTOS)? {
             self.photo(&name, &names, &mut wanted)?;
         }
         for name in there.iter().filter(|name| !wanted.names.contains(*name)) {
             self.other(name, &wanted)?;
         }
-        let Audit { overdue, unread, unmarked, damaged, missing, cut, left_over, .. } = &mut self.audit;
-        for list in [overdue, unread, unmarked, damaged, missing, cut, left_over] {
+        let Audit { overdue, unread, unmarked, damaged, unlisted, missing, cut, left_over, .. } = &mut self.audit;
+        for list in [overdue, unread, unmarked, damaged, unlisted, missing, cut, left_over] {
             list.sort_unstable();
         }
         if self.remedy == Remedy::Remove {
@@ -186,11 +200,12 @@ impl Auditor {
                 }
                 self.marker(name, id, &photo.making)?;
                 wanted.open.insert((id, photo.making.clone()));
-                wanted.open.extend(photo.before.map(|before| (id, before)));
+                wanted.open.extend(photo.before.clone().map(|before| (id, before)));
                 wanted.names.insert(marker);
             }
         }
         wanted.names.insert(end_name);
+        self.entries(name, id, (&photo, end.as_ref()), there, wanted)?;
         for blob in blobs {
             if !there.contains(blob.as_str()) && !self.ledger.all(&records::blobs(id))?.contains(&blob) {
                 self.audit.missing.push(blob.clone());
@@ -222,6 +237,33 @@ impl Auditor {
         Ok(())
     }
 
+    /// Looks at the entries of a photo in the index. While it is made, those may come and go that say what was made before.
+    fn entries(
+        &mut self,
+        name: &str,
+        id: PhotoId,
+        (photo, end): (&Photo, Option<&End>),
+        there: &HashSet<&str>,
+        wanted: &mut Wanted,
+    ) -> io::Result<()> {
+        let names = index::names(id, &photo.accepted, index::made(end.map(|end| &end.outcome)));
+        let mut is_lacking = false;
+        for entry in names {
+            let is_there = there.contains(entry.as_str()) || end.is_none() && there.iter().any(|there| is_of_one(there, &entry));
+            // it may have come meanwhile
+            is_lacking |= !is_there && self.ledger.get(&entry)?.is_none();
+            wanted.names.insert(entry);
+        }
+        if is_lacking {
+            self.audit.unlisted.push(name.to_owned());
+            if self.remedy == Remedy::Mend {
+                index::enter(&*self.ledger, id, &photo.accepted, index::made(end.map(|end| &end.outcome)))?;
+                self.audit.listed += 1;
+            }
+        }
+        Ok(())
+    }
+
     /// Looks at the marker of an accepted photo that has not ended.
     fn marker(&mut self, photo: &str, id: PhotoId, making: &str) -> io::Result<()> {
         let (name, fresh) = (Marker::name_of(id, making), serde_json::to_vec_pretty(&Marker::new(id, making))?);
@@ -247,6 +289,13 @@ impl Auditor {
 
     /// Looks at a record or blob that no photo leads to.
     fn other(&mut self, name: &str, wanted: &Wanted) -> io::Result<()> {
+        if let Some(Listed { place: (at_ms, id), .. }) = Listed::read(name) {
+            let is_open = wanted.open.iter().any(|(of, _)| *of == id);
+            if !wanted.unknown.contains(&id) && !is_open && at_ms < self.before_ms {
+                self.audit.left_over.push(name.to_owned());
+            }
+            return Ok(());
+        }
         let Some((id, making)) = owner(name) else {
             self.audit.unread.push(format!("{name}: its name is none of this program's"));
             return Ok(());
@@ -270,6 +319,11 @@ impl Auditor {
     fn is_old(&self, making: &str) -> bool {
         making.get(..TIME).and_then(|ms| ms.parse::<u64>().ok()).is_some_and(|ms| ms < self.before_ms)
     }
+}
+
+/// True for two entries of one photo in one folder, whatever bytes they say.
+fn is_of_one(one: &str, other: &str) -> bool {
+    one.starts_with(index::OWNERS) && one.rsplit_once('.').map(|(of, _)| of) == other.rsplit_once('.').map(|(of, _)| of)
 }
 
 /// Photo and making of which a record or blob is; of a blob with who made it.

@@ -11,7 +11,7 @@ use super::{Cluster, Known, lock};
 use crate::server::id::PhotoId;
 
 /// A marker without a photo is left for that long: its upload may still be on its way.
-const ORPHAN: Duration = Duration::from_hours(1);
+pub(super) const ORPHAN: Duration = Duration::from_hours(1);
 /// Pause after a fault of a server, doubled with each further one, and its longest.
 const REPAIR_MS: u64 = 500;
 const MOST_REPAIR_MS: u64 = 60_000;
@@ -85,7 +85,7 @@ impl Cluster {
             // where another has it, the sweep finds it when that one is lost
             return Ok(if marker.node.is_some() { Claim::Over } else { Claim::Later(rest.saturating_sub(quiet)) });
         }
-        match self.look_up(marker.id)? {
+        match self.read_up(marker.id)? {
             Some(Known { photo, end: None, .. }) if photo.making == marker.making => {}
             // the node that ended it did not come to remove it
             Some(Known { photo, end: Some(_), .. }) if photo.making == marker.making => {

@@ -2,6 +2,7 @@
 //!
 //! A file gets its place by a rename or a second name, so that it is whole or not there.
 
+use std::collections::BinaryHeap;
 use std::fs::{self, File};
 use std::hash::{BuildHasher, RandomState};
 use std::io::{self, ErrorKind, Read as _, Seek as _, SeekFrom};
@@ -11,6 +12,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
+use super::index::OWNERS;
 use super::ports::{Blobs, Ledger, Tag, unreachable};
 use super::records::BLOBS;
 use crate::server::files::{Disk, Files, private};
@@ -18,6 +20,26 @@ use crate::server::store::digest;
 
 /// Age from which a file that has no place yet is nobody's.
 const LEFT: Duration = Duration::from_hours(24);
+
+/// The first names after one, of any number that are shown in any order: no more are kept.
+struct First<'a> {
+    after: Option<&'a str>,
+    limit: usize,
+    /// The last of them on top.
+    names: BinaryHeap<String>,
+}
+
+impl First<'_> {
+    fn take(&mut self, name: String) {
+        if self.after.is_some_and(|after| name.as_str() <= after) {
+            return;
+        }
+        self.names.push(name);
+        if self.names.len() > self.limit {
+            self.names.pop();
+        }
+    }
+}
 
 /// A folder of synced files.
 #[derive(Debug)]
@@ -113,8 +135,8 @@ impl Folder {
         Ok(outcome)
     }
 
-    /// Puts the names of all files within a folder, and within those in it, into `names`.
-    fn names(&self, folder: &str, names: &mut Vec<String>) -> io::Result<()> {
+    /// Shows the names of all files within a folder, and within those in it, to `first`.
+    fn names(&self, folder: &str, first: &mut First<'_>) -> io::Result<()> {
         let entries = match fs::read_dir(self.root.join(folder)).map_err(|e| self.missing(e)) {
             Ok(entries) => entries,
             Err(e) if e.kind() == ErrorKind::NotFound => return Ok(()),
@@ -124,7 +146,7 @@ impl Folder {
             let entry = entry?;
             // a name that is no text is nobody's here
             let name = format!("{folder}{}", entry.file_name().to_string_lossy());
-            if entry.file_type()?.is_dir() { self.names(&format!("{name}/"), names)? } else { names.push(name) }
+            if entry.file_type()?.is_dir() { self.names(&format!("{name}/"), first)? } else { first.take(name) }
         }
         Ok(())
     }
@@ -161,14 +183,18 @@ impl Blobs for Folder {
     }
 
     fn tidy(&self, age: Duration) -> io::Result<usize> {
-        let folders = match fs::read_dir(self.root.join(BLOBS)) {
-            Err(e) if e.kind() == ErrorKind::NotFound => return Ok(0),
-            folders => folders?,
-        };
         let is_old = |of: &fs::Metadata| of.modified().is_ok_and(|at| at.elapsed().is_ok_and(|since| since > age));
-        let old = folders.flatten().filter(|entry| entry.metadata().is_ok_and(|of| of.is_dir() && is_old(&of)));
-        // one that has something in it stays
-        Ok(old.filter(|entry| fs::remove_dir(entry.path()).is_ok()).count())
+        let mut removed = 0;
+        for above in [BLOBS, OWNERS] {
+            let folders = match fs::read_dir(self.root.join(above)) {
+                Err(e) if e.kind() == ErrorKind::NotFound => continue,
+                folders => folders?,
+            };
+            let old = folders.flatten().filter(|entry| entry.metadata().is_ok_and(|of| of.is_dir() && is_old(&of)));
+            // one that has something in it stays
+            removed += old.filter(|entry| fs::remove_dir(entry.path()).is_ok()).count();
+        }
+        Ok(removed)
     }
 }
 
@@ -205,12 +231,9 @@ impl Ledger for Folder {
     }
 
     fn page(&self, folder: &str, after: Option<&str>, limit: usize) -> io::Result<Vec<String>> {
-        let mut names = Vec::new();
-        self.names(folder, &mut names)?;
-        names.retain(|name| after.is_none_or(|after| name.as_str() > after));
-        names.sort_unstable();
-        names.truncate(limit);
-        Ok(names)
+        let mut first = First { after, limit, names: BinaryHeap::new() };
+        self.names(folder, &mut first)?;
+        Ok(first.names.into_sorted_vec())
     }
 
     fn all(&self, folder: &str) -> io::Result<Vec<String>> {

@@ -1,13 +1,14 @@
-//! The index of a node follows the store, by looking.
+//! The index of a node follows the store, by looking: the photos that are asked for, and those that wait.
 
 use std::collections::HashSet;
 use std::io;
-use std::sync::{Arc, Weak};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, TryLockError, Weak};
 use std::time::{Duration, Instant};
 
 use super::ports::unreachable;
-use super::records::{Marker, PHOTOS};
-use super::{Cluster, Known, lock};
+use super::records::{Marker, PENDING};
+use super::{Cluster, Known, lock, lock_of};
 use crate::server::entry::Entry;
 use crate::server::id::PhotoId;
 use crate::server::jobs::Jobs;
@@ -63,33 +64,34 @@ impl Cluster {
         })))
     }
 
-    /// True where the list was read not long ago.
-    pub fn is_listed(&self) -> bool {
-        self.is_away() || self.listed.lock().is_ok_and(|at| at.is_some_and(|at| at.elapsed() < super::FRESH_ENDED))
-    }
-
-    /// Reads the list of all photos: takes over those that are new here, and looks up those that are gone.
+    /// Takes up what is `pending` and not known here, the oldest first, until as many photos wait here as may; what is beyond is counted alone.
     ///
     /// # Errors
     /// The store cannot be reached.
-    pub fn list(&self, jobs: &Jobs) -> io::Result<()> {
-        let began = Instant::now();
-        let _listing = lock(&self.listing);
-        if lock(&self.listed).is_some_and(|at| at >= began) {
-            return Ok(());
+    pub fn take_up(&self, jobs: &Jobs, pending: &[String]) -> io::Result<()> {
+        let ids = pending.iter().filter_map(|name| name.strip_prefix(PENDING)?.rsplit_once('.')?.1.parse::<PhotoId>().ok());
+        let mut new: Vec<PhotoId> = ids.filter(|id| !jobs.has(*id)).collect();
+        let room = jobs.free_places().min(new.len());
+        self.beyond.store(new.len() - room, Ordering::Relaxed);
+        new.truncate(room);
+        side_by_side(&new, |id| self.refreshed(jobs, *id)).into_iter().collect()
+    }
+
+    /// Photos that wait beyond those that this node's index has, when that was last looked at.
+    pub fn beyond(&self) -> usize {
+        self.beyond.load(Ordering::Relaxed)
+    }
+
+    /// Forgets what is known of a photo once `take_out` has taken it out of the index, which tells whether it did; not while it is looked up.
+    pub fn let_go(&self, id: PhotoId, take_out: impl FnOnce() -> bool) {
+        let _looking = match self.looking[lock_of(id)].try_lock() {
+            Ok(looking) => looking,
+            Err(TryLockError::Poisoned(looking)) => looking.into_inner(),
+            Err(TryLockError::WouldBlock) => return,
+        };
+        if take_out() {
+            self.forget(id);
         }
-        let mut here: HashSet<PhotoId> = jobs.all().iter().map(|entry| entry.id).collect();
-        let names = self.heard(self.ledger.all(PHOTOS))?;
-        for id in names.iter().filter_map(|name| name.strip_prefix(PHOTOS)?.parse::<PhotoId>().ok()) {
-            if !here.remove(&id) {
-                self.refreshed(jobs, id)?;
-            }
-        }
-        let mut gone: Vec<PhotoId> = here.into_iter().collect();
-        gone.sort_unstable();
-        gone.into_iter().try_for_each(|id| self.refreshed(jobs, id))?;
-        *lock(&self.listed) = Some(Instant::now());
-        Ok(())
     }
 
     /// Looks up photos that are not known to have ended though they are no longer `pending`. What was accepted and has no marker, as
@@ -135,7 +137,33 @@ impl Cluster {
     }
 }
 
-/// Sweeps, lists and looks after what is followed, until the server stops; on threads of its own.
+/// Does something with each of many on a few threads, as a store answers slowly but many at a time; what it gives in their order.
+pub fn side_by_side<T: Sync, R: Send>(all: &[T], what: impl Fn(&T) -> R + Sync) -> Vec<R> {
+    /// Threads, with the caller's.
+    const READERS: usize = 16;
+    let next = AtomicUsize::new(0);
+    let work = || {
+        let each = std::iter::from_fn(|| {
+            let at = next.fetch_add(1, Ordering::Relaxed);
+            Some((at, what(all.get(at)?)))
+        });
+        each.collect::<Vec<_>>()
+    };
+    let mut done = std::thread::scope(|scope| {
+        // where no thread can be started, those that are there do it all
+        let others = (1..READERS.min(all.len())).map_while(|_| std::thread::Builder::new().spawn_scoped(scope, work).ok());
+        let others: Vec<_> = others.collect();
+        let mut done = work();
+        for other in others {
+            done.extend(other.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)));
+        }
+        done
+    });
+    done.sort_unstable_by_key(|(at, _)| *at);
+    done.into_iter().map(|(_, given)| given).collect()
+}
+
+/// Sweeps, looks after what waits and what is followed, and enters what versions before accepted, until the server stops; on threads of its own.
 ///
 /// # Errors
 /// No thread can be started.
@@ -145,16 +173,19 @@ pub fn keep_up(jobs: &Arc<Jobs>, cluster: &Arc<Cluster>) -> io::Result<()> {
     let (weak, of) = (Arc::downgrade(jobs), Arc::clone(cluster));
     std::thread::Builder::new().name("tmpi-sweeps".into()).spawn(move || sweeps(&weak, &of))?;
     let (weak, of) = (Arc::downgrade(jobs), Arc::clone(cluster));
-    std::thread::Builder::new().name("tmpi-lists".into()).spawn(move || lists(&weak, &of))?;
+    std::thread::Builder::new().name("tmpi-waits".into()).spawn(move || waits(&weak, &of))?;
+    let (weak, of) = (Arc::downgrade(jobs), Arc::clone(cluster));
+    std::thread::Builder::new().name("tmpi-builds".into()).spawn(move || builds(&weak, &of))?;
     Ok(())
 }
 
-/// Looks after the photos that somebody follows.
+/// Looks after the photos that somebody follows, and lets go of those that nobody needs.
 fn looks(jobs: &Weak<Jobs>, cluster: &Cluster) {
     loop {
         std::thread::sleep(TICK);
         let Some(jobs) = jobs.upgrade() else { return };
         cluster.lapse(&jobs);
+        jobs.let_go(cluster);
         for entry in jobs.all().iter().filter(|entry| entry.is_followed() && !entry.status().is_final()) {
             if !cluster.is_fresh(entry.id)
                 && let Err(error) = jobs.refresh(cluster, entry.id)
@@ -175,9 +206,31 @@ fn sweeps(jobs: &Weak<Jobs>, cluster: &Cluster) {
     });
 }
 
-/// Reads the list of all photos.
-fn lists(jobs: &Weak<Jobs>, cluster: &Cluster) {
-    again_and_again(jobs, cluster, 20, |jobs| cluster.list(jobs));
+/// Takes up what waits; apart from sweeps, as much may be new here.
+fn waits(jobs: &Weak<Jobs>, cluster: &Cluster) {
+    again_and_again(jobs, cluster, 20, |jobs| cluster.take_up(jobs, &cluster.pending()?));
+}
+
+/// Enters what versions before accepted, until all of it is in the index.
+fn builds(jobs: &Weak<Jobs>, cluster: &Cluster) {
+    /// Pause after an error, doubled up to its longest.
+    const PAUSE: Duration = Duration::from_secs(1);
+    const MOST: Duration = Duration::from_mins(1);
+    let mut pause = PAUSE;
+    while jobs.strong_count() > 0 {
+        match cluster.build_on() {
+            Ok(true) => return,
+            Ok(false) => pause = PAUSE,
+            Err(error) => {
+                tracing::warn!(%error, "photos of before are not all on the list yet");
+                let until = Instant::now() + pause;
+                while Instant::now() < until && jobs.strong_count() > 0 {
+                    std::thread::sleep(TICK);
+                }
+                pause = (pause * 2).min(MOST);
+            }
+        }
+    }
 }
 
 /// Does `what` until the server stops; after one that took long it rests for `times` as long, up to a minute.

@@ -7,6 +7,7 @@ use std::sync::Arc;
 
 use serde::Serialize;
 
+use super::index;
 use super::ports::{Blobs, Ledger};
 use super::records::{self, Marker, Photo};
 use crate::server::access::Secret;
@@ -51,6 +52,7 @@ pub fn migrate(data: &Path, store: &str, dry_run: bool) -> io::Result<Migration>
     let node = format!("{:016x}", RandomState::new().hash_one(std::process::id()));
     let mut to = Migrator { from, blobs, ledger, node, next: 0, dry_run, migration: Migration::default() };
     to.secret(data)?;
+    to.index()?;
     to.migration.unread = to.from.unreadable_ids().iter().map(ToString::to_string).collect();
     to.migration.photos = found.len() + to.migration.unread.len();
     for photo in &found {
@@ -79,6 +81,14 @@ impl Migrator {
             self.migration.other_secret = there.secret != shared.secret;
         } else if !self.dry_run {
             self.migration.other_secret = !self.ledger.create(records::SECRET, &serde_json::to_vec_pretty(&shared)?)?;
+        }
+        Ok(())
+    }
+
+    /// Says that the index has all photos, where there are none yet: it will have those that are brought.
+    fn index(&self) -> io::Result<()> {
+        if !self.dry_run && self.ledger.page(records::PHOTOS, None, 1)?.is_empty() {
+            self.ledger.create(index::BUILT, &serde_json::to_vec_pretty(&index::Built { version: records::VERSION })?)?;
         }
         Ok(())
     }
@@ -122,7 +132,8 @@ impl Migrator {
         if self.dry_run {
             return Ok(());
         }
-        // what says how far it is before what says that it is there
+        // what says how far it is, and its place in the lists, before what says that it is there
+        index::enter(&*self.ledger, id, accepted, index::made(outcome.as_ref()))?;
         match outcome {
             Some(outcome) => {
                 let blobs = format!("{}{of}", records::blobs(id));

@@ -1,17 +1,20 @@
 //! Several nodes on one store: what was accepted and what was made lies in the store, which is the truth; a queue is a
-//! hint and may lose everything. What a node has on its own disk and in its index are copies.
+//! hint and may lose everything. What a node has on its own disk and in its memory are copies: of the photos that were asked for last, however many
+//! the store has. Lists and sums go by an index there.
 
 mod audit;
 mod bus;
 mod claim;
 mod folder;
 mod hear;
+mod index;
 mod jetstream;
 mod local;
 mod look;
 mod migrate;
 mod objects;
 mod open;
+mod origin;
 mod ports;
 mod records;
 mod work;
@@ -19,7 +22,7 @@ mod work;
 use std::collections::{HashMap, HashSet};
 use std::hash::{BuildHasher, BuildHasherDefault, DefaultHasher};
 use std::io;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -28,17 +31,18 @@ use super::id::PhotoId;
 use super::part::Part;
 use super::records::Accepted;
 use super::settings::Settings;
-use super::store::{Origin, digest};
+use super::store::Origin as _;
 use super::time::now_ms;
 use bus::Bus;
 use claim::Sightings;
 use hear::Elsewhere;
-use ports::{Blobs, Figure, Hint, Ledger, Queue, Tag, unreachable};
+use ports::{Blobs, Figure, Hint, Ledger, Queue, Tag};
 use records::{End, Marker, Photo};
 
 pub use audit::{Audit, Remedy, audit};
 pub use hear::hear;
-pub use look::{Seen, keep_up};
+pub use index::{Place, stem};
+pub use look::{Seen, keep_up, side_by_side};
 pub use migrate::{Migration, migrate};
 pub use open::{Nats, Role, Sharing};
 pub use work::work;
@@ -68,15 +72,18 @@ pub struct Cluster {
     bus: Option<Bus>,
     node: String,
     next: AtomicU64,
+    /// Of the photos that the node's index has, and of those alone once each look is over.
     known: Mutex<HashMap<PhotoId, Known>>,
-    /// Versions of photos that are damaged in the store, as this node found.
+    /// Versions of some of these that are damaged in the store, as this node found.
     damaged: Mutex<HashMap<PhotoId, String>>,
     /// Held while a photo is looked up, so that nothing older is taken for newer.
     looking: [Mutex<()>; LOCKS],
     /// When the store could not be reached last, until it answers.
     away: Mutex<Option<Instant>>,
-    listing: Mutex<()>,
-    listed: Mutex<Option<Instant>>,
+    /// The index of the store has all photos.
+    built: AtomicBool,
+    /// Photos that wait beyond those that this node's index has.
+    beyond: AtomicUsize,
     sightings: Mutex<Sightings>,
     /// The marker that was looked at last.
     cursor: Mutex<String>,
@@ -152,11 +159,24 @@ impl Cluster {
     }
 
     fn look_up(&self, id: PhotoId) -> io::Result<Option<Known>> {
+        let read = self.read_up(id)?;
+        match &read {
+            Some(known) => drop(self.known().insert(id, known.clone())),
+            None => self.forget(id),
+        }
+        Ok(read)
+    }
+
+    /// Forgets what is known of a photo.
+    fn forget(&self, id: PhotoId) {
+        self.known().remove(&id);
+        lock(&self.damaged).remove(&id);
+    }
+
+    /// Reads what the store has of a photo, and keeps nothing of it.
+    fn read_up(&self, id: PhotoId) -> io::Result<Option<Known>> {
         let name = Photo::name(id);
-        let Some((bytes, tag)) = self.ledger.get(&name)? else {
-            self.known().remove(&id);
-            return Ok(None);
-        };
+        let Some((bytes, tag)) = self.ledger.get(&name)? else { return Ok(None) };
         let photo: Photo = records::read(&name, &bytes)?;
         let before = self.known().get(&id).filter(|known| known.photo.making == photo.making).and_then(|known| known.end.clone());
         let end = if before.is_some() {
@@ -166,9 +186,7 @@ impl Cluster {
             let name = End::name(id, &photo.making);
             self.ledger.get(&name)?.map(|(bytes, _)| records::read(&name, &bytes)).transpose()?
         };
-        let known = Known { photo, tag, end, looked: Instant::now() };
-        self.known().insert(id, known.clone());
-        Ok(Some(known))
+        Ok(Some(Known { photo, tag, end, looked: Instant::now() }))
     }
 
     /// True where what is known of a photo need not be looked up again.
@@ -204,15 +222,21 @@ impl Cluster {
         }
         let (accepted, settings, source) = (accepted.clone(), settings.clone(), making.clone());
         let photo = Photo { version: records::VERSION, accepted, settings, source, making: making.clone(), before: None, strokes: None };
-        // the marker first: what is accepted without one nobody would make
+        // the marker first: what is accepted without one nobody would make; and its place in the lists
         let hint = self.mark(id, &making)?;
+        index::enter(&*self.ledger, id, &photo.accepted, 0)?;
         let created = self.ledger.create(&Photo::name(id), &serde_json::to_vec_pretty(&photo)?)?;
         // an answer that was lost on its way may have been tried again, against its own outcome
-        let ours = created || self.look_up(id)?.is_some_and(|known| known.photo.making == making);
+        let there = if created { None } else { self.read_up(id)?.map(|known| known.photo) };
+        let ours = created || there.as_ref().is_some_and(|there| there.making == making);
         if ours {
             self.queue.offer(&hint);
             self.stale(id);
         } else {
+            // a twin of the same millisecond has the same place
+            if there.is_none_or(|there| index::stem((there.accepted.at_ms, id)) != index::stem((photo.accepted.at_ms, id))) {
+                index::leave(&*self.ledger, (photo.accepted.at_ms, id), photo.accepted.owner.as_ref(), &[])?;
+            }
             self.discard(id, std::slice::from_ref(&making), &[]);
             self.ledger.remove(&hint.marker)?;
         }
@@ -307,10 +331,13 @@ impl Cluster {
     pub fn remove(&self, id: PhotoId) -> io::Result<()> {
         let known = self.look(id)?;
         self.heard(self.ledger.remove(&Photo::name(id)))?;
-        self.known().remove(&id);
+        self.forget(id);
         let Some(Known { photo, .. }) = known else { return Ok(()) };
         // whoever makes it stops
         self.tell_changed(id, &photo.making);
+        if let Err(error) = index::leave(&*self.ledger, (photo.accepted.at_ms, id), photo.accepted.owner.as_ref(), &[]) {
+            tracing::warn!(%id, %error, "a deleted photo is on the list until that is read");
+        }
         let makings: Vec<String> = [Some(photo.source), Some(photo.making), photo.before].into_iter().flatten().collect();
         for making in &makings {
             for record in [Marker::name_of(id, making), End::name(id, making)] {
@@ -355,43 +382,11 @@ fn lock_of(id: PhotoId) -> usize {
     BuildHasherDefault::<DefaultHasher>::default().hash_one(id) as usize % LOCKS
 }
 
-impl Origin for Cluster {
-    fn fetch(&self, id: PhotoId, part: Part) -> io::Result<Vec<u8>> {
-        let none = || io::Error::from(io::ErrorKind::NotFound);
-        if self.is_away() {
-            return Err(unreachable("it could not be reached just now"));
-        }
-        let known = self.known().get(&id).cloned().ok_or_else(none)?;
-        let name = match part {
-            Part::Upload | Part::Depth => records::blob(id, &known.photo.source, part),
-            Part::Strokes => known.photo.strokes.ok_or_else(none)?,
-            Part::Report | Part::Atlas | Part::Disparity | Part::Thumbnail => {
-                format!("{}.{}", known.end.as_ref().ok_or_else(none)?.blobs, part.name())
-            }
-            Part::Options | Part::State | Part::Settings => return Err(none()),
-        };
-        let bytes = self.heard(self.blobs.read(&name));
-        if bytes.as_ref().is_err_and(|error| error.kind() == io::ErrorKind::NotFound) {
-            // another node may have made it again
-            self.stale(id);
-        }
-        let bytes = bytes?;
-        let whole = match known.end.map(|end| end.outcome) {
-            Some(super::records::End::Done(done)) if part == Part::Atlas => digest(&bytes) == done.atlas_hash,
-            _ => true,
-        };
-        // as good as none
-        if whole { Ok(bytes) } else { Err(none()) }
-    }
-
-    fn version(&self, id: PhotoId) -> Option<String> {
-        let known = self.known();
-        let known = known.get(&id)?;
-        Some(format!("{} {}", known.photo.making, known.end.as_ref().map_or("", |end| &end.blobs)))
-    }
-}
-
 #[cfg(test)]
 mod google;
+#[cfg(test)]
+mod index_tests;
+#[cfg(test)]
+pub mod memory;
 #[cfg(test)]
 mod tests;

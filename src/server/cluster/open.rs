@@ -4,7 +4,7 @@ use std::collections::HashSet;
 use std::hash::{BuildHasher, RandomState};
 use std::io;
 use std::path::Path;
-use std::sync::atomic::AtomicU64;
+use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize};
 use std::sync::{Arc, Mutex};
 
 use async_nats::Event;
@@ -85,8 +85,8 @@ impl Cluster {
             damaged: Mutex::default(),
             looking: [const { Mutex::new(()) }; LOCKS],
             away: Mutex::default(),
-            listing: Mutex::default(),
-            listed: Mutex::default(),
+            built: AtomicBool::new(false),
+            beyond: AtomicUsize::new(0),
             sightings: Mutex::default(),
             cursor: Mutex::default(),
             unmarked: Mutex::new(HashSet::new()),

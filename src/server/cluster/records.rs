@@ -4,6 +4,7 @@
 //! photos/ID                    the photo: Photo; created when it is accepted, changed by compare-and-set, removed when it is deleted
 //! ends/ID.MAKING               how a making of it ended: End; created once, so that one result counts
 //! pending/MAKING.ID            a making that has not ended: Marker; the oldest are listed first
+//! lists/…                       the index of photos, newest first; see index.rs
 //! access/secret                what ids and links are made with where the nodes ask who comes: Shared; created once, by the first of them
 //! blobs/ID/MAKING.PART         what was uploaded, and strokes
 //! blobs/ID/MAKING-NODE-N.PART  what a node made

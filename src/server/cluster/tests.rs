@@ -1,8 +1,10 @@
 use std::path::Path;
 use std::sync::atomic::AtomicUsize;
 
+use super::ports::unreachable;
 use super::*;
 use crate::server::limits::Limits;
+use crate::server::store::digest;
 
 mod lengths;
 
@@ -385,7 +387,7 @@ fn a_deleted_photo_leaves_nothing_behind() {
     one.look(id).unwrap().unwrap();
     one.remove(id).unwrap();
     assert!(one.look(id).unwrap().is_none());
-    for folder in [records::PHOTOS, "ends/", records::PENDING, &records::blobs(id)] {
+    for folder in [records::PHOTOS, "ends/", records::PENDING, index::LISTS, &records::blobs(id)] {
         assert_eq!(one.ledger.page(folder, None, 9).unwrap(), [""; 0], "{folder}");
     }
 }

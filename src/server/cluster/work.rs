@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use super::claim::{Claim, Held};
 use super::ports::Lease;
 use super::records::{self, End};
-use super::{Cluster, Known};
+use super::{Cluster, Known, index};
 use crate::server::entry::{Entry, Status};
 use crate::server::jobs::Jobs;
 use crate::server::maker::{Fault, Product};
@@ -247,15 +247,17 @@ impl Cluster {
             throw_away();
             return Ok("deleted");
         };
+        // a version before may have accepted it; and what it takes counts from here on at the latest
+        self.heard(index::enter(&*self.ledger, id, &photo.accepted, index::made(Some(&record.outcome))))?;
         let name = End::name(id, &held.making);
         let created = self.heard(self.ledger.create(&name, &serde_json::to_vec_pretty(record)?))?;
-        let ours = created || {
-            let there = self.ledger.get(&name)?.map(|(bytes, _)| records::read::<End>(&name, &bytes)).transpose()?;
-            there.is_some_and(|there| there.blobs == record.blobs)
-        };
+        let there =
+            if created { None } else { self.ledger.get(&name)?.map(|(bytes, _)| records::read::<End>(&name, &bytes)).transpose()? };
+        let ours = created || there.as_ref().is_some_and(|there| there.blobs == record.blobs);
         if !ours {
             throw_away();
         }
+        self.settle_entries(id, &photo.accepted, there.as_ref().unwrap_or(record));
         // what cannot be removed is removed by who finds it
         let _ = self.ledger.remove(&held.marker().name());
         if ours && let Some(before) = photo.before {

@@ -9,6 +9,15 @@ use crate::server::access::Owner;
 use crate::server::entry::Entry;
 use crate::server::id::PhotoId;
 
+/// Of whom photos are listed.
+#[derive(Clone, Debug)]
+pub enum Whose {
+    /// Of all.
+    All,
+    /// Of one owner alone; nobody has none.
+    Of(Option<Owner>),
+}
+
 /// Photos by when they were accepted, oldest first.
 pub(super) type ByAge = BTreeMap<(u64, PhotoId), Arc<Entry>>;
 

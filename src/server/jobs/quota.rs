@@ -6,6 +6,7 @@ use axum::http::StatusCode;
 
 use super::{Inner, Jobs};
 use crate::server::access::Owner;
+use crate::server::cluster::Cluster;
 use crate::server::id::PhotoId;
 use crate::server::problem::Problem;
 
@@ -33,17 +34,31 @@ impl Drop for Reserved<'_> {
     }
 }
 
+impl Inner {
+    /// What is coming of an owner.
+    fn coming_of(&self, owner: &Owner) -> HashMap<PhotoId, u64> {
+        self.coming.iter().filter(|coming| coming.owner == *owner).map(|coming| (coming.id, coming.bytes)).collect()
+    }
+}
+
 impl Jobs {
     /// Looks whether `owner` may have one more photo, of at least so many bytes. This machine's own user may, and who is not known is not
-    /// counted.
+    /// counted. Blocks where a store has the photos.
     ///
     /// # Errors
-    /// 403 that names the limit.
+    /// 403 that names the limit, 503 where the store cannot be reached.
     pub fn quota(&self, owner: Option<&Owner>, bytes: u64) -> Result<(), Problem> {
-        self.counted(owner).map_or(Ok(()), |owner| self.fits(&self.lock(), owner, None, bytes))
+        let Some(owner) = self.counted(owner) else { return Ok(()) };
+        let Some(cluster) = &self.cluster else { return self.fits(&self.lock(), owner, None, bytes) };
+        let coming = self.lock().coming_of(owner);
+        self.fits_there(cluster, owner, None, bytes, coming)
     }
 
     /// The same, and keeps the room for the photo `id` while it is taken into a store without `membership` held; a twin of it needs no other.
+    ///
+    /// In a store of several nodes the index there is asked. Uploads of one owner that come to several nodes at the same time may not see each
+    /// other: there may be as many photos too many as there are other nodes that take one while this one is taken. What an upload that broke off
+    /// left in the index counts until the list is read an hour later.
     ///
     /// # Errors
     /// As [`Jobs::quota`].
@@ -51,10 +66,19 @@ impl Jobs {
         let Some(owner) = self.counted(owner) else { return Ok(None) };
         let coming = Coming { owner: owner.clone(), id, bytes };
         let mut inner = self.lock();
-        self.fits(&inner, owner, Some(id), bytes)?;
+        let Some(cluster) = &self.cluster else {
+            self.fits(&inner, owner, Some(id), bytes)?;
+            inner.coming.push(coming.clone());
+            drop(inner);
+            return Ok(Some(Reserved { jobs: self, coming }));
+        };
+        // what came before this one is counted with it or is in the index by the time that is read; what comes later counts this one
+        let before = inner.coming_of(owner);
         inner.coming.push(coming.clone());
         drop(inner);
-        Ok(Some(Reserved { jobs: self, coming }))
+        let reserved = Reserved { jobs: self, coming };
+        self.fits_there(cluster, owner, Some(id), bytes, before)?;
+        Ok(Some(reserved))
     }
 
     /// An owner who may not have any number.
@@ -69,7 +93,34 @@ impl Jobs {
         let there = inner.by_owner.get(owner).into_iter().flat_map(|all| all.values()).map(|entry| (entry.id, entry.bytes()));
         // each once, as it is in the index where it is there
         let theirs: HashMap<PhotoId, u64> = coming.chain(there).filter(|(of, _)| id != Some(*of)).collect();
-        let (photos, taken) = (theirs.len(), theirs.values().sum::<u64>());
+        self.beside(theirs.len(), theirs.values().sum(), bytes)
+    }
+
+    /// The same of what the store's index says, beside what was `coming` before that is read.
+    fn fits_there(
+        &self,
+        cluster: &Cluster,
+        owner: &Owner,
+        id: Option<PhotoId>,
+        bytes: u64,
+        mut coming: HashMap<PhotoId, u64>,
+    ) -> Result<(), Problem> {
+        let (mut photos, mut taken) = (0, 0_u64);
+        let count = |of: PhotoId, bytes: u64| {
+            coming.remove(&of);
+            if id != Some(of) {
+                photos += 1;
+                taken = taken.saturating_add(bytes);
+            }
+        };
+        cluster.each_of(owner, count).map_err(|e| Problem::store(&e))?;
+        let coming = coming.iter().filter(|(of, _)| id != Some(**of));
+        let (photos, taken) = coming.fold((photos, taken), |(photos, taken), (_, bytes)| (photos + 1, taken.saturating_add(*bytes)));
+        self.beside(photos, taken, bytes)
+    }
+
+    /// Refuses a photo that is too much beside so many, which take so many bytes.
+    fn beside(&self, photos: usize, taken: u64, bytes: u64) -> Result<(), Problem> {
         let refused = |detail: String| Err(Problem::new(StatusCode::FORBIDDEN, "quota", detail));
         match (self.limits.quota_photos, self.limits.quota_bytes) {
             (Some(most), _) if photos >= most => refused(format!(

@@ -1,4 +1,4 @@
-//! The index where the photos are in a store of many nodes: it follows the store.
+//! The index where the photos are in a store of many nodes: it follows the store as far as it is asked.
 
 use std::sync::Arc;
 
@@ -39,6 +39,7 @@ impl Jobs {
             self.lock().insert(&entry);
             entry
         });
+        self.is_asked_for(&entry);
         if entry.settings() != settings {
             entry.set_settings(settings);
         }
@@ -161,7 +162,9 @@ impl Jobs {
     /// # Errors
     /// The store cannot be reached.
     pub(in crate::server) fn refresh(&self, cluster: &Cluster, id: PhotoId) -> std::io::Result<Option<Arc<Entry>>> {
-        cluster.refresh(id, |seen| self.take_over(id, seen), &self.store)
+        let entry = cluster.refresh(id, |seen| self.take_over(id, seen), &self.store);
+        self.let_go(cluster);
+        entry
     }
 
     /// Has the photo counted among those that are being made.

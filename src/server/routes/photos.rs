@@ -134,7 +134,7 @@ pub async fn upload(State(app): State<App>, Extension(clock): Extension<Clock>, 
     let length = if whole.is_some() { header::length_at_once(request.headers())? } else { None };
     let (owner, fresh) = uploader(&app)?;
     // before the body comes
-    app.jobs.quota(owner.as_ref(), length_told(request.headers()))?;
+    app.quota(owner.as_ref(), length_told(request.headers())).await?;
     let entry = upload::take(&app, &query, request, owner).await?.entry;
     let mut response = accepted(&app, &entry, &clock, wait, fresh).await?;
     // an upload in parts that came in one
@@ -243,12 +243,11 @@ pub async fn list(State(app): State<App>, request: Request) -> Result<Response, 
         let n = text.parse().ok().filter(|n| (1..=most).contains(n));
         n.ok_or_else(|| Problem::parameter("limit", format!("must be from 1 to {most}, not {text:?}")))
     })?;
-    let after = pairs.get("after").map(|text| {
-        let known = cursor(&app, text);
-        known.ok_or_else(|| Problem::parameter("after", format!("there is no photo {text:?}")))
-    });
-    let after = after.transpose()?;
-    let page = app.list(after, limit);
+    let after = match pairs.get("after") {
+        Some(text) => Some(cursor(&app, text).await.ok_or_else(|| Problem::parameter("after", format!("there is no photo {text:?}")))?),
+        None => None,
+    };
+    let page = app.list(after, limit).await?;
     // the next page is found by age as well, so that it is found even if the last photo of this one is deleted
     let last = page.photos.last().filter(|_| page.more).map(|e| e.key());
     let next = last.map(|(at_ms, id)| format!("/v1/photos?limit={limit}&after={at_ms}-{id}"));
@@ -257,10 +256,12 @@ pub async fn list(State(app): State<App>, request: Request) -> Result<Response, 
     Ok(respond_once(request.headers(), list.into(), "application/json"))
 }
 
-fn cursor(app: &App, text: &str) -> Option<(u64, PhotoId)> {
+async fn cursor(app: &App, text: &str) -> Option<(u64, PhotoId)> {
     if let Some((at_ms, id)) = text.split_once('-') {
         return Some((at_ms.parse().ok()?, id.parse().ok()?));
     }
+    // it may be known here no longer, or not yet
+    let _held = app.look_up(text.parse().ok()?, true).await;
     app.photo(text).ok().map(|entry| entry.key())
 }
 

@@ -85,13 +85,26 @@ pub async fn metrics(State(app): State<App>, _: NoQuery, headers: HeaderMap) -> 
     let of_class = |name| queued.iter().find(|(class, _)| *class == name).map_or(0.0, |(_, n)| *n as f64);
     let mut gauges = app.rooms.get().map(|rooms| rooms.counts()).unwrap_or_default();
     gauges.extend(app.jobs.cluster.as_ref().map(|cluster| cluster.counts()).unwrap_or_default());
+    gauges.extend(if app.jobs.cluster.is_some() {
+        vec![
+            ("tmpi_photos_known", "Photos of the store that this node has in memory; it counts no others", counts.known as f64),
+            ("tmpi_photos_damaged", "Finished photos of these that this node found damaged in the store", counts.damaged as f64),
+        ]
+    } else {
+        vec![
+            ("tmpi_photos_done", "Finished photos of a node alone; nodes of a store do not know all of them", counts.done as f64),
+            ("tmpi_photos_failed", "Photos of a node alone that could not be made", counts.failed as f64),
+            ("tmpi_photos_damaged", "Finished photos that are damaged on disk", counts.damaged as f64),
+        ]
+    });
     gauges.extend([
-        ("tmpi_queue_depth", "Photos that wait", counts.queued as f64),
+        (
+            "tmpi_queue_depth",
+            "Photos that wait; in a store, all that are pending there and not being made as far as this node heard",
+            counts.queued as f64,
+        ),
         ("tmpi_queue_limit", "Photos that may wait", app.limits.queue as f64),
-        ("tmpi_jobs_running", "Photos that are being made", counts.working as f64),
-        ("tmpi_photos_done", "Finished photos", counts.done as f64),
-        ("tmpi_photos_failed", "Photos that could not be made", counts.failed as f64),
-        ("tmpi_photos_damaged", "Finished photos that are damaged on disk", counts.damaged as f64),
+        ("tmpi_jobs_running", "Photos that this node is making", counts.working as f64),
         ("tmpi_photos_unreadable", "Photos whose records cannot be read", app.jobs.store.unreadable() as f64),
         ("tmpi_partial_uploads", "Uploads of which parts are there", app.partials.count() as f64),
         ("tmpi_scene_cache_bytes", "Memory of decoded scenes", app.scenes.bytes() as f64),

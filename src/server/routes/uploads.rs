@@ -106,7 +106,7 @@ pub(super) async fn begin(app: &App, query: Vec<(String, String)>, request: Requ
     { Extent::NOTHING }.begin(&said, most).map_err(|e| header::refusal(e, &Extent::NOTHING))?;
     let _leave = Ticket::take(app)?;
     let owner = app.guard.as_ref().and_then(|_| Guard::owner());
-    app.jobs.quota(owner.as_ref(), said.length.or(said.content).unwrap_or_default())?;
+    app.quota(owner.as_ref(), said.length.or(said.content).unwrap_or_default()).await?;
     let turn = partial::begin(app, query, of_whole(request.headers()), owner).await?;
     let (body, shared) = (request.into_body(), Arc::clone(app));
     let first = async move {
