@@ -30,7 +30,10 @@ pub enum What {
         layer: u32,
     },
     /// Planes and labels.
-    Geometry,
+    Geometry {
+        /// The frame that they are as of.
+        frame: u64,
+    },
     /// Sound.
     Sound,
 }
@@ -66,6 +69,8 @@ pub struct Place {
     waits: bool,
     /// Tiles came meanwhile, and were left out.
     stale: bool,
+    /// The frame up to which all tiles reached the viewer; none: it has none.
+    known: Option<u64>,
     /// When the viewer came or skipped: it is not behind by what came before.
     since: Instant,
     /// Frames that it was not given.
@@ -78,6 +83,17 @@ impl Place {
     pub const fn number(&self) -> u64 {
         self.next
     }
+
+    /// The frame up to which all tiles reached the viewer; none: it has none.
+    #[must_use]
+    pub const fn known(&self) -> Option<u64> {
+        self.known
+    }
+
+    /// The viewer is sent all tiles that it lacks up to `frame`.
+    pub fn told(&mut self, frame: u64) {
+        self.known = self.known.max(Some(frame));
+    }
 }
 
 /// What a viewer is to do next.
@@ -85,7 +101,7 @@ impl Place {
 pub enum Step {
     /// Send this.
     Send(Bytes),
-    /// Frames were left out: what is known of the tiles has to be sent anew.
+    /// Frames were left out: the tiles that came meanwhile have to be sent.
     Skipped {
         /// There is no key frame to go on with.
         wants_key: bool,
@@ -136,13 +152,13 @@ impl Ring {
     #[must_use]
     pub fn begin(&self, now: Instant) -> Place {
         let key = self.last_key();
-        Place { next: key.unwrap_or(self.end()), waits: key.is_none(), stale: false, since: now, skipped: 0 }
+        Place { next: key.unwrap_or(self.end()), waits: key.is_none(), stale: false, known: None, since: now, skipped: 0 }
     }
 
     /// Where one begins who has been told everything so far.
     #[must_use]
     pub fn at_end(&self, now: Instant) -> Place {
-        Place { next: self.end(), waits: false, stale: false, since: now, skipped: 0 }
+        Place { next: self.end(), waits: false, stale: false, known: None, since: now, skipped: 0 }
     }
 
     /// Number that the next message will have, and all since the last key frame with theirs.
@@ -161,7 +177,7 @@ impl Ring {
             }
             let Some(entry) = self.entries.get((place.next - self.first) as usize) else { return Step::Wait };
             if entry.what == What::Key && place.stale {
-                // what is known of the tiles goes before the frame that goes on
+                // the tiles that were left out go before the frame that goes on
                 place.stale = false;
                 return Step::Skipped { wants_key: false };
             }
@@ -174,14 +190,17 @@ impl Ring {
                 }
                 // the higher layers go first, before anything has to be skipped
                 What::Frame { layer } => !place.waits && share <= KEEPS[layer.min(2) as usize],
-                What::Geometry => !place.waits,
+                What::Geometry { .. } => !place.waits,
                 What::Sound => true,
             };
             if wanted {
+                if let What::Geometry { frame } = entry.what {
+                    place.told(frame);
+                }
                 return Step::Send(entry.bytes.clone());
             }
             place.skipped += u64::from(matches!(entry.what, What::Frame { .. }));
-            place.stale |= entry.what == What::Geometry;
+            place.stale |= matches!(entry.what, What::Geometry { .. });
         }
     }
 
@@ -248,10 +267,12 @@ mod tests {
         let (mut ring, now) = (Ring::default(), Instant::now());
         let mut place = ring.begin(now);
         ring.push(What::Frame { layer: 0 }, message(1, 10), now);
-        ring.push(What::Geometry, message(2, 10), now);
+        ring.push(What::Geometry { frame: 1 }, message(2, 10), now);
         ring.push(What::Key, message(3, 10), now);
         ring.push(What::Frame { layer: 0 }, message(4, 10), now);
-        assert_eq!(ring.step(&mut place, now), Step::Skipped { wants_key: false }, "the tiles that were left out are told with all others");
+        assert_eq!(ring.step(&mut place, now), Step::Skipped { wants_key: false }, "the tiles that were left out come first");
+        assert_eq!(place.known(), None);
+        place.told(1);
         assert_eq!(read(&ring, &mut place, now), [3, 4]);
         assert_eq!(ring.step(&mut place, now), Step::Wait);
     }
@@ -299,9 +320,10 @@ mod tests {
             let (mut ring, mut now) = (Ring::default(), Instant::now());
             let mut place = ring.begin(now);
             let (mut sent, mut got, mut next): (Vec<(u32, What)>, Option<u32>, u32) = (Vec::new(), None, 0);
+            let frame_of = |what: &What| if let What::Geometry { frame } = what { Some(*frame) } else { None };
             for (kind, length, ms, reads) in steps {
                 now += Duration::from_millis(ms);
-                let what = match kind { 0 => What::Key, 1 => What::Geometry, 2 => What::Sound, _ => What::Frame { layer: 0 } };
+                let what = match kind { 0 => What::Key, 1 => What::Geometry { frame: next.into() }, 2 => What::Sound, _ => What::Frame { layer: 0 } };
                 let mut bytes = next.to_le_bytes().to_vec();
                 bytes.resize(usize::from(length).max(4), 0);
                 ring.push(what, bytes.into(), now);
@@ -309,9 +331,18 @@ mod tests {
                 next += 1;
                 prop_assert!(ring.kept <= KEPT_BYTES);
                 for _ in 0..reads {
-                    if let Step::Send(bytes) = ring.step(&mut place, now) {
+                    let step = ring.step(&mut place, now);
+                    if matches!(step, Step::Skipped { .. })
+                        && let Some(newest) = sent.iter().filter_map(|(_, w)| frame_of(w)).next_back()
+                    {
+                        place.told(newest);
+                    }
+                    if let Step::Send(bytes) = step {
                         let n = u32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]);
                         prop_assert!(got.is_none_or(|g| g < n));
+                        // no tiles are missing that came before
+                        let tiles = sent[..n as usize].iter().filter_map(|(_, w)| frame_of(w)).next_back();
+                        prop_assert!(tiles <= place.known(), "{tiles:?} before {n}, known are those of {:?}", place.known());
                         if let What::Frame { .. } = sent[n as usize].1 {
                             let before = sent[..n as usize].iter().rev().find(|(_, w)| matches!(w, What::Key | What::Frame { .. }));
                             // the frame that it refers to was given, too

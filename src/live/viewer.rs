@@ -47,12 +47,12 @@ async fn watch(socket: &mut WebSocket, room: &Room, viewer: &mut Viewer, stop: &
                 }
             }
             Next::Hello(hello) => {
-                if send(socket, write(Kind::Hello((*hello).clone()))).await.is_err() || tiles(socket, room).await.is_err() {
+                if send(socket, write(Kind::Hello((*hello).clone()))).await.is_err() || tiles(socket, room, viewer).await.is_err() {
                     return End::Gone;
                 }
             }
             Next::Tiles => {
-                if tiles(socket, room).await.is_err() {
+                if tiles(socket, room, viewer).await.is_err() {
                     return End::Gone;
                 }
             }
@@ -82,8 +82,8 @@ async fn watch(socket: &mut WebSocket, room: &Room, viewer: &mut Viewer, stop: &
     }
 }
 
-async fn tiles(socket: &mut WebSocket, room: &Room) -> Result<(), axum::Error> {
-    match room.snapshot() {
+async fn tiles(socket: &mut WebSocket, room: &Room, viewer: &mut Viewer) -> Result<(), axum::Error> {
+    match room.tiles(viewer) {
         Some(Ok(bytes)) => send(socket, bytes).await,
         Some(Err(error)) => {
             tracing::error!(%error, "coding the tiles of a room");
