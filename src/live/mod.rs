@@ -2,7 +2,7 @@
 //!
 //! The publisher's socket hands each frame on at once, as the bytes that came: to the ring, which every viewer's socket reads at its
 //! own pace, and to the room's worker, which decodes it for its geometry alone. A viewer that falls behind skips to a key frame and
-//! is told the tiles that are newer than it has; nothing is queued for anyone, so a room's memory does not depend on how slowly it is read.
+//! is told the tiles that are newer than it has, as one that looks again after it was hidden; nothing is queued for anyone, so a room's memory does not depend on how slowly it is read.
 //!
 //! | file | what |
 //! |---|---|

@@ -60,6 +60,17 @@ pub struct Ring {
     kept: usize,
 }
 
+/// Whether somebody looks at what a viewer is sent.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Sight {
+    /// As far as is known.
+    Seen,
+    /// Nobody does: sound alone is sent.
+    Hidden,
+    /// Somebody does again, and has not been given a frame yet.
+    Back,
+}
+
 /// Where a viewer is.
 #[derive(Clone, Debug)]
 pub struct Place {
@@ -71,6 +82,9 @@ pub struct Place {
     stale: bool,
     /// The frame up to which all tiles reached the viewer; none: it has none.
     known: Option<u64>,
+    sight: Sight,
+    /// Number of the first message whose sound was not heard: who looks again may go back to a key frame.
+    heard: u64,
     /// When the viewer came or skipped: it is not behind by what came before.
     since: Instant,
     /// Frames that it was not given.
@@ -88,6 +102,27 @@ impl Place {
     #[must_use]
     pub const fn known(&self) -> Option<u64> {
         self.known
+    }
+
+    /// Whether sound alone is sent.
+    #[must_use]
+    pub const fn is_paused(&self) -> bool {
+        matches!(self.sight, Sight::Hidden)
+    }
+
+    /// Sends sound alone from now on, or all again: then with a key frame, and after the tiles that are newer than the viewer has.
+    pub const fn pause(&mut self, paused: bool) {
+        self.sight = match (paused, self.sight) {
+            (true, _) => Sight::Hidden,
+            (false, Sight::Hidden) => Sight::Back,
+            (false, sight) => sight,
+        };
+    }
+
+    /// A place in another publisher's messages for whoever had this one.
+    #[must_use]
+    pub const fn anew(&self, place: Self) -> Self {
+        Self { skipped: self.skipped, sight: self.sight, ..place }
     }
 
     /// The viewer is sent all tiles that it lacks up to `frame`.
@@ -152,13 +187,14 @@ impl Ring {
     #[must_use]
     pub fn begin(&self, now: Instant) -> Place {
         let key = self.last_key();
-        Place { next: key.unwrap_or(self.end()), waits: key.is_none(), stale: false, known: None, since: now, skipped: 0 }
+        Place { next: key.unwrap_or(self.end()), waits: key.is_none(), ..self.at_end(now) }
     }
 
     /// Where one begins who has been told everything so far.
     #[must_use]
     pub fn at_end(&self, now: Instant) -> Place {
-        Place { next: self.end(), waits: false, stale: false, known: None, since: now, skipped: 0 }
+        let next = self.end();
+        Place { next, waits: false, stale: false, known: None, sight: Sight::Seen, heard: 0, since: now, skipped: 0 }
     }
 
     /// Number that the next message will have, and all since the last key frame with theirs.
@@ -171,6 +207,14 @@ impl Ring {
 
     /// What comes next for a viewer.
     pub fn step(&self, place: &mut Place, now: Instant) -> Step {
+        match place.sight {
+            Sight::Seen => {}
+            Sight::Hidden => return self.sound(place, now),
+            Sight::Back => {
+                (place.sight, place.heard) = (Sight::Seen, place.next);
+                return self.go_on(place, now, 0);
+            }
+        }
         loop {
             if place.next < self.first || self.is_behind(place, now) {
                 return self.skip(place, now);
@@ -181,6 +225,7 @@ impl Ring {
                 place.stale = false;
                 return Step::Skipped { wants_key: false };
             }
+            let number = place.next;
             place.next += 1;
             let share = (self.passed - entry.passed) as f64 / BEHIND_BYTES as f64;
             let wanted = match entry.what {
@@ -191,7 +236,7 @@ impl Ring {
                 // the higher layers go first, before anything has to be skipped
                 What::Frame { layer } => !place.waits && share <= KEEPS[layer.min(2) as usize],
                 What::Geometry { .. } => !place.waits,
-                What::Sound => true,
+                What::Sound => number >= place.heard,
             };
             if wanted {
                 if let What::Geometry { frame } = entry.what {
@@ -210,19 +255,37 @@ impl Ring {
         bytes > BEHIND_BYTES || now.saturating_duration_since(entry.at.max(place.since)) > BEHIND
     }
 
+    /// The next sound, and nothing else.
+    fn sound(&self, place: &mut Place, now: Instant) -> Step {
+        place.next = place.next.max(self.first);
+        while let Some(entry) = self.entries.get((place.next - self.first) as usize) {
+            place.next += 1;
+            if entry.what == What::Sound && now.saturating_duration_since(entry.at) <= BEHIND {
+                return Step::Send(entry.bytes.clone());
+            }
+        }
+        Step::Wait
+    }
+
     fn skip(&self, place: &mut Place, now: Instant) -> Step {
         let from = place.next;
-        let near = |key: &u64| {
-            *key > from && self.entries.get((key - self.first) as usize).is_some_and(|e| self.passed - e.passed <= BEHIND_BYTES)
-        };
-        let key = self.last_key().filter(near);
-        (place.next, place.waits, place.stale, place.since) = (key.unwrap_or(self.end()), key.is_none(), false, now);
+        let step = self.go_on(place, now, from + 1);
         let passed = from.max(self.first)..place.next;
         let frames = passed.filter(|i| {
             let entry = self.entries.get((i - self.first) as usize);
             entry.is_some_and(|e| matches!(e.what, What::Key | What::Frame { .. }))
         });
         place.skipped += frames.count() as u64 + self.first.saturating_sub(from);
+        step
+    }
+
+    /// Goes on with the last key frame if its number is `least` or more, else with the one that comes.
+    fn go_on(&self, place: &mut Place, now: Instant, least: u64) -> Step {
+        let near = |key: &u64| {
+            *key >= least && self.entries.get((key - self.first) as usize).is_some_and(|e| self.passed - e.passed <= BEHIND_BYTES)
+        };
+        let key = self.last_key().filter(near);
+        (place.next, place.waits, place.stale, place.since) = (key.unwrap_or(self.end()), key.is_none(), false, now);
         Step::Skipped { wants_key: key.is_none() }
     }
 }
@@ -294,6 +357,50 @@ mod tests {
         assert_eq!(ring.step(&mut place, now), Step::Skipped { wants_key: true });
         frames(&mut ring, 175..182, 60, start);
         assert_eq!(read(&ring, &mut place, start + Duration::from_millis(182 * 33)), [180, 181]);
+    }
+
+    #[test]
+    fn who_does_not_look_is_sent_sound_alone_and_then_goes_on_with_a_key_frame_and_hears_nothing_twice() {
+        let (mut ring, start) = (Ring::default(), Instant::now());
+        let at = |n: u8| start + Duration::from_millis(u64::from(n) * 20);
+        let mut place = ring.begin(start);
+        // sound between the frames, a key frame at 0, 20, 40, …; geometry at 5, 25, …
+        let push = |ring: &mut Ring, numbers: std::ops::Range<u8>| {
+            for n in numbers {
+                let what = match n % 20 {
+                    0 => What::Key,
+                    5 => What::Geometry { frame: n.into() },
+                    k if k % 2 == 1 => What::Sound,
+                    _ => What::Frame { layer: 0 },
+                };
+                ring.push(what, message(n, 10), at(n));
+            }
+        };
+        push(&mut ring, 0..4);
+        assert_eq!(read(&ring, &mut place, at(4)), [0, 1, 2, 3]);
+        place.pause(true);
+        push(&mut ring, 4..30);
+        let sounds = |range: std::ops::Range<u8>| range.filter(|n| n % 2 == 1 && n % 20 != 5).collect::<Vec<u8>>();
+        assert_eq!(read(&ring, &mut place, at(30)), sounds(4..30));
+        push(&mut ring, 30..34);
+        assert_eq!((ring.step(&mut place, at(200)), place.skipped), (Step::Wait, 0), "sound of over a second ago is none any more");
+        push(&mut ring, 34..36);
+        place.pause(false);
+        assert_eq!(ring.step(&mut place, at(36)), Step::Skipped { wants_key: false });
+        assert_eq!(place.known(), None, "the tiles were left out");
+        place.told(25);
+        assert_eq!(read(&ring, &mut place, at(36)), [20, 22, 24, 25, 26, 28, 30, 32, 34, 35], "what was heard is not heard again");
+        // nothing changes for who looks already
+        place.pause(false);
+        push(&mut ring, 36..38);
+        assert_eq!(read(&ring, &mut place, at(38)), [36, 37]);
+        // a place in what another publisher sends
+        place.pause(true);
+        let other = Ring::default();
+        let mut place = place.anew(other.begin(at(38)));
+        assert!(place.is_paused());
+        place.pause(false);
+        assert_eq!(other.step(&mut place, at(38)), Step::Skipped { wants_key: true });
     }
 
     #[test]

@@ -218,8 +218,11 @@ impl Room {
     }
 
     /// What a viewer lacks of the tiles, as a message, and counts it as sent: SNAPSHOT where it has none, else GEOMETRY of those that are newer
-    /// than it has; none where there are none.
+    /// than it has; none where there are none, or nobody looks.
     pub fn tiles(&self, viewer: &mut Viewer) -> Option<Result<Bytes, LiveError>> {
+        if viewer.place.is_paused() {
+            return None;
+        }
         if let Some(known) = viewer.place.known() {
             let state = self.lock();
             if state.epoch != viewer.epoch {
@@ -309,8 +312,7 @@ impl Room {
         let Some(hello) = state.hello.clone() else { return Next::Wait };
         if viewer.epoch != state.epoch {
             viewer.epoch = state.epoch;
-            let skipped = std::mem::replace(&mut viewer.place, state.ring.begin(now)).skipped;
-            viewer.place.skipped = skipped;
+            viewer.place = viewer.place.anew(state.ring.begin(now));
             return Next::Hello(hello);
         }
         match state.ring.step(&mut viewer.place, now) {
@@ -429,6 +431,11 @@ impl Viewer {
     /// Number that the next message of the ring has.
     pub const fn number(&self) -> u64 {
         self.place.number()
+    }
+
+    /// Sends it sound alone from now on, or all again.
+    pub const fn pause(&mut self, paused: bool) {
+        self.place.pause(paused);
     }
 
     /// The epoch that it was told of.
