@@ -83,6 +83,8 @@ pub struct Place {
     /// The frame up to which all tiles reached the viewer; none: it has none.
     known: Option<u64>,
     sight: Sight,
+    /// The lowest layer of which a frame was left out after the last frame of a lower one: those that follow may refer to it.
+    lacks: Option<u32>,
     /// Number of the first message whose sound was not heard: who looks again may go back to a key frame.
     heard: u64,
     /// When the viewer came or skipped: it is not behind by what came before.
@@ -194,7 +196,7 @@ impl Ring {
     #[must_use]
     pub fn at_end(&self, now: Instant) -> Place {
         let next = self.end();
-        Place { next, waits: false, stale: false, known: None, sight: Sight::Seen, heard: 0, since: now, skipped: 0 }
+        Place { next, waits: false, stale: false, known: None, sight: Sight::Seen, lacks: None, heard: 0, since: now, skipped: 0 }
     }
 
     /// Number that the next message will have, and all since the last key frame with theirs.
@@ -230,11 +232,18 @@ impl Ring {
             let share = (self.passed - entry.passed) as f64 / BEHIND_BYTES as f64;
             let wanted = match entry.what {
                 What::Key => {
-                    place.waits = false;
+                    (place.waits, place.lacks) = (false, None);
                     true
                 }
                 // the higher layers go first, before anything has to be skipped
-                What::Frame { layer } => !place.waits && share <= KEEPS[layer.min(2) as usize],
+                What::Frame { layer } => {
+                    place.lacks = place.lacks.filter(|lacks| layer >= *lacks);
+                    let given = !place.waits && place.lacks.is_none() && share <= KEEPS[layer.min(2) as usize];
+                    if !given {
+                        place.lacks = place.lacks.or(Some(layer));
+                    }
+                    given
+                }
                 What::Geometry { .. } => !place.waits,
                 What::Sound => number >= place.heard,
             };
@@ -416,6 +425,22 @@ mod tests {
         let has = |layer: [u8; 2], range: std::ops::Range<u8>| range.filter(|n| layer.contains(&(n % 4))).all(|n| got.contains(&n));
         assert!(has([0, 0], 1..61) && has([1, 3], 50..61) && !got.contains(&1) && !got.contains(&2));
         assert!(got.is_sorted() && place.skipped > 20);
+    }
+
+    #[test]
+    fn a_frame_that_may_refer_to_one_that_was_left_out_is_left_out_too() {
+        let (mut ring, now) = (Ring::default(), Instant::now());
+        let mut place = ring.begin(now);
+        ring.push(What::Key, message(0, 100), now);
+        // one of layer 1 that is far behind the end, the next one just before it
+        ring.push(What::Frame { layer: 1 }, message(1, 100), now);
+        ring.push(What::Frame { layer: 2 }, message(2, 600_000), now);
+        ring.push(What::Frame { layer: 1 }, message(3, 100), now);
+        ring.push(What::Frame { layer: 0 }, message(4, 100), now);
+        ring.push(What::Frame { layer: 2 }, message(5, 100), now);
+        ring.push(What::Frame { layer: 1 }, message(6, 100), now);
+        assert_eq!(read(&ring, &mut place, now), [0, 4, 5, 6]);
+        assert_eq!(place.skipped, 3);
     }
 
     proptest! {

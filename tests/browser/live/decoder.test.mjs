@@ -95,8 +95,13 @@ describe('the decoder of rooms', () => {
       frame: 77,
       time,
       key: true,
+      layer: 0,
       data,
     });
+    for (const layer of [1, 2]) {
+      const video = { frame: 78, time, key: false, layer, data };
+      assert.deepEqual(decoder.read(decoder.writeVideo(video)), { kind: 'video', ...video });
+    }
     assert.deepEqual(decoder.read(decoder.writeSound({ time, data })), { kind: 'sound', time, data });
     assert.deepEqual(decoder.read(decoder.writeBye('enough')), { kind: 'bye', reason: 'enough', again: false });
     const hello = decoder.writeHello({ width: 320, height: 240, codec: 'avc1.42e01f', sound: 'opus', rate: 48_000, channels: 1 });
