@@ -3,7 +3,7 @@
 // {sound} whether sound is wanted · {flat} nothing can draw the scene. Out: {type: 'head', head} · {type: 'scene', scene, cells} · {type: 'update', instances, cells} ·
 // {type: 'picture', picture} where it is to be flat · {type: 'state', state, reason} · {type: 'statistics', …} · {type: 'sound', …}.
 
-import { Connection } from './connection.js';
+import { Connection, EVERYTHING, SOUND_ALONE } from './connection.js';
 import { compiled, RoomDecoder } from './decoder.js';
 import { Hold } from './hold.js';
 import { NoDecoder, Pictures } from './pictures.js';
@@ -106,10 +106,12 @@ class Room {
   set hidden(hidden) {
     if (this.#hidden === hidden) return;
     this.#hidden = hidden;
-    // the last group of frames comes anew, so nothing need be kept up meanwhile
+    this.#waits = true;
+    this.#lastFrame = performance.now();
+    // the last group of frames comes anew, so nothing need be kept up meanwhile but the sound
+    if (this.#sound.wanted && this.#connection.send(hidden ? SOUND_ALONE : EVERYTHING)) return;
     if (!hidden) this.#connection.start();
     else if (!this.#sound.wanted) this.#connection.stop();
-    this.#waits = true;
   }
 
   /** The page shows what it was sent last. */
@@ -171,6 +173,7 @@ class Room {
 
   /** @param {Hello} hello */
   async #begin(hello) {
+    if (this.#hidden) this.#connection.send(SOUND_ALONE);
     const before = this.#hello;
     this.#hello = hello;
     this.#waits = true;
@@ -351,7 +354,7 @@ class Room {
   }
 
   #tell() {
-    if (this.#state === 'live' && performance.now() - this.#lastFrame > STALLED_MS) this.#say('stalled');
+    if (this.#state === 'live' && !this.#hidden && performance.now() - this.#lastFrame > STALLED_MS) this.#say('stalled');
     if (this.#drawing && !this.#hidden && !this.#watched.flat && performance.now() - this.#sent > UNSEEN_MS) this.again();
     const { made, copy, video, latency, lag, frames, bytes } = this.#measured;
     [this.#measured.frames, this.#measured.bytes] = [0, 0];
