@@ -121,10 +121,10 @@ impl Place {
         };
     }
 
-    /// A place in another publisher's messages for whoever had this one.
+    /// Where one begins in another publisher's messages who had this place in the last one's.
     #[must_use]
-    pub const fn anew(&self, place: Self) -> Self {
-        Self { skipped: self.skipped, sight: self.sight, ..place }
+    pub fn anew(&self, ring: &Ring, now: Instant) -> Self {
+        Self { skipped: self.skipped, sight: self.sight, ..ring.begin(now) }
     }
 
     /// The viewer is sent all tiles that it lacks up to `frame`.
@@ -406,7 +406,7 @@ mod tests {
         // a place in what another publisher sends
         place.pause(true);
         let other = Ring::default();
-        let mut place = place.anew(other.begin(at(38)));
+        let mut place = place.anew(&other, at(38));
         assert!(place.is_paused());
         place.pause(false);
         assert_eq!(other.step(&mut place, at(38)), Step::Skipped { wants_key: true });

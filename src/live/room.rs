@@ -312,7 +312,7 @@ impl Room {
         let Some(hello) = state.hello.clone() else { return Next::Wait };
         if viewer.epoch != state.epoch {
             viewer.epoch = state.epoch;
-            viewer.place = viewer.place.anew(state.ring.begin(now));
+            viewer.place = viewer.place.anew(&state.ring, now);
             return Next::Hello(hello);
         }
         match state.ring.step(&mut viewer.place, now) {

@@ -145,11 +145,11 @@ mod tests {
             assert_eq!(words.take(credit(n % 2), start), Ok(n % 2 == 1));
         }
         assert!(words.take(credit(1), start).is_err_and(|reason| reason.contains("0.5 s")));
-        let later = start + Duration::from_secs(60);
+        let later = start + Duration::from_mins(1);
         assert!((0..WORDS).all(|_| words.take(credit(0), later) == Ok(false)));
         assert!(words.take(credit(0), later).is_err());
         let bye = write(Kind::Bye(Bye::default()));
-        assert_eq!(words.take(bye, later + Duration::from_secs(60)), Err(NOTHING_ELSE.into()));
+        assert_eq!(words.take(bye, later + Duration::from_mins(1)), Err(NOTHING_ELSE.into()));
         assert_eq!(words.take(vec![0xFF; 9].into(), later), Err(NOTHING_ELSE.into()));
     }
 }
