@@ -1,5 +1,8 @@
 //! Decoders of what publishers send.
 
+#[cfg(feature = "vp9")]
+mod vp9;
+
 use tmpi_core::Photo;
 use tmpi_core::container::{PhotoFormat, decode_picture};
 pub use tmpi_core::live::{I420, to_rgb};
@@ -42,6 +45,8 @@ pub fn decoder(codec: &str, size: (u32, u32)) -> Result<Box<dyn Decoder>, VideoE
         JPEG => Ok(Box::new(Jpeg { size })),
         #[cfg(feature = "h264")]
         _ if codec.starts_with("avc1.") => Ok(Box::new(h264::H264::new(size))),
+        #[cfg(feature = "vp9")]
+        _ if codec.starts_with("vp09.00.") => Ok(Box::new(vp9::Vp9::new(size))),
         _ => Err(VideoError::Codec(codec.chars().take(32).collect())),
     }
 }
@@ -164,7 +169,7 @@ mod h264 {
             for plane in [&frame.y, &frame.u, &frame.v] {
                 sum.update(plane);
             }
-            sum.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
+            sum.finalize().iter().map(|byte| format!("{byte:02x}")).collect::<Vec<_>>().concat()
         }
 
         /// Whether other frames refer to this one (ITU-T H.264, 7.4.1: `nal_ref_idc`).

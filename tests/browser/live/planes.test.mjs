@@ -1,4 +1,4 @@
-// A browser's decoder of H.264 has bit by bit the planes that the server's has: both are held to the hashes of crates/live/tests/video.
+// A browser's decoders of H.264 and VP9 have bit by bit the planes that the server's has: both are held to the hashes of crates/live/tests/video.
 import assert from 'node:assert/strict';
 import { readFileSync } from 'node:fs';
 import { createServer } from 'node:http';
@@ -23,6 +23,19 @@ function units(stream) {
     unit.whole = kind === SLICE || kind === KEY;
   }
   return out.map(({ key, data }) => ({ key, data: Buffer.concat(data).toString('base64') }));
+}
+
+/** Frames of an IVF file. */
+function framesOf(ivf) {
+  const out = [];
+  for (let at = 32; at < ivf.length; ) {
+    const length = ivf.readUInt32LE(at);
+    const data = ivf.subarray(at + 12, at + 12 + length);
+    // the uncompressed header: two bits of a marker, two of the profile, none that shows a frame again, none for a key frame
+    out.push({ key: !(data[0] & 0b100), data: data.toString('base64') });
+    at += 12 + length;
+  }
+  return out;
 }
 
 /** Codec string by the parameters that a stream begins with. */
@@ -77,14 +90,24 @@ describe('planes of a browser', () => {
     server?.close();
   });
 
+  /** What a table of ffmpeg's says. */
+  const hashesOf = (name) => {
+    const table = file(`${name}.framehash`).toString().split('\n');
+    return table.filter((line) => line && !line.startsWith('#')).map((line) => line.split(', ').at(-1).trim());
+  };
+  const check = async (codec, frames, expected) => {
+    assert.ok(frames.length === expected.length && frames[0].key && !frames[1].key);
+    assert.deepEqual(await page.evaluate(decoded, { codec, frames }), expected);
+  };
+
   for (const name of ['testsrc', 'layers']) {
     test(`are those of ffmpeg and of the server: ${name}`, async () => {
       const stream = file(`${name}.h264`);
-      const table = file(`${name}.framehash`).toString().split('\n');
-      const expected = table.filter((line) => line && !line.startsWith('#')).map((line) => line.split(', ').at(-1).trim());
-      const frames = units(stream);
-      assert.ok(frames.length === expected.length && frames[0].key);
-      assert.deepEqual(await page.evaluate(decoded, { codec: codecOf(stream), frames }), expected);
+      await check(codecOf(stream), units(stream), hashesOf(name));
     });
   }
+
+  test('are those of ffmpeg and of the server: VP9', async () => {
+    await check('vp09.00.10.08', framesOf(file('testsrc.ivf')), hashesOf('testsrc-vp9'));
+  });
 });
