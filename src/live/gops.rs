@@ -159,7 +159,7 @@ mod tests {
         push(What::Key, 1, 10);
         push(What::Frame { layer: 0 }, 2, 500);
         push(What::Key, 3, 900);
-        push(What::Geometry, 4, 1000);
+        push(What::Geometry { frame: 3 }, 4, 1000);
         push(What::Key, 5, 1010);
         push(What::Sound, 6, 1020);
         let bytes = |range: std::ops::RangeInclusive<u8>| range.map(|b| Bytes::from(vec![b])).collect::<Vec<_>>();

@@ -2,7 +2,7 @@
 //!
 //! The publisher's socket hands each frame on at once, as the bytes that came: to the ring, which every viewer's socket reads at its
 //! own pace, and to the room's worker, which decodes it for its geometry alone. A viewer that falls behind skips to a key frame and
-//! is told all tiles anew; nothing is queued for anyone, so a room's memory does not depend on how slowly it is read.
+//! is told the tiles that are newer than it has, as one that looks again after it was hidden; nothing is queued for anyone, so a room's memory does not depend on how slowly it is read.
 //!
 //! | file | what |
 //! |---|---|
@@ -12,6 +12,7 @@
 //! | `publisher`, `viewer` | one socket each |
 //! | `sound` | how much sound may come |
 //! | `room` | what sockets and threads of a room share |
+//! | `still` | the last frame whose geometry is done |
 //! | `ring` | messages since the last key frame |
 //! | `gops` | the same as groups of pictures, for plain HTTP |
 //! | `fetch` | frames and groups of pictures by plain HTTP, of whichever node has them |
@@ -28,6 +29,7 @@ mod ring;
 mod room;
 pub(crate) mod routes;
 mod sound;
+mod still;
 mod viewer;
 mod worker;
 

@@ -30,7 +30,10 @@ pub enum What {
         layer: u32,
     },
     /// Planes and labels.
-    Geometry,
+    Geometry {
+        /// The frame that they are as of.
+        frame: u64,
+    },
     /// Sound.
     Sound,
 }
@@ -57,6 +60,17 @@ pub struct Ring {
     kept: usize,
 }
 
+/// Whether somebody looks at what a viewer is sent.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Sight {
+    /// As far as is known.
+    Seen,
+    /// Nobody does: sound alone is sent.
+    Hidden,
+    /// Somebody does again, and has not been given a frame yet.
+    Back,
+}
+
 /// Where a viewer is.
 #[derive(Clone, Debug)]
 pub struct Place {
@@ -66,6 +80,13 @@ pub struct Place {
     waits: bool,
     /// Tiles came meanwhile, and were left out.
     stale: bool,
+    /// The frame up to which all tiles reached the viewer; none: it has none.
+    known: Option<u64>,
+    sight: Sight,
+    /// The lowest layer of which a frame was left out after the last frame of a lower one: those that follow may refer to it.
+    lacks: Option<u32>,
+    /// Number of the first message whose sound was not heard: who looks again may go back to a key frame.
+    heard: u64,
     /// When the viewer came or skipped: it is not behind by what came before.
     since: Instant,
     /// Frames that it was not given.
@@ -78,6 +99,38 @@ impl Place {
     pub const fn number(&self) -> u64 {
         self.next
     }
+
+    /// The frame up to which all tiles reached the viewer; none: it has none.
+    #[must_use]
+    pub const fn known(&self) -> Option<u64> {
+        self.known
+    }
+
+    /// Whether sound alone is sent.
+    #[must_use]
+    pub const fn is_paused(&self) -> bool {
+        matches!(self.sight, Sight::Hidden)
+    }
+
+    /// Sends sound alone from now on, or all again: then with a key frame, and after the tiles that are newer than the viewer has.
+    pub const fn pause(&mut self, paused: bool) {
+        self.sight = match (paused, self.sight) {
+            (true, _) => Sight::Hidden,
+            (false, Sight::Hidden) => Sight::Back,
+            (false, sight) => sight,
+        };
+    }
+
+    /// Where one begins in another publisher's messages who had this place in the last one's.
+    #[must_use]
+    pub fn anew(&self, ring: &Ring, now: Instant) -> Self {
+        Self { skipped: self.skipped, sight: self.sight, ..ring.begin(now) }
+    }
+
+    /// The viewer is sent all tiles that it lacks up to `frame`.
+    pub fn told(&mut self, frame: u64) {
+        self.known = self.known.max(Some(frame));
+    }
 }
 
 /// What a viewer is to do next.
@@ -85,7 +138,7 @@ impl Place {
 pub enum Step {
     /// Send this.
     Send(Bytes),
-    /// Frames were left out: what is known of the tiles has to be sent anew.
+    /// Frames were left out: the tiles that came meanwhile have to be sent.
     Skipped {
         /// There is no key frame to go on with.
         wants_key: bool,
@@ -136,13 +189,14 @@ impl Ring {
     #[must_use]
     pub fn begin(&self, now: Instant) -> Place {
         let key = self.last_key();
-        Place { next: key.unwrap_or(self.end()), waits: key.is_none(), stale: false, since: now, skipped: 0 }
+        Place { next: key.unwrap_or(self.end()), waits: key.is_none(), ..self.at_end(now) }
     }
 
     /// Where one begins who has been told everything so far.
     #[must_use]
     pub fn at_end(&self, now: Instant) -> Place {
-        Place { next: self.end(), waits: false, stale: false, since: now, skipped: 0 }
+        let next = self.end();
+        Place { next, waits: false, stale: false, known: None, sight: Sight::Seen, lacks: None, heard: 0, since: now, skipped: 0 }
     }
 
     /// Number that the next message will have, and all since the last key frame with theirs.
@@ -155,33 +209,52 @@ impl Ring {
 
     /// What comes next for a viewer.
     pub fn step(&self, place: &mut Place, now: Instant) -> Step {
+        match place.sight {
+            Sight::Seen => {}
+            Sight::Hidden => return self.sound(place, now),
+            Sight::Back => {
+                (place.sight, place.heard) = (Sight::Seen, place.next);
+                return self.go_on(place, now, 0);
+            }
+        }
         loop {
             if place.next < self.first || self.is_behind(place, now) {
                 return self.skip(place, now);
             }
             let Some(entry) = self.entries.get((place.next - self.first) as usize) else { return Step::Wait };
             if entry.what == What::Key && place.stale {
-                // what is known of the tiles goes before the frame that goes on
+                // the tiles that were left out go before the frame that goes on
                 place.stale = false;
                 return Step::Skipped { wants_key: false };
             }
+            let number = place.next;
             place.next += 1;
             let share = (self.passed - entry.passed) as f64 / BEHIND_BYTES as f64;
             let wanted = match entry.what {
                 What::Key => {
-                    place.waits = false;
+                    (place.waits, place.lacks) = (false, None);
                     true
                 }
                 // the higher layers go first, before anything has to be skipped
-                What::Frame { layer } => !place.waits && share <= KEEPS[layer.min(2) as usize],
-                What::Geometry => !place.waits,
-                What::Sound => true,
+                What::Frame { layer } => {
+                    place.lacks = place.lacks.filter(|lacks| layer >= *lacks);
+                    let given = !place.waits && place.lacks.is_none() && share <= KEEPS[layer.min(2) as usize];
+                    if !given {
+                        place.lacks = place.lacks.or(Some(layer));
+                    }
+                    given
+                }
+                What::Geometry { .. } => !place.waits,
+                What::Sound => number >= place.heard,
             };
             if wanted {
+                if let What::Geometry { frame } = entry.what {
+                    place.told(frame);
+                }
                 return Step::Send(entry.bytes.clone());
             }
             place.skipped += u64::from(matches!(entry.what, What::Frame { .. }));
-            place.stale |= entry.what == What::Geometry;
+            place.stale |= matches!(entry.what, What::Geometry { .. });
         }
     }
 
@@ -191,19 +264,37 @@ impl Ring {
         bytes > BEHIND_BYTES || now.saturating_duration_since(entry.at.max(place.since)) > BEHIND
     }
 
+    /// The next sound, and nothing else.
+    fn sound(&self, place: &mut Place, now: Instant) -> Step {
+        place.next = place.next.max(self.first);
+        while let Some(entry) = self.entries.get((place.next - self.first) as usize) {
+            place.next += 1;
+            if entry.what == What::Sound && now.saturating_duration_since(entry.at) <= BEHIND {
+                return Step::Send(entry.bytes.clone());
+            }
+        }
+        Step::Wait
+    }
+
     fn skip(&self, place: &mut Place, now: Instant) -> Step {
         let from = place.next;
-        let near = |key: &u64| {
-            *key > from && self.entries.get((key - self.first) as usize).is_some_and(|e| self.passed - e.passed <= BEHIND_BYTES)
-        };
-        let key = self.last_key().filter(near);
-        (place.next, place.waits, place.stale, place.since) = (key.unwrap_or(self.end()), key.is_none(), false, now);
+        let step = self.go_on(place, now, from + 1);
         let passed = from.max(self.first)..place.next;
         let frames = passed.filter(|i| {
             let entry = self.entries.get((i - self.first) as usize);
             entry.is_some_and(|e| matches!(e.what, What::Key | What::Frame { .. }))
         });
         place.skipped += frames.count() as u64 + self.first.saturating_sub(from);
+        step
+    }
+
+    /// Goes on with the last key frame if its number is `least` or more, else with the one that comes.
+    fn go_on(&self, place: &mut Place, now: Instant, least: u64) -> Step {
+        let near = |key: &u64| {
+            *key >= least && self.entries.get((key - self.first) as usize).is_some_and(|e| self.passed - e.passed <= BEHIND_BYTES)
+        };
+        let key = self.last_key().filter(near);
+        (place.next, place.waits, place.stale, place.since) = (key.unwrap_or(self.end()), key.is_none(), false, now);
         Step::Skipped { wants_key: key.is_none() }
     }
 }
@@ -248,10 +339,12 @@ mod tests {
         let (mut ring, now) = (Ring::default(), Instant::now());
         let mut place = ring.begin(now);
         ring.push(What::Frame { layer: 0 }, message(1, 10), now);
-        ring.push(What::Geometry, message(2, 10), now);
+        ring.push(What::Geometry { frame: 1 }, message(2, 10), now);
         ring.push(What::Key, message(3, 10), now);
         ring.push(What::Frame { layer: 0 }, message(4, 10), now);
-        assert_eq!(ring.step(&mut place, now), Step::Skipped { wants_key: false }, "the tiles that were left out are told with all others");
+        assert_eq!(ring.step(&mut place, now), Step::Skipped { wants_key: false }, "the tiles that were left out come first");
+        assert_eq!(place.known(), None);
+        place.told(1);
         assert_eq!(read(&ring, &mut place, now), [3, 4]);
         assert_eq!(ring.step(&mut place, now), Step::Wait);
     }
@@ -276,6 +369,50 @@ mod tests {
     }
 
     #[test]
+    fn who_does_not_look_is_sent_sound_alone_and_then_goes_on_with_a_key_frame_and_hears_nothing_twice() {
+        let (mut ring, start) = (Ring::default(), Instant::now());
+        let at = |n: u8| start + Duration::from_millis(u64::from(n) * 20);
+        let mut place = ring.begin(start);
+        // sound between the frames, a key frame at 0, 20, 40, …; geometry at 5, 25, …
+        let push = |ring: &mut Ring, numbers: std::ops::Range<u8>| {
+            for n in numbers {
+                let what = match n % 20 {
+                    0 => What::Key,
+                    5 => What::Geometry { frame: n.into() },
+                    k if k % 2 == 1 => What::Sound,
+                    _ => What::Frame { layer: 0 },
+                };
+                ring.push(what, message(n, 10), at(n));
+            }
+        };
+        push(&mut ring, 0..4);
+        assert_eq!(read(&ring, &mut place, at(4)), [0, 1, 2, 3]);
+        place.pause(true);
+        push(&mut ring, 4..30);
+        let sounds = |range: std::ops::Range<u8>| range.filter(|n| n % 2 == 1 && n % 20 != 5).collect::<Vec<u8>>();
+        assert_eq!(read(&ring, &mut place, at(30)), sounds(4..30));
+        push(&mut ring, 30..34);
+        assert_eq!((ring.step(&mut place, at(200)), place.skipped), (Step::Wait, 0), "sound of over a second ago is none any more");
+        push(&mut ring, 34..36);
+        place.pause(false);
+        assert_eq!(ring.step(&mut place, at(36)), Step::Skipped { wants_key: false });
+        assert_eq!(place.known(), None, "the tiles were left out");
+        place.told(25);
+        assert_eq!(read(&ring, &mut place, at(36)), [20, 22, 24, 25, 26, 28, 30, 32, 34, 35], "what was heard is not heard again");
+        // nothing changes for who looks already
+        place.pause(false);
+        push(&mut ring, 36..38);
+        assert_eq!(read(&ring, &mut place, at(38)), [36, 37]);
+        // a place in what another publisher sends
+        place.pause(true);
+        let other = Ring::default();
+        let mut place = place.anew(&other, at(38));
+        assert!(place.is_paused());
+        place.pause(false);
+        assert_eq!(other.step(&mut place, at(38)), Step::Skipped { wants_key: true });
+    }
+
+    #[test]
     fn higher_layers_go_before_anything_is_skipped() {
         let (mut ring, now) = (Ring::default(), Instant::now());
         let mut place = ring.begin(now);
@@ -290,6 +427,22 @@ mod tests {
         assert!(got.is_sorted() && place.skipped > 20);
     }
 
+    #[test]
+    fn a_frame_that_may_refer_to_one_that_was_left_out_is_left_out_too() {
+        let (mut ring, now) = (Ring::default(), Instant::now());
+        let mut place = ring.begin(now);
+        ring.push(What::Key, message(0, 100), now);
+        // one of layer 1 that is far behind the end, the next one just before it
+        ring.push(What::Frame { layer: 1 }, message(1, 100), now);
+        ring.push(What::Frame { layer: 2 }, message(2, 600_000), now);
+        ring.push(What::Frame { layer: 1 }, message(3, 100), now);
+        ring.push(What::Frame { layer: 0 }, message(4, 100), now);
+        ring.push(What::Frame { layer: 2 }, message(5, 100), now);
+        ring.push(What::Frame { layer: 1 }, message(6, 100), now);
+        assert_eq!(read(&ring, &mut place, now), [0, 4, 5, 6]);
+        assert_eq!(place.skipped, 3);
+    }
+
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(64))]
 
@@ -299,9 +452,10 @@ mod tests {
             let (mut ring, mut now) = (Ring::default(), Instant::now());
             let mut place = ring.begin(now);
             let (mut sent, mut got, mut next): (Vec<(u32, What)>, Option<u32>, u32) = (Vec::new(), None, 0);
+            let frame_of = |what: &What| if let What::Geometry { frame } = what { Some(*frame) } else { None };
             for (kind, length, ms, reads) in steps {
                 now += Duration::from_millis(ms);
-                let what = match kind { 0 => What::Key, 1 => What::Geometry, 2 => What::Sound, _ => What::Frame { layer: 0 } };
+                let what = match kind { 0 => What::Key, 1 => What::Geometry { frame: next.into() }, 2 => What::Sound, _ => What::Frame { layer: 0 } };
                 let mut bytes = next.to_le_bytes().to_vec();
                 bytes.resize(usize::from(length).max(4), 0);
                 ring.push(what, bytes.into(), now);
@@ -309,9 +463,18 @@ mod tests {
                 next += 1;
                 prop_assert!(ring.kept <= KEPT_BYTES);
                 for _ in 0..reads {
-                    if let Step::Send(bytes) = ring.step(&mut place, now) {
+                    let step = ring.step(&mut place, now);
+                    if matches!(step, Step::Skipped { .. })
+                        && let Some(newest) = sent.iter().filter_map(|(_, w)| frame_of(w)).next_back()
+                    {
+                        place.told(newest);
+                    }
+                    if let Step::Send(bytes) = step {
                         let n = u32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]);
                         prop_assert!(got.is_none_or(|g| g < n));
+                        // no tiles are missing that came before
+                        let tiles = sent[..n as usize].iter().filter_map(|(_, w)| frame_of(w)).next_back();
+                        prop_assert!(tiles <= place.known(), "{tiles:?} before {n}, known are those of {:?}", place.known());
                         if let What::Frame { .. } = sent[n as usize].1 {
                             let before = sent[..n as usize].iter().rev().find(|(_, w)| matches!(w, What::Key | What::Frame { .. }));
                             // the frame that it refers to was given, too

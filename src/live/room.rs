@@ -1,20 +1,19 @@
 //! What the sockets and threads of a room share.
 
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
 use bytes::Bytes;
-use tokio::sync::{Notify, OnceCell, watch};
+use tokio::sync::{Notify, watch};
 
-use tmpi_core::live::chunk::{self, Area};
 use tmpi_core::live::wire::message::Kind;
 use tmpi_core::live::wire::{self, Hello, Statistics};
 use tmpi_core::live::{LiveError, write};
-use tmpi_core::{Geometry, Photo};
 
 use super::gops::{Group, Groups, Part};
 use super::nodes::{Chunks, Start};
 use super::ring::{Place, Ring, Step, What};
+pub use super::still::{Still, Tiles};
 use super::{KEYS, VIEWERS};
 
 /// A room.
@@ -47,54 +46,12 @@ struct State {
     followed: bool,
     /// Its tiles.
     chunks: Option<Chunks>,
+    /// The tiles that were made here as they were sent.
+    made: Option<Chunks>,
     groups: Groups,
     still: Option<Arc<Still>>,
     asked: Option<Instant>,
     statistics: Statistics,
-}
-
-/// The last frame whose geometry is done.
-pub struct Still {
-    /// Its picture.
-    pub photo: Photo,
-    /// Its tiles.
-    pub tiles: Arc<Tiles>,
-    /// All of it as a container, made when it is first asked for.
-    pub atlas: OnceCell<Bytes>,
-}
-
-/// All tiles as of a frame.
-pub struct Tiles {
-    /// Its number.
-    pub frame: u64,
-    /// They themselves.
-    pub geometry: Geometry,
-    /// As a message, coded when it is first wanted.
-    coded: OnceLock<Bytes>,
-}
-
-impl Still {
-    /// Of a frame.
-    pub fn new(frame: u64, photo: Photo, geometry: Geometry) -> Self {
-        Self { photo, tiles: Arc::new(Tiles { frame, geometry, coded: OnceLock::new() }), atlas: OnceCell::new() }
-    }
-}
-
-impl Tiles {
-    /// They as a message, coded once.
-    ///
-    /// # Errors
-    /// [`LiveError`].
-    pub fn snapshot(&self) -> Result<Bytes, LiveError> {
-        if let Some(known) = self.coded.get() {
-            return Ok(known.clone());
-        }
-        let g = &self.geometry;
-        let chunk = chunk::encode(&g.grid, Area::all(&g.grid), &g.tiles, self.frame)?;
-        let bytes = write(Kind::Snapshot(wire::Geometry { frame: self.frame, chunks: vec![chunk] }));
-        // two who come at once code the same
-        Ok(self.coded.get_or_init(|| bytes).clone())
-    }
 }
 
 /// What a viewer does next.
@@ -103,7 +60,7 @@ pub enum Next {
     Send(Bytes),
     /// Say this, then send all tiles: there is another publisher.
     Hello(Arc<Hello>),
-    /// Send all tiles: frames were skipped.
+    /// Send the tiles that it lacks: frames were skipped.
     Tiles,
     /// Wait for a change.
     Wait,
@@ -196,7 +153,7 @@ impl Room {
                 state.statistics.frames += 1;
                 state.statistics.video_bytes += bytes.len() as u64;
             }
-            What::Geometry => state.statistics.geometry_bytes += bytes.len() as u64,
+            What::Geometry { .. } => state.statistics.geometry_bytes += bytes.len() as u64,
             What::Sound => {}
         }
         let now = Instant::now();
@@ -207,6 +164,19 @@ impl Room {
         state.ring.push(what, bytes, now);
         drop(guard);
         self.changed();
+    }
+
+    /// Hands tiles on that were made here of a frame of a publisher of `epoch`, as [`Self::push`] does.
+    pub fn push_tiles(&self, epoch: u64, tiles: wire::Geometry) {
+        let mut state = self.lock();
+        // kept before anyone is told: who skips in between is sent them twice, and never not at all
+        if state.epoch == epoch
+            && let Some(made) = &mut state.made
+        {
+            made.take(&tiles);
+        }
+        drop(state);
+        self.push(epoch, What::Geometry { frame: tiles.frame }, write(Kind::Geometry(tiles)));
     }
 
     /// Keeps the tiles of a frame of a publisher of `epoch`, as [`Self::push`] does; `count` counts it.
@@ -232,14 +202,44 @@ impl Room {
 
     /// SNAPSHOT of all tiles as they are; none as long as there are none.
     pub fn snapshot(&self) -> Option<Result<Bytes, LiveError>> {
+        self.everything().map(|(_, bytes)| bytes)
+    }
+
+    /// The same, with the frame that it is as of.
+    fn everything(&self) -> Option<(u64, Result<Bytes, LiveError>)> {
         let still = {
             let mut state = self.lock();
             match &mut state.chunks {
-                Some(chunks) => return chunks.snapshot().map(Ok),
+                Some(chunks) => return chunks.newest().zip(chunks.snapshot().map(Ok)),
                 None => state.still.clone(),
             }
         };
-        still.map(|still| still.tiles.snapshot())
+        still.map(|still| (still.tiles.frame, still.tiles.snapshot()))
+    }
+
+    /// What a viewer lacks of the tiles, as a message, and counts it as sent: SNAPSHOT where it has none, else GEOMETRY of those that are newer
+    /// than it has; none where there are none, or nobody looks.
+    pub fn tiles(&self, viewer: &mut Viewer) -> Option<Result<Bytes, LiveError>> {
+        if viewer.place.is_paused() {
+            return None;
+        }
+        if let Some(known) = viewer.place.known() {
+            let state = self.lock();
+            if state.epoch != viewer.epoch {
+                // all of it is told with the next HELLO
+                return None;
+            }
+            let kept = state.chunks.as_ref().or(state.made.as_ref());
+            if let Some((frame, chunks)) = kept.and_then(|kept| kept.newest().zip(kept.newer(known))) {
+                drop(state);
+                viewer.place.told(frame);
+                let tiles = || Ok(write(Kind::Geometry(wire::Geometry { frame, chunks })));
+                return (frame > known).then(tiles);
+            }
+        }
+        let (frame, bytes) = self.everything()?;
+        viewer.place.told(frame);
+        Some(bytes)
     }
 
     /// What is counted, for a viewer.
@@ -312,8 +312,7 @@ impl Room {
         let Some(hello) = state.hello.clone() else { return Next::Wait };
         if viewer.epoch != state.epoch {
             viewer.epoch = state.epoch;
-            let skipped = std::mem::replace(&mut viewer.place, state.ring.begin(now)).skipped;
-            viewer.place.skipped = skipped;
+            viewer.place = viewer.place.anew(&state.ring, now);
             return Next::Hello(hello);
         }
         match state.ring.step(&mut viewer.place, now) {
@@ -416,6 +415,7 @@ impl Room {
 impl State {
     /// Forgets what was, for a publisher that says `hello`.
     fn begin(&mut self, hello: Hello, chunks: Option<Chunks>) {
+        self.made = if chunks.is_none() { Chunks::new(&hello) } else { None };
         self.hello = Some(Arc::new(hello));
         self.ring.clear();
         (self.groups, self.still, self.statistics) = (Groups::default(), None, Statistics::default());
@@ -433,8 +433,16 @@ impl Viewer {
         self.place.number()
     }
 
+    /// Sends it sound alone from now on, or all again.
+    pub const fn pause(&mut self, paused: bool) {
+        self.place.pause(paused);
+    }
+
     /// The epoch that it was told of.
     pub const fn epoch(&self) -> u64 {
         self.epoch
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,18 +1,24 @@
 //! The socket of a viewer: it is sent what the room's ring has for it, one message after the other, as fast as it takes them.
+//!
+//! All that it may say is CREDIT: of no frames where nobody looks, as in a hidden tab, and of one or more where somebody looks again.
 
 use std::sync::Arc;
 
 use axum::extract::ws::{Message, WebSocket};
 use bytes::Bytes;
-use tokio::time::{MissedTickBehavior, interval};
+use tokio::time::{Instant, MissedTickBehavior, interval};
 use tokio_util::sync::CancellationToken;
 
 use tmpi_core::live::wire::Bye;
 use tmpi_core::live::wire::message::Kind;
-use tmpi_core::live::write;
+use tmpi_core::live::{read, write};
 
 use super::room::{Next, Room, Viewer};
 use super::{HEARTBEAT, send_away};
+
+/// Words that a viewer may say at once, and seconds for each one after that.
+const WORDS: u32 = 20;
+const WORD: f64 = 0.5;
 
 /// Why a viewer is sent away.
 enum End {
@@ -38,6 +44,7 @@ async fn watch(socket: &mut WebSocket, room: &Room, viewer: &mut Viewer, stop: &
     let mut changes = room.watch();
     let mut heartbeat = interval(HEARTBEAT);
     heartbeat.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    let mut words = Words { left: f64::from(WORDS), at: Instant::now() };
     loop {
         changes.mark_unchanged();
         match room.next(viewer) {
@@ -47,12 +54,12 @@ async fn watch(socket: &mut WebSocket, room: &Room, viewer: &mut Viewer, stop: &
                 }
             }
             Next::Hello(hello) => {
-                if send(socket, write(Kind::Hello((*hello).clone()))).await.is_err() || tiles(socket, room).await.is_err() {
+                if send(socket, write(Kind::Hello((*hello).clone()))).await.is_err() || tiles(socket, room, viewer).await.is_err() {
                     return End::Gone;
                 }
             }
             Next::Tiles => {
-                if tiles(socket, room).await.is_err() {
+                if tiles(socket, room, viewer).await.is_err() {
                     return End::Gone;
                 }
             }
@@ -69,11 +76,13 @@ async fn watch(socket: &mut WebSocket, room: &Room, viewer: &mut Viewer, stop: &
                     }
                 }
                 came = socket.recv() => match came {
-                    // there is nothing that a viewer has to say; pings are answered by the library
+                    // pings are answered by the library
                     Some(Ok(Message::Ping(_) | Message::Pong(_))) => {}
-                    Some(Ok(Message::Text(_) | Message::Binary(_))) => {
-                        return End::Bye(Bye { reason: "viewers send nothing".into(), again: false });
-                    }
+                    Some(Ok(Message::Binary(bytes))) => match words.take(bytes, Instant::now()) {
+                        Ok(looks) => viewer.pause(!looks),
+                        Err(reason) => return End::Bye(Bye { reason, again: false }),
+                    },
+                    Some(Ok(Message::Text(_))) => return End::Bye(Bye { reason: NOTHING_ELSE.into(), again: false }),
                     _ => return End::Gone,
                 },
                 () = stop.cancelled() => return End::Bye(Bye { reason: "the server stops".into(), again: true }),
@@ -82,8 +91,32 @@ async fn watch(socket: &mut WebSocket, room: &Room, viewer: &mut Viewer, stop: &
     }
 }
 
-async fn tiles(socket: &mut WebSocket, room: &Room) -> Result<(), axum::Error> {
-    match room.snapshot() {
+const NOTHING_ELSE: &str = "viewers send nothing but CREDIT";
+
+/// How much a viewer may still say.
+struct Words {
+    left: f64,
+    at: Instant,
+}
+
+impl Words {
+    /// Whether somebody looks, by what a viewer says.
+    ///
+    /// # Errors
+    /// It is no CREDIT, or more than may come by now, for the viewer to be told.
+    fn take(&mut self, bytes: Bytes, now: Instant) -> Result<bool, String> {
+        let Ok(Kind::Credit(credit)) = read(bytes) else { return Err(NOTHING_ELSE.into()) };
+        let more = now.saturating_duration_since(self.at).as_secs_f64() / WORD;
+        (self.left, self.at) = ((self.left + more).min(f64::from(WORDS)) - 1.0, now);
+        if self.left < 0.0 {
+            return Err(format!("more CREDIT than once in {WORD} s, and {WORDS} times at once"));
+        }
+        Ok(credit.frames > 0)
+    }
+}
+
+async fn tiles(socket: &mut WebSocket, room: &Room, viewer: &mut Viewer) -> Result<(), axum::Error> {
+    match room.tiles(viewer) {
         Some(Ok(bytes)) => send(socket, bytes).await,
         Some(Err(error)) => {
             tracing::error!(%error, "coding the tiles of a room");
@@ -95,4 +128,28 @@ async fn tiles(socket: &mut WebSocket, room: &Room) -> Result<(), axum::Error> {
 
 async fn send(socket: &mut WebSocket, bytes: Bytes) -> Result<(), axum::Error> {
     socket.send(Message::Binary(bytes)).await
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::time::Duration;
+    use tmpi_core::live::wire::Credit;
+
+    #[test]
+    fn credit_says_whether_somebody_looks_and_comes_no_more_often_than_tabs_are_changed() {
+        let start = Instant::now();
+        let mut words = Words { left: f64::from(WORDS), at: start };
+        let credit = |frames| write(Kind::Credit(Credit { frames, key: frames > 0 }));
+        for n in 0..WORDS {
+            assert_eq!(words.take(credit(n % 2), start), Ok(n % 2 == 1));
+        }
+        assert!(words.take(credit(1), start).is_err_and(|reason| reason.contains("0.5 s")));
+        let later = start + Duration::from_mins(1);
+        assert!((0..WORDS).all(|_| words.take(credit(0), later) == Ok(false)));
+        assert!(words.take(credit(0), later).is_err());
+        let bye = write(Kind::Bye(Bye::default()));
+        assert_eq!(words.take(bye, later + Duration::from_mins(1)), Err(NOTHING_ELSE.into()));
+        assert_eq!(words.take(vec![0xFF; 9].into(), later), Err(NOTHING_ELSE.into()));
+    }
 }

@@ -12,14 +12,11 @@ use bytes::Bytes;
 use tokio::sync::mpsc;
 
 use tmpi_core::live::wire;
-use tmpi_core::live::wire::message::Kind;
-use tmpi_core::live::write;
 use tmpi_core::{DisparityMap, Photo};
 use tmpi_live::video::Decoder;
 use tmpi_live::{Frame, Geometry, depth};
 
 use super::PANICS;
-use super::ring::What;
 use super::room::{Room, Still};
 
 /// Frames that wait to be decoded: those that the publisher has credit for, and as many more as are a sign of a fault.
@@ -198,6 +195,6 @@ fn made((room, epoch): (&Room, u64), driver: &mut Geometry, frame: Frame, at: In
         s.geometry_ms = ms;
     });
     if !update.chunks.is_empty() {
-        room.push(epoch, What::Geometry, write(Kind::Geometry(wire::Geometry { frame: frame.number, chunks: update.chunks })));
+        room.push_tiles(epoch, wire::Geometry { frame: frame.number, chunks: update.chunks });
     }
 }

@@ -9,6 +9,9 @@ const SILENCE_MS = 4000;
 const PAUSES_MS = [100, 300, 700, 1500];
 /** Pause between two looks whether somebody publishes, ms. */
 const LOOK_MS = 1000;
+/** CREDIT (`credit`, 8) as who watches says it: of no frames, as nobody looks, and of one from a key frame on, as somebody does again. */
+export const SOUND_ALONE = Uint8Array.of((8 << 3) | 2, 0);
+export const EVERYTHING = Uint8Array.of((8 << 3) | 2, 4, 1 << 3, 1, 2 << 3, 1);
 
 /** @typedef {'connecting' | 'waiting' | 'refused' | 'away' | 'none' | 'open'} State `waiting` for a publisher, `refused` for want of a token, `none`: there are no rooms, `away`: the server cannot be reached */
 
@@ -99,6 +102,16 @@ export class Connection {
       this.stop();
       this.#later();
     };
+  }
+
+  /**
+   * Says something to the server; false where nothing is open.
+   * @param {Uint8Array<ArrayBuffer>} message
+   */
+  send(message) {
+    if (this.#socket?.readyState !== WebSocket.OPEN) return false;
+    this.#socket.send(message);
+    return true;
   }
 
   /** A message was as it should: the next try comes soon. */

@@ -18,7 +18,7 @@ export const PIXELS = Object.freeze({ I420: 0, NV12: 1, RGBA: 2 });
  * What a publisher or the server says first: codec strings of WebCodecs, empty where there is no sound.
  * @typedef {{kind: 'hello', head: SceneHead, codec: string, sound: string, rate: number, channels: number, epoch: number}} Hello
  */
-/** @typedef {{kind: 'video', frame: number, time: number, key: boolean, data: Uint8Array<ArrayBuffer>}} Video time in µs by the publisher's clock */
+/** @typedef {{kind: 'video', frame: number, time: number, key: boolean, layer: number, data: Uint8Array<ArrayBuffer>}} Video time in µs by the publisher's clock; its temporal layer */
 /** @typedef {{kind: 'sound', time: number, data: Uint8Array<ArrayBuffer>}} Sound */
 /** @typedef {{kind: 'tiles', frame: number, changed: number}} Tiles were taken over already */
 /**
@@ -71,7 +71,7 @@ export class RoomDecoder {
       const head = { width, height, tileSize, tileStride, intrinsics: { fx, fy, cx, cy }, viewBox: { x, y, z } };
       return { kind: 'hello', head, codec, sound, rate, channels, epoch };
     }
-    if (kind === 2) return { kind: 'video', frame: n[0], time: n[1], key: n[2] === 1, data: this.#copy(DATA) };
+    if (kind === 2) return { kind: 'video', frame: n[0], time: n[1], key: n[2] === 1, layer: n[3], data: this.#copy(DATA) };
     if (kind === 3 || kind === 4) return { kind: 'tiles', frame: n[0], changed: n[1] };
     if (kind === 5) return { kind: 'sound', time: n[0], data: this.#copy(DATA) };
     if (kind === 6) {
@@ -136,10 +136,16 @@ export class RoomDecoder {
     return this.#written('tmpi_write_hello', width, height, fovX, rate, channels);
   }
 
-  /** @param {{frame: number, time: number, key: boolean, data: Uint8Array}} video */
-  writeVideo({ frame, time, key, data }) {
+  /** @param {{frame: number, time: number, key: boolean, layer?: number, data: Uint8Array}} video whose temporal layer is below 128 */
+  writeVideo({ frame, time, key, layer = 0, data }) {
     this.#instance.hand(data);
-    return this.#written('tmpi_write_video', frame, time, Number(key));
+    const message = this.#written('tmpi_write_video', frame, time, Number(key));
+    if (!layer) return message;
+    // by protobuf's rules, what comes of a message a second time is merged into it: `video` (2), two bytes, in it `layer` (4)
+    const whole = new Uint8Array(message.length + 4);
+    whole.set(message);
+    whole.set([(2 << 3) | 2, 2, 4 << 3, layer], message.length);
+    return whole;
   }
 
   /** @param {{time: number, data: Uint8Array}} sound */

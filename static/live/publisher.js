@@ -201,11 +201,11 @@ export class Publisher {
   }
 
   /** @param {Coded} coded */
-  #send({ time, key, data }) {
+  #send({ time, key, layer, data }) {
     const { OPEN } = WebSocket;
     if (this.#socket?.readyState !== OPEN || !this.#wire) return;
     this.#credit--;
-    this.#socket.send(this.#wire.writeVideo({ frame: this.#number++, time, key, data }));
+    this.#socket.send(this.#wire.writeVideo({ frame: this.#number++, time, key, layer, data }));
     this.counts.frames++;
     this.counts.bytes += data.length;
   }

@@ -3,11 +3,13 @@
 // {sound} whether sound is wanted · {flat} nothing can draw the scene. Out: {type: 'head', head} · {type: 'scene', scene, cells} · {type: 'update', instances, cells} ·
 // {type: 'picture', picture} where it is to be flat · {type: 'state', state, reason} · {type: 'statistics', …} · {type: 'sound', …}.
 
-import { Connection } from './connection.js';
+import { Connection, EVERYTHING, SOUND_ALONE } from './connection.js';
 import { compiled, RoomDecoder } from './decoder.js';
 import { Hold } from './hold.js';
+import { Jitter } from './jitter.js';
 import { NoDecoder, Pictures } from './pictures.js';
 import { pixelsOf } from './pixels.js';
+import { PlayOut } from './play-out.js';
 import { SoundDecoder } from './sound-decoder.js';
 import { TileAtlas } from './tile-atlas.js';
 // what those import, named here so that all of it is fetched at once
@@ -34,6 +36,8 @@ const UNSEEN_MS = 4000;
 const TELL_MS = 500;
 /** Longest that copying the samples of a frame may take, ms: a browser was seen that never ended it. */
 const COPY_MS = 500;
+/** What GEOMETRY and SNAPSHOT begin with (protobuf's fields 3 and 4). */
+const TILES = [(3 << 3) | 2, (4 << 3) | 2];
 /** Weight of the newest in what is smoothed. */
 const WEIGHT = 0.1;
 
@@ -55,6 +59,9 @@ class Room {
   /** @type {Decoded | null} */
   #next = null;
   #hold = new Hold();
+  #jitter = new Jitter();
+  /** Frames that came before their time, and the tiles behind them. @type {PlayOut<() => void>} */
+  #playOut = new PlayOut((done) => done());
   /** When a frame is shown at the latest: one that takes the place of another that waited does not begin to wait anew. */
   #due = Infinity;
   #busy = false;
@@ -106,10 +113,14 @@ class Room {
   set hidden(hidden) {
     if (this.#hidden === hidden) return;
     this.#hidden = hidden;
-    // the last group of frames comes anew, so nothing need be kept up meanwhile
+    this.#waits = true;
+    this.#lastFrame = performance.now();
+    this.#playOut.clear();
+    this.#jitter = new Jitter();
+    // the last group of frames comes anew, so nothing need be kept up meanwhile but the sound
+    if (this.#sound.wanted && this.#connection.send(hidden ? SOUND_ALONE : EVERYTHING)) return;
     if (!hidden) this.#connection.start();
     else if (!this.#sound.wanted) this.#connection.stop();
-    this.#waits = true;
   }
 
   /** The page shows what it was sent last. */
@@ -148,6 +159,13 @@ class Room {
   /** @param {Uint8Array<ArrayBuffer>} bytes */
   #take(bytes) {
     this.#measured.bytes += bytes.length;
+    // tiles are taken over when they are read: they stay behind the frames that they came behind
+    if (!this.#playOut.empty && TILES.includes(bytes[0])) return this.#playOut.push(() => this.#read(bytes));
+    this.#read(bytes);
+  }
+
+  /** @param {Uint8Array<ArrayBuffer>} bytes */
+  #read(bytes) {
     /** @type {Message} */
     let message;
     try {
@@ -171,10 +189,12 @@ class Room {
 
   /** @param {Hello} hello */
   async #begin(hello) {
+    if (this.#hidden) this.#connection.send(SOUND_ALONE);
     const before = this.#hello;
     this.#hello = hello;
     this.#waits = true;
-    this.#hold = new Hold();
+    [this.#hold, this.#jitter] = [new Hold(), new Jitter()];
+    this.#playOut.clear();
     this.#due = Infinity;
     this.#fastest = Infinity;
     this.#pictures?.close();
@@ -220,9 +240,18 @@ class Room {
     const way = performance.timeOrigin + arrived - video.time / 1000;
     this.#fastest = Math.min(this.#fastest, way);
     this.#measured.lag += (way - this.#fastest - this.#measured.lag) * WEIGHT;
-    this.#hold.arrived(video.frame, arrived);
     this.#say('live');
     if (this.#hidden) return;
+    const due = this.#jitter.arrived(video.time / 1000, performance.timeOrigin + arrived) - performance.timeOrigin;
+    this.#playOut.push(() => this.#play(video, Math.max(arrived, due)), due);
+  }
+
+  /**
+   * @param {Video} video
+   * @param {number} arrived when it came or was due, whichever was later
+   */
+  #play(video, arrived) {
+    this.#hold.arrived(video.frame, arrived);
     if (this.#pictures) this.#decode(video, arrived);
     else this.#early.push({ video, arrived });
   }
@@ -351,7 +380,7 @@ class Room {
   }
 
   #tell() {
-    if (this.#state === 'live' && performance.now() - this.#lastFrame > STALLED_MS) this.#say('stalled');
+    if (this.#state === 'live' && !this.#hidden && performance.now() - this.#lastFrame > STALLED_MS) this.#say('stalled');
     if (this.#drawing && !this.#hidden && !this.#watched.flat && performance.now() - this.#sent > UNSEEN_MS) this.again();
     const { made, copy, video, latency, lag, frames, bytes } = this.#measured;
     [this.#measured.frames, this.#measured.bytes] = [0, 0];
@@ -367,6 +396,8 @@ class Room {
       videoMs: video,
       latency,
       lag,
+      jitter: this.#jitter.jitter,
+      buffer: this.#jitter.delay,
       ...rates,
       viewers,
       skipped,

@@ -9,7 +9,7 @@ use tempfile::tempdir;
 use tmpi::live::{Config as RoomConfig, Rooms};
 use tmpi::server::{Config, Server};
 use tmpi_core::live::wire::message::Kind;
-use tmpi_core::live::wire::{Depth, Hello, Sound, Video};
+use tmpi_core::live::wire::{Credit, Depth, Hello, Sound, Video};
 use tmpi_core::live::{Model, VERSION, read, write};
 use tmpi_core::{Camera, DisparityMap, Photo, Pose, Scene, container};
 use tmpi_pipeline::Models;
@@ -378,6 +378,74 @@ fn depth_that_was_measured_is_taken_and_sound_goes_on_as_it_came() {
     says(publisher, Depth { frame: 9, data: data.clone().into() }, "another one was due");
     let publisher = Publisher::new(server.addr, "cellar");
     says(publisher, Depth { frame: 0, data: vec![0; (1 << 20) + 1].into() }, "over 1048576");
+}
+
+#[test]
+fn a_viewer_that_nobody_looks_at_is_sent_sound_alone_and_goes_on_when_somebody_does() {
+    let dir = tempdir().unwrap();
+    let server = server(dir.path());
+    let mut publisher = Publisher::new(server.addr, "attic");
+    publisher.publish(frame(10));
+    let mut viewer = Client::watch(server.addr, "attic");
+    let Some(Kind::Hello(hello)) = viewer.next() else { panic!("HELLO comes first") };
+    let mut model = Model::new(&hello).unwrap();
+    while model.geometry().is_none() {
+        if let Kind::Geometry(g) | Kind::Snapshot(g) = viewer.next().unwrap() {
+            model.take(&g).unwrap();
+        }
+    }
+    // what is said last before a sound has been heard when sound alone comes
+    viewer.send(Kind::Credit(Credit { frames: 0, key: false }));
+    let mut both = |n: u64| {
+        publisher.publish(frame(10 + 4 * (n % 20) as u32));
+        publisher.client.send(Kind::Sound(Sound { time: n, data: vec![n as u8; 9].into() }));
+    };
+    let (mut n, mut alone, mut heard) = (1, 0, Vec::new());
+    while alone < 4 {
+        assert!(n < 300, "frames go on coming");
+        both(n);
+        n += 1;
+        loop {
+            match viewer.next().unwrap() {
+                Kind::Sound(s) => {
+                    heard.push(s.time);
+                    alone += 1;
+                    break;
+                }
+                Kind::Video(_) => alone = 0,
+                Kind::Geometry(g) | Kind::Snapshot(g) => {
+                    model.take(&g).unwrap();
+                    alone = 0;
+                }
+                Kind::Statistics(_) => {}
+                other => panic!("{other:?}"),
+            }
+        }
+    }
+    viewer.send(Kind::Credit(Credit { frames: 1, key: true }));
+    let mut first = None;
+    // the picture is back, and all that moved meanwhile is known
+    let newest = loop {
+        both(n);
+        n += 1;
+        assert!(n < 600, "nothing comes back");
+        match viewer.next().unwrap() {
+            Kind::Video(v) => {
+                assert!(first.is_some() || v.key, "it goes on with a key frame");
+                first.get_or_insert(v.frame);
+            }
+            Kind::Geometry(g) | Kind::Snapshot(g) => {
+                model.take(&g).unwrap();
+                if first.is_some() {
+                    break g.frame;
+                }
+            }
+            Kind::Sound(s) => heard.push(s.time),
+            Kind::Statistics(_) => {}
+            other => panic!("{other:?}"),
+        }
+    };
+    assert!(newest > 0 && heard.windows(2).all(|w| w[0] < w[1]), "{heard:?}");
 }
 
 #[test]

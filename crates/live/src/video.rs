@@ -1,5 +1,8 @@
 //! Decoders of what publishers send.
 
+#[cfg(feature = "vp9")]
+mod vp9;
+
 use tmpi_core::Photo;
 use tmpi_core::container::{PhotoFormat, decode_picture};
 pub use tmpi_core::live::{I420, to_rgb};
@@ -42,6 +45,8 @@ pub fn decoder(codec: &str, size: (u32, u32)) -> Result<Box<dyn Decoder>, VideoE
         JPEG => Ok(Box::new(Jpeg { size })),
         #[cfg(feature = "h264")]
         _ if codec.starts_with("avc1.") => Ok(Box::new(h264::H264::new(size))),
+        #[cfg(feature = "vp9")]
+        _ if codec.starts_with("vp09.00.") => Ok(Box::new(vp9::Vp9::new(size))),
         _ => Err(VideoError::Codec(codec.chars().take(32).collect())),
     }
 }
@@ -134,6 +139,61 @@ mod h264 {
                 }
             }
             Ok(())
+        }
+    }
+
+    #[cfg(test)]
+    mod tests {
+        use std::fs;
+        use std::path::Path;
+
+        use sha2::{Digest as _, Sha256};
+
+        use super::H264;
+        use crate::units::{Splitter, is_bidirectional};
+
+        /// Access units of a stream, and hashes of its frames as another decoder has them (tests/video/README.md).
+        fn sample(name: &str, size: (u32, u32)) -> (H264, Vec<Vec<u8>>, Vec<String>) {
+            let at = |ending: &str| Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/video").join(format!("{name}.{ending}"));
+            let mut splitter = Splitter::default();
+            let mut units = splitter.push(&fs::read(at("h264")).unwrap()).unwrap();
+            units.extend(splitter.finish());
+            let table = fs::read_to_string(at("framehash")).unwrap();
+            let hashes = table.lines().filter(|l| !l.starts_with('#')).map(|l| l.rsplit(", ").next().unwrap_or_default().to_owned());
+            (H264::new(size), units.into_iter().map(|u| u.data).collect(), hashes.collect())
+        }
+
+        fn hash(h264: &mut H264, unit: &[u8]) -> String {
+            let frame = h264.decoder.decode(unit).unwrap().unwrap();
+            let mut sum = Sha256::new();
+            for plane in [&frame.y, &frame.u, &frame.v] {
+                sum.update(plane);
+            }
+            sum.finalize().iter().map(|byte| format!("{byte:02x}")).collect::<Vec<_>>().concat()
+        }
+
+        /// Whether other frames refer to this one (ITU-T H.264, 7.4.1: `nal_ref_idc`).
+        fn is_referred_to(unit: &[u8]) -> bool {
+            unit.windows(4).any(|w| w[..3] == [0, 0, 1] && matches!(w[3] & 31, 1 | 5) && w[3] >> 5 != 0)
+        }
+
+        #[test]
+        fn planes_are_bit_by_bit_those_of_another_decoder() {
+            for (name, size) in [("testsrc", (174, 142)), ("layers", (320, 240))] {
+                let (mut h264, units, hashes) = sample(name, size);
+                assert_eq!(units.iter().map(|unit| hash(&mut h264, unit)).collect::<Vec<_>>(), hashes, "{name}");
+                assert!(hashes.len() >= 24 && hashes.windows(2).all(|w| w[0] != w[1]) && units.iter().all(|unit| !is_bidirectional(unit)));
+            }
+        }
+
+        #[test]
+        fn without_the_upper_layer_the_lower_one_is_what_it_was() {
+            let (mut h264, units, hashes) = sample("layers", (320, 240));
+            let base: Vec<_> = units.iter().zip(hashes).filter(|(unit, _)| is_referred_to(unit)).collect();
+            assert_eq!((base.len(), units.len()), (12, 24));
+            for (i, (unit, expected)) in base.into_iter().enumerate() {
+                assert_eq!(hash(&mut h264, unit), expected, "frame {i}");
+            }
         }
     }
 }

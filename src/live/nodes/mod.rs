@@ -44,6 +44,8 @@ use lend::Get;
 pub use lend::{Borrower, Lent, Silent};
 use table::{BEAT, Owner, Presence, Table, Verdict, Watched};
 pub use tiles::Chunks;
+#[cfg(test)]
+pub use tiles::tests::{geometry, message};
 pub use wire::Start;
 use wire::{Joined, Joiner, Packet, Sort};
 

@@ -166,7 +166,7 @@ impl Session<'_> {
             }
             // who watches has missed some, too
             if self.reached.next.is_some() {
-                self.room.push(self.owner.epoch, What::Geometry, start.tiles.clone());
+                self.room.push(self.owner.epoch, What::Geometry { frame: tiles.frame }, start.tiles.clone());
             }
         }
         let from = self.reached.next.unwrap_or(0);
@@ -202,7 +202,7 @@ impl Session<'_> {
                     if packet.after > next { Taken::Missing } else { Taken::Yes }
                 }
                 Ok(Kind::Snapshot(tiles)) if self.room.take_tiles(self.owner.epoch, &tiles) => {
-                    self.room.push(self.owner.epoch, What::Geometry, packet.bytes);
+                    self.room.push(self.owner.epoch, What::Geometry { frame: tiles.frame }, packet.bytes);
                     Taken::Yes
                 }
                 _ => Taken::No,
@@ -226,7 +226,7 @@ impl Session<'_> {
                 if !self.room.take_tiles(self.owner.epoch, &tiles) {
                     return None;
                 }
-                What::Geometry
+                What::Geometry { frame: tiles.frame }
             }
             _ => return None,
         };

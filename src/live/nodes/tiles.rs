@@ -1,4 +1,5 @@
-//! All tiles of a room that another node makes: not decoded, but kept as the chunks that came, as far as one of their tiles is the newest.
+//! All tiles of a room as the chunks that were sent of them, not decoded, as far as one of their tiles is the newest: of a room that another
+//! node makes all that is known of them, of one's own what is newer than some viewer has.
 
 use std::collections::BTreeMap;
 
@@ -67,11 +68,24 @@ impl Chunks {
         true
     }
 
+    /// The frame that the newest of them are as of.
+    pub fn newest(&self) -> Option<u64> {
+        self.kept.keys().next_back().map(|key| key.0)
+    }
+
+    /// Chunks of the tiles that are newer than frame `known`, oldest first; none where they are of more tiles than there are: all tiles as they
+    /// are take less then.
+    pub fn newer(&self, known: u64) -> Option<Vec<Chunk>> {
+        let newer = || self.kept.iter().skip_while(|(key, _)| key.0 <= known);
+        let tiles: usize = newer().map(|((.., rows, columns), _)| *rows as usize * *columns as usize).sum();
+        (tiles <= self.tiles.len()).then(|| newer().map(|(_, (chunk, _))| chunk.clone()).collect())
+    }
+
     /// SNAPSHOT with all that is needed of them, oldest first; none as long as something is known of none, or where it would be too long.
     pub fn snapshot(&mut self) -> Option<Bytes> {
         if self.coded.is_none() && !self.kept.is_empty() {
             let chunks = self.kept.values().map(|(chunk, _)| chunk.clone()).collect();
-            let frame = self.kept.keys().next_back().map_or(0, |key| key.0);
+            let frame = self.newest().unwrap_or(0);
             self.coded = Some(write(Kind::Snapshot(wire::Geometry { frame, chunks })));
         }
         self.coded.clone().filter(|bytes| bytes.len() <= MAX_MESSAGE)
@@ -79,13 +93,13 @@ impl Chunks {
 }
 
 #[cfg(test)]
-mod tests {
+pub mod tests {
     use super::*;
     use tmpi_core::live::chunk::Area;
     use tmpi_core::live::read;
     use tmpi_core::{Geometry, Intrinsics, Plane, Tile, ViewBox};
 
-    fn geometry(depth: f64) -> Geometry {
+    pub fn geometry(depth: f64) -> Geometry {
         let grid = Grid { width: 160, height: 120, size: 64, stride: 56 };
         let intrinsics = Intrinsics { fx: 100.0, fy: 100.0, cx: 80.0, cy: 60.0 };
         let view_box = ViewBox { x: 0.03, y: 0.03, z: 0.03 };
@@ -95,7 +109,7 @@ mod tests {
         Geometry { grid, intrinsics, view_box, tiles }
     }
 
-    fn message(geometry: &Geometry, area: Area, version: u64) -> wire::Geometry {
+    pub fn message(geometry: &Geometry, area: Area, version: u64) -> wire::Geometry {
         let chunk = chunk::encode(&geometry.grid, area, &geometry.tiles, version).unwrap();
         wire::Geometry { frame: version, chunks: vec![chunk] }
     }
@@ -126,6 +140,25 @@ mod tests {
         // all tiles as of the version that one has already: the others are taken
         send(&mut chunks, &message(&geometry(0.3 + 0.01 * 59.0), all, 59));
         assert_eq!(send(&mut chunks, &message(&geometry(0.2), all, 60)), 1);
+    }
+
+    #[test]
+    fn what_is_newer_is_given_as_it_came_unless_it_is_more_than_all() {
+        let first = geometry(0.5);
+        let all = Area::all(&first.grid);
+        let mut chunks = Chunks::new(&Model::hello(&first)).unwrap();
+        assert_eq!((chunks.newest(), chunks.newer(0)), (None, Some(vec![])));
+        let sent: Vec<_> = (0..4).map(|n| message(&first, Area { column: n % 2, row: 0, columns: 1, rows: 1 }, 2 + u64::from(n))).collect();
+        chunks.take(&message(&first, all, 1));
+        assert!(sent.iter().all(|m| chunks.take(m)));
+        assert_eq!((chunks.newest(), chunks.newer(5)), (Some(5), Some(vec![])));
+        assert_eq!(chunks.newer(4).unwrap(), sent[3].chunks);
+        assert_eq!(
+            chunks.newer(1).unwrap(),
+            [&sent[2].chunks[..], &sent[3].chunks].concat(),
+            "those that others took the place of are gone"
+        );
+        assert_eq!(chunks.newer(0), None, "all tiles, and two once more");
     }
 
     #[test]

@@ -2,6 +2,7 @@
 import assert from 'node:assert/strict';
 import { readFileSync } from 'node:fs';
 import { beforeEach, describe, test } from 'node:test';
+import { EVERYTHING, SOUND_ALONE } from '../../../static/live/connection.js';
 import { PIXELS, RoomDecoder } from '../../../static/live/decoder.js';
 import { TileAtlas } from '../../../static/live/tile-atlas.js';
 
@@ -95,12 +96,22 @@ describe('the decoder of rooms', () => {
       frame: 77,
       time,
       key: true,
+      layer: 0,
       data,
     });
+    for (const layer of [1, 2]) {
+      const video = { frame: 78, time, key: false, layer, data };
+      assert.deepEqual(decoder.read(decoder.writeVideo(video)), { kind: 'video', ...video });
+    }
     assert.deepEqual(decoder.read(decoder.writeSound({ time, data })), { kind: 'sound', time, data });
     assert.deepEqual(decoder.read(decoder.writeBye('enough')), { kind: 'bye', reason: 'enough', again: false });
     const hello = decoder.writeHello({ width: 320, height: 240, codec: 'avc1.42e01f', sound: 'opus', rate: 48_000, channels: 1 });
     assert.ok(Buffer.from(hello).includes('avc1.42e01f') && Buffer.from(hello).includes('opus'));
+  });
+
+  test('what a page says when it is hidden and when it is shown again is CREDIT', () => {
+    assert.deepEqual(decoder.read(SOUND_ALONE), { kind: 'credit', frames: 0, key: false });
+    assert.deepEqual(decoder.read(EVERYTHING), { kind: 'credit', frames: 1, key: true });
   });
 
   test('what is damaged is refused with the reason, and the next message is read', () => {

@@ -1,0 +1,117 @@
+//! VP9 of profile 0, one frame a message.
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+
+use rusty_vp9::{BitReader, DecodedFrame, Error, Vp9Decoder, parse_uncompressed_header};
+
+use super::{Decoder, FAILED, I420, Photo, VideoError, sized, to_rgb};
+
+/// Marks the last byte of a superframe, several frames in one (VP9 bitstream specification, annex B).
+const SUPERFRAME: u8 = 0xC0;
+
+/// The decoder.
+pub struct Vp9 {
+    decoder: Vp9Decoder,
+    size: (u32, u32),
+}
+
+impl Vp9 {
+    /// Of frames of that size.
+    pub fn new(size: (u32, u32)) -> Self {
+        Self { decoder: Vp9Decoder::new(), size }
+    }
+
+    fn frame(&mut self, data: &[u8]) -> Result<Option<DecodedFrame>, VideoError> {
+        let broken = |error: Error| VideoError::Broken(error.to_string());
+        self.check(data)?;
+        self.decoder.push(data, None).map_err(broken)?;
+        match self.decoder.next_frame() {
+            Ok(frame) => Ok(Some(frame)),
+            // it is not to be shown
+            Err(Error::Again) => Ok(None),
+            Err(error) => Err(broken(error)),
+        }
+    }
+
+    /// Refuses frames of another size before the decoder takes memory for them. All that a frame refers to were of this one.
+    fn check(&self, data: &[u8]) -> Result<(), VideoError> {
+        if data.last().is_none_or(|last| last & 0xE0 == SUPERFRAME) {
+            return Err(VideoError::Broken("no frame, or several in one".into()));
+        }
+        let header = parse_uncompressed_header(&mut BitReader::new(data), &[self.size; 8]);
+        let header = header.map_err(|e| VideoError::Broken(e.to_string()))?;
+        let (width, height) = self.size;
+        if header.profile != 0 {
+            return Err(VideoError::Broken(format!("profile {}, where it has to be 0", header.profile)));
+        }
+        if !header.show_existing_frame && (header.width, header.height) != self.size {
+            return Err(VideoError::Size(header.width, header.height, width, height));
+        }
+        Ok(())
+    }
+}
+
+impl Decoder for Vp9 {
+    fn decode(&mut self, data: &[u8]) -> Result<Option<Photo>, VideoError> {
+        let decoded = catch_unwind(AssertUnwindSafe(|| self.frame(data)));
+        let decoded = decoded.unwrap_or_else(|_| Err(VideoError::Broken(FAILED.into())));
+        // as with H.264, the next key frame brings all that is needed
+        let Some(frame) = decoded.inspect_err(|_| self.decoder = Vp9Decoder::new())? else { return Ok(None) };
+        let [y, u, v] = frame.planes.as_slice() else { return Err(VideoError::Broken("not three planes".into())) };
+        let planes = I420 { width: frame.width, height: frame.height, y, u, v };
+        sized(to_rgb(&planes).ok_or_else(|| VideoError::Broken("a plane that is too short".into()))?, self.size)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use sha2::{Digest as _, Sha256};
+
+    use super::*;
+
+    /// Frames of an IVF file.
+    fn frames(mut file: &[u8]) -> Vec<&[u8]> {
+        let mut frames = Vec::new();
+        file = &file[32..];
+        while let Some((head, rest)) = file.split_first_chunk::<12>() {
+            let (frame, rest) = rest.split_at(u32::from_le_bytes([head[0], head[1], head[2], head[3]]) as usize);
+            frames.push(frame);
+            file = rest;
+        }
+        frames
+    }
+
+    const FILM: &[u8] = include_bytes!("../../tests/video/testsrc.ivf");
+    const SIZE: (u32, u32) = (174, 142);
+
+    #[test]
+    fn planes_are_bit_by_bit_those_of_another_decoder() {
+        let table = include_str!("../../tests/video/testsrc-vp9.framehash");
+        let hashes: Vec<_> = table.lines().filter(|l| !l.starts_with('#')).filter_map(|l| l.rsplit(", ").next()).collect();
+        let mut vp9 = Vp9::new(SIZE);
+        let hash = |data: &&[u8]| {
+            let frame = vp9.frame(data).unwrap().unwrap();
+            let mut sum = Sha256::new();
+            for plane in &frame.planes {
+                sum.update(plane);
+            }
+            sum.finalize().iter().map(|byte| format!("{byte:02x}")).collect::<Vec<_>>().concat()
+        };
+        assert_eq!(frames(FILM).iter().map(hash).collect::<Vec<_>>(), hashes);
+        assert_eq!(hashes.len(), 40);
+    }
+
+    #[test]
+    fn what_is_damaged_or_of_another_size_is_refused_and_a_key_frame_is_decoded_after_it() {
+        let frames = frames(FILM);
+        let mut vp9 = Vp9::new(SIZE);
+        assert!(vp9.decode(frames[0]).unwrap().is_some_and(|photo| (photo.width, photo.height) == SIZE));
+        assert!(matches!(Vp9::new((64, 64)).decode(frames[0]), Err(VideoError::Size(174, 142, 64, 64))));
+        for broken in [&[][..], &[0xFF; 9], &frames[1][..1], &[frames[1], &[0xC1, 9, 0xC1]].concat()] {
+            assert!(vp9.decode(broken).is_err());
+        }
+        // what refers to frames that it has no more
+        assert!(vp9.decode(frames[1]).is_err());
+        assert!(vp9.decode(frames[20]).unwrap().is_some());
+    }
+}

@@ -1,0 +1,143 @@
+// Time from a frame in the camera's page to its pixels on the canvas of who watches, at 320×240 on this machine. Not a test; run by hand on an
+// idle machine with the built program:
+//   node glass-to-glass.mjs [--seconds 20] [--p50 100] [--p95 150] [--frames 30] [--json FILE]
+// Ends with 1 where a figure is worse than asked for. Each frame of the film has its number written into it; the clock starts when the camera's
+// page takes the frame and stops right after a page that watches has drawn it. Every few pictures one is read back, which takes time itself.
+import { mkdtempSync, rmSync, writeFileSync } from 'node:fs';
+import { loadavg, tmpdir } from 'node:os';
+import { join } from 'node:path';
+import { parseArgs } from 'node:util';
+import { launch, openPage, waitForMode } from './support/browser.mjs';
+import { startServer } from './support/program.mjs';
+import { FRAMES, HEIGHT, WIDTH, writeFilm } from './support/video.mjs';
+
+const { values } = parseArgs({
+  options: {
+    seconds: { type: 'string', default: '20' },
+    p50: { type: 'string', default: '100' },
+    p95: { type: 'string', default: '150' },
+    frames: { type: 'string', default: '30' },
+    json: { type: 'string' },
+  },
+});
+const [seconds, p50, p95, frames] = ['seconds', 'p50', 'p95', 'frames'].map((name) => Number(values[name]));
+if (!(seconds > 0 && p50 > 0 && p95 > 0 && frames >= 0)) {
+  console.error('usage: node glass-to-glass.mjs [--seconds N] [--p50 MS] [--p95 MS] [--frames A_SECOND] [--json FILE]');
+  process.exit(2);
+}
+/** Pictures of which one is read back: reading each would hold up what is measured. */
+const EVERY = 3;
+/** Seconds before anything is counted. */
+const WARM = 3;
+/** The film is over and begins anew after so long, ms: no latency beyond can be told. */
+const ROUND = (FRAMES * 1000) / 30;
+
+/** In the camera's page: notes when each number was taken. */
+function watchCamera() {
+  window.taken = [];
+  const { encode } = VideoEncoder.prototype;
+  VideoEncoder.prototype.encode = function (frame, options) {
+    const copy = frame.clone();
+    const luma = new Uint8Array(copy.allocationSize());
+    copy.copyTo(luma).then(([{ offset, stride }]) => {
+      let number = 0;
+      for (let bit = 0; bit < 6; bit++) number = number * 2 + Number(luma[offset + 8 * stride + bit * 16 + 8] > 128);
+      // its time is when it was taken, µs since 1970
+      window.taken.push([number, copy.timestamp / 1000]);
+      copy.close();
+    });
+    return encode.call(this, frame, options);
+  };
+}
+
+/** In the page that watches: notes when each number was drawn, after what draws it has run and before the canvas is empty again. */
+function watchCanvas(every) {
+  window.seen = [];
+  const original = window.requestAnimationFrame.bind(window);
+  const context = new OffscreenCanvas(96, 16).getContext('2d', { willReadFrequently: true });
+  let [last, count] = [-1, 0];
+  window.requestAnimationFrame = (callback) =>
+    original((time) => {
+      callback(time);
+      const now = performance.timeOrigin + performance.now();
+      const canvas = window.viewer?.canvas;
+      if (!window.measured || !canvas?.width || count++ % every) return;
+      const [across, down] = [canvas.width / 320, canvas.height / 240];
+      context.drawImage(canvas, 0, 0, 96 * across, 16 * down, 0, 0, 96, 16);
+      const { data } = context.getImageData(0, 0, 96, 16);
+      let number = 0;
+      for (let bit = 0; bit < 6; bit++) number = number * 2 + Number(data[(8 * 96 + bit * 16 + 8) * 4 + 1] > 128);
+      // what is drawn once more, as for a moved camera, is no new picture
+      if (number !== last) window.seen.push([number, now]);
+      last = number;
+    });
+}
+
+const folder = mkdtempSync(join(tmpdir(), 'tmpi-glass-'));
+const film = join(folder, 'film.y4m');
+writeFilm(film);
+const server = await startServer();
+const fake = ['--use-fake-device-for-media-stream', '--use-fake-ui-for-media-stream', `--use-file-for-fake-video-capture=${film}`];
+const camera = await launch({ webgpu: false, more: fake });
+const browser = await launch();
+try {
+  const publisher = await openPage(camera, { permissions: ['camera', 'microphone'] });
+  await publisher.page.addInitScript(watchCamera);
+  await publisher.page.goto(`${server.url}/live/glass/publish`);
+  await publisher.page.selectOption('#size', `${WIDTH}x${HEIGHT}`);
+  await publisher.page.locator('#go').click();
+  await publisher.page.waitForFunction(() => document.body.dataset.state === 'live');
+  const { page } = await openPage(browser, { viewport: { width: WIDTH, height: HEIGHT }, reducedMotion: 'reduce' });
+  await page.addInitScript(watchCanvas, EVERY);
+  await page.goto(`${server.url}/live/glass`);
+  await page.addStyleTag({ content: `#stage { position: fixed; inset: 0; width: ${WIDTH}px; height: ${HEIGHT}px; }` });
+  await waitForMode(page, 'gpu');
+  await page.waitForTimeout(WARM * 1000);
+  for (const { page: of } of [publisher, { page }]) await of.evaluate(() => (window.taken ?? window.seen).splice(0));
+  const rates = [];
+  const told = [];
+  for (let i = 0; i < seconds * 2; i++) {
+    await page.waitForTimeout(500);
+    const measured = await page.evaluate(() => window.measured);
+    rates.push(measured.frames);
+    told.push(measured);
+  }
+  const seen = await page.evaluate(() => window.seen);
+  const taken = await publisher.page.evaluate(() => window.taken);
+  const latencies = [];
+  for (const [number, at] of seen) {
+    // the last one of that number that was taken before
+    const of = taken.findLast(([n, when]) => n === number && when <= at);
+    if (of && at - of[1] < ROUND) latencies.push(at - of[1]);
+  }
+  if (process.env.TMPI_SHOTS) await page.screenshot({ path: join(process.env.TMPI_SHOTS, 'glass.png') });
+  const sorted = latencies.toSorted((a, b) => a - b);
+  const share = (of) => sorted[Math.min(sorted.length - 1, Math.floor(sorted.length * of))] ?? Number.NaN;
+  const mean = (list) => list.reduce((sum, v) => sum + v, 0) / list.length;
+  const last = told.at(-1);
+  const result = {
+    p50: share(0.5),
+    p95: share(0.95),
+    frames: mean(rates),
+    samples: latencies.length,
+    unknown: seen.length - latencies.length,
+    told: last.latency,
+    buffer: last.buffer,
+    geometryMs: last.geometryMs,
+    load: loadavg()[0],
+  };
+  console.log(
+    `p50 ${result.p50.toFixed(1)} ms, p95 ${result.p95.toFixed(1)} ms, ${result.frames.toFixed(1)} frames/s (${result.samples} pictures, ${result.unknown} with a number that was not taken; ` +
+      `the page says ${result.told.toFixed(0)} ms, held for ${(result.buffer ?? 0).toFixed(0)} ms, tiles after ${result.geometryMs.toFixed(0)} ms; load ${result.load.toFixed(1)})`,
+  );
+  if (values.json) writeFileSync(values.json, `${JSON.stringify(result, null, 1)}\n`);
+  // a few pictures are no measurement
+  const enough = result.samples >= seconds && result.unknown <= result.samples / 10;
+  if (!enough) console.error('too few pictures could be read');
+  if (!enough || !(result.p50 <= p50 && result.p95 <= p95 && result.frames >= frames)) process.exitCode = 1;
+} finally {
+  await camera.close();
+  await browser.close();
+  await server.close();
+  rmSync(folder, { recursive: true, force: true });
+}
