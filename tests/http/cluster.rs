@@ -17,14 +17,14 @@ use crate::process::{Process, large};
 
 /// A node of the store in a folder, in this process.
 pub fn node(shared: &Path, data: &Path, role: Role, maker: Arc<dyn tmpi::server::Maker>) -> Running {
-    node_with(shared, data, role, maker, Limits::default())
+    node_with(shared, data, role, maker, &Limits::default())
 }
 
 /// The same with other limits.
-fn node_with(shared: &Path, data: &Path, role: Role, maker: Arc<dyn tmpi::server::Maker>, limits: Limits) -> Running {
+fn node_with(shared: &Path, data: &Path, role: Role, maker: Arc<dyn tmpi::server::Maker>, limits: &Limits) -> Running {
     let sharing = Sharing { store: format!("file://{}", shared.display()), role, nats: None };
     let config = Config {
-        limits: Limits { sweep: Duration::from_millis(100), ..limits },
+        limits: Limits { sweep: Duration::from_millis(100), ..limits.clone() },
         ..Config::new(([127, 0, 0, 1], 0).into(), data.to_owned())
     };
     let renderer = tmpi_render::select(Backend::Cpu).unwrap();
@@ -96,7 +96,7 @@ fn a_node_that_knows_few_photos_lists_and_serves_all_of_them() {
         maker.wait(id, "done");
     }
     let few = Limits { known_photos: 2, ..Limits::default() };
-    let serve = node_with(&at("store"), &at("b"), Role::Serve, Arc::new(pipeline()), few);
+    let serve = node_with(&at("store"), &at("b"), Role::Serve, Arc::new(pipeline()), &few);
     let listed = |query: &str| {
         let list = get(serve.addr, &format!("/v1/photos?{query}")).json();
         let ids: Vec<String> = list["photos"].as_array().unwrap().iter().map(|photo| photo["id"].as_str().unwrap().to_owned()).collect();
@@ -136,7 +136,7 @@ fn photos_of_a_store_go_by_their_age_though_the_node_never_saw_them() {
         maker.wait(id, "done");
     }
     let retain = Limits { retain: Some(Duration::from_millis(1)), retain_sweep: Duration::from_millis(200), ..Limits::default() };
-    let sweeps = node_with(&at("store"), &at("b"), Role::Serve, Arc::new(pipeline()), retain);
+    let sweeps = node_with(&at("store"), &at("b"), Role::Serve, Arc::new(pipeline()), &retain);
     for id in &ids {
         wait_until("it is gone", || get(sweeps.addr, &format!("/v1/photos/{id}")).status == 404);
     }

@@ -7,7 +7,7 @@ use std::sync::{Arc, TryLockError, Weak};
 use std::time::{Duration, Instant};
 
 use super::ports::unreachable;
-use super::records::{Marker, PENDING};
+use super::records::{Marker, PENDING, Photo};
 use super::{Cluster, Known, lock, lock_of};
 use crate::server::entry::Entry;
 use crate::server::id::PhotoId;
@@ -16,6 +16,8 @@ use crate::server::records::{Accepted, End};
 use crate::server::settings::Settings;
 use crate::server::store::{Origin as _, Store};
 
+/// Time between two looks whether photos of which there are copies here are still in the store.
+const COPIES: Duration = Duration::from_mins(10);
 /// Pause between two looks at what is to be done.
 const TICK: Duration = Duration::from_millis(500);
 
@@ -75,6 +77,18 @@ impl Cluster {
         self.beyond.store(new.len() - room, Ordering::Relaxed);
         new.truncate(room);
         side_by_side(&new, |id| self.refreshed(jobs, *id)).into_iter().collect()
+    }
+
+    /// Has copies of photos go that were deleted by others, of which this node may not have heard: nobody may have asked for them since.
+    ///
+    /// # Errors
+    /// The store cannot be reached.
+    pub fn drop_copies(&self, jobs: &Jobs) -> io::Result<()> {
+        let look = |id: &PhotoId| match self.heard(self.ledger.get(&Photo::name(*id)))? {
+            Some(_) => Ok(()),
+            None => self.refreshed(jobs, *id),
+        };
+        side_by_side(&jobs.store.copied(), look).into_iter().collect()
     }
 
     /// Photos that wait beyond those that this node's index has, when that was last looked at.
@@ -176,6 +190,8 @@ pub fn keep_up(jobs: &Arc<Jobs>, cluster: &Arc<Cluster>) -> io::Result<()> {
     std::thread::Builder::new().name("tmpi-waits".into()).spawn(move || waits(&weak, &of))?;
     let (weak, of) = (Arc::downgrade(jobs), Arc::clone(cluster));
     std::thread::Builder::new().name("tmpi-builds".into()).spawn(move || builds(&weak, &of))?;
+    let (weak, of) = (Arc::downgrade(jobs), Arc::clone(cluster));
+    std::thread::Builder::new().name("tmpi-copies".into()).spawn(move || copies(&weak, &of))?;
     Ok(())
 }
 
@@ -209,6 +225,22 @@ fn sweeps(jobs: &Weak<Jobs>, cluster: &Cluster) {
 /// Takes up what waits; apart from sweeps, as much may be new here.
 fn waits(jobs: &Weak<Jobs>, cluster: &Cluster) {
     again_and_again(jobs, cluster, 20, |jobs| cluster.take_up(jobs, &cluster.pending()?));
+}
+
+/// Has copies go of what others deleted.
+fn copies(jobs: &Weak<Jobs>, cluster: &Cluster) {
+    let mut next = Instant::now() + COPIES;
+    loop {
+        std::thread::sleep(TICK);
+        let Some(jobs) = jobs.upgrade() else { return };
+        if Instant::now() < next || cluster.is_away() {
+            continue;
+        }
+        if let Err(error) = cluster.drop_copies(&jobs) {
+            tracing::debug!(%error, "it is not known which copies are to go");
+        }
+        next = Instant::now() + COPIES;
+    }
 }
 
 /// Enters what versions before accepted, until all of it is in the index.

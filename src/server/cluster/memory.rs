@@ -57,6 +57,11 @@ impl Memory {
         self.create(index::BUILT, b"{\"version\": 1}").unwrap();
     }
 
+    /// Puts what was made of the photo `n` there, which is `atlas`.
+    pub fn make(&self, n: u32, (at_ms, id): Place) {
+        self.put(&records::blob(id, &format!("{at_ms:013}-ab-{n}-ab-0"), Part::Atlas), b"atlas".to_vec()).unwrap();
+    }
+
     /// Whether the record of a photo is there.
     pub fn has(&self, id: PhotoId) -> bool {
         self.get(&Photo::name(id)).unwrap().is_some()

@@ -282,8 +282,8 @@ fn an_answer_that_is_lost_on_its_way_loses_no_photo_and_no_lease() {
     let there = folder::Folder::open(dir.path()).unwrap();
     let mut one = node(dir.path(), 9000);
     one.ledger = Arc::new(Forgetful { there, loses: Arc::clone(&loses), fails: Arc::clone(&fails) });
-    // of the marker, and of the photo's record
-    loses.store(2, Ordering::SeqCst);
+    // of the marker, of the entry in the index, and of the photo's record
+    loses.store(3, Ordering::SeqCst);
     let id = accepted(&one);
     let hint = hint(&one);
     loses.store(1, Ordering::SeqCst);

@@ -271,3 +271,24 @@ fn of_uploads_that_come_to_a_node_at_a_time_no_more_get_in_than_may() {
     assert_eq!(taken, 4);
     assert!(node.jobs.lock().coming.is_empty());
 }
+
+#[test]
+fn copies_go_of_photos_that_others_deleted_though_nobody_asks_for_them() {
+    let (store, dir) = (Memory::default(), tempfile::tempdir().unwrap());
+    store.built();
+    let node = node(&store, &Limits { known_photos: 1, ..Limits::default() });
+    let places: Vec<Place> = (0..3).map(|n| put(&store, n, u64::from(n), None, true)).collect();
+    for (n, place) in (0..).zip(&places) {
+        store.make(n, *place);
+        let _held = node.refresh(place.1).unwrap();
+        assert_eq!(node.jobs.store.read(place.1, Part::Atlas).unwrap(), b"atlas");
+    }
+    let copied = || [0, 1, 2].map(|n: usize| node.jobs.store.is_copied(places[n].1));
+    memory::cluster(&store, dir.path()).remove(places[1].1).unwrap();
+    assert_eq!(copied(), [true; 3]);
+    node.cluster.drop_copies(&node.jobs).unwrap();
+    assert_eq!(copied(), [true, false, true]);
+    store.is_away(true);
+    assert!(node.cluster.drop_copies(&node.jobs).is_err());
+    assert_eq!(copied(), [true, false, true], "a store that is away says nothing");
+}

@@ -99,6 +99,12 @@ impl Store {
         self.copies.as_ref().is_some_and(|copies| copies.held().photos.contains_key(&id))
     }
 
+    /// Photos of which there are copies here.
+    #[must_use]
+    pub fn copied(&self) -> Vec<PhotoId> {
+        self.copies.as_ref().map(|copies| copies.held().photos.keys().copied().collect()).unwrap_or_default()
+    }
+
     /// False where there are copies of another making of a photo here.
     #[must_use]
     pub fn is_copy_of(&self, id: PhotoId, version: Option<&str>) -> bool {
