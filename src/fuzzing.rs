@@ -4,23 +4,26 @@
 use axum::http::{HeaderMap, HeaderValue, Uri, header};
 
 use tmpi_core::{DisparityMap, Photo, container};
+use tmpi_live::depth as measured_depth;
 use tmpi_live::units::Splitter;
 use tmpi_pipeline::depth::{self as maps, DepthKind};
 use tmpi_pipeline::{photo, strokes};
 
-use crate::server;
+use crate::{live, server};
 
 /// Runs a reader on the bytes and panics where it breaks a promise; gives the most bytes of memory that it may have taken.
 pub type Run = fn(&[u8]) -> usize;
 
 /// All targets by name.
-pub const TARGETS: [(&str, Run); 17] = [
+pub const TARGETS: [(&str, Run); 19] = [
     ("container", container),
     ("labels", labels),
     ("planes", planes),
     ("message", message),
     ("units", units),
     ("video", video),
+    ("measured", measured),
+    ("nodes", nodes),
     ("query", query),
     ("jpeg", photo),
     ("png", photo),
@@ -215,6 +218,28 @@ fn video(data: &[u8]) -> usize {
         }
     }
     most
+}
+
+/// Depth that a publisher's camera measured, of a frame whose sides are in the first two bytes. Promised: an error, or a map of that size within 0
+/// to 1 that is the same after it was packed again; memory by that size, whatever the bytes unpack to.
+fn measured(data: &[u8]) -> usize {
+    let Some((head, packed)) = data.split_first_chunk::<2>() else { return LEAST };
+    let (width, height) = (u32::from(head[0]) + 1, u32::from(head[1]) + 1);
+    let count = width as usize * height as usize;
+    if let Ok(map) = measured_depth::unpack(packed, width, height) {
+        assert_eq!((map.width, map.height, map.delta.len()), (width, height, count));
+        assert!(map.delta.iter().all(|v| (0.0..=1.0).contains(v)));
+        let again = measured_depth::pack(&map).and_then(|packed| measured_depth::unpack(&packed, width, height));
+        assert!(again.is_ok_and(|again| again == map), "what was packed again is another map");
+    }
+    LEAST + 2 * data.len() + 64 * count
+}
+
+/// Messages of another node, in parts. Promised: no message of more bytes than there can be, and what is whole is the same after it was split and
+/// joined again; memory by its bytes.
+fn nodes(data: &[u8]) -> usize {
+    live::fuzzing::messages(data);
+    LEAST + 64 * data.len()
 }
 
 /// A merge patch of strokes, applied to a small photo. Promised: an error with a field where it is JSON, or strokes that are read again as they

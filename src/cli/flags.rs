@@ -154,7 +154,8 @@ impl ModelFlags {
             return Some(Settings { depth, depth_file, depth_pixels: None, depth_smoothing: None, depth_ramp, flip: false, ..photos });
         }
         let rooms = self.settings_of_rooms();
-        (rooms.depth_ramp.unwrap_or(depth.ramp) != photos.depth_ramp.unwrap_or(depth.ramp)).then_some(rooms)
+        let ramp = |settings: &Settings| settings.depth_ramp.unwrap_or(depth.ramp).to_bits();
+        (ramp(&rooms) != ramp(&photos)).then_some(rooms)
     }
 
     /// The settings that the flags stand for where it is rooms that they are of.

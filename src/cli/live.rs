@@ -11,6 +11,7 @@ use super::live_watch::{self, WatchArgs};
 use super::{Usage, files, result};
 use crate::live::{self as rooms, Role};
 use tmpi_lab::live;
+use tmpi_lab::live::points::At;
 use tmpi_pipeline::networks::{self, models};
 
 /// Publish, watch and measure moving 3D photos
@@ -47,9 +48,9 @@ struct TokenArgs {
 /// Measure rendered sequences from camera to reader: error against time and bytes
 #[derive(Clone, Debug, clap::Args)]
 struct BenchArgs {
-    /// Size of the frames
-    #[arg(long, default_value = "320x240", value_parser = flags::size, value_name = "WxH")]
-    size: (u32, u32),
+    /// Size of the frames; several, separated by commas: all sequences at each of them, with each bit rate and budget, a line for each
+    #[arg(long, value_delimiter = ',', default_value = "320x240", value_parser = flags::size, value_name = "WxH,…")]
+    size: Vec<(u32, u32)>,
     /// One sequence alone
     #[arg(long, value_parser = live::NAMES, value_name = "NAME")]
     only: Option<String>,
@@ -62,12 +63,16 @@ struct BenchArgs {
     /// How frames are sent; H.264 where the program was built with it
     #[arg(long, default_value = if cfg!(feature = "h264") { "h264" } else { "jpeg" }, value_parser = ["h264", "jpeg"], value_name = "CODEC")]
     codec: String,
-    /// Bits a second of H.264; 384 kbit/s for 320×240 as the publishing page has it, more for larger frames, where nothing is said
-    #[arg(long, value_name = "N")]
-    bitrate: Option<u32>,
-    /// Milliseconds that the geometry of a frame may take; 0: as long as it takes
-    #[arg(long, default_value_t = 0.0, value_name = "MS")]
-    budget_ms: f64,
+    /// Bits a second of H.264; 384 kbit/s for 320×240 as the publishing page has it, more for larger frames, where nothing is said. Or several
+    #[arg(long, value_delimiter = ',', value_name = "N,…")]
+    bitrate: Vec<u32>,
+    /// Milliseconds that the geometry of a frame may take, for which the size of depth, planes and tiles are chosen by what they took before; 0: as
+    /// long as it takes. Or several
+    #[arg(long, value_delimiter = ',', default_value = "0", value_parser = milliseconds, value_name = "MS,…")]
+    budget_ms: Vec<f64>,
+    /// Write drawings of error against run time and against bytes to this file, where several points are measured
+    #[arg(long, value_name = "FILE.html")]
+    page: Option<PathBuf>,
     /// Pixels by which a tile that is not sent anew may show any point beside where its new planes would, from any camera of the view box
     #[arg(long, default_value_t = tmpi_live::PARALLAX, value_parser = parallax, value_name = "PX")]
     parallax: f64,
@@ -86,7 +91,8 @@ struct BenchArgs {
     /// Bring the network's disparity to the truth's scale before it is used: what is left is not the scale's
     #[arg(long)]
     true_scale: bool,
-    /// Damage so many access units of a stream of that size, decode them and measure time and memory instead; 1 where these are not bounded
+    /// Damage so many access units of a stream of that size, decode them and measure time and memory instead; 1 where these are not bounded, or the decoder
+    /// has panicked though that was contained
     #[arg(long, value_parser = clap::value_parser!(u64).range(1..=100_000_000), value_name = "N")]
     damaged: Option<u64>,
     /// Draw the view from beside the camera for two frames of every so many
@@ -121,6 +127,27 @@ fn parallax(text: &str) -> Result<f64, String> {
     text.parse().ok().filter(|px: &f64| px.is_finite() && *px >= 0.0).ok_or_else(|| "pixels, 0 or more".into())
 }
 
+fn milliseconds(text: &str) -> Result<f64, String> {
+    text.parse().ok().filter(|ms: &f64| ms.is_finite() && *ms >= 0.0).ok_or_else(|| "milliseconds, 0 or more".into())
+}
+
+/// Every size with every bit rate and budget.
+fn points(args: &BenchArgs) -> Vec<At> {
+    let mut points = Vec::new();
+    for &size in &args.size {
+        let rate = (RATE * f64::from(size.0) * f64::from(size.1)) as u32;
+        let bitrates = match (args.codec.as_str(), args.bitrate.as_slice()) {
+            ("h264", []) => vec![Some(rate)],
+            ("h264", some) => some.iter().copied().map(Some).collect(),
+            _ => vec![None],
+        };
+        for bitrate in bitrates {
+            points.extend(args.budget_ms.iter().map(|&budget_ms| At { size, bitrate, budget_ms }));
+        }
+    }
+    points
+}
+
 fn token(args: &TokenArgs) -> anyhow::Result<()> {
     let now = SystemTime::now().duration_since(UNIX_EPOCH)?.as_secs();
     let role = if args.publish { Role::Publish } else { Role::Watch };
@@ -129,25 +156,26 @@ fn token(args: &TokenArgs) -> anyhow::Result<()> {
 }
 
 fn bench(args: &BenchArgs) -> anyhow::Result<()> {
-    let (w, h) = args.size;
-    if u64::from(w) * u64::from(h) > tmpi_core::live::MAX_PIXELS {
+    if args.size.iter().any(|(w, h)| u64::from(*w) * u64::from(*h) > tmpi_core::live::MAX_PIXELS) {
         return Err(Usage(format!("--size: frames have {} pixels at most", tmpi_core::live::MAX_PIXELS)).into());
     }
-    let rate = || (RATE * f64::from(w) * f64::from(h)) as u32;
-    let bitrate = (args.codec == "h264").then(|| args.bitrate.unwrap_or_else(rate));
+    let points = points(args);
+    let Some(first) = points.first() else { return Err(Usage("--size and --budget-ms: at least one".into()).into()) };
+    if points.len() > 1 && (args.damaged.is_some() || args.learn.is_some() || args.files.is_some()) {
+        return Err(Usage("--damaged, --learn and --files take one size, bit rate and budget".into()).into());
+    }
     let told = |what: &str| eprintln!("tmpi live bench: {what}");
     if let Some(count) = args.damaged {
-        let found = live::damaged::run(args.size, bitrate, count, &told)?;
+        let found = live::damaged::run(first.size, first.bitrate, count, &told)?;
         result(&if args.json { serde_json::to_string_pretty(&found)? } else { found.table() })?;
-        anyhow::ensure!(found.is_bounded(), "time or memory is beyond its bound");
-        return Ok(());
+        return found.check().map_err(anyhow::Error::msg);
     }
     let settings = live::Settings {
-        size: args.size,
+        size: first.size,
         seed: args.scene,
         frames: args.frames,
-        bitrate,
-        frame_ms: args.budget_ms,
+        bitrate: first.bitrate,
+        frame_ms: first.budget_ms,
         views: args.views,
         models: models::load(&args.models.settings_of_rooms())?,
         depth: networks::available().is_ok(),
@@ -162,9 +190,52 @@ fn bench(args: &BenchArgs) -> anyhow::Result<()> {
     if let Some(file) = &args.learn {
         return files::write(file, live::learn(&settings, &told)?.as_bytes());
     }
-    let results = live::run(&settings, &told)?;
-    for s in &results.skipped {
-        eprintln!("left out: {s}");
+    let left_out = |skipped: &[String]| skipped.iter().for_each(|s| eprintln!("left out: {s}"));
+    if points.len() > 1 || args.page.is_some() {
+        let found = live::points::measure(&settings, &points, &told)?;
+        left_out(&found.skipped);
+        if let Some(file) = &args.page {
+            files::write(file, found.page().as_bytes())?;
+        }
+        return result(&if args.json { serde_json::to_string_pretty(&found)? } else { found.table() });
     }
+    let results = live::run(&settings, &told)?;
+    left_out(&results.skipped);
     result(&if args.json { serde_json::to_string_pretty(&results)? } else { results.table() })
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser as _;
+
+    use super::*;
+
+    #[derive(clap::Parser)]
+    struct Cli {
+        #[command(flatten)]
+        bench: BenchArgs,
+    }
+
+    fn asked(args: &str) -> Vec<At> {
+        let cli = Cli::try_parse_from(["bench"].into_iter().chain(args.split_whitespace())).map_err(|e| e.to_string());
+        cli.map(|c| points(&c.bench)).unwrap_or_default()
+    }
+
+    #[test]
+    fn every_size_is_measured_with_every_rate_and_budget() {
+        let at = |size, bitrate, budget_ms| At { size, bitrate, budget_ms };
+        assert_eq!(asked("--codec h264"), [at((320, 240), Some(384_000), 0.0)]);
+        assert_eq!(
+            asked("--codec h264 --size 320x240,640x480 --budget-ms 0,10"),
+            [
+                at((320, 240), Some(384_000), 0.0),
+                at((320, 240), Some(384_000), 10.0),
+                at((640, 480), Some(1_536_000), 0.0),
+                at((640, 480), Some(1_536_000), 10.0)
+            ]
+        );
+        assert_eq!(asked("--codec h264 --bitrate 200000,800000").len(), 2);
+        assert_eq!(asked("--codec jpeg --size 64x64"), [at((64, 64), None, 0.0)]);
+        assert!(asked("--budget-ms nan").is_empty() && asked("--budget-ms=-1").is_empty());
+    }
 }

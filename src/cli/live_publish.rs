@@ -3,18 +3,21 @@
 use std::time::Duration;
 
 use anyhow::Context as _;
+use bytes::Bytes;
 use futures_util::{SinkExt as _, StreamExt as _};
 use tokio::time::{Instant, sleep, timeout, timeout_at};
 use tokio_tungstenite::tungstenite::Message;
 
 use tmpi_core::live::wire::message::Kind;
-use tmpi_core::live::wire::{Depth, Hello, Video};
+use tmpi_core::live::wire::{self as message, Depth, Hello, Video};
 use tmpi_core::live::{VERSION, read, write};
 use tmpi_live::units::codec;
 use tmpi_live::video::{self, JPEG};
 use tmpi_pipeline::depth::DepthKind;
 
 use super::live_client::{Addresses, Socket, Unreached, micros};
+use super::live_input::{Origin, SOUND, Wanted};
+use super::live_sound::Sound;
 use super::live_source::{Frame, Source};
 use super::result;
 use crate::live::TAKEN;
@@ -33,13 +36,23 @@ const SILENCE: Duration = Duration::from_secs(4);
 /// Time in which a frame has to go out.
 const STUCK: Duration = Duration::from_secs(10);
 
-/// Send frames into a room: a folder of JPEG files, a file of H.264, or whatever ffmpeg reads H.264 from
+/// Send frames into a room: a folder of JPEG files, a file of H.264, a camera, or whatever ffmpeg reads
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct PublishArgs {
     /// Folder of JPEG files, which are sent in the order of their names, with the depth of a PNG of the same name if there is one; a stream of H.264 (.h264); or what `ffmpeg -i` takes, of which the
-    /// video is passed on as it is, without B-frames, and the sound is left out
-    #[arg(value_name = "FOLDER|FILE|URL")]
-    source: String,
+    /// video is passed on as it is where it is H.264 in the order in which it is shown, and else encoded anew, and the sound goes along as Opus
+    #[arg(value_name = "FOLDER|FILE|URL", required_unless_present = "camera")]
+    source: Option<String>,
+    /// A camera of this machine, without sound: a device of v4l2 on Linux (/dev/video0 where none is named), a number or name of avfoundation on
+    /// macOS (0), a name of dshow on Windows
+    #[arg(long, conflicts_with = "source", num_args = 0..=1, default_missing_value = "", value_name = "NAME")]
+    camera: Option<String>,
+    /// Encode the video anew by ffmpeg, whatever it is
+    #[arg(long)]
+    transcode: bool,
+    /// Leave the sound out
+    #[arg(long)]
+    no_sound: bool,
     /// The room's address; several, separated by commas, where nodes share it: a lost one is left for the next
     #[arg(long, visible_alias = "to", value_delimiter = ',', default_value = "http://127.0.0.1:8080/live/room", value_name = "URL[,URL…]")]
     room: Vec<String>,
@@ -61,13 +74,14 @@ pub(super) struct PublishArgs {
 }
 
 /// What is said of a source, by its first frame.
-fn hello(source: &Source, first: &Frame, fov_x: Option<f64>) -> anyhow::Result<Hello> {
+fn hello(source: &Source, first: &Frame, fov_x: Option<f64>, sound: bool) -> anyhow::Result<Hello> {
     let codec = match source {
         Source::Folder(..) => JPEG.to_owned(),
         _ => codec(&first.data).context("the stream does not begin with a key frame")?,
     };
     let (width, height) = video::size(&codec, &first.data)?;
-    Ok(Hello { version: VERSION, codec, width, height, fov_x: fov_x.unwrap_or(0.0), ..Hello::default() })
+    let hello = Hello { version: VERSION, codec, width, height, fov_x: fov_x.unwrap_or(0.0), ..Hello::default() };
+    Ok(if sound { Hello { sound: "opus".into(), sound_rate: SOUND.0, sound_channels: SOUND.1, ..hello } } else { hello })
 }
 
 /// Publishes until the source ends.
@@ -79,43 +93,31 @@ pub(super) fn publish(args: &PublishArgs) -> anyhow::Result<()> {
 }
 
 async fn publishing(args: &PublishArgs) -> anyhow::Result<()> {
-    let mut source = Source::open(&args.source, args.depth_kind)?;
+    let origin = match (&args.camera, &args.source) {
+        (Some(name), _) => Origin::Camera(Some(name.as_str()).filter(|name| !name.is_empty())),
+        (None, Some(source)) => Origin::Address(source),
+        (None, None) => return Err(super::Usage("a folder, a file, an address or --camera".into()).into()),
+    };
+    let wanted = Wanted { transcode: args.transcode, sound: !args.no_sound };
+    let (mut source, sound) = Source::open(origin, args.depth_kind, wanted).await?;
     let first = source.next().await?.context("there is no frame")?;
-    let hello = hello(&source, &first, args.fov_x)?;
+    let hello = hello(&source, &first, args.fov_x, sound.is_some())?;
     let start = Instant::now();
     let mut sender = Sender {
         source,
+        sound,
         next: Some(first),
         times: args.times,
         due: start,
         pause: Duration::from_secs_f64(1.0 / args.rate),
+        silence: SILENCE,
         sent: Sent::default(),
     };
-    let (mut again, mut addresses) = (Again::default(), Addresses::new(&args.room, args.token.as_deref()));
-    loop {
-        let before = sender.sent.frames;
-        let ended = match addresses.connect("publish").await {
-            Ok(socket) => sender.send(socket, &hello).await,
-            // what was wrong from the start is no lost connection
-            Err(Unreached { error, .. }) if before == 0 => return Err(error),
-            Err(Unreached { error, .. }) => Err(End::Lost(error)),
-        };
-        match ended {
-            Ok(()) => break,
-            Err(end) => {
-                let error = again.after(end, before, sender.sent.frames, Instant::now())?;
-                eprintln!("tmpi live publish: {error:#}; again");
-                addresses.go_on();
-                // another node may be asked at once, but not all of them in turn without end
-                if !addresses.are_several() || again.tries > 1 {
-                    sleep(AGAIN).await;
-                }
-            }
-        }
-    }
+    sender.publish(&mut Addresses::new(&args.room, args.token.as_deref()), &hello).await?;
     sender.sent.left_out += sender.source.left_out();
-    let (seconds, Sent { frames, bytes, left_out }) = (start.elapsed().as_secs_f64(), sender.sent);
-    result(&format!("{frames} frames in {seconds:.1} s, {left_out} left out, {:.0} kbit/s", bytes as f64 * 8e-3 / seconds))
+    let (seconds, Sent { frames, bytes, left_out, sounds }) = (start.elapsed().as_secs_f64(), sender.sent);
+    let sounds = if sender.sound.is_some() { format!(", {sounds} packets of sound") } else { String::new() };
+    result(&format!("{frames} frames in {seconds:.1} s, {left_out} left out, {:.0} kbit/s{sounds}", bytes as f64 * 8e-3 / seconds))
 }
 
 /// Why a room is no longer published in.
@@ -159,24 +161,61 @@ struct Sent {
     frames: u64,
     bytes: u64,
     left_out: u64,
+    /// Packets of sound.
+    sounds: u64,
 }
 
 struct Sender {
     source: Source,
+    sound: Option<Sound>,
     next: Option<Frame>,
     times: u32,
     due: Instant,
     pause: Duration,
+    /// Silence after which a connection is taken for dead.
+    silence: Duration,
     sent: Sent,
 }
 
 impl Sender {
+    /// Sends frames until there is none left, over one connection after the other.
+    ///
+    /// # Errors
+    /// Nobody lets it in, or there is no use in coming back.
+    async fn publish(&mut self, addresses: &mut Addresses<'_>, hello: &Hello) -> anyhow::Result<()> {
+        let mut again = Again::default();
+        loop {
+            let before = self.sent.frames;
+            let ended = match addresses.connect("publish").await {
+                Ok(socket) => self.send(socket, hello).await,
+                // what was wrong from the start is no lost connection
+                Err(Unreached { error, .. }) if before == 0 => return Err(error),
+                Err(Unreached { error, .. }) => Err(End::Lost(error)),
+            };
+            match ended {
+                Ok(()) => return Ok(()),
+                Err(end) => {
+                    let error = again.after(end, before, self.sent.frames, Instant::now())?;
+                    eprintln!("tmpi live publish: {error:#}; again");
+                    addresses.go_on();
+                    // another node may be asked at once, but not all of them in turn without end
+                    if !addresses.are_several() || again.tries > 1 {
+                        sleep(AGAIN).await;
+                    }
+                }
+            }
+        }
+    }
+
     /// Sends frames until there is none left.
     async fn send(&mut self, mut socket: Socket, hello: &Hello) -> Result<(), End> {
         send(&mut socket, Kind::Hello(hello.clone())).await?;
         let live = self.source.is_paced();
         let (mut number, mut waits_for_key) = (0u64, true);
-        let mut heard = Heard { credit: 0, at: Instant::now() };
+        let mut heard = Heard { credit: 0, at: Instant::now(), silence: self.silence };
+        if let Some(sound) = &mut self.sound {
+            sound.skip();
+        }
         while let Some(frame) = self.next.clone() {
             if !live {
                 heard.listen(&mut socket, self.due, false).await?;
@@ -200,12 +239,7 @@ impl Sender {
             } else {
                 self.sent.left_out += 1;
             }
-            // what the server says is heard while a frame is waited for
-            tokio::select! {
-                biased;
-                advanced = self.advance() => advanced.map_err(End::Refused)?,
-                Err(end) = heard.until_lost(&mut socket) => return Err(end),
-            }
+            self.wait(&mut socket, &mut heard).await?;
         }
         // what is under way comes back as credit; the source is at its end whatever becomes of the rest
         let _ = heard.listen(&mut socket, Instant::now() + PATIENCE, false).await;
@@ -213,15 +247,39 @@ impl Sender {
         Ok(())
     }
 
-    async fn advance(&mut self) -> anyhow::Result<()> {
-        self.next = self.source.next().await?;
-        if self.next.is_none() && self.times > 1 {
-            self.times -= 1;
-            self.source.begin_again();
-            self.next = self.source.next().await?;
+    /// Waits for the next frame. Meanwhile what the server says is heard, and sound is passed on.
+    async fn wait(&mut self, socket: &mut Socket, heard: &mut Heard) -> Result<(), End> {
+        loop {
+            let Self { source, sound, next, times, .. } = self;
+            let (time, data) = tokio::select! {
+                biased;
+                packet = packet(sound.as_mut()) => packet,
+                advanced = advance(source, next, times) => return advanced.map_err(End::Refused),
+                Err(end) = heard.until_lost(socket) => return Err(end),
+            };
+            send(socket, Kind::Sound(message::Sound { time, data })).await?;
+            self.sent.sounds += 1;
         }
-        Ok(())
     }
+}
+
+/// The next packet of sound, which there never is without.
+async fn packet(sound: Option<&mut Sound>) -> (u64, Bytes) {
+    match sound {
+        Some(sound) => sound.next().await,
+        None => std::future::pending().await,
+    }
+}
+
+/// Goes on to the next frame; given up in between it has done nothing, but for a source that has no sound.
+async fn advance(source: &mut Source, next: &mut Option<Frame>, times: &mut u32) -> anyhow::Result<()> {
+    *next = source.next().await?;
+    if next.is_none() && *times > 1 {
+        *times -= 1;
+        source.begin_again();
+        *next = source.next().await?;
+    }
+    Ok(())
 }
 
 /// Sends a message.
@@ -238,17 +296,19 @@ struct Heard {
     credit: u32,
     /// When it said something last.
     at: Instant,
+    /// Silence after which it is taken for dead.
+    silence: Duration,
 }
 
 impl Heard {
     /// Takes what it says until then, or `or_credit` until it lets a frame be sent.
     async fn listen(&mut self, socket: &mut Socket, until: Instant, or_credit: bool) -> Result<(), End> {
         loop {
-            let Ok(came) = timeout_at(until.min(self.at + SILENCE), socket.next()).await else {
-                if self.at.elapsed() < SILENCE {
+            let Ok(came) = timeout_at(until.min(self.at + self.silence), socket.next()).await else {
+                if self.at.elapsed() < self.silence {
                     return Ok(());
                 }
-                return Err(End::Lost(anyhow::anyhow!("the server has said nothing for {} s", SILENCE.as_secs())));
+                return Err(End::Lost(anyhow::anyhow!("the server has said nothing for {:.1} s", self.silence.as_secs_f64())));
             };
             self.at = Instant::now();
             let message = match came {
@@ -278,14 +338,73 @@ impl Heard {
     /// Takes what it says until the connection breaks.
     async fn until_lost(&mut self, socket: &mut Socket) -> Result<(), End> {
         loop {
-            self.listen(socket, Instant::now() + SILENCE, false).await?;
+            self.listen(socket, Instant::now() + self.silence, false).await?;
         }
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use std::net::Ipv4Addr;
+    use std::sync::atomic::{AtomicU32, Ordering};
+
+    use tmpi_core::live::wire::Credit;
+    use tmpi_live::units::Unit;
+    use tokio::net::TcpListener;
+    use tokio_tungstenite::accept_async;
+
     use super::*;
+
+    /// A server that lets frames be sent and is silent on the first connection, and on others goes on to say something; `heard` is told of each
+    /// connection, and of each key frame of later ones.
+    async fn forgetful(listener: TcpListener, heard: &[AtomicU32; 2]) -> anyhow::Result<()> {
+        loop {
+            let mut socket = accept_async(listener.accept().await?.0).await?;
+            let silent = heard[0].fetch_add(1, Ordering::Relaxed) == 0;
+            let credit = |frames| Message::Binary(write(Kind::Credit(Credit { frames, ..Credit::default() })));
+            socket.send(credit(100_000)).await?;
+            loop {
+                let message = match timeout(Duration::from_millis(20), socket.next()).await {
+                    Ok(Some(Ok(message))) => message,
+                    Ok(_) => break,
+                    // it may have gone by now
+                    Err(_) if !silent && socket.send(credit(0)).await.is_err() => break,
+                    Err(_) => continue,
+                };
+                if let Message::Binary(bytes) = message
+                    && matches!(read(bytes)?, Kind::Video(video) if video.key && !silent)
+                {
+                    heard[1].fetch_add(1, Ordering::Relaxed);
+                    if socket.send(credit(0)).await.is_err() {
+                        break;
+                    }
+                }
+            }
+        }
+    }
+
+    #[tokio::test]
+    async fn a_server_that_says_nothing_more_is_left_and_come_back_to_with_a_key_frame() {
+        let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).await.unwrap();
+        let rooms = [format!("http://{}/live/attic", listener.local_addr().unwrap())];
+        let units: Vec<Unit> =
+            (0..5).map(|n| Unit { data: vec![0, 0, 1, if n == 0 { 0x65 } else { 0x41 }, 0x88, n], key: n == 0 }).collect();
+        let mut source = Source::Units(units, 0);
+        let next = source.next().await.unwrap();
+        let pause = Duration::from_millis(5);
+        let mut sender =
+            Sender { source, sound: None, next, times: 80, due: Instant::now(), pause, silence: 60 * pause, sent: Sent::default() };
+        let heard = [AtomicU32::new(0), AtomicU32::new(0)];
+        let (mut addresses, hello) = (Addresses::new(&rooms, None), Hello::default());
+        let sent = timeout(Duration::from_mins(1), sender.publish(&mut addresses, &hello));
+        tokio::select! {
+            sent = sent => sent.expect("it is left soon").unwrap(),
+            failed = forgetful(listener, &heard) => panic!("{failed:?}"),
+        }
+        let [connections, keys] = heard.map(AtomicU32::into_inner);
+        assert!(connections >= 2 && keys > 0, "{connections} connections, {keys} key frames after the first");
+        assert!(sender.sent.frames > 0 && sender.times == 1);
+    }
 
     #[test]
     fn a_taken_room_is_final_at_first_and_waited_for_where_it_was_published_in() {

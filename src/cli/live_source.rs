@@ -10,7 +10,10 @@ use tmpi_live::units::{Splitter, Unit};
 use tmpi_live::video::{self, JPEG};
 use tmpi_pipeline::depth::{self as maps, DepthKind};
 
-use super::live_program::{Program, ffmpeg, is_live};
+use super::live_input::{Origin, Plan, Wanted};
+use super::live_program::{Program, is_live};
+use super::live_sound::Sound;
+use super::note;
 
 /// What is sent of a frame.
 #[derive(Clone)]
@@ -31,9 +34,26 @@ pub(super) enum Source {
 }
 
 impl Source {
+    /// The frames of an origin, and its sound, where it has some that is wanted.
+    ///
     /// # Errors
-    /// There is no such file, or no frame in it.
-    pub(super) fn open(source: &str, depth: DepthKind) -> anyhow::Result<Self> {
+    /// There is no such file, or no frame in it; ffmpeg cannot read it.
+    pub(super) async fn open(origin: Origin<'_>, depth: DepthKind, wanted: Wanted) -> anyhow::Result<(Self, Option<Sound>)> {
+        if let Origin::Address(source) = origin
+            && let Some(files) = Self::files(source, depth)?
+        {
+            return Ok((files, None));
+        }
+        let plan = Plan::new(origin, wanted)?;
+        plan.notices.iter().for_each(|notice| note(&format!("tmpi live publish: {notice}")));
+        let sound = if plan.sound { Some(Sound::open().await.context("a port for the sound")?) } else { None };
+        let live = matches!(origin, Origin::Camera(_)) || matches!(origin, Origin::Address(source) if is_live(source));
+        let program = Program::start(&mut plan.command(sound.as_ref().map(Sound::port)), live)?;
+        Ok((Self::Program(program), sound))
+    }
+
+    /// What is read without a program: a folder, or a stream of H.264.
+    fn files(source: &str, depth: DepthKind) -> anyhow::Result<Option<Self>> {
         let path = Path::new(source);
         if path.is_dir() {
             let mut files: Vec<PathBuf> = std::fs::read_dir(path)?.map(|e| e.map(|e| e.path())).collect::<Result<_, _>>()?;
@@ -42,7 +62,7 @@ impl Source {
             if files.is_empty() {
                 bail!("{source} holds no JPEG file");
             }
-            return Ok(Self::Folder(files, 0, depth));
+            return Ok(Some(Self::Folder(files, 0, depth)));
         }
         if path.extension().is_some_and(|e| e == "h264" || e == "264") {
             let mut splitter = Splitter::default();
@@ -51,9 +71,9 @@ impl Source {
                 units.extend(splitter.push(piece)?);
             }
             units.extend(splitter.finish());
-            return Ok(Self::Units(units, 0));
+            return Ok(Some(Self::Units(units, 0)));
         }
-        Ok(Self::Program(Program::start(&mut ffmpeg(source), is_live(source))?))
+        Ok(None)
     }
 
     /// Whether frames come when they come.
@@ -100,4 +120,88 @@ fn measured(file: &Path, kind: DepthKind, frame: &[u8]) -> anyhow::Result<Bytes>
     let limits = tmpi_pipeline::photo::Limits::default();
     let (map, _) = maps::from_map(&std::fs::read(file).with_context(name)?, kind, &limits, width, height).with_context(name)?;
     Ok(depth::pack(&map)?.into())
+}
+
+#[cfg(test)]
+mod tests {
+    use std::process::Command;
+    use std::time::Duration;
+
+    use tmpi_live::units::{codec, is_bidirectional};
+    use tmpi_testing::Need;
+    use tokio::time::timeout;
+
+    use super::*;
+
+    /// A second of test pictures and a tone, as ffmpeg encodes them; none where there is no ffmpeg.
+    fn film(folder: &Path, name: &str, codec: &[&str]) -> Option<String> {
+        let file = folder.join(name);
+        let mut command = Command::new("ffmpeg");
+        command.args(["-loglevel", "error", "-f", "lavfi", "-i", "testsrc=size=160x120:rate=15:duration=1"]);
+        command.args(["-f", "lavfi", "-i", "sine=duration=1", "-pix_fmt", "yuv420p"]).args(codec).arg(&file);
+        let status = Need::Ffmpeg.or_skip(command.status())?;
+        assert!(status.success(), "{name}: {status}");
+        Some(file.to_string_lossy().into_owned())
+    }
+
+    /// All frames, and the times of the packets of sound that come with them.
+    async fn read(origin: &str, wanted: Wanted) -> (Vec<Frame>, Vec<u64>) {
+        let (mut source, mut sound) = Source::open(Origin::Address(origin), DepthKind::default(), wanted).await.unwrap();
+        let (mut frames, mut times) = (Vec::new(), Vec::new());
+        let all = async {
+            loop {
+                let heard = async {
+                    match &mut sound {
+                        Some(sound) => sound.next().await.0,
+                        None => std::future::pending().await,
+                    }
+                };
+                tokio::select! {
+                    biased;
+                    time = heard => times.push(time),
+                    frame = source.next() => match frame.unwrap() {
+                        Some(frame) => frames.push(frame),
+                        None => break,
+                    },
+                }
+            }
+        };
+        timeout(Duration::from_mins(1), all).await.expect("the film ends");
+        (frames, times)
+    }
+
+    fn is_for_rooms(frames: &[Frame]) -> bool {
+        frames.first().is_some_and(|f| f.key && codec(&f.data).is_some()) && !frames.iter().any(|f| is_bidirectional(&f.data))
+    }
+
+    #[tokio::test]
+    async fn a_film_that_browsers_do_not_take_is_encoded_and_its_sound_comes_with_it() {
+        let folder = tempfile::tempdir().unwrap();
+        let codecs: [&[&str]; 2] = [&["-c:v", "mpeg4", "-c:a", "aac"], &["-c:v", "libx264", "-bf", "2", "-c:a", "aac"]];
+        for (n, codec) in codecs.into_iter().enumerate() {
+            let Some(film) = film(folder.path(), &format!("{n}.mp4"), codec) else { return };
+            let (frames, times) = read(&film, Wanted { transcode: false, sound: true }).await;
+            assert!(is_for_rooms(&frames) && (14..=16).contains(&frames.len()), "{} frames of {film}", frames.len());
+            // 50 packets a second; the first ones may come before anyone listens, the last after the last frame
+            assert!(times.len() > 10 && times.is_sorted(), "{times:?}");
+            assert!(times.windows(2).all(|t| t[1] > t[0]), "{times:?}");
+        }
+    }
+
+    #[tokio::test]
+    async fn a_film_as_browsers_take_it_is_passed_on_bit_by_bit_and_without_sound_where_none_is_wanted() {
+        let folder = tempfile::tempdir().unwrap();
+        let codec = ["-c:v", "libx264", "-profile:v", "baseline", "-bf", "0", "-c:a", "aac"];
+        let Some(film) = film(folder.path(), "film.mp4", &codec) else { return };
+        let stream = folder.path().join("film.h264");
+        let copied = Command::new("ffmpeg").args(["-loglevel", "error", "-i", &film, "-an", "-c:v", "copy"]).arg(&stream).status();
+        assert!(copied.unwrap().success());
+        let (frames, times) = read(&film, Wanted::default()).await;
+        let sent: Vec<u8> = frames.iter().flat_map(|f| f.data.to_vec()).collect();
+        assert!(is_for_rooms(&frames) && times.is_empty() && sent == std::fs::read(&stream).unwrap());
+        let (encoded, _) = read(&film, Wanted { transcode: true, sound: false }).await;
+        assert!(is_for_rooms(&encoded) && encoded.iter().flat_map(|f| f.data.to_vec()).collect::<Vec<_>>() != sent);
+        let missing = Source::open(Origin::Address("no/such/film.mp4"), DepthKind::default(), Wanted::default()).await;
+        assert!(missing.is_err_and(|e| e.to_string().contains("No such file")));
+    }
 }

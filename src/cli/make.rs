@@ -19,7 +19,7 @@ use tmpi_pipeline::{self, Made, Models, Options};
 #[derive(Clone, Debug, clap::Args)]
 #[allow(clippy::struct_excessive_bools, reason = "flags of a command")]
 pub(super) struct MakeArgs {
-    /// JPEG, PNG or WebP files, or folders of them with all folders below; there photo_depth.png (or -depth, _depthmap, _disparity, …; JPEG or WebP,
+    /// JPEG, PNG or WebP files, or folders of them with all folders below; there `photo_depth.png` (or -depth, `_depthmap`, `_disparity`, …; JPEG or WebP,
     /// too) beside photo.jpg is that photo's depth map
     #[arg(required = true, value_name = "PHOTO|DIR")]
     photos: Vec<PathBuf>,

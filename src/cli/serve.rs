@@ -166,7 +166,7 @@ pub(super) struct ServeArgs {
     /// Depth network of rooms, named as for --depth-model; the embedded one keeps up with a camera, those that take seconds for a photo do not
     #[arg(long, value_parser = depth_model, default_value = "tmpi", value_name = "auto|NAME[=FILE]|FILE", conflicts_with = "no_live")]
     live_depth_model: DepthModel,
-    /// Milliseconds that the geometry of a room's frame may take
+    /// Milliseconds that the geometry of a room's frame may take: where depth, planes or tiles took longer there are fewer of them
     #[arg(long, default_value_t = 30.0, value_name = "MS")]
     live_budget_ms: f64,
     #[arg(

@@ -44,6 +44,7 @@ pub use access::{Role, token};
 pub use async_nats::ServerAddr as NatsAddress;
 use axum::extract::ws::{Message, WebSocket};
 pub use nodes::Config as NodeConfig;
+pub(crate) use nodes::fuzzing;
 pub(crate) use publisher::TAKEN;
 use tmpi_core::live::wire::Bye;
 use tmpi_core::live::wire::message::Kind;

@@ -8,13 +8,15 @@ use std::sync::Mutex;
 use crate::command::{Fault, cargo, output, root, run, run_quietly};
 
 /// Those of `src/fuzzing.rs`; a test there holds this list against them.
-const TARGETS: [&str; 17] = [
+const TARGETS: [&str; 19] = [
     "container",
     "labels",
     "planes",
     "message",
     "units",
     "video",
+    "measured",
+    "nodes",
     "query",
     "jpeg",
     "png",

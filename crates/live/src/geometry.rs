@@ -8,15 +8,21 @@ use tmpi_core::live::chunk::{self, Area};
 use tmpi_core::live::wire::Chunk;
 use tmpi_core::{self as core, DisparityMap, Grid, Intrinsics, Photo, Rect, Tile};
 use tmpi_pipeline::photo::Limits;
+use tmpi_pipeline::planes::MAX_AUTO_PLANES;
 use tmpi_pipeline::run::Context;
-use tmpi_pipeline::run::stages::{Denoise, Depth, Estimated, Planes, Prepared, Snap, Source};
-use tmpi_pipeline::{MakeError, Models, Options, Silent, StageTime, layers};
+use tmpi_pipeline::run::stages::{Estimated, Planes, Prepared};
+use tmpi_pipeline::{MakeError, Models, Options, PlaneCount, Silent, StageTime, layers};
 
-use crate::Budget;
 use crate::align;
 use crate::change::{BLOCK, Change, Compare, Tolerance};
 use crate::moved::moved;
+use crate::queue::Queue;
 use crate::settle::{SETTLES, Settle, Settling};
+use crate::{Budget, Share};
+
+mod estimate;
+
+use estimate::estimate;
 
 /// Pixels of parallax by which what readers hold of a tile may be off, where nothing else is said.
 pub const PARALLAX: f64 = 0.25;
@@ -38,9 +44,6 @@ const TREMBLES: (f64, f32) = (1.5, 0.4);
 /// Share of a tile's pixels whose measured depth must leave the known one for the tile to count as changed though its colours did not.
 const DEPTH_CHANGED: f64 = 0.02;
 
-/// Pixels about a pixel that snapping looks at, over its three passes.
-const SNAP_REACH: u32 = 8;
-
 /// What a room is made with.
 #[derive(Clone, Debug)]
 pub struct Settings {
@@ -56,7 +59,7 @@ pub struct Settings {
     pub rest: u32,
     /// When estimated depth beside what moved is looked at once more.
     pub settles: Settling,
-    /// Milliseconds that the geometry of a frame may take; 0: as long as it takes.
+    /// Milliseconds that the geometry of a frame may take ([`Budget`]); 0: as long as it takes.
     pub frame_ms: f64,
     /// Nothing is carried from frame to frame: what a photo's driver would do, to compare with.
     pub separate: bool,
@@ -118,6 +121,10 @@ pub struct Update {
     pub chunks: Vec<Chunk>,
     /// Changed tiles that wait for a later frame.
     pub waiting: usize,
+    /// Tiles that were given fewer planes than they may need, as there was no time for more; they are looked at again when there is.
+    pub coarse: usize,
+    /// Size that the depth network ran at, where it did and has a choice.
+    pub depth_size: Option<(u32, u32)>,
     /// What the stages took.
     pub stages: Vec<StageTime>,
     /// What coding the chunks took, in milliseconds.
@@ -149,8 +156,8 @@ struct State {
     stale: Vec<bool>,
     /// Blocks whose estimated depth is to be looked at once more.
     settle: Settle,
-    /// How much the tiles changed whose planes have not been placed yet; 0 for others.
-    waiting: Vec<u64>,
+    /// Tiles whose planes have not been placed yet, or not as many as they need.
+    queue: Queue,
 }
 
 /// Why a frame has no geometry.
@@ -233,23 +240,31 @@ impl Geometry {
         let known = state.known;
         let rests = state.rests > 0;
         state.rests = state.rests.saturating_sub(1);
-        if !rests && state.stale.contains(&true) && (frame.depth.is_some() || !known || self.budget.depth_is_due()) {
-            let before = Instant::now();
-            let part = if known { state.stale_part(change.across) } else { None };
-            let map = estimate(&mut job, frame, part)?;
-            if frame.depth.is_none() {
-                self.budget.depth_took(ms(before));
+        let measured = frame.depth.is_some();
+        if !rests && state.stale.contains(&true) {
+            let sizes = if measured { Vec::new() } else { models.depth.sizes(frame.photo.width, frame.photo.height) };
+            if let Some(size) = self.budget.depth(&sizes, measured || !known) {
+                let before = Instant::now();
+                let part = if known { state.stale_part(change.across) } else { None };
+                update.depth_size = sizes.get(size).copied();
+                let (map, network_ms) = estimate(&mut job, frame, update.depth_size, part)?;
+                self.budget.depth_took(ms(before), network_ms);
+                state.join(map, known && !measured, change.across);
             }
-            state.join(map, known && frame.depth.is_none(), change.across);
         }
-        let wanted = if rests || state.stale.contains(&true) { Vec::new() } else { state.most_changed(self.budget.tiles()) };
-        if !wanted.is_empty() {
-            let before = Instant::now();
-            state.place(&mut job, &mut self.planes, frame, (&wanted, self.settings.parallax), &mut update)?;
-            self.budget.tiles_took(wanted.len(), ms(before));
-            state.rests = if update.sent.is_empty() || frame.depth.is_some() { 0 } else { self.settings.rest };
+        if !rests && !state.stale.contains(&true) {
+            let most = (options.planes == PlaneCount::Auto).then_some(MAX_AUTO_PLANES);
+            let share = self.budget.tiles(state.queue.waiting(), most);
+            let wanted = state.queue.next(share.tiles, share.planes.is_none());
+            if !wanted.is_empty() {
+                let before = Instant::now();
+                let counts = state.place(&mut job, &mut self.planes, frame, (&wanted, share, self.settings.parallax), &mut update)?;
+                self.budget.tiles_took(&counts, share.planes.is_none(), ms(before));
+                state.rests = if update.sent.is_empty() || measured { 0 } else { self.settings.rest };
+            }
         }
-        update.waiting = state.waiting.iter().filter(|w| **w > 0).count();
+        state.queue.age();
+        (update.waiting, update.coarse) = (state.queue.waiting(), state.queue.coarse());
         update.stages = job.finish().stages;
         let before = Instant::now();
         let sent = |t: u32| update.sent.binary_search(&t).is_ok();
@@ -271,47 +286,13 @@ fn target(g: &core::Geometry, pixels: f64) -> f64 {
     pixels / parallax.0.max(parallax.1).max(1.0)
 }
 
-/// Disparity of a frame: measured and denoised, or estimated; its ramps snapped, of an estimate those in a `part` alone.
-fn estimate(job: &mut Context, frame: &Frame, part: Option<Rect>) -> Result<Estimated, MakeError> {
-    let map = match &frame.depth {
-        Some(given) => {
-            let map = Estimated { delta: given.clone(), confidence: None, given: true };
-            job.run(&mut Denoise, (&frame.photo, map))?
-        }
-        None => job.run(&mut Depth, (&frame.photo, Source::Network))?,
-    };
-    match part.filter(|_| frame.depth.is_none()) {
-        Some(part) => snap_part(job, &frame.photo, map, part),
-        None => job.run(&mut Snap, (&frame.photo, map)),
-    }
-}
-
-/// Snaps the ramps of a part of a map to what they would be snapped to with all of it.
-fn snap_part(job: &mut Context, photo: &Photo, mut map: Estimated, part: Rect) -> Result<Estimated, MakeError> {
-    let width = photo.width as usize;
-    let (x0, y0) = (part.x.saturating_sub(SNAP_REACH), part.y.saturating_sub(SNAP_REACH));
-    let (x1, y1) = ((part.x + part.w + SNAP_REACH).min(photo.width), (part.y + part.h + SNAP_REACH).min(photo.height));
-    let (w, h) = (x1 - x0, y1 - y0);
-    let rows = || (y0..y1).map(|y| y as usize * width + x0 as usize);
-    let rgb = rows().flat_map(|at| &photo.rgb[at..at + w as usize]).copied().collect();
-    let delta = rows().flat_map(|at| &map.delta.delta[at..at + w as usize]).copied().collect();
-    let cut = Estimated { delta: DisparityMap { width: w, height: h, delta }, confidence: None, given: map.given };
-    let snapped = job.run(&mut Snap, (&Photo { width: w, height: h, rgb }, cut))?;
-    for y in part.y..part.y + part.h {
-        let (to, from) = ((y as usize * width) + part.x as usize, ((y - y0) * w + part.x - x0) as usize);
-        let count = part.w as usize;
-        map.delta.delta[to..to + count].copy_from_slice(&snapped.delta.delta[from..from + count]);
-    }
-    Ok(map)
-}
-
 impl State {
     fn new(photo: &Photo, settings: &Settings) -> Self {
         let (width, height) = (photo.width, photo.height);
         let geometry = settings.empty(width, height);
         let blocks = width.div_ceil(BLOCK) as usize * height.div_ceil(BLOCK) as usize;
         Self {
-            waiting: vec![0; geometry.tiles.len()],
+            queue: Queue::new(geometry.tiles.len()),
             geometry,
             delta: DisparityMap { width, height, delta: vec![0.0; photo.rgb.len()] },
             stale: vec![false; blocks],
@@ -336,7 +317,7 @@ impl State {
             *stale |= *by > 0;
         }
         for (t, by) in (0..).zip(change.tiles(grid)) {
-            self.waiting[t as usize] += by;
+            self.queue.add(t, by);
             if by > 0 {
                 changed.push(t);
             }
@@ -353,8 +334,8 @@ impl State {
                 new.iter().zip(old).filter(|(a, b)| f64::from((*a - *b).abs()) > target).count()
             };
             let count: usize = (r.y..r.y + r.h).map(off).sum();
-            if self.waiting[t as usize] == 0 && count as f64 > DEPTH_CHANGED * r.area() as f64 {
-                self.waiting[t as usize] = count as u64;
+            if !self.queue.waits(t) && count as f64 > DEPTH_CHANGED * r.area() as f64 {
+                self.queue.add(t, count as u64);
                 for y in r.y / BLOCK..(r.y + r.h).div_ceil(BLOCK) {
                     let row = y as usize * across;
                     self.stale[row + (r.x / BLOCK) as usize..row + (r.x + r.w).div_ceil(BLOCK) as usize].fill(true);
@@ -381,30 +362,22 @@ impl State {
         self.known = true;
     }
 
-    /// The tiles that wait and changed most, `most` at most.
-    fn most_changed(&self, most: usize) -> Vec<u32> {
-        let mut tiles: Vec<u32> = (0..).zip(&self.waiting).filter(|(_, w)| **w > 0).map(|(t, _)| t).collect();
-        if tiles.len() > most {
-            tiles.sort_by_key(|t| std::cmp::Reverse(self.waiting[*t as usize]));
-            tiles.truncate(most);
-        }
-        tiles
-    }
-
-    /// Places the planes of some tiles; `update` is told, in order, of those that moved by more than `parallax` pixels, and of the others.
+    /// Places the planes of some tiles; `update` is told, in order, of those that moved by more than `parallax` pixels, and of the others. Gives how
+    /// many planes each was found to have.
     fn place(
         &mut self,
         job: &mut Context,
         planes: &mut Planes,
         frame: &Frame,
-        (wanted, parallax): (&[u32], f64),
+        (wanted, share, parallax): (&[u32], Share, f64),
         update: &mut Update,
-    ) -> Result<(), MakeError> {
-        let mut chosen = vec![false; self.waiting.len()];
+    ) -> Result<Vec<usize>, MakeError> {
+        let mut chosen = vec![false; self.geometry.tiles.len()];
         for t in wanted {
             chosen[*t as usize] = true;
         }
         planes.change(chosen.clone());
+        planes.at_most(share.planes);
         let intrinsics = self.geometry.intrinsics;
         // the stage looks at camera and map alone
         let photo = Photo { width: frame.photo.width, height: frame.photo.height, rgb: Vec::new() };
@@ -418,8 +391,10 @@ impl State {
         self.delta = map.delta;
         let mut geometry = placed?.geometry;
         layers::add_backgrounds_to(&mut geometry, &self.delta, |t| chosen[t as usize]);
+        let mut counts = Vec::with_capacity(wanted.len());
         for (t, new) in (0..).zip(geometry.tiles).filter(|(t, _)| chosen[*t as usize]) {
-            self.waiting[t as usize] = 0;
+            counts.push(new.planes.len());
+            self.queue.done(t, share.planes.is_some_and(|most| new.planes.len() >= most as usize));
             let held = &self.geometry.tiles[t as usize];
             if *held == new {
                 continue;
@@ -435,7 +410,7 @@ impl State {
                 update.kept_off = update.kept_off.max(off);
             }
         }
-        Ok(())
+        Ok(counts)
     }
 }
 

@@ -13,8 +13,9 @@
 //!    of the view box, are not sent, and the room goes on with what was: it has of each tile what its readers have.
 //! 6. Chunks ([`tmpi_core::live::chunk`]) of the others.
 //!
-//! [`Geometry`] drives all that under a budget of time: what does not fit waits for the next frame, what changed most goes first. After a frame of
-//! which tiles were sent the next one rests ([`Settings::rest`]): what changed in it is sent with the one after.
+//! [`Geometry`] drives all that under a [`Budget`] of time, by what the stages took before: where a frame is late the depth network runs at a smaller
+//! size, tiles get fewer planes, and what does not fit then waits for the next frame; what changed most goes first, and nothing waits for ever. After a
+//! frame of which tiles were sent the next one rests ([`Settings::rest`]): what changed in it is sent with the one after.
 //! [`video`] and [`depth`] decode what publishers send, [`units`] splits their streams. Nothing here knows of sockets or rooms, and nothing waits.
 
 pub mod align;
@@ -23,11 +24,12 @@ pub mod change;
 pub mod depth;
 mod geometry;
 mod moved;
+mod queue;
 mod settle;
 pub mod units;
 pub mod video;
 
-pub use budget::Budget;
+pub use budget::{Budget, Share};
 pub use change::Tolerance;
 pub use geometry::{Frame, Geometry, GeometryError, MAX_ERROR, PARALLAX, REST, Settings, Update};
 pub use moved::moved;

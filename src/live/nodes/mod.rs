@@ -17,6 +17,7 @@
 //! start again and goes on from where it was. Without NATS each node goes on alone.
 
 mod forward;
+pub mod fuzzing;
 mod lend;
 mod relay;
 mod table;

@@ -319,7 +319,7 @@ impl Guard {
 
     /// Whether the caller of this request, whatever it asks, may change a photo. An answer that depends on it is theirs alone where it is so.
     #[must_use]
-    pub fn may_change(&self, entry: &Entry) -> bool {
+    pub fn may_change(entry: &Entry) -> bool {
         let caller = caller().filter(|caller| caller.has(entry, Scope::Upload));
         if let Some(caller) = &caller {
             caller.private.store(true, Ordering::Relaxed);

@@ -255,7 +255,7 @@ pub fn run(settings: &Settings, progress: &dyn Fn(&str)) -> Result<Results, Benc
 
 impl Experiment {
     /// Marks the points that no other one beats in both directions.
-    fn mark(&mut self) {
+    pub(crate) fn mark(&mut self) {
         let (Some(x_up), Some(y_up)) = (self.x.up, self.y.up) else { return };
         let score = |p: &Point| (if x_up { p.x } else { -p.x }, if y_up { p.y } else { -p.y });
         let all: Vec<(f64, f64)> = self.curves.iter().flat_map(|c| &c.points).map(score).collect();

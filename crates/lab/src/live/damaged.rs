@@ -46,10 +46,22 @@ pub struct Damaged {
 }
 
 impl Damaged {
-    /// Whether time and memory are within their bounds.
-    #[must_use]
-    pub fn is_bounded(&self) -> bool {
-        self.longest_cpu_ms <= LONGEST && self.memory <= MEMORY
+    /// Whether time and memory are within their bounds, and nothing has panicked: contained or not, that is a fault.
+    ///
+    /// # Errors
+    /// What is not as it should be, with its figure.
+    pub fn check(&self) -> Result<(), String> {
+        let mut wrong = Vec::new();
+        if self.longest_cpu_ms > LONGEST {
+            wrong.push(format!("a unit took {:.0} ms of the processor, more than {LONGEST:.0}", self.longest_cpu_ms));
+        }
+        if self.memory > MEMORY {
+            wrong.push(format!("{} bytes of memory, more than {MEMORY}", self.memory));
+        }
+        if self.contained > 0 {
+            wrong.push(format!("the decoder panicked at {} units", self.contained));
+        }
+        if wrong.is_empty() { Ok(()) } else { Err(wrong.join("; ")) }
     }
 
     /// As lines.
@@ -174,6 +186,16 @@ mod tests {
         assert_eq!((found.units, found.pictures + found.without + found.refused), (300, 300));
         assert!(found.longest_cpu_ms > 0.0 && found.longest_ms > 0.0);
         assert!(found.pictures > 0 && found.refused > 0 && found.contained <= found.refused, "{found:?}");
+    }
+
+    #[test]
+    fn what_is_beyond_its_bound_and_any_panic_is_a_failure_that_says_so() {
+        let good = Damaged { units: 9, pictures: 5, refused: 4, longest_cpu_ms: LONGEST, memory: MEMORY, ..Damaged::default() };
+        assert_eq!(good.check(), Ok(()));
+        let panicked = Damaged { contained: 2, ..good.clone() }.check().unwrap_err();
+        assert!(panicked.contains("panicked at 2 units"), "{panicked}");
+        let all = Damaged { contained: 1, longest_cpu_ms: LONGEST + 1.0, memory: MEMORY + 1, ..good }.check().unwrap_err();
+        assert_eq!(all.matches(';').count(), 2, "{all}");
     }
 
     #[test]

@@ -4,6 +4,7 @@ pub mod damaged;
 pub mod encode;
 pub mod equal;
 mod measure;
+pub mod points;
 mod reader;
 mod scale;
 mod seams;
@@ -135,6 +136,12 @@ pub struct Figures {
     pub kept: f64,
     /// Pixels by which these are off at the most, from any camera of the view box.
     pub kept_off: f64,
+    /// Share of the tiles that wait for a later frame, as there was no time for them.
+    pub waiting: f64,
+    /// Share of the tiles that have fewer planes than they may need, for the same reason.
+    pub coarse: f64,
+    /// Pixels that the depth network ran on, where it did; 0 where it has no choice.
+    pub depth_pixels: f64,
     /// Largest difference, in levels, of a pixel from that of which its depth was told.
     pub left_out_off: u8,
     /// Pixels that the view from the camera's own place has otherwise than the frame, of all views.
@@ -312,6 +319,8 @@ impl Results {
         line("tiles left out", &|f| format!("{:.1} %", 100.0 * f.left_out));
         line("placed anew and left out", &|f| format!("{:.1} %", 100.0 * f.kept));
         line("of these the most off, px", &|f| format!("{:.3}", f.kept_off));
+        line("tiles late: wait, with few planes", &|f| format!("{:.1} / {:.1} %", 100.0 * f.waiting, 100.0 * f.coarse));
+        line("depth network, pixels", &|f| format!("{:.0}", f.depth_pixels));
         line("unchanged tiles: found, left out", &|f| format!("{:.1} / {:.1} %", 100.0 * f.unchanged_found, 100.0 * f.unchanged_left_out));
         line("left out: most off, levels", &|f| f.left_out_off.to_string());
         line("own view: pixels off", &|f| f.own_view_off.to_string());

@@ -17,6 +17,15 @@ impl Truth {
         *self.0.lock().unwrap_or_else(PoisonError::into_inner) = Some(delta.clone());
     }
 
+    /// A map brought to it, where it is of one size with it.
+    fn brought(&self, mut map: DisparityMap) -> DisparityMap {
+        let truth = self.0.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        if let Some(truth) = truth.filter(|t| (t.width, t.height) == (map.width, map.height)) {
+            align::fit(&map, &truth, &vec![true; map.delta.len()]).apply(&mut map.delta);
+        }
+        map
+    }
+
     /// The same networks, of which that for depth gives its disparity on the truth's scale: the best one factor and shift for a frame.
     pub fn scaled(&self, models: &Models) -> Models {
         Models { depth: Arc::new(Scaled { network: Arc::clone(&models.depth), truth: self.clone() }), ..models.clone() }
@@ -34,12 +43,15 @@ impl Estimator for Scaled {
     }
 
     fn estimate(&self, photo: &Photo) -> Result<DisparityMap, DepthError> {
-        let mut map = self.network.estimate(photo)?;
-        let truth = self.truth.0.lock().unwrap_or_else(PoisonError::into_inner).clone();
-        if let Some(truth) = truth.filter(|t| (t.width, t.height) == (map.width, map.height)) {
-            align::fit(&map, &truth, &vec![true; map.delta.len()]).apply(&mut map.delta);
-        }
-        Ok(map)
+        self.network.estimate(photo).map(|map| self.truth.brought(map))
+    }
+
+    fn sizes(&self, width: u32, height: u32) -> Vec<(u32, u32)> {
+        self.network.sizes(width, height)
+    }
+
+    fn estimate_at(&self, photo: &Photo, size: (u32, u32)) -> Result<(DisparityMap, f64), DepthError> {
+        self.network.estimate_at(photo, size).map(|(map, ms)| (self.truth.brought(map), ms))
     }
 }
 

@@ -18,6 +18,9 @@ pub(super) struct Sums {
     still_left_out: usize,
     left_out: usize,
     kept: usize,
+    waiting: usize,
+    coarse: usize,
+    depth_pixels: Mean,
     pub snapshots: Mean,
     /// Chunks of a frame of which any was sent.
     pub chunks: Mean,
@@ -35,6 +38,10 @@ impl Sums {
         self.tiles += g.tiles.len();
         self.left_out += g.tiles.len() - update.sent.len();
         self.kept += update.kept.len();
+        (self.waiting, self.coarse) = (self.waiting + update.waiting, self.coarse + update.coarse);
+        if let Some((w, h)) = update.depth_size {
+            self.depth_pixels.add(f64::from(w) * f64::from(h));
+        }
         for t in 0..g.grid.tiles() {
             let truly = truth.is_some_and(|(before, now)| same(before, now, g.grid.rect(t)));
             self.still += usize::from(truly);
@@ -73,6 +80,7 @@ impl Sums {
         f.stages_ms.iter_mut().for_each(|(_, ms, cpu)| (*ms, *cpu) = (*ms / frames, *cpu / frames));
         let share = |part: usize, of: usize| part as f64 / of.max(1) as f64;
         (f.left_out, f.kept) = (share(self.left_out, self.tiles), share(self.kept, self.tiles));
+        (f.waiting, f.coarse, f.depth_pixels) = (share(self.waiting, self.tiles), share(self.coarse, self.tiles), self.depth_pixels.get());
         (f.unchanged_found, f.unchanged_left_out) = (share(self.found, self.still), share(self.still_left_out, self.still));
         [f.jpeg_quality, f.jpeg_psnr, f.jpeg_bytes] = self.jpeg.map(Mean::get);
         f.chunks = self.chunks.get();

@@ -5,7 +5,9 @@ use std::sync::atomic::{AtomicU32, Ordering};
 
 use tmpi_core::live::{Model, wire};
 use tmpi_pipeline::depth::{DepthError, Estimator};
+use tmpi_pipeline::run::stages::Snap;
 
+use super::estimate::snap_part;
 use super::*;
 
 /// Disparity from brightness, by another scale and shift each time, as networks do.
@@ -119,6 +121,81 @@ fn what_does_not_fit_the_budget_is_done_by_the_next_frames() {
         sent.extend(&moved.sent);
     }
     assert!(frames > 1 && sent.len() > 1, "{frames} frames, {sent:?}");
+}
+
+#[test]
+fn with_ample_time_a_room_is_what_it_is_without_a_bound() {
+    let (_, mut free) = room(restless());
+    let (_, mut ample) = room(Settings { frame_ms: 1e12, ..restless() });
+    for n in 0..8 {
+        let frame = frame(n, 60 + 9 * n as u32);
+        let (a, b) = (free.next(&frame).unwrap(), ample.next(&frame).unwrap());
+        assert_eq!((a.changed, a.sent, a.kept, a.chunks), (b.changed, b.sent, b.kept, b.chunks), "frame {n}");
+        assert_eq!((b.waiting, b.coarse), (0, 0));
+        assert_eq!(free.geometry(), ample.geometry());
+    }
+}
+
+/// As [`Bright`], by a network with a choice of sizes, which it notes.
+#[derive(Default)]
+struct Choice {
+    bright: Bright,
+    ran: std::sync::Mutex<Vec<(u32, u32)>>,
+}
+
+impl Estimator for Choice {
+    fn name(&self) -> &'static str {
+        "choice"
+    }
+
+    fn estimate(&self, photo: &Photo) -> Result<DisparityMap, DepthError> {
+        self.bright.estimate(photo)
+    }
+
+    fn sizes(&self, width: u32, height: u32) -> Vec<(u32, u32)> {
+        vec![(width, height), (width / 2, height / 2), (width / 4, height / 4)]
+    }
+
+    fn estimate_at(&self, photo: &Photo, size: (u32, u32)) -> Result<(DisparityMap, f64), DepthError> {
+        self.ran.lock().unwrap().push(size);
+        Ok((self.estimate(photo)?, 1e-3))
+    }
+}
+
+#[test]
+fn depth_that_was_late_runs_at_a_smaller_size_and_at_its_own_where_there_is_time() {
+    let mut other = frame(1, 60);
+    other.photo.rgb.iter_mut().for_each(|p| *p = p.map(|v| 255 - v));
+    for (frame_ms, then) in [(1e-6, (60, 34)), (0.0, (240, 136))] {
+        let depth = Arc::new(Choice::default());
+        let models = Models { depth: Arc::<Choice>::clone(&depth), theta: None, psi: None };
+        let mut room = Geometry::new(models, Settings { frame_ms, ..Settings::default() });
+        assert_eq!(room.next(&frame(0, 60)).unwrap().depth_size, Some((240, 136)), "nothing is known of what it takes");
+        assert_eq!(room.next(&other).unwrap().depth_size, Some(then), "a new scene does not wait");
+        assert_eq!(*depth.ran.lock().unwrap(), [(240, 136), then]);
+    }
+}
+
+#[test]
+fn tiles_that_were_held_to_few_planes_get_the_others_when_there_is_time() {
+    let (_, mut room) = room(Settings::default());
+    // two planes for each of 15 tiles take 45e6 ms, three 60e6
+    room.budget = Budget::new(59e6);
+    (0..2).for_each(|_| room.budget.tiles_took(&[6; 10], true, 70e6));
+    let with = |number| {
+        let mut f = frame(number, 60);
+        let delta = (0..f.photo.rgb.len()).map(|i| [0.1, 0.4, 0.7, 0.95, 0.2][(i % 240 / 15).min(4)]).collect();
+        f.depth = Some(DisparityMap { width: 240, height: 136, delta });
+        f
+    };
+    let planes = |room: &Geometry| room.geometry().unwrap().tiles[0].planes.len();
+    let first = room.next(&with(0)).unwrap();
+    assert!(first.waiting == 0 && first.coarse > 0 && planes(&room) == 2, "{} wait, {} coarse", first.waiting, first.coarse);
+    // what is measured brings the costs down
+    let second = room.next(&with(1)).unwrap();
+    assert!(second.changed.is_empty() && second.coarse == 0 && second.sent.contains(&0), "{:?}", second.sent);
+    assert!(planes(&room) > 2);
+    assert!(room.next(&with(2)).unwrap().sent.is_empty());
 }
 
 #[test]

@@ -202,6 +202,10 @@ impl Adapter {
     const MAX_ASPECT: f64 = 3.0;
     /// The same for networks run by a side; it bounds their memory, which in a transformer grows with the square of the pixels.
     const MAX_ASPECT_BY_SIDE: u32 = 4;
+    /// Shares of its pixels that a network may be run at where there is no time for all of them.
+    const SMALLER: [f64; 3] = [0.7, 0.5, 0.25];
+    /// Factor by which the shape of such a size may be off the photo's, at the most.
+    const OFF: f64 = 1.2;
     /// Upper bound of pixels, whatever the rule says.
     const MAX_PIXELS: f64 = 2e6;
 
@@ -241,6 +245,32 @@ impl Adapter {
                 (side(f64::from(count) * aspect), side(f64::from(count) / aspect))
             }
         }
+    }
+
+    /// Sizes for a photo of `width × height`, from [`Adapter::network_size`] down to a quarter of its pixels, about in its shape; that one alone
+    /// where the network has no other.
+    #[must_use]
+    pub fn sizes(&self, width: u32, height: u32) -> Vec<(u32, u32)> {
+        let first = self.network_size(width, height);
+        let mut sizes = vec![first];
+        if matches!(self.size, SizeRule::Fixed(..)) {
+            return sizes;
+        }
+        let (pixels, aspect) = (f64::from(first.0) * f64::from(first.1), f64::from(first.0) / f64::from(first.1));
+        let (asked, shape) = match self.size {
+            // its own size may be a little off the photo's shape, which smaller ones need not be
+            SizeRule::Area(area) => (f64::from(area).min(Self::MAX_PIXELS), Self::aspect(width, height)),
+            _ => (pixels, aspect),
+        };
+        for share in Self::SMALLER {
+            let (w, h) = self.by_area(asked * share, shape);
+            let last = sizes[sizes.len() - 1];
+            let off = f64::from(w) / f64::from(h) / shape;
+            if w <= last.0 && h <= last.1 && (w, h) != last && (1.0 / Self::OFF..=Self::OFF).contains(&off) {
+                sizes.push((w, h));
+            }
+        }
+        sizes
     }
 
     /// Size in whole pixels that a photo of `width × height` is brought to before that of the network, where the rule has one.
@@ -283,6 +313,27 @@ impl Adapter {
 mod tests {
     use super::*;
     use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn smaller_sizes_are_smaller_multiples_of_about_the_shape(w in 16u32..4000, h in 16u32..4000, which in 0..ADAPTERS.len()) {
+            let adapter = &ADAPTERS[which];
+            let sizes = adapter.sizes(w, h);
+            prop_assert_eq!(sizes[0], adapter.network_size(w, h));
+            prop_assert!(!matches!(adapter.size, SizeRule::Fixed(..)) || sizes.len() == 1);
+            for pair in sizes.windows(2) {
+                prop_assert!(pair[1].0 <= pair[0].0 && pair[1].1 <= pair[0].1 && pair[1] != pair[0], "{sizes:?}");
+            }
+            prop_assert!(sizes[1..].iter().all(|(w, h)| w % adapter.multiple == 0 && h % adapter.multiple == 0 && *w > 0 && *h > 0));
+        }
+    }
+
+    #[test]
+    fn the_embedded_network_has_smaller_sizes_for_frames_of_rooms() {
+        let sizes = |w, h| ADAPTERS[0].sizes(w, h);
+        assert_eq!(sizes(320, 240), [(192, 128), (160, 128), (128, 96), (96, 64)]);
+        assert_eq!(sizes(640, 480), sizes(320, 240));
+    }
 
     #[test]
     fn the_embedded_network_runs_at_a_small_size_whatever_the_photo() {

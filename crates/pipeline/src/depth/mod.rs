@@ -73,4 +73,19 @@ pub trait Estimator: Send + Sync {
     fn raw(&self, photo: &Photo) -> Result<DisparityMap, DepthError> {
         self.estimate(photo)
     }
+
+    /// Sizes that the network can be run at for a photo of `width × height` pixels: first that of [`Estimator::estimate`], then ever smaller
+    /// ones. None of an estimator that has no choice.
+    fn sizes(&self, _width: u32, _height: u32) -> Vec<(u32, u32)> {
+        Vec::new()
+    }
+
+    /// As [`Estimator::estimate`], by the network at one of [`Estimator::sizes`], whichever it is nothing else changes; and the milliseconds that
+    /// the network took by itself, 0 where that is not told.
+    ///
+    /// # Errors
+    /// [`DepthError::Onnx`] where the network cannot run.
+    fn estimate_at(&self, photo: &Photo, _size: (u32, u32)) -> Result<(DisparityMap, f64), DepthError> {
+        Ok((self.estimate(photo)?, 0.0))
+    }
 }

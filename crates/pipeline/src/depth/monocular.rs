@@ -5,6 +5,7 @@ use std::sync::Arc;
 use super::ports::{Ports, Values};
 use super::smooth::smooth;
 use super::{Adapter, DepthError, Estimator, Kind, Layout, Sampling, SizeRule, margin, upsample};
+use crate::clock::Clock;
 use crate::networks::{Beside, Config, Network, OnnxError, Session};
 use crate::photo::{Filter, Taps, resample, resample_by, resample_bytes, resize_opencv};
 use tmpi_core::{DisparityMap, Photo};
@@ -80,6 +81,18 @@ impl Monocular {
         Ok(DisparityMap { width: w as u32, height: h as u32, delta })
     }
 
+    /// What the network gives at a size, of the mirrored photo too where that is wanted.
+    fn raw_at(&self, photo: &Photo, size: (u32, u32)) -> Result<DisparityMap, DepthError> {
+        let mut map = self.run(photo, size, false)?;
+        if self.flip {
+            let mut mirrored = self.run(photo, size, true)?;
+            align(&mut mirrored.delta, &map.delta);
+            map.delta.iter_mut().zip(&mirrored.delta).for_each(|(d, m)| *d = f32::midpoint(*d, *m));
+        }
+        lean(&mut map, self.adapter.ramp);
+        Ok(map)
+    }
+
     /// The part of a map of `w × h` that shows the photo, and its size: the scale stays about the network's.
     fn without_margins(&self, map: Vec<f32>, photo: &Photo, w: usize, h: usize) -> (Vec<f32>, usize, usize) {
         if self.adapter.sampling != Sampling::Mirrored {
@@ -150,7 +163,17 @@ impl Estimator for Monocular {
     }
 
     fn estimate(&self, photo: &Photo) -> Result<DisparityMap, DepthError> {
-        let mut map = self.raw(photo)?;
+        self.estimate_at(photo, self.adapter.network_size(photo.width, photo.height)).map(|(map, _)| map)
+    }
+
+    fn sizes(&self, width: u32, height: u32) -> Vec<(u32, u32)> {
+        self.adapter.sizes(width, height)
+    }
+
+    fn estimate_at(&self, photo: &Photo, size: (u32, u32)) -> Result<(DisparityMap, f64), DepthError> {
+        let clock = Clock::start();
+        let mut map = self.raw_at(photo, size)?;
+        let network_ms = clock.ms();
         if normalise(&mut map.delta, 0.0) && self.adapter.smoothing > 0.0 {
             let load = |p: [u8; 3]| p.map(|v| f32::from(v) / 255.0);
             let guide = resample(&photo.rgb, (photo.width, photo.height), (map.width, map.height), Filter::Triangle, load, |p| p);
@@ -158,19 +181,11 @@ impl Estimator for Monocular {
             // Smoothing draws values together; where little is left, it was noise and stays little
             normalise(&mut map.delta, NOISE);
         }
-        Ok(upsample(photo, &map))
+        Ok((upsample(photo, &map), network_ms))
     }
 
     fn raw(&self, photo: &Photo) -> Result<DisparityMap, DepthError> {
-        let size = self.adapter.network_size(photo.width, photo.height);
-        let mut map = self.run(photo, size, false)?;
-        if self.flip {
-            let mut mirrored = self.run(photo, size, true)?;
-            align(&mut mirrored.delta, &map.delta);
-            map.delta.iter_mut().zip(&mirrored.delta).for_each(|(d, m)| *d = f32::midpoint(*d, *m));
-        }
-        lean(&mut map, self.adapter.ramp);
-        Ok(map)
+        self.raw_at(photo, self.adapter.network_size(photo.width, photo.height))
     }
 }
 
@@ -297,7 +312,7 @@ mod tests {
             }
         }
         // nothing to lean
-        assert!(leaning(0.2, |_, _| 7.0).delta.iter().all(|v| *v == 7.0));
+        assert!(leaning(0.2, |_, _| 7.0).delta.iter().all(|v| (v - 7.0).abs() < 1e-12));
         let mut line = DisparityMap { width: 3, height: 1, delta: vec![1.0, 2.0, 4.0] };
         lean(&mut line, 0.2);
         assert_eq!(line.delta, [1.0, 2.0, 4.0]);
@@ -313,6 +328,18 @@ mod tests {
             let got = with(|x, y| (x + 2 * y) as f32).estimate(&photo(w, h)).unwrap();
             assert_eq!((got.width, got.height, got.delta.len()), (w, h, (w * h) as usize));
             assert!(got.delta.iter().all(|v| (0.0..=1.0).contains(v)), "{w}×{h}");
+        }
+    }
+
+    #[test]
+    fn the_first_size_is_that_of_estimate_and_smaller_ones_are_run_as_they_are_asked_for() {
+        let (network, p) = (with(|x, y| (x + 2 * y) as f32), photo(320, 240));
+        let sizes = network.sizes(320, 240);
+        assert_eq!(network.estimate_at(&p, sizes[0]).unwrap().0, network.estimate(&p).unwrap());
+        for size in sizes {
+            assert_eq!(network.raw_at(&p, size).map(|m| (m.width, m.height)).unwrap(), size);
+            let (map, ms) = network.estimate_at(&p, size).unwrap();
+            assert!((map.width, map.height) == (320, 240) && ms >= 0.0 && ms.is_finite());
         }
     }
 

@@ -22,7 +22,7 @@ pub fn make(
     let mut job = Context::new(models, limits, options, sink);
     let source = Source::choose(photo, depth, &mut job)?;
     let mut prepared = job.run(&mut Prepare, (photo, matches!(source, Source::Network)))?;
-    let map = job.run(&mut Depth, (&prepared.photo, source))?;
+    let map = job.run(&mut Depth::default(), (&prepared.photo, source))?;
     let map = job.run(&mut Denoise, (&prepared.photo, map))?;
     let before_strokes = (!options.strokes.is_empty()).then(|| strokes::to_keep(&map.delta));
     let map = if options.strokes.is_empty() { map } else { job.run(&mut Strokes, (&prepared.photo, map))? };

@@ -185,6 +185,14 @@ impl Estimator for Depth {
     fn raw(&self, photo: &Photo) -> Result<DisparityMap, DepthError> {
         self.get()?.raw(photo)
     }
+
+    fn sizes(&self, width: u32, height: u32) -> Vec<(u32, u32)> {
+        self.get().map_or_else(|_| Vec::new(), |network| network.sizes(width, height))
+    }
+
+    fn estimate_at(&self, photo: &Photo, size: (u32, u32)) -> Result<(DisparityMap, f64), DepthError> {
+        self.get()?.estimate_at(photo, size)
+    }
 }
 
 #[cfg(test)]

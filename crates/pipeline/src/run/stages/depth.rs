@@ -6,8 +6,27 @@ use crate::run::{self, Context, MakeError, Switch};
 use crate::{denoise, depth, edges};
 
 /// Photo, and where its disparity is to come from → disparity.
+///
+/// The frames of a room may have the network run [at a smaller size](Depth::at) than a photo.
 #[derive(Debug, Default)]
-pub struct Depth;
+pub struct Depth {
+    size: Option<(u32, u32)>,
+    network_ms: f64,
+}
+
+impl Depth {
+    /// The network, where disparity comes from it, runs at one of [`depth::Estimator::sizes`]; none: as for a photo.
+    #[must_use]
+    pub const fn at(size: Option<(u32, u32)>) -> Self {
+        Self { size, network_ms: 0.0 }
+    }
+
+    /// Milliseconds that the network took by itself; 0 where it did not run at a size that was asked for.
+    #[must_use]
+    pub const fn network_ms(&self) -> f64 {
+        self.network_ms
+    }
+}
 
 /// Where disparity comes from.
 #[derive(Clone, Debug)]
@@ -92,7 +111,11 @@ impl run::Stage for Depth {
             map
         } else {
             context.report.depth_model = context.models.depth.name().into();
-            context.models.depth.estimate(photo)?
+            let network = &context.models.depth;
+            let (map, ms) =
+                self.size.map_or_else(|| network.estimate(photo).map(|map| (map, 0.0)), |size| network.estimate_at(photo, size))?;
+            self.network_ms = ms;
+            map
         };
         // anything that is no disparity lies at infinity: no input may give NaN further on
         for d in &mut delta.delta {

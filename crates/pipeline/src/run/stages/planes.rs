@@ -23,6 +23,8 @@ struct CarriedTiles {
     tiles: Vec<Tile>,
     /// Which of them to place again, by number.
     changed: Vec<bool>,
+    /// Planes that a tile may be given.
+    most: Option<u32>,
 }
 
 impl Planes {
@@ -37,6 +39,13 @@ impl Planes {
     pub fn change(&mut self, changed: Vec<bool>) {
         if let Some(carried) = &mut self.carried {
             carried.changed = changed;
+        }
+    }
+
+    /// Gives no tile of the next frame more than `most` planes anew; none: as many as the options say. Where more are kept they stay.
+    pub fn at_most(&mut self, most: Option<u32>) {
+        if let Some(carried) = &mut self.carried {
+            carried.most = most;
         }
     }
 
@@ -94,7 +103,7 @@ impl Stage for Planes {
         let mut placement = options.placement(max_error, parallax);
         let scene = |tiles| Geometry { grid, intrinsics: prepared.intrinsics, view_box: options.view_box, tiles };
         if let Some(carried) = &mut self.carried {
-            placement.most = placement.most.min(most_planes(&grid));
+            placement.most = placement.most.min(most_planes(&grid)).min(carried.most.unwrap_or(u32::MAX));
             return Ok(Placed { geometry: scene(carried.place(map, &grid, &placement)), placement });
         }
         let mut tiles = place(delta, map.confidence.as_deref(), &grid, &placement);

@@ -1,0 +1,52 @@
+//! Depth of a frame.
+
+use tmpi_core::{DisparityMap, Photo, Rect};
+use tmpi_pipeline::MakeError;
+use tmpi_pipeline::run::Context;
+use tmpi_pipeline::run::stages::{Denoise, Depth, Estimated, Snap, Source};
+
+use super::Frame;
+
+/// Pixels about a pixel that snapping looks at, over its three passes.
+const SNAP_REACH: u32 = 8;
+
+/// Disparity of a frame: measured and denoised, or estimated by the network at a size of its own; its ramps snapped, of an estimate those in a `part`
+/// alone. And the milliseconds that the network took by itself.
+pub(super) fn estimate(
+    job: &mut Context,
+    frame: &Frame,
+    size: Option<(u32, u32)>,
+    part: Option<Rect>,
+) -> Result<(Estimated, f64), MakeError> {
+    if let Some(given) = &frame.depth {
+        let map = Estimated { delta: given.clone(), confidence: None, given: true };
+        let map = job.run(&mut Denoise, (&frame.photo, map))?;
+        return Ok((job.run(&mut Snap, (&frame.photo, map))?, 0.0));
+    }
+    let mut depth = Depth::at(size);
+    let map = job.run(&mut depth, (&frame.photo, Source::Network))?;
+    let map = match part {
+        Some(part) => snap_part(job, &frame.photo, map, part)?,
+        None => job.run(&mut Snap, (&frame.photo, map))?,
+    };
+    Ok((map, depth.network_ms()))
+}
+
+/// Snaps the ramps of a part of a map to what they would be snapped to with all of it.
+pub(super) fn snap_part(job: &mut Context, photo: &Photo, mut map: Estimated, part: Rect) -> Result<Estimated, MakeError> {
+    let width = photo.width as usize;
+    let (x0, y0) = (part.x.saturating_sub(SNAP_REACH), part.y.saturating_sub(SNAP_REACH));
+    let (x1, y1) = ((part.x + part.w + SNAP_REACH).min(photo.width), (part.y + part.h + SNAP_REACH).min(photo.height));
+    let (w, h) = (x1 - x0, y1 - y0);
+    let rows = || (y0..y1).map(|y| y as usize * width + x0 as usize);
+    let rgb = rows().flat_map(|at| &photo.rgb[at..at + w as usize]).copied().collect();
+    let delta = rows().flat_map(|at| &map.delta.delta[at..at + w as usize]).copied().collect();
+    let cut = Estimated { delta: DisparityMap { width: w, height: h, delta }, confidence: None, given: map.given };
+    let snapped = job.run(&mut Snap, (&Photo { width: w, height: h, rgb }, cut))?;
+    for y in part.y..part.y + part.h {
+        let (to, from) = ((y as usize * width) + part.x as usize, ((y - y0) * w + part.x - x0) as usize);
+        let count = part.w as usize;
+        map.delta.delta[to..to + count].copy_from_slice(&snapped.delta.delta[from..from + count]);
+    }
+    Ok(map)
+}

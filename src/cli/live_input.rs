@@ -1,0 +1,297 @@
+//! What `tmpi live publish` asks ffmpeg for: which source, and whether its video can be passed on as it is.
+
+use std::process::{Command, Stdio};
+
+use anyhow::{Context as _, bail};
+use serde::Deserialize;
+
+use super::Usage;
+use super::live_program::is_paced;
+
+/// Encoders of H.264 that need no hardware of their own, the best first, and what makes them give frames in order and at once.
+const ENCODERS: [(&str, &[&str]); 4] = [
+    ("libx264", &["-profile:v", "baseline", "-preset", "veryfast", "-tune", "zerolatency", "-crf", "23"]),
+    ("libopenh264", &["-profile:v", "constrained_baseline", "-b:v", "1500k"]),
+    ("h264_videotoolbox", &["-profile:v", "baseline", "-realtime", "1", "-b:v", "1500k"]),
+    ("h264_mf", &["-b:v", "1500k"]),
+];
+/// The encoder of sound.
+const OPUS: &str = "libopus";
+/// Frames that are encoded here have sides of 1280 pixels at most, both even.
+const SCALE: &str = "scale=w='min(iw,1280)':h='min(ih,1280)':force_original_aspect_ratio=decrease:force_divisible_by=2";
+/// Frames from one key frame to the next: who comes late or lost something waits for no more than these.
+const GROUP: &str = "60";
+
+/// Sound as the publishing page has it (`static/live/microphone.js`): samples a second, channels.
+pub(super) const SOUND: (u32, u32) = (48_000, 1);
+
+/// Where frames come from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Origin<'a> {
+    /// A file or an address, as `ffmpeg -i` takes it.
+    Address(&'a str),
+    /// A camera of this machine; the system's first one where it has no name.
+    Camera(Option<&'a str>),
+}
+
+/// What a user wants of it.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Wanted {
+    /// Video is encoded anew, whatever it is.
+    pub(super) transcode: bool,
+    /// Sound, where there is any.
+    pub(super) sound: bool,
+}
+
+/// How a source is read.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Plan {
+    /// Arguments that name the source.
+    input: Vec<String>,
+    /// Encoder of the video; none: it is passed on as it is.
+    encoder: Option<&'static str>,
+    /// Sound is read as well.
+    pub(super) sound: bool,
+    /// What a user is told of it.
+    pub(super) notices: Vec<String>,
+}
+
+/// What `ffprobe` says of a source.
+#[derive(Debug, Default, Deserialize)]
+struct Probed {
+    #[serde(default)]
+    streams: Vec<Stream>,
+}
+
+#[derive(Debug, Default, Deserialize)]
+#[serde(default)]
+struct Stream {
+    codec_type: String,
+    codec_name: String,
+    pix_fmt: String,
+    field_order: String,
+    /// Frames by which the order of decoding and that of showing differ: B-frames, or P-frames that were put in another order.
+    has_b_frames: u32,
+}
+
+impl Probed {
+    /// Why the video cannot be passed on as it is; none where it can.
+    fn obstacle(&self) -> Option<String> {
+        let video = self.streams.iter().find(|s| s.codec_type == "video")?;
+        if video.codec_name != "h264" {
+            return Some(format!("its video is {}", video.codec_name));
+        }
+        if video.has_b_frames > 0 {
+            return Some("its frames do not come in the order in which they are shown (B-frames)".into());
+        }
+        if !matches!(video.pix_fmt.as_str(), "" | "yuv420p" | "yuvj420p") {
+            return Some(format!("its pixels are {}", video.pix_fmt));
+        }
+        let whole = matches!(video.field_order.as_str(), "" | "progressive" | "unknown");
+        (!whole).then(|| "it is interlaced".into())
+    }
+
+    fn has_sound(&self) -> bool {
+        self.streams.iter().any(|s| s.codec_type == "audio")
+    }
+}
+
+impl Plan {
+    /// Looks at a source, and at what this machine's ffmpeg can do.
+    ///
+    /// # Errors
+    /// It has no video, or video that has to be encoded and no encoder; there is no camera of that kind.
+    pub(super) fn new(origin: Origin<'_>, wanted: Wanted) -> anyhow::Result<Self> {
+        let input = input(origin, std::env::consts::OS)?;
+        // what a camera gives is taken as it is asked for: it cannot be opened twice, and few have H.264 and sound
+        let probed = match origin {
+            Origin::Address(source) => probe(source)?,
+            Origin::Camera(_) => {
+                Some(Probed { streams: vec![Stream { codec_type: "video".into(), codec_name: "a camera's".into(), ..Stream::default() }] })
+            }
+        };
+        decided(input, probed.as_ref(), wanted, encoders)
+    }
+
+    /// The program, which writes H.264 to its output, and sends sound to that port of this machine by RTP.
+    pub(super) fn command(&self, port: Option<u16>) -> Command {
+        let mut command = Command::new("ffmpeg");
+        command.args(["-loglevel", "error"]).args(&self.input).args(["-map", "0:v:0", "-an"]);
+        match self.encoder {
+            None => command.args(["-c:v", "copy", "-bsf:v", "h264_mp4toannexb"]),
+            Some(encoder) => {
+                let how = ENCODERS.iter().find(|(name, _)| *name == encoder).map_or(&[][..], |(_, how)| how);
+                command.args(["-vf", SCALE, "-pix_fmt", "yuv420p", "-c:v", encoder]).args(how).args(["-bf", "0", "-g", GROUP])
+            }
+        };
+        command.args(["-f", "h264", "-"]);
+        if let Some(port) = port.filter(|_| self.sound) {
+            let (rate, channels) = (SOUND.0.to_string(), SOUND.1.to_string());
+            command.args(["-map", "0:a:0", "-vn", "-c:a", OPUS, "-b:a", "32k", "-ar", &rate, "-ac", &channels]);
+            command.args(["-application", "lowdelay", "-frame_duration", "20", "-f", "rtp"]);
+            command.arg(format!("rtp://127.0.0.1:{port}?rtcpport={port}"));
+        }
+        command
+    }
+}
+
+/// Arguments that name a source.
+fn input(origin: Origin<'_>, system: &str) -> anyhow::Result<Vec<String>> {
+    let args = |args: &[&str]| args.iter().map(|a| (*a).to_owned()).collect();
+    Ok(match origin {
+        Origin::Address(source) if is_paced(source) => args(&["-i", source]),
+        Origin::Address(source) => args(&["-re", "-i", source]),
+        Origin::Camera(name) => match (system, name) {
+            ("linux", name) => args(&["-f", "v4l2", "-i", name.unwrap_or("/dev/video0")]),
+            ("macos", name) => args(&["-f", "avfoundation", "-framerate", "30", "-i", &format!("{}:none", name.unwrap_or("0"))]),
+            ("windows", Some(name)) => args(&["-f", "dshow", "-i", &format!("video={name}")]),
+            ("windows", None) => {
+                bail!(Usage("--camera: name it here, as `ffmpeg -list_devices true -f dshow -i dummy` has it".into()))
+            }
+            _ => bail!(Usage(format!("--camera: not known how on {system}; give the address that ffmpeg reads it by"))),
+        },
+    })
+}
+
+/// What is done with what was found of a source; `encoders` names those of this machine's ffmpeg.
+fn decided(
+    input: Vec<String>,
+    probed: Option<&Probed>,
+    wanted: Wanted,
+    encoders: impl FnOnce() -> anyhow::Result<Vec<String>>,
+) -> anyhow::Result<Plan> {
+    let mut plan = Plan { input, encoder: None, sound: false, notices: Vec::new() };
+    if probed.is_none() {
+        plan.notices.push("there is no ffprobe to look at the source with: video is passed on as it is, sound is left out".into());
+    }
+    if probed.is_some_and(|p| p.streams.iter().all(|s| s.codec_type != "video")) {
+        bail!("the source has no video");
+    }
+    let obstacle = if wanted.transcode { Some("--transcode".into()) } else { probed.and_then(Probed::obstacle) };
+    let sound = wanted.sound && probed.is_some_and(Probed::has_sound);
+    if obstacle.is_none() && !sound {
+        return Ok(plan);
+    }
+    let known = encoders()?;
+    let has = |name: &str| known.iter().any(|k| k == name);
+    if let Some(why) = obstacle {
+        let encoder = ENCODERS.iter().map(|(name, _)| *name).find(|name| has(name));
+        let encoder =
+            encoder.with_context(|| format!("the video has to be encoded ({why}), and this ffmpeg has no encoder of H.264 for it"))?;
+        plan.notices.push(format!("the video is encoded by {encoder}: {why}"));
+        plan.encoder = Some(encoder);
+    }
+    plan.sound = sound && has(OPUS);
+    if sound && !plan.sound {
+        plan.notices.push(format!("the sound is left out: this ffmpeg has no {OPUS}"));
+    }
+    Ok(plan)
+}
+
+/// What a program prints; none where there is no such program.
+fn printed(command: &mut Command) -> anyhow::Result<Option<Vec<u8>>> {
+    let name = command.get_program().to_string_lossy().into_owned();
+    match command.stdin(Stdio::null()).output() {
+        Ok(output) if output.status.success() => Ok(Some(output.stdout)),
+        Ok(output) => {
+            let complaint = String::from_utf8_lossy(&output.stderr);
+            bail!("{name} has failed ({}): {}", output.status, complaint.lines().last().unwrap_or_default())
+        }
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(None),
+        Err(error) => Err(error).with_context(|| format!("starting {name}")),
+    }
+}
+
+fn probe(source: &str) -> anyhow::Result<Option<Probed>> {
+    let entries = "stream=codec_type,codec_name,pix_fmt,field_order,has_b_frames";
+    let text = printed(Command::new("ffprobe").args(["-loglevel", "error", "-of", "json", "-show_entries", entries, "-i", source]))?;
+    text.map(|text| serde_json::from_slice(&text).context("what ffprobe says")).transpose()
+}
+
+fn encoders() -> anyhow::Result<Vec<String>> {
+    let text = printed(Command::new("ffmpeg").args(["-hide_banner", "-loglevel", "error", "-encoders"]))?;
+    let text = text.context("ffmpeg is not installed")?;
+    // ` V....D libx264              libx264 H.264 …`
+    Ok(String::from_utf8_lossy(&text).lines().filter_map(|line| line.split_whitespace().nth(1)).map(str::to_owned).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SOUND_TOO: Wanted = Wanted { transcode: false, sound: true };
+
+    fn probed(streams: &str) -> Probed {
+        serde_json::from_str(&format!("{{\"streams\":[{streams}]}}")).unwrap_or_default()
+    }
+
+    fn h264(more: &str) -> String {
+        format!(r#"{{"codec_type":"video","codec_name":"h264","pix_fmt":"yuv420p","field_order":"progressive"{more}}}"#)
+    }
+
+    const AUDIO: &str = r#"{"codec_type":"audio","codec_name":"aac"}"#;
+
+    fn plan(streams: &str, wanted: Wanted, encoders: &[&str]) -> anyhow::Result<Plan> {
+        let known = encoders.iter().map(|e| (*e).to_owned()).collect();
+        decided(vec!["-i".into(), "x".into()], Some(&probed(streams)), wanted, || Ok(known))
+    }
+
+    fn args(plan: &Plan, port: Option<u16>) -> String {
+        plan.command(port).get_args().map(|a| a.to_string_lossy().into_owned()).collect::<Vec<_>>().join(" ")
+    }
+
+    #[test]
+    fn video_that_browsers_take_is_passed_on_and_any_other_encoded_with_a_notice() {
+        let copied = plan(&h264(r#","has_b_frames":0"#), SOUND_TOO, &[]).expect("a plan");
+        assert!(args(&copied, None).contains("-c:v copy") && copied.notices.is_empty() && !copied.sound);
+        let streams = [
+            (h264(r#","has_b_frames":2"#), "B-frames"),
+            (r#"{"codec_type":"video","codec_name":"hevc","pix_fmt":"yuv420p"}"#.into(), "hevc"),
+            (r#"{"codec_type":"video","codec_name":"h264","pix_fmt":"yuv422p10le"}"#.into(), "yuv422p10le"),
+            (r#"{"codec_type":"video","codec_name":"h264","pix_fmt":"yuv420p","field_order":"tt"}"#.into(), "interlaced"),
+        ];
+        for (streams, why) in streams {
+            let plan = plan(&streams, SOUND_TOO, &["aac", "libopenh264", "libx264"]).expect("a plan");
+            let args = args(&plan, None);
+            assert!(args.contains("-c:v libx264 -profile:v baseline") && args.contains("-bf 0"), "{args}");
+            assert!(plan.notices.len() == 1 && plan.notices[0].contains(why), "{:?}", plan.notices);
+        }
+        let forced = plan(&h264(""), Wanted { transcode: true, sound: false }, &["libopenh264"]).expect("a plan");
+        assert!(args(&forced, None).contains("-c:v libopenh264"));
+        let none = plan(&h264(r#","has_b_frames":1"#), SOUND_TOO, &["aac"]).expect_err("no encoder");
+        assert!(none.to_string().contains("no encoder of H.264"), "{none}");
+        assert!(plan(AUDIO, SOUND_TOO, &["libx264", OPUS]).is_err_and(|e| e.to_string().contains("no video")));
+    }
+
+    #[test]
+    fn sound_is_read_where_it_is_there_and_wanted_and_can_be_encoded() {
+        let both = format!("{},{AUDIO}", h264(""));
+        let with = plan(&both, SOUND_TOO, &[OPUS]).expect("a plan");
+        assert!(
+            with.sound && args(&with, Some(4000)).ends_with("-f rtp rtp://127.0.0.1:4000?rtcpport=4000"),
+            "{}",
+            args(&with, Some(4000))
+        );
+        assert!(!args(&with, None).contains("rtp"));
+        assert!(!plan(&both, Wanted::default(), &[OPUS]).expect("a plan").sound);
+        let without = plan(&both, SOUND_TOO, &["libx264"]).expect("a plan");
+        assert!(!without.sound && without.notices[0].contains(OPUS));
+        // as it was without ffprobe
+        let blind = decided(vec![], None, SOUND_TOO, || Ok(vec![])).expect("a plan");
+        assert!(!blind.sound && blind.encoder.is_none() && blind.notices.len() == 1);
+    }
+
+    #[test]
+    fn cameras_are_named_as_each_system_names_them_and_files_keep_the_pace_of_a_camera() {
+        let line = |origin, system| input(origin, system).map(|args| args.join(" ")).map_err(|e| e.to_string());
+        assert_eq!(line(Origin::Camera(None), "linux").as_deref(), Ok("-f v4l2 -i /dev/video0"));
+        assert_eq!(line(Origin::Camera(Some("/dev/video2")), "linux").as_deref(), Ok("-f v4l2 -i /dev/video2"));
+        assert_eq!(line(Origin::Camera(None), "macos").as_deref(), Ok("-f avfoundation -framerate 30 -i 0:none"));
+        assert_eq!(line(Origin::Camera(Some("USB")), "windows").as_deref(), Ok("-f dshow -i video=USB"));
+        assert!(line(Origin::Camera(None), "windows").is_err() && line(Origin::Camera(None), "plan9").is_err());
+        assert_eq!(line(Origin::Address("film.mp4"), "linux").as_deref(), Ok("-re -i film.mp4"));
+        assert_eq!(line(Origin::Address("rtsp://camera/1"), "linux").as_deref(), Ok("-i rtsp://camera/1"));
+        // it may be a file
+        assert_eq!(line(Origin::Address("http://camera/1"), "linux").as_deref(), Ok("-re -i http://camera/1"));
+    }
+}
