@@ -78,22 +78,21 @@ impl Jobs {
 
     /// The photo at a place of the list of all, or of `owner`'s.
     fn at(&self, cluster: &Cluster, owner: Option<&Owner>, place: Place) -> io::Result<Option<Arc<Entry>>> {
-        let known = self.get(place.1).filter(|entry| cluster.is_fresh(entry.id));
+        let is_here = |entry: &Arc<Entry>| stem(entry.key()) == stem(place);
+        let known = self.get(place.1).filter(|entry| is_here(entry) && cluster.is_fresh(entry.id));
         let there = match known {
             Some(entry) => Some(entry),
             None => match self.refresh(cluster, place.1) {
                 // it is told wherever somebody asks for it, and hides no others
                 Err(error) if error.kind() == io::ErrorKind::InvalidData => return Ok(None),
-                there => there?,
+                // one that was deleted and uploaded again is elsewhere
+                there => there?.filter(is_here),
             },
         };
-        // one that was deleted and uploaded again is elsewhere
-        let is_here = |entry: &Arc<Entry>| stem(entry.key()) == stem(place) && owner.is_none_or(|_| entry.accepted.owner.as_ref() == owner);
-        let there = there.filter(is_here);
         if there.is_none() {
             cluster.left(owner, place);
         }
-        Ok(there)
+        Ok(there.filter(|entry| owner.is_none_or(|_| entry.accepted.owner.as_ref() == owner)))
     }
 
     /// The photos that are known here behind `after`, in the order of the store's index.

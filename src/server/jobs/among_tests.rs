@@ -292,3 +292,20 @@ fn copies_go_of_photos_that_others_deleted_though_nobody_asks_for_them() {
     assert!(node.cluster.drop_copies(&node.jobs).is_err());
     assert_eq!(copied(), [true, false, true], "a store that is away says nothing");
 }
+
+#[test]
+fn an_entry_in_a_wrong_place_shows_nothing_and_takes_nothing_away() {
+    let (store, [a, b]) = (Memory::default(), ["a", "b"].map(Owner::of_secret));
+    store.built();
+    let place = put(&store, 1, 7, Some(&a), true);
+    // of another owner, and of another time
+    memory::enter(&store, 1, 7, Some(&b));
+    memory::enter(&store, 1, 9, Some(&a));
+    let node = node(&store, &Limits::default());
+    for _ in 0..2 {
+        let of = |owner: &Owner| node.pages(&Whose::Of(Some(owner.clone())), 5);
+        assert_eq!((node.pages(&Whose::All, 5), of(&a), of(&b)), (vec![place], vec![place], vec![]));
+    }
+    let left: Vec<Place> = store.entries().into_iter().map(|(_, place)| place).collect();
+    assert_eq!(left, [place; 3], "what never was there is removed");
+}

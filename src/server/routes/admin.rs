@@ -67,9 +67,11 @@ async fn purge(State(app): State<App>, Path(id): Path<String>, _: NoQuery) -> Re
     let shared = Arc::clone(&app);
     let known = app
         .change(move || {
-            if let Some(cluster) = shared.jobs.cluster.clone() {
-                shared.jobs.refresh(&cluster, photo).map_err(|e| Problem::store(&e))?;
-            }
+            // held: it stays known until it is gone
+            let _held = match shared.jobs.cluster.clone() {
+                Some(cluster) => shared.jobs.refresh(&cluster, photo).map_err(|e| Problem::store(&e))?,
+                None => None,
+            };
             if shared.jobs.get(photo).is_some() { shared.jobs.delete(photo) } else { Ok(false) }
         })
         .await??;
