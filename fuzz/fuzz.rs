@@ -9,11 +9,11 @@ use tmpi::fuzzing::{Run, TARGETS};
 #[path = "memory.rs"]
 mod memory;
 
-/// Whoever calls the video decoder catches its panics; the hook that libFuzzer's crate sets would end the run before that.
+/// Whoever calls a video decoder catches its panics; the hook that libFuzzer's crate sets would end the run before that.
 fn pass_over_decoders() {
     let before = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |info| {
-        if !info.location().is_some_and(|l| l.file().contains("rusty_h264")) {
+        if !info.location().is_some_and(|l| ["rusty_h264", "rusty_vp9"].iter().any(|c| l.file().contains(c))) {
             before(info);
         }
     }));

@@ -15,13 +15,14 @@ use crate::{live, server};
 pub type Run = fn(&[u8]) -> usize;
 
 /// All targets by name.
-pub const TARGETS: [(&str, Run); 19] = [
+pub const TARGETS: [(&str, Run); 20] = [
     ("container", container),
     ("labels", labels),
     ("planes", planes),
     ("message", message),
     ("units", units),
     ("video", video),
+    ("vp9", vp9),
     ("measured", measured),
     ("nodes", nodes),
     ("query", query),
@@ -216,6 +217,21 @@ fn video(data: &[u8]) -> usize {
         if let Ok(Some(photo)) = decoder.decode(&unit.data) {
             assert_eq!((photo.width, photo.height, photo.rgb.len()), (SIZE.0, SIZE.1, (SIZE.0 * SIZE.1) as usize));
         }
+    }
+    most
+}
+
+/// Frames of VP9, each behind its length in two bytes, of 64×48 pixels. Promised: as of [`video`].
+fn vp9(mut data: &[u8]) -> usize {
+    const SIZE: (u32, u32) = (64, 48);
+    let most = LEAST + ROOM + 16 * data.len();
+    let Ok(mut decoder) = tmpi_live::video::decoder("vp09.00.10.08", SIZE) else { return most };
+    while let Some((length, rest)) = data.split_first_chunk::<2>() {
+        let (frame, rest) = rest.split_at(usize::from(u16::from_le_bytes(*length)).min(rest.len()));
+        if let Ok(Some(photo)) = decoder.decode(frame) {
+            assert_eq!((photo.width, photo.height, photo.rgb.len()), (SIZE.0, SIZE.1, (SIZE.0 * SIZE.1) as usize));
+        }
+        data = rest;
     }
     most
 }

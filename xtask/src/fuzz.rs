@@ -8,13 +8,14 @@ use std::sync::Mutex;
 use crate::command::{Fault, cargo, output, root, run, run_quietly};
 
 /// Those of `src/fuzzing.rs`; a test there holds this list against them.
-const TARGETS: [&str; 19] = [
+const TARGETS: [&str; 20] = [
     "container",
     "labels",
     "planes",
     "message",
     "units",
     "video",
+    "vp9",
     "measured",
     "nodes",
     "query",
