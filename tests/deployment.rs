@@ -164,7 +164,7 @@ fn every_metric_of_the_program_is_on_the_dashboard() {
 
 #[test]
 fn every_test_that_the_threat_model_names_is_there() {
-    let sources = below("tests/http") + &below("src/live");
+    let sources = below("tests/http") + &below("src");
     let text = read("docs/threat-model.md");
     let quoted = text.split('`').skip(1).step_by(2);
     let is_test = |word: &str| {

@@ -53,8 +53,10 @@ fn a_slow_but_steady_upload_succeeds_however_long_it_takes() {
 fn an_upload_below_the_least_rate_is_408_and_leaves_nothing() {
     let limits = Limits { body_read: Duration::from_millis(300), body_rate: 50_000, ..Limits::default() };
     let (dir, server) = start(limits, Arc::new(pipeline()));
-    // never a pause that is too long
-    let mut slow = drip(&server, "", &[7; 5000], 50, Duration::from_secs(2));
+    // never a pause that is too long; a picture as far as its first bytes tell
+    let mut photo = jpeg(1);
+    photo.resize(5000, 7);
+    let mut slow = drip(&server, "", &photo, 50, Duration::from_secs(2));
     let problem = slow.receive("POST").unwrap().problem(408);
     assert!(problem["detail"].as_str().unwrap().contains("bytes a second"), "{problem}");
     wait_until("nothing is left", || incoming(&dir) == 0);

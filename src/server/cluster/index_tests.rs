@@ -128,9 +128,9 @@ fn a_photo_that_the_index_lacks_is_told_and_entered_and_what_is_stale_goes() {
     let owner = Owner::of_secret("a");
     let (at_ms, id) = put(&folder, 1, 7, Some(&owner), false);
     for part in [Part::Atlas, Part::Disparity, Part::Thumbnail, Part::Report] {
-        folder.put(&records::blob(id, &format!("{at_ms:013}-ab-1-ab-0"), part), vec![7]).unwrap();
+        folder.put(&records::blob(id, &format!("{at_ms:013}-ab-1-ab-0"), part), vec![7; MADE as usize]).unwrap();
     }
-    folder.put(&records::blob(id, &format!("{at_ms:013}-ab-1"), Part::Upload), vec![7]).unwrap();
+    folder.put(&records::blob(id, &format!("{at_ms:013}-ab-1"), Part::Upload), vec![7; 5]).unwrap();
     let before = with(Remedy::Tell);
     assert!(before.is_sound() && !before.built && before.unlisted == [Photo::name(id)], "{before:?}");
     folder.create(index::BUILT, b"{\"version\": 1}").unwrap();

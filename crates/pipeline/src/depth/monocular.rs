@@ -189,8 +189,8 @@ impl Estimator for Monocular {
     }
 }
 
-/// Adds a ramp that rises towards the lower border, of mean 0 and `share` times the deviation of `map`; none to a map of one row or without
-/// relief.
+/// Adds a ramp that rises towards the lower border, of mean 0 and `share` times the deviation of `map`, of which a few wild values are not to decide;
+/// none to a map of one row or without relief.
 fn lean(map: &mut DisparityMap, share: f64) {
     let rows = map.delta.len() / (map.width as usize).max(1);
     if share == 0.0 || rows < 2 {
@@ -198,12 +198,13 @@ fn lean(map: &mut DisparityMap, share: f64) {
     }
     // the deviation of 0, 1, …, rows − 1
     let of_rows = ((rows * rows - 1) as f64 / 12.0).sqrt();
-    let step = share * deviation(&map.delta) / of_rows;
+    let (low, high) = spread(&map.delta);
+    let step = share * deviation(&map.delta).min(high - low) / of_rows;
     let middle = (rows - 1) as f64 / 2.0;
     for (y, row) in map.delta.chunks_exact_mut(map.width as usize).enumerate() {
         let up = step * (y as f64 - middle);
         for v in row {
-            *v = (f64::from(*v) + up) as f32;
+            *v = (f64::from(*v) + up).clamp(f64::from(f32::MIN), f64::from(f32::MAX)) as f32;
         }
     }
 }
@@ -316,6 +317,11 @@ mod tests {
         let mut line = DisparityMap { width: 3, height: 1, delta: vec![1.0, 2.0, 4.0] };
         lean(&mut line, 0.2);
         assert_eq!(line.delta, [1.0, 2.0, 4.0]);
+        // one value of many tells nothing of how much the others vary
+        let wild = |y: usize| if y == 3 { 1e9 } else { 0.0 };
+        let mut map = DisparityMap { width: 1, height: 64, delta: (0..64).map(|y| y as f32 + wild(y)).collect() };
+        lean(&mut map, 0.2);
+        assert!((map.delta[63] - 63.0).abs() < 63.0 && map.delta[63] > 63.0, "{}", map.delta[63]);
         // finite at the ends of what is
         let mut wild = DisparityMap { width: 1, height: 2, delta: vec![f32::MAX, -f32::MAX] };
         lean(&mut wild, 10.0);

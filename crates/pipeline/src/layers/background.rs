@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use tmpi_core::{DisparityMap, Geometry, Grid, Plane, Rect, TileFrame, grown};
+use tmpi_core::{DisparityMap, Geometry, Grid, Plane, Rect, Tile, TileFrame, grown};
 
 use crate::planes::fit_points;
 
@@ -26,7 +26,9 @@ pub fn add_backgrounds_to(geometry: &mut Geometry, delta: &DisparityMap, wanted:
     let (x, y) = geometry.view_box.parallax(&geometry.intrinsics, Rect { x: 0, y: 0, w: grid.width, h: grid.height });
     // what the farthest camera uncovers, and no more than readers look for
     let wide = x.max(y).clamp(f64::from(BACKGROUND_REACH), f64::from(WIDEST_REACH)).ceil() as u32;
-    let farthest: Vec<f32> = geometry.tiles.par_iter().enumerate().map(|(i, t)| t.farthest(&grid, i as u32)).collect();
+    // of a room's first frames some tiles may have no planes yet, and show nothing that could be uncovered
+    let of = |(i, t): (usize, &Tile)| if t.planes.is_empty() { f32::INFINITY } else { t.farthest(&grid, i as u32) };
+    let farthest: Vec<f32> = geometry.tiles.par_iter().enumerate().map(of).collect();
     geometry.tiles.par_iter_mut().enumerate().filter(|(i, _)| wanted(*i as u32)).for_each_init(Vec::new, |points, (i, t)| {
         let (r, place) = (grid.rect(i as u32), TileFrame::of(&grid, i as u32));
         let within = |reach: u32, points: &mut _| background(delta, grown(r, reach, reach, &grid), (r, place), farthest[i], points);
