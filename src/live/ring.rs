@@ -168,9 +168,9 @@ impl Ring {
         }
     }
 
-    /// Forgets everything: another publisher, or the same one anew.
+    /// Forgets everything: another publisher, or the same one anew. Whoever has read all is behind by this, too: something may have been missed.
     pub fn clear(&mut self) {
-        self.first = self.end();
+        self.first = self.end() + 1;
         self.entries.clear();
         (self.key, self.kept) = (None, 0);
     }

@@ -6,6 +6,7 @@ use std::sync::Arc;
 
 use axum::extract::ws::{Message, WebSocket};
 use bytes::Bytes;
+use futures_util::FutureExt as _;
 use tokio::time::{Instant, MissedTickBehavior, interval};
 use tokio_util::sync::CancellationToken;
 
@@ -46,6 +47,13 @@ async fn watch(socket: &mut WebSocket, room: &Room, viewer: &mut Viewer, stop: &
     heartbeat.set_missed_tick_behavior(MissedTickBehavior::Delay);
     let mut words = Words { left: f64::from(WORDS), at: Instant::now() };
     loop {
+        // also where there is always something to send: who hides a page on a slow line wants less of it
+        if let Some(end) = socket.recv().now_or_never().and_then(|came| heard(came, &mut words, viewer)) {
+            return end;
+        }
+        if stop.is_cancelled() {
+            return stopping();
+        }
         changes.mark_unchanged();
         match room.next(viewer) {
             Next::Send(bytes) => {
@@ -75,19 +83,34 @@ async fn watch(socket: &mut WebSocket, room: &Room, viewer: &mut Viewer, stop: &
                         return End::Gone;
                     }
                 }
-                came = socket.recv() => match came {
-                    // pings are answered by the library
-                    Some(Ok(Message::Ping(_) | Message::Pong(_))) => {}
-                    Some(Ok(Message::Binary(bytes))) => match words.take(bytes, Instant::now()) {
-                        Ok(looks) => viewer.pause(!looks),
-                        Err(reason) => return End::Bye(Bye { reason, again: false }),
-                    },
-                    Some(Ok(Message::Text(_))) => return End::Bye(Bye { reason: NOTHING_ELSE.into(), again: false }),
-                    _ => return End::Gone,
+                came = socket.recv() => if let Some(end) = heard(came, &mut words, viewer) {
+                    return end;
                 },
-                () = stop.cancelled() => return End::Bye(Bye { reason: "the server stops".into(), again: true }),
+                () = stop.cancelled() => return stopping(),
             },
         }
+    }
+}
+
+fn stopping() -> End {
+    End::Bye(Bye { reason: "the server stops".into(), again: true })
+}
+
+/// Takes what came from a viewer; none where it may stay.
+fn heard(came: Option<Result<Message, axum::Error>>, words: &mut Words, viewer: &mut Viewer) -> Option<End> {
+    let away = |reason: String| Some(End::Bye(Bye { reason, again: false }));
+    match came {
+        // pings are answered by the library
+        Some(Ok(Message::Ping(_) | Message::Pong(_))) => None,
+        Some(Ok(Message::Binary(bytes))) => match words.take(bytes, Instant::now()) {
+            Ok(looks) => {
+                viewer.pause(!looks);
+                None
+            }
+            Err(reason) => away(reason),
+        },
+        Some(Ok(Message::Text(_))) => away(NOTHING_ELSE.into()),
+        _ => Some(End::Gone),
     }
 }
 

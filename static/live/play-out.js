@@ -5,7 +5,7 @@ const MOST = 256;
 
 /** @template T */
 export class PlayOut {
-  /** @type {{item: T, due: number}[]} */
+  /** @type {{item: T, due: number, needed: boolean}[]} */
   #waiting = [];
   /** @type {ReturnType<typeof setTimeout> | undefined} */
   #timer;
@@ -25,10 +25,11 @@ export class PlayOut {
    * Releases something when it is due and all before it was released; now, where both is so.
    * @param {T} item
    * @param {number} [due] by `performance.now()`; right after what came before it where none is given
+   * @param {boolean} [needed] whether it counts though nobody looks
    */
-  push(item, due = 0) {
+  push(item, due = 0, needed = false) {
     if (this.empty && due <= performance.now()) return this.#release(item);
-    this.#waiting.push({ item, due });
+    this.#waiting.push({ item, due, needed });
     this.#run();
   }
 
@@ -36,6 +37,13 @@ export class PlayOut {
   clear() {
     clearTimeout(this.#timer);
     this.#waiting = [];
+  }
+
+  /** Releases at once what is needed of what waits, and forgets the rest. */
+  hurry() {
+    const waiting = this.#waiting;
+    this.clear();
+    for (const { item } of waiting.filter(({ needed }) => needed)) this.#release(item);
   }
 
   #run() {

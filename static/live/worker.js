@@ -115,7 +115,8 @@ class Room {
     this.#hidden = hidden;
     this.#waits = true;
     this.#lastFrame = performance.now();
-    this.#playOut.clear();
+    // tiles that came are not sent again
+    this.#playOut.hurry();
     this.#jitter = new Jitter();
     // the last group of frames comes anew, so nothing need be kept up meanwhile but the sound
     if (this.#sound.wanted && this.#connection.send(hidden ? SOUND_ALONE : EVERYTHING)) return;
@@ -160,7 +161,7 @@ class Room {
   #take(bytes) {
     this.#measured.bytes += bytes.length;
     // tiles are taken over when they are read: they stay behind the frames that they came behind
-    if (!this.#playOut.empty && TILES.includes(bytes[0])) return this.#playOut.push(() => this.#read(bytes));
+    if (!this.#playOut.empty && TILES.includes(bytes[0])) return this.#playOut.push(() => this.#read(bytes), 0, true);
     this.#read(bytes);
   }
 

@@ -19,6 +19,9 @@ pub struct Chunks {
     coded: Option<Bytes>,
 }
 
+/// Bytes up to which newer tiles are sent as they came: less than may wait to be written for a viewer.
+const NEWER_BYTES: usize = 1 << 20;
+
 /// Version, row, column, rows and columns.
 type Key = (u64, u32, u32, u32, u32);
 
@@ -73,12 +76,13 @@ impl Chunks {
         self.kept.keys().next_back().map(|key| key.0)
     }
 
-    /// Chunks of the tiles that are newer than frame `known`, oldest first; none where they are of more tiles than there are: all tiles as they
-    /// are take less then.
+    /// Chunks of the tiles that are newer than frame `known`, oldest first; none where they are of more tiles than there are, or long: all tiles as
+    /// they are take less then.
     pub fn newer(&self, known: u64) -> Option<Vec<Chunk>> {
         let newer = || self.kept.iter().skip_while(|(key, _)| key.0 <= known);
         let tiles: usize = newer().map(|((.., rows, columns), _)| *rows as usize * *columns as usize).sum();
-        (tiles <= self.tiles.len()).then(|| newer().map(|(_, (chunk, _))| chunk.clone()).collect())
+        let bytes: usize = newer().map(|(_, (chunk, _))| chunk.plane_data.len() + chunk.label_data.len()).sum();
+        (tiles <= self.tiles.len() && bytes <= NEWER_BYTES).then(|| newer().map(|(_, (chunk, _))| chunk.clone()).collect())
     }
 
     /// SNAPSHOT with all that is needed of them, oldest first; none as long as something is known of none, or where it would be too long.

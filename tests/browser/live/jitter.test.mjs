@@ -144,4 +144,18 @@ describe('what is held', () => {
     playOut.push('next');
     assert.equal(released.at(-1), 'next');
   });
+
+  test('is released at once as far as it is needed, where nobody looks any more', () => {
+    const released = [];
+    const playOut = new PlayOut((item) => released.push(item));
+    const far = performance.now() + 60_000;
+    playOut.push('frame', far);
+    playOut.push('tiles', 0, true);
+    playOut.push('another', far);
+    playOut.push('more tiles', 0, true);
+    assert.deepEqual(released, []);
+    playOut.hurry();
+    assert.deepEqual(released, ['tiles', 'more tiles']);
+    assert.ok(playOut.empty);
+  });
 });
