@@ -17,6 +17,7 @@ describe('a browser without an encoder for H.264', () => {
     assert.equal(await publisher.page.evaluate(() => window.publisher.codec), 'vp09.00.10.08');
     const { page, context, errors } = await suite.watch('attic');
     await waitForMode(page, 'gpu');
+    await page.waitForFunction(() => window.measured);
     const { frame } = await page.evaluate(() => window.measured);
     await page.waitForFunction((before) => window.measured.frame > before + 20, frame);
     const { number, same, other } = await shown(page);

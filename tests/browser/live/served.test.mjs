@@ -9,7 +9,15 @@ import { HEIGHT, WIDTH } from '../support/video.mjs';
 async function servedPixels(page) {
   const text = await page.evaluate(
     async ([w, h]) => {
-      const bitmap = await createImageBitmap(window.viewer.poster, { resizeWidth: w, resizeHeight: h, resizeQuality: 'high' });
+      const copy = () => createImageBitmap(window.viewer.poster, { resizeWidth: w, resizeHeight: h, resizeQuality: 'high' });
+      let bitmap = null;
+      // one that has just been put in place cannot be copied yet
+      for (const until = performance.now() + 10_000; !bitmap; ) {
+        bitmap = await copy().catch((error) => {
+          if (performance.now() > until) throw error;
+          return new Promise((resume) => setTimeout(() => resume(null), 10));
+        });
+      }
       const context = new OffscreenCanvas(w, h).getContext('2d');
       context.drawImage(bitmap, 0, 0);
       const { data } = context.getImageData(0, 0, w, h);
