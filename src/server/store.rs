@@ -3,6 +3,7 @@
 //! ```text
 //! DIR/lock                     held by the one process that works in DIR
 //! DIR/incoming/N/              an upload on its way in, or a photo on its way out; emptied at start
+//! DIR/scratch/N/               temporary files of a process that works for the server, see child/scratch.rs; emptied at start
 //! DIR/looked.json              when photos were looked at, see retain.rs
 //! DIR/uploads/ID/              an upload in parts, see partial/kept.rs
 //! DIR/exports/                 files to download that were written as jobs, see exports/shelf.rs
