@@ -35,7 +35,7 @@ fn work(jobs: &Arc<Jobs>, renderer: &Arc<dyn Renderer>) {
         let start = Instant::now();
         // whatever goes wrong, the next file finds a thread
         let outcome = catch_unwind(AssertUnwindSafe(|| run(jobs, &file, renderer))).unwrap_or_else(|panic| {
-            file.set(Standing::Failed(Problem::internal("writing a file panicked", &said(panic.as_ref()))));
+            jobs.exports.set(&file, Standing::Failed(Problem::internal("writing a file panicked", &said(panic.as_ref()))));
             "panicked"
         });
         let took = start.elapsed();
@@ -49,14 +49,14 @@ fn run(jobs: &Jobs, file: &Arc<Ordered>, renderer: &Arc<dyn Renderer>) -> &'stat
     if file.is_cancelled() {
         return "cancelled";
     }
-    file.set(Standing::Working);
-    let outcome = wanted(jobs, file, renderer).and_then(|bytes| jobs.exports.keep(file, &bytes, &jobs.limits));
+    jobs.exports.set(file, Standing::Working);
+    let outcome = wanted(jobs, file, renderer).and_then(|bytes| jobs.exports.keep(file, &bytes, &jobs.store, &jobs.limits));
     match outcome {
         _ if file.is_cancelled() => "cancelled",
         Ok(()) => "done",
         Err(problem) => {
             tracing::warn!(photo = %file.photo, kind = problem.kind, detail = problem.detail, "a file cannot be written");
-            file.set(Standing::Failed(problem));
+            jobs.exports.set(file, Standing::Failed(problem));
             "failed"
         }
     }
