@@ -1,10 +1,20 @@
 use std::io::Read as _;
 use std::path::Path;
+use std::sync::OnceLock;
+use std::time::Instant;
 
 use super::known::MOST_FAILED;
+use super::work::{GIVES_WAY, run};
 use super::*;
+use crate::server::entry::Status;
 use crate::server::files::Files as _;
 use crate::server::forgetful::Forgetful;
+use crate::server::maker::{Fault, Maker, Never, Product};
+use crate::server::memory::Way;
+use crate::server::settings::Settings;
+use crate::server::store::{Accepted, Part, digest};
+use tmpi_pipeline::{MakeError, Options, Sink};
+use tmpi_render::Renderer;
 
 fn ordered(exports: &Exports, key: &str) -> Arc<Ordered> {
     let file = Arc::new(Ordered::for_tests(key));
@@ -105,4 +115,96 @@ fn what_would_take_of_the_reserve_of_the_disk_is_refused_alone() {
     assert_eq!(files.names(Path::new("/data/exports")).unwrap().len(), 2, "nothing of it");
     exports.keep(&small, b"byte", &store, &limits).unwrap();
     assert!([&before, &small].iter().all(|file| matches!(file.standing(), Standing::Done(_))));
+}
+
+fn until(what: &str, is_so: impl Fn() -> bool) {
+    let end = Instant::now() + Duration::from_secs(20);
+    while !is_so() {
+        assert!(Instant::now() < end, "{what}");
+        std::thread::sleep(Duration::from_millis(1));
+    }
+}
+
+/// Writes files until they are ended, but one that gives way no more once another waits for its memory.
+#[derive(Default)]
+struct Holds {
+    jobs: OnceLock<Arc<Jobs>>,
+    tries: AtomicU32,
+}
+
+impl Maker for Holds {
+    fn check(&self, _: &[u8], _: Option<&[u8]>, _: &Options) -> Result<(), MakeError> {
+        Ok(())
+    }
+
+    fn make(&self, _: &[u8], _: Option<&[u8]>, _: &Options, _: &dyn Sink) -> Result<Product, Fault> {
+        Err(Fault::Cancelled)
+    }
+
+    fn export(&self, _: &Work<'_>, sink: &dyn Sink) -> Result<Vec<u8>, Fault> {
+        if self.tries.fetch_add(1, Ordering::Relaxed) < GIVES_WAY {
+            until("it is ended", || sink.cancelled());
+            return Err(Fault::Cancelled);
+        }
+        until("a photo waits", || self.jobs.get().unwrap().memory.is_wanted());
+        if sink.cancelled() { Err(Fault::Cancelled) } else { Ok(b"file".to_vec()) }
+    }
+}
+
+/// Jobs that have memory for one at a time, a finished photo, and a file of it that waits.
+fn with_file(maker: Arc<dyn Maker>, limits: Limits) -> (Arc<Jobs>, Arc<Ordered>, Arc<dyn Renderer>) {
+    let (files, store, _) = in_memory(&limits);
+    let limits = Arc::new(Limits { workers: 0, job_memory: 1, ..limits });
+    let jobs = Jobs::start(store, Vec::new(), maker, limits, Arc::default()).unwrap();
+    let incoming = jobs.store.begin().unwrap();
+    files.write(&incoming.path(Part::Upload), b"photo").unwrap();
+    let accepted =
+        Accepted { version: 1, at_ms: 1, photo_bytes: 5, depth_bytes: None, options: std::collections::BTreeMap::new(), owner: None };
+    let entry = jobs.submit(incoming, PhotoId::of(&[1; 32], None, "", ""), accepted, Settings::default()).unwrap().entry;
+    jobs.store.write(entry.id, &[(Part::Atlas, b"atlas")]).unwrap();
+    let done = Done { at_ms: 2, width: 8, height: 6, atlas_bytes: 5, atlas_hash: digest(b"atlas") };
+    entry.set(Status::Done(done.clone()));
+    let recipe = Recipe::parse("format=zip", &jobs.limits).unwrap();
+    let (file, _) = jobs.order(&entry, &done, "results", &recipe).unwrap();
+    (jobs, file, tmpi_render::select(tmpi_render::Backend::Cpu).unwrap())
+}
+
+#[test]
+fn a_file_gives_its_memory_to_a_photo_that_waits_but_not_for_ever() {
+    let maker = Arc::new(Holds::default());
+    let (jobs, file, renderer) = with_file(maker.clone(), Limits::default());
+    maker.jobs.set(Arc::clone(&jobs)).ok().unwrap();
+    for n in 0..=GIVES_WAY {
+        std::thread::scope(|scope| {
+            let photo = scope.spawn(|| {
+                until("the file is being written", || file.standing() == Standing::Working);
+                jobs.memory.wait_for(1, Way::First, || false).is_some()
+            });
+            let outcome = run(&jobs, &file, &renderer);
+            assert_eq!(outcome, if n < GIVES_WAY { "gave-way" } else { "done" }, "{n}");
+            assert!(photo.join().unwrap());
+        });
+        let queued = usize::from(n < GIVES_WAY);
+        assert_eq!(jobs.exports.known().queued, queued, "it waits for its next turn");
+    }
+    assert!(matches!(file.standing(), Standing::Done(record) if record.bytes == 4));
+    assert_eq!(jobs.memory.taken(), 0);
+}
+
+#[test]
+fn a_file_waits_for_memory_as_one_of_those_that_wait_and_no_longer_than_it_may() {
+    let (jobs, file, renderer) = with_file(Arc::new(Never), Limits { export: Duration::from_millis(100), ..Limits::default() });
+    let held = jobs.memory.wait_for(1, Way::First, || false).unwrap();
+    std::thread::scope(|scope| {
+        let ended = scope.spawn(|| run(&jobs, &file, &renderer));
+        until("its time is over", || {
+            let standing = file.standing();
+            assert_ne!(standing, Standing::Working);
+            standing != Standing::Queued
+        });
+        assert_eq!(ended.join().unwrap(), "failed");
+    });
+    let Standing::Failed(problem) = file.standing() else { panic!("it had no memory") };
+    assert!(problem.status == 503 && problem.kind.ends_with("busy"), "{problem:?}");
+    drop(held);
 }
