@@ -152,9 +152,9 @@ impl Maker for Holds {
 }
 
 /// Jobs that have memory for one at a time, a finished photo, and a file of it that waits.
-fn with_file(maker: Arc<dyn Maker>, limits: Limits) -> (Arc<Jobs>, Arc<Ordered>, Arc<dyn Renderer>) {
-    let (files, store, _) = in_memory(&limits);
-    let limits = Arc::new(Limits { workers: 0, job_memory: 1, ..limits });
+fn with_file(maker: Arc<dyn Maker>, limits: &Limits) -> (Arc<Jobs>, Arc<Ordered>, Arc<dyn Renderer>) {
+    let (files, store, _) = in_memory(limits);
+    let limits = Arc::new(Limits { workers: 0, job_memory: 1, ..limits.clone() });
     let jobs = Jobs::start(store, Vec::new(), maker, limits, Arc::default()).unwrap();
     let incoming = jobs.store.begin().unwrap();
     files.write(&incoming.path(Part::Upload), b"photo").unwrap();
@@ -172,7 +172,7 @@ fn with_file(maker: Arc<dyn Maker>, limits: Limits) -> (Arc<Jobs>, Arc<Ordered>,
 #[test]
 fn a_file_gives_its_memory_to_a_photo_that_waits_but_not_for_ever() {
     let maker = Arc::new(Holds::default());
-    let (jobs, file, renderer) = with_file(maker.clone(), Limits::default());
+    let (jobs, file, renderer) = with_file(maker.clone(), &Limits::default());
     maker.jobs.set(Arc::clone(&jobs)).ok().unwrap();
     for n in 0..=GIVES_WAY {
         std::thread::scope(|scope| {
@@ -193,7 +193,7 @@ fn a_file_gives_its_memory_to_a_photo_that_waits_but_not_for_ever() {
 
 #[test]
 fn a_file_waits_for_memory_as_one_of_those_that_wait_and_no_longer_than_it_may() {
-    let (jobs, file, renderer) = with_file(Arc::new(Never), Limits { export: Duration::from_millis(100), ..Limits::default() });
+    let (jobs, file, renderer) = with_file(Arc::new(Never), &Limits { export: Duration::from_millis(100), ..Limits::default() });
     let held = jobs.memory.wait_for(1, Way::First, || false).unwrap();
     std::thread::scope(|scope| {
         let ended = scope.spawn(|| run(&jobs, &file, &renderer));
