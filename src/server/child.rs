@@ -180,7 +180,10 @@ impl ProcessMaker {
     fn take(&self, gives_way: bool) -> Result<Worker, Fault> {
         let worker = self.waiting(gives_way).map_or_else(|| self.start(gives_way), Ok);
         let worker = worker.map_err(|e| Fault::Server(format!("no process to make photos in can be started: {e}")))?;
-        worker.scratch.make().map_err(|e| Fault::Server(format!("no folder for temporary files can be made: {e}")))?;
+        if let Err(error) = worker.scratch.make() {
+            // only films need it, and say so: on a full disk all else goes on
+            tracing::warn!(%error, "a folder for temporary files");
+        }
         Ok(worker)
     }
 
