@@ -365,7 +365,7 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
     open_files(u64::from(args.connections) + SPARE_FILES);
     let renderer = tmpi_render::select_within(args.backend, limits.scene_cache).context("renderer")?;
     let better = BetterNetwork::of(&args.models, args.network_url, args.network_sha256);
-    let maker = ProcessMaker::new(maker).with_better(better.map(|b| Box::new(b) as Box<dyn Better>));
+    let maker = ProcessMaker::new(maker, &args.data).with_better(better.map(|b| Box::new(b) as Box<dyn Better>));
     if !private && !args.addr.ip().is_loopback() {
         tracing::warn!(
             "everybody who can reach the server may see and change every photo whose address they know; --access private asks who comes"

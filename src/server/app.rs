@@ -24,6 +24,7 @@ use super::identity;
 use super::jobs::Jobs;
 pub use super::kept::{Derived, Export, Full, Stored, Version};
 use super::limits::Limits;
+use super::memory::Way;
 use super::network::Download;
 use super::partial::Partials;
 use super::pool::{Class, Pool, Slot};
@@ -359,7 +360,7 @@ impl Shared {
     /// As [`exports::written`].
     pub fn written(&self, recipe: &Recipe, of: (&[u8], &Done), gone: &CancellationToken) -> Result<Vec<u8>, Problem> {
         let unwanted = || gone.is_cancelled();
-        let wanted = Wanted { unwanted: &unwanted, limit: self.limits.export, gives_way: false };
+        let wanted = Wanted { unwanted: &unwanted, began: &|| {}, limit: self.limits.export, memory: Way::First, gives_way: false };
         exports::written(&self.jobs, recipe, of, &self.renderer, &wanted)
     }
 

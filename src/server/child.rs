@@ -6,9 +6,11 @@
 mod files;
 mod frames;
 mod inside;
+mod scratch;
 
 use std::ffi::OsStr;
 use std::io::{self, Write};
+use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdin, Command, Stdio};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::sync::{Mutex, OnceLock, PoisonError};
@@ -21,6 +23,8 @@ use super::options;
 use super::problem::Problem;
 use frames::{Told, kind, read, write};
 pub use inside::serve;
+use scratch::Scratch;
+pub use scratch::empty as empty_scratch;
 use tmpi_pipeline::{MakeError, Options, Progress, Report, STAGES, Sink, networks, strokes};
 
 /// Set in the environment of a process that makes photos for a server.
@@ -38,6 +42,8 @@ pub struct ProcessMaker {
     /// Processes that wait for a photo.
     idle: Mutex<Vec<Worker>>,
     command: fn() -> io::Result<Command>,
+    /// Below which each process has its temporary files.
+    scratch: PathBuf,
     /// What fetches a better network; processes that start after it was fetched use it.
     better: Option<Box<dyn Better>>,
     /// What this is with it, once it is here.
@@ -57,27 +63,37 @@ struct Worker {
     child: Child,
     input: ChildStdin,
     output: Frames,
+    /// Its temporary files: removed last, once it has ended.
+    scratch: Scratch,
 }
 
 impl Drop for Worker {
     fn drop(&mut self) {
-        // what it started, as to write a film, is of its group; where it has ended already, the end of their input ends them
-        if matches!(self.child.try_wait(), Ok(None)) {
-            end_group(&self.child);
-        }
-        // it may have ended already
-        let _ = self.child.kill();
+        end(&mut self.child);
         let _ = self.child.wait();
     }
 }
 
-/// Ends a process and those that it started.
+/// Ends a process and those that it started, as to write a film.
+fn end(child: &mut Child) {
+    end_group(child);
+    // it may have ended already
+    let _ = child.kill();
+}
+
+/// Ends a process and those that it started, also where it has ended itself; nothing happens once it was waited for.
 #[cfg(unix)]
-#[allow(unsafe_code, reason = "the standard library sends no signals to groups")]
+#[allow(unsafe_code, reason = "the standard library sends no signals to groups, and does not look at a child without waiting for it")]
 fn end_group(child: &Child) {
-    let group = child.id() as libc::pid_t;
-    // SAFETY: no memory is touched; the process was not waited for, so that the number is still its own
-    let _ = unsafe { libc::kill(-group, libc::SIGKILL) };
+    // SAFETY: all zeros is a value of this struct of integers
+    let mut info: libc::siginfo_t = unsafe { std::mem::zeroed() };
+    let look = libc::WEXITED | libc::WNOHANG | libc::WNOWAIT;
+    // SAFETY: the struct outlives the call, which only writes it
+    let ours = unsafe { libc::waitid(libc::P_PID, child.id() as libc::id_t, &raw mut info, look) } == 0;
+    if ours {
+        // SAFETY: no memory is touched; the process was not waited for, so that the number is still its own
+        let _ = unsafe { libc::kill(-(child.id() as libc::pid_t), libc::SIGKILL) };
+    }
 }
 
 #[cfg(not(unix))]
@@ -102,10 +118,12 @@ fn is_of_the_store(name: &OsStr) -> bool {
 }
 
 impl ProcessMaker {
-    /// A maker that checks photos itself, and starts a process at once so that the first photo need not wait for it.
+    /// A maker that checks photos itself, and starts a process at once so that the first photo need not wait for it. Temporary files of
+    /// processes are in the data directory `data`.
     #[must_use]
-    pub fn new(checks: PipelineMaker) -> Self {
-        let maker = Self { checks, idle: Mutex::default(), command: this_program, better: None, renewed: OnceLock::new() };
+    pub fn new(checks: PipelineMaker, data: &Path) -> Self {
+        let scratch = scratch::folder(data);
+        let maker = Self { checks, idle: Mutex::default(), command: this_program, scratch, better: None, renewed: OnceLock::new() };
         maker.prepare();
         maker
     }
@@ -132,6 +150,8 @@ impl ProcessMaker {
         if gives_way {
             command.env(VARIABLE, GIVES_WAY);
         }
+        let scratch = Scratch::below(&self.scratch);
+        command.env(scratch::VARIABLE, scratch.path());
         // a Ctrl-C in a terminal is for the server
         #[cfg(unix)]
         std::os::unix::process::CommandExt::process_group(&mut command, 0);
@@ -149,24 +169,34 @@ impl ProcessMaker {
                 }
             }
         })?;
-        Ok(Worker { made: None, renewed, gives_way, child, input, output: told })
+        Ok(Worker { made: None, renewed, gives_way, child, input, output: told, scratch })
     }
 
     fn keep(&self, worker: Worker) {
         self.idle.lock().unwrap_or_else(PoisonError::into_inner).push(worker);
     }
 
-    /// A process that waits, or a fresh one; of those that give way to all others, or not.
+    /// A process that waits, or a fresh one, with a folder for temporary files; of those that give way to all others, or not.
     fn take(&self, gives_way: bool) -> Result<Worker, Fault> {
+        let worker = self.waiting(gives_way).map_or_else(|| self.start(gives_way), Ok);
+        let worker = worker.map_err(|e| Fault::Server(format!("no process to make photos in can be started: {e}")))?;
+        if let Err(error) = worker.scratch.make() {
+            // only films need it, and say so: on a full disk all else goes on
+            tracing::warn!(%error, "a folder for temporary files");
+        }
+        Ok(worker)
+    }
+
+    /// A process that waits.
+    fn waiting(&self, gives_way: bool) -> Option<Worker> {
         let mut idle = self.idle.lock().unwrap_or_else(PoisonError::into_inner);
         while let Some(at) = idle.iter().rposition(|worker| worker.gives_way == gives_way) {
             let mut worker = idle.swap_remove(at);
             if worker.renewed == self.renewed.get().is_some() && matches!(worker.child.try_wait(), Ok(None)) {
-                return Ok(worker);
+                return Some(worker);
             }
         }
-        drop(idle);
-        self.start(gives_way).map_err(|e| Fault::Server(format!("no process to make photos in can be started: {e}")))
+        None
     }
 }
 
@@ -252,7 +282,7 @@ impl Maker for ProcessMaker {
             };
             if !keep {
                 // what is still being sent to it ends with it
-                let _ = child.kill();
+                end(child);
             }
             (outcome.map_err(Answer::fault), keep)
         });
@@ -331,6 +361,8 @@ fn listen(child: &mut Child, output: &Frames, sink: &dyn Sink) -> Result<Product
 fn ending(child: &mut Child) -> String {
     // it closed its pipe: it is about to end
     std::thread::sleep(TICK);
+    // before it is waited for: then its group is nobody's
+    end_group(child);
     match child.try_wait() {
         Ok(Some(status)) => format!("the process that made it ended: {status}"),
         _ => "the process that made it ended".to_owned(),
@@ -356,70 +388,4 @@ impl From<MakeError> for Fault {
 
 #[cfg(test)]
 #[cfg(unix)]
-mod tests {
-    use std::sync::Arc;
-
-    use super::*;
-    use crate::server::Limits;
-    use tmpi_core::{DisparityMap, Photo};
-    use tmpi_pipeline::depth::{DepthError, Estimator};
-    use tmpi_pipeline::{Models, Silent};
-
-    struct Flat;
-
-    impl Estimator for Flat {
-        fn name(&self) -> &'static str {
-            "flat"
-        }
-
-        fn estimate(&self, photo: &Photo) -> Result<DisparityMap, DepthError> {
-            Ok(DisparityMap { width: photo.width, height: photo.height, delta: vec![0.5; photo.rgb.len()] })
-        }
-    }
-
-    fn fault(command: fn() -> io::Result<Command>) -> Fault {
-        let checks = PipelineMaker::new(Models { depth: Arc::new(Flat), theta: None, psi: None }, &Limits::default());
-        let maker = ProcessMaker { checks, idle: Mutex::default(), command, better: None, renewed: OnceLock::new() };
-        let fault = maker.make(b"a photo", None, &Options::default(), &Silent).unwrap_err();
-        assert!(maker.idle.lock().unwrap().is_empty(), "such a process is not kept");
-        fault
-    }
-
-    fn shell(script: &str) -> Command {
-        let mut command = Command::new("sh");
-        command.args(["-c", script]);
-        command
-    }
-
-    #[test]
-    fn nonsense_from_a_process_counts_against_its_photo_alone() {
-        // a report that is none, an unknown frame, a frame of no end, and an end without a word
-        let all: [fn() -> io::Result<Command>; 4] = [
-            || Ok(shell(r"printf '\011\004\0\0\0\0\0\0\0null'; cat > /dev/null")),
-            || Ok(shell(r"printf '\143\0\0\0\0\0\0\0\0'; cat > /dev/null")),
-            || Ok(shell("echo a frame of some length; cat > /dev/null")),
-            || Ok(shell("exit 0")),
-        ];
-        for command in all {
-            let fault = fault(command);
-            assert!(matches!(fault, Fault::Crashed(_)), "{fault:?}");
-        }
-        let none = fault(|| Err(io::Error::other("no program")));
-        assert!(matches!(none, Fault::Server(_)), "{none:?}");
-    }
-
-    #[test]
-    fn a_process_that_made_a_photo_ends_once_it_has_rested() {
-        let checks = PipelineMaker::new(Models { depth: Arc::new(Flat), theta: None, psi: None }, &Limits::default());
-        let command = || Ok(shell("cat > /dev/null"));
-        let maker = ProcessMaker { checks, idle: Mutex::default(), command, better: None, renewed: OnceLock::new() };
-        maker.prepare();
-        assert!(!maker.rest(Duration::ZERO), "one that has made none is small");
-        let ids = || maker.idle.lock().unwrap().iter().map(|worker| worker.child.id()).collect::<Vec<_>>();
-        let before = ids();
-        maker.idle.lock().unwrap()[0].made = Some(Instant::now());
-        assert!(!maker.rest(Duration::from_hours(1)) && ids() == before);
-        assert!(maker.rest(Duration::ZERO));
-        assert!(ids().len() == 1 && ids() != before, "another waits in its place");
-    }
-}
+mod tests;

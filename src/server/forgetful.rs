@@ -29,6 +29,9 @@ impl Node {
     }
 }
 
+/// Bytes that there are, and files.
+const ALL: u64 = 1 << 30;
+
 #[derive(Debug)]
 struct Inner {
     nodes: Vec<Node>,
@@ -36,6 +39,8 @@ struct Inner {
     left: usize,
     /// Whether that is as the disk being full: what takes no room goes on.
     full: bool,
+    /// Bytes that are free while it is not.
+    free: u64,
     /// Whether only one change fails.
     once: bool,
 }
@@ -46,7 +51,7 @@ pub struct Forgetful(Mutex<Inner>);
 
 impl Forgetful {
     pub fn new() -> Self {
-        Self(Mutex::new(Inner { nodes: vec![Node::folder()], left: usize::MAX, full: false, once: false }))
+        Self(Mutex::new(Inner { nodes: vec![Node::folder()], left: usize::MAX, full: false, free: ALL, once: false }))
     }
 
     fn lock(&self) -> std::sync::MutexGuard<'_, Inner> {
@@ -69,6 +74,11 @@ impl Forgetful {
     pub fn fill(&self, full: bool) {
         let mut inner = self.lock();
         (inner.left, inner.full) = (if full { 0 } else { usize::MAX }, full);
+    }
+
+    /// From now on so many bytes are free, whatever is written.
+    pub fn leave(&self, bytes: u64) {
+        self.lock().free = bytes;
     }
 
     /// The machine stops: what was not synced is gone.
@@ -264,7 +274,7 @@ impl Files for Forgetful {
     }
 
     fn room(&self, _: &Path) -> Option<Room> {
-        let all = 1 << 30;
-        Some(Room { bytes: if self.lock().full { 0 } else { all }, all_bytes: all, files: all, all_files: all })
+        let inner = self.lock();
+        Some(Room { bytes: if inner.full { 0 } else { inner.free }, all_bytes: ALL, files: ALL, all_files: ALL })
     }
 }

@@ -1,5 +1,9 @@
 //! Memory that photos under way may take, given out by bytes.
+//!
+//! Who waits first gets it first, but what gives way waits behind all others; and where it holds what another waits for,
+//! [`Memory::is_wanted`] tells it to end. So that what nobody waits for needs no memory of its own, which would lie idle.
 
+use std::collections::VecDeque;
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
@@ -9,8 +13,36 @@ const LOOK: Duration = Duration::from_millis(50);
 /// What there is and what is given out.
 pub struct Memory {
     all: u64,
-    taken: Mutex<u64>,
+    given: Mutex<Given>,
     freed: Condvar,
+}
+
+#[derive(Default)]
+struct Given {
+    taken: u64,
+    /// Those that wait, as they came: those that give way, and the others.
+    waiting: [VecDeque<u64>; 2],
+    next: u64,
+}
+
+impl Given {
+    /// Whether it is this one's turn.
+    fn is_next(&self, turn: u64, way: Way) -> bool {
+        let [giving_way, others] = &self.waiting;
+        match way {
+            Way::First => others.front() == Some(&turn),
+            Way::Gives => others.is_empty() && giving_way.front() == Some(&turn),
+        }
+    }
+}
+
+/// Whether a job gives way to all others.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Way {
+    /// It does.
+    Gives,
+    /// It does not.
+    First,
 }
 
 /// Memory that a job has as long as this lives.
@@ -21,7 +53,7 @@ pub struct Share<'a> {
 
 impl Drop for Share<'_> {
     fn drop(&mut self) {
-        *self.of.lock() -= self.bytes;
+        self.of.lock().taken -= self.bytes;
         self.of.freed.notify_all();
     }
 }
@@ -29,51 +61,99 @@ impl Drop for Share<'_> {
 impl Memory {
     /// So many bytes.
     #[must_use]
-    pub const fn new(all: u64) -> Self {
-        Self { all, taken: Mutex::new(0), freed: Condvar::new() }
+    pub fn new(all: u64) -> Self {
+        Self { all, given: Mutex::default(), freed: Condvar::new() }
     }
 
-    fn lock(&self) -> MutexGuard<'_, u64> {
-        self.taken.lock().unwrap_or_else(PoisonError::into_inner)
+    fn lock(&self) -> MutexGuard<'_, Given> {
+        self.given.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Waits until `bytes` are there; what needs more than all gets that alone. None once it is `unwanted`.
-    pub fn wait_for(&self, bytes: u64, unwanted: impl Fn() -> bool) -> Option<Share<'_>> {
-        let mut taken = self.lock();
-        while *taken > 0 && taken.saturating_add(bytes) > self.all {
-            if unwanted() {
-                return None;
+    pub fn wait_for(&self, bytes: u64, way: Way, unwanted: impl Fn() -> bool) -> Option<Share<'_>> {
+        let mut given = self.lock();
+        let turn = given.next;
+        given.next += 1;
+        given.waiting[way as usize].push_back(turn);
+        let there = loop {
+            let fits = given.taken == 0 || given.taken.saturating_add(bytes) <= self.all;
+            if fits && given.is_next(turn, way) {
+                break true;
             }
-            taken = self.freed.wait_timeout(taken, LOOK).unwrap_or_else(PoisonError::into_inner).0;
-        }
-        *taken += bytes;
-        Some(Share { of: self, bytes })
+            if unwanted() {
+                break false;
+            }
+            given = self.freed.wait_timeout(given, LOOK).unwrap_or_else(PoisonError::into_inner).0;
+        };
+        given.waiting[way as usize].retain(|other| *other != turn);
+        given.taken += if there { bytes } else { 0 };
+        drop(given);
+        // the next one's turn has come
+        self.freed.notify_all();
+        there.then(|| Share { of: self, bytes })
+    }
+
+    /// True while one waits that does not give way.
+    #[must_use]
+    pub fn is_wanted(&self) -> bool {
+        !self.lock().waiting[Way::First as usize].is_empty()
     }
 
     /// Bytes that are given out.
     #[must_use]
     pub fn taken(&self) -> u64 {
-        *self.lock()
+        self.lock().taken
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use std::time::Instant;
+
     use super::*;
 
     #[test]
     fn what_fits_is_had_at_once_and_the_rest_waits_or_gives_up() {
         let memory = Memory::new(10);
-        let (first, second) = (memory.wait_for(6, || true).unwrap(), memory.wait_for(4, || true).unwrap());
-        assert!(memory.wait_for(1, || true).is_none() && memory.taken() == 10);
+        let (first, second) = (memory.wait_for(6, Way::First, || true).unwrap(), memory.wait_for(4, Way::Gives, || true).unwrap());
+        assert!(memory.wait_for(1, Way::First, || true).is_none() && memory.taken() == 10);
         std::thread::scope(|scope| {
-            let waits = scope.spawn(|| memory.wait_for(5, || false).map(|share| share.bytes));
+            let waits = scope.spawn(|| memory.wait_for(5, Way::Gives, || false).map(|share| share.bytes));
             drop(first);
             assert_eq!(waits.join().unwrap(), Some(5));
         });
         drop(second);
         assert_eq!(memory.taken(), 0);
-        let _huge = memory.wait_for(99, || true).unwrap();
-        assert!(memory.wait_for(1, || true).is_none(), "alone");
+        assert!(!memory.is_wanted());
+        let _huge = memory.wait_for(99, Way::First, || true).unwrap();
+        assert!(memory.wait_for(1, Way::First, || true).is_none(), "alone");
+    }
+
+    #[test]
+    fn who_came_first_has_it_first_and_what_gives_way_last() {
+        let memory = Memory::new(10);
+        let held = memory.wait_for(10, Way::First, || true).unwrap();
+        let order = Mutex::new(Vec::new());
+        std::thread::scope(|scope| {
+            for (n, bytes, way) in [(0, 2, Way::Gives), (1, 10, Way::First), (2, 3, Way::First)] {
+                let (memory, order) = (&memory, &order);
+                scope.spawn(move || {
+                    let share = memory.wait_for(bytes, way, || false);
+                    order.lock().unwrap().push(n);
+                    drop(share);
+                });
+                let end = Instant::now() + Duration::from_secs(20);
+                while memory.lock().waiting.iter().map(VecDeque::len).sum::<usize>() <= n {
+                    assert!(Instant::now() < end, "it waits");
+                    std::thread::yield_now();
+                }
+                assert_eq!(memory.is_wanted(), way == Way::First);
+            }
+            drop(held);
+        });
+        let order = order.into_inner().unwrap();
+        assert_eq!(order.first(), Some(&1), "a small one behind a large one does not keep it waiting: {order:?}");
+        assert_eq!(memory.taken(), 0);
+        assert!(!memory.is_wanted());
     }
 }

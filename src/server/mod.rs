@@ -241,6 +241,7 @@ impl Server {
         } else {
             let wrong = |source| ServerError::Data { dir: data.clone(), source };
             let (store, found) = Store::open(&data, maker.identity()).map_err(wrong)?;
+            child::empty_scratch(&data).map_err(wrong)?;
             // with the directory for this process alone
             let secret = keys.is_some().then(|| Secret::of(&data)).transpose().map_err(wrong)?;
             let guard = keys.zip(secret).map(|(keys, secret)| guard(&keys, secret)).transpose()?;
@@ -394,6 +395,7 @@ fn among(
         _ => {}
     }
     let (store, _) = Store::open(&copies, maker.identity()).map_err(|source| ServerError::Data { dir: copies, source })?;
+    child::empty_scratch(data).map_err(|source| ServerError::Data { dir: data.to_owned(), source })?;
     let store = store.of_origin(Arc::clone(&cluster) as Arc<dyn store::Origin>, limits.copies);
     // all nodes give a photo the same id, and take each other's links
     let guard = match keys {

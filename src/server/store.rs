@@ -3,6 +3,7 @@
 //! ```text
 //! DIR/lock                     held by the one process that works in DIR
 //! DIR/incoming/N/              an upload on its way in, or a photo on its way out; emptied at start
+//! DIR/scratch/N/               temporary files of a process that works for the server, see child/scratch.rs; emptied at start
 //! DIR/looked.json              when photos were looked at, see retain.rs
 //! DIR/uploads/ID/              an upload in parts, see partial/kept.rs
 //! DIR/exports/                 files to download that were written as jobs, see exports/shelf.rs
@@ -29,7 +30,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use super::files::{Disk, Files};
+use super::files::{Disk, Files, Room};
 use super::id::PhotoId;
 pub use super::part::Part;
 pub use super::records::{Accepted, Done, End, Failed, Found, State};
@@ -189,8 +190,16 @@ impl Store {
     /// # Errors
     /// That.
     pub fn room(&self) -> io::Result<()> {
+        self.room_for(0)
+    }
+
+    /// Refuses where no more than the reserve would be left beside so many more bytes.
+    ///
+    /// # Errors
+    /// That.
+    pub fn room_for(&self, bytes: u64) -> io::Result<()> {
         match self.files.room(&self.photos) {
-            Some(room) if room.is_short() => Err(io::ErrorKind::StorageFull.into()),
+            Some(room) if (Room { bytes: room.bytes.saturating_sub(bytes), ..room }).is_short() => Err(io::ErrorKind::StorageFull.into()),
             _ => Ok(()),
         }
     }

@@ -10,6 +10,7 @@ use axum::http::StatusCode;
 use super::entry::{Entry, Status};
 use super::jobs::Jobs;
 use super::maker::{Fault, Product};
+use super::memory::Way;
 use super::options;
 use super::problem::Problem;
 use super::store::{self, End, Failed, Part, State};
@@ -108,7 +109,7 @@ pub(super) fn make(jobs: &Jobs, entry: &Arc<Entry>, job: &Job, others: &Others<'
     let depth = entry.accepted.depth_bytes.map(|_| read(Part::Depth)).transpose()?;
     let unwanted = || jobs.aborted() || entry.is_deleted() || !jobs.is_accepting() || others.lost.load(Ordering::Acquire);
     let memory = jobs.maker.memory(&photo, depth.as_deref(), &options);
-    let Some(_memory) = jobs.memory.wait_for(memory, unwanted) else { return Err(Fault::Cancelled) };
+    let Some(_memory) = jobs.memory.wait_for(memory, Way::First, unwanted) else { return Err(Fault::Cancelled) };
     entry.set(Status::Working);
     (others.tell)();
     let sink = JobSink { jobs, entry, deadline: Instant::now() + jobs.limits.time_for(&photo), others, job };

@@ -6,7 +6,7 @@ use std::sync::mpsc::RecvTimeoutError;
 use std::time::Instant;
 
 use super::frames::{kind, write};
-use super::{Answer, Frames, KEPT_BYTES, ProcessMaker, TICK, Worker, ending};
+use super::{Answer, Frames, KEPT_BYTES, ProcessMaker, TICK, Worker, end, ending};
 use crate::server::exports::{Work, late};
 use crate::server::maker::Fault;
 use tmpi_pipeline::Sink;
@@ -32,8 +32,8 @@ impl ProcessMaker {
                 Err(_) => false,
             };
             if !keep {
-                // what is still being sent to it ends with it
-                let _ = child.kill();
+                // what is still being sent to it ends with it, and what it started
+                end(child);
             }
             (outcome.map(|(bytes, _)| bytes).map_err(Answer::fault), keep)
         });

@@ -1,14 +1,16 @@
 //! Files to download that are written as jobs: by threads of their own, in processes that can be ended, and kept on disk until nobody fetches
 //! them any more. Which are asked for is known until the server ends; which are written, longer.
 
+mod known;
 mod recipe;
 mod shelf;
+#[cfg(test)]
+mod tests;
 mod work;
 mod write;
 
-use std::collections::HashMap;
 use std::fs::File;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
@@ -29,10 +31,13 @@ use super::problem::Problem;
 use super::share::{Share, Shares, asker};
 use super::store::{Done, Store};
 use super::time::now_ms;
+use known::Known;
 use shelf::Shelf;
 
 /// Pause between two looks at what is over.
 const SWEEP: Duration = Duration::from_mins(1);
+/// How long it is remembered why a file could not be written.
+const FAILED_FOR: Duration = Duration::from_mins(10);
 
 /// How a file fares.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -62,6 +67,8 @@ pub struct Ordered {
     standing: Mutex<Standing>,
     cancelled: AtomicBool,
     used_ms: AtomicU64,
+    /// How often it gave way to a photo while it was being written.
+    gave_way: AtomicU32,
     /// A place among those that wait.
     share: Mutex<Option<Share>>,
 }
@@ -78,6 +85,7 @@ impl Ordered {
             standing: Mutex::new(standing),
             cancelled: AtomicBool::new(false),
             used_ms: AtomicU64::new(now_ms()),
+            gave_way: AtomicU32::new(0),
             share: Mutex::default(),
         }
     }
@@ -91,14 +99,26 @@ impl Ordered {
     /// How it fares now.
     #[must_use]
     pub fn standing(&self) -> Standing {
-        self.standing.lock().unwrap_or_else(PoisonError::into_inner).clone()
+        self.lock().clone()
     }
 
+    fn lock(&self) -> MutexGuard<'_, Standing> {
+        self.standing.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn name(&self) -> (PhotoId, String) {
+        (self.photo, self.key.clone())
+    }
+
+    /// By [`Known::set`], which counts.
     fn set(&self, standing: Standing) {
         if standing != Standing::Queued {
             drop(self.share.lock().unwrap_or_else(PoisonError::into_inner).take());
         }
-        *self.standing.lock().unwrap_or_else(PoisonError::into_inner) = standing;
+        if matches!(standing, Standing::Failed(_)) {
+            self.used_ms.store(now_ms(), Ordering::Relaxed);
+        }
+        *self.lock() = standing;
     }
 
     /// True once nobody wants it.
@@ -110,7 +130,9 @@ impl Ordered {
     /// When it goes if nobody fetches it, milliseconds since 1970.
     #[must_use]
     pub fn ends_ms(&self, limits: &Limits) -> u64 {
-        self.used_ms.load(Ordering::Relaxed).saturating_add(limits.exports_for.as_millis() as u64)
+        let failed = matches!(*self.lock(), Standing::Failed(_));
+        let stays = if failed { limits.exports_for.min(FAILED_FOR) } else { limits.exports_for };
+        self.used_ms.load(Ordering::Relaxed).saturating_add(stays.as_millis() as u64)
     }
 
     /// Whether it is of what the photo is now.
@@ -123,7 +145,7 @@ impl Ordered {
 #[derive(Debug)]
 pub struct Exports {
     shelf: Shelf,
-    known: Mutex<HashMap<(PhotoId, String), Arc<Ordered>>>,
+    known: Mutex<Known>,
     shares: Shares,
     /// Held by who puts a file on disk.
     placing: Mutex<()>,
@@ -134,27 +156,37 @@ impl Exports {
     #[must_use]
     pub fn open(store: &Store, limits: &Limits) -> Self {
         let (shelf, found) = Shelf::open(store);
-        let known = found.into_iter().map(|(photo, key, record)| {
+        let mut known = Known::of(limits.exports_bytes);
+        for (photo, key, record) in found {
             let names = (record.recipe.clone(), record.results.clone());
-            let file = Ordered::new(photo, &key, (&names.0, &names.1, record.at_ms), Standing::Done(record.clone()));
-            file.used_ms.store(record.written_ms, Ordering::Relaxed);
-            ((photo, key), Arc::new(file))
-        });
-        Self { known: Mutex::new(known.collect()), shelf, shares: Shares::half_of(limits.exports_waiting), placing: Mutex::default() }
+            let (at_ms, written_ms) = (record.at_ms, record.written_ms);
+            let file = Ordered::new(photo, &key, (&names.0, &names.1, at_ms), Standing::Done(record));
+            file.used_ms.store(written_ms, Ordering::Relaxed);
+            known.insert(Arc::new(file));
+        }
+        let exports = Self { known: Mutex::new(known), shelf, shares: Shares::half_of(limits.exports_waiting), placing: Mutex::default() };
+        // more may have been kept before than may be now
+        exports.make_room(limits.exports_bytes);
+        exports
     }
 
-    fn known(&self) -> MutexGuard<'_, HashMap<(PhotoId, String), Arc<Ordered>>> {
+    fn known(&self) -> MutexGuard<'_, Known> {
         self.known.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Says how a file fares.
+    fn set(&self, file: &Arc<Ordered>, standing: Standing) {
+        self.known().set(file, standing);
     }
 
     /// Bytes of files on disk.
     #[must_use]
     pub fn bytes(&self) -> u64 {
-        bytes(&self.known())
+        self.known().bytes
     }
 
     /// Keeps what was written of a file; those that were not fetched for longest make room for it.
-    fn keep(&self, file: &Arc<Ordered>, written: &[u8], limits: &Limits) -> Result<(), Problem> {
+    fn keep(&self, file: &Arc<Ordered>, written: &[u8], store: &Store, limits: &Limits) -> Result<(), Problem> {
         let (size, most) = (written.len() as u64, limits.exports_bytes);
         if size > most {
             let detail = format!("the file has {size} bytes, and {most} is the limit of all (--exports-mib)");
@@ -171,33 +203,38 @@ impl Exports {
             written_ms: now_ms(),
         };
         let _placing = self.placing.lock().unwrap_or_else(PoisonError::into_inner);
-        self.make_room(most - size);
+        let weight = {
+            let known = self.known();
+            if file.is_cancelled() || !known.has(file) {
+                // whoever ordered it anew may have it on disk under this name
+                return Ok(());
+            }
+            known.weight_of(size)
+        };
+        self.make_room(most.saturating_sub(weight));
+        // photos that were accepted already come first
+        store.room_for(size).map_err(|e| Problem::store(&e))?;
         self.shelf.put(file.photo, &file.key, written, &record).map_err(|e| Problem::store(&e))?;
-        let known = self.known();
-        if !known.get(&(file.photo, file.key.clone())).is_some_and(|other| Arc::ptr_eq(other, file)) {
-            // cancelled meanwhile: it must not come back with the next start
+        let mut known = self.known();
+        if !known.has(file) {
+            // cancelled meanwhile: it must not come back with the next start, and no other has put its own there yet
             self.shelf.remove(file.photo, &file.key);
             return Ok(());
         }
         file.used_ms.store(now_ms(), Ordering::Relaxed);
-        file.set(Standing::Done(record));
+        known.set(file, Standing::Done(record));
         Ok(())
     }
 
-    /// Removes files, those first that were not fetched for longest, until all take `most` bytes.
+    /// Removes files, those first that were not fetched for longest, until all weigh `most`.
     fn make_room(&self, most: u64) {
         let mut known = self.known();
-        while bytes(&known) > most {
-            let written = known.values().filter(|f| matches!(f.standing(), Standing::Done(_)));
-            let Some(oldest) = written.min_by_key(|f| f.used_ms.load(Ordering::Relaxed)).cloned() else { return };
-            known.remove(&(oldest.photo, oldest.key.clone()));
+        while known.weight > most {
+            let Some(oldest) = known.oldest(|standing| matches!(standing, Standing::Done(_))) else { return };
+            known.remove(&oldest);
             self.shelf.remove(oldest.photo, &oldest.key);
         }
     }
-}
-
-fn bytes(known: &HashMap<(PhotoId, String), Arc<Ordered>>) -> u64 {
-    known.values().map(|file| if let Standing::Done(record) = file.standing() { record.bytes } else { 0 }).sum()
 }
 
 impl Jobs {
@@ -210,20 +247,20 @@ impl Jobs {
         let key = identity::short(&format!("file {results} {text}"));
         let mut known = self.exports.known();
         let name = (entry.id, key);
-        if let Some(file) = known.get(&name).filter(|file| !matches!(file.standing(), Standing::Failed(_))) {
+        if let Some(file) = known.get(&name).filter(|file| !matches!(*file.lock(), Standing::Failed(_))) {
             return Ok((Arc::clone(file), false));
         }
         let busy = |detail: &str| Err(Problem::new(StatusCode::SERVICE_UNAVAILABLE, "busy", detail).retry_after(10));
         if !self.is_accepting() {
             return Err(Problem::new(StatusCode::SERVICE_UNAVAILABLE, "stopping", "the server is stopping").retry_after(10));
         }
-        if known.values().filter(|file| file.standing() == Standing::Queued).count() >= self.limits.exports_waiting {
+        if known.queued >= self.limits.exports_waiting {
             return busy("as many files wait to be written as may (--exports-waiting)");
         }
         let Some(share) = self.exports.shares.take(asker()) else { return busy("half of the places to wait are of your address already") };
         let file = Arc::new(Ordered::new(entry.id, &name.1, (&text, results, done.at_ms), Standing::Queued));
         *file.share.lock().unwrap_or_else(PoisonError::into_inner) = Some(share);
-        known.insert(name, Arc::clone(&file));
+        known.insert(Arc::clone(&file));
         drop(known);
         self.push_file(&file);
         Ok((file, true))
@@ -260,12 +297,8 @@ impl Jobs {
         file.cancelled.store(true, Ordering::Release);
         self.drop_file(file);
         let mut known = self.exports.known();
-        let name = (file.photo, file.key.clone());
-        if known.get(&name).is_some_and(|other| Arc::ptr_eq(other, file)) {
-            known.remove(&name);
-            if matches!(file.standing(), Standing::Done(_)) {
-                self.exports.shelf.remove(file.photo, &file.key);
-            }
+        if known.remove(file) && matches!(*file.lock(), Standing::Done(_)) {
+            self.exports.shelf.remove(file.photo, &file.key);
         }
     }
 
@@ -284,7 +317,7 @@ impl Jobs {
             // of a store's photos not all are known here
             let entry = self.get(file.photo);
             let stale = !file.is_of(entry.as_deref()) && (entry.is_some() || self.cluster.is_none());
-            let over = !matches!(file.standing(), Standing::Queued | Standing::Working) && file.ends_ms(&self.limits) <= now;
+            let over = !matches!(*file.lock(), Standing::Queued | Standing::Working) && file.ends_ms(&self.limits) <= now;
             stale || over
         });
     }

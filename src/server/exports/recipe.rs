@@ -88,22 +88,12 @@ impl Recipe {
         self.pairs().iter().map(|(name, value)| format!("{name}={value}")).collect::<Vec<_>>().join("&")
     }
 
-    /// File name ending.
+    /// Media type and file name ending of what was written by [`Recipe::text`], whatever the limits are by now.
     #[must_use]
-    pub fn extension(&self) -> &'static str {
-        match self {
-            Self::File { format, .. } => format.extension(),
-            Self::Film(query, _) => query.moving.map_or("webp", |moving| ending(moving.format)),
-        }
-    }
-
-    /// Media type.
-    #[must_use]
-    pub fn media_type(&self) -> &'static str {
-        match self {
-            Self::File { format, .. } => format.media_type(),
-            Self::Film(query, _) => query.moving.map_or(AnimationFormat::WebP, |moving| moving.format).media_type(),
-        }
+    pub fn kind(text: &str) -> Option<(&'static str, &'static str)> {
+        let format = text.split('&').find_map(|part| part.strip_prefix("format="))?;
+        let file = ExportFormat::from_extension(format).map(|format| (format.media_type(), format.extension()));
+        file.or_else(|| AnimationFormat::from_extension(format).map(|format| (format.media_type(), ending(format))))
     }
 
     /// Memory that work on the scene takes besides it, in bytes.
@@ -214,6 +204,24 @@ mod tests {
             assert_eq!(recipe.text(), text);
             assert_eq!(Recipe::parse(text, &Limits::default()).unwrap().text(), text);
         }
+    }
+
+    #[test]
+    fn what_was_written_is_known_under_any_limits() {
+        let tight = Limits { view_side: 8, ..Limits::default() };
+        for (asked, kind) in [
+            ("format=html", ("text/html; charset=utf-8", "html")),
+            ("shape=metric&format=glb", ("model/gltf-binary", "glb")),
+            ("format=ora", ("image/openraster", "ora")),
+            ("format=zip", ("application/zip", "zip")),
+            ("path=orbit", ("image/webp", "webp")),
+            ("path=orbit&format=mp4", ("video/mp4", "mp4")),
+        ] {
+            let text = read(asked).unwrap().text();
+            assert_eq!(Recipe::kind(&text), Some(kind), "{text}");
+            assert_eq!(Recipe::parse(&text, &tight).is_err(), text.starts_with("path"), "{text}");
+        }
+        assert_eq!(Recipe::kind("path=orbit"), None);
     }
 
     #[test]

@@ -6,6 +6,7 @@
 //! ```
 //! What has no record is removed at the next start, so that of a file that was being written nothing is left.
 
+use std::collections::HashSet;
 use std::fs::File;
 use std::io;
 use std::path::PathBuf;
@@ -63,17 +64,17 @@ impl Shelf {
     fn look(&self) -> io::Result<Vec<(PhotoId, String, Record)>> {
         let names = self.files.names(&self.folder)?;
         let mut found = Vec::new();
+        let written: HashSet<&str> = names.iter().filter_map(|n| n.strip_suffix(".file")).collect();
         let whole = |stem: &str| {
             let (photo, key) = stem.split_once('-')?;
-            let there = names.iter().any(|n| n.strip_suffix(".file") == Some(stem));
-            let bytes = self.files.read(&self.folder.join(format!("{stem}.json"))).ok().filter(|_| there)?;
+            let bytes = self.files.read(&self.folder.join(format!("{stem}.json"))).ok().filter(|_| written.contains(stem))?;
             Some((photo.parse().ok()?, key.to_owned(), serde_json::from_slice(&bytes).ok()?))
         };
         let records: Vec<&str> = names.iter().filter_map(|n| n.strip_suffix(".json")).collect();
-        let kept: Vec<&str> = records.into_iter().filter(|stem| whole(stem).map(|item| found.push(item)).is_some()).collect();
+        let kept: HashSet<&str> = records.into_iter().filter(|stem| whole(stem).map(|item| found.push(item)).is_some()).collect();
         for name in &names {
             let stem = name.strip_suffix(".json").or_else(|| name.strip_suffix(".file"));
-            if !stem.is_some_and(|stem| kept.contains(&stem)) {
+            if !stem.is_some_and(|stem| kept.contains(stem)) {
                 self.files.remove(&self.folder.join(name))?;
             }
         }

@@ -2,6 +2,7 @@
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use axum::http::StatusCode;
@@ -12,11 +13,15 @@ use super::{Ordered, Standing};
 use crate::server::entry::Status;
 use crate::server::jobs::{Class, Jobs};
 use crate::server::maker::Fault;
+use crate::server::memory::Way;
 use crate::server::problem::Problem;
 use crate::server::store::{Done, Part, damage_of, lost};
 use crate::server::worker::said;
 use tmpi_pipeline::{Progress, Sink};
 use tmpi_render::Renderer;
+
+/// As often a file that is being written gives way to what waits for its memory; then it is written to its end.
+pub(super) const GIVES_WAY: u32 = 3;
 
 /// Starts the threads.
 ///
@@ -35,7 +40,7 @@ fn work(jobs: &Arc<Jobs>, renderer: &Arc<dyn Renderer>) {
         let start = Instant::now();
         // whatever goes wrong, the next file finds a thread
         let outcome = catch_unwind(AssertUnwindSafe(|| run(jobs, &file, renderer))).unwrap_or_else(|panic| {
-            file.set(Standing::Failed(Problem::internal("writing a file panicked", &said(panic.as_ref()))));
+            jobs.exports.set(&file, Standing::Failed(Problem::internal("writing a file panicked", &said(panic.as_ref()))));
             "panicked"
         });
         let took = start.elapsed();
@@ -45,24 +50,48 @@ fn work(jobs: &Arc<Jobs>, renderer: &Arc<dyn Renderer>) {
     }
 }
 
-fn run(jobs: &Jobs, file: &Arc<Ordered>, renderer: &Arc<dyn Renderer>) -> &'static str {
+pub(super) fn run(jobs: &Jobs, file: &Arc<Ordered>, renderer: &Arc<dyn Renderer>) -> &'static str {
     if file.is_cancelled() {
         return "cancelled";
     }
-    file.set(Standing::Working);
-    let outcome = wanted(jobs, file, renderer).and_then(|bytes| jobs.exports.keep(file, &bytes, &jobs.limits));
+    // it waits until there is memory for it, too
+    let begun = AtomicBool::new(false);
+    let began = || {
+        jobs.exports.set(file, Standing::Working);
+        begun.store(true, Ordering::Release);
+    };
+    let gives_way = file.gave_way.load(Ordering::Relaxed) < GIVES_WAY;
+    let gave_way = AtomicBool::new(false);
+    let yields = || {
+        if gives_way && begun.load(Ordering::Acquire) && jobs.memory.is_wanted() {
+            gave_way.store(true, Ordering::Release);
+        }
+        gave_way.load(Ordering::Acquire)
+    };
+    let way = if gives_way { Way::Gives } else { Way::First };
+    let outcome =
+        wanted(jobs, file, renderer, (&began, &yields, way)).and_then(|bytes| jobs.exports.keep(file, &bytes, &jobs.store, &jobs.limits));
     match outcome {
         _ if file.is_cancelled() => "cancelled",
         Ok(()) => "done",
+        Err(_) if gave_way.load(Ordering::Acquire) && jobs.is_accepting() => {
+            file.gave_way.fetch_add(1, Ordering::Relaxed);
+            jobs.exports.set(file, Standing::Queued);
+            jobs.push_file(file);
+            "gave-way"
+        }
         Err(problem) => {
             tracing::warn!(photo = %file.photo, kind = problem.kind, detail = problem.detail, "a file cannot be written");
-            file.set(Standing::Failed(problem));
+            jobs.exports.set(file, Standing::Failed(problem));
             "failed"
         }
     }
 }
 
-fn wanted(jobs: &Jobs, file: &Ordered, renderer: &Arc<dyn Renderer>) -> Result<Vec<u8>, Problem> {
+/// What a file is told when it begins, whether it gives way to what waits by now, and how it waits for memory.
+type Turn<'a> = (&'a (dyn Fn() + Sync), &'a (dyn Fn() -> bool + Sync), Way);
+
+fn wanted(jobs: &Jobs, file: &Ordered, renderer: &Arc<dyn Renderer>, (began, yields, memory): Turn<'_>) -> Result<Vec<u8>, Problem> {
     let gone = || Problem::not_found("the photo was deleted, or is made again");
     let entry = jobs.get(file.photo).ok_or_else(gone)?;
     let Status::Done(done) = entry.status() else { return Err(gone()) };
@@ -79,8 +108,8 @@ fn wanted(jobs: &Jobs, file: &Ordered, renderer: &Arc<dyn Renderer>) -> Result<V
         jobs.take_out(file.photo, done.at_ms, &damage);
         return Err(Problem::new(StatusCode::INTERNAL_SERVER_ERROR, "damaged", damage));
     }
-    let unwanted = || file.is_cancelled() || !file.is_of(Some(&entry)) || !jobs.is_accepting();
-    let wanted = Wanted { unwanted: &unwanted, limit: jobs.limits.export, gives_way: true };
+    let unwanted = || file.is_cancelled() || !file.is_of(Some(&entry)) || !jobs.is_accepting() || yields();
+    let wanted = Wanted { unwanted: &unwanted, began, limit: jobs.limits.export, memory, gives_way: true };
     written(jobs, &recipe, (&container, &done), renderer, &wanted)
 }
 
@@ -88,9 +117,13 @@ fn wanted(jobs: &Jobs, file: &Ordered, renderer: &Arc<dyn Renderer>) -> Result<V
 pub struct Wanted<'a> {
     /// True once nobody wants it any more.
     pub unwanted: &'a (dyn Fn() -> bool + Sync),
-    /// Time that writing it may take.
+    /// Called once there is memory for it.
+    pub began: &'a (dyn Fn() + Sync),
+    /// Time that it may take, with the wait for memory.
     pub limit: Duration,
-    /// Whether it gives way to everything else.
+    /// How it waits for memory.
+    pub memory: Way,
+    /// Whether the process that writes it gives way to everything else.
     pub gives_way: bool,
 }
 
@@ -120,9 +153,14 @@ pub fn written(
     wanted: &Wanted<'_>,
 ) -> Result<Vec<u8>, Problem> {
     let cancelled = || Problem::new(StatusCode::SERVICE_UNAVAILABLE, "cancelled", "the export is not wanted any more").retry_after(1);
-    let memory = jobs.memory.wait_for(recipe.memory(done), wanted.unwanted);
-    let Some(_memory) = memory else { return Err(cancelled()) };
     let sink = Until(wanted, Instant::now() + wanted.limit);
+    let over = || sink.cancelled() || Instant::now() >= sink.1;
+    let Some(_memory) = jobs.memory.wait_for(recipe.memory(done), wanted.memory, over) else {
+        let busy = "there was no memory for this file in the time that it may take (--job-memory, --export-timeout)";
+        let busy = || Problem::new(StatusCode::SERVICE_UNAVAILABLE, "busy", busy).retry_after(10);
+        return Err(if sink.cancelled() { cancelled() } else { busy() });
+    };
+    (wanted.began)();
     let drawing = || Ok(Arc::clone(renderer));
     let work = Work { recipe, container, drawing: &drawing, gives_way: wanted.gives_way };
     let mut crashed = 0;

@@ -1,0 +1,129 @@
+use std::sync::Arc;
+
+use super::*;
+use crate::server::Limits;
+use crate::server::exports::Recipe;
+use tmpi_core::{DisparityMap, Photo};
+use tmpi_pipeline::depth::{DepthError, Estimator};
+use tmpi_pipeline::{Models, Silent};
+
+struct Flat;
+
+impl Estimator for Flat {
+    fn name(&self) -> &'static str {
+        "flat"
+    }
+
+    fn estimate(&self, photo: &Photo) -> Result<DisparityMap, DepthError> {
+        Ok(DisparityMap { width: photo.width, height: photo.height, delta: vec![0.5; photo.rgb.len()] })
+    }
+}
+
+fn maker(command: fn() -> io::Result<Command>, data: &Path) -> ProcessMaker {
+    let checks = PipelineMaker::new(Models { depth: Arc::new(Flat), theta: None, psi: None }, &Limits::default());
+    let scratch = scratch::folder(data);
+    ProcessMaker { checks, idle: Mutex::default(), command, scratch, better: None, renewed: OnceLock::new() }
+}
+
+fn fault(command: fn() -> io::Result<Command>) -> Fault {
+    let dir = tempfile::tempdir().unwrap();
+    let maker = maker(command, dir.path());
+    let fault = maker.make(b"a photo", None, &Options::default(), &Silent).unwrap_err();
+    assert!(maker.idle.lock().unwrap().is_empty(), "such a process is not kept");
+    fault
+}
+
+fn shell(script: &str) -> Command {
+    let mut command = Command::new("sh");
+    command.args(["-c", script]);
+    command
+}
+
+#[test]
+fn nonsense_from_a_process_counts_against_its_photo_alone() {
+    // a report that is none, an unknown frame, a frame of no end, and an end without a word
+    let all: [fn() -> io::Result<Command>; 4] = [
+        || Ok(shell(r"printf '\011\004\0\0\0\0\0\0\0null'; cat > /dev/null")),
+        || Ok(shell(r"printf '\143\0\0\0\0\0\0\0\0'; cat > /dev/null")),
+        || Ok(shell("echo a frame of some length; cat > /dev/null")),
+        || Ok(shell("exit 0")),
+    ];
+    for command in all {
+        let fault = fault(command);
+        assert!(matches!(fault, Fault::Crashed(_)), "{fault:?}");
+    }
+    let none = fault(|| Err(io::Error::other("no program")));
+    assert!(matches!(none, Fault::Server(_)), "{none:?}");
+}
+
+#[test]
+fn a_process_that_made_a_photo_ends_once_it_has_rested() {
+    let dir = tempfile::tempdir().unwrap();
+    let maker = maker(|| Ok(shell("cat > /dev/null")), dir.path());
+    maker.prepare();
+    assert!(!maker.rest(Duration::ZERO), "one that has made none is small");
+    let ids = || maker.idle.lock().unwrap().iter().map(|worker| worker.child.id()).collect::<Vec<_>>();
+    let before = ids();
+    maker.idle.lock().unwrap()[0].made = Some(Instant::now());
+    assert!(!maker.rest(Duration::from_hours(1)) && ids() == before);
+    assert!(maker.rest(Duration::ZERO));
+    assert!(ids().len() == 1 && ids() != before, "another waits in its place");
+}
+
+/// Cancelled once a process has written a line to this file.
+#[cfg(target_os = "linux")]
+struct Once<'a>(&'a Path);
+
+#[cfg(target_os = "linux")]
+impl Sink for Once<'_> {
+    fn progress(&self, _: &Progress) {}
+
+    fn cancelled(&self) -> bool {
+        std::fs::read_to_string(self.0).is_ok_and(|text| text.ends_with('\n'))
+    }
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn what_a_process_started_ends_with_it_and_its_temporary_files_go() {
+    let runs = |id: &str| {
+        let stat = std::fs::read_to_string(format!("/proc/{id}/stat")).unwrap_or_default();
+        // nobody may wait for it here
+        stat.rsplit_once(')').is_some_and(|(_, rest)| !rest.trim_start().starts_with('Z'))
+    };
+    // one that is ended, and one that ends by itself, each with something that runs and a folder that it has not removed
+    let all: [fn() -> io::Result<Command>; 2] = [
+        || Ok(shell(r#"read -r line; sleep 600 > /dev/null & mkdir "$TMPDIR/film"; echo $! > "$TMPDIR/../../id"; cat > /dev/null"#)),
+        || Ok(shell(r#"read -r line; sleep 600 > /dev/null & mkdir "$TMPDIR/film"; echo $! > "$TMPDIR/../../id"; kill -9 $$"#)),
+    ];
+    for (n, command) in all.into_iter().enumerate() {
+        let dir = tempfile::tempdir().unwrap();
+        let maker = maker(command, dir.path());
+        let scratch = maker.scratch.clone();
+        let told = dir.path().join("id");
+        let recipe = Recipe::parse("format=zip", &Limits::default()).unwrap();
+        // the folder is there before anything is sent
+        let work = Work { recipe: &recipe, container: b"line\n", drawing: &|| Err(String::new()), gives_way: true };
+        let fault = if n == 0 { maker.export(&work, &Once(&told)) } else { maker.export(&work, &Silent) }.unwrap_err();
+        assert!(matches!((n, &fault), (0, Fault::Cancelled) | (1, Fault::Crashed(_))), "{fault:?}");
+        let id = std::fs::read_to_string(&told).unwrap();
+        let id = id.trim();
+        assert!(id.parse::<u32>().is_ok(), "{id}");
+        let end = Instant::now() + Duration::from_secs(20);
+        while runs(id) {
+            assert!(Instant::now() < end, "what it started outlives it");
+            std::thread::sleep(TICK);
+        }
+        assert_eq!(std::fs::read_dir(&scratch).unwrap().count(), 0);
+    }
+}
+
+#[test]
+fn what_processes_of_before_left_goes_at_the_start() {
+    let dir = tempfile::tempdir().unwrap();
+    empty_scratch(dir.path()).unwrap();
+    let left = scratch::folder(dir.path()).join("7/film");
+    std::fs::create_dir_all(&left).unwrap();
+    empty_scratch(dir.path()).unwrap();
+    assert!(!left.exists() && dir.path().exists());
+}
