@@ -18,6 +18,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from network import told
 from paths import DATA, RUNS
 
 FOLDERS = ("photos/imagenet", "photos/bsds_train", "photos/mlsharp", "photos/tmpi")
@@ -30,10 +31,12 @@ POSE = "-0.06,0,0"
 def made(program, network, photo):
     """Depth and a view from the left, both BGR."""
     run = lambda *command: subprocess.run([program, *map(str, command)], check=True, stdout=subprocess.DEVNULL)
+    # files of before have a ramp in their graph
+    how = ["--quiet", "--depth-model", f"tmpi={network}", *([] if told(network).get("ramp") == "0" else ["--depth-ramp", 0])]
     with tempfile.TemporaryDirectory() as folder:
         container, depth, view = (Path(folder) / n for n in ("a.tmpi", "depth.png", "view.png"))
-        run("depth", "--quiet", "--depth-model", f"tmpi={network}", "-o", depth, photo)
-        run("make", "--quiet", "--depth-model", f"tmpi={network}", "-o", container, photo)
+        run("depth", *how, "-o", depth, photo)
+        run("make", *how, "-o", container, photo)
         run("render", container, f"--pose={POSE}", "-o", view)
         near, view = cv2.imread(str(depth), cv2.IMREAD_UNCHANGED), cv2.imread(str(view))
     near = np.uint8(255.0 * (near - near.min()) / max(int(near.max()) - int(near.min()), 1))
