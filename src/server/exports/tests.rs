@@ -74,7 +74,7 @@ fn small_files_are_bounded_by_their_number_and_counts_are_those_of_what_is_there
     // after a restart there may be less room
     let fewer = Exports::open(&store, &Limits { exports_bytes: 5 << 10, ..limits });
     assert!(fewer.known().weight <= 5 << 10);
-    assert!(fewer.bytes() < 1024);
+    assert!(fewer.bytes() < 1014 + 100, "some had to go");
 }
 
 #[test]
