@@ -52,7 +52,7 @@ fn what_was_made_counts_for_its_owner_whatever_breaks_off() {
         assert_eq!(one.end(&held_now, &of, &record, &[]).unwrap(), "done");
         assert_eq!(sizes(&one, &owner), [45]);
         assert_eq!(store.entries().len(), 2, "{:?}", store.entries());
-        one.remove(id).unwrap();
+        one.remove(id, None).unwrap();
         assert!(store.entries().is_empty() && sizes(&one, &owner).is_empty());
         return;
     }

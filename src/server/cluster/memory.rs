@@ -15,6 +15,9 @@ use crate::server::store::digest;
 /// Bytes of what was made of each photo.
 pub const MADE: u64 = 100;
 
+/// Of which that is.
+pub const ATLAS: [u8; MADE as usize] = [7; MADE as usize];
+
 /// Records and blobs with the number of their version.
 type There = BTreeMap<String, (Vec<u8>, u64)>;
 
@@ -59,7 +62,7 @@ impl Memory {
 
     /// Puts what was made of the photo `n` there, which is `atlas`.
     pub fn make(&self, n: u32, (at_ms, id): Place) {
-        self.put(&records::blob(id, &format!("{at_ms:013}-ab-{n}-ab-0"), Part::Atlas), b"atlas".to_vec()).unwrap();
+        self.put(&records::blob(id, &format!("{at_ms:013}-ab-{n}-ab-0"), Part::Atlas), ATLAS.to_vec()).unwrap();
     }
 
     /// Whether the record of a photo is there.
@@ -163,7 +166,7 @@ pub fn settings(n: u32) -> Settings {
 
 /// What was made of it.
 pub fn done(at_ms: u64) -> Done {
-    Done { at_ms: at_ms + 1, width: 4, height: 3, atlas_bytes: MADE, atlas_hash: digest(b"atlas") }
+    Done { at_ms: at_ms + 1, width: 4, height: 3, atlas_bytes: MADE, atlas_hash: digest(&ATLAS) }
 }
 
 /// Puts the records of a photo that was made into a store, as a version before did, or with its entries; gives its place.

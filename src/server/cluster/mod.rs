@@ -324,15 +324,20 @@ impl Cluster {
         self.version(id).is_some_and(|version| lock(&self.damaged).get(&id) == Some(&version))
     }
 
-    /// Removes a photo from the store: its record first, so that it is gone when this returns, whatever is left of the rest.
+    /// Removes a photo from the store: its record first, so that it is gone when this returns, whatever is left of the rest. With `at_ms` only the
+    /// upload that was accepted then, in milliseconds since 1970: false where there is none, or another.
     ///
     /// # Errors
     /// The store cannot be reached.
-    pub fn remove(&self, id: PhotoId) -> io::Result<()> {
+    pub fn remove(&self, id: PhotoId, at_ms: Option<u64>) -> io::Result<bool> {
         let known = self.look(id)?;
+        // deleted meanwhile, and perhaps uploaded again
+        if at_ms.is_some_and(|at_ms| known.as_ref().is_none_or(|known| known.photo.accepted.at_ms != at_ms)) {
+            return Ok(false);
+        }
         self.heard(self.ledger.remove(&Photo::name(id)))?;
         self.forget(id);
-        let Some(Known { photo, .. }) = known else { return Ok(()) };
+        let Some(Known { photo, .. }) = known else { return Ok(true) };
         // whoever makes it stops
         self.tell_changed(id, &photo.making);
         if let Err(error) = index::leave(&*self.ledger, (photo.accepted.at_ms, id), photo.accepted.owner.as_ref(), &[]) {
@@ -350,7 +355,7 @@ impl Cluster {
         if let Some(strokes) = photo.strokes {
             let _ = self.blobs.discard(&strokes);
         }
-        Ok(())
+        Ok(true)
     }
 
     /// Removes the blobs of makings, without those to `keep`; what cannot be removed stays behind.
