@@ -31,11 +31,22 @@ struct Inner {
     /// Changes that are still made.
     left: AtomicUsize,
     away: AtomicBool,
+    meanwhile: Meanwhile,
+}
+
+/// Begin of the names of records, and what others do while one of them is read or created.
+#[derive(Default)]
+struct Meanwhile(Mutex<Option<(&'static str, Box<dyn FnOnce() + Send>)>>);
+
+impl std::fmt::Debug for Meanwhile {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("Meanwhile")
+    }
 }
 
 impl Default for Inner {
     fn default() -> Self {
-        Self { there: Mutex::default(), left: AtomicUsize::new(usize::MAX), away: AtomicBool::new(false) }
+        Self { there: Mutex::default(), left: AtomicUsize::new(usize::MAX), away: AtomicBool::new(false), meanwhile: Meanwhile::default() }
     }
 }
 
@@ -76,6 +87,18 @@ impl Memory {
         names.into_iter().filter_map(|name| index::Listed::read(&name).map(|listed| (name, listed.place))).collect()
     }
 
+    /// Has others do `what` once, before the next record is created or while the next is read of which the name begins so.
+    pub fn meanwhile(&self, of: &'static str, what: impl FnOnce() + Send + 'static) {
+        *lock(&self.0.meanwhile.0) = Some((of, Box::new(what)));
+    }
+
+    fn others(&self, name: &str) {
+        let due = lock(&self.0.meanwhile.0).take_if(|(of, _)| name.starts_with(*of));
+        if let Some((_, what)) = due {
+            what();
+        }
+    }
+
     fn there(&self) -> io::Result<MutexGuard<'_, There>> {
         if self.0.away.load(Ordering::SeqCst) { Err(unreachable("it is away")) } else { Ok(self.0.there.lock().unwrap()) }
     }
@@ -91,6 +114,7 @@ impl Memory {
 
 impl Ledger for Memory {
     fn create(&self, name: &str, bytes: &[u8]) -> io::Result<bool> {
+        self.others(name);
         if self.there()?.contains_key(name) {
             return Ok(false);
         }
@@ -102,8 +126,9 @@ impl Ledger for Memory {
     }
 
     fn get(&self, name: &str) -> io::Result<Option<(Vec<u8>, Tag)>> {
-        let there = self.there()?;
-        Ok(there.get(name).map(|(bytes, version)| (bytes.clone(), Tag(version.to_string()))))
+        let read = self.there()?.get(name).map(|(bytes, version)| (bytes.clone(), Tag(version.to_string())));
+        self.others(name);
+        Ok(read)
     }
 
     fn swap(&self, name: &str, seen: &Tag, bytes: &[u8]) -> io::Result<Option<Tag>> {
