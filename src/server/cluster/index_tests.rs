@@ -72,6 +72,30 @@ fn of_two_results_the_one_that_counts_says_what_the_photo_takes() {
 }
 
 #[test]
+fn who_settles_late_takes_nothing_from_a_later_making() {
+    let (store, dir, owner) = (Memory::default(), tempfile::tempdir().unwrap(), Owner::of_secret("a"));
+    let one = cluster(&store, dir.path());
+    let id = accept(&one, 1, 1, &owner);
+    let (_, accepted) = accepted(1, 1, Some(&owner));
+    let (first, of, before) = held(&one, id, MADE);
+    assert_eq!(one.end(&first, &of, &before, &[]).unwrap(), "done");
+    one.look(id).unwrap().unwrap();
+    assert!(one.again(id, None).unwrap());
+    let (second, of, after) = held(&one, id, 40);
+    assert_ne!(first.making, second.making);
+    assert_eq!(one.end(&second, &of, &after, &[]).unwrap(), "done");
+    assert_eq!(sizes(&one, &owner), [45]);
+    one.settle_entries(id, &accepted, &first.making, &before);
+    assert_eq!(sizes(&one, &owner), [45], "the first woke up");
+    // it was past the look when the second came
+    for name in index::names(id, &accepted, 40) {
+        store.remove(&name).unwrap();
+    }
+    one.settle_entries(id, &accepted, &second.making, &after);
+    assert_eq!((sizes(&one, &owner), store.entries().len()), (vec![45], 2));
+}
+
+#[test]
 fn a_twin_of_another_time_leaves_no_second_place() {
     let (store, dir, owner) = (Memory::default(), tempfile::tempdir().unwrap(), Owner::of_secret("a"));
     let one = cluster(&store, dir.path());

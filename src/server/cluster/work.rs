@@ -257,7 +257,7 @@ impl Cluster {
         if !ours {
             throw_away();
         }
-        self.settle_entries(id, &photo.accepted, there.as_ref().unwrap_or(record));
+        self.settle_entries(id, &photo.accepted, &held.making, there.as_ref().unwrap_or(record));
         // what cannot be removed is removed by who finds it
         let _ = self.ledger.remove(&held.marker().name());
         if ours && let Some(before) = photo.before {
