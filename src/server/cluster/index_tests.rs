@@ -184,3 +184,15 @@ fn a_photo_that_the_index_lacks_is_told_and_entered_and_what_is_stale_goes() {
     folder.create("lists/all/what", b"{}").unwrap();
     assert_eq!(with(Remedy::Remove).unread.len(), 1, "what is nobody's is told and left alone");
 }
+
+#[test]
+fn what_is_changed_while_a_photo_is_looked_up_is_newer_than_what_was_seen() {
+    let (store, dir) = (Memory::default(), tempfile::tempdir().unwrap());
+    let one = cluster(&store, dir.path());
+    let (_, id) = put(&store, 1, 7, None, true);
+    let changed = Arc::new(Mutex::new(None));
+    let at = Arc::clone(&changed);
+    store.meanwhile(records::ENDS, move || *lock(&at) = Some(Instant::now()));
+    let looked = one.look(id).unwrap().unwrap().looked;
+    assert!(lock(&changed).is_some_and(|changed| looked <= changed));
+}

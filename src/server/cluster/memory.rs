@@ -35,8 +35,10 @@ struct Inner {
 }
 
 /// Begin of the names of records, and what others do while one of them is read or created.
+type Turn = (&'static str, Box<dyn FnOnce() + Send>);
+
 #[derive(Default)]
-struct Meanwhile(Mutex<Option<(&'static str, Box<dyn FnOnce() + Send>)>>);
+struct Meanwhile(Mutex<Option<Turn>>);
 
 impl std::fmt::Debug for Meanwhile {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
@@ -71,9 +73,16 @@ impl Memory {
         self.create(index::BUILT, b"{\"version\": 1}").unwrap();
     }
 
-    /// Puts what was made of the photo `n` there, which is `atlas`.
+    /// Puts what was made of the photo `n` there.
     pub fn make(&self, n: u32, (at_ms, id): Place) {
-        self.put(&records::blob(id, &format!("{at_ms:013}-ab-{n}-ab-0"), Part::Atlas), ATLAS.to_vec()).unwrap();
+        for part in [Part::Atlas, Part::Disparity, Part::Thumbnail, Part::Report] {
+            self.put(&records::blob(id, &format!("{at_ms:013}-ab-{n}-ab-0"), part), ATLAS.to_vec()).unwrap();
+        }
+    }
+
+    /// Loses the atlas of the photo `n`.
+    pub fn lose(&self, n: u32, (at_ms, id): Place) {
+        self.discard(&records::blob(id, &format!("{at_ms:013}-ab-{n}-ab-0"), Part::Atlas)).unwrap();
     }
 
     /// Whether the record of a photo is there.

@@ -243,7 +243,11 @@ impl Cluster {
             self.heard(self.blobs.put(&records::blob(id, of, *part), bytes.clone()))?;
         }
         let throw_away = || self.discard(id, &[of.to_owned()], &[]);
-        let Some(Known { photo, .. }) = self.look(id)?.filter(|known| known.photo.making == held.making) else {
+        let known = {
+            let _looking = self.looking(id);
+            self.look(id)?
+        };
+        let Some(Known { photo, .. }) = known.filter(|known| known.photo.making == held.making) else {
             throw_away();
             return Ok("deleted");
         };
