@@ -325,3 +325,27 @@ fn who_deletes_one_upload_leaves_a_later_one_of_the_same_photo() {
     let _held = node.refresh(id).unwrap();
     assert!(node.jobs.delete_of(id, Some(6)).unwrap() && !store.has(id));
 }
+
+#[test]
+fn an_upload_again_heals_what_the_store_has_lost_whoever_knows_of_it() {
+    let store = Memory::default();
+    store.built();
+    let place = put(&store, 1, 5, None, true);
+    store.make(1, place);
+    let node = node(&store, &Limits::default());
+    let (id, upload) = accepted(1, 5, None);
+    let again = || {
+        let incoming = node.jobs.store.begin().unwrap();
+        std::fs::write(incoming.path(Part::Upload), b"photo").unwrap();
+        let submitted = node.jobs.submit(incoming, id, upload.clone(), settings(1)).unwrap();
+        assert!(!submitted.new);
+        (submitted.healed, submitted.entry.status())
+    };
+    assert_eq!(again(), (false, Status::Done(done(5))));
+    std::fs::write(node.jobs.store.path(id, Part::Atlas), b"half").unwrap();
+    assert_eq!(again(), (false, Status::Done(done(5))), "a copy that is damaged is fetched again");
+    store.lose(1, place);
+    node.jobs.store.forget(id);
+    assert_eq!(again(), (true, Status::Queued));
+    assert_eq!(node.cluster.pending().unwrap().len(), 1);
+}
