@@ -305,13 +305,22 @@ impl Jobs {
     /// # Errors
     /// [`Problem`] 500 where the disk fails; the photo is still there then.
     pub fn delete(&self, id: PhotoId) -> Result<bool, Problem> {
+        self.delete_of(id, None)
+    }
+
+    /// The same of the upload that was accepted at `at_ms`, milliseconds since 1970, where that is given: false where another took its place.
+    ///
+    /// # Errors
+    /// As [`Jobs::delete`].
+    pub fn delete_of(&self, id: PhotoId, at_ms: Option<u64>) -> Result<bool, Problem> {
         if let Some(cluster) = &self.cluster {
             let known = self.get(id).is_some();
-            let gone = cluster.remove(id).and_then(|()| self.refresh(cluster, id));
-            return gone.map(|_| known).map_err(|e| Problem::store(&e));
+            let gone = cluster.remove(id, at_ms).and_then(|gone| self.refresh(cluster, id).map(|_| gone && known));
+            return gone.map_err(|e| Problem::store(&e));
         }
         let _membership = self.membership();
-        let Some(entry) = self.get(id) else { return Ok(false) };
+        let is_meant = |entry: &Arc<Entry>| at_ms.is_none_or(|at_ms| entry.accepted.at_ms == at_ms);
+        let Some(entry) = self.get(id).filter(is_meant) else { return Ok(false) };
         let gate = entry.gate();
         self.store.remove(id).map_err(|e| Problem::store(&e))?;
         entry.mark_deleted();

@@ -143,15 +143,16 @@ async fn once_there(app: &App, cluster: &Arc<Cluster>) -> Result<(), Problem> {
 
 /// Has those of some photos go that are to.
 async fn go(app: &App, all: &[Candidate]) -> Result<(), Problem> {
-    let bytes: BTreeMap<PhotoId, u64> = all.iter().map(|photo| (photo.id, photo.bytes)).collect();
+    let of: BTreeMap<PhotoId, (u64, u64)> = all.iter().map(|photo| (photo.id, (photo.at_ms, photo.bytes))).collect();
     let (mut count, mut freed) = (0_usize, 0);
     // in a store those that are given here are not all that take room
     let limits = Limits { retain_bytes: app.limits.retain_bytes.filter(|_| app.jobs.cluster.is_none()), ..app.limits.as_ref().clone() };
     for (id, reason) in overdue(all.to_vec(), &limits, now_ms()) {
+        let Some((at_ms, bytes)) = of.get(&id).copied() else { continue };
         let shared = Arc::clone(app);
-        if app.change(move || shared.jobs.delete(id)).await?? {
+        // what was deleted since and uploaded again is new
+        if app.change(move || shared.jobs.delete_of(id, Some(at_ms))).await?? {
             app.forget(id).await;
-            let bytes = bytes.get(&id).copied().unwrap_or_default();
             tracing::info!(%id, reason = reason.name(), bytes, "a photo has gone by itself");
             app.telemetry.retired(reason.name(), bytes);
             (count, freed) = (count + 1, freed + bytes);

@@ -203,14 +203,23 @@ impl Cluster {
         }
     }
 
-    /// Has a photo's entries say what was made of it, and no other ones stay.
-    pub(super) fn settle_entries(&self, id: PhotoId, accepted: &Accepted, end: &End) {
+    /// Has a photo's entries say what `making` made of it, and no other ones stay; where another making counts by now, nothing happens.
+    pub(super) fn settle_entries(&self, id: PhotoId, accepted: &Accepted, making: &str, end: &End) {
         let keep = names(id, accepted, made(Some(&end.outcome)));
         if keep.len() > 1
-            && let Err(error) = leave(&*self.ledger, (accepted.at_ms, id), accepted.owner.as_ref(), &keep)
+            && let Err(error) = self.settle(id, accepted, making, &keep)
         {
             tracing::warn!(%id, %error, "an entry is left behind, which counts the photo as larger than it is");
         }
+    }
+
+    fn settle(&self, id: PhotoId, accepted: &Accepted, making: &str, keep: &[String]) -> io::Result<()> {
+        if self.read_up(id)?.is_none_or(|now| now.photo.making != making) {
+            return Ok(());
+        }
+        leave(&*self.ledger, (accepted.at_ms, id), accepted.owner.as_ref(), keep)?;
+        // what another making entered meanwhile went with them; and who settled late may have removed what this one did
+        self.enter_now(id)
     }
 
     /// True once the index is known to have all photos of the store.
@@ -235,7 +244,7 @@ impl Cluster {
         let before = seen.as_ref().map(|(bytes, _)| records::read::<Building>(BUILDING, bytes)).transpose()?;
         let names = self.ledger.page(records::PHOTOS, before.as_ref().map(|before| before.after.as_str()), limit)?;
         let ids: Vec<PhotoId> = names.iter().filter_map(|name| name.strip_prefix(records::PHOTOS)?.parse().ok()).collect();
-        side_by_side(&ids, |id| self.enter_old(*id)).into_iter().collect::<io::Result<()>>()?;
+        side_by_side(&ids, |id| self.enter_now(*id)).into_iter().collect::<io::Result<()>>()?;
         let Some(last) = names.last().filter(|_| names.len() == limit) else {
             // of any number who come to the end one creates it
             self.ledger.create(BUILT, &serde_json::to_vec_pretty(&Built { version: VERSION })?)?;
@@ -251,8 +260,8 @@ impl Cluster {
         Ok(false)
     }
 
-    /// Enters a photo that may have been accepted by a version before.
-    fn enter_old(&self, id: PhotoId) -> io::Result<()> {
+    /// Enters a photo as it is in the store now: a version before may have accepted it.
+    fn enter_now(&self, id: PhotoId) -> io::Result<()> {
         match self.read_up(id) {
             Ok(Some(known)) => enter(&*self.ledger, id, &known.photo.accepted, made(known.end.as_ref().map(|end| &end.outcome))),
             Ok(None) => Ok(()),

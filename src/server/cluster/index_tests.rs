@@ -52,7 +52,7 @@ fn what_was_made_counts_for_its_owner_whatever_breaks_off() {
         assert_eq!(one.end(&held_now, &of, &record, &[]).unwrap(), "done");
         assert_eq!(sizes(&one, &owner), [45]);
         assert_eq!(store.entries().len(), 2, "{:?}", store.entries());
-        one.remove(id).unwrap();
+        one.remove(id, None).unwrap();
         assert!(store.entries().is_empty() && sizes(&one, &owner).is_empty());
         return;
     }
@@ -69,6 +69,30 @@ fn of_two_results_the_one_that_counts_says_what_the_photo_takes() {
     let other = End { outcome: Outcome::Done(Done { atlas_bytes: 999, ..done(8) }), blobs: of.clone(), ..record };
     assert_eq!(one.end(&held_now, &of, &other, &[]).unwrap(), "second");
     assert_eq!((sizes(&one, &owner), store.entries().len()), (vec![5 + MADE], 2));
+}
+
+#[test]
+fn who_settles_late_takes_nothing_from_a_later_making() {
+    let (store, dir, owner) = (Memory::default(), tempfile::tempdir().unwrap(), Owner::of_secret("a"));
+    let one = cluster(&store, dir.path());
+    let id = accept(&one, 1, 1, &owner);
+    let (_, accepted) = accepted(1, 1, Some(&owner));
+    let (first, of, before) = held(&one, id, MADE);
+    assert_eq!(one.end(&first, &of, &before, &[]).unwrap(), "done");
+    one.look(id).unwrap().unwrap();
+    assert!(one.again(id, None).unwrap());
+    let (second, of, after) = held(&one, id, 40);
+    assert_ne!(first.making, second.making);
+    assert_eq!(one.end(&second, &of, &after, &[]).unwrap(), "done");
+    assert_eq!(sizes(&one, &owner), [45]);
+    one.settle_entries(id, &accepted, &first.making, &before);
+    assert_eq!(sizes(&one, &owner), [45], "the first woke up");
+    // it was past the look when the second came
+    for name in index::names(id, &accepted, 40) {
+        store.remove(&name).unwrap();
+    }
+    one.settle_entries(id, &accepted, &second.making, &after);
+    assert_eq!((sizes(&one, &owner), store.entries().len()), (vec![45], 2));
 }
 
 #[test]
@@ -159,4 +183,16 @@ fn a_photo_that_the_index_lacks_is_told_and_entered_and_what_is_stale_goes() {
     assert_eq!(folder.all("lists/").unwrap().len(), 5);
     folder.create("lists/all/what", b"{}").unwrap();
     assert_eq!(with(Remedy::Remove).unread.len(), 1, "what is nobody's is told and left alone");
+}
+
+#[test]
+fn what_is_changed_while_a_photo_is_looked_up_is_newer_than_what_was_seen() {
+    let (store, dir) = (Memory::default(), tempfile::tempdir().unwrap());
+    let one = cluster(&store, dir.path());
+    let (_, id) = put(&store, 1, 7, None, true);
+    let changed = Arc::new(Mutex::new(None));
+    let at = Arc::clone(&changed);
+    store.meanwhile(records::ENDS, move || *lock(&at) = Some(Instant::now()));
+    let looked = one.look(id).unwrap().unwrap().looked;
+    assert!(lock(&changed).is_some_and(|changed| looked <= changed));
 }

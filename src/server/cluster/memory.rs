@@ -15,6 +15,9 @@ use crate::server::store::digest;
 /// Bytes of what was made of each photo.
 pub const MADE: u64 = 100;
 
+/// Of which that is.
+pub const ATLAS: [u8; MADE as usize] = [7; MADE as usize];
+
 /// Records and blobs with the number of their version.
 type There = BTreeMap<String, (Vec<u8>, u64)>;
 
@@ -28,11 +31,24 @@ struct Inner {
     /// Changes that are still made.
     left: AtomicUsize,
     away: AtomicBool,
+    meanwhile: Meanwhile,
+}
+
+/// Begin of the names of records, and what others do while one of them is read or created.
+type Turn = (&'static str, Box<dyn FnOnce() + Send>);
+
+#[derive(Default)]
+struct Meanwhile(Mutex<Option<Turn>>);
+
+impl std::fmt::Debug for Meanwhile {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("Meanwhile")
+    }
 }
 
 impl Default for Inner {
     fn default() -> Self {
-        Self { there: Mutex::default(), left: AtomicUsize::new(usize::MAX), away: AtomicBool::new(false) }
+        Self { there: Mutex::default(), left: AtomicUsize::new(usize::MAX), away: AtomicBool::new(false), meanwhile: Meanwhile::default() }
     }
 }
 
@@ -57,9 +73,16 @@ impl Memory {
         self.create(index::BUILT, b"{\"version\": 1}").unwrap();
     }
 
-    /// Puts what was made of the photo `n` there, which is `atlas`.
+    /// Puts what was made of the photo `n` there.
     pub fn make(&self, n: u32, (at_ms, id): Place) {
-        self.put(&records::blob(id, &format!("{at_ms:013}-ab-{n}-ab-0"), Part::Atlas), b"atlas".to_vec()).unwrap();
+        for part in [Part::Atlas, Part::Disparity, Part::Thumbnail, Part::Report] {
+            self.put(&records::blob(id, &format!("{at_ms:013}-ab-{n}-ab-0"), part), ATLAS.to_vec()).unwrap();
+        }
+    }
+
+    /// Loses the atlas of the photo `n`.
+    pub fn lose(&self, n: u32, (at_ms, id): Place) {
+        self.discard(&records::blob(id, &format!("{at_ms:013}-ab-{n}-ab-0"), Part::Atlas)).unwrap();
     }
 
     /// Whether the record of a photo is there.
@@ -71,6 +94,18 @@ impl Memory {
     pub fn entries(&self) -> Vec<(String, Place)> {
         let names = self.all(index::LISTS).unwrap();
         names.into_iter().filter_map(|name| index::Listed::read(&name).map(|listed| (name, listed.place))).collect()
+    }
+
+    /// Has others do `what` once, before the next record is created or while the next is read of which the name begins so.
+    pub fn meanwhile(&self, of: &'static str, what: impl FnOnce() + Send + 'static) {
+        *lock(&self.0.meanwhile.0) = Some((of, Box::new(what)));
+    }
+
+    fn others(&self, name: &str) {
+        let due = lock(&self.0.meanwhile.0).take_if(|(of, _)| name.starts_with(*of));
+        if let Some((_, what)) = due {
+            what();
+        }
     }
 
     fn there(&self) -> io::Result<MutexGuard<'_, There>> {
@@ -88,6 +123,7 @@ impl Memory {
 
 impl Ledger for Memory {
     fn create(&self, name: &str, bytes: &[u8]) -> io::Result<bool> {
+        self.others(name);
         if self.there()?.contains_key(name) {
             return Ok(false);
         }
@@ -99,8 +135,9 @@ impl Ledger for Memory {
     }
 
     fn get(&self, name: &str) -> io::Result<Option<(Vec<u8>, Tag)>> {
-        let there = self.there()?;
-        Ok(there.get(name).map(|(bytes, version)| (bytes.clone(), Tag(version.to_string()))))
+        let read = self.there()?.get(name).map(|(bytes, version)| (bytes.clone(), Tag(version.to_string())));
+        self.others(name);
+        Ok(read)
     }
 
     fn swap(&self, name: &str, seen: &Tag, bytes: &[u8]) -> io::Result<Option<Tag>> {
@@ -163,7 +200,7 @@ pub fn settings(n: u32) -> Settings {
 
 /// What was made of it.
 pub fn done(at_ms: u64) -> Done {
-    Done { at_ms: at_ms + 1, width: 4, height: 3, atlas_bytes: MADE, atlas_hash: digest(b"atlas") }
+    Done { at_ms: at_ms + 1, width: 4, height: 3, atlas_bytes: MADE, atlas_hash: digest(&ATLAS) }
 }
 
 /// Puts the records of a photo that was made into a store, as a version before did, or with its entries; gives its place.

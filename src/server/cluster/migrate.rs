@@ -98,7 +98,7 @@ impl Migrator {
         let id = *id;
         if self.ledger.get(&Photo::name(id))?.is_some() {
             self.migration.known += 1;
-            return Ok(());
+            return if self.dry_run { Ok(()) } else { self.enter(id) };
         }
         // by now, not by when it was accepted: what is under way is told by it from leftovers
         let making = format!("{:013}-{}-{}", now_ms(), self.node, self.next);
@@ -148,7 +148,27 @@ impl Migrator {
         let photo = Photo { version: records::VERSION, accepted, settings, source, making, before: None, strokes };
         // one that a node has accepted meanwhile stays; what was brought of it here is left over
         self.ledger.create(&Photo::name(id), &serde_json::to_vec_pretty(&photo)?)?;
-        Ok(())
+        self.enter(id)
+    }
+
+    /// Enters a photo that is there: a node that reads the list takes off what it has at a place of long ago before the photo itself.
+    fn enter(&self, id: PhotoId) -> io::Result<()> {
+        match self.enter_there(id) {
+            Err(error) if error.kind() == io::ErrorKind::InvalidData => {
+                tracing::error!(%id, %error, "left alone");
+                Ok(())
+            }
+            entered => entered,
+        }
+    }
+
+    fn enter_there(&self, id: PhotoId) -> io::Result<()> {
+        let name = Photo::name(id);
+        let Some((bytes, _)) = self.ledger.get(&name)? else { return Ok(()) };
+        let photo: Photo = records::read(&name, &bytes)?;
+        let name = records::End::name(id, &photo.making);
+        let end = self.ledger.get(&name)?.map(|(bytes, _)| records::read::<records::End>(&name, &bytes)).transpose()?;
+        index::enter(&*self.ledger, id, &photo.accepted, index::made(end.as_ref().map(|end| &end.outcome)))
     }
 
     /// Copies a file of a photo, and gives the name of its blob.
@@ -159,5 +179,40 @@ impl Migrator {
             self.blobs.put(&name, bytes)?;
         }
         Ok(name)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::memory::{self, Memory};
+    use super::*;
+    use crate::server::access::Owner;
+    use crate::server::records::State;
+    use crate::server::settings::Settings;
+
+    #[test]
+    fn what_a_reader_takes_off_the_list_meanwhile_is_entered_again() {
+        let (store, dir, owner) = (Memory::default(), tempfile::tempdir().unwrap(), Owner::of_secret("a"));
+        let (id, accepted) = memory::accepted(1, 7, Some(&owner));
+        let (from, _) = Store::open(dir.path(), "").unwrap();
+        let incoming = from.begin().unwrap();
+        std::fs::write(incoming.path(Part::Upload), b"photo").unwrap();
+        from.accept(incoming, id, &accepted).unwrap();
+        let found = Found { id, accepted, state: State::default(), settings: Settings::default() };
+        let (blobs, ledger) = (Arc::new(store.clone()), Arc::new(store.clone()));
+        let mut to = Migrator { from, blobs, ledger, node: "ab".into(), next: 0, dry_run: false, migration: Migration::default() };
+        let taken_off = {
+            let (store, owner) = (store.clone(), owner);
+            move || {
+                assert_eq!(store.entries().len(), 2, "it is entered before it is there");
+                index::leave(&store, (7, id), Some(&owner), &[]).unwrap();
+            }
+        };
+        store.meanwhile(records::PENDING, taken_off.clone());
+        to.photo(&found).unwrap();
+        assert_eq!((store.entries().len(), to.migration.brought), (2, 1));
+        taken_off();
+        to.photo(&found).unwrap();
+        assert_eq!((store.entries().len(), to.migration.known), (2, 1), "also where it was brought before");
     }
 }

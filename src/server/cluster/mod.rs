@@ -76,7 +76,8 @@ pub struct Cluster {
     known: Mutex<HashMap<PhotoId, Known>>,
     /// Versions of some of these that are damaged in the store, as this node found.
     damaged: Mutex<HashMap<PhotoId, String>>,
-    /// Held while a photo is looked up, so that nothing older is taken for newer.
+    /// Held while a photo is looked up or its record changed, so that nothing older is taken for newer. Taken after an entry's gate and before
+    /// the index's locks, and one at a time: another photo may have the same.
     looking: [Mutex<()>; LOCKS],
     /// When the store could not be reached last, until it answers.
     away: Mutex<Option<Instant>>,
@@ -153,7 +154,7 @@ impl Cluster {
         lock(&self.away).is_some()
     }
 
-    /// Reads what the store has of a photo.
+    /// Reads what the store has of a photo; with `looking` held.
     fn look(&self, id: PhotoId) -> io::Result<Option<Known>> {
         self.heard(self.look_up(id))
     }
@@ -176,6 +177,8 @@ impl Cluster {
     /// Reads what the store has of a photo, and keeps nothing of it.
     fn read_up(&self, id: PhotoId) -> io::Result<Option<Known>> {
         let name = Photo::name(id);
+        // before it is read: what is changed meanwhile may not be seen
+        let looked = Instant::now();
         let Some((bytes, tag)) = self.ledger.get(&name)? else { return Ok(None) };
         let photo: Photo = records::read(&name, &bytes)?;
         let before = self.known().get(&id).filter(|known| known.photo.making == photo.making).and_then(|known| known.end.clone());
@@ -186,7 +189,7 @@ impl Cluster {
             let name = End::name(id, &photo.making);
             self.ledger.get(&name)?.map(|(bytes, _)| records::read(&name, &bytes)).transpose()?
         };
-        Ok(Some(Known { photo, tag, end, looked: Instant::now() }))
+        Ok(Some(Known { photo, tag, end, looked }))
     }
 
     /// True where what is known of a photo need not be looked up again.
@@ -290,6 +293,7 @@ impl Cluster {
     }
 
     fn swap(&self, id: PhotoId, seen: &Tag, photo: &Photo) -> io::Result<bool> {
+        let _looking = self.looking(id);
         let swapped = self.heard(self.write_over(&Photo::name(id), seen, &serde_json::to_vec_pretty(photo)?))?;
         self.stale(id);
         Ok(swapped.is_some())
@@ -324,15 +328,22 @@ impl Cluster {
         self.version(id).is_some_and(|version| lock(&self.damaged).get(&id) == Some(&version))
     }
 
-    /// Removes a photo from the store: its record first, so that it is gone when this returns, whatever is left of the rest.
+    /// Removes a photo from the store: its record first, so that it is gone when this returns, whatever is left of the rest. With `at_ms` only the
+    /// upload that was accepted then, in milliseconds since 1970: false where there is none, or another.
     ///
     /// # Errors
     /// The store cannot be reached.
-    pub fn remove(&self, id: PhotoId) -> io::Result<()> {
+    pub fn remove(&self, id: PhotoId, at_ms: Option<u64>) -> io::Result<bool> {
+        let looking = self.looking(id);
         let known = self.look(id)?;
+        // deleted meanwhile, and perhaps uploaded again
+        if at_ms.is_some_and(|at_ms| known.as_ref().is_none_or(|known| known.photo.accepted.at_ms != at_ms)) {
+            return Ok(false);
+        }
         self.heard(self.ledger.remove(&Photo::name(id)))?;
         self.forget(id);
-        let Some(Known { photo, .. }) = known else { return Ok(()) };
+        drop(looking);
+        let Some(Known { photo, .. }) = known else { return Ok(true) };
         // whoever makes it stops
         self.tell_changed(id, &photo.making);
         if let Err(error) = index::leave(&*self.ledger, (photo.accepted.at_ms, id), photo.accepted.owner.as_ref(), &[]) {
@@ -350,7 +361,7 @@ impl Cluster {
         if let Some(strokes) = photo.strokes {
             let _ = self.blobs.discard(&strokes);
         }
-        Ok(())
+        Ok(true)
     }
 
     /// Removes the blobs of makings, without those to `keep`; what cannot be removed stays behind.

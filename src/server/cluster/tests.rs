@@ -385,7 +385,7 @@ fn a_deleted_photo_leaves_nothing_behind() {
     one.look(id).unwrap().unwrap();
     assert!(one.again(id, Some(b"strokes".to_vec())).unwrap());
     one.look(id).unwrap().unwrap();
-    one.remove(id).unwrap();
+    one.remove(id, None).unwrap();
     assert!(one.look(id).unwrap().is_none());
     for folder in [records::PHOTOS, "ends/", records::PENDING, index::LISTS, &records::blobs(id)] {
         assert_eq!(one.ledger.page(folder, None, 9).unwrap(), [""; 0], "{folder}");
@@ -458,7 +458,7 @@ fn folders_that_are_empty_for_long_go_and_come_back_when_they_are_needed() {
     let id = accepted(&one);
     let folder = dir.path().join(records::blobs(id));
     let tidied = || audit(&format!("file://{}", dir.path().display()), Duration::from_hours(24), Remedy::Remove).unwrap().folders;
-    one.remove(id).unwrap();
+    one.remove(id, None).unwrap();
     assert_eq!((tidied(), folder.is_dir()), (0, true), "it may be needed just now");
     std::fs::File::open(&folder).unwrap().set_modified(std::time::SystemTime::now() - Duration::from_hours(25)).unwrap();
     assert_eq!((tidied(), folder.is_dir()), (1, false));

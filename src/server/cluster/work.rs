@@ -243,7 +243,11 @@ impl Cluster {
             self.heard(self.blobs.put(&records::blob(id, of, *part), bytes.clone()))?;
         }
         let throw_away = || self.discard(id, &[of.to_owned()], &[]);
-        let Some(Known { photo, .. }) = self.look(id)?.filter(|known| known.photo.making == held.making) else {
+        let known = {
+            let _looking = self.looking(id);
+            self.look(id)?
+        };
+        let Some(Known { photo, .. }) = known.filter(|known| known.photo.making == held.making) else {
             throw_away();
             return Ok("deleted");
         };
@@ -257,7 +261,7 @@ impl Cluster {
         if !ours {
             throw_away();
         }
-        self.settle_entries(id, &photo.accepted, there.as_ref().unwrap_or(record));
+        self.settle_entries(id, &photo.accepted, &held.making, there.as_ref().unwrap_or(record));
         // what cannot be removed is removed by who finds it
         let _ = self.ledger.remove(&held.marker().name());
         if ours && let Some(before) = photo.before {

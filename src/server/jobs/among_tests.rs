@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use super::*;
 use crate::server::access::Owner;
 use crate::server::cluster::Place;
-use crate::server::cluster::memory::{self, MADE, Memory, accepted, done, put, settings};
+use crate::server::cluster::memory::{self, ATLAS, MADE, Memory, accepted, done, put, settings};
 use crate::server::part::Part;
 use crate::server::store::Origin;
 
@@ -178,7 +178,7 @@ fn a_crash_while_a_photo_is_accepted_or_deleted_leaves_the_lists_right() {
                 assert!(accept().unwrap());
             }
             store.end_after(steps);
-            let done = if deletes { one.remove(id).is_ok() } else { accept().is_ok_and(|new| new) };
+            let done = if deletes { one.remove(id, None).is_ok() } else { accept().is_ok_and(|new| new) };
             let whole = store.has_left();
             store.end_after(usize::MAX);
             assert!(!done || store.has(id) != deletes, "what was answered holds, after {steps} steps");
@@ -281,10 +281,10 @@ fn copies_go_of_photos_that_others_deleted_though_nobody_asks_for_them() {
     for (n, place) in (0..).zip(&places) {
         store.make(n, *place);
         let _held = node.refresh(place.1).unwrap();
-        assert_eq!(node.jobs.store.read(place.1, Part::Atlas).unwrap(), b"atlas");
+        assert_eq!(node.jobs.store.read(place.1, Part::Atlas).unwrap(), ATLAS);
     }
     let copied = || [0, 1, 2].map(|n: usize| node.jobs.store.is_copied(places[n].1));
-    memory::cluster(&store, dir.path()).remove(places[1].1).unwrap();
+    memory::cluster(&store, dir.path()).remove(places[1].1, None).unwrap();
     assert_eq!(copied(), [true; 3]);
     node.cluster.drop_copies(&node.jobs).unwrap();
     assert_eq!(copied(), [true, false, true]);
@@ -308,4 +308,44 @@ fn an_entry_in_a_wrong_place_shows_nothing_and_takes_nothing_away() {
     }
     let left: Vec<Place> = store.entries().into_iter().map(|(_, place)| place).collect();
     assert_eq!(left, [place; 3], "what never was there is removed");
+}
+
+#[test]
+fn who_deletes_one_upload_leaves_a_later_one_of_the_same_photo() {
+    let (store, dir) = (Memory::default(), tempfile::tempdir().unwrap());
+    store.built();
+    let node = node(&store, &Limits::default());
+    let (_, id) = put(&store, 1, 5, None, true);
+    let _held = node.refresh(id).unwrap();
+    let other = memory::cluster(&store, dir.path());
+    other.remove(id, None).unwrap();
+    assert!(!node.cluster.remove(id, Some(5)).unwrap(), "it is gone");
+    put(&store, 1, 6, None, true);
+    assert!(!node.jobs.delete_of(id, Some(5)).unwrap() && store.has(id));
+    let _held = node.refresh(id).unwrap();
+    assert!(node.jobs.delete_of(id, Some(6)).unwrap() && !store.has(id));
+}
+
+#[test]
+fn an_upload_again_heals_what_the_store_has_lost_whoever_knows_of_it() {
+    let store = Memory::default();
+    store.built();
+    let place = put(&store, 1, 5, None, true);
+    store.make(1, place);
+    let node = node(&store, &Limits::default());
+    let (id, upload) = accepted(1, 5, None);
+    let again = || {
+        let incoming = node.jobs.store.begin().unwrap();
+        std::fs::write(incoming.path(Part::Upload), b"photo").unwrap();
+        let submitted = node.jobs.submit(incoming, id, upload.clone(), settings(1)).unwrap();
+        assert!(!submitted.new);
+        (submitted.healed, submitted.entry.status())
+    };
+    assert_eq!(again(), (false, Status::Done(done(5))));
+    std::fs::write(node.jobs.store.path(id, Part::Atlas), b"half").unwrap();
+    assert_eq!(again(), (false, Status::Done(done(5))), "a copy that is damaged is fetched again");
+    store.lose(1, place);
+    node.jobs.store.forget(id);
+    assert_eq!(again(), (true, Status::Queued));
+    assert_eq!(node.cluster.pending().unwrap().len(), 1);
 }

@@ -7,7 +7,7 @@ use crate::server::cluster::{Cluster, Seen};
 use crate::server::entry::{Entry, Status};
 use crate::server::id::PhotoId;
 use crate::server::problem::Problem;
-use crate::server::records::{Accepted, End, Found, State};
+use crate::server::records::{Accepted, Done, End, Found, State};
 use crate::server::settings::Settings;
 use crate::server::store::{Incoming, Part};
 use crate::server::strokes::not_ready;
@@ -101,6 +101,15 @@ impl Jobs {
         self.store.forget(entry.id);
     }
 
+    /// Whether what was made of a photo is damaged in the store, of which this node may have known and forgotten it; its own copies may be, too.
+    fn is_spoilt(&self, id: PhotoId, done: &Done) -> bool {
+        let is_damaged = || self.store.damage(id, done).is_some();
+        is_damaged() && {
+            self.store.forget(id);
+            is_damaged()
+        }
+    }
+
     /// Takes an upload into the store; see [`Jobs::submit`].
     pub(super) fn submit_shared(
         &self,
@@ -112,9 +121,16 @@ impl Jobs {
     ) -> Result<Submitted, Problem> {
         let disk = |e: std::io::Error| Problem::store(&e);
         if let Some(entry) = self.refresh(cluster, id).map_err(disk)? {
-            let healed = matches!(entry.status(), Status::Damaged(_));
+            let healed = match entry.status() {
+                Status::Damaged(_) => true,
+                Status::Done(done) => self.is_spoilt(id, &done),
+                _ => false,
+            };
             if !healed && !matches!(entry.status(), Status::Failed(_)) {
                 return Ok(Submitted { entry, new: false, healed });
+            }
+            if healed {
+                tracing::error!(%id, "what was made of the photo is damaged in the store; it is made again");
             }
             self.room()?;
             cluster.heal(id, uploaded(incoming, accepted).map_err(disk)?).map_err(disk)?;
