@@ -202,7 +202,7 @@ fn looks(jobs: &Weak<Jobs>, cluster: &Cluster) {
         let Some(jobs) = jobs.upgrade() else { return };
         cluster.lapse(&jobs);
         jobs.let_go(cluster);
-        for entry in jobs.all().iter().filter(|entry| entry.is_followed() && !entry.status().is_final()) {
+        for entry in jobs.followed() {
             if !cluster.is_fresh(entry.id)
                 && let Err(error) = jobs.refresh(cluster, entry.id)
             {

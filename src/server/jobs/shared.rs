@@ -174,6 +174,12 @@ impl Jobs {
         inner.running.push(Arc::clone(entry));
     }
 
+    /// Photos that somebody follows and that have not ended; of the others none is held, so that they may go.
+    pub(in crate::server) fn followed(&self) -> Vec<Arc<Entry>> {
+        let inner = self.lock();
+        inner.by_age.values().filter(|entry| entry.is_followed() && !entry.status().is_final()).cloned().collect()
+    }
+
     /// All photos of the index.
     pub(in crate::server) fn all(&self) -> Vec<Arc<Entry>> {
         self.lock().by_age.values().cloned().collect()
