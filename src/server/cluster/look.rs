@@ -72,7 +72,7 @@ impl Cluster {
     /// The store cannot be reached.
     pub fn take_up(&self, jobs: &Jobs, pending: &[String]) -> io::Result<()> {
         let ids = pending.iter().filter_map(|name| name.strip_prefix(PENDING)?.rsplit_once('.')?.1.parse::<PhotoId>().ok());
-        let mut new: Vec<PhotoId> = ids.filter(|id| !jobs.has(*id)).collect();
+        let mut new: Vec<PhotoId> = ids.filter(|id| jobs.is_left_over(*id)).collect();
         let room = jobs.free_places().min(new.len());
         self.beyond.store(new.len() - room, Ordering::Relaxed);
         new.truncate(room);
