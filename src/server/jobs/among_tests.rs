@@ -178,6 +178,26 @@ fn no_more_photos_that_wait_are_known_than_may_wait_and_the_rest_is_counted() {
 }
 
 #[test]
+fn markers_without_a_photo_that_can_be_read_keep_no_place_from_others() {
+    let (store, dir) = (Memory::default(), tempfile::tempdir().unwrap());
+    store.built();
+    let other = memory::cluster(&store, dir.path());
+    let accept = |n| {
+        let (id, upload) = accepted(n, u64::from(n), None);
+        assert!(other.accept(id, &upload, &settings(n), vec![(Part::Upload, b"photo".to_vec())]).unwrap());
+        id
+    };
+    for n in 0..8 {
+        store.spoil(accept(n), (n % 2 == 0).then_some(b"{"));
+    }
+    let waiting: Vec<PhotoId> = (10..12).map(accept).collect();
+    let node = node(&store, &Limits { queue: 3, ..Limits::default() });
+    until("those are found that can be read", || waiting.iter().all(|id| node.jobs.has(*id)));
+    until("nothing else counts", || node.jobs.counts().queued == 2);
+    assert_eq!(node.jobs.counts().known, 2);
+}
+
+#[test]
 fn photos_that_are_asked_for_take_no_more_places_than_there_are_and_go_again() {
     let store = Memory::default();
     store.built();
