@@ -6,6 +6,8 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, TryLockError, Weak};
 use std::time::{Duration, Instant};
 
+use tokio::sync::Semaphore;
+
 use super::ports::unreachable;
 use super::records::{Marker, PENDING, Photo};
 use super::{Cluster, Known, lock, lock_of};
@@ -196,10 +198,13 @@ impl Cluster {
     }
 }
 
-/// Does something with each of many on a few threads, as a store answers slowly but many at a time; what it gives in their order.
+/// Does something with each of many on a few threads, as a store answers slowly but many at a time; what it gives in their order. Where all
+/// threads of the process that may read are at work, the caller's does it alone.
 pub fn side_by_side<T: Sync, R: Send>(all: &[T], what: impl Fn(&T) -> R + Sync) -> Vec<R> {
     /// Threads, with the caller's.
     const READERS: usize = 16;
+    /// Threads of the whole process, without the callers'.
+    static FREE: Semaphore = Semaphore::const_new(64);
     let next = AtomicUsize::new(0);
     let work = || {
         let each = std::iter::from_fn(|| {
@@ -210,7 +215,14 @@ pub fn side_by_side<T: Sync, R: Send>(all: &[T], what: impl Fn(&T) -> R + Sync) 
     };
     let mut done = std::thread::scope(|scope| {
         // where no thread can be started, those that are there do it all
-        let others = (1..READERS.min(all.len())).map_while(|_| std::thread::Builder::new().spawn_scoped(scope, work).ok());
+        let others = (1..READERS.min(all.len())).map_while(|_| {
+            let permit = FREE.try_acquire().ok()?;
+            let reader = move || {
+                let _permit = permit;
+                work()
+            };
+            std::thread::Builder::new().spawn_scoped(scope, reader).ok()
+        });
         let others: Vec<_> = others.collect();
         let mut done = work();
         for other in others {
