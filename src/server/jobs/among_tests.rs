@@ -316,6 +316,9 @@ fn a_quota_counts_all_of_an_owners_photos_however_few_are_known() {
     let taken = 60 * (5 + MADE);
     let large = of(Limits { quota_bytes: Some(taken + 9), ..Limits::default() });
     assert_eq!((refused(&large, 9), refused(&large, 10).map(|(status, _)| status)), (None, Some(403)));
+    // what is known to be too much is not counted to its end
+    let few = of(Limits { quota_photos: Some(3), ..Limits::default() });
+    assert!(few.jobs.quota(Some(&owner), 1).unwrap_err().detail.contains("at least 4 photos"));
     // the photo itself does not stand in its own way
     assert!(many.jobs.reserve(Some(&owner), accepted(3, 3, None).0, 5).is_ok());
     assert!(many.jobs.quota(Some(&Owner::of_secret("b")), 1).is_ok());
