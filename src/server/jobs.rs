@@ -294,10 +294,15 @@ impl Jobs {
         Some(entry)
     }
 
-    /// Photos that wait before this one; none where it does not wait.
+    /// Photos that wait before this one, as far as these have a place here; none where it does not wait.
     #[must_use]
     pub fn position(&self, id: PhotoId) -> Option<usize> {
-        self.lock().queue.photos().position(|e| e.id == id)
+        let inner = self.lock();
+        if inner.queue.has(id) {
+            return inner.queue.photos().position(|e| e.id == id);
+        }
+        // there was no place for it
+        inner.by_id.get(&id).is_some_and(|entry| inner.is_waiting(entry)).then(|| inner.queue.count())
     }
 
     /// Deletes a photo, whatever it is at; blocks until it is gone from disk. False where there is no such photo.
@@ -405,6 +410,11 @@ impl Inner {
     /// True where nothing is being made or written.
     fn is_at_rest(&self) -> bool {
         self.running.is_empty() && self.writing == 0
+    }
+
+    /// True where a photo waits, and no thread here makes it.
+    fn is_waiting(&self, entry: &Entry) -> bool {
+        entry.status() == Status::Queued && !self.running.iter().any(|e| e.id == entry.id)
     }
 
     /// Seconds until what waits and runs now is done.

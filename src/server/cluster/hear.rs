@@ -65,7 +65,9 @@ impl Cluster {
     /// The store cannot be reached.
     pub(super) fn hear(&self, jobs: &Jobs, note: Note) -> io::Result<()> {
         let Note { id, making, news } = note;
-        let Some(entry) = jobs.get(id) else { return Ok(()) };
+        if jobs.get(id).is_none() {
+            return Ok(());
+        }
         let runs_here = jobs.is_running(id);
         match news {
             // who only makes photos need not know of others
@@ -80,12 +82,18 @@ impl Cluster {
                     // what is known here may be of before
                     self.look_again(jobs, id)?;
                 }
-                if self.is_open(id, &making) && lock(&self.elsewhere).takes(id, &making, claim) {
+                if self.is_open(id, &making) && lock(&self.elsewhere).takes(id, &making, claim)
+                    // the look may have put another in place of what was known before
+                    && let Some(entry) = jobs.get(id)
+                {
                     jobs.made_elsewhere(&entry, stages);
                 }
             }
             News::Waiting { claim } => {
-                if self.is_open(id, &making) && lock(&self.elsewhere).takes(id, &making, claim) {
+                if self.is_open(id, &making)
+                    && lock(&self.elsewhere).takes(id, &making, claim)
+                    && let Some(entry) = jobs.get(id)
+                {
                     jobs.waits_again(&entry);
                 }
             }

@@ -12,6 +12,7 @@
 //! one of another time, the entry is passed over, and removed once no upload can be on its way any more.
 
 use std::io;
+use std::ops::ControlFlow;
 use std::sync::atomic::Ordering;
 
 use serde::{Deserialize, Serialize};
@@ -166,7 +167,7 @@ impl Cluster {
     ///
     /// # Errors
     /// The store cannot be reached.
-    pub(in crate::server) fn each_of(&self, owner: &Owner, mut each: impl FnMut(PhotoId, u64)) -> io::Result<()> {
+    pub(in crate::server) fn each_of(&self, owner: &Owner, mut each: impl FnMut(PhotoId, u64) -> ControlFlow<()>) -> io::Result<()> {
         let Some(folder) = folder_of(owner) else { return Ok(()) };
         let (mut after, mut last) = (None::<String>, None::<Listed>);
         loop {
@@ -176,15 +177,18 @@ impl Cluster {
                     // what was made again, and not all of it is removed yet
                     Some(listed) if listed.place == next.place => listed.bytes = listed.bytes.max(next.bytes),
                     _ => {
-                        if let Some(listed) = last.replace(next) {
-                            each(listed.place.1, listed.bytes);
+                        if let Some(listed) = last.replace(next)
+                            && each(listed.place.1, listed.bytes).is_break()
+                        {
+                            return Ok(());
                         }
                     }
                 }
             }
             if names.len() < PAGE {
                 if let Some(listed) = last {
-                    each(listed.place.1, listed.bytes);
+                    // nothing follows
+                    let _ = each(listed.place.1, listed.bytes);
                 }
                 return Ok(());
             }

@@ -1,3 +1,5 @@
+use std::ops::ControlFlow;
+
 use super::memory::{MADE, Memory, accepted, cluster, done, put};
 use super::*;
 use crate::server::access::Owner;
@@ -6,7 +8,11 @@ use crate::server::records::{Done, End as Outcome};
 /// Bytes that count for an owner, photo by photo.
 fn sizes(cluster: &Cluster, owner: &Owner) -> Vec<u64> {
     let mut sizes = Vec::new();
-    cluster.each_of(owner, |_, bytes| sizes.push(bytes)).unwrap();
+    let each = |_, bytes| {
+        sizes.push(bytes);
+        ControlFlow::Continue(())
+    };
+    cluster.each_of(owner, each).unwrap();
     sizes
 }
 

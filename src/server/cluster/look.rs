@@ -1,10 +1,12 @@
 //! The index of a node follows the store, by looking: the photos that are asked for, and those that wait.
 
-use std::collections::HashSet;
+use std::collections::{HashMap, HashSet};
 use std::io;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, TryLockError, Weak};
 use std::time::{Duration, Instant};
+
+use tokio::sync::Semaphore;
 
 use super::ports::unreachable;
 use super::records::{Marker, PENDING, Photo};
@@ -20,6 +22,35 @@ use crate::server::store::{Origin as _, Store};
 const COPIES: Duration = Duration::from_mins(10);
 /// Pause between two looks at what is to be done.
 const TICK: Duration = Duration::from_millis(500);
+
+/// Pause until a marker that led to nothing is followed again, doubled each time up to its longest: its photo may be on its way.
+const REST: Duration = Duration::from_millis(500);
+const MOST_REST: Duration = Duration::from_mins(1);
+/// As many of these are remembered; what is beyond is followed at each look.
+const MOST_BARREN: usize = 1 << 16;
+
+/// Markers without a photo that can be read, by name, with the time until when they rest and for how long: they are the oldest, and would be
+/// followed first at each look.
+#[derive(Debug, Default)]
+pub struct Barren(HashMap<String, (Instant, Duration)>);
+
+impl Barren {
+    /// Forgets those that are gone from `pending`, which is sorted.
+    fn keep(&mut self, pending: &[String]) {
+        self.0.retain(|name, _| pending.binary_search(name).is_ok());
+    }
+
+    fn rests(&self, name: &str) -> bool {
+        self.0.get(name).is_some_and(|(until, _)| Instant::now() < *until)
+    }
+
+    fn add(&mut self, name: &str) {
+        let pause = self.0.get(name).map_or(REST, |(_, pause)| (*pause * 2).min(MOST_REST));
+        if self.0.len() < MOST_BARREN || self.0.contains_key(name) {
+            self.0.insert(name.to_owned(), (Instant::now() + pause, pause));
+        }
+    }
+}
 
 /// What the store says of a photo.
 pub struct Seen {
@@ -71,12 +102,28 @@ impl Cluster {
     /// # Errors
     /// The store cannot be reached.
     pub fn take_up(&self, jobs: &Jobs, pending: &[String]) -> io::Result<()> {
-        let ids = pending.iter().filter_map(|name| name.strip_prefix(PENDING)?.rsplit_once('.')?.1.parse::<PhotoId>().ok());
-        let mut new: Vec<PhotoId> = ids.filter(|id| !jobs.has(*id)).collect();
-        let room = jobs.free_places().min(new.len());
-        self.beyond.store(new.len() - room, Ordering::Relaxed);
-        new.truncate(room);
-        side_by_side(&new, |id| self.refreshed(jobs, *id)).into_iter().collect()
+        let id_of = |name: &str| name.strip_prefix(PENDING)?.rsplit_once('.')?.1.parse::<PhotoId>().ok();
+        let new: Vec<(&String, PhotoId)> = {
+            let mut barren = lock(&self.barren);
+            barren.keep(pending);
+            let ids = pending.iter().filter(|name| !barren.rests(name)).filter_map(|name| Some((name, id_of(name)?)));
+            ids.filter(|(_, id)| jobs.is_left_over(*id)).collect()
+        };
+        let mut rest = new.as_slice();
+        // what led to nothing has taken no place
+        loop {
+            let (part, behind) = rest.split_at(jobs.free_places().min(rest.len()));
+            self.beyond.store(behind.len(), Ordering::Relaxed);
+            if part.is_empty() {
+                return Ok(());
+            }
+            for ((name, _), is_there) in part.iter().zip(side_by_side(part, |(_, id)| self.refreshed(jobs, *id))) {
+                if !is_there? {
+                    lock(&self.barren).add(name);
+                }
+            }
+            rest = behind;
+        }
     }
 
     /// Has copies of photos go that were deleted by others, of which this node may not have heard: nobody may have asked for them since.
@@ -86,7 +133,7 @@ impl Cluster {
     pub fn drop_copies(&self, jobs: &Jobs) -> io::Result<()> {
         let look = |id: &PhotoId| match self.heard(self.ledger.get(&Photo::name(*id)))? {
             Some(_) => Ok(()),
-            None => self.refreshed(jobs, *id),
+            None => self.refreshed(jobs, *id).map(drop),
         };
         side_by_side(&jobs.store.copied(), look).into_iter().collect()
     }
@@ -139,22 +186,25 @@ impl Cluster {
         Ok(())
     }
 
-    /// Looks a photo up for the index. A record that cannot be understood is told and left alone.
-    fn refreshed(&self, jobs: &Jobs, id: PhotoId) -> io::Result<()> {
+    /// Looks a photo up for the index; false where there is none. A record that cannot be understood is told and left alone.
+    fn refreshed(&self, jobs: &Jobs, id: PhotoId) -> io::Result<bool> {
         match jobs.refresh(self, id) {
             Err(error) if error.kind() == io::ErrorKind::InvalidData => {
                 tracing::error!(%id, %error, "left alone");
-                Ok(())
+                Ok(false)
             }
-            other => other.map(drop),
+            other => other.map(|entry| entry.is_some()),
         }
     }
 }
 
-/// Does something with each of many on a few threads, as a store answers slowly but many at a time; what it gives in their order.
+/// Does something with each of many on a few threads, as a store answers slowly but many at a time; what it gives in their order. Where all
+/// threads of the process that may read are at work, the caller's does it alone.
 pub fn side_by_side<T: Sync, R: Send>(all: &[T], what: impl Fn(&T) -> R + Sync) -> Vec<R> {
     /// Threads, with the caller's.
     const READERS: usize = 16;
+    /// Threads of the whole process, without the callers'.
+    static FREE: Semaphore = Semaphore::const_new(64);
     let next = AtomicUsize::new(0);
     let work = || {
         let each = std::iter::from_fn(|| {
@@ -165,7 +215,14 @@ pub fn side_by_side<T: Sync, R: Send>(all: &[T], what: impl Fn(&T) -> R + Sync) 
     };
     let mut done = std::thread::scope(|scope| {
         // where no thread can be started, those that are there do it all
-        let others = (1..READERS.min(all.len())).map_while(|_| std::thread::Builder::new().spawn_scoped(scope, work).ok());
+        let others = (1..READERS.min(all.len())).map_while(|_| {
+            let permit = FREE.try_acquire().ok()?;
+            let reader = move || {
+                let _permit = permit;
+                work()
+            };
+            std::thread::Builder::new().spawn_scoped(scope, reader).ok()
+        });
         let others: Vec<_> = others.collect();
         let mut done = work();
         for other in others {
@@ -202,7 +259,7 @@ fn looks(jobs: &Weak<Jobs>, cluster: &Cluster) {
         let Some(jobs) = jobs.upgrade() else { return };
         cluster.lapse(&jobs);
         jobs.let_go(cluster);
-        for entry in jobs.all().iter().filter(|entry| entry.is_followed() && !entry.status().is_final()) {
+        for entry in jobs.followed() {
             if !cluster.is_fresh(entry.id)
                 && let Err(error) = jobs.refresh(cluster, entry.id)
             {

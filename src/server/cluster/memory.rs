@@ -85,6 +85,14 @@ impl Memory {
         self.discard(&records::blob(id, &format!("{at_ms:013}-ab-{n}-ab-0"), Part::Atlas)).unwrap();
     }
 
+    /// Puts something in place of the record of a photo, or takes that away.
+    pub fn spoil(&self, id: PhotoId, record: Option<&[u8]>) {
+        match record {
+            Some(record) => self.put(&Photo::name(id), record.to_vec()).unwrap(),
+            None => Ledger::remove(self, &Photo::name(id)).unwrap(),
+        }
+    }
+
     /// Whether the record of a photo is there.
     pub fn has(&self, id: PhotoId) -> bool {
         self.get(&Photo::name(id)).unwrap().is_some()

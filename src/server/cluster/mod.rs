@@ -90,6 +90,8 @@ pub struct Cluster {
     cursor: Mutex<String>,
     /// Makings of which no marker was seen.
     unmarked: Mutex<HashSet<(PhotoId, String)>>,
+    /// Markers without a photo that can be read.
+    barren: Mutex<look::Barren>,
     elsewhere: Mutex<Elsewhere>,
     makes: bool,
     serves: bool,

@@ -90,6 +90,7 @@ impl Cluster {
             sightings: Mutex::default(),
             cursor: Mutex::default(),
             unmarked: Mutex::new(HashSet::new()),
+            barren: Mutex::default(),
             elsewhere: Mutex::default(),
             makes,
             serves: sharing.role != Role::Work,

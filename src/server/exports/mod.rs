@@ -71,6 +71,8 @@ pub struct Ordered {
     gave_way: AtomicU32,
     /// A place among those that wait.
     share: Mutex<Option<Share>>,
+    /// The photo until this has ended, so that it stays in the index for as long.
+    entry: Mutex<Option<Arc<Entry>>>,
 }
 
 impl Ordered {
@@ -87,6 +89,7 @@ impl Ordered {
             used_ms: AtomicU64::new(now_ms()),
             gave_way: AtomicU32::new(0),
             share: Mutex::default(),
+            entry: Mutex::default(),
         }
     }
 
@@ -106,6 +109,11 @@ impl Ordered {
         self.standing.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
+    /// The photo, until this has ended.
+    fn entry(&self) -> Option<Arc<Entry>> {
+        self.entry.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
     fn name(&self) -> (PhotoId, String) {
         (self.photo, self.key.clone())
     }
@@ -114,6 +122,9 @@ impl Ordered {
     fn set(&self, standing: Standing) {
         if standing != Standing::Queued {
             drop(self.share.lock().unwrap_or_else(PoisonError::into_inner).take());
+        }
+        if matches!(standing, Standing::Done(_) | Standing::Failed(_)) {
+            drop(self.entry.lock().unwrap_or_else(PoisonError::into_inner).take());
         }
         if matches!(standing, Standing::Failed(_)) {
             self.used_ms.store(now_ms(), Ordering::Relaxed);
@@ -242,7 +253,7 @@ impl Jobs {
     ///
     /// # Errors
     /// 503 where as many wait as may, or half of them are of who asks, or the server stops.
-    pub fn order(&self, entry: &Entry, done: &Done, results: &str, recipe: &Recipe) -> Result<(Arc<Ordered>, bool), Problem> {
+    pub fn order(&self, entry: &Arc<Entry>, done: &Done, results: &str, recipe: &Recipe) -> Result<(Arc<Ordered>, bool), Problem> {
         let text = recipe.text();
         let key = identity::short(&format!("file {results} {text}"));
         let mut known = self.exports.known();
@@ -260,6 +271,7 @@ impl Jobs {
         let Some(share) = self.exports.shares.take(asker()) else { return busy("half of the places to wait are of your address already") };
         let file = Arc::new(Ordered::new(entry.id, &name.1, (&text, results, done.at_ms), Standing::Queued));
         *file.share.lock().unwrap_or_else(PoisonError::into_inner) = Some(share);
+        *file.entry.lock().unwrap_or_else(PoisonError::into_inner) = Some(Arc::clone(entry));
         known.insert(Arc::clone(&file));
         drop(known);
         self.push_file(&file);

@@ -93,11 +93,11 @@ type Turn<'a> = (&'a (dyn Fn() + Sync), &'a (dyn Fn() -> bool + Sync), Way);
 
 fn wanted(jobs: &Jobs, file: &Ordered, renderer: &Arc<dyn Renderer>, (began, yields, memory): Turn<'_>) -> Result<Vec<u8>, Problem> {
     let gone = || Problem::not_found("the photo was deleted, or is made again");
-    let entry = jobs.get(file.photo).ok_or_else(gone)?;
+    let entry = file.entry().ok_or_else(gone)?;
     let Status::Done(done) = entry.status() else { return Err(gone()) };
     let recipe = Recipe::parse(&file.recipe, &jobs.limits)?;
     let container = jobs.store.read(file.photo, Part::Atlas).map_err(|e| match lost(Part::Atlas, &e) {
-        Some(_) if jobs.get(file.photo).is_none() => gone(),
+        Some(_) if entry.is_deleted() || jobs.get(file.photo).is_none() => gone(),
         Some(damage) => Problem::new(StatusCode::INTERNAL_SERVER_ERROR, "damaged", damage),
         None => Problem::store(&e),
     })?;

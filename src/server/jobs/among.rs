@@ -71,28 +71,35 @@ impl Jobs {
     /// The store cannot be reached.
     pub(in crate::server) fn part(&self, cluster: &Cluster, owner: Option<&Owner>, after: Option<Place>, limit: usize) -> io::Result<Read> {
         let (listed, last) = cluster.listed(owner, after, limit)?;
-        let looked = side_by_side(&listed, |listed| self.at(cluster, owner, listed.place));
-        let looked = listed.iter().zip(looked).map(|(listed, entry)| Ok((listed.place, entry?)));
-        Ok((looked.collect::<io::Result<_>>()?, last))
+        let fresh: Vec<_> = listed.iter().map(|listed| self.fresh_at(cluster, listed.place)).collect();
+        let others: Vec<Place> = listed.iter().zip(&fresh).filter(|(_, entry)| entry.is_none()).map(|(listed, _)| listed.place).collect();
+        let mut looked = side_by_side(&others, |place| self.at(cluster, owner, *place)).into_iter();
+        let is_theirs = |entry: &Arc<Entry>| owner.is_none_or(|_| entry.accepted.owner.as_ref() == owner);
+        let read = listed.iter().zip(fresh).map(|(listed, fresh)| {
+            // each that is not fresh was looked up, in this order
+            let there = fresh.map_or_else(|| looked.next().unwrap_or(Ok(None)), |entry| Ok(Some(entry)))?;
+            Ok((listed.place, there.filter(is_theirs)))
+        });
+        Ok((read.collect::<io::Result<_>>()?, last))
     }
 
-    /// The photo at a place of the list of all, or of `owner`'s.
+    /// The photo at a place, where that is known here and need not be looked up.
+    fn fresh_at(&self, cluster: &Cluster, place: Place) -> Option<Arc<Entry>> {
+        self.get(place.1).filter(|entry| stem(entry.key()) == stem(place) && cluster.is_fresh(entry.id))
+    }
+
+    /// Looks up the photo at a place of the list of all, or of `owner`'s.
     fn at(&self, cluster: &Cluster, owner: Option<&Owner>, place: Place) -> io::Result<Option<Arc<Entry>>> {
-        let is_here = |entry: &Arc<Entry>| stem(entry.key()) == stem(place);
-        let known = self.get(place.1).filter(|entry| is_here(entry) && cluster.is_fresh(entry.id));
-        let there = match known {
-            Some(entry) => Some(entry),
-            None => match self.refresh(cluster, place.1) {
-                // it is told wherever somebody asks for it, and hides no others
-                Err(error) if error.kind() == io::ErrorKind::InvalidData => return Ok(None),
-                // one that was deleted and uploaded again is elsewhere
-                there => there?.filter(is_here),
-            },
+        let there = match self.refresh(cluster, place.1) {
+            // it is told wherever somebody asks for it, and hides no others
+            Err(error) if error.kind() == io::ErrorKind::InvalidData => return Ok(None),
+            // one that was deleted and uploaded again is elsewhere
+            there => there?.filter(|entry| stem(entry.key()) == stem(place)),
         };
         if there.is_none() {
             cluster.left(owner, place);
         }
-        Ok(there.filter(|entry| owner.is_none_or(|_| entry.accepted.owner.as_ref() == owner)))
+        Ok(there)
     }
 
     /// The photos that are known here behind `after`, in the order of the store's index.

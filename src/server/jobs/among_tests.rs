@@ -137,6 +137,32 @@ fn what_waits_or_is_followed_or_in_use_stays() {
 }
 
 #[test]
+fn a_photo_stays_until_a_file_of_it_that_was_ordered_has_ended() {
+    let store = Memory::default();
+    store.built();
+    let node = node(&store, &Limits { known_photos: 8, ..Limits::default() });
+    let places: Vec<Place> = (0..40).map(|n| put(&store, n, u64::from(n), None, true)).collect();
+    let id = places[0].1;
+    let recipe = crate::server::exports::Recipe::parse("format=zip", &node.jobs.limits).unwrap();
+    let (file, new) = node.jobs.order(&node.refresh(id).unwrap(), &done(places[0].0), "results", &recipe).unwrap();
+    assert!(new);
+    let read = || {
+        for (_, id) in &places[1..] {
+            assert!(node.refresh(*id).is_some());
+        }
+        until("the others go", || node.known() <= 8 + 1);
+    };
+    read();
+    assert!(node.jobs.has(id));
+    node.jobs.forget_file(&file);
+    drop(file);
+    until("it goes as well", || {
+        read();
+        !node.jobs.has(id)
+    });
+}
+
+#[test]
 fn no_more_photos_that_wait_are_known_than_may_wait_and_the_rest_is_counted() {
     let store = Memory::default();
     store.built();
@@ -149,6 +175,54 @@ fn no_more_photos_that_wait_are_known_than_may_wait_and_the_rest_is_counted() {
     let node = node(&store, &Limits { queue: 10, ..Limits::default() });
     until("all that wait are counted", || node.jobs.counts().queued == 30);
     assert!(node.jobs.counts().known == 10 && node.jobs.free_places() == 0);
+}
+
+#[test]
+fn markers_without_a_photo_that_can_be_read_keep_no_place_from_others() {
+    let (store, dir) = (Memory::default(), tempfile::tempdir().unwrap());
+    store.built();
+    let other = memory::cluster(&store, dir.path());
+    let accept = |n| {
+        let (id, upload) = accepted(n, u64::from(n), None);
+        assert!(other.accept(id, &upload, &settings(n), vec![(Part::Upload, b"photo".to_vec())]).unwrap());
+        id
+    };
+    for n in 0..8 {
+        store.spoil(accept(n), (n % 2 == 0).then_some(b"{"));
+    }
+    let waiting: Vec<PhotoId> = (10..12).map(accept).collect();
+    let node = node(&store, &Limits { queue: 3, ..Limits::default() });
+    until("those are found that can be read", || waiting.iter().all(|id| node.jobs.has(*id)));
+    until("nothing else counts", || node.jobs.counts().queued == 2);
+    assert_eq!(node.jobs.counts().known, 2);
+}
+
+#[test]
+fn photos_that_are_asked_for_take_no_more_places_than_there_are_and_go_again() {
+    let store = Memory::default();
+    store.built();
+    let dir = tempfile::tempdir().unwrap();
+    let other = memory::cluster(&store, dir.path());
+    let ids: Vec<PhotoId> = (0..30)
+        .map(|n| {
+            let (id, upload) = accepted(n, u64::from(n), None);
+            assert!(other.accept(id, &upload, &settings(n), vec![(Part::Upload, b"photo".to_vec())]).unwrap());
+            id
+        })
+        .collect();
+    let node = node(&store, &Limits { queue: 2, known_photos: 4, ..Limits::default() });
+    let mut places = HashSet::new();
+    for id in &ids {
+        let entry = node.refresh(*id).unwrap();
+        assert_eq!(entry.status(), Status::Queued);
+        assert!(node.jobs.waiting()[0].1 <= 2);
+        places.insert(node.jobs.position(*id));
+    }
+    // who has no place waits behind those that have one
+    assert!(places.contains(&Some(2)) && !places.contains(&None), "{places:?}");
+    until("those go that have no place", || node.known() <= 4);
+    until("all that wait are counted", || node.jobs.counts().queued == 30);
+    assert_eq!(node.jobs.waiting()[0].1, 2);
 }
 
 /// Whether the lists are as the records say, and all entries that are left are of photos that are there.
@@ -242,6 +316,9 @@ fn a_quota_counts_all_of_an_owners_photos_however_few_are_known() {
     let taken = 60 * (5 + MADE);
     let large = of(Limits { quota_bytes: Some(taken + 9), ..Limits::default() });
     assert_eq!((refused(&large, 9), refused(&large, 10).map(|(status, _)| status)), (None, Some(403)));
+    // what is known to be too much is not counted to its end
+    let few = of(Limits { quota_photos: Some(3), ..Limits::default() });
+    assert!(few.jobs.quota(Some(&owner), 1).unwrap_err().detail.contains("at least 4 photos"));
     // the photo itself does not stand in its own way
     assert!(many.jobs.reserve(Some(&owner), accepted(3, 3, None).0, 5).is_ok());
     assert!(many.jobs.quota(Some(&Owner::of_secret("b")), 1).is_ok());

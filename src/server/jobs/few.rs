@@ -5,7 +5,7 @@ use std::sync::atomic::Ordering;
 
 use super::Jobs;
 use crate::server::cluster::Cluster;
-use crate::server::entry::Entry;
+use crate::server::entry::{Entry, Status};
 use crate::server::id::PhotoId;
 
 /// Part of those that may be kept which goes at a time, so that they are not looked through for each.
@@ -13,8 +13,15 @@ const PART: usize = 16;
 
 impl Jobs {
     /// True where the index has a photo; that is not to ask for it.
+    #[cfg(test)]
     pub(in crate::server) fn has(&self, id: PhotoId) -> bool {
         self.lock().by_id.contains_key(&id)
+    }
+
+    /// True where a photo may wait that is not among those that do: it is not known here, or there was no place for it.
+    pub(in crate::server) fn is_left_over(&self, id: PhotoId) -> bool {
+        let inner = self.lock();
+        inner.by_id.get(&id).is_none_or(|entry| inner.is_waiting(entry) && !inner.queue.has(id))
     }
 
     /// Somebody asks for a photo.
@@ -23,7 +30,7 @@ impl Jobs {
     }
 
     /// Where there are more than [`crate::server::Limits::known_photos`], lets go of those that were asked for least recently. Those stay that wait
-    /// or are made, that somebody follows, and that a request has in its hands: of whatever is done with them all see the same.
+    /// in a place here or are made, that somebody follows, and that a request has in its hands: of whatever is done with them all see the same.
     pub(in crate::server) fn let_go(&self, cluster: &Cluster) {
         for id in self.idle_beyond(self.limits.known_photos) {
             cluster.let_go(id, || self.drop_idle(id));
@@ -60,8 +67,10 @@ impl Jobs {
     }
 }
 
-/// True for a photo that has ended and that nobody but the index has, with the lock on that held: nobody gets at it meanwhile.
+/// True for a photo that has ended or waits, and that nobody but the index has, the queue and the threads neither, with the lock on that held:
+/// nobody gets at it meanwhile.
 fn is_idle(entry: &Arc<Entry>) -> bool {
     let of_index = 2 + usize::from(entry.accepted.owner.is_some());
-    Arc::strong_count(entry) == of_index && !entry.is_followed() && entry.status().is_final()
+    let may_go = |status: &Status| status.is_final() || *status == Status::Queued;
+    Arc::strong_count(entry) == of_index && !entry.is_followed() && may_go(&entry.status())
 }

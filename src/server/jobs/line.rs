@@ -4,7 +4,7 @@
 //! fourth time in a row it is the next lower one's turn –, and what nobody waits for at the moment, files and batches, only while nothing of a
 //! higher class waits, whoever begins that: unless three such were begun meanwhile, or it has waited for [`HOLD`].
 
-use std::collections::VecDeque;
+use std::collections::{HashMap, VecDeque};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -100,6 +100,8 @@ struct Waits {
 #[derive(Default)]
 pub struct Line {
     waits: [Waits; 3],
+    /// How often a photo is among those, so that nobody looks through them for one.
+    photos: HashMap<PhotoId, usize>,
 }
 
 impl Line {
@@ -109,6 +111,9 @@ impl Line {
 
     /// Puts a job behind those of its class.
     pub fn push(&mut self, class: Class, job: Job) {
+        if let Job::Photo(entry) = &job {
+            *self.photos.entry(entry.id).or_default() += 1;
+        }
         self.of(class).jobs.push_back((Instant::now(), job));
     }
 
@@ -130,12 +135,31 @@ impl Line {
             }
         }
         let Some((_, job)) = self.of(class).jobs.pop_front() else { return Next::Nothing };
+        if let Job::Photo(entry) = &job {
+            self.is_out(entry.id);
+        }
         self.of(class).passed = 0;
         for lower in Class::ALL.into_iter().filter(|lower| *lower > class) {
             let lower = self.of(lower);
             lower.passed = if lower.jobs.is_empty() { 0 } else { lower.passed + 1 };
         }
         Next::Job(job)
+    }
+
+    /// One of a photo was taken out.
+    fn is_out(&mut self, id: PhotoId) {
+        if let Some(times) = self.photos.get_mut(&id) {
+            *times -= 1;
+            if *times == 0 {
+                self.photos.remove(&id);
+            }
+        }
+    }
+
+    /// True where a photo waits.
+    #[must_use]
+    pub fn has(&self, id: PhotoId) -> bool {
+        self.photos.contains_key(&id)
     }
 
     /// Photos that wait, the most urgent class first.
@@ -163,6 +187,9 @@ impl Line {
 
     /// Takes a photo out.
     pub fn remove_photo(&mut self, id: PhotoId) {
+        if self.photos.remove(&id).is_none() {
+            return;
+        }
         for waits in &mut self.waits {
             waits.jobs.retain(|(_, job)| !matches!(job, Job::Photo(entry) if entry.id == id));
         }
@@ -255,5 +282,26 @@ mod tests {
         line.remove_photo(first.id);
         assert_eq!((line.count(), line.photos().any(|e| e.id == first.id)), (1, false));
         assert_eq!(line.waiting(), [("interactive", 1), ("export", 0), ("batch", 0)]);
+    }
+
+    #[test]
+    fn it_is_known_of_a_photo_whether_it_waits_however_often_it_does() {
+        let mut line = line([2, 0, 1]);
+        let ids: Vec<PhotoId> = line.photos().map(|e| e.id).collect();
+        // as one that was made again before its thread let it go
+        let twice = Arc::clone(line.photos().next().unwrap());
+        line.push_photo(&twice);
+        line.remove_file(&Arc::new(Ordered::for_tests("other")));
+        let mut left = line.count();
+        while left > 0 {
+            assert!(ids.iter().all(|id| line.has(*id) == line.photos().any(|e| e.id == *id)), "{left}");
+            assert_ne!(taken(&mut line, Hand::Maker, Instant::now()), '.');
+            left -= 1;
+        }
+        assert!(!ids.iter().any(|id| line.has(*id)));
+        line.push_photo(&twice);
+        line.push_photo(&twice);
+        line.remove_photo(twice.id);
+        assert!(!line.has(twice.id) && line.count() == 0);
     }
 }

@@ -1,6 +1,7 @@
 //! How much one owner may have.
 
 use std::collections::HashMap;
+use std::ops::ControlFlow;
 
 use axum::http::StatusCode;
 
@@ -93,10 +94,10 @@ impl Jobs {
         let there = inner.by_owner.get(owner).into_iter().flat_map(|all| all.values()).map(|entry| (entry.id, entry.bytes()));
         // each once, as it is in the index where it is there
         let theirs: HashMap<PhotoId, u64> = coming.chain(there).filter(|(of, _)| id != Some(*of)).collect();
-        self.beside(theirs.len(), theirs.values().sum(), bytes)
+        self.beside("", theirs.len(), theirs.values().sum(), bytes)
     }
 
-    /// The same of what the store's index says, beside what was `coming` before that is read.
+    /// The same of what the store's index says, beside what was `coming` before that is read; no further than it is known to be too much.
     fn fits_there(
         &self,
         cluster: &Cluster,
@@ -105,29 +106,35 @@ impl Jobs {
         bytes: u64,
         mut coming: HashMap<PhotoId, u64>,
     ) -> Result<(), Problem> {
-        let (mut photos, mut taken) = (0, 0_u64);
-        let count = |of: PhotoId, bytes: u64| {
+        let (mut photos, mut taken, mut is_whole) = (0, 0_u64, true);
+        let count = |of: PhotoId, size: u64| {
             coming.remove(&of);
             if id != Some(of) {
                 photos += 1;
-                taken = taken.saturating_add(bytes);
+                taken = taken.saturating_add(size);
             }
+            let too_many = self.limits.quota_photos.is_some_and(|most| photos > most);
+            is_whole = !too_many && self.limits.quota_bytes.is_none_or(|most| taken.saturating_add(bytes) <= most);
+            if is_whole { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
         };
         cluster.each_of(owner, count).map_err(|e| Problem::store(&e))?;
+        if !is_whole {
+            return self.beside("at least ", photos, taken, bytes);
+        }
         let coming = coming.iter().filter(|(of, _)| id != Some(**of));
         let (photos, taken) = coming.fold((photos, taken), |(photos, taken), (_, bytes)| (photos + 1, taken.saturating_add(*bytes)));
-        self.beside(photos, taken, bytes)
+        self.beside("", photos, taken, bytes)
     }
 
-    /// Refuses a photo that is too much beside so many, which take so many bytes.
-    fn beside(&self, photos: usize, taken: u64, bytes: u64) -> Result<(), Problem> {
+    /// Refuses a photo that is too much beside so many, which take so many bytes, both said with `about` before them.
+    fn beside(&self, about: &str, photos: usize, taken: u64, bytes: u64) -> Result<(), Problem> {
         let refused = |detail: String| Err(Problem::new(StatusCode::FORBIDDEN, "quota", detail));
         match (self.limits.quota_photos, self.limits.quota_bytes) {
             (Some(most), _) if photos >= most => refused(format!(
-                "you have {photos} photos, and {most} is the limit (--quota-photos): delete one, and there is room for another"
+                "you have {about}{photos} photos, and {most} is the limit (--quota-photos): delete one, and there is room for another"
             )),
             (_, Some(most)) if taken.saturating_add(bytes) > most => refused(format!(
-                "your photos take {taken} bytes, this one {bytes}, and {most} is the limit (--quota-mib): delete some, and there is room"
+                "your photos take {about}{taken} bytes, this one {bytes}, and {most} is the limit (--quota-mib): delete some, and there is room"
             )),
             _ => Ok(()),
         }

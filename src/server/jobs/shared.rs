@@ -57,14 +57,14 @@ impl Jobs {
         Some(entry)
     }
 
-    /// Has a photo among those that wait where it waits.
+    /// Has a photo among those that wait where it waits and there is a place; beyond these it is the store that has it, and a look at what is
+    /// pending takes it up later.
     fn line_up(&self, entry: &Arc<Entry>) {
         let mut inner = self.lock();
-        let waits = entry.status() == Status::Queued && !inner.running.iter().any(|e| e.id == entry.id);
-        let stands = inner.queue.photos().any(|e| e.id == entry.id);
-        match stands {
+        let waits = inner.is_waiting(entry);
+        match inner.queue.has(entry.id) {
             true if !waits => inner.queue.remove_photo(entry.id),
-            false if waits => inner.queue.push_photo(entry),
+            false if waits && inner.queue.count() < self.limits.queue => inner.queue.push_photo(entry),
             _ => {}
         }
     }
@@ -188,6 +188,12 @@ impl Jobs {
         let mut inner = self.lock();
         inner.queue.remove_photo(entry.id);
         inner.running.push(Arc::clone(entry));
+    }
+
+    /// Photos that somebody follows and that have not ended; of the others none is held, so that they may go.
+    pub(in crate::server) fn followed(&self) -> Vec<Arc<Entry>> {
+        let inner = self.lock();
+        inner.by_age.values().filter(|entry| entry.is_followed() && !entry.status().is_final()).cloned().collect()
     }
 
     /// All photos of the index.
