@@ -72,10 +72,10 @@ impl From<Silent> for Problem {
     responses(
         (status = 200, description = "The container, as that of a photo", body = String, content_type = "application/vnd.tmpi",
             headers(("x-tmpi-frame" = u64, description = "Number of the frame"))),
-        (status = 400, description = "A parameter is unknown", body = Problem, content_type = "application/problem+json"),
-        (status = 403, description = "No token that is good: a page of another site always needs one", body = Problem, content_type = "application/problem+json"),
-        (status = 404, description = "Nobody publishes there, or the frame is not kept", body = Problem, content_type = "application/problem+json"),
-        (status = 503, description = "The node that has the room's publisher does not answer", body = Problem, content_type = "application/problem+json"),
+        (status = 400, description = "A parameter is unknown"),
+        (status = 403, description = "No token that is good: a page of another site always needs one"),
+        (status = 404, description = "Nobody publishes there, or the frame is not kept"),
+        (status = 503, description = "The node that has the room's publisher does not answer"),
     )
 )]
 pub async fn frame(
@@ -109,11 +109,11 @@ pub async fn frame(
             content((String = "image/png"), (String = "image/jpeg"), (String = "image/webp")),
             headers(("x-tmpi-frame" = u64, description = "Number of the frame"))),
         (status = 304, description = "The client has it"),
-        (status = 400, description = "A parameter is wrong; `field` names it", body = Problem, content_type = "application/problem+json"),
-        (status = 403, description = "No token that is good: a page of another site always needs one", body = Problem, content_type = "application/problem+json"),
-        (status = 404, description = "Nobody publishes there, or the frame is not kept", body = Problem, content_type = "application/problem+json"),
-        (status = 406, description = "The client takes none of the formats", body = Problem, content_type = "application/problem+json"),
-        (status = 503, description = "Too much waits, or the node that has the room's publisher does not answer", body = Problem, content_type = "application/problem+json"),
+        (status = 400, description = "A parameter is wrong; `field` names it"),
+        (status = 403, description = "No token that is good: a page of another site always needs one"),
+        (status = 404, description = "Nobody publishes there, or the frame is not kept"),
+        (status = 406, description = "The client takes none of the formats"),
+        (status = 503, description = "Too much waits, or the node that has the room's publisher does not answer"),
     )
 )]
 pub async fn view(
@@ -170,10 +170,10 @@ async fn wanted(here: &Here, name: &str, number: &str) -> Result<(u64, Bytes), P
     responses(
         (status = 307, description = "The group that is under way",
             headers(("Location" = String, description = "Its address, relative to this one"))),
-        (status = 400, description = "A parameter is unknown", body = Problem, content_type = "application/problem+json"),
-        (status = 403, description = "No token that is good: a page of another site always needs one", body = Problem, content_type = "application/problem+json"),
-        (status = 404, description = "Nobody publishes there, or nothing has come yet", body = Problem, content_type = "application/problem+json"),
-        (status = 503, description = "The node that has the room's publisher does not answer", body = Problem, content_type = "application/problem+json"),
+        (status = 400, description = "A parameter is unknown"),
+        (status = 403, description = "No token that is good: a page of another site always needs one"),
+        (status = 404, description = "Nobody publishes there, or nothing has come yet"),
+        (status = 503, description = "The node that has the room's publisher does not answer"),
     )
 )]
 pub async fn latest_group(State(here): State<Here>, Path(name): Path<String>, uri: Uri, headers: HeaderMap) -> Result<Response, Problem> {
@@ -202,10 +202,10 @@ pub async fn latest_group(State(here): State<Here>, Path(name): Path<String>, ur
     ),
     responses(
         (status = 200, description = "Messages, as they come", body = String, content_type = "application/vnd.tmpi.live"),
-        (status = 400, description = "A parameter is unknown", body = Problem, content_type = "application/problem+json"),
-        (status = 403, description = "No token that is good: a page of another site always needs one", body = Problem, content_type = "application/problem+json"),
-        (status = 404, description = "There is no such group, or none any more", body = Problem, content_type = "application/problem+json"),
-        (status = 503, description = "The node that has the room's publisher does not answer", body = Problem, content_type = "application/problem+json"),
+        (status = 400, description = "A parameter is unknown"),
+        (status = 403, description = "No token that is good: a page of another site always needs one"),
+        (status = 404, description = "There is no such group, or none any more"),
+        (status = 503, description = "The node that has the room's publisher does not answer"),
     )
 )]
 pub async fn group(

@@ -37,9 +37,9 @@ pub(super) struct RoomState {
     ),
     responses(
         (status = 200, description = "Whether anybody publishes", body = RoomState),
-        (status = 400, description = "A parameter is unknown", body = Problem, content_type = "application/problem+json"),
-        (status = 403, description = "No token that is good: a page of another site always needs one", body = Problem, content_type = "application/problem+json"),
-        (status = 404, description = "No room has such a name, or there are none here", body = Problem, content_type = "application/problem+json"),
+        (status = 400, description = "A parameter is unknown"),
+        (status = 403, description = "No token that is good: a page of another site always needs one"),
+        (status = 404, description = "No room has such a name, or there are none here"),
     )
 )]
 pub(super) async fn state(
@@ -72,9 +72,9 @@ pub(super) struct Link {
     ),
     responses(
         (status = 200, description = "The token", body = Link),
-        (status = 400, description = "A parameter is unknown", body = Problem, content_type = "application/problem+json"),
-        (status = 403, description = "A page of another site, or no token", body = Problem, content_type = "application/problem+json"),
-        (status = 404, description = "No room has such a name, or there are none here", body = Problem, content_type = "application/problem+json"),
+        (status = 400, description = "A parameter is unknown"),
+        (status = 403, description = "A page of another site, or no token"),
+        (status = 404, description = "No room has such a name, or there are none here"),
     )
 )]
 pub(super) async fn link(State(here): State<Here>, Path(name): Path<String>, uri: Uri, headers: HeaderMap) -> Result<Json<Link>, Problem> {

@@ -109,11 +109,11 @@ fn bounded(upgrade: Upgrade, most: usize) -> Result<WebSocketUpgrade, Problem> {
     ),
     responses(
         (status = 101, description = "The socket is open"),
-        (status = 400, description = "A parameter is unknown", body = Problem, content_type = "application/problem+json"),
-        (status = 403, description = "A page of another site, or no token", body = Problem, content_type = "application/problem+json"),
-        (status = 404, description = "No room has such a name, or there are none here", body = Problem, content_type = "application/problem+json"),
-        (status = 426, description = "This is a WebSocket", body = Problem, content_type = "application/problem+json"),
-        (status = 503, description = "There are as many rooms as may be", body = Problem, content_type = "application/problem+json"),
+        (status = 400, description = "A parameter is unknown"),
+        (status = 403, description = "A page of another site, or no token"),
+        (status = 404, description = "No room has such a name, or there are none here"),
+        (status = 426, description = "This is a WebSocket"),
+        (status = 503, description = "There are as many rooms as may be"),
     )
 )]
 async fn publish(
@@ -153,10 +153,10 @@ async fn publish(
     ),
     responses(
         (status = 101, description = "The socket is open"),
-        (status = 400, description = "A parameter is unknown", body = Problem, content_type = "application/problem+json"),
-        (status = 403, description = "No token that is good: a page of another site always needs one", body = Problem, content_type = "application/problem+json"),
-        (status = 404, description = "Nobody publishes in such a room", body = Problem, content_type = "application/problem+json"),
-        (status = 426, description = "This is a WebSocket", body = Problem, content_type = "application/problem+json"),
+        (status = 400, description = "A parameter is unknown"),
+        (status = 403, description = "No token that is good: a page of another site always needs one"),
+        (status = 404, description = "Nobody publishes in such a room"),
+        (status = 426, description = "This is a WebSocket"),
     )
 )]
 async fn subscribe(

@@ -14,7 +14,7 @@ use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
 use super::query::NoQuery;
-use super::{foreign, no_method, system};
+use super::{errors, foreign, no_method, system};
 use crate::server::app::App;
 use crate::server::hosts::Hosts;
 use crate::server::id::PhotoId;
@@ -40,8 +40,8 @@ struct Document;
     post, path = "/drain", tag = "system",
     responses(
         (status = 202, description = "It leaves"),
-        (status = 400, description = "There are no parameters here", body = Problem, content_type = "application/problem+json"),
-        (status = 403, description = "A page of another site asks", body = Problem, content_type = "application/problem+json"),
+        (status = 400, description = "There are no parameters here"),
+        (status = 403, description = "A page of another site asks"),
     )
 )]
 async fn drain(State(app): State<App>, _: NoQuery) -> StatusCode {
@@ -55,10 +55,10 @@ async fn drain(State(app): State<App>, _: NoQuery) -> StatusCode {
     post, path = "/purge/{id}", tag = "system", params(("id" = String, Path, description = "Id of the photo")),
     responses(
         (status = 204, description = "Gone"),
-        (status = 400, description = "There are no parameters here", body = Problem, content_type = "application/problem+json"),
-        (status = 403, description = "A page of another site asks", body = Problem, content_type = "application/problem+json"),
-        (status = 404, description = "There is no such photo", body = Problem, content_type = "application/problem+json"),
-        (status = 503, description = "The store cannot be reached", body = Problem, content_type = "application/problem+json"),
+        (status = 400, description = "There are no parameters here"),
+        (status = 403, description = "A page of another site asks"),
+        (status = 404, description = "There is no such photo"),
+        (status = 503, description = "The store cannot be reached"),
     )
 )]
 async fn purge(State(app): State<App>, Path(id): Path<String>, _: NoQuery) -> Result<StatusCode, Problem> {
@@ -96,6 +96,8 @@ fn api() -> OpenApiRouter<App> {
 /// The door of operators, bound to `addr`; `names` are those under which it is asked besides loopback's and its address.
 pub fn router(app: App, addr: SocketAddr, names: &[String]) -> Router {
     let (router, document) = api().split_for_parts();
+    let mut document = serde_json::json!(document);
+    errors::put(&mut document);
     let state = (App::clone(&app), Arc::new(Hosts::new(addr, names)));
     router
         .route("/openapi.json", axum::routing::get(async move || axum::Json(document)))

@@ -124,9 +124,9 @@ fn event<T: Serialize>(name: &'static str, data: &T) -> Event {
     get, path = "/v1/photos/{id}/events", tag = "photos", params(("id" = String, Path, description = "Id of the photo")),
     responses(
         (status = 200, description = "Events until the photo is done, has failed or is deleted", body = Progress, content_type = "text/event-stream"),
-        (status = 400, description = "There are no parameters here", body = Problem, content_type = "application/problem+json"),
-        (status = 404, description = "There is no such photo", body = Problem, content_type = "application/problem+json"),
-        (status = 503, description = "Too many streams are open", body = Problem, content_type = "application/problem+json"),
+        (status = 400, description = "There are no parameters here"),
+        (status = 404, description = "There is no such photo"),
+        (status = 503, description = "Too many streams are open"),
     )
 )]
 pub async fn events(State(app): State<App>, Path(id): Path<String>, _: NoQuery) -> Result<Response, Problem> {

@@ -82,11 +82,11 @@ impl ExportQuery {
         (status = 206, description = "The range", content(
             (String = "text/html"), (String = "model/gltf-binary"), (String = "image/openraster"), (String = "application/zip"))),
         (status = 304, description = "The client has it"),
-        (status = 400, description = "A parameter is wrong; `field` names it", body = Problem, content_type = "application/problem+json"),
-        (status = 404, description = "There is no such photo", body = Problem, content_type = "application/problem+json"),
-        (status = 409, description = "Not finished yet", body = Problem, content_type = "application/problem+json"),
-        (status = 416, description = "There are no such bytes", body = Problem, content_type = "application/problem+json"),
-        (status = 503, description = "Too much waits", body = Problem, content_type = "application/problem+json"),
+        (status = 400, description = "A parameter is wrong; `field` names it"),
+        (status = 404, description = "There is no such photo"),
+        (status = 409, description = "Not finished yet"),
+        (status = 416, description = "There are no such bytes"),
+        (status = 503, description = "Too much waits"),
     )
 )]
 pub async fn export(

@@ -180,12 +180,12 @@ async fn parameters(request: Request) -> Result<Vec<(String, String)>, Problem> 
         (status = 200, description = "It is written", body = ExportState, headers(("Location" = String, description = "Address of the file's state"))),
         (status = 202, description = "It waits, or is being written", body = ExportState, headers(
             ("Location" = String, description = "Address of the file's state"), ("Retry-After" = u64, description = "Seconds"))),
-        (status = 400, description = "A parameter is wrong; `field` names it", body = Problem, content_type = "application/problem+json"),
-        (status = 404, description = "There is no such photo", body = Problem, content_type = "application/problem+json"),
-        (status = 409, description = "The photo is not finished yet", body = Problem, content_type = "application/problem+json"),
-        (status = 413, description = "The parameters are too large", body = Problem, content_type = "application/problem+json"),
-        (status = 415, description = "Neither a form nor JSON", body = Problem, content_type = "application/problem+json"),
-        (status = 503, description = "Too much waits; `Retry-After` says when to come back", body = Problem, content_type = "application/problem+json"),
+        (status = 400, description = "A parameter is wrong; `field` names it"),
+        (status = 404, description = "There is no such photo"),
+        (status = 409, description = "The photo is not finished yet"),
+        (status = 413, description = "The parameters are too large"),
+        (status = 415, description = "Neither a form nor JSON"),
+        (status = 503, description = "Too much waits; `Retry-After` says when to come back"),
     )
 )]
 pub async fn order(State(app): State<App>, Path(id): Path<String>, request: Request) -> Result<Response, Problem> {
@@ -215,7 +215,7 @@ async fn find(app: &App, entry: &Arc<Entry>, key: String) -> Result<Arc<Ordered>
         (status = 200, description = "It is written, or could not be", body = ExportState),
         (status = 202, description = "It waits, or is being written", body = ExportState,
             headers(("Retry-After" = u64, description = "Seconds"))),
-        (status = 404, description = "There is no such file", body = Problem, content_type = "application/problem+json"),
+        (status = 404, description = "There is no such file"),
     )
 )]
 pub async fn state(State(app): State<App>, Path((id, key)): Path<(String, String)>, _: NoQuery) -> Result<Response, Problem> {
@@ -241,9 +241,9 @@ pub async fn state(State(app): State<App>, Path((id, key)): Path<(String, String
             (String = "text/html"), (String = "model/gltf-binary"), (String = "image/openraster"), (String = "application/zip"),
             (String = "image/webp"), (String = "video/mp4"))),
         (status = 304, description = "The client has it"),
-        (status = 404, description = "There is no such file", body = Problem, content_type = "application/problem+json"),
-        (status = 409, description = "It is not written yet", body = Problem, content_type = "application/problem+json"),
-        (status = 416, description = "There are no such bytes", body = Problem, content_type = "application/problem+json"),
+        (status = 404, description = "There is no such file"),
+        (status = 409, description = "It is not written yet"),
+        (status = 416, description = "There are no such bytes"),
     )
 )]
 pub async fn file(
@@ -280,7 +280,7 @@ pub async fn file(
     params(("id" = String, Path, description = "Id of the photo"), ("key" = String, Path, description = "Name of the file")),
     responses(
         (status = 204, description = "Gone"),
-        (status = 404, description = "There is no such file", body = Problem, content_type = "application/problem+json"),
+        (status = 404, description = "There is no such file"),
     )
 )]
 pub async fn cancel(State(app): State<App>, Path((id, key)): Path<(String, String)>, _: NoQuery) -> Result<StatusCode, Problem> {

@@ -4,6 +4,7 @@ mod admin;
 mod again;
 mod better;
 mod derived;
+mod errors;
 mod events;
 mod export;
 mod exports;
@@ -155,6 +156,7 @@ pub fn openapi() -> serde_json::Result<Bytes> {
     document.merge(live::routes::publishing_api().into_openapi());
     let mut document = serde_json::to_value(document)?;
     words::put(&mut document);
+    errors::put(&mut document);
     serde_json::to_vec_pretty(&document).map(Bytes::from)
 }
 

@@ -67,8 +67,8 @@ fn own(app: &Shared, headers: &HeaderMap) -> Result<(), Problem> {
     get, path = "/v1/network", tag = "system",
     responses(
         (status = 200, description = "The network, and the better one that can be had", body = Network),
-        (status = 400, description = "There are no parameters here", body = Problem, content_type = "application/problem+json"),
-        (status = 403, description = "Not for strangers", body = Problem, content_type = "application/problem+json"),
+        (status = 400, description = "There are no parameters here"),
+        (status = 403, description = "Not for strangers"),
     )
 )]
 pub async fn network(State(app): State<App>, _: NoQuery, headers: HeaderMap) -> Result<Json<Network>, Problem> {
@@ -85,8 +85,8 @@ pub async fn network(State(app): State<App>, _: NoQuery, headers: HeaderMap) -> 
     responses(
         (status = 200, description = "There is nothing to fetch", body = Network),
         (status = 202, description = "It is being fetched", body = Network),
-        (status = 400, description = "There are no parameters here", body = Problem, content_type = "application/problem+json"),
-        (status = 403, description = "Not for strangers", body = Problem, content_type = "application/problem+json"),
+        (status = 400, description = "There are no parameters here"),
+        (status = 403, description = "Not for strangers"),
     )
 )]
 pub async fn fetch(State(app): State<App>, _: NoQuery, headers: HeaderMap) -> Result<Response, Problem> {
@@ -111,11 +111,11 @@ pub async fn fetch(State(app): State<App>, _: NoQuery, headers: HeaderMap) -> Re
     responses(
         (status = 200, description = "Made, in the time that `Prefer: wait` gave", body = PhotoState),
         (status = 202, description = "It is made again", body = PhotoState),
-        (status = 400, description = "A parameter is wrong", body = Problem, content_type = "application/problem+json"),
-        (status = 404, description = "There is no such photo", body = Problem, content_type = "application/problem+json"),
-        (status = 409, description = "The photo is being made", body = Problem, content_type = "application/problem+json"),
-        (status = 429, description = "Too many photos wait; `Retry-After` says when to come back", body = Problem, content_type = "application/problem+json"),
-        (status = 507, description = "The disk is full", body = Problem, content_type = "application/problem+json"),
+        (status = 400, description = "A parameter is wrong"),
+        (status = 404, description = "There is no such photo"),
+        (status = 409, description = "The photo is being made"),
+        (status = 429, description = "Too many photos wait; `Retry-After` says when to come back"),
+        (status = 507, description = "The disk is full"),
     )
 )]
 pub async fn again(

@@ -75,9 +75,9 @@ pub struct OEmbed {
     get, path = "/oembed", tag = "photos", params(OEmbedQuery),
     responses(
         (status = 200, description = "A frame and a picture", body = OEmbed),
-        (status = 400, description = "A parameter is wrong", body = Problem, content_type = "application/problem+json"),
-        (status = 404, description = "There is no such photo here", body = Problem, content_type = "application/problem+json"),
-        (status = 501, description = "Another format than JSON", body = Problem, content_type = "application/problem+json"),
+        (status = 400, description = "A parameter is wrong"),
+        (status = 404, description = "There is no such photo here"),
+        (status = 501, description = "Another format than JSON"),
     )
 )]
 pub async fn oembed(State(app): State<App>, request: Request) -> Result<Json<OEmbed>, Problem> {

@@ -45,8 +45,8 @@ pub struct PhotoLink {
     ),
     responses(
         (status = 200, description = "The link", body = PhotoLink),
-        (status = 400, description = "A parameter is wrong", body = Problem, content_type = "application/problem+json"),
-        (status = 404, description = "There is no such photo", body = Problem, content_type = "application/problem+json"),
+        (status = 400, description = "A parameter is wrong"),
+        (status = 404, description = "There is no such photo"),
     )
 )]
 pub async fn links(State(app): State<App>, Path(id): Path<String>, uri: Uri) -> Result<Json<PhotoLink>, Problem> {
@@ -75,8 +75,8 @@ pub async fn links(State(app): State<App>, Path(id): Path<String>, uri: Uri) -> 
     post, path = "/v1/owner", tag = "system",
     responses(
         (status = 204, description = "Kept, where the server asks who comes"),
-        (status = 400, description = "There are no parameters here", body = Problem, content_type = "application/problem+json"),
-        (status = 401, description = "The secret is none", body = Problem, content_type = "application/problem+json"),
+        (status = 400, description = "There are no parameters here"),
+        (status = 401, description = "The secret is none"),
     )
 )]
 pub async fn keep(_: NoQuery, headers: HeaderMap) -> Response {

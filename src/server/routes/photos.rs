@@ -111,17 +111,16 @@ pub struct UploadForm {
         )),
         (status = 202, description = "Accepted: it is on disk and waits, or is being made, or was done before", body = PhotoState,
             headers(("Location" = String, description = "Address of the photo"))),
-        (status = 400, description = "A field or an option is wrong; `field` names it", body = Problem, content_type = "application/problem+json"),
-        (status = 403, description = "The owner has as many photos, or as many bytes, as one may have; or the key may not upload", body = Problem,
-            content_type = "application/problem+json"),
-        (status = 408, description = "The body came too slowly", body = Problem, content_type = "application/problem+json"),
-        (status = 413, description = "Body or photo is too large", body = Problem, content_type = "application/problem+json"),
-        (status = 415, description = "Not a JPEG, PNG or WebP picture", body = Problem, content_type = "application/problem+json"),
-        (status = 422, description = "The picture is damaged", body = Problem, content_type = "application/problem+json"),
-        (status = 429, description = "Too many photos wait; `Retry-After` says when to come back", body = Problem, content_type = "application/problem+json"),
-        (status = 501, description = "There are no uploads in parts here", body = Problem, content_type = "application/problem+json"),
-        (status = 503, description = "The server is stopping", body = Problem, content_type = "application/problem+json"),
-        (status = 507, description = "The disk is full", body = Problem, content_type = "application/problem+json"),
+        (status = 400, description = "A field or an option is wrong; `field` names it"),
+        (status = 403, description = "The owner has as many photos, or as many bytes, as one may have; or the key may not upload"),
+        (status = 408, description = "The body came too slowly"),
+        (status = 413, description = "Body or photo is too large"),
+        (status = 415, description = "Not a JPEG, PNG or WebP picture"),
+        (status = 422, description = "The picture is damaged"),
+        (status = 429, description = "Too many photos wait; `Retry-After` says when to come back"),
+        (status = 501, description = "There are no uploads in parts here"),
+        (status = 503, description = "The server is stopping"),
+        (status = 507, description = "The disk is full"),
     )
 )]
 pub async fn upload(State(app): State<App>, Extension(clock): Extension<Clock>, request: Request) -> Result<Response, Problem> {
@@ -227,8 +226,8 @@ pub struct ListQuery {
     get, path = "/v1/photos", tag = "photos", params(ListQuery),
     responses(
         (status = 200, description = "A page of the list", body = PhotoList),
-        (status = 400, description = "A parameter is wrong", body = Problem, content_type = "application/problem+json"),
-        (status = 403, description = "The list is closed", body = Problem, content_type = "application/problem+json"),
+        (status = 400, description = "A parameter is wrong"),
+        (status = 403, description = "The list is closed"),
     )
 )]
 pub async fn list(State(app): State<App>, request: Request) -> Result<Response, Problem> {
@@ -272,7 +271,7 @@ async fn cursor(app: &App, text: &str) -> Option<(u64, PhotoId)> {
         (status = 200, description = "State, sizes and settings", body = PhotoState,
             headers(("ETag" = String, description = "Version of all this; `If-Match` goes by its first half, that of the settings"))),
         (status = 304, description = "The client has it"),
-        (status = 404, description = "There is no such photo", body = Problem, content_type = "application/problem+json"),
+        (status = 404, description = "There is no such photo"),
     )
 )]
 pub async fn state(State(app): State<App>, Path(id): Path<String>, _: NoQuery, headers: HeaderMap) -> Result<Response, Problem> {
@@ -300,8 +299,8 @@ pub async fn state(State(app): State<App>, Path(id): Path<String>, _: NoQuery, h
     responses(
         (status = 200, description = "The settings", body = Settings),
         (status = 304, description = "The client has it"),
-        (status = 400, description = "There are no parameters here", body = Problem, content_type = "application/problem+json"),
-        (status = 404, description = "There is no such photo", body = Problem, content_type = "application/problem+json"),
+        (status = 400, description = "There are no parameters here"),
+        (status = 404, description = "There is no such photo"),
     )
 )]
 pub async fn settings(State(app): State<App>, Path(id): Path<String>, _: NoQuery, headers: HeaderMap) -> Result<Response, Problem> {
@@ -335,11 +334,11 @@ fn state_now(app: &App, entry: &Entry, better_depth: Option<String>) -> Result<S
     request_body(content((Settings = "application/merge-patch+json"), (Settings = "application/json"))),
     responses(
         (status = 200, description = "State, sizes and settings", body = PhotoState),
-        (status = 400, description = "A setting is wrong; `field` names it", body = Problem, content_type = "application/problem+json"),
-        (status = 404, description = "There is no such photo", body = Problem, content_type = "application/problem+json"),
-        (status = 412, description = "It was changed meanwhile", body = Problem, content_type = "application/problem+json"),
-        (status = 413, description = "The patch is too large", body = Problem, content_type = "application/problem+json"),
-        (status = 415, description = "Not JSON", body = Problem, content_type = "application/problem+json"),
+        (status = 400, description = "A setting is wrong; `field` names it"),
+        (status = 404, description = "There is no such photo"),
+        (status = 412, description = "It was changed meanwhile"),
+        (status = 413, description = "The patch is too large"),
+        (status = 415, description = "Not JSON"),
     )
 )]
 pub async fn change(State(app): State<App>, Path(id): Path<String>, _: NoQuery, request: Request) -> Result<Response, Problem> {
@@ -390,7 +389,7 @@ pub(super) async fn merge_patch(request: Request, most: usize, what: &str) -> Re
     delete, path = "/v1/photos/{id}", tag = "photos", params(("id" = String, Path, description = "Id of the photo")),
     responses(
         (status = 204, description = "Gone"),
-        (status = 404, description = "There is no such photo", body = Problem, content_type = "application/problem+json"),
+        (status = 404, description = "There is no such photo"),
     )
 )]
 pub async fn delete(State(app): State<App>, Path(id): Path<String>, _: NoQuery) -> Result<StatusCode, Problem> {

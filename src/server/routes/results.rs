@@ -44,10 +44,10 @@ use tmpi_pipeline::strokes;
         (status = 206, description = "The range", body = String, content_type = "application/vnd.tmpi",
             headers(("Content-Range" = String, description = "Which bytes of how many"))),
         (status = 304, description = "The client has it"),
-        (status = 400, description = "There is no such level, region or section", body = Problem, content_type = "application/problem+json"),
-        (status = 404, description = "There is no such photo", body = Problem, content_type = "application/problem+json"),
-        (status = 409, description = "Not finished yet", body = Problem, content_type = "application/problem+json"),
-        (status = 416, description = "There are no such bytes", body = Problem, content_type = "application/problem+json"),
+        (status = 400, description = "There is no such level, region or section"),
+        (status = 404, description = "There is no such photo"),
+        (status = 409, description = "Not finished yet"),
+        (status = 416, description = "There are no such bytes"),
     )
 )]
 pub async fn atlas(State(app): State<App>, Path(id): Path<String>, uri: Uri, headers: HeaderMap) -> Result<Response, Problem> {
@@ -105,10 +105,9 @@ fn wanted_level(pairs: &Pairs, side: u32) -> Result<u8, Problem> {
     responses(
         (status = 200, description = "Grey PNG of 16 bits, δ = v / 65535, larger is nearer", body = String, content_type = "image/png"),
         (status = 304, description = "The client has it"),
-        (status = 400, description = "A parameter is unknown or given twice", body = Problem, content_type = "application/problem+json"),
-        (status = 404, description = "There is no such photo; or no map before strokes, as it has none or an older program made it", body = Problem,
-            content_type = "application/problem+json"),
-        (status = 409, description = "Not finished yet", body = Problem, content_type = "application/problem+json"),
+        (status = 400, description = "A parameter is unknown or given twice"),
+        (status = 404, description = "There is no such photo; or no map before strokes, as it has none or an older program made it"),
+        (status = 409, description = "Not finished yet"),
     )
 )]
 pub async fn depth(State(app): State<App>, Path(id): Path<String>, uri: Uri, headers: HeaderMap) -> Result<Response, Problem> {
@@ -141,9 +140,9 @@ pub async fn depth(State(app): State<App>, Path(id): Path<String>, uri: Uri, hea
     responses(
         (status = 200, description = "The report", body = tmpi_pipeline::Report),
         (status = 304, description = "The client has it"),
-        (status = 400, description = "A parameter is unknown or given twice", body = Problem, content_type = "application/problem+json"),
-        (status = 404, description = "There is no such photo", body = Problem, content_type = "application/problem+json"),
-        (status = 409, description = "Not finished yet", body = Problem, content_type = "application/problem+json"),
+        (status = 400, description = "A parameter is unknown or given twice"),
+        (status = 404, description = "There is no such photo"),
+        (status = 409, description = "Not finished yet"),
     )
 )]
 pub async fn report(State(app): State<App>, Path(id): Path<String>, v: OnlyVersion, headers: HeaderMap) -> Result<Response, Problem> {
@@ -160,9 +159,9 @@ pub async fn report(State(app): State<App>, Path(id): Path<String>, v: OnlyVersi
     responses(
         (status = 200, description = "JPEG of at most 320 pixels a side", body = String, content_type = "image/jpeg"),
         (status = 304, description = "The client has it"),
-        (status = 400, description = "A parameter is unknown or given twice", body = Problem, content_type = "application/problem+json"),
-        (status = 404, description = "There is no such photo", body = Problem, content_type = "application/problem+json"),
-        (status = 409, description = "Not finished yet", body = Problem, content_type = "application/problem+json"),
+        (status = 400, description = "A parameter is unknown or given twice"),
+        (status = 404, description = "There is no such photo"),
+        (status = 409, description = "Not finished yet"),
     )
 )]
 pub async fn thumbnail(State(app): State<App>, Path(id): Path<String>, v: OnlyVersion, headers: HeaderMap) -> Result<Response, Problem> {

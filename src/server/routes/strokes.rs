@@ -47,7 +47,7 @@ pub struct StrokesPatch {
     responses(
         (status = 200, description = "All strokes", body = Strokes, headers(("ETag" = String, description = "Version of the strokes"))),
         (status = 304, description = "The client has it"),
-        (status = 404, description = "There is no such photo", body = Problem, content_type = "application/problem+json"),
+        (status = 404, description = "There is no such photo"),
     )
 )]
 pub async fn strokes(State(app): State<App>, Path(id): Path<String>, _: NoQuery, headers: HeaderMap) -> Result<Response, Problem> {
@@ -77,14 +77,14 @@ pub async fn strokes(State(app): State<App>, Path(id): Path<String>, _: NoQuery,
             headers(("ETag" = String, description = "Version of the strokes"))),
         (status = 202, description = "On disk; the photo is made again", body = PhotoState,
             headers(("ETag" = String, description = "Version of the strokes"))),
-        (status = 400, description = "A stroke is wrong; `field` names it", body = Problem, content_type = "application/problem+json"),
-        (status = 404, description = "There is no such photo", body = Problem, content_type = "application/problem+json"),
-        (status = 409, description = "The photo is being made", body = Problem, content_type = "application/problem+json"),
-        (status = 412, description = "It was changed meanwhile", body = Problem, content_type = "application/problem+json"),
-        (status = 413, description = "The patch is too large", body = Problem, content_type = "application/problem+json"),
-        (status = 415, description = "Not JSON", body = Problem, content_type = "application/problem+json"),
-        (status = 429, description = "Too many photos wait; `Retry-After` says when to come back", body = Problem, content_type = "application/problem+json"),
-        (status = 507, description = "The disk is full", body = Problem, content_type = "application/problem+json"),
+        (status = 400, description = "A stroke is wrong; `field` names it"),
+        (status = 404, description = "There is no such photo"),
+        (status = 409, description = "The photo is being made"),
+        (status = 412, description = "It was changed meanwhile"),
+        (status = 413, description = "The patch is too large"),
+        (status = 415, description = "Not JSON"),
+        (status = 429, description = "Too many photos wait; `Retry-After` says when to come back"),
+        (status = 507, description = "The disk is full"),
     )
 )]
 pub async fn touch_up(

@@ -33,7 +33,7 @@ const HEALTHY: Health = Health { status: "ok", version: env!("CARGO_PKG_VERSION"
     get, path = "/healthz", tag = "system",
     responses(
         (status = 200, description = "Alive", body = Health),
-        (status = 400, description = "There are no parameters here", body = Problem, content_type = "application/problem+json"),
+        (status = 400, description = "There are no parameters here"),
     )
 )]
 pub async fn healthz(_: NoQuery) -> Json<Health> {
@@ -46,8 +46,8 @@ pub async fn healthz(_: NoQuery) -> Json<Health> {
     get, path = "/readyz", tag = "system",
     responses(
         (status = 200, description = "Ready", body = Health),
-        (status = 400, description = "There are no parameters here", body = Problem, content_type = "application/problem+json"),
-        (status = 503, description = "Not ready; `detail` says why", body = Problem, content_type = "application/problem+json"),
+        (status = 400, description = "There are no parameters here"),
+        (status = 503, description = "Not ready; `detail` says why"),
     )
 )]
 pub async fn readyz(State(app): State<App>, _: NoQuery) -> Result<Json<Health>, Problem> {
@@ -75,7 +75,7 @@ pub async fn readyz(State(app): State<App>, _: NoQuery) -> Result<Json<Health>, 
     get, path = "/metrics", tag = "system",
     responses(
         (status = 200, description = "OpenMetrics text 1.0.0, which Prometheus reads", body = String, content_type = "application/openmetrics-text"),
-        (status = 400, description = "There are no parameters here", body = Problem, content_type = "application/problem+json"),
+        (status = 400, description = "There are no parameters here"),
     )
 )]
 pub async fn metrics(State(app): State<App>, _: NoQuery, headers: HeaderMap) -> Response {
@@ -133,7 +133,7 @@ pub async fn metrics(State(app): State<App>, _: NoQuery, headers: HeaderMap) -> 
     get, path = "/openapi.json", tag = "system",
     responses(
         (status = 200, description = "OpenAPI document", body = Object),
-        (status = 400, description = "There are no parameters here", body = Problem, content_type = "application/problem+json"),
+        (status = 400, description = "There are no parameters here"),
     )
 )]
 pub async fn openapi(State(app): State<App>, _: NoQuery, headers: HeaderMap) -> Response {

@@ -140,8 +140,8 @@ pub(super) async fn begin(app: &App, query: Vec<(String, String)>, request: Requ
             ("Upload-Length" = u64, description = "Bytes of the whole, while bytes are missing and once it is complete"),
             ("Upload-Limit" = String, description = "`max-size` in bytes, and for how many seconds it is kept, `max-age`"),
         )),
-        (status = 404, description = "There is no such upload, or it is another's", body = Problem, content_type = "application/problem+json"),
-        (status = 423, description = "It is being accepted", body = Problem, content_type = "application/problem+json"),
+        (status = 404, description = "There is no such upload, or it is another's"),
+        (status = 423, description = "It is being accepted"),
     )
 )]
 pub async fn progress(State(app): State<App>, Path(upload): Path<String>, _: NoQuery) -> Result<Response, Problem> {
@@ -170,20 +170,17 @@ pub async fn progress(State(app): State<App>, Path(upload): Path<String>, _: NoQ
         (status = 201, description = "The last part: the photo is done in the time that `Prefer: wait` gave", body = PhotoState),
         (status = 202, description = "The last part: the photo is accepted", body = PhotoState),
         (status = 204, description = "The part is there, and others follow", headers(("Upload-Offset" = u64, description = "Bytes that are there"))),
-        (status = 400, description = "A header is wrong; or the part does not agree with the length of the whole; or the upload is complete",
-            body = Problem, content_type = "application/problem+json"),
-        (status = 403, description = "The owner has as many photos, or as many bytes, as one may have; or the key may not upload", body = Problem,
-            content_type = "application/problem+json"),
-        (status = 404, description = "There is no such upload, or it is another's", body = Problem, content_type = "application/problem+json"),
-        (status = 408, description = "The part came too slowly; what came of it is kept", body = Problem, content_type = "application/problem+json"),
-        (status = 409, description = "Another byte is next, `expected-offset` and the header `Upload-Offset` say which; or another request had this one end",
-            body = Problem, content_type = "application/problem+json"),
-        (status = 413, description = "Upload or photo is too large", body = Problem, content_type = "application/problem+json"),
-        (status = 415, description = "Not a part; or the whole is no JPEG, PNG or WebP picture", body = Problem, content_type = "application/problem+json"),
-        (status = 422, description = "The picture is damaged", body = Problem, content_type = "application/problem+json"),
-        (status = 423, description = "It is being accepted", body = Problem, content_type = "application/problem+json"),
-        (status = 429, description = "Too many photos wait; what is there of the upload is kept", body = Problem, content_type = "application/problem+json"),
-        (status = 507, description = "The disk is full; what is there of the upload is kept", body = Problem, content_type = "application/problem+json"),
+        (status = 400, description = "A header is wrong; or the part does not agree with the length of the whole; or the upload is complete"),
+        (status = 403, description = "The owner has as many photos, or as many bytes, as one may have; or the key may not upload"),
+        (status = 404, description = "There is no such upload, or it is another's"),
+        (status = 408, description = "The part came too slowly; what came of it is kept"),
+        (status = 409, description = "Another byte is next, `expected-offset` and the header `Upload-Offset` say which; or another request had this one end"),
+        (status = 413, description = "Upload or photo is too large"),
+        (status = 415, description = "Not a part; or the whole is no JPEG, PNG or WebP picture"),
+        (status = 422, description = "The picture is damaged"),
+        (status = 423, description = "It is being accepted"),
+        (status = 429, description = "Too many photos wait; what is there of the upload is kept"),
+        (status = 507, description = "The disk is full; what is there of the upload is kept"),
     )
 )]
 pub async fn append(
@@ -251,8 +248,8 @@ async fn finish(app: &App, turn: Turn, leave: &Ticket<'_>, clock: &Clock, wait: 
     delete, path = "/v1/uploads/{upload}", tag = "photos", params(("upload" = String, Path, description = "Id of the upload")),
     responses(
         (status = 204, description = "What was there of it is gone; a photo that it became is not"),
-        (status = 404, description = "There is no such upload, or it is another's", body = Problem, content_type = "application/problem+json"),
-        (status = 423, description = "It is being accepted", body = Problem, content_type = "application/problem+json"),
+        (status = 404, description = "There is no such upload, or it is another's"),
+        (status = 423, description = "It is being accepted"),
     )
 )]
 pub async fn cancel(State(app): State<App>, Path(upload): Path<String>, _: NoQuery) -> Result<StatusCode, Problem> {

@@ -72,12 +72,12 @@ pub(super) fn picked(asked: Option<PictureFormat>, headers: &HeaderMap) -> Resul
         (status = 200, description = "The view; PNG and WebP are transparent where nothing is known", content(
             (String = "image/png"), (String = "image/jpeg"), (String = "image/webp"), (String = "video/mp4"))),
         (status = 304, description = "The client has it"),
-        (status = 400, description = "A parameter is wrong; `field` names it", body = Problem, content_type = "application/problem+json"),
-        (status = 404, description = "There is no such photo", body = Problem, content_type = "application/problem+json"),
-        (status = 406, description = "The client takes none of the formats", body = Problem, content_type = "application/problem+json"),
-        (status = 409, description = "Not finished yet", body = Problem, content_type = "application/problem+json"),
-        (status = 501, description = "There is no ffmpeg for an animation", body = Problem, content_type = "application/problem+json"),
-        (status = 503, description = "Too much waits; `Retry-After` says when to come back", body = Problem, content_type = "application/problem+json"),
+        (status = 400, description = "A parameter is wrong; `field` names it"),
+        (status = 404, description = "There is no such photo"),
+        (status = 406, description = "The client takes none of the formats"),
+        (status = 409, description = "Not finished yet"),
+        (status = 501, description = "There is no ffmpeg for an animation"),
+        (status = 503, description = "Too much waits; `Retry-After` says when to come back"),
     )
 )]
 pub async fn view(
