@@ -92,8 +92,11 @@ pub async fn nothing(State(app): State<App>, method: Method, headers: HeaderMap)
     Ok(response)
 }
 
-/// `GET /static/{name}`.
+/// `GET /static/{name}`: no pages, which any site could frame here.
 pub async fn file(State(app): State<App>, extract::Path(name): extract::Path<String>, headers: HeaderMap) -> Result<Response, Problem> {
+    if Path::new(&name).extension().is_some_and(|e| e.eq_ignore_ascii_case("html")) {
+        return Err(missing(&name));
+    }
     page(&app, &headers, &name, Frames::Anybody).await
 }
 

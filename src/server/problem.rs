@@ -1,7 +1,7 @@
 //! Errors as clients see them: problem details of RFC 9457, and the one mapping from the library's errors to a status.
 
 use axum::Json;
-use axum::http::{HeaderValue, StatusCode, header};
+use axum::http::{HeaderName, HeaderValue, Method, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use serde::{Deserialize, Serialize};
 
@@ -58,6 +58,10 @@ pub struct Problem {
     #[serde(default, flatten, skip_serializing_if = "Option::is_none")]
     #[schema(ignore)]
     pub offsets: Option<Box<Offsets>>,
+    /// A header that goes with it.
+    #[serde(skip)]
+    #[schema(ignore)]
+    pub header: Option<Box<(HeaderName, HeaderValue)>>,
 }
 
 /// Where a part of an upload should have begun, and did.
@@ -82,6 +86,7 @@ impl Problem {
             request_id: None,
             retry_after: None,
             offsets: None,
+            header: None,
         }
     }
 
@@ -101,6 +106,13 @@ impl Problem {
     #[must_use]
     pub fn field(mut self, name: impl Into<String>) -> Self {
         self.field = Some(clipped(name.into(), MOST_NAME));
+        self
+    }
+
+    /// Has a header go with it, where `value` is one.
+    #[must_use]
+    pub fn header(mut self, name: HeaderName, value: &str) -> Self {
+        self.header = HeaderValue::from_str(value).ok().map(|value| Box::new((name, value)));
         self
     }
 
@@ -126,6 +138,13 @@ impl Problem {
     /// There is no such thing.
     pub fn not_found(detail: impl Into<String>) -> Self {
         Self::new(StatusCode::NOT_FOUND, "not-found", detail)
+    }
+
+    /// The address does not have the method; `allow` lists those that it has, where the router does not say so itself.
+    #[must_use]
+    pub fn no_method(method: &Method, allow: Option<&str>) -> Self {
+        let problem = Self::new(StatusCode::METHOD_NOT_ALLOWED, "method", format!("{method} is not possible at this address"));
+        if let Some(allow) = allow { problem.header(header::ALLOW, allow) } else { problem }
     }
 
     /// The body is larger than `limit` bytes.
@@ -175,6 +194,9 @@ impl IntoResponse for Problem {
         headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
         if let Some(seconds) = retry {
             headers.insert(header::RETRY_AFTER, seconds.into());
+        }
+        if let Some((name, value)) = self.header.as_deref().cloned() {
+            headers.insert(name, value);
         }
         // the request log and the middleware that fills in `request_id` read it from here
         response.extensions_mut().insert(self);

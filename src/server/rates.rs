@@ -21,7 +21,7 @@ pub const RATE_LIMIT: HeaderName = HeaderName::from_static("ratelimit");
 pub const POLICY: HeaderName = HeaderName::from_static("ratelimit-policy");
 /// What rates are told for; a bucket holds as much.
 const WINDOW: Duration = Duration::from_mins(1);
-/// Whoever is known at a time; those whose buckets are full are forgotten first, then all.
+/// Whoever is known at a time; those whose buckets are full are forgotten first, then the half that asked least.
 const MOST: usize = 100_000;
 
 /// Whom a bucket is of.
@@ -83,7 +83,11 @@ impl Buckets {
             if all.len() >= MOST && !all.contains_key(asker) {
                 all.retain(|_, full| *full > now);
                 if all.len() >= MOST {
-                    all.clear();
+                    // whoever asked most stays known, so that a flood of addresses frees nobody
+                    let mut times: Vec<Instant> = all.values().copied().collect();
+                    let (_, middle, _) = times.select_nth_unstable(MOST / 2);
+                    let middle = *middle;
+                    all.retain(|_, full| *full > middle);
                 }
             }
             all.insert(asker.clone(), now + after);
@@ -237,6 +241,18 @@ mod tests {
         }
         buckets.take(&Asker::Key("late".into()), start + Duration::from_mins(2));
         assert_eq!(buckets.full.lock().unwrap().len(), 1);
+    }
+
+    #[test]
+    fn a_flood_of_askers_does_not_let_whoever_asked_most_begin_anew() {
+        let (buckets, start) = (Buckets::new("requests", 2).unwrap(), Instant::now());
+        let greedy = Asker::Key("greedy".into());
+        assert!((0..3).map(|_| buckets.take(&greedy, start).wait).next_back().unwrap().is_some());
+        for n in 0..2 * MOST {
+            buckets.take(&Asker::Key(n.to_string()), start);
+        }
+        assert!(buckets.full.lock().unwrap().len() <= MOST);
+        assert!(buckets.take(&greedy, start).wait.is_some());
     }
 
     proptest! {

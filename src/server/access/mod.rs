@@ -34,7 +34,7 @@ pub use cookies::set_owner;
 use cookies::{LINK_COOKIE, cookie, keep_private, owner_cookie, set_cookie};
 use keys::{Key, Keys, KeysError, Scope};
 use links::{Asked, Link, take_link};
-use needs::{Need, need};
+use needs::{Need, need, refusal};
 pub use secret::{Secret, random, same};
 
 /// What an owner's secret begins with.
@@ -231,12 +231,11 @@ impl Guard {
 
     /// Says who asks, and refuses what none of them may.
     fn come_in(&self, hosts: &Hosts, request: &mut Request) -> Result<Caller, Problem> {
-        let nothing = || Problem::not_found("there is nothing at this address");
         let need = match request.extensions().get::<MatchedPath>() {
             // the answer that there is nothing, or to what a browser asks before a request
             None => Need::Nothing,
             Some(_) if *request.method() == Method::OPTIONS => Need::Nothing,
-            Some(path) => need(request.method(), path.as_str()).ok_or_else(nothing)?,
+            Some(path) => need(request.method(), path.as_str()).ok_or_else(|| refusal(request.method(), path.as_str()))?,
         };
         let asked = take_link(request.uri()).map(|(uri, link)| {
             *request.uri_mut() = uri;
@@ -266,7 +265,8 @@ impl Guard {
         let headers = request.headers();
         let unknown = || {
             let detail = "the key is unknown or no longer good, or the secret is none";
-            Problem::new(StatusCode::UNAUTHORIZED, "key", detail).field("Authorization")
+            let problem = Problem::new(StatusCode::UNAUTHORIZED, "key", detail).field("Authorization");
+            problem.header(header::WWW_AUTHENTICATE, "Bearer error=\"invalid_token\"")
         };
         // other schemes are a proxy's affair, which passes on what it let in by
         let mut given = headers.get_all(header::AUTHORIZATION).iter().filter_map(bearer);

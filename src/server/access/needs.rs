@@ -2,6 +2,8 @@
 
 use axum::http::Method;
 
+use crate::server::problem::Problem;
+
 /// What a request needs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Need {
@@ -82,6 +84,26 @@ pub fn need(method: &Method, path: &str) -> Option<Need> {
     TABLE.iter().find(|(m, p, _)| *m == method && *p == path).map(|(_, _, need)| *need)
 }
 
+/// The answer to a method that a known route does not have, and to a route that is nobody's.
+#[must_use]
+pub fn refusal(method: &Method, path: &str) -> Problem {
+    let known = [Method::GET, Method::POST, Method::PATCH, Method::DELETE].into_iter().filter(|m| need(m, path).is_some());
+    let mut allow: Vec<&str> = Vec::new();
+    for method in known {
+        allow.extend(match method {
+            Method::GET => &["GET", "HEAD"][..],
+            Method::POST => &["POST"],
+            Method::PATCH => &["PATCH"],
+            _ => &["DELETE"],
+        });
+    }
+    if allow.is_empty() {
+        Problem::not_found("there is nothing at this address")
+    } else {
+        Problem::no_method(method, Some(&allow.join(",")))
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -99,6 +121,10 @@ mod tests {
             assert!(all.iter().any(|r| r.path == *path && r.methods.iter().any(|m| m == method)), "{method} {path} is no route");
         }
         assert_eq!(need(&Method::PUT, "/v1/photos/{id}"), None);
+        let refused = refusal(&Method::PUT, "/v1/photos/{id}");
+        assert_eq!((refused.status, refused.header.unwrap().1.to_str().unwrap()), (405, "GET,HEAD,PATCH,DELETE"));
+        assert_eq!(refusal(&Method::POST, "/v1/live/{room}/subscribe").status, 405);
+        assert_eq!(refusal(&Method::GET, "/v1/nothing").status, 404);
         assert_eq!(need(&Method::HEAD, "/v1/photos/{id}"), Some(Read));
     }
 }

@@ -4,6 +4,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use axum::Json;
+use axum::http::header::LOCATION;
 use axum::http::{HeaderMap, HeaderName, StatusCode};
 use axum::response::{IntoResponse, Response};
 
@@ -31,6 +32,7 @@ pub(super) async fn answer(app: &App, entry: &Arc<Entry>, headers: &HeaderMap, c
         return Ok(failed.problem.into_response());
     }
     let mut response = state(app, entry, if ready { StatusCode::OK } else { StatusCode::ACCEPTED })?;
+    insert(&mut response, LOCATION, &format!("/v1/photos/{}", entry.id));
     if let Some(seconds) = wait {
         insert(&mut response, HeaderName::from_static("preference-applied"), &format!("wait={seconds}"));
     }

@@ -107,7 +107,7 @@ fn own_api() -> OpenApiRouter<App> {
 
 /// The answer to a method that an address does not have.
 async fn no_method(method: Method) -> Problem {
-    Problem::new(StatusCode::METHOD_NOT_ALLOWED, "method", format!("{method} is not possible at this address"))
+    Problem::no_method(&method, None)
 }
 
 /// Says that any site may take the answer in as a picture.

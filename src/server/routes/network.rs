@@ -110,7 +110,7 @@ pub async fn fetch(State(app): State<App>, _: NoQuery, headers: HeaderMap) -> Re
     ),
     responses(
         (status = 200, description = "Made, in the time that `Prefer: wait` gave", body = PhotoState),
-        (status = 202, description = "It is made again", body = PhotoState),
+        (status = 202, description = "It is made again", body = PhotoState, headers(("Location" = String, description = "Address of the photo"))),
         (status = 400, description = "A parameter is wrong"),
         (status = 404, description = "There is no such photo"),
         (status = 409, description = "The photo is being made"),

@@ -386,16 +386,27 @@ pub(super) async fn merge_patch(request: Request, most: usize, what: &str) -> Re
 ///
 /// A job under way is stopped.
 #[utoipa::path(
-    delete, path = "/v1/photos/{id}", tag = "photos", params(("id" = String, Path, description = "Id of the photo")),
+    delete, path = "/v1/photos/{id}", tag = "photos",
+    params(
+        ("id" = String, Path, description = "Id of the photo"),
+        ("If-Match" = Option<String>, Header, description = "Delete it only with these settings, by the tag of a state"),
+    ),
     responses(
         (status = 204, description = "Gone"),
+        (status = 400, description = "There are no parameters here"),
         (status = 404, description = "There is no such photo"),
+        (status = 412, description = "It was changed meanwhile"),
     )
 )]
-pub async fn delete(State(app): State<App>, Path(id): Path<String>, _: NoQuery) -> Result<StatusCode, Problem> {
-    let photo = app.photo(&id)?.id;
+pub async fn delete(State(app): State<App>, Path(id): Path<String>, _: NoQuery, headers: HeaderMap) -> Result<StatusCode, Problem> {
+    let entry = app.photo(&id)?;
+    let photo = entry.id;
     let shared = Arc::clone(&app);
-    let deleted = app.change(move || shared.jobs.delete(photo)).await??;
+    let deleted = app.change(move || {
+        still_as_seen(&headers, &state_now(&shared, &entry, None)?.etag)?;
+        shared.jobs.delete(photo)
+    });
+    let deleted = deleted.await??;
     app.forget(photo).await;
     if deleted { Ok(StatusCode::NO_CONTENT) } else { Err(Problem::not_found("the photo was deleted already")) }
 }

@@ -1,0 +1,69 @@
+//! What HTTP asks of answers, where access is private too.
+
+use crate::access::{ask, id, private, secret, upload};
+
+#[test]
+fn a_method_that_an_address_does_not_have_is_told_those_that_it_has() {
+    let dir = tempfile::tempdir().unwrap();
+    let server = private(dir.path());
+    let allow = |method: &str, path: &str| {
+        let answer = ask(&server, method, path, &[], &[]);
+        let allow = answer.header("allow").unwrap_or_default().split(',').map(|m| m.trim().to_owned()).collect::<Vec<_>>();
+        (answer.problem(405)["type"].as_str().unwrap().to_owned(), allow)
+    };
+    let photo = format!("/v1/photos/{}", id(&upload(&server, Some(&secret("a")), 1)));
+    for (method, path, allowed) in [
+        ("PUT", photo.as_str(), &["GET", "HEAD", "PATCH", "DELETE"][..]),
+        ("DELETE", "/v1/photos", &["GET", "HEAD", "POST"]),
+        ("POST", "/healthz", &["GET", "HEAD"]),
+        ("POST", "/v1/live/attic", &["GET", "HEAD"]),
+        ("GET", "/v1/owner", &["POST"]),
+    ] {
+        let (kind, all) = allow(method, path);
+        assert_eq!(kind, "urn:tmpi:problem:method", "{method} {path}");
+        assert_eq!(all, allowed, "{method} {path}");
+    }
+    assert_eq!(ask(&server, "GET", "/v1/nothing", &[], &[]).status, 404);
+}
+
+#[test]
+fn a_key_that_is_none_is_told_how_to_come() {
+    let dir = tempfile::tempdir().unwrap();
+    let server = private(dir.path());
+    for path in ["/v1/photos", "/healthz"] {
+        let answer = ask(&server, "GET", path, &[("authorization", "Bearer tmpi_k_none")], &[]);
+        assert_eq!((answer.status, answer.header("www-authenticate")), (401, Some("Bearer error=\"invalid_token\"")), "{path}");
+    }
+}
+
+#[test]
+fn a_photo_that_was_changed_meanwhile_is_not_deleted_and_one_made_again_has_an_address() {
+    let dir = tempfile::tempdir().unwrap();
+    let server = private(dir.path());
+    let ann = secret("a");
+    let at = format!("/v1/photos/{}", id(&upload(&server, Some(&ann), 1)));
+    let own = |method: &str, path: &str, more: &[(&str, &str)], body: &[u8]| {
+        let headers: Vec<_> = [("authorization", ann.as_str())].into_iter().chain(more.iter().copied()).collect();
+        ask(&server, method, path, &headers, body)
+    };
+    let again = own("POST", &format!("{at}/again"), &[("prefer", "wait=60")], &[]);
+    assert_eq!((again.status, again.header("location")), (200, Some(at.as_str())));
+    let seen = own("GET", &at, &[], &[]).header("etag").unwrap().to_owned();
+    assert_eq!(own("PATCH", &at, &[("content-type", "application/json")], br#"{"title": "The attic"}"#).status, 200);
+    assert_eq!(own("DELETE", &at, &[("if-match", &seen)], &[]).problem(412)["field"], "If-Match");
+    let now = own("GET", &at, &[], &[]).header("etag").unwrap().to_owned();
+    assert_eq!(own("DELETE", &at, &[("if-match", &now)], &[]).status, 204);
+    assert_eq!(own("GET", &at, &[], &[]).status, 404);
+}
+
+#[test]
+fn pages_are_at_their_addresses_alone() {
+    let dir = tempfile::tempdir().unwrap();
+    let server = private(dir.path());
+    for name in ["upload-page.html", "view-page.html", "embed-page.html", "VIEW-PAGE.HTML"] {
+        assert_eq!(ask(&server, "GET", &format!("/static/app/{name}"), &[], &[]).status, 404, "{name}");
+    }
+    let page = ask(&server, "GET", "/", &[], &[]);
+    assert!(page.status == 200 && page.header("content-security-policy").unwrap().contains("frame-ancestors 'self'"));
+    assert_eq!(ask(&server, "GET", "/tmpi-viewer.js", &[], &[]).status, 200);
+}
