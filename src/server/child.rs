@@ -3,29 +3,30 @@
 //! What decodes foreign pictures or runs networks cannot be asked to stop, and what takes too much memory ends its process. So the
 //! server runs its own program once more, with the same arguments and [`VARIABLE`] set, and keeps it for the next photo.
 
+mod ask;
 mod files;
 mod frames;
 mod inside;
+mod photos;
 mod scratch;
 
 use std::ffi::OsStr;
-use std::io::{self, Write};
+use std::io;
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdin, Command, Stdio};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
+use std::sync::mpsc::{Receiver, channel};
 use std::sync::{Mutex, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
 
 use super::exports::Work;
 use super::maker::{Fault, HeadOf, Maker, PipelineMaker, Product};
 use super::network::{Better, Offer, Renewed};
-use super::options;
 use super::problem::Problem;
-use frames::{Told, kind, read, write};
+use frames::read;
 pub use inside::serve;
 use scratch::Scratch;
 pub use scratch::empty as empty_scratch;
-use tmpi_pipeline::{MakeError, Options, Progress, Report, STAGES, Sink, networks, strokes};
+use tmpi_pipeline::{MakeError, Options, Sink, networks};
 
 /// Set in the environment of a process that makes photos for a server.
 pub const VARIABLE: &str = "TMPI_MAKES_PHOTOS";
@@ -261,99 +262,7 @@ impl Maker for ProcessMaker {
         if large {
             self.idle.lock().unwrap_or_else(PoisonError::into_inner).clear();
         }
-        let mut worker = self.take(false)?;
-        let strokes = strokes::write(&options.strokes);
-        let options = serde_json::to_vec(&options::to_text(options)).map_err(|e| Fault::Server(e.to_string()))?;
-        let (outcome, keep) = std::thread::scope(|scope| {
-            let Worker { child, input, output, .. } = &mut worker;
-            // a process that does not read would hold up whoever writes to it, past deadline and cancellation
-            let sending = std::thread::Builder::new()
-                .name("tmpi-sends".into())
-                .spawn_scoped(scope, || send(input, (&options, &strokes), photo, depth));
-            if let Err(error) = sending {
-                return (Err(Fault::Server(format!("no thread can be started: {error}"))), false);
-            }
-            let outcome = listen(child, output, sink);
-            let keep = match &outcome {
-                Ok(product) => product.report.peak_rss_bytes < KEPT_BYTES,
-                Err(Answer::Told(Fault::Photo(_))) => true,
-                // after a fault of its own a fresh one begins anew: a library that was missing may be there
-                Err(_) => false,
-            };
-            if !keep {
-                // what is still being sent to it ends with it
-                end(child);
-            }
-            (outcome.map_err(Answer::fault), keep)
-        });
-        if keep {
-            worker.made = Some(Instant::now());
-            self.keep(worker);
-        }
-        outcome
-    }
-}
-
-/// Sends a photo to be made.
-fn send(input: &mut ChildStdin, (options, strokes): (&[u8], &[u8]), photo: &[u8], depth: Option<&[u8]>) {
-    // where the process has ended, the end of its output tells
-    let _ = write(input, kind::OPTIONS, options)
-        .and_then(|()| write(input, kind::STROKES, strokes))
-        .and_then(|()| write(input, kind::PHOTO, photo))
-        .and_then(|()| depth.map_or(Ok(()), |depth| write(input, kind::DEPTH, depth)))
-        .and_then(|()| write(input, kind::MAKE, &[]))
-        .and_then(|()| input.flush());
-}
-
-/// Why there is no photo.
-enum Answer {
-    /// The process says so, and waits for the next one.
-    Told(Fault),
-    /// It ended, or was not waited for, or answers nonsense.
-    Lost(Fault),
-}
-
-impl Answer {
-    fn fault(self) -> Fault {
-        let (Self::Told(fault) | Self::Lost(fault)) = self;
-        fault
-    }
-}
-
-/// Takes frames until the photo is made, refused, cancelled or late.
-fn listen(child: &mut Child, output: &Frames, sink: &dyn Sink) -> Result<Product, Answer> {
-    let mut product = Product { container: Vec::new(), report: Report::default(), disparity: Vec::new(), thumbnail: Vec::new() };
-    let mut stage = STAGES[0];
-    // the photo may have brought it about, and must not hold up the others for ever
-    let lost = |problem: String| Answer::Lost(Fault::Crashed(format!("the process that made it answered what it should not: {problem}")));
-    loop {
-        if sink.cancelled() {
-            return Err(Answer::Lost(Fault::Cancelled));
-        }
-        let (kind, bytes) = match output.recv_timeout(TICK) {
-            Ok(Ok(frame)) => frame,
-            Ok(Err(_)) | Err(RecvTimeoutError::Disconnected) => return Err(Answer::Lost(Fault::Crashed(ending(child)))),
-            Err(RecvTimeoutError::Timeout) => match sink.deadline() {
-                Some(deadline) if Instant::now() >= deadline => return Err(Answer::Lost(MakeError::Late { stage }.into())),
-                _ => continue,
-            },
-        };
-        match kind {
-            kind::PROGRESS => {
-                let told: Told = serde_json::from_slice(&bytes).map_err(|e| lost(e.to_string()))?;
-                stage = STAGES.iter().find(|s| **s == told.stage).copied().unwrap_or(stage);
-                sink.progress(&Progress { stage, step: told.step, steps: told.steps, elapsed_ms: told.elapsed_ms });
-            }
-            kind::CONTAINER => product.container = bytes,
-            kind::DISPARITY => product.disparity = bytes,
-            kind::THUMBNAIL => product.thumbnail = bytes,
-            kind::REPORT => {
-                product.report = serde_json::from_slice(&bytes).map_err(|e| lost(e.to_string()))?;
-                return Ok(product);
-            }
-            kind::FAULT => return Err(Answer::Told(serde_json::from_slice(&bytes).map_err(|e| lost(e.to_string()))?)),
-            other => return Err(lost(format!("a frame of kind {other}"))),
-        }
+        self.make_photo(photo, depth, options, sink)
     }
 }
 

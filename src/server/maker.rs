@@ -19,7 +19,7 @@ use super::store::{Done, digest};
 use super::time::now_ms;
 
 /// Everything that is kept of a made photo.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Product {
     /// The container.
     pub container: Vec<u8>,
