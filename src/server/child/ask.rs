@@ -33,6 +33,13 @@ enum Missed {
     Lost(Fault),
 }
 
+impl Missed {
+    fn fault(self) -> Fault {
+        let (Self::Told(fault) | Self::Lost(fault)) = self;
+        fault
+    }
+}
+
 impl ProcessMaker {
     /// Sends what is asked to `worker` and waits for `answer`, until it is there, refused, cancelled or late. The process is kept for the next
     /// where it may be, else ended.
@@ -64,8 +71,7 @@ impl ProcessMaker {
                 // what is still being sent to it ends with it, and what it started
                 end(child);
             }
-            let fault = |Missed::Told(fault)| Missed::Lost(fault) | fault;
-            (outcome.map(|(made, _)| made).map_err(fault), keep)
+            (outcome.map(|(made, _)| made).map_err(Missed::fault), keep)
         });
         if keep {
             worker.made = Some(Instant::now());

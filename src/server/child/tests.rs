@@ -5,7 +5,7 @@ use crate::server::Limits;
 use crate::server::exports::Recipe;
 use tmpi_core::{DisparityMap, Photo};
 use tmpi_pipeline::depth::{DepthError, Estimator};
-use tmpi_pipeline::{Models, Silent};
+use tmpi_pipeline::{Models, Progress, Silent};
 
 struct Flat;
 
