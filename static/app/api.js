@@ -92,13 +92,21 @@ export async function changeSettings(id, patch, etag) {
 }
 
 /**
- * Pages of a photo for others: `page` ends after `seconds`, `manage` makes a browser the owner and is there for who came with a secret.
+ * Pages of a photo for others: `page` ends after `seconds`, `manage` lets somebody change it until that is taken back.
  * @param {string} id
  * @param {number} seconds
  * @returns {Promise<{page: string, manage?: string}>}
  */
 export async function linksOf(id, seconds) {
   return (await request(photoUrl(id, `/links?seconds=${seconds}`), { method: 'POST' })).json();
+}
+
+/**
+ * Takes back all links to a photo.
+ * @param {string} id
+ */
+export async function takeLinksBack(id) {
+  await request(photoUrl(id, '/manage'), { method: 'DELETE' });
 }
 
 /** Longest that the server is asked to wait for a photo that it makes again; then its events are followed. */

@@ -10,8 +10,9 @@ const GERMAN = {
   '30 days': '30 Tage',
   'A day': 'Ein Tag',
   'A link that ends': 'Ein Link, der endet',
-  'A secret: whoever opens this link can see, change and delete all your photos.':
-    'Ein Geheimnis: Wer diesen Link öffnet, kann alle Ihre Fotos sehen, ändern und löschen.',
+  'A link to change it': 'Ein Link, um es zu ändern',
+  'A secret: whoever opens this link can see, change and delete this photo, and no other, until you take it back.':
+    'Ein Geheimnis: Wer diesen Link öffnet, kann dieses Foto sehen, ändern und löschen, und kein anderes, bis Sie ihn zurücknehmen.',
   'A week': 'Eine Woche',
   'An hour': 'Eine Stunde',
   'Anyone with the link': 'Alle mit dem Link',
@@ -20,14 +21,24 @@ const GERMAN = {
   'Cancel {0}': '{0} abbrechen',
   'Choose photos': 'Fotos auswählen',
   'Click the picture where it should be sharp.': 'Ins Bild klicken, wo es scharf sein soll.',
-  'For another browser of yours': 'Für einen anderen Ihrer Browser',
+  'Give them up': 'Aufgeben',
+  'Give up the photos of this browser?': 'Die Fotos dieses Browsers aufgeben?',
+  'I made it myself': 'Er ist von mir',
+  'Is this link your own?': 'Ist dieser Link von Ihnen?',
+  'It makes this browser the owner of what another browser uploaded. Whoever made the link can see, change and delete what you upload from here. Go on only if you made it yourself.':
+    'Er macht diesen Browser zum Besitzer dessen, was ein anderer hochgeladen hat. Wer den Link gemacht hat, kann sehen, ändern und löschen, was Sie von hier hochladen. Nur weiter, wenn er von Ihnen selbst ist.',
+  'Let somebody else change it': 'Jemand anderem Änderungen erlauben',
+  'Links of before show nothing any more; these are new.': 'Frühere Links zeigen nichts mehr; diese sind neu.',
   'How long it is good': 'Wie lange er gilt',
   'Let anyone with the link see it': 'Allen mit dem Link zeigen',
   'Only me': 'Nur ich',
   'Only who uploaded the photo says who may see it.': 'Wer das Foto sehen darf, sagt nur, wer es hochgeladen hat.',
   'Only you can see this photo. On a page it is shown once anyone with the link can see it.':
     'Nur Sie können dieses Foto sehen. Auf einer Seite erscheint es, sobald jeder mit dem Link es sehen kann.',
-  'The link for your other browser': 'Der Link für Ihren anderen Browser',
+  'Only who uploaded the photo takes its links back.': 'Links zurücknehmen kann nur, wer das Foto hochgeladen hat.',
+  'Take all links back': 'Alle Links zurücknehmen',
+  'This browser is an owner already. It could no longer see, change or delete the photos that were uploaded from it, and no other way leads back to them.':
+    'Dieser Browser besitzt schon etwas. Er könnte die Fotos, die von ihm hochgeladen wurden, nicht mehr sehen, ändern oder löschen, und kein anderer Weg führt zu ihnen zurück.',
   'Who may see it': 'Wer es sehen darf',
   'Who may see it…': 'Wer es sehen darf …',
   'Whoever has it sees this photo until then, and changes nothing.': 'Wer ihn hat, sieht dieses Foto so lange und ändert nichts.',
