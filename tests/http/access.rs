@@ -107,8 +107,17 @@ fn photos_are_their_owners_alone() {
     let page = |id: &str| String::from_utf8(ask(&server, "GET", &format!("/view/{id}"), &[], &[]).body).unwrap();
     assert_eq!(page(&a), page(&none), "the page tells no title");
     let json = ("content-type", "application/json");
-    for (method, path) in [("PATCH", ""), ("DELETE", ""), ("PATCH", "/strokes"), ("POST", "/again"), ("POST", "/links")] {
-        let of = |id: &str| plain(&ask(&server, method, &format!("/v1/photos/{id}{path}"), &[("authorization", &bob), json], b"{}"), id);
+    for (method, path) in [
+        ("PATCH", ""),
+        ("DELETE", ""),
+        ("PATCH", "/strokes"),
+        ("POST", "/again"),
+        ("POST", "/links"),
+        ("POST", "/manage"),
+        ("DELETE", "/manage"),
+    ] {
+        let body: &[u8] = if method == "PATCH" { b"{}" } else { b"" };
+        let of = |id: &str| plain(&ask(&server, method, &format!("/v1/photos/{id}{path}"), &[("authorization", &bob), json], body), id);
         assert!(of(&a).starts_with("404"), "{method} {path}: {}", of(&a));
         assert_eq!(of(&a), of(&none), "{method} {path}");
     }

@@ -79,7 +79,8 @@ fn a_browser_keeps_a_photos_token_for_that_photo_and_stays_who_it_is() {
     let of_bob = format!("tmpi_owner={}", &bob["Bearer ".len()..]);
     let post = |token: &str, scheme: &str| {
         let bearer = format!("Bearer {token}");
-        let headers = [("authorization", bearer.as_str()), ("cookie", &of_bob), ("x-forwarded-proto", scheme), ("sec-fetch-site", "same-origin")];
+        let headers =
+            [("authorization", bearer.as_str()), ("cookie", &of_bob), ("x-forwarded-proto", scheme), ("sec-fetch-site", "same-origin")];
         ask(&server, "POST", &keep, &headers, &[])
     };
     let kept = post(&token, "http");

@@ -8,7 +8,7 @@ use axum::http::{HeaderMap, StatusCode, Uri};
 use axum::response::{IntoResponse, Response};
 use serde::Serialize;
 
-use super::query::{NoQuery, Pairs};
+use super::query::{NoBody, NoQuery, Pairs};
 use crate::server::access;
 use crate::server::app::App;
 use crate::server::problem::Problem;
@@ -49,11 +49,11 @@ pub struct PhotoLink {
     ),
     responses(
         (status = 200, description = "The link", body = PhotoLink),
-        (status = 400, description = "A parameter is wrong"),
+        (status = 400, description = "A parameter is wrong, or there is a body"),
         (status = 404, description = "There is no such photo"),
     )
 )]
-pub async fn links(State(app): State<App>, Path(id): Path<String>, uri: Uri) -> Result<Json<PhotoLink>, Problem> {
+pub async fn links(State(app): State<App>, Path(id): Path<String>, uri: Uri, _: NoBody) -> Result<Json<PhotoLink>, Problem> {
     let entry = app.photo(&id)?;
     let photo = entry.id;
     let pairs = Pairs::read(&uri, &["seconds"])?;
@@ -81,12 +81,18 @@ pub async fn links(State(app): State<App>, Path(id): Path<String>, uri: Uri) -> 
     params(("id" = String, Path, description = "Id of the photo")),
     responses(
         (status = 204, description = "Kept, where a token came and the server asks who comes"),
-        (status = 400, description = "There are no parameters here"),
+        (status = 400, description = "There are neither parameters nor a body here"),
         (status = 401, description = "The token is none"),
         (status = 404, description = "There is no such photo, or the token is not its own, or was taken back"),
     )
 )]
-pub async fn keep_token(State(app): State<App>, Path(id): Path<String>, _: NoQuery, headers: HeaderMap) -> Result<Response, Problem> {
+pub async fn keep_token(
+    State(app): State<App>,
+    Path(id): Path<String>,
+    _: NoQuery,
+    headers: HeaderMap,
+    _: NoBody,
+) -> Result<Response, Problem> {
     let photo = app.photo(&id)?.id;
     let mut response = StatusCode::NO_CONTENT.into_response();
     if let Some(token) = access::token() {
@@ -133,12 +139,12 @@ pub async fn take_back(State(app): State<App>, Path(id): Path<String>, _: NoQuer
     params(("replace" = Option<bool>, Query, description = "Whether the secret of another owner goes, which the browser keeps; else `false`")),
     responses(
         (status = 204, description = "Kept, where the server asks who comes"),
-        (status = 400, description = "A parameter is wrong"),
+        (status = 400, description = "A parameter is wrong, or there is a body"),
         (status = 401, description = "The secret is none"),
         (status = 409, description = "The browser is another owner: without that secret its photos are lost to it"),
     )
 )]
-pub async fn keep(uri: Uri, headers: HeaderMap) -> Result<Response, Problem> {
+pub async fn keep(uri: Uri, headers: HeaderMap, _: NoBody) -> Result<Response, Problem> {
     let replace = match Pairs::read(&uri, &["replace"])?.get("replace") {
         None | Some("false") => false,
         Some("true") => true,

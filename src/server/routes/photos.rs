@@ -155,13 +155,7 @@ pub(super) fn uploader(app: &App) -> Result<(Option<Owner>, bool), Problem> {
 }
 
 /// The answer to an upload that was accepted; whoever was nobody before is told the photo's token, without which they could not see it.
-pub(super) async fn accepted(
-    app: &App,
-    entry: &Arc<Entry>,
-    clock: &Clock,
-    wait: Option<u64>,
-    is_new: bool,
-) -> Result<Response, Problem> {
+pub(super) async fn accepted(app: &App, entry: &Arc<Entry>, clock: &Clock, wait: Option<u64>, is_new: bool) -> Result<Response, Problem> {
     let mut ready = false;
     if let Some(seconds) = wait {
         // counted from the end of the body; the longest wait is what the request has left
