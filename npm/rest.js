@@ -162,7 +162,8 @@ export class Tmpi {
     const secret = ownerLink === undefined ? undefined : /#owner=(tmpi_o_[\w-]+)$/.exec(ownerLink)?.[1];
     if (ownerLink !== undefined && !secret) throw new TmpiError('input', "an owner's link ends with #owner= and a secret");
     const token = manageLink === undefined ? undefined : /#manage=(tmpi_m_[0-9a-f]{64})$/.exec(manageLink)?.[1];
-    if (manageLink !== undefined && !token) throw new TmpiError('input', "a link to change a photo ends with #manage= and the photo's token");
+    if (manageLink !== undefined && !token)
+      throw new TmpiError('input', "a link to change a photo ends with #manage= and the photo's token");
     this.limits = { silence, longestPause, tries, maxBytes };
     const bearer = key ?? secret ?? token;
     this.authorization = bearer && `Bearer ${bearer}`;

@@ -1,5 +1,6 @@
 // The server's HTTP interface, as far as the pages need it.
 import { problemText } from '../decode/problem.js';
+import { linkOf, withLink } from '../element/link.js';
 import { t } from '../i18n/messages.js';
 import { formatBytes } from '../i18n/text.js';
 
@@ -58,7 +59,10 @@ async function request(url, options) {
   return response;
 }
 
-export const photoUrl = (/** @type {string} */ id, part = '') => `/v1/photos/${encodeURIComponent(id)}${part}`;
+/** The link by which the page was opened: not every browser keeps its cookie. */
+const LINK = linkOf(globalThis.location?.search);
+
+export const photoUrl = (/** @type {string} */ id, part = '') => withLink(`/v1/photos/${encodeURIComponent(id)}${part}`, LINK);
 
 /**
  * One page of the list, newest first: `{photos, next}`; `next` is the address of the next page.

@@ -50,7 +50,9 @@ mod tests {
     fn tokens_are_told_from_secrets_and_keys() {
         let fine = format!("{PREFIX}{}", "0f".repeat(32));
         assert!(is_token(&fine) && !super::super::who::is_secret(&fine));
-        for wrong in [&fine[1..], &fine[..fine.len() - 1], &format!("{fine}0"), &fine.replace('f', "F"), &fine.replace('f', "g"), PREFIX, ""] {
+        for wrong in
+            [&fine[1..], &fine[..fine.len() - 1], &format!("{fine}0"), &fine.replace('f', "F"), &fine.replace('f', "g"), PREFIX, ""]
+        {
             assert!(!is_token(wrong), "{wrong}");
         }
     }

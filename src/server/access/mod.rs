@@ -34,8 +34,8 @@ use super::time::now_ms;
 use crate::live::check_origin;
 use cookies::{LINK_COOKIE, cookie, keep_private, manage_cookie, owner_cookie, set_cookie};
 pub use cookies::{set_manage, set_owner};
-use keys::{Key, Keys, KeysError, Scope};
-use links::{Asked, Link, take_link};
+use keys::{Keys, KeysError, Scope};
+use links::{Asked, Link, link_of_url, take_link};
 use manage::seal;
 use needs::{Need, need};
 pub use secret::{Secret, random, same};
@@ -187,6 +187,8 @@ impl Guard {
             *request.uri_mut() = uri;
             link
         });
+        let is_of_page = || request.extensions().get::<MatchedPath>().is_some_and(|path| path.as_str() == "/oembed");
+        let asked = asked.or_else(|| is_of_page().then(|| link_of_url(request.uri())));
         let (who, token) = if need == Need::Room { (Who::Stranger, None) } else { self.who(hosts, request)? };
         let of_cookie = || cookie(request.headers(), LINK_COOKIE).and_then(Link::of_cookie);
         let link = asked.clone().unwrap_or_else(|| of_cookie().filter(|_| check_origin(request.headers()).is_ok()));
@@ -357,6 +359,19 @@ pub fn secret() -> Option<String> {
 #[must_use]
 pub fn token() -> Option<String> {
     caller().and_then(|caller| caller.token.clone())
+}
+
+/// The query of the link that let in the caller of this request, where nothing else did.
+#[must_use]
+pub fn link() -> Option<String> {
+    caller().filter(|caller| caller.linked.load(Ordering::Relaxed))?.link.as_ref().map(Link::query)
+}
+
+/// Takes a link off a request's address where nobody is asked who they are: it has no say there.
+pub fn drop_link(request: &mut Request) {
+    if let Some((uri, _)) = take_link(request.uri()) {
+        *request.uri_mut() = uri;
+    }
 }
 
 /// Whether a browser is already known as an owner with another secret than this one.
