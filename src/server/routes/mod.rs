@@ -55,7 +55,7 @@ use crate::live;
         title = "tmpi",
         description = "Turns an uploaded photo into a tiled multiplane image and serves it. Every error is a problem document (RFC 9457). \
                        On every route: a request has one Host (else 400) that is the server's own (else 421); parameters are known and given \
-                       once, and a body comes where one is read alone (else 400); changes by pages of other sites are refused (403); who asks too often is told when to come back (429)."
+                       once (else 400); changes by pages of other sites are refused (403); who asks too often is told when to come back (429)."
     ),
     servers((url = "/", description = "This server")),
     tags(
