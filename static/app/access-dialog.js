@@ -1,7 +1,7 @@
-// Who may see a photo, where the server asks who comes: everybody with the link, or whoever has a link that ends; and who else may change it.
+// Who may see a photo, where the server asks who comes: everybody with the link, or whoever has a link that ends; who else may change it, and which other browser is its owner's.
 
 import { t } from '../i18n/messages.js';
-import { changeSettings, linksOf, takeLinksBack } from './api.js';
+import { changeSettings, linksOf, ownerTicket, takeLinksBack } from './api.js';
 import { element } from './dom.js';
 import { button, copied, showDialog } from './share-dialog.js';
 
@@ -77,7 +77,7 @@ export async function open({ id, visibility, changed }) {
       return fresh.manage;
     },
   );
-  return showDialog(t('Who may see it'), element('section', '', seen, said), ending, ...others);
+  return showDialog(t('Who may see it'), element('section', '', seen, said), ending, ...others, otherBrowser(id));
 }
 
 /**
@@ -112,6 +112,41 @@ function somebodyElse(manage, takeBack, anew) {
       said,
     ),
   ];
+}
+
+/**
+ * How another browser comes to own what this one owns.
+ * @param {string} id
+ */
+function otherBrowser(id) {
+  const link = copied(t('The link for your other browser'), '');
+  const shown = element('div', '', ...link.parts);
+  shown.hidden = true;
+  const said = element('p');
+  said.setAttribute('role', 'status');
+  const make = button(t('Make a link'), async () => {
+    try {
+      link.text.value = absolute(`/view/${encodeURIComponent(id)}#owner=${await ownerTicket()}`);
+      shown.hidden = false;
+      said.textContent = t('Good for a quarter of an hour.');
+    } catch (error) {
+      // this machine's own user, and whoever changes a photo by a link, have nothing to pass on
+      said.textContent = error.status === 403 ? t('This browser has no secret of its own.') : error.message;
+    }
+  });
+  return element(
+    'details',
+    '',
+    element('summary', '', t('For another browser of yours')),
+    element(
+      'p',
+      '',
+      t('A secret: whoever opens this link in time can see, change and delete all your photos, and that cannot be taken back.'),
+    ),
+    element('div', 'row', make),
+    shown,
+    said,
+  );
 }
 
 const absolute = (/** @type {string} */ path) => new URL(path, location.origin).href;

@@ -106,6 +106,14 @@ export async function linksOf(id, seconds) {
 }
 
 /**
+ * A ticket by which another browser becomes the owner that this one is; it soon ends.
+ * @returns {Promise<string>}
+ */
+export async function ownerTicket() {
+  return (await (await request('/v1/owner/ticket', { method: 'POST' })).json()).ticket;
+}
+
+/**
  * Takes back all links to a photo.
  * @param {string} id
  */

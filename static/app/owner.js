@@ -4,7 +4,7 @@
 // a module: what it awaits is there before the page begins
 export {};
 
-const [, kind, secret] = /^#(manage|owner)=(tmpi_[mo]_[\w-]+)$/.exec(location.hash) ?? [];
+const [, kind, secret] = /^#(manage|owner)=(tmpi_[mot]_[\w-]+)$/.exec(location.hash) ?? [];
 if (secret) {
   history.replaceState(history.state, '', location.pathname + location.search);
   const post = (/** @type {string} */ address) =>

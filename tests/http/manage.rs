@@ -178,3 +178,50 @@ fn no_link_makes_a_browser_another_owner_without_its_leave() {
     assert_eq!(keep("?replace=yes", None).problem(400)["field"], "replace");
     assert_eq!(keep("?force=true", None).problem(400)["field"], "force");
 }
+
+#[test]
+fn another_browser_becomes_the_same_owner_by_a_ticket_that_is_good_for_nothing_else() {
+    let dir = tempfile::tempdir().unwrap();
+    let server = private(dir.path());
+    let (ann, bob) = (secret("a"), secret("b"));
+    let photo = id(&upload(&server, Some(&ann), 1));
+    let at = format!("/v1/photos/{photo}");
+    let ask_for = |headers: &[(&str, &str)]| ask(&server, "POST", "/v1/owner/ticket", headers, &[]);
+    assert_eq!(ask_for(&[]).problem(403)["type"], "urn:tmpi:problem:no-owner");
+    let told = ask_for(&[("authorization", &ann)]);
+    assert_eq!((told.status, told.header("cache-control")), (200, Some("private, no-store")));
+    let (told, text) = (told.json(), String::from_utf8(told.body).unwrap());
+    assert!(!text.contains(&"a".repeat(40)), "the secret stays where it is");
+    let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap().as_secs();
+    assert!((now + 800..now + 1000).contains(&told["expires"].as_u64().unwrap()));
+    let ticket = told["ticket"].as_str().unwrap();
+    by(&server, ticket, "GET", &at).problem(404);
+    by(&server, ticket, "DELETE", &at).problem(404);
+    by(&server, ticket, "POST", "/v1/owner/ticket").problem(403);
+    let exchange = |ticket: &str, query: &str, cookie: &str| {
+        let bearer = format!("Bearer {ticket}");
+        ask(&server, "POST", &format!("/v1/owner{query}"), &[("authorization", &bearer), ("cookie", cookie)], &[])
+    };
+    let of_bob = format!("tmpi_owner={}", &bob["Bearer ".len()..]);
+    exchange(ticket, "", &of_bob).problem(409);
+    exchange(&format!("{ticket}0"), "", "").problem(401);
+    exchange(&ticket.replacen("tmpi_t_1", "tmpi_t_2", 1), "", "").problem(401);
+    for cookie in [exchange(ticket, "?replace=true", &of_bob), exchange(ticket, "", "")] {
+        assert_eq!(cookie.status, 204);
+        let kept = cookie.all("set-cookie");
+        assert!(kept.starts_with("tmpi_owner=tmpi_b_") && kept.ends_with("; HttpOnly; SameSite=Lax"), "{kept}");
+        let pair = kept.split(';').next().unwrap();
+        let browser = |method: &str, path: &str, cookie: &str| ask(&server, method, path, &[("cookie", cookie), JSON], b"");
+        assert_eq!(
+            (browser("GET", &at, pair).status, browser("GET", "/v1/photos", pair).json()["photos"][0]["id"].as_str()),
+            (200, Some(&*photo))
+        );
+        // it keeps it, and nothing of it can be made up
+        assert!(browser("GET", "/", pair).all("set-cookie").starts_with(pair));
+        assert_eq!(exchange(ticket, "", pair).status, 204, "it is the same owner");
+        browser("GET", &at, &pair[..pair.len() - 1]).problem(404);
+        let bearer = pair.trim_start_matches("tmpi_owner=");
+        by(&server, bearer, "GET", &at).problem(401);
+        assert_eq!(browser("POST", "/v1/owner/ticket", pair).status, 200);
+    }
+}

@@ -100,6 +100,7 @@ fn expected(route: &Route, method: &str, caller: &Caller) -> (u16, Option<&'stat
         "GET" | "HEAD" | "PATCH" if route.path == "/v1/uploads/{upload}" => (404, Some("not-found")),
         "GET" | "HEAD" | "PATCH" => (200, None),
         "POST" if route.path.ends_with("/links") => (200, None),
+        "POST" if route.path == "/v1/owner/ticket" => (403, Some("no-owner")),
         "POST" if route.path == "/v1/owner" || route.path.ends_with("/manage") => (204, None),
         "POST" => (202, None),
         "DELETE" => (404, Some("not-found")),

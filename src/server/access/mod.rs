@@ -10,6 +10,7 @@ mod links;
 mod manage;
 mod needs;
 mod secret;
+mod ticket;
 mod who;
 
 use std::path::Path;
@@ -39,6 +40,7 @@ use links::{Asked, Link, link_of_url, take_link};
 use manage::seal;
 use needs::{Need, need};
 pub use secret::{Secret, random, same};
+pub use ticket::SECONDS as TICKET_SECONDS;
 use who::{Who, bearer, fresh, is_secret};
 
 /// Whose a photo is: a hash, from which the secret does not follow.
@@ -158,7 +160,7 @@ impl Guard {
             let secret = match &caller.who {
                 Who::Owner(secret) => Ok(secret.clone()),
                 // one that is there is not lost, though a link of another site led here
-                Who::Stranger if !owner_cookie(&headers).is_some_and(is_secret) => fresh(),
+                Who::Stranger if matches!(self.of_cookie(&headers), Who::Stranger) => fresh(),
                 _ => return response,
             };
             match secret {
@@ -230,7 +232,7 @@ impl Guard {
                 })?;
                 return found.map(|key| (Who::Key(key), None)).ok_or_else(unknown);
             }
-            let who = Who::of_bearer(text).ok_or_else(unknown)?;
+            let who = self.of_ticket(text, now()).map(Who::Ticket).or_else(|| Who::of_bearer(text)).ok_or_else(unknown)?;
             let token = matches!(who, Who::Manager).then(|| text.to_owned());
             return Ok((who, token));
         }
@@ -242,8 +244,19 @@ impl Guard {
         if hosts.is_own(headers) && request.version() != Version::HTTP_10 {
             return Ok((Who::Own, token));
         }
-        let who = owner_cookie(headers).filter(|text| is_secret(text)).map_or(Who::Stranger, |text| Who::Owner(text.to_owned()));
-        Ok((who, token))
+        Ok((self.of_cookie(headers), token))
+    }
+
+    /// Whoever a browser keeps the secret of.
+    fn of_cookie(&self, headers: &HeaderMap) -> Who {
+        let kept = owner_cookie(headers).filter(|text| is_secret(text) || self.is_browser(text));
+        kept.map_or(Who::Stranger, |text| Who::Owner(text.to_owned()))
+    }
+
+    /// Whether a browser is already known as another owner than this one.
+    #[must_use]
+    pub fn is_another(&self, headers: &HeaderMap, owner: &Owner) -> bool {
+        self.of_cookie(headers).owner().is_some_and(|kept| !same(kept.0.as_bytes(), owner.0.as_bytes()))
     }
 
     fn opens(&self, link: &Link, entry: &Entry) -> bool {
@@ -349,10 +362,20 @@ impl Caller {
     }
 }
 
-/// The secret of who asks, where that is what they came with.
+/// Who is to be the owner by what who asks came with, and what a browser is to keep for it: a secret, or what a ticket is exchanged for.
 #[must_use]
-pub fn secret() -> Option<String> {
-    caller().and_then(|caller| if let Who::Owner(secret) = &caller.who { Some(secret.clone()) } else { None })
+pub fn to_keep(guard: &Guard) -> Option<(Owner, String)> {
+    match &caller()?.who {
+        who @ Who::Owner(kept) => Some((who.owner()?, kept.clone())),
+        Who::Ticket(owner) => Some((owner.clone(), guard.of_browser(owner))),
+        _ => None,
+    }
+}
+
+/// The owner by a secret that who asks is.
+#[must_use]
+pub fn owner_by_secret() -> Option<Owner> {
+    caller().and_then(|caller| if let Who::Owner(_) = &caller.who { caller.who.owner() } else { None })
 }
 
 /// The photo's own token that who asks came with.
@@ -372,12 +395,6 @@ pub fn drop_link(request: &mut Request) {
     if let Some((uri, _)) = take_link(request.uri()) {
         *request.uri_mut() = uri;
     }
-}
-
-/// Whether a browser is already known as an owner with another secret than this one.
-#[must_use]
-pub fn is_another(headers: &HeaderMap, secret: &str) -> bool {
-    owner_cookie(headers).is_some_and(|kept| is_secret(kept) && !same(kept.as_bytes(), secret.as_bytes()))
 }
 
 /// Seconds since 1970.

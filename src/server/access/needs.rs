@@ -44,6 +44,8 @@ const TABLE: &[(&str, &str, Need)] = &[
     ("GET", "/v1/network", Admin),
     ("POST", "/v1/network", Admin),
     ("POST", "/v1/owner", Nothing),
+    // of who asks: a stranger has none
+    ("POST", "/v1/owner/ticket", Nothing),
     ("GET", "/v1/photos", List),
     ("POST", "/v1/photos", Upload),
     // of whoever began it, as the handlers see to

@@ -110,6 +110,12 @@ impl Secret {
         now < expires && same(self.link(seal, expires).as_bytes(), signature.as_bytes())
     }
 
+    /// Signature of an owner for one purpose alone, and until a time where it ends; 64 hex digits.
+    #[must_use]
+    pub fn owner(&self, purpose: &str, owner: &Owner, expires: u64) -> String {
+        hex(&self.sign(purpose, &[owner.text().as_bytes(), &expires.to_le_bytes()]))
+    }
+
     /// What the token of a photo of this seal ends with; 64 hex digits.
     #[must_use]
     pub fn manage(&self, seal: &str) -> String {

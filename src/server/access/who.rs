@@ -4,7 +4,7 @@ use axum::http::HeaderValue;
 
 use super::keys::{Key, Scope};
 use super::secret::random;
-use super::{Owner, manage};
+use super::{Owner, manage, ticket};
 use crate::server::id::hex;
 use crate::server::problem::Problem;
 
@@ -41,8 +41,10 @@ pub enum Who {
     Own,
     /// Whoever has a key.
     Key(Key),
-    /// Whoever has a secret of their own.
+    /// Whoever has a secret of their own, or a browser that came by a ticket and keeps what it was given for it.
     Owner(String),
+    /// Whoever has a ticket, by which another browser becomes this owner, and which is good for nothing else.
+    Ticket(Owner),
     /// Whoever sends one photo's own token, and is nobody else.
     Manager,
     /// Anybody else.
@@ -71,8 +73,8 @@ impl Who {
         match self {
             Self::Own => Some(Owner::own()),
             Self::Key(key) => Some(key.owner()),
-            Self::Owner(secret) => Some(Owner::of_secret(secret)),
-            Self::Manager | Self::Stranger => None,
+            Self::Owner(kept) => Some(ticket::named(kept).unwrap_or_else(|| Owner::of_secret(kept))),
+            Self::Ticket(_) | Self::Manager | Self::Stranger => None,
         }
     }
 

@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use axum::Json;
 use axum::extract::{Path, State};
+use axum::http::header::CACHE_CONTROL;
 use axum::http::{HeaderMap, StatusCode, Uri};
 use axum::response::{IntoResponse, Response};
 use serde::Serialize;
@@ -11,6 +12,7 @@ use serde::Serialize;
 use super::query::{NoBody, NoQuery, Pairs};
 use crate::server::access;
 use crate::server::app::App;
+use crate::server::conditional::insert;
 use crate::server::problem::Problem;
 
 /// Seconds that a link is good for where nothing is said, and at most.
@@ -130,33 +132,67 @@ pub async fn take_back(State(app): State<App>, Path(id): Path<String>, _: NoQuer
     taken.await?
 }
 
+/// What makes another browser the same owner.
+#[derive(Serialize, utoipa::ToSchema)]
+pub struct Ticket {
+    /// A secret: it goes behind `#owner=` of any photo's page. It does not tell the owner's own.
+    ticket: String,
+    /// When it ends, in seconds since 1970.
+    expires: u64,
+}
+
+/// Let another browser be the same owner.
+///
+/// Whoever opens a photo's page with the ticket behind `#owner=` within a quarter of an hour, and says so there, owns what this owner does. What their
+/// browser keeps cannot be taken back.
+#[utoipa::path(
+    post, path = "/v1/owner/ticket", tag = "system",
+    responses(
+        (status = 200, description = "The ticket", body = Ticket),
+        (status = 400, description = "There are neither parameters nor a body here"),
+        (status = 403, description = "Only for whoever has an owner's secret"),
+    )
+)]
+pub async fn ticket(State(app): State<App>, _: NoQuery, _: NoBody) -> Result<Response, Problem> {
+    let Some((guard, owner)) = app.guard.as_ref().zip(access::owner_by_secret()) else {
+        let detail = "only whoever has an owner's secret can let another browser be that owner";
+        return Err(Problem::new(StatusCode::FORBIDDEN, "no-owner", detail));
+    };
+    let expires = access::now() + access::TICKET_SECONDS;
+    let mut response = Json(Ticket { ticket: guard.ticket(&owner, expires), expires }).into_response();
+    insert(&mut response, CACHE_CONTROL, "private, no-store");
+    Ok(response)
+}
+
 /// Have a browser keep an owner's secret.
 ///
-/// Sent as a bearer, it comes back as a cookie that no script reads. Pages call this for links with `#owner=`, once somebody has said so: what the
-/// browser uploads from then on belongs to whoever has the secret.
+/// Sent as a bearer, it comes back as a cookie that no script reads; a ticket is exchanged for one that says the same. Pages call this for links with
+/// `#owner=`, once somebody has said so: what the browser uploads from then on belongs to whoever has the secret.
 #[utoipa::path(
     post, path = "/v1/owner", tag = "system",
     params(("replace" = Option<bool>, Query, description = "Whether the secret of another owner goes, which the browser keeps; else `false`")),
     responses(
         (status = 204, description = "Kept, where the server asks who comes"),
         (status = 400, description = "A parameter is wrong, or there is a body"),
-        (status = 401, description = "The secret is none"),
+        (status = 401, description = "The secret is none, or the ticket's time is over"),
         (status = 409, description = "The browser is another owner: without that secret its photos are lost to it"),
     )
 )]
-pub async fn keep(uri: Uri, headers: HeaderMap, _: NoBody) -> Result<Response, Problem> {
+pub async fn keep(State(app): State<App>, uri: Uri, headers: HeaderMap, _: NoBody) -> Result<Response, Problem> {
     let replace = match Pairs::read(&uri, &["replace"])?.get("replace") {
         None | Some("false") => false,
         Some("true") => true,
         Some(other) => return Err(Problem::parameter("replace", format!("must be true or false, not {other:?}"))),
     };
     let mut response = StatusCode::NO_CONTENT.into_response();
-    if let Some(secret) = access::secret() {
-        if !replace && access::is_another(&headers, &secret) {
+    if let Some(guard) = &app.guard
+        && let Some((owner, kept)) = access::to_keep(guard)
+    {
+        if !replace && guard.is_another(&headers, &owner) {
             let detail = "the browser keeps the secret of another owner, which would be lost; replace=true does it all the same";
             return Err(Problem::new(StatusCode::CONFLICT, "another-owner", detail).field("replace"));
         }
-        access::set_owner(&mut response, &headers, &secret);
+        access::set_owner(&mut response, &headers, &kept);
     }
     Ok(response)
 }

@@ -5,6 +5,7 @@ import { openPage, seriousViolations } from '../support/browser.mjs';
 import { boxSuite, STILL } from '../support/suite.mjs';
 
 const SECRET = `tmpi_o_${'a'.repeat(40)}`;
+const TICKET = `tmpi_t_1_${'5e'.repeat(64)}`;
 const TOKEN = `tmpi_m_${'0f'.repeat(32)}`;
 
 describe('a link with a secret', () => {
@@ -70,10 +71,10 @@ describe('a link with a secret', () => {
       await context.close();
     }
     suite.server.state.another = undefined;
-    const { page, context } = await open(`#owner=${SECRET}`);
+    const { page, context } = await open(`#owner=${TICKET}`);
     await answer(page, 'Is this link your own?', 'I made it myself');
     await goesOn(page);
-    assert.deepEqual(suite.server.posts, [['/v1/owner', `Bearer ${SECRET}`]], 'a browser that was nobody loses nothing');
+    assert.deepEqual(suite.server.posts, [['/v1/owner', `Bearer ${TICKET}`]], 'a browser that was nobody loses nothing');
     await context.close();
   });
 

@@ -113,6 +113,14 @@ describe('sharing', () => {
     await dialog.getByText('these are new').waitFor();
     assert.deepEqual(suite.server.deleted, ['/v1/photos/box/manage']);
     assert.equal(await other.inputValue(), suite.server.url + fresh);
+    suite.server.state.ticket = `tmpi_t_1_${'5e'.repeat(64)}`;
+    await dialog.getByText('For another browser of yours').click();
+    const mine = dialog.getByLabel('The link for your other browser', { exact: true });
+    assert.ok(await mine.isHidden(), 'none is made unasked');
+    await dialog.getByRole('button', { name: 'Make a link' }).click();
+    await dialog.getByText('a quarter of an hour').waitFor();
+    assert.equal(await mine.inputValue(), `${suite.server.url}/view/box#owner=${suite.server.state.ticket}`);
+    suite.server.state.ticket = undefined;
     assert.deepEqual(await seriousViolations(page), []);
     await dialog.getByLabel('Who may see it', { exact: true }).selectOption('Anyone with the link');
     await dialog.getByText('Saved').waitFor();

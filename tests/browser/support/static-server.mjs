@@ -55,6 +55,8 @@ export async function serve({ atlas, delayMs = 0, wasm = true }) {
       response.writeHead(url.pathname === '/v1/owner' && !url.search && state.another ? 409 : 204);
       return response.end();
     }
+    if (url.pathname === '/v1/owner/ticket')
+      return send(state.ticket ? 200 : 403, 'application/json', JSON.stringify({ ticket: state.ticket, expires: 1 }));
     if (url.pathname === '/v1/photos/box') {
       if (request.method === 'PATCH') {
         let body = '';
