@@ -31,8 +31,10 @@ export class TmpiError extends Error {
 export interface ClientOptions {
   /** A key of `tmpi key add`, or an owner's secret. Never in a page: whoever reads the page has it. */
   key?: string;
-  /** The owner's link, as an upload's `links.manage` gives it. */
+  /** A link to a page that ends with `#owner=` and an owner's secret. */
   ownerLink?: string;
+  /** A link by which one photo can be seen and changed, and no other: `manage` of a {@link PhotoLink}, or `links.manage` of an upload. */
+  manageLink?: string;
   /** Milliseconds of silence after which a request is given up; 60000. */
   silence?: number;
   /** Milliseconds before another try, at most; 30000. */
@@ -103,7 +105,7 @@ export interface Links {
   poster: string;
   page: string;
   embed: string;
-  /** A secret, told once to whoever uploads without one. */
+  /** Page by which to see and change this photo, for `manageLink`: a secret, told once to whoever uploads without one. */
   manage?: string;
 }
 
@@ -213,6 +215,8 @@ export interface PhotoLink {
   query?: string;
   /** Seconds since 1970. */
   expires?: number;
+  /** Page by which others see and change this photo, for `manageLink`: a secret, good until {@link Tmpi.takeLinksBack}. */
+  manage?: string;
 }
 
 /** A server, as one caller sees it. All methods reject with a {@link TmpiError}, or with the reason of a `signal`. */
@@ -236,8 +240,10 @@ export class Tmpi {
   strokes(id: string): Promise<Tagged<{ version: number; strokes: Stroke[] }>>;
   /** Replaces all strokes; the photo is made again with them. */
   touchUp(id: string, strokes: Stroke[], seen?: string): Promise<Tagged<PhotoState>>;
-  /** A link by which others read the photo for `seconds`; a day. */
+  /** A link by which others read the photo for `seconds`, a day; and one by which they change it. */
   link(id: string, seconds?: number): Promise<PhotoLink>;
+  /** All links to a photo, those that end and those to change it, are good no longer; for its owner alone. */
+  takeLinksBack(id: string): Promise<void>;
   delete(id: string): Promise<void>;
   /** The container; null where `etag` is still its tag. */
   atlas(id: string, query?: AtlasQuery): Promise<TmpiFile>;
@@ -247,6 +253,6 @@ export class Tmpi {
   thumbnail(id: string): Promise<TmpiFile>;
   /** Grey PNG of 16 bits, larger is nearer. */
   depth(id: string): Promise<TmpiFile>;
-  /** A frame for a page of any site. */
-  embed(state: PhotoState): string;
+  /** A frame for a page of any site: of a photo that whoever has its address may see, or by a link, until that ends. */
+  embed(state: PhotoState, link?: PhotoLink): string;
 }

@@ -158,11 +158,14 @@ export class Tmpi {
   constructor(base, options = {}) {
     this.base = new URL(base);
     if (!/^https?:$/.test(this.base.protocol)) throw new TmpiError('input', `not the address of a server: ${base}`);
-    const { key, ownerLink, silence = 60_000, longestPause = 30_000, tries = 4, maxBytes = 512 * MIB } = options;
+    const { key, ownerLink, manageLink, silence = 60_000, longestPause = 30_000, tries = 4, maxBytes = 512 * MIB } = options;
     const secret = ownerLink === undefined ? undefined : /#owner=(tmpi_o_[\w-]+)$/.exec(ownerLink)?.[1];
     if (ownerLink !== undefined && !secret) throw new TmpiError('input', "an owner's link ends with #owner= and a secret");
+    const token = manageLink === undefined ? undefined : /#manage=(tmpi_m_[0-9a-f]{64})$/.exec(manageLink)?.[1];
+    if (manageLink !== undefined && !token)
+      throw new TmpiError('input', "a link to change a photo ends with #manage= and the photo's token");
     this.limits = { silence, longestPause, tries, maxBytes };
-    const bearer = key ?? secret;
+    const bearer = key ?? secret ?? token;
     this.authorization = bearer && `Bearer ${bearer}`;
   }
 
@@ -467,6 +470,11 @@ export class Tmpi {
   }
 
   /** @param {string} id */
+  async takeLinksBack(id) {
+    await this.ask(this.photo(id, '/manage'), { method: 'DELETE' }, async () => undefined);
+  }
+
+  /** @param {string} id */
   async delete(id) {
     await this.ask(this.photo(id), { method: 'DELETE' }, async () => undefined);
   }
@@ -497,8 +505,9 @@ export class Tmpi {
     return this.file(this.photo(id, '/depth'));
   }
 
-  /** @param {import('./rest.js').PhotoState} state */
-  embed(state) {
-    return `<iframe src="${quoted(this.address(state.links.embed))}" title="${quoted(state.settings.title ?? '3D photo')}" allow="fullscreen"></iframe>`;
+  /** @param {import('./rest.js').PhotoState} state @param {import('./rest.js').PhotoLink} [link] */
+  embed(state, link) {
+    const address = `${this.address(state.links.embed)}${link?.query ? `?${link.query}` : ''}`;
+    return `<iframe src="${quoted(address)}" title="${quoted(state.settings.title ?? '3D photo')}" allow="fullscreen"></iframe>`;
   }
 }

@@ -2,6 +2,7 @@
 
 use std::fmt::Write as _;
 
+use super::access;
 use super::app::Shared;
 use super::entry::{Entry, Status};
 use super::options;
@@ -30,23 +31,28 @@ pub struct Card {
     base: String,
     id: String,
     title: String,
+    /// The query of the link without which whoever is told of it could not see it, with its question mark; else empty.
+    link: String,
     /// Address of views and the photo's size, once it is made.
     view: Option<(String, (u32, u32))>,
 }
 
 impl Card {
-    /// Of a photo as it is now, for somebody who knows the server as `base`.
+    /// Of a photo as it is now, for whoever asks, who knows the server as `base`. By a link that they came by all is seen that is told.
     #[must_use]
     pub fn of(app: &Shared, entry: &Entry, base: String) -> Self {
-        let settings = entry.settings();
+        let (settings, link) = (entry.settings(), access::link());
         let view = if let Status::Done(done) = entry.status() {
             let pose = settings.poster_pose(&options::view_box_of(&entry.accepted.options)).unwrap_or_default();
-            let address = format!("{base}/v1/photos/{}/view?{pose}format=jpeg&v={}", entry.id, app.version(&done));
+            let link = link.as_ref().map(|link| format!("&{link}")).unwrap_or_default();
+            let address = format!("{base}/v1/photos/{}/view?{pose}format=jpeg&v={}{link}", entry.id, app.version(&done));
             Some((address, (done.width, done.height)))
         } else {
             None
         };
-        Self { base, id: entry.id.to_string(), title: settings.title.unwrap_or_else(|| UNTITLED.into()), view }
+        let title = settings.title.unwrap_or_else(|| UNTITLED.into());
+        let link = link.map(|link| format!("?{link}")).unwrap_or_default();
+        Self { base, id: entry.id.to_string(), title, link, view }
     }
 
     /// The title.
@@ -68,10 +74,11 @@ impl Card {
     pub fn frame(&self, most: (u32, u32)) -> (String, u32, u32) {
         let (width, height) = within(self.view.as_ref().map_or(most, |(_, size)| *size), most);
         let html = format!(
-            "<iframe src=\"{}/embed/{}\" width=\"{width}\" height=\"{height}\" title=\"{}\" loading=\"lazy\" style=\"border:0\" \
+            "<iframe src=\"{}/embed/{}{}\" width=\"{width}\" height=\"{height}\" title=\"{}\" loading=\"lazy\" style=\"border:0\" \
              allow=\"fullscreen; accelerometer; gyroscope; xr-spatial-tracking\"></iframe>",
             escaped(&self.base),
             self.id,
+            escaped(&self.link),
             escaped(&self.title)
         );
         (html, width, height)
@@ -89,7 +96,7 @@ impl Card {
     }
 
     fn tags(&self) -> String {
-        let url = format!("{}/view/{}", self.base, self.id);
+        let url = format!("{}/view/{}{}", self.base, self.id, self.link);
         let picture = self.picture((PICTURE, PICTURE));
         let mut tags = Vec::from([
             ("property", "og:type", "website".to_owned()),
@@ -151,7 +158,8 @@ mod tests {
     use super::*;
 
     fn card(title: &str) -> Card {
-        Card { base: "https://h:1".into(), id: "0".repeat(32), title: title.into(), view: Some(("https://h:1/x?a=1".into(), (4000, 3000))) }
+        let view = Some(("https://h:1/x?a=1".into(), (4000, 3000)));
+        Card { base: "https://h:1".into(), id: "0".repeat(32), title: title.into(), link: String::new(), view }
     }
 
     #[test]

@@ -15,7 +15,7 @@ use futures_util::FutureExt;
 use tracing::{Instrument, Span};
 
 use super::accept::{Peer, Secure};
-use super::access::Guard;
+use super::access::{self, Guard};
 use super::app::App;
 use super::body::Guarded;
 use super::clock::Clock;
@@ -174,6 +174,8 @@ async fn asked(app: &App, door: Door<'_>, mut request: Request, next: Next) -> R
             (told, pass.map(|pass| Some((guard, pass))))
         }
         (None, Some(rates)) => {
+            // links of before everybody was let in still lead somewhere
+            access::drop_link(&mut request);
             let (told, taken) = rates.count(Asker::of(None, asker()), &request);
             (told, taken.map(|()| None))
         }

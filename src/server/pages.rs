@@ -55,7 +55,9 @@ pub async fn view(State(app): State<App>, extract::Path(id): extract::Path<Strin
 }
 
 /// `GET /embed/{id}`: the photo alone, for frames of other sites; it can change nothing.
-pub async fn embed(State(app): State<App>, headers: HeaderMap) -> Result<Response, Problem> {
+pub async fn embed(State(app): State<App>, extract::Path(id): extract::Path<String>, headers: HeaderMap) -> Result<Response, Problem> {
+    // whoever came by a link is given its cookie where the photo may be seen by it; the page itself says where there is no such photo
+    let _ = app.photo(&id);
     page(&app, &headers, "app/embed-page.html", Frames::Anybody).await
 }
 

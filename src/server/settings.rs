@@ -102,6 +102,19 @@ pub struct Settings {
     /// From where the view is drawn that stands for the photo, each −1 to 1 of the view box.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub poster: Option<Offset>,
+    /// How often its owner has taken back links to it, which are signed over this: no setting, and never shown.
+    #[serde(default, skip_serializing_if = "is_first")]
+    #[schema(ignore)]
+    pub generation: u64,
+}
+
+/// Of settings that cannot be read: links of before may have been taken back.
+const LOST: u64 = 1 << 32;
+
+/// True where no link was taken back.
+#[allow(clippy::trivially_copy_pass_by_ref, reason = "serde gives a reference")]
+const fn is_first(generation: &u64) -> bool {
+    *generation == 0
 }
 
 impl Default for Settings {
@@ -116,6 +129,7 @@ impl Default for Settings {
             speed: None,
             visibility: None,
             poster: None,
+            generation: 0,
         }
     }
 }
@@ -133,11 +147,24 @@ impl Settings {
     /// What this program understands of settings of any version, damaged ones included.
     #[must_use]
     pub fn understood(bytes: &[u8]) -> Self {
-        let Ok(Value::Object(all)) = serde_json::from_slice(bytes) else { return Self::default() };
-        all.into_iter().fold(Self::default(), |known, (name, value)| {
+        let Ok(Value::Object(mut all)) = serde_json::from_slice(bytes) else { return Self { generation: LOST, ..Self::default() } };
+        let generation = all.remove("generation").map_or(0, |value| value.as_u64().unwrap_or(LOST));
+        all.into_iter().fold(Self { generation, ..Self::default() }, |known, (name, value)| {
             let one = Value::Object(Map::from_iter([(name, value)])).to_string();
             known.patched(one.as_bytes()).unwrap_or(known)
         })
+    }
+
+    /// These settings as anybody sees them.
+    #[must_use]
+    pub fn shown(self) -> Self {
+        Self { generation: 0, ..self }
+    }
+
+    /// These settings, with all links of before taken back.
+    #[must_use]
+    pub fn without_links(self) -> Self {
+        Self { generation: self.generation + 1, ..self }
     }
 
     /// These settings with a merge patch: what is null goes, what is missing stays.
@@ -316,7 +343,22 @@ mod tests {
         assert!(Settings::read(br#"{"version": 2}"#).unwrap_err().contains("version 2"));
         let later = Settings::understood(br#"{"version": 2, "title": "A", "focus": {"near": 1}, "halo": true}"#);
         assert_eq!(later, Settings { title: Some("A".into()), ..Settings::default() });
-        assert_eq!(Settings::understood(b"{\"title"), Settings::default());
+        assert_eq!(Settings::understood(b"{\"title").shown(), Settings::default());
+    }
+
+    #[test]
+    fn links_that_were_taken_back_stay_so_and_no_patch_brings_them_again() {
+        let fresh = Settings::default();
+        let back = fresh.clone().without_links();
+        assert_eq!(Settings::read(&serde_json::to_vec(&back).unwrap()).unwrap(), back);
+        assert_eq!(back.patched(br#"{"title": "A"}"#).unwrap().generation, 1);
+        assert!(back.patched(br#"{"generation": 0}"#).is_err_and(|p| p.field.as_deref() == Some("generation")));
+        assert_eq!(serde_json::to_value(back.clone().shown()).unwrap(), serde_json::to_value(&fresh).unwrap());
+        // of a later version, or damaged: none of before is good by accident
+        assert_eq!(Settings::understood(br#"{"version": 2, "generation": 3}"#).generation, 3);
+        for damaged in [&b"{\"title"[..], br#"{"version": 2, "generation": "3"}"#] {
+            assert!(Settings::understood(damaged).generation > 1 << 31);
+        }
     }
 
     #[test]

@@ -1,9 +1,9 @@
-// Who may see a photo, where the server asks who comes: everybody with the link, whoever has a link that ends, or another browser of its owner's.
+// Who may see a photo, where the server asks who comes: everybody with the link, or whoever has a link that ends; who else may change it, and which other browser is its owner's.
 
 import { t } from '../i18n/messages.js';
-import { changeSettings, linksOf } from './api.js';
+import { changeSettings, linksOf, ownerTicket, takeLinksBack } from './api.js';
 import { element } from './dom.js';
-import { copied, showDialog } from './share-dialog.js';
+import { button, copied, showDialog } from './share-dialog.js';
 
 /** @import { Shared } from './share-dialog.js' */
 
@@ -68,25 +68,85 @@ export async function open({ id, visibility, changed }) {
       link.text.value = error.message;
     }
   });
-  return showDialog(t('Who may see it'), element('section', '', seen, said), ending, ...otherBrowser(links.manage));
+  const others = somebodyElse(
+    links.manage,
+    () => takeLinksBack(id),
+    async () => {
+      const fresh = await linksOf(id, Number(time.value));
+      link.text.value = absolute(fresh.page);
+      return fresh.manage;
+    },
+  );
+  return showDialog(t('Who may see it'), element('section', '', seen, said), ending, ...others, otherBrowser(id));
 }
 
 /**
- * How another browser comes to own what this one owns; nothing where this one has no secret.
- * @param {string} [manage]
+ * How somebody else comes to change this photo, and how all links are taken back; nothing where the server tells of no such link.
+ * @param {string | undefined} manage
+ * @param {() => Promise<void>} takeBack
+ * @param {() => Promise<string | undefined>} anew shows the links of now; gives the one to change it
  */
-function otherBrowser(manage) {
+function somebodyElse(manage, takeBack, anew) {
   if (!manage) return [];
-  const link = copied(t('The link for your other browser'), absolute(manage));
+  const link = copied(t('A link to change it'), absolute(manage));
+  const said = element('p');
+  said.setAttribute('role', 'status');
+  const back = button(t('Take all links back'), async () => {
+    try {
+      await takeBack();
+      link.text.value = absolute((await anew()) ?? '');
+      said.textContent = t('Links of before show nothing any more; these are new.');
+    } catch (error) {
+      // whoever was given the link does not take it back
+      said.textContent = error.status === 404 ? t('Only who uploaded the photo takes its links back.') : error.message;
+    }
+  });
   return [
     element(
       'details',
       '',
-      element('summary', '', t('For another browser of yours')),
-      element('p', '', t('A secret: whoever opens this link can see, change and delete all your photos.')),
+      element('summary', '', t('Let somebody else change it')),
+      element('p', '', t('A secret: whoever opens this link can see, change and delete this photo, and no other, until you take it back.')),
       ...link.parts,
+      element('div', 'row', back),
+      said,
     ),
   ];
+}
+
+/**
+ * How another browser comes to own what this one owns.
+ * @param {string} id
+ */
+function otherBrowser(id) {
+  const link = copied(t('The link for your other browser'), '');
+  const shown = element('div', '', ...link.parts);
+  shown.hidden = true;
+  const said = element('p');
+  said.setAttribute('role', 'status');
+  const make = button(t('Make a link'), async () => {
+    try {
+      link.text.value = absolute(`/view/${encodeURIComponent(id)}#owner=${await ownerTicket()}`);
+      shown.hidden = false;
+      said.textContent = t('Good for a quarter of an hour.');
+    } catch (error) {
+      // this machine's own user, and whoever changes a photo by a link, have nothing to pass on
+      said.textContent = error.status === 403 ? t('This browser has no secret of its own.') : error.message;
+    }
+  });
+  return element(
+    'details',
+    '',
+    element('summary', '', t('For another browser of yours')),
+    element(
+      'p',
+      '',
+      t('A secret: whoever opens this link in time can see, change and delete all your photos, and that cannot be taken back.'),
+    ),
+    element('div', 'row', make),
+    shown,
+    said,
+  );
 }
 
 const absolute = (/** @type {string} */ path) => new URL(path, location.origin).href;

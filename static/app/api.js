@@ -1,5 +1,6 @@
 // The server's HTTP interface, as far as the pages need it.
 import { problemText } from '../decode/problem.js';
+import { linkOf, withLink } from '../element/link.js';
 import { t } from '../i18n/messages.js';
 import { formatBytes } from '../i18n/text.js';
 
@@ -58,7 +59,10 @@ async function request(url, options) {
   return response;
 }
 
-export const photoUrl = (/** @type {string} */ id, part = '') => `/v1/photos/${encodeURIComponent(id)}${part}`;
+/** The link by which the page was opened: not every browser keeps its cookie. */
+const LINK = linkOf(globalThis.location?.search);
+
+export const photoUrl = (/** @type {string} */ id, part = '') => withLink(`/v1/photos/${encodeURIComponent(id)}${part}`, LINK);
 
 /**
  * One page of the list, newest first: `{photos, next}`; `next` is the address of the next page.
@@ -92,13 +96,29 @@ export async function changeSettings(id, patch, etag) {
 }
 
 /**
- * Pages of a photo for others: `page` ends after `seconds`, `manage` makes a browser the owner and is there for who came with a secret.
+ * Pages of a photo for others: `page` ends after `seconds`, `manage` lets somebody change it until that is taken back.
  * @param {string} id
  * @param {number} seconds
  * @returns {Promise<{page: string, manage?: string}>}
  */
 export async function linksOf(id, seconds) {
   return (await request(photoUrl(id, `/links?seconds=${seconds}`), { method: 'POST' })).json();
+}
+
+/**
+ * A ticket by which another browser becomes the owner that this one is; it soon ends.
+ * @returns {Promise<string>}
+ */
+export async function ownerTicket() {
+  return (await (await request('/v1/owner/ticket', { method: 'POST' })).json()).ticket;
+}
+
+/**
+ * Takes back all links to a photo.
+ * @param {string} id
+ */
+export async function takeLinksBack(id) {
+  await request(photoUrl(id, '/manage'), { method: 'DELETE' });
 }
 
 /** Longest that the server is asked to wait for a photo that it makes again; then its events are followed. */

@@ -1,8 +1,10 @@
 // The photo alone, for frames of other sites: it shows and moves, and nothing in it changes anything on the server.
+import { linkOf, withLink } from '../element/link.js';
 import { $ } from './dom.js';
 
 const id = location.pathname.split('/').pop();
-const photo = `/v1/photos/${id}`;
+const link = linkOf(location.search);
+const photo = (/** @type {string} */ part) => withLink(`/v1/photos/${id}/${part}`, link);
 const viewer = $('viewer');
 
 // what the frame's address says of the element
@@ -11,10 +13,10 @@ for (const name of ['fit', 'auto-rotate', 'camera-controls', 'fullscreen']) {
   const value = asked.get(name);
   if (value !== null) viewer.setAttribute(name, value);
 }
-viewer.setAttribute('poster', `${photo}/thumbnail`);
-viewer.setAttribute('src', `${photo}/atlas`);
+viewer.setAttribute('poster', photo('thumbnail'));
+viewer.setAttribute('src', photo('atlas'));
 
-const answer = await fetch(`${photo}/settings`).catch(() => null);
+const answer = await fetch(photo('settings')).catch(() => null);
 const { title } = answer?.ok ? await answer.json() : {};
 if (title) {
   document.title = title;

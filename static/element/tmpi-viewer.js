@@ -1,7 +1,8 @@
 // <tmpi-viewer src="https://host/v1/photos/ID/atlas" alt="…" poster="…"></tmpi-viewer>: a 3D photo on any page.
 // <tmpi-viewer src="https://host/live/ROOM#token=…" alt="…"></tmpi-viewer>: a room, in which it moves.
 //
-//   src              address of a container; where it ends in /atlas, the server's views beside it serve browsers without a GPU
+//   src              address of a container; where its path ends in /atlas, the server's views beside it serve browsers without a GPU, by the same
+//                    link (`?expires=…&signature=…`) where it has one
 //   view             address of these views, where it is another
 //   alt              what the photo shows
 //   poster           picture until the photo is there
@@ -97,6 +98,7 @@ const MODULES = [
   'draw/webgl.js',
   'draw/webgpu-copy.js',
   'draw/webgpu.js',
+  'element/link.js',
   'element/photo-addresses.js',
   'input/camera-control.js',
   'input/gestures.js',

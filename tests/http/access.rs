@@ -107,8 +107,17 @@ fn photos_are_their_owners_alone() {
     let page = |id: &str| String::from_utf8(ask(&server, "GET", &format!("/view/{id}"), &[], &[]).body).unwrap();
     assert_eq!(page(&a), page(&none), "the page tells no title");
     let json = ("content-type", "application/json");
-    for (method, path) in [("PATCH", ""), ("DELETE", ""), ("PATCH", "/strokes"), ("POST", "/again"), ("POST", "/links")] {
-        let of = |id: &str| plain(&ask(&server, method, &format!("/v1/photos/{id}{path}"), &[("authorization", &bob), json], b"{}"), id);
+    for (method, path) in [
+        ("PATCH", ""),
+        ("DELETE", ""),
+        ("PATCH", "/strokes"),
+        ("POST", "/again"),
+        ("POST", "/links"),
+        ("POST", "/manage"),
+        ("DELETE", "/manage"),
+    ] {
+        let body: &[u8] = if method == "PATCH" { b"{}" } else { b"" };
+        let of = |id: &str| plain(&ask(&server, method, &format!("/v1/photos/{id}{path}"), &[("authorization", &bob), json], body), id);
         assert!(of(&a).starts_with("404"), "{method} {path}: {}", of(&a));
         assert_eq!(of(&a), of(&none), "{method} {path}");
     }
@@ -137,19 +146,18 @@ fn whoever_uploads_without_a_secret_is_told_one() {
     let dir = tempfile::tempdir().unwrap();
     let server = private(dir.path());
     let state = upload(&server, None, 1);
-    let photo = id(&state);
     let manage = state["links"]["manage"].as_str().unwrap();
-    let secret = manage.strip_prefix(&format!("/view/{photo}#owner=")).unwrap();
+    let token = manage.strip_prefix(&format!("/view/{}#manage=", id(&state))).unwrap();
+    assert!(!state.to_string().contains("tmpi_o_"), "the photo's own, and nobody's secret");
+    let secret = &secret("c")["Bearer ".len()..];
+    let photo = id(&upload(&server, Some(&format!("Bearer {secret}")), 1));
     let address = format!("/v1/photos/{photo}");
-    let of = |secret: &str, headers: &[(&str, &str)]| {
-        let bearer = format!("Bearer {secret}");
-        let all: Vec<_> = [("authorization", bearer.as_str())].into_iter().chain(headers.iter().copied()).collect();
-        ask(&server, "GET", &address, &all, &[])
-    };
-    assert_eq!((of(secret, &[]).status, ask(&server, "GET", &address, &[], &[]).status), (200, 404));
-    assert!(of(secret, &[]).json()["links"]["manage"].is_null(), "told once");
-    for wrong in [&secret[..secret.len() - 1], "tmpi_o_short", "tmpi_o_", "tmpi_k_0", "1000.ab", ""] {
-        assert!(matches!(of(wrong, &[]).status, 401 | 404), "{wrong}");
+    let of = |at: &str, bearer: &str| ask(&server, "GET", at, &[("authorization", &format!("Bearer {bearer}"))], &[]);
+    let told = of(&format!("/v1/photos/{}", id(&state)), token);
+    assert_eq!((told.status, of(&address, secret).status, ask(&server, "GET", &address, &[], &[]).status), (200, 200, 404));
+    assert!(told.json()["links"]["manage"].is_null(), "told once");
+    for wrong in [&secret[..secret.len() - 1], token, &token[..token.len() - 1], "tmpi_o_short", "tmpi_o_", "tmpi_k_0", "1000.ab", ""] {
+        assert!(matches!(of(&address, wrong).status, 401 | 404), "{wrong}");
     }
     // a browser keeps it as a cookie, which other sites' pages cannot make it send
     let kept = ask(&server, "POST", "/v1/owner", &[("authorization", &format!("Bearer {secret}"))], &[]);
@@ -199,7 +207,7 @@ fn links_are_good_for_one_photo_and_a_while() {
     }
     let link = links("?seconds=600").json();
     let query = link["query"].as_str().unwrap();
-    assert!(link["manage"].as_str().unwrap().ends_with(&"a".repeat(40)));
+    assert!(!link.to_string().contains("tmpi_o_") && !link.to_string().contains(&"a".repeat(40)), "nobody's secret");
     let (expires, signature) = query.strip_prefix("expires=").unwrap().split_once("&signature=").unwrap();
     let of = |photo: &str, path: &str, query: &str| ask(&server, "GET", &format!("/v1/photos/{photo}{path}{query}"), &[], &[]);
     for path in ["?", "/atlas?", "/atlas?level=1&", "/view?w=8&", "/thumbnail?", "/settings?"] {
@@ -330,6 +338,12 @@ fn no_secret_is_logged() {
         ask(&server, "GET", &format!("/v1/photos/{photo}"), &[("authorization", &format!("{who}x"))], &[]);
         ask(&server, "GET", "/", &[("cookie", &who.replace("Bearer ", "tmpi_owner="))], &[]);
     }
+    let token = format!("Bearer {}", manage.split("#manage=").nth(1).unwrap());
+    let managed = manage["/view/".len()..].split('#').next().unwrap();
+    for method in ["GET", "PUT"] {
+        ask(&server, method, &format!("/v1/photos/{managed}"), &[("authorization", &token)], &[]);
+        ask(&server, method, &format!("/v1/photos/{managed}"), &[("cookie", &token.replace("Bearer ", "tmpi_manage="))], &[]);
+    }
     let files = ["keys.json", &format!("photos/{photo}/options.json"), &format!("photos/{photo}/state.json")];
     let mut kept: Vec<(String, String)> =
         files.map(|file| (file.to_owned(), std::fs::read_to_string(dir.path().join(file)).unwrap())).into();
@@ -339,7 +353,7 @@ fn no_secret_is_logged() {
     let secrets = [
         &ann["Bearer tmpi_o_".len()..],
         &key["Bearer tmpi_k_".len()..],
-        manage.split("tmpi_o_").nth(1).unwrap(),
+        manage.split("tmpi_m_").nth(1).unwrap(),
         query.split("signature=").nth(1).unwrap(),
     ];
     for (place, text) in kept {

@@ -59,6 +59,11 @@ fn streams_of_events_end_with_what_let_their_listeners_in() {
     // a link's time is over
     let link = ask(&server, "POST", &format!("/v1/photos/{photo}/links?seconds=3"), &[("authorization", &owner)], &[]).json();
     assert!(ends(open(&format!("?{}", link["query"].as_str().unwrap()), None)), "the link is over");
+    // a photo's token is taken back
+    let token = format!("Bearer {}", link["manage"].as_str().unwrap().split_once("#manage=").unwrap().1);
+    let of_friend = open("", Some(&token));
+    assert_eq!(ask(&server, "DELETE", &format!("/v1/photos/{photo}/manage"), &[("authorization", &owner)], &[]).status, 204);
+    assert!(ends(of_friend), "it is taken back");
     // what everybody saw is its owner's alone again
     show("link");
     let of_stranger = open("", None);
@@ -142,6 +147,11 @@ fn a_photo_is_its_owners_at_every_node_of_a_store() {
     let link = ask(&a, "POST", &format!("{at}/links"), &[("authorization", &ann)], &[]).json();
     let by_link = ask(&b, "GET", &format!("{at}/atlas?{}", link["query"].as_str().unwrap()), &[], &[]);
     assert_eq!((by_link.status, by_link.header("cache-control")), (200, Some("private, no-cache")));
+    // so does its token, until it is taken back at either
+    let token = format!("Bearer {}", link["manage"].as_str().unwrap().split_once("#manage=").unwrap().1);
+    assert_eq!((of(&a, &token, &at).status, of(&b, &token, &at).status), (200, 200));
+    assert_eq!(ask(&b, "DELETE", &format!("{at}/manage"), &[("authorization", &ann)], &[]).status, 204);
+    wait_until("it is taken back", || [&a, &b].iter().all(|node| of(node, &token, &at).status == 404));
     // who may see it is known to all nodes soon
     for (visibility, status) in [("link", 200), ("private", 404)] {
         let body = format!("{{\"visibility\": {visibility:?}}}");

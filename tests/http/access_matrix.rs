@@ -20,6 +20,8 @@ enum May {
     Own,
     /// Upload, and change the photo, which is not shown.
     Upload,
+    /// See and change the photo.
+    Manage,
     /// See the photo and list it.
     Read,
     /// See the photo.
@@ -32,11 +34,11 @@ enum May {
 
 impl May {
     fn see(self) -> bool {
-        matches!(self, Self::Everything | Self::Own | Self::Read | Self::See)
+        matches!(self, Self::Everything | Self::Own | Self::Manage | Self::Read | Self::See)
     }
 
     fn change(self) -> bool {
-        matches!(self, Self::Everything | Self::Own | Self::Upload)
+        matches!(self, Self::Everything | Self::Own | Self::Manage | Self::Upload)
     }
 }
 
@@ -48,6 +50,8 @@ struct Caller {
     photo: String,
     /// Parameters of a link.
     link: Option<String>,
+    /// A photo's token is all that they say who they are by.
+    manager: bool,
     /// This machine's own user: rooms are theirs.
     here: bool,
     /// A page of another site.
@@ -59,6 +63,15 @@ struct Caller {
 impl Caller {
     fn linked(self, link: &str) -> Self {
         Self { link: Some(link.to_owned()), ..self }
+    }
+
+    /// An owner's secret is what they say who they are by.
+    fn secret(&self) -> bool {
+        self.headers.iter().any(|(_, value)| value.contains("tmpi_o_"))
+    }
+
+    fn manager(self) -> Self {
+        Self { manager: true, ..self }
     }
 
     fn asks_for(self, photo: &str) -> Self {
@@ -76,7 +89,7 @@ impl Caller {
             headers.push(HOST);
         }
         let body = match method {
-            "POST" => jpeg(1),
+            "POST" if route.path == "/v1/photos" => jpeg(1),
             "PATCH" => b"{}".to_vec(),
             _ => Vec::new(),
         };
@@ -104,6 +117,8 @@ fn expected(route: &Route, method: &str, caller: &Caller, shown: bool) -> (u16, 
         ("OPTIONS", _) => (405, Some("method")),
         (_, "/metrics") if may == May::Metrics => (200, None),
         (_, "/metrics" | "/v1/network") if may != May::Everything => (403, Some("not-yours")),
+        // a photo's token is for nothing but that photo
+        (_, "/v1/uploads/{upload}" | "/v1/photos") if caller.manager => (403, Some("scope")),
         // of an upload that is not there, or is another's
         ("GET" | "HEAD", "/v1/uploads/{upload}") if matches!(may, May::Read | May::Metrics) => (403, Some("scope")),
         ("GET" | "HEAD", "/v1/uploads/{upload}") => (404, Some("not-found")),
@@ -117,6 +132,8 @@ fn expected(route: &Route, method: &str, caller: &Caller, shown: bool) -> (u16, 
         (_, "/v1/live/{room}" | "/v1/live/{room}/token") => (200, None),
         (_, "/v1/live/{room}/publish" | "/v1/live/{room}/subscribe") => (426, Some("upgrade")),
         _ if path.starts_with("/v1/live/") => (404, Some("not-found")),
+        ("POST", "/v1/owner/ticket") if caller.secret() => (200, None),
+        ("POST", "/v1/owner/ticket") => (403, Some("no-owner")),
         ("POST", "/v1/owner") => (204, None),
         ("POST", "/v1/photos") => (202, None),
         ("GET" | "HEAD", "/v1/photos") => (200, None),
@@ -125,16 +142,19 @@ fn expected(route: &Route, method: &str, caller: &Caller, shown: bool) -> (u16, 
         | ("POST", "/v1/photos/{id}/again" | "/v1/photos/{id}/exports")
         // of a file that nobody asked for
         | ("GET" | "HEAD", "/v1/photos/{id}/exports/{key}" | "/v1/photos/{id}/exports/{key}/file") => (404, Some("not-found")),
+        ("POST", "/v1/photos/{id}/manage") => if_may(may.change(), 204),
         ("PATCH", _) | ("POST", "/v1/photos/{id}/links") => if_may(may.change(), 200),
         ("GET" | "HEAD", _) if path.starts_with("/v1/photos/") || path == "/oembed" => if_may(shown || may.see(), 200),
         _ => (200, None),
     }
 }
 
-/// A link's parameters, good for `seconds`.
-fn link(server: &Running, owner: &str, photo: &str, seconds: u64) -> String {
+/// What a photo's owner is told to give away: a link's parameters, good for `seconds`, and the photo's token.
+fn link(server: &Running, owner: &str, photo: &str, seconds: u64) -> (String, String) {
     let path = format!("/v1/photos/{photo}/links?seconds={seconds}");
-    request(server.addr, "POST", &path, &[HOST, ("authorization", owner)], &[]).json()["query"].as_str().unwrap().to_owned()
+    let told = request(server.addr, "POST", &path, &[HOST, ("authorization", owner)], &[]).json();
+    let token = told["manage"].as_str().unwrap().split_once("#manage=").unwrap().1.to_owned();
+    (told["query"].as_str().unwrap().to_owned(), token)
 }
 
 #[test]
@@ -145,9 +165,14 @@ fn every_route_answers_everybody_as_it_should() {
     let key = |name: &str, scopes: &[Scope]| format!("Bearer {}", keys::add(dir.path(), name, scopes, None).unwrap());
     let site = key("site", &[Scope::Upload, Scope::Read]);
     let (of_ann, of_site) = (id(&upload(&server, Some(&ann), 1)), id(&upload(&server, Some(&site), 1)));
-    let [good, over, other] = [(&ann, &of_ann, 600), (&ann, &of_ann, 1), (&site, &of_site, 600)].map(|(o, p, s)| link(&server, o, p, s));
+    let (taken_link, taken_back) = link(&server, &ann, &of_ann, 600);
+    let back = request(server.addr, "DELETE", &format!("/v1/photos/{of_ann}/manage"), &[HOST, ("authorization", &ann)], &[]);
+    assert_eq!(back.status, 204);
+    let [(good, token), (over, _), (other, others_token)] =
+        [(&ann, &of_ann, 600), (&ann, &of_ann, 1), (&site, &of_site, 600)].map(|(o, p, s)| link(&server, o, p, s));
     let bearer = |text: String| ("authorization", text);
     let cookie = ("cookie", format!("tmpi_owner={}", &ann["Bearer ".len()..]));
+    let kept = ("cookie", format!("tmpi_manage={token}"));
     let evil = [("origin", "https://evil.example".to_owned()), ("sec-fetch-site", "cross-site".to_owned())];
     let caller = |what, headers: Vec<(&'static str, String)>, may| Caller {
         what,
@@ -155,6 +180,7 @@ fn every_route_answers_everybody_as_it_should() {
         may,
         photo: of_ann.clone(),
         link: None,
+        manager: false,
         here: false,
         foreign: false,
         rebound: false,
@@ -170,6 +196,11 @@ fn every_route_answers_everybody_as_it_should() {
         caller("a stranger with a link", vec![], May::See).linked(&good),
         caller("a stranger with a link that is over", vec![], May::Nothing).linked(&over),
         caller("a stranger with another photo's link", vec![], May::Nothing).linked(&other),
+        caller("a stranger with a link that was taken back", vec![], May::Nothing).linked(&taken_link),
+        caller("whoever has the photo's token", vec![bearer(format!("Bearer {token}"))], May::Manage).manager(),
+        caller("whoever has another photo's token", vec![bearer(format!("Bearer {others_token}"))], May::Nothing).manager(),
+        caller("whoever has a token that was taken back", vec![bearer(format!("Bearer {taken_back}"))], May::Nothing).manager(),
+        caller("a browser with the photo's token", vec![kept.clone(), ("sec-fetch-site", "same-origin".into())], May::Manage),
         caller("another owner", vec![bearer(secret("b"))], May::Nothing),
         caller("another's key", vec![bearer(key("other", &[Scope::Upload, Scope::Read]))], May::Nothing),
         caller("the owner", vec![bearer(ann.clone())], May::Own),
@@ -183,6 +214,8 @@ fn every_route_answers_everybody_as_it_should() {
         foreign("another site", vec![], May::Nothing),
         foreign("another site, the owner's browser", vec![cookie.clone()], May::Nothing),
         foreign("another site, own machine's browser", vec![("host", server.addr.to_string())], May::Nothing),
+        foreign("another site, a browser with the photo's token", vec![kept], May::Nothing),
+        foreign("another site that has the photo's token", vec![bearer(format!("Bearer {token}"))], May::Manage).manager(),
         foreign("another site that has the secret", vec![bearer(ann.clone())], May::Own),
         rebound("a rebound name", vec![]),
         rebound("a rebound name, the owner's browser", vec![cookie]),

@@ -274,3 +274,28 @@ fn what_is_kept_is_its_owners_alone_to_read() {
         assert_eq!(mode(&path), 0o600, "{}", path.display());
     }
 }
+
+#[test]
+fn a_body_where_none_is_read_is_refused_and_says_where_parameters_go() {
+    let dir = tempfile::tempdir().unwrap();
+    let server = Running::start(dir.path(), Limits::default(), Arc::new(pipeline()));
+    let id = server.upload(&jpeg(1));
+    server.wait(&id, "done");
+    let at = |part: &str| format!("/v1/photos/{id}/{part}");
+    for path in [at("links"), at("manage"), at("again"), "/v1/owner".to_owned(), "/v1/network".to_owned()] {
+        for body in [&br#"{"seconds": 60}"#[..], b"{}", b" "] {
+            let refused = request(server.addr, "POST", &path, &[("content-type", "application/json")], body).problem(400);
+            assert!(refused["detail"].as_str().unwrap().contains("query"), "{path}: {refused}");
+        }
+        // in chunks, whose length is not told before
+        let chunked = |body: &str| {
+            let mut connection = Connection::open(server.addr);
+            let head = format!("POST {path} HTTP/1.1\r\nhost: {}\r\ntransfer-encoding: chunked\r\n\r\n", server.addr);
+            connection.raw().write_all((head + body).as_bytes()).unwrap();
+            connection.receive("POST").unwrap()
+        };
+        chunked("2\r\n{}\r\n0\r\n\r\n").problem(400);
+        assert!(chunked("0\r\n\r\n").status < 300, "{path}");
+        server.wait(&id, "done");
+    }
+}

@@ -22,6 +22,7 @@ mod fair;
 mod limits;
 mod live;
 mod live_faults;
+mod manage;
 mod manners;
 mod matrix;
 mod measure;

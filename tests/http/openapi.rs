@@ -75,8 +75,7 @@ fn written(server: &Running, photo: &str) -> String {
 
 fn check(server: &Running, (method, path, operation): &(String, String, &Value)) {
     let (headers, body): (&[_], _) = match method.as_str() {
-        "POST" if path.ends_with("/exports") => (&[], Vec::new()),
-        "POST" => (&[], jpeg(2)),
+        "POST" if path == "/v1/photos" => (&[], jpeg(2)),
         "PATCH" if path.starts_with("/v1/uploads/") => {
             (&[("content-type", "application/partial-upload"), ("upload-offset", "0"), ("upload-complete", "?0")], b"a part".to_vec())
         }
@@ -84,6 +83,11 @@ fn check(server: &Running, (method, path, operation): &(String, String, &Value))
         _ => (&[], Vec::new()),
     };
     let answer = request(server.addr, method, path, headers, &body);
+    // nobody is asked who they are here, and nobody has a secret
+    if path == "/v1/owner/ticket" {
+        assert_eq!(answer.status, 403);
+        return;
+    }
     // sockets are opened in live.rs; one of these leads to another
     let status = if operation["responses"]["101"].is_object() { 426..427 } else { 200..308 };
     assert!(status.contains(&answer.status), "{method} {path}: {}", answer.status);

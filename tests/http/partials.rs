@@ -282,11 +282,11 @@ fn an_upload_is_of_whoever_began_it() {
     let made = id(&state);
     as_who(Some(&bob), "GET", &format!("/v1/photos/{made}"), &[], &[]).problem(404);
     assert_eq!(as_who(Some(&ann), "GET", &format!("/v1/photos/{made}"), &[], &[]).status, 200);
-    // who has no secret is told one with the photo
+    // who has no secret is told the photo's token with it
     let at = begin(None);
     let state = as_who(None, "PATCH", &at, &rest, &photo[10..]);
     assert_ne!(id(&state), made);
-    assert!(state.json()["links"]["manage"].as_str().unwrap().contains("#owner=tmpi_o_"));
+    assert!(state.json()["links"]["manage"].as_str().unwrap().contains("#manage=tmpi_m_"));
     let kept =
         std::fs::read_dir(dir.path().join("uploads")).unwrap().map(|e| std::fs::read_to_string(e.unwrap().path().join("record.json")));
     assert!(kept.map(|text| text.unwrap()).all(|text| !text.contains("tmpi_o_")), "secrets are not kept");

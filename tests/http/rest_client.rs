@@ -126,6 +126,16 @@ fn photos_are_their_owners_and_a_link_shows_one() {
         assert_eq!((owner.photos().await.unwrap().len(), other.photos().await.unwrap().len()), (1, 0));
         let link = owner.link(&photo.id, 60).await.unwrap();
         assert_eq!(get(server.addr, &link.atlas).status, 200);
+        let html = owner.embedding_by(&photo, &link).unwrap();
+        assert!(html.contains(&link.query.as_ref().unwrap().replace('&', "&amp;")), "{html}");
+        let friend = client(&server).with_manage_link(link.manage.as_ref().unwrap()).unwrap();
+        assert_eq!(friend.photo(&photo.id).await.unwrap().id, photo.id);
+        let titled = Settings { title: Some("A friend's".into()), ..Settings::default() };
+        assert_eq!(friend.change(&photo.id, &titled).await.unwrap().settings.title, titled.title);
+        assert_eq!(friend.photos().await.unwrap_err().status(), Some(403));
+        owner.take_links_back(&photo.id).await.unwrap();
+        assert_eq!(friend.photo(&photo.id).await.unwrap_err().status(), Some(404));
+        assert_eq!(get(server.addr, &link.atlas).status, 404);
         let shown = Settings { visibility: Some(Visibility::Link), ..Settings::default() };
         assert_eq!(owner.change(&photo.id, &shown).await.unwrap().visibility, Some(Visibility::Link));
         assert!(other.container(&photo.id).await.is_ok());

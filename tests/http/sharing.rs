@@ -6,6 +6,7 @@ use std::sync::Arc;
 use serde_json::json;
 use tmpi::server::Limits;
 
+use crate::access::{ask, id, private, secret, upload};
 use crate::client::{Response, get, request};
 use crate::fixture::{Gate, Running, jpeg, pipeline};
 
@@ -162,4 +163,53 @@ fn sites_are_told_how_to_embed_it() {
     ] {
         refused(&format!("url={}", url.replace(' ', "%20"))).problem(404);
     }
+}
+
+#[test]
+fn a_page_that_was_opened_by_a_link_tells_others_of_it_by_that_link() {
+    const BASE: &str = "http://photos.example";
+    let dir = tempfile::tempdir().unwrap();
+    let server = private(dir.path());
+    let ann = secret("a");
+    let photo = id(&upload(&server, Some(&ann), 1));
+    let stranger = |address: &str| ask(&server, "GET", address.strip_prefix(BASE).unwrap_or(address), &[], &[]);
+    let links = ask(&server, "POST", &format!("/v1/photos/{photo}/links"), &[("authorization", &ann)], &[]).json();
+    let query = links["query"].as_str().unwrap();
+    let text = |answer: Response| String::from_utf8(answer.body).unwrap();
+    let page = text(stranger(links["page"].as_str().unwrap()));
+    let tags = tags(&page);
+    assert_eq!(tags["og:url"], format!("{BASE}/view/{photo}?{query}"), "else the site that shows it would lead to nothing");
+    let picture = stranger(&tags["og:image"]);
+    assert_eq!((picture.status, picture.header("content-type")), (200, Some("image/jpeg")));
+    let told = unescaped(page.split("application/json+oembed\" href=\"").nth(1).unwrap().split('"').next().unwrap());
+    let told = stranger(&told);
+    assert_eq!((told.status, told.header("cache-control")), (200, Some("private, no-cache")));
+    let told = told.json();
+    assert_eq!(stranger(told["thumbnail_url"].as_str().unwrap()).status, 200);
+    let frame = unescaped(told["html"].as_str().unwrap().split('"').nth(1).unwrap());
+    assert_eq!(frame, format!("{BASE}/embed/{photo}?{query}"));
+    let kept = stranger(&frame);
+    assert!(kept.status == 200 && kept.all("set-cookie").starts_with("tmpi_link="), "who goes there by itself has its cookie");
+    // by another link, or none, there is nothing to tell
+    let forged = format!("{}{}", &query[..query.len() - 1], if query.ends_with('0') { '1' } else { '0' });
+    for query in ["", &format!("?{forged}")] {
+        let page = text(stranger(&format!("/view/{photo}{query}")));
+        assert!(!page.contains("og:") && !page.contains("signature"), "{page}");
+        let url: String =
+            form_urlencoded::Serializer::new(String::new()).append_pair("url", &format!("{BASE}/view/{photo}{query}")).finish();
+        stranger(&format!("/oembed?{url}")).problem(404);
+        assert!(stranger(&format!("/embed/{photo}{query}")).header("set-cookie").is_none());
+    }
+    // its owner's own page, and what everybody may see, needs none
+    let own = text(ask(&server, "GET", links["page"].as_str().unwrap(), &[("authorization", &ann)], &[]));
+    assert!(own.contains("og:image") && !own.contains("signature"));
+}
+
+#[test]
+fn a_link_leads_somewhere_also_once_nobody_is_asked_who_they_are() {
+    let (_dir, server, id) = start();
+    for path in ["", "/atlas", "/settings"] {
+        assert_eq!(get(server.addr, &format!("/v1/photos/{id}{path}?expires=1&signature=5e")).status, 200, "{path}");
+    }
+    get(server.addr, &format!("/v1/photos/{id}?expires=1&signature=5e&halo=1")).problem(400);
 }

@@ -52,6 +52,8 @@ pub use types::{Link, Links, Offset, PhotoState, Progress, Settings, State, Visi
 
 /// What an owner's secret begins with.
 const OWNER: &str = "tmpi_o_";
+/// What a photo's own token begins with.
+const MANAGE: &str = "tmpi_m_";
 /// Longest time without a byte from the server.
 const SILENCE: Duration = Duration::from_mins(1);
 /// Time to connect.
@@ -117,6 +119,15 @@ impl Client {
         Ok(self)
     }
 
+    /// Asks by a link to change one photo: [`Link::manage`], or `manage` of the [`Links`] of an upload. Nothing else can be had by it.
+    ///
+    /// # Errors
+    /// [`Error::Key`] where it is no such link.
+    pub fn with_manage_link(self, link: &str) -> Result<Self, Error> {
+        let token = link.split_once("#manage=").map(|(_, token)| token).filter(|token| token.starts_with(MANAGE));
+        self.with_key(token.ok_or(Error::Key)?)
+    }
+
     /// Asks as a fresh owner: whoever keeps [`Client::secret`] owns what is uploaded with it.
     ///
     /// # Errors
@@ -156,11 +167,24 @@ impl Client {
     /// # Errors
     /// [`Error::Address`].
     pub fn embedding(&self, photo: &PhotoState) -> Result<String, Error> {
-        let address = self.address(&photo.links.embed)?;
-        let (width, height) = (photo.width.unwrap_or(4), photo.height.unwrap_or(3));
-        let style = format!("width:100%;aspect-ratio:{width}/{height};border:0");
-        Ok(format!("<iframe src=\"{address}\" style=\"{style}\" loading=\"lazy\" allow=\"accelerometer; gyroscope; fullscreen\"></iframe>"))
+        self.address(&photo.links.embed).map(|address| frame(photo, &address))
     }
+
+    /// The same of a photo that is its owner's alone, by a link: it is shown until that ends.
+    ///
+    /// # Errors
+    /// [`Error::Address`].
+    pub fn embedding_by(&self, photo: &PhotoState, link: &Link) -> Result<String, Error> {
+        let mut address = self.address(&photo.links.embed)?;
+        address.set_query(link.query.as_deref());
+        Ok(frame(photo, &address))
+    }
+}
+
+fn frame(photo: &PhotoState, address: &Url) -> String {
+    let (width, height) = (photo.width.unwrap_or(4), photo.height.unwrap_or(3));
+    let (style, address) = (format!("width:100%;aspect-ratio:{width}/{height};border:0"), address.as_str().replace('&', "&amp;"));
+    format!("<iframe src=\"{address}\" style=\"{style}\" loading=\"lazy\" allow=\"accelerometer; gyroscope; fullscreen\"></iframe>")
 }
 
 /// Hexadecimal digits.
@@ -192,6 +216,10 @@ mod tests {
         assert_ne!(one.secret(), other.secret());
         assert_eq!(one.secret().map(str::len), Some(OWNER.len() + 64));
         assert_eq!(client().with_key("tmpi_k_1").unwrap().secret(), None);
+        assert!(client().with_manage_link("/view/0#manage=tmpi_m_0f").unwrap().secret().is_none());
+        for wrong in ["/view/0", "/view/0#manage=tmpi_o_0f", "tmpi_m_0f"] {
+            assert!(client().with_manage_link(wrong).is_err(), "{wrong}");
+        }
         assert!(!format!("{one:?} {:?}", one.headers).contains(one.secret().unwrap()));
     }
 }

@@ -152,7 +152,15 @@ impl Client {
         self.ask(Call::new(Method::DELETE, part(id, ""))).await.map(drop)
     }
 
-    /// A link by which others can read a photo for `seconds`, 1 to 31 622 400.
+    /// Takes back all links to a photo: those that would end later, and the one to change it. Only its owner does.
+    ///
+    /// # Errors
+    /// [`Error`]; status 404 where there is none, or it is another's.
+    pub async fn take_links_back(&self, id: &str) -> Result<(), Error> {
+        self.ask(Call::new(Method::DELETE, part(id, "/manage"))).await.map(drop)
+    }
+
+    /// A link by which others can read a photo for `seconds`, 1 to 31 622 400; and one by which they can change it.
     ///
     /// # Errors
     /// [`Error`].

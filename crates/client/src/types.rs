@@ -59,7 +59,8 @@ pub struct Links {
     pub page: String,
     /// The photo alone, for frames of other sites.
     pub embed: String,
-    /// Page by which to change it, with a secret; told once to whoever uploads without a key where the server asks who comes.
+    /// Page by which to see and change it, for [`crate::Client::with_manage_link`]: a secret, told once to whoever uploads without a key where the
+    /// server asks who comes.
     #[serde(default)]
     pub manage: Option<String>,
 }
@@ -187,4 +188,8 @@ pub struct Link {
     /// When it ends, in seconds since 1970.
     #[serde(default)]
     pub expires: Option<u64>,
+    /// Page by which others see and change this photo, and no other, for [`crate::Client::with_manage_link`]: a secret, good until
+    /// [`crate::Client::take_links_back`].
+    #[serde(default)]
+    pub manage: Option<String>,
 }

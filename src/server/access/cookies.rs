@@ -5,14 +5,19 @@ use axum::response::Response;
 
 use crate::server::conditional::insert;
 use crate::server::hosts::origin;
+use crate::server::id::PhotoId;
 
 /// Cookie of an owner's secret, and its name where the browser came by TLS: one that no other host of the same domain can have set
 /// (RFC 6265bis, section 4.1.3.2).
 const OWNER_COOKIE: &str = "tmpi_owner";
 const OWNER_COOKIE_TLS: &str = "__Host-tmpi_owner";
+/// Cookie of a photo's own token, below that photo's address alone, and its name where the browser came by TLS: only a host with TLS can have
+/// set that.
+const MANAGE_COOKIE: &str = "tmpi_manage";
+const MANAGE_COOKIE_TLS: &str = "__Secure-tmpi_manage";
 /// Cookie of a link by which a photo was opened.
 pub const LINK_COOKIE: &str = "tmpi_link";
-/// Seconds that a browser keeps an owner's secret: as long as browsers keep any cookie.
+/// Seconds that a browser keeps an owner's secret, and a photo's token: as long as browsers keep any cookie.
 const KEPT: u64 = 400 * 86_400;
 
 /// The value of a cookie.
@@ -30,6 +35,11 @@ pub fn owner_cookie(headers: &HeaderMap) -> Option<&str> {
     cookie(headers, if is_tls(headers) { OWNER_COOKIE_TLS } else { OWNER_COOKIE })
 }
 
+/// The photo's token that a browser keeps for the address that it asks.
+pub fn manage_cookie(headers: &HeaderMap) -> Option<&str> {
+    cookie(headers, if is_tls(headers) { MANAGE_COOKIE_TLS } else { MANAGE_COOKIE })
+}
+
 /// Has the browser keep a cookie that no script reads and no other site's page sends.
 pub fn set_cookie(response: &mut Response, asked: &HeaderMap, pair: &str, path: &str, age: u64) {
     let secure = if is_tls(asked) { "; Secure" } else { "" };
@@ -45,6 +55,12 @@ pub fn set_cookie(response: &mut Response, asked: &HeaderMap, pair: &str, path: 
 pub fn set_owner(response: &mut Response, asked: &HeaderMap, secret: &str) {
     let name = if is_tls(asked) { OWNER_COOKIE_TLS } else { OWNER_COOKIE };
     set_cookie(response, asked, &format!("{name}={secret}"), "/", KEPT);
+}
+
+/// Has the browser keep a photo's token, and send it for that photo alone.
+pub fn set_manage(response: &mut Response, asked: &HeaderMap, photo: PhotoId, token: &str) {
+    let name = if is_tls(asked) { MANAGE_COOKIE_TLS } else { MANAGE_COOKIE };
+    set_cookie(response, asked, &format!("{name}={token}"), &format!("/v1/photos/{photo}"), KEPT);
 }
 
 /// What not everybody may see is kept by the asker's own browser alone, and asked for again each time.

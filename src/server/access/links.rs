@@ -17,6 +17,12 @@ impl Link {
         Some(Self { expires: expires.parse().ok()?, signature: signature.to_owned() })
     }
 
+    /// As addresses have it.
+    #[must_use]
+    pub fn query(&self) -> String {
+        format!("expires={}&signature={}", self.expires, self.signature)
+    }
+
     /// As a cookie has it.
     #[must_use]
     pub fn of_cookie(text: &str) -> Option<Self> {
@@ -28,6 +34,13 @@ impl Link {
 /// The link that a request's address had, if it had parameters of one.
 #[derive(Clone)]
 pub struct Asked(pub Option<Link>);
+
+/// The link in the address that another address names in its parameter `url`, as those do that ask how to embed a page.
+#[must_use]
+pub fn link_of_url(uri: &Uri) -> Option<Link> {
+    let (_, url) = form_urlencoded::parse(uri.query()?.as_bytes()).find(|(name, _)| name == "url")?;
+    take_link(&url.parse().ok()?)?.1
+}
 
 /// The address without the parameters of a link, and the link, if these are one; none where there are no such parameters.
 #[must_use]
@@ -63,6 +76,13 @@ mod tests {
         assert_eq!(take("/x?expires=12&signature=ab"), Some(("/x".into(), link.clone())));
         assert_eq!(take("/x?signature=ab&w=8&expires=12"), Some(("/x?w=8".into(), link.clone())));
         assert_eq!(take("http://a/x?w=8&expires=12&signature=ab&v=1"), Some(("http://a/x?w=8&v=1".into(), link)));
+        let inner = |uri: &str| link_of_url(&uri.parse().unwrap()).map(|l| l.query());
+        let named = "/oembed?format=json&url=http%3A%2F%2Fa%2Fview%2F0%3Fsignature%3Dab%26expires%3D12";
+        assert_eq!(inner(named).as_deref(), Some("expires=12&signature=ab"));
+        assert_eq!(
+            (inner("/oembed?url=http%3A%2F%2Fa%2Fview%2F0"), inner("/oembed?expires=12&signature=ab"), inner("/oembed")),
+            (None, None, None)
+        );
         for wrong in ["expires=12", "signature=ab", "expires=1&expires=12&signature=ab", "expires=x&signature=ab", "expires&signature"] {
             assert_eq!(take(&format!("/x?{wrong}")), Some(("/x".into(), None)), "{wrong}");
         }

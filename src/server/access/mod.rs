@@ -7,15 +7,18 @@
 mod cookies;
 pub mod keys;
 mod links;
+mod manage;
 mod needs;
 mod secret;
+mod ticket;
+mod who;
 
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use axum::extract::{MatchedPath, Request};
-use axum::http::{HeaderValue, Method, StatusCode, Version, header};
+use axum::http::{HeaderMap, Method, StatusCode, Version, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use serde::{Deserialize, Serialize};
@@ -30,17 +33,15 @@ use super::settings::Visibility;
 use super::share::asker;
 use super::time::now_ms;
 use crate::live::check_origin;
-pub use cookies::set_owner;
-use cookies::{LINK_COOKIE, cookie, keep_private, owner_cookie, set_cookie};
-use keys::{Key, Keys, KeysError, Scope};
-use links::{Asked, Link, take_link};
+use cookies::{LINK_COOKIE, cookie, keep_private, manage_cookie, owner_cookie, set_cookie};
+pub use cookies::{set_manage, set_owner};
+use keys::{Keys, KeysError, Scope};
+use links::{Asked, Link, link_of_url, take_link};
+use manage::seal;
 use needs::{Need, need, refusal};
 pub use secret::{Secret, random, same};
-
-/// What an owner's secret begins with.
-const OWNER: &str = "tmpi_o_";
-/// Characters of an owner's secret after that: 128 bits at least where they are chosen at random.
-const CHARACTERS: std::ops::RangeInclusive<usize> = 32..=128;
+pub use ticket::SECONDS as TICKET_SECONDS;
+use who::{Who, bearer, fresh, is_secret};
 
 /// Whose a photo is: a hash, from which the secret does not follow.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -81,72 +82,18 @@ impl Owner {
     }
 }
 
-/// A fresh secret of an owner.
-///
-/// # Errors
-/// 500 where the system has no random bytes.
-fn fresh() -> Result<String, Problem> {
-    random().map(|bytes| format!("{OWNER}{}", hex(&bytes))).map_err(|e| Problem::internal("a fresh secret", &e))
-}
-
-/// What a bearer brings (RFC 6750); none for other schemes, and nothing where it cannot be read.
-fn bearer(value: &HeaderValue) -> Option<&str> {
-    let text = value.to_str().unwrap_or("bearer ");
-    let (scheme, rest) = text.split_once(' ').unwrap_or((text, ""));
-    scheme.eq_ignore_ascii_case("bearer").then(|| rest.trim())
-}
-
-fn is_secret(text: &str) -> bool {
-    let fits = |rest: &str| CHARACTERS.contains(&rest.len()) && rest.bytes().all(|b| b.is_ascii_alphanumeric() || b"-_".contains(&b));
-    text.strip_prefix(OWNER).is_some_and(fits)
-}
-
-/// Who asks.
-#[derive(Clone)]
-enum Who {
-    /// This machine's own user.
-    Own,
-    /// Whoever has a key.
-    Key(Key),
-    /// Whoever has a secret of their own.
-    Owner(String),
-    /// Anybody else.
-    Stranger,
-}
-
-impl Who {
-    fn is_admin(&self) -> bool {
-        self.is_told(Scope::Admin)
-    }
-
-    /// Whether it was said to them that they may what is nobody's by itself.
-    fn is_told(&self, scope: Scope) -> bool {
-        matches!(self, Self::Own) || matches!(self, Self::Key(key) if key.may(scope) || key.may(Scope::Admin))
-    }
-
-    fn owner(&self) -> Option<Owner> {
-        match self {
-            Self::Own => Some(Owner::own()),
-            Self::Key(key) => Some(key.owner()),
-            Self::Owner(secret) => Some(Owner::of_secret(secret)),
-            Self::Stranger => None,
-        }
-    }
-
-    /// Only keys are for less than everything with one's own.
-    fn may(&self, scope: Scope) -> bool {
-        self.is_admin() || !matches!(self, Self::Key(key) if !key.may(scope))
-    }
-}
-
 /// A request's caller, and what it may have.
 struct Caller {
     who: Who,
     owner: Option<Owner>,
     link: Option<Link>,
+    /// A photo's own token.
+    token: Option<String>,
     need: Need,
     /// Something that not everybody may see is answered.
     private: AtomicBool,
+    /// The link let in whoever would not have been without it.
+    linked: AtomicBool,
 }
 
 tokio::task_local! {
@@ -170,8 +117,8 @@ pub struct Guard {
 pub struct Uploader {
     /// Whose the photo will be.
     pub owner: Owner,
-    /// Their secret, where they had none before.
-    pub fresh: Option<String>,
+    /// They were nobody before: nobody has the secret of this owner, who is there for this one photo.
+    pub is_new: bool,
 }
 
 impl Guard {
@@ -213,7 +160,7 @@ impl Guard {
             let secret = match &caller.who {
                 Who::Owner(secret) => Ok(secret.clone()),
                 // one that is there is not lost, though a link of another site led here
-                Who::Stranger if !owner_cookie(&headers).is_some_and(is_secret) => fresh(),
+                Who::Stranger if matches!(self.of_cookie(&headers), Who::Stranger) => fresh(),
                 _ => return response,
             };
             match secret {
@@ -221,7 +168,7 @@ impl Guard {
                 Err(problem) => return problem.into_response(),
             }
         }
-        if let Some((id, link)) = opened(&path).zip(link).filter(|(id, link)| self.opens(link, *id)) {
+        if let Some((id, link)) = opened(&path).zip(link).filter(|_| caller.linked.load(Ordering::Relaxed)) {
             let Link { expires, signature } = link;
             let (age, at) = (expires.saturating_sub(now()), format!("/v1/photos/{id}"));
             set_cookie(&mut response, &headers, &format!("{LINK_COOKIE}={expires}.{signature}"), &at, age);
@@ -241,27 +188,31 @@ impl Guard {
             *request.uri_mut() = uri;
             link
         });
-        let who = if need == Need::Room { Who::Stranger } else { self.who(hosts, request)? };
+        let is_of_page = || request.extensions().get::<MatchedPath>().is_some_and(|path| path.as_str() == "/oembed");
+        let asked = asked.or_else(|| is_of_page().then(|| link_of_url(request.uri())));
+        let (who, token) = if need == Need::Room { (Who::Stranger, None) } else { self.who(hosts, request)? };
         let of_cookie = || cookie(request.headers(), LINK_COOKIE).and_then(Link::of_cookie);
         let link = asked.clone().unwrap_or_else(|| of_cookie().filter(|_| check_origin(request.headers()).is_ok()));
         request.extensions_mut().insert(Asked(asked.flatten()));
         match need {
-            Need::Upload if !who.may(Scope::Upload) => Err(scope("upload")),
-            Need::List if !who.may(Scope::Read) => Err(scope("read")),
+            Need::Upload => who.has_leave(Scope::Upload, "upload")?,
+            Need::List => who.has_leave(Scope::Read, "read")?,
             Need::Metrics if !who.is_told(Scope::Metrics) => {
                 let detail = "this is for this machine's own user, at a loopback address, and for keys with the scope metrics or admin";
-                Err(Problem::new(StatusCode::FORBIDDEN, "not-yours", detail))
+                return Err(Problem::new(StatusCode::FORBIDDEN, "not-yours", detail));
             }
             Need::Admin if !who.is_admin() => {
                 let detail = "this is for this machine's own user, at a loopback address, and for keys with the scope admin";
-                Err(Problem::new(StatusCode::FORBIDDEN, "not-yours", detail))
+                return Err(Problem::new(StatusCode::FORBIDDEN, "not-yours", detail));
             }
-            need => Ok(Caller { owner: who.owner(), who, link, need, private: AtomicBool::new(false) }),
+            _ => {}
         }
+        Ok(Caller { owner: who.owner(), who, link, token, need, private: AtomicBool::new(false), linked: AtomicBool::new(false) })
     }
 
-    /// A key or secret that is sent counts alone; else what a browser sends by itself, where no other site's page made it do so.
-    fn who(&self, hosts: &Hosts, request: &Request) -> Result<Who, Problem> {
+    /// Who asks, and a photo's token that they have besides. A key, secret or token that is sent counts alone; else what a browser sends by
+    /// itself, where no other site's page made it do so.
+    fn who(&self, hosts: &Hosts, request: &Request) -> Result<(Who, Option<String>), Problem> {
         let headers = request.headers();
         let unknown = || {
             let detail = "the key is unknown or no longer good, or the secret is none";
@@ -279,22 +230,37 @@ impl Guard {
                     tracing::error!(error = %e, "keys cannot be read; none counts");
                     Problem::new(StatusCode::SERVICE_UNAVAILABLE, "keys", "the server's keys cannot be read: its log says more")
                 })?;
-                return found.map(Who::Key).ok_or_else(unknown);
+                return found.map(|key| (Who::Key(key), None)).ok_or_else(unknown);
             }
-            return if is_secret(text) { Ok(Who::Owner(text.to_owned())) } else { Err(unknown()) };
+            let who = self.of_ticket(text, now()).map(Who::Ticket).or_else(|| Who::of_bearer(text)).ok_or_else(unknown)?;
+            let token = matches!(who, Who::Manager).then(|| text.to_owned());
+            return Ok((who, token));
         }
         if check_origin(headers).is_err() {
-            return Ok(Who::Stranger);
+            return Ok((Who::Stranger, None));
         }
+        let token = manage_cookie(headers).filter(|text| manage::is_token(text)).map(str::to_owned);
         // by HTTP/1.0 come proxies that were told nothing, who name neither the client nor the host that was asked for
         if hosts.is_own(headers) && request.version() != Version::HTTP_10 {
-            return Ok(Who::Own);
+            return Ok((Who::Own, token));
         }
-        Ok(owner_cookie(headers).filter(|text| is_secret(text)).map_or(Who::Stranger, |text| Who::Owner(text.to_owned())))
+        Ok((self.of_cookie(headers), token))
     }
 
-    fn opens(&self, link: &Link, id: PhotoId) -> bool {
-        self.secret.is_good(id, link.expires, &link.signature, now())
+    /// Whoever a browser keeps the secret of.
+    fn of_cookie(&self, headers: &HeaderMap) -> Who {
+        let kept = owner_cookie(headers).filter(|text| is_secret(text) || self.is_browser(text));
+        kept.map_or(Who::Stranger, |text| Who::Owner(text.to_owned()))
+    }
+
+    /// Whether a browser is already known as another owner than this one.
+    #[must_use]
+    pub fn is_another(&self, headers: &HeaderMap, owner: &Owner) -> bool {
+        self.of_cookie(headers).owner().is_some_and(|kept| !same(kept.0.as_bytes(), owner.0.as_bytes()))
+    }
+
+    fn opens(&self, link: &Link, entry: &Entry) -> bool {
+        self.secret.is_good(&seal(entry), link.expires, &link.signature, now())
     }
 
     /// Whether the caller of this request may have a photo as the request means to.
@@ -308,9 +274,10 @@ impl Guard {
         let everybodys = || entry.settings().visibility == Some(Visibility::Link);
         match caller.need {
             Need::Read if everybodys() => return true,
-            Need::Read if caller.has(entry, Scope::Read) || caller.link.as_ref().is_some_and(|link| self.opens(link, entry.id)) => {}
-            Need::List if caller.has(entry, Scope::Read) => {}
-            Need::Change if caller.has(entry, Scope::Upload) => {}
+            Need::Read | Need::List if caller.has(entry, Scope::Read) => {}
+            Need::Change | Need::Own if caller.has(entry, Scope::Upload) => {}
+            Need::Read | Need::Change if self.is_managed(caller, entry) => {}
+            Need::Read if caller.link.as_ref().is_some_and(|link| self.opens(link, entry)) => caller.linked.store(true, Ordering::Relaxed),
             _ => return false,
         }
         caller.private.store(true, Ordering::Relaxed);
@@ -319,8 +286,8 @@ impl Guard {
 
     /// Whether the caller of this request, whatever it asks, may change a photo. An answer that depends on it is theirs alone where it is so.
     #[must_use]
-    pub fn may_change(entry: &Entry) -> bool {
-        let caller = caller().filter(|caller| caller.has(entry, Scope::Upload));
+    pub fn may_change(&self, entry: &Entry) -> bool {
+        let caller = caller().filter(|caller| caller.has(entry, Scope::Upload) || self.is_managed(caller, entry));
         if let Some(caller) = &caller {
             caller.private.store(true, Ordering::Relaxed);
         }
@@ -348,10 +315,9 @@ impl Guard {
     /// 500 where the system has no random bytes.
     pub fn uploader() -> Result<Uploader, Problem> {
         if let Some(owner) = caller().and_then(|caller| caller.owner.clone()) {
-            return Ok(Uploader { owner, fresh: None });
+            return Ok(Uploader { owner, is_new: false });
         }
-        let secret = fresh()?;
-        Ok(Uploader { owner: Owner::of_secret(&secret), fresh: Some(secret) })
+        Ok(Uploader { owner: Owner::of_secret(&fresh()?), is_new: true })
     }
 
     /// Who the caller of this request is known as; none where they have no secret.
@@ -384,8 +350,8 @@ impl Guard {
 
     /// The query of a link by which a photo can be read until `expires`, in seconds since 1970.
     #[must_use]
-    pub fn query(&self, id: PhotoId, expires: u64) -> String {
-        format!("expires={expires}&signature={}", self.secret.link(id, expires))
+    pub fn query(&self, entry: &Entry, expires: u64) -> String {
+        format!("expires={expires}&signature={}", self.secret.link(&seal(entry), expires))
     }
 }
 
@@ -396,10 +362,39 @@ impl Caller {
     }
 }
 
-/// The secret of who asks, where that is what they came with.
+/// Who is to be the owner by what who asks came with, and what a browser is to keep for it: a secret, or what a ticket is exchanged for.
 #[must_use]
-pub fn secret() -> Option<String> {
-    caller().and_then(|caller| if let Who::Owner(secret) = &caller.who { Some(secret.clone()) } else { None })
+pub fn to_keep(guard: &Guard) -> Option<(Owner, String)> {
+    match &caller()?.who {
+        who @ Who::Owner(kept) => Some((who.owner()?, kept.clone())),
+        Who::Ticket(owner) => Some((owner.clone(), guard.of_browser(owner))),
+        _ => None,
+    }
+}
+
+/// The owner by a secret that who asks is.
+#[must_use]
+pub fn owner_by_secret() -> Option<Owner> {
+    caller().and_then(|caller| if let Who::Owner(_) = &caller.who { caller.who.owner() } else { None })
+}
+
+/// The photo's own token that who asks came with.
+#[must_use]
+pub fn token() -> Option<String> {
+    caller().and_then(|caller| caller.token.clone())
+}
+
+/// The query of the link that let in the caller of this request, where nothing else did.
+#[must_use]
+pub fn link() -> Option<String> {
+    caller().filter(|caller| caller.linked.load(Ordering::Relaxed))?.link.as_ref().map(Link::query)
+}
+
+/// Takes a link off a request's address where nobody is asked who they are: it has no say there.
+pub fn drop_link(request: &mut Request) {
+    if let Some((uri, _)) = take_link(request.uri()) {
+        *request.uri_mut() = uri;
+    }
 }
 
 /// Seconds since 1970.
@@ -411,22 +406,4 @@ pub fn now() -> u64 {
 /// The photo whose page is at a path.
 fn opened(path: &str) -> Option<PhotoId> {
     path.strip_prefix("/view/").or_else(|| path.strip_prefix("/embed/"))?.parse().ok()
-}
-
-fn scope(name: &str) -> Problem {
-    Problem::new(StatusCode::FORBIDDEN, "scope", format!("the key has not the scope {name}"))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn secrets_are_long_and_plain() {
-        assert!(is_secret(&fresh().unwrap()) && is_secret(&format!("{OWNER}{}", "aZ0-_678".repeat(4))));
-        for wrong in [OWNER.to_owned(), format!("{OWNER}short"), "a".repeat(40), format!("{OWNER}{}", "ä;= ".repeat(10))] {
-            assert!(!is_secret(&wrong), "{wrong}");
-        }
-        assert_ne!(Owner::of_secret("a"), Owner::of_keys("a"));
-    }
 }

@@ -11,8 +11,10 @@ pub enum Need {
     Nothing,
     /// A photo that the caller may see.
     Read,
-    /// A photo of one's own.
+    /// A photo of one's own, or one of which one has the token.
     Change,
+    /// A photo of one's own.
+    Own,
     /// Leave to upload.
     Upload,
     /// Leave to see one's list.
@@ -25,7 +27,7 @@ pub enum Need {
     Room,
 }
 
-use Need::{Admin, Change, List, Metrics, Nothing, Read, Room, Upload};
+use Need::{Admin, Change, List, Metrics, Nothing, Own, Read, Room, Upload};
 
 const TABLE: &[(&str, &str, Need)] = &[
     ("GET", "/", Nothing),
@@ -44,6 +46,8 @@ const TABLE: &[(&str, &str, Need)] = &[
     ("GET", "/v1/network", Admin),
     ("POST", "/v1/network", Admin),
     ("POST", "/v1/owner", Nothing),
+    // of who asks: a stranger has none
+    ("POST", "/v1/owner/ticket", Nothing),
     ("GET", "/v1/photos", List),
     ("POST", "/v1/photos", Upload),
     // of whoever began it, as the handlers see to
@@ -55,6 +59,9 @@ const TABLE: &[(&str, &str, Need)] = &[
     ("DELETE", "/v1/photos/{id}", Change),
     ("POST", "/v1/photos/{id}/again", Change),
     ("POST", "/v1/photos/{id}/links", Change),
+    ("POST", "/v1/photos/{id}/manage", Change),
+    // whoever was given the token does not say who else has it
+    ("DELETE", "/v1/photos/{id}/manage", Own),
     ("GET", "/v1/photos/{id}/strokes", Read),
     ("PATCH", "/v1/photos/{id}/strokes", Change),
     ("GET", "/v1/photos/{id}/events", Read),

@@ -98,16 +98,28 @@ impl Secret {
         PhotoId::from_bytes(id)
     }
 
-    /// Signature of a link by which a photo can be read until `expires`, in seconds since 1970; 64 hex digits.
+    /// Signature of a link by which a photo of this seal can be read until `expires`, in seconds since 1970; 64 hex digits.
     #[must_use]
-    pub fn link(&self, id: PhotoId, expires: u64) -> String {
-        hex(&self.sign("tmpi link 1", &[id.to_string().as_bytes(), &expires.to_le_bytes()]))
+    pub fn link(&self, seal: &str, expires: u64) -> String {
+        hex(&self.sign("tmpi link 2", &[seal.as_bytes(), &expires.to_le_bytes()]))
     }
 
-    /// Whether a link's signature is that of a photo, and its time is not over.
+    /// Whether a link's signature is that of a photo of this seal, and its time is not over.
     #[must_use]
-    pub fn is_good(&self, id: PhotoId, expires: u64, signature: &str, now: u64) -> bool {
-        now < expires && same(self.link(id, expires).as_bytes(), signature.as_bytes())
+    pub fn is_good(&self, seal: &str, expires: u64, signature: &str, now: u64) -> bool {
+        now < expires && same(self.link(seal, expires).as_bytes(), signature.as_bytes())
+    }
+
+    /// Signature of an owner for one purpose alone, and until a time where it ends; 64 hex digits.
+    #[must_use]
+    pub fn owner(&self, purpose: &str, owner: &Owner, expires: u64) -> String {
+        hex(&self.sign(purpose, &[owner.text().as_bytes(), &expires.to_le_bytes()]))
+    }
+
+    /// What the token of a photo of this seal ends with; 64 hex digits.
+    #[must_use]
+    pub fn manage(&self, seal: &str) -> String {
+        hex(&self.sign("tmpi manage 1", &[seal.as_bytes()]))
     }
 }
 
@@ -197,13 +209,15 @@ mod tests {
     #[test]
     fn a_link_is_good_for_its_photo_and_time_alone() {
         let secret = Secret([7; BYTES]);
-        let (one, other) = (PhotoId::of(&[1; 32], None, "", ""), PhotoId::of(&[2; 32], None, "", ""));
+        let (one, other) = ("a photo", "another");
         let signature = secret.link(one, 1000);
         assert!(secret.is_good(one, 1000, &signature, 999));
         assert!(!secret.is_good(one, 1000, &signature, 1000), "its time is over");
         assert!(!secret.is_good(one, 1001, &signature, 999), "a later time");
         assert!(!secret.is_good(other, 1000, &signature, 999), "another photo's");
         assert!(!Secret([8; BYTES]).is_good(one, 1000, &signature, 999), "another server's");
+        assert_ne!(secret.manage(one), secret.manage(other));
+        assert!(!secret.is_good(one, 1000, &secret.manage(one), 999), "a token is no link");
         for wrong in ["", &signature[1..], &signature.to_uppercase(), &signature.replace(&signature[..1], "x")] {
             assert!(!secret.is_good(one, 1000, wrong, 999), "{wrong}");
         }

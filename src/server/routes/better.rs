@@ -1,6 +1,5 @@
 //! Whether a photo can have better depth from the network that is at hand.
 
-use crate::server::access::Guard;
 use crate::server::app::{Shared, Stored};
 use crate::server::entry::Entry;
 use crate::server::store::Part;
@@ -18,7 +17,7 @@ pub(super) async fn better_depth(app: &Shared, entry: &Entry) -> Option<String> 
     let network = app.jobs.maker.network().to_owned();
     let worse = better_than(&network);
     let away = || app.jobs.cluster.as_ref().is_some_and(|cluster| cluster.is_away());
-    if worse.is_empty() || away() || app.guard.is_some() && !Guard::may_change(entry) {
+    if worse.is_empty() || away() || app.guard.as_ref().is_some_and(|guard| !guard.may_change(entry)) {
         return None;
     }
     let (version, done) = Shared::done(entry).ok()?;

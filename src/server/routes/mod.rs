@@ -88,6 +88,8 @@ fn pages_api() -> OpenApiRouter<App> {
         .routes(routes!(strokes::strokes, strokes::touch_up))
         .routes(routes!(network::again))
         .routes(routes!(owner::links))
+        .routes(routes!(owner::keep_token, owner::take_back))
+        .routes(routes!(owner::ticket))
         .routes(routes!(owner::keep))
         .routes(routes!(network::network, network::fetch))
         .routes(routes!(events::events))

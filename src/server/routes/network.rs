@@ -9,7 +9,7 @@ use axum::response::{IntoResponse, Response};
 use serde::Serialize;
 
 use super::again::answer;
-use super::query::{NoQuery, Pairs};
+use super::query::{NoBody, NoQuery, Pairs};
 use super::state::PhotoState;
 use crate::server::app::{App, Shared};
 use crate::server::clock::Clock;
@@ -85,11 +85,11 @@ pub async fn network(State(app): State<App>, _: NoQuery, headers: HeaderMap) -> 
     responses(
         (status = 200, description = "There is nothing to fetch", body = Network),
         (status = 202, description = "It is being fetched", body = Network),
-        (status = 400, description = "There are no parameters here"),
+        (status = 400, description = "There are neither parameters nor a body here"),
         (status = 403, description = "Not for strangers"),
     )
 )]
-pub async fn fetch(State(app): State<App>, _: NoQuery, headers: HeaderMap) -> Result<Response, Problem> {
+pub async fn fetch(State(app): State<App>, _: NoQuery, headers: HeaderMap, _: NoBody) -> Result<Response, Problem> {
     own(&app, &headers)?;
     app.download.start(&app.jobs).map_err(|e| Problem::internal("fetching a network", &e))?;
     let now = network_now(&app);
@@ -111,7 +111,7 @@ pub async fn fetch(State(app): State<App>, _: NoQuery, headers: HeaderMap) -> Re
     responses(
         (status = 200, description = "Made, in the time that `Prefer: wait` gave", body = PhotoState),
         (status = 202, description = "It is made again", body = PhotoState, headers(("Location" = String, description = "Address of the photo"))),
-        (status = 400, description = "A parameter is wrong"),
+        (status = 400, description = "A parameter is wrong, or there is a body"),
         (status = 404, description = "There is no such photo"),
         (status = 409, description = "The photo is being made"),
         (status = 429, description = "Too many photos wait; `Retry-After` says when to come back"),
@@ -124,6 +124,7 @@ pub async fn again(
     Extension(clock): Extension<Clock>,
     uri: Uri,
     headers: HeaderMap,
+    _: NoBody,
 ) -> Result<Response, Problem> {
     let class = Pairs::read(&uri, &["class"])?.get("class").map_or(Some(Class::default()), Class::of_photo);
     let class = class.ok_or_else(|| Problem::parameter("class", "must be interactive or batch"))?;

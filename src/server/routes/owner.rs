@@ -1,14 +1,18 @@
-//! Links by which others may read a photo for a while, and a browser's own secret.
+//! Links by which others may read a photo for a while, or change it until its owner takes that back, and a browser's own secret.
+
+use std::sync::Arc;
 
 use axum::Json;
 use axum::extract::{Path, State};
+use axum::http::header::CACHE_CONTROL;
 use axum::http::{HeaderMap, StatusCode, Uri};
 use axum::response::{IntoResponse, Response};
 use serde::Serialize;
 
-use super::query::{NoQuery, Pairs};
+use super::query::{NoBody, NoQuery, Pairs};
 use crate::server::access;
 use crate::server::app::App;
+use crate::server::conditional::insert;
 use crate::server::problem::Problem;
 
 /// Seconds that a link is good for where nothing is said, and at most.
@@ -28,15 +32,17 @@ pub struct PhotoLink {
     /// When it ends, in seconds since 1970.
     #[serde(skip_serializing_if = "Option::is_none")]
     expires: Option<u64>,
-    /// Page by which another browser owns what this one owns: a secret. Only for whoever came with it.
+    /// Page by which somebody else may see and change this photo, and no other, with the photo's token behind its `#`: a secret. It has no end, but
+    /// can be taken back; missing where the server asks nobody who they are.
     #[serde(skip_serializing_if = "Option::is_none")]
     manage: Option<String>,
 }
 
-/// Let others read a photo for a while.
+/// Let others read a photo for a while, or change it.
 ///
 /// Whoever has the link can read the photo and what is made of it until it ends, and change nothing. It goes for any address of this one photo:
-/// its parameters `expires` and `signature` name no version and no view, and are no part of what is kept of an answer.
+/// its parameters `expires` and `signature` name no version and no view, and are no part of what is kept of an answer. Whoever has `manage` can
+/// do with this photo what its owner can, but for taking links back.
 #[utoipa::path(
     post, path = "/v1/photos/{id}/links", tag = "photos",
     params(
@@ -45,20 +51,21 @@ pub struct PhotoLink {
     ),
     responses(
         (status = 200, description = "The link", body = PhotoLink),
-        (status = 400, description = "A parameter is wrong"),
+        (status = 400, description = "A parameter is wrong, or there is a body"),
         (status = 404, description = "There is no such photo"),
     )
 )]
-pub async fn links(State(app): State<App>, Path(id): Path<String>, uri: Uri) -> Result<Json<PhotoLink>, Problem> {
-    let photo = app.photo(&id)?.id;
+pub async fn links(State(app): State<App>, Path(id): Path<String>, uri: Uri, _: NoBody) -> Result<Json<PhotoLink>, Problem> {
+    let entry = app.photo(&id)?;
+    let photo = entry.id;
     let pairs = Pairs::read(&uri, &["seconds"])?;
     let wrong = |text: &str| Problem::parameter("seconds", format!("must be from 1 to {MOST}, not {text:?}"));
     let read = |text: &str| text.parse().ok().filter(|n| (1..=MOST).contains(n)).ok_or_else(|| wrong(text));
     let seconds = pairs.get("seconds").map_or(Ok(USUAL), read)?;
     let expires = app.guard.as_ref().map(|_| access::now() + seconds);
-    let query = app.guard.as_ref().zip(expires).map(|(guard, expires)| guard.query(photo, expires));
+    let query = app.guard.as_ref().zip(expires).map(|(guard, expires)| guard.query(&entry, expires));
     let address = |path: String| query.as_ref().map_or(path.clone(), |query| format!("{path}?{query}"));
-    let manage = access::secret().map(|secret| format!("/view/{photo}#owner={secret}"));
+    let manage = app.guard.as_ref().map(|guard| guard.manage_link(&entry));
     Ok(Json(PhotoLink {
         page: address(format!("/view/{photo}")),
         atlas: address(format!("/v1/photos/{photo}/atlas")),
@@ -68,21 +75,124 @@ pub async fn links(State(app): State<App>, Path(id): Path<String>, uri: Uri) -> 
     }))
 }
 
-/// Have a browser keep an owner's secret.
+/// Have a browser keep a photo's token.
 ///
-/// Sent as a bearer, it comes back as a cookie that no script reads. Pages call this for links with `#owner=`.
+/// Sent as a bearer, it comes back as a cookie for this photo's addresses alone, which no script reads. Pages call this for links with `#manage=`.
 #[utoipa::path(
-    post, path = "/v1/owner", tag = "system",
+    post, path = "/v1/photos/{id}/manage", tag = "photos",
+    params(("id" = String, Path, description = "Id of the photo")),
     responses(
-        (status = 204, description = "Kept, where the server asks who comes"),
-        (status = 400, description = "There are no parameters here"),
-        (status = 401, description = "The secret is none"),
+        (status = 204, description = "Kept, where a token came and the server asks who comes"),
+        (status = 400, description = "There are neither parameters nor a body here"),
+        (status = 401, description = "The token is none"),
+        (status = 404, description = "There is no such photo, or the token is not its own, or was taken back"),
     )
 )]
-pub async fn keep(_: NoQuery, headers: HeaderMap) -> Response {
+pub async fn keep_token(
+    State(app): State<App>,
+    Path(id): Path<String>,
+    _: NoQuery,
+    headers: HeaderMap,
+    _: NoBody,
+) -> Result<Response, Problem> {
+    let photo = app.photo(&id)?.id;
     let mut response = StatusCode::NO_CONTENT.into_response();
-    if let Some(secret) = access::secret() {
-        access::set_owner(&mut response, &headers, &secret);
+    if let Some(token) = access::token() {
+        access::set_manage(&mut response, &headers, photo, &token);
     }
-    response
+    Ok(response)
+}
+
+/// Take back all links to a photo.
+///
+/// Its token, also where browsers keep it, and links that would still be good are so no longer; new ones can be made. Only for its owner.
+#[utoipa::path(
+    delete, path = "/v1/photos/{id}/manage", tag = "photos",
+    params(("id" = String, Path, description = "Id of the photo")),
+    responses(
+        (status = 204, description = "They are taken back"),
+        (status = 400, description = "There are no parameters here"),
+        (status = 404, description = "There is no such photo"),
+        (status = 412, description = "It was changed meanwhile"),
+    )
+)]
+pub async fn take_back(State(app): State<App>, Path(id): Path<String>, _: NoQuery) -> Result<StatusCode, Problem> {
+    let entry = app.photo(&id)?;
+    let shared = Arc::clone(&app);
+    let taken = app.change(move || {
+        let _gate = entry.gate();
+        if entry.is_deleted() {
+            return Err(Problem::not_found("the photo was deleted"));
+        }
+        let settings = entry.settings().without_links();
+        shared.jobs.write_settings(entry.id, &settings)?;
+        entry.set_settings(settings);
+        Ok(StatusCode::NO_CONTENT)
+    });
+    taken.await?
+}
+
+/// What makes another browser the same owner.
+#[derive(Serialize, utoipa::ToSchema)]
+pub struct Ticket {
+    /// A secret: it goes behind `#owner=` of any photo's page. It does not tell the owner's own.
+    ticket: String,
+    /// When it ends, in seconds since 1970.
+    expires: u64,
+}
+
+/// Let another browser be the same owner.
+///
+/// Whoever opens a photo's page with the ticket behind `#owner=` within a quarter of an hour, and says so there, owns what this owner does. What their
+/// browser keeps cannot be taken back.
+#[utoipa::path(
+    post, path = "/v1/owner/ticket", tag = "system",
+    responses(
+        (status = 200, description = "The ticket", body = Ticket),
+        (status = 400, description = "There are neither parameters nor a body here"),
+        (status = 403, description = "Only for whoever has an owner's secret"),
+    )
+)]
+pub async fn ticket(State(app): State<App>, _: NoQuery, _: NoBody) -> Result<Response, Problem> {
+    let Some((guard, owner)) = app.guard.as_ref().zip(access::owner_by_secret()) else {
+        let detail = "only whoever has an owner's secret can let another browser be that owner";
+        return Err(Problem::new(StatusCode::FORBIDDEN, "no-owner", detail));
+    };
+    let expires = access::now() + access::TICKET_SECONDS;
+    let mut response = Json(Ticket { ticket: guard.ticket(&owner, expires), expires }).into_response();
+    insert(&mut response, CACHE_CONTROL, "private, no-store");
+    Ok(response)
+}
+
+/// Have a browser keep an owner's secret.
+///
+/// Sent as a bearer, it comes back as a cookie that no script reads; a ticket is exchanged for one that says the same. Pages call this for links with
+/// `#owner=`, once somebody has said so: what the browser uploads from then on belongs to whoever has the secret.
+#[utoipa::path(
+    post, path = "/v1/owner", tag = "system",
+    params(("replace" = Option<bool>, Query, description = "Whether the secret of another owner goes, which the browser keeps; else `false`")),
+    responses(
+        (status = 204, description = "Kept, where the server asks who comes"),
+        (status = 400, description = "A parameter is wrong, or there is a body"),
+        (status = 401, description = "The secret is none, or the ticket's time is over"),
+        (status = 409, description = "The browser is another owner: without that secret its photos are lost to it"),
+    )
+)]
+pub async fn keep(State(app): State<App>, uri: Uri, headers: HeaderMap, _: NoBody) -> Result<Response, Problem> {
+    let replace = match Pairs::read(&uri, &["replace"])?.get("replace") {
+        None | Some("false") => false,
+        Some("true") => true,
+        Some(other) => return Err(Problem::parameter("replace", format!("must be true or false, not {other:?}"))),
+    };
+    let mut response = StatusCode::NO_CONTENT.into_response();
+    if let Some(guard) = &app.guard
+        && let Some((owner, kept)) = access::to_keep(guard)
+    {
+        if !replace && guard.is_another(&headers, &owner) {
+            let detail = "the browser keeps the secret of another owner, which would be lost; replace=true does it all the same";
+            return Err(Problem::new(StatusCode::CONFLICT, "another-owner", detail).field("replace"));
+        }
+        access::set_owner(&mut response, &headers, &kept);
+    }
+    Ok(response)
 }

@@ -131,11 +131,11 @@ pub async fn upload(State(app): State<App>, Extension(clock): Extension<Clock>, 
         return uploads::begin(&app, query, request).await;
     }
     let length = if whole.is_some() { header::length_at_once(request.headers())? } else { None };
-    let (owner, fresh) = uploader(&app)?;
+    let (owner, is_new) = uploader(&app)?;
     // before the body comes
     app.quota(owner.as_ref(), length_told(request.headers())).await?;
     let entry = upload::take(&app, &query, request, owner).await?.entry;
-    let mut response = accepted(&app, &entry, &clock, wait, fresh).await?;
+    let mut response = accepted(&app, &entry, &clock, wait, is_new).await?;
     // an upload in parts that came in one
     if let Some(offset) = length {
         header::tell(&mut response, &Extent { offset, length }, true);
@@ -148,20 +148,14 @@ fn length_told(headers: &HeaderMap) -> u64 {
     headers.get(CONTENT_LENGTH).and_then(|v| v.to_str().ok()).and_then(|v| v.parse().ok()).unwrap_or_default()
 }
 
-/// Whose a photo will be, and the secret of who had none, where the server asks.
-pub(super) fn uploader(app: &App) -> Result<(Option<Owner>, Option<String>), Problem> {
+/// Whose a photo will be, and whether they were nobody before, where the server asks.
+pub(super) fn uploader(app: &App) -> Result<(Option<Owner>, bool), Problem> {
     let uploader = app.guard.as_ref().map(|_| Guard::uploader()).transpose()?;
-    Ok(uploader.map_or((None, None), |u| (Some(u.owner), u.fresh)))
+    Ok(uploader.map_or((None, false), |u| (Some(u.owner), u.is_new)))
 }
 
-/// The answer to an upload that was accepted.
-pub(super) async fn accepted(
-    app: &App,
-    entry: &Arc<Entry>,
-    clock: &Clock,
-    wait: Option<u64>,
-    fresh: Option<String>,
-) -> Result<Response, Problem> {
+/// The answer to an upload that was accepted; whoever was nobody before is told the photo's token, without which they could not see it.
+pub(super) async fn accepted(app: &App, entry: &Arc<Entry>, clock: &Clock, wait: Option<u64>, is_new: bool) -> Result<Response, Problem> {
     let mut ready = false;
     if let Some(seconds) = wait {
         // counted from the end of the body; the longest wait is what the request has left
@@ -175,7 +169,7 @@ pub(super) async fn accepted(
         return Ok(response);
     }
     let mut state = PhotoState::of(app, entry).ok_or_else(|| Problem::not_found("the photo was deleted meanwhile"))?;
-    state.links.manage = fresh.map(|secret| format!("/view/{}#owner={secret}", entry.id));
+    state.links.manage = app.guard.as_ref().filter(|_| is_new).map(|guard| guard.manage_link(entry));
     let status = if ready { StatusCode::CREATED } else { StatusCode::ACCEPTED };
     let location = state.links.this.clone();
     let mut response = (status, Json(state)).into_response();
@@ -304,7 +298,7 @@ pub async fn state(State(app): State<App>, Path(id): Path<String>, _: NoQuery, h
     )
 )]
 pub async fn settings(State(app): State<App>, Path(id): Path<String>, _: NoQuery, headers: HeaderMap) -> Result<Response, Problem> {
-    let settings = app.photo(&id)?.settings();
+    let settings = app.photo(&id)?.settings().shown();
     let bytes = serde_json::to_vec(&settings).map_err(|e| Problem::internal("writing a photo's settings", &e))?;
     let file = Stored::new(bytes);
     let entity =

@@ -2,10 +2,12 @@
 
 use std::collections::BTreeMap;
 
-use axum::extract::{FromRequestParts, Query};
+use axum::body::HttpBody as _;
+use axum::extract::{FromRequest, FromRequestParts, Query, Request};
 use axum::http::Uri;
 use axum::http::request::Parts;
 
+use crate::server::body;
 use crate::server::problem::Problem;
 
 /// Parameters of a query, decoded.
@@ -79,6 +81,28 @@ impl<S: Sync> FromRequestParts<S> for NoQuery {
 
     async fn from_request_parts(parts: &mut Parts, _: &S) -> Result<Self, Problem> {
         Pairs::read(&parts.uri, &[]).map(|_| Self)
+    }
+}
+
+/// A request without a body: what its client put there would have no effect, and nobody would say so.
+pub struct NoBody;
+
+impl<S: Sync> FromRequest<S> for NoBody {
+    type Rejection = Problem;
+
+    async fn from_request(request: Request, _: &S) -> Result<Self, Problem> {
+        let refused = || Problem::bad_request("there is no body here; parameters go in the query");
+        let mut body = request.into_body();
+        if body.size_hint().lower() > 0 {
+            return Err(refused());
+        }
+        // chunks of which the first is the last are none
+        while let Some(frame) = http_body_util::BodyExt::frame(&mut body).await {
+            if frame.map_err(|e| body::problem(&e))?.data_ref().is_some_and(|data| !data.is_empty()) {
+                return Err(refused());
+            }
+        }
+        Ok(Self)
     }
 }
 

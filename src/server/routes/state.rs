@@ -78,7 +78,8 @@ pub struct Links {
     pub page: String,
     /// The photo alone, for frames of other sites.
     pub embed: String,
-    /// Page by which to change it: a secret, told once to whoever uploads without one where the server asks who comes.
+    /// Page by which to see and change it, with its token behind the `#`: a secret, told once to whoever uploads without one where the server asks
+    /// who comes.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub manage: Option<String>,
 }
@@ -195,7 +196,7 @@ impl PhotoState {
             version: version.clone(),
             better_depth: None,
             visibility: app.guard.as_ref().map(|_| settings.visibility.unwrap_or(Visibility::Private)),
-            settings,
+            settings: settings.shown(),
             options: accepted.options.clone(),
             links: Links {
                 this: at(""),

@@ -221,16 +221,16 @@ pub async fn append(
 /// Has an upload that is whole accepted.
 async fn finish(app: &App, turn: Turn, leave: &Ticket<'_>, clock: &Clock, wait: Option<u64>) -> Result<Response, Problem> {
     let Record { extent, owner, .. } = turn.partial().record();
-    let (owner, fresh) = match owner {
+    let (owner, is_new) = match owner {
         // an admin may bring the last part of another's
-        Some(owner) => (Some(owner), None),
+        Some(owner) => (Some(owner), false),
         None => uploader(app)?,
     };
     let (request, query) = turn.whole(app).await?;
     match upload::take_with(app, leave, &query, request, owner).await {
         Ok(submitted) => {
             turn.became(app, submitted.entry.id).await;
-            let mut response = accepted(app, &submitted.entry, clock, wait, fresh).await?;
+            let mut response = accepted(app, &submitted.entry, clock, wait, is_new).await?;
             header::tell(&mut response, &extent, true);
             Ok(response)
         }

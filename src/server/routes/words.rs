@@ -41,7 +41,8 @@ pub fn put(document: &mut Value) {
     }
     document["components"]["securitySchemes"] = serde_json::json!({
         "bearer": {"type": "http", "scheme": "bearer", "description": "An API key (`tmpi_k_…`, by `tmpi key add`), or an owner's own secret: \
-            `tmpi_o_` and 32 to 128 letters, digits, - and _ chosen at random. Asked for with `tmpi serve --access private` alone"},
+            `tmpi_o_` and 32 to 128 letters, digits, - and _ chosen at random; or a photo's own token (`tmpi_m_…`, of `manage` in links). Asked for \
+            with `tmpi serve --access private` alone"},
         "cookie": {"type": "apiKey", "in": "cookie", "name": "tmpi_owner", "description": "An owner's secret as a browser keeps it"},
     });
     // nothing is needed where the server asks nobody, and for what its owner lets everybody see

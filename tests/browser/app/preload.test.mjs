@@ -57,6 +57,7 @@ describe('modules', () => {
       'live/microphone-worklet.js',
       // fetched when they are asked for
       'app/access-dialog.js',
+      'app/owner-dialog.js',
       'app/embed-dialog.js',
       'app/film-dialog.js',
       'film/gif.js',

@@ -90,7 +90,7 @@ describe('sharing', () => {
     const plain = await open();
     assert.ok(await plain.page.locator('#share-access').isHidden());
     await plain.context.close();
-    const manage = '/view/box#owner=tmpi_o_0123456789abcdef0123456789abcdef';
+    const manage = `/view/box#manage=tmpi_m_${'0f'.repeat(32)}`;
     Object.assign(suite.server.state, { visibility: 'private', links: { manage }, settings: { version: 1, title: 'The box' } });
     const before = suite.server.patches.length;
     const { page, context, errors } = await open();
@@ -103,10 +103,24 @@ describe('sharing', () => {
     await dialog.getByRole('button', { name: 'Copy: A link that ends' }).click();
     await dialog.getByText('Copied').waitFor();
     assert.equal(await page.evaluate(() => navigator.clipboard.readText()), await ending.inputValue());
-    const other = dialog.getByLabel('The link for your other browser', { exact: true });
+    const other = dialog.getByLabel('A link to change it', { exact: true });
     assert.ok(await other.isHidden(), 'a secret is shown to who asks for it');
-    await dialog.getByText('For another browser of yours').click();
+    await dialog.getByText('Let somebody else change it').click();
     assert.equal(await other.inputValue(), suite.server.url + manage);
+    const fresh = `/view/box#manage=tmpi_m_${'1e'.repeat(32)}`;
+    suite.server.state.links = { manage: fresh };
+    await dialog.getByRole('button', { name: 'Take all links back' }).click();
+    await dialog.getByText('these are new').waitFor();
+    assert.deepEqual(suite.server.deleted, ['/v1/photos/box/manage']);
+    assert.equal(await other.inputValue(), suite.server.url + fresh);
+    suite.server.state.ticket = `tmpi_t_1_${'5e'.repeat(64)}`;
+    await dialog.getByText('For another browser of yours').click();
+    const mine = dialog.getByLabel('The link for your other browser', { exact: true });
+    assert.ok(await mine.isHidden(), 'none is made unasked');
+    await dialog.getByRole('button', { name: 'Make a link' }).click();
+    await dialog.getByText('a quarter of an hour').waitFor();
+    assert.equal(await mine.inputValue(), `${suite.server.url}/view/box#owner=${suite.server.state.ticket}`);
+    suite.server.state.ticket = undefined;
     assert.deepEqual(await seriousViolations(page), []);
     await dialog.getByLabel('Who may see it', { exact: true }).selectOption('Anyone with the link');
     await dialog.getByText('Saved').waitFor();
@@ -158,7 +172,7 @@ describe('sharing', () => {
   });
 
   test('all fit into every screen, in both languages', async () => {
-    Object.assign(suite.server.state, { visibility: 'private', links: { manage: `/view/box#owner=tmpi_o_${'a'.repeat(64)}` } });
+    Object.assign(suite.server.state, { visibility: 'private', links: { manage: `/view/box#manage=tmpi_m_${'a'.repeat(64)}` } });
     for (const locale of ['en', 'de']) {
       for (const viewport of SIZES) {
         const { page, context } = await open(viewport, { locale });

@@ -281,6 +281,19 @@ describe('a client of servers that fail', () => {
     assert.equal(told.requests.at(-1).headers.authorization, `Bearer tmpi_o_${'a'.repeat(40)}`);
   });
 
+  test('a link to change a photo says who asks, and is taken back', async () => {
+    const told = await failing((_, __, response) => response.writeHead(204).end());
+    const token = `tmpi_m_${'0f'.repeat(32)}`;
+    await new Tmpi(told.url, { manageLink: `${told.url}/view/${NONE}#manage=${token}` }).takeLinksBack(NONE);
+    const { method, url, headers } = told.requests[0];
+    assert.deepEqual([method, url, headers.authorization], ['DELETE', `/v1/photos/${NONE}/manage`, `Bearer ${token}`]);
+    for (const wrong of [`/view/${NONE}`, `/view/${NONE}#manage=tmpi_o_${'a'.repeat(64)}`, `#manage=${token}0`])
+      assert.throws(() => new Tmpi(told.url, { manageLink: wrong }), { reason: 'input' });
+    const state = { links: { embed: `/embed/${NONE}` }, settings: {} };
+    const frame = new Tmpi(told.url).embed(state, { query: 'expires=1&signature=5e' });
+    assert.ok(frame.includes(`src="${told.url}/embed/${NONE}?expires=1&amp;signature=5e"`), frame);
+  });
+
   test('parts that nobody takes are given up, and so is the upload', async () => {
     const told = await failing((n, request, response) => {
       request.resume();

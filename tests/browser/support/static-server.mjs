@@ -31,6 +31,7 @@ export async function serve({ atlas, delayMs = 0, wasm = true }) {
   const views = [];
   const deleted = [];
   const patches = [];
+  const posts = [];
   const state = { id: 'box', state: 'done' };
   let atOnce = 0;
   let most = 0;
@@ -49,6 +50,13 @@ export async function serve({ atlas, delayMs = 0, wasm = true }) {
       deleted.push(url.pathname);
       return send(200, 'text/plain', '');
     }
+    if (request.method === 'POST' && /^\/v1\/(owner|photos\/box\/manage)$/.test(url.pathname)) {
+      posts.push([url.pathname + url.search, request.headers.authorization]);
+      response.writeHead(url.pathname === '/v1/owner' && !url.search && state.another ? 409 : 204);
+      return response.end();
+    }
+    if (url.pathname === '/v1/owner/ticket')
+      return send(state.ticket ? 200 : 403, 'application/json', JSON.stringify({ ticket: state.ticket, expires: 1 }));
     if (url.pathname === '/v1/photos/box') {
       if (request.method === 'PATCH') {
         let body = '';
@@ -100,6 +108,7 @@ export async function serve({ atlas, delayMs = 0, wasm = true }) {
     views,
     deleted,
     patches,
+    posts,
     state,
     mostAtOnce: () => most,
     close: () => {

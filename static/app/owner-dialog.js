@@ -1,0 +1,46 @@
+// What is asked before a browser becomes another owner: whoever made the link would have what is uploaded from here.
+
+import { t } from '../i18n/messages.js';
+import { element } from './dom.js';
+import { button, showDialog } from './share-dialog.js';
+
+/** True once somebody says that they made the link for this browser. */
+export const isMine = () =>
+  ask(
+    t('Is this link your own?'),
+    t(
+      'It makes this browser the owner of what another browser uploaded. Whoever made the link can see, change and delete what you upload from here. Go on only if you made it yourself.',
+    ),
+    t('I made it myself'),
+  );
+
+/** True once somebody says that what this browser owned until now may be lost to it. */
+export const givesUp = () =>
+  ask(
+    t('Give up the photos of this browser?'),
+    t(
+      'This browser is an owner already. It could no longer see, change or delete the photos that were uploaded from it, and no other way leads back to them.',
+    ),
+    t('Give them up'),
+  );
+
+/**
+ * Asks; closing is no.
+ * @param {string} title
+ * @param {string} text
+ * @param {string} yes
+ * @returns {Promise<boolean>}
+ */
+async function ask(title, text, yes) {
+  let said = false;
+  const agree = button(
+    yes,
+    () => {
+      said = true;
+      dialog.close();
+    },
+    'danger',
+  );
+  const dialog = await showDialog(title, element('p', '', text), element('div', 'row', agree));
+  return new Promise((resolve) => dialog.addEventListener('close', () => resolve(said), { once: true }));
+}

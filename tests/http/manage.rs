@@ -1,0 +1,227 @@
+//! A photo's own token, by which its owner gives away this photo and nothing else, and how an owner's secret comes into a browser.
+
+use serde_json::Value;
+
+use crate::access::{ask, id, private, secret, upload};
+use crate::client::Response;
+use crate::fixture::{Running, jpeg};
+
+const JSON: (&str, &str) = ("content-type", "application/json");
+
+/// What the owner of a photo is told to give away.
+fn links(server: &Running, who: &str, photo: &str) -> Value {
+    let answer = ask(server, "POST", &format!("/v1/photos/{photo}/links"), &[("authorization", who)], &[]);
+    assert_eq!(answer.status, 200, "{}", String::from_utf8_lossy(&answer.body));
+    answer.json()
+}
+
+/// The token in it.
+fn token_of(links: &Value, photo: &str) -> String {
+    links["manage"].as_str().unwrap().strip_prefix(&format!("/view/{photo}#manage=")).unwrap().to_owned()
+}
+
+fn by(server: &Running, bearer: &str, method: &str, path: &str) -> Response {
+    let authorization = format!("Bearer {bearer}");
+    let body: &[u8] = if method == "PATCH" { b"{}" } else { b"" };
+    ask(server, method, path, &[("authorization", &authorization), JSON], body)
+}
+
+#[test]
+fn a_photos_token_is_good_for_that_photo_alone() {
+    let dir = tempfile::tempdir().unwrap();
+    let server = private(dir.path());
+    let (ann, bob) = (secret("a"), secret("b"));
+    let (one, two) = (id(&upload(&server, Some(&ann), 1)), id(&upload(&server, Some(&ann), 2)));
+    let of_bob = id(&upload(&server, Some(&bob), 1));
+    let told = links(&server, &ann, &one);
+    assert!(!told.to_string().contains(&ann["Bearer ".len()..]), "not all that is theirs");
+    let token = token_of(&told, &one);
+    let others = [token_of(&links(&server, &ann, &two), &two), token_of(&links(&server, &bob, &of_bob), &of_bob)];
+    let at = |photo: &str, part: &str| format!("/v1/photos/{photo}{part}");
+    for (method, part) in [("GET", ""), ("GET", "/atlas"), ("GET", "/settings"), ("PATCH", ""), ("GET", "/strokes")] {
+        let answer = by(&server, &token, method, &at(&one, part));
+        assert_eq!(answer.status, 200, "{method} {part}");
+        assert!(!answer.all("cache-control").contains("public"), "{method} {part}");
+        for photo in [&two, &of_bob] {
+            by(&server, &token, method, &at(photo, part)).problem(404);
+        }
+        for other in &others {
+            by(&server, other, method, &at(&one, part)).problem(404);
+        }
+    }
+    // whoever has it gives it on, and does not take it back: that is the owner's
+    assert_eq!(token_of(&by(&server, &token, "POST", &at(&one, "/links")).json(), &one), token);
+    by(&server, &token, "DELETE", &at(&one, "/manage")).problem(404);
+    assert_eq!(by(&server, &token, "GET", &at(&one, "")).status, 200);
+    // it makes nobody an owner
+    for (method, path) in [("GET", "/v1/photos"), ("POST", "/v1/photos")] {
+        assert_eq!(by(&server, &token, method, path).problem(403)["type"], "urn:tmpi:problem:scope", "{method}");
+    }
+    let (start, last) = token.split_at(token.len() - 1);
+    let forged = format!("{start}{}", if last == "0" { "1" } else { "0" });
+    by(&server, &forged, "GET", &at(&one, "")).problem(404);
+    for none in [start, &token.to_uppercase(), &format!("{token}0"), "tmpi_m_", "tmpi_m_short"] {
+        by(&server, none, "GET", &at(&one, "")).problem(401);
+    }
+    // the photo goes by it, too
+    assert_eq!((by(&server, &token, "DELETE", &at(&one, "")).status, by(&server, &token, "GET", &at(&one, "")).status), (204, 404));
+}
+
+#[test]
+fn a_browser_keeps_a_photos_token_for_that_photo_and_stays_who_it_is() {
+    let dir = tempfile::tempdir().unwrap();
+    let server = private(dir.path());
+    let (ann, bob) = (secret("a"), secret("b"));
+    let (one, two) = (id(&upload(&server, Some(&ann), 1)), id(&upload(&server, Some(&ann), 2)));
+    let (token, other) = (token_of(&links(&server, &ann, &one), &one), token_of(&links(&server, &ann, &two), &two));
+    let (at, keep) = (format!("/v1/photos/{one}"), format!("/v1/photos/{one}/manage"));
+    // the browser is an owner, and comes by a link
+    let of_bob = format!("tmpi_owner={}", &bob["Bearer ".len()..]);
+    let post = |token: &str, scheme: &str| {
+        let bearer = format!("Bearer {token}");
+        let headers =
+            [("authorization", bearer.as_str()), ("cookie", &of_bob), ("x-forwarded-proto", scheme), ("sec-fetch-site", "same-origin")];
+        ask(&server, "POST", &keep, &headers, &[])
+    };
+    let kept = post(&token, "http");
+    assert_eq!(kept.status, 204);
+    let cookie = kept.all("set-cookie");
+    assert!(cookie.starts_with(&format!("tmpi_manage={token}; Path={at}; Max-Age=")), "{cookie}");
+    assert!(cookie.ends_with("; HttpOnly; SameSite=Lax"), "{cookie}");
+    let by_tls = post(&token, "https").all("set-cookie");
+    assert!(by_tls.starts_with(&format!("__Secure-tmpi_manage={token}; Path={at};")), "{by_tls}");
+    assert!(by_tls.ends_with("; HttpOnly; SameSite=Lax; Secure"), "{by_tls}");
+    for wrong in [&other, &format!("tmpi_m_{}", "0".repeat(64))] {
+        let refused = post(wrong, "http");
+        assert!(refused.status == 404 && refused.header("set-cookie").is_none(), "{wrong}");
+    }
+    let pairs = format!("{of_bob}; {}", cookie.split(';').next().unwrap());
+    let browser = |method: &str, path: &str, more: &[(&str, &str)], body: &[u8]| {
+        let headers: Vec<_> = [("cookie", pairs.as_str()), JSON].into_iter().chain(more.iter().copied()).collect();
+        ask(&server, method, path, &headers, body)
+    };
+    let own = [("sec-fetch-site", "same-origin")];
+    assert_eq!((browser("GET", &at, &own, &[]).status, browser("PATCH", &at, &own, b"{\"title\": \"A\"}").status), (200, 200));
+    browser("GET", &format!("/v1/photos/{two}"), &own, &[]).problem(404);
+    browser("DELETE", &keep, &own, &[]).problem(404);
+    // what it uploads and lists is its own as before
+    let mine = id(&browser("POST", "/v1/photos", &[("content-type", "image/jpeg")], &jpeg(3)).json());
+    let list = browser("GET", "/v1/photos", &own, &[]).json();
+    assert_eq!(list["photos"].as_array().unwrap().iter().map(id).collect::<Vec<_>>(), [mine.as_str()]);
+    assert_eq!(ask(&server, "GET", &format!("/v1/photos/{mine}"), &[("authorization", &bob)], &[]).status, 200);
+    // pages of other sites have it send nothing that counts
+    for site in ["cross-site", "same-site"] {
+        browser("GET", &at, &[("sec-fetch-site", site)], &[]).problem(404);
+        browser("PATCH", &at, &[("sec-fetch-site", site)], b"{}").problem(403);
+    }
+    // nor is a cookie by TLS what somebody set without
+    browser("GET", &at, &[("sec-fetch-site", "same-origin"), ("x-forwarded-proto", "https")], &[]).problem(404);
+}
+
+#[test]
+fn links_that_were_taken_back_stay_so() {
+    let dir = tempfile::tempdir().unwrap();
+    let server = private(dir.path());
+    let (ann, bob) = (secret("a"), secret("b"));
+    let photo = id(&upload(&server, Some(&ann), 1));
+    let at = format!("/v1/photos/{photo}");
+    let status = |server: &Running, links: &Value| {
+        let token = token_of(links, &photo);
+        let by_link = ask(server, "GET", &format!("{at}?{}", links["query"].as_str().unwrap()), &[], &[]).status;
+        let by_cookie = ask(server, "GET", &at, &[("cookie", &format!("tmpi_manage={token}"))], &[]).status;
+        [by(server, &token, "GET", &at).status, by(server, &token, "PATCH", &at).status, by_cookie, by_link]
+    };
+    let back = |server: &Running, who: &str| ask(server, "DELETE", &format!("{at}/manage"), &[("authorization", who)], &[]).status;
+    let first = links(&server, &ann, &photo);
+    assert_eq!((status(&server, &first), back(&server, &bob)), ([200; 4], 404));
+    assert_eq!((status(&server, &first), back(&server, &ann)), ([200; 4], 204));
+    assert_eq!(status(&server, &first), [404; 4]);
+    // others can be given away, and the owner is who they were; how often it was done is nobody's affair
+    let second = links(&server, &ann, &photo);
+    assert_eq!(status(&server, &second), [200; 4]);
+    let own = |server: &Running, path: &str| ask(server, "GET", path, &[("authorization", &ann)], &[]);
+    let (state, settings) = (own(&server, &at).json(), own(&server, &format!("{at}/settings")).json());
+    assert!(!state.to_string().contains("generation") && !settings.to_string().contains("generation"), "{state} {settings}");
+    // a change of the settings does not bring them back, nor does another start
+    let headers = [("authorization", ann.as_str()), JSON];
+    assert_eq!(ask(&server, "PATCH", &at, &headers, b"{\"title\": \"A\"}").status, 200);
+    assert_eq!((status(&server, &first), status(&server, &second)), ([404; 4], [200; 4]));
+    server.stop();
+    let server = private(dir.path());
+    assert_eq!((status(&server, &first), status(&server, &second)), ([404; 4], [200; 4]));
+    // nor the same photo uploaded again, which has the same id
+    assert_eq!(ask(&server, "DELETE", &at, &[("authorization", &ann)], &[]).status, 204);
+    assert_eq!(id(&upload(&server, Some(&ann), 1)), photo);
+    assert_eq!((status(&server, &first), status(&server, &second)), ([404; 4], [404; 4]));
+}
+
+#[test]
+fn no_link_makes_a_browser_another_owner_without_its_leave() {
+    let dir = tempfile::tempdir().unwrap();
+    let server = private(dir.path());
+    let (ann, bob) = (secret("a"), secret("b"));
+    let of = |who: &str| format!("tmpi_owner={}", &who["Bearer ".len()..]);
+    let keep = |query: &str, cookie: Option<&str>| {
+        let own = ("sec-fetch-site", "same-origin");
+        let headers: Vec<_> = [("authorization", ann.as_str()), own].into_iter().chain(cookie.map(|c| ("cookie", c))).collect();
+        ask(&server, "POST", &format!("/v1/owner{query}"), &headers, &[])
+    };
+    for query in ["", "?replace=false"] {
+        let refused = keep(query, Some(&of(&bob)));
+        assert_eq!(refused.problem(409)["type"], "urn:tmpi:problem:another-owner");
+        assert!(refused.header("set-cookie").is_none(), "what it was is not lost");
+    }
+    let kept = |answer: &Response| answer.status == 204 && answer.all("set-cookie").starts_with(&of(&ann));
+    assert!(kept(&keep("?replace=true", Some(&of(&bob)))), "somebody said so");
+    assert!(kept(&keep("", Some(&of(&ann)))) && kept(&keep("", None)), "nothing is lost");
+    assert!(kept(&keep("", Some("tmpi_owner=none"))), "a cookie that is no secret is no owner's");
+    assert_eq!(keep("?replace=yes", None).problem(400)["field"], "replace");
+    assert_eq!(keep("?force=true", None).problem(400)["field"], "force");
+}
+
+#[test]
+fn another_browser_becomes_the_same_owner_by_a_ticket_that_is_good_for_nothing_else() {
+    let dir = tempfile::tempdir().unwrap();
+    let server = private(dir.path());
+    let (ann, bob) = (secret("a"), secret("b"));
+    let photo = id(&upload(&server, Some(&ann), 1));
+    let at = format!("/v1/photos/{photo}");
+    let ask_for = |headers: &[(&str, &str)]| ask(&server, "POST", "/v1/owner/ticket", headers, &[]);
+    assert_eq!(ask_for(&[]).problem(403)["type"], "urn:tmpi:problem:no-owner");
+    let told = ask_for(&[("authorization", &ann)]);
+    assert_eq!((told.status, told.header("cache-control")), (200, Some("private, no-store")));
+    let (told, text) = (told.json(), String::from_utf8(told.body).unwrap());
+    assert!(!text.contains(&"a".repeat(40)), "the secret stays where it is");
+    let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap().as_secs();
+    assert!((now + 800..now + 1000).contains(&told["expires"].as_u64().unwrap()));
+    let ticket = told["ticket"].as_str().unwrap();
+    by(&server, ticket, "GET", &at).problem(404);
+    by(&server, ticket, "DELETE", &at).problem(404);
+    by(&server, ticket, "POST", "/v1/owner/ticket").problem(403);
+    let exchange = |ticket: &str, query: &str, cookie: &str| {
+        let bearer = format!("Bearer {ticket}");
+        ask(&server, "POST", &format!("/v1/owner{query}"), &[("authorization", &bearer), ("cookie", cookie)], &[])
+    };
+    let of_bob = format!("tmpi_owner={}", &bob["Bearer ".len()..]);
+    exchange(ticket, "", &of_bob).problem(409);
+    exchange(&format!("{ticket}0"), "", "").problem(401);
+    exchange(&ticket.replacen("tmpi_t_1", "tmpi_t_2", 1), "", "").problem(401);
+    for cookie in [exchange(ticket, "?replace=true", &of_bob), exchange(ticket, "", "")] {
+        assert_eq!(cookie.status, 204);
+        let kept = cookie.all("set-cookie");
+        assert!(kept.starts_with("tmpi_owner=tmpi_b_") && kept.ends_with("; HttpOnly; SameSite=Lax"), "{kept}");
+        let pair = kept.split(';').next().unwrap();
+        let browser = |method: &str, path: &str, cookie: &str| ask(&server, method, path, &[("cookie", cookie), JSON], b"");
+        assert_eq!(
+            (browser("GET", &at, pair).status, browser("GET", "/v1/photos", pair).json()["photos"][0]["id"].as_str()),
+            (200, Some(&*photo))
+        );
+        // it keeps it, and nothing of it can be made up
+        assert!(browser("GET", "/", pair).all("set-cookie").starts_with(pair));
+        assert_eq!(exchange(ticket, "", pair).status, 204, "it is the same owner");
+        browser("GET", &at, &pair[..pair.len() - 1]).problem(404);
+        let bearer = pair.trim_start_matches("tmpi_owner=");
+        by(&server, bearer, "GET", &at).problem(401);
+        assert_eq!(browser("POST", "/v1/owner/ticket", pair).status, 200);
+    }
+}
