@@ -221,3 +221,12 @@ fn a_key_frame_is_asked_for_as_long_as_somebody_waits_for_one_and_no_more_than_o
     healthy.read(&made.room);
     assert_eq!(healthy.frames, frames + 1);
 }
+
+#[test]
+fn a_room_is_full_with_as_many_as_may_watch_and_has_a_place_again_when_one_has_gone() {
+    let room = Room::new();
+    assert!((0..VIEWERS).all(|_| !room.is_full() && room.join().is_some()));
+    assert!(room.is_full() && room.join().is_none());
+    room.part();
+    assert!(!room.is_full() && room.join().is_some());
+}
