@@ -22,6 +22,8 @@ pub(super) struct RoomState {
     publishing: bool,
     /// How many watch.
     viewers: u32,
+    /// As many watch at this node as may: whoever comes finds no place.
+    full: bool,
     /// Whoever asked may publish.
     may_publish: bool,
 }
@@ -50,8 +52,9 @@ pub(super) async fn state(
 ) -> Result<Json<RoomState>, Problem> {
     here.check(&name, Role::Watch, &uri, &headers)?;
     let may_publish = here.check(&name, Role::Publish, &uri, &headers).is_ok();
-    let (publishing, viewers) = here.rooms.get(&name).map_or((false, 0), |room| (room.is_publishing(), room.everyone()));
-    Ok(Json(RoomState { publishing: publishing || here.rooms.is_elsewhere(&name), viewers, may_publish }))
+    let room = here.rooms.get(&name);
+    let (publishing, viewers, full) = room.map_or((false, 0, false), |room| (room.is_publishing(), room.everyone(), room.is_full()));
+    Ok(Json(RoomState { publishing: publishing || here.rooms.is_elsewhere(&name), viewers, full, may_publish }))
 }
 
 /// A token for who watches.

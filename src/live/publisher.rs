@@ -33,12 +33,15 @@ pub async fn serve(mut socket: WebSocket, named: (&str, Arc<Room>), rooms: &Arc<
         Err(reason) => reason,
     };
     tracing::info!(reason, "a publisher is sent away");
-    send_away(socket, Bye { again: reason == STOPS || reason == UNKNOWN, reason }).await;
+    // a camera that paused may go on
+    let again = reason == STOPS || reason == UNKNOWN || reason.starts_with(SILENT);
+    send_away(socket, Bye { again, reason }).await;
 }
 
 const STOPS: &str = "the server stops";
 /// Why a second publisher is sent away.
 pub(crate) const TAKEN: &str = "someone publishes in this room";
+const SILENT: &str = "nothing came for";
 const BIDIRECTIONAL: &str =
     "the stream has B-frames, which are shown in another order than they come in; encode it without: ffmpeg -bf 0, or baseline profile";
 const UNKNOWN: &str = "another node had this room when the others were last heard";
@@ -143,7 +146,7 @@ impl Drop for Seat<'_> {
 /// The next message; none where the publisher has gone. Pings are none: who sends nothing else publishes nothing.
 async fn next(socket: &mut WebSocket, until: Instant) -> Result<Option<Kind>, String> {
     loop {
-        let came = timeout_at(until, socket.recv()).await.map_err(|_| format!("nothing came for {} s", SILENCE.as_secs()))?;
+        let came = timeout_at(until, socket.recv()).await.map_err(|_| format!("{SILENT} {} s", SILENCE.as_secs()))?;
         return match came {
             Some(Ok(Message::Binary(bytes))) => read(bytes).map(Some).map_err(|e| e.to_string()),
             Some(Ok(Message::Ping(_) | Message::Pong(_))) => continue,

@@ -69,6 +69,8 @@ enum Sight {
     Hidden,
     /// Somebody does again, and has not been given a frame yet.
     Back,
+    /// Somebody does, and cannot decode what follows.
+    Lost,
 }
 
 /// Where a viewer is.
@@ -119,6 +121,19 @@ impl Place {
             (false, Sight::Hidden) => Sight::Back,
             (false, sight) => sight,
         };
+    }
+
+    /// Goes on with a key frame that the viewer was not sent yet; nothing changes for one that waits for a key frame, or does not look.
+    pub const fn lose(&mut self) {
+        if matches!(self.sight, Sight::Seen) && !self.waits {
+            self.sight = Sight::Lost;
+        }
+    }
+
+    /// Whether nothing can be sent before the next key frame to somebody who looks.
+    #[must_use]
+    pub const fn wants_key(&self) -> bool {
+        self.waits && !self.is_paused()
     }
 
     /// Where one begins in another publisher's messages who had this place in the last one's.
@@ -180,6 +195,11 @@ impl Ring {
         self.first + self.entries.len() as u64
     }
 
+    /// Whether a publisher has sent anything yet that is still there.
+    pub fn has_frames(&self) -> bool {
+        !self.entries.is_empty()
+    }
+
     /// The last key frame that is still there.
     fn last_key(&self) -> Option<u64> {
         self.key.filter(|key| *key >= self.first)
@@ -216,10 +236,14 @@ impl Ring {
                 (place.sight, place.heard) = (Sight::Seen, place.next);
                 return self.go_on(place, now, 0);
             }
+            Sight::Lost => {
+                place.sight = Sight::Seen;
+                return self.skip(place, now, place.next);
+            }
         }
         loop {
             if place.next < self.first || self.is_behind(place, now) {
-                return self.skip(place, now);
+                return self.skip(place, now, place.next + 1);
             }
             let Some(entry) = self.entries.get((place.next - self.first) as usize) else { return Step::Wait };
             if entry.what == What::Key && place.stale {
@@ -276,9 +300,10 @@ impl Ring {
         Step::Wait
     }
 
-    fn skip(&self, place: &mut Place, now: Instant) -> Step {
+    /// The same as [`Self::go_on`]; counts the frames that are left out by it.
+    fn skip(&self, place: &mut Place, now: Instant, least: u64) -> Step {
         let from = place.next;
-        let step = self.go_on(place, now, from + 1);
+        let step = self.go_on(place, now, least);
         let passed = from.max(self.first)..place.next;
         let frames = passed.filter(|i| {
             let entry = self.entries.get((i - self.first) as usize);

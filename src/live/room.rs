@@ -208,10 +208,18 @@ impl Room {
     /// The same, with the frame that it is as of.
     fn everything(&self) -> Option<(u64, Result<Bytes, LiveError>)> {
         let still = {
-            let mut state = self.lock();
+            let mut guard = self.lock();
+            let state = &mut *guard;
+            let (still, made) = (state.still.clone(), state.made.as_mut());
+            // tiles that were sent before there are all of a frame are in no still
+            let newer = made.filter(|made| made.newest() > still.as_ref().map(|s| s.tiles.frame));
+            let told = |chunks: &mut Chunks| chunks.newest().zip(chunks.snapshot().map(Ok));
             match &mut state.chunks {
-                Some(chunks) => return chunks.newest().zip(chunks.snapshot().map(Ok)),
-                None => state.still.clone(),
+                Some(chunks) => return told(chunks),
+                None => match newer.and_then(told) {
+                    Some(told) => return Some(told),
+                    None => still,
+                },
             }
         };
         still.map(|still| (still.tiles.frame, still.tiles.snapshot()))
@@ -296,6 +304,11 @@ impl Room {
         self.lock().viewers as u32
     }
 
+    /// Whether as many watch here as may.
+    pub fn is_full(&self) -> bool {
+        self.lock().viewers >= VIEWERS
+    }
+
     /// A viewer has gone.
     pub fn part(&self) {
         let mut state = self.lock();
@@ -317,7 +330,13 @@ impl Room {
         }
         match state.ring.step(&mut viewer.place, now) {
             Step::Send(bytes) => Next::Send(bytes),
-            Step::Wait => Next::Wait,
+            Step::Wait => {
+                // again and again: one that was asked for just before may have been for somebody else, or is lost
+                if viewer.place.wants_key() && state.ring.has_frames() {
+                    self.want_key(&mut state, now);
+                }
+                Next::Wait
+            }
             Step::Skipped { wants_key } => {
                 if wants_key {
                     self.want_key(&mut state, now);
@@ -378,10 +397,35 @@ impl Room {
         true
     }
 
-    /// Takes tiles that another node's publisher of `epoch` has; false where they are none of it.
-    pub fn take_tiles(&self, epoch: u64, tiles: &wire::Geometry) -> bool {
+    /// Takes tiles that another node's publisher of `epoch` has; gives whether any is newer than what was known here. None where they are none of it.
+    pub fn take_tiles(&self, epoch: u64, tiles: &wire::Geometry) -> Option<bool> {
         let mut state = self.lock();
-        state.epoch == epoch && state.chunks.as_mut().is_some_and(|chunks| chunks.take(tiles))
+        let current = state.epoch == epoch;
+        let chunks = state.chunks.as_mut().filter(|_| current)?;
+        let before = chunks.newest();
+        chunks.take(tiles).then(|| chunks.newest() > before)
+    }
+
+    /// The same of tiles that came for what was missed; hands on those that are newer. False where they are none of it.
+    pub fn take_missed(&self, epoch: u64, tiles: &wire::Geometry) -> bool {
+        let mut state = self.lock();
+        let current = state.epoch == epoch;
+        let Some(chunks) = state.chunks.as_mut().filter(|_| current) else { return false };
+        // nothing that came later was taken before what is missing, so all that is missing is newer
+        let before = chunks.newest();
+        if !chunks.take(tiles) {
+            return false;
+        }
+        let Some(frame) = chunks.newest().filter(|frame| before.is_none_or(|before| before < *frame)) else { return true };
+        let bytes = match before.and_then(|before| chunks.newer(before)) {
+            Some(chunks) => Some(write(Kind::Geometry(wire::Geometry { frame, chunks }))),
+            None => chunks.snapshot(),
+        };
+        drop(state);
+        if let Some(bytes) = bytes {
+            self.push(epoch, What::Geometry { frame }, bytes);
+        }
+        true
     }
 
     /// Takes what the node of the publisher of `epoch` has counted.
@@ -396,18 +440,28 @@ impl Room {
     /// A place at the end of the ring for who reads it for other nodes; none where `epoch` is past.
     pub fn reader(&self, epoch: u64) -> Option<Viewer> {
         let state = self.lock();
-        (state.epoch == epoch && !state.closed).then(|| Viewer { place: state.ring.at_end(Instant::now()), epoch })
+        if state.epoch != epoch || state.closed {
+            return None;
+        }
+        let mut place = state.ring.at_end(Instant::now());
+        // every node begins with a start that is made later than this
+        if let Some(frame) = state.made.as_ref().and_then(Chunks::newest) {
+            place.told(frame);
+        }
+        Some(Viewer { place, epoch })
     }
 
     /// What a node begins with that comes late; none where `epoch` is past.
     pub fn start(&self, epoch: u64) -> Option<Start> {
-        let (hello, (next, entries)) = {
-            let state = self.lock();
+        let (hello, (next, entries), made) = {
+            let mut state = self.lock();
             let hello = state.hello.clone().filter(|_| state.epoch == epoch && !state.closed)?;
-            (hello, state.ring.since_key())
+            // as they were sent: a node that missed some sees which
+            let made = state.made.as_mut().filter(|made| made.are_few()).and_then(Chunks::snapshot);
+            (hello, state.ring.since_key(), made)
         };
         // tiles may be newer than the last entry: their versions say so
-        let tiles = self.snapshot().and_then(Result::ok).unwrap_or_default();
+        let tiles = made.or_else(|| self.snapshot().and_then(Result::ok)).unwrap_or_default();
         Some(Start { next, hello: write(Kind::Hello((*hello).clone())), tiles, entries })
     }
 }
@@ -438,6 +492,11 @@ impl Viewer {
         self.place.pause(paused);
     }
 
+    /// It cannot decode what follows: it goes on with a key frame that it was not sent yet.
+    pub const fn lose(&mut self) {
+        self.place.lose();
+    }
+
     /// The epoch that it was told of.
     pub const fn epoch(&self) -> u64 {
         self.epoch
@@ -445,4 +504,4 @@ impl Viewer {
 }
 
 #[cfg(test)]
-mod tests;
+pub mod tests;

@@ -19,6 +19,8 @@ use crate::server::{Held, Pairs, Problem, RoomViews};
 
 /// Bytes that wait to be written for a viewer, at most: the largest message, and nothing beside it.
 const WRITE_BUFFER: usize = 2 << 20;
+/// Seconds after which one may look for a place again in a room that is full.
+const FULL_AGAIN: u64 = 10;
 /// What the handlers need of the server.
 #[derive(Clone)]
 pub struct Here {
@@ -157,6 +159,7 @@ async fn publish(
         (status = 403, description = "No token that is good: a page of another site always needs one"),
         (status = 404, description = "Nobody publishes in such a room"),
         (status = 426, description = "This is a WebSocket"),
+        (status = 503, description = "As many watch the room at this node as may"),
     )
 )]
 async fn subscribe(
@@ -170,6 +173,9 @@ async fn subscribe(
     here.check(&name, Role::Watch, &uri, &headers)?;
     let upgrade = bounded(upgrade, 1024)?;
     let room = here.rooms.visit(&name).ok_or_else(none_publishes)?;
+    if room.is_full() {
+        return Err(Problem::new(StatusCode::SERVICE_UNAVAILABLE, "busy", viewer::FULL).retry_after(FULL_AGAIN));
+    }
     Ok(upgrade.on_upgrade(async move |socket| {
         held.keep_little();
         viewer::serve(socket, room, here.stop).await;

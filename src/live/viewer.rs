@@ -1,6 +1,7 @@
 //! The socket of a viewer: it is sent what the room's ring has for it, one message after the other, as fast as it takes them.
 //!
-//! All that it may say is CREDIT: of no frames where nobody looks, as in a hidden tab, and of one or more where somebody looks again.
+//! All that it may say is CREDIT: of no frames where nobody looks, as in a hidden tab, of one or more where somebody looks again, and of these with
+//! `key` where it cannot decode what it has and needs a key frame.
 
 use std::sync::Arc;
 
@@ -10,13 +11,15 @@ use futures_util::FutureExt as _;
 use tokio::time::{Instant, MissedTickBehavior, interval};
 use tokio_util::sync::CancellationToken;
 
-use tmpi_core::live::wire::Bye;
 use tmpi_core::live::wire::message::Kind;
+use tmpi_core::live::wire::{Bye, Credit};
 use tmpi_core::live::{read, write};
 
 use super::room::{Next, Room, Viewer};
 use super::{HEARTBEAT, send_away};
 
+/// Why a viewer finds no place.
+pub const FULL: &str = "as many watch the room as may";
 /// Words that a viewer may say at once, and seconds for each one after that.
 const WORDS: u32 = 20;
 const WORD: f64 = 0.5;
@@ -32,7 +35,7 @@ enum End {
 /// Serves a viewer until it or the room goes.
 pub async fn serve(mut socket: WebSocket, room: Arc<Room>, stop: CancellationToken) {
     let Some(mut viewer) = room.join() else {
-        return send_away(socket, Bye { reason: "as many watch the room as may".into(), again: true }).await;
+        return send_away(socket, Bye { reason: FULL.into(), again: true }).await;
     };
     let end = watch(&mut socket, &room, &mut viewer, &stop).await;
     room.part();
@@ -103,8 +106,11 @@ fn heard(came: Option<Result<Message, axum::Error>>, words: &mut Words, viewer: 
         // pings are answered by the library
         Some(Ok(Message::Ping(_) | Message::Pong(_))) => None,
         Some(Ok(Message::Binary(bytes))) => match words.take(bytes, Instant::now()) {
-            Ok(looks) => {
-                viewer.pause(!looks);
+            Ok(Credit { frames, key }) => {
+                if key && frames > 0 {
+                    viewer.lose();
+                }
+                viewer.pause(frames == 0);
                 None
             }
             Err(reason) => away(reason),
@@ -123,18 +129,18 @@ struct Words {
 }
 
 impl Words {
-    /// Whether somebody looks, by what a viewer says.
+    /// What a viewer says: whether somebody looks, and whether it needs a key frame.
     ///
     /// # Errors
     /// It is no CREDIT, or more than may come by now, for the viewer to be told.
-    fn take(&mut self, bytes: Bytes, now: Instant) -> Result<bool, String> {
+    fn take(&mut self, bytes: Bytes, now: Instant) -> Result<Credit, String> {
         let Ok(Kind::Credit(credit)) = read(bytes) else { return Err(NOTHING_ELSE.into()) };
         let more = now.saturating_duration_since(self.at).as_secs_f64() / WORD;
         (self.left, self.at) = ((self.left + more).min(f64::from(WORDS)) - 1.0, now);
         if self.left < 0.0 {
             return Err(format!("more CREDIT than once in {WORD} s, and {WORDS} times at once"));
         }
-        Ok(credit.frames > 0)
+        Ok(credit)
     }
 }
 
@@ -157,19 +163,19 @@ async fn send(socket: &mut WebSocket, bytes: Bytes) -> Result<(), axum::Error> {
 mod tests {
     use super::*;
     use std::time::Duration;
-    use tmpi_core::live::wire::Credit;
 
     #[test]
     fn credit_says_whether_somebody_looks_and_comes_no_more_often_than_tabs_are_changed() {
         let start = Instant::now();
         let mut words = Words { left: f64::from(WORDS), at: start };
-        let credit = |frames| write(Kind::Credit(Credit { frames, key: frames > 0 }));
+        let said = |frames| Credit { frames, key: frames > 0 };
+        let credit = |frames| write(Kind::Credit(said(frames)));
         for n in 0..WORDS {
-            assert_eq!(words.take(credit(n % 2), start), Ok(n % 2 == 1));
+            assert_eq!(words.take(credit(n % 2), start), Ok(said(n % 2)));
         }
         assert!(words.take(credit(1), start).is_err_and(|reason| reason.contains("0.5 s")));
         let later = start + Duration::from_mins(1);
-        assert!((0..WORDS).all(|_| words.take(credit(0), later) == Ok(false)));
+        assert!((0..WORDS).all(|_| words.take(credit(0), later) == Ok(said(0))));
         assert!(words.take(credit(0), later).is_err());
         let bye = write(Kind::Bye(Bye::default()));
         assert_eq!(words.take(bye, later + Duration::from_mins(1)), Err(NOTHING_ELSE.into()));

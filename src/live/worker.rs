@@ -185,16 +185,84 @@ fn made((room, epoch): (&Room, u64), driver: &mut Geometry, frame: Frame, at: In
             return;
         }
     };
-    let Some(geometry) = driver.geometry() else { return };
-    let tiles = geometry.tiles.len() as u64;
     let ms = at.elapsed().as_secs_f64() * 1e3;
     // the tiles are there before anyone is told: who joins now gets them all
-    room.keep(epoch, Still::new(frame.number, frame.photo, geometry.clone()), |s| {
-        s.tiles += tiles;
-        s.tiles_left_out += tiles - update.sent.len() as u64;
-        s.geometry_ms = ms;
-    });
+    if let Some(geometry) = driver.geometry() {
+        let tiles = geometry.tiles.len() as u64;
+        room.keep(epoch, Still::new(frame.number, frame.photo, geometry.clone()), |s| {
+            s.tiles += tiles;
+            s.tiles_left_out += tiles - update.sent.len() as u64;
+            s.geometry_ms = ms;
+        });
+    }
+    // whatever is still to come: no tile is sent twice
     if !update.chunks.is_empty() {
         room.push_tiles(epoch, wire::Geometry { frame: frame.number, chunks: update.chunks });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use tmpi_core::live::wire::message::Kind;
+    use tmpi_core::live::{Model, read};
+    use tmpi_live::Settings;
+    use tmpi_pipeline::Models;
+    use tmpi_pipeline::depth::{DepthError, Estimator};
+
+    use super::*;
+    use crate::live::room::Next;
+
+    /// Depth is brightness.
+    struct Bright;
+
+    impl Estimator for Bright {
+        fn name(&self) -> &'static str {
+            "bright"
+        }
+
+        fn estimate(&self, photo: &Photo) -> Result<DisparityMap, DepthError> {
+            let delta = photo.rgb.iter().map(|p| f32::from(p[0]) / 255.0).collect();
+            Ok(DisparityMap { width: photo.width, height: photo.height, delta })
+        }
+    }
+
+    #[test]
+    fn after_a_cut_under_a_budget_viewers_have_the_tiles_that_were_left_for_later() {
+        const SIZE: (u32, u32) = (160, 120);
+        let settings = Settings { frame_ms: 1e-3, ..Settings::default() };
+        let models = Models { depth: Arc::new(Bright), theta: None, psi: None };
+        let (room, mut driver) = (Room::new(), Geometry::new(models, settings.clone()));
+        let epoch = room.publish(Model::hello(&settings.empty(SIZE.0, SIZE.1)), 0, 1);
+        let mut viewer = room.join().unwrap();
+        let mut model = Model::new(&Model::hello(&settings.empty(SIZE.0, SIZE.1))).unwrap();
+        let mut read_all = |model: &mut Model| loop {
+            let bytes = match room.next(&mut viewer) {
+                Next::Send(bytes) => bytes,
+                Next::Hello(_) | Next::Tiles => match room.tiles(&mut viewer) {
+                    Some(bytes) => bytes.unwrap(),
+                    None => continue,
+                },
+                _ => return,
+            };
+            if let Ok(Kind::Geometry(tiles) | Kind::Snapshot(tiles)) = read(bytes) {
+                model.take(&tiles).unwrap();
+            }
+        };
+        let mut next = |number: u64, level: u8| {
+            let rgb = (0..SIZE.0 * SIZE.1).map(|i| [level + (i % SIZE.0 / 4) as u8; 3]).collect();
+            let photo = Photo { width: SIZE.0, height: SIZE.1, rgb };
+            room.push(epoch, crate::live::ring::What::Key, Bytes::from_static(&[0; 10]));
+            made((&room, epoch), &mut driver, Frame { number, photo, depth: None }, Instant::now());
+        };
+        next(0, 20);
+        read_all(&mut model);
+        let before = model.geometry().expect("all tiles of the first frame").clone();
+        for number in 1..60 {
+            next(number, 180);
+            read_all(&mut model);
+        }
+        let tiles = &model.geometry().unwrap().tiles;
+        assert!(tiles.iter().zip(&before.tiles).all(|(now, then)| now.planes != then.planes), "a tile of the scene before the cut is left");
+        assert_eq!(tiles, &room.still().expect("the room goes on").tiles.geometry.tiles);
     }
 }

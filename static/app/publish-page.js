@@ -31,7 +31,7 @@ function say(text) {
 /** @param {string} state */
 function show(state) {
   document.body.dataset.state = state;
-  const on = state === 'live' || state === 'again' || state === 'connecting';
+  const on = ['live', 'again', 'connecting', 'paused'].includes(state);
   $('go').hidden = on;
   $('stop').hidden = !on;
   $('on-air').hidden = state !== 'live';
@@ -83,6 +83,11 @@ function closeCamera() {
   clearInterval(looking);
 }
 
+/** Whether there is to be sound, and none is sent. */
+function lacksSound() {
+  return Boolean(stream?.getAudioTracks().length && publisher && !publisher.hasSound);
+}
+
 /**
  * @param {string} state
  * @param {string} reason
@@ -90,7 +95,8 @@ function closeCamera() {
 function onState(state, reason) {
   show(state);
   if (state === 'connecting') say(t('Connecting…'));
-  else if (state === 'live') say(t('You are live.'));
+  else if (state === 'live') say(lacksSound() ? t('You are live, without sound: the microphone does not work.') : t('You are live.'));
+  else if (state === 'paused') say(t('Paused: the camera gives no picture here. It goes on by itself, as soon as this page is seen.'));
   else if (state === 'again') say(t('The connection broke. Trying again…'));
   else {
     closeCamera();
@@ -132,7 +138,8 @@ async function share() {
 
 async function countViewers() {
   const { viewers, publishing } = await look(room.address, room.token);
-  if (document.body.dataset.state === 'live' && publishing) say(t('You are live. {0} watching.', String(viewers)));
+  if (document.body.dataset.state !== 'live' || !publishing || lacksSound()) return;
+  say(t('You are live. {0} watching.', String(viewers)));
 }
 
 /** Says beforehand what stands in the way. */

@@ -20,6 +20,8 @@ const sound = new SoundPlayer();
 /** @type {ReturnType<typeof setTimeout> | undefined} */
 let fading;
 let shown = false;
+/** The picture that is shown has no depth yet. */
+let early = false;
 
 /**
  * Says something over the picture.
@@ -51,7 +53,8 @@ function showState({ state, reason }) {
     $('loading').hidden = false;
     $('bar').hidden = state === 'waiting' || state === 'ended';
     $('loading-text').textContent = text;
-  } else note(state === 'live' ? '' : text, true);
+  } else if (state !== 'live') note(text, true);
+  else note(early ? t('The picture has no depth yet.') : '', true);
 }
 
 /** @param {{latency: number, lag: number, frames: number, kbits: number, viewers: number, madeMs: number, videoMs: number}} told */
@@ -112,7 +115,10 @@ viewer.addEventListener('ready', ({ detail }) => {
   shown = true;
   $('stage').dataset.mode = detail.mode;
   $('loading').hidden = true;
-  if (!first) return;
+  const was = early;
+  early = Boolean(detail.early);
+  if (early) return note(t('The picture has no depth yet.'), true);
+  if (!first && !was) return;
   note(t(detail.mode === 'flat' ? 'This browser shows the video without depth.' : 'Move the pointer or drag to look around.'));
 });
 viewer.addEventListener('mode', ({ detail }) => {

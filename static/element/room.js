@@ -34,6 +34,8 @@ export class Room {
   #shadow;
   #visible = true;
   #shown = false;
+  /** The picture that is shown has no depth yet. */
+  #early = false;
   #listens = false;
   #gone = new AbortController();
   /** As the worker says it (live/connection.js), and `live`, `stalled` or `ended`. */
@@ -57,8 +59,9 @@ export class Room {
       embedded: true,
     });
     this.viewer.addEventListener('live', ({ detail }) => this.#onLive(detail));
-    this.viewer.addEventListener('ready', () => {
+    this.viewer.addEventListener('ready', ({ detail }) => {
       this.#shown = true;
+      this.#early = Boolean(detail.early);
       this.#say();
     });
     const { signal } = this.#gone;
@@ -152,7 +155,8 @@ export class Room {
   /** Says what keeps the picture away, or that it stands still. */
   #say() {
     const { over, text } = saying({ state: this.state, reason: '' });
-    this.#note.textContent = over || (this.#shown && this.state === 'live') ? '' : text;
+    const seen = this.#shown && this.state === 'live';
+    this.#note.textContent = over ? '' : !seen ? text : this.#early ? t('The picture has no depth yet.') : '';
   }
 
   dispose() {

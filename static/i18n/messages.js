@@ -289,7 +289,11 @@ const GERMAN = {
   'Go live: {0}': 'Live gehen: {0}',
   'Going live here needs a link with a token that is still good. Ask who sent you here for a new one.':
     'Um hier live zu gehen, braucht es einen Link mit gültiger Marke. Bitte um einen neuen bitten, wer ihn geschickt hat.',
+  'As many watch as there are places for. It is tried again by itself.':
+    'Alle Plätze zum Zusehen sind belegt. Ein neuer Versuch kommt von selbst.',
   'It ended: {0}': 'Zu Ende: {0}',
+  'Paused: the camera gives no picture here. It goes on by itself, as soon as this page is seen.':
+    'Pause: Die Kamera gibt hier kein Bild. Es geht von selbst weiter, sobald diese Seite zu sehen ist.',
   Live: 'Live',
   '3D video': '3D-Video',
   'Medium: 640 × 480': 'Mittel: 640 × 480',
@@ -310,6 +314,7 @@ const GERMAN = {
   'The connection broke. Trying again…': 'Die Verbindung ist abgerissen. Neuer Versuch …',
   'The live picture has ended. It goes on by itself when it is back.':
     'Das Live-Bild ist zu Ende. Kommt es wieder, geht es von selbst weiter.',
+  'The picture has no depth yet.': 'Das Bild hat noch keine Tiefe.',
   'The picture is held up.': 'Das Bild stockt.',
   'The server cannot be reached. Trying again…': 'Der Server ist nicht erreichbar. Neuer Versuch …',
   'The server says: {0}': 'Der Server sagt: {0}',
@@ -322,12 +327,14 @@ const GERMAN = {
   'What your camera sees': 'Was die Kamera sieht',
   'Who has this link can watch': 'Wer diesen Link hat, kann zusehen',
   'With sound': 'Mit Ton',
+  'You are live, without sound: the microphone does not work.': 'Sie sind live, ohne Ton: Das Mikrofon geht nicht.',
   'You are live.': 'Sie sind live.',
   'You are live. {0} watching.': 'Sie sind live. {0} sehen zu.',
   'You are not live any more.': 'Sie sind nicht mehr live.',
   'Your browser will ask whether this page may use the camera. Nothing is sent before you start.':
     'Der Browser fragt, ob diese Seite die Kamera benutzen darf. Vor dem Start wird nichts gesendet.',
   'the camera was taken away': 'die Kamera wurde entfernt',
+  'the link’s token is not good any more': 'die Marke des Links gilt nicht mehr',
   '{0} frames/s': '{0} Bilder/s',
   '{0} watching': '{0} sehen zu',
   '{0} was deleted.': '{0} wurde gelöscht.',

@@ -9,11 +9,17 @@ const SILENCE_MS = 4000;
 const PAUSES_MS = [100, 300, 700, 1500];
 /** Pause between two looks whether somebody publishes, ms. */
 const LOOK_MS = 1000;
+/** Pauses before a room that is full is tried again, from the first on, ms. */
+const FULL_MS = [5000, 10_000, 20_000, 30_000];
+/** Time that an answer may take, ms. */
+const ANSWER_MS = 10_000;
+/** What the server says to who finds no place. */
+const FULL = /as many watch the room as may/;
 /** CREDIT (`credit`, 8) as who watches says it: of no frames, as nobody looks, and of one from a key frame on, as somebody does again. */
 export const SOUND_ALONE = Uint8Array.of((8 << 3) | 2, 0);
 export const EVERYTHING = Uint8Array.of((8 << 3) | 2, 4, 1 << 3, 1, 2 << 3, 1);
 
-/** @typedef {'connecting' | 'waiting' | 'refused' | 'away' | 'none' | 'open'} State `waiting` for a publisher, `refused` for want of a token, `none`: there are no rooms, `away`: the server cannot be reached */
+/** @typedef {'connecting' | 'waiting' | 'refused' | 'away' | 'none' | 'open' | 'full'} State `waiting` for a publisher, `refused` for want of a token, `none`: there are no rooms, `away`: the server cannot be reached, `full`: as many watch as may */
 
 /**
  * Headers of requests about a room.
@@ -42,17 +48,17 @@ export function openSocket(address, what, token) {
  * What the server says of a room.
  * @param {string} address
  * @param {string} token
- * @returns {Promise<{state: State, mayPublish: boolean, publishing: boolean, viewers: number}>}
+ * @returns {Promise<{state: State, mayPublish: boolean, publishing: boolean, viewers: number, full: boolean}>}
  */
 export async function look(address, token) {
-  const found = { mayPublish: false, publishing: false, viewers: 0 };
+  const found = { mayPublish: false, publishing: false, viewers: 0, full: false };
   try {
-    const response = await fetch(address, { headers: headersOf(token) });
+    const response = await fetch(address, { headers: headersOf(token), signal: AbortSignal.timeout(ANSWER_MS) });
     if (response.status === 403 || response.status === 401) return { ...found, state: 'refused' };
     if (response.status === 404) return { ...found, state: 'none' };
     if (!response.ok) return { ...found, state: 'away' };
-    const { publishing, viewers, may_publish: mayPublish } = await response.json();
-    return { state: publishing ? 'open' : 'waiting', publishing, viewers, mayPublish };
+    const { publishing, viewers, full = false, may_publish: mayPublish } = await response.json();
+    return { state: publishing ? 'open' : 'waiting', publishing, viewers, full, mayPublish };
   } catch {
     return { ...found, state: 'away' };
   }
@@ -68,6 +74,8 @@ export class Connection {
   /** @type {ReturnType<typeof setTimeout> | undefined} */
   #silence;
   #tries = 0;
+  /** How often there was no place. */
+  #crowded = 0;
   #run = 0;
 
   /**
@@ -83,8 +91,9 @@ export class Connection {
   async start() {
     this.stop();
     const run = this.#run;
-    const { state } = await look(this.#room.address, this.#room.token);
+    const { state, full } = await look(this.#room.address, this.#room.token);
     if (run !== this.#run) return;
+    if (state === 'open' && full) return this.#wait();
     if (state !== 'open') {
       this.#on.state(state);
       if (state === 'waiting') this.#again(LOOK_MS);
@@ -116,7 +125,24 @@ export class Connection {
 
   /** A message was as it should: the next try comes soon. */
   well() {
-    this.#tries = 0;
+    this.#tries = this.#crowded = 0;
+  }
+
+  /**
+   * Whether the server sent somebody away because there is no place; it is tried again then, less and less often.
+   * @param {string} reason
+   */
+  full(reason) {
+    if (!FULL.test(reason)) return false;
+    this.stop();
+    this.#wait();
+    return true;
+  }
+
+  /** Waits for a place. */
+  #wait() {
+    this.#on.state('full');
+    this.#again(FULL_MS[Math.min(this.#crowded++, FULL_MS.length - 1)]);
   }
 
   stop() {

@@ -136,16 +136,10 @@ export class RoomDecoder {
     return this.#written('tmpi_write_hello', width, height, fovX, rate, channels);
   }
 
-  /** @param {{frame: number, time: number, key: boolean, layer?: number, data: Uint8Array}} video whose temporal layer is below 128 */
+  /** @param {{frame: number, time: number, key: boolean, layer?: number, data: Uint8Array}} video */
   writeVideo({ frame, time, key, layer = 0, data }) {
     this.#instance.hand(data);
-    const message = this.#written('tmpi_write_video', frame, time, Number(key));
-    if (!layer) return message;
-    // by protobuf's rules, what comes of a message a second time is merged into it: `video` (2), two bytes, in it `layer` (4)
-    const whole = new Uint8Array(message.length + 4);
-    whole.set(message);
-    whole.set([(2 << 3) | 2, 2, 4 << 3, layer], message.length);
-    return whole;
+    return this.#written('tmpi_write_video', frame, time, Number(key), layer);
   }
 
   /** @param {{time: number, data: Uint8Array}} sound */

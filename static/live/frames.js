@@ -8,11 +8,22 @@
  * @param {MediaStreamTrack} track
  * @param {HTMLVideoElement} preview that shows the track
  * @param {(frame: Frame) => void} take
+ * @param {(error: Error) => void} failed told where `take` throws or the camera cannot be read; frames go on coming in the first case
  * @returns {() => void} stops
  */
-export function eachFrame(track, preview, take) {
+export function eachFrame(track, preview, take, failed) {
   const Processor = /** @type {any} */ (globalThis).MediaStreamTrackProcessor;
-  return Processor ? processed(new Processor({ track, maxBufferSize: 1 }), take) : previewed(preview, take);
+  /** @param {Frame} frame */
+  const taken = (frame) => {
+    try {
+      take(frame);
+    } catch (error) {
+      // an open frame would hold the camera up
+      frame.close();
+      failed(error);
+    }
+  };
+  return Processor ? processed(new Processor({ track, maxBufferSize: 1 }), taken, failed) : previewed(preview, taken, failed);
 }
 
 /**
@@ -27,8 +38,9 @@ export function pictureOf(frame) {
 /**
  * @param {{readable: ReadableStream<VideoFrame>}} processor
  * @param {(frame: Frame) => void} take
+ * @param {(error: Error) => void} failed
  */
-function processed({ readable }, take) {
+function processed({ readable }, take, failed) {
   const reader = readable.getReader();
   let stopped = false;
   const read = async () => {
@@ -39,8 +51,10 @@ function processed({ readable }, take) {
       else take(value);
     }
   };
-  // the track has ended
-  read().catch(() => {});
+  // a track that has ended is done, and no error
+  read().catch((error) => {
+    if (!stopped) failed(error);
+  });
   return () => {
     stopped = true;
     reader.cancel().catch(() => {});
@@ -59,12 +73,17 @@ function shown(preview) {
 /**
  * @param {HTMLVideoElement} preview
  * @param {(frame: Frame) => void} take
+ * @param {(error: Error) => void} failed
  */
-function previewed(preview, take) {
+function previewed(preview, take, failed) {
   let stopped = false;
   const next = () => {
     if (stopped) return;
-    if (preview.videoWidth) take(shown(preview));
+    try {
+      if (preview.videoWidth) take(shown(preview));
+    } catch (error) {
+      failed(error);
+    }
     preview.requestVideoFrameCallback(next);
   };
   preview.requestVideoFrameCallback(next);

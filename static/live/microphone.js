@@ -19,9 +19,10 @@ export async function hasOpus() {
  * @param {MediaStreamTrack} track
  * @param {() => number} clock µs
  * @param {(packet: {time: number, data: Uint8Array<ArrayBuffer>}) => void} take
+ * @param {(error: Error) => void} failed no packet comes any more
  * @returns {Promise<() => void>} stops
  */
-export async function eachPacket(track, clock, take) {
+export async function eachPacket(track, clock, take, failed) {
   const context = new AudioContext({ sampleRate: SOUND.rate });
   await context.audioWorklet.addModule(new URL('./microphone-worklet.js', import.meta.url));
   const encoder = new AudioEncoder({
@@ -30,7 +31,7 @@ export async function eachPacket(track, clock, take) {
       chunk.copyTo(data);
       take({ time: chunk.timestamp, data });
     },
-    error: (error) => console.warn(error.message),
+    error: failed,
   });
   encoder.configure({ codec: SOUND.codec, sampleRate: SOUND.rate, numberOfChannels: SOUND.channels, bitrate: BITRATE });
   const node = new AudioWorkletNode(context, 'tmpi-microphone', { numberOfOutputs: 0 });

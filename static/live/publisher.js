@@ -1,6 +1,6 @@
 // Publishes a camera in a room: frames as fast as the server gives credit for them, the newest first.
 
-import { openSocket } from './connection.js';
+import { look, openSocket } from './connection.js';
 import { compiled, RoomDecoder } from './decoder.js';
 import { codecsFor, encoderOf } from './encoders.js';
 import { eachFrame } from './frames.js';
@@ -9,7 +9,7 @@ import { eachPacket, SOUND } from './microphone.js';
 /** @import { Coded, Encoder } from './encoders.js' */
 /** @import { Frame } from './frames.js' */
 
-/** @typedef {'connecting' | 'live' | 'again' | 'ended'} State `again`: the connection broke and is tried again; `ended` with a reason, or without one where it was stopped */
+/** @typedef {'connecting' | 'live' | 'again' | 'paused' | 'ended'} State `again`: the connection broke and is tried again; `paused`: the camera gives no frames, as in a hidden tab, and it goes on with the next one; `ended` with a reason, or without one where it was stopped */
 
 /** A key frame comes at least so often, frames: who joins gets all since the last one. */
 const GROUP = 60;
@@ -19,6 +19,12 @@ const PAUSES_MS = [300, 700, 1500, 3000];
 const MOST_WAITING = 256 << 10;
 /** Silence after which a connection is taken for dead: the server says something each second, ms. */
 const SILENCE_MS = 4000;
+/** Time without a frame or sound after which the room is left until the next frame comes, ms: sooner than the server sends who says nothing away. */
+const QUIET_MS = 7000;
+/** Time that a microphone has to begin, ms. */
+const MICROPHONE_MS = 3000;
+/** Frames in a row that may fail before it ends. */
+const FAILURES = 5;
 /** What the server says to a codec that it has no decoder for, and where the room is taken. */
 const NO_DECODER = /no decoder for the codec/;
 const TAKEN = /someone publishes in this room/;
@@ -40,14 +46,22 @@ export class Publisher {
   /** @type {(() => void)[]} */
   #stops = [];
   #size = { width: 0, height: 0 };
+  /** Counts connections, also those that are given up while they wait for something. */
+  #run = 0;
   #codec = 0;
   #credit = 0;
   #number = 0;
   #sinceKey = 0;
   #wantsKey = true;
   #tries = 0;
+  #failures = 0;
   #stopped = false;
+  #paused = false;
   #wasLive = false;
+  /** Stops the sound; null: there is none. @type {(() => void) | null} */
+  #stopSound = null;
+  /** When something was there to be sent last, ms. */
+  #last = 0;
   /** @type {ReturnType<typeof setTimeout> | undefined} */
   #timer;
   /** @type {ReturnType<typeof setTimeout> | undefined} */
@@ -73,16 +87,80 @@ export class Publisher {
     return this.#encoder?.codec ?? '';
   }
 
+  /** Whether sound is sent. */
+  get hasSound() {
+    return this.#stopSound !== null;
+  }
+
   async start() {
     this.#tell('connecting', '');
     this.#wire = await RoomDecoder.of(await compiled());
+    // what is said of sound is said first, so it has to be known
+    await this.#startSound();
+    if (this.#stopped) return this.#release();
     const [video] = this.#stream.getVideoTracks();
     video.addEventListener('ended', () => this.#end('the camera was taken away'));
-    this.#stops.push(eachFrame(video, this.#preview, (frame) => this.#take(frame)));
+    const failed = (/** @type {Error} */ error) => this.#fail(error);
+    this.#stops.push(eachFrame(video, this.#preview, (frame) => this.#take(frame), failed));
+    const watch = setInterval(() => this.#rest(), 1000);
+    this.#stops.push(() => clearInterval(watch));
+  }
+
+  /** Without sound there is still a picture. */
+  async #startSound() {
     const [sound] = this.#stream.getAudioTracks();
-    if (sound) this.#stops.push(await eachPacket(sound, clock, (packet) => this.#sound(packet)));
-    // stopped while it began
-    if (this.#stopped) this.#release();
+    if (!sound) return;
+    const begun = eachPacket(
+      sound,
+      clock,
+      (packet) => this.#sound(packet),
+      (error) => this.#mute(error.message),
+    );
+    const late = new Promise((_, refuse) => setTimeout(() => refuse(new Error('the microphone does not begin')), MICROPHONE_MS));
+    try {
+      this.#stopSound = await Promise.race([begun, late]);
+      sound.addEventListener('ended', () => this.#mute('the microphone was taken away'));
+    } catch (error) {
+      console.warn(error.message);
+      // one that begins after all is not announced
+      begun.then((stop) => stop()).catch(() => {});
+    }
+  }
+
+  /**
+   * The sound has failed: those who watch are told that there is none.
+   * @param {string} reason
+   */
+  #mute(reason) {
+    console.warn(reason);
+    if (!this.#stopSound) return;
+    this.#stopSound();
+    this.#stopSound = null;
+    if (this.#socket) this.#connect();
+  }
+
+  /**
+   * A frame could not be sent.
+   * @param {Error} error
+   */
+  #fail(error) {
+    console.warn(error.message);
+    if (++this.#failures > FAILURES) this.#end(error.message);
+    else this.#again();
+  }
+
+  /** Leaves the room where nothing comes of the camera: the server would send away who says nothing. */
+  #rest() {
+    if (!this.#socket || this.#paused || performance.now() - this.#last < QUIET_MS) return;
+    this.#pause();
+  }
+
+  #pause() {
+    if (this.#socket?.readyState === WebSocket.OPEN && this.#wire) this.#socket.send(this.#wire.writeBye('paused'));
+    clearTimeout(this.#timer);
+    this.#disconnect();
+    this.#paused = true;
+    this.#tell('paused', '');
   }
 
   stop() {
@@ -102,10 +180,13 @@ export class Publisher {
   #release() {
     clearTimeout(this.#timer);
     for (const stop of this.#stops.splice(0)) stop();
+    this.#stopSound?.();
+    this.#stopSound = null;
     this.#disconnect();
   }
 
   #disconnect() {
+    this.#run++;
     clearTimeout(this.#silence);
     this.#encoder?.close();
     this.#encoder = null;
@@ -118,8 +199,10 @@ export class Publisher {
   /** @param {Frame} frame */
   #take(frame) {
     const { displayWidth: width, displayHeight: height } = frame;
-    if (width !== this.#size.width || height !== this.#size.height) {
-      // the first one, or the device was turned: the room begins anew
+    this.#last = performance.now();
+    if (this.#paused || width !== this.#size.width || height !== this.#size.height) {
+      // the first one, or one after a pause, or the device was turned: the room begins anew
+      this.#paused = false;
       this.#size = { width, height };
       this.#connect();
     }
@@ -136,15 +219,18 @@ export class Publisher {
 
   async #connect() {
     this.#disconnect();
+    clearTimeout(this.#timer);
     const size = this.#size;
-    const codecs = await codecsFor(size);
-    if (this.#stopped || size !== this.#size) return;
+    const run = this.#run;
+    const [codecs, refused] = await Promise.all([codecsFor(size), this.#refusal()]);
+    if (this.#stopped || this.#paused || run !== this.#run) return;
+    if (refused) return this.#end(refused);
     const config = codecs[Math.min(this.#codec, codecs.length - 1)];
     const socket = openSocket(this.#room.address, 'publish', this.#room.token);
     this.#socket = socket;
     [this.#credit, this.#number, this.#wantsKey] = [0, 0, true];
     socket.onopen = () => {
-      const sound = this.#stream.getAudioTracks().length ? SOUND : null;
+      const sound = this.#stopSound ? SOUND : null;
       const named = sound ? { sound: sound.codec, rate: sound.rate, channels: sound.channels } : {};
       const hello = this.#wire?.writeHello({ ...size, codec: config.codec.replace('avc1.42E01F', 'avc1.42e01f'), ...named });
       if (hello) socket.send(hello);
@@ -164,6 +250,14 @@ export class Publisher {
       this.#hear(new Uint8Array(data));
     };
     socket.onclose = () => this.#again();
+  }
+
+  /** Why it is of no use to try again, empty where it may be: a socket that is refused does not say why. */
+  async #refusal() {
+    if (!this.#tries) return '';
+    const { state, mayPublish } = await look(this.#room.address, this.#room.token);
+    if (state === 'none') return 'There is no such room on this server.';
+    return state === 'refused' || (state !== 'away' && !mayPublish) ? 'the link’s token is not good any more' : '';
   }
 
   /** A link that is dead says nothing of it. */
@@ -194,7 +288,9 @@ export class Publisher {
 
   #again() {
     this.#disconnect();
-    if (this.#stopped) return;
+    if (this.#stopped || this.#paused) return;
+    // it would be sent away again
+    if (this.#wasLive && performance.now() - this.#last > QUIET_MS) return this.#pause();
     this.#tell('again', '');
     clearTimeout(this.#timer);
     this.#timer = setTimeout(() => this.#connect(), PAUSES_MS[Math.min(this.#tries++, PAUSES_MS.length - 1)]);
@@ -206,6 +302,7 @@ export class Publisher {
     if (this.#socket?.readyState !== OPEN || !this.#wire) return;
     this.#credit--;
     this.#socket.send(this.#wire.writeVideo({ frame: this.#number++, time, key, layer, data }));
+    this.#failures = 0;
     this.counts.frames++;
     this.counts.bytes += data.length;
   }
@@ -214,6 +311,7 @@ export class Publisher {
   #sound(packet) {
     if (this.#socket?.readyState !== WebSocket.OPEN || !this.#wire || !this.#number) return;
     this.#socket.send(this.#wire.writeSound(packet));
+    this.#last = performance.now();
     this.counts.sound++;
   }
 }

@@ -13,6 +13,8 @@ const [EACH_MS, MOST_MS] = [110, 3520];
 const AWAY_MS = 1000;
 /** Time without a newer frame after which the picture stands still, ms. */
 const STALLED_MS = 3000;
+/** Time that a view may take, ms. */
+const ANSWER_MS = 15_000;
 /** Pause where the server asks for one without saying how long, ms. */
 const BUSY_MS = 2000;
 
@@ -83,7 +85,8 @@ export class ServedViews {
     const headers = headersOf(this.#room.token);
     if (tag && this.#shown.address === address) headers['if-none-match'] = tag;
     try {
-      const response = await fetch(address, { headers, cache: 'no-store' });
+      // one that is never answered would be waited for without end
+      const response = await fetch(address, { headers, cache: 'no-store', signal: AbortSignal.timeout(ANSWER_MS) });
       if (response.status === 304) {
         this.#tell();
         return 0;

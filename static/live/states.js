@@ -18,6 +18,8 @@ function waiting(state) {
       return t('Connecting…');
     case 'waiting':
       return t('Nobody is live here yet. The picture starts by itself.');
+    case 'full':
+      return t('As many watch as there are places for. It is tried again by itself.');
     case 'ended':
       return t('The live picture has ended. It goes on by itself when it is back.');
     case 'away':

@@ -1,7 +1,7 @@
 // A room as it is watched, off the page's thread.
 // In: {watch: {address, token, side, flat}} · {drawn} the last picture is shown · {again} the whole scene once more · {hidden} ·
 // {sound} whether sound is wanted · {flat} nothing can draw the scene. Out: {type: 'head', head} · {type: 'scene', scene, cells} · {type: 'update', instances, cells} ·
-// {type: 'picture', picture} where it is to be flat · {type: 'state', state, reason} · {type: 'statistics', …} · {type: 'sound', …}.
+// {type: 'picture', picture, early} where it is to be flat, `early` as its tiles are not there yet · {type: 'state', state, reason} · {type: 'statistics', …} · {type: 'sound', …}.
 
 import { Connection, EVERYTHING, SOUND_ALONE } from './connection.js';
 import { compiled, RoomDecoder } from './decoder.js';
@@ -34,6 +34,8 @@ const STALLED_MS = 3000;
 const UNSEEN_MS = 4000;
 /** Pause between two messages of what is measured, ms. */
 const TELL_MS = 500;
+/** Time after the first frame from which on it is shown flat as long as not all tiles came, ms. */
+const DEPTH_MS = 1500;
 /** Longest that copying the samples of a frame may take, ms: a browser was seen that never ended it. */
 const COPY_MS = 500;
 /** What GEOMETRY and SNAPSHOT begin with (protobuf's fields 3 and 4). */
@@ -76,6 +78,8 @@ class Room {
   /** Frames are left out up to the next one that needs no other. */
   #waits = true;
   #lastFrame = 0;
+  /** When the first frame came for which not all tiles are there; 0: they are, or there was none. */
+  #depthless = 0;
   /** @type {Decoded | null} */
   #shown = null;
   /** @type {ReturnType<typeof setTimeout> | undefined} */
@@ -182,6 +186,7 @@ class Room {
     else if (message.kind === 'sound') this.#sound.decode(message);
     else if (message.kind === 'statistics') this.#statistics = message;
     else if (message.kind === 'bye') {
+      if (this.#connection.full(message.reason)) return;
       if (message.again) return this.#say('ended');
       this.#connection.stop();
       this.#say('away', message.reason);
@@ -203,7 +208,7 @@ class Room {
     this.#drop();
     this.#sound.begin(hello);
     if (!before || JSON.stringify(before.head) !== JSON.stringify(hello.head)) {
-      [this.#atlas, this.#told, this.#shown] = [null, false, null];
+      [this.#atlas, this.#told, this.#shown, this.#depthless] = [null, false, null, 0];
       postMessage({ type: 'head', head: hello.head });
     }
     const early = this.#early;
@@ -307,9 +312,12 @@ class Room {
     this.#due = Infinity;
     const { head } = this.#hello;
     let started = performance.now();
+    /** @type {VideoFrame | ImageBitmap | null} */
+    let plain = null;
     try {
       if (next) {
         this.#next = null;
+        plain = await this.#plain(next);
         const pixels = await this.#pixels(next, head);
         if (!pixels || this.#hello.head !== head) return;
         const { format, bytes } = pixels;
@@ -318,14 +326,31 @@ class Room {
         this.#decoder.frame(format, bytes);
         this.#shown = next;
       }
-      this.#compose(head, started);
+      if (this.#compose(head, started)) this.#depthless = 0;
+      else if (plain) {
+        this.#picture(plain, true);
+        plain = null;
+      }
     } catch (error) {
       console.error(error.message);
       this.#connection.start();
     } finally {
+      plain?.close();
       this.#busy = false;
     }
     if (this.#next) this.#pump();
+  }
+
+  /**
+   * The picture of a frame once more, to be shown as it is where there are no layers.
+   * @param {Decoded} of
+   * @returns {Promise<VideoFrame | ImageBitmap | null>}
+   */
+  async #plain({ picture }) {
+    if (this.#atlas) return null;
+    this.#depthless ||= performance.now();
+    if (performance.now() - this.#depthless < DEPTH_MS) return null;
+    return 'clone' in picture ? picture.clone() : createImageBitmap(picture);
   }
 
   /**
@@ -341,6 +366,7 @@ class Room {
   }
 
   /**
+   * Hands on what changed; false where there is nothing to show, as not all tiles came.
    * @param {SceneHead} head
    * @param {number} started
    */
@@ -350,9 +376,9 @@ class Room {
       // nothing moves: the picture that is shown is this one
       this.#measured.frames++;
       if (this.#shown) this.#measured.latency = clock() - this.#shown.time / 1000;
-      return;
+      return true;
     }
-    if (!changed.length && !this.#atlas) return;
+    if (!changed.length && !this.#atlas) return false;
     this.#atlas ??= new TileAtlas(head, this.#watched.side);
     let { numbers, places, reshaped, grown } = this.#atlas.change(changed);
     if (!this.#told) ({ numbers, places } = this.#atlas.all());
@@ -369,15 +395,26 @@ class Room {
       const atlas = { ...this.#atlas.size, pages: this.#atlas.pages, wide: false, strips: [] };
       self.postMessage({ type: 'scene', scene: { ...head, ...drawn, atlas, decodeMs: made }, cells }, { transfer });
     } else self.postMessage({ type: 'update', instances: drawn?.instances ?? null, cells }, { transfer });
+    return true;
   }
 
   /** @param {Decoded} next */
   #flat(next) {
     this.#next = null;
     this.#shown = next;
+    this.#picture(next.picture, false);
+  }
+
+  /**
+   * Has a picture shown as it is.
+   * @param {VideoFrame | ImageBitmap} picture
+   * @param {boolean} early its tiles are not there yet
+   */
+  #picture(picture, early) {
     this.#drawing = true;
+    this.#sent = performance.now();
     this.#measured.frames++;
-    self.postMessage({ type: 'picture', picture: next.picture }, { transfer: [next.picture] });
+    self.postMessage({ type: 'picture', picture, early }, { transfer: [picture] });
   }
 
   #tell() {

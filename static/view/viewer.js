@@ -65,6 +65,8 @@ export class Viewer extends EventTarget {
   #served = null;
   /** Nothing here decodes a room's video. */
   #undecoded = false;
+  /** A room's video is shown as it is until there is a scene. */
+  #early = false;
   /** A room's scenes are drawn one after the other. */
   #redrawn = Promise.resolve();
   #stopListening;
@@ -484,11 +486,14 @@ export class Viewer extends EventTarget {
     } else if (data.type === 'scene') {
       this.scene = data.scene;
       if (this.head) this.#camera.know(this.head, this.scene);
-      if (this.options.live) return this.#drawLive(data.cells);
+      if (this.options.live) {
+        this.#early = false;
+        return this.#drawLive(data.cells);
+      }
       this.#worker?.terminate();
       this.#draw();
     } else if (data.type === 'update') this.#follow(data);
-    else if (data.type === 'picture') this.#showFlat(data.picture);
+    else if (data.type === 'picture') this.#showFlat(data.picture, data.early);
     else if (data.type === 'error') this.#fail(data.message);
     else if (data.state === 'unsupported' && this.head) this.#serveAlone(this.head);
     else this.#emit('live', data);
@@ -572,12 +577,14 @@ export class Viewer extends EventTarget {
   }
 
   /**
-   * Shows a frame of a room as it is, where nothing can draw its scene.
+   * Shows a frame of a room as it is, where nothing can draw its scene, or there is none yet.
    * @param {VideoFrame | ImageBitmap} picture
+   * @param {boolean} early there is none yet
    */
-  #showFlat(picture) {
+  #showFlat(picture, early) {
     const { head } = this;
     if (!head || this.#disposed) return picture.close();
+    if (early) return this.#showEarly(picture, head);
     // the video is there again where the server refuses
     if (!this.#served) {
       this.#prepareServed(head, { shown: () => this.#turn('served'), refused: () => this.#turn('flat') });
@@ -594,6 +601,32 @@ export class Viewer extends EventTarget {
     }
     requestAnimationFrame(() => {
       this.canvas?.getContext('2d')?.drawImage(picture, 0, 0, head.width, head.height);
+      picture.close();
+      this.tell({ drawn: true });
+    });
+  }
+
+  /**
+   * Shows a frame of a room of which nothing is known but that.
+   * @param {VideoFrame | ImageBitmap} picture
+   * @param {SceneHead} head
+   */
+  #showEarly(picture, head) {
+    if (!this.#early || !this.canvas) {
+      this.#early = true;
+      // of the room as it was before
+      this.renderer?.dispose();
+      this.renderer = null;
+      const canvas = document.createElement('canvas');
+      [canvas.width, canvas.height] = [head.width, head.height];
+      this.#stage.canvas = canvas;
+      this.mode = 'flat';
+      this.#layout();
+      this.#emit('ready', { mode: 'flat', early: true });
+    }
+    const { canvas } = this;
+    requestAnimationFrame(() => {
+      if (this.#early) canvas?.getContext('2d')?.drawImage(picture, 0, 0, head.width, head.height);
       picture.close();
       this.tell({ drawn: true });
     });

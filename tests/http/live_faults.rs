@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use tempfile::tempdir;
 use tmpi::live::{Config as RoomConfig, Rooms};
 use tmpi_core::live::wire::message::Kind;
-use tmpi_core::live::wire::{Hello, Sound, Video};
+use tmpi_core::live::wire::{Credit, Hello, Sound, Video};
 use tmpi_core::live::{Model, VERSION};
 use tmpi_core::{DisparityMap, Photo};
 use tmpi_pipeline::Models;
@@ -90,14 +90,31 @@ fn who_only_pings_or_floods_with_sound_or_sends_b_frames_is_sent_away() {
     }
     let mut idle = Publisher::new(server.addr, "attic");
     let (start, mut heard) = (Instant::now(), 0);
-    let reason = loop {
+    let bye = loop {
         let _ = idle.client.raw().send(Message::Ping(vec![1].into()));
         match idle.client.next().expect("it is told why") {
             // one of these each second is a sign of life
             Kind::Credit(_) => heard += 1,
-            Kind::Bye(bye) => break bye.reason,
+            Kind::Bye(bye) => break bye,
             other => panic!("{other:?}"),
         }
     };
+    let reason = bye.reason;
+    assert!(bye.again, "a camera that paused may go on");
     assert!(reason.contains("nothing came") && start.elapsed() < Duration::from_secs(15) && heard > 5, "{reason}: {heard}");
+}
+
+#[test]
+fn a_viewer_that_cannot_decode_what_it_has_gets_a_key_frame_of_the_publisher() {
+    let dir = tempdir().unwrap();
+    let server = server_with(dir.path(), |rooms| rooms);
+    let mut publisher = Publisher::new(server.addr, "attic");
+    publisher.publish(frame(10));
+    let mut viewer = Client::watch(server.addr, "attic");
+    while !matches!(viewer.next(), Some(Kind::Video(video)) if video.frame == 0) {}
+    viewer.send(Kind::Credit(Credit { frames: 1, key: true }));
+    // it is asked for at once, between what the publisher is told each second
+    while !matches!(publisher.client.next(), Some(Kind::Credit(credit)) if credit.key) {}
+    publisher.publish(frame(20));
+    while !matches!(viewer.next(), Some(Kind::Video(video)) if video.frame == 1 && video.key) {}
 }

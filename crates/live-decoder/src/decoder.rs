@@ -225,10 +225,10 @@ impl Decoder {
         Ok(1)
     }
 
-    /// Writes VIDEO.
-    pub fn write_video(&mut self, frame: u64, time: u64, key: bool) -> i32 {
+    /// Writes VIDEO of a temporal layer.
+    pub fn write_video(&mut self, frame: u64, time: u64, key: bool, layer: u32) -> i32 {
         let data = std::mem::take(&mut self.input).into();
-        self.message = write(Kind::Video(Video { frame, time, key, layer: 0, data }));
+        self.message = write(Kind::Video(Video { frame, time, key, layer, data }));
         1
     }
 

@@ -68,11 +68,11 @@ pub extern "C" fn tmpi_write_hello(width: u32, height: u32, fov_x: f64, sound_ra
     call(|decoder| decoder.write_hello((width, height), fov_x, (sound_rate, sound_channels)))
 }
 
-/// Writes VIDEO with the bytes that were handed over.
+/// Writes VIDEO of a temporal layer with the bytes that were handed over.
 #[allow(unsafe_code, reason = "a C name")]
 #[unsafe(no_mangle)]
-pub extern "C" fn tmpi_write_video(frame: f64, time: f64, key: u32) -> i32 {
-    call(|decoder| Ok(decoder.write_video(frame as u64, time as u64, key == 1)))
+pub extern "C" fn tmpi_write_video(frame: f64, time: f64, key: u32, layer: u32) -> i32 {
+    call(|decoder| Ok(decoder.write_video(frame as u64, time as u64, key == 1, layer)))
 }
 
 /// Writes SOUND with the bytes that were handed over.

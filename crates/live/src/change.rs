@@ -47,7 +47,7 @@ pub struct Compare {
 /// What changed in a frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Change {
-    /// Sum of the differences of each block, row by row; 0 where it is unchanged.
+    /// Sum of the differences of each block, row by row; 0 where it is unchanged, which none is at a cut.
     pub blocks: Vec<u32>,
     /// Blocks in a row.
     pub across: usize,
@@ -115,6 +115,11 @@ impl Compare {
         let moved: u64 = before.iter().zip(&histogram).map(|(a, b)| u64::from(a.abs_diff(*b))).sum();
         // each pixel that goes from one bin to another counts twice
         let cut = changed as f64 > CUT_BLOCKS * count as f64 && moved as f64 > 2.0 * CUT * photo.rgb.len() as f64;
+        if cut {
+            // nothing is known of blocks that happen to look as they did: their depth and planes were of another scene
+            blocks.iter_mut().for_each(|b| *b = (*b).max(1));
+            self.reference = Some(photo.clone());
+        }
         Change { blocks, across, cut }
     }
 }
@@ -251,5 +256,17 @@ mod tests {
         assert!(!change.cut && change.blocks.iter().all(|b| *b > 0));
         let bright = Photo { rgb: dark.rgb.iter().map(|p| p.map(|v| v + 150)).collect(), ..dark };
         assert!(compare.next(&bright).cut);
+    }
+
+    #[test]
+    fn at_a_cut_every_block_counts_as_changed() {
+        let mut compare = Compare::new(Tolerance::NONE);
+        // a black bar over what is another scene then, as films have it
+        let barred = |v: u8| Photo { width: 64, height: 64, rgb: (0..4096).map(|i| if i < 512 { [0; 3] } else { [v; 3] }).collect() };
+        compare.next(&barred(40));
+        let change = compare.next(&barred(200));
+        assert!(change.cut && change.blocks.iter().all(|b| *b > 0), "{:?}", change.blocks);
+        assert_eq!(compare.reference(), Some(&barred(200)));
+        assert!(compare.next(&barred(200)).is_nothing());
     }
 }

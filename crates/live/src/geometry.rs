@@ -140,11 +140,13 @@ pub struct Geometry {
     compare: Compare,
     planes: Planes,
     state: Option<State>,
+    /// All tiles as readers have them: after a cut those of the scene before, where there was no time yet for a tile of this one.
+    told: Option<core::Geometry>,
 }
 
-/// What is known of the last frame.
+/// What is known of the last frame, and of others since the last cut.
 struct State {
-    /// As it was sent last, tile by tile: what is not sent is not taken here either, so that errors never add up.
+    /// As it was sent last, tile by tile: what is not sent is not taken here either, so that errors never add up. Without planes where nothing was.
     geometry: core::Geometry,
     /// Depth has been looked at.
     known: bool,
@@ -179,13 +181,14 @@ impl Geometry {
     #[must_use]
     pub fn new(models: Models, settings: Settings) -> Self {
         let (budget, compare) = (Budget::new(settings.frame_ms), Compare::new(settings.tolerance));
-        Self { models, settings, limits: Limits::default(), budget, compare, planes: Planes::carrying(), state: None }
+        Self { models, settings, limits: Limits::default(), budget, compare, planes: Planes::carrying(), state: None, told: None }
     }
 
-    /// All tiles as they are now; none before each was placed once.
+    /// All tiles as readers have them now, who took every chunk: those of the scene before a cut as long as they wait for a later frame. None before
+    /// each was placed once.
     #[must_use]
     pub fn geometry(&self) -> Option<&core::Geometry> {
-        self.state.as_ref().map(|s| &s.geometry).filter(|g| g.tiles.iter().all(|t| !t.planes.is_empty()))
+        self.told.as_ref().filter(|g| g.tiles.iter().all(|t| !t.planes.is_empty()))
     }
 
     /// Of each pixel what it was when its block changed last, which is what its depth was told of.
@@ -271,7 +274,20 @@ impl Geometry {
         let coded = |area| chunk::encode(&grid, area, &state.geometry.tiles, frame.number);
         update.chunks = Area::covering(&grid, sent).into_iter().map(coded).collect::<Result<_, _>>()?;
         update.coding_ms = ms(before);
+        tell(&mut self.told, &state.geometry, &update.sent);
         Ok(update)
+    }
+}
+
+/// Notes that readers have these tiles now.
+fn tell(told: &mut Option<core::Geometry>, now: &core::Geometry, sent: &[u32]) {
+    match told {
+        Some(told) if told.grid == now.grid => {
+            for t in sent {
+                told.tiles[*t as usize] = now.tiles[*t as usize].clone();
+            }
+        }
+        _ => *told = Some(now.clone()),
     }
 }
 

@@ -11,7 +11,7 @@ use tmpi_core::live::wire::message::Kind;
 use tmpi_core::live::write;
 
 use super::lend::Lender;
-use super::wire::{Packet, Sort};
+use super::wire::{Packet, Sort, Start};
 use super::{Ask, Nodes, subject};
 use crate::live::HEARTBEAT;
 use crate::live::room::{Next, Room, Viewer};
@@ -23,23 +23,17 @@ pub async fn run(nodes: Arc<Nodes>, name: String, epoch: u64, room: Arc<Room>, m
     let mut changes = room.watch();
     let mut beat = interval(HEARTBEAT);
     beat.set_missed_tick_behavior(MissedTickBehavior::Delay);
-    // the reader, and the number up to which everything was sent
-    let mut reading: Option<(Viewer, u64)> = None;
+    let mut reading: Option<Reader> = None;
     loop {
         changes.mark_unchanged();
-        let next = reading.as_mut().map_or(Next::Wait, |(viewer, _)| room.next(viewer));
+        let next = reading.as_mut().map_or(Next::Wait, |reader| room.next(&mut reader.viewer));
         match (next, &mut reading) {
-            (Next::Send(bytes), Some((viewer, sent))) if viewer.epoch() == epoch => {
-                let number = viewer.number() - 1;
-                let packet = Packet { sort: Sort::Entry, number, after: *sent, bytes };
-                // what cannot be sent is missed by those who watch, and they see it by the next one
-                nodes.send(&to, &packet).await;
-                *sent = number + 1;
-            }
+            // what cannot be sent is missed by those who watch, and they see it by the next one
+            (Next::Send(bytes), Some(reader)) if reader.viewer.epoch() == epoch => nodes.send(&to, &reader.entry(bytes)).await,
             // who watches begins with the key frame that comes
-            (Next::Tiles, Some((_, sent))) => {
-                if let Some(Ok(bytes)) = room.snapshot() {
-                    aside(&nodes, &to, *sent, bytes).await;
+            (Next::Tiles, Some(reader)) => {
+                if let Some(packet) = reader.tiles(&room) {
+                    nodes.send(&to, &packet).await;
                 }
             }
             (Next::Wait, _) => tokio::select! {
@@ -57,9 +51,9 @@ pub async fn run(nodes: Arc<Nodes>, name: String, epoch: u64, room: Arc<Room>, m
                     }
                     // from here on everything is sent to all: what comes before it, to the one that asks
                     if reading.is_none() {
-                        reading = room.reader(epoch).map(|viewer| { let from = viewer.number(); (viewer, from) });
+                        reading = Reader::new(&room, epoch);
                     }
-                    let Some(start) = room.start(epoch) else { return };
+                    let Some(start) = start(&room, epoch) else { return };
                     nodes.send(&reply, &Packet { sort: Sort::Start, number: 0, after: 0, bytes: start.write() }).await;
                 }
                 _ = beat.tick() => {
@@ -69,8 +63,10 @@ pub async fn run(nodes: Arc<Nodes>, name: String, epoch: u64, room: Arc<Room>, m
                     if nodes.table().audience(&name, Instant::now()).0 == 0 {
                         reading = None;
                     }
-                    if let Some((viewer, sent)) = &reading {
-                        aside(&nodes, &to, *sent, write(Kind::Statistics(room.statistics(viewer)))).await;
+                    if let Some(Reader { viewer, sent }) = &reading {
+                        let bytes = write(Kind::Statistics(room.statistics(viewer)));
+                        // whoever misses them is told the next ones
+                        nodes.send(&to, &Packet { sort: Sort::Aside, number: *sent, after: *sent, bytes }).await;
                     }
                 }
                 () = nodes.stop.cancelled() => return,
@@ -81,7 +77,48 @@ pub async fn run(nodes: Arc<Nodes>, name: String, epoch: u64, room: Arc<Room>, m
     }
 }
 
-async fn aside(nodes: &Nodes, to: &str, sent: u64, bytes: Bytes) {
-    // whoever misses it is told the next one
-    nodes.send(to, &Packet { sort: Sort::Aside, number: sent, after: sent, bytes }).await;
+/// Number that an entry of the ring goes by between nodes: an even one, so that the tiles which are sent for what was skipped have one before it.
+const fn numbered(entry: u64) -> u64 {
+    2 * entry
+}
+
+/// What a node begins with that comes late; none where `epoch` is past.
+pub fn start(room: &Room, epoch: u64) -> Option<Start> {
+    let mut start = room.start(epoch)?;
+    start.next = numbered(start.next);
+    start.entries.iter_mut().for_each(|(number, _)| *number = numbered(*number));
+    Some(start)
+}
+
+/// Reads a room's ring for all nodes that watch.
+pub struct Reader {
+    /// Its place.
+    pub viewer: Viewer,
+    /// The number up to which everything was sent.
+    sent: u64,
+}
+
+impl Reader {
+    /// At the end of the ring; none where `epoch` is past.
+    pub fn new(room: &Room, epoch: u64) -> Option<Self> {
+        let viewer = room.reader(epoch)?;
+        let sent = numbered(viewer.number());
+        Some(Self { viewer, sent })
+    }
+
+    /// An entry that the ring gave.
+    pub fn entry(&mut self, bytes: Bytes) -> Packet {
+        self.packet(Sort::Entry, numbered(self.viewer.number().saturating_sub(1)), bytes)
+    }
+
+    /// The tiles that are newer than was sent, before the entry that comes; none where there are none.
+    pub fn tiles(&mut self, room: &Room) -> Option<Packet> {
+        let bytes = room.tiles(&mut self.viewer)?.inspect_err(|error| tracing::error!(%error, "coding the tiles of a room")).ok()?;
+        Some(self.packet(Sort::Aside, numbered(self.viewer.number()).saturating_sub(1).max(self.sent), bytes))
+    }
+
+    fn packet(&mut self, sort: Sort, number: u64, bytes: Bytes) -> Packet {
+        let after = std::mem::replace(&mut self.sent, number + 1);
+        Packet { sort, number, after, bytes }
+    }
 }

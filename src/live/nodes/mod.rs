@@ -12,10 +12,12 @@
 //! | `tmpi.live.ROOM.EPOCH` | parts of messages (`wire`), while some node watches |
 //!
 //! Names of rooms are letters, digits, `-` and `_`, and so are parts of subjects as they are. The owner sends what it reads of the room's ring
-//! as any viewer reads it: behind by a second or a mebibyte it skips to a key frame (`forward`). A node that watches puts what comes into a
-//! ring of its own, of which its viewers are served as if the publisher were there (`relay`); where something is missing it asks for a
-//! start again and goes on from where it was. Without NATS each node goes on alone.
+//! as any viewer reads it: behind by a second or a mebibyte it skips to a key frame, and sends the tiles that are newer than it had sent
+//! (`forward`). Everything but statistics has a number, and says up to which everything before it was sent. A node that watches puts what comes into a
+//! ring of its own, of which its viewers are served as if the publisher were there (`relay`, `follower`); where something is missing it takes nothing
+//! more, asks for a start again and goes on from where it was. Without NATS each node goes on alone.
 
+mod follower;
 mod forward;
 pub mod fuzzing;
 mod lend;

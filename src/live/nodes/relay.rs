@@ -3,27 +3,20 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use bytes::Bytes;
 use futures_util::StreamExt as _;
 use tokio::time::{interval, timeout};
 
-use tmpi_core::live::read;
-use tmpi_core::live::wire::message::Kind;
-
+use super::follower::{Follower, Reached, Taken};
 use super::table::{BEAT, Owner};
-use super::tiles::Chunks;
-use super::wire::{Joined, Joiner, Packet, Sort, Start};
+use super::wire::{Joined, Joiner, Sort, Start};
 use super::{Ask, Nodes, subject};
-use crate::live::ring::What;
 use crate::live::room::Room;
-use crate::live::{COME_BACK, FRAME_BYTES, HEARTBEAT, Rooms, SOUND_BYTES};
+use crate::live::{COME_BACK, HEARTBEAT, KEYS, Rooms};
 
 /// Time for which an owner's answer is waited for.
 const ANSWER: Duration = Duration::from_secs(1);
 /// Shortest pause between two requests for a start.
 const STARTS: Duration = Duration::from_millis(250);
-/// Entries that an owner may have sent since the last one that came; a thousand a second for a minute.
-const FARTHEST: u64 = 60_000;
 /// Time without a word after which an owner is asked anew, who speaks each second: it may have lost sight of this node, and of that alone.
 const SILENCE: Duration = HEARTBEAT.saturating_mul(2);
 /// Time for which a room without viewers is kept.
@@ -58,16 +51,6 @@ pub async fn run(nodes: Arc<Nodes>, rooms: Arc<Rooms>, name: String, room: Arc<R
     }
 }
 
-/// How far an owner's ring is known here: who comes back to the same one goes on from there.
-#[derive(Default)]
-struct Reached {
-    epoch: u64,
-    /// Number of the next entry; none: a start is wanted.
-    next: Option<u64>,
-    /// Frames are missing: nothing can be decoded before the next key frame.
-    waits: bool,
-}
-
 /// One owner with one epoch.
 struct Session<'a> {
     nodes: &'a Nodes,
@@ -91,6 +74,7 @@ impl Session<'_> {
         let mut look = interval(BEAT);
         let mut joiner = Joiner::default();
         let (mut missing, mut asked, mut came) = (true, None::<Instant>, Instant::now());
+        let mut wanted = Instant::now();
         loop {
             if came.elapsed() > SILENCE {
                 (missing, came) = (true, Instant::now());
@@ -99,6 +83,7 @@ impl Session<'_> {
                 asked = Some(Instant::now());
                 missing = !self.catch_up().await;
                 if self.reached.waits {
+                    wanted = Instant::now();
                     self.ask_key().await;
                 }
             }
@@ -108,7 +93,7 @@ impl Session<'_> {
                     match joiner.push(&message.payload) {
                         Joined::More => {}
                         Joined::Wrong => self.nodes.drop_one(),
-                        Joined::Whole(packet) => match self.take(packet) {
+                        Joined::Whole(packet) => match self.follower().take(packet) {
                             Taken::Yes => came = Instant::now(),
                             Taken::Missing => missing = true,
                             Taken::No => self.nodes.drop_one(),
@@ -125,10 +110,19 @@ impl Session<'_> {
                     if !self.goes_on() || is_left(self.room, self.nobody) {
                         return;
                     }
+                    // what was asked for may be lost, or was no more than the publisher is asked for
+                    if self.reached.waits && wanted.elapsed() >= KEYS {
+                        wanted = Instant::now();
+                        self.ask_key().await;
+                    }
                 }
                 () = self.nodes.stop.cancelled() => return,
             }
         }
+    }
+
+    fn follower(&mut self) -> Follower<'_> {
+        Follower { room: self.room, epoch: self.owner.epoch, reached: self.reached }
     }
 
     fn goes_on(&self) -> bool {
@@ -146,100 +140,10 @@ impl Session<'_> {
     /// Asks for a start and takes of it what is not there yet; false where none came.
     async fn catch_up(&mut self) -> bool {
         let Some(packet) = self.nodes.request(&self.owner, &self.words(false), Sort::Start, ANSWER).await else { return false };
-        let begun = Start::read(packet.bytes).and_then(|start| self.begin(&start)).is_some();
+        let begun = Start::read(packet.bytes).and_then(|start| self.follower().begin(&start)).is_some();
         if !begun {
             self.nodes.drop_one();
         }
         begun
     }
-
-    /// Takes a start; none where it is none, or of another epoch.
-    fn begin(&mut self, start: &Start) -> Option<()> {
-        let Ok(Kind::Hello(hello)) = read(start.hello.clone()) else { return None };
-        if hello.epoch != self.owner.epoch || !self.room.relay(hello.clone(), Chunks::new(&hello)?, self.reached.next.is_none()) {
-            return None;
-        }
-        if !start.tiles.is_empty() {
-            let Ok(Kind::Snapshot(tiles)) = read(start.tiles.clone()) else { return None };
-            if !self.room.take_tiles(self.owner.epoch, &tiles) {
-                return None;
-            }
-            // who watches has missed some, too
-            if self.reached.next.is_some() {
-                self.room.push(self.owner.epoch, What::Geometry { frame: tiles.frame }, start.tiles.clone());
-            }
-        }
-        let from = self.reached.next.unwrap_or(0);
-        // what is sent begins with a key frame
-        self.reached.waits = start.entries.is_empty() && start.next > from;
-        for (_, bytes) in start.entries.iter().filter(|(n, _)| *n >= from) {
-            self.entry(bytes.clone())?;
-        }
-        self.reached.next = Some(start.next.max(from));
-        Some(())
-    }
-
-    fn take(&mut self, packet: Packet) -> Taken {
-        let Some(next) = self.reached.next else { return Taken::Missing };
-        match packet.sort {
-            Sort::Entry if packet.number < next => Taken::Yes,
-            // no ring holds as many
-            Sort::Entry if packet.number - next > FARTHEST || packet.after > packet.number => Taken::No,
-            Sort::Entry if packet.after > next => Taken::Missing,
-            Sort::Entry => match self.entry(packet.bytes) {
-                Some(()) => {
-                    self.reached.next = Some(packet.number + 1);
-                    Taken::Yes
-                }
-                // the next one tells that it is missing
-                None => Taken::No,
-            },
-            Sort::Aside if packet.after > next + FARTHEST => Taken::No,
-            Sort::Aside => match read(packet.bytes.clone()) {
-                Ok(Kind::Statistics(told)) => {
-                    self.room.take_statistics(self.owner.epoch, told);
-                    // the last entry has none behind it that would tell
-                    if packet.after > next { Taken::Missing } else { Taken::Yes }
-                }
-                Ok(Kind::Snapshot(tiles)) if self.room.take_tiles(self.owner.epoch, &tiles) => {
-                    self.room.push(self.owner.epoch, What::Geometry { frame: tiles.frame }, packet.bytes);
-                    Taken::Yes
-                }
-                _ => Taken::No,
-            },
-            Sort::Start | Sort::Answer => Taken::No,
-        }
-    }
-
-    /// Puts an entry into the ring, as the bytes that came; none where it is none.
-    fn entry(&mut self, bytes: Bytes) -> Option<()> {
-        let what = match read(bytes.clone()).ok()? {
-            Kind::Video(video) if video.data.len() > FRAME_BYTES => return None,
-            Kind::Video(video) if video.key => {
-                self.reached.waits = false;
-                What::Key
-            }
-            Kind::Video(_) if self.reached.waits => return Some(()),
-            Kind::Video(video) => What::Frame { layer: video.layer },
-            Kind::Sound(sound) if sound.data.len() <= SOUND_BYTES => What::Sound,
-            Kind::Geometry(tiles) => {
-                if !self.room.take_tiles(self.owner.epoch, &tiles) {
-                    return None;
-                }
-                What::Geometry { frame: tiles.frame }
-            }
-            _ => return None,
-        };
-        self.room.push(self.owner.epoch, what, bytes);
-        Some(())
-    }
-}
-
-/// What became of a message.
-enum Taken {
-    Yes,
-    /// Something before it is missing.
-    Missing,
-    /// It is none.
-    No,
 }

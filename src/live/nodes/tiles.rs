@@ -85,6 +85,11 @@ impl Chunks {
         (tiles <= self.tiles.len() && bytes <= NEWER_BYTES).then(|| newer().map(|(_, (chunk, _))| chunk.clone()).collect())
     }
 
+    /// Whether a snapshot of them is about as short as all tiles in one chunk: they lie over each other no more than once.
+    pub fn are_few(&self) -> bool {
+        self.kept.keys().map(|(.., rows, columns)| *rows as usize * *columns as usize).sum::<usize>() <= 2 * self.tiles.len()
+    }
+
     /// SNAPSHOT with all that is needed of them, oldest first; none as long as something is known of none, or where it would be too long.
     pub fn snapshot(&mut self) -> Option<Bytes> {
         if self.coded.is_none() && !self.kept.is_empty() {

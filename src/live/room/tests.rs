@@ -1,5 +1,6 @@
 use std::collections::BTreeSet;
 
+use futures_util::FutureExt as _;
 use tmpi_core::live::chunk::{self, Area};
 use tmpi_core::live::{Model, read};
 use tmpi_core::{Geometry, Photo};
@@ -7,17 +8,17 @@ use tmpi_core::{Geometry, Photo};
 use super::*;
 use crate::live::nodes::{geometry, message};
 
-const EPOCH: u64 = 7;
+pub const EPOCH: u64 = 7;
 
 /// A room as its publisher's socket and its worker see it.
-struct Made {
-    room: Room,
-    tiles: Geometry,
+pub struct Made {
+    pub room: Room,
+    pub tiles: Geometry,
     frame: u64,
 }
 
 impl Made {
-    fn new() -> Self {
+    pub fn new() -> Self {
         let (room, tiles) = (Room::new(), geometry(0.5));
         assert_eq!(room.publish(Model::hello(&tiles), 0, EPOCH), EPOCH);
         let mut made = Self { room, tiles, frame: 0 };
@@ -26,9 +27,10 @@ impl Made {
     }
 
     /// A frame of so many bytes, in which the tiles of an area changed.
-    fn next(&mut self, key: bool, bytes: usize, changed: Option<Area>) {
+    pub fn next(&mut self, key: bool, bytes: usize, changed: Option<Area>) {
         self.frame += 1;
-        self.room.push(EPOCH, if key { What::Key } else { What::Frame { layer: 0 } }, vec![0; bytes].into());
+        let video = wire::Video { frame: self.frame, key, data: vec![0; bytes].into(), ..wire::Video::default() };
+        self.room.push(EPOCH, if key { What::Key } else { What::Frame { layer: 0 } }, write(Kind::Video(video)));
         // as it is coded, to the bit
         let depth = 0.125 + self.frame as f64 / 64.0;
         for tile in changed.into_iter().flat_map(|area| area.tiles(&self.tiles.grid)) {
@@ -41,42 +43,56 @@ impl Made {
         }
     }
 
-    fn one(&self, tile: u32) -> Area {
+    pub fn one(&self, tile: u32) -> Area {
         let columns = self.tiles.grid.columns();
         Area { column: tile % columns, row: tile / columns, columns: 1, rows: 1 }
     }
 }
 
 /// Someone who watches.
-struct Reader {
+pub struct Watcher {
     viewer: Viewer,
-    model: Model,
+    pub model: Model,
     frames: usize,
+    /// Tiles of each message that came in the order of the room's.
+    pub given: Vec<BTreeSet<u32>>,
 }
 
-impl Reader {
+impl Watcher {
     fn new(made: &Made) -> Self {
-        let mut reader = Self { viewer: made.room.join().unwrap(), model: Model::new(&Model::hello(&made.tiles)).unwrap(), frames: 0 };
-        reader.read(&made.room);
-        reader
+        Self::at(&made.room, &made.tiles)
+    }
+
+    /// Of a room with such tiles.
+    pub fn at(room: &Room, tiles: &Geometry) -> Self {
+        let model = Model::new(&Model::hello(tiles)).unwrap();
+        let mut watcher = Self { viewer: room.join().unwrap(), model, frames: 0, given: Vec::new() };
+        watcher.read(room);
+        watcher
+    }
+
+    /// The tiles of a message.
+    pub fn held(tiles: &wire::Geometry) -> BTreeSet<u32> {
+        let grid = geometry(0.5).grid;
+        tiles.chunks.iter().flat_map(|c| chunk::area(c).tiles(&grid).collect::<Vec<_>>()).collect()
     }
 
     /// Takes a message; the tiles that it holds.
     fn take(&mut self, bytes: Bytes) -> BTreeSet<u32> {
         let (Kind::Geometry(tiles) | Kind::Snapshot(tiles)) = read(bytes).unwrap() else { panic!("tiles") };
-        let grid = geometry(0.5).grid;
-        let held = tiles.chunks.iter().flat_map(|c| chunk::area(c).tiles(&grid).collect::<Vec<_>>()).collect();
         self.model.take(&tiles).unwrap();
-        held
+        Self::held(&tiles)
     }
 
     /// Reads all that is there; the tiles that it was sent for what it was not, each time.
-    fn read(&mut self, room: &Room) -> Vec<BTreeSet<u32>> {
+    pub fn read(&mut self, room: &Room) -> Vec<BTreeSet<u32>> {
         let mut told = Vec::new();
         loop {
             match room.next(&mut self.viewer) {
-                // frames are no messages here
-                Next::Send(bytes) if read(bytes.clone()).is_ok_and(|kind| matches!(kind, Kind::Geometry(_))) => drop(self.take(bytes)),
+                Next::Send(bytes) if matches!(read(bytes.clone()), Ok(Kind::Geometry(_) | Kind::Snapshot(_))) => {
+                    let tiles = self.take(bytes);
+                    self.given.push(tiles);
+                }
                 Next::Send(_) => self.frames += 1,
                 Next::Hello(_) | Next::Tiles => {
                     let sent = room.tiles(&mut self.viewer).map(|bytes| self.take(bytes.unwrap()));
@@ -92,7 +108,7 @@ impl Reader {
 #[test]
 fn after_a_skip_come_the_tiles_that_changed_since_and_all_is_known_as_to_one_who_comes_then() {
     let mut made = Made::new();
-    let mut slow = Reader::new(&made);
+    let mut slow = Watcher::new(&made);
     assert!(slow.model.geometry().is_some(), "who comes is sent all tiles");
     made.next(false, 10, Some(made.one(1)));
     assert_eq!(slow.read(&made.room), [] as [BTreeSet<u32>; 0]);
@@ -105,7 +121,7 @@ fn after_a_skip_come_the_tiles_that_changed_since_and_all_is_known_as_to_one_who
     let frames = slow.frames;
     assert_eq!(slow.read(&made.room), [BTreeSet::from([2, 4])]);
     assert_eq!(slow.frames, frames + 2, "it goes on with the key frame");
-    let fresh = Reader::new(&made);
+    let fresh = Watcher::new(&made);
     assert_eq!(fresh.model.geometry().unwrap().tiles, made.tiles.tiles);
     assert_eq!(slow.model.geometry().unwrap().tiles, made.tiles.tiles);
 }
@@ -113,7 +129,7 @@ fn after_a_skip_come_the_tiles_that_changed_since_and_all_is_known_as_to_one_who
 #[test]
 fn a_skip_in_which_no_tile_changed_sends_none_and_one_over_a_cut_sends_all_once() {
     let mut made = Made::new();
-    let mut slow = Reader::new(&made);
+    let mut slow = Watcher::new(&made);
     for _ in 0..5 {
         made.next(false, 300_000, None);
     }
@@ -125,7 +141,7 @@ fn a_skip_in_which_no_tile_changed_sends_none_and_one_over_a_cut_sends_all_once(
         made.next(false, 300_000, changed);
     }
     made.next(true, 10, None);
-    let mut other = Reader::new(&made);
+    let mut other = Watcher::new(&made);
     assert_eq!(slow.read(&made.room), [(0..made.tiles.grid.tiles()).collect()]);
     assert_eq!(other.read(&made.room), [] as [BTreeSet<u32>; 0]);
     assert_eq!(slow.model.geometry().unwrap().tiles, made.tiles.tiles);
@@ -134,7 +150,7 @@ fn a_skip_in_which_no_tile_changed_sends_none_and_one_over_a_cut_sends_all_once(
 #[test]
 fn another_publisher_begins_with_all_tiles_whatever_was_known_of_the_last_one() {
     let mut made = Made::new();
-    let mut viewer = Reader::new(&made);
+    let mut viewer = Watcher::new(&made);
     let all: BTreeSet<u32> = (0..made.tiles.grid.tiles()).collect();
     made.room.unpublish();
     assert_eq!(made.room.publish(Model::hello(&made.tiles), 0, 0), EPOCH + 1);
@@ -143,4 +159,74 @@ fn another_publisher_begins_with_all_tiles_whatever_was_known_of_the_last_one() 
     made.room.keep(EPOCH + 1, Still::new(0, photo, made.tiles.clone()), |_| {});
     made.frame = 0;
     assert_eq!(viewer.read(&made.room), [all]);
+}
+
+#[test]
+fn tiles_that_are_sent_before_there_is_a_whole_frame_reach_whoever_comes_then() {
+    let (room, tiles) = (Room::new(), geometry(0.5));
+    room.publish(Model::hello(&tiles), 0, EPOCH);
+    let mut made = Made { room, tiles, frame: 9 };
+    let columns = Area { columns: 1, ..Area::all(&made.tiles.grid) };
+    for column in 0..made.tiles.grid.columns() {
+        made.room.push(EPOCH, What::Key, vec![0; 10].into());
+        made.room.push_tiles(EPOCH, message(&made.tiles, Area { column, ..columns }, u64::from(column)));
+    }
+    let whole = Watcher::new(&made);
+    assert_eq!(whole.model.geometry().map(|g| &g.tiles), Some(&made.tiles.tiles));
+    // and after a driver that panicked, whose last frame is still there
+    made.next(true, 10, None);
+    made.tiles = geometry(0.25);
+    made.room.push_tiles(EPOCH, message(&made.tiles, Area::all(&made.tiles.grid), made.frame + 1));
+    made.room.push(EPOCH, What::Key, vec![0; 10].into());
+    let fresh = Watcher::new(&made);
+    assert_eq!(fresh.model.geometry().map(|g| &g.tiles), Some(&made.tiles.tiles));
+}
+
+#[test]
+fn a_key_frame_is_asked_for_as_long_as_somebody_waits_for_one_and_no_more_than_once_a_second() {
+    let mut made = Made::new();
+    let asked = |made: &Made| made.room.keys.notified().now_or_never().is_some();
+    let mut healthy = Watcher::new(&made);
+    // a group of pictures that is longer than what is kept of it
+    for _ in 0..30 {
+        made.next(false, 300_000, None);
+        healthy.read(&made.room);
+    }
+    assert!(!asked(&made), "whoever has all needs none");
+    let mut first = Watcher::new(&made);
+    assert!(asked(&made) && first.frames == 0);
+    // somebody who comes within the second is not forgotten
+    let mut second = Watcher::new(&made);
+    assert!(!asked(&made));
+    std::thread::sleep(KEYS);
+    made.next(false, 10, None);
+    second.read(&made.room);
+    first.read(&made.room);
+    assert!(asked(&made) && !asked(&made));
+    // nobody looks
+    first.viewer.pause(true);
+    second.viewer.pause(true);
+    std::thread::sleep(KEYS);
+    for viewer in [&mut first, &mut second, &mut healthy] {
+        viewer.read(&made.room);
+    }
+    assert!(!asked(&made));
+    // who cannot decode what it has is sent nothing before a key frame
+    healthy.viewer.lose();
+    let frames = healthy.frames;
+    made.next(false, 10, None);
+    healthy.read(&made.room);
+    assert!(asked(&made) && healthy.frames == frames);
+    made.next(true, 10, None);
+    healthy.read(&made.room);
+    assert_eq!(healthy.frames, frames + 1);
+}
+
+#[test]
+fn a_room_is_full_with_as_many_as_may_watch_and_has_a_place_again_when_one_has_gone() {
+    let room = Room::new();
+    assert!((0..VIEWERS).all(|_| !room.is_full() && room.join().is_some()));
+    assert!(room.is_full() && room.join().is_none());
+    room.part();
+    assert!(!room.is_full() && room.join().is_some());
 }

@@ -99,9 +99,12 @@ describe('the decoder of rooms', () => {
       layer: 0,
       data,
     });
-    for (const layer of [1, 2]) {
+    for (const layer of [1, 2, 300]) {
       const video = { frame: 78, time, key: false, layer, data };
-      assert.deepEqual(decoder.read(decoder.writeVideo(video)), { kind: 'video', ...video });
+      const message = decoder.writeVideo(video);
+      assert.deepEqual(decoder.read(message), { kind: 'video', ...video });
+      // `video` (2) is there once, with all of it
+      assert.deepEqual([...message.subarray(0, 2)], [(2 << 3) | 2, message.length - 2]);
     }
     assert.deepEqual(decoder.read(decoder.writeSound({ time, data })), { kind: 'sound', time, data });
     assert.deepEqual(decoder.read(decoder.writeBye('enough')), { kind: 'bye', reason: 'enough', again: false });

@@ -108,6 +108,35 @@ fn a_cut_carries_nothing_on() {
 }
 
 #[test]
+fn after_a_cut_that_does_not_fit_the_budget_readers_get_every_tile_and_what_is_told_is_what_they_have() {
+    let (_, mut room) = room(Settings { frame_ms: 1e-3, ..Settings::default() });
+    // a corner, which is all of a tile, is the same in both scenes
+    let scene = |number: u64, by: u8| {
+        let mut frame = frame(number, 60);
+        let width = frame.photo.width as usize;
+        let corner = |i: usize| i % width < 64 && i / width < 64;
+        frame.photo.rgb.iter_mut().enumerate().filter(|(i, _)| !corner(*i)).for_each(|(_, p)| *p = p.map(|v| v.wrapping_add(by)));
+        frame
+    };
+    let first = room.next(&scene(0, 0)).unwrap();
+    assert!(first.cut && first.sent.len() == 15);
+    let mut reader = Model::new(&Model::hello(room.geometry().unwrap())).unwrap();
+    reader.take(&wire::Geometry { frame: 0, chunks: first.chunks }).unwrap();
+    let mut sent = std::collections::BTreeSet::new();
+    for n in 1..100 {
+        let update = room.next(&scene(n, 128)).unwrap();
+        assert_eq!(update.cut, n == 1);
+        sent.extend(update.sent);
+        reader.take(&wire::Geometry { frame: n, chunks: update.chunks }).unwrap();
+        assert_eq!(reader.geometry(), room.geometry(), "frame {n}");
+        if n == 1 {
+            assert!(sent.len() < 15, "the budget holds none back");
+        }
+    }
+    assert_eq!(sent, (0..15).collect());
+}
+
+#[test]
 fn what_does_not_fit_the_budget_is_done_by_the_next_frames() {
     let (_, mut room) = room(Settings { frame_ms: 1e-3, ..Settings::default() });
     room.next(&frame(0, 60)).unwrap();

@@ -1,0 +1,173 @@
+// What goes wrong around a room: tiles that do not come, a microphone that fails, a camera that stands still, links and places that are gone.
+import assert from 'node:assert/strict';
+import { describe, test } from 'node:test';
+import { waitForMode } from '../support/browser.mjs';
+import { roomSuite } from '../support/room.mjs';
+
+/** Tiles come so late, ms. */
+const LATE_MS = 6000;
+
+/** A page whose room's worker is given tiles late. */
+const withoutTiles = (page) =>
+  page.addInitScript((late) => {
+    const { Worker: Plain } = window;
+    window.Worker = class extends Plain {
+      constructor(url) {
+        const script = `const early = []; self.onmessage = (event) => early.push(event);
+          const until = performance.now() + ${late};
+          const isTiles = (data) => [26, 34].includes(new Uint8Array(data)[0]);
+          self.WebSocket = class extends WebSocket {
+            set onmessage(f) {
+              super.onmessage = f && ((event) => {
+                const wait = until - performance.now();
+                if (wait > 0 && isTiles(event.data)) setTimeout(() => f(event), wait);
+                else f(event);
+              });
+            }
+          };
+          await import(${JSON.stringify(new URL(url, location.href).href)}); for (const event of early) self.onmessage(event);`;
+        super(URL.createObjectURL(new Blob([script], { type: 'text/javascript' })), { type: 'module' });
+      }
+    };
+  }, LATE_MS);
+
+/** Camera alone, whose frames are held back while `window.still` is set. */
+const standing = (page) =>
+  page.addInitScript(() => {
+    delete window.MediaStreamTrackProcessor;
+    const open = navigator.mediaDevices.getUserMedia.bind(navigator.mediaDevices);
+    navigator.mediaDevices.getUserMedia = ({ video }) => open({ video });
+    const { requestVideoFrameCallback: ask } = HTMLVideoElement.prototype;
+    HTMLVideoElement.prototype.requestVideoFrameCallback = function (f) {
+      const next = (...args) => (window.still ? setTimeout(() => ask.call(this, next), 50) : f(...args));
+      return ask.call(this, next);
+    };
+  });
+
+/** Sockets of the page are kept in `window.sockets`. */
+const kept = (page) =>
+  page.addInitScript(() => {
+    window.sockets = [];
+    window.WebSocket = class extends WebSocket {
+      constructor(...args) {
+        super(...args);
+        window.sockets.push(this);
+      }
+    };
+  });
+
+describe('around a room', () => {
+  const suite = roomSuite();
+  const state = (page, wanted, timeout = 20_000) => page.waitForFunction((s) => document.body.dataset.state === s, wanted, { timeout });
+
+  test('the video is shown as it is as long as there are no tiles, and in depth once they came', async () => {
+    const publisher = await suite.publish('attic');
+    const { page, context, errors } = await suite.watch('attic', { prepare: withoutTiles });
+    await waitForMode(page, 'flat');
+    await page.getByText('The picture has no depth yet.').waitFor();
+    assert.ok(await page.locator('#loading').isHidden());
+    const brightness = () =>
+      page.evaluate(() => {
+        const { data } = window.viewer.canvas.getContext('2d').getImageData(0, 0, 64, 64);
+        return data.reduce((sum, v) => sum + v, 0) / data.length;
+      });
+    await page.waitForFunction(() => window.measured?.frames > 0);
+    assert.ok((await brightness()) > 70, 'more than an empty canvas');
+    await waitForMode(page, 'gpu');
+    await page.getByText('Move the pointer or drag to look around.').waitFor();
+    assert.deepEqual(errors, []);
+    await context.close();
+    await publisher.context.close();
+  });
+
+  test('without a microphone that works there is a picture, and nobody is promised sound', async () => {
+    const publisher = await suite.publish('mute', {
+      prepare: (page) =>
+        page.addInitScript(() => {
+          AudioWorklet.prototype.addModule = () => Promise.reject(new Error('no worklet'));
+        }),
+    });
+    await publisher.page.getByText('You are live, without sound: the microphone does not work.').waitFor();
+    const { page, context } = await suite.watch('mute');
+    await waitForMode(page, 'gpu');
+    assert.ok(await page.locator('#sound').isHidden());
+    await context.close();
+    await publisher.context.close();
+  });
+
+  test('sound that fails later is taken back, and the picture goes on', async () => {
+    const publisher = await suite.publish('hoarse', {
+      prepare: (page) =>
+        page.addInitScript(() => {
+          window.AudioEncoder = class extends AudioEncoder {
+            constructor(init) {
+              super(init);
+              window.failSound = init.error;
+            }
+          };
+        }),
+    });
+    const { page, context } = await suite.watch('hoarse');
+    await waitForMode(page, 'gpu');
+    await page.getByRole('button', { name: 'Sound' }).waitFor();
+    await publisher.page.evaluate(() => window.failSound(new Error('the encoder is gone')));
+    await page.locator('#sound').waitFor({ state: 'hidden' });
+    const { frame } = await page.evaluate(() => window.measured);
+    await page.waitForFunction((before) => window.measured.frame !== before && window.measured.frames > 0, frame);
+    await publisher.page.getByText('You are live, without sound').waitFor();
+    await context.close();
+    await publisher.context.close();
+  });
+
+  test('a camera that gives no frames pauses, and goes on by itself', async () => {
+    const publisher = await suite.publish('cellar', { prepare: standing });
+    await publisher.page.evaluate(() => {
+      window.still = true;
+    });
+    await state(publisher.page, 'paused');
+    await publisher.page.getByText('Paused: the camera gives no picture here.').waitFor();
+    // for longer than the server lets anybody say nothing
+    await publisher.page.waitForTimeout(5000);
+    await state(publisher.page, 'paused');
+    await publisher.page.evaluate(() => {
+      window.still = false;
+    });
+    await state(publisher.page, 'live');
+    const { page, context } = await suite.watch('cellar');
+    await waitForMode(page, 'gpu');
+    await context.close();
+    await publisher.context.close();
+  });
+
+  test('a publisher whose link is good no more is told so, and does not try for ever', async () => {
+    const publisher = await suite.publish('garden', { prepare: kept });
+    await publisher.page.route('**/v1/live/garden', (route) => route.fulfill({ status: 403, body: '{}' }));
+    await publisher.page.evaluate(() => window.sockets.at(-1).close());
+    // as the page is told of a connection that broke
+    await publisher.page.getByText('the link’s token is not good any more').waitFor();
+    await state(publisher.page, 'ended');
+    const opened = await publisher.page.evaluate(() => window.sockets.length);
+    await publisher.page.waitForTimeout(1500);
+    assert.equal(await publisher.page.evaluate(() => window.sockets.length), opened);
+    await publisher.context.close();
+  });
+
+  test('who finds no place is told so, and asks less and less often', async () => {
+    const publisher = await suite.publish('hall');
+    let asked = 0;
+    const full = { publishing: true, viewers: 1024, full: true, may_publish: false };
+    const crowd = (page) =>
+      page.route('**/v1/live/hall', (route) => {
+        asked++;
+        return route.fulfill({ json: full });
+      });
+    const { page, context } = await suite.watch('hall', { prepare: crowd });
+    await page.getByText('As many watch as there are places for. It is tried again by itself.').waitFor();
+    await page.waitForTimeout(4000);
+    assert.equal(asked, 1);
+    await page.unroute('**/v1/live/hall');
+    await waitForMode(page, 'gpu');
+    await context.close();
+    await publisher.context.close();
+  });
+});
