@@ -48,6 +48,7 @@ const STYLE = `
   :host(:fullscreen) { background: #000; }
   .room { position: absolute; inset: 0; container-type: size; overflow: hidden; }
   .stage { position: absolute; inset: 0; cursor: grab; touch-action: pan-y; user-select: none; }
+  :host(:fullscreen) .stage { touch-action: none; }
   .stage:active { cursor: grabbing; }
   .stage:focus-visible { outline: 3px solid Highlight; outline-offset: -3px; }
   .stage :is(img, canvas) { position: absolute; inset: 0; margin: auto; pointer-events: none; }
@@ -407,6 +408,9 @@ class TmpiViewer extends HTMLElement {
     this.dispatchEvent(new CustomEvent(type, { detail }));
   }
 
+  /** Whether a page around it scrolls, which it does not in full screen. */
+  #embedded = () => !this.matches(':fullscreen');
+
   /**
    * True where that is still to be shown, and nothing is.
    * @param {string} address
@@ -433,7 +437,7 @@ class TmpiViewer extends HTMLElement {
       view: given ? new URL(given, document.baseURI).href : beside(atlas, '/view'),
       report: beside(atlas, '/report'),
       settings: Promise.resolve(state ? fetchSettings(state) : {}).then((settings) => ({ ...settings, ...this.#wander })),
-      embedded: true,
+      embedded: this.#embedded,
     });
     return this.#viewer;
   }
@@ -451,6 +455,7 @@ class TmpiViewer extends HTMLElement {
     const room = new Room(this.#stage, /** @type {ShadowRoot} */ (this.shadowRoot), named, {
       fire: (type, detail) => this.#fire(type, detail),
       fail: (message) => this.#fail(message),
+      embedded: this.#embedded,
     });
     [this.#room, this.#viewer] = [room, room.viewer];
     room.visible = this.#visible;

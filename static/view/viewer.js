@@ -73,9 +73,9 @@ export class Viewer extends EventTarget {
 
   /**
    * @param {HTMLElement} root focusable element that takes the input and holds the pictures
-   * @param {{atlas?: string, view?: string, report?: string, offset?: {x: number, y: number, z: number}, embedded?: boolean,
+   * @param {{atlas?: string, view?: string, report?: string, offset?: {x: number, y: number, z: number}, embedded?: () => boolean,
    *   live?: {start: () => Worker, address: string, token: string, Views: typeof ServedViews}, settings?: object | Promise<object>, full?: Promise<{width?: number, height?: number} | undefined>}} options addresses of the container, of the views that the server draws and of the photo's
-   *   report; where the camera starts, in units of the view box; whether the viewer is a part of a page that scrolls; what the photo's
+   *   report; where the camera starts, in units of the view box; whether the viewer is a part of a page that scrolls now; what the photo's
    *   owner wants (settings.js), which the camera's start given here overrules; the photo's own size, where the container is a smaller
    *   level of it; `live`: a room to watch in place of a container, what starts its worker, and
    *   what shows views that the server draws of it
