@@ -3,7 +3,7 @@
 //
 //   src              address of a container; where it ends in /atlas, the server's views beside it serve browsers without a GPU
 //   view             address of these views, where it is another
-//   alt              what the photo shows
+//   alt              what the photo shows; `aria-label` goes before it, `title` is taken without it
 //   poster           picture until the photo is there
 //   fit              `contain` (as if it were not there): all of the photo; `cover`: as large as fills the element, the rest cut away
 //   fullscreen       `off`: no button for full screen
@@ -21,6 +21,9 @@
 //   room             its name in place of its address; `src` is the server's own address then, this page's without it
 //   token            token of who watches, where the address has none behind its # or as a parameter
 //   sound            `off`: no button for it; without a value it begins with the first tap or key. It never begins before one
+//
+// `src`, `room`, `token`, `view`, `alt`, `poster`, `fit`, `loading`, `reveal`, `motion` and `speed` are properties, too, and are taken over
+// where they were set before this script came. What is set or changed later counts from then on.
 //
 // Names, properties (`loaded`), methods (`toBlob`, `resetView`) and events are those of <model-viewer> where there are such. One
 // thing differs: `camera-controls` and `auto-rotate` are on as if they were there, because a 3D photo that stands still is a photo.
@@ -129,6 +132,12 @@ const ROOM_MODULES = [
 /** Path of a room, or of its page. */
 const ROOM = /\/live\/[\w-]+\/?$/;
 const OFF = new Set(['off', 'false']);
+/** Attributes that say what is shown. */
+const ADDRESS = new Set(['src', 'room', 'token', 'view']);
+/** Attributes that give its name, the first that says anything. */
+const NAMES = ['aria-label', 'alt', 'title'];
+/** Attributes that are properties, too, as frameworks set them. */
+const PROPERTIES = [...ADDRESS, 'alt', 'poster', 'fit', 'loading', 'reveal', 'motion', 'speed'];
 
 /** @type {Set<string>} */
 const preloaded = new Set();
@@ -155,11 +164,8 @@ const load = (name) => import(new URL(`./static/${name}`, import.meta.url).href)
 
 class TmpiViewer extends HTMLElement {
   static observedAttributes = [
-    'src',
-    'room',
-    'token',
-    'view',
-    'alt',
+    ...ADDRESS,
+    ...NAMES,
     'poster',
     'fullscreen',
     'loading',
@@ -179,7 +185,13 @@ class TmpiViewer extends HTMLElement {
   #room = null;
   /** @type {IntersectionObserver | null} */
   #seen = null;
-  #visible = true;
+  /**
+   * Whether it is near the screen; null before that is known.
+   * @type {boolean | null}
+   */
+  #visible = null;
+  /** Somebody came near it or asked for it: it shows what it is told to from then on. */
+  #asked = false;
   #loaded = false;
   #sheet;
   #stage;
@@ -244,10 +256,8 @@ class TmpiViewer extends HTMLElement {
    * @param {string} reason
    */
   #fail(reason) {
-    const [alt, why] = this.#error.querySelectorAll('p');
-    alt.textContent = this.getAttribute('alt');
-    alt.hidden = !alt.textContent;
-    why.textContent = reason;
+    const why = this.#error.querySelector('.reason');
+    if (why) why.textContent = reason;
     this.#error.hidden = false;
   }
 
@@ -292,29 +302,42 @@ class TmpiViewer extends HTMLElement {
   }
 
   connectedCallback() {
+    this.#takeOver();
     this.#describe();
     // one that the page brought along may be there already
     this.#shapeOf(this.querySelector('[slot=poster]'));
     this.#seen = new IntersectionObserver((entries) => this.#onSeen(entries[entries.length - 1].isIntersecting), { rootMargin: '200px' });
     this.#seen.observe(this);
-    this.#maybeStart(false);
+    this.#maybeStart();
   }
 
   disconnectedCallback() {
     this.#seen?.disconnect();
+    this.#seen = this.#visible = null;
+    this.#asked = false;
     this.#stop();
+  }
+
+  /** Properties that were set before the script came hide those of the element. */
+  #takeOver() {
+    for (const name of PROPERTIES.filter((name) => Object.hasOwn(this, name))) {
+      const value = Reflect.get(this, name);
+      Reflect.deleteProperty(this, name);
+      Reflect.set(this, name, value);
+    }
   }
 
   /** @param {string} name */
   attributeChangedCallback(name) {
-    if (!this.isConnected) return;
+    if (!this.#seen) return;
     this.#describe();
     if (name === 'still' || name === 'auto-rotate') this.#viewer?.setIdle(this.#movesByItself);
     if ((name === 'motion' || name === 'speed') && this.#viewer) this.#viewer.settings = { ...this.#viewer.settings, ...this.#wander };
-    if (['src', 'room', 'token', 'view'].includes(name) && this.#viewer) {
+    if (ADDRESS.has(name)) {
       this.#stop();
-      this.#start();
+      if (this.#asked) this.#start();
     }
+    this.#maybeStart();
   }
 
   /** Address of what is to be shown, and whether that is a room; null where nothing is named. */
@@ -344,36 +367,42 @@ class TmpiViewer extends HTMLElement {
     this.#visible = visible;
     if (this.#room) this.#room.visible = visible;
     if (this.#viewer) this.#viewer.asleep = !visible;
-    else this.#maybeStart(visible);
+    else this.#maybeStart();
   }
 
-  /**
-   * Nothing is fetched for what nobody scrolls to or asks for, unless the page wants it.
-   * @param {boolean} visible
-   */
-  #maybeStart(visible) {
-    if (this.getAttribute('reveal') === 'interaction') return;
-    if (visible || this.getAttribute('loading') === 'eager') this.#start();
+  /** Nothing is fetched for what nobody scrolls to or asks for, unless the page wants it. */
+  #maybeStart() {
+    if (this.#asked || this.getAttribute('reveal') === 'interaction') return;
+    if (this.#visible || this.getAttribute('loading') === 'eager') this.#start();
+  }
+
+  /** What the page calls it, or nothing. */
+  get #name() {
+    return NAMES.map((name) => this.getAttribute(name)?.trim()).find(Boolean) ?? '';
   }
 
   #describe() {
     const kind = this.#named?.room ? '3D video' : '3D photo';
-    this.#stage.setAttribute('aria-label', this.getAttribute('alt') ?? kind);
+    this.#stage.setAttribute('aria-label', this.#name || kind);
     this.#stage.setAttribute('aria-roledescription', kind);
     // the stage takes the input; without it the page scrolls and clicks as if a picture were there
     this.#stage.inert = OFF.has(this.getAttribute('camera-controls') ?? '');
     this.#full.hidden = !document.fullscreenEnabled || OFF.has(this.getAttribute('fullscreen') ?? '');
+    const alt = this.#error.querySelector('p');
+    if (alt) [alt.textContent, alt.hidden] = [this.#name, !this.#name];
     const poster = this.getAttribute('poster');
     if (poster) this.#poster.src = poster;
     else this.#poster.removeAttribute('src');
   }
 
   async #start() {
+    this.#asked = true;
     const named = this.#named;
     if (!named || this.#viewer) return;
     const viewer = await (named.room ? this.#watch(named.address) : this.#show(named.address));
     if (!viewer) return;
     if (!this.#movesByItself) viewer.setIdle(false);
+    if (this.#visible === false) viewer.asleep = true;
     const known = () => viewer.head && this.#shape(viewer.head.width, viewer.head.height);
     let mode = '';
     viewer.addEventListener('photo', () => {
@@ -458,7 +487,7 @@ class TmpiViewer extends HTMLElement {
       embedded: this.#embedded,
     });
     [this.#room, this.#viewer] = [room, room.viewer];
-    room.visible = this.#visible;
+    room.visible = this.#visible ?? true;
     return room.viewer;
   }
 
@@ -510,6 +539,22 @@ function fullscreenButton(onClick) {
   button.setAttribute('aria-label', 'Full screen');
   button.addEventListener('click', onClick);
   return button;
+}
+
+for (const name of PROPERTIES) {
+  Object.defineProperty(TmpiViewer.prototype, name, {
+    configurable: true,
+    enumerable: true,
+    /** @this {TmpiViewer} */
+    get() {
+      return this.getAttribute(name) ?? '';
+    },
+    /** @this {TmpiViewer} */
+    set(value) {
+      if (value === null || value === undefined) this.removeAttribute(name);
+      else this.setAttribute(name, String(value));
+    },
+  });
 }
 
 if (!customElements.get('tmpi-viewer')) customElements.define('tmpi-viewer', TmpiViewer);
