@@ -65,6 +65,11 @@ export class Viewer extends EventTarget {
   #served = null;
   /** Nothing here decodes a room's video. */
   #undecoded = false;
+  /**
+   * Frames of a room that came since the screen was refreshed.
+   * @type {{instances: Instances | null, cells: Cells}[]}
+   */
+  #fresh = [];
   /** A room's scenes are drawn one after the other. */
   #redrawn = Promise.resolve();
   #stopListening;
@@ -563,12 +568,21 @@ export class Viewer extends EventTarget {
    */
   #follow(change) {
     if (this.#disposed) return;
+    this.#fresh.push(change);
     requestAnimationFrame(() => {
-      if (this.#disposed || !this.renderer) return;
-      this.renderer.update(change);
+      // while the camera moves, it is drawn with the camera's next step: once for each refresh
+      if (this.#frameRequest || !this.#takeFresh()) return;
       this.render();
-      this.tell({ drawn: true });
     });
+  }
+
+  /** Hands frames of a room to what draws them; false where there are none. */
+  #takeFresh() {
+    const fresh = this.#fresh.splice(0);
+    if (!fresh.length || this.#disposed || !this.renderer) return false;
+    for (const change of fresh) this.renderer.update(change);
+    this.tell({ drawn: true });
+    return true;
   }
 
   /**
@@ -725,6 +739,7 @@ export class Viewer extends EventTarget {
   /** @param {number} now */
   #frame(now) {
     this.#frameRequest = 0;
+    this.#takeFresh();
     const dt = this.#lastFrame ? (now - this.#lastFrame) / 1000 : 1 / 60;
     if (this.mode === 'loading') return;
     const closing = this.#zoom.step(dt);
