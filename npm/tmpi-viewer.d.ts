@@ -46,6 +46,29 @@ export interface TmpiViewerEvents {
 
 /** `<tmpi-viewer src="photo.tmpi" alt="What it shows">`: a 3D photo, or a room in which it moves. Attributes are listed at the head of tmpi-viewer.js. */
 export interface TmpiViewerElement extends HTMLElement {
+  /** Attributes of these names; empty where there are none, and removed by null. */
+  get src(): string;
+  set src(address: string | null | undefined);
+  get room(): string;
+  set room(name: string | null | undefined);
+  get token(): string;
+  set token(token: string | null | undefined);
+  get view(): string;
+  set view(address: string | null | undefined);
+  get alt(): string;
+  set alt(text: string | null | undefined);
+  get poster(): string;
+  set poster(address: string | null | undefined);
+  get fit(): string;
+  set fit(fit: 'contain' | 'cover' | (string & {}) | null | undefined);
+  get loading(): string;
+  set loading(loading: 'lazy' | 'eager' | (string & {}) | null | undefined);
+  get reveal(): string;
+  set reveal(reveal: 'auto' | 'interaction' | (string & {}) | null | undefined);
+  get motion(): string;
+  set motion(style: 'swing' | 'orbit' | 'dolly' | 'dolly-zoom' | 'zoom' | 'none' | (string & {}) | null | undefined);
+  get speed(): string;
+  set speed(rate: string | number | null | undefined);
   /** True once the scene is shown. */
   readonly loaded: boolean;
   /** The view at the present pose as a PNG file, in the photo's size. Rejects before something is shown. */

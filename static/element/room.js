@@ -21,8 +21,8 @@ const STYLE = `
 const SPEAKER = ['M4 9.5v5h3.5L12 18.5v-13L7.500 9.5z', 'M15.500 9a4.200 4.200 0 0 1 0 6M18 6.500a7.800 7.800 0 0 1 0 11'];
 
 /**
- * What the element is asked for: to fire an event, and to say in place of the picture why there is none.
- * @typedef {{fire: (type: string, detail: object) => void, fail: (message: string) => void}} Element
+ * What the element is asked for: to fire an event, to say in place of the picture why there is none, and whether a page around it scrolls.
+ * @typedef {{fire: (type: string, detail: object) => void, fail: (message: string) => void, embedded: () => boolean}} Element
  */
 
 export class Room {
@@ -56,7 +56,7 @@ export class Room {
     this.viewer = new Viewer(stage, {
       live: { start: startRoom, address, token, Views: ServedViews },
       settings: named.settings,
-      embedded: true,
+      embedded: element.embedded,
     });
     this.viewer.addEventListener('live', ({ detail }) => this.#onLive(detail));
     this.viewer.addEventListener('ready', ({ detail }) => {

@@ -4,7 +4,7 @@
 //   src              address of a container; where its path ends in /atlas, the server's views beside it serve browsers without a GPU, by the same
 //                    link (`?expires=…&signature=…`) where it has one
 //   view             address of these views, where it is another
-//   alt              what the photo shows
+//   alt              what the photo shows; `aria-label` goes before it, `title` is taken without it
 //   poster           picture until the photo is there
 //   fit              `contain` (as if it were not there): all of the photo; `cover`: as large as fills the element, the rest cut away
 //   fullscreen       `off`: no button for full screen
@@ -23,6 +23,9 @@
 //   token            token of who watches, where the address has none behind its # or as a parameter
 //   sound            `off`: no button for it; without a value it begins with the first tap or key. It never begins before one
 //
+// `src`, `room`, `token`, `view`, `alt`, `poster`, `fit`, `loading`, `reveal`, `motion` and `speed` are properties, too, and are taken over
+// where they were set before this script came. What is set or changed later counts from then on.
+//
 // Names, properties (`loaded`), methods (`toBlob`, `resetView`) and events are those of <model-viewer> where there are such. One
 // thing differs: `camera-controls` and `auto-rotate` are on as if they were there, because a 3D photo that stands still is a photo.
 //
@@ -40,127 +43,24 @@
 // place and has the photo's shape once that is known (16 / 10 before), unless CSS says `aspect-ratio` or `height`. All elements of a page
 // share one graphics device; those out of sight sleep.
 
+// beside it is static/, as the server and the package have it
+import { Face, NAMES, OFF } from './static/element/face.js';
+import { load, MODULES, preload, ROOM_MODULES } from './static/element/modules.js';
+
 /** @import { Viewer } from '../view/viewer.js' */
 /** @import { Room } from './room.js' */
 
-const STYLE = `
-  :host { display: block; position: relative; overflow: hidden; aspect-ratio: var(--tmpi-shape, 16 / 10); }
-  :host([hidden]), [hidden] { display: none !important; }
-  :host(:fullscreen) { background: #000; }
-  .room { position: absolute; inset: 0; container-type: size; overflow: hidden; }
-  .stage { position: absolute; inset: 0; cursor: grab; touch-action: pan-y; user-select: none; }
-  .stage:active { cursor: grabbing; }
-  .stage:focus-visible { outline: 3px solid Highlight; outline-offset: -3px; }
-  .stage :is(img, canvas) { position: absolute; inset: 0; margin: auto; pointer-events: none; }
-  img:not([src]) { visibility: hidden; }
-  .poster, ::slotted([slot='poster']) { position: absolute; inset: 0; width: 100%; height: 100%; object-fit: contain; }
-  :host([fit='cover']) .poster, :host([fit='cover']) ::slotted([slot='poster']) { object-fit: cover; }
-  :host([fit='cover']) .stage {
-    inset: auto; left: 50%; top: 50%; translate: -50% -50%;
-    width: max(100cqw, 100cqh * (var(--tmpi-shape, 16 / 10))); height: max(100cqh, 100cqw / (var(--tmpi-shape, 16 / 10)));
-  }
-  :host([fit='cover']) .stage:focus-visible { outline: 0; }
-  :host([fit='cover']) .room:has(.stage:focus-visible) { outline: 3px solid Highlight; outline-offset: -3px; }
-  button {
-    position: absolute; right: 8px; bottom: 8px; width: 40px; height: 40px; padding: 8px; border: 0; border-radius: 8px;
-    background: rgb(0 0 0 / 55%); color: #fff; cursor: pointer; opacity: 0; transition: opacity 0.2s;
-  }
-  :host(:hover) button, button:focus-visible { opacity: 1; }
-  @media (hover: none) { button { opacity: 0.75; } }
-  button svg { display: block; width: 100%; height: 100%; fill: none; stroke: currentColor; stroke-width: 2; }
-  .error {
-    position: absolute; inset: 0; display: grid; place-content: center; gap: 4px; padding: 16px; box-sizing: border-box; overflow: auto;
-    background: #ececea; color: #333; font: 15px/1.45 system-ui, sans-serif; text-align: center;
-  }
-  .error p { margin: 0; }
-  .error .reason { color: #5c5c5c; font-size: 0.9em; }
-`;
-const CORNERS = 'M3 9V3h6M15 3h6v6M21 15v6h-6M9 21H3v-6';
-/** All that the viewer is made of: fetched at once, not as each names the next. */
-const MODULES = [
-  'decode/grid.js',
-  'decode/problem.js',
-  'decode/start.js',
-  'draw/backends.js',
-  'draw/depth-of-field/aperture.js',
-  'draw/depth-of-field/mean-webgl.js',
-  'draw/depth-of-field/mean-webgpu.js',
-  'draw/device.js',
-  'draw/glsl.js',
-  'draw/instances.js',
-  'draw/server-views.js',
-  'draw/texture-atlas.js',
-  'draw/tile-errors.js',
-  'draw/view-uniform.js',
-  'draw/webgl-copy.js',
-  'draw/webgl-program.js',
-  'draw/webgl-target.js',
-  'draw/webgl.js',
-  'draw/webgpu-copy.js',
-  'draw/webgpu.js',
-  'element/link.js',
-  'element/photo-addresses.js',
-  'input/camera-control.js',
-  'input/gestures.js',
-  'input/gyroscope.js',
-  'input/motion.js',
-  'input/zoom.js',
-  'view/camera.js',
-  'view/canvas-size.js',
-  'view/detail.js',
-  'view/display.js',
-  'view/frame-pacing.js',
-  'view/limits.js',
-  'view/outlook.js',
-  'view/settings.js',
-  'view/stage.js',
-  'view/viewer.js',
-];
-/** What rooms need besides. */
-const ROOM_MODULES = [
-  'element/room.js',
-  'i18n/messages.js',
-  'live/connection.js',
-  'live/room-address.js',
-  'live/served-views.js',
-  'live/sound-player.js',
-  'live/start.js',
-  'live/states.js',
-];
 /** Path of a room, or of its page. */
 const ROOM = /\/live\/[\w-]+\/?$/;
-const OFF = new Set(['off', 'false']);
-
-/** @type {Set<string>} */
-const preloaded = new Set();
-
-/**
- * Asks for modules, once a page.
- * @param {string[]} modules
- */
-function preload(modules) {
-  for (const name of modules.filter((name) => !preloaded.has(name))) {
-    preloaded.add(name);
-    const link = document.createElement('link');
-    link.rel = 'modulepreload';
-    link.href = new URL(`./static/${name}`, import.meta.url).href;
-    document.head.append(link);
-  }
-}
-
-/**
- * A module below static/.
- * @param {string} name
- */
-const load = (name) => import(new URL(`./static/${name}`, import.meta.url).href);
+/** Attributes that say what is shown. */
+const ADDRESS = new Set(['src', 'room', 'token', 'view']);
+/** Attributes that are properties, too, as frameworks set them. */
+const PROPERTIES = [...ADDRESS, 'alt', 'poster', 'fit', 'loading', 'reveal', 'motion', 'speed'];
 
 class TmpiViewer extends HTMLElement {
   static observedAttributes = [
-    'src',
-    'room',
-    'token',
-    'view',
-    'alt',
+    ...ADDRESS,
+    ...NAMES,
     'poster',
     'fullscreen',
     'loading',
@@ -180,76 +80,19 @@ class TmpiViewer extends HTMLElement {
   #room = null;
   /** @type {IntersectionObserver | null} */
   #seen = null;
-  #visible = true;
+  /**
+   * Whether it is near the screen; null before that is known.
+   * @type {boolean | null}
+   */
+  #visible = null;
+  /** Somebody came near it or asked for it: it shows what it is told to from then on. */
+  #asked = false;
   #loaded = false;
-  #sheet;
-  #stage;
-  #poster;
-  #posterSlot;
-  #error;
-  #full;
+  #face = new Face(this);
 
   constructor() {
     super();
-    const sheet = new CSSStyleSheet();
-    sheet.replaceSync(STYLE);
-    this.#sheet = new CSSStyleSheet();
-    const shadow = this.attachShadow({ mode: 'open' });
-    shadow.adoptedStyleSheets = [sheet, this.#sheet];
-    this.#poster = make('img', 'poster');
-    this.#poster.alt = '';
-    this.#poster.loading = 'lazy';
-    this.#posterSlot = make('slot', '', this.#poster);
-    this.#posterSlot.name = 'poster';
-    // whichever picture there is tells the photo's shape before the photo comes
-    this.#posterSlot.addEventListener('load', ({ target }) => this.#shapeOf(target), true);
-    this.addEventListener('load', ({ target }) => this.#shapeOf(target), true);
-    this.#error = errorBox();
-    this.#full = fullscreenButton(() => this.#toggleFullscreen());
-    this.#stage = make('div', 'stage');
-    this.#stage.tabIndex = 0;
-    this.#stage.setAttribute('role', 'application');
-    for (const type of ['pointerenter', 'pointerdown', 'focus']) this.#stage.addEventListener(type, () => this.#start());
-    shadow.append(make('div', 'room', this.#posterSlot, this.#stage), this.#error, this.#full);
-  }
-
-  /**
-   * Takes over the shape of a picture of the photo.
-   * @param {EventTarget | null} picture
-   */
-  #shapeOf(picture) {
-    if (picture instanceof HTMLImageElement && !this.#viewer?.head) this.#shape(picture.naturalWidth, picture.naturalHeight);
-  }
-
-  /**
-   * The element's shape where CSS does not say another.
-   * @param {number} width
-   * @param {number} height
-   */
-  #shape(width, height) {
-    if (width > 0 && height > 0) this.#sheet.replaceSync(`:host { --tmpi-shape: ${width} / ${height}; }`);
-  }
-
-  async #toggleFullscreen() {
-    try {
-      if (document.fullscreenElement === this) await document.exitFullscreen();
-      else await this.requestFullscreen();
-    } catch {
-      // the page, or the frame that it is in, does not allow it
-      this.#full.hidden = true;
-    }
-  }
-
-  /**
-   * Says what the photo shows where it cannot be shown, and why.
-   * @param {string} reason
-   */
-  #fail(reason) {
-    const [alt, why] = this.#error.querySelectorAll('p');
-    alt.textContent = this.getAttribute('alt');
-    alt.hidden = !alt.textContent;
-    why.textContent = reason;
-    this.#error.hidden = false;
+    for (const type of ['pointerenter', 'pointerdown', 'focus']) this.#face.stage.addEventListener(type, () => this.#start());
   }
 
   /** The viewer, once it has started; else null. */
@@ -293,29 +136,41 @@ class TmpiViewer extends HTMLElement {
   }
 
   connectedCallback() {
+    this.#takeOver();
     this.#describe();
-    // one that the page brought along may be there already
-    this.#shapeOf(this.querySelector('[slot=poster]'));
+    this.#face.connected();
     this.#seen = new IntersectionObserver((entries) => this.#onSeen(entries[entries.length - 1].isIntersecting), { rootMargin: '200px' });
     this.#seen.observe(this);
-    this.#maybeStart(false);
+    this.#maybeStart();
   }
 
   disconnectedCallback() {
     this.#seen?.disconnect();
+    this.#seen = this.#visible = null;
+    this.#asked = false;
     this.#stop();
+  }
+
+  /** Properties that were set before the script came hide those of the element. */
+  #takeOver() {
+    for (const name of PROPERTIES.filter((name) => Object.hasOwn(this, name))) {
+      const value = Reflect.get(this, name);
+      Reflect.deleteProperty(this, name);
+      Reflect.set(this, name, value);
+    }
   }
 
   /** @param {string} name */
   attributeChangedCallback(name) {
-    if (!this.isConnected) return;
+    if (!this.#seen) return;
     this.#describe();
     if (name === 'still' || name === 'auto-rotate') this.#viewer?.setIdle(this.#movesByItself);
     if ((name === 'motion' || name === 'speed') && this.#viewer) this.#viewer.settings = { ...this.#viewer.settings, ...this.#wander };
-    if (['src', 'room', 'token', 'view'].includes(name) && this.#viewer) {
+    if (ADDRESS.has(name)) {
       this.#stop();
-      this.#start();
+      if (this.#asked) this.#start();
     }
+    this.#maybeStart();
   }
 
   /** Address of what is to be shown, and whether that is a room; null where nothing is named. */
@@ -345,41 +200,32 @@ class TmpiViewer extends HTMLElement {
     this.#visible = visible;
     if (this.#room) this.#room.visible = visible;
     if (this.#viewer) this.#viewer.asleep = !visible;
-    else this.#maybeStart(visible);
+    else this.#maybeStart();
   }
 
-  /**
-   * Nothing is fetched for what nobody scrolls to or asks for, unless the page wants it.
-   * @param {boolean} visible
-   */
-  #maybeStart(visible) {
-    if (this.getAttribute('reveal') === 'interaction') return;
-    if (visible || this.getAttribute('loading') === 'eager') this.#start();
+  /** Nothing is fetched for what nobody scrolls to or asks for, unless the page wants it. */
+  #maybeStart() {
+    if (this.#asked || this.getAttribute('reveal') === 'interaction') return;
+    if (this.#visible || this.getAttribute('loading') === 'eager') this.#start();
   }
 
   #describe() {
-    const kind = this.#named?.room ? '3D video' : '3D photo';
-    this.#stage.setAttribute('aria-label', this.getAttribute('alt') ?? kind);
-    this.#stage.setAttribute('aria-roledescription', kind);
-    // the stage takes the input; without it the page scrolls and clicks as if a picture were there
-    this.#stage.inert = OFF.has(this.getAttribute('camera-controls') ?? '');
-    this.#full.hidden = !document.fullscreenEnabled || OFF.has(this.getAttribute('fullscreen') ?? '');
-    const poster = this.getAttribute('poster');
-    if (poster) this.#poster.src = poster;
-    else this.#poster.removeAttribute('src');
+    this.#face.describe(this.#named?.room ? '3D video' : '3D photo');
   }
 
   async #start() {
+    this.#asked = true;
     const named = this.#named;
     if (!named || this.#viewer) return;
     const viewer = await (named.room ? this.#watch(named.address) : this.#show(named.address));
     if (!viewer) return;
     if (!this.#movesByItself) viewer.setIdle(false);
-    const known = () => viewer.head && this.#shape(viewer.head.width, viewer.head.height);
+    if (this.#visible === false) viewer.asleep = true;
+    const known = () => viewer.head && this.#face.know(viewer.head);
     let mode = '';
     viewer.addEventListener('photo', () => {
       known();
-      this.#posterSlot.hidden = true;
+      this.#face.shown();
     });
     viewer.addEventListener('progress', ({ detail }) =>
       this.#fire('progress', { ...detail, totalProgress: detail.total ? detail.received / detail.total : 0 }),
@@ -390,13 +236,13 @@ class TmpiViewer extends HTMLElement {
       mode = detail.mode;
       this.#loaded = true;
       known();
-      this.#posterSlot.hidden = true;
+      this.#face.shown();
       this.#fire('load', detail);
     });
     viewer.addEventListener('pose', () => this.#loaded && this.#fire('camera-change', { pose: viewer.pose }));
     viewer.addEventListener('error', ({ detail }) => {
       // what cannot be had while the photo is shown needs no words over it
-      if (viewer.mode === 'failed') this.#fail(detail.message);
+      if (viewer.mode === 'failed') this.#face.fail(detail.message);
       this.#fire('error', detail);
     });
   }
@@ -408,6 +254,9 @@ class TmpiViewer extends HTMLElement {
   #fire(type, detail) {
     this.dispatchEvent(new CustomEvent(type, { detail }));
   }
+
+  /** Whether a page around it scrolls, which it does not in full screen. */
+  #embedded = () => !this.matches(':fullscreen');
 
   /**
    * True where that is still to be shown, and nothing is.
@@ -430,12 +279,12 @@ class TmpiViewer extends HTMLElement {
     if (!this.#wants(atlas)) return null;
     const given = this.getAttribute('view');
     const state = this.getAttribute('settings') === 'off' ? undefined : beside(atlas, '/settings');
-    this.#viewer = new Viewer(this.#stage, {
+    this.#viewer = new Viewer(this.#face.stage, {
       atlas,
       view: given ? new URL(given, document.baseURI).href : beside(atlas, '/view'),
       report: beside(atlas, '/report'),
       settings: Promise.resolve(state ? fetchSettings(state) : {}).then((settings) => ({ ...settings, ...this.#wander })),
-      embedded: true,
+      embedded: this.#embedded,
     });
     return this.#viewer;
   }
@@ -450,12 +299,13 @@ class TmpiViewer extends HTMLElement {
     if (!this.#wants(address)) return null;
     const attribute = (/** @type {string} */ name) => this.getAttribute(name);
     const named = { address, token: attribute('token'), sound: attribute('sound'), settings: this.#wander };
-    const room = new Room(this.#stage, /** @type {ShadowRoot} */ (this.shadowRoot), named, {
+    const room = new Room(this.#face.stage, this.#face.shadow, named, {
       fire: (type, detail) => this.#fire(type, detail),
-      fail: (message) => this.#fail(message),
+      fail: (message) => this.#face.fail(message),
+      embedded: this.#embedded,
     });
     [this.#room, this.#viewer] = [room, room.viewer];
-    room.visible = this.#visible;
+    room.visible = this.#visible ?? true;
     return room.viewer;
   }
 
@@ -464,49 +314,24 @@ class TmpiViewer extends HTMLElement {
     else this.#viewer?.dispose();
     this.#room = this.#viewer = null;
     this.#loaded = false;
-    this.#posterSlot.hidden = false;
-    this.#error.hidden = true;
+    this.#face.reset();
   }
 }
 
-/**
- * @template {keyof HTMLElementTagNameMap} K
- * @param {K} tag
- * @param {string} className
- * @param {Node[]} content
- */
-function make(tag, className, ...content) {
-  const out = document.createElement(tag);
-  out.className = className;
-  out.append(...content);
-  return out;
-}
-
-/** What is seen where the photo cannot be shown: the page's own, or what the photo shows and why it does not. */
-function errorBox() {
-  const slot = make('slot', '', make('p', ''), make('p', 'reason'));
-  slot.name = 'error';
-  const box = make('div', 'error', slot);
-  box.part.add('error');
-  box.setAttribute('role', 'alert');
-  box.hidden = true;
-  return box;
-}
-
-/** @param {() => void} onClick */
-function fullscreenButton(onClick) {
-  const svg = document.createElementNS('http://www.w3.org/2000/svg', 'svg');
-  const path = document.createElementNS('http://www.w3.org/2000/svg', 'path');
-  path.setAttribute('d', CORNERS);
-  svg.setAttribute('viewBox', '0 0 24 24');
-  svg.setAttribute('aria-hidden', 'true');
-  svg.append(path);
-  const button = make('button', '', svg);
-  button.type = 'button';
-  button.part.add('fullscreen');
-  button.setAttribute('aria-label', 'Full screen');
-  button.addEventListener('click', onClick);
-  return button;
+for (const name of PROPERTIES) {
+  Object.defineProperty(TmpiViewer.prototype, name, {
+    configurable: true,
+    enumerable: true,
+    /** @this {TmpiViewer} */
+    get() {
+      return this.getAttribute(name) ?? '';
+    },
+    /** @this {TmpiViewer} */
+    set(value) {
+      if (value === null || value === undefined) this.removeAttribute(name);
+      else this.setAttribute(name, String(value));
+    },
+  });
 }
 
 if (!customElements.get('tmpi-viewer')) customElements.define('tmpi-viewer', TmpiViewer);

@@ -9,7 +9,7 @@ const KEY_ZOOM = 1.25;
 /** Pixels of the wheel that come closer by a factor of e; a pinch on a touchpad is told as a small turn of the wheel. */
 const WHEEL_PX = 400;
 const PINCH_PX = 100;
-/** A tap lasts and strays no longer than this, and two within that time are one gesture. */
+/** A tap lasts and strays no longer than this, and two within that time are one gesture; so far two fingers' distance may change without a pinch. */
 const TAP_MS = 300;
 const TAP_PX = 12;
 const DOUBLE_PX = 40;
@@ -17,16 +17,16 @@ const DOUBLE_PX = 40;
 const FORGOTTEN = 0.25;
 
 /**
- * Listens on `element` and drives `motion` and `zoom`. `wake` is called after every input; `toggleIdle` on the space bar. `embedded`:
- * the page scrolls by wheel and finger, so the wheel zooms where the element has the focus or Ctrl is held, one finger moves the photo
- * up and down only once one has come closer, and what cannot zoom out any more scrolls.
+ * Listens on `element` and drives `motion` and `zoom`. `wake` is called after every input; `toggleIdle` on the space bar. `embedded`: whether
+ * a page around it scrolls by wheel and finger now, so that the wheel zooms where the element has the focus or Ctrl is held, what cannot zoom
+ * out any more scrolls, and so does one finger that goes up or down (`touch-action: pan-y`); two fingers do all.
  * @param {HTMLElement} element
  * @param {Motion} motion
  * @param {Zoom} zoom
- * @param {{wake: () => void, toggleIdle: () => void, embedded?: boolean}} on
+ * @param {{wake: () => void, toggleIdle: () => void, embedded?: () => boolean}} on
  * @returns {() => void} stops listening
  */
-export function listen(element, motion, zoom, { wake, toggleIdle, embedded }) {
+export function listen(element, motion, zoom, { wake, toggleIdle, embedded = () => false }) {
   const stop = new AbortController();
   /**
    * @template {keyof HTMLElementEventMap} K
@@ -42,15 +42,13 @@ export function listen(element, motion, zoom, { wake, toggleIdle, embedded }) {
   /** @type {{x: number, y: number} | null} */
   let hovered = null;
   let dragged = false;
-  /** @type {{x: number, y: number, time: number, moved: boolean} | null} */
+  /** @type {{x: number, y: number, time: number, moved: boolean, ours: boolean} | null} */
   let press = null;
+  // distance of two fingers when the second came
+  let apart = 0;
+  let pinching = false;
   let lastTap = { x: 0, y: 0, time: -Infinity };
 
-  const moved = () => {
-    // one finger scrolls the page only where there is nothing more to see
-    element.style.touchAction = zoom.close ? 'none' : '';
-    wake();
-  };
   /** @param {{clientX: number, clientY: number}} event */
   const fromMiddle = ({ clientX, clientY }) => {
     const box = element.getBoundingClientRect();
@@ -60,8 +58,10 @@ export function listen(element, motion, zoom, { wake, toggleIdle, embedded }) {
   on('pointerdown', (event) => {
     if (event.button !== 0) return;
     element.setPointerCapture(event.pointerId);
-    press = pointers.size === 0 ? { x: event.clientX, y: event.clientY, time: event.timeStamp, moved: false } : null;
+    const { clientX: x, clientY: y, timeStamp: time } = event;
+    press = pointers.size === 0 ? { x, y, time, moved: false, ours: event.pointerType !== 'touch' || !embedded() } : null;
     pointers.set(event.pointerId, { x: event.clientX, y: event.clientY });
+    [apart, pinching] = [spread(), false];
   });
   on('pointermove', (event) => {
     const last = pointers.get(event.pointerId);
@@ -105,12 +105,18 @@ export function listen(element, motion, zoom, { wake, toggleIdle, embedded }) {
    * @param {{x: number, y: number}} last
    */
   function drag(event, last) {
-    if (press && Math.hypot(event.clientX - press.x, event.clientY - press.y) > TAP_PX) press.moved = true;
+    const [across, down] = press ? [event.clientX - press.x, event.clientY - press.y] : [0, 0];
+    if (press && Math.hypot(across, down) > TAP_PX) press.moved = true;
+    // one that goes up or down is about to scroll the page, which the browser does
+    if (press && Math.abs(across) > Math.abs(down)) press.ours = true;
     const before = spread();
     const share = pointers.size;
     const [dx, dy] = [(event.clientX - last.x) / share, (event.clientY - last.y) / share];
     pointers.set(event.pointerId, { x: event.clientX, y: event.clientY });
-    if (before) {
+    if (press && !press.ours) return;
+    // fingers that go side by side are told of one after the other
+    if (Math.abs(spread() - apart) > TAP_PX) pinching = true;
+    if (before && pinching) {
       const [a, b] = [...pointers.values()];
       zoom.by(spread() / before, fromMiddle({ clientX: (a.x + b.x) / 2, clientY: (a.y + b.y) / 2 }));
       zoom.settle();
@@ -118,13 +124,13 @@ export function listen(element, motion, zoom, { wake, toggleIdle, embedded }) {
     if (zoom.close) {
       zoom.pan(dx, dy);
       motion.touched();
-    } else if (!before) {
+    } else {
       // near things follow the pointer, so the camera goes the other way
       const { width } = element.getBoundingClientRect();
       motion.nudge((-4 * dx) / width, (-4 * dy) / width, 0);
       dragged = true;
     }
-    moved();
+    wake();
   }
 
   /** @param {PointerEvent} event */
@@ -132,7 +138,7 @@ export function listen(element, motion, zoom, { wake, toggleIdle, embedded }) {
     const near = Math.hypot(event.clientX - lastTap.x, event.clientY - lastTap.y) < DOUBLE_PX;
     if (near && event.timeStamp - lastTap.time < TAP_MS) {
       zoom.toggle(fromMiddle(event));
-      moved();
+      wake();
     }
     lastTap = { x: event.clientX, y: event.clientY, time: event.timeStamp };
   }
@@ -147,12 +153,11 @@ export function listen(element, motion, zoom, { wake, toggleIdle, embedded }) {
   on(
     'wheel',
     (event) => {
-      if (embedded && !event.ctrlKey && !element.matches(':focus')) return;
-      if (embedded && event.deltaY > 0 && !zoom.close) return;
+      if (embedded() && ((!event.ctrlKey && !element.matches(':focus')) || (event.deltaY > 0 && !zoom.close))) return;
       event.preventDefault();
       const lines = event.deltaMode === WheelEvent.DOM_DELTA_LINE ? 16 : 1;
       zoom.by(Math.exp((-event.deltaY * lines) / (event.ctrlKey ? PINCH_PX : WHEEL_PX)), fromMiddle(event));
-      moved();
+      wake();
     },
     { passive: false },
   );
@@ -180,7 +185,7 @@ export function listen(element, motion, zoom, { wake, toggleIdle, embedded }) {
     if (!action || event.ctrlKey || event.metaKey || event.altKey) return;
     event.preventDefault();
     action();
-    moved();
+    wake();
   });
   return () => stop.abort();
 }

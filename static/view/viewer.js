@@ -67,6 +67,11 @@ export class Viewer extends EventTarget {
   #undecoded = false;
   /** A room's video is shown as it is until there is a scene. */
   #early = false;
+  /**
+   * Frames of a room that came since the screen was refreshed.
+   * @type {{instances: Instances | null, cells: Cells}[]}
+   */
+  #fresh = [];
   /** A room's scenes are drawn one after the other. */
   #redrawn = Promise.resolve();
   #stopListening;
@@ -75,9 +80,9 @@ export class Viewer extends EventTarget {
 
   /**
    * @param {HTMLElement} root focusable element that takes the input and holds the pictures
-   * @param {{atlas?: string, view?: string, report?: string, offset?: {x: number, y: number, z: number}, embedded?: boolean,
+   * @param {{atlas?: string, view?: string, report?: string, offset?: {x: number, y: number, z: number}, embedded?: () => boolean,
    *   live?: {start: () => Worker, address: string, token: string, Views: typeof ServedViews}, settings?: object | Promise<object>, full?: Promise<{width?: number, height?: number} | undefined>}} options addresses of the container, of the views that the server draws and of the photo's
-   *   report; where the camera starts, in units of the view box; whether the viewer is a part of a page that scrolls; what the photo's
+   *   report; where the camera starts, in units of the view box; whether the viewer is a part of a page that scrolls now; what the photo's
    *   owner wants (settings.js), which the camera's start given here overrules; the photo's own size, where the container is a smaller
    *   level of it; `live`: a room to watch in place of a container, what starts its worker, and
    *   what shows views that the server draws of it
@@ -568,12 +573,21 @@ export class Viewer extends EventTarget {
    */
   #follow(change) {
     if (this.#disposed) return;
+    this.#fresh.push(change);
     requestAnimationFrame(() => {
-      if (this.#disposed || !this.renderer) return;
-      this.renderer.update(change);
+      // while the camera moves, it is drawn with the camera's next step: once for each refresh
+      if (this.#frameRequest || !this.#takeFresh()) return;
       this.render();
-      this.tell({ drawn: true });
     });
+  }
+
+  /** Hands frames of a room to what draws them; false where there are none. */
+  #takeFresh() {
+    const fresh = this.#fresh.splice(0);
+    if (!fresh.length || this.#disposed || !this.renderer) return false;
+    for (const change of fresh) this.renderer.update(change);
+    this.tell({ drawn: true });
+    return true;
   }
 
   /**
@@ -758,6 +772,7 @@ export class Viewer extends EventTarget {
   /** @param {number} now */
   #frame(now) {
     this.#frameRequest = 0;
+    this.#takeFresh();
     const dt = this.#lastFrame ? (now - this.#lastFrame) / 1000 : 1 / 60;
     if (this.mode === 'loading') return;
     const closing = this.#zoom.step(dt);

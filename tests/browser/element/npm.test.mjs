@@ -31,6 +31,11 @@ const USE = `import 'tmpi-viewer';
   viewer.addEventListener('state', ({ detail }) => detail.state === 'asleep');
   // @ts-expect-error no such mode
   viewer.addEventListener('load', ({ detail }) => detail.mode === 'vulkan');
+  viewer.src = '/photo.tmpi';
+  viewer.speed = 2;
+  viewer.room = null;
+  // @ts-expect-error no address
+  viewer.poster = new Blob();
   // @ts-expect-error not to be set
   viewer.loaded = true;
   import { Tmpi } from 'tmpi-viewer/rest';

@@ -3,7 +3,7 @@ import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
 import { openPage } from '../support/browser.mjs';
 import { serve } from '../support/static-server.mjs';
-import { boxSuite } from '../support/suite.mjs';
+import { boxSuite, STILL } from '../support/suite.mjs';
 
 describe('element', () => {
   const suite = boxSuite();
@@ -88,6 +88,103 @@ describe('element', () => {
       errors.filter((e) => !e.includes('favicon')),
       [],
     );
+    await context.close();
+  });
+
+  /** A page with an element alone, and its script, which comes once `prepare` was done to the element. */
+  async function early(markup, prepare = () => {}) {
+    const opened = await openPage(suite.browser, STILL);
+    await opened.page.goto(`${suite.server.url}/embed/blank`);
+    await opened.page.evaluate((html) => (document.body.innerHTML = html), markup);
+    await opened.page.locator('tmpi-viewer').evaluate(prepare);
+    await opened.page.addScriptTag({ type: 'module', url: '/tmpi-viewer.js' });
+    return opened;
+  }
+  const loaded = (page) => page.waitForFunction(() => document.querySelector('tmpi-viewer').loaded);
+  const named = (page) => page.locator('tmpi-viewer .stage').getAttribute('aria-label');
+
+  test('properties that were set before its script came are taken over', async () => {
+    const { page, context, errors } = await early('<tmpi-viewer alt="An old name" still></tmpi-viewer>', (element) => {
+      Object.assign(element, { src: '/v1/photos/box/atlas', alt: 'A box', speed: 2, poster: undefined });
+    });
+    await loaded(page);
+    const told = await page
+      .locator('tmpi-viewer')
+      .evaluate((element) => [
+        element.getAttribute('src'),
+        element.src,
+        element.getAttribute('speed'),
+        element.hasAttribute('poster'),
+        element.viewer.motion.rate,
+      ]);
+    assert.deepEqual(told, ['/v1/photos/box/atlas', '/v1/photos/box/atlas', '2', false, 2]);
+    assert.equal(await named(page), 'A box');
+    // and what is set from then on counts
+    await page.locator('tmpi-viewer').evaluate((element) => (element.src = null));
+    assert.equal(await page.locator('tmpi-viewer').evaluate((element) => element.viewer ?? element.getAttribute('src')), null);
+    assert.deepEqual(errors, []);
+    await context.close();
+  });
+
+  test('so are those of a room', async () => {
+    const { page, context } = await early('<tmpi-viewer></tmpi-viewer>', (element) => {
+      Object.assign(element, { room: 'attic', token: 'secret' });
+    });
+    await page.waitForFunction(() => document.querySelector('tmpi-viewer').viewer);
+    const { address, token } = await page.locator('tmpi-viewer').evaluate((element) => element.viewer.options.live);
+    assert.match(address, /\/v1\/live\/attic$/);
+    assert.equal(token, 'secret');
+    await context.close();
+  });
+
+  test('an element whose photo is named late shows it, and the newest of several', async () => {
+    const { page, context, errors } = await early('<tmpi-viewer></tmpi-viewer>');
+    const element = page.locator('tmpi-viewer');
+    // what tells it that it is in sight has told it
+    await page.waitForTimeout(300);
+    // the modules of the viewer are not there yet when it is told another
+    await element.evaluate((e) => e.setAttribute('src', '/nowhere'));
+    await element.evaluate((e) => e.setAttribute('src', '/v1/photos/box/atlas'));
+    await loaded(page);
+    assert.match(await element.evaluate((e) => e.viewer.options.atlas), /box\/atlas$/);
+    // far below, it waits until it is told not to
+    await element.evaluate((e) => {
+      e.remove();
+      e.style.marginTop = '5000px';
+      e.removeAttribute('src');
+      document.body.append(e);
+    });
+    await page.waitForTimeout(300);
+    await element.evaluate((e) => e.setAttribute('src', '/v1/photos/box/atlas'));
+    await page.waitForTimeout(300);
+    assert.equal(await element.evaluate((e) => e.viewer), null);
+    await element.evaluate((e) => e.setAttribute('loading', 'eager'));
+    await loaded(page);
+    assert.ok(await element.evaluate((e) => e.viewer.asleep), 'nobody sees it');
+    assert.deepEqual(errors, []);
+    await context.close();
+  });
+
+  test('its name follows what the page calls it', async () => {
+    const { page, context } = await early('<tmpi-viewer src="/nowhere" loading="eager" alt=""></tmpi-viewer>');
+    const alert = page.getByRole('alert');
+    await alert.waitFor();
+    const name = (attribute, value) =>
+      page
+        .locator('tmpi-viewer')
+        .evaluate((element, [a, v]) => (v === null ? element.removeAttribute(a) : element.setAttribute(a, v)), [attribute, value]);
+    assert.equal(await named(page), '3D photo');
+    for (const [attribute, value, wanted] of [
+      ['title', 'By its title', 'By its title'],
+      ['alt', 'By its text', 'By its text'],
+      ['aria-label', 'By its label', 'By its label'],
+      ['alt', 'By another text', 'By its label'],
+      ['aria-label', null, 'By another text'],
+    ]) {
+      await name(attribute, value);
+      assert.equal(await named(page), wanted);
+      assert.ok((await alert.textContent()).includes(wanted), 'in place of the photo, too');
+    }
     await context.close();
   });
 });

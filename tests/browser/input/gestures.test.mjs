@@ -13,6 +13,19 @@ const zoomed = (page, least, most) =>
     [least, most],
   );
 
+/** Fingers on a page: `touch` says where they are, `drag` moves them all from there by so much. */
+async function fingers(page) {
+  const client = await page.context().newCDPSession(page);
+  const touch = (type, ...points) =>
+    client.send('Input.dispatchTouchEvent', { type, touchPoints: points.map(([x, y], id) => ({ x, y, id })) });
+  const drag = async ([dx, dy], ...from) => {
+    await touch('touchStart', ...from);
+    for (let i = 1; i <= 8; i++) await touch('touchMove', ...from.map(([x, y]) => [x + (dx * i) / 8, y + (dy * i) / 8]));
+    await touch('touchEnd');
+  };
+  return { touch, drag };
+}
+
 describe('gestures', () => {
   const suite = boxSuite();
 
@@ -54,9 +67,7 @@ describe('gestures', () => {
     await waitForMode(page, 'gpu');
     const { x, y, width, height } = await page.locator('#stage').boundingBox();
     const [cx, cy] = [x + width / 2, y + height / 2];
-    const client = await context.newCDPSession(page);
-    const touch = (type, ...points) =>
-      client.send('Input.dispatchTouchEvent', { type, touchPoints: points.map(([px, py], id) => ({ x: px, y: py, id })) });
+    const { touch } = await fingers(page);
     await touch('touchStart', [cx - 40, cy], [cx + 40, cy]);
     for (let i = 1; i <= 6; i++) await touch('touchMove', [cx - 40 - i * 8, cy], [cx + 40 + i * 8, cy]);
     await touch('touchEnd');
@@ -110,6 +121,68 @@ describe('gestures', () => {
     await page.keyboard.up('Control');
     await page.waitForFunction(() => document.querySelector('tmpi-viewer').viewer.zoom.scale > 1.3);
     assert.equal(await page.evaluate(() => scrollY), 0);
+    await context.close();
+  });
+
+  test('an element leaves one finger that goes up or down to the page, and takes all others', async () => {
+    const { page, context, errors } = await openPage(suite.browser, { ...SMALL, viewport: { width: 400, height: 300 }, hasTouch: true });
+    await page.goto(`${suite.server.url}/embed/three`);
+    await page.waitForFunction(() => document.querySelector('tmpi-viewer').loaded);
+    await page.evaluate(() => document.querySelector('tmpi-viewer').viewer.setIdle(false));
+    const { touch, drag } = await fingers(page);
+    const raw = () => page.evaluate(() => ({ ...document.querySelector('tmpi-viewer').viewer.motion.raw }));
+    const scrolls = async (what) => {
+      const before = await raw();
+      await drag([6, -100], [150, 130]);
+      await page.waitForFunction(() => scrollY > 40, null, { timeout: 5000 }).catch(() => assert.fail(`${what} the page does not scroll`));
+      assert.deepEqual(await raw(), before, `${what} the camera stays`);
+      // the page goes on for a while
+      await page.waitForTimeout(500);
+      await page.evaluate(() => scrollTo(0, 0));
+    };
+    await scrolls('with all of the photo in sight');
+    await drag([-60, 4], [150, 100]);
+    const sideways = await raw();
+    assert.ok(sideways.x > 0.4 && Math.abs(sideways.y) < 0.1, JSON.stringify(sideways));
+    await drag([0, -60], [110, 130], [160, 130]);
+    const both = await raw();
+    assert.ok(both.y > sideways.y + 0.4, `two fingers go up and down: ${both.y}`);
+    assert.equal(await page.evaluate(() => scrollY), 0);
+    // closer, and back to all of it
+    for (const close of [true, false]) {
+      for (let tap = 0; tap < 2; tap++) {
+        await touch('touchStart', [150, 100]);
+        await touch('touchEnd');
+      }
+      await page.waitForFunction((wanted) => {
+        const { viewer } = document.querySelector('tmpi-viewer');
+        return !viewer.moving && viewer.zoom.scale > 1.5 === wanted;
+      }, close);
+      await scrolls(close ? 'closer' : 'back');
+      await page.waitForTimeout(400);
+    }
+    assert.deepEqual(
+      errors.filter((e) => !e.includes('favicon')),
+      [],
+    );
+    await context.close();
+  });
+
+  test('in full screen an element takes one finger whatever its way, and the wheel', async () => {
+    const { page, context } = await openPage(suite.browser, { ...SMALL, hasTouch: true });
+    await page.goto(`${suite.server.url}/embed/three`);
+    await page.waitForFunction(() => document.querySelector('tmpi-viewer').loaded);
+    await page.locator('tmpi-viewer').first().getByRole('button', { name: 'Full screen' }).focus();
+    await page.keyboard.press('Enter');
+    await page.waitForFunction(() => document.fullscreenElement?.localName === 'tmpi-viewer');
+    const { drag } = await fingers(page);
+    const [x, y] = await page.evaluate(() => [innerWidth / 2, innerHeight / 2]);
+    await drag([2, -80], [x, y]);
+    const raw = await page.evaluate(() => document.fullscreenElement.viewer.motion.raw.y);
+    assert.ok(raw > 0.2, `${raw}`);
+    await page.mouse.move(x, y);
+    await page.mouse.wheel(0, -200);
+    await page.waitForFunction(() => document.fullscreenElement.viewer.zoom.scale > 1.3);
     await context.close();
   });
 });

@@ -118,6 +118,45 @@ describe('a room', () => {
     await publisher.context.close();
   });
 
+  test('while the camera moves, a screen refresh draws the newest frame once', async (t) => {
+    const publisher = await suite.publish('swing');
+    const { page, context } = await suite.watch('swing');
+    await waitForMode(page, 'gpu');
+    await page.evaluate(() => {
+      const { viewer } = window;
+      const { draw, update } = viewer.renderer;
+      window.counts = new Map();
+      const count = (what) => {
+        // the same for all that a refresh calls
+        const now = document.timeline.currentTime;
+        const of = window.counts.get(now) ?? { draws: 0, updates: 0, undrawn: 0 };
+        window.counts.set(now, of);
+        of[what]++;
+        of.undrawn = what === 'updates' ? of.undrawn + 1 : 0;
+      };
+      viewer.renderer.draw = function (views) {
+        count('draws');
+        return draw.call(this, views);
+      };
+      viewer.renderer.update = function (change) {
+        count('updates');
+        return update.call(this, change);
+      };
+      viewer.setIdle(true);
+    });
+    const counted = () => page.evaluate(() => [...window.counts.values()]);
+    await page.waitForFunction(() => [...window.counts.values()].filter(({ updates }) => updates).length > 20);
+    const refreshes = await counted();
+    const [draws, updates] = ['draws', 'updates'].map((what) => refreshes.reduce((sum, of) => sum + of[what], 0));
+    t.diagnostic(`${refreshes.length} refreshes, ${draws} pictures, ${updates} frames of the room`);
+    assert.ok(refreshes.length > updates, 'the camera moves between frames, too');
+    // somebody may ask for a picture besides
+    assert.ok(refreshes.filter((of) => of.draws > 1).length <= 2, `${draws} pictures in ${refreshes.length} refreshes`);
+    assert.ok(refreshes.every(({ undrawn }) => undrawn === 0));
+    await context.close();
+    await publisher.context.close();
+  });
+
   test('both pages fit a phone and speak German', async () => {
     const phone = {
       viewport: { width: 360, height: 740 },

@@ -15,7 +15,8 @@ export const files = () =>
 /** What a module names in `import` statements, which begin a line and end it. */
 export function imports(name) {
   return [...source(name).matchAll(/^(?:import|export|\})[^'\n]*'(\.[^']+)';/gm)].map(([, path]) =>
-    posix.normalize(posix.join(posix.dirname(name), path)),
+    // the element's entry is served beside static/
+    path.startsWith('./static/') ? path.slice('./static/'.length) : posix.normalize(posix.join(posix.dirname(name), path)),
   );
 }
 

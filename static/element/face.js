@@ -1,0 +1,199 @@
+// What the element is made of: the stage of the viewer, the poster below, the button for full screen, and what is seen where nothing can be
+// shown; its shape and its name.
+
+const STYLE = `
+  :host { display: block; position: relative; overflow: hidden; aspect-ratio: var(--tmpi-shape, 16 / 10); }
+  :host([hidden]), [hidden] { display: none !important; }
+  :host(:fullscreen) { background: #000; }
+  .room { position: absolute; inset: 0; container-type: size; overflow: hidden; }
+  .stage { position: absolute; inset: 0; cursor: grab; touch-action: pan-y; user-select: none; }
+  :host(:fullscreen) .stage { touch-action: none; }
+  .stage:active { cursor: grabbing; }
+  .stage:focus-visible { outline: 3px solid Highlight; outline-offset: -3px; }
+  .stage :is(img, canvas) { position: absolute; inset: 0; margin: auto; pointer-events: none; }
+  img:not([src]) { visibility: hidden; }
+  .poster, ::slotted([slot='poster']) { position: absolute; inset: 0; width: 100%; height: 100%; object-fit: contain; }
+  :host([fit='cover']) .poster, :host([fit='cover']) ::slotted([slot='poster']) { object-fit: cover; }
+  :host([fit='cover']) .stage {
+    inset: auto; left: 50%; top: 50%; translate: -50% -50%;
+    width: max(100cqw, 100cqh * (var(--tmpi-shape, 16 / 10))); height: max(100cqh, 100cqw / (var(--tmpi-shape, 16 / 10)));
+  }
+  :host([fit='cover']) .stage:focus-visible { outline: 0; }
+  :host([fit='cover']) .room:has(.stage:focus-visible) { outline: 3px solid Highlight; outline-offset: -3px; }
+  button {
+    position: absolute; right: 8px; bottom: 8px; width: 40px; height: 40px; padding: 8px; border: 0; border-radius: 8px;
+    background: rgb(0 0 0 / 55%); color: #fff; cursor: pointer; opacity: 0; transition: opacity 0.2s;
+  }
+  :host(:hover) button, button:focus-visible { opacity: 1; }
+  @media (hover: none) { button { opacity: 0.75; } }
+  button svg { display: block; width: 100%; height: 100%; fill: none; stroke: currentColor; stroke-width: 2; }
+  .error {
+    position: absolute; inset: 0; display: grid; place-content: center; gap: 4px; padding: 16px; box-sizing: border-box; overflow: auto;
+    background: #ececea; color: #333; font: 15px/1.45 system-ui, sans-serif; text-align: center;
+  }
+  .error p { margin: 0; }
+  .error .reason { color: #5c5c5c; font-size: 0.9em; }
+`;
+const CORNERS = 'M3 9V3h6M15 3h6v6M21 15v6h-6M9 21H3v-6';
+/** Attributes that give its name, the first that says anything. */
+export const NAMES = ['aria-label', 'alt', 'title'];
+/** What turns off what is on without it. */
+export const OFF = new Set(['off', 'false']);
+
+export class Face {
+  #host;
+  #sheet = new CSSStyleSheet();
+  #poster = make('img', 'poster');
+  #posterSlot = make('slot', '', this.#poster);
+  #error = errorBox();
+  #full = fullscreenButton(() => this.#toggleFullscreen());
+  /** What the viewer is put into, and takes the input. */
+  stage = make('div', 'stage');
+  /** True once the photo's own shape is known. */
+  shaped = false;
+
+  /** @param {HTMLElement} host that it is put into */
+  constructor(host) {
+    this.#host = host;
+    const sheet = new CSSStyleSheet();
+    sheet.replaceSync(STYLE);
+    this.shadow = host.attachShadow({ mode: 'open' });
+    this.shadow.adoptedStyleSheets = [sheet, this.#sheet];
+    this.#poster.alt = '';
+    this.#poster.loading = 'lazy';
+    this.#posterSlot.name = 'poster';
+    // whichever picture there is tells the photo's shape before the photo comes
+    this.#posterSlot.addEventListener('load', ({ target }) => this.#shapeOf(target), true);
+    host.addEventListener('load', ({ target }) => this.#shapeOf(target), true);
+    this.stage.tabIndex = 0;
+    this.stage.setAttribute('role', 'application');
+    this.shadow.append(make('div', 'room', this.#posterSlot, this.stage), this.#error, this.#full);
+  }
+
+  /** Takes over what the page has put into the element. */
+  connected() {
+    // one that the page brought along may be there already
+    this.#shapeOf(this.#host.querySelector('[slot=poster]'));
+  }
+
+  /**
+   * Takes over the shape of a picture of the photo.
+   * @param {EventTarget | null} picture
+   */
+  #shapeOf(picture) {
+    if (picture instanceof HTMLImageElement && !this.shaped) this.#shape(picture.naturalWidth, picture.naturalHeight);
+  }
+
+  /**
+   * The element's shape where CSS does not say another.
+   * @param {number} width
+   * @param {number} height
+   */
+  #shape(width, height) {
+    if (width > 0 && height > 0) this.#sheet.replaceSync(`:host { --tmpi-shape: ${width} / ${height}; }`);
+  }
+
+  /**
+   * Takes over the photo's own shape.
+   * @param {{width: number, height: number}} photo
+   */
+  know({ width, height }) {
+    this.shaped = true;
+    this.#shape(width, height);
+  }
+
+  async #toggleFullscreen() {
+    try {
+      if (document.fullscreenElement === this.#host) await document.exitFullscreen();
+      else await this.#host.requestFullscreen();
+    } catch {
+      // the page, or the frame that it is in, does not allow it
+      this.#full.hidden = true;
+    }
+  }
+
+  /** What the page calls it, or nothing. */
+  get #name() {
+    return NAMES.map((name) => this.#host.getAttribute(name)?.trim()).find(Boolean) ?? '';
+  }
+
+  /**
+   * Follows the attributes.
+   * @param {string} kind of what is shown, in words
+   */
+  describe(kind) {
+    const attribute = (/** @type {string} */ name) => this.#host.getAttribute(name) ?? '';
+    this.stage.setAttribute('aria-label', this.#name || kind);
+    this.stage.setAttribute('aria-roledescription', kind);
+    // the stage takes the input; without it the page scrolls and clicks as if a picture were there
+    this.stage.inert = OFF.has(attribute('camera-controls'));
+    this.#full.hidden = !document.fullscreenEnabled || OFF.has(attribute('fullscreen'));
+    const alt = this.#error.querySelector('p');
+    if (alt) [alt.textContent, alt.hidden] = [this.#name, !this.#name];
+    const poster = attribute('poster');
+    if (poster) this.#poster.src = poster;
+    else this.#poster.removeAttribute('src');
+  }
+
+  /**
+   * Says what the photo shows where it cannot be shown, and why.
+   * @param {string} reason
+   */
+  fail(reason) {
+    const why = this.#error.querySelector('.reason');
+    if (why) why.textContent = reason;
+    this.#error.hidden = false;
+  }
+
+  /** The poster gives way to the photo. */
+  shown() {
+    this.#posterSlot.hidden = true;
+  }
+
+  /** As before anything was shown. */
+  reset() {
+    this.shaped = false;
+    this.#posterSlot.hidden = false;
+    this.#error.hidden = true;
+  }
+}
+
+/**
+ * @template {keyof HTMLElementTagNameMap} K
+ * @param {K} tag
+ * @param {string} className
+ * @param {Node[]} content
+ */
+function make(tag, className, ...content) {
+  const out = document.createElement(tag);
+  out.className = className;
+  out.append(...content);
+  return out;
+}
+
+/** What is seen where the photo cannot be shown: the page's own, or what the photo shows and why it does not. */
+function errorBox() {
+  const slot = make('slot', '', make('p', ''), make('p', 'reason'));
+  slot.name = 'error';
+  const box = make('div', 'error', slot);
+  box.part.add('error');
+  box.setAttribute('role', 'alert');
+  box.hidden = true;
+  return box;
+}
+
+/** @param {() => void} onClick */
+function fullscreenButton(onClick) {
+  const svg = document.createElementNS('http://www.w3.org/2000/svg', 'svg');
+  const path = document.createElementNS('http://www.w3.org/2000/svg', 'path');
+  path.setAttribute('d', CORNERS);
+  svg.setAttribute('viewBox', '0 0 24 24');
+  svg.setAttribute('aria-hidden', 'true');
+  svg.append(path);
+  const button = make('button', '', svg);
+  button.type = 'button';
+  button.part.add('fullscreen');
+  button.setAttribute('aria-label', 'Full screen');
+  button.addEventListener('click', onClick);
+  return button;
+}

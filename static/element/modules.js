@@ -1,0 +1,76 @@
+// The modules that the element fetches once something is to be shown.
+
+/** All that the viewer is made of: fetched at once, not as each names the next. */
+export const MODULES = [
+  'decode/grid.js',
+  'decode/problem.js',
+  'decode/start.js',
+  'draw/backends.js',
+  'draw/depth-of-field/aperture.js',
+  'draw/depth-of-field/mean-webgl.js',
+  'draw/depth-of-field/mean-webgpu.js',
+  'draw/device.js',
+  'draw/glsl.js',
+  'draw/instances.js',
+  'draw/server-views.js',
+  'draw/texture-atlas.js',
+  'draw/tile-errors.js',
+  'draw/view-uniform.js',
+  'draw/webgl-copy.js',
+  'draw/webgl-program.js',
+  'draw/webgl-target.js',
+  'draw/webgl.js',
+  'draw/webgpu-copy.js',
+  'draw/webgpu.js',
+  'element/link.js',
+  'element/photo-addresses.js',
+  'input/camera-control.js',
+  'input/gestures.js',
+  'input/gyroscope.js',
+  'input/motion.js',
+  'input/zoom.js',
+  'view/camera.js',
+  'view/canvas-size.js',
+  'view/detail.js',
+  'view/display.js',
+  'view/frame-pacing.js',
+  'view/limits.js',
+  'view/outlook.js',
+  'view/settings.js',
+  'view/stage.js',
+  'view/viewer.js',
+];
+/** What rooms need besides. */
+export const ROOM_MODULES = [
+  'element/room.js',
+  'i18n/messages.js',
+  'live/connection.js',
+  'live/room-address.js',
+  'live/served-views.js',
+  'live/sound-player.js',
+  'live/start.js',
+  'live/states.js',
+];
+
+/** @type {Set<string>} */
+const preloaded = new Set();
+
+/**
+ * Asks for modules, once a page.
+ * @param {string[]} modules
+ */
+export function preload(modules) {
+  for (const name of modules.filter((name) => !preloaded.has(name))) {
+    preloaded.add(name);
+    const link = document.createElement('link');
+    link.rel = 'modulepreload';
+    link.href = new URL(`../${name}`, import.meta.url).href;
+    document.head.append(link);
+  }
+}
+
+/**
+ * A module below static/.
+ * @param {string} name
+ */
+export const load = (name) => import(new URL(`../${name}`, import.meta.url).href);
