@@ -12,10 +12,10 @@ export interface Pose {
 export type Mode = 'gpu' | 'webgl' | 'served' | 'still' | 'flat';
 
 /**
- * How a room stands: `waiting` for somebody to go live, `stalled` without new frames, `ended` for now, `away` where the server cannot be
+ * How a room stands: `waiting` for somebody to go live, `full` where as many watch as may, `stalled` without new frames, `ended` for now, `away` where the server cannot be
  * reached, `refused` for want of a token, `none` where there is no such room, `unsupported` where the browser decodes no video of its kind.
  */
-export type RoomState = 'connecting' | 'waiting' | 'live' | 'stalled' | 'ended' | 'away' | 'refused' | 'none' | 'unsupported';
+export type RoomState = 'connecting' | 'waiting' | 'full' | 'live' | 'stalled' | 'ended' | 'away' | 'refused' | 'none' | 'unsupported';
 
 /** What is measured of a room, twice a second while it is live. */
 export interface RoomStatistics {

@@ -248,17 +248,19 @@ mod tests {
                 model.take(&tiles).unwrap();
             }
         };
-        let mut next = |number: u64, level: u8| {
-            let rgb = (0..SIZE.0 * SIZE.1).map(|i| [level + (i % SIZE.0 / 4) as u8; 3]).collect();
+        // a wall that rises to the right, then a brighter one that falls
+        let mut next = |number: u64, falls: bool| {
+            let level = |x: u32| if falls { 219 - x / 4 } else { 20 + x / 4 };
+            let rgb = (0..SIZE.0 * SIZE.1).map(|i| [level(i % SIZE.0) as u8; 3]).collect();
             let photo = Photo { width: SIZE.0, height: SIZE.1, rgb };
             room.push(epoch, crate::live::ring::What::Key, Bytes::from_static(&[0; 10]));
             made((&room, epoch), &mut driver, Frame { number, photo, depth: None }, Instant::now());
         };
-        next(0, 20);
+        next(0, false);
         read_all(&mut model);
         let before = model.geometry().expect("all tiles of the first frame").clone();
         for number in 1..60 {
-            next(number, 180);
+            next(number, true);
             read_all(&mut model);
         }
         let tiles = &model.geometry().unwrap().tiles;

@@ -38,7 +38,7 @@
 //
 // Fires `progress` {received, total, totalProgress}, `load` {mode}, `camera-change` {pose} and `error` {message}; of rooms, which have no
 // progress, also `state` {state, reason}, `statistics` {behind, frames, kbits, viewers, …} twice a second, and `sound` {on}. A state is
-// `connecting`, `waiting` (nobody is live), `live`, `stalled`, `ended`, `away` (no server), `refused` (no token), `none` (no such room) or
+// `connecting`, `waiting` (nobody is live), `full` (no place), `live`, `stalled`, `ended`, `away` (no server), `refused` (no token), `none` (no such room) or
 // `unsupported` (no decoder for its video). It is as wide as its
 // place and has the photo's shape once that is known (16 / 10 before), unless CSS says `aspect-ratio` or `height`. All elements of a page
 // share one graphics device; those out of sight sleep.
