@@ -4,28 +4,28 @@ import { t, translatePage } from '../i18n/messages.js';
 import { formatBytes, queueText, sentence, stageText } from '../i18n/text.js';
 import { hasGyroscope } from '../input/gyroscope.js';
 import { hasHeadset } from '../input/xr.js';
-import { formatPose, parsePose } from '../view/camera.js';
 import { settingsOf } from '../view/settings.js';
 import { Viewer } from '../view/viewer.js';
 import './owner.js';
 import { getPhoto, photoUrl } from './api.js';
+import { showBackdrop } from './backdrop.js';
 import { offerBetterDepth } from './better-depth.js';
 import { depthSource } from './depth-source.js';
 import { $ } from './dom.js';
+import { showPictures } from './downloads.js';
 import { followPhoto, isUnderWay } from './follow-photo.js';
 import { photoName } from './photo-name.js';
 import { photoWithVersion, settingsMenu } from './settings-menu.js';
 import { handOver } from './undo.js';
+import { offsetOfHash, shareLink } from './view-link.js';
 
 /** @import { Photo } from './api.js' */
 /** @import { Shared } from './share-dialog.js' */
 
 const TOAST_MS = 2500;
 const NOTE_MS = 7000;
-const HASH_KEY = 'pose';
 /** Where it is kept that this browser was told how to move. */
 const HINTED = 'tmpi-hinted';
-const BACKDROP = [12, 9];
 /** How far a pointer may go between press and release and still have clicked. */
 const CLICK_PX = 5;
 
@@ -42,20 +42,6 @@ let viewer;
 let visibility;
 /** When the picture of the photo as it is now is there, or can't be had. */
 let pictured = Promise.resolve();
-
-/** Where the address asks the camera to start: offsets in units of the view box. */
-function offsetOfHash() {
-  const pose = parsePose(new URLSearchParams(location.hash.slice(1)).get(HASH_KEY) ?? '');
-  return pose ? { x: pose.tx, y: pose.ty, z: pose.tz } : undefined;
-}
-
-function shareAddress() {
-  const { x, y, z } = viewer.motion.now;
-  const url = new URL(location.href);
-  const pose = formatPose({ tx: x, ty: y, tz: z });
-  url.hash = pose === '0,0,0' ? '' : `${HASH_KEY}=${pose}`;
-  return url.href;
-}
 
 /** @param {string} text */
 function toast(text) {
@@ -101,22 +87,6 @@ function fail(message) {
 /** @param {boolean} on */
 function showIdle(on) {
   $('idle').setAttribute('aria-pressed', String(on));
-}
-
-/**
- * Fills what the photo leaves free with its colours: a few pixels drawn large, which costs no frame any time.
- * @param {HTMLImageElement} image
- */
-async function showBackdrop(image) {
-  await image.decode().catch(() => {});
-  if (!image.naturalWidth) return;
-  const canvas = $('backdrop', HTMLCanvasElement);
-  [canvas.width, canvas.height] = BACKDROP;
-  const context = canvas.getContext('2d');
-  if (!context) return;
-  context.imageSmoothingQuality = 'high';
-  context.drawImage(image, 0, 0, canvas.width, canvas.height);
-  canvas.hidden = false;
 }
 
 /** Starts the viewer; where the photo is not made yet, waits for it first. */
@@ -189,28 +159,6 @@ async function waitOrFail(message) {
     failed: fail,
     deleted: () => fail(t('The photo was deleted.')),
   });
-}
-
-async function share() {
-  const url = shareAddress();
-  if (navigator.share && matchMedia('(pointer: coarse)').matches) {
-    try {
-      await navigator.share({ title: document.title, url });
-      return;
-    } catch (error) {
-      if (error.name === 'AbortError') return;
-    }
-  }
-  try {
-    await navigator.clipboard.writeText(url);
-    toast(t('Link to this view copied'));
-  } catch {
-    // no clipboard on a page without TLS
-    const link = $('link', HTMLInputElement);
-    link.value = url;
-    $('link-dialog', HTMLDialogElement).showModal();
-    link.select();
-  }
 }
 
 async function toggleFullscreen() {
@@ -323,27 +271,6 @@ async function showAgain() {
   showDepthSource();
 }
 
-/** Pictures that the server draws: what stays in place lies in the screen. */
-const PICTURES = /** @type {Record<string, {query: string, ending: string}>} */ ({
-  anaglyph: { query: 'stereo=anaglyph&format=jpeg', ending: '-anaglyph.jpg' },
-  sbs: { query: 'stereo=sbs&format=jpeg', ending: '-sbs.jpg' },
-  // its columns, rows and aspect are in its name, as the displays' programs read them
-  quilt: { query: 'quilt=8x6&w=420&h=560&format=png', ending: '_qs8x6a0.75.png' },
-});
-
-/** Their addresses and names, as the photo is now. */
-function showPictures() {
-  const stem = container.download.replace(/\.tmpi$/, '');
-  for (const link of document.querySelectorAll(/** @type {'a'} */ ('[data-view]'))) {
-    const { query, ending } = PICTURES[link.dataset.view ?? ''];
-    link.href = photoUrl(id, `/view?${query}&focus=${viewer.pivot.toFixed(3)}`);
-    link.download = stem + ending;
-  }
-  const depth = $('depth-download', HTMLAnchorElement);
-  depth.href = photoUrl(id, '/depth');
-  depth.download = `${stem}_depth.png`;
-}
-
 /** Says, where the menu is opened, what made the depth. */
 async function showDepthSource() {
   const line = $('depth-source');
@@ -383,7 +310,7 @@ $('reset').addEventListener('click', () => viewer.reset());
 $('idle').addEventListener('click', () => viewer.setIdle(!viewer.idle));
 $('share-link').addEventListener('click', () => {
   $('share-menu').hidePopover();
-  share();
+  shareLink(viewer.motion.now, toast);
 });
 /** @type {Record<string, () => Promise<{open: (photo: Shared) => Promise<HTMLDialogElement>}>>} */
 const DIALOGS = {
@@ -408,7 +335,7 @@ container.href = photoUrl(id, '/atlas');
 container.download = `${id}.tmpi`;
 for (const link of document.querySelectorAll(/** @type {'a'} */ ('[data-export]')))
   link.href = photoUrl(id, `/export?format=${link.dataset.export}`);
-$('download-menu').addEventListener('beforetoggle', showPictures);
+$('download-menu').addEventListener('beforetoggle', () => showPictures(id, container.download.replace(/\.tmpi$/, ''), viewer.pivot));
 $('fullscreen').hidden = !document.fullscreenEnabled;
 $('fullscreen').addEventListener('click', toggleFullscreen);
 document.addEventListener('fullscreenchange', () =>

@@ -35,9 +35,11 @@ export const MODULES = [
   'view/display.js',
   'view/frame-pacing.js',
   'view/limits.js',
+  'view/live-view.js',
   'view/outlook.js',
   'view/settings.js',
   'view/stage.js',
+  'view/steering.js',
   'view/viewer.js',
 ];
 /** What rooms need besides. */

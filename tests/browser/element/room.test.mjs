@@ -130,6 +130,8 @@ describe('rooms in the element', () => {
     const workers = page.workers().length;
     await page.evaluate(() => document.querySelector('tmpi-viewer').remove());
     await publisher.page.waitForFunction(() => !/1 watching/.test(document.getElementById('state').textContent));
+    // the browser may tell of its end after the publisher does
+    for (let i = 0; i < 50 && page.workers().length; i++) await page.waitForTimeout(100);
     assert.ok(workers === 1 && page.workers().length === 0, `${workers} workers, then ${page.workers().length}`);
     assert.deepEqual(errors, []);
     await context.close();

@@ -1,0 +1,29 @@
+// The links of the download menu to what the server makes of a photo.
+
+import { photoUrl } from './api.js';
+import { $ } from './dom.js';
+
+/** Pictures that the server draws: what stays in place lies in the screen. */
+const PICTURES = /** @type {Record<string, {query: string, ending: string}>} */ ({
+  anaglyph: { query: 'stereo=anaglyph&format=jpeg', ending: '-anaglyph.jpg' },
+  sbs: { query: 'stereo=sbs&format=jpeg', ending: '-sbs.jpg' },
+  // its columns, rows and aspect are in its name, as the displays' programs read them
+  quilt: { query: 'quilt=8x6&w=420&h=560&format=png', ending: '_qs8x6a0.75.png' },
+});
+
+/**
+ * Gives the links to pictures and depth their addresses and names, as the photo is now.
+ * @param {string} id of the photo
+ * @param {string} stem of the files' names
+ * @param {number} focus disparity of what lies in the screen
+ */
+export function showPictures(id, stem, focus) {
+  for (const link of document.querySelectorAll(/** @type {'a'} */ ('[data-view]'))) {
+    const { query, ending } = PICTURES[link.dataset.view ?? ''];
+    link.href = photoUrl(id, `/view?${query}&focus=${focus.toFixed(3)}`);
+    link.download = stem + ending;
+  }
+  const depth = $('depth-download', HTMLAnchorElement);
+  depth.href = photoUrl(id, '/depth');
+  depth.download = `${stem}_depth.png`;
+}

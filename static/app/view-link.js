@@ -1,0 +1,50 @@
+// Links to a view: the camera's offset stands behind the # of the page's address.
+
+import { t } from '../i18n/messages.js';
+import { formatPose, parsePose } from '../view/camera.js';
+import { $ } from './dom.js';
+
+/** @import { Offset } from '../decode/scene.js' */
+
+const HASH_KEY = 'pose';
+
+/** Where the address asks the camera to start: offsets in units of the view box. */
+export function offsetOfHash() {
+  const pose = parsePose(new URLSearchParams(location.hash.slice(1)).get(HASH_KEY) ?? '');
+  return pose ? { x: pose.tx, y: pose.ty, z: pose.tz } : undefined;
+}
+
+/** @param {Offset} offset of the camera, in units of the view box */
+function addressAt({ x, y, z }) {
+  const url = new URL(location.href);
+  const pose = formatPose({ tx: x, ty: y, tz: z });
+  url.hash = pose === '0,0,0' ? '' : `${HASH_KEY}=${pose}`;
+  return url.href;
+}
+
+/**
+ * Gives away a link to the view at an offset.
+ * @param {Offset} offset
+ * @param {(text: string) => void} say
+ */
+export async function shareLink(offset, say) {
+  const url = addressAt(offset);
+  if (navigator.share && matchMedia('(pointer: coarse)').matches) {
+    try {
+      await navigator.share({ title: document.title, url });
+      return;
+    } catch (error) {
+      if (error.name === 'AbortError') return;
+    }
+  }
+  try {
+    await navigator.clipboard.writeText(url);
+    say(t('Link to this view copied'));
+  } catch {
+    // no clipboard on a page without TLS
+    const link = $('link', HTMLInputElement);
+    link.value = url;
+    $('link-dialog', HTMLDialogElement).showModal();
+    link.select();
+  }
+}

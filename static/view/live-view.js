@@ -1,0 +1,256 @@
+// A room in the viewer: its frames as they come from its worker (live/worker.js), drawn here, as plain video or by the server.
+
+import { POSE_KEYS } from './camera.js';
+
+/** @import { SceneHead } from '../decode/scene.js' */
+/** @import { Instances } from '../draw/instances.js' */
+/** @import { ServedViews } from '../live/served-views.js' */
+/** @import { Cells } from '../live/tile-atlas.js' */
+/** @import { Stage } from './stage.js' */
+/** @import { Viewer } from './viewer.js' */
+
+/**
+ * A room to watch: what starts its worker, its address and token, and what shows views that the server draws of it.
+ * @typedef {{start: () => Worker, address: string, token: string, Views: typeof ServedViews}} Live
+ */
+/**
+ * What of a viewer is no business of others: where its pictures lie, and to draw its scene on the best backend that can be had, `anew`
+ * where another was drawn before.
+ * @typedef {{stage: Stage, draw: (anew: boolean) => Promise<void>}} Inside
+ */
+
+export class LiveView {
+  /** @type {Viewer} */
+  #viewer;
+  /** @type {Live} */
+  #live;
+  /** @type {Inside} */
+  #inside;
+  /**
+   * Views that the server draws, where nothing here does.
+   * @type {ServedViews | null}
+   */
+  #served = null;
+  /** Nothing here decodes the room's video. */
+  #undecoded = false;
+  /**
+   * Frames that came since the screen was refreshed.
+   * @type {{instances: Instances | null, cells: Cells}[]}
+   */
+  #fresh = [];
+  /** The video is shown as it is until there is a scene. */
+  #early = false;
+  /** What drew the room before has gone since. */
+  #anew = false;
+  /** Scenes are drawn one after the other. */
+  #redrawn = Promise.resolve();
+
+  /**
+   * @param {Viewer} viewer
+   * @param {Live} live
+   * @param {Inside} inside
+   */
+  constructor(viewer, live, inside) {
+    [this.#viewer, this.#live, this.#inside] = [viewer, live, inside];
+  }
+
+  /**
+   * The room begins, or begins anew.
+   * @param {SceneHead} head
+   */
+  begin(head) {
+    this.#drop();
+    if (this.#undecoded) this.serveAlone(head);
+  }
+
+  /** Another publisher, of whose video there is a decoder. */
+  decoded() {
+    if (!this.#undecoded) return;
+    this.#undecoded = false;
+    this.#drop();
+  }
+
+  #drop() {
+    this.#served?.dispose();
+    this.#served = null;
+  }
+
+  /** Nobody looks: the server need not draw. */
+  stop() {
+    this.#served?.stop();
+  }
+
+  dispose() {
+    this.#served?.dispose();
+  }
+
+  /** What has the server draw what is seen now; nothing where the video shows it, which it turns to then. */
+  views() {
+    if (this.#wantsServed) return this.#served;
+    this.#served?.stop();
+    this.#turn('flat');
+    return null;
+  }
+
+  /** Whether somebody sees what only the server can draw of a room. */
+  get #wantsServed() {
+    const { camera, lens, asleep } = this.#viewer;
+    if (asleep || document.hidden) return false;
+    const { coarsePose } = camera;
+    return this.#undecoded || lens.close || POSE_KEYS.some((key) => coarsePose[key]);
+  }
+
+  /**
+   * Changes between a room's video and views that the server draws of it.
+   * @param {'flat' | 'served'} mode
+   */
+  #turn(mode) {
+    const viewer = this.#viewer;
+    if (viewer.mode === mode || this.#undecoded || !viewer.canvas) return;
+    viewer.mode = mode;
+    viewer.canvas.style.visibility = mode === 'served' ? 'hidden' : '';
+    viewer.emit('mode', { mode, reason: '' });
+    viewer.layout();
+  }
+
+  /**
+   * Has the server draw a room all the time: nothing here decodes its video.
+   * @param {SceneHead} head
+   */
+  serveAlone(head) {
+    const viewer = this.#viewer;
+    if (this.#undecoded && this.#served) return;
+    this.#undecoded = true;
+    viewer.renderer?.dispose();
+    viewer.renderer = null;
+    this.#inside.stage.canvas = null;
+    viewer.mode = 'served';
+    viewer.setIdle(false);
+    let [shown, said] = [false, ''];
+    const say = (/** @type {string} */ state) => {
+      if (state !== said) viewer.emit('live', { type: 'state', state, reason: '' });
+      said = state;
+    };
+    this.#prepareServed(head, {
+      shown: (fresh) => {
+        if (!shown) viewer.emit('ready', { mode: 'served' });
+        shown = true;
+        say(fresh ? 'live' : 'stalled');
+      },
+      refused: (state) => say(state === 'busy' ? 'stalled' : state === 'waiting' && shown ? 'ended' : state),
+    });
+    viewer.layout();
+  }
+
+  /**
+   * @param {SceneHead} head
+   * @param {{shown: (fresh: boolean) => void, refused: (state: string) => void}} on
+   */
+  #prepareServed(head, on) {
+    this.#served = new this.#live.Views(this.#viewer.poster, this.#live, head, on);
+  }
+
+  /**
+   * Draws a room's scene from its beginning.
+   * @param {Cells} cells
+   */
+  draw(cells) {
+    const viewer = this.#viewer;
+    const { scene } = viewer;
+    this.#early = false;
+    // one after the other, and only the newest
+    this.#redrawn = this.#redrawn.then(async () => {
+      if (viewer.disposed || scene !== viewer.scene) return;
+      const before = viewer.renderer;
+      // what was drawn before was another scene
+      const anew = before !== null || this.#anew;
+      this.#anew = false;
+      await this.#inside.draw(anew);
+      before?.dispose();
+      if (viewer.renderer) this.follow({ instances: null, cells });
+    });
+  }
+
+  /**
+   * Shows the next frame of a room when the screen is refreshed; a page that nobody sees asks for no more.
+   * @param {{instances: Instances | null, cells: Cells}} change
+   */
+  follow(change) {
+    if (this.#viewer.disposed) return;
+    this.#fresh.push(change);
+    requestAnimationFrame(() => {
+      // while the camera moves, it is drawn with the camera's next step: once for each refresh
+      if (this.#viewer.moving || !this.takeFresh()) return;
+      this.#viewer.render();
+    });
+  }
+
+  /** Hands frames of a room to what draws them; false where there are none. */
+  takeFresh() {
+    const fresh = this.#fresh.splice(0);
+    const { renderer, disposed } = this.#viewer;
+    if (!fresh.length || disposed || !renderer) return false;
+    for (const change of fresh) renderer.update(change);
+    this.#viewer.tell({ drawn: true });
+    return true;
+  }
+
+  /**
+   * Shows a frame of a room as it is, where nothing can draw its scene, or there is none yet.
+   * @param {VideoFrame | ImageBitmap} picture
+   * @param {boolean} early there is none yet
+   */
+  showFlat(picture, early) {
+    const viewer = this.#viewer;
+    const { head } = viewer;
+    if (!head || viewer.disposed) return picture.close();
+    if (early) return this.#showEarly(picture, head);
+    // the video is there again where the server refuses
+    if (!this.#served) {
+      this.#prepareServed(head, { shown: () => this.#turn('served'), refused: () => this.#turn('flat') });
+      viewer.render();
+    }
+    if (!viewer.canvas) {
+      const canvas = document.createElement('canvas');
+      [canvas.width, canvas.height] = [head.width, head.height];
+      this.#inside.stage.canvas = canvas;
+      viewer.mode = 'flat';
+      viewer.setIdle(false);
+      viewer.layout();
+      viewer.emit('ready', { mode: 'flat' });
+    }
+    requestAnimationFrame(() => {
+      viewer.canvas?.getContext('2d')?.drawImage(picture, 0, 0, head.width, head.height);
+      picture.close();
+      viewer.tell({ drawn: true });
+    });
+  }
+
+  /**
+   * Shows a frame of a room of which nothing is known but that.
+   * @param {VideoFrame | ImageBitmap} picture
+   * @param {SceneHead} head
+   */
+  #showEarly(picture, head) {
+    const viewer = this.#viewer;
+    if (!this.#early || !viewer.canvas) {
+      this.#early = true;
+      // of the room as it was before
+      if (viewer.renderer) this.#anew = true;
+      viewer.renderer?.dispose();
+      viewer.renderer = null;
+      const canvas = document.createElement('canvas');
+      [canvas.width, canvas.height] = [head.width, head.height];
+      this.#inside.stage.canvas = canvas;
+      viewer.mode = 'flat';
+      viewer.layout();
+      viewer.emit('ready', { mode: 'flat', early: true });
+    }
+    const { canvas } = viewer;
+    requestAnimationFrame(() => {
+      if (this.#early) canvas?.getContext('2d')?.drawImage(picture, 0, 0, head.width, head.height);
+      picture.close();
+      viewer.tell({ drawn: true });
+    });
+  }
+}
