@@ -301,7 +301,7 @@ impl Auditor {
             return Ok(());
         };
         let is_open = wanted.open.iter().any(|(of, open)| *of == id && making.starts_with(open.as_str()));
-        if wanted.unknown.contains(&id) || is_open || !self.is_old(making) || !self.is_written_before(name)? {
+        if wanted.unknown.contains(&id) || is_open || !self.is_old(making) {
             return Ok(());
         }
         let unread = self.audit.unread.len();
@@ -310,7 +310,7 @@ impl Auditor {
         } else if name.starts_with(records::PENDING) {
             self.record::<Marker>(name)?;
         }
-        if self.audit.unread.len() == unread {
+        if self.audit.unread.len() == unread && self.is_written_before(name)? {
             self.audit.left_over.push(name.to_owned());
         }
         Ok(())
