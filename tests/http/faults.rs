@@ -154,7 +154,7 @@ fn over(away: Away) {
     let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build().unwrap();
     let engine = google::start(&runtime);
     let faults = Faults::before(engine);
-    let variables = [("GOOGLE_BASE_URL", format!("http://{}", faults.addr)), ("GOOGLE_SKIP_SIGNATURE", "true".into())];
+    let variables = [("GOOGLE_BASE_URL", format!("http://{}", faults.addr)), ("GOOGLE_BEARER_TOKEN", "a token".into())];
     let dir = tempfile::tempdir().unwrap();
     let node = |role: &str| start(&dir.path().join(role), "gs://photos/tmpi", &["--role", role], &variables);
     let (serve, worker) = (node("serve"), node("work"));
