@@ -65,7 +65,9 @@ impl<'a> Reading<'a> {
         if self.bytes > MOST
             && let Some(all) = self.all.take()
         {
-            all.into_iter().for_each(|name| self.choose(name));
+            for name in all {
+                self.choose(name);
+            }
         }
     }
 
