@@ -41,6 +41,8 @@ struct Inner {
     full: bool,
     /// Bytes that are free while it is not.
     free: u64,
+    /// Whether there is no place for another file, however much room.
+    no_files: bool,
     /// Whether only one change fails.
     once: bool,
 }
@@ -51,7 +53,7 @@ pub struct Forgetful(Mutex<Inner>);
 
 impl Forgetful {
     pub fn new() -> Self {
-        Self(Mutex::new(Inner { nodes: vec![Node::folder()], left: usize::MAX, full: false, free: ALL, once: false }))
+        Self(Mutex::new(Inner { nodes: vec![Node::folder()], left: usize::MAX, full: false, free: ALL, no_files: false, once: false }))
     }
 
     fn lock(&self) -> std::sync::MutexGuard<'_, Inner> {
@@ -74,6 +76,11 @@ impl Forgetful {
     pub fn fill(&self, full: bool) {
         let mut inner = self.lock();
         (inner.left, inner.full) = (if full { 0 } else { usize::MAX }, full);
+    }
+
+    /// From now on there is no place for another file, or there is again.
+    pub fn use_up_files(&self, used: bool) {
+        self.lock().no_files = used;
     }
 
     /// From now on so many bytes are free, whatever is written.
@@ -164,6 +171,9 @@ impl Inner {
     }
 
     fn put(&mut self, path: &Path, node: Node) -> io::Result<()> {
+        if self.no_files && self.find(path).is_err() {
+            return Err(io::ErrorKind::StorageFull.into());
+        }
         let at = self.nodes.len();
         let (entries, name) = self.entries(path)?;
         entries.insert(name, at);
@@ -275,6 +285,11 @@ impl Files for Forgetful {
 
     fn room(&self, _: &Path) -> Option<Room> {
         let inner = self.lock();
-        Some(Room { bytes: if inner.full { 0 } else { inner.free }, all_bytes: ALL, files: ALL, all_files: ALL })
+        Some(Room {
+            bytes: if inner.full { 0 } else { inner.free },
+            all_bytes: ALL,
+            files: if inner.no_files { 0 } else { ALL },
+            all_files: ALL,
+        })
     }
 }

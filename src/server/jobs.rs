@@ -446,4 +446,4 @@ impl Inner {
 }
 
 #[cfg(test)]
-mod among_tests;
+pub(in crate::server) mod among_tests;

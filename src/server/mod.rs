@@ -59,6 +59,7 @@ mod time;
 mod timed;
 mod tls;
 mod traces;
+mod trusted;
 mod upkeep;
 mod upload;
 mod worker;

@@ -2,18 +2,23 @@
 //!
 //! When photos were looked at is kept in `DIR/looked.json` at each sweep, so that a restart forgets little. In a store of several nodes photos go
 //! by their age alone, and the index there says which: no node knows when all of them were looked at.
+//!
+//! No clock is believed that jumps ahead, see trusted.rs. In a store it is the store's clock that counts, also for when a photo was accepted.
 
 use std::collections::BTreeMap;
+use std::io;
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use super::app::App;
-use super::cluster::Cluster;
+use super::cluster::{Cluster, Place, side_by_side};
 use super::entry::Entry;
 use super::id::PhotoId;
+use super::jobs::Jobs;
 use super::limits::Limits;
 use super::problem::Problem;
-use super::time::{now_ms, rfc3339};
+use super::time::{rfc3339, wall_ms};
+use super::trusted::TrustedClock;
 
 /// The first sweep after a start.
 const FIRST: Duration = Duration::from_mins(1);
@@ -88,66 +93,120 @@ fn overdue(mut all: Vec<Candidate>, limits: &Limits, now_ms: u64) -> Vec<(PhotoI
     going
 }
 
+/// Among the times at which photos were looked at, that of the sweep.
+const SWEPT: &str = "swept";
+
 /// Sweeps now and then, where photos are to go.
 pub async fn sweep(app: App) {
     if app.limits.retain.is_none() && app.limits.retain_bytes.is_none() {
         return;
     }
+    let mut swept = None;
     if app.jobs.cluster.is_none() {
-        remember(&app).await;
+        swept = remember(&app).await;
     } else if app.limits.retain_bytes.is_some() {
         tracing::warn!("--retain-mib is for one node alone; photos of a store go by their age");
     }
-    let mut pause = FIRST.min(app.limits.retain_sweep);
+    let (mut pause, mut clock) = (FIRST.min(app.limits.retain_sweep), None);
     loop {
         tokio::time::sleep(pause).await;
         pause = app.limits.retain_sweep;
-        if let Err(problem) = once(&app).await {
+        let done = match app.jobs.cluster.clone() {
+            Some(cluster) => once_there(&app, &cluster, &mut clock).await,
+            None => once(&app, swept, &mut clock).await,
+        };
+        if let Err(problem) = done {
             tracing::warn!(detail = %problem.detail, "photos that are to go stay until the next sweep");
         }
     }
 }
 
-async fn once(app: &App) -> Result<(), Problem> {
-    if let Some(cluster) = app.jobs.cluster.clone() {
-        return once_there(app, &cluster).await;
-    }
+/// One sweep of a node alone; the one before its start was at `swept`, in milliseconds since 1970.
+async fn once(app: &App, swept: Option<u64>, clock: &mut Option<TrustedClock>) -> Result<(), Problem> {
     let shared = Arc::clone(app);
     let all = app.change(move || shared.jobs.all().iter().map(|entry| Candidate::of(entry)).collect::<Vec<_>>()).await?;
+    let (told, at) = (wall_ms(), Instant::now());
+    // photos have the time of a clock that nothing was held against
+    let latest = swept.or_else(|| all.iter().map(|photo| photo.at_ms).max());
+    let now_ms = clock.get_or_insert_with(|| TrustedClock::start(told, latest, at)).time(told, at);
     // after them: a disk that is full takes nothing before
-    go(app, &all).await?;
-    keep(app, &all).await
+    go(app, &all, overdue(all.clone(), &app.limits, now_ms)).await?;
+    keep(app, &all, now_ms).await
 }
 
 /// The same in a store of several nodes: what is behind the place of the youngest that is too old.
-async fn once_there(app: &App, cluster: &Arc<Cluster>) -> Result<(), Problem> {
-    /// Photos that are looked at at a time.
-    const PART: usize = 256;
+async fn once_there(app: &App, cluster: &Arc<Cluster>, clock: &mut Option<TrustedClock>) -> Result<(), Problem> {
     let Some(time) = app.limits.retain else { return Ok(()) };
-    let young = now_ms().saturating_sub(time.as_millis() as u64).saturating_add(1);
-    // behind all of one millisecond
-    let mut after = Some((young, PhotoId::from_bytes([u8::MAX; 16])));
+    let (of, before) = (Arc::clone(cluster), *clock);
+    let asked = tokio::task::spawn_blocking(move || store_time(&of, before));
+    let (now_ms, after) = asked.await.map_err(|e| Problem::internal("asking for the time", &e))?.map_err(|e| Problem::store(&e))?;
+    *clock = Some(after);
+    let mut after = Some(youngest(time, now_ms));
     loop {
-        let (shared, cluster) = (Arc::clone(app), Arc::clone(cluster));
-        let part = tokio::task::spawn_blocking(move || shared.jobs.part(&cluster, None, after, PART));
-        let (part, last) = part.await.map_err(|e| Problem::internal("looking for old photos", &e))?.map_err(|e| Problem::store(&e))?;
-        after = part.last().map(|(place, _)| *place).or(after);
-        // as long as these are held they are found by their ids
-        let all: Vec<Candidate> = part.iter().filter_map(|(_, entry)| Some(Candidate::of(entry.as_ref()?))).collect();
-        go(app, &all).await?;
-        if last {
+        let (shared, cluster, limits) = (Arc::clone(app), Arc::clone(cluster), Arc::clone(&app.limits));
+        let part = tokio::task::spawn_blocking(move || old_there(&shared.jobs, &cluster, &limits, now_ms, after));
+        // held until they are gone: so long they are found by their ids
+        let Old { held, all, going, is_end } =
+            part.await.map_err(|e| Problem::internal("looking for old photos", &e))?.map_err(|e| Problem::store(&e))?;
+        after = held.last().map(|(place, _)| *place).or(after);
+        go(app, &all, going).await?;
+        if is_end {
             return Ok(());
         }
     }
 }
 
+/// The time by the store's clock as far as that is believed, and what is known of it from now on.
+fn store_time(cluster: &Cluster, clock: Option<TrustedClock>) -> io::Result<(u64, TrustedClock)> {
+    let latest = match &clock {
+        Some(clock) => Some(clock.last()),
+        None => cluster.latest_ms()?,
+    };
+    let (told, at) = (cluster.now_ms(latest)?, Instant::now());
+    let mut clock = clock.unwrap_or_else(|| TrustedClock::start(told, latest, at));
+    Ok((clock.time(told, at), clock))
+}
+
+/// The place before that of the youngest photo that is too old.
+fn youngest(time: Duration, now_ms: u64) -> Place {
+    // behind all of one millisecond
+    (now_ms.saturating_sub(time.as_millis() as u64).saturating_add(1), PhotoId::from_bytes([u8::MAX; 16]))
+}
+
+/// Photos of a store that are old by their records.
+struct Old {
+    held: Vec<(Place, Option<Arc<Entry>>)>,
+    all: Vec<Candidate>,
+    /// Those of them that are to go.
+    going: Vec<(PhotoId, Reason)>,
+    /// No others follow.
+    is_end: bool,
+}
+
+/// Looks at some photos behind `after`.
+fn old_there(jobs: &Jobs, cluster: &Cluster, limits: &Limits, now_ms: u64, after: Option<Place>) -> io::Result<Old> {
+    /// Photos that are looked at at a time.
+    const PART: usize = 256;
+    let (held, is_end) = jobs.part(cluster, None, after, PART)?;
+    let all: Vec<Candidate> = held.iter().filter_map(|(_, entry)| Some(Candidate::of(entry.as_ref()?))).collect();
+    // in a store those that are given here are not all that take room
+    let limits = Limits { retain_bytes: None, ..limits.clone() };
+    let going = overdue(all.clone(), &limits, now_ms);
+    // the clock of the node that took it may have been behind
+    let is_old = |(id, _): &(PhotoId, Reason)| -> io::Result<bool> {
+        let accepted = cluster.accepted_ms(*id)?;
+        Ok(accepted.and_then(|at_ms| ends_ms(&limits, at_ms)).is_none_or(|end| end <= now_ms))
+    };
+    let are_old = side_by_side(&going, is_old).into_iter().collect::<io::Result<Vec<bool>>>()?;
+    let going = going.into_iter().zip(are_old).filter(|(_, is_old)| *is_old).map(|(photo, _)| photo).collect();
+    Ok(Old { held, all, going, is_end })
+}
+
 /// Has those of some photos go that are to.
-async fn go(app: &App, all: &[Candidate]) -> Result<(), Problem> {
+async fn go(app: &App, all: &[Candidate], going: Vec<(PhotoId, Reason)>) -> Result<(), Problem> {
     let of: BTreeMap<PhotoId, (u64, u64)> = all.iter().map(|photo| (photo.id, (photo.at_ms, photo.bytes))).collect();
     let (mut count, mut freed) = (0_usize, 0);
-    // in a store those that are given here are not all that take room
-    let limits = Limits { retain_bytes: app.limits.retain_bytes.filter(|_| app.jobs.cluster.is_none()), ..app.limits.as_ref().clone() };
-    for (id, reason) in overdue(all.to_vec(), &limits, now_ms()) {
+    for (id, reason) in going {
         let Some((at_ms, bytes)) = of.get(&id).copied() else { continue };
         let shared = Arc::clone(app);
         // what was deleted since and uploaded again is new
@@ -164,35 +223,37 @@ async fn go(app: &App, all: &[Candidate]) -> Result<(), Problem> {
     Ok(())
 }
 
-/// Keeps when photos were looked at, where that counts.
-async fn keep(app: &App, all: &[Candidate]) -> Result<(), Problem> {
-    if app.limits.retain_bytes.is_none() {
-        return Ok(());
-    }
-    let seen: BTreeMap<String, u64> = all.iter().map(|photo| (photo.id.to_string(), photo.seen_ms)).collect();
+/// Keeps when photos were looked at, where that counts, and the time of the sweep.
+async fn keep(app: &App, all: &[Candidate], now_ms: u64) -> Result<(), Problem> {
+    let counted = if app.limits.retain_bytes.is_some() { all } else { &[] };
+    let mut seen: BTreeMap<String, u64> = counted.iter().map(|photo| (photo.id.to_string(), photo.seen_ms)).collect();
+    seen.insert(SWEPT.into(), now_ms);
     let text = serde_json::to_vec(&seen).map_err(|e| Problem::internal("when photos were looked at", &e))?;
     let shared = Arc::clone(app);
     app.change(move || shared.jobs.store.write_looked(&text)).await?.map_err(|e| Problem::store(&e))
 }
 
-/// Takes up when photos were looked at before the start.
-async fn remember(app: &App) {
+/// Takes up when photos were looked at before the start; gives the time of the last sweep.
+async fn remember(app: &App) -> Option<u64> {
     let shared = Arc::clone(app);
     let read = tokio::task::spawn_blocking(move || {
         let bytes = shared.jobs.store.read_looked()?;
-        let seen: BTreeMap<String, u64> = serde_json::from_slice(&bytes)?;
+        let mut seen: BTreeMap<String, u64> = serde_json::from_slice(&bytes)?;
+        let swept = seen.remove(SWEPT);
         for (id, ms) in seen {
             if let Some(entry) = id.parse().ok().and_then(|id| shared.jobs.get(id)) {
                 entry.look(ms);
             }
         }
-        Ok::<_, std::io::Error>(())
+        Ok::<_, io::Error>(swept)
     });
     match read.await {
-        Ok(Err(error)) if error.kind() != std::io::ErrorKind::NotFound => {
+        Ok(Ok(swept)) => swept,
+        Ok(Err(error)) if error.kind() != io::ErrorKind::NotFound => {
             tracing::warn!(%error, "when photos were looked at is not known; it counts when they were made");
+            None
         }
-        _ => {}
+        _ => None,
     }
 }
 
@@ -207,6 +268,9 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
+    use crate::server::cluster::memory::{self, Memory, put, settings};
+    use crate::server::jobs::among_tests::node;
+    use crate::server::part::Part;
 
     const DAY_MS: u64 = 86_400_000;
 
@@ -234,6 +298,53 @@ mod tests {
         assert_eq!(names(&going), [("01".into(), Reason::Age), ("03".into(), Reason::Room), ("02".into(), Reason::Room)]);
         assert!(overdue(all, &Limits::default(), now).is_empty(), "off where nobody asked for it");
         assert_eq!(ends_ms(&limits, 7), Some(2 * DAY_MS + 7));
+    }
+
+    #[test]
+    fn no_photo_of_a_store_goes_too_early_whichever_clock_is_wrong() {
+        let (store, limits) = (Memory::default(), Limits { retain: Some(Duration::from_hours(48)), ..Limits::default() });
+        store.built();
+        let node = node(&store, &limits);
+        // the node's clock is right, or three days behind that of the store
+        let (wall, now) = (wall_ms(), wall_ms() + 3 * DAY_MS);
+        store.tells(now);
+        let old = put(&store, 1, wall, None, true).1;
+        put(&store, 2, now - DAY_MS, None, true);
+        let (behind, accepted) = memory::accepted(3, wall, None);
+        assert!(node.cluster.accept(behind, &accepted, &settings(3), vec![(Part::Upload, b"photo".to_vec())]).unwrap());
+        memory::finish(&node.cluster, behind);
+        let going = |now_ms: u64| {
+            let Old { going, is_end, .. } =
+                old_there(&node.jobs, &node.cluster, &limits, now_ms, Some(youngest(Duration::from_hours(48), now_ms))).unwrap();
+            assert!(is_end);
+            going.into_iter().map(|(id, _)| id).collect::<Vec<_>>()
+        };
+        assert_eq!(going(now), [old], "not what came just now");
+        assert_eq!(going(now + 3 * DAY_MS).len(), 3);
+    }
+
+    #[test]
+    fn a_store_whose_clock_jumps_ahead_is_not_believed_nor_after_a_restart() {
+        let store = Memory::default();
+        store.built();
+        let node = node(&store, &Limits::default());
+        let (now, years) = (20_000 * DAY_MS, 4_000 * DAY_MS);
+        store.tells(now);
+        put(&store, 1, now - DAY_MS, None, true);
+        let near = |ms: u64| (now..now + 60_000).contains(&ms);
+        let (first, clock) = store_time(&node.cluster, None).unwrap();
+        assert_eq!(first, now);
+        let (second, clock) = store_time(&node.cluster, Some(clock)).unwrap();
+        assert!(near(second));
+        store.tells(now + years);
+        assert!(near(store_time(&node.cluster, Some(clock)).unwrap().0));
+        // and a photo that is taken meanwhile
+        put(&store, 2, now + years, None, true);
+        assert!(near(store_time(&node.cluster, None).unwrap().0), "a node that starts");
+        store.tells(now + 7);
+        assert_eq!(store_time(&node.cluster, None).unwrap().0, now + 7);
+        store.is_away(true);
+        assert!(store_time(&node.cluster, None).is_err());
     }
 
     proptest! {

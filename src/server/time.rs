@@ -8,8 +8,13 @@ static LATEST: AtomicU64 = AtomicU64::new(0);
 
 /// Milliseconds since 1970, UTC; never earlier than it said before, as the list and versions of photos go by it.
 pub fn now_ms() -> u64 {
-    let now = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_millis() as u64);
+    let now = wall_ms();
     LATEST.fetch_max(now, Ordering::AcqRel).max(now)
+}
+
+/// What this machine's clock says now, in milliseconds since 1970, whatever it said before.
+pub fn wall_ms() -> u64 {
+    SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_millis() as u64)
 }
 
 /// From now on no time is told before `ms`, which is one that was told before a restart.

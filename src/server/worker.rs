@@ -221,13 +221,16 @@ fn give_back(entry: &Arc<Entry>) -> &'static str {
 
 #[cfg(test)]
 mod tests {
-    use std::collections::BTreeMap;
+    use std::collections::{BTreeMap, BTreeSet};
     use std::path::Path;
+    use std::time::Duration;
+
+    use tmpi_pipeline::{MakeError, Options, Report};
 
     use super::super::files::Files as _;
     use super::super::forgetful::Forgetful;
     use super::super::id::PhotoId;
-    use super::super::maker::Never;
+    use super::super::maker::{Maker, Never};
     use super::super::store::{Accepted, Store};
     use super::*;
     use crate::server::Limits;
@@ -253,5 +256,79 @@ mod tests {
         upload();
         // it is read, and nobody makes it here
         assert_eq!(run(&jobs, &jobs.take().unwrap(), &Job::default()), "cancelled");
+    }
+
+    /// Makes of each photo its own bytes, once it is opened.
+    #[derive(Debug, Default)]
+    struct Copies {
+        open: AtomicBool,
+    }
+
+    impl Maker for Copies {
+        fn check(&self, _: &[u8], _: Option<&[u8]>, _: &Options) -> Result<(), MakeError> {
+            Ok(())
+        }
+
+        fn make(&self, photo: &[u8], _: Option<&[u8]>, _: &Options, _: &dyn Sink) -> Result<Product, Fault> {
+            until("it is opened", || self.open.load(Ordering::Acquire));
+            Ok(Product { container: photo.to_vec(), report: Report::default(), disparity: vec![1], thumbnail: vec![2] })
+        }
+    }
+
+    fn until(what: &str, is_so: impl Fn() -> bool) {
+        let end = Instant::now() + Duration::from_secs(30);
+        while !is_so() {
+            assert!(Instant::now() < end, "{what}");
+            std::thread::sleep(Duration::from_millis(2));
+        }
+    }
+
+    /// Takes photos in and makes them over a disk that `fill` fills and empties: what is accepted is finished, none is lost, none is there twice.
+    fn loses_and_doubles_nothing(fill: impl Fn(&Forgetful, bool)) {
+        let (files, dir) = (Arc::new(Forgetful::new()), Path::new("/data"));
+        let (store, _) = Store::open_in(files.clone(), dir, "", None).unwrap();
+        files.sync_dir(Path::new("/")).unwrap();
+        let (maker, limits) = (Arc::new(Copies::default()), Arc::new(Limits { workers: 2, ..Limits::default() }));
+        let jobs = Jobs::start(store, Vec::new(), maker.clone(), limits, Arc::default()).unwrap();
+        let upload = |n: u8| {
+            let refused = |error| Problem::store(&error).status;
+            let incoming = jobs.store.begin().map_err(refused)?;
+            files.write(&incoming.path(Part::Upload), &[n; 5]).map_err(refused)?;
+            let accepted = Accepted { version: 1, at_ms: 1, photo_bytes: 5, depth_bytes: None, options: BTreeMap::new(), owner: None };
+            let id = PhotoId::of(&[n; 32], None, "", "");
+            jobs.submit(incoming, id, accepted, Settings::default()).map(|submitted| submitted.entry).map_err(|problem| problem.status)
+        };
+        let mut accepted: Vec<Arc<Entry>> = (0..6).map(|n| upload(n).unwrap()).collect();
+        fill(&files, true);
+        let refused: Vec<u16> = (6..12).filter_map(|n| upload(n).err()).collect();
+        assert_eq!(refused, [507; 6]);
+        maker.open.store(true, Ordering::Release);
+        until("what was made waits for room", || jobs.trouble().is_some());
+        assert!(accepted.iter().all(|entry| !entry.status().is_final()), "no photo is at fault");
+        fill(&files, false);
+        let began = Instant::now();
+        accepted.extend((6..12).map(|n| upload(n).unwrap()));
+        until("all are done", || accepted.iter().all(|entry| matches!(entry.status(), Status::Done(_))));
+        assert!(began.elapsed() < Duration::from_secs(10), "{:?}", began.elapsed());
+        // as a node finds them that starts after the machine stopped
+        files.crash();
+        let (again, found) = Store::open_in(files, dir, "", None).unwrap();
+        let finished = found.iter().filter(|photo| matches!(photo.state.end, Some(End::Done(_)))).count();
+        let ids: BTreeSet<PhotoId> = found.iter().map(|photo| photo.id).collect();
+        let lost = accepted.iter().filter(|entry| !ids.contains(&entry.id)).count();
+        assert_eq!((accepted.len(), finished, lost, found.len() - ids.len()), (12, 12, 0, 0), "accepted, finished, lost, double");
+        for (n, entry) in accepted.iter().enumerate() {
+            assert_eq!(again.read(entry.id, Part::Atlas).unwrap(), [n as u8; 5]);
+        }
+    }
+
+    #[test]
+    fn a_disk_that_is_full_for_a_while_loses_and_doubles_nothing() {
+        loses_and_doubles_nothing(Forgetful::fill);
+    }
+
+    #[test]
+    fn a_disk_without_place_for_files_for_a_while_loses_and_doubles_nothing() {
+        loses_and_doubles_nothing(Forgetful::use_up_files);
     }
 }

@@ -208,22 +208,24 @@ fn what_a_killed_worker_had_is_made_by_another() {
 
 /// How a store is away.
 #[derive(Clone, Copy, Debug, PartialEq)]
-enum Away {
+pub enum Away {
     /// It answers 503.
     Busy,
     /// It takes connections and says nothing.
     Silent,
+    /// It is cut off: connections end at once.
+    Cut,
 }
 
 /// Passes connections on to a server that is away for a while.
-struct Faults {
-    addr: SocketAddr,
+pub struct Faults {
+    pub addr: SocketAddr,
     away: Arc<Mutex<Option<Away>>>,
     open: Arc<Mutex<Vec<TcpStream>>>,
 }
 
 impl Faults {
-    fn before(server: SocketAddr) -> Self {
+    pub fn before(server: SocketAddr) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let addr = listener.local_addr().unwrap();
         let (away, open) = (Arc::new(Mutex::new(None)), Arc::new(Mutex::new(Vec::<TcpStream>::new())));
@@ -239,6 +241,9 @@ impl Faults {
 
     fn pass(mut client: TcpStream, server: SocketAddr, fails: &Mutex<Option<Away>>, kept: &Mutex<Vec<TcpStream>>) {
         let away = *fails.lock().unwrap();
+        if away == Some(Away::Cut) {
+            return;
+        }
         if let Some(away) = away {
             kept.lock().unwrap().push(client.try_clone().unwrap());
             if away == Away::Busy {
@@ -261,7 +266,7 @@ impl Faults {
         answers.join().unwrap();
     }
 
-    fn set(&self, away: Option<Away>) {
+    pub fn set(&self, away: Option<Away>) {
         *self.away.lock().unwrap() = away;
         for stream in self.open.lock().unwrap().drain(..) {
             let _ = stream.shutdown(Shutdown::Both);

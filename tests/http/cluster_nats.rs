@@ -12,7 +12,7 @@ use tmpi::server::{Config, Limits, Maker, Role, Server, Sharing, hex};
 use tmpi_render::{Backend, PictureFormat};
 
 use crate::client::{Connection, get, request};
-use crate::cluster::{start, upload, wait_done};
+use crate::cluster::{Away, Faults, start, upload, wait_done};
 use crate::fixture::{Gate, Running, jpeg, picture, pipeline, wait_until};
 use crate::nats::{Nats, figure};
 use crate::process::large;
@@ -39,8 +39,12 @@ impl Nodes<'_> {
 
     /// One that hears the others and has a queue; its first sweep is over.
     fn node(&self, name: &str, role: Role, maker: Arc<dyn Maker>) -> Running {
-        let at =
-            NodeConfig { servers: self.servers.iter().map(|nats| nats.url().parse().unwrap()).collect(), login: None, name: name.into() };
+        self.node_at(name, role, maker, &self.servers.iter().map(|nats| nats.url()).collect::<Vec<_>>())
+    }
+
+    /// The same, which finds them at these addresses.
+    fn node_at(&self, name: &str, role: Role, maker: Arc<dyn Maker>, urls: &[String]) -> Running {
+        let at = NodeConfig { servers: urls.iter().map(|url| url.parse().unwrap()).collect(), login: None, name: name.into() };
         let nats = Some(tmpi::server::Nats { at, replicas: self.servers.len() });
         let sharing = Sharing { store: self.store(), role, nats };
         let config = Config {
@@ -186,6 +190,72 @@ fn one_of_three_nats_servers_may_go() {
         serve.wait(&id, "done");
         taken() > before
     });
+}
+
+#[test]
+fn all_three_nats_servers_may_lose_their_disks() {
+    let Some(mut cluster) = Nats::cluster() else { return };
+    let dir = tempfile::tempdir().unwrap();
+    let gate = Gate::new(2);
+    let (serve, worker) = {
+        let nodes = Nodes { folder: dir.path(), servers: cluster.iter().collect(), sweep: Duration::from_secs(1) };
+        (nodes.node("a", Role::Serve, Arc::new(pipeline())), nodes.node("w", Role::Work, gate.clone()))
+    };
+    let mut ids: Vec<String> = (0..6).map(|seed| serve.upload(&jpeg(seed))).collect();
+    gate.wait_started(3);
+    for nats in &mut cluster {
+        nats.kill();
+        nats.wipe();
+    }
+    wait_until("it is noticed", || figure(serve.addr, "tmpi_nats_connected") == Some(0));
+    ids.extend((6..9).map(|seed| serve.upload(&jpeg(seed))));
+    gate.open(2);
+    wait_until("it goes on without them", || gate.finished.load(Ordering::SeqCst) >= 4);
+    for nats in &mut cluster {
+        nats.restart();
+    }
+    gate.open(9);
+    for id in &ids {
+        serve.wait(id, "done");
+    }
+    assert_eq!((ids.len(), gate.started.load(Ordering::SeqCst)), (9, 9), "none twice");
+    wait_until("there is a queue again", || [&serve, &worker].iter().all(|node| figure(node.addr, "tmpi_hints_queue") == Some(1)));
+}
+
+#[test]
+fn a_network_that_is_cut_between_nodes_and_nats_loses_and_doubles_nothing() {
+    let Some(nats) = Nats::storing() else { return };
+    let dir = tempfile::tempdir().unwrap();
+    let nodes = Nodes { folder: dir.path(), servers: vec![&nats], sweep: Duration::from_secs(1) };
+    let ways = [(); 2].map(|()| Faults::before(([127, 0, 0, 1], nats.port).into()));
+    let by = |n: usize| [format!("nats://{}", ways[n].addr)];
+    let gates = [Gate::new(1000), Gate::new(1000)];
+    let serve = nodes.node_at("a", Role::Serve, Arc::new(pipeline()), &by(0));
+    let worker = nodes.node_at("w", Role::Work, gates[0].clone(), &by(1));
+    let _other = nodes.node("v", Role::Work, gates[1].clone());
+    let connected = |n: usize, is: u64| {
+        let addr = [serve.addr, worker.addr][n];
+        wait_until("it is noticed", || figure(addr, "tmpi_nats_connected") == Some(is));
+    };
+    let mut ids = Vec::new();
+    for (round, cut) in [&[0][..], &[1], &[0, 1]].into_iter().enumerate() {
+        let upload = |n: usize| serve.upload(&jpeg((8 * round + n) as u8));
+        ids.extend((0..2).map(upload));
+        for n in cut {
+            ways[*n].set(Some(Away::Cut));
+            connected(*n, 0);
+        }
+        ids.extend((2..5).map(upload));
+        for n in cut {
+            ways[*n].set(None);
+            connected(*n, 1);
+        }
+    }
+    for id in &ids {
+        serve.wait(id, "done");
+    }
+    let made: usize = gates.iter().map(|gate| gate.started.load(Ordering::SeqCst)).sum();
+    assert_eq!((ids.len(), made), (15, 15), "none twice");
 }
 
 #[test]

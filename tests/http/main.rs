@@ -15,10 +15,13 @@ mod cluster_audit;
 mod cluster_nats;
 mod damage;
 mod fixture;
+#[path = "../../src/server/cluster/google.rs"]
+mod google;
 
 mod events;
 mod exports;
 mod fair;
+mod faults;
 mod limits;
 mod live;
 mod live_faults;

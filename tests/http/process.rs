@@ -116,7 +116,7 @@ impl Process {
 
     #[cfg(unix)]
     #[allow(unsafe_code, reason = "the standard library has no call that sends another signal than SIGKILL")]
-    fn signal(&self, signal: libc::c_int) {
+    pub fn signal(&self, signal: libc::c_int) {
         // SAFETY: the process is our child and was not waited for
         assert_eq!(unsafe { libc::kill(self.child.id() as libc::pid_t, signal) }, 0);
     }

@@ -2,7 +2,6 @@
 //!
 //! A file gets its place by a rename or a second name, so that it is whole or not there.
 
-use std::collections::BinaryHeap;
 use std::fs::{self, File};
 use std::hash::{BuildHasher, RandomState};
 use std::io::{self, ErrorKind, Read as _, Seek as _, SeekFrom};
@@ -10,9 +9,10 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::time::Duration;
+use std::time::{Duration, Instant, UNIX_EPOCH};
 
 use super::index::OWNERS;
+use super::names::{Names, Reading};
 use super::ports::{Blobs, Ledger, Tag, unreachable};
 use super::records::BLOBS;
 use crate::server::files::{Disk, Files, private};
@@ -20,26 +20,6 @@ use crate::server::store::digest;
 
 /// Age from which a file that has no place yet is nobody's.
 const LEFT: Duration = Duration::from_hours(24);
-
-/// The first names after one, of any number that are shown in any order: no more are kept.
-struct First<'a> {
-    after: Option<&'a str>,
-    limit: usize,
-    /// The last of them on top.
-    names: BinaryHeap<String>,
-}
-
-impl First<'_> {
-    fn take(&mut self, name: String) {
-        if self.after.is_some_and(|after| name.as_str() <= after) {
-            return;
-        }
-        self.names.push(name);
-        if self.names.len() > self.limit {
-            self.names.pop();
-        }
-    }
-}
 
 /// A folder of synced files.
 #[derive(Debug)]
@@ -51,6 +31,7 @@ pub struct Folder {
     /// Tells this process from others, which may have the same number in a namespace of their own.
     own: u64,
     next: AtomicU64,
+    names: Names,
 }
 
 impl Folder {
@@ -77,7 +58,13 @@ impl Folder {
         if let Some(above) = root.parent().filter(|above| fresh && files.is_dir(above)) {
             files.sync_dir(above)?;
         }
-        Ok(Self { files, root: root.to_owned(), lock, own: RandomState::new().hash_one(std::process::id()), next: AtomicU64::new(0) })
+        let own = RandomState::new().hash_one(std::process::id());
+        Ok(Self { files, root: root.to_owned(), lock, own, next: AtomicU64::new(0), names: Names::default() })
+    }
+
+    #[cfg(test)]
+    pub fn with_names(self, names: Names) -> Self {
+        Self { names, ..self }
     }
 
     /// What it means that there is no such file: nothing where the folder itself is gone, as a disk that is not mounted.
@@ -135,8 +122,8 @@ impl Folder {
         Ok(outcome)
     }
 
-    /// Shows the names of all files within a folder, and within those in it, to `first`.
-    fn names(&self, folder: &str, first: &mut First<'_>) -> io::Result<()> {
+    /// Shows the names of all files within a folder, and within those in it, to `reading`.
+    fn read_names(&self, folder: &str, reading: &mut Reading<'_>) -> io::Result<()> {
         let entries = match fs::read_dir(self.root.join(folder)).map_err(|e| self.missing(e)) {
             Ok(entries) => entries,
             Err(e) if e.kind() == ErrorKind::NotFound => return Ok(()),
@@ -146,7 +133,12 @@ impl Folder {
             let entry = entry?;
             // a name that is no text is nobody's here
             let name = format!("{folder}{}", entry.file_name().to_string_lossy());
-            if entry.file_type()?.is_dir() { self.names(&format!("{name}/"), first)? } else { first.take(name) }
+            if entry.file_type()?.is_dir() {
+                reading.is_deep = true;
+                self.read_names(&format!("{name}/"), reading)?;
+            } else {
+                reading.take(name);
+            }
         }
         Ok(())
     }
@@ -230,14 +222,28 @@ impl Ledger for Folder {
         self.gone(name)
     }
 
+    fn written(&self, name: &str) -> io::Result<Option<u64>> {
+        match fs::metadata(self.root.join(name)).and_then(|of| of.modified()).map_err(|e| self.missing(e)) {
+            Ok(at) => Ok(at.duration_since(UNIX_EPOCH).ok().map(|since| since.as_millis() as u64)),
+            Err(e) if e.kind() == ErrorKind::NotFound => Ok(None),
+            Err(e) => Err(e),
+        }
+    }
+
     fn page(&self, folder: &str, after: Option<&str>, limit: usize) -> io::Result<Vec<String>> {
-        let mut first = First { after, limit, names: BinaryHeap::new() };
-        self.names(folder, &mut first)?;
-        Ok(first.names.into_sorted_vec())
+        // both before it is read: a change meanwhile is seen the next time
+        let stamp = fs::metadata(self.root.join(folder)).and_then(|of| of.modified()).ok();
+        let read = Instant::now();
+        if let Some(page) = self.names.page(folder, stamp, after, limit) {
+            return Ok(page);
+        }
+        let mut reading = Reading::new(after, limit);
+        self.read_names(folder, &mut reading)?;
+        Ok(self.names.keep(folder, stamp, read, reading))
     }
 
     fn all(&self, folder: &str) -> io::Result<Vec<String>> {
-        // read once: each page would read the whole folder again
+        // of one moment, whatever comes meanwhile
         self.page(folder, None, usize::MAX)
     }
 }

@@ -112,10 +112,14 @@ pub fn made(end: Option<&outcome::End>) -> u64 {
 
 /// Names of a photo's entries, of which what was made has `made` bytes.
 pub fn names(id: PhotoId, accepted: &Accepted, made: u64) -> Vec<String> {
-    let stem = stem((accepted.at_ms, id));
-    let theirs = accepted.owner.as_ref().and_then(folder_of);
-    let theirs = theirs.map(|folder| format!("{folder}{stem}.{}", accepted.bytes().saturating_add(made)));
-    [Some(format!("{ALL}{stem}")), theirs].into_iter().flatten().collect()
+    let all = format!("{ALL}{}", stem((accepted.at_ms, id)));
+    [Some(all), theirs(id, accepted, made)].into_iter().flatten().collect()
+}
+
+/// Name of a photo's entry among its owner's.
+fn theirs(id: PhotoId, accepted: &Accepted, made: u64) -> Option<String> {
+    let folder = accepted.owner.as_ref().and_then(folder_of)?;
+    Some(format!("{folder}{}.{}", stem((accepted.at_ms, id)), accepted.bytes().saturating_add(made)))
 }
 
 /// Enters a photo; where it is entered already, nothing happens.
@@ -194,6 +198,26 @@ impl Cluster {
             }
             after = names.last().cloned();
         }
+    }
+
+    /// Enters a photo among its owner's alone, before it is accepted; false where it is entered already.
+    ///
+    /// # Errors
+    /// The store cannot be reached.
+    pub(in crate::server) fn enter_early(&self, id: PhotoId, accepted: &Accepted) -> io::Result<bool> {
+        let Some(name) = theirs(id, accepted, 0) else { return Ok(false) };
+        self.heard(self.ledger.create(&name, ENTRY))
+    }
+
+    /// Takes that back.
+    ///
+    /// # Errors
+    /// The store cannot be reached.
+    pub(in crate::server) fn leave_early(&self, id: PhotoId, accepted: &Accepted) -> io::Result<()> {
+        let Some(name) = theirs(id, accepted, 0) else { return Ok(()) };
+        self.heard(self.ledger.remove(&name))?;
+        // a twin of the same millisecond may have been accepted meanwhile, and had the same entry
+        self.heard(self.enter_now(id))
     }
 
     /// Removes the entries at a place where no photo is, once an upload that wrote them cannot be on its way any more.

@@ -1,5 +1,4 @@
 use std::collections::HashSet;
-use std::sync::Barrier;
 use std::time::{Duration, Instant};
 
 use super::*;
@@ -10,13 +9,13 @@ use crate::server::part::Part;
 use crate::server::store::Origin;
 
 /// A node of a store that makes nothing.
-struct Node {
-    jobs: Arc<Jobs>,
-    cluster: Arc<Cluster>,
+pub(in crate::server) struct Node {
+    pub jobs: Arc<Jobs>,
+    pub cluster: Arc<Cluster>,
     _dir: tempfile::TempDir,
 }
 
-fn node(store: &Memory, limits: &Limits) -> Node {
+pub(in crate::server) fn node(store: &Memory, limits: &Limits) -> Node {
     let dir = tempfile::tempdir().unwrap();
     let cluster = Arc::new(memory::cluster(store, dir.path()));
     let (copies, _) = Store::open(&dir.path().join("copies"), "").unwrap();
@@ -320,33 +319,11 @@ fn a_quota_counts_all_of_an_owners_photos_however_few_are_known() {
     let few = of(Limits { quota_photos: Some(3), ..Limits::default() });
     assert!(few.jobs.quota(Some(&owner), 1).unwrap_err().detail.contains("at least 4 photos"));
     // the photo itself does not stand in its own way
-    assert!(many.jobs.reserve(Some(&owner), accepted(3, 3, None).0, 5).is_ok());
+    let (third, upload) = accepted(3, 3, Some(&owner));
+    assert!(many.jobs.reserve(&many.cluster, third, &upload).is_ok());
     assert!(many.jobs.quota(Some(&Owner::of_secret("b")), 1).is_ok());
     store.is_away(true);
     assert_eq!(many.jobs.quota(Some(&owner), 1).unwrap_err().status, 503);
-}
-
-#[test]
-fn of_uploads_that_come_to_a_node_at_a_time_no_more_get_in_than_may() {
-    let (store, owner, start) = (Memory::default(), Owner::of_secret("a"), Barrier::new(16));
-    store.built();
-    put(&store, 100, 1, Some(&owner), true);
-    let node = node(&store, &Limits { quota_photos: Some(5), ..Limits::default() });
-    let taken = std::thread::scope(|scope| {
-        let uploads: Vec<_> = (0..16)
-            .map(|n| {
-                let (node, store, owner, start) = (&node, &store, &owner, &start);
-                scope.spawn(move || {
-                    start.wait();
-                    let reserved = node.jobs.reserve(Some(owner), accepted(n, 2, None).0, 5);
-                    reserved.is_ok_and(|_room| put(store, n, 2, Some(owner), true).0 == 2)
-                })
-            })
-            .collect();
-        uploads.into_iter().map(|upload| upload.join().unwrap()).filter(|is_in| *is_in).count()
-    });
-    assert_eq!(taken, 4);
-    assert!(node.jobs.lock().coming.is_empty());
 }
 
 #[test]

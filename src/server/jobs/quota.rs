@@ -1,7 +1,9 @@
 //! How much one owner may have.
 
 use std::collections::HashMap;
+use std::hash::{BuildHasher, RandomState};
 use std::ops::ControlFlow;
+use std::time::Duration;
 
 use axum::http::StatusCode;
 
@@ -10,6 +12,11 @@ use crate::server::access::Owner;
 use crate::server::cluster::Cluster;
 use crate::server::id::PhotoId;
 use crate::server::problem::Problem;
+use crate::server::records::Accepted;
+
+/// Tries of an upload that met others of its owner at other nodes, and the longest pause before the second, in milliseconds.
+const TRIES: u32 = 5;
+const PAUSE_MS: u64 = 40;
 
 /// A photo that counts already though it is not in the index yet.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -50,36 +57,49 @@ impl Jobs {
     /// 403 that names the limit, 503 where the store cannot be reached.
     pub fn quota(&self, owner: Option<&Owner>, bytes: u64) -> Result<(), Problem> {
         let Some(owner) = self.counted(owner) else { return Ok(()) };
-        let Some(cluster) = &self.cluster else { return self.fits(&self.lock(), owner, None, bytes) };
+        let Some(cluster) = &self.cluster else { return self.fits(&self.lock(), owner, bytes) };
         let coming = self.lock().coming_of(owner);
         self.fits_there(cluster, owner, None, bytes, coming)
     }
 
-    /// The same, and keeps the room for the photo `id` while it is taken into a store without `membership` held; a twin of it needs no other.
-    ///
-    /// In a store of several nodes the index there is asked. Uploads of one owner that come to several nodes at the same time may not see each
-    /// other: there may be as many photos too many as there are other nodes that take one while this one is taken. What an upload that broke off
-    /// left in the index counts until the list is read an hour later.
+    /// The same, and keeps the room for the photo `id` while it is taken into a store of several nodes: in its index. It is entered there first
+    /// and then all are counted, so that of any number of uploads that come to several nodes at a time the last to be entered sees all others,
+    /// and no more get in than may. Who was too much is taken out again and tries anew, as the others may have done; in the end it is refused,
+    /// though there may be room by then. What an upload that broke off left in the index counts until the list is read an hour later.
     ///
     /// # Errors
     /// As [`Jobs::quota`].
-    pub(super) fn reserve(&self, owner: Option<&Owner>, id: PhotoId, bytes: u64) -> Result<Option<Reserved<'_>>, Problem> {
+    pub(super) fn reserve(&self, cluster: &Cluster, id: PhotoId, accepted: &Accepted) -> Result<Option<Reserved<'_>>, Problem> {
+        let (owner, bytes) = (accepted.owner.as_ref(), accepted.bytes());
         let Some(owner) = self.counted(owner) else { return Ok(None) };
         let coming = Coming { owner: owner.clone(), id, bytes };
+        // what came to this node before this one is counted with it or is in the index by the time that is read; what comes later counts this one
         let mut inner = self.lock();
-        let Some(cluster) = &self.cluster else {
-            self.fits(&inner, owner, Some(id), bytes)?;
-            inner.coming.push(coming.clone());
-            drop(inner);
-            return Ok(Some(Reserved { jobs: self, coming }));
-        };
-        // what came before this one is counted with it or is in the index by the time that is read; what comes later counts this one
         let before = inner.coming_of(owner);
         inner.coming.push(coming.clone());
         drop(inner);
         let reserved = Reserved { jobs: self, coming };
-        self.fits_there(cluster, owner, Some(id), bytes, before)?;
-        Ok(Some(reserved))
+        let store = |e: std::io::Error| Problem::store(&e);
+        let mut again = 1;
+        loop {
+            // what has no room is not entered at all
+            self.fits_there(cluster, owner, Some(id), bytes, before.clone())?;
+            let is_new = cluster.enter_early(id, accepted).map_err(store)?;
+            match self.fits_there(cluster, owner, Some(id), bytes, HashMap::new()) {
+                Err(refused) if refused.status == StatusCode::FORBIDDEN.as_u16() => {
+                    if is_new {
+                        cluster.leave_early(id, accepted).map_err(store)?;
+                    }
+                    if again == TRIES {
+                        return Err(refused);
+                    }
+                    let pause = RandomState::new().hash_one(again) % (PAUSE_MS << again);
+                    std::thread::sleep(Duration::from_millis(pause));
+                    again += 1;
+                }
+                other => return other.map(|()| Some(reserved)),
+            }
+        }
     }
 
     /// An owner who may not have any number.
@@ -88,13 +108,10 @@ impl Jobs {
         owner.filter(|owner| limited && !owner.is_own())
     }
 
-    /// Refuses a photo, `id` where that is known, that is too much beside what the owner has and what comes.
-    fn fits(&self, inner: &Inner, owner: &Owner, id: Option<PhotoId>, bytes: u64) -> Result<(), Problem> {
-        let coming = inner.coming.iter().filter(|coming| coming.owner == *owner).map(|coming| (coming.id, coming.bytes));
-        let there = inner.by_owner.get(owner).into_iter().flat_map(|all| all.values()).map(|entry| (entry.id, entry.bytes()));
-        // each once, as it is in the index where it is there
-        let theirs: HashMap<PhotoId, u64> = coming.chain(there).filter(|(of, _)| id != Some(*of)).collect();
-        self.beside("", theirs.len(), theirs.values().sum(), bytes)
+    /// Refuses a photo that is too much beside what the owner has.
+    fn fits(&self, inner: &Inner, owner: &Owner, bytes: u64) -> Result<(), Problem> {
+        let theirs = || inner.by_owner.get(owner).into_iter().flat_map(|all| all.values());
+        self.beside("", theirs().count(), theirs().map(|entry| entry.bytes()).sum(), bytes)
     }
 
     /// The same of what the store's index says, beside what was `coming` before that is read; no further than it is known to be too much.
@@ -145,53 +162,104 @@ impl Jobs {
 mod tests {
     use std::sync::Barrier;
 
-    use super::super::list::tests::{index, put};
+    use super::super::among_tests::{Node, node};
     use super::*;
+    use crate::server::cluster::memory::{Memory, accepted, put};
     use crate::server::limits::Limits;
 
-    fn id(n: u8) -> PhotoId {
-        PhotoId::of(&[n; 32], None, "", "")
+    /// A store that has one photo of `owner`.
+    fn store(owner: &Owner) -> Memory {
+        let store = Memory::default();
+        store.built();
+        put(&store, 100, 1, Some(owner), true);
+        store
+    }
+
+    /// Takes the photo `n` in, if there is room.
+    fn upload(node: &Node, store: &Memory, n: u32, owner: &Owner) -> bool {
+        let (id, upload) = accepted(n, 2, Some(owner));
+        node.jobs.reserve(&node.cluster, id, &upload).is_ok_and(|_room| put(store, n, 2, Some(owner), true).1 == id)
+    }
+
+    /// How many of 16 uploads at a time get in.
+    fn taken(nodes: &[&Node], store: &Memory, owner: &Owner) -> usize {
+        let start = Barrier::new(16);
+        std::thread::scope(|scope| {
+            let uploads: Vec<_> = (0..16)
+                .map(|n| {
+                    let (node, start) = (nodes[n as usize % nodes.len()], &start);
+                    scope.spawn(move || {
+                        start.wait();
+                        upload(node, store, n, owner)
+                    })
+                })
+                .collect();
+            uploads.into_iter().map(|upload| upload.join().unwrap()).filter(|is_in| *is_in).count()
+        })
     }
 
     #[test]
-    fn of_uploads_that_come_at_a_time_no_more_get_in_than_may() {
-        for limits in [Limits { quota_photos: Some(5), ..Limits::default() }, Limits { quota_bytes: Some(25), ..Limits::default() }] {
-            let (jobs, owner, start) = (index(&limits), Owner::of_secret("a"), Barrier::new(16));
-            put(&jobs, 100, 1, Some(owner.clone()));
-            let taken = std::thread::scope(|scope| {
-                let uploads: Vec<_> = (0..16)
-                    .map(|n| {
-                        let (jobs, owner, start) = (&jobs, &owner, &start);
-                        scope.spawn(move || {
-                            start.wait();
-                            let reserved = jobs.reserve(Some(owner), id(n), 5);
-                            // as the store does, which takes its time
-                            std::thread::yield_now();
-                            reserved.is_ok_and(|_room| put(jobs, n, 2, Some(owner.clone())).id == id(n))
-                        })
-                    })
-                    .collect();
-                uploads.into_iter().map(|upload| upload.join().unwrap()).filter(|is_in| *is_in).count()
-            });
-            assert_eq!(taken, 4);
-            assert!(jobs.lock().coming.is_empty());
+    fn of_uploads_that_come_to_a_node_at_a_time_no_more_get_in_than_may() {
+        for limits in [Limits { quota_photos: Some(5), ..Limits::default() }, Limits { quota_bytes: Some(525), ..Limits::default() }] {
+            let owner = Owner::of_secret("a");
+            let store = store(&owner);
+            let node = node(&store, &limits);
+            let taken = taken(&[&node], &store, &owner);
+            assert!((1..=4).contains(&taken), "{taken}");
+            assert!(node.jobs.lock().coming.is_empty());
         }
     }
 
     #[test]
-    fn what_comes_counts_once_until_it_has_come_or_has_failed() {
-        let jobs = index(&Limits { quota_photos: Some(1), ..Limits::default() });
+    fn of_uploads_that_come_to_several_nodes_at_a_time_no_more_get_in_than_may() {
+        for _ in 0..20 {
+            let owner = Owner::of_secret("a");
+            let store = store(&owner);
+            let of = || node(&store, &Limits { quota_photos: Some(5), ..Limits::default() });
+            let nodes = [of(), of(), of(), of()];
+            let taken = taken(&nodes.each_ref(), &store, &owner);
+            assert!((1..=4).contains(&taken), "{taken}");
+            let left = nodes[0].jobs.quota(Some(&owner), 1);
+            assert_eq!(left.is_ok(), taken < 4, "who was refused counts no longer");
+        }
+    }
+
+    #[test]
+    fn who_was_counted_before_another_was_entered_is_counted_again() {
         let (a, b) = (Owner::of_secret("a"), Owner::of_secret("b"));
-        let first = jobs.reserve(Some(&a), id(1), 5).unwrap();
-        assert_eq!(jobs.reserve(Some(&a), id(2), 5).err().map(|e| e.status), Some(403));
-        assert_eq!(jobs.quota(Some(&a), 5).unwrap_err().status, 403);
-        let twin = jobs.reserve(Some(&a), id(1), 5).unwrap();
-        assert!(jobs.reserve(Some(&b), id(2), 5).is_ok() && jobs.reserve(None, id(3), 5).is_ok(), "others");
-        drop(first);
-        assert!(jobs.reserve(Some(&a), id(2), 5).is_err(), "its twin still comes");
-        drop(twin);
-        assert!(jobs.reserve(Some(&a), id(2), 5).is_ok());
-        put(&jobs, 1, 1, Some(a.clone()));
-        assert!(jobs.reserve(Some(&a), id(2), 5).is_err() && jobs.reserve(Some(&a), id(1), 5).is_ok());
+        let store = store(&a);
+        let of = || node(&store, &Limits { quota_photos: Some(2), ..Limits::default() });
+        let (one, two) = (of(), of());
+        // just before the first is entered
+        let there = store.clone();
+        let owner = a.clone();
+        store.meanwhile("lists/owners/", move || assert!(upload(&two, &there, 2, &owner)));
+        assert!(!upload(&one, &store, 1, &a));
+        assert!(!store.has(accepted(1, 2, None).0) && store.has(accepted(2, 2, None).0));
+        assert!(upload(&one, &store, 3, &b), "others");
+        let listed: Vec<_> = store.entries().into_iter().filter(|(_, place)| place.1 == accepted(1, 2, None).0).collect();
+        assert!(listed.is_empty(), "{listed:?}");
+    }
+
+    #[test]
+    fn what_comes_counts_once_until_it_has_come_or_has_failed() {
+        let (a, b) = (Owner::of_secret("a"), Owner::of_secret("b"));
+        let store = Memory::default();
+        store.built();
+        let node = node(&store, &Limits { quota_photos: Some(1), ..Limits::default() });
+        let reserve = |n: u32, owner: &Owner| {
+            let (id, upload) = accepted(n, 2, Some(owner));
+            node.jobs.reserve(&node.cluster, id, &upload)
+        };
+        let first = reserve(1, &a).unwrap();
+        assert_eq!(reserve(2, &a).err().map(|e| e.status), Some(403));
+        assert_eq!(node.jobs.quota(Some(&a), 5).unwrap_err().status, 403);
+        let twin = reserve(1, &a).unwrap();
+        assert!(reserve(3, &b).is_ok(), "others");
+        drop((first, twin));
+        assert!(node.jobs.lock().coming.is_empty());
+        assert!(reserve(2, &a).is_err(), "it is entered: what became of it nobody knows");
+        put(&store, 1, 2, Some(&a), true);
+        assert!(reserve(2, &a).is_err() && reserve(1, &a).is_ok());
     }
 }

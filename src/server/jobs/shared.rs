@@ -139,10 +139,10 @@ impl Jobs {
             self.refresh(cluster, id).map_err(disk)?;
             return Ok(Submitted { entry, new: false, healed });
         }
-        // until it is in the index: the store is not waited for with membership held
-        let _reserved = self.reserve(accepted.owner.as_ref(), id, accepted.bytes())?;
         self.room()?;
         let parts = uploaded(incoming, accepted).map_err(disk)?;
+        // last, as it stays in the store's index; which is not waited for with membership held
+        let _reserved = self.reserve(cluster, id, accepted)?;
         let new = cluster.accept(id, accepted, settings, parts).map_err(disk)?;
         let entry = self.refresh(cluster, id).map_err(disk)?;
         let entry = entry.ok_or_else(|| Problem::not_found("the photo was deleted meanwhile"))?;
