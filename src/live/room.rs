@@ -15,7 +15,7 @@ use super::nodes::{Chunks, Start};
 use super::past::{Found, Missing, Wanted};
 use super::ring::{Place, Ring, Step, What};
 pub use super::still::{Still, Tiles};
-use super::{KEYS, VIEWERS};
+use super::{Bounds, KEYS};
 
 /// A room.
 pub struct Room {
@@ -24,6 +24,8 @@ pub struct Room {
     changes: watch::Sender<u64>,
     /// A key frame is wanted.
     pub keys: Notify,
+    /// How much it takes.
+    pub bounds: Bounds,
 }
 
 #[derive(Default)]
@@ -77,8 +79,8 @@ pub struct Viewer {
 
 impl Room {
     /// A room without anyone.
-    pub fn new() -> Self {
-        Self { state: Mutex::default(), changes: watch::Sender::new(0), keys: Notify::new() }
+    pub fn new(bounds: Bounds) -> Self {
+        Self { state: Mutex::default(), changes: watch::Sender::new(0), keys: Notify::new(), bounds }
     }
 
     fn lock(&self) -> MutexGuard<'_, State> {
@@ -303,7 +305,7 @@ impl Room {
     /// Lets a viewer in; none where there are as many as may be, or the room is no more.
     pub fn join(&self) -> Option<Viewer> {
         let mut state = self.lock();
-        if state.viewers >= VIEWERS || state.closed {
+        if state.viewers >= self.bounds.viewers || state.closed {
             return None;
         }
         state.viewers += 1;
@@ -323,7 +325,7 @@ impl Room {
 
     /// Whether as many watch here as may.
     pub fn is_full(&self) -> bool {
-        self.lock().viewers >= VIEWERS
+        self.lock().viewers >= self.bounds.viewers
     }
 
     /// A viewer has gone.

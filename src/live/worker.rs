@@ -210,6 +210,7 @@ mod tests {
     use tmpi_pipeline::depth::{DepthError, Estimator};
 
     use super::*;
+    use crate::live::Bounds;
     use crate::live::room::Next;
 
     /// Depth is brightness.
@@ -231,7 +232,7 @@ mod tests {
         const SIZE: (u32, u32) = (160, 120);
         let settings = Settings { frame_ms: 1e-3, ..Settings::default() };
         let models = Models { depth: Arc::new(Bright), theta: None, psi: None };
-        let (room, mut driver) = (Room::new(), Geometry::new(models, settings.clone()));
+        let (room, mut driver) = (Room::new(Bounds::default()), Geometry::new(models, settings.clone()));
         let epoch = room.publish(Model::hello(&settings.empty(SIZE.0, SIZE.1)), 0, 1);
         let mut viewer = room.join().unwrap();
         let mut model = Model::new(&Model::hello(&settings.empty(SIZE.0, SIZE.1))).unwrap();

@@ -9,7 +9,6 @@ use super::tiles::Chunks;
 use super::wire::{Packet, Sort, Start};
 use crate::live::ring::What;
 use crate::live::room::Room;
-use crate::live::{FRAME_BYTES, SOUND_BYTES};
 
 /// How far numbers may go on from what came last: those of a thousand entries a second for a minute, of two each.
 const FARTHEST: u64 = 120_000;
@@ -102,15 +101,16 @@ impl Follower<'_> {
 
     /// Puts an entry into the ring, as the bytes that came; none where it is none.
     fn entry(&mut self, bytes: Bytes) -> Option<()> {
+        let bounds = self.room.bounds;
         let what = match read(bytes.clone()).ok()? {
-            Kind::Video(video) if video.data.len() > FRAME_BYTES => return None,
+            Kind::Video(video) if video.data.len() > bounds.frame => return None,
             Kind::Video(video) if video.key => {
                 self.reached.waits = false;
                 What::Key
             }
             Kind::Video(_) if self.reached.waits => return Some(()),
             Kind::Video(video) => What::Frame { layer: video.layer },
-            Kind::Sound(sound) if sound.data.len() <= SOUND_BYTES => What::Sound,
+            Kind::Sound(sound) if sound.data.len() <= bounds.sound => What::Sound,
             Kind::Geometry(tiles) => {
                 // what a start told already need not be told again
                 if !self.room.take_tiles(self.epoch, &tiles)? {
@@ -139,6 +139,7 @@ pub enum Taken {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::live::Bounds;
     use crate::live::nodes::forward::{self, Reader};
     use crate::live::room::Next;
     use crate::live::room::tests::{EPOCH, Made, Watcher};
@@ -154,7 +155,7 @@ mod tests {
 
     impl Pair {
         fn new() -> Self {
-            let (made, there) = (Made::new(), Room::new());
+            let (made, there) = (Made::new(), Room::new(Bounds::default()));
             assert!(there.begin_to_follow());
             let reader = Reader::new(&made.room, EPOCH).unwrap();
             let mut pair = Self { made, reader, there, reached: Reached { epoch: EPOCH, ..Reached::default() } };

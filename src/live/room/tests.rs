@@ -19,7 +19,7 @@ pub struct Made {
 
 impl Made {
     pub fn new() -> Self {
-        let (room, tiles) = (Room::new(), geometry(0.5));
+        let (room, tiles) = (Room::new(Bounds::default()), geometry(0.5));
         assert_eq!(room.publish(Model::hello(&tiles), 0, EPOCH), EPOCH);
         let mut made = Self { room, tiles, frame: 0 };
         made.next(true, 10, Some(Area::all(&made.tiles.grid)));
@@ -163,7 +163,7 @@ fn another_publisher_begins_with_all_tiles_whatever_was_known_of_the_last_one() 
 
 #[test]
 fn tiles_that_are_sent_before_there_is_a_whole_frame_reach_whoever_comes_then() {
-    let (room, tiles) = (Room::new(), geometry(0.5));
+    let (room, tiles) = (Room::new(Bounds::default()), geometry(0.5));
     room.publish(Model::hello(&tiles), 0, EPOCH);
     let mut made = Made { room, tiles, frame: 9 };
     let columns = Area { columns: 1, ..Area::all(&made.tiles.grid) };
@@ -227,8 +227,8 @@ fn a_key_frame_is_asked_for_as_long_as_somebody_waits_for_one_and_no_more_than_o
 
 #[test]
 fn a_room_is_full_with_as_many_as_may_watch_and_has_a_place_again_when_one_has_gone() {
-    let room = Room::new();
-    assert!((0..VIEWERS).all(|_| !room.is_full() && room.join().is_some()));
+    let room = Room::new(Bounds::default());
+    assert!((0..Bounds::VIEWERS).all(|_| !room.is_full() && room.join().is_some()));
     assert!(room.is_full() && room.join().is_none());
     room.part();
     assert!(!room.is_full() && room.join().is_some());
