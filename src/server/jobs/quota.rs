@@ -92,7 +92,7 @@ impl Jobs {
         self.fits_there(cluster, owner, None, bytes, coming, held)
     }
 
-    /// Keeps room for so many bytes of an upload in parts, all in all, until it [is let go](Jobs::let_go): beside photos and other such uploads
+    /// Keeps room for so many bytes of an upload in parts, all in all, until it [is let go](Jobs::let_go_of): beside photos and other such uploads
     /// at this node they are no more than one may have. Blocks where a store has the photos.
     ///
     /// # Errors
@@ -139,7 +139,7 @@ impl Jobs {
     }
 
     /// Lets go of the room of an upload in parts.
-    pub fn let_go(&self, upload: &str) {
+    pub fn let_go_of(&self, upload: &str) {
         self.lock().held.remove(upload);
     }
 
@@ -359,7 +359,7 @@ mod tests {
         assert!(jobs.hold(Some(&a), "one", 20).is_ok() && jobs.hold(Some(&a), "one", 5).is_ok());
         assert_eq!(status(jobs.hold(Some(&a), "one", 21)), Some(403));
         assert_eq!((status(jobs.quota(Some(&a), 1)), status(jobs.last_quota(Some(&a), 1))), (Some(403), Some(403)), "of uploads at once");
-        jobs.let_go("one");
+        jobs.let_go_of("one");
         jobs.hold(Some(&a), "one", 12).unwrap();
         jobs.hold(Some(&a), "two", 8).unwrap();
         // as it becomes a photo it counts for others, and not beside itself
@@ -367,9 +367,9 @@ mod tests {
         assert!(jobs.last_quota(Some(&a), 12).is_ok() && status(jobs.last_quota(Some(&a), 13)) == Some(403));
         assert_eq!(status(jobs.quota(Some(&a), 1)), Some(403));
         index_put(&jobs, 1, 12, Some(a.clone()));
-        jobs.let_go("one");
+        jobs.let_go_of("one");
         assert!(jobs.quota(Some(&a), 7).is_ok() && status(jobs.quota(Some(&a), 8)) == Some(403), "two, and the photo of 5 bytes");
-        jobs.let_go("two");
+        jobs.let_go_of("two");
         assert!(jobs.quota(Some(&a), 15).is_ok());
         // after a start it is kept whatever there is
         jobs.hold_found(Some(&a), "two", 16);

@@ -193,7 +193,7 @@ impl Partials {
         let begun = begun.and_then(|()| self.kept.begin(&id, &record).map_err(|e| Problem::store(&e)));
         begun.map(|()| Arc::clone(&partial)).inspect_err(|_| {
             lock(&self.all).remove(&id);
-            jobs.let_go(&id);
+            jobs.let_go_of(&id);
         })
     }
 
@@ -207,7 +207,7 @@ impl Partials {
 
     fn end(&self, jobs: &Jobs, partial: &Partial) {
         self.remove(partial);
-        jobs.let_go(&partial.id);
+        jobs.let_go_of(&partial.id);
     }
 
     fn remove(&self, partial: &Partial) {
@@ -408,7 +408,7 @@ impl Turn {
         let told = tokio::task::spawn_blocking(move || {
             let (partials, partial) = (&shared.partials, &self.of);
             lock(&partial.share).take();
-            shared.jobs.let_go(&partial.id);
+            shared.jobs.let_go_of(&partial.id);
             let kept = partials.keep(partial, |record| record.photo = Some(photo.to_string())).is_ok();
             // else it is accepted once more, which changes nothing
             if kept && let Err(error) = partials.kept.free(&partial.id) {
