@@ -13,23 +13,20 @@ use futures_util::stream;
 use tokio::sync::watch;
 use tokio::time::timeout;
 
-use tmpi_core::container::{self, Carried, Carries, MEDIA_TYPE};
-use tmpi_core::{Scene, Texels};
-
 use super::Rooms;
 use super::access::Role;
 use super::gops::{Group, Part};
-use super::nodes::{Borrower, Lent, Silent};
-use super::room::{Room, Still};
+use super::nodes::{Borrower, Silent};
+use super::past::{self, Made, Wanted};
+use super::room::Room;
 use super::routes::{Here, Leave, none_publishes};
-use crate::server::{Held, Problem, RoomViewQuery};
+use crate::server::{Held, Problem, RoomViewQuery, RoomViews};
 
-/// Quality of the picture of a frame that is asked for by itself.
-const QUALITY: u8 = 90;
 /// Time for which the next group of pictures is waited for.
 const NEXT_GROUP: Duration = Duration::from_secs(5);
-/// Header of a frame's number.
+/// Headers of a frame's number, and of the epoch that it is of.
 const FRAME: &str = "x-tmpi-frame";
+const EPOCH: &str = "x-tmpi-epoch";
 /// Messages of a room one after the other, each after its length in four bytes, little endian.
 const MESSAGES: &str = "application/vnd.tmpi.live";
 
@@ -61,21 +58,28 @@ impl From<Silent> for Problem {
 
 /// A frame of a room as a container.
 ///
-/// The newest whose planes are done; `x-tmpi-frame` tells its number.
+/// The newest whose planes are done, or one before it, as long as its group of pictures is kept; `x-tmpi-frame` tells its number, `x-tmpi-epoch` the
+/// epoch of HELLO that it is of. What came earlier is made again when it is asked for, and is to the bit what it was as the newest; a frame
+/// without planes of its own has those that it was shown with. `EPOCH-N` is the address that no other frame can have: caches may keep it, and
+/// ask again for a number alone, which the room's next publisher gives another frame.
 #[utoipa::path(
     get, path = "/v1/live/{room}/frames/{frame}/atlas", tag = "live",
     params(
         ("room" = String, Path, description = "Name of the room"),
-        ("frame" = String, Path, description = "`latest`, or its number, as long as no newer one is kept"),
+        ("frame" = String, Path, description = "`latest`, its number, or `EPOCH-N`: the epoch of HELLO and its number"),
         ("token" = Option<String>, Query, description = "Token for who watches or publishes here; this machine's own user needs none"),
     ),
     responses(
         (status = 200, description = "The container, as that of a photo", body = String, content_type = "application/vnd.tmpi",
-            headers(("x-tmpi-frame" = u64, description = "Number of the frame"))),
+            headers(
+                ("x-tmpi-frame" = u64, description = "Number of the frame"),
+                ("x-tmpi-epoch" = u64, description = "Epoch that it is of"),
+            )),
+        (status = 304, description = "The client has it"),
         (status = 400, description = "A parameter is unknown"),
         (status = 403, description = "No token that is good: a page of another site always needs one"),
-        (status = 404, description = "Nobody publishes there, or the frame is not kept"),
-        (status = 503, description = "The node that has the room's publisher does not answer"),
+        (status = 404, description = "Nobody publishes there, or the frame is not done yet, or is not kept any more: `detail` says which"),
+        (status = 503, description = "Too much waits, decoding takes too long, or the node that has the room's publisher does not answer"),
     )
 )]
 pub async fn frame(
@@ -84,12 +88,18 @@ pub async fn frame(
     uri: Uri,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
-    here.check(&name, Role::Watch, &uri, &headers)?;
-    let (number, made) = wanted(&here, &name, &number).await?;
-    let mut response = made.into_response();
-    response.headers_mut().insert(header::CONTENT_TYPE, HeaderValue::from_static(MEDIA_TYPE));
-    response.headers_mut().insert(FRAME, HeaderValue::from(number));
+    let leave = here.check(&name, Role::Watch, &uri, &headers)?;
+    let (wanted, made) = wanted(&here, &name, &number).await?;
+    let shared = leave == Leave::Token && uri.query().is_some();
+    let mut response = RoomViews::container(made.container.clone(), &headers, wanted.lasts(shared));
+    told(&mut response, &made);
     Ok(response)
+}
+
+/// Says which frame an answer is of.
+fn told(response: &mut Response, made: &Made) {
+    response.headers_mut().insert(FRAME, HeaderValue::from(made.number));
+    response.headers_mut().insert(EPOCH, HeaderValue::from(made.epoch));
 }
 
 /// A view of a frame of a room for any camera.
@@ -100,20 +110,23 @@ pub async fn frame(
     get, path = "/v1/live/{room}/frames/{frame}/view", tag = "live", operation_id = "frame_view",
     params(
         ("room" = String, Path, description = "Name of the room"),
-        ("frame" = String, Path, description = "`latest`, or its number, as long as no newer one is kept"),
+        ("frame" = String, Path, description = "`latest`, its number, or `EPOCH-N`: the epoch of HELLO and its number"),
         ("token" = Option<String>, Query, description = "Token for who watches or publishes here; this machine's own user needs none"),
         RoomViewQuery,
     ),
     responses(
         (status = 200, description = "The view; PNG and WebP are transparent where nothing is known",
             content((String = "image/png"), (String = "image/jpeg"), (String = "image/webp")),
-            headers(("x-tmpi-frame" = u64, description = "Number of the frame"))),
+            headers(
+                ("x-tmpi-frame" = u64, description = "Number of the frame"),
+                ("x-tmpi-epoch" = u64, description = "Epoch that it is of"),
+            )),
         (status = 304, description = "The client has it"),
         (status = 400, description = "A parameter is wrong; `field` names it"),
         (status = 403, description = "No token that is good: a page of another site always needs one"),
-        (status = 404, description = "Nobody publishes there, or the frame is not kept"),
+        (status = 404, description = "Nobody publishes there, or the frame is not done yet, or is not kept any more: `detail` says which"),
         (status = 406, description = "The client takes none of the formats"),
-        (status = 503, description = "Too much waits, or the node that has the room's publisher does not answer"),
+        (status = 503, description = "Too much waits, decoding takes too long, or the node that has the room's publisher does not answer"),
     )
 )]
 pub async fn view(
@@ -124,9 +137,10 @@ pub async fn view(
 ) -> Result<Response, Problem> {
     let (asked, token) = here.views.read(&uri)?;
     let leave = here.admit(&name, Role::Watch, token.as_deref(), &headers)?;
-    let (number, made) = wanted(&here, &name, &number).await?;
-    let mut response = here.views.answer(&asked, made, &headers).await?;
-    response.headers_mut().insert(FRAME, HeaderValue::from(number));
+    let (wanted, made) = wanted(&here, &name, &number).await?;
+    let shared = leave == Leave::Token && token.is_some();
+    let mut response = here.views.answer(&asked, made.container.clone(), &headers, wanted.lasts(shared)).await?;
+    told(&mut response, &made);
     if leave == Leave::Token {
         // a picture on a page of another site, whose address has the token
         response.headers_mut().insert("cross-origin-resource-policy", HeaderValue::from_static("cross-origin"));
@@ -134,30 +148,14 @@ pub async fn view(
     Ok(response)
 }
 
-/// Number and container of a frame: that of the number, or `latest`.
-async fn wanted(here: &Here, name: &str, number: &str) -> Result<(u64, Bytes), Problem> {
-    let wanted = match number {
-        "latest" => None,
-        number => Some(number.parse().map_err(|_| Problem::not_found("frames have numbers"))?),
+/// The frame that is asked for, and its container.
+async fn wanted(here: &Here, name: &str, frame: &str) -> Result<(Wanted, Made), Problem> {
+    let wanted: Wanted = frame.parse().map_err(|()| Problem::not_found("frames have numbers"))?;
+    let made = match Source::of(&here.rooms, name)? {
+        Source::Here(room) => past::frame((name, &room), wanted, &here.views).await?,
+        Source::There(owner) => owner.frame(wanted).await??,
     };
-    let none = |kept: Option<u64>| match kept {
-        Some(kept) => Problem::not_found(format!("the frame that is kept is {kept}")),
-        None => Problem::not_found("no frame is done yet"),
-    };
-    match Source::of(&here.rooms, name)? {
-        Source::Here(room) => {
-            let still = room.still().ok_or_else(|| none(None))?;
-            let kept = still.tiles.frame;
-            if wanted.is_some_and(|n| n != kept) {
-                return Err(none(Some(kept)));
-            }
-            Ok((kept, container_of(&still).await.map_err(|e| Problem::internal("writing a container", &e))?))
-        }
-        Source::There(owner) => match owner.frame(wanted).await? {
-            Lent::Frame(number, made) => Ok((number, made)),
-            Lent::Other(kept) => Err(none(kept)),
-        },
-    }
+    Ok((wanted, made))
 }
 
 /// Where the newest group of pictures lies.
@@ -299,27 +297,4 @@ impl Pieces {
             }
         }
     }
-}
-
-/// A frame as a container, made once for all who ask.
-///
-/// # Errors
-/// What is wrong, in words.
-pub(super) async fn container_of(still: &Arc<Still>) -> Result<Bytes, String> {
-    let made = still.atlas.get_or_try_init(|| {
-        let still = Arc::clone(still);
-        async move {
-            let made = tokio::task::spawn_blocking(move || contained(&still)).await;
-            made.map_err(|e| e.to_string())?.map(Bytes::from).map_err(|e| e.to_string())
-        }
-    });
-    made.await.cloned()
-}
-
-fn contained(still: &Still) -> Result<Vec<u8>, container::ContainerError> {
-    let (geometry, photo) = (&still.tiles.geometry, still.photo.clone());
-    let carried = Carried::from_photo(&photo, QUALITY)?;
-    let (grid, intrinsics, view_box) = (geometry.grid, geometry.intrinsics, geometry.view_box);
-    let scene = Scene { grid, intrinsics, view_box, photo, layers: Vec::new(), texels: Texels::default() };
-    container::encode(geometry, &scene, &carried, Carries::default()).map(|(bytes, _)| bytes)
 }

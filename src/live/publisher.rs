@@ -7,7 +7,6 @@ use axum::extract::ws::{Message, WebSocket};
 use bytes::Bytes;
 use tokio::sync::mpsc;
 use tokio::time::{Instant, MissedTickBehavior, interval, sleep_until, timeout_at};
-use tokio_util::sync::CancellationToken;
 
 use tmpi_core::live::wire::message::Kind;
 use tmpi_core::live::wire::{Bye, Credit, Depth, Hello, Video};
@@ -17,9 +16,10 @@ use tmpi_live::{Geometry, Settings, units, video};
 use super::nodes::Refused;
 use super::ring::What;
 use super::room::Room;
+use super::routes::Here;
 use super::sound::Allowance;
 use super::worker::{Coded, Decoded, Worker};
-use super::{BROKEN, CREDIT, Config, FASTEST, FRAME_BYTES, HEARTBEAT, PANICS, Rooms, SILENCE, SOUND_BYTES, send_away};
+use super::{BROKEN, CREDIT, Config, FASTEST, FRAME_BYTES, HEARTBEAT, PANICS, SILENCE, SOUND_BYTES, send_away};
 
 /// Sides of a frame.
 const SIDES: std::ops::RangeInclusive<u32> = 16..=4096;
@@ -27,8 +27,8 @@ const SIDES: std::ops::RangeInclusive<u32> = 16..=4096;
 const CODEC: usize = 64;
 
 /// Serves a publisher until it goes or has to.
-pub async fn serve(mut socket: WebSocket, named: (&str, Arc<Room>), rooms: &Arc<Rooms>, stop: CancellationToken) {
-    let reason = match session(&mut socket, named, rooms, &stop).await {
+pub async fn serve(mut socket: WebSocket, named: (&str, Arc<Room>), here: &Here) {
+    let reason = match session(&mut socket, named, here).await {
         Ok(()) => return,
         Err(reason) => reason,
     };
@@ -44,12 +44,8 @@ const BIDIRECTIONAL: &str =
 const UNKNOWN: &str = "another node had this room when the others were last heard";
 
 /// Publishes; ends without a reason where the publisher has gone by itself.
-async fn session(
-    socket: &mut WebSocket,
-    (name, room): (&str, Arc<Room>),
-    rooms: &Arc<Rooms>,
-    stop: &CancellationToken,
-) -> Result<(), String> {
+async fn session(socket: &mut WebSocket, (name, room): (&str, Arc<Room>), here: &Here) -> Result<(), String> {
+    let Here { rooms, stop, views, .. } = here;
     let (room, config) = (&room, &rooms.config);
     let Some(first) = next(socket, Instant::now() + SILENCE).await? else { return Ok(()) };
     let Kind::Hello(hello) = first else { return Err("the first message is HELLO".into()) };
@@ -69,7 +65,7 @@ async fn session(
     let epoch = room.publish(hello, clock, claim.as_ref().map_or(clock / 1000, |c| c.epoch));
     let evicted = claim.as_ref().map(|c| c.evicted.clone()).unwrap_or_default();
     let _forwarded = claim.map(|mut claim| {
-        claim.forward(room);
+        claim.forward(room, views);
         claim
     });
     let models = config.models.clone();

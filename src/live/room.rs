@@ -12,6 +12,7 @@ use tmpi_core::live::{LiveError, write};
 
 use super::gops::{Group, Groups, Part};
 use super::nodes::{Chunks, Start};
+use super::past::{Found, Missing, Wanted};
 use super::ring::{Place, Ring, Step, What};
 pub use super::still::{Still, Tiles};
 use super::{KEYS, VIEWERS};
@@ -195,9 +196,25 @@ impl Room {
         count(&mut self.lock().statistics);
     }
 
-    /// The last frame whose geometry is done.
-    pub fn still(&self) -> Option<Arc<Still>> {
-        self.lock().still.clone()
+    /// A frame, and the epoch that it is of.
+    ///
+    /// # Errors
+    /// [`Missing`].
+    pub fn find(&self, wanted: Wanted) -> Result<(u64, Found), Missing> {
+        let state = self.lock();
+        let still = state.still.as_ref().ok_or(Missing::None)?;
+        let newest = still.tiles.frame;
+        let found = match wanted {
+            Wanted::Frame { epoch: Some(epoch), .. } if epoch != state.epoch => return Err(Missing::Epoch(state.epoch)),
+            Wanted::Frame { number, .. } if number > newest => return Err(Missing::Later { newest }),
+            // tiles of all frames before the newest have been told
+            Wanted::Frame { number, .. } if number < newest => {
+                let gone = || Missing::Gone { oldest: state.groups.oldest(), newest };
+                Found::Past(number, state.groups.past(number).ok_or_else(gone)?)
+            }
+            Wanted::Latest | Wanted::Frame { .. } => Found::Newest(Arc::clone(still)),
+        };
+        Ok((state.epoch, found))
     }
 
     /// SNAPSHOT of all tiles as they are; none as long as there are none.

@@ -131,7 +131,7 @@ async fn publish(
     let room = here.rooms.enter(&name).ok_or_else(busy)?;
     Ok(upgrade.on_upgrade(async move |socket| {
         held.keep_little();
-        publisher::serve(socket, (&name, Arc::clone(&room)), &here.rooms, here.stop.clone()).await;
+        publisher::serve(socket, (&name, Arc::clone(&room)), &here).await;
         tokio::select! {
             () = tokio::time::sleep(COME_BACK) => {}
             () = here.stop.cancelled() => {}

@@ -22,7 +22,7 @@ use super::hosts::Hosts;
 use super::id::{PhotoId, hex};
 use super::identity;
 use super::jobs::Jobs;
-pub use super::kept::{Derived, Export, Full, Stored, Version};
+pub use super::kept::{Derived, Export, Frame, Full, Stored, Version};
 use super::limits::Limits;
 use super::memory::Way;
 use super::network::Download;
@@ -75,6 +75,8 @@ pub struct Shared {
     pub levels: Cache<(Version, Derived), Stored>,
     /// Encoded views by photo and what they were made of.
     pub views: Cache<(Version, String), Stored>,
+    /// Containers of frames of rooms that were made again.
+    pub frames: Cache<Version, Frame>,
     /// Decoded frames of rooms: beside those of photos, which they would soon displace.
     pub frame_scenes: Cache<Version, Arc<Scene>>,
     /// Their encoded views.
@@ -136,6 +138,7 @@ impl Shared {
             files: Cache::resting(limits.file_cache, limits.rest),
             levels: Cache::resting(limits.file_cache / 4, limits.rest),
             views: Cache::resting(limits.view_cache, limits.rest),
+            frames: Cache::resting(limits.view_cache / FRAMES, limits.rest),
             frame_scenes: Cache::resting(limits.scene_cache / FRAMES, limits.rest),
             frame_views: Cache::resting(limits.view_cache / FRAMES, limits.rest),
             exports: Cache::new(limits.export_cache),
@@ -370,6 +373,7 @@ impl Shared {
         self.files.settle().await;
         self.levels.settle().await;
         self.views.settle().await;
+        self.frames.settle().await;
         self.frame_scenes.settle().await;
         self.frame_views.settle().await;
     }

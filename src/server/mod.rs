@@ -77,6 +77,7 @@ pub use access::keys;
 pub(crate) use access::same;
 pub use child::{ProcessMaker, VARIABLE, serve as make_for_a_server};
 pub use cluster::{Audit, Migration, Nats, Remedy, Role, Sharing, audit, migrate};
+pub(crate) use conditional::{IMMUTABLE, REVALIDATE};
 pub use id::{PhotoId, hex};
 pub use limits::Limits;
 pub use maker::{Fault, HeadOf, Maker, PipelineMaker, Product};

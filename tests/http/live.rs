@@ -226,7 +226,7 @@ fn frames_reach_viewers_as_they_are_and_geometry_follows() {
     let scene = container::decode(&answer.body).unwrap();
     assert_eq!(((scene.photo.width, scene.photo.height), answer.header("x-tmpi-frame")), (SIZE, Some("19")));
     assert!(scene.photo.at(10 + 4 * 19 + 16, 60)[0] > 150);
-    assert_eq!(client::get(server.addr, "/v1/live/attic/frames/7/atlas").status, 404);
+    assert_eq!(client::get(server.addr, "/v1/live/attic/frames/20/atlas").status, 404);
     assert_eq!(client::get(server.addr, "/v1/live/cellar/frames/latest/atlas").status, 404);
     a_view_is_what_the_container_shows(server.addr, &Arc::new(scene));
     groups_are_the_same_for_whoever_asks(server.addr, epoch, &mut publisher);
@@ -269,7 +269,7 @@ fn a_view_is_what_the_container_shows(addr: SocketAddr, scene: &Arc<Scene>) {
     for (query, field) in [("&path=orbit", "path"), ("&v=1", "v"), ("&w=0", "w"), ("&tx=left", "tx")] {
         assert_eq!(ask(query, &[]).problem(400)["field"], field, "{query}");
     }
-    for path in ["attic/frames/7/view", "cellar/frames/latest/view"] {
+    for path in ["attic/frames/20/view", "cellar/frames/latest/view"] {
         assert_eq!(client::get(addr, &format!("/v1/live/{path}")).status, 404, "{path}");
     }
     // a page of another site has it as a picture, by a token in its address

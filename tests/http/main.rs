@@ -30,6 +30,7 @@ mod nodes;
 mod openapi;
 mod origins;
 mod partials;
+mod past;
 mod prepared;
 mod process;
 mod proxies;

@@ -17,9 +17,14 @@ use crate::live::HEARTBEAT;
 use crate::live::room::{Next, Room, Viewer};
 
 /// Sends until the room is another one's, or has another epoch.
-pub async fn run(nodes: Arc<Nodes>, name: String, epoch: u64, room: Arc<Room>, mut asks: mpsc::Receiver<(Ask, async_nats::Subject)>) {
+pub async fn run(
+    nodes: Arc<Nodes>,
+    name: String,
+    epoch: u64,
+    (room, lender): (Arc<Room>, Lender),
+    mut asks: mpsc::Receiver<(Ask, async_nats::Subject)>,
+) {
     let to = subject(&name, epoch);
-    let lender = Lender::new(Arc::clone(&room), epoch);
     let mut changes = room.watch();
     let mut beat = interval(HEARTBEAT);
     beat.set_missed_tick_behavior(MissedTickBehavior::Delay);

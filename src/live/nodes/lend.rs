@@ -14,9 +14,10 @@ use tokio::time::{Instant, timeout_at};
 use super::table::Owner;
 use super::wire::{Packet, Sort};
 use super::{Ask, Nodes};
-use crate::live::fetch;
 use crate::live::gops::{Group, Part};
+use crate::live::past::{self, Made, Missing, Wanted};
 use crate::live::room::Room;
+use crate::server::{Problem, RoomViews};
 
 /// Answers of a room that are made at a time; who asks for more than that asks again.
 const AT_ONCE: usize = 64;
@@ -24,6 +25,8 @@ const AT_ONCE: usize = 64;
 const BATCH: (usize, usize) = (256 << 10, 64);
 /// Time for which the owner waits for a piece that has not come yet.
 const HOLD: Duration = Duration::from_millis(500);
+/// Bytes of the reason why there is no frame, at most.
+const REASON: usize = 4 << 10;
 /// Time that an answer may take, and how often it is asked for.
 const ANSWER: (Duration, u32) = (Duration::from_secs(4), 3);
 
@@ -53,19 +56,23 @@ enum Code {
     End,
     /// The group will be the next one to begin.
     NotYet,
+    /// There is no such frame now: the bytes say why, as JSON of a [`Problem`].
+    Refused,
 }
 
 /// Answers the nodes that ask for what is not handed on to all.
 pub struct Lender {
+    name: Arc<str>,
     room: Arc<Room>,
+    views: RoomViews,
     epoch: u64,
     making: Arc<Semaphore>,
 }
 
 impl Lender {
-    /// Of a room that is this node's with `epoch`.
-    pub fn new(room: Arc<Room>, epoch: u64) -> Self {
-        Self { room, epoch, making: Arc::new(Semaphore::new(AT_ONCE)) }
+    /// Of a room that is this node's with `epoch`; `views` makes what came earlier.
+    pub fn new((name, room): (&str, Arc<Room>), epoch: u64, views: RoomViews) -> Self {
+        Self { name: name.into(), room, views, epoch, making: Arc::new(Semaphore::new(AT_ONCE)) }
     }
 
     /// Answers by itself, and holds up nobody.
@@ -73,10 +80,11 @@ impl Lender {
         // whoever is not answered asks again
         let Ok(permit) = Arc::clone(&self.making).try_acquire_owned() else { return };
         let (nodes, room, epoch) = (Arc::clone(nodes), Arc::clone(&self.room), self.epoch);
+        let (name, views) = (Arc::clone(&self.name), self.views.clone());
         tokio::spawn(async move {
             let most = BATCH.0.min(BATCH.1 * nodes.client.max_payload());
             let (code, after, bytes) = match get {
-                Get::Frame(number) => frame(&room, number).await,
+                Get::Frame(number) => frame((&name, &room), epoch, number, &views).await,
                 Get::Latest => match room.last_group().filter(|g| g.epoch == epoch) {
                     Some(group) => (Code::Found, group.number, Bytes::new()),
                     None => (Code::Gone, 0, Bytes::new()),
@@ -89,19 +97,17 @@ impl Lender {
     }
 }
 
-async fn frame(room: &Room, number: Option<u64>) -> (Code, u64, Bytes) {
-    let Some(still) = room.still() else { return (Code::Gone, u64::MAX, Bytes::new()) };
-    let kept = still.tiles.frame;
-    if number.is_some_and(|n| n != kept) {
-        return (Code::Gone, kept, Bytes::new());
+async fn frame(room: (&str, &Room), epoch: u64, number: Option<u64>, views: &RoomViews) -> (Code, u64, Bytes) {
+    let wanted = number.map_or(Wanted::Latest, |number| Wanted::Frame { epoch: Some(epoch), number });
+    match past::frame(room, wanted, views).await {
+        Ok(made) if made.epoch == epoch => (Code::Found, made.number, made.container),
+        Ok(made) => refused(&Missing::Epoch(made.epoch).into()),
+        Err(problem) => refused(&problem),
     }
-    match fetch::container_of(&still).await {
-        Ok(bytes) => (Code::Found, kept, bytes),
-        Err(error) => {
-            tracing::error!(error, "writing a container for another node");
-            (Code::Gone, kept, Bytes::new())
-        }
-    }
+}
+
+fn refused(problem: &Problem) -> (Code, u64, Bytes) {
+    (Code::Refused, u64::MAX, serde_json::to_vec(problem).unwrap_or_default().into())
 }
 
 /// Messages of a group from `at` on, each after its length, and the number of the one that comes next.
@@ -139,14 +145,6 @@ pub struct Borrower {
     owner: Owner,
 }
 
-/// A frame that was asked for.
-pub enum Lent {
-    /// The container, and the frame's number.
-    Frame(u64, Bytes),
-    /// Another frame is kept, or none yet.
-    Other(Option<u64>),
-}
-
 /// The owner does not answer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Silent;
@@ -171,17 +169,26 @@ impl Borrower {
         Err(Silent)
     }
 
-    /// A frame as a container.
+    /// A frame as a container, or why there is none.
     ///
     /// # Errors
     /// [`Silent`].
-    pub async fn frame(&self, number: Option<u64>) -> Result<Lent, Silent> {
-        let packet = self.get(Get::Frame(number)).await?;
-        Ok(if packet.number == Code::Found as u64 {
-            Lent::Frame(packet.after, packet.bytes)
-        } else {
-            Lent::Other(Some(packet.after).filter(|n| *n != u64::MAX))
-        })
+    pub async fn frame(&self, wanted: Wanted) -> Result<Result<Made, Problem>, Silent> {
+        let epoch = self.owner.epoch;
+        if let Wanted::Frame { epoch: Some(asked), .. } = wanted
+            && asked != epoch
+        {
+            return Ok(Err(Missing::Epoch(epoch).into()));
+        }
+        let packet = self.get(Get::Frame(wanted.number())).await?;
+        if packet.number == Code::Found as u64 {
+            return Ok(Ok(Made { epoch, number: packet.after, container: packet.bytes }));
+        }
+        // what is no reason of ours is none
+        let reason = Some(&packet.bytes).filter(|bytes| packet.number == Code::Refused as u64 && bytes.len() <= REASON);
+        let problem =
+            reason.and_then(|bytes| serde_json::from_slice::<Problem>(bytes).ok()).filter(|p| matches!(p.status, 404 | 500 | 503));
+        Ok(Err(problem.unwrap_or_else(|| Problem::not_found("that frame is not kept"))))
     }
 
     /// The newest group of pictures.

@@ -41,8 +41,9 @@ use tokio_util::sync::CancellationToken;
 use super::Rooms;
 use super::room::Room;
 pub use crate::nats::Config;
-use lend::Get;
-pub use lend::{Borrower, Lent, Silent};
+use crate::server::RoomViews;
+pub use lend::{Borrower, Silent};
+use lend::{Get, Lender};
 use table::{BEAT, Owner, Presence, Table, Verdict, Watched};
 pub use tiles::Chunks;
 #[cfg(test)]
@@ -367,10 +368,11 @@ pub struct Claim {
 }
 
 impl Claim {
-    /// Sends to the other nodes what is published in `room`, as far as they watch.
-    pub fn forward(&mut self, room: &Arc<Room>) {
+    /// Sends to the other nodes what is published in `room`, as far as they watch; `views` makes the frames that they ask for.
+    pub fn forward(&mut self, room: &Arc<Room>, views: &RoomViews) {
         if let Some(asks) = self.asks.take() {
-            tokio::spawn(forward::run(Arc::clone(&self.nodes), self.name.clone(), self.epoch, Arc::clone(room), asks));
+            let lender = Lender::new((&self.name, Arc::clone(room)), self.epoch, views.clone());
+            tokio::spawn(forward::run(Arc::clone(&self.nodes), self.name.clone(), self.epoch, (Arc::clone(room), lender), asks));
         }
     }
 }

@@ -24,9 +24,9 @@ impl Derived {
         Self { cache_control: kept(asked, || results.clone()), made: identity::short(&name(&results)) }
     }
 
-    /// Of a frame of a room, which the next one follows: nobody keeps it. `name` is what it follows from.
-    pub fn of_frame(name: &str) -> Self {
-        Self { cache_control: "no-store", made: identity::short(name) }
+    /// Of a frame of a room. `name` is what it follows from.
+    pub fn of_frame(name: &str, cache_control: &'static str) -> Self {
+        Self { cache_control, made: identity::short(name) }
     }
 
     /// The answer to a client that has it already.

@@ -140,7 +140,7 @@ fn cors() -> CorsLayer {
 
 /// The same for rooms: a token goes with the request, by which alone a page of another site is let in.
 fn rooms_cors() -> CorsLayer {
-    let exposed = ["etag", "content-length", "location", "server-timing", "x-request-id", "x-tmpi-frame", "retry-after"];
+    let exposed = ["etag", "content-length", "location", "server-timing", "x-request-id", "x-tmpi-frame", "x-tmpi-epoch", "retry-after"];
     cors()
         .allow_headers([header::AUTHORIZATION, header::IF_NONE_MATCH, header::ACCEPT])
         .expose_headers(exposed.map(HeaderName::from_static))

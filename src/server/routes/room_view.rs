@@ -10,11 +10,13 @@ use sha2::{Digest, Sha256};
 use super::derived::Derived;
 use super::view::{Subject, count, draw, picked};
 use super::view_query::ViewQuery;
-use crate::server::app::{App, Stored, Version};
-use crate::server::conditional::insert;
-use crate::server::id::PhotoId;
+use crate::server::app::{App, Frame, Stored, Version};
+use crate::server::conditional::{Coding, Entity, insert, respond};
+use crate::server::id::{PhotoId, hex};
+use crate::server::pool::Class;
 use crate::server::problem::Problem;
-use tmpi_core::container;
+use crate::server::source::Source;
+use tmpi_core::container::{self, MEDIA_TYPE};
 
 /// Draws them.
 #[derive(Clone)]
@@ -38,18 +40,52 @@ impl RoomViews {
         ViewQuery::of_room(uri, &self.0.limits).map(|(query, token)| (RoomView(query), token))
     }
 
-    /// A view of the frame in a container.
+    /// The container of a frame that is made of what is kept of it, with so many bytes of memory: once for all who ask, as smaller levels of photos
+    /// are. `frame`: the room, the epoch and the number.
+    ///
+    /// # Errors
+    /// 503 where too much waits, 500, and those of `make`.
+    pub async fn frame(
+        &self,
+        (room, epoch, number): (&str, u64, u64),
+        memory: u64,
+        make: impl FnOnce() -> Result<Vec<u8>, Problem> + Send + 'static,
+    ) -> Result<Bytes, Problem> {
+        let app = &self.0;
+        let of = PhotoId::of(&Sha256::digest(format!("{room} {epoch}")).into(), None, "", "epoch");
+        let made = async {
+            let slot = app.pool.enter(Class::Derived, memory).await?;
+            Ok(Frame(slot.run(make).await??.into()))
+        };
+        app.frames.get((of, number), made).await.map(|Frame(bytes)| bytes)
+    }
+
+    /// The container of a frame as an answer, which caches may keep as `cache_control` says.
+    pub fn container(container: Bytes, headers: &HeaderMap, cache_control: &str) -> Response {
+        let etag = format!("\"{}\"", hex(&Sha256::digest(&container)[..16]));
+        let source = Source::Memory(container);
+        respond(headers, Entity { source, etag: &etag, content_type: MEDIA_TYPE, cache_control, coding: Coding::Plain })
+    }
+
+    /// A view of the frame in a container, which caches may keep as `cache_control` says.
     ///
     /// # Errors
     /// 400 where the size is over the limits, 406 for want of a format, 503 where too much waits, 500.
-    pub async fn answer(&self, RoomView(query): &RoomView, container: Bytes, headers: &HeaderMap) -> Result<Response, Problem> {
+    pub async fn answer(
+        &self,
+        RoomView(query): &RoomView,
+        container: Bytes,
+        headers: &HeaderMap,
+        cache_control: &'static str,
+    ) -> Result<Response, Problem> {
         let app = &self.0;
         let photo = size_of(&container).map_err(|e| Problem::internal("reading a frame", &e))?;
         let size = query.size(photo, &app.limits)?;
         let format = picked(query.format, headers)?;
         // the same container is the same frame, at whichever node it was made
         let frame: Version = (PhotoId::of(&Sha256::digest(&container).into(), None, "", "frame"), 0);
-        let derived = Derived::of_frame(&format!("{} {} {size:?} {format:?} {:?}", app.build, frame.0, query.canonical()));
+        let name = format!("{} {} {size:?} {format:?} {:?}", app.build, frame.0, query.canonical());
+        let derived = Derived::of_frame(&name, cache_control);
         if let Some(mut response) = derived.known(headers) {
             insert(&mut response, header::VARY, "Accept");
             return Ok(response);
