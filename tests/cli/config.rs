@@ -115,8 +115,7 @@ fn files_that_serve_would_fail_on_are_an_error() {
         (&["--depth-model", "tmpi=nowhere.onnx"], 1, &["--depth-model", "nowhere.onnx"]),
         (&["--live-depth-model", "tmpi=nowhere.onnx"], 1, &["--live-depth-model", "nowhere.onnx"]),
     ] {
-        let run = config(&f, &[], args).fails(code, words);
-        assert_eq!(run.out, "", "{args:?}");
+        config(&f, &[], args).fails(code, words);
     }
 }
 
@@ -161,8 +160,8 @@ fn secrets_in_addresses_are_not_told() {
     for (name, value) in
         [("--nats", "nats://me:secret@127.0.0.1:port"), ("--otlp", "ftp://me:secret@127.0.0.1"), ("--store", "ftp://me:secret@host")]
     {
-        let run = config(&f, &[], &[name, value]).fails(2, &[name]);
-        assert!(!run.err.contains("secret") && !run.out.contains("secret"), "{}", run.err);
+        let said = config(&f, &[], &[name, value]).fails(2, &[name]);
+        assert!(!said.contains("secret"), "{said}");
     }
 }
 

@@ -92,13 +92,14 @@ impl Run {
         self
     }
 
-    /// A failure with nothing on standard output, and a text that holds every word.
-    pub fn fails(self, code: i32, words: &[&str]) {
+    /// A failure with nothing on standard output, and a text that holds every word; gives that text.
+    pub fn fails(self, code: i32, words: &[&str]) -> String {
         assert_eq!((self.code, self.out.as_str()), (code, ""), "{}", self.err);
         for word in words {
             assert!(self.err.contains(word), "{word:?} is not in: {}", self.err);
         }
         assert!(!self.err.contains("panicked"), "{}", self.err);
+        self.err
     }
 
     pub fn json(&self) -> Value {
