@@ -19,11 +19,7 @@ use super::room::Room;
 use super::routes::Here;
 use super::sound::Allowance;
 use super::worker::{Coded, Decoded, Worker};
-<<<<<<< HEAD
 use super::{BROKEN, CREDIT, Config, FASTEST, HEARTBEAT, PANICS, SILENCE, send_away};
-=======
-use super::{BROKEN, CREDIT, Config, FASTEST, FRAME_BYTES, HEARTBEAT, PANICS, SILENCE, SOUND_BYTES, send_away};
->>>>>>> h-past
 
 /// Sides of a frame.
 const SIDES: std::ops::RangeInclusive<u32> = 16..=4096;

@@ -78,14 +78,9 @@ pub use accept::Held;
 pub use access::keys;
 pub(crate) use access::same;
 pub use child::{ProcessMaker, VARIABLE, serve as make_for_a_server};
-<<<<<<< HEAD
 pub use cluster::{Audit, Migration, Nats, Remedy, Role, Sharing, audit, check_store, migrate};
 pub(crate) use conditional::{IMMUTABLE, REVALIDATE};
 pub use files::Reserve;
-=======
-pub use cluster::{Audit, Migration, Nats, Remedy, Role, Sharing, audit, migrate};
-pub(crate) use conditional::{IMMUTABLE, REVALIDATE};
->>>>>>> h-past
 pub use id::{PhotoId, hex};
 pub use limits::Limits;
 pub use maker::{Fault, HeadOf, Maker, PipelineMaker, Product};
