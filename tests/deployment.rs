@@ -19,8 +19,9 @@ const CALLERS: [(&str, usize); 7] = [
 /// Texts that name options in a sentence.
 const TEXTS: [&str; 3] = ["docker/README.md", "docker/prometheus/alerts.yaml", "docs/threat-model.md"];
 /// Options of `tmpi key`, cargo, kubectl, systemd-analyze, docker and `docker/check.py` in them.
-const OF_OTHERS: [&str; 11] = [
+const OF_OTHERS: [&str; 12] = [
     "--scope",
+    "--create",
     "--release",
     "--workspace",
     "--test",

@@ -2,7 +2,8 @@
 
 use std::time::Duration;
 
-use crate::server::Limits;
+use crate::live::Bounds;
+use crate::server::{Limits, Reserve};
 
 /// The same as options.
 #[derive(Clone, Debug, clap::Args)]
@@ -14,6 +15,9 @@ pub(super) struct BoundArgs {
     /// Memory that a decoder of photos may take, in MiB
     #[arg(long, default_value_t = (tmpi_pipeline::photo::Limits::DECODER_MEMORY >> 20) as u32, value_parser = clap::value_parser!(u32).range(1..), value_name = "MIB")]
     decoder_memory: u32,
+    /// Longest header of a request, in KiB
+    #[arg(long, default_value_t = (Limits::HEADER_BYTES >> 10) as u16, value_parser = clap::value_parser!(u16).range(8..=256), value_name = "KIB")]
+    max_header: u16,
     /// Seconds for the header of a request to come; also how long an idle connection is kept
     #[arg(long, default_value_t = seconds(Limits::HEADER_READ), value_parser = clap::value_parser!(u32).range(1..), value_name = "S")]
     header_timeout: u32,
@@ -38,6 +42,9 @@ pub(super) struct BoundArgs {
     /// Starts of a photo that takes down what makes it, until it is given up
     #[arg(long, default_value_t = Limits::ATTEMPTS as u8, value_parser = clap::value_parser!(u8).range(1..), value_name = "N")]
     attempts: u8,
+    /// Requests at a time on a connection of HTTP/2
+    #[arg(long, default_value_t = Limits::STREAMS_AT_ONCE as u16, value_parser = clap::value_parser!(u16).range(1..=1024), value_name = "N")]
+    streams_at_once: u16,
     /// Streams of events at a time, half of them from one address
     #[arg(long, default_value_t = Limits::STREAMS as u32, value_parser = clap::value_parser!(u32).range(2..), value_name = "N")]
     streams: u32,
@@ -77,6 +84,30 @@ pub(super) struct BoundArgs {
     /// Memory for views that were drawn, in MiB [default: 64]
     #[arg(long, value_name = "MIB")]
     view_cache: Option<u32>,
+    /// Disk that is kept free for photos that were accepted, in MiB: with less, uploads are answered 507 [default: 64, or a twentieth of a smaller disk]
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..), value_name = "MIB")]
+    least_free: Option<u32>,
+    /// Files that the disk can still have, kept free the same way [default: 1024, or a hundredth of a smaller disk's]
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..), value_name = "N")]
+    least_free_files: Option<u32>,
+    /// Days for which a link to a photo may be good
+    #[arg(long, default_value_t = (Limits::LINK.as_secs() / DAY) as u16, value_parser = clap::value_parser!(u16).range(1..=36_500), value_name = "DAYS")]
+    link_days: u16,
+    /// Seconds for which browsers that were answered by TLS of --tls-cert ask by nothing else (Strict-Transport-Security); 0: that is not told
+    #[arg(long, default_value_t = seconds(Limits::HSTS), value_parser = clap::value_parser!(u32).range(0..=63_072_000), value_name = "S")]
+    hsts: u32,
+    /// Rooms at a time
+    #[arg(long, default_value_t = Bounds::ROOMS as u16, value_parser = clap::value_parser!(u16).range(1..=Bounds::MOST_ROOMS as i64), value_name = "N")]
+    live_rooms: u16,
+    /// Viewers of a room at this node
+    #[arg(long, default_value_t = Bounds::VIEWERS as u32, value_parser = clap::value_parser!(u32).range(1..=1_000_000), value_name = "N")]
+    live_viewers: u32,
+    /// Largest frame of a room, in KiB
+    #[arg(long, default_value_t = (Bounds::FRAME >> 10) as u16, value_parser = clap::value_parser!(u16).range(16..=(Bounds::FRAME >> 10) as i64), value_name = "KIB")]
+    live_frame: u16,
+    /// Largest packet of sound of a room, in KiB
+    #[arg(long, default_value_t = (Bounds::SOUND >> 10) as u16, value_parser = clap::value_parser!(u16).range(1..=64), value_name = "KIB")]
+    live_sound: u16,
     /// Photos on one page of the list
     #[arg(long, default_value_t = Limits::PAGE as u16, value_parser = clap::value_parser!(u16).range(1..), value_name = "N")]
     page: u16,
@@ -100,6 +131,9 @@ pub(super) struct BoundArgs {
     known_photos: Option<u32>,
 }
 
+/// Seconds of a day.
+const DAY: u64 = 86_400;
+
 /// Whole seconds of a default.
 const fn seconds(time: Duration) -> u32 {
     time.as_secs() as u32
@@ -112,6 +146,7 @@ impl BoundArgs {
         let mib = |said: Option<u32>, usual: usize| said.map_or(usual, |mib| (mib as usize) << 20);
         limits.photo.side = self.max_side;
         limits.photo.decoder_memory = u64::from(self.decoder_memory) << 20;
+        limits.header = usize::from(self.max_header) << 10;
         limits.header_read = time(self.header_timeout);
         limits.body_read = time(self.body_timeout);
         limits.body_rate = u64::from(self.body_rate);
@@ -120,6 +155,7 @@ impl BoundArgs {
         limits.changes = usize::from(self.changes);
         limits.uploads_beyond = usize::from(self.uploads_beyond);
         limits.attempts = u32::from(self.attempts);
+        limits.streams_at_once = u32::from(self.streams_at_once);
         limits.streams = self.streams as usize;
         limits.keep_alive = time(self.keep_alive);
         limits.views_waiting = self.views_waiting as usize;
@@ -133,6 +169,9 @@ impl BoundArgs {
         limits.renders = self.renders;
         limits.file_cache = mib(self.file_cache, limits.file_cache);
         limits.view_cache = mib(self.view_cache, limits.view_cache);
+        limits.reserve = Reserve { bytes: self.least_free.map(|mib| u64::from(mib) << 20), files: self.least_free_files.map(u64::from) };
+        limits.link = Duration::from_secs(DAY * u64::from(self.link_days));
+        limits.hsts = time(self.hsts);
         limits.page = usize::from(self.page);
         limits.retain_sweep = time(self.retain_sweep);
         limits.look_over_first = time(self.look_over_first);
@@ -140,5 +179,15 @@ impl BoundArgs {
         limits.look_over_rate = u64::from(self.look_over_rate) << 20;
         limits.sweep = time(self.sweep);
         limits.known_photos = self.known_photos.map_or(limits.known_photos, |n| n as usize);
+    }
+
+    /// Those of rooms.
+    pub fn rooms(&self) -> Bounds {
+        Bounds {
+            rooms: usize::from(self.live_rooms),
+            viewers: self.live_viewers as usize,
+            frame: usize::from(self.live_frame) << 10,
+            sound: usize::from(self.live_sound) << 10,
+        }
     }
 }

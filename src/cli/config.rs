@@ -1,4 +1,5 @@
-//! Settings of `tmpi serve` from a file and from the environment, and `tmpi config`, which tells what holds and where it comes from.
+//! Settings of `tmpi serve` from a file and from the environment, and `tmpi config`, which checks them as `serve` does and tells what holds and
+//! where it comes from. `tmpi key` takes from them where the keys are.
 //!
 //! A file is TOML with the names of the options: `queue = 200`, `host = ["photos.example.org"]`, `public-list = true`. What the command
 //! line says counts first, then `TMPI_SERVE_QUEUE` and the like, then the file, then the default. Values of the file go the way of the
@@ -8,19 +9,18 @@ use std::ffi::{OsStr, OsString};
 use std::fmt::Write as _;
 use std::path::Path;
 
-use clap::error::ErrorKind;
+use clap::error::{ContextKind, ContextValue, ErrorKind};
 use clap::parser::ValueSource;
 use clap::{Arg, ArgAction, ArgMatches, Command};
 use toml::{Table, Value};
 
-use super::serve::ServeArgs;
+use super::serve::{Effect, ServeArgs};
 
 /// Show the settings that `serve` would have, as a file that --config takes, and where each comes from
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct ConfigArgs {
     #[command(flatten)]
-    #[allow(dead_code, reason = "its options are read as they were given")]
-    serve: ServeArgs,
+    pub serve: ServeArgs,
     /// What is told.
     #[arg(skip)]
     pub shown: String,
@@ -28,6 +28,10 @@ pub(super) struct ConfigArgs {
 
 /// Commands that take these settings.
 const COMMANDS: [&str; 3] = ["serve", "work", "config"];
+/// The command of which each takes those that it has an option for.
+const KEY: &str = "key";
+/// Settings that are addresses, in which there may be secrets.
+const ADDRESSES: [&str; 4] = ["nats", "network-url", "otlp", "store"];
 /// What the variables of settings begin with.
 const PREFIX: &str = "TMPI_SERVE_";
 /// The option that names the file.
@@ -38,14 +42,30 @@ const LONGEST: u64 = 1 << 20;
 
 /// The definition with every option of `serve` open to the environment.
 pub(super) fn with_environment(all: Command) -> Command {
-    COMMANDS.iter().fold(all, |all, name| {
-        all.mut_subcommand(name, |command| {
-            command.mut_args(|arg| match variable(&arg) {
-                Some(variable) => arg.env(variable).hide_env(true),
-                None => arg,
-            })
+    let open = |command: Command, is_one: &dyn Fn(&Arg) -> bool| {
+        command.mut_args(|arg| match variable(&arg).filter(|_| is_one(&arg)) {
+            Some(variable) => arg.env(variable).hide_env(true),
+            None => arg,
         })
+    };
+    let all = COMMANDS.iter().fold(all, |all, name| all.mut_subcommand(name, |command| open(command, &|_| true)));
+    let settings = all.find_subcommand(COMMANDS[0]).cloned().unwrap_or_default();
+    let is_setting = |arg: &Arg| settings.get_arguments().any(|setting| setting.get_long() == arg.get_long());
+    all.mut_subcommand(KEY, |key| {
+        let names: Vec<String> = key.get_subcommands().map(|command| command.get_name().to_owned()).collect();
+        names.iter().fold(key, |key, name| key.mut_subcommand(name, |command| open(command, &is_setting)))
     })
+}
+
+/// The command that was called, if it takes settings, what was given of it, and the one that has all settings.
+fn called<'a>(all: &'a Command, given: &'a ArgMatches) -> Option<(&'a Command, &'a ArgMatches, &'a Command)> {
+    let (name, given) = given.subcommand()?;
+    let command = all.find_subcommand(name)?;
+    if name == KEY {
+        let (name, given) = given.subcommand()?;
+        return Some((command.find_subcommand(name)?, given, all.find_subcommand(COMMANDS[0])?));
+    }
+    COMMANDS.contains(&name).then_some((command, given, command))
 }
 
 /// The variable of an option that has none yet.
@@ -61,15 +81,16 @@ fn variable(arg: &Arg) -> Option<String> {
 pub(super) fn with_file(all: &Command, mut line: Vec<OsString>) -> Result<(Vec<OsString>, Vec<String>), clap::Error> {
     // what is wrong with the rest is told when it is read whole
     let Ok(given) = all.clone().ignore_errors(true).try_get_matches_from(&line) else { return Ok((line, Vec::new())) };
-    let Some((name, given)) = given.subcommand().filter(|(name, _)| COMMANDS.contains(name)) else { return Ok((line, Vec::new())) };
-    let Some(command) = all.find_subcommand(name) else { return Ok((line, Vec::new())) };
-    only_settings(command, std::env::vars_os().map(|(name, _)| name))?;
+    let Some((command, given, settings)) = called(all, &given) else { return Ok((line, Vec::new())) };
+    only_settings(settings, std::env::vars_os().map(|(name, _)| name))?;
     let Some(file) = given.get_one::<std::path::PathBuf>(FILE) else { return Ok((line, Vec::new())) };
     let refused = |why: String| command.clone().error(ErrorKind::ValueValidation, format!("{}: {why}", file.display()));
     let mut named = Vec::new();
     for (key, value) in read(file).map_err(refused)? {
-        let option = command.get_arguments().find(|a| a.get_long() == Some(&key) && key != FILE && !a.is_hide_set());
-        let option = option.ok_or_else(|| refused(format!("`{key}` is no setting; `tmpi serve --help` lists them as options")))?;
+        if setting(settings, &key).is_none() {
+            return Err(refused(format!("`{key}` is no setting; `tmpi serve --help` lists them as options")));
+        }
+        let Some(option) = setting(command, &key) else { continue };
         let id = option.get_id().as_str();
         if matches!(given.value_source(id), Some(ValueSource::CommandLine | ValueSource::EnvVariable)) {
             continue;
@@ -83,6 +104,11 @@ pub(super) fn with_file(all: &Command, mut line: Vec<OsString>) -> Result<(Vec<O
         }
     }
     Ok((line, named))
+}
+
+/// The option of a command that a key of a file stands for.
+fn setting<'a>(command: &'a Command, key: &str) -> Option<&'a Arg> {
+    command.get_arguments().find(|a| a.get_long() == Some(key) && key != FILE && !a.is_hide_set())
 }
 
 /// # Errors
@@ -131,8 +157,8 @@ fn values(option: &Arg, value: &Value) -> Result<Vec<String>, String> {
     }
 }
 
-/// What holds, as a file that `--config` takes, each line with where its value comes from; defaults are comments.
-pub(super) fn shown(command: &Command, given: &ArgMatches, from_file: &[String]) -> String {
+/// What holds, as a file that `--config` takes, each line with where its value comes from; defaults, and what follows from others, are comments.
+pub(super) fn shown(command: &Command, given: &ArgMatches, from_file: &[String], effects: &[Effect]) -> String {
     let mut text = String::new();
     for option in command.get_arguments().filter(|a| !a.is_hide_set()) {
         let (id, Some(long)) = (option.get_id().as_str(), option.get_long()) else { continue };
@@ -145,12 +171,17 @@ pub(super) fn shown(command: &Command, given: &ArgMatches, from_file: &[String])
             Some(ValueSource::EnvVariable) => "environment",
             _ => "",
         };
+        let effect = effects.iter().find(|effect| effect.option == long);
+        let said: Vec<&str> =
+            [source, effect.and_then(|e| e.note.as_deref()).unwrap_or_default()].into_iter().filter(|s| !s.is_empty()).collect();
         // some defaults may not be said where what they belong to is not
-        let (begin, end) = if source.is_empty() { ("# ", String::new()) } else { ("", format!(" # {source}")) };
-        let raw: Vec<&OsStr> = given.get_raw(id).map_or_else(Vec::new, Iterator::collect);
-        let told = raw.iter().map(|v| literal(&v.to_string_lossy(), option)).collect::<Vec<_>>();
+        let begin = if source.is_empty() { "# " } else { "" };
+        let end = if said.is_empty() { String::new() } else { format!(" # {}", said.join(", ")) };
+        let raw = given.get_raw(id).into_iter().flatten().map(|v| v.to_string_lossy().into_owned());
+        let values: Vec<String> = effect.and_then(|e| e.value.clone()).map_or_else(|| raw.collect(), |value| vec![value]);
+        let told = values.iter().map(|value| literal(value, option)).collect::<Vec<_>>();
         let _ = match told.as_slice() {
-            [] => writeln!(text, "# {long} ="),
+            [] => writeln!(text, "# {long} ={end}"),
             [one] if !matches!(option.get_action(), ArgAction::Append) => writeln!(text, "{begin}{long} = {one}{end}"),
             all => writeln!(text, "{begin}{long} = [{}]{end}", all.join(", ")),
         };
@@ -158,14 +189,65 @@ pub(super) fn shown(command: &Command, given: &ArgMatches, from_file: &[String])
     text
 }
 
-/// A value as TOML; passwords in addresses are left out.
+/// A value as TOML; secrets in addresses are left out.
 fn literal(value: &str, option: &Arg) -> String {
     let whole = value.parse::<i64>().is_ok_and(|n| n.to_string() == value);
     if matches!(option.get_action(), ArgAction::SetTrue) || whole {
         return value.to_owned();
     }
-    let address = value.split_once("://").and_then(|(scheme, rest)| Some((scheme, rest.rsplit_once('@')?.1)));
-    let shown = address.map_or_else(|| value.to_owned(), |(scheme, host)| format!("{scheme}://…@{host}"));
+    let is_address = value.contains("://") || option.get_long().is_some_and(|long| ADDRESSES.contains(&long));
     // texts of JSON are texts of TOML
-    serde_json::Value::String(shown).to_string()
+    serde_json::Value::String(if is_address { without_secrets(value) } else { value.to_owned() }).to_string()
+}
+
+/// An address without user and password, without the values of its query, and without what is behind `#`.
+pub(super) fn without_secrets(address: &str) -> String {
+    let cut =
+        |text: &str, at: char| text.split_once(at).map_or_else(|| (text.to_owned(), None), |(a, b)| (a.to_owned(), Some(b.to_owned())));
+    let (address, fragment) = cut(address, '#');
+    let (address, query) = cut(&address, '?');
+    let (scheme, place) = address.split_once("://").map_or((String::new(), address.as_str()), |(s, rest)| (format!("{s}://"), rest));
+    let authority = place.split('/').next().unwrap_or_default();
+    // a password with a slash ends the authority too early: no port is a word
+    let is_cut = !authority.contains('@') && authority.rsplit_once(':').is_some_and(|(_, port)| !port.bytes().all(|b| b.is_ascii_digit()));
+    let users = if is_cut { place } else { authority }.rfind('@');
+    let place = users.map_or_else(|| place.to_owned(), |at| format!("…{}", &place[at..]));
+    let hidden = |pair: &str| pair.split_once('=').map_or_else(|| "…".to_owned(), |(name, _)| format!("{name}=…"));
+    let query = query.map_or_else(String::new, |query| format!("?{}", query.split('&').map(hidden).collect::<Vec<_>>().join("&")));
+    format!("{scheme}{place}{query}{}", if fragment.is_some() { "#…" } else { "" })
+}
+
+/// An error without the secrets of the value that it is about.
+pub(super) fn told_without_secrets(mut error: clap::Error) -> clap::Error {
+    if let Some(ContextValue::String(value)) = error.get(ContextKind::InvalidValue)
+        && (value.contains('@') || value.contains("://"))
+    {
+        let value = ContextValue::String(without_secrets(value));
+        error.insert(ContextKind::InvalidValue, value);
+    }
+    error
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_secret_of_an_address_is_told() {
+        for (address, told) in [
+            ("nats://me:secret@127.0.0.1:4222", "nats://…@127.0.0.1:4222"),
+            ("me:secret@127.0.0.1:4222", "…@127.0.0.1:4222"),
+            ("nats://secret@[::1]:4222", "nats://…@[::1]:4222"),
+            ("nats://[::1]:4222", "nats://[::1]:4222"),
+            ("http://me:se@cret@host/a@b", "http://…@host/a@b"),
+            ("http://me:secret/secret@host/a", "http://…@host/a"),
+            ("http://127.0.0.1:4318/a@b", "http://127.0.0.1:4318/a@b"),
+            ("https://host/net.onnx?sig=secret&b=secret&secret#secret", "https://host/net.onnx?sig=…&b=…&…#…"),
+            ("https://host?a=secret@x:y", "https://host?a=…"),
+            ("s3://bucket/prefix", "s3://bucket/prefix"),
+            ("file:///var/store", "file:///var/store"),
+        ] {
+            assert_eq!(without_secrets(address), told, "{address}");
+        }
+    }
 }

@@ -116,7 +116,8 @@ fn parsed() -> Result<(Option<String>, Cli), clap::Error> {
     let all = definition.clone().try_get_matches_from(line)?;
     let mut cli = Cli::from_arg_matches(&all)?;
     if let (Command::Config(args), Some((name, given))) = (&mut cli.command, all.subcommand()) {
-        args.shown = definition.find_subcommand(name).map(|c| config::shown(c, given, &from_file)).unwrap_or_default();
+        let effects = args.serve.effects();
+        args.shown = definition.find_subcommand(name).map(|c| config::shown(c, given, &from_file, &effects)).unwrap_or_default();
     }
     Ok((all.subcommand_name().map(str::to_owned), cli))
 }
@@ -133,6 +134,7 @@ pub fn main() -> ExitCode {
     let (name, cli) = match parsed() {
         Ok(parsed) => parsed,
         Err(error) => {
+            let error = config::told_without_secrets(error);
             // Nothing is left to do where even this cannot be written
             let _ = error.print();
             return ExitCode::from(if error.use_stderr() { 2 } else { 0 });
@@ -169,7 +171,10 @@ fn run(command: Command) -> anyhow::Result<()> {
         Command::Export(args) => export::run(&args),
         Command::Serve(args) => serve::run(args),
         Command::Work(args) => serve::run(args.serve.at_work()?),
-        Command::Config(args) => result(args.shown.trim_end()),
+        Command::Config(args) => {
+            args.serve.check()?;
+            result(args.shown.trim_end())
+        }
         Command::Fsck(args) => store::fsck(&args),
         Command::Gc(args) => store::gc(&args),
         Command::Migrate(args) => store::migrate(&args),

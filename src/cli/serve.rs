@@ -13,6 +13,7 @@ use super::bounds::BoundArgs;
 use super::clients::ClientArgs;
 use super::flags::{DepthModel, ModelFlags, depth_model};
 use super::{Usage, files};
+pub(super) use checks::Effect;
 use sha2::{Digest as _, Sha256};
 
 use crate::live::{self, NatsAddress, Rooms};
@@ -224,19 +225,25 @@ impl ServeArgs {
         if self.no_live {
             return Ok(None);
         }
-        let key = self.live_key.as_deref().map(files::read).transpose()?;
-        if key.as_ref().is_some_and(|k| k.len() < LEAST_KEY) {
-            return Err(Usage(format!("--live-key: a key has {LEAST_KEY} bytes at least")).into());
-        }
+        let key = self.room_key()?;
         let models = match self.models.for_rooms(&self.live_depth_model) {
             Some(settings) => models::load(&settings)?,
             None => photos.clone(),
         };
-        let rooms = Rooms::new(live::Config { models, frame_ms: self.live_budget_ms, key });
+        let rooms = Rooms::new(live::Config { models, frame_ms: self.live_budget_ms, key }).bounded(self.bounds.rooms());
         Ok(Some(match self.nats()? {
             Some(nats) => rooms.shared(nats),
             None => rooms,
         }))
+    }
+
+    /// The key of tokens.
+    fn room_key(&self) -> anyhow::Result<Option<Vec<u8>>> {
+        let key = self.live_key.as_deref().map(files::read).transpose()?;
+        if key.as_ref().is_some_and(|k| k.len() < LEAST_KEY) {
+            return Err(Usage(format!("--live-key: a key has {LEAST_KEY} bytes at least")).into());
+        }
+        Ok(key)
     }
 
     /// How other nodes are reached; none where they are not.
@@ -269,7 +276,7 @@ impl ServeArgs {
 
     /// Where traces go; nowhere where nobody said so.
     fn traces(&self) -> Option<Collector> {
-        let usual = || std::env::var("OTEL_EXPORTER_OTLP_ENDPOINT").ok().filter(|url| !url.is_empty());
+        let usual = || std::env::var(checks::COLLECTOR).ok().filter(|url| !url.is_empty());
         self.otlp.clone().or_else(usual).map(|url| Collector { url, ratio: self.otlp_ratio })
     }
 
@@ -337,26 +344,20 @@ fn node(text: &str) -> Result<String, String> {
 
 /// Serves until SIGTERM or SIGINT; prints the server's URL on stdout once it listens.
 pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
+    let makes_for_another = std::env::var_os(VARIABLE).is_some();
+    if !makes_for_another {
+        args.check()?;
+    }
     let (limits, private, sharing) = (args.limits(), args.is_private(), args.sharing()?);
-    if private && args.public_list {
-        let text = "--public-list is for --access open: with --access private, which is the default beyond loopback and with --host, \
-                    everybody is shown a list of their own photos";
-        return Err(Usage(text.into()).into());
-    }
-    if !private && args.clients.has_quota() {
-        let text = "--quota-photos and --quota-mib are for --access private: with --access open, which is the default on loopback, \
-                    photos are nobody's";
-        return Err(Usage(text.into()).into());
-    }
     let (settings, traces, proxies) = (args.models.settings(), args.traces(), args.clients.proxies());
     let models = models::load(&settings)?;
-    let rooms = args.rooms(&models)?;
-    let maker = PipelineMaker::new(models, &limits).identified(&identity(&settings)?);
-    if std::env::var_os(VARIABLE).is_some() {
+    let maker = PipelineMaker::new(models.clone(), &limits).identified(&identity(&settings)?);
+    if makes_for_another {
         let drawing = || tmpi_render::select_within(args.backend, limits.scene_cache).map_err(|e| format!("renderer: {e}"));
         make_for_a_server(&maker, &limits, &drawing);
         return Ok(());
     }
+    let rooms = args.rooms(&models)?;
     allocate_in_one_place();
     if let Err(error) = tmpi_pipeline::networks::available() {
         tracing::error!("photos without a depth map of their own wait until ONNX Runtime is there. {error}");
@@ -456,5 +457,6 @@ pub(super) fn identity(settings: &models::Settings) -> anyhow::Result<String> {
     Ok(text)
 }
 
+mod checks;
 #[cfg(test)]
 mod tests;

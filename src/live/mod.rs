@@ -54,10 +54,8 @@ use nodes::{Claim, Nodes, Refused};
 use room::Room;
 use tokio_util::sync::CancellationToken;
 
-/// Rooms at a time.
-const ROOMS: usize = 16;
-/// Viewers of a room.
-const VIEWERS: usize = 1024;
+use crate::server::{Figure, counter, gauge};
+
 /// Time for the first message, and longest time for which a publisher publishes nothing.
 const SILENCE: Duration = Duration::from_secs(10);
 /// Pause between two messages of statistics, or two of credit for publishers, which also tell that the room lives.
@@ -66,10 +64,6 @@ const HEARTBEAT: Duration = Duration::from_secs(1);
 const CREDIT: u32 = 2;
 /// Shortest mean time between two frames.
 const FASTEST: Duration = Duration::from_micros(8_333);
-/// Bytes of a frame.
-const FRAME_BYTES: usize = 1 << 20;
-/// Bytes of a packet of sound.
-const SOUND_BYTES: usize = 16 << 10;
 /// Time between two requests for a key frame.
 const KEYS: Duration = Duration::from_secs(1);
 /// Frames in a row that cannot be decoded before the publisher is sent away.
@@ -92,9 +86,42 @@ pub struct Config {
     pub key: Option<Vec<u8>>,
 }
 
+/// Bounds on rooms.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Bounds {
+    /// Rooms at a time.
+    pub rooms: usize,
+    /// Viewers of a room.
+    pub viewers: usize,
+    /// Bytes of a frame, and of its measured depth.
+    pub frame: usize,
+    /// Bytes of a packet of sound.
+    pub sound: usize,
+}
+
+impl Bounds {
+    /// 16 rooms.
+    pub const ROOMS: usize = 16;
+    /// 1 024 viewers.
+    pub const VIEWERS: usize = 1024;
+    /// 1 MiB: who is further behind is given no more frames before the next key frame.
+    pub const FRAME: usize = 1 << 20;
+    /// 16 KiB.
+    pub const SOUND: usize = 16 << 10;
+    /// Rooms at a time where there are most: nodes tell each other of no more.
+    pub const MOST_ROOMS: usize = 64;
+}
+
+impl Default for Bounds {
+    fn default() -> Self {
+        Self { rooms: Self::ROOMS, viewers: Self::VIEWERS, frame: Self::FRAME, sound: Self::SOUND }
+    }
+}
+
 /// All rooms of a server.
 pub struct Rooms {
     config: Config,
+    bounds: Bounds,
     named: Mutex<HashMap<String, Arc<Room>>>,
     shared: Option<NodeConfig>,
     nodes: OnceLock<Arc<Nodes>>,
@@ -104,7 +131,14 @@ impl Rooms {
     /// No room yet.
     #[must_use]
     pub fn new(config: Config) -> Self {
-        Self { config, named: Mutex::default(), shared: None, nodes: OnceLock::new() }
+        Self { config, bounds: Bounds::default(), named: Mutex::default(), shared: None, nodes: OnceLock::new() }
+    }
+
+    /// Holds them to other bounds than the usual ones.
+    #[must_use]
+    pub fn bounded(mut self, bounds: Bounds) -> Self {
+        self.bounds = bounds;
+        self
     }
 
     /// Shares them with other nodes.
@@ -129,12 +163,12 @@ impl Rooms {
         alone.then_some("NATS cannot be reached: rooms are not shared with other nodes")
     }
 
-    /// Names, meanings and values of what is counted; nothing where rooms are not shared.
-    pub(crate) fn counts(&self) -> Vec<(&'static str, &'static str, f64)> {
+    /// What is counted; nothing where rooms are not shared.
+    pub(crate) fn counts(&self) -> Vec<Figure> {
         let of = |n: &Arc<Nodes>| {
             vec![
-                ("tmpi_live_nats_connected", "Whether other nodes can be heard", f64::from(u8::from(n.is_connected()))),
-                ("tmpi_live_nats_dropped", "Messages of other nodes that were none", n.dropped() as f64),
+                gauge("tmpi_live_nats_connected", "Whether other nodes can be heard", f64::from(u8::from(n.is_connected()))),
+                counter("tmpi_live_nats_dropped", "Messages of other nodes that were none", n.dropped() as f64),
             ]
         };
         self.nodes.get().map(of).unwrap_or_default()
@@ -191,10 +225,10 @@ impl Rooms {
     /// A room, made where it is not there; none where there are as many as may be.
     fn enter(&self, name: &str) -> Option<Arc<Room>> {
         let mut rooms = self.lock();
-        if !rooms.contains_key(name) && rooms.len() >= ROOMS {
+        if !rooms.contains_key(name) && rooms.len() >= self.bounds.rooms {
             return None;
         }
-        Some(Arc::clone(rooms.entry(name.to_owned()).or_insert_with(|| Arc::new(Room::new()))))
+        Some(Arc::clone(rooms.entry(name.to_owned()).or_insert_with(|| Arc::new(Room::new(self.bounds)))))
     }
 
     /// Takes a room away that no publisher has come back to.

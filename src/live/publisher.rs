@@ -19,7 +19,7 @@ use super::ring::What;
 use super::room::Room;
 use super::sound::Allowance;
 use super::worker::{Coded, Decoded, Worker};
-use super::{BROKEN, CREDIT, Config, FASTEST, FRAME_BYTES, HEARTBEAT, PANICS, Rooms, SILENCE, SOUND_BYTES, send_away};
+use super::{BROKEN, CREDIT, Config, FASTEST, HEARTBEAT, PANICS, Rooms, SILENCE, send_away};
 
 /// Sides of a frame.
 const SIDES: std::ops::RangeInclusive<u32> = 16..=4096;
@@ -76,7 +76,7 @@ async fn session(
     let geometry = move || Geometry::new(models.clone(), settings.clone());
     let (done, mut decoded) = mpsc::channel(16);
     let worker = Worker::start((Arc::clone(room), epoch), decoder, geometry, done).map_err(|e| format!("starting a thread: {e}"))?;
-    let mut frames = Frames { next: None, allowed: 0, due: Instant::now(), broken: 0 };
+    let mut frames = Frames { most: rooms.bounds.frame, next: None, allowed: 0, due: Instant::now(), broken: 0 };
     let (mut depth, mut sounds) = (None, Allowance::new(Instant::now()));
     let mut heartbeat = interval(HEARTBEAT);
     heartbeat.set_missed_tick_behavior(MissedTickBehavior::Delay);
@@ -122,7 +122,7 @@ async fn session(
                 frames.check_depth(&measured, depth.is_some())?;
                 depth = Some(measured.data);
             }
-            Some(Kind::Sound(sound)) if sound.data.len() <= SOUND_BYTES => {
+            Some(Kind::Sound(sound)) if sound.data.len() <= rooms.bounds.sound => {
                 sounds.take(sound.data.len(), came)?;
                 room.push(epoch, What::Sound, write(Kind::Sound(sound)));
             }
@@ -181,6 +181,8 @@ fn checked(hello: Hello, config: &Config) -> Result<(Settings, Hello), String> {
 
 /// What a publisher may send.
 struct Frames {
+    /// Bytes of a frame.
+    most: usize,
     /// Number of the next frame; none before the first.
     next: Option<u64>,
     /// Frames that may still come.
@@ -193,8 +195,8 @@ struct Frames {
 
 impl Frames {
     fn check(&mut self, video: &Video) -> Result<(), String> {
-        if video.data.len() > FRAME_BYTES {
-            return Err(format!("a frame of {} bytes, over {FRAME_BYTES}", video.data.len()));
+        if video.data.len() > self.most {
+            return Err(format!("a frame of {} bytes, over {}", video.data.len(), self.most));
         }
         if self.allowed == 0 {
             return Err("more frames than there was credit for".into());
@@ -211,8 +213,8 @@ impl Frames {
     }
 
     fn check_depth(&self, depth: &Depth, again: bool) -> Result<(), String> {
-        if depth.data.len() > FRAME_BYTES {
-            return Err(format!("depth of {} bytes, over {FRAME_BYTES}", depth.data.len()));
+        if depth.data.len() > self.most {
+            return Err(format!("depth of {} bytes, over {}", depth.data.len(), self.most));
         }
         if again || self.next.is_some_and(|next| next != depth.frame) {
             return Err(format!("depth of frame {} where that of another one was due", depth.frame));

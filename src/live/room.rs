@@ -14,7 +14,7 @@ use super::gops::{Group, Groups, Part};
 use super::nodes::{Chunks, Start};
 use super::ring::{Place, Ring, Step, What};
 pub use super::still::{Still, Tiles};
-use super::{KEYS, VIEWERS};
+use super::{Bounds, KEYS};
 
 /// A room.
 pub struct Room {
@@ -23,6 +23,8 @@ pub struct Room {
     changes: watch::Sender<u64>,
     /// A key frame is wanted.
     pub keys: Notify,
+    /// How much it takes.
+    pub bounds: Bounds,
 }
 
 #[derive(Default)]
@@ -76,8 +78,8 @@ pub struct Viewer {
 
 impl Room {
     /// A room without anyone.
-    pub fn new() -> Self {
-        Self { state: Mutex::default(), changes: watch::Sender::new(0), keys: Notify::new() }
+    pub fn new(bounds: Bounds) -> Self {
+        Self { state: Mutex::default(), changes: watch::Sender::new(0), keys: Notify::new(), bounds }
     }
 
     fn lock(&self) -> MutexGuard<'_, State> {
@@ -278,7 +280,7 @@ impl Room {
     /// Lets a viewer in; none where there are as many as may be, or the room is no more.
     pub fn join(&self) -> Option<Viewer> {
         let mut state = self.lock();
-        if state.viewers >= VIEWERS || state.closed {
+        if state.viewers >= self.bounds.viewers || state.closed {
             return None;
         }
         state.viewers += 1;

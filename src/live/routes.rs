@@ -14,7 +14,7 @@ use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
 use super::access::{PROTOCOL, Role, check_origin, is_good, token_of};
-use super::{COME_BACK, FRAME_BYTES, Rooms, fetch, invite, is_name, publisher, viewer};
+use super::{COME_BACK, Rooms, fetch, invite, is_name, publisher, viewer};
 use crate::server::{Held, Pairs, Problem, RoomViews};
 
 /// Bytes that wait to be written for a viewer, at most: the largest message, and nothing beside it.
@@ -126,7 +126,8 @@ async fn publish(
 ) -> Result<Response, Problem> {
     here.check(&name, Role::Publish, &uri, &headers)?;
     // what a message has beside its frame
-    let upgrade = bounded(upgrade, FRAME_BYTES + 1024)?;
+    let bounds = here.rooms.bounds;
+    let upgrade = bounded(upgrade, bounds.frame.max(bounds.sound) + 1024)?;
     let busy = || Problem::new(StatusCode::SERVICE_UNAVAILABLE, "busy", "there are as many rooms as may be").retry_after(5);
     let room = here.rooms.enter(&name).ok_or_else(busy)?;
     Ok(upgrade.on_upgrade(async move |socket| {

@@ -37,8 +37,6 @@ use super::tls::{self, Tls};
 /// Pause after the system has refused a connection, for example because no file descriptor is left.
 const BACK_OFF: Duration = Duration::from_millis(100);
 
-/// Streams of a connection of HTTP/2 at a time.
-const STREAMS: u32 = 64;
 /// Bytes of a body, and of all of a connection, that may come before they are read.
 const WINDOWS: (u32, u32) = (256 << 10, 1 << 20);
 /// Pause after which it is asked whether a silent client is there, and time that it has to say so.
@@ -68,8 +66,8 @@ struct Http {
 impl Http {
     fn new(limits: &Limits) -> Self {
         let (mut one, mut two) = (http1::Builder::new(), http2::Builder::new(TokioExecutor::new()));
-        one.timer(TokioTimer::new()).header_read_timeout(limits.header_read).max_header_size(Limits::HEADER_BYTES);
-        two.timer(TokioTimer::new()).max_header_list_size(Limits::HEADER_BYTES as u32).max_concurrent_streams(STREAMS);
+        one.timer(TokioTimer::new()).header_read_timeout(limits.header_read).max_header_size(limits.header);
+        two.timer(TokioTimer::new()).max_header_list_size(limits.header as u32).max_concurrent_streams(limits.streams_at_once);
         two.initial_stream_window_size(WINDOWS.0).initial_connection_window_size(WINDOWS.1);
         two.keep_alive_interval(PING.0).keep_alive_timeout(PING.1);
         Self { one, two }

@@ -5,12 +5,30 @@ use std::fs::{self, File, OpenOptions};
 use std::io::{self, Write as _};
 use std::path::Path;
 
-/// Room that is kept free for what must be written of photos accepted already, and its share of a small disk.
-const RESERVE: u64 = 64 << 20;
-const RESERVE_SHARE: u64 = 20;
-/// The same of files: a photo has a dozen with those that are on their way.
-const RESERVE_FILES: u64 = 1024;
-const RESERVE_FILES_SHARE: u64 = 100;
+/// Room that is kept free for what must be written of photos accepted already: what was said, or as much as is usual.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Reserve {
+    /// Bytes; where there is none [`Reserve::BYTES`], or a twentieth of a smaller disk.
+    pub bytes: Option<u64>,
+    /// Files: a photo has a dozen with those that are on their way; where there is none [`Reserve::FILES`], or a hundredth of a smaller disk's.
+    pub files: Option<u64>,
+}
+
+impl Reserve {
+    /// 64 MiB.
+    pub const BYTES: u64 = 64 << 20;
+    /// 1 024 files.
+    pub const FILES: u64 = 1024;
+    const SHARE: u64 = 20;
+    const FILES_SHARE: u64 = 100;
+
+    /// Bytes and files of a disk as large as that which has this left.
+    #[must_use]
+    pub fn of(&self, room: &Room) -> (u64, u64) {
+        let bytes = self.bytes.unwrap_or_else(|| Self::BYTES.min(room.all_bytes / Self::SHARE));
+        (bytes, self.files.unwrap_or_else(|| Self::FILES.min(room.all_files / Self::FILES_SHARE)))
+    }
+}
 
 /// Files and folders of a data directory. All that is written is readable by its owner alone.
 pub trait Files: Debug + Send + Sync + 'static {
@@ -89,11 +107,11 @@ pub struct Room {
 }
 
 impl Room {
-    /// True where no more is left than what must be written of photos accepted already.
+    /// True where no more is left than what is to be kept free.
     #[must_use]
-    pub fn is_short(&self) -> bool {
-        let few = self.all_files > 0 && self.files < RESERVE_FILES.min(self.all_files / RESERVE_FILES_SHARE);
-        few || self.bytes < RESERVE.min(self.all_bytes / RESERVE_SHARE)
+    pub fn is_short(&self, reserve: Reserve) -> bool {
+        let (bytes, files) = reserve.of(self);
+        self.bytes < bytes || self.all_files > 0 && self.files < files
     }
 }
 
@@ -194,10 +212,11 @@ mod tests {
     #[test]
     fn a_disk_is_short_of_bytes_or_of_files() {
         const MUCH: u64 = 1 << 40;
-        let short = |bytes, all_bytes, files, all_files| Room { bytes, all_bytes, files, all_files }.is_short();
-        assert!(!short(RESERVE, MUCH, RESERVE_FILES, MUCH));
-        assert!(short(RESERVE - 1, MUCH, MUCH, MUCH), "bytes");
-        assert!(short(MUCH, MUCH, RESERVE_FILES - 1, MUCH) && short(MUCH, MUCH, 0, MUCH), "files");
+        let usual = Reserve::default();
+        let short = |bytes, all_bytes, files, all_files| Room { bytes, all_bytes, files, all_files }.is_short(usual);
+        assert!(!short(Reserve::BYTES, MUCH, Reserve::FILES, MUCH));
+        assert!(short(Reserve::BYTES - 1, MUCH, MUCH, MUCH), "bytes");
+        assert!(short(MUCH, MUCH, Reserve::FILES - 1, MUCH) && short(MUCH, MUCH, 0, MUCH), "files");
         // of a small disk less is kept
         assert!(
             !short(5 << 20, 100 << 20, 100, 10_000)
@@ -206,6 +225,12 @@ mod tests {
         );
         // files without a limit
         assert!(!short(MUCH, MUCH, 0, 0) && short(0, MUCH, 0, 0));
+        // what was said holds, of a small disk too
+        let said = Reserve { bytes: Some(50 << 20), files: Some(500) };
+        let room = Room { bytes: 50 << 20, all_bytes: 100 << 20, files: 500, all_files: 10_000 };
+        assert!(!room.is_short(said) && !room.is_short(usual));
+        assert!(Room { bytes: (50 << 20) - 1, ..room }.is_short(said) && Room { files: 499, ..room }.is_short(said));
+        assert!(!Room { files: 0, all_files: 0, ..room }.is_short(said), "files without a limit");
     }
 
     #[cfg(unix)]

@@ -4,6 +4,8 @@ use std::time::Duration;
 
 use tmpi_pipeline::photo;
 
+use super::files::Reserve;
+
 /// Bounds that the server holds its clients to.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Limits {
@@ -11,6 +13,8 @@ pub struct Limits {
     pub photo: photo::Limits,
     /// Body of a request in bytes.
     pub body: usize,
+    /// Header of a request in bytes.
+    pub header: usize,
     /// Time for a request's header to arrive; also how long an idle connection is kept.
     pub header_read: Duration,
     /// Time from the end of a request's body to its response's header.
@@ -27,6 +31,8 @@ pub struct Limits {
     pub uploads_beyond: usize,
     /// Uploads in parts that are kept at a time, half of them of one address; none where there are to be none.
     pub partials: usize,
+    /// The same of one owner.
+    pub partials_of_owner: usize,
     /// Time for which one is kept of which no part comes.
     pub partial_time: Duration,
     /// Requests a minute for each key, and each address without one; 0 for any number.
@@ -68,6 +74,8 @@ pub struct Limits {
     pub connections: usize,
     /// Connections at a time from one address (IPv6: one network of 64 bits); more are closed.
     pub connections_per_address: usize,
+    /// Requests at a time on a connection of HTTP/2.
+    pub streams_at_once: u32,
     /// Event streams at a time, half of them from one address; one more is answered 503.
     pub streams: usize,
     /// Views drawn at a time, and, apart from them, levels and parts of containers.
@@ -115,6 +123,12 @@ pub struct Limits {
     pub copies: u64,
     /// Photos of that store that a node knows without asking it, besides those that wait or are in use just now.
     pub known_photos: usize,
+    /// Room that is kept free on the disk.
+    pub reserve: Reserve,
+    /// Longest time for which a link to a photo is good.
+    pub link: Duration,
+    /// Time for which browsers ask by TLS alone once they were answered so by the server itself; not told where it is none.
+    pub hsts: Duration,
     /// Photos on one page of the list.
     pub page: usize,
     /// Pause between two keep-alive comments of an event stream.
@@ -226,8 +240,16 @@ impl Limits {
     pub const PAGE: usize = 200;
     /// 15 s.
     pub const KEEP_ALIVE: Duration = Duration::from_secs(15);
-    /// Bytes of a request's header.
+    /// 32 KiB.
     pub const HEADER_BYTES: usize = 32 << 10;
+    /// 64 requests.
+    pub const STREAMS_AT_ONCE: u32 = 64;
+    /// 16 uploads.
+    pub const PARTIALS_OF_OWNER: usize = 16;
+    /// 366 days.
+    pub const LINK: Duration = Duration::from_hours(24 * 366);
+    /// A week: whoever goes back to plain HTTP has lost browsers for no longer.
+    pub const HSTS: Duration = Duration::from_hours(24 * 7);
     /// Longer side of a thumbnail in pixels.
     pub const THUMBNAIL: u32 = 320;
 }
@@ -263,6 +285,7 @@ impl Default for Limits {
         Self {
             photo: photo::Limits { memory: Self::JOB_MEMORY, ..photo::Limits::default() },
             body: Self::BODY,
+            header: Self::HEADER_BYTES,
             header_read: Self::HEADER_READ,
             request: Self::REQUEST,
             export: Self::EXPORT,
@@ -271,6 +294,7 @@ impl Default for Limits {
             changes: Self::CHANGES,
             uploads_beyond: Self::UPLOADS_BEYOND,
             partials: Self::PARTIALS,
+            partials_of_owner: Self::PARTIALS_OF_OWNER,
             partial_time: Self::PARTIAL_TIME,
             rate_requests: 0,
             rate_uploads: 0,
@@ -291,6 +315,7 @@ impl Default for Limits {
             job_memory: Self::JOB_MEMORY,
             connections: Self::CONNECTIONS,
             connections_per_address: Self::CONNECTIONS_PER_ADDRESS,
+            streams_at_once: Self::STREAMS_AT_ONCE,
             streams: Self::STREAMS,
             views: Self::VIEWS,
             views_waiting: Self::VIEWS_WAITING,
@@ -314,6 +339,9 @@ impl Default for Limits {
             sweep: Self::SWEEP,
             copies: Self::COPIES,
             known_photos: Self::KNOWN_PHOTOS,
+            reserve: Reserve::default(),
+            link: Self::LINK,
+            hsts: Self::HSTS,
             page: Self::PAGE,
             keep_alive: Self::KEEP_ALIVE,
         }

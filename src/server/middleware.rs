@@ -23,6 +23,7 @@ use super::conditional::insert;
 use super::entry::Entry;
 use super::hosts::{Hosts, SECURE};
 use super::id::PhotoId;
+use super::limits::Limits;
 use super::pages::RESOURCE_POLICY;
 use super::problem::Problem;
 use super::proxies::Proxies;
@@ -81,6 +82,9 @@ async fn wrap(app: &App, door: Door<'_>, request: Request, next: Next) -> Respon
     let answered = answer(app, door, request, next).instrument(span.clone());
     let mut response = TRACE.scope(trace.clone(), ASKER.scope(asker, SECURE.scope(secure, answered))).await;
     response = finish(response, &id).await;
+    if secure {
+        put_secure(&mut response, &app.limits);
+    }
     let took = start.elapsed();
     put_own(&mut response, &id, took);
     let status = response.status().as_u16();
@@ -103,6 +107,14 @@ pub fn log(span: &Span, status: StatusCode, took: Duration) {
         let (ms, is_ours, status) = ((took.as_secs_f64() * 1e5).round() / 1e2, status.is_server_error(), status.as_u16());
         if is_ours { tracing::warn!(status, ms) } else { tracing::info!(status, ms) }
     });
+}
+
+/// Has a browser that was answered by TLS ask by nothing else for a while.
+fn put_secure(response: &mut Response, limits: &Limits) {
+    let seconds = limits.hsts.as_secs();
+    if seconds > 0 {
+        insert(response, header::STRICT_TRANSPORT_SECURITY, &format!("max-age={seconds}"));
+    }
 }
 
 /// Puts what each answer has of its own: its request's id, and the time that it took besides what is told of that already.

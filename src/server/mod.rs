@@ -41,6 +41,7 @@ mod partial;
 mod pool;
 mod prepared;
 mod problem;
+mod process;
 mod proxies;
 mod rates;
 mod records;
@@ -76,7 +77,8 @@ pub use accept::Held;
 pub use access::keys;
 pub(crate) use access::same;
 pub use child::{ProcessMaker, VARIABLE, serve as make_for_a_server};
-pub use cluster::{Audit, Migration, Nats, Remedy, Role, Sharing, audit, migrate};
+pub use cluster::{Audit, Migration, Nats, Remedy, Role, Sharing, audit, check_store, migrate};
+pub use files::Reserve;
 pub use id::{PhotoId, hex};
 pub use limits::Limits;
 pub use maker::{Fault, HeadOf, Maker, PipelineMaker, Product};
@@ -84,10 +86,10 @@ pub use network::{Better, Offer, Renewed};
 pub use problem::Problem;
 pub use proxies::{ClientAddress, Network, Proxies};
 pub use rest::allocate_in_one_place;
-pub use routes::{Access, Route, openapi, routes};
+pub use routes::{Access, Route, openapi, openapi_of, routes};
 pub(crate) use routes::{Pairs, RoomViewQuery, RoomViews};
 pub use tls::{Tls, TlsError};
-pub use traces::{Collector, CollectorError};
+pub use traces::{Collector, CollectorError, check_collector};
 
 use access::{Guard, Secret};
 use app::{App, Shared};
@@ -97,6 +99,7 @@ use partial::Partials;
 use prepared::Prepared;
 use store::Store;
 use telemetry::Telemetry;
+pub(crate) use telemetry::{Figure, counter, gauge};
 use traces::Traces;
 
 use tmpi_render::Renderer;
@@ -221,7 +224,7 @@ impl Server {
         renderer: Arc<dyn Renderer>,
     ) -> Result<Self, ServerError> {
         let (addr, data) = (config.addr, config.data.clone());
-        let openapi = openapi()?;
+        let openapi = openapi_of(&config.limits)?;
         let (listener, addr) = listen(addr).await?;
         let admin = match config.admin {
             Some(addr) => Some(listen(addr).await?).map(|(listener, addr)| (listener, addr, config.hosts.clone())),
@@ -241,6 +244,7 @@ impl Server {
         } else {
             let wrong = |source| ServerError::Data { dir: data.clone(), source };
             let (store, found) = Store::open(&data, maker.identity()).map_err(wrong)?;
+            let store = store.keeping(limits.reserve);
             child::empty_scratch(&data).map_err(wrong)?;
             // with the directory for this process alone
             let secret = keys.is_some().then(|| Secret::of(&data)).transpose().map_err(wrong)?;
@@ -249,7 +253,7 @@ impl Server {
         };
         exports::start(&jobs, &renderer).map_err(ServerError::Worker)?;
         let dir = config.data.clone();
-        let partials = Partials::open(&jobs.store, &jobs.limits).map_err(|source| ServerError::Data { dir, source })?;
+        let partials = Partials::open(&jobs).map_err(|source| ServerError::Data { dir, source })?;
         let app = Arc::new(Shared { guard, ..Shared::new(config, addr, jobs, partials, renderer, openapi) });
         Ok(Self { listener, addr, app, rooms: None, role, tls: None, admin })
     }
@@ -396,7 +400,7 @@ fn among(
     }
     let (store, _) = Store::open(&copies, maker.identity()).map_err(|source| ServerError::Data { dir: copies, source })?;
     child::empty_scratch(data).map_err(|source| ServerError::Data { dir: data.to_owned(), source })?;
-    let store = store.of_origin(Arc::clone(&cluster) as Arc<dyn store::Origin>, limits.copies);
+    let store = store.keeping(limits.reserve).of_origin(Arc::clone(&cluster) as Arc<dyn store::Origin>, limits.copies);
     // all nodes give a photo the same id, and take each other's links
     let guard = match keys {
         Some(keys) => Some(guard(keys, cluster.secret().map_err(wrong)?)?),

@@ -30,7 +30,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use super::files::{Disk, Files, Room};
+use super::files::{Disk, Files, Reserve, Room};
 use super::id::PhotoId;
 pub use super::part::Part;
 pub use super::records::{Accepted, Done, End, Failed, Found, State};
@@ -55,6 +55,8 @@ pub struct Store {
     unread: Mutex<Vec<PhotoId>>,
     /// Where the truth lies elsewhere.
     copies: Option<copies::Copies>,
+    /// Room that is kept free.
+    reserve: Reserve,
     // unlocked when dropped
     _lock: Option<File>,
 }
@@ -99,10 +101,33 @@ impl Store {
         files.create_dir(&incoming, false)?;
         files.sync_dir(dir)?;
         let (next, unread) = (AtomicU64::new(0), Mutex::default());
-        let store = Self { files, photos, incoming, pipeline: pipeline.into(), next, unread, copies: None, _lock: lock };
+        let store = Self {
+            files,
+            photos,
+            incoming,
+            pipeline: pipeline.into(),
+            next,
+            unread,
+            copies: None,
+            reserve: Reserve::default(),
+            _lock: lock,
+        };
         let ids = store.ids()?;
         let found = store.look_at(&ids);
         Ok((store, found))
+    }
+
+    /// The same that keeps other room free than is usual.
+    #[must_use]
+    pub fn keeping(mut self, reserve: Reserve) -> Self {
+        self.reserve = reserve;
+        self
+    }
+
+    /// What its disk has left, and how much of that is kept free, in bytes and files; none where the system does not tell.
+    #[must_use]
+    pub fn left(&self) -> Option<(Room, (u64, u64))> {
+        self.files.room(&self.photos).map(|room| (room, self.reserve.of(&room)))
     }
 
     fn folder(&self, id: PhotoId) -> PathBuf {
@@ -199,7 +224,9 @@ impl Store {
     /// That.
     pub fn room_for(&self, bytes: u64) -> io::Result<()> {
         match self.files.room(&self.photos) {
-            Some(room) if (Room { bytes: room.bytes.saturating_sub(bytes), ..room }).is_short() => Err(io::ErrorKind::StorageFull.into()),
+            Some(room) if (Room { bytes: room.bytes.saturating_sub(bytes), ..room }).is_short(self.reserve) => {
+                Err(io::ErrorKind::StorageFull.into())
+            }
             _ => Ok(()),
         }
     }

@@ -1,7 +1,7 @@
 //! Counts and durations, in the text format of `OpenMetrics`, which Prometheus reads.
 
 use std::sync::atomic::AtomicU64;
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use prometheus_client::encoding::EncodeLabelSet;
 use prometheus_client::encoding::text::{encode_eof, encode_registry};
@@ -30,6 +30,38 @@ struct Answered {
 #[derive(Clone, Debug, Hash, PartialEq, Eq, EncodeLabelSet)]
 struct Route {
     route: String,
+}
+
+/// What others count, as it is now.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Figure {
+    /// Name; that of a counter without its `_total`.
+    pub name: &'static str,
+    /// Meaning.
+    pub help: &'static str,
+    /// Value.
+    pub value: Value,
+}
+
+/// Value of a [`Figure`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Value {
+    /// May grow and fall.
+    Gauge(f64),
+    /// Only grows.
+    Counter(f64),
+}
+
+/// What may grow and fall.
+#[must_use]
+pub const fn gauge(name: &'static str, help: &'static str, value: f64) -> Figure {
+    Figure { name, help, value: Value::Gauge(value) }
+}
+
+/// What only grows.
+#[must_use]
+pub const fn counter(name: &'static str, help: &'static str, value: f64) -> Figure {
+    Figure { name, help, value: Value::Counter(value) }
 }
 
 /// What became of something.
@@ -69,6 +101,7 @@ type Durations<L> = Family<L, Histogram, fn() -> Histogram>;
 /// All counters of a server.
 pub struct Telemetry {
     started: Instant,
+    since: SystemTime,
     registry: Registry,
     requests: Family<Answered, Counter>,
     durations: Durations<Route>,
@@ -91,6 +124,7 @@ impl Default for Telemetry {
         let mut registry = Registry::default();
         let t = Self {
             started: Instant::now(),
+            since: SystemTime::now(),
             requests: Family::default(),
             durations: Family::new_with_constructor(histogram),
             jobs: Family::default(),
@@ -233,17 +267,30 @@ impl Telemetry {
         Present::of(&self.in_flight)
     }
 
-    /// Everything, with `gauges` (name, help, value) that others know.
+    /// Everything, with `figures` that others know.
     ///
     /// # Errors
     /// None in practice: text takes whatever is written.
-    pub fn text(&self, gauges: &[(&str, &str, f64)]) -> Result<String, std::fmt::Error> {
+    pub fn text(&self, figures: &[Figure]) -> Result<String, std::fmt::Error> {
         let mut now = Registry::default();
-        let up = ("tmpi_uptime_seconds", "Time since the start", self.started.elapsed().as_secs_f64());
-        for (name, help, value) in gauges.iter().chain([&up]) {
-            let gauge = Gauge::<f64, AtomicU64>::default();
-            gauge.set(*value);
-            now.register(*name, *help, gauge);
+        let since = self.since.duration_since(UNIX_EPOCH).unwrap_or_default();
+        let own = [
+            gauge("tmpi_uptime_seconds", "Time since the start", self.started.elapsed().as_secs_f64()),
+            gauge("process_start_time_seconds", "When the server started, in seconds since 1970", since.as_secs_f64()),
+        ];
+        for Figure { name, help, value } in figures.iter().chain(&own) {
+            match value {
+                Value::Gauge(value) => {
+                    let gauge = Gauge::<f64, AtomicU64>::default();
+                    gauge.set(*value);
+                    now.register(*name, *help, gauge);
+                }
+                Value::Counter(value) => {
+                    let counter = Counter::<f64, AtomicU64>::default();
+                    counter.inc_by(*value);
+                    now.register(*name, *help, counter);
+                }
+            }
         }
         let mut out = String::with_capacity(8192);
         encode_registry(&mut out, &self.registry)?;
@@ -264,7 +311,7 @@ mod tests {
         t.request("GET", "/healthz", 200, Duration::from_hours(1));
         t.job("done", Duration::from_millis(700));
         let alive = t.connection();
-        let text = t.text(&[("tmpi_queue_depth", "Waiting jobs", 2.0)]).unwrap();
+        let text = t.text(&[gauge("tmpi_queue_depth", "Waiting jobs", 2.0), counter("tmpi_hints_sent", "Hints", 3.0)]).unwrap();
         drop(alive);
         for line in [
             "tmpi_requests_total{method=\"GET\",route=\"/healthz\",status=\"200\"} 2",
@@ -275,6 +322,9 @@ mod tests {
             "tmpi_jobs_total{outcome=\"done\"} 1",
             "tmpi_connections 1",
             "tmpi_queue_depth 2.0",
+            "# TYPE tmpi_hints_sent counter",
+            "tmpi_hints_sent_total 3.0",
+            "# TYPE process_start_time_seconds gauge",
             "# EOF",
         ] {
             assert!(text.lines().any(|l| l == line), "{line} is missing in\n{text}");

@@ -89,7 +89,7 @@ mod tests {
         let addr = ([127, 0, 0, 1], 0).into();
         let config = Config { limits, ..Config::new(addr, PathBuf::new()) };
         let renderer = tmpi_render::select(tmpi_render::Backend::Cpu).unwrap();
-        let partials = Partials::open(&jobs.store, &jobs.limits).unwrap();
+        let partials = Partials::open(&jobs).unwrap();
         let app = Arc::new(Shared::new(config, addr, jobs, partials, renderer, bytes::Bytes::new()));
         let key = ((PhotoId::of(&[1; 32], None, "", ""), 1), String::new());
         let put = async || app.exports.get(key.clone(), async { Ok::<_, Problem>(Export(Stored::new(vec![7; 99]))) }).await.unwrap();

@@ -19,7 +19,7 @@ fn options_count_before_variables_those_before_the_file_and_that_before_defaults
     let f = Folder::new();
     f.write(
         "tmpi.toml",
-        b"# ours\nqueue = 10\nworkers = 3\nviews = 5\npublic-list = true\nhost = [\"a.example\", \"b.example\"]\nlive-budget-ms = 12.5\n",
+        b"# ours\nqueue = 10\nworkers = 3\nviews = 5\nretain-days = 9\nhost = [\"a.example\", \"b.example\"]\nlive-budget-ms = 12.5\n",
     );
     let file = ["--config", "tmpi.toml"];
     let variables = [("TMPI_SERVE_WORKERS", "4"), ("TMPI_SERVE_VIEWS", "6")];
@@ -29,12 +29,17 @@ fn options_count_before_variables_those_before_the_file_and_that_before_defaults
         "queue = 10 # file",
         "workers = 4 # environment",
         "views = 7 # command line",
-        "public-list = true # file",
+        "retain-days = 9 # file",
         "host = [\"a.example\", \"b.example\"] # file",
         "live-budget-ms = \"12.5\" # file",
         "# addr = \"127.0.0.1:8080\"",
         "# max-pixels = 50",
-        "# lame-duck =",
+        "# lame-duck = 0",
+        "# access = \"private\"",
+        "# keys = \"tmpi-data\"",
+        "# rate-requests = 0",
+        "# least-free = 64 # or a twentieth of a smaller disk",
+        "# quota-photos =",
     ] {
         has(&run, line);
     }
@@ -75,6 +80,14 @@ fn what_cannot_be_meant_is_refused_with_its_name() {
         ("queue = 1\nqueue = 2", &["tmpi.toml", "queue"]),
         ("queue =", &["tmpi.toml"]),
         ("nats-login = \"file\"", &["--nats"]),
+        ("node = \"attic\"", &["--nats"]),
+        // what serve looks at before it begins
+        ("public-list = true\naccess = \"private\"", &["--public-list", "--access open"]),
+        ("quota-photos = 3", &["--quota-photos", "--access private"]),
+        ("nats = \"nats://127.0.0.1:4222\"\nno-live = true", &["--nats", "--store"]),
+        ("store = \"ftp://host/folder\"", &["--store", "s3://"]),
+        ("otlp = \"127.0.0.1\"", &["--otlp", "http://127.0.0.1:4318"]),
+        ("static = \"nowhere\"", &["--static", "nowhere"]),
     ] {
         f.write("tmpi.toml", text.as_bytes());
         config(&f, &[], &["--config", "tmpi.toml"]).fails(2, words);
@@ -90,10 +103,110 @@ fn what_cannot_be_meant_is_refused_with_its_name() {
 }
 
 #[test]
-fn passwords_in_addresses_are_not_told() {
+fn files_that_serve_would_fail_on_are_an_error() {
     let f = Folder::new();
-    let run = config(&f, &[], &["--nats", "nats://me:secret@127.0.0.1:4222,nats://127.0.0.1:4223"]).succeeds();
+    f.write("short", b"too short for a key");
+    f.write("no.pem", b"no certificate");
+    for (args, code, words) in [
+        (&["--live-key", "short"][..], 2, &["--live-key", "32"][..]),
+        (&["--live-key", "nowhere"], 1, &["nowhere"]),
+        (&["--nats", "nats://127.0.0.1:4222", "--nats-login", "nowhere"], 1, &["nowhere"]),
+        (&["--tls-cert", "no.pem", "--tls-key", "no.pem"], 1, &["TLS", "no.pem"]),
+        (&["--depth-model", "tmpi=nowhere.onnx"], 1, &["--depth-model", "nowhere.onnx"]),
+        (&["--live-depth-model", "tmpi=nowhere.onnx"], 1, &["--live-depth-model", "nowhere.onnx"]),
+    ] {
+        let run = config(&f, &[], args).fails(code, words);
+        assert_eq!(run.out, "", "{args:?}");
+    }
+}
+
+#[test]
+fn what_follows_from_others_is_shown_as_it_is_used() {
+    let f = Folder::new();
+    let run = config(&f, &[("OTEL_EXPORTER_OTLP_ENDPOINT", "http://me:secret@127.0.0.1:4318")], &["--addr", ":8081", "--memory", "200"])
+        .succeeds();
+    for line in [
+        "addr = \"127.0.0.1:8081\" # command line",
+        "# access = \"open\"",
+        "# scene-cache = 6 # 6553600 bytes",
+        "# otlp = \"http://…@127.0.0.1:4318\" # OTEL_EXPORTER_OTLP_ENDPOINT",
+        "# live-rooms = 16",
+        "# max-header = 32",
+        "# streams-at-once = 64",
+        "# link-days = 366",
+    ] {
+        has(&run, line);
+    }
+    let run = config(&f, &[], &["--addr", "0.0.0.0:80", "--data", "photos"]).succeeds();
+    for line in
+        ["# access = \"private\"", "# keys = \"photos\"", "# lame-duck = 5", "# rate-requests = 6000", "data = \"photos\" # command line"]
+    {
+        has(&run, line);
+    }
+}
+
+#[test]
+fn secrets_in_addresses_are_not_told() {
+    let f = Folder::new();
+    let args = [
+        "--nats",
+        "nats://me:secret@127.0.0.1:4222,nats://127.0.0.1:4223,me:secret@127.0.0.1:4224",
+        "--otlp",
+        "http://me:secret@127.0.0.1:4318",
+    ];
+    let run = config(&f, &[], &[&args[..], &["--network-url", "https://me:secret@host/net.onnx?signature=secret"]].concat()).succeeds();
     assert!(!run.out.contains("secret") && run.out.contains("…@127.0.0.1:4222") && run.out.contains("127.0.0.1:4223"), "{}", run.out);
+    has(&run, "network-url = \"https://…@host/net.onnx?signature=…\" # command line");
+    // nor in what is wrong with them
+    for (name, value) in
+        [("--nats", "nats://me:secret@127.0.0.1:port"), ("--otlp", "ftp://me:secret@127.0.0.1"), ("--store", "ftp://me:secret@host")]
+    {
+        let run = config(&f, &[], &[name, value]).fails(2, &[name]);
+        assert!(!run.err.contains("secret") && !run.out.contains("secret"), "{}", run.err);
+    }
+}
+
+fn key(folder: &Folder, variables: &[(&str, &str)], args: &[&str]) -> Run {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_tmpi"));
+    command.current_dir(folder.path("")).env_remove("TMPI_CONFIG").envs(variables.iter().copied()).arg("key").args(args);
+    Run::from(command.output().unwrap())
+}
+
+#[test]
+fn keys_are_those_of_the_server_that_the_settings_are_of() {
+    let f = Folder::new();
+    let add = ["add", "me", "--scope", "read"];
+    // a folder of nobody's
+    for folder in ["other", "served/photos"] {
+        std::fs::create_dir_all(f.path(folder)).unwrap();
+    }
+    for folder in ["tmpi-data", "other"] {
+        let named = ["--data", folder];
+        key(&f, &[], &[&add[..], &named].concat()).fails(2, &[folder, "--create"]);
+        key(&f, &[], &[&["list"][..], &named].concat()).fails(2, &[folder, "--config"]);
+        key(&f, &[], &[&["remove", "me"][..], &named].concat()).fails(2, &[folder]);
+    }
+    assert!(!f.path("tmpi-data").exists() && !f.path("other/keys.json").exists());
+    // one that a server has used
+    key(&f, &[], &[&add[..], &["--data", "served"]].concat()).succeeds();
+    let of = |variables: &[(&str, &str)], args: &[&str]| key(&f, variables, &[&["list"][..], args].concat()).succeeds().out.lines().count();
+    assert_eq!(of(&[("TMPI_SERVE_DATA", "served")], &[]), 1);
+    // keys of their own, by the file and by variables; what the line says counts first
+    f.write("tmpi.toml", b"data = \"served\"\nkeys = \"keys\"\nqueue = 3\n");
+    key(&f, &[], &[&add[..], &["--config", "tmpi.toml"]].concat()).fails(2, &["keys", "--create"]);
+    key(&f, &[], &[&add[..], &["--config", "tmpi.toml", "--create"]].concat()).succeeds();
+    key(&f, &[("TMPI_CONFIG", "tmpi.toml")], &add).succeeds();
+    assert_eq!(
+        (of(&[("TMPI_CONFIG", "tmpi.toml")], &[]), of(&[("TMPI_SERVE_KEYS", "keys")], &[]), of(&[], &["--data", "served"])),
+        (2, 2, 1)
+    );
+    assert_eq!(of(&[("TMPI_CONFIG", "tmpi.toml"), ("TMPI_SERVE_KEYS", "keys")], &["--keys", "served"]), 1);
+    // as serve reads it
+    f.write("tmpi.toml", b"quue = 3");
+    key(&f, &[], &["list", "--config", "tmpi.toml"]).fails(2, &["quue"]);
+    key(&f, &[("TMPI_SERVE_QUUE", "3")], &["list", "--data", "served"]).fails(2, &["TMPI_SERVE_QUUE"]);
+    // a name of a key is none of a setting
+    key(&f, &[("TMPI_SERVE_DATA", "served"), ("TMPI_SERVE_DAYS", "3")], &add).fails(2, &["TMPI_SERVE_DAYS"]);
 }
 
 #[test]

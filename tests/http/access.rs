@@ -2,6 +2,7 @@
 
 use std::path::Path;
 use std::sync::Arc;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use serde_json::Value;
 use tmpi::server::keys::{self, Scope};
@@ -185,6 +186,27 @@ fn whoever_uploads_without_a_secret_is_told_one() {
     };
     assert_eq!((by_tls("__Host-tmpi_owner"), by_tls("tmpi_owner")), (200, 404), "what another host of the domain may have set counts not");
     assert_eq!(page.header("cache-control"), Some("private, no-store"));
+}
+
+#[test]
+fn links_are_good_for_no_longer_than_was_said() {
+    let dir = tempfile::tempdir().unwrap();
+    let server = private_within(dir.path(), Arc::new(pipeline()), Limits { link: Duration::from_hours(1), ..Limits::default() });
+    let ann = secret("a");
+    let one = id(&upload(&server, Some(&ann), 1));
+    let links = |query: &str| ask(&server, "POST", &format!("/v1/photos/{one}/links{query}"), &[("authorization", &ann)], &[]);
+    let refused = links("?seconds=3601").problem(400);
+    assert!(refused["detail"].as_str().unwrap().contains("1 to 3600"), "{refused}");
+    let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_secs();
+    for query in ["", "?seconds=3600"] {
+        let expires = links(query).json()["expires"].as_u64().unwrap();
+        assert!((now + 3600..now + 3660).contains(&expires), "{query}");
+    }
+    let document = get(server.addr, "/openapi.json").json();
+    let parameters = document["paths"]["/v1/photos/{id}/links"]["post"]["parameters"].as_array().unwrap().clone();
+    let seconds = parameters.iter().find(|p| p["name"] == "seconds").unwrap();
+    assert_eq!(seconds["schema"]["maximum"], 3600);
+    assert!(seconds["description"].as_str().unwrap().contains("1 to 3600"));
 }
 
 #[test]

@@ -103,7 +103,7 @@ fn a_photo_is_begun_followed_and_stopped_at_once_though_nobody_looks() {
     gate.open(1);
     ended.join().unwrap();
     a.wait(&other, "done");
-    assert!(figure(a.addr, "tmpi_hints_sent") == Some(2) && figure(a.addr, "tmpi_hints_lost") == Some(0));
+    assert!(figure(a.addr, "tmpi_hints_sent_total") == Some(2) && figure(a.addr, "tmpi_hints_lost") == Some(0));
 }
 
 #[test]
@@ -139,7 +139,7 @@ fn what_was_accepted_is_made_once_though_nats_is_killed_and_its_disk_wiped() {
     let made = || gates.iter().map(|gate| gate.started.load(Ordering::SeqCst)).sum::<usize>();
     assert_eq!(made(), ids.len(), "none twice");
     // the queue is made again, by whoever finds it missing
-    let taken = || workers.iter().filter_map(|worker| figure(worker.addr, "tmpi_hints_taken")).sum::<u64>();
+    let taken = || workers.iter().filter_map(|worker| figure(worker.addr, "tmpi_hints_taken_total")).sum::<u64>();
     wait_until("there is a queue again", || [serve.addr, workers[0].addr].into_iter().all(|at| figure(at, "tmpi_hints_queue") == Some(1)));
     let (before, mut seed) = (taken(), 20);
     wait_until("a hint comes by it", || {
@@ -149,7 +149,7 @@ fn what_was_accepted_is_made_once_though_nats_is_killed_and_its_disk_wiped() {
         taken() > before
     });
     // what was accepted while it was away may have been sent once it was back
-    let told = || figure(serve.addr, "tmpi_hints_sent").unwrap() + figure(serve.addr, "tmpi_hints_lost").unwrap();
+    let told = || figure(serve.addr, "tmpi_hints_sent_total").unwrap() + figure(serve.addr, "tmpi_hints_lost").unwrap();
     wait_until("each hint is accounted for", || told() == ids.len() as u64 + u64::from(seed - 20));
 }
 
@@ -178,7 +178,7 @@ fn one_of_three_nats_servers_may_go() {
         serve.wait(id, "done");
     }
     assert_eq!(gate.started.load(Ordering::SeqCst), ids.len(), "none twice");
-    let taken = || figure(worker.addr, "tmpi_hints_taken");
+    let taken = || figure(worker.addr, "tmpi_hints_taken_total");
     let (before, mut seed) = (taken(), 20);
     wait_until("hints come", || {
         seed += 1;
@@ -206,8 +206,8 @@ fn a_hint_that_a_killed_worker_had_is_given_again_and_its_photo_made() {
     drop(held);
     let other = node("w2", "work");
     wait_done(serve.addr, &id);
-    wait_until("the hint comes again", || figure(other.addr, "tmpi_hints_redelivered") >= Some(1));
-    assert_eq!(figure(other.addr, "tmpi_hints_dropped"), Some(0));
+    wait_until("the hint comes again", || figure(other.addr, "tmpi_hints_redelivered_total") >= Some(1));
+    assert_eq!(figure(other.addr, "tmpi_hints_dropped_total"), Some(0));
 }
 
 #[test]
@@ -224,7 +224,7 @@ fn without_any_nats_photos_are_taken_and_made_all_the_same() {
     }
     let id = upload(serve.addr, &picture(1, PictureFormat::Jpeg)).expect("it is accepted");
     wait_done(serve.addr, &id);
-    wait_until("its hint is given up", || figure(serve.addr, "tmpi_hints_lost") == Some(1));
+    wait_until("its hint is given up", || figure(serve.addr, "tmpi_hints_lost_total") == Some(1));
 }
 
 #[test]
@@ -257,7 +257,7 @@ fn garbage_on_the_subjects_is_counted_and_changes_nothing() {
     for payload in &none {
         nats.say(&photos, payload);
     }
-    wait_until("all of it is counted", || figure(a.addr, "tmpi_notes_dropped") == Some(none.len() as u64));
+    wait_until("all of it is counted", || figure(a.addr, "tmpi_notes_dropped_total") == Some(none.len() as u64));
     // what may be meant and is not so: of a making that nobody has, of a claim that was before, of a photo that is none
     nats.say(&photos, &note(1, &id, "0000000000007-ab-1", r#"{"waiting":{"claim":9}}"#));
     nats.say(&photos, &note(1, &id, &making, r#"{"waiting":{"claim":0}}"#));
@@ -274,6 +274,6 @@ fn garbage_on_the_subjects_is_counted_and_changes_nothing() {
     a.wait(&id, "done");
     let other = a.upload(&jpeg(2));
     a.wait(&other, "done");
-    wait_until("hints that are none are counted", || figure(worker.addr, "tmpi_hints_dropped") == Some(3));
-    assert_eq!((gate.started.load(Ordering::SeqCst), figure(a.addr, "tmpi_notes_dropped")), (2, Some(none.len() as u64)));
+    wait_until("hints that are none are counted", || figure(worker.addr, "tmpi_hints_dropped_total") == Some(3));
+    assert_eq!((gate.started.load(Ordering::SeqCst), figure(a.addr, "tmpi_notes_dropped_total")), (2, Some(none.len() as u64)));
 }

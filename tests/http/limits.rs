@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
-use tmpi::server::{Fault, Limits};
+use tmpi::server::{Fault, Limits, Reserve};
 use tmpi_pipeline::photo;
 
 use crate::client::{Connection, get, post_form, request};
@@ -110,6 +110,27 @@ fn a_header_that_is_too_large_is_refused() {
     let send = |bytes: usize| request(server.addr, "GET", "/healthz", &[("x-long", &"a".repeat(bytes))], &[]).status;
     assert_eq!(send(Limits::HEADER_BYTES - 1000), 200);
     assert_eq!(send(Limits::HEADER_BYTES + 1), 431);
+    let (_dir, server) = start(Limits { header: 8 << 10, ..Limits::default() }, Arc::new(pipeline()));
+    let send = |bytes: usize| request(server.addr, "GET", "/healthz", &[("x-long", &"a".repeat(bytes))], &[]).status;
+    assert_eq!((send(7 << 10), send(9 << 10)), (200, 431));
+}
+
+#[test]
+fn as_much_of_the_disk_is_kept_free_as_was_said() {
+    for reserve in [Reserve { bytes: Some(u64::MAX), files: None }, Reserve { bytes: None, files: Some(u64::MAX) }] {
+        let (_dir, server) = start(Limits { reserve, ..Limits::default() }, Arc::new(pipeline()));
+        let metrics = String::from_utf8(get(server.addr, "/metrics").body).unwrap();
+        let value = |name: &str| metrics.lines().find_map(|line| line.strip_prefix(name)?.trim().parse::<f64>().ok());
+        assert!(value("tmpi_data_free_bytes ").is_some_and(|bytes| bytes > 0.0), "{metrics}");
+        if reserve.files.is_some() && value("tmpi_data_free_files ").is_none() {
+            // a file system on which files have no limit
+            continue;
+        }
+        let least = value(if reserve.bytes.is_some() { "tmpi_data_least_free_bytes " } else { "tmpi_data_least_free_files " });
+        assert_eq!(least, Some(u64::MAX as f64));
+        request(server.addr, "POST", "/v1/photos", &[], &jpeg(1)).problem(507);
+        wait_until("it is not ready", || get(server.addr, "/readyz").status == 503);
+    }
 }
 
 #[test]

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use tempfile::tempdir;
-use tmpi::live::{Config as RoomConfig, Rooms};
+use tmpi::live::{Bounds, Config as RoomConfig, Rooms};
 use tmpi::server::{Config, Server};
 use tmpi_core::live::wire::message::Kind;
 use tmpi_core::live::wire::{Credit, Depth, Hello, Sound, Video};
@@ -172,6 +172,28 @@ impl Publisher {
 
 fn hello() -> Hello {
     Hello { version: VERSION, codec: "jpeg".into(), width: SIZE.0, height: SIZE.1, ..Hello::default() }
+}
+
+#[test]
+fn rooms_hold_to_the_bounds_that_were_said() {
+    let dir = tempdir().unwrap();
+    let bounds = Bounds { rooms: 1, viewers: 1, frame: 20 << 10, sound: 100 };
+    let server = server_with(dir.path(), |rooms| rooms.bounded(bounds));
+    let mut publisher = Publisher::new(server.addr, "attic");
+    publisher.publish(frame(10));
+    assert!(matches!(Client::at(server.addr, "/v1/live/cellar/publish", &[]), Err(503)), "a second room");
+    let mut viewer = Client::watch(server.addr, "attic");
+    assert!(matches!(viewer.next(), Some(Kind::Hello(_))));
+    assert_eq!(Client::watch(server.addr, "attic").bye(), "as many watch the room as may");
+    let sound = |bytes: usize| Kind::Sound(Sound { time: 0, data: vec![1; bytes].into() });
+    publisher.client.send(sound(100));
+    publisher.publish(frame(20));
+    publisher.client.send(sound(101));
+    assert!(publisher.client.bye().contains("do not send"));
+    let mut publisher = Publisher::once_free(server.addr, "attic");
+    publisher.publish(vec![0; (20 << 10) + 1]);
+    let reason = publisher.client.bye();
+    assert!(reason.contains("over 20480"), "{reason}");
 }
 
 #[test]

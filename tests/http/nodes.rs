@@ -42,7 +42,7 @@ impl Nats {
 }
 
 fn dropped(addr: SocketAddr) -> u64 {
-    figure(addr, "tmpi_live_nats_dropped").expect("it is counted")
+    figure(addr, "tmpi_live_nats_dropped_total").expect("it is counted")
 }
 
 /// Waits until somebody may watch a room here.

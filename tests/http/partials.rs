@@ -8,7 +8,7 @@ use std::time::Duration;
 use tmpi::server::Limits;
 use tmpi_render::{PictureFormat, View, encode};
 
-use crate::access::{ask, private, secret};
+use crate::access::{ask, private, private_within, secret};
 use crate::client::{Connection, Response, form, get, request};
 use crate::fixture::{Gate, Running, depth_map, jpeg, pipeline, wait_until};
 use crate::process::Process;
@@ -290,6 +290,56 @@ fn an_upload_is_of_whoever_began_it() {
     let kept =
         std::fs::read_dir(dir.path().join("uploads")).unwrap().map(|e| std::fs::read_to_string(e.unwrap().path().join("record.json")));
     assert!(kept.map(|text| text.unwrap()).all(|text| !text.contains("tmpi_o_")), "secrets are not kept");
+}
+
+#[test]
+fn parts_count_against_what_their_owner_may_have() {
+    let dir = tempfile::tempdir().unwrap();
+    let (ann, bob, photo) = (secret("a"), secret("b"), jpeg(8));
+    let quota = photo.len() as u64 + 1000;
+    let start =
+        || private_within(dir.path(), Arc::new(pipeline()), Limits { quota_bytes: Some(quota), partials_of_owner: 2, ..Limits::default() });
+    let mut server = start();
+    let by = |server: &Running, who: &str, method: &str, path: &str, more: &[(&str, &str)], body: &[u8]| {
+        ask(server, method, path, &[&[("authorization", who)], more].concat(), body)
+    };
+    let begin = |server: &Running, who: &str, length: Option<usize>| {
+        let length = length.map(|length| length.to_string());
+        let told: Vec<_> = length.iter().map(|length| ("upload-length", length.as_str())).collect();
+        by(server, who, "POST", "/v1/photos", &[&[("upload-complete", "?0")], &told[..]].concat(), &[])
+    };
+    let refused = |answer: Response| assert_eq!(answer.problem(403)["type"], "urn:tmpi:problem:quota");
+    let first = begin(&server, &ann, Some(photo.len()));
+    assert_eq!(first.status, 201);
+    let at = first.header("location").unwrap().to_owned();
+    // nothing of it came yet, and it counts, also after a restart
+    for restart in [false, true] {
+        if restart {
+            server.stop();
+            server = start();
+        }
+        refused(begin(&server, &ann, Some(1001)));
+        refused(by(&server, &ann, "POST", "/v1/photos", &[], &photo));
+        assert_eq!(begin(&server, &bob, Some(1001)).status, 201, "of others");
+    }
+    // a part of which the whole is not known counts as it comes
+    let second = begin(&server, &ann, None);
+    assert_eq!(second.status, 201);
+    let other = second.header("location").unwrap().to_owned();
+    let part = |at: &str, offset: usize, complete: &str, body: &[u8]| {
+        let offset = offset.to_string();
+        by(&server, &ann, "PATCH", at, &[PART, ("upload-offset", &offset), ("upload-complete", complete)], body)
+    };
+    assert_eq!(part(&other, 0, "?0", &photo[..1000]).status, 204);
+    refused(part(&other, 1000, "?0", &photo[1000..1001]));
+    // so many at a time
+    let many = begin(&server, &ann, None).problem(429);
+    assert!(many["detail"].as_str().unwrap().contains("--partial-uploads-per-owner"), "{many}");
+    // the first has the room that was kept for it, and is counted once
+    let made = id(&part(&at, 0, "?1", &photo));
+    assert_eq!(by(&server, &ann, "DELETE", &format!("/v1/photos/{made}"), &[], &[]).status, 204);
+    assert_eq!(by(&server, &ann, "DELETE", &other, &[], &[]).status, 204);
+    assert_eq!(begin(&server, &ann, Some(quota as usize)).status, 201, "all of it is free again");
 }
 
 /// A picture of some megabytes.

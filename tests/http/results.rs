@@ -352,6 +352,25 @@ fn health_and_metrics() {
     assert_eq!(value("tmpi_view_seconds_count{phase=\"render\"}"), 1.0);
     assert!(value("tmpi_scene_cache_bytes ") > 0.0 && value("tmpi_uploaded_bytes_total ") > 0.0);
     assert!(text.contains("route=\"/v1/photos/{id}/view\""), "routes are counted by their pattern");
+    // what alerts compare with
+    let usual = Limits::default();
+    for (name, limit) in [
+        ("queue", usual.queue),
+        ("connections", usual.connections),
+        ("views_waiting", usual.views_waiting),
+        ("exports_waiting", usual.exports_waiting),
+        ("partial_uploads", usual.partials),
+    ] {
+        assert_eq!(value(&format!("tmpi_{name}_limit ")), limit as f64, "{name}");
+    }
+    assert_eq!(value("tmpi_job_memory_limit_bytes "), usual.job_memory as f64);
+    if cfg!(target_os = "linux") {
+        let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap().as_secs_f64();
+        assert!((now - 600.0..=now).contains(&value("process_start_time_seconds ")), "{text}");
+        assert!(value("process_cpu_seconds_total ") > 0.0 && value("process_resident_memory_bytes ") > 1e6, "{text}");
+        assert!((5.0..value("process_max_fds ")).contains(&value("process_open_fds ")), "{text}");
+        assert!(text.contains("# TYPE process_cpu_seconds counter\n"));
+    }
 }
 
 #[test]

@@ -124,6 +124,54 @@ fn one_request_after_the_other_within_tls() {
     assert!(String::from_utf8(page).unwrap().contains("http://localhost"), "a proxy knows better");
 }
 
+#[test]
+fn browsers_are_told_to_stay_with_tls_where_the_server_speaks_it() {
+    let dir = tempfile::tempdir().unwrap();
+    let (id, _) = made(dir.path());
+    let told = |limits: Limits, paths: &[&str]| {
+        let server = start(dir.path(), limits);
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+        let one = runtime.block_on(async {
+            let sender = second(server.addr, &mut h2::client::Builder::new()).await;
+            let mut sender = sender.ready().await.unwrap();
+            let (answer, _) = sender.send_request(asks("GET", "/healthz", "localhost"), true).unwrap();
+            answer.await.unwrap().headers().get("strict-transport-security").map(|v| v.to_str().unwrap().to_owned())
+        });
+        let name = ServerName::try_from("localhost").unwrap();
+        let session = ClientConnection::new(trusting(&[b"http/1.1"]), name).unwrap();
+        let mut stream = StreamOwned::new(session, TcpStream::connect(server.addr).unwrap());
+        for path in paths {
+            write!(stream, "GET {path} HTTP/1.1\r\nhost: localhost\r\n").unwrap();
+            stream.write_all(if path == paths.last().unwrap() { &b"connection: close\r\n\r\n"[..] } else { b"\r\n" }).unwrap();
+        }
+        let mut all = Vec::new();
+        let _ = stream.read_to_end(&mut all);
+        let all = String::from_utf8_lossy(&all).into_owned();
+        server.stop();
+        (one, all.matches("strict-transport-security: max-age=9\r\n").count())
+    };
+    let atlas = format!("/v1/photos/{id}/thumbnail");
+    // the second answer of a file is one that was kept
+    let paths = ["/healthz", &atlas, &atlas, "/nowhere"];
+    assert_eq!(told(Limits { hsts: Duration::from_secs(9), ..Limits::default() }, &paths), (Some("max-age=9".into()), 4));
+    assert_eq!(told(Limits { hsts: Duration::ZERO, ..Limits::default() }, &paths), (None, 0));
+    assert_eq!(told(Limits::default(), &paths[..1]).0, Some("max-age=604800".into()));
+    let plain = Running::start(dir.path(), Limits::default(), Arc::new(pipeline()));
+    assert_eq!(get(plain.addr, "/healthz").header("strict-transport-security"), None);
+}
+
+#[test]
+fn a_connection_of_http_2_has_as_many_requests_at_a_time_as_were_said() {
+    let dir = tempfile::tempdir().unwrap();
+    let server = start(dir.path(), Limits { streams_at_once: 3, ..Limits::default() });
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+    runtime.block_on(async {
+        let sender = second(server.addr, &mut h2::client::Builder::new()).await;
+        assert_eq!(fetch(&sender, asks("GET", "/healthz", "localhost")).await.0, 200);
+        assert_eq!(sender.current_max_send_streams(), 3);
+    });
+}
+
 /// What begins as a photo and is longer than a body may be.
 fn large(mut photo: Vec<u8>) -> Vec<u8> {
     photo.resize(Limits::BODY + 1, 7);

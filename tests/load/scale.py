@@ -46,7 +46,7 @@ class Nodes:
         """Hints sent, lost and given again, as the nodes that are there count them since they started."""
         if not self.nats:
             return "-"
-        count = lambda name: sum(int(node.metric(f"tmpi_hints_{name}")) for node in self.serve + self.work)
+        count = lambda name: sum(int(node.metric(f"tmpi_hints_{name}_total")) for node in self.serve + self.work)
         return f"{count('sent')}, {count('lost')}, {count('redelivered')}"
 
     def small_disk(self, node, inodes):

@@ -2,6 +2,7 @@ use clap::Parser;
 use tmpi_pipeline::photo::Limits as Photo;
 
 use super::*;
+use crate::live::Bounds;
 
 #[derive(Parser)]
 struct Cli {
@@ -25,6 +26,7 @@ fn every_limit_can_be_set() {
         --write-timeout 11 --write-rate 1025 --lame-duck 1 --drain 21 --queue 65 --workers 2 --attempts 4 --job-timeout 121 \
         --connections 1025 --connections-per-address 513 --streams 513 --views 3 --views-waiting 65 --exports 2 --exports-waiting 9 --exports-mib 1025 --exports-for 9 \
         --renders 481 --work-memory 1025 --view-pixels 9 --view-side 9 --scene-cache 257 --file-cache 65 --view-cache 65 --export-cache 1025 \
+        --max-header 33 --streams-at-once 65 --partial-uploads-per-owner 17 --least-free 65 --least-free-files 1025 --link-days 367 --hsts 9 \
         --rest 21 --look-over-first 61 --look-over 9 --look-over-rate 33 --lease 31 --sweep 6 --copies 4097 --known-photos 20001 --page 201 --keep-alive 16";
     let set = Cli::try_parse_from(["serve"].into_iter().chain(args.split_whitespace())).unwrap().serve.limits();
     // names all fields, so that none is forgotten
@@ -35,11 +37,24 @@ fn every_limit_can_be_set() {
         }};
     }
     all_differ!(Photo, set.photo, Limits::default().photo, bytes pixels side decoder_memory memory);
-    all_differ!(Limits, set, Limits::default(), photo body header_read request export body_read body_rate changes uploads_beyond partials
-        partial_time rate_requests rate_uploads rate_views quota_photos quota_bytes retain retain_bytes retain_sweep write write_rate
-        lame_duck drain queue workers attempts job job_memory connections connections_per_address streams views views_waiting exports
+    all_differ!(Limits, set, Limits::default(), photo body header header_read request export body_read body_rate changes uploads_beyond partials
+        partials_of_owner partial_time rate_requests rate_uploads rate_views quota_photos quota_bytes retain retain_bytes retain_sweep write write_rate
+        lame_duck drain queue workers attempts job job_memory connections connections_per_address streams_at_once streams views views_waiting exports
         exports_waiting exports_bytes exports_for renders work_memory view_pixels view_side scene_cache file_cache view_cache export_cache rest look_over_first
-        look_over look_over_rate lease sweep copies known_photos page keep_alive);
+        look_over look_over_rate lease sweep copies known_photos reserve link hsts page keep_alive);
+}
+
+#[test]
+fn every_bound_of_rooms_can_be_set() {
+    let of = |args: &str| Cli::try_parse_from(["serve"].into_iter().chain(args.split_whitespace())).map(|c| c.serve.bounds.rooms());
+    assert_eq!(of("").unwrap(), Bounds::default());
+    let Bounds { rooms, viewers, frame, sound } = of("--live-rooms 17 --live-viewers 9 --live-frame 32 --live-sound 17").unwrap();
+    assert_eq!((rooms, viewers, frame, sound), (17, 9, 32 << 10, 17 << 10));
+    for wrong in
+        ["--live-rooms 65", "--live-rooms 0", "--live-viewers 0", "--live-frame 1025", "--live-sound 65", "--max-header 7", "--hsts -1"]
+    {
+        assert!(of(wrong).is_err(), "{wrong}");
+    }
 }
 
 #[test]

@@ -16,7 +16,7 @@ use super::wire::{Joined, Joiner, Packet, Sort, Start};
 use super::{Ask, Nodes, subject};
 use crate::live::ring::What;
 use crate::live::room::Room;
-use crate::live::{COME_BACK, FRAME_BYTES, HEARTBEAT, Rooms, SOUND_BYTES};
+use crate::live::{COME_BACK, HEARTBEAT, Rooms};
 
 /// Time for which an owner's answer is waited for.
 const ANSWER: Duration = Duration::from_secs(1);
@@ -213,15 +213,16 @@ impl Session<'_> {
 
     /// Puts an entry into the ring, as the bytes that came; none where it is none.
     fn entry(&mut self, bytes: Bytes) -> Option<()> {
+        let bounds = self.room.bounds;
         let what = match read(bytes.clone()).ok()? {
-            Kind::Video(video) if video.data.len() > FRAME_BYTES => return None,
+            Kind::Video(video) if video.data.len() > bounds.frame => return None,
             Kind::Video(video) if video.key => {
                 self.reached.waits = false;
                 What::Key
             }
             Kind::Video(_) if self.reached.waits => return Some(()),
             Kind::Video(video) => What::Frame { layer: video.layer },
-            Kind::Sound(sound) if sound.data.len() <= SOUND_BYTES => What::Sound,
+            Kind::Sound(sound) if sound.data.len() <= bounds.sound => What::Sound,
             Kind::Geometry(tiles) => {
                 if !self.room.take_tiles(self.owner.epoch, &tiles) {
                     return None;

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use serde::{Deserialize, Serialize};
 
-use crate::live::is_name;
+use crate::live::{Bounds, is_name};
 
 /// Version of what nodes say to each other; others are not understood.
 pub const VERSION: u32 = 1;
@@ -22,7 +22,7 @@ const REMEMBERED: Duration = Duration::from_mins(1);
 /// Nodes that are listened to.
 const NODES: usize = 64;
 /// Rooms of a node, those that it has and those that it watches.
-const ROOMS: usize = 64;
+const ROOMS: usize = Bounds::MOST_ROOMS;
 /// Milliseconds by which an epoch may be ahead of this node's clock: one that were the last could never be followed by another.
 const AHEAD: u64 = 24 * 3600 * 1000;
 

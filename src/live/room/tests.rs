@@ -18,7 +18,7 @@ struct Made {
 
 impl Made {
     fn new() -> Self {
-        let (room, tiles) = (Room::new(), geometry(0.5));
+        let (room, tiles) = (Room::new(Bounds::default()), geometry(0.5));
         assert_eq!(room.publish(Model::hello(&tiles), 0, EPOCH), EPOCH);
         let mut made = Self { room, tiles, frame: 0 };
         made.next(true, 10, Some(Area::all(&made.tiles.grid)));

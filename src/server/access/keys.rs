@@ -127,6 +127,13 @@ pub fn read(dir: &Path) -> Result<Vec<Key>, KeysError> {
     Ok(file.keys)
 }
 
+/// True where a server has kept photos in a directory, or where there are keys.
+#[must_use]
+pub fn is_of_a_server(dir: &Path) -> bool {
+    // its own photos, or copies of those of a store
+    [FILE, "photos", "copies"].iter().any(|name| dir.join(name).exists())
+}
+
 fn is_name(name: &str) -> bool {
     !name.is_empty() && name.len() <= MOST_NAME && name.bytes().all(|b| b.is_ascii_alphanumeric() || b".-_".contains(&b))
 }

@@ -17,6 +17,7 @@ use tokio::time::{sleep, timeout};
 use super::ports::Figure;
 use super::records;
 use crate::server::id::PhotoId;
+use crate::server::telemetry::{counter, gauge};
 use tmpi_pipeline::{Progress, STAGES};
 
 /// Version of notes; nodes of different ones do not hear each other.
@@ -164,9 +165,9 @@ impl Bus {
     pub fn counts(&self) -> Vec<Figure> {
         let of = |count: &AtomicU64| count.load(Ordering::Relaxed) as f64;
         vec![
-            ("tmpi_nats_connected", "Whether other nodes of the store can be heard", f64::from(u8::from(self.is_connected()))),
-            ("tmpi_notes_told", "Notes to other nodes", of(&self.told)),
-            ("tmpi_notes_dropped", "Notes of others that were none, or more than could be read", of(&self.dropped)),
+            gauge("tmpi_nats_connected", "Whether other nodes of the store can be heard", f64::from(u8::from(self.is_connected()))),
+            counter("tmpi_notes_told", "Notes to other nodes", of(&self.told)),
+            counter("tmpi_notes_dropped", "Notes of others that were none, or more than could be read", of(&self.dropped)),
         ]
     }
 }

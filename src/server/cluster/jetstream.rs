@@ -23,6 +23,7 @@ use tokio::time::{sleep, timeout};
 use super::local::{LocalQueue, Receipt};
 use super::ports::{Figure, Hint, Lease, Queue};
 use super::records;
+use crate::server::telemetry::{counter, gauge};
 
 /// Version of hints; nodes of different ones leave each other's to the sweep.
 const VERSION: u32 = 1;
@@ -390,12 +391,12 @@ impl Queue for JetStream {
         let Counts { sent, lost, taken, redelivered, dropped, .. } = &self.0.counts;
         let found = f64::from(u8::from(self.0.found.borrow().is_some()));
         vec![
-            ("tmpi_hints_queue", "Whether the queue of JetStream is there", found),
-            ("tmpi_hints_sent", "Hints that JetStream took", of(sent)),
-            ("tmpi_hints_lost", "Hints that JetStream did not take; the sweep finds what they tell of", of(lost)),
-            ("tmpi_hints_taken", "Hints of JetStream that a worker took", of(taken)),
-            ("tmpi_hints_redelivered", "Hints that JetStream gave again", of(redelivered)),
-            ("tmpi_hints_dropped", "Messages of JetStream that were no hints", of(dropped)),
+            gauge("tmpi_hints_queue", "Whether the queue of JetStream is there", found),
+            counter("tmpi_hints_sent", "Hints that JetStream took", of(sent)),
+            counter("tmpi_hints_lost", "Hints that JetStream did not take; the sweep finds what they tell of", of(lost)),
+            counter("tmpi_hints_taken", "Hints of JetStream that a worker took", of(taken)),
+            counter("tmpi_hints_redelivered", "Hints that JetStream gave again", of(redelivered)),
+            counter("tmpi_hints_dropped", "Messages of JetStream that were no hints", of(dropped)),
         ]
     }
 }

@@ -44,7 +44,7 @@ pub use hear::hear;
 pub use index::{Place, stem};
 pub use look::{Seen, keep_up, side_by_side};
 pub use migrate::{Migration, migrate};
-pub use open::{Nats, Role, Sharing};
+pub use open::{Nats, Role, Sharing, check_store};
 pub use work::work;
 
 /// Age at which what is known of a photo is looked up again, while it is being made and once it has ended.

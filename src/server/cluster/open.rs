@@ -120,6 +120,19 @@ fn connect(nats: &Nats, store: &str, limits: &Limits, here: Option<LocalQueue>) 
     Ok((queue, Bus::new(client, &key)))
 }
 
+/// Whether a store may have this address, with what the environment says of it; neither is asked nor made.
+///
+/// # Errors
+/// It may not.
+pub fn check_store(store: &str) -> io::Result<()> {
+    if store.strip_prefix("file://").is_some_and(|folder| !folder.is_empty()) {
+        return Ok(());
+    }
+    let runtime = tokio::runtime::Builder::new_current_thread().build()?;
+    let _within = runtime.enter();
+    ports_at(store).map(drop)
+}
+
 /// Blobs and ledger of a store.
 pub(super) fn ports_at(store: &str) -> io::Result<(Arc<dyn Blobs>, Arc<dyn Ledger>)> {
     let unknown = || {

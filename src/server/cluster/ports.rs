@@ -7,6 +7,8 @@ use std::io;
 use std::ops::Range;
 use std::time::{Duration, Instant};
 
+pub use crate::server::telemetry::Figure;
+
 /// Names of a page of a list.
 const PAGE: usize = 1000;
 
@@ -134,9 +136,6 @@ pub trait Queue: Debug + Send + Sync + 'static {
         Vec::new()
     }
 }
-
-/// Name, meaning and value of something that is counted.
-pub type Figure = (&'static str, &'static str, f64);
 
 /// A hint that was taken from a queue, which gives it to others where nothing is heard of it.
 pub trait Lease: Send + Sync {

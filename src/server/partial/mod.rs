@@ -33,11 +33,10 @@ use super::app::App;
 use super::body;
 use super::files;
 use super::id::{PhotoId, hex};
-use super::limits::Limits;
+use super::jobs::Jobs;
 use super::maker::HeadOf;
 use super::problem::Problem;
 use super::share::{Share, Shares, asker};
-use super::store::Store;
 use super::time::now_ms;
 use super::upload;
 use kept::Kept;
@@ -60,6 +59,7 @@ const TOLD_EACH: usize = 16;
 pub struct Partials {
     kept: Kept,
     most: usize,
+    most_of_owner: usize,
     time: Duration,
     shares: Shares,
     all: Mutex<HashMap<String, Arc<Partial>>>,
@@ -126,16 +126,20 @@ impl Partial {
 }
 
 impl Partials {
-    /// Those on the disk of `store`.
+    /// Those on the disk of `jobs`, for which room is kept.
     ///
     /// # Errors
     /// They cannot be read.
-    pub fn open(store: &Store, limits: &Limits) -> io::Result<Self> {
-        let (files, dir) = store.uploads();
+    pub fn open(jobs: &Jobs) -> io::Result<Self> {
+        let limits = &jobs.limits;
+        let (files, dir) = jobs.store.uploads();
         let (kept, found) = Kept::open(files, dir)?;
+        for (id, record) in found.iter().filter(|(_, record)| record.photo.is_none()) {
+            jobs.hold_found(record.owner.as_ref(), id, record.extent.length.unwrap_or(record.extent.offset));
+        }
         let all = found.into_iter().map(|(id, record)| (id.clone(), Partial::new(id, record, None))).collect();
-        let (most, time) = (limits.partials, limits.partial_time);
-        Ok(Self { kept, most, time, shares: Shares::half_of(most), all: Mutex::new(all) })
+        let (most, most_of_owner, time) = (limits.partials, limits.partials_of_owner, limits.partial_time);
+        Ok(Self { kept, most, most_of_owner, time, shares: Shares::half_of(most), all: Mutex::new(all) })
     }
 
     /// One by its id.
@@ -147,7 +151,7 @@ impl Partials {
     /// How many are under way.
     #[must_use]
     pub fn count(&self) -> usize {
-        lock(&self.all).values().filter(|p| lock(&p.record).photo.is_none()).count()
+        under_way(&lock(&self.all), |_| true)
     }
 
     /// When one is removed of which nothing comes any more, milliseconds since 1970.
@@ -159,20 +163,38 @@ impl Partials {
     /// Begins one; blocks.
     ///
     /// # Errors
-    /// 429 where there are as many as may be, or half of them of who asks; 500 and 507 where the disk fails.
-    fn begin(&self, store: &Store, share: Option<Share>, record: Record) -> Result<Arc<Partial>, Problem> {
-        let full = || {
-            let detail = format!("{} uploads in parts are kept already, or half of them for this address", self.most);
-            Problem::new(StatusCode::TOO_MANY_REQUESTS, "uploads-full", detail).retry_after(60)
-        };
-        let share = share.filter(|_| self.count() < self.most).ok_or_else(full)?;
-        store.room().map_err(|e| Problem::store(&e))?;
+    /// 429 where there are as many as may be, half of them of this address, or as many of the owner as one may have; 403 where its `bytes` are
+    /// more than they may have; 500 and 507 where the disk fails.
+    fn begin(&self, jobs: &Jobs, share: Option<Share>, record: Record, bytes: u64) -> Result<Arc<Partial>, Problem> {
+        let full = |detail: String| Problem::new(StatusCode::TOO_MANY_REQUESTS, "uploads-full", detail).retry_after(60);
+        let many = || full(format!("{} uploads in parts are kept already, or half of them for this address", self.most));
+        let share = share.ok_or_else(many)?;
+        jobs.store.room().map_err(|e| Problem::store(&e))?;
         let id = hex(&random().map_err(|e| Problem::internal("an id", &e))?);
         self.forget_some();
-        self.kept.begin(&id, &record).map_err(|e| Problem::store(&e))?;
-        let partial = Partial::new(id.clone(), record, Some(share));
-        lock(&self.all).insert(id, Arc::clone(&partial));
-        Ok(partial)
+        // this machine's own user is not bound
+        let owner = record.owner.clone().filter(|owner| !owner.is_own());
+        let partial = Partial::new(id.clone(), record.clone(), Some(share));
+        {
+            // counted and entered at once, before its folder is made: of those that begin side by side no more get in than may
+            let mut all = lock(&self.all);
+            if under_way(&all, |_| true) >= self.most {
+                return Err(many());
+            }
+            if owner.is_some() && under_way(&all, |record| record.owner == owner) >= self.most_of_owner {
+                let most = self.most_of_owner;
+                return Err(full(format!(
+                    "{most} of your uploads in parts are under way (--partial-uploads-per-owner): end or delete one"
+                )));
+            }
+            all.insert(id.clone(), Arc::clone(&partial));
+        }
+        let begun = jobs.hold(owner.as_ref(), &id, bytes);
+        let begun = begun.and_then(|()| self.kept.begin(&id, &record).map_err(|e| Problem::store(&e)));
+        begun.map(|()| Arc::clone(&partial)).inspect_err(|_| {
+            lock(&self.all).remove(&id);
+            jobs.unhold(&id);
+        })
     }
 
     /// Forgets what has long become photos, where that is too much.
@@ -181,6 +203,11 @@ impl Partials {
         told.sort_by_key(|p| lock(&p.record).touched_ms);
         let many = told.len().saturating_sub(TOLD_EACH * self.most);
         told.iter().take(many).for_each(|partial| self.remove(partial));
+    }
+
+    fn end(&self, jobs: &Jobs, partial: &Partial) {
+        self.remove(partial);
+        jobs.unhold(&partial.id);
     }
 
     fn remove(&self, partial: &Partial) {
@@ -203,15 +230,27 @@ impl Partials {
     }
 }
 
-/// Begins an upload of `owner`, and has the turn at it.
+/// How many of them are under way that `are` meant.
+fn under_way(all: &HashMap<String, Arc<Partial>>, are: impl Fn(&Record) -> bool) -> usize {
+    let counts = |record: &Record| record.photo.is_none() && are(record);
+    all.values().filter(|partial| counts(&lock(&partial.record))).count()
+}
+
+/// Begins an upload of `owner`, and has the turn at it; `bytes` of it are to come, as far as that is told.
 ///
 /// # Errors
-/// 429, 500, 507.
-pub async fn begin(app: &App, query: Vec<(String, String)>, content_type: Option<String>, owner: Option<Owner>) -> Result<Turn, Problem> {
+/// 403, 429, 500, 507.
+pub async fn begin(
+    app: &App,
+    query: Vec<(String, String)>,
+    content_type: Option<String>,
+    owner: Option<Owner>,
+    bytes: u64,
+) -> Result<Turn, Problem> {
     let (touched_ms, version) = (now_ms(), kept::VERSION);
     let record = Record { version, touched_ms, extent: Extent::NOTHING, query, content_type, owner, photo: None };
     let (shared, share) = (Arc::clone(app), app.partials.shares.take(asker()));
-    let begun = tokio::task::spawn_blocking(move || shared.partials.begin(&shared.jobs.store, share, record));
+    let begun = tokio::task::spawn_blocking(move || shared.partials.begin(&shared.jobs, share, record, bytes));
     begun.await.map_err(|e| Problem::internal("beginning an upload", &e))??.enter().await
 }
 
@@ -231,6 +270,9 @@ impl Turn {
         let most = app.limits.body as u64;
         let mut extent = self.of.record().extent;
         extent.begin(&said, most).map_err(|refused| header::refusal(refused, &extent))?;
+        // as far as that is told: the whole, or the end of this part
+        let end = extent.offset.saturating_add(said.content.unwrap_or_default());
+        self.hold(app, extent.length.unwrap_or(end)).await?;
         let app = Arc::clone(app);
         // goes on where nobody waits for the answer any more: what came until the connection was lost is kept
         let work = async move { self.take(&app, extent, said.complete, body.into_data_stream()).await };
@@ -273,13 +315,32 @@ impl Turn {
             file.write_all(&bytes).await.map_err(disk)?;
             if extent.offset - counted >= STEP {
                 counted = extent.offset;
+                if extent.length.is_none()
+                    && let Err(refused) = self.hold(app, counted).await
+                {
+                    break Err(refused);
+                }
                 self.keep(app, &mut file, extent).await?;
             }
         };
         // what is told has to be durable, and what cannot be told, too: the client asks for it
         let whole = ended.and_then(|()| extent.end(complete).map_err(|refused| header::refusal(refused, &extent)));
         self.keep(app, &mut file, extent).await?;
+        if whole.is_ok() {
+            self.hold(app, extent.offset).await?;
+        }
         whole.map(|whole| (self, whole))
+    }
+
+    /// Keeps room for so many bytes of the whole beside what its owner has.
+    async fn hold(&self, app: &App, bytes: u64) -> Result<(), Problem> {
+        let (shared, partial) = (Arc::clone(app), Arc::clone(&self.of));
+        let hold = move || {
+            let owner = lock(&partial.record).owner.clone();
+            shared.jobs.hold(owner.as_ref(), &partial.id, bytes)
+        };
+        // a store is asked, and blocks
+        tokio::task::spawn_blocking(hold).await.map_err(|e| Problem::internal("counting an owner's uploads", &e))?
     }
 
     /// What looks at the bytes from `offset` on, and has seen those before them; a form is looked at once it is whole.
@@ -347,6 +408,7 @@ impl Turn {
         let told = tokio::task::spawn_blocking(move || {
             let (partials, partial) = (&shared.partials, &self.of);
             lock(&partial.share).take();
+            shared.jobs.unhold(&partial.id);
             let kept = partials.keep(partial, |record| record.photo = Some(photo.to_string())).is_ok();
             // else it is accepted once more, which changes nothing
             if kept && let Err(error) = partials.kept.free(&partial.id) {
@@ -361,7 +423,7 @@ impl Turn {
     /// Removes the upload.
     pub async fn cancel(self, app: &App) {
         let shared = Arc::clone(app);
-        if let Err(error) = tokio::task::spawn_blocking(move || shared.partials.remove(&self.of)).await {
+        if let Err(error) = tokio::task::spawn_blocking(move || shared.partials.end(&shared.jobs, &self.of)).await {
             tracing::error!(%error, "removing an upload in parts");
         }
     }

@@ -37,6 +37,7 @@ use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
 use super::app::App;
+use super::limits::Limits;
 use super::middleware;
 pub(super) use admin::router as admin_router;
 pub(super) use export::ExportQuery;
@@ -151,12 +152,21 @@ fn rooms_cors() -> CorsLayer {
 /// # Errors
 /// It cannot be written as JSON.
 pub fn openapi() -> serde_json::Result<Bytes> {
+    openapi_of(&Limits::default())
+}
+
+/// The same of a server that has these limits.
+///
+/// # Errors
+/// As [`openapi`].
+pub fn openapi_of(limits: &Limits) -> serde_json::Result<Bytes> {
     let mut document = own_api().merge(open_api()).into_openapi();
     document.merge(live::routes::watching_api().into_openapi());
     document.merge(live::routes::publishing_api().into_openapi());
     let mut document = serde_json::to_value(document)?;
     words::put(&mut document);
     errors::put(&mut document);
+    words::put_link(&mut document, limits.link.as_secs());
     serde_json::to_vec_pretty(&document).map(Bytes::from)
 }
 

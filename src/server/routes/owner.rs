@@ -11,9 +11,8 @@ use crate::server::access;
 use crate::server::app::App;
 use crate::server::problem::Problem;
 
-/// Seconds that a link is good for where nothing is said, and at most.
+/// Seconds that a link is good for where nothing is said.
 const USUAL: u64 = 86_400;
-const MOST: u64 = 366 * 86_400;
 
 /// A way to a photo for somebody else.
 #[derive(Serialize, utoipa::ToSchema)]
@@ -52,9 +51,10 @@ pub struct PhotoLink {
 pub async fn links(State(app): State<App>, Path(id): Path<String>, uri: Uri) -> Result<Json<PhotoLink>, Problem> {
     let photo = app.photo(&id)?.id;
     let pairs = Pairs::read(&uri, &["seconds"])?;
-    let wrong = |text: &str| Problem::parameter("seconds", format!("must be from 1 to {MOST}, not {text:?}"));
-    let read = |text: &str| text.parse().ok().filter(|n| (1..=MOST).contains(n)).ok_or_else(|| wrong(text));
-    let seconds = pairs.get("seconds").map_or(Ok(USUAL), read)?;
+    let most = app.limits.link.as_secs();
+    let wrong = |text: &str| Problem::parameter("seconds", format!("must be from 1 to {most}, not {text:?}"));
+    let read = |text: &str| text.parse().ok().filter(|n| (1..=most).contains(n)).ok_or_else(|| wrong(text));
+    let seconds = pairs.get("seconds").map_or(Ok(USUAL.min(most)), read)?;
     let expires = app.guard.as_ref().map(|_| access::now() + seconds);
     let query = app.guard.as_ref().zip(expires).map(|(guard, expires)| guard.query(photo, expires));
     let address = |path: String| query.as_ref().map_or(path.clone(), |query| format!("{path}?{query}"));

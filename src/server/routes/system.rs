@@ -15,7 +15,8 @@ use crate::server::conditional::{Coding, Entity, REVALIDATE, respond, respond_on
 use crate::server::id::hex;
 use crate::server::pool::Class;
 use crate::server::problem::Problem;
-use crate::server::telemetry::MEDIA_TYPE;
+use crate::server::process;
+use crate::server::telemetry::{MEDIA_TYPE, gauge};
 
 /// Health of the server.
 #[derive(Serialize, utoipa::ToSchema)]
@@ -83,46 +84,75 @@ pub async fn metrics(State(app): State<App>, _: NoQuery, headers: HeaderMap) -> 
     let waiting = |class| app.pool.waiting(class) as f64;
     let queued = app.jobs.waiting();
     let of_class = |name| queued.iter().find(|(class, _)| *class == name).map_or(0.0, |(_, n)| *n as f64);
-    let mut gauges = app.rooms.get().map(|rooms| rooms.counts()).unwrap_or_default();
-    gauges.extend(app.jobs.cluster.as_ref().map(|cluster| cluster.counts()).unwrap_or_default());
-    gauges.extend(if app.jobs.cluster.is_some() {
+    let mut figures = app.rooms.get().map(|rooms| rooms.counts()).unwrap_or_default();
+    figures.extend(app.jobs.cluster.as_ref().map(|cluster| cluster.counts()).unwrap_or_default());
+    figures.extend(if app.jobs.cluster.is_some() {
         vec![
-            ("tmpi_photos_known", "Photos of the store that this node has in memory; it counts no others", counts.known as f64),
-            ("tmpi_photos_damaged", "Finished photos of these that this node found damaged in the store", counts.damaged as f64),
+            gauge("tmpi_photos_known", "Photos of the store that this node has in memory; it counts no others", counts.known as f64),
+            gauge("tmpi_photos_damaged", "Finished photos of these that this node found damaged in the store", counts.damaged as f64),
         ]
     } else {
         vec![
-            ("tmpi_photos_done", "Finished photos of a node alone; nodes of a store do not know all of them", counts.done as f64),
-            ("tmpi_photos_failed", "Photos of a node alone that could not be made", counts.failed as f64),
-            ("tmpi_photos_damaged", "Finished photos that are damaged on disk", counts.damaged as f64),
+            gauge("tmpi_photos_done", "Finished photos of a node alone; nodes of a store do not know all of them", counts.done as f64),
+            gauge("tmpi_photos_failed", "Photos of a node alone that could not be made", counts.failed as f64),
+            gauge("tmpi_photos_damaged", "Finished photos that are damaged on disk", counts.damaged as f64),
         ]
     });
-    gauges.extend([
-        (
+    figures.extend([
+        gauge(
             "tmpi_queue_depth",
             "Photos that wait; in a store, all that are pending there and not being made as far as this node heard",
             counts.queued as f64,
         ),
-        ("tmpi_queue_limit", "Photos that may wait", app.limits.queue as f64),
-        ("tmpi_jobs_running", "Photos that this node is making", counts.working as f64),
-        ("tmpi_photos_unreadable", "Photos whose records cannot be read", app.jobs.store.unreadable() as f64),
-        ("tmpi_partial_uploads", "Uploads of which parts are there", app.partials.count() as f64),
-        ("tmpi_scene_cache_bytes", "Memory of decoded scenes", app.scenes.bytes() as f64),
-        ("tmpi_file_cache_bytes", "Memory of cached files", app.files.bytes() as f64),
-        ("tmpi_view_cache_bytes", "Memory of encoded views", app.views.bytes() as f64),
-        ("tmpi_export_cache_bytes", "Disk of files to download", app.exports.bytes() as f64),
-        ("tmpi_level_cache_bytes", "Memory of smaller levels and parts of containers", app.levels.bytes() as f64),
-        ("tmpi_work_memory_bytes", "Memory given out to work on scenes", app.pool.bytes() as f64),
-        ("tmpi_job_memory_bytes", "Memory that photos under way may take", app.jobs.memory.taken() as f64),
-        ("tmpi_views_waiting", "Views that wait to be drawn", waiting(Class::Interactive)),
-        ("tmpi_derived_waiting", "Levels and parts that wait to be made", waiting(Class::Derived)),
-        ("tmpi_exports_waiting", "Films and files that wait to be written", waiting(Class::Export)),
-        ("tmpi_exports_stored_bytes", "Disk of files that were written as jobs", app.jobs.exports.bytes() as f64),
-        ("tmpi_exports_queued", "Files that wait to be written as jobs", of_class("export")),
-        ("tmpi_batch_queued", "Photos of many that wait", of_class("batch")),
-        ("tmpi_peak_rss_bytes", "Peak resident memory of the process", tmpi_pipeline::clock::peak_rss_bytes() as f64),
+        gauge("tmpi_queue_limit", "Photos that may wait", app.limits.queue as f64),
+        gauge("tmpi_connections_limit", "Connections that may be open", app.limits.connections as f64),
+        gauge("tmpi_jobs_running", "Photos that this node is making", counts.working as f64),
+        gauge("tmpi_photos_unreadable", "Photos whose records cannot be read", app.jobs.store.unreadable() as f64),
+        gauge("tmpi_partial_uploads", "Uploads of which parts are there", app.partials.count() as f64),
+        gauge("tmpi_partial_uploads_limit", "Uploads of which parts may be there", app.limits.partials as f64),
+        gauge("tmpi_scene_cache_bytes", "Memory of decoded scenes", app.scenes.bytes() as f64),
+        gauge("tmpi_file_cache_bytes", "Memory of cached files", app.files.bytes() as f64),
+        gauge("tmpi_view_cache_bytes", "Memory of encoded views", app.views.bytes() as f64),
+        gauge("tmpi_export_cache_bytes", "Disk of files to download", app.exports.bytes() as f64),
+        gauge("tmpi_level_cache_bytes", "Memory of smaller levels and parts of containers", app.levels.bytes() as f64),
+        gauge("tmpi_work_memory_bytes", "Memory given out to work on scenes", app.pool.bytes() as f64),
+        gauge("tmpi_job_memory_bytes", "Memory that photos under way may take", app.jobs.memory.taken() as f64),
+        gauge(
+            "tmpi_work_memory_limit_bytes",
+            "Memory that work on scenes may have, besides films and files",
+            app.limits.work_memory as f64,
+        ),
+        gauge("tmpi_job_memory_limit_bytes", "Memory that photos under way may have", app.limits.job_memory as f64),
+        gauge("tmpi_views_waiting", "Views that wait to be drawn", waiting(Class::Interactive)),
+        gauge("tmpi_derived_waiting", "Levels and parts that wait to be made", waiting(Class::Derived)),
+        gauge("tmpi_exports_waiting", "Films and files that wait to be written", waiting(Class::Export)),
+        gauge("tmpi_views_waiting_limit", "Views that may wait, and, apart from them, levels and parts", app.limits.views_waiting as f64),
+        gauge("tmpi_exports_waiting_limit", "Films and files that may wait", app.limits.exports_waiting as f64),
+        gauge("tmpi_exports_stored_bytes", "Disk of files that were written as jobs", app.jobs.exports.bytes() as f64),
+        gauge("tmpi_exports_queued", "Files that wait to be written as jobs", of_class("export")),
+        gauge("tmpi_batch_queued", "Photos of many that wait", of_class("batch")),
+        gauge("tmpi_peak_rss_bytes", "Peak resident memory of the process", tmpi_pipeline::clock::peak_rss_bytes() as f64),
     ]);
-    match app.telemetry.text(&gauges) {
+    // the file systems of some answer slowly
+    let shared = App::clone(&app);
+    let looked = tokio::task::spawn_blocking(move || {
+        let mut figures = process::figures();
+        figures.extend(shared.jobs.store.left().into_iter().flat_map(|(room, (bytes, files))| {
+            let of_files = [
+                gauge("tmpi_data_free_files", "Files that the disk of the data directory can still have", room.files as f64),
+                gauge("tmpi_data_least_free_files", "Of these, those that are kept free", files as f64),
+            ];
+            let of_bytes = [
+                gauge("tmpi_data_free_bytes", "Free room on the disk of the data directory", room.bytes as f64),
+                gauge("tmpi_data_least_free_bytes", "Of that, what is kept free", bytes as f64),
+            ];
+            // some file systems have no limit
+            of_bytes.into_iter().chain(of_files.into_iter().filter(move |_| room.all_files > 0))
+        }));
+        figures
+    });
+    figures.extend(looked.await.unwrap_or_default());
+    match app.telemetry.text(&figures) {
         Ok(text) => respond_once(&headers, text.into(), MEDIA_TYPE),
         Err(error) => Problem::internal("writing metrics", &error).into_response(),
     }

@@ -106,8 +106,9 @@ pub(super) async fn begin(app: &App, query: Vec<(String, String)>, request: Requ
     { Extent::NOTHING }.begin(&said, most).map_err(|e| header::refusal(e, &Extent::NOTHING))?;
     let _leave = Ticket::take(app)?;
     let owner = app.guard.as_ref().and_then(|_| Guard::owner());
-    app.quota(owner.as_ref(), said.length.or(said.content).unwrap_or_default()).await?;
-    let turn = partial::begin(app, query, of_whole(request.headers()), owner).await?;
+    let bytes = said.length.or(said.content).unwrap_or_default();
+    app.quota(owner.as_ref(), bytes).await?;
+    let turn = partial::begin(app, query, of_whole(request.headers()), owner, bytes).await?;
     let (body, shared) = (request.into_body(), Arc::clone(app));
     let first = async move {
         let id = turn.partial().id.clone();
@@ -218,6 +219,18 @@ pub async fn append(
     Ok(response)
 }
 
+/// Has an upload count as one again where it did not become a photo.
+struct Counts<'a> {
+    app: &'a App,
+    upload: String,
+}
+
+impl Drop for Counts<'_> {
+    fn drop(&mut self) {
+        self.app.jobs.ends(&self.upload, false);
+    }
+}
+
 /// Has an upload that is whole accepted.
 async fn finish(app: &App, turn: Turn, leave: &Ticket<'_>, clock: &Clock, wait: Option<u64>) -> Result<Response, Problem> {
     let Record { extent, owner, .. } = turn.partial().record();
@@ -227,6 +240,9 @@ async fn finish(app: &App, turn: Turn, leave: &Ticket<'_>, clock: &Clock, wait: 
         None => uploader(app)?,
     };
     let (request, query) = turn.whole(app).await?;
+    // from here on it counts as the photo that it becomes, or goes on to count as an upload
+    app.jobs.ends(&turn.partial().id, true);
+    let _counts = Counts { app, upload: turn.partial().id.clone() };
     match upload::take_with(app, leave, &query, request, owner).await {
         Ok(submitted) => {
             turn.became(app, submitted.entry.id).await;

@@ -88,3 +88,12 @@ pub fn put(document: &mut Value) {
         }
     }
 }
+
+/// Writes how long a link may be good.
+pub fn put_link(document: &mut Value, most: u64) {
+    let parameters = document["paths"]["/v1/photos/{id}/links"]["post"]["parameters"].as_array_mut();
+    if let Some(seconds) = parameters.into_iter().flatten().find(|p| p["name"] == "seconds") {
+        seconds["schema"]["maximum"] = most.into();
+        seconds["description"] = format!("How long it is good, 1 to {most}; a day, or that, if it is not given").into();
+    }
+}

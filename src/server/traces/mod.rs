@@ -23,6 +23,7 @@ use prometheus_client::metrics::family::Family;
 
 use super::id::PhotoId;
 use super::telemetry::Outcome;
+pub use send::check as check_collector;
 pub use span::{Current, Job, Parent, TRACE, Work, current, parent, within};
 
 /// Spans that wait for the collector at most, about 1 KB each; what comes beyond is dropped and counted.

@@ -27,12 +27,16 @@ const PATIENCE: Duration = Duration::from_secs(5);
 /// Of an answer, bytes.
 const MOST: usize = 64 << 10;
 
+/// Whether a collector may have this address.
+pub fn check(url: &str) -> Result<(), String> {
+    let address: axum::http::Uri = url.parse().map_err(|e| format!("{e}"))?;
+    let is_one = matches!(address.scheme_str(), Some("http" | "https")) && address.authority().is_some();
+    if is_one { Ok(()) } else { Err("an address as http://127.0.0.1:4318 is wanted".into()) }
+}
+
 /// What takes spans that have ended, for the collector at `url`.
 pub fn processor(url: &str, counts: Counts) -> Result<impl SpanProcessor + use<>, String> {
-    let address: axum::http::Uri = url.parse().map_err(|e| format!("{e}"))?;
-    if !matches!(address.scheme_str(), Some("http" | "https")) || address.authority().is_none() {
-        return Err("an address as http://127.0.0.1:4318 is wanted".into());
-    }
+    check(url)?;
     // one that a program has chosen already stays
     let _ = rustls::crypto::ring::default_provider().install_default();
     let client = reqwest::Client::builder().timeout(PATIENCE).redirect(reqwest::redirect::Policy::none()).build();
