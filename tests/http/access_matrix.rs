@@ -111,8 +111,7 @@ fn expected(route: &Route, method: &str, caller: &Caller, shown: bool) -> (u16, 
         return (421, Some("host"));
     }
     match (method, path) {
-        // no route is known here that has it
-        ("PUT", _) => (404, Some("not-found")),
+        ("PUT", _) => (405, Some("method")),
         ("OPTIONS", _) if matches!(route.access, Access::Open | Access::Token) => (200, None),
         ("OPTIONS", _) => (405, Some("method")),
         (_, "/metrics") if may == May::Metrics => (200, None),

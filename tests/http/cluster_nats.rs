@@ -107,7 +107,7 @@ fn a_photo_is_begun_followed_and_stopped_at_once_though_nobody_looks() {
     gate.open(1);
     ended.join().unwrap();
     a.wait(&other, "done");
-    assert!(figure(a.addr, "tmpi_hints_sent_total") == Some(2) && figure(a.addr, "tmpi_hints_lost") == Some(0));
+    assert!(figure(a.addr, "tmpi_hints_sent_total") == Some(2) && figure(a.addr, "tmpi_hints_lost_total") == Some(0));
 }
 
 #[test]
@@ -153,7 +153,7 @@ fn what_was_accepted_is_made_once_though_nats_is_killed_and_its_disk_wiped() {
         taken() > before
     });
     // what was accepted while it was away may have been sent once it was back
-    let told = || figure(serve.addr, "tmpi_hints_sent_total").unwrap() + figure(serve.addr, "tmpi_hints_lost").unwrap();
+    let told = || figure(serve.addr, "tmpi_hints_sent_total").unwrap() + figure(serve.addr, "tmpi_hints_lost_total").unwrap();
     wait_until("each hint is accounted for", || told() == ids.len() as u64 + u64::from(seed - 20));
 }
 
