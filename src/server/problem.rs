@@ -46,7 +46,8 @@ pub struct Problem {
     pub detail: Box<str>,
     /// Field, parameter or option that is at fault.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub field: Option<String>,
+    #[schema(value_type = Option<String>)]
+    pub field: Option<Box<str>>,
     /// Id of the request, as in the response header `x-request-id` and in the server's log.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schema(value_type = Option<String>)]
@@ -105,7 +106,7 @@ impl Problem {
     /// Names the field at fault.
     #[must_use]
     pub fn field(mut self, name: impl Into<String>) -> Self {
-        self.field = Some(clipped(name.into(), MOST_NAME));
+        self.field = Some(clipped(name.into(), MOST_NAME).into());
         self
     }
 

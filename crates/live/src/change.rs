@@ -117,7 +117,9 @@ impl Compare {
         let cut = changed as f64 > CUT_BLOCKS * count as f64 && moved as f64 > 2.0 * CUT * photo.rgb.len() as f64;
         if cut {
             // nothing is known of blocks that happen to look as they did: their depth and planes were of another scene
-            blocks.iter_mut().for_each(|b| *b = (*b).max(1));
+            for block in &mut *blocks {
+                *block = (*block).max(1);
+            }
             self.reference = Some(photo.clone());
         }
         Change { blocks, across, cut }

@@ -165,7 +165,7 @@ impl Partials {
     /// # Errors
     /// 429 where there are as many as may be, half of them of this address, or as many of the owner as one may have; 403 where its `bytes` are
     /// more than they may have; 500 and 507 where the disk fails.
-    fn begin(&self, jobs: &Jobs, share: Option<Share>, record: Record, bytes: u64) -> Result<Arc<Partial>, Problem> {
+    fn begin(&self, jobs: &Jobs, share: Option<Share>, record: &Record, bytes: u64) -> Result<Arc<Partial>, Problem> {
         let full = |detail: String| Problem::new(StatusCode::TOO_MANY_REQUESTS, "uploads-full", detail).retry_after(60);
         let many = || full(format!("{} uploads in parts are kept already, or half of them for this address", self.most));
         let share = share.ok_or_else(many)?;
@@ -190,7 +190,7 @@ impl Partials {
             all.insert(id.clone(), Arc::clone(&partial));
         }
         let begun = jobs.hold(owner.as_ref(), &id, bytes);
-        let begun = begun.and_then(|()| self.kept.begin(&id, &record).map_err(|e| Problem::store(&e)));
+        let begun = begun.and_then(|()| self.kept.begin(&id, record).map_err(|e| Problem::store(&e)));
         begun.map(|()| Arc::clone(&partial)).inspect_err(|_| {
             lock(&self.all).remove(&id);
             jobs.let_go_of(&id);
@@ -250,7 +250,7 @@ pub async fn begin(
     let (touched_ms, version) = (now_ms(), kept::VERSION);
     let record = Record { version, touched_ms, extent: Extent::NOTHING, query, content_type, owner, photo: None };
     let (shared, share) = (Arc::clone(app), app.partials.shares.take(asker()));
-    let begun = tokio::task::spawn_blocking(move || shared.partials.begin(&shared.jobs, share, record, bytes));
+    let begun = tokio::task::spawn_blocking(move || shared.partials.begin(&shared.jobs, share, &record, bytes));
     begun.await.map_err(|e| Problem::internal("beginning an upload", &e))??.enter().await
 }
 

@@ -27,7 +27,10 @@ const PATIENCE: Duration = Duration::from_secs(5);
 /// Of an answer, bytes.
 const MOST: usize = 64 << 10;
 
-/// Whether a collector may have this address.
+/// Looks whether a collector may have this address.
+///
+/// # Errors
+/// What is wrong with it.
 pub fn check(url: &str) -> Result<(), String> {
     let address: axum::http::Uri = url.parse().map_err(|e| format!("{e}"))?;
     let is_one = matches!(address.scheme_str(), Some("http" | "https")) && address.authority().is_some();
