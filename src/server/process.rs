@@ -1,62 +1,35 @@
 //! What the system says of this process, by the names that Prometheus' own clients give it.
 
-use super::telemetry::Figure;
+use tmpi_pipeline::clock::{cpu_seconds, resident_bytes};
 
-/// What can be told here; of systems without `/proc` the processor's time alone.
+use super::telemetry::{Figure, counter, gauge};
+
+/// What can be told here; of systems without `/proc` the processor's time and the limit of files alone.
 #[must_use]
 pub fn figures() -> Vec<Figure> {
-    system::figures()
+    let mut all = Vec::new();
+    all.extend(cpu_seconds().map(|s| counter("process_cpu_seconds", "Time of the processor, of processes that make photos not", s)));
+    all.extend(resident_bytes(None).map(|bytes| gauge("process_resident_memory_bytes", "Resident memory", bytes as f64)));
+    // what reads the folder is one of them
+    let open = std::fs::read_dir("/proc/self/fd").ok().map(|files| files.count().saturating_sub(1));
+    all.extend(open.map(|files| gauge("process_open_fds", "Open files, connections among them", files as f64)));
+    all.extend(most_files().map(|files| gauge("process_max_fds", "Files that may be open", files)));
+    all
 }
 
 #[cfg(unix)]
-mod system {
-    use crate::server::telemetry::{Figure, counter, gauge};
-
-    pub fn figures() -> Vec<Figure> {
-        let mut all = Vec::new();
-        all.extend(seconds().map(|s| counter("process_cpu_seconds", "Time of the processor, of processes that make photos not", s)));
-        all.extend(resident().map(|bytes| gauge("process_resident_memory_bytes", "Resident memory", bytes as f64)));
-        // what reads the folder is one of them
-        let open = std::fs::read_dir("/proc/self/fd").ok().map(|files| files.count().saturating_sub(1));
-        all.extend(open.map(|files| gauge("process_open_fds", "Open files, connections among them", files as f64)));
-        all.extend(most_files().map(|files| gauge("process_max_fds", "Files that may be open", files)));
-        all
-    }
-
-    #[allow(unsafe_code, reason = "a call of libc that only writes the struct it is handed")]
-    fn seconds() -> Option<f64> {
-        // SAFETY: all zeros is a value of this struct of integers
-        let mut usage: libc::rusage = unsafe { std::mem::zeroed() };
-        // SAFETY: the struct outlives the call
-        let answer = unsafe { libc::getrusage(libc::RUSAGE_SELF, &raw mut usage) };
-        #[allow(clippy::cast_lossless, reason = "the widths differ by system")]
-        let of = |time: libc::timeval| time.tv_sec as f64 + time.tv_usec as f64 / 1e6;
-        (answer == 0).then(|| of(usage.ru_utime) + of(usage.ru_stime))
-    }
-
-    fn resident() -> Option<u64> {
-        let status = std::fs::read_to_string("/proc/self/status").ok()?;
-        let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"))?;
-        Some(line.trim().strip_suffix(" kB")?.trim().parse::<u64>().ok()? * 1024)
-    }
-
-    #[allow(unsafe_code, reason = "a call of libc that only writes the struct it is handed")]
-    #[allow(clippy::cast_lossless, clippy::unnecessary_cast, reason = "the width differs by system")]
-    fn most_files() -> Option<f64> {
-        let mut limit = libc::rlimit { rlim_cur: 0, rlim_max: 0 };
-        // SAFETY: the struct outlives the call
-        let answer = unsafe { libc::getrlimit(libc::RLIMIT_NOFILE, &raw mut limit) };
-        (answer == 0 && limit.rlim_cur != libc::RLIM_INFINITY).then_some(limit.rlim_cur as f64)
-    }
+#[allow(unsafe_code, reason = "a call of libc that only writes the struct it is handed")]
+#[allow(clippy::cast_lossless, clippy::unnecessary_cast, reason = "the width differs by system")]
+fn most_files() -> Option<f64> {
+    let mut limit = libc::rlimit { rlim_cur: 0, rlim_max: 0 };
+    // SAFETY: the struct outlives the call
+    let answer = unsafe { libc::getrlimit(libc::RLIMIT_NOFILE, &raw mut limit) };
+    (answer == 0 && limit.rlim_cur != libc::RLIM_INFINITY).then_some(limit.rlim_cur as f64)
 }
 
 #[cfg(not(unix))]
-mod system {
-    use crate::server::telemetry::Figure;
-
-    pub fn figures() -> Vec<Figure> {
-        Vec::new()
-    }
+fn most_files() -> Option<f64> {
+    None
 }
 
 #[cfg(test)]

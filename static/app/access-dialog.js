@@ -120,7 +120,7 @@ function somebodyElse(manage, takeBack, anew) {
  */
 function otherBrowser(id) {
   const link = copied(t('The link for your other browser'), '');
-  const shown = element('div', '', ...link.parts);
+  const shown = element('div', 'made', ...link.parts);
   shown.hidden = true;
   const said = element('p');
   said.setAttribute('role', 'status');
@@ -129,6 +129,8 @@ function otherBrowser(id) {
       link.text.value = absolute(`/view/${encodeURIComponent(id)}#owner=${await ownerTicket()}`);
       shown.hidden = false;
       said.textContent = t('Good for a quarter of an hour.');
+      // it comes below what is seen of the dialog
+      said.scrollIntoView({ block: 'nearest' });
     } catch (error) {
       // this machine's own user, and whoever changes a photo by a link, have nothing to pass on
       said.textContent = error.status === 403 ? t('This browser has no secret of its own.') : error.message;

@@ -1,4 +1,4 @@
-//! Wall time, processor time and peak memory of this process; programs that it ran and waited for count as its processor time.
+//! Wall time, processor time and memory of this process; programs that it ran and waited for count as a [`Clock`]'s processor time.
 
 use std::time::Instant;
 
@@ -33,14 +33,20 @@ impl Clock {
 #[cfg(unix)]
 #[allow(unsafe_code, reason = "two calls of libc that only write the struct they are handed")]
 mod system {
-    pub fn cpu_ms() -> f64 {
+    /// Processor seconds of all threads of this process, without programs that it ran; none where the system does not tell.
+    #[must_use]
+    pub fn cpu_seconds() -> Option<f64> {
         let mut t = libc::timespec { tv_sec: 0, tv_nsec: 0 };
         // SAFETY: `t` outlives the call, which writes nothing else.
         if unsafe { libc::clock_gettime(libc::CLOCK_PROCESS_CPUTIME_ID, &raw mut t) } != 0 {
-            return 0.0;
+            return None;
         }
+        Some(t.tv_sec as f64 + t.tv_nsec as f64 / 1e9)
+    }
+
+    pub fn cpu_ms() -> f64 {
         let programs = usage(libc::RUSAGE_CHILDREN).map_or(0.0, |u| ms(u.ru_utime) + ms(u.ru_stime));
-        t.tv_sec as f64 * 1e3 + t.tv_nsec as f64 / 1e6 + programs
+        cpu_seconds().map_or(0.0, |seconds| seconds * 1e3 + programs)
     }
 
     fn ms(t: libc::timeval) -> f64 {
@@ -57,18 +63,32 @@ mod system {
     #[must_use]
     pub fn peak_rss_bytes() -> u64 {
         // `getrusage` on Linux also counts what the parent held when it started this process
-        let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-        let peak = status.lines().find_map(|l| l.strip_prefix("VmHWM:")?.trim().strip_suffix(" kB")?.trim().parse::<u64>().ok());
-        if let Some(kilobytes) = peak {
-            return kilobytes * 1024;
-        }
-        // kilobytes everywhere but on macOS
-        usage(libc::RUSAGE_SELF).map_or(0, |u| u.ru_maxrss as u64) * if cfg!(target_os = "macos") { 1 } else { 1024 }
+        super::status_bytes("self", "VmHWM:").unwrap_or_else(|| {
+            // kilobytes everywhere but on macOS
+            usage(libc::RUSAGE_SELF).map_or(0, |u| u.ru_maxrss as u64) * if cfg!(target_os = "macos") { 1 } else { 1024 }
+        })
     }
+}
+
+/// Resident memory in bytes of a process by its number, or of this one; none where the system does not tell.
+#[must_use]
+pub fn resident_bytes(process: Option<u32>) -> Option<u64> {
+    status_bytes(&process.map_or_else(|| "self".to_owned(), |id| id.to_string()), "VmRSS:")
+}
+
+/// A figure of memory out of a process' `/proc/ID/status`, in bytes.
+fn status_bytes(process: &str, name: &str) -> Option<u64> {
+    let status = std::fs::read_to_string(format!("/proc/{process}/status")).ok()?;
+    let kilobytes = status.lines().find_map(|line| line.strip_prefix(name)?.trim().strip_suffix(" kB"))?;
+    Some(kilobytes.trim().parse::<u64>().ok()? * 1024)
 }
 
 #[cfg(not(unix))]
 mod system {
+    pub fn cpu_seconds() -> Option<f64> {
+        None
+    }
+
     pub fn cpu_ms() -> f64 {
         0.0
     }
@@ -79,7 +99,7 @@ mod system {
 }
 
 use system::cpu_ms;
-pub use system::peak_rss_bytes;
+pub use system::{cpu_seconds, peak_rss_bytes};
 
 #[cfg(test)]
 mod tests {

@@ -248,7 +248,7 @@ mod tests {
     use super::super::among_tests::{Node, node};
     use super::super::list::tests::{index, put as index_put};
     use super::*;
-    use crate::server::cluster::memory::{Memory, accepted, put};
+    use crate::server::cluster::memory::{MADE, Memory, accepted, put};
     use crate::server::limits::Limits;
 
     /// A store that has one photo of `owner`.
@@ -265,8 +265,8 @@ mod tests {
         node.jobs.reserve(&node.cluster, id, &upload).is_ok_and(|_room| put(store, n, 2, Some(owner), true).1 == id)
     }
 
-    /// How many of 16 uploads at a time get in.
-    fn taken(nodes: &[&Node], store: &Memory, owner: &Owner) -> usize {
+    /// How many of 16 uploads at a time get in; what is made of them is there at once, or not yet.
+    fn taken(nodes: &[&Node], store: &Memory, owner: &Owner, are_made: bool) -> usize {
         let start = Barrier::new(16);
         std::thread::scope(|scope| {
             let uploads: Vec<_> = (0..16)
@@ -274,7 +274,8 @@ mod tests {
                     let (node, start) = (nodes[n as usize % nodes.len()], &start);
                     scope.spawn(move || {
                         start.wait();
-                        upload(node, store, n, owner)
+                        let (id, accepted) = accepted(n, 2, Some(owner));
+                        if are_made { upload(node, store, n, owner) } else { node.jobs.reserve(&node.cluster, id, &accepted).is_ok() }
                     })
                 })
                 .collect();
@@ -284,11 +285,14 @@ mod tests {
 
     #[test]
     fn of_uploads_that_come_to_a_node_at_a_time_no_more_get_in_than_may() {
-        for limits in [Limits { quota_photos: Some(5), ..Limits::default() }, Limits { quota_bytes: Some(525), ..Limits::default() }] {
+        let photos = Limits { quota_photos: Some(5), ..Limits::default() };
+        // the one that is there with what was made of it, and four of 5 bytes: how much is made of those nobody knows yet
+        let bytes = Limits { quota_bytes: Some(5 + MADE + 4 * 5 + 4), ..Limits::default() };
+        for (limits, are_made) in [(photos, true), (bytes, false)] {
             let owner = Owner::of_secret("a");
             let store = store(&owner);
             let node = node(&store, &limits);
-            let taken = taken(&[&node], &store, &owner);
+            let taken = taken(&[&node], &store, &owner, are_made);
             assert!((1..=4).contains(&taken), "{taken}");
             assert!(node.jobs.lock().coming.is_empty());
         }
@@ -301,7 +305,7 @@ mod tests {
             let store = store(&owner);
             let of = || node(&store, &Limits { quota_photos: Some(5), ..Limits::default() });
             let nodes = [of(), of(), of(), of()];
-            let taken = taken(&nodes.each_ref(), &store, &owner);
+            let taken = taken(&nodes.each_ref(), &store, &owner, true);
             assert!((1..=4).contains(&taken), "{taken}");
             let left = nodes[0].jobs.quota(Some(&owner), 1);
             assert_eq!(left.is_ok(), taken < 4, "who was refused counts no longer");

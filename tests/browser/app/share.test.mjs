@@ -118,7 +118,10 @@ describe('sharing', () => {
     const mine = dialog.getByLabel('The link for your other browser', { exact: true });
     assert.ok(await mine.isHidden(), 'none is made unasked');
     await dialog.getByRole('button', { name: 'Make a link' }).click();
-    await dialog.getByText('a quarter of an hour').waitFor();
+    const told = dialog.getByText('a quarter of an hour');
+    await told.waitFor();
+    const [bottom, edge] = await told.evaluate((line) => [line, line.closest('dialog')].map((e) => e.getBoundingClientRect().bottom));
+    assert.ok(bottom <= edge, 'what is new is seen');
     assert.equal(await mine.inputValue(), `${suite.server.url}/view/box#owner=${suite.server.state.ticket}`);
     suite.server.state.ticket = undefined;
     assert.deepEqual(await seriousViolations(page), []);

@@ -129,9 +129,7 @@ impl Own {
 
     /// Resident memory in MiB; none where the system does not tell.
     fn memory(&self) -> Option<f64> {
-        let status = std::fs::read_to_string(format!("/proc/{}/status", self.child.id())).ok()?;
-        let line = status.lines().find_map(|l| l.strip_prefix("VmRSS:"))?;
-        Some(line.split_whitespace().next()?.parse::<f64>().ok()? / 1024.0)
+        Some(tmpi_pipeline::clock::resident_bytes(Some(self.child.id()))? as f64 / f64::from(1 << 20))
     }
 }
 
