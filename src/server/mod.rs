@@ -226,7 +226,7 @@ impl Server {
         renderer: Arc<dyn Renderer>,
     ) -> Result<Self, ServerError> {
         let (addr, data) = (config.addr, config.data.clone());
-        let openapi = openapi_of(&config.limits)?;
+        let openapi = openapi_of(&config.limits, config.admin.is_some())?;
         let (listener, addr) = listen(addr).await?;
         let admin = match config.admin {
             Some(addr) => Some(listen(addr).await?).map(|(listener, addr)| (listener, addr, config.hosts.clone())),

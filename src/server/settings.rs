@@ -10,15 +10,15 @@ use tmpi_core::ViewBox;
 use tmpi_render::{Path, looking_at};
 
 /// Version of the settings that this program writes and reads.
-const VERSION: u32 = 1;
+pub const VERSION: u32 = 1;
 /// Longest title, in characters.
-const TITLE: usize = 200;
+pub const TITLE: usize = 200;
 /// What programs call a photo that has no name of its own.
 const NAMELESS: [&str; 6] = ["photo", "image", "picture", "blob", "file", "upload"];
 /// Bytes of a patch, at most.
 pub const PATCH_BYTES: usize = 16 << 10;
 /// Times the usual speed.
-const SPEED: [f64; 2] = [0.25, 4.0];
+pub const SPEED: [f64; 2] = [0.25, 4.0];
 /// Disparity that views turn about where the settings do not say.
 const PIVOT: f64 = 0.35;
 
@@ -41,16 +41,21 @@ pub struct Idle(String);
 impl Idle {
     /// Name of what does not move.
     const NONE: &'static str = "none";
+
+    /// What it may be called.
+    pub fn names() -> impl Iterator<Item = &'static str> {
+        Path::NAMES.into_iter().chain([Self::NONE])
+    }
 }
 
 impl TryFrom<String> for Idle {
     type Error = String;
 
     fn try_from(name: String) -> Result<Self, String> {
-        if name == Self::NONE || Path::from_name(&name).is_some() {
+        if Self::names().any(|known| known == name) {
             return Ok(Self(name));
         }
-        Err(format!("must be one of {}, {}, not {name:?}", Path::NAMES.join(", "), Self::NONE))
+        Err(format!("must be one of {}, not {name:?}", Self::names().collect::<Vec<_>>().join(", ")))
     }
 }
 

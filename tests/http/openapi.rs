@@ -125,13 +125,24 @@ fn every_schema_and_parameter_is_described() {
     let named: Vec<&String> = security.iter().flat_map(|s| s.as_object().unwrap().keys()).collect();
     assert!(named.len() == schemes.len() && named.iter().all(|name| described(&schemes[*name])), "{named:?}");
     assert!(!schemas["Settings"]["required"].as_array().is_some_and(|r| r.contains(&"version".into())), "a patch needs no version");
+    let settings = &schemas["Settings"]["properties"];
+    let of_motion = &settings["motion"]["oneOf"][0];
+    assert_eq!((&of_motion["properties"]["x"]["minimum"], &of_motion["properties"]["z"]["maximum"]), (&0.0.into(), &1.0.into()));
+    assert_eq!(schemas["Offset"]["properties"]["y"]["minimum"], -1.0);
+    assert!(settings["idle"]["enum"].as_array().unwrap().contains(&"none".into()));
+    assert!(settings["title"]["maxLength"] == 200 && settings["version"]["enum"] == serde_json::json!([1]));
+    assert_eq!(document["paths"]["/v1/photos/{id}/exports"]["post"]["requestBody"]["required"], false);
+    let with_door: Value = serde_json::from_slice(&tmpi::server::openapi_of(&Limits::default(), true).unwrap()).unwrap();
+    assert!(document["paths"]["/metrics"].is_object() && with_door["paths"]["/metrics"].is_null(), "those of operators are at their door");
     let of_strokes = &schemas["StrokesPatch"];
     assert_eq!(
         (&of_strokes["required"], &of_strokes["properties"]["strokes"]["type"]),
         (&Value::Null, &serde_json::json!(["array", "null"]))
     );
+    let mut ids = std::collections::HashSet::new();
     for (path, item) in document["paths"].as_object().unwrap() {
         for (method, operation) in item.as_object().unwrap() {
+            assert!(ids.insert(&operation["operationId"]), "{method} {path}: {}", operation["operationId"]);
             assert!(operation["responses"].as_object().unwrap().keys().any(|s| s.starts_with('4')), "{method} {path} refuses nothing");
             for parameter in operation["parameters"].as_array().into_iter().flatten() {
                 assert!(described(parameter), "{method} {path}: {}", parameter["name"]);

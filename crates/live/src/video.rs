@@ -94,6 +94,7 @@ mod h264 {
     use rusty_h264_decoder::Sps;
 
     use super::{Decoder, FAILED, I420, Photo, VideoError, sized, to_rgb};
+    use crate::units::is_bidirectional;
 
     /// H.264, access units in Annex B.
     pub struct H264 {
@@ -128,8 +129,12 @@ mod h264 {
             sized(to_rgb(&planes).ok_or_else(short)?, self.size)
         }
 
-        /// Refuses parameters of larger frames before the decoder takes memory for them.
+        /// Refuses parameters of larger frames before the decoder takes memory for them, and slices of which rooms have none: what damage makes
+        /// of others can make the decoder panic.
         fn check(&self, data: &[u8]) -> Result<(), VideoError> {
+            if is_bidirectional(data) {
+                return Err(VideoError::Broken("a slice that refers to later pictures".into()));
+            }
             let (width, height) = self.size;
             let fits = |coded: usize, side: u32| coded <= side.next_multiple_of(16) as usize;
             for nal in split_annex_b(data).into_iter().filter(|n| n.first().is_some_and(|head| head & 31 == SPS)) {
@@ -149,8 +154,8 @@ mod h264 {
 
         use sha2::{Digest as _, Sha256};
 
-        use super::H264;
-        use crate::units::{Splitter, is_bidirectional};
+        use super::{H264, is_bidirectional};
+        use crate::units::Splitter;
 
         /// Access units of a stream, and hashes of its frames as another decoder has them (tests/video/README.md).
         fn sample(name: &str, size: (u32, u32)) -> (H264, Vec<Vec<u8>>, Vec<String>) {

@@ -147,6 +147,12 @@ mod tests {
         folder.page("photos/", None, usize::MAX).unwrap().len()
     }
 
+    /// The stamp of the folder of photos, which may be set.
+    fn stamp(dir: &Path, set: Option<SystemTime>) -> SystemTime {
+        let at = std::fs::File::open(dir.join("photos")).unwrap();
+        set.map_or_else(|| at.metadata().unwrap().modified().unwrap(), |to| at.set_modified(to).map(|()| to).unwrap())
+    }
+
     #[test]
     fn what_another_changes_is_seen_at_once() {
         let dir = tempfile::tempdir().unwrap();
@@ -189,10 +195,6 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let names = Names { settles: Duration::from_millis(30), ..Names::default() };
         let folder = Folder::open(dir.path()).unwrap().with_names(names);
-        let stamp = |set: Option<SystemTime>| {
-            let at = std::fs::File::open(Path::new(dir.path()).join("photos")).unwrap();
-            set.map_or_else(|| at.metadata().unwrap().modified().unwrap(), |to| at.set_modified(to).map(|()| to).unwrap())
-        };
         for n in 0..3 {
             put(&folder, n);
         }
@@ -200,12 +202,25 @@ mod tests {
         std::thread::sleep(Duration::from_millis(40));
         assert_eq!(first(&folder), 3);
         // a change that does not show by the stamp tells whether it was read
-        let before = stamp(None);
+        let before = stamp(dir.path(), None);
         put(&folder, 3);
-        stamp(Some(before));
+        stamp(dir.path(), Some(before));
         assert_eq!(first(&folder), 3);
-        stamp(Some(before + Duration::from_secs(1)));
+        stamp(dir.path(), Some(before + Duration::from_secs(1)));
         assert_eq!(first(&folder), 4);
+    }
+
+    #[test]
+    fn a_folder_that_was_read_a_moment_ago_is_read_again_though_its_stamp_is_the_same() {
+        let dir = tempfile::tempdir().unwrap();
+        let folder = Folder::open(dir.path()).unwrap();
+        put(&folder, 0);
+        let before = stamp(dir.path(), None);
+        assert_eq!(first(&folder), 1);
+        // as where a file system tells whole seconds
+        put(&folder, 1);
+        stamp(dir.path(), Some(before));
+        assert_eq!(first(&folder), 2);
     }
 
     #[test]

@@ -209,7 +209,7 @@ async fn find(app: &App, entry: &Arc<Entry>, key: String) -> Result<Arc<Ordered>
 
 /// How a file to download fares.
 #[utoipa::path(
-    get, path = "/v1/photos/{id}/exports/{key}", tag = "photos",
+    get, path = "/v1/photos/{id}/exports/{key}", tag = "photos", operation_id = "export_state",
     params(("id" = String, Path, description = "Id of the photo"), ("key" = String, Path, description = "Name of the file")),
     responses(
         (status = 200, description = "It is written, or could not be", body = ExportState),
@@ -276,7 +276,7 @@ pub async fn file(
 
 /// End a file that is being written, or forget one that is.
 #[utoipa::path(
-    delete, path = "/v1/photos/{id}/exports/{key}", tag = "photos",
+    delete, path = "/v1/photos/{id}/exports/{key}", tag = "photos", operation_id = "export_cancel",
     params(("id" = String, Path, description = "Id of the photo"), ("key" = String, Path, description = "Name of the file")),
     responses(
         (status = 204, description = "Gone"),

@@ -154,15 +154,16 @@ fn rooms_cors() -> CorsLayer {
 /// # Errors
 /// It cannot be written as JSON.
 pub fn openapi() -> serde_json::Result<Bytes> {
-    openapi_of(&Limits::default())
+    openapi_of(&Limits::default(), false)
 }
 
-/// The same of a server that has these limits.
+/// The same of a server that has these limits; where operators have a door of their own, counters are described there alone.
 ///
 /// # Errors
 /// As [`openapi`].
-pub fn openapi_of(limits: &Limits) -> serde_json::Result<Bytes> {
-    let mut document = own_api().merge(open_api()).into_openapi();
+pub fn openapi_of(limits: &Limits, has_admin: bool) -> serde_json::Result<Bytes> {
+    let own = if has_admin { pages_api() } else { own_api() };
+    let mut document = own.merge(open_api()).into_openapi();
     document.merge(live::routes::watching_api().into_openapi());
     document.merge(live::routes::publishing_api().into_openapi());
     let mut document = serde_json::to_value(document)?;

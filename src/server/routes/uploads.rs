@@ -261,7 +261,7 @@ async fn finish(app: &App, turn: Turn, leave: &Ticket<'_>, clock: &Clock, wait: 
 
 /// Give up an upload in parts.
 #[utoipa::path(
-    delete, path = "/v1/uploads/{upload}", tag = "photos", params(("upload" = String, Path, description = "Id of the upload")),
+    delete, path = "/v1/uploads/{upload}", tag = "photos", operation_id = "upload_cancel", params(("upload" = String, Path, description = "Id of the upload")),
     responses(
         (status = 204, description = "What was there of it is gone; a photo that it became is not"),
         (status = 404, description = "There is no such upload, or it is another's"),

@@ -6,6 +6,7 @@ use serde_json::Value;
 
 use crate::export::ExportFormat;
 use crate::server::options::chosen;
+use crate::server::settings::{Idle, SPEED, TITLE, VERSION};
 use tmpi_pipeline::depth::DepthKind;
 use tmpi_pipeline::{Denoise, PlaneMethod, Switch};
 use tmpi_render::{Path, PictureFormat};
@@ -45,6 +46,9 @@ pub fn put(document: &mut Value) {
             with `tmpi serve --access private` alone"},
         "cookie": {"type": "apiKey", "in": "cookie", "name": "tmpi_owner", "description": "An owner's secret as a browser keeps it"},
     });
+    settings(&mut document["components"]["schemas"]);
+    // the parameters of a file may stand in the query
+    document["paths"]["/v1/photos/{id}/exports"]["post"]["requestBody"]["required"] = false.into();
     // nothing is needed where the server asks nobody, and for what its owner lets everybody see
     document["security"] = serde_json::json!([{}, {"bearer": []}, {"cookie": []}]);
     let form = &mut document["components"]["schemas"]["UploadForm"]["properties"];
@@ -88,6 +92,32 @@ pub fn put(document: &mut Value) {
             text.put(&mut found["schema"]);
         }
     }
+}
+
+/// Writes the bounds of a photo's settings.
+fn settings(schemas: &mut Value) {
+    let bounded = |least: f64| {
+        let mut offset = schemas["Offset"].clone();
+        for axis in ["x", "y", "z"] {
+            (offset["properties"][axis]["minimum"], offset["properties"][axis]["maximum"]) = (least.into(), 1.0.into());
+        }
+        offset
+    };
+    let (reach, place) = (bounded(0.0), bounded(-1.0));
+    schemas["Offset"] = place;
+    let settings = &mut schemas["Settings"]["properties"];
+    // a part of the view box, not a place in it
+    let mut motion = reach;
+    motion["description"] = settings["motion"]["oneOf"][0]["description"].take();
+    settings["motion"]["oneOf"][0] = motion;
+    settings["version"]["enum"] = [VERSION].into();
+    (settings["focus"]["minimum"], settings["focus"]["maximum"]) = (0.into(), 1.into());
+    (settings["speed"]["minimum"], settings["speed"]["maximum"]) = (SPEED[0].into(), SPEED[1].into());
+    (settings["title"]["minLength"], settings["title"]["maxLength"]) = (1.into(), TITLE.into());
+    let printed = r"[^\u0000-\u001f\u007f-\u009f]*";
+    settings["title"]["pattern"] = format!(r"^{printed}[^\s\u0000-\u001f\u007f-\u009f]{printed}$").into();
+    let ways = Idle::names().map(Value::from).chain([Value::Null]);
+    settings["idle"]["enum"] = ways.collect();
 }
 
 /// Writes how long a link may be good.
