@@ -136,40 +136,42 @@ Varyings corner_of(uint vertex_2, Instance i_4) {
         pick = (triangle + (vertex_2 % 3u));
     }
     vec2 rect = i_4.size_atlas.xy;
-    uint _e95 = pick;
-    vec2 _e97 = place[_e95];
-    out_1.texel = ((_e97 * rect) + i_4.size_atlas.zw);
-    out_1.bounds = vec4((floor(i_4.size_atlas.zw) + vec2(0.5)), (ceil((i_4.size_atlas.zw + rect)) - vec2(0.5)));
+    vec2 first = abs(i_4.size_atlas.zw);
+    vec2 run = mix(rect, -(rect), lessThan(i_4.size_atlas.zw, vec2(0.0)));
+    uint _e105 = pick;
+    vec2 _e107 = place[_e105];
+    out_1.texel = ((_e107 * run) + first);
+    out_1.bounds = vec4((floor(min(first, (first + run))) + vec2(0.5)), (ceil(max(first, (first + run))) - vec2(0.5)));
     out_1.page = int(i_4.plane_page.w);
-    vec4 _e122 = overlay_of(i_4);
-    out_1.overlay = _e122;
-    uint _e123 = n;
-    if ((_e123 < 3u)) {
+    vec4 _e129 = overlay_of(i_4);
+    out_1.overlay = _e129;
+    uint _e130 = n;
+    if ((_e130 < 3u)) {
         out_1.clip = vec4(0.0, 0.0, 0.0, 1.0);
-        Varyings _e132 = out_1;
-        return _e132;
+        Varyings _e139 = out_1;
+        return _e139;
     }
-    uint _e133 = pick;
-    vec2 _e135 = place[_e133];
-    vec4 _e142 = _group_0_binding_0_vs.k_ref;
-    vec4 _e147 = _group_0_binding_0_vs.k_ref;
-    vec2 x = ((((_e135 * rect) + i_4.centre_origin.zw) - _e142.zw) / _e147.xy);
-    uint _e150 = pick;
-    float d = delta[_e150];
-    vec4 _e155 = _group_0_binding_0_vs.r0_;
-    vec4 _e161 = _group_0_binding_0_vs.r1_;
-    vec4 _e168 = _group_0_binding_0_vs.r2_;
-    vec4 _e173 = _group_0_binding_0_vs.t_near;
-    vec3 p = ((((_e155.xyz * x.x) + (_e161.xyz * x.y)) + _e168.xyz) + (_e173.xyz * d));
-    vec4 _e179 = _group_0_binding_0_vs.k_out;
-    vec4 _e185 = _group_0_binding_0_vs.k_out;
-    vec2 pixel = ((_e179.xy * p.xy) + (_e185.zw * p.z));
-    vec4 _e194 = _group_0_binding_0_vs.size_half;
-    vec2 ndc = (((2.0 * pixel) / _e194.xy) - vec2(p.z));
-    float _e207 = _group_0_binding_0_vs.t_near.w;
-    out_1.clip = vec4(ndc.x, -(ndc.y), (_e207 * (beyond ? 0.0 : d)), p.z);
-    Varyings _e213 = out_1;
-    return _e213;
+    uint _e140 = pick;
+    vec2 _e142 = place[_e140];
+    vec4 _e149 = _group_0_binding_0_vs.k_ref;
+    vec4 _e154 = _group_0_binding_0_vs.k_ref;
+    vec2 x = ((((_e142 * rect) + i_4.centre_origin.zw) - _e149.zw) / _e154.xy);
+    uint _e157 = pick;
+    float d = delta[_e157];
+    vec4 _e162 = _group_0_binding_0_vs.r0_;
+    vec4 _e168 = _group_0_binding_0_vs.r1_;
+    vec4 _e175 = _group_0_binding_0_vs.r2_;
+    vec4 _e180 = _group_0_binding_0_vs.t_near;
+    vec3 p = ((((_e162.xyz * x.x) + (_e168.xyz * x.y)) + _e175.xyz) + (_e180.xyz * d));
+    vec4 _e186 = _group_0_binding_0_vs.k_out;
+    vec4 _e192 = _group_0_binding_0_vs.k_out;
+    vec2 pixel = ((_e186.xy * p.xy) + (_e192.zw * p.z));
+    vec4 _e201 = _group_0_binding_0_vs.size_half;
+    vec2 ndc = (((2.0 * pixel) / _e201.xy) - vec2(p.z));
+    float _e214 = _group_0_binding_0_vs.t_near.w;
+    out_1.clip = vec4(ndc.x, -(ndc.y), (_e214 * (beyond ? 0.0 : d)), p.z);
+    Varyings _e220 = out_1;
+    return _e220;
 }
 
 vec4 overlaid(vec4 c, Varyings v_5) {

@@ -17,7 +17,8 @@ export const INSTANCE_FLOATS = 12;
  * front by disparity at the piece's centre, and these again as a camera sees them that looks backward.
  * @param {Pick<Scene, 'layers' | 'width' | 'height' | 'tileSize' | 'tileStride'>} scene
  * @param {Piece[]} pieces
- * @param {{page: Uint32Array, atlasX: Uint32Array, atlasY: Uint32Array}} places
+ * @param {{page: ArrayLike<number>, atlasX: ArrayLike<number>, atlasY: ArrayLike<number>}} places on the pages, of the upper left corner; of a
+ *   piece whose texels lie there as the layer has them, but run backward, less the place of the right side, or of the lower one
  * @returns {Instances}
  */
 export function instances(scene, pieces, { page, atlasX, atlasY }) {

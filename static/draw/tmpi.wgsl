@@ -22,7 +22,8 @@
 // Instance, one vertex buffer, stepMode `instance`, arrayStride 48, three float32x4 attributes:
 //     0  location 0: plane a b c, page (whole part: layer of the texture array; fraction: error of the tile for overlay 4, 0 to 1)
 //    16  location 1: tile centre x y, rectangle x y       (reference pixels; the tile centre is the origin of u, v)
-//    32  location 2: rectangle w h, atlas x y             (texels; upper left corner of the rectangle on its page)
+//    32  location 2: rectangle w h, atlas x y             (texels; upper left corner of the rectangle on its page; −x: its right side,
+//                                                         from which columns run backward, and −y: its lower side)
 //     The rectangle is the part that is drawn: it starts and ends at the border of a texel, or at the centre of one where the layer
 //     goes on (the outermost texels of a tile are sampled, but not drawn where the next tile has the same pixels).
 //
@@ -137,8 +138,10 @@ fn corner_of(vertex: u32, i: Instance) -> Varyings {
     }
     var out: Varyings;
     let rect = i.size_atlas.xy;
-    out.texel = place[pick] * rect + i.size_atlas.zw;
-    out.bounds = vec4f(floor(i.size_atlas.zw) + 0.5, ceil(i.size_atlas.zw + rect) - 0.5);
+    let first = abs(i.size_atlas.zw);
+    let run = select(rect, -rect, i.size_atlas.zw < vec2f(0.0));
+    out.texel = place[pick] * run + first;
+    out.bounds = vec4f(floor(min(first, first + run)) + 0.5, ceil(max(first, first + run)) - 0.5);
     out.page = i32(i.plane_page.w);
     out.overlay = overlay_of(i);
     if (n < 3u) {

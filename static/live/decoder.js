@@ -118,14 +118,18 @@ export class RoomDecoder {
   }
 
   /**
-   * Texels of pieces of layers.
-   * @param {Uint32Array} pieces eight numbers each: tile, layer, first column, first row, columns, rows, mirrored (1 columns, 2 rows), 0
-   * @returns {Uint8Array<ArrayBuffer>} premultiplied RGBA, row by row, one piece after the other, a buffer of its own
+   * Texels of layers.
+   * @param {Uint32Array} layers two numbers each: the tile, and the layer among the tile's
+   * @param {ArrayBuffer} [spare] that nobody reads any more: they are written there where it is large enough, else to one of their own
+   * @returns {Uint8Array<ArrayBuffer>} premultiplied RGBA, row by row, one layer after the other
    */
-  cells(pieces) {
-    this.#instance.hand(new Uint8Array(pieces.buffer, pieces.byteOffset, pieces.byteLength));
+  cells(layers, spare) {
+    this.#instance.hand(new Uint8Array(layers.buffer, layers.byteOffset, layers.byteLength));
     this.#instance.call('tmpi_cells');
-    return this.#copy(CELLS);
+    const texels = this.#instance.output(CELLS);
+    const out = spare && spare.byteLength >= texels.length ? new Uint8Array(spare, 0, texels.length) : new Uint8Array(texels.length);
+    out.set(texels);
+    return out;
   }
 
   /**

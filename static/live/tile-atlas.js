@@ -1,5 +1,5 @@
-// Where the layers of a room's tiles lie on the texture pages: each piece of a layer in a square of its own, so that a tile that changes
-// moves no other.
+// Where the layers of a room's tiles lie on the texture pages: each layer in a square of its own, so that a tile that changes moves no
+// other. What continues a layer beyond the picture's border is drawn of the same texels, backward.
 
 import { tileCounts } from '../decode/grid.js';
 import { pieces as piecesOf } from '../draw/border.js';
@@ -14,13 +14,13 @@ import { instances } from '../draw/instances.js';
  * Texels of pieces, one after the other, and where they go on the pages: page, x, y, width and height of each, five numbers.
  * @typedef {{data: Uint8Array<ArrayBuffer>, places: Uint32Array<ArrayBuffer>}} Cells
  */
-/** @typedef {{layers: Float64Array[], pieces: Piece[], cells: number[]}} Tile pieces count layers from the tile's first */
+/** @typedef {{layers: Float64Array[], pieces: Piece[], cells: number[]}} Tile pieces count layers from the tile's first; a cell for each layer */
 
 /** Side of a page at most. */
 const PAGE_SIDE = 2048;
-/** Squares that there are for each tile at first, and beside these: in small pictures most tiles lie at the border, and are continued beyond it. */
-const PER_TILE = 8;
-const MORE = 128;
+/** Squares that there are for each tile at first, and beside these. */
+const PER_TILE = 6;
+const MORE = 32;
 
 export class TileAtlas {
   #head;
@@ -63,7 +63,7 @@ export class TileAtlas {
   }
 
   /**
-   * Takes over tiles that changed; gives which pieces are to be filled anew, and where they go. `grown`: there was no place left, and
+   * Takes over tiles that changed; gives which layers are to be filled anew, and where they go. `grown`: there was no place left, and
    * all tiles have new places on larger pages.
    * @param {ChangedTile[]} changed
    */
@@ -73,21 +73,21 @@ export class TileAtlas {
     if (reshaped.length) {
       this.#shape(reshaped);
       for (const { tile } of reshaped) this.#free.push(...this.#tiles[tile].cells.splice(0));
-      let need = reshaped.reduce((sum, { tile }) => sum + this.#tiles[tile].pieces.length, 0);
+      let need = reshaped.reduce((sum, { tile }) => sum + this.#tiles[tile].layers.length, 0);
       if (need > this.#free.length) {
         grown = true;
-        need = this.#tiles.reduce((sum, { pieces }) => sum + pieces.length, 0);
+        need = this.#tiles.reduce((sum, { layers }) => sum + layers.length, 0);
         this.#reserve(2 * need);
         for (const tile of this.#tiles) tile.cells = [];
       }
       for (const tile of this.#tiles)
-        while (tile.cells.length < tile.pieces.length) tile.cells.push(/** @type {number} */ (this.#free.pop()));
+        while (tile.cells.length < tile.layers.length) tile.cells.push(/** @type {number} */ (this.#free.pop()));
     }
     const wanted = grown ? this.#tiles.map((_, tile) => tile) : changed.map(({ tile }) => tile);
     return { ...this.#fill(wanted), reshaped: reshaped.length > 0, grown };
   }
 
-  /** All pieces, as `change` gives them. */
+  /** All layers, as `change` gives them. */
   all() {
     return this.#fill(this.#tiles.map((_, tile) => tile));
   }
@@ -100,11 +100,11 @@ export class TileAtlas {
     const places = [];
     for (const tile of wanted) {
       const { pieces, cells } = this.#tiles[tile];
-      pieces.forEach(({ layer, u, v, w, h, flipX, flipY }, i) => {
-        numbers.push(tile, layer, u, v, w, h, Number(flipX) + 2 * Number(flipY), 0);
-        const { page, x, y } = this.#place(cells[i]);
+      for (const { layer, w, h } of pieces.filter(({ flipX, flipY }) => !flipX && !flipY)) {
+        numbers.push(tile, layer);
+        const { page, x, y } = this.#place(cells[layer]);
         places.push(page, x, y, w, h);
-      });
+      }
     }
     return { numbers: Uint32Array.from(numbers), places: Uint32Array.from(places) };
   }
@@ -167,16 +167,16 @@ export class TileAtlas {
     const [page, atlasX, atlasY] = [[], [], []].map((list) => /** @type {number[]} */ (list));
     let first = 0;
     for (const tile of this.#tiles) {
-      tile.pieces.forEach((piece, i) => {
-        pieces.push({ ...piece, layer: piece.layer + first });
-        const place = this.#place(tile.cells[i]);
+      for (const piece of tile.pieces) {
+        const { layer, u, v, w, h, flipX, flipY } = piece;
+        pieces.push({ ...piece, layer: layer + first });
+        const place = this.#place(tile.cells[layer]);
         page.push(place.page);
-        atlasX.push(place.x);
-        atlasY.push(place.y);
-      });
+        atlasX.push(flipX ? -(place.x + u + w) : place.x + u);
+        atlasY.push(flipY ? -(place.y + v + h) : place.y + v);
+      }
       first += tile.layers.length;
     }
-    const places = { page: Uint32Array.from(page), atlasX: Uint32Array.from(atlasX), atlasY: Uint32Array.from(atlasY) };
-    return { layers, instances: instances({ ...this.#head, layers }, pieces, places) };
+    return { layers, instances: instances({ ...this.#head, layers }, pieces, { page, atlasX, atlasY }) };
   }
 }

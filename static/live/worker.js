@@ -1,5 +1,5 @@
 // A room as it is watched, off the page's thread.
-// In: {watch: {address, token, side, flat}} · {drawn} the last picture is shown · {again} the whole scene once more · {hidden} ·
+// In: {watch: {address, token, side, flat}} · {drawn, spare} the last picture is shown, and a buffer that nobody reads any more · {again} the whole scene once more · {hidden} ·
 // {sound} whether sound is wanted · {flat} nothing can draw the scene. Out: {type: 'head', head} · {type: 'scene', scene, cells} · {type: 'update', instances, cells} ·
 // {type: 'picture', picture, early} where it is to be flat, `early` as its tiles are not there yet · {type: 'state', state, reason} · {type: 'statistics', …} · {type: 'sound', …}.
 
@@ -68,6 +68,8 @@ class Room {
   #due = Infinity;
   #busy = false;
   #drawing = false;
+  /** @type {ArrayBuffer | undefined} for the next texels, that it need not be made anew */
+  #spare;
   /** When the page was sent something last. */
   #sent = 0;
   /** Samples are copied as they are; else by way of a canvas. */
@@ -128,9 +130,13 @@ class Room {
     else if (!this.#sound.wanted) this.#connection.stop();
   }
 
-  /** The page shows what it was sent last. */
-  drawn() {
+  /**
+   * The page shows what it was sent last.
+   * @param {ArrayBuffer} [spare] that it has read
+   */
+  drawn(spare) {
     this.#drawing = false;
+    this.#spare = spare;
     const { frame = -1, time = 0 } = this.#shown ?? {};
     if (frame >= 0) this.#measured.latency = clock() - time / 1000;
     this.#pump();
@@ -382,7 +388,8 @@ class Room {
     this.#atlas ??= new TileAtlas(head, this.#watched.side);
     let { numbers, places, reshaped, grown } = this.#atlas.change(changed);
     if (!this.#told) ({ numbers, places } = this.#atlas.all());
-    const cells = { places, data: this.#decoder.cells(numbers) };
+    const cells = { places, data: this.#decoder.cells(numbers, this.#spare) };
+    this.#spare = undefined;
     const drawn = reshaped || !this.#told ? this.#atlas.drawn() : null;
     const made = performance.now() - started;
     this.#measured.made += (made - this.#measured.made) * (this.#measured.frames ? WEIGHT : 1);
@@ -452,7 +459,7 @@ self.onmessage = async ({ data }) => {
     if (data.watch) room = compiled().then(async (module) => new Room(await RoomDecoder.of(module), data.watch));
     const now = await room;
     if (!now) return;
-    if (data.drawn) now.drawn();
+    if (data.drawn) now.drawn(data.spare);
     if (data.again) now.again();
     if (data.flat) now.flat();
     if ('hidden' in data) now.hidden = data.hidden;

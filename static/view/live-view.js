@@ -191,7 +191,9 @@ export class LiveView {
     const { renderer, disposed } = this.#viewer;
     if (!fresh.length || disposed || !renderer) return false;
     for (const change of fresh) renderer.update(change);
-    this.#viewer.tell({ drawn: true });
+    // what draws them has copied them
+    const spare = fresh[fresh.length - 1].cells.data.buffer;
+    this.#viewer.tell({ drawn: true, spare }, [spare]);
     return true;
   }
 

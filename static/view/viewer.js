@@ -267,9 +267,10 @@ export class Viewer extends Steering {
   /**
    * Says something to a room's worker.
    * @param {object} message
+   * @param {ArrayBuffer[]} transfer what it has from then on
    */
-  tell(message) {
-    this.#worker?.postMessage(message);
+  tell(message, transfer = []) {
+    this.#worker?.postMessage(message, transfer);
   }
 
   /**

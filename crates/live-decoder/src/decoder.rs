@@ -1,7 +1,6 @@
 //! What an instance holds, and what its functions do.
 
 use prost::bytes::Bytes;
-use tmpi_core::container::{Piece, cell};
 use tmpi_core::live::wire::message::Kind;
 use tmpi_core::live::wire::{self, Bye, Hello, Sound, Statistics, Video};
 use tmpi_core::live::{Changes, I420, Layers, Model, VERSION, read, to_rgb, write};
@@ -23,7 +22,7 @@ pub enum Output {
     Tiles = 4,
     /// Numbers of the layers of those that have others now, 64-bit floats, row by row (see `Decoder::layers`).
     Layers = 5,
-    /// The last pieces, premultiplied RGBA, row by row, one after the other.
+    /// The last layers, premultiplied RGBA, row by row, one after the other.
     Cells = 6,
     /// The last message that was written.
     Message = 7,
@@ -171,7 +170,7 @@ impl Decoder {
         (self.tiles, self.rows) = (Vec::new(), Vec::new());
         let Some(geometry) = self.model.as_ref().and_then(Model::geometry) else { return 0 };
         let shown = self.layers.photo();
-        let again = || (!shown.rgb.is_empty()).then(|| Photo { width: shown.width, height: shown.height, rgb: shown.rgb.clone() });
+        let again = || (!shown.rgb.is_empty()).then(|| shown.clone());
         let Some(frame) = self.frame.take().or_else(again) else { return 0 };
         let changed = std::mem::replace(&mut self.changed, vec![false; geometry.tiles.len()]);
         let Changes { texels, layers } = self.layers.update(geometry, |t| changed[t as usize], frame);
@@ -193,18 +192,16 @@ impl Decoder {
         texels.len() as i32
     }
 
-    /// Fills the texels of each piece that was handed over.
+    /// Texels of each layer that was handed over.
     ///
     /// # Errors
-    /// Where a piece does not lie in its layer.
+    /// Where there is no such layer.
     pub fn cells(&mut self) -> Result<i32, String> {
-        let numbers: Vec<u32> = self.input.as_chunks().0.iter().map(|n| u32::from_le_bytes(*n)).collect();
-        let (pieces, _) = numbers.as_chunks::<{ Piece::NUMBERS + 1 }>();
         self.cells.clear();
-        for [tile, piece @ ..] in pieces {
-            let part = self.layers.tile(*tile).ok_or("there is no such tile")?;
-            if !cell(part, self.layers.photo(), &Piece::of(piece), &mut self.cells) {
-                return Err("a piece does not fit".into());
+        for numbers in self.input.as_chunks().0 {
+            let both = u64::from_le_bytes(*numbers);
+            if !self.layers.texels(both as u32, (both >> 32) as usize, &mut self.cells) {
+                return Err("there is no such layer".into());
             }
         }
         Ok(1)

@@ -53,8 +53,7 @@ pub extern "C" fn tmpi_layers() -> i32 {
     call(|decoder| Ok(decoder.layers()))
 }
 
-/// Fills the texels of the pieces that were handed over, eight numbers each: the tile, then as in [`tmpi_core::container::Piece`], without a place in
-/// a strip.
+/// Texels of the layers that were handed over, two numbers each: the tile, and the layer among the tile's.
 #[allow(unsafe_code, reason = "a C name")]
 #[unsafe(no_mangle)]
 pub extern "C" fn tmpi_cells() -> i32 {

@@ -37,21 +37,24 @@ describe('the decoder of rooms', () => {
     const cells = decoder.cells(numbers);
     const same = new Uint8Array(head.width * head.height);
     let end = 0;
-    for (let k = 0; k < numbers.length / 8; k++) {
-      const [tile, layer, u, v, w, h, mirrored] = numbers.subarray(k * 8, k * 8 + 8);
+    for (let k = 0; k < numbers.length; k += 2) {
+      const [tile, layer] = numbers.subarray(k, k + 2);
+      const [, , , x, y, w, h] = changed[tile].layers[layer];
       const first = end;
       end += w * h * 4;
-      if (mirrored) continue;
-      const [, , , x, y] = changed[tile].layers[layer];
       for (let j = 0; j < h; j++) {
         for (let i = 0; i < w; i++) {
           const at = first + (j * w + i) * 4;
-          const pixel = (y + v + j) * head.width + x + u + i;
+          const pixel = (y + j) * head.width + x + i;
           if (cells[at + 3] === 255 && [0, 1, 2].every((c) => cells[at + c] === rgba[pixel * 4 + c])) same[pixel] = 1;
         }
       }
     }
     assert.equal(end, cells.length);
+    const again = decoder.cells(numbers, new ArrayBuffer(cells.length + 9));
+    assert.deepEqual(again, cells);
+    assert.equal(again.buffer.byteLength, cells.length + 9, 'in the buffer that was handed over');
+    assert.deepEqual(decoder.cells(numbers, new ArrayBuffer(9)), cells, 'that is too small');
     assert.ok(same.every(Boolean), `${same.filter((v) => !v).length} pixels are in no layer`);
   });
 

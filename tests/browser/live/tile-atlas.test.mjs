@@ -22,35 +22,54 @@ function layers(tile, count) {
 
 const all = (count) => Array.from({ length: TILES }, (_, tile) => ({ tile, layers: layers(tile, count) }));
 
-/** Squares in use, as text; throws where two instances share one or one lies beyond the pages. */
+/** Squares in use, as text, by the layer that has each; throws where two layers share one, or one lies beyond the pages. */
 function squares(atlas) {
   const { instances } = atlas.drawn();
   const { width, height } = atlas.size;
-  const seen = new Set();
+  const seen = new Map();
   for (let i = 0; i < instances.opaque; i++) {
-    const [page, x, y] = [3, 10, 11].map((k) => instances.data[i * 12 + k]);
-    const at = [page, Math.floor(x / 64), Math.floor(y / 64)].join();
-    assert.ok(!seen.has(at), `two pieces at ${at}`);
-    assert.ok(page < atlas.pages && x < width && y < height, at);
-    seen.add(at);
+    const [a, , , page, , , , , w, h, x, y] = instances.data.subarray(i * 12, i * 12 + 12);
+    // what runs backward begins at the other side
+    const [left, upper] = [x < 0 ? -x - w : x, y < 0 ? -y - h : y];
+    const at = [page, Math.floor(left / 64), Math.floor(upper / 64)].join();
+    assert.equal(at, [page, Math.ceil((left + w) / 64) - 1, Math.ceil((upper + h) / 64) - 1].join(), 'within a square');
+    const layer = [instances.tiles[i], a].join();
+    assert.equal(seen.get(at) ?? layer, layer, `two layers at ${at}`);
+    assert.ok(page < atlas.pages && left + w <= width && upper + h <= height, at);
+    seen.set(at, layer);
   }
   return seen;
 }
 
 describe('places of tiles', () => {
-  test('no two pieces share a square, whatever comes and goes', () => {
+  test('no two layers share a square, whatever comes and goes', () => {
     const atlas = new TileAtlas(HEAD, 2048);
     const first = atlas.change(all(2));
     assert.ok(first.reshaped && !first.grown);
-    assert.equal(first.numbers.length / 8, first.places.length / 5);
+    assert.equal(first.numbers.length / 2, first.places.length / 5);
     assert.equal(squares(atlas).size, first.places.length / 5);
     for (let n = 0; n < 40; n++) {
       const tile = (n * 5) % TILES;
       const change = atlas.change([{ tile, layers: layers(tile, 1 + (n % 4)) }]);
-      const filled = [...change.numbers].filter((_, i) => i % 8 === 0);
+      const filled = [...change.numbers].filter((_, i) => i % 2 === 0);
       assert.ok(change.grown || filled.every((t) => t === tile), 'of that tile alone');
       squares(atlas);
     }
+  });
+
+  test('what continues a layer beyond the border is of the same texels, backward', () => {
+    const atlas = new TileAtlas(HEAD, 2048);
+    const { numbers } = atlas.change(all(1));
+    assert.equal(numbers.length / 2, TILES);
+    const { instances } = atlas.drawn();
+    const rows = Array.from({ length: instances.opaque }, (_, i) => [...instances.data.subarray(i * 12, i * 12 + 12)]);
+    // tile 0: itself, left of the border, above it, and both
+    const [own, left, above, both] = rows.filter((_, i) => instances.tiles[i] === 0);
+    assert.ok(own[10] >= 0 && own[11] >= 0);
+    // the column that touches the border is the same on either side, and so is the row
+    assert.deepEqual([left[6] + left[8], -left[10] - left[8]], [own[6], own[10]]);
+    assert.deepEqual([above[7] + above[9], -above[11] - above[9]], [own[7], own[11]]);
+    assert.deepEqual([left[11], above[10], both[10], both[11]], [own[11], own[10], left[10], above[11]]);
   });
 
   test('a tile that has the layers of before keeps its squares', () => {

@@ -47,6 +47,7 @@ async function measured({ file }) {
   const times = [];
   let atlas = null;
   let waits = null;
+  let spare;
   let read = 0;
   let tiles = 0;
   const show = () => {
@@ -60,7 +61,7 @@ async function measured({ file }) {
     const layered = performance.now();
     if (changed.length) {
       atlas ??= new TileAtlas(hello.head, 4096);
-      decoder.cells(atlas.change(changed).numbers);
+      spare = decoder.cells(atlas.change(changed).numbers, spare).buffer;
     }
     const done = performance.now();
     times.push({

@@ -49,7 +49,8 @@ pub use picture::{encode_jpeg, encode_lossless};
 #[cfg(feature = "write")]
 pub use region::{RegionPhoto, Tiles, region};
 pub use select::{SECTIONS, select, with_section};
-pub use strip::{Piece, cell, strip};
+pub(crate) use strip::texels;
+pub use strip::{Piece, strip};
 #[cfg(feature = "unpack")]
 pub use unpack::unpacked;
 

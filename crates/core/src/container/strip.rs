@@ -1,6 +1,7 @@
 //! Texels as the graphics device takes them: strips of texture pages.
 
 use super::{Part, PhotoRows};
+use crate::scene::colour;
 use crate::{Class, Layer};
 
 /// A part of a layer in a strip.
@@ -51,7 +52,7 @@ pub fn strip(
     let mut out = vec![[0; 4]; size.0.checked_mul(size.1)?];
     for piece in pieces {
         let layer = part.layers.get(piece.layer).filter(|layer| piece.fits(layer, size))?;
-        expand(part, photo, layer, &piece, &mut out, size.0);
+        expand(part, layer, &piece, &mut Rows { photo, words: Vec::new() }, &mut out, size.0);
     }
     if !straight {
         out.iter_mut().for_each(premultiply);
@@ -59,24 +60,53 @@ pub fn strip(
     Some(out)
 }
 
-/// Adds the texels of a piece of a layer to `out`, row by row, premultiplied. False, and nothing is added, where the piece does not fit its layer, or
-/// has a place in a strip.
-#[must_use]
-pub fn cell(part: &Part, photo: &PhotoRows, piece: &Piece, out: &mut Vec<[u8; 4]>) -> bool {
-    let Some(layer) = part.layers.get(piece.layer).filter(|layer| piece.fits(layer, piece.size)) else { return false };
-    let from = out.len();
-    out.resize(from + piece.size.0 * piece.size.1, [0; 4]);
-    expand(part, photo, layer, piece, &mut out[from..], piece.size.0);
-    let texels = layer.first_texel..layer.first_texel + layer.rect.area();
+/// Adds the texels of a layer to `out`, row by row, premultiplied. `photo` has the colours of the whole photo, `width` to a row.
+pub(crate) fn texels(part: &Part, layer: &Layer, (photo, width): (&[u32], usize), out: &mut Vec<[u8; 4]>) {
+    let (from, size) = (out.len(), (layer.rect.w as usize, layer.rect.h as usize));
+    out.resize(from + size.0 * size.1, [0; 4]);
+    let piece = Piece { layer: 0, from: (0, 0), size, mirrored: (false, false), x: 0 };
+    expand(part, layer, &piece, &mut Words { photo, width }, &mut out[from..], size.0);
+    let own = layer.first_texel..layer.first_texel + layer.rect.area();
     // what is not there is 0 already
-    if part.texels.alpha[texels].iter().any(|a| (1..u8::MAX).contains(a)) {
+    if part.texels.alpha[own].iter().any(|a| (1..u8::MAX).contains(a)) {
         out[from..].iter_mut().for_each(premultiply);
     }
-    true
 }
 
-#[inline(never)]
-fn expand(part: &Part, photo: &PhotoRows, l: &Layer, piece: &Piece, out: &mut [[u8; 4]], width: usize) {
+/// Colours of the photo, as words.
+trait Colours {
+    /// `count` pixels of row `y` from column `x` on.
+    fn row(&mut self, x: usize, y: usize, count: usize) -> &[u32];
+}
+
+/// Some rows of the photo, each made words when it is asked for.
+struct Rows<'a> {
+    photo: &'a PhotoRows,
+    words: Vec<u32>,
+}
+
+impl Colours for Rows<'_> {
+    fn row(&mut self, x: usize, y: usize, count: usize) -> &[u32] {
+        let at = (y - self.photo.top as usize) * self.photo.width as usize + x;
+        self.words.resize(count, 0);
+        colour::words(&self.photo.rgb[at..at + count], &mut self.words);
+        &self.words
+    }
+}
+
+/// All of the photo, as words.
+struct Words<'a> {
+    photo: &'a [u32],
+    width: usize,
+}
+
+impl Colours for Words<'_> {
+    fn row(&mut self, x: usize, y: usize, count: usize) -> &[u32] {
+        &self.photo[y * self.width + x..][..count]
+    }
+}
+
+fn expand(part: &Part, l: &Layer, piece: &Piece, photo: &mut impl Colours, out: &mut [[u8; 4]], width: usize) {
     let (w, h) = piece.size;
     let hidden_of = |class: &[u8]| class.iter().filter(|&&c| c == Class::Hidden as u8).count();
     let texel = |v: usize| l.first_texel + v * l.rect.w as usize;
@@ -89,11 +119,11 @@ fn expand(part: &Part, photo: &PhotoRows, l: &Layer, piece: &Piece, out: &mut [[
         let (class, after) = class.split_at(w);
         hidden += hidden_of(before);
         let alpha = &part.texels.alpha[texel(y) + piece.from.0..][..w];
-        let pixel = (l.rect.y as usize + y - photo.top as usize) * photo.width as usize + l.rect.x as usize + piece.from.0;
         let row = if piece.mirrored.1 { h - 1 - v } else { v };
         let to = &mut out[row * width + piece.x..][..w];
         let colours = &part.texels.hidden[hidden..];
-        hidden += fill(class, alpha, &photo.rgb[pixel..pixel + w], colours, to) + hidden_of(after);
+        let photo = photo.row(l.rect.x as usize + piece.from.0, l.rect.y as usize + y, w);
+        hidden += fill(class, alpha, photo, colours, to) + hidden_of(after);
         if piece.mirrored.0 {
             to.reverse();
         }
@@ -101,11 +131,11 @@ fn expand(part: &Part, photo: &PhotoRows, l: &Layer, piece: &Piece, out: &mut [[
 }
 
 /// Writes a row; gives the count of hidden colours that it took. Empty texels become 0.
-fn fill(class: &[u8], alpha: &[u8], photo: &[[u8; 3]], hidden: &[[u8; 3]], to: &mut [[u8; 4]]) -> usize {
+fn fill(class: &[u8], alpha: &[u8], photo: &[u32], hidden: &[[u8; 3]], to: &mut [[u8; 4]]) -> usize {
     // without a branch: most rows have none that is hidden
-    for (((to, &class), &a), [r, g, b]) in to.iter_mut().zip(class).zip(alpha).zip(photo) {
+    for (((to, &class), &a), word) in to.iter_mut().zip(class).zip(alpha).zip(photo) {
         let all = if class == Class::Photo as u8 { u32::MAX } else { 0 };
-        *to = (u32::from_le_bytes([*r, *g, *b, a]) & all).to_le_bytes();
+        *to = ((word | u32::from(a) << 24) & all).to_le_bytes();
     }
     if !class.contains(&(Class::Hidden as u8)) {
         return 0;
@@ -114,14 +144,29 @@ fn fill(class: &[u8], alpha: &[u8], photo: &[[u8; 3]], hidden: &[[u8; 3]], to: &
     texels.zip(hidden).map(|(((to, a), _), [r, g, b])| *to = [*r, *g, *b, *a]).count()
 }
 
-/// Colour times alpha, rounded to nearest.
+/// Colour times alpha, rounded to nearest, without a branch: red and blue at once, then green.
 fn premultiply(texel: &mut [u8; 4]) {
-    let a = u32::from(texel[3]);
-    if a == 0 {
-        *texel = [0; 4];
-    } else if a < 255 {
-        for v in &mut texel[..3] {
-            *v = ((u32::from(*v) * a + 127) / 255) as u8;
+    let word = u32::from_le_bytes(*texel);
+    let a = word >> 24;
+    // of two products of 16 bits each, plus 127, the quotient by 255
+    let times = |two: u32| {
+        let sum = two * a + 0x007f_007f;
+        (sum + 0x0001_0001 + (sum >> 8 & 0x00ff_00ff)) >> 8 & 0x00ff_00ff
+    };
+    *texel = (times(word & 0x00ff_00ff) | times(word >> 8 & 0xff) << 8 | a << 24).to_le_bytes();
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn colours_times_alpha_are_rounded_to_the_nearest_whatever_they_are() {
+        for (v, a) in (0..=255u8).flat_map(|v| (0..=255u8).map(move |a| (v, a))) {
+            let mut texel = [v, 255 - v, v / 2, a];
+            premultiply(&mut texel);
+            let want = [v, 255 - v, v / 2].map(|v| (f64::from(v) * f64::from(a) / 255.0).round() as u8);
+            assert_eq!(texel, [want[0], want[1], want[2], a]);
         }
     }
 }

@@ -39,15 +39,32 @@ fn weight(behind: f64) -> f64 {
     if behind < -IN_FRONT { 0.0 } else { weight }
 }
 
+/// Weights of a block of sources.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Weights {
+    /// All are 0.
+    Zero,
+    /// A whole block, and all are 1.
+    One,
+    /// Each is one of its own.
+    Each,
+}
+
 /// Weights of the sources in a row, at most a block of them, for a layer on `plane`; 0 where there is none.
 #[inline(always)]
 #[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
-fn weigh(us: &[f64], v: f64, plane: &Plane, surface: &[f32], weights: &mut [f64; BLOCK]) {
+fn weigh(us: &[f64], v: f64, plane: &Plane, surface: &[f32], weights: &mut [f64; BLOCK]) -> Weights {
     let (a, b, cv) = (plane.a, plane.b, plane.c * v);
-    let mut any_behind = false;
+    let (mut any_behind, mut any_in_front, mut all_in_front) = (false, false, true);
     for ((w, u), &d) in weights.iter_mut().zip(us).zip(surface) {
         *w = f64::from((a + b * u + cv) as f32) - f64::from(d);
         any_behind |= *w > 0.0;
+        any_in_front |= *w < -IN_FRONT;
+        all_in_front &= *w < -IN_FRONT;
+    }
+    if all_in_front {
+        weights.fill(0.0);
+        return Weights::Zero;
     }
     let (weights, past) = weights.split_at_mut(surface.len().min(BLOCK));
     past.fill(0.0);
@@ -55,12 +72,16 @@ fn weigh(us: &[f64], v: f64, plane: &Plane, surface: &[f32], weights: &mut [f64;
         for w in weights {
             *w = weight(*w);
         }
-    } else {
+    } else if any_in_front || !past.is_empty() {
         // nothing lies behind: no division
         for w in weights {
             *w = if *w < -IN_FRONT { 0.0 } else { 1.0 };
         }
+    } else {
+        weights.fill(1.0);
+        return Weights::One;
     }
+    Weights::Each
 }
 
 /// Colour times weight, and weight.
@@ -83,18 +104,30 @@ fn gather_body(us: &[f64], plane: &Plane, [first, second]: [Sources; 2], out: &m
     let (mut colours, mut below) = ([[0u8; 3]; BLOCK], [[0u8; 3]; BLOCK]);
     let part = |row: Sources, at: usize| -> Range<usize> { at.min(row.surface.len())..(at + BLOCK).min(row.surface.len()) };
     for (i, (out, us)) in out.chunks_mut(BLOCK / 2).zip(us.chunks(BLOCK)).enumerate() {
-        for (row, weights, colours) in [(first, &mut upper, &mut colours), (second, &mut lower, &mut below)] {
+        let mut kinds = [Weights::Zero; 2];
+        for ((row, weights), kind) in [(first, &mut upper), (second, &mut lower)].into_iter().zip(&mut kinds) {
+            *kind = weigh(us, row.v, plane, &row.surface[part(row, i * BLOCK)], weights);
+        }
+        if kinds == [Weights::Zero; 2] {
+            out.fill([0.0; 4]);
+            continue;
+        }
+        for (row, colours) in [(first, &mut colours), (second, &mut below)] {
             let part = part(row, i * BLOCK);
-            colours[..part.len()].copy_from_slice(&row.rgb[part.clone()]);
-            weigh(us, row.v, plane, &row.surface[part], weights);
+            colours[..part.len()].copy_from_slice(&row.rgb[part]);
         }
         let pairs = colours.as_chunks::<2>().0.iter().zip(below.as_chunks::<2>().0);
+        if kinds == [Weights::One; 2] {
+            for (o, ([a, b], [c, d])) in out.iter_mut().zip(pairs) {
+                *o = mean([a, b, c, d]);
+            }
+            continue;
+        }
         let weights = upper.as_chunks::<2>().0.iter().zip(lower.as_chunks::<2>().0);
         for ((o, ([a, b], [c, d])), ([wa, wb], [wc, wd])) in out.iter_mut().zip(pairs).zip(weights) {
             let sum = (wa + wb) + (wc + wd);
             *o = if sum == 4.0 {
-                let mean = |k: usize| (u32::from(a[k]) + u32::from(b[k]) + u32::from(c[k]) + u32::from(d[k])) as f32 * 0.25;
-                [mean(0), mean(1), mean(2), 1.0]
+                mean([a, b, c, d])
             } else if sum == 0.0 {
                 [0.0; 4]
             } else {
@@ -102,6 +135,14 @@ fn gather_body(us: &[f64], plane: &Plane, [first, second]: [Sources; 2], out: &m
             };
         }
     }
+}
+
+/// Mean of four sources whose weight is 1.
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "it must be compiled with the caller's target features")]
+fn mean([a, b, c, d]: [&[u8; 3]; 4]) -> [f32; 4] {
+    let mean = |k: usize| (u32::from(a[k]) + u32::from(b[k]) + u32::from(c[k]) + u32::from(d[k])) as f32 * 0.25;
+    [mean(0), mean(1), mean(2), 1.0]
 }
 
 /// Sum of two texels.
@@ -210,7 +251,9 @@ fn colours_body(us: &[f64], plane: &Plane, row: Sources, coarser: Coarser, x: us
     let (a, b, cv) = (plane.a, plane.b, plane.c * row.v);
     let pixels = class.iter().zip(us).zip(row.surface).zip(row.rgb);
     for (x, (((_, u), &d), rgb)) in (x..).zip(pixels).filter(|(_, (((c, _), _), _))| **c == Class::Hidden as u8) {
-        let weight = weight(f64::from((a + b * u + cv) as f32) - f64::from(d));
+        let behind = f64::from((a + b * u + cv) as f32) - f64::from(d);
+        // most are in front: no division
+        let weight = if behind < -IN_FRONT { 0.0 } else { weight(behind) };
         out.push(if weight == 1.0 {
             *rgb
         } else {

@@ -30,6 +30,12 @@ pub fn dilate(open: &[u8], width: u32, inner: Rect, radius: (u32, u32), Dilation
         // column `x0 − rx` of the mask is the line's first
         let (skip, start) = ((rx).saturating_sub(x0), x0.saturating_sub(rx));
         let count = (width - start).min(line.len() - skip);
+        let (any, all) = from[start..start + count].iter().fold((0, 1), |(any, all), v| (any | v, all & v));
+        if any == all {
+            // of one value, as most rows are; beyond the mask's sides there is none to come from
+            to.fill(any);
+            continue;
+        }
         line[skip..skip + count].copy_from_slice(&from[start..start + count]);
         spread(line, 1, 2 * rx + 1);
         to.copy_from_slice(&line[..w]);

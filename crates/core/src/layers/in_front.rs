@@ -24,9 +24,9 @@ impl InFront {
         self.dilation.out.clear();
     }
 
-    /// Whether nothing is to be recalled at a pixel.
-    pub fn at(&self, pixel: usize) -> bool {
-        self.dilation.out.get(pixel).is_some_and(|v| *v != 0)
+    /// Of `count` pixels from one on: 1 where nothing is to be recalled, else 0; none before the first frame.
+    pub fn row(&self, from: usize, count: usize) -> Option<&[u8]> {
+        self.dilation.out.get(from..from + count)
     }
 
     /// Room for what is known of as many pixels: 0 for one that lies no nearer than what is remembered there, is not mixed with anything nearer,
@@ -59,13 +59,17 @@ mod tests {
 
     const W: usize = 24;
 
+    fn at(front: &InFront, pixel: usize) -> bool {
+        front.row(pixel, 1).is_some_and(|v| v != [0])
+    }
+
     /// Of a picture of `W` columns, others at `o`: what is in front in its middle row.
     fn in_front(row: &str) -> String {
         let mut front = InFront::default();
         let others = (0..W).flat_map(|_| row.chars().map(|c| c == 'o'));
         front.pixels(W * W).iter_mut().zip(others).for_each(|(p, other)| *p = u8::from(!other));
         front.look(W as u32);
-        (0..W).map(|x| if front.at(W / 2 * W + x) { 'x' } else { '.' }).collect()
+        (0..W).map(|x| if at(&front, W / 2 * W + x) { 'x' } else { '.' }).collect()
     }
 
     #[test]
@@ -80,11 +84,11 @@ mod tests {
     #[test]
     fn nothing_is_in_front_before_the_first_frame() {
         let mut front = InFront::default();
-        assert!(!front.at(0));
+        assert!(!at(&front, 0));
         front.pixels(9).fill(0);
         front.look(3);
-        assert!(front.at(8) && !front.at(9));
+        assert!(at(&front, 8) && !at(&front, 9));
         front.clear();
-        assert!(!front.at(8));
+        assert!(!at(&front, 8));
     }
 }

@@ -58,22 +58,35 @@ impl<'a> Inpainter<'a> {
 
     /// Colours of the hidden texels of a layer with [`Class`]es `class` over `rect`, in their order.
     #[must_use]
-    #[inline(never)]
     pub fn fill(&self, tile: u32, plane: &Plane, rect: Rect, class: &[u8], pyramid: &mut Pyramid) -> Vec<[u8; 3]> {
-        let Some(hidden) = hidden_bounds(rect, class) else { return Vec::new() };
+        self.fill_some(tile, plane, rect, (class, class), pyramid)
+    }
+
+    /// The same of those texels alone that are hidden in `wanted`, too.
+    #[must_use]
+    #[inline(never)]
+    pub(crate) fn fill_some(
+        &self,
+        tile: u32,
+        plane: &Plane,
+        rect: Rect,
+        (class, wanted): (&[u8], &[u8]),
+        pyramid: &mut Pyramid,
+    ) -> Vec<[u8; 3]> {
+        let (Some(all), Some(hidden)) = (hidden_bounds(rect, class), hidden_bounds(rect, wanted)) else { return Vec::new() };
         let place = TileFrame::of(&self.grid, tile);
-        let win = super::grown(hidden, CONTEXT, CONTEXT, &self.grid);
+        let win = super::grown(all, CONTEXT, CONTEXT, &self.grid);
         place.columns(win.x, win.w, &mut pyramid.us);
         self.gather(place, plane, win, pyramid);
+        let count = wanted.iter().filter(|&&c| c == Class::Hidden as u8).count();
         if !pyramid.pull() {
             // nothing lies behind anywhere near: the layer's own surroundings are all there is
-            let mean = self.mean(rect);
-            return class.iter().filter(|&&c| c == Class::Hidden as u8).map(|_| mean).collect();
+            return vec![self.mean(rect); count];
         }
         let (x, y) = ((hidden.x - win.x) as usize, (hidden.y - win.y) as usize);
         pyramid.push((x..x + hidden.w as usize, y..y + hidden.h as usize));
-        let mut out = Vec::with_capacity(class.iter().filter(|&&c| c == Class::Hidden as u8).count());
-        let rows = (rect.y..).zip(class.chunks(rect.w as usize)).skip((hidden.y - rect.y) as usize).take(hidden.h as usize);
+        let mut out = Vec::with_capacity(count);
+        let rows = (rect.y..).zip(wanted.chunks(rect.w as usize)).skip((hidden.y - rect.y) as usize).take(hidden.h as usize);
         for (y, class) in rows {
             let class = &class[(hidden.x - rect.x) as usize..][..hidden.w as usize];
             let row = self.row(place, y, hidden);

@@ -4,8 +4,10 @@
 //! later has seen less and makes up more. What a texel is, and where, does not depend on it; its colour alone does.
 
 use super::in_front::InFront;
-use super::{LayerMasks, Surface, TileFrame};
-use crate::scene::{Class, Grid, Photo, Plane, Rect};
+use super::{LayerMasks, Surface, TileFrame, rows};
+use crate::scene::colour::{apart, of_word};
+use crate::scene::{Class, Grid, Plane, Rect};
+use crate::simd::dispatch;
 
 /// δ by which something lies in front of what is remembered, or a layer apart from it: the noise of depth from frame to frame is less.
 const APART: f32 = 0.05;
@@ -23,24 +25,77 @@ const STEADY: u8 = 6;
 #[derive(Clone, Debug)]
 pub struct Memory {
     grid: Grid,
-    rgb: Vec<[u8; 3]>,
-    /// δ of what is remembered, NaN where there is nothing.
-    delta: Vec<f32>,
-    /// The frame before.
-    last: Vec<Pixel>,
+    pixels: Pixels,
     in_front: InFront,
 }
 
-/// What a pixel showed in the frame before.
-#[derive(Clone, Copy, Debug)]
-struct Pixel {
-    rgb: [u8; 3],
-    /// Frames for which it has shown that, up to [`STEADY`].
-    steady: u8,
-    /// NaN before the first frame, infinite where it is mixed with something nearer.
-    delta: f32,
+/// What is known of each pixel, a list of each so that vectors take them.
+#[derive(Clone, Debug)]
+struct Pixels {
+    /// Colour of what is remembered, as words.
+    colour: Vec<u32>,
+    /// δ of what is remembered, NaN where there is nothing.
+    delta: Vec<f32>,
+    /// Colour that was shown in the frame before.
+    last: Vec<u32>,
+    /// Frames for which a pixel has shown that, up to [`STEADY`].
+    steady: Vec<u8>,
+    /// δ in the frame before: NaN before the first, infinite where it is mixed with something nearer.
+    last_delta: Vec<f32>,
     /// The same, also where it is mixed.
-    shown: f32,
+    last_shown: Vec<f32>,
+}
+
+/// A frame, of as many pixels: colours as words, δ of its visible surface without what is mixed.
+#[derive(Clone, Copy)]
+struct Frame<'a> {
+    colour: &'a [u32],
+    delta: &'a [f32],
+}
+
+dispatch!(
+    /// Frames for which each pixel has gone on as it was before, from its colour and δ before, which become those of now.
+    stay, stay_body, (last: &mut [u32], last_delta: &mut [f32], steady: &mut [u8], now: &[u32], delta: &[f32])
+);
+
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "the loop must be compiled anew with the caller's target features")]
+fn stay_body(last: &mut [u32], last_delta: &mut [f32], steady: &mut [u8], now: &[u32], delta: &[f32]) {
+    for ((((last, last_delta), steady), now), delta) in last.iter_mut().zip(last_delta).zip(steady).zip(now).zip(delta) {
+        // infinite where it is mixed with something nearer, and then never within anything
+        let same = ((delta - *last_delta).abs() <= APART) & (apart(*now, *last) <= OTHER);
+        *steady = if same { (*steady + 1).min(STEADY) } else { 0 };
+        (*last, *last_delta) = (*now, *delta);
+    }
+}
+
+dispatch!(
+    /// Keeps the colour and δ of what is steady and no nearer than what is `known`.
+    keep, keep_body, (known: &mut [u32], known_delta: &mut [f32], steady: &[u8], now: &[u32], delta: &[f32])
+);
+
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "the loop must be compiled anew with the caller's target features")]
+fn keep_body(known: &mut [u32], known_delta: &mut [f32], steady: &[u8], now: &[u32], delta: &[f32]) {
+    for ((((known, known_delta), steady), now), delta) in known.iter_mut().zip(known_delta).zip(steady).zip(now).zip(delta) {
+        // what is not known is NaN, and nothing is nearer than that
+        let keeps = (*steady == STEADY) & !(*delta > *known_delta + APART);
+        *known = if keeps { *now } else { *known };
+        *known_delta = if keeps { *delta } else { *known_delta };
+    }
+}
+
+dispatch!(
+    /// Marks pixels as [`InFront::pixels`] has it.
+    mark, mark_body, (in_front: &mut [u8], known: &[u32], known_delta: &[f32], now: &[u32], delta: &[f32])
+);
+
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "the loop must be compiled anew with the caller's target features")]
+fn mark_body(in_front: &mut [u8], known: &[u32], known_delta: &[f32], now: &[u32], delta: &[f32]) {
+    for ((((in_front, known), known_delta), now), delta) in in_front.iter_mut().zip(known).zip(known_delta).zip(now).zip(delta) {
+        *in_front = u8::from(!((*delta <= *known_delta + APART) & (apart(*now, *known) > OTHER)));
+    }
 }
 
 impl Memory {
@@ -48,59 +103,60 @@ impl Memory {
     #[must_use]
     pub fn new(grid: Grid) -> Self {
         let count = grid.width as usize * grid.height as usize;
-        let nothing = Pixel { rgb: [0; 3], steady: 0, delta: f32::NAN, shown: f32::NAN };
-        Self { grid, rgb: vec![[0; 3]; count], delta: vec![f32::NAN; count], last: vec![nothing; count], in_front: InFront::default() }
+        let pixels = Pixels {
+            colour: vec![0; count],
+            delta: vec![f32::NAN; count],
+            last: vec![0; count],
+            steady: vec![0; count],
+            last_delta: vec![f32::NAN; count],
+            last_shown: vec![f32::NAN; count],
+        };
+        Self { grid, pixels, in_front: InFront::default() }
     }
 
     /// Forgets everything: a new scene.
     pub fn forget(&mut self) {
-        self.delta.fill(f32::NAN);
+        self.pixels.delta.fill(f32::NAN);
         self.in_front.clear();
-        self.last.iter_mut().for_each(|p| p.steady = 0);
+        self.pixels.steady.fill(0);
     }
 
     /// Pixels of which something is remembered.
     #[must_use]
     pub fn known(&self) -> usize {
-        self.delta.iter().filter(|d| !d.is_nan()).count()
+        self.pixels.delta.iter().filter(|d| !d.is_nan()).count()
     }
 
     /// Looks at the next frame: what is as far as what is remembered, or farther, and has stayed as it is for some frames, is kept; what is nearer
-    /// stands in front of it. `shown` is the frame's visible surface, over all rows, and `surface` the same without what is mixed. A photo of another
-    /// size is left alone.
-    pub(crate) fn take(&mut self, photo: &Photo, shown: &Surface, surface: &Surface) {
-        if (photo.width, photo.height) != (self.grid.width, self.grid.height) || photo.rgb.len() != self.delta.len() {
+    /// stands in front of it. `colour` has the frame's colours as words, `shown` is its visible surface, over all rows, and `surface` the same without
+    /// what is mixed. A frame of another size is left alone.
+    pub(crate) fn take(&mut self, colour: &[u32], shown: &Surface, surface: &Surface) {
+        if colour.len() != self.pixels.last.len() {
             return;
         }
-        if self.has_moved(photo, surface) {
+        let frame = Frame { colour, delta: surface.all() };
+        if self.has_moved(&frame) {
             self.forget();
         }
-        let in_front = self.in_front.pixels(photo.rgb.len());
-        let before = self.last.iter_mut().zip(self.rgb.iter_mut().zip(&mut self.delta)).zip(in_front);
-        let now = photo.rgb.iter().zip(surface.all().iter().zip(shown.all()));
-        for (((last, (colour, known)), in_front), (rgb, (delta, shown))) in before.zip(now) {
-            // infinite where it is mixed with something nearer, and then never within anything
-            let same = (*delta - last.delta).abs() <= APART && apart(*rgb, last.rgb) <= OTHER;
-            let steady = if same { (last.steady + 1).min(STEADY) } else { 0 };
-            *last = Pixel { rgb: *rgb, steady, delta: *delta, shown: *shown };
-            if steady == STEADY && (known.is_nan() || *delta <= *known + APART) {
-                (*colour, *known) = (*rgb, *delta);
-            }
-            *in_front = u8::from(!(*delta <= *known + APART && apart(*rgb, *colour) > OTHER));
-        }
+        let Pixels { colour: known, delta, last, steady, last_delta, .. } = &mut self.pixels;
+        stay(last, last_delta, steady, frame.colour, frame.delta);
+        keep(known, delta, steady, frame.colour, frame.delta);
+        mark(self.in_front.pixels(colour.len()), known, delta, frame.colour, frame.delta);
+        self.pixels.last_shown.copy_from_slice(shown.all());
         self.in_front.look(self.grid.width);
     }
 
     /// Whether much of what is in sight as it was before looks otherwise.
-    fn has_moved(&self, photo: &Photo, surface: &Surface) -> bool {
+    fn has_moved(&self, now: &Frame) -> bool {
         let (mut seen, mut other) = (0usize, 0usize);
-        for (y, new) in (0..).zip(photo.rgb.chunks(photo.width as usize)) {
-            let from = y as usize * self.grid.width as usize;
-            let row = surface.row(0, y, self.grid.width).iter().zip(new).enumerate().skip(y as usize % EVERY).step_by(EVERY);
+        let width = self.grid.width as usize;
+        for (y, new) in now.colour.chunks(width).enumerate() {
+            let from = y * width;
+            let row = now.delta[from..from + width].iter().zip(new).enumerate().skip(y % EVERY).step_by(EVERY);
             for (x, (delta, rgb)) in row {
-                if (delta - self.delta[from + x]).abs() <= APART {
+                if (delta - self.pixels.delta[from + x]).abs() <= APART {
                     seen += 1;
-                    other += usize::from(apart(*rgb, self.rgb[from + x]) > OTHER);
+                    other += usize::from(apart(*rgb, self.pixels.colour[from + x]) > OTHER);
                 }
             }
         }
@@ -121,36 +177,49 @@ impl Memory {
         seen.zip(colours).filter_map(|(seen, colour)| seen.map(|seen| *colour = seen)).count()
     }
 
-    /// What is remembered of each of a layer's hidden texels, in their order.
+    /// What is remembered of each of a layer's hidden texels, in their order; none where it has to be made up.
     pub(crate) fn seen_of(&self, tile: u32, plane: &Plane, rect: Rect, class: &[u8]) -> Vec<Option<[u8; 3]>> {
-        let place = TileFrame::of(&self.grid, tile);
-        let hidden = (0..).zip(class).filter(|(_, c)| **c == Class::Hidden as u8);
-        hidden.map(|(i, _)| self.seen(place, plane, rect, i)).collect()
-    }
-
-    /// What is remembered of texel `i` of a layer; none where it has to be made up.
-    fn seen(&self, place: TileFrame, plane: &Plane, rect: Rect, i: u32) -> Option<[u8; 3]> {
-        let (x, y) = (rect.x + i % rect.w, rect.y + i / rect.w);
-        let at = y as usize * self.grid.width as usize + x as usize;
-        let known = self.delta[at];
-        let delta = place.disparity(plane, x, y);
-        // a layer may lie nearer than what was seen there, as its plane was guessed from beside; what was seen nearer is another one's, and
-        // what lies nearer to the thing that stands there is a part of it
-        let behind = known <= delta + APART && (delta - known).abs() <= (delta - self.last[at].shown).abs();
-        (behind && !self.in_front.at(at)).then(|| self.rgb[at])
+        let (place, width) = (TileFrame::of(&self.grid, tile), rect.w as usize);
+        let (mut us, mut delta, mut holds, mut out) = (Vec::new(), vec![0.0; width], vec![0; width], Vec::new());
+        place.columns(rect.x, rect.w, &mut us);
+        for (y, class) in (rect.y..).zip(class.chunks(width.max(1))) {
+            if !class.contains(&(Class::Hidden as u8)) {
+                continue;
+            }
+            let at = y as usize * self.grid.width as usize + rect.x as usize;
+            rows::disparities(&us, place.v(y), plane, &mut delta);
+            hold(&delta, &self.pixels.delta[at..at + width], &self.pixels.last_shown[at..at + width], &mut holds);
+            if let Some(in_front) = self.in_front.row(at, width) {
+                holds.iter_mut().zip(in_front).for_each(|(holds, in_front)| *holds &= 1 - in_front);
+            }
+            let texels = class.iter().zip(&holds).zip(&self.pixels.colour[at..at + width]).filter(|((c, _), _)| **c == Class::Hidden as u8);
+            out.extend(texels.map(|((_, holds), colour)| (*holds != 0).then(|| of_word(*colour))));
+        }
+        out
     }
 }
 
-/// Difference of two colours in levels, summed over the channels.
-fn apart(a: [u8; 3], b: [u8; 3]) -> u32 {
-    a.iter().zip(b).map(|(a, b)| u32::from(a.abs_diff(b))).sum()
+dispatch!(
+    /// Marks with 1 the pixels of a row where a layer of disparity `delta` shows what is remembered, of disparity `known`, behind what is `shown`.
+    hold, hold_body, (delta: &[f32], known: &[f32], shown: &[f32], holds: &mut [u8])
+);
+
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "the loop must be compiled anew with the caller's target features")]
+fn hold_body(delta: &[f32], known: &[f32], shown: &[f32], holds: &mut [u8]) {
+    for (((delta, known), shown), holds) in delta.iter().zip(known).zip(shown).zip(holds) {
+        // a layer may lie nearer than what was seen there, as its plane was guessed from beside; what was seen nearer is another one's, and
+        // what lies nearer to the thing that stands there is a part of it
+        *holds = u8::from((*known <= *delta + APART) & ((*delta - *known).abs() <= (*delta - *shown).abs()));
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::layers::in_front::GAP;
-    use crate::{Geometry, Inpainter, Intrinsics, Tile, ViewBox};
+    use crate::scene::colour::words;
+    use crate::{Geometry, Inpainter, Intrinsics, Photo, Tile, ViewBox};
 
     const SIDE: u32 = 64;
 
@@ -171,8 +240,9 @@ mod tests {
 
     /// Takes a photo with the labels of a geometry.
     fn take(memory: &mut Memory, photo: &Photo, geometry: &Geometry) {
-        let shown = geometry.surface();
-        memory.take(photo, &shown, &shown.without_mixed());
+        let (shown, mut colours) = (geometry.surface(), vec![0; photo.rgb.len()]);
+        words(&photo.rgb, &mut colours);
+        memory.take(&colours, &shown, &shown.without_mixed());
     }
 
     /// Looks at a frame for as long as it takes to keep it.

@@ -90,9 +90,10 @@ fn classify_body(labels: &[u8], label: Option<u8>, hidden: &[u8], class: &mut [u
     // labels end at 63, so 255 is no pixel's
     let label = label.unwrap_or(u8::MAX);
     for (((c, a), &l), &hidden) in class.iter_mut().zip(alpha).zip(labels).zip(hidden) {
-        let class = if l == label { Class::Photo as u8 } else { hidden * Class::Hidden as u8 };
-        *c = class;
-        *a = if class == Class::Empty as u8 { 0 } else { u8::MAX };
+        // no product: not every processor has one of so small numbers
+        let behind = if hidden == 0 { Class::Empty as u8 } else { Class::Hidden as u8 };
+        *c = if l == label { Class::Photo as u8 } else { behind };
+        *a = if (l == label) | (hidden != 0) { u8::MAX } else { 0 };
     }
 }
 

@@ -26,7 +26,10 @@ impl Blocks {
             if let Some(old) = old.get(rows.clone()) {
                 for (old, new) in old.chunks(width).zip(new[rows].chunks(width)) {
                     let blocks = old.chunks(SIDE).zip(new.chunks(SIDE));
-                    differs.iter_mut().zip(blocks).for_each(|(differs, (old, new))| *differs |= old != new);
+                    for (differs, (old, new)) in differs.iter_mut().zip(blocks) {
+                        // all of them: to stop at the first takes longer
+                        *differs |= old.iter().zip(new).fold(false, |differs, (old, new)| differs | (old != new));
+                    }
                 }
             }
             let mut row = 0;

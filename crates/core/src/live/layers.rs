@@ -5,21 +5,24 @@
 
 use super::blocks::Blocks;
 use super::motion::Motion;
-use crate::container::{Part, PhotoRows};
+use crate::container::{Part, texels};
 use crate::layers::{CONTEXT, Surface};
+use crate::scene::colour;
 use crate::{Class, Geometry, Inpainter, Layer, LayerMasks, Memory, Photo, Pyramid, Scene, Texels, grown};
 
 /// A hidden colour follows from pixels so far off, and these from the surface beside them.
 const AROUND: u32 = CONTEXT + 1;
 /// Of the tiles whose hidden colours alone are out of date, so many parts are made anew, one a frame: they show little, and cost the most.
-const TURNS: u32 = 4;
+pub(super) const TURNS: u32 = 8;
 /// Frames after one for which tiles came up to which labels follow what moves.
 const FOLLOWS: u32 = 3;
 
 /// Layers and texels of all tiles.
 #[derive(Default)]
 pub struct Layers {
-    photo: PhotoRows,
+    photo: Photo,
+    /// Its colours as words.
+    words: Vec<u32>,
     /// The tiles' visible surface as they came.
     surface: Option<Surface>,
     /// The same with labels that have followed what moved, where there are such.
@@ -33,7 +36,7 @@ pub struct Layers {
     remembers: bool,
     memory: Option<Memory>,
     /// The frame for which tiles came last, and how many came since.
-    told: (Vec<[u8; 3]>, u32),
+    told: (Vec<u32>, u32),
     /// Tiles whose labels have followed what moved.
     moved: Vec<bool>,
     /// All tiles with these labels, where there are such.
@@ -58,8 +61,15 @@ impl Layers {
 
     /// The frame that is shown.
     #[must_use]
-    pub const fn photo(&self) -> &PhotoRows {
+    pub const fn photo(&self) -> &Photo {
         &self.photo
+    }
+
+    /// Adds the texels of a layer of a tile to `out`, row by row, premultiplied; false where there is no such layer.
+    pub fn texels(&self, tile: u32, layer: usize, out: &mut Vec<[u8; 4]>) -> bool {
+        let Some((part, layer)) = self.tile(tile).and_then(|part| Some((part, part.layers.get(layer)?))) else { return false };
+        texels(part, layer, (&self.words, self.photo.width as usize), out);
+        true
     }
 
     /// What is remembered, where anything is.
@@ -92,7 +102,7 @@ impl Layers {
             texels.alpha.extend_from_slice(&part.texels.alpha);
             texels.hidden.extend_from_slice(&part.texels.hidden);
         }
-        let photo = Photo { width: self.photo.width, height: self.photo.height, rgb: self.photo.rgb.clone() };
+        let photo = self.photo.clone();
         Scene { grid: geometry.grid, intrinsics: geometry.intrinsics, view_box: geometry.view_box, photo, layers, texels }
     }
 
@@ -103,10 +113,13 @@ impl Layers {
         if (photo.width, photo.height) != (grid.width, grid.height) || photo.rgb.len() != grid.width as usize * grid.height as usize {
             return Changes::default();
         }
+        let mut words = vec![0; photo.rgb.len()];
+        colour::words(&photo.rgb, &mut words);
         let anew = (self.photo.width, self.photo.height, self.parts.len()) != (grid.width, grid.height, grid.tiles() as usize);
         let mut changed: Vec<bool> = (0..grid.tiles()).map(|t| anew || changed(t)).collect();
-        let before = if anew { &[][..] } else { &self.photo.rgb };
-        let pixels = Blocks::that_differ(grid.width, before, &photo.rgb);
+        let before = if anew { &[][..] } else { &self.words };
+        let pixels = Blocks::that_differ(grid.width, before, &words);
+        self.words = words;
         let kept = self.surface.as_ref().filter(|_| !changed.contains(&true));
         let surface = kept.cloned().unwrap_or_else(|| geometry.surface());
         if anew {
@@ -115,16 +128,16 @@ impl Layers {
             self.stale = vec![false; grid.tiles() as usize];
             self.memory = self.remembers.then(|| Memory::new(*grid));
         }
-        let with_moved = if self.remembers { self.move_labels(geometry, &surface, &mut changed, &photo.rgb) } else { None };
+        let with_moved = if self.remembers { self.move_labels(geometry, &surface, &mut changed) } else { None };
         let of_moved = with_moved.as_ref().map(Geometry::surface);
         let (geometry, shown) = (with_moved.as_ref().unwrap_or(geometry), of_moved.as_ref().unwrap_or(&surface));
         let was = self.moved_surface.take().or_else(|| self.surface.take()).filter(|_| !anew);
         let depth = Blocks::that_differ(grid.width, was.as_ref().map_or(&[], Surface::all), shown.all());
         let unmixed = shown.without_mixed();
         if let Some(memory) = &mut self.memory {
-            memory.take(&photo, shown, &unmixed);
+            memory.take(&self.words, shown, &unmixed);
         }
-        self.photo = PhotoRows { width: photo.width, height: photo.height, top: 0, rgb: photo.rgb };
+        self.photo = photo;
         let changes = self.follow(geometry, (shown, unmixed), &changed, (&pixels, &depth));
         (self.surface, self.moved_surface, self.with_moved) = (Some(surface), of_moved, with_moved);
         changes
@@ -132,20 +145,20 @@ impl Layers {
 
     /// The tiles with labels that have followed what moved since the frame for which any came, none where none have; adds those to `changed` that
     /// have, or had in the frame before.
-    fn move_labels(&mut self, geometry: &Geometry, surface: &Surface, changed: &mut [bool], now: &[[u8; 3]]) -> Option<Geometry> {
+    fn move_labels(&mut self, geometry: &Geometry, surface: &Surface, changed: &mut [bool]) -> Option<Geometry> {
         let told = changed.contains(&true);
         for (changed, moved) in changed.iter_mut().zip(&mut self.moved) {
             *changed |= std::mem::take(moved);
         }
         if told {
-            self.told = (now.to_vec(), 0);
+            self.told = (self.words.clone(), 0);
             return None;
         }
         self.told.1 += 1;
         if self.told.1 > FOLLOWS {
             return None;
         }
-        let motion = Motion::new(geometry, surface, &self.told.0, now);
+        let motion = Motion::new(geometry, surface, &self.told.0, &self.words);
         let mut out = None;
         for t in 0..geometry.grid.tiles() {
             let Some(labels) = motion.labels(t) else { continue };
@@ -174,19 +187,21 @@ impl Layers {
             let (stale, its_turn) = (&mut self.stale[t as usize], t % TURNS == self.turn);
             let mut other = pixels.any(&rect);
             *stale |= pixels.any(&around) || depth.any(&around);
-            let masks = (changed[t as usize] || depth.any(&geometry.window(t)))
+            let new = (changed[t as usize] || depth.any(&geometry.window(t)))
                 .then(|| shaped(t, geometry.masks_of(t..t + 1, surface, false).pop().unwrap_or_default()))
                 .filter(|new| !alike(new, part));
-            let reshaped = masks.is_some();
-            if let Some(new) = masks {
-                *part = new;
-            }
-            *stale &= !part.texels.hidden.is_empty();
-            if reshaped || *stale && its_turn {
-                let hidden = coloured(&inpainter, self.memory.as_ref(), part, &mut self.pyramid);
-                (other, *stale) = (other || reshaped || hidden != part.texels.hidden, false);
+            let (reshaped, turn) = (new.is_some(), *stale && its_turn);
+            if reshaped || turn {
+                let of = new.as_ref().unwrap_or(part);
+                // a layer that is what it was waits for its turn
+                let before = if turn { &Part::default() } else { &*part };
+                let (hidden, all_anew) = coloured(&inpainter, self.memory.as_ref(), (of, before), &mut self.pyramid);
+                other |= reshaped || hidden != part.texels.hidden;
+                *stale &= !all_anew;
+                *part = new.unwrap_or_else(|| std::mem::take(part));
                 part.texels.hidden = hidden;
             }
+            *stale &= !part.texels.hidden.is_empty();
             if reshaped {
                 out.layers.push(t);
             }
@@ -215,21 +230,34 @@ fn shaped(tile: u32, masks: LayerMasks) -> Part {
     Part { layers, texels }
 }
 
-/// Hidden colours of a tile: those that were seen, and for the rest such as are made up, which costs the most by far.
-fn coloured(inpainter: &Inpainter, memory: Option<&Memory>, part: &Part, pyramid: &mut Pyramid) -> Vec<[u8; 3]> {
-    let mut out = Vec::with_capacity(part.texels.hidden.len());
+/// Hidden colours of a tile: those of `before` of layers that it has, too; those that were seen; and for the rest such as are made up, which costs
+/// the most by far. And whether all are made anew.
+fn coloured(inpainter: &Inpainter, memory: Option<&Memory>, (part, before): (&Part, &Part), pyramid: &mut Pyramid) -> (Vec<[u8; 3]>, bool) {
+    let (mut out, mut all_anew) = (Vec::with_capacity(part.texels.hidden.len()), true);
     for l in &part.layers {
-        let class = &part.texels.class[l.first_texel..l.first_texel + l.rect.area()];
-        let seen = memory.map(|m| m.seen_of(l.tile, &l.plane, l.rect, class));
-        if let Some(all) = seen.as_ref().and_then(|seen| seen.iter().copied().collect::<Option<Vec<_>>>()) {
-            out.extend(all);
+        let class = classes(part, l);
+        let count = class.iter().filter(|&&c| c == Class::Hidden as u8).count();
+        if count == 0 {
             continue;
         }
-        let made_up = inpainter.fill(l.tile, &l.plane, l.rect, class, pyramid);
-        match seen {
-            Some(seen) => out.extend(seen.into_iter().zip(made_up).map(|(seen, made_up)| seen.unwrap_or(made_up))),
-            None => out.extend(made_up),
+        let same = |b: &&Layer| (b.plane, b.rect) == (l.plane, l.rect) && classes(before, b) == class;
+        if let Some(kept) = before.layers.iter().find(same).and_then(|b| before.texels.hidden.get(b.first_hidden..b.first_hidden + count)) {
+            out.extend_from_slice(kept);
+            all_anew = false;
+            continue;
         }
+        let seen = memory.map_or_else(|| vec![None; count], |m| m.seen_of(l.tile, &l.plane, l.rect, class));
+        let mut wanted = class.to_vec();
+        for (wanted, seen) in wanted.iter_mut().filter(|c| **c == Class::Hidden as u8).zip(&seen) {
+            *wanted = if seen.is_some() { Class::Empty as u8 } else { Class::Hidden as u8 };
+        }
+        let mut made_up = inpainter.fill_some(l.tile, &l.plane, l.rect, (class, &wanted), pyramid).into_iter();
+        out.extend(seen.into_iter().filter_map(|seen| seen.or_else(|| made_up.next())));
     }
-    out
+    (out, all_anew)
+}
+
+/// Classes of a layer's texels.
+fn classes<'a>(part: &'a Part, l: &Layer) -> &'a [u8] {
+    &part.texels.class[l.first_texel..l.first_texel + l.rect.area()]
 }

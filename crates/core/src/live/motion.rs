@@ -5,6 +5,8 @@
 //! Nothing is sent for it, and nothing stays of it: labels that come are shown as they are.
 
 use crate::layers::{Dilation, Surface, dilate};
+use crate::scene::colour::apart;
+use crate::simd::dispatch;
 use crate::{Geometry, Rect, TileFrame, grown};
 
 /// Pixels that a thing is looked for at, to each side.
@@ -31,8 +33,9 @@ pub struct Motion<'a> {
     geometry: &'a Geometry,
     /// Of the visible surface, all pixels.
     delta: &'a [f32],
-    was: &'a [[u8; 3]],
-    now: &'a [[u8; 3]],
+    /// Colours, as words.
+    was: &'a [u32],
+    now: &'a [u32],
     /// 1 where a pixel is another, else 0.
     changed: Vec<u8>,
     /// The same of it and those that touch it.
@@ -41,8 +44,9 @@ pub struct Motion<'a> {
 
 impl<'a> Motion<'a> {
     /// Both frames are of the geometry's size, and so is its visible `surface`.
-    pub fn new(geometry: &'a Geometry, surface: &'a Surface, was: &'a [[u8; 3]], now: &'a [[u8; 3]]) -> Self {
-        let changed: Vec<u8> = was.iter().zip(now).map(|(a, b)| u8::from(apart(*a, *b) > OTHER)).collect();
+    pub fn new(geometry: &'a Geometry, surface: &'a Surface, was: &'a [u32], now: &'a [u32]) -> Self {
+        let mut changed = vec![0; now.len()];
+        mark_others(was, now, &mut changed);
         let (width, height) = (geometry.grid.width, geometry.grid.height);
         let mut near_change = Dilation::default();
         dilate(&changed, width, Rect { x: 0, y: 0, w: width, h: height }, (1, 1), &mut near_change);
@@ -91,7 +95,11 @@ impl<'a> Motion<'a> {
         let mut changed = Vec::new();
         for y in part.y..part.y + part.h {
             let from = (y * width + part.x) as usize;
-            let row = (part.x..).zip(&self.changed[from..from + part.w as usize]).filter(|(_, c)| **c != 0);
+            let row = &self.changed[from..from + part.w as usize];
+            if row.iter().fold(0, |any, c| any | c) == 0 {
+                continue;
+            }
+            let row = (part.x..).zip(row).filter(|(_, c)| **c != 0);
             changed.extend(row.map(|(x, _)| (x as i32, y as i32, self.delta[(y * width + x) as usize])));
         }
         let far = changed.iter().map(|p| p.2).fold(f32::INFINITY, f32::min);
@@ -136,25 +144,34 @@ impl<'a> Motion<'a> {
     }
 }
 
-/// Difference of two colours in levels, summed over the channels.
-fn apart(a: [u8; 3], b: [u8; 3]) -> u32 {
-    a.iter().zip(b).map(|(a, b)| u32::from(a.abs_diff(b))).sum()
+dispatch!(
+    /// Marks with 1 the pixels that are others by more than [`OTHER`], with 0 the rest.
+    mark_others, mark_others_body, (was: &[u32], now: &[u32], changed: &mut [u8])
+);
+
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "the loop must be compiled anew with the caller's target features")]
+fn mark_others_body(was: &[u32], now: &[u32], changed: &mut [u8]) {
+    for (changed, (was, now)) in changed.iter_mut().zip(was.iter().zip(now)) {
+        *changed = u8::from(apart(*was, *now) > OTHER);
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scene::colour::of_word;
     use crate::{Grid, Intrinsics, Plane, Tile, ViewBox};
 
     const W: u32 = 96;
     const H: u32 = 64;
 
     /// A wall, and before it a thing of 24 × 30 pixels whose corner is at `(x, y)`; labels as of there.
-    fn frame(x: u32, y: u32) -> (Geometry, Vec<[u8; 3]>) {
+    fn frame(x: u32, y: u32) -> (Geometry, Vec<u32>) {
         let inside = |i: u32| (x..x + 24).contains(&(i % W)) && (y..y + 30).contains(&(i / W));
         let wave = |a: u32, b: u32| (127.0 + 100.0 * (f64::from(a) / 3.0).sin() * (f64::from(b) / 4.0).cos()) as u8;
-        let rgb =
-            (0..W * H).map(|i| if inside(i) { [200, wave(i % W - x, i / W - y), 40] } else { [20, 40, wave(i % W, i / W) / 2] }).collect();
+        let rgb = |i| if inside(i) { [200, wave(i % W - x, i / W - y), 40, 0] } else { [20, 40, wave(i % W, i / W) / 2, 0] };
+        let colours = (0..W * H).map(|i| u32::from_le_bytes(rgb(i))).collect();
         let grid = Grid::new(W, H, 64);
         let planes = vec![Plane::fronto_parallel(0.2), Plane::fronto_parallel(0.7)];
         let of = |t: u32| {
@@ -163,7 +180,7 @@ mod tests {
             Tile { planes: planes.clone(), labels, background: None }
         };
         let tiles = (0..grid.tiles()).map(of).collect();
-        (Geometry { grid, intrinsics: Intrinsics::centred(W, H, 50.0), view_box: ViewBox::default(), tiles }, rgb)
+        (Geometry { grid, intrinsics: Intrinsics::centred(W, H, 50.0), view_box: ViewBox::default(), tiles }, colours)
     }
 
     #[test]
@@ -185,14 +202,18 @@ mod tests {
     fn labels_stay_where_nothing_moved_or_nothing_is_found() {
         let (geometry, was) = frame(30, 16);
         let surface = geometry.surface();
-        let of = |now: &[[u8; 3]]| {
+        let of = |now: &[u32]| {
             let motion = Motion::new(&geometry, &surface, &was, now);
             (0..geometry.grid.tiles()).filter_map(|t| motion.labels(t)).count()
         };
         assert_eq!(of(&was), 0);
         // noise, the light, and another picture
-        assert_eq!(of(&was.iter().enumerate().map(|(i, p)| p.map(|v| v.saturating_add((i * 7 % 8) as u8))).collect::<Vec<_>>()), 0);
-        assert_eq!(of(&was.iter().map(|p| p.map(|v| v / 2)).collect::<Vec<_>>()), 0);
-        assert_eq!(of(&(0..was.len()).map(|i| [(i * 31 % 251) as u8, (i * 17 % 241) as u8, (i * 13 % 239) as u8]).collect::<Vec<_>>()), 0);
+        let each = |f: &dyn Fn(usize, [u8; 3]) -> [u8; 3]| -> Vec<u32> {
+            let other = |(i, word): (usize, &u32)| f(i, of_word(*word));
+            was.iter().enumerate().map(other).map(|[r, g, b]| u32::from_le_bytes([r, g, b, 0])).collect()
+        };
+        assert_eq!(of(&each(&|i, p| p.map(|v| v.saturating_add((i * 7 % 8) as u8)))), 0);
+        assert_eq!(of(&each(&|_, p| p.map(|v| v / 2))), 0);
+        assert_eq!(of(&each(&|i, _| [(i * 31 % 251) as u8, (i * 17 % 241) as u8, (i * 13 % 239) as u8])), 0);
     }
 }

@@ -3,6 +3,7 @@
 use proptest::prelude::*;
 
 use super::chunk::{self, Area};
+use super::layers::TURNS;
 use super::wire::{self, Video};
 use super::*;
 use crate::{Geometry, Grid, Inpainter, Intrinsics, Photo, Plane, Tile, ViewBox};
@@ -82,7 +83,7 @@ proptest! {
             let before: Vec<_> = (0..grid.tiles()).map(|t| kept.tile(t).cloned()).collect();
             let mut changes = kept.update(&now, changed, photo.clone());
             // hidden colours follow
-            for _ in 0..8 {
+            for _ in 0..2 * TURNS {
                 changes.texels.extend(kept.update(&now, |_| false, photo.clone()).texels);
             }
             let mut fresh = Layers::default();
@@ -132,7 +133,7 @@ proptest! {
             for p in &mut photo.rgb {
                 p[1] ^= 1;
             }
-            for _ in 0..5 {
+            for _ in 0..=TURNS {
                 kept.update(&now, |_| false, photo.clone());
             }
             let masks = now.masks();

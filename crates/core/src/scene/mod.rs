@@ -4,6 +4,7 @@
 //! `δ = 1/z`: infinity is 0, the nearest surface of a photo is 1, so lengths are in units of the nearest distance.
 
 mod camera;
+pub(crate) mod colour;
 #[cfg(feature = "digest")]
 mod digest;
 mod grid;

@@ -3,7 +3,7 @@
 use super::{Grid, Intrinsics, Plane, Rect, ViewBox};
 
 /// Decoded photo: 8-bit sRGB, row-major, `width · height` texels.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Photo {
     /// Width in pixels.
     pub width: u32,
