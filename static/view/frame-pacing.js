@@ -1,4 +1,4 @@
-// How long frames take, and how many pixels can be drawn while something moves.
+// How long frames take, and how many pixels can be drawn while something moves or a room plays.
 
 /** Weight of the newest frame in the time told. */
 const WEIGHT = 0.15;
@@ -6,8 +6,17 @@ const WEIGHT = 0.15;
 export const SLOW_MS = 40;
 const COARSER = 0.8;
 const COARSEST = 0.5;
+/** The same of a room, whose frames may have far fewer pixels than the screen. */
+const COARSEST_ROOM = 0.2;
 
 export class FramePacing {
+  #coarsest;
+
+  /** @param {boolean} [room] */
+  constructor(room = false) {
+    this.#coarsest = room ? COARSEST_ROOM : COARSEST;
+  }
+
   /**
    * Smoothed time of a frame in ms, or null before the first.
    * @type {number | null}
@@ -37,7 +46,7 @@ export class FramePacing {
     }
     const ms = performance.now() - started;
     this.ms = this.ms === null ? ms : this.ms + (ms - this.ms) * WEIGHT;
-    if (moving() && ms > SLOW_MS) this.detail = Math.max(COARSEST, this.detail * COARSER);
+    if (moving() && ms > SLOW_MS) this.detail = Math.max(this.#coarsest, this.detail * COARSER);
     else if (ms < SLOW_MS / 2) this.detail = Math.min(1, this.detail / COARSER);
     return ms;
   }

@@ -19,6 +19,9 @@ import { POSE_KEYS } from './camera.js';
  * @typedef {{stage: Stage, draw: (anew: boolean) => Promise<void>}} Inside
  */
 
+/** A room of which no frame came for so long is at rest. */
+const PAUSE_MS = 500;
+
 export class LiveView {
   /** @type {Viewer} */
   #viewer;
@@ -44,6 +47,10 @@ export class LiveView {
   #anew = false;
   /** Scenes are drawn one after the other. */
   #redrawn = Promise.resolve();
+  /** When the last frame came, by the page's clock. */
+  #came = Number.NEGATIVE_INFINITY;
+  /** @type {ReturnType<typeof setTimeout> | undefined} */
+  #pause;
 
   /**
    * @param {Viewer} viewer
@@ -81,7 +88,13 @@ export class LiveView {
   }
 
   dispose() {
+    clearTimeout(this.#pause);
     this.#served?.dispose();
+  }
+
+  /** Whether frames come. */
+  get plays() {
+    return performance.now() - this.#came < PAUSE_MS;
   }
 
   /** What has the server draw what is seen now; nothing where the video shows it, which it turns to then. */
@@ -178,6 +191,10 @@ export class LiveView {
   follow(change) {
     if (this.#viewer.disposed) return;
     this.#fresh.push(change);
+    this.#came = performance.now();
+    clearTimeout(this.#pause);
+    // the last picture is drawn whole
+    this.#pause = setTimeout(() => this.#viewer.layout(), PAUSE_MS);
     requestAnimationFrame(() => {
       // while the camera moves, it is drawn with the camera's next step: once for each refresh
       if (this.#viewer.moving || !this.takeFresh()) return;

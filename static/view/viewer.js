@@ -40,7 +40,7 @@ export class Viewer extends Steering {
   #backends = null;
   #stage;
   #asleep = false;
-  #pacing = new FramePacing();
+  #pacing;
   /** @type {Detail | null} */
   #detail = null;
   /** @type {{width: number, height: number} | null} */
@@ -64,6 +64,7 @@ export class Viewer extends Steering {
     super(options);
     this.root = root;
     this.options = options;
+    this.#pacing = new FramePacing(Boolean(options.live));
     this.#stage = new Stage(root);
     this.#live = options.live ? new LiveView(this, options.live, { stage: this.#stage, draw: (anew) => this.#draw(anew) }) : null;
     this.mode = 'loading';
@@ -179,10 +180,12 @@ export class Viewer extends Steering {
       this.#drawDetail({ ...seen, canvas: this.canvas });
       if (depthOfField.unfinished) this.wake();
       if (!times) return;
+      const { detail } = this.#pacing;
       this.#pacing
-        .measure(this.renderer, () => this.moving)
+        .measure(this.renderer, () => this.moving || this.#plays)
         .then((ms) => {
           if (ms === null) return;
+          if (this.#plays && this.#pacing.detail !== detail) this.layout();
           depthOfField.cost = ms / times;
           this.emit('frame', { ms: this.#pacing.ms });
         });
@@ -343,6 +346,22 @@ export class Viewer extends Steering {
     this.emit('ready', { mode: 'served' });
   }
 
+  /** Whether frames of a room come. */
+  get #plays() {
+    return this.#live?.plays ?? false;
+  }
+
+  /**
+   * Share of the pixels a side that is drawn: all at rest. Of a room that plays not fewer than its frames have, or half of them in motion.
+   * @param {number} width in CSS pixels
+   */
+  #share(width) {
+    const { detail } = this.#pacing;
+    if (!this.#plays) return this.moving ? detail : 1;
+    const own = Math.min(1, (this.head?.width ?? 0) / (width * pixelRatio()));
+    return Math.max(detail, this.moving ? own / 2 : own);
+  }
+
   /** Fits the pictures into the root, whole, in the photo's own shape. */
   layout() {
     if (!this.head || this.disposed) return;
@@ -352,7 +371,7 @@ export class Viewer extends Steering {
     const { size, frame } = this.lens;
     this.#stage.lay(size, fit, frame, this.mode === 'served');
     if (this.canvas && this.renderer) {
-      setPixels(this.canvas, size, this.moving ? this.#pacing.detail : 1, this.renderer.maxSide);
+      setPixels(this.canvas, size, this.#share(size.width), this.renderer.maxSide);
       if (!this.renderer.context) return;
     }
     this.render();

@@ -154,7 +154,7 @@ mod h264 {
 
         use sha2::{Digest as _, Sha256};
 
-        use super::{H264, is_bidirectional};
+        use super::{Decoder as _, H264, VideoError, is_bidirectional};
         use crate::units::Splitter;
 
         /// Access units of a stream, and hashes of its frames as another decoder has them (tests/video/README.md).
@@ -188,6 +188,18 @@ mod h264 {
                 let (mut h264, units, hashes) = sample(name, size);
                 assert_eq!(units.iter().map(|unit| hash(&mut h264, unit)).collect::<Vec<_>>(), hashes, "{name}");
                 assert!(hashes.len() >= 24 && hashes.windows(2).all(|w| w[0] != w[1]) && units.iter().all(|unit| !is_bidirectional(unit)));
+            }
+        }
+
+        #[test]
+        fn a_slice_that_refers_to_later_pictures_never_reaches_the_decoder() {
+            let (mut h264, units, _) = sample("testsrc", (174, 142));
+            // first_mb_in_slice 0, slice_type 1
+            let slice = [0, 0, 1, 0x41, 0b1_010_0000, 7, 7];
+            for unit in [slice.to_vec(), [&units[1][..], &slice].concat()] {
+                assert!(h264.decode(&units[0]).is_ok_and(|photo| photo.is_some()));
+                let refused = h264.decode(&unit);
+                assert!(matches!(&refused, Err(VideoError::Broken(why)) if why.contains("later pictures")), "{refused:?}");
             }
         }
 

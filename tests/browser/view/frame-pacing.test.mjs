@@ -25,6 +25,9 @@ describe('frame pacing', () => {
     assert.ok(once < 1);
     for (let i = 0; i < 20; i++) await pacing.measure(slow, () => true);
     assert.equal(pacing.detail, 0.5);
+    const room = new FramePacing(true);
+    for (let i = 0; i < 20; i++) await room.measure(slow, () => true);
+    assert.equal(room.detail, 0.2, 'or a fifth of a room');
   });
 
   test('fast frames get them back; those between change nothing', async (t) => {
