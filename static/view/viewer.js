@@ -185,7 +185,8 @@ export class Viewer extends Steering {
         .measure(this.renderer, () => this.moving || this.#plays)
         .then((ms) => {
           if (ms === null) return;
-          if (this.#plays && this.#pacing.detail !== detail) this.layout();
+          // drawn with the next frame
+          if (this.#plays && this.#pacing.detail !== detail) this.wake();
           depthOfField.cost = ms / times;
           this.emit('frame', { ms: this.#pacing.ms });
         });
