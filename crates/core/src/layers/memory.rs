@@ -76,6 +76,7 @@ dispatch!(
 
 #[inline(always)]
 #[allow(clippy::inline_always, reason = "the loop must be compiled anew with the caller's target features")]
+#[allow(clippy::needless_bitwise_bool, clippy::neg_cmp_op_on_partial_ord, reason = "without a branch, and NaN is nearer than nothing")]
 fn keep_body(known: &mut [u32], known_delta: &mut [f32], steady: &[u8], now: &[u32], delta: &[f32]) {
     for ((((known, known_delta), steady), now), delta) in known.iter_mut().zip(known_delta).zip(steady).zip(now).zip(delta) {
         // what is not known is NaN, and nothing is nearer than that

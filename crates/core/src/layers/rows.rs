@@ -86,6 +86,7 @@ dispatch!(
 
 #[inline(always)]
 #[allow(clippy::inline_always, reason = "the loop must be compiled anew with the caller's target features")]
+#[allow(clippy::needless_bitwise_bool, reason = "without a branch")]
 fn classify_body(labels: &[u8], label: Option<u8>, hidden: &[u8], class: &mut [u8], alpha: &mut [u8]) {
     // labels end at 63, so 255 is no pixel's
     let label = label.unwrap_or(u8::MAX);

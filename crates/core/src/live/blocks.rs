@@ -15,6 +15,7 @@ pub(super) struct Blocks {
 
 impl Blocks {
     /// Of the values of frames whose rows have `width` pixels; all blocks where there was no frame of that size.
+    #[allow(clippy::needless_bitwise_bool, reason = "without a branch")]
     pub fn that_differ<T: PartialEq>(width: u32, old: &[T], new: &[T]) -> Self {
         let width = (width as usize).max(1);
         let (across, down) = (width.div_ceil(SIDE), new.len().div_ceil(width).div_ceil(SIDE));
