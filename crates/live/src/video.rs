@@ -195,7 +195,7 @@ mod h264 {
         fn a_slice_that_refers_to_later_pictures_never_reaches_the_decoder() {
             let (mut h264, units, _) = sample("testsrc", (174, 142));
             // first_mb_in_slice 0, slice_type 1
-            let slice = [0, 0, 1, 0x41, 0b1_010_0000, 7, 7];
+            let slice = [0, 0, 1, 0x41, 0b1010_0000, 7, 7];
             for unit in [slice.to_vec(), [&units[1][..], &slice].concat()] {
                 assert!(h264.decode(&units[0]).is_ok_and(|photo| photo.is_some()));
                 let refused = h264.decode(&unit);
