@@ -217,6 +217,8 @@ export interface PhotoLink {
   expires?: number;
   /** Page by which others see and change this photo, for `manageLink`: a secret, good until {@link Tmpi.takeLinksBack}. */
   manage?: string;
+  /** Where whoever asks can let another browser be the same owner; missing where they have no secret of their own to pass on. */
+  ticket?: string;
 }
 
 /** A server, as one caller sees it. All methods reject with a {@link TmpiError}, or with the reason of a `signal`. */

@@ -1,7 +1,7 @@
 //! `tmpi live`.
 
 use std::path::PathBuf;
-use std::time::{SystemTime, UNIX_EPOCH};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use anyhow::Context as _;
 
@@ -60,6 +60,9 @@ struct BenchArgs {
     /// Frames of each sequence
     #[arg(long, default_value_t = 240, value_parser = clap::value_parser!(u32).range(2..=100_000), value_name = "N")]
     frames: u32,
+    /// Of the sequence every so many frames are sent, 30 being taken a second
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=60), value_name = "N")]
+    every: u32,
     /// How frames are sent; H.264 where the program was built with it
     #[arg(long, default_value = if cfg!(feature = "h264") { "h264" } else { "jpeg" }, value_parser = ["h264", "jpeg"], value_name = "CODEC")]
     codec: String,
@@ -85,9 +88,9 @@ struct BenchArgs {
     /// Blocks of 8 pixels that count as near
     #[arg(long, default_value_t = tmpi_live::SETTLES.blocks, value_name = "N")]
     settle_blocks: u8,
-    /// Frames that rest after one of which tiles were sent, where depth is estimated
-    #[arg(long, default_value_t = tmpi_live::REST, value_parser = clap::value_parser!(u32).range(0..=30), value_name = "N")]
-    rest: u32,
+    /// Milliseconds for which frames rest after one of which tiles were sent, where depth is estimated
+    #[arg(long, default_value_t = tmpi_live::REST.as_millis() as u16, value_parser = clap::value_parser!(u16).range(0..=1000), value_name = "MS")]
+    rest_ms: u16,
     /// Bring the network's disparity to the truth's scale before it is used: what is left is not the scale's
     #[arg(long)]
     true_scale: bool,
@@ -174,6 +177,7 @@ fn bench(args: &BenchArgs) -> anyhow::Result<()> {
         size: first.size,
         seed: args.scene,
         frames: args.frames,
+        every: args.every,
         bitrate: first.bitrate,
         frame_ms: first.budget_ms,
         views: args.views,
@@ -182,7 +186,7 @@ fn bench(args: &BenchArgs) -> anyhow::Result<()> {
         true_scale: args.true_scale,
         parallax: args.parallax,
         max_error: args.max_error,
-        rest: args.rest,
+        rest: Duration::from_millis(args.rest_ms.into()),
         settles: tmpi_live::Settling { frames: args.settle, blocks: args.settle_blocks },
         files: args.files.clone(),
         only: args.only.clone(),

@@ -236,8 +236,10 @@ struct Pictures {
     decoder: Box<dyn Decoder>,
     layers: Layers,
     renderer: Cpu,
-    /// The newest frame and its number, until its tiles or the next one come.
-    waits: Option<(u64, Photo)>,
+    /// The newest frame, with its number and when it was taken, until its tiles or the next one come.
+    waits: Option<(u64, Duration, Photo)>,
+    /// When the frame that is shown was taken.
+    shown: Duration,
     /// Tiles that came since a frame was taken.
     changed: Vec<u32>,
 }
@@ -246,7 +248,7 @@ impl Shown {
     fn new(hello: &Hello, draws: bool) -> anyhow::Result<Self> {
         let decoder = || video::decoder(&hello.codec, (hello.width, hello.height));
         let (layers, renderer) = (Layers::remembering(), Cpu::default());
-        let of = |decoder| Pictures { decoder, layers, renderer, waits: None, changed: Vec::new() };
+        let of = |decoder| Pictures { decoder, layers, renderer, waits: None, shown: Duration::ZERO, changed: Vec::new() };
         Ok(Self { model: Model::new(hello)?, pictures: draws.then(decoder).transpose()?.map(of) })
     }
 
@@ -256,7 +258,7 @@ impl Shown {
         if let Some(pictures) = &mut self.pictures {
             // a frame that is damaged comes right with the next key
             let decoded = pictures.decoder.decode(&video.data).ok().flatten();
-            pictures.waits = decoded.map(|photo| (video.frame, photo));
+            pictures.waits = decoded.map(|photo| (video.frame, Duration::from_micros(video.time), photo));
         }
         Ok(drawn)
     }
@@ -267,7 +269,7 @@ impl Shown {
         let count = changed.len();
         let Some(pictures) = &mut self.pictures else { return Ok((count, false)) };
         pictures.changed.extend(changed);
-        let of_it = pictures.waits.as_ref().is_some_and(|(frame, _)| tiles.frame >= *frame);
+        let of_it = pictures.waits.as_ref().is_some_and(|(frame, ..)| tiles.frame >= *frame);
         Ok((count, of_it && self.settle(args)?))
     }
 
@@ -275,10 +277,11 @@ impl Shown {
     fn settle(&mut self, args: &WatchArgs) -> anyhow::Result<bool> {
         let (Some(pictures), Some(folder)) = (&mut self.pictures, &args.render) else { return Ok(false) };
         let Some(geometry) = self.model.geometry() else { return Ok(false) };
-        let Some((frame, photo)) = pictures.waits.take() else { return Ok(false) };
+        let Some((frame, at, photo)) = pictures.waits.take() else { return Ok(false) };
         let Photo { width, height, .. } = photo;
         let changed = std::mem::take(&mut pictures.changed);
-        pictures.layers.update(geometry, |t| changed.contains(&t), photo);
+        let gone = at.saturating_sub(std::mem::replace(&mut pictures.shown, at));
+        pictures.layers.update(geometry, |t| changed.contains(&t), photo, gone);
         if !frame.is_multiple_of(args.every) {
             return Ok(false);
         }

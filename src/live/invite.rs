@@ -10,7 +10,7 @@ use utoipa::ToSchema;
 
 use super::access::{Role, end_of, token, token_of};
 use super::routes::Here;
-use crate::server::{Pairs, Problem};
+use crate::server::{NoBody, Pairs, Problem};
 
 /// How long a token to watch is good where this machine's own user asks for it.
 const LINK: Duration = Duration::from_hours(24);
@@ -75,12 +75,18 @@ pub(super) struct Link {
     ),
     responses(
         (status = 200, description = "The token", body = Link),
-        (status = 400, description = "A parameter is unknown"),
+        (status = 400, description = "A parameter is unknown, or there is a body"),
         (status = 403, description = "A page of another site, or no token"),
         (status = 404, description = "No room has such a name, or there are none here"),
     )
 )]
-pub(super) async fn link(State(here): State<Here>, Path(name): Path<String>, uri: Uri, headers: HeaderMap) -> Result<Json<Link>, Problem> {
+pub(super) async fn link(
+    State(here): State<Here>,
+    Path(name): Path<String>,
+    uri: Uri,
+    headers: HeaderMap,
+    _: NoBody,
+) -> Result<Json<Link>, Problem> {
     here.check(&name, Role::Publish, &uri, &headers)?;
     let asked = Pairs::read(&uri, &["token"])?;
     let now = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs());

@@ -6,7 +6,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::thread;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use bytes::Bytes;
 use tokio::sync::mpsc;
@@ -26,6 +26,8 @@ const WAITING: usize = 4;
 pub struct Coded {
     /// Its number.
     pub frame: u64,
+    /// When it was taken, by the publisher's clock, in microseconds.
+    pub time: u64,
     /// Its bytes.
     pub data: Bytes,
     /// Its depth as a camera measured it, packed.
@@ -88,11 +90,11 @@ impl Worker {
         thread::Builder::new().name("tmpi-video".into()).spawn(move || {
             // the other thread ends with this one, however it ends
             let to = Filler(to);
-            for Coded { frame, data, depth, at } in coded {
+            for Coded { frame, time, data, depth, at } in coded {
                 let outcome = match decoded(decoder.as_mut(), &data, depth.as_deref()) {
                     Ok(picture) => {
                         if let Some((photo, depth)) = picture {
-                            to.0.put(Frame { number: frame, photo, depth }, at, &counted);
+                            to.0.put(Frame { number: frame, at: Duration::from_micros(time), photo, depth }, at, &counted);
                         }
                         Decoded::Picture
                     }
@@ -256,7 +258,7 @@ mod tests {
             let rgb = (0..SIZE.0 * SIZE.1).map(|i| [level(i % SIZE.0) as u8; 3]).collect();
             let photo = Photo { width: SIZE.0, height: SIZE.1, rgb };
             room.push(epoch, crate::live::ring::What::Key, Bytes::from_static(&[0; 10]));
-            made((&room, epoch), &mut driver, Frame { number, photo, depth: None }, Instant::now());
+            made((&room, epoch), &mut driver, Frame { number, at: Duration::from_millis(33 * number), photo, depth: None }, Instant::now());
         };
         next(0, false);
         read_all(&mut model);

@@ -89,7 +89,7 @@ pub use problem::Problem;
 pub use proxies::{ClientAddress, Network, Proxies};
 pub use rest::allocate_in_one_place;
 pub use routes::{Access, Route, openapi, openapi_of, routes};
-pub(crate) use routes::{Pairs, RoomViewQuery, RoomViews};
+pub(crate) use routes::{NoBody, Pairs, RoomViewQuery, RoomViews};
 pub use tls::{Tls, TlsError};
 pub use traces::{Collector, CollectorError, check_collector};
 

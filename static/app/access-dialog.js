@@ -77,7 +77,7 @@ export async function open({ id, visibility, changed }) {
       return fresh.manage;
     },
   );
-  return showDialog(t('Who may see it'), element('section', '', seen, said), ending, ...others, otherBrowser(id));
+  return showDialog(t('Who may see it'), element('section', '', seen, said), ending, ...others, ...(links.ticket ? [otherBrowser(id)] : []));
 }
 
 /**
@@ -132,8 +132,7 @@ function otherBrowser(id) {
       // it comes below what is seen of the dialog
       said.scrollIntoView({ block: 'nearest' });
     } catch (error) {
-      // this machine's own user, and whoever changes a photo by a link, have nothing to pass on
-      said.textContent = error.status === 403 ? t('This browser has no secret of its own.') : error.message;
+      said.textContent = error.message;
     }
   });
   return element(

@@ -96,10 +96,11 @@ export async function changeSettings(id, patch, etag) {
 }
 
 /**
- * Pages of a photo for others: `page` ends after `seconds`, `manage` lets somebody change it until that is taken back.
+ * Pages of a photo for others: `page` ends after `seconds`, `manage` lets somebody change it until that is taken back. And where this browser makes
+ * tickets by which another one becomes the same owner, if it can.
  * @param {string} id
  * @param {number} seconds
- * @returns {Promise<{page: string, manage?: string}>}
+ * @returns {Promise<{page: string, manage?: string, ticket?: string}>}
  */
 export async function linksOf(id, seconds) {
   return (await request(photoUrl(id, `/links?seconds=${seconds}`), { method: 'POST' })).json();

@@ -28,7 +28,6 @@ const GERMAN = {
   'Good for a quarter of an hour.': 'Gilt eine Viertelstunde.',
   'Make a link': 'Link machen',
   'The link for your other browser': 'Der Link für Ihren anderen Browser',
-  'This browser has no secret of its own.': 'Dieser Browser hat kein eigenes Geheimnis.',
   'Give up the photos of this browser?': 'Die Fotos dieses Browsers aufgeben?',
   'I made it myself': 'Er ist von mir',
   'Is this link your own?': 'Ist dieser Link von Ihnen?',

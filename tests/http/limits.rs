@@ -303,7 +303,9 @@ fn a_body_where_none_is_read_is_refused_and_says_where_parameters_go() {
     let id = server.upload(&jpeg(1));
     server.wait(&id, "done");
     let at = |part: &str| format!("/v1/photos/{id}/{part}");
-    for path in [at("links"), at("manage"), at("again"), "/v1/owner".to_owned(), "/v1/network".to_owned()] {
+    for path in
+        [at("links"), at("manage"), at("again"), "/v1/owner".to_owned(), "/v1/network".to_owned(), "/v1/live/attic/token".to_owned()]
+    {
         for body in [&br#"{"seconds": 60}"#[..], b"{}", b" "] {
             let refused = request(server.addr, "POST", &path, &[("content-type", "application/json")], body).problem(400);
             assert!(refused["detail"].as_str().unwrap().contains("query"), "{path}: {refused}");

@@ -195,6 +195,11 @@ fn another_browser_becomes_the_same_owner_by_a_ticket_that_is_good_for_nothing_e
     let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap().as_secs();
     assert!((now + 800..now + 1000).contains(&told["expires"].as_u64().unwrap()));
     let ticket = told["ticket"].as_str().unwrap();
+    // nor is it offered to who has nothing to pass on
+    let offered = |who: &str| links(&server, who, &photo)["ticket"].as_str().map(str::to_owned);
+    assert_eq!(offered(&ann).as_deref(), Some("/v1/owner/ticket"));
+    let token = token_of(&links(&server, &ann, &photo), &photo);
+    assert_eq!(offered(&format!("Bearer {token}")), None);
     by(&server, ticket, "GET", &at).problem(404);
     by(&server, ticket, "DELETE", &at).problem(404);
     by(&server, ticket, "POST", "/v1/owner/ticket").problem(403);

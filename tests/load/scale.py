@@ -83,6 +83,15 @@ def restart(server):
     server.start()
 
 
+def done(nodes):
+    """Photos that are made; a network that was cut takes a moment to come back."""
+    while True:
+        try:
+            return nodes.done()
+        except OSError:
+            time.sleep(0.1)
+
+
 def round_of(table, name, uploads, harm, seed, before=lambda nodes: None, **kind):
     """`uploads` photos while `harm` is done again and again; what became of each."""
     nodes = Nodes(**kind)
@@ -110,8 +119,9 @@ def round_of(table, name, uploads, harm, seed, before=lambda nodes: None, **kind
         while not stop.is_set():
             harm(nodes)
             # until the next photo is made, where one waits
-            then, began = nodes.done(), time.monotonic()
-            while nodes.done() <= then < len(accepted) and time.monotonic() - began < 120:
+            began = time.monotonic()
+            then = done(nodes)
+            while done(nodes) <= then < len(accepted) and time.monotonic() - began < 120:
                 time.sleep(0.1)
             recoveries.append(time.monotonic() - began)
             stop.wait(1)

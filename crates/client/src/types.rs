@@ -192,4 +192,7 @@ pub struct Link {
     /// [`crate::Client::take_links_back`].
     #[serde(default)]
     pub manage: Option<String>,
+    /// Where whoever asks can let another browser be the same owner; none where they have no secret of their own to pass on.
+    #[serde(default)]
+    pub ticket: Option<String>,
 }

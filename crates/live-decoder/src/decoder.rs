@@ -1,5 +1,7 @@
 //! What an instance holds, and what its functions do.
 
+use std::time::Duration;
+
 use prost::bytes::Bytes;
 use tmpi_core::live::wire::message::Kind;
 use tmpi_core::live::wire::{self, Bye, Hello, Sound, Statistics, Video};
@@ -62,6 +64,9 @@ pub struct Decoder {
     rows: Vec<u8>,
     cells: Vec<[u8; 4]>,
     message: Bytes,
+    /// When the last frame of which a message came was taken, by the publisher's clock, and the one that was the last as layers were brought up.
+    newest: Duration,
+    shown: Duration,
     /// Why the last call failed.
     pub text: String,
 }
@@ -83,6 +88,7 @@ impl Decoder {
         match kind {
             Kind::Hello(hello) => self.hello(&hello),
             Kind::Video(Video { frame, time, key, layer, data }) => {
+                self.newest = Duration::from_micros(time);
                 self.data = data;
                 Ok(self.told(2, &[frame as f64, time as f64, f64::from(u8::from(key)), f64::from(layer)]))
             }
@@ -172,8 +178,9 @@ impl Decoder {
         let shown = self.layers.photo();
         let again = || (!shown.rgb.is_empty()).then(|| shown.clone());
         let Some(frame) = self.frame.take().or_else(again) else { return 0 };
+        let gone = self.newest.saturating_sub(std::mem::replace(&mut self.shown, self.newest));
         let changed = std::mem::replace(&mut self.changed, vec![false; geometry.tiles.len()]);
-        let Changes { texels, layers } = self.layers.update(geometry, |t| changed[t as usize], frame);
+        let Changes { texels, layers } = self.layers.update(geometry, |t| changed[t as usize], frame, gone);
         for t in &texels {
             let other = layers.binary_search(t).is_ok();
             let part = self.layers.tile(*t).filter(|_| other);

@@ -2,6 +2,8 @@
 
 use tmpi_core::DisparityMap;
 
+use crate::change::BLOCK;
+
 /// Pixels that a fit looks at, at most.
 const SAMPLES: usize = 8_000;
 /// Rounds of reweighting, at most.
@@ -56,6 +58,46 @@ pub fn fit(new: &DisparityMap, last: &DisparityMap, steady: &[bool]) -> Affine {
     }
     let back = |from: f64, to: f64| from + RETURN * (to - from);
     Affine { scale: back(fitted.scale, 1.0), shift: back(fitted.shift, 0.0) }
+}
+
+/// Rounds in which offsets spread over blocks without one: farther than that from all others a block keeps what the fit gave it.
+const SPREADS: usize = 64;
+
+/// Brings `new`, which was fitted to `last`, to it where parts of both meet: what the blocks about those that are `stale` are off by is taken over into
+/// these, the less the farther off. Of one scale and shift for all of a map each part would stand apart from what was known beside it, by a step that no
+/// surface has. Both maps are of one size, of which `stale` has the blocks, `across` in a row.
+pub fn meet(new: &mut DisparityMap, last: &DisparityMap, stale: &[bool], across: usize) {
+    let (width, side, down) = (new.width as usize, BLOCK as usize, stale.len() / across.max(1));
+    let beside = |at: usize| {
+        let (x, y) = (at % across, at / across);
+        let rows = y.saturating_sub(1)..(y + 2).min(down);
+        rows.flat_map(move |y| (x.saturating_sub(1)..(x + 2).min(across)).map(move |x| y * across + x))
+    };
+    let mut off = vec![0.0f64; stale.len()];
+    for at in (0..stale.len()).filter(|at| !stale[*at] && beside(*at).any(|b| stale[b])) {
+        let columns = at % across * side..((at % across + 1) * side).min(width);
+        let rows = at / across * side..((at / across + 1) * side).min(new.height as usize);
+        let pixels = rows.flat_map(|y| columns.clone().map(move |x| y * width + x));
+        off[at] = median(pixels.map(|i| f64::from(last.delta[i]) - f64::from(new.delta[i])).collect());
+    }
+    for _ in 0..SPREADS {
+        for at in (0..stale.len()).filter(|at| stale[*at]) {
+            let (sum, count) = beside(at).fold((0.0, 0.0), |(sum, count), b| (sum + off[b], count + 1.0));
+            off[at] = sum / count;
+        }
+    }
+    for (i, delta) in new.delta.iter_mut().enumerate() {
+        let (x, y) = (i % width, i / width);
+        if stale[y / side * across + x / side] {
+            // between the middles of blocks
+            let place = |v: usize, most: usize| ((v as f64 + 0.5) / f64::from(BLOCK) - 0.5).clamp(0.0, most as f64 - 1.0);
+            let (u, v) = (place(x, across), place(y, down));
+            let at = |x: usize, y: usize| off[y.min(down - 1) * across + x.min(across - 1)];
+            let row = |y: usize| at(u as usize, y) + u.fract() * (at(u as usize + 1, y) - at(u as usize, y));
+            let by = row(v as usize) + v.fract() * (row(v as usize + 1) - row(v as usize));
+            *delta = (f64::from(*delta) + by).clamp(0.0, 1.0) as f32;
+        }
+    }
 }
 
 fn regress(pairs: &[(f64, f64)]) -> Affine {
@@ -144,6 +186,36 @@ mod tests {
         };
         let kept = spread(&last) / spread(&truth);
         assert!((0.9..1.2).contains(&kept), "{kept}");
+    }
+
+    #[test]
+    fn parts_meet_what_is_known_beside_them_and_keep_their_own_relief() {
+        let (n, across) = (80u32, 10);
+        let last = DisparityMap { width: n, height: n, delta: (0..n * n).map(|i| 0.3 + 0.002 * (i % n) as f32).collect() };
+        // blocks 3 to 6 are stale, and what is new of them is off by more to the right; a thing stands in their middle
+        let stale: Vec<bool> = (0..100).map(|b| (3..7).contains(&(b % across)) && (3..7).contains(&(b / across))).collect();
+        let thing = |i: u32| (36..44).contains(&(i % n)) && (36..44).contains(&(i / n));
+        let off = |i: u32| 0.04 + 0.0005 * (i % n) as f32;
+        let at = |i: u32| last.delta[i as usize] + off(i) + if thing(i) { 0.2 } else { 0.0 };
+        let mut new = DisparityMap { delta: (0..n * n).map(at).collect(), ..last };
+        let before = new.clone();
+        meet(&mut new, &last, &stale, across);
+        for i in 0..n * n {
+            let (is, was) = (new.delta[i as usize], before.delta[i as usize]);
+            if !stale[(i / n / 8 * 10 + i % n / 8) as usize] {
+                assert!((is - was).abs() < 1e-6, "pixel {i} is none of theirs");
+                continue;
+            }
+            let should = last.delta[i as usize] + if thing(i) { 0.2 } else { 0.0 };
+            assert!((is - should).abs() < 0.01, "pixel {i}: {is}, not {should}");
+        }
+        // all of it, none of it, and a picture that ends within a block
+        for (side, stale) in [(80, vec![true; 100]), (80, vec![false; 100]), (77, vec![true; 100])] {
+            let of = |m: &DisparityMap| DisparityMap { width: side, height: side, delta: m.delta[..(side * side) as usize].to_vec() };
+            let mut same = of(&before);
+            meet(&mut same, &of(&last), &stale, across);
+            assert_eq!(same.delta, of(&before).delta);
+        }
     }
 
     #[test]

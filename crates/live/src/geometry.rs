@@ -1,6 +1,6 @@
 //! The driver of a room's frames.
 
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use tmpi_core::container::PhotoFormat;
 use tmpi_core::live::LiveError;
@@ -27,9 +27,10 @@ use estimate::estimate;
 /// Pixels of parallax by which what readers hold of a tile may be off, where nothing else is said.
 pub const PARALLAX: f64 = 0.25;
 
-/// Frames that rest after one of which tiles were sent, where nothing else is said: what moves is sent half as often, with no loss that
-/// `tmpi live bench` would see, at half the work.
-pub const REST: u32 = 1;
+/// Time for which a room rests after a frame of which tiles were sent, where nothing else is said: at 30 frames a second one frame, so that what moves
+/// is sent half as often, with no loss that `tmpi live bench` would see, at half the work. Where frames come more seldom none rests: what
+/// moves goes far between two of them.
+pub const REST: Duration = Duration::from_millis(50);
 
 /// Parallax error that planes of a room may leave, in pixels, where nothing else is said: twice a photo's. `tmpi live bench` compares: less than
 /// half the bytes and less flicker, and views of estimated depth are as good.
@@ -54,9 +55,9 @@ pub struct Settings {
     /// Pixels by which a tile that is not sent anew may show any point beside where its new planes would, from any camera of the view box
     /// ([`moved`]); 0: what differs at all is sent.
     pub parallax: f64,
-    /// Frames that rest after one of which tiles were sent: what changed in them waits for the next one. None does where depth is measured: tiles
-    /// are then few, and right enough for their being late to show.
-    pub rest: u32,
+    /// For how long frames rest after one of which tiles were sent: what changed in them waits for a later one. None does where depth is measured:
+    /// tiles are then few, and right enough for their being late to show.
+    pub rest: Duration,
     /// When estimated depth beside what moved is looked at once more.
     pub settles: Settling,
     /// Milliseconds that the geometry of a frame may take ([`Budget`]); 0: as long as it takes.
@@ -98,6 +99,8 @@ impl Settings {
 pub struct Frame {
     /// Its number.
     pub number: u64,
+    /// When it was taken, counted from any time.
+    pub at: Duration,
     /// Its pixels.
     pub photo: Photo,
     /// Measured disparity at the frame's size, 0 to 1, where the camera gives it.
@@ -150,8 +153,8 @@ struct State {
     geometry: core::Geometry,
     /// Depth has been looked at.
     known: bool,
-    /// Frames that rest yet.
-    rests: u32,
+    /// When the last frame was taken of which tiles were sent and after which others rest.
+    sent: Option<Duration>,
     /// Disparity of each pixel as of the frame that last changed it.
     delta: DisparityMap,
     /// Changed blocks whose depth has not been looked at yet.
@@ -241,8 +244,9 @@ impl Geometry {
             state.take_depth(depth, &grid, target(&state.geometry, options.max_error), change.across);
         }
         let known = state.known;
-        let rests = state.rests > 0;
-        state.rests = state.rests.saturating_sub(1);
+        // a clock that was put back gives no reason to wait for it
+        let since = state.sent.and_then(|sent| frame.at.checked_sub(sent));
+        let rests = since.is_some_and(|since| since < self.settings.rest);
         let measured = frame.depth.is_some();
         if !rests && state.stale.contains(&true) {
             let sizes = if measured { Vec::new() } else { models.depth.sizes(frame.photo.width, frame.photo.height) };
@@ -263,7 +267,7 @@ impl Geometry {
                 let before = Instant::now();
                 let counts = state.place(&mut job, &mut self.planes, frame, (&wanted, share, self.settings.parallax), &mut update)?;
                 self.budget.tiles_took(&counts, share.planes.is_none(), ms(before));
-                state.rests = if update.sent.is_empty() || measured { 0 } else { self.settings.rest };
+                state.sent = (!update.sent.is_empty() && !measured).then_some(frame.at);
             }
         }
         state.queue.age();
@@ -314,7 +318,7 @@ impl State {
             stale: vec![false; blocks],
             settle: Settle::new(blocks, settings.settles),
             known: false,
-            rests: 0,
+            sent: None,
         }
     }
 
@@ -368,6 +372,7 @@ impl State {
         if align {
             let steady: Vec<bool> = (0..self.delta.delta.len()).map(|i| !self.stale[block(i)]).collect();
             align::fit(&map.delta, &self.delta, &steady).apply(&mut map.delta.delta);
+            align::meet(&mut map.delta, &self.delta, &self.stale, across);
         }
         for (i, (to, new)) in self.delta.delta.iter_mut().zip(&map.delta.delta).enumerate() {
             if self.stale[block(i)] {

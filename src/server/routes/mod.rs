@@ -41,7 +41,7 @@ use super::limits::Limits;
 use super::middleware;
 pub(super) use admin::router as admin_router;
 pub(super) use export::ExportQuery;
-pub(crate) use query::Pairs;
+pub(crate) use query::{NoBody, Pairs};
 pub(crate) use room_view::RoomViews;
 pub(crate) use view_query::RoomViewQuery;
 pub(super) use view_query::{StereoKind, ViewQuery};

@@ -17,6 +17,8 @@ use crate::server::problem::Problem;
 
 /// Seconds that a link is good for where nothing is said.
 const USUAL: u64 = 86_400;
+/// Where tickets are made.
+const TICKET: &str = "/v1/owner/ticket";
 
 /// A way to a photo for somebody else.
 #[derive(Serialize, utoipa::ToSchema)]
@@ -35,6 +37,9 @@ pub struct PhotoLink {
     /// can be taken back; missing where the server asks nobody who they are.
     #[serde(skip_serializing_if = "Option::is_none")]
     manage: Option<String>,
+    /// Where whoever asks can let another browser be the same owner; missing where they have no secret of their own to pass on.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    ticket: Option<&'static str>,
 }
 
 /// Let others read a photo for a while, or change it.
@@ -72,6 +77,7 @@ pub async fn links(State(app): State<App>, Path(id): Path<String>, uri: Uri, _: 
         query,
         expires,
         manage,
+        ticket: app.guard.as_ref().and_then(|_| access::owner_by_secret()).map(|_| TICKET),
     }))
 }
 

@@ -1,19 +1,23 @@
 //! Layers of a room's tiles, kept from frame to frame: what neither a tile nor a pixel near it changed stays as it was. Without a memory
 //! what comes out is what would come of tiles and frame alone, without those before: at once but for hidden colours, which
-//! follow within a few frames where nothing but the picture changed. With a memory labels also follow what moves, between frames for which any
+//! follow within a quarter of a second where nothing but the picture changed. With a memory labels also follow what moves, between frames for which any
 //! came.
+
+use std::time::Duration;
 
 use super::blocks::Blocks;
 use super::motion::Motion;
 use crate::container::{Part, texels};
-use crate::layers::{CONTEXT, Surface};
+use crate::layers::{CONTEXT, STEADY, Surface};
 use crate::scene::colour;
 use crate::{Class, Geometry, Inpainter, Layer, LayerMasks, Memory, Photo, Pyramid, Scene, Texels, grown};
 
 /// A hidden colour follows from pixels so far off, and these from the surface beside them.
 const AROUND: u32 = CONTEXT + 1;
-/// Of the tiles whose hidden colours alone are out of date, so many parts are made anew, one a frame: they show little, and cost the most.
+/// Of the tiles whose hidden colours alone are out of date, so many parts are made anew, one each [`TURN`]: they show little, and cost the most.
 pub(super) const TURNS: u32 = 8;
+/// A frame's time at 30 a second. Where frames are shown more seldom several parts have their turn, so that none waits longer.
+pub(super) const TURN: Duration = Duration::from_micros(33_333);
 /// Frames after one for which tiles came up to which labels follow what moves.
 const FOLLOWS: u32 = 3;
 
@@ -30,6 +34,8 @@ pub struct Layers {
     parts: Vec<Part>,
     /// Whose hidden colours are out of date.
     stale: Vec<bool>,
+    /// Frames since anything changed that the hidden colours of a tile depend on.
+    since: Vec<u8>,
     /// Which of the [`TURNS`] is next.
     turn: u32,
     pyramid: Pyramid,
@@ -106,9 +112,9 @@ impl Layers {
         Scene { grid: geometry.grid, intrinsics: geometry.intrinsics, view_box: geometry.view_box, photo, layers, texels }
     }
 
-    /// Takes the next frame, and the tiles, of which those are others for which `changed` is true. A frame that is not of the grid's size
-    /// changes nothing.
-    pub fn update(&mut self, geometry: &Geometry, changed: impl Fn(u32) -> bool, photo: Photo) -> Changes {
+    /// Takes the next frame, which comes `gone` after the one before, and the tiles, of which those are others for which `changed` is true. A frame that
+    /// is not of the grid's size changes nothing.
+    pub fn update(&mut self, geometry: &Geometry, changed: impl Fn(u32) -> bool, photo: Photo, gone: Duration) -> Changes {
         let grid = &geometry.grid;
         if (photo.width, photo.height) != (grid.width, grid.height) || photo.rgb.len() != grid.width as usize * grid.height as usize {
             return Changes::default();
@@ -126,6 +132,7 @@ impl Layers {
             self.moved = vec![false; grid.tiles() as usize];
             self.parts = vec![Part::default(); grid.tiles() as usize];
             self.stale = vec![false; grid.tiles() as usize];
+            self.since = vec![0; grid.tiles() as usize];
             self.memory = self.remembers.then(|| Memory::new(*grid));
         }
         let with_moved = if self.remembers { self.move_labels(geometry, &surface, &mut changed) } else { None };
@@ -138,7 +145,7 @@ impl Layers {
             memory.take(&self.words, shown, &unmixed);
         }
         self.photo = photo;
-        let changes = self.follow(geometry, (shown, unmixed), &changed, (&pixels, &depth));
+        let changes = self.follow(geometry, (shown, unmixed), &changed, (&pixels, &depth), turns(gone));
         (self.surface, self.moved_surface, self.with_moved) = (Some(surface), of_moved, with_moved);
         changes
     }
@@ -176,17 +183,21 @@ impl Layers {
         (surface, unmixed): (&Surface, Surface),
         changed: &[bool],
         (pixels, depth): (&Blocks, &Blocks),
+        turns: u32,
     ) -> Changes {
         let grid = &geometry.grid;
         let inpainter = Inpainter::among(*grid, unmixed, &self.photo.rgb);
         let mut out = Changes::default();
-        self.turn = (self.turn + 1) % TURNS;
+        let first = self.turn;
+        self.turn = (first + turns) % TURNS;
         for t in 0..grid.tiles() {
             let (rect, part) = (grid.rect(t), &mut self.parts[t as usize]);
             let around = grown(rect, AROUND, AROUND, grid);
-            let (stale, its_turn) = (&mut self.stale[t as usize], t % TURNS == self.turn);
+            let (stale, its_turn) = (&mut self.stale[t as usize], (t + TURNS - first) % TURNS < turns);
             let mut other = pixels.any(&rect);
-            *stale |= pixels.any(&around) || depth.any(&around);
+            let (since, changes) = (&mut self.since[t as usize], pixels.any(&around) || depth.any(&around));
+            *stale |= changes;
+            *since = if changes { 0 } else { since.saturating_add(1) };
             let new = (changed[t as usize] || depth.any(&geometry.window(t)))
                 .then(|| shaped(t, geometry.masks_of(t..t + 1, surface, false).pop().unwrap_or_default()))
                 .filter(|new| !alike(new, part));
@@ -197,7 +208,8 @@ impl Layers {
                 let before = if turn { &Part::default() } else { &*part };
                 let (hidden, all_anew) = coloured(&inpainter, self.memory.as_ref(), (of, before), &mut self.pyramid);
                 other |= reshaped || hidden != part.texels.hidden;
-                *stale &= !all_anew;
+                // what is seen since then is remembered only later
+                *stale &= !all_anew || (self.memory.is_some() && *since <= STEADY);
                 *part = new.unwrap_or_else(|| std::mem::take(part));
                 part.texels.hidden = hidden;
             }
@@ -211,6 +223,12 @@ impl Layers {
         }
         out
     }
+}
+
+/// How many of the [`TURNS`] are due after a time.
+fn turns(gone: Duration) -> u32 {
+    let frames = (gone.as_secs_f64() / TURN.as_secs_f64()).round();
+    (frames as u32).clamp(1, TURNS)
 }
 
 /// Whether two parts have the same layers and texels, whatever colours these have.

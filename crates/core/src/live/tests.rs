@@ -3,9 +3,10 @@
 use proptest::prelude::*;
 
 use super::chunk::{self, Area};
-use super::layers::TURNS;
+use super::layers::{TURN, TURNS};
 use super::wire::{self, Video};
 use super::*;
+use crate::layers::STEADY;
 use crate::{Geometry, Grid, Inpainter, Intrinsics, Photo, Plane, Tile, ViewBox};
 
 /// Tiles that differ, with labels in patches; a background here and there.
@@ -69,7 +70,7 @@ proptest! {
         let grid = now.grid;
         let mut photo = Photo { width: w, height: h, rgb: (0..w * h).map(|i| [(i % 251) as u8, (i / w) as u8, (i * 7 / 3) as u8]).collect() };
         let mut kept = Layers::default();
-        prop_assert_eq!(kept.update(&now, |_| false, photo.clone()).layers.len(), grid.tiles() as usize);
+        prop_assert_eq!(kept.update(&now, |_| false, photo.clone(), TURN).layers.len(), grid.tiles() as usize);
         for (seed, (bits, [x, y, side, colour])) in (1u32..).zip(steps) {
             let other = geometry(w, h, 64, seed);
             let changed = |t: u32| bits >> (t % 64) & 7 == 7;
@@ -81,13 +82,13 @@ proptest! {
                 photo.rgb[at as usize] = colour.to_le_bytes().map(|c| c ^ at as u8).into_iter().chain([9]).collect::<Vec<_>>().try_into().unwrap();
             }
             let before: Vec<_> = (0..grid.tiles()).map(|t| kept.tile(t).cloned()).collect();
-            let mut changes = kept.update(&now, changed, photo.clone());
+            let mut changes = kept.update(&now, changed, photo.clone(), TURN);
             // hidden colours follow
             for _ in 0..2 * TURNS {
-                changes.texels.extend(kept.update(&now, |_| false, photo.clone()).texels);
+                changes.texels.extend(kept.update(&now, |_| false, photo.clone(), TURN).texels);
             }
             let mut fresh = Layers::default();
-            fresh.update(&now, |_| true, photo.clone());
+            fresh.update(&now, |_| true, photo.clone(), TURN);
             for t in 0..grid.tiles() {
                 let (is, was, should) = (kept.tile(t).unwrap(), before[t as usize].as_ref().unwrap(), fresh.tile(t).unwrap());
                 prop_assert!(is.layers == should.layers && is.texels == should.texels, "tile {}", t);
@@ -95,7 +96,7 @@ proptest! {
                 prop_assert!(changes.layers.contains(&t) || is.layers == was.layers, "tile {}", t);
             }
             // nothing changes twice
-            prop_assert_eq!(kept.update(&now, |_| false, photo.clone()), Changes::default());
+            prop_assert_eq!(kept.update(&now, |_| false, photo.clone(), TURN), Changes::default());
         }
     }
 
@@ -110,11 +111,11 @@ proptest! {
         let grid = now.grid;
         let mut photo = Photo { width: w, height: h, rgb: (0..w * h).map(|i| [(i % 251) as u8, (i / w) as u8, (i * 7 / 3) as u8]).collect() };
         let mut kept = Layers::remembering();
-        kept.update(&now, |_| false, photo.clone());
+        kept.update(&now, |_| false, photo.clone(), TURN);
         for (seed, (bits, [x, y, side, colour])) in (1u32..).zip(steps) {
             // long enough for all that stays to be remembered
-            for _ in 0..9 {
-                kept.update(&now, |_| false, photo.clone());
+            for _ in 0..=STEADY + 1 {
+                kept.update(&now, |_| false, photo.clone(), TURN);
             }
             let other = geometry(w, h, 64, seed);
             let changed = |t: u32| bits >> (t % 64) & 3 == 3;
@@ -125,16 +126,10 @@ proptest! {
             for at in (y..h.min(y + side)).flat_map(|y| (x..w.min(x + side)).map(move |x| y * w + x)) {
                 photo.rgb[at as usize] = [colour as u8, (colour >> 8) as u8, at as u8];
             }
-            kept.update(&now, changed, photo.clone());
-            for _ in 0..9 {
-                kept.update(&now, |_| false, photo.clone());
-            }
-            // a little noise, upon which all that is hidden is looked at again within a few frames
-            for p in &mut photo.rgb {
-                p[1] ^= 1;
-            }
-            for _ in 0..=TURNS {
-                kept.update(&now, |_| false, photo.clone());
+            kept.update(&now, changed, photo.clone(), TURN);
+            // until it is remembered, and every hidden colour has had its turn since
+            for _ in 0..=u32::from(STEADY) + 1 + TURNS {
+                kept.update(&now, |_| false, photo.clone(), TURN);
             }
             let masks = now.masks();
             let shown: Vec<Vec<_>> = (0..grid.tiles()).map(|t| {

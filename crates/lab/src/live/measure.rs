@@ -1,7 +1,7 @@
 //! One sequence from the camera to a reader.
 
 use std::path::Path;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use tmpi_core::live::{Model, wire};
 use tmpi_core::{Photo, Pose};
@@ -45,11 +45,13 @@ pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Resul
     // every second frame may rest: views are of the one kind as often as of the other
     let views = settings.views | 1;
     for n in 0..settings.frames {
-        let shot = sequence.shot(n);
+        // its number in the sequence
+        let taken = n * settings.every;
+        let shot = sequence.shot(taken);
         truth.is(&shot.delta);
-        let seen_before = seen.take(sequence, n, &shot);
+        let seen_before = seen.take(sequence, taken, &shot);
         let (data, key) = encoder.encode(&shot.noisy)?;
-        f.video_bytes += record(&mut messages, video(n, key, &data));
+        f.video_bytes += record(&mut messages, video((n, taken), key, &data));
         stream.extend_from_slice(&data);
         let clock = Clock::start();
         let Some(photo) = decoder.decode(&data)? else { continue };
@@ -60,7 +62,7 @@ pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Resul
             compare_video(&mut sums, &photo, &shot)?;
         }
         let depth = (kind == Kind::Measured).then(|| shot.delta.clone());
-        let frame = Frame { number: n.into(), photo, depth };
+        let frame = Frame { number: n.into(), at: at(taken), photo, depth };
         let clock = Clock::start();
         let update = carried.next(&frame)?;
         let server_ms = clock.ms() + decode_ms;
@@ -87,7 +89,7 @@ pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Resul
         let known = reader.model.as_ref().and_then(Model::geometry).cloned();
         if let Some(g) = &known {
             let before = Instant::now();
-            reader.take(g, &came, &frame.photo);
+            reader.take(g, &came, &frame.photo, at(settings.every));
             sums.layers.push(ms(before));
         }
         if n % views <= 1 {
@@ -99,11 +101,11 @@ pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Resul
                 photo: &frame.photo,
                 shot: &shot,
                 seen_before: &seen_before,
-                plate: sequence.plate(n),
+                plate: sequence.plate(taken),
                 beside: sequence.beside(),
                 follows: n % views == 1,
                 sent,
-                settled: f64::from(n) >= SETTLED * 30.0,
+                settled: f64::from(taken) >= SETTLED * 30.0,
             };
             let view = known.as_ref().map(|g| reader.show(moment(g, &update.sent))).transpose()?;
             separate.next(&frame)?;
@@ -117,7 +119,7 @@ pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Resul
                     let at = (tx * ASIDE, ty * ASIDE);
                     let view = known.as_ref().map(|g| reader.view(moment(g, &[]), Pose::at(at.0, at.1, 0.0))).transpose()?.flatten();
                     keep(folder, kind, n, corner, view.as_ref())?;
-                    keep(folder, kind, n, &format!("{corner}-truth"), Some(&sequence.view(n, at)))?;
+                    keep(folder, kind, n, &format!("{corner}-truth"), Some(&sequence.view(taken, at)))?;
                 }
             }
         }
@@ -126,7 +128,7 @@ pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Resul
     if let Some(folder) = &settings.files {
         keep_streams(settings, folder, kind, (&stream, &messages))?;
     }
-    sums.finish(&mut f, settings.frames);
+    sums.finish(&mut f, settings.frames, settings.every);
     compare(&mut f, &reader, &other);
     Ok(f)
 }
@@ -172,9 +174,14 @@ fn keep(folder: &Path, kind: Kind, n: u32, what: &str, picture: Option<&Photo>) 
     picture.map_or(Ok(()), |picture| write(folder, &format!("{}-{n:04}-{what}.png", kind.slug()), &png(picture)?))
 }
 
-/// A frame as a message.
-fn video(n: u32, key: bool, data: &[u8]) -> wire::message::Kind {
-    let time = u64::from(n) * 33_333;
+/// When a frame of a sequence is taken: 30 are a second.
+pub(super) fn at(n: u32) -> Duration {
+    Duration::from_micros(u64::from(n) * 33_333)
+}
+
+/// A frame as a message, by its number and that in the sequence.
+fn video((n, taken): (u32, u32), key: bool, data: &[u8]) -> wire::message::Kind {
+    let time = at(taken).as_micros() as u64;
     wire::message::Kind::Video(wire::Video { frame: n.into(), time, key, layer: 0, data: data.to_vec().into() })
 }
 

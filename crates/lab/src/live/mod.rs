@@ -13,6 +13,7 @@ mod sums;
 
 use std::fmt::Write;
 use std::path::PathBuf;
+use std::time::Duration;
 
 use serde::Serialize;
 
@@ -65,6 +66,8 @@ pub struct Settings {
     pub seed: u64,
     /// Frames of each sequence.
     pub frames: u32,
+    /// Of the sequence every so many frames are sent, of 30 a second.
+    pub every: u32,
     /// Bits a second of H.264; none: JPEG frames.
     pub bitrate: Option<u32>,
     /// Milliseconds that the geometry of a frame may take; 0: as long as it takes.
@@ -81,8 +84,8 @@ pub struct Settings {
     pub max_error: f64,
     /// Pixels of parallax by which what readers hold of a tile may be off.
     pub parallax: f64,
-    /// Frames that rest after one of which tiles were sent.
-    pub rest: u32,
+    /// For how long frames rest after one of which tiles were sent.
+    pub rest: Duration,
     /// When estimated depth beside what moved is looked at once more.
     pub settles: tmpi_live::Settling,
     /// Of the sequences the one of this name alone.
@@ -112,7 +115,7 @@ pub struct Figures {
     pub chunks: f64,
     /// Bytes of all tiles of a frame as one chunk.
     pub snapshot_bytes: f64,
-    /// Video, geometry and sound at 30 frames a second, in kbit/s.
+    /// Video, geometry and sound, in kbit/s.
     pub kbit_s: f64,
     /// Share of geometry in these.
     pub geometry_share: f64,
@@ -239,7 +242,7 @@ pub fn run(settings: &Settings, told: &dyn Fn(&str)) -> Result<Results, LiveBenc
             continue;
         }
         told(kind.name());
-        let sequence = Sequence::new(kind, settings.seed, settings.size, settings.frames, measure::ASIDE);
+        let sequence = Sequence::new(kind, settings.seed, settings.size, settings.frames * settings.every, measure::ASIDE);
         rows.push(measure::run(settings, kind, &sequence)?);
     }
     Ok(Results { size: settings.size, frames: settings.frames, rows, skipped })
@@ -283,7 +286,7 @@ pub fn learn(settings: &Settings, told: &dyn Fn(&str)) -> Result<String, LiveBen
             let shot = sequence.shot(n);
             let Some(photo) = decoder.decode(&encoder.encode(&shot.noisy)?.0)? else { continue };
             let depth = (!settings.depth || lesson % 2 == 0).then_some(shot.delta);
-            let update = geometry.next(&tmpi_live::Frame { number: n.into(), photo, depth })?;
+            let update = geometry.next(&tmpi_live::Frame { number: n.into(), at: measure::at(n), photo, depth })?;
             let Some(g) = geometry.geometry() else { continue };
             for area in Area::covering(&g.grid, |t| update.sent.contains(&t)) {
                 learning.take(&g.grid, area, &g.tiles)?;
@@ -311,7 +314,7 @@ impl Results {
         line("chunks of a frame that has any", &|f| format!("{:.1}", f.chunks));
         line("all tiles at once, bytes", &|f| format!("{:.0}", f.snapshot_bytes));
         line("sound, bytes", &|f| format!("{:.0}", f.sound_bytes));
-        line("all, kbit/s at 30 frames/s", &|f| format!("{:.0}", f.kbit_s));
+        line("all, kbit/s", &|f| format!("{:.0}", f.kbit_s));
         line("of these geometry", &|f| format!("{:.1} %", 100.0 * f.geometry_share));
         line("JPEG of every frame (quality)", &|f| format!("{:.0} ({:.1})", f.jpeg_bytes, f.jpeg_quality));
         line("all as a share of JPEG", &|f| format!("{:.1} %", 100.0 * f.jpeg_share));

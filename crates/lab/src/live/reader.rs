@@ -1,7 +1,7 @@
 //! A reader of a room: what it shows from beside the camera, against the truth.
 
 use std::sync::Arc;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use tmpi_core::live::{Layers, Model};
 use tmpi_core::{Camera, Class, Geometry, Inpainter, LayerMasks, Photo, Pose, Scene, TexturedLayer, TileFrame, compose};
@@ -102,10 +102,10 @@ impl Reader {
         Self { layers: Some(Layers::remembering()), ..Self::default() }
     }
 
-    /// Takes a frame, and the numbers of the tiles that came with it.
-    pub fn take(&mut self, geometry: &Geometry, changed: &[u32], photo: &Photo) {
+    /// Takes a frame, which comes `gone` after the one before, and the numbers of the tiles that came with it.
+    pub fn take(&mut self, geometry: &Geometry, changed: &[u32], photo: &Photo, gone: Duration) {
         if let Some(layers) = &mut self.layers {
-            self.other = layers.update(geometry, |t| changed.contains(&t), photo.clone()).layers;
+            self.other = layers.update(geometry, |t| changed.contains(&t), photo.clone(), gone).layers;
         }
     }
 

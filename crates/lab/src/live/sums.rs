@@ -56,15 +56,15 @@ impl Sums {
         self.jpeg.iter_mut().zip([quality, psnr, bytes]).for_each(|(mean, value)| mean.add(value));
     }
 
-    /// Makes means of the sums over the frames.
-    pub fn finish(mut self, f: &mut Figures, frames: u32) {
+    /// Makes means of the sums over the frames, each of which stands for `every` of 30 a second.
+    pub fn finish(mut self, f: &mut Figures, frames: u32, every: u32) {
         self.clocks.sort_by(f64::total_cmp);
         f.server_ms_most = self.clocks.last().copied().unwrap_or_default();
         f.server_ms_p95 = self.clocks.get(self.clocks.len() * 95 / 100).copied().unwrap_or_default();
         self.layers.sort_by(f64::total_cmp);
         f.layers_ms = self.layers.iter().sum::<f64>() / self.layers.len().max(1) as f64;
         f.layers_ms_p95 = self.layers.get(self.layers.len() * 95 / 100).copied().unwrap_or_default();
-        let frames = f64::from(frames.max(1));
+        let (frames, every) = (f64::from(frames.max(1)), f64::from(every));
         for sum in [
             &mut f.video_bytes,
             &mut f.geometry_bytes,
@@ -84,9 +84,9 @@ impl Sums {
         (f.unchanged_found, f.unchanged_left_out) = (share(self.found, self.still), share(self.still_left_out, self.still));
         [f.jpeg_quality, f.jpeg_psnr, f.jpeg_bytes] = self.jpeg.map(Mean::get);
         f.chunks = self.chunks.get();
-        (f.snapshot_bytes, f.video_psnr, f.sound_bytes) = (self.snapshots.get(), self.video_psnr.get(), sound_bytes());
+        (f.snapshot_bytes, f.video_psnr, f.sound_bytes) = (self.snapshots.get(), self.video_psnr.get(), every * sound_bytes());
         let all = f.video_bytes + f.geometry_bytes + f.sound_bytes;
-        f.kbit_s = all * 30.0 * 8.0 / 1e3;
+        f.kbit_s = all * 30.0 / every * 8.0 / 1e3;
         (f.geometry_share, f.jpeg_share) = (f.geometry_bytes / all, all / f.jpeg_bytes.max(1.0));
     }
 }

@@ -31,7 +31,7 @@ impl Estimator for Bright {
 
 /// Frames never rest.
 fn restless() -> Settings {
-    Settings { rest: 0, ..Settings::default() }
+    Settings { rest: Duration::ZERO, ..Settings::default() }
 }
 
 fn room(settings: Settings) -> (Arc<Bright>, Geometry) {
@@ -44,7 +44,8 @@ fn frame(number: u64, x: u32) -> Frame {
     let (width, height) = (240, 136);
     let pixel =
         |i: u32| if (x..x + 40).contains(&(i % width)) && (40..100).contains(&(i / width)) { 200 } else { 40 + (i % width / 4) as u8 };
-    Frame { number, photo: Photo { width, height, rgb: (0..width * height).map(|i| [pixel(i); 3]).collect() }, depth: None }
+    let photo = Photo { width, height, rgb: (0..width * height).map(|i| [pixel(i); 3]).collect() };
+    Frame { number, at: Duration::from_millis(33 * number), photo, depth: None }
 }
 
 #[test]
@@ -368,4 +369,13 @@ fn a_frame_rests_after_one_whose_tiles_were_sent_and_is_caught_up_with() {
     let mut other = frame(3, 90);
     other.photo.rgb.iter_mut().for_each(|p| *p = p.map(|v| 255 - v));
     assert_eq!(room.next(&other).unwrap().sent.len(), 15);
+}
+
+#[test]
+fn of_frames_that_come_seldom_none_rests_nor_after_a_clock_was_put_back() {
+    let (_, mut room) = room(Settings::default());
+    for (n, ms) in [1_000, 1_050, 500, 560].into_iter().enumerate() {
+        let update = room.next(&Frame { at: Duration::from_millis(ms), ..frame(n as u64, 60 + 10 * n as u32) }).unwrap();
+        assert!(!update.sent.is_empty(), "at {ms} ms");
+    }
 }
