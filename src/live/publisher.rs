@@ -109,11 +109,11 @@ async fn session(socket: &mut WebSocket, (name, room): (&str, Arc<Room>), here: 
                 if h264 && units::is_bidirectional(&video.data) {
                     return Err(BIDIRECTIONAL.into());
                 }
-                let (frame, time, data) = (video.frame, video.time, video.data.clone());
+                let (frame, data) = (video.frame, video.data.clone());
                 let what = if video.key { What::Key } else { What::Frame { layer: video.layer } };
                 room.push(epoch, what, write(Kind::Video(video)));
                 room.count(|s| s.forward_ms = came.elapsed().as_secs_f64() * 1e3);
-                if !worker.take(Coded { frame, time, data, depth: depth.take(), at: std::time::Instant::now() }) {
+                if !worker.take(Coded { frame, data, depth: depth.take(), at: std::time::Instant::now() }) {
                     return Err("more frames came than can be decoded".into());
                 }
             }

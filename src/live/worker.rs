@@ -6,7 +6,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::thread;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use bytes::Bytes;
 use tokio::sync::mpsc;
@@ -26,8 +26,6 @@ const WAITING: usize = 4;
 pub struct Coded {
     /// Its number.
     pub frame: u64,
-    /// When it was taken, by the publisher's clock, in microseconds.
-    pub time: u64,
     /// Its bytes.
     pub data: Bytes,
     /// Its depth as a camera measured it, packed.
@@ -90,11 +88,13 @@ impl Worker {
         thread::Builder::new().name("tmpi-video".into()).spawn(move || {
             // the other thread ends with this one, however it ends
             let to = Filler(to);
-            for Coded { frame, time, data, depth, at } in coded {
+            // by when frames come, not by what a publisher says: whose clock stands still has geometry all the same
+            let began = Instant::now();
+            for Coded { frame, data, depth, at } in coded {
                 let outcome = match decoded(decoder.as_mut(), &data, depth.as_deref()) {
                     Ok(picture) => {
                         if let Some((photo, depth)) = picture {
-                            to.0.put(Frame { number: frame, at: Duration::from_micros(time), photo, depth }, at, &counted);
+                            to.0.put(Frame { number: frame, at: at.saturating_duration_since(began), photo, depth }, at, &counted);
                         }
                         Decoded::Picture
                     }
@@ -205,6 +205,8 @@ fn made((room, epoch): (&Room, u64), driver: &mut Geometry, frame: Frame, at: In
 
 #[cfg(test)]
 mod tests {
+    use std::time::Duration;
+
     use tmpi_core::live::wire::message::Kind;
     use tmpi_core::live::{Model, read};
     use tmpi_live::Settings;

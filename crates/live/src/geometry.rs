@@ -99,7 +99,7 @@ impl Settings {
 pub struct Frame {
     /// Its number.
     pub number: u64,
-    /// When it was taken, counted from any time.
+    /// When it was taken, or came, counted from any time.
     pub at: Duration,
     /// Its pixels.
     pub photo: Photo,
