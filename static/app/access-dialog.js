@@ -77,7 +77,13 @@ export async function open({ id, visibility, changed }) {
       return fresh.manage;
     },
   );
-  return showDialog(t('Who may see it'), element('section', '', seen, said), ending, ...others, ...(links.ticket ? [otherBrowser(id)] : []));
+  return showDialog(
+    t('Who may see it'),
+    element('section', '', seen, said),
+    ending,
+    ...others,
+    ...(links.ticket ? [otherBrowser(id)] : []),
+  );
 }
 
 /**

@@ -91,7 +91,11 @@ describe('sharing', () => {
     assert.ok(await plain.page.locator('#share-access').isHidden());
     await plain.context.close();
     const manage = `/view/box#manage=tmpi_m_${'0f'.repeat(32)}`;
-    Object.assign(suite.server.state, { visibility: 'private', links: { manage, ticket: '/v1/owner/ticket' }, settings: { version: 1, title: 'The box' } });
+    Object.assign(suite.server.state, {
+      visibility: 'private',
+      links: { manage, ticket: '/v1/owner/ticket' },
+      settings: { version: 1, title: 'The box' },
+    });
     const before = suite.server.patches.length;
     const { page, context, errors } = await open();
     await context.grantPermissions(['clipboard-read', 'clipboard-write']);
