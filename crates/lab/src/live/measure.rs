@@ -45,7 +45,6 @@ pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Resul
     // every second frame may rest: views are of the one kind as often as of the other
     let views = settings.views | 1;
     for n in 0..settings.frames {
-        // its number in the sequence
         let taken = n * settings.every;
         let shot = sequence.shot(taken);
         truth.is(&shot.delta);
