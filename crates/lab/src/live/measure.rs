@@ -35,9 +35,8 @@ pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Resul
     let mut carried = Driver::new(models.clone(), room(settings, sequence, settings.frame_ms, false));
     let mut separate = Driver::new(models, room(settings, sequence, 0.0, true));
     let (mut reader, mut other) = (Reader::remembering(), Reader::default());
-    // the truth of the frame before
-    let mut last: Option<Photo> = None;
-    let mut seen = Seen::default();
+    // the truth of the frame before, and of all until now
+    let (mut last, mut seen) = (None::<Photo>, Seen::default());
     let (mut stream, mut messages) = (Vec::new(), Vec::new());
     let empty = room(settings, sequence, settings.frame_ms, false).empty(settings.size.0, settings.size.1);
     record(&mut messages, wire::message::Kind::Hello(wire::Hello { codec: encoder.codec().into(), ..Model::hello(&empty) }));
