@@ -112,7 +112,8 @@ describe('around a room', () => {
     await page.getByRole('button', { name: 'Sound' }).waitFor();
     await publisher.page.evaluate(() => window.failSound(new Error('the encoder is gone')));
     await page.locator('#sound').waitFor({ state: 'hidden' });
-    const { frame } = await page.evaluate(() => window.measured);
+    // what is measured is there after the first frames
+    const { frame } = await (await page.waitForFunction(() => window.measured)).jsonValue();
     await page.waitForFunction((before) => window.measured.frame !== before && window.measured.frames > 0, frame);
     await publisher.page.getByText('You are live, without sound').waitFor();
     await context.close();
