@@ -85,10 +85,13 @@ def restart(server):
 
 def done(nodes):
     """Photos that are made; a network that was cut takes a moment to come back."""
+    until = time.monotonic() + 120
     while True:
         try:
             return nodes.done()
         except OSError:
+            if time.monotonic() > until:
+                raise
             time.sleep(0.1)
 
 

@@ -28,8 +28,8 @@ use estimate::estimate;
 pub const PARALLAX: f64 = 0.25;
 
 /// Time for which a room rests after a frame of which tiles were sent, where nothing else is said: at 30 frames a second one frame, so that what moves
-/// is sent half as often, with no loss that `tmpi live bench` would see, at half the work. Where frames come more seldom none rests: what
-/// moves goes far between two of them.
+/// is sent half as often, at half the work. `tmpi live bench --only still --rest-ms N` compares: with 0 two thirds more bytes of geometry, a quarter less
+/// flicker and views .08 dB worse, with 80 three tenths fewer and a seventh more. Where frames come more seldom none rests: what moves goes far between two of them.
 pub const REST: Duration = Duration::from_millis(50);
 
 /// Parallax error that planes of a room may leave, in pixels, where nothing else is said: twice a photo's. `tmpi live bench` compares: less than
