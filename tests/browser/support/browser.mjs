@@ -1,4 +1,4 @@
-// Chromium for the tests, with WebGPU on a software rasteriser.
+// Chromium for the tests, with WebGPU on a software rasteriser; TMPI_WEBGPU=native takes the machine's GPU.
 import { existsSync } from 'node:fs';
 import { createRequire } from 'node:module';
 import { chromium } from 'playwright-core';
@@ -13,7 +13,12 @@ const PLAIN = [
   '--disable-component-update',
   '--disable-sync',
 ];
-const WEBGPU = ['--enable-unsafe-webgpu', '--enable-features=Vulkan', '--use-vulkan=swiftshader', '--use-angle=swiftshader'];
+const NATIVE = process.env.TMPI_WEBGPU === 'native';
+const WEBGPU = [
+  '--enable-unsafe-webgpu',
+  '--enable-features=Vulkan',
+  ...(NATIVE ? ['--use-angle=vulkan', '--ignore-gpu-blocklist'] : ['--use-vulkan=swiftshader', '--use-angle=swiftshader']),
+];
 /** Software drawing on a busy machine takes its time. */
 export const PATIENCE_MS = 60_000;
 

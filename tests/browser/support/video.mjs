@@ -5,7 +5,7 @@ export const [WIDTH, HEIGHT] = [320, 240];
 export const FRAMES = 60;
 /** Squares that tell the number, most significant first, and where they begin. */
 const BITS = 6;
-const SQUARE = 16;
+export const SQUARE = 16;
 
 /** Left edge of the box in a frame. */
 export const boxAt = (n) => Math.round(110 + 40 * Math.sin((2 * Math.PI * n) / FRAMES));
@@ -20,16 +20,17 @@ function sample(n, x, y) {
   return [90 + 40 * Math.sin(x / 11) + 20 * Math.cos(y / 9), 140 + 10 * Math.sin(x / 40), 118];
 }
 
-/** Planes of frame `n`, one after the other. */
-export function planes(n) {
-  const out = Buffer.alloc((WIDTH * HEIGHT * 3) / 2);
-  const chroma = (WIDTH * HEIGHT) / 4;
-  for (let y = 0; y < HEIGHT; y++) {
-    for (let x = 0; x < WIDTH; x++) {
-      const [luma, u, v] = sample(n, x, y);
-      out[y * WIDTH + x] = Math.round(luma);
+/** Planes of frame `n`, one after the other, `times` as large. */
+export function planes(n, times = 1) {
+  const [width, height] = [WIDTH * times, HEIGHT * times];
+  const out = Buffer.alloc((width * height * 3) / 2);
+  const chroma = (width * height) / 4;
+  for (let y = 0; y < height; y++) {
+    for (let x = 0; x < width; x++) {
+      const [luma, u, v] = sample(n, x / times, y / times);
+      out[y * width + x] = Math.round(luma);
       if (x % 2 || y % 2) continue;
-      const at = WIDTH * HEIGHT + (y / 2) * (WIDTH / 2) + x / 2;
+      const at = width * height + (y / 2) * (width / 2) + x / 2;
       out[at] = Math.round(u);
       out[at + chroma] = Math.round(v);
     }
@@ -37,10 +38,10 @@ export function planes(n) {
   return out;
 }
 
-/** Writes the film as YUV4MPEG2. */
-export function writeFilm(file) {
-  const head = Buffer.from(`YUV4MPEG2 W${WIDTH} H${HEIGHT} F30:1 Ip A1:1 C420jpeg\n`);
-  const frames = Array.from({ length: FRAMES }, (_, n) => [Buffer.from('FRAME\n'), planes(n)]).flat();
+/** Writes the film as YUV4MPEG2, `times` as large. */
+export function writeFilm(file, times = 1) {
+  const head = Buffer.from(`YUV4MPEG2 W${WIDTH * times} H${HEIGHT * times} F30:1 Ip A1:1 C420jpeg\n`);
+  const frames = Array.from({ length: FRAMES }, (_, n) => [Buffer.from('FRAME\n'), planes(n, times)]).flat();
   writeFileSync(file, Buffer.concat([head, ...frames]));
 }
 
