@@ -10,6 +10,10 @@ const KEPT = 64;
 const INTERVAL_MS = 33;
 /** What is added to the usual time of tiles, as a share. */
 const SPARE = 0.5;
+/** Frames from one with tiles to the next, so many times in a row, tell how soon others can follow: rooms rest after a frame of which tiles were sent. */
+const GAPS = 8;
+/** Frames without tiles after which none are waited for: nothing moves. */
+const QUIET = 10;
 
 export class Hold {
   /** @type {Map<number, number>} */
@@ -20,6 +24,8 @@ export class Hold {
   #usual = 0;
   /** The newest frame whose tiles are there. */
   #newest = -1;
+  /** Frames from those before to it, the last ones. @type {number[]} */
+  #gaps = [];
 
   /**
    * A frame came.
@@ -41,6 +47,7 @@ export class Hold {
   tiles(frame, now) {
     const came = this.#arrivals.get(frame);
     if (came !== undefined) this.#usual += (now - came - this.#usual) * (this.#newest < 0 ? 1 : WEIGHT);
+    if (this.#newest >= 0 && frame > this.#newest) this.#gaps = [...this.#gaps.slice(1 - GAPS), frame - this.#newest];
     this.#newest = Math.max(this.#newest, frame);
   }
 
@@ -50,7 +57,9 @@ export class Hold {
    * @param {number} now
    */
   left({ frame, arrived }, now) {
-    if (this.#newest >= frame) return 0;
+    const since = frame - this.#newest;
+    const rests = this.#gaps.length === GAPS && since < Math.min(...this.#gaps);
+    if (since <= 0 || rests || (this.#newest >= 0 && since > QUIET)) return 0;
     const most = Math.min(this.#usual * (1 + SPARE), this.#interval * FRAMES);
     return arrived + most - now;
   }

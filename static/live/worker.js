@@ -288,6 +288,11 @@ class Room {
   /** @param {Decoded} decoded */
   #decoded(decoded) {
     this.#measured.video += (decoded.ms - this.#measured.video) * WEIGHT;
+    // one that is held for its tiles has had its time
+    if (this.#next) {
+      this.#due = 0;
+      this.#pump();
+    }
     this.#drop();
     this.#next = decoded;
     this.#pump();

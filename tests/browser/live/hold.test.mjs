@@ -3,12 +3,12 @@ import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
 import { Hold } from '../../../static/live/hold.js';
 
-/** A room of 30 frames a second, whose tiles come `late` ms after their frame. */
-function room(late, frames = 60) {
+/** A room of 30 frames a second, whose tiles come `late` ms after their frame, with every frame or more seldom. */
+function room(late, frames = 60, every = 1) {
   const hold = new Hold();
   for (let frame = 0; frame < frames; frame++) {
     hold.arrived(frame, frame * 33);
-    hold.tiles(frame, frame * 33 + late);
+    if (frame % every === 0) hold.tiles(frame, frame * 33 + late);
   }
   const at = frames * 33;
   hold.arrived(frames, at);
@@ -36,5 +36,30 @@ describe('a frame', () => {
     const left = hold.left(next, at);
     assert.ok(left > 33 && left < 51, `${left}`);
     assert.ok(hold.left(next, at + 60) <= 0);
+  });
+
+  test('is not held where the room rests: so soon after tiles no others have come', () => {
+    for (const every of [2, 3]) {
+      // the frame before the last one had tiles, or the last one
+      for (let frames = 60; frames < 60 + every; frames++) {
+        const { hold, next, at } = room(12, frames, every);
+        const left = hold.left(next, at);
+        if (frames % every === 0) assert.ok(left > 12, `${every}, ${frames}: ${left}`);
+        else assert.equal(left, 0, `${every}, ${frames}`);
+      }
+    }
+    const { hold, next, at } = room(12, 7, 2);
+    assert.ok(hold.left(next, at) > 12, 'of few tiles nothing is known yet');
+  });
+
+  test('is not held where nothing moves, and is again once tiles have come', () => {
+    const { hold, at } = room(12);
+    const later = (frames) => ({ frame: 60 + frames, arrived: at + frames * 33 });
+    for (let frame = 1; frame < 40; frame++) hold.arrived(60 + frame, at + frame * 33);
+    assert.ok(hold.left(later(3), at + 3 * 33) > 12);
+    assert.equal(hold.left(later(39), at + 39 * 33), 0);
+    hold.tiles(99, at + 39 * 33 + 12);
+    hold.arrived(100, at + 40 * 33);
+    assert.ok(hold.left(later(40), at + 40 * 33) > 12);
   });
 });

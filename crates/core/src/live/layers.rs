@@ -34,7 +34,7 @@ pub struct Layers {
     parts: Vec<Part>,
     /// Whose hidden colours are out of date.
     stale: Vec<bool>,
-    /// Frames since anything changed that the hidden colours of a tile depend on.
+    /// Frames, at 30 a second, since anything changed that the hidden colours of a tile depend on.
     since: Vec<u8>,
     /// Which of the [`TURNS`] is next.
     turn: u32,
@@ -142,10 +142,10 @@ impl Layers {
         let depth = Blocks::that_differ(grid.width, was.as_ref().map_or(&[], Surface::all), shown.all());
         let unmixed = shown.without_mixed();
         if let Some(memory) = &mut self.memory {
-            memory.take(&self.words, shown, &unmixed);
+            memory.take(&self.words, shown, &unmixed, frames(gone));
         }
         self.photo = photo;
-        let changes = self.follow(geometry, (shown, unmixed), &changed, (&pixels, &depth), turns(gone));
+        let changes = self.follow(geometry, (shown, unmixed), &changed, (&pixels, &depth), frames(gone));
         (self.surface, self.moved_surface, self.with_moved) = (Some(surface), of_moved, with_moved);
         changes
     }
@@ -183,12 +183,12 @@ impl Layers {
         (surface, unmixed): (&Surface, Surface),
         changed: &[bool],
         (pixels, depth): (&Blocks, &Blocks),
-        turns: u32,
+        frames: u8,
     ) -> Changes {
         let grid = &geometry.grid;
         let inpainter = Inpainter::among(*grid, unmixed, &self.photo.rgb);
         let mut out = Changes::default();
-        let first = self.turn;
+        let (first, turns) = (self.turn, u32::from(frames).min(TURNS));
         self.turn = (first + turns) % TURNS;
         for t in 0..grid.tiles() {
             let (rect, part) = (grid.rect(t), &mut self.parts[t as usize]);
@@ -197,7 +197,7 @@ impl Layers {
             let mut other = pixels.any(&rect);
             let (since, changes) = (&mut self.since[t as usize], pixels.any(&around) || depth.any(&around));
             *stale |= changes;
-            *since = if changes { 0 } else { since.saturating_add(1) };
+            *since = if changes { 0 } else { since.saturating_add(frames) };
             let new = (changed[t as usize] || depth.any(&geometry.window(t)))
                 .then(|| shaped(t, geometry.masks_of(t..t + 1, surface, false).pop().unwrap_or_default()))
                 .filter(|new| !alike(new, part));
@@ -225,10 +225,10 @@ impl Layers {
     }
 }
 
-/// How many of the [`TURNS`] are due after a time.
-fn turns(gone: Duration) -> u32 {
+/// Frames of 30 a second that a time is as long as, at least one.
+fn frames(gone: Duration) -> u8 {
     let frames = (gone.as_secs_f64() / TURN.as_secs_f64()).round();
-    (frames as u32).clamp(1, TURNS)
+    (frames as u8).max(1)
 }
 
 /// Whether two parts have the same layers and texels, whatever colours these have.

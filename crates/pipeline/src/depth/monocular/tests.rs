@@ -1,0 +1,315 @@
+use super::*;
+use crate::networks::Tensor;
+
+/// Gives, for a picture, a plane of disparity that the test chose; remembers nothing.
+struct Stub(fn(usize, usize) -> f32);
+
+impl Network for Stub {
+    fn run(&self, inputs: Vec<Tensor>) -> Result<Vec<Tensor>, OnnxError> {
+        let [_, _, h, w] = inputs[0].shape[..] else { panic!("{:?}", inputs[0].shape) };
+        let data = (0..w * h).map(|i| (self.0)(i % w, i / w)).collect();
+        Ok(vec![Tensor { shape: vec![1, 1, h, w], data }])
+    }
+}
+
+fn photo(width: u32, height: u32) -> Photo {
+    let rgb = (0..width * height).map(|i| [(i % 251) as u8, (i / width % 253) as u8, (i % 17) as u8]).collect();
+    Photo { width, height, rgb }
+}
+
+fn with(f: fn(usize, usize) -> f32) -> Monocular {
+    Monocular::new(&super::super::ADAPTERS[0], Arc::new(Stub(f)), false)
+}
+
+#[test]
+fn a_map_leans_by_its_share_of_a_ramp_alone() {
+    let leaning = |ramp: f64, f: fn(usize, usize) -> f32| {
+        let adapter = Adapter { ramp, ..super::super::ADAPTERS[0] };
+        Monocular::new(&adapter, Arc::new(Stub(f)), false).raw(&photo(96, 64)).unwrap()
+    };
+    let flat = leaning(0.0, |x, _| x as f32);
+    let (w, h) = (flat.width as usize, flat.height as usize);
+    for share in [0.05, 0.2, 3.0] {
+        let map = leaning(share, |x, _| x as f32);
+        let added: Vec<f64> = map.delta.iter().zip(&flat.delta).map(|(a, b)| f64::from(a - b)).collect();
+        // in f64, by the definition: row y − mean, over the deviation of the rows
+        let rows = || (0..h).map(|y| y as f64);
+        let mean = rows().sum::<f64>() / h as f64;
+        let of_rows = (rows().map(|y| (y - mean).powi(2)).sum::<f64>() / h as f64).sqrt();
+        let columns = (0..w).map(|x| (x as f64 - (w - 1) as f64 / 2.0).powi(2)).sum::<f64>() / w as f64;
+        for (i, got) in added.iter().enumerate() {
+            let want = share * columns.sqrt() * ((i / w) as f64 - mean) / of_rows;
+            assert!((got - want).abs() < 1e-4 * columns.sqrt(), "{share}: {got} for {want}");
+        }
+    }
+    // nothing to lean
+    assert!(leaning(0.2, |_, _| 7.0).delta.iter().all(|v| (v - 7.0).abs() < 1e-12));
+    let mut line = DisparityMap { width: 3, height: 1, delta: vec![1.0, 2.0, 4.0] };
+    lean(&mut line, 0.2);
+    assert_eq!(line.delta, [1.0, 2.0, 4.0]);
+    // one value of many tells nothing of how much the others vary
+    let wild = |y: usize| if y == 3 { 1e9 } else { 0.0 };
+    let mut map = DisparityMap { width: 1, height: 64, delta: (0..64).map(|y| y as f32 + wild(y)).collect() };
+    lean(&mut map, 0.2);
+    assert!((map.delta[63] - 63.0).abs() < 63.0 && map.delta[63] > 63.0, "{}", map.delta[63]);
+    // finite at the ends of what is
+    let mut wild = DisparityMap { width: 1, height: 2, delta: vec![f32::MAX, -f32::MAX] };
+    lean(&mut wild, 10.0);
+    assert!(wild.delta.iter().all(|v| v.is_finite()), "{:?}", wild.delta);
+}
+
+#[test]
+fn every_shape_of_photo_gives_finite_values_in_range() {
+    for (w, h) in [(1, 1), (1, 16_384), (16_384, 1), (63, 63), (65, 65), (640, 350), (2, 3)] {
+        let got = with(|x, y| (x + 2 * y) as f32).estimate(&photo(w, h)).unwrap();
+        assert_eq!((got.width, got.height, got.delta.len()), (w, h, (w * h) as usize));
+        assert!(got.delta.iter().all(|v| (0.0..=1.0).contains(v)), "{w}×{h}");
+    }
+}
+
+#[test]
+fn the_first_size_is_that_of_estimate_and_smaller_ones_are_run_as_they_are_asked_for() {
+    let (network, p) = (with(|x, y| (x + 2 * y) as f32), photo(320, 240));
+    let sizes = network.sizes(320, 240);
+    assert_eq!(network.estimate_at(&p, sizes[0]).unwrap().0, network.estimate(&p).unwrap());
+    for size in sizes {
+        assert_eq!(network.raw_at(&p, size).map(|m| (m.width, m.height)).unwrap(), size);
+        let (map, ms) = network.estimate_at(&p, size).unwrap();
+        assert!((map.width, map.height) == (320, 240) && ms >= 0.0 && ms.is_finite());
+    }
+}
+
+#[test]
+fn larger_is_nearer_whatever_the_network_gives() {
+    for (kind, f) in [
+        (Kind::Disparity, (|x, _| x as f32) as fn(usize, usize) -> f32),
+        (Kind::Metric, |x, _| 100.0 / (x + 1) as f32),
+        (Kind::LogDepth, |x, _| -(x as f32) / 100.0),
+    ] {
+        let adapter = Adapter { output: kind, ..super::super::ADAPTERS[0] };
+        let got = Monocular::new(&adapter, Arc::new(Stub(f)), false).estimate(&photo(60, 40)).unwrap();
+        assert!(got.delta[20 * 60] < 0.15 && got.delta[20 * 60 + 59] > 0.85, "{kind:?}");
+    }
+}
+
+#[test]
+fn stiff_outputs() {
+    let p = photo(64, 48);
+    let flat = with(|_, _| 7.0).estimate(&p).unwrap();
+    let worst = flat.delta.iter().map(|v| (v - 0.5).abs()).fold(0.0, f32::max);
+    assert!(worst < 1e-5, "no relief: {worst}");
+    let holes = with(|x, y| {
+        if x == y {
+            f32::NAN
+        } else if x == y + 1 {
+            f32::NEG_INFINITY
+        } else {
+            x as f32
+        }
+    })
+    .estimate(&p)
+    .unwrap();
+    assert!(holes.delta.iter().all(|v| v.is_finite()));
+    let outlier = with(|x, y| if (x, y) == (9, 9) { 1e30 } else { x as f32 }).estimate(&p).unwrap();
+    assert!(outlier.delta[63] > 0.85, "one outlier does not flatten the rest");
+    let lone = with(|x, y| if (x, y) == (0, 0) { 1.0 } else { 0.0 })
+        .raw(&p)
+        .map(|mut m| {
+            normalise(&mut m.delta, 0.0);
+            m
+        })
+        .unwrap();
+    assert!((lone.delta[0] - 1.0).abs() < 1e-6, "the only relief there is is kept");
+    assert!(matches!(with(|_, _| f32::NAN).estimate(&p), Err(DepthError::Onnx(OnnxError::Run { .. }))));
+    let metric = Adapter { output: Kind::Metric, ..super::super::ADAPTERS[0] };
+    let got = Monocular::new(&metric, Arc::new(Stub(|x, _| x as f32 - 5.0)), false).estimate(&p).unwrap();
+    assert!(got.delta.iter().all(|v| (0.0..=1.0).contains(v)), "distances of 0 and below");
+}
+
+/// Gives the outputs that a test chose.
+struct Several(fn(usize, usize) -> Vec<Tensor>);
+
+impl Network for Several {
+    fn run(&self, inputs: Vec<Tensor>) -> Result<Vec<Tensor>, OnnxError> {
+        let [.., h, w] = inputs[0].shape[..] else { panic!("{:?}", inputs[0].shape) };
+        Ok((self.0)(w, h))
+    }
+}
+
+fn several(name: &str, outputs: &[&str], f: fn(usize, usize) -> Vec<Tensor>) -> Monocular {
+    let adapter = super::super::adapter(name).unwrap();
+    let port = |name: &str, shape: &[i64]| crate::networks::Port { name: name.into(), shape: shape.to_vec() };
+    let outputs: Vec<_> = outputs.iter().map(|o| port(o, &[])).collect();
+    let (ports, ..) = Ports::of(adapter, &[port("image", &[1, 3, -1, -1])], &outputs).unwrap();
+    Monocular { ports, ..Monocular::new(adapter, Arc::new(Several(f)), false) }
+}
+
+fn map(w: usize, h: usize, f: impl Fn(usize, usize) -> f32) -> Tensor {
+    Tensor { shape: vec![1, h, w], data: (0..w * h).map(|i| f(i % w, i / w)).collect() }
+}
+
+/// Points of a plane that recedes to the right from 1 to 3, 0.5 nearer than they are; distances are those times 2.
+fn plane(w: usize, h: usize, focal: f64) -> Vec<Tensor> {
+    let diagonal = (w as f64).hypot(h as f64);
+    let mut points = map(3 * w, h, |k, y| {
+        let z = 1.0 + 2.0 * (k / 3) as f64 / w as f64;
+        let [u, v] = [(2 * (k / 3) + 1) as f64 - w as f64, (2 * y + 1) as f64 - h as f64].map(|p| p * z / diagonal / focal);
+        [u, v, z - 0.5][k % 3] as f32
+    });
+    points.shape = vec![1, h, w, 3];
+    vec![points, map(w, h, |_, y| if y < h / 4 { 0.5 } else { 0.9 }), Tensor { shape: vec![1], data: vec![2.0] }]
+}
+
+#[test]
+fn points_become_disparities_and_sky_is_infinitely_far() {
+    let names = ["points", "mask", "scale"];
+    for f in [(|w, h| plane(w, h, 0.7)) as fn(usize, usize) -> Vec<Tensor>, |w, h| plane(w, h, 3.0)] {
+        let got = several("moge-2", &names, f).raw(&photo(300, 200)).unwrap();
+        let (w, h) = (got.width as usize, got.height as usize);
+        assert_eq!((w, h), (52 * 14, 35 * 14));
+        for (k, delta) in got.delta.iter().enumerate() {
+            let want = if k / w < h / 4 { 0.0 } else { 0.5 / (1.0 + 2.0 * (k % w) as f64 / w as f64) };
+            assert!((f64::from(*delta) - want).abs() < 1e-4, "{delta} for {want}");
+        }
+    }
+    let got = several("moge-2", &names, |w, h| plane(w, h, 1.0)).estimate(&photo(300, 200)).unwrap();
+    assert!(got.delta[..300 * 40].iter().all(|d| *d < 0.01) && got.delta[300 * 150] > 0.95);
+}
+
+#[test]
+fn a_photo_of_sky_alone_is_flat_and_no_numbers_are_an_error() {
+    let all_sky = several("moge-2", &["points", "mask"], |w, h| {
+        let mut outputs = plane(w, h, 1.0);
+        outputs[1].data.fill(0.0);
+        outputs
+    });
+    let got = all_sky.estimate(&photo(40, 30)).unwrap();
+    assert!(got.delta.iter().all(|v| (v - FLAT).abs() < 1e-5));
+    let sky = several("depth-anything-3", &["depth", "sky"], |w, h| vec![map(w, h, |x, _| x as f32 + 1.0), map(w, h, |_, _| 1.0)]);
+    assert!(sky.estimate(&photo(40, 30)).unwrap().delta.iter().all(|v| (v - FLAT).abs() < 1e-5));
+    let nothing = several("moge-2", &["points", "mask"], |w, h| {
+        plane(w, h, 1.0).into_iter().map(|t| Tensor { data: vec![f32::NAN; t.data.len()], ..t }).collect()
+    });
+    assert!(nothing.estimate(&photo(40, 30)).unwrap_err().to_string().contains("no finite value"));
+    let behind = several("depth-anything-3", &["depth"], |w, h| vec![map(w, h, |_, _| -1.0)]);
+    assert!(behind.estimate(&photo(40, 30)).unwrap_err().to_string().contains("no value that is a distance"));
+    let holes = several("moge-2", &["points", "mask"], |w, h| {
+        let mut outputs = plane(w, h, 1.0);
+        let wild = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY];
+        outputs[0].data.iter_mut().step_by(97).enumerate().for_each(|(i, v)| *v = wild[i % 3]);
+        outputs[1].data.iter_mut().step_by(89).for_each(|v| *v = f32::NAN);
+        outputs
+    });
+    let got = holes.estimate(&photo(40, 30)).unwrap();
+    assert!(got.delta.iter().all(|v| (0.0..=1.0).contains(v)) && got.delta[40 * 20] > got.delta[40 * 20 + 38]);
+    let wild = several("moge-2", &["points", "mask"], |w, h| {
+        let mut outputs = plane(w, h, 1.0);
+        outputs[0].data.iter_mut().step_by(97).enumerate().for_each(|(i, v)| *v = [-1e30, 1e30, -1.0, 0.0][i % 4]);
+        outputs
+    });
+    assert!(wild.estimate(&photo(40, 30)).unwrap().delta.iter().all(|v| (0.0..=1.0).contains(v)));
+    let small = several("moge-2", &["points", "mask"], |w, h| vec![plane(w, h, 1.0).swap_remove(0), map(0, 0, |_, _| 0.0)]);
+    assert!(small.estimate(&photo(40, 30)).unwrap_err().to_string().contains("as its mask"));
+}
+
+#[test]
+fn every_shape_of_photo_goes_through_every_network() {
+    for (w, h) in [(1, 1), (1, 16_384), (16_384, 1), (63, 65), (1008, 686)] {
+        let p = photo(w, h);
+        let moge = several("moge-2", &["points", "mask", "scale"], |w, h| plane(w, h, 1.0)).estimate(&p).unwrap();
+        let three = several("depth-anything-3", &["depth"], |w, h| vec![map(w, h, |x, y| (x + y + 1) as f32)]).estimate(&p).unwrap();
+        let zip = several("zipdepth", &["depth"], |w, h| vec![map(w, h, |x, y| (x + y) as f32)]).estimate(&p).unwrap();
+        for got in [moge, three, zip] {
+            assert_eq!((got.width, got.height), (w, h));
+            assert!(got.delta.iter().all(|v| (0.0..=1.0).contains(v)), "{w}×{h}");
+        }
+    }
+}
+
+#[test]
+fn files_of_several_inputs_outputs_and_parts_are_loaded_and_run() {
+    if tmpi_testing::Need::Onnx.or_skip(crate::networks::available()).is_none() {
+        return;
+    }
+    let load = |name: &str, model, beside: &[Beside]| {
+        Monocular::load(super::super::adapter(name).unwrap(), model, beside, &Config::default(), false)
+    };
+    // Left half black, outside of the mask; the right half's blue is its distance, up to the shift and 1813 tokens as the scale
+    let half = Photo { width: 40, height: 30, rgb: (0..1200).map(|i| if i % 40 < 20 { [0; 3] } else { [200, 200, 255] }).collect() };
+    let got = load("moge-2", include_bytes!("../../../../../tests/onnx/points.onnx"), &[]).unwrap().raw(&half).unwrap();
+    assert_eq!((got.width, got.height), (49 * 14, 37 * 14));
+    let (left, right) = (got.delta[686 * 100], got.delta[686 * 100 + 600]);
+    assert!(left.abs() < 1e-9 && right > 0.0 && right < 1.0, "{left} {right}");
+    let views = include_bytes!("../../../../../tests/onnx/views.onnx");
+    let weights = || ("views.onnx_data".to_owned(), Arc::from(include_bytes!("../../../../../tests/onnx/views.onnx_data").as_slice()));
+    let grey = Photo { width: 40, height: 30, rgb: vec![[124, 116, 104]; 1200] };
+    let got = load("depth-anything-3", views, &[weights()]).unwrap().raw(&grey).unwrap();
+    assert_eq!((got.width, got.height), (504, 378));
+    // ImageNet's mean is a 0, and distances are 3
+    assert!(got.delta.iter().all(|d| (d - 1.0 / 3.0).abs() < 1e-2), "{}", got.delta[0]);
+    assert!(matches!(load("depth-anything-3", views, &[]), Err(OnnxError::Model { .. })), "weights are missing");
+    let stem = include_bytes!("../../../../../tests/onnx/stem.onnx");
+    let got = load("zipdepth", stem, &[]).unwrap().raw(&grey).unwrap();
+    assert_eq!((got.width, got.height), (64, 32), "the file's extents");
+    let wrong = load("moge-2", stem, &[]).err().unwrap().to_string();
+    assert!(wrong.contains("gives depth, and none is called points"), "{wrong}");
+}
+
+#[test]
+fn flipping_takes_the_mean_of_both_runs() {
+    // A network that is blind to the picture sees the same ramp in the mirrored photo: the mean has no slope to the side
+    let adapter = super::super::ADAPTERS[0];
+    let got = Monocular::new(&adapter, Arc::new(Stub(|x, y| (x + 10 * y) as f32)), true).raw(&photo(90, 60)).unwrap();
+    let (w, h) = (got.width as usize, got.height as usize);
+    let row = &got.delta[h / 2 * w..(h / 2 + 1) * w];
+    assert!((row[0] - row[w - 1]).abs() < 30.0, "{} {}", row[0], row[w - 1]);
+    assert!(got.delta[0] < got.delta[(h - 1) * w]);
+}
+
+#[test]
+fn margins_are_put_on_and_taken_off() {
+    let zoe = super::super::adapter("zoedepth").unwrap();
+    // 60 × 40 pixels have margins of 16 and 13, and the network runs at 512 × 352
+    let ramp = Monocular::new(zoe, Arc::new(Stub(|x, _| x as f32 + 1.0)), false).raw(&photo(60, 40)).unwrap();
+    assert_eq!((ramp.width, ramp.height), (334, 213));
+    let distance = |x: usize| 1.0 / ramp.delta[100 * 334 + x];
+    assert!((distance(0) - (512.0 * 16.5 / 92.0 + 0.5)).abs() < 4.0, "{}", distance(0));
+    assert!((distance(333) - (512.0 * 75.5 / 92.0 + 0.5)).abs() < 4.0, "{}", distance(333));
+    // Beside a step the cubic goes below 0, which is not far away
+    let step = Monocular::new(zoe, Arc::new(Stub(|x, _| if x < 256 { 0.01 } else { 10.0 })), false).raw(&photo(60, 40)).unwrap();
+    let least = step.delta[..160].iter().copied().fold(f32::INFINITY, f32::min);
+    assert!(least > 0.5, "{least}");
+    for (w, h) in [(1, 1), (1, 300), (300, 2), (16_384, 1)] {
+        let got = Monocular::new(zoe, Arc::new(Stub(|x, y| (x + y + 1) as f32)), true).estimate(&photo(w, h)).unwrap();
+        assert_eq!((got.width, got.height), (w, h));
+        assert!(got.delta.iter().all(|v| (0.0..=1.0).contains(v)), "{w}×{h}");
+    }
+}
+
+#[test]
+fn a_network_of_another_size_is_an_error() {
+    struct Small;
+    impl Network for Small {
+        fn run(&self, _: Vec<Tensor>) -> Result<Vec<Tensor>, OnnxError> {
+            Ok(vec![Tensor { shape: vec![1, 1, 2, 2], data: vec![0.0; 4] }])
+        }
+    }
+    let got = Monocular::new(&super::super::ADAPTERS[0], Arc::new(Small), false).estimate(&photo(8, 8));
+    assert!(got.unwrap_err().to_string().contains("[1, 1, 2, 2]"));
+}
+
+#[test]
+fn a_real_file_is_loaded_and_run() {
+    if tmpi_testing::Need::Onnx.or_skip(crate::networks::available()).is_none() {
+        return;
+    }
+    let mean = include_bytes!("../../../../../tests/onnx/mean.onnx");
+    let plain = Adapter { mean: [0.0; 3], deviation: [1.0; 3], ..super::super::ADAPTERS[0] };
+    let got = Monocular::load(&plain, mean, &[], &Config::default(), false).unwrap();
+    let grey = Photo { width: 48, height: 32, rgb: (0..48 * 32).map(|i| [(i % 48 * 5) as u8; 3]).collect() };
+    let raw = got.raw(&grey).unwrap();
+    assert_eq!((raw.width, raw.height), (192, 128));
+    assert!((raw.delta[64 * 192 + 96] - 0.46).abs() < 0.03, "{}", raw.delta[64 * 192 + 96]);
+    let two = include_bytes!("../../../../../tests/onnx/sum_difference.onnx");
+    assert!(matches!(Monocular::load(&plain, two, &[], &Config::default(), false), Err(OnnxError::Model { .. })));
+}

@@ -1,0 +1,83 @@
+//! Who may watch and publish in rooms.
+
+use std::sync::Arc;
+
+use tempfile::tempdir;
+
+use super::client;
+use super::fixture::Running;
+use super::live::{Client, KEY, Publisher, frame, server};
+
+#[test]
+fn strangers_need_a_token_and_pages_of_other_sites_stay_out() {
+    let dir = tempdir().unwrap();
+    let server = server(dir.path());
+    let mut publisher = Publisher::new(server.addr, "attic");
+    publisher.publish(frame(10));
+    let status = |path: &str, headers: &[(&'static str, &str)]| Client::at(server.addr, path, headers).err();
+    let watch = "/v1/live/attic/subscribe";
+    assert_eq!(status(watch, &[]), None);
+    let own = format!("http://{}", server.addr);
+    assert_eq!(status(watch, &[("origin", own.as_str())]), None);
+    assert_eq!(status(watch, &[("origin", "https://example.org")]), Some(403));
+    assert_eq!(status(watch, &[("host", "photos.example")]), Some(403));
+    assert_eq!(status("/v1/live/attic/publish", &[("host", "photos.example")]), Some(403));
+    assert_eq!(status(watch, &[("host", "elsewhere.example")]), Some(421));
+    assert_eq!(status("/v1/live/cellar/subscribe", &[]), Some(404));
+    assert_eq!(status("/v1/live/no%20room/publish", &[]), Some(404));
+    let token = |role, expires| tmpi::live::token(KEY, role, "attic", expires).unwrap();
+    let with = |token: String| status(&format!("{watch}?token={token}"), &[("host", "photos.example")]);
+    assert_eq!(with(token(tmpi::live::Role::Watch, u64::MAX)), None);
+    assert_eq!(with(token(tmpi::live::Role::Watch, 1)), Some(403));
+    assert_eq!(client::get(server.addr, watch).status, 426, "not without an upgrade");
+}
+
+#[test]
+fn pages_of_other_sites_watch_with_a_token_and_never_publish() {
+    let dir = tempdir().unwrap();
+    let server = server(dir.path());
+    let mut publisher = Publisher::new(server.addr, "attic");
+    publisher.publish(frame(10));
+    let token = |role, room| tmpi::live::token(KEY, role, room, u64::MAX).unwrap();
+    let (watch, publish) = (token(tmpi::live::Role::Watch, "attic"), token(tmpi::live::Role::Publish, "attic"));
+    let foreign = [("origin", "https://example.org"), ("sec-fetch-site", "cross-site")];
+    let status = |path: &str, protocols: &str| {
+        let headers = [&foreign[..], &[("sec-websocket-protocol", protocols)]].concat();
+        Client::at(server.addr, &format!("/v1/live/attic/{path}"), &headers).err()
+    };
+    assert_eq!(status("subscribe", &format!("tmpi.live.v1, token.{watch}")), None);
+    let cellar = token(tmpi::live::Role::Watch, "cellar");
+    let wrong = [("subscribe", "1.ab"), ("subscribe", cellar.as_str()), ("publish", watch.as_str()), ("publish", publish.as_str())];
+    for (path, token) in wrong {
+        assert_eq!(status(path, &format!("tmpi.live.v1, token.{token}")), Some(403), "{path} {token}");
+    }
+    assert_eq!(status("subscribe", "tmpi.live.v1"), Some(403), "this machine's own browser, on another site's page");
+    // what the page asks before: a browser lets it read the answer, and send the token
+    let ask = |method: &str, path: &str, more: &[(&str, &str)]| {
+        client::request(server.addr, method, &format!("/v1/live/attic{path}"), &[&foreign[..], more].concat(), &[])
+    };
+    let preflight = [("access-control-request-method", "GET"), ("access-control-request-headers", "authorization")];
+    for path in ["", "/frames/latest/atlas", "/gops/latest"] {
+        let answer = ask("OPTIONS", path, &preflight);
+        assert_eq!((answer.status, answer.header("access-control-allow-origin")), (200, Some("*")), "{path}");
+        assert!(answer.header("access-control-allow-headers").is_some_and(|h| h.contains("authorization")), "{path}");
+    }
+    assert_eq!(ask("OPTIONS", "/token", &preflight).header("access-control-allow-origin"), None);
+    let refused = ask("GET", "", &[]);
+    assert_eq!(
+        (refused.problem(403)["type"].as_str(), refused.header("access-control-allow-origin")),
+        (Some("urn:tmpi:problem:token"), Some("*"))
+    );
+    let bearer = format!("Bearer {watch}");
+    let state = ask("GET", "", &[("authorization", &bearer)]);
+    assert_eq!((state.status, state.json()["publishing"].as_bool(), state.json()["may_publish"].as_bool()), (200, Some(true), Some(false)));
+    // a token to publish watches, too, but says nothing of publishing to another site
+    let bearer = format!("Bearer {publish}");
+    assert_eq!(ask("GET", "", &[("authorization", &bearer)]).json()["may_publish"].as_bool(), Some(false));
+    assert_eq!(ask("POST", "/token", &[("authorization", &bearer)]).status, 403);
+    // without the server's key a token is none
+    let dir = tempdir().unwrap();
+    let keyless = Running::start(dir.path(), tmpi::server::Limits::default(), Arc::new(super::fixture::pipeline()));
+    let headers = [&foreign[..], &[("authorization", bearer.as_str())]].concat();
+    assert_eq!(client::request(keyless.addr, "GET", "/v1/live/attic", &headers, &[]).status, 403);
+}

@@ -1,0 +1,143 @@
+//! Peers of rooms that say what they may not, or stop reading.
+
+use std::time::Duration;
+
+use tempfile::tempdir;
+use tmpi_core::live::wire::message::Kind;
+use tmpi_core::live::wire::{Hello, Video};
+use tmpi_core::live::{VERSION, write};
+use tokio_tungstenite::tungstenite::Message;
+
+use super::fixture::wait_until;
+use super::live::{Client, Publisher, frame, hello, server};
+
+#[test]
+fn hostile_publishers_are_sent_away_with_a_reason_and_the_room_goes_on() {
+    let dir = tempdir().unwrap();
+    let server = server(dir.path());
+    let mut good = Publisher::new(server.addr, "attic");
+    good.publish(frame(10));
+    let mut viewer = Client::watch(server.addr, "attic");
+    let raw = || Client::at(server.addr, "/v1/live/cellar/publish", &[]).unwrap_or_else(|status| panic!("{status}"));
+    let with = |messages: Vec<Kind>| {
+        wait_until("the room is free", || {
+            let mut client = raw();
+            client.send(Kind::Hello(hello()));
+            matches!(client.next(), Some(Kind::Credit(_)))
+        });
+        let mut client = loop {
+            let mut client = raw();
+            client.send(Kind::Hello(hello()));
+            if matches!(client.next(), Some(Kind::Credit(_))) {
+                break client;
+            }
+            std::thread::sleep(Duration::from_millis(5));
+        };
+        for m in messages {
+            client.send(m);
+        }
+        client.bye()
+    };
+    let video = |frame: u64, key: bool, data: Vec<u8>| Kind::Video(Video { frame, time: 0, key, layer: 0, data: data.into() });
+    let says = |reason: String, words: &str| assert!(reason.contains(words), "{reason:?} does not say {words:?}");
+    says(with(vec![video(0, false, frame(1))]), "no key frame");
+    says(with(vec![video(0, true, frame(1)), video(2, true, frame(1))]), "frame 2 where 1 was due");
+    says(with((0..20).map(|n| video(n, true, frame(1))).collect()), "credit");
+    says(with(vec![Kind::Hello(hello())]), "do not send");
+    good.publish(frame(20));
+    says(with(vec![video(0, true, vec![0; (1 << 20) + 512])]), "over 1048576");
+    let refused = |first: Message| {
+        let mut client = raw();
+        client.raw().send(first).unwrap();
+        client.bye()
+    };
+    let hello_of = |hello: Hello| Message::Binary(write(Kind::Hello(hello)));
+    says(refused(Message::Text("hello".into())), "binary");
+    says(refused(Message::Binary(vec![0xFF; 40].into())), "not a message");
+    says(refused(Message::Binary(write(video(0, true, vec![])))), "HELLO");
+    says(refused(hello_of(Hello { version: VERSION + 1, ..hello() })), "version");
+    says(refused(hello_of(Hello { width: 5000, ..hello() })), "5000");
+    says(refused(hello_of(Hello { codec: "hevc".into(), ..hello() })), "hevc");
+    says(refused(hello_of(Hello { fov_x: f64::NAN, ..hello() })), "fov-x");
+    good.publish(frame(25));
+    let mut second = Client::at(server.addr, "/v1/live/attic/publish", &[]).unwrap_or_else(|status| panic!("{status}"));
+    second.send(Kind::Hello(hello()));
+    says(second.bye(), "someone publishes");
+    let mut talker = Client::watch(server.addr, "attic");
+    talker.send(Kind::Hello(hello()));
+    says(talker.bye(), "viewers send nothing");
+    // frames that are none
+    let mut broken = Publisher::new(server.addr, "garden");
+    let reason = loop {
+        match broken.client.next().unwrap() {
+            Kind::Credit(c) => {
+                for _ in 0..c.frames {
+                    broken.client.send(video(broken.number, true, vec![1, 2, 3]));
+                    broken.number += 1;
+                }
+            }
+            Kind::Bye(bye) => break bye.reason,
+            other => panic!("{other:?}"),
+        }
+    };
+    says(reason, "cannot be decoded");
+    assert!(broken.number < 40);
+    // nothing of that was felt here
+    good.publish(frame(30));
+    let mut last = 0;
+    while last < 3 {
+        if let Kind::Video(v) = viewer.next().unwrap() {
+            last = v.frame;
+        }
+    }
+}
+
+#[test]
+fn a_viewer_that_stops_reading_holds_up_nobody_and_goes_on_with_whole_frames() {
+    const FRAMES: u64 = 160;
+    let dir = tempdir().unwrap();
+    let server = server(dir.path());
+    let mut publisher = Publisher::new(server.addr, "attic");
+    let large = |n: u64| {
+        // behind its end, a JPEG may have anything
+        let mut data = frame(8 * (n % 10) as u32);
+        data.resize(100_000, n as u8);
+        data
+    };
+    publisher.publish(large(0));
+    let mut stalled = Client::watch(server.addr, "attic");
+    let mut healthy = Client::watch(server.addr, "attic");
+    let reader = std::thread::spawn(move || {
+        let mut frames = Vec::new();
+        while frames.last() != Some(&(FRAMES - 1)) {
+            if let Kind::Video(v) = healthy.next().unwrap() {
+                frames.push(v.frame);
+            }
+        }
+        frames
+    });
+    for n in 1..FRAMES {
+        std::thread::sleep(Duration::from_millis(20));
+        publisher.publish(large(n));
+    }
+    assert_eq!(reader.join().unwrap(), (0..FRAMES).collect::<Vec<_>>(), "the healthy one loses nothing");
+    // what lay in the sockets, then the newest
+    let (mut seen, mut skipped) = (Vec::new(), 0);
+    while seen.last() != Some(&(FRAMES - 1)) {
+        match stalled.next().unwrap() {
+            Kind::Video(v) => {
+                assert_eq!(v.data, large(v.frame));
+                seen.push(v.frame);
+            }
+            Kind::Statistics(s) => skipped = s.skipped,
+            _ => {}
+        }
+    }
+    assert!(seen.is_sorted() && (seen.len() as u64) < FRAMES, "{} frames of 100 kB came through sockets that nobody read", seen.len());
+    while skipped == 0 {
+        if let Kind::Statistics(s) = stalled.next().unwrap() {
+            skipped = s.skipped;
+        }
+    }
+    assert!(seen.len() as u64 + skipped >= FRAMES, "{} seen, {skipped} skipped", seen.len());
+}
