@@ -264,10 +264,12 @@ mod tests {
         for (frames, after) in [(1, 15), (3, 5), (5, 3), (200, 3)] {
             let (photo, geometry) = frame(0, 12, stripes);
             let mut memory = Memory::new(geometry.grid);
-            let known: Vec<usize> = (0..=after).map(|_| {
-                take_after(&mut memory, &photo, &geometry, frames);
-                memory.known()
-            }).collect();
+            let known: Vec<usize> = (0..=after)
+                .map(|_| {
+                    take_after(&mut memory, &photo, &geometry, frames);
+                    memory.known()
+                })
+                .collect();
             assert!(known[..after].iter().all(|k| *k == 0) && known[after] > 0, "{frames}: {known:?}");
         }
     }
