@@ -14,10 +14,13 @@ const PLAIN = [
   '--disable-sync',
 ];
 const NATIVE = process.env.TMPI_WEBGPU === 'native';
+// without a display a driver has no surfaces, and with them WebGPU would fall back to software
 const WEBGPU = [
   '--enable-unsafe-webgpu',
   '--enable-features=Vulkan',
-  ...(NATIVE ? ['--use-angle=vulkan', '--ignore-gpu-blocklist'] : ['--use-vulkan=swiftshader', '--use-angle=swiftshader']),
+  ...(NATIVE
+    ? ['--use-angle=vulkan', '--ignore-gpu-blocklist', '--disable-vulkan-surface']
+    : ['--use-vulkan=swiftshader', '--use-angle=swiftshader']),
 ];
 /** Software drawing on a busy machine takes its time. */
 export const PATIENCE_MS = 60_000;
