@@ -281,7 +281,7 @@ impl Shown {
         let Photo { width, height, .. } = photo;
         let changed = std::mem::take(&mut pictures.changed);
         let gone = at.saturating_sub(std::mem::replace(&mut pictures.shown, at));
-        pictures.layers.update(geometry, |t| changed.contains(&t), photo, gone);
+        pictures.layers.update(geometry, |t| changed.contains(&t), photo, Some(gone));
         if !frame.is_multiple_of(args.every) {
             return Ok(false);
         }

@@ -87,10 +87,11 @@ export class RoomDecoder {
    * Takes a picture of the room's size as the next frame.
    * @param {number} format one of `PIXELS`
    * @param {Uint8Array | Uint8ClampedArray} bytes planes without gaps
+   * @param {number} [time] when it was taken, µs by the publisher's clock
    */
-  frame(format, bytes) {
+  frame(format, bytes, time = 0) {
     this.#instance.hand(bytes);
-    this.#instance.call('tmpi_frame', format);
+    this.#instance.call('tmpi_frame', format, time);
   }
 
   /**

@@ -120,6 +120,8 @@ class Room {
     if (this.#hidden === hidden) return;
     this.#hidden = hidden;
     this.#waits = true;
+    this.#drop();
+    this.#due = Infinity;
     this.#lastFrame = performance.now();
     // tiles that came are not sent again
     this.#playOut.hurry();
@@ -289,7 +291,7 @@ class Room {
   #decoded(decoded) {
     this.#measured.video += (decoded.ms - this.#measured.video) * WEIGHT;
     // one that is held for its tiles has had its time
-    if (this.#next) {
+    if (this.#next && !this.#busy && !this.#drawing && !this.#hidden) {
       this.#due = 0;
       this.#pump();
     }
@@ -334,7 +336,7 @@ class Room {
         const { format, bytes } = pixels;
         this.#measured.copy += (performance.now() - started - this.#measured.copy) * WEIGHT;
         started = performance.now();
-        this.#decoder.frame(format, bytes);
+        this.#decoder.frame(format, bytes, next.time);
         this.#shown = next;
       }
       if (this.#compose(head, started)) this.#depthless = 0;
@@ -348,8 +350,8 @@ class Room {
     } finally {
       plain?.close();
       this.#busy = false;
+      if (this.#next) this.#pump();
     }
-    if (this.#next) this.#pump();
   }
 
   /**

@@ -64,8 +64,8 @@ pub struct Decoder {
     rows: Vec<u8>,
     cells: Vec<[u8; 4]>,
     message: Bytes,
-    /// When the last frame of which a message came was taken, by the publisher's clock, and the one that was the last as layers were brought up.
-    newest: Duration,
+    /// When the last frame was taken, by the publisher's clock, and the one that was the last as layers were brought up.
+    taken: Duration,
     shown: Duration,
     /// Why the last call failed.
     pub text: String,
@@ -88,7 +88,6 @@ impl Decoder {
         match kind {
             Kind::Hello(hello) => self.hello(&hello),
             Kind::Video(Video { frame, time, key, layer, data }) => {
-                self.newest = Duration::from_micros(time);
                 self.data = data;
                 Ok(self.told(2, &[frame as f64, time as f64, f64::from(u8::from(key)), f64::from(layer)]))
             }
@@ -144,11 +143,11 @@ impl Decoder {
         Ok(self.told(kind, &[tiles.frame as f64, taken.len() as f64]))
     }
 
-    /// Takes over a frame.
+    /// Takes over a frame that was taken at a time, µs by the publisher's clock.
     ///
     /// # Errors
     /// Where its bytes are not as many as the room's size asks for.
-    pub fn frame(&mut self, format: u32) -> Result<i32, String> {
+    pub fn frame(&mut self, format: u32, time: u64) -> Result<i32, String> {
         let (width, height) = self.size;
         let area = width as usize * height as usize;
         let chroma = width.div_ceil(2) as usize * height.div_ceil(2) as usize;
@@ -159,6 +158,7 @@ impl Decoder {
         }
         let (y, rest) = bytes.split_at(area);
         let i420 = |u: &[u8], v: &[u8]| to_rgb(&I420 { width, height, y, u, v });
+        self.taken = Duration::from_micros(time);
         self.frame = match format {
             f if f == Pixels::I420 as u32 => i420(&rest[..chroma], &rest[chroma..]),
             f if f == Pixels::Nv12 as u32 => {
@@ -177,8 +177,8 @@ impl Decoder {
         let Some(geometry) = self.model.as_ref().and_then(Model::geometry) else { return 0 };
         let shown = self.layers.photo();
         let again = || (!shown.rgb.is_empty()).then(|| shown.clone());
+        let gone = self.frame.is_some().then(|| self.taken.saturating_sub(std::mem::replace(&mut self.shown, self.taken)));
         let Some(frame) = self.frame.take().or_else(again) else { return 0 };
-        let gone = self.newest.saturating_sub(std::mem::replace(&mut self.shown, self.newest));
         let changed = std::mem::replace(&mut self.changed, vec![false; geometry.tiles.len()]);
         let Changes { texels, layers } = self.layers.update(geometry, |t| changed[t as usize], frame, gone);
         for t in &texels {

@@ -30,9 +30,9 @@ async function measured({ file }) {
       pictures?.close();
       pictures = await Pictures.of(
         hello.codec,
-        async ({ frame, picture }) => {
+        async ({ frame, time, picture }) => {
           pixels.set(frame, null);
-          pixels.set(frame, await pixelsOf(picture, hello.head, true));
+          pixels.set(frame, { ...(await pixelsOf(picture, hello.head, true)), time });
           picture.close();
         },
         (error) => console.error(error.message),
@@ -52,10 +52,10 @@ async function measured({ file }) {
   let tiles = 0;
   const show = () => {
     if (waits === null || !pixels.get(waits)) return;
-    const { format, bytes: planes } = pixels.get(waits);
+    const { format, bytes: planes, time } = pixels.get(waits);
     waits = null;
     const began = performance.now();
-    decoder.frame(format, planes);
+    decoder.frame(format, planes, time);
     const framed = performance.now();
     const changed = decoder.layers();
     const layered = performance.now();

@@ -23,7 +23,7 @@ const EVERY: usize = 7;
 pub(crate) const STEADY: u8 = 15;
 /// For how many of these one frame may count where frames are shown more seldom: labels are then a frame late at the most, and three frames tell.
 /// `tmpi live bench --only measured --every 15` compares: where each counts for one, nothing is remembered within the sequence, and what is uncovered is 1.9 dB worse.
-const MOST: u8 = 5;
+pub(crate) const MOST: u8 = 5;
 
 /// For each pixel of the frames the farthest surface that was seen there, and stayed for some frames.
 #[derive(Clone, Debug)]
@@ -134,7 +134,7 @@ impl Memory {
 
     /// Looks at the next frame: what is as far as what is remembered, or farther, and has stayed as it is for some frames, is kept; what is nearer
     /// stands in front of it. `colour` has the frame's colours as words, `shown` is its visible surface, over all rows, and `surface` the same without
-    /// what is mixed. It comes `frames` thirtieths of a second after the one before. A frame of another size is left alone.
+    /// what is mixed. It comes `frames` thirtieths of a second after the one before, 0 where it is that one once more. A frame of another size is left alone.
     pub(crate) fn take(&mut self, colour: &[u32], shown: &Surface, surface: &Surface, frames: u8) {
         if colour.len() != self.pixels.last.len() {
             return;
@@ -144,7 +144,7 @@ impl Memory {
             self.forget();
         }
         let Pixels { colour: known, delta, last, steady, last_delta, .. } = &mut self.pixels;
-        stay(last, last_delta, steady, frame.colour, frame.delta, frames.clamp(1, MOST));
+        stay(last, last_delta, steady, frame.colour, frame.delta, frames.min(MOST));
         keep(known, delta, steady, frame.colour, frame.delta);
         mark(self.in_front.pixels(colour.len()), known, delta, frame.colour, frame.delta);
         self.pixels.last_shown.copy_from_slice(shown.all());

@@ -16,7 +16,7 @@ pub(crate) use dilation::{Dilation, dilate};
 pub(crate) use inpaint::CONTEXT;
 pub use inpaint::{Inpainter, Pyramid};
 pub use memory::Memory;
-pub(crate) use memory::STEADY;
+pub(crate) use memory::{MOST, STEADY};
 pub use prune::work_of;
 pub use surface::Surface;
 pub use texture::{TexturedLayer, compose, texture};

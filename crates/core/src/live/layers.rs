@@ -8,7 +8,7 @@ use std::time::Duration;
 use super::blocks::Blocks;
 use super::motion::Motion;
 use crate::container::{Part, texels};
-use crate::layers::{CONTEXT, STEADY, Surface};
+use crate::layers::{CONTEXT, MOST, STEADY, Surface};
 use crate::scene::colour;
 use crate::{Class, Geometry, Inpainter, Layer, LayerMasks, Memory, Photo, Pyramid, Scene, Texels, grown};
 
@@ -112,9 +112,9 @@ impl Layers {
         Scene { grid: geometry.grid, intrinsics: geometry.intrinsics, view_box: geometry.view_box, photo, layers, texels }
     }
 
-    /// Takes the next frame, which comes `gone` after the one before, and the tiles, of which those are others for which `changed` is true. A frame that
+    /// Takes the next frame, which comes `gone` after the one before, none where it is that one once more, and the tiles, of which those are others for which `changed` is true. A frame that
     /// is not of the grid's size changes nothing.
-    pub fn update(&mut self, geometry: &Geometry, changed: impl Fn(u32) -> bool, photo: Photo, gone: Duration) -> Changes {
+    pub fn update(&mut self, geometry: &Geometry, changed: impl Fn(u32) -> bool, photo: Photo, gone: Option<Duration>) -> Changes {
         let grid = &geometry.grid;
         if (photo.width, photo.height) != (grid.width, grid.height) || photo.rgb.len() != grid.width as usize * grid.height as usize {
             return Changes::default();
@@ -197,7 +197,7 @@ impl Layers {
             let mut other = pixels.any(&rect);
             let (since, changes) = (&mut self.since[t as usize], pixels.any(&around) || depth.any(&around));
             *stale |= changes;
-            *since = if changes { 0 } else { since.saturating_add(frames) };
+            *since = if changes { 0 } else { since.saturating_add(frames.min(MOST)) };
             let new = (changed[t as usize] || depth.any(&geometry.window(t)))
                 .then(|| shaped(t, geometry.masks_of(t..t + 1, surface, false).pop().unwrap_or_default()))
                 .filter(|new| !alike(new, part));
@@ -225,10 +225,9 @@ impl Layers {
     }
 }
 
-/// Frames of 30 a second that a time is as long as, at least one.
-fn frames(gone: Duration) -> u8 {
-    let frames = (gone.as_secs_f64() / TURN.as_secs_f64()).round();
-    (frames as u8).max(1)
+/// Frames of 30 a second that a time is as long as, at least one, also where a publisher's clock stands still.
+fn frames(gone: Option<Duration>) -> u8 {
+    gone.map_or(0, |gone| ((gone.as_secs_f64() / TURN.as_secs_f64()).round() as u8).max(1))
 }
 
 /// Whether two parts have the same layers and texels, whatever colours these have.

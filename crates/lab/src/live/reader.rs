@@ -105,7 +105,7 @@ impl Reader {
     /// Takes a frame, which comes `gone` after the one before, and the numbers of the tiles that came with it.
     pub fn take(&mut self, geometry: &Geometry, changed: &[u32], photo: &Photo, gone: Duration) {
         if let Some(layers) = &mut self.layers {
-            self.other = layers.update(geometry, |t| changed.contains(&t), photo.clone(), gone).layers;
+            self.other = layers.update(geometry, |t| changed.contains(&t), photo.clone(), Some(gone)).layers;
         }
     }
 
