@@ -1,6 +1,7 @@
-// Time from a frame in the camera's page to its pixels on the canvas of who watches, at 320×240 or twice that on this machine. Not a test; run by
+// Time from a frame in the camera's page to its pixels on the canvas of who watches, at 320×240 or `--times` that, shown at `--stage`
+// times that, on this machine. Not a test; run by
 // hand on an idle machine with the built program:
-//   node glass-to-glass.mjs [--times 1] [--every 10] [--seconds 20] [--p50 100] [--p95 150] [--frames 30] [--json FILE]
+//   node glass-to-glass.mjs [--times 1] [--stage 1] [--every 10] [--seconds 20] [--p50 100] [--p95 150] [--frames 30] [--json FILE]
 // TMPI_WEBGPU=native draws on the machine's GPU, if it has one, and not in software beside all else.
 // Ends with 1 where a figure is worse than asked for. Each frame of the film has its number written into it; the clock starts when the camera's
 // page takes the frame and stops right after a page that watches has drawn it. Of `--every` so many pictures one is read back, which takes time
@@ -16,6 +17,7 @@ import { FRAMES, HEIGHT, SQUARE, WIDTH, writeFilm } from './support/video.mjs';
 const { values } = parseArgs({
   options: {
     times: { type: 'string', default: '1' },
+    stage: { type: 'string' },
     every: { type: 'string', default: '10' },
     seconds: { type: 'string', default: '20' },
     p50: { type: 'string', default: '100' },
@@ -25,9 +27,10 @@ const { values } = parseArgs({
   },
 });
 const [times, every, seconds, p50, p95, frames] = ['times', 'every', 'seconds', 'p50', 'p95', 'frames'].map((name) => Number(values[name]));
-if (!([1, 2].includes(times) && every >= 1 && seconds > 0 && p50 > 0 && p95 > 0 && frames >= 0)) {
+const stage = Number(values.stage ?? times);
+if (!([1, 2].includes(times) && stage > 0 && every >= 1 && seconds > 0 && p50 > 0 && p95 > 0 && frames >= 0)) {
   console.error(
-    'usage: node glass-to-glass.mjs [--times 1|2] [--every PICTURES] [--seconds N] [--p50 MS] [--p95 MS] [--frames A_SECOND] [--json FILE]',
+    'usage: node glass-to-glass.mjs [--times 1|2] [--stage TIMES] [--every PICTURES] [--seconds N] [--p50 MS] [--p95 MS] [--frames A_SECOND] [--json FILE]',
   );
   process.exit(2);
 }
@@ -92,10 +95,10 @@ try {
   await publisher.page.selectOption('#size', `${WIDTH * times}x${HEIGHT * times}`);
   await publisher.page.locator('#go').click();
   await publisher.page.waitForFunction(() => document.body.dataset.state === 'live');
-  const { page } = await openPage(browser, { viewport: { width: WIDTH * times, height: HEIGHT * times }, reducedMotion: 'reduce' });
+  const { page } = await openPage(browser, { viewport: { width: WIDTH * stage, height: HEIGHT * stage }, reducedMotion: 'reduce' });
   await page.addInitScript(watchCanvas, every);
   await page.goto(`${server.url}/live/glass`);
-  await page.addStyleTag({ content: `#stage { position: fixed; inset: 0; width: ${WIDTH * times}px; height: ${HEIGHT * times}px; }` });
+  await page.addStyleTag({ content: `#stage { position: fixed; inset: 0; width: ${WIDTH * stage}px; height: ${HEIGHT * stage}px; }` });
   await waitForMode(page, 'gpu');
   await page.waitForTimeout(WARM * 1000);
   for (const { page: of } of [publisher, { page }]) await of.evaluate(() => (window.taken ?? window.seen).splice(0));
