@@ -1,5 +1,6 @@
 //! What an instance holds, and what its functions do.
 
+use std::collections::VecDeque;
 use std::time::Duration;
 
 use prost::bytes::Bytes;
@@ -42,8 +43,19 @@ pub enum Pixels {
     Rgba = 2,
 }
 
+/// Frames whose numbers are kept: more than wait to be shown.
+const KEPT: usize = 256;
+
 /// A tile that has the layers of before.
 const AS_BEFORE: u32 = u32::MAX;
+
+/// Keeps one more at the end, and no more than `most`.
+fn keep<T>(kept: &mut VecDeque<T>, one: T, most: usize) {
+    if kept.len() >= most {
+        kept.pop_front();
+    }
+    kept.push_back(one);
+}
 
 /// The messages of one connection, and the layers of one room.
 #[derive(Default)]
@@ -67,6 +79,12 @@ pub struct Decoder {
     /// When the last frame was taken, by the publisher's clock, and the one that was the last as layers were brought up.
     taken: Duration,
     shown: Duration,
+    /// When the last frames of which messages came were taken, and their numbers.
+    came: VecDeque<(Duration, u64)>,
+    /// Numbers of the last frames of which layers were made, the newest last.
+    made: VecDeque<u64>,
+    /// The newest frame whose tiles came since.
+    tiles_of: Option<u64>,
     /// Why the last call failed.
     pub text: String,
 }
@@ -88,6 +106,7 @@ impl Decoder {
         match kind {
             Kind::Hello(hello) => self.hello(&hello),
             Kind::Video(Video { frame, time, key, layer, data }) => {
+                keep(&mut self.came, (Duration::from_micros(time), frame), KEPT);
                 self.data = data;
                 Ok(self.told(2, &[frame as f64, time as f64, f64::from(u8::from(key)), f64::from(layer)]))
             }
@@ -130,6 +149,7 @@ impl Decoder {
             (self.frame, self.layers) = (None, Layers::remembering());
         }
         self.model = Some(model);
+        (self.came, self.made, self.tiles_of) = (VecDeque::new(), VecDeque::new(), None);
         self.data = format!("{}\n{}", h.codec, h.sound).into_bytes().into();
         Ok(self.told(1, &[&said[..], &[f64::from(h.sound_rate), f64::from(h.sound_channels), h.epoch as f64]].concat()))
     }
@@ -140,6 +160,7 @@ impl Decoder {
         for t in &taken {
             self.changed[*t as usize] = true;
         }
+        self.tiles_of = self.tiles_of.max(Some(tiles.frame));
         Ok(self.told(kind, &[tiles.frame as f64, taken.len() as f64]))
     }
 
@@ -179,6 +200,17 @@ impl Decoder {
         let again = || (!shown.rgb.is_empty()).then(|| shown.clone());
         let gone = self.frame.is_some().then(|| self.taken.saturating_sub(std::mem::replace(&mut self.shown, self.taken)));
         let Some(frame) = self.frame.take().or_else(again) else { return 0 };
+        if gone.is_some()
+            && let Some((_, number)) = self.came.iter().rfind(|(time, _)| *time == self.taken)
+        {
+            keep(&mut self.made, *number, KEPT);
+        }
+        if let Some(of) = self.tiles_of.take() {
+            let since = self.made.iter().rev().take_while(|made| **made > of).count();
+            // of a frame that was never shown, the first one after it is the nearest
+            let unseen = usize::from(!self.made.contains(&of));
+            self.layers.late(since.saturating_sub(unseen) as u32);
+        }
         let changed = std::mem::replace(&mut self.changed, vec![false; geometry.tiles.len()]);
         let Changes { texels, layers } = self.layers.update(geometry, |t| changed[t as usize], frame, gone);
         for t in &texels {

@@ -3,6 +3,7 @@
 //! follow within a quarter of a second where nothing but the picture changed. With a memory labels also follow what moves, between frames for which any
 //! came.
 
+use std::collections::VecDeque;
 use std::time::Duration;
 
 use super::blocks::Blocks;
@@ -43,6 +44,9 @@ pub struct Layers {
     memory: Option<Memory>,
     /// The frame for which tiles came last, and how many came since.
     told: (Vec<u32>, u32),
+    /// Colours of the frames before, the last one first, for tiles that come late: of so many frames as labels follow.
+    before: VecDeque<Vec<u32>>,
+    late: u32,
     /// Tiles whose labels have followed what moved.
     moved: Vec<bool>,
     /// All tiles with these labels, where there are such.
@@ -112,6 +116,12 @@ impl Layers {
         Scene { grid: geometry.grid, intrinsics: geometry.intrinsics, view_box: geometry.view_box, photo, layers, texels }
     }
 
+    /// The tiles that the next update brings are as of a frame that was shown so many frames before the one that it brings: their labels follow what has
+    /// moved since.
+    pub const fn late(&mut self, frames: u32) {
+        self.late = frames;
+    }
+
     /// Takes the next frame, which comes `gone` after the one before, none where it is that one once more, and the tiles, of which those are others for which `changed` is true. A frame that
     /// is not of the grid's size changes nothing.
     pub fn update(&mut self, geometry: &Geometry, changed: impl Fn(u32) -> bool, photo: Photo, gone: Option<Duration>) -> Changes {
@@ -125,7 +135,7 @@ impl Layers {
         let mut changed: Vec<bool> = (0..grid.tiles()).map(|t| anew || changed(t)).collect();
         let before = if anew { &[][..] } else { &self.words };
         let pixels = Blocks::that_differ(grid.width, before, &words);
-        self.words = words;
+        let last = std::mem::replace(&mut self.words, words);
         let kept = self.surface.as_ref().filter(|_| !changed.contains(&true));
         let surface = kept.cloned().unwrap_or_else(|| geometry.surface());
         if anew {
@@ -134,6 +144,10 @@ impl Layers {
             self.stale = vec![false; grid.tiles() as usize];
             self.since = vec![0; grid.tiles() as usize];
             self.memory = self.remembers.then(|| Memory::new(*grid));
+            self.before.clear();
+        } else if self.remembers && gone.is_some() {
+            self.before.truncate(FOLLOWS as usize - 1);
+            self.before.push_front(last);
         }
         let with_moved = if self.remembers { self.move_labels(geometry, &surface, &mut changed) } else { None };
         let of_moved = with_moved.as_ref().map(Geometry::surface);
@@ -157,11 +171,17 @@ impl Layers {
         for (changed, moved) in changed.iter_mut().zip(&mut self.moved) {
             *changed |= std::mem::take(moved);
         }
+        let late = std::mem::take(&mut self.late);
         if told {
-            self.told = (self.words.clone(), 0);
-            return None;
+            let of = late.checked_sub(1).and_then(|i| self.before.get(i as usize));
+            let Some(of) = of else {
+                self.told = (self.words.clone(), 0);
+                return None;
+            };
+            self.told = (of.clone(), late);
+        } else {
+            self.told.1 += 1;
         }
-        self.told.1 += 1;
         if self.told.1 > FOLLOWS {
             return None;
         }

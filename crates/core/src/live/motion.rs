@@ -160,8 +160,9 @@ fn mark_others_body(was: &[u32], now: &[u32], changed: &mut [u8]) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::live::Layers;
     use crate::scene::colour::of_word;
-    use crate::{Grid, Intrinsics, Plane, Tile, ViewBox};
+    use crate::{Grid, Intrinsics, Photo, Plane, Tile, ViewBox};
 
     const W: u32 = 96;
     const H: u32 = 64;
@@ -195,6 +196,27 @@ mod tests {
                 let off = motion.labels(t).as_ref().unwrap_or(&tile.labels).iter().zip(&other.labels).filter(|(a, b)| a != b).count();
                 assert_eq!(off, 0, "pixels of tile {t}, to {x}, {y}");
             }
+        }
+    }
+
+    #[test]
+    fn labels_of_tiles_that_come_late_go_where_the_thing_is_by_then() {
+        let photo = |colours: &[u32]| Photo { width: W, height: H, rgb: colours.iter().map(|c| of_word(*c)).collect() };
+        let frames: Vec<_> = [40, 44, 48, 52].map(|x| frame(x, 16)).into();
+        let time = Some(std::time::Duration::from_millis(33));
+        let labels = |geometry: &Geometry| geometry.tiles.iter().map(|t| t.labels.clone()).collect::<Vec<_>>();
+        for (late, of) in [(0, 3), (1, 2), (2, 1), (3, 0)] {
+            let mut layers = Layers::remembering();
+            for (n, (_, colours)) in frames.iter().enumerate() {
+                let last = n == 3;
+                if last {
+                    layers.late(late);
+                }
+                let geometry = if last { &frames[of].0 } else { &frames[0].0 };
+                layers.update(geometry, |_| last, photo(colours), time);
+            }
+            let shown = layers.with_moved().unwrap_or(&frames[of].0);
+            assert!(labels(shown) == labels(&frames[3].0), "tiles of {late} frames before");
         }
     }
 
