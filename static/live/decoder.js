@@ -87,11 +87,11 @@ export class RoomDecoder {
    * Takes a picture of the room's size as the next frame.
    * @param {number} format one of `PIXELS`
    * @param {Uint8Array | Uint8ClampedArray} bytes planes without gaps
-   * @param {number} [time] when it was taken, µs by the publisher's clock
+   * @param {{frame: number, time: number}} [of] its number, and when it was taken, µs by the publisher's clock
    */
-  frame(format, bytes, time = 0) {
+  frame(format, bytes, { frame, time } = { frame: 0, time: 0 }) {
     this.#instance.hand(bytes);
-    this.#instance.call('tmpi_frame', format, time);
+    this.#instance.call('tmpi_frame', format, frame, time);
   }
 
   /**

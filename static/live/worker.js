@@ -336,7 +336,7 @@ class Room {
         const { format, bytes } = pixels;
         this.#measured.copy += (performance.now() - started - this.#measured.copy) * WEIGHT;
         started = performance.now();
-        this.#decoder.frame(format, bytes, next.time);
+        this.#decoder.frame(format, bytes, next);
         this.#shown = next;
       }
       if (this.#compose(head, started)) this.#depthless = 0;

@@ -1,11 +1,10 @@
 // Time from a frame in the camera's page to its pixels on the canvas of who watches, at 320×240 or `--times` that, shown at `--stage`
-// times that, on this machine. Not a test; run by
-// hand on an idle machine with the built program:
+// times that, on this machine. Not a test; run by hand on an idle machine with the built program:
 //   node glass-to-glass.mjs [--times 1] [--stage 1] [--every 10] [--seconds 20] [--p50 100] [--p95 150] [--frames 30] [--json FILE]
 // TMPI_WEBGPU=native draws on the machine's GPU, if it has one, and not in software beside all else.
 // Ends with 1 where a figure is worse than asked for. Each frame of the film has its number written into it; the clock starts when the camera's
 // page takes the frame and stops right after a page that watches has drawn it. Of `--every` so many pictures one is read back, which takes time
-// itself: with every third one a page that draws in software shows a tenth fewer.
+// itself: with every third one a page that draws in software showed 26 frames a second, with every tenth 28.
 import { mkdtempSync, rmSync, writeFileSync } from 'node:fs';
 import { loadavg, tmpdir } from 'node:os';
 import { join } from 'node:path';

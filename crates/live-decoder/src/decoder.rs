@@ -43,19 +43,11 @@ pub enum Pixels {
     Rgba = 2,
 }
 
-/// Frames whose numbers are kept: more than wait to be shown.
-const KEPT: usize = 256;
+/// Frames whose numbers are kept: more than tiles are late by.
+const KEPT: usize = 16;
 
 /// A tile that has the layers of before.
 const AS_BEFORE: u32 = u32::MAX;
-
-/// Keeps one more at the end, and no more than `most`.
-fn keep<T>(kept: &mut VecDeque<T>, one: T, most: usize) {
-    if kept.len() >= most {
-        kept.pop_front();
-    }
-    kept.push_back(one);
-}
 
 /// The messages of one connection, and the layers of one room.
 #[derive(Default)]
@@ -79,9 +71,7 @@ pub struct Decoder {
     /// When the last frame was taken, by the publisher's clock, and the one that was the last as layers were brought up.
     taken: Duration,
     shown: Duration,
-    /// When the last frames of which messages came were taken, and their numbers.
-    came: VecDeque<(Duration, u64)>,
-    /// Numbers of the last frames of which layers were made, the newest last.
+    /// Numbers of the last frames that were handed over, the newest first.
     made: VecDeque<u64>,
     /// The newest frame whose tiles came since.
     tiles_of: Option<u64>,
@@ -106,7 +96,6 @@ impl Decoder {
         match kind {
             Kind::Hello(hello) => self.hello(&hello),
             Kind::Video(Video { frame, time, key, layer, data }) => {
-                keep(&mut self.came, (Duration::from_micros(time), frame), KEPT);
                 self.data = data;
                 Ok(self.told(2, &[frame as f64, time as f64, f64::from(u8::from(key)), f64::from(layer)]))
             }
@@ -149,7 +138,7 @@ impl Decoder {
             (self.frame, self.layers) = (None, Layers::remembering());
         }
         self.model = Some(model);
-        (self.came, self.made, self.tiles_of) = (VecDeque::new(), VecDeque::new(), None);
+        (self.made, self.tiles_of) = (VecDeque::new(), None);
         self.data = format!("{}\n{}", h.codec, h.sound).into_bytes().into();
         Ok(self.told(1, &[&said[..], &[f64::from(h.sound_rate), f64::from(h.sound_channels), h.epoch as f64]].concat()))
     }
@@ -164,11 +153,11 @@ impl Decoder {
         Ok(self.told(kind, &[tiles.frame as f64, taken.len() as f64]))
     }
 
-    /// Takes over a frame that was taken at a time, µs by the publisher's clock.
+    /// Takes over a frame by its number, taken at a time, µs by the publisher's clock.
     ///
     /// # Errors
     /// Where its bytes are not as many as the room's size asks for.
-    pub fn frame(&mut self, format: u32, time: u64) -> Result<i32, String> {
+    pub fn frame(&mut self, format: u32, number: u64, time: u64) -> Result<i32, String> {
         let (width, height) = self.size;
         let area = width as usize * height as usize;
         let chroma = width.div_ceil(2) as usize * height.div_ceil(2) as usize;
@@ -180,6 +169,8 @@ impl Decoder {
         let (y, rest) = bytes.split_at(area);
         let i420 = |u: &[u8], v: &[u8]| to_rgb(&I420 { width, height, y, u, v });
         self.taken = Duration::from_micros(time);
+        self.made.truncate(KEPT - 1);
+        self.made.push_front(number);
         self.frame = match format {
             f if f == Pixels::I420 as u32 => i420(&rest[..chroma], &rest[chroma..]),
             f if f == Pixels::Nv12 as u32 => {
@@ -200,13 +191,8 @@ impl Decoder {
         let again = || (!shown.rgb.is_empty()).then(|| shown.clone());
         let gone = self.frame.is_some().then(|| self.taken.saturating_sub(std::mem::replace(&mut self.shown, self.taken)));
         let Some(frame) = self.frame.take().or_else(again) else { return 0 };
-        if gone.is_some()
-            && let Some((_, number)) = self.came.iter().rfind(|(time, _)| *time == self.taken)
-        {
-            keep(&mut self.made, *number, KEPT);
-        }
         if let Some(of) = self.tiles_of.take() {
-            let since = self.made.iter().rev().take_while(|made| **made > of).count();
+            let since = self.made.iter().take_while(|made| **made > of).count();
             // of a frame that was never shown, the first one after it is the nearest
             let unseen = usize::from(!self.made.contains(&of));
             self.layers.late(since.saturating_sub(unseen) as u32);

@@ -38,12 +38,12 @@ pub extern "C" fn tmpi_message() -> i32 {
     call(Decoder::message)
 }
 
-/// Takes the picture that was handed over, of the size that HELLO said, as the next frame; `format` is one of [`Pixels`], `time` when it was taken, µs by
-/// the publisher's clock.
+/// Takes the picture that was handed over, of the size that HELLO said, as the next frame, by its number; `format` is one of [`Pixels`],
+/// `time` when it was taken, µs by the publisher's clock.
 #[allow(unsafe_code, reason = "a C name")]
 #[unsafe(no_mangle)]
-pub extern "C" fn tmpi_frame(format: u32, time: f64) -> i32 {
-    call(|decoder| decoder.frame(format, time as u64))
+pub extern "C" fn tmpi_frame(format: u32, number: f64, time: f64) -> i32 {
+    call(|decoder| decoder.frame(format, number as u64, time as u64))
 }
 
 /// Makes the layers of the last frame and of all tiles that came; gives how many tiles changed. 0 as long as there is no frame or not

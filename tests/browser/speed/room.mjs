@@ -32,7 +32,7 @@ async function measured({ file }) {
         hello.codec,
         async ({ frame, time, picture }) => {
           pixels.set(frame, null);
-          pixels.set(frame, { ...(await pixelsOf(picture, hello.head, true)), time });
+          pixels.set(frame, { ...(await pixelsOf(picture, hello.head, true)), frame, time });
           picture.close();
         },
         (error) => console.error(error.message),
@@ -52,10 +52,10 @@ async function measured({ file }) {
   let tiles = 0;
   const show = () => {
     if (waits === null || !pixels.get(waits)) return;
-    const { format, bytes: planes, time } = pixels.get(waits);
+    const { format, bytes: planes, ...of } = pixels.get(waits);
     waits = null;
     const began = performance.now();
-    decoder.frame(format, planes, time);
+    decoder.frame(format, planes, of);
     const framed = performance.now();
     const changed = decoder.layers();
     const layered = performance.now();

@@ -46,6 +46,7 @@ pub struct Layers {
     told: (Vec<u32>, u32),
     /// Colours of the frames before, the last one first, for tiles that come late: of so many frames as labels follow.
     before: VecDeque<Vec<u32>>,
+    /// By how many of them the tiles that come next are late.
     late: u32,
     /// Tiles whose labels have followed what moved.
     moved: Vec<bool>,
@@ -116,14 +117,14 @@ impl Layers {
         Scene { grid: geometry.grid, intrinsics: geometry.intrinsics, view_box: geometry.view_box, photo, layers, texels }
     }
 
-    /// The tiles that the next update brings are as of a frame that was shown so many frames before the one that it brings: their labels follow what has
-    /// moved since.
+    /// The tiles that the next update brings are as of a frame that was shown so many before the one that it brings: their labels follow what
+    /// has moved since.
     pub const fn late(&mut self, frames: u32) {
         self.late = frames;
     }
 
-    /// Takes the next frame, which comes `gone` after the one before, none where it is that one once more, and the tiles, of which those are others for which `changed` is true. A frame that
-    /// is not of the grid's size changes nothing.
+    /// Takes the next frame, which comes `gone` after the one before, none where it is that one once more, and the tiles, of which those are
+    /// others for which `changed` is true. A frame that is not of the grid's size changes nothing.
     pub fn update(&mut self, geometry: &Geometry, changed: impl Fn(u32) -> bool, photo: Photo, gone: Option<Duration>) -> Changes {
         let grid = &geometry.grid;
         if (photo.width, photo.height) != (grid.width, grid.height) || photo.rgb.len() != grid.width as usize * grid.height as usize {
