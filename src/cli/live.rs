@@ -10,6 +10,7 @@ use super::live_publish::{self, PublishArgs};
 use super::live_watch::{self, WatchArgs};
 use super::{Usage, files, result};
 use crate::live::{self as rooms, Role};
+use tmpi_core::live::FOLLOWS;
 use tmpi_lab::live;
 use tmpi_lab::live::points::At;
 use tmpi_pipeline::networks::{self, models};
@@ -91,6 +92,12 @@ struct BenchArgs {
     /// Milliseconds for which frames rest after one of which tiles were sent, where depth is estimated
     #[arg(long, default_value_t = tmpi_live::REST.as_millis() as u16, value_parser = clap::value_parser!(u16).range(0..=1000), value_name = "MS")]
     rest_ms: u16,
+    /// Frames by which tiles come after theirs: meanwhile the reader moves labels along with what moves
+    #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=30), value_name = "N")]
+    late: u32,
+    /// Frames after the one that tiles are of up to which it does; 0: labels stay where they were
+    #[arg(long, default_value_t = FOLLOWS, value_parser = clap::value_parser!(u32).range(0..=i64::from(FOLLOWS)), value_name = "N")]
+    follow: u32,
     /// Bring the network's disparity to the truth's scale before it is used: what is left is not the scale's
     #[arg(long)]
     true_scale: bool,
@@ -187,6 +194,8 @@ fn bench(args: &BenchArgs) -> anyhow::Result<()> {
         parallax: args.parallax,
         max_error: args.max_error,
         rest: Duration::from_millis(args.rest_ms.into()),
+        late: args.late,
+        follow: args.follow,
         settles: tmpi_live::Settling { frames: args.settle, blocks: args.settle_blocks },
         files: args.files.clone(),
         only: args.only.clone(),

@@ -13,7 +13,7 @@ use tokio_tungstenite::tungstenite::Message;
 
 use tmpi_core::live::wire::message::Kind;
 use tmpi_core::live::wire::{self, Hello, Video};
-use tmpi_core::live::{Layers, Model, read};
+use tmpi_core::live::{Layers, Model, When, read};
 use tmpi_core::{Camera, Photo, Pose};
 use tmpi_live::video::{self, Decoder};
 use tmpi_render::{Cpu, PictureFormat, Renderer as _, encode};
@@ -240,15 +240,17 @@ struct Pictures {
     waits: Option<(u64, Duration, Photo)>,
     /// When the frame that is shown was taken.
     shown: Duration,
-    /// Tiles that came since a frame was taken.
+    /// Tiles that came since a frame was shown.
     changed: Vec<u32>,
+    /// The newest frame that any of them is of.
+    tiles_of: Option<u64>,
 }
 
 impl Shown {
     fn new(hello: &Hello, draws: bool) -> anyhow::Result<Self> {
         let decoder = || video::decoder(&hello.codec, (hello.width, hello.height));
         let (layers, renderer) = (Layers::remembering(), Cpu::default());
-        let of = |decoder| Pictures { decoder, layers, renderer, waits: None, shown: Duration::ZERO, changed: Vec::new() };
+        let of = |decoder| Pictures { decoder, layers, renderer, waits: None, shown: Duration::ZERO, changed: Vec::new(), tiles_of: None };
         Ok(Self { model: Model::new(hello)?, pictures: draws.then(decoder).transpose()?.map(of) })
     }
 
@@ -269,6 +271,7 @@ impl Shown {
         let count = changed.len();
         let Some(pictures) = &mut self.pictures else { return Ok((count, false)) };
         pictures.changed.extend(changed);
+        pictures.tiles_of = pictures.tiles_of.max(Some(tiles.frame));
         let of_it = pictures.waits.as_ref().is_some_and(|(frame, ..)| tiles.frame >= *frame);
         Ok((count, of_it && self.settle(args)?))
     }
@@ -280,8 +283,9 @@ impl Shown {
         let Some((frame, at, photo)) = pictures.waits.take() else { return Ok(false) };
         let Photo { width, height, .. } = photo;
         let changed = std::mem::take(&mut pictures.changed);
-        let gone = at.saturating_sub(std::mem::replace(&mut pictures.shown, at));
-        pictures.layers.update(geometry, |t| changed.contains(&t), photo, Some(gone));
+        let gone = Some(at.saturating_sub(std::mem::replace(&mut pictures.shown, at)));
+        let when = When { frame, tiles: pictures.tiles_of.take(), gone };
+        pictures.layers.update(geometry, |t| changed.contains(&t), photo, when);
         if !frame.is_multiple_of(args.every) {
             return Ok(false);
         }

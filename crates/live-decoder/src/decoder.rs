@@ -1,12 +1,11 @@
 //! What an instance holds, and what its functions do.
 
-use std::collections::VecDeque;
 use std::time::Duration;
 
 use prost::bytes::Bytes;
 use tmpi_core::live::wire::message::Kind;
 use tmpi_core::live::wire::{self, Bye, Hello, Sound, Statistics, Video};
-use tmpi_core::live::{Changes, I420, Layers, Model, VERSION, read, to_rgb, write};
+use tmpi_core::live::{Changes, I420, Layers, Model, VERSION, When, read, to_rgb, write};
 use tmpi_core::{Class, Photo};
 
 /// What can be read out.
@@ -43,9 +42,6 @@ pub enum Pixels {
     Rgba = 2,
 }
 
-/// Frames whose numbers are kept: more than tiles are late by.
-const KEPT: usize = 16;
-
 /// A tile that has the layers of before.
 const AS_BEFORE: u32 = u32::MAX;
 
@@ -71,8 +67,8 @@ pub struct Decoder {
     /// When the last frame was taken, by the publisher's clock, and the one that was the last as layers were brought up.
     taken: Duration,
     shown: Duration,
-    /// Numbers of the last frames that were handed over, the newest first.
-    made: VecDeque<u64>,
+    /// Number of the last frame that was handed over.
+    number: u64,
     /// The newest frame whose tiles came since.
     tiles_of: Option<u64>,
     /// Why the last call failed.
@@ -138,7 +134,7 @@ impl Decoder {
             (self.frame, self.layers) = (None, Layers::remembering());
         }
         self.model = Some(model);
-        (self.made, self.tiles_of) = (VecDeque::new(), None);
+        self.tiles_of = None;
         self.data = format!("{}\n{}", h.codec, h.sound).into_bytes().into();
         Ok(self.told(1, &[&said[..], &[f64::from(h.sound_rate), f64::from(h.sound_channels), h.epoch as f64]].concat()))
     }
@@ -169,8 +165,7 @@ impl Decoder {
         let (y, rest) = bytes.split_at(area);
         let i420 = |u: &[u8], v: &[u8]| to_rgb(&I420 { width, height, y, u, v });
         self.taken = Duration::from_micros(time);
-        self.made.truncate(KEPT - 1);
-        self.made.push_front(number);
+        self.number = number;
         self.frame = match format {
             f if f == Pixels::I420 as u32 => i420(&rest[..chroma], &rest[chroma..]),
             f if f == Pixels::Nv12 as u32 => {
@@ -191,14 +186,9 @@ impl Decoder {
         let again = || (!shown.rgb.is_empty()).then(|| shown.clone());
         let gone = self.frame.is_some().then(|| self.taken.saturating_sub(std::mem::replace(&mut self.shown, self.taken)));
         let Some(frame) = self.frame.take().or_else(again) else { return 0 };
-        if let Some(of) = self.tiles_of.take() {
-            let since = self.made.iter().take_while(|made| **made > of).count();
-            // of a frame that was never shown, the first one after it is the nearest
-            let unseen = usize::from(!self.made.contains(&of));
-            self.layers.late(since.saturating_sub(unseen) as u32);
-        }
+        let when = When { frame: self.number, tiles: self.tiles_of.take(), gone };
         let changed = std::mem::replace(&mut self.changed, vec![false; geometry.tiles.len()]);
-        let Changes { texels, layers } = self.layers.update(geometry, |t| changed[t as usize], frame, gone);
+        let Changes { texels, layers } = self.layers.update(geometry, |t| changed[t as usize], frame, when);
         for t in &texels {
             let other = layers.binary_search(t).is_ok();
             let part = self.layers.tile(*t).filter(|_| other);

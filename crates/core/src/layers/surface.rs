@@ -49,8 +49,9 @@ impl Surface {
         &self.delta[self.at(x, y)..][..count as usize]
     }
 
-    /// All pixels of its rows.
-    pub(crate) fn all(&self) -> &[f32] {
+    /// δ of all pixels of its rows, row by row.
+    #[must_use]
+    pub fn all(&self) -> &[f32] {
         &self.delta
     }
 

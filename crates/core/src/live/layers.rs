@@ -3,11 +3,11 @@
 //! follow within a quarter of a second where nothing but the picture changed. With a memory labels also follow what moves, between frames for which any
 //! came.
 
-use std::collections::VecDeque;
 use std::time::Duration;
 
 use super::blocks::Blocks;
-use super::motion::Motion;
+use super::history::{self, History, Shown, When};
+use super::motion::{Motion, Way};
 use crate::container::{Part, texels};
 use crate::layers::{CONTEXT, MOST, STEADY, Surface};
 use crate::scene::colour;
@@ -20,7 +20,7 @@ pub(super) const TURNS: u32 = 8;
 /// A frame's time at 30 a second. Where frames are shown more seldom several parts have their turn, so that none waits longer.
 pub(super) const TURN: Duration = Duration::from_micros(33_333);
 /// Frames after one for which tiles came up to which labels follow what moves.
-const FOLLOWS: u32 = 3;
+pub const FOLLOWS: u32 = history::KEPT as u32;
 
 /// Layers and texels of all tiles.
 #[derive(Default)]
@@ -41,13 +41,17 @@ pub struct Layers {
     turn: u32,
     pyramid: Pyramid,
     remembers: bool,
+    /// Frames up to which labels follow what moves.
+    follows: u32,
     memory: Option<Memory>,
-    /// The frame for which tiles came last, and how many came since.
-    told: (Vec<u32>, u32),
-    /// Colours of the frames before, the last one first, for tiles that come late: of so many frames as labels follow.
-    before: VecDeque<Vec<u32>>,
-    /// By how many of them the tiles that come next are late.
-    late: u32,
+    /// The frame that the tiles which came last are of, and how many came since.
+    told: (Shown, u32),
+    /// The frames before, for tiles that come late.
+    history: History,
+    /// Number of the frame that is shown, and when it was taken.
+    now: (u64, Duration),
+    /// Where the things in each tile were last found to go.
+    ways: Vec<Option<Way>>,
     /// Tiles whose labels have followed what moved.
     moved: Vec<bool>,
     /// All tiles with these labels, where there are such.
@@ -67,7 +71,13 @@ impl Layers {
     /// The same that show what was seen before something came in front of it.
     #[must_use]
     pub fn remembering() -> Self {
-        Self { remembers: true, ..Self::default() }
+        Self { remembers: true, follows: FOLLOWS, ..Self::default() }
+    }
+
+    /// The same whose labels follow what moves in so many frames after one that tiles came of, [`FOLLOWS`] at most; 0: they stay where they were.
+    #[must_use]
+    pub fn following(self, frames: u32) -> Self {
+        Self { follows: frames.min(FOLLOWS), ..self }
     }
 
     /// The frame that is shown.
@@ -117,15 +127,9 @@ impl Layers {
         Scene { grid: geometry.grid, intrinsics: geometry.intrinsics, view_box: geometry.view_box, photo, layers, texels }
     }
 
-    /// The tiles that the next update brings are as of a frame that was shown so many before the one that it brings: their labels follow what
-    /// has moved since.
-    pub const fn late(&mut self, frames: u32) {
-        self.late = frames;
-    }
-
-    /// Takes the next frame, which comes `gone` after the one before, none where it is that one once more, and the tiles, of which those are
-    /// others for which `changed` is true. A frame that is not of the grid's size changes nothing.
-    pub fn update(&mut self, geometry: &Geometry, changed: impl Fn(u32) -> bool, photo: Photo, gone: Option<Duration>) -> Changes {
+    /// Takes the next frame, and the tiles, of which those are others for which `changed` is true. Where these are of a frame before, their labels
+    /// follow what has moved since. A frame that is not of the grid's size changes nothing.
+    pub fn update(&mut self, geometry: &Geometry, changed: impl Fn(u32) -> bool, photo: Photo, when: When) -> Changes {
         let grid = &geometry.grid;
         if (photo.width, photo.height) != (grid.width, grid.height) || photo.rgb.len() != grid.width as usize * grid.height as usize {
             return Changes::default();
@@ -145,52 +149,53 @@ impl Layers {
             self.stale = vec![false; grid.tiles() as usize];
             self.since = vec![0; grid.tiles() as usize];
             self.memory = self.remembers.then(|| Memory::new(*grid));
-            self.before.clear();
-        } else if self.remembers && gone.is_some() {
-            self.before.truncate(FOLLOWS as usize - 1);
-            self.before.push_front(last);
+            self.ways = vec![None; grid.tiles() as usize];
+            self.history.clear();
+        } else if self.remembers && when.gone.is_some() {
+            self.history.add(Shown { number: self.now.0, at: self.now.1, words: last });
         }
-        let with_moved = if self.remembers { self.move_labels(geometry, &surface, &mut changed) } else { None };
+        self.now = (when.frame, self.now.1 + when.gone.unwrap_or_default());
+        let with_moved = if self.remembers { self.move_labels(geometry, &surface, when, &mut changed) } else { None };
         let of_moved = with_moved.as_ref().map(Geometry::surface);
         let (geometry, shown) = (with_moved.as_ref().unwrap_or(geometry), of_moved.as_ref().unwrap_or(&surface));
         let was = self.moved_surface.take().or_else(|| self.surface.take()).filter(|_| !anew);
         let depth = Blocks::that_differ(grid.width, was.as_ref().map_or(&[], Surface::all), shown.all());
         let unmixed = shown.without_mixed();
         if let Some(memory) = &mut self.memory {
-            memory.take(&self.words, shown, &unmixed, frames(gone));
+            memory.take(&self.words, shown, &unmixed, frames(when.gone));
         }
         self.photo = photo;
-        let changes = self.follow(geometry, (shown, unmixed), &changed, (&pixels, &depth), frames(gone));
+        let changes = self.follow(geometry, (shown, unmixed), &changed, (&pixels, &depth), frames(when.gone));
         (self.surface, self.moved_surface, self.with_moved) = (Some(surface), of_moved, with_moved);
         changes
     }
 
-    /// The tiles with labels that have followed what moved since the frame for which any came, none where none have; adds those to `changed` that
+    /// The tiles with labels that have followed what moved since the frame that they are of, none where none have; adds those to `changed` that
     /// have, or had in the frame before.
-    fn move_labels(&mut self, geometry: &Geometry, surface: &Surface, changed: &mut [bool]) -> Option<Geometry> {
+    fn move_labels(&mut self, geometry: &Geometry, surface: &Surface, when: When, changed: &mut [bool]) -> Option<Geometry> {
         let told = changed.contains(&true);
         for (changed, moved) in changed.iter_mut().zip(&mut self.moved) {
             *changed |= std::mem::take(moved);
         }
-        let late = std::mem::take(&mut self.late);
         if told {
-            let of = late.checked_sub(1).and_then(|i| self.before.get(i as usize));
-            let Some(of) = of else {
-                self.told = (self.words.clone(), 0);
-                return None;
-            };
-            self.told = (of.clone(), late);
+            let late = when.tiles.filter(|of| *of < when.frame).and_then(|of| self.history.since(of));
+            let now = || (Shown { number: self.now.0, at: self.now.1, words: self.words.clone() }, 0);
+            self.told = late.map_or_else(now, |(shown, late)| (shown.clone(), late));
         } else {
-            self.told.1 += 1;
+            self.told.1 += u32::from(when.gone.is_some());
         }
-        if self.told.1 > FOLLOWS {
+        let (told, since) = &self.told;
+        if *since == 0 || *since > self.follows {
             return None;
         }
-        let motion = Motion::new(geometry, surface, &self.told.0, &self.words);
+        let motion = Motion::new(geometry, surface, (&told.words, &self.words), self.now.1.saturating_sub(told.at));
         let mut out = None;
+        let before = self.ways.clone();
         for t in 0..geometry.grid.tiles() {
-            let Some(labels) = motion.labels(t) else { continue };
-            out.get_or_insert_with(|| geometry.clone()).tiles[t as usize].labels = labels;
+            let way = motion.way(t, &before);
+            self.ways[t as usize] = way;
+            let Some(tile) = way.and_then(|way| motion.moved(t, way)) else { continue };
+            out.get_or_insert_with(|| geometry.clone()).tiles[t as usize] = tile;
             (changed[t as usize], self.moved[t as usize]) = (true, true);
         }
         out

@@ -8,6 +8,7 @@ mod blocks;
 pub mod chunk;
 mod colour;
 mod fuzzing;
+mod history;
 mod layers;
 mod model;
 mod motion;
@@ -18,7 +19,8 @@ pub mod wire;
 pub use colour::{I420, to_rgb};
 #[doc(hidden)]
 pub use fuzzing::message as fuzz_message;
-pub use layers::{Changes, Layers};
+pub use history::When;
+pub use layers::{Changes, FOLLOWS, Layers};
 pub use model::Model;
 
 use prost::encoding::{DecodeContext, WireType, decode_key, decode_varint, skip_field};

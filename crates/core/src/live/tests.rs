@@ -26,6 +26,11 @@ fn geometry(width: u32, height: u32, size: u32, seed: u32) -> Geometry {
     Geometry { grid, intrinsics: Intrinsics::centred(width, height, 300.0), view_box: ViewBox::default(), tiles }
 }
 
+/// A frame that comes so much after the one before, with its own tiles.
+fn after(gone: Option<std::time::Duration>) -> When {
+    When { gone, ..When::default() }
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(40))]
 
@@ -70,7 +75,7 @@ proptest! {
         let grid = now.grid;
         let mut photo = Photo { width: w, height: h, rgb: (0..w * h).map(|i| [(i % 251) as u8, (i / w) as u8, (i * 7 / 3) as u8]).collect() };
         let mut kept = Layers::default();
-        prop_assert_eq!(kept.update(&now, |_| false, photo.clone(), Some(TURN)).layers.len(), grid.tiles() as usize);
+        prop_assert_eq!(kept.update(&now, |_| false, photo.clone(), after(Some(TURN))).layers.len(), grid.tiles() as usize);
         for (seed, (bits, [x, y, side, colour])) in (1u32..).zip(steps) {
             let other = geometry(w, h, 64, seed);
             let changed = |t: u32| bits >> (t % 64) & 7 == 7;
@@ -82,14 +87,14 @@ proptest! {
                 photo.rgb[at as usize] = colour.to_le_bytes().map(|c| c ^ at as u8).into_iter().chain([9]).collect::<Vec<_>>().try_into().unwrap();
             }
             let before: Vec<_> = (0..grid.tiles()).map(|t| kept.tile(t).cloned()).collect();
-            let mut changes = kept.update(&now, changed, photo.clone(), Some(TURN));
+            let mut changes = kept.update(&now, changed, photo.clone(), after(Some(TURN)));
             // hidden colours follow, turn by turn or all at once after as long a time
             let (frames, gone) = if seed % 2 == 0 { (TURNS, TURN) } else { (1, TURN * TURNS) };
             for _ in 0..frames {
-                changes.texels.extend(kept.update(&now, |_| false, photo.clone(), Some(gone)).texels);
+                changes.texels.extend(kept.update(&now, |_| false, photo.clone(), after(Some(gone))).texels);
             }
             let mut fresh = Layers::default();
-            fresh.update(&now, |_| true, photo.clone(), Some(TURN));
+            fresh.update(&now, |_| true, photo.clone(), after(Some(TURN)));
             for t in 0..grid.tiles() {
                 let (is, was, should) = (kept.tile(t).unwrap(), before[t as usize].as_ref().unwrap(), fresh.tile(t).unwrap());
                 prop_assert!(is.layers == should.layers && is.texels == should.texels, "tile {}", t);
@@ -97,7 +102,7 @@ proptest! {
                 prop_assert!(changes.layers.contains(&t) || is.layers == was.layers, "tile {}", t);
             }
             // nothing changes twice
-            prop_assert_eq!(kept.update(&now, |_| false, photo.clone(), Some(TURN)), Changes::default());
+            prop_assert_eq!(kept.update(&now, |_| false, photo.clone(), after(Some(TURN))), Changes::default());
         }
     }
 
@@ -112,11 +117,11 @@ proptest! {
         let (grid, gone) = (now.grid, Some(TURN * rate));
         let mut photo = Photo { width: w, height: h, rgb: (0..w * h).map(|i| [(i % 251) as u8, (i / w) as u8, (i * 7 / 3) as u8]).collect() };
         let mut kept = Layers::remembering();
-        kept.update(&now, |_| false, photo.clone(), gone);
+        kept.update(&now, |_| false, photo.clone(), after(gone));
         for (seed, (bits, [x, y, side, colour])) in (1u32..).zip(steps) {
             // long enough for all that stays to be remembered
             for _ in 0..=STEADY + 1 {
-                kept.update(&now, |_| false, photo.clone(), gone);
+                kept.update(&now, |_| false, photo.clone(), after(gone));
             }
             let other = geometry(w, h, 64, seed);
             let changed = |t: u32| bits >> (t % 64) & 3 == 3;
@@ -127,10 +132,10 @@ proptest! {
             for at in (y..h.min(y + side)).flat_map(|y| (x..w.min(x + side)).map(move |x| y * w + x)) {
                 photo.rgb[at as usize] = [colour as u8, (colour >> 8) as u8, at as u8];
             }
-            kept.update(&now, changed, photo.clone(), gone);
+            kept.update(&now, changed, photo.clone(), after(gone));
             // until it is remembered, and every hidden colour has had its turn since
             for _ in 0..=u32::from(STEADY) + 1 + TURNS {
-                kept.update(&now, |_| false, photo.clone(), gone);
+                kept.update(&now, |_| false, photo.clone(), after(gone));
             }
             let masks = now.masks();
             let shown: Vec<Vec<_>> = (0..grid.tiles()).map(|t| {

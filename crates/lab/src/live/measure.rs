@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use tmpi_core::live::{Model, wire};
+use tmpi_core::live::{Model, When, wire};
 use tmpi_core::{Photo, Pose};
 use tmpi_live::{Frame, Geometry as Driver, video as codecs};
 use tmpi_pipeline::clock::Clock;
@@ -34,7 +34,7 @@ pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Resul
     let models = if settings.true_scale { truth.scaled(&settings.models) } else { settings.models.clone() };
     let mut carried = Driver::new(models.clone(), room(settings, sequence, settings.frame_ms, false));
     let mut separate = Driver::new(models, room(settings, sequence, 0.0, true));
-    let (mut reader, mut other) = (Reader::remembering(), Reader::default());
+    let (mut reader, mut other) = (Reader::remembering(settings.follow), Reader::default());
     // the truth of the frame before, and of all until now
     let (mut last, mut seen) = (None::<Photo>, Seen::default());
     let (mut stream, mut messages) = (Vec::new(), Vec::new());
@@ -70,25 +70,25 @@ pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Resul
         update.stages.iter().for_each(|s| add(&mut f.stages_ms, &s.name, (s.ms, s.cpu_ms)));
         add(&mut f.stages_ms, "chunks", (update.coding_ms, update.coding_ms));
         let message = wire::Geometry { frame: n.into(), chunks: update.chunks.clone() };
-        let mut came = Vec::new();
         add_bytes(&mut f, &mut sums.chunks, &message);
         record(&mut messages, wire::message::Kind::Geometry(message.clone()));
         if let Some(g) = carried.geometry() {
             sums.count(g, &update, last.as_ref().map(|l| (l, &shot.clean)));
-            let of = carried.reference().map_or(&[][..], |p| p.rgb.as_flattened());
-            let off = of.iter().zip(frame.photo.rgb.as_flattened()).map(|(a, b)| a.abs_diff(*b)).max();
-            f.left_out_off = f.left_out_off.max(off.unwrap_or_default());
+            f.left_out_off = f.left_out_off.max(carried.reference().map_or(0, |of| most_off(of, &frame.photo)));
             f.kept_off = f.kept_off.max(update.kept_off);
-            let before = Instant::now();
-            let model = reader.model.get_or_insert(Model::new(&Model::hello(g))?);
-            came = model.take(&message)?;
-            f.read_ms += ms(before);
+            reader.model.get_or_insert(Model::new(&Model::hello(g))?);
         }
+        let before = Instant::now();
+        let (came, tiles) = reader.hear(message, settings.late)?;
+        f.read_ms += ms(before);
         let known = reader.model.as_ref().and_then(Model::geometry).cloned();
         if let Some(g) = &known {
             let before = Instant::now();
-            reader.take(g, &came, &frame.photo, at(settings.every));
+            reader.take(g, &came, &frame.photo, When { frame: n.into(), tiles, gone: Some(at(settings.every)) });
             sums.layers.push(ms(before));
+            if let Some(plate) = sequence.plate(taken).filter(|_| kind == Kind::Measured) {
+                sums.misplaced(reader.shown(g), (&shot.delta, &plate.disparity));
+            }
         }
         if n % views <= 1 {
             if let Some(bytes) = snapshot(&carried, n)? {
@@ -105,7 +105,7 @@ pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Resul
                 sent,
                 settled: f64::from(taken) >= SETTLED * 30.0,
             };
-            let view = known.as_ref().map(|g| reader.show(moment(g, &update.sent))).transpose()?;
+            let view = known.as_ref().map(|g| reader.show(moment(g, &came))).transpose()?;
             separate.next(&frame)?;
             let by_itself = separate.geometry().map(|g| other.show(moment(g, &[]))).transpose()?;
             if let Some(folder) = settings.files.as_deref().filter(|_| n % views == 0) {
@@ -129,6 +129,11 @@ pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Resul
     sums.finish(&mut f, settings.frames, settings.every);
     compare(&mut f, &reader, &other);
     Ok(f)
+}
+
+/// Levels that two pictures are apart in any channel, at most.
+fn most_off(a: &Photo, b: &Photo) -> u8 {
+    a.rgb.as_flattened().iter().zip(b.rgb.as_flattened()).map(|(a, b)| a.abs_diff(*b)).max().unwrap_or_default()
 }
 
 /// What readers saw of a room that carries its geometry on, beside one that does not.

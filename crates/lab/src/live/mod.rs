@@ -86,6 +86,10 @@ pub struct Settings {
     pub parallax: f64,
     /// For how long frames rest after one of which tiles were sent.
     pub rest: Duration,
+    /// Frames by which readers get tiles after theirs.
+    pub late: u32,
+    /// Frames after those that tiles are of up to which readers' labels follow what moves.
+    pub follow: u32,
     /// When estimated depth beside what moved is looked at once more.
     pub settles: tmpi_live::Settling,
     /// Of the sequences the one of this name alone.
@@ -167,6 +171,12 @@ pub struct Figures {
     pub own_depth_psnr: f64,
     /// The same with all of it made up.
     pub own_depth_psnr_made_up: f64,
+    /// Share of the thing's pixels that are shown behind the middle between it and what it stands before; where depth is measured, else 0.
+    pub torn: f64,
+    /// The same of the frame that is worse than 95 of 100.
+    pub torn_p95: f64,
+    /// Pixels of what it stands before that are shown in front of that, as a share of the thing's.
+    pub fringe: f64,
     /// A reader's time to bring its layers up to a frame, and to keep what it sees.
     pub layers_ms: f64,
     /// 95 of 100 take no longer.
@@ -332,6 +342,8 @@ impl Results {
         line("of these seen earlier", &|f| format!("{:.1} %", 100.0 * f.seen_before));
         line("seen earlier: seen / made up, dB", &|f| format!("{:.2} / {:.2}", f.seen_before_psnr, f.seen_before_psnr_made_up));
         line("the same by the depth there is, dB", &|f| format!("{:.2} / {:.2}", f.own_depth_psnr, f.own_depth_psnr_made_up));
+        let torn = |f: &Figures| format!("{:.2} ({:.2}) / {:.2}", 100.0 * f.torn, 100.0 * f.torn_p95, 100.0 * f.fringe);
+        line("thing shown behind (p95) / wall before, %", &torn);
         line("PSNR beside / frame by frame", &|f| format!("{:.2} / {:.2}", f.psnr, f.psnr_separate));
         line("SSIM beside / frame by frame", &|f| format!("{:.3} / {:.3}", f.ssim, f.ssim_separate));
         line("seams / frame by frame, px", &|f| format!("{:.3} / {:.3}", f.seam, f.seam_separate));

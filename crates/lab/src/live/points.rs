@@ -225,6 +225,8 @@ mod tests {
             max_error: 1.0,
             parallax: 0.25,
             rest: tmpi_live::REST,
+            late: 0,
+            follow: tmpi_core::live::FOLLOWS,
             settles: tmpi_live::SETTLES,
             only: None,
             files: None,

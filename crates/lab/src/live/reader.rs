@@ -1,9 +1,10 @@
 //! A reader of a room: what it shows from beside the camera, against the truth.
 
+use std::collections::VecDeque;
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
-use tmpi_core::live::{Layers, Model};
+use tmpi_core::live::{Layers, LiveError, Model, When, wire};
 use tmpi_core::{Camera, Class, Geometry, Inpainter, LayerMasks, Photo, Pose, Scene, TexturedLayer, TileFrame, compose};
 use tmpi_render::difference::psnr;
 use tmpi_render::{Cpu, RenderError, Renderer};
@@ -28,6 +29,8 @@ pub(super) struct Reader {
     pub model: Option<Model>,
     /// What it shows, as a page does; none: it makes every frame up anew.
     pub layers: Option<Layers>,
+    /// Tiles that were sent and are not read yet.
+    under_way: VecDeque<wire::Geometry>,
     /// Tiles whose layers are others than in the frame before.
     other: Vec<u32>,
     renderer: Cpu,
@@ -97,16 +100,32 @@ pub(super) struct Moment<'a> {
 }
 
 impl Reader {
-    /// One that shows what was seen before, as a page does.
-    pub fn remembering() -> Self {
-        Self { layers: Some(Layers::remembering()), ..Self::default() }
+    /// One that shows what was seen before, as a page does, and whose labels follow what moves in so many frames.
+    pub fn remembering(follow: u32) -> Self {
+        Self { layers: Some(Layers::remembering().following(follow)), ..Self::default() }
     }
 
-    /// Takes a frame, which comes `gone` after the one before, and the numbers of the tiles that came with it.
-    pub fn take(&mut self, geometry: &Geometry, changed: &[u32], photo: &Photo, gone: Duration) {
+    /// Takes tiles as they are sent, and reads those that were sent so many frames before; gives the numbers of those that it has anew, and their frame.
+    ///
+    /// # Errors
+    /// Where they cannot be read.
+    pub fn hear(&mut self, message: wire::Geometry, late: u32) -> Result<(Vec<u32>, Option<u64>), LiveError> {
+        self.under_way.push_back(message);
+        let due = if self.under_way.len() > late as usize { self.under_way.pop_front() } else { None };
+        let Some((message, model)) = due.zip(self.model.as_mut()) else { return Ok((Vec::new(), None)) };
+        Ok((model.take(&message)?, Some(message.frame)))
+    }
+
+    /// Takes a frame, and the numbers of the tiles that came with it.
+    pub fn take(&mut self, geometry: &Geometry, changed: &[u32], photo: &Photo, when: When) {
         if let Some(layers) = &mut self.layers {
-            self.other = layers.update(geometry, |t| changed.contains(&t), photo.clone(), Some(gone)).layers;
+            self.other = layers.update(geometry, |t| changed.contains(&t), photo.clone(), when).layers;
         }
+    }
+
+    /// Tiles as they are shown: with labels that have followed what moved.
+    pub fn shown<'a>(&'a self, geometry: &'a Geometry) -> &'a Geometry {
+        self.layers.as_ref().and_then(Layers::with_moved).unwrap_or(geometry)
     }
 
     /// Draws the view from beside the camera and compares it with the truth, and with the frame before where that was shown. Gives it.
@@ -160,8 +179,7 @@ impl Reader {
     /// As the renderer gives them.
     pub fn view(&self, m: Moment, pose: Pose) -> Result<Option<Photo>, RenderError> {
         let Some(layers) = &self.layers else { return Ok(None) };
-        let shown = layers.with_moved().unwrap_or(m.geometry);
-        self.draw(m, &Arc::new(layers.scene(shown)), pose).map(Some)
+        self.draw(m, &Arc::new(layers.scene(self.shown(m.geometry))), pose).map(Some)
     }
 
     /// The scene of a frame with some tiles, hidden texels as far as they were seen before.

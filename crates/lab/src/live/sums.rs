@@ -1,12 +1,13 @@
 //! What is counted over the frames of a sequence.
 
 use tmpi_core::live::wire;
-use tmpi_core::{Geometry, Photo};
+use tmpi_core::{DisparityMap, Geometry, Photo};
 use tmpi_live::Update;
 
 use super::Figures;
 use super::equal::{AsJpeg, sound_bytes};
 use super::reader::Mean;
+use super::sequence::BEHIND;
 
 /// What is counted over the frames.
 #[derive(Default)]
@@ -30,6 +31,9 @@ pub(super) struct Sums {
     pub clocks: Vec<f64>,
     /// What each took a reader.
     pub layers: Vec<f64>,
+    /// Of each the pixels of the thing that are shown behind it, and those of what it stands before that are shown as far in front, as shares of its own.
+    torn: Vec<f64>,
+    fringe: Mean,
 }
 
 impl Sums {
@@ -47,6 +51,27 @@ impl Sums {
             self.still += usize::from(truly);
             self.found += usize::from(truly && !update.changed.contains(&t));
             self.still_left_out += usize::from(truly && !update.sent.contains(&t));
+        }
+    }
+
+    /// Counts the pixels that `g` shows on the wrong side of the edge between the thing and what it stands before; `truth` is the disparity of the
+    /// frame, and that without the thing.
+    pub fn misplaced(&mut self, g: &Geometry, (truth, plate): (&DisparityMap, &DisparityMap)) {
+        let surface = g.surface();
+        let mut thing = f32::NEG_INFINITY;
+        let (mut count, mut torn, mut fringe) = (0.0, 0.0, 0.0);
+        let pixels = || surface.all().iter().zip(&truth.delta).zip(&plate.delta);
+        for ((shown, truth), plate) in pixels().filter(|((_, truth), plate)| **truth - **plate > BEHIND) {
+            thing = *truth;
+            count += 1.0;
+            torn += f64::from(u8::from(*shown < f32::midpoint(*truth, *plate)));
+        }
+        for ((shown, truth), _) in pixels().filter(|((_, truth), plate)| **truth - **plate <= BEHIND) {
+            fringe += f64::from(u8::from(thing - *truth > BEHIND && *shown > f32::midpoint(*truth, thing)));
+        }
+        if count > 0.0 {
+            self.torn.push(torn / count);
+            self.fringe.add(fringe / count);
         }
     }
 
@@ -78,6 +103,10 @@ impl Sums {
             *sum /= frames;
         }
         f.stages_ms.iter_mut().for_each(|(_, ms, cpu)| (*ms, *cpu) = (*ms / frames, *cpu / frames));
+        self.torn.sort_by(f64::total_cmp);
+        f.torn = self.torn.iter().fold(0.0, |sum, torn| sum + torn) / self.torn.len().max(1) as f64;
+        f.torn_p95 = self.torn.get(self.torn.len() * 95 / 100).copied().unwrap_or_default();
+        f.fringe = self.fringe.get();
         let share = |part: usize, of: usize| part as f64 / of.max(1) as f64;
         (f.left_out, f.kept) = (share(self.left_out, self.tiles), share(self.kept, self.tiles));
         (f.waiting, f.coarse, f.depth_pixels) = (share(self.waiting, self.tiles), share(self.coarse, self.tiles), self.depth_pixels.get());
