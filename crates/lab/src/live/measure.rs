@@ -86,8 +86,8 @@ pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Resul
             let before = Instant::now();
             reader.take(g, &came, &frame.photo, When { frame: n.into(), tiles, gone: Some(at(settings.every)) });
             sums.layers.push(ms(before));
-            if let Some(plate) = sequence.plate(taken).filter(|_| kind == Kind::Measured) {
-                sums.misplaced(reader.shown(g), (&shot.delta, &plate.disparity));
+            if let Some(plate) = sequence.plate(taken) {
+                sums.edges(reader.shown(g), (&shot.delta, &plate.disparity));
             }
         }
         if n % views <= 1 {

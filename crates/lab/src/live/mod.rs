@@ -171,11 +171,11 @@ pub struct Figures {
     pub own_depth_psnr: f64,
     /// The same with all of it made up.
     pub own_depth_psnr_made_up: f64,
-    /// Share of the thing's pixels that are shown behind the middle between it and what it stands before; where depth is measured, else 0.
+    /// Pixels by which what is shown of the thing falls short of its edge, at the left and at the right; 0 where there is no thing.
     pub torn: f64,
     /// The same of the frame that is worse than 95 of 100.
     pub torn_p95: f64,
-    /// Pixels of what it stands before that are shown in front of that, as a share of the thing's.
+    /// Pixels by which it goes beyond it.
     pub fringe: f64,
     /// A reader's time to bring its layers up to a frame, and to keep what it sees.
     pub layers_ms: f64,
@@ -342,8 +342,8 @@ impl Results {
         line("of these seen earlier", &|f| format!("{:.1} %", 100.0 * f.seen_before));
         line("seen earlier: seen / made up, dB", &|f| format!("{:.2} / {:.2}", f.seen_before_psnr, f.seen_before_psnr_made_up));
         line("the same by the depth there is, dB", &|f| format!("{:.2} / {:.2}", f.own_depth_psnr, f.own_depth_psnr_made_up));
-        let torn = |f: &Figures| format!("{:.2} ({:.2}) / {:.2}", 100.0 * f.torn, 100.0 * f.torn_p95, 100.0 * f.fringe);
-        line("thing shown behind (p95) / wall before, %", &torn);
+        let torn = |f: &Figures| format!("{:.2} ({:.2}) / {:.2}", f.torn, f.torn_p95, f.fringe);
+        line("edge short (p95) / beyond, px", &torn);
         line("PSNR beside / frame by frame", &|f| format!("{:.2} / {:.2}", f.psnr, f.psnr_separate));
         line("SSIM beside / frame by frame", &|f| format!("{:.3} / {:.3}", f.ssim, f.ssim_separate));
         line("seams / frame by frame, px", &|f| format!("{:.3} / {:.3}", f.seam, f.seam_separate));

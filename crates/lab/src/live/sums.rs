@@ -9,6 +9,9 @@ use super::equal::{AsJpeg, sound_bytes};
 use super::reader::Mean;
 use super::sequence::BEHIND;
 
+/// Pixels to both sides of an edge of the thing within which it may be shown.
+const EDGE: isize = 14;
+
 /// What is counted over the frames.
 #[derive(Default)]
 pub(super) struct Sums {
@@ -31,7 +34,7 @@ pub(super) struct Sums {
     pub clocks: Vec<f64>,
     /// What each took a reader.
     pub layers: Vec<f64>,
-    /// Of each the pixels of the thing that are shown behind it, and those of what it stands before that are shown as far in front, as shares of its own.
+    /// Of each the pixels inside of an edge of the thing that are shown behind it, and those outside that are shown in front.
     torn: Vec<f64>,
     fringe: Mean,
 }
@@ -54,20 +57,24 @@ impl Sums {
         }
     }
 
-    /// Counts the pixels that `g` shows on the wrong side of the edge between the thing and what it stands before; `truth` is the disparity of the
-    /// frame, and that without the thing.
-    pub fn misplaced(&mut self, g: &Geometry, (truth, plate): (&DisparityMap, &DisparityMap)) {
-        let surface = g.surface();
-        let mut thing = f32::NEG_INFINITY;
+    /// Counts the pixels that `g` shows on the wrong side of the left and right edge of the thing, along each row that crosses it; `truth` is the disparity of
+    /// the frame, and that without the thing. What is shown well inside and well outside of the edge is taken as it is: only where it changes counts.
+    pub fn edges(&mut self, g: &Geometry, (truth, plate): (&DisparityMap, &DisparityMap)) {
+        let (surface, width) = (g.surface(), truth.width as usize);
         let (mut count, mut torn, mut fringe) = (0.0, 0.0, 0.0);
-        let pixels = || surface.all().iter().zip(&truth.delta).zip(&plate.delta);
-        for ((shown, truth), plate) in pixels().filter(|((_, truth), plate)| **truth - **plate > BEHIND) {
-            thing = *truth;
-            count += 1.0;
-            torn += f64::from(u8::from(*shown < f32::midpoint(*truth, *plate)));
-        }
-        for ((shown, truth), _) in pixels().filter(|((_, truth), plate)| **truth - **plate <= BEHIND) {
-            fringe += f64::from(u8::from(thing - *truth > BEHIND && *shown > f32::midpoint(*truth, thing)));
+        for ((shown, truth), plate) in surface.all().chunks(width).zip(truth.delta.chunks(width)).zip(plate.delta.chunks(width)) {
+            let thing = |x: &usize| truth[*x] - plate[*x] > BEHIND;
+            let (Some(first), Some(last)) = ((0..width).find(thing), (0..width).rev().find(thing)) else { continue };
+            for (edge, step) in [(first as isize, 1), (last as isize, -1)] {
+                let at = |steps: isize| usize::try_from(edge + step * steps).ok().filter(|x| *x < width).map(|x| shown[x]);
+                let Some((inside, outside)) = at(EDGE - 1).zip(at(-EDGE)).filter(|(i, o)| i - o > BEHIND) else { continue };
+                let middle = f32::midpoint(inside, outside);
+                let share =
+                    |steps: std::ops::Range<isize>, wrong: &dyn Fn(f32) -> bool| steps.filter_map(at).filter(|d| wrong(*d)).count() as f64;
+                count += 1.0;
+                torn += share(0..EDGE, &|d| d < middle);
+                fringe += share(-EDGE..0, &|d| d > middle);
+            }
         }
         if count > 0.0 {
             self.torn.push(torn / count);
