@@ -1,7 +1,8 @@
 //! Labels that follow what moves, in the frames for which none came.
 //!
-//! A room sends tiles every second frame or so; in those between, a thing would have left its labels behind, and a view from beside would show its
-//! foremost edge at the depth of what lies behind it, torn off the rest. A reader looks for where the thing went, and moves its labels along.
+//! A room sends tiles every third frame or so; in those between, a thing would have left its labels behind, and a view from beside would show its
+//! foremost edge at the depth of what lies behind it, torn off the rest. A reader looks for where the thing went, also where it would be had it gone on as
+//! it did, and moves its labels along, into tiles beside it as well. `tmpi live bench --only measured --late N` measures what that is worth.
 //! Nothing is sent for it, and nothing stays of it: labels that come are shown as they are.
 
 use std::time::Duration;
@@ -34,9 +35,8 @@ const VOTERS_AT_ONCE: usize = 12;
 const LEAST: usize = 12;
 /// Share of what is left of the difference, by moving, from which on it did not move so.
 const BETTER: f64 = 0.7;
-
 /// Pixels that lie on no plane of their tile, from which on they get one: fewer are the noise of depth as often.
-const LEAST_HOMELESS: usize = 40;
+const LEAST_UNPLACED: usize = 40;
 
 /// How a thing goes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -113,7 +113,7 @@ impl<'a> Motion<'a> {
         let place = TileFrame::of(grid, index);
         let mut moved = tile.clone();
         // places, and δ that comes there: of what is nearer, and farther, than the tile's planes near it
-        let mut homeless = [Vec::new(), Vec::new()];
+        let mut unplaced = [Vec::new(), Vec::new()];
         let pixels = (rect.y..rect.y + rect.h).flat_map(|y| (rect.x..rect.x + rect.w).map(move |x| (x, y)));
         for (i, (x, y)) in pixels.enumerate() {
             let here = (y * grid.width + x) as usize;
@@ -132,11 +132,11 @@ impl<'a> Motion<'a> {
             if off(best) < 0.5 * (comes - shown).abs() {
                 moved.labels[i] = best as u8;
             } else {
-                homeless[usize::from(comes < shown)].push((i, comes));
+                unplaced[usize::from(comes < shown)].push((i, comes));
             }
         }
-        for homeless in homeless.iter().filter(|h| h.len() >= LEAST_HOMELESS) {
-            house(&mut moved, homeless);
+        for unplaced in unplaced.iter().filter(|h| h.len() >= LEAST_UNPLACED) {
+            add_plane(&mut moved, unplaced);
         }
         (moved != *tile).then_some(moved)
     }
@@ -204,17 +204,17 @@ impl<'a> Motion<'a> {
 }
 
 /// Gives some pixels of a tile a plane, at the mean of the δ that come with their places.
-fn house(tile: &mut Tile, homeless: &[(usize, f32)]) {
+fn add_plane(tile: &mut Tile, unplaced: &[(usize, f32)]) {
     if tile.planes.len() >= MAX_PLANES {
         return;
     }
-    let mean = homeless.iter().map(|(_, delta)| f64::from(*delta)).sum::<f64>() / homeless.len() as f64;
+    let mean = unplaced.iter().map(|(_, delta)| f64::from(*delta)).sum::<f64>() / unplaced.len() as f64;
     let plane = Plane::fronto_parallel(mean).quantised();
     // planes go from far to near
     let at = tile.planes.iter().take_while(|p| p.a <= plane.a).count();
     tile.planes.insert(at, plane);
     tile.labels.iter_mut().filter(|label| usize::from(**label) >= at).for_each(|label| *label += 1);
-    for (i, _) in homeless {
+    for (i, _) in unplaced {
         tile.labels[*i] = at as u8;
     }
 }
@@ -313,12 +313,12 @@ mod tests {
         let mut tile = geometry.tiles[0].clone();
         tile.planes.remove(0);
         tile.labels.fill(0);
-        house(&mut tile, &[(3, 0.2), (4, 0.21)]);
+        add_plane(&mut tile, &[(3, 0.2), (4, 0.21)]);
         assert!(tile.planes[0].a < tile.planes[1].a && (tile.planes[0].a - 0.205).abs() < 1e-3, "{:?}", tile.planes);
         assert_eq!(tile.labels[..6], [1, 1, 1, 0, 0, 1]);
         tile.planes = vec![tile.planes[0]; MAX_PLANES];
         let full = tile.clone();
-        house(&mut tile, &[(3, 0.7)]);
+        add_plane(&mut tile, &[(3, 0.7)]);
         assert!(tile == full, "no more than there may be");
     }
 
@@ -331,7 +331,8 @@ mod tests {
         for (late, of) in [(0, 3), (1, 2), (2, 1), (3, 0)] {
             let mut layers = Layers::remembering();
             for (n, (_, colours)) in (0u64..).zip(&frames) {
-                let (last, when) = (n == 3, When { frame: n, tiles: (n == 3).then_some(n - late), gone: time });
+                let last = n == 3;
+                let when = When { frame: n, tiles: last.then(|| n - late), gone: time };
                 let geometry = if last { &frames[of].0 } else { &frames[0].0 };
                 layers.update(geometry, |_| last, photo(colours), when);
             }
