@@ -360,13 +360,15 @@ fn a_frame_rests_after_one_whose_tiles_were_sent_and_is_caught_up_with() {
     room.next(&frame(0, 60)).unwrap();
     let runs = || depth.runs.load(Ordering::Relaxed);
     assert_eq!(runs(), 1);
-    let rests = room.next(&frame(1, 90)).unwrap();
-    assert!(!rests.changed.is_empty() && rests.sent.is_empty() && rests.waiting == rests.changed.len() && runs() == 1);
-    let now = room.next(&frame(2, 90)).unwrap();
+    // 33 and 66 ms after it
+    for n in [1, 2] {
+        let rests = room.next(&frame(n, 90)).unwrap();
+        assert!(rests.sent.is_empty() && rests.waiting == 6 && runs() == 1, "frame {n}: {} wait", rests.waiting);
+    }
+    let now = room.next(&frame(3, 90)).unwrap();
     assert!(now.changed.is_empty() && !now.sent.is_empty() && now.waiting == 0 && runs() == 2);
-    assert!(now.sent.iter().all(|t| rests.changed.contains(t)));
     // a cut does not wait
-    let mut other = frame(3, 90);
+    let mut other = frame(4, 90);
     other.photo.rgb.iter_mut().for_each(|p| *p = p.map(|v| 255 - v));
     assert_eq!(room.next(&other).unwrap().sent.len(), 15);
 }
@@ -374,7 +376,7 @@ fn a_frame_rests_after_one_whose_tiles_were_sent_and_is_caught_up_with() {
 #[test]
 fn of_frames_that_come_seldom_none_rests_nor_after_a_clock_was_put_back() {
     let (_, mut room) = room(Settings::default());
-    for (n, ms) in [1_000, 1_050, 500, 560].into_iter().enumerate() {
+    for (n, ms) in [1_000, 1_080, 500, 590].into_iter().enumerate() {
         let update = room.next(&Frame { at: Duration::from_millis(ms), ..frame(n as u64, 60 + 10 * n as u32) }).unwrap();
         assert!(!update.sent.is_empty(), "at {ms} ms");
     }
