@@ -3,8 +3,8 @@
 
 /** Longest time that a frame is held for, ms; what comes later than that is no jitter but an outage. */
 const MOST_MS = 200;
-/** Jitter that is left as it is, ms: less than a display shows. */
-const FREE_MS = 10;
+/** Jitter that is left as it is, ms: one refresh of a screen. */
+const FREE_MS = 17;
 /** Share of the frames that are to be there in time. */
 const SHARE = 0.95;
 /** Frames whose jitter is kept, and how many there must be. */

@@ -12,6 +12,7 @@ import { pixelsOf } from './pixels.js';
 import { PlayOut } from './play-out.js';
 import { SoundDecoder } from './sound-decoder.js';
 import { TileAtlas } from './tile-atlas.js';
+import { UnderWay } from './under-way.js';
 // what those import, named here so that all of it is fetched at once
 import '../decode/grid.js';
 import '../decode/head.js';
@@ -67,11 +68,9 @@ class Room {
   /** When a frame is shown at the latest: one that takes the place of another that waited does not begin to wait anew. */
   #due = Infinity;
   #busy = false;
-  #drawing = false;
-  /** @type {ArrayBuffer | undefined} for the next texels, that it need not be made anew */
+  #underWay = new UnderWay();
+  /** For the next texels, that it need not be made anew. @type {ArrayBuffer | undefined} */
   #spare;
-  /** When the page was sent something last. */
-  #sent = 0;
   /** Samples are copied as they are; else by way of a canvas. */
   #copies = true;
   #hidden = false;
@@ -86,6 +85,8 @@ class Room {
   #shown = null;
   /** @type {ReturnType<typeof setTimeout> | undefined} */
   #timer;
+  /** The frame that was counted last. */
+  #counted = -1;
   #measured = { made: 0, copy: 0, video: 0, latency: 0, lag: 0, frames: 0, bytes: 0 };
   /** Fastest way of a frame so far, ms between two clocks. */
   #fastest = Infinity;
@@ -133,28 +134,27 @@ class Room {
   }
 
   /**
-   * The page shows what it was sent last.
+   * The page shows the first of what it was sent.
    * @param {ArrayBuffer} [spare] that it has read
    */
   drawn(spare) {
-    this.#drawing = false;
     this.#spare = spare;
-    const { frame = -1, time = 0 } = this.#shown ?? {};
-    if (frame >= 0) this.#measured.latency = clock() - time / 1000;
+    const shown = this.#underWay.shown(performance.now());
+    if (shown) this.#measured.latency = clock() - shown.time / 1000;
     this.#pump();
   }
 
   /** Plain video from now on. */
   flat() {
     this.#watched.flat = true;
-    this.#drawing = false;
+    this.#underWay.clear();
     this.#pump();
   }
 
   /** The whole scene once more. */
   again() {
     this.#told = false;
-    this.#drawing = false;
+    this.#underWay.clear();
     this.#late = true;
     this.#pump();
   }
@@ -291,13 +291,18 @@ class Room {
   #decoded(decoded) {
     this.#measured.video += (decoded.ms - this.#measured.video) * WEIGHT;
     // one that is held for its tiles has had its time
-    if (this.#next && !this.#busy && !this.#drawing && !this.#hidden) {
+    if (this.#next && !this.#busy && this.#free && !this.#hidden) {
       this.#due = 0;
       this.#pump();
     }
     this.#drop();
     this.#next = decoded;
     this.#pump();
+  }
+
+  /** Whether the page can be sent another picture. */
+  get #free() {
+    return this.#watched.flat ? this.#underWay.empty : this.#underWay.free(this.#hold.interval);
   }
 
   /** The newest frame wins. */
@@ -308,13 +313,13 @@ class Room {
 
   /** Shows the next frame once its tiles are there or have had their time, and tiles that came late. */
   async #pump() {
-    if (this.#busy || this.#drawing || this.#hidden || !this.#hello) return;
+    if (this.#busy || !this.#free || this.#hidden || !this.#hello) return;
     const next = this.#next;
     if (next && this.#watched.flat) return this.#flat(next);
     if (this.#watched.flat || (!next && !(this.#late && this.#shown))) return;
     const now = performance.now();
     if (next) this.#due = Math.min(this.#due, now + this.#hold.left(next, now));
-    const wait = next ? this.#due - now : 0;
+    const wait = next ? this.#due - now : this.#told ? this.#hold.next(now) : 0;
     clearTimeout(this.#timer);
     if (wait > 0) {
       this.#timer = setTimeout(() => this.#pump(), wait);
@@ -387,7 +392,7 @@ class Room {
     const changed = this.#decoder.layers();
     if (!changed.length && this.#told) {
       // nothing moves: the picture that is shown is this one
-      this.#measured.frames++;
+      this.#count();
       if (this.#shown) this.#measured.latency = clock() - this.#shown.time / 1000;
       return true;
     }
@@ -399,12 +404,12 @@ class Room {
     this.#spare = undefined;
     const drawn = reshaped || !this.#told ? this.#atlas.drawn() : null;
     const made = performance.now() - started;
-    this.#measured.made += (made - this.#measured.made) * (this.#measured.frames ? WEIGHT : 1);
-    this.#measured.frames++;
-    this.#drawing = true;
-    this.#sent = performance.now();
+    this.#measured.made += (made - this.#measured.made) * (this.#measured.made ? WEIGHT : 1);
+    this.#count();
+    const whole = drawn !== null && (grown || !this.#told);
+    this.#underWay.sent(this.#shown, performance.now(), whole);
     const transfer = [cells.data.buffer, cells.places.buffer];
-    if (drawn && (grown || !this.#told)) {
+    if (whole) {
       this.#told = true;
       const atlas = { ...this.#atlas.size, pages: this.#atlas.pages, wide: false, strips: [] };
       self.postMessage({ type: 'scene', scene: { ...head, ...drawn, atlas, decodeMs: made }, cells }, { transfer });
@@ -425,15 +430,21 @@ class Room {
    * @param {boolean} early its tiles are not there yet
    */
   #picture(picture, early) {
-    this.#drawing = true;
-    this.#sent = performance.now();
-    this.#measured.frames++;
+    this.#underWay.sent(this.#shown, performance.now(), true);
+    this.#count();
     self.postMessage({ type: 'picture', picture, early }, { transfer: [picture] });
+  }
+
+  /** A frame counts once, though it is drawn once more for tiles that came late. */
+  #count() {
+    const frame = this.#shown?.frame ?? -1;
+    if (frame !== this.#counted) this.#measured.frames++;
+    this.#counted = frame;
   }
 
   #tell() {
     if (this.#state === 'live' && !this.#hidden && performance.now() - this.#lastFrame > STALLED_MS) this.#say('stalled');
-    if (this.#drawing && !this.#hidden && !this.#watched.flat && performance.now() - this.#sent > UNSEEN_MS) this.again();
+    if (!this.#hidden && !this.#watched.flat && this.#underWay.age(performance.now()) > UNSEEN_MS) this.again();
     const { made, copy, video, latency, lag, frames, bytes } = this.#measured;
     [this.#measured.frames, this.#measured.bytes] = [0, 0];
     const seconds = TELL_MS / 1000;

@@ -37,10 +37,12 @@ export class LiveView {
   /** Nothing here decodes the room's video. */
   #undecoded = false;
   /**
-   * Frames that came since the screen was refreshed.
+   * Frames that are not shown yet.
    * @type {{instances: Instances | null, cells: Cells}[]}
    */
   #fresh = [];
+  /** The next one is shown when the screen is refreshed. */
+  #asked = false;
   /** The video is shown as it is until there is a scene. */
   #early = false;
   /** What drew the room before has gone since. */
@@ -195,21 +197,29 @@ export class LiveView {
     clearTimeout(this.#pause);
     // the last picture is drawn whole
     this.#pause = setTimeout(() => this.#viewer.layout(), PAUSE_MS);
+    this.#ask();
+  }
+
+  #ask() {
+    if (this.#asked) return;
+    this.#asked = true;
     requestAnimationFrame(() => {
+      this.#asked = false;
       // while the camera moves, it is drawn with the camera's next step: once for each refresh
-      if (this.#viewer.moving || !this.takeFresh()) return;
-      this.#viewer.render();
+      if (!this.#viewer.moving && this.takeFresh()) this.#viewer.render();
+      if (this.#fresh.length) this.#ask();
     });
   }
 
-  /** Hands frames of a room to what draws them; false where there are none. */
+  /** Hands the next frame of a room to what draws it; false where there is none. */
   takeFresh() {
-    const fresh = this.#fresh.splice(0);
     const { renderer, disposed } = this.#viewer;
-    if (!fresh.length || disposed || !renderer) return false;
-    for (const change of fresh) renderer.update(change);
-    // what draws them has copied them
-    const spare = fresh[fresh.length - 1].cells.data.buffer;
+    if (disposed || !renderer) this.#fresh = [];
+    const change = this.#fresh.shift();
+    if (!change || !renderer) return false;
+    renderer.update(change);
+    // what draws it has copied it
+    const spare = change.cells.data.buffer;
     this.#viewer.tell({ drawn: true, spare }, [spare]);
     return true;
   }

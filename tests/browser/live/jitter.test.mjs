@@ -5,6 +5,8 @@ import { Jitter } from '../../../static/live/jitter.js';
 import { PlayOut } from '../../../static/live/play-out.js';
 
 const INTERVAL = 1000 / 30;
+/** Less is not seen. */
+const REFRESH = 1000 / 60;
 /** A network that is as bad each time. */
 const random = (seed) => () => {
   seed = (Math.imul(seed, 1_664_525) + 1_013_904_223) >>> 0;
@@ -52,7 +54,7 @@ describe('frames', () => {
     );
     const [before, now] = [unevenness(frames, 'came'), unevenness(frames, 'shown')];
     t.diagnostic(`${before.toFixed(1)} ms before, ${now.toFixed(1)} ms now, ${mean(frames, 'added').toFixed(1)} ms added`);
-    assert.ok(before > 40 && now < 0.2 * before, `${before}, ${now}`);
+    assert.ok(before > 40 && now < REFRESH, `${before}, ${now}`);
     assert.ok(most(frames, 'added') <= 3 * INTERVAL + 1, `${most(frames, 'added')}`);
   });
 
