@@ -43,6 +43,7 @@ function watchCamera(square) {
   window.taken = [];
   const { encode } = VideoEncoder.prototype;
   VideoEncoder.prototype.encode = function (frame, options) {
+    if (window.counting) return encode.call(this, frame, options);
     const copy = frame.clone();
     const luma = new Uint8Array(copy.allocationSize());
     copy.copyTo(luma).then(([{ offset, stride }]) => {
@@ -114,9 +115,11 @@ try {
   const told = await watch();
   const seen = await page.evaluate(() => window.seen);
   const taken = await publisher.page.evaluate(() => window.taken);
-  await page.evaluate(() => {
-    window.counting = true;
-  });
+  for (const { page: of } of [publisher, { page }]) {
+    await of.evaluate(() => {
+      window.counting = true;
+    });
+  }
   const counted = await watch();
   const latencies = [];
   for (const [number, at] of seen) {
