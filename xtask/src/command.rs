@@ -1,5 +1,6 @@
 //! Running other programs.
 
+use std::cell::RefCell;
 use std::fmt;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -37,10 +38,33 @@ pub fn root() -> PathBuf {
     here.parent().unwrap_or(here).to_owned()
 }
 
-/// The built program.
-pub fn program() -> PathBuf {
-    let target = std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| root().join("target"), |t| root().join(t));
-    target.join("release").join(format!("tmpi{}", std::env::consts::EXE_SUFFIX))
+/// A profile of `Cargo.toml`: a way to build the program.
+#[derive(Clone, Copy)]
+pub enum Profile {
+    /// What people run.
+    Release,
+    /// What lints and tests look at.
+    Checks,
+}
+
+impl Profile {
+    /// As cargo calls it, and the folder that it builds into.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Release => "release",
+            Self::Checks => "checks",
+        }
+    }
+}
+
+/// The folder that cargo builds into.
+pub fn target() -> PathBuf {
+    std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| root().join("target"), |t| root().join(t))
+}
+
+/// A program of the workspace as built with that profile.
+pub fn built(profile: Profile, name: &str) -> PathBuf {
+    target().join(profile.name()).join(format!("{name}{}", std::env::consts::EXE_SUFFIX))
 }
 
 /// Data for measuring, for programs that run in any folder.
@@ -58,14 +82,45 @@ pub fn cargo(args: &[&str]) -> Command {
     command
 }
 
-fn shown(command: &Command) -> String {
+/// The command as one would type it.
+pub fn shown(command: &Command) -> String {
     let words = std::iter::once(command.get_program()).chain(command.get_args());
     words.map(|w| w.to_string_lossy().into_owned()).collect::<Vec<_>>().join(" ")
 }
 
-/// Runs a program with this one's output.
+thread_local! {
+    /// What steps of this thread have printed; none where they print at once.
+    static HELD_BACK: RefCell<Option<String>> = const { RefCell::new(None) };
+}
+
+/// Runs something on this thread and gives what it and its programs print.
+pub fn quietly<T>(run: impl FnOnce() -> T) -> (T, String) {
+    HELD_BACK.set(Some(String::new()));
+    let result = run();
+    (result, HELD_BACK.take().unwrap_or_default())
+}
+
+/// Prints a text and a line's end, or holds both back.
+pub fn say(text: &str) {
+    HELD_BACK.with_borrow_mut(|held| match held {
+        Some(held) => {
+            held.push_str(text);
+            held.push('\n');
+        }
+        None => println!("{text}"),
+    });
+}
+
+/// Runs a program and shows its output.
 pub fn run(mut command: Command) -> Result<(), Fault> {
-    let status = command.status().map_err(|e| Fault::new(format!("`{}` does not start: {e}", shown(&command))))?;
+    let failed = |e: std::io::Error, command: &Command| Fault::new(format!("`{}` does not start: {e}", shown(command)));
+    let status = if HELD_BACK.with_borrow(Option::is_some) {
+        let output = command.output().map_err(|e| failed(e, &command))?;
+        say(&[output.stdout, output.stderr].map(|b| String::from_utf8_lossy(&b).into_owned()).concat());
+        output.status
+    } else {
+        command.status().map_err(|e| failed(e, &command))?
+    };
     if status.success() { Ok(()) } else { Err(Fault::new(format!("`{}`: {status}", shown(&command)))) }
 }
 

@@ -5,7 +5,7 @@ use std::path::Path;
 use std::process::Command;
 use std::sync::Mutex;
 
-use crate::command::{Fault, cargo, output, root, run, run_quietly};
+use crate::command::{self, Fault, cargo, output, root, run_quietly};
 
 /// Those of `src/fuzzing.rs`; a test there holds this list against them.
 const TARGETS: [&str; 20] = [
@@ -31,6 +31,8 @@ const TARGETS: [&str; 20] = [
     "strokes",
 ];
 const SECONDS: u32 = 60;
+/// Of a target in `cargo xtask nightly`.
+pub const NIGHTLY_SECONDS: u32 = 300;
 /// An input that takes longer is a finding.
 const TIMEOUT: &str = "-timeout=20";
 const MEMORY: &str = "-rss_limit_mb=2048";
@@ -55,20 +57,23 @@ pub fn fuzz(args: &[String]) -> Result<(), Fault> {
                 let wrong = || Fault::new("--seconds takes a whole number");
                 seconds = args.next().and_then(|n| n.parse().ok()).ok_or_else(wrong)?;
             }
-            name if TARGETS.contains(&name) => targets.push(name),
+            other if TARGETS.contains(&other) => targets.extend(TARGETS.into_iter().filter(|t| *t == other)),
             other => return Err(Fault::new(format!("there is no target {other:?}; there are {}", TARGETS.join(", ")))),
         }
     }
-    if targets.is_empty() {
-        targets.extend(TARGETS);
-    }
+    run(&targets, seconds)
+}
+
+/// Fuzzes the targets named, all of them where none is, for so many seconds each.
+pub fn run(targets: &[&'static str], seconds: u32) -> Result<(), Fault> {
+    let targets = if targets.is_empty() { TARGETS.to_vec() } else { targets.to_vec() };
     let triple = output("rustc", &["-vV"]).and_then(|v| v.lines().find_map(|l| l.strip_prefix("host: ").map(str::to_owned)));
     let triple = triple.ok_or_else(|| Fault::new("`rustc -vV` names no host"))?;
     // with a target named, build scripts are not instrumented
     let mut build =
         cargo(&["build", "--release", "--manifest-path", "fuzz/Cargo.toml", "--target-dir", "target/fuzz", "--target", &triple]);
     build.env("RUSTFLAGS", COVERAGE.join(" "));
-    run(build)?;
+    command::run(build)?;
     let program = root().join("target/fuzz").join(&triple).join("release/fuzz");
     // as many side by side as there are cores
     let all = Mutex::new(targets.into_iter());

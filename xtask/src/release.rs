@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use crate::OFFLINE;
-use crate::command::{Fault, cargo, output, program, root, run, run_quietly};
+use crate::command::{Fault, Profile, built, cargo, output, root, run, run_quietly};
 use crate::runtime;
 
 /// Files of the workspace that go along, and where to.
@@ -24,8 +24,8 @@ const LICENCES: [&str; 5] = ["license", "licence", "copying", "notice", "copyrig
 pub fn release(args: &[String]) -> Result<(), Fault> {
     let step = |step: &'static str| move |fault: Fault| fault.in_step(step);
     runtime::fetch().map_err(step("ONNX Runtime"))?;
-    run(cargo(&["build", "--release", "--workspace", "--locked"])).map_err(step("build"))?;
-    let version = output(&program().to_string_lossy(), &["--version"]).unwrap_or_default();
+    run(cargo(&["build", "--release", "--package", "tmpi", "--locked"])).map_err(step("build"))?;
+    let version = output(&built(Profile::Release, "tmpi").to_string_lossy(), &["--version"]).unwrap_or_default();
     let version = version.split_whitespace().nth(1).ok_or_else(|| Fault::new("the program does not tell its version"))?;
     let name = format!("tmpi-{version}-{}-{}", std::env::consts::OS, std::env::consts::ARCH);
     let folder = root().join("target/archive");
@@ -60,7 +60,7 @@ fn copy(from: &Path, to: &Path) -> Result<(), Fault> {
 
 /// Puts everything into the folder `stage`.
 fn fill(stage: &Path, offline: bool) -> Result<(), Fault> {
-    copy(&program(), &stage.join(program().file_name().unwrap_or_default()))?;
+    copy(&built(Profile::Release, "tmpi"), &stage.join(built(Profile::Release, "tmpi").file_name().unwrap_or_default()))?;
     for (from, to) in FILES {
         copy(&root().join(from), &stage.join(to))?;
     }
@@ -72,7 +72,7 @@ fn fill(stage: &Path, offline: bool) -> Result<(), Fault> {
     }
     if let Some(network) = if offline { None } else { network(&root().join("target/archive/models")) } {
         copy(&network, &stage.join("models").join(network.file_name().unwrap_or_default()))?;
-        let list = output(&program().to_string_lossy(), &["models", "list"]).unwrap_or_default();
+        let list = output(&built(Profile::Release, "tmpi").to_string_lossy(), &["models", "list"]).unwrap_or_default();
         fs::write(stage.join("models/README.txt"), list).map_err(|e| at(stage, &e))?;
     }
     let list = stage.join("licences/crates.txt");
@@ -81,7 +81,7 @@ fn fill(stage: &Path, offline: bool) -> Result<(), Fault> {
 
 /// The depth network that is worth fetching; none where it cannot be, as the program then says.
 fn network(folder: &Path) -> Option<PathBuf> {
-    let mut get = Command::new(program());
+    let mut get = Command::new(built(Profile::Release, "tmpi"));
     get.args(["models", "get", "auto"]).env("TMPI_MODELS", folder);
     let told = get.stderr(std::process::Stdio::inherit()).output().ok()?;
     let path = PathBuf::from(String::from_utf8_lossy(&told.stdout).trim());
@@ -150,7 +150,7 @@ fn try_out(archive: &Path, place: &Path, name: &str) -> Result<(), Fault> {
     run_quietly(tar)?;
     let folder = place.join(name);
     let tmpi = |args: &[&str]| {
-        let mut command = Command::new(folder.join(program().file_name().unwrap_or_default()));
+        let mut command = Command::new(folder.join(built(Profile::Release, "tmpi").file_name().unwrap_or_default()));
         command.env_clear().env("HOME", place).current_dir(place).args(args);
         run_quietly(command)
     };

@@ -105,7 +105,7 @@ impl Package {
         let advice = format!("it is needed once to fetch {}; or {}", self.name, self.advice);
         let python = found.ok_or_else(|| Fault::new(format!("Python 3 is missing; {advice}")))?;
         if output(python, &["-m", "pip", "--version"]).is_none() {
-            crate::browser::install(&["python3-pip"]).map_err(|e| Fault::new(format!("{python} has no pip; {advice}\n{e}")))?;
+            crate::tools::install(&["python3-pip"]).map_err(|e| Fault::new(format!("{python} has no pip; {advice}\n{e}")))?;
         }
         Ok((*python).to_owned())
     }

@@ -1,0 +1,76 @@
+//! Checks that are written in Python.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use crate::command::{Fault, Profile, built, output, root, run, run_quietly, say};
+use crate::{runtime, skipped, tools};
+
+/// What the training tests import beyond Python's standard library.
+const TRAINING: &str = "import cv2, numpy, onnx, onnxruntime, torch";
+
+/// Unit tests of `training/`.
+///
+/// They need PyTorch, a download of 3 GB: continuous integration (`CI` is set) installs it outside the clone, others are told.
+pub fn training() -> Result<(), Fault> {
+    let ready = |python: &str| output(python, &["-c", TRAINING]).is_some();
+    let installed = cache("training").join("bin/python3").to_string_lossy().into_owned();
+    let python = if let Some(python) = ["python3".to_owned(), installed.clone()].into_iter().find(|p| ready(p)) {
+        python
+    } else if std::env::var_os("CI").is_some() {
+        install(&cache("training"), "training/tests/requirements.txt")?;
+        installed
+    } else {
+        let reason = "python3 has no torch; `pip install -r training/requirements.txt` brings it, 3 GB";
+        return skipped::add("torch", "training/tests", reason);
+    };
+    let mut tests = Command::new(python);
+    tests
+        .args(["-m", "unittest", "discover", "--start-directory", "tests", "--top-level-directory", "."])
+        .current_dir(root().join("training"));
+    run(tests)
+}
+
+/// Installs Python packages into an environment of their own.
+fn install(folder: &Path, requirements: &str) -> Result<(), Fault> {
+    say(&format!("installing {requirements} into {}", folder.display()));
+    let mut venv = Command::new("python3");
+    venv.args(["-m", "venv"]).arg(folder);
+    run_quietly(venv)?;
+    let mut pip = Command::new(folder.join("bin/python3"));
+    pip.args(["-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--requirement"]).arg(root().join(requirements));
+    run_quietly(pip)
+}
+
+/// A folder of this user's cache, which outlives a clone.
+fn cache(name: &str) -> PathBuf {
+    let named = std::env::var_os("XDG_CACHE_HOME").map(PathBuf::from).filter(|p| p.is_absolute());
+    let folder = named.or_else(|| Some(PathBuf::from(std::env::var_os("HOME")?).join(".cache")));
+    folder.unwrap_or_else(|| root().join(".tmpi")).join("tmpi").join(name)
+}
+
+/// Lints the description of the HTTP interface as a server answers it.
+pub fn openapi() -> Result<(), Fault> {
+    tools::openapi_packages()?;
+    let mut check = Command::new("python3");
+    check.args(["tests/openapi/check.py", "--only", "lint"]).current_dir(root()).env("TMPI", built(Profile::Checks, "tmpi"));
+    run(check)
+}
+
+/// Sends requests that follow the description of the HTTP interface, and requests that break it.
+pub fn openapi_requests() -> Result<(), Fault> {
+    let folder = cache("schemathesis");
+    install(&folder, "tests/openapi/requirements.txt")?;
+    let mut check = Command::new(folder.join("bin/python3"));
+    check.args(["tests/openapi/check.py", "--only", "play"]).current_dir(root()).env("TMPI", built(Profile::Release, "tmpi"));
+    runtime::name_to(&mut check);
+    run(check)
+}
+
+/// Checks `docker/` with the tools that read it.
+pub fn deployment() -> Result<(), Fault> {
+    let mut check = Command::new("python3");
+    check.arg("docker/check.py").current_dir(root()).env("TMPI", built(Profile::Checks, "tmpi"));
+    tools::name_to(&mut check);
+    run(check)
+}

@@ -1,0 +1,148 @@
+//! Lints and tests of the Rust code, out of one build.
+
+use std::path::PathBuf;
+use std::process::{Child, Command, Stdio};
+use std::time::Instant;
+
+use serde_json::Value;
+
+use crate::command::{Fault, Profile, cargo, data, run, say, shown};
+use crate::{runtime, tools};
+
+/// A test program that cargo has built.
+struct TestProgram {
+    /// Package and target, like `tmpi-core` or `tmpi http`.
+    name: String,
+    executable: PathBuf,
+    /// The package's folder, in which cargo would run it.
+    folder: PathBuf,
+}
+
+/// What a test program printed at its end.
+#[derive(Default)]
+struct Counts {
+    passed: usize,
+    failed: usize,
+    ignored: usize,
+}
+
+/// Lints everything and builds the program and all tests, in one pass: Clippy is the compiler here.
+///
+/// `cargo clippy` would compile all dependencies a second time, because it only checks them.
+pub fn build() -> Result<(), Fault> {
+    programs().map(drop)
+}
+
+fn programs() -> Result<Vec<TestProgram>, Fault> {
+    let mut command = cargo(&["test", "--workspace", "--all-targets", "--no-run", "--message-format=json-render-diagnostics"]);
+    command.args(["--profile", Profile::Checks.name()]);
+    lint(&mut command);
+    command.stdout(Stdio::piped());
+    let child = command.spawn();
+    let output = child.and_then(Child::wait_with_output).map_err(|e| Fault::new(format!("`{}` does not start: {e}", shown(&command))))?;
+    if !output.status.success() {
+        return Err(Fault::new(format!("`{}`: {}", shown(&command), output.status)));
+    }
+    let messages = String::from_utf8_lossy(&output.stdout);
+    let mut programs: Vec<_> = messages.lines().filter_map(|line| test_program(&serde_json::from_str(line).ok()?)).collect();
+    programs.sort_by(|a, b| a.name.cmp(&b.name));
+    if programs.is_empty() { Err(Fault::new("cargo built no test program")) } else { Ok(programs) }
+}
+
+/// Makes Clippy the compiler of the workspace's own crates; what it warns of is an error.
+fn lint(command: &mut Command) {
+    command.env("RUSTC_WORKSPACE_WRAPPER", "clippy-driver").env("CLIPPY_ARGS", "-Dwarnings");
+}
+
+/// The test program that a message of cargo announces.
+fn test_program(message: &Value) -> Option<TestProgram> {
+    let is_test = message["profile"]["test"].as_bool()? && message["reason"] == "compiler-artifact";
+    let executable = PathBuf::from(message["executable"].as_str()?);
+    let folder = PathBuf::from(message["manifest_path"].as_str()?).parent()?.to_owned();
+    let is_bench = message["target"]["kind"].as_array()?.iter().any(|k| k == "bench");
+    let package = folder.file_name()?.to_string_lossy().into_owned();
+    let target = message["target"]["name"].as_str()?;
+    let name = if package == target { package } else { format!("{package} {target}") };
+    (is_test && !is_bench).then_some(TestProgram { name, executable, folder })
+}
+
+impl TestProgram {
+    /// Runs its tests; gives their counts and everything that was printed.
+    fn run(&self) -> Result<(Counts, String), Fault> {
+        let mut command = Command::new(&self.executable);
+        command.current_dir(&self.folder).env("CARGO_MANIFEST_DIR", &self.folder).env("TMPI_DATA", data());
+        runtime::name_to(&mut command);
+        tools::name_to(&mut command);
+        let output = command.output().map_err(|e| Fault::new(format!("{} does not start: {e}", self.executable.display())))?;
+        let text = [output.stdout, output.stderr].map(|b| String::from_utf8_lossy(&b).into_owned()).concat();
+        // a program that ends before it counts has failed
+        let aborted = Counts { failed: 1, ..Counts::default() };
+        let counts = text.lines().find_map(Counts::parse).filter(|c| output.status.success() || c.failed > 0).unwrap_or(aborted);
+        Ok((counts, text))
+    }
+}
+
+impl Counts {
+    /// Reads the closing line of a test program: `test result: ok. 12 passed; 0 failed; 1 ignored; …`.
+    fn parse(line: &str) -> Option<Self> {
+        let counts = line.strip_prefix("test result: ")?.split_once(". ")?.1;
+        let of = |word: &str| counts.split("; ").find_map(|part| part.strip_suffix(word)?.trim().parse().ok());
+        Some(Self { passed: of("passed")?, failed: of("failed")?, ignored: of("ignored")? })
+    }
+}
+
+/// Runs all test programs; their tests run on as many threads as the machine has cores.
+///
+/// # Errors
+/// The programs of which a test failed.
+pub fn run_all() -> Result<(), Fault> {
+    let mut total = Counts::default();
+    let mut failed = Vec::new();
+    for program in programs()? {
+        let start = Instant::now();
+        let (counts, output) = program.run()?;
+        let Counts { passed, failed: wrong, ignored } = counts;
+        if wrong > 0 {
+            say(&output);
+            failed.push(program.name.clone());
+        }
+        say(&format!("{:<30} {passed:4} passed, {wrong} failed, {ignored} ignored {:7.1} s", program.name, start.elapsed().as_secs_f64()));
+        total = Counts { passed: total.passed + passed, failed: total.failed + wrong, ignored: total.ignored + ignored };
+    }
+    say(&format!("Rust tests: {} passed, {} failed, {} ignored", total.passed, total.failed, total.ignored));
+    if failed.is_empty() { documentation() } else { Err(Fault::new(format!("tests failed in {}", failed.join(", ")))) }
+}
+
+/// Compiles and runs the examples in doc comments.
+fn documentation() -> Result<(), Fault> {
+    let mut command = cargo(&["test", "--quiet", "--package", "tmpi-client", "--doc", "--profile", Profile::Checks.name()]);
+    lint(&mut command);
+    run(command)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn counts_are_read_from_the_closing_line() {
+        let line = "test result: FAILED. 12 passed; 3 failed; 1 ignored; 0 measured; 7 filtered out; finished in 0.52s";
+        let counts = Counts::parse(line).unwrap();
+        assert_eq!((counts.passed, counts.failed, counts.ignored), (12, 3, 1));
+        assert!(Counts::parse("test a::b ... ok").is_none());
+    }
+
+    #[test]
+    fn only_test_programs_are_run() {
+        let message = |test: bool, kind: &str| {
+            let text = format!(
+                r#"{{"reason":"compiler-artifact","manifest_path":"/a/crates/core/Cargo.toml","target":{{"kind":["{kind}"],"name":"codec"}},
+                "profile":{{"test":{test}}},"executable":"/t/codec-1"}}"#
+            );
+            test_program(&serde_json::from_str(&text).unwrap()).map(|p| p.name)
+        };
+        assert_eq!(message(true, "test").as_deref(), Some("core codec"));
+        assert_eq!(message(true, "bench"), None);
+        assert_eq!(message(false, "bin"), None);
+    }
+}

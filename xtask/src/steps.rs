@@ -1,0 +1,81 @@
+//! Named steps of a task: the steps of a lane run one after the other, the lanes of a phase side by side, the phases one after the other.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
+
+use crate::command::{Fault, quietly};
+
+/// A named step of a task.
+#[derive(Clone, Copy)]
+pub struct Step {
+    pub name: &'static str,
+    pub run: fn() -> Result<(), Fault>,
+}
+
+/// Steps that run one after the other.
+pub type Lane<'a> = &'a [Step];
+
+/// What happens to the steps that follow a failed one.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub enum AfterFailure {
+    /// No lane begins another step.
+    Stop,
+    /// All steps run; the failures are told at the end.
+    GoOn,
+}
+
+/// How a step ended.
+struct Outcome {
+    name: &'static str,
+    seconds: f64,
+    fault: Option<Fault>,
+}
+
+/// Runs phases of lanes, then prints how long each step took.
+///
+/// The first lane of a phase prints as it runs. The output of a step of another lane is held back until that step ends, so that lines do not mix.
+///
+/// # Errors
+/// The faults of all steps that failed.
+pub fn run(phases: &[&[Lane]], after: AfterFailure) -> Result<(), Fault> {
+    let start = Instant::now();
+    let failed = AtomicBool::new(false);
+    let outcomes: Vec<Outcome> = phases.iter().flat_map(|lanes| run_lanes(lanes, &failed, after)).collect();
+    println!();
+    for outcome in &outcomes {
+        let word = if outcome.fault.is_some() { "FAILED" } else { "ok" };
+        println!("{:<24} {word:<7} {:7.1} s", outcome.name, outcome.seconds);
+    }
+    println!("{:<24} {:<7} {:7.1} s", "all", "", start.elapsed().as_secs_f64());
+    let faults: Vec<String> = outcomes.into_iter().filter_map(|o| Some(o.fault?.in_step(o.name).to_string())).collect();
+    if faults.is_empty() { Ok(()) } else { Err(Fault::new(faults.join("\n\n"))) }
+}
+
+fn run_lanes(lanes: &[Lane], failed: &AtomicBool, after: AfterFailure) -> Vec<Outcome> {
+    std::thread::scope(|scope| {
+        let threads: Vec<_> =
+            lanes.iter().enumerate().map(|(lane, steps)| scope.spawn(move || run_lane(steps, lane == 0, failed, after))).collect();
+        threads.into_iter().flat_map(|t| t.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))).collect()
+    })
+}
+
+fn run_lane(steps: &[Step], is_first: bool, failed: &AtomicBool, after: AfterFailure) -> Vec<Outcome> {
+    let mut outcomes = Vec::new();
+    for step in steps {
+        if after == AfterFailure::Stop && failed.load(Ordering::Relaxed) {
+            break;
+        }
+        let start = Instant::now();
+        let fault = if is_first {
+            println!("── {}", step.name);
+            (step.run)().err()
+        } else {
+            let (result, output) = quietly(step.run);
+            println!("── {}\n{}", step.name, output.trim_end());
+            result.err()
+        };
+        failed.fetch_or(fault.is_some(), Ordering::Relaxed);
+        outcomes.push(Outcome { name: step.name, seconds: start.elapsed().as_secs_f64(), fault });
+    }
+    outcomes
+}

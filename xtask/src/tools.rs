@@ -1,0 +1,170 @@
+//! What the tests need of the machine: Debian's packages, Node packages, and an S3 server out of Python packages.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use crate::command::{Fault, output, root, run_quietly, say};
+
+/// Oldest version of Node that runs the browser tests.
+const NODE: u32 = 20;
+/// Where the browser tests are.
+pub const BROWSER_TESTS: &str = "tests/browser";
+/// Where the S3 server is installed.
+const S3_FOLDER: &str = ".tmpi/s3-server";
+/// Its packages with their versions.
+const S3_PACKAGES: &str = "xtask/s3-server.txt";
+/// Names in `TMPI_REQUIRE` (`crates/testing`) of everything that this module installs, and of ONNX Runtime.
+const INSTALLED: &str = "gpu,onnx,ffmpeg,nats,s3";
+
+/// Set by `--skip-missing`: nothing is installed, and tests that miss something are skipped.
+static SKIP_MISSING: AtomicBool = AtomicBool::new(false);
+
+/// A package of Debian, and whether what it contains is there already.
+struct DebianPackage {
+    name: &'static str,
+    is_there: fn() -> bool,
+}
+
+const DEBIAN: [DebianPackage; 6] = [
+    DebianPackage { name: "chromium", is_there: || chromium().is_some() },
+    // draws without a graphics card, for WebGPU in the browser and for the `gpu` backend
+    DebianPackage { name: "mesa-vulkan-drivers", is_there: || cfg!(not(target_os = "linux")) || has_software_vulkan() },
+    DebianPackage { name: "nodejs", is_there: || output("node", &["--version"]).is_some() },
+    DebianPackage { name: "npm", is_there: || which("npm").is_some() || output("npm", &["--version"]).is_some() },
+    DebianPackage { name: "nats-server", is_there: nats_is_there },
+    DebianPackage { name: "ffmpeg", is_there: || output("ffmpeg", &["-version"]).is_some() },
+];
+
+/// From now on installs nothing: tests that miss something are skipped, and the list at the end says so.
+pub fn skip_missing() {
+    SKIP_MISSING.store(true, Ordering::Relaxed);
+}
+
+/// Makes sure that everything is there that the tests need; installs it where this user may.
+pub fn fetch() -> Result<(), Fault> {
+    if SKIP_MISSING.load(Ordering::Relaxed) {
+        return node_packages();
+    }
+    let missing: Vec<&str> = DEBIAN.iter().filter(|p| !(p.is_there)()).map(|p| p.name).collect();
+    if !missing.is_empty() {
+        install(&missing)?;
+    }
+    let version = output("node", &["--version"]).unwrap_or_default();
+    if version.trim_start_matches('v').split('.').next().and_then(|v| v.parse::<u32>().ok()).is_none_or(|v| v < NODE) {
+        return Err(Fault::new(format!("the browser tests need Node {NODE} or newer, not {version}")));
+    }
+    node_packages()?;
+    s3_server()
+}
+
+/// Tells a test program where to find what was installed, what it must not be skipped without, and where to write what it skips.
+pub fn name_to(tests: &mut Command) {
+    if root().join(S3_FOLDER).is_dir() {
+        let others: Vec<PathBuf> = std::env::var_os("PYTHONPATH").map(|p| std::env::split_paths(&p).collect()).unwrap_or_default();
+        if let Ok(path) = std::env::join_paths([vec![root().join(S3_FOLDER)], others].concat()) {
+            tests.env("PYTHONPATH", path);
+        }
+    }
+    if let Some(chromium) = chromium() {
+        tests.env("CHROMIUM", chromium);
+    }
+    tests.env("TMPI_REQUIRE", if SKIP_MISSING.load(Ordering::Relaxed) { "" } else { INSTALLED });
+    tests.env(crate::skipped::VARIABLE, crate::skipped::file());
+}
+
+/// Installs Debian packages as root; else names the command.
+pub fn install(packages: &[&str]) -> Result<(), Fault> {
+    let list = packages.join(" ");
+    if output("apt-get", &["--version"]).is_none() {
+        return Err(Fault::new(format!("missing: {list}. Install them with this system's package manager, then try again")));
+    }
+    if output("id", &["-u"]).as_deref() != Some("0") {
+        let command = format!("sudo apt-get update && sudo apt-get install --yes --no-install-recommends {list}");
+        return Err(Fault::new(format!("missing: {list}. Run this, then try again:\n  {command}")));
+    }
+    say(&format!("installing {list}"));
+    let apt = |args: &[&str]| {
+        let mut command = Command::new("apt-get");
+        command.env("DEBIAN_FRONTEND", "noninteractive").args(["-qq", "--yes"]).args(args);
+        run_quietly(command)
+    };
+    apt(&["update"])?;
+    apt(&[["install", "--no-install-recommends"].as_slice(), packages].concat())
+}
+
+/// npm in a folder of the workspace.
+pub fn npm(folder: &str) -> Command {
+    let mut command = if cfg!(windows) { Command::new("npm.cmd") } else { Command::new("npm") };
+    command.current_dir(root().join(folder));
+    command
+}
+
+/// Path of Chromium: `CHROMIUM`, else the first one in the search path.
+fn chromium() -> Option<String> {
+    let named = std::env::var("CHROMIUM").ok().filter(|n| !n.is_empty());
+    named.or_else(|| ["chromium", "chromium-browser", "google-chrome", "google-chrome-stable"].into_iter().find_map(which))
+}
+
+fn which(name: &str) -> Option<String> {
+    let path = std::env::var_os("PATH")?;
+    std::env::split_paths(&path).map(|p| p.join(name)).find(|p| p.is_file()).map(|p| p.to_string_lossy().into_owned())
+}
+
+fn has_software_vulkan() -> bool {
+    ["/usr/share/vulkan/icd.d", "/etc/vulkan/icd.d"]
+        .iter()
+        .filter_map(|folder| fs::read_dir(folder).ok())
+        .flatten()
+        .filter_map(Result::ok)
+        .any(|entry| entry.file_name().to_string_lossy().starts_with("lvp_icd"))
+}
+
+/// Debian keeps `nats-server` where only root looks.
+fn nats_is_there() -> bool {
+    output("nats-server", &["--version"]).is_some() || Path::new("/usr/sbin/nats-server").exists()
+}
+
+/// The packages of the browser tests.
+fn node_packages() -> Result<(), Fault> {
+    clean_install(BROWSER_TESTS)
+}
+
+/// The linters of the description of the HTTP interface.
+pub fn openapi_packages() -> Result<(), Fault> {
+    clean_install("tests/openapi")
+}
+
+/// `npm ci`, where the lock file is newer than what is installed.
+fn clean_install(folder_name: &str) -> Result<(), Fault> {
+    let folder = root().join(folder_name);
+    let changed = |path: &Path| path.metadata().and_then(|m| m.modified()).ok();
+    let lock =
+        changed(&folder.join("package-lock.json")).ok_or_else(|| Fault::new(format!("{folder_name}/package-lock.json is missing")))?;
+    if changed(&folder.join("node_modules/.package-lock.json")).is_some_and(|installed| installed >= lock) {
+        return Ok(());
+    }
+    say(&format!("installing the packages of {folder_name}"));
+    let mut command = npm(folder_name);
+    command.args(["ci", "--silent", "--no-audit", "--no-fund"]).env("PLAYWRIGHT_SKIP_BROWSER_DOWNLOAD", "1");
+    run_quietly(command)
+}
+
+/// Installs moto, an S3 server, below the root where there is none.
+fn s3_server() -> Result<(), Fault> {
+    let folder = root().join(S3_FOLDER);
+    let whole = folder.join("WHOLE");
+    let pinned = fs::read(root().join(S3_PACKAGES)).unwrap_or_default();
+    if fs::read(&whole).is_ok_and(|installed| installed == pinned) || output("python3", &["-c", "import moto.server"]).is_some() {
+        return Ok(());
+    }
+    say(&format!("installing an S3 server into {S3_FOLDER}"));
+    let _ = fs::remove_dir_all(&folder);
+    let mut pip = Command::new("python3");
+    pip.args(["-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-deps", "--only-binary=:all:", "--target"]);
+    pip.arg(&folder).arg("--requirement").arg(root().join(S3_PACKAGES));
+    run_quietly(pip)?;
+    // written last: a folder without it is half of one
+    fs::copy(root().join(S3_PACKAGES), &whole).map(drop).map_err(|e| Fault::new(format!("{}: {e}", whole.display())))
+}
