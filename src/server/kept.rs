@@ -109,16 +109,6 @@ impl Value for Export {
     }
 }
 
-/// The container of a frame of a room.
-#[derive(Clone, Debug)]
-pub struct Frame(pub Bytes);
-
-impl Value for Frame {
-    fn weight(&self) -> usize {
-        self.0.len()
-    }
-}
-
 impl Value for Arc<Scene> {
     fn weight(&self) -> usize {
         self.memory()
