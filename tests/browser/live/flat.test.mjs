@@ -26,7 +26,11 @@ describe('a room in a browser that lacks something', () => {
     const { page, context, errors } = await suite.watch('attic', { prepare: blind });
     await waitForMode(page, 'flat');
     await page.getByText('This browser shows the video without depth.').waitFor();
-    const isBright = () => window.viewer.canvas.getContext('2d').getImageData(0, 0, 16, 16).data.some((v, i) => i % 4 < 3 && v > 0);
+    const isBright = () =>
+      window.viewer.canvas
+        .getContext('2d')
+        .getImageData(0, 0, 16, 16)
+        .data.some((v, i) => i % 4 < 3 && v > 0);
     await page.waitForFunction(isBright);
     assert.deepEqual(errors, []);
     await context.close();
