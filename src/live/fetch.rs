@@ -19,7 +19,7 @@ use super::gops::{Group, Part};
 use super::nodes::{Borrower, Silent};
 use super::room::{Newest, Room};
 use super::routes::{Here, none_publishes};
-use crate::server::{Coding, Entity, Held, Problem, respond};
+use crate::server::{Coding, Entity, Held, Pairs, Problem, respond};
 use tmpi_core::container::MEDIA_TYPE;
 
 /// Time for which the next group of pictures is waited for.
@@ -176,7 +176,7 @@ pub async fn group(
         }
     });
     // only who shows a token may share with others what it got, under an address that has the token
-    let shared = if uri.query().is_some() { "public" } else { "private" };
+    let shared = if Pairs::read(&uri, &["token"])?.get("token").is_some() { "public" } else { "private" };
     let cache_control = format!("{shared}, max-age=31536000, immutable");
     let headers = [(header::CONTENT_TYPE, MESSAGES.to_owned()), (header::CACHE_CONTROL, cache_control)];
     Ok((headers, Body::from_stream(messages)).into_response())
