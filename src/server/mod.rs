@@ -37,9 +37,7 @@ mod network;
 mod options;
 mod pages;
 mod part;
-mod partial;
 mod pool;
-mod prepared;
 mod problem;
 mod process;
 mod proxies;
@@ -48,7 +46,6 @@ mod records;
 mod rest;
 mod retain;
 mod routes;
-mod sendfile;
 mod settings;
 mod share;
 mod source;
@@ -60,7 +57,6 @@ mod time;
 mod timed;
 mod tls;
 mod traces;
-mod trusted;
 mod upkeep;
 mod upload;
 mod worker;
@@ -77,9 +73,9 @@ use tokio::net::TcpListener;
 pub use accept::Held;
 pub use access::keys;
 pub(crate) use access::same;
-pub use child::{ProcessMaker, VARIABLE, serve as make_for_a_server};
-pub use cluster::{Audit, Migration, Nats, Remedy, Role, Sharing, audit, check_store, migrate};
-pub(crate) use conditional::{IMMUTABLE, REVALIDATE};
+pub use child::{ProcessMaker, VARIABLE, keep_from_others, serve as make_for_a_server};
+pub use cluster::{Audit, Nats, Remedy, Role, Sharing, audit, check_store};
+pub(crate) use conditional::{Coding, Entity, respond};
 pub use files::Reserve;
 pub use id::{PhotoId, hex};
 pub use limits::Limits;
@@ -89,7 +85,7 @@ pub use problem::Problem;
 pub use proxies::{ClientAddress, Network, Proxies};
 pub use rest::allocate_in_one_place;
 pub use routes::{Access, Route, openapi, openapi_of, routes};
-pub(crate) use routes::{NoBody, Pairs, RoomViewQuery, RoomViews};
+pub(crate) use routes::{NoBody, Pairs};
 pub use tls::{Tls, TlsError};
 pub use traces::{Collector, CollectorError, check_collector};
 
@@ -97,8 +93,6 @@ use access::{Guard, Secret};
 use app::{App, Shared};
 use cluster::Cluster;
 use jobs::Jobs;
-use partial::Partials;
-use prepared::Prepared;
 use store::Store;
 use telemetry::Telemetry;
 pub(crate) use telemetry::{Figure, counter, gauge};
@@ -254,9 +248,7 @@ impl Server {
             (Jobs::start(store, found, maker, limits, telemetry).map_err(ServerError::Worker)?, guard)
         };
         exports::start(&jobs, &renderer).map_err(ServerError::Worker)?;
-        let dir = config.data.clone();
-        let partials = Partials::open(&jobs).map_err(|source| ServerError::Data { dir, source })?;
-        let app = Arc::new(Shared { guard, ..Shared::new(config, addr, jobs, partials, renderer, openapi) });
+        let app = Arc::new(Shared { guard, ..Shared::new(config, addr, jobs, renderer, openapi) });
         Ok(Self { listener, addr, app, rooms: None, role, tls: None, admin })
     }
 
@@ -317,7 +309,6 @@ impl Server {
         let probe = tokio::spawn(upkeep::probe(Arc::clone(&app)));
         let look_over = tokio::spawn(upkeep::look_over(Arc::clone(&app)));
         let rest = tokio::spawn(rest::rest(Arc::clone(&app)));
-        let expire = tokio::spawn(partial::expire(Arc::clone(&app)));
         let sweep = tokio::spawn(retain::sweep(Arc::clone(&app)));
         let sweep_files = tokio::spawn(exports::sweep(Arc::clone(&app)));
         // who only makes photos has none
@@ -330,9 +321,8 @@ impl Server {
         let rooms = rooms.map(|rooms| {
             let of = Arc::clone(&app);
             let own = Arc::new(move |headers: &HeaderMap| of.hosts.is_own(headers));
-            live::routes::Here { rooms, stop: token.clone(), own, views: RoomViews::new(Arc::clone(&app)) }
+            live::routes::Here { rooms, stop: token.clone(), own }
         });
-        let prepared = (role != Role::Work).then(|| Prepared::new(Arc::clone(&app)));
         let router = match role {
             Role::Work => routes::system_router(Arc::clone(&app)),
             Role::All | Role::Serve => routes::router(Arc::clone(&app), rooms),
@@ -342,10 +332,10 @@ impl Server {
         }
         let admin = admin.map(|(listener, addr, names)| {
             let (router, app, token) = (routes::admin_router(Arc::clone(&app), addr, &names), Arc::clone(&app), token.clone());
-            let door = accept::Door { listener, tls: None, proxies: Proxies::default(), prepared: None };
+            let door = accept::Door { listener, tls: None, proxies: Proxies::default() };
             tokio::spawn(async move { accept::serve(door, router, &app.limits, &app.telemetry, &token).await })
         });
-        let door = accept::Door { listener, tls, proxies: app.proxies.clone(), prepared };
+        let door = accept::Door { listener, tls, proxies: app.proxies.clone() };
         accept::serve(door, router, &app.limits, &app.telemetry, &token).await;
         if let Some(admin) = admin
             && let Err(error) = admin.await
@@ -355,7 +345,6 @@ impl Server {
         probe.abort();
         look_over.abort();
         rest.abort();
-        expire.abort();
         sweep.abort();
         sweep_files.abort();
         if let Err(error) = signal.await {

@@ -16,9 +16,9 @@ use super::problem::Problem;
 use super::share::customer;
 
 /// How an asker stands.
-pub const RATE_LIMIT: HeaderName = HeaderName::from_static("ratelimit");
+const RATE_LIMIT: HeaderName = HeaderName::from_static("ratelimit");
 /// What they stand within.
-pub const POLICY: HeaderName = HeaderName::from_static("ratelimit-policy");
+const POLICY: HeaderName = HeaderName::from_static("ratelimit-policy");
 /// What rates are told for; a bucket holds as much.
 const WINDOW: Duration = Duration::from_mins(1);
 /// Whoever is known at a time; those whose buckets are full are forgotten first, then the half that asked least.
@@ -126,7 +126,7 @@ impl Rates {
         match (method, path) {
             (&Method::POST, "/v1/photos" | "/v1/photos/{id}/again") | (&Method::PATCH, "/v1/photos/{id}/strokes") => self.uploads.as_ref(),
             // HEAD draws what it tells the length of
-            (&Method::GET | &Method::HEAD, "/v1/photos/{id}/view" | "/v1/photos/{id}/export" | "/v1/live/{room}/frames/{frame}/view")
+            (&Method::GET | &Method::HEAD, "/v1/photos/{id}/view" | "/v1/photos/{id}/export")
             | (&Method::POST, "/v1/photos/{id}/exports") => self.views.as_ref(),
             _ => None,
         }
@@ -135,17 +135,13 @@ impl Rates {
     /// Counts a request.
     ///
     /// # Errors
-    /// As [`Rates::take`].
+    /// 429 that names what is done too often, and says when to come back.
     pub fn count(&self, asker: Option<Asker>, request: &Request) -> (Told, Result<(), Problem>) {
         let path = request.extensions().get::<MatchedPath>().map_or("", MatchedPath::as_str);
         self.take(asker, request.method(), path)
     }
 
-    /// Takes what a request of a route costs.
-    ///
-    /// # Errors
-    /// 429 that names what is done too often, and says when to come back.
-    pub fn take(&self, asker: Option<Asker>, method: &Method, path: &str) -> (Told, Result<(), Problem>) {
+    fn take(&self, asker: Option<Asker>, method: &Method, path: &str) -> (Told, Result<(), Problem>) {
         let mut told = Told::default();
         let Some(asker) = asker else { return (told, Ok(())) };
         let now = Instant::now();
@@ -222,7 +218,7 @@ mod tests {
     #[test]
     fn whoever_asks_for_the_head_of_a_view_alone_has_asked_for_a_view() {
         let rates = Rates::new(&Limits { rate_views: 1, ..Limits::default() });
-        for (n, path) in ["/v1/photos/{id}/view", "/v1/photos/{id}/export", "/v1/live/{room}/frames/{frame}/view"].into_iter().enumerate() {
+        for (n, path) in ["/v1/photos/{id}/view", "/v1/photos/{id}/export"].into_iter().enumerate() {
             let take = |method| rates.take(Some(Asker::Key(n.to_string())), &method, path).1;
             assert!(take(Method::HEAD).is_ok() && take(Method::OPTIONS).is_ok(), "{path}");
             for method in [Method::HEAD, Method::GET] {

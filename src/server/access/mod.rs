@@ -332,16 +332,6 @@ impl Guard {
         caller().is_some_and(|caller| caller.who.is_admin())
     }
 
-    /// Whether the caller of this request may go on with an upload that `owner` began; one that nobody known began is whoever's has its
-    /// address.
-    #[must_use]
-    pub fn continues(owner: Option<&Owner>) -> bool {
-        caller().is_some_and(|caller| {
-            let is = |owner: &Owner| caller.owner.as_ref().is_some_and(|own| same(own.0.as_bytes(), owner.0.as_bytes()));
-            caller.who.is_admin() || owner.is_none_or(is)
-        })
-    }
-
     /// Id of an owner's photo, where `content` names what it is made of.
     #[must_use]
     pub fn id(&self, owner: &Owner, content: PhotoId) -> PhotoId {

@@ -2,7 +2,6 @@
 //! hint and may lose everything. What a node has on its own disk and in its memory are copies: of the photos that were asked for last, however many
 //! the store has. Lists and sums go by an index there.
 
-mod age;
 mod audit;
 mod bus;
 mod claim;
@@ -12,7 +11,6 @@ mod index;
 mod jetstream;
 mod local;
 mod look;
-mod migrate;
 mod names;
 mod objects;
 mod open;
@@ -45,7 +43,6 @@ pub use audit::{Audit, Remedy, audit};
 pub use hear::hear;
 pub use index::{Place, stem};
 pub use look::{Seen, keep_up, side_by_side};
-pub use migrate::{Migration, migrate};
 pub use open::{Nats, Role, Sharing, check_store};
 pub use work::work;
 

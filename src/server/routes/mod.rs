@@ -14,11 +14,9 @@ mod owner;
 mod photos;
 mod query;
 mod results;
-mod room_view;
 mod state;
 mod strokes;
 mod system;
-mod uploads;
 mod view;
 mod view_query;
 mod words;
@@ -42,8 +40,6 @@ use super::middleware;
 pub(super) use admin::router as admin_router;
 pub(super) use export::ExportQuery;
 pub(crate) use query::{NoBody, Pairs};
-pub(crate) use room_view::RoomViews;
-pub(crate) use view_query::RoomViewQuery;
 pub(super) use view_query::{StereoKind, ViewQuery};
 
 use super::pages;
@@ -85,7 +81,6 @@ fn pages_api() -> OpenApiRouter<App> {
     OpenApiRouter::with_openapi(Document::openapi())
         .routes(routes!(photos::upload, photos::list))
         .routes(routes!(photos::state, photos::change, photos::delete))
-        .routes(routes!(uploads::progress, uploads::append, uploads::cancel))
         .routes(routes!(strokes::strokes, strokes::touch_up))
         .routes(routes!(network::again))
         .routes(routes!(owner::links))
