@@ -1,8 +1,10 @@
 // Frames of a camera, and views of the server, that fail.
 import assert from 'node:assert/strict';
 import { afterEach, describe, test } from 'node:test';
+import { Connection } from '../../../static/live/connection.js';
 import { eachFrame } from '../../../static/live/frames.js';
 import { ServedViews } from '../../../static/live/served-views.js';
+import { until } from '../support/until.mjs';
 
 describe('frames of a camera', () => {
   afterEach(() => {
@@ -26,7 +28,7 @@ describe('frames of a camera', () => {
       taken.push(frame.number);
     };
     const stop = eachFrame(null, null, take, (error) => failed.push(error.message));
-    for (let i = 0; i < 20 && taken.length < 2; i++) await new Promise((resume) => setTimeout(resume, 5));
+    await until(() => taken.length === 2);
     assert.deepEqual([taken, failed, closed], [[0, 2], ['an encoder that is closed'], [1]]);
     stop();
   });
@@ -49,17 +51,48 @@ describe('views of the server', () => {
       globalThis.fetch = (_, { signal } = {}) =>
         new Promise((_, refuse) => signal?.addEventListener('abort', () => refuse(signal.reason), { once: true }));
       const pose = { tx: 0, ty: 0, tz: 0, yaw: 0, pitch: 0, roll: 0 };
-      const refused = new Promise((resume) => {
-        const room = { address: 'http://tmpi.example/v1/live/attic', token: '' };
-        const views = new ServedViews({}, room, { width: 320, height: 240 }, { shown: () => {}, refused: resume });
-        views.show(pose, 60, { width: 320, height: 240 }, { x: 0, y: 0, width: 1, height: 1 });
-        setTimeout(() => views.dispose(), 2000).unref();
-      });
-      const late = new Promise((resume) => setTimeout(() => resume('waits'), 1500));
-      assert.equal(await Promise.race([refused, late]), 'away');
+      const refused = [];
+      const room = { address: 'http://tmpi.example/v1/live/attic', token: '' };
+      const on = { shown: () => {}, refused: (state) => refused.push(state) };
+      const views = new ServedViews({}, room, { width: 320, height: 240 }, on);
+      views.show(pose, 60, { width: 320, height: 240 }, { x: 0, y: 0, width: 1, height: 1 });
+      await until(() => refused.length);
+      assert.equal(refused[0], 'away');
+      views.dispose();
     } finally {
       Object.assign(globalThis, { fetch });
       Signal.timeout = soon;
     }
+  });
+});
+
+describe('a room without a place', () => {
+  test('is asked for less and less often', async (t) => {
+    let asked = 0;
+    const full = { publishing: true, viewers: 1024, full: true, may_publish: false };
+    t.mock.method(globalThis, 'fetch', async () => {
+      asked++;
+      return Response.json(full);
+    });
+    t.mock.timers.enable({ apis: ['setTimeout'] });
+    const states = [];
+    const connection = new Connection(
+      { address: 'http://tmpi.example/v1/live/hall', token: '' },
+      { message() {}, state: (s) => states.push(s) },
+    );
+    const settled = () => new Promise((resume) => setImmediate(resume));
+    await connection.start();
+    const pauses = [];
+    for (let pause = 0; pauses.length < 5; pause++) {
+      const before = asked;
+      t.mock.timers.tick(1000);
+      await settled();
+      if (asked === before) continue;
+      pauses.push(pause + 1);
+      pause = -1;
+    }
+    connection.stop();
+    assert.deepEqual(pauses, [5, 10, 20, 30, 30], 'seconds');
+    assert.ok(states.length === 6 && states.every((s) => s === 'full'), `${states}`);
   });
 });

@@ -1,33 +1,21 @@
 // Rooms in browsers that can draw nothing: plain video at the camera's own place, views that the server draws away from it.
 import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
-import { takeGraphics, waitForMode } from '../support/browser.mjs';
-import { likenessOf, roomSuite, SAME_DB, shoot } from '../support/room.mjs';
+import { samplesOf, takeGraphics, waitForMode } from '../support/browser.mjs';
+import { likenessOf, roomSuite, SAME_DB, shoot, showsFrames } from '../support/room.mjs';
+import { until } from '../support/until.mjs';
 import { HEIGHT, WIDTH } from '../support/video.mjs';
 
 /** Pixels of the view that the server has drawn, as it is shown. */
-async function servedPixels(page) {
-  const text = await page.evaluate(
-    async ([w, h]) => {
-      const copy = () => createImageBitmap(window.viewer.poster, { resizeWidth: w, resizeHeight: h, resizeQuality: 'high' });
-      let bitmap = null;
-      // one that has just been put in place cannot be copied yet
-      for (const until = performance.now() + 10_000; !bitmap; ) {
-        bitmap = await copy().catch((error) => {
-          if (performance.now() > until) throw error;
-          return new Promise((resume) => setTimeout(() => resume(null), 10));
-        });
-      }
-      const context = new OffscreenCanvas(w, h).getContext('2d');
-      context.drawImage(bitmap, 0, 0);
-      const { data } = context.getImageData(0, 0, w, h);
-      let out = '';
-      for (let i = 0; i < data.length; i += 32_768) out += String.fromCharCode(...data.subarray(i, i + 32_768));
-      return btoa(out);
-    },
-    [WIDTH, HEIGHT],
-  );
-  return new Uint8ClampedArray(Buffer.from(text, 'base64'));
+function servedPixels(page) {
+  const script = async ([w, h]) => {
+    const bitmap = await createImageBitmap(window.viewer.poster, { resizeWidth: w, resizeHeight: h, resizeQuality: 'high' });
+    const context = new OffscreenCanvas(w, h).getContext('2d');
+    context.drawImage(bitmap, 0, 0);
+    return context.getImageData(0, 0, w, h).data;
+  };
+  // one that has just been put in place cannot be copied yet
+  return until(() => samplesOf(page, script, [WIDTH, HEIGHT]).catch(() => null));
 }
 const seen = (page) => page.evaluate(() => getComputedStyle(window.viewer.canvas).visibility);
 const blind = (page) => takeGraphics(page, { webgl: false });
@@ -71,9 +59,7 @@ describe('rooms that the server draws', () => {
     assert.equal(await seen(page), 'hidden');
     // it goes on without being moved
     await page.waitForFunction(() => window.viewer.poster.naturalWidth > 0);
-    const wait = Date.now() + 20_000;
-    while (views.tags.size < 4 && Date.now() < wait) await page.waitForTimeout(100);
-    assert.ok(views.tags.size >= 4, `frames ${[...views.tags]}`);
+    await until(() => views.tags.size >= 4);
     assert.ok(views.poses.every((tx) => Number(tx) < 0) && views.most === 1, `${views.poses}; ${views.most} at once`);
     const away = likenessOf(await servedPixels(page));
     // the film from a little beside
@@ -83,9 +69,9 @@ describe('rooms that the server draws', () => {
     await waitForMode(page, 'flat');
     assert.equal(await seen(page), 'visible');
     await page.waitForFunction(() => !window.viewer.moving);
-    await page.waitForTimeout(300);
+    await until(() => views.under === 0);
     const asked = views.poses.length;
-    await page.waitForTimeout(500);
+    await showsFrames(page, 20);
     assert.equal(views.poses.length, asked, 'no more is asked for');
     assert.deepEqual(errors, []);
     await context.close();
@@ -107,7 +93,7 @@ describe('rooms that the server draws', () => {
     const refused = page.waitForResponse((response) => response.status() === 429);
     for (let i = 0; i < 6; i++) await page.keyboard.press('ArrowRight');
     await refused;
-    await page.waitForTimeout(300);
+    await page.waitForResponse((response) => response.status() === 429);
     assert.equal(await page.locator('#stage').getAttribute('data-mode'), 'flat');
     assert.equal(await seen(page), 'visible');
     refuses = false;
