@@ -8,7 +8,7 @@ import { frames, gate, until } from '../support/until.mjs';
 describe('views of the server', () => {
   const suite = boxSuite();
 
-  test('with neither WebGPU nor WebGL the server’s views are shown, one request at a time, the latest pose last', async () => {
+  test('with neither WebGPU nor WebGL the server’s views are shown, one request at a time, the latest pose last', async (t) => {
     const { page, context, errors } = await openPage(suite.browser);
     await takeGraphics(page, { webgl: false });
     await page.goto(`${suite.server.url}/view/box`);
@@ -19,6 +19,7 @@ describe('views of the server', () => {
     await page.waitForFunction(() => window.viewer.serverViews.shown);
     const seen = suite.server.views.length;
     const answer = gate();
+    t.after(answer.open);
     suite.server.held.view = answer.opened;
     for (let i = 0; i < 12; i++) await page.keyboard.press('ArrowLeft');
     await page.waitForFunction(() => !window.viewer.moving);

@@ -1,21 +1,15 @@
 // Rooms in browsers that can draw nothing: plain video at the camera's own place, views that the server draws away from it.
 import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
-import { samplesOf, takeGraphics, waitForMode } from '../support/browser.mjs';
+import { imagePixels, takeGraphics, waitForMode } from '../support/browser.mjs';
 import { likenessOf, roomSuite, SAME_DB, shoot, showsFrames } from '../support/room.mjs';
 import { until } from '../support/until.mjs';
 import { HEIGHT, WIDTH } from '../support/video.mjs';
 
 /** Pixels of the view that the server has drawn, as it is shown. */
 function servedPixels(page) {
-  const script = async ([w, h]) => {
-    const bitmap = await createImageBitmap(window.viewer.poster, { resizeWidth: w, resizeHeight: h, resizeQuality: 'high' });
-    const context = new OffscreenCanvas(w, h).getContext('2d');
-    context.drawImage(bitmap, 0, 0);
-    return context.getImageData(0, 0, w, h).data;
-  };
   // one that has just been put in place cannot be copied yet
-  return until(() => samplesOf(page, script, [WIDTH, HEIGHT]).catch(() => null));
+  return until(() => imagePixels(page, '.tmpi-poster', WIDTH, HEIGHT).catch(() => null));
 }
 const seen = (page) => page.evaluate(() => getComputedStyle(window.viewer.canvas).visibility);
 const blind = (page) => takeGraphics(page, { webgl: false });

@@ -134,6 +134,18 @@ export function pixelsOf(page, file, size = null) {
   return samplesOf(page, script, { ...given, size });
 }
 
+/** Pixels of an image on the page, at a size; rejects while the browser has none of them. */
+export function imagePixels(page, selector, width, height) {
+  const script = async ({ selector, width, height }) => {
+    const sized = { resizeWidth: width, resizeHeight: height, resizeQuality: 'high' };
+    const bitmap = await createImageBitmap(document.querySelector(selector), sized);
+    const context = new OffscreenCanvas(width, height).getContext('2d');
+    context.drawImage(bitmap, 0, 0);
+    return context.getImageData(0, 0, width, height).data;
+  };
+  return samplesOf(page, script, { selector, width, height });
+}
+
 /** Bytes of a file that a page has saved. */
 export async function saved(download) {
   const parts = [];

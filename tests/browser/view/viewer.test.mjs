@@ -1,7 +1,7 @@
 // The viewer by itself: a container written by hand, a server that does nothing but serve files.
 import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
-import { openPage, pixelsAt, pixelsOf, seriousViolations, shareDifferent, waitForMode } from '../support/browser.mjs';
+import { imagePixels, openPage, pixelsAt, seriousViolations, shareDifferent, waitForMode } from '../support/browser.mjs';
 import { BOX, boxPhoto, inBox, readPng, wall } from '../support/pictures.mjs';
 import { boxSuite, HEIGHT, STILL, WIDTH } from '../support/suite.mjs';
 import { gate } from '../support/until.mjs';
@@ -27,16 +27,14 @@ function expected(tx) {
 describe('viewer', () => {
   const suite = boxSuite();
 
-  test('shows the photo first, then the scene', async () => {
+  test('shows the photo first, then the scene', async (t) => {
     const rest = gate();
+    t.after(rest.open);
     suite.server.held.atlas = rest.opened;
     const { page, context, errors } = await suite.open();
     await page.waitForFunction(() => document.querySelector('.tmpi-poster')?.naturalWidth);
-    const poster = await page.evaluate(async () => [
-      ...new Uint8Array(await await (await fetch(document.querySelector('.tmpi-poster').src)).arrayBuffer()),
-    ]);
-    const photo = readPng(boxPhoto(WIDTH, HEIGHT)).data;
-    assert.equal(shareDifferent(await pixelsOf(page, Buffer.from(poster)), photo, WIDTH, HEIGHT, { levels: 0 }), 0);
+    const poster = await imagePixels(page, '.tmpi-poster', WIDTH, HEIGHT);
+    assert.equal(shareDifferent(poster, readPng(boxPhoto(WIDTH, HEIGHT)).data, WIDTH, HEIGHT, { levels: 2 }), 0);
     assert.equal(await page.evaluate(() => window.viewer.mode), 'loading');
     rest.open();
     await waitForMode(page, 'gpu');
