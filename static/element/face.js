@@ -1,5 +1,6 @@
 // What the element is made of: the stage of the viewer, the poster below, the button for full screen, and what is seen where nothing can be
 // shown; its shape and its name.
+import { word } from '../i18n/element.js';
 
 const STYLE = `
   :host { display: block; position: relative; overflow: hidden; aspect-ratio: var(--tmpi-shape, 16 / 10); }
@@ -193,7 +194,7 @@ function fullscreenButton(onClick) {
   const button = make('button', '', svg);
   button.type = 'button';
   button.part.add('fullscreen');
-  button.setAttribute('aria-label', 'Full screen');
+  button.setAttribute('aria-label', word('Full screen'));
   button.addEventListener('click', onClick);
   return button;
 }

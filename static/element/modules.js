@@ -45,6 +45,7 @@ export const MODULES = [
 /** What rooms need besides. */
 export const ROOM_MODULES = [
   'element/room.js',
+  'i18n/element.js',
   'i18n/messages.js',
   'live/connection.js',
   'live/room-address.js',

@@ -46,6 +46,7 @@
 // beside it is static/, as the server and the package have it
 import { Face, NAMES, OFF } from './static/element/face.js';
 import { load, MODULES, preload, ROOM_MODULES } from './static/element/modules.js';
+import { word } from './static/i18n/element.js';
 
 /** @import { Viewer } from '../view/viewer.js' */
 /** @import { Room } from './room.js' */
@@ -210,7 +211,7 @@ class TmpiViewer extends HTMLElement {
   }
 
   #describe() {
-    this.#face.describe(this.#named?.room ? '3D video' : '3D photo');
+    this.#face.describe(this.#named?.room ? word('3D video') : word('3D photo'));
   }
 
   async #start() {

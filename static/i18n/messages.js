@@ -1,8 +1,9 @@
 // The pages' second language: German where the browser asks for it. English words are the keys, so what is missing stays readable.
+import { ELEMENT, german } from './element.js';
 
 /** @type {Record<string, string>} */
 const GERMAN = {
-  '3D photo': '3D-Foto',
+  ...ELEMENT,
   'All photos': 'Alle Fotos',
   'Back to the photo’s own view (0)': 'Zurück zur Sicht des Fotos (0)',
   'Best: every detail, a larger file': 'Beste: jede Einzelheit, größere Datei',
@@ -63,11 +64,9 @@ const GERMAN = {
   'The photo’s own depth was left out: {0}': 'Die Tiefe im Foto blieb unbenutzt: {0}',
   'Dismiss {0}': '{0} ausblenden',
   Download: 'Laden',
-  'Drawn by the server': 'Vom Server gezeichnet',
   'drawn by the server': 'vom Server gezeichnet',
   'Drop photos or a folder here, paste one, or': 'Fotos oder einen Ordner hierher ziehen, einfügen oder',
   Full: 'Vollbild',
-  'Full screen': 'Vollbild',
   'JPEG, PNG, WebP, and what else your browser can show. Place and camera data are removed.':
     'JPEG, PNG, WebP und was der Browser sonst zeigen kann. Orts- und Kameradaten werden entfernt.',
   'A sample, to look around in: point at it, drag it, scroll to come closer.':
@@ -292,7 +291,6 @@ const GERMAN = {
   'Paused: the camera gives no picture here. It goes on by itself, as soon as this page is seen.':
     'Pause: Die Kamera gibt hier kein Bild. Es geht von selbst weiter, sobald diese Seite zu sehen ist.',
   Live: 'Live',
-  '3D video': '3D-Video',
   'Medium: 640 × 480': 'Mittel: 640 × 480',
   'Move the pointer or drag to look around.': 'Zeiger bewegen oder ziehen, um sich umzusehen.',
   'Move with a drag or the arrow keys, closer and farther with plus and minus, back with 0, full screen with F.':
@@ -337,7 +335,7 @@ const GERMAN = {
   '{0} was deleted.': '{0} wurde gelöscht.',
 };
 
-const words = globalThis.navigator?.language?.toLowerCase().startsWith('de') ? GERMAN : {};
+const words = german ? GERMAN : {};
 
 /**
  * `text` in the page's language, `{0}`, `{1}` … replaced by `values`.

@@ -3,6 +3,7 @@ import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
 import { waitForMode } from '../support/browser.mjs';
 import { boxSuite } from '../support/suite.mjs';
+import { frames, until } from '../support/until.mjs';
 
 const NAME = 'depth-anything-v2-small-fp16';
 const WORSE = ['depth-anything-v2-metric', 'midas-v2.1', 'midas-v2.1-small', 'tmpi'];
@@ -20,10 +21,12 @@ describe('better depth', () => {
     const { page } = all;
     await waitForMode(page, 'gpu');
     const asked = [];
+    const told = { photos: 0 };
     const report = { depth_model: model, stages: [{ name: 'depth', ms: 90 }], error: { tile_px: [] } };
     // as the server tells whoever may have the photo made again
     await page.route('**/v1/photos/box', (route) => {
       const known = states[0].better_than ? states[0] : { name, better_than: WORSE };
+      told.photos++;
       const worse = known.better_than.some((kind) => report.depth_model.startsWith(kind));
       return route.fulfill({ json: { ...suite.server.state, ...(worse && { better_depth: known.name }) } });
     });
@@ -41,7 +44,7 @@ describe('better depth', () => {
     });
     const menu = page.locator('#show-menu');
     await page.locator('#show').click();
-    return { ...all, asked, menu };
+    return { ...all, asked, told, menu };
   }
 
   test('it is fetched, and the photo is made again with it', async () => {
@@ -90,9 +93,11 @@ describe('better depth', () => {
       ['tmpi', 1, 401],
       ['tmpi', 1, 403],
     ]) {
-      const { page, context, asked, menu } = await opened(model, [now]);
+      const { page, context, asked, told, menu } = await opened(model, [now]);
       await menu.locator('#depth-source').waitFor();
-      await page.waitForTimeout(100);
+      // the photo says last whether there is something to choose
+      await until(() => told.photos >= count);
+      await frames(page, 3);
       assert.equal(await menu.locator('#better-depth > *').count(), 0, model);
       assert.equal(asked.length, count, model);
       await context.close();

@@ -3,10 +3,11 @@ import assert from 'node:assert/strict';
 import { readFileSync } from 'node:fs';
 import { createRequire } from 'node:module';
 import { after, before, describe, test } from 'node:test';
-import { launch, openPage, PATIENCE_MS, waitForMode } from '../support/browser.mjs';
+import { launch, openPage, waitForMode } from '../support/browser.mjs';
 import { boxContainer } from '../support/container.mjs';
 import { boxPhoto } from '../support/pictures.mjs';
 import { serve } from '../support/static-server.mjs';
+import { until as come } from '../support/until.mjs';
 
 const EMULATOR = createRequire(import.meta.url).resolve('iwer/build/iwer.min.js');
 /** A finger, and a browser in which all controls are offered. */
@@ -65,10 +66,11 @@ describe('every control', () => {
     await page.waitForFunction(() => document.title.startsWith('The box') && !document.getElementById('headset').hidden);
     const $ = (id) => page.locator(`#${id}`);
     const viewer = (f) => page.evaluate(`(${f})(window.viewer)`);
-    const until = async (f) => {
-      for (const end = Date.now() + PATIENCE_MS; !(await viewer(f)); await page.waitForTimeout(20))
-        assert.ok(Date.now() < end, `never: ${f}`);
-    };
+    const until = (f) =>
+      come(
+        () => viewer(f),
+        () => f.toString(),
+      );
     const menu = (id) => page.evaluate((name) => document.getElementById(name).matches(':popover-open'), id);
     const opens = (button, id) => async () => {
       await button.click();
@@ -366,7 +368,7 @@ describe('every control', () => {
     const $ = (id) => page.locator(`#${id}`);
     const file = (name) => ({ name, mimeType: 'image/png', buffer: Buffer.from(name) });
     const sent = async (count) => {
-      while (bodies.length < count) await page.waitForTimeout(20);
+      await come(() => bodies.length >= count);
       return bodies.at(-1);
     };
     await walk(page, {

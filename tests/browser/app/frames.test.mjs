@@ -16,6 +16,7 @@ describe('a frame on another site', () => {
   let link;
   before(async () => {
     server = await startServer(['--host', HOST]);
+    // one of its own, which finds the program by another name
     browser = await launch({ webgpu: false, more: [`--host-resolver-rules=MAP ${HOST} 127.0.0.1`] });
     // this machine's own user makes it; the browser comes under another name, as a stranger
     photo = await makePhoto(server.url, boxPhoto(200, 120), boxDepth(200, 120));

@@ -1,14 +1,14 @@
 // From the picker to the moving picture, on the built program.
 import assert from 'node:assert/strict';
 import { existsSync, readFileSync } from 'node:fs';
+import { join } from 'node:path';
 import { after, before, describe, test } from 'node:test';
-import { fileURLToPath } from 'node:url';
 import {
   launch,
   openPage,
-  PATIENCE_MS,
   pixelsAt,
   pixelsOf,
+  saved,
   seriousViolations,
   shareDifferent,
   takeGraphics,
@@ -16,6 +16,7 @@ import {
 } from '../support/browser.mjs';
 import { BOX, boxDepth, boxPhoto } from '../support/pictures.mjs';
 import { makePhoto, startServer } from '../support/program.mjs';
+import { skip } from '../support/skip.mjs';
 
 const WIDTH = 320;
 const HEIGHT = 200;
@@ -25,12 +26,7 @@ const POSES = [
   { tx: 0.025, ty: -0.01, tz: 0.01 },
   { tx: -0.02, ty: 0.015, tz: -0.02, yaw: 1.5, pitch: -1, roll: 2 },
 ];
-const realPhoto = fileURLToPath(new URL('photos/dav2/demo01.jpg', dataUrl()));
-
-function dataUrl() {
-  const root = process.env.TMPI_DATA;
-  return root ? new URL(`file://${root.endsWith('/') ? root : `${root}/`}`) : new URL('../../../../shared/data/', import.meta.url);
-}
+const realPhoto = join(process.env.TMPI_DATA || '.', 'photos/dav2/demo01.jpg');
 
 const query = (pose, width, height) => new URLSearchParams({ ...pose, w: width, h: height, format: 'png' });
 
@@ -94,7 +90,7 @@ describe('the whole way', () => {
         .then(() => page.locator('#download').click()),
     ]);
     assert.equal(download.suggestedFilename(), 'garden.tmpi');
-    assert.equal(readFileSync(await download.path()).toString('latin1', 0, 4), 'TMPI');
+    assert.equal((await saved(download)).toString('latin1', 0, 4), 'TMPI');
     for (const [format, start] of [
       ['html', '<!doctype html>'],
       ['glb', 'glTF'],
@@ -105,12 +101,7 @@ describe('the whole way', () => {
         page.locator(`[data-export=${format}]`).evaluate((link) => link.click()),
       ]);
       assert.match(file.suggestedFilename(), new RegExp(`\\.${format}$`));
-      assert.equal(
-        readFileSync(await file.path())
-          .toString('latin1', 0, start.length)
-          .toLowerCase(),
-        start.toLowerCase(),
-      );
+      assert.equal((await saved(file)).toString('latin1', 0, start.length).toLowerCase(), start.toLowerCase());
     }
     await page.goto(server.url);
     await page.getByRole('button', { name: 'Delete garden' }).click();
@@ -149,7 +140,8 @@ describe('the whole way', () => {
     await context.close();
   });
 
-  test('a photo from a camera', { skip: existsSync(realPhoto) ? false : 'no data for measuring: set TMPI_DATA' }, async (t) => {
+  test('a photo from a camera', async (t) => {
+    if (!existsSync(realPhoto)) return skip(t, 'data', 'TMPI_DATA names no folder with photos');
     const { page, context, errors } = await openPage(browser);
     const state = await makePhoto(server.url, readFileSync(realPhoto));
     await page.goto(`${server.url}/view/${state.id}`);
@@ -260,7 +252,7 @@ describe('the whole way', () => {
       const { page, context } = await openPage(browser, { viewport: { width, height: 844 }, deviceScaleFactor: 2, hasTouch: true });
       for (const path of ['/', `/view/${made.id}`]) {
         await page.goto(server.url + path);
-        if (path === '/') await page.locator('#gallery .card').first().waitFor({ timeout: PATIENCE_MS });
+        if (path === '/') await page.locator('#gallery .card').first().waitFor();
         else await waitForMode(page, 'gpu');
         const [wide, inner] = await page.evaluate(() => [document.documentElement.scrollWidth, innerWidth]);
         assert.ok(wide <= inner, `${path} is ${wide} pixels wide on ${inner}`);

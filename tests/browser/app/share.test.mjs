@@ -1,9 +1,8 @@
 // The dialogs of sharing: how to put a photo on a page, and films of it.
 import assert from 'node:assert/strict';
-import { readFileSync } from 'node:fs';
 import { describe, test } from 'node:test';
 import { escaped, snippets } from '../../../static/app/snippets.js';
-import { openPage, seriousViolations, waitForMode } from '../support/browser.mjs';
+import { openPage, saved, seriousViolations, waitForMode } from '../support/browser.mjs';
 import { boxSuite } from '../support/suite.mjs';
 
 const HOSTILE = `"><script>alert(1)</script>'&<b>`;
@@ -162,7 +161,7 @@ describe('sharing', () => {
     assert.ok(await page.waitForFunction(() => document.querySelector('.share-dialog img').naturalWidth === 200));
     const [download] = await Promise.all([page.waitForEvent('download'), dialog.getByRole('link', { name: 'Save' }).click()]);
     assert.match(download.suggestedFilename(), /-wiggle\.gif$/);
-    assert.equal(readFileSync(await download.path()).toString('latin1', 0, 6), 'GIF89a');
+    assert.equal((await saved(download)).toString('latin1', 0, 6), 'GIF89a');
     assert.deepEqual(await seriousViolations(page), []);
 
     await dialog.getByLabel('Movement').selectOption('orbit');

@@ -1,7 +1,7 @@
 // The touch-up of a photo's depth, on the built program: what is painted is what the server makes of it.
 import assert from 'node:assert/strict';
 import { after, before, describe, test } from 'node:test';
-import { launch, openPage, pixelsOf, seriousViolations, waitForMode } from '../support/browser.mjs';
+import { launch, openPage, pixelsAt, pixelsOf, seriousViolations, shareDifferent, waitForMode } from '../support/browser.mjs';
 import { BOX, boxPhoto, inBox, png16 } from '../support/pictures.mjs';
 import { makePhoto, startServer } from '../support/program.mjs';
 
@@ -103,6 +103,8 @@ describe('touch-up', () => {
     const { page, context, errors, id, depth } = await opened(0.01);
     const address = page.url();
     const version = await page.evaluate(async (url) => (await (await fetch(url)).json()).version, `/v1/photos/${id}`);
+    const aside = () => pixelsAt(page, { tx: 0.03 }, WIDTH, HEIGHT);
+    const flat = await aside();
     await start(page);
     assert.deepEqual(await seriousViolations(page), []);
     assert.ok(await page.locator('#touch-save').isDisabled(), 'there is nothing to save');
@@ -132,8 +134,13 @@ describe('touch-up', () => {
       (i) => near(preview[i]),
     );
     assert.ok(same > 0.97, `the server and the preview agree on ${same}`);
-    // what is shown now moves before the wall
+    // what is shown now moves before the wall, as it did not before
     await page.waitForFunction(() => window.viewer?.renderer);
+    const deep = await aside();
+    const inner = { x0: BOX.x0 + 0.05, x1: BOX.x1 - 0.05, y0: BOX.y0 + 0.05, y1: BOX.y1 - 0.05 };
+    const moved = shareDifferent(flat, deep, WIDTH, HEIGHT, inner);
+    const stood = shareDifferent(flat, deep, WIDTH, HEIGHT, { x0: 0.05, x1: 0.25, y0: 0.05, y1: 0.95 });
+    assert.ok(moved > 0.5 && stood < 0.02, `${moved} of the box and ${stood} of the wall moved`);
     assert.deepEqual(errors, []);
     await context.close();
   });

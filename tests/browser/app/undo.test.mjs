@@ -1,6 +1,7 @@
 // Deletions, and how they are taken back.
 import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
+import { until } from '../support/until.mjs';
 import { photo, uploadSuite } from '../support/upload-page.mjs';
 
 describe('undo', () => {
@@ -36,12 +37,13 @@ describe('undo', () => {
     await cards.first().getByRole('button').click();
     await cards.first().getByRole('button').click();
     await page.goto('about:blank');
-    for (let i = 0; i < 50 && suite.server.deleted.length < 2; i++) await page.waitForTimeout(100);
+    await until(() => suite.server.deleted.length === 2);
     assert.deepEqual(suite.server.deleted.toSorted(), ['/v1/photos/a', '/v1/photos/b']);
     await context.close();
   });
 
   test('what a photo’s own page deleted is deleted by the list, unless it is undone there', async () => {
+    suite.server.deleted.length = 0;
     const { page, context } = await suite.open({ pages: [{ photos: [photo('a'), photo('b')] }] });
     await page.locator('.card').nth(1).waitFor();
     const hand = (id) => page.evaluate((i) => import('/static/app/undo.js').then((m) => m.handOver(i, 'The one')), id);
@@ -57,6 +59,9 @@ describe('undo', () => {
     // one that the first page of the list does not have
     await Promise.all([page.waitForEvent('load'), hand('z')]);
     await page.getByText('The one deleted').waitFor();
+    await page.goto('about:blank');
+    await until(() => suite.server.deleted.length);
+    assert.deepEqual(suite.server.deleted, ['/v1/photos/z'], 'what was undone is not deleted');
     await context.close();
   });
 });

@@ -3,6 +3,7 @@ import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
 import { seriousViolations } from '../support/browser.mjs';
 import { boxPhoto } from '../support/pictures.mjs';
+import { gate, until } from '../support/until.mjs';
 import { photo, uploadSuite } from '../support/upload-page.mjs';
 
 const COUNT = 40;
@@ -19,6 +20,11 @@ describe('many uploads', () => {
       options,
     });
     let made = 0;
+    const ready = ids.map(gate);
+    const finish = (n) => {
+      made = n;
+      for (const { open } of ready.slice(0, n)) open();
+    };
     const events = 'event: stage\ndata: {"stage":"layers","step":3,"steps":4}\n\n';
     let most = 0;
     const followed = new Set();
@@ -29,7 +35,7 @@ describe('many uploads', () => {
         .match(/photos\/([^/]+)/)[1];
       followed.add(id);
       most = Math.max(most, [...followed].filter((f) => Number(f.slice(1)) >= made).length);
-      while (Number(id.slice(1)) >= made && !page.isClosed()) await new Promise((resume) => setTimeout(resume, 20));
+      await ready[Number(id.slice(1))].opened;
       await route.fulfill({ contentType: 'text/event-stream', body: `${events}event: done\ndata: {}\n\n` }).catch(() => {});
     });
     const buffer = boxPhoto(30, 20);
@@ -37,7 +43,7 @@ describe('many uploads', () => {
       '#picker',
       ids.map((_, i) => ({ name: `photo ${i}.png`, mimeType: 'image/png', buffer })),
     );
-    return { page, context, sent, finish: (n) => (made = n), most: () => most };
+    return { page, context, sent, finish, most: () => most };
   }
   const names = (page) => page.locator('.upload:visible .upload-name').allTextContents();
 
@@ -48,7 +54,7 @@ describe('many uploads', () => {
     assert.equal(await page.locator('#uploads-more-text').textContent(), `and ${COUNT - 3} more`);
     const top = (await page.locator('#gallery .card').first().boundingBox()).y;
     assert.ok(top < 1100, `the photos begin at ${top}`);
-    while (sent.length < COUNT) await page.waitForTimeout(50);
+    await until(() => sent.length === COUNT);
     finish(12);
     await page.getByText(`12 of ${COUNT} ready`).waitFor();
     // the newest that is ready, and three in work
@@ -67,16 +73,24 @@ describe('many uploads', () => {
   });
 
   test('all can be cancelled at once', async () => {
-    const { page, context } = await open(8);
+    const { page, context, sent } = await open(8);
     await page.getByText('0 of 8 ready').waitFor();
+    await until(() => sent.length === 8);
     await page.getByRole('button', { name: 'Cancel all' }).click();
     await page.locator('#uploads').waitFor({ state: 'hidden' });
+    assert.deepEqual(
+      suite.server.deleted.toSorted(),
+      Array.from({ length: 8 }, (_, i) => `/v1/photos/p${i}`),
+      'none of them is made',
+    );
     await context.close();
   });
 
   test('a phone has the same in sight', async () => {
     const { page, context } = await open(8, { viewport: { width: 390, height: 844 } });
     await page.getByText('0 of 8 ready').waitFor();
+    assert.deepEqual(await names(page), ['photo 0.png', 'photo 1.png', 'photo 2.png']);
+    assert.equal(await page.locator('#uploads-more-text').textContent(), 'and 5 more');
     const { y, height } = await page.locator('#uploads').boundingBox();
     assert.ok(height < 500, `${y} ${height}`);
     await context.close();

@@ -11,6 +11,7 @@ import { pieces } from '../../../static/draw/border.js';
 import { pack } from '../../../static/draw/texture-atlas.js';
 import { digest, texels } from '../support/decoder.mjs';
 import { program } from '../support/program.mjs';
+import { skip } from '../support/skip.mjs';
 
 const SCENES = 12;
 /** Folders of photos below TMPI_DATA, and how many are taken of each. */
@@ -86,8 +87,8 @@ describe('the built decoder and the native one', () => {
   });
 
   const data = process.env.TMPI_DATA && join(process.env.TMPI_DATA, 'photos');
-  const skip = !(data && existsSync(data)) && 'TMPI_DATA names no folder with photos';
-  test('come to the same layers and textures of photos', { skip }, async () => {
+  test('come to the same layers and textures of photos', async (t) => {
+    if (!data || !existsSync(data)) return skip(t, 'data', 'TMPI_DATA names no folder with photos');
     for (const [name, count] of Object.entries(PHOTOS)) {
       const all = readdirSync(join(data, name)).filter((file) => /\.(jpg|png)$/.test(file));
       const taken = all.slice(0, count).map((file) => join(data, name, file));

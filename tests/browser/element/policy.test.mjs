@@ -5,6 +5,7 @@ import { describe, test } from 'node:test';
 import { openPage } from '../support/browser.mjs';
 import { serve } from '../support/static-server.mjs';
 import { boxSuite, STILL } from '../support/suite.mjs';
+import { until } from '../support/until.mjs';
 
 const README = readFileSync(new URL('../../../README.md', import.meta.url), 'utf8');
 const RECIPE = README.match(/^ {4}Content-Security-Policy: (.*HOST.*)$/m)[1];
@@ -12,28 +13,27 @@ const RECIPE = README.match(/^ {4}Content-Security-Policy: (.*HOST.*)$/m)[1];
 describe('policy', () => {
   const suite = boxSuite();
 
-  /** What the element comes to on a page with a policy: its mode, or why there is none. */
+  /** What the element comes to on a page with a policy: its mode and its poster's width, or what the policy is violated by first. */
   async function under(policy) {
     const other = await serve({ atlas: Buffer.alloc(0) });
     const { page, context, errors } = await openPage(suite.browser, STILL);
     const host = suite.server.url;
     const poster = `still poster="${host}/v1/photos/box/view?w=20&h=12"`;
     await page.goto(`${other.url}/embed?${new URLSearchParams({ host, policy: policy.replaceAll('HOST', host), more: poster })}`);
-    const mode = await page
-      .waitForFunction(
-        () => {
-          const { viewer } = document.querySelector('tmpi-viewer');
-          return viewer && viewer.mode !== 'loading' && viewer.mode;
-        },
-        null,
-        { timeout: 8000 },
-      )
-      .then((found) => found.jsonValue())
-      .catch(() => 'nothing');
-    const picture = await page.evaluate(() => document.querySelector('tmpi-viewer').shadowRoot?.querySelector('.poster').naturalWidth ?? 0);
+    const ours = () => errors.filter((e) => !e.includes('favicon') && !e.includes('data:,'));
+    const seen = () =>
+      page.evaluate(() => {
+        const { viewer, shadowRoot } = document.querySelector('tmpi-viewer');
+        const poster = shadowRoot?.querySelector('.poster');
+        return { mode: viewer?.mode ?? 'loading', done: Boolean(poster?.complete), picture: poster?.naturalWidth ?? 0 };
+      });
+    const { mode, picture } = await until(async () => {
+      const { done, ...told } = await seen();
+      return (ours().length || (told.mode !== 'loading' && done)) && told;
+    });
     await context.close();
     await other.close();
-    return { mode, picture, errors: errors.filter((e) => !e.includes('favicon') && !e.includes('data:,')) };
+    return { mode, picture, errors: ours() };
   }
 
   test('with it the element draws in WebGPU and shows its poster', async () => {

@@ -1,16 +1,15 @@
 // Rooms in the element, on pages of this server and of others.
 import assert from 'node:assert/strict';
-
 import { execFileSync } from 'node:child_process';
 import { randomBytes } from 'node:crypto';
 import { writeFileSync } from 'node:fs';
 import { createServer } from 'node:http';
 import { join } from 'node:path';
 import { after, before, describe, test } from 'node:test';
-import { openPage, shareDifferent } from '../support/browser.mjs';
+import { openPage, pixelsAt, shareDifferent } from '../support/browser.mjs';
 import { program } from '../support/program.mjs';
-
 import { likenessOf, roomSuite, SAME_DB, STILL, shoot } from '../support/room.mjs';
+import { until } from '../support/until.mjs';
 import { HEIGHT, WIDTH } from '../support/video.mjs';
 
 describe('rooms in the element', () => {
@@ -61,32 +60,20 @@ describe('rooms in the element', () => {
   const mode = (page, wanted) => page.waitForFunction((m) => document.querySelector('tmpi-viewer').viewer?.mode === m, wanted);
 
   /** Pixels of the element's scene at a pose. */
-  async function pixels(page, pose) {
-    const text = await page.evaluate(
-      async ([p, w, h]) => {
-        const { viewer } = document.querySelector('tmpi-viewer');
-        viewer.setPose(p);
-        const data = await viewer.readPixels(w, h);
-        let out = '';
-        for (let i = 0; i < data.length; i += 32_768) out += String.fromCharCode(...data.subarray(i, i + 32_768));
-        return btoa(out);
-      },
-      [pose, WIDTH, HEIGHT],
-    );
-    return new Uint8ClampedArray(Buffer.from(text, 'base64'));
-  }
+  const pixels = (page, pose) => pixelsAt(page, pose, WIDTH, HEIGHT, 'tmpi-viewer');
 
   /** Checks that the camera's frames are shown, one after the other. */
   async function moves(page) {
     await mode(page, 'gpu');
     const numbers = new Set();
-    for (let i = 0; i < 20 && numbers.size < 3; i++) {
-      await page.waitForTimeout(100);
-      const { number, same, other } = likenessOf(await pixels(page, {}));
-      assert.ok(same > SAME_DB && same > other + 3, `frame ${number}: ${same} dB, half a film away ${other} dB`);
-      numbers.add(number);
-    }
-    assert.ok(numbers.size >= 3, `frames seen: ${[...numbers]}`);
+    await until(
+      async () => {
+        const { number, same, other } = likenessOf(await pixels(page, {}));
+        assert.ok(same > SAME_DB && same > other + 3, `frame ${number}: ${same} dB, half a film away ${other} dB`);
+        return numbers.add(number).size >= 3;
+      },
+      () => [...numbers],
+    );
   }
 
   test('who comes first waits, then sees and hears the room; nothing is left of it in the end', async () => {
@@ -131,8 +118,8 @@ describe('rooms in the element', () => {
     await page.evaluate(() => document.querySelector('tmpi-viewer').remove());
     await publisher.page.waitForFunction(() => !/1 watching/.test(document.getElementById('state').textContent));
     // the browser may tell of its end after the publisher does
-    for (let i = 0; i < 50 && page.workers().length; i++) await page.waitForTimeout(100);
-    assert.ok(workers === 1 && page.workers().length === 0, `${workers} workers, then ${page.workers().length}`);
+    assert.equal(workers, 1);
+    await until(() => !page.workers().length);
     assert.deepEqual(errors, []);
     await context.close();
     await publisher.context.close();

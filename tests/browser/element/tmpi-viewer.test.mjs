@@ -1,9 +1,11 @@
 // The element on pages of others.
 import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
-import { openPage } from '../support/browser.mjs';
+import { openPage, pixelsAt, shareDifferent } from '../support/browser.mjs';
+import { boxPhoto, readPng } from '../support/pictures.mjs';
 import { serve } from '../support/static-server.mjs';
-import { boxSuite, STILL } from '../support/suite.mjs';
+import { boxSuite, HEIGHT, STILL, WIDTH } from '../support/suite.mjs';
+import { frames, until } from '../support/until.mjs';
 
 describe('element', () => {
   const suite = boxSuite();
@@ -15,14 +17,12 @@ describe('element', () => {
     page.on('request', (request) => asked.push(new URL(request.url()).pathname));
     await page.goto(`${other.url}/embed?host=${encodeURIComponent(suite.server.url)}`);
     await page.waitForFunction(() => document.querySelector('tmpi-viewer').viewer?.mode === 'gpu');
-    const share = await page.evaluate(async () => {
-      const { viewer } = document.querySelector('tmpi-viewer');
-      viewer.setPose({ tx: 0.02 });
-      const pixels = await viewer.readPixels();
-      return pixels.filter((v) => v > 0).length / pixels.length;
-    });
-    assert.ok(share > 0.95, `${share} of the samples are not black`);
-    const ofRooms = (path) => /^\/static\/(?:live|i18n)\/|\/element\/room\.js$/.test(path);
+    const seen = (pose) => pixelsAt(page, pose, WIDTH, HEIGHT, 'tmpi-viewer');
+    const home = await seen({});
+    const off = shareDifferent(home, readPng(boxPhoto(WIDTH, HEIGHT)).data, WIDTH, HEIGHT, { levels: 2 });
+    assert.ok(off < 0.001, `${off} of the pixels are not the photo's`);
+    assert.ok(shareDifferent(home, await seen({ tx: 0.03 }), WIDTH, HEIGHT) > 0.05, 'a moved camera sees something else');
+    const ofRooms = (path) => /^\/static\/live\/|\/i18n\/messages\.js$|\/element\/room\.js$/.test(path);
     assert.ok(asked.includes('/static/view/viewer.js') && !asked.some(ofRooms), `what rooms need is not fetched: ${asked.filter(ofRooms)}`);
     assert.equal(await page.evaluate(() => document.querySelector('tmpi-viewer').viewer.idle), false);
     await page.evaluate(() => document.querySelector('tmpi-viewer').remove());
@@ -50,8 +50,18 @@ describe('element', () => {
         },
         [motion, speed],
       );
+    const away = () =>
+      page.evaluate(() => {
+        const { tx, ty } = document.querySelector('tmpi-viewer').viewer.pose;
+        return Math.hypot(tx, ty);
+      });
+    assert.equal(await away(), 0);
     assert.deepEqual(await told('orbit', '2'), ['orbit', 2, true]);
+    await until(async () => (await away()) > 0.01);
     assert.deepEqual((await told('none', '1'))[2], false);
+    await page.waitForFunction(() => !document.querySelector('tmpi-viewer').viewer.moving);
+    await frames(page, 10);
+    assert.equal(await away(), 0, 'it came back and stands');
     await context.close();
   });
 
@@ -79,7 +89,10 @@ describe('element', () => {
       const { device } = elements[0].viewer.renderer;
       elements[0].remove();
       elements[1].remove();
-      const early = await Promise.race([device.lost.then(() => true), new Promise((r) => setTimeout(r, 300, false))]);
+      let early = false;
+      device.lost.then(() => (early = true));
+      const pixels = await elements[2].viewer.readPixels(20, 12);
+      early ||= pixels.every((v) => v === 0);
       elements[2].remove();
       return [early, (await device.lost).reason];
     });
@@ -94,6 +107,8 @@ describe('element', () => {
   /** A page with an element alone, and its script, which comes once `prepare` was done to the element. */
   async function early(markup, prepare = () => {}) {
     const opened = await openPage(suite.browser, STILL);
+    opened.asked = [];
+    opened.page.on('request', (request) => opened.asked.push(request));
     await opened.page.goto(`${suite.server.url}/embed/blank`);
     await opened.page.evaluate((html) => (document.body.innerHTML = html), markup);
     await opened.page.locator('tmpi-viewer').evaluate(prepare);
@@ -127,13 +142,11 @@ describe('element', () => {
   });
 
   test('so are those of a room', async () => {
-    const { page, context } = await early('<tmpi-viewer></tmpi-viewer>', (element) => {
+    const { asked, context } = await early('<tmpi-viewer></tmpi-viewer>', (element) => {
       Object.assign(element, { room: 'attic', token: 'secret' });
     });
-    await page.waitForFunction(() => document.querySelector('tmpi-viewer').viewer);
-    const { address, token } = await page.locator('tmpi-viewer').evaluate((element) => element.viewer.options.live);
-    assert.match(address, /\/v1\/live\/attic$/);
-    assert.equal(token, 'secret');
+    const request = await until(() => asked.find((one) => new URL(one.url()).pathname === '/v1/live/attic'));
+    assert.equal((await request.allHeaders()).authorization, 'Bearer secret');
     await context.close();
   });
 
@@ -141,7 +154,7 @@ describe('element', () => {
     const { page, context, errors } = await early('<tmpi-viewer></tmpi-viewer>');
     const element = page.locator('tmpi-viewer');
     // what tells it that it is in sight has told it
-    await page.waitForTimeout(300);
+    await frames(page, 3);
     // the modules of the viewer are not there yet when it is told another
     await element.evaluate((e) => e.setAttribute('src', '/nowhere'));
     await element.evaluate((e) => e.setAttribute('src', '/v1/photos/box/atlas'));
@@ -154,9 +167,9 @@ describe('element', () => {
       e.removeAttribute('src');
       document.body.append(e);
     });
-    await page.waitForTimeout(300);
+    await frames(page, 3);
     await element.evaluate((e) => e.setAttribute('src', '/v1/photos/box/atlas'));
-    await page.waitForTimeout(300);
+    await frames(page, 5);
     assert.equal(await element.evaluate((e) => e.viewer), null);
     await element.evaluate((e) => e.setAttribute('loading', 'eager'));
     await loaded(page);

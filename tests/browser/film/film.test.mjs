@@ -1,6 +1,7 @@
 // Films and GIFs made in the browser.
 import assert from 'node:assert/strict';
 import { after, before, describe, test } from 'node:test';
+import { skip } from '../support/skip.mjs';
 import { boxSuite, STILL } from '../support/suite.mjs';
 
 describe('films', () => {
@@ -54,7 +55,7 @@ describe('films', () => {
       const context = new OffscreenCanvas(size.width, size.height).getContext('2d');
       // the first video of a page is black until its decoder has started
       let data;
-      for (const end = performance.now() + 5000; performance.now() < end; await new Promise((resume) => setTimeout(resume, 50))) {
+      for (const end = performance.now() + 5000; performance.now() < end; await new Promise(requestAnimationFrame)) {
         context.drawImage(video, 0, 0);
         ({ data } = context.getImageData(0, 0, size.width, size.height));
         if (data.some((v, i) => i % 4 < 3 && v > 0)) break;
@@ -77,7 +78,7 @@ describe('films', () => {
       if (!able) {
         const refused = await make({ kind, style: 'swing', seconds: 2, side: 480 }).catch((error) => error.message);
         assert.match(refused, /no encoder/);
-        return t.skip('this Chromium has no encoder for it');
+        return skip(t, 'chromium', `it has no encoder for a film of the kind ${kind}`);
       }
       const made = await make({ kind, style: 'orbit', seconds: 2, side: 480 });
       assert.equal(made.type, `video/${kind}`);
@@ -143,15 +144,6 @@ describe('films', () => {
       return { name, frames, asleep: window.viewer.asleep };
     });
     assert.deepEqual(ended, { name: 'AbortError', frames: 3, asleep: false });
-  });
-
-  test('every way makes a film, each another', async () => {
-    const sizes = new Set();
-    for (const style of ['swing', 'orbit', 'dolly', 'dolly-zoom', 'zoom', 'wiggle']) {
-      const made = await make({ kind: 'gif', style, seconds: 2, side: 480 });
-      sizes.add(made.size);
-    }
-    assert.equal(sizes.size, 6);
     assert.deepEqual(errors, []);
   });
 });

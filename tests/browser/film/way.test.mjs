@@ -22,6 +22,11 @@ describe('ways', () => {
     assert.throws(() => wayAt('spiral', 0), /spiral/);
   });
 
+  test('no two show the same', () => {
+    const views = STYLES.map((style) => Array.from({ length: 8 }, (_, i) => cameraAt(scene, wayAt(style, i / 8), size)));
+    assert.equal(new Set(views.map((way) => JSON.stringify(way, round))).size, STYLES.length);
+  });
+
   test('a dolly zoom keeps what stays in place as large as it is', () => {
     for (const share of [0, 0.25, 0.5]) {
       const { pose, k } = cameraAt(scene, wayAt('dolly-zoom', share), size);

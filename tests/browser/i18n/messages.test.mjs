@@ -1,28 +1,34 @@
 // The second language.
 import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
+import { openPage } from '../support/browser.mjs';
 import { files, source } from '../support/modules.mjs';
 import { photo, uploadSuite } from '../support/upload-page.mjs';
 
-// the module looks at the browser's language when it is loaded
+// the modules look at the browser's language when they are loaded
 Object.defineProperty(globalThis, 'navigator', { value: { language: 'de-DE' }, configurable: true });
 const { t } = await import('../../../static/i18n/messages.js');
+const { ELEMENT, word } = await import('../../../static/i18n/element.js');
 
 /** The same in both languages, or a name. */
 const SAME = new Set(['tmpi', 'Live']);
+const TABLES = ['i18n/element.js', 'i18n/messages.js'];
+/** A text between quotes, where nothing else is said of it. */
+const QUOTED = /'((?:[^'\\\n]|\\.)*)'/g;
 
-/** Texts of scripts: what is handed to `t` as it stands. */
-function spoken() {
-  const calls = files().filter((name) => /^(?:app|i18n|live|film)\/.*\.js$/.test(name) && name !== 'i18n/messages.js');
-  return calls.flatMap((name) =>
-    [...source(name).matchAll(/\bt\(\s*'((?:[^'\\]|\\.)*)'/g)].map(([, text]) => [name, text.replaceAll("\\'", "'")]),
+const scripts = (folders) => files().filter((name) => folders.test(name) && name.endsWith('.js') && !TABLES.includes(name));
+const pages = () => files().filter((name) => name.endsWith('-page.html') && !name.includes('embed'));
+const unescaped = (text) => text.replaceAll("\\'", "'");
+
+/** Texts of scripts: what is handed to a function as it stands. */
+const handed = (name, folders) =>
+  scripts(folders).flatMap((file) =>
+    [...source(file).matchAll(new RegExp(`\\b${name}\\(\\s*${QUOTED.source}`, 'g'))].map(([, text]) => [file, unescaped(text)]),
   );
-}
 
 /** Texts of pages: what stands between tags, and what is said of controls. */
 function written() {
-  const pages = files().filter((name) => name.endsWith('-page.html') && !name.includes('embed'));
-  return pages.flatMap((name) => {
+  return pages().flatMap((name) => {
     const body = source(name)
       .replace(/^[\s\S]*<body/, '<body')
       .replace(/<(pre|code)\b[\s\S]*?<\/\1>/g, '');
@@ -32,14 +38,47 @@ function written() {
   });
 }
 
+/** Keys of a table. */
+const keys = (name) =>
+  [...source(name).matchAll(/^(?: {2}|.*\{ )?(?:'((?:[^'\\\n]|\\.)*)'|(\w+)):\s/gm)].map(([, quoted, plain]) => unescaped(quoted ?? plain));
+
 describe('messages', () => {
   const suite = uploadSuite();
 
   test('has a word for each that scripts and pages say', () => {
-    const all = [...spoken(), ...written()];
+    const all = [...handed('t', /^(?:app|element|film|i18n|live|view)\//), ...written()];
     assert.ok(all.length > 200, `${all.length} texts`);
     assert.deepEqual(
       all.filter(([, text]) => t(text) === text && !SAME.has(text)),
+      [],
+    );
+  });
+
+  test('has a word for each that the element says', () => {
+    const all = handed('word', /^element\//).map(([, text]) => text);
+    assert.deepEqual([...new Set(all)].toSorted(), Object.keys(ELEMENT).toSorted());
+    for (const text of all) assert.ok(word(text) !== text && t(text) === word(text), text);
+  });
+
+  test('the element has no text that is not handed to the translation', () => {
+    // addresses, names of attributes and shapes have no capital letter before small ones, or no word at all
+    const words = /^(?:[A-Z][a-z]+(?: |$)|\d\w* [a-z]|.*[a-z] [a-z]+ [a-z])/;
+    const bare = scripts(/^element\//).flatMap((name) => {
+      const code = source(name)
+        .replace(/^\s*(?:\/\/|\/?\*).*$/gm, '')
+        .replace(/`[^`]*`/g, '')
+        .replace(/\b(?:t|word|Error)\(\s*'(?:[^'\\\n]|\\.)*'/g, '');
+      return [...code.matchAll(QUOTED)].filter(([, text]) => words.test(text)).map(([, text]) => [name, text]);
+    });
+    assert.deepEqual(bare, []);
+  });
+
+  test('has no word that nobody says', () => {
+    const said = [...scripts(/./), ...pages()].map((name) => unescaped(source(name)).replace(/\s+/g, ' ')).join('\n');
+    const all = TABLES.flatMap(keys);
+    assert.ok(all.length > 250, `${all.length} keys`);
+    assert.deepEqual(
+      all.filter((key) => !said.includes(key)),
       [],
     );
   });
@@ -51,6 +90,18 @@ describe('messages', () => {
     assert.equal(await page.locator('html').getAttribute('lang'), 'de');
     const english = await page.evaluate(() => document.body.innerText.match(/\b(Drop|Choose|Options|Photos|Undo|removed)\b/g));
     assert.equal(english, null);
+    await context.close();
+  });
+
+  test('so does the element on a page of others', async () => {
+    const { page, context } = await openPage(suite.browser, { locale: 'de-DE' });
+    await page.goto(`${suite.server.url}/embed?host=${suite.server.url}`);
+    const viewer = page.locator('tmpi-viewer');
+    await viewer.getByRole('button', { name: 'Vollbild' }).waitFor();
+    const stage = viewer.locator('.stage');
+    assert.equal(await stage.getAttribute('aria-roledescription'), '3D-Foto');
+    await viewer.evaluate((element) => element.setAttribute('room', 'attic'));
+    assert.equal(await stage.getAttribute('aria-roledescription'), '3D-Video');
     await context.close();
   });
 });

@@ -54,7 +54,6 @@ describe('gestures', () => {
     await page.mouse.dblclick(middle[0] - 80, middle[1]);
     await zoomed(page, 2, 10);
     assert.ok((await zoom(page)).x < 0.5, 'about the pointer');
-    await page.waitForTimeout(400);
     await page.mouse.dblclick(...middle);
     await zoomed(page, 1, 1);
     assert.deepEqual(errors, []);
@@ -133,11 +132,12 @@ describe('gestures', () => {
     const raw = () => page.evaluate(() => ({ ...document.querySelector('tmpi-viewer').viewer.motion.raw }));
     const scrolls = async (what) => {
       const before = await raw();
+      await page.evaluate(() => (window.scrolled = new Promise((resume) => addEventListener('scrollend', resume, { once: true }))));
       await drag([6, -100], [150, 130]);
       await page.waitForFunction(() => scrollY > 40, null, { timeout: 5000 }).catch(() => assert.fail(`${what} the page does not scroll`));
       assert.deepEqual(await raw(), before, `${what} the camera stays`);
       // the page goes on for a while
-      await page.waitForTimeout(500);
+      await page.evaluate(() => window.scrolled);
       await page.evaluate(() => scrollTo(0, 0));
     };
     await scrolls('with all of the photo in sight');
@@ -151,7 +151,8 @@ describe('gestures', () => {
     // closer, and back to all of it
     for (const close of [true, false]) {
       for (let tap = 0; tap < 2; tap++) {
-        await touch('touchStart', [150, 100]);
+        // so far from where the last taps were that they are no third and fourth
+        await touch('touchStart', [close ? 120 : 200, 100]);
         await touch('touchEnd');
       }
       await page.waitForFunction((wanted) => {
@@ -159,7 +160,6 @@ describe('gestures', () => {
         return !viewer.moving && viewer.zoom.scale > 1.5 === wanted;
       }, close);
       await scrolls(close ? 'closer' : 'back');
-      await page.waitForTimeout(400);
     }
     assert.deepEqual(
       errors.filter((e) => !e.includes('favicon')),

@@ -3,6 +3,7 @@ import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
 import { openPage, waitForMode } from '../support/browser.mjs';
 import { boxSuite } from '../support/suite.mjs';
+import { frames } from '../support/until.mjs';
 
 describe('gyroscope', () => {
   const suite = boxSuite();
@@ -16,7 +17,11 @@ describe('gyroscope', () => {
     await box.check();
     const tilt = (beta, gamma) =>
       page.evaluate(([b, g]) => dispatchEvent(new DeviceOrientationEvent('deviceorientation', { beta: b, gamma: g })), [beta, gamma]);
-    const settled = () => page.waitForFunction(() => !window.viewer.moving);
+    const settled = async () => {
+      // what was told a moment ago begins to move with the next frame
+      await frames(page, 3);
+      await page.waitForFunction(() => !window.viewer.moving);
+    };
     const pose = () => page.evaluate(() => window.viewer.pose);
     // the browser is asked first, which takes its time
     await page.waitForFunction(() => window.viewer.tilting);
@@ -32,11 +37,11 @@ describe('gyroscope', () => {
     const stage = await page.locator('#stage').boundingBox();
     await page.mouse.move(stage.x + 20, stage.y + 20);
     await page.mouse.move(stage.x + 60, stage.y + 40);
-    await page.waitForTimeout(100);
+    await settled();
     assert.deepEqual(await pose(), last, 'a mouse that hovers does not fight the tilt');
     await box.uncheck();
     await tilt(70, 60);
-    await page.waitForTimeout(200);
+    await settled();
     assert.deepEqual(await pose(), last);
     assert.deepEqual(errors, []);
     await context.close();

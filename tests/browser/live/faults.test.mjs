@@ -2,25 +2,24 @@
 import assert from 'node:assert/strict';
 import { describe, test } from 'node:test';
 import { waitForMode } from '../support/browser.mjs';
-import { roomSuite } from '../support/room.mjs';
+import { flatPixels, likenessOf, roomSuite, showsFrames } from '../support/room.mjs';
+import { frames } from '../support/until.mjs';
 
-/** Tiles come so late, ms. */
-const LATE_MS = 6000;
-
-/** A page whose room's worker is given tiles late. */
+/** A page whose room's worker is given tiles once the page says `come`. */
 const withoutTiles = (page) =>
-  page.addInitScript((late) => {
+  page.addInitScript(() => {
+    const tiles = new BroadcastChannel('tiles');
+    window.come = () => tiles.postMessage('come');
     const { Worker: Plain } = window;
     window.Worker = class extends Plain {
       constructor(url) {
         const script = `const early = []; self.onmessage = (event) => early.push(event);
-          const until = performance.now() + ${late};
+          let wait = new Promise((come) => (new BroadcastChannel('tiles').onmessage = come)).then(() => (wait = null));
           const isTiles = (data) => [26, 34].includes(new Uint8Array(data)[0]);
           self.WebSocket = class extends WebSocket {
             set onmessage(f) {
               super.onmessage = f && ((event) => {
-                const wait = until - performance.now();
-                if (wait > 0 && isTiles(event.data)) setTimeout(() => f(event), wait);
+                if (wait && isTiles(event.data)) wait.then(() => f(event));
                 else f(event);
               });
             }
@@ -29,7 +28,7 @@ const withoutTiles = (page) =>
         super(URL.createObjectURL(new Blob([script], { type: 'text/javascript' })), { type: 'module' });
       }
     };
-  }, LATE_MS);
+  });
 
 /** Camera alone, whose frames are held back while `window.still` is set. */
 const standing = (page) =>
@@ -39,7 +38,7 @@ const standing = (page) =>
     navigator.mediaDevices.getUserMedia = ({ video }) => open({ video });
     const { requestVideoFrameCallback: ask } = HTMLVideoElement.prototype;
     HTMLVideoElement.prototype.requestVideoFrameCallback = function (f) {
-      const next = (...args) => (window.still ? setTimeout(() => ask.call(this, next), 50) : f(...args));
+      const next = (...args) => (window.still ? ask.call(this, next) : f(...args));
       return ask.call(this, next);
     };
   });
@@ -66,13 +65,10 @@ describe('around a room', () => {
     await waitForMode(page, 'flat');
     await page.getByText('The picture has no depth yet.').waitFor();
     assert.ok(await page.locator('#loading').isHidden());
-    const brightness = () =>
-      page.evaluate(() => {
-        const { data } = window.viewer.canvas.getContext('2d').getImageData(0, 0, 64, 64);
-        return data.reduce((sum, v) => sum + v, 0) / data.length;
-      });
-    await page.waitForFunction(() => window.measured?.frames > 0);
-    assert.ok((await brightness()) > 70, 'more than an empty canvas');
+    await showsFrames(page, 5);
+    const { same, other } = likenessOf(await flatPixels(page));
+    assert.ok(same > 22 && same > other + 3, `${same} dB, half a film away ${other} dB`);
+    await page.evaluate(() => window.come());
     await waitForMode(page, 'gpu');
     await page.getByText('Move the pointer or drag to look around.').waitFor();
     assert.deepEqual(errors, []);
@@ -121,14 +117,21 @@ describe('around a room', () => {
   });
 
   test('a camera that gives no frames pauses, and goes on by itself', async () => {
-    const publisher = await suite.publish('cellar', { prepare: standing });
+    const prepare = async (page) => {
+      await standing(page);
+      await kept(page);
+      await page.clock.install();
+    };
+    const publisher = await suite.publish('cellar', { prepare });
     await publisher.page.evaluate(() => {
       window.still = true;
     });
+    await publisher.page.clock.fastForward(8000);
     await state(publisher.page, 'paused');
     await publisher.page.getByText('Paused: the camera gives no picture here.').waitFor();
-    // for longer than the server lets anybody say nothing
-    await publisher.page.waitForTimeout(5000);
+    // who is not there is not sent away for saying nothing
+    await publisher.page.waitForFunction(() => window.sockets.every(({ readyState }) => readyState === WebSocket.CLOSED));
+    await publisher.page.clock.fastForward(60_000);
     await state(publisher.page, 'paused');
     await publisher.page.evaluate(() => {
       window.still = false;
@@ -141,31 +144,30 @@ describe('around a room', () => {
   });
 
   test('a publisher whose link is good no more is told so, and does not try for ever', async () => {
-    const publisher = await suite.publish('garden', { prepare: kept });
+    const publisher = await suite.publish('garden', {
+      prepare: async (page) => {
+        await kept(page);
+        await page.clock.install();
+      },
+    });
     await publisher.page.route('**/v1/live/garden', (route) => route.fulfill({ status: 403, body: '{}' }));
     await publisher.page.evaluate(() => window.sockets.at(-1).close());
     // as the page is told of a connection that broke
     await publisher.page.getByText('the link’s token is not good any more').waitFor();
     await state(publisher.page, 'ended');
     const opened = await publisher.page.evaluate(() => window.sockets.length);
-    await publisher.page.waitForTimeout(1500);
+    await publisher.page.clock.fastForward(60_000);
+    await frames(publisher.page, 5);
     assert.equal(await publisher.page.evaluate(() => window.sockets.length), opened);
     await publisher.context.close();
   });
 
-  test('who finds no place is told so, and asks less and less often', async () => {
+  test('who finds no place is told so, and comes in once there is one', async () => {
     const publisher = await suite.publish('hall');
-    let asked = 0;
     const full = { publishing: true, viewers: 1024, full: true, may_publish: false };
-    const crowd = (page) =>
-      page.route('**/v1/live/hall', (route) => {
-        asked++;
-        return route.fulfill({ json: full });
-      });
+    const crowd = (page) => page.route('**/v1/live/hall', (route) => route.fulfill({ json: full }));
     const { page, context } = await suite.watch('hall', { prepare: crowd });
     await page.getByText('As many watch as there are places for. It is tried again by itself.').waitFor();
-    await page.waitForTimeout(4000);
-    assert.equal(asked, 1);
     await page.unroute('**/v1/live/hall');
     await waitForMode(page, 'gpu');
     await context.close();

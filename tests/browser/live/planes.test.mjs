@@ -3,7 +3,7 @@ import assert from 'node:assert/strict';
 import { readFileSync } from 'node:fs';
 import { createServer } from 'node:http';
 import { after, before, describe, test } from 'node:test';
-import { launch } from '../support/browser.mjs';
+import { launch, openPage } from '../support/browser.mjs';
 
 const file = (name) => readFileSync(new URL(`../../../crates/live/tests/video/${name}`, import.meta.url));
 const [SLICE, KEY, PARAMETERS] = [1, 5, 7];
@@ -82,7 +82,7 @@ describe('planes of a browser', () => {
     });
     await new Promise((ready) => server.listen(0, '127.0.0.1', ready));
     browser = await launch({ webgpu: false });
-    page = await browser.newPage();
+    ({ page } = await openPage(browser));
     await page.goto(`http://127.0.0.1:${server.address().port}/`);
   });
   after(async () => {

@@ -1,7 +1,9 @@
-// Chromium for the tests, with WebGPU on a software rasteriser; TMPI_WEBGPU=native takes the machine's GPU.
-import { existsSync } from 'node:fs';
+// Chromium for the tests, with WebGPU on a software rasteriser; TMPI_WEBGPU=native takes the machine's GPU. All files share the one that
+// run.mjs has started; a file that runs by itself starts its own.
+import { existsSync, readFileSync } from 'node:fs';
 import { createRequire } from 'node:module';
 import { chromium } from 'playwright-core';
+import { PATIENCE_MS } from './until.mjs';
 
 const executablePath = process.env.CHROMIUM || '/usr/bin/chromium';
 const PLAIN = [
@@ -22,19 +24,34 @@ const WEBGPU = [
     ? ['--use-angle=vulkan', '--ignore-gpu-blocklist', '--disable-vulkan-surface']
     : ['--use-vulkan=swiftshader', '--use-angle=swiftshader']),
 ];
-/** Software drawing on a busy machine takes its time. */
-export const PATIENCE_MS = 60_000;
+/** Names the address of the Chromium that all files share. */
+export const SHARED = 'TMPI_CHROMIUM_SERVER';
+/** Browsers whose pages are to have no WebGPU, although the browser that they share has it. */
+const withoutWebGpu = new WeakSet();
 
-/** A browser, with WebGPU or without, and with further arguments. */
-export async function launch({ webgpu = true, more = [] } = {}) {
+/** What Playwright needs to start a browser. */
+function options({ webgpu = true, more = [] } = {}) {
   if (!existsSync(executablePath)) throw new Error(`no Chromium at ${executablePath}: set CHROMIUM`);
   const args = [...PLAIN, ...(webgpu ? WEBGPU : ['--disable-features=WebGPU', '--disable-gpu']), ...more];
-  return chromium.launch({ executablePath, headless: false, args });
+  return { executablePath, headless: false, args };
+}
+
+/** Starts the Chromium that test files share. */
+export const launchShared = () => chromium.launchServer(options());
+
+/** A browser whose pages have WebGPU or not: the shared one, but where it takes further arguments. */
+export async function launch({ webgpu = true, more = [] } = {}) {
+  const address = process.env[SHARED];
+  if (!address || more.length) return chromium.launch(options({ webgpu, more }));
+  const browser = await chromium.connect(address);
+  if (!webgpu) withoutWebGpu.add(browser);
+  return browser;
 }
 
 /** A page whose script errors fail the test: `errors` collects them. */
-export async function openPage(browser, options = {}) {
-  const context = await browser.newContext({ viewport: { width: 1280, height: 800 }, ...options });
+export async function openPage(browser, more = {}) {
+  const context = await browser.newContext({ viewport: { width: 1280, height: 800 }, ...more });
+  if (withoutWebGpu.has(browser)) await context.addInitScript(() => Object.defineProperty(navigator, 'gpu', { value: undefined }));
   const page = await context.newPage();
   page.setDefaultTimeout(PATIENCE_MS);
   const errors = [];
@@ -49,8 +66,7 @@ export async function openPage(browser, options = {}) {
 export async function seriousViolations(page) {
   const path = createRequire(import.meta.url).resolve('axe-core');
   // past the page's own policy for scripts
-  const { readFile } = await import('node:fs/promises');
-  await page.evaluate(await readFile(path, 'utf8'));
+  await page.evaluate(readFileSync(path, 'utf8'));
   return page.evaluate(async () => {
     const { violations } = await window.axe.run();
     const serious = violations.filter(({ impact }) => impact === 'serious' || impact === 'critical');
@@ -77,35 +93,64 @@ export async function waitForMode(page, mode) {
   await page.waitForFunction((wanted) => document.getElementById('stage').dataset.mode === wanted, mode);
 }
 
-/** Pixels of the viewer's scene at a pose, as the server would draw it. */
-export async function pixelsAt(page, pose, width, height) {
-  const text = await page.evaluate(
-    async ([p, w, h]) => {
-      window.viewer.setPose(p);
-      const data = await window.viewer.readPixels(w, h);
-      let out = '';
-      for (let i = 0; i < data.length; i += 32_768) out += String.fromCharCode(...data.subarray(i, i + 32_768));
-      return btoa(out);
-    },
-    [pose, width, height],
-  );
-  return new Uint8ClampedArray(Buffer.from(text, 'base64'));
+/** Samples that a script of the page has made into text, as `TO_TEXT` does. */
+const samples = (text) => new Uint8ClampedArray(Buffer.from(text, 'base64'));
+/** Source of a function that makes samples into text, on its way out of a page. */
+const TO_TEXT = `(data) => {
+  let out = '';
+  for (let i = 0; i < data.length; i += 32768) out += String.fromCharCode(...data.subarray(i, i + 32768));
+  return btoa(out);
+}`;
+
+/** Samples that `script` gives in the page: a function of `given`, a value that JSON can carry. */
+export async function samplesOf(page, script, given) {
+  return samples(await page.evaluate(`(${script})(${JSON.stringify(given)}).then(${TO_TEXT})`));
 }
 
-/** Pixels of a picture file, decoded by the browser. */
-export async function pixelsOf(page, address) {
-  const text = await page.evaluate(async (url) => {
-    const response = await fetch(url);
-    if (!response.ok) throw new Error(`${response.status} ${await response.text()}`);
-    const bitmap = await createImageBitmap(await response.blob(), { premultiplyAlpha: 'none', colorSpaceConversion: 'none' });
-    const context = new OffscreenCanvas(bitmap.width, bitmap.height).getContext('2d');
+/** Pixels of the viewer's scene at a pose, as the server would draw it; `of`: the element that has the viewer, else the page itself. */
+export function pixelsAt(page, pose, width, height, of = null) {
+  const script = async ({ pose, width, height, of }) => {
+    const { viewer } = of ? document.querySelector(of) : window;
+    viewer.setPose(pose);
+    return viewer.readPixels(width, height);
+  };
+  return samplesOf(page, script, { pose, width, height, of });
+}
+
+/** Pixels of a picture file, decoded by the browser: one at an address, or the bytes of one; in its own size, or in another. */
+export function pixelsOf(page, file, size = null) {
+  const script = async ({ address, bytes, size }) => {
+    const response = address ? await fetch(address) : null;
+    if (response && !response.ok) throw new Error(`${response.status} ${await response.text()}`);
+    const blob = response ? await response.blob() : new Blob([Uint8Array.from(atob(bytes), (c) => c.charCodeAt(0))]);
+    const bitmap = await createImageBitmap(blob, { premultiplyAlpha: 'none', colorSpaceConversion: 'none' });
+    const { width, height } = size ?? bitmap;
+    const context = new OffscreenCanvas(width, height).getContext('2d');
+    context.imageSmoothingQuality = 'high';
+    context.drawImage(bitmap, 0, 0, width, height);
+    return context.getImageData(0, 0, width, height).data;
+  };
+  const given = typeof file === 'string' ? { address: file } : { bytes: Buffer.from(file).toString('base64') };
+  return samplesOf(page, script, { ...given, size });
+}
+
+/** Pixels of an image on the page, at a size; rejects while the browser has none of them. */
+export function imagePixels(page, selector, width, height) {
+  const script = async ({ selector, width, height }) => {
+    const sized = { resizeWidth: width, resizeHeight: height, resizeQuality: 'high' };
+    const bitmap = await createImageBitmap(document.querySelector(selector), sized);
+    const context = new OffscreenCanvas(width, height).getContext('2d');
     context.drawImage(bitmap, 0, 0);
-    const { data } = context.getImageData(0, 0, bitmap.width, bitmap.height);
-    let out = '';
-    for (let i = 0; i < data.length; i += 32_768) out += String.fromCharCode(...data.subarray(i, i + 32_768));
-    return btoa(out);
-  }, address);
-  return new Uint8ClampedArray(Buffer.from(text, 'base64'));
+    return context.getImageData(0, 0, width, height).data;
+  };
+  return samplesOf(page, script, { selector, width, height });
+}
+
+/** Bytes of a file that a page has saved. */
+export async function saved(download) {
+  const parts = [];
+  for await (const part of await download.createReadStream()) parts.push(part);
+  return Buffer.concat(parts);
 }
 
 /** Share of the pixels in a rectangle (fractions of the picture) that differ by more than `levels` in any colour. */

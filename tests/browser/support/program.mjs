@@ -4,6 +4,7 @@ import { existsSync, mkdtempSync, rmSync } from 'node:fs';
 import { tmpdir } from 'node:os';
 import { join, resolve } from 'node:path';
 import { fileURLToPath } from 'node:url';
+import { until } from './until.mjs';
 
 const root = fileURLToPath(new URL('../../../', import.meta.url));
 export const program = resolve(process.env.TMPI_BIN || join(root, 'target/release/tmpi'));
@@ -48,10 +49,11 @@ export async function makePhoto(url, photo, depth) {
   const response = await fetch(`${url}/v1/photos`, { method: 'POST', body: form, headers: { prefer: 'wait=25' } });
   let state = await response.json();
   if (!response.ok) throw new Error(JSON.stringify(state));
-  while (state.state === 'queued' || state.state === 'working') {
-    await new Promise((resume) => setTimeout(resume, 200));
+  await until(async () => {
+    if (state.state !== 'queued' && state.state !== 'working') return true;
     state = await (await fetch(`${url}/v1/photos/${state.id}`)).json();
-  }
+    return false;
+  });
   if (state.state !== 'done') throw new Error(JSON.stringify(state));
   return state;
 }

@@ -3,7 +3,7 @@ import { mkdtempSync, rmSync } from 'node:fs';
 import { tmpdir } from 'node:os';
 import { join } from 'node:path';
 import { after, before } from 'node:test';
-import { launch, openPage, pixelsAt } from './browser.mjs';
+import { launch, openPage, pixelsAt, samplesOf } from './browser.mjs';
 import { startServer } from './program.mjs';
 import { FRAMES, HEIGHT, numberOf, psnr, rgba, WIDTH, writeFilm } from './video.mjs';
 
@@ -42,6 +42,7 @@ export function roomSuite(args = () => []) {
     writeFilm(film);
     suite.server = await startServer(args(suite.folder));
     const fake = ['--use-fake-device-for-media-stream', '--use-fake-ui-for-media-stream', `--use-file-for-fake-video-capture=${film}`];
+    // one of its own, whose camera plays the film
     suite.camera = await launch({ webgpu: false, more: fake });
     suite.browser = await launch();
   });
@@ -57,6 +58,18 @@ export function roomSuite(args = () => []) {
 /** What is shown from the camera's own place, which frame of the film it is, and how like it is to that one and to another, dB. */
 export async function shown(page) {
   return likenessOf(await pixelsAt(page, {}, WIDTH, HEIGHT));
+}
+
+/** Pixels of plain video. */
+export function flatPixels(page) {
+  const script = async ([w, h]) => window.viewer.canvas.getContext('2d').getImageData(0, 0, w, h).data;
+  return samplesOf(page, script, [WIDTH, HEIGHT]);
+}
+
+/** Waits until the page has shown so many more frames of the video. */
+export async function showsFrames(page, count) {
+  const { frame } = await (await page.waitForFunction(() => window.measured)).jsonValue();
+  await page.waitForFunction(([before, n]) => window.measured.frame >= before + n, [frame, count]);
 }
 
 /** The same of pixels. */

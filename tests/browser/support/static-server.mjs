@@ -24,17 +24,17 @@ const POLICY =
 const TILE_PX = [0, 0, 0, 0, 0, 0, 0, 1];
 
 /**
- * @param {{atlas: Buffer, delayMs?: number, wasm?: boolean}} photo `wasm`: whether the page's policy allows WebAssembly
- * @returns {Promise<{url: string, views: string[], deleted: string[], mostAtOnce: () => number, close: () => Promise<void>}>}
+ * @param {{atlas: Buffer, wasm?: boolean}} photo `wasm`: whether the page's policy allows WebAssembly
+ * @returns {Promise<{url: string, views: string[], deleted: string[], held: {atlas?: Promise<void>, view?: Promise<void>}, close: () => Promise<void>}>}
+ *   `held`: what the rest of a container, after its photo, and a view wait for
  */
-export async function serve({ atlas, delayMs = 0, wasm = true }) {
+export async function serve({ atlas, wasm = true }) {
   const views = [];
   const deleted = [];
   const patches = [];
   const posts = [];
   const state = { id: 'box', state: 'done' };
-  let atOnce = 0;
-  let most = 0;
+  const held = {};
   const server = createServer(async (request, response) => {
     const url = new URL(request.url, 'http://localhost');
     const send = (status, type, body) => {
@@ -76,7 +76,7 @@ export async function serve({ atlas, delayMs = 0, wasm = true }) {
     if (url.pathname === '/v1/photos/box/strokes') return send(200, 'application/json', JSON.stringify({ version: 1, strokes: [] }));
     if (url.pathname === '/v1/photos/box/depth') return send(200, 'image/png', boxDepth(200, 120));
     if (url.pathname === '/v1/photos/box/report') return send(200, 'application/json', JSON.stringify({ error: { tile_px: TILE_PX } }));
-    if (url.pathname === '/v1/photos/box/atlas') return sendSlowly(response, atlas, delayMs);
+    if (url.pathname === '/v1/photos/box/atlas') return sendAtlas(response, atlas, held);
     if (url.pathname === '/embed/blank')
       return send(200, TYPES['.html'], '<!doctype html><title>blank</title><link rel="icon" href="data:,">');
     if (url.pathname === '/embed/three') return send(200, TYPES['.html'], three());
@@ -88,9 +88,7 @@ export async function serve({ atlas, delayMs = 0, wasm = true }) {
       );
     if (url.pathname === '/v1/photos/box/view') {
       views.push(url.search);
-      most = Math.max(most, ++atOnce);
-      await new Promise((resume) => setTimeout(resume, 30));
-      atOnce--;
+      await held.view;
       return send(200, 'image/png', boxPhoto(Number(url.searchParams.get('w')), Number(url.searchParams.get('h'))));
     }
     const name =
@@ -110,7 +108,7 @@ export async function serve({ atlas, delayMs = 0, wasm = true }) {
     patches,
     posts,
     state,
-    mostAtOnce: () => most,
+    held,
     close: () => {
       server.closeAllConnections();
       return new Promise((resume) => server.close(resume));
@@ -118,13 +116,13 @@ export async function serve({ atlas, delayMs = 0, wasm = true }) {
   };
 }
 
-/** The container in two parts, the pause between them after the photo. */
-async function sendSlowly(response, atlas, delayMs) {
+/** The container in two parts, the second after the photo. */
+async function sendAtlas(response, atlas, held) {
   const headers = { 'content-type': 'application/vnd.tmpi', 'content-length': atlas.length, 'access-control-allow-origin': '*' };
   response.writeHead(200, headers);
   const cut = Math.floor(atlas.length * 0.9);
   response.write(atlas.subarray(0, cut));
-  if (delayMs) await new Promise((resume) => setTimeout(resume, delayMs));
+  await held.atlas;
   response.end(atlas.subarray(cut));
 }
 

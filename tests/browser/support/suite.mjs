@@ -11,10 +11,10 @@ export const STILL = { reducedMotion: 'reduce' };
 
 /**
  * The box's photo on a server, and a browser; to be called in `describe`.
- * @param {{webgpu?: boolean, width?: number, height?: number, delayMs?: number, wasm?: boolean, atlas?: Buffer}} [options] `delayMs`: pause in the
- *   container, after the photo; `wasm`: whether the policy allows WebAssembly; `atlas`: another container
+ * @param {{webgpu?: boolean, width?: number, height?: number, wasm?: boolean, atlas?: Buffer}} [options] `wasm`: whether the policy allows
+ *   WebAssembly; `atlas`: another container
  */
-export function boxSuite({ webgpu = true, width = WIDTH, height = HEIGHT, delayMs = 0, wasm = true, atlas } = {}) {
+export function boxSuite({ webgpu = true, width = WIDTH, height = HEIGHT, wasm = true, atlas } = {}) {
   const suite = {
     server: null,
     browser: null,
@@ -26,7 +26,7 @@ export function boxSuite({ webgpu = true, width = WIDTH, height = HEIGHT, delayM
     },
   };
   before(async () => {
-    suite.server = await serve({ atlas: atlas ?? boxContainer(width, height), delayMs, wasm });
+    suite.server = await serve({ atlas: atlas ?? boxContainer(width, height), wasm });
     suite.browser = await launch({ webgpu });
   });
   after(async () => {

@@ -1,9 +1,8 @@
 // What can be drawn over the scene, and for each eye.
 import assert from 'node:assert/strict';
-import { readFileSync } from 'node:fs';
 import { describe, test } from 'node:test';
-import { pixelsAt, shareDifferent, waitForMode } from '../support/browser.mjs';
-import { BOX, inBox, readPng } from '../support/pictures.mjs';
+import { pixelsAt, pixelsOf, saved, shareDifferent, waitForMode } from '../support/browser.mjs';
+import { BOX, inBox } from '../support/pictures.mjs';
 import { boxSuite, HEIGHT, WIDTH } from '../support/suite.mjs';
 
 const HOME = {};
@@ -32,10 +31,12 @@ describe('display', () => {
     assert.ok(Math.abs(mean(depth, true) - BOX.near * 255) < 12, `near is bright: ${mean(depth, true)}`);
     assert.ok(Math.abs(mean(depth, false) - BOX.far * 255) < 12, `far is dark: ${mean(depth, false)}`);
     await page.getByText('How it is made').click();
+    const seen = [photo];
     for (const name of ['Tiles', 'Planes']) {
       await page.getByLabel(name).check();
       const tinted = await pixelsAt(page, HOME, WIDTH, HEIGHT);
-      assert.ok(shareDifferent(tinted, photo, WIDTH, HEIGHT) > 0.5, name);
+      for (const other of seen) assert.ok(shareDifferent(tinted, other, WIDTH, HEIGHT) > 0.5, name);
+      seen.push(tinted);
     }
     await page.getByLabel('The photo').check();
     assert.equal(shareDifferent(await pixelsAt(page, HOME, WIDTH, HEIGHT), photo, WIDTH, HEIGHT, { levels: 0 }), 0);
@@ -50,12 +51,13 @@ describe('display', () => {
   test('the picture of this view is saved', async () => {
     const { page, context } = await suite.open();
     await waitForMode(page, 'gpu');
-    await page.evaluate(() => window.viewer.setPose({ tx: 0.02 }));
+    const view = await pixelsAt(page, { tx: 0.02 }, WIDTH, HEIGHT);
     await page.getByRole('button', { name: 'Download' }).click();
     const [download] = await Promise.all([page.waitForEvent('download'), page.locator('#picture').click()]);
     assert.match(download.suggestedFilename(), /\.png$/);
-    const saved = readPng(readFileSync(await download.path()));
-    assert.deepEqual([saved.width, saved.height], [WIDTH, HEIGHT]);
+    const picture = await saved(download);
+    assert.deepEqual([picture.readUInt32BE(16), picture.readUInt32BE(20)], [WIDTH, HEIGHT]);
+    assert.equal(shareDifferent(await pixelsOf(page, picture), view, WIDTH, HEIGHT, { levels: 1 }), 0);
     await context.close();
   });
 });
