@@ -57,9 +57,9 @@ fn the_picture_of_the_crates_is_what_cargo_says() {
     let to = from + page[from..].find(CLOSES).expect("the picture's end");
     if std::env::var("TMPI_BLESS").is_ok_and(|v| v == "architecture") {
         std::fs::write(&path, [&page[..from], &drawn, &page[to..]].concat()).unwrap();
-        return;
+    } else {
+        assert_eq!(page[from..to], drawn);
     }
-    assert_eq!(page[from..to], drawn);
 }
 
 #[test]

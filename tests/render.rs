@@ -27,11 +27,11 @@ fn rgb(view: &View) -> Vec<[u8; 3]> {
 }
 
 /// Scenes whose visible texels are the photo's.
-fn faithful() -> impl Iterator<Item = (&'static str, Arc<Scene>)> {
-    all()
-        .into_iter()
-        .filter(|(name, _)| ["flat", "ground", "disc", "disc before infinity", "typical", "remnants"].contains(name))
-        .map(|(n, s)| (n, Arc::new(s)))
+fn faithful() -> Vec<(&'static str, Arc<Scene>)> {
+    let names = ["flat", "ground", "disc", "disc before infinity", "typical", "remnants"];
+    let found: Vec<_> = all().into_iter().filter(|(name, _)| names.contains(name)).map(|(n, s)| (n, Arc::new(s))).collect();
+    assert_eq!(found.len(), names.len(), "a scene has another name now");
+    found
 }
 
 #[test]

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use serde_json::{Value, json};
 use tmpi::server::Limits;
 use tmpi_render::PictureFormat;
+use tmpi_testing::Need;
 
 use crate::client::{Connection, Response, get, request};
 use crate::fixture::{Gate, Running, jpeg, picture, pipeline, wait_until};
@@ -89,7 +90,7 @@ fn a_way_of_the_camera_is_an_animation_where_there_is_ffmpeg() {
         let answer = get(server.addr, &format!("{photo}/view?{query}"));
         if answer.status == 501 {
             assert_eq!(answer.problem(501)["field"], "path");
-            eprintln!("skipped: there is no ffmpeg");
+            let _: Option<()> = Need::Ffmpeg.or_skip(Err("the server finds no ffmpeg"));
             return;
         }
         assert_eq!((answer.status, answer.header("content-type")), (200, Some(media_type)), "{}", String::from_utf8_lossy(&answer.body));

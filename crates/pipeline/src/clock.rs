@@ -106,15 +106,27 @@ mod tests {
     use super::*;
 
     #[test]
-    fn work_takes_wall_and_processor_time() {
-        let c = Clock::start();
-        let mut x = 0u64;
-        while c.ms() < 5.0 {
-            x = x.wrapping_add(1);
+    fn a_clock_counts_from_its_own_start() {
+        let first = Clock::start();
+        let mut turns = 0u64;
+        let is_told = cpu_ms() > 0.0;
+        while if is_told { first.cpu_ms() < 5.0 } else { first.ms() < 5.0 } {
+            turns = std::hint::black_box(turns + 1);
         }
-        assert!(x > 0 && c.ms() >= 5.0);
-        if cfg!(unix) {
-            assert!(c.cpu_ms() > 0.0 && peak_rss_bytes() > 1 << 20);
-        }
+        let second = Clock::start();
+        // what other threads take in between makes the first one larger
+        let (later, later_cpu) = (second.ms(), second.cpu_ms());
+        let (earlier, earlier_cpu) = (first.ms(), first.cpu_ms());
+        assert!(later >= 0.0 && earlier >= later, "{earlier} {later}");
+        assert!(!is_told || earlier_cpu >= later_cpu + 5.0, "{earlier_cpu} {later_cpu}");
+        assert!(is_told || !cfg!(unix), "this system tells the processor's time");
+    }
+
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn peak_memory_counts_what_is_held_now() {
+        let held = std::hint::black_box(vec![1u8; 64 << 20]);
+        let now = resident_bytes(None).unwrap();
+        assert!(now >= held.len() as u64 && peak_rss_bytes() >= now, "{now} {}", peak_rss_bytes());
     }
 }

@@ -314,20 +314,42 @@ mod tests {
         tmpi_testing::Need::Ffmpeg.or_skip(missing)
     }
 
-    #[test]
-    fn frames_become_a_file_or_the_reason_is_told() {
+    const LEVELS: [u8; 4] = [10, 80, 160, 240];
+
+    /// A file of four frames of one colour each, and no trace of it.
+    fn animated(format: AnimationFormat) -> Option<Vec<u8>> {
         let view = |level: u8| View { width: 33, height: 21, rgba: vec![[level, 90, 200, 255]; 33 * 21] };
-        for (format, magic, at) in [(AnimationFormat::WebP, b"WEBP", 8), (AnimationFormat::Mp4, b"ftyp", 4)] {
-            let Some(mut animation) = started(Animation::start(format, (33, 21), 80)) else { return };
-            let file = animation.file.clone();
-            assert!(matches!(animation.push(&View { width: 1, ..view(0) }), Err(AnimationError::Size(33, 21))));
-            for level in [0, 80, 160, 240] {
-                animation.push(&view(level)).unwrap();
-            }
-            let bytes = animation.finish().unwrap();
-            assert_eq!(&bytes[at..at + 4], magic);
-            assert!(!file.exists(), "nothing is left behind");
+        let mut animation = started(Animation::start(format, (33, 21), 80))?;
+        let file = animation.file.clone();
+        assert!(matches!(animation.push(&View { width: 1, ..view(0) }), Err(AnimationError::Size(33, 21))));
+        LEVELS.iter().for_each(|level| animation.push(&view(*level)).unwrap());
+        let bytes = animation.finish().unwrap();
+        assert!(!file.exists(), "nothing is left behind");
+        Some(bytes)
+    }
+
+    #[test]
+    fn a_webp_shows_each_frame_in_its_place() {
+        use image::AnimationDecoder as _;
+        let Some(bytes) = animated(AnimationFormat::WebP) else { return };
+        let decoder = image::codecs::webp::WebPDecoder::new(std::io::Cursor::new(bytes)).unwrap();
+        let frames = decoder.into_frames().collect_frames().unwrap();
+        assert_eq!(frames.len(), LEVELS.len());
+        for (frame, level) in frames.iter().zip(LEVELS) {
+            let picture = frame.buffer();
+            assert_eq!(picture.dimensions(), (33, 21));
+            let off = picture.pixels().flat_map(|p| [p.0[0].abs_diff(level), p.0[1].abs_diff(90), p.0[2].abs_diff(200)]).max();
+            assert!(off <= Some(8), "{off:?} levels off at {level}");
         }
+    }
+
+    #[test]
+    fn an_mp4_holds_each_frame() {
+        let Some(bytes) = animated(AnimationFormat::Mp4) else { return };
+        assert_eq!(&bytes[4..8], b"ftyp");
+        // the table of sample sizes: version, one size for all, count
+        let at = bytes.windows(4).position(|w| w == b"stsz").unwrap();
+        assert_eq!(bytes[at + 12..at + 16], (LEVELS.len() as u32).to_be_bytes());
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! Engines that tests start and stop: an S3 server (moto), an Azure one (azurite). Where one is not installed, a test says so in one line and ends.
+//! Engines that tests start and stop: an S3 server (moto), an Azure one (azurite). A test is skipped where its engine is not installed.
 
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream};

@@ -123,17 +123,35 @@ fn seeds_of_the_fuzzer_are_readable() {
 }
 
 #[test]
-fn smaller_levels_show_the_same_scene() {
+fn each_pixel_of_a_smaller_level_shows_a_surface_below_it() {
     for (w, h) in [(151, 100), (64, 63), (1, 1), (2, 200)] {
         let whole = bare(&scene(w, h));
         assert_eq!(level(&whole, 0).unwrap(), whole);
+        let mut large = decode::read(&whole).unwrap().1;
         for n in 1..=LEVELS {
-            let small = decode(&level(&whole, n).unwrap()).unwrap();
+            let file = level(&whole, n).unwrap();
+            assert_eq!(decode(&file).unwrap().validate(), Ok(()));
+            let small = decode::read(&file).unwrap().1;
             let side = |s: u32| (0..n).fold(s, |s, _| s.div_ceil(2));
             assert_eq!((small.grid.width, small.grid.height, small.grid.size), (side(w), side(h), 64 >> n));
             assert_eq!(small.grid.tiles(), Grid::new(w, h, 64).tiles());
+            shows_a_surface_below(&small, &large);
+            large = small;
         }
         assert_eq!(level(&whole, 200).unwrap(), level(&whole, LEVELS).unwrap());
+    }
+}
+
+/// Each pixel of each tile lies on one of the planes that the two by two pixels below it lie on.
+fn shows_a_surface_below(small: &Geometry, large: &Geometry) {
+    for (t, (tile, below)) in (0..).zip(small.tiles.iter().zip(&large.tiles)) {
+        let (r, under) = (small.grid.rect(t), large.grid.rect(t));
+        for i in 0..r.area() as u32 {
+            let at = |x: u32, y: u32| (y.min(under.h - 1) * under.w + x.min(under.w - 1)) as usize;
+            let (x, y) = (2 * (i % r.w), 2 * (i / r.w));
+            let four = [at(x, y), at(x + 1, y), at(x, y + 1), at(x + 1, y + 1)].map(|p| below.planes[usize::from(below.labels[p])]);
+            assert!(four.contains(&tile.planes[usize::from(tile.labels[i as usize])]), "tile {t}, pixel {i}");
+        }
     }
 }
 

@@ -99,13 +99,18 @@ fn another_scale_of_the_network_does_not_move_what_moves_over_the_picture() {
 }
 
 #[test]
-fn a_cut_carries_nothing_on() {
-    let (_, mut room) = room(Settings::default());
+fn after_a_cut_a_room_is_as_a_fresh_one() {
+    let (_, mut room) = self::room(Settings::default());
     room.next(&frame(0, 60)).unwrap();
     let mut other = frame(1, 60);
     other.photo.rgb.iter_mut().for_each(|p| *p = p.map(|v| 255 - v));
     let update = room.next(&other).unwrap();
     assert!(update.cut && update.sent.len() == 15);
+    // by the same run of the network
+    let (depth, mut fresh) = self::room(Settings::default());
+    depth.runs.store(1, Ordering::Relaxed);
+    fresh.next(&other).unwrap();
+    assert!(room.geometry() == fresh.geometry());
 }
 
 #[test]

@@ -118,10 +118,18 @@ mod tests {
     }
 
     #[test]
-    fn a_broken_network_gives_no_nan() {
+    fn pixels_of_which_the_network_gives_nothing_stay_untrusted() {
         let (photo, delta) = input(50, 40);
-        let (clean, confidence) = run(&Fake(|t| vec![map(t, |_| f32::NAN), map(t, |_| f32::NAN)]), &photo, &delta).unwrap();
-        assert!(clean.delta.iter().chain(&confidence).all(|v| v.is_finite()));
+        let nothing: [fn(&Tensor) -> Vec<Tensor>; 3] = [
+            |t| vec![map(t, |_| f32::NAN), map(t, |_| f32::NAN)],
+            |t| vec![map(t, |_| f32::INFINITY), map(t, |_| f32::INFINITY)],
+            |t| vec![map(t, |_| f32::NEG_INFINITY), map(t, |_| f32::NEG_INFINITY)],
+        ];
+        for network in nothing {
+            let (clean, confidence) = run(&Fake(network), &photo, &delta).unwrap();
+            assert_eq!(clean, delta);
+            assert!(confidence.iter().all(|c| (c - LEAST).abs() < f32::EPSILON));
+        }
         assert!(matches!(run(&Fake(|_| vec![]), &photo, &delta), Err(StageError::Shape { .. })));
     }
 

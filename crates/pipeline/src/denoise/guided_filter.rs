@@ -87,21 +87,37 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    fn reference(src: &[f32], w: usize, h: usize, r: usize) -> Vec<f64> {
-        let mut out = Vec::new();
-        for y in 0..h {
-            for x in 0..w {
-                let (mut sum, mut n) = (0.0, 0.0);
-                for yy in y.saturating_sub(r)..(y + r + 1).min(h) {
-                    for xx in x.saturating_sub(r)..(x + r + 1).min(w) {
-                        sum += f64::from(src[yy * w + xx]);
-                        n += 1.0;
-                    }
-                }
-                out.push(sum / n);
-            }
-        }
-        out
+    /// Mean of a value over the window of each pixel, clipped to the map.
+    fn window_mean(w: usize, h: usize, r: usize, value: impl Fn(usize) -> f64) -> Vec<f64> {
+        let window = |i: usize| {
+            let (x, y) = (i % w, i / w);
+            let rows = y.saturating_sub(r)..(y + r + 1).min(h);
+            rows.flat_map(move |yy| (x.saturating_sub(r)..(x + r + 1).min(w)).map(move |xx| yy * w + xx))
+        };
+        (0..w * h).map(|i| window(i).map(&value).sum::<f64>() / window(i).count() as f64).collect()
+    }
+
+    /// The filter by equations 5, 6 and 8 of He, Sun and Tang, in `f64`.
+    fn by_formula(photo: &Photo, delta: &DisparityMap, r: usize, epsilon: f64) -> Vec<f64> {
+        let (w, h) = (delta.width as usize, delta.height as usize);
+        let mean = |value: &dyn Fn(usize) -> f64| window_mean(w, h, r, value);
+        let guide: Vec<f64> = photo.rgb.iter().map(|[r, g, b]| (0.299 * f64::from(*r) + 0.587 * f64::from(*g) + 0.114 * f64::from(*b)) / 255.0).collect();
+        let map: Vec<f64> = delta.delta.iter().copied().map(f64::from).collect();
+        let (mean_i, mean_d) = (mean(&|i| guide[i]), mean(&|i| map[i]));
+        let (square, product) = (mean(&|i| guide[i] * guide[i]), mean(&|i| guide[i] * map[i]));
+        let slope = |i: usize| (product[i] - mean_i[i] * mean_d[i]) / (square[i] - mean_i[i] * mean_i[i] + epsilon);
+        let (slopes, offsets) = (mean(&slope), mean(&|i| mean_d[i] - slope(i) * mean_i[i]));
+        (0..guide.len()).map(|i| slopes[i] * guide[i] + offsets[i]).collect()
+    }
+
+    /// A photo of patches with some noise, so that windows have edges, texture and flat parts.
+    fn patches(w: u32, h: u32, patch: u32, seed: u32) -> Photo {
+        let value = |x: u32, y: u32| {
+            let flat = (x / patch * 7 + y / patch * 13).wrapping_mul(2_654_435_761).wrapping_add(seed) >> 24;
+            let rough = (y * w + x).wrapping_mul(0x85EB_CA77).wrapping_add(seed) >> 27;
+            (flat + if x / patch % 2 == 0 { rough } else { 0 }).min(255) as u8
+        };
+        Photo { width: w, height: h, rgb: (0..w * h).map(|i| [value(i % w, i / w), value(i / w, i % w), 200]).collect() }
     }
 
     proptest! {
@@ -110,9 +126,36 @@ mod tests {
         #[test]
         fn box_mean_is_the_mean(w in 1usize..40, h in 1usize..150, r in 0usize..90, seed in any::<u32>()) {
             let src: Vec<f32> = (0..w * h).map(|i| ((i as u32).wrapping_mul(2_654_435_761).wrapping_add(seed) >> 8) as f32 / 1e6).collect();
-            for (a, b) in box_mean(&src, w, h, r).iter().zip(reference(&src, w, h, r)) {
+            for (a, b) in box_mean(&src, w, h, r).iter().zip(window_mean(w, h, r, |i| f64::from(src[i]))) {
                 prop_assert!((f64::from(*a) - b).abs() < 1e-5 * b.abs().max(1.0));
             }
+        }
+
+        /// Variances of values of 0 to 1 are off by 2⁻²³ in `f32`, and slopes by that over epsilon. A pixel is off its window's mean by as much as
+        /// the deviation, so what it gets is off by 2⁻²³ over the root of epsilon, here times 8 for the sums.
+        #[test]
+        fn the_filter_agrees_with_its_formula_in_f64(
+            w in 1u32..32, h in 1u32..32, r in 0usize..9, patch in 2u32..9, seed in any::<u32>(), exponent in -4f64..0.0,
+            values in prop::collection::vec(0f32..=1.0, 32 * 32),
+        ) {
+            let photo = patches(w, h, patch, seed);
+            let delta = DisparityMap { width: w, height: h, delta: values[..(w * h) as usize].to_vec() };
+            let epsilon = 10f64.powf(exponent);
+            let got = filter(&photo, &delta, r as u32, epsilon as f32);
+            let tolerance = 8.0 * f64::from(f32::EPSILON) / epsilon.sqrt();
+            for (got, want) in got.delta.iter().zip(by_formula(&photo, &delta, r, epsilon)) {
+                prop_assert!((f64::from(*got) - want).abs() < tolerance, "{got}, not {want}");
+            }
+        }
+
+        /// At the ends of what a finite map may hold.
+        #[test]
+        fn a_finite_map_stays_finite(
+            w in 1u32..20, h in 1u32..20, r in 0u32..30, seed in any::<u32>(), epsilon in prop::sample::select(vec![0.0f32, 1e-30, 1e-4, 1e6]),
+            values in prop::collection::vec(prop::sample::select(vec![0.0f32, 1.0, 1e-30, -1e9, 1e9]), 20 * 20),
+        ) {
+            let delta = DisparityMap { width: w, height: h, delta: values[..(w * h) as usize].to_vec() };
+            prop_assert!(filter(&patches(w, h, 3, seed), &delta, r, epsilon).delta.iter().all(|v| v.is_finite()));
         }
     }
 

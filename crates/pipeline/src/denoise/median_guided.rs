@@ -11,13 +11,13 @@ const MEDIAN: usize = 2;
 const RADIUS: u32 = 3;
 const EPSILON: f32 = 1e-4;
 
-/// Median and guided filter.
+/// Median and guided filter. The result is finite, whatever the map holds.
 #[must_use]
 pub fn denoise(photo: &Photo, delta: &DisparityMap) -> DisparityMap {
     guided_filter::filter(photo, &median(delta), RADIUS, EPSILON)
 }
 
-/// Median over 5 × 5 pixels.
+/// Median of the finite values among 5 × 5 pixels, the upper one of an even count; 0, infinitely far, where none is finite.
 pub(super) fn median(delta: &DisparityMap) -> DisparityMap {
     let (w, h) = (delta.width as usize, delta.height as usize);
     let mut out = vec![0.0; delta.delta.len()];
@@ -28,10 +28,10 @@ pub(super) fn median(delta: &DisparityMap) -> DisparityMap {
             for yy in y.saturating_sub(MEDIAN)..(y + MEDIAN + 1).min(h) {
                 for v in &delta.delta[yy * w + x.saturating_sub(MEDIAN)..yy * w + (x + MEDIAN + 1).min(w)] {
                     values[n] = *v;
-                    n += 1;
+                    n += usize::from(v.is_finite());
                 }
             }
-            *o = *values[..n].select_nth_unstable_by(n / 2, f32::total_cmp).1;
+            *o = if n == 0 { 0.0 } else { *values[..n].select_nth_unstable_by(n / 2, f32::total_cmp).1 };
         }
     });
     DisparityMap { width: delta.width, height: delta.height, delta: out }
@@ -39,7 +39,43 @@ pub(super) fn median(delta: &DisparityMap) -> DisparityMap {
 
 #[cfg(test)]
 mod tests {
+    use proptest::prelude::*;
+
     use super::*;
+
+    /// A value of a map, now and then none that is finite.
+    fn value() -> impl Strategy<Value = f32> {
+        prop_oneof![6 => 0f32..=1.0, 1 => prop::sample::select(vec![f32::NAN, -f32::NAN, f32::INFINITY, f32::NEG_INFINITY])]
+    }
+
+    fn any_map() -> impl Strategy<Value = DisparityMap> {
+        (1u32..16, 1u32..16, prop::collection::vec(value(), 15 * 15)).prop_map(|(width, height, values)| {
+            let delta = values[..(width * height) as usize].to_vec();
+            DisparityMap { width, height, delta }
+        })
+    }
+
+    proptest! {
+        #[test]
+        fn the_median_is_the_middle_of_the_sorted_window(map in any_map()) {
+            let (w, h) = (map.width as usize, map.height as usize);
+            let got = median(&map);
+            for (i, got) in got.delta.iter().enumerate() {
+                let (x, y) = (i % w, i / w);
+                let near = |j: &usize| (j % w).abs_diff(x) <= 2 && (j / w).abs_diff(y) <= 2;
+                let mut window: Vec<f32> = (0..w * h).filter(near).map(|j| map.delta[j]).filter(|v| v.is_finite()).collect();
+                window.sort_by(f32::total_cmp);
+                let want = window.get(window.len() / 2).copied().unwrap_or(0.0);
+                prop_assert_eq!(got.to_bits(), want.to_bits(), "at {}, {}", x, y);
+            }
+        }
+
+        #[test]
+        fn nothing_but_finite_values_come_out(map in any_map()) {
+            let photo = Photo { width: map.width, height: map.height, rgb: vec![[9, 90, 200]; map.delta.len()] };
+            prop_assert!(denoise(&photo, &map).delta.iter().all(|v| v.is_finite()));
+        }
+    }
 
     #[test]
     fn outliers_go_and_edges_stay() {
@@ -47,8 +83,8 @@ mod tests {
         let photo = Photo { width: w, height: h, rgb: (0..w * h).map(|i| if i % w < 20 { [20; 3] } else { [220; 3] }).collect() };
         let clean: Vec<f32> = (0..w * h).map(|i| if i % w < 20 { 0.2 } else { 0.8 }).collect();
         let mut dirty = clean.clone();
-        for i in (0..dirty.len()).step_by(37) {
-            dirty[i] = 1.0 - dirty[i];
+        for (n, i) in (0..dirty.len()).step_by(37).enumerate() {
+            dirty[i] = [1.0 - dirty[i], f32::NAN, f32::INFINITY][n % 3];
         }
         let got = denoise(&photo, &DisparityMap { width: w, height: h, delta: dirty });
         let worst = got.delta.iter().zip(&clean).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);

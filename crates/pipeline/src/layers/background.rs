@@ -80,3 +80,147 @@ fn background(
     let sane = corners.iter().all(|&d| d >= 0.0 && d < f64::from(farthest));
     Some(if sane { plane } else { Plane::fronto_parallel(mean) }.quantised())
 }
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+    use tmpi_core::{Intrinsics, ViewBox};
+
+    use super::*;
+
+    /// A scene of walls at one disparity each, side by side: tiles of `size` pixels, each with one plane a wall.
+    fn walls(width: u32, height: u32, size: u32, wall: impl Fn(u32, u32) -> f32) -> (Geometry, DisparityMap) {
+        let grid = Grid::new(width, height, size);
+        let map = DisparityMap { width, height, delta: (0..width * height).map(|i| wall(i % width, i / width)).collect() };
+        let tile = |t: u32| {
+            let r = grid.rect(t);
+            let shown = || (0..r.area() as u32).map(|i| wall(r.x + i % r.w, r.y + i / r.w));
+            let mut all: Vec<f32> = shown().collect();
+            all.sort_by(f32::total_cmp);
+            all.dedup();
+            let labels = shown().map(|d| all.iter().position(|a| *a >= d).unwrap() as u8).collect();
+            Tile { planes: all.into_iter().map(|d| Plane::fronto_parallel(d.into())).collect(), labels, background: None }
+        };
+        let tiles = (0..grid.tiles()).map(tile).collect();
+        (Geometry { grid, intrinsics: Intrinsics::centred(width, height, 300.0), view_box: ViewBox::default(), tiles }, map)
+    }
+
+    /// The background of a tile by its definition, in `f64`: the plane of least squares, with a ridge on its slopes, through the pixels
+    /// about the tile that lie a step behind all of it; flat at their mean where that plane does not stay behind the tile.
+    fn by_definition(map: &DisparityMap, grid: &Grid, tile: u32, reach: u32, farthest: f64) -> Option<Plane> {
+        let (r, half, (cx, cy)) = (grid.rect(tile), grid.half(), grid.centre(tile));
+        let about = grown(r, reach, reach, grid);
+        let points: Vec<[f64; 3]> = (0..about.area() as u32)
+            .map(|i| (about.x + i % about.w, about.y + i / about.w))
+            .filter(|&(x, y)| !((r.x..r.x + r.w).contains(&x) && (r.y..r.y + r.h).contains(&y)))
+            .map(|(x, y)| {
+                let delta = map.delta[(y * map.width + x) as usize];
+                [(f64::from(x) + 0.5 - cx) / half, (f64::from(y) + 0.5 - cy) / half, f64::from(delta)]
+            })
+            .filter(|p| p[2] < farthest - 0.05)
+            .collect();
+        if points.len() < 32 {
+            return None;
+        }
+        let n = points.len() as f64;
+        let mean = |k: usize| points.iter().map(|p| p[k]).sum::<f64>() / n;
+        let of = |i: usize, k: usize| points.iter().map(|p| (p[i] - mean(i)) * (p[k] - mean(k))).sum::<f64>();
+        let ridge = 1e-4 * n + 0.02;
+        let (uu, vv, uv) = (of(0, 0) + ridge, of(1, 1) + ridge, of(0, 1));
+        let det = uu * vv - uv * uv;
+        let slope = |by: f64| (by / det).clamp(-0.256, 0.256);
+        let (b, c) = (slope(of(0, 2) * vv - of(1, 2) * uv), slope(of(1, 2) * uu - of(0, 2) * uv));
+        let plane = Plane { a: mean(2) - b * mean(0) - c * mean(1), b, c };
+        let corners = [(-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)].map(|(u, v)| plane.disparity(u, v));
+        let stays = corners.iter().all(|d| (0.0..farthest).contains(d));
+        Some(if stays { plane } else { Plane::fronto_parallel(mean(2)) })
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(64))]
+
+        /// Coefficients lie on the container's grid, half a step from those of the definition at most; sums of as many terms in another
+        /// order are off by far less.
+        #[test]
+        fn backgrounds_agree_with_their_definition_in_f64(
+            width in 60u32..200, height in 40u32..120, walls_at in prop::collection::vec((0.0f32..1.0, -0.002f32..0.002), 4), patch in 20u32..90,
+        ) {
+            let (scene, mut map) = walls(width, height, 32, |x, y| walls_at[((x / patch + 2 * (y / patch)) % 4) as usize].0);
+            // the map is slanted where planes are flat
+            for (i, d) in (0..).zip(&mut map.delta) {
+                let (x, y) = (i % width, i / width);
+                *d += walls_at[((x / patch + 2 * (y / patch)) % 4) as usize].1 * (x + y) as f32;
+            }
+            let mut got = scene.clone();
+            add_backgrounds(&mut got, &map);
+            for (t, tile) in (0..).zip(&got.tiles) {
+                let farthest = f64::from(scene.tiles[t as usize].farthest(&scene.grid, t));
+                let within = |reach: u32, farthest: f64| by_definition(&map, &scene.grid, t, reach, farthest);
+                // what lies farther off is looked for where tiles are known to be farther, which the map need not agree with
+                let reach = if within(BACKGROUND_REACH, farthest).is_some() { BACKGROUND_REACH } else { wide(&scene) };
+                let want = within(reach, farthest);
+                // where a pixel or a corner is all but at its bound, rounding may decide it
+                let stable = within(reach, farthest - 1e-6) == within(reach, farthest + 1e-6);
+                let steps = |p: Plane, want: Plane| [p.a - want.a, p.b - want.b, p.c - want.c].map(|d| d.abs() / Plane::STEP);
+                let agrees = match (tile.background, want) {
+                    (Some(is), Some(want)) => steps(is, want).iter().all(|d| *d <= 0.5 + 1e-5),
+                    (None, want) => reach > BACKGROUND_REACH || want.is_none(),
+                    (Some(_), None) => false,
+                };
+                prop_assert!(agrees || !stable, "tile {t}: {:?}, not {want:?}", tile.background);
+            }
+        }
+
+        /// Whatever the map holds, NaN and infinity among it, planes are finite.
+        #[test]
+        fn backgrounds_are_finite_whatever_the_map(
+            values in prop::collection::vec(prop_oneof![4 => 0.0f32..1.0, 1 => any::<f32>()], 120 * 70), at in 0.0f32..1.0,
+        ) {
+            let (mut scene, mut map) = walls(120, 70, 32, |x, _| if x < 60 { 0.8 } else { at });
+            map.delta = values;
+            add_backgrounds(&mut scene, &map);
+            prop_assert!(scene.tiles.iter().filter_map(|t| t.background).all(|p| p.is_finite()));
+        }
+    }
+
+    fn wide(scene: &Geometry) -> u32 {
+        let all = Rect { x: 0, y: 0, w: scene.grid.width, h: scene.grid.height };
+        let (x, y) = scene.view_box.parallax(&scene.intrinsics, all);
+        (x.max(y).ceil() as u32).clamp(BACKGROUND_REACH, WIDEST_REACH)
+    }
+
+    #[test]
+    fn a_near_tile_takes_the_wall_beside_it() {
+        // tile 0 is near as a whole; what lies beyond its right border is far
+        let (mut scene, map) = walls(128, 64, 64, |x, _| if x < 70 { 0.8 } else { 0.2 });
+        add_backgrounds(&mut scene, &map);
+        let behind = scene.tiles[0].background.unwrap();
+        assert!((behind.disparity(0.0, 0.0) - 0.2).abs() < 0.01, "{behind:?}");
+        // the wall's own tiles show nothing nearer than what is behind them
+        assert_eq!(scene.tiles.last().unwrap().background, None);
+    }
+
+    #[test]
+    fn a_camera_that_goes_far_is_given_farther_walls() {
+        // the far wall begins 40 pixels right of tile 0
+        let (scene, map) = walls(192, 64, 64, |x, _| if x < 104 { 0.8 } else { 0.2 });
+        let behind = |extent: f64| {
+            let mut scene = scene.clone();
+            scene.view_box = ViewBox { x: extent, y: 0.0, z: 0.0 };
+            add_backgrounds(&mut scene, &map);
+            scene.tiles[0].background
+        };
+        assert_eq!(behind(0.03), None);
+        assert!(behind(0.2).is_some_and(|p| (p.disparity(0.0, 0.0) - 0.2).abs() < 0.01));
+    }
+
+    #[test]
+    fn tiles_that_are_not_wanted_keep_their_background() {
+        let (mut scene, map) = walls(128, 64, 64, |x, _| if x < 70 { 0.8 } else { 0.2 });
+        let held = Some(Plane::fronto_parallel(0.5));
+        scene.tiles.iter_mut().for_each(|t| t.background = held);
+        add_backgrounds_to(&mut scene, &map, |t| t == 0);
+        assert_ne!(scene.tiles[0].background, held);
+        assert!(scene.tiles[1..].iter().all(|t| t.background == held));
+    }
+}

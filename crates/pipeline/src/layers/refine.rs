@@ -157,3 +157,170 @@ fn take(
     }
     changed
 }
+
+#[cfg(test)]
+mod tests {
+    use tmpi_core::{Intrinsics, Plane, ViewBox, texture};
+
+    use super::*;
+    use crate::networks::OnnxError;
+
+    /// A network that gives what a function makes of its input.
+    struct Fake<F>(F);
+
+    impl<F: Fn(&Tensor) -> Vec<Tensor> + Send + Sync> Network for Fake<F> {
+        fn run(&self, inputs: Vec<Tensor>) -> Result<Vec<Tensor>, OnnxError> {
+            Ok((self.0)(&inputs[0]))
+        }
+    }
+
+    /// The first three channels of each layer: its own colours.
+    fn own_colours(t: &Tensor) -> Tensor {
+        let area = t.shape[2] * t.shape[3];
+        let data = t.data.chunks(CHANNELS * area).flat_map(|layer| layer[..3 * area].to_vec()).collect();
+        Tensor { shape: vec![t.shape[0], 3, t.shape[2], t.shape[3]], data }
+    }
+
+    /// One value everywhere, in so many channels.
+    fn constant(t: &Tensor, channels: usize, value: f32) -> Tensor {
+        let shape = vec![t.shape[0], channels, t.shape[2], t.shape[3]];
+        Tensor { data: vec![value; shape.iter().product()], shape }
+    }
+
+    /// A near box before a slanted wall, in tiles of 20 pixels, of which the last are clipped; and its layers.
+    fn scene() -> (Photo, Geometry, Vec<Vec<TexturedLayer>>) {
+        let (width, height) = (50, 34);
+        let grid = Grid::new(width, height, 20);
+        let near = |x: u32, y: u32| (14..30).contains(&x) && (8..26).contains(&y);
+        let rgb = (0..width * height).map(|i| if near(i % width, i / width) { [200, 30, 10] } else { [10, (i % width * 5) as u8, (i / width * 7) as u8] });
+        let photo = Photo { width, height, rgb: rgb.collect() };
+        let tile = |t: u32| {
+            let r = grid.rect(t);
+            let labels = (0..r.area() as u32).map(|i| near(r.x + i % r.w, r.y + i / r.w).into()).collect();
+            Tile { planes: vec![Plane { a: 0.25, b: 0.0625, c: 0.0 }, Plane::fronto_parallel(0.75)], labels, background: None }
+        };
+        let geometry = Geometry {
+            grid,
+            intrinsics: Intrinsics::centred(width, height, 60.0),
+            view_box: ViewBox { x: 0.1, y: 0.1, z: 0.0 },
+            tiles: (0..grid.tiles()).map(tile).collect(),
+        };
+        let tiles = texture(&photo, &geometry, geometry.masks());
+        (photo, geometry, tiles)
+    }
+
+    fn shapes(tiles: &[Vec<TexturedLayer>]) -> Vec<&tmpi_core::LayerMask> {
+        tiles.iter().flatten().map(|l| &l.shape).collect()
+    }
+
+    fn hidden(tiles: &[Vec<TexturedLayer>]) -> Vec<[u8; 3]> {
+        tiles.iter().flatten().flat_map(|l| l.hidden.clone()).collect()
+    }
+
+    #[test]
+    fn channels_hold_what_the_card_says() {
+        let (photo, geometry, tiles) = scene();
+        let (grid, side) = (geometry.grid, side(&geometry.grid));
+        assert_eq!(side, 32);
+        let mut looked_at = 0;
+        for (t, layers) in (0..).zip(&tiles) {
+            let (r, place) = (grid.rect(t), TileFrame::of(&grid, t));
+            for layer in layers {
+                let mut data = vec![f32::NAN; CHANNELS * side * side];
+                input(&photo, &grid, t, &geometry.tiles[t as usize], layer, side, &mut data);
+                let mut fills = layer.hidden.iter();
+                for i in 0..layer.shape.class.len() as u32 {
+                    let (x, y) = (layer.shape.rect.x + i % layer.shape.rect.w, layer.shape.rect.y + i / layer.shape.rect.w);
+                    let at = |channel: usize| data[channel * side * side + ((y - r.y) as usize * side) + (x - r.x) as usize];
+                    let tile = &geometry.tiles[t as usize];
+                    let label = tile.labels[((y - r.y) * r.w + x - r.x) as usize];
+                    let is_hidden = layer.shape.class[i as usize] == Class::Hidden as u8;
+                    let colour = if is_hidden { *fills.next().unwrap() } else { photo.at(x, y) };
+                    let behind = place.disparity(&tile.planes[usize::from(label)], x, y) - place.disparity(&layer.shape.plane, x, y);
+                    let own = layer.shape.label == Some(label);
+                    for c in 0..3 {
+                        assert!((at(c) - f32::from(colour[c]) / 255.0).abs() < 1e-6 && (at(3 + c) - f32::from(photo.at(x, y)[c]) / 255.0).abs() < 1e-6);
+                    }
+                    assert_eq!((at(6) > 0.5, at(8) > 0.5), (own, !own && behind > 0.0));
+                    assert!((at(7) - (behind * 8.0).clamp(-1.0, 1.0)).abs() < 1e-6);
+                    looked_at += usize::from(is_hidden);
+                }
+                assert!(data.iter().all(|v| v.is_finite()), "a clipped tile repeats its border");
+            }
+        }
+        assert!(looked_at > 100, "{looked_at}");
+    }
+
+    #[test]
+    fn a_network_that_changes_nothing_changes_nothing() {
+        let (photo, geometry, before) = scene();
+        let mut after = before.clone();
+        let refined = run(&Fake(|t: &Tensor| vec![own_colours(t)]), &photo, &geometry, &mut after).unwrap();
+        let bare = before.iter().filter(|layers| !layers.iter().any(needs)).count();
+        assert_eq!(refined, Refined { skipped: bare, colours: false });
+        assert_eq!((shapes(&after), hidden(&after)), (shapes(&before), hidden(&before)));
+    }
+
+    #[test]
+    fn hidden_texels_alone_take_the_networks_colour() {
+        let (photo, geometry, before) = scene();
+        let mut after = before.clone();
+        assert!(run(&Fake(|t: &Tensor| vec![constant(t, 3, 0.2)]), &photo, &geometry, &mut after).unwrap().colours);
+        assert_eq!(shapes(&after), shapes(&before));
+        assert!(hidden(&after).len() > 100 && hidden(&after).iter().all(|c| *c == [51; 3]));
+    }
+
+    #[test]
+    fn soft_texels_take_its_alpha_and_stay_soft() {
+        let (photo, geometry, before) = scene();
+        for (value, want) in [(0.0, 1), (0.5, 128), (1.0, 254), (-9.0, 1), (9.0, 254)] {
+            let mut after = before.clone();
+            let network = Fake(move |t: &Tensor| vec![constant(t, 1, value), own_colours(t)]);
+            run(&network, &photo, &geometry, &mut after).unwrap();
+            let mut soft = 0;
+            for (was, is) in before.iter().flatten().zip(after.iter().flatten()) {
+                assert_eq!(is.shape.class, was.shape.class);
+                for i in 0..was.shape.class.len() {
+                    let takes = needs(was) && was.shape.class[i] == Class::Photo as u8 && was.shape.alpha[i] < 255;
+                    assert_eq!(is.shape.alpha[i], if takes { want } else { was.shape.alpha[i] });
+                    soft += usize::from(takes);
+                }
+            }
+            assert!(soft > 0);
+        }
+    }
+
+    #[test]
+    fn what_is_no_number_leaves_layers_as_they_are() {
+        let (photo, geometry, before) = scene();
+        for wild in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
+            let mut after = before.clone();
+            let network = Fake(move |t: &Tensor| vec![constant(t, 1, wild), constant(t, 3, wild)]);
+            assert!(!run(&network, &photo, &geometry, &mut after).unwrap().colours);
+            assert_eq!((shapes(&after), hidden(&after)), (shapes(&before), hidden(&before)), "{wild}");
+        }
+    }
+
+    #[test]
+    fn outputs_of_another_shape_are_errors() {
+        let (photo, geometry, tiles) = scene();
+        let wrong: [fn(&Tensor) -> Vec<Tensor>; 4] = [
+            |_| vec![],
+            |t| vec![constant(t, 2, 0.5)],
+            |t| vec![constant(t, 3, 0.5), constant(t, 3, 0.5)],
+            |t| vec![constant(t, 1, 0.5), constant(t, 3, 0.5), constant(t, 3, 0.5)],
+        ];
+        for network in wrong {
+            assert!(matches!(run(&Fake(network), &photo, &geometry, &mut tiles.clone()), Err(StageError::Shape { .. })));
+        }
+    }
+
+    #[test]
+    fn one_large_tile_is_left_as_it_is() {
+        let (photo, mut geometry, mut tiles) = scene();
+        geometry.grid.size = MAX_TILE + 1;
+        let untouched = Fake(|_: &Tensor| -> Vec<Tensor> { panic!("it is not run") });
+        let refined = run(&untouched, &photo, &geometry, &mut tiles).unwrap();
+        assert_eq!(refined, Refined { skipped: tiles.len(), colours: false });
+    }
+}

@@ -5,15 +5,6 @@ use std::path::{Path, PathBuf};
 use super::tests::ok;
 use super::*;
 
-fn data(folder: &str) -> Option<PathBuf> {
-    let root = std::env::var_os("TMPI_DATA").map_or_else(|| PathBuf::from("../shared/data"), PathBuf::from).join(folder);
-    if !root.is_dir() {
-        eprintln!("{} is not there: skipped (TMPI_DATA)", root.display());
-        return None;
-    }
-    Some(root)
-}
-
 fn files(folder: &Path, out: &mut Vec<PathBuf>) {
     let mut entries: Vec<_> = std::fs::read_dir(folder).unwrap().map(|e| e.unwrap().path()).collect();
     entries.sort();
@@ -24,7 +15,7 @@ fn files(folder: &Path, out: &mut Vec<PathBuf>) {
 
 #[test]
 fn odd_and_broken_files_of_the_wild() {
-    let Some(root) = data("torture") else { return };
+    let Some(root) = tmpi_testing::data("torture") else { return };
     let mut all = Vec::new();
     files(&root, &mut all);
     let (mut read, mut refused, mut carried) = (0, 0, 0);
@@ -57,7 +48,7 @@ fn odd_and_broken_files_of_the_wild() {
 
 #[test]
 fn orientations_of_the_wild_agree() {
-    let Some(root) = data("torture/exif_orientation") else { return };
+    let Some(root) = tmpi_testing::data("torture/exif_orientation") else { return };
     for kind in ["Landscape", "Portrait"] {
         let thumb = |n: u32| {
             let bytes = std::fs::read(root.join(format!("{kind}_{n}.jpg"))).unwrap();

@@ -78,7 +78,7 @@ fn confidence_keeps_an_outlier_out() {
 type Case = (&'static str, usize, Vec<f32>, Option<Vec<f32>>);
 
 #[test]
-fn stiff_tiles_give_finite_planes() {
+fn stiff_tiles_give_finite_planes_that_fit() {
     let n = 4096;
     let mut cases: Vec<Case> = vec![
         ("1e-7 apart", 64, (0..n).map(|i| if i % 2 == 0 { 0.5 } else { 0.5 + 1e-7 }).collect(), None),
@@ -101,12 +101,17 @@ fn stiff_tiles_give_finite_planes() {
     cases.push(("Nx1", 64, (0..64).map(|i| i as f32 / 64.0).collect(), None));
     for (name, width, d, w) in cases {
         let s = samples(width, &d, w.as_deref());
+        let of = |value: &dyn Fn(usize) -> f64| (0..s.len()).map(|i| f64::from(s.weights()[i]) * value(i)).sum::<f64>();
+        let flat = cost(&s, &[Plane::fronto_parallel(of(&|i| s.deltas()[i].into()) / of(&|_| 1.0))]);
         for m in METHODS {
             for n in [1, 2, 4, 64] {
                 let t = place_n(&s, m, n);
                 assert!(!t.planes.is_empty() && t.planes.len() <= n as usize, "{name} {m:?}");
                 assert!(t.planes.iter().all(Plane::is_finite), "{name} {m:?}: {:?}", t.planes);
                 assert!(t.labels.iter().all(|&l| (l as usize) < t.planes.len()), "{name} {m:?}");
+                // linear planes are placed without a look at the values; all others are no worse than one plane at their mean
+                let got = cost(&s, &t.planes);
+                assert!(m == Method::Linear || got <= flat * 1.01 + 1e-6, "{name} {m:?} {n}: {got}, not {flat}");
             }
         }
     }

@@ -78,7 +78,7 @@ impl Costs {
     /// The longest side that the cheapest operating point does within `budget` milliseconds; none where the whole photo fits.
     #[must_use]
     pub fn side(&self, budget: f64, (width, height): (u32, u32), estimated: bool) -> Option<u32> {
-        let cheapest = self.points.last()?;
+        let cheapest = self.cheapest(BUSY)?;
         let megapixels = f64::from(width) * f64::from(height) / 1e6;
         let (fixed, more) = if estimated { (self.depth, self.depth_megapixel) } else { (0.0, 0.0) };
         let rate = (self.before + more + cheapest.plain + cheapest.busy * BUSY) * CAUTION;
@@ -97,8 +97,14 @@ impl Costs {
     pub fn choose(&self, left: f64, megapixels: f64, busy: f64) -> (Rate, f64, bool) {
         let takes = |r: &Rate| megapixels * (r.plain + r.busy * busy);
         let fits = self.points.iter().find(|r| takes(r) * CAUTION <= left);
-        let rate = fits.or(self.points.last()).copied().unwrap_or(Rate { factor: 1.0, plain: 0.0, busy: 0.0 });
+        let rate = fits.or_else(|| self.cheapest(busy)).copied().unwrap_or(Rate { factor: 1.0, plain: 0.0, busy: 0.0 });
         (rate, takes(&rate), fits.is_some())
+    }
+
+    /// The operating point that takes the least time at this share of busy tiles; the best of equals.
+    fn cheapest(&self, busy: f64) -> Option<&Rate> {
+        let takes = |r: &Rate| r.plain + r.busy * busy;
+        self.points.iter().min_by(|a, b| takes(a).total_cmp(&takes(b)))
     }
 }
 
@@ -132,6 +138,18 @@ mod tests {
         assert!(steep.plain >= 0.0 && steep.busy > 0.0);
         assert!((fit(1.0, &[(0.5, 40.0)]).plain - 40.0).abs() < 1e-9);
         assert!(fit(1.0, &[]).plain.abs() < 1e-9);
+    }
+
+    #[test]
+    fn where_nothing_fits_no_point_would_take_less() {
+        let c = Costs::default();
+        for busy in (0..=100).map(|percent| f64::from(percent) / 100.0) {
+            let (rate, takes, fits) = c.choose(0.0, 0.5, busy);
+            let least = c.points.iter().map(|r| 0.5 * (r.plain + r.busy * busy)).fold(f64::INFINITY, f64::min);
+            assert!(!fits && (takes - least).abs() < 1e-9, "at {busy}: {rate:?} takes {takes}, another {least}");
+        }
+        // one plane does for every tile of a flat photo, whatever the error: the best point is the quickest
+        assert!((c.choose(0.0, 0.5, 0.0).0.factor - 1.0).abs() < 1e-9);
     }
 
     #[test]

