@@ -47,7 +47,12 @@ const GERMAN = {
     'Dieser Browser besitzt schon etwas. Er könnte die Fotos, die von ihm hochgeladen wurden, nicht mehr sehen, ändern oder löschen, und kein anderer Weg führt zu ihnen zurück.',
   'Who may see it': 'Wer es sehen darf',
   'Who may see it…': 'Wer es sehen darf …',
-  'Whoever has it sees this photo until then, and changes nothing.': 'Wer ihn hat, sieht dieses Foto so lange und ändert nichts.',
+  'Whoever has this link sees the photo until {0}, and changes nothing.': 'Wer diesen Link hat, sieht das Foto bis {0} und ändert nichts.',
+  'Only you can see this photo.': 'Nur Sie können dieses Foto sehen.',
+  'Or let everybody see it whom its address reaches, without an end.': 'Oder allen zeigen, die seine Adresse erreicht, ohne Ende.',
+  'Only who uploaded the photo can make a link by which others see it.':
+    'Einen Link, mit dem andere es sehen, macht nur, wer das Foto hochgeladen hat.',
+  'Link to this view copied. It works on this machine alone.': 'Link zu dieser Sicht kopiert. Er gilt nur auf diesem Rechner.',
   Close: 'Schließen',
   Delete: 'Löschen',
   'Delete {0}': '{0} löschen',

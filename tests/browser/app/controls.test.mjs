@@ -251,6 +251,12 @@ describe('every control', () => {
       'button: Link to this very view': async () => {
         await $('share').click();
         await $('share-link').click();
+        const dialog = page.getByRole('dialog', { name: 'Link to this view' });
+        await dialog.getByRole('button', { name: 'Let anyone with the link see it' }).click();
+        await dialog.getByText('Anyone with the link can see it.').waitFor();
+        await dialog.getByRole('button', { name: 'Close' }).click();
+        await $('share').click();
+        await $('share-link').click();
         await page.waitForFunction(() => window.sharing?.url === location.href.split('#')[0]);
       },
       'input: Link to this view': async () => {
