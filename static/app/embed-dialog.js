@@ -2,10 +2,9 @@
 
 import { t } from '../i18n/messages.js';
 import { changeSettings, photoUrl } from './api.js';
-import { element } from './dom.js';
+import { element, isLoopback } from './dom.js';
 import { button, copied, showDialog } from './share-dialog.js';
 import { snippets } from './snippets.js';
-import { isLoopback } from './view-link.js';
 
 /** @import { Shared } from './share-dialog.js' */
 

@@ -2,7 +2,7 @@
 
 import { t } from '../i18n/messages.js';
 import { formatPose, parsePose } from '../view/camera.js';
-import { $ } from './dom.js';
+import { $, isLoopback } from './dom.js';
 
 /** @import { Offset } from '../decode/scene.js' */
 
@@ -16,9 +16,6 @@ export function offsetOfHash() {
 
 /** True where a link is better handed to another program than copied. */
 export const canSend = () => Boolean(navigator.share) && matchMedia('(pointer: coarse)').matches;
-
-/** True where others cannot reach the server by the page's address. */
-export const isLoopback = () => /^(localhost|.*\.localhost|127\..*|\[::1\])$/.test(location.hostname);
 
 /**
  * Address of this page at a view.

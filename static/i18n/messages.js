@@ -307,7 +307,13 @@ const GERMAN = {
   'Nobody is live here yet. The picture starts by itself.': 'Hier ist noch niemand live. Das Bild beginnt von selbst.',
   'Size of the picture': 'Größe des Bildes',
   'Small: 320 × 240, smoothest': 'Klein: 320 × 240, am flüssigsten',
-  'Somebody is live in this room already.': 'In diesem Raum ist schon jemand live.',
+  'Somebody is live in this room already. Give yours another name.':
+    'In diesem Raum ist schon jemand live. Geben Sie Ihrem einen anderen Namen.',
+  'Name of the room': 'Name des Raums',
+  'Letters, digits, - and _': 'Buchstaben, Ziffern, - und _',
+  'It is good until {0}.': 'Er gilt bis {0}.',
+  'Rooms of this server are for this machine alone: it has no key to let others in.':
+    'Räume dieses Servers sind nur für diesen Rechner: Er hat keinen Schlüssel, um andere einzulassen.',
   Sound: 'Ton',
   Start: 'Starten',
   Stop: 'Beenden',
