@@ -3,29 +3,17 @@
 import { t } from '../i18n/messages.js';
 import { changeSettings, linksOf, ownerTicket, takeLinksBack } from './api.js';
 import { element } from './dom.js';
+import { absolute, endingLink, select, USUAL_SECONDS } from './ending-link.js';
 import { button, copied, showDialog } from './share-dialog.js';
 
 /** @import { Shared } from './share-dialog.js' */
-
-const HOUR = 3600;
-const DAY = 24 * HOUR;
-/**
- * How long a link is good, in seconds, as it is offered.
- * @type {[string, string][]}
- */
-const TIMES = [
-  [String(HOUR), t('An hour')],
-  [String(DAY), t('A day')],
-  [String(7 * DAY), t('A week')],
-  [String(30 * DAY), t('30 days')],
-];
 
 /**
  * Shows the dialog.
  * @param {Shared} photo
  */
 export async function open({ id, visibility, changed }) {
-  const links = await linksOf(id, DAY).catch(() => null);
+  const links = await linksOf(id, USUAL_SECONDS).catch(() => null);
   if (!links) return showDialog(t('Who may see it'), element('p', '', t('Only who uploaded the photo says who may see it.')));
   const seen = select([
     ['private', t('Only me')],
@@ -37,17 +25,8 @@ export async function open({ id, visibility, changed }) {
   said.setAttribute('role', 'status');
   let now = visibility ?? 'private';
   seen.value = now;
-  const time = select(TIMES);
-  time.value = String(DAY);
-  const link = copied(t('A link that ends'), absolute(links.page));
-  const ending = element(
-    'section',
-    '',
-    element('h3', '', t('A link that ends')),
-    element('p', '', t('Whoever has it sees this photo until then, and changes nothing.')),
-    element('div', 'fields', element('label', '', t('How long it is good'), time)),
-    ...link.parts,
-  );
+  const link = endingLink(id, links, t('A link that ends'));
+  const ending = element('section', '', element('h3', '', t('A link that ends')), ...link.parts);
   ending.hidden = now !== 'private';
   seen.addEventListener('change', async () => {
     try {
@@ -60,22 +39,10 @@ export async function open({ id, visibility, changed }) {
     }
     ending.hidden = now !== 'private';
   });
-  time.addEventListener('change', async () => {
-    try {
-      link.text.value = absolute((await linksOf(id, Number(time.value))).page);
-    } catch (error) {
-      // what is shown is not what was asked for
-      link.text.value = error.message;
-    }
-  });
   const others = somebodyElse(
     links.manage,
     () => takeLinksBack(id),
-    async () => {
-      const fresh = await linksOf(id, Number(time.value));
-      link.text.value = absolute(fresh.page);
-      return fresh.manage;
-    },
+    async () => (await link.renew()).manage,
   );
   return showDialog(
     t('Who may see it'),
@@ -154,13 +121,4 @@ function otherBrowser(id) {
     shown,
     said,
   );
-}
-
-const absolute = (/** @type {string} */ path) => new URL(path, location.origin).href;
-
-/** @param {[string, string][]} options values with their words */
-function select(options) {
-  const box = element('select');
-  for (const [value, word] of options) box.add(new Option(word, value));
-  return box;
 }

@@ -96,11 +96,16 @@ export async function changeSettings(id, patch, etag) {
 }
 
 /**
- * Pages of a photo for others: `page` ends after `seconds`, `manage` lets somebody change it until that is taken back. And where this browser makes
- * tickets by which another one becomes the same owner, if it can.
+ * Pages of a photo for others: `page` is good until `expires`, in seconds since 1970; `manage` lets somebody change it until that is taken back. And
+ * where this browser makes tickets by which another one becomes the same owner, if it can.
+ * @typedef {{page: string, expires?: number, manage?: string, ticket?: string}} PhotoLinks
+ */
+
+/**
+ * Links to a photo that are good for `seconds`.
  * @param {string} id
  * @param {number} seconds
- * @returns {Promise<{page: string, manage?: string, ticket?: string}>}
+ * @returns {Promise<PhotoLinks>}
  */
 export async function linksOf(id, seconds) {
   return (await request(photoUrl(id, `/links?seconds=${seconds}`), { method: 'POST' })).json();

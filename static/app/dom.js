@@ -40,3 +40,6 @@ export function icon(name) {
   svg.append(use);
   return svg;
 }
+
+/** True where others cannot reach the server by the page's address. */
+export const isLoopback = () => /^(localhost|.*\.localhost|127\..*|\[::1\])$/.test(location.hostname);

@@ -2,14 +2,11 @@
 
 import { t } from '../i18n/messages.js';
 import { changeSettings, photoUrl } from './api.js';
-import { element } from './dom.js';
+import { element, isLoopback } from './dom.js';
 import { button, copied, showDialog } from './share-dialog.js';
 import { snippets } from './snippets.js';
 
 /** @import { Shared } from './share-dialog.js' */
-
-/** True where others cannot reach the server by the page's address. */
-const isLoopback = () => /^(localhost|.*\.localhost|127\..*|\[::1\])$/.test(location.hostname);
 
 /**
  * Shows the dialog.
@@ -21,12 +18,23 @@ export function open({ id, viewer, name, file, visibility, changed }) {
   const page = element('a', 'button', t('Download'));
   page.href = photoUrl(id, '/export?format=html');
   page.download = `${file}.html`;
-  return showDialog(
-    t('Put it on a page'),
-    ...(visibility === 'private' ? [askToShow(id, changed)] : []),
+  const pieces = element(
+    'div',
+    '',
     ...(isLoopback() ? [element('p', '', t('This address works on this machine alone; others need the server’s own name.'))] : []),
     piece(t('In a frame'), t('Needs no script of yours.'), code.frame),
     piece(t('As an element'), t('With attributes, methods and events.'), code.element),
+  );
+  // what shows nothing is not there to be copied
+  pieces.hidden = visibility === 'private';
+  const shown = (/** @type {Parameters<Shared['changed']>[0]} */ answer) => {
+    pieces.hidden = false;
+    changed(answer);
+  };
+  return showDialog(
+    t('Put it on a page'),
+    ...(visibility === 'private' ? [askToShow(id, shown)] : []),
+    pieces,
     element(
       'section',
       '',

@@ -1,17 +1,18 @@
 // The page of a room: who publishes.
 
 import { t, translatePage } from '../i18n/messages.js';
-import { sentence } from '../i18n/text.js';
+import { moment, sentence } from '../i18n/text.js';
 import { headersOf, look } from '../live/connection.js';
 import { hasOpus } from '../live/microphone.js';
 import { Publisher } from '../live/publisher.js';
-import { $, element } from './dom.js';
-import { linkTo, roomOf } from './room-name.js';
+import { $, element, isLoopback } from './dom.js';
+import { linkTo, publishPage, roomNamed, roomOf } from './room-name.js';
 
 /** Pause between two looks at who watches, ms. */
 const LOOK_MS = 2000;
 
-const room = roomOf();
+let room = roomOf();
+const named = $('room', HTMLInputElement);
 const preview = $('preview', HTMLVideoElement);
 const camera = $('camera', HTMLSelectElement);
 /** @type {Publisher | null} */
@@ -35,7 +36,7 @@ function show(state) {
   $('go').hidden = on;
   $('stop').hidden = !on;
   $('on-air').hidden = state !== 'live';
-  for (const id of ['camera', 'size', 'with-sound']) $(id, /** @type {any} */ (HTMLElement)).toggleAttribute('disabled', on);
+  for (const id of ['room', 'camera', 'size', 'with-sound']) $(id, /** @type {any} */ (HTMLElement)).toggleAttribute('disabled', on);
 }
 
 /** What a person can do about a camera that is not to be had. */
@@ -129,10 +130,18 @@ async function start() {
 /** A link for those who watch: with a token of theirs, not with this page's. */
 async function share() {
   const response = await fetch(`${room.address}/token`, { method: 'POST', headers: headersOf(room.token) });
+  /** @type {{token: string | null}} */
   const { token } = response.ok ? await response.json() : { token: null };
   $('link', HTMLInputElement).value = linkTo(room.name, token);
-  const own = ['localhost', '127.0.0.1', '[::1]'].includes(location.hostname);
-  $('link-note').textContent = own ? t('This address works on this machine alone; others need the server’s own name.') : '';
+  // a token begins with its end
+  const until = Number(token?.split('.')[0]);
+  const notes = [
+    until
+      ? t('It is good until {0}.', moment(until))
+      : t('Rooms of this server are for this machine alone: it has no key to let others in.'),
+    ...(until && isLoopback() ? [t('This address works on this machine alone; others need the server’s own name.')] : []),
+  ];
+  $('link-note').textContent = notes.join(' ');
   $('share').hidden = false;
 }
 
@@ -144,12 +153,14 @@ async function countViewers() {
 
 /** Says beforehand what stands in the way. */
 async function check() {
+  const asked = room;
   const { state, mayPublish, publishing } = await look(room.address, room.token);
+  if (asked !== room) return;
   if (state === 'none') return stay(t('There is no such room on this server.'));
   if (state === 'refused' || (state !== 'away' && !mayPublish))
     return stay(t('Going live here needs a link with a token that is still good. Ask who sent you here for a new one.'));
   if (!navigator.mediaDevices?.getUserMedia) return stay(t('The camera needs an address with https.'));
-  if (publishing) say(t('Somebody is live in this room already.'));
+  say(publishing ? t('Somebody is live in this room already. Give yours another name.') : beforehand);
   await listCameras();
 }
 
@@ -160,11 +171,30 @@ function stay(why) {
   say(why);
 }
 
+/** Goes to the room of the name that was written. */
+function rename() {
+  if (!named.reportValidity() || named.value === room.name) return;
+  room = roomNamed(named.value);
+  history.replaceState(history.state, '', publishPage(room.name));
+  showName();
+  check();
+}
+
+function showName() {
+  $('title').textContent = t('Go live: {0}', room.name);
+  document.title = `${room.name} – tmpi`;
+}
+
 translatePage();
-$('title').textContent = t('Go live: {0}', room.name);
-document.title = `${room.name} – tmpi`;
+const beforehand = $('state').textContent ?? '';
+named.value = room.name;
+// a token is for one room
+named.readOnly = Boolean(room.token);
+named.addEventListener('change', rename);
+showName();
 $('form').addEventListener('submit', (event) => {
   event.preventDefault();
+  rename();
   start();
 });
 $('stop').addEventListener('click', () => publisher?.stop());

@@ -7,10 +7,37 @@ const KEY = 'token';
 
 /** @returns {RoomOf} */
 export function roomOf() {
-  const name = decodeURIComponent(location.pathname.split('/')[2] ?? '');
   const token = new URLSearchParams(location.hash.slice(1)).get(KEY) ?? '';
+  return roomNamed(decodeURIComponent(location.pathname.split('/')[2] ?? ''), token);
+}
+
+/**
+ * The room of a name.
+ * @param {string} name
+ * @param {string} [token]
+ * @returns {RoomOf}
+ */
+export function roomNamed(name, token = '') {
   return { name, address: new URL(`/v1/live/${encodeURIComponent(name)}`, location.href).href, token };
 }
+
+const CONSONANTS = 'bdfgklmnprstvz';
+const VOWELS = 'aeiou';
+const SYLLABLES = 4;
+
+/** A room's name that nobody else has thought of, and that one can say aloud: one of 24 million. */
+export function freshName() {
+  const random = crypto.getRandomValues(new Uint32Array(SYLLABLES));
+  const syllable = (/** @type {number} */ n) =>
+    CONSONANTS[n % CONSONANTS.length] + VOWELS[Math.floor(n / CONSONANTS.length) % VOWELS.length];
+  return [...random].map(syllable).join('');
+}
+
+/**
+ * Address of the page of who publishes in a room.
+ * @param {string} name
+ */
+export const publishPage = (name) => `/live/${encodeURIComponent(name)}/publish`;
 
 /**
  * Address of a room's page.

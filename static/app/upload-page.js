@@ -9,6 +9,7 @@ import { refreshSoon, remove, startGallery } from './gallery.js';
 import { enliven } from './lively.js';
 import { pairs } from './pairs.js';
 import { forgetName, photoName } from './photo-name.js';
+import { freshName, publishPage } from './room-name.js';
 import { deleteLater, handedOver } from './undo.js';
 import { forgetRow, resume, startUploads, upload } from './uploads.js';
 
@@ -88,6 +89,7 @@ async function showSample() {
 }
 
 translatePage();
+$('go-live', HTMLAnchorElement).href = publishPage(freshName());
 enliven($('gallery'));
 $('gallery').addEventListener('shown', (event) => {
   if (/** @type {CustomEvent} */ (event).detail.seen) $('sample').hidden = true;

@@ -2,7 +2,7 @@
 
 import { t } from '../i18n/messages.js';
 import { formatPose, parsePose } from '../view/camera.js';
-import { $ } from './dom.js';
+import { $, isLoopback } from './dom.js';
 
 /** @import { Offset } from '../decode/scene.js' */
 
@@ -14,9 +14,17 @@ export function offsetOfHash() {
   return pose ? { x: pose.tx, y: pose.ty, z: pose.tz } : undefined;
 }
 
-/** @param {Offset} offset of the camera, in units of the view box */
-function addressAt({ x, y, z }) {
+/** True where a link is better handed to another program than copied. */
+export const canSend = () => Boolean(navigator.share) && matchMedia('(pointer: coarse)').matches;
+
+/**
+ * Address of this page at a view.
+ * @param {Offset} offset of the camera, in units of the view box
+ * @param {{signed?: boolean}} [options] whether it keeps the link by which the page was opened
+ */
+export function addressAt({ x, y, z }, { signed = true } = {}) {
   const url = new URL(location.href);
+  if (!signed) url.search = '';
   const pose = formatPose({ tx: x, ty: y, tz: z });
   url.hash = pose === '0,0,0' ? '' : `${HASH_KEY}=${pose}`;
   return url.href;
@@ -29,7 +37,7 @@ function addressAt({ x, y, z }) {
  */
 export async function shareLink(offset, say) {
   const url = addressAt(offset);
-  if (navigator.share && matchMedia('(pointer: coarse)').matches) {
+  if (canSend()) {
     try {
       await navigator.share({ title: document.title, url });
       return;
@@ -39,7 +47,7 @@ export async function shareLink(offset, say) {
   }
   try {
     await navigator.clipboard.writeText(url);
-    say(t('Link to this view copied'));
+    say(isLoopback() ? t('Link to this view copied. It works on this machine alone.') : t('Link to this view copied'));
   } catch {
     // no clipboard on a page without TLS
     const link = $('link', HTMLInputElement);

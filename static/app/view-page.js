@@ -308,12 +308,9 @@ $('headset').addEventListener('click', () => viewer.enterHeadset().catch(() => t
 navigator.xr?.addEventListener?.('devicechange', offerHeadset);
 $('reset').addEventListener('click', () => viewer.reset());
 $('idle').addEventListener('click', () => viewer.setIdle(!viewer.idle));
-$('share-link').addEventListener('click', () => {
-  $('share-menu').hidePopover();
-  shareLink(viewer.motion.now, toast);
-});
 /** @type {Record<string, () => Promise<{open: (photo: Shared) => Promise<HTMLDialogElement>}>>} */
 const DIALOGS = {
+  link: () => import('./link-dialog.js'),
   film: () => import('./film-dialog.js'),
   embed: () => import('./embed-dialog.js'),
   access: () => import('./access-dialog.js'),
@@ -322,6 +319,9 @@ for (const [name, load] of Object.entries(DIALOGS)) {
   $(`share-${name}`).addEventListener('click', async () => {
     $('share-menu').hidePopover();
     try {
+      // who may see it decides what a link has to say
+      await known;
+      if (name === 'link' && visibility !== 'private') return await shareLink(viewer.motion.now, toast);
       const { open } = await load();
       const file = container.download.replace(/\.tmpi$/, '');
       await open({ id, viewer, name: $('title').textContent ?? '', file, visibility, changed: showVisibility });

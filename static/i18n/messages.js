@@ -48,7 +48,12 @@ const GERMAN = {
     'Dieser Browser besitzt schon etwas. Er könnte die Fotos, die von ihm hochgeladen wurden, nicht mehr sehen, ändern oder löschen, und kein anderer Weg führt zu ihnen zurück.',
   'Who may see it': 'Wer es sehen darf',
   'Who may see it…': 'Wer es sehen darf …',
-  'Whoever has it sees this photo until then, and changes nothing.': 'Wer ihn hat, sieht dieses Foto so lange und ändert nichts.',
+  'Whoever has this link sees the photo until {0}, and changes nothing.': 'Wer diesen Link hat, sieht das Foto bis {0} und ändert nichts.',
+  'Only you can see this photo.': 'Nur Sie können dieses Foto sehen.',
+  'Or let everybody see it whom its address reaches, without an end.': 'Oder allen zeigen, die seine Adresse erreicht, ohne Ende.',
+  'Only who uploaded the photo can make a link by which others see it.':
+    'Einen Link, mit dem andere es sehen, macht nur, wer das Foto hochgeladen hat.',
+  'Link to this view copied. It works on this machine alone.': 'Link zu dieser Sicht kopiert. Er gilt nur auf diesem Rechner.',
   Close: 'Schließen',
   Delete: 'Löschen',
   'Delete {0}': '{0} löschen',
@@ -298,7 +303,13 @@ const GERMAN = {
   'Nobody is live here yet. The picture starts by itself.': 'Hier ist noch niemand live. Das Bild beginnt von selbst.',
   'Size of the picture': 'Größe des Bildes',
   'Small: 320 × 240, smoothest': 'Klein: 320 × 240, am flüssigsten',
-  'Somebody is live in this room already.': 'In diesem Raum ist schon jemand live.',
+  'Somebody is live in this room already. Give yours another name.':
+    'In diesem Raum ist schon jemand live. Geben Sie Ihrem einen anderen Namen.',
+  'Name of the room': 'Name des Raums',
+  'Letters, digits, - and _': 'Buchstaben, Ziffern, - und _',
+  'It is good until {0}.': 'Er gilt bis {0}.',
+  'Rooms of this server are for this machine alone: it has no key to let others in.':
+    'Räume dieses Servers sind nur für diesen Rechner: Er hat keinen Schlüssel, um andere einzulassen.',
   Sound: 'Ton',
   Start: 'Starten',
   Stop: 'Beenden',

@@ -18,6 +18,14 @@ export function formatBytes(bytes) {
 }
 
 /**
+ * A time of day on a day.
+ * @param {number} seconds since 1970
+ */
+export function moment(seconds) {
+  return new Date(seconds * 1000).toLocaleString(undefined, { dateStyle: 'medium', timeStyle: 'short' });
+}
+
+/**
  * A message as a sentence of its own.
  * @param {string} message
  */

@@ -40,7 +40,7 @@ pub struct UploadForm {
     /// Depth map, a grey picture (PNG of 8 or 16 bits, JPEG, WebP; or in colour with channels that are alike); replaces the estimated depth.
     #[schema(value_type = Option<String>, format = Binary)]
     depth: Option<Vec<u8>>,
-    /// What to call the photo, 1 to 200 characters; else the name of the photo's file without its ending. A photo that is there already
+    /// What to call the photo, 1 to 200 characters; else the name of the photo's file without its ending, and a photo that is there already
     /// keeps its title.
     title: Option<String>,
     /// Who may see the photo where the server asks who comes: `private` or `link`.
@@ -82,7 +82,8 @@ pub struct UploadForm {
 ///
 /// Multipart form, or the raw bytes of a picture with the options of the form as query parameters (names with `-` or `_`).
 /// Once this answers, the photo is on disk and is made even if the server is restarted. Photo, depth map and options give
-/// the id: the same upload again is the same photo and costs nothing; if it had failed, it is tried again.
+/// the id: the same upload again is the same photo and costs nothing; if it had failed, it is tried again. It takes the title and the visibility that
+/// the upload names, and is the first of the list.
 #[utoipa::path(
     post, path = "/v1/photos", tag = "photos",
     params(

@@ -253,6 +253,12 @@ describe('every control', () => {
       'button: Link to this very view': async () => {
         await $('share').click();
         await $('share-link').click();
+        const dialog = page.getByRole('dialog', { name: 'Link to this view' });
+        await dialog.getByRole('button', { name: 'Let anyone with the link see it' }).click();
+        await dialog.getByText('Anyone with the link can see it.').waitFor();
+        await dialog.getByRole('button', { name: 'Close' }).click();
+        await $('share').click();
+        await $('share-link').click();
         await page.waitForFunction(() => window.sharing?.url === location.href.split('#')[0]);
       },
       'input: Link to this view': async () => {
@@ -455,7 +461,8 @@ describe('every control', () => {
       },
       'button: Cancel all': async () => assert.ok(await $('uploads-cancel').isHidden()),
       'button: Dismiss failed': async () => assert.ok(await $('uploads-dismiss').isHidden()),
-      'a: Go live with your camera': async () => assert.equal(await page.locator('a[href="/live/room/publish"]').count(), 1),
+      'a: Go live with your camera': async () =>
+        assert.match(await page.locator('#go-live').getAttribute('href'), /^\/live\/[a-z]{8}\/publish$/),
       'a: 3D photos on a page': async () => assert.equal(await page.locator('a[href="/demo"]').count(), 1),
     });
     assert.deepEqual(

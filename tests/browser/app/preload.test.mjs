@@ -62,6 +62,7 @@ describe('modules', () => {
       'app/owner-dialog.js',
       'app/embed-dialog.js',
       'app/film-dialog.js',
+      'app/link-dialog.js',
       'film/gif.js',
     ];
     const needed = new Set(roots.flatMap((root) => [...graph(root)]));

@@ -151,6 +151,77 @@ describe('sharing', () => {
     Object.assign(suite.server.state, { visibility: undefined, links: undefined, settings: undefined });
   });
 
+  test('a link to a private photo is signed and says until when', async () => {
+    Object.assign(suite.server.state, { visibility: 'private', links: {} });
+    const before = suite.server.patches.length;
+    const { page, context, errors } = await open();
+    await context.grantPermissions(['clipboard-read', 'clipboard-write']);
+    await page.evaluate(() => window.viewer.moveTo({ x: 0.5, y: 0, z: 0 }));
+    await page.waitForFunction(() => window.viewer.motion.now.x > 0.49);
+    const dialog = await dialogOf(page, '#share-link', 'Link to this view');
+    const link = dialog.getByLabel('Link to this view', { exact: true });
+    assert.equal(await link.inputValue(), `${suite.server.url}/view/box?expires=86400&signature=5e#pose=0.5,0,0`);
+    await dialog.getByText('Only you can see this photo.').waitFor();
+    const said = dialog.getByText('Whoever has this link sees the photo until');
+    const first = await said.textContent();
+    await dialog.getByLabel('How long it is good').selectOption('30 days');
+    await page.waitForFunction(() => document.querySelector('.share-dialog textarea').value.includes('expires=2592000&'));
+    assert.notEqual(await said.textContent(), first);
+    assert.match(await link.inputValue(), /#pose=0\.5,0,0$/);
+    await dialog.getByRole('button', { name: 'Copy: Link to this view' }).click();
+    await dialog.getByText('Copied').waitFor();
+    assert.equal(await page.evaluate(() => navigator.clipboard.readText()), await link.inputValue());
+    assert.deepEqual(await seriousViolations(page), []);
+    await dialog.getByRole('button', { name: 'Let anyone with the link see it' }).click();
+    await dialog.getByText('Anyone with the link can see it.').waitFor();
+    assert.equal(await link.inputValue(), `${suite.server.url}/view/box#pose=0.5,0,0`);
+    assert.deepEqual(JSON.parse(suite.server.patches[before].body), { visibility: 'link' });
+    await page.keyboard.press('Escape');
+    // nobody needs to be asked any more
+    await page.locator('#share').click();
+    await page.locator('#share-link').click();
+    await page.getByText('Link to this view copied').waitFor();
+    assert.ok((await page.evaluate(() => navigator.clipboard.readText())).startsWith(`${suite.server.url}/view/box`));
+    assert.deepEqual(errors, []);
+    await context.close();
+    Object.assign(suite.server.state, { visibility: undefined, links: undefined, settings: undefined });
+  });
+
+  test('who came by a link hands on that link, and nobody hands on none', async () => {
+    suite.server.state.visibility = 'private';
+    const { page, context } = await openPage(suite.browser, { reducedMotion: 'reduce' });
+    const signed = `${suite.server.url}/view/box?expires=4102444800&signature=5e`;
+    for (const [address, link] of [
+      [signed, signed],
+      [`${suite.server.url}/view/box`, null],
+    ]) {
+      await page.goto(address);
+      await waitForMode(page, 'gpu');
+      const dialog = await dialogOf(page, '#share-link', 'Link to this view');
+      if (link) {
+        assert.equal(await dialog.getByRole('textbox').inputValue(), link);
+        await dialog.getByText('2100').waitFor();
+      } else {
+        await dialog.getByText('Only who uploaded the photo can make a link').waitFor();
+        assert.equal(await dialog.getByRole('textbox').count(), 0);
+      }
+    }
+    await context.close();
+    suite.server.state.visibility = undefined;
+  });
+
+  test('pieces for a page are there once others may see the photo', async () => {
+    suite.server.state.visibility = 'private';
+    const { page, context } = await open();
+    const dialog = await dialogOf(page, '#share-embed', 'Put it on a page');
+    const frame = dialog.getByLabel('In a frame', { exact: true });
+    assert.ok(await frame.isHidden());
+    await dialog.getByRole('button', { name: 'Let anyone with the link see it' }).click();
+    await frame.waitFor();
+    await context.close();
+    Object.assign(suite.server.state, { visibility: undefined, settings: undefined });
+  });
+
   test('a GIF is made, shown and saved; what is cancelled leaves nothing', async () => {
     const { page, context, errors } = await open();
     const dialog = await dialogOf(page, '#share-film', 'A film or GIF');
@@ -182,7 +253,7 @@ describe('sharing', () => {
     for (const locale of ['en', 'de']) {
       for (const viewport of SIZES) {
         const { page, context } = await open(viewport, { locale });
-        for (const entry of ['#share-embed', '#share-film', '#share-access']) {
+        for (const entry of ['#share-link', '#share-embed', '#share-film', '#share-access']) {
           await page.locator('#share').click();
           await page.locator(entry).click();
           const dialog = page.locator('.share-dialog');

@@ -69,8 +69,9 @@ export async function serve({ atlas, wasm = true }) {
       return send(200, 'application/json', JSON.stringify(state));
     }
     if (url.pathname === '/v1/photos/box/links' && state.links) {
-      const page = `/view/box?expires=${url.searchParams.get('seconds')}&signature=5e`;
-      return send(200, 'application/json', JSON.stringify({ page, ...state.links }));
+      const seconds = Number(url.searchParams.get('seconds'));
+      const page = `/view/box?expires=${seconds}&signature=5e`;
+      return send(200, 'application/json', JSON.stringify({ page, expires: Math.floor(Date.now() / 1000) + seconds, ...state.links }));
     }
     if (url.pathname === '/v1/photos/box/settings') return send(200, 'application/json', JSON.stringify(state.settings ?? {}));
     if (url.pathname === '/v1/photos/box/strokes') return send(200, 'application/json', JSON.stringify({ version: 1, strokes: [] }));

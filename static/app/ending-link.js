@@ -1,0 +1,69 @@
+// A link by which others see a photo for a while: how long it is good, until when that is, and the link to copy.
+
+import { t } from '../i18n/messages.js';
+import { moment } from '../i18n/text.js';
+import { linksOf } from './api.js';
+import { element } from './dom.js';
+import { copied } from './share-dialog.js';
+
+/** @import { PhotoLinks } from './api.js' */
+
+const HOUR = 3600;
+const DAY = 24 * HOUR;
+/** How long a link is good at first, in seconds. */
+export const USUAL_SECONDS = DAY;
+/**
+ * How long a link is good, in seconds, as it is offered.
+ * @type {[string, string][]}
+ */
+const TIMES = [
+  [String(HOUR), t('An hour')],
+  [String(DAY), t('A day')],
+  [String(7 * DAY), t('A week')],
+  [String(30 * DAY), t('30 days')],
+];
+
+export const absolute = (/** @type {string} */ path) => new URL(path, location.origin).href;
+
+/** @param {[string, string][]} options values with their words */
+export function select(options) {
+  const box = element('select');
+  for (const [value, word] of options) box.add(new Option(word, value));
+  return box;
+}
+
+/**
+ * What shows a link to a photo that ends, and makes another where somebody chooses another time.
+ * @param {string} id of the photo
+ * @param {PhotoLinks} links good for {@link USUAL_SECONDS}
+ * @param {string} title what the link is
+ * @param {string} [hash] of the link's address
+ */
+export function endingLink(id, links, title, hash = '') {
+  const time = select(TIMES);
+  time.value = String(USUAL_SECONDS);
+  const said = element('p');
+  said.setAttribute('role', 'status');
+  const link = copied(title, '');
+  /** @param {PhotoLinks} made */
+  function show({ page, expires }) {
+    link.text.value = absolute(page) + hash;
+    said.textContent = expires ? t('Whoever has this link sees the photo until {0}, and changes nothing.', moment(expires)) : '';
+  }
+  /** Makes a link anew. */
+  async function renew() {
+    const made = await linksOf(id, Number(time.value));
+    show(made);
+    return made;
+  }
+  time.addEventListener('change', () =>
+    renew().catch((error) => {
+      // what is shown is not what was asked for
+      link.text.value = '';
+      said.textContent = error.message;
+    }),
+  );
+  show(links);
+  const parts = [said, element('div', 'fields', element('label', '', t('How long it is good'), time)), ...link.parts];
+  return { text: link.text, parts, renew };
+}

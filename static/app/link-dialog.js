@@ -1,0 +1,76 @@
+// A link to the view of a photo that only its owner can see: it would show nothing to anybody else without their leave, which is given here.
+
+import { linkOf } from '../element/link.js';
+import { t } from '../i18n/messages.js';
+import { moment } from '../i18n/text.js';
+import { changeSettings, linksOf } from './api.js';
+import { element } from './dom.js';
+import { endingLink, USUAL_SECONDS } from './ending-link.js';
+import { button, copied, showDialog } from './share-dialog.js';
+import { addressAt, canSend } from './view-link.js';
+
+/** @import { Shared } from './share-dialog.js' */
+
+/**
+ * Shows the dialog.
+ * @param {Shared} photo
+ */
+export async function open({ id, viewer, changed }) {
+  const title = t('Link to this view');
+  const links = await linksOf(id, USUAL_SECONDS).catch(() => null);
+  const view = { ...viewer.motion.now };
+  const address = addressAt(view);
+  if (!links) return byOwnLink(title, address);
+  const link = endingLink(id, links, title, new URL(address).hash);
+  const shown = element(
+    'section',
+    '',
+    element('p', '', t('Only you can see this photo.')),
+    ...link.parts,
+    ...sending(() => link.text.value),
+  );
+  const everybody = element(
+    'section',
+    '',
+    element('p', '', t('Or let everybody see it whom its address reaches, without an end.')),
+    element('div', 'row', button(t('Let anyone with the link see it'), allow)),
+  );
+  async function allow() {
+    try {
+      changed(await changeSettings(id, { visibility: 'link' }, null));
+      const plain = addressAt(view, { signed: false });
+      shown.replaceChildren(
+        element('p', '', t('Anyone with the link can see it.')),
+        ...copied(title, plain).parts,
+        ...sending(() => plain),
+      );
+      everybody.remove();
+    } catch (error) {
+      everybody.replaceChildren(element('p', '', error.message));
+    }
+  }
+  return showDialog(title, shown, everybody);
+}
+
+/**
+ * Of a photo of somebody else: the link by which this page was opened is all that there is.
+ * @param {string} title
+ * @param {string} address
+ */
+function byOwnLink(title, address) {
+  const own = new URLSearchParams(linkOf(location.search));
+  const expires = Number(own.get('expires'));
+  if (!expires) return showDialog(title, element('p', '', t('Only who uploaded the photo can make a link by which others see it.')));
+  const said = t('Whoever has this link sees the photo until {0}, and changes nothing.', moment(expires));
+  return showDialog(title, element('section', '', element('p', '', said), ...copied(title, address).parts, ...sending(() => address)));
+}
+
+/**
+ * A button that hands a link to another program, where there is one to take it.
+ * @param {() => string} url
+ */
+function sending(url) {
+  if (!canSend()) return [];
+  const send = button(t('Send…'), () => navigator.share({ title: document.title, url: url() }).catch(() => {}), 'primary');
+  return [element('div', 'row', send)];
+}
