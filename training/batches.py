@@ -58,7 +58,7 @@ class Pictures:
     """All pictures that are learnt from, by group; of a photograph with two labels each counts half."""
 
     def __init__(self, device):
-        self.device, self.groups = device, {}
+        self.device, self.groups = device, {}  # of each group (name, pictures): more than one where it was labelled again
 
     def add(self, packed):
         """A [`pack.Packed`]."""
@@ -70,7 +70,11 @@ class Pictures:
             send(packed.region, torch.uint8) if labelled else None, send(packed.kinds, torch.uint8) if labelled else None,
             packed.sparse, 0.02 if packed.sparse else 0.4 * known,
         )  # fmt: skip
-        self.groups.setdefault(packed.group, {}).setdefault(packed.name.removesuffix(".b"), []).append(held)
+        own, name = self.groups.setdefault(packed.group, []), packed.name.removesuffix(".b")
+        if packed.name != name and (first := next((n for n in own if n[0] == name), None)):
+            first[1].append(held)
+        else:
+            own.append((name, [held]))
 
     def count(self, group):
         """Of pictures in a group, or in all families of scenes."""
@@ -85,10 +89,8 @@ class Pictures:
 
     def drawn(self, shape, group, rng):
         """A picture of a group; such as are about as wide as the batch are drawn more often."""
-        own = self.groups[group]
-        names = own if isinstance(own, list) else list(own)
         for _ in range(TRIES):
-            held = rng.choice(own[rng.choice(names)])
+            held = rng.choice(rng.choice(self.groups[group])[1])
             off = math.log(held.rgb.shape[2] / held.rgb.shape[1] * shape[0] / shape[1])
             if rng.random() < math.exp(-4 * abs(off)):
                 break

@@ -75,6 +75,8 @@ class Renderers:
         self.ended.set()
         for process in self.running.values():
             process.terminate()
+            process.wait()
+        shutil.rmtree(self.folder, ignore_errors=True)
 
 
 def textures(pictures, folder):

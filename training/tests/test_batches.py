@@ -35,7 +35,7 @@ def held(value, region=None):
     pictures = batches.Pictures(CPU)
     none = np.zeros(value.shape, np.uint8)
     pictures.add(pack.Packed("x", "label", "disparity", False, rgb, value, none if region is None else region, np.uint8([0, 4, 1])))
-    return pictures.groups["label"]["x"][0]
+    return pictures.groups["label"][0][1][0]
 
 
 class Batches(unittest.TestCase):
