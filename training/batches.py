@@ -71,8 +71,9 @@ class Pictures:
             packed.sparse, 0.02 if packed.sparse else 0.4 * known,
         )  # fmt: skip
         own, name = self.groups.setdefault(packed.group, []), packed.name.removesuffix(".b")
-        if packed.name != name and (first := next((n for n in own if n[0] == name), None)):
-            first[1].append(held)
+        again = next((n for n in own if n[0] == name), None) if packed.group == "label" else None
+        if again is not None:
+            again[1].append(held)
         else:
             own.append((name, [held]))
 

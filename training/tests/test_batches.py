@@ -50,6 +50,12 @@ class Batches(unittest.TestCase):
         want = batches.SHARES["label"] / (batches.SHARES["label"] + batches.SHARES["rgbd"])
         self.assertAlmostEqual(drawn.count("label") / len(drawn), want, delta=0.08)
 
+    def test_two_labels_of_a_photograph_count_half_each(self):
+        pictures = batches.Pictures(CPU)
+        for name in ("a.b", "a", "c"):
+            pictures.add(next(pack.Packed(**vars(p) | {"name": name}) for p in packed() if p.group == "label"))
+        self.assertEqual([(name, len(own)) for name, own in pictures.groups["label"]], [("a", 2), ("c", 1)])
+
     def test_colours_map_and_regions_are_cropped_alike(self):
         ramp = np.tile(np.linspace(0, 1, 320), (240, 1))
         region = np.where(ramp > 0.5, 2, 1).astype(np.uint8)
