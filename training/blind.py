@@ -18,7 +18,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from network import told
 from paths import DATA, RUNS
 
 FOLDERS = ("photos/imagenet", "photos/bsds_train", "photos/mlsharp", "photos/tmpi")
@@ -31,8 +30,7 @@ POSE = "-0.06,0,0"
 def made(program, network, photo):
     """Depth and a view from the left, both BGR."""
     run = lambda *command: subprocess.run([program, *map(str, command)], check=True, stdout=subprocess.DEVNULL)
-    # files of before have a ramp in their graph
-    how = ["--quiet", "--depth-model", f"tmpi={network}", *([] if told(network).get("ramp") == "0" else ["--depth-ramp", 0])]
+    how = ["--quiet", "--depth-model", f"tmpi={network}"]
     with tempfile.TemporaryDirectory() as folder:
         container, depth, view = (Path(folder) / n for n in ("a.tmpi", "depth.png", "view.png"))
         run("depth", *how, "-o", depth, photo)

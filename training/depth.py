@@ -1,211 +1,168 @@
-"""Trains the decoder of the monocular depth network on cached feature maps (`cache.py`): rendered scenes, photographs labelled by eye, and gathered depth."""
+"""Trains the monocular depth network end to end: on rendered scenes, photographs labelled by eye, gathered depth, and photographs that its own running
+mean teaches. On a processor or a graphics card.
+
+    python depth.py --renderers 1                                                      # from the published encoder
+    python depth.py --renderers 1 --init FILE.pt --lr 1e-3                             # from a checkpoint
+    python depth.py --scenes runs/data/train runs/data/models --steps 400 --batch 12   # on scenes that are there: repeatable to the bit on a processor
+"""
 
 import argparse
-import bisect
-import hashlib
-import itertools
-import json
+import copy
+from pathlib import Path
 
+import cv2
 import numpy as np
 import torch
 
-import cache
+import augment
 import common
+import eval_depth
 import losses
 import loop
-from network import DepthNet, MobileNetV2, Shipped
-from paths import RUNS
+import network
+import pack
+import render
+import sources
+from batches import Pictures
+from paths import HERE, RUNS
 
-# share of a batch that each group of pictures makes, where there are any
-SHARES = {"scene": 0.5, "label": 0.22, "rgbd": 0.1, "stereo": 0.02, "pairs:depth": 0.12, "pairs:disparity": 0.02, "pairs:order": 0.02}
-# how often a family of scenes is drawn: photographs have more ground in them than `tmpi synth` has by itself
-FAMILIES = {
-    "room": 0.14, "corridor": 0.03, "lounge": 0.09, "kitchen": 0.08, "street": 0.09, "field": 0.17, "water": 0.05, "terrain": 0.03, "crowd": 0.04,
-    "thin": 0.02, "foliage": 0.02, "shelf": 0.06, "heap": 0.06, "table": 0.08, "closeup": 0.05, "drape": 0.03, "figures": 0.04, "floating": 0.01,
-    "inside": 0.05,
-}  # fmt: skip
 # share of a picture's worst pixels that counts for nothing: rendered disparity is exact, the rest is not; and the weight of its gradients, by how
 # well edges of the map lie on those of the photo
 TRUST = {"scene": (0.0, 1.0), "label": (0.05, 1.0), "rgbd": (0.1, 0.3), "stereo": (0.2, 0.1), "pairs:depth": (0.05, 0.5), "pairs:disparity": (0.1, 0.5)}
+# the same of what the running mean teaches
+TAUGHT = (0.1, 0.5)
+# weight of each part of the loss
+WEIGHTS = {"error": 1.0, "gradient": 1.0, "order": 1.0, "border": 1.0, "whole": 0.5, "sky": 0.5, "photo": 1.0}
+# scenes without which no training begins, and steps after which new ones are looked for
+LEAST, LOOK = 200, 20
+# steps after which a mean of new weights is worth learning from, and has its whole weight
+GROWN = (200, 600)
 
 
-def first_labels(records, count):
-    """Names of the labels of `count` photographs (none: of all), each choice within the larger ones: the order is that of digests."""
-    photo = lambda name: name.removesuffix(".b")  # labelled a second time
-    names = {name for name, group, _, _ in records if group == "label"}
-    some = set(sorted(set(map(photo, names)), key=lambda name: hashlib.sha256(name.encode()).digest())[:count])
-    return {name for name in names if photo(name) in some}
-
-
-class Records:
-    """Batches of the cache: what a step gets is a function of the seed and the step."""
-
-    def __init__(self, folders, seed, batch, shares=SHARES, both=True, labels=None, families=FAMILIES):
-        self.families = families
-        self.folders, self.seed, self.batch = [common.Path(f) for f in folders], seed, batch
-        for folder in self.folders:
-            if not (folder / "cache.json").exists():
-                raise SystemExit(f"{folder}: no finished cache; see cache.py")
-        about = [json.loads((f / "cache.json").read_text()) for f in self.folders]
-        self.channels = about[0]["channels"]
-        # MobileNetV2's channels stand before YOLOX's
-        self.used = self.channels if both else MobileNetV2.CHANNELS
-        # records of a shape: those of each cache in turn; `maps` are their files, and the row at which each begins
-        kept, self.maps, counts = {}, {}, {}
-        some = first_labels(itertools.chain(*(v for known in about for v in known["records"].values())), labels)
-        for folder, known in zip(self.folders, about):
-            for name, records in known["records"].items():
-                shape = tuple(map(int, name.split("x")))
-                own = cache.mapped(folder / cache.file_of(shape), cache.layout(shape, self.channels), len(records))
-                self.maps.setdefault(shape, []).append((len(kept.get(shape, [])), own))
-                kept[shape] = kept.get(shape, []) + records
-        learnt = lambda r: r[1] != "label" or r[0] in some
-        for _, group, _, _ in filter(learnt, itertools.chain(*kept.values())):
-            counts[group] = counts.get(group, 0) + 1
-        weight = {g: self.share(g, counts, shares) / n for g, n in counts.items()}
-        self.shapes = list(kept)
-        self.sums = {s: list(itertools.accumulate(weight[r[1]] if learnt(r) else 0 for r in v)) for s, v in kept.items()}
-        self.groups = {s: [(r[1].split(":")[0] if r[1].startswith("scene") else r[1], r[2]) for r in v] for s, v in kept.items()}
-        banks = (cache.mapped(f / "statistics.bin", cache.statistics_layout(self.channels), k["statistics"]) for f, k in zip(self.folders, about))
-        self.bank = np.concatenate([b for b in banks if b is not None])
-
-    def share(self, group, counts, shares):
-        """Share of a group, or of a family of scenes, in all batches."""
-        name = group.split(":")[0] if group.startswith("scene") else group
-        if not group.startswith("scene"):
-            return shares.get(name, 0)
-        family = {k: v for k, v in self.families.items() if f"scene:{k}" in counts}
-        return shares.get("scene", 0) * family[group.split(":")[1]] / sum(family.values())
-
-    def at(self, step):
-        """Feature maps [N, C, h, w], channels last, their statistics [N, 2, C], the map to learn [N, H, W], regions and kinds of it, and (group, space)
-        of each picture. Every batch has about as many pixels."""
-        rng = loop.stream(self.seed, "batch", step)
-        shape = rng.choices(self.shapes, [self.sums[s][-1] for s in self.shapes])[0]
-        sums, count = self.sums[shape], max(4, round(self.batch * cache.AREA / (shape[0] * shape[1])))
-        rows = sorted(min(bisect.bisect(sums, rng.random() * sums[-1]), len(sums) - 1) for _ in range(count))
-        own = [(m, [r - start for r in rows if start <= r < start + len(m)]) for start, m in self.maps[shape]]
-        got = np.concatenate([m[r] for m, r in own if r])
-        features = [torch.from_numpy(got[f"f{i}"][..., :c].astype(np.float32)).permute(0, 3, 1, 2) for i, c in enumerate(self.used)]
-        own = [torch.from_numpy(got[f"s{i}"][:, :, :c].copy()) for i, c in enumerate(self.used)]
-        told = [torch.from_numpy(got[k].astype(t)) for k, t in (("value", np.float32), ("region", np.int64), ("kind", np.int64))]
-        return features, own, *told, [self.groups[shape][r] for r in rows]
-
-    def statistics(self):
-        """Channel means and deviations of photographs: per level [N, 2, C]."""
-        return [torch.from_numpy(self.bank[f"s{i}"][:, :, :c].copy()) for i, c in enumerate(self.used)]
-
-    def inputs(self):
-        return {"cache": [f for folder in self.folders for f in (folder / "cache.json", folder / "inputs.sha256", *sorted(folder.glob("*.bin")))]}
-
-
-def restyled(features, own, bank):
-    """Half of the samples get channel statistics on the way to those of a photograph, the same one at every level.
-
-    What the colours and textures of rendered scenes do to the frozen encoders then matters less (MixStyle, Zhou et al. 2021)."""
-    n = features[0].shape[0]
-    share = torch.distributions.Beta(0.3, 0.3).sample((n, 1))
-    share = torch.where(torch.rand(n, 1) < 0.5, torch.ones(()), share)
-    pick, out = torch.randint(len(bank[0]), (n,)), []
-    for f, s, b in zip(features, own, bank):
-        mean, std = s.unbind(1)
-        to_mean, to_std = b[pick].unbind(1)
-        gain = share + (1 - share) * to_std / std
-        shift = share * mean + (1 - share) * to_mean - mean * gain
-        out.append(torch.addcmul(shift[..., None, None], f, gain[..., None, None]))
-    return out
-
-
-def loss_of(p, value, region, kind, of, generator, weights):
-    """Sum of all that is known of a batch, and its parts: means over the batch's pictures; p is [N, H, W]."""
+def loss_of(p, batch, taught, generator, weights=WEIGHTS):
+    """Sum of all that is known of a batch, and its parts: means over the batch's pictures; p is [N, H, W], `taught` what the running mean says of its
+    photographs without a map."""
     parts = {}
 
-    def some(wanted):
-        return [i for i, (g, s) in enumerate(of) if wanted(g, s)]
-
-    def add(name, per_picture):
-        parts[name] = parts.get(name, 0.0) + per_picture.sum() / len(of)
+    def add(name, per_picture, at):
+        parts[name] = parts.get(name, 0.0) + (per_picture * batch.good[at]).sum() / len(batch.of)
 
     for space, known in (("disparity", losses.disparity), ("depth", losses.depth)):
-        if at := some(lambda g, s: s == space):
-            trim, sharp = torch.tensor([TRUST[of[i][0]] for i in at]).unbind(1)
-            error, gradients = known(p[at], value[at], trim)
-            add("error", error)
-            add("gradient", gradients * sharp)
-    if at := some(lambda g, s: s == "order"):
-        add("order", losses.order(p[at], value[at], generator))
-    if at := some(lambda g, s: g == "label"):
-        wrong, broken = losses.things(p[at], value[at], region[at], kind[at])
-        add("border", wrong)
-        add("whole", broken)
-        add("sky", losses.sky(p[at], kind[at]))
+        if at := batch.where(lambda g, s: s == space):
+            trim, sharp = torch.tensor([TRUST[batch.of[i][0]] for i in at], device=p.device).unbind(1)
+            error, gradients = known(p[at], batch.value[at], trim)
+            add("error", error, at)
+            add("gradient", gradients * sharp, at)
+    if at := batch.where(lambda g, s: s == "order"):
+        add("order", losses.order(p[at], batch.value[at], generator), at)
+    if at := batch.where(lambda g, s: g == "label"):
+        wrong, broken = losses.things(p[at], batch.value[at], batch.region[at], batch.kind[at])
+        add("border", wrong, at)
+        add("whole", broken, at)
+        add("sky", losses.sky(p[at], batch.kind[at]), at)
+    if taught is not None:
+        at = batch.where(lambda g, s: s == "none")
+        error, gradients = losses.disparity(p[at], taught, torch.full((len(at),), TAUGHT[0], device=p.device))
+        parts["photo"] = (error + TAUGHT[1] * gradients).sum() / len(batch.of)
     return {"loss": sum(weights[k] * v for k, v in parts.items()), **parts}
 
 
-# weight of each part of the loss
-WEIGHTS = {"error": 1.0, "gradient": 1.0, "order": 1.0, "border": 1.0, "whole": 0.5, "sky": 0.5}
+@torch.no_grad()
+def teach(mean, rgb):
+    """What the running mean says of photographs, and of their mirror images."""
+    straight, turned = (losses.unit(mean.half(network.normal(x))[:, 0]) for x in (rgb, rgb.flip(3)))
+    return losses.unit(straight + turned.flip(2))
+
+
+class Steps:
+    """The loss of each step."""
+
+    def __init__(self, net, mean, pictures, args, renderers=None):
+        self.net, self.mean, self.pictures, self.args, self.renderers = net, mean, pictures, args, renderers
+
+    def lesson(self, step):
+        """Share of its weight that what the running mean teaches has."""
+        return 1.0 if self.args.init else min(1.0, max(0.0, (step - GROWN[0]) / (GROWN[1] - GROWN[0])))
+
+    def loss_at(self, step):
+        if self.renderers is not None and step % LOOK == 0:
+            for scene in self.renderers.taken():
+                self.pictures.add(scene)
+        rng = loop.stream(self.args.seed, "batch", step)
+        batch = self.pictures.batch(self.args.batch, rng)
+        photos, lesson = batch.where(lambda g, s: s == "none"), self.lesson(step)
+        memory, device = torch.channels_last, batch.rgb.device.type
+        with torch.autocast(device, torch.bfloat16, enabled=device == "cuda"):
+            taught = teach(self.mean, batch.rgb[photos].contiguous(memory_format=memory)) if photos and lesson else None
+            x = network.normal(augment.photometric(batch.rgb, batch.value, rng)).contiguous(memory_format=memory)
+            p = self.net.half(x)[:, 0]
+        generator = torch.Generator().manual_seed(rng.getrandbits(60))
+        return loss_of(p, batch, taught, generator, WEIGHTS | {"photo": WEIGHTS["photo"] * lesson})
+
+
+def measured(net, sets, device, ramp=0.05):
+    """RMSE / deviation of each set to choose by, and `score`, their mean."""
+    net.eval()
+    shipped = network.Shipped(lambda x: net(x.to(device)).cpu(), ramp=ramp)
+    found = {k: v["net"] for k, v in eval_depth.evaluate(shipped, sets).items()}
+    return found | ({"score": float(np.mean(list(found.values())))} if found else {})
+
+
+def started(init):
+    """The network at the start: of a checkpoint, or new behind the published encoder."""
+    net = network.DepthNet(drop=0.1, mix=0.4)
+    if init:
+        net.load_state_dict(torch.load(init, map_location="cpu", weights_only=False)["mean"])
+    else:
+        net.encoder.take_published()
+    return net
 
 
 def main():
-    a = argparse.ArgumentParser(description=__doc__)
-    a.add_argument("--cache", nargs="+", default=[str(RUNS / "cache")], help="folders of cache.py, the later ones built --beside the first")
+    a = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    a.add_argument("--pack", type=Path, default=pack.FILE, help="what pack.py made")
+    a.add_argument("--scenes", nargs="*", default=[], help="folders of scenes of `tmpi synth`")
+    a.add_argument("--renderers", type=int, default=0, help="processes that render further scenes meanwhile; such a run cannot be repeated to the bit")
+    a.add_argument("--program", default=str(HERE.parent / "target" / "release" / "tmpi"), help="what renders")
+    a.add_argument("--models", help="folder of binary glTF files with z up for the renderers")
+    a.add_argument("--init", help="checkpoint whose running mean to begin with")
     a.add_argument("--out", default=str(RUNS / "depth"))
-    a.add_argument("--batch", type=int, default=16, help="pictures of 128 × 192; of larger ones fewer")
+    a.add_argument("--batch", type=int, default=96, help="pictures; on a processor about 12")
     a.add_argument("--lr", type=float, default=2e-3)
-    a.add_argument("--style", choices=["off", "photos"], default="photos", help="whether channel statistics of photographs are mixed in")
-    a.add_argument("--shares", nargs="*", default=[], metavar="GROUP=SHARE", help="other shares of a batch than SHARES")
-    a.add_argument("--families", nargs="*", default=[], metavar="FAMILY=SHARE", help="other shares of the scenes than FAMILIES")
-    a.add_argument("--labels", type=int, metavar="N", help="only so many of the labelled photographs, to see what more of them are worth")
-    a.add_argument("--weights", nargs="*", default=[], metavar="PART=WEIGHT", help="other weights of the loss than WEIGHTS")
-    a.add_argument("--encoder", choices=["mobilenet", "both"], default="both", help="MobileNetV2, or with YOLOX-nano beside it")
-    a.add_argument("--ramp", type=float, default=0.05, help="share of the vertical ramp by which checkpoints are measured: the program's for photos")
-    a.add_argument("--drop", type=float, default=0.15, help="share of the encoders' channels that each sample goes without")
-    a.add_argument("--ema", type=float, default=0.998, help="decay of the mean over weights")
-    a.add_argument("--init", help="checkpoint whose weights to begin with, their running mean, or an exported network")
-    a.add_argument("--decay", type=float, default=1e-2, help="weight decay of the decoder")
-    a.add_argument("--tune", type=float, default=0.0, metavar="GAIN", help="share of the rate at which MobileNetV2's later stages learn too; 0: they are frozen")
-    loop.arguments(a, steps=20000, seed=1, every=1000)
+    a.add_argument("--gain", type=float, default=0.25, help="share of the rate at which the encoder learns")
+    a.add_argument("--decay", type=float, default=2e-2, help="weight decay of the decoder")
+    a.add_argument("--ema", type=float, default=0.9985, help="decay of the mean over weights")
+    loop.arguments(a, steps=10000, seed=1, every=250)
     a = a.parse_args()
-    import eval_depth  # here, because it reads real pictures
-
-    told = lambda given, known: {**known, **{k: float(v) for k, v in (g.split("=") for g in given)}}
-    records = Records(a.cache, a.seed, a.batch, told(a.shares, SHARES), a.encoder == "both", a.labels, told(a.families, FAMILIES))
-    weights, bank = told(a.weights, WEIGHTS), records.statistics() if a.style == "photos" else None
+    cv2.setNumThreads(1)
+    device, packed = common.device(), list(pack.opened(a.pack))
+    pictures, out = Pictures(device), Path(a.out)
+    scenes = sources.scenes(a.scenes) if a.scenes else []
+    for p in [*(p for p in packed if not p.group.startswith(pack.CHOICE)), *map(render.read, scenes)]:
+        pictures.add(p)
     loop.seed_all(a.seed)
-    net = DepthNet(a.encoder == "both", a.drop)
-    net.decoder.to(memory_format=torch.channels_last)
-    inputs = records.inputs() | {"encoders": cache.network.FILES}
-    if a.init:
-        inputs["start"] = [a.init]
-        if a.init.endswith(".onnx"):
-            net.decoder.take(a.init, (records.at(-step)[0] for step in range(1, 17)))
-        else:
-            net.load(torch.load(a.init, weights_only=False))
-    slow = net.encoder.classifier.unfreeze() if a.tune else []
-    out = common.Path(a.out)
-    out.mkdir(parents=True, exist_ok=True)
-    if not a.tune:
-        net.use_runtime(out / "encoders.onnx", a.threads)
-    sets = eval_depth.load_sets("wide")
-    inputs["chosen by"] = eval_depth.files("wide")
-
-    def loss_at(step):
-        features, own, value, region, kind, of = records.at(step)
-        features = features if bank is None else restyled(features, own, bank)
-        features = net.retaken(features) if a.tune else features
-        generator = torch.Generator().manual_seed(loop.stream(a.seed, "pairs", step).getrandbits(60))
-        return loss_of(net.decoder.half(features)[:, 0], value, region, kind, of, generator, weights)
-
-    def measure(mean):
-        live = net.decoder
-        net.decoder = live if a.tune else mean
-        found = {k: v["net"] for k, v in eval_depth.evaluate(Shipped((mean if a.tune else net).eval(), a.ramp), sets).items()}
-        net.decoder = live
-        return found | ({"score": float(np.mean(list(found.values())))} if found else {})
-
-    plan = loop.Plan(steps=a.steps, lr=a.lr, weight_decay=a.decay, ema=a.ema, every=a.every, seed=a.seed, threads=a.threads)
-    options = loop.remaining(a, "cache", "init", "decay") | {"init": bool(a.init)}
-    loop.train(out, plan, net if a.tune else net.decoder, loss_at, inputs, options, measure, a.stop, slow=slow, gain=a.tune)
+    net = started(a.init).to(device, memory_format=torch.channels_last)
+    mean = copy.deepcopy(net).eval()
+    inputs = {"pack": [a.pack], "scenes": [f for s in scenes for f in s.files], "start": [a.init or network.published()]}
+    renderers = None
+    if a.renderers:
+        first = render.FIRST + loop.stream(a.seed, "scenes", loop.reached(out)).randrange(10**9) * 1000
+        renderers = render.Renderers(a.program, a.renderers, out / "rendered", first, render.textures(packed, out / "textures"), a.models)
+        while pictures.count("scene") < LEAST:
+            for scene in renderers.taken(wait=True):
+                pictures.add(scene)
+    plan = loop.Plan(steps=a.steps, lr=a.lr, weight_decay=a.decay, ema=a.ema, every=a.every, seed=a.seed, threads=a.threads, warm=200)
+    steps = Steps(net, mean, pictures, a, renderers)
+    sets = pack.sets_of(packed)
+    options = loop.remaining(a, "pack", "scenes", "renderers", "program", "models", "init", "decay", "lr", "ema") | {"init": bool(a.init)}
+    try:
+        loop.train(
+            out, plan, net, steps.loss_at, inputs, options, lambda m: measured(m, sets, device), a.stop, a.minutes, mean,
+            slow=list(net.encoder.parameters()), gain=a.gain,
+        )  # fmt: skip
+    finally:
+        if renderers is not None:
+            renderers.close()
 
 
 if __name__ == "__main__":

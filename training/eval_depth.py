@@ -12,11 +12,11 @@ import torch
 import common
 import sources
 import things
-from network import MEAN, STD, DepthNet, Shipped, told
+from network import DepthNet, Shipped, normal
 from paths import DATA
 
 # pixels at which the program runs the network
-AREA = 128 * 192
+AREA = 192 * 256
 
 
 def size_for(h, w, area=AREA):
@@ -56,10 +56,6 @@ def further():
     found += [("svmpi", f / "input.png", f / "expected_disp16.png", "disparity") for f in sorted((DATA / "mpi_peers").glob("svmpi_*"))]
     found += [("kitti", f, single / "kitti_demo" / "depth" / f.name, "depth") for f in sorted((single / "kitti_demo" / "rgb").glob("*.png"))]
     return [f for f in found if f[2].exists()]
-
-
-def files(part):
-    return [f for _, photo, depth, _ in listed(part) for f in (photo, depth)]
 
 
 def load_sets(part):
@@ -121,20 +117,13 @@ def scores(p, t, valid):
 
 
 @torch.no_grad()
-def predict(net, rgb, areas=(AREA,), flip=False):
+def predict(net, rgb, area=AREA):
+    """The map of a network for a picture of any size, at that size."""
     h, w = rgb.shape[:2]
-    total = 0
-    for area in areas:
-        th, tw = size_for(h, w, area)
-        small = cv2.resize(rgb, (tw, th), interpolation=cv2.INTER_AREA if tw < w else cv2.INTER_LINEAR)
-        x = ((common.chw(small) - MEAN) / STD)[None]
-        p = net(x)
-        if flip:
-            p = 0.5 * (p + net(x.flip(3)).flip(3))
-        p = p[0, 0].double().numpy()
-        p = (p - np.median(p)) / max(1e-9, np.abs(p - np.median(p)).mean())
-        total = total + cv2.resize(p, (w, h), interpolation=cv2.INTER_LINEAR)
-    return total / len(areas)
+    th, tw = size_for(h, w, area)
+    small = cv2.resize(rgb, (tw, th), interpolation=cv2.INTER_AREA if tw < w else cv2.INTER_LINEAR)
+    p = net(normal(common.chw(small))[None])[0, 0].double().numpy()
+    return cv2.resize(p, (w, h), interpolation=cv2.INTER_LINEAR)
 
 
 class Program:
@@ -204,7 +193,6 @@ class Onnx:
         options = ort.SessionOptions()
         options.intra_op_num_threads = 1
         self.session = ort.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
-        self.about = told(path)
 
     def __call__(self, x):
         return torch.from_numpy(self.session.run(None, {"image": x.numpy()})[0])
@@ -213,17 +201,17 @@ class Onnx:
 def opened(model, flags):
     """The network of a file, or the program."""
     if model.endswith(".pt"):
-        return DepthNet.of(torch.load(model, weights_only=False))
+        return DepthNet.of(model)
     return Onnx(model) if model.endswith(".onnx") else Program(model, flags)
 
 
 def main():
     a = argparse.ArgumentParser(description=__doc__)
     a.add_argument("model", help="depth.onnx, a checkpoint .pt, or the program tmpi: the whole way of `tmpi depth`")
-    a.add_argument("--flip", action="store_true")
-    a.add_argument("--areas", type=int, nargs="+", default=[AREA])
+    a.add_argument("--mirrored", action="store_true", help="the mean of a file's or checkpoint's map and that of the mirrored picture; the program has --flip")
+    a.add_argument("--area", type=int, default=AREA, help="pixels at which a file or a checkpoint is run; the program has --depth-pixels")
     a.add_argument("--part", choices=["all", "choose", "wide", "report"], default="report", help="the pictures that nothing is chosen by, those that checkpoints are chosen by, these with further ones, or both")
-    a.add_argument("--ramp", type=float, default=0.05, help="share of the vertical ramp that a checkpoint or a file gets which has none, as from the program; the program has --depth-ramp")
+    a.add_argument("--ramp", type=float, default=0.05, help="share of the vertical ramp that the map of a file or a checkpoint gets; the program has --depth-ramp")
     a.add_argument("--json", action="store_true")
     a, flags = a.parse_known_args()  # what is left over goes to the program
     torch.set_num_threads(1)
@@ -232,19 +220,18 @@ def main():
         print("TMPI_DATA is not there: nothing to measure")
         return
     net = opened(a.model, flags)
-    # files of before have a ramp in their graph, and those of after say that they have none
-    bare = isinstance(net, DepthNet) or isinstance(net, Onnx) and net.about.get("ramp") == "0"
-    net = Shipped(net, a.ramp) if bare else net
-    how = {"flip": a.flip, "areas": a.areas}
-    result = evaluate(net, sets, **how)
+    if not isinstance(net, Program):
+        net = Shipped(net, a.mirrored, a.ramp)
+    result = evaluate(net, sets, area=a.area)
     # held-out labels are never chosen by
-    objects = evaluate_things(net, sources.labels(held=True), **how) if a.part in ("all", "report") else None
+    objects = evaluate_things(net, sources.labels(held=True), area=a.area) if a.part in ("all", "report") else None
     if a.json:
         print(json.dumps({"sets": result, "things": objects}))
         return
     print(f"part: {a.part}\nset          pictures  RMSE/std net  ramp   Spearman net  ramp   <1.25 net  ramp")
     for k, v in result.items():
         print(f"{k:12} {v['pictures']:8}  " + "   ".join(f"{n:10.3f} {r:6.3f}" for n, r in zip(v["all"], v["all_ramp"])))
+    print(f"mean {np.mean([v['net'] for v in result.values()]):.4f}")
     if objects:
         print(f"\nthings of {len(objects['pictures'])} held-out labelled photographs      net    ramp")
         for k in objects["net"]:

@@ -4,46 +4,44 @@ import argparse
 
 import numpy as np
 import torch
+from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 import common
+import graph
 import manifest
 from common import MODELS, RUNS
-from graph import Graph, check, halved, mean, mirrored, unit
+from graph import Graph, check, halved
+from network import Conv, DepthNet, Shipped
 
 LICENCE = "MIT OR Apache-2.0"
 
 
-def depth(path, files, mirror):
-    """One network of the decoders of all `files`; see `network.Mean`."""
-    from network import Mean, MobileNetV2, Shipped
-
-    net = Mean.of(files, mirror).eval()
-    fold_into_half(net)
+def depth(path, checkpoint):
+    net = folded(DepthNet.of(checkpoint))
     g = Graph("tmpi depth")
-    x = g.input("image", ["n", 3, "h", "w"])
-    both = g.op("Concat", x, mirrored(g, x), axis=0) if mirror else x
-    p = mean(g, net.encoder.written(g, both), net.decoders, mirror, MobileNetV2.CHANNELS)
-    g.output(unit(g, p), "disparity", ["n", 1, "h", "w"])
-    about = {"licence": LICENCE + "; encoders: MobileNetV2, YOLOX-nano, Apache-2.0", "decoders": str(len(net.decoders)), "mirrored": str(mirror), "ramp": "0"}
-    g.save(path, about)
+    g.output(graph.depth(g, g.input("image", ["n", 3, "h", "w"]), net), "disparity", ["n", 1, "h", "w"])
+    g.save(path, {"licence": f"{LICENCE}; encoder: EfficientNet-Lite2, Apache-2.0"})
     inputs = [{"image": torch.randn(n, 3, h, w)} for n, h, w in ((1, 192, 288), (2, 96, 288), (1, 288, 96))]
     return [check(path, Shipped(net), i) for i in inputs]
 
 
-def fold_into_half(net):
-    """Folds BatchNorm into its convolution and rounds weights as they stand in the file."""
-    from torch.nn.utils.fusion import fuse_conv_bn_eval
-
-    for d in net.decoders:
-        for join in [d.mix, *d.join]:
-            join[0], join[1] = fuse_conv_bn_eval(join[0], join[1]), torch.nn.Identity()
-    halved(net)
+@torch.no_grad()
+def folded(net):
+    """The network with all factors and BatchNorms folded into convolutions, and rounded as its weights stand in the file."""
+    for m in net.modules():
+        if isinstance(m, Conv):
+            m.weight.copy_(m.folded())
+            m.scale.fill_(1)
+    for b in net.decoder.blocks():
+        b[0], b[1] = fuse_conv_bn_eval(b[0], b[1]), torch.nn.Identity()
+    return halved(net)
 
 
 def theta(path, checkpoint):
     from theta import Theta
 
     net = Theta().eval()
+    checkpoint = torch.load(checkpoint, weights_only=False, map_location="cpu")
     net.load_state_dict(checkpoint["mean"])
     g = Graph("tmpi theta", half=False)
     x = g.input("input", ["n", 4, "h", "w"])
@@ -96,6 +94,7 @@ def psi(path, checkpoint):
     from psi import Psi
 
     net = Psi().eval()
+    checkpoint = torch.load(checkpoint, weights_only=False, map_location="cpu")
     net.load_state_dict(checkpoint["mean"])
     g = Graph("tmpi psi", half=False)
     x = g.input("layers", ["n", 9, "h", "w"])
@@ -119,22 +118,16 @@ def psi(path, checkpoint):
 def main():
     a = argparse.ArgumentParser(description=__doc__)
     a.add_argument("model", choices=["depth", "theta", "psi"])
-    a.add_argument("--checkpoint", nargs="+", type=common.Path, help="of depth also several, whose decoders become one network, and exported networks, of which all decoders are taken")
-    a.add_argument("--mirror", action="store_true", help="the depth network also sees the mirrored picture: the mean of both")
-    a.add_argument("--out", help="another file than models/NAME.onnx, whose card is then left alone")
+    a.add_argument("--checkpoint", type=common.Path)
+    a.add_argument("--out", type=common.Path, help="another file than models/NAME.onnx, whose card is then left alone")
     a = a.parse_args()
     torch.manual_seed(0)
     torch.set_num_threads(1)
-    name = {"depth": "depth/best.pt", "theta": "theta/last.pt", "psi": "psi/last.pt"}[a.model]
-    path = common.Path(a.out or MODELS / f"{a.model}.onnx")
+    path = a.out or MODELS / f"{a.model}.onnx"
     path.parent.mkdir(parents=True, exist_ok=True)
-    sources = a.checkpoint or [RUNS / name]
-    if a.model == "depth":
-        worst = depth(path, sources, a.mirror)
-    else:
-        checkpoint = torch.load(sources[0], weights_only=False, map_location="cpu")
-        worst = theta(path, checkpoint) if a.model == "theta" else psi(path, checkpoint)
-    told = [manifest.exported(s, path) for s in sources]
+    source = a.checkpoint or RUNS / {"depth": "depth/best.pt", "theta": "theta/last.pt", "psi": "psi/last.pt"}[a.model]
+    worst = {"depth": depth, "theta": theta, "psi": psi}[a.model](path, source)
+    told = manifest.exported(source, path)
     if not a.out:
         manifest.into_card(path.with_suffix(".md"), manifest.block(path, told))
     print(f"{path}: {path.stat().st_size} bytes, ONNX Runtime − PyTorch at most {max(worst):.1e}")

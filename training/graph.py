@@ -1,4 +1,4 @@
-"""Writes ONNX graphs node by node: every dimension dynamic, BatchNorm folded, large weights stored as float16."""
+"""Writes ONNX graphs node by node: every dimension dynamic, large weights stored as float16."""
 
 import numpy as np
 import onnx
@@ -43,14 +43,10 @@ class Graph:
         pads = pads if pads is not None else [k // 2] * 4
         return self.op("Conv", x, self.constant(weight), self.constant(bias), strides=[stride] * 2, pads=pads, group=group, kernel_shape=[k, k])
 
-    def layer(self, x, conv, norm=None, relu=False):
-        """A torch Conv2d with its BatchNorm folded in."""
-        w, b = conv.weight, conv.bias if conv.bias is not None else torch.zeros(conv.out_channels)
-        if isinstance(norm, torch.nn.BatchNorm2d):
-            s = norm.weight / torch.sqrt(norm.running_var + norm.eps)
-            w, b = w * s[:, None, None, None], (b - norm.running_mean) * s + norm.bias
+    def layer(self, x, conv, relu=False):
+        """A torch Conv2d."""
         p = conv.padding[0]
-        y = self.conv(x, w, b, conv.stride[0], [p] * 4, conv.groups)
+        y = self.conv(x, conv.weight, conv.bias, conv.stride[0], [p] * 4, conv.groups)
         return self.op("Relu", y) if relu else y
 
     def double(self, x):
@@ -105,19 +101,22 @@ def halved(module):
 
 
 def encoder(g, x, e):
-    """The frozen MobileNetV2 of depth.py; returns its five feature maps."""
-    x = g.op("Add", g.op("Mul", x, g.constant(e.scale)), g.constant(e.shift))
+    """The feature maps of `network.Encoder`."""
     zero, six = g.constant(np.float32(0)), g.constant(np.float32(6))
-    value = {e.ops[0]["i"]: x}
-    for op in e.ops:
-        if op["op"] == "add":
-            value[op["o"]] = g.op("Add", value[op["i"]], value[op["i2"]])
-            continue
-        w, b = getattr(e, f"w{op['k']}"), getattr(e, f"b{op['k']}")
-        pads = [0] * 4 if w.shape[-1] == 1 else [0, 0, 1, 1] if op["stride"] == 2 else [1] * 4
-        y = g.conv(value[op["i"]], w, b, op["stride"], pads, w.shape[0] if op["op"] == "dw" else 1)
-        value[op["o"]] = g.op("Clip", y, zero, six) if op["act"] == "relu6" else y
-    return [value[t] for t in e.taps]
+
+    def conv(x, c, relu=True):
+        before, behind = c.pads
+        y = g.conv(x, c.folded(), c.bias, c.stride, [before, before, behind, behind], c.groups)
+        return g.op("Clip", y, zero, six) if relu else y
+
+    x, found = conv(g.op("Add", g.op("Mul", x, g.constant(e.gain)), g.constant(e.shift)), e.stem), []
+    for n, block in enumerate(e.blocks):
+        y = x if block.expand is None else conv(x, block.expand)
+        y = conv(conv(y, block.depth), block.project, relu=False)
+        x = g.op("Add", x, y) if block.shortcut else y
+        if n in e.taps:
+            found.append(x)
+    return found
 
 
 def ones_of(g, x):
@@ -132,41 +131,22 @@ def unit(g, x):
     return g.op("Div", x, g.op("Sqrt", var))
 
 
-def mirrored(g, x):
-    """A map [N,C,H,W] with left and right exchanged."""
-    return g.op("Slice", x, *(g.constant([i], np.int64) for i in (-1, np.iinfo(np.int64).min, 3, -1)))
-
-
-def mean(g, features, decoders, mirror, channels):
-    """The map of `network.Mean`: of decoders that see all channels of the feature maps, or the first `channels` alone. Where `mirror`, the second half
-    of the batch is of the mirrored pictures."""
-    total, some = None, None
-    for d in decoders:
-        seen = features
-        if not d.both():
-            some = some or [g.op("Slice", f, *(g.constant([i], np.int64) for i in (0, c, 1))) for f, c in zip(features, channels)]
-            seen = some
-        p = unit(g, decoder(g, seen, d))
-        total = p if total is None else g.op("Add", total, p)
-    if mirror:
-        straight, turned = g.fresh("split"), g.fresh("split")
-        g.nodes.append(helper.make_node("Split", [total], [straight, turned], axis=0))
-        total = g.op("Add", straight, mirrored(g, turned))
-    return g.double(total)
-
-
 def decoder(g, features, d):
-    """The map at half of the picture's size."""
-    f5 = features[4]
-    one = ones_of(g, f5)
+    """The map of `network.Decoder`, whose BatchNorms are folded in."""
+    coarse = features[4]
+    one = ones_of(g, coarse)
     rows = g.op("CumSum", one, g.constant(np.int64(2), np.int64))
     total = g.op("ReduceSum", one, g.constant([2], np.int64), keepdims=1)
     row = g.op("Sub", g.op("Mul", g.op("Div", rows, total), g.constant(np.float32(2))), g.constant(np.float32(1)))
-    x = g.layer(g.op("Concat", f5, row, axis=1), d.top[0], relu=True)
+    x = g.layer(g.op("Concat", coarse, row, axis=1), d.top, relu=True)
     c = g.op("ReduceMean", x, axes=[2, 3], keepdims=1)
     c = g.layer(g.layer(c, d.context[0], relu=True), d.context[2])
-    x = g.layer(g.op("Add", x, c), d.mix[0], d.mix[1], relu=True)
+    x = g.layer(g.op("Add", x, c), d.mix[0], relu=True)
     for i in (3, 2, 1, 0):
-        side = g.layer(features[i], d.side[i])
-        x = g.layer(g.op("Concat", g.double(x), side, axis=1), d.join[i][0], d.join[i][1], relu=True)
+        x = g.layer(g.op("Concat", g.double(x), g.layer(features[i], d.side[i]), axis=1), d.join[i][0], relu=True)
     return g.layer(x, d.head)
+
+
+def depth(g, image, net):
+    """The map of `network.Shipped` without a ramp."""
+    return unit(g, g.double(decoder(g, encoder(g, image, net.encoder), net.decoder)))

@@ -77,11 +77,14 @@ def digest(value):
 
 def generators():
     """States of all generators that a step may draw from."""
-    return {"torch": torch.get_rng_state(), "numpy": np.random.get_state(), "python": random.getstate()}
+    cards = torch.cuda.get_rng_state_all() if torch.cuda.is_available() else []
+    return {"torch": torch.get_rng_state(), "cards": cards, "numpy": np.random.get_state(), "python": random.getstate()}
 
 
 def restore(states):
     torch.set_rng_state(states["torch"])
+    if len(states["cards"]) == torch.cuda.device_count():
+        torch.cuda.set_rng_state_all(states["cards"])
     np.random.set_state(states["numpy"])
     random.setstate(states["python"])
 
@@ -103,34 +106,45 @@ def blend(mean, live, step, decay):
             m.copy_(v)
 
 
+def reached(out):
+    """Steps that the run in a folder has come to."""
+    last = Path(out) / "last.pt"
+    return torch.load(last, weights_only=False, map_location="cpu")["step"] if last.exists() else 0
+
+
 def save(path, state):
     part = Path(f"{path}.part")
     torch.save(state, part)
     part.replace(path)
 
 
-def train(out, plan, net, loss_at, inputs, options=None, measure=None, stop=None, quiet=False, slow=(), gain=1.0):
+def train(out, plan, net, loss_at, inputs, options=None, measure=None, stop=None, minutes=None, mean=None, quiet=False, slow=(), gain=1.0):
     """Trains `net`, goes on from `out`/last.pt where that is there, and returns the state at the end.
 
     `loss_at(step)` gives a dictionary of scalar tensors of which `loss` is descended; `measure(mean)` gives figures of the running mean of the
     weights, of which the smallest `score`, if there is one, makes best.pt. `inputs` is what the run reads, by name: lists of files. `options` are
-    whatever else decides what the run does. `stop` ends it early, after that many steps, to go on later. The parameters `slow` learn at the share
-    `gain` of the rate and are not drawn to 0: they were trained elsewhere. Raises [`Changed`].
+    whatever else decides what the run does. `stop` ends it early, after that many steps, and `minutes` after so long, to go on later. `mean` is the
+    module that the running mean is kept in, where the caller has one: a copy of `net`. The parameters `slow` learn at the share `gain` of the rate and
+    are not drawn to 0: they were trained elsewhere. A step whose gradient is not finite is left out (`left out` in the log). Raises [`Changed`].
     """
     out = Path(out)
     out.mkdir(parents=True, exist_ok=True)
     torch.set_num_threads(plan.threads)
-    torch.use_deterministic_algorithms(True)
+    device = next(net.parameters()).device
+    # a card has no such algorithms for all that is needed here
+    torch.use_deterministic_algorithms(device.type == "cpu")
+    # it would try all algorithms anew for every shape
+    torch.backends.cudnn.benchmark = False
     wanted = {"plan": asdict(plan), "options": options or {}}
     params = [p for p in net.parameters() if p.requires_grad]
     groups, known = [], {id(p) for p in slow}
     for own, of in (([p for p in params if id(p) not in known], {}), (list(slow), {"gain": gain, "weight_decay": 0.0})):
         groups += [{"params": own, **of}] if own else []
     optimiser = torch.optim.AdamW(groups, plan.lr, weight_decay=plan.weight_decay)
-    mean = copy.deepcopy(net).eval()
+    mean = (copy.deepcopy(net) if mean is None else mean).eval().requires_grad_(False)
     step, best, rows, seen = 0, math.inf, [], {}
     if (out / "last.pt").exists():
-        s = torch.load(out / "last.pt", weights_only=False)
+        s = torch.load(out / "last.pt", weights_only=False, map_location="cpu")
         if s["wanted"] != wanted:
             raise Changed(f"{out}: begun with {s['wanted']}, not with {wanted}; name another folder with --out")
         net.load_state_dict(s["live"])
@@ -150,19 +164,23 @@ def train(out, plan, net, loss_at, inputs, options=None, measure=None, stop=None
             group["lr"] = rate(plan, step) * group.get("gain", 1.0)
         net.train()
         parts = loss_at(step)
-        if not torch.isfinite(parts["loss"]):
-            raise SystemExit(f"{out}: the loss of step {step} is {parts['loss'].item()}")
         optimiser.zero_grad()
         parts["loss"].backward()
-        torch.nn.utils.clip_grad_norm_(params, 1.0)
+        norm = torch.nn.utils.clip_grad_norm_(params, 1.0)
+        for p in params:
+            if p.grad is not None:
+                p.grad.nan_to_num_(0, 0, 0)
         optimiser.step()
         step += 1
         blend(mean, net, step, plan.ema)
-        for k, v in parts.items():
-            seen.setdefault(k, []).append(v.item())
+        # figures stay on the device until they are told: fetching one waits for all that it has under way
+        for k, v in (parts | {"left out": (~norm.isfinite()).float()}).items():
+            seen.setdefault(k, []).append(v.detach())
+        if minutes and time.time() - start > 60 * minutes:
+            end = step
         whole = step % plan.every == 0 or step == plan.steps
         if whole:
-            row = {"step": step, **{k: float(np.mean(v)) for k, v in seen.items()}, **(measure(mean) if measure else {})}
+            row = {"step": step, **{k: average(v) for k, v in seen.items()}, **(measure(mean) if measure else {})}
             rows, seen = [*rows, row], {}
             if row.get("score", math.inf) < best:
                 best = row["score"]
@@ -172,12 +190,18 @@ def train(out, plan, net, loss_at, inputs, options=None, measure=None, stop=None
         if whole or step == end:
             state = {
                 "wanted": wanted, "live": net.state_dict(), "mean": mean.state_dict(), "optimiser": optimiser.state_dict(),
-                "step": step, "best": best, "rows": rows, "seen": seen, "generators": generators(),
+                "step": step, "best": best, "rows": rows, "seen": {k: [float(x) for x in v] for k, v in seen.items()}, "generators": generators(),
             }  # fmt: skip
             save(out / "last.pt", state)
             write_log(out / "log.csv", rows)
             manifest.finished(out, step, digest(state))
-    return torch.load(out / "last.pt", weights_only=False)
+    return torch.load(out / "last.pt", weights_only=False, map_location="cpu")
+
+
+def average(values):
+    """Mean of numbers and of tensors of one number, of those that are finite."""
+    values = np.array([float(v) for v in values])
+    return float(values[np.isfinite(values)].mean()) if np.isfinite(values).any() else math.nan
 
 
 def write_log(path, rows):
@@ -193,6 +217,7 @@ def arguments(parser, steps, seed, every):
     """The options that every training has."""
     parser.add_argument("--steps", type=int, default=steps, help="length of the whole run: the learning rate falls over it")
     parser.add_argument("--stop", type=int, help="end after that many steps; the same command without it goes on")
+    parser.add_argument("--minutes", type=float, help="end after so long")
     parser.add_argument("--every", type=int, default=every, help="steps between checkpoints")
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--seed", type=int, default=seed)
@@ -200,4 +225,4 @@ def arguments(parser, steps, seed, every):
 
 def remaining(args, *but):
     """Options that decide what a run does and are not in its plan, for `train`."""
-    return {k: v for k, v in sorted(vars(args).items()) if k not in {"steps", "stop", "every", "threads", "seed", "out", *but}}
+    return {k: v for k, v in sorted(vars(args).items()) if k not in {"steps", "stop", "minutes", "every", "threads", "seed", "out", *but}}

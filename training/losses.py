@@ -118,7 +118,7 @@ def order(p, t, generator, pairs=2048, least=0.08):
     """Logistic loss of the order of random pairs of pixels [N], for maps that tell nothing else."""
     p, t = unit(p).flatten(1), t.flatten(1)
     low, high = (torch.nanquantile(t, q, dim=1, keepdim=True) for q in (0.02, 0.98))
-    i = torch.randint(p.shape[1], (2, p.shape[0], pairs), generator=generator)
+    i = torch.randint(p.shape[1], (2, p.shape[0], pairs), generator=generator).to(p.device)
     difference = (t.gather(1, i[0]) - t.gather(1, i[1])) / (high - low).clamp_min(1e-6)
     known = difference.abs() > least  # NaN is not
     wrong = F.softplus(-difference.nan_to_num(0).sign() * (p.gather(1, i[0]) - p.gather(1, i[1])) * 4) / 4

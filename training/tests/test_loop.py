@@ -1,8 +1,11 @@
 """A run that was stopped and went on ends with the same bits as one that was not."""
 
+import argparse
 import contextlib
+import copy
 import io
 import json
+import math
 import random
 import sys
 import tempfile
@@ -15,56 +18,45 @@ import numpy as np
 import torch
 from torch import nn
 
-import cache
+import batches
 import depth
 import loop
 import manifest
 import network
+import pack
 import psi
 import sources
 import theta
 
-CHANNELS = (4, 6, 8, 10, 12)
-GROUPS = ["scene:room", "label", "rgbd", "pairs:depth", "pairs:order"]
-SPACES = ["disparity", "disparity", "disparity", "depth", "order"]
+GROUPS = ["scene:room", "label", "rgbd", "pairs:depth", "pairs:order", "photo"]
+SPACES = ["disparity", "disparity", "disparity", "depth", "order", "none"]
 
 
-def small_cache(folder, seed=0, each=3):
-    """A cache of made-up feature maps, of two shapes."""
-    rng, records = np.random.default_rng(seed), {}
-    for h, w in ((32, 64), (64, 32)):
-        kept = [[f"{g}/{k}", g, s, k] for g, s in zip(GROUPS, SPACES) for k in range(each)]
-        maps = cache.mapped(folder / cache.file_of((h, w)), cache.layout((h, w), CHANNELS), len(kept), True)
-        for i in range(len(CHANNELS)):
-            maps[f"f{i}"] = rng.normal(size=maps[f"f{i}"].shape)
-            maps[f"s{i}"] = rng.random(maps[f"s{i}"].shape) + 0.1
-        maps["value"] = np.where(rng.random(maps["value"].shape) < 0.1, np.nan, rng.random(maps["value"].shape))
-        maps["region"][:, 2:8, 2:8] = 1
-        maps["region"][:, 8:14, 8:14] = 2
-        maps["kind"] = np.where(maps["region"] > 0, sources.THING, sources.SKY)
-        maps.flush()
-        records[f"{h}x{w}"] = kept
-    bank = cache.mapped(folder / "statistics.bin", cache.statistics_layout(CHANNELS), 5, True)
-    for i in range(len(CHANNELS)):
-        bank[f"s{i}"] = rng.random(bank[f"s{i}"].shape) + 0.1
-    bank.flush()
-    (folder / "inputs.sha256").write_text("")
-    manifest.write(folder / "cache.json", {"channels": CHANNELS, "records": records, "statistics": 5})
+def packed(seed=0, each=2):
+    """Made-up pictures of all groups."""
+    rng = np.random.default_rng(seed)
+    for group, space in zip(GROUPS, SPACES):
+        for n in range(each):
+            value = np.full((64, 96), np.nan, np.float32) if space == "none" else rng.random((64, 96), np.float32)
+            region = np.zeros((64, 96), np.uint8)
+            if group == "label":
+                region[8:30, 8:40], region[30:60, 30:80] = 1, 2
+            kinds = np.uint8([0, sources.THING, sources.SKY])
+            yield pack.Packed(f"{group}/{n}", group, space, False, rng.integers(0, 256, (64, 96, 3), np.uint8), value, region, kinds)
 
 
-def depth_run(folder, out, steps=6, stop=None, seed=1, every=2):
-    """The depth training on a small cache: the whole of it but the encoders."""
-    records = depth.Records([folder], seed, 4)
+def depth_run(file, out, steps=6, stop=None, seed=1, every=2):
+    """The depth training on small pictures that `file` stands for."""
+    pictures = batches.Pictures(torch.device("cpu"))
+    for p in packed(int(file.read_text())):
+        pictures.add(p)
     loop.seed_all(seed)
-    net = network.Decoder(CHANNELS, (4, 6, 8, 10, 12), 0.2)
-
-    def loss_at(step):
-        features, own, value, region, kind, of = records.at(step)
-        generator = torch.Generator().manual_seed(step)
-        return depth.loss_of(net.half(depth.restyled(features, own, records.statistics()))[:, 0], value, region, kind, of, generator, depth.WEIGHTS)
-
-    plan = loop.Plan(steps=steps, lr=1e-2, weight_decay=1e-2, ema=0.9, every=every, seed=seed)
-    return loop.train(out, plan, net, loss_at, records.inputs(), {"batch": 4}, lambda mean: {"score": float(mean.head.weight.abs().sum())}, stop, quiet=True)
+    net = network.DepthNet(0.2, 0.4)
+    mean = copy.deepcopy(net)
+    lessons = depth.Steps(net, mean, pictures, argparse.Namespace(seed=seed, batch=4, init=None))
+    plan = loop.Plan(steps=steps, lr=1e-3, weight_decay=1e-2, ema=0.9, every=every, seed=seed)
+    score = lambda mean: {"score": float(mean.decoder.head.weight.abs().sum())}
+    return loop.train(out, plan, net, lessons.loss_at, {"pack": [file]}, {"batch": 4}, score, stop, mean=mean, quiet=True, slow=list(net.encoder.parameters()), gain=0.5)
 
 
 class Greedy(nn.Module):
@@ -83,31 +75,31 @@ class Resume(unittest.TestCase):
         made = tempfile.TemporaryDirectory()
         self.addCleanup(made.cleanup)
         self.root = Path(made.name)
+        self.pack = self.root / "pack"
+        self.pack.write_text("0")
+        for module, name, value in ((batches, "SHAPES", {(32, 64): 0.5, (64, 32): 0.5}), (depth, "GROWN", (0, 4))):
+            patched = mock.patch.object(module, name, value)
+            patched.start()
+            self.addCleanup(patched.stop)
 
     def test_depth_goes_on_to_the_same_bits(self):
-        folder = self.root / "cache"
-        folder.mkdir()
-        small_cache(folder)
-        whole = depth_run(folder, self.root / "whole")
+        whole = depth_run(self.pack, self.root / "whole")
         # a stop between two checkpoints, and one at a checkpoint
         for stop in (1, 3, 4):
             out = self.root / f"stopped{stop}"
-            depth_run(folder, out, stop=stop)
+            depth_run(self.pack, out, stop=stop)
             loop.seed_all(99)
-            parts = depth_run(folder, out)
+            parts = depth_run(self.pack, out)
             self.assertEqual(loop.digest(parts), loop.digest(whole))
             self.assertEqual((out / "log.csv").read_text(), (self.root / "whole" / "log.csv").read_text())
             self.assertEqual(loop.digest(torch.load(out / "best.pt", weights_only=False)), loop.digest(torch.load(self.root / "whole" / "best.pt", weights_only=False)))
             self.assertEqual([s["step"] for s in manifest.read(out)["starts"]], [0, stop])
         self.assertEqual(manifest.read(out)["contents"], loop.digest(whole))
-        other = depth_run(folder, self.root / "other", seed=2)
+        other = depth_run(self.pack, self.root / "other", seed=2)
         self.assertNotEqual(loop.digest(other["live"]), loop.digest(whole["live"]))
 
     def test_a_killed_run_repeats_the_steps_after_its_checkpoint(self):
-        folder = self.root / "cache"
-        folder.mkdir()
-        small_cache(folder)
-        whole = depth_run(folder, self.root / "whole")
+        whole = depth_run(self.pack, self.root / "whole")
         true, calls = depth.loss_of, []
 
         def killed(*args):
@@ -117,8 +109,8 @@ class Resume(unittest.TestCase):
             return true(*args)
 
         with mock.patch.object(depth, "loss_of", killed), self.assertRaises(KeyboardInterrupt):
-            depth_run(folder, self.root / "killed")
-        self.assertEqual(loop.digest(depth_run(folder, self.root / "killed")), loop.digest(whole))
+            depth_run(self.pack, self.root / "killed")
+        self.assertEqual(loop.digest(depth_run(self.pack, self.root / "killed")), loop.digest(whole))
 
     def test_every_generator_is_stored(self):
         def run(out, stop=None):
@@ -154,35 +146,31 @@ class Resume(unittest.TestCase):
             self.assertEqual(found[0], found[1], module.__name__)
 
     def test_other_plans_and_other_files_are_refused(self):
-        folder = self.root / "cache"
-        folder.mkdir()
-        small_cache(folder)
-        depth_run(folder, self.root / "run", stop=2)
+        depth_run(self.pack, self.root / "run", stop=2)
         with self.assertRaises(loop.Changed):
-            depth_run(folder, self.root / "run", steps=8)
-        small_cache(folder, seed=1)
-        with self.assertRaisesRegex(loop.Changed, "cache"):
-            depth_run(folder, self.root / "run")
+            depth_run(self.pack, self.root / "run", steps=8)
+        self.pack.write_text("1")
+        with self.assertRaisesRegex(loop.Changed, "pack"):
+            depth_run(self.pack, self.root / "run")
 
-    def test_a_batch_is_a_function_of_seed_and_step(self):
-        folder = self.root / "cache"
-        folder.mkdir()
-        small_cache(folder)
-        first, second = depth.Records([folder], 5, 4), depth.Records([folder], 5, 4)
-        for step in (7, 3):
-            second.at(step)
-        self.assertEqual(loop.digest(first.at(3)), loop.digest(second.at(3)))
-        self.assertNotEqual(loop.digest(first.at(3)), loop.digest(first.at(4)))
-        self.assertNotEqual(loop.digest(first.at(3)), loop.digest(depth.Records([folder], 6, 4).at(3)))
+    def test_a_step_without_a_finite_gradient_is_left_out(self):
+        net = nn.Linear(2, 1)
+        before = copy.deepcopy(net.state_dict())
+        factor = lambda step: torch.tensor(1.0 if step == 2 else math.nan)
+        plan = loop.Plan(steps=2, lr=1e-2, weight_decay=0, ema=0.9, every=2, seed=1)
+        state = loop.train(self.root / "nan", plan, net, lambda step: {"loss": net(torch.ones(1, 2)).sum() * factor(step)}, {}, quiet=True)
+        self.assertEqual(state["rows"][0]["left out"], 1.0)
+        self.assertEqual(loop.digest(state["live"]), loop.digest(before))
 
-    def test_shares_hold(self):
-        folder = self.root / "cache"
-        folder.mkdir()
-        small_cache(folder)
-        records = depth.Records([folder], 1, 16, {"scene": 0.5, "label": 0.5})
-        drawn = [g for step in range(60) for g, _ in records.at(step)[-1]]
-        self.assertEqual(set(drawn), {"scene", "label"})
-        self.assertAlmostEqual(drawn.count("label") / len(drawn), 0.5, delta=0.06)
+    def test_minutes_end_a_run_that_goes_on_later(self):
+        whole = depth_run(self.pack, self.root / "whole", steps=2, every=1)
+        with mock.patch.object(loop.time, "time", iter(range(0, 10**6, 100)).__next__):
+            net = nn.Linear(2, 1)
+            plan = loop.Plan(steps=9, lr=1e-2, weight_decay=0, ema=0.9, every=1, seed=1)
+            state = loop.train(self.root / "short", plan, net, lambda step: {"loss": net(torch.ones(1, 2)).square().sum()}, {}, minutes=3, quiet=True)
+        self.assertTrue(1 <= state["step"] < 9)
+        self.assertEqual(loop.reached(self.root / "short"), state["step"])
+        self.assertEqual(whole["step"], 2)
 
 
 class Cards(unittest.TestCase):
@@ -195,9 +183,9 @@ class Cards(unittest.TestCase):
             card, model = Path(t) / "x.md", Path(t) / "x.onnx"
             model.write_bytes(b"first")
             card.write_text("# x\n\nby hand\n")
-            manifest.into_card(card, manifest.block(model, [None]))
+            manifest.into_card(card, manifest.block(model, None))
             model.write_bytes(b"second")
-            manifest.into_card(card, manifest.block(model, [None]))
+            manifest.into_card(card, manifest.block(model, None))
             text = card.read_text()
             self.assertEqual(manifest.told_in(card), manifest.sha256(model))
             self.assertEqual((text.count(manifest.BEGIN), text.count("by hand")), (1, 1))
@@ -209,14 +197,14 @@ class Cards(unittest.TestCase):
     def test_a_manifest_follows_to_the_card(self):
         with tempfile.TemporaryDirectory() as t:
             root = Path(t)
-            (root / "cache").mkdir()
-            small_cache(root / "cache")
-            depth_run(root / "cache", root / "run")
+            net, plan = nn.Linear(2, 1), loop.Plan(steps=6, lr=1e-2, weight_decay=0, ema=0.9, every=3, seed=1)
+            lesson = lambda step: {"loss": net(torch.ones(1, 2)).square().sum()}
+            loop.train(root / "run", plan, net, lesson, {}, measure=lambda mean: {"score": 1.0}, quiet=True)
             model = root / "y.onnx"
             model.write_bytes(b"network")
             told = manifest.exported(root / "run" / "best.pt", model)
-            text = "\n".join(manifest.block(model, [told, {"network": "f" * 64}]))
-            for part in ("f" * 64, manifest.sha256(model), manifest.sha256(root / "run" / "best.pt")[:16], "6 steps, seed 1", "torch ", told["starts"][0]["commit"] or "commit"):
+            text = "\n".join(manifest.block(model, told))
+            for part in (manifest.sha256(model), manifest.sha256(root / "run" / "best.pt")[:16], "6 steps, seed 1", "torch ", told["starts"][0]["commit"] or "commit"):
                 self.assertIn(part, text)
             self.assertNotIn(t, text)
             self.assertEqual(json.loads((root / "run" / "manifest.json").read_text())["exported"]["file"], "y.onnx")

@@ -8,7 +8,7 @@ from unittest import mock
 
 import manifest
 
-RUN = {"network": "ab" * 32}
+RUN = {"exported": {"checkpoint": "best.pt", "checkpoint_sha256": "ab" * 32}}
 
 
 class Cards(unittest.TestCase):
@@ -27,7 +27,7 @@ class Cards(unittest.TestCase):
                 self.run_main(folder, "net")
                 self.run_main(folder, "net", "--check")
                 self.assertEqual(manifest.origin_in(card), manifest.about_run(None))
-            manifest.into_card(card, manifest.block(model, [RUN]))
+            manifest.into_card(card, manifest.block(model, RUN))
             before = card.read_text()
             model.write_bytes(b"three")
             with self.assertRaises(SystemExit) as refused:

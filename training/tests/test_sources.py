@@ -1,23 +1,13 @@
 """Only what may be trained on is read, as what it is."""
 
-import argparse
-import contextlib
-import io
 import json
 import tempfile
 import unittest
 from pathlib import Path
-from unittest import mock
 
 import cv2
 import numpy as np
-import torch.nn.functional as F
 
-import cache
-import common
-import depth
-import loop
-import network
 import sources
 
 INDEX = """path\tsource\tlicence\tkind\tunit\ttrain\torigin
@@ -68,13 +58,6 @@ class Sources(unittest.TestCase):
         for reason in sources.LEFT_OUT.values():
             self.assertIn("Unsplash", reason)
 
-    def test_some_of_the_labels_are_within_more_of_them(self):
-        names = [f"label/{c}{b}" for c in "abcdefgh" for b in ("", ".b")]
-        records = [(name, "label", 0, 0) for name in names] + [("scene/1", "scene:room", 0, 0)]
-        some = [depth.first_labels(records, n) for n in (0, 2, 5, None)]
-        self.assertEqual([len(s) for s in some], [0, 4, 10, 16])
-        self.assertTrue(some[1] < some[2] < some[3] == set(names))
-
     def test_what_maps_mean(self):
         spaces = {k: (i.group, i.space, i.sparse) for k, i in self.items.items()}
         self.assertEqual(spaces["pairs/e/m.jpg"], ("pairs:depth", "depth", False))
@@ -99,52 +82,6 @@ class Sources(unittest.TestCase):
         self.assertFalse(train & kept)
         files = [json.loads(f.read_text())["photo"] for f in (sources.HERE / "labels").glob("*.json")]
         self.assertEqual(len(train | kept), len([p for p in files if sources.held_out(p) or not sources.is_left_out(p)]))
-
-    def test_crops_do_not_spread_the_unknown(self):
-        value = np.ones((40, 60), np.float32)
-        value[:, ::2] = np.nan
-        rgb, region = np.zeros((40, 60, 3), np.uint8), np.ones((40, 60), np.uint8)
-        for least, known in ((0.0, 1.0), (0.999, 0.0)):
-            crop = common.framed(rgb, value, (8, 12), loop.stream(0, "x"), 1.0, least, (region,))
-            self.assertEqual(float(np.isfinite(crop[1]).mean()), known)
-            self.assertEqual((crop[0].shape, crop[2].shape), ((8, 12, 3), (8, 12)))
-
-    def test_variants_are_functions_of_seed_name_and_number(self):
-        item = self.items["pairs/e/d.jpg"]
-        sample = sources.Sample(np.random.default_rng(0).integers(0, 256, (200, 300, 3), np.uint8), np.tile(np.linspace(0, 1, 300, dtype=np.float32), (200, 1)), *np.zeros((2, 200, 300), np.uint8))
-        made = [loop.digest(list(cache.augmented(item, sample, (32, 64), loop.stream(1, "variant", item.name, k)))) for k in (0, 0, 1)]
-        self.assertEqual(made[0], made[1])
-        self.assertNotEqual(made[0], made[2])
-
-    def test_an_interrupted_cache_becomes_the_same(self):
-        args = argparse.Namespace(seed=1, variants=1, real=3)
-        whole, parts = self.root / "whole", self.root / "parts"
-        with mock.patch.object(network, "FILES", ()), mock.patch.object(cache, "EVERY", 1), contextlib.redirect_stdout(io.StringIO()):
-            cache.build(list(self.items.values()), whole, args, Pooled())
-            with self.assertRaises(KeyboardInterrupt):
-                cache.build(list(self.items.values()), parts, args, Pooled(ends=8))
-            self.assertFalse((parts / "cache.json").exists())
-            second = Pooled()
-            cache.build(list(self.items.values()), parts, args, second)
-            self.assertLess(second.calls, 3 * len(self.items))
-            told = [json.loads((f / "cache.json").read_text()) for f in (whole, parts)]
-            self.assertEqual(told[0], told[1])
-            cache.build(list(self.items.values()), parts, argparse.Namespace(seed=2, variants=1, real=3), Pooled())
-        self.assertNotEqual(json.loads((parts / "cache.json").read_text())["files"], told[0]["files"])
-
-
-class Pooled:
-    """Stands in for the network: its encoders give means of colours."""
-
-    def __init__(self, ends=None):
-        self.ends, self.calls = ends, 0
-        self.encoder = argparse.Namespace(channels=(3, 3, 3, 3, 3))
-
-    def features(self, x):
-        self.calls += 1
-        if self.calls == self.ends:
-            raise KeyboardInterrupt
-        return [F.avg_pool2d(x, 2 << i) for i in range(5)]
 
 
 if __name__ == "__main__":

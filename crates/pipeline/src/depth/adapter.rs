@@ -127,6 +127,8 @@ pub struct Adapter {
     pub ramp: f64,
     /// The same for rooms, whose depth is steadier with more of it.
     pub ramp_of_rooms: f64,
+    /// For photos, the map is the mean with that of the mirrored photo, which takes a second run. Rooms have no time for it.
+    pub flip: bool,
 }
 
 const IMAGENET: ([f32; 3], [f32; 3]) = ([0.485, 0.456, 0.406], [0.229, 0.224, 0.225]);
@@ -153,6 +155,7 @@ const fn entry(name: &'static str, size: SizeRule, multiple: u32, norm: ([f32; 3
         smoothing: 0.0,
         ramp: 0.0,
         ramp_of_rooms: 0.0,
+        flip: false,
     }
 }
 
@@ -166,7 +169,8 @@ pub const ADAPTERS: [Adapter; 14] = [
         smoothing: 100.0,
         ramp: 0.05,
         ramp_of_rooms: 0.2,
-        ..entry("tmpi", SizeRule::Area(128 * 192), 32, IMAGENET, Sampling::Unrounded(Filter::Lanczos3), Kind::Disparity)
+        flip: true,
+        ..entry("tmpi", SizeRule::Area(192 * 256), 32, IMAGENET, Sampling::Unrounded(Filter::Lanczos3), Kind::Disparity)
     },
     entry("midas-v2.1-small", SizeRule::Fixed(256, 256), 32, PLAIN, Sampling::Four, Kind::Disparity),
     entry("midas-v2.1", SizeRule::Fixed(384, 384), 32, PLAIN, Sampling::Four, Kind::Disparity),
@@ -331,15 +335,15 @@ mod tests {
     #[test]
     fn the_embedded_network_has_smaller_sizes_for_frames_of_rooms() {
         let sizes = |w, h| ADAPTERS[0].sizes(w, h);
-        assert_eq!(sizes(320, 240), [(192, 128), (160, 128), (128, 96), (96, 64)]);
+        assert_eq!(sizes(320, 240), [(256, 192), (224, 160), (192, 128), (128, 96)]);
         assert_eq!(sizes(640, 480), sizes(320, 240));
     }
 
     #[test]
     fn the_embedded_network_runs_at_a_small_size_whatever_the_photo() {
         let a = adapter("tmpi").unwrap();
-        assert_eq!(a.network_size(6000, 4000), (192, 128));
-        assert_eq!(a.network_size(300, 450), (128, 192));
+        assert_eq!(a.network_size(6000, 4000), (256, 192));
+        assert_eq!(a.network_size(300, 450), (192, 256));
         assert_eq!(a.network_size(1, 20_000), a.network_size(1000, 3000));
     }
 

@@ -24,15 +24,13 @@ pub struct Monocular {
     rule: SizeRule,
     network: Arc<dyn Network>,
     ports: Ports,
-    flip: bool,
 }
 
 impl Monocular {
-    /// Depth by `network`, which wants one picture and gives, as its first output, what `adapter` says. With `flip` it runs a second time
-    /// on the mirrored photo and takes the mean: twice the time.
+    /// Depth by `network`, which wants one picture and gives, as its first output, what `adapter` says.
     #[must_use]
-    pub fn new(adapter: &Adapter, network: Arc<dyn Network>, flip: bool) -> Self {
-        Self { adapter: *adapter, rule: adapter.size, network, ports: Ports::PLAIN, flip }
+    pub fn new(adapter: &Adapter, network: Arc<dyn Network>) -> Self {
+        Self { adapter: *adapter, rule: adapter.size, network, ports: Ports::PLAIN }
     }
 
     /// Loads the network from the bytes of an ONNX file and of the files of weights that it names; fixed extents in the file override the
@@ -40,7 +38,7 @@ impl Monocular {
     ///
     /// # Errors
     /// [`OnnxError`]: no library, or the file does not fit the adapter.
-    pub fn load(adapter: &Adapter, model: &[u8], beside: &[Beside], config: &Config, flip: bool) -> Result<Self, OnnxError> {
+    pub fn load(adapter: &Adapter, model: &[u8], beside: &[Beside], config: &Config) -> Result<Self, OnnxError> {
         let session = Session::load_with(adapter.name, model, beside, config)?;
         let bad = |reason: String| OnnxError::Model { name: adapter.name.to_owned(), reason };
         let (ports, rows, columns) = Ports::of(adapter, session.inputs(), session.outputs()).map_err(bad)?;
@@ -48,7 +46,7 @@ impl Monocular {
         if let (Ok(w @ 1..), Ok(h @ 1..)) = (u32::try_from(columns), u32::try_from(rows)) {
             adapter.size = SizeRule::Fixed(w, h);
         }
-        Ok(Self { adapter, rule, network: Arc::new(session), ports, flip })
+        Ok(Self { adapter, rule, network: Arc::new(session), ports })
     }
 
     /// One run of the network: disparity at the network's size, less margins that the photo was given; every value finite.
@@ -84,7 +82,7 @@ impl Monocular {
     /// What the network gives at a size, of the mirrored photo too where that is wanted.
     fn raw_at(&self, photo: &Photo, size: (u32, u32)) -> Result<DisparityMap, DepthError> {
         let mut map = self.run(photo, size, false)?;
-        if self.flip {
+        if self.adapter.flip {
             let mut mirrored = self.run(photo, size, true)?;
             align(&mut mirrored.delta, &map.delta);
             map.delta.iter_mut().zip(&mirrored.delta).for_each(|(d, m)| *d = f32::midpoint(*d, *m));

@@ -17,15 +17,18 @@ fn photo(width: u32, height: u32) -> Photo {
     Photo { width, height, rgb }
 }
 
+/// The embedded network's, with one run.
+const ONE_RUN: Adapter = Adapter { flip: false, ..super::super::ADAPTERS[0] };
+
 fn with(f: fn(usize, usize) -> f32) -> Monocular {
-    Monocular::new(&super::super::ADAPTERS[0], Arc::new(Stub(f)), false)
+    Monocular::new(&ONE_RUN, Arc::new(Stub(f)))
 }
 
 #[test]
 fn a_map_leans_by_its_share_of_a_ramp_alone() {
     let leaning = |ramp: f64, f: fn(usize, usize) -> f32| {
-        let adapter = Adapter { ramp, ..super::super::ADAPTERS[0] };
-        Monocular::new(&adapter, Arc::new(Stub(f)), false).raw(&photo(96, 64)).unwrap()
+        let adapter = Adapter { ramp, ..ONE_RUN };
+        Monocular::new(&adapter, Arc::new(Stub(f))).raw(&photo(96, 64)).unwrap()
     };
     let flat = leaning(0.0, |x, _| x as f32);
     let (w, h) = (flat.width as usize, flat.height as usize);
@@ -87,7 +90,7 @@ fn larger_is_nearer_whatever_the_network_gives() {
         (Kind::LogDepth, |x, _| -(x as f32) / 100.0),
     ] {
         let adapter = Adapter { output: kind, ..super::super::ADAPTERS[0] };
-        let got = Monocular::new(&adapter, Arc::new(Stub(f)), false).estimate(&photo(60, 40)).unwrap();
+        let got = Monocular::new(&adapter, Arc::new(Stub(f))).estimate(&photo(60, 40)).unwrap();
         assert!(got.delta[20 * 60] < 0.15 && got.delta[20 * 60 + 59] > 0.85, "{kind:?}");
     }
 }
@@ -122,7 +125,7 @@ fn stiff_outputs() {
     assert!((lone.delta[0] - 1.0).abs() < 1e-6, "the only relief there is is kept");
     assert!(matches!(with(|_, _| f32::NAN).estimate(&p), Err(DepthError::Onnx(OnnxError::Run { .. }))));
     let metric = Adapter { output: Kind::Metric, ..super::super::ADAPTERS[0] };
-    let got = Monocular::new(&metric, Arc::new(Stub(|x, _| x as f32 - 5.0)), false).estimate(&p).unwrap();
+    let got = Monocular::new(&metric, Arc::new(Stub(|x, _| x as f32 - 5.0))).estimate(&p).unwrap();
     assert!(got.delta.iter().all(|v| (0.0..=1.0).contains(v)), "distances of 0 and below");
 }
 
@@ -141,7 +144,7 @@ fn several(name: &str, outputs: &[&str], f: fn(usize, usize) -> Vec<Tensor>) -> 
     let port = |name: &str, shape: &[i64]| crate::networks::Port { name: name.into(), shape: shape.to_vec() };
     let outputs: Vec<_> = outputs.iter().map(|o| port(o, &[])).collect();
     let (ports, ..) = Ports::of(adapter, &[port("image", &[1, 3, -1, -1])], &outputs).unwrap();
-    Monocular { ports, ..Monocular::new(adapter, Arc::new(Several(f)), false) }
+    Monocular { ports, ..Monocular::new(adapter, Arc::new(Several(f))) }
 }
 
 fn map(w: usize, h: usize, f: impl Fn(usize, usize) -> f32) -> Tensor {
@@ -231,9 +234,8 @@ fn files_of_several_inputs_outputs_and_parts_are_loaded_and_run() {
     if tmpi_testing::Need::Onnx.or_skip(crate::networks::available()).is_none() {
         return;
     }
-    let load = |name: &str, model, beside: &[Beside]| {
-        Monocular::load(super::super::adapter(name).unwrap(), model, beside, &Config::default(), false)
-    };
+    let load =
+        |name: &str, model, beside: &[Beside]| Monocular::load(super::super::adapter(name).unwrap(), model, beside, &Config::default());
     // Left half black, outside of the mask; the right half's blue is its distance, up to the shift and 1813 tokens as the scale
     let half = Photo { width: 40, height: 30, rgb: (0..1200).map(|i| if i % 40 < 20 { [0; 3] } else { [200, 200, 255] }).collect() };
     let got = load("moge-2", include_bytes!("../../../../../tests/onnx/points.onnx"), &[]).unwrap().raw(&half).unwrap();
@@ -257,9 +259,9 @@ fn files_of_several_inputs_outputs_and_parts_are_loaded_and_run() {
 
 #[test]
 fn flipping_takes_the_mean_of_both_runs() {
-    // a network that is blind to the picture sees the same ramp in the mirrored photo: the mean has no slope to the side
-    let adapter = Adapter { ramp: 0.0, ..super::super::ADAPTERS[0] };
-    let got = Monocular::new(&adapter, Arc::new(Stub(|x, y| (x + 10 * y) as f32)), true).raw(&photo(90, 60)).unwrap();
+    // A network that is blind to the picture sees the same ramp in the mirrored photo: the mean has no slope to the side
+    let adapter = Adapter { flip: true, ramp: 0.0, ..ONE_RUN };
+    let got = Monocular::new(&adapter, Arc::new(Stub(|x, y| (x + 10 * y) as f32))).raw(&photo(90, 60)).unwrap();
     let (w, h) = (got.width as usize, got.height as usize);
     for (y, row) in got.delta.chunks(w).enumerate() {
         let want = (w - 1) as f32 / 2.0 + (10 * y) as f32;
@@ -271,17 +273,18 @@ fn flipping_takes_the_mean_of_both_runs() {
 fn margins_are_put_on_and_taken_off() {
     let zoe = super::super::adapter("zoedepth").unwrap();
     // 60 × 40 pixels have margins of 16 and 13, and the network runs at 512 × 352
-    let ramp = Monocular::new(zoe, Arc::new(Stub(|x, _| x as f32 + 1.0)), false).raw(&photo(60, 40)).unwrap();
+    let ramp = Monocular::new(zoe, Arc::new(Stub(|x, _| x as f32 + 1.0))).raw(&photo(60, 40)).unwrap();
     assert_eq!((ramp.width, ramp.height), (334, 213));
     let distance = |x: usize| 1.0 / ramp.delta[100 * 334 + x];
     assert!((distance(0) - (512.0 * 16.5 / 92.0 + 0.5)).abs() < 4.0, "{}", distance(0));
     assert!((distance(333) - (512.0 * 75.5 / 92.0 + 0.5)).abs() < 4.0, "{}", distance(333));
     // Beside a step the cubic goes below 0, which is not far away
-    let step = Monocular::new(zoe, Arc::new(Stub(|x, _| if x < 256 { 0.01 } else { 10.0 })), false).raw(&photo(60, 40)).unwrap();
+    let step = Monocular::new(zoe, Arc::new(Stub(|x, _| if x < 256 { 0.01 } else { 10.0 }))).raw(&photo(60, 40)).unwrap();
     let least = step.delta[..160].iter().copied().fold(f32::INFINITY, f32::min);
     assert!(least > 0.5, "{least}");
+    let zoe = Adapter { flip: true, ..*zoe };
     for (w, h) in [(1, 1), (1, 300), (300, 2), (16_384, 1)] {
-        let got = Monocular::new(zoe, Arc::new(Stub(|x, y| (x + y + 1) as f32)), true).estimate(&photo(w, h)).unwrap();
+        let got = Monocular::new(&zoe, Arc::new(Stub(|x, y| (x + y + 1) as f32))).estimate(&photo(w, h)).unwrap();
         assert_eq!((got.width, got.height), (w, h));
         assert!(got.delta.iter().all(|v| (0.0..=1.0).contains(v)), "{w}×{h}");
     }
@@ -295,7 +298,7 @@ fn a_network_of_another_size_is_an_error() {
             Ok(vec![Tensor { shape: vec![1, 1, 2, 2], data: vec![0.0; 4] }])
         }
     }
-    let got = Monocular::new(&super::super::ADAPTERS[0], Arc::new(Small), false).estimate(&photo(8, 8));
+    let got = Monocular::new(&ONE_RUN, Arc::new(Small)).estimate(&photo(8, 8));
     assert!(got.unwrap_err().to_string().contains("[1, 1, 2, 2]"));
 }
 
@@ -305,12 +308,12 @@ fn a_real_file_is_loaded_and_run() {
         return;
     }
     let mean = include_bytes!("../../../../../tests/onnx/mean.onnx");
-    let plain = Adapter { mean: [0.0; 3], deviation: [1.0; 3], ..super::super::ADAPTERS[0] };
-    let got = Monocular::load(&plain, mean, &[], &Config::default(), false).unwrap();
+    let plain = Adapter { mean: [0.0; 3], deviation: [1.0; 3], ..ONE_RUN };
+    let got = Monocular::load(&plain, mean, &[], &Config::default()).unwrap();
     let grey = Photo { width: 48, height: 32, rgb: (0..48 * 32).map(|i| [(i % 48 * 5) as u8; 3]).collect() };
     let raw = got.raw(&grey).unwrap();
-    assert_eq!((raw.width, raw.height), (192, 128));
-    assert!((raw.delta[64 * 192 + 96] - 0.46).abs() < 0.03, "{}", raw.delta[64 * 192 + 96]);
+    assert_eq!((raw.width, raw.height), (256, 192));
+    assert!((raw.delta[96 * 256 + 128] - 0.46).abs() < 0.03, "{}", raw.delta[96 * 256 + 128]);
     let two = include_bytes!("../../../../../tests/onnx/sum_difference.onnx");
-    assert!(matches!(Monocular::load(&plain, two, &[], &Config::default(), false), Err(OnnxError::Model { .. })));
+    assert!(matches!(Monocular::load(&plain, two, &[], &Config::default()), Err(OnnxError::Model { .. })));
 }

@@ -39,8 +39,8 @@ pub struct Settings {
     pub depth_smoothing: Option<f64>,
     /// Share of a vertical ramp that its map gains, other than its own.
     pub depth_ramp: Option<f64>,
-    /// Run depth twice, the second time mirrored, and take the mean.
-    pub flip: bool,
+    /// Whether depth runs a second time, on the mirrored photo, and the mean is taken, if not as the network has it.
+    pub flip: Option<bool>,
     /// Where [`THETA`] and [`PSI`] are, if they are there.
     pub folder: PathBuf,
     /// How networks are run.
@@ -64,7 +64,7 @@ impl Default for Settings {
             depth_pixels: None,
             depth_smoothing: None,
             depth_ramp: None,
-            flip: false,
+            flip: None,
             folder: registry::folder(),
             onnx: Config::default(),
         }
@@ -166,8 +166,8 @@ impl Depth {
             })?;
             let size = depth_pixels.map_or(depth.size, SizeRule::Area);
             let (smoothing, ramp) = (depth_smoothing.unwrap_or(depth.smoothing), depth_ramp.unwrap_or(depth.ramp));
-            let adapter = Adapter { size, smoothing, ramp, ..**depth };
-            Monocular::load(&adapter, model, beside, onnx, *flip)
+            let adapter = Adapter { size, smoothing, ramp, flip: flip.unwrap_or(depth.flip), ..**depth };
+            Monocular::load(&adapter, model, beside, onnx)
         });
         loaded.map_err(|e: OnnxError| e.into())
     }

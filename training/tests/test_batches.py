@@ -1,0 +1,146 @@
+"""What a batch of the depth network's training holds."""
+
+import random
+import tempfile
+import unittest
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+
+import augment
+import batches
+import loop
+import pack
+import render
+import sources
+from tests.test_loop import packed
+
+CPU = torch.device("cpu")
+
+
+def filled(**shares):
+    pictures = batches.Pictures(CPU)
+    for p in packed():
+        if not shares or p.group.split(":")[0] in shares or p.group in shares:
+            pictures.add(p)
+    return pictures
+
+
+def held(value, region=None):
+    """A picture whose colours are its map."""
+    value = np.float32(value)
+    rgb = np.repeat((np.nan_to_num(value) * 255).astype(np.uint8)[..., None], 3, 2)
+    pictures = batches.Pictures(CPU)
+    none = np.zeros(value.shape, np.uint8)
+    pictures.add(pack.Packed("x", "label", "disparity", False, rgb, value, none if region is None else region, np.uint8([0, 4, 1])))
+    return pictures.groups["label"][0][1][0]
+
+
+class Batches(unittest.TestCase):
+    def test_a_batch_is_a_function_of_the_seed(self):
+        told = [loop.digest(vars(filled().batch(4, random.Random(s)))) for s in (1, 1, 2)]
+        self.assertEqual(told[0], told[1])
+        self.assertNotEqual(told[0], told[2])
+
+    def test_shares_hold(self):
+        pictures = filled(label=1, rgbd=1)
+        drawn = [g for seed in range(40) for g, _ in pictures.batch(8, random.Random(seed)).of]
+        want = batches.SHARES["label"] / (batches.SHARES["label"] + batches.SHARES["rgbd"])
+        self.assertAlmostEqual(drawn.count("label") / len(drawn), want, delta=0.08)
+
+    def test_two_labels_of_a_photograph_count_half_each(self):
+        pictures = batches.Pictures(CPU)
+        for name in ("a.b", "a", "c"):
+            pictures.add(next(pack.Packed(**vars(p) | {"name": name}) for p in packed() if p.group == "label"))
+        self.assertEqual([(name, len(own)) for name, own in pictures.groups["label"]], [("a", 2), ("c", 1)])
+
+    def test_colours_map_and_regions_are_cropped_alike(self):
+        ramp = np.tile(np.linspace(0, 1, 320), (240, 1))
+        region = np.where(ramp > 0.5, 2, 1).astype(np.uint8)
+        picture = held(ramp, region)
+        for seed in range(8):
+            rgb, value, region, kind, good = batches.cropped(picture, (64, 96), random.Random(seed))
+            small = torch.nn.functional.avg_pool2d(rgb, 2)[0]
+            self.assertLess(float((small - value).abs().max()), 0.02)
+            sure = (value - 0.5).abs() > 0.03
+            self.assertTrue(((value > 0.5) == (region == 2))[sure].all() and (kind == torch.where(region == 2, 1, 4)).all())
+            self.assertEqual(float(good), 1.0)
+
+    def test_crops_do_not_spread_the_unknown(self):
+        value = np.tile(np.linspace(0, 1, 320), (240, 1))
+        value[:, 160:] = np.nan
+        rgb, value, *_ = batches.cropped(held(value), (64, 96), random.Random(1))
+        dark = torch.nn.functional.avg_pool2d(rgb, 2)[0] < 0.01
+        self.assertTrue(value[~dark].isfinite().float().mean() > 0.95)
+
+    def test_a_crop_without_relief_does_not_count(self):
+        self.assertEqual(float(batches.cropped(held(np.full((80, 96), 0.5)), (64, 96), random.Random(1))[-1]), 0.0)
+
+    def test_augmented_colours_stay_in_range(self):
+        x, value = torch.rand(6, 3, 64, 96), torch.rand(6, 32, 48)
+        one, same, other = (augment.photometric(x, value, random.Random(s)) for s in (1, 1, 2))
+        self.assertTrue(torch.equal(one, same) and not torch.equal(one, other))
+        self.assertTrue(0 <= float(one.min()) and float(one.max()) <= 1)
+
+    def test_compression_is_that_of_jpeg(self):
+        grey = cv2.GaussianBlur(np.random.default_rng(1).integers(0, 256, (64, 96), np.uint8), (0, 0), 1)
+        x = torch.from_numpy(grey)[None, None].repeat(1, 3, 1, 1) / 255
+        for quality in (40, 80):
+            want = cv2.imdecode(cv2.imencode(".jpg", grey, [cv2.IMWRITE_JPEG_QUALITY, quality])[1], cv2.IMREAD_GRAYSCALE)
+            got = augment.compressed(x, torch.full((1, 1, 1, 1), float(quality)))[0, 0].numpy() * 255
+            self.assertLess(np.abs(got - want).mean(), 0.3 * np.abs(want.astype(float) - grey).mean())
+
+
+class Packs(unittest.TestCase):
+    def test_what_is_packed_is_read(self):
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "pictures.zip"
+            writer, written = pack.Writer(path), list(packed(each=1))
+            for p in written:
+                writer.add(p.name, p.group, p.space, sources.Sample(p.rgb, p.value, p.region, p.kinds[p.region]))
+            writer.close()
+            for a, b in zip(written, pack.opened(path), strict=True):
+                self.assertEqual((a.name, a.group, a.space, a.sparse), (b.name, b.group, b.space, b.sparse))
+                np.testing.assert_allclose(a.value, b.value, atol=0.51 / (pack.STEPS - 1))
+                np.testing.assert_array_equal(a.region, b.region)
+                np.testing.assert_array_equal(a.kinds[a.region], b.kinds[b.region])
+
+
+# stands in for the program: writes a scene for each seed
+PROGRAM = """#!/bin/sh
+mkdir -p "$3/$7" && cp "$(dirname "$0")"/scene/* "$3/$7"
+"""
+
+
+class Rendering(unittest.TestCase):
+    def started(self, folder, text):
+        program = Path(folder) / "program"
+        program.write_text(text)
+        program.chmod(0o755)
+        scene = Path(folder) / "scene"
+        scene.mkdir()
+        cv2.imwrite(str(scene / "photo.png"), np.zeros((8, 8, 3), np.uint8))
+        cv2.imwrite(str(scene / "disparity.png"), np.full((8, 8), 65535, np.uint16))
+        (scene / "scene.json").write_text('{"family": "room"}')
+        return render.Renderers(str(program), 2, Path(folder) / "out", render.FIRST, folder)
+
+    def test_scenes_come_with_seeds_of_their_own(self):
+        with tempfile.TemporaryDirectory() as folder:
+            renderers, found = self.started(folder, PROGRAM), []
+            while len(found) < 6:
+                found += renderers.taken(wait=True)
+            renderers.close()
+            self.assertEqual(len({s.name for s in found}), len(found))
+            self.assertEqual((found[0].group, float(found[0].value.min())), ("scene:room", 1.0))
+
+    def test_a_failed_program_ends_the_training(self):
+        with tempfile.TemporaryDirectory() as folder:
+            renderers = self.started(folder, "#!/bin/sh\necho no such option >&2\nexit 2\n")
+            with self.assertRaisesRegex(RuntimeError, "no such option"):
+                renderers.taken(wait=True)
+
+
+if __name__ == "__main__":
+    unittest.main()
