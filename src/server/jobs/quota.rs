@@ -125,7 +125,7 @@ impl Jobs {
         bytes: u64,
         mut coming: HashMap<PhotoId, u64>,
     ) -> Result<(), Problem> {
-        let (mut photos, mut taken, mut is_whole) = (0, 0, true);
+        let (mut photos, mut taken, mut is_whole) = (0, 0_u64, true);
         let count = |of: PhotoId, size: u64| {
             coming.remove(&of);
             if id != Some(of) {
