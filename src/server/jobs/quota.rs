@@ -166,7 +166,6 @@ mod tests {
     use std::sync::Barrier;
 
     use super::super::among_tests::{Node, node};
-    use super::super::list::tests::{index, put as index_put};
     use super::*;
     use crate::server::cluster::memory::{MADE, Memory, accepted, put};
     use crate::server::limits::Limits;
