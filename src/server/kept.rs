@@ -4,7 +4,6 @@ use std::fs::File;
 use std::io::{ErrorKind, Write as _};
 use std::sync::Arc;
 
-use bytes::Bytes;
 use sha2::{Digest, Sha256};
 
 use super::cache::{Key, Value};

@@ -39,7 +39,7 @@ use keys::{Keys, KeysError, Scope};
 use links::{Asked, Link, link_of_url, take_link};
 use manage::seal;
 use needs::{Need, need, refusal};
-pub use secret::{Secret, random, same};
+pub use secret::{Secret, same};
 pub use ticket::SECONDS as TICKET_SECONDS;
 use who::{Who, bearer, fresh, is_secret};
 

@@ -226,17 +226,6 @@ pub fn put(ledger: &dyn Ledger, n: u32, at_ms: u64, owner: Option<&Owner>, enter
     (at_ms, id)
 }
 
-/// Makes a photo that waits.
-pub fn finish(cluster: &Cluster, id: PhotoId) {
-    let photo = cluster.look(id).unwrap().unwrap().photo;
-    let claim::Claim::Ours(held) = cluster.claim(&Hint { marker: Marker::name_of(id, &photo.making) }).unwrap() else {
-        panic!("it is nobody's")
-    };
-    let of = cluster.name_of(&held);
-    let end = End { version: 1, outcome: Outcome::Done(done(photo.accepted.at_ms)), blobs: format!("{}{of}", records::blobs(id)) };
-    assert_eq!(cluster.end(&held, &of, &end, &[]).unwrap(), "done");
-}
-
 /// Enters a photo as if it had been accepted then, and by that owner.
 pub fn enter(ledger: &dyn Ledger, n: u32, at_ms: u64, owner: Option<&Owner>) {
     let (id, accepted) = accepted(n, at_ms, owner);

@@ -125,7 +125,7 @@ impl Jobs {
         bytes: u64,
         mut coming: HashMap<PhotoId, u64>,
     ) -> Result<(), Problem> {
-        let (mut photos, mut taken, mut is_whole) = (0, 0, true);
+        let (mut photos, mut taken, mut is_whole) = (0, 0_u64, true);
         let count = |of: PhotoId, size: u64| {
             coming.remove(&of);
             if id != Some(of) {
@@ -166,7 +166,6 @@ mod tests {
     use std::sync::Barrier;
 
     use super::super::among_tests::{Node, node};
-    use super::super::list::tests::{index, put as index_put};
     use super::*;
     use crate::server::cluster::memory::{MADE, Memory, accepted, put};
     use crate::server::limits::Limits;

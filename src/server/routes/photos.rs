@@ -174,7 +174,7 @@ pub(super) async fn wait_for(app: &App, entry: &Arc<Entry>, until: tokio::time::
 }
 
 /// Seconds of `Prefer: wait=SECONDS` (RFC 7240).
-fn prefer_wait(headers: &HeaderMap) -> Option<u64> {
+pub(super) fn prefer_wait(headers: &HeaderMap) -> Option<u64> {
     let mut all = headers.get_all("prefer").iter().filter_map(|v| v.to_str().ok()).flat_map(|v| v.split(','));
     all.find_map(|preference| {
         let (name, value) = preference.split(';').next()?.split_once('=')?;

@@ -13,7 +13,7 @@ use crate::server::app::{App, Export, Full, Shared, Stored, Version, scene_bytes
 use crate::server::clock::Clock;
 use crate::server::conditional::insert;
 use crate::server::exports::Recipe;
-use crate::server::pool::{Class, Slot};
+use crate::server::pool::Class;
 use crate::server::problem::Problem;
 use crate::server::store::Done;
 use tmpi_core::{Camera, Scene};

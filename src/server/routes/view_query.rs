@@ -1,7 +1,6 @@
 //! What a request for a view asks for.
 
 use axum::http::Uri;
-use utoipa::openapi::path::{Parameter, ParameterIn};
 
 use super::query::Pairs;
 use crate::server::limits::Limits;
