@@ -65,7 +65,10 @@ describe('headset', () => {
     assert.ok(Math.abs(left.yaw + (0.3 * 180) / Math.PI) < 0.5, `turned to the left: ${left.yaw}`);
     assert.ok(await page.evaluate(() => window.viewer.asleep));
     const { off, covered } = await page.evaluate(eyePicture);
-    assert.ok(off < 0.01 && covered > 0.3, `${off} of what an eye sees is not what the page draws there; ${covered} of it is no background`);
+    assert.ok(
+      off < 0.01 && covered > 0.3,
+      `${off} of what an eye sees is not what the page draws there; ${covered} of it is no background`,
+    );
     await page.evaluate(() => window.viewer.headset.end());
     await page.waitForFunction(() => !window.viewer.headset && !window.viewer.asleep);
     assert.deepEqual(errors, []);
