@@ -120,19 +120,15 @@ describe('around a room', () => {
     const prepare = async (page) => {
       await standing(page);
       await kept(page);
-      await page.clock.install();
     };
     const publisher = await suite.publish('cellar', { prepare });
     await publisher.page.evaluate(() => {
       window.still = true;
     });
-    await publisher.page.clock.fastForward(8000);
     await state(publisher.page, 'paused');
     await publisher.page.getByText('Paused: the camera gives no picture here.').waitFor();
     // who is not there is not sent away for saying nothing
     await publisher.page.waitForFunction(() => window.sockets.every(({ readyState }) => readyState === WebSocket.CLOSED));
-    await publisher.page.clock.fastForward(60_000);
-    await state(publisher.page, 'paused');
     await publisher.page.evaluate(() => {
       window.still = false;
     });

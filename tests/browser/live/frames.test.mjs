@@ -1,4 +1,4 @@
-// Frames of a camera that fail.
+// Frames of a camera that fail, and rooms that have no place.
 import assert from 'node:assert/strict';
 import { afterEach, describe, test } from 'node:test';
 import { Connection } from '../../../static/live/connection.js';

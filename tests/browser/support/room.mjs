@@ -60,6 +60,12 @@ export async function shown(page) {
   return likenessOf(await pixelsAt(page, {}, WIDTH, HEIGHT));
 }
 
+/** The same of pixels. */
+export function likenessOf(pixels) {
+  const number = numberOf(pixels);
+  return { pixels, number, same: psnr(pixels, rgba(number % FRAMES)), other: psnr(pixels, rgba((number + FRAMES / 2) % FRAMES)) };
+}
+
 /** Pixels of plain video. */
 export function flatPixels(page) {
   const script = async ([w, h]) => window.viewer.canvas.getContext('2d').getImageData(0, 0, w, h).data;
@@ -70,12 +76,6 @@ export function flatPixels(page) {
 export async function showsFrames(page, count) {
   const { frame } = await (await page.waitForFunction(() => window.measured)).jsonValue();
   await page.waitForFunction(([before, n]) => window.measured.frame >= before + n, [frame, count]);
-}
-
-/** The same of pixels. */
-export function likenessOf(pixels) {
-  const number = numberOf(pixels);
-  return { pixels, number, same: psnr(pixels, rgba(number % FRAMES)), other: psnr(pixels, rgba((number + FRAMES / 2) % FRAMES)) };
 }
 
 /** A screenshot, where TMPI_SHOTS names a folder for them. */
