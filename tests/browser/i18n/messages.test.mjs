@@ -11,7 +11,7 @@ const { t } = await import('../../../static/i18n/messages.js');
 const { ELEMENT, word } = await import('../../../static/i18n/element.js');
 
 /** The same in both languages, or a name. */
-const SAME = new Set(['tmpi', 'Live']);
+const SAME = new Set(['tmpi', 'Live', 'Download', 'Reset']);
 const TABLES = ['i18n/element.js', 'i18n/messages.js'];
 /** A text between quotes, where nothing else is said of it. */
 const QUOTED = /'((?:[^'\\\n]|\\.)*)'/g;
