@@ -2,6 +2,7 @@
 
 #[allow(clippy::expect_used, reason = "an engine that is installed and does not start fails the test")]
 pub mod engines;
+pub mod jpeg;
 
 use std::fmt::Display;
 
