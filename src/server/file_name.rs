@@ -1,10 +1,16 @@
 //! The name of a file that comes as part of a form.
 
+use axum::http::{HeaderMap, header};
 use percent_encoding::percent_decode_str;
 
-/// The name that the part's `content-disposition` gives: `filename*` (RFC 8187) where it can be read, else `filename` as browsers write it.
+/// The name that a part's headers give: `filename*` (RFC 8187) where it can be read, else `filename` as browsers write it.
 #[must_use]
-pub fn file_name(disposition: &str) -> Option<String> {
+pub fn file_name(headers: &HeaderMap) -> Option<String> {
+    let disposition = headers.get(header::CONTENT_DISPOSITION)?;
+    name_of(std::str::from_utf8(disposition.as_bytes()).ok()?)
+}
+
+fn name_of(disposition: &str) -> Option<String> {
     let extended = parameter(disposition, "filename*").and_then(decoded);
     extended.or_else(|| parameter(disposition, "filename").map(|name| unescaped(&name)))
 }
@@ -53,7 +59,7 @@ mod tests {
 
     #[test]
     fn names_are_read_however_they_are_written() {
-        let name = |parameters: &str| file_name(&format!("form-data; {parameters}"));
+        let name = |parameters: &str| name_of(&format!("form-data; {parameters}"));
         for (parameters, wanted) in [
             ("name=\"photo\"; filename=\"a b.jpg\"", Some("a b.jpg")),
             ("name=photo; filename=a.jpg; size=3", Some("a.jpg")),
@@ -79,6 +85,6 @@ mod tests {
         ] {
             assert_eq!(name(parameters).as_deref(), wanted, "{parameters}");
         }
-        assert_eq!(file_name("form-data"), None);
+        assert_eq!(name_of("form-data"), None);
     }
 }

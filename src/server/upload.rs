@@ -304,8 +304,7 @@ async fn read_multipart(app: &App, parts: &mut Parts, request: Request) -> Resul
         if slot.is_some() {
             return Err(Problem::parameter(&name, "is given twice"));
         }
-        let disposition = field.headers().get(header::CONTENT_DISPOSITION).and_then(|value| std::str::from_utf8(value.as_bytes()).ok());
-        let title = disposition.and_then(file_name).and_then(|file| title_of_file(&file));
+        let title = file_name(field.headers()).and_then(|file| title_of_file(&file));
         let (mut admission, options) = (Admission::new(&app.jobs.maker), &parts.chosen.options);
         let of = if part == Part::Depth { HeadOf::Depth } else { HeadOf::PhotoSoFar(options) };
         let look = |bytes: &[u8]| admission.see(bytes, of);

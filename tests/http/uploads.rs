@@ -261,7 +261,8 @@ fn named_form(server: &Running, fields: &[(&str, &str)], file: &str, photo: &[u8
 #[test]
 fn empty_fields_of_a_form_count_as_absent() {
     let (dir, server) = start(Arc::new(pipeline()));
-    let part = |head: &str, body: &[u8]| [format!("--x\r\ncontent-disposition: form-data; {head}\r\n\r\n").as_bytes(), body, b"\r\n"].concat();
+    let part =
+        |head: &str, body: &[u8]| [format!("--x\r\ncontent-disposition: form-data; {head}\r\n\r\n").as_bytes(), body, b"\r\n"].concat();
     let file = |name: &str| part(&format!("name=\"{name}\"; filename=\"\"\r\ncontent-type: application/octet-stream"), b"");
     let text = |name: &str, value: &str| part(&format!("name=\"{name}\""), value.as_bytes());
     let photo = part("name=\"photo\"; filename=\"my %22best%22.jpg\"", &jpeg(1));

@@ -9,8 +9,8 @@ const DC: std::ops::Range<u8> = 0..12;
 const AC_BITS: u8 = 11;
 
 const ZIGZAG: [usize; 64] = [
-    0, 1, 8, 16, 9, 2, 3, 10, 17, 24, 32, 25, 18, 11, 4, 5, 12, 19, 26, 33, 40, 48, 41, 34, 27, 20, 13, 6, 7, 14, 21, 28, 35, 42, 49, 56, 57,
-    50, 43, 36, 29, 22, 15, 23, 30, 37, 44, 51, 58, 59, 52, 45, 38, 31, 39, 46, 53, 60, 61, 54, 47, 55, 62, 63,
+    0, 1, 8, 16, 9, 2, 3, 10, 17, 24, 32, 25, 18, 11, 4, 5, 12, 19, 26, 33, 40, 48, 41, 34, 27, 20, 13, 6, 7, 14, 21, 28, 35, 42, 49, 56,
+    57, 50, 43, 36, 29, 22, 15, 23, 30, 37, 44, 51, 58, 59, 52, 45, 38, 31, 39, 46, 53, 60, 61, 54, 47, 55, 62, 63,
 ];
 
 /// A component: its identifier and sampling factors.
@@ -28,6 +28,37 @@ pub struct Component {
 #[must_use]
 pub fn components(sampling: &[(u8, u8)]) -> Vec<Component> {
     sampling.iter().zip(1..).map(|(&(h, v), id)| Component { id, h, v }).collect()
+}
+
+/// A smooth picture: sample 0 to 255 of a component (brightness, two of colour, black) at a place in pixels.
+#[must_use]
+pub fn smooth(component: usize, x: f64, y: f64) -> f64 {
+    match component {
+        0 => 128.0 + 60.0 * (x / 9.0).sin() + 40.0 * (y / 7.0).cos(),
+        1 => 128.0 + 40.0 * (x / 23.0 + y / 31.0).sin(),
+        2 => 128.0 + 40.0 * (y / 19.0 - x / 37.0).cos(),
+        _ => 200.0 + 30.0 * (x / 20.0).sin(),
+    }
+}
+
+/// What [`smooth`] looks like as `YCbCr` (BT.601 in full range), in RGB of 0 to 255.
+#[must_use]
+pub fn smooth_rgb(x: f64, y: f64) -> [f64; 3] {
+    let [luma, blue, red] = [0, 1, 2].map(|component| smooth(component, x, y));
+    let (blue, red) = (blue - 128.0, red - 128.0);
+    [luma + 1.402 * red, luma - 0.344_136 * blue - 0.714_136 * red, luma + 1.772 * blue].map(|v| v.clamp(0.0, 255.0))
+}
+
+/// The segment that says JFIF.
+#[must_use]
+pub fn jfif() -> (u8, Vec<u8>) {
+    (0xE0, b"JFIF\0\x01\x01\0\0\x01\0\x01\0\0".to_vec())
+}
+
+/// Adobe's segment, which tells the kind of colours.
+#[must_use]
+pub fn adobe(transform: u8) -> (u8, Vec<u8>) {
+    (0xEE, [&b"Adobe\0\x64\0\0\0\0"[..], &[transform]].concat())
 }
 
 /// Order of a file's scans.
@@ -103,7 +134,12 @@ impl Jpeg {
             Scans::Progressive => {
                 let band = |first, last, high, low| Band { first, last, high, low };
                 let dc = |high, low| [(all.clone(), band(0, 0, high, low))].into_iter();
-                dc(0, 1).chain(each(band(1, 5, 0, 1))).chain(each(band(6, 63, 0, 1))).chain(dc(1, 0)).chain(each(band(1, 63, 1, 0))).collect()
+                dc(0, 1)
+                    .chain(each(band(1, 5, 0, 1)))
+                    .chain(each(band(6, 63, 0, 1)))
+                    .chain(dc(1, 0))
+                    .chain(each(band(1, 63, 1, 0)))
+                    .collect()
             }
         };
         for (of, band) in scans {

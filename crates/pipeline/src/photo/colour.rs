@@ -5,7 +5,9 @@ use moxcms::{
     TransformOptions,
 };
 use rayon::prelude::*;
-use std::sync::Arc;
+
+use super::hdr::Hdr;
+use super::pixels::Sample;
 
 /// Levels of 255 that a profile may differ from sRGB and still count as sRGB: profiles of sRGB itself differ by their rounding.
 const SAME: u8 = 2;
@@ -21,11 +23,29 @@ pub(super) enum Profile {
     Cicp(CicpProfile),
 }
 
-/// A conversion to sRGB of pixels with samples of 8 or 16 bits.
-pub(super) struct Conversion<S> {
-    transform: Arc<dyn TransformExecutor<S> + Send + Sync>,
-    /// The profile is one of grey: the three channels are alike, and the first is taken.
-    grey: bool,
+/// A conversion to sRGB of pixels with samples of 8 or 16 bits; of grey ones the channels are alike.
+pub(super) struct Conversion<S>(Box<dyn Fn(&mut [[S; 3]]) + Send + Sync>);
+
+impl<S: Sample> Conversion<S> {
+    /// Converts pixels in place, side by side.
+    pub(super) fn run(&self, pixels: &mut [[S; 3]]) {
+        pixels.par_chunks_mut(CHUNK).for_each(|chunk| self.chunk(chunk));
+    }
+
+    /// Converts a few pixels in place.
+    pub(super) fn chunk(&self, pixels: &mut [[S; 3]]) {
+        (self.0)(pixels);
+    }
+
+    /// By a transform from pixels that lie as `layout` says; they stay as they are where it fails.
+    fn of(transform: impl AsRef<dyn TransformExecutor<S> + Send + Sync> + Send + Sync + 'static, layout: Layout) -> Self {
+        Self(Box::new(move |pixels| {
+            let source: Vec<S> =
+                if layout == Layout::Gray { pixels.iter().map(|p| p[0]).collect() } else { pixels.as_flattened().to_vec() };
+            // it fails on lengths that do not agree
+            let _ = transform.as_ref().transform(&source, pixels.as_flattened_mut());
+        }))
+    }
 }
 
 impl Profile {
@@ -56,14 +76,25 @@ impl Profile {
         }
     }
 
+    fn hdr(&self) -> Option<Hdr> {
+        if let Self::Cicp(cicp) = self { Hdr::of(*cicp) } else { None }
+    }
+
     /// The conversion of pixels of 8 bits, where it is more than the identity.
     pub(super) fn bytes(&self, grey: bool) -> Option<Conversion<u8>> {
+        if let Some(hdr) = self.hdr() {
+            return Some(Conversion(Box::new(move |pixels| {
+                let mut wide: Vec<[u16; 3]> = pixels.iter().map(|p| p.map(|v| u16::from(v) * 257)).collect();
+                hdr.convert(&mut wide);
+                pixels.iter_mut().zip(wide).for_each(|(p, wide)| *p = wide.map(u16::byte));
+            })));
+        }
         let (profile, layout) = self.fitting(grey)?;
         let transform = profile.create_transform_8bit(layout, &ColorProfile::new_srgb(), Layout::Rgb, TransformOptions::default()).ok()?;
-        let conversion = Conversion { transform, grey: layout == Layout::Gray };
+        let conversion = Conversion::of(transform, layout);
         let levels = [0u8, 32, 64, 96, 128, 160, 192, 224, 255];
-        let probes: Vec<[u8; 3]> = levels.iter().flat_map(|&r| levels.iter().flat_map(move |&g| levels.map(|b| [r, g, b]))).collect();
-        let probes = if grey { levels.map(|v| [v; 3]).to_vec() } else { probes };
+        let coloured = || levels.iter().flat_map(|&r| levels.iter().flat_map(move |&g| levels.map(|b| [r, g, b]))).collect();
+        let probes: Vec<[u8; 3]> = if grey { levels.map(|v| [v; 3]).to_vec() } else { coloured() };
         let mut converted = probes.clone();
         conversion.chunk(&mut converted);
         let differs = |(a, b): (&u8, &u8)| a.abs_diff(*b) > SAME;
@@ -72,31 +103,12 @@ impl Profile {
 
     /// The conversion of pixels of 16 bits, where it is more than the identity.
     pub(super) fn words(&self, grey: bool) -> Option<Conversion<u16>> {
+        if let Some(hdr) = self.hdr() {
+            return Some(Conversion(Box::new(move |pixels| hdr.convert(pixels))));
+        }
         self.bytes(grey)?;
         let (profile, layout) = self.fitting(grey)?;
         let transform = profile.create_transform_16bit(layout, &ColorProfile::new_srgb(), Layout::Rgb, TransformOptions::default()).ok()?;
-        Some(Conversion { transform, grey: layout == Layout::Gray })
-    }
-}
-
-impl<S: Copy + Default + Send + Sync> Conversion<S> {
-    /// Converts pixels in place, side by side.
-    pub(super) fn run(&self, pixels: &mut [[S; 3]]) {
-        pixels.par_chunks_mut(CHUNK).for_each(|chunk| self.chunk(chunk));
-    }
-
-    /// Converts pixels in place; they stay as they are where the conversion fails.
-    pub(super) fn chunk(&self, pixels: &mut [[S; 3]]) {
-        let source: Vec<[S; 3]> = pixels.to_vec();
-        let target = pixels.as_flattened_mut();
-        let done = if self.grey {
-            let samples: Vec<S> = source.iter().map(|p| p[0]).collect();
-            self.transform.transform(&samples, target)
-        } else {
-            self.transform.transform(source.as_flattened(), target)
-        };
-        if done.is_err() {
-            pixels.copy_from_slice(&source);
-        }
+        Some(Conversion::of(transform, layout))
     }
 }

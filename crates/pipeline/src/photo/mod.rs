@@ -10,6 +10,7 @@ mod error;
 pub(crate) mod exif;
 #[doc(hidden)]
 pub mod fuzzing;
+mod hdr;
 mod head;
 mod jpeg;
 mod jpeg_pixels;
@@ -24,7 +25,11 @@ mod taps;
 mod webp;
 
 #[cfg(test)]
+mod colours;
+#[cfg(test)]
 mod hostile;
+#[cfg(test)]
+mod kinds;
 #[cfg(test)]
 mod tests;
 #[cfg(test)]
@@ -84,9 +89,26 @@ const MAX_PROFILE: usize = 4 << 20;
 pub fn decode(bytes: &[u8], limits: &Limits, max_size: Option<u32>) -> Result<Decoded, PhotoError> {
     limits.check_bytes(bytes.len())?;
     let format = sniff(bytes)?;
-    // The last resort: a decoder's own bug must not take the process down
-    catch_unwind(AssertUnwindSafe(|| read(bytes, format, limits, max_size).map(|raw| finish(raw, format, max_size))))
-        .unwrap_or_else(|_| Err(PhotoError::Broken("the decoder failed on this file".into())))
+    guarded(|| read(bytes, format, limits, max_size, Samples::Colours).map(|raw| finish(raw, format, max_size)))
+}
+
+/// Decodes a picture whose samples are values and no colours: no profile changes them, and alpha says nothing of them. Upright.
+pub(crate) fn decode_values(bytes: &[u8], limits: &Limits) -> Result<Photo, PhotoError> {
+    limits.check_bytes(bytes.len())?;
+    let format = sniff(bytes)?;
+    guarded(|| read(bytes, format, limits, None, Samples::Values).map(|raw| finish(raw, format, None).photo))
+}
+
+/// The last resort: a decoder's own bug must not take the process down.
+fn guarded<T>(decode: impl FnOnce() -> Result<T, PhotoError>) -> Result<T, PhotoError> {
+    catch_unwind(AssertUnwindSafe(decode)).unwrap_or_else(|_| Err(PhotoError::Broken("the decoder failed on this file".into())))
+}
+
+/// What the samples of a picture are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Samples {
+    Colours,
+    Values,
 }
 
 /// Format by the first bytes.
@@ -99,11 +121,18 @@ fn sniff(bytes: &[u8]) -> Result<PhotoFormat, PhotoError> {
     PhotoFormat::sniff(bytes).ok_or(if heic { PhotoError::Heic } else { PhotoError::Unsupported })
 }
 
-/// EXIF orientation of a JPEG, 1 to 8; 1 where it says none.
-pub(crate) fn orientation(jpeg: &[u8]) -> u8 {
-    let segments = segments::applications(jpeg);
-    let tiff = segments.iter().find(|s| s.number == 1).and_then(|s| s.body.strip_prefix(b"Exif\0\0"));
-    Facts::read(tiff).orientation
+/// EXIF orientation of a photo, 1 to 8; 1 where it says none.
+pub(crate) fn orientation(photo: &[u8]) -> u8 {
+    let facts = match PhotoFormat::sniff(photo) {
+        Some(PhotoFormat::Jpeg) => {
+            let segments = segments::applications(photo);
+            Facts::read(segments.iter().filter(|s| s.number == 1).find_map(|s| s.body.strip_prefix(b"Exif\0\0")))
+        }
+        Some(PhotoFormat::Png) => png::scan(photo, &Limits::NONE).map_or(Facts::NONE, |png| Facts::read(png.exif)),
+        Some(PhotoFormat::WebP) => webp::scan(photo).map_or(Facts::NONE, |webp| Facts::read(webp.exif.as_deref())),
+        None => Facts::NONE,
+    };
+    facts.orientation
 }
 
 /// A picture as its decoder gave it.
@@ -118,11 +147,11 @@ struct Raw {
     damaged: bool,
 }
 
-fn read(bytes: &[u8], format: PhotoFormat, limits: &Limits, max_size: Option<u32>) -> Result<Raw, PhotoError> {
+fn read(bytes: &[u8], format: PhotoFormat, limits: &Limits, max_size: Option<u32>, samples: Samples) -> Result<Raw, PhotoError> {
     match format {
-        PhotoFormat::Jpeg => read_jpeg(bytes, limits, max_size),
-        PhotoFormat::Png => read_png(bytes, limits),
-        PhotoFormat::WebP => read_webp(bytes, limits),
+        PhotoFormat::Jpeg => read_jpeg(bytes, limits, max_size, samples),
+        PhotoFormat::Png => read_png(bytes, limits, samples),
+        PhotoFormat::WebP => read_webp(bytes, limits, samples),
     }
 }
 
@@ -148,7 +177,7 @@ fn broken(error: impl std::fmt::Display) -> PhotoError {
     PhotoError::Broken(error.to_string())
 }
 
-fn read_jpeg(bytes: &[u8], limits: &Limits, max_size: Option<u32>) -> Result<Raw, PhotoError> {
+fn read_jpeg(bytes: &[u8], limits: &Limits, max_size: Option<u32>, samples: Samples) -> Result<Raw, PhotoError> {
     let jpeg = check::jpeg(bytes, limits)?;
     let size = (jpeg.width, jpeg.height);
     let facts = Facts::read(jpeg.exif.as_deref());
@@ -161,7 +190,7 @@ fn read_jpeg(bytes: &[u8], limits: &Limits, max_size: Option<u32>) -> Result<Raw
         None => jpeg_pixels::whole(&jpeg)?,
     };
     let profile = jpeg.icc.filter(|icc| !cmyk && icc.len() <= MAX_PROFILE).map(Profile::Icc);
-    let conversion = profile.and_then(|profile| profile.bytes(jpeg.colour == Colour::Grey));
+    let conversion = profile.filter(|_| samples == Samples::Colours).and_then(|profile| profile.bytes(jpeg.colour == Colour::Grey));
     if let Some(conversion) = &conversion {
         conversion.run(&mut photo.rgb);
     }
@@ -170,17 +199,17 @@ fn read_jpeg(bytes: &[u8], limits: &Limits, max_size: Option<u32>) -> Result<Raw
     Ok(Raw { photo, size, facts, carried: alike.then_some(jpeg.stripped), damaged })
 }
 
-fn read_png(bytes: &[u8], limits: &Limits) -> Result<Raw, PhotoError> {
+fn read_png(bytes: &[u8], limits: &Limits, samples: Samples) -> Result<Raw, PhotoError> {
     let png = png::scan(bytes, limits)?;
     let mut decoder = png.decoder()?;
     limits.check_memory(decoder.total_bytes())?;
     let icc = decoder.icc_profile().map_err(broken)?;
-    let profile = png.cicp.or(icc.map(Profile::Icc));
-    let photo = image_pixels(decoder, profile.as_ref())?.photo;
+    let profile = png.cicp.clone().or(icc.map(Profile::Icc));
+    let photo = image_pixels(decoder, profile.as_ref(), samples)?.photo;
     Ok(Raw { photo, size: (png.width, png.height), facts: Facts::read(png.exif), carried: None, damaged: false })
 }
 
-fn read_webp(bytes: &[u8], limits: &Limits) -> Result<Raw, PhotoError> {
+fn read_webp(bytes: &[u8], limits: &Limits, samples: Samples) -> Result<Raw, PhotoError> {
     let webp = check::webp(bytes, limits)?;
     let size = (webp.width, webp.height);
     let facts = Facts::read(webp.exif.as_deref());
@@ -188,7 +217,7 @@ fn read_webp(bytes: &[u8], limits: &Limits) -> Result<Raw, PhotoError> {
     if decoder.dimensions() != size {
         return Err(broken("the picture has another size than its header says"));
     }
-    let pixels = image_pixels(decoder, webp.icc.map(Profile::Icc).as_ref())?;
+    let pixels = image_pixels(decoder, webp.icc.map(Profile::Icc).as_ref(), samples)?;
     let carried = (pixels.as_stored && !webp.animated).then_some(webp.stripped);
     Ok(Raw { photo: pixels.photo, size, facts, carried, damaged: false })
 }
@@ -200,10 +229,11 @@ struct Pixels {
     as_stored: bool,
 }
 
-fn image_pixels(decoder: impl ImageDecoder, profile: Option<&Profile>) -> Result<Pixels, PhotoError> {
+fn image_pixels(decoder: impl ImageDecoder, profile: Option<&Profile>, samples: Samples) -> Result<Pixels, PhotoError> {
     let ((width, height), colour) = (decoder.dimensions(), decoder.color_type());
     let (pixels, channels) = (width as usize * height as usize, usize::from(colour.channel_count()));
-    let grey = !colour.has_color();
+    let (grey, blend) = (!colour.has_color(), samples == Samples::Colours);
+    let profile = profile.filter(|_| blend);
     let ((rgb, see_through), converted) = match colour {
         ColorType::Rgb8 => {
             let mut rgb = vec![[0; 3]; pixels];
@@ -216,13 +246,13 @@ fn image_pixels(decoder: impl ImageDecoder, profile: Option<&Profile>) -> Result
             let mut samples = vec![0u8; pixels * channels];
             decoder.read_image(&mut samples).map_err(broken)?;
             let conversion = profile.and_then(|profile| profile.bytes(grey));
-            (pixels::to_rgb(&samples, channels, conversion.as_ref()), conversion.is_some())
+            (pixels::to_rgb(&samples, channels, conversion.as_ref(), blend), conversion.is_some())
         }
         ColorType::L16 | ColorType::La16 | ColorType::Rgb16 | ColorType::Rgba16 => {
             let mut samples = vec![0u16; pixels * channels];
             decoder.read_image(bytemuck::cast_slice_mut(&mut samples)).map_err(broken)?;
             let conversion = profile.and_then(|profile| profile.words(grey));
-            (pixels::to_rgb(&samples, channels, conversion.as_ref()), conversion.is_some())
+            (pixels::to_rgb(&samples, channels, conversion.as_ref(), blend), conversion.is_some())
         }
         other => return Err(PhotoError::Broken(format!("pixels of kind {other:?} are not read"))),
     };

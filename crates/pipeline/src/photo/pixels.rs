@@ -24,9 +24,9 @@ impl Sample for u16 {
     }
 }
 
-/// RGB of 8 bits, converted where there is a conversion, then blended over white, and whether any pixel was not opaque. Of `channels` 1 is
-/// grey, 3 are RGB, and one more is alpha.
-pub(super) fn to_rgb<S: Sample>(samples: &[S], channels: usize, conversion: Option<&Conversion<S>>) -> (Vec<[u8; 3]>, bool) {
+/// RGB of 8 bits, converted where there is a conversion, then blended over white where it is to be, and whether any pixel was not opaque.
+/// Of `channels` 1 is grey, 3 are RGB, and one more is alpha.
+pub(super) fn to_rgb<S: Sample>(samples: &[S], channels: usize, conversion: Option<&Conversion<S>>, blend: bool) -> (Vec<[u8; 3]>, bool) {
     let colour = |p: &[S]| if channels < 3 { [p[0]; 3] } else { [p[0], p[1], p[2]] };
     let alpha = |p: &[S]| if channels.is_multiple_of(2) { p[channels - 1].byte() } else { u8::MAX };
     // what is see-through is paper more often than night
@@ -42,7 +42,7 @@ pub(super) fn to_rgb<S: Sample>(samples: &[S], channels: usize, conversion: Opti
         for ((out, colour), pixel) in out.iter_mut().zip(colours).zip(samples.chunks_exact(channels)) {
             let alpha = alpha(pixel);
             clear |= alpha != u8::MAX;
-            *out = over(colour.map(S::byte), alpha);
+            *out = over(colour.map(S::byte), if blend { alpha } else { u8::MAX });
         }
         clear
     });
