@@ -123,7 +123,8 @@ pub(super) fn scan(bytes: &[u8]) -> Result<WebP, PhotoError> {
                 webp.alpha = flags & ALPHA != 0;
                 extended = true;
                 let mut head = content[..10].to_vec();
-                head[0] = flags & (ANIMATED | ALPHA);
+                // a picture may cover a part of its canvas: what is beside it is clear, not black
+                head[0] = flags & (ANIMATED | ALPHA) | if webp.animated { ALPHA } else { 0 };
                 push(&mut body, name, &head);
             }
             b"VP8 " | b"VP8L" if pictures == 0 && !webp.animated => {
