@@ -34,8 +34,9 @@ class Renderers:
         self.found, self.ended, self.running = queue.Queue(), threading.Event(), {}
         self.seeds = itertools.count(first, CHUNK)
         self.lock = threading.Lock()
-        for worker in range(count):
-            threading.Thread(target=self.work, args=(worker,), daemon=True).start()
+        self.threads = [threading.Thread(target=self.work, args=(worker,), daemon=True) for worker in range(count)]
+        for thread in self.threads:
+            thread.start()
 
     def work(self, worker):
         try:
@@ -73,9 +74,10 @@ class Renderers:
 
     def close(self):
         self.ended.set()
-        for process in self.running.values():
+        for process in list(self.running.values()):
             process.terminate()
-            process.wait()
+        for thread in self.threads:
+            thread.join()
         shutil.rmtree(self.folder, ignore_errors=True)
 
 
