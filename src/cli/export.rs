@@ -13,6 +13,7 @@ use tmpi_core::container::{self, LEVELS, RegionPhoto, Tiles};
 
 /// Write a container, or a part of it, as a page, a glTF model, layers for editors of pictures, an archive of its parts or a container
 #[derive(Clone, Debug, clap::Args)]
+#[allow(clippy::struct_excessive_bools, reason = "flags of a command")]
 pub(super) struct ExportArgs {
     /// The container
     #[arg(value_name = "IN.tmpi")]
@@ -33,7 +34,7 @@ pub(super) struct ExportArgs {
     /// A glTF model in the photo's own space, with far things far away, instead of a relief that fits into a viewer's frame
     #[arg(long)]
     metric: bool,
-    /// Layers of a glTF model as WebP: a fraction of the bytes, for programs that have EXT_texture_webp (three.js, model-viewer, Blender 4)
+    /// Layers of a glTF model as WebP: a fraction of the bytes, for programs that have the glTF extension for WebP (three.js, model-viewer, Blender 4)
     #[arg(long)]
     webp: bool,
     /// Title of the page; without it the container's name

@@ -38,7 +38,7 @@ fn parameter(header: &str, wanted: &str) -> Option<String> {
 }
 
 /// A value of RFC 8187: character set, language, and bytes of which some are percent-encoded.
-fn decoded(value: String) -> Option<String> {
+fn decoded(value: &str) -> Option<String> {
     let mut parts = value.splitn(3, '\'');
     let (charset, _language, text) = (parts.next()?, parts.next()?, parts.next()?);
     let bytes = percent_decode_str(text);

@@ -32,8 +32,8 @@ pub fn add(need: &str, test: &str, reason: &str) -> Result<(), Fault> {
 /// Prints the tests that were skipped, each with its reason, and how many there are.
 pub fn print() -> Result<(), Fault> {
     let file = file();
-    let text = fs::read_to_string(&file).map_err(|e| Fault::new(format!("{}: {e}", file.display())))?;
-    let lines: BTreeSet<&str> = text.lines().collect();
+    let list = fs::read_to_string(&file).map_err(|e| Fault::new(format!("{}: {e}", file.display())))?;
+    let lines: BTreeSet<&str> = list.lines().collect();
     for line in &lines {
         let mut fields = line.splitn(3, '\t');
         let [need, test, reason] = [(); 3].map(|()| fields.next().unwrap_or("?"));

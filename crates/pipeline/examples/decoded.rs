@@ -147,7 +147,10 @@ fn tiff(orientation: u8) -> Vec<u8> {
     [&b"MM\0*\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0"[..], &[orientation, 0, 0, 0, 0, 0, 0]].concat()
 }
 
-fn profiles() -> Result<Vec<(&'static str, Vec<u8>)>, Box<dyn Error>> {
+/// A name and an ICC profile.
+type NamedProfile = (&'static str, Vec<u8>);
+
+fn profiles() -> Result<Vec<NamedProfile>, Box<dyn Error>> {
     let mut linear = ColorProfile::new_srgb();
     linear.cicp = None;
     for curve in [&mut linear.red_trc, &mut linear.green_trc, &mut linear.blue_trc] {
@@ -245,7 +248,7 @@ fn clear_picture() -> DynamicImage {
 }
 
 /// A chunk of a WebP.
-fn riff(name: &[u8; 4], body: &[u8]) -> Vec<u8> {
+fn riff(name: [u8; 4], body: &[u8]) -> Vec<u8> {
     [&name[..], &(body.len() as u32).to_le_bytes(), body, &vec![0; body.len() % 2]].concat()
 }
 
@@ -276,18 +279,18 @@ fn three(value: u32) -> [u8; 3] {
 
 fn webps() -> Result<Files, Box<dyn Error>> {
     let mut files = Files::new();
-    let head = |flags: u8| riff(b"VP8X", &[&[flags, 0, 0, 0][..], &three(W - 1), &three(H - 1)].concat());
+    let head = |flags: u8| riff(*b"VP8X", &[&[flags, 0, 0, 0][..], &three(W - 1), &three(H - 1)].concat());
     for (kind, picture, alpha) in [("opaque", picture(), 0), ("clear", clear_picture(), 0x10)] {
         for (codec, lossy) in [("lossy", true), ("lossless", false)] {
             let body = bitstreams(&picture, lossy)?;
             let mut add = |name: String, chunks: &[&[u8]]| files.push((format!("{name}-{kind}-{codec}.webp"), webp_of(&chunks.concat())));
             add("plain".into(), &[&head(alpha), &body]);
             for (profile, icc) in profiles()? {
-                add(format!("profile-{profile}"), &[&head(alpha | 0x20), &riff(b"ICCP", &icc), &body]);
+                add(format!("profile-{profile}"), &[&head(alpha | 0x20), &riff(*b"ICCP", &icc), &body]);
             }
             if kind == "opaque" {
                 for orientation in 1..=8 {
-                    add(format!("orientation-{orientation}"), &[&head(0x08), &body, &riff(b"EXIF", &tiff(orientation))]);
+                    add(format!("orientation-{orientation}"), &[&head(0x08), &body, &riff(*b"EXIF", &tiff(orientation))]);
                 }
             }
             for flag in [0, 0x10] {
@@ -297,8 +300,8 @@ fn webps() -> Result<Files, Box<dyn Error>> {
                     let part = picture.crop_imm(0, 0, width - 10, height - 10);
                     let sizes = [three(width - 11), three(height - 11), three(100)].concat();
                     let frame = [&place[..], &sizes, &[0], &bitstreams(&part, lossy)?].concat();
-                    let animation = riff(b"ANIM", &[0, 0, 0, 255, 0, 0]);
-                    add(format!("animation-{flag}-{left}-{top}"), &[&head(0x02 | flag), &animation, &riff(b"ANMF", &frame)]);
+                    let animation = riff(*b"ANIM", &[0, 0, 0, 255, 0, 0]);
+                    add(format!("animation-{flag}-{left}-{top}"), &[&head(0x02 | flag), &animation, &riff(*b"ANMF", &frame)]);
                 }
             }
         }

@@ -322,7 +322,9 @@ mod tests {
         let mut animation = started(Animation::start(format, (33, 21), 80))?;
         let file = animation.file.clone();
         assert!(matches!(animation.push(&View { width: 1, ..view(0) }), Err(AnimationError::Size(33, 21))));
-        LEVELS.iter().for_each(|level| animation.push(&view(*level)).unwrap());
+        for level in LEVELS {
+            animation.push(&view(level)).unwrap();
+        }
         let bytes = animation.finish().unwrap();
         assert!(!file.exists(), "nothing is left behind");
         Some(bytes)

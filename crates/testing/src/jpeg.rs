@@ -156,12 +156,11 @@ impl Jpeg {
         let (h_max, v_max) = self.most();
         let units = |side: u16, most: u8| usize::from(side).div_ceil(8 * usize::from(most));
         // blocks across and down of a unit for each component, and units across and down
-        let (blocks, across, down): (Vec<(usize, usize)>, usize, usize) = match of {
-            [one] => (vec![(1, 1)], planes[*one].across, planes[*one].down),
-            _ => {
-                let blocks = of.iter().map(|&i| (self.components[i].h.into(), self.components[i].v.into())).collect();
-                (blocks, units(self.width, h_max), units(self.height, v_max))
-            }
+        let (blocks, across, down): (Vec<(usize, usize)>, usize, usize) = if let [one] = of {
+            (vec![(1, 1)], planes[*one].across, planes[*one].down)
+        } else {
+            let blocks = of.iter().map(|&i| (self.components[i].h.into(), self.components[i].v.into())).collect();
+            (blocks, units(self.width, h_max), units(self.height, v_max))
         };
         let mut bits = Bits::default();
         let mut before = vec![0; of.len()];

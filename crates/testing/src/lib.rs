@@ -188,7 +188,9 @@ mod tests {
         let install = |folder: &str, programs: &[&str]| {
             let folder = root.path().join(folder);
             std::fs::create_dir_all(&folder).unwrap();
-            programs.iter().for_each(|p| std::fs::write(folder.join(p), b"").unwrap());
+            for program in programs {
+                std::fs::write(folder.join(program), b"").unwrap();
+            }
             folder
         };
         let both = ["initdb", "postgres"];

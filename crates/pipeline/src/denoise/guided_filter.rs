@@ -115,7 +115,7 @@ mod tests {
         let value = |x: u32, y: u32| {
             let flat = (x / patch * 7 + y / patch * 13).wrapping_mul(2_654_435_761).wrapping_add(seed) >> 24;
             let rough = (y * w + x).wrapping_mul(0x85EB_CA77).wrapping_add(seed) >> 27;
-            (flat + if x / patch % 2 == 0 { rough } else { 0 }).min(255) as u8
+            (flat + if (x / patch).is_multiple_of(2) { rough } else { 0 }).min(255) as u8
         };
         Photo { width: w, height: h, rgb: (0..w * h).map(|i| [value(i % w, i / w), value(i / w, i % w), 200]).collect() }
     }

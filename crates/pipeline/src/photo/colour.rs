@@ -24,7 +24,10 @@ pub(super) enum Profile {
 }
 
 /// A conversion to sRGB of pixels with samples of 8 or 16 bits; of grey ones the channels are alike.
-pub(super) struct Conversion<S>(Box<dyn Fn(&mut [[S; 3]]) + Send + Sync>);
+pub(super) struct Conversion<S>(Box<Convert<S>>);
+
+/// Converts pixels in place.
+type Convert<S> = dyn Fn(&mut [[S; 3]]) + Send + Sync;
 
 impl<S: Sample> Conversion<S> {
     /// Converts pixels in place, side by side.

@@ -5,6 +5,7 @@ use super::{Head, Limits, PhotoError};
 
 /// What the segments of a JPEG file say, and the file without what nobody needs to decode it.
 #[derive(Debug)]
+#[allow(clippy::struct_excessive_bools, reason = "independent facts about a file")]
 pub(super) struct Jpeg {
     pub width: u32,
     pub height: u32,
@@ -202,7 +203,7 @@ struct Walk<'a> {
     icc: Vec<(u8, &'a [u8])>,
 }
 
-impl<'a> Walk<'a> {
+impl Walk<'_> {
     /// Reads a segment, and the data behind it where it is a scan's.
     fn step(&mut self) -> Result<Step, PhotoError> {
         let (marker, next) = next_marker(self.bytes, self.at)?;

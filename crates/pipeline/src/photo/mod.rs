@@ -239,7 +239,9 @@ fn image_pixels(decoder: impl ImageDecoder, profile: Option<&Profile>, samples: 
             let mut rgb = vec![[0; 3]; pixels];
             decoder.read_image(rgb.as_flattened_mut()).map_err(broken)?;
             let conversion = profile.and_then(|profile| profile.bytes(grey));
-            conversion.iter().for_each(|conversion| conversion.run(&mut rgb));
+            if let Some(conversion) = &conversion {
+                conversion.run(&mut rgb);
+            }
             ((rgb, false), conversion.is_some())
         }
         ColorType::L8 | ColorType::La8 | ColorType::Rgba8 => {

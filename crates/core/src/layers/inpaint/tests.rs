@@ -71,7 +71,7 @@ fn pulled(fine: &Plain) -> Plain {
 /// The coarser level at the centre of texel `(x, y)` of the finer one: bilinear between its texels' centres, clamped to its border.
 fn interpolated(coarse: &Plain, x: usize, y: usize) -> [f64; 4] {
     let corner = |v: usize, n: usize| {
-        let at = (v as f64 + 0.5) / 2.0 - 0.5;
+        let at = f64::midpoint(v as f64, 0.5) - 0.5;
         let low = at.floor();
         let inside = |v: f64| v.clamp(0.0, n as f64 - 1.0) as usize;
         (inside(low), inside(low + 1.0), at - low)
