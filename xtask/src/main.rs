@@ -77,8 +77,7 @@ const OFFLINE: &str = "--offline";
 
 fn serve(args: &[String]) -> Result<(), Fault> {
     runtime::fetch().map_err(|e| e.in_step("ONNX Runtime"))?;
-    // all of it, as the tests do: alone the program would be built a second time, with other features of what it shares with this one
-    run(cargo(&["build", "--release", "--workspace"])).map_err(|e| e.in_step("build"))?;
+    run(cargo(&["build", "--release"])).map_err(|e| e.in_step("build"))?;
     let chosen = |a: &String| a.starts_with("--depth-model") || a == OFFLINE;
     if !args.iter().any(chosen) && std::env::var_os("TMPI_DEPTH_MODEL").is_none() {
         let mut models = std::process::Command::new(command::program());

@@ -24,7 +24,7 @@ const LICENCES: [&str; 5] = ["license", "licence", "copying", "notice", "copyrig
 pub fn release(args: &[String]) -> Result<(), Fault> {
     let step = |step: &'static str| move |fault: Fault| fault.in_step(step);
     runtime::fetch().map_err(step("ONNX Runtime"))?;
-    run(cargo(&["build", "--release", "--workspace", "--locked"])).map_err(step("build"))?;
+    run(cargo(&["build", "--release", "--locked"])).map_err(step("build"))?;
     let version = output(&program().to_string_lossy(), &["--version"]).unwrap_or_default();
     let version = version.split_whitespace().nth(1).ok_or_else(|| Fault::new("the program does not tell its version"))?;
     let name = format!("tmpi-{version}-{}-{}", std::env::consts::OS, std::env::consts::ARCH);
