@@ -1,5 +1,5 @@
 //! The program: command line, server and exports of tiled multiplane images. What it does with photos stands in the crates
-//! `tmpi-core`, `tmpi-pipeline` and `tmpi-render`; what it is measured with, in `tmpi-lab`.
+//! `tmpi-core`, `tmpi-pipeline` and `tmpi-render`.
 
 mod assets;
 pub mod cli;

@@ -74,6 +74,20 @@ fn arrows_run_one_way() {
 }
 
 #[test]
+fn the_program_links_nothing_of_the_lab() {
+    let arrows = arrows();
+    let mut linked = BTreeSet::from(["tmpi"]);
+    let mut reached = 0;
+    while reached < linked.len() {
+        reached = linked.len();
+        let next: Vec<&str> = arrows.iter().filter(|(who, _)| linked.contains(who.as_str())).map(|(_, whom)| whom.as_str()).collect();
+        linked.extend(next);
+    }
+    assert!(linked.contains("tmpi-core") && linked.contains("tmpi-pipeline"), "{linked:?}");
+    assert!(!linked.contains("tmpi-lab"), "{linked:?}");
+}
+
+#[test]
 fn every_place_that_is_named_is_there() {
     let page = std::fs::read_to_string(root().join("ARCHITECTURE.md")).unwrap();
     let named: Vec<&str> = page.split('`').skip(1).step_by(2).filter(|n| n.contains('/') && !n.contains(' ')).collect();

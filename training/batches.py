@@ -11,7 +11,7 @@ import torch.nn.functional as F
 SHAPES = {(192, 256): 0.4, (192, 288): 0.15, (160, 288): 0.12, (224, 224): 0.12, (256, 192): 0.15, (288, 192): 0.06}
 # share of a batch that each group of pictures makes, where there are any
 SHARES = {"scene": 0.45, "label": 0.22, "rgbd": 0.09, "stereo": 0.02, "pairs:depth": 0.08, "pairs:disparity": 0.02, "pairs:order": 0.02, "photo": 0.1}
-# how often a family of scenes is drawn: photographs have more ground in them than `tmpi synth` has by itself
+# how often a family of scenes is drawn: photographs have more ground in them than `tmpi-lab synth` has by itself
 FAMILIES = {
     "room": 0.14, "corridor": 0.03, "lounge": 0.09, "kitchen": 0.08, "street": 0.09, "field": 0.17, "water": 0.05, "terrain": 0.03, "crowd": 0.04,
     "thin": 0.02, "foliage": 0.02, "shelf": 0.06, "heap": 0.06, "table": 0.08, "closeup": 0.05, "drape": 0.03, "figures": 0.04, "floating": 0.01,

@@ -15,10 +15,10 @@ def device():
 
 
 def scenes(*folders):
-    """Folders of complete scenes of `tmpi synth`, sorted, so that a seed means the same order everywhere."""
+    """Folders of complete scenes of `tmpi-lab synth`, sorted, so that a seed means the same order everywhere."""
     found = [p.parent for f in folders for p in sorted(Path(f).glob("*/scene.json"))]
     if not found:
-        raise SystemExit(f"no scenes in {folders}; see README.md for the `tmpi synth` command")
+        raise SystemExit(f"no scenes in {folders}; see README.md for the `tmpi-lab synth` command")
     return found
 
 

@@ -121,7 +121,7 @@ def started(init):
 def main():
     a = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     a.add_argument("--pack", type=Path, default=pack.FILE, help="what pack.py made")
-    a.add_argument("--scenes", nargs="*", default=[], help="folders of scenes of `tmpi synth`")
+    a.add_argument("--scenes", nargs="*", default=[], help="folders of scenes of `tmpi-lab synth`")
     a.add_argument("--renderers", type=int, default=0, help="processes that render further scenes meanwhile; such a run cannot be repeated to the bit")
     a.add_argument("--program", default=str(HERE.parent / "target" / "release" / "tmpi"), help="what renders")
     a.add_argument("--models", help="folder of binary glTF files with z up for the renderers")

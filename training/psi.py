@@ -11,7 +11,7 @@ import common
 import loop
 from common import RUNS
 
-# channels of layers.npy (`tmpi synth --layers`): Ψ's nine, the true colour, and whether it is known
+# channels of layers.npy (`tmpi-lab synth --layers`): Ψ's nine, the true colour, and whether it is known
 DISPARITY, HIDDEN, TRUTH, KNOWN = 7, 8, 9, 12
 
 

@@ -1,4 +1,4 @@
-"""Processes of `tmpi synth` that render scenes without end while a training learns from them."""
+"""Processes of `tmpi-lab synth` that render scenes without end while a training learns from them."""
 
 import itertools
 import os
@@ -82,7 +82,7 @@ class Renderers:
 
 
 def textures(pictures, folder):
-    """Writes the photographs of a pack, from which `tmpi synth` may cut its textures."""
+    """Writes the photographs of a pack, from which `tmpi-lab synth` may cut its textures."""
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     for n, p in enumerate(p for p in pictures if p.group in ("label", "photo") and not p.name.endswith(".b")):

@@ -1,8 +1,8 @@
 //! The better depth network that a server offers to fetch.
 
-use super::flags::ModelFlags;
 use super::serve::identity;
 use crate::server::{Better, Offer, Renewed};
+use tmpi_pipeline::networks::flags::ModelFlags;
 use tmpi_pipeline::networks::models::download::{Digest, Wanted, fetch};
 use tmpi_pipeline::networks::models::registry::{Published, best, folder, worth_fetching};
 

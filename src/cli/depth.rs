@@ -5,11 +5,12 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 use serde_json::json;
 
-use super::flags::{DepthFlags, ModelFlags};
+use super::flags::DepthFlags;
 use super::progress::Bars;
 use super::{Usage, files, result};
 use tmpi_core::DisparityMap;
 use tmpi_pipeline::depth::to_png;
+use tmpi_pipeline::networks::flags::ModelFlags;
 use tmpi_pipeline::networks::models;
 use tmpi_pipeline::photo::{self, Limits};
 use tmpi_pipeline::{self, Options, PlaneCount, PlaneMethod, Switch};

@@ -7,10 +7,11 @@ use std::sync::mpsc;
 use serde_json::json;
 
 use super::batch::{Batch, Item};
-use super::flags::{MakeFlags, ModelFlags};
+use super::flags::MakeFlags;
 use super::progress::Bars;
 use super::{Usage, files, is_broken_pipe, reasons};
 use tmpi_pipeline::Report;
+use tmpi_pipeline::networks::flags::ModelFlags;
 use tmpi_pipeline::networks::models;
 use tmpi_pipeline::photo::Limits;
 use tmpi_pipeline::{self, Made, Models, Options};

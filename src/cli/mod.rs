@@ -1,17 +1,11 @@
 //! The command line: results on standard output, progress and logs on standard error, exit code 0, 1 (failed) or 2 (usage).
 
 mod batch;
-mod bench;
-#[cfg(feature = "codecs")]
-mod bench_codec;
 mod better;
 mod bounds;
-mod check;
 mod clients;
-mod compare;
 mod config;
 mod depth;
-mod eval;
 mod export;
 mod files;
 mod flags;
@@ -32,8 +26,6 @@ mod progress;
 mod render;
 mod serve;
 mod store;
-pub mod synth;
-mod synth_layers;
 
 use std::io::{IsTerminal, Write};
 use std::process::ExitCode;
@@ -71,11 +63,6 @@ enum Command {
         /// The shell
         shell: clap_complete::Shell,
     },
-    Compare(compare::CompareArgs),
-    Check(check::CheckArgs),
-    Bench(bench::BenchArgs),
-    Eval(eval::EvalArgs),
-    Synth(synth::SynthArgs),
 }
 
 /// Those of `serve`, but for the role.
@@ -85,22 +72,14 @@ struct WorkArgs {
     serve: serve::ServeArgs,
 }
 
-/// Commands that measure; whoever has photos needs none of them, and help lists them apart.
-const INSTRUMENTS: [&str; 5] = ["compare", "check", "bench", "eval", "synth"];
-
 /// The definition as it is read and shown.
 fn command() -> clap::Command {
-    let all = Cli::command();
-    let about = |name: &str| all.find_subcommand(name).and_then(clap::Command::get_about).map_or_else(String::new, ToString::to_string);
-    let lines: Vec<String> = INSTRUMENTS.iter().map(|name| format!("  {name:<12} {}", about(name))).collect();
-    let listed = format!("Instruments, to measure what the program does:\n{}", lines.join("\n"));
     // what it does is said, and beside a node that serves it has a place and a folder of its own
-    let all = all.mut_subcommand("work", |c| {
+    let all = Cli::command().mut_subcommand("work", |c| {
         let c = c.mut_arg("role", |a| a.hide(true)).mut_arg("addr", |a| a.default_value("127.0.0.1:0"));
         c.mut_arg("data", |a| a.default_value("tmpi-work"))
     });
-    let all = config::with_environment(all);
-    INSTRUMENTS.iter().fold(all, |all, name| all.mut_subcommand(name, |c| c.hide(true))).after_help(listed)
+    config::with_environment(all)
 }
 
 /// A command line that cannot be meant; exit code 2.
@@ -181,12 +160,7 @@ fn run(command: Command) -> anyhow::Result<()> {
         }
         Command::Fsck(args) => store::fsck(&args),
         Command::Gc(args) => store::gc(&args),
-        Command::Synth(args) => synth::run(&args),
-        Command::Check(args) => check::run(&args),
-        Command::Compare(args) => compare::run(&args),
         Command::Models(args) => models::run(&args),
-        Command::Bench(args) => bench::run(&args),
-        Command::Eval(args) => eval::run(&args),
         Command::Live(args) => live::run(&args),
         Command::Key(args) => key::run(&args),
         Command::Completions { shell } => {
@@ -264,17 +238,6 @@ mod tests {
     fn the_definition_is_sound() {
         Cli::command().debug_assert();
         command().debug_assert();
-    }
-
-    #[test]
-    fn instruments_are_listed_once_and_apart() {
-        let help = command().render_help().to_string();
-        let (users, instruments) = help.split_once("Instruments").unwrap();
-        for name in INSTRUMENTS {
-            let line = format!("\n  {name} ");
-            assert!(!users.contains(&line) && instruments.contains(&line), "{name}:\n{help}");
-        }
-        assert!(users.contains("\n  make ") && !instruments.contains("\n  make "));
     }
 
     #[test]

@@ -12,10 +12,10 @@ use anyhow::Context as _;
 use super::better::BetterNetwork;
 use super::bounds::BoundArgs;
 use super::clients::ClientArgs;
-use super::flags::{DepthModel, ModelFlags, depth_model};
 use super::{Usage, files};
 pub(super) use checks::Effect;
 use sha2::{Digest as _, Sha256};
+use tmpi_pipeline::networks::flags::{DepthModel, ModelFlags, depth_model};
 
 use crate::live::{self, NatsAddress, Rooms};
 use crate::server::{
@@ -32,7 +32,7 @@ const MOST_MEGAPIXELS: i64 = (tmpi_core::container::MAX_PIXELS / 1_000_000) as i
 /// Open files besides connections.
 #[cfg(unix)]
 const SPARE_FILES: u64 = 512;
-/// Milliseconds that the geometry of a room's frame may take, where nothing else is said. `tmpi live bench --only still --budget-ms 8,12,20,30` compares: 8.4, 10.3,
+/// Milliseconds that the geometry of a room's frame may take, where nothing else is said. `tmpi-lab live-bench --only still --budget-ms 8,12,20,30` compares: 8.4, 10.3,
 /// 13.1 and 17.5 ms of processor a frame, views of 23.4, 23.3, 23.4 and 23.3 dB, flicker .070, .064, .054 and .080 levels, edges 2.1, 2.2, 2.1 and 2.2 pixels short.
 /// At 640×480 12, 20, 30 and 45 (`--size 640x480 --frames 120`) have edges 2.2, 1.6, 1.6 and 1.7 pixels short. With 20 instead of 30 pictures come a sixth sooner where all
 /// share two cores (`glass-to-glass.mjs`); but at 640×480 there more tiles wait, and what moves is seen torn where they meet others more often.

@@ -16,7 +16,7 @@ const CODECS = [
 ];
 /** Every other frame is one that no other refers to: who is behind is not sent those. */
 const LAYERS = 'L1T2';
-/** Bits a pixel and second: 384 kbit/s at 320×240, as `tmpi live bench` has it, where that is 39 dB. */
+/** Bits a pixel and second: 384 kbit/s at 320×240, as `tmpi-lab live-bench` has it, where that is 39 dB. */
 const BITS = 5;
 const QUALITY = 0.8;
 /** Frames a second that are aimed at. */

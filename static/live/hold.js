@@ -3,7 +3,7 @@
 
 /**
  * Longest hold, in times from one frame to the next. Longer ones gain little: tiles that are a frame late have a thing's edge .02 pixels farther off with estimated
- * depth, .08 with measured, which comes soon (`tmpi live bench --only still,measured --late 1`); and they cost 20 ms from the camera to the screen at the median.
+ * depth, .08 with measured, which comes soon (`tmpi-lab live-bench --only still,measured --late 1`); and they cost 20 ms from the camera to the screen at the median.
  */
 const FRAMES = 0.5;
 /** Weight of the newest in what is smoothed. */

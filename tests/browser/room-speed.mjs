@@ -1,6 +1,6 @@
 // Time that the page's decoder of rooms takes for a frame of a recorded room, by itself: nothing is drawn. Not a test; run by hand on an idle
 // machine:
-//   tmpi live bench --only still --files out      (or: tmpi live watch ROOM --record FILE)
+//   tmpi-lab live-bench --only still --files out      (or: tmpi live watch ROOM --record FILE)
 //   node room-speed.mjs [--rounds 3] out/still.room…
 // `frame` is a frame's planes to RGB, which the core needs for the layers whoever draws: 1 to 3 % of the whole (0.6 of 61 ms at the median of a
 // busy machine, 320×240), so there is nothing to gain from doing it once more in WGSL.

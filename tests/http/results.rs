@@ -173,7 +173,7 @@ fn views_in_every_format_with_their_timing() {
     assert!(picture.as_raw() == carried.rgb.as_flattened(), "the view from the reference camera is the photo as it is carried");
     // and that is the one that was uploaded
     let uploaded = image::load_from_memory(&crate::fixture::picture(1, PictureFormat::Png)).unwrap().to_rgb8();
-    let psnr = tmpi_lab::metrics::psnr(picture.as_raw(), uploaded.as_raw());
+    let psnr = tmpi_render::difference::psnr(picture.as_raw(), uploaded.as_raw());
     assert!(psnr > 30.0, "{psnr} dB");
     let timing = identity.all("server-timing");
     for phase in ["decode;dur=", "render;dur=", "encode;dur=", "total;dur="] {

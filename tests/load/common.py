@@ -1,12 +1,13 @@
 """A server of its own on a free port with data in a temporary folder, pictures, a client, and tables. Python's standard library alone.
 
-Programs: `target/release/tmpi`, or what `TMPI` names. Every script starts its servers itself and asks nobody else.
+Programs: `target/release/tmpi`, or what `TMPI` names, and `tmpi-lab` beside it. Every script starts its servers itself and asks nobody else.
 """
 import atexit, http.client, json, os, shutil, signal, socket, ssl, struct, subprocess, sys, tempfile, threading, time, zlib
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 PROGRAM = os.environ.get("TMPI", str(ROOT / "target/release/tmpi"))
+LAB = str(Path(PROGRAM).with_name("tmpi-lab"))
 
 
 def status_kib(pid, field):

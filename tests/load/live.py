@@ -3,7 +3,7 @@
 frames lost, time to be live again."""
 import argparse, base64, os, random, selectors, socket, struct, subprocess, tempfile, threading, time
 from pathlib import Path
-from common import PROGRAM, Server, Table, check, end, status_kib
+from common import LAB, PROGRAM, Server, Table, check, end, status_kib
 
 HELLO, VIDEO, GEOMETRY, SNAPSHOT, SOUND, STATISTICS, BYE, CREDIT = range(1, 9)
 SIZE = (320, 240)
@@ -490,7 +490,7 @@ def main():
     args.add_argument("--only", choices=["viewers", "hostile", "nodes"])
     args = args.parse_args()
     folder = tempfile.TemporaryDirectory(prefix="tmpi-live-")
-    subprocess.run([PROGRAM, "live", "bench", "--only", "measured", "--frames", "150", "--views", "100000", "--files", folder.name], check=True, stdout=subprocess.DEVNULL)
+    subprocess.run([LAB, "live-bench", "--only", "measured", "--frames", "150", "--views", "100000", "--files", folder.name], check=True, stdout=subprocess.DEVNULL)
     stream = str(Path(folder.name) / "measured.h264")
     if args.only in (None, "viewers"):
         server = Server("--connections", "4096", "--connections-per-address", "4096")

@@ -1,6 +1,6 @@
 //! What a photo comes to, held against stated values: a loss of quality anywhere from the map to the view fails here.
 //!
-//! `TMPI_BLESS=quality cargo test --release --workspace --test quality` states the values of this version anew.
+//! `TMPI_BLESS=quality cargo test --release -p tmpi-lab --test quality` states the values of this version anew.
 #![allow(clippy::unwrap_used, reason = "test")]
 
 use std::collections::BTreeMap;
@@ -11,8 +11,8 @@ use image::{ExtendedColorType, ImageEncoder};
 use serde::{Deserialize, Serialize};
 use tmpi_core::container::decode;
 use tmpi_core::{Camera, DisparityMap, Pose, ViewBox};
-use tmpi_lab::fixed::Fixed;
 use tmpi_lab::metrics::psnr;
+use tmpi_lab::oracle::OracleDepth;
 use tmpi_lab::scenes::Scene;
 use tmpi_pipeline::depth::halved;
 use tmpi_pipeline::photo::Limits;
@@ -82,7 +82,7 @@ fn subject(seed: u64, map: Map) -> Subject {
         Map::Noisy => png(&noisy(&picture.disparity)),
         Map::Blurred => None,
     };
-    let models = Models { depth: Arc::new(Fixed(halved(&picture.disparity))), theta: None, psi: None };
+    let models = Models { depth: Arc::new(OracleDepth(halved(&picture.disparity))), theta: None, psi: None };
     Subject { scene, camera, file, given, models }
 }
 

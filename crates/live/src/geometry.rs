@@ -28,12 +28,12 @@ use estimate::estimate;
 pub const PARALLAX: f64 = 0.25;
 
 /// Time for which a room rests after a frame of which tiles were sent, where nothing else is said: at 30 frames a second two frames, between which readers
-/// move labels along with what moves. `tmpi live bench --only still --rest-ms N` compares 0, 50, 80 and 100: 520, 311, 220 and 175 bytes of geometry a frame,
+/// move labels along with what moves. `tmpi-lab live-bench --only still --rest-ms N` compares 0, 50, 80 and 100: 520, 311, 220 and 175 bytes of geometry a frame,
 /// 65, 34, 23 and 18 ms of processor; flicker .041, .057, .065 and .071 levels; edges 1.9, 2.0, 2.2 and 2.1 pixels short, and views as good. More than
 /// 80 leaves little of the frames in which labels follow, where tiles are late besides. Where frames come more seldom none rests: what moves goes far between two.
 pub const REST: Duration = Duration::from_millis(80);
 
-/// Parallax error that planes of a room may leave, in pixels, where nothing else is said: twice a photo's. `tmpi live bench` compares: less than
+/// Parallax error that planes of a room may leave, in pixels, where nothing else is said: twice a photo's. `tmpi-lab live-bench` compares: less than
 /// half the bytes and less flicker, and views of estimated depth are as good.
 pub const MAX_ERROR: f64 = 1.0;
 

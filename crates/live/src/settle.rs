@@ -5,7 +5,7 @@
 
 use crate::change::Change;
 
-/// After how many frames, and how near a change, where nothing else is said. `tmpi live bench --only still --settle N --settle-blocks M` compares: views
+/// After how many frames, and how near a change, where nothing else is said. `tmpi-lab live-bench --only still --settle N --settle-blocks M` compares: views
 /// lose .04 dB after 6 frames and send a hundredth of the unchanged tiles more; 24 save 6 % of geometry's bytes and leave outlines twice as long, fewer blocks
 /// save 9 % and lose .02 dB; without any of it outlines stay.
 pub const SETTLES: Settling = Settling { frames: 12, blocks: 2 };

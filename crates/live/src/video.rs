@@ -1,6 +1,5 @@
 //! Decoders of what publishers send.
 
-#[cfg(feature = "vp9")]
 mod vp9;
 
 use tmpi_core::Photo;
@@ -44,9 +43,7 @@ pub trait Decoder: Send {
 pub fn decoder(codec: &str, size: (u32, u32)) -> Result<Box<dyn Decoder>, VideoError> {
     match codec {
         JPEG => Ok(Box::new(Jpeg { size })),
-        #[cfg(feature = "h264")]
         _ if codec.starts_with("avc1.") => Ok(Box::new(h264::H264::new(size))),
-        #[cfg(feature = "vp9")]
         _ if codec.starts_with("vp09.00.") => Ok(Box::new(vp9::Vp9::new(size))),
         _ => Err(VideoError::Codec(codec.chars().take(32).collect())),
     }
@@ -93,7 +90,6 @@ impl Decoder for Jpeg {
     }
 }
 
-#[cfg(feature = "h264")]
 mod h264 {
     use std::panic::{AssertUnwindSafe, catch_unwind};
 
@@ -257,7 +253,6 @@ mod tests {
     }
 
     /// A decoder that goes on after the first error panics on this stream, and reads no sound one after it.
-    #[cfg(feature = "h264")]
     #[test]
     fn a_damaged_stream_is_an_error_and_the_next_sound_one_is_decoded_as_by_a_new_decoder() {
         let outcomes = |h264: &mut dyn Decoder, stream: &[u8]| {

@@ -22,8 +22,7 @@ const SAID: u64 = 4 << 10;
 pub const RATE: u32 = 30;
 
 /// A closed way of the camera around its pose.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-#[cfg_attr(feature = "clap", derive(clap::ValueEnum))]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, clap::ValueEnum)]
 pub enum Path {
     /// An ellipse to the sides, up and down
     Orbit,

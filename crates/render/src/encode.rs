@@ -7,18 +7,17 @@ use super::View;
 use tmpi_core::Photo;
 
 /// Picture formats that views are written in.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
-#[cfg_attr(feature = "clap", derive(clap::ValueEnum))]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum PictureFormat {
     /// Lossless, with alpha.
     #[default]
     Png,
     /// Lossy, over black.
-    #[cfg_attr(feature = "clap", value(alias = "jpg"))]
+    #[value(alias = "jpg")]
     Jpeg,
     /// Lossless, with alpha.
-    #[cfg_attr(feature = "clap", value(name = "webp"))]
+    #[value(name = "webp")]
     WebP,
 }
 

@@ -10,7 +10,7 @@ import { readHead } from '../../../static/decode/head.js';
 import { pieces } from '../../../static/draw/border.js';
 import { pack } from '../../../static/draw/texture-atlas.js';
 import { digest, texels } from '../support/decoder.mjs';
-import { program } from '../support/program.mjs';
+import { lab, program } from '../support/program.mjs';
 import { skip } from '../support/skip.mjs';
 
 const SCENES = 12;
@@ -78,7 +78,7 @@ describe('the built decoder and the native one', () => {
 
   test(`come to the same layers and textures of ${SCENES} rendered scenes`, async () => {
     const rendered = join(folder, 'rendered');
-    run(program, ['synth', '--output', rendered, '--count', String(SCENES)]);
+    run(lab, ['synth', '--output', rendered, '--count', String(SCENES)]);
     for (const seed of readdirSync(rendered)) {
       const [photo, depth] = ['photo.png', 'disparity.png'].map((name) => join(rendered, seed, name));
       run(program, ['make', '-q', '-o', join(folder, 'scenes', `${seed}.tmpi`), '--depth', depth, photo]);

@@ -9,7 +9,7 @@ import { fileURLToPath } from 'node:url';
 import { HOME, lookingAt, POSE_KEYS } from '../../../static/view/camera.js';
 import { launch, openPage, pixelsAt, takeGraphics, waitForMode } from '../support/browser.mjs';
 import { png } from '../support/pictures.mjs';
-import { program } from '../support/program.mjs';
+import { lab, program } from '../support/program.mjs';
 import { serve } from '../support/static-server.mjs';
 
 const FOLDER = fileURLToPath(new URL('../../golden/scenes/', import.meta.url));
@@ -30,7 +30,7 @@ function poses() {
   return out;
 }
 
-const run = (...args) => execFileSync(program, args, { encoding: 'utf8', stdio: ['ignore', 'pipe', 'ignore'] });
+const run = (file, ...args) => execFileSync(file, args, { encoding: 'utf8', stdio: ['ignore', 'pipe', 'ignore'] });
 
 describe('scenes', () => {
   const scenes = readdirSync(FOLDER).filter((name) => name.endsWith('.tmpi'));
@@ -51,7 +51,7 @@ describe('scenes', () => {
     const path = join(folder, `${scene}-${i}.png`);
     if (!drawn.has(path)) {
       const text = POSE_KEYS.map((key) => pose[key]).join(',');
-      const about = run('render', join(FOLDER, scene), '-o', path, '--pose', text, '--backend', 'reference', '--json');
+      const about = run(program, 'render', join(FOLDER, scene), '-o', path, '--pose', text, '--backend', 'reference', '--json');
       drawn.set(path, JSON.parse(about));
     }
     return { path, ...drawn.get(path) };
@@ -74,7 +74,7 @@ describe('scenes', () => {
           own,
           png(width, height, 3, (x, y) => data.subarray((y * width + x) * 4, (y * width + x) * 4 + 3)),
         );
-        const figures = JSON.parse(run('compare', path, own, '--json'));
+        const figures = JSON.parse(run(lab, 'compare', path, own, '--json'));
         assert.ok(figures.share_off <= MOST_OFF && figures.flip <= MOST_FLIP, `${scene} from ${i}: ${JSON.stringify(figures)}`);
         [off, seen] = [Math.max(off, figures.share_off), Math.max(seen, figures.flip)];
       }

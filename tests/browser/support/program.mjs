@@ -2,12 +2,14 @@
 import { spawn } from 'node:child_process';
 import { existsSync, mkdtempSync, rmSync } from 'node:fs';
 import { tmpdir } from 'node:os';
-import { join, resolve } from 'node:path';
+import { dirname, join, resolve } from 'node:path';
 import { fileURLToPath } from 'node:url';
 import { until } from './until.mjs';
 
 const root = fileURLToPath(new URL('../../../', import.meta.url));
 export const program = resolve(process.env.TMPI_BIN || join(root, 'target/release/tmpi'));
+/** The program that measures, beside the other: cargo build --release --workspace makes it. */
+export const lab = join(dirname(program), 'tmpi-lab');
 const START_MS = 30_000;
 
 /** Starts `tmpi serve` on a free port: `{url, close}`; `more`: further arguments. */

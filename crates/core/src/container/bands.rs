@@ -8,7 +8,7 @@ use super::{ContainerError, labels};
 use crate::parallel;
 use crate::scene::Grid;
 
-/// Pixels that are worth a band, by `bench codec --bands`: smaller ones cost bytes, as each learns anew, larger ones leave processors
+/// Pixels that are worth a band: smaller ones cost bytes, as each learns anew, larger ones leave processors
 /// idle. Photos below twice as many stay one stream.
 #[cfg(feature = "write")]
 const PIXELS: u64 = 1_000_000;

@@ -18,11 +18,11 @@ const MOVED: f64 = 0.3;
 /// Pixels in a row of which one is looked at for that.
 const EVERY: usize = 7;
 /// Frames, at 30 a second, in which a pixel must go on as it was before it is kept: what moves is seen at its new place some frames before its labels say that it
-/// is there, and would be taken for what lies behind it, the longer the slower it turns round. `tmpi live bench --files DIR` compares: with 6 frames light
+/// is there, and would be taken for what lies behind it, the longer the slower it turns round. `tmpi-lab live-bench --files DIR` compares: with 6 frames light
 /// and dark lines of the thing stand where it turned, at the borders of labels of the floor, with 15 none, at .02 dB of what is uncovered.
 pub(crate) const STEADY: u8 = 15;
 /// For how many of these one frame may count where frames are shown more seldom: labels are then a frame late at the most, and three frames tell.
-/// `tmpi live bench --only measured --every 15` compares: where each counts for one, nothing is remembered within the sequence, and what is uncovered is 1.9 dB worse.
+/// `tmpi-lab live-bench --only measured --every 15` compares: where each counts for one, nothing is remembered within the sequence, and what is uncovered is 1.9 dB worse.
 pub(crate) const MOST: u8 = 5;
 
 /// For each pixel of the frames the farthest surface that was seen there, and stayed for some frames.

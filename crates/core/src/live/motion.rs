@@ -2,7 +2,7 @@
 //!
 //! A room sends tiles every third frame or so; in those between, a thing would have left its labels behind, and a view from beside would show its
 //! foremost edge at the depth of what lies behind it, torn off the rest. A reader looks for where the thing went, also where it would be had it gone on as
-//! it did, and moves its labels along, into tiles beside it as well. `tmpi live bench --only measured --late N` measures what that is worth.
+//! it did, and moves its labels along, into tiles beside it as well. `tmpi-lab live-bench --only measured --late N` measures what that is worth.
 //! Nothing is sent for it, and nothing stays of it: labels that come are shown as they are.
 
 use std::time::Duration;

@@ -4,7 +4,7 @@
 use crate::container::range::Bit;
 use crate::container::{labels, planes};
 
-/// Probabilities of a 1 in 65 536, in the order of [`Coders::bits`]; learnt from rendered sequences by `tmpi live bench --learn`.
+/// Probabilities of a 1 in 65 536, in the order of [`Coders::bits`]; learnt from rendered sequences by `tmpi-lab live-bench --learn`.
 const PRIOR: &[u16] = &include!("prior.in");
 
 /// Probabilities in a line of the file.

@@ -6,7 +6,7 @@ use super::measure::{self, Bench};
 use super::subject::{self, Subject};
 use super::{Axis, BenchError, Curve, Experiment, Point};
 use crate::eval::mesh;
-use crate::scenes::behind;
+use crate::scenes::hidden_colours;
 use tmpi_core::TexturedLayer;
 use tmpi_core::{Class, DisparityMap, Geometry, Grid, Intrinsics, LayerMasks, Photo, Rect, Scene, TileFrame};
 use tmpi_pipeline::edges;
@@ -146,7 +146,7 @@ impl<'a> Prepared<'a> {
                 coloured.iter_mut().zip(0..).for_each(|(t, i)| {
                     let place = TileFrame::of(&geometry.grid, i);
                     for l in t {
-                        let known = behind::colours(&l.shape, place, &self.given, &hidden);
+                        let known = hidden_colours::of_layer(&l.shape, place, &self.given, &hidden);
                         l.hidden.iter_mut().zip(known).for_each(|(c, k)| *c = k.unwrap_or(*c));
                     }
                 });

@@ -6,8 +6,8 @@ use rayon::prelude::*;
 
 use super::subject::Subject;
 use super::{BenchError, Point};
-use crate::fixed::Fixed;
 use crate::metrics::{self, ssim_map};
+use crate::oracle::OracleDepth;
 use tmpi_core::container;
 use tmpi_core::{DisparityMap, Photo, Scene};
 use tmpi_pipeline::Silent;
@@ -99,7 +99,7 @@ impl Bench<'_> {
             (Depth::Known, Some(d)) => Some(d.clone()),
             (Depth::Given(how), Some(d)) => Some(Arc::new(how(d))),
             (Depth::Spoilt(how), Some(d)) => {
-                models.depth = Arc::new(Fixed(how(d)));
+                models.depth = Arc::new(OracleDepth(how(d)));
                 None
             }
             _ => None,

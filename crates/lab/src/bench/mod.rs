@@ -5,8 +5,6 @@
 //! were fitted to.
 
 mod ablation;
-#[cfg(feature = "codecs")]
-pub mod codec;
 mod costs;
 mod discretisation;
 mod drawing;
@@ -155,7 +153,7 @@ pub struct Results {
 #[derive(Debug, thiserror::Error)]
 pub enum BenchError {
     /// A photo could not be made.
-    #[error("{subject}: {source}")]
+    #[error("{subject} cannot be made")]
     Make {
         /// Scene or photo.
         subject: String,
@@ -179,6 +177,19 @@ pub enum BenchError {
         /// What is wrong.
         reason: String,
     },
+}
+
+/// The program `tmpi`: the one that the variable `TMPI` names, else the one beside this program.
+fn program() -> std::io::Result<PathBuf> {
+    if let Some(named) = std::env::var_os("TMPI").filter(|v| !v.is_empty()) {
+        return Ok(named.into());
+    }
+    let path = std::env::current_exe()?.with_file_name(format!("tmpi{}", std::env::consts::EXE_SUFFIX));
+    if path.is_file() {
+        return Ok(path);
+    }
+    let reason = format!("there is no {}: `cargo build --release` makes it, or TMPI names another one", path.display());
+    Err(std::io::Error::new(std::io::ErrorKind::NotFound, reason))
 }
 
 /// Measures everything; `progress` is told of every experiment.

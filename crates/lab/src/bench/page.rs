@@ -28,7 +28,7 @@ pub fn html(r: &Results) -> String {
     let m = &r.machine;
     let mut out = format!(
         "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><meta name=\"viewport\" content=\"width=device-width,initial-scale=1\">\
-         <title>tmpi bench</title><style>{STYLE}</style><h1>tmpi bench</h1>\
+         <title>tmpi-lab bench</title><style>{STYLE}</style><h1>tmpi-lab bench</h1>\
          <p>What every approximation costs and what error it makes. Filled points: no other setting of the plot is better in both. \
          The dotted line joins them. A ring: the defaults. Hover over a point for its setting.</p><dl>"
     );

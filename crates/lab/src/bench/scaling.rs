@@ -74,7 +74,7 @@ impl Workshop {
         let folder = std::env::temp_dir().join(format!("tmpi-bench-{}", std::process::id()));
         let bad = |e: std::io::Error| BenchError::File { path: folder.clone(), reason: e.to_string() };
         std::fs::create_dir_all(&folder).map_err(bad)?;
-        let program = std::env::current_exe().map_err(bad)?;
+        let program = super::program().map_err(bad)?;
         Ok(Self { folder, program })
     }
 

@@ -22,7 +22,7 @@ const PATIENCE: Duration = Duration::from_mins(2);
 pub enum Target {
     /// A server that runs already; its newest photo is asked for views.
     Url(String),
-    /// A server of this program, started for the measurement on a free port, with this photo.
+    /// A server started for the measurement on a free port, with this photo.
     Photo(Vec<u8>),
 }
 
@@ -89,7 +89,7 @@ pub enum ServeError {
     #[error("{0}")]
     Server(String),
     /// The server's folder could not be made.
-    #[error("{path}: {source}")]
+    #[error("making the folder {path}")]
     Folder {
         /// The folder.
         path: PathBuf,
@@ -109,12 +109,11 @@ struct Own {
 }
 
 impl Own {
-    /// Starts this very program as a server; with its address.
+    /// Starts `tmpi` as a server; with its address.
     fn start() -> Result<(Self, String), ServeError> {
         let folder = std::env::temp_dir().join(format!("tmpi-bench-{}", std::process::id()));
         std::fs::create_dir_all(&folder).map_err(|source| ServeError::Folder { path: folder.clone(), source })?;
-        let program = std::env::current_exe().map_err(|e| failed("this program's path", e))?;
-        let mut command = Command::new(program);
+        let mut command = Command::new(super::program().map_err(|e| failed("the server", e))?);
         command.args(["serve", "--addr", "127.0.0.1:0", "--data"]).arg(&folder).env("RUST_LOG", "error").stdout(Stdio::piped());
         let child = command.spawn().map_err(|e| failed("starting the server", e))?;
         let mut own = Self { child, folder };

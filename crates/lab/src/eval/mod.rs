@@ -24,8 +24,7 @@ use tmpi_render::{Cpu, Renderer};
 /// Share of a view's scored pixels that may be blank; where it is more in any way's view, the view does not count (paper, section 5).
 const BLANK: f64 = 0.15;
 /// Where depth comes from.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-#[cfg_attr(feature = "clap", derive(clap::ValueEnum))]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum Depth {
     /// The depth network.
@@ -47,7 +46,7 @@ pub enum EvalError {
         reason: String,
     },
     /// A scene cannot be made.
-    #[error("{scene}: {source}")]
+    #[error("{scene} cannot be made")]
     Make {
         /// Its name.
         scene: String,
@@ -336,22 +335,20 @@ impl Results {
         let _ = writeln!(out, "; depth: {}", if self.depth == Depth::Own { "estimated" } else { "true" });
         let _ = writeln!(
             out,
-            "{:<14}{:>7}{:>8}{:>8}{:>8}{:>9}{:>8}{:>9}{:>9}{:>9}{:>9}{:>9}",
-            "way", "PSNR", "SSIM", "L1", "FLIP", "SSIMU2", "LPIPS", "make ms", "view ms", "KB", "Mtexel", "planes"
+            "{:<14}{:>7}{:>8}{:>8}{:>8}{:>8}{:>9}{:>9}{:>9}{:>9}{:>9}",
+            "way", "PSNR", "SSIM", "L1", "FLIP", "LPIPS", "make ms", "view ms", "KB", "Mtexel", "planes"
         );
         for r in &self.rows {
             let s = r.score;
-            let ssimulacra2 = s.ssimulacra2.map_or("-".into(), |v| format!("{v:.2}"));
             let lpips = s.lpips.map_or("-".into(), |v| format!("{v:.4}"));
             let _ = writeln!(
                 out,
-                "{:<14}{:>7.2}{:>8.4}{:>8.4}{:>8.4}{:>9}{:>8}{:>9.0}{:>9.1}{:>9.1}{:>9.2}{:>9.2}",
+                "{:<14}{:>7.2}{:>8.4}{:>8.4}{:>8.4}{:>8}{:>9.0}{:>9.1}{:>9.1}{:>9.2}{:>9.2}",
                 r.way,
                 s.psnr,
                 s.ssim,
                 s.l1,
                 s.flip,
-                ssimulacra2,
                 lpips,
                 r.make_ms,
                 r.draw_ms,

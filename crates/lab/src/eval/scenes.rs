@@ -35,7 +35,7 @@ impl Case {
     }
 }
 
-/// All scenes below a folder, by name: those that `tmpi synth --views N` wrote, and rectified stereo pairs (`left.png`, `right.png`,
+/// All scenes below a folder, by name: those that `tmpi-lab synth --views N` wrote, and rectified stereo pairs (`left.png`, `right.png`,
 /// `disp_left.png` and `meta.json` with `scale`: the file's values over it are pixels, 0 is unknown).
 pub(super) fn read(folder: &Path) -> Result<Vec<Case>, EvalError> {
     let entries = std::fs::read_dir(folder).map_err(|e| EvalError::file(folder, &e))?;
@@ -53,7 +53,7 @@ pub(super) fn read(folder: &Path) -> Result<Vec<Case>, EvalError> {
     if cases.is_empty() {
         return Err(EvalError::File {
             path: folder.into(),
-            reason: "no folder below it holds a scene of `tmpi synth` or a stereo pair".into(),
+            reason: "no folder below it holds a scene of `tmpi-lab synth` or a stereo pair".into(),
         });
     }
     Ok(cases)
@@ -82,7 +82,10 @@ fn rendered(folder: &Path) -> Result<Case, EvalError> {
         views.push(Truth { camera: Camera { pose: v.pose, intrinsics: about.intrinsics, width, height }, rgb });
     }
     if views.is_empty() {
-        return Err(EvalError::File { path: folder.join("scene.json"), reason: "has no views; `tmpi synth --views N` writes some".into() });
+        return Err(EvalError::File {
+            path: folder.join("scene.json"),
+            reason: "has no views; `tmpi-lab synth --views N` writes some".into(),
+        });
     }
     let delta = delta.iter().map(|v| (v / 65_535.0) as f32).collect();
     Ok(Case { name: name(folder), photo, intrinsics: about.intrinsics, truth: DisparityMap { width, height, delta }, views })

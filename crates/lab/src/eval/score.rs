@@ -22,8 +22,6 @@ pub struct Score {
     pub l1: f64,
     /// FLIP.
     pub flip: f64,
-    /// SSIMULACRA2 of the cropped view; none without the feature `codecs`.
-    pub ssimulacra2: Option<f64>,
     /// LPIPS of the cropped view; none without a network for it.
     pub lpips: Option<f64>,
 }
@@ -33,9 +31,8 @@ impl Score {
     pub(super) fn mean(all: &[Self]) -> Self {
         let n = all.len().max(1) as f64;
         let of = |f: fn(&Self) -> f64| all.iter().map(f).sum::<f64>() / n;
-        let if_all = |f: fn(&Self) -> Option<f64>| all.iter().map(f).sum::<Option<f64>>().map(|s| s / n);
-        let (ssimulacra2, lpips) = (if_all(|s| s.ssimulacra2), if_all(|s| s.lpips));
-        Self { psnr: of(|s| s.psnr), ssim: of(|s| s.ssim), l1: of(|s| s.l1), flip: of(|s| s.flip), ssimulacra2, lpips }
+        let lpips = all.iter().map(|s| s.lpips).sum::<Option<f64>>().map(|s| s / n);
+        Self { psnr: of(|s| s.psnr), ssim: of(|s| s.ssim), l1: of(|s| s.l1), flip: of(|s| s.flip), lpips }
     }
 }
 
@@ -100,7 +97,7 @@ impl Mask {
         let psnr = if mse > 0.0 { (-10.0 * mse.log10()).min(metrics::EQUAL) } else { metrics::EQUAL };
         let ssim = self.mean(metrics::ssim_map(view, truth, self.width).iter().map(|v| f64::from(*v)));
         let flip = self.mean(metrics::flip_map(truth, view, self.width).into_iter());
-        Score { psnr, ssim, l1: difference(1), flip, ssimulacra2: self.ssimulacra2(view, truth), lpips: None }
+        Score { psnr, ssim, l1: difference(1), flip, lpips: None }
     }
 
     /// The middle of a view and of the truth; what is not scored is taken from the truth in both.
@@ -134,18 +131,6 @@ impl Mask {
         let fail = || OnnxError::Run { name: "lpips".into(), reason: "it gave no number".into() };
         let values = &out.first().filter(|o| !o.data.is_empty()).ok_or_else(fail)?.data;
         Ok(values.iter().map(|v| f64::from(*v)).sum::<f64>() / values.len() as f64)
-    }
-
-    #[cfg(feature = "codecs")]
-    fn ssimulacra2(&self, view: &[[u8; 3]], truth: &[[u8; 3]]) -> Option<f64> {
-        let [view, truth] = self.middle(view, truth);
-        metrics::Ssimulacra2::of(&truth, self.width - 2 * self.cut())?.score(&view)
-    }
-
-    #[cfg(not(feature = "codecs"))]
-    #[allow(clippy::unused_self, reason = "with the feature it is used")]
-    fn ssimulacra2(&self, _: &[[u8; 3]], _: &[[u8; 3]]) -> Option<f64> {
-        None
     }
 }
 

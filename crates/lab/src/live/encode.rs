@@ -43,13 +43,11 @@ impl Encoder for Jpeg {
 }
 
 /// H.264, Constrained Baseline, one frame out for each in.
-#[cfg(feature = "h264")]
 pub struct H264 {
     encoder: rusty_h264_encoder::Encoder,
     frames: u32,
 }
 
-#[cfg(feature = "h264")]
 impl H264 {
     /// Frames between key frames.
     pub const GOP: u32 = 60;
@@ -67,7 +65,6 @@ impl H264 {
     }
 }
 
-#[cfg(feature = "h264")]
 impl Encoder for H264 {
     fn codec(&self) -> &'static str {
         "avc1.42e01e"
@@ -83,7 +80,6 @@ impl Encoder for H264 {
 }
 
 /// BT.709, limited range; chroma as the mean of four pixels.
-#[cfg(any(test, feature = "h264"))]
 fn to_i420(photo: &Photo) -> [Vec<u8>; 3] {
     let (w, h) = (photo.width, photo.height);
     let (kr, kb) = (0.2126, 0.0722);

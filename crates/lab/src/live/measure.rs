@@ -10,11 +10,11 @@ use tmpi_pipeline::clock::Clock;
 use tmpi_render::difference::psnr;
 use tmpi_render::{PictureFormat, View};
 
-use super::equal::as_jpeg;
+use super::baseline::as_jpeg;
 use super::reader::{Mean, Moment, Reader, ms};
 use super::scale::Truth;
 use super::sequence::{Kind, Seen, Sequence, Shot};
-use super::sums::{Sums, add, add_bytes};
+use super::totals::{Totals, add, add_bytes};
 use super::{Figures, LiveBenchError, Settings, encoder, room};
 
 /// How far beside the camera views are drawn: the border of the default view box.
@@ -40,7 +40,7 @@ pub(super) fn run(settings: &Settings, kind: Kind, sequence: &Sequence) -> Resul
     let (mut stream, mut messages) = (Vec::new(), Vec::new());
     let empty = room(settings, sequence, settings.frame_ms, false).empty(settings.size.0, settings.size.1);
     record(&mut messages, wire::message::Kind::Hello(wire::Hello { codec: encoder.codec().into(), ..Model::hello(&empty) }));
-    let mut sums = Sums::default();
+    let mut sums = Totals::default();
     // every second frame may rest: views are of the one kind as often as of the other
     let views = settings.views | 1;
     for n in 0..settings.frames {
@@ -153,7 +153,7 @@ fn compare(f: &mut Figures, reader: &Reader, other: &Reader) {
 }
 
 /// Counts how far the video is from what the camera saw, and the JPEG file that is as far.
-fn compare_video(sums: &mut Sums, photo: &Photo, shot: &Shot) -> Result<(), LiveBenchError> {
+fn compare_video(sums: &mut Totals, photo: &Photo, shot: &Shot) -> Result<(), LiveBenchError> {
     let off = psnr(photo.rgb.as_flattened(), shot.clean.rgb.as_flattened());
     sums.video_psnr.add(off);
     sums.jpeg(as_jpeg(&shot.noisy, &shot.clean, off)?);

@@ -1,15 +1,15 @@
-//! `tmpi live bench`: rendered sequences, encoded, through the driver of a room to a reader, with error against time and bytes.
+//! `tmpi-lab live-bench`: rendered sequences, encoded, through the driver of a room to a reader, with error against time and bytes.
 
+pub mod baseline;
 pub mod damaged;
 pub mod encode;
-pub mod equal;
 mod measure;
-pub mod points;
 mod reader;
 mod scale;
 mod seams;
 pub mod sequence;
-mod sums;
+pub mod sweep;
+mod totals;
 
 use std::fmt::Write;
 use std::path::PathBuf;
@@ -269,14 +269,10 @@ fn room(settings: &Settings, sequence: &Sequence, frame_ms: f64, separate: bool)
 
 /// The encoder that is wanted.
 fn encoder(size: (u32, u32), bitrate: Option<u32>) -> Result<Box<dyn Encoder>, LiveBenchError> {
-    #[cfg(feature = "h264")]
-    if let Some(bitrate) = bitrate {
-        return Ok(Box::new(encode::H264::new(size, bitrate)?));
-    }
-    if bitrate.is_some() {
-        return Err(LiveBenchError::Encode("this program was built without H.264".into()));
-    }
-    Ok(Box::new(encode::Jpeg { quality: encode::QUALITY }))
+    Ok(match bitrate {
+        Some(bitrate) => Box::new(encode::H264::new(size, bitrate)?),
+        None => Box::new(encode::Jpeg { quality: encode::QUALITY }),
+    })
 }
 
 /// Learns what the coders of chunks begin with (`crates/core/src/live/prior.in`): from chunks of sequences whose depth is measured.

@@ -5,11 +5,11 @@ use std::sync::Arc;
 use super::families::look;
 use super::indoor::{body, indoor_light, ring_or_stick};
 use super::math::{Frame, V3, fbm, v3};
+use super::objects::{Build, DOWN};
 use super::outdoor::daylight;
 use super::outline::Outline;
 use super::shape::{Field, Shape};
 use super::texture::{Pattern, Texture, colour, hsv};
-use super::things::{Build, DOWN};
 
 const RIGHT: V3 = v3(1.0, 0.0, 0.0);
 const AHEAD: V3 = v3(0.0, 0.0, 1.0);

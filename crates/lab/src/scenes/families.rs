@@ -1,7 +1,7 @@
 //! Which kinds of scene there are, and how often each comes.
 
 use super::math::{Frame, Rng, V3};
-use super::things::Build;
+use super::objects::Build;
 use super::world::World;
 use super::{close, indoor, inside, outdoor, places};
 use tmpi_core::Pose;

@@ -2,10 +2,10 @@
 
 use super::families::look;
 use super::math::{Frame, V3, v3};
+use super::objects::{Build, DOWN};
 use super::outline::Outline;
 use super::shape::Shape;
 use super::texture::{Pattern, Texture, colour};
-use super::things::{Build, DOWN};
 use super::world::Light;
 
 const RIGHT: V3 = v3(1.0, 0.0, 0.0);

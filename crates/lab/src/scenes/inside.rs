@@ -2,9 +2,9 @@
 
 use super::families::look;
 use super::math::{Frame, V3, v3};
+use super::objects::Build;
 use super::shape::Shape;
 use super::texture::Texture;
-use super::things::Build;
 use super::world::Light;
 
 /// The family's name.

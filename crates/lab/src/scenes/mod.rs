@@ -3,21 +3,21 @@
 //! A scene is a function of its seed alone. It is a small ray tracer over analytic primitives, so that disparity is exact to
 //! rounding, not to a mesh; training, benchmarks and the stability suite take their ground truth from here.
 
-pub mod behind;
 mod bvh;
 mod close;
 mod families;
+pub mod hidden_colours;
 mod indoor;
 mod inside;
 mod math;
 mod model;
+mod objects;
 mod outdoor;
 mod outline;
 mod picture;
 mod places;
 mod shape;
 mod texture;
-mod things;
 mod world;
 
 use rayon::prelude::*;

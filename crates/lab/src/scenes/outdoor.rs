@@ -5,10 +5,10 @@ use std::sync::Arc;
 use super::families::look;
 use super::indoor::ring_or_stick;
 use super::math::{Frame, V3, fbm, v3};
+use super::objects::{Build, DOWN};
 use super::outline::Outline;
 use super::shape::{Field, Shape};
 use super::texture::{Pattern, Texture, colour, hsv};
-use super::things::{Build, DOWN};
 use super::world::Light;
 
 const AHEAD: V3 = v3(0.0, 0.0, 1.0);

@@ -5,11 +5,11 @@ use std::sync::Arc;
 use super::families::look;
 use super::indoor::indoor_light;
 use super::math::{Frame, V3, v3};
+use super::objects::{Build, DOWN};
 use super::outdoor::daylight;
 use super::outline::Outline;
 use super::shape::{Field, Shape};
 use super::texture::{Pattern, Texture, colour};
-use super::things::{Build, DOWN};
 use super::world::Light;
 
 const RIGHT: V3 = v3(1.0, 0.0, 0.0);

@@ -4,10 +4,10 @@
 mod borders;
 mod clustering;
 mod compositing;
-mod filling;
+mod inpainting;
 mod photos;
+mod raycast;
 pub mod scenes;
-mod truth;
 mod views;
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -16,9 +16,9 @@ use std::sync::Arc;
 
 use serde::Serialize;
 
+pub use raycast::cast;
 use tmpi_pipeline::Models;
 use tmpi_render::{Cpu, Gpu, Reference, Renderer};
-pub use truth::cast;
 
 /// What became of a case.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -106,7 +106,7 @@ pub fn run() -> Checked {
     views::run(&mut checked, &hosts);
     compositing::run(&mut checked, &hosts);
     photos::run(&mut checked, &hosts);
-    filling::run(&mut checked);
+    inpainting::run(&mut checked);
     checked
 }
 

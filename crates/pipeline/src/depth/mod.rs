@@ -24,8 +24,7 @@ pub use upsample::{halved, upsample};
 use tmpi_core::{DisparityMap, Photo};
 
 /// How the values of a user's own depth map are meant.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
-#[cfg_attr(feature = "clap", derive(clap::ValueEnum))]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum DepthKind {
     /// `δ = v / 65535`, taken as it is.

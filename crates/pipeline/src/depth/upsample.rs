@@ -12,7 +12,7 @@ use tmpi_core::{DisparityMap, Photo};
 
 /// Pixels at which the model is fitted, at most. On seven stereo scenes with this program's own depth, 100 000 in place of 400 000
 /// leave the RMSE as it is (.531), cost the second view .01 dB and .0004 SSIM, and save 30 of 87 ms of processor time
-/// (`tmpi eval DIR --depth own --only ours`).
+/// (`tmpi-lab eval DIR --depth own --only ours`).
 const WORK: f64 = 100_000.0;
 /// Half the window, as a share of the square root of the working pixels.
 const RADIUS: f64 = 0.006;

@@ -80,7 +80,7 @@ pub fn ramp_share(delta: &DisparityMap) -> f64 {
 }
 
 /// [`ramp_share`] above which a map counts as blurred. True depth has at most 0.03 on seven Middlebury maps, and 0.3 or more once it is
-/// enlarged from half the size or blurred by 3×3; maps of a large depth network have 0.27 to 0.4. `tmpi bench --only ramps` shows
+/// enlarged from half the size or blurred by 3×3; maps of a large depth network have 0.27 to 0.4. `tmpi-lab bench --only ramps` shows
 /// what snapping is worth on either side of it.
 pub const BLURRED: f64 = 0.15;
 

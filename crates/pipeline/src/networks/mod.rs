@@ -1,5 +1,6 @@
 //! ONNX Runtime: the library is looked up at run time, sessions belong to named worker threads with bounded queues.
 
+pub mod flags;
 mod library;
 pub mod models;
 mod outline;

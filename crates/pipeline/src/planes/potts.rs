@@ -9,7 +9,7 @@ use tmpi_core::Plane;
 
 /// Passes over the tile; later ones change next to nothing.
 const PASSES: usize = 4;
-/// Cost of a neighbour on another plane, against the squared error in units of the target. `tmpi bench` compares: changes of label
+/// Cost of a neighbour on another plane, against the squared error in units of the target. `tmpi-lab bench` compares: changes of label
 /// fall with it, views do not suffer.
 pub const NEIGHBOUR: f32 = 0.3;
 /// Error that a label may have where a nearer plane has less, in units of the target.

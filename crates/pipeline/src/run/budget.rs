@@ -7,7 +7,7 @@ use std::sync::OnceLock;
 
 use serde::{Deserialize, Serialize};
 
-/// Milliseconds on a machine, fitted by `tmpi bench` (`costs.json`).
+/// Milliseconds on a machine, fitted by `tmpi-lab bench` (`costs.json`).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Costs {
     /// From the file to the disparity that planes are placed on, a megapixel; without the depth network.
@@ -44,7 +44,7 @@ const LEAST_SIDE: f64 = 64.0;
 const WORTH_IT: f64 = 0.25;
 
 impl Default for Costs {
-    /// Two cores of a server processor, between what `tmpi bench --only budget` found in a slow hour and in a
+    /// Two cores of a server processor, between what `tmpi-lab bench --only budget` found in a slow hour and in a
     /// quick one. That writes those of any machine.
     fn default() -> Self {
         let rate = |factor, plain, busy| Rate { factor, plain, busy };

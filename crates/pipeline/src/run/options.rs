@@ -10,8 +10,7 @@ use crate::planes::{MAX_AUTO_PLANES, MAX_PLANES, Method, Placement};
 use crate::strokes::{self, Stroke};
 
 /// How planes are placed in a tile.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "clap", derive(clap::ValueEnum))]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum PlaneMethod {
     /// Evenly in disparity between the tile's extremes.
@@ -47,8 +46,7 @@ pub enum TileSize {
 }
 
 /// A step that runs where it helps, or not at all.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "clap", derive(clap::ValueEnum))]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum Switch {
     /// Where it helps by measure.
@@ -61,8 +59,7 @@ pub enum Switch {
 }
 
 /// How the disparity map is cleaned before planes are placed.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "clap", derive(clap::ValueEnum))]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum Denoise {
     /// Planes fitted around each pixel where noise is measured; a map without noise or outliers stays as it is.

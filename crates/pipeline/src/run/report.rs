@@ -4,8 +4,7 @@ use serde::{Deserialize, Serialize};
 use tmpi_core::container::SectionBytes;
 
 /// The uploaded photo.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Input {
     /// Width in pixels, upright.
     pub width: u32,
@@ -31,8 +30,7 @@ pub struct Input {
 }
 
 /// A depth map that came with a photo.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct InputDepth {
     /// Where it was: `given` beside the photo, or within its file as `gdepth`, `dynamic-depth` or `multi-picture`.
     pub source: String,
@@ -45,8 +43,7 @@ pub struct InputDepth {
 }
 
 /// What one stage took.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct StageTime {
     /// As in [`crate::Progress::stage`].
     pub name: String,
@@ -57,8 +54,7 @@ pub struct StageTime {
 }
 
 /// What this scene did not need.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct LeftOut {
     /// Planes fewer than the upper bound of planes a tile.
     pub planes: usize,
@@ -71,8 +67,7 @@ pub struct LeftOut {
 }
 
 /// Sections of the container in bytes.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Bytes {
     /// Everything.
     pub total: usize,
@@ -93,8 +88,7 @@ impl From<SectionBytes> for Bytes {
 }
 
 /// Errors that the approximations made.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct ErrorFigures {
     /// Mean absolute error of the planes' disparity against the map they were fitted to.
     pub depth_mae: f64,
@@ -118,8 +112,7 @@ pub struct ErrorFigures {
 }
 
 /// What a budget of run time made of a photo.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Budget {
     /// Milliseconds that were asked for.
     pub asked_ms: f64,
@@ -136,8 +129,7 @@ pub struct Budget {
 }
 
 /// The report of a photo.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Report {
     /// The uploaded photo.
     pub input: Input,

@@ -30,14 +30,13 @@ pub const RADII: std::ops::RangeInclusive<f64> = 0.002..=0.25;
 const PROBE: f64 = 0.005;
 
 /// A stroke of a brush over the photo.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct Stroke {
     /// Its middle line, x and y in shares of the photo's width and height, each 0 to 1; one point is a dab.
-    #[cfg_attr(feature = "schema", schema(min_items = 1, example = json!([[0.4, 0.5], [0.45, 0.62]])))]
+    #[schema(min_items = 1, example = json!([[0.4, 0.5], [0.45, 0.62]]))]
     pub points: Vec<[f64; 2]>,
     /// Radius of the brush as a share of the photo's longer side: .002 to .25. Edges of the photo up to twice as far away hold the outline.
-    #[cfg_attr(feature = "schema", schema(minimum = 0.002, maximum = 0.25, example = 0.03))]
+    #[schema(minimum = 0.002, maximum = 0.25, example = 0.03)]
     pub radius: f64,
     /// What it asks of the region.
     #[serde(flatten)]
@@ -45,8 +44,7 @@ pub struct Stroke {
 }
 
 /// What a stroke asks of its region; exactly one of these.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Ask {
     /// Nearer by so much disparity, −1 to 1; less than 0 is farther. Relief within the region stays.

@@ -9,7 +9,7 @@ use crate::planes::Placement;
 use crate::run::{Context, LeftOut, MakeError, Report, Stage, Switch};
 
 /// Whether Ψ runs where nothing is said. With the weights shipped it is worth 0.03 dB of the 0.37 that exact hidden colours would be
-/// (`tmpi bench --only without`), and the container has to carry its colours: so it does not.
+/// (`tmpi-lab bench --only without`), and the container has to carry its colours: so it does not.
 const REFINEMENT_HELPS: bool = false;
 
 /// Planes and labels → layers with the colours of what they hide, and the photo's file for the container.

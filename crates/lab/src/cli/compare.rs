@@ -1,11 +1,11 @@
-//! `tmpi compare`.
+//! `tmpi-lab compare`.
 
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use serde_json::json;
 
-use super::{files, result};
+use super::{read, result};
 use tmpi_lab::metrics::{flip, max_abs, psnr, share_off, ssim_map};
 
 /// Levels of 255 from which a pixel counts as different.
@@ -27,7 +27,7 @@ pub(super) struct CompareArgs {
 
 /// Colours over black, and pixels a row.
 fn picture(path: &Path) -> anyhow::Result<(Vec<[u8; 3]>, usize)> {
-    let decoded = image::load_from_memory(&files::read(path)?).with_context(|| path.display().to_string())?;
+    let decoded = image::load_from_memory(&read(path)?).with_context(|| path.display().to_string())?;
     let rgba = decoded.into_rgba8();
     let width = rgba.width() as usize;
     let over = |v: u8, a: u8| ((u16::from(v) * u16::from(a) + 127) / 255) as u8;

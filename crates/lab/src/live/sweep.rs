@@ -9,7 +9,7 @@ use crate::bench::{Axis, Curve, Experiment, Machine, Point as Plotted, Results};
 
 /// What differs from point to point.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct At {
+pub struct OperatingPoint {
     /// Size of the frames.
     pub size: (u32, u32),
     /// Bits a second of H.264; none: JPEG frames.
@@ -23,7 +23,7 @@ pub struct At {
 pub struct Point {
     /// Where.
     #[serde(flatten)]
-    pub at: At,
+    pub at: OperatingPoint,
     /// What was measured.
     #[serde(flatten)]
     pub figures: Figures,
@@ -48,7 +48,7 @@ pub struct Points {
 ///
 /// # Errors
 /// [`LiveBenchError`].
-pub fn measure(settings: &Settings, at: &[At], told: &dyn Fn(&str)) -> Result<Points, LiveBenchError> {
+pub fn measure(settings: &Settings, at: &[OperatingPoint], told: &dyn Fn(&str)) -> Result<Points, LiveBenchError> {
     let start = std::time::Instant::now();
     let (mut points, mut skipped) = (Vec::new(), Vec::new());
     for &at in at {
@@ -60,7 +60,7 @@ pub fn measure(settings: &Settings, at: &[At], told: &dyn Fn(&str)) -> Result<Po
     Ok(Points { machine: Machine::this(), frames: settings.frames, points, skipped, seconds: start.elapsed().as_secs_f64() })
 }
 
-impl std::fmt::Display for At {
+impl std::fmt::Display for OperatingPoint {
     /// As it is asked for on the command line.
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(f, "--size {}x{}", self.size.0, self.size.1)?;
@@ -175,7 +175,7 @@ mod tests {
 
     fn points() -> Points {
         let point = |width, budget_ms, psnr| Point {
-            at: At { size: (width, 240), bitrate: Some(384_000), budget_ms },
+            at: OperatingPoint { size: (width, 240), bitrate: Some(384_000), budget_ms },
             figures: Figures { sequence: "still camera", psnr, server_ms: 12.0, kbit_s: 500.0, ..Figures::default() },
         };
         let points = vec![point(320, 0.0, 24.5), point(320, 10.0, 23.0), point(640, 0.0, 26.0)];
@@ -190,7 +190,7 @@ mod tests {
         assert!(lines[1].contains("none") && lines[2].contains(" 10 ") && lines[3].contains("640x240"));
         assert!(COLUMNS.iter().all(|(name, width, _)| name.len() < *width));
         let wide = Point {
-            at: At { size: (1920, 1080), bitrate: None, budget_ms: 1000.0 },
+            at: OperatingPoint { size: (1920, 1080), bitrate: None, budget_ms: 1000.0 },
             figures: Figures { sequence: "still camera, RGB-D", ..Figures::default() },
         };
         assert!(COLUMNS.iter().all(|(_, width, of)| of(&wide).len() <= *width));
@@ -207,7 +207,7 @@ mod tests {
     #[test]
     fn all_sequences_are_measured_at_each_point() {
         let models = tmpi_pipeline::Models {
-            depth: std::sync::Arc::new(crate::fixed::Fixed(tmpi_core::DisparityMap { width: 0, height: 0, delta: Vec::new() })),
+            depth: std::sync::Arc::new(crate::oracle::OracleDepth(tmpi_core::DisparityMap { width: 0, height: 0, delta: Vec::new() })),
             theta: None,
             psi: None,
         };
@@ -231,7 +231,7 @@ mod tests {
             only: None,
             files: None,
         };
-        let at = |width, budget_ms| At { size: (width, 64), bitrate: None, budget_ms };
+        let at = |width, budget_ms| OperatingPoint { size: (width, 64), bitrate: None, budget_ms };
         let found = measure(&settings, &[at(80, 0.0), at(96, 1e-3)], &|_| {}).unwrap();
         // without a depth network the sequence with measured depth alone
         assert_eq!(

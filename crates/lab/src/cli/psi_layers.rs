@@ -2,7 +2,7 @@
 
 use tmpi_core::TexturedLayer;
 use tmpi_core::{Class, Geometry, Grid, Rect, TileFrame, ViewBox};
-use tmpi_lab::scenes::{Picture, Scene, behind};
+use tmpi_lab::scenes::{Picture, Scene, hidden_colours};
 use tmpi_pipeline::Options;
 use tmpi_pipeline::depth;
 use tmpi_pipeline::edges;
@@ -19,8 +19,7 @@ const TRUTH: usize = 4;
 /// disparity goes from −1..1 to 0..255 and all others from 0..1, then red, green, blue and 255 where they are known.
 ///
 /// With `spoilt` the planes come from a map of half the size, as a network would give it.
-#[must_use]
-pub fn layers(scene: &Scene, picture: &Picture, spoilt: bool) -> Vec<u8> {
+pub(super) fn layers(scene: &Scene, picture: &Picture, spoilt: bool) -> Vec<u8> {
     let (photo, camera) = (&picture.photo, scene.camera());
     let (w, h) = (photo.width, photo.height);
     let map = if spoilt { edges::snap(photo, &depth::halved(&picture.disparity)) } else { edges::clean(photo, &picture.disparity) };
@@ -37,7 +36,7 @@ pub fn layers(scene: &Scene, picture: &Picture, spoilt: bool) -> Vec<u8> {
     let mut channels = vec![0f32; refine::CHANNELS * side * side];
     for (tile, t) in (0..).zip(&coloured) {
         for l in t.iter().filter(|l| refine::needs(l)) {
-            let known = behind::colours(&l.shape, TileFrame::of(&grid, tile), &picture.disparity, &hidden);
+            let known = hidden_colours::of_layer(&l.shape, TileFrame::of(&grid, tile), &picture.disparity, &hidden);
             if known.iter().all(Option::is_none) {
                 continue;
             }

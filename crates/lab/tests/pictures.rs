@@ -1,6 +1,6 @@
 //! Twelve kinds of scene from eight places: the reference against its goldens, and the `cpu` and `gpu` backends against the reference.
 //!
-//! `TMPI_BLESS=1 cargo test --release --test pictures` draws the goldens anew; `TMPI_BLESS=scenes` makes the scenes anew too.
+//! `TMPI_BLESS=1 cargo test --release -p tmpi-lab --test pictures` draws the goldens anew; `TMPI_BLESS=scenes` makes the scenes anew too.
 #![allow(clippy::unwrap_used, clippy::cast_possible_truncation, clippy::cast_precision_loss, reason = "test")]
 
 use std::io::Cursor;
@@ -34,7 +34,7 @@ const LEVELS: u8 = 8;
 const MOVED: f64 = 0.5;
 
 fn folder() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden/scenes")
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/golden/scenes")
 }
 
 /// Cameras of a scene: half are corners of the view box, half turn as well.

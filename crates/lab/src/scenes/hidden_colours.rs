@@ -11,7 +11,7 @@ const APART: f32 = 0.05;
 /// For every hidden texel of a layer, in the order of its classes: the colour of the `hidden` surface where that lies on the layer's
 /// plane, clearly behind what is `visible`.
 #[must_use]
-pub fn colours(shape: &LayerMask, place: TileFrame, visible: &DisparityMap, hidden: &Picture) -> Vec<Option<[u8; 3]>> {
+pub fn of_layer(shape: &LayerMask, place: TileFrame, visible: &DisparityMap, hidden: &Picture) -> Vec<Option<[u8; 3]>> {
     let (r, w) = (shape.rect, visible.width as usize);
     let texels = shape.class.iter().enumerate().filter(|(_, c)| **c == Class::Hidden as u8);
     let known = texels.map(|(i, _)| {

@@ -1,13 +1,13 @@
-//! `tmpi bench`.
+//! `tmpi-lab bench`.
 
 use std::path::PathBuf;
 
-#[cfg(feature = "codecs")]
-use super::bench_codec::{self, CodecArgs};
-use super::flags::ModelFlags;
-use super::{Usage, files, note, result};
+use anyhow::Context;
+
+use super::{note, read, result, write};
 use tmpi_lab::bench::serve::{Load, Target};
 use tmpi_lab::bench::{self, Settings};
+use tmpi_pipeline::networks::flags::ModelFlags;
 use tmpi_pipeline::networks::models;
 
 /// Measure error against run time of every approximation, on this machine
@@ -35,8 +35,6 @@ pub(super) struct BenchArgs {
 
 #[derive(Clone, Debug, clap::Subcommand)]
 enum What {
-    #[cfg(feature = "codecs")]
-    Codec(Box<CodecArgs>),
     Serve(ServeArgs),
 }
 
@@ -65,32 +63,28 @@ struct ServeArgs {
 
 fn serve(args: &ServeArgs) -> anyhow::Result<()> {
     let target = match (&args.url, &args.photo) {
-        (Some(url), _) => Target::Url(url.clone()),
-        (None, Some(photo)) => Target::Photo(files::read(photo)?),
-        (None, None) => return Err(Usage("bench serve needs a URL or --photo".into()).into()),
+        (_, Some(photo)) => Target::Photo(read(photo)?),
+        (url, None) => Target::Url(url.clone().context("a URL or --photo is wanted")?),
     };
     let load = Load { views: args.views, memory_views: args.memory_views, width: args.width };
-    let results = bench::serve::run(&target, &load, &|what| note(&format!("tmpi bench serve: {what}")))?;
+    let results = bench::serve::run(&target, &load, &|what| note(&format!("tmpi-lab bench serve: {what}")))?;
     result(&if args.json { serde_json::to_string_pretty(&results)? } else { results.table() })
 }
 
 pub(super) fn run(args: &BenchArgs) -> anyhow::Result<()> {
-    match &args.what {
-        #[cfg(feature = "codecs")]
-        Some(What::Codec(args)) => return bench_codec::run(args),
-        Some(What::Serve(args)) => return serve(args),
-        None => {}
+    if let Some(What::Serve(args)) = &args.what {
+        return serve(args);
     }
     let models = models::load(&args.models.settings())?;
     let settings = Settings { quick: args.quick, photos: args.photos.clone(), only: args.only.clone(), models };
-    let results = bench::run(&settings, &|what| note(&format!("tmpi bench: {what}")))?;
-    files::write(&args.output.join("results.json"), &serde_json::to_vec_pretty(&results)?)?;
-    files::write(&args.output.join("results.csv"), results.csv().as_bytes())?;
+    let results = bench::run(&settings, &|what| note(&format!("tmpi-lab bench: {what}")))?;
+    write(&args.output.join("results.json"), &serde_json::to_vec_pretty(&results)?)?;
+    write(&args.output.join("results.csv"), results.csv().as_bytes())?;
     if let Some(costs) = &results.costs {
-        files::write(&args.output.join("costs.json"), &serde_json::to_vec_pretty(costs)?)?;
+        write(&args.output.join("costs.json"), &serde_json::to_vec_pretty(costs)?)?;
     }
     let page = args.output.join("index.html");
-    files::write(&page, bench::html(&results).as_bytes())?;
+    write(&page, bench::html(&results).as_bytes())?;
     for s in &results.skipped {
         note(&format!("left out: {s}"));
     }

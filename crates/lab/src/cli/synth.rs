@@ -1,4 +1,4 @@
-//! `tmpi synth`: rendered scenes with exact ground truth, written as picture files.
+//! `tmpi-lab synth`: rendered scenes with exact ground truth, written as picture files.
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -9,59 +9,59 @@ use image::{ExtendedColorType, ImageEncoder};
 use rayon::prelude::*;
 use serde_json::json;
 
-use super::note;
+use super::{note, psi_layers, size};
 use tmpi_core::{Camera, Photo, Pose};
 use tmpi_lab::scenes::{Assets, Model, Models, Picture, Pictures, Scene, Up};
 
 /// Render scenes with exact disparity, exact second views and the exact hidden surface
 #[derive(Clone, Debug, clap::Args)]
-pub struct SynthArgs {
+pub(super) struct SynthArgs {
     /// Folder to write to; each scene gets a folder named by its seed
     #[arg(short, long, value_name = "DIR")]
-    pub output: PathBuf,
+    output: PathBuf,
     /// How many scenes
     #[arg(long, default_value_t = 1, value_name = "N")]
-    pub count: u32,
+    count: u32,
     /// Seed of the first scene; the others follow one by one
     #[arg(long, default_value_t = 0, value_name = "S")]
-    pub seed: u64,
+    seed: u64,
     /// Picture size; without it, sizes and shapes vary from scene to scene, about 256 × 384 pixels in area
-    #[arg(long, value_parser = parse_size, value_name = "WxH")]
-    pub size: Option<(u32, u32)>,
+    #[arg(long, value_parser = |text: &str| size(text, MAX_PIXELS), value_name = "WxH")]
+    size: Option<(u32, u32)>,
     /// Second views of each scene
     #[arg(long, default_value_t = 0, value_name = "N")]
-    pub views: u32,
+    views: u32,
     /// Largest shift of a second view in each direction, in units of the nearest distance
     #[arg(long, default_value_t = 0.08, value_name = "UNITS")]
-    pub baseline: f64,
+    baseline: f64,
     /// Also write the surface behind the first one
     #[arg(long)]
-    pub hidden: bool,
+    hidden: bool,
     /// Also write the layers as this program makes them, with what their hidden texels should show: what Ψ learns from
     #[arg(long)]
-    pub layers: bool,
+    layers: bool,
     /// Colour samples in a pixel at edges, squared
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=16), value_name = "N")]
-    pub supersampling: u32,
+    supersampling: u32,
     /// Cut about half of all textures from the photos (PNG, JPEG, WebP) in this folder, in the order of their names, and set some figures before a
     /// whole one
     #[arg(long, value_name = "DIR")]
-    pub pictures: Option<PathBuf>,
+    pictures: Option<PathBuf>,
     /// Replace things by the textured models (binary glTF, in metres) in this folder, where one is of their size, and set some scenes within those
     /// that are furnished
     #[arg(long, value_name = "DIR")]
-    pub models: Option<PathBuf>,
+    models: Option<PathBuf>,
     /// Which axis of the models points up
     #[arg(long, default_value = "y", value_name = "AXIS", requires = "models")]
-    pub models_up: UpAxis,
+    models_up: UpAxis,
     /// Leave out scenes whose folder is complete
     #[arg(long)]
-    pub resume: bool,
+    resume: bool,
 }
 
 /// An axis that points up.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-pub enum UpAxis {
+pub(super) enum UpAxis {
     /// As glTF has it
     Y,
     /// As many exporters leave it
@@ -70,16 +70,6 @@ pub enum UpAxis {
 
 /// Most pixels in a scene's picture.
 const MAX_PIXELS: u64 = 50_000_000;
-
-fn parse_size(s: &str) -> Result<(u32, u32), String> {
-    let (w, h) = s.split_once(['x', 'X']).ok_or("a size is written WIDTHxHEIGHT")?;
-    let side = |v: &str| v.parse::<u32>().ok().filter(|&v| v > 0).ok_or("both sides of a size are whole numbers of at least 1");
-    let size = (side(w)?, side(h)?);
-    if u64::from(size.0) * u64::from(size.1) > MAX_PIXELS {
-        return Err(format!("a picture has at most {MAX_PIXELS} pixels"));
-    }
-    Ok(size)
-}
 
 /// Sizes that vary with the seed: multiples of 32, area about 256 × 384, aspect 9:16 to 16:9 and sometimes 1:3 to 3:1.
 fn varied_size(seed: u64) -> (u32, u32) {
@@ -100,11 +90,7 @@ fn varied_size(seed: u64) -> (u32, u32) {
     SIZES[(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 33) as usize % SIZES.len()]
 }
 
-/// Runs the command.
-///
-/// # Errors
-/// A folder or a file cannot be written; the text names it.
-pub fn run(args: &SynthArgs) -> anyhow::Result<()> {
+pub(super) fn run(args: &SynthArgs) -> anyhow::Result<()> {
     let start = Instant::now();
     let pictures = args.pictures.as_deref().map(read_pictures).transpose()?.unwrap_or_default();
     let up = if args.models_up == UpAxis::Z { Up::Z } else { Up::Y };
@@ -171,7 +157,7 @@ fn write_scene(args: &SynthArgs, assets: &Assets, seed: u64, folder: &Path) -> a
         write_picture(folder, "hidden_", &scene.hidden(&camera, 1))?;
     }
     if args.layers {
-        let layers = super::synth_layers::layers(&scene, &picture, seed % 2 == 1);
+        let layers = psi_layers::layers(&scene, &picture, seed % 2 == 1);
         std::fs::write(folder.join("layers.npy"), layers)?;
     }
     let mut views = Vec::new();
@@ -227,11 +213,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn sizes_are_read_and_bounded() {
-        assert_eq!(parse_size("1280x720"), Ok((1280, 720)));
-        for bad in ["", "12", "0x4", "4x0", "-1x4", "99999x99999", "ax4"] {
-            assert!(parse_size(bad).is_err(), "{bad}");
-        }
+    fn varied_sides_are_multiples_of_32() {
         assert!((0..200).map(varied_size).all(|(w, h)| w % 32 == 0 && h % 32 == 0));
     }
 

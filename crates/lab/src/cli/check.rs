@@ -1,11 +1,11 @@
-//! `tmpi check`.
+//! `tmpi-lab check`.
 
 use std::fmt::Write;
 use std::path::PathBuf;
 
-use super::flags::ModelFlags;
 use super::result;
 use tmpi_lab::stress::{self, Checked, Verdict};
+use tmpi_pipeline::networks::flags::ModelFlags;
 use tmpi_pipeline::networks::models;
 
 /// Check every numerical kernel on stiff and extreme cases against f64

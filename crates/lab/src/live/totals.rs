@@ -5,7 +5,7 @@ use tmpi_core::{DisparityMap, Geometry, Photo};
 use tmpi_live::Update;
 
 use super::Figures;
-use super::equal::{AsJpeg, sound_bytes};
+use super::baseline::{AsJpeg, sound_bytes};
 use super::reader::Mean;
 use super::sequence::BEHIND;
 
@@ -14,7 +14,7 @@ const EDGE: isize = 14;
 
 /// What is counted over the frames.
 #[derive(Default)]
-pub(super) struct Sums {
+pub(super) struct Totals {
     /// All tiles, those that are truly unchanged, those of them that were found to be, and those of them that nothing was sent of.
     tiles: usize,
     still: usize,
@@ -39,7 +39,7 @@ pub(super) struct Sums {
     fringe: Mean,
 }
 
-impl Sums {
+impl Totals {
     /// Counts the tiles of a frame; `truth` is that of the frame before and its own.
     pub fn count(&mut self, g: &Geometry, update: &Update, truth: Option<(&Photo, &Photo)>) {
         self.tiles += g.tiles.len();

@@ -1,6 +1,6 @@
 //! Milliseconds a view of the `cpu` and `gpu` hosts; the scene is loaded before the clock starts.
 //!
-//! `TMPI_SCENE=photo.tmpi cargo bench --bench render` draws that container instead of a made-up scene. At the end the hosts are measured
+//! `TMPI_SCENE=photo.tmpi cargo bench -p tmpi-lab --bench render` draws that container instead of a made-up scene. At the end the hosts are measured
 //! in turns, which other work on the machine troubles less: medians of wall time and of processor time.
 #![allow(clippy::unwrap_used, reason = "bench")]
 

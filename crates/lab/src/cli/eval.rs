@@ -1,16 +1,16 @@
-//! `tmpi eval`.
+//! `tmpi-lab eval`.
 
 use std::path::PathBuf;
 
-use super::flags::ModelFlags;
 use super::{note, result};
 use tmpi_lab::eval::{self, Depth, Settings};
+use tmpi_pipeline::networks::flags::ModelFlags;
 use tmpi_pipeline::networks::models;
 
 /// Measure second views against the truth: this program, plain multiplane images and a mesh, on scenes whose views are known
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct EvalArgs {
-    /// Folders of scenes: those of `tmpi synth --views N`, or rectified stereo pairs (`left.png`, `right.png`, `disp_left.png`, `meta.json`)
+    /// Folders of scenes: those of `tmpi-lab synth --views N`, or rectified stereo pairs (`left.png`, `right.png`, `disp_left.png`, `meta.json`)
     #[arg(required = true, value_name = "DIR")]
     folders: Vec<PathBuf>,
     /// Where depth comes from
@@ -32,6 +32,6 @@ pub(super) struct EvalArgs {
 pub(super) fn run(args: &EvalArgs) -> anyhow::Result<()> {
     let models = models::load(&args.models.settings())?;
     let settings = Settings { depth: args.depth, only: args.only.clone(), lpips: args.lpips.clone() };
-    let results = eval::run(&models, &args.folders, &settings, &|scene| note(&format!("tmpi eval: {scene}")))?;
+    let results = eval::run(&models, &args.folders, &settings, &|scene| note(&format!("tmpi-lab eval: {scene}")))?;
     result(&if args.json { serde_json::to_string_pretty(&results)? } else { results.table() })
 }

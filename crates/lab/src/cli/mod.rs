@@ -1,0 +1,119 @@
+//! The command line: results on standard output, progress and logs on standard error, exit code 0, 1 (failed) or 2 (usage).
+
+mod bench;
+mod check;
+mod compare;
+mod eval;
+mod live_bench;
+mod psi_layers;
+mod synth;
+
+use std::io::Write;
+use std::path::Path;
+use std::process::ExitCode;
+
+use anyhow::Context;
+use clap::{Parser, Subcommand};
+use tracing_subscriber::EnvFilter;
+
+/// Measures and tests what tmpi does
+#[derive(Debug, Parser)]
+#[command(name = "tmpi-lab", version, about, max_term_width = 110)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    Compare(compare::CompareArgs),
+    Check(check::CheckArgs),
+    Bench(bench::BenchArgs),
+    Eval(eval::EvalArgs),
+    LiveBench(Box<live_bench::LiveBenchArgs>),
+    Synth(synth::SynthArgs),
+}
+
+/// Runs the program; exit code 0, 1 (failed) or 2 (usage).
+pub fn main() -> ExitCode {
+    // SAFETY: the program has no other thread yet
+    #[allow(unsafe_code, reason = "the one call before all others")]
+    unsafe {
+        tmpi_pipeline::networks::keep_to_yourself();
+        tmpi_render::without_a_display();
+    };
+    let cli = Cli::parse();
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("error"));
+    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
+    let done = match cli.command {
+        Command::Compare(args) => compare::run(&args),
+        Command::Check(args) => check::run(&args),
+        Command::Bench(args) => bench::run(&args),
+        Command::Eval(args) => eval::run(&args),
+        Command::LiveBench(args) => live_bench::run(&args),
+        Command::Synth(args) => synth::run(&args),
+    };
+    match done {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            note(&format!("tmpi-lab: {error:#}"));
+            ExitCode::FAILURE
+        }
+    }
+}
+
+/// Writes one line to standard error, where somebody reads it.
+fn note(line: &str) {
+    let _ = writeln!(std::io::stderr(), "{line}");
+}
+
+/// Writes one line of results.
+fn result(line: &str) -> anyhow::Result<()> {
+    writeln!(std::io::stdout(), "{line}")?;
+    Ok(())
+}
+
+/// Writes a file; makes the folders that it lacks.
+fn write(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
+    let context = || format!("writing {}", path.display());
+    if let Some(folder) = path.parent() {
+        std::fs::create_dir_all(folder).with_context(context)?;
+    }
+    std::fs::write(path, bytes).with_context(context)
+}
+
+/// Contents of a file.
+fn read(path: &Path) -> anyhow::Result<Vec<u8>> {
+    std::fs::read(path).with_context(|| format!("reading {}", path.display()))
+}
+
+/// Reads a picture size, `WxH`, of at most `most` pixels.
+fn size(text: &str, most: u64) -> Result<(u32, u32), String> {
+    let (w, h) = text.split_once(['x', 'X']).ok_or("a size is written WIDTHxHEIGHT")?;
+    let side = |v: &str| v.parse::<u32>().ok().filter(|&v| v > 0).ok_or("both sides of a size are whole numbers of at least 1");
+    let size = (side(w)?, side(h)?);
+    if u64::from(size.0) * u64::from(size.1) > most {
+        return Err(format!("a picture has at most {most} pixels"));
+    }
+    Ok(size)
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory;
+
+    use super::*;
+
+    #[test]
+    fn the_definition_is_sound() {
+        Cli::command().debug_assert();
+    }
+
+    #[test]
+    fn sizes_are_read_and_bounded() {
+        assert_eq!(size("1280x720", 1_000_000), Ok((1280, 720)));
+        for bad in ["", "12", "0x4", "4x0", "-1x4", "1000x1001", "99999x99999", "ax4"] {
+            assert!(size(bad, 1_000_000).is_err(), "{bad}");
+        }
+    }
+}

@@ -1,0 +1,7 @@
+//! The `tmpi-lab` program: measures and tests what `tmpi` does.
+
+mod cli;
+
+fn main() -> std::process::ExitCode {
+    cli::main()
+}

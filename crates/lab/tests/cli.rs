@@ -1,0 +1,166 @@
+//! The contract of the command line, on the built program: exit codes, what goes to which stream, shapes of JSON, files.
+#![allow(clippy::unwrap_used, clippy::expect_used, reason = "test")]
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use image::{Luma, Rgb, RgbImage};
+use serde_json::Value;
+use tempfile::TempDir;
+use tmpi_testing::Need;
+
+/// A folder that the program runs in.
+struct Folder(TempDir);
+
+/// What a run of the program came to.
+struct Run {
+    code: Option<i32>,
+    out: String,
+    err: String,
+}
+
+impl Folder {
+    fn new() -> Self {
+        Self(tempfile::tempdir().unwrap())
+    }
+
+    /// One with `box.png` and `box.jpg`, pictures of a box before a wall.
+    fn with_pictures() -> Self {
+        let folder = Self::new();
+        let picture = box_before_a_wall();
+        picture.save(folder.path("box.png")).unwrap();
+        picture.save(folder.path("box.jpg")).unwrap();
+        folder
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.0.path().join(name)
+    }
+
+    fn run(&self, args: &[&str]) -> Run {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_tmpi-lab"));
+        // networks that the user of this machine has fetched are none of the tests'
+        command.env("TMPI_MODELS", self.path("models")).env_remove("TMPI_DEPTH_MODEL").env_remove("RUST_LOG");
+        let out = command.current_dir(self.0.path()).args(args).output().unwrap();
+        let text = |bytes| String::from_utf8(bytes).unwrap();
+        Run { code: out.status.code(), out: text(out.stdout), err: text(out.stderr) }
+    }
+}
+
+impl Run {
+    fn succeeds(self) -> Self {
+        assert_eq!(self.code, Some(0), "{}{}", self.out, self.err);
+        self
+    }
+
+    /// A failure with nothing on standard output, and a text that holds every word.
+    fn fails(&self, code: i32, words: &[&str]) {
+        assert_eq!((self.code, self.out.as_str()), (Some(code), ""), "{}", self.err);
+        for word in words {
+            assert!(self.err.contains(word), "{word:?} is not in: {}", self.err);
+        }
+        assert!(!self.err.contains("panicked"), "{}", self.err);
+    }
+
+    fn json(&self) -> Value {
+        serde_json::from_str(&self.out).unwrap()
+    }
+}
+
+fn box_before_a_wall() -> RgbImage {
+    RgbImage::from_fn(150, 100, |x, y| {
+        let texture = ((x * 7 + y * 13) % 32) as u8;
+        let inside = (50..90).contains(&x) && (30..70).contains(&y);
+        if inside { Rgb([200 + texture, 120 + texture, 60]) } else { Rgb([40, 90 + texture, 160 + texture]) }
+    })
+}
+
+/// True where networks can run.
+fn has_networks() -> bool {
+    Need::Onnx.or_skip(tmpi_pipeline::networks::available().map_err(|e| e.to_string())).is_some()
+}
+
+#[test]
+fn help_is_a_result_and_unknown_commands_are_usage_errors() {
+    let f = Folder::new();
+    let help = f.run(&["--help"]).succeeds();
+    assert!(help.err.is_empty(), "{}", help.err);
+    for name in ["check", "bench", "eval", "synth", "compare", "live-bench"] {
+        assert!(help.out.contains(&format!("\n  {name} ")), "{name}: {}", help.out);
+        f.run(&[name, "--help"]).succeeds();
+    }
+    f.run(&["make"]).fails(2, &["make"]);
+    f.run(&["live-bench", "--size", "9999x9999"]).fails(2, &["--size"]);
+    f.run(&["live-bench", "--size", "64x48,96x64", "--learn", "prior"]).fails(2, &["--learn"]);
+    f.run(&["bench", "serve"]).fails(2, &["URL"]);
+}
+
+#[test]
+fn pictures_are_compared() {
+    let f = Folder::with_pictures();
+    let same = f.run(&["compare", "box.png", "box.png", "--json"]).succeeds().json();
+    assert_eq!((same["flip"].as_f64(), same["share_off"].as_f64(), same["max_abs"].as_u64()), (Some(0.0), Some(0.0), Some(0)));
+    let jpeg = f.run(&["compare", "box.png", "box.jpg", "--json"]).succeeds().json();
+    let between = |name: &str, least: f64, most: f64| assert!((least..most).contains(&jpeg[name].as_f64().unwrap()), "{name}: {jpeg}");
+    between("psnr", 25.0, 60.0);
+    between("flip", 1e-4, 0.3);
+    between("ssim", 0.5, 1.0);
+    // pictures without colour are compared as well
+    image::GrayImage::from_fn(150, 100, |x, _| Luma([x as u8])).save(f.path("grey.png")).unwrap();
+    f.run(&["compare", "box.png", "grey.png"]).succeeds();
+    RgbImage::from_pixel(3, 2, Rgb([1, 2, 3])).save(f.path("small.png")).unwrap();
+    f.run(&["compare", "box.png", "small.png"]).fails(1, &["one size", "150×100", "3×2"]);
+    f.run(&["compare", "box.png", "nosuch.png"]).fails(1, &["nosuch.png"]);
+}
+
+#[test]
+fn the_corners_of_the_view_box_are_checked_on_photos() {
+    let f = Folder::new();
+    if !has_networks() {
+        return;
+    }
+    std::fs::create_dir(f.path("photos")).unwrap();
+    // what a pixel is of all is bounded for photos of a usual size
+    let large = image::imageops::resize(&box_before_a_wall(), 600, 400, image::imageops::FilterType::Nearest);
+    large.save(f.path("photos/box.png")).unwrap();
+    std::fs::write(f.path("photos/notes.txt"), b"no photo").unwrap();
+    let checked = f.run(&["check", "--photos", "photos", "--json"]).succeeds().json();
+    let cases = checked["cases"].as_array().unwrap();
+    assert_eq!((cases.len(), cases[0]["name"].as_str()), (4, Some("half-way to them, box.png")));
+}
+
+#[test]
+fn ways_are_measured_on_scenes_whose_views_are_known() {
+    let f = Folder::new();
+    f.run(&["synth", "-o", "scenes", "--count", "1", "--size", "160x96", "--views", "2", "--baseline", "0.03"]).succeeds();
+    let results = f.run(&["eval", "scenes", "--only", "mesh,ours", "--json"]).succeeds().json();
+    assert_eq!((results["views"].as_u64(), results["blank"].as_u64(), results["depth_score"].is_null()), (Some(2), Some(0), true));
+    for (row, way) in results["rows"].as_array().unwrap().iter().zip(["mesh", "ours"]) {
+        assert_eq!(row["way"].as_str(), Some(way));
+        // 34.7 dB and .973, 34.8 dB and .967
+        assert!(row["score"]["psnr"].as_f64().unwrap() > 34.0 && row["score"]["ssim"].as_f64().unwrap() > 0.96, "{row}");
+        assert!(row["bytes"].as_f64().unwrap() > 0.0 && row["make_ms"].as_f64().unwrap() > 0.0, "{row}");
+    }
+    f.run(&["eval", "scenes", "--only", "best"]).fails(2, &["--only", "tmpi-lloyd"]);
+    f.run(&["eval", "scenes/00000000"]).fails(1, &["stereo pair"]);
+    f.run(&["eval", "nowhere"]).fails(1, &["nowhere"]);
+}
+
+#[test]
+fn lpips_is_what_a_network_of_two_pictures_says() {
+    let f = Folder::new();
+    if !has_networks() {
+        return;
+    }
+    f.run(&["synth", "-o", "scenes", "--count", "1", "--size", "160x96", "--views", "2", "--baseline", "0.03"]).succeeds();
+    let network = |name: &str| {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../../tests/onnx/{name}.onnx"));
+        path.to_str().unwrap().to_owned()
+    };
+    let results = f.run(&["eval", "scenes", "--only", "ours", "--lpips", &network("distance"), "--json"]).succeeds().json();
+    let score = &results["rows"][0]["score"];
+    // its pictures lie in −1 to 1, those of L1 in 0 to 1; pixels that are not scored count as equal
+    let (lpips, l1) = (score["lpips"].as_f64().unwrap(), score["l1"].as_f64().unwrap());
+    assert!(lpips > l1 && lpips <= 2.0 * l1 + 1e-6, "{lpips} {l1}");
+    f.run(&["eval", "scenes", "--lpips", &network("mean")]).fails(1, &["two"]);
+}
