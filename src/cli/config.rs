@@ -14,7 +14,7 @@ use clap::parser::ValueSource;
 use clap::{Arg, ArgAction, ArgMatches, Args as _, Command};
 use toml::{Table, Value};
 
-use tmpi_pipeline::networks::ModelFlags;
+use tmpi_pipeline::networks::flags::ModelFlags;
 use super::serve::{Effect, ServeArgs};
 
 /// Show the settings that `serve` would have, as a file that --config takes, and where each comes from
