@@ -74,6 +74,8 @@ function summarise(took) {
   console.log(`\n${passed} passed, ${failed} failed, ${skipped} skipped in ${took.toFixed(0)} s`);
 }
 
+// the shared browser alone would end
+process.once('SIGTERM', () => process.exit(143));
 const began = performance.now();
 const server = pages.length ? await launchShared() : null;
 if (server) process.env[SHARED] = server.wsEndpoint();

@@ -60,7 +60,7 @@ describe('messages', () => {
     for (const text of all) assert.ok(word(text) !== text && t(text) === word(text), text);
   });
 
-  test('the element has no text that is not handed to the translation', () => {
+  test('the element says nothing that is not translated', () => {
     // addresses, names of attributes and shapes have no capital letter before small ones, or no word at all
     const words = /^(?:[A-Z][a-z]+(?: |$)|\d\w* [a-z]|.*[a-z] [a-z]+ [a-z])/;
     const bare = scripts(/^element\//).flatMap((name) => {

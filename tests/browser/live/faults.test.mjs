@@ -158,7 +158,7 @@ describe('around a room', () => {
     await publisher.context.close();
   });
 
-  test('who finds no place is told so, and comes in once there is one', async () => {
+  test('who finds no place is told so, and waits', async () => {
     const publisher = await suite.publish('hall');
     const full = { publishing: true, viewers: 1024, full: true, may_publish: false };
     const crowd = (page) => page.route('**/v1/live/hall', (route) => route.fulfill({ json: full }));
