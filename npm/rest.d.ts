@@ -58,10 +58,6 @@ export interface UploadOptions {
   options?: Record<string, string | number>;
   /** Seconds that the server may wait for the photo to be made before it answers. */
   wait?: number;
-  /** Whether it goes in parts, and on from what the server has where the connection was lost; else from 4 MiB on. */
-  parts?: boolean;
-  /** Of an upload in parts, whenever it goes on: bytes that the server has, of how many. */
-  onProgress?: (sent: number, all: number) => void;
   signal?: AbortSignal;
 }
 

@@ -1,8 +1,7 @@
 // A client of tmpi's HTTP interface, for browsers and Node 20 or newer: `fetch`, and nothing else. Types: rest.d.ts.
 //
 // What reads, and uploads of an owner, are tried again after a broken connection, after silence, and after 429 and 503; everything else after 429
-// alone, where nothing was done. Large uploads go in parts (draft-ietf-httpbis-resumable-upload), and go on from what the server has. `Retry-After`
-// is honoured.
+// alone, where nothing was done. `Retry-After` is honoured.
 
 const MIB = 1 << 20;
 const JSON_BYTES = 16 * MIB;
@@ -14,11 +13,6 @@ const FIRST_PAUSE_MS = 250;
 const EXPORT_MS = 600_000;
 /** Bytes a millisecond that the server wants of an upload, at least. */
 const SLOWEST = 8;
-/** Uploads from this size on go in parts, bytes, and a part has so many at most: what was sent before a cut is not sent again. */
-const LARGE = 4 * MIB;
-const PART = 8 * MIB;
-/** Answers to a part after which it is asked what is there: too slow, another byte is next, another request is at it, a proxy that reaches no server. */
-const GO_ON = new Set([408, 409, 423, 429, 502, 503, 504]);
 const ENDS = new Set(['done', 'failed', 'damaged', 'deleted']);
 
 /** Why there is no answer; `reason` tells which kind. */
@@ -249,7 +243,7 @@ export class Tmpi {
   }
 
   /** @param {Blob | ArrayBuffer | Uint8Array<ArrayBuffer>} photo @param {import('./rest.js').UploadOptions} [options] */
-  async upload(photo, { title, visibility, depth, options = {}, wait = 0, parts, onProgress, signal } = {}) {
+  async upload(photo, { title, visibility, depth, options = {}, wait = 0, signal } = {}) {
     const blob = photo instanceof Blob ? photo : new Blob([photo]);
     const fields = { ...options, title, visibility };
     /** @type {Record<string, string>} */
@@ -257,94 +251,16 @@ export class Tmpi {
     const size = blob.size + (depth instanceof Blob ? depth.size : (depth?.byteLength ?? 0));
     const call = { method: 'POST', headers, safe: Boolean(this.authorization), signal };
     const silence = this.limits.silence + wait * 1000 + size / SLOWEST;
-    const large = parts ?? size >= LARGE;
-    const inParts = async (/** @type {Blob} */ body, /** @type {string} */ type, query = {}) =>
-      large ? await this.inParts(body, type, { query, headers, wait, onProgress, signal }) : undefined;
     // a form would call the photo by the name of a file that it has not
     if (!depth && !(photo instanceof File)) {
       const type = 'application/octet-stream';
-      const at = await inParts(blob, type, fields);
-      return at ?? this.json('/v1/photos', { ...call, headers: { ...headers, 'content-type': type }, silence, query: fields, body: blob });
+      return this.json('/v1/photos', { ...call, headers: { ...headers, 'content-type': type }, silence, query: fields, body: blob });
     }
     const form = new FormData();
     for (const [field, value] of Object.entries(fields)) if (value !== undefined) form.append(field, String(value));
     form.append('photo', blob, photo instanceof File ? photo.name : 'photo');
     if (depth) form.append('depth', depth instanceof Blob ? depth : new Blob([depth]), 'depth');
-    if (large) {
-      const whole = new Response(form);
-      // the type of a Blob is in small letters, and would name another boundary
-      const made = await inParts(await whole.blob(), whole.headers.get('content-type') ?? '');
-      if (made) return made;
-    }
     return this.json('/v1/photos', { ...call, silence, body: form });
-  }
-
-  /**
-   * Uploads in parts; nothing where the server takes none.
-   * @param {Blob} body @param {string} type
-   * @param {{query: object, headers: Record<string, string>, wait: number, onProgress?: (sent: number, all: number) => void, signal?: AbortSignal}} call
-   */
-  async inParts(body, type, { query, headers, wait, onProgress, signal }) {
-    const begin = { 'content-type': type, 'upload-complete': '?0', 'upload-length': String(body.size) };
-    let address = '';
-    try {
-      // of one that was begun twice the other goes when its time is over
-      const call = { method: 'POST', query, headers: begin, safe: true, signal };
-      address = await this.ask('/v1/photos', call, async (response) => response.headers.get('location') ?? '');
-    } catch (error) {
-      if (error.status === 501) return undefined;
-      throw error;
-    }
-    if (!address) throw new TmpiError('answer', 'an upload in parts without an address');
-    try {
-      return await this.sendParts(address, body, { headers, wait, onProgress, signal });
-    } catch (error) {
-      // its place is for others
-      fetch(this.address(address), { method: 'DELETE', headers: this.own(), keepalive: true }).catch(() => {});
-      throw error;
-    }
-  }
-
-  /**
-   * @param {string} address @param {Blob} body
-   * @param {{headers: Record<string, string>, wait: number, onProgress?: (sent: number, all: number) => void, signal?: AbortSignal}} call
-   */
-  async sendParts(address, body, { headers, wait, onProgress, signal }) {
-    const { size } = body;
-    for (let offset = 0, failures = 0; ; ) {
-      onProgress?.(offset, size);
-      const end = Math.min(offset + PART, size);
-      const last = end === size;
-      const part = {
-        'content-type': 'application/partial-upload',
-        'upload-offset': String(offset),
-        'upload-complete': last ? '?1' : '?0',
-        ...(last ? headers : {}),
-      };
-      const silence = this.limits.silence + (last ? wait * 1000 : 0) + (end - offset) / SLOWEST;
-      try {
-        const call = { method: 'PATCH', headers: part, body: body.slice(offset, end), silence, signal };
-        const take = async (/** @type {Response} */ response, /** @type {Patience} */ patience) => read(response, JSON_BYTES, patience);
-        const answer = await this.ask(address, call, take);
-        if (last) {
-          onProgress?.(size, size);
-          return parsed(answer);
-        }
-        [offset, failures] = [end, 0];
-        continue;
-      } catch (error) {
-        signal?.throwIfAborted();
-        const asked = 1000 * (error.problem?.retry_after ?? 0);
-        const goesOn = error.reason === 'connection' || error.reason === 'silence' || GO_ON.has(error.status);
-        if (!goesOn || ++failures >= this.limits.tries || asked > this.limits.longestPause) throw error;
-        await sleep(Math.max(asked, this.pause(failures)), signal);
-      }
-      const now = await this.json(address, { signal });
-      if (now.photo) return this.json(now.photo, { signal });
-      if (!(now.offset >= 0 && now.offset <= size)) throw new TmpiError('answer', `an upload in parts that is at ${now.offset} of ${size}`);
-      if (now.offset > offset) failures = 0;
-      offset = now.offset;
-    }
   }
 
   /** Headers that say who asks. @returns {Record<string, string>} */

@@ -1,4 +1,4 @@
-//! What `tmpi serve` lets its clients do: uploads in parts, rates, quotas, and what goes by itself.
+//! What `tmpi serve` lets its clients do: rates, quotas, and what goes by itself.
 
 use std::time::Duration;
 
@@ -7,15 +7,6 @@ use crate::server::{ClientAddress, Limits, Network, Proxies};
 /// Bounds on clients.
 #[derive(Clone, Debug, clap::Args)]
 pub(super) struct ClientArgs {
-    /// Uploads in parts that are kept at a time, half of them of one address; 0 for none
-    #[arg(long, default_value_t = Limits::PARTIALS as u16, value_name = "N")]
-    partial_uploads: u16,
-    /// The same of one owner, where the server asks who comes
-    #[arg(long, default_value_t = Limits::PARTIALS_OF_OWNER as u16, value_parser = clap::value_parser!(u16).range(1..), value_name = "N")]
-    partial_uploads_per_owner: u16,
-    /// Hours for which an upload is kept of which no part comes
-    #[arg(long, default_value_t = (Limits::PARTIAL_TIME.as_secs() / 3600) as u16, value_parser = clap::value_parser!(u16).range(1..), value_name = "H")]
-    partial_hours: u16,
     #[arg(
         long,
         value_delimiter = ',',
@@ -61,9 +52,6 @@ impl ClientArgs {
         let by_themselves = by_themselves || !self.trusted_proxies.is_empty();
         let rate = |given: Option<u32>, usual| given.unwrap_or(if by_themselves { usual } else { 0 });
         let mib = |n: Option<u32>| n.map(|n| u64::from(n) << 20);
-        limits.partials = usize::from(self.partial_uploads);
-        limits.partials_of_owner = usize::from(self.partial_uploads_per_owner);
-        limits.partial_time = Duration::from_hours(u64::from(self.partial_hours));
         limits.rate_requests = rate(self.rate_requests, Limits::RATE_REQUESTS);
         limits.rate_uploads = rate(self.rate_uploads, Limits::RATE_UPLOADS);
         limits.rate_views = rate(self.rate_views, Limits::RATE_VIEWS);

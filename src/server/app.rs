@@ -26,7 +26,6 @@ pub use super::kept::{Derived, Export, Frame, Full, Stored, Version};
 use super::limits::Limits;
 use super::memory::Way;
 use super::network::Download;
-use super::partial::Partials;
 use super::pool::{Class, Pool, Slot};
 use super::problem::Problem;
 use super::proxies::Proxies;
@@ -87,8 +86,6 @@ pub struct Shared {
     pub pool: Pool,
     /// Uploads that come in.
     pub uploads: Coming,
-    /// Uploads in parts.
-    pub partials: Partials,
     /// How often somebody may ask.
     pub rates: Rates,
     /// Leave to change what is on disk.
@@ -128,7 +125,7 @@ pub struct Shared {
 impl Shared {
     /// Of a server that listens at `addr`.
     #[must_use]
-    pub fn new(config: Config, addr: SocketAddr, jobs: Arc<Jobs>, partials: Partials, renderer: Arc<dyn Renderer>, openapi: Bytes) -> Self {
+    pub fn new(config: Config, addr: SocketAddr, jobs: Arc<Jobs>, renderer: Arc<dyn Renderer>, openapi: Bytes) -> Self {
         let Config { addr: _, admin, data: _, pages, hosts, proxies, public_list, private: _, keys: _, traces: _, limits: _ } = config;
         let (limits, telemetry) = (Arc::clone(&jobs.limits), Arc::clone(&jobs.telemetry));
         Self {
@@ -144,7 +141,6 @@ impl Shared {
             exports: Cache::new(limits.export_cache),
             pool: Pool::new(&limits),
             uploads: Coming::new(&limits),
-            partials,
             rates: Rates::new(&limits),
             changes: Arc::new(Semaphore::new(limits.changes)),
             streams: Places::new(limits.streams),

@@ -37,7 +37,7 @@ use line::Line;
 use list::ByAge;
 pub use list::Whose;
 use queue::Trouble;
-use quota::{Coming, Held};
+use quota::Coming;
 
 /// Guess of a job's duration before one was measured, in seconds.
 const FIRST_GUESS: f64 = 5.0;
@@ -71,8 +71,6 @@ struct Inner {
     by_age: ByAge,
     by_owner: HashMap<Owner, ByAge>,
     coming: Vec<Coming>,
-    /// Room of uploads in parts, by their ids.
-    held: HashMap<String, Held>,
     queue: Line,
     running: Vec<Arc<Entry>>,
     /// Files that are being written.
@@ -237,7 +235,7 @@ impl Jobs {
             drop(gate);
             (entry, false)
         } else {
-            self.last_quota(accepted.owner.as_ref(), accepted.bytes())?;
+            self.quota(accepted.owner.as_ref(), accepted.bytes())?;
             let kept = if settings == Settings::default() { Ok(()) } else { incoming.write_settings(&settings) };
             let kept = kept.and_then(|()| if class == Class::Batch { incoming.write_batch() } else { Ok(()) });
             kept.and_then(|()| self.store.accept(incoming, id, &accepted)).map_err(|e| Problem::store(&e))?;

@@ -29,12 +29,6 @@ pub struct Limits {
     pub changes: usize,
     /// Uploads that may come in beyond the places that are free in the queue: they may be of photos that are known.
     pub uploads_beyond: usize,
-    /// Uploads in parts that are kept at a time, half of them of one address; none where there are to be none.
-    pub partials: usize,
-    /// The same of one owner.
-    pub partials_of_owner: usize,
-    /// Time for which one is kept of which no part comes.
-    pub partial_time: Duration,
     /// Requests a minute for each key, and each address without one; 0 for any number.
     pub rate_requests: u32,
     /// Uploads, and photos made again, the same way.
@@ -150,10 +144,6 @@ impl Limits {
     pub const CHANGES: usize = 8;
     /// 4 uploads.
     pub const UPLOADS_BEYOND: usize = 4;
-    /// 64 uploads.
-    pub const PARTIALS: usize = 64;
-    /// A day.
-    pub const PARTIAL_TIME: Duration = Duration::from_hours(24);
     /// 6 000 requests a minute, for a server that strangers reach without a proxy.
     pub const RATE_REQUESTS: u32 = 6000;
     /// 60 uploads a minute, for such a server.
@@ -244,8 +234,6 @@ impl Limits {
     pub const HEADER_BYTES: usize = 32 << 10;
     /// 64 requests.
     pub const STREAMS_AT_ONCE: u32 = 64;
-    /// 16 uploads.
-    pub const PARTIALS_OF_OWNER: usize = 16;
     /// 366 days.
     pub const LINK: Duration = Duration::from_hours(24 * 366);
     /// A week: whoever goes back to plain HTTP has lost browsers for no longer.
@@ -293,9 +281,6 @@ impl Default for Limits {
             body_rate: Self::BODY_RATE,
             changes: Self::CHANGES,
             uploads_beyond: Self::UPLOADS_BEYOND,
-            partials: Self::PARTIALS,
-            partials_of_owner: Self::PARTIALS_OF_OWNER,
-            partial_time: Self::PARTIAL_TIME,
             rate_requests: 0,
             rate_uploads: 0,
             rate_views: 0,

@@ -37,7 +37,6 @@ mod network;
 mod options;
 mod pages;
 mod part;
-mod partial;
 mod pool;
 mod prepared;
 mod problem;
@@ -97,7 +96,6 @@ use access::{Guard, Secret};
 use app::{App, Shared};
 use cluster::Cluster;
 use jobs::Jobs;
-use partial::Partials;
 use prepared::Prepared;
 use store::Store;
 use telemetry::Telemetry;
@@ -254,9 +252,7 @@ impl Server {
             (Jobs::start(store, found, maker, limits, telemetry).map_err(ServerError::Worker)?, guard)
         };
         exports::start(&jobs, &renderer).map_err(ServerError::Worker)?;
-        let dir = config.data.clone();
-        let partials = Partials::open(&jobs).map_err(|source| ServerError::Data { dir, source })?;
-        let app = Arc::new(Shared { guard, ..Shared::new(config, addr, jobs, partials, renderer, openapi) });
+        let app = Arc::new(Shared { guard, ..Shared::new(config, addr, jobs, renderer, openapi) });
         Ok(Self { listener, addr, app, rooms: None, role, tls: None, admin })
     }
 
@@ -317,7 +313,6 @@ impl Server {
         let probe = tokio::spawn(upkeep::probe(Arc::clone(&app)));
         let look_over = tokio::spawn(upkeep::look_over(Arc::clone(&app)));
         let rest = tokio::spawn(rest::rest(Arc::clone(&app)));
-        let expire = tokio::spawn(partial::expire(Arc::clone(&app)));
         let sweep = tokio::spawn(retain::sweep(Arc::clone(&app)));
         let sweep_files = tokio::spawn(exports::sweep(Arc::clone(&app)));
         // who only makes photos has none
@@ -355,7 +350,6 @@ impl Server {
         probe.abort();
         look_over.abort();
         rest.abort();
-        expire.abort();
         sweep.abort();
         sweep_files.abort();
         if let Err(error) = signal.await {

@@ -55,24 +55,10 @@ pub struct Problem {
     /// Seconds after which another try may succeed; as in the header `Retry-After`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub retry_after: Option<u64>,
-    /// Where the part of an upload should have begun, and did.
-    #[serde(default, flatten, skip_serializing_if = "Option::is_none")]
-    #[schema(ignore)]
-    pub offsets: Option<Box<Offsets>>,
     /// A header that goes with it.
     #[serde(skip)]
     #[schema(ignore)]
     pub header: Option<Box<(HeaderName, HeaderValue)>>,
-}
-
-/// Where a part of an upload should have begun, and did.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub struct Offsets {
-    /// Bytes that are there.
-    pub expected_offset: u64,
-    /// What the request said.
-    pub provided_offset: u64,
 }
 
 impl Problem {
@@ -86,7 +72,6 @@ impl Problem {
             field: None,
             request_id: None,
             retry_after: None,
-            offsets: None,
             header: None,
         }
     }
@@ -94,13 +79,6 @@ impl Problem {
     /// A problem of a kind that IANA keeps a list of, <https://www.iana.org/assignments/http-problem-types>.
     pub fn registered(status: StatusCode, kind: &str, detail: impl Into<String>) -> Self {
         Self { kind: format!("https://iana.org/assignments/http-problem-types#{kind}").into(), ..Self::new(status, "", detail) }
-    }
-
-    /// Says where the part of an upload should have begun.
-    #[must_use]
-    pub fn offsets(mut self, expected_offset: u64, provided_offset: u64) -> Self {
-        self.offsets = Some(Box::new(Offsets { expected_offset, provided_offset }));
-        self
     }
 
     /// Names the field at fault.

@@ -5,7 +5,6 @@
 //! DIR/incoming/N/              an upload on its way in, or a photo on its way out; emptied at start
 //! DIR/scratch/N/               temporary files of a process that works for the server, see child/scratch.rs; emptied at start
 //! DIR/looked.json              when photos were looked at, see retain.rs
-//! DIR/uploads/ID/              an upload in parts, see partial/kept.rs
 //! DIR/exports/                 files to download that were written as jobs, see exports/shelf.rs
 //! DIR/photos/ID/upload         the photo as uploaded
 //!               depth          the user's depth map, if any
@@ -173,12 +172,6 @@ impl Store {
             Err(e) if e.kind() != io::ErrorKind::NotFound => Err(e),
             _ => Ok(()),
         })
-    }
-
-    /// Where uploads in parts are kept, and what does so.
-    #[must_use]
-    pub fn uploads(&self) -> (Arc<dyn Files>, PathBuf) {
-        (Arc::clone(&self.files), self.photos.with_file_name("uploads"))
     }
 
     /// Where written files are kept, and what does so.

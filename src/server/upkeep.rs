@@ -76,7 +76,6 @@ mod tests {
     use crate::server::app::{Export, Shared, Stored};
     use crate::server::forgetful::Forgetful;
     use crate::server::jobs::Jobs;
-    use crate::server::partial::Partials;
     use crate::server::store::Store;
     use crate::server::{Config, Limits, PhotoId, Problem, maker};
 
@@ -89,8 +88,7 @@ mod tests {
         let addr = ([127, 0, 0, 1], 0).into();
         let config = Config { limits, ..Config::new(addr, PathBuf::new()) };
         let renderer = tmpi_render::select(tmpi_render::Backend::Cpu).unwrap();
-        let partials = Partials::open(&jobs).unwrap();
-        let app = Arc::new(Shared::new(config, addr, jobs, partials, renderer, bytes::Bytes::new()));
+        let app = Arc::new(Shared::new(config, addr, jobs, renderer, bytes::Bytes::new()));
         let key = ((PhotoId::of(&[1; 32], None, "", ""), 1), String::new());
         let put = async || app.exports.get(key.clone(), async { Ok::<_, Problem>(Export(Stored::new(vec![7; 99]))) }).await.unwrap();
         put().await;

@@ -170,30 +170,8 @@ fn known(name: &str, kinds: &str) -> Result<(), Problem> {
 pub async fn take(app: &App, query: &[(String, String)], request: Request, owner: Option<Owner>) -> Result<Submitted, Problem> {
     // what is wrong is told first
     let chosen = chosen(query)?;
-    let ticket = Ticket::take(app)?;
-    take_chosen(app, &ticket, chosen, request, owner).await
-}
-
-/// The same of an upload for which there is leave already.
-///
-/// # Errors
-/// As [`take`].
-pub async fn take_with(
-    app: &App,
-    ticket: &Ticket<'_>,
-    query: &[(String, String)],
-    request: Request,
-    owner: Option<Owner>,
-) -> Result<Submitted, Problem> {
-    take_chosen(app, ticket, chosen(query)?, request, owner).await
-}
-
-/// The options of a query of an upload.
-///
-/// # Errors
-/// 400 that names a wrong parameter.
-pub fn options_of(query: &[(String, String)]) -> Result<Options, Problem> {
-    chosen(query).map(|chosen| chosen.options)
+    let _leave = Ticket::take(app)?;
+    take_chosen(app, chosen, request, owner).await
 }
 
 fn chosen(query: &[(String, String)]) -> Result<Chosen, Problem> {
@@ -205,7 +183,7 @@ fn chosen(query: &[(String, String)]) -> Result<Chosen, Problem> {
     Ok(chosen)
 }
 
-async fn take_chosen(app: &App, _leave: &Ticket<'_>, chosen: Chosen, request: Request, owner: Option<Owner>) -> Result<Submitted, Problem> {
+async fn take_chosen(app: &App, chosen: Chosen, request: Request, owner: Option<Owner>) -> Result<Submitted, Problem> {
     let jobs = Arc::clone(&app.jobs);
     let incoming =
         tokio::task::spawn_blocking(move || jobs.store.begin()).await.map_err(|e| Problem::internal("beginning an upload", &e))?;

@@ -1,10 +1,8 @@
 // Sends a photo to the server.
 
 import { wordsOf } from './api.js';
-import { LARGE_BYTES, NoParts, sendInParts } from './parts.js';
 
 /** @import { Photo } from './api.js' */
-/** @import { Progress } from './parts.js' */
 
 /**
  * The error of a refused upload; `retryAfter` in seconds where the server is only busy.
@@ -18,12 +16,11 @@ function refusal(xhr) {
 }
 
 /**
- * Uploads a file, with its depth map where there is one and options by name; a large one goes on by itself where the connection is lost.
- * `onProgress` runs while bytes go out.
+ * Uploads a file, with its depth map where there is one and options by name.
  * @param {File} file
  * @param {File | null} depth
  * @param {Record<string, number>} options
- * @param {Progress} onProgress
+ * @param {(share: number) => void} onProgress is told the share of the bytes that are sent, 0 to 1
  * @returns {{done: Promise<Photo>, abort: () => void}} `done` gives the photo's JSON
  */
 export function uploadPhoto(file, depth, options, onProgress) {
@@ -31,22 +28,6 @@ export function uploadPhoto(file, depth, options, onProgress) {
   for (const [name, value] of Object.entries(options)) form.append(name, String(value));
   form.append('photo', file, file.name || 'photo');
   if (depth) form.append('depth', depth, depth.name || 'depth');
-  if (file.size + (depth?.size ?? 0) < LARGE_BYTES) return sendAtOnce(form, onProgress);
-  let going = sendInParts(form, refusal, onProgress);
-  const done = going.done.catch((error) => {
-    if (!(error instanceof NoParts)) throw error;
-    going = sendAtOnce(form, onProgress);
-    return going.done;
-  });
-  return { done, abort: () => going.abort() };
-}
-
-/**
- * @param {FormData} form
- * @param {Progress} onProgress
- * @returns {{done: Promise<Photo>, abort: () => void}}
- */
-function sendAtOnce(form, onProgress) {
   const xhr = new XMLHttpRequest();
   const done = new Promise((resolve, reject) => {
     xhr.upload.onprogress = (event) => event.lengthComputable && onProgress(event.loaded / event.total);

@@ -9,7 +9,6 @@ import { uploadPhoto } from './upload-photo.js';
 import { Row } from './upload-row.js';
 
 /** @import { Photo } from './api.js' */
-/** @import { Progress } from './parts.js' */
 
 /** Uploads under way at the same time. */
 const PARALLEL = 2;
@@ -151,7 +150,7 @@ async function send({ file, depth, options, row }) {
  */
 async function post(file, depth, options, row) {
   for (;;) {
-    const going = uploadPhoto(file, depth, options, (share, waits) => row.show(sendingText(share, waits), share * UPLOAD_SHARE));
+    const going = uploadPhoto(file, depth, options, (share) => row.show(sendingText(share), share * UPLOAD_SHARE));
     row.onClose = going.abort;
     try {
       return await going.done;
@@ -163,10 +162,8 @@ async function post(file, depth, options, row) {
   }
 }
 
-/** @type {(...how: Parameters<Progress>) => string} */
-function sendingText(share, waits) {
-  if (waits?.lost) return t('The connection was lost at {0} %; trying again in {1} s', Math.floor(share * 100), waits.seconds);
-  if (waits) return t('The server is busy; trying again in {0} s', waits.seconds);
+/** @param {number} share */
+function sendingText(share) {
   return share < 1 ? t('Sending, {0} %', Math.floor(share * 100)) : t('Sent');
 }
 

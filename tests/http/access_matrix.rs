@@ -117,12 +117,7 @@ fn expected(route: &Route, method: &str, caller: &Caller, shown: bool) -> (u16, 
         (_, "/metrics") if may == May::Metrics => (200, None),
         (_, "/metrics" | "/v1/network") if may != May::Everything => (403, Some("not-yours")),
         // a photo's token is for nothing but that photo
-        (_, "/v1/uploads/{upload}" | "/v1/photos") if caller.manager => (403, Some("scope")),
-        // of an upload that is not there, or is another's
-        ("GET" | "HEAD", "/v1/uploads/{upload}") if matches!(may, May::Read | May::Metrics) => (403, Some("scope")),
-        ("GET" | "HEAD", "/v1/uploads/{upload}") => (404, Some("not-found")),
-        ("PATCH" | "DELETE", "/v1/uploads/{upload}") if matches!(may, May::Read | May::Metrics) => (403, Some("scope")),
-        ("PATCH" | "DELETE", "/v1/uploads/{upload}") if !caller.foreign => (404, Some("not-found")),
+        (_, "/v1/photos") if caller.manager => (403, Some("scope")),
         ("POST", "/v1/photos") if matches!(may, May::Read | May::Metrics) => (403, Some("scope")),
         ("GET" | "HEAD", "/v1/photos") if matches!(may, May::Upload | May::Metrics) => (403, Some("scope")),
         _ if caller.foreign && !safe => (403, Some("cross-site")),

@@ -206,33 +206,3 @@ fn early_and_late_verdicts_are_one() {
         }
     }
 }
-
-#[test]
-fn an_upload_in_parts_that_becomes_no_photo_is_refused_with_the_part_that_tells() {
-    let (dir, server) = start(patient());
-    let first = claims(PictureFormat::Png, 60_000);
-    let begin = |body: &[u8]| request(server.addr, "POST", "/v1/photos", &[("upload-complete", "?0")], body);
-    let begun = begin(&first[..20]);
-    assert_eq!(begun.status, 201);
-    let at = begun.header("location").unwrap();
-    let mut part = Connection::open(server.addr);
-    let head = format!(
-        "PATCH {at} HTTP/1.1\r\nhost: localhost\r\ncontent-type: application/partial-upload\r\nupload-offset: 20\r\n\
-         upload-complete: ?1\r\ncontent-length: 1000000\r\n\r\n"
-    );
-    part.raw().write_all(head.as_bytes()).unwrap();
-    part.raw().write_all(&first[20..]).unwrap();
-    let refused = part.receive("PATCH").unwrap();
-    assert_eq!(refused.header("upload-offset"), None, "nothing of it is kept");
-    assert_eq!(refused.problem(413)["field"], "photo");
-    assert_eq!(request(server.addr, "GET", at, &[], &[]).status, 404);
-    // nor is one of which the first part tells
-    begin(&first).problem(413);
-    begin(b"Dear Sir or Madam").problem(415);
-    assert_eq!((count(dir.path(), "uploads"), count(dir.path(), "photos")), (0, 0));
-    // a part that says little is taken, and so is what follows
-    let photo = jpeg(7);
-    let begun = begin(&photo[..15]);
-    let headers = [("content-type", "application/partial-upload"), ("upload-offset", "15"), ("upload-complete", "?1")];
-    assert_eq!(request(server.addr, "PATCH", begun.header("location").unwrap(), &headers, &photo[15..]).status, 202);
-}

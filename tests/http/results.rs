@@ -359,7 +359,6 @@ fn health_and_metrics() {
         ("connections", usual.connections),
         ("views_waiting", usual.views_waiting),
         ("exports_waiting", usual.exports_waiting),
-        ("partial_uploads", usual.partials),
     ] {
         assert_eq!(value(&format!("tmpi_{name}_limit ")), limit as f64, "{name}");
     }

@@ -256,15 +256,13 @@ fn a_collector_that_hangs_fills_no_memory_and_holds_up_no_end() {
 #[test]
 fn a_fault_of_the_server_is_marked() {
     let (dir, collector) = (tempfile::tempdir().unwrap(), StandIn::start(Mood::Takes));
-    // nothing is uploaded in parts here
-    let limits = Limits { partials: 0, ..Limits::default() };
-    let config = Config { traces: Some(collector.traces(1.0)), limits, ..Config::new(([127, 0, 0, 1], 0).into(), dir.path().to_owned()) };
+    let config = Config { traces: Some(collector.traces(1.0)), ..Config::new(([127, 0, 0, 1], 0).into(), dir.path().to_owned()) };
     let renderer = tmpi_render::select(Backend::Cpu).unwrap();
     let server = Running::of(async move { Server::bind(config, Gate::new(0), renderer).await.unwrap() });
-    request(server.addr, "POST", "/v1/photos", &[("upload-complete", "?0")], &[]).problem(501);
+    get(server.addr, "/oembed?format=xml").problem(501);
     get(server.addr, "/v1/photos/0123456789abcdef0123456789abcdef").problem(404);
     let status = |name: &str| collector.wait(name, 1)[0].status.clone().map_or(0, |s| s.code);
-    assert_eq!(status("POST /v1/photos"), StatusCode::Error as i32);
+    assert_eq!(status("GET /oembed"), StatusCode::Error as i32);
     assert_eq!(status("GET /v1/photos/{id}"), StatusCode::Unset as i32, "that is the client's");
 }
 

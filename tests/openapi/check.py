@@ -17,8 +17,8 @@ from engines import free_port
 # of sockets and of streams that do not end nothing comes that could be judged
 ENDLESS = "(publish|subscribe|events)$"
 
-# What a description cannot say: that a parameter goes with another one (`view`, `export`, `exports`), lies within this very photo (`region`), names
-# a photo that is there (`after`), or agrees with the body (`Upload-Length`). Of faults of the server hooks.py tells 501, which a description may have.
+# What a description cannot say: that a parameter goes with another one (`view`, `export`, `exports`), lies within this very photo (`region`), or names
+# a photo that is there (`after`). Of faults of the server hooks.py tells 501, which a description may have.
 RULES = f"""
 request-timeout = 120
 hooks = "{HERE / 'hooks.py'}"

@@ -8,9 +8,3 @@ def no_fault_of_the_server(ctx, response, case):
     described = str(status) in case.operation.definition.raw.get("responses", {})
     if status >= 500 and not (status == 501 and described):
         raise AssertionError(f"{status} is a fault of the server")
-
-
-@schemathesis.serializer("application/partial-upload")
-def part(ctx, value):
-    """A part of an upload is its bytes."""
-    return value if isinstance(value, bytes) else getattr(value, "data", None) or str(value).encode()

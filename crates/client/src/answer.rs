@@ -11,8 +11,8 @@ use tokio::time::{Instant, sleep};
 use crate::{Client, Error, MOST, Problem};
 
 /// First pause after a failure of the network, doubled each time up to the most.
-pub(crate) const PAUSE: Duration = Duration::from_millis(200);
-pub(crate) const MOST_PAUSE: Duration = Duration::from_secs(10);
+const PAUSE: Duration = Duration::from_millis(200);
+const MOST_PAUSE: Duration = Duration::from_secs(10);
 
 /// A request.
 pub(crate) struct Call {
@@ -111,7 +111,7 @@ fn refused_for_now(status: StatusCode, again: bool) -> bool {
     status == StatusCode::TOO_MANY_REQUESTS || again && status == StatusCode::SERVICE_UNAVAILABLE
 }
 
-pub(crate) fn retry_after(headers: &HeaderMap) -> Option<Duration> {
+fn retry_after(headers: &HeaderMap) -> Option<Duration> {
     headers.get(RETRY_AFTER)?.to_str().ok()?.parse().ok().map(Duration::from_secs)
 }
 

@@ -32,7 +32,6 @@ mod answer;
 mod error;
 mod events;
 mod form;
-mod parts;
 mod photos;
 mod results;
 mod strokes;

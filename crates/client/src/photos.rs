@@ -11,7 +11,7 @@ use crate::answer::Call;
 use crate::form::form;
 use crate::{Client, Error, Link, PhotoState, Settings, State, Visibility};
 
-pub(crate) const PREFER: HeaderName = HeaderName::from_static("prefer");
+const PREFER: HeaderName = HeaderName::from_static("prefer");
 
 /// A photo to upload, and what is to be made of it.
 #[derive(Clone, Debug, Default)]
@@ -63,31 +63,6 @@ impl Upload {
     }
 }
 
-/// What an upload is as a request.
-pub(crate) struct Request {
-    /// Path with its query.
-    pub path: String,
-    /// Media type of the body.
-    pub kind: String,
-    pub body: Bytes,
-    /// What `Prefer` says.
-    pub prefer: Option<String>,
-}
-
-impl Upload {
-    pub(crate) fn request(self) -> Result<Request, Error> {
-        let Self { photo, depth, options, wait } = self;
-        let prefer = wait.map(|wait| format!("wait={}", wait.as_secs()));
-        let Some(depth) = depth else {
-            return Ok(Request { path: query("/v1/photos", &options)?, kind: "application/octet-stream".into(), body: photo, prefer });
-        };
-        let texts = options.iter().map(|(name, value)| (name.as_str(), value.as_bytes()));
-        let parts: Vec<(&str, &[u8])> = [("photo", &photo[..]), ("depth", &depth[..])].into_iter().chain(texts).collect();
-        let (kind, body) = form(&parts)?;
-        Ok(Request { path: "/v1/photos".into(), kind, body, prefer })
-    }
-}
-
 /// A page of the list.
 #[derive(Deserialize)]
 struct Page {
@@ -104,11 +79,20 @@ impl Client {
     /// # Errors
     /// [`Error`]; [`Error::Problem`] names the field or the limit.
     pub async fn upload(&self, upload: Upload) -> Result<PhotoState, Error> {
-        let Request { path, kind, body, prefer } = upload.request()?;
+        let Upload { photo, depth, options, wait } = upload;
+        let (path, kind, body) = match depth {
+            None => (query("/v1/photos", &options)?, "application/octet-stream".to_owned(), photo),
+            Some(depth) => {
+                let texts = options.iter().map(|(name, value)| (name.as_str(), value.as_bytes()));
+                let parts: Vec<(&str, &[u8])> = [("photo", &photo[..]), ("depth", &depth[..])].into_iter().chain(texts).collect();
+                let (kind, body) = form(&parts)?;
+                ("/v1/photos".to_owned(), kind, body)
+            }
+        };
         let mut call = Call::new(Method::POST, path).header(CONTENT_TYPE, &kind)?.body(body);
         call.again = !self.headers.is_empty();
-        if let Some(prefer) = prefer {
-            call = call.header(PREFER, &prefer)?;
+        if let Some(wait) = wait {
+            call = call.header(PREFER, &format!("wait={}", wait.as_secs()))?;
         }
         self.ask(call).await?.json()
     }

@@ -21,12 +21,12 @@ fn without_arguments_the_limits_are_the_documented_ones() {
 #[test]
 fn every_limit_can_be_set() {
     let args = "--max-body 16 --max-pixels 20 --max-side 1000 --decoder-memory 100 --job-memory 1000 --header-timeout 11 --request-timeout 31 \
-        --export-timeout 601 --body-timeout 31 --body-rate 9000 --changes 9 --uploads-beyond 5 --partial-uploads 65 --partial-hours 25 \
+        --export-timeout 601 --body-timeout 31 --body-rate 9000 --changes 9 --uploads-beyond 5 \
         --rate-requests 1 --rate-uploads 1 --rate-views 1 --quota-photos 1 --quota-mib 1 --retain-days 1 --retain-mib 1 --retain-sweep 9 \
         --write-timeout 11 --write-rate 1025 --lame-duck 1 --drain 21 --queue 65 --workers 2 --attempts 4 --job-timeout 121 \
         --connections 1025 --connections-per-address 513 --streams 513 --views 3 --views-waiting 65 --exports 2 --exports-waiting 9 --exports-mib 1025 --exports-for 9 \
         --renders 481 --work-memory 1025 --view-pixels 9 --view-side 9 --scene-cache 257 --file-cache 65 --view-cache 65 --export-cache 1025 \
-        --max-header 33 --streams-at-once 65 --partial-uploads-per-owner 17 --least-free 65 --least-free-files 1025 --link-days 367 --hsts 9 \
+        --max-header 33 --streams-at-once 65 --least-free 65 --least-free-files 1025 --link-days 367 --hsts 9 \
         --rest 21 --look-over-first 61 --look-over 9 --look-over-rate 33 --lease 31 --sweep 6 --copies 4097 --known-photos 20001 --page 201 --keep-alive 16";
     let set = Cli::try_parse_from(["serve"].into_iter().chain(args.split_whitespace())).unwrap().serve.limits();
     // names all fields, so that none is forgotten
@@ -37,8 +37,8 @@ fn every_limit_can_be_set() {
         }};
     }
     all_differ!(Photo, set.photo, Limits::default().photo, bytes pixels side decoder_memory memory);
-    all_differ!(Limits, set, Limits::default(), photo body header header_read request export body_read body_rate changes uploads_beyond partials
-        partials_of_owner partial_time rate_requests rate_uploads rate_views quota_photos quota_bytes retain retain_bytes retain_sweep write write_rate
+    all_differ!(Limits, set, Limits::default(), photo body header header_read request export body_read body_rate changes uploads_beyond
+        rate_requests rate_uploads rate_views quota_photos quota_bytes retain retain_bytes retain_sweep write write_rate
         lame_duck drain queue workers attempts job job_memory connections connections_per_address streams_at_once streams views views_waiting exports
         exports_waiting exports_bytes exports_for renders work_memory view_pixels view_side scene_cache file_cache view_cache export_cache rest look_over_first
         look_over look_over_rate lease sweep copies known_photos reserve link hsts page keep_alive);

@@ -39,7 +39,7 @@ use keys::{Keys, KeysError, Scope};
 use links::{Asked, Link, link_of_url, take_link};
 use manage::seal;
 use needs::{Need, need, refusal};
-pub use secret::{Secret, random, same};
+pub use secret::{Secret, same};
 pub use ticket::SECONDS as TICKET_SECONDS;
 use who::{Who, bearer, fresh, is_secret};
 
@@ -330,16 +330,6 @@ impl Guard {
     #[must_use]
     pub fn has_all() -> bool {
         caller().is_some_and(|caller| caller.who.is_admin())
-    }
-
-    /// Whether the caller of this request may go on with an upload that `owner` began; one that nobody known began is whoever's has its
-    /// address.
-    #[must_use]
-    pub fn continues(owner: Option<&Owner>) -> bool {
-        caller().is_some_and(|caller| {
-            let is = |owner: &Owner| caller.owner.as_ref().is_some_and(|own| same(own.0.as_bytes(), owner.0.as_bytes()));
-            caller.who.is_admin() || owner.is_none_or(is)
-        })
     }
 
     /// Id of an owner's photo, where `content` names what it is made of.

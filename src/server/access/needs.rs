@@ -50,10 +50,6 @@ const TABLE: &[(&str, &str, Need)] = &[
     ("POST", "/v1/owner/ticket", Nothing),
     ("GET", "/v1/photos", List),
     ("POST", "/v1/photos", Upload),
-    // of whoever began it, as the handlers see to
-    ("GET", "/v1/uploads/{upload}", Upload),
-    ("PATCH", "/v1/uploads/{upload}", Upload),
-    ("DELETE", "/v1/uploads/{upload}", Upload),
     ("GET", "/v1/photos/{id}", Read),
     ("PATCH", "/v1/photos/{id}", Change),
     ("DELETE", "/v1/photos/{id}", Change),

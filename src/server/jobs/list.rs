@@ -45,7 +45,7 @@ impl Jobs {
 }
 
 #[cfg(test)]
-pub(super) mod tests {
+mod tests {
     use std::path::Path;
 
     use super::*;
@@ -57,13 +57,13 @@ pub(super) mod tests {
     use crate::server::store::Store;
 
     /// An empty index without workers.
-    pub(in crate::server::jobs) fn index(limits: &Limits) -> Arc<Jobs> {
+    fn index(limits: &Limits) -> Arc<Jobs> {
         let (store, _) = Store::open_in(Arc::new(Forgetful::new()), Path::new("/data"), "", None).unwrap();
         Jobs::start(store, Vec::new(), Arc::new(Never), Arc::new(Limits { workers: 0, ..limits.clone() }), Arc::default()).unwrap()
     }
 
     /// A photo of 5 bytes in it.
-    pub(in crate::server::jobs) fn put(jobs: &Jobs, n: u8, at_ms: u64, owner: Option<Owner>) -> Arc<Entry> {
+    fn put(jobs: &Jobs, n: u8, at_ms: u64, owner: Option<Owner>) -> Arc<Entry> {
         let accepted = Accepted { version: 1, at_ms, photo_bytes: 5, depth_bytes: None, options: BTreeMap::new(), owner };
         let entry = Arc::new(Entry::new(PhotoId::of(&[n; 32], None, "", ""), accepted, Settings::default()));
         jobs.lock().insert(&entry);

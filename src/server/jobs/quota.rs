@@ -26,15 +26,6 @@ pub(super) struct Coming {
     bytes: u64,
 }
 
-/// What an upload in parts takes, or is going to.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct Held {
-    owner: Owner,
-    bytes: u64,
-    /// It is whole, and about to be a photo: it counts as that.
-    ends: bool,
-}
-
 /// Room for a photo that is kept for it until this is dropped.
 pub(super) struct Reserved<'a> {
     jobs: &'a Jobs,
@@ -52,12 +43,6 @@ impl Drop for Reserved<'_> {
 }
 
 impl Inner {
-    /// Bytes of an owner's uploads in parts, but for the one that asks and, where the last word is said, those that end.
-    fn held_of(&self, owner: &Owner, asks: Option<&str>, last: bool) -> u64 {
-        let counts = |(upload, held): &(&String, &Held)| held.owner == *owner && asks != Some(upload.as_str()) && !(last && held.ends);
-        self.held.iter().filter(counts).fold(0, |all, (_, held)| all.saturating_add(held.bytes))
-    }
-
     /// What is coming of an owner.
     fn coming_of(&self, owner: &Owner) -> HashMap<PhotoId, u64> {
         self.coming.iter().filter(|coming| coming.owner == *owner).map(|coming| (coming.id, coming.bytes)).collect()
@@ -72,75 +57,11 @@ impl Jobs {
     /// 403 that names the limit, 503 where the store cannot be reached.
     pub fn quota(&self, owner: Option<&Owner>, bytes: u64) -> Result<(), Problem> {
         let Some(owner) = self.counted(owner) else { return Ok(()) };
-        self.fits_beside(owner, None, bytes, false)
-    }
-
-    /// The same of a photo that is here whole: uploads in parts that end beside it count once they are photos.
-    ///
-    /// # Errors
-    /// As [`Jobs::quota`].
-    pub(super) fn last_quota(&self, owner: Option<&Owner>, bytes: u64) -> Result<(), Problem> {
-        self.counted(owner).map_or(Ok(()), |owner| self.fits_beside(owner, None, bytes, true))
-    }
-
-    fn fits_beside(&self, owner: &Owner, asks: Option<&str>, bytes: u64, last: bool) -> Result<(), Problem> {
         let inner = self.lock();
-        let held = inner.held_of(owner, asks, last);
-        let Some(cluster) = &self.cluster else { return self.fits(&inner, owner, bytes, held) };
+        let Some(cluster) = &self.cluster else { return self.fits(&inner, owner, bytes) };
         let coming = inner.coming_of(owner);
         drop(inner);
-        self.fits_there(cluster, owner, None, bytes, coming, held)
-    }
-
-    /// Keeps room for so many bytes of an upload in parts, all in all, until it [is let go](Jobs::let_go_of): beside photos and other such uploads
-    /// at this node they are no more than one may have. Blocks where a store has the photos.
-    ///
-    /// # Errors
-    /// As [`Jobs::quota`]: as much as before is kept then.
-    pub fn hold(&self, owner: Option<&Owner>, upload: &str, bytes: u64) -> Result<(), Problem> {
-        let Some(owner) = self.counted(owner) else { return Ok(()) };
-        let held = Held { owner: owner.clone(), bytes, ends: false };
-        let mut inner = self.lock();
-        if inner.held.get(upload).is_some_and(|before| before.bytes >= bytes && !before.ends) {
-            return Ok(());
-        }
-        let others = inner.held_of(owner, Some(upload), false);
-        if self.cluster.is_none() {
-            self.fits(&inner, owner, bytes, others)?;
-            inner.held.insert(upload.to_owned(), held);
-            return Ok(());
-        }
-        // kept already while the store is asked, so that others see it
-        let before = inner.held.insert(upload.to_owned(), held);
-        drop(inner);
-        let fits = self.fits_beside(owner, Some(upload), bytes, false);
-        if fits.is_err() {
-            let mut inner = self.lock();
-            match before {
-                Some(before) => drop(inner.held.insert(upload.to_owned(), before)),
-                None => drop(inner.held.remove(upload)),
-            }
-        }
-        fits
-    }
-
-    /// Keeps room for what is there of an upload in parts that was accepted before a start.
-    pub fn hold_found(&self, owner: Option<&Owner>, upload: &str, bytes: u64) {
-        if let Some(owner) = self.counted(owner) {
-            self.lock().held.insert(upload.to_owned(), Held { owner: owner.clone(), bytes, ends: false });
-        }
-    }
-
-    /// An upload in parts is about to be a photo, or it did not come to that.
-    pub fn ends(&self, upload: &str, ends: bool) {
-        if let Some(held) = self.lock().held.get_mut(upload) {
-            held.ends = ends;
-        }
-    }
-
-    /// Lets go of the room of an upload in parts.
-    pub fn let_go_of(&self, upload: &str) {
-        self.lock().held.remove(upload);
+        self.fits_there(cluster, owner, None, bytes, coming)
     }
 
     /// The same, and keeps the room for the photo `id` while it is taken into a store of several nodes: in its index. It is entered there first
@@ -156,7 +77,7 @@ impl Jobs {
         let coming = Coming { owner: owner.clone(), id, bytes };
         // what came to this node before this one is counted with it or is in the index by the time that is read; what comes later counts this one
         let mut inner = self.lock();
-        let (before, held) = (inner.coming_of(owner), inner.held_of(owner, None, true));
+        let before = inner.coming_of(owner);
         inner.coming.push(coming.clone());
         drop(inner);
         let reserved = Reserved { jobs: self, coming };
@@ -164,9 +85,9 @@ impl Jobs {
         let mut again = 1;
         loop {
             // what has no room is not entered at all
-            self.fits_there(cluster, owner, Some(id), bytes, before.clone(), held)?;
+            self.fits_there(cluster, owner, Some(id), bytes, before.clone())?;
             let is_new = cluster.enter_early(id, accepted).map_err(store)?;
-            match self.fits_there(cluster, owner, Some(id), bytes, HashMap::new(), held) {
+            match self.fits_there(cluster, owner, Some(id), bytes, HashMap::new()) {
                 Err(refused) if refused.status == StatusCode::FORBIDDEN.as_u16() => {
                     if is_new {
                         cluster.leave_early(id, accepted).map_err(store)?;
@@ -189,10 +110,10 @@ impl Jobs {
         owner.filter(|owner| limited && !owner.is_own())
     }
 
-    /// Refuses a photo that is too much beside what the owner has and `held` bytes of uploads in parts.
-    fn fits(&self, inner: &Inner, owner: &Owner, bytes: u64, held: u64) -> Result<(), Problem> {
+    /// Refuses a photo that is too much beside what the owner has.
+    fn fits(&self, inner: &Inner, owner: &Owner, bytes: u64) -> Result<(), Problem> {
         let theirs = || inner.by_owner.get(owner).into_iter().flat_map(|all| all.values());
-        self.beside("", theirs().count(), theirs().map(|entry| entry.bytes()).fold(held, u64::saturating_add), bytes)
+        self.beside("", theirs().count(), theirs().map(|entry| entry.bytes()).fold(0, u64::saturating_add), bytes)
     }
 
     /// The same of what the store's index says, beside what was `coming` before that is read; no further than it is known to be too much.
@@ -203,9 +124,8 @@ impl Jobs {
         id: Option<PhotoId>,
         bytes: u64,
         mut coming: HashMap<PhotoId, u64>,
-        held: u64,
     ) -> Result<(), Problem> {
-        let (mut photos, mut taken, mut is_whole) = (0, held, true);
+        let (mut photos, mut taken, mut is_whole) = (0, 0_u64, true);
         let count = |of: PhotoId, size: u64| {
             coming.remove(&of);
             if id != Some(of) {
@@ -233,7 +153,7 @@ impl Jobs {
                 "you have {about}{photos} photos, and {most} is the limit (--quota-photos): delete one, and there is room for another"
             )),
             (_, Some(most)) if taken.saturating_add(bytes) > most => refused(format!(
-                "your photos and uploads under way take {about}{taken} bytes, this one {bytes}, and {most} is the limit (--quota-mib): \
+                "your photos take {about}{taken} bytes, this one {bytes}, and {most} is the limit (--quota-mib): \
                  delete some, and there is room"
             )),
             _ => Ok(()),
@@ -246,7 +166,6 @@ mod tests {
     use std::sync::Barrier;
 
     use super::super::among_tests::{Node, node};
-    use super::super::list::tests::{index, put as index_put};
     use super::*;
     use crate::server::cluster::memory::{MADE, Memory, accepted, put};
     use crate::server::limits::Limits;
@@ -349,34 +268,5 @@ mod tests {
         assert!(reserve(2, &a).is_err(), "it is entered: what became of it nobody knows");
         put(&store, 1, 2, Some(&a), true);
         assert!(reserve(2, &a).is_err() && reserve(1, &a).is_ok());
-    }
-
-    #[test]
-    fn uploads_in_parts_take_room_until_they_are_photos_or_gone() {
-        let jobs = index(&Limits { quota_bytes: Some(20), ..Limits::default() });
-        let (a, b) = (Owner::of_secret("a"), Owner::of_secret("b"));
-        let status = |fits: Result<(), Problem>| fits.err().map(|e| e.status);
-        jobs.hold(Some(&a), "one", 8).unwrap();
-        assert_eq!(status(jobs.hold(Some(&a), "two", 13)), Some(403));
-        assert!(jobs.hold(Some(&b), "of-b", 20).is_ok() && jobs.hold(None, "nobody's", 99).is_ok());
-        // all in all, and no less than was told before
-        assert!(jobs.hold(Some(&a), "one", 20).is_ok() && jobs.hold(Some(&a), "one", 5).is_ok());
-        assert_eq!(status(jobs.hold(Some(&a), "one", 21)), Some(403));
-        assert_eq!((status(jobs.quota(Some(&a), 1)), status(jobs.last_quota(Some(&a), 1))), (Some(403), Some(403)), "of uploads at once");
-        jobs.let_go_of("one");
-        jobs.hold(Some(&a), "one", 12).unwrap();
-        jobs.hold(Some(&a), "two", 8).unwrap();
-        // as it becomes a photo it counts for others, and not beside itself
-        jobs.ends("one", true);
-        assert!(jobs.last_quota(Some(&a), 12).is_ok() && status(jobs.last_quota(Some(&a), 13)) == Some(403));
-        assert_eq!(status(jobs.quota(Some(&a), 1)), Some(403));
-        index_put(&jobs, 1, 12, Some(a.clone()));
-        jobs.let_go_of("one");
-        assert!(jobs.quota(Some(&a), 7).is_ok() && status(jobs.quota(Some(&a), 8)) == Some(403), "two, and the photo of 5 bytes");
-        jobs.let_go_of("two");
-        assert!(jobs.quota(Some(&a), 15).is_ok());
-        // after a start it is kept whatever there is
-        jobs.hold_found(Some(&a), "two", 16);
-        assert_eq!(status(jobs.quota(Some(&a), 0)), Some(403));
     }
 }

@@ -18,7 +18,6 @@ mod room_view;
 mod state;
 mod strokes;
 mod system;
-mod uploads;
 mod view;
 mod view_query;
 mod words;
@@ -85,7 +84,6 @@ fn pages_api() -> OpenApiRouter<App> {
     OpenApiRouter::with_openapi(Document::openapi())
         .routes(routes!(photos::upload, photos::list))
         .routes(routes!(photos::state, photos::change, photos::delete))
-        .routes(routes!(uploads::progress, uploads::append, uploads::cancel))
         .routes(routes!(strokes::strokes, strokes::touch_up))
         .routes(routes!(network::again))
         .routes(routes!(owner::links))

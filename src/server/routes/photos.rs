@@ -13,7 +13,6 @@ use bytes::Bytes;
 use super::better::better_depth;
 use super::query::{NoQuery, Pairs};
 use super::state::{PhotoList, PhotoState};
-use super::uploads::{self, Created};
 use crate::server::access::{Guard, Owner};
 use crate::server::app::{App, Stored};
 use crate::server::body;
@@ -22,7 +21,6 @@ use crate::server::conditional::{Coding, Entity, REVALIDATE, insert, respond, re
 use crate::server::entry::{Entry, Status};
 use crate::server::id::PhotoId;
 use crate::server::identity::short;
-use crate::server::partial::{Extent, header};
 use crate::server::problem::Problem;
 use crate::server::settings::{PATCH_BYTES, Settings, still_as_seen};
 use crate::server::upload;
@@ -85,15 +83,10 @@ pub struct UploadForm {
 /// Multipart form, or the raw bytes of a picture with the options of the form as query parameters (names with `-` or `_`).
 /// Once this answers, the photo is on disk and is made even if the server is restarted. Photo, depth map and options give
 /// the id: the same upload again is the same photo and costs nothing; if it had failed, it is tried again.
-///
-/// With `Upload-Complete: ?0` this begins an upload in parts (draft-ietf-httpbis-resumable-upload): the answer is 201 with the address to
-/// which the other parts are sent, and what comes with this request is the first. The last of them is answered as an upload at once is.
 #[utoipa::path(
     post, path = "/v1/photos", tag = "photos",
     params(
         ("Prefer" = Option<String>, Header, description = "`wait=SECONDS`: answer once the photo is done, or after that time"),
-        ("Upload-Complete" = Option<String>, Header, pattern = "^[?][01]$", description = "`?0` begins an upload in parts; `?1` says that this is all"),
-        ("Upload-Length" = Option<u64>, Header, maximum = 999_999_999_999_999_i64, description = "Bytes of the whole, where there are parts"),
         ("title" = Option<String>, Query, min_length = 1, max_length = 200, description = "What to call the photo, 1 to 200 characters"),
         ("planes" = Option<String>, Query, description = "As in the form; so are all other options"),
     ),
@@ -105,8 +98,8 @@ pub struct UploadForm {
         (String = "application/octet-stream"),
     )),
     responses(
-        (status = 201, description = "Done in the time that `Prefer: wait` gave; or an upload in parts has begun", body = Created, headers(
-            ("Location" = String, description = "Address of the photo, or that for the other parts"),
+        (status = 201, description = "Done in the time that `Prefer: wait` gave", body = PhotoState, headers(
+            ("Location" = String, description = "Address of the photo"),
             ("Preference-Applied" = String, description = "`wait=SECONDS`"),
         )),
         (status = 202, description = "Accepted: it is on disk and waits, or is being made, or was done before", body = PhotoState,
@@ -118,7 +111,6 @@ pub struct UploadForm {
         (status = 415, description = "Not a JPEG, PNG or WebP picture"),
         (status = 422, description = "The picture is damaged"),
         (status = 429, description = "Too many photos wait; `Retry-After` says when to come back"),
-        (status = 501, description = "There are no uploads in parts here"),
         (status = 503, description = "The server is stopping"),
         (status = 507, description = "The disk is full"),
     )
@@ -126,21 +118,11 @@ pub struct UploadForm {
 pub async fn upload(State(app): State<App>, Extension(clock): Extension<Clock>, request: Request) -> Result<Response, Problem> {
     let wait = prefer_wait(request.headers());
     let Query(query) = Query::<Vec<(String, String)>>::try_from_uri(request.uri()).map_err(|e| Problem::bad_request(e.body_text()))?;
-    let whole = header::complete(request.headers())?;
-    if whole == Some(false) {
-        return uploads::begin(&app, query, request).await;
-    }
-    let length = if whole.is_some() { header::length_at_once(request.headers())? } else { None };
     let (owner, is_new) = uploader(&app)?;
     // before the body comes
     app.quota(owner.as_ref(), length_told(request.headers())).await?;
     let entry = upload::take(&app, &query, request, owner).await?.entry;
-    let mut response = accepted(&app, &entry, &clock, wait, is_new).await?;
-    // an upload in parts that came in one
-    if let Some(offset) = length {
-        header::tell(&mut response, &Extent { offset, length }, true);
-    }
-    Ok(response)
+    accepted(&app, &entry, &clock, wait, is_new).await
 }
 
 /// Bytes of the body, as far as that is told.
@@ -149,13 +131,13 @@ fn length_told(headers: &HeaderMap) -> u64 {
 }
 
 /// Whose a photo will be, and whether they were nobody before, where the server asks.
-pub(super) fn uploader(app: &App) -> Result<(Option<Owner>, bool), Problem> {
+fn uploader(app: &App) -> Result<(Option<Owner>, bool), Problem> {
     let uploader = app.guard.as_ref().map(|_| Guard::uploader()).transpose()?;
     Ok(uploader.map_or((None, false), |u| (Some(u.owner), u.is_new)))
 }
 
 /// The answer to an upload that was accepted; whoever was nobody before is told the photo's token, without which they could not see it.
-pub(super) async fn accepted(app: &App, entry: &Arc<Entry>, clock: &Clock, wait: Option<u64>, is_new: bool) -> Result<Response, Problem> {
+async fn accepted(app: &App, entry: &Arc<Entry>, clock: &Clock, wait: Option<u64>, is_new: bool) -> Result<Response, Problem> {
     let mut ready = false;
     if let Some(seconds) = wait {
         // counted from the end of the body; the longest wait is what the request has left

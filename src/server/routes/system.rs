@@ -108,8 +108,6 @@ pub async fn metrics(State(app): State<App>, _: NoQuery, headers: HeaderMap) -> 
         gauge("tmpi_connections_limit", "Connections that may be open", app.limits.connections as f64),
         gauge("tmpi_jobs_running", "Photos that this node is making", counts.working as f64),
         gauge("tmpi_photos_unreadable", "Photos whose records cannot be read", app.jobs.store.unreadable() as f64),
-        gauge("tmpi_partial_uploads", "Uploads of which parts are there", app.partials.count() as f64),
-        gauge("tmpi_partial_uploads_limit", "Uploads of which parts may be there", app.limits.partials as f64),
         gauge("tmpi_scene_cache_bytes", "Memory of decoded scenes", app.scenes.bytes() as f64),
         gauge("tmpi_file_cache_bytes", "Memory of cached files", app.files.bytes() as f64),
         gauge("tmpi_view_cache_bytes", "Memory of encoded views", app.views.bytes() as f64),

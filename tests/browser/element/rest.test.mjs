@@ -2,7 +2,6 @@
 import assert from 'node:assert/strict';
 import { readFileSync } from 'node:fs';
 import { createServer } from 'node:http';
-import net from 'node:net';
 import { after, before, describe, test } from 'node:test';
 import { Tmpi, TmpiError } from '../../../npm/rest.js';
 import { boxDepth, boxPhoto } from '../support/pictures.mjs';
@@ -107,114 +106,6 @@ describe('a client of the built program', () => {
   });
 });
 
-describe('a large upload to the built program', () => {
-  const BYTES = 18 * 2 ** 20;
-  /** A photo of some megabytes: what is behind a PNG is no part of the picture. */
-  const large = new Uint8Array(Buffer.concat([boxPhoto(60, 40), Buffer.alloc(BYTES)]));
-  let server;
-  before(async () => {
-    server = await startServer();
-  });
-  after(() => server?.close());
-
-  /**
-   * What lies between client and program, and cuts a connection after so many bytes of the client's in all, once for each of `cuts`;
-   * `deaf` has it cut the connection once more in place of the answer that a photo was accepted.
-   */
-  const wire = async ({ cuts = [], deaf = false }) => {
-    const told = { sent: 0, cut: 0 };
-    const { hostname, port } = new URL(server.url);
-    const between = net.createServer((client) => {
-      const program = net.connect(Number(port), hostname);
-      const end = () => {
-        client.destroy();
-        program.destroy();
-      };
-      client.on('data', (bytes) => {
-        told.sent += bytes.length;
-        program.write(bytes);
-        if (!(told.sent >= cuts[told.cut])) return;
-        told.cut++;
-        // what was written arrives
-        client.destroy();
-        program.end();
-      });
-      program.on('data', (bytes) => {
-        if (deaf && bytes.toString('latin1').startsWith('HTTP/1.1 202')) {
-          deaf = false;
-          told.cut++;
-          end();
-        } else client.write(bytes);
-      });
-      for (const socket of [client, program]) socket.on('error', end);
-      client.on('close', () => program.end());
-      program.on('close', end);
-    });
-    await new Promise((resume) => between.listen(0, '127.0.0.1', resume));
-    told.url = `http://127.0.0.1:${between.address().port}`;
-    told.close = () => between.close();
-    return told;
-  };
-
-  test('goes on after cuts, and does not send twice what is there', async () => {
-    const told = await wire({ cuts: [5 * 2 ** 20, 12 * 2 ** 20] });
-    const seen = [];
-    const tmpi = new Tmpi(told.url, { longestPause: 50 });
-    const { id } = await tmpi.upload(large, { title: 'Large', onProgress: (sent, all) => seen.push([sent, all]) });
-    const made = await tmpi.wait(id);
-    assert.deepEqual([made.state, made.photo_bytes, made.settings.title, told.cut], ['done', large.length, 'Large', 2]);
-    assert.ok(told.sent < 1.5 * large.length, `${told.sent} bytes of ${large.length} were sent`);
-    assert.deepEqual([seen[0], seen.at(-1)], [[0, large.length], Array(2).fill(large.length)]);
-    const offsets = seen.slice(0, -1).map(([sent]) => sent);
-    assert.ok(
-      offsets.every((sent, i) => !i || sent >= offsets[i - 1]),
-      `${offsets}`,
-    );
-    // of a part that was cut something is there
-    assert.ok(
-      offsets.some((sent) => sent % (8 * 2 ** 20)),
-      `${offsets}`,
-    );
-    await tmpi.delete(id);
-    told.close();
-  });
-
-  test('of which the answer alone was lost is found', async () => {
-    const told = await wire({ deaf: true });
-    const tmpi = new Tmpi(told.url, { longestPause: 50 });
-    const file = new File([large], 'a box.png');
-    const { id, settings } = await tmpi.upload(file);
-    assert.deepEqual([settings.title, told.cut], ['a box', 1]);
-    assert.equal((await tmpi.wait(id)).photo_bytes, large.length);
-    await tmpi.delete(id);
-    told.close();
-  });
-
-  test('that is no picture is refused, and one that is stopped gives its place back', async () => {
-    const tmpi = new Tmpi(server.url);
-    await refuses(tmpi.upload(new Uint8Array(BYTES)), 'refused', 415);
-    const stop = new AbortController();
-    const onProgress = (sent) => sent && stop.abort(new Error('enough'));
-    await assert.rejects(tmpi.upload(large, { signal: stop.signal, onProgress }), { message: 'enough' });
-    const left = async () => {
-      const metrics = await (await fetch(`${server.url}/metrics`)).text();
-      return Number(/^tmpi_partial_uploads (\S+)$/m.exec(metrics)[1]);
-    };
-    while (await left()) await new Promise((resume) => setTimeout(resume, 50));
-    assert.deepEqual((await tmpi.list()).photos, []);
-  });
-
-  test('goes at once where the server takes no parts', async () => {
-    const whole = await startServer(['--partial-uploads', '0']);
-    try {
-      const { id } = await new Tmpi(whole.url).upload(large, { title: 'At once' });
-      assert.deepEqual((await new Tmpi(whole.url).wait(id)).settings.title, 'At once');
-    } finally {
-      await whole.close();
-    }
-  });
-});
-
 describe('a client of servers that fail', () => {
   const servers = [];
   after(() => {
@@ -292,25 +183,6 @@ describe('a client of servers that fail', () => {
     const state = { links: { embed: `/embed/${NONE}` }, settings: {} };
     const frame = new Tmpi(told.url).embed(state, { query: 'expires=1&signature=5e' });
     assert.ok(frame.includes(`src="${told.url}/embed/${NONE}?expires=1&amp;signature=5e"`), frame);
-  });
-
-  test('parts that nobody takes are given up, and so is the upload', async () => {
-    const told = await failing((n, request, response) => {
-      request.resume();
-      request.on('end', () => {
-        if (n === 0) response.writeHead(201, { location: '/v1/uploads/u1' }).end();
-        else if (request.method === 'GET') json(response, { offset: 0, complete: false });
-        else if (request.method === 'DELETE') response.writeHead(204).end();
-        else problem(response, 503);
-      });
-    });
-    await refuses(new Tmpi(told.url, { longestPause: 10, tries: 3 }).upload(PHOTO, { parts: true }), 'refused', 503);
-    while (told.count < 7) await new Promise((resume) => setTimeout(resume, 10));
-    const asked = told.requests.map(({ method, url }) => `${method} ${url}`);
-    const [part, look] = ['PATCH /v1/uploads/u1', 'GET /v1/uploads/u1'];
-    assert.deepEqual(asked, ['POST /v1/photos', part, look, part, look, part, 'DELETE /v1/uploads/u1']);
-    const { 'upload-offset': at, 'upload-complete': last } = told.requests[1].headers;
-    assert.deepEqual([at, last, told.requests[0].headers['upload-length']], ['0', '?1', String(PHOTO.length)]);
   });
 
   test('a stream of events that breaks off is followed by a look at the state', async () => {
