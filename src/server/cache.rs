@@ -81,12 +81,6 @@ impl<K: Key, V: Value> Cache<K, V> {
         Ok(entry.into_value())
     }
 
-    /// The value of `key`, where it is at hand without waiting for anybody.
-    #[must_use]
-    pub fn at_hand(&self, key: &K) -> Option<V> {
-        self.kept.get(key).now_or_never().flatten()
-    }
-
     /// Removes what has rested long enough, and frees at once what was removed: otherwise it waits, whatever its size, until this thread
     /// has removed some dozens more.
     pub async fn settle(&self) {
