@@ -4,7 +4,6 @@ use std::hash::Hash;
 use std::sync::Arc;
 use std::time::Duration;
 
-use futures_util::FutureExt as _;
 use moka::future::{Cache as Kept, CacheBuilder};
 use moka::policy::EvictionPolicy;
 

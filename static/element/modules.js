@@ -48,7 +48,6 @@ export const ROOM_MODULES = [
   'i18n/messages.js',
   'live/connection.js',
   'live/room-address.js',
-  'live/served-views.js',
   'live/sound-player.js',
   'live/start.js',
   'live/states.js',
