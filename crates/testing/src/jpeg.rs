@@ -4,8 +4,9 @@ use std::f64::consts::PI;
 
 /// Step of every quantised coefficient: small, so that what a decoder gives is near to what was written.
 const STEP: f64 = 2.0;
-/// Values of the code tables in order: code n of eight bits stands for value n. No photo takes longer runs or larger coefficients.
+/// Sizes of differences of means: code n of four bits stands for size n.
 const DC: std::ops::Range<u8> = 0..12;
+/// Sizes of other coefficients, of which each with a run is a code of eight bits.
 const AC_BITS: u8 = 11;
 
 const ZIGZAG: [usize; 64] = [
@@ -110,13 +111,13 @@ impl Jpeg {
         frame.push(self.components.len() as u8);
         frame.extend(self.components.iter().flat_map(|c| [c.id, c.h << 4 | c.v, 0]));
         segment(&mut out, if self.scans == Scans::Progressive { 0xC2 } else { 0xC0 }, &frame);
-        let table = |class: u8, values: Vec<u8>| {
+        let table = |class: u8, bits: usize, values: Vec<u8>| {
             let mut counts = [0; 16];
-            counts[7] = values.len() as u8;
+            counts[bits - 1] = values.len() as u8;
             [&[class << 4][..], &counts, &values].concat()
         };
         let ac = (0..16).flat_map(|run| (0..AC_BITS).map(move |bits| run << 4 | bits)).collect();
-        segment(&mut out, 0xC4, &[table(0, DC.collect()), table(1, ac)].concat());
+        segment(&mut out, 0xC4, &[table(0, 4, DC.collect()), table(1, 8, ac)].concat());
         if self.restart > 0 {
             segment(&mut out, 0xDD, &self.restart.to_be_bytes());
         }
@@ -252,7 +253,7 @@ impl Band {
                 let mean = block[0] >> self.low;
                 let difference = mean - std::mem::replace(before, mean);
                 let size = size(difference);
-                bits.put(size, 8);
+                bits.put(size, 4);
                 bits.value(difference, size);
             }
         }

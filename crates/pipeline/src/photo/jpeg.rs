@@ -271,8 +271,11 @@ impl Walk<'_> {
         }
         push(&mut self.out, 0xDA, body);
         let end = entropy_end(self.bytes, self.at);
-        self.out.extend_from_slice(&self.bytes[self.at..end]);
-        self.data += end - self.at;
+        let data = &self.bytes[self.at..end];
+        // fill bytes, or half of a marker
+        let fill = data.iter().rev().take_while(|byte| **byte == 0xFF).count();
+        self.out.extend_from_slice(&data[..data.len() - fill]);
+        self.data += data.len();
         self.last_scan_end = self.out.len();
         if self.scans == 0 {
             self.first_scan_end = self.out.len();
@@ -451,7 +454,7 @@ impl Frame {
         let luma = self.sampling[0];
         let powers = self.sampling.iter().all(|&(h, v)| h.is_power_of_two() && v.is_power_of_two());
         let largest = self.sampling.iter().all(|&(h, v)| h <= luma.0 && v <= luma.1);
-        let whole = luma == (1, 1) || self.progressive || !self.one_by_one;
+        let whole = self.progressive || !self.one_by_one;
         powers && largest && whole && !(colour == Colour::YCbCr && self.is_named_rgb())
     }
 }

@@ -1,7 +1,7 @@
 //! Pixels of a JPEG file.
 //!
 //! Two decoders share the work. zune-jpeg is fast and tells what is damaged, but reads some rare files wrong: those of which a component is
-//! sampled finer than the first, or three times, or comes in a scan of its own though others are subsampled. jpeg-decoder reads them, and
+//! sampled finer than the first, or three times, or comes in a scan of its own. jpeg-decoder reads them, and
 //! decodes to 1/2, 1/4 or 1/8 inside the DCT. Which files are rare [`Jpeg::common`] tells; nothing else chooses between the two.
 
 use jpeg_decoder::{ColorTransform, PixelFormat};
@@ -23,7 +23,10 @@ pub(super) fn whole(jpeg: &Jpeg) -> Result<(Photo, bool), PhotoError> {
         return Ok((lenient?, true));
     }
     if !jpeg.common {
-        return whole_rare(jpeg);
+        return whole_or_not(jpeg, |file| rare(jpeg, file, None));
+    }
+    if jpeg.progressive && !jpeg.standalone {
+        return whole_or_not(jpeg, |file| common(file, true));
     }
     match common(&jpeg.open(), true) {
         Ok(photo) => Ok((photo, false)),
@@ -39,13 +42,15 @@ pub(super) fn reduced(jpeg: &Jpeg, want: (u32, u32)) -> Option<Photo> {
     rare(jpeg, &jpeg.stripped, Some(want)).ok().filter(|photo| photo.width >= want.0 && photo.height >= want.1)
 }
 
-/// The decoder for rare files takes zeros for data that is missing. So whatever changes with the bytes behind the data is missing.
-fn whole_rare(jpeg: &Jpeg) -> Result<(Photo, bool), PhotoError> {
-    let [photo, other] = [0, 0x55].map(|byte| rare(jpeg, &jpeg.followed_by(&[&[byte; READ_AHEAD], &END[..]].concat()), None));
-    let (photo, other) = (photo?, other?);
+/// By a decoder that takes zeros for data that is missing: whatever changes with the bytes behind the data is missing.
+fn whole_or_not(jpeg: &Jpeg, decode: impl Fn(&[u8]) -> Result<Photo, PhotoError>) -> Result<(Photo, bool), PhotoError> {
+    let [photo, other] = [0, 0x55].map(|byte| decode(&jpeg.followed_by(&[&[byte; READ_AHEAD], &END[..]].concat())));
+    let photo = photo?;
     let width = photo.width as usize;
-    let same = photo.rgb.chunks(width).zip(other.rgb.chunks(width)).take_while(|(a, b)| a == b).count() as u64;
-    if same < jpeg.most_rows() {
+    let rows = |other: Photo| photo.rgb.chunks(width).zip(other.rgb.chunks(width)).take_while(|(a, b)| a == b).count() as u64;
+    let same = other.map_or(0, rows);
+    // of a progressive file all rows are there, if coarse
+    if !jpeg.progressive && same < jpeg.most_rows() {
         return Err(broken("it was cut short"));
     }
     let damaged = same < u64::from(photo.height);
