@@ -27,7 +27,7 @@ usage: cargo xtask <task>
   serve [--offline] [ARGS]
                 fetch ONNX Runtime, build, fetch a better depth network than the embedded one (50 MB, once), and run `tmpi serve ARGS`;
                 --offline, or a depth network named in ARGS: fetch no depth network
-  test [--skip-missing]
+  test [--skip-missing] [STEP…]
                 everything that protects users: format, spelling, lint, Rust tests, browser tests, deployment files, OpenAPI, training; installs
                 what is missing; --skip-missing: installs nothing, and lists the tests that were skipped
   nightly [STEP…]
@@ -49,10 +49,12 @@ fn main() -> ExitCode {
         Some("serve") => serve(&rest),
         Some("release") if rest.iter().all(|a| a == OFFLINE) => release::release(&rest),
         Some("fuzz") => fuzz::fuzz(&rest),
-        Some("test") if rest.is_empty() => test::test(),
-        Some("test") if rest == ["--skip-missing"] => {
-            tools::skip_missing();
-            test::test()
+        Some("test") => {
+            let (flags, steps): (Vec<String>, Vec<String>) = rest.into_iter().partition(|a| a == SKIP_MISSING);
+            if !flags.is_empty() {
+                tools::skip_missing();
+            }
+            test::test(&steps)
         }
         Some("nightly") => nightly::nightly(&rest),
         Some("shaders") if rest.is_empty() => shaders::write(),
@@ -77,6 +79,8 @@ fn main() -> ExitCode {
     }
 }
 
+/// Flag of `test`: nothing is installed.
+const SKIP_MISSING: &str = "--skip-missing";
 /// Flag of `serve` and `release`: nothing is fetched but what cannot be done without.
 const OFFLINE: &str = "--offline";
 

@@ -31,16 +31,20 @@ struct Outcome {
     fault: Option<Fault>,
 }
 
-/// Runs phases of lanes, then prints how long each step took.
+/// Runs phases of lanes, then prints how long each step took. With names, only the steps of these names run.
 ///
 /// The first lane of a phase prints as it runs. The output of a step of another lane is held back until that step ends, so that lines do not mix.
 ///
 /// # Errors
-/// The faults of all steps that failed.
-pub fn run(phases: &[&[Lane]], after: AfterFailure) -> Result<(), Fault> {
+/// The faults of all steps that failed; a name that no step has.
+pub fn run(phases: &[&[Lane]], names: &[String], after: AfterFailure) -> Result<(), Fault> {
+    let all: Vec<&str> = phases.iter().flat_map(|lanes| lanes.iter().flat_map(|steps| steps.iter().map(|s| s.name))).collect();
+    if let Some(unknown) = names.iter().find(|n| !all.contains(&n.as_str())) {
+        return Err(Fault::new(format!("there is no step {unknown:?}; there are {}", all.join(", "))));
+    }
     let start = Instant::now();
     let failed = AtomicBool::new(false);
-    let outcomes: Vec<Outcome> = phases.iter().flat_map(|lanes| run_lanes(lanes, &failed, after)).collect();
+    let outcomes: Vec<Outcome> = phases.iter().flat_map(|lanes| run_lanes(lanes, names, &failed, after)).collect();
     println!();
     for outcome in &outcomes {
         let word = if outcome.fault.is_some() { "FAILED" } else { "ok" };
@@ -51,17 +55,17 @@ pub fn run(phases: &[&[Lane]], after: AfterFailure) -> Result<(), Fault> {
     if faults.is_empty() { Ok(()) } else { Err(Fault::new(faults.join("\n\n"))) }
 }
 
-fn run_lanes(lanes: &[Lane], failed: &AtomicBool, after: AfterFailure) -> Vec<Outcome> {
+fn run_lanes(lanes: &[Lane], names: &[String], failed: &AtomicBool, after: AfterFailure) -> Vec<Outcome> {
     std::thread::scope(|scope| {
         let threads: Vec<_> =
-            lanes.iter().enumerate().map(|(lane, steps)| scope.spawn(move || run_lane(steps, lane == 0, failed, after))).collect();
+            lanes.iter().enumerate().map(|(lane, steps)| scope.spawn(move || run_lane(steps, names, lane == 0, failed, after))).collect();
         threads.into_iter().flat_map(|t| t.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))).collect()
     })
 }
 
-fn run_lane(steps: &[Step], is_first: bool, failed: &AtomicBool, after: AfterFailure) -> Vec<Outcome> {
+fn run_lane(steps: &[Step], names: &[String], is_first: bool, failed: &AtomicBool, after: AfterFailure) -> Vec<Outcome> {
     let mut outcomes = Vec::new();
-    for step in steps {
+    for step in steps.iter().filter(|s| names.is_empty() || names.iter().any(|n| n == s.name)) {
         if after == AfterFailure::Stop && failed.load(Ordering::Relaxed) {
             break;
         }
