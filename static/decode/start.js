@@ -1,5 +1,7 @@
 // Starts what decodes a container: off the page's thread, or where no worker can be had on it.
 
+/** The word in a worker's text: exported pages replace each `import` of a module that stands in a script. */
+const LOAD = 'import';
 /** Name of the policy by which a page with Trusted Types takes the workers' addresses. */
 const POLICY = 'tmpi';
 /** @type {{createScriptURL: (address: string) => string} | null | undefined} */
@@ -35,7 +37,7 @@ export function startWorker(url) {
   const text = isModule
     ? `import ${module};`
     : `const early = []; self.onmessage = (event) => early.push(event);
-import(${module}).then(() => early.forEach((event) => self.onmessage(event)), (error) => setTimeout(() => { throw error; }));`;
+${LOAD}(${module}).then(() => early.forEach((event) => self.onmessage(event)), (error) => setTimeout(() => { throw error; }));`;
   const address = URL.createObjectURL(new Blob([text], { type: 'text/javascript' }));
   const worker = new Worker(trusted(address), isModule ? { type: 'module' } : {});
   // by its first message it has long been read
