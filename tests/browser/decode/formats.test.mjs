@@ -16,7 +16,18 @@ const TOGETHER = 50;
 /** Mean and largest difference in levels of 255. Decoders round differently, and smooth colours that have fewer samples differently. */
 const BOUNDS = { mean: 0.8, most: 8 };
 /** Photos that are decoded to something else on purpose, by their name, and why. */
-const EXCEPTIONS = [];
+const EXCEPTIONS = [
+  { names: /^sampling-22-22-22-(interleaved|progressive)/, why: 'libjpeg takes no more than ten blocks in a unit, and Chromium shows black' },
+  { names: /^sampling-41-21-11-separate/, why: 'neither decoder of the program reads it; it is refused' },
+  {
+    names: /^(half|no)-end-(.*-separate|nothing-interleaved)|^no-end-newline-interleaved|^half-end-(newline|film)-progressive|^no-end-film-progressive/,
+    why: 'without an end marker Chromium waits for more, and leaves out the last rows or all',
+  },
+  { names: /^(profile|cicp)-linear-2-16/, why: 'Chromium rounds to eight bits before it converts, which shows in shadows' },
+  { names: /^gamma-(1|primaries)/, why: 'gAMA and cHRM are passed over' },
+  { names: /^orientation-[2-8]-opaque.*webp/, why: 'Chromium turns no WebP' },
+  { names: /^animation-0-.*-clear/, why: 'Chromium takes a frame as opaque whose canvas does not say that it is clear' },
+];
 
 /** What Chromium makes of photos beside what the program does; runs in the page. */
 async function compare(photos) {
@@ -63,7 +74,7 @@ describe('photos of every format and feature', () => {
     rmSync(folder, { recursive: true, force: true });
   });
 
-  test('are decoded as Chromium shows them', async () => {
+  test('are decoded as Chromium shows them', async (t) => {
     const { page, context } = await openPage(browser);
     const text = (name) => readFileSync(join(folder, name)).toString('base64');
     const index = JSON.parse(readFileSync(join(folder, 'index.json'), 'utf8'));
@@ -71,11 +82,11 @@ describe('photos of every format and feature', () => {
     const results = [];
     for (let at = 0; at < photos.length; at += TOGETHER) results.push(...(await page.evaluate(compare, photos.slice(at, at + TOGETHER))));
     await context.close();
-    if (process.env.TMPI_FORMATS) for (const result of results) console.log(JSON.stringify(result));
     assert.ok(results.length >= LEAST, `${results.length} photos`);
 
     const alike = ({ shown, taken, mean, most }) => shown === taken && (!taken || (mean <= BOUNDS.mean && most <= BOUNDS.most));
     const exceptional = ({ name }) => EXCEPTIONS.some(({ names }) => names.test(name));
+    t.diagnostic(`${results.filter(alike).length} of ${results.length} photos are alike`);
     const wrong = results.filter((result) => !alike(result) && !exceptional(result));
     assert.deepEqual(wrong, [], `${wrong.length} of ${results.length} photos`);
     for (const { names, why } of EXCEPTIONS) {

@@ -1,8 +1,8 @@
 //! Colours as a file tells them, to sRGB.
 
 use moxcms::{
-    CicpColorPrimaries, CicpProfile, ColorProfile, DataColorSpace, Layout, MatrixCoefficients, TransferCharacteristics, TransformExecutor,
-    TransformOptions,
+    CicpColorPrimaries, CicpProfile, ColorProfile, DataColorSpace, Layout, MatrixCoefficients, ToneReprCurve, TransferCharacteristics,
+    TransformExecutor, TransformOptions,
 };
 use rayon::prelude::*;
 
@@ -70,7 +70,7 @@ impl Profile {
     fn fitting(&self, grey: bool) -> Option<(ColorProfile, Layout)> {
         let profile = match self {
             Self::Icc(bytes) => ColorProfile::new_from_slice(bytes).ok()?,
-            Self::Cicp(cicp) => ColorProfile::new_from_cicp(*cicp),
+            Self::Cicp(cicp) => standard(*cicp),
         };
         match profile.color_space {
             DataColorSpace::Rgb => Some((profile, Layout::Rgb)),
@@ -87,9 +87,7 @@ impl Profile {
     pub(super) fn bytes(&self, grey: bool) -> Option<Conversion<u8>> {
         if let Some(hdr) = self.hdr() {
             return Some(Conversion(Box::new(move |pixels| {
-                let mut wide: Vec<[u16; 3]> = pixels.iter().map(|p| p.map(|v| u16::from(v) * 257)).collect();
-                hdr.convert(&mut wide);
-                pixels.iter_mut().zip(wide).for_each(|(p, wide)| *p = wide.map(u16::byte));
+                pixels.iter_mut().for_each(|p| *p = hdr.convert(p.map(|v| u16::from(v) * 257)).map(u16::byte));
             })));
         }
         let (profile, layout) = self.fitting(grey)?;
@@ -107,11 +105,23 @@ impl Profile {
     /// The conversion of pixels of 16 bits, where it is more than the identity.
     pub(super) fn words(&self, grey: bool) -> Option<Conversion<u16>> {
         if let Some(hdr) = self.hdr() {
-            return Some(Conversion(Box::new(move |pixels| hdr.convert(pixels))));
+            return Some(Conversion(Box::new(move |pixels| pixels.iter_mut().for_each(|p| *p = hdr.convert(*p)))));
         }
         self.bytes(grey)?;
         let (profile, layout) = self.fitting(grey)?;
         let transform = profile.create_transform_16bit(layout, &ColorProfile::new_srgb(), Layout::Rgb, TransformOptions::default()).ok()?;
         Some(Conversion::of(transform, layout))
     }
+}
+
+/// The profile of numbers of standard range. What cameras of video encode, screens show by another curve, that of ITU-R BT.1886.
+fn standard(cicp: CicpProfile) -> ColorProfile {
+    use TransferCharacteristics::{Bt601, Bt709, Bt202010bit, Bt202012bit};
+    let mut profile = ColorProfile::new_from_cicp(cicp);
+    if matches!(cicp.transfer_characteristics, Bt709 | Bt601 | Bt202010bit | Bt202012bit) {
+        let curve = ToneReprCurve::Parametric(vec![2.4, 1.0, 0.0, 0.0, 0.0]);
+        (profile.red_trc, profile.green_trc, profile.blue_trc) = (Some(curve.clone()), Some(curve.clone()), Some(curve));
+        profile.cicp = None;
+    }
+    profile
 }

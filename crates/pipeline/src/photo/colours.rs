@@ -102,6 +102,8 @@ fn the_numbers_of_a_png_tell_its_colours() {
     }
     let light = |x: u32, y: u32| plain.at(x, y).map(|v| encoded(f64::from(v) / 255.0));
     near(&ok(&png(coloured.clone(), &[cicp(1, 8)])).photo, 1.0, light, "linear");
+    let video = |x: u32, y: u32| plain.at(x, y).map(|v| encoded((f64::from(v) / 255.0).powf(2.4)));
+    near(&ok(&png(coloured.clone(), &[cicp(1, 1)])).photo, 1.5, video, "video");
     assert_eq!(ok(&png(coloured.clone(), &[cicp(1, 13)])).photo, plain);
     // of luma and chroma, in the range of video, of reserved numbers, and too short
     for unknown in [[12, 13, 1, 1], [12, 13, 0, 0], [0, 13, 0, 1], [12, 0, 0, 1], [2, 2, 0, 1]] {
@@ -175,7 +177,7 @@ fn beside_a_frame_smaller_than_its_canvas_all_is_clear() {
             let inside = (left..left + 16).contains(&x) && (top..top + 10).contains(&y);
             if inside { frame.get_pixel(x - left, y - top).0 } else { [255; 3] }.map(f64::from)
         };
-        near(&got.photo, 1.0, want, "animation");
+        near(&got.photo, 0.0, want, "animation");
         assert!(got.carried.is_none());
     }
 }

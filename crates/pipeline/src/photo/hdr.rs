@@ -4,11 +4,7 @@
 //! white tone mapping operator of SMPTE ST 2094-50, by which everything up to reference white is halved and what is brighter bends
 //! towards the screen's white.
 
-use std::sync::Arc;
-
-use moxcms::{
-    CicpProfile, CmsError, ColorProfile, Layout, ToneReprCurve, TransferCharacteristics, Transform16BitExecutor, TransformOptions,
-};
+use moxcms::{CicpProfile, ColorProfile, TransferCharacteristics};
 
 /// Nits of reference white and of the brightest that a picture has where it does not say.
 const WHITE: f64 = 203.0;
@@ -18,8 +14,12 @@ const MOST: f64 = PEAK / WHITE;
 /// What reference white becomes, and where between its ends the curve above it bends.
 const KNEE: f64 = 0.5;
 const KAPPA: f64 = 0.65;
+/// The largest sample.
+const MAX: f64 = u16::MAX as f64;
 /// Share of the primaries of BT.2020 in luminance.
 const LUMINANCE: [f64; 3] = [0.2627, 0.6780, 0.0593];
+
+type Matrix = [[f64; 3]; 3];
 
 /// The conversion of pixels with samples of 16 bits.
 pub(super) struct Hdr {
@@ -27,8 +27,10 @@ pub(super) struct Hdr {
     light: Vec<f64>,
     hlg: bool,
     /// From the picture's primaries to those of BT.2020, in which light is mapped.
-    primaries: [[f64; 3]; 3],
-    to_srgb: Arc<Transform16BitExecutor>,
+    to_bt2020: Matrix,
+    to_srgb: Matrix,
+    /// sRGB's sample for light 0 to 1, of which each of the table is one of 65 536 even steps.
+    encoded: Vec<u16>,
 }
 
 impl Hdr {
@@ -39,32 +41,32 @@ impl Hdr {
             TransferCharacteristics::Hlg => true,
             _ => return None,
         };
-        let light = (0..=u16::MAX).map(|v| f64::from(v) / f64::from(u16::MAX)).map(if hlg { hlg_light } else { pq_light }).collect();
-        let mapped = linear_bt2020();
-        let primaries = ColorProfile::new_from_cicp(cicp).transform_matrix(&mapped).v;
-        Some(Self { light, hlg, primaries, to_srgb: to_srgb(&mapped).ok()? })
+        let steps = || (0..=u16::MAX).map(|v| f64::from(v) / MAX);
+        let bt2020 = ColorProfile::new_bt2020();
+        Some(Self {
+            light: steps().map(if hlg { hlg_light } else { pq_light }).collect(),
+            hlg,
+            to_bt2020: ColorProfile::new_from_cicp(cicp).transform_matrix(&bt2020).v,
+            to_srgb: bt2020.transform_matrix(&ColorProfile::new_srgb()).v,
+            encoded: steps().map(|light| (MAX * srgb(light)).round() as u16).collect(),
+        })
     }
 
-    /// Converts pixels in place; they stay as they are where that fails.
-    pub(super) fn convert(&self, pixels: &mut [[u16; 3]]) {
-        let light: Vec<[u16; 3]> = pixels.iter().map(|p| self.mapped(*p)).collect();
-        // it fails on lengths that do not agree
-        let _ = self.to_srgb.transform(light.as_flattened(), pixels.as_flattened_mut());
-    }
-
-    /// Light of a screen of standard range, by the primaries of BT.2020.
-    fn mapped(&self, pixel: [u16; 3]) -> [u16; 3] {
-        let light = pixel.map(|v| self.light[usize::from(v)]);
-        let dot = |row: &[f64; 3], v: &[f64; 3]| row.iter().zip(v).map(|(a, b)| a * b).sum::<f64>();
-        let mut light = [0, 1, 2].map(|i| dot(&self.primaries[i], &light).max(0.0));
+    /// Converts a pixel.
+    pub(super) fn convert(&self, pixel: [u16; 3]) -> [u16; 3] {
+        let mut light = times(&self.to_bt2020, pixel.map(|v| self.light[usize::from(v)])).map(|v| v.max(0.0));
         if self.hlg {
             // the screen's own curve makes what is bright brighter
-            let gain = dot(&LUMINANCE, &light).powf(0.2) * MOST;
-            light = light.map(|v| v * gain);
+            let luminance: f64 = LUMINANCE.iter().zip(light).map(|(share, v)| share * v).sum();
+            light = light.map(|v| v * luminance.powf(0.2) * MOST);
         }
         let gain = gain(light.into_iter().fold(0.0, f64::max));
-        light.map(|v| (v * gain).mul_add(f64::from(u16::MAX), 0.5).min(f64::from(u16::MAX)) as u16)
+        times(&self.to_srgb, light.map(|v| v * gain)).map(|v| self.encoded[(v.clamp(0.0, 1.0) * MAX).round() as usize])
     }
+}
+
+fn times(matrix: &Matrix, [r, g, b]: [f64; 3]) -> [f64; 3] {
+    matrix.map(|row| row[0] * r + row[1] * g + row[2] * b)
 }
 
 /// By how much light is multiplied whose brightest channel is `x`.
@@ -96,16 +98,7 @@ fn hlg_light(value: f64) -> f64 {
     if value <= 0.5 { value * value / 3.0 } else { (((value - c) / a).exp() + b) / 12.0 }
 }
 
-/// BT.2020 with samples that are light.
-fn linear_bt2020() -> ColorProfile {
-    let mut profile = ColorProfile::new_bt2020();
-    for curve in [&mut profile.red_trc, &mut profile.green_trc, &mut profile.blue_trc] {
-        *curve = Some(ToneReprCurve::Lut(vec![]));
-    }
-    profile.cicp = None;
-    profile
-}
-
-fn to_srgb(light: &ColorProfile) -> Result<Arc<Transform16BitExecutor>, CmsError> {
-    light.create_transform_16bit(Layout::Rgb, &ColorProfile::new_srgb(), Layout::Rgb, TransformOptions::default())
+/// sRGB's encoding of light 0 to 1.
+fn srgb(light: f64) -> f64 {
+    if light <= 0.003_130_8 { 12.92 * light } else { 1.055 * light.powf(1.0 / 2.4) - 0.055 }
 }

@@ -9,7 +9,8 @@ use zune_jpeg::zune_core::bytestream::ZCursor;
 use zune_jpeg::zune_core::colorspace::ColorSpace;
 use zune_jpeg::zune_core::options::DecoderOptions;
 
-use super::jpeg::{Colour, END, Jpeg, READ_AHEAD};
+use super::frame::Colour;
+use super::jpeg::{END, Jpeg, READ_AHEAD};
 use super::{PhotoError, broken};
 use tmpi_core::Photo;
 
@@ -78,7 +79,7 @@ fn common(file: &[u8], strict: bool) -> Result<Photo, PhotoError> {
     Ok(Photo { width: width as u32, height: height as u32, rgb })
 }
 
-/// Decodes `file`, whose headers are those of `jpeg`: at its own size, or as much smaller as leaves it as large as `reduced` in one direction.
+/// Decodes `file`, whose headers are those of `jpeg`: at its own size, or as much smaller as leaves one side as long as that of `reduced`.
 fn rare(jpeg: &Jpeg, file: &[u8], reduced: Option<(u32, u32)>) -> Result<Photo, PhotoError> {
     let mut decoder = jpeg_decoder::Decoder::new(file);
     decoder.set_color_transform(match jpeg.colour {

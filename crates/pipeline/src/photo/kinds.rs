@@ -78,7 +78,8 @@ fn files_cut_near_their_end_are_damaged_and_others_refused() {
                 assert!(reduced.is_err() || !end.is_empty(), "{sampling:?} cut at {share}, reduced");
             }
             for share in [0.85, 0.95] {
-                let got = decode(&cut(share), &Limits::default(), None).unwrap_or_else(|error| panic!("{sampling:?} cut at {share}: {error}"));
+                let got =
+                    decode(&cut(share), &Limits::default(), None).unwrap_or_else(|error| panic!("{sampling:?} cut at {share}: {error}"));
                 assert!(got.damaged && got.carried.is_none(), "{sampling:?} cut at {share}");
                 let there = usize::from(W) * 112;
                 assert!(got.photo.rgb[..there] == full.rgb[..there] && got.photo.rgb != full.rgb, "{sampling:?} cut at {share}");

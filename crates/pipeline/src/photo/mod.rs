@@ -8,6 +8,7 @@ mod check;
 mod colour;
 mod error;
 pub(crate) mod exif;
+mod frame;
 #[doc(hidden)]
 pub mod fuzzing;
 mod hdr;
@@ -52,7 +53,7 @@ pub use taps::Taps;
 
 use self::colour::Profile;
 use self::exif::Facts;
-use self::jpeg::Colour;
+use self::frame::Colour;
 use tmpi_core::container::PhotoFormat;
 use tmpi_core::{Intrinsics, Photo};
 
