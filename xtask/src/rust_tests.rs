@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
+use std::sync::Mutex;
 use std::time::Instant;
 
 use serde_json::Value;
@@ -18,8 +19,15 @@ struct TestProgram {
     folder: PathBuf,
 }
 
+/// How a test program ended.
+#[derive(Clone)]
+struct Outcome {
+    name: String,
+    counts: Counts,
+}
+
 /// What a test program printed at its end.
-#[derive(Default)]
+#[derive(Clone, Default)]
 struct Counts {
     passed: usize,
     failed: usize,
@@ -50,7 +58,7 @@ fn programs() -> Result<Vec<TestProgram>, Fault> {
 }
 
 /// Makes Clippy the compiler of the workspace's own crates; what it warns of is an error.
-fn lint(command: &mut Command) {
+pub fn lint(command: &mut Command) {
     command.env("RUSTC_WORKSPACE_WRAPPER", "clippy-driver").env("CLIPPY_ARGS", "-Dwarnings");
 }
 
@@ -67,8 +75,9 @@ fn test_program(message: &Value) -> Option<TestProgram> {
 }
 
 impl TestProgram {
-    /// Runs its tests; gives their counts and everything that was printed.
-    fn run(&self) -> Result<(Counts, String), Fault> {
+    /// Runs its tests and prints their counts, and their output where one failed.
+    fn run(&self) -> Result<Outcome, Fault> {
+        let start = Instant::now();
         let mut command = Command::new(&self.executable);
         command.current_dir(&self.folder).env("CARGO_MANIFEST_DIR", &self.folder).env("TMPI_DATA", data());
         runtime::name_to(&mut command);
@@ -78,7 +87,11 @@ impl TestProgram {
         // a program that ends before it counts has failed
         let aborted = Counts { failed: 1, ..Counts::default() };
         let counts = text.lines().find_map(Counts::parse).filter(|c| output.status.success() || c.failed > 0).unwrap_or(aborted);
-        Ok((counts, text))
+        let Counts { passed, failed, ignored } = counts;
+        let failures = if failed > 0 { text.as_str() } else { "" };
+        let seconds = start.elapsed().as_secs_f64();
+        println!("{failures}{:<30} {passed:4} passed, {failed} failed, {ignored} ignored {seconds:7.1} s", self.name);
+        Ok(Outcome { name: self.name.clone(), counts })
     }
 }
 
@@ -91,25 +104,33 @@ impl Counts {
     }
 }
 
-/// Runs all test programs; their tests run on as many threads as the machine has cores.
+/// Test programs that run side by side: some tests wait more than they compute.
+const PROGRAMS: usize = 2;
+
+/// Runs all test programs, the largest first; their tests run on as many threads as the machine has cores.
 ///
 /// # Errors
 /// The programs of which a test failed.
 pub fn run_all() -> Result<(), Fault> {
-    let mut total = Counts::default();
-    let mut failed = Vec::new();
-    for program in programs()? {
-        let start = Instant::now();
-        let (counts, output) = program.run()?;
-        let Counts { passed, failed: wrong, ignored } = counts;
-        if wrong > 0 {
-            say(&output);
-            failed.push(program.name.clone());
+    let mut programs = programs()?;
+    programs.sort_by_key(|p| std::cmp::Reverse(p.executable.metadata().map_or(0, |m| m.len())));
+    let next = Mutex::new(programs.iter());
+    let worker = || {
+        let mut results = Vec::new();
+        while let Some(program) = next.lock().ok().and_then(|mut rest| rest.next()) {
+            results.push(program.run()?);
         }
-        say(&format!("{:<30} {passed:4} passed, {wrong} failed, {ignored} ignored {:7.1} s", program.name, start.elapsed().as_secs_f64()));
-        total = Counts { passed: total.passed + passed, failed: total.failed + wrong, ignored: total.ignored + ignored };
-    }
-    say(&format!("Rust tests: {} passed, {} failed, {} ignored", total.passed, total.failed, total.ignored));
+        Ok(results)
+    };
+    let results = std::thread::scope(|scope| {
+        let workers: Vec<_> = (0..PROGRAMS).map(|_| scope.spawn(worker)).collect();
+        let all = workers.into_iter().map(|w| w.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)));
+        all.collect::<Result<Vec<Vec<Outcome>>, Fault>>()
+    })?;
+    let results = results.concat();
+    let sum = |of: fn(&Counts) -> usize| results.iter().map(|r| of(&r.counts)).sum::<usize>();
+    say(&format!("Rust tests: {} passed, {} failed, {} ignored", sum(|c| c.passed), sum(|c| c.failed), sum(|c| c.ignored)));
+    let failed: Vec<&str> = results.iter().filter(|r| r.counts.failed > 0).map(|r| r.name.as_str()).collect();
     if failed.is_empty() { documentation() } else { Err(Fault::new(format!("tests failed in {}", failed.join(", ")))) }
 }
 

@@ -3,7 +3,8 @@
 use std::path::Path;
 use std::process::Command;
 
-use super::command::{Fault, cargo, output, root, run};
+use crate::command::{Fault, Profile, cargo, output, root, run};
+use crate::rust_tests;
 
 const TARGET: &str = "wasm32-unknown-unknown";
 /// What every browser of the last years has; vectors that are the same on every machine alone.
@@ -19,8 +20,9 @@ pub fn build() -> Result<(), Fault> {
     for (package, name) in MODULES {
         module(&sysroot, package, name)?;
     }
-    // as all tests are built: alone the core would be built a second time, with other features
-    let mut written = cargo(&["test", "--workspace", "--release", "--test", "built"]);
+    // as all tests are built: otherwise the core would be built a second time
+    let mut written = cargo(&["test", "--workspace", "--profile", Profile::Checks.name(), "--test", "built"]);
+    rust_tests::lint(&mut written);
     written.env("TMPI_BLESS", "wasm");
     run(written)
 }
