@@ -49,7 +49,6 @@ export const ROOM_MODULES = [
   'element/sheet.js',
   'i18n/element.js',
   'i18n/messages.js',
-  'live/connection.js',
   'live/room-address.js',
   'live/sound-player.js',
   'live/start.js',
