@@ -8,7 +8,6 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use axum::Router;
-use futures_util::future::{Either, ready};
 use hyper::Request;
 use hyper::body::Incoming;
 use hyper::header::{HOST, HeaderValue};
@@ -25,9 +24,7 @@ use tokio_util::task::TaskTracker;
 use tokio_util::task::task_tracker::TaskTrackerToken;
 
 use super::limits::Limits;
-use super::prepared::{Heads, Prepared, Question};
 use super::proxies::{self, Proxies};
-use super::sendfile::{FileStream, InFile, Sending};
 use super::share::{Share, Shares};
 use super::streams::{Look, PIECE, Streams, Watched};
 use super::telemetry::{Present, Telemetry};
@@ -52,8 +49,6 @@ pub struct Door {
     pub tls: Option<Tls>,
     /// Proxies that say whose connections they pass on.
     pub proxies: Proxies,
-    /// What answers plain questions from what is kept.
-    pub prepared: Option<Prepared>,
 }
 
 /// How requests are read, by what was agreed on.
@@ -76,7 +71,7 @@ impl Http {
 
 /// Serves connections until `stop`, then gives those that are open until `limits.drain` to end.
 pub async fn serve(door: Door, router: Router, limits: &Arc<Limits>, telemetry: &Arc<Telemetry>, stop: &CancellationToken) {
-    let Door { listener, tls, proxies, prepared } = door;
+    let Door { listener, tls, proxies } = door;
     let http = Http::new(limits);
     let room = Arc::new(Semaphore::new(limits.connections));
     let shares = Shares::new(limits.connections_per_address);
@@ -105,7 +100,7 @@ pub async fn serve(door: Door, router: Router, limits: &Arc<Limits>, telemetry: 
         let says = proxies.announces(peer).then(|| shares.clone());
         let taken = Taken { stream, from: Peer(peer), announced: false, permit, share };
         let present = (telemetry.connection(), open.token());
-        let (http, router, prepared, limits, stop) = (http.clone(), router.clone(), prepared.clone(), Arc::clone(limits), stop.clone());
+        let (http, router, limits, stop) = (http.clone(), router.clone(), Arc::clone(limits), stop.clone());
         let acceptor = tls.as_ref().map(Tls::acceptor);
         tokio::spawn(async move {
             let taken = match says {
@@ -115,15 +110,12 @@ pub async fn serve(door: Door, router: Router, limits: &Arc<Limits>, telemetry: 
             let Some(Taken { stream, from, announced, permit, share }) = taken else { return };
             let little = Arc::new(AtomicBool::new(false));
             let held = Held { little: Arc::clone(&little), all: Arc::new((permit, share, present)) };
-            let sending = Sending::default();
-            let keep = |stream: &FileStream| keep_little(&stream.stream);
-            let stream = FileStream::new(stream, sending.clone());
-            let stream = Timed::new(stream, limits.write, limits.write_rate, Little { wanted: little, keep });
-            let connection = Connection { http, router, prepared, limits, from, announced, held, stop };
-            let Some(acceptor) = acceptor else { return connection.one(stream, None, sending).await };
+            let stream = Timed::new(stream, limits.write, limits.write_rate, Little { wanted: little, keep: keep_little });
+            let connection = Connection { http, router, limits, from, announced, held, stop };
+            let Some(acceptor) = acceptor else { return connection.one(stream, None).await };
             match tokio::time::timeout(connection.limits.header_read, acceptor.accept(stream)).await {
                 Ok(Ok(stream)) if stream.get_ref().1.alpn_protocol() == Some(tls::HTTP_2) => connection.two(stream).await,
-                Ok(Ok(stream)) => connection.one(stream, Some(Secure), sending).await,
+                Ok(Ok(stream)) => connection.one(stream, Some(Secure)).await,
                 Ok(Err(error)) => tracing::debug!(%error, peer = %from.0, "handshake"),
                 Err(_) => tracing::debug!(peer = %from.0, "a handshake takes too long"),
             }
@@ -166,7 +158,6 @@ impl Taken {
 struct Connection {
     http: Http,
     router: Router,
-    prepared: Option<Prepared>,
     limits: Arc<Limits>,
     from: Peer,
     announced: bool,
@@ -175,33 +166,17 @@ struct Connection {
 }
 
 impl Connection {
-    /// Speaks HTTP/1.1; tells `sending` what is sent.
-    async fn one<S: AsyncRead + AsyncWrite + Unpin + Send + 'static>(self, stream: S, secure: Option<Secure>, sending: Sending) {
+    /// Speaks HTTP/1.1.
+    async fn one<S: AsyncRead + AsyncWrite + Unpin + Send + 'static>(self, stream: S, secure: Option<Secure>) {
         let inner = TowerToHyperService::new(self.router);
-        let (from, announced, given, prepared) = (self.from, self.announced, self.held.clone(), self.prepared);
+        let (from, announced, given) = (self.from, self.announced, self.held.clone());
         let service = service_fn(move |mut request: Request<Incoming>| {
             from.put(announced, &mut request);
-            let asked = prepared.as_ref().and_then(|prepared| Some((prepared, Question::of(&request)?)));
-            if let Some((answer, in_file)) = asked.as_ref().and_then(|(prepared, question)| prepared.answer(&request, question, from.0)) {
-                sending.set(in_file);
-                return Either::Left(ready(Ok(answer)));
-            }
-            let question = asked.map(|(_, question)| question);
             request.extensions_mut().insert(given.clone());
             if let Some(secure) = secure {
                 request.extensions_mut().insert(secure);
             }
-            let (answer, sending) = (inner.call(request), sending.clone());
-            Either::Right(async move {
-                let mut answer = answer.await;
-                let heads = answer.as_mut().ok().and_then(|response| response.extensions_mut().remove::<Arc<Heads>>());
-                if let (Ok(response), Some(question), Some(heads)) = (&answer, question, heads) {
-                    heads.keep(question, response);
-                }
-                let in_file = answer.as_mut().ok().and_then(|response| response.extensions_mut().remove::<InFile>());
-                sending.set(in_file);
-                answer
-            })
+            inner.call(request)
         });
         let mut connection = pin!(self.http.one.serve_connection(TokioIo::new(stream), service).with_upgrades());
         let ended = tokio::select! {

@@ -47,9 +47,6 @@ pub type App = Arc<Shared>;
 
 /// Files up to this many bytes are kept in memory; larger ones are read while they are sent.
 const SMALL: usize = 256 << 10;
-/// Files of so many bytes stay open beside what was read of them, so that the system sends them by itself; a cache has no more open
-/// files than its bytes hold of these.
-const KEPT_OPEN: usize = 64 << 10;
 /// Memory of a decoded scene in bytes a pixel, measured on photographs and rounded up.
 const SCENE_BYTES: u64 = 13;
 
@@ -445,12 +442,7 @@ fn open(mut file: File, whole: Option<&Done>) -> std::io::Result<Result<Stored, 
         file.read_to_end(&mut bytes)?;
         return Ok(match whole.and_then(|done| damage_of(&bytes, done)) {
             Some(damage) => Err(damage),
-            None if bytes.len() < KEPT_OPEN => Ok(Stored::new(bytes)),
-            None => {
-                let Stored { source, etag, .. } = Stored::new(bytes);
-                let source = if let Source::Memory(bytes) = source { Source::Both(bytes, Arc::new(file)) } else { source };
-                Ok(Stored::of(source, etag))
-            }
+            None => Ok(Stored::new(bytes)),
         });
     }
     let mut hash = Sha256::new();

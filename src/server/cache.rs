@@ -4,7 +4,6 @@ use std::hash::Hash;
 use std::sync::Arc;
 use std::time::Duration;
 
-use futures_util::FutureExt as _;
 use moka::future::{Cache as Kept, CacheBuilder};
 use moka::policy::EvictionPolicy;
 
@@ -79,12 +78,6 @@ impl<K: Key, V: Value> Cache<K, V> {
             self.settle().await;
         }
         Ok(entry.into_value())
-    }
-
-    /// The value of `key`, where it is at hand without waiting for anybody.
-    #[must_use]
-    pub fn at_hand(&self, key: &K) -> Option<V> {
-        self.kept.get(key).now_or_never().flatten()
     }
 
     /// Removes what has rested long enough, and frees at once what was removed: otherwise it waits, whatever its size, until this thread

@@ -58,7 +58,7 @@ impl Coding {
         }
         match (self, source) {
             (Self::Coded(coded), _) => coded,
-            (Self::Gzip, Source::Memory(bytes) | Source::Both(bytes, _)) => compress::gzip(bytes, Compression::default()),
+            (Self::Gzip, Source::Memory(bytes)) => compress::gzip(bytes, Compression::default()),
             _ => None,
         }
     }
@@ -173,12 +173,8 @@ pub fn respond(headers: &HeaderMap, entity: Entity<'_>) -> Response {
             return response;
         }
     };
-    let in_file = source.in_file(range.clone());
     let mut response = Response::new(source.body(range.clone()));
     response.headers_mut().reserve(HEADERS);
-    if let Some(in_file) = in_file {
-        response.extensions_mut().insert(in_file);
-    }
     *response.status_mut() = status;
     if status == StatusCode::PARTIAL_CONTENT {
         insert(&mut response, header::CONTENT_RANGE, &format!("bytes {}-{}/{length}", range.start, range.end - 1));

@@ -9,7 +9,6 @@ use sha2::{Digest, Sha256};
 
 use super::cache::{Key, Value};
 use super::id::{PhotoId, hex};
-use super::prepared::Heads;
 use super::problem::Problem;
 use super::source::Source;
 use super::store::{Part, Store};
@@ -23,6 +22,7 @@ pub type Version = (PhotoId, u64);
 const LARGE: usize = 1 << 20;
 /// What an open file counts in a cache of files: their number is bounded, too.
 const OPEN_FILE: usize = 1 << 20;
+
 /// A file of a made photo, or what was derived of one.
 #[derive(Clone, Debug)]
 pub struct Stored {
@@ -30,8 +30,6 @@ pub struct Stored {
     pub source: Source,
     /// Strong entity tag with its quotes.
     pub etag: Arc<str>,
-    /// Heads of answers that hold it whole.
-    pub heads: Arc<Heads>,
 }
 
 /// What becomes of large derived bytes where the disk is full.
@@ -47,7 +45,7 @@ impl Stored {
     /// Bytes with their tag.
     #[must_use]
     pub fn of(source: Source, etag: Arc<str>) -> Self {
-        Self { source, etag, heads: Arc::default() }
+        Self { source, etag }
     }
 
     /// Tagged by its bytes.
@@ -60,7 +58,7 @@ impl Stored {
     /// Bytes tagged by themselves and, before a dash, by what is part of them.
     #[must_use]
     pub fn derived_in_memory(made: &str, bytes: Vec<u8>) -> Self {
-        let Self { source, etag, .. } = Self::new(bytes);
+        let Self { source, etag } = Self::new(bytes);
         Self::of(source, format!("\"{made}-{}\"", etag.get(1..17).unwrap_or_default()).into())
     }
 
@@ -71,7 +69,7 @@ impl Stored {
     /// # Errors
     /// 507 where the disk has no room beyond its reserve, unless they may stay in memory, 500.
     pub fn derived(made: Option<&str>, bytes: Vec<u8>, store: &Store, full: Full) -> Result<Self, Problem> {
-        let Self { source, etag, .. } = match made {
+        let Self { source, etag } = match made {
             Some(made) => Self::derived_in_memory(made, bytes),
             None => Self::new(bytes),
         };
@@ -92,7 +90,7 @@ impl Stored {
 impl Value for Stored {
     fn weight(&self) -> usize {
         match &self.source {
-            Source::Memory(bytes) | Source::Both(bytes, _) => bytes.len(),
+            Source::Memory(bytes) => bytes.len(),
             Source::File(..) => OPEN_FILE,
         }
     }

@@ -32,9 +32,9 @@ use super::share::{ASKER, asker};
 use super::traces::TRACE;
 
 /// Header of the id of a request.
-pub const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
+const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
 /// Header of what a request took.
-pub const SERVER_TIMING: HeaderName = HeaderName::from_static("server-timing");
+const SERVER_TIMING: HeaderName = HeaderName::from_static("server-timing");
 /// Longest id that is taken from a client.
 const MAX_ID: usize = 64;
 
@@ -97,12 +97,12 @@ async fn wrap(app: &App, door: Door<'_>, request: Request, next: Next) -> Respon
 }
 
 /// Around what the log says of a request.
-pub fn span(id: &str, peer: Option<IpAddr>, method: &Method, path: &str) -> Span {
+fn span(id: &str, peer: Option<IpAddr>, method: &Method, path: &str) -> Span {
     tracing::info_span!("request", id, peer = peer.map(tracing::field::display), %method, path, trace = tracing::field::Empty)
 }
 
 /// A request's line in the log.
-pub fn log(span: &Span, status: StatusCode, took: Duration) {
+fn log(span: &Span, status: StatusCode, took: Duration) {
     span.in_scope(|| {
         let (ms, is_ours, status) = ((took.as_secs_f64() * 1e5).round() / 1e2, status.is_server_error(), status.as_u16());
         if is_ours { tracing::warn!(status, ms) } else { tracing::info!(status, ms) }
@@ -118,7 +118,7 @@ fn put_secure(response: &mut Response, limits: &Limits) {
 }
 
 /// Puts what each answer has of its own: its request's id, and the time that it took besides what is told of that already.
-pub fn put_own(response: &mut Response, id: &str, took: Duration) {
+fn put_own(response: &mut Response, id: &str, took: Duration) {
     insert(response, REQUEST_ID, id);
     let hundredths = took.as_micros() / 10;
     if let Ok(total) = HeaderValue::try_from(format!("total;dur={}.{:02}", hundredths / 100, hundredths % 100)) {
@@ -269,7 +269,7 @@ async fn finish(response: Response, id: &str) -> Response {
 }
 
 /// The client's id of the request where it is harmless, else a fresh one.
-pub fn request_id(headers: &HeaderMap) -> String {
+fn request_id(headers: &HeaderMap) -> String {
     static NEXT: AtomicU64 = AtomicU64::new(0);
     let harmless = |v: &&str| !v.is_empty() && v.len() <= MAX_ID && v.bytes().all(|b| b.is_ascii_alphanumeric() || b"-_.".contains(&b));
     headers

@@ -38,7 +38,6 @@ mod options;
 mod pages;
 mod part;
 mod pool;
-mod prepared;
 mod problem;
 mod process;
 mod proxies;
@@ -47,7 +46,6 @@ mod records;
 mod rest;
 mod retain;
 mod routes;
-mod sendfile;
 mod settings;
 mod share;
 mod source;
@@ -96,7 +94,6 @@ use access::{Guard, Secret};
 use app::{App, Shared};
 use cluster::Cluster;
 use jobs::Jobs;
-use prepared::Prepared;
 use store::Store;
 use telemetry::Telemetry;
 pub(crate) use telemetry::{Figure, counter, gauge};
@@ -327,7 +324,6 @@ impl Server {
             let own = Arc::new(move |headers: &HeaderMap| of.hosts.is_own(headers));
             live::routes::Here { rooms, stop: token.clone(), own, views: RoomViews::new(Arc::clone(&app)) }
         });
-        let prepared = (role != Role::Work).then(|| Prepared::new(Arc::clone(&app)));
         let router = match role {
             Role::Work => routes::system_router(Arc::clone(&app)),
             Role::All | Role::Serve => routes::router(Arc::clone(&app), rooms),
@@ -337,10 +333,10 @@ impl Server {
         }
         let admin = admin.map(|(listener, addr, names)| {
             let (router, app, token) = (routes::admin_router(Arc::clone(&app), addr, &names), Arc::clone(&app), token.clone());
-            let door = accept::Door { listener, tls: None, proxies: Proxies::default(), prepared: None };
+            let door = accept::Door { listener, tls: None, proxies: Proxies::default() };
             tokio::spawn(async move { accept::serve(door, router, &app.limits, &app.telemetry, &token).await })
         });
-        let door = accept::Door { listener, tls, proxies: app.proxies.clone(), prepared };
+        let door = accept::Door { listener, tls, proxies: app.proxies.clone() };
         accept::serve(door, router, &app.limits, &app.telemetry, &token).await;
         if let Some(admin) = admin
             && let Err(error) = admin.await

@@ -16,9 +16,9 @@ use super::problem::Problem;
 use super::share::customer;
 
 /// How an asker stands.
-pub const RATE_LIMIT: HeaderName = HeaderName::from_static("ratelimit");
+const RATE_LIMIT: HeaderName = HeaderName::from_static("ratelimit");
 /// What they stand within.
-pub const POLICY: HeaderName = HeaderName::from_static("ratelimit-policy");
+const POLICY: HeaderName = HeaderName::from_static("ratelimit-policy");
 /// What rates are told for; a bucket holds as much.
 const WINDOW: Duration = Duration::from_mins(1);
 /// Whoever is known at a time; those whose buckets are full are forgotten first, then the half that asked least.
@@ -135,21 +135,13 @@ impl Rates {
     /// Counts a request.
     ///
     /// # Errors
-    /// As [`Rates::take`].
+    /// 429 that names what is done too often, and says when to come back.
     pub fn count(&self, asker: Option<Asker>, request: &Request) -> (Told, Result<(), Problem>) {
         let path = request.extensions().get::<MatchedPath>().map_or("", MatchedPath::as_str);
-        self.take(asker, request.method(), path)
-    }
-
-    /// Takes what a request of a route costs.
-    ///
-    /// # Errors
-    /// 429 that names what is done too often, and says when to come back.
-    pub fn take(&self, asker: Option<Asker>, method: &Method, path: &str) -> (Told, Result<(), Problem>) {
         let mut told = Told::default();
         let Some(asker) = asker else { return (told, Ok(())) };
         let now = Instant::now();
-        for buckets in self.requests.iter().chain(self.class(method, path)) {
+        for buckets in self.requests.iter().chain(self.class(request.method(), path)) {
             let standing = buckets.take(&asker, now);
             told.0.push(standing);
             if let Some(seconds) = standing.wait {

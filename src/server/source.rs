@@ -9,8 +9,6 @@ use axum::body::Body;
 use bytes::Bytes;
 use futures_util::stream;
 
-use super::sendfile::InFile;
-
 /// Bytes that are read at a time, so that a slow reader holds no more of a file than that.
 const PIECE: usize = 256 << 10;
 
@@ -19,8 +17,6 @@ const PIECE: usize = 256 << 10;
 pub enum Source {
     /// In memory.
     Memory(Bytes),
-    /// In memory, and the whole of a file, which the system sends by itself where it can.
-    Both(Bytes, Arc<File>),
     /// A file and its length in bytes.
     File(Arc<File>, usize),
 }
@@ -30,7 +26,7 @@ impl Source {
     #[must_use]
     pub fn len(&self) -> usize {
         match self {
-            Self::Memory(bytes) | Self::Both(bytes, _) => bytes.len(),
+            Self::Memory(bytes) => bytes.len(),
             Self::File(_, length) => *length,
         }
     }
@@ -42,7 +38,7 @@ impl Source {
     pub async fn head(&self, most: usize) -> io::Result<Bytes> {
         let end = most.min(self.len());
         match self {
-            Self::Memory(bytes) | Self::Both(bytes, _) => Ok(bytes.slice(..end)),
+            Self::Memory(bytes) => Ok(bytes.slice(..end)),
             Self::File(file, _) => {
                 let file = Arc::clone(file);
                 tokio::task::spawn_blocking(move || read_at(&file, 0..end).map(Bytes::from)).await.map_err(io::Error::other)?
@@ -50,19 +46,10 @@ impl Source {
         }
     }
 
-    /// `range` of it as it lies in a file and in memory.
-    #[must_use]
-    pub fn in_file(&self, range: Range<usize>) -> Option<InFile> {
-        match self {
-            Self::Both(bytes, file) => Some(InFile::new(bytes.slice(range.clone()), Arc::clone(file), range.start)),
-            Self::Memory(_) | Self::File(..) => None,
-        }
-    }
-
     /// The body that sends `range` of it.
     pub fn body(self, range: Range<usize>) -> Body {
         match self {
-            Self::Memory(bytes) | Self::Both(bytes, _) => Body::from(bytes.slice(range)),
+            Self::Memory(bytes) => Body::from(bytes.slice(range)),
             Self::File(file, _) => {
                 let pieces = stream::try_unfold(range, move |left| {
                     let file = Arc::clone(&file);

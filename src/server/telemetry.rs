@@ -162,21 +162,6 @@ impl Default for Telemetry {
     }
 }
 
-/// Where answers of one route, method and status are counted.
-#[derive(Clone, Debug)]
-pub struct Counted {
-    answers: Counter,
-    durations: Histogram,
-}
-
-impl Counted {
-    /// One more request was answered.
-    pub fn request(&self, took: Duration) {
-        self.answers.inc();
-        self.durations.observe(took.as_secs_f64());
-    }
-}
-
 /// Counts one as long as it lives.
 pub struct Present(Gauge);
 
@@ -216,17 +201,10 @@ impl Telemetry {
         self.traces.as_ref().map_or_else(Job::default, |traces| Job::new(traces.job(parent, id, attempt)))
     }
 
-    /// Where such answers are counted.
-    #[must_use]
-    pub fn counted(&self, method: &'static str, route: &str, status: u16) -> Counted {
-        let answers = self.requests.get_or_create(&Answered { method, route: route.to_owned(), status }).clone();
-        let durations = self.durations.get_or_create(&Route { route: route.to_owned() }).clone();
-        Counted { answers, durations }
-    }
-
     /// A request was answered.
     pub fn request(&self, method: &'static str, route: &str, status: u16, took: Duration) {
-        self.counted(method, route, status).request(took);
+        self.requests.get_or_create(&Answered { method, route: route.to_owned(), status }).inc();
+        self.durations.get_or_create(&Route { route: route.to_owned() }).observe(took.as_secs_f64());
     }
 
     /// A job ended as `outcome`.

@@ -20,11 +20,6 @@ impl Response {
         self.headers.iter().find(|(n, _)| n.eq_ignore_ascii_case(name)).map(|(_, v)| v.as_str())
     }
 
-    /// All of them, by names in lower case.
-    pub fn headers(&self) -> &[(String, String)] {
-        &self.headers
-    }
-
     /// All values of a header, joined.
     pub fn all(&self, name: &str) -> String {
         let values: Vec<&str> = self.headers.iter().filter(|(n, _)| n.eq_ignore_ascii_case(name)).map(|(_, v)| v.as_str()).collect();

@@ -37,7 +37,6 @@ mod nodes;
 mod openapi;
 mod origins;
 mod past;
-mod prepared;
 mod process;
 mod proxies;
 mod rates;

@@ -177,9 +177,6 @@ async fn stored(app: &App, id: &str, v: &OnlyVersion, headers: &HeaderMap, part:
     Ok(answer(file, headers, content_type, cache_control, coding))
 }
 
-/// Answers with a file, and tells where the head of the answer may be kept.
 fn answer(file: Stored, headers: &HeaderMap, content_type: &str, cache_control: &str, coding: Coding) -> Response {
-    let mut response = respond(headers, Entity { source: file.source, etag: &file.etag, content_type, cache_control, coding });
-    response.extensions_mut().insert(file.heads);
-    response
+    respond(headers, Entity { source: file.source, etag: &file.etag, content_type, cache_control, coding })
 }
