@@ -24,7 +24,7 @@ pub(super) struct ClientArgs {
     /// Uploads a minute, the same way; else 60
     #[arg(long, value_name = "N")]
     rate_uploads: Option<u32>,
-    /// Views, of rooms, too, films and files to download a minute, the same way; else 600
+    /// Views, films and files to download a minute, the same way; else 600
     #[arg(long, value_name = "N")]
     rate_views: Option<u32>,
     /// Photos of one owner, where the server asks who comes; any number without this

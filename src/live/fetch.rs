@@ -1,4 +1,4 @@
-//! Frames and groups of pictures by plain HTTP, at whichever node one asks: what another node has is asked of it.
+//! The newest frame and groups of pictures by plain HTTP, at whichever node one asks: what another node has is asked of it.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -17,10 +17,10 @@ use super::Rooms;
 use super::access::Role;
 use super::gops::{Group, Part};
 use super::nodes::{Borrower, Silent};
-use super::past::{self, Made, Wanted};
-use super::room::Room;
-use super::routes::{Here, Leave, none_publishes};
-use crate::server::{Held, Problem, RoomViewQuery, RoomViews};
+use super::room::{Newest, Room};
+use super::routes::{Here, none_publishes};
+use crate::server::{Coding, Entity, Held, Pairs, Problem, respond};
+use tmpi_core::container::MEDIA_TYPE;
 
 /// Time for which the next group of pictures is waited for.
 const NEXT_GROUP: Duration = Duration::from_secs(5);
@@ -56,17 +56,13 @@ impl From<Silent> for Problem {
     }
 }
 
-/// A frame of a room as a container.
+/// The newest frame of a room as a container.
 ///
-/// The newest whose planes are done, or one before it, as long as its group of pictures is kept; `x-tmpi-frame` tells its number, `x-tmpi-epoch` the
-/// epoch of HELLO that it is of. What came earlier is made again when it is asked for, and is to the bit what it was as the newest; a frame
-/// without planes of its own has those that it was shown with. `EPOCH-N` is the address that no other frame can have: caches may keep it, and
-/// ask again for a number alone, which the room's next publisher gives another frame.
+/// It is the newest whose planes are done. `x-tmpi-frame` is its number, and `x-tmpi-epoch` the epoch of the HELLO that it follows.
 #[utoipa::path(
-    get, path = "/v1/live/{room}/frames/{frame}/atlas", tag = "live",
+    get, path = "/v1/live/{room}/frames/latest/atlas", tag = "live",
     params(
         ("room" = String, Path, description = "Name of the room"),
-        ("frame" = String, Path, description = "`latest`, its number, or `EPOCH-N`: the epoch of HELLO and its number"),
         ("token" = Option<String>, Query, description = "Token for who watches or publishes here; this machine's own user needs none"),
     ),
     responses(
@@ -78,84 +74,24 @@ impl From<Silent> for Problem {
         (status = 304, description = "The client has it"),
         (status = 400, description = "A parameter is unknown"),
         (status = 403, description = "No token that is good: a page of another site always needs one"),
-        (status = 404, description = "Nobody publishes there, or the frame is not done yet, or is not kept any more: `detail` says which"),
-        (status = 503, description = "Too much waits, decoding takes too long, or the node that has the room's publisher does not answer"),
+        (status = 404, description = "Nobody publishes there, or no frame is done yet"),
+        (status = 503, description = "The node that has the room's publisher does not answer"),
     )
 )]
-pub async fn frame(
-    State(here): State<Here>,
-    Path((name, number)): Path<(String, String)>,
-    uri: Uri,
-    headers: HeaderMap,
-) -> Result<Response, Problem> {
-    let leave = here.check(&name, Role::Watch, &uri, &headers)?;
-    let (wanted, made) = wanted(&here, &name, &number).await?;
-    let shared = leave == Leave::Token && uri.query().is_some();
-    let mut response = RoomViews::container(made.container.clone(), &headers, wanted.lasts(shared));
-    told(&mut response, &made);
-    Ok(response)
-}
-
-/// Says which frame an answer is of.
-fn told(response: &mut Response, made: &Made) {
-    response.headers_mut().insert(FRAME, HeaderValue::from(made.number));
-    response.headers_mut().insert(EPOCH, HeaderValue::from(made.epoch));
-}
-
-/// A view of a frame of a room for any camera.
-///
-/// As that of a photo, for clients that can draw nothing themselves: under the same bounds, and drawn once for all who ask for the same.
-/// `If-None-Match` with the tag of the last one asks for it only where there is a newer frame.
-#[utoipa::path(
-    get, path = "/v1/live/{room}/frames/{frame}/view", tag = "live", operation_id = "frame_view",
-    params(
-        ("room" = String, Path, description = "Name of the room"),
-        ("frame" = String, Path, description = "`latest`, its number, or `EPOCH-N`: the epoch of HELLO and its number"),
-        ("token" = Option<String>, Query, description = "Token for who watches or publishes here; this machine's own user needs none"),
-        RoomViewQuery,
-    ),
-    responses(
-        (status = 200, description = "The view; PNG and WebP are transparent where nothing is known",
-            content((String = "image/png"), (String = "image/jpeg"), (String = "image/webp")),
-            headers(
-                ("x-tmpi-frame" = u64, description = "Number of the frame"),
-                ("x-tmpi-epoch" = u64, description = "Epoch that it is of"),
-            )),
-        (status = 304, description = "The client has it"),
-        (status = 400, description = "A parameter is wrong; `field` names it"),
-        (status = 403, description = "No token that is good: a page of another site always needs one"),
-        (status = 404, description = "Nobody publishes there, or the frame is not done yet, or is not kept any more: `detail` says which"),
-        (status = 406, description = "The client takes none of the formats"),
-        (status = 503, description = "Too much waits, decoding takes too long, or the node that has the room's publisher does not answer"),
-    )
-)]
-pub async fn view(
-    State(here): State<Here>,
-    Path((name, number)): Path<(String, String)>,
-    uri: Uri,
-    headers: HeaderMap,
-) -> Result<Response, Problem> {
-    let (asked, token) = here.views.read(&uri)?;
-    let leave = here.admit(&name, Role::Watch, token.as_deref(), &headers)?;
-    let (wanted, made) = wanted(&here, &name, &number).await?;
-    let shared = leave == Leave::Token && token.is_some();
-    let mut response = here.views.answer(&asked, made.container.clone(), &headers, wanted.lasts(shared)).await?;
-    told(&mut response, &made);
-    if leave == Leave::Token {
-        // a picture on a page of another site, whose address has the token
-        response.headers_mut().insert("cross-origin-resource-policy", HeaderValue::from_static("cross-origin"));
-    }
-    Ok(response)
-}
-
-/// The frame that is asked for, and its container.
-async fn wanted(here: &Here, name: &str, frame: &str) -> Result<(Wanted, Made), Problem> {
-    let wanted: Wanted = frame.parse().map_err(|()| Problem::not_found("frames have numbers"))?;
-    let made = match Source::of(&here.rooms, name)? {
-        Source::Here(room) => past::frame((name, &room), wanted, &here.views).await?,
-        Source::There(owner) => owner.frame(wanted).await??,
+pub async fn newest(State(here): State<Here>, Path(name): Path<String>, uri: Uri, headers: HeaderMap) -> Result<Response, Problem> {
+    here.check(&name, Role::Watch, &uri, &headers)?;
+    let newest = match Source::of(&here.rooms, &name)? {
+        Source::Here(room) => room.newest().await?,
+        Source::There(owner) => owner.newest().await?,
     };
-    Ok((wanted, made))
+    let Newest { epoch, number, container } = newest.ok_or_else(|| Problem::not_found("no frame is done yet"))?;
+    let etag = format!("\"{epoch}-{number}\"");
+    let entity =
+        Entity { source: container.into(), etag: &etag, content_type: MEDIA_TYPE, cache_control: "no-store", coding: Coding::Plain };
+    let mut response = respond(&headers, entity);
+    response.headers_mut().insert(FRAME, HeaderValue::from(number));
+    response.headers_mut().insert(EPOCH, HeaderValue::from(epoch));
+    Ok(response)
 }
 
 /// Where the newest group of pictures lies.
@@ -240,7 +176,7 @@ pub async fn group(
         }
     });
     // only who shows a token may share with others what it got, under an address that has the token
-    let shared = if uri.query().is_some() { "public" } else { "private" };
+    let shared = if Pairs::read(&uri, &["token"])?.get("token").is_some() { "public" } else { "private" };
     let cache_control = format!("{shared}, max-age=31536000, immutable");
     let headers = [(header::CONTENT_TYPE, MESSAGES.to_owned()), (header::CACHE_CONTROL, cache_control)];
     Ok((headers, Body::from_stream(messages)).into_response())

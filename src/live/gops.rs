@@ -14,7 +14,7 @@ use super::ring::What;
 use super::room::Tiles;
 use tmpi_core::live::wire::Hello;
 use tmpi_core::live::wire::message::Kind;
-use tmpi_core::live::{read, write};
+use tmpi_core::live::write;
 
 /// Groups that are kept, with the one that grows.
 const KEPT: usize = 4;
@@ -72,20 +72,6 @@ struct Kept {
     bytes: usize,
     began: Instant,
     whole: bool,
-    /// Numbers of its first and last frame.
-    frames: Option<(u64, u64)>,
-    /// The first frame whose tiles came when it was whole and no other had begun: they are not kept.
-    lost: Option<u64>,
-}
-
-/// What a frame can be made of again.
-pub struct Past {
-    /// HELLO.
-    pub hello: Arc<Hello>,
-    /// The tiles as they were when its group began; none: there were none yet.
-    pub before: Option<Arc<Tiles>>,
-    /// The messages of its group and of those after it: tiles come after the frame that they are of.
-    pub messages: Vec<Bytes>,
 }
 
 /// The groups of a publisher.
@@ -103,23 +89,14 @@ impl Groups {
             self.end();
             let (hello, before) = (Arc::clone(hello), before.cloned());
             let (number, messages) = (self.next, Vec::new());
-            self.kept.push_back(Kept { number, hello, before, messages, bytes: 0, began: at, whole: false, frames: None, lost: None });
+            self.kept.push_back(Kept { number, hello, before, messages, bytes: 0, began: at, whole: false });
             self.next += 1;
         }
-        match (self.kept.back_mut(), what) {
-            (Some(last), _) if !last.whole => {
-                if matches!(what, What::Key | What::Frame { .. })
-                    && let Ok(Kind::Video(video)) = read(bytes.clone())
-                {
-                    last.frames = Some((last.frames.map_or(video.frame, |(first, _)| first), video.frame));
-                }
-                last.bytes += bytes.len();
-                last.messages.push(bytes.clone());
-                // one that nothing else is kept beside is as long as it may be
-                last.whole = last.bytes > KEPT_BYTES / 2;
-            }
-            (Some(last), What::Geometry { frame }) => last.lost = last.lost.or(Some(frame)),
-            _ => {}
+        if let Some(last) = self.kept.back_mut().filter(|last| !last.whole) {
+            last.bytes += bytes.len();
+            last.messages.push(bytes.clone());
+            // one that nothing else is kept beside is as long as it may be
+            last.whole = last.bytes > KEPT_BYTES / 2;
         }
         while self.kept.len() > KEPT || self.kept.iter().map(|k| k.bytes).sum::<usize>() > KEPT_BYTES {
             self.kept.pop_front();
@@ -136,21 +113,6 @@ impl Groups {
     /// Number of the newest.
     pub fn last(&self) -> Option<u64> {
         self.kept.back().map(|k| k.number)
-    }
-
-    /// What a frame can be made of again; none where it, or tiles up to it, are not kept.
-    pub fn past(&self, frame: u64) -> Option<Past> {
-        let of = |k: &Kept| k.frames.is_some_and(|(first, last)| (first..=last).contains(&frame));
-        let at = self.kept.iter().position(of)?;
-        let group = &self.kept[at];
-        let messages = self.kept.range(at..).flat_map(|k| k.messages.iter().cloned());
-        let known = group.lost.is_none_or(|lost| lost > frame);
-        known.then(|| Past { hello: Arc::clone(&group.hello), before: group.before.clone(), messages: messages.collect() })
-    }
-
-    /// The first frame that is kept.
-    pub fn oldest(&self) -> Option<u64> {
-        self.kept.iter().find_map(|k| k.frames).map(|(first, _)| first)
     }
 
     /// Message `at` of a group, HELLO and tiles counted; tiles, which may yet have to be coded, where it is their turn.
@@ -234,39 +196,6 @@ mod tests {
         }
         assert!(groups.kept.iter().map(|k| k.bytes).sum::<usize>() <= KEPT_BYTES);
         assert_eq!(rest(&groups, groups.next - 1).1, Part::End);
-    }
-
-    #[test]
-    fn a_frame_has_what_it_is_made_of_as_long_as_none_of_it_is_lost() {
-        use tmpi_core::live::wire::{Geometry, Video};
-        let (mut groups, hello, start) = (Groups::default(), Arc::default(), Instant::now());
-        let push = |groups: &mut Groups, kind: Kind, s| {
-            let what = match &kind {
-                Kind::Video(v) if v.key => What::Key,
-                Kind::Video(_) => What::Frame { layer: 0 },
-                Kind::Geometry(g) => What::Geometry { frame: g.frame },
-                _ => What::Sound,
-            };
-            groups.push(what, &write(kind), start + Duration::from_secs(s), &hello, None);
-        };
-        let video = |frame, key, bytes| Kind::Video(Video { frame, key, data: vec![0; bytes].into(), ..Video::default() });
-        let tiles = |frame| Kind::Geometry(Geometry { frame, chunks: Vec::new() });
-        let messages = |groups: &Groups, frame| groups.past(frame).map(|past| past.messages.len());
-        for (kind, s) in [(video(5, true, 9), 0), (tiles(5), 0), (video(6, false, 9), 1), (video(7, true, 9), 2), (tiles(6), 2)] {
-            push(&mut groups, kind, s);
-        }
-        assert_eq!((groups.oldest(), messages(&groups, 4), messages(&groups, 8)), (Some(5), None, None));
-        assert_eq!([5, 6, 7].map(|frame| messages(&groups, frame)), [Some(5), Some(5), Some(2)], "tiles of 6 came in the group after it");
-        // over what a group may have: frames go on, and so do tiles
-        for n in 8..16 {
-            push(&mut groups, video(n, false, 1 << 19), 3);
-        }
-        let last = groups.kept.back().unwrap().frames.unwrap().1;
-        assert!(last > 8 && messages(&groups, last).is_some() && messages(&groups, last + 1).is_none());
-        push(&mut groups, tiles(last), 4);
-        assert_eq!((messages(&groups, last), messages(&groups, last - 1).is_some()), (None, true));
-        push(&mut groups, video(17, true, 9), 5);
-        assert_eq!((messages(&groups, 17), groups.past(last).is_none()), (Some(1), true));
     }
 
     #[test]

@@ -15,8 +15,7 @@
 //! | `still` | the last frame whose geometry is done |
 //! | `ring` | messages since the last key frame |
 //! | `gops` | the same as groups of pictures, for plain HTTP |
-//! | `past` | frames of these groups, made again |
-//! | `fetch` | frames and groups of pictures by plain HTTP, of whichever node has them |
+//! | `fetch` | the newest frame and groups of pictures by plain HTTP, of whichever node has them |
 //! | `nodes` | rooms that several servers share |
 //! | `worker` | the threads that decode and make geometry |
 
@@ -25,7 +24,6 @@ mod fetch;
 mod gops;
 mod invite;
 mod nodes;
-mod past;
 mod publisher;
 mod ring;
 mod room;

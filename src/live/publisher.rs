@@ -48,7 +48,7 @@ const UNKNOWN: &str = "another node had this room when the others were last hear
 
 /// Publishes; ends without a reason where the publisher has gone by itself.
 async fn session(socket: &mut WebSocket, (name, room): (&str, Arc<Room>), here: &Here) -> Result<(), String> {
-    let Here { rooms, stop, views, .. } = here;
+    let Here { rooms, stop, .. } = here;
     let (room, config) = (&room, &rooms.config);
     let Some(first) = next(socket, Instant::now() + SILENCE).await? else { return Ok(()) };
     let Kind::Hello(hello) = first else { return Err("the first message is HELLO".into()) };
@@ -68,7 +68,7 @@ async fn session(socket: &mut WebSocket, (name, room): (&str, Arc<Room>), here: 
     let epoch = room.publish(hello, clock, claim.as_ref().map_or(clock / 1000, |c| c.epoch));
     let evicted = claim.as_ref().map(|c| c.evicted.clone()).unwrap_or_default();
     let _forwarded = claim.map(|mut claim| {
-        claim.forward(room, views);
+        claim.forward(room);
         claim
     });
     let models = config.models.clone();

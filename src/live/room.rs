@@ -12,10 +12,10 @@ use tmpi_core::live::{LiveError, write};
 
 use super::gops::{Group, Groups, Part};
 use super::nodes::Chunks;
-use super::past::{Found, Missing, Wanted};
 use super::ring::{Place, Ring, Step, What};
-pub use super::still::{Still, Tiles};
+pub use super::still::{Newest, Still, Tiles};
 use super::{Bounds, KEYS};
+use crate::server::Problem;
 
 mod shared;
 
@@ -200,25 +200,19 @@ impl Room {
         count(&mut self.lock().statistics);
     }
 
-    /// A frame, and the epoch that it is of.
+    /// The newest frame whose geometry is done, as a container; none where there is none yet.
     ///
     /// # Errors
-    /// [`Missing`].
-    pub fn find(&self, wanted: Wanted) -> Result<(u64, Found), Missing> {
+    /// 500 where it cannot be written.
+    pub async fn newest(&self) -> Result<Option<Newest>, Problem> {
+        let Some((epoch, still)) = self.still() else { return Ok(None) };
+        Ok(Some(Newest { epoch, number: still.tiles.frame, container: still.container().await? }))
+    }
+
+    /// The newest frame whose geometry is done, and the epoch that it is of.
+    pub fn still(&self) -> Option<(u64, Arc<Still>)> {
         let state = self.lock();
-        let still = state.still.as_ref().ok_or(Missing::None)?;
-        let newest = still.tiles.frame;
-        let found = match wanted {
-            Wanted::Frame { epoch: Some(epoch), .. } if epoch != state.epoch => return Err(Missing::Epoch(state.epoch)),
-            Wanted::Frame { number, .. } if number > newest => return Err(Missing::Later { newest }),
-            // tiles of all frames before the newest have been told
-            Wanted::Frame { number, .. } if number < newest => {
-                let gone = || Missing::Gone { oldest: state.groups.oldest(), newest };
-                Found::Past(number, state.groups.past(number).ok_or_else(gone)?)
-            }
-            Wanted::Latest | Wanted::Frame { .. } => Found::Newest(Arc::clone(still)),
-        };
-        Ok((state.epoch, found))
+        state.still.as_ref().map(|still| (state.epoch, Arc::clone(still)))
     }
 
     /// SNAPSHOT of all tiles as they are; none as long as there are none.

@@ -15,7 +15,7 @@ use utoipa_axum::routes;
 
 use super::access::{PROTOCOL, Role, check_origin, is_good, token_of};
 use super::{COME_BACK, Rooms, fetch, invite, is_name, publisher, viewer};
-use crate::server::{Held, Pairs, Problem, RoomViews};
+use crate::server::{Held, Pairs, Problem};
 
 /// Bytes that wait to be written for a viewer, at most: the largest message, and nothing beside it.
 const WRITE_BUFFER: usize = 2 << 20;
@@ -30,8 +30,6 @@ pub struct Here {
     pub stop: CancellationToken,
     /// Whether a request comes from this machine's own user.
     pub own: Arc<dyn Fn(&HeaderMap) -> bool + Send + Sync>,
-    /// What draws views of frames.
-    pub views: RoomViews,
 }
 
 /// What whoever watches asks for, on pages of other sites, too, where these have a token.
@@ -39,8 +37,7 @@ pub fn watching_api() -> OpenApiRouter<Here> {
     OpenApiRouter::new()
         .routes(routes!(invite::state))
         .routes(routes!(subscribe))
-        .routes(routes!(fetch::frame))
-        .routes(routes!(fetch::view))
+        .routes(routes!(fetch::newest))
         .routes(routes!(fetch::latest_group))
         .routes(routes!(fetch::group))
 }
@@ -50,40 +47,27 @@ pub fn publishing_api() -> OpenApiRouter<Here> {
     OpenApiRouter::new().routes(routes!(invite::link)).routes(routes!(publish))
 }
 
-/// What let somebody in.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Leave {
-    /// A token.
-    Token,
-    /// That they are this machine's own user.
-    Own,
-}
-
 impl Here {
-    /// Checks query, leave and name.
-    pub(super) fn check(&self, room: &str, role: Role, uri: &Uri, headers: &HeaderMap) -> Result<Leave, Problem> {
+    /// Checks query, leave and name. A token lets pages of other sites watch; without one they have no leave, as what a browser sends by itself
+    /// says nothing of who wants it, and none of them publishes.
+    pub(super) fn check(&self, room: &str, role: Role, uri: &Uri, headers: &HeaderMap) -> Result<(), Problem> {
         let asked = Pairs::read(uri, &["token"])?;
-        self.admit(room, role, asked.get("token"), headers)
-    }
-
-    /// Checks leave and name; `given` is the token of the query. A token lets pages of other sites watch; without one they have no leave, as
-    /// what a browser sends by itself says nothing of who wants it, and none of them publishes.
-    pub(super) fn admit(&self, room: &str, role: Role, given: Option<&str>, headers: &HeaderMap) -> Result<Leave, Problem> {
         let same_site = check_origin(headers);
         if role == Role::Publish {
             same_site.clone()?;
         }
         let now = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs());
-        let leave = match (&self.rooms.config.key, given.or_else(|| token_of(headers))) {
-            (Some(key), Some(token)) => is_good(key, role, room, token, now).then_some(Leave::Token),
-            _ => (same_site.is_ok() && (self.own)(headers)).then_some(Leave::Own),
+        let has_leave = match (&self.rooms.config.key, asked.get("token").or_else(|| token_of(headers))) {
+            (Some(key), Some(token)) => is_good(key, role, room, token, now),
+            _ => same_site.is_ok() && (self.own)(headers),
         };
-        let none = || Problem::new(StatusCode::FORBIDDEN, "token", "a token for this room is needed").field("token");
-        let leave = leave.ok_or_else(none)?;
+        if !has_leave {
+            return Err(Problem::new(StatusCode::FORBIDDEN, "token", "a token for this room is needed").field("token"));
+        }
         if !is_name(room) {
             return Err(Problem::not_found("a room's name has letters, digits, - and _"));
         }
-        Ok(leave)
+        Ok(())
     }
 }
 

@@ -215,7 +215,6 @@ mod tests {
 
     use super::*;
     use crate::live::Bounds;
-    use crate::live::past::{Found, Wanted};
     use crate::live::room::Next;
 
     /// Depth is brightness.
@@ -271,7 +270,7 @@ mod tests {
         }
         let tiles = &model.geometry().unwrap().tiles;
         assert!(tiles.iter().zip(&before.tiles).all(|(now, then)| now.planes != then.planes), "a tile of the scene before the cut is left");
-        let Ok((_, Found::Newest(newest))) = room.find(Wanted::Latest) else { panic!("the room goes on") };
+        let (_, newest) = room.still().expect("the room goes on");
         assert_eq!(tiles, &newest.tiles.geometry.tiles);
     }
 }

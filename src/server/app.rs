@@ -22,7 +22,7 @@ use super::hosts::Hosts;
 use super::id::{PhotoId, hex};
 use super::identity;
 use super::jobs::Jobs;
-pub use super::kept::{Derived, Export, Frame, Full, Stored, Version};
+pub use super::kept::{Derived, Export, Full, Stored, Version};
 use super::limits::Limits;
 use super::memory::Way;
 use super::network::Download;
@@ -50,9 +50,6 @@ const SMALL: usize = 256 << 10;
 /// Memory of a decoded scene in bytes a pixel, measured on photographs and rounded up.
 const SCENE_BYTES: u64 = 13;
 
-/// What frames of rooms have of the memory for scenes and views, beside that of photos: each is looked at for a moment.
-const FRAMES: usize = 8;
-
 /// State of the server.
 pub struct Shared {
     /// Photos and their jobs.
@@ -71,12 +68,6 @@ pub struct Shared {
     pub levels: Cache<(Version, Derived), Stored>,
     /// Encoded views by photo and what they were made of.
     pub views: Cache<(Version, String), Stored>,
-    /// Containers of frames of rooms that were made again.
-    pub frames: Cache<Version, Frame>,
-    /// Decoded frames of rooms: beside those of photos, which they would soon displace.
-    pub frame_scenes: Cache<Version, Arc<Scene>>,
-    /// Their encoded views.
-    pub frame_views: Cache<(Version, String), Stored>,
     /// Files to download and films, on disk.
     pub exports: Cache<(Version, String), Export>,
     /// Where views are drawn.
@@ -132,9 +123,6 @@ impl Shared {
             files: Cache::resting(limits.file_cache, limits.rest),
             levels: Cache::resting(limits.file_cache / 4, limits.rest),
             views: Cache::resting(limits.view_cache, limits.rest),
-            frames: Cache::resting(limits.view_cache / FRAMES, limits.rest),
-            frame_scenes: Cache::resting(limits.scene_cache / FRAMES, limits.rest),
-            frame_views: Cache::resting(limits.view_cache / FRAMES, limits.rest),
             exports: Cache::new(limits.export_cache),
             pool: Pool::new(&limits),
             uploads: Coming::new(&limits),
@@ -334,22 +322,6 @@ impl Shared {
         Ok((scene, took))
     }
 
-    /// The same of a frame of a room, by its container.
-    ///
-    /// # Errors
-    /// 500 where it cannot be read.
-    pub async fn frame_scene(&self, frame: Version, container: Bytes, slot: &Slot) -> Result<(Arc<Scene>, Option<Duration>), Problem> {
-        let mut took = None;
-        let decode = async {
-            let start = std::time::Instant::now();
-            let scene = slot.run(move || container::decode(&container).map_err(|e| Problem::from(&e))).await??;
-            took = Some(start.elapsed());
-            Ok::<_, Problem>(Arc::new(scene))
-        };
-        let scene = self.frame_scenes.get(frame, decode).await?;
-        Ok((scene, took))
-    }
-
     /// Writes a file for who waits for it until it is `gone`, in another process where the server's maker has such; blocks.
     ///
     /// # Errors
@@ -366,9 +338,6 @@ impl Shared {
         self.files.settle().await;
         self.levels.settle().await;
         self.views.settle().await;
-        self.frames.settle().await;
-        self.frame_scenes.settle().await;
-        self.frame_views.settle().await;
     }
 
     /// Frees the disk that is taken by what can be made again.
@@ -400,13 +369,7 @@ impl Shared {
 /// Memory that work on the scene of a photo takes, in bytes.
 #[must_use]
 pub fn scene_bytes(done: &Done) -> u64 {
-    memory_of((done.width, done.height), done.atlas_bytes)
-}
-
-/// The same of a picture of that width and height, of which the container has so many bytes.
-#[must_use]
-pub fn memory_of((width, height): (u32, u32), container: u64) -> u64 {
-    SCENE_BYTES * u64::from(width) * u64::from(height) + container
+    SCENE_BYTES * u64::from(done.width) * u64::from(done.height) + done.atlas_bytes
 }
 
 /// Whether a making of a photo is still the one in service; its files are overwritten only after it is not.

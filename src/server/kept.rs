@@ -4,7 +4,6 @@ use std::fs::File;
 use std::io::{ErrorKind, Write as _};
 use std::sync::Arc;
 
-use bytes::Bytes;
 use sha2::{Digest, Sha256};
 
 use super::cache::{Key, Value};
@@ -106,16 +105,6 @@ pub struct Export(pub Stored);
 impl Value for Export {
     fn weight(&self) -> usize {
         self.0.source.len().max(LEAST_EXPORT)
-    }
-}
-
-/// The container of a frame of a room.
-#[derive(Clone, Debug)]
-pub struct Frame(pub Bytes);
-
-impl Value for Frame {
-    fn weight(&self) -> usize {
-        self.0.len()
     }
 }
 

@@ -76,7 +76,7 @@ pub use access::keys;
 pub(crate) use access::same;
 pub use child::{ProcessMaker, VARIABLE, serve as make_for_a_server};
 pub use cluster::{Audit, Migration, Nats, Remedy, Role, Sharing, audit, check_store, migrate};
-pub(crate) use conditional::{IMMUTABLE, REVALIDATE};
+pub(crate) use conditional::{Coding, Entity, respond};
 pub use files::Reserve;
 pub use id::{PhotoId, hex};
 pub use limits::Limits;
@@ -86,7 +86,7 @@ pub use problem::Problem;
 pub use proxies::{ClientAddress, Network, Proxies};
 pub use rest::allocate_in_one_place;
 pub use routes::{Access, Route, openapi, openapi_of, routes};
-pub(crate) use routes::{NoBody, Pairs, RoomViewQuery, RoomViews};
+pub(crate) use routes::{NoBody, Pairs};
 pub use tls::{Tls, TlsError};
 pub use traces::{Collector, CollectorError, check_collector};
 
@@ -322,7 +322,7 @@ impl Server {
         let rooms = rooms.map(|rooms| {
             let of = Arc::clone(&app);
             let own = Arc::new(move |headers: &HeaderMap| of.hosts.is_own(headers));
-            live::routes::Here { rooms, stop: token.clone(), own, views: RoomViews::new(Arc::clone(&app)) }
+            live::routes::Here { rooms, stop: token.clone(), own }
         });
         let router = match role {
             Role::Work => routes::system_router(Arc::clone(&app)),

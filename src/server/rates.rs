@@ -126,7 +126,7 @@ impl Rates {
         match (method, path) {
             (&Method::POST, "/v1/photos" | "/v1/photos/{id}/again") | (&Method::PATCH, "/v1/photos/{id}/strokes") => self.uploads.as_ref(),
             // HEAD draws what it tells the length of
-            (&Method::GET | &Method::HEAD, "/v1/photos/{id}/view" | "/v1/photos/{id}/export" | "/v1/live/{room}/frames/{frame}/view")
+            (&Method::GET | &Method::HEAD, "/v1/photos/{id}/view" | "/v1/photos/{id}/export")
             | (&Method::POST, "/v1/photos/{id}/exports") => self.views.as_ref(),
             _ => None,
         }
@@ -138,10 +138,14 @@ impl Rates {
     /// 429 that names what is done too often, and says when to come back.
     pub fn count(&self, asker: Option<Asker>, request: &Request) -> (Told, Result<(), Problem>) {
         let path = request.extensions().get::<MatchedPath>().map_or("", MatchedPath::as_str);
+        self.take(asker, request.method(), path)
+    }
+
+    fn take(&self, asker: Option<Asker>, method: &Method, path: &str) -> (Told, Result<(), Problem>) {
         let mut told = Told::default();
         let Some(asker) = asker else { return (told, Ok(())) };
         let now = Instant::now();
-        for buckets in self.requests.iter().chain(self.class(request.method(), path)) {
+        for buckets in self.requests.iter().chain(self.class(method, path)) {
             let standing = buckets.take(&asker, now);
             told.0.push(standing);
             if let Some(seconds) = standing.wait {
@@ -214,7 +218,7 @@ mod tests {
     #[test]
     fn whoever_asks_for_the_head_of_a_view_alone_has_asked_for_a_view() {
         let rates = Rates::new(&Limits { rate_views: 1, ..Limits::default() });
-        for (n, path) in ["/v1/photos/{id}/view", "/v1/photos/{id}/export", "/v1/live/{room}/frames/{frame}/view"].into_iter().enumerate() {
+        for (n, path) in ["/v1/photos/{id}/view", "/v1/photos/{id}/export"].into_iter().enumerate() {
             let take = |method| rates.take(Some(Asker::Key(n.to_string())), &method, path).1;
             assert!(take(Method::HEAD).is_ok() && take(Method::OPTIONS).is_ok(), "{path}");
             for method in [Method::HEAD, Method::GET] {

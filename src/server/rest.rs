@@ -19,8 +19,7 @@ struct Seen {
 
 impl Seen {
     fn of(app: &App) -> Self {
-        let photos = app.scenes.bytes() + app.files.bytes() + app.levels.bytes() + app.views.bytes();
-        let kept = photos + app.frames.bytes() + app.frame_scenes.bytes() + app.frame_views.bytes();
+        let kept = app.scenes.bytes() + app.files.bytes() + app.levels.bytes() + app.views.bytes();
         Self { entered: app.pool.entered(), kept }
     }
 }

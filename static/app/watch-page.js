@@ -3,7 +3,6 @@
 import { t, translatePage } from '../i18n/messages.js';
 import { sentence } from '../i18n/text.js';
 import { hasGyroscope } from '../input/gyroscope.js';
-import { ServedViews } from '../live/served-views.js';
 import { SoundPlayer } from '../live/sound-player.js';
 import { startRoom } from '../live/start.js';
 import { behind, saying } from '../live/states.js';
@@ -106,7 +105,7 @@ async function toggleFullscreen() {
 translatePage();
 $('title').textContent = room.name;
 document.title = `${room.name} – tmpi`;
-const viewer = new Viewer($('stage'), { live: { start: startRoom, address: room.address, token: room.token, Views: ServedViews } });
+const viewer = new Viewer($('stage'), { live: { start: startRoom, address: room.address, token: room.token } });
 viewer.setIdle(false);
 Object.assign(window, { viewer, sound });
 viewer.addEventListener('live', ({ detail }) => onLive(detail));
@@ -120,11 +119,6 @@ viewer.addEventListener('ready', ({ detail }) => {
   if (early) return note(t('The picture has no depth yet.'), true);
   if (!first && !was) return;
   note(t(detail.mode === 'flat' ? 'This browser shows the video without depth.' : 'Move the pointer or drag to look around.'));
-});
-viewer.addEventListener('mode', ({ detail }) => {
-  if (detail.mode !== 'served' && detail.mode !== 'flat') return;
-  $('stage').dataset.mode = detail.mode;
-  note(detail.mode === 'served' ? t('The server draws this view.') : '');
 });
 viewer.addEventListener('error', ({ detail }) => fail(t(detail.message)));
 $('reset').addEventListener('click', () => viewer.reset());

@@ -96,7 +96,7 @@ export class ServerViews {
  * @param {{width: number, height: number}} wanted size, device pixels
  * @param {Frame} frame
  */
-export function viewAddress(url, size, pose, fov, wanted, frame) {
+function viewAddress(url, size, pose, fov, wanted, frame) {
   const aspect = frame.scale > 1 ? wanted.height / wanted.width : size.height / size.width;
   const limit = Math.min(MAX_SIDE, MAX_SIDE / aspect);
   const width = Math.max(1, Math.round(Math.min(limit, Math.ceil(wanted.width / SIZE_STEP) * SIZE_STEP)));

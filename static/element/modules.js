@@ -46,9 +46,7 @@ export const MODULES = [
 export const ROOM_MODULES = [
   'element/room.js',
   'i18n/messages.js',
-  'live/connection.js',
   'live/room-address.js',
-  'live/served-views.js',
   'live/sound-player.js',
   'live/start.js',
   'live/states.js',

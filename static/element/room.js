@@ -1,7 +1,6 @@
 // A room in the element: its picture, what is said while there is none, and its sound.
 import { t } from '../i18n/messages.js';
 import { roomAt } from '../live/room-address.js';
-import { ServedViews } from '../live/served-views.js';
 import { SoundPlayer } from '../live/sound-player.js';
 import { startRoom } from '../live/start.js';
 import { behind, saying } from '../live/states.js';
@@ -54,7 +53,7 @@ export class Room {
     this.#dress(named.sound === 'off');
     const { address, token } = roomAt(named.address, named.token);
     this.viewer = new Viewer(stage, {
-      live: { start: startRoom, address, token, Views: ServedViews },
+      live: { start: startRoom, address, token },
       settings: named.settings,
       embedded: element.embedded,
     });

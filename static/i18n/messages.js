@@ -159,7 +159,6 @@ const GERMAN = {
   'Take a photo': 'Foto aufnehmen',
   'The photo was deleted.': 'Das Foto wurde gelöscht.',
   'The photo': 'Das Foto',
-  'The server draws this view.': 'Der Server zeichnet diese Sicht.',
   'The server draws this view. {0}': 'Der Server zeichnet diese Sicht. {0}',
   'The server is busy; trying again in {0} s': 'Der Server ist ausgelastet; neuer Versuch in {0} s',
   'This browser has no encoder for such films.': 'Dieser Browser kann solche Filme nicht schreiben.',

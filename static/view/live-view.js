@@ -1,17 +1,14 @@
-// A room in the viewer: its frames as they come from its worker (live/worker.js), drawn here, as plain video or by the server.
-
-import { POSE_KEYS } from './camera.js';
+// A room in the viewer: its frames as they come from its worker (live/worker.js), drawn here or as plain video.
 
 /** @import { SceneHead } from '../decode/scene.js' */
 /** @import { Instances } from '../draw/instances.js' */
-/** @import { ServedViews } from '../live/served-views.js' */
 /** @import { Cells } from '../live/tile-atlas.js' */
 /** @import { Stage } from './stage.js' */
 /** @import { Viewer } from './viewer.js' */
 
 /**
- * A room to watch: what starts its worker, its address and token, and what shows views that the server draws of it.
- * @typedef {{start: () => Worker, address: string, token: string, Views: typeof ServedViews}} Live
+ * A room to watch: what starts its worker, its address and its token.
+ * @typedef {{start: () => Worker, address: string, token: string}} Live
  */
 /**
  * What of a viewer is no business of others: where its pictures lie, and to draw its scene on the best backend that can be had, `anew`
@@ -25,17 +22,8 @@ const PAUSE_MS = 500;
 export class LiveView {
   /** @type {Viewer} */
   #viewer;
-  /** @type {Live} */
-  #live;
   /** @type {Inside} */
   #inside;
-  /**
-   * Views that the server draws, where nothing here does.
-   * @type {ServedViews | null}
-   */
-  #served = null;
-  /** Nothing here decodes the room's video. */
-  #undecoded = false;
   /**
    * Frames that are not shown yet.
    * @type {{instances: Instances | null, cells: Cells}[]}
@@ -56,113 +44,19 @@ export class LiveView {
 
   /**
    * @param {Viewer} viewer
-   * @param {Live} live
    * @param {Inside} inside
    */
-  constructor(viewer, live, inside) {
-    [this.#viewer, this.#live, this.#inside] = [viewer, live, inside];
-  }
-
-  /**
-   * The room begins, or begins anew.
-   * @param {SceneHead} head
-   */
-  begin(head) {
-    this.#drop();
-    if (this.#undecoded) this.serveAlone(head);
-  }
-
-  /** Another publisher, of whose video there is a decoder. */
-  decoded() {
-    if (!this.#undecoded) return;
-    this.#undecoded = false;
-    this.#drop();
-  }
-
-  #drop() {
-    this.#served?.dispose();
-    this.#served = null;
-  }
-
-  /** Nobody looks: the server need not draw. */
-  stop() {
-    this.#served?.stop();
+  constructor(viewer, inside) {
+    [this.#viewer, this.#inside] = [viewer, inside];
   }
 
   dispose() {
     clearTimeout(this.#pause);
-    this.#served?.dispose();
   }
 
   /** Whether frames come. */
   get plays() {
     return performance.now() - this.#came < PAUSE_MS;
-  }
-
-  /** What has the server draw what is seen now; nothing where the video shows it, which it turns to then. */
-  views() {
-    if (this.#wantsServed) return this.#served;
-    this.#served?.stop();
-    this.#turn('flat');
-    return null;
-  }
-
-  /** Whether somebody sees what only the server can draw of a room. */
-  get #wantsServed() {
-    const { camera, lens, asleep } = this.#viewer;
-    if (asleep || document.hidden) return false;
-    const { coarsePose } = camera;
-    return this.#undecoded || lens.close || POSE_KEYS.some((key) => coarsePose[key]);
-  }
-
-  /**
-   * Changes between a room's video and views that the server draws of it.
-   * @param {'flat' | 'served'} mode
-   */
-  #turn(mode) {
-    const viewer = this.#viewer;
-    if (viewer.mode === mode || this.#undecoded || !viewer.canvas) return;
-    viewer.mode = mode;
-    viewer.canvas.style.visibility = mode === 'served' ? 'hidden' : '';
-    viewer.emit('mode', { mode, reason: '' });
-    viewer.layout();
-  }
-
-  /**
-   * Has the server draw a room all the time: nothing here decodes its video.
-   * @param {SceneHead} head
-   */
-  serveAlone(head) {
-    const viewer = this.#viewer;
-    if (this.#undecoded && this.#served) return;
-    this.#undecoded = true;
-    viewer.renderer?.dispose();
-    viewer.renderer = null;
-    this.#inside.stage.canvas = null;
-    viewer.mode = 'served';
-    viewer.setIdle(false);
-    let [shown, said] = [false, ''];
-    const say = (/** @type {string} */ state) => {
-      if (state !== said) viewer.emit('live', { type: 'state', state, reason: '' });
-      said = state;
-    };
-    this.#prepareServed(head, {
-      shown: (fresh) => {
-        if (!shown) viewer.emit('ready', { mode: 'served' });
-        shown = true;
-        say(fresh ? 'live' : 'stalled');
-      },
-      refused: (state) => say(state === 'busy' ? 'stalled' : state === 'waiting' && shown ? 'ended' : state),
-    });
-    viewer.layout();
-  }
-
-  /**
-   * @param {SceneHead} head
-   * @param {{shown: (fresh: boolean) => void, refused: (state: string) => void}} on
-   */
-  #prepareServed(head, on) {
-    this.#served = new this.#live.Views(this.#viewer.poster, this.#live, head, on);
   }
 
   /**
@@ -234,11 +128,6 @@ export class LiveView {
     const { head } = viewer;
     if (!head || viewer.disposed) return picture.close();
     if (early) return this.#showEarly(picture, head);
-    // the video is there again where the server refuses
-    if (!this.#served) {
-      this.#prepareServed(head, { shown: () => this.#turn('served'), refused: () => this.#turn('flat') });
-      viewer.render();
-    }
     if (!viewer.canvas) {
       const canvas = document.createElement('canvas');
       [canvas.width, canvas.height] = [head.width, head.height];

@@ -6,8 +6,7 @@
 // Events (detail): `progress` {received, total} · `photo` · `ready` {mode} · `mode` {mode, reason} · `idle` {on} · `pose` ·
 // `frame` {ms} · `error` {message} · `live` what a room's worker says (live/worker.js). `mode` is `gpu` where the browser draws with
 // WebGPU, `webgl` where it does with WebGL2, `served` where the server draws, `still` where nobody can and the photo is all there is,
-// and `flat` where a room is shown as plain video. Where nothing here draws, a room is `flat` at the camera's own place, which the video
-// shows as it is, and `served` away from it, as long as the server draws; without a decoder for its video it is `served` everywhere.
+// and `flat` where a room is shown as plain video, because nothing here draws.
 
 import { startDecoder } from '../decode/start.js';
 import { Backends } from '../draw/backends.js';
@@ -66,7 +65,7 @@ export class Viewer extends Steering {
     this.options = options;
     this.#pacing = new FramePacing(Boolean(options.live));
     this.#stage = new Stage(root);
-    this.#live = options.live ? new LiveView(this, options.live, { stage: this.#stage, draw: (anew) => this.#draw(anew) }) : null;
+    this.#live = options.live ? new LiveView(this, { stage: this.#stage, draw: (anew) => this.#draw(anew) }) : null;
     this.mode = 'loading';
     /** What shows the scene in a headset (input/xr.js) while one does, else null. */
     this.headset = /** @type {Headset | null} */ (null);
@@ -166,7 +165,6 @@ export class Viewer extends Steering {
     if (on) {
       cancelAnimationFrame(this.#frameRequest);
       this.#frameRequest = 0;
-      this.#live?.stop();
     } else this.wake();
   }
 
@@ -190,7 +188,7 @@ export class Viewer extends Steering {
           depthOfField.cost = ms / times;
           this.emit('frame', { ms: this.#pacing.ms });
         });
-    } else if (this.mode === 'served' || this.mode === 'flat') this.#ask(this.head);
+    } else if (this.mode === 'served') this.#ask(this.head);
   }
 
   /**
@@ -198,11 +196,10 @@ export class Viewer extends Steering {
    * @param {SceneHead} head
    */
   #ask(head) {
-    const views = this.#live ? this.#live.views() : this.serverViews;
     const ratio = pixelRatio();
     const { width, height } = this.lens.size;
     const size = { width: width * ratio, height: height * ratio };
-    views?.show(this.camera.coarsePose, fovX(head.intrinsics, head.width), size, this.lens.frame);
+    this.serverViews?.show(this.camera.coarsePose, fovX(head.intrinsics, head.width), size, this.lens.frame);
   }
 
   /**
@@ -244,12 +241,10 @@ export class Viewer extends Steering {
 
   /** @param {any} data posted by decode/worker.js or live/worker.js */
   #onWorker(data) {
-    if (data.type === 'scene' || data.type === 'picture') this.#live?.decoded();
     if (data.type === 'progress') this.emit('progress', { received: data.received, total: data.total || this.head?.total || 0 });
     else if (data.type === 'head') {
       this.head = data.head;
       this.camera.know(data.head, null);
-      this.#live?.begin(data.head);
       this.layout();
     } else if (data.type === 'photo') {
       this.#stage.showPhoto(data.blob);
@@ -264,7 +259,6 @@ export class Viewer extends Steering {
     } else if (data.type === 'update') this.#live?.follow(data);
     else if (data.type === 'picture') this.#live?.showFlat(data.picture, data.early);
     else if (data.type === 'error') this.#fail(data.message);
-    else if (data.state === 'unsupported' && this.head) this.#live?.serveAlone(this.head);
     else this.emit('live', data);
   }
 
@@ -440,6 +434,5 @@ export class Viewer extends Steering {
 
   #onVisible = () => {
     if (!document.hidden) this.wake();
-    else this.#live?.stop();
   };
 }

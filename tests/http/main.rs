@@ -36,7 +36,6 @@ mod nats;
 mod nodes;
 mod openapi;
 mod origins;
-mod past;
 mod process;
 mod proxies;
 mod rates;

@@ -55,7 +55,7 @@ const NONE: &str = "00000000000000000000000000000000";
 /// What to ask of a route.
 pub fn target(route: &Route, method: &str, id: &str) -> String {
     let query = match route.path.as_str() {
-        "/v1/photos/{id}/view" | "/v1/live/{room}/frames/{frame}/view" => "?w=8",
+        "/v1/photos/{id}/view" => "?w=8",
         "/v1/photos/{id}/export" => "?format=glb",
         "/oembed" => &format!("?url=http://localhost/view/{id}"),
         _ => "",
@@ -63,11 +63,9 @@ pub fn target(route: &Route, method: &str, id: &str) -> String {
     let path = route
         .path
         .replace("{id}", if method == "DELETE" || route.path.ends_with("/again") || route.path.ends_with("/exports") { NONE } else { id })
-        .replace("{upload}", NONE)
         .replace("{key}", &NONE[..16])
         .replace("{*name}", "view/viewer.js")
         .replace("{room}", "attic")
-        .replace("{frame}", "latest")
         .replace("{group}", "1-0")
         + query;
     assert!(!path.contains('{'), "a new route: say here what to ask of {}", route.path);

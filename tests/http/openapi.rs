@@ -37,12 +37,7 @@ fn every_route_of_the_document_answers_as_it_says() {
             // of a file that is written, each time: it may have been deleted, or be of the making before
             let key = if path.contains("{key}") { written(&server, &photo) } else { String::new() };
             let path = if path == "/oembed" { "/oembed?url=http://localhost/view/{id}" } else { path };
-            let path = path
-                .replace("{id}", &photo)
-                .replace("{key}", &key)
-                .replace("{room}", "attic")
-                .replace("{frame}", "latest")
-                .replace("{group}", &first);
+            let path = path.replace("{id}", &photo).replace("{key}", &key).replace("{room}", "attic").replace("{group}", &first);
             let call = (method.to_uppercase(), path, operation);
             if method == "delete" && key.is_empty() {
                 deletions.push(call);

@@ -1,4 +1,4 @@
-//! What a node asks of the owner of a room for who comes by plain HTTP: a frame as a container, or pieces of a group of pictures.
+//! What a node asks of the owner of a room for who comes by plain HTTP: the newest frame as a container, or pieces of a group of pictures.
 //!
 //! An answer is a packet of the sort [`Sort::Answer`]; `number` says what came of it ([`Code`]), `after` which frame, group or message it is.
 
@@ -15,9 +15,7 @@ use super::table::Owner;
 use super::wire::{Packet, Sort};
 use super::{Ask, Nodes};
 use crate::live::gops::{Group, Part};
-use crate::live::past::{self, Made, Missing, Wanted};
-use crate::live::room::Room;
-use crate::server::{Problem, RoomViews};
+use crate::live::room::{Newest, Room};
 
 /// Answers of a room that are made at a time; who asks for more than that asks again.
 const AT_ONCE: usize = 64;
@@ -25,8 +23,6 @@ const AT_ONCE: usize = 64;
 const BATCH: (usize, usize) = (256 << 10, 64);
 /// Time for which the owner waits for a piece that has not come yet.
 const HOLD: Duration = Duration::from_millis(500);
-/// Bytes of the reason why there is no frame, at most.
-const REASON: usize = 4 << 10;
 /// Time that an answer may take, and how often it is asked for.
 const ANSWER: (Duration, u32) = (Duration::from_secs(4), 3);
 
@@ -34,8 +30,8 @@ const ANSWER: (Duration, u32) = (Duration::from_secs(4), 3);
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Get {
-    /// A frame as a container: that of the number, or the newest.
-    Frame(Option<u64>),
+    /// The newest frame as a container.
+    Frame,
     /// The number of the newest group of pictures.
     Latest,
     /// Messages of a group of pictures, from one of them on.
@@ -56,23 +52,19 @@ enum Code {
     End,
     /// The group will be the next one to begin.
     NotYet,
-    /// There is no such frame now: the bytes say why, as JSON of a [`Problem`].
-    Refused,
 }
 
 /// Answers the nodes that ask for what is not handed on to all.
 pub struct Lender {
-    name: Arc<str>,
     room: Arc<Room>,
-    views: RoomViews,
     epoch: u64,
     making: Arc<Semaphore>,
 }
 
 impl Lender {
-    /// Of a room that is this node's with `epoch`; `views` makes what came earlier.
-    pub fn new((name, room): (&str, Arc<Room>), epoch: u64, views: RoomViews) -> Self {
-        Self { name: name.into(), room, views, epoch, making: Arc::new(Semaphore::new(AT_ONCE)) }
+    /// Of a room that is this node's with `epoch`.
+    pub fn new(room: Arc<Room>, epoch: u64) -> Self {
+        Self { room, epoch, making: Arc::new(Semaphore::new(AT_ONCE)) }
     }
 
     /// Answers by itself, and holds up nobody.
@@ -80,11 +72,13 @@ impl Lender {
         // whoever is not answered asks again
         let Ok(permit) = Arc::clone(&self.making).try_acquire_owned() else { return };
         let (nodes, room, epoch) = (Arc::clone(nodes), Arc::clone(&self.room), self.epoch);
-        let (name, views) = (Arc::clone(&self.name), self.views.clone());
         tokio::spawn(async move {
             let most = BATCH.0.min(BATCH.1 * nodes.client.max_payload());
             let (code, after, bytes) = match get {
-                Get::Frame(number) => frame((&name, &room), epoch, number, &views).await,
+                Get::Frame => match room.newest().await {
+                    Ok(Some(newest)) if newest.epoch == epoch => (Code::Found, newest.number, newest.container),
+                    _ => (Code::Gone, 0, Bytes::new()),
+                },
                 Get::Latest => match room.last_group().filter(|g| g.epoch == epoch) {
                     Some(group) => (Code::Found, group.number, Bytes::new()),
                     None => (Code::Gone, 0, Bytes::new()),
@@ -95,19 +89,6 @@ impl Lender {
             drop(permit);
         });
     }
-}
-
-async fn frame(room: (&str, &Room), epoch: u64, number: Option<u64>, views: &RoomViews) -> (Code, u64, Bytes) {
-    let wanted = number.map_or(Wanted::Latest, |number| Wanted::Frame { epoch: Some(epoch), number });
-    match past::frame(room, wanted, views).await {
-        Ok(made) if made.epoch == epoch => (Code::Found, made.number, made.container),
-        Ok(made) => refused(&Missing::Epoch(made.epoch).into()),
-        Err(problem) => refused(&problem),
-    }
-}
-
-fn refused(problem: &Problem) -> (Code, u64, Bytes) {
-    (Code::Refused, u64::MAX, serde_json::to_vec(problem).unwrap_or_default().into())
 }
 
 /// Messages of a group from `at` on, each after its length, and the number of the one that comes next.
@@ -169,26 +150,14 @@ impl Borrower {
         Err(Silent)
     }
 
-    /// A frame as a container, or why there is none.
+    /// The newest frame as a container; none where there is none yet.
     ///
     /// # Errors
     /// [`Silent`].
-    pub async fn frame(&self, wanted: Wanted) -> Result<Result<Made, Problem>, Silent> {
-        let epoch = self.owner.epoch;
-        if let Wanted::Frame { epoch: Some(asked), .. } = wanted
-            && asked != epoch
-        {
-            return Ok(Err(Missing::Epoch(epoch).into()));
-        }
-        let packet = self.get(Get::Frame(wanted.number())).await?;
-        if packet.number == Code::Found as u64 {
-            return Ok(Ok(Made { epoch, number: packet.after, container: packet.bytes }));
-        }
-        // what is no reason of ours is none
-        let reason = Some(&packet.bytes).filter(|bytes| packet.number == Code::Refused as u64 && bytes.len() <= REASON);
-        let problem =
-            reason.and_then(|bytes| serde_json::from_slice::<Problem>(bytes).ok()).filter(|p| matches!(p.status, 404 | 500 | 503));
-        Ok(Err(problem.unwrap_or_else(|| Problem::not_found("that frame is not kept"))))
+    pub async fn newest(&self) -> Result<Option<Newest>, Silent> {
+        let packet = self.get(Get::Frame).await?;
+        let found = packet.number == Code::Found as u64;
+        Ok(found.then_some(Newest { epoch: self.owner.epoch, number: packet.after, container: packet.bytes }))
     }
 
     /// The newest group of pictures.

@@ -8,7 +8,7 @@
 //! | subject | payload |
 //! |---|---|
 //! | `tmpi.nodes` | JSON of [`table::Presence`]: what a node has, claims and watches |
-//! | `tmpi.node.NODE` | JSON of [`Ask`]: a node that watches wants a [`Start`], sent to the inbox that it names, or a key frame; any node a frame or a group of pictures (`lend`) |
+//! | `tmpi.node.NODE` | JSON of [`Ask`]: a node that watches wants a [`Start`], sent to the inbox that it names, or a key frame; any node the newest frame or a group of pictures (`lend`) |
 //! | `tmpi.live.ROOM.EPOCH` | parts of messages (`wire`), while some node watches |
 //!
 //! Names of rooms are letters, digits, `-` and `_`, and so are parts of subjects as they are. The owner sends what it reads of the room's ring
@@ -43,7 +43,6 @@ use tokio_util::sync::CancellationToken;
 use super::Rooms;
 use super::room::Room;
 pub use crate::nats::Config;
-use crate::server::RoomViews;
 pub use lend::{Borrower, Silent};
 use lend::{Get, Lender};
 use table::{BEAT, Owner, Presence, Table, Verdict, Watched};
@@ -370,10 +369,10 @@ pub struct Claim {
 }
 
 impl Claim {
-    /// Sends to the other nodes what is published in `room`, as far as they watch; `views` makes the frames that they ask for.
-    pub fn forward(&mut self, room: &Arc<Room>, views: &RoomViews) {
+    /// Sends to the other nodes what is published in `room`, as far as they watch.
+    pub fn forward(&mut self, room: &Arc<Room>) {
         if let Some(asks) = self.asks.take() {
-            let lender = Lender::new((&self.name, Arc::clone(room)), self.epoch, views.clone());
+            let lender = Lender::new(Arc::clone(room), self.epoch);
             tokio::spawn(forward::run(Arc::clone(&self.nodes), self.name.clone(), self.epoch, (Arc::clone(room), lender), asks));
         }
     }

@@ -24,11 +24,6 @@ impl Derived {
         Self { cache_control: kept(asked, || results.clone()), made: identity::short(&name(&results)) }
     }
 
-    /// Of a frame of a room. `name` is what it follows from.
-    pub fn of_frame(name: &str, cache_control: &'static str) -> Self {
-        Self { cache_control, made: identity::short(name) }
-    }
-
     /// The answer to a client that has it already.
     pub fn known(&self, headers: &HeaderMap) -> Option<Response> {
         known_as(headers, &self.made).map(|etag| not_modified(etag, self.cache_control))

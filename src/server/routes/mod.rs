@@ -14,7 +14,6 @@ mod owner;
 mod photos;
 mod query;
 mod results;
-mod room_view;
 mod state;
 mod strokes;
 mod system;
@@ -41,8 +40,6 @@ use super::middleware;
 pub(super) use admin::router as admin_router;
 pub(super) use export::ExportQuery;
 pub(crate) use query::{NoBody, Pairs};
-pub(crate) use room_view::RoomViews;
-pub(crate) use view_query::RoomViewQuery;
 pub(super) use view_query::{StereoKind, ViewQuery};
 
 use super::pages;

@@ -6,15 +6,14 @@ use std::time::{Duration, Instant};
 use axum::extract::{Extension, Path, State};
 use axum::http::{HeaderMap, Uri, header};
 use axum::response::Response;
-use bytes::Bytes;
 use futures_util::TryFutureExt as _;
 use tokio_util::sync::CancellationToken;
 
-use crate::server::app::{App, Export, Full, Shared, Stored, Version, memory_of, scene_bytes};
+use crate::server::app::{App, Export, Full, Shared, Stored, Version, scene_bytes};
 use crate::server::clock::Clock;
 use crate::server::conditional::insert;
 use crate::server::exports::Recipe;
-use crate::server::pool::{Class, Slot};
+use crate::server::pool::Class;
 use crate::server::problem::Problem;
 use crate::server::store::Done;
 use tmpi_core::{Camera, Scene};
@@ -54,7 +53,7 @@ fn negotiate(headers: &HeaderMap) -> Option<PictureFormat> {
 ///
 /// # Errors
 /// 406 where it takes none of them.
-pub(super) fn picked(asked: Option<PictureFormat>, headers: &HeaderMap) -> Result<PictureFormat, Problem> {
+fn picked(asked: Option<PictureFormat>, headers: &HeaderMap) -> Result<PictureFormat, Problem> {
     asked.or_else(|| negotiate(headers)).ok_or_else(|| {
         let status = axum::http::StatusCode::NOT_ACCEPTABLE;
         Problem::new(status, "not-acceptable", "views are image/png, image/jpeg or image/webp").field("Accept")
@@ -103,7 +102,7 @@ pub async fn view(
     let full = if query.moving.is_some() { Full::Refuse } else { Full::Memory };
     // whoever asks for the same view meanwhile waits for this one
     let drawn = async {
-        let (bytes, took) = draw(&app, Subject::Photo(version, &done), &query, size, format).await?;
+        let (bytes, took) = draw(&app, (version, &done), &query, size, format).await?;
         timing = took;
         let (name, shared) = (derived.made.clone(), Arc::clone(&app));
         let keep = tokio::task::spawn_blocking(move || Stored::derived(Some(&name), bytes, &shared.jobs.store, full));
@@ -124,43 +123,17 @@ pub async fn view(
 }
 
 /// Counts what the phases of drawing took.
-pub(super) fn count(app: &App, timing: &[(&'static str, Duration)]) {
+fn count(app: &App, timing: &[(&'static str, Duration)]) {
     // a scene that was at hand would make decoding look cheap
     for (phase, took) in timing.iter().filter(|(_, took)| !took.is_zero()) {
         app.telemetry.view(phase, *took);
     }
 }
 
-/// What is drawn.
-pub(super) enum Subject<'a> {
-    /// A made photo.
-    Photo(Version, &'a Done),
-    /// A frame of a room, by its container; and its width and height.
-    Frame(Version, Bytes, (u32, u32)),
-}
-
-impl Subject<'_> {
-    /// Memory that work on it takes, in bytes.
-    fn bytes(&self) -> u64 {
-        match self {
-            Self::Photo(_, done) => scene_bytes(done),
-            Self::Frame(_, container, size) => memory_of(*size, container.len() as u64),
-        }
-    }
-
-    /// Its scene, and how long decoding it took if it was not at hand.
-    async fn scene(self, app: &App, slot: &Slot) -> Result<(Arc<Scene>, Option<Duration>), Problem> {
-        match self {
-            Self::Photo(version, _) => app.scene(version, slot).await,
-            Self::Frame(frame, container, _) => app.frame_scene(frame, container, slot).await,
-        }
-    }
-}
-
 /// Draws and encodes; with what each phase took.
-pub(super) async fn draw(
+async fn draw(
     app: &App,
-    subject: Subject<'_>,
+    (version, done): (Version, &Done),
     query: &ViewQuery,
     size: (u32, u32),
     format: PictureFormat,
@@ -172,11 +145,11 @@ pub(super) async fn draw(
     let asked = Instant::now();
     let class = if query.moving.is_some() { Class::Export } else { Class::Interactive };
     // decoding is a part of the work: who waits holds no scene
-    let slot = app.pool.enter(class, subject.bytes()).await?;
+    let slot = app.pool.enter(class, scene_bytes(done)).await?;
     let waited = asked.elapsed();
-    if let (Some(_), Subject::Photo(version, done)) = (query.moving, &subject) {
+    if query.moving.is_some() {
         let recipe = Recipe::Film(Box::new(query.clone()), size);
-        let (read, shared, done) = (app.reading(*version), Arc::clone(app), Done::clone(done));
+        let (read, shared, done) = (app.reading(version), Arc::clone(app), done.clone());
         let written = slot.run(move || {
             let start = Instant::now();
             let bytes = shared.written(&recipe, (&read()?, &done), &renderer.gone)?;
@@ -185,7 +158,7 @@ pub(super) async fn draw(
         let (bytes, rendering) = written.await??;
         return Ok((bytes, vec![("wait", waited), ("render", rendering)]));
     }
-    let (scene, decoding) = subject.scene(app, &slot).await?;
+    let (scene, decoding) = app.scene(version, &slot).await?;
     let (camera, rig) = (query.camera(&scene, size), query.rig(&scene));
     let drawn = slot.run(move || {
         let start = Instant::now();

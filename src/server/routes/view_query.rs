@@ -1,7 +1,6 @@
 //! What a request for a view asks for.
 
 use axum::http::Uri;
-use utoipa::openapi::path::{Parameter, ParameterIn};
 
 use super::query::Pairs;
 use crate::server::limits::Limits;
@@ -23,9 +22,6 @@ const ANGLE_STEP: f64 = 1e-3;
 
 const NAMES: [&str; 18] =
     ["tx", "ty", "tz", "yaw", "pitch", "roll", "w", "h", "fov", "crop", "format", "stereo", "quilt", "ipd", "focus", "path", "frames", "v"];
-/// Those of a frame of a room, which is one moment: nothing of its camera's way, and the token of who watches.
-const ROOM_NAMES: [&str; 16] =
-    ["tx", "ty", "tz", "yaw", "pitch", "roll", "w", "h", "fov", "crop", "format", "stereo", "quilt", "ipd", "focus", "token"];
 /// Frames of an animation.
 const FRAMES: std::ops::RangeInclusive<u32> = 2..=240;
 /// Frames where the query does not say: two seconds.
@@ -146,16 +142,6 @@ impl ViewQuery {
     /// 400 that names the first parameter that is unknown, given twice, not finite or out of range.
     pub fn read(uri: &Uri, limits: &Limits) -> Result<Self, Problem> {
         Self::of(Pairs::read(uri, &NAMES)?, limits)
-    }
-
-    /// The same of a frame of a room, with the token beside it.
-    ///
-    /// # Errors
-    /// As [`Self::read`].
-    pub fn of_room(uri: &Uri, limits: &Limits) -> Result<(Self, Option<String>), Problem> {
-        let mut given = Pairs::read(uri, &ROOM_NAMES)?;
-        let token = given.take("token");
-        Ok((Self::of(given, limits)?, token))
     }
 
     /// The same of parameters that are known.
@@ -320,15 +306,6 @@ impl ViewQuery {
     }
 }
 
-/// What [`ViewQuery::of_room`] reads, but for the token, as the `OpenAPI` document tells it.
-pub struct RoomViewQuery;
-
-impl utoipa::IntoParams for RoomViewQuery {
-    fn into_params(within: impl Fn() -> Option<ParameterIn>) -> Vec<Parameter> {
-        ViewQuery::into_params(within).into_iter().filter(|p| ROOM_NAMES.contains(&p.name.as_str())).collect()
-    }
-}
-
 /// The lens of a picture of `size` that shows a part of one of a photo.
 fn part(k: &Intrinsics, photo: (u32, u32), crop: &Crop, size: (u32, u32)) -> Intrinsics {
     let scale = f64::from(size.0) / (crop.size[0] * f64::from(photo.0));
@@ -406,18 +383,6 @@ mod tests {
             let p = read(query).unwrap_err();
             assert_eq!((p.status, p.field.as_deref()), (400, Some(field)), "{query}: {}", p.detail);
         }
-    }
-
-    #[test]
-    fn a_frame_of_a_room_is_one_moment() {
-        let read = |query: &str| ViewQuery::of_room(&format!("/view?{query}").parse().unwrap(), &Limits::default());
-        let (query, token) = read("tx=0.03&w=80&format=jpeg&token=1.ab").unwrap();
-        assert_eq!((query.tx, query.w, query.format, token.as_deref()), (Some(0.03), Some(80), Some(PictureFormat::Jpeg), Some("1.ab")));
-        for (query, field) in [("path=orbit", "path"), ("v=1", "v"), ("frames=3", "frames"), ("w=0", "w"), ("token=1&token=2", "token")] {
-            assert_eq!(read(query).unwrap_err().field.as_deref(), Some(field), "{query}");
-        }
-        let told = <RoomViewQuery as utoipa::IntoParams>::into_params(|| None);
-        assert_eq!(told.len() + 1, ROOM_NAMES.len(), "all but the token");
     }
 
     #[test]

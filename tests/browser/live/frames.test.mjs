@@ -1,8 +1,7 @@
-// Frames of a camera, and views of the server, that fail.
+// Frames of a camera that fail.
 import assert from 'node:assert/strict';
 import { afterEach, describe, test } from 'node:test';
 import { eachFrame } from '../../../static/live/frames.js';
-import { ServedViews } from '../../../static/live/served-views.js';
 
 describe('frames of a camera', () => {
   afterEach(() => {
@@ -37,29 +36,5 @@ describe('frames of a camera', () => {
     };
     const reason = await new Promise((resume) => eachFrame(null, null, () => {}, resume));
     assert.equal(reason.message, 'the camera is gone');
-  });
-});
-
-describe('views of the server', () => {
-  test('one that is never answered is given up', async () => {
-    const { fetch, AbortSignal: Signal } = globalThis;
-    const soon = Signal.timeout;
-    try {
-      Signal.timeout = () => soon.call(Signal, 20);
-      globalThis.fetch = (_, { signal } = {}) =>
-        new Promise((_, refuse) => signal?.addEventListener('abort', () => refuse(signal.reason), { once: true }));
-      const pose = { tx: 0, ty: 0, tz: 0, yaw: 0, pitch: 0, roll: 0 };
-      const refused = new Promise((resume) => {
-        const room = { address: 'http://tmpi.example/v1/live/attic', token: '' };
-        const views = new ServedViews({}, room, { width: 320, height: 240 }, { shown: () => {}, refused: resume });
-        views.show(pose, 60, { width: 320, height: 240 }, { x: 0, y: 0, width: 1, height: 1 });
-        setTimeout(() => views.dispose(), 2000).unref();
-      });
-      const late = new Promise((resume) => setTimeout(() => resume('waits'), 1500));
-      assert.equal(await Promise.race([refused, late]), 'away');
-    } finally {
-      Object.assign(globalThis, { fetch });
-      Signal.timeout = soon;
-    }
   });
 });
