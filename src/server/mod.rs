@@ -57,7 +57,6 @@ mod time;
 mod timed;
 mod tls;
 mod traces;
-mod trusted;
 mod upkeep;
 mod upload;
 mod worker;

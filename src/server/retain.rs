@@ -3,22 +3,21 @@
 //! When photos were looked at is kept in `DIR/looked.json` at each sweep, so that a restart forgets little. In a store of several nodes photos go
 //! by their age alone, and the index there says which: no node knows when all of them were looked at.
 //!
-//! No clock is believed that jumps ahead, see trusted.rs. In a store it is the store's clock that counts, also for when a photo was accepted.
+//! The age of a photo goes by the clock of the machine that sweeps.
 
 use std::collections::BTreeMap;
 use std::io;
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use super::app::App;
-use super::cluster::{Cluster, Place, side_by_side};
+use super::cluster::{Cluster, Place};
 use super::entry::Entry;
 use super::id::PhotoId;
 use super::jobs::Jobs;
 use super::limits::Limits;
 use super::problem::Problem;
 use super::time::{rfc3339, wall_ms};
-use super::trusted::TrustedClock;
 
 /// The first sweep after a start.
 const FIRST: Duration = Duration::from_mins(1);
@@ -93,27 +92,23 @@ fn overdue(mut all: Vec<Candidate>, limits: &Limits, now_ms: u64) -> Vec<(PhotoI
     going
 }
 
-/// Among the times at which photos were looked at, that of the sweep.
-const SWEPT: &str = "swept";
-
 /// Sweeps now and then, where photos are to go.
 pub async fn sweep(app: App) {
     if app.limits.retain.is_none() && app.limits.retain_bytes.is_none() {
         return;
     }
-    let mut swept = None;
     if app.jobs.cluster.is_none() {
-        swept = remember(&app).await;
+        remember(&app).await;
     } else if app.limits.retain_bytes.is_some() {
         tracing::warn!("--retain-mib is for one node alone; photos of a store go by their age");
     }
-    let (mut pause, mut clock) = (FIRST.min(app.limits.retain_sweep), None);
+    let mut pause = FIRST.min(app.limits.retain_sweep);
     loop {
         tokio::time::sleep(pause).await;
         pause = app.limits.retain_sweep;
         let done = match app.jobs.cluster.clone() {
-            Some(cluster) => once_there(&app, &cluster, &mut clock).await,
-            None => once(&app, swept, &mut clock).await,
+            Some(cluster) => once_there(&app, &cluster).await,
+            None => once(&app).await,
         };
         if let Err(problem) = done {
             tracing::warn!(detail = %problem.detail, "photos that are to go stay until the next sweep");
@@ -121,26 +116,19 @@ pub async fn sweep(app: App) {
     }
 }
 
-/// One sweep of a node alone; the one before its start was at `swept`, in milliseconds since 1970.
-async fn once(app: &App, swept: Option<u64>, clock: &mut Option<TrustedClock>) -> Result<(), Problem> {
+/// One sweep of a node alone.
+async fn once(app: &App) -> Result<(), Problem> {
     let shared = Arc::clone(app);
     let all = app.change(move || shared.jobs.all().iter().map(|entry| Candidate::of(entry)).collect::<Vec<_>>()).await?;
-    let (told, at) = (wall_ms(), Instant::now());
-    // photos have the time of a clock that nothing was held against
-    let latest = swept.or_else(|| all.iter().map(|photo| photo.at_ms).max());
-    let now_ms = clock.get_or_insert_with(|| TrustedClock::start(told, latest, at)).time(told, at);
     // after them: a disk that is full takes nothing before
-    go(app, &all, overdue(all.clone(), &app.limits, now_ms)).await?;
-    keep(app, &all, now_ms).await
+    go(app, &all, overdue(all.clone(), &app.limits, wall_ms())).await?;
+    keep(app, &all).await
 }
 
 /// The same in a store of several nodes: what is behind the place of the youngest that is too old.
-async fn once_there(app: &App, cluster: &Arc<Cluster>, clock: &mut Option<TrustedClock>) -> Result<(), Problem> {
+async fn once_there(app: &App, cluster: &Arc<Cluster>) -> Result<(), Problem> {
     let Some(time) = app.limits.retain else { return Ok(()) };
-    let (of, before) = (Arc::clone(cluster), *clock);
-    let asked = tokio::task::spawn_blocking(move || store_time(&of, before));
-    let (now_ms, after) = asked.await.map_err(|e| Problem::internal("asking for the time", &e))?.map_err(|e| Problem::store(&e))?;
-    *clock = Some(after);
+    let now_ms = wall_ms();
     let mut after = Some(youngest(time, now_ms));
     loop {
         let (shared, cluster, limits) = (Arc::clone(app), Arc::clone(cluster), Arc::clone(&app.limits));
@@ -154,17 +142,6 @@ async fn once_there(app: &App, cluster: &Arc<Cluster>, clock: &mut Option<Truste
             return Ok(());
         }
     }
-}
-
-/// The time by the store's clock as far as that is believed, and what is known of it from now on.
-fn store_time(cluster: &Cluster, clock: Option<TrustedClock>) -> io::Result<(u64, TrustedClock)> {
-    let latest = match &clock {
-        Some(clock) => Some(clock.last()),
-        None => cluster.latest_ms()?,
-    };
-    let (told, at) = (cluster.now_ms(latest)?, Instant::now());
-    let mut clock = clock.unwrap_or_else(|| TrustedClock::start(told, latest, at));
-    Ok((clock.time(told, at), clock))
 }
 
 /// The place before that of the youngest photo that is too old.
@@ -192,13 +169,6 @@ fn old_there(jobs: &Jobs, cluster: &Cluster, limits: &Limits, now_ms: u64, after
     // in a store those that are given here are not all that take room
     let limits = Limits { retain_bytes: None, ..limits.clone() };
     let going = overdue(all.clone(), &limits, now_ms);
-    // the clock of the node that took it may have been behind
-    let is_old = |(id, _): &(PhotoId, Reason)| -> io::Result<bool> {
-        let accepted = cluster.accepted_ms(*id)?;
-        Ok(accepted.and_then(|at_ms| ends_ms(&limits, at_ms)).is_none_or(|end| end <= now_ms))
-    };
-    let are_old = side_by_side(&going, is_old).into_iter().collect::<io::Result<Vec<bool>>>()?;
-    let going = going.into_iter().zip(are_old).filter(|(_, is_old)| *is_old).map(|(photo, _)| photo).collect();
     Ok(Old { held, all, going, is_end })
 }
 
@@ -223,37 +193,34 @@ async fn go(app: &App, all: &[Candidate], going: Vec<(PhotoId, Reason)>) -> Resu
     Ok(())
 }
 
-/// Keeps when photos were looked at, where that counts, and the time of the sweep.
-async fn keep(app: &App, all: &[Candidate], now_ms: u64) -> Result<(), Problem> {
-    let counted = if app.limits.retain_bytes.is_some() { all } else { &[] };
-    let mut seen: BTreeMap<String, u64> = counted.iter().map(|photo| (photo.id.to_string(), photo.seen_ms)).collect();
-    seen.insert(SWEPT.into(), now_ms);
+/// Keeps when photos were looked at, where that counts.
+async fn keep(app: &App, all: &[Candidate]) -> Result<(), Problem> {
+    if app.limits.retain_bytes.is_none() {
+        return Ok(());
+    }
+    let seen: BTreeMap<String, u64> = all.iter().map(|photo| (photo.id.to_string(), photo.seen_ms)).collect();
     let text = serde_json::to_vec(&seen).map_err(|e| Problem::internal("when photos were looked at", &e))?;
     let shared = Arc::clone(app);
     app.change(move || shared.jobs.store.write_looked(&text)).await?.map_err(|e| Problem::store(&e))
 }
 
-/// Takes up when photos were looked at before the start; gives the time of the last sweep.
-async fn remember(app: &App) -> Option<u64> {
+/// Takes up when photos were looked at before the start.
+async fn remember(app: &App) {
     let shared = Arc::clone(app);
     let read = tokio::task::spawn_blocking(move || {
         let bytes = shared.jobs.store.read_looked()?;
-        let mut seen: BTreeMap<String, u64> = serde_json::from_slice(&bytes)?;
-        let swept = seen.remove(SWEPT);
+        let seen: BTreeMap<String, u64> = serde_json::from_slice(&bytes)?;
         for (id, ms) in seen {
             if let Some(entry) = id.parse().ok().and_then(|id| shared.jobs.get(id)) {
                 entry.look(ms);
             }
         }
-        Ok::<_, io::Error>(swept)
+        Ok::<_, io::Error>(())
     });
-    match read.await {
-        Ok(Ok(swept)) => swept,
-        Ok(Err(error)) if error.kind() != io::ErrorKind::NotFound => {
-            tracing::warn!(%error, "when photos were looked at is not known; it counts when they were made");
-            None
-        }
-        _ => None,
+    if let Ok(Err(error)) = read.await
+        && error.kind() != io::ErrorKind::NotFound
+    {
+        tracing::warn!(%error, "when photos were looked at is not known; it counts when they were made");
     }
 }
 
@@ -268,9 +235,8 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::server::cluster::memory::{self, Memory, put, settings};
+    use crate::server::cluster::memory::{Memory, put};
     use crate::server::jobs::among_tests::node;
-    use crate::server::part::Part;
 
     const DAY_MS: u64 = 86_400_000;
 
@@ -301,50 +267,16 @@ mod tests {
     }
 
     #[test]
-    fn no_photo_of_a_store_goes_too_early_whichever_clock_is_wrong() {
+    fn the_old_photos_of_a_store_go() {
         let (store, limits) = (Memory::default(), Limits { retain: Some(Duration::from_hours(48)), ..Limits::default() });
         store.built();
         let node = node(&store, &limits);
-        // the node's clock is right, or three days behind that of the store
-        let (wall, now) = (wall_ms(), wall_ms() + 3 * DAY_MS);
-        store.tells(now);
-        let old = put(&store, 1, wall, None, true).1;
-        put(&store, 2, now - DAY_MS, None, true);
-        let (behind, accepted) = memory::accepted(3, wall, None);
-        assert!(node.cluster.accept(behind, &accepted, &settings(3), vec![(Part::Upload, b"photo".to_vec())]).unwrap());
-        memory::finish(&node.cluster, behind);
-        let going = |now_ms: u64| {
-            let Old { going, is_end, .. } =
-                old_there(&node.jobs, &node.cluster, &limits, now_ms, Some(youngest(Duration::from_hours(48), now_ms))).unwrap();
-            assert!(is_end);
-            going.into_iter().map(|(id, _)| id).collect::<Vec<_>>()
-        };
-        assert_eq!(going(now), [old], "not what came just now");
-        assert_eq!(going(now + 3 * DAY_MS).len(), 3);
-    }
-
-    #[test]
-    fn a_store_whose_clock_jumps_ahead_is_not_believed_nor_after_a_restart() {
-        let store = Memory::default();
-        store.built();
-        let node = node(&store, &Limits::default());
-        let (now, years) = (20_000 * DAY_MS, 4_000 * DAY_MS);
-        store.tells(now);
-        put(&store, 1, now - DAY_MS, None, true);
-        let near = |ms: u64| (now..now + 60_000).contains(&ms);
-        let (first, clock) = store_time(&node.cluster, None).unwrap();
-        assert_eq!(first, now);
-        let (second, clock) = store_time(&node.cluster, Some(clock)).unwrap();
-        assert!(near(second));
-        store.tells(now + years);
-        assert!(near(store_time(&node.cluster, Some(clock)).unwrap().0));
-        // and a photo that is taken meanwhile
-        put(&store, 2, now + years, None, true);
-        assert!(near(store_time(&node.cluster, None).unwrap().0), "a node that starts");
-        store.tells(now + 7);
-        assert_eq!(store_time(&node.cluster, None).unwrap().0, now + 7);
-        store.is_away(true);
-        assert!(store_time(&node.cluster, None).is_err());
+        let now = 20_000 * DAY_MS;
+        let old = put(&store, 1, now - 2 * DAY_MS, None, true).1;
+        put(&store, 2, now - 2 * DAY_MS + 1, None, true);
+        let part = old_there(&node.jobs, &node.cluster, &limits, now, Some(youngest(Duration::from_hours(48), now))).unwrap();
+        assert!(part.is_end);
+        assert_eq!(part.going, [(old, Reason::Age)]);
     }
 
     proptest! {

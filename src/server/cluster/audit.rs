@@ -8,7 +8,6 @@ use std::time::Duration;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-use super::age::{audit_ms, making_ms};
 use super::index::{self, Listed};
 use super::ports::{Blobs, Ledger};
 use super::records::{self, End, Marker, Photo};
@@ -16,6 +15,9 @@ use crate::server::id::PhotoId;
 use crate::server::part::Part;
 use crate::server::records as outcome;
 use crate::server::time::wall_ms;
+
+/// Digits of the time that begins the name of a making.
+const TIME: usize = 13;
 
 /// What a store has, lacks and has left over. Lists are of names of records and blobs, in order.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
@@ -92,9 +94,7 @@ pub fn audit(store: &str, age: Duration, remedy: Remedy) -> io::Result<Audit> {
         return Err(io::Error::new(io::ErrorKind::NotFound, "there is no such folder"));
     }
     let (blobs, ledger) = super::open::ports_at(store)?;
-    // what is removed is old by the store's own clock, whatever this machine's says; who only looks writes nothing
-    let now_ms = if remedy == Remedy::Remove { audit_ms(&*blobs, &*ledger)? } else { wall_ms() };
-    let before_ms = now_ms.saturating_sub(age.as_millis() as u64);
+    let before_ms = wall_ms().saturating_sub(age.as_millis() as u64);
     let mut audit = Auditor { blobs: Arc::clone(&blobs), ledger, before_ms, remedy, audit: Audit::default() }.run()?;
     if remedy == Remedy::Remove {
         audit.folders = blobs.tidy(age)?;
@@ -291,7 +291,7 @@ impl Auditor {
     fn other(&mut self, name: &str, wanted: &Wanted) -> io::Result<()> {
         if let Some(Listed { place: (at_ms, id), .. }) = Listed::read(name) {
             let is_open = wanted.open.iter().any(|(of, _)| *of == id);
-            if !wanted.unknown.contains(&id) && !is_open && at_ms < self.before_ms && self.is_written_before(name)? {
+            if !wanted.unknown.contains(&id) && !is_open && at_ms < self.before_ms {
                 self.audit.left_over.push(name.to_owned());
             }
             return Ok(());
@@ -310,19 +310,15 @@ impl Auditor {
         } else if name.starts_with(records::PENDING) {
             self.record::<Marker>(name)?;
         }
-        if self.audit.unread.len() == unread && self.is_written_before(name)? {
+        if self.audit.unread.len() == unread {
             self.audit.left_over.push(name.to_owned());
         }
         Ok(())
     }
 
     fn is_old(&self, making: &str) -> bool {
-        making_ms(making).is_some_and(|ms| ms < self.before_ms)
-    }
-
-    /// Whether that is so by the store's clock, too: names have the time of the node that gave them.
-    fn is_written_before(&self, name: &str) -> io::Result<bool> {
-        Ok(self.ledger.written(name)?.is_none_or(|ms| ms < self.before_ms))
+        // a making's name begins with its time in milliseconds since 1970
+        making.get(..TIME).and_then(|ms| ms.parse::<u64>().ok()).is_some_and(|ms| ms < self.before_ms)
     }
 }
 

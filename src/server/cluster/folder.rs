@@ -9,7 +9,7 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::time::{Duration, Instant, UNIX_EPOCH};
+use std::time::{Duration, Instant};
 
 use super::index::OWNERS;
 use super::names::{Names, Reading};
@@ -220,14 +220,6 @@ impl Ledger for Folder {
     fn remove(&self, name: &str) -> io::Result<()> {
         let _lock = self.lock()?;
         self.gone(name)
-    }
-
-    fn written(&self, name: &str) -> io::Result<Option<u64>> {
-        match fs::metadata(self.root.join(name)).and_then(|of| of.modified()).map_err(|e| self.missing(e)) {
-            Ok(at) => Ok(at.duration_since(UNIX_EPOCH).ok().map(|since| since.as_millis() as u64)),
-            Err(e) if e.kind() == ErrorKind::NotFound => Ok(None),
-            Err(e) => Err(e),
-        }
     }
 
     fn page(&self, folder: &str, after: Option<&str>, limit: usize) -> io::Result<Vec<String>> {

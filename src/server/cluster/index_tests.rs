@@ -184,10 +184,6 @@ fn a_photo_that_the_index_lacks_is_told_and_entered_and_what_is_stale_goes() {
         folder.create(name, b"{\"version\": 1}").unwrap();
     }
     stale.sort_unstable();
-    assert_eq!(with(Remedy::Remove).removed, 0, "entered just now, by a node of which the clock is wrong");
-    for name in &stale {
-        tests::aged(dir.path(), name);
-    }
     let removed = with(Remedy::Remove);
     assert_eq!((removed.left_over, removed.removed, removed.unread.len()), (stale, 3, 0));
     assert_eq!(folder.all("lists/").unwrap().len(), 5);

@@ -32,10 +32,6 @@ struct Inner {
     left: AtomicUsize,
     away: AtomicBool,
     meanwhile: Meanwhile,
-    /// What the store's clock says; 0 where it does not tell.
-    now_ms: AtomicU64,
-    /// When what is there was written by that.
-    written: Mutex<BTreeMap<String, u64>>,
 }
 
 /// Begin of the names of records, and what others do while one of them is read or created.
@@ -52,14 +48,7 @@ impl std::fmt::Debug for Meanwhile {
 
 impl Default for Inner {
     fn default() -> Self {
-        Self {
-            there: Mutex::default(),
-            left: AtomicUsize::new(usize::MAX),
-            away: AtomicBool::new(false),
-            meanwhile: Meanwhile::default(),
-            now_ms: AtomicU64::new(0),
-            written: Mutex::default(),
-        }
+        Self { there: Mutex::default(), left: AtomicUsize::new(usize::MAX), away: AtomicBool::new(false), meanwhile: Meanwhile::default() }
     }
 }
 
@@ -77,18 +66,6 @@ impl Memory {
     /// From now on nothing can be reached, or everything can.
     pub fn is_away(&self, away: bool) {
         self.0.away.store(away, Ordering::SeqCst);
-    }
-
-    /// From now on the store's clock says so; it stands still.
-    pub fn tells(&self, now_ms: u64) {
-        self.0.now_ms.store(now_ms, Ordering::SeqCst);
-    }
-
-    fn note_time(&self, name: &str) {
-        let now_ms = self.0.now_ms.load(Ordering::SeqCst);
-        if now_ms > 0 {
-            lock(&self.0.written).insert(name.to_owned(), now_ms);
-        }
     }
 
     /// Says that the index has all photos.
@@ -160,9 +137,6 @@ impl Ledger for Memory {
         }
         self.change(|there| {
             let is_new = !there.contains_key(name);
-            if is_new {
-                self.note_time(name);
-            }
             there.entry(name.to_owned()).or_insert_with(|| (bytes.to_vec(), 0));
             is_new
         })
@@ -178,18 +152,12 @@ impl Ledger for Memory {
         self.change(|there| {
             let (now, version) = there.get_mut(name).filter(|(_, version)| version.to_string() == seen.0)?;
             (*now, *version) = (bytes.to_vec(), *version + 1);
-            self.note_time(name);
             Some(Tag(version.to_string()))
         })
     }
 
     fn remove(&self, name: &str) -> io::Result<()> {
         self.change(|there| drop(there.remove(name)))
-    }
-
-    fn written(&self, name: &str) -> io::Result<Option<u64>> {
-        let is_there = self.there()?.contains_key(name);
-        Ok(lock(&self.0.written).get(name).copied().filter(|_| is_there))
     }
 
     fn page(&self, folder: &str, after: Option<&str>, limit: usize) -> io::Result<Vec<String>> {
@@ -202,9 +170,7 @@ impl Ledger for Memory {
 
 impl Blobs for Memory {
     fn put(&self, name: &str, bytes: Vec<u8>) -> io::Result<()> {
-        self.change(|there| drop(there.insert(name.to_owned(), (bytes, 0))))?;
-        self.note_time(name);
-        Ok(())
+        self.change(|there| drop(there.insert(name.to_owned(), (bytes, 0))))
     }
 
     fn read(&self, name: &str) -> io::Result<Vec<u8>> {
@@ -258,17 +224,6 @@ pub fn put(ledger: &dyn Ledger, n: u32, at_ms: u64, owner: Option<&Owner>, enter
     let photo = Photo { version: 1, accepted, settings: settings(n), source, making, before: None, strokes: None };
     assert!(ledger.create(&Photo::name(id), &serde_json::to_vec(&photo).unwrap()).unwrap());
     (at_ms, id)
-}
-
-/// Makes a photo that waits.
-pub fn finish(cluster: &Cluster, id: PhotoId) {
-    let photo = cluster.look(id).unwrap().unwrap().photo;
-    let claim::Claim::Ours(held) = cluster.claim(&Hint { marker: Marker::name_of(id, &photo.making) }).unwrap() else {
-        panic!("it is nobody's")
-    };
-    let of = cluster.name_of(&held);
-    let end = End { version: 1, outcome: Outcome::Done(done(photo.accepted.at_ms)), blobs: format!("{}{of}", records::blobs(id)) };
-    assert_eq!(cluster.end(&held, &of, &end, &[]).unwrap(), "done");
 }
 
 /// Enters a photo as if it had been accepted then, and by that owner.

@@ -2,7 +2,6 @@
 //! hint and may lose everything. What a node has on its own disk and in its memory are copies: of the photos that were asked for last, however many
 //! the store has. Lists and sums go by an index there.
 
-mod age;
 mod audit;
 mod bus;
 mod claim;

@@ -214,14 +214,6 @@ impl Ledger for Objects {
         self.delete(name)
     }
 
-    fn written(&self, name: &str) -> io::Result<Option<u64>> {
-        let path = self.path(name)?;
-        match self.runtime.block_on(self.records.head(&path)) {
-            Ok(meta) => Ok(u64::try_from(meta.last_modified.timestamp_millis()).ok()),
-            Err(e) => absent(e, |e| matches!(e, Error::NotFound { .. })),
-        }
-    }
-
     fn page(&self, folder: &str, after: Option<&str>, limit: usize) -> io::Result<Vec<String>> {
         let path = self.path(folder.trim_end_matches('/'))?;
         let names = match after {

@@ -84,13 +84,6 @@ pub trait Ledger: Debug + Send + Sync + 'static {
     /// The store cannot be reached.
     fn remove(&self, name: &str) -> io::Result<()>;
 
-    /// When a record or blob was written last, by the store's own clock, in milliseconds since 1970; none where there is no such, or the store
-    /// does not tell. It may be a second early.
-    ///
-    /// # Errors
-    /// The store cannot be reached.
-    fn written(&self, name: &str) -> io::Result<Option<u64>>;
-
     /// At most `limit` names of records or blobs within a folder (`folder/`), in order of their bytes, those after `after`. Where that
     /// is a name that an earlier page gave, the page may be of the same moment as that one, some seconds ago.
     ///

@@ -6,7 +6,6 @@
 //! pending/MAKING.ID            a making that has not ended: Marker; the oldest are listed first
 //! lists/…                       the index of photos, newest first; see index.rs
 //! access/secret                what ids and links are made with where the nodes ask who comes: Shared; created once, by the first of them
-//! clock/…                      written to see the time of the store's own clock; see age.rs
 //! blobs/ID/MAKING.PART         what was uploaded, and strokes
 //! blobs/ID/MAKING-NODE-N.PART  what a node made
 //! ```
