@@ -63,7 +63,6 @@ enum Command {
     Config(config::ConfigArgs),
     Fsck(store::FsckArgs),
     Gc(store::GcArgs),
-    Migrate(store::MigrateArgs),
     Models(models::ModelsArgs),
     Live(live::LiveArgs),
     Key(key::KeyArgs),
@@ -177,7 +176,6 @@ fn run(command: Command) -> anyhow::Result<()> {
         }
         Command::Fsck(args) => store::fsck(&args),
         Command::Gc(args) => store::gc(&args),
-        Command::Migrate(args) => store::migrate(&args),
         Command::Synth(args) => synth::run(&args),
         Command::Check(args) => check::run(&args),
         Command::Compare(args) => compare::run(&args),

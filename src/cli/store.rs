@@ -1,12 +1,11 @@
-//! `tmpi fsck`, `tmpi gc` and `tmpi migrate`: the store of several nodes.
+//! `tmpi fsck` and `tmpi gc`: the store of several nodes.
 
-use std::path::PathBuf;
 use std::time::Duration;
 
 use anyhow::Context;
 
 use super::{note, result};
-use crate::server::{self, Audit, Migration, Remedy, audit};
+use crate::server::{Audit, Remedy, audit};
 
 /// Check the store that several nodes share: whether all that belongs to each photo is there; they may run meanwhile
 #[derive(Clone, Debug, clap::Args)]
@@ -38,47 +37,6 @@ struct Which {
     /// JSON on standard output
     #[arg(long)]
     json: bool,
-}
-
-/// Bring the photos of a node alone, which does not run meanwhile, into the store that several nodes share; it can be run again
-#[derive(Clone, Debug, clap::Args)]
-pub(super) struct MigrateArgs {
-    /// Data directory of the node alone; nothing is removed there
-    #[arg(long, default_value = "tmpi-data", value_name = "DIR")]
-    data: PathBuf,
-    #[arg(long, value_name = "URL", help = "The store, as `serve --store` takes it")]
-    store: String,
-    /// Tell what would be brought, and write nothing
-    #[arg(long)]
-    dry_run: bool,
-    /// JSON on standard output
-    #[arg(long)]
-    json: bool,
-}
-
-pub(super) fn migrate(args: &MigrateArgs) -> anyhow::Result<()> {
-    let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build()?;
-    let _within = runtime.enter();
-    let migration = server::migrate(&args.data, &args.store, args.dry_run)
-        .with_context(|| format!("bringing {} into the store {}", args.data.display(), args.store))?;
-    let Migration { photos, brought, known, pending, bytes, unread, damaged, other_secret } = &migration;
-    for (what, names) in [("cannot be read", unread), ("damaged, to be made again", damaged)] {
-        for name in names {
-            note(&format!("{what}: {name}"));
-        }
-    }
-    if *other_secret {
-        note("the store's secret is another: links that were given out before open nothing");
-    }
-    let text = format!(
-        "{photos} photos: {brought} {} ({:.1} MB, {pending} to be made), {known} there already, {} cannot be read",
-        if args.dry_run { "would be brought" } else { "brought" },
-        *bytes as f64 / 1e6,
-        unread.len(),
-    );
-    result(&if args.json { serde_json::to_string_pretty(&migration)? } else { text })?;
-    anyhow::ensure!(unread.is_empty(), "some photos of {} cannot be read", args.data.display());
-    Ok(())
 }
 
 pub(super) fn fsck(args: &FsckArgs) -> anyhow::Result<()> {

@@ -74,7 +74,7 @@ pub use accept::Held;
 pub use access::keys;
 pub(crate) use access::same;
 pub use child::{ProcessMaker, VARIABLE, serve as make_for_a_server};
-pub use cluster::{Audit, Migration, Nats, Remedy, Role, Sharing, audit, check_store, migrate};
+pub use cluster::{Audit, Nats, Remedy, Role, Sharing, audit, check_store};
 pub(crate) use conditional::{Coding, Entity, respond};
 pub use files::Reserve;
 pub use id::{PhotoId, hex};

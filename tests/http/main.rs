@@ -31,7 +31,6 @@ mod manage;
 mod manners;
 mod matrix;
 mod measure;
-mod migrate;
 mod nats;
 mod nodes;
 mod openapi;

@@ -11,7 +11,6 @@ mod index;
 mod jetstream;
 mod local;
 mod look;
-mod migrate;
 mod names;
 mod objects;
 mod open;
@@ -44,7 +43,6 @@ pub use audit::{Audit, Remedy, audit};
 pub use hear::hear;
 pub use index::{Place, stem};
 pub use look::{Seen, keep_up, side_by_side};
-pub use migrate::{Migration, migrate};
 pub use open::{Nats, Role, Sharing, check_store};
 pub use work::work;
 

@@ -59,12 +59,6 @@ impl Store {
         self.look_at(&ids)
     }
 
-    /// Photos that cannot be read.
-    #[must_use]
-    pub fn unreadable_ids(&self) -> Vec<PhotoId> {
-        self.unread().clone()
-    }
-
     /// Count of photos that cannot be read.
     #[must_use]
     pub fn unreadable(&self) -> usize {
