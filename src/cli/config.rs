@@ -11,9 +11,10 @@ use std::path::Path;
 
 use clap::error::{ContextKind, ContextValue, ErrorKind};
 use clap::parser::ValueSource;
-use clap::{Arg, ArgAction, ArgMatches, Command};
+use clap::{Arg, ArgAction, ArgMatches, Args as _, Command};
 use toml::{Table, Value};
 
+use super::flags::ModelFlags;
 use super::serve::{Effect, ServeArgs};
 
 /// Show the settings that `serve` would have, as a file that --config takes, and where each comes from
@@ -32,6 +33,21 @@ const COMMANDS: [&str; 3] = ["serve", "work", "config"];
 const KEY: &str = "key";
 /// Settings that are addresses, in which there may be secrets.
 const ADDRESSES: [&str; 4] = ["nats", "network-url", "otlp", "store"];
+/// Settings that processes that make photos for a server get besides those of networks. None of them may be a secret.
+const FOR_MAKERS: [&str; 12] = [
+    "backend",
+    "decoder-memory",
+    "job-memory",
+    "log",
+    "max-body",
+    "max-pixels",
+    "max-side",
+    "memory",
+    "renders",
+    "scene-cache",
+    "view-pixels",
+    "view-side",
+];
 /// What the variables of settings begin with.
 const PREFIX: &str = "TMPI_SERVE_";
 /// The option that names the file.
@@ -155,6 +171,29 @@ fn values(option: &Arg, value: &Value) -> Result<Vec<String>, String> {
         }
         value => one(value).map(|v| vec![v]),
     }
+}
+
+/// The command line of the processes that make photos for a server that was given these settings.
+pub(super) fn for_makers(command: &Command, given: &ArgMatches) -> Vec<OsString> {
+    let networks = ModelFlags::augment_args(Command::new(""));
+    let is_one = |long: &str| FOR_MAKERS.contains(&long) || networks.get_arguments().any(|arg| arg.get_long() == Some(long));
+    let mut line = vec![OsString::from(COMMANDS[0])];
+    for option in command.get_arguments() {
+        let (id, Some(long)) = (option.get_id().as_str(), option.get_long().filter(|long| is_one(long))) else { continue };
+        if !matches!(given.value_source(id), Some(ValueSource::CommandLine | ValueSource::EnvVariable)) {
+            continue;
+        }
+        if matches!(option.get_action(), ArgAction::SetTrue) {
+            line.extend(given.get_flag(id).then(|| format!("--{long}").into()));
+            continue;
+        }
+        for value in given.get_raw(id).into_iter().flatten() {
+            let mut text = OsString::from(format!("--{long}="));
+            text.push(value);
+            line.push(text);
+        }
+    }
+    line
 }
 
 /// What holds, as a file that `--config` takes, each line with where its value comes from; defaults, and what follows from others, are comments.

@@ -114,9 +114,14 @@ fn parsed() -> Result<(Option<String>, Cli), clap::Error> {
     let (line, from_file) = config::with_file(&definition, std::env::args_os().collect())?;
     let all = definition.clone().try_get_matches_from(line)?;
     let mut cli = Cli::from_arg_matches(&all)?;
-    if let (Command::Config(args), Some((name, given))) = (&mut cli.command, all.subcommand()) {
-        let effects = args.serve.effects();
-        args.shown = definition.find_subcommand(name).map(|c| config::shown(c, given, &from_file, &effects)).unwrap_or_default();
+    if let Some((name, given)) = all.subcommand()
+        && let Some(called) = definition.find_subcommand(name)
+    {
+        match &mut cli.command {
+            Command::Config(args) => args.shown = config::shown(called, given, &from_file, &args.serve.effects()),
+            Command::Serve(args) | Command::Work(WorkArgs { serve: args }) => args.for_makers = config::for_makers(called, given),
+            _ => {}
+        }
     }
     Ok((all.subcommand_name().map(str::to_owned), cli))
 }

@@ -1,5 +1,6 @@
 //! `tmpi serve`.
 
+use std::ffi::OsString;
 use std::io::Write as _;
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::PathBuf;
@@ -19,7 +20,7 @@ use sha2::{Digest as _, Sha256};
 use crate::live::{self, NatsAddress, Rooms};
 use crate::server::{
     Better, Collector, Config, Limits, Nats, PipelineMaker, ProcessMaker, Role, Server, Sharing, Tls, VARIABLE, allocate_in_one_place, hex,
-    make_for_a_server, stop_signal,
+    keep_from_others, make_for_a_server, stop_signal,
 };
 use tmpi_pipeline::Models;
 use tmpi_pipeline::networks::models::{self, download::Digest};
@@ -202,6 +203,9 @@ pub(super) struct ServeArgs {
     models: ModelFlags,
     #[command(flatten)]
     bounds: BoundArgs,
+    /// The command line of processes that make photos.
+    #[arg(skip)]
+    pub for_makers: Vec<OsString>,
 }
 
 /// Whether to ask who comes.
@@ -362,6 +366,7 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
         make_for_a_server(&maker, &limits, &drawing);
         return Ok(());
     }
+    keep_from_others();
     let rooms = args.rooms(&models)?;
     allocate_in_one_place();
     if let Err(error) = tmpi_pipeline::networks::available() {
@@ -371,7 +376,7 @@ pub(super) fn run(args: ServeArgs) -> anyhow::Result<()> {
     open_files(u64::from(args.connections) + SPARE_FILES);
     let renderer = tmpi_render::select_within(args.backend, limits.scene_cache).context("renderer")?;
     let better = BetterNetwork::of(&args.models, args.network_url, args.network_sha256);
-    let maker = ProcessMaker::new(maker, &args.data).with_better(better.map(|b| Box::new(b) as Box<dyn Better>));
+    let maker = ProcessMaker::new(maker, args.for_makers, &args.data).with_better(better.map(|b| Box::new(b) as Box<dyn Better>));
     if !private && !args.addr.ip().is_loopback() {
         tracing::warn!(
             "everybody who can reach the server may see and change every photo whose address they know; --access private asks who comes"

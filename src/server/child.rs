@@ -1,7 +1,8 @@
 //! Photos made in a process of their own, which can be stopped at any moment and takes nothing down with it.
 //!
 //! What decodes foreign pictures or runs networks cannot be asked to stop, and what takes too much memory ends its process. So the
-//! server runs its own program once more, with the same arguments and [`VARIABLE`] set, and keeps it for the next photo.
+//! server runs its own program once more, with [`VARIABLE`] set, and keeps it for the next photo. The process gets the arguments that concern
+//! making photos and the variables of [`is_passed`]: whoever breaks a decoder finds no credentials there.
 
 mod ask;
 mod files;
@@ -10,7 +11,7 @@ mod inside;
 mod photos;
 mod scratch;
 
-use std::ffi::OsStr;
+use std::ffi::{OsStr, OsString};
 use std::io;
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdin, Command, Stdio};
@@ -42,7 +43,7 @@ pub struct ProcessMaker {
     checks: PipelineMaker,
     /// Processes that wait for a photo.
     idle: Mutex<Vec<Worker>>,
-    command: fn() -> io::Result<Command>,
+    command: Box<dyn Fn() -> io::Result<Command> + Send + Sync>,
     /// Below which each process has its temporary files.
     scratch: PathBuf,
     /// What fetches a better network; processes that start after it was fetched use it.
@@ -100,31 +101,65 @@ fn end_group(child: &Child) {
 #[cfg(not(unix))]
 fn end_group(_: &Child) {}
 
-/// This program with its own arguments, as a process that makes photos.
-fn this_program() -> io::Result<Command> {
+/// This program with these arguments, as a process that makes photos.
+fn this_program(arguments: &[OsString]) -> io::Result<Command> {
     // the file may have been replaced meanwhile
     let program = if cfg!(target_os = "linux") { "/proc/self/exe".into() } else { std::env::current_exe()? };
     let mut command = Command::new(program);
-    command.args(std::env::args_os().skip(1)).env(VARIABLE, "1");
-    // whoever breaks a decoder is not to have the store as well
-    for (name, _) in std::env::vars_os().filter(|(name, _)| is_of_the_store(name)) {
-        command.env_remove(name);
-    }
+    let passed = std::env::vars_os().filter(|(name, _)| is_passed(name));
+    command.args(arguments).env_clear().envs(passed).env(VARIABLE, "1");
     Ok(command)
 }
 
-/// Whether a variable is one by which the store is reached.
-fn is_of_the_store(name: &OsStr) -> bool {
-    name.as_encoded_bytes().starts_with(b"AWS_")
+/// Whether a variable of the server's environment is passed to the processes that make photos: those that say where programs, libraries, networks
+/// and graphics adapters are, and how much is logged.
+fn is_passed(name: &OsStr) -> bool {
+    const NAMES: [&str; 17] = [
+        "CUDA_VISIBLE_DEVICES",
+        "HOME",
+        "LOCALAPPDATA",
+        "MALLOC_ARENA_MAX",
+        "NODEVICE_SELECT",
+        "ORT_DYLIB_PATH",
+        "PATH",
+        "RAYON_NUM_THREADS",
+        "RUST_BACKTRACE",
+        "RUST_LOG",
+        "SYSTEMROOT",
+        "TMPI_COSTS",
+        "TMPI_MODELS",
+        "USERPROFILE",
+        "XDG_CACHE_HOME",
+        "XDG_DATA_HOME",
+        "XDG_RUNTIME_DIR",
+    ];
+    const BEGINNINGS: [&str; 5] = ["DYLD_", "LD_", "LP_", "MESA_", "VK_"];
+    name.to_str().is_some_and(|name| NAMES.contains(&name) || BEGINNINGS.iter().any(|begin| name.starts_with(begin)))
 }
 
+/// Has the system keep the memory and the environment of this process from other processes of the same user, as those that make photos are; it
+/// writes no core dumps then.
+#[cfg(target_os = "linux")]
+#[allow(unsafe_code, reason = "a call of libc without memory of ours")]
+pub fn keep_from_others() {
+    // SAFETY: it takes no pointer
+    if unsafe { libc::prctl(libc::PR_SET_DUMPABLE, 0, 0, 0, 0) } != 0 {
+        tracing::warn!(error = %io::Error::last_os_error(), "other processes of this user can read the memory of this one");
+    }
+}
+
+/// Other systems are as they are.
+#[cfg(not(target_os = "linux"))]
+pub fn keep_from_others() {}
+
 impl ProcessMaker {
-    /// A maker that checks photos itself, and starts a process at once so that the first photo need not wait for it. Temporary files of
-    /// processes are in the data directory `data`.
+    /// A maker that checks photos itself, and starts a process at once so that the first photo need not wait for it. `arguments` are the command
+    /// line of the processes without the program; their temporary files are in the data directory `data`.
     #[must_use]
-    pub fn new(checks: PipelineMaker, data: &Path) -> Self {
+    pub fn new(checks: PipelineMaker, arguments: Vec<OsString>, data: &Path) -> Self {
+        let command = Box::new(move || this_program(&arguments));
         let scratch = scratch::folder(data);
-        let maker = Self { checks, idle: Mutex::default(), command: this_program, scratch, better: None, renewed: OnceLock::new() };
+        let maker = Self { checks, idle: Mutex::default(), command, scratch, better: None, renewed: OnceLock::new() };
         maker.prepare();
         maker
     }

@@ -73,7 +73,7 @@ use tokio::net::TcpListener;
 pub use accept::Held;
 pub use access::keys;
 pub(crate) use access::same;
-pub use child::{ProcessMaker, VARIABLE, serve as make_for_a_server};
+pub use child::{ProcessMaker, VARIABLE, keep_from_others, serve as make_for_a_server};
 pub use cluster::{Audit, Nats, Remedy, Role, Sharing, audit, check_store};
 pub(crate) use conditional::{Coding, Entity, respond};
 pub use files::Reserve;

@@ -207,14 +207,24 @@ fn ids(addr: SocketAddr) -> Vec<String> {
 
 #[test]
 #[cfg(target_os = "linux")]
-fn processes_that_make_photos_do_not_get_the_keys_of_the_store() {
+fn processes_that_make_photos_get_no_credentials() {
     let dir = tempfile::tempdir().unwrap();
-    let server = Process::start_in(dir.path(), &[], &[("AWS_SECRET_ACCESS_KEY", "of-the-store"), ("TMPI_SEEN", "of-all")]);
-    wait_until("there is a process that makes photos", || server.maker().is_some());
-    let environment = || std::fs::read(format!("/proc/{}/environ", server.maker().unwrap())).unwrap();
+    let environment = [
+        ("AWS_SECRET_ACCESS_KEY", "a-secret"),
+        ("AZURE_STORAGE_ACCOUNT_KEY", "a-secret"),
+        ("GOOGLE_SERVICE_ACCOUNT_KEY", "a-secret"),
+        ("OTEL_EXPORTER_OTLP_HEADERS", "authorization=a-secret"),
+        ("TMPI_SERVE_JOB_MEMORY", "5000"),
+        ("TMPI_MODELS", "/nowhere"),
+    ];
+    let server = Process::start_in(dir.path(), &["--network-url", "http://user:a-secret@localhost/"], &environment);
+    let read =
+        |file: &str| String::from_utf8_lossy(&std::fs::read(format!("/proc/{}/{file}", server.maker().unwrap())).unwrap()).into_owned();
     // until it has become this program, it has the environment of the server
-    wait_until("its environment is there", || String::from_utf8_lossy(&environment()).contains("TMPI_SEEN=of-all"));
-    wait_until("without the keys", || !String::from_utf8_lossy(&environment()).contains("of-the-store"));
+    wait_until("there is a process that makes photos", || server.maker().is_some() && read("environ").contains("TMPI_MAKES_PHOTOS=1"));
+    let (environment, line) = (read("environ"), read("cmdline"));
+    assert!(!environment.contains("a-secret") && !line.contains("a-secret"), "{environment} {line}");
+    assert!(environment.contains("TMPI_MODELS=/nowhere") && line.contains("--job-memory=5000"), "{environment} {line}");
 }
 
 #[test]

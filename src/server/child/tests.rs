@@ -22,7 +22,7 @@ impl Estimator for Flat {
 fn maker(command: fn() -> io::Result<Command>, data: &Path) -> ProcessMaker {
     let checks = PipelineMaker::new(Models { depth: Arc::new(Flat), theta: None, psi: None }, &Limits::default());
     let scratch = scratch::folder(data);
-    ProcessMaker { checks, idle: Mutex::default(), command, scratch, better: None, renewed: OnceLock::new() }
+    ProcessMaker { checks, idle: Mutex::default(), command: Box::new(command), scratch, better: None, renewed: OnceLock::new() }
 }
 
 fn fault(command: fn() -> io::Result<Command>) -> Fault {
@@ -37,6 +37,25 @@ fn shell(script: &str) -> Command {
     let mut command = Command::new("sh");
     command.args(["-c", script]);
     command
+}
+
+#[test]
+fn credentials_are_not_passed_on() {
+    for name in
+        ["AWS_SECRET_ACCESS_KEY", "GOOGLE_SERVICE_ACCOUNT", "AZURE_STORAGE_ACCOUNT_KEY", "OTEL_EXPORTER_OTLP_HEADERS", "TMPI_SERVE_NATS"]
+    {
+        assert!(!is_passed(OsStr::new(name)), "{name}");
+    }
+    assert!(is_passed(OsStr::new("TMPI_MODELS")) && is_passed(OsStr::new("LD_LIBRARY_PATH")));
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+#[allow(unsafe_code, reason = "a call of libc without memory of ours")]
+fn the_memory_of_the_server_is_kept_from_others() {
+    keep_from_others();
+    // SAFETY: it takes no pointer
+    assert_eq!(unsafe { libc::prctl(libc::PR_GET_DUMPABLE, 0, 0, 0, 0) }, 0);
 }
 
 #[test]
