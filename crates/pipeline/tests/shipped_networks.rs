@@ -59,7 +59,9 @@ fn scene(seed: u64) -> Scene {
     };
     let inside = |x: u32, y: u32| boxes.iter().rev().find(|(xs, ys, _)| xs.contains(&x) && ys.contains(&y));
     let at = |i: u32| (i % width, i / width);
-    let pixel = |(x, y): (u32, u32)| inside(x, y).map_or_else(|| wall(x, y), |(.., d)| [(d * 250.0) as u8, (x * 3 % 256) as u8, (y * 2 % 256) as u8]);
+    let pixel = |(x, y): (u32, u32)| {
+        inside(x, y).map_or_else(|| wall(x, y), |(.., d)| [(d * 250.0) as u8, (x * 3 % 256) as u8, (y * 2 % 256) as u8])
+    };
     let delta = |(x, y): (u32, u32)| inside(x, y).map_or_else(|| 0.35 - 0.1 * x as f32 / width as f32, |(.., d)| *d as f32);
     Scene {
         photo: Photo { width, height, rgb: (0..width * height).map(|i| pixel(at(i))).collect() },
@@ -87,7 +89,8 @@ fn denoised(models: &Models, photo: &Photo, map: &DisparityMap) -> Estimated {
 fn theta_takes_noise_away_and_knows_where_it_is_wrong() {
     let Some(models) = models() else { return };
     let Scene { photo, delta: clean, .. } = scene(1);
-    let noisy = DisparityMap { delta: clean.delta.iter().enumerate().map(|(i, d)| (d + NOISE * normal(i)).clamp(0.0, 1.0)).collect(), ..clean };
+    let noisy =
+        DisparityMap { delta: clean.delta.iter().enumerate().map(|(i, d)| (d + NOISE * normal(i)).clamp(0.0, 1.0)).collect(), ..clean };
     let got = denoised(&models, &photo, &noisy);
     let (before, after) = (errors(&noisy, &clean), errors(&got.delta, &clean));
     eprintln!("noise: {} to {}", mean(&before), mean(&after));
@@ -153,7 +156,7 @@ fn off_the_wall(layered: &Layered, scene: &Scene) -> f64 {
 }
 
 #[test]
-fn psi_repaints_hidden_texels_alone_and_makes_none_worse() {
+fn psi_repaints_hidden_texels_alone_and_no_worse() {
     let Some(models) = models() else { return };
     let (mut before, mut after) = (0.0, 0.0);
     for seed in 0..8 {

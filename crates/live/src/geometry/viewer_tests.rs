@@ -82,7 +82,9 @@ impl Sight {
         let pixel = |i: u32| {
             let (x, y) = (i % WIDTH, i / WIDTH);
             // the sum of twelve even values of −1 to 1 has the deviation 2
-            let grain = |c: u32| if self.grain > 0.0 { (0..12).map(|k| noise(12 * (3 * i + c) + k, number as u32 + 1)).sum::<f32>() / 2.0 } else { 0.0 };
+            let grain = |c: u32| {
+                if self.grain > 0.0 { (0..12).map(|k| noise(12 * (3 * i + c) + k, number as u32 + 1)).sum::<f32>() / 2.0 } else { 0.0 }
+            };
             [0, 1, 2].map(|c| (self.exposure * light(x, y) * [1.0, 0.9, 0.8][c as usize] + self.grain * grain(c)).clamp(0.0, 255.0) as u8)
         };
         Photo { width: WIDTH, height: HEIGHT, rgb: (0..WIDTH * HEIGHT).map(pixel).collect() }
@@ -164,7 +166,13 @@ fn light_that_fades_moves_nothing() {
         let exposure = 1.0 - 0.01 * f32::min(n as f32, 30.0);
         let seen = room.next(Sight { exposure, ..STILL });
         assert!(!seen.update.cut, "frame {n}");
-        eprintln!("{n}: off {:.3} trembled {:.3} sent {} changed {}", most(&seen.off), mean(&seen.trembled), seen.update.sent.len(), seen.update.changed.len());
+        eprintln!(
+            "{n}: off {:.3} trembled {:.3} sent {} changed {}",
+            most(&seen.off),
+            mean(&seen.trembled),
+            seen.update.sent.len(),
+            seen.update.changed.len()
+        );
         assert!(most(&seen.off) < ERROR, "frame {n}: {} px", most(&seen.off));
         flicker.push(mean(&seen.trembled));
         if n >= 50 {
@@ -175,7 +183,7 @@ fn light_that_fades_moves_nothing() {
 }
 
 #[test]
-fn light_that_is_switched_is_a_new_scene_at_the_same_place() {
+fn a_switched_light_begins_a_scene_at_the_same_place() {
     // a network that goes by what it sees tells a scene by the same scale in any light
     let mut room = Watched::new(0.0, Settings::default());
     (0..4).for_each(|_| drop(room.next(STILL)));
@@ -199,7 +207,13 @@ fn noise_beyond_the_tolerance_moves_little() {
             let seen = room.next(Sight { grain, ..STILL });
             assert!(!seen.update.cut, "frame {n}");
             changed += seen.update.changed.len();
-            eprintln!("{grain} {n}: off {:.3} trembled {:.3} sent {} changed {}", most(&seen.off), mean(&seen.trembled), seen.update.sent.len(), seen.update.changed.len());
+            eprintln!(
+                "{grain} {n}: off {:.3} trembled {:.3} sent {} changed {}",
+                most(&seen.off),
+                mean(&seen.trembled),
+                seen.update.sent.len(),
+                seen.update.changed.len()
+            );
             assert!(most(&seen.off) < ERROR, "frame {n}: {} px", most(&seen.off));
             flicker.push(mean(&seen.trembled));
         }
@@ -223,7 +237,13 @@ fn a_camera_and_a_thing_that_both_move_are_followed() {
             both += u32::from(near && thing);
             either += u32::from(near || thing);
         }
-        eprintln!("{n}: off {:.3} trembled {:.3} sent {} overlap {:.3}", most(&seen.off), mean(&seen.trembled), seen.update.sent.len(), f64::from(both) / f64::from(either));
+        eprintln!(
+            "{n}: off {:.3} trembled {:.3} sent {} overlap {:.3}",
+            most(&seen.off),
+            mean(&seen.trembled),
+            seen.update.sent.len(),
+            f64::from(both) / f64::from(either)
+        );
         assert!(most(&seen.off) < ERROR, "frame {n}: {} px", most(&seen.off));
         assert!(f64::from(both) > 0.9 * f64::from(either), "frame {n}: {both} of {either}");
         assert!(!seen.update.sent.is_empty(), "frame {n}");
