@@ -276,7 +276,12 @@ mod tests {
 
     #[test]
     fn soft_texels_take_its_alpha_and_stay_soft() {
-        let (photo, geometry, before) = scene();
+        let (photo, geometry, mut before) = scene();
+        // every third texel of the photo, on layers with hidden ones
+        for layer in before.iter_mut().flatten().filter(|l| needs(l)) {
+            let is_shown = |(class, _): &(&u8, &mut u8)| **class == Class::Photo as u8;
+            layer.shape.class.iter().zip(&mut layer.shape.alpha).filter(is_shown).step_by(3).for_each(|(_, alpha)| *alpha = 100);
+        }
         for (value, want) in [(0.0, 1), (0.5, 128), (1.0, 254), (-9.0, 1), (9.0, 254)] {
             let mut after = before.clone();
             let network = Fake(move |t: &Tensor| vec![constant(t, 1, value), own_colours(t)]);
