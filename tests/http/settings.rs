@@ -82,7 +82,7 @@ fn a_wrong_setting_is_named_and_changes_nothing() {
 }
 
 #[test]
-fn a_way_of_the_camera_is_an_animation_where_there_is_ffmpeg() {
+fn a_camera_path_is_drawn_as_an_animation() {
     let (_dir, server, photo) = with_photo(Limits::default());
     for (query, media_type, magic) in
         [("path=swing&frames=4", "image/webp", (8, b"WEBP")), ("path=orbit&frames=3&w=64&format=mp4", "video/mp4", (4, b"ftyp"))]

@@ -59,7 +59,9 @@ fn scene(seed: u64) -> Scene {
     };
     let inside = |x: u32, y: u32| boxes.iter().rev().find(|(xs, ys, _)| xs.contains(&x) && ys.contains(&y));
     let at = |i: u32| (i % width, i / width);
-    let pixel = |(x, y): (u32, u32)| inside(x, y).map_or_else(|| wall(x, y), |(.., d)| [(d * 250.0) as u8, (x * 3 % 256) as u8, (y * 2 % 256) as u8]);
+    let pixel = |(x, y): (u32, u32)| {
+        inside(x, y).map_or_else(|| wall(x, y), |(.., d)| [(d * 250.0) as u8, (x * 3 % 256) as u8, (y * 2 % 256) as u8])
+    };
     let delta = |(x, y): (u32, u32)| inside(x, y).map_or_else(|| 0.35 - 0.1 * x as f32 / width as f32, |(.., d)| *d as f32);
     Scene {
         photo: Photo { width, height, rgb: (0..width * height).map(|i| pixel(at(i))).collect() },
@@ -87,14 +89,13 @@ fn denoised(models: &Models, photo: &Photo, map: &DisparityMap) -> Estimated {
 fn theta_takes_noise_away_and_knows_where_it_is_wrong() {
     let Some(models) = models() else { return };
     let Scene { photo, delta: clean, .. } = scene(1);
-    let noisy = DisparityMap { delta: clean.delta.iter().enumerate().map(|(i, d)| (d + NOISE * normal(i)).clamp(0.0, 1.0)).collect(), ..clean };
+    let noisy =
+        DisparityMap { delta: clean.delta.iter().enumerate().map(|(i, d)| (d + NOISE * normal(i)).clamp(0.0, 1.0)).collect(), ..clean };
     let got = denoised(&models, &photo, &noisy);
     let (before, after) = (errors(&noisy, &clean), errors(&got.delta, &clean));
-    eprintln!("noise: {} to {}", mean(&before), mean(&after));
-    assert!(mean(&after) < 0.4 * mean(&before), "{} of {}", mean(&after), mean(&before));
+    assert!(mean(&after) < 0.25 * mean(&before), "{} of {}", mean(&after), mean(&before));
     // a box stays a box
     let row = &got.delta.delta[90 * SIZE.0 as usize..][..SIZE.0 as usize];
-    eprintln!("step: {} {}", row[57], row[62]);
     assert!(row[62] - row[57] > 0.2, "{} {}", row[57], row[62]);
     // the least certain tenth of the pixels errs more than the most certain half
     let confidence = got.confidence.unwrap();
@@ -103,7 +104,6 @@ fn theta_takes_noise_away_and_knows_where_it_is_wrong() {
     order.sort_by(|a, b| confidence[*a].total_cmp(&confidence[*b]));
     let of = |pixels: &[usize]| mean(&pixels.iter().map(|i| after[*i]).collect::<Vec<_>>());
     let (least, most) = (of(&order[..order.len() / 10]), of(&order[order.len() / 2..]));
-    eprintln!("confidence: {least} {most}");
     assert!(least > 1.5 * most, "{least} where it is uncertain, {most} where it is not");
 }
 
@@ -153,7 +153,7 @@ fn off_the_wall(layered: &Layered, scene: &Scene) -> f64 {
 }
 
 #[test]
-fn psi_repaints_hidden_texels_alone_and_makes_none_worse() {
+fn psi_repaints_hidden_texels_alone_and_no_worse() {
     let Some(models) = models() else { return };
     let (mut before, mut after) = (0.0, 0.0);
     for seed in 0..8 {
@@ -168,12 +168,10 @@ fn psi_repaints_hidden_texels_alone_and_makes_none_worse() {
         let view = draw_reference_view(&made).unwrap();
         assert!(view.rgba.iter().zip(&scene.photo.rgb).all(|(v, p)| v[..3] == *p));
         let (was, is) = (off_the_wall(&first, &scene), off_the_wall(&then, &scene));
-        eprintln!("seed {seed}: {was} to {is} levels");
         before += was / 8.0;
         after += is / 8.0;
     }
-    eprintln!("{before} to {after}");
-    assert!(after < before * 1.02, "{before} levels off before, {after} after");
+    assert!(after < before * 1.01, "{before} levels off before, {after} after");
 }
 
 #[test]

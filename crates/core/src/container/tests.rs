@@ -123,7 +123,7 @@ fn seeds_of_the_fuzzer_are_readable() {
 }
 
 #[test]
-fn each_pixel_of_a_smaller_level_shows_a_surface_below_it() {
+fn a_smaller_level_shows_only_surfaces_of_the_larger() {
     for (w, h) in [(151, 100), (64, 63), (1, 1), (2, 200)] {
         let whole = bare(&scene(w, h));
         assert_eq!(level(&whole, 0).unwrap(), whole);

@@ -332,7 +332,7 @@ mod tests {
     }
 
     #[test]
-    fn a_wall_that_is_painted_is_remembered_as_it_was_seen_last() {
+    fn a_painted_wall_is_remembered_as_last_seen() {
         let plain = |level: u8| move |_| [level; 3];
         let mut memory = Memory::new(frame(0, 1, plain(0)).1.grid);
         for step in 0..20u8 {

@@ -17,8 +17,10 @@ const WALL: (f32, f32) = (0.2, 0.35);
 const THING: f32 = 0.75;
 /// What a network's depth trembles by from run to run, in δ.
 const TREMBLE: f32 = 0.01;
-/// Pixels of error that planes may leave, with what is carried on from frame to frame: half as much again, and what is not sent.
-const ERROR: f64 = 1.5 * MAX_ERROR + PARALLAX;
+/// Pixels by which what is shown may be off: a quarter for what is not sent, as much again for a network that trembles.
+const ERROR: f64 = 2.0 * PARALLAX;
+/// Mean of the pixels by which what stands still may move from one frame to the next.
+const FLICKER: f64 = 0.02;
 
 /// Depth as it is, by another scale and shift each time and trembling, as networks tell it.
 #[derive(Default)]
@@ -82,7 +84,9 @@ impl Sight {
         let pixel = |i: u32| {
             let (x, y) = (i % WIDTH, i / WIDTH);
             // the sum of twelve even values of −1 to 1 has the deviation 2
-            let grain = |c: u32| if self.grain > 0.0 { (0..12).map(|k| noise(12 * (3 * i + c) + k, number as u32 + 1)).sum::<f32>() / 2.0 } else { 0.0 };
+            let grain = |c: u32| {
+                if self.grain > 0.0 { (0..12).map(|k| noise(12 * (3 * i + c) + k, number as u32 + 1)).sum::<f32>() / 2.0 } else { 0.0 }
+            };
             [0, 1, 2].map(|c| (self.exposure * light(x, y) * [1.0, 0.9, 0.8][c as usize] + self.grain * grain(c)).clamp(0.0, 255.0) as u8)
         };
         Photo { width: WIDTH, height: HEIGHT, rgb: (0..WIDTH * HEIGHT).map(pixel).collect() }
@@ -164,24 +168,22 @@ fn light_that_fades_moves_nothing() {
         let exposure = 1.0 - 0.01 * f32::min(n as f32, 30.0);
         let seen = room.next(Sight { exposure, ..STILL });
         assert!(!seen.update.cut, "frame {n}");
-        eprintln!("{n}: off {:.3} trembled {:.3} sent {} changed {}", most(&seen.off), mean(&seen.trembled), seen.update.sent.len(), seen.update.changed.len());
         assert!(most(&seen.off) < ERROR, "frame {n}: {} px", most(&seen.off));
         flicker.push(mean(&seen.trembled));
         if n >= 50 {
             assert!(seen.update.sent.is_empty(), "frame {n}: what stands still is not sent");
         }
     }
-    assert!(mean(&flicker) < PARALLAX, "{} px a frame", mean(&flicker));
+    assert!(mean(&flicker) < FLICKER, "{} px a frame", mean(&flicker));
 }
 
 #[test]
-fn light_that_is_switched_is_a_new_scene_at_the_same_place() {
+fn a_switched_light_begins_a_scene_at_the_same_place() {
     // a network that goes by what it sees tells a scene by the same scale in any light
     let mut room = Watched::new(0.0, Settings::default());
     (0..4).for_each(|_| drop(room.next(STILL)));
     let seen = room.next(Sight { exposure: 0.6, ..STILL });
     assert!(seen.update.cut && seen.update.sent.len() == room.room.geometry().unwrap().tiles.len());
-    eprintln!("off {:.3} trembled {:.3}", most(&seen.off), most(&seen.trembled));
     assert!(most(&seen.off) < ERROR && most(&seen.trembled) < ERROR, "{} px off, moved by {} px", most(&seen.off), most(&seen.trembled));
     for n in 0..20 {
         let seen = room.next(Sight { exposure: 0.6, ..STILL });
@@ -199,12 +201,11 @@ fn noise_beyond_the_tolerance_moves_little() {
             let seen = room.next(Sight { grain, ..STILL });
             assert!(!seen.update.cut, "frame {n}");
             changed += seen.update.changed.len();
-            eprintln!("{grain} {n}: off {:.3} trembled {:.3} sent {} changed {}", most(&seen.off), mean(&seen.trembled), seen.update.sent.len(), seen.update.changed.len());
             assert!(most(&seen.off) < ERROR, "frame {n}: {} px", most(&seen.off));
             flicker.push(mean(&seen.trembled));
         }
         assert!(changed > 100, "the noise is not taken for change: {changed} tiles");
-        assert!(mean(&flicker) < PARALLAX, "{} px a frame", mean(&flicker));
+        assert!(mean(&flicker) < FLICKER, "{} px a frame", mean(&flicker));
     }
 }
 
@@ -223,7 +224,6 @@ fn a_camera_and_a_thing_that_both_move_are_followed() {
             both += u32::from(near && thing);
             either += u32::from(near || thing);
         }
-        eprintln!("{n}: off {:.3} trembled {:.3} sent {} overlap {:.3}", most(&seen.off), mean(&seen.trembled), seen.update.sent.len(), f64::from(both) / f64::from(either));
         assert!(most(&seen.off) < ERROR, "frame {n}: {} px", most(&seen.off));
         assert!(f64::from(both) > 0.9 * f64::from(either), "frame {n}: {both} of {either}");
         assert!(!seen.update.sent.is_empty(), "frame {n}");

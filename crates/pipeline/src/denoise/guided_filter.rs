@@ -101,7 +101,8 @@ mod tests {
     fn by_formula(photo: &Photo, delta: &DisparityMap, r: usize, epsilon: f64) -> Vec<f64> {
         let (w, h) = (delta.width as usize, delta.height as usize);
         let mean = |value: &dyn Fn(usize) -> f64| window_mean(w, h, r, value);
-        let guide: Vec<f64> = photo.rgb.iter().map(|[r, g, b]| (0.299 * f64::from(*r) + 0.587 * f64::from(*g) + 0.114 * f64::from(*b)) / 255.0).collect();
+        let guide: Vec<f64> =
+            photo.rgb.iter().map(|[r, g, b]| (0.299 * f64::from(*r) + 0.587 * f64::from(*g) + 0.114 * f64::from(*b)) / 255.0).collect();
         let map: Vec<f64> = delta.delta.iter().copied().map(f64::from).collect();
         let (mean_i, mean_d) = (mean(&|i| guide[i]), mean(&|i| map[i]));
         let (square, product) = (mean(&|i| guide[i] * guide[i]), mean(&|i| guide[i] * map[i]));

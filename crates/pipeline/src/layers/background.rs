@@ -123,17 +123,17 @@ mod tests {
             return None;
         }
         let n = points.len() as f64;
-        let mean = |k: usize| points.iter().map(|p| p[k]).sum::<f64>() / n;
-        let of = |i: usize, k: usize| points.iter().map(|p| (p[i] - mean(i)) * (p[k] - mean(k))).sum::<f64>();
+        let mean = [0, 1, 2].map(|k| points.iter().map(|p| p[k]).sum::<f64>() / n);
+        let of = |i: usize, k: usize| points.iter().map(|p| (p[i] - mean[i]) * (p[k] - mean[k])).sum::<f64>();
         let ridge = 1e-4 * n + 0.02;
         let (uu, vv, uv) = (of(0, 0) + ridge, of(1, 1) + ridge, of(0, 1));
         let det = uu * vv - uv * uv;
         let slope = |by: f64| (by / det).clamp(-0.256, 0.256);
         let (b, c) = (slope(of(0, 2) * vv - of(1, 2) * uv), slope(of(1, 2) * uu - of(0, 2) * uv));
-        let plane = Plane { a: mean(2) - b * mean(0) - c * mean(1), b, c };
+        let plane = Plane { a: mean[2] - b * mean[0] - c * mean[1], b, c };
         let corners = [(-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)].map(|(u, v)| plane.disparity(u, v));
         let stays = corners.iter().all(|d| (0.0..farthest).contains(d));
-        Some(if stays { plane } else { Plane::fronto_parallel(mean(2)) })
+        Some(if stays { plane } else { Plane::fronto_parallel(mean[2]) })
     }
 
     proptest! {

@@ -192,7 +192,8 @@ mod tests {
         let (width, height) = (50, 34);
         let grid = Grid::new(width, height, 20);
         let near = |x: u32, y: u32| (14..30).contains(&x) && (8..26).contains(&y);
-        let rgb = (0..width * height).map(|i| if near(i % width, i / width) { [200, 30, 10] } else { [10, (i % width * 5) as u8, (i / width * 7) as u8] });
+        let rgb = (0..width * height)
+            .map(|i| if near(i % width, i / width) { [200, 30, 10] } else { [10, (i % width * 5) as u8, (i / width * 7) as u8] });
         let photo = Photo { width, height, rgb: rgb.collect() };
         let tile = |t: u32| {
             let r = grid.rect(t);
@@ -239,7 +240,10 @@ mod tests {
                     let behind = place.disparity(&tile.planes[usize::from(label)], x, y) - place.disparity(&layer.shape.plane, x, y);
                     let own = layer.shape.label == Some(label);
                     for c in 0..3 {
-                        assert!((at(c) - f32::from(colour[c]) / 255.0).abs() < 1e-6 && (at(3 + c) - f32::from(photo.at(x, y)[c]) / 255.0).abs() < 1e-6);
+                        assert!(
+                            (at(c) - f32::from(colour[c]) / 255.0).abs() < 1e-6
+                                && (at(3 + c) - f32::from(photo.at(x, y)[c]) / 255.0).abs() < 1e-6
+                        );
                     }
                     assert_eq!((at(6) > 0.5, at(8) > 0.5), (own, !own && behind > 0.0));
                     assert!((at(7) - (behind * 8.0).clamp(-1.0, 1.0)).abs() < 1e-6);
@@ -272,7 +276,12 @@ mod tests {
 
     #[test]
     fn soft_texels_take_its_alpha_and_stay_soft() {
-        let (photo, geometry, before) = scene();
+        let (photo, geometry, mut before) = scene();
+        // every third texel of the photo, on layers with hidden ones
+        for layer in before.iter_mut().flatten().filter(|l| needs(l)) {
+            let is_shown = |(class, _): &(&u8, &mut u8)| **class == Class::Photo as u8;
+            layer.shape.class.iter().zip(&mut layer.shape.alpha).filter(is_shown).step_by(3).for_each(|(_, alpha)| *alpha = 100);
+        }
         for (value, want) in [(0.0, 1), (0.5, 128), (1.0, 254), (-9.0, 1), (9.0, 254)] {
             let mut after = before.clone();
             let network = Fake(move |t: &Tensor| vec![constant(t, 1, value), own_colours(t)]);

@@ -91,7 +91,8 @@ fn any_scene() -> impl Strategy<Value = (Photo, Geometry)> {
         let grid = Grid::new(width, height, size);
         let mut planes: Vec<Plane> = slants.iter().map(|[a, b, c]| Plane { a: *a, b: *b, c: *c }.quantised()).collect();
         planes.sort_by(|p, q| p.a.total_cmp(&q.a));
-        let noise = |i: u32, k: u32| (i.wrapping_mul(2_654_435_761).wrapping_add(k.wrapping_mul(40_503)) ^ seed).wrapping_mul(0x85EB_CA77) >> 24;
+        let noise =
+            |i: u32, k: u32| (i.wrapping_mul(2_654_435_761).wrapping_add(k.wrapping_mul(40_503)) ^ seed).wrapping_mul(0x85EB_CA77) >> 24;
         let count = planes.len() as u32;
         let label = |x: u32, y: u32| (noise(x / patch + y / patch * 64, 9) % count) as u8;
         let tile = |t: u32| {

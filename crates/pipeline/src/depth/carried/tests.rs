@@ -164,7 +164,7 @@ fn values_mean_what_each_format_says() {
 }
 
 #[test]
-fn what_cannot_be_read_is_told_and_what_is_no_depth_is_passed_over() {
+fn unreadable_depth_is_an_error_and_other_pictures_are_not() {
     assert_eq!(carried(&photo()).unwrap(), None);
     assert_eq!(carried(&encoded(map(), ImageFormat::Png)).unwrap(), None);
     assert_eq!(carried(b"").unwrap(), None);
