@@ -118,7 +118,7 @@ def started(init):
     return net
 
 
-def main():
+def arguments():
     a = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     a.add_argument("--pack", type=Path, default=pack.FILE, help="what pack.py made")
     a.add_argument("--scenes", nargs="*", default=[], help="folders of scenes of `tmpi-lab synth`")
@@ -133,28 +133,36 @@ def main():
     a.add_argument("--decay", type=float, default=2e-2, help="weight decay of the decoder")
     a.add_argument("--ema", type=float, default=0.9985, help="decay of the mean over weights")
     loop.arguments(a, steps=10000, seed=1, every=250)
-    a = a.parse_args()
+    return a.parse_args()
+
+
+def rendering(a, out, packed, pictures):
+    """Processes that render meanwhile, where some are wanted, once there are scenes enough to begin with."""
+    if not a.renderers:
+        return None
+    first = render.FIRST + loop.stream(a.seed, "scenes", loop.reached(out)).randrange(10**9) * 1000
+    renderers = render.Renderers(a.program, a.renderers, out / "rendered", first, render.textures(packed, out / "textures"), a.models)
+    while pictures.count("scene") < LEAST:
+        for scene in renderers.taken(wait=True):
+            pictures.add(scene)
+    return renderers
+
+
+def main():
+    a = arguments()
     cv2.setNumThreads(1)
-    device, packed = common.device(), list(pack.opened(a.pack))
-    pictures, out = Pictures(device), Path(a.out)
-    scenes = sources.scenes(a.scenes) if a.scenes else []
+    device, packed, out = common.device(), list(pack.opened(a.pack)), Path(a.out)
+    pictures, scenes = Pictures(device), sources.scenes(a.scenes) if a.scenes else []
     for p in [*(p for p in packed if not p.group.startswith(pack.CHOICE)), *map(render.read, scenes)]:
         pictures.add(p)
     loop.seed_all(a.seed)
     net = started(a.init).to(device, memory_format=torch.channels_last)
-    mean = copy.deepcopy(net).eval()
+    mean, sets = copy.deepcopy(net).eval(), pack.sets_of(packed)
     inputs = {"pack": [a.pack], "scenes": [f for s in scenes for f in s.files], "start": [a.init or network.published()]}
-    renderers = None
-    if a.renderers:
-        first = render.FIRST + loop.stream(a.seed, "scenes", loop.reached(out)).randrange(10**9) * 1000
-        renderers = render.Renderers(a.program, a.renderers, out / "rendered", first, render.textures(packed, out / "textures"), a.models)
-        while pictures.count("scene") < LEAST:
-            for scene in renderers.taken(wait=True):
-                pictures.add(scene)
     plan = loop.Plan(steps=a.steps, lr=a.lr, weight_decay=a.decay, ema=a.ema, every=a.every, seed=a.seed, threads=a.threads, warm=200)
-    steps = Steps(net, mean, pictures, a, renderers)
-    sets = pack.sets_of(packed)
     options = loop.remaining(a, "pack", "scenes", "renderers", "program", "models", "init", "decay", "lr", "ema") | {"init": bool(a.init)}
+    renderers = rendering(a, out, packed, pictures)
+    steps = Steps(net, mean, pictures, a, renderers)
     try:
         loop.train(
             out, plan, net, steps.loss_at, inputs, options, lambda m: measured(m, sets, device), a.stop, a.minutes, mean,
