@@ -12,7 +12,9 @@ const FOLDER = import.meta.dirname;
 const SLOWEST = 10;
 /** Time after which a file is given up. */
 const FILE_MS = 10 * 60_000;
-/** Folders whose tests are of what happens in time, and nothing else is to run beside them. */
+/** How many files of pages run beside each other: drawing in software takes all processors for one. */
+const PAGES_AT_ONCE = Number(process.env.TMPI_PAGES_AT_ONCE || 1);
+/** Files whose tests are of what happens in time, and nothing else is to run beside them. */
 const TIMED = /^(?:live|input)\/|^element\/room/;
 
 const browses = new Map();
@@ -33,7 +35,7 @@ const files = (named.length ? named : all).toSorted();
 const pages = files.filter((name) => startsBrowser(join(FOLDER, name)));
 const groups = [
   { files: files.filter((name) => !pages.includes(name)), concurrency: availableParallelism() },
-  { files: pages.filter((name) => !TIMED.test(name)), concurrency: 2 },
+  { files: pages.filter((name) => !TIMED.test(name)), concurrency: PAGES_AT_ONCE },
   { files: pages.filter((name) => TIMED.test(name)), concurrency: 1 },
 ];
 
