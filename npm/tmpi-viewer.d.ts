@@ -69,6 +69,21 @@ export interface TmpiViewerElement extends HTMLElement {
   set motion(style: 'swing' | 'orbit' | 'dolly' | 'dolly-zoom' | 'zoom' | 'none' | (string & {}) | null | undefined);
   get speed(): string;
   set speed(rate: string | number | null | undefined);
+  /** Whether it moves by itself: the attribute `auto-rotate`. */
+  get autoRotate(): boolean;
+  set autoRotate(on: boolean | string | null | undefined);
+  /** Whether it takes input: the attribute `camera-controls`. */
+  get cameraControls(): boolean;
+  set cameraControls(on: boolean | string | null | undefined);
+  /** Whether it has a button for full screen. */
+  get fullscreen(): boolean;
+  set fullscreen(on: boolean | string | null | undefined);
+  /** Whether it stands still until somebody moves it. */
+  get still(): boolean;
+  set still(on: boolean | string | null | undefined);
+  /** Whether it asks the server what the photo's owner wants of the camera. */
+  get settings(): boolean;
+  set settings(on: boolean | string | null | undefined);
   /** True once the scene is shown. */
   readonly loaded: boolean;
   /** The view at the present pose as a PNG file, in the photo's size. Rejects before something is shown. */

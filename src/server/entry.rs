@@ -153,10 +153,11 @@ impl Entry {
         *self.class.lock().unwrap_or_else(PoisonError::into_inner) = class;
     }
 
-    /// Place in the list, which shows the newest first.
+    /// Place in the list, which shows first what was uploaded last.
     #[must_use]
     pub fn key(&self) -> (u64, PhotoId) {
-        (self.accepted.at_ms, self.id)
+        let again = self.settings.lock().unwrap_or_else(PoisonError::into_inner).listed_ms;
+        (again.unwrap_or(self.accepted.at_ms), self.id)
     }
 
     /// Somebody looks at it, at so many milliseconds since 1970.

@@ -428,6 +428,11 @@ impl Inner {
     fn insert(&mut self, entry: &Arc<Entry>) {
         entry.count_in(&self.tally);
         self.by_id.insert(entry.id, Arc::clone(entry));
+        self.list(entry);
+    }
+
+    /// Gives it its place in the lists.
+    fn list(&mut self, entry: &Arc<Entry>) {
         self.by_age.insert(entry.key(), Arc::clone(entry));
         if let Some(owner) = &entry.accepted.owner {
             self.by_owner.entry(owner.clone()).or_default().insert(entry.key(), Arc::clone(entry));
@@ -436,6 +441,11 @@ impl Inner {
 
     fn remove(&mut self, entry: &Entry) {
         self.by_id.remove(&entry.id);
+        self.unlist(entry);
+    }
+
+    /// Takes it out of the lists.
+    fn unlist(&mut self, entry: &Entry) {
         self.by_age.remove(&entry.key());
         let Some(owner) = &entry.accepted.owner else { return };
         if let Some(theirs) = self.by_owner.get_mut(owner) {

@@ -28,6 +28,10 @@ pub const RESOURCE_POLICY: HeaderName = HeaderName::from_static("cross-origin-re
 const OPEN_POLICY: &str = "default-src 'self'; script-src 'self' 'wasm-unsafe-eval'; img-src * blob: data:; media-src 'self' blob:; connect-src * blob: data:; style-src 'self' 'unsafe-inline'; \
                            worker-src 'self' blob:; object-src 'none'; base-uri 'none'; form-action 'self'";
 
+/// What a page takes in (HTML standard, section 7.1.4): a page that is isolated from other origins has in frames only pages that say it, and
+/// only workers that do.
+const EMBEDDER_POLICY: HeaderName = HeaderName::from_static("cross-origin-embedder-policy");
+
 /// Who may show a page in a frame, or take a file in.
 #[derive(Clone, Copy)]
 enum Frames {
@@ -42,11 +46,13 @@ pub async fn index(State(app): State<App>, headers: HeaderMap) -> Result<Respons
     page(&app, &headers, "app/upload-page.html", Frames::Own).await
 }
 
-/// `GET /view/{id}`: with what others show of a link to it; the page itself says where there is no such photo.
+/// `GET /view/{id}`: with what others show of a link to it. Where there is no such photo, or the browser has yet to say who asks, the page is the
+/// same and says so itself.
 pub async fn view(State(app): State<App>, extract::Path(id): extract::Path<String>, headers: HeaderMap) -> Result<Response, Problem> {
     let name = "app/view-page.html";
+    let Ok(entry) = app.photo(&id) else { return not_found(&app, name, Frames::Own).await };
     let mut file = load(&app, name).await?;
-    let card = app.photo(&id).ok().zip(origin(&headers)).map(|(entry, base)| Card::of(&app, &entry, base));
+    let card = origin(&headers).map(|base| Card::of(&app, &entry, base));
     if let Some(card) = card {
         let page = card.introduce(&String::from_utf8_lossy(&file.bytes));
         file = File { etag: tag(page.as_bytes()), bytes: page.into(), coding: Coding::Gzip };
@@ -56,9 +62,12 @@ pub async fn view(State(app): State<App>, extract::Path(id): extract::Path<Strin
 
 /// `GET /embed/{id}`: the photo alone, for frames of other sites; it can change nothing.
 pub async fn embed(State(app): State<App>, extract::Path(id): extract::Path<String>, headers: HeaderMap) -> Result<Response, Problem> {
-    // whoever came by a link is given its cookie where the photo may be seen by it; the page itself says where there is no such photo
-    let _ = app.photo(&id);
-    page(&app, &headers, "app/embed-page.html", Frames::Anybody).await
+    let name = "app/embed-page.html";
+    // whoever came by a link is given its cookie where the photo may be seen by it
+    if app.photo(&id).is_err() {
+        return not_found(&app, name, Frames::Anybody).await;
+    }
+    page(&app, &headers, name, Frames::Anybody).await
 }
 
 /// `GET /demo`.
@@ -85,8 +94,13 @@ pub async fn nothing(State(app): State<App>, method: Method, headers: HeaderMap)
     if !person || !matches!(method, Method::GET | Method::HEAD) {
         return Err(Problem::not_found("there is nothing at this address"));
     }
+    not_found(&app, "app/missing-page.html", Frames::Own).await
+}
+
+/// A page that says that something is not here.
+async fn not_found(app: &App, name: &str, frames: Frames) -> Result<Response, Problem> {
     // neither a part of it nor a version is asked for, but of what is not here
-    let mut response = page(&app, &HeaderMap::new(), "app/missing-page.html", Frames::Own).await?;
+    let mut response = page(app, &HeaderMap::new(), name, frames).await?;
     *response.status_mut() = StatusCode::NOT_FOUND;
     for name in [header::ETAG, header::ACCEPT_RANGES, header::CACHE_CONTROL] {
         response.headers_mut().remove(name);
@@ -143,6 +157,9 @@ fn send(File { bytes, etag, coding }: File, headers: &HeaderMap, name: &str, fra
         response.headers_mut().insert(header::CONTENT_SECURITY_POLICY, policy);
     }
     response.headers_mut().insert(RESOURCE_POLICY, HeaderValue::from_static(takers));
+    if matches!(name, "app/embed-page.html" | "decode/worker.js" | "live/worker.js") {
+        response.headers_mut().insert(EMBEDDER_POLICY, HeaderValue::from_static("require-corp"));
+    }
     response
 }
 

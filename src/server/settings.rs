@@ -111,6 +111,10 @@ pub struct Settings {
     #[serde(default, skip_serializing_if = "is_first")]
     #[schema(ignore)]
     pub generation: u64,
+    /// When the photo was uploaded once more, milliseconds since 1970: its place in the list, no setting, and never shown.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(ignore)]
+    pub listed_ms: Option<u64>,
 }
 
 /// Of settings that cannot be read: links of before may have been taken back.
@@ -135,6 +139,7 @@ impl Default for Settings {
             visibility: None,
             poster: None,
             generation: 0,
+            listed_ms: None,
         }
     }
 }
@@ -163,13 +168,20 @@ impl Settings {
     /// These settings as anybody sees them.
     #[must_use]
     pub fn shown(self) -> Self {
-        Self { generation: 0, ..self }
+        Self { generation: 0, listed_ms: None, ..self }
     }
 
     /// These settings, with all links of before taken back.
     #[must_use]
     pub fn without_links(self) -> Self {
         Self { generation: self.generation + 1, ..self }
+    }
+
+    /// These settings with what an upload of the same photo says: its title, and who may see it.
+    #[must_use]
+    pub fn told_again(&self, told: &Self) -> Self {
+        let (title, visibility) = (told.title.clone().or_else(|| self.title.clone()), told.visibility.or(self.visibility));
+        Self { title, visibility, ..self.clone() }
     }
 
     /// These settings with a merge patch: what is null goes, what is missing stays.

@@ -231,8 +231,8 @@ async fn take_chosen(app: &App, _leave: &Ticket<'_>, chosen: Chosen, request: Re
 /// The part of taking an upload that blocks: checks it and makes it durable.
 fn accept(app: &App, parts: Parts, owner: Option<Owner>) -> Result<Submitted, Problem> {
     let Parts { mut incoming, photo, depth, chosen } = parts;
-    let Chosen { options, class, mut settings, of_file, .. } = chosen;
-    settings.title = settings.title.or(of_file);
+    let Chosen { options, class, settings: told, of_file, .. } = chosen;
+    let settings = Settings { title: told.title.clone().or(of_file), ..told.clone() };
     let photo = photo.filter(|p| p.bytes > 0).ok_or_else(|| Problem::parameter("photo", "is missing"))?;
     if depth.as_ref().is_some_and(|d| d.bytes == 0) {
         return Err(Problem::parameter("depth", "is empty"));
@@ -257,6 +257,8 @@ fn accept(app: &App, parts: Parts, owner: Option<Owner>) -> Result<Submitted, Pr
     let submitted = app.jobs.submit_as(class, folder, id, accepted, settings)?;
     if submitted.new {
         app.telemetry.uploaded(photo.bytes + depth.map_or(0, |d| d.bytes));
+    } else {
+        app.jobs.uploaded_again(&submitted.entry, &told)?;
     }
     Ok(submitted)
 }

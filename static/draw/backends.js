@@ -1,11 +1,14 @@
 // What may draw in this browser, best first: WebGPU, then WebGL2. Each is tried a second time after it was lost, then given up.
 import { findAdapter } from './device.js';
 import { contextOf, WebGlRenderer, webGlSide } from './webgl.js';
+import { leaveContext, takeContext } from './webgl-contexts.js';
 import { WebGpuRenderer } from './webgpu.js';
 
 /** @import { Scene } from '../decode/scene.js' */
+/** @import { Holder } from './webgl-contexts.js' */
 
 /** @typedef {'gpu' | 'webgl'} Mode */
+/** @typedef {{mode: Mode, renderer: WebGpuRenderer | WebGlRenderer, canvas: HTMLCanvasElement}} Backend */
 
 const ATTEMPTS = 2;
 
@@ -43,25 +46,29 @@ export class Backends {
   }
 
   /**
-   * The best backend that still can be had, with a new canvas, which keeps its device for life.
+   * The best backend that still can be had, with a new canvas, which keeps its device for life; `wait` where others have all contexts.
    * @param {Scene} scene
    * @param {(reason: string) => void} onLost called where it goes away by itself
-   * @returns {Promise<{mode: 'gpu' | 'webgl', renderer: WebGpuRenderer | WebGlRenderer, canvas: HTMLCanvasElement} | null>}
+   * @param {Holder} holder of a context, where it needs one
+   * @returns {Promise<Backend | 'wait' | null>}
    */
-  async next(scene, onLost) {
+  async next(scene, onLost, holder) {
     while (this.any) {
       const [backend] = this.left;
+      if (backend.mode === 'webgl' && backend.attempts > 0 && !takeContext(holder)) return 'wait';
       if (backend.attempts-- > 0) {
         try {
           const canvas = document.createElement('canvas');
           const lost = (/** @type {{message: string}} */ { message }) => {
             this.reason = message || 'The graphics device was lost.';
+            leaveContext(holder);
             onLost(this.reason);
           };
           const renderer = await (backend.mode === 'gpu' ? WebGpuRenderer.create(scene, lost) : WebGlRenderer.create(canvas, scene, lost));
           return { mode: backend.mode, renderer, canvas };
         } catch (error) {
           this.reason = error.message;
+          leaveContext(holder);
         }
       }
       this.left.shift();

@@ -32,13 +32,17 @@ const CONTEXT = { alpha: false, antialias: false, depth: true, powerPreference: 
 export const contextOf = (canvas, over = false) =>
   /** @type {WebGL2RenderingContext | null} */ (canvas.getContext('webgl2', { ...CONTEXT, alpha: over }));
 
+/** Side of the largest texture, once it is known: each context that is made to ask takes one from the page. */
+let knownSide = 0;
+
 /** Side of the largest texture of the browser's WebGL2, 0 where it has none. */
 export function webGlSide() {
+  if (knownSide) return knownSide;
   const gl = contextOf(document.createElement('canvas'));
   if (!gl) return 0;
-  const side = gl.getParameter(gl.MAX_TEXTURE_SIZE);
+  knownSide = gl.getParameter(gl.MAX_TEXTURE_SIZE);
   forget(gl);
-  return side;
+  return knownSide;
 }
 
 /** A scene in a WebGL2 context. Build with `WebGlRenderer.create`. */

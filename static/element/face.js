@@ -1,6 +1,8 @@
 // What the element is made of: the stage of the viewer, the poster below, the button for full screen, and what is seen where nothing can be
 // shown; its shape and its name.
 
+import { Sheet } from './sheet.js';
+
 const STYLE = `
   :host { display: block; position: relative; overflow: hidden; aspect-ratio: var(--tmpi-shape, 16 / 10); }
   :host([hidden]), [hidden] { display: none !important; }
@@ -42,7 +44,7 @@ export const OFF = new Set(['off', 'false']);
 
 export class Face {
   #host;
-  #sheet = new CSSStyleSheet();
+  #sheet;
   #poster = make('img', 'poster');
   #posterSlot = make('slot', '', this.#poster);
   #error = errorBox();
@@ -55,10 +57,9 @@ export class Face {
   /** @param {HTMLElement} host that it is put into */
   constructor(host) {
     this.#host = host;
-    const sheet = new CSSStyleSheet();
-    sheet.replaceSync(STYLE);
     this.shadow = host.attachShadow({ mode: 'open' });
-    this.shadow.adoptedStyleSheets = [sheet, this.#sheet];
+    new Sheet(this.shadow).text = STYLE;
+    this.#sheet = new Sheet(this.shadow);
     this.#poster.alt = '';
     this.#poster.loading = 'lazy';
     this.#posterSlot.name = 'poster';
@@ -90,7 +91,7 @@ export class Face {
    * @param {number} height
    */
   #shape(width, height) {
-    if (width > 0 && height > 0) this.#sheet.replaceSync(`:host { --tmpi-shape: ${width} / ${height}; }`);
+    if (width > 0 && height > 0) this.#sheet.text = `:host { --tmpi-shape: ${width} / ${height}; }`;
   }
 
   /**
@@ -135,11 +136,18 @@ export class Face {
     else this.#poster.removeAttribute('src');
   }
 
+  /** Whether a picture stands for the photo. */
+  get #hasPoster() {
+    const given = this.#host.querySelector('[slot=poster]');
+    return given instanceof HTMLImageElement ? given.naturalWidth > 0 : Boolean(given) || this.#poster.naturalWidth > 0;
+  }
+
   /**
-   * Says what the photo shows where it cannot be shown, and why.
+   * Says what the photo shows where it cannot be shown, and why; where its poster shows it, that stays.
    * @param {string} reason
    */
   fail(reason) {
+    if (this.#hasPoster && !this.#posterSlot.hidden) return;
     const why = this.#error.querySelector('.reason');
     if (why) why.textContent = reason;
     this.#error.hidden = false;

@@ -16,6 +16,7 @@ export const MODULES = [
   'draw/texture-atlas.js',
   'draw/tile-errors.js',
   'draw/view-uniform.js',
+  'draw/webgl-contexts.js',
   'draw/webgl-copy.js',
   'draw/webgl-program.js',
   'draw/webgl-target.js',

@@ -6,6 +6,7 @@ import { SoundPlayer } from '../live/sound-player.js';
 import { startRoom } from '../live/start.js';
 import { behind, saying } from '../live/states.js';
 import { Viewer } from '../view/viewer.js';
+import { Sheet } from './sheet.js';
 
 const STYLE = `
   .note {
@@ -28,10 +29,10 @@ const SPEAKER = ['M4 9.5v5h3.5L12 18.5v-13L7.500 9.5z', 'M15.500 9a4.200 4.200 0
 export class Room {
   #element;
   #player = new SoundPlayer();
-  #sheet = new CSSStyleSheet();
   #note = document.createElement('p');
   #button = document.createElement('button');
   #shadow;
+  #sheet;
   #visible = true;
   #shown = false;
   /** The picture that is shown has no depth yet. */
@@ -51,6 +52,7 @@ export class Room {
   constructor(stage, shadow, named, element) {
     this.#element = element;
     this.#shadow = shadow;
+    this.#sheet = new Sheet(shadow);
     this.#dress(named.sound === 'off');
     const { address, token } = roomAt(named.address, named.token);
     this.viewer = new Viewer(stage, {
@@ -74,8 +76,7 @@ export class Room {
 
   /** @param {boolean} silent without a button for sound */
   #dress(silent) {
-    this.#sheet.replaceSync(STYLE);
-    this.#shadow.adoptedStyleSheets.push(this.#sheet);
+    this.#sheet.text = STYLE;
     this.#note.className = 'note';
     this.#note.setAttribute('role', 'status');
     this.#note.part.add('note');
@@ -165,6 +166,6 @@ export class Room {
     this.#player.close();
     this.#note.remove();
     this.#button.remove();
-    this.#shadow.adoptedStyleSheets = this.#shadow.adoptedStyleSheets.filter((sheet) => sheet !== this.#sheet);
+    this.#sheet.remove();
   }
 }

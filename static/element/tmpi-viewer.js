@@ -10,12 +10,14 @@
 //   fullscreen       `off`: no button for full screen
 //   loading          `lazy` (as if it were not there): fetched when it comes near the screen; `eager`: at once
 //   reveal           `auto` (as if it were not there), or `interaction`: fetched when somebody points at it, touches or focuses it
-//   camera-controls  `off` or `false`: takes no input
-//   auto-rotate      `off` or `false`: does not move by itself; so does `still`, without a value
+//   camera-controls  `off`: takes no input
+//   auto-rotate      `off`: does not move by itself; so does `still`, without a value
 //   motion           how it moves by itself: `swing`, `orbit`, `dolly`, `dolly-zoom`, `zoom` (into the nearest thing), or `none`; without
 //                    it, what the photo's owner wants, else `swing`; rooms move by themselves only where this or auto-rotate says so
 //   speed            how fast, 0.25 to 4 times the usual
 //   settings         `off`: does not ask the server what the photo's owner wants of the camera (how far it goes, where it starts)
+//
+// `false` is as `off`, since frameworks write that; `still="false"` is as none.
 //
 // Of a room, whose address (of its page, or below /v1/) stands in `src`, besides:
 //
@@ -23,8 +25,9 @@
 //   token            token of who watches, where the address has none behind its # or as a parameter
 //   sound            `off`: no button for it; without a value it begins with the first tap or key. It never begins before one
 //
-// `src`, `room`, `token`, `view`, `alt`, `poster`, `fit`, `loading`, `reveal`, `motion` and `speed` are properties, too, and are taken over
-// where they were set before this script came. What is set or changed later counts from then on.
+// `src`, `room`, `token`, `view`, `alt`, `poster`, `fit`, `loading`, `reveal`, `motion` and `speed` are properties, too, and so are `autoRotate`,
+// `cameraControls`, `fullscreen`, `still` and `settings`, which are true or false. They are taken over where they were set before this script
+// came. What is set or changed later counts from then on.
 //
 // Names, properties (`loaded`), methods (`toBlob`, `resetView`) and events are those of <model-viewer> where there are such. One
 // thing differs: `camera-controls` and `auto-rotate` are on as if they were there, because a 3D photo that stands still is a photo.
@@ -56,6 +59,13 @@ const ROOM = /\/live\/[\w-]+\/?$/;
 const ADDRESS = new Set(['src', 'room', 'token', 'view']);
 /** Attributes that are properties, too, as frameworks set them. */
 const PROPERTIES = [...ADDRESS, 'alt', 'poster', 'fit', 'loading', 'reveal', 'motion', 'speed'];
+
+/**
+ * Attributes that are on or off, and their properties; React sets a property by the attribute's own name where there is one.
+ * @type {Record<string, string>}
+ */
+const SWITCHES = { 'auto-rotate': 'autoRotate', 'camera-controls': 'cameraControls', fullscreen: 'fullscreen', still: 'still', settings: 'settings' };
+const REDUCED = '(prefers-reduced-motion: reduce)';
 
 class TmpiViewer extends HTMLElement {
   static observedAttributes = [
@@ -89,6 +99,7 @@ class TmpiViewer extends HTMLElement {
   #asked = false;
   #loaded = false;
   #face = new Face(this);
+  #reduced = matchMedia(REDUCED);
 
   constructor() {
     super();
@@ -141,19 +152,26 @@ class TmpiViewer extends HTMLElement {
     this.#face.connected();
     this.#seen = new IntersectionObserver((entries) => this.#onSeen(entries[entries.length - 1].isIntersecting), { rootMargin: '200px' });
     this.#seen.observe(this);
+    this.#reduced.addEventListener('change', this.#onReduced);
     this.#maybeStart();
   }
 
+  /** Moved within the page by `moveBefore`: it goes on as it is. */
+  connectedMoveCallback() {}
+
   disconnectedCallback() {
+    this.#reduced.removeEventListener('change', this.#onReduced);
     this.#seen?.disconnect();
     this.#seen = this.#visible = null;
     this.#asked = false;
     this.#stop();
   }
 
+  #onReduced = () => this.#viewer?.setIdle(this.#movesByItself);
+
   /** Properties that were set before the script came hide those of the element. */
   #takeOver() {
-    for (const name of PROPERTIES.filter((name) => Object.hasOwn(this, name))) {
+    for (const name of [...PROPERTIES, ...Object.entries(SWITCHES).flat()].filter((name) => Object.hasOwn(this, name))) {
       const value = Reflect.get(this, name);
       Reflect.deleteProperty(this, name);
       Reflect.set(this, name, value);
@@ -176,8 +194,8 @@ class TmpiViewer extends HTMLElement {
   /** Address of what is to be shown, and whether that is a room; null where nothing is named. */
   get #named() {
     const [src, room] = [this.getAttribute('src'), this.getAttribute('room')];
-    if (!(src || room) || !URL.canParse(src ?? '/', document.baseURI)) return null;
-    const url = new URL(src ?? '/', document.baseURI);
+    const url = src || room ? parsed(src ?? '/') : null;
+    if (!url) return null;
     if (room) url.pathname = `/live/${encodeURIComponent(room)}`;
     return { room: ROOM.test(url.pathname), address: url.href };
   }
@@ -185,8 +203,10 @@ class TmpiViewer extends HTMLElement {
   get #movesByItself() {
     // what is live moves without it
     if (this.#room && !this.hasAttribute('auto-rotate') && !this.hasAttribute('motion')) return false;
-    const off = this.hasAttribute('still') || this.getAttribute('motion') === 'none' || OFF.has(this.getAttribute('auto-rotate') ?? '');
-    return !off && !matchMedia('(prefers-reduced-motion: reduce)').matches;
+    const still = this.getAttribute('still');
+    const off =
+      (still !== null && !OFF.has(still)) || this.getAttribute('motion') === 'none' || OFF.has(this.getAttribute('auto-rotate') ?? '');
+    return !off && !this.#reduced.matches;
   }
 
   /** What the page says of moving by itself: settings (view/settings.js). */
@@ -217,7 +237,8 @@ class TmpiViewer extends HTMLElement {
     this.#asked = true;
     const named = this.#named;
     if (!named || this.#viewer) return;
-    const viewer = await (named.room ? this.#watch(named.address) : this.#show(named.address));
+    const showing = named.room ? this.#watch(named.address) : this.#show(named.address);
+    const viewer = await showing.catch((error) => this.#cannot(error.message));
     if (!viewer) return;
     if (!this.#movesByItself) viewer.setIdle(false);
     if (this.#visible === false) viewer.asleep = true;
@@ -240,11 +261,22 @@ class TmpiViewer extends HTMLElement {
       this.#fire('load', detail);
     });
     viewer.addEventListener('pose', () => this.#loaded && this.#fire('camera-change', { pose: viewer.pose }));
+    viewer.addEventListener('mode', ({ detail: { mode, reason } }) => mode === 'still' && this.#fire('error', { message: reason }));
     viewer.addEventListener('error', ({ detail }) => {
       // what cannot be had while the photo is shown needs no words over it
       if (viewer.mode === 'failed') this.#face.fail(detail.message);
       this.#fire('error', detail);
     });
+  }
+
+  /**
+   * Nothing that shows the photo can be had.
+   * @param {string} message
+   */
+  #cannot(message) {
+    this.#face.fail(message);
+    this.#fire('error', { message });
+    return null;
   }
 
   /**
@@ -278,7 +310,7 @@ class TmpiViewer extends HTMLElement {
     ]);
     if (!this.#wants(atlas)) return null;
     const given = this.getAttribute('view');
-    const state = this.getAttribute('settings') === 'off' ? undefined : beside(atlas, '/settings');
+    const state = OFF.has(this.getAttribute('settings') ?? '') ? undefined : beside(atlas, '/settings');
     this.#viewer = new Viewer(this.#face.stage, {
       atlas,
       view: given ? new URL(given, document.baseURI).href : beside(atlas, '/view'),
@@ -298,7 +330,8 @@ class TmpiViewer extends HTMLElement {
     const { Room } = /** @type {typeof import('./room.js')} */ (await load('element/room.js'));
     if (!this.#wants(address)) return null;
     const attribute = (/** @type {string} */ name) => this.getAttribute(name);
-    const named = { address, token: attribute('token'), sound: attribute('sound'), settings: this.#wander };
+    const sound = OFF.has(attribute('sound') ?? '') ? 'off' : attribute('sound');
+    const named = { address, token: attribute('token'), sound, settings: this.#wander };
     const room = new Room(this.#face.stage, this.#face.shadow, named, {
       fire: (type, detail) => this.#fire(type, detail),
       fail: (message) => this.#face.fail(message),
@@ -316,6 +349,36 @@ class TmpiViewer extends HTMLElement {
     this.#loaded = false;
     this.#face.reset();
   }
+}
+
+/**
+ * An address in the page, or null where it is none.
+ * @param {string} address
+ */
+function parsed(address) {
+  try {
+    return new URL(address, document.baseURI);
+  } catch {
+    return null;
+  }
+}
+
+for (const [attribute, name] of Object.entries(SWITCHES)) {
+  const usual = attribute !== 'still';
+  /** @type {PropertyDescriptor & ThisType<TmpiViewer>} */
+  const property = {
+    configurable: true,
+    enumerable: true,
+    get() {
+      const value = this.getAttribute(attribute);
+      return value === null ? usual : !OFF.has(value);
+    },
+    set(value) {
+      if (value === null || value === undefined) this.removeAttribute(attribute);
+      else this.setAttribute(attribute, value === true ? '' : value === false ? 'off' : String(value));
+    },
+  };
+  for (const key of new Set([attribute, name])) Object.defineProperty(TmpiViewer.prototype, key, property);
 }
 
 for (const name of PROPERTIES) {

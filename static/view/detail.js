@@ -1,7 +1,7 @@
 // Finer parts of a large photo: where one looks closer than the loaded level has pixels, the tiles in sight are fetched from a finer
 // one, and drawn over it with the same camera.
 
-import { startDecoder } from '../decode/start.js';
+import { Decoder } from '../decode/start.js';
 import { drawnOver } from '../draw/backends.js';
 
 /** @import { Scene, SceneHead } from '../decode/scene.js' */
@@ -88,7 +88,7 @@ export class Detail {
   #whole;
   /** @type {Part | null} */
   #shown = null;
-  /** @type {{level: number, rect: Rect, worker: Worker | null, timer: ReturnType<typeof setTimeout>} | null} */
+  /** @type {{level: number, rect: Rect, worker: Decoder | null, timer: ReturnType<typeof setTimeout>} | null} */
   #coming = null;
   #refused = false;
   #disposed = false;
@@ -139,7 +139,7 @@ export class Detail {
     const part = this.#coming;
     const url = part && partAddress(this.#whole.atlas, part);
     if (!part || !url) return;
-    part.worker = startDecoder();
+    part.worker = new Decoder();
     part.worker.onmessage = async ({ data }) => {
       if (data.type === 'error') return this.#refuse();
       if (data.type !== 'scene' || this.#coming !== part) return;

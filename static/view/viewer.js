@@ -9,9 +9,10 @@
 // and `flat` where a room is shown as plain video. Where nothing here draws, a room is `flat` at the camera's own place, which the video
 // shows as it is, and `served` away from it, as long as the server draws; without a decoder for its video it is `served` everywhere.
 
-import { startDecoder } from '../decode/start.js';
+import { Decoder } from '../decode/start.js';
 import { Backends } from '../draw/backends.js';
 import { ServerViews } from '../draw/server-views.js';
+import { insistOnContext, leaveContext, lendContext } from '../draw/webgl-contexts.js';
 import { listen } from '../input/gestures.js';
 import { fovX, resized } from './camera.js';
 import { pixelRatio, setPixels } from './canvas-size.js';
@@ -32,7 +33,7 @@ import { Steering } from './steering.js';
 const REST_MS = 1500;
 
 export class Viewer extends Steering {
-  /** @type {Worker | null} */
+  /** @type {Worker | Decoder | null} */
   #worker = null;
   #frameRequest = 0;
   #lastFrame = 0;
@@ -51,6 +52,8 @@ export class Viewer extends Steering {
   #live;
   #stopListening;
   #resizes;
+  /** What it is among those that share a page's WebGL2 contexts. @type {import('../draw/webgl-contexts.js').Holder} */
+  #holder;
 
   /**
    * @param {HTMLElement} root focusable element that takes the input and holds the pictures
@@ -67,6 +70,14 @@ export class Viewer extends Steering {
     this.#pacing = new FramePacing(Boolean(options.live));
     this.#stage = new Stage(root);
     this.#live = options.live ? new LiveView(this, options.live, { stage: this.#stage, draw: (anew) => this.#draw(anew) }) : null;
+    const viewer = this;
+    this.#holder = {
+      get asleep() {
+        return viewer.asleep;
+      },
+      giveBack: () => this.#giveBack(),
+      retry: () => this.#drawAgain(),
+    };
     this.mode = 'loading';
     /** What shows the scene in a headset (input/xr.js) while one does, else null. */
     this.headset = /** @type {Headset | null} */ (null);
@@ -167,7 +178,37 @@ export class Viewer extends Steering {
       cancelAnimationFrame(this.#frameRequest);
       this.#frameRequest = 0;
       this.#live?.stop();
-    } else this.wake();
+      lendContext(this.#holder);
+    } else if (this.#lent) this.#drawAgain();
+    else this.wake();
+  }
+
+  /** It drew, and has nothing to draw with now. */
+  #lent = false;
+
+  /** Gives its graphics context to another viewer: the photo is seen meanwhile. */
+  #giveBack() {
+    this.#lent = true;
+    this.#detail?.dispose();
+    this.#detail = null;
+    this.renderer?.dispose();
+    this.renderer = null;
+    this.#stage.canvas = null;
+    this.mode = 'loading';
+    this.emit('mode', { mode: 'loading', reason: 'Another picture of the page is drawn.' });
+  }
+
+  /** Draws where that could not be had for a while. */
+  #drawAgain() {
+    this.#lent = false;
+    // what a room showed is gone with the context
+    if (this.options.live) this.tell({ again: true });
+    else this.#draw();
+  }
+
+  moved() {
+    insistOnContext(this.#holder);
+    super.moved();
   }
 
   /** Draws now. */
@@ -225,6 +266,7 @@ export class Viewer extends Steering {
     this.#resizes.disconnect();
     document.removeEventListener('visibilitychange', this.#onVisible);
     this.renderer?.dispose();
+    leaveContext(this.#holder);
     this.serverViews?.dispose();
     this.#live?.dispose();
     this.#stage.dispose();
@@ -234,10 +276,14 @@ export class Viewer extends Steering {
     this.#backends = await Backends.find();
     if (this.disposed) return;
     const { live } = this.options;
-    this.#worker = live ? live.start() : startDecoder();
-    this.#worker.onerror = (event) => this.#fail(event.message || 'The decoder could not be started.');
-    this.#worker.onmessage = ({ data }) => this.#onWorker(data);
     const { any, side } = this.#backends;
+    try {
+      this.#worker = live ? live.start() : new Decoder();
+    } catch (error) {
+      return this.#fail(`The page allows no worker, without which no room can be watched: ${error.message}`);
+    }
+    this.#worker.onerror = (/** @type {{message: string}} */ { message }) => this.#fail(message || 'The decoder could not be started.');
+    this.#worker.onmessage = (/** @type {MessageEvent} */ { data }) => this.#onWorker(data);
     if (live) this.#worker.postMessage({ watch: { address: live.address, token: live.token, side, flat: !any } });
     else this.#worker.postMessage({ url: this.options.atlas, photoOnly: !any, side });
   }
@@ -297,8 +343,15 @@ export class Viewer extends Steering {
   async #draw(anew = false) {
     if (anew) this.#backends = await Backends.find();
     if (!this.#backends || !this.scene) return;
-    const backend = await this.#backends.next(this.scene, (reason) => this.#onLost(reason));
-    if (this.disposed) return backend?.renderer.dispose();
+    const backend = await this.#backends.next(this.scene, (reason) => this.#onLost(reason), this.#holder);
+    if (backend === 'wait') {
+      this.#lent = true;
+      return;
+    }
+    if (this.disposed) {
+      leaveContext(this.#holder);
+      return backend?.renderer.dispose();
+    }
     if (!backend) return this.#serve(this.#backends.reason);
     this.#detail?.dispose();
     this.#detail = null;
@@ -319,9 +372,7 @@ export class Viewer extends Steering {
     this.renderer = null;
     this.mode = 'loading';
     this.emit('mode', { mode: 'loading', reason });
-    // what a room showed is gone with the device
-    if (this.options.live) this.tell({ again: true });
-    else this.#draw();
+    this.#drawAgain();
   }
 
   /** @param {string} reason */

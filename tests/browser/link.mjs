@@ -73,8 +73,8 @@ const server = createServer(async (request, response) => {
 
 /** In the page: milliseconds to the photo on screen's memory, to the whole scene, and of decoding alone. */
 async function container(url) {
-  const { startDecoder } = await import('/decode/start.js');
-  const worker = startDecoder();
+  const { Decoder } = await import('/decode/start.js');
+  const worker = new Decoder();
   const start = performance.now();
   return new Promise((done, fail) => {
     let first = 0;

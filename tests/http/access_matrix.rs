@@ -113,7 +113,8 @@ fn expected(route: &Route, method: &str, caller: &Caller, shown: bool) -> (u16, 
     }
     match (method, path) {
         ("OPTIONS", _) if matches!(route.access, Access::Open | Access::Token) => (200, None),
-        ("PUT" | "OPTIONS", _) => (405, Some("method")),
+        ("OPTIONS", _) => (204, None),
+        ("PUT", _) => (405, Some("method")),
         (_, "/metrics") if may == May::Metrics => (200, None),
         (_, "/metrics" | "/v1/network") if may != May::Everything => (403, Some("not-yours")),
         // a photo's token is for nothing but that photo
@@ -144,6 +145,8 @@ fn expected(route: &Route, method: &str, caller: &Caller, shown: bool) -> (u16, 
         ("POST", "/v1/photos/{id}/manage") => if_may(may.change(), 204),
         ("PATCH", _) | ("POST", "/v1/photos/{id}/links") => if_may(may.change(), 200),
         ("GET" | "HEAD", _) if path.starts_with("/v1/photos/") || path == "/oembed" => if_may(shown || may.see(), 200),
+        // a page says what is not there
+        ("GET" | "HEAD", "/view/{id}" | "/embed/{id}") if !(shown || may.see()) => (404, None),
         _ => (200, None),
     }
 }

@@ -81,7 +81,8 @@ fn expected(route: &Route, method: &str, caller: &Caller) -> (u16, Option<&'stat
         _ if caller.changes == 421 => (421, Some("host")),
         _ if !safe && caller.changes == 403 => (403, Some("cross-site")),
         "OPTIONS" if matches!(route.access, Access::Open | Access::Token) => (200, None),
-        "OPTIONS" | "PUT" => (405, Some("method")),
+        "OPTIONS" => (204, None),
+        "PUT" => (405, Some("method")),
         "POST" if route.path == "/v1/live/{room}/token" && caller.lists == 403 => (403, Some("token")),
         "POST" if route.path == "/v1/live/{room}/token" => (200, None),
         // a page of another site may not even look without a token: a browser opens sockets to anywhere

@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use tmpi::server::Limits;
+use tmpi::server::{Limits, routes};
 use tmpi_render::PictureFormat;
 
 use crate::client::{get, request};
@@ -307,10 +307,55 @@ fn what_is_not_there_yet_or_not_at_all() {
 }
 
 #[test]
+fn options_names_the_methods_of_every_address() {
+    let dir = tempfile::tempdir().unwrap();
+    let server = Running::start(dir.path(), Limits::default(), Arc::new(pipeline()));
+    for route in routes() {
+        let path = route.path.replace("{id}", "0123456789abcdef0123456789abcdef").replace("{room}", "attic").replace("{*name}", "app/style.css");
+        let answer = request(server.addr, "OPTIONS", &path, &[], &[]);
+        assert!(matches!(answer.status, 200 | 204), "{path}: {}", answer.status);
+        let allow = answer.header("allow").unwrap_or_else(|| panic!("{path} names no method")).to_uppercase();
+        let named: Vec<_> = allow.split(',').map(str::trim).collect();
+        for method in &route.methods {
+            assert!(named.contains(&method.as_str()), "{path}: {method} is not among {allow}");
+        }
+    }
+    request(server.addr, "OPTIONS", "/nothing", &[], &[]).problem(404);
+}
+
+#[test]
+fn isolated_pages_may_frame_a_photo() {
+    let dir = tempfile::tempdir().unwrap();
+    let server = Running::start(dir.path(), Limits::default(), Arc::new(pipeline()));
+    for path in ["/embed/0123456789abcdef0123456789abcdef", "/static/decode/worker.js", "/static/live/worker.js"] {
+        let answer = get(server.addr, path);
+        let said = |name: &str| answer.header(name).map(str::to_owned);
+        assert_eq!(said("cross-origin-embedder-policy").as_deref(), Some("require-corp"), "{path}");
+        assert_eq!(said("cross-origin-resource-policy").as_deref(), Some("cross-origin"), "{path}");
+    }
+    assert_eq!(get(server.addr, "/").header("cross-origin-embedder-policy"), None);
+}
+
+#[test]
+fn an_open_server_makes_no_link_that_ends() {
+    let (_dir, server, photo) = with_photo();
+    let links = |query: &str| request(server.addr, "POST", &format!("{photo}/links{query}"), &[], &[]);
+    assert_eq!(links("").status, 200);
+    let refused = links("?seconds=3600").problem(400);
+    assert_eq!(refused["field"], "seconds");
+    assert!(refused["detail"].as_str().unwrap().contains("do not end"), "{refused}");
+}
+
+#[test]
 fn pages_and_the_headers_of_every_answer() {
     let dir = tempfile::tempdir().unwrap();
     let server = Running::start(dir.path(), Limits::default(), Arc::new(pipeline()));
-    for path in ["/", "/view/0123456789abcdef0123456789abcdef"] {
+    for path in ["/view/0123456789abcdef0123456789abcdef", "/view/no-id", "/embed/0123456789abcdef0123456789abcdef"] {
+        let page = request(server.addr, "GET", path, &[("if-none-match", "*"), ("range", "bytes=0-5")], &[]);
+        assert_eq!((page.status, page.header("content-type")), (404, Some("text/html; charset=utf-8")), "{path}");
+        assert!(String::from_utf8(page.body).unwrap().contains("</html>"), "{path}: the page itself says what is missing");
+    }
+    for path in ["/", "/demo"] {
         let page = get(server.addr, path);
         assert_eq!((page.status, page.header("content-type")), (200, Some("text/html; charset=utf-8")));
         let policy = page.header("content-security-policy").unwrap();

@@ -8,6 +8,9 @@ use super::{Jobs, Page};
 use crate::server::access::Owner;
 use crate::server::entry::Entry;
 use crate::server::id::PhotoId;
+use crate::server::problem::Problem;
+use crate::server::settings::Settings;
+use crate::server::time::now_ms;
 
 /// Of whom photos are listed.
 #[derive(Clone, Debug)]
@@ -44,6 +47,33 @@ impl Jobs {
     }
 }
 
+impl Jobs {
+    /// A photo that is there already was uploaded once more: it takes what that upload says of it, and is the first of the list. Where several nodes
+    /// share a store it keeps its place. Blocks.
+    ///
+    /// # Errors
+    /// [`Problem`] 404 where it was deleted meanwhile; else as [`Jobs::write_settings`].
+    pub fn uploaded_again(&self, entry: &Arc<Entry>, told: &Settings) -> Result<(), Problem> {
+        let _gate = entry.gate();
+        if entry.is_deleted() {
+            return Err(Problem::not_found("the photo was deleted meanwhile"));
+        }
+        let before = entry.settings();
+        let mut settings = before.told_again(told);
+        if self.cluster.is_none() {
+            settings.listed_ms = Some(now_ms());
+        }
+        if settings != before {
+            self.write_settings(entry.id, &settings)?;
+            let mut inner = self.lock();
+            inner.unlist(entry);
+            entry.set_settings(settings);
+            inner.list(entry);
+        }
+        Ok(())
+    }
+}
+
 #[cfg(test)]
 pub(super) mod tests {
     use std::path::Path;
@@ -53,7 +83,6 @@ pub(super) mod tests {
     use crate::server::limits::Limits;
     use crate::server::maker::Never;
     use crate::server::records::Accepted;
-    use crate::server::settings::Settings;
     use crate::server::store::Store;
 
     /// An empty index without workers.

@@ -108,9 +108,18 @@ fn own_api() -> OpenApiRouter<App> {
     pages_api().routes(routes!(system::metrics))
 }
 
-/// The answer to a method that an address does not have.
-async fn no_method(method: Method) -> Problem {
-    Problem::no_method(&method, None)
+/// The answer to a method that an address does not have; OPTIONS asks which it has, and `Allow` says that in both.
+async fn no_method(method: Method) -> Response {
+    if method == Method::OPTIONS { StatusCode::NO_CONTENT.into_response() } else { Problem::no_method(&method, None).into_response() }
+}
+
+/// Says which methods an address has where the layer that answers preflights answers OPTIONS.
+async fn say_methods(mut response: Response) -> Response {
+    let headers = response.headers_mut();
+    if let Some(methods) = headers.get(header::ACCESS_CONTROL_ALLOW_METHODS).cloned() {
+        headers.entry(header::ALLOW).or_insert(methods);
+    }
+    response
 }
 
 /// Says that any site may take the answer in as a picture.
@@ -259,7 +268,7 @@ fn foreign(_: ProtectionError) -> Response {
 fn rooms_router(here: live::routes::Here) -> Router {
     let (watching, _) = live::routes::watching_api().split_for_parts();
     let (publishing, _) = live::routes::publishing_api().split_for_parts();
-    let watching = watching.method_not_allowed_fallback(no_method).layer(rooms_cors());
+    let watching = watching.method_not_allowed_fallback(no_method).layer((map_response(say_methods), rooms_cors()));
     watching.merge(publishing).with_state(here)
 }
 
@@ -269,9 +278,9 @@ pub fn router(app: App, rooms: Option<live::routes::Here>) -> Router {
     let (open, _) = open_api().split_for_parts();
     // before the layers, so that these see every method: questions before a request (preflights) are OPTIONS
     // layers that go together are one: each alone costs every request a box and a copy of all within
-    let open = open.method_not_allowed_fallback(no_method).layer((cors(), map_response(open_to_all)));
+    let open = open.method_not_allowed_fallback(no_method).layer((map_response(say_methods), cors(), map_response(open_to_all)));
     let files = files().into_iter().fold(Router::new(), |router, (path, handler)| router.route(path, handler));
-    let files = files.method_not_allowed_fallback(no_method).layer(cors());
+    let files = files.method_not_allowed_fallback(no_method).layer((map_response(say_methods), cors()));
     let router = router.merge(open).merge(files).merge(rooms.map(rooms_router).unwrap_or_default().with_state(()));
     own_pages()
         .into_iter()

@@ -51,7 +51,7 @@ pub struct PhotoLink {
     post, path = "/v1/photos/{id}/links", tag = "photos",
     params(
         ("id" = String, Path, description = "Id of the photo"),
-        ("seconds" = Option<u64>, Query, minimum = 1, maximum = 31_622_400, description = "How long it is good, 1 to 31622400; a day if it is not given"),
+        ("seconds" = Option<u64>, Query, minimum = 1, maximum = 31_622_400, description = "How long it is good, 1 to 31622400; a day if it is not given. Where the server asks nobody who they are, links do not end, and this is refused"),
     ),
     responses(
         (status = 200, description = "The link", body = PhotoLink),
@@ -66,7 +66,12 @@ pub async fn links(State(app): State<App>, Path(id): Path<String>, uri: Uri, _: 
     let most = app.limits.link.as_secs();
     let wrong = |text: &str| Problem::parameter("seconds", format!("must be from 1 to {most}, not {text:?}"));
     let read = |text: &str| text.parse().ok().filter(|n| (1..=most).contains(n)).ok_or_else(|| wrong(text));
-    let seconds = pairs.get("seconds").map_or(Ok(USUAL.min(most)), read)?;
+    let given = pairs.get("seconds").map(read).transpose()?;
+    if given.is_some() && app.guard.is_none() {
+        let detail = "this server lets everybody see every photo (--access open): links do not end here, so leave it out";
+        return Err(Problem::parameter("seconds", detail));
+    }
+    let seconds = given.unwrap_or(USUAL.min(most));
     let expires = app.guard.as_ref().map(|_| access::now() + seconds);
     let query = app.guard.as_ref().zip(expires).map(|(guard, expires)| guard.query(&entry, expires));
     let address = |path: String| query.as_ref().map_or(path.clone(), |query| format!("{path}?{query}"));

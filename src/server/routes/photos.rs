@@ -42,7 +42,7 @@ pub struct UploadForm {
     /// Depth map, a grey picture (PNG of 8 or 16 bits, JPEG, WebP; or in colour with channels that are alike); replaces the estimated depth.
     #[schema(value_type = Option<String>, format = Binary)]
     depth: Option<Vec<u8>>,
-    /// What to call the photo, 1 to 200 characters; else the name of the photo's file without its ending. A photo that is there already
+    /// What to call the photo, 1 to 200 characters; else the name of the photo's file without its ending, and a photo that is there already
     /// keeps its title.
     title: Option<String>,
     /// Who may see the photo where the server asks who comes: `private` or `link`.
@@ -84,7 +84,8 @@ pub struct UploadForm {
 ///
 /// Multipart form, or the raw bytes of a picture with the options of the form as query parameters (names with `-` or `_`).
 /// Once this answers, the photo is on disk and is made even if the server is restarted. Photo, depth map and options give
-/// the id: the same upload again is the same photo and costs nothing; if it had failed, it is tried again.
+/// the id: the same upload again is the same photo and costs nothing; if it had failed, it is tried again. It takes the title and the visibility that
+/// the upload names, and is the first of the list.
 ///
 /// With `Upload-Complete: ?0` this begins an upload in parts (draft-ietf-httpbis-resumable-upload): the answer is 201 with the address to
 /// which the other parts are sent, and what comes with this request is the first. The last of them is answered as an upload at once is.

@@ -90,7 +90,8 @@ describe('a client of the built program', () => {
   });
 
   test('gives links and a frame to embed', async () => {
-    assert.equal((await tmpi.link(made.id, 60)).page, `/view/${made.id}`);
+    await refuses(tmpi.link(made.id, 60), 'refused', 400);
+    assert.equal((await tmpi.link(made.id)).page, `/view/${made.id}`);
     const frame = tmpi.embed(made);
     assert.equal(frame, `<iframe src="${server.url}/embed/${made.id}" title="A &quot;box&quot; &amp; more" allow="fullscreen"></iframe>`);
     assert.equal((await fetch(`${server.url}/embed/${made.id}`)).status, 200);
