@@ -7,7 +7,7 @@ use anyhow::Context;
 use serde_json::json;
 
 use super::{Usage, files, result};
-use crate::export::{ExportFormat, ExportOptions, ModelShape, export};
+use crate::export::{ExportFormat, ExportOptions, ModelOptions, ModelShape, ModelTextures, export};
 use tmpi_core::Rect;
 use tmpi_core::container::{self, LEVELS, RegionPhoto, Tiles};
 
@@ -33,6 +33,9 @@ pub(super) struct ExportArgs {
     /// A glTF model in the photo's own space, with far things far away, instead of a relief that fits into a viewer's frame
     #[arg(long)]
     metric: bool,
+    /// Layers of a glTF model as WebP: a fraction of the bytes, for programs that have EXT_texture_webp (three.js, model-viewer, Blender 4)
+    #[arg(long)]
+    webp: bool,
     /// Title of the page; without it the container's name
     #[arg(long, value_name = "TEXT")]
     title: Option<String>,
@@ -63,6 +66,9 @@ pub(super) fn run(args: &ExportArgs) -> anyhow::Result<()> {
     if args.metric && format != Some(ExportFormat::Glb) {
         return Err(Usage("--metric is only for .glb".into()).into());
     }
+    if args.webp && format != Some(ExportFormat::Glb) {
+        return Err(Usage("--webp is only for .glb".into()).into());
+    }
     let start = Instant::now();
     let whole = files::read(&args.input)?;
     let container = if args.region.is_some() || args.level > 0 { part_of(&whole, args)? } else { whole.clone() };
@@ -71,7 +77,8 @@ pub(super) fn run(args: &ExportArgs) -> anyhow::Result<()> {
     let scene = container::decode(&container).with_context(context)?;
     let stem = args.input.file_stem().unwrap_or_default().to_string_lossy();
     let shape = if args.metric { ModelShape::Metric } else { ModelShape::Relief };
-    let options = ExportOptions { title: args.title.as_deref().unwrap_or(&stem), shape };
+    let textures = if args.webp { ModelTextures::WebP } else { ModelTextures::Plain };
+    let options = ExportOptions { title: args.title.as_deref().unwrap_or(&stem), model: ModelOptions { shape, textures } };
     let written = format.map(|f| export(f, &container, &scene, &options, &|| false)).transpose();
     let bytes = written.with_context(context)?.unwrap_or_else(|| container.clone());
     let ms = start.elapsed().as_secs_f64() * 1e3;

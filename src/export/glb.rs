@@ -18,22 +18,40 @@ use tmpi_render::OPAQUE;
 
 /// Quality of a photo that must be encoded anew because glTF knows no WebP.
 const QUALITY: u8 = 95;
-/// Quality of the layers of a relief, which are WebP: a quarter smaller than at 90, and nobody sees which is which.
+/// Quality of layers as WebP: a quarter smaller than at 90, and nobody sees which is which.
 const LAYER_QUALITY: f32 = 82.0;
-/// Quality of the background behind them.
-const BACKDROP_QUALITY: u8 = 85;
+/// Quality of what is opaque and not the photo: the background of a relief, and pages of layers without holes.
+const OPAQUE_QUALITY: u8 = 85;
 /// Longest side of a WebP picture.
 const WEBP_SIDE: u32 = 16_383;
 
 /// What space a model is put into.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum ModelShape {
-    /// As a relief, a quarter as deep as the photo is long, which fits into the frame that viewers put around a model. Layers are WebP
-    /// (`EXT_texture_webp`: three.js, model-viewer, Babylon.js, Blender 4).
+    /// As a relief, a quarter as deep as the photo is long, which fits into the frame that viewers put around a model.
     #[default]
     Relief,
-    /// In the photo's own proportions: far things are far away, up to 100 times as far as the nearest. Layers are PNG.
+    /// In the photo's own proportions: far things are far away, up to 100 times as far as the nearest.
     Metric,
+}
+
+/// What the textures of a model are.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum ModelTextures {
+    /// JPEG where nothing is transparent, else PNG: every program that reads glTF reads these.
+    #[default]
+    Plain,
+    /// Layers as WebP, a fraction of PNG's bytes, for programs that have `EXT_texture_webp`: three.js, model-viewer, Babylon.js, Blender 4.
+    WebP,
+}
+
+/// What a model is.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub struct ModelOptions {
+    /// The space that it is put into.
+    pub shape: ModelShape,
+    /// Its textures.
+    pub textures: ModelTextures,
 }
 
 /// Writes a glTF model of `scene`, which is what `container` decodes to.
@@ -44,8 +62,9 @@ pub enum ModelShape {
 ///
 /// # Errors
 /// [`ExportError::TooLarge`] above 4 GiB.
-pub fn glb(container: &[u8], scene: &Scene, shape: ModelShape, cancelled: &dyn Fn() -> bool) -> Result<Vec<u8>, ExportError> {
+pub fn glb(container: &[u8], scene: &Scene, options: ModelOptions, cancelled: &dyn Fn() -> bool) -> Result<Vec<u8>, ExportError> {
     let photo = photo_file(container)?;
+    let ModelOptions { shape, textures } = options;
     let space = match shape {
         ModelShape::Relief => Space::relief(&scene.intrinsics, scene.grid.width, scene.grid.height),
         ModelShape::Metric => Space::metric(&scene.intrinsics),
@@ -53,7 +72,7 @@ pub fn glb(container: &[u8], scene: &Scene, shape: ModelShape, cancelled: &dyn F
     let mut file = File::default();
     if shape == ModelShape::Relief && !scene.layers.is_empty() {
         let Backdrop { positions, coordinates, triangles, photo } = Backdrop::of(scene, &space);
-        let texture = file.texture("background", &("image/jpeg", jpeg(&photo, BACKDROP_QUALITY)?));
+        let texture = file.texture("background", &("image/jpeg", jpeg(&photo, OPAQUE_QUALITY)?));
         let material = file.material("background", texture, &json!({}));
         let vertices = file.vertices(&positions, &coordinates);
         file.surface("background", &vertices, &triangles, material);
@@ -91,7 +110,7 @@ pub fn glb(container: &[u8], scene: &Scene, shape: ModelShape, cancelled: &dyn F
             let shift = [f64::from(place.x) - f64::from(rect.x), f64::from(place.y) - f64::from(rect.y)];
             parts.push((place.layer, mesh.add(scene, place.layer, &space, |[x, y]| [(x + shift[0]) / w, (y + shift[1]) / h])));
         }
-        let texture = file.texture(&format!("layers {n}"), &page_texture(scene, page, shape)?);
+        let texture = file.texture(&format!("layers {n}"), &page_texture(scene, page, textures)?);
         let vertices = file.vertices(&mesh.positions, &mesh.coordinates);
         let of = |wanted: fn(Kind) -> bool| parts.iter().filter(move |(l, _)| wanted(kind(scene, *l))).map(|(_, part)| part.clone());
         let opaque: Vec<_> = of(|k| matches!(k, Kind::Layered { opaque: true, .. })).collect();
@@ -113,9 +132,13 @@ fn jpeg(photo: &Photo, quality: u8) -> Result<Vec<u8>, ExportError> {
 }
 
 /// A page of layers as a picture (media type, bytes).
-fn page_texture(scene: &Scene, page: &pages::Page, shape: ModelShape) -> Result<(&'static str, Vec<u8>), ExportError> {
+fn page_texture(scene: &Scene, page: &pages::Page, textures: ModelTextures) -> Result<(&'static str, Vec<u8>), ExportError> {
     let (w, h, rgba) = (page.width, page.height, pages::paint(scene, page));
-    if shape == ModelShape::Metric || w.max(h) > WEBP_SIDE {
+    if textures == ModelTextures::Plain || w.max(h) > WEBP_SIDE {
+        if rgba.iter().all(|texel| texel[3] == u8::MAX) {
+            let rgb: Vec<[u8; 3]> = rgba.iter().map(|&[r, g, b, _]| [r, g, b]).collect();
+            return Ok(("image/jpeg", encode_jpeg(w, h, rgb.as_flattened(), OPAQUE_QUALITY)?));
+        }
         return Ok(("image/png", pages::png(w, h, &rgba)?));
     }
     // alpha is coded without loss
@@ -229,14 +252,21 @@ mod tests {
     #[test]
     fn every_layer_is_there_and_the_photo_is_its_own_file() {
         for shape in [ModelShape::Metric, ModelShape::Relief] {
-            every_layer_is_in(shape);
+            for textures in [ModelTextures::Plain, ModelTextures::WebP] {
+                every_layer_is_in(ModelOptions { shape, textures });
+            }
         }
     }
 
-    fn every_layer_is_in(shape: ModelShape) {
+    fn every_layer_is_in(options: ModelOptions) {
         let (container, scene) = testing::made();
-        let file = glb(container, scene, shape, &|| false).unwrap();
+        let file = glb(container, scene, options, &|| false).unwrap();
         let (root, binary) = read(&file);
+        let ModelOptions { shape, textures } = options;
+        let kinds: Vec<&str> = root["images"].as_array().unwrap().iter().map(|i| i["mimeType"].as_str().unwrap()).collect();
+        let webp = textures == ModelTextures::WebP;
+        assert_eq!(kinds.contains(&"image/webp"), webp, "{kinds:?}");
+        assert_eq!(root["extensionsRequired"].as_array().is_some_and(|all| all.iter().any(|e| e == "EXT_texture_webp")), webp);
         let names: Vec<&str> = root["nodes"].as_array().unwrap().iter().map(|n| n["name"].as_str().unwrap()).collect();
         let relief = shape == ModelShape::Relief;
         assert_eq!(names[usize::from(relief)..], ["photo", "opaque 0", "soft 0", "camera", "3D photo"]);
@@ -279,7 +309,7 @@ mod tests {
     #[test]
     fn the_camera_sees_what_the_photo_shows() {
         let (container, scene) = testing::made();
-        let file = glb(container, scene, ModelShape::Metric, &|| false).unwrap();
+        let file = glb(container, scene, ModelOptions { shape: ModelShape::Metric, ..ModelOptions::default() }, &|| false).unwrap();
         let camera = &read(&file).0["cameras"][0]["perspective"];
         let (yfov, aspect) = (camera["yfov"].as_f64().unwrap(), camera["aspectRatio"].as_f64().unwrap());
         let fov_x = 2.0 * ((yfov / 2.0).tan() * aspect).atan().to_degrees();
@@ -291,7 +321,7 @@ mod tests {
         let (container, scene) = testing::made();
         let mut scene = scene.clone();
         scene.layers.clear();
-        let file = glb(container, &scene, ModelShape::Relief, &|| false).unwrap();
+        let file = glb(container, &scene, ModelOptions::default(), &|| false).unwrap();
         let (root, _) = read(&file);
         assert!(root["meshes"].is_null() && root["cameras"][0].is_object());
     }

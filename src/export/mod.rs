@@ -15,7 +15,7 @@ mod surface;
 mod testing;
 mod zip;
 
-pub use glb::{ModelShape, glb};
+pub use glb::{ModelOptions, ModelShape, ModelTextures, glb};
 pub use html::html;
 pub use ora::{ORA_BYTES, ora};
 pub use script::ScriptError;
@@ -113,8 +113,8 @@ pub enum ExportError {
 pub struct ExportOptions<'a> {
     /// Names a page for people.
     pub title: &'a str,
-    /// Space of a model.
-    pub shape: ModelShape,
+    /// What a model is.
+    pub model: ModelOptions,
 }
 
 /// Writes `scene`, which is what `container` decodes to, in `format`. `cancelled` is asked before each layer or page of them.
@@ -130,7 +130,7 @@ pub fn export(
 ) -> Result<Vec<u8>, ExportError> {
     match format {
         ExportFormat::Html => html(container, options.title),
-        ExportFormat::Glb => glb(container, scene, options.shape, cancelled),
+        ExportFormat::Glb => glb(container, scene, options.model, cancelled),
         ExportFormat::Ora => ora(scene, cancelled),
         ExportFormat::Zip => zip(container, scene, cancelled),
     }

@@ -9,6 +9,7 @@ mod access;
 mod admission;
 mod app;
 mod asked;
+mod attachment;
 mod body;
 mod cache;
 mod card;

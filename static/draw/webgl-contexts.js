@@ -8,6 +8,7 @@ const MOST = matchMedia('(pointer: coarse)').matches ? 6 : 12;
  * Who has a context, or waits for one.
  * @typedef {object} Holder
  * @property {boolean} asleep nobody sees it
+ * @property {boolean} busy its context is being made ready, and cannot be given back before that is done
  * @property {() => void} giveBack drops the context
  * @property {() => void} retry asks for one again
  */
@@ -23,7 +24,7 @@ const waiting = new Set();
  */
 export function takeContext(holder) {
   if (!holders.has(holder) && holders.size >= MOST) {
-    const asleep = [...holders].find((other) => other.asleep);
+    const asleep = [...holders].find((other) => other.asleep && !other.busy);
     if (asleep) evict(asleep);
   }
   if (!holders.has(holder) && holders.size >= MOST) {
@@ -40,8 +41,8 @@ export function takeContext(holder) {
  * @param {Holder} holder
  */
 export function insistOnContext(holder) {
-  if (!waiting.has(holder)) return;
-  const [oldest] = holders;
+  const oldest = [...holders].find((other) => !other.busy);
+  if (!waiting.has(holder) || !oldest) return;
   evict(oldest);
   waiting.delete(holder);
   holder.retry();
@@ -58,12 +59,13 @@ export function leaveContext(holder) {
 }
 
 /**
- * Nobody sees it any more: whoever waits may have its context.
+ * Nobody sees it, or it is ready: whoever waits may have its context where it needs none.
  * @param {Holder} holder
  */
 export function lendContext(holder) {
+  if (!holder.asleep) return;
   waiting.delete(holder);
-  if (!waiting.size || !holders.has(holder)) return;
+  if (!waiting.size || !holders.has(holder) || holder.busy) return;
   evict(holder);
   callNext();
 }

@@ -46,6 +46,7 @@ export const MODULES = [
 /** What rooms need besides. */
 export const ROOM_MODULES = [
   'element/room.js',
+  'element/sheet.js',
   'i18n/messages.js',
   'live/connection.js',
   'live/room-address.js',

@@ -64,7 +64,13 @@ const PROPERTIES = [...ADDRESS, 'alt', 'poster', 'fit', 'loading', 'reveal', 'mo
  * Attributes that are on or off, and their properties; React sets a property by the attribute's own name where there is one.
  * @type {Record<string, string>}
  */
-const SWITCHES = { 'auto-rotate': 'autoRotate', 'camera-controls': 'cameraControls', fullscreen: 'fullscreen', still: 'still', settings: 'settings' };
+const SWITCHES = {
+  'auto-rotate': 'autoRotate',
+  'camera-controls': 'cameraControls',
+  fullscreen: 'fullscreen',
+  still: 'still',
+  settings: 'settings',
+};
 const REDUCED = '(prefers-reduced-motion: reduce)';
 
 class TmpiViewer extends HTMLElement {

@@ -75,6 +75,9 @@ export class Viewer extends Steering {
       get asleep() {
         return viewer.asleep;
       },
+      get busy() {
+        return viewer.#busy;
+      },
       giveBack: () => this.#giveBack(),
       retry: () => this.#drawAgain(),
     };
@@ -183,8 +186,10 @@ export class Viewer extends Steering {
     else this.wake();
   }
 
-  /** It drew, and has nothing to draw with now. */
+  /** It has nothing to draw with now, and may have again. */
   #lent = false;
+  /** A backend is being made ready. */
+  #busy = false;
 
   /** Gives its graphics context to another viewer: the photo is seen meanwhile. */
   #giveBack() {
@@ -343,15 +348,15 @@ export class Viewer extends Steering {
   async #draw(anew = false) {
     if (anew) this.#backends = await Backends.find();
     if (!this.#backends || !this.scene) return;
+    this.#busy = true;
     const backend = await this.#backends.next(this.scene, (reason) => this.#onLost(reason), this.#holder);
+    this.#busy = false;
     if (backend === 'wait') {
       this.#lent = true;
       return;
     }
-    if (this.disposed) {
-      leaveContext(this.#holder);
-      return backend?.renderer.dispose();
-    }
+    if (this.disposed) leaveContext(this.#holder);
+    if (this.disposed) return backend?.renderer.dispose();
     if (!backend) return this.#serve(this.#backends.reason);
     this.#detail?.dispose();
     this.#detail = null;
@@ -364,6 +369,7 @@ export class Viewer extends Steering {
     this.render();
     this.wake();
     this.emit('ready', { mode: this.mode });
+    lendContext(this.#holder);
   }
 
   /** @param {string} reason */

@@ -1,6 +1,6 @@
 //! What a file to download is made by: its format and parameters.
 
-use crate::export::{ExportFormat, ModelShape, ORA_BYTES};
+use crate::export::{ExportFormat, ModelOptions, ModelShape, ModelTextures, ORA_BYTES};
 use crate::server::app::scene_bytes;
 use crate::server::limits::Limits;
 use crate::server::problem::Problem;
@@ -31,8 +31,8 @@ pub enum Recipe {
     File {
         /// Format.
         format: ExportFormat,
-        /// Space of a model.
-        shape: ModelShape,
+        /// What a model is.
+        model: ModelOptions,
     },
     /// A film along a way of the camera, of frames of this size.
     Film(Box<ViewQuery>, (u32, u32)),
@@ -52,8 +52,8 @@ impl Recipe {
         if let Some((_, film)) = pairs.iter().find(|(name, value)| name == "format" && AnimationFormat::from_extension(value).is_some()) {
             return Err(Problem::parameter("path", format!("is wanted for {film}: one of {}", Path::NAMES.join(", "))));
         }
-        let ExportQuery { format, shape, .. } = ExportQuery::of(Pairs::of(pairs, &["format", "shape"])?)?;
-        Ok(Self::File { format, shape })
+        let query = ExportQuery::of(Pairs::of(pairs, &["format", "shape", "textures"])?)?;
+        Ok(Self::File { format: query.format, model: query.model() })
     }
 
     /// The same from what [`Recipe::text`] gave.
@@ -70,14 +70,18 @@ impl Recipe {
     #[must_use]
     pub fn pairs(&self) -> Vec<(&'static str, String)> {
         match self {
-            Self::File { format, shape } => {
-                let shape = (*format == ExportFormat::Glb).then_some(match shape {
+            Self::File { format: ExportFormat::Glb, model: ModelOptions { shape, textures } } => {
+                let shape = match shape {
                     ModelShape::Relief => "relief",
                     ModelShape::Metric => "metric",
-                });
-                let format = ("format", format.extension().to_owned());
-                std::iter::once(format).chain(shape.map(|shape| ("shape", shape.to_owned()))).collect()
+                };
+                let textures = match textures {
+                    ModelTextures::Plain => "plain",
+                    ModelTextures::WebP => "webp",
+                };
+                [("format", "glb"), ("shape", shape), ("textures", textures)].map(|(name, value)| (name, value.to_owned())).into()
             }
+            Self::File { format, .. } => vec![("format", format.extension().to_owned())],
             Self::Film(query, size) => film_pairs(query, *size),
         }
     }
@@ -186,8 +190,8 @@ mod tests {
     #[test]
     fn what_means_the_same_is_said_in_one_way_and_read_back() {
         for (asked, text) in [
-            ("format=GLB", "format=glb&shape=relief"),
-            ("shape=metric&format=glb", "format=glb&shape=metric"),
+            ("format=GLB", "format=glb&shape=relief&textures=plain"),
+            ("textures=webp&shape=metric&format=glb", "format=glb&shape=metric&textures=webp"),
             ("format=zip", "format=zip"),
             ("path=orbit", "path=orbit&format=webp&frames=60&w=80&h=60"),
             ("frames=9&path=dolly-zoom&w=40&format=mp4&tx=0", "path=dolly-zoom&format=mp4&frames=9&w=40&h=30"),

@@ -41,9 +41,9 @@ impl Work<'_> {
         let unread = |e| Fault::Photo(Problem::from(&e));
         match self.recipe {
             Recipe::File { format: export::ExportFormat::Html, .. } => export::html(self.container, TITLE).map_err(|e| fault(&e)),
-            Recipe::File { format, shape } => {
+            Recipe::File { format, model } => {
                 let scene = container::decode(self.container).map_err(unread)?;
-                let options = ExportOptions { title: TITLE, shape: *shape };
+                let options = ExportOptions { title: TITLE, model: *model };
                 export::export(*format, self.container, &scene, &options, &|| is_over(sink)).map_err(|e| fault(&e))
             }
             Recipe::Film(query, size) => {

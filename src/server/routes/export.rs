@@ -10,7 +10,8 @@ use tokio_util::sync::CancellationToken;
 
 use super::derived::Derived;
 use super::query::Pairs;
-use crate::export::{self, ExportError, ExportFormat, ExportOptions, ModelShape};
+use crate::export::{self, ExportError, ExportFormat, ExportOptions, ModelOptions, ModelShape, ModelTextures};
+use crate::server::attachment::attachment;
 use crate::server::app::{App, Export, Full, Shared, Stored, scene_bytes};
 use crate::server::clock::Clock;
 use crate::server::conditional::insert;
@@ -29,6 +30,10 @@ pub struct ExportQuery {
     /// `relief` if it is not given.
     #[param(value_type = Option<String>)]
     pub shape: ModelShape,
+    /// Textures of a `glb`: `plain`, JPEG and PNG, which every program reads, or `webp`, which are smaller and need `EXT_texture_webp`; `plain` if it
+    /// is not given.
+    #[param(value_type = Option<String>)]
+    pub textures: ModelTextures,
     /// Version as in the photo's `links`: the file is kept for a year then.
     #[param(rename = "v")]
     pub version: Option<String>,
@@ -40,7 +45,7 @@ impl ExportQuery {
     /// # Errors
     /// 400 that names the first parameter that is unknown, given twice or wrong.
     pub fn read(uri: &Uri) -> Result<Self, Problem> {
-        Self::of(Pairs::read(uri, &["format", "shape", "v"])?)
+        Self::of(Pairs::read(uri, &["format", "shape", "textures", "v"])?)
     }
 
     /// The same of parameters that are known.
@@ -52,14 +57,29 @@ impl ExportQuery {
             let known = ExportFormat::from_extension(value);
             known.ok_or_else(|| Problem::parameter("format", format!("must be html, glb, ora or zip, not {value:?}")))
         })?;
+        for name in ["shape", "textures"] {
+            if format != ExportFormat::Glb && pairs.get(name).is_some() {
+                return Err(Problem::parameter(name, "goes with format=glb"));
+            }
+        }
         let shape = pairs.get("shape").map(|value| match value {
-            _ if format != ExportFormat::Glb => Err(Problem::parameter("shape", "goes with format=glb")),
             "relief" => Ok(ModelShape::Relief),
             "metric" => Ok(ModelShape::Metric),
             _ => Err(Problem::parameter("shape", format!("must be relief or metric, not {value:?}"))),
         });
-        let shape = shape.transpose()?.unwrap_or_default();
-        Ok(Self { format, shape, version: pairs.take("v") })
+        let textures = pairs.get("textures").map(|value| match value {
+            "plain" => Ok(ModelTextures::Plain),
+            "webp" => Ok(ModelTextures::WebP),
+            _ => Err(Problem::parameter("textures", format!("must be plain or webp, not {value:?}"))),
+        });
+        let (shape, textures) = (shape.transpose()?.unwrap_or_default(), textures.transpose()?.unwrap_or_default());
+        Ok(Self { format, shape, textures, version: pairs.take("v") })
+    }
+
+    /// What a model is.
+    #[must_use]
+    pub const fn model(&self) -> ModelOptions {
+        ModelOptions { shape: self.shape, textures: self.textures }
     }
 }
 
@@ -97,15 +117,16 @@ pub async fn export(
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
     let entry = app.photo(&id)?;
-    let ExportQuery { format, shape, version: asked } = ExportQuery::read(&uri)?;
+    let query = ExportQuery::read(&uri)?;
+    let (format, model, asked) = (query.format, query.model(), query.version);
     let (version, done) = Shared::done(&entry)?;
-    let derived = Derived::new(&app, &done, asked.as_deref(), |results| format!("export {results} {format:?} {shape:?}"));
+    let derived = Derived::new(&app, &done, asked.as_deref(), |results| format!("export {results} {format:?} {model:?}"));
     if let Some(response) = derived.known(&headers) {
         return Ok(response);
     }
     clock.allow(app.limits.export);
     let mut timing = Vec::new();
-    let recipe = Recipe::File { format, shape };
+    let recipe = Recipe::File { format, model };
     let write = async {
         let gone = CancellationToken::new();
         let _guard = gone.clone().drop_guard();
@@ -119,7 +140,7 @@ pub async fn export(
         let written = slot.run(move || {
             let (start, container) = (Instant::now(), read()?);
             let bytes = match scene {
-                Some(scene) => export::export(format, &container, &scene, &ExportOptions { title: TITLE, shape }, &|| gone.is_cancelled())
+                Some(scene) => export::export(format, &container, &scene, &ExportOptions { title: TITLE, model }, &|| gone.is_cancelled())
                     .map_err(problem),
                 None if cheap => export::html(&container, TITLE).map_err(problem),
                 None => shared.written(&recipe, (&container, &done), &gone),
@@ -133,8 +154,7 @@ pub async fn export(
     };
     let Export(stored) = app.exports.get((version, derived.made.clone()), write).await?;
     let mut response = derived.answer(&headers, stored, format.media_type(), &timing);
-    let name = format!("attachment; filename=\"{}.{}\"", entry.id, format.extension());
-    insert(&mut response, header::CONTENT_DISPOSITION, &name);
+    insert(&mut response, header::CONTENT_DISPOSITION, &attachment(&entry, format.extension()));
     Ok(response)
 }
 
@@ -162,6 +182,8 @@ mod tests {
             ("w=3", "w"),
             ("shape=metric", "shape"),
             ("format=glb&shape=flat", "shape"),
+            ("textures=webp", "textures"),
+            ("format=glb&textures=jpeg", "textures"),
         ] {
             let p = read(query).unwrap_err();
             assert_eq!((p.status, p.field.as_deref()), (400, Some(field)), "{query}");

@@ -17,6 +17,7 @@ use crate::server::conditional::{Coding, Entity, REVALIDATE, insert, respond};
 use crate::server::entry::Entry;
 use crate::server::exports::{Ordered, Recipe, Standing};
 use crate::server::problem::Problem;
+use crate::server::attachment::attachment;
 use crate::server::source::Source;
 use crate::server::time::rfc3339;
 
@@ -33,6 +34,8 @@ pub struct ExportOrder {
     format: Option<String>,
     /// Space of a `glb`: `relief` or `metric`.
     shape: Option<String>,
+    /// Textures of a `glb`: `plain`, JPEG and PNG, or `webp`.
+    textures: Option<String>,
     /// The camera's way, `orbit`, `swing`, `dolly`, `dolly-zoom` or `zoom`: the file is a film. All parameters of a view go with it.
     path: Option<String>,
     /// Frames of a film, 2 to 240.
@@ -270,7 +273,7 @@ pub async fn file(
     let source = Source::File(Arc::new(opened), record.bytes as usize);
     let entity = Entity { source, etag: &record.etag, content_type, cache_control: REVALIDATE, coding: Coding::Plain };
     let mut response = respond(&headers, entity);
-    insert(&mut response, CONTENT_DISPOSITION, &format!("attachment; filename=\"{}.{}\"", file.photo, ending));
+    insert(&mut response, CONTENT_DISPOSITION, &attachment(&entry, ending));
     Ok(response)
 }
 

@@ -72,6 +72,7 @@ pub fn put(document: &mut Value) {
     let order = &mut document["components"]["schemas"]["ExportOrder"]["properties"];
     Text::Words([&exports[..], &["webp".to_owned(), "mp4".to_owned()]].concat()).put(&mut order["format"]);
     Text::Words(["relief", "metric"].map(str::to_owned).into()).put(&mut order["shape"]);
+    Text::Words(["plain", "webp"].map(str::to_owned).into()).put(&mut order["textures"]);
     Text::Words(words::<Path>()).put(&mut order["path"]);
     for (path, parameter, text) in [
         ("/v1/photos/{id}/view", "format", Text::Words([&stills[..], &["mp4".to_owned()]].concat())),
@@ -85,6 +86,7 @@ pub fn put(document: &mut Value) {
         ("/v1/live/{room}/frames/{frame}/view", "crop", Text::Pattern("^[^,]+,[^,]+,[^,]+,[^,]+$")),
         ("/v1/photos/{id}/export", "format", Text::Words(exports.into())),
         ("/v1/photos/{id}/export", "shape", Text::Words(["relief", "metric"].map(str::to_owned).into())),
+        ("/v1/photos/{id}/export", "textures", Text::Words(["plain", "webp"].map(str::to_owned).into())),
         ("/v1/photos/{id}/atlas", "region", Text::Pattern("^[0-9]+,[0-9]+,[0-9]+,[0-9]+$")),
     ] {
         let parameters = document["paths"][path]["get"]["parameters"].as_array_mut();

@@ -1,0 +1,49 @@
+//! Names of files to download.
+
+use std::fmt::Write as _;
+
+use super::entry::Entry;
+
+/// `Content-Disposition` (RFC 6266) of a file that is made of a photo: named by the photo's title, or by its id where it has none.
+#[must_use]
+pub fn attachment(entry: &Entry, ending: &str) -> String {
+    let id = entry.id.to_string();
+    let stem = entry.settings().title.as_deref().map(stem).filter(|stem| !stem.is_empty());
+    match stem {
+        Some(stem) if stem.is_ascii() => format!("attachment; filename=\"{stem}.{ending}\""),
+        // letters of other scripts go by the second form, which is taken where it is known
+        Some(stem) => format!("attachment; filename=\"{id}.{ending}\"; filename*=UTF-8''{}.{ending}", coded(&stem)),
+        None => format!("attachment; filename=\"{id}.{ending}\""),
+    }
+}
+
+/// What a title leaves of a file name: letters, digits, dots, `_`, and `-` for all else.
+fn stem(title: &str) -> String {
+    let kept = title.split(|c: char| !(c.is_alphanumeric() || matches!(c, '.' | '_' | '-'))).filter(|part| !part.is_empty());
+    kept.collect::<Vec<_>>().join("-").trim_matches(['.', '-']).to_owned()
+}
+
+/// Text as a parameter of a header (RFC 8187).
+fn coded(text: &str) -> String {
+    text.bytes().fold(String::new(), |mut out, byte| {
+        if byte.is_ascii_alphanumeric() || matches!(byte, b'.' | b'_' | b'-') {
+            out.push(char::from(byte));
+        } else {
+            let _ = write!(out, "%{byte:02X}");
+        }
+        out
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn titles_become_file_names() {
+        for (title, name) in [("By the lake", "By-the-lake"), ("a/b\\c\"d\r\n", "a-b-c-d"), ("..", ""), ("\u{1f300}", ""), ("Größe 3.5", "Größe-3.5")] {
+            assert_eq!(stem(title), name, "{title:?}");
+        }
+        assert_eq!(coded("ö-1"), "%C3%B6-1");
+    }
+}

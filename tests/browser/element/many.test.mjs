@@ -1,0 +1,152 @@
+// Many elements on a page, and elements that are moved and told otherwise while they run.
+import assert from 'node:assert/strict';
+import { after, before, describe, test } from 'node:test';
+import { launch, openPage } from '../support/browser.mjs';
+import { boxContainer } from '../support/container.mjs';
+import { serve } from '../support/static-server.mjs';
+import { boxSuite } from '../support/suite.mjs';
+
+/** More than the 16 contexts that Chromium gives to a page. */
+const MANY = 18;
+const STILL = { reducedMotion: 'reduce' };
+const one = (more = '') => `<tmpi-viewer src="/v1/photos/box/atlas" alt="A box" ${more}></tmpi-viewer>`;
+
+/** Opens a page of these elements, styled. */
+async function open(browser, server, html, options = STILL) {
+  const opened = await openPage(browser, options);
+  await opened.page.goto(`${server.url}/embed/blank`);
+  await opened.page.evaluate((markup) => (document.body.innerHTML = markup), html);
+  await opened.page.addScriptTag({ type: 'module', url: '/tmpi-viewer.js' });
+  return opened;
+}
+
+describe('many elements without WebGPU', () => {
+  let server;
+  let browser;
+  before(async () => {
+    server = await serve({ atlas: boxContainer() });
+    browser = await launch({ webgpu: false, more: ['--use-angle=swiftshader', '--enable-unsafe-swiftshader'] });
+  });
+  after(async () => {
+    await browser?.close();
+    await server?.close();
+  });
+
+  const modes = (page) => page.evaluate(() => [...document.querySelectorAll('tmpi-viewer')].map((e) => e.viewer?.mode));
+  const drawn = (page, n) => page.waitForFunction((i) => document.querySelectorAll('tmpi-viewer')[i].viewer?.mode === 'webgl', n);
+
+  test(`each of ${MANY} below one another is drawn where it is in sight, also when scrolled back to`, async () => {
+    const { page, context, errors } = await open(
+      browser,
+      server,
+      `<style>tmpi-viewer { width: 150px; margin-bottom: 700px }</style>${one('loading="eager"').repeat(MANY)}`,
+    );
+    const visit = async (n) => {
+      await page.evaluate((i) => document.querySelectorAll('tmpi-viewer')[i].scrollIntoView(), n);
+      await drawn(page, n);
+    };
+    for (let n = 0; n < MANY; n++) await visit(n);
+    await visit(0);
+    assert.ok(
+      (await modes(page)).every((mode) => mode === 'webgl' || mode === 'loading'),
+      'none is given up',
+    );
+    // what has no context shows its photo
+    const pictured = await page.evaluate(() =>
+      [...document.querySelectorAll('tmpi-viewer')].map((e) => e.shadowRoot.querySelector('.tmpi-poster').naturalWidth),
+    );
+    assert.deepEqual(new Set(pictured), new Set([200]));
+    assert.deepEqual(errors, []);
+    await context.close();
+  });
+
+  test(`of ${MANY} in sight at once one that is used is drawn, and no browser takes one away`, async () => {
+    const { page, context, errors } = await open(
+      browser,
+      server,
+      `<style>body { margin: 0 } tmpi-viewer { width: 100px; height: 60px; display: inline-block }</style>${one().repeat(MANY)}`,
+    );
+    await page.waitForFunction(
+      (n) => [...document.querySelectorAll('tmpi-viewer')].filter((e) => e.viewer?.mode === 'webgl').length >= n,
+      12,
+    );
+    await page.waitForFunction(() =>
+      [...document.querySelectorAll('tmpi-viewer')].every((e) => e.shadowRoot.querySelector('.tmpi-poster')?.naturalWidth),
+    );
+    const waiting = (await modes(page)).findIndex((mode) => mode === 'loading');
+    assert.ok(waiting >= 0, 'some wait');
+    await page.locator('tmpi-viewer').nth(waiting).hover();
+    await drawn(page, waiting);
+    // those that leave make room for those that wait
+    await page.evaluate(() => {
+      for (const e of [...document.querySelectorAll('tmpi-viewer')].slice(0, 12)) e.remove();
+    });
+    await page.waitForFunction(() => [...document.querySelectorAll('tmpi-viewer')].every((e) => e.viewer.mode === 'webgl'));
+    assert.deepEqual(
+      errors.filter((e) => /context/i.test(e)),
+      [],
+    );
+    await context.close();
+  });
+});
+
+describe('an element that runs', () => {
+  const suite = boxSuite();
+  const running = async (html, options = {}) => {
+    const opened = await open(suite.browser, suite.server, `<style>tmpi-viewer { width: 300px }</style>${html}`, options);
+    await opened.page.waitForFunction(() => document.querySelector('tmpi-viewer').loaded);
+    return opened;
+  };
+  const idle = (page) => page.evaluate(() => document.querySelector('tmpi-viewer').viewer.idle);
+
+  test('heeds reduced motion that is switched on, and off again', async () => {
+    const { page, context } = await running(one());
+    assert.equal(await idle(page), true);
+    await page.emulateMedia({ reducedMotion: 'reduce' });
+    await page.waitForFunction(() => !document.querySelector('tmpi-viewer').viewer.idle);
+    await page.emulateMedia({ reducedMotion: 'no-preference' });
+    await page.waitForFunction(() => document.querySelector('tmpi-viewer').viewer.idle);
+    await context.close();
+  });
+
+  test('takes the word false, and properties, as frameworks write them', async () => {
+    const { page, context } = await running(
+      one('auto-rotate="false" camera-controls="false" fullscreen="false" settings="false" still="false"'),
+    );
+    const told = () =>
+      page.evaluate(() => {
+        const e = document.querySelector('tmpi-viewer');
+        const button = e.shadowRoot.querySelector('button').hidden;
+        return [e.viewer.idle, e.shadowRoot.querySelector('.stage').inert, button, e.autoRotate, e.cameraControls, e.fullscreen, e.still];
+      });
+    assert.deepEqual(await told(), [false, true, true, false, false, false, false]);
+    const asked = await page.evaluate(() => performance.getEntriesByType('resource').filter((r) => r.name.endsWith('/settings')).length);
+    assert.equal(asked, 0);
+    // as React 19 does: a property where there is one of the attribute's name
+    await page.evaluate(() => {
+      const e = document.querySelector('tmpi-viewer');
+      for (const name of ['auto-rotate', 'camera-controls', 'fullscreen']) if (name in e) e[name] = true;
+    });
+    assert.deepEqual(await told(), [true, false, false, true, true, true, false]);
+    await page.evaluate(() => (document.querySelector('tmpi-viewer').still = true));
+    assert.deepEqual((await told())[0], false);
+    await page.evaluate(() => (document.querySelector('tmpi-viewer')['auto-rotate'] = false));
+    await page.evaluate(() => (document.querySelector('tmpi-viewer').still = false));
+    assert.deepEqual((await told()).slice(0, 4), [false, false, false, false]);
+    await context.close();
+  });
+
+  test('is moved within the page without beginning anew', async () => {
+    const { page, context } = await running(`<div id="there"></div>${one('still')}`);
+    const same = await page.evaluate(() => {
+      const e = document.querySelector('tmpi-viewer');
+      const { viewer } = e;
+      const there = document.getElementById('there');
+      if (!there.moveBefore) return null;
+      there.moveBefore(e, null);
+      return e.viewer === viewer && !viewer.disposed && e.parentElement === there;
+    });
+    assert.equal(same, true);
+    await context.close();
+  });
+});
