@@ -40,7 +40,7 @@ export async function offerBetterDepth(place, { id, model, made }) {
       return;
     }
     /** @type {HTMLElement[]} */
-    const parts = problem ? [element('p', 'hint', t('It could not be fetched: {0}', problem))] : [];
+    const parts = problem ? [failure(problem)] : [];
     if (better) parts.push(button(t('Better depth: {0}, once', better.bytes ? formatBytes(better.bytes) : better.name), fetchIt));
     else if (atHand) parts.push(button(t('Make again with {0}', t(networkName(atHand))), again));
     place.replaceChildren(...parts);
@@ -77,6 +77,15 @@ export async function offerBetterDepth(place, { id, model, made }) {
   }
 
   await ask();
+}
+
+/**
+ * That the network could not be fetched, and for whoever asks, why.
+ * @param {string} problem as the server has it
+ */
+function failure(problem) {
+  const summary = element('summary', '', t('The server could not fetch it. Is it connected to the internet?'));
+  return element('details', 'hint', summary, element('p', '', problem));
 }
 
 /**

@@ -16,14 +16,14 @@ const SECONDS = [2, 4, 8];
 const SIDES = [480, 720, 1280, 1920];
 /** What is chosen at first, by kind. */
 const USUAL_SIDE = { mp4: 1280, webm: 1280, gif: 480 };
-/** What the ways are called. */
+/** What the ways are called: as in the settings of a photo, and after the command line's names. */
 const NAMES = /** @type {Record<string, string>} */ ({
-  swing: 'Swing',
-  orbit: 'Circle',
-  dolly: 'Forward and back',
-  'dolly-zoom': 'Dolly zoom',
-  zoom: 'Zoom in',
-  wiggle: 'Wigglegram',
+  swing: t('Swing: from side to side'),
+  orbit: t('Orbit: in a circle'),
+  dolly: t('Dolly: forward and back'),
+  'dolly-zoom': t('Dolly zoom: back, with the lens'),
+  zoom: t('Zoom: into the nearest thing'),
+  wiggle: t('Wigglegram'),
 });
 
 /**
@@ -46,7 +46,7 @@ export async function open({ viewer, file }) {
   );
   const style = choice(
     t('Movement'),
-    STYLES.map((name) => [name, t(NAMES[name] ?? name)]),
+    STYLES.map((name) => [name, NAMES[name] ?? name]),
   );
   const seconds = choice(
     t('Length'),
@@ -77,7 +77,7 @@ export async function open({ viewer, file }) {
   const cancel = button(t('Cancel'), () => stop?.abort());
   const save = element('a', 'button primary', t('Save'));
   const send = button(t('Send…'), () => {}, '');
-  const work = element('div', 'row', make, bar, cancel, save, send);
+  const work = element('div', 'row actions', make, bar, cancel, save, send);
   bar.hidden = cancel.hidden = save.hidden = send.hidden = true;
   /** @type {AbortController | null} */
   let stop = null;
@@ -141,7 +141,7 @@ export async function open({ viewer, file }) {
 
   const hints =
     kinds.length === 1 ? [element('p', '', t('Films need a newer browser, and an address with https; a GIF can be made here.'))] : [];
-  const dialog = await showDialog(t('A film or GIF'), ...hints, fields, work, note, shown);
+  const dialog = await showDialog(t('A film or GIF'), ...hints, fields, note, shown, work);
   dialog.addEventListener('close', () => {
     stop?.abort();
     forget();

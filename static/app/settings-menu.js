@@ -28,6 +28,8 @@ export function settingsMenu({ id, viewer, named, say }) {
    */
   let patch = {};
 
+  const unsaved = () => Object.keys(patch).length > 0;
+
   /** What would be if it were saved. */
   const now = () =>
     /** @type {Settings} */ (Object.fromEntries(Object.entries({ ...settings, ...patch }).filter(([, value]) => value !== null)));
@@ -43,7 +45,7 @@ export function settingsMenu({ id, viewer, named, say }) {
     focus.value = String(all.focus ?? viewer().pivot ?? 0.35);
     $('set-start').setAttribute('aria-pressed', String(Boolean(all.start)));
     $('set-poster').setAttribute('aria-pressed', String(Boolean(all.poster)));
-    $('set-save', HTMLButtonElement).disabled = Object.keys(patch).length === 0;
+    $('set-save', HTMLButtonElement).disabled = !unsaved();
   }
 
   /** @param {typeof patch} more */
@@ -111,7 +113,13 @@ export function settingsMenu({ id, viewer, named, say }) {
   $('set-poster').addEventListener('click', () => change({ poster: now().poster ? null : place() }));
   $('set-clear').addEventListener('click', () => change({ motion: null, focus: null, start: null, idle: null, speed: null, poster: null }));
   $('set-form').addEventListener('submit', save);
-  $('settings-menu').addEventListener('toggle', show);
+  $('settings-menu').addEventListener('toggle', (event) => {
+    show();
+    const closes = 'newState' in event && event.newState === 'closed';
+    if (closes && unsaved()) say(t('Not saved yet: that is in the settings’ menu.'));
+  });
+  // the browser asks whether to leave
+  addEventListener('beforeunload', (event) => unsaved() && event.preventDefault());
   return { read, follow, settings: () => settings };
 }
 

@@ -47,7 +47,10 @@ export async function showDialog(title, ...content) {
   const dialog = element('dialog', 'share-dialog', heading, ...content);
   dialog.setAttribute('aria-labelledby', heading.id);
   const close = button(t('Close'), () => dialog.close());
-  dialog.append(element('div', 'row', close));
+  // beside what the dialog does, where it does something
+  const actions = dialog.querySelector('.actions');
+  if (actions) actions.append(close);
+  else dialog.append(element('div', 'row', close));
   dialog.addEventListener('close', () => dialog.remove());
   document.body.append(dialog);
   dialog.showModal();

@@ -81,9 +81,11 @@ export async function openTouchUp({ id, photo, saved, say }) {
     const goes = now.kept || !within.length ? '' : t('What was painted before goes when you save.');
     if (goes && !last) return tell(goes);
     const next =
-      last?.stroke.by !== undefined
-        ? t('Slide until the depth is right, or paint on.')
-        : t('Paint over what lies at the wrong depth; edges hold the outline.');
+      wish() === 'like'
+        ? t('First paint over what lies at the wrong depth; then choose the place that it is to be as near as.')
+        : last?.stroke.by !== undefined
+          ? t('Slide until the depth is right, or paint on.')
+          : t('Paint over what lies at the wrong depth; edges hold the outline.');
     tell(goes ? `${goes} ${next}` : next);
   }
 
@@ -258,7 +260,10 @@ export async function openTouchUp({ id, photo, saved, say }) {
     }
     show();
   });
-  on($('touch-form'), 'change', show);
+  on($('touch-form'), 'change', () => {
+    hint();
+    show();
+  });
   on(size, 'input', show);
   on(button('touch-undo'), 'click', undo);
   on(button('touch-redo'), 'click', redo);

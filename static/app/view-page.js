@@ -151,7 +151,8 @@ async function start() {
 /** @param {string} message */
 async function waitOrFail(message) {
   const photo = await getPhoto(id).catch(() => null);
-  if (!photo || !isUnderWay(photo)) return fail(message);
+  if (!photo) return fail(t('There is no photo at this address, or only its owner can see it. Ask who sent you here for another link.'));
+  if (!isUnderWay(photo)) return fail(message);
   followPhoto(id, {
     queued: (position) => showLoading(queueText(position)),
     stage: (at) => showLoading(stageText(at.stage), (at.step - 1) / at.steps),
@@ -204,7 +205,7 @@ function hint() {
   note(
     matchMedia('(pointer: coarse)').matches
       ? t('Drag to look around; pinch or tap twice to come closer.')
-      : t('Drag or point to look around; scroll, pinch or tap twice to come closer.'),
+      : t('Point or drag to look around; scroll or double-click to come closer.'),
   );
   // whoever does it knows it
   for (const type of ['pointerdown', 'wheel']) {
@@ -302,7 +303,11 @@ tilt.addEventListener('change', async () => {
 });
 offerTilt();
 document.addEventListener('keydown', onKey);
-$('blur').addEventListener('input', applyMenu);
+$('blur').addEventListener('input', () => {
+  applyMenu();
+  // a picture that moves is drawn without it where that takes too long: nothing would be seen to change
+  if (viewer.blur) viewer.setIdle(false);
+});
 focusOnClick();
 $('headset').addEventListener('click', () => viewer.enterHeadset().catch(() => toast(t('This browser does not allow it'))));
 navigator.xr?.addEventListener?.('devicechange', offerHeadset);

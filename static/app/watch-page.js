@@ -47,6 +47,8 @@ function fail(message) {
 /** @param {{state: string, reason: string}} told */
 function showState({ state, reason }) {
   document.body.dataset.state = state;
+  // of a picture that stands still nothing is measured
+  if (state !== 'live') $('readout').textContent = '';
   const { over, text } = saying({ state, reason });
   if (over) return fail(text);
   if (!shown) {
@@ -119,7 +121,8 @@ viewer.addEventListener('ready', ({ detail }) => {
   early = Boolean(detail.early);
   if (early) return note(t('The picture has no depth yet.'), true);
   if (!first && !was) return;
-  note(t(detail.mode === 'flat' ? 'This browser shows the video without depth.' : 'Move the pointer or drag to look around.'));
+  const drag = matchMedia('(pointer: coarse)').matches ? t('Drag to look around.') : t('Move the pointer or drag to look around.');
+  note(detail.mode === 'flat' ? t('This browser shows the video without depth.') : drag);
 });
 viewer.addEventListener('mode', ({ detail }) => {
   if (detail.mode !== 'served' && detail.mode !== 'flat') return;

@@ -65,7 +65,8 @@ describe('better depth', () => {
   test('a download that failed is told and can be tried again', async () => {
     const failed = { name: 'tmpi', better_than: [], better: BETTER, problem: 'the download broke off after 12 of 49642442 bytes' };
     const { context, menu } = await opened('tmpi', [failed]);
-    await menu.getByText('It could not be fetched: the download broke off').waitFor();
+    await menu.getByText('The server could not fetch it.').click();
+    await menu.getByText('the download broke off').waitFor();
     await menu.getByRole('button', { name: 'Better depth: 50 MB, once' }).waitFor();
     await context.close();
   });

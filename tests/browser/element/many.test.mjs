@@ -73,7 +73,7 @@ describe('many elements without WebGPU', () => {
     await page.waitForFunction(() =>
       [...document.querySelectorAll('tmpi-viewer')].every((e) => e.shadowRoot.querySelector('.tmpi-poster')?.naturalWidth),
     );
-    const waiting = (await modes(page)).findIndex((mode) => mode === 'loading');
+    const waiting = (await modes(page)).indexOf('loading');
     assert.ok(waiting >= 0, 'some wait');
     await page.locator('tmpi-viewer').nth(waiting).hover();
     await drawn(page, waiting);

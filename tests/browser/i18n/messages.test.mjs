@@ -9,7 +9,7 @@ Object.defineProperty(globalThis, 'navigator', { value: { language: 'de-DE' }, c
 const { t } = await import('../../../static/i18n/messages.js');
 
 /** The same in both languages, or a name. */
-const SAME = new Set(['tmpi', 'Live']);
+const SAME = new Set(['tmpi', 'Live', 'Download', 'Reset']);
 
 /** Texts of scripts: what is handed to `t` as it stands. */
 function spoken() {
