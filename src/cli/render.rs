@@ -85,8 +85,13 @@ pub(super) fn run(args: &RenderArgs) -> anyhow::Result<()> {
     let endings = if args.path.is_some() { ".png, .jpg, .jpeg, .webp or .mp4" } else { ".png, .jpg, .jpeg or .webp" };
     let format = PictureFormat::from_extension(&ending).or(film.map(|_| PictureFormat::default()));
     // a film needs to be told how the camera goes
-    let film_alone = args.path.is_none() && PictureFormat::from_extension(&ending).is_none() && AnimationFormat::from_extension(&ending).is_some();
-    let hint = if film_alone { format!(", or name the camera's way of a film by --path {}", tmpi_render::Path::NAMES.join("|")) } else { String::new() };
+    let film_alone =
+        args.path.is_none() && PictureFormat::from_extension(&ending).is_none() && AnimationFormat::from_extension(&ending).is_some();
+    let hint = if film_alone {
+        format!(", or name the camera's way of a film by --path {}", tmpi_render::Path::NAMES.join("|"))
+    } else {
+        String::new()
+    };
     let format = format.ok_or_else(|| Usage(format!("--output {} must end in {endings}{hint}", args.output.display())))?;
     let bytes = files::read(&args.input)?;
     let scene = Arc::new(container::decode(&bytes).with_context(|| args.input.display().to_string())?);

@@ -41,7 +41,9 @@ mod tests {
 
     #[test]
     fn titles_become_file_names() {
-        for (title, name) in [("By the lake", "By-the-lake"), ("a/b\\c\"d\r\n", "a-b-c-d"), ("..", ""), ("\u{1f300}", ""), ("Größe 3.5", "Größe-3.5")] {
+        for (title, name) in
+            [("By the lake", "By-the-lake"), ("a/b\\c\"d\r\n", "a-b-c-d"), ("..", ""), ("\u{1f300}", ""), ("Größe 3.5", "Größe-3.5")]
+        {
             assert_eq!(stem(title), name, "{title:?}");
         }
         assert_eq!(coded("ö-1"), "%C3%B6-1");

@@ -311,7 +311,8 @@ fn options_names_the_methods_of_every_address() {
     let dir = tempfile::tempdir().unwrap();
     let server = Running::start(dir.path(), Limits::default(), Arc::new(pipeline()));
     for route in routes() {
-        let path = route.path.replace("{id}", "0123456789abcdef0123456789abcdef").replace("{room}", "attic").replace("{*name}", "app/style.css");
+        let path =
+            route.path.replace("{id}", "0123456789abcdef0123456789abcdef").replace("{room}", "attic").replace("{*name}", "app/style.css");
         let answer = request(server.addr, "OPTIONS", &path, &[], &[]);
         assert!(matches!(answer.status, 200 | 204), "{path}: {}", answer.status);
         let allow = answer.header("allow").unwrap_or_else(|| panic!("{path} names no method")).to_uppercase();

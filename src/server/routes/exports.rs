@@ -12,12 +12,12 @@ use serde::Serialize;
 
 use super::query::NoQuery;
 use crate::server::app::{App, Shared};
+use crate::server::attachment::attachment;
 use crate::server::body;
 use crate::server::conditional::{Coding, Entity, REVALIDATE, insert, respond};
 use crate::server::entry::Entry;
 use crate::server::exports::{Ordered, Recipe, Standing};
 use crate::server::problem::Problem;
-use crate::server::attachment::attachment;
 use crate::server::source::Source;
 use crate::server::time::rfc3339;
 
