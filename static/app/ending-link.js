@@ -3,7 +3,7 @@
 import { t } from '../i18n/messages.js';
 import { moment } from '../i18n/text.js';
 import { linksOf } from './api.js';
-import { element } from './dom.js';
+import { element, isLoopback } from './dom.js';
 import { copied } from './share-dialog.js';
 
 /** @import { PhotoLinks } from './api.js' */
@@ -64,6 +64,7 @@ export function endingLink(id, links, title, hash = '') {
     }),
   );
   show(links);
-  const parts = [said, element('div', 'fields', element('label', '', t('How long it is good'), time)), ...link.parts];
+  const local = isLoopback() ? [element('p', '', t('This address works on this machine alone; others need the server’s own name.'))] : [];
+  const parts = [said, ...local, element('div', 'fields', element('label', '', t('How long it is good'), time)), ...link.parts];
   return { text: link.text, parts, renew };
 }

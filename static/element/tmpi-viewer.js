@@ -44,7 +44,8 @@
 // `connecting`, `waiting` (nobody is live), `full` (no place), `live`, `stalled`, `ended`, `away` (no server), `refused` (no token), `none` (no such room) or
 // `unsupported` (no decoder for its video). It is as wide as its
 // place and has the photo's shape once that is known (16 / 10 before), unless CSS says `aspect-ratio` or `height`. All elements of a page
-// share one graphics device; those out of sight sleep.
+// share one graphics device; those out of sight sleep, and without WebGPU they give what they are drawn with to those in sight, as a browser has
+// only so much of it. Where nothing can be drawn, the poster or the photo stays, and `error` says why.
 
 // beside it is static/, as the server and the package have it
 import { Face, NAMES, OFF } from './static/element/face.js';

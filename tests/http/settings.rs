@@ -24,6 +24,48 @@ fn patch(server: &Running, photo: &str, headers: &[(&str, &str)], body: &Value) 
 }
 
 #[test]
+fn a_photo_sent_again_takes_its_title_and_the_first_place() {
+    let (dir, server, photo) = with_photo(Limits::default());
+    let first = photo.rsplit('/').next().unwrap().to_owned();
+    let second = server.upload(&picture(2, PictureFormat::Png));
+    server.wait(&second, "done");
+    let listed = |server: &Running| {
+        let list = get(server.addr, "/v1/photos").json();
+        list["photos"].as_array().unwrap().iter().map(|p| p["id"].as_str().unwrap().to_owned()).collect::<Vec<_>>()
+    };
+    assert_eq!(listed(&server), [second.clone(), first.clone()]);
+    let send = |query: &str| request(server.addr, "POST", &format!("/v1/photos{query}"), &[], &picture(1, PictureFormat::Png));
+    let again = send("?title=By%20the%20lake");
+    assert_eq!((again.status, again.json()["id"].as_str()), (202, Some(first.as_str())));
+    assert_eq!(again.json()["settings"], json!({ "version": 1, "title": "By the lake" }));
+    assert_eq!(listed(&server), [first.clone(), second.clone()]);
+    // without a title it keeps its own, and pages of the list are told by the same places
+    server.upload(&picture(2, PictureFormat::Png));
+    assert_eq!(send("").json()["settings"]["title"], "By the lake");
+    let page = get(server.addr, "/v1/photos?limit=1").json();
+    assert_eq!(page["photos"][0]["id"], first);
+    assert_eq!(get(server.addr, page["next"].as_str().unwrap()).json()["photos"][0]["id"], second);
+    server.stop();
+    let server = Running::start(dir.path(), Limits::default(), Arc::new(pipeline()));
+    assert_eq!(listed(&server), [first.clone(), second]);
+    assert_eq!(request(server.addr, "DELETE", &photo, &[], &[]).status, 204);
+    assert_eq!(listed(&server).len(), 1);
+}
+
+#[test]
+fn downloads_are_named_by_the_title() {
+    let (_dir, server, photo) = with_photo(Limits::default());
+    let id = photo.rsplit('/').next().unwrap();
+    let name =
+        || request(server.addr, "GET", &format!("{photo}/export?format=glb"), &[], &[]).header("content-disposition").unwrap().to_owned();
+    assert_eq!(name(), format!("attachment; filename=\"{id}.glb\""));
+    patch(&server, &photo, &[], &json!({ "title": "By the lake: \"Rex\"" }));
+    assert_eq!(name(), "attachment; filename=\"By-the-lake-Rex.glb\"");
+    patch(&server, &photo, &[], &json!({ "title": "Am Müggelsee" }));
+    assert_eq!(name(), format!("attachment; filename=\"{id}.glb\"; filename*=UTF-8''Am-M%C3%BCggelsee.glb"));
+}
+
+#[test]
 fn settings_stay_with_the_photo() {
     let (dir, server, photo) = with_photo(Limits::default());
     let before = get(server.addr, &photo);

@@ -36,7 +36,7 @@ describe('exports', () => {
     browser = await launch();
     folder = mkdtempSync(join(tmpdir(), 'tmpi-export-'));
     made = await makePhoto(server.url, boxPhoto(WIDTH, HEIGHT), depth());
-    for (const format of ['html', 'glb', 'ora', 'zip', 'glb&shape=metric']) {
+    for (const format of ['html', 'glb', 'ora', 'zip', 'glb&shape=metric', 'glb&textures=webp']) {
       const response = await fetch(`${server.url}${made.links.export}?format=${format}`);
       assert.equal(response.status, 200);
       assert.equal(response.headers.get('content-disposition'), `attachment; filename="${made.id}.${format.split('&')[0]}"`);
@@ -111,24 +111,31 @@ describe('exports', () => {
     await plain.close();
   });
 
-  for (const format of ['glb', 'glb&shape=metric']) {
+  for (const format of ['glb', 'glb&shape=metric', 'glb&textures=webp']) {
+    const [lossy, relief] = [format.includes('webp'), !format.includes('metric')];
     test(`the model (${format}) is valid glTF, and another renderer draws the same views from it`, async (t) => {
       const report = await validate(files[format]);
       assert.deepEqual([report.errors, report.warnings], [0, 0], JSON.stringify(report.messages));
+      const { extensionsRequired = [] } = JSON.parse(files[format].subarray(20, 20 + files[format].readUInt32LE(12)).toString());
+      assert.deepEqual(
+        extensionsRequired,
+        lossy ? ['EXT_texture_webp'] : [],
+        'what every program reads, unless somebody asks for less bytes',
+      );
       const { page, context, errors } = await openPage(browser);
       const model = await openModel(page, files[format]);
       for (const name of ['photo', 'opaque_0', 'soft_0', 'camera']) assert.ok(model.names.includes(name), `${name}: ${model.names}`);
       const still = await model.draw({}, WIDTH, HEIGHT);
       const shares = [];
       // a relief has the photo's views from cameras beside each other; those that turn or step forward are other views
-      const poses = format === 'glb' ? POSES.map(({ tx, ty }) => ({ tx, ty })) : POSES;
+      const poses = relief ? POSES.map(({ tx, ty }) => ({ tx, ty })) : POSES;
       for (const pose of [{}, ...poses]) {
         const want = await served(pose);
         shares.push(shareDifferent(await model.draw(pose, WIDTH, HEIGHT), want, WIDTH, HEIGHT, INNER));
         if (pose.tx) assert.ok(shareDifferent(still, want, WIDTH, HEIGHT, INNER) > 3 * MAX_SHARE, 'a model that stands still would pass');
       }
       t.diagnostic(`share off by more than 8 levels: ${shares.map((s) => s.toFixed(5)).join(', ')}`);
-      const most = format === 'glb' ? MAX_SHARE_LOSSY : MAX_SHARE;
+      const most = lossy ? MAX_SHARE_LOSSY : MAX_SHARE;
       for (const share of shares) assert.ok(share < most, `${share}`);
       assert.deepEqual(errors, []);
       await context.close();

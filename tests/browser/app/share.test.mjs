@@ -164,6 +164,7 @@ describe('sharing', () => {
     assert.equal(await link.inputValue(), `${suite.server.url}/view/box?expires=86400&signature=5e#pose=0.5,0,0`);
     await dialog.getByText('Only you can see this photo.').waitFor();
     const said = dialog.getByText('Whoever has this link sees the photo until');
+    await dialog.getByText('on this machine alone').waitFor();
     const first = await said.textContent();
     await dialog.getByLabel('How long it is good').selectOption('30 days');
     await page.waitForFunction(() => document.querySelector('.share-dialog textarea').value.includes('expires=2592000&'));
