@@ -7,8 +7,8 @@ const MOST = matchMedia('(pointer: coarse)').matches ? 6 : 12;
 /**
  * Who has a context, or waits for one.
  * @typedef {object} Holder
- * @property {boolean} asleep nobody sees it
- * @property {boolean} busy its context is being made ready, and cannot be given back before that is done
+ * @property {() => boolean} asleep whether nobody sees it
+ * @property {() => boolean} busy whether its context is being made ready, and cannot be given back before that is done
  * @property {() => void} giveBack drops the context
  * @property {() => void} retry asks for one again
  */
@@ -24,7 +24,7 @@ const waiting = new Set();
  */
 export function takeContext(holder) {
   if (!holders.has(holder) && holders.size >= MOST) {
-    const asleep = [...holders].find((other) => other.asleep && !other.busy);
+    const asleep = [...holders].find((other) => other.asleep() && !other.busy());
     if (asleep) evict(asleep);
   }
   if (!holders.has(holder) && holders.size >= MOST) {
@@ -41,12 +41,13 @@ export function takeContext(holder) {
  * @param {Holder} holder
  */
 export function insistOnContext(holder) {
-  const oldest = [...holders].find((other) => !other.busy);
-  if (!waiting.has(holder) || !oldest) return;
+  if (!waiting.has(holder)) return;
+  const oldest = [...holders].find((other) => !other.busy());
+  if (!oldest) return;
   evict(oldest);
   waiting.delete(holder);
   holder.retry();
-  if (!oldest.asleep) waiting.add(oldest);
+  if (!oldest.asleep()) waiting.add(oldest);
 }
 
 /**
@@ -63,9 +64,9 @@ export function leaveContext(holder) {
  * @param {Holder} holder
  */
 export function lendContext(holder) {
-  if (!holder.asleep) return;
+  if (!holder.asleep()) return;
   waiting.delete(holder);
-  if (!waiting.size || !holders.has(holder) || holder.busy) return;
+  if (!waiting.size || !holders.has(holder) || holder.busy()) return;
   evict(holder);
   callNext();
 }

@@ -24,6 +24,7 @@ import { Steering } from './steering.js';
 
 /** @import { Scene, SceneHead } from '../decode/scene.js' */
 /** @import { WebGlRenderer } from '../draw/webgl.js' */
+/** @import { Holder } from '../draw/webgl-contexts.js' */
 /** @import { WebGpuRenderer } from '../draw/webgpu.js' */
 /** @import { Headset } from '../input/xr.js' */
 /** @import { Display } from './display.js' */
@@ -52,8 +53,17 @@ export class Viewer extends Steering {
   #live;
   #stopListening;
   #resizes;
-  /** What it is among those that share a page's WebGL2 contexts. @type {import('../draw/webgl-contexts.js').Holder} */
-  #holder;
+  /** It has nothing to draw with now, and may have again. */
+  #lent = false;
+  /** A backend is being made ready. */
+  #busy = false;
+  /** What it is among those that share a page's WebGL2 contexts. @type {Holder} */
+  #holder = {
+    asleep: () => this.#asleep,
+    busy: () => this.#busy,
+    giveBack: () => this.#giveBack(),
+    retry: () => this.#drawAgain(),
+  };
 
   /**
    * @param {HTMLElement} root focusable element that takes the input and holds the pictures
@@ -70,17 +80,6 @@ export class Viewer extends Steering {
     this.#pacing = new FramePacing(Boolean(options.live));
     this.#stage = new Stage(root);
     this.#live = options.live ? new LiveView(this, options.live, { stage: this.#stage, draw: (anew) => this.#draw(anew) }) : null;
-    const viewer = this;
-    this.#holder = {
-      get asleep() {
-        return viewer.asleep;
-      },
-      get busy() {
-        return viewer.#busy;
-      },
-      giveBack: () => this.#giveBack(),
-      retry: () => this.#drawAgain(),
-    };
     this.mode = 'loading';
     /** What shows the scene in a headset (input/xr.js) while one does, else null. */
     this.headset = /** @type {Headset | null} */ (null);
@@ -185,11 +184,6 @@ export class Viewer extends Steering {
     } else if (this.#lent) this.#drawAgain();
     else this.wake();
   }
-
-  /** It has nothing to draw with now, and may have again. */
-  #lent = false;
-  /** A backend is being made ready. */
-  #busy = false;
 
   /** Gives its graphics context to another viewer: the photo is seen meanwhile. */
   #giveBack() {
