@@ -124,7 +124,7 @@ fn photos_are_their_owners_and_a_link_shows_one() {
         assert_eq!(photo.visibility, Some(Visibility::Private));
         assert_eq!(other.container(&photo.id).await.unwrap_err().status(), Some(404));
         assert_eq!((owner.photos().await.unwrap().len(), other.photos().await.unwrap().len()), (1, 0));
-        let link = owner.link(&photo.id, 60).await.unwrap();
+        let link = owner.link(&photo.id, Some(60)).await.unwrap();
         assert_eq!(get(server.addr, &link.atlas).status, 200);
         let html = owner.embedding_by(&photo, &link).unwrap();
         assert!(html.contains(&link.query.as_ref().unwrap().replace('&', "&amp;")), "{html}");
