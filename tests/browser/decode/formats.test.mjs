@@ -17,10 +17,14 @@ const TOGETHER = 50;
 const BOUNDS = { mean: 0.8, most: 8 };
 /** Photos that are decoded to something else on purpose, by their name, and why. */
 const EXCEPTIONS = [
-  { names: /^sampling-22-22-22-(interleaved|progressive)/, why: 'libjpeg takes no more than ten blocks in a unit, and Chromium shows black' },
+  {
+    names: /^sampling-22-22-22-(interleaved|progressive)/,
+    why: 'libjpeg takes no more than ten blocks in a unit, and Chromium shows black',
+  },
   { names: /^sampling-41-21-11-separate/, why: 'neither decoder of the program reads it; it is refused' },
   {
-    names: /^(half|no)-end-(.*-separate|nothing-interleaved)|^no-end-newline-interleaved|^half-end-(newline|film)-progressive|^no-end-film-progressive/,
+    names:
+      /^(half|no)-end-(.*-separate|nothing-interleaved)|^no-end-newline-interleaved|^half-end-(newline|film)-progressive|^no-end-film-progressive/,
     why: 'without an end marker Chromium waits for more, and leaves out the last rows or all',
   },
   { names: /^(profile|cicp)-linear-2-16/, why: 'Chromium rounds to eight bits before it converts, which shows in shadows' },
