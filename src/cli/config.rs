@@ -14,8 +14,8 @@ use clap::parser::ValueSource;
 use clap::{Arg, ArgAction, ArgMatches, Args as _, Command};
 use toml::{Table, Value};
 
-use tmpi_pipeline::networks::flags::ModelFlags;
 use super::serve::{Effect, ServeArgs};
+use tmpi_pipeline::networks::flags::ModelFlags;
 
 /// Show the settings that `serve` would have, as a file that --config takes, and where each comes from
 #[derive(Clone, Debug, clap::Args)]

@@ -264,7 +264,7 @@ async fn read_multipart(app: &App, parts: &mut Parts, request: Request) -> Resul
     let boundary = multer::parse_boundary(content_type).map_err(|e| Problem::bad_request(format!("the form's boundary: {e}")))?;
     let request = request.map(|body| Body::from_stream(Bounded::new(body.into_data_stream(), &boundary)));
     let mut form = Multipart::from_request(request, &()).await.map_err(|e| Problem::bad_request(e.body_text()))?;
-    while let Some(field) = form.next_field().await.map_err(|e| body::problem(&e))? {
+    while let Some(mut field) = form.next_field().await.map_err(|e| body::problem(&e))? {
         let name = field.name().unwrap_or_default().to_owned();
         if name.len() > MAX_NAME {
             return Err(Problem::parameter(name, format!("the name of a field is longer than {MAX_NAME} bytes")));
@@ -281,24 +281,31 @@ async fn read_multipart(app: &App, parts: &mut Parts, request: Request) -> Resul
                 continue;
             }
         };
+        let title = file_name(field.headers()).and_then(|file| title_of_file(&file));
+        let Some(first) = first_bytes(&mut field).await? else { continue };
         if slot.is_some() {
             return Err(Problem::parameter(&name, "is given twice"));
         }
-        let title = file_name(field.headers()).and_then(|file| title_of_file(&file));
+        let file = futures_util::stream::iter([Ok(first)]).chain(field);
         let (mut admission, options) = (Admission::new(&app.jobs.maker), &parts.chosen.options);
         let of = if part == Part::Depth { HeadOf::Depth } else { HeadOf::PhotoSoFar(options) };
         let look = |bytes: &[u8]| admission.see(bytes, of);
-        let written = write(&parts.incoming, part, field, |e| body::problem(&e), look).await?;
-        if written.bytes == 0 {
-            tokio::fs::remove_file(parts_path(&parts.incoming, part)?).await.map_err(|e| Problem::store(&e))?;
-            continue;
-        }
-        *slot = Some(written);
+        *slot = Some(write(&parts.incoming, part, file, |e| body::problem(&e), look).await?);
         if part == Part::Upload {
             parts.chosen.of_file = title;
         }
     }
     Ok(())
+}
+
+/// The first bytes of a field; none where it is empty.
+async fn first_bytes(field: &mut axum::extract::multipart::Field<'_>) -> Result<Option<Bytes>, Problem> {
+    while let Some(bytes) = field.chunk().await.map_err(|e| body::problem(&e))? {
+        if !bytes.is_empty() {
+            return Ok(Some(bytes));
+        }
+    }
+    Ok(None)
 }
 
 async fn text(name: &str, mut field: axum::extract::multipart::Field<'_>) -> Result<String, Problem> {

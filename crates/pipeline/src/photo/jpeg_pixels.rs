@@ -31,8 +31,8 @@ pub(super) fn whole(jpeg: &Jpeg) -> Result<(Photo, bool), PhotoError> {
     }
     match common(&jpeg.open(), true) {
         Ok(photo) => Ok((photo, false)),
-        Err(fault) => {
-            common(&jpeg.most(), true).map_err(|_| fault)?;
+        Err(_) => {
+            common(&jpeg.most(), true).map_err(|_| broken("less than most of it can be read: it was cut short, or is damaged"))?;
             Ok((common(&jpeg.stripped, false)?, true))
         }
     }
