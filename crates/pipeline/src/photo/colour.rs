@@ -87,7 +87,9 @@ impl Profile {
     pub(super) fn bytes(&self, grey: bool) -> Option<Conversion<u8>> {
         if let Some(hdr) = self.hdr() {
             return Some(Conversion(Box::new(move |pixels| {
-                pixels.iter_mut().for_each(|p| *p = hdr.convert(p.map(|v| u16::from(v) * 257)).map(u16::byte));
+                for p in pixels {
+                    *p = hdr.convert(p.map(|v| u16::from(v) * 257)).map(u16::byte);
+                }
             })));
         }
         let (profile, layout) = self.fitting(grey)?;

@@ -29,13 +29,11 @@ pub(super) fn whole(jpeg: &Jpeg) -> Result<(Photo, bool), PhotoError> {
     if jpeg.progressive && !jpeg.standalone {
         return whole_or_not(jpeg, |file| common(file, true));
     }
-    match common(&jpeg.open(), true) {
-        Ok(photo) => Ok((photo, false)),
-        Err(_) => {
-            common(&jpeg.most(), true).map_err(|_| broken("less than most of it can be read: it was cut short, or is damaged"))?;
-            Ok((common(&jpeg.stripped, false)?, true))
-        }
+    if let Ok(photo) = common(&jpeg.open(), true) {
+        return Ok((photo, false));
     }
+    common(&jpeg.most(), true).map_err(|_| broken("less than most of it can be read: it was cut short, or is damaged"))?;
+    Ok((common(&jpeg.stripped, false)?, true))
 }
 
 /// A JPEG decoded at 1/2, 1/4 or 1/8, at least `want` large; none where that is not possible.
