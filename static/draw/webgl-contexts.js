@@ -2,7 +2,7 @@
 // sight give theirs back to those in sight, and these wait where there is none left.
 
 /** Fewer than browsers have: others on the page may have some. Chromium has 16, and 8 on phones. */
-const MOST = matchMedia('(pointer: coarse)').matches ? 6 : 12;
+const most = () => (matchMedia('(pointer: coarse)').matches ? 6 : 12);
 
 /**
  * Who has a context, or waits for one.
@@ -23,11 +23,11 @@ const waiting = new Set();
  * @param {Holder} holder
  */
 export function takeContext(holder) {
-  if (!holders.has(holder) && holders.size >= MOST) {
+  if (!holders.has(holder) && holders.size >= most()) {
     const asleep = [...holders].find((other) => other.asleep() && !other.busy());
     if (asleep) evict(asleep);
   }
-  if (!holders.has(holder) && holders.size >= MOST) {
+  if (!holders.has(holder) && holders.size >= most()) {
     waiting.add(holder);
     return false;
   }
@@ -79,7 +79,7 @@ function evict(holder) {
 
 function callNext() {
   for (const holder of [...waiting]) {
-    if (holders.size >= MOST) return;
+    if (holders.size >= most()) return;
     waiting.delete(holder);
     holder.retry();
   }

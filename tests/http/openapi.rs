@@ -206,7 +206,7 @@ fn words_of_the_document_are_those_that_are_taken() {
                 let film = if value == "mp4" { "path=orbit&" } else { "" };
                 let frames = if name == "path" || value == "mp4" { "frames=2&" } else { "" };
                 let rest = if part == "view" { "w=8&" } else { "" };
-                let model = if name == "shape" { "format=glb&" } else { "" };
+                let model = if matches!(name, "shape" | "textures") { "format=glb&" } else { "" };
                 get(server.addr, &format!("/v1/photos/{id}/{part}?{rest}{model}{film}{frames}{name}={value}"))
             };
             assert!(is_refused(&ask("nonsense"), name), "{part} {name}");

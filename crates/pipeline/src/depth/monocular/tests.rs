@@ -89,7 +89,7 @@ fn larger_is_nearer_whatever_the_network_gives() {
         (Kind::Metric, |x, _| 100.0 / (x + 1) as f32),
         (Kind::LogDepth, |x, _| -(x as f32) / 100.0),
     ] {
-        let adapter = Adapter { output: kind, ..super::super::ADAPTERS[0] };
+        let adapter = Adapter { output: kind, ..ONE_RUN };
         let got = Monocular::new(&adapter, Arc::new(Stub(f))).estimate(&photo(60, 40)).unwrap();
         assert!(got.delta[20 * 60] < 0.15 && got.delta[20 * 60 + 59] > 0.85, "{kind:?}");
     }
