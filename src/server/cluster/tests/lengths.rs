@@ -24,7 +24,7 @@ impl Blobs for Whole {
 fn a_store_that_knows_no_ranges_keeps_what_the_ports_promise() {
     let dir = tempfile::tempdir().unwrap();
     let whole = Whole(folder::Folder::open(dir.path()).unwrap());
-    keeps_its_promises(&whole, &whole.0);
+    keeps_its_promises(&whole, &whole.0, 16);
 }
 
 #[test]
