@@ -11,7 +11,7 @@ pub fn file_name(headers: &HeaderMap) -> Option<String> {
 }
 
 fn name_of(disposition: &str) -> Option<String> {
-    let extended = parameter(disposition, "filename*").as_deref().and_then(decoded);
+    let extended = parameter(disposition, "filename*").and_then(|value| decoded(&value));
     extended.or_else(|| parameter(disposition, "filename").map(|name| unescaped(&name)))
 }
 

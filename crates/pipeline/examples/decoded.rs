@@ -147,10 +147,10 @@ fn tiff(orientation: u8) -> Vec<u8> {
     [&b"MM\0*\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0"[..], &[orientation, 0, 0, 0, 0, 0, 0]].concat()
 }
 
-/// A name and an ICC profile.
-type NamedProfile = (&'static str, Vec<u8>);
+/// Profiles by a short name.
+type Profiles = Vec<(&'static str, Vec<u8>)>;
 
-fn profiles() -> Result<Vec<NamedProfile>, Box<dyn Error>> {
+fn profiles() -> Result<Profiles, Box<dyn Error>> {
     let mut linear = ColorProfile::new_srgb();
     linear.cicp = None;
     for curve in [&mut linear.red_trc, &mut linear.green_trc, &mut linear.blue_trc] {

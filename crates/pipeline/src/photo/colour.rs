@@ -24,10 +24,9 @@ pub(super) enum Profile {
 }
 
 /// A conversion to sRGB of pixels with samples of 8 or 16 bits; of grey ones the channels are alike.
-pub(super) struct Conversion<S>(Box<Convert<S>>);
+pub(super) struct Conversion<S>(Run<S>);
 
-/// Converts pixels in place.
-type Convert<S> = dyn Fn(&mut [[S; 3]]) + Send + Sync;
+type Run<S> = Box<dyn Fn(&mut [[S; 3]]) + Send + Sync>;
 
 impl<S: Sample> Conversion<S> {
     /// Converts pixels in place, side by side.

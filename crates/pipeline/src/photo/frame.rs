@@ -13,6 +13,16 @@ pub(super) enum Colour {
     Ycck,
 }
 
+/// How samples and scans of a file lie. [`super::jpeg_pixels`] has a decoder for each.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Layout {
+    /// As in nearly all files.
+    Common,
+    /// A component is sampled finer than the first, or three times, or comes in a scan of its own; or the names of components say RGB
+    /// where they are not.
+    Rare,
+}
+
 /// True for the markers of frame headers.
 pub(super) fn is_frame(marker: u8) -> bool {
     matches!(marker, 0xC0..=0xC3 | 0xC5..=0xC7 | 0xC9..=0xCB | 0xCD..=0xCF)
@@ -126,13 +136,13 @@ impl Frame {
         self.names == *b"RGB"
     }
 
-    /// See [`super::jpeg::Jpeg::common`].
-    pub(super) fn is_common(&self, colour: Colour) -> bool {
+    pub(super) fn layout(&self, colour: Colour) -> Layout {
         let luma = self.sampling[0];
         let powers = self.sampling.iter().all(|&(h, v)| h.is_power_of_two() && v.is_power_of_two());
         let largest = self.sampling.iter().all(|&(h, v)| h <= luma.0 && v <= luma.1);
         let whole = self.progressive || !self.one_by_one;
-        powers && largest && whole && !(colour == Colour::YCbCr && self.is_named_rgb())
+        let common = powers && largest && whole && !(colour == Colour::YCbCr && self.is_named_rgb());
+        if common { Layout::Common } else { Layout::Rare }
     }
 }
 

@@ -77,9 +77,8 @@ fn gain(x: f64) -> f64 {
     // a quadratic Bézier curve from (1, KNEE) to (MOST, 1)
     let middle = |knee: f64, end: f64| (1.0 - KAPPA) * knee + KAPPA * end;
     let (x_mid, y_mid) = (middle(1.0, 1.0 / KNEE), middle(KNEE, 1.0));
-    let x = x.min(MOST);
     let (a, b) = (1.0 - 2.0 * x_mid + MOST, 2.0 * (x_mid - 1.0));
-    let t = ((b * b - 4.0 * a * (1.0 - x)).sqrt() - b) / (2.0 * a);
+    let t = ((b * b - 4.0 * a * (1.0 - x.min(MOST))).sqrt() - b) / (2.0 * a);
     let y = (KNEE - 2.0 * y_mid + 1.0) * t * t + 2.0 * (y_mid - KNEE) * t + KNEE;
     y / x
 }

@@ -1,6 +1,6 @@
 //! Walks the segments of a JPEG file: size, metadata, and the file again without metadata.
 
-use super::frame::{Colour, Frame, is_frame, tables};
+use super::frame::{Colour, Frame, Layout, is_frame, tables};
 use super::segments::{broken, entropy_end, next_marker, segment};
 use super::{Head, Limits, PhotoError};
 
@@ -23,8 +23,7 @@ pub(super) struct Jpeg {
     first_scan_end: usize,
     /// Every scan refines the whole picture.
     pub progressive: bool,
-    /// Its sampling, scans and identifiers are those of nearly all files: [`super::jpeg_pixels`] has a decoder for them, and one for the rest.
-    pub common: bool,
+    pub layout: Layout,
     /// Count of scans.
     pub scans: usize,
     /// The scans bring every coefficient of every component to its last bit.
@@ -292,7 +291,7 @@ impl Walk<'_> {
             height_at: self.height_at,
             first_scan_end: self.first_scan_end,
             progressive: frame.progressive,
-            common: frame.is_common(colour),
+            layout: frame.layout(colour),
             scans: self.scans,
             complete: frame.is_complete(),
             standalone: ended && !self.motion,

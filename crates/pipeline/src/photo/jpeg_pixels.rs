@@ -1,39 +1,40 @@
 //! Pixels of a JPEG file.
 //!
-//! Two decoders share the work. zune-jpeg is fast and tells what is damaged, but reads some rare files wrong: those of which a component is
-//! sampled finer than the first, or three times, or comes in a scan of its own. jpeg-decoder reads them, and
-//! decodes to 1/2, 1/4 or 1/8 inside the DCT. Which files are rare [`Jpeg::common`] tells; nothing else chooses between the two.
+//! Two decoders share the work. zune-jpeg is fast and tells what is damaged, but reads files of [`Layout::Rare`] wrong. jpeg-decoder reads
+//! them, and decodes to 1/2, 1/4 or 1/8 inside the DCT. Nothing but the layout chooses between the two.
 
 use jpeg_decoder::{ColorTransform, PixelFormat};
 use zune_jpeg::zune_core::bytestream::ZCursor;
 use zune_jpeg::zune_core::colorspace::ColorSpace;
 use zune_jpeg::zune_core::options::DecoderOptions;
 
-use super::frame::Colour;
+use super::frame::{Colour, Layout};
 use super::jpeg::{END, Jpeg, READ_AHEAD};
 use super::{PhotoError, broken};
 use tmpi_core::Photo;
 
 /// A JPEG at its own size, and whether it is damaged; one of which less than most is whole is refused.
 pub(super) fn whole(jpeg: &Jpeg) -> Result<(Photo, bool), PhotoError> {
+    let is_common = jpeg.layout == Layout::Common;
     if jpeg.progressive && !jpeg.complete {
         if jpeg.scans < 2 {
             return Err(broken("it was cut within its first scan"));
         }
-        let lenient = if jpeg.common { common(&jpeg.stripped, false) } else { rare(jpeg, &jpeg.stripped, None) };
+        let lenient = if is_common { common(&jpeg.stripped, false) } else { rare(jpeg, &jpeg.stripped, None) };
         return Ok((lenient?, true));
     }
-    if !jpeg.common {
+    if !is_common {
         return whole_or_not(jpeg, |file| rare(jpeg, file, None));
     }
-    if jpeg.progressive && !jpeg.standalone {
-        return whole_or_not(jpeg, |file| common(file, true));
-    }
-    if let Ok(photo) = common(&jpeg.open(), true) {
-        return Ok((photo, false));
-    }
-    common(&jpeg.most(), true).map_err(|_| broken("less than most of it can be read: it was cut short, or is damaged"))?;
-    Ok((common(&jpeg.stripped, false)?, true))
+    let strict = if jpeg.progressive && !jpeg.standalone {
+        whole_or_not(jpeg, |file| common(file, true))
+    } else {
+        common(&jpeg.open(), true).map(|photo| (photo, false))
+    };
+    strict.or_else(|_| {
+        common(&jpeg.most(), true).map_err(|_| broken("less than most of it can be read: it was cut short, or is damaged"))?;
+        Ok((common(&jpeg.stripped, false)?, true))
+    })
 }
 
 /// A JPEG decoded at 1/2, 1/4 or 1/8, at least `want` large; none where that is not possible.

@@ -53,7 +53,7 @@ pub use taps::Taps;
 
 use self::colour::Profile;
 use self::exif::Facts;
-use self::frame::Colour;
+use self::frame::{Colour, Layout};
 use tmpi_core::container::PhotoFormat;
 use tmpi_core::{Intrinsics, Photo};
 
@@ -196,7 +196,7 @@ fn read_jpeg(bytes: &[u8], limits: &Limits, max_size: Option<u32>, samples: Samp
         conversion.run(&mut photo.rgb);
     }
     // Decoders do not agree on how CMYK becomes RGB, nor on rare, damaged and incomplete files
-    let alike = !cmyk && jpeg.common && jpeg.standalone && !damaged && conversion.is_none();
+    let alike = !cmyk && jpeg.layout == Layout::Common && jpeg.standalone && !damaged && conversion.is_none();
     Ok(Raw { photo, size, facts, carried: alike.then_some(jpeg.stripped), damaged })
 }
 
