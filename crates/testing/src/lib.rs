@@ -2,6 +2,8 @@
 
 #[allow(clippy::expect_used, reason = "an engine that is installed and does not start fails the test")]
 pub mod engines;
+pub mod jpeg;
+pub mod png;
 
 use std::fmt::Display;
 
