@@ -6,6 +6,7 @@ use axum::http::{HeaderMap, HeaderValue, Uri, header};
 
 use super::Limits;
 use super::conditional::{Wanted, wanted};
+use super::file_name::file_name;
 use super::form::Bounded;
 use super::options;
 use super::routes::ViewQuery;
@@ -60,6 +61,7 @@ pub fn multipart(body: &[u8]) {
         let mut read = tmpi_pipeline::Options::default();
         while let Ok(Some(field)) = form.next_field().await {
             let name = field.name().unwrap_or_default().to_owned();
+            let _ = file_name(field.headers());
             let Ok(value) = field.text().await else { return };
             if let Err(problem) = options::set(&mut read, &name, &value) {
                 assert!(problem.status == 400 && problem.field.is_some());

@@ -19,6 +19,7 @@ mod compress;
 mod conditional;
 mod entry;
 mod exports;
+mod file_name;
 mod files;
 #[cfg(test)]
 mod forgetful;

@@ -18,6 +18,7 @@ use super::access::Owner;
 use super::admission::Admission;
 use super::app::App;
 use super::body;
+use super::file_name::file_name;
 use super::form::Bounded;
 use super::id::PhotoId;
 use super::jobs::{Class, Submitted};
@@ -234,9 +235,6 @@ fn accept(app: &App, parts: Parts, owner: Option<Owner>) -> Result<Submitted, Pr
     let Chosen { options, class, mut settings, of_file, .. } = chosen;
     settings.title = settings.title.or(of_file);
     let photo = photo.filter(|p| p.bytes > 0).ok_or_else(|| Problem::parameter("photo", "is missing"))?;
-    if depth.as_ref().is_some_and(|d| d.bytes == 0) {
-        return Err(Problem::parameter("depth", "is empty"));
-    }
     let text = options::to_text(&options);
     let id = PhotoId::of(&photo.hash, depth.as_ref().map(|d| &d.hash), &options::canonical(&text), app.jobs.maker.identity());
     let id = app.guard.as_ref().zip(owner.as_ref()).map_or(id, |(guard, owner)| guard.id(owner, id));
@@ -280,6 +278,7 @@ pub fn is_form(content_type: &str) -> bool {
     content_type.split(';').next().is_some_and(|v| v.trim().eq_ignore_ascii_case("multipart/form-data"))
 }
 
+/// Reads a form. A field that is empty, as browsers send what nobody filled in, is as if it were not there.
 async fn read_multipart(app: &App, parts: &mut Parts, request: Request) -> Result<(), Problem> {
     let content_type = request.headers().get(header::CONTENT_TYPE).and_then(|v| v.to_str().ok()).unwrap_or_default();
     let boundary = multer::parse_boundary(content_type).map_err(|e| Problem::bad_request(format!("the form's boundary: {e}")))?;
@@ -296,20 +295,28 @@ async fn read_multipart(app: &App, parts: &mut Parts, request: Request) -> Resul
             _ => {
                 known(&name, "field; there are photo, depth, title, visibility, class")?;
                 let value = text(&name, field).await?;
-                parts.chosen.set(&name, &value)?;
+                if !value.trim().is_empty() {
+                    parts.chosen.set(&name, &value)?;
+                }
                 continue;
             }
         };
         if slot.is_some() {
             return Err(Problem::parameter(&name, "is given twice"));
         }
-        if part == Part::Upload {
-            parts.chosen.of_file = field.file_name().and_then(title_of_file);
-        }
+        let title = file_name(field.headers()).and_then(|file| title_of_file(&file));
         let (mut admission, options) = (Admission::new(&app.jobs.maker), &parts.chosen.options);
         let of = if part == Part::Depth { HeadOf::Depth } else { HeadOf::PhotoSoFar(options) };
         let look = |bytes: &[u8]| admission.see(bytes, of);
-        *slot = Some(write(&parts.incoming, part, field, |e| body::problem(&e), look).await?);
+        let written = write(&parts.incoming, part, field, |e| body::problem(&e), look).await?;
+        if written.bytes == 0 {
+            tokio::fs::remove_file(parts_path(&parts.incoming, part)?).await.map_err(|e| Problem::store(&e))?;
+            continue;
+        }
+        *slot = Some(written);
+        if part == Part::Upload {
+            parts.chosen.of_file = title;
+        }
     }
     Ok(())
 }
