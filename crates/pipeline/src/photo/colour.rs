@@ -1,34 +1,128 @@
-//! Embedded ICC profiles to sRGB.
+//! Colours as a file tells them, to sRGB.
 
-use moxcms::{ColorProfile, DataColorSpace, Layout, Transform8BitExecutor, TransformOptions};
+use moxcms::{
+    CicpColorPrimaries, CicpProfile, ColorProfile, DataColorSpace, Layout, MatrixCoefficients, ToneReprCurve, TransferCharacteristics,
+    TransformExecutor, TransformOptions,
+};
 use rayon::prelude::*;
-use std::sync::Arc;
 
-/// Levels that a profile may differ from sRGB and still count as sRGB: profiles of sRGB itself differ by their rounding.
+use super::hdr::Hdr;
+use super::pixels::Sample;
+
+/// Levels of 255 that a profile may differ from sRGB and still count as sRGB: profiles of sRGB itself differ by their rounding.
 const SAME: u8 = 2;
+/// Pixels that are converted at a time.
+pub(super) const CHUNK: usize = 1 << 14;
 
-/// Converts `rgb` from the profile to sRGB in place; false where it is sRGB already.
-///
-/// Profiles of other than RGB colour (grey, CMYK) and damaged ones are passed over: the picture is then taken as sRGB.
-pub(super) fn to_srgb(rgb: &mut [[u8; 3]], profile: &[u8]) -> bool {
-    let Some(transform) = transform(profile) else { return false };
-    rgb.par_chunks_mut(1 << 14).for_each(|chunk| {
-        let source = chunk.to_vec();
-        if transform.transform(source.as_flattened(), chunk.as_flattened_mut()).is_err() {
-            chunk.copy_from_slice(&source);
-        }
-    });
-    true
+/// What a file says of its colours.
+#[derive(Clone, Debug)]
+pub(super) enum Profile {
+    /// An ICC profile.
+    Icc(Vec<u8>),
+    /// PNG's `cICP`: primaries and transfer function by their numbers in ITU-T H.273.
+    Cicp(CicpProfile),
 }
 
-/// The conversion, where it is more than the identity.
-fn transform(profile: &[u8]) -> Option<Arc<Transform8BitExecutor>> {
-    let source = ColorProfile::new_from_slice(profile).ok().filter(|p| p.color_space == DataColorSpace::Rgb)?;
-    let transform = source.create_transform_8bit(Layout::Rgb, &ColorProfile::new_srgb(), Layout::Rgb, TransformOptions::default()).ok()?;
-    let levels = [0u8, 32, 64, 96, 128, 160, 192, 224, 255];
-    let probes: Vec<[u8; 3]> = levels.iter().flat_map(|&r| levels.iter().flat_map(move |&g| levels.map(|b| [r, g, b]))).collect();
-    let mut converted = vec![[0; 3]; probes.len()];
-    transform.transform(probes.as_flattened(), converted.as_flattened_mut()).ok()?;
-    let differs = |(a, b): (&u8, &u8)| a.abs_diff(*b) > SAME;
-    probes.as_flattened().iter().zip(converted.as_flattened()).any(differs).then_some(transform)
+/// A conversion to sRGB of pixels with samples of 8 or 16 bits; of grey ones the channels are alike.
+pub(super) struct Conversion<S>(Run<S>);
+
+type Run<S> = Box<dyn Fn(&mut [[S; 3]]) + Send + Sync>;
+
+impl<S: Sample> Conversion<S> {
+    /// Converts pixels in place, side by side.
+    pub(super) fn run(&self, pixels: &mut [[S; 3]]) {
+        pixels.par_chunks_mut(CHUNK).for_each(|chunk| self.chunk(chunk));
+    }
+
+    /// Converts a few pixels in place.
+    pub(super) fn chunk(&self, pixels: &mut [[S; 3]]) {
+        (self.0)(pixels);
+    }
+
+    /// By a transform from pixels that lie as `layout` says; they stay as they are where it fails.
+    fn of(transform: impl AsRef<dyn TransformExecutor<S> + Send + Sync> + Send + Sync + 'static, layout: Layout) -> Self {
+        Self(Box::new(move |pixels| {
+            let source: Vec<S> =
+                if layout == Layout::Gray { pixels.iter().map(|p| p[0]).collect() } else { pixels.as_flattened().to_vec() };
+            // it fails on lengths that do not agree
+            let _ = transform.as_ref().transform(&source, pixels.as_flattened_mut());
+        }))
+    }
+}
+
+impl Profile {
+    /// Reads the contents of a `cICP` chunk; none where they are of no RGB in full range, or of primaries or a transfer function that are
+    /// not known.
+    pub(super) fn cicp(chunk: &[u8]) -> Option<Self> {
+        let &[primaries, transfer, 0, 1] = chunk else { return None };
+        let cicp = CicpProfile {
+            color_primaries: CicpColorPrimaries::try_from(primaries).ok()?,
+            transfer_characteristics: TransferCharacteristics::try_from(transfer).ok()?,
+            matrix_coefficients: MatrixCoefficients::Identity,
+            full_range: true,
+        };
+        ColorProfile::new_from_cicp(cicp).red_trc.is_some().then_some(Self::Cicp(cicp))
+    }
+
+    /// The profile and how its pixels lie, where it fits what the file holds: a grey profile fits grey pixels alone, one of RGB both; others
+    /// (CMYK) and damaged ones fit nothing, and the picture is taken as sRGB.
+    fn fitting(&self, grey: bool) -> Option<(ColorProfile, Layout)> {
+        let profile = match self {
+            Self::Icc(bytes) => ColorProfile::new_from_slice(bytes).ok()?,
+            Self::Cicp(cicp) => standard(*cicp),
+        };
+        match profile.color_space {
+            DataColorSpace::Rgb => Some((profile, Layout::Rgb)),
+            DataColorSpace::Gray if grey => Some((profile, Layout::Gray)),
+            _ => None,
+        }
+    }
+
+    fn hdr(&self) -> Option<Hdr> {
+        if let Self::Cicp(cicp) = self { Hdr::of(*cicp) } else { None }
+    }
+
+    /// The conversion of pixels of 8 bits, where it is more than the identity.
+    pub(super) fn bytes(&self, grey: bool) -> Option<Conversion<u8>> {
+        if let Some(hdr) = self.hdr() {
+            return Some(Conversion(Box::new(move |pixels| {
+                for p in pixels {
+                    *p = hdr.convert(p.map(|v| u16::from(v) * 257)).map(u16::byte);
+                }
+            })));
+        }
+        let (profile, layout) = self.fitting(grey)?;
+        let transform = profile.create_transform_8bit(layout, &ColorProfile::new_srgb(), Layout::Rgb, TransformOptions::default()).ok()?;
+        let conversion = Conversion::of(transform, layout);
+        let levels = [0u8, 32, 64, 96, 128, 160, 192, 224, 255];
+        let coloured = || levels.iter().flat_map(|&r| levels.iter().flat_map(move |&g| levels.map(|b| [r, g, b]))).collect();
+        let probes: Vec<[u8; 3]> = if grey { levels.map(|v| [v; 3]).to_vec() } else { coloured() };
+        let mut converted = probes.clone();
+        conversion.chunk(&mut converted);
+        let differs = |(a, b): (&u8, &u8)| a.abs_diff(*b) > SAME;
+        probes.as_flattened().iter().zip(converted.as_flattened()).any(differs).then_some(conversion)
+    }
+
+    /// The conversion of pixels of 16 bits, where it is more than the identity.
+    pub(super) fn words(&self, grey: bool) -> Option<Conversion<u16>> {
+        if let Some(hdr) = self.hdr() {
+            return Some(Conversion(Box::new(move |pixels| pixels.iter_mut().for_each(|p| *p = hdr.convert(*p)))));
+        }
+        self.bytes(grey)?;
+        let (profile, layout) = self.fitting(grey)?;
+        let transform = profile.create_transform_16bit(layout, &ColorProfile::new_srgb(), Layout::Rgb, TransformOptions::default()).ok()?;
+        Some(Conversion::of(transform, layout))
+    }
+}
+
+/// The profile of numbers of standard range. What cameras of video encode, screens show by another curve, that of ITU-R BT.1886.
+fn standard(cicp: CicpProfile) -> ColorProfile {
+    use TransferCharacteristics::{Bt601, Bt709, Bt202010bit, Bt202012bit};
+    let mut profile = ColorProfile::new_from_cicp(cicp);
+    if matches!(cicp.transfer_characteristics, Bt709 | Bt601 | Bt202010bit | Bt202012bit) {
+        let curve = ToneReprCurve::Parametric(vec![2.4, 1.0, 0.0, 0.0, 0.0]);
+        (profile.red_trc, profile.green_trc, profile.blue_trc) = (Some(curve.clone()), Some(curve.clone()), Some(curve));
+        profile.cicp = None;
+    }
+    profile
 }

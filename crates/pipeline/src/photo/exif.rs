@@ -18,7 +18,7 @@ const EXIF: u16 = 0x8769;
 const FOCAL_35: u16 = 0xA405;
 
 impl Facts {
-    const NONE: Self = Self { orientation: 1, focal_35: None };
+    pub(super) const NONE: Self = Self { orientation: 1, focal_35: None };
     /// Focal lengths on 35 mm film that a camera can have; beyond them lies a faulty writer.
     pub(super) const FOCAL_35: std::ops::RangeInclusive<f64> = 8.0..=600.0;
 

@@ -22,7 +22,7 @@ fn at_marker(file: &[u8], marker: u8) -> usize {
     file.windows(2).position(|w| w == [0xFF, marker]).unwrap()
 }
 
-/// A progressive JPEG of 16 × 16 grey pixels, with as many scans: one of means, then empty ones of all else.
+/// A progressive JPEG of 16 × 16 grey pixels, with as many scans: one of means, then empty ones, of which the last brings all that is left.
 fn scans(count: usize) -> Vec<u8> {
     let mut out = vec![0xFF, 0xD8, 0xFF, 0xDB, 0, 67, 0];
     out.extend_from_slice(&[1; 64]);
@@ -34,9 +34,10 @@ fn scans(count: usize) -> Vec<u8> {
     }
     // four blocks of no difference
     out.extend_from_slice(&[0xFF, 0xDA, 0, 8, 1, 1, 0x00, 0, 0, 0, 0x0F]);
-    for _ in 1..count {
+    for scan in 1..count {
+        let last = if scan + 1 < count { 62 } else { 63 };
         // the end of four blocks
-        out.extend_from_slice(&[0xFF, 0xDA, 0, 8, 1, 1, 0x00, 1, 63, 0, 0x1F]);
+        out.extend_from_slice(&[0xFF, 0xDA, 0, 8, 1, 1, 0x00, 1, last, 0, 0x1F]);
     }
     out.extend_from_slice(&[0xFF, 0xD9]);
     out

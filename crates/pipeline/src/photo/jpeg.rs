@@ -1,5 +1,6 @@
 //! Walks the segments of a JPEG file: size, metadata, and the file again without metadata.
 
+use super::frame::{Colour, Frame, Layout, is_frame, tables};
 use super::segments::{broken, entropy_end, next_marker, segment};
 use super::{Head, Limits, PhotoError};
 
@@ -8,8 +9,7 @@ use super::{Head, Limits, PhotoError};
 pub(super) struct Jpeg {
     pub width: u32,
     pub height: u32,
-    /// Count of colour components: 1 grey, 3 `YCbCr` or RGB, 4 CMYK or YCCK.
-    pub components: u8,
+    pub colour: Colour,
     /// Bytes of DCT coefficients, where the decoder has to keep all of them (progressive, or a scan per component); else 0.
     pub coefficient_bytes: u64,
     /// Bytes of entropy-coded data in all scans.
@@ -22,13 +22,14 @@ pub(super) struct Jpeg {
     first_scan_end: usize,
     /// Every scan refines the whole picture.
     pub progressive: bool,
-    /// Each component comes in a scan of its own.
-    one_by_one: bool,
+    pub layout: Layout,
     /// Count of scans.
     pub scans: usize,
-    /// The scans of a progressive file bring every coefficient to its last bit.
+    /// The scans bring every coefficient of every component to its last bit.
     pub complete: bool,
-    /// The picture alone: no `APPn` but JFIF (without its thumbnail) and Adobe, no comments, nothing after the end marker.
+    /// The end marker follows the last scan, and every code table that a scan uses is there.
+    pub standalone: bool,
+    /// The picture alone: no `APPn` but JFIF (without its thumbnail) and Adobe, no comments, nothing after the last scan but the end marker.
     pub stripped: Vec<u8>,
     /// TIFF structure of the first EXIF segment.
     pub exif: Option<Vec<u8>>,
@@ -57,25 +58,32 @@ impl Jpeg {
         Ok(())
     }
 
+    /// The file with other bytes behind its last scan: a decoder that needs them has too little data.
+    pub(super) fn followed_by(&self, bytes: &[u8]) -> Vec<u8> {
+        [&self.stripped[..self.stripped.len() - END.len()], bytes].concat()
+    }
+
     /// The file for a strict decoder: it takes zeros for whatever an end marker cuts off, but not the end of the file. So a file of one
     /// scan ends in a few zeros, which the decoder may read ahead, and no marker.
     pub(super) fn open(&self) -> Vec<u8> {
-        if self.progressive || self.one_by_one {
-            return self.stripped.clone();
-        }
-        [&self.stripped[..self.stripped.len() - 2], &[0; READ_AHEAD]].concat()
+        if self.progressive { self.stripped.clone() } else { self.followed_by(&[0; READ_AHEAD]) }
     }
 
     /// The file cut to what has to be whole for a damaged picture to be worth showing: the upper [`MOST`] of it, or, where each
     /// scan refines the whole picture, the first scan.
     pub(super) fn most(&self) -> Vec<u8> {
         if self.progressive {
-            return [&self.stripped[..self.first_scan_end], &[0xFF, 0xD9]].concat();
+            return [&self.stripped[..self.first_scan_end], &END].concat();
         }
         let mut file = self.open();
-        let rows = (u64::from(self.height) * MOST.0).div_ceil(MOST.1) as u16;
+        let rows = self.most_rows() as u16;
         file[self.height_at..self.height_at + 2].copy_from_slice(&rows.to_be_bytes());
         file
+    }
+
+    /// Rows that must decode without a fault.
+    pub(super) fn most_rows(&self) -> u64 {
+        (u64::from(self.height) * MOST.0).div_ceil(MOST.1)
     }
 }
 
@@ -119,104 +127,178 @@ pub(super) fn head(bytes: &[u8], limits: &Limits) -> Result<Head, PhotoError> {
     Ok(Head::Silent)
 }
 
-/// True for the markers of frame headers.
-fn is_frame(marker: u8) -> bool {
-    matches!(marker, 0xC0..=0xC3 | 0xC5..=0xC7 | 0xC9..=0xCB | 0xCD..=0xCF)
-}
-
 /// Bytes that a decoder holds ahead of the block that it is at.
-const READ_AHEAD: usize = 16;
+pub(super) const READ_AHEAD: usize = 16;
 
 /// Share of the rows, as a fraction, that must decode without a fault.
 const MOST: (u64, u64) = (3, 4);
 
-/// Reads all segments up to the end marker, which must be there: a file without it was cut short.
+/// The marker of the end.
+pub(super) const END: [u8; 2] = [0xFF, 0xD9];
+/// A segment by which decoders know a frame of Motion JPEG, and take the standard's code tables for those that are missing.
+const MOTION: &[u8] = b"AVI1\0\0\0\0\0\0\0\0\0\0";
+
+/// Reads all segments up to the end marker. Where it is missing the file ends with the last thing that can be read, of which some picture
+/// data must have been.
 pub(super) fn scan(bytes: &[u8]) -> Result<Jpeg, PhotoError> {
-    let mut out = Vec::with_capacity(bytes.len());
-    out.extend_from_slice(&[0xFF, 0xD8]);
-    let mut jpeg = Jpeg {
-        width: 0,
-        height: 0,
-        components: 0,
-        coefficient_bytes: 0,
-        data: 0,
-        least_data: 0,
-        height_at: 0,
-        first_scan_end: 0,
-        progressive: false,
-        one_by_one: false,
-        scans: 0,
-        complete: false,
-        stripped: Vec::new(),
-        exif: None,
-        icc: None,
+    let mut walk = Walk { bytes, at: 2, out: vec![0xFF, 0xD8], ..Walk::default() };
+    walk.out.reserve(bytes.len());
+    let ended = loop {
+        match walk.step() {
+            Ok(Step::On) => {}
+            Ok(Step::End) => break true,
+            Ok(Step::TooManyScans) => return Err(PhotoError::Broken(format!("more than {MAX_SCANS} scans"))),
+            Err(error) if walk.scans == 0 => return Err(error),
+            Err(_) => break false,
+        }
     };
-    let mut icc: Vec<(u8, &[u8])> = Vec::new();
-    let (mut at, mut frame, mut scans) = (2, None::<Frame>, 0);
-    loop {
-        let (marker, next) = next_marker(bytes, at)?;
-        at = next;
+    walk.finish(ended)
+}
+
+/// What a step along a file comes to.
+enum Step {
+    On,
+    End,
+    TooManyScans,
+}
+
+/// On the way along the segments of a file.
+#[derive(Default)]
+struct Walk<'a> {
+    bytes: &'a [u8],
+    at: usize,
+    /// The file without what nobody needs.
+    out: Vec<u8>,
+    frame: Option<Frame>,
+    jfif: bool,
+    /// Kind of colours that an Adobe segment tells.
+    adobe: Option<u8>,
+    /// Code tables that there are: a bit for each of DC, then of AC.
+    tables: u8,
+    /// A scan uses a code table that there is not.
+    motion: bool,
+    scans: usize,
+    data: usize,
+    height_at: usize,
+    /// Places in `out` behind the first and the last scan.
+    first_scan_end: usize,
+    last_scan_end: usize,
+    exif: Option<&'a [u8]>,
+    icc: Vec<(u8, &'a [u8])>,
+}
+
+impl Walk<'_> {
+    /// Reads a segment, and the data behind it where it is a scan's.
+    fn step(&mut self) -> Result<Step, PhotoError> {
+        let (marker, next) = next_marker(self.bytes, self.at)?;
+        self.at = next;
         match marker {
-            0xD9 => break,
+            0xD9 => return Ok(Step::End),
             // Markers that stand alone: TEM, RSTn, a second SOI
-            0x01 | 0xD0..=0xD8 => continue,
+            0x01 | 0xD0..=0xD8 => return Ok(Step::On),
             _ => {}
         }
-        let body = segment(bytes, at)?;
-        at += body.len() + 2;
+        let body = segment(self.bytes, self.at)?;
+        self.at += body.len() + 2;
         match marker {
             0xE0 if body.starts_with(b"JFIF\0") && body.len() >= 14 => {
+                self.jfif = true;
                 // The same header with a thumbnail of 0×0
                 let mut head = body[..14].to_vec();
                 head[12..14].fill(0);
-                push(&mut out, marker, &head);
+                push(&mut self.out, marker, &head);
             }
-            0xEE if body.starts_with(b"Adobe") => push(&mut out, marker, body),
-            0xE1 if body.starts_with(b"Exif\0\0") && jpeg.exif.is_none() => jpeg.exif = Some(body[6..].to_vec()),
-            0xE2 if body.starts_with(b"ICC_PROFILE\0") && body.len() > 14 => icc.push((body[12], &body[14..])),
+            0xEE if body.starts_with(b"Adobe") && body.len() >= 12 => self.adobe = Some(body[11]),
+            0xE1 if body.starts_with(b"Exif\0\0") && self.exif.is_none() => self.exif = Some(&body[6..]),
+            0xE2 if body.starts_with(b"ICC_PROFILE\0") && body.len() > 14 => self.icc.push((body[12], &body[14..])),
             0xE0..=0xEF | 0xFE => {}
-            frame_marker if is_frame(frame_marker) => {
-                if frame.is_some() {
+            frame if is_frame(frame) => {
+                if self.frame.is_some() {
                     return Err(broken("more than one frame header"));
                 }
-                frame = Some(Frame::read(marker, body)?);
+                self.frame = Some(Frame::read(marker, body)?);
                 // marker, length and precision come before it
-                jpeg.height_at = out.len() + 5;
-                push(&mut out, marker, body);
+                self.height_at = self.out.len() + 5;
+                push(&mut self.out, marker, body);
             }
-            0xDA => {
-                let Some(frame) = &mut frame else { return Err(broken("a scan before the frame header")) };
-                if scans == MAX_SCANS {
-                    return Err(PhotoError::Broken(format!("more than {MAX_SCANS} scans")));
+            0xDA if self.scans == MAX_SCANS => return Ok(Step::TooManyScans),
+            0xDA => self.scan(body)?,
+            _ => {
+                if marker == 0xC4 {
+                    self.tables |= tables(body);
                 }
-                frame.refine(body);
-                frame.one_by_one |= body.first().is_some_and(|&n| n < frame.components);
-                push(&mut out, marker, body);
-                let end = entropy_end(bytes, at);
-                out.extend_from_slice(&bytes[at..end]);
-                jpeg.data += (end - at) as u64;
-                if scans == 0 {
-                    jpeg.first_scan_end = out.len();
-                }
-                (at, scans) = (end, scans + 1);
+                push(&mut self.out, marker, body);
             }
-            _ => push(&mut out, marker, body),
         }
+        Ok(Step::On)
     }
-    out.extend_from_slice(&[0xFF, 0xD9]);
-    let Some(frame) = frame else { return Err(broken("no frame header")) };
-    if scans == 0 {
-        return Err(broken("no picture data"));
+
+    /// A scan of that header, with its data.
+    fn scan(&mut self, body: &[u8]) -> Result<(), PhotoError> {
+        let Some(frame) = &mut self.frame else { return Err(broken("a scan before the frame header")) };
+        let uses = frame.refine(body)?;
+        if self.scans == 0 {
+            let colour = frame.colour(self.jfif, self.adobe);
+            // without it the identifiers tell, or nothing has to
+            let told = match colour {
+                Colour::Rgb | Colour::Cmyk => self.adobe.map(|_| 0),
+                Colour::Ycck => Some(2),
+                Colour::Grey | Colour::YCbCr => None,
+            };
+            if let Some(told) = told {
+                push(&mut self.out, 0xEE, &[b"Adobe\0\x64\0\0\0\0", &[told][..]].concat());
+            }
+        }
+        if !self.motion && uses & !self.tables != 0 {
+            self.motion = true;
+            push(&mut self.out, 0xE0, MOTION);
+        }
+        push(&mut self.out, 0xDA, body);
+        let end = entropy_end(self.bytes, self.at);
+        let data = &self.bytes[self.at..end];
+        // fill bytes, or half of a marker
+        let fill = data.iter().rev().take_while(|byte| **byte == 0xFF).count();
+        self.out.extend_from_slice(&data[..data.len() - fill]);
+        self.data += data.len();
+        self.last_scan_end = self.out.len();
+        if self.scans == 0 {
+            self.first_scan_end = self.out.len();
+        }
+        (self.at, self.scans) = (end, self.scans + 1);
+        Ok(())
     }
-    icc.sort_by_key(|&(n, _)| n);
-    jpeg.icc = (!icc.is_empty()).then(|| icc.iter().flat_map(|&(_, part)| part).copied().collect());
-    (jpeg.width, jpeg.height, jpeg.components) = (frame.width, frame.height, frame.components);
-    jpeg.coefficient_bytes = if frame.progressive || frame.one_by_one { frame.coefficient_bytes } else { 0 };
-    (jpeg.progressive, jpeg.one_by_one, jpeg.scans) = (frame.progressive, frame.one_by_one, scans);
-    jpeg.complete = frame.left.iter().all(|left| *left == 0);
-    jpeg.least_data = (frame.blocks * if frame.progressive { 1 } else { 2 }) / 8;
-    jpeg.stripped = out;
-    Ok(jpeg)
+
+    fn finish(mut self, ended: bool) -> Result<Jpeg, PhotoError> {
+        let Some(frame) = self.frame else { return Err(broken("no frame header")) };
+        if self.scans == 0 {
+            return Err(broken("no picture data"));
+        }
+        if !frame.progressive && !frame.is_complete() {
+            return Err(broken("it was cut before its last scan"));
+        }
+        self.out.truncate(self.last_scan_end);
+        self.out.extend(END);
+        self.icc.sort_by_key(|&(n, _)| n);
+        let colour = frame.colour(self.jfif, self.adobe);
+        Ok(Jpeg {
+            width: frame.width,
+            height: frame.height,
+            colour,
+            coefficient_bytes: if frame.progressive || frame.one_by_one { frame.coefficient_bytes } else { 0 },
+            data: self.data as u64,
+            least_data: (frame.blocks * if frame.progressive { 1 } else { 2 }) / 8,
+            height_at: self.height_at,
+            first_scan_end: self.first_scan_end,
+            progressive: frame.progressive,
+            layout: frame.layout(colour),
+            scans: self.scans,
+            complete: frame.is_complete(),
+            standalone: ended && !self.motion,
+            stripped: self.out,
+            exif: self.exif.map(<[u8]>::to_vec),
+            icc: (!self.icc.is_empty()).then(|| self.icc.iter().flat_map(|&(_, part)| part).copied().collect()),
+        })
+    }
 }
 
 fn push(out: &mut Vec<u8>, marker: u8, body: &[u8]) {
@@ -225,77 +307,6 @@ fn push(out: &mut Vec<u8>, marker: u8, body: &[u8]) {
     out.extend_from_slice(&[0xFF, marker]);
     out.extend_from_slice(&length.to_be_bytes());
     out.extend_from_slice(body);
-}
-
-/// Start of frame.
-struct Frame {
-    width: u32,
-    height: u32,
-    components: u8,
-    progressive: bool,
-    /// A scan holds fewer components than the frame.
-    one_by_one: bool,
-    coefficient_bytes: u64,
-    /// Blocks of the picture alone, without those that only fill up the last minimum coded units.
-    blocks: u64,
-    /// Names of the components.
-    names: Vec<u8>,
-    /// Coefficients, as bits, of each component that no scan has brought to their last bit.
-    left: Vec<u64>,
-}
-
-impl Frame {
-    fn read(marker: u8, body: &[u8]) -> Result<Self, PhotoError> {
-        if !matches!(marker, 0xC0..=0xC2) {
-            return Err(broken("lossless, hierarchical and arithmetic-coded JPEG are not read"));
-        }
-        let Some((head, parts)) = body.split_at_checked(6) else { return Err(broken("a short frame header")) };
-        if head[0] != 8 {
-            return Err(PhotoError::Broken(format!("JPEG of {} bits a sample is not read", head[0])));
-        }
-        let (height, width) = (u16::from_be_bytes([head[1], head[2]]), u16::from_be_bytes([head[3], head[4]]));
-        let components = head[5];
-        if !matches!(components, 1 | 3 | 4) || parts.len() < 3 * usize::from(components) {
-            return Err(PhotoError::Broken(format!("JPEG of {components} components is not read")));
-        }
-        let sampling: Vec<(u64, u64)> =
-            parts.chunks_exact(3).take(components.into()).map(|p| (u64::from(p[1] >> 4), u64::from(p[1] & 15))).collect();
-        if sampling.iter().any(|&(h, v)| !(1..=4).contains(&h) || !(1..=4).contains(&v)) {
-            return Err(broken("an impossible sampling factor"));
-        }
-        let (h_max, v_max) = sampling.iter().fold((1, 1), |m, s| (m.0.max(s.0), m.1.max(s.1)));
-        let mcus = u64::from(width).div_ceil(8 * h_max) * u64::from(height).div_ceil(8 * v_max);
-        let across = |side: u16, sampling: u64, most: u64| (u64::from(side) * sampling).div_ceil(most).div_ceil(8);
-        let blocks = sampling.iter().map(|&(h, v)| across(width, h, h_max) * across(height, v, v_max)).sum();
-        // 64 coefficients of 2 bytes a block
-        let coefficient_bytes = sampling.iter().map(|(h, v)| mcus * h * v * 128).sum();
-        Ok(Self {
-            width: width.into(),
-            height: height.into(),
-            components,
-            progressive: marker == 0xC2,
-            one_by_one: false,
-            coefficient_bytes,
-            blocks,
-            names: parts.chunks_exact(3).take(components.into()).map(|p| p[0]).collect(),
-            left: vec![u64::MAX; components.into()],
-        })
-    }
-
-    /// Notes what a scan brings, by its header.
-    fn refine(&mut self, scan: &[u8]) {
-        let Some((&count, rest)) = scan.split_first() else { return };
-        let (named, spectrum) = rest.split_at(rest.len().min(2 * usize::from(count)));
-        let &[first, last @ 0..=63, bits] = spectrum else { return };
-        if first > last || bits & 15 != 0 {
-            return;
-        }
-        let brought = (u64::MAX >> (63 - last)) & (u64::MAX << first);
-        for name in named.chunks_exact(2).map(|p| p[0]) {
-            let of_name = self.names.iter().zip(&mut self.left).filter(|(n, _)| **n == name);
-            of_name.for_each(|(_, left)| *left &= !brought);
-        }
-    }
 }
 
 #[cfg(test)]

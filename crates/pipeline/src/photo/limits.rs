@@ -26,6 +26,8 @@ impl Limits {
     pub const SIDE: u32 = tmpi_core::container::MAX_SIDE;
     /// 512 MiB: 50 megapixels of a progressive JPEG without subsampling take 450 MB, of a PNG of 16 bits with alpha 400 MB.
     pub const DECODER_MEMORY: u64 = 512 << 20;
+    /// No limits, for what was held to some before.
+    pub(crate) const NONE: Self = Self { bytes: usize::MAX, pixels: u64::MAX, side: u32::MAX, decoder_memory: u64::MAX, memory: u64::MAX };
 }
 
 impl Limits {

@@ -1,17 +1,20 @@
 //! Photo in: sniff by content, check limits before decoding, decode, orient, read the focal length, drop all metadata.
 //!
 //! What is read: JPEG (baseline and progressive; grey, `YCbCr`, RGB, CMYK), PNG (all kinds), WebP (lossy, lossless, alpha).
-//! Of an animation the first picture is taken, as a browser shows it with animations off. An embedded RGB ICC profile is
-//! converted to sRGB; grey and CMYK profiles, and PNG's `gAMA` and `cHRM`, are passed over.
+//! Of an animation the first picture is taken, as a browser shows it with animations off. Colours are converted to sRGB by an ICC profile of
+//! RGB or grey, or PNG's `cICP`; CMYK profiles, and PNG's `gAMA` and `cHRM`, are passed over.
 
 mod check;
 mod colour;
 mod error;
 pub(crate) mod exif;
+mod frame;
 #[doc(hidden)]
 pub mod fuzzing;
+mod hdr;
 mod head;
 mod jpeg;
+mod jpeg_pixels;
 mod limits;
 pub(crate) mod pixels;
 pub(crate) mod png;
@@ -23,7 +26,11 @@ mod taps;
 mod webp;
 
 #[cfg(test)]
+mod colours;
+#[cfg(test)]
 mod hostile;
+#[cfg(test)]
+mod kinds;
 #[cfg(test)]
 mod tests;
 #[cfg(test)]
@@ -34,9 +41,6 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use image::codecs::webp::WebPDecoder;
 use image::{ColorType, ImageDecoder};
-use zune_jpeg::zune_core::bytestream::ZCursor;
-use zune_jpeg::zune_core::colorspace::ColorSpace;
-use zune_jpeg::zune_core::options::DecoderOptions;
 
 pub use check::check;
 pub use error::PhotoError;
@@ -47,7 +51,9 @@ pub use resample_bytes::resample_bytes;
 pub use resample_opencv::{Interpolation, resize_opencv};
 pub use taps::Taps;
 
+use self::colour::Profile;
 use self::exif::Facts;
+use self::frame::{Colour, Layout};
 use tmpi_core::container::PhotoFormat;
 use tmpi_core::{Intrinsics, Photo};
 
@@ -84,9 +90,26 @@ const MAX_PROFILE: usize = 4 << 20;
 pub fn decode(bytes: &[u8], limits: &Limits, max_size: Option<u32>) -> Result<Decoded, PhotoError> {
     limits.check_bytes(bytes.len())?;
     let format = sniff(bytes)?;
-    // The last resort: a decoder's own bug must not take the process down
-    catch_unwind(AssertUnwindSafe(|| read(bytes, format, limits, max_size).map(|raw| finish(raw, format, max_size))))
-        .unwrap_or_else(|_| Err(PhotoError::Broken("the decoder failed on this file".into())))
+    guarded(|| read(bytes, format, limits, max_size, Samples::Colours).map(|raw| finish(raw, format, max_size)))
+}
+
+/// Decodes a picture whose samples are values and no colours: no profile changes them, and alpha says nothing of them. Upright.
+pub(crate) fn decode_values(bytes: &[u8], limits: &Limits) -> Result<Photo, PhotoError> {
+    limits.check_bytes(bytes.len())?;
+    let format = sniff(bytes)?;
+    guarded(|| read(bytes, format, limits, None, Samples::Values).map(|raw| finish(raw, format, None).photo))
+}
+
+/// The last resort: a decoder's own bug must not take the process down.
+fn guarded<T>(decode: impl FnOnce() -> Result<T, PhotoError>) -> Result<T, PhotoError> {
+    catch_unwind(AssertUnwindSafe(decode)).unwrap_or_else(|_| Err(PhotoError::Broken("the decoder failed on this file".into())))
+}
+
+/// What the samples of a picture are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Samples {
+    Colours,
+    Values,
 }
 
 /// Format by the first bytes.
@@ -99,40 +122,43 @@ fn sniff(bytes: &[u8]) -> Result<PhotoFormat, PhotoError> {
     PhotoFormat::sniff(bytes).ok_or(if heic { PhotoError::Heic } else { PhotoError::Unsupported })
 }
 
-/// EXIF orientation of a JPEG, 1 to 8; 1 where it says none.
-pub(crate) fn orientation(jpeg: &[u8]) -> u8 {
-    let segments = segments::applications(jpeg);
-    let tiff = segments.iter().find(|s| s.number == 1).and_then(|s| s.body.strip_prefix(b"Exif\0\0"));
-    Facts::read(tiff).orientation
+/// EXIF orientation of a photo, 1 to 8; 1 where it says none.
+pub(crate) fn orientation(photo: &[u8]) -> u8 {
+    let facts = match PhotoFormat::sniff(photo) {
+        Some(PhotoFormat::Jpeg) => {
+            let segments = segments::applications(photo);
+            Facts::read(segments.iter().filter(|s| s.number == 1).find_map(|s| s.body.strip_prefix(b"Exif\0\0")))
+        }
+        Some(PhotoFormat::Png) => png::scan(photo, &Limits::NONE).map_or(Facts::NONE, |png| Facts::read(png.exif)),
+        Some(PhotoFormat::WebP) => webp::scan(photo).map_or(Facts::NONE, |webp| Facts::read(webp.exif.as_deref())),
+        None => Facts::NONE,
+    };
+    facts.orientation
 }
 
 /// A picture as its decoder gave it.
 struct Raw {
-    /// Pixels as stored: not upright, in the file's own colour space; smaller than `size` where decoding could reduce.
+    /// Pixels as stored: not upright; smaller than `size` where decoding could reduce.
     photo: Photo,
     /// Size as stored.
     size: (u32, u32),
     facts: Facts,
-    icc: Option<Vec<u8>>,
     /// File without metadata, where its pixels are exactly `photo`.
     carried: Option<Vec<u8>>,
     damaged: bool,
 }
 
-fn read(bytes: &[u8], format: PhotoFormat, limits: &Limits, max_size: Option<u32>) -> Result<Raw, PhotoError> {
+fn read(bytes: &[u8], format: PhotoFormat, limits: &Limits, max_size: Option<u32>, samples: Samples) -> Result<Raw, PhotoError> {
     match format {
-        PhotoFormat::Jpeg => read_jpeg(bytes, limits, max_size),
-        PhotoFormat::Png => read_png(bytes, limits),
-        PhotoFormat::WebP => read_webp(bytes, limits),
+        PhotoFormat::Jpeg => read_jpeg(bytes, limits, max_size, samples),
+        PhotoFormat::Png => read_png(bytes, limits, samples),
+        PhotoFormat::WebP => read_webp(bytes, limits, samples),
     }
 }
 
-/// Colours, size and orientation, in the order that touches the fewest pixels.
+/// Size and orientation, in the order that touches the fewest pixels.
 fn finish(raw: Raw, format: PhotoFormat, max_size: Option<u32>) -> Decoded {
-    let Raw { mut photo, size, facts, icc, mut carried, damaged } = raw;
-    if icc.is_some_and(|icc| colour::to_srgb(&mut photo.rgb, &icc)) {
-        carried = None;
-    }
+    let Raw { mut photo, size, facts, mut carried, damaged } = raw;
     let (width, height) = reduced_size(size, max_size);
     if (photo.width, photo.height) != (width, height) {
         photo = resize(&photo, width, height);
@@ -152,88 +178,39 @@ fn broken(error: impl std::fmt::Display) -> PhotoError {
     PhotoError::Broken(error.to_string())
 }
 
-fn read_jpeg(bytes: &[u8], limits: &Limits, max_size: Option<u32>) -> Result<Raw, PhotoError> {
+fn read_jpeg(bytes: &[u8], limits: &Limits, max_size: Option<u32>, samples: Samples) -> Result<Raw, PhotoError> {
     let jpeg = check::jpeg(bytes, limits)?;
     let size = (jpeg.width, jpeg.height);
     let facts = Facts::read(jpeg.exif.as_deref());
     let want = reduced_size(size, max_size);
-    let reducible = jpeg.components < 4 && want.0 <= size.0 / 2 && want.1 <= size.1 / 2;
-    let (photo, damaged) = match reducible.then(|| scaled_jpeg(&jpeg.stripped, want)).flatten() {
+    let cmyk = matches!(jpeg.colour, Colour::Cmyk | Colour::Ycck);
+    // what is damaged is seen at the file's own size
+    let reducible = !cmyk && jpeg.standalone && want.0 <= size.0 / 2 && want.1 <= size.1 / 2;
+    let (mut photo, damaged) = match reducible.then(|| jpeg_pixels::reduced(&jpeg, want)).flatten() {
         Some(photo) => (photo, false),
-        None => whole_jpeg(&jpeg)?,
+        None => jpeg_pixels::whole(&jpeg)?,
     };
-    let icc = jpeg.icc.filter(|icc| jpeg.components == 3 && icc.len() <= MAX_PROFILE);
-    // Decoders do not agree on how CMYK becomes RGB, nor on what is shown of damaged files
-    let carried = (jpeg.components < 4 && !damaged).then_some(jpeg.stripped);
-    Ok(Raw { photo, size, facts, icc, carried, damaged })
+    let profile = jpeg.icc.filter(|icc| !cmyk && icc.len() <= MAX_PROFILE).map(Profile::Icc);
+    let conversion = profile.filter(|_| samples == Samples::Colours).and_then(|profile| profile.bytes(jpeg.colour == Colour::Grey));
+    if let Some(conversion) = &conversion {
+        conversion.run(&mut photo.rgb);
+    }
+    // Decoders do not agree on how CMYK becomes RGB, nor on rare, damaged and incomplete files
+    let alike = !cmyk && jpeg.layout == Layout::Common && jpeg.standalone && !damaged && conversion.is_none();
+    Ok(Raw { photo, size, facts, carried: alike.then_some(jpeg.stripped), damaged })
 }
 
-/// A JPEG at its own size, and whether it is damaged; one of which less than most is whole is refused.
-fn whole_jpeg(jpeg: &jpeg::Jpeg) -> Result<(Photo, bool), PhotoError> {
-    if jpeg.progressive && !jpeg.complete {
-        if jpeg.scans < 2 {
-            return Err(broken("it was cut within its first scan"));
-        }
-        return Ok((jpeg_pixels(&jpeg.stripped, false)?, true));
-    }
-    match jpeg_pixels(&jpeg.open(), true) {
-        Ok(photo) => Ok((photo, false)),
-        Err(fault) => {
-            jpeg_pixels(&jpeg.most(), true).map_err(|_| fault)?;
-            Ok((jpeg_pixels(&jpeg.stripped, false)?, true))
-        }
-    }
-}
-
-/// Decodes a JPEG of one, three or four components. Strictly, any fault in its data is an error; else what can be had is given.
-fn jpeg_pixels(file: &[u8], strict: bool) -> Result<Photo, PhotoError> {
-    let options = DecoderOptions::default().set_strict_mode(strict).set_max_width(usize::MAX).set_max_height(usize::MAX);
-    let mut decoder = zune_jpeg::JpegDecoder::new_with_options(ZCursor::new(file), options);
-    decoder.decode_headers().map_err(broken)?;
-    let (Some((width, height)), Some(stored)) = (decoder.dimensions(), decoder.input_colorspace()) else {
-        return Err(broken("no frame header"));
-    };
-    let grey = stored == ColorSpace::Luma;
-    decoder.set_options(options.jpeg_set_out_colorspace(if grey { ColorSpace::Luma } else { ColorSpace::RGB }));
-    let mut rgb = vec![[0; 3]; width * height];
-    if grey {
-        let mut samples = vec![0; width * height];
-        decoder.decode_into(&mut samples).map_err(broken)?;
-        rgb.iter_mut().zip(samples).for_each(|(p, v)| *p = [v; 3]);
-    } else {
-        decoder.decode_into(rgb.as_flattened_mut()).map_err(broken)?;
-    }
-    Ok(Photo { width: width as u32, height: height as u32, rgb })
-}
-
-/// A JPEG decoded at 1/2, 1/4 or 1/8 inside the DCT, at least `want` large; none where that is not possible.
-fn scaled_jpeg(file: &[u8], want: (u32, u32)) -> Option<Photo> {
-    let mut decoder = jpeg_decoder::Decoder::new(file);
-    let (w, h) = decoder.scale(u16::try_from(want.0).ok()?, u16::try_from(want.1).ok()?).ok()?;
-    let (width, height) = (u32::from(w), u32::from(h));
-    if width < want.0 || height < want.1 {
-        return None;
-    }
-    let samples = decoder.decode().ok()?;
-    let colour = match decoder.info()?.pixel_format {
-        jpeg_decoder::PixelFormat::L8 => ColorType::L8,
-        jpeg_decoder::PixelFormat::RGB24 => ColorType::Rgb8,
-        _ => return None,
-    };
-    let (rgb, _) = pixels::to_rgb(&samples, colour).ok()?;
-    (rgb.len() == width as usize * height as usize).then_some(Photo { width, height, rgb })
-}
-
-fn read_png(bytes: &[u8], limits: &Limits) -> Result<Raw, PhotoError> {
+fn read_png(bytes: &[u8], limits: &Limits, samples: Samples) -> Result<Raw, PhotoError> {
     let png = png::scan(bytes, limits)?;
     let mut decoder = png.decoder()?;
     limits.check_memory(decoder.total_bytes())?;
     let icc = decoder.icc_profile().map_err(broken)?;
-    let photo = image_pixels(decoder)?.0;
-    Ok(Raw { photo, size: (png.width, png.height), facts: Facts::read(png.exif), icc, carried: None, damaged: false })
+    let profile = png.cicp.clone().or(icc.map(Profile::Icc));
+    let photo = image_pixels(decoder, profile.as_ref(), samples)?.photo;
+    Ok(Raw { photo, size: (png.width, png.height), facts: Facts::read(png.exif), carried: None, damaged: false })
 }
 
-fn read_webp(bytes: &[u8], limits: &Limits) -> Result<Raw, PhotoError> {
+fn read_webp(bytes: &[u8], limits: &Limits, samples: Samples) -> Result<Raw, PhotoError> {
     let webp = check::webp(bytes, limits)?;
     let size = (webp.width, webp.height);
     let facts = Facts::read(webp.exif.as_deref());
@@ -241,21 +218,46 @@ fn read_webp(bytes: &[u8], limits: &Limits) -> Result<Raw, PhotoError> {
     if decoder.dimensions() != size {
         return Err(broken("the picture has another size than its header says"));
     }
-    let (photo, see_through) = image_pixels(decoder)?;
-    let carried = (!see_through && !webp.animated).then_some(webp.stripped);
-    Ok(Raw { photo, size, facts, icc: webp.icc, carried, damaged: false })
+    let pixels = image_pixels(decoder, webp.icc.map(Profile::Icc).as_ref(), samples)?;
+    let carried = (pixels.as_stored && !webp.animated).then_some(webp.stripped);
+    Ok(Raw { photo: pixels.photo, size, facts, carried, damaged: false })
 }
 
-/// Decodes, and tells whether any pixel was not opaque.
-fn image_pixels(decoder: impl ImageDecoder) -> Result<(Photo, bool), PhotoError> {
+/// Pixels of a PNG or WebP.
+struct Pixels {
+    photo: Photo,
+    /// They are those of the file: opaque and of its own colours.
+    as_stored: bool,
+}
+
+fn image_pixels(decoder: impl ImageDecoder, profile: Option<&Profile>, samples: Samples) -> Result<Pixels, PhotoError> {
     let ((width, height), colour) = (decoder.dimensions(), decoder.color_type());
-    if colour == ColorType::Rgb8 {
-        let mut rgb = vec![[0; 3]; width as usize * height as usize];
-        decoder.read_image(rgb.as_flattened_mut()).map_err(broken)?;
-        return Ok((Photo { width, height, rgb }, false));
-    }
-    let mut samples = vec![0; decoder.total_bytes() as usize];
-    decoder.read_image(&mut samples).map_err(broken)?;
-    let (rgb, see_through) = pixels::to_rgb(&samples, colour)?;
-    Ok((Photo { width, height, rgb }, see_through))
+    let (pixels, channels) = (width as usize * height as usize, usize::from(colour.channel_count()));
+    let (grey, blend) = (!colour.has_color(), samples == Samples::Colours);
+    let profile = profile.filter(|_| blend);
+    let ((rgb, see_through), converted) = match colour {
+        ColorType::Rgb8 => {
+            let mut rgb = vec![[0; 3]; pixels];
+            decoder.read_image(rgb.as_flattened_mut()).map_err(broken)?;
+            let conversion = profile.and_then(|profile| profile.bytes(grey));
+            if let Some(conversion) = &conversion {
+                conversion.run(&mut rgb);
+            }
+            ((rgb, false), conversion.is_some())
+        }
+        ColorType::L8 | ColorType::La8 | ColorType::Rgba8 => {
+            let mut samples = vec![0u8; pixels * channels];
+            decoder.read_image(&mut samples).map_err(broken)?;
+            let conversion = profile.and_then(|profile| profile.bytes(grey));
+            (pixels::to_rgb(&samples, channels, conversion.as_ref(), blend), conversion.is_some())
+        }
+        ColorType::L16 | ColorType::La16 | ColorType::Rgb16 | ColorType::Rgba16 => {
+            let mut samples = vec![0u16; pixels * channels];
+            decoder.read_image(bytemuck::cast_slice_mut(&mut samples)).map_err(broken)?;
+            let conversion = profile.and_then(|profile| profile.words(grey));
+            (pixels::to_rgb(&samples, channels, conversion.as_ref(), blend), conversion.is_some())
+        }
+        other => return Err(PhotoError::Broken(format!("pixels of kind {other:?} are not read"))),
+    };
+    Ok(Pixels { photo: Photo { width, height, rgb }, as_stored: !see_through && !converted })
 }

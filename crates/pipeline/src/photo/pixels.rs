@@ -1,32 +1,53 @@
 //! Pixels of any decoder as upright sRGB of 8 bits.
 
-use image::ColorType;
 use rayon::prelude::*;
 
-use super::PhotoError;
+use super::colour::{CHUNK, Conversion};
 use tmpi_core::Photo;
 
-/// RGB of 8 bits, alpha blended over white, and whether any pixel was not opaque.
-pub(super) fn to_rgb(samples: &[u8], colour: ColorType) -> Result<(Vec<[u8; 3]>, bool), PhotoError> {
-    let grey = |v: u8| [v; 3];
-    let wide = |b: &[u8]| u16::from_ne_bytes([b[0], b[1]]);
-    // 65 535 = 255 · 257, so this rounds to nearest
-    let narrow = |v: u16| ((u32::from(v) + 128) / 257) as u8;
+/// A sample as a decoder gives it.
+pub(super) trait Sample: Copy + Default + Send + Sync {
+    /// The nearest of 8 bits.
+    fn byte(self) -> u8;
+}
+
+impl Sample for u8 {
+    fn byte(self) -> u8 {
+        self
+    }
+}
+
+impl Sample for u16 {
+    fn byte(self) -> u8 {
+        // 65 535 = 255 · 257, so this rounds to nearest
+        ((u32::from(self) + 128) / 257) as u8
+    }
+}
+
+/// RGB of 8 bits, converted where there is a conversion, then blended over white where it is to be, and whether any pixel was not opaque.
+/// Of `channels` 1 is grey, 3 are RGB, and one more is alpha.
+pub(super) fn to_rgb<S: Sample>(samples: &[S], channels: usize, conversion: Option<&Conversion<S>>, blend: bool) -> (Vec<[u8; 3]>, bool) {
+    let colour = |p: &[S]| if channels < 3 { [p[0]; 3] } else { [p[0], p[1], p[2]] };
+    let alpha = |p: &[S]| if channels.is_multiple_of(2) { p[channels - 1].byte() } else { u8::MAX };
     // what is see-through is paper more often than night
     let over = |c: [u8; 3], a: u8| c.map(|v| ((u16::from(v) * u16::from(a) + 255 * (255 - u16::from(a)) + 127) / 255) as u8);
-    let clear = |n: usize| samples.par_chunks_exact(n).any(|p| p[n - 1] != u8::MAX);
-    let map = |n: usize, f: &(dyn Fn(&[u8]) -> [u8; 3] + Sync)| -> Vec<[u8; 3]> { samples.par_chunks_exact(n).map(f).collect() };
-    Ok(match colour {
-        ColorType::L8 => (map(1, &|p| grey(p[0])), false),
-        ColorType::La8 => (map(2, &|p| over(grey(p[0]), p[1])), clear(2)),
-        ColorType::Rgb8 => (map(3, &|p| [p[0], p[1], p[2]]), false),
-        ColorType::Rgba8 => (map(4, &|p| over([p[0], p[1], p[2]], p[3])), clear(4)),
-        ColorType::L16 => (map(2, &|p| grey(narrow(wide(p)))), false),
-        ColorType::La16 => (map(4, &|p| over(grey(narrow(wide(p))), narrow(wide(&p[2..])))), true),
-        ColorType::Rgb16 => (map(6, &|p| [0, 2, 4].map(|i| narrow(wide(&p[i..])))), false),
-        ColorType::Rgba16 => (map(8, &|p| over([0, 2, 4].map(|i| narrow(wide(&p[i..]))), narrow(wide(&p[6..])))), true),
-        other => return Err(PhotoError::Broken(format!("pixels of kind {other:?} are not read"))),
-    })
+    let mut rgb = vec![[0; 3]; samples.len() / channels];
+    let chunks = rgb.par_chunks_mut(CHUNK).zip(samples.par_chunks(CHUNK * channels));
+    let see_through = chunks.map(|(out, samples)| {
+        let mut colours: Vec<[S; 3]> = samples.chunks_exact(channels).map(colour).collect();
+        if let Some(conversion) = conversion {
+            conversion.chunk(&mut colours);
+        }
+        let mut clear = false;
+        for ((out, colour), pixel) in out.iter_mut().zip(colours).zip(samples.chunks_exact(channels)) {
+            let alpha = alpha(pixel);
+            clear |= alpha != u8::MAX;
+            *out = over(colour.map(S::byte), if blend { alpha } else { u8::MAX });
+        }
+        clear
+    });
+    let see_through = see_through.reduce(|| false, |a, b| a || b);
+    (rgb, see_through)
 }
 
 /// Turns a photo upright, as its EXIF orientation (1 to 8) says.

@@ -4,6 +4,7 @@ use std::io::Cursor;
 
 use image::codecs::png::PngDecoder;
 
+use super::colour::Profile;
 use super::{Head, Limits, MAX_PROFILE, PhotoError, broken};
 
 const SIGNATURE: usize = 8;
@@ -19,6 +20,8 @@ pub(crate) struct Png<'a> {
     stripped: Vec<u8>,
     /// TIFF structure of the EXIF chunk.
     pub exif: Option<&'a [u8]>,
+    /// Colours by their numbers, which come before a profile.
+    pub(super) cicp: Option<Profile>,
     pub width: u32,
     pub height: u32,
     /// Bytes a pixel as decoded.
@@ -65,7 +68,7 @@ pub(crate) fn scan<'a>(bytes: &'a [u8], limits: &Limits) -> Result<Png<'a>, Phot
     limits.check_size(width, height)?;
     let Some(&[depth, colour]) = bytes.get(24..26) else { return Err(broken("the file is cut short")) };
     let mut channels = channels_of(colour)?;
-    let mut png = Png { stripped: Vec::with_capacity(bytes.len()), exif: None, width, height, bytes_per_pixel: 0 };
+    let mut png = Png { stripped: Vec::with_capacity(bytes.len()), exif: None, cicp: None, width, height, bytes_per_pixel: 0 };
     png.stripped.extend_from_slice(&bytes[..SIGNATURE]);
     let (mut at, mut pictures) = (SIGNATURE, false);
     while at < bytes.len() {
@@ -81,6 +84,7 @@ pub(crate) fn scan<'a>(bytes: &'a [u8], limits: &Limits) -> Result<Png<'a>, Phot
                 png.stripped.extend_from_slice(chunk);
             }
             b"iCCP" if length > MAX_PROFILE => {}
+            b"cICP" if !pictures => png.cicp = Profile::cicp(&chunk[8..8 + length]),
             // The decoder reads colours of three bytes and panics where the last is short
             b"PLTE" if length == 0 || length > MAX_PALETTE || !length.is_multiple_of(3) => {
                 return Err(broken("the palette is not 1 to 256 colours of three bytes"));

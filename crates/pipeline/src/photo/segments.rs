@@ -44,6 +44,25 @@ pub(super) fn entropy_end(bytes: &[u8], mut at: usize) -> usize {
     bytes.len()
 }
 
+/// The place behind the end marker of a JPEG.
+pub(crate) fn end(jpeg: &[u8]) -> Option<usize> {
+    let mut at = 2;
+    loop {
+        let (marker, next) = next_marker(jpeg, at).ok()?;
+        at = next;
+        match marker {
+            0xD9 => return Some(at),
+            0x01 | 0xD0..=0xD8 => {}
+            _ => {
+                at += segment(jpeg, at).ok()?.len() + 2;
+                if marker == 0xDA {
+                    at = entropy_end(jpeg, at);
+                }
+            }
+        }
+    }
+}
+
 /// An `APPn` segment.
 pub(crate) struct Application<'a> {
     /// n, 0 to 15.

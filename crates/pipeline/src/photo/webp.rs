@@ -41,6 +41,8 @@ impl WebP {
 
 const ANIMATED: u8 = 0x02;
 const ALPHA: u8 = 0x10;
+/// Flag of a frame that takes the place of what is below.
+const UNBLENDED: u8 = 0x02;
 
 fn broken(what: &str) -> PhotoError {
     PhotoError::Broken(what.to_owned())
@@ -123,7 +125,8 @@ pub(super) fn scan(bytes: &[u8]) -> Result<WebP, PhotoError> {
                 webp.alpha = flags & ALPHA != 0;
                 extended = true;
                 let mut head = content[..10].to_vec();
-                head[0] = flags & (ANIMATED | ALPHA);
+                // a picture may cover a part of its canvas: what is beside it is clear, not black
+                head[0] = flags & (ANIMATED | ALPHA) | if webp.animated { ALPHA } else { 0 };
                 push(&mut body, name, &head);
             }
             b"VP8 " | b"VP8L" if pictures == 0 && !webp.animated => {
@@ -141,7 +144,10 @@ pub(super) fn scan(bytes: &[u8]) -> Result<WebP, PhotoError> {
                 pictures += 1;
                 // nobody looks at the others
                 if pictures == 1 {
-                    push(&mut body, name, content);
+                    // nothing is below it to blend with, which rounds
+                    let mut frame = content.to_vec();
+                    frame[15] |= UNBLENDED;
+                    push(&mut body, name, &frame);
                 }
             }
             b"ALPH" if pictures == 0 && extended => push(&mut body, name, content),
