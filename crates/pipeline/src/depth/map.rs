@@ -7,15 +7,18 @@ use super::{DepthError, DepthKind};
 use tmpi_core::container::PhotoFormat;
 
 use crate::photo::{self, Head, Limits, PhotoError, png};
-use tmpi_core::DisparityMap;
+use tmpi_core::{DisparityMap, Photo};
 
 /// Range of neighbouring disparities above which they lie on two surfaces and are not mixed.
 const EDGE: f32 = 0.03;
 /// Share of metric values that may be nearer than δ = 1: a sensor's outliers must not push everything else to infinity.
 const OUTLIERS: f64 = 1e-3;
 
-/// Levels of 255 by which the channels of a grey picture that was kept as a coloured JPEG may differ.
-const ALIKE: u8 = 2;
+/// Levels of 255 by which the channels of a grey picture may differ: lossy formats keep it as brightness and colour, each rounded and
+/// coded for itself, and programs save what they read of that as PNG. A map in false colours differs by far more.
+const ALIKE: u16 = 8;
+/// Difference in shape, as a share, up to which a map fits its photo.
+const STRETCHED: f64 = 0.03;
 
 /// Width and height of a map. Refuses by its headers alone what [`from_map`] would refuse: another format, or a map over the limits. Whether the channels of a picture
 /// in colour are alike is seen only when it is read.
@@ -38,7 +41,7 @@ fn not_a_map(error: &PhotoError) -> DepthError {
     DepthError::Map(error.to_string())
 }
 
-/// A grey picture.
+/// A grey picture, upright.
 pub(super) struct Grey {
     pub width: u32,
     pub height: u32,
@@ -46,50 +49,67 @@ pub(super) struct Grey {
     pub values: Vec<f32>,
 }
 
-/// Reads a picture that is grey, or whose colour channels are alike: PNG of 8 or 16 bits, JPEG, WebP.
+/// Reads a picture that is grey, or whose colour channels are nearly alike: PNG of 8 or 16 bits, JPEG, WebP. Neither a profile nor alpha
+/// changes its values.
 ///
 /// # Errors
 /// [`DepthError::Map`] says what is wrong with the file.
 pub(super) fn grey(bytes: &[u8], limits: &Limits) -> Result<Grey, DepthError> {
     check(bytes, limits)?;
     if PhotoFormat::sniff(bytes) != Some(PhotoFormat::Png) {
-        let photo::Decoded { photo, .. } = photo::decode(bytes, limits, None).map_err(|e| not_a_map(&e))?;
-        if photo.rgb.iter().any(|[r, g, b]| r.abs_diff(*g).max(g.abs_diff(*b)) > ALIKE) {
-            return Err(in_colour());
-        }
-        let values = photo.rgb.iter().map(|p| f32::from(p[1]) / 255.0).collect();
-        return Ok(Grey { width: photo.width, height: photo.height, values });
+        let Photo { width, height, rgb } = photo::decode_values(bytes, limits).map_err(|e| not_a_map(&e))?;
+        return Ok(Grey { width, height, values: alike(rgb.as_flattened(), 3)? });
     }
     let bad = |e: &dyn std::fmt::Display| DepthError::Map(e.to_string());
     let map = png::scan(bytes, limits).map_err(|e| not_a_map(&e))?;
-    let (width, height) = (map.width, map.height);
     let decoder = map.decoder().map_err(|e| bad(&e))?;
-    let colour = decoder.color_type();
-    let mut samples = vec![0; decoder.total_bytes() as usize];
-    decoder.read_image(&mut samples).map_err(|e| bad(&e))?;
-    let wide = |b: &[u8]| u16::from_ne_bytes([b[0], b[1]]);
-    // Alpha says nothing about depth
-    let alike = |n: usize, of: &(dyn Fn(&[u8]) -> [u16; 3] + Sync), most: f32| {
-        let values = samples.par_chunks_exact(n).map(of).map(|[r, g, b]| (r == g && g == b).then(|| f32::from(r) / most));
-        values.collect::<Option<Vec<f32>>>().ok_or_else(in_colour)
-    };
-    let byte = |b: &[u8]| u16::from(b[0]);
+    let (colour, pixels) = (decoder.color_type(), map.width as usize * map.height as usize);
+    let channels = usize::from(colour.channel_count());
     let values = match colour {
-        ColorType::L8 => alike(1, &|p| [byte(p); 3], 255.0),
-        ColorType::La8 => alike(2, &|p| [byte(p); 3], 255.0),
-        ColorType::Rgb8 => alike(3, &|p| [0, 1, 2].map(|i| byte(&p[i..])), 255.0),
-        ColorType::Rgba8 => alike(4, &|p| [0, 1, 2].map(|i| byte(&p[i..])), 255.0),
-        ColorType::L16 => alike(2, &|p| [wide(p); 3], 65_535.0),
-        ColorType::La16 => alike(4, &|p| [wide(p); 3], 65_535.0),
-        ColorType::Rgb16 => alike(6, &|p| [0, 2, 4].map(|i| wide(&p[i..])), 65_535.0),
-        ColorType::Rgba16 => alike(8, &|p| [0, 2, 4].map(|i| wide(&p[i..])), 65_535.0),
+        ColorType::L8 | ColorType::La8 | ColorType::Rgb8 | ColorType::Rgba8 => {
+            let mut samples = vec![0u8; pixels * channels];
+            decoder.read_image(&mut samples).map_err(|e| bad(&e))?;
+            alike(&samples, channels)
+        }
+        ColorType::L16 | ColorType::La16 | ColorType::Rgb16 | ColorType::Rgba16 => {
+            let mut samples = vec![0u16; pixels * channels];
+            decoder.read_image(bytemuck::cast_slice_mut(&mut samples)).map_err(|e| bad(&e))?;
+            alike(&samples, channels)
+        }
         other => Err(DepthError::Map(format!("pixels of kind {other:?} are not read"))),
     }?;
+    let (values, (width, height)) = photo::pixels::turned(values, (map.width, map.height), photo::orientation(bytes));
     Ok(Grey { width, height, values })
 }
 
-fn in_colour() -> DepthError {
-    DepthError::Map("it is in colour: a depth map is grey, or has three channels that are alike".into())
+/// Values of 0 to 1 of pixels with so many channels, of which the last of two or four is alpha.
+fn alike<S: Sample>(samples: &[S], channels: usize) -> Result<Vec<f32>, DepthError> {
+    let value = |p: &[S]| {
+        let colours = if channels < 3 { [p[0]; 3] } else { [p[0], p[1], p[2]] }.map(Into::into);
+        let [r, g, b]: [u16; 3] = colours;
+        let most = S::MOST / 255 * ALIKE;
+        // the middle one: what is brightness in lossy formats is mostly green
+        (r.abs_diff(g) <= most && b.abs_diff(g) <= most).then(|| f32::from(g) / f32::from(S::MOST))
+    };
+    samples
+        .par_chunks_exact(channels)
+        .map(value)
+        .collect::<Option<_>>()
+        .ok_or_else(|| DepthError::Map("it is in colour: a depth map is grey, or has three channels that are alike".into()))
+}
+
+/// A sample of a map.
+trait Sample: Copy + Send + Sync + Into<u16> {
+    /// The largest.
+    const MOST: u16;
+}
+
+impl Sample for u8 {
+    const MOST: u16 = 255;
+}
+
+impl Sample for u16 {
+    const MOST: u16 = 65_535;
 }
 
 /// Reads a user's depth map (a grey picture within `limits`: PNG of 8 or 16 bits, JPEG, WebP; or one in colour whose channels are alike) at
@@ -99,7 +119,24 @@ fn in_colour() -> DepthError {
 /// # Errors
 /// [`DepthError::Map`] says what is wrong with the file.
 pub fn from_map(bytes: &[u8], kind: DepthKind, limits: &Limits, width: u32, height: u32) -> Result<(DisparityMap, (u32, u32)), DepthError> {
+    from_map_beside(bytes, kind, limits, (width, height), 1)
+}
+
+/// As [`from_map`], beside a photo whose upright size is given and that its EXIF `orientation` (1 to 8) turned. Where the map has the shape
+/// that the photo was stored in, and not that of the upright one, it is turned with it.
+///
+/// # Errors
+/// [`DepthError::Map`] says what is wrong with the file.
+pub fn from_map_beside(
+    bytes: &[u8],
+    kind: DepthKind,
+    limits: &Limits,
+    (width, height): (u32, u32),
+    orientation: u8,
+) -> Result<(DisparityMap, (u32, u32)), DepthError> {
     let Grey { width: w, height: h, values } = grey(bytes, limits)?;
+    let lies = orientation >= 5 && fits((w, h), (height, width)) && !fits((w, h), (width, height));
+    let (values, (w, h)) = photo::pixels::turned(values, (w, h), if lies { orientation } else { 1 });
     let delta = match kind {
         DepthKind::Disparity => values,
         DepthKind::Metric => from_metric(values, w as usize)?,
@@ -108,6 +145,12 @@ pub fn from_map(bytes: &[u8], kind: DepthKind, limits: &Limits, width: u32, heig
         return Ok((DisparityMap { width, height, delta }, (w, h)));
     }
     Ok((resize(&delta, (w as usize, h as usize), (width, height)), (w, h)))
+}
+
+/// Whether a map of a size has the shape of a photo.
+pub fn fits(map: (u32, u32), photo: (u32, u32)) -> bool {
+    let shape = (f64::from(map.0) * f64::from(photo.1)) / (f64::from(map.1) * f64::from(photo.0));
+    (shape - 1.0).abs() <= STRETCHED
 }
 
 /// `δ = z_near / z`, at most 1, where `z_near` is the nearest depth but for [`OUTLIERS`]; an unknown value (0) takes the farther of its known neighbours in the row, a row of unknowns the row above or below.
@@ -306,13 +349,74 @@ mod tests {
                 assert!((got - want).abs() <= tolerance + 1e-6, "file {i}: {got} for {want}");
             }
         }
+        // read from a lossy file and saved again
+        let off = ImageBuffer::from_fn(40, 30, |x, y| Rgb([value(x, y), value(x, y).saturating_add((x % 3) as u8), value(x, y)]));
+        let off16 =
+            ImageBuffer::from_fn(40, 30, |x, y| off.get_pixel(x, y).0.map(|v| u16::from(v) * 256 + 99).into()) as ImageBuffer<Rgb<u16>, _>;
+        for file in [png(off.clone()), png(off16)] {
+            let got = from_map(&file, DepthKind::Disparity, 40, 30).unwrap();
+            assert!(got.delta.iter().zip(off.pixels()).all(|(got, p)| (got - f32::from(p[1]) / 255.0).abs() < 3e-3));
+        }
         let tinted = jpeg(ImageBuffer::from_fn(40, 30, |x, y| Rgb([value(x, y), 128, 40])).into());
         assert!(from_map(&tinted, DepthKind::Disparity, 40, 30).unwrap_err().to_string().contains("colour"));
     }
 
     #[test]
+    fn neither_profile_nor_alpha_changes_values() {
+        let value = |x: u32| (x * 6) as u8;
+        let grey = ImageBuffer::from_fn(40, 4, |x, _| Luma([value(x)]));
+        let rgb = ImageBuffer::from_fn(40, 4, |x, _| Rgb([value(x); 3]));
+        let clear = ImageBuffer::from_fn(40, 4, |x, _| image::Rgba([value(x), value(x), value(x), 255 - value(x)]));
+        let written = |image: DynamicImage, format| {
+            let mut out = Cursor::new(Vec::new());
+            image.write_to(&mut out, format).unwrap();
+            out.into_inner()
+        };
+        let profiled = |image: DynamicImage, profile: moxcms::ColorProfile| {
+            let mut out = Cursor::new(Vec::new());
+            image.write_with_encoder(image::codecs::jpeg::JpegEncoder::new_with_quality(&mut out, 100)).unwrap();
+            let (file, body) = (out.into_inner(), [b"ICC_PROFILE\0\x01\x01", &profile.encode().unwrap()[..]].concat());
+            [&file[..2], &[0xFF, 0xE2], &(body.len() as u16 + 2).to_be_bytes(), &body, &file[2..]].concat()
+        };
+        let files = [
+            profiled(grey.into(), moxcms::ColorProfile::new_gray_with_gamma(1.0)),
+            profiled(rgb.into(), moxcms::ColorProfile::new_bt2020()),
+            png(clear.clone()),
+            written(clear.into(), ImageFormat::WebP),
+        ];
+        for (i, file) in files.iter().enumerate() {
+            let got = from_map(file, DepthKind::Disparity, 40, 4).unwrap();
+            for (at, got) in got.delta.iter().enumerate() {
+                let want = f32::from(value(at as u32 % 40)) / 255.0;
+                assert!((got - want).abs() < 3.1 / 255.0, "file {i}: {got} for {want}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_map_as_the_photo_was_stored_turns_with_it() {
+        // stored 40 × 30, upright 30 × 40; columns become rows
+        let lying = wide(40, 30, |x, _| if x < 20 { 6_000 } else { 60_000 });
+        let beside =
+            |file: &[u8], size, orientation| from_map_beside(file, DepthKind::Disparity, &Limits::default(), size, orientation).unwrap();
+        for (orientation, first, last) in [(6, 6_000.0, 60_000.0), (8, 60_000.0, 6_000.0), (5, 6_000.0, 60_000.0), (7, 60_000.0, 6_000.0)] {
+            let (map, size) = beside(&lying, (30, 40), orientation);
+            assert_eq!((size, map.width, map.height), ((30, 40), 30, 40));
+            assert!((map.delta[7] * 65_535.0 - first).abs() < 1.0 && (map.delta[1199] * 65_535.0 - last).abs() < 1.0, "{orientation}");
+            // of another size too
+            assert_eq!(beside(&wide(20, 15, |x, _| x as u16), (30, 40), orientation).1, (15, 20));
+        }
+        // one that is upright, of another shape, or beside a photo that was only mirrored or is square
+        for (size, orientation) in [((40, 30), 6), ((30, 40), 1), ((40, 30), 3), ((30, 30), 6), ((20, 40), 6)] {
+            assert_eq!(beside(&lying, size, orientation).1, (40, 30), "{size:?} {orientation}");
+        }
+        let square = wide(30, 30, |x, _| x as u16 * 2000);
+        assert!(beside(&square, (30, 30), 6).0.delta[1] > 0.0, "whether a square lies or stands nobody can tell");
+    }
+
+    #[test]
     fn other_files_are_errors_that_say_so() {
-        let colour = png(ImageBuffer::from_fn(2, 2, |_, _| Rgb([1u8, 2, 3])));
+        let colour = png(ImageBuffer::from_fn(2, 2, |_, _| Rgb([1u8, 2, 30])));
         assert!(from_map(&colour, DepthKind::Disparity, 2, 2).unwrap_err().to_string().contains("colour"));
         assert!(from_map(b"P5 2 2 255", DepthKind::Disparity, 2, 2).unwrap_err().to_string().contains("not a JPEG, PNG or WebP"));
         let good = wide(9, 9, |x, _| x as u16);

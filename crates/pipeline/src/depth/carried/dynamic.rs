@@ -3,6 +3,8 @@
 use roxmltree::Node;
 
 use super::{Found, google, xmp};
+use crate::photo::segments;
+use tmpi_core::container::PhotoFormat;
 
 const DEPTH: &str = "http://ns.google.com/photos/dd/1.0/depthmap/";
 /// Namespaces of the list of pictures, of the specification and of what writers make of it.
@@ -16,14 +18,21 @@ const ITEMS: [&str; 3] = [
 struct Item<'a> {
     address: Option<&'a str>,
     length: usize,
+    /// Bytes behind it that belong to nothing.
+    padding: usize,
 }
 
 impl<'a> Item<'a> {
     fn read(node: Node<'a, '_>) -> Option<Self> {
         let get = |name| ITEMS.iter().find_map(|space| xmp::property(node, space, name));
         get("Mime")?;
-        let length = get("Length").map_or(Some(0), |l| l.trim().parse().ok())?;
-        Some(Self { address: get("DataURI"), length })
+        let bytes = |name| get(name).map_or(Some(0), |l| l.trim().parse().ok());
+        Some(Self { address: get("DataURI"), length: bytes("Length")?, padding: bytes("Padding")? })
+    }
+
+    /// Bytes of these one behind the other.
+    fn all(items: &[Self]) -> Option<usize> {
+        items.iter().try_fold(0usize, |sum, i| sum.checked_add(i.length)?.checked_add(i.padding))
     }
 }
 
@@ -35,12 +44,16 @@ pub(super) fn find(photo: &[u8], packets: &[String]) -> Option<Found> {
     let items: Vec<Item> = documents.iter().flat_map(|d| d.descendants().filter_map(Item::read)).collect();
     let read = || {
         let scale = google(get("Format"), get("Near"), get("Far"))?;
-        // the first is the photo itself; the others lie one behind the other up to the end of the file
-        let others = items.get(1..).unwrap_or_default();
-        let place = others.iter().position(|i| i.address == Some(address)).ok_or_else(|| format!("no picture {address} is listed"))?;
-        let behind = others[place..].iter().try_fold(0usize, |sum, i| sum.checked_add(i.length));
-        let start = behind.and_then(|n| photo.len().checked_sub(n)).ok_or("the pictures listed are longer than the file")?;
-        let picture = photo.get(start..start + others[place].length).ok_or("the pictures listed are longer than the file")?;
+        let place =
+            items.iter().skip(1).position(|i| i.address == Some(address)).ok_or_else(|| format!("no picture {address} is listed"))? + 1;
+        let longer = "the pictures listed are longer than the file";
+        let (before, behind) = (Item::all(&items[1..place]).ok_or(longer)?, Item::all(&items[place..]).ok_or(longer)?);
+        // the first is the photo itself; the others lie one behind the other up to the end of the file, unless a program put more behind
+        // them: then they are counted from the end of the photo
+        let at_end = photo.len().checked_sub(behind);
+        let at_photo = || segments::end(photo)?.checked_add(items[0].padding)?.checked_add(before);
+        let picture = |start: Option<usize>| photo.get(start?..)?.get(..items[place].length).filter(|p| PhotoFormat::sniff(p).is_some());
+        let picture = picture(at_end).or_else(|| picture(at_photo())).ok_or(longer)?;
         Ok(("dynamic-depth", picture.to_vec(), scale))
     };
     Some(read())

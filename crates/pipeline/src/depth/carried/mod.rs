@@ -26,9 +26,13 @@ pub struct Carried {
     scale: Scale,
     /// EXIF orientation of the photo, 1 to 8.
     orientation: u8,
-    /// Pixels of the photo's file: its map has no more, so that reading it takes no more memory than the photo itself.
+    /// Pixels that the map may have: those of the photo's file, so that reading it takes no more memory than the photo itself, or [`SMALL`].
     pixels: u64,
 }
+
+/// Pixels of maps that may be larger than their photo, which programs made smaller: as many as phones write. Reading them takes less memory
+/// than the network that they stand in for.
+const SMALL: u64 = 2_000_000;
 
 /// What values v of 0 to 1 mean.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -79,8 +83,7 @@ pub fn carried(photo: &[u8]) -> Result<Option<Carried>, DepthError> {
     let Some(found) = found else { return Ok(None) };
     let (format, picture, scale) = found.map_err(DepthError::Carried)?;
     // what can be no photo has no map either
-    let unbounded = Limits { bytes: usize::MAX, pixels: u64::MAX, side: u32::MAX, decoder_memory: u64::MAX, memory: u64::MAX };
-    let pixels = photo::check(photo, &unbounded).map_or(0, |(_, (w, h))| u64::from(w) * u64::from(h));
+    let pixels = photo::check(photo, &Limits::NONE).map_or(0, |(_, (w, h))| (u64::from(w) * u64::from(h)).max(SMALL));
     Ok(Some(Carried { format, picture, scale, orientation: photo::orientation(photo), pixels }))
 }
 

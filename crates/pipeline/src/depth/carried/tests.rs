@@ -49,12 +49,12 @@ fn main(description: &str) -> Vec<u8> {
     segment(0xE1, &[b"http://ns.adobe.com/xap/1.0/\0", packet(description).as_bytes()])
 }
 
-/// An extended packet in segments of 200 bytes.
-fn extended(description: &str) -> Vec<Vec<u8>> {
+/// An extended packet in segments of 200 bytes, named by a letter 32 times.
+fn extended(description: &str, name: u8) -> Vec<Vec<u8>> {
     let whole = packet(description);
     let part = |(i, bytes): (usize, &[u8])| {
         let (length, at) = (whole.len() as u32, (i * 200) as u32);
-        segment(0xE1, &[b"http://ns.adobe.com/xmp/extension/\0", &[b'7'; 32], &length.to_be_bytes(), &at.to_be_bytes(), bytes])
+        segment(0xE1, &[b"http://ns.adobe.com/xmp/extension/\0", &[name; 32], &length.to_be_bytes(), &at.to_be_bytes(), bytes])
     };
     whole.as_bytes().chunks(200).enumerate().map(part).collect()
 }
@@ -68,26 +68,46 @@ fn gdepth_with(photo: &[u8], map: GrayImage, format: &str, near: &str, far: &str
         "<rdf:Description xmlns:GDepth='http://ns.google.com/photos/1.0/depthmap/' GDepth:Format='{format}' GDepth:Near='{near}' \
          GDepth:Far='{far}' GDepth:Mime='image/png'/>"
     );
+    with(photo, &[vec![main(&properties)], extended(&data(map), b'7')].concat())
+}
+
+/// The description of an extended packet with a map.
+fn data(map: GrayImage) -> String {
     let data = base64::engine::general_purpose::STANDARD_NO_PAD.encode(encoded(map, ImageFormat::Png));
-    let data = format!("<rdf:Description xmlns:GDepth='http://ns.google.com/photos/1.0/depthmap/' GDepth:Data='{data}'/>");
-    with(photo, &[vec![main(&properties)], extended(&data)].concat())
+    format!("<rdf:Description xmlns:GDepth='http://ns.google.com/photos/1.0/depthmap/' GDepth:Data='{data}'/>")
+}
+
+/// A photo of which the main packet says that it goes on in the one named by `name`, with extended packets in that order.
+fn extended_twice(name: &str, packets: &[(u8, GrayImage)]) -> Vec<u8> {
+    let properties = format!(
+        "<rdf:Description xmlns:GDepth='http://ns.google.com/photos/1.0/depthmap/' xmlns:xmpNote='http://ns.adobe.com/xmp/note/' \
+         xmpNote:HasExtendedXMP='{name}' GDepth:Format='RangeInverse' GDepth:Near='1' GDepth:Far='5' GDepth:Mime='image/png'/>"
+    );
+    let packets = packets.iter().flat_map(|(name, map)| extended(&data(map.clone()), *name));
+    with(&photo(), &[vec![main(&properties)], packets.collect()].concat())
 }
 
 fn dynamic(address: &str) -> Vec<u8> {
+    dynamic_with(address, 0, &[])
+}
+
+/// With so many bytes of padding behind the photo, and `behind` behind everything.
+fn dynamic_with(address: &str, padding: usize, behind: &[u8]) -> Vec<u8> {
     let (confidence, map) = (vec![7; 99], encoded(map(), ImageFormat::Jpeg));
     let item = |address: &str, length: usize| {
         format!(
             "<rdf:li><rdf:Description><Container:Item Item:Mime='image/jpeg' Item:Length='{length}' Item:DataURI='{address}'/></rdf:Description></rdf:li>"
         )
     };
-    let list = [item("primary_image", 0), item("android/depthmap", map.len()), item("android/confidencemap", confidence.len())].concat();
+    let primary = item("primary_image", 0).replace(" Item:Length", &format!(" Item:Padding='{padding}' Item:Length"));
+    let list = [primary, item("android/depthmap", map.len()), item("android/confidencemap", confidence.len())].concat();
     let description = format!(
         "<rdf:Description xmlns:Container='http://ns.google.com/photos/dd/1.0/container/' xmlns:Item='http://ns.google.com/photos/dd/1.0/item/' \
          xmlns:DepthMap='http://ns.google.com/photos/dd/1.0/depthmap/'><Container:Directory><rdf:Seq>{list}</rdf:Seq></Container:Directory>\
          <DepthMap:Format>RangeLinear</DepthMap:Format><DepthMap:Near>1</DepthMap:Near><DepthMap:Far>5</DepthMap:Far>\
          <DepthMap:DepthURI>{address}</DepthMap:DepthURI></rdf:Description>"
     );
-    [with(&photo(), &[main(&description)]), map, confidence].concat()
+    [with(&photo(), &[main(&description)]), vec![0; padding], map, confidence, behind.to_vec()].concat()
 }
 
 fn apple(fields: &[(&str, &str)]) -> String {
@@ -176,6 +196,32 @@ fn cut_list() -> Vec<u8> {
 }
 
 #[test]
+fn the_extended_packet_that_the_main_one_names_is_read() {
+    let stale = || GrayImage::from_pixel(W / 2, H / 2, Luma([255]));
+    let name = |letter: &str| letter.repeat(32);
+    for order in [vec![(b'A', map())], vec![(b'B', stale()), (b'A', map())], vec![(b'A', map()), (b'B', stale())]] {
+        near(ends(&extended_twice(&name("A"), &order)), (1.0 - 0.2 * 0.8, 1.0 - 0.8 * 0.8));
+        near(ends(&extended_twice(&format!(" {} ", name("a")), &order)), (1.0 - 0.2 * 0.8, 1.0 - 0.8 * 0.8));
+        let fault = carried(&extended_twice(&name("C"), &order)).unwrap_err().to_string();
+        assert!(fault.contains("not whole"), "{fault}");
+    }
+}
+
+#[test]
+fn depth_is_found_whatever_lies_behind_the_last_picture() {
+    let want = (1.0 / 1.8, 1.0 / 4.2);
+    let samsung = b"\0\0\x01\x0a\x0e\0\0\0Image_UTC_Data1577836800000SEFHk\0\0\0\x01\0\0\0SEFT";
+    let picture = photo();
+    for behind in [&b""[..], b"\n", samsung, &[0; 5000], &[0xFF; 7], &picture] {
+        for padding in [0, 12] {
+            near(ends(&dynamic_with("android/depthmap", padding, behind)), want);
+        }
+        near(ends(&[&multi(&PORTRAIT), behind].concat()), (0.8 / 2.0, 1.7 / 2.0));
+        near(ends(&[&gdepth("RangeLinear", "1.0", "5.0"), behind].concat()), want);
+    }
+}
+
+#[test]
 fn a_photo_on_its_side_has_its_map_turned_with_it() {
     let file = on_its_side(&gdepth("RangeInverse", "1", "5"));
     let found = carried(&file).unwrap().unwrap();
@@ -216,13 +262,20 @@ fn a_map_turns_with_its_photo_where_the_shapes_tell_nothing_and_not_where_it_is_
 }
 
 #[test]
-fn a_map_of_more_pixels_than_its_photo_is_refused_before_it_is_decoded() {
-    let with = |w, h| gdepth_with(&photo(), GrayImage::from_pixel(w, h, Luma([51])), "RangeInverse", "1", "5");
-    assert!(carried(&with(W, H)).unwrap().unwrap().read(&Limits::default(), W, H).is_ok());
-    let fault = carried(&with(W, H + 1)).unwrap().unwrap().read(&Limits::default(), W, H).unwrap_err();
-    assert!(fault.to_string().contains(&(W * H).to_string()), "{fault}");
+fn a_map_may_be_larger_than_its_photo_but_not_than_memory_allows() {
+    let with =
+        |w, h| gdepth_with(&photo(), GrayImage::from_fn(w, h, |x, _| Luma([if x < w / 2 { 51 } else { 204 }])), "RangeInverse", "1", "5");
+    let read = |file: &[u8], limits: &Limits, w, h| carried(file).unwrap().unwrap().read(limits, w, h);
+    for (w, h) in [(W, H), (W, H + 1), (3 * W, 3 * H), (1000, 750)] {
+        let (map, size) = read(&with(w, h), &Limits::default(), W, H).unwrap();
+        assert_eq!((size, map.width, map.height), ((w, h), W, H));
+        near((map.delta[3], map.delta[W as usize - 4]), (1.0 - 0.2 * 0.8, 1.0 - 0.8 * 0.8));
+    }
     // reduced it is still the file's own size that counts
-    assert!(carried(&with(W, H)).unwrap().unwrap().read(&Limits::default(), 8, 6).is_ok());
+    assert!(read(&with(W, H), &Limits::default(), 8, 6).is_ok());
+    let fault = read(&with(2000, 1001), &Limits::default(), W, H).unwrap_err();
+    assert!(fault.to_string().contains(&SMALL.to_string()), "{fault}");
+    assert!(read(&with(W, H + 1), &Limits { pixels: u64::from(W * H), ..Limits::default() }, W, H).is_err());
 }
 
 struct Flat;
@@ -252,6 +305,10 @@ fn the_photos_own_depth_is_used_unless_another_is_given_or_it_is_off() {
     let square = encoded(GrayImage::from_pixel(8, 8, Luma([9])), ImageFormat::Png);
     let report = make(&file, Some(&square), Switch::Auto).unwrap();
     assert!(report.depth_model == "given" && report.input.depth.unwrap().stretched);
+    // a map as the photo was stored fits, once it is turned
+    let lying = encoded(GrayImage::from_fn(W, H, |x, _| Luma([if x < W / 2 { 0 } else { 200 }])), ImageFormat::Png);
+    let depth = make(&on_its_side(&photo()), Some(&lying), Switch::Auto).unwrap().input.depth.unwrap();
+    assert_eq!((depth.width, depth.height, depth.stretched), (H, W, false));
     // what cannot be read is told, and fails only where nothing else will do
     let broken = gdepth("RangeInverse", "5", "1");
     let report = make(&broken, None, Switch::Auto).unwrap();

@@ -5,6 +5,8 @@ use roxmltree::{Document, Node, ParsingOptions};
 use crate::photo::segments::applications;
 
 const MAIN: &[u8] = b"http://ns.adobe.com/xap/1.0/\0";
+/// Namespace of the property that names the extended packet.
+const NOTE: &str = "http://ns.adobe.com/xmp/note/";
 const EXTENSION: &[u8] = b"http://ns.adobe.com/xmp/extension/\0";
 /// Bytes of the name of an extended packet.
 const NAME: usize = 32;
@@ -15,16 +17,24 @@ const NODES: u32 = 20_000;
 const ATTRIBUTES: usize = 10_000;
 const NAMESPACES: usize = 256;
 
-/// The packets of a JPEG as text, the main one first.
+/// The packets of a JPEG as text, the main one first. Of extended packets it is the one that the main one names; editors leave old ones
+/// behind. Where it names none it is the first.
 pub(super) fn packets(jpeg: &[u8]) -> Vec<String> {
     let segments = applications(jpeg);
     let bodies = || segments.iter().filter(|s| s.number == 1).map(|s| s.body);
     let mut found: Vec<String> = bodies().find_map(|b| text(b.strip_prefix(MAIN)?)).into_iter().collect();
     let parts: Vec<Part> = bodies().filter_map(|b| Part::read(b.strip_prefix(EXTENSION)?)).collect();
-    if let Some(first) = parts.first() {
+    let named = found.first().and_then(|main| extension_of(main));
+    let of_name = |part: &&Part| named.as_ref().is_none_or(|name| part.name.eq_ignore_ascii_case(name.as_bytes()));
+    if let Some(first) = parts.iter().find(of_name) {
         found.extend(joined(first, &parts));
     }
     found
+}
+
+/// The name of the extended packet that a main one goes on in.
+fn extension_of(main: &str) -> Option<String> {
+    document(main).and_then(|d| anywhere(&d, NOTE, "HasExtendedXMP").map(|name| name.trim().to_owned()))
 }
 
 fn text(bytes: &[u8]) -> Option<String> {

@@ -3,7 +3,7 @@
 use tmpi_core::{DisparityMap, Photo};
 
 use crate::run::{self, Context, MakeError, Switch};
-use crate::{denoise, depth, edges};
+use crate::{denoise, depth, edges, photo};
 
 /// Photo, and where its disparity is to come from → disparity.
 ///
@@ -33,8 +33,8 @@ impl Depth {
 pub enum Source<'a> {
     /// The network.
     Network,
-    /// A map that the user gives: a grey picture's file.
-    Given(&'a [u8]),
+    /// A map that the user gives: a grey picture's file, and the EXIF orientation of the photo.
+    Given(&'a [u8], u8),
     /// The map that the photo brings along.
     Carried(depth::Carried),
 }
@@ -48,7 +48,7 @@ impl<'a> Source<'a> {
     pub fn choose(photo: &[u8], given: Option<&'a [u8]>, context: &mut Context) -> Result<Self, MakeError> {
         let wanted = context.options.photo_depth;
         if let Some(given) = given {
-            return Ok(Self::Given(given));
+            return Ok(Self::Given(given, photo::orientation(photo)));
         }
         if wanted == Switch::Off {
             return Ok(Self::Network);
@@ -65,9 +65,6 @@ impl<'a> Source<'a> {
         }
     }
 }
-
-/// Difference in shape above which a map was not made for its photo.
-const STRETCHED: f64 = 0.03;
 
 /// Disparity of a photo on its way to the planes.
 #[derive(Clone, Debug)]
@@ -89,8 +86,9 @@ impl run::Stage for Depth {
         let (width, height) = (photo.width, photo.height);
         let read = match &source {
             Source::Network => None,
-            Source::Given(file) => {
-                let (map, size) = depth::from_map(file, context.options.depth_kind, context.limits, width, height)?;
+            Source::Given(file, orientation) => {
+                let kind = context.options.depth_kind;
+                let (map, size) = depth::from_map_beside(file, kind, context.limits, (width, height), *orientation)?;
                 Some(("given", "given", map, size))
             }
             Source::Carried(carried) => match carried.read(context.limits, width, height) {
@@ -105,8 +103,7 @@ impl run::Stage for Depth {
         let given = read.is_some();
         let mut delta = if let Some((name, format, map, (w, h))) = read {
             context.report.depth_model = name.into();
-            let shape = (f64::from(w) * f64::from(height)) / (f64::from(h) * f64::from(width));
-            let stretched = (shape - 1.0).abs() > STRETCHED;
+            let stretched = !depth::fits((w, h), (width, height));
             context.report.input.depth = Some(run::InputDepth { source: format.into(), width: w, height: h, stretched });
             map
         } else {
