@@ -4,6 +4,8 @@
 
 /** Codec string of frames that are JPEG files. */
 export const JPEG = 'jpeg';
+/** The end marker of a JPEG. Cameras leave it out, and then browsers take the frame for one that is cut short; behind another it is nothing. */
+const END = new Uint8Array([0xff, 0xd9]);
 /** Without a duration one browser takes its decoder for too slow, µs. */
 const DURATION = 33_333;
 
@@ -93,7 +95,7 @@ export class Pictures {
       // each needs no other, so the newest is enough
       if (this.#closed || newest !== this.#waiting) return;
       try {
-        const picture = await createImageBitmap(new Blob([data], { type: 'image/jpeg' }), { colorSpaceConversion: 'none' });
+        const picture = await createImageBitmap(new Blob([data, END], { type: 'image/jpeg' }), { colorSpaceConversion: 'none' });
         if (this.#closed) return picture.close();
         this.#done({ ...taken, picture, ms: performance.now() - taken.began });
       } catch (error) {

@@ -4,8 +4,9 @@
 mod vp9;
 
 use tmpi_core::Photo;
-use tmpi_core::container::{PhotoFormat, decode_picture};
+use tmpi_core::container::PhotoFormat;
 pub use tmpi_core::live::{I420, to_rgb};
+use tmpi_pipeline::photo::{self, Limits};
 
 /// Codec string of frames that are JPEG files.
 pub const JPEG: &str = "jpeg";
@@ -81,8 +82,14 @@ struct Jpeg {
 
 impl Decoder for Jpeg {
     fn decode(&mut self, data: &[u8]) -> Result<Option<Photo>, VideoError> {
-        let photo = decode_picture(PhotoFormat::Jpeg, data, self.size).map_err(|e| VideoError::Broken(e.to_string()))?;
-        sized(photo, self.size)
+        if PhotoFormat::sniff(data) != Some(PhotoFormat::Jpeg) {
+            return Err(VideoError::Broken("a frame that is no JPEG".into()));
+        }
+        let (width, height) = self.size;
+        let limits = Limits { pixels: u64::from(width) * u64::from(height), side: width.max(height), ..Limits::default() };
+        // as photos are: cameras leave out of their frames whatever is the same in all of them
+        let decoded = photo::decode(data, &limits, None).map_err(|e| VideoError::Broken(e.to_string()))?;
+        sized(decoded.photo, self.size)
     }
 }
 
@@ -227,6 +234,26 @@ mod tests {
         assert!(jpeg.decode().is_err());
         assert!(sized(photo.clone(), (16, 8)).is_ok_and(|p| p.is_some()) && sized(photo, (8, 16)).is_err());
         assert!(matches!(decoder(JPEG, (16, 8)).unwrap().decode(b"no JPEG"), Err(VideoError::Broken(_))));
+    }
+
+    /// Cameras leave out of the frames of Motion JPEG whatever is the same in all of them.
+    #[test]
+    fn frames_without_code_tables_or_an_end_are_whole() {
+        let rgb = (0..48 * 32).map(|i| [(i % 48 * 5) as u8, (i / 48 * 7) as u8, 90]).collect();
+        let frame = tmpi_core::container::Carried::from_photo(&Photo { width: 48, height: 32, rgb }, 90).unwrap().bytes;
+        let decoded = |frame: &[u8]| decoder(JPEG, (48, 32)).unwrap().decode(frame).unwrap().unwrap();
+        let whole = decoded(&frame);
+        let mut bare = frame.clone();
+        while let Some(at) = bare.windows(2).position(|w| w == [0xFF, 0xC4]) {
+            bare.drain(at..at + 2 + usize::from(u16::from_be_bytes([bare[at + 2], bare[at + 3]])));
+        }
+        assert!(bare.len() + 400 < frame.len());
+        for frame in [&frame[..frame.len() - 2], &frame[..frame.len() - 1], &bare, &bare[..bare.len() - 2]] {
+            assert_eq!(decoded(frame), whole);
+            assert_eq!(size(JPEG, frame).unwrap(), (48, 32));
+        }
+        assert!(decoder(JPEG, (48, 32)).unwrap().decode(&frame[..frame.len() / 2]).is_err());
+        assert!(decoder(JPEG, (40, 32)).unwrap().decode(&frame).is_err() && decoder(JPEG, (96, 32)).unwrap().decode(&frame).is_err());
     }
 
     /// A decoder that goes on after the first error panics on this stream, and reads no sound one after it.
