@@ -143,19 +143,21 @@ fn after_a_cut_that_does_not_fit_the_budget_readers_get_every_tile_and_what_is_t
 }
 
 #[test]
-fn what_does_not_fit_the_budget_is_done_by_the_next_frames() {
+fn tiles_that_do_not_fit_the_budget_follow_one_by_one() {
     let (_, mut room) = room(Settings { frame_ms: 1e-3, ..Settings::default() });
-    room.next(&frame(0, 60)).unwrap();
-    let mut moved = room.next(&frame(1, 100)).unwrap();
-    let (mut frames, mut sent) = (0, moved.sent.clone());
-    while moved.waiting > 0 {
-        frames += 1;
-        assert!(frames < 100_000, "{} tiles wait for ever", moved.waiting);
-        moved = room.next(&frame(1 + frames, 100)).unwrap();
-        assert!(moved.sent.len() <= 1);
-        sent.extend(&moved.sent);
+    room.next(&walls(0, 0.0)).unwrap();
+    // measured depth is looked at with each frame, however long it takes
+    let moved = walls(1, 0.3);
+    let first = room.next(&moved).unwrap();
+    assert!(first.waiting > 1 && first.sent.len() <= 1, "{} wait, {:?} sent", first.waiting, first.sent);
+    let (mut waiting, mut sent) = (first.waiting, first.sent);
+    for number in 2..100 {
+        let update = room.next(&Frame { number, ..moved.clone() }).unwrap();
+        assert!(update.changed.is_empty() && update.sent.len() <= 1 && update.waiting <= waiting);
+        waiting = update.waiting;
+        sent.extend(update.sent);
     }
-    assert!(frames > 1 && sent.len() > 1, "{frames} frames, {sent:?}");
+    assert!(waiting == 0 && sent.len() > 1, "{waiting} wait, {sent:?} sent");
 }
 
 #[test]
