@@ -1,7 +1,5 @@
 // Starts what decodes a container: off the page's thread, or where no worker can be had on it.
 
-/** The word in a worker's text: exported pages replace each `import` of a module that stands in a script. */
-const LOAD = 'import';
 /** Name of the policy by which a page with Trusted Types takes the workers' addresses. */
 const POLICY = 'tmpi';
 /** @type {{createScriptURL: (address: string) => string} | null | undefined} */
@@ -34,10 +32,10 @@ export function startWorker(url) {
   const module = JSON.stringify(url.href);
   // a worker's script must be of the page's own origin; what it imports need not. Without an origin it can be no module
   const isModule = self.origin !== 'null';
-  const text = isModule
-    ? `import ${module};`
-    : `const early = []; self.onmessage = (event) => early.push(event);
-${LOAD}(${module}).then(() => early.forEach((event) => self.onmessage(event)), (error) => setTimeout(() => { throw error; }));`;
+  const early = 'const early = []; self.onmessage = (event) => early.push(event);';
+  const begin = '() => early.forEach((event) => self.onmessage(event)), (error) => setTimeout(() => { throw error; })';
+  // with a space: what links modules into one script (src/export/script.rs) takes it for text then
+  const text = isModule ? `import ${module};` : `${early} import (${module}).then(${begin});`;
   const address = URL.createObjectURL(new Blob([text], { type: 'text/javascript' }));
   const worker = new Worker(trusted(address), isModule ? { type: 'module' } : {});
   // by its first message it has long been read

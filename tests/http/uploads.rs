@@ -296,7 +296,7 @@ fn a_photo_is_called_by_its_file_or_as_the_upload_says() {
     let nameless = named_form(&server, &[], "image.jpg", &jpeg(4)).json();
     assert_eq!(title(&nameless), None);
 
-    // a name is no part of what a photo is: another file name does not rename it, another title does
+    // a name is no part of what a photo is: another file's name changes none, a title that is sent does
     let again = named_form(&server, &[], "mine.jpg", &jpeg(1)).json();
     assert_eq!((&again["id"], title(&again).as_deref()), (&by_file["id"], Some("Söhne am Meer")));
     let renamed = named_form(&server, &[("title", "Mine")], "mine.jpg", &jpeg(1)).json();
