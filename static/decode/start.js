@@ -32,10 +32,10 @@ export function startWorker(url) {
   const module = JSON.stringify(url.href);
   // a worker's script must be of the page's own origin; what it imports need not. Without an origin it can be no module
   const isModule = self.origin !== 'null';
-  const text = isModule
-    ? `import ${module};`
-    : `const early = []; self.onmessage = (event) => early.push(event);
-import(${module}).then(() => early.forEach((event) => self.onmessage(event)), (error) => setTimeout(() => { throw error; }));`;
+  const early = 'const early = []; self.onmessage = (event) => early.push(event);';
+  const begin = '() => early.forEach((event) => self.onmessage(event)), (error) => setTimeout(() => { throw error; })';
+  // with a space: what links modules into one script (src/export/script.rs) takes it for text then
+  const text = isModule ? `import ${module};` : `${early} import (${module}).then(${begin});`;
   const address = URL.createObjectURL(new Blob([text], { type: 'text/javascript' }));
   const worker = new Worker(trusted(address), isModule ? { type: 'module' } : {});
   // by its first message it has long been read

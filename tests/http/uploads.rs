@@ -270,9 +270,11 @@ fn a_photo_is_called_by_its_file_or_as_the_upload_says() {
     let nameless = named_form(&server, &[], "image.jpg", &jpeg(4)).json();
     assert_eq!(title(&nameless), None);
 
-    // a name is no part of what a photo is, and who sends it again does not rename it
-    let again = named_form(&server, &[("title", "Mine")], "mine.jpg", &jpeg(1)).json();
+    // a name is no part of what a photo is: another file's name changes none, a title that is sent does
+    let again = named_form(&server, &[], "mine.jpg", &jpeg(1)).json();
     assert_eq!((&again["id"], title(&again).as_deref()), (&by_file["id"], Some("Söhne am Meer")));
+    let renamed = named_form(&server, &[("title", "Mine")], "mine.jpg", &jpeg(1)).json();
+    assert_eq!((&renamed["id"], title(&renamed).as_deref()), (&by_file["id"], Some("Mine")));
 
     for (fields, field) in [(&[("title", "")][..], "title"), (&[("title", "a"), ("title", "b")], "title"), (&[("file", "x")], "file")] {
         assert_eq!(named_form(&server, fields, "a.jpg", &jpeg(5)).problem(400)["field"], field);
