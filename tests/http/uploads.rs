@@ -288,5 +288,5 @@ fn a_photo_is_called_by_its_file_or_as_the_upload_says() {
 
     server.stop();
     let server = Running::start(dir.path(), Limits::default(), Arc::new(pipeline()));
-    assert_eq!(title(&server.state(by_file["id"].as_str().unwrap())).as_deref(), Some("Söhne am Meer"), "after a restart");
+    assert_eq!(title(&server.state(by_file["id"].as_str().unwrap())).as_deref(), Some("Mine"), "after a restart");
 }
