@@ -32,7 +32,7 @@ export async function open({ id, viewer, changed }) {
   const everybody = element(
     'section',
     '',
-    element('p', '', t('Or let everybody see it whom its address reaches, without an end.')),
+    element('p', '', t('Or let anyone who has its address see it, with no end date.')),
     element('div', 'row', button(t('Let anyone with the link see it'), allow)),
   );
   async function allow() {

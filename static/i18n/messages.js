@@ -49,7 +49,7 @@ const GERMAN = {
   'Who may see it…': 'Wer es sehen darf …',
   'Whoever has this link sees the photo until {0}, and changes nothing.': 'Wer diesen Link hat, sieht das Foto bis {0} und ändert nichts.',
   'Only you can see this photo.': 'Nur Sie können dieses Foto sehen.',
-  'Or let everybody see it whom its address reaches, without an end.': 'Oder allen zeigen, die seine Adresse erreicht, ohne Ende.',
+  'Or let anyone who has its address see it, with no end date.': 'Oder allen zeigen, die seine Adresse haben, ohne Enddatum.',
   'Only who uploaded the photo can make a link by which others see it.':
     'Einen Link, mit dem andere es sehen, macht nur, wer das Foto hochgeladen hat.',
   'Link to this view copied. It works on this machine alone.': 'Link zu dieser Sicht kopiert. Er gilt nur auf diesem Rechner.',
