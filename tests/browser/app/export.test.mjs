@@ -100,12 +100,12 @@ describe('exports', () => {
     const plain = await launch({ webgpu: false });
     const pages = [await openPageFile(plain), await openPageFile(plain, { javaScriptEnabled: false })];
     await pages[0].page.waitForFunction(() => document.getElementById('stage').dataset.mode);
-    const { page: reader } = await openPage(browser);
-    // the photo fills the window
-    const photo = await pixelsOf(reader, boxPhoto(WIDTH, HEIGHT), { width: 1280, height: 800 });
     for (const { page, errors, asked } of pages) {
-      const off = shareDifferent(await screenshot(page), photo, 1280, 800, { ...INNER, levels: 24 });
-      assert.ok(off < 0.1, `${off} of the pixels are not the photo's`);
+      const pixels = await screenshot(page);
+      // the photo is as high as the window, in its middle the box
+      const middle = pixels.subarray((400 * 1280 + 640) * 4, (400 * 1280 + 640) * 4 + 3);
+      const share = pixels.filter((v, i) => i % 4 === 0 && v > 30).length / (1280 * 800);
+      assert.ok(Math.max(...middle) > 60 && share > 0.8, `${middle} ${share}`);
       assert.deepEqual([errors, asked], [[], []]);
     }
     await plain.close();
